@@ -1,0 +1,18 @@
+"""Constants of nature and of photometry (SI, exact by definition)."""
+
+from __future__ import annotations
+
+PLANCK_J_S = 6.62607015e-34
+"""h, SI Brochure 9 (2019)."""
+
+LIGHT_SPEED_M_S = 299_792_458.0
+"""c in vacuum, SI Brochure 9 (2019)."""
+
+ELEMENTARY_CHARGE_C = 1.602176634e-19
+"""e, SI Brochure 9 (2019)."""
+
+LUMINOUS_EFFICACY_LM_W = 683.002
+"""K_m of the CIE 1931 observer [lm/W], CIE S 010 (683 lm/W at 540 THz, 555.016 nm)."""
+
+LUMINANCE_WEIGHTS_REC709 = (0.2126729, 0.7151522, 0.0721750)
+"""Second row of linear Rec.709 (D65) to CIE XYZ, IEC 61966-2-1."""

@@ -1,0 +1,6 @@
+"""Fog: how strongly, and where to, it turns light; where it begins and ends."""
+
+from synfog_usd.fog.medium import FogMedium, extinction_from_visibility
+from synfog_usd.fog.volume import Boundary, FogVolume
+
+__all__ = ["Boundary", "FogMedium", "FogVolume", "extinction_from_visibility"]

@@ -1,0 +1,112 @@
+"""Where fog is: closed boundaries, what they contain, and which lies in which.
+
+Takes meshes, boxes and spheres in metres; gives containment.  A denser bank may
+lie wholly inside another fog; boundaries that cross have no clear meaning and are
+told apart by `crosses`.  Knows nothing of USD or Mitsuba.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.errors import ParameterError
+from synfog_usd.fog.medium import FogMedium
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """A closed surface.
+
+    Attributes:
+        kind: 'box' and 'sphere' are the unit shapes [-1, 1]^3 and |p| <= 1 under
+            `to_world`; 'mesh' is `vertices` and `faces` in world metres.
+        to_world: (4, 4) float64, column vectors; identity for a mesh.
+        vertices: (N, 3) float64 [m], for a mesh.
+        faces: (M, 3) int, outward by the right-hand rule, for a mesh.
+    """
+
+    kind: Literal["box", "sphere", "mesh"]
+    to_world: Array
+    vertices: Array | None = None
+    faces: npt.NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind == "mesh":
+            if self.vertices is None or self.faces is None or len(self.faces) < 4:
+                raise ParameterError("a fog boundary needs a closed mesh of at least 4 triangles")
+            span = np.ptp(self.vertices, axis=0).min()
+        else:
+            span = 2.0 * np.abs(np.linalg.svd(self.to_world[:3, :3], compute_uv=False)).min()
+        if not span > 1e-3:
+            raise ParameterError(f"a fog boundary only {span:.3g} m thick holds no fog")
+
+    def contains(self, points_m: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Which of (N, 3) points [m] lie inside."""
+        points = np.atleast_2d(np.asarray(points_m, dtype=np.float64))
+        if self.kind == "mesh":
+            return self._winding(points) > 0.5
+        local = (np.linalg.inv(self.to_world) @ np.c_[points, np.ones(len(points))].T).T[:, :3]
+        if self.kind == "box":
+            return np.all(np.abs(local) <= 1.0, axis=1)
+        return np.sum(local**2, axis=1) <= 1.0
+
+    def surface_points(self) -> Array:
+        """(N, 3) points [m] on the surface: corners, and centres of edges and faces."""
+        if self.kind == "mesh":
+            assert self.vertices is not None and self.faces is not None
+            return np.concatenate([self.vertices, self.vertices[self.faces].mean(axis=1)])
+        grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+        grid = grid[np.any(grid != 0.0, axis=1)]
+        if self.kind == "sphere":
+            grid = grid / np.linalg.norm(grid, axis=1, keepdims=True)
+        return (self.to_world @ np.c_[grid, np.ones(len(grid))].T).T[:, :3]
+
+    def _winding(self, points: Array) -> Array:
+        """Generalised winding number (Jacobson et al. 2013), by solid angles (Van Oosterom and Strackee 1983)."""
+        assert self.vertices is not None and self.faces is not None
+        total = np.zeros(len(points))
+        for index, point in enumerate(points):
+            a, b, c = np.moveaxis(self.vertices[self.faces] - point, 1, 0)
+            la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+            top = np.einsum("ij,ij->i", a, np.cross(b, c))
+            bottom = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+            total[index] = np.arctan2(top, bottom).sum() / (2.0 * np.pi)
+        return np.abs(total)
+
+
+@dataclass(frozen=True)
+class FogVolume:
+    """Fog within a boundary.
+
+    Attributes:
+        path: prim path of its source, for messages.
+        boundary: where it is.
+        medium: what it is.
+        priority: where two overlap, the higher one fills the place.
+        parent: index of the volume that surrounds it in `SceneDict.fog`, or None for clear air.
+    """
+
+    path: str
+    boundary: Boundary
+    medium: FogMedium
+    priority: int = 0
+    parent: int | None = None
+
+
+def is_inside(inner: Boundary, outer: Boundary) -> bool:
+    """Whether every sampled surface point of `inner` lies in `outer`."""
+    return bool(np.all(outer.contains(inner.surface_points())))
+
+
+def crosses(one: Boundary, other: Boundary) -> bool:
+    """Whether two boundaries cut through each other (neither apart nor nested), judged by surface points."""
+    first, second = other.contains(one.surface_points()), one.contains(other.surface_points())
+    if first.all() or second.all():
+        return False
+    return bool(first.any() or second.any())

@@ -1,0 +1,12 @@
+"""Progress as a small protocol, so that no room below the command line knows a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the fraction of it that is done, 0 to 1."""
+
+
+def silent(what: str, fraction: float) -> None:
+    """Tell nobody."""

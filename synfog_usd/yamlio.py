@@ -1,0 +1,117 @@
+"""YAML with places: every value knows the file, line and column it came from.
+
+Safe by construction: only plain scalars, lists and mappings are built; tags that
+name Python objects, anchors that multiply into a bomb and duplicate keys are
+refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from synfog_usd.errors import GraphError, SynfogError
+
+MAX_BYTES = 1 << 20
+MAX_NODES = 20_000
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a value stands, 1-based, printed as file:line:column."""
+
+    file: str
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}"
+
+
+@dataclass(frozen=True)
+class Located:
+    """A YAML value with its place; mappings hold {str: Located}, lists [Located]."""
+
+    value: Any
+    place: Place
+    key_place: Place | None = None
+
+    def plain(self) -> Any:
+        """The value without places."""
+        if isinstance(self.value, dict):
+            return {key: item.plain() for key, item in self.value.items()}
+        if isinstance(self.value, list):
+            return [item.plain() for item in self.value]
+        return self.value
+
+
+def load_file(path: Path, *, error: type[SynfogError] = GraphError) -> Located:
+    """Read one YAML file.
+
+    Raises:
+        `error`: missing, too large, not YAML, or not plain data; with its place.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({problem.strerror})") from problem
+    if len(data) > MAX_BYTES:
+        raise error(f"{path}: {len(data)} bytes; at most {MAX_BYTES} are read")
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as problem:
+        raise error(f"{path}: not UTF-8 text (byte {problem.start})") from problem
+    return load_text(text, name=str(path), error=error)
+
+
+def load_text(text: str, *, name: str = "<text>", error: type[SynfogError] = GraphError) -> Located:
+    """Read YAML from a string; see `load_file`."""
+    try:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as problem:
+        mark = problem.problem_mark or problem.context_mark
+        place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
+        raise error(f"{place}: not valid YAML: {problem.problem or problem.context}") from problem
+    except (yaml.YAMLError, RecursionError) as problem:
+        raise error(f"{name}: not valid YAML: {problem}") from problem
+    if root is None:
+        raise error(f"{name}: the file is empty")
+    return _Builder(name, error).build(root)
+
+
+class _Builder:
+    def __init__(self, name: str, error: type[SynfogError]) -> None:
+        self.name, self.error, self.count = name, error, 0
+        self.scalars = yaml.SafeLoader("")
+
+    def place(self, node: yaml.Node) -> Place:
+        return Place(self.name, node.start_mark.line + 1, node.start_mark.column + 1)
+
+    def build(self, node: yaml.Node, depth: int = 0, key_place: Place | None = None) -> Located:
+        place = self.place(node)
+        self.count += 1  # an alias is built again each time it is used, so a bomb runs into this limit
+        if self.count > MAX_NODES or depth > 50:
+            raise self.error(f"{place}: too many or too deeply nested values; at most {MAX_NODES} and 50 levels")
+        if not node.tag.startswith("tag:yaml.org,2002:") or ":python" in node.tag:
+            raise self.error(f"{place}: tag {node.tag!r} is not allowed; use plain values only")
+        value: Any
+        if isinstance(node, yaml.MappingNode):
+            value = {}
+            for key_node, value_node in node.value:
+                key = self.build(key_node, depth + 1)
+                if not isinstance(key.value, str):
+                    raise self.error(f"{key.place}: key {key.value!r} is not text; put it in quotes")
+                if key.value in value:
+                    raise self.error(f"{key.place}: key {key.value!r} stands here twice")
+                value[key.value] = self.build(value_node, depth + 1, key.place)
+        elif isinstance(node, yaml.SequenceNode):
+            value = [self.build(item, depth + 1) for item in node.value]
+        else:
+            try:
+                value = self.scalars.construct_object(node)
+            except (yaml.YAMLError, ValueError) as problem:
+                raise self.error(f"{place}: {node.value!r} cannot be read as {node.tag.rsplit(':', 1)[-1]}") from problem
+        return Located(value, place, key_place)
