@@ -1,0 +1,166 @@
+"""Which Mitsuba variant runs here: CUDA if there is a device, else LLVM, else scalar.
+
+The one place that imports Mitsuba for everybody and sets its variant, once.  A
+variant is proved in a child process first: Mitsuba 3.9 with libLLVM 14 or 15 does
+not raise, it aborts the whole process ("Cannot select: fminimum"), so nothing in
+this process may be the first to try.
+"""
+
+from __future__ import annotations
+
+import ctypes.util
+import functools
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal
+
+from synfog_usd.errors import BackendError
+
+Choice = Literal["auto", "cuda", "llvm", "scalar"]
+
+VARIANTS: dict[str, str] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
+MIN_LLVM = 16
+LLVM_FOLDERS = (
+    "/usr/lib/*-linux-gnu",
+    "/usr/lib/llvm-*/lib",
+    "/usr/lib64",
+    "/usr/lib",
+    "/usr/local/lib",
+    "/opt/homebrew/opt/llvm*/lib",
+    "/usr/local/opt/llvm*/lib",
+)
+
+SCALAR_COST = "scalar renders about 10 times slower than LLVM on two cores; install libllvm19 (Debian and Ubuntu: apt install libllvm19)"
+
+_PROOF = """
+import sys
+import mitsuba as mi
+mi.set_variant(sys.argv[1])
+scene = mi.load_dict({'type': 'scene', 'ball': {'type': 'sphere', 'bsdf': {'type': 'principled'}}, 'sky': {'type': 'constant'},
+    'camera': {'type': 'perspective', 'film': {'type': 'hdrfilm', 'width': 4, 'height': 4}}, 'integrator': {'type': 'volpath', 'max_depth': 4}})
+import numpy as np
+print('proved', bool(np.isfinite(np.array(mi.render(scene, spp=1))).all()))
+"""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """A variant that was proved on this machine.
+
+    Attributes:
+        name: 'cuda', 'llvm' or 'scalar'.
+        variant: Mitsuba's name of it.
+        why: what was found and what was ruled out, one line each.
+        llvm_library: path of libLLVM, or '' where none is used.
+    """
+
+    name: str
+    variant: str
+    why: tuple[str, ...]
+    llvm_library: str = ""
+
+
+def find_llvm() -> tuple[list[tuple[int, Path]], list[tuple[int, Path]]]:
+    """(usable, too old) libLLVM shared libraries as (major version, path), newest first."""
+    found: dict[Path, int] = {}
+    named = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if named:
+        found[Path(named)] = _llvm_major(Path(named)) or MIN_LLVM
+    for pattern in LLVM_FOLDERS:
+        root, _, rest = pattern.partition("*")
+        folders = [Path(pattern)] if not rest and "*" not in pattern else Path(root).parent.glob(Path(pattern).relative_to(Path(root).parent).as_posix())
+        for folder in folders:
+            for library in [*folder.glob("libLLVM*.so*"), *folder.glob("libLLVM*.dylib")]:
+                major = _llvm_major(library.resolve()) or _llvm_major(library)
+                if major and library.resolve() not in {path.resolve() for path in found}:
+                    found[library] = major
+    ranked = sorted(((major, path) for path, major in found.items()), key=lambda item: (-item[0], str(item[1])))
+    return [item for item in ranked if item[0] >= MIN_LLVM], [item for item in ranked if item[0] < MIN_LLVM]
+
+
+def _llvm_major(path: Path) -> int | None:
+    match = re.search(r"libLLVM[-.](?:so\.)?(\d+)", path.name) or re.search(r"llvm[-@](\d+)", str(path))
+    return int(match.group(1)) if match else None
+
+
+def _has_cuda_driver() -> bool:
+    return ctypes.util.find_library("cuda") is not None or Path("/usr/lib/x86_64-linux-gnu/libcuda.so.1").exists()
+
+
+def _prove(variant: str, llvm_library: str = "") -> str:
+    """'' if a child process renders with `variant`, else what went wrong in a few words."""
+    environment = dict(os.environ)
+    if llvm_library:
+        environment["DRJIT_LIBLLVM_PATH"] = llvm_library
+    try:
+        child = subprocess.run([sys.executable, "-c", _PROOF, variant], env=environment, capture_output=True, text=True, timeout=120)
+    except subprocess.TimeoutExpired:
+        return "gave no picture within 120 s"
+    if "proved True" in child.stdout:
+        return ""
+    lines = [line.strip() for line in child.stderr.splitlines() if line.strip()]
+    telling = [line for line in lines if re.search(r"LLVM ERROR|Error|not found|could not|unable", line)]
+    return (telling or lines or [f"the trial process ended with code {child.returncode}"])[-1][:200]
+
+
+@functools.lru_cache(maxsize=4)
+def choose(choice: Choice = "auto") -> Backend:
+    """Find the best variant, or prove the one that is asked for.
+
+    Raises:
+        BackendError: the forced variant does not run here.
+    """
+    if choice not in ("auto", *VARIANTS):
+        raise BackendError(f"--variant {choice}: not known; it takes auto, cuda, llvm or scalar")
+    why: list[str] = []
+    if choice in ("auto", "cuda"):
+        problem = _prove(VARIANTS["cuda"]) if _has_cuda_driver() or choice == "cuda" else "no NVIDIA driver (libcuda) on this machine"
+        why.append(f"cuda: {problem or 'a device renders'}")
+        if not problem:
+            return Backend("cuda", VARIANTS["cuda"], tuple(why))
+    if choice in ("auto", "llvm"):
+        usable, old = find_llvm()
+        why += [f"llvm: {path} is LLVM {major}, which aborts with Mitsuba 3.9 (needs {MIN_LLVM} or newer)" for major, path in old[:1]]
+        for major, path in usable:
+            problem = _prove(VARIANTS["llvm"], str(path))
+            why.append(f"llvm: {path} (LLVM {major}) {'renders' if not problem else 'failed: ' + problem}")
+            if not problem:
+                return Backend("llvm", VARIANTS["llvm"], tuple(why), str(path))
+        if not usable:
+            why.append(f"llvm: no libLLVM {MIN_LLVM} or newer found")
+    if choice in ("auto", "scalar"):
+        problem = _prove(VARIANTS["scalar"])
+        why.append(f"scalar: {problem or SCALAR_COST}")
+        if not problem:
+            return Backend("scalar", VARIANTS["scalar"], tuple(why))
+    raise BackendError(f"--variant {choice} does not run here: {'; '.join(why)}")
+
+
+def start(choice: Choice = "auto") -> Backend:
+    """Choose a backend and set it for this process; later calls must agree with the first."""
+    backend = choose(choice)
+    if backend.llvm_library:
+        os.environ["DRJIT_LIBLLVM_PATH"] = backend.llvm_library
+    import mitsuba as mi
+
+    if mi.variant() != backend.variant:
+        mi.set_variant(backend.variant)
+    return backend
+
+
+def mitsuba() -> Any:
+    """The `mitsuba` module with a variant set; the best one if none was chosen yet."""
+    module: ModuleType = __import__("mitsuba")
+    if module.variant() is None:
+        start()
+    return module
+
+
+def is_scalar() -> bool:
+    """Whether the variant in force works on single numbers."""
+    return str(mitsuba().variant()).startswith("scalar")

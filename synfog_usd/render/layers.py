@@ -1,0 +1,206 @@
+"""What the ray through each pixel's centre meets: depth, normal, thing, transmittance.
+
+No samples and no filter: a label is true for one point of the pixel.  Fog
+boundaries and holes in cut-out materials are passed through; the optical depth on
+the way is integrated in closed form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.image import Image, Quantity
+from synfog_usd.render import backend
+from synfog_usd.render.load import Loaded, camera_fog
+
+Array = npt.NDArray[np.float64]
+Ids = npt.NDArray[np.int64]
+
+MAX_CROSSINGS = 256
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Where rays meet the scene, one row a ray.
+
+    Attributes:
+        valid: (N,) whether anything was met.
+        position: (N, 3) [m].
+        onward: (N, 3) origin from which the same ray goes on behind the surface.
+        normal: (N, 3) shading normal, as the surface has it.
+        front: (N,) whether the ray came from the outer side of the geometry.
+        thing: (N,) label id, 0 for none.
+        fog: (N,) index of the fog volume whose boundary it is, -1 for a surface.
+        see_through: (N,) share of light that passes unhindered (cut-out materials).
+    """
+
+    valid: npt.NDArray[np.bool_]
+    position: Array
+    onward: Array
+    normal: Array
+    front: npt.NDArray[np.bool_]
+    thing: Ids
+    fog: Ids
+    see_through: Array
+
+
+@dataclass(frozen=True)
+class Layers:
+    """Per-pixel facts, all (H, W) or (H, W, 3).
+
+    Attributes:
+        distance_m: along the ray from the camera, inf at the sky.
+        depth_m: along the optical axis (planar), inf at the sky.
+        normal: world frame (Z up), turned to the camera, 0 at the sky.
+        thing: label id, 0 for sky and unknown.
+        transmittance: of the fog between camera and surface (or the end of the fog).
+    """
+
+    distance_m: Array
+    depth_m: Array
+    normal: Array
+    thing: Ids
+    transmittance: Array
+
+    def transmittance_image(self) -> Image:
+        """The transmittance as a one-channel image."""
+        return Image(self.transmittance[:, :, None].astype(np.float32), ("transmittance.Y",), Quantity.DATA)
+
+
+def measure(loaded: Loaded) -> Layers:
+    """Trace one ray through the centre of every pixel."""
+    camera, fog = loaded.source.camera, loaded.source.fog
+    width, height = camera.width_px, camera.height_px
+    tracer = _Tracer(loaded)
+    origin, direction = tracer.centre_rays(width, height)
+    eye, forward = camera.to_world[:3, 3], -camera.to_world[:3, 2]
+    count = len(origin)
+
+    distance, normal, thing = np.full(count, np.inf), np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
+    tau = np.zeros(count)
+    surrounding = camera_fog(loaded.source)
+    medium = np.full(count, -1 if surrounding is None else surrounding)
+    parents = np.array([-1 if volume.parent is None else volume.parent for volume in fog] + [-1])
+    start = np.broadcast_to(eye, origin.shape).copy()
+    alive = np.arange(count)
+    for _ in range(MAX_CROSSINGS):
+        if not alive.size:
+            break
+        hits = tracer.trace(origin[alive], direction[alive])
+        alive, hits = alive[hits.valid], _rows(hits, hits.valid)
+        for index, volume in enumerate(fog):
+            inside = medium[alive] == index
+            begin, end = start[alive][inside], hits.position[inside]
+            tau[alive[inside]] += volume.medium.optical_depth(begin[:, 2], end[:, 2], np.linalg.norm(end - begin, axis=1))
+        start[alive], origin[alive] = hits.position, hits.onward
+        crossed = hits.fog >= 0
+        entering = np.where(hits.front, hits.fog, parents[hits.fog])
+        medium[alive[crossed]] = entering[crossed]
+        stopped = ~crossed & (hits.see_through < 0.5)
+        ended = alive[stopped]
+        distance[ended] = np.linalg.norm(hits.position[stopped] - eye, axis=1)
+        facing = np.where(np.sum(hits.normal * direction[alive], axis=1) > 0.0, -1.0, 1.0)
+        normal[ended], thing[ended] = (hits.normal * facing[:, None])[stopped], hits.thing[stopped]
+        alive = alive[~stopped]
+
+    depth = np.where(np.isfinite(distance), np.where(np.isfinite(distance), distance, 0.0) * (direction @ forward), np.inf)
+    shape = (height, width)
+    return Layers(distance.reshape(shape), depth.reshape(shape), normal.reshape(height, width, 3), thing.reshape(shape), np.exp(-tau).reshape(shape))
+
+
+def _rows(hits: Hits, keep: npt.NDArray[np.bool_]) -> Hits:
+    return Hits(**{name: getattr(hits, name)[keep] for name in Hits.__dataclass_fields__})
+
+
+class _Tracer:
+    """Rays in, numpy rows out, in any variant."""
+
+    def __init__(self, loaded: Loaded) -> None:
+        self.mi, self.loaded = backend.mitsuba(), loaded
+        self.scalar = backend.is_scalar()
+        self.rank: dict[int, int] = {}
+        for shape in [*loaded.shapes.values(), *loaded.boundaries.values()]:
+            self.rank.setdefault(self.identity(shape), len(self.rank) + 1)  # 0 stands for no shape
+        size = len(self.rank) + 1
+        self.fog_of = np.full(size, -1, dtype=np.int64)
+        for index, shape in loaded.boundaries.items():
+            self.fog_of[self.rank[self.identity(shape)]] = index
+        things: dict[int, int] = {}
+        for key, thing in loaded.source.thing_of.items():
+            if len(key) == 1:
+                things[self.rank[self.identity(loaded.shapes[key])]] = thing
+            else:
+                instance, inner = loaded.shapes[key[:1]], loaded.shapes[self._group_of(key[0]), key[1]]
+                things[self.rank[self.identity(instance)] * size + self.rank[self.identity(inner)]] = thing
+        self.size = size
+        self.thing_keys = np.array(sorted(things), dtype=np.int64)
+        self.thing_values = np.array([things[key] for key in sorted(things)], dtype=np.int64)
+        if not self.scalar:
+            import drjit as dr
+
+            self.lookup = np.zeros(max(self.rank) + 1, dtype=np.int64)
+            for registry, rank in self.rank.items():
+                self.lookup[registry] = rank
+            self.dr = dr
+
+    def _group_of(self, instance: str) -> str:
+        for value in self.loaded.source.world[instance].values():
+            if isinstance(value, dict) and value.get("type") == "ref":
+                return str(value["id"])
+        raise KeyError(instance)
+
+    def identity(self, shape: Any) -> int:
+        if self.scalar:
+            return id(shape)
+        import drjit as dr
+
+        return int(dr.reinterpret_array(self.mi.UInt32, self.mi.ShapePtr(shape))[0])
+
+    def centre_rays(self, width: int, height: int) -> tuple[Array, Array]:
+        """(N, 3) origins and directions, row by row from the top left."""
+        mi = self.mi
+        y, x = np.divmod(np.arange(width * height), width)
+        u, v = (x + 0.5) / width, (y + 0.5) / height
+        if not self.scalar:
+            ray, _ = self.loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(u, v), mi.Point2f(0.5))
+            return np.array(ray.o, dtype=np.float64).T, np.array(ray.d, dtype=np.float64).T
+        rays = [self.loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(a, b), mi.Point2f(0.5))[0] for a, b in zip(u, v, strict=True)]
+        return np.array([ray.o for ray in rays], dtype=np.float64), np.array([ray.d for ray in rays], dtype=np.float64)
+
+    def trace(self, origin: Array, direction: Array) -> Hits:
+        rows = self._trace_scalar(origin, direction) if self.scalar else self._trace_jit(origin, direction)
+        valid, position, onward, normal, front, rank, instance, see_through = rows
+        code = np.where(instance > 0, instance * self.size + rank, rank)
+        at = np.minimum(np.searchsorted(self.thing_keys, code), max(len(self.thing_keys) - 1, 0))
+        known = (self.thing_keys[at] == code) if len(self.thing_keys) else np.zeros(len(code), dtype=bool)
+        thing = np.where(known, self.thing_values[at] if len(self.thing_keys) else 0, 0)
+        return Hits(valid, position, onward, normal, front, thing, self.fog_of[rank], see_through)
+
+    def _trace_jit(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
+        mi, dr = self.mi, self.dr
+        ray = mi.Ray3f(mi.Point3f(origin.T), mi.Vector3f(direction.T))
+        si = self.loaded.scene.ray_intersect(ray)
+        valid = si.is_valid()
+        passing = dr.mean(mi.Color3f(si.bsdf().eval_null_transmission(si, valid)))
+        rank = self.lookup[np.array(dr.reinterpret_array(mi.UInt32, si.shape))]
+        instance = self.lookup[np.array(dr.reinterpret_array(mi.UInt32, si.instance))]
+        front = np.array(dr.dot(si.n, ray.d) < 0.0)
+        vectors = [np.array(item, dtype=np.float64).T for item in (si.p, si.spawn_ray(ray.d).o, si.sh_frame.n)]
+        return np.array(valid), *vectors, front, rank, instance, np.array(passing, dtype=np.float64)
+
+    def _trace_scalar(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
+        mi, rows = self.mi, []
+        for o, d in zip(origin, direction, strict=True):
+            si = self.loaded.scene.ray_intersect(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)))
+            if not si.is_valid():
+                rows.append((False, o, o, d, False, 0, 0, 0.0))
+                continue
+            passing = float(np.mean(np.array(si.bsdf().eval_null_transmission(si, True))))
+            rank, instance = self.rank.get(id(si.shape), 0), self.rank.get(id(si.instance), 0) if si.instance is not None else 0
+            facing = float(np.dot(np.array(si.n), d)) < 0.0
+            rows.append((True, np.array(si.p), np.array(si.spawn_ray(mi.Vector3f(d)).o), np.array(si.sh_frame.n), facing, rank, instance, passing))
+        return tuple(np.array([row[index] for row in rows]) for index in range(8))

@@ -1,0 +1,218 @@
+"""A `SceneDict` as Mitsuba objects.
+
+Every object is made one by one and kept under its key, so that a shape that a ray
+hits can be traced back to the thing it belongs to.  Fog stays apart until a model
+asks for it as null-material boundaries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.errors import StageError
+from synfog_usd.fog import Boundary, FogMedium
+from synfog_usd.render import backend
+from synfog_usd.scene import Camera, SceneDict
+
+GRID_SLICES = 512
+"""Height steps of an exponential fog; linear between them, a thickness of H/10 errs by 0.1 %."""
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """Mitsuba's side of a scene.
+
+    Attributes:
+        scene: `mi.Scene` with surfaces, lights and fog boundaries.
+        sensor: `mi.Sensor`; its film is not used.
+        camera_medium: `mi.Medium` around the camera, or None in clear air.
+        shapes: key -> shape object; shapes of a group under (group key, inner key).
+        boundaries: index of the fog volume -> its null-material shape object.
+        source: the scene it was made from.
+    """
+
+    scene: Any
+    sensor: Any
+    camera_medium: Any
+    shapes: Mapping[tuple[str, ...], Any]
+    boundaries: Mapping[int, Any]
+    source: SceneDict
+
+
+def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None) -> Loaded:
+    """Build the scene in the variant in force.
+
+    Args:
+        source: what `translate` made.
+        size: (width, height) in pixels instead of the camera's own.
+
+    Raises:
+        StageError: Mitsuba refuses a part; names its key.
+    """
+    mi = backend.mitsuba()
+    if size is not None:
+        source = replace(source, camera=replace(source.camera, width_px=size[0], height_px=size[1]))
+    world = source.world
+    made: dict[str, Any] = {}
+    shapes: dict[tuple[str, ...], Any] = {}
+    top: dict[str, Any] = {"type": "scene"}
+
+    def convert(value: Any, key: str) -> Any:
+        if isinstance(value, Mapping):
+            if value.get("type") == "ref":
+                if value["id"] not in made:
+                    made[value["id"]] = build(world[value["id"]], value["id"])
+                return made[value["id"]]
+            if value.get("type") == "mesh":
+                return _mesh(mi, value, key, convert)
+            return {name: _leaf(mi, name, item) if not isinstance(item, Mapping) else convert(item, f"{key}.{name}") for name, item in value.items()}
+        return value
+
+    def build(value: Any, key: str) -> Any:
+        try:
+            converted = convert(value, key)
+            return mi.load_dict(converted) if isinstance(converted, dict) else converted
+        except (RuntimeError, TypeError, ValueError) as error:
+            raise StageError(f"scene part {key!r} ({value.get('type')}) is refused by the renderer: {str(error).strip().splitlines()[-1]}") from error
+
+    for key, value in world.items():
+        if key == "type" or key in made:
+            continue
+        if value["type"] == "shapegroup":
+            inner = {name: build(item, f"{key}.{name}") for name, item in value.items() if name != "type"}
+            shapes.update({(key, name): item for name, item in inner.items()})
+            made[key] = build({"type": "shapegroup"}, key) if not inner else mi.load_dict({"type": "shapegroup", **inner})
+        else:
+            made[key] = build(value, key)
+            if key.startswith(("shape_", "instance_")):
+                shapes[(key,)] = made[key]
+    top.update({key: item for key, item in made.items() if not key.startswith("mat_")})
+
+    media = [_medium(mi, volume.medium, volume.boundary) for volume in source.fog]
+    boundaries = {}
+    for index, volume in enumerate(source.fog):
+        sides = {"interior": media[index]} | ({} if volume.parent is None else {"exterior": media[volume.parent]})
+        boundaries[index] = _boundary(mi, volume.boundary, sides)
+        top[f"fog_{index}"] = boundaries[index]
+
+    surrounding = camera_fog(source)
+    medium = None if surrounding is None else media[surrounding]
+    return Loaded(mi.load_dict(top), mi.load_dict(_sensor(mi, source.camera, medium)), medium, shapes, boundaries, source)
+
+
+def camera_fog(source: SceneDict) -> int | None:
+    """Index of the innermost fog volume around the camera, or None.
+
+    Without it on the camera ray Mitsuba renders clear air and says nothing.
+    """
+    position = source.camera.to_world[:3, 3]
+    around = [index for index, volume in enumerate(source.fog) if volume.boundary.contains(position)[0]]
+    depth = {index: _depth(source, index) for index in around}
+    return max(around, key=lambda index: depth[index]) if around else None
+
+
+def _depth(source: SceneDict, index: int) -> int:
+    count, parent = 0, source.fog[index].parent
+    while parent is not None:
+        count, parent = count + 1, source.fog[parent].parent
+    return count
+
+
+def _leaf(mi: Any, name: str, value: Any) -> Any:
+    if name == "to_world":
+        return mi.ScalarTransform4f(np.asarray(value, dtype=np.float64))
+    if name == "bitmap" and isinstance(value, np.ndarray):
+        return mi.Bitmap(np.ascontiguousarray(value))
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _mesh(mi: Any, value: Mapping[str, Any], key: str, convert: Any) -> Any:
+    properties = mi.Properties()
+    for name in ("bsdf", "emitter"):
+        if name in value:
+            part = convert(value[name], f"{key}.{name}")
+            properties[name] = mi.load_dict(part) if isinstance(part, dict) else part
+    properties["face_normals"] = bool(value.get("face_normals", "normals" not in value))
+    positions, faces = np.asarray(value["positions"], dtype=np.float32), np.asarray(value["faces"], dtype=np.uint32)
+    mesh = mi.Mesh(key, len(positions), len(faces), has_vertex_normals="normals" in value, has_vertex_texcoords="texcoords" in value, props=properties)
+    if "vertex_color" in value:
+        mesh.add_attribute("vertex_color", 3, np.asarray(value["vertex_color"], dtype=np.float32).ravel())
+    arrays = {"vertex_positions": positions, "faces": faces}
+    arrays |= {f"vertex_{name}": value[name] for name in ("normals", "texcoords") if name in value}
+    return _filled(mesh, arrays, mi)
+
+
+def _filled(mesh: Any, arrays: Mapping[str, Any], mi: Any) -> Any:
+    parameters = mi.traverse(mesh)
+    for name, array in arrays.items():
+        parameters[name] = np.asarray(array, dtype=np.uint32 if name == "faces" else np.float32).ravel()
+    parameters.update()
+    return mesh
+
+
+def _medium(mi: Any, medium: FogMedium, boundary: Boundary) -> Any:
+    phase = {"type": "hg", "g": medium.g} if medium.g != 0.0 else {"type": "isotropic"}
+    if medium.profile == "uniform":
+        return mi.load_dict(
+            {"type": "homogeneous", "sigma_t": medium.sigma_t_per_m, "albedo": medium.albedo, "phase": phase, "has_spectral_extinction": False}
+        )
+    points = boundary.surface_points()
+    low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    if boundary.kind == "sphere":
+        reach = np.abs(boundary.to_world[:3, :3]).sum(axis=1)
+        low, high = boundary.to_world[:3, 3] - reach - 1.0, boundary.to_world[:3, 3] + reach + 1.0
+    heights = low[2] + (np.arange(GRID_SLICES) + 0.5) / GRID_SLICES * (high[2] - low[2])
+    grid = mi.VolumeGrid(medium.sigma_t(heights).astype(np.float32).reshape(-1, 1, 1, 1))
+    place = mi.ScalarTransform4f().translate(low.tolist()).scale((high - low).tolist())
+    density = {"type": "gridvolume", "grid": grid, "to_world": place, "filter_type": "trilinear", "wrap_mode": "clamp"}
+    return mi.load_dict({"type": "heterogeneous", "sigma_t": density, "albedo": medium.albedo, "phase": phase, "has_spectral_extinction": False})
+
+
+def _boundary(mi: Any, boundary: Boundary, media: Mapping[str, Any]) -> Any:
+    """A null-material shape with `media` on its two sides."""
+    null = {"bsdf": mi.load_dict({"type": "null"}), **media}
+    if boundary.kind == "mesh":
+        assert boundary.vertices is not None and boundary.faces is not None
+        return _boundary_mesh(mi, boundary.vertices, boundary.faces, null)
+    matrix = boundary.to_world.copy()
+    if np.linalg.det(matrix[:3, :3]) < 0:
+        matrix[:3, 0] *= -1.0
+    lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+    if boundary.kind == "sphere" and np.ptp(lengths) > 1e-6 * lengths.max():
+        import trimesh
+
+        ball = trimesh.creation.icosphere(subdivisions=5)
+        vertices = (matrix @ np.c_[ball.vertices, np.ones(len(ball.vertices))].T).T[:, :3]
+        return _boundary_mesh(mi, vertices, ball.faces, null)
+    return mi.load_dict({"type": "cube" if boundary.kind == "box" else "sphere", "to_world": mi.ScalarTransform4f(matrix), **null})
+
+
+def _boundary_mesh(mi: Any, vertices: Any, faces: Any, parts: Mapping[str, Any]) -> Any:
+    properties = mi.Properties()
+    for name, part in {**parts, "face_normals": True}.items():
+        properties[name] = part
+    return _filled(mi.Mesh("fog", len(vertices), len(faces), props=properties), {"vertex_positions": vertices, "faces": faces}, mi)
+
+
+def _sensor(mi: Any, camera: Camera, medium: Any) -> dict[str, Any]:
+    turn = np.diag([-1.0, 1.0, -1.0, 1.0])  # Mitsuba looks along +Z with +X to the left
+    sensor: dict[str, Any] = {
+        "type": "perspective",
+        "to_world": mi.ScalarTransform4f(camera.to_world @ turn),
+        "fov": camera.fov_x_deg,
+        "fov_axis": "x",
+        "near_clip": camera.near_m,
+        "far_clip": 1e7,
+        "principal_point_offset_x": camera.shift[0],
+        "principal_point_offset_y": -camera.shift[1],
+        "film": {"type": "hdrfilm", "width": camera.width_px, "height": camera.height_px, "rfilter": {"type": "box"}},
+    }
+    if medium is not None:
+        sensor["medium"] = medium
+    if camera.f_number > 0.0 and camera.focus_m > 0.0:
+        sensor |= {"type": "thinlens", "aperture_radius": camera.focal_length_m / (2.0 * camera.f_number), "focus_distance": camera.focus_m}
+    return sensor
