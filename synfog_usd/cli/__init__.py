@@ -1,1 +1,1 @@
-"""A room of the house; see docs/architecture.md."""
+"""The command line: verbs that are the arrows between the rooms.  Parses and prints, nothing else."""

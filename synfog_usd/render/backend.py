@@ -88,7 +88,8 @@ def _llvm_major(path: Path) -> int | None:
     return int(match.group(1)) if match else None
 
 
-def _has_cuda_driver() -> bool:
+def has_cuda_driver() -> bool:
+    """Whether an NVIDIA driver is installed; a device is proved later."""
     return ctypes.util.find_library("cuda") is not None or Path("/usr/lib/x86_64-linux-gnu/libcuda.so.1").exists()
 
 
@@ -119,7 +120,7 @@ def choose(choice: Choice = "auto") -> Backend:
         raise BackendError(f"--variant {choice}: not known; it takes auto, cuda, llvm or scalar")
     why: list[str] = []
     if choice in ("auto", "cuda"):
-        problem = _prove(VARIANTS["cuda"]) if _has_cuda_driver() or choice == "cuda" else "no NVIDIA driver (libcuda) on this machine"
+        problem = _prove(VARIANTS["cuda"]) if has_cuda_driver() or choice == "cuda" else "no NVIDIA driver (libcuda) on this machine"
         why.append(f"cuda: {problem or 'a device renders'}")
         if not problem:
             return Backend("cuda", VARIANTS["cuda"], tuple(why))

@@ -1,0 +1,54 @@
+# Two commands: `make demo` bakes the shipped crossing, `make test` passes the tests.
+# Both first make their own environment in .venv.  The machine itself is changed only where
+# it is Debian or Ubuntu and you are root: a missing python3-venv or libllvm19 is installed.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+OUT    ?= out/demo
+
+.PHONY: demo test test-slow setup llvm lint lock wheel clean
+
+demo: setup llvm
+	$(BIN)/synfog-usd info
+	$(BIN)/synfog-usd bake stages/crossroads.usda -o $(OUT) --resolution 640x360
+
+test: setup llvm
+	$(BIN)/python -m pytest
+
+test-slow: setup llvm
+	$(BIN)/python -m pytest -m "physics or bench"
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+setup: $(VENV)/.done
+
+$(VENV)/.done: pyproject.toml constraints.txt
+	@rm -rf $(VENV)
+	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 \
+	 || { rm -rf $(VENV); $(PYTHON) -m virtualenv -q $(VENV) 2>/dev/null; } \
+	 || { rm -rf $(VENV); uv venv -q --seed --python $(PYTHON) $(VENV) 2>/dev/null; } \
+	 || { rm -rf $(VENV); [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && echo "installing python3-venv" \
+	      && apt-get update -qq && apt-get install -y -qq python3-venv >/dev/null && $(PYTHON) -m venv $(VENV); } \
+	 || { echo "$(PYTHON) cannot make a virtual environment: install python3-venv (Debian, Ubuntu: apt install python3-venv) and try again"; exit 2; }
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@touch $@
+
+# Mitsuba compiles its kernels with libLLVM 16 or newer; without one it renders in its slow scalar mode.
+llvm: setup
+	@$(BIN)/python -c "import sys; from synfog_usd.render import backend as b; sys.exit(not (b.find_llvm()[0] or b.has_cuda_driver()))" \
+	 || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && echo "installing libllvm19" \
+	      && apt-get update -qq && apt-get install -y -qq libllvm19 >/dev/null; } \
+	 || $(BIN)/python -c "from synfog_usd.render import backend as b; print('no libLLVM 16 or newer:', b.SCALAR_COST)"
+
+lock:
+	uv pip compile pyproject.toml --universal --extra dev --python-version 3.10 --no-header --no-annotate -o constraints.txt
+
+wheel: setup
+	$(BIN)/python -m build --wheel
+
+clean:
+	rm -rf $(VENV) build dist out *.egg-info

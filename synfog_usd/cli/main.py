@@ -1,0 +1,154 @@
+"""synfog-usd: the verbs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from synfog_usd import __version__
+from synfog_usd.cli import worker
+from synfog_usd.errors import ParameterError, SynfogError
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help="What a real camera would have recorded of a USD scene in fog.")
+graph_app = typer.Typer(no_args_is_help=True, help="Node graphs: from radiance to RAW and sRGB.")
+app.add_typer(graph_app, name="graph")
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        print(f"synfog-usd {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def bake(
+    stage: Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for everything that is written.")],
+    pipeline: Annotated[Path | None, typer.Option(help="YAML node graph; the shipped phone if left out.")] = None,
+    lighting: Annotated[str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")] = None,
+    fog: Annotated[str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")] = None,
+    camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
+    frame: Annotated[float | None, typer.Option(help="Time code.")] = None,
+    resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None,
+    model: Annotated[str, typer.Option(help="How light is transported.")] = "volpath",
+    samples: Annotated[int, typer.Option(help="Paths per pixel.")] = 64,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
+    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
+    strict: Annotated[bool, typer.Option("--strict", help="Stop, with exit code 1, at whatever is not understood.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON on standard output.")] = False,
+) -> None:
+    """Bake STAGE: every lighting in every fog, to radiance, RAW and sRGB."""
+    from synfog_usd.cli import bake as verb
+
+    verb.run(
+        dict(
+            stage=stage,
+            out=out,
+            pipeline=pipeline,
+            lighting=_names(lighting, "--lighting"),
+            fog=_names(fog, "--fog"),
+            camera=camera,
+            frame=frame,
+            size=_size(resolution),
+            model=model,
+            samples=samples,
+            seed=seed,
+            variant=variant,
+            strict=strict,
+        ),
+        quiet=quiet,
+        as_json=as_json,
+    )
+
+
+@app.command()
+def check(
+    stage: Annotated[Path, typer.Argument(help="USD file.")],
+    strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+) -> None:
+    """Tell what in STAGE is wrong, unknown or unusual for a bake."""
+    if not worker.is_worker():
+        raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
+    worker.follow_parent()
+    from synfog_usd import stage as usd
+
+    notes = usd.check(usd.open_stage(stage))
+    if as_json:
+        print(json.dumps([{"severity": note.severity, "path": note.path, "text": note.text} for note in notes], indent=2))
+    else:
+        for note in notes:
+            print(f"{note.severity}: {note.path or stage}: {note.text}")
+        print(f"{stage}: {sum(note.severity == 'warning' for note in notes)} warnings, {sum(note.severity == 'info' for note in notes)} remarks")
+    raise typer.Exit(1 if strict and any(note.severity == "warning" for note in notes) else 0)
+
+
+@app.command()
+def info(
+    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Tell which backend renders here and why, and the versions of what it stands on."""
+    import importlib.metadata
+    import platform
+
+    from synfog_usd.render import backend
+
+    chosen = backend.choose(variant)  # type: ignore[arg-type]
+    names = ("usd-core", "mitsuba", "drjit", "OpenImageIO", "colour-science", "trimesh", "pymeshlab", "numpy", "scipy", "tifffile")
+    versions = {name: importlib.metadata.version(name) for name in names}
+    if as_json:
+        print(json.dumps({"backend": chosen.name, "variant": chosen.variant, "llvm": chosen.llvm_library, "why": chosen.why, "versions": versions}, indent=2))
+        return
+    print(f"synfog-usd {__version__}, Python {platform.python_version()}, {platform.platform()}")
+    print(f"backend: {chosen.name} ({chosen.variant})")
+    for line in chosen.why:
+        print(f"  {line}")
+    print("versions: " + ", ".join(f"{name} {version}" for name, version in versions.items()))
+
+
+def _crash_line(code: int, stage: Path) -> int:
+    """The exit code for the user, after a line for a child that died."""
+    if code < 0:
+        print(f"{stage}: the process that read it died of signal {-code}; the file may be damaged or too deep for the USD library", file=sys.stderr)
+        return 2
+    return code
+
+
+def _names(text: str | None, option: str) -> tuple[str, ...] | None:
+    if text is None:
+        return None
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise ParameterError(f"{option} {text!r}: no name in it; separate names by commas")
+    return names
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
+        raise ParameterError(f"--resolution {text}: not WIDTHxHEIGHT with both from 1 to 16384, as in 640x360")
+    return int(width), int(height)
+
+
+def main(arguments: list[str] | None = None) -> Any:
+    """Run one command line; the way out is always an exit code."""
+    try:
+        app(args=arguments)
+    except SynfogError as error:
+        print(f"synfog-usd: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(worker.INTERRUPTED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,273 @@
+"""Bake a stage: every lighting in every fog, from USD to radiance, RAW and sRGB.
+
+A shot is finished when `bake.json` lists it with the hashes of its files; a bake
+that was stopped at any moment goes on with the shots that are not.  Nothing that
+is written depends on when, where or in how many goes it was made.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import importlib.metadata
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from synfog_usd import __version__, files, resources
+from synfog_usd.dataset import contact, labels
+from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
+from synfog_usd.errors import OutputError, StageError
+from synfog_usd.image import Image, Quantity
+from synfog_usd.progress import Progress, silent
+from synfog_usd.seeds import seed32
+
+if TYPE_CHECKING:
+    from synfog_usd.scene import Note, SceneDict
+
+MANIFEST = "bake.json"
+METER_WIDTH_PX = 160
+METER_SAMPLES = 64
+
+
+@dataclass(frozen=True)
+class Baked:
+    """What a bake leaves behind and how long it took.
+
+    Attributes:
+        manifest: what `bake.json` holds.
+        seconds: wall time of each shot that was rendered now, by folder.
+        kept: folders of shots that were finished already.
+        notes: what the translation left out or made simpler.
+    """
+
+    manifest: dict[str, Any]
+    seconds: dict[str, float] = field(default_factory=dict)
+    kept: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
+
+
+class StrictWarnings(StageError):
+    """Under --strict, the translation had something to report."""
+
+    exit_code = 1
+
+
+def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], None] = lambda text: None) -> Baked:
+    """Make every shot of a plan that is not there yet.
+
+    Args:
+        plan: what to make.
+        progress: told the fraction of all shots that is done.
+        tell: given one line for whatever a user wants to know on the way.
+
+    Raises:
+        SynfogError: with place and fix; what was finished stays.
+    """
+    from synfog_usd import camera, stage as usd
+    from synfog_usd.graph import load_graph
+    from synfog_usd.render import backend, models
+
+    models.check_name(plan.model)
+    graph = load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
+    stage = usd.open_stage(plan.stage)
+    todo = shots(plan, usd.variants(stage))
+    first = _translate(stage, todo[0], plan)
+    if plan.strict and any(note.severity == "warning" for note in first.notes):
+        raise StrictWarnings("\n".join(f"{note.path or plan.stage}: {note.text}" for note in first.notes if note.severity == "warning"))
+    if all(shot.mor_m is None for shot in todo) and not any(_translate(stage, shot, plan).fog for shot in todo):
+        tell(f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog (see docs/artists.md).")
+    chosen = backend.start(plan.variant)  # type: ignore[arg-type]
+    facts = _facts(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
+
+    plan.out.mkdir(parents=True, exist_ok=True) if not plan.out.exists() else None
+    with _only_writer(plan.out):
+        files.remove_leftovers(plan.out)
+        ledger = _Ledger(plan.out, facts)
+        if not ledger.labels_done():
+            progress("labels", 0.0)
+            ledger.add_labels(_write_labels(first, plan))
+        unfinished = [shot for shot in todo if not ledger.done(shot)]
+        kept = tuple(shot.folder for shot in todo if shot not in unfinished)
+        if kept:
+            tell(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
+        seconds: dict[str, float] = {}
+        exposures: dict[str, Any] = {}
+        for index, shot in enumerate(unfinished):
+            began = time.perf_counter()
+
+            def step(what: str, fraction: float, index: int = index, shot: Shot = shot) -> None:
+                progress(f"{shot.folder}: {what}", (index + fraction) / len(unfinished))
+
+            step("translating", 0.0)
+            scene = first if shot == todo[0] else _translate(stage, shot, plan)
+            if shot.lighting not in exposures:
+                step("metering", 0.01)
+                exposures[shot.lighting] = camera.meter(_clear_frame(stage, shot, plan), graph)
+            row = _make(shot, scene, exposures[shot.lighting], graph, plan, step)
+            ledger.add(shot, row)
+            seconds[shot.folder] = time.perf_counter() - began
+            for warning in row["warnings"]:
+                tell(f"{shot.folder}: {warning}")
+        ledger.finish(todo, contact.write(plan.out, todo, ledger.rows))
+    progress("done", 1.0)
+    return Baked(ledger.manifest(todo), seconds, kept, first.notes)
+
+
+def _translate(stage: Any, shot: Shot, plan: BakePlan) -> SceneDict:
+    from synfog_usd import stage as usd
+    from synfog_usd.translate import translate
+
+    usd.select(stage, fog=shot.fog_variant, lighting=shot.lighting_variant)
+    scene = translate(stage, camera=plan.camera, frame=plan.frame, resolution=plan.size, fog_mor_m=shot.mor_m)
+    if shot.mor_m is not None and math.isfinite(shot.mor_m) and not scene.fog:
+        raise StageError(f"{plan.stage}: --fog {shot.fog} needs a fog prim, and the stage has none; apply SynFogMediumAPI to a closed Cube, Sphere or Mesh")
+    return scene
+
+
+def _clear_frame(stage: Any, shot: Shot, plan: BakePlan) -> Image:
+    """The shot in clear air, small: what exposure is metered on, for all fog levels alike."""
+    from synfog_usd import stage as usd
+    from synfog_usd.render.shot import render
+
+    clear = CLEAR if CLEAR in usd.variants(stage).get("fog", ()) else None
+    scene = replace(_translate(stage, replace(shot, fog_variant=clear or shot.fog_variant, mor_m=None), plan), fog=())
+    height = max(1, round(METER_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
+    return render(scene, model="volpath", samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=(METER_WIDTH_PX, height)).radiance
+
+
+def _make(shot: Shot, scene: SceneDict, exposure: Any, graph: Any, plan: BakePlan, progress: Progress) -> dict[str, Any]:
+    """Render and develop one shot, write its files, and give its row of the manifest."""
+    from synfog_usd import writers
+    from synfog_usd.render.shot import render
+
+    seed = seed32(plan.seed, shot.lighting, shot.fog)
+    rendered = render(scene, model=plan.model, samples=plan.samples, seed=seed, progress=lambda what, fraction: progress(what, 0.02 + 0.9 * fraction))
+    progress("developing", 0.93)
+    folder = plan.out / shot.folder
+    mor = [volume.medium.visibility_m for volume in scene.fog if volume.parent is None]
+    marks = {"synfog:lighting": shot.lighting, "synfog:fog": shot.fog, "synfog:mor_m": mor[0] if mor else 0.0, "synfog:model": plan.model}
+    radiance, variance = rendered.radiance, rendered.radiance.variance
+    assert variance is not None
+    transmittance = rendered.layers.transmittance_image()
+    spread = Image(variance, ("variance.R", "variance.G", "variance.B"), Quantity.DATA)
+    writers.write_exr(folder / "radiance.exr", radiance, attributes={**marks, "whiteLuminance": 1.0})
+    writers.write_exr(folder / "layers.exr", transmittance, spread, attributes=marks)
+    names = ["radiance.exr", "layers.exr"]
+    results = graph.run({"radiance": radiance}, seed=seed, exposure=exposure)
+    for name, node in graph.outputs.items():
+        writers.write_output(name, results[node], folder)
+        names.append(name)
+    progress("developing", 1.0)
+    return {
+        "lighting": shot.lighting,
+        "fog": shot.fog,
+        "mor_m": round(mor[0], 6) if mor else None,
+        "camera": scene.camera.path,
+        "size_px": [scene.camera.width_px, scene.camera.height_px],
+        "model": {"name": plan.model, "why": "asked for or the default; there is no other"},
+        "samples": plan.samples,
+        "relative_error": float(f"{rendered.relative_error:.4g}"),
+        "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"},
+        "warnings": list(rendered.warnings),
+        "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
+    }
+
+
+def _write_labels(scene: SceneDict, plan: BakePlan) -> dict[str, str]:
+    from synfog_usd import writers
+    from synfog_usd.render import layers
+    from synfog_usd.render.shot import load
+
+    seen = layers.measure(load(replace(scene, fog=())))
+    writers.write_exr(plan.out / "labels.exr", labels.label_image(seen, scene.things))
+    files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.things))
+    return {name: files.sha256_of(plan.out / name) for name in ("labels.exr", "labels.json")}
+
+
+def _facts(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> dict[str, Any]:
+    """Everything that the pixels depend on; its hash tells whether a finished shot is still the right one."""
+    versions = {name: importlib.metadata.version(name) for name in ("mitsuba", "drjit", "usd-core", "OpenImageIO", "numpy", "scipy", "colour-science")}
+    return {
+        "stage": {"name": plan.stage.name, "sha256": stage_hash},
+        "pipeline": {"name": plan.pipeline.name if plan.pipeline else "phone.yaml", "sha256": graph_hash},
+        "plan": {
+            "camera": plan.camera,
+            "frame": plan.frame,
+            "size_px": list(plan.size) if plan.size else None,
+            "model": plan.model,
+            "samples": plan.samples,
+            "seed": plan.seed,
+            "variant": variant,
+        },
+        "versions": {"synfog-usd": __version__, **versions},
+    }
+
+
+class _Ledger:
+    """What is finished in an output folder, kept in `bake.json` after every shot."""
+
+    def __init__(self, out: Path, facts: Mapping[str, Any]) -> None:
+        self.out, self.facts = out, dict(facts)
+        self.rows: dict[str, dict[str, Any]] = {}
+        self.labels: dict[str, str] = {}
+        self.contact: dict[str, str] = {}
+        try:
+            before = json.loads((out / MANIFEST).read_bytes())
+            same = {key: before[key] for key in facts} == json.loads(json.dumps(self.facts))
+            rows = {f"{row['lighting']}/{row['fog']}": row for row in before["shots"]} if same else {}
+            self.labels = before["labels"] if same else {}
+        except (OSError, ValueError, KeyError, TypeError):
+            return  # no manifest, or none that we wrote: everything is made anew
+        self.rows = {folder: row for folder, row in rows.items() if self._whole(out / folder, row["files"])}
+
+    @staticmethod
+    def _whole(folder: Path, hashes: Mapping[str, str]) -> bool:
+        return all((folder / name).is_file() and files.sha256_of(folder / name) == digest for name, digest in hashes.items())
+
+    def done(self, shot: Shot) -> bool:
+        return shot.folder in self.rows
+
+    def labels_done(self) -> bool:
+        return bool(self.labels) and self._whole(self.out, self.labels)
+
+    def add_labels(self, hashes: dict[str, str]) -> None:
+        self.labels = hashes
+
+    def add(self, shot: Shot, row: dict[str, Any]) -> None:
+        self.rows[shot.folder] = row
+        files.write_json(self.out / MANIFEST, self.manifest(()))
+
+    def finish(self, order: tuple[Shot, ...], contact_hashes: dict[str, str]) -> None:
+        self.contact = contact_hashes
+        files.write_json(self.out / MANIFEST, self.manifest(order))
+
+    def manifest(self, order: tuple[Shot, ...]) -> dict[str, Any]:
+        folders = [shot.folder for shot in order]
+        ordered = [self.rows[folder] for folder in folders] + [self.rows[folder] for folder in sorted(self.rows) if folder not in folders]
+        return {"schema": "synfog-usd/bake", "version": 1, **self.facts, "labels": self.labels, "contact": self.contact, "shots": ordered}
+
+
+@contextlib.contextmanager
+def _only_writer(out: Path) -> Iterator[None]:
+    """Hold the output folder for this process; a lock that a killed process cannot leave behind."""
+    try:
+        handle = os.open(out, os.O_RDONLY)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be used as output folder ({error.strerror})") from error
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise OutputError(f"{out}: another bake is writing here; wait for it or choose another folder") from error
+        yield
+    finally:
+        os.close(handle)

@@ -1,0 +1,53 @@
+"""The contact sheet: every shot of a bake side by side, lightings down, fogs across."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from synfog_usd import files
+from synfog_usd.dataset.plan import Shot
+
+NAME = "contact.png"
+TILE_WIDTH_PX = 480
+GAP_PX = 8
+CAPTION_PX = 26
+BACKGROUND = (24, 24, 26)
+INK = (225, 225, 225)
+
+
+def write(out: Path, shots: Sequence[Shot], rows: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Write `contact.png` from the first PNG of each shot.
+
+    Returns:
+        {name: sha256}, or {} where the node graph writes no PNG.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    names = [name for name in rows[shots[0].folder]["files"] if name.endswith(".png")]
+    if not names:
+        return {}
+    lightings, fogs = list(dict.fromkeys(shot.lighting for shot in shots)), list(dict.fromkeys(shot.fog for shot in shots))
+    with Image.open(out / shots[0].folder / names[0]) as first:
+        tile = (TILE_WIDTH_PX, max(1, round(TILE_WIDTH_PX * first.height / first.width)))
+    step = (tile[0] + GAP_PX, tile[1] + CAPTION_PX + GAP_PX)
+    sheet = Image.new("RGB", (GAP_PX + step[0] * len(fogs), GAP_PX + step[1] * len(lightings)), BACKGROUND)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=16)
+    for shot in shots:
+        corner = (GAP_PX + step[0] * fogs.index(shot.fog), GAP_PX + step[1] * lightings.index(shot.lighting))
+        with Image.open(out / shot.folder / names[0]) as picture:
+            sheet.paste(picture.convert("RGB").resize(tile, Image.Resampling.LANCZOS), corner)
+        draw.text((corner[0] + 2, corner[1] + tile[1] + 3), _caption(shot, rows[shot.folder]), fill=INK, font=font)
+    data = io.BytesIO()
+    sheet.save(data, format="PNG", optimize=True)
+    files.write_bytes(out / NAME, data.getvalue())
+    return {NAME: files.sha256_of(out / NAME)}
+
+
+def _caption(shot: Shot, row: Mapping[str, Any]) -> str:
+    seen = f"MOR {row['mor_m']:g} m" if row["mor_m"] else "clear air"
+    exposure = row["exposure"]
+    time_s = exposure["exposure_s"]
+    return f"{shot.lighting} / {shot.fog}   {seen}   {f'1/{1 / time_s:.0f}' if time_s < 0.5 else f'{time_s:.1f}'} s   ISO {exposure['iso']:.0f}"

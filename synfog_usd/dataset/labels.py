@@ -1,0 +1,98 @@
+"""Exact labels of a camera's view: depth, normals, ids, and a list of what is in the picture."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import numpy as np
+
+from synfog_usd import cityscapes
+from synfog_usd.image import Image, Quantity
+from synfog_usd.render.layers import Layers
+from synfog_usd.scene import Thing
+
+CHANNELS = (
+    "depth.Z",
+    "distance.Z",
+    "N.X",
+    "N.Y",
+    "N.Z",
+    "instance.ID",
+    "semantic.ID",
+    "crypto_object00.R",
+    "crypto_object00.G",
+    "crypto_object00.B",
+    "crypto_object00.A",
+)
+
+
+def label_image(layers: Layers, things: tuple[Thing, ...]) -> Image:
+    """All label layers as one float32 image.
+
+    Depth and distance are in metres and infinite at the sky; N is the world normal
+    (Z up) turned to the camera; ids are whole numbers, 0 where there is no thing;
+    the Cryptomatte layer holds one rank with full coverage.
+    """
+    semantic = np.array([0, *(cityscapes.label(thing.label).id for thing in things)], dtype=np.float32)
+    crypto = np.array([0.0, *(_crypto_float(thing.path) for thing in things)], dtype=np.float32)
+    sky = ~np.isfinite(layers.depth_m)
+    ids = layers.thing
+    planes = [
+        layers.depth_m,
+        layers.distance_m,
+        *np.moveaxis(layers.normal, 2, 0),
+        ids,
+        np.where(sky, cityscapes.LABELS["sky"].id, semantic[ids]),
+        crypto[ids],
+        np.where(ids > 0, 1.0, 0.0),
+        np.zeros(ids.shape),
+        np.zeros(ids.shape),
+    ]
+    manifest = json.dumps({thing.path: f"{_crypto_bits(thing.path):08x}" for thing in things}, separators=(",", ":"))
+    key = f"cryptomatte/{_murmur('crypto_object'):08x}"[: len("cryptomatte/") + 7]
+    facts = {
+        "comment": "depth.Z planar [m], distance.Z along the ray [m], N world frame Z up; one ray through each pixel's centre",
+        f"{key}/name": "crypto_object",
+        f"{key}/hash": "MurmurHash3_32",
+        f"{key}/conversion": "uint32_to_float32",
+        f"{key}/manifest": manifest,
+    }
+    return Image(np.stack(planes, axis=2).astype(np.float32), CHANNELS, Quantity.DATA, provenance=facts)
+
+
+def label_list(layers: Layers, things: tuple[Thing, ...]) -> dict[str, Any]:
+    """What labels.json holds: every thing, and where it is seen.
+
+    `box_px` is [x, y, width, height] of its visible pixels; `distance_m` is that of
+    its nearest visible one.
+    """
+    rows = []
+    for thing in things:
+        kind = cityscapes.label(thing.label)
+        row: dict[str, Any] = {"id": thing.id, "path": thing.path, "label": kind.name, "semantic_id": kind.id, "train_id": kind.train_id}
+        seen = layers.thing == thing.id
+        row["pixels"] = int(seen.sum())
+        if row["pixels"]:
+            y, x = np.nonzero(seen)
+            row["box_px"] = [int(x.min()), int(y.min()), int(np.ptp(x)) + 1, int(np.ptp(y)) + 1]
+            row["distance_m"] = round(float(layers.distance_m[seen].min()), 3)
+        rows.append(row)
+    return {"schema": "synfog-usd/labels", "version": 1, "taxonomy": "cityscapes", "things": rows}
+
+
+def _murmur(text: str) -> int:
+    import mmh3
+
+    return int(mmh3.hash(text, signed=False))
+
+
+def _crypto_bits(name: str) -> int:
+    """Cryptomatte's id: MurmurHash3 with the exponents 0 and 255 flipped away (specification 1.2.0)."""
+    bits = _murmur(name)
+    return bits ^ (1 << 23) if (bits >> 23) & 255 in (0, 255) else bits
+
+
+def _crypto_float(name: str) -> float:
+    return float(struct.unpack("<f", struct.pack("<I", _crypto_bits(name)))[0])

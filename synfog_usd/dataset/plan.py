@@ -1,0 +1,109 @@
+"""What a bake will make: one shot for every lighting and fog."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from synfog_usd.errors import ParameterError, did_you_mean
+
+AS_AUTHORED = "authored"
+"""Folder name where a stage has no variant set of that kind."""
+
+CLEAR = "clear"
+
+
+@dataclass(frozen=True)
+class BakePlan:
+    """Everything that decides what a bake writes.
+
+    Attributes:
+        stage: the USD file.
+        out: folder that receives everything.
+        pipeline: YAML node graph; None is the shipped phone.
+        lighting, fog: names to bake; None is all that the stage offers.
+        camera: prim path; None is the stage's own choice.
+        frame: time code; None is the stage's start.
+        size: (width, height) in pixels; None is the stage's own.
+        model, samples, seed: see `render.shot.render`.
+        variant: Mitsuba backend, see `render.backend.choose`.
+        strict: whether a warning of the translation stops the bake.
+    """
+
+    stage: Path
+    out: Path
+    pipeline: Path | None = None
+    lighting: tuple[str, ...] | None = None
+    fog: tuple[str, ...] | None = None
+    camera: str | None = None
+    frame: float | None = None
+    size: tuple[int, int] | None = None
+    model: str = "volpath"
+    samples: int = 64
+    seed: int = 0
+    variant: str = "auto"
+    strict: bool = False
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One lighting in one fog.
+
+    Attributes:
+        lighting, fog: variant names, or AS_AUTHORED.
+        lighting_variant, fog_variant: the stage's variants to select, or None.
+        mor_m: visibility [m] that replaces the stage's, inf for clear air, or None.
+    """
+
+    lighting: str
+    fog: str
+    lighting_variant: str | None
+    fog_variant: str | None
+    mor_m: float | None = None
+
+    @property
+    def folder(self) -> str:
+        """Where its files lie, relative to the output folder."""
+        return f"{self.lighting}/{self.fog}"
+
+
+def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, ...]:
+    """Every lighting x fog of a plan.
+
+    Args:
+        plan: what was asked for.
+        variants: names that the stage offers, by set ('fog', 'lighting').
+
+    Raises:
+        ParameterError: a name that neither the stage nor the tool knows.
+    """
+    lights: list[str | None] = [*_chosen("lighting", plan.lighting, variants.get("lighting", ()))]
+    fogs = _chosen("fog", plan.fog, variants.get("fog", ()))
+    found = []
+    for lighting in lights:
+        for fog in fogs:
+            offered = fog in variants.get("fog", ())
+            mor = None if fog is None or offered else _visibility(fog)
+            found.append(Shot(lighting or AS_AUTHORED, fog or AS_AUTHORED, lighting, fog if offered else None, mor))
+    return tuple(found)
+
+
+def _chosen(kind: str, asked: Sequence[str] | None, offered: Sequence[str]) -> list[str | None]:
+    if asked is None:
+        return [*offered] or [None]
+    for name in asked:
+        if name in offered or (kind == "fog" and _visibility(name) is not None):
+            continue
+        allowed = ", ".join(offered) or "nothing, because it has no such variant set"
+        extra = "; any stage with a fog prim also takes clear and mor<metres>, as in mor200" if kind == "fog" else ""
+        raise ParameterError(f"--{kind} {name}: the stage offers {allowed}{extra}.{did_you_mean(name, offered)}")
+    return list(dict.fromkeys(asked))
+
+
+def _visibility(name: str) -> float | None:
+    if name == CLEAR:
+        return float("inf")
+    match = re.fullmatch(r"mor(\d+(?:\.\d+)?)", name)
+    return float(match.group(1)) if match and float(match.group(1)) > 0 else None
