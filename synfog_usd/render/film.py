@@ -50,7 +50,7 @@ def expose(loaded: Loaded, integrator: Any, *, samples: int, seed: int, progress
     while done < samples:
         count = min(samples - done, max(1, LANES_PER_PASS // pixels))
         sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed32(seed, "pass", done), pixels * count)
+        sampler.seed(dr.opaque(mi.UInt32, seed32(seed, "pass", done)), pixels * count)  # opaque: a literal would compile a kernel per seed
         index = dr.arange(mi.UInt32, pixels * count) // dr.opaque(mi.UInt32, count)
         corner = mi.Point2f(mi.Float(index % width), mi.Float(index // width))
         place = (corner + mi.Point2f(sampler.next_2d())) / mi.Point2f(width, height)

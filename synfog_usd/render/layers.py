@@ -22,6 +22,9 @@ Ids = npt.NDArray[np.int64]
 
 MAX_CROSSINGS = 256
 
+NUDGE = (1.3e-5, -0.7e-5, 0.9e-5)
+"""Change of direction [1] that takes a ray off an edge; 1 mm at 60 m."""
+
 
 @dataclass(frozen=True)
 class Hits:
@@ -91,6 +94,9 @@ def measure(loaded: Loaded) -> Layers:
         if not alive.size:
             break
         hits = tracer.trace(origin[alive], direction[alive])
+        leaked = ~hits.valid & (medium[alive] >= 0)
+        if leaked.any():  # the ray slipped through an edge between two triangles of a boundary: it must leave the fog somewhere
+            _replace_rows(hits, leaked, tracer.trace(origin[alive[leaked]], direction[alive[leaked]] + NUDGE))
         alive, hits = alive[hits.valid], _rows(hits, hits.valid)
         for index, volume in enumerate(fog):
             inside = medium[alive] == index
@@ -114,6 +120,11 @@ def measure(loaded: Loaded) -> Layers:
 
 def _rows(hits: Hits, keep: npt.NDArray[np.bool_]) -> Hits:
     return Hits(**{name: getattr(hits, name)[keep] for name in Hits.__dataclass_fields__})
+
+
+def _replace_rows(hits: Hits, at: npt.NDArray[np.bool_], better: Hits) -> None:
+    for name in Hits.__dataclass_fields__:
+        getattr(hits, name)[at] = getattr(better, name)
 
 
 class _Tracer:

@@ -7,6 +7,7 @@ asks for it as null-material boundaries.
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -54,6 +55,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None) -> Loa
         StageError: Mitsuba refuses a part; names its key.
     """
     mi = backend.mitsuba()
+    gc.collect()  # a scene before this one must give its ids back, else every kernel is compiled anew
     if size is not None:
         source = replace(source, camera=replace(source.camera, width_px=size[0], height_px=size[1]))
     world = source.world
