@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
-from synfog_usd.render.load import Loaded
+from synfog_usd.render.load import Loaded, make_sensor
 from synfog_usd.seeds import seed32
 
 LANES_PER_PASS = 1 << 21
@@ -53,7 +53,7 @@ def expose(loaded: Loaded, integrator: Any, *, samples: int, seed: int, progress
         sampler.seed(dr.opaque(mi.UInt32, seed32(seed, "pass", done)), pixels * count)  # opaque: a literal would compile a kernel per seed
         index = dr.arange(mi.UInt32, pixels * count) // dr.opaque(mi.UInt32, count)
         corner = mi.Point2f(mi.Float(index % width), mi.Float(index // width))
-        place = (corner + mi.Point2f(sampler.next_2d())) / mi.Point2f(width, height)
+        place = (corner + mi.Point2f(sampler.next_2d())) / mi.Point2f(width, height) + mi.Point2f(*loaded.offset)
         ray, weight = loaded.sensor.sample_ray_differential(0.0, 0.5, place, mi.Point2f(sampler.next_2d()))
         radiance, _, _ = integrator.sample(loaded.scene, sampler, ray, loaded.camera_medium, True)
         radiance = mi.Color3f(radiance * weight)
@@ -74,12 +74,16 @@ def expose(loaded: Loaded, integrator: Any, *, samples: int, seed: int, progress
 
 
 def _expose_scalar(loaded: Loaded, integrator: Any, samples: int, seed: int, progress: Progress) -> tuple[Array, Array, int]:
-    """Whole renders with seeds of their own; their scatter gives the variance."""
+    """Whole renders with seeds of their own; their scatter gives the variance.
+
+    A thin lens off its axis is drawn as a pinhole: here Mitsuba makes the rays.
+    """
+    sensor = loaded.sensor if loaded.offset == (0.0, 0.0) else make_sensor(loaded.source.camera, loaded.camera_medium, pinhole=True)
     passes = min(SCALAR_PASSES, samples)
     counts = [samples // passes + (index < samples % passes) for index in range(passes)]
     images, broken = [], 0
     for index, count in enumerate(counts):
-        image = np.array(integrator.render(loaded.scene, loaded.sensor, seed32(seed, "pass", index), count), dtype=np.float64)[:, :, :3]
+        image = np.array(integrator.render(loaded.scene, sensor, seed32(seed, "pass", index), count), dtype=np.float64)[:, :, :3]
         broken += int(np.count_nonzero(~np.isfinite(image).all(axis=2)))
         images.append(np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0))
         progress("rendering", (index + 1) / passes)

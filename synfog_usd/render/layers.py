@@ -175,7 +175,7 @@ class _Tracer:
         """(N, 3) origins and directions, row by row from the top left."""
         mi = self.mi
         y, x = np.divmod(np.arange(width * height), width)
-        u, v = (x + 0.5) / width, (y + 0.5) / height
+        u, v = (x + 0.5) / width + self.loaded.offset[0], (y + 0.5) / height + self.loaded.offset[1]
         if not self.scalar:
             ray, _ = self.loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(u, v), mi.Point2f(0.5))
             return np.array(ray.o, dtype=np.float64).T, np.array(ray.d, dtype=np.float64).T

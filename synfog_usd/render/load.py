@@ -33,6 +33,7 @@ class Loaded:
         camera_medium: `mi.Medium` around the camera, or None in clear air.
         shapes: key -> shape object; shapes of a group under (group key, inner key).
         boundaries: index of the fog volume -> its null-material shape object.
+        offset: (u, v) to add to a film position; a thin lens cannot shift its axis by itself.
         source: the scene it was made from.
     """
 
@@ -41,6 +42,7 @@ class Loaded:
     camera_medium: Any
     shapes: Mapping[tuple[str, ...], Any]
     boundaries: Mapping[int, Any]
+    offset: tuple[float, float]
     source: SceneDict
 
 
@@ -103,7 +105,9 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None) -> Loa
 
     surrounding = camera_fog(source)
     medium = None if surrounding is None else media[surrounding]
-    return Loaded(mi.load_dict(top), mi.load_dict(_sensor(mi, source.camera, medium)), medium, shapes, boundaries, source)
+    camera = source.camera
+    offset = (camera.shift[0], -camera.shift[1]) if is_thin_lens(camera) else (0.0, 0.0)
+    return Loaded(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, boundaries, offset, source)
 
 
 def camera_fog(source: SceneDict) -> int | None:
@@ -200,21 +204,27 @@ def _boundary_mesh(mi: Any, vertices: Any, faces: Any, parts: Mapping[str, Any])
     return _filled(mi.Mesh("fog", len(vertices), len(faces), props=properties), {"vertex_positions": vertices, "faces": faces}, mi)
 
 
-def _sensor(mi: Any, camera: Camera, medium: Any) -> dict[str, Any]:
+def is_thin_lens(camera: Camera) -> bool:
+    """Whether the camera blurs what is out of focus."""
+    return camera.f_number > 0.0 and camera.focus_m > 0.0 and camera.focal_length_m > 0.0
+
+
+def make_sensor(camera: Camera, medium: Any, *, pinhole: bool = False) -> Any:
+    """Mitsuba's sensor for a camera inside `medium` (None in clear air)."""
+    mi = backend.mitsuba()
     turn = np.diag([-1.0, 1.0, -1.0, 1.0])  # Mitsuba looks along +Z with +X to the left
     sensor: dict[str, Any] = {
-        "type": "perspective",
         "to_world": mi.ScalarTransform4f(camera.to_world @ turn),
         "fov": camera.fov_x_deg,
         "fov_axis": "x",
         "near_clip": camera.near_m,
         "far_clip": 1e7,
-        "principal_point_offset_x": camera.shift[0],
-        "principal_point_offset_y": -camera.shift[1],
         "film": {"type": "hdrfilm", "width": camera.width_px, "height": camera.height_px, "rfilter": {"type": "box"}},
     }
     if medium is not None:
         sensor["medium"] = medium
-    if camera.f_number > 0.0 and camera.focus_m > 0.0:
-        sensor |= {"type": "thinlens", "aperture_radius": camera.focal_length_m / (2.0 * camera.f_number), "focus_distance": camera.focus_m}
-    return sensor
+    if is_thin_lens(camera) and not pinhole:
+        radius = camera.focal_length_m / (2.0 * camera.f_number)
+        return mi.load_dict({"type": "thinlens", "aperture_radius": radius, "focus_distance": camera.focus_m, **sensor})
+    shift = {"principal_point_offset_x": camera.shift[0], "principal_point_offset_y": -camera.shift[1]}
+    return mi.load_dict({"type": "perspective", **shift, **sensor})

@@ -1,5 +1,7 @@
 """What the pixel-centre ray measures, against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -93,8 +95,6 @@ def test_cut_out_materials_are_looked_through():
 
 def test_what_stands_before_the_near_plane_is_cut_only_if_it_was_meant_to():
     """A near plane in clear air changes nothing; one that cuts a bonnet off shows what is behind it."""
-    from dataclasses import replace
-
     world = {"shape_bonnet": wall(0.5, 0.2), "shape_wall": wall(50.0)}
     whole = scene(world, [uniform_fog()])
     near = replace(whole, camera=replace(whole.camera, near_m=0.2))
@@ -112,9 +112,16 @@ def test_instances_of_one_prototype_are_different_things():
     world = {"group_ball": {"type": "shapegroup", "ball": ball}}
     world |= {f"instance_{i}": {"type": "instance", "group": {"type": "ref", "id": "group_ball"}, "to_world": place} for i, place in enumerate(places)}
     whole = scene(world, fov_x_deg=30.0)
-    from dataclasses import replace
-
     seen = layers.measure(load(replace(whole, thing_of={("instance_0", "ball"): 5, ("instance_1", "ball"): 6})))
     assert set(np.unique(seen.thing)) == {0, 5, 6}
     assert seen.thing[4, :8].max() == 5 and seen.thing[4, 8:].max() == 6
     assert LOOK_NORTH[1, 2] == -1.0
+
+
+@pytest.mark.parametrize("f_number", [0.0, 2.8])
+def test_a_shifted_camera_sees_to_the_side_it_is_shifted_to(f_number):
+    """An axis shifted by (0.25, 0.1) of the picture puts the point straight ahead that far left of and below the centre."""
+    whole = scene({"shape_dot": wall(50.0, 0.5)}, width_px=80, height_px=40, fov_x_deg=40.0)
+    camera = replace(whole.camera, shift=(0.25, 0.1), f_number=f_number, focal_length_m=0.035, focus_m=50.0)
+    y, x = np.nonzero(layers.measure(load(replace(whole, camera=camera))).thing)
+    np.testing.assert_allclose([x.mean() + 0.5, y.mean() + 0.5], [80 * (0.5 - 0.25), 40 * (0.5 + 0.1)], atol=0.5)
