@@ -113,6 +113,21 @@ def info(
     print("versions: " + ", ".join(f"{name} {version}" for name, version in versions.items()))
 
 
+@app.command()
+def selftest(variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto") -> None:
+    """Measure known answers on this machine; exit code 1 if one is missed."""
+    from synfog_usd.render import backend
+    from synfog_usd.study import selftest as study
+
+    print(f"backend: {backend.start(variant).variant}")  # type: ignore[arg-type]
+    missed = 0
+    for result in study.run():
+        missed += not result.passed
+        word = "ok    " if result.passed else "MISSED"
+        print(f"{word}  measured {result.measured:.5f}  truth {result.truth:.5f}  resolves {result.resolves:.2%}  {result.name}", flush=True)
+    raise typer.Exit(1 if missed else 0)
+
+
 def _crash_line(code: int, stage: Path) -> int:
     """The exit code for the user, after a line for a child that died."""
     if code < 0:

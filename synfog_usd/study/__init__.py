@@ -1,1 +1,1 @@
-"""A room of the house; see docs/architecture.md."""
+"""How good and how fast: truths to test against, the self-test, and speed against accuracy."""

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
-from support.scenes import box
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Boundary
 from synfog_usd.fog.volume import crosses, is_inside
+from synfog_usd.study.truths import box
 
 
 def test_a_mesh_contains_what_its_box_contains():

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from support.scenes import LOOK_NORTH, box, scene, uniform_fog, wall
 
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.render import layers
 from synfog_usd.render.shot import load
+from synfog_usd.study.truths import LOOK_NORTH, box, scene, uniform_fog, wall
 
 FLOAT32 = 4e-6
 """Relative error of a distance that Mitsuba holds in float32, with its ray offsets; measured 8e-7."""

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from support.scenes import black, box, scene, uniform_fog, wall
 from support.stats import assert_mean
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render.shot import render
+from synfog_usd.study.truths import black, box, scene, uniform_fog, wall
 
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
 

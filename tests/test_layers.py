@@ -1,0 +1,98 @@
+"""The house rules: which room may import what, and what the command line costs."""
+
+import ast
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parent.parent / "synfog_usd"
+
+SEES = {
+    "fog": {"fog"},
+    "world": {"world", "fog"},
+    "stage": {"stage", "fog", "scene"},
+    "translate": {"translate", "stage", "fog", "scene"},
+    "render": {"render", "fog", "scene"},
+    "graph": {"graph"},
+    "writers": {"writers"},
+    "camera": {"camera", "graph"},
+}
+"""Room -> the rooms that it may import, beside the base; the others see everything below the command line."""
+
+BASE = {"", "__version__", "cityscapes", "constants", "errors", "files", "image", "progress", "resources", "seeds", "yamlio"}
+
+HEAVY = {
+    "pxr": {"stage", "translate", "world"},
+    "mitsuba": {"render"},
+    "drjit": {"render"},
+    "OpenImageIO": {"graph", "camera", "writers", "study", "translate/texture.py", "world"},
+}
+"""Library -> where it may be imported."""
+
+
+def imports(path):
+    """(module, line) of every import of a file, in functions too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            assert node.level == 0, f"{path}:{node.lineno}: relative import"
+            if node.module == "synfog_usd":
+                yield from ((f"synfog_usd.{alias.name}", node.lineno) for alias in node.names)
+            else:
+                yield node.module, node.lineno
+
+
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=[str(path.relative_to(PACKAGE)) for path in FILES])
+def test_imports_follow_the_direction_of_the_data(path):
+    """A room imports only the base and the rooms before it; heavy libraries stay in their rooms."""
+    inside = path.relative_to(PACKAGE)
+    room = inside.parts[0] if len(inside.parts) > 1 else inside.stem
+    for module, line in imports(path):
+        parts = module.split(".")
+        if parts[0] == "synfog_usd":
+            target = parts[1] if len(parts) > 1 else ""
+            if room in SEES:
+                assert target in BASE | SEES[room], f"{inside}:{line}: {room} may not import {module}"
+            elif room in BASE | {"__init__"}:
+                assert target in BASE, f"{inside}:{line}: the base may not import {module}"
+            elif room in {"dataset", "study"}:
+                assert target != "cli", f"{inside}:{line}: {room} may not import {module}"
+        elif parts[0] in HEAVY:
+            allowed = HEAVY[parts[0]]
+            assert room in allowed or inside.as_posix() in allowed, f"{inside}:{line}: {parts[0]} may not be imported in {room}"
+
+
+def test_every_room_is_ruled():
+    """A new folder needs a line in the table above."""
+    rooms = {path.name for path in PACKAGE.iterdir() if path.is_dir() and path.name not in {"__pycache__", "data"}}
+    assert rooms == {*SEES, "dataset", "study", "cli"} - {"scene"}
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["bake", "--help"], ["graph", "--help"], ["--version"]])
+def test_help_is_quick_and_imports_nothing_heavy(arguments):
+    """Help comes in 0.4 s of processor time (median of 3), and no heavy library is loaded for it."""
+    code = f"""
+import sys, atexit
+atexit.register(lambda: print('HEAVY', sorted(set(sys.modules) & {{'pxr', 'mitsuba', 'drjit', 'OpenImageIO', 'colour', 'numpy', 'scipy', 'trimesh'}})))
+from synfog_usd.cli.main import main
+main({arguments!r})
+"""
+    import resource
+
+    seconds = []
+    for _ in range(3):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        began = time.perf_counter()
+        child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        seconds.append(min(time.perf_counter() - began, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime))
+        assert child.returncode == 0, child.stderr
+        assert "HEAVY []" in child.stdout
+    assert sorted(seconds)[1] < 0.4
