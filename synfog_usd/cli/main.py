@@ -128,6 +128,43 @@ def selftest(variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scal
     raise typer.Exit(1 if missed else 0)
 
 
+@graph_app.command("check")
+def graph_check(pipeline: Annotated[Path, typer.Argument(help="YAML node graph.")]) -> None:
+    """Check a graph as a whole: nodes, parameters, units, quantities."""
+    from synfog_usd import camera
+
+    graph = camera.load_graph(pipeline)
+    print(f"{pipeline}: {len(graph.nodes)} nodes, writes {', '.join(graph.outputs)}")
+
+
+@graph_app.command("show")
+def graph_show(
+    pipeline: Annotated[Path, typer.Argument(help="YAML node graph.")],
+    mermaid: Annotated[bool, typer.Option("--mermaid", help="As Mermaid text, for a drawing.")] = False,
+) -> None:
+    """Show every node with its parameters and where each value comes from."""
+    from synfog_usd import camera
+
+    graph = camera.load_graph(pipeline)
+    print(graph.mermaid() if mermaid else graph.table())
+
+
+@graph_app.command("run")
+def graph_run(
+    pipeline: Annotated[Path, typer.Argument(help="YAML node graph.")],
+    source: Annotated[list[str], typer.Option("--in", help="NAME=FILE.exr, or FILE.exr for a graph with one input.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the graph's outputs.")],
+    meter: Annotated[Path | None, typer.Option(help="EXR to meter on; the input itself if left out.")] = None,
+    change: Annotated[list[str] | None, typer.Option("--set", help="NODE.PARAMETER=VALUE.")] = None,
+    until: Annotated[str | None, typer.Option(help="Run no further than this node, and write it as EXR.")] = None,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
+) -> None:
+    """Run a graph on radiance of one's own."""
+    from synfog_usd.cli import graph as verb
+
+    verb.run(pipeline, source, out, meter_on=meter, changes=change or [], until=until, seed=seed)
+
+
 def _crash_line(code: int, stage: Path) -> int:
     """The exit code for the user, after a line for a child that died."""
     if code < 0:

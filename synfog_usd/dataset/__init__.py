@@ -1,1 +1,1 @@
-"""A room of the house; see docs/architecture.md."""
+"""Many shots: what to make, making it, labels, and a sheet to look at."""

@@ -20,8 +20,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from synfog_usd import __version__, files, resources
 from synfog_usd.dataset import contact, labels
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
@@ -72,12 +70,12 @@ def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], N
     Raises:
         SynfogError: with place and fix; what was finished stays.
     """
-    from synfog_usd import camera, stage as usd
-    from synfog_usd.graph import load_graph
+    from synfog_usd import camera
+    from synfog_usd import stage as usd
     from synfog_usd.render import backend, models
 
     models.check_name(plan.model)
-    graph = load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
+    graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
     stage = usd.open_stage(plan.stage)
     todo = shots(plan, usd.variants(stage))
     first = _translate(stage, todo[0], plan)
@@ -86,9 +84,9 @@ def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], N
     if all(shot.mor_m is None for shot in todo) and not any(_translate(stage, shot, plan).fog for shot in todo):
         tell(f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog (see docs/artists.md).")
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
+    metered = bool({"exposure_s", "iso"} & set(graph.settings_needed))
     facts = _facts(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
 
-    plan.out.mkdir(parents=True, exist_ok=True) if not plan.out.exists() else None
     with _only_writer(plan.out):
         files.remove_leftovers(plan.out)
         ledger = _Ledger(plan.out, facts)
@@ -109,10 +107,10 @@ def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], N
 
             step("translating", 0.0)
             scene = first if shot == todo[0] else _translate(stage, shot, plan)
-            if shot.lighting not in exposures:
+            if metered and shot.lighting not in exposures:
                 step("metering", 0.01)
                 exposures[shot.lighting] = camera.meter(_clear_frame(stage, shot, plan), graph)
-            row = _make(shot, scene, exposures[shot.lighting], graph, plan, step)
+            row = _make(shot, scene, exposures.get(shot.lighting), graph, plan, step)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
             for warning in row["warnings"]:
@@ -159,10 +157,10 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, graph: Any, plan: BakePla
     assert variance is not None
     transmittance = rendered.layers.transmittance_image()
     spread = Image(variance, ("variance.R", "variance.G", "variance.B"), Quantity.DATA)
-    writers.write_exr(folder / "radiance.exr", radiance, attributes={**marks, "whiteLuminance": 1.0})
-    writers.write_exr(folder / "layers.exr", transmittance, spread, attributes=marks)
+    writers.write_exr(folder / "radiance.exr", radiance, attributes=marks)
+    writers.write_exr(folder / "layers.exr", [transmittance, spread], attributes=marks)
     names = ["radiance.exr", "layers.exr"]
-    results = graph.run({"radiance": radiance}, seed=seed, exposure=exposure)
+    results = graph.run({"radiance": radiance}, seed=seed, settings=exposure.settings if exposure else None, keep=list(graph.outputs.values()))
     for name, node in graph.outputs.items():
         writers.write_output(name, results[node], folder)
         names.append(name)
@@ -176,7 +174,7 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, graph: Any, plan: BakePla
         "model": {"name": plan.model, "why": "asked for or the default; there is no other"},
         "samples": plan.samples,
         "relative_error": float(f"{rendered.relative_error:.4g}"),
-        "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"},
+        "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"} if exposure else None,
         "warnings": list(rendered.warnings),
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
     }
@@ -260,7 +258,8 @@ class _Ledger:
 def _only_writer(out: Path) -> Iterator[None]:
     """Hold the output folder for this process; a lock that a killed process cannot leave behind."""
     try:
-        handle = os.open(out, os.O_RDONLY)
+        out.mkdir(parents=True, exist_ok=True)
+        handle = os.open(out, os.O_RDONLY | os.O_DIRECTORY)
     except OSError as error:
         raise OutputError(f"{out}: cannot be used as output folder ({error.strerror})") from error
     try:

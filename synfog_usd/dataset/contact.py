@@ -48,6 +48,8 @@ def write(out: Path, shots: Sequence[Shot], rows: Mapping[str, Mapping[str, Any]
 
 def _caption(shot: Shot, row: Mapping[str, Any]) -> str:
     seen = f"MOR {row['mor_m']:g} m" if row["mor_m"] else "clear air"
-    exposure = row["exposure"]
-    time_s = exposure["exposure_s"]
-    return f"{shot.lighting} / {shot.fog}   {seen}   {f'1/{1 / time_s:.0f}' if time_s < 0.5 else f'{time_s:.1f}'} s   ISO {exposure['iso']:.0f}"
+    exposed = ""
+    if row["exposure"]:
+        time_s = row["exposure"]["exposure_s"]
+        exposed = f"   {f'1/{1 / time_s:.0f}' if time_s < 0.5 else f'{time_s:.1f}'} s   ISO {row['exposure']['iso']:.0f}"
+    return f"{shot.lighting} / {shot.fog}   {seen}{exposed}"

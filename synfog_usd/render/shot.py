@@ -64,7 +64,7 @@ def render(
         ("R", "G", "B"),
         Quantity.RADIANCE,
         variance=variance.astype(np.float32),
-        provenance={"fov_x_deg": camera.fov_x_deg, "model": model, "samples": samples, "seed": seed},
+        provenance={"fov_x_deg": camera.fov_x_deg, "shift_x": camera.shift[0], "shift_y": camera.shift[1], "model": model, "samples": samples, "seed": seed},
     )
     luminance, noise = mean.mean(axis=2), np.sqrt(variance.mean(axis=2))
     lit = luminance > 0.0

@@ -1,0 +1,70 @@
+"""From a stage's text to radiance: units, axes and fog mean what they say."""
+
+import numpy as np
+import pytest
+from support.stages import street
+from support.stats import assert_mean
+
+from synfog_usd import stage as usd
+from synfog_usd.render import layers
+from synfog_usd.render.shot import load, render
+from synfog_usd.translate import translate
+
+UNITS = [(1.0, "Z"), (1.0, "Y"), (0.01, "Z"), (0.01, "Y")]
+
+
+def scene(folder, *, fog="mor150", size=(32, 18), **more):
+    """The translated street."""
+    path = folder / f"street_{abs(hash(tuple(sorted(more.items()))))}.usda"
+    path.write_text(street(**more))
+    stage = usd.open_stage(path)
+    usd.select(stage, fog=fog, lighting="sky")
+    return translate(stage, resolution=size)
+
+
+@pytest.mark.parametrize("meters_per_unit, up", UNITS)
+def test_a_wall_at_50_m_in_mor_150_dims_by_beer_and_lambert(tmp_path, meters_per_unit, up):
+    """A wall of 1 nit in absorbing fog arrives as exp(-2.996 / 150 * 50), whatever the stage's units; 1 % is resolved."""
+    world = scene(tmp_path, meters_per_unit=meters_per_unit, up=up, albedo=0.0, emission=1.0, sky=0.0, fov_x_deg=1.0)
+    means = [render(world, samples=512, seed=seed).radiance.pixels.mean(dtype=np.float64) for seed in range(16)]
+    assert_mean(means, 0.05 ** (50.0 / 150.0), resolves=0.01)
+    seen = layers.measure(load(world))
+    np.testing.assert_allclose(seen.transmittance, 0.05 ** (seen.distance_m / 150.0), rtol=1e-5)  # float32 distances
+    np.testing.assert_allclose(seen.depth_m, 50.0, rtol=1e-5)
+
+
+def test_the_same_world_in_other_units_gives_the_same_radiance(tmp_path):
+    """Metres and centimetres, Z up and Y up: same picture with the same random numbers, and none differs by more than rounding can."""
+    pictures = [
+        render(scene(tmp_path, meters_per_unit=unit, up=up, lamp=True), samples=64, seed=1).radiance.pixels.astype(np.float64).mean(axis=2) for unit, up in UNITS
+    ]
+    for other in pictures[1:]:
+        # Rounding in float32 turns some paths onto other ways, so pixels differ by noise and means by much less.
+        np.testing.assert_allclose(other.mean(), pictures[0].mean(), rtol=0.005)
+        assert np.corrcoef(other.ravel(), pictures[0].ravel())[0, 1] > 0.99
+
+
+def test_fog_thickens_with_distance_and_with_density(tmp_path):
+    """A black wall in scattering fog brightens from clear to MOR 600 to MOR 150, towards the sky's 1000 nits."""
+    wall = []
+    for fog in ("clear", "mor600", "mor150"):
+        picture = render(scene(tmp_path, fog=fog, fov_x_deg=5.0), samples=128).radiance.pixels
+        wall.append(picture.mean())
+    assert wall[0] < 0.001  # the specular lobe at an index of 1 leaves 1e-7
+    assert 100.0 < wall[1] < 300.0  # 1 - T is 0.22; the wall hides part of the sky behind it
+    assert 400.0 < wall[2] < 700.0  # 1 - T is 0.63
+
+
+def test_the_input_is_never_written(tmp_path):
+    """Choosing variants and translating leave the file's bytes and the root layer as they were."""
+    path = tmp_path / "street.usda"
+    path.write_text(street())
+    before = path.read_bytes()
+    stage = usd.open_stage(path)
+    text = stage.GetRootLayer().ExportToString()
+    for fog in ("clear", "mor600"):
+        usd.select(stage, fog=fog, lighting="active")
+        translate(stage)
+    assert not stage.GetRootLayer().dirty
+    assert stage.GetRootLayer().ExportToString() == text
+    assert path.read_bytes() == before

@@ -1,0 +1,261 @@
+"""`synfog-usd bake` as a user runs it: in a process of its own, from start to finish, and interrupted."""
+
+import hashlib
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from support.stages import street
+
+SHOTS = [f"{lighting}/{fog}" for lighting in ("sky", "active") for fog in ("clear", "mor600", "mor150")]
+OUTPUTS = {"radiance.exr", "layers.exr", "raw.dng", "srgb.png"}
+
+
+def command(*arguments):
+    return [sys.executable, "-m", "synfog_usd.cli.main", *map(str, arguments)]
+
+
+def run(*arguments, **more):
+    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=300, **more)
+
+
+def hashes(folder):
+    return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def arguments(stage, out):
+    """Six shots of half a second and more each."""
+    return ["bake", stage, "-o", out, "--resolution", "96x54", "--samples", "256", "--seed", "3"]
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    path = tmp_path_factory.mktemp("stage") / "street.usda"
+    path.write_text(street(lamp=True))
+    return path
+
+
+@pytest.fixture(scope="module")
+def unbroken(stage, tmp_path_factory):
+    """One bake from start to finish: (folder, what it printed)."""
+    out = tmp_path_factory.mktemp("bake") / "out"
+    done = run(*arguments(stage, out), "--json")
+    assert done.returncode == 0, done.stderr
+    return out, json.loads(done.stdout)
+
+
+def test_every_lighting_and_fog_has_its_files(unbroken):
+    """Six shots with four files each, labels and a contact sheet; the manifest lists them with their hashes and nothing else is there."""
+    out, printed = unbroken
+    manifest = json.loads((out / "bake.json").read_text())
+    assert {f"{row['lighting']}/{row['fog']}" for row in manifest["shots"]} == set(SHOTS)
+    found = hashes(out)
+    listed = {"bake.json": found["bake.json"], **manifest["labels"], **manifest["contact"]}
+    for row in manifest["shots"]:
+        assert set(row["files"]) == OUTPUTS
+        listed |= {f"{row['lighting']}/{row['fog']}/{name}": digest for name, digest in row["files"].items()}
+    assert listed == found
+    assert {key: printed[key] for key in manifest} == manifest
+    assert set(printed["seconds"]) == set(SHOTS) and all(value > 0 for value in printed["seconds"].values())
+
+
+def test_exposure_is_locked_to_the_clear_frame(unbroken):
+    """All fogs of a lighting share one exposure; the dim lighting has a longer or more sensitive one."""
+    out, _ = unbroken
+    rows = json.loads((out / "bake.json").read_text())["shots"]
+    light = {name: {row["exposure"]["exposure_s"] * row["exposure"]["iso"] for row in rows if row["lighting"] == name} for name in ("sky", "active")}
+    assert len(light["sky"]) == len(light["active"]) == 1
+    assert min(light["active"]) > 4 * max(light["sky"])
+
+
+def test_exposure_does_not_depend_on_what_else_is_baked(unbroken, stage, tmp_path):
+    """The foggy shot alone has the same bytes as among the others: clear air is metered without being asked for."""
+    out, _ = unbroken
+    done = run(*arguments(stage, tmp_path / "out"), "--fog", "mor150", "--lighting", "sky", "--quiet")
+    assert done.returncode == 0 and done.stderr == done.stdout == ""
+    alone = hashes(tmp_path / "out" / "sky" / "mor150")
+    assert alone == hashes(out / "sky" / "mor150") and set(alone) == OUTPUTS
+
+
+def wait_for_shots(out, count, child, timeout_s=120.0):
+    """Wait until the manifest lists `count` shots."""
+    ends = time.monotonic() + timeout_s
+    while time.monotonic() < ends:
+        assert child.poll() is None, "the bake ended before it could be interrupted"
+        try:
+            if len(json.loads((out / "bake.json").read_text())["shots"]) >= count:
+                return
+        except (OSError, ValueError):
+            pass
+        time.sleep(0.005)
+    raise AssertionError("no shot was finished in time")
+
+
+@pytest.mark.parametrize("finished", [1, 3])
+def test_a_bake_that_was_killed_goes_on_and_ends_with_the_same_bytes(unbroken, stage, tmp_path, finished):
+    """kill -9 in the middle, then the same command: finished shots are kept, and every file equals that of an unbroken run."""
+    whole, _ = unbroken
+    out = tmp_path / "out"
+    child = subprocess.Popen(command(*arguments(stage, out)), stderr=subprocess.DEVNULL)
+    wait_for_shots(out, finished, child)
+    time.sleep(0.2)
+    child.kill()
+    child.wait()
+    time.sleep(0.2)
+    kept = len(json.loads((out / "bake.json").read_text())["shots"])
+    assert finished <= kept < len(SHOTS)
+    done = run(*arguments(stage, out), "--json")
+    assert done.returncode == 0, done.stderr
+    printed = json.loads(done.stdout)
+    assert len(printed["kept"]) == kept and len(printed["seconds"]) == len(SHOTS) - kept
+    assert hashes(out) == hashes(whole)
+
+
+def test_a_finished_bake_is_not_rendered_again_and_a_damaged_shot_is(unbroken, stage, tmp_path):
+    """The same command a second time renders nothing; a file that was changed brings its shot back."""
+    out, _ = unbroken
+    before = hashes(out)
+    again = json.loads(run(*arguments(stage, out), "--json").stdout)
+    assert again["seconds"] == {} and len(again["kept"]) == len(SHOTS)
+    (out / "sky" / "mor600" / "raw.dng").write_bytes(b"damaged")
+    mended = json.loads(run(*arguments(stage, out), "--json").stdout)
+    assert list(mended["seconds"]) == ["sky/mor600"]
+    assert hashes(out) == before
+
+
+def test_ctrl_c_ends_within_two_seconds_and_keeps_finished_shots(stage, tmp_path):
+    """SIGINT while a shot is rendered: exit code 130, no temporary file, finished shots stay."""
+    out = tmp_path / "out"
+    child = subprocess.Popen(command(*arguments(stage, out)[:-4], "--samples", "4096"), stderr=subprocess.PIPE, text=True)
+    wait_for_shots(out, 1, child)
+    time.sleep(0.3)
+    began = time.monotonic()
+    child.send_signal(signal.SIGINT)
+    _, told = child.communicate(timeout=30)
+    assert time.monotonic() - began < 2.0
+    assert child.returncode == 130
+    assert "1 finished shots are kept" in told and "Traceback" not in told
+    rows = json.loads((out / "bake.json").read_text())["shots"]
+    assert [row["fog"] for row in rows] == ["clear"]
+    assert not [path for path in out.rglob(".synfog-part-*")]
+
+
+def refused(done, *words, code=2):
+    """One clear line, no trace, and the exit code."""
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    line = done.stderr.strip().splitlines()[-1]
+    for word in words:
+        assert word in line, line
+
+
+def test_a_missing_stage_is_refused(tmp_path):
+    refused(run("bake", tmp_path / "none.usda", "-o", tmp_path / "out"), "none.usda", "no such file")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("content", [b"#usda 1.0\ndef Xform \"World\" {", b"PXR-USDC" + bytes(200), b"not usd at all", b""])
+def test_a_damaged_stage_is_refused(tmp_path, content):
+    path = tmp_path / ("broken.usdc" if content.startswith(b"PXR") else "broken.usda")
+    path.write_bytes(content)
+    refused(run("bake", path, "-o", tmp_path / "out"), path.name)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_stage_without_a_camera_is_refused(tmp_path):
+    path = tmp_path / "blind.usda"
+    path.write_text('#usda 1.0\n(\n    defaultPrim = "World"\n)\ndef Xform "World"\n{\n    def Cube "Box"\n    {\n    }\n}\n')
+    refused(run("bake", path, "-o", tmp_path / "out"), "blind.usda", "camera")
+
+
+def test_an_unknown_camera_is_refused(stage, tmp_path):
+    refused(run("bake", stage, "-o", tmp_path / "out", "--camera", "/World/Egg"), "/World/Egg", "/World/Ego")
+
+
+def test_a_stage_without_fog_bakes_clear_air_and_says_so(tmp_path):
+    path = tmp_path / "clear.usda"
+    text = street()
+    path.write_text(text.replace('prepend apiSchemas = ["SynFogMediumAPI"]', "").replace('uniform token purpose = "guide"\n        double size', "double size"))
+    text = path.read_text()
+    path.write_text(text.replace("float synfog:fog:albedo = 1.0", 'token visibility = "invisible"').replace("float synfog:fog:mor", "float unrelated"))
+    done = run("bake", path, "-o", tmp_path / "out", "--resolution", "32x18", "--samples", "4", "--lighting", "sky", "--fog", "mor600")
+    assert done.returncode == 0, done.stderr
+    assert "no fog prim" in done.stderr
+    assert json.loads((tmp_path / "out" / "bake.json").read_text())["shots"][0]["mor_m"] is None
+
+
+@pytest.mark.parametrize("option, value, words", [("--fog", "mor15O", ["mor15O", "mor150"]), ("--lighting", "aktive", ["aktive", "active"])])
+def test_a_variant_that_does_not_exist_is_refused(stage, tmp_path, option, value, words):
+    refused(run("bake", stage, "-o", tmp_path / "out", option, value), *words)
+
+
+@pytest.mark.parametrize(
+    "old, new, words",
+    [
+        ("op: isp.gamma", "op: isp.gama", ["isp.gama", "isp.gamma"]),
+        ("temperature_c: 35", "temprature_c: 35", ["temprature_c", "temperature_c"]),
+        ("op: optics.diffraction", "op: isp.demosaic", ["isp.demosaic", "irradiance"]),
+        ("temperature_c: 35", "temperature_c: warm", ["temperature_c", "warm"]),
+        ("synfog: graph/1", "synfog: [graph", [".yaml"]),
+    ],
+)
+def test_a_bad_graph_is_refused_with_its_place(stage, tmp_path, old, new, words):
+    """Unknown node, unknown parameter, wrong quantity, wrong type, and not YAML at all."""
+    text = (Path(__file__).resolve().parents[2] / "pipeline" / "phone.yaml").read_text()
+    assert old in text
+    path = tmp_path / "mine.yaml"
+    path.write_text(text.replace(old, new, 1))
+    done = run("bake", stage, "-o", tmp_path / "out", "--pipeline", path)
+    refused(done, *words)
+    assert f"{path}:" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_output_that_cannot_be_written_is_refused(stage, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    refused(run("bake", stage, "-o", tmp_path / "file" / "out", "--resolution", "32x18"), str(tmp_path / "file"))
+
+
+def test_a_full_disk_is_one_line_and_leaves_no_half_file(stage, tmp_path):
+    """A limit on file size stands in for a full disk: writing fails in the middle of a file."""
+    out = tmp_path / "out"
+    limit = 20_000
+    done = run(*arguments(stage, out), preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    refused(done, str(out))
+    for path in out.rglob("*"):
+        assert not path.name.startswith(".synfog-part-")
+        assert path.is_dir() or path.stat().st_size < limit
+
+
+def test_strict_stops_at_what_is_not_understood(tmp_path):
+    """A prim that cannot be drawn is a warning; under --strict it is the end, with exit code 1."""
+    path = tmp_path / "odd.usda"
+    path.write_text(street().replace('def Camera "Ego"', 'def Volume "Smoke"\n    {\n    }\n    def Camera "Ego"'))
+    loose = run("bake", path, "-o", tmp_path / "a", "--fog", "clear", "--lighting", "sky", "--resolution", "32x18", "--samples", "4")
+    assert loose.returncode == 0 and "/World/Smoke" in loose.stderr
+    refused(run("bake", path, "-o", tmp_path / "b", "--strict"), "/World/Smoke", code=1)
+    assert not (tmp_path / "b").exists()
+
+
+def test_two_bakes_do_not_write_into_one_folder(unbroken, stage):
+    """The second is refused while the first holds the folder."""
+    import fcntl
+
+    out, _ = unbroken
+    handle = os.open(out, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        refused(run(*arguments(stage, out)), str(out), "another bake")
+    finally:
+        os.close(handle)
+
+
+@pytest.mark.parametrize("arguments, word", [(["--resolution", "640"], "640"), (["--samples", "1"], "--samples"), (["--model", "volpth"], "volpath"), (["--variant", "gpu"], "gpu")])
+def test_options_out_of_range_are_refused(stage, tmp_path, arguments, word):
+    refused(run("bake", stage, "-o", tmp_path / "out", *arguments), word)

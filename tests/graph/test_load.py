@@ -1,0 +1,209 @@
+"""What `load_graph` refuses, with its exact place, and what it accepts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from synfog_usd.errors import GraphError, ParameterError
+from synfog_usd.graph import load_graph
+
+GOOD = """\
+synfog: graph/1
+inputs: [radiance]
+chip: good
+nodes:
+  - {name: lens, op: lens.pass, scale: 2}
+  - {name: expose, op: chip.expose, time_s: 1/4}
+  - {name: noise, op: chip.noise}
+  - {name: adc, op: chip.adc, bits: 8}
+  - {name: show, op: screen.show}
+outputs:
+  raw.dng: adc
+  srgb.png: show
+"""
+
+
+def load(tmp_path: Path, text: str, registry):
+    path = tmp_path / "g.yaml"
+    path.write_text(text)
+    return load_graph(path, registry)
+
+
+def refusal(tmp_path: Path, text: str, registry, kind: type[Exception] = GraphError) -> str:
+    with pytest.raises(kind) as caught:
+        load(tmp_path, text, registry)
+    return str(caught.value).replace(str(tmp_path) + "/", "")
+
+
+def test_a_good_graph_loads_with_its_values_and_their_sources(tmp_path, registry):
+    graph = load(tmp_path, GOOD, registry)
+    assert list(graph.nodes) == ["lens", "expose", "noise", "adc", "show"]
+    assert graph.nodes["expose"].params["time_s"].value == 0.25
+    assert (graph.nodes["noise"].params["sigma_e"].value, graph.nodes["noise"].params["sigma_e"].source) == (2.0, "chip.noise_e")
+    assert graph.nodes["lens"].params["shape"].source == "default"
+    assert graph.outputs == {"raw.dng": "adc", "srgb.png": "show"}
+
+
+# (what is replaced; by what, ^ standing before the thing that is wrong; the message or its start)
+FAULTS = [
+    (
+        "{name: noise, op: chip.noise}",
+        "{name: noise, op: chip.noise, sigma_dn: 3}",
+        "g.yaml:7:35: node 'noise' (chip.noise) has no parameter 'sigma_dn'; it takes sigma_e. Did you mean 'sigma_e'?",
+    ),
+    ("op: chip.noise}", "op: ^chip.nose}", "no op 'chip.nose'; there are chip.adc, chip.expose,"),
+    ("scale: 2", "scale: ^loud", "node 'lens' (lens.pass): scale is 'loud'; it takes a number above 0, up to 10."),
+    ("scale: 2", "scale: ^0", "node 'lens' (lens.pass): scale is 0; it takes a number above 0, up to 10."),
+    ("scale: 2", "scale: ^11", "node 'lens' (lens.pass): scale is 11; it takes a number above 0, up to 10."),
+    ("scale: 2", "scale: ^.nan", "node 'lens' (lens.pass): scale is nan; it takes"),
+    ("scale: 2", "scale: ^.inf", "node 'lens' (lens.pass): scale is inf; it takes"),
+    ("scale: 2", "scale: ^true", "node 'lens' (lens.pass): scale is True; it takes"),
+    ("scale: 2", "scale: ^[1]", "node 'lens' (lens.pass): scale is [1]; it takes"),
+    ("scale: 2", "scale: ^null", "node 'lens' (lens.pass): scale is empty; it takes"),
+    ("scale: 2", "scale: ^auto", "node 'lens' (lens.pass): scale is 'auto'; it takes"),
+    ("scale: 2", "shape: ^rond", "node 'lens' (lens.pass): shape is 'rond'; it takes one of 'round', 'square'. Did you mean 'round'?"),
+    ("time_s: 1/4", "time_s: ^1/0", "node 'expose' (chip.expose): time_s is '1/0', a division by zero; it takes a number above 0 [s] or auto."),
+    ("bits: 8", "bits: ^8.5", "node 'adc' (chip.adc): bits is 8.5; it takes a whole number from 8 to 16."),
+    ("bits: 8", "invert: ^1", "node 'adc' (chip.adc): invert is 1; it takes true or false."),
+    ("op: screen.show", "op: screen.show, tint: ^[1, 2]", "node 'show' (screen.show): tint is [1, 2]; it takes a list of 3 numbers."),
+    (
+        "op: chip.expose, time_s: 1/4",
+        "op: chip.adc",
+        "g.yaml:6:5: node 'expose' (chip.adc) takes electrons (mosaic); 'lens' gives irradiance. What gives electrons (mosaic): chip.expose",
+    ),
+    (
+        "op: chip.noise}",
+        "op: chip.noise, in: ^expos}",
+        "node 'noise' (chip.noise) reads 'expos', which is no node or input. Did you mean 'expose'?",
+    ),
+    ("op: chip.noise}", "op: chip.noise, in: ^3}", "node 'noise' (chip.noise) has in: 3; it takes the name of a node or input"),
+    ("op: chip.noise}", "op: chip.noise, in: ^[expose, lens]}", "node 'noise' (chip.noise) reads 1 image; 'in' names 2"),
+    ("op: lens.pass", "op: light.difference", "g.yaml:5:5: node 'lens' (light.difference) reads 2 images; 'in' names 1"),
+    ("op: lens.pass, scale: 2", "op: light.sum, in: ^[]", "node 'lens' (light.sum) reads at least 1 image; 'in' names 0"),
+    ("op: chip.noise}", "op: chip.noise, in: noise}", "g.yaml:7:5: nodes read each other in a circle: noise -> noise; change one 'in'"),
+    ("op: chip.expose,", "op: chip.expose, in: noise,", "g.yaml:6:5: nodes read each other in a circle: expose -> noise -> expose; change one 'in'"),
+    ("name: noise", "name: lens", "g.yaml:7:5: node 'lens' stands already at line 5; give one of them another name"),
+    ("name: noise", "name: radiance", "g.yaml:7:5: node 'radiance' has the name of an input; give it another name"),
+    ("name: noise", "name: Noise 1", "g.yaml:7:12: node name 'Noise 1' is not a name; use lower-case letters, digits and _"),
+    ("{name: noise, op: chip.noise}", "{name: noise}", "g.yaml:7:5: node 3 has no 'op'"),
+    ("{name: noise, op: chip.noise}", "noise", "g.yaml:7:5: node 3 is 'noise'; it takes a mapping with an 'op'"),
+    ("{name: noise, op: chip.noise}", "{name: noise, op: chip.noise, op: chip.adc}", "g.yaml:7:35: key 'op' stands here twice"),
+    (
+        "chip: good\n",
+        "",
+        "g.yaml:6:5: node 'noise' (chip.noise) takes sigma_e from the chip profile; name one at the top with 'chip: ...', or give sigma_e here",
+    ),
+    ("chip: good", "chip: 3", "g.yaml:3:7: chip is 3; it takes the name of a profile, or a path that ends in .yaml"),
+    ("chip: good", "chop: good", "g.yaml:3:1: a graph has no 'chop'; it takes synfog, title, inputs, chip, nodes, outputs. Did you mean 'chip'?"),
+    ("graph/1", "graph/2", "g.yaml:1:9: synfog is 'graph/2'; this program reads 'graph/1'"),
+    ("synfog: graph/1\n", "", "g.yaml:1:1: the first line must be 'synfog: graph/1'"),
+    ("inputs: [radiance]\n", "", "g.yaml:1:1: the graph has no 'inputs'"),
+    ("[radiance]", "[]", "g.yaml:2:9: inputs is []; it takes a list of names"),
+    ("[radiance]", "[radiance, radiance]", "g.yaml:2:20: input 'radiance' stands here twice"),
+    ("[radiance]", "[radiance, lamps]", "g.yaml:5:5: node 'lens' (lens.pass) has no 'in', and the graph has several inputs to choose from"),
+    ("[radiance]", "{radiance: radance}", "g.yaml:2:20: input 'radiance' is 'radance'; it takes one of radiance,"),
+    ("srgb.png: show", "srgb.jpg: show", "g.yaml:12:3: output 'srgb.jpg': its format '.jpg' is not known; it can be .dng, .exr, .png"),
+    ("srgb.png: show", "../srgb.png: show", "g.yaml:12:3: output '../srgb.png': it is not a plain file name"),
+    ("srgb.png: show", "/tmp/srgb.png: show", "g.yaml:12:3: output '/tmp/srgb.png': it is not a plain file name"),
+    ("srgb.png: show", "RAW.dng: adc", "g.yaml:12:3: output 'RAW.dng': some systems cannot tell it from another output's name"),
+    ("srgb.png: show", "radiance.exr: show", "g.yaml:12:3: output 'radiance.exr': a bake writes a file of that name itself"),
+    (
+        "srgb.png: show",
+        "srgb.png: shw",
+        "g.yaml:12:13: output 'srgb.png' is 'shw', which is no node; there are lens, expose, noise, adc, show. Did you mean 'show'?",
+    ),
+    ("srgb.png: show", "srgb.png: adc", "g.yaml:12:13: output 'srgb.png' takes display_rgb; node 'adc' gives dn (mosaic); what fits: show"),
+    ("raw.dng: adc", "raw.dng: show", "g.yaml:11:12: output 'raw.dng' takes dn (mosaic); node 'show' gives display_rgb (rgb); what fits: adc"),
+    ("outputs:\n  raw.dng: adc\n  srgb.png: show\n", "outputs: all\n", "g.yaml:10:10: outputs is 'all'; it takes a mapping of file names to nodes"),
+    ("bits: 8", "bits: ^!!python/object/apply:os.system ['true']", "tag 'tag:yaml.org,2002:python/object/apply:os.system' is not allowed"),
+    ("bits: 8}", "bits: 8", "g.yaml:9:5: not valid YAML: expected ',' or '}', but got '{'"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), FAULTS, ids=[new[:40] for _, new, _ in FAULTS])
+def test_a_fault_is_named_with_its_place(tmp_path, registry, old, new, message):
+    """Line and column are where ^ stood, or are written out in the message."""
+    assert GOOD.count(old) == 1, "the fault must stand in one place"
+    text = GOOD.replace(old, new)
+    if "^" in text:
+        before, _, after = text.partition("^")
+        message = f"g.yaml:{before.count(chr(10)) + 1}:{len(before.rpartition(chr(10))[2]) + 1}: {message}"
+        text = before + after
+    assert refusal(tmp_path, text, registry)[: len(message)] == message
+
+
+def test_a_fault_in_a_profile_keeps_the_place_of_its_name(tmp_path, registry):
+    text = refusal(tmp_path, GOOD.replace("chip: good", "chip: bad"), registry, ParameterError)
+    assert text == "g.yaml:3:7: chip 'bad': no such chip; there is good"
+
+
+def test_a_profile_path_starts_from_the_folder_of_the_graph(tmp_path, registry):
+    (tmp_path / "own.yaml").write_text("5.5")
+    graph = load(tmp_path, GOOD.replace("chip: good", "chip: own.yaml"), registry)
+    assert graph.nodes["noise"].params["sigma_e"].value == 5.5
+
+
+def test_a_value_in_the_node_goes_before_the_profile(tmp_path, registry):
+    graph = load(tmp_path, GOOD.replace("op: chip.noise}", "op: chip.noise, sigma_e: 7}").replace("chip: good\n", ""), registry)
+    assert (graph.nodes["noise"].params["sigma_e"].value, graph.nodes["noise"].params["sigma_e"].source) == (7.0, "file")
+
+
+@pytest.mark.parametrize(("written", "value"), [("1/60", 1 / 60), ("1e-3", 0.001), ("2.5e-1", 0.25), ("3", 3.0), ("'4'", 4.0), ("1 / 2.0", 0.5)])
+def test_times_may_be_written_as_photographers_and_programs_do(tmp_path, registry, written, value):
+    """YAML 1.1 takes 1e-3 for text, and 1/60 is one."""
+    graph = load(tmp_path, GOOD.replace("time_s: 1/4", f"time_s: {written}"), registry)
+    assert graph.nodes["expose"].params["time_s"].value == value
+
+
+def test_nodes_may_stand_in_any_order_when_they_say_what_they_read(tmp_path, registry):
+    text = """\
+synfog: graph/1
+inputs: [radiance]
+chip: good
+nodes:
+  - {op: chip.adc, in: noise}
+  - {op: chip.noise, in: expose}
+  - {op: lens.pass, in: radiance, name: lens}
+  - {op: chip.expose}
+outputs: {a.exr: adc}
+"""
+    assert list(load(tmp_path, text, registry).nodes) == ["lens", "expose", "noise", "adc"]
+
+
+def test_a_node_without_a_name_is_called_by_its_verb(tmp_path, registry):
+    assert "adc" in load(tmp_path, GOOD.replace("{name: adc, op: chip.adc, bits: 8}", "{op: chip.adc}"), registry).nodes
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "- a\n- b\n",
+        "{" * 5000,
+        "a: &a [x, x]\nb: &b [*a, *a, *a, *a]\n" + "\n".join(f"c{i}: &c{i} [{', '.join(['*b' if i == 0 else f'*c{i - 1}'] * 9)}]" for i in range(9)),
+        "synfog: &x [*x]\n",
+        "\x00",
+        "synfog: graph/1\n? [a]\n: b\n",
+        "synfog: graph/1\ninputs: {radiance: {a: b}}\nnodes: [1]\noutputs: {}\n",
+        "synfog: graph/1\ninputs: [[a]]\nnodes: [1]\noutputs: {}\n",
+        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: [lens.pass]}]\noutputs: {}\n",
+        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, name: [a]}]\noutputs: {}\n",
+        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, in: {a: b}}]\noutputs: {}\n",
+        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, scale: 1" + "0" * 400 + "}]\noutputs: {a.exr: pass}\n",
+        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: [pass]}\n",
+        "synfog: graph/1\ntitle: [1]\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: pass}\n",
+    ],
+)
+def test_hostile_text_is_an_error_of_ours_and_never_another(tmp_path, registry, text):
+    refusal(tmp_path, text, registry)
+
+
+def test_a_file_that_is_not_text_or_not_there_is_refused(tmp_path, registry):
+    path = tmp_path / "g.yaml"
+    with pytest.raises(GraphError, match="cannot be read"):
+        load_graph(path, registry)
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(GraphError, match="not UTF-8"):
+        load_graph(path, registry)

@@ -1,0 +1,218 @@
+"""What a graph does with images: order, random streams, settings, overrides, and how it shows itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from synfog_usd.errors import GraphError, ImageError, ParameterError
+from synfog_usd.graph import Registry, load_graph
+from synfog_usd.image import Image, Quantity
+
+GRAPH = """\
+synfog: graph/1
+inputs: [radiance]
+chip: good
+nodes:
+  - {name: lens, op: lens.pass, scale: 2}
+  - {name: expose, op: chip.expose, time_s: auto}
+  - {name: noise, op: chip.noise}
+  - {name: adc, op: chip.adc}
+outputs: {raw.dng: adc}
+"""
+
+
+def load(tmp_path: Path, registry, text: str = GRAPH, name: str = "g.yaml"):
+    (tmp_path / name).write_text(text)
+    return load_graph(tmp_path / name, registry)
+
+
+def test_values_flow_through_the_nodes_in_order(tmp_path, registry, radiance):
+    run = load(tmp_path, registry).run({"radiance": radiance}, seed=1, settings={"time_s": 3.0}, until="expose")
+    np.testing.assert_array_equal(run["expose"].pixels, radiance.pixels[..., :1] * 6)
+    assert list(run) == ["lens", "expose"]
+    assert set(run.milliseconds) == {"lens", "expose"} and min(run.milliseconds.values()) >= 0.0
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(tmp_path, registry, radiance):
+    graph = load(tmp_path, registry)
+    one, again, other = (graph.run({"radiance": radiance}, seed=seed, settings={"time_s": 3.0})["noise"].pixels for seed in (1, 1, 2))
+    assert one.tobytes() == again.tobytes()
+    assert (one != other).all()
+
+
+def test_a_node_that_is_added_moves_no_other_stream(tmp_path, registry, radiance):
+    """The node before `noise` draws too, but its noise is 0: what `noise` draws must not change."""
+    text = GRAPH.replace("  - {name: noise,", "  - {name: early, op: chip.noise, sigma_e: 0}\n  - {name: noise,")
+    arguments = {"seed": 5, "settings": {"time_s": 3.0}}
+    plain = load(tmp_path, registry).run({"radiance": radiance}, **arguments)
+    longer = load(tmp_path, registry, text).run({"radiance": radiance}, **arguments)
+    np.testing.assert_array_equal(longer["noise"].pixels, plain["noise"].pixels)
+
+
+def test_auto_is_found_in_the_settings_before_the_provenance(tmp_path, registry, radiance):
+    graph = load(tmp_path, registry)
+    assert graph.settings_needed == ("time_s",)
+    noted = radiance.noted(time_s=2.0)
+    assert graph.run({"radiance": noted}, seed=0, until="expose")["expose"].pixels[0, 1, 0] == 3 * 2 * 2
+    assert graph.run({"radiance": noted}, seed=0, until="expose", settings={"time_s": 5.0})["expose"].pixels[0, 1, 0] == 3 * 2 * 5
+
+
+def test_auto_that_nobody_answers_is_an_error_that_says_what_to_do(tmp_path, registry, radiance):
+    with pytest.raises(GraphError, match=r"g\.yaml:6:5: node 'expose' \(chip.expose\) has time_s: auto, but neither .* Give time_s a number"):
+        load(tmp_path, registry).run({"radiance": radiance}, seed=0)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), "soon"])
+def test_a_setting_is_checked_like_a_value_in_the_file(tmp_path, registry, radiance, value):
+    with pytest.raises(GraphError, match=r"'time_s' in the settings is .*; it takes a number above 0 \[s\]"):
+        load(tmp_path, registry).run({"radiance": radiance}, seed=0, settings={"time_s": value})
+
+
+def test_overrides_change_a_run_and_its_hash_but_not_the_graph(tmp_path, registry, radiance):
+    graph = load(tmp_path, registry)
+    before = graph.hash
+    run = graph.run({"radiance": radiance}, seed=0, overrides={"lens.scale": "3", "expose.time_s": 1.0}, until="expose")
+    assert run["expose"].pixels[0, 1, 0] == 3 * 3
+    assert graph.with_overrides({"lens.scale": 3}).hash != before == graph.hash
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"lens.scal": 1}, r"override 'lens.scal': node 'lens' \(lens.pass\) has no parameter 'scal'; it takes scale, shape. Did you mean 'scale'\?"),
+        ({"lns.scale": 1}, r"override 'lns.scale': no node 'lns'; write node.parameter. Did you mean 'lens.scale'\?"),
+        ({"scale": 1}, r"override 'scale': no node 'scale'; write node.parameter"),
+        ({"lens.scale": 99}, r"scale is 99; it takes a number above 0, up to 10"),
+    ],
+)
+def test_a_wrong_override_is_refused(tmp_path, registry, overrides, message):
+    with pytest.raises(GraphError, match=message):
+        load(tmp_path, registry).with_overrides(overrides)
+
+
+def test_images_that_do_not_fit_are_refused_before_anything_runs(tmp_path, registry, radiance):
+    graph = load(tmp_path, registry)
+    with pytest.raises(GraphError, match="needs an image for its input 'radiance'"):
+        graph.run({}, seed=0)
+    with pytest.raises(GraphError, match=r"has no input 'radience'; it takes radiance. Did you mean 'radiance'\?"):
+        graph.run({"radience": radiance}, seed=0)
+    with pytest.raises(GraphError, match="takes radiance; the image holds dn"):
+        graph.run({"radiance": Image(radiance.pixels, radiance.channels, Quantity.DN)}, seed=0)
+    pixels = radiance.pixels.copy()
+    pixels[2, 5, 1] = np.nan
+    with pytest.raises(ImageError, match="pixel x=5, y=2 of channel 'G' is not a finite number"):
+        graph.run({"radiance": radiance.with_pixels(pixels)}, seed=0)
+
+
+def test_unknown_nodes_to_run_to_or_to_keep_are_refused(tmp_path, registry, radiance):
+    graph = load(tmp_path, registry)
+    for arguments in ({"until": "nois"}, {"keep": ["nois"]}):
+        with pytest.raises(GraphError, match=r"has no node 'nois'; it has .* Did you mean 'noise'\?"):
+            graph.run({"radiance": radiance}, seed=0, **arguments)
+
+
+def test_only_kept_images_are_returned_and_inputs_are_left_alone(tmp_path, registry, radiance):
+    copy = radiance.pixels.copy()
+    run = load(tmp_path, registry).run({"radiance": radiance}, seed=0, settings={"time_s": 1.0}, keep=["adc"])
+    assert list(run) == ["adc"]
+    np.testing.assert_array_equal(radiance.pixels, copy)
+
+
+def test_several_inputs_meet_in_one_node(tmp_path, registry, radiance):
+    text = """\
+synfog: graph/1
+inputs: [sky, lamps]
+nodes:
+  - {name: both, op: light.sum, in: [sky, lamps, lamps]}
+  - {name: rest, op: light.difference, in: [both, sky]}
+outputs: {rest.exr: rest}
+"""
+    run = load(tmp_path, registry, text).run({"sky": radiance, "lamps": radiance.with_pixels(radiance.pixels + 1)}, seed=0)
+    np.testing.assert_array_equal(run["rest"].pixels, 2 * radiance.pixels + 2)
+
+
+def test_an_error_inside_an_op_gets_the_place_of_its_node(tmp_path, radiance):
+    ops = Registry()
+
+    @ops.op("a.fails", takes=None, gives=None)
+    def fails(image: Image) -> Image:
+        raise ParameterError("it is too dark")
+
+    graph = load(tmp_path, ops, "synfog: graph/1\ninputs: [radiance]\nnodes:\n  - op: a.fails\noutputs: {a.exr: fails}\n")
+    with pytest.raises(ParameterError, match=r"g\.yaml:4:5: node 'fails' \(a.fails\): it is too dark"):
+        graph.run({"radiance": radiance}, seed=0)
+
+
+def test_the_hash_follows_meaning_not_spelling(tmp_path, registry):
+    same = GRAPH.replace("scale: 2", "scale: 2.0  ").replace("nodes:", "# a comment\nnodes:").replace("outputs: {raw.dng: adc}", "outputs:\n  raw.dng: adc")
+    changed = [
+        GRAPH.replace("scale: 2", "scale: 2.5"),
+        GRAPH.replace("raw.dng", "x.dng"),
+        GRAPH.replace("chip: good", "chip: own.yaml"),
+        GRAPH.replace("time_s: auto", "time_s: 1"),
+        GRAPH.replace("name: lens", "name: glass"),
+    ]
+    (tmp_path / "own.yaml").write_text("2.0")
+    first = load(tmp_path, registry).hash
+    assert load(tmp_path, registry, same, "other.yaml").hash == first
+    hashes = {load(tmp_path, registry, text).hash for text in changed}
+    assert len(hashes) == len(changed) and first not in hashes
+
+
+def test_a_table_and_a_chart_name_every_node_and_file(tmp_path, registry, radiance):
+    graph = load(tmp_path, registry)
+    run = graph.run({"radiance": radiance}, seed=0, settings={"time_s": 1.0})
+    table, chart = graph.table(run.milliseconds), graph.mermaid()
+    lines = table.splitlines()
+    assert lines[0].split() == ["node", "op", "reads", "gives", "parameters", "ms"]
+    assert lines[4].split()[:5] == ["noise", "chip.noise", "expose", "electrons", "(mosaic)"] and "sigma_e=2" in lines[4]
+    assert "writes raw.dng from adc" in lines
+    assert "expose -- electrons --> noise" in chart and "adc --> file0[/raw.dng/]" in chart
+
+
+def test_progress_is_told_every_node_and_the_end(tmp_path, registry, radiance):
+    told = []
+    load(tmp_path, registry).run({"radiance": radiance}, seed=0, settings={"time_s": 1.0}, progress=lambda what, fraction: told.append((what, fraction)))
+    assert told == [("lens", 0.0), ("expose", 0.25), ("noise", 0.5), ("adc", 0.75), ("done", 1.0)]
+
+
+def test_functions_that_cannot_be_ops_are_refused_where_they_are_declared():
+    ops = Registry()
+    with pytest.raises(TypeError, match=r"family\.verb"):
+        ops.op("noise", takes=None, gives=None)(lambda image: image)
+    with pytest.raises(TypeError, match="hides its parameters"):
+
+        @ops.op("a.b", takes=None, gives=None)
+        def hidden(image: Image, **rest: float) -> Image:
+            return image
+
+    with pytest.raises(TypeError, match="no YAML node can hold"):
+
+        @ops.op("a.c", takes=None, gives=None)
+        def strange(image: Image, *, table: dict[str, float]) -> Image:
+            return image
+
+    with pytest.raises(TypeError, match="2 images, but 1 entries"):
+
+        @ops.op("a.d", takes=None, gives=None)
+        def two(image: Image, other: Image) -> Image:
+            return image
+
+    with pytest.raises(TypeError, match="cannot be called 'op'"):
+
+        @ops.op("a.e", takes=None, gives=None)
+        def reserved(image: Image, *, op: float) -> Image:
+            return image
+
+
+def test_an_own_registry_adds_ops_and_leaves_the_first_alone(registry):
+    own = Registry(registry)
+
+    @own.op("my.op", takes=None, gives=None)
+    def mine(image: Image) -> Image:
+        return image
+
+    assert "my.op" in own.ops and "chip.adc" in own.ops and "my.op" not in registry.ops

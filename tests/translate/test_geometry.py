@@ -1,0 +1,268 @@
+"""Meshes: area and winding survive triangulation, attributes stay with their corners."""
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, UsdGeom, UsdShade
+
+from synfog_usd.translate import summary, translate
+from synfog_usd.translate.geometry import triangulate
+
+ONE = np.array([0])
+
+
+def shoelace(polygon):
+    x, y = np.asarray(polygon, dtype=float).T
+    return abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2
+
+
+def area_vectors(positions, faces):
+    a, b, c = (np.asarray(positions, dtype=float)[faces[:, k]] for k in range(3))
+    return np.cross(b - a, c - a) / 2
+
+
+def star(n, inner, rng):
+    """A star-shaped polygon with every other corner pulled in: concave in half of its corners."""
+    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    radius = np.where(np.arange(n) % 2, inner, 1.0) * rng.uniform(0.8, 1.2, n)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+
+
+def tilted(flat, rng):
+    """The polygon somewhere in space, turned at random."""
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    q[:, 0] *= np.sign(np.linalg.det(q))
+    return np.c_[flat, np.zeros(len(flat))] @ q.T + rng.uniform(-5, 5, 3), q[:, 2]
+
+
+@pytest.mark.parametrize("n", [4, 5, 6, 8, 13, 24, 60])
+@pytest.mark.parametrize("inner", [0.15, 0.4, 1.0])
+def test_triangles_cover_a_polygon_once(n, inner):
+    """All triangles turn the polygon's way and their areas add up to the shoelace formula's."""
+    rng = np.random.default_rng(n)
+    for _ in range(5):
+        flat = star(n, inner, rng)
+        points, normal = tilted(flat, rng)
+        triangles, face_of = triangulate(points, np.array([n]), ONE, np.arange(n), np.array([True]))
+        assert len(triangles) == n - 2 and not face_of.any()
+        signed = area_vectors(points, triangles) @ normal
+        assert (signed > -1e-12).all()
+        np.testing.assert_allclose(signed.sum(), shoelace(flat), rtol=1e-12)
+
+
+def test_a_polygon_with_a_bridged_hole_keeps_its_area():
+    """A 4 x 4 square with a 2 x 2 hole, joined by a bridge of no width, covers 12."""
+    flat = [(0, 0), (4, 0), (4, 4), (0, 4), (0, 0), (1, 1), (1, 3), (3, 3), (3, 1), (1, 1)]
+    points = np.c_[np.array(flat, dtype=float), np.zeros(10)]
+    triangles, _ = triangulate(points, np.array([10]), ONE, np.arange(10), np.array([True]))
+    signed = area_vectors(points, triangles)[:, 2]
+    assert (signed > -1e-12).all()
+    np.testing.assert_allclose(signed.sum(), 12.0)
+
+
+def test_hole_indices_leave_faces_out(empty, polygon_mesh, only_shape):
+    stage = empty()
+    points = [(x, 5, z) for z in range(2) for x in range(4)]
+    mesh = polygon_mesh(stage, "/Strip", points, [4, 4, 4], [0, 1, 5, 4, 1, 2, 6, 5, 2, 3, 7, 6])
+    mesh.CreateHoleIndicesAttr([1])
+    shape = only_shape(translate(stage))
+    np.testing.assert_allclose(np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1).sum(), 2.0)
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+@pytest.mark.parametrize("left_handed", [False, True])
+def test_outside_stays_outside(empty, polygon_mesh, only_shape, mirror, left_handed):
+    """The divergence theorem gives a closed box a positive volume, whatever its orientation and mirror."""
+    stage = empty()
+    box = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    mesh = polygon_mesh(stage, "/Box", box, [4] * 6, [k for quad in quads for k in (quad[::-1] if left_handed else quad)])
+    mesh.CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
+    mesh.AddTranslateOp().Set((3, 4, 5))
+    mesh.AddScaleOp().Set((-2 if mirror else 2, 3, 1))
+    shape = only_shape(translate(stage))
+    p = shape["positions"].astype(float)
+    volume = np.einsum("ij,ij->", p[shape["faces"][:, 0]], area_vectors(p, shape["faces"])) / 3
+    np.testing.assert_allclose(volume, 6.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name, size, volume", [
+    ("Cube", {"size": 3.0}, 27.0),
+    ("Sphere", {"radius": 2.0}, 4 / 3 * np.pi * 8),
+    ("Cylinder", {"radius": 1.5, "height": 4.0}, np.pi * 2.25 * 4),
+    ("Cone", {"radius": 1.5, "height": 4.0}, np.pi * 2.25 * 4 / 3),
+    ("Capsule", {"radius": 0.5, "height": 2.0}, np.pi * 0.25 * 2 + 4 / 3 * np.pi * 0.125),
+])  # fmt: skip
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+def test_implicit_shapes_hold_their_volume(empty, only_shape, name, size, volume, axis):
+    """Closed forms; 48 segments lose 2 pi^2 / (3 * 48^2) = 0.29 % of a circle's area, 24 chords of a meridian (pi / 24)^2 / 4 = 0.43 %."""
+    stage = empty()
+    prim = stage.DefinePrim("/Shape", name)
+    for key, value in size.items():
+        prim.GetAttribute(key).Set(value)
+    if prim.HasAttribute("axis"):
+        prim.GetAttribute("axis").Set(axis)
+    UsdGeom.Xformable(prim).AddScaleOp().Set((1.0, 1.0, 2.0))  # not a similarity: a sphere becomes a mesh too
+    shape = only_shape(translate(stage))
+    p = shape["positions"].astype(float)
+    areas = area_vectors(p, shape["faces"])
+    found = np.einsum("ij,ij->", p[shape["faces"][:, 0]], areas) / 3
+    np.testing.assert_allclose(found, 2 * volume, rtol=7.2e-3)
+    if "normals" in shape:
+        assert (np.einsum("ij,ij->i", shape["normals"][shape["faces"][:, 0]], areas) > 0).all()
+    if prim.HasAttribute("axis"):
+        extent = np.ptp(p, axis=0) / [1, 1, 2]
+        length = size["height"] + (2 * size["radius"] if name == "Capsule" else 0)
+        np.testing.assert_allclose(extent["XYZ".index(axis)], length, rtol=1e-6)
+
+
+@pytest.mark.parametrize("interpolation, values, indices", [
+    ("faceVarying", [(0, 0), (1, 0), (1, 1), (0, 1), (5, 5), (6, 5), (6, 6), (5, 6)], None),
+    ("faceVarying", [(0, 0), (1, 0), (1, 1), (0, 1), (5, 5), (6, 5), (6, 6), (5, 6)], [0, 1, 2, 3, 4, 5, 6, 7]),
+    ("faceVarying", [(6, 6), (0, 0), (1, 0), (1, 1), (0, 1), (5, 5), (6, 5), (5, 6)], [1, 2, 3, 4, 5, 6, 0, 7]),
+    ("vertex", [(0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (2, 1)], None),
+    ("varying", [(2, 1), (0, 0), (1, 0), (2, 0), (0, 1), (1, 1)], [1, 2, 3, 4, 5, 0]),
+    ("uniform", [(0.25, 0.5), (0.75, 0.5)], None),
+    ("constant", [(0.3, 0.7)], None),
+])  # fmt: skip
+def test_texture_coordinates_stay_with_their_corners(empty, polygon_mesh, only_shape, tmp_path, interpolation, values, indices):
+    """Each corner of each triangle finds the value that USD's own primvar rules give it."""
+    stage = empty()
+    corners = [0, 1, 4, 3, 1, 2, 5, 4]
+    mesh = polygon_mesh(stage, "/Two", [(0, 5, 0), (1, 5, 0), (2, 5, 0), (0, 5, 1), (1, 5, 1), (2, 5, 1)], [4, 4], corners)
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("uv", Sdf.ValueTypeNames.TexCoord2fArray, interpolation)
+    primvar.Set(values)
+    if indices:
+        primvar.SetIndices(indices)
+    bind_texture(stage, mesh, tmp_path, "uv")
+    shape = only_shape(translate(stage))
+    flat = values if indices is None else [values[k] for k in indices]
+    index = {"faceVarying": range(8), "vertex": corners, "varying": corners, "uniform": [0] * 4 + [1] * 4, "constant": [0] * 8}[interpolation]
+    wanted = {(face, corners[4 * face + k]): flat[list(index)[4 * face + k]] for face in range(2) for k in range(4)}
+    for number, triangle in enumerate(shape["faces"]):
+        for vertex in triangle:
+            place = shape["positions"][vertex]
+            point = next(k for k, p in enumerate(mesh.GetPointsAttr().Get()) if np.allclose(p, place))
+            np.testing.assert_allclose(shape["texcoords"][vertex], wanted[number // 2, point], atol=1e-6)
+
+
+def bind_texture(stage, mesh, folder, varname):
+    import OpenImageIO
+
+    file = folder / "checks.png"
+    pixels = np.zeros((2, 2, 3), dtype=np.uint8)
+    pixels[0, 0] = pixels[1, 1] = 255
+    out = OpenImageIO.ImageOutput.create(str(file))
+    out.open(str(file), OpenImageIO.ImageSpec(2, 2, 3, "uint8"))
+    out.write_image(pixels)
+    out.close()
+    material = UsdShade.Material.Define(stage, "/Material")
+    surface = UsdShade.Shader.Define(stage, "/Material/Surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    picture = UsdShade.Shader.Define(stage, "/Material/Picture")
+    picture.CreateIdAttr("UsdUVTexture")
+    picture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(str(file))
+    reader = UsdShade.Shader.Define(stage, "/Material/Reader")
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(varname)
+    picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float2))
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(picture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+
+
+def test_primvar_normals_win_and_face_varying_ones_split_vertices(empty, polygon_mesh, only_shape):
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Fold", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1), (2, 6, 0), (2, 6, 1)], [4, 4], [0, 1, 2, 3, 1, 4, 5, 2])
+    mesh.CreateNormalsAttr([(0, 0, 1)] * 8)
+    mesh.SetNormalsInterpolation("faceVarying")
+    first, second = Gf.Vec3f(0, -1, 0), Gf.Vec3f(0.7, -0.7, 0)
+    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, "faceVarying").Set([first] * 4 + [second] * 4)
+    shape = only_shape(translate(stage))
+    assert shape["face_normals"] is False
+    np.testing.assert_allclose(shape["normals"][shape["faces"][0]], [[0, -1, 0]] * 3, atol=1e-6)
+    np.testing.assert_allclose(shape["normals"][shape["faces"][2]], [[0.5**0.5, -(0.5**0.5), 0]] * 3, atol=1e-6)
+
+
+def test_normals_stand_upright_under_uneven_scale(empty, polygon_mesh, only_shape):
+    """On a sheared and stretched plane the normal stays at right angles to its edges."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Slope", [(0, 0, 0), (1, 0, 1), (1, 1, 1), (0, 1, 0)], [4], [0, 1, 2, 3])
+    mesh.CreateNormalsAttr([(-(0.5**0.5), 0, 0.5**0.5)] * 4)
+    mesh.SetNormalsInterpolation("vertex")
+    mesh.AddTransformOp().Set(Gf.Matrix4d(3, 0.5, 0, 0, 0, 1, 0.2, 0, 0, 0, 0.4, 0, 0, 9, 0, 1))
+    shape = only_shape(translate(stage))
+    p, faces = shape["positions"].astype(float), shape["faces"]
+    flat = area_vectors(p, faces)[0]
+    np.testing.assert_allclose(shape["normals"][faces[0, 0]], flat / np.linalg.norm(flat), atol=1e-6)
+
+
+def test_subdivision_cages_get_smooth_normals_and_a_note(empty, polygon_mesh, only_shape):
+    """On the corners of a cube the mean of its three faces points along the diagonal."""
+    stage = empty()
+    box = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    quads = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
+    mesh = polygon_mesh(stage, "/Cage", box, [4] * 6, quads)
+    mesh.GetSubdivisionSchemeAttr().Set("catmullClark")
+    scene = translate(stage)
+    shape = only_shape(scene)
+    assert shape["face_normals"] is False
+    diagonal = shape["positions"] / np.linalg.norm(shape["positions"], axis=1, keepdims=True)
+    assert (np.einsum("ij,ij->i", shape["normals"], diagonal) > 0.9).all()  # 0.94: by area, a quad's two triangles may both count
+    assert any(note.path == "/Cage" and "catmullClark" in note.text for note in scene.notes)
+
+
+def test_subsets_split_a_mesh_by_material(empty, polygon_mesh):
+    """Faces of family materialBind, or bound directly, wear their own colour; other subsets do not split."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Strip", [(x, 5, z) for z in range(2) for x in range(5)], [4] * 4, [0, 1, 6, 5, 1, 2, 7, 6, 2, 3, 8, 7, 3, 4, 9, 8])
+    colors = {}
+    for name, color in (("Red", (1, 0, 0)), ("Blue", (0, 0, 1)), ("Own", (0, 1, 0))):
+        colors[name] = material = UsdShade.Material.Define(stage, f"/{name}")
+        surface = UsdShade.Shader.Define(stage, f"/{name}/Surface")
+        surface.CreateIdAttr("UsdPreviewSurface")
+        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
+        material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(colors["Own"])
+    for name, faces, family in (("Red", [0], "materialBind"), ("Blue", [1, 2], ""), ("Other", [3], "")):
+        subset = UsdGeom.Subset.Define(stage, f"/Strip/{name}Part")
+        subset.CreateElementTypeAttr("face")
+        subset.CreateIndicesAttr(faces)
+        if family:
+            subset.CreateFamilyNameAttr(family)
+        if name in colors:
+            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(colors[name])
+    scene = translate(stage)
+    found = {}
+    for part in (part for key, part in scene.world.items() if key.startswith("shape_")):
+        bsdf = scene.world[part["bsdf"]["id"]]
+        found[tuple(bsdf["bsdf"]["base_color"]["value"])] = float(np.linalg.norm(area_vectors(part["positions"], part["faces"]), axis=1).sum())
+    assert found == {(1.0, 0.0, 0.0): pytest.approx(1.0), (0.0, 0.0, 1.0): pytest.approx(2.0), (0.0, 1.0, 0.0): pytest.approx(1.0)}
+    assert len(scene.things) == 1
+
+
+def test_varying_display_color_goes_to_the_vertices(empty, polygon_mesh, only_shape):
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Quad", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
+    mesh.CreateDisplayColorPrimvar("vertex").Set([(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)])
+    scene = translate(stage)
+    shape = only_shape(scene)
+    np.testing.assert_allclose(shape["vertex_color"], [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+    assert scene.world[shape["bsdf"]["id"]]["bsdf"]["reflectance"] == {"type": "mesh_attribute", "name": "vertex_color"}
+
+
+@pytest.mark.parametrize("points, counts, indices", [
+    ([(0, 0, 0), (1, 0, 0), (float("nan"), 0, 1)], [3], [0, 1, 2]),
+    ([(0, 0, 0), (1, 0, 0), (1, 0, 1)], [3], [0, 1, 3]),
+    ([(0, 0, 0), (1, 0, 0), (1, 0, 1)], [3], [0, 1, -1]),
+    ([(0, 0, 0), (1, 0, 0), (1, 0, 1)], [-3], [0, 1, 2]),
+    ([(0, 0, 0), (1, 0, 0), (1, 0, 1)], [1_000_000_000], [0, 1, 2]),
+    ([(0, 0, 0), (1, 0, 0), (1, 0, 1)], [2, 1], [0, 1, 2]),
+    ([], [3], [0, 1, 2]),
+])  # fmt: skip
+def test_a_broken_mesh_is_left_out_with_a_note(empty, polygon_mesh, points, counts, indices):
+    stage = empty()
+    polygon_mesh(stage, "/Broken", points, counts, indices)
+    UsdGeom.Sphere.Define(stage, "/Fine")
+    scene = translate(stage)
+    assert summary(scene)["shapes"] == 1
+    assert [note.severity for note in scene.notes if note.path == "/Broken"] == ["warning"]

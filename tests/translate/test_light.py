@@ -1,0 +1,275 @@
+"""Lights: photometry in closed form, written down from the UsdLux specification."""
+
+import math
+
+import numpy as np
+import pytest
+from pxr import Gf, UsdGeom, UsdLux, Vt
+
+from synfog_usd.translate import translate
+
+TINT_4300 = (1.34255, 0.93791, 0.60611)
+"""colour-science 0.4: sd_to_XYZ(sd_blackbody(4300, 360-780 nm)) / Y in linear Rec.709."""
+
+
+def lamp_of(scene):
+    """The one local emitter, and the shape it sits on or None."""
+    shapes = [part for key, part in scene.world.items() if key.startswith("shape_") and "emitter" in part]
+    lights = [part for key, part in scene.world.items() if key.startswith("light_")]
+    assert len(shapes) + len(lights) == 1
+    return (shapes[0]["emitter"], shapes[0]) if shapes else (lights[0], None)
+
+
+def strength(emitter, name="radiance"):
+    return np.array(emitter[name]["value"])
+
+
+@pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
+@pytest.mark.parametrize("kind, size, units2", [
+    ("SphereLight", {"radius": 0.2}, 4 * math.pi * 0.2**2),
+    ("DiskLight", {"radius": 0.2}, math.pi * 0.2**2),
+    ("RectLight", {"width": 0.3, "height": 2.0}, 0.3 * 2.0),
+    ("CylinderLight", {"radius": 0.1, "length": 1.5}, 2 * math.pi * 0.1 * 1.5),
+])  # fmt: skip
+def test_normalize_divides_by_the_area_in_stage_units(empty, kind, size, units2, metres_per_unit):
+    """L = intensity 2^exposure color / area; without 'normalize' the area does not count. Caps of a cylinder do not shine."""
+    stage = empty(metres_per_unit=metres_per_unit)
+    prim = stage.DefinePrim("/Lamp", kind)
+    light = UsdLux.LightAPI(prim)
+    light.CreateIntensityAttr(30.0)
+    light.CreateExposureAttr(2.0)
+    light.CreateColorAttr((1.0, 0.5, 0.25))
+    for name, value in size.items():
+        prim.GetAttribute(f"inputs:{name}").Set(value)
+    UsdGeom.Xformable(prim).AddScaleOp().Set((2.0, 2.0, 2.0))
+    emitter, _ = lamp_of(translate(stage))
+    np.testing.assert_allclose(strength(emitter), [120.0, 60.0, 30.0], rtol=1e-6)
+    light.CreateNormalizeAttr(True)
+    emitter, _ = lamp_of(translate(stage))
+    np.testing.assert_allclose(strength(emitter), np.array([120.0, 60.0, 30.0]) / (4 * units2), rtol=1e-6)
+
+
+def test_a_stretched_sphere_has_the_area_of_an_ellipsoid(empty):
+    """Prolate spheroid, closed form with a = 1, c = 3: 2 pi a^2 (1 + c / (a e) asin e)."""
+    stage = empty()
+    light = UsdLux.SphereLight.Define(stage, "/Lamp")
+    light.CreateRadiusAttr(1.0)
+    light.CreateNormalizeAttr(True)
+    light.AddScaleOp().Set((1.0, 1.0, 3.0))
+    emitter, _ = lamp_of(translate(stage))
+    e = math.sqrt(1 - 1 / 9)
+    np.testing.assert_allclose(strength(emitter), 1 / (2 * math.pi * (1 + 3 / e * math.asin(e))), rtol=0.01)  # a mesh of 48 x 24 quads
+
+
+@pytest.mark.parametrize("normalize", [False, True])
+def test_distant_light_gives_irradiance(empty, normalize):
+    """E = L pi sin^2(angle / 2), or the intensity itself where normalized."""
+    stage = empty()
+    light = UsdLux.DistantLight.Define(stage, "/Sun")
+    light.CreateIntensityAttr(90_000.0)
+    light.CreateAngleAttr(0.53)
+    light.CreateNormalizeAttr(normalize)
+    emitter, _ = lamp_of(translate(stage))
+    wanted = 90_000.0 * (1.0 if normalize else math.pi * math.sin(math.radians(0.53) / 2) ** 2)
+    np.testing.assert_allclose(strength(emitter, "irradiance"), wanted, rtol=1e-6)
+    np.testing.assert_allclose(emitter["to_world"][:3, 2], [0, 0, -1], atol=1e-12)  # Mitsuba shines along +Z, USD along -Z
+
+
+@pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
+def test_a_point_light_keeps_the_intensity_of_its_sphere(empty, metres_per_unit):
+    """I = L pi r^2 in candela; normalized: intensity / 4 of a square unit."""
+    stage = empty(metres_per_unit=metres_per_unit)
+    light = UsdLux.SphereLight.Define(stage, "/Lamp")
+    light.CreateRadiusAttr(0.5)
+    light.CreateIntensityAttr(80.0)
+    light.CreateTreatAsPointAttr(True)
+    emitter, shape = lamp_of(translate(stage))
+    assert shape is None and emitter["type"] == "point"
+    np.testing.assert_allclose(strength(emitter, "intensity"), 80.0 * math.pi * (0.5 * metres_per_unit) ** 2, rtol=1e-6)
+    light.CreateNormalizeAttr(True)
+    np.testing.assert_allclose(strength(lamp_of(translate(stage))[0], "intensity"), 20.0 * metres_per_unit**2, rtol=1e-6)
+
+
+def test_a_headlight_is_a_spot_along_its_minus_z(empty):
+    """Candela on the axis: normalized intensity / (4 pi r^2) times pi r^2; the cone softens from cutoff (1 - softness)."""
+    stage = empty()
+    light = UsdLux.SphereLight.Define(stage, "/Lamp")
+    light.CreateRadiusAttr(0.05)
+    light.CreateIntensityAttr(20_000.0)
+    light.CreateNormalizeAttr(True)
+    light.AddTranslateOp().Set((0.7, 2, 0.7))
+    light.AddRotateXOp().Set(90.0)
+    light.AddScaleOp().Set((1, 1, 1))
+    shaping = UsdLux.ShapingAPI.Apply(light.GetPrim())
+    shaping.CreateShapingConeAngleAttr(25.0)
+    shaping.CreateShapingConeSoftnessAttr(0.3)
+    emitter, shape = lamp_of(translate(stage))
+    assert shape is None and emitter["type"] == "spot"
+    np.testing.assert_allclose(strength(emitter, "intensity"), 5_000.0, rtol=1e-6)
+    assert emitter["cutoff_angle"] == 25.0
+    np.testing.assert_allclose(emitter["beam_width"], 17.5, rtol=1e-6)
+    np.testing.assert_allclose(emitter["to_world"][:3, 2], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(emitter["to_world"][:3, 3], [0.7, 2, 0.7], atol=1e-7)
+    np.testing.assert_allclose(np.linalg.det(emitter["to_world"][:3, :3]), 1.0)
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+@pytest.mark.parametrize("kind", ["RectLight", "DiskLight"])
+def test_flat_lights_shine_along_minus_z(empty, kind, mirror):
+    """The normal of Mitsuba's rectangle and disk is the inverse transpose of +Z."""
+    stage = empty()
+    prim = stage.DefinePrim("/Lamp", kind)
+    xform = UsdGeom.Xformable(prim)
+    xform.AddRotateXOp().Set(30.0)
+    xform.AddScaleOp().Set((2.0 * mirror, 1.0, 1.0))
+    _, shape = lamp_of(translate(stage))
+    normal = np.linalg.inv(shape["to_world"][:3, :3]).T @ [0, 0, 1]
+    np.testing.assert_allclose(normal / np.linalg.norm(normal), [0, math.sin(math.radians(30)), -math.cos(math.radians(30))], atol=1e-9)
+
+
+def test_a_rect_light_covers_width_and_height(empty):
+    stage = empty()
+    light = UsdLux.RectLight.Define(stage, "/Lamp")
+    light.CreateWidthAttr(3.0)
+    light.CreateHeightAttr(0.5)
+    _, shape = lamp_of(translate(stage))
+    corners = (shape["to_world"] @ np.array([[-1, -1, 0, 1], [1, 1, 0, 1]]).T).T[:, :3]
+    np.testing.assert_allclose(np.abs(corners), [[1.5, 0.25, 0.0]] * 2, atol=1e-7)
+
+
+def test_colour_temperature_tints_without_changing_luminance(empty):
+    stage = empty()
+    light = UsdLux.SphereLight.Define(stage, "/Lamp")
+    light.CreateEnableColorTemperatureAttr(True)
+    light.CreateColorTemperatureAttr(4300.0)
+    emitter, _ = lamp_of(translate(stage))
+    np.testing.assert_allclose(strength(emitter), TINT_4300, rtol=1e-3)
+    np.testing.assert_allclose(strength(emitter) @ [0.2126, 0.7152, 0.0722], 1.0, rtol=1e-3)
+
+
+def test_inputs_without_prefix_count(empty):
+    """Files before 21.02 write 'intensity' where later ones write 'inputs:intensity'."""
+    stage = empty()
+    prim = UsdLux.SphereLight.Define(stage, "/Lamp").GetPrim()
+    prim.CreateAttribute("intensity", prim.GetAttribute("inputs:intensity").GetTypeName()).Set(12.0)
+    np.testing.assert_allclose(strength(lamp_of(translate(stage))[0]), 12.0)
+
+
+def write_map(path, pixels):
+    import OpenImageIO
+
+    height, width, _ = pixels.shape
+    out = OpenImageIO.ImageOutput.create(str(path))
+    out.open(str(path), OpenImageIO.ImageSpec(width, height, 3, "float"))
+    out.write_image(pixels.astype(np.float32))
+    out.close()
+
+
+@pytest.mark.parametrize("up, kind, pole, wanted", [
+    ("Y", "DomeLight", None, (0, 0, 1)),
+    ("Z", "DomeLight", None, (0, 1, 0)),
+    ("Z", "DomeLight_1", "scene", (0, 0, 1)),
+    ("Y", "DomeLight_1", "scene", (0, 0, 1)),
+    ("Z", "DomeLight_1", "Y", (0, 1, 0)),
+    ("Z", "DomeLight_1", "Z", (0, 0, 1)),
+    ("Y", "DomeLight_1", "Z", (0, -1, 0)),
+])  # fmt: skip
+def test_the_top_of_a_dome_map_is_its_pole(empty, tmp_path, up, kind, pole, wanted):
+    """Mitsuba's map has its top at local +Y; a Y-up stage's Z axis lies along the scene's -Y."""
+    stage = empty(up=up)
+    pixels = np.random.default_rng(1).uniform(0, 1, (4, 8, 3)).astype(np.float32)
+    write_map(tmp_path / "sky.exr", pixels)
+    light = getattr(UsdLux, kind).Define(stage, "/Sky")
+    light.CreateTextureFileAttr(str(tmp_path / "sky.exr"))
+    light.CreateIntensityAttr(3.0)
+    light.CreateColorAttr((1.0, 0.5, 2.0))
+    if pole:
+        light.CreatePoleAxisAttr(pole)
+    sky = translate(stage).world["light_sky"]
+    assert sky["type"] == "envmap"
+    np.testing.assert_allclose(sky["to_world"][:3, 1], wanted, atol=1e-12)
+    np.testing.assert_allclose(sky["bitmap"], pixels * [3.0, 1.5, 6.0], rtol=1e-5)
+
+
+def test_several_domes_add_up(empty, tmp_path):
+    """A constant is the same in all directions, so it may be added to a map."""
+    stage = empty()
+    pixels = np.random.default_rng(1).uniform(0, 1, (4, 8, 3)).astype(np.float32)
+    write_map(tmp_path / "sky.exr", pixels)
+    UsdLux.DomeLight.Define(stage, "/Map").CreateTextureFileAttr(str(tmp_path / "sky.exr"))
+    for name in "AB":
+        UsdLux.DomeLight.Define(stage, f"/{name}").CreateIntensityAttr(2.0)
+    scene = translate(stage)
+    np.testing.assert_allclose(scene.world["light_sky"]["bitmap"], pixels + 4.0, rtol=1e-5)
+    for path in ("/Map",):
+        stage.RemovePrim(path)
+    sky = translate(stage).world["light_sky"]
+    assert sky["type"] == "constant"
+    np.testing.assert_allclose(sky["radiance"]["value"], 4.0)
+
+
+def test_a_missing_sky_map_is_noted_and_leaves_its_colour(empty):
+    stage = empty()
+    UsdLux.DomeLight.Define(stage, "/Sky").CreateTextureFileAttr("./nowhere.exr")
+    scene = translate(stage)
+    assert scene.world["light_sky"]["type"] == "constant"
+    assert any(note.path == "/Sky" and "nowhere.exr" in note.text for note in scene.notes)
+
+
+def test_sampling_follows_flux_and_leaves_the_sky_its_share(empty):
+    """Lamps of 1 : 9 in flux are sampled 1 : 3, all of them together as often as the sky."""
+    stage = empty()
+    for number, intensity in enumerate((10.0, 90.0)):
+        light = UsdLux.SphereLight.Define(stage, f"/Lamp{number}")
+        light.CreateIntensityAttr(intensity)
+    UsdLux.DomeLight.Define(stage, "/Sky")
+    scene = translate(stage)
+    weights = [part["emitter"]["sampling_weight"] for key, part in scene.world.items() if key.startswith("shape_")]
+    np.testing.assert_allclose(weights, [0.25, 0.75])
+    assert scene.world["light_sky"]["sampling_weight"] == 1.0
+
+
+def test_a_mesh_with_light_api_shines(empty, polygon_mesh):
+    """Normalized intensity over its world area of 2 x 3."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Panel", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
+    mesh.AddScaleOp().Set((2.0, 1.0, 3.0))
+    UsdLux.MeshLightAPI.Apply(mesh.GetPrim())
+    light = UsdLux.LightAPI(mesh.GetPrim())
+    light.CreateIntensityAttr(600.0)
+    light.CreateNormalizeAttr(True)
+    emitter, shape = lamp_of(translate(stage))
+    assert shape["type"] == "mesh"
+    np.testing.assert_allclose(strength(emitter), 100.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["native", "points"])
+def test_lights_in_prototypes_shine_once_per_instance(empty, kind):
+    """A renderer forbids emitters in shared geometry, so each instance gets lamps of its own."""
+    stage = empty()
+    places = [(1, 5, 0), (2, 6, 1), (3, 7, 2)]
+    root = "/Proto" if kind == "native" else "/Points/Proto"
+    instancer = UsdGeom.PointInstancer.Define(stage, "/Points") if kind == "points" else None
+    if kind == "native":
+        stage.CreateClassPrim(root)
+    else:
+        stage.DefinePrim(root, "Xform")
+    UsdLux.SphereLight.Define(stage, f"{root}/Lamp").CreateRadiusAttr(0.1)
+    UsdGeom.Cube.Define(stage, f"{root}/Pole")
+    if instancer:
+        instancer.CreatePrototypesRel().AddTarget(root)
+        instancer.CreateProtoIndicesAttr([0, 0, 0])
+        instancer.CreatePositionsAttr(Vt.Vec3fArray([Gf.Vec3f(*p) for p in places]))
+    else:
+        for number, place in enumerate(places):
+            prim = stage.DefinePrim(f"/Copy{number}", "Xform")
+            prim.GetReferences().AddInternalReference(root)
+            prim.SetInstanceable(True)
+            UsdGeom.Xformable(prim).AddTranslateOp().Set(place)
+    world = translate(stage).world
+    lamps = [part for key, part in world.items() if key.startswith("shape_")]
+    np.testing.assert_allclose([part["center"] for part in lamps], places)
+    assert all("emitter" in part for part in lamps)
+    assert sum(key.startswith("instance_") for key in world) == 3
+    group = next(part for key, part in world.items() if key.startswith("group_"))
+    assert [part["type"] for name, part in group.items() if name != "type"] == ["mesh"]

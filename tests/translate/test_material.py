@@ -1,0 +1,265 @@
+"""Materials and textures: each input arrives as the number the specification gives it."""
+
+import zipfile
+
+import numpy as np
+import OpenImageIO
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdUtils
+
+from synfog_usd.translate import summary, translate
+from synfog_usd.translate.texture import SRGB_TO_LINEAR
+
+TYPES = Sdf.ValueTypeNames
+CODES = np.random.default_rng(5).integers(0, 256, (4, 4, 4), dtype=np.uint8)
+
+
+def write(path, pixels):
+    out = OpenImageIO.ImageOutput.create(str(path))
+    spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(pixels.dtype))
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    out.open(str(path), spec)
+    out.write_image(pixels)
+    out.close()
+
+
+@pytest.fixture
+def quad(empty, polygon_mesh):
+    """A quad with texture coordinates 'st' and a preview surface to fill in: (stage, surface)."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Quad", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
+    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, "vertex").Set([(0, 0), (1, 0), (1, 1), (0, 1)])
+    material = UsdShade.Material.Define(stage, "/Material")
+    surface = UsdShade.Shader.Define(stage, "/Material/Surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", TYPES.Token))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    return stage, surface
+
+
+def textured(stage, surface, name, file, channel="rgb", *, st=True, transform=None, **inputs):
+    picture = UsdShade.Shader.Define(stage, f"/Material/{name}Picture")
+    picture.CreateIdAttr("UsdUVTexture")
+    picture.CreateInput("file", TYPES.Asset).Set(str(file))
+    for key, value in inputs.items():
+        kind = TYPES.Token if isinstance(value, str) else TYPES.Float4
+        picture.CreateInput(key, kind).Set(value if isinstance(value, str) else Gf.Vec4f(*value))
+    if st:
+        reader = UsdShade.Shader.Define(stage, "/Material/Reader")
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", TYPES.String).Set("st")
+        source = reader.CreateOutput("result", TYPES.Float2)
+        if transform:
+            turned = UsdShade.Shader.Define(stage, "/Material/Turn")
+            turned.CreateIdAttr("UsdTransform2d")
+            turned.CreateInput("in", TYPES.Float2).ConnectToSource(source)
+            for key, value in transform.items():
+                turned.CreateInput(key, TYPES.Float if key == "rotation" else TYPES.Float2).Set(value)
+            source = turned.CreateOutput("result", TYPES.Float2)
+        picture.CreateInput("st", TYPES.Float2).ConnectToSource(source)
+    kind = TYPES.Color3f if name in ("diffuseColor", "emissiveColor") else TYPES.Float
+    surface.CreateInput(name, kind).ConnectToSource(picture.CreateOutput(channel, TYPES.Float3 if channel == "rgb" else TYPES.Float))
+
+
+def drawn(stage):
+    scene = translate(stage)
+    shape = scene.world["shape_0"]
+    return scene, shape, scene.world[shape["bsdf"]["id"]]
+
+
+def srgb(code):
+    """IEC 61966-2-1, for one 8-bit code."""
+    v = code / 255
+    return v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4
+
+
+def test_the_table_of_srgb_codes_is_the_standard():
+    np.testing.assert_allclose(SRGB_TO_LINEAR, [srgb(code) for code in range(256)], rtol=1e-6)
+    assert SRGB_TO_LINEAR[0] == 0 and SRGB_TO_LINEAR[255] == 1
+
+
+def test_unauthored_inputs_take_the_specifications_fallbacks(quad):
+    """diffuseColor 0.18, roughness 0.5, ior 1.5, no metal, no coat, opaque."""
+    _, _, bsdf = drawn(quad[0])
+    assert bsdf["type"] == "twosided"
+    np.testing.assert_allclose(bsdf["bsdf"].pop("base_color")["value"], 0.18, rtol=1e-6)
+    assert bsdf["bsdf"] == {"type": "principled", "roughness": 0.5, "eta": 1.5}
+
+
+def test_constants_arrive(quad):
+    stage, surface = quad
+    for name, kind, value in (
+        ("diffuseColor", TYPES.Color3f, (0.1, 0.2, 0.3)), ("roughness", TYPES.Float, 0.25), ("metallic", TYPES.Float, 1.0), ("ior", TYPES.Float, 1.33),
+        ("clearcoat", TYPES.Float, 0.5), ("clearcoatRoughness", TYPES.Float, 0.25),
+    ):  # fmt: skip
+        surface.CreateInput(name, kind).Set(value)
+    _, _, bsdf = drawn(stage)
+    inner = bsdf["bsdf"]
+    np.testing.assert_allclose(inner["base_color"]["value"], [0.1, 0.2, 0.3], rtol=1e-6)
+    found = [inner[key] for key in ("roughness", "metallic", "eta", "clearcoat", "clearcoat_gloss")]
+    np.testing.assert_allclose(found, [0.25, 1.0, 1.33, 0.5, 0.75], rtol=1e-6)
+
+
+def test_an_input_connected_to_the_materials_interface_is_followed(quad):
+    stage, surface = quad
+    knob = UsdShade.Material.Get(stage, "/Material").CreateInput("shine", TYPES.Float)
+    knob.Set(0.125)
+    surface.CreateInput("roughness", TYPES.Float).ConnectToSource(knob)
+    assert drawn(stage)[2]["bsdf"]["roughness"] == 0.125
+
+
+@pytest.mark.parametrize("opacity, threshold, wanted", [(1.0, 0.0, None), (0.3, 0.0, 0.3), (0.3, 0.5, 0.0), (0.6, 0.5, None)])
+def test_opacity_masks(quad, opacity, threshold, wanted):
+    stage, surface = quad
+    surface.CreateInput("opacity", TYPES.Float).Set(opacity)
+    surface.CreateInput("opacityThreshold", TYPES.Float).Set(threshold)
+    _, _, bsdf = drawn(stage)
+    if wanted is None:
+        assert bsdf["type"] == "twosided"
+    else:
+        assert bsdf["type"] == "mask" and bsdf["bsdf"]["type"] == "twosided"
+        np.testing.assert_allclose(bsdf["opacity"], wanted, rtol=1e-6)
+
+
+def test_emission_is_in_nits_and_sits_on_the_shape(quad):
+    stage, surface = quad
+    surface.CreateInput("emissiveColor", TYPES.Color3f).Set((50, 5, 0))
+    _, shape, _ = drawn(stage)
+    assert shape["emitter"]["type"] == "area"
+    np.testing.assert_allclose(shape["emitter"]["radiance"]["value"], [50, 5, 0])
+
+
+@pytest.mark.parametrize("space, is_srgb", [("auto", True), ("sRGB", True), ("raw", False)])
+def test_colour_space_of_an_8_bit_picture(quad, tmp_path, space, is_srgb):
+    """'auto' takes 3 channels of 8 bit for sRGB; those stay as codes, which the renderer decodes; raw ones are value / 255."""
+    stage, surface = quad
+    write(tmp_path / "a.png", CODES[..., :3])
+    textured(stage, surface, "diffuseColor", tmp_path / "a.png", sourceColorSpace=space)
+    _, _, bsdf = drawn(stage)
+    color = bsdf["bsdf"]["base_color"]
+    assert color["raw"] is False
+    if is_srgb:
+        np.testing.assert_array_equal(color["bitmap"], CODES[..., :3])
+        assert color["bitmap"].dtype == np.uint8
+    else:
+        np.testing.assert_allclose(color["bitmap"], CODES[..., :3] / 255, rtol=1e-6)
+
+
+@pytest.mark.parametrize("pixels", [CODES[..., :1], np.uint16(257) * CODES[..., :3].astype(np.uint16)])
+def test_auto_takes_grey_and_16_bit_pictures_as_linear(quad, tmp_path, pixels):
+    stage, surface = quad
+    write(tmp_path / "a.png", pixels)
+    textured(stage, surface, "diffuseColor", tmp_path / "a.png")
+    _, _, bsdf = drawn(stage)
+    wanted = np.broadcast_to(CODES[..., : pixels.shape[2]] / 255, (4, 4, 3))
+    np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["bitmap"], wanted, rtol=1e-5)
+
+
+@pytest.mark.parametrize("channel, index", [("r", 0), ("g", 1), ("b", 2), ("a", 3)])
+def test_a_number_takes_one_channel(quad, tmp_path, channel, index):
+    """Packed maps keep roughness in one channel; alpha is never decoded, nor multiplied into the rest."""
+    stage, surface = quad
+    write(tmp_path / "orm.png", CODES)
+    textured(stage, surface, "roughness", tmp_path / "orm.png", channel, sourceColorSpace="raw")
+    _, _, bsdf = drawn(stage)
+    found = bsdf["bsdf"]["roughness"]
+    assert found["raw"] is True
+    np.testing.assert_allclose(found["bitmap"][..., 0], CODES[..., index] / 255, rtol=1e-6)
+
+
+def test_scale_and_bias_come_after_decoding(quad, tmp_path):
+    stage, surface = quad
+    write(tmp_path / "a.png", CODES[..., :3])
+    textured(stage, surface, "diffuseColor", tmp_path / "a.png", scale=(0.5, 0.25, 0.75, 1), bias=(0.25, 0.1, 0.0, 0))
+    _, _, bsdf = drawn(stage)
+    wanted = np.vectorize(srgb)(CODES[..., :3]) * [0.5, 0.25, 0.75] + [0.25, 0.1, 0.0]
+    np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["bitmap"], wanted, rtol=1e-5)
+
+
+def test_a_picture_without_coordinates_is_its_corner_texel(quad, tmp_path):
+    """Without 'st' the specification reads at (0, 0): the lower left, which is the last row of the file."""
+    stage, surface = quad
+    write(tmp_path / "a.png", CODES[..., :3])
+    textured(stage, surface, "diffuseColor", tmp_path / "a.png", st=False)
+    _, shape, bsdf = drawn(stage)
+    np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["value"], [srgb(c) for c in CODES[3, 0, :3]], rtol=1e-5)
+    assert "texcoords" not in shape
+
+
+def test_a_missing_picture_is_its_fallback_and_a_note(quad):
+    stage, surface = quad
+    textured(stage, surface, "diffuseColor", "./gone.png", fallback=(0.5, 0.25, 0.125, 1))
+    scene, _, bsdf = drawn(stage)
+    np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["value"], [0.5, 0.25, 0.125])
+    assert any("gone.png" in note.text and note.severity == "warning" for note in scene.notes)
+
+
+def test_a_broken_picture_is_its_fallback_and_a_note(quad, tmp_path):
+    stage, surface = quad
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
+    textured(stage, surface, "diffuseColor", tmp_path / "a.png", fallback=(0.5, 0.25, 0.125, 1))
+    scene, _, bsdf = drawn(stage)
+    np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["value"], [0.5, 0.25, 0.125])
+    assert any("a.png" in note.text and note.severity == "warning" for note in scene.notes)
+
+
+def test_texture_transform_scales_turns_and_shifts_in_that_order(quad, tmp_path):
+    """UsdTransform2d: in * scale, rotated counter-clockwise, + translation."""
+    stage, surface = quad
+    write(tmp_path / "a.png", CODES[..., :3])
+    textured(stage, surface, "diffuseColor", tmp_path / "a.png", transform={"scale": (2, 3), "rotation": 90.0, "translation": (0.25, 0.5)})
+    _, shape, _ = drawn(stage)
+    by_corner = {tuple(np.round(p[[0, 2]]).astype(int)): uv for p, uv in zip(shape["positions"], shape["texcoords"], strict=True)}
+    for (u, v), found in by_corner.items():
+        np.testing.assert_allclose(found, [-3 * v + 0.25, 2 * u + 0.5], atol=1e-6)
+
+
+@pytest.mark.parametrize("wrap, wanted", [("repeat", "repeat"), ("mirror", "mirror"), ("clamp", "clamp"), ("black", "clamp")])
+def test_wrap_modes(quad, tmp_path, wrap, wanted):
+    stage, surface = quad
+    write(tmp_path / "a.png", CODES[..., :3])
+    textured(stage, surface, "diffuseColor", tmp_path / "a.png", wrapS=wrap, wrapT=wrap)
+    assert drawn(stage)[2]["bsdf"]["base_color"]["wrap_mode"] == wanted
+
+
+def test_a_mesh_without_the_coordinates_that_its_material_reads_is_noted(quad, tmp_path):
+    stage, surface = quad
+    write(tmp_path / "a.png", CODES[..., :3])
+    textured(stage, surface, "diffuseColor", tmp_path / "a.png")
+    UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Quad")).RemovePrimvar("st")
+    scene, shape, bsdf = drawn(stage)
+    np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["value"], [srgb(c) for c in CODES[3, 0, :3]], rtol=1e-5)
+    assert "texcoords" not in shape and any(note.path == "/Quad" and "'st'" in note.text for note in scene.notes)
+
+
+def test_pictures_inside_a_usdz_are_read(quad, tmp_path):
+    stage, surface = quad
+    write(tmp_path / "a.png", CODES[..., :3])
+    textured(stage, surface, "diffuseColor", "./a.png")
+    stage.GetRootLayer().Export(str(tmp_path / "quad.usdc"))
+    assert UsdUtils.CreateNewUsdzPackage(str(tmp_path / "quad.usdc"), str(tmp_path / "quad.usdz"))
+    assert len(zipfile.ZipFile(tmp_path / "quad.usdz").namelist()) == 2
+    (tmp_path / "a.png").unlink()
+    _, _, bsdf = drawn(Usd.Stage.Open(str(tmp_path / "quad.usdz")))
+    np.testing.assert_array_equal(bsdf["bsdf"]["base_color"]["bitmap"], CODES[..., :3])
+
+
+def test_shapes_without_a_material_take_display_colour_or_grey(empty):
+    stage = empty()
+    UsdGeom.Cube.Define(stage, "/Plain")
+    UsdGeom.Xform.Define(stage, "/Group")
+    UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Group")).CreatePrimvar("displayColor", TYPES.Color3fArray, "constant").Set([(0.25, 0.5, 0.75)])
+    for name in "AB":
+        UsdGeom.Cube.Define(stage, f"/Group/{name}")
+    scene = translate(stage)
+    colors = [scene.world[scene.world[f"shape_{n}"]["bsdf"]["id"]]["bsdf"]["reflectance"]["value"] for n in range(3)]
+    np.testing.assert_allclose(colors, [[0.18] * 3, [0.25, 0.5, 0.75], [0.25, 0.5, 0.75]])
+    assert summary(scene)["materials"] == 2
+
+
+def test_an_unknown_shader_is_grey_and_noted(quad):
+    stage, surface = quad
+    surface.GetIdAttr().Set("arnold:standard_surface")
+    scene, _, bsdf = drawn(stage)
+    np.testing.assert_allclose(bsdf["bsdf"]["reflectance"]["value"], 0.18)
+    assert any(note.path == "/Material" and "arnold:standard_surface" in note.text for note in scene.notes)
