@@ -29,7 +29,8 @@ def volpath() -> Any:
     return backend.mitsuba().load_dict({"type": "volpath", "max_depth": -1, "rr_depth": RR_DEPTH})
 
 
-RR_DEPTH = 16
+RR_DEPTH = 8
+"""Events before Russian roulette.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8 and 16 alike, 2 and 40 a fifth to a quarter worse."""
 
 MODELS: dict[str, Callable[[], Any]] = {"volpath": volpath}
 
