@@ -1,1 +1,20 @@
-"""A room of the house; see docs/architecture.md."""
+"""Node graphs: ops, their order, and the checks that a YAML file goes through."""
+
+from synfog_usd.graph.engine import Bound, GraphRun, Node, NodeGraph, load_graph
+from synfog_usd.graph.op import Auto, FromProfile, Op, Parameter, Port, Profile, Range, Registry
+
+__all__ = [
+    "Auto",
+    "Bound",
+    "FromProfile",
+    "GraphRun",
+    "Node",
+    "NodeGraph",
+    "Op",
+    "Parameter",
+    "Port",
+    "Profile",
+    "Range",
+    "Registry",
+    "load_graph",
+]

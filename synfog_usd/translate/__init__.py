@@ -1,1 +1,6 @@
-"""A room of the house; see docs/architecture.md."""
+"""From a USD stage to a scene in Mitsuba's vocabulary; writes nothing to the stage."""
+
+from synfog_usd.translate.assemble import translate
+from synfog_usd.translate.report import summary
+
+__all__ = ["summary", "translate"]

@@ -36,7 +36,8 @@ def test_a_wall_at_50_m_in_mor_150_dims_by_beer_and_lambert(tmp_path, meters_per
 def test_the_same_world_in_other_units_gives_the_same_radiance(tmp_path):
     """Metres and centimetres, Z up and Y up: same picture with the same random numbers, and none differs by more than rounding can."""
     pictures = [
-        render(scene(tmp_path, meters_per_unit=unit, up=up, lamp=True), samples=64, seed=1).radiance.pixels.astype(np.float64).mean(axis=2) for unit, up in UNITS
+        render(scene(tmp_path, meters_per_unit=unit, up=up, lamp=True), samples=64, seed=1).radiance.pixels.astype(np.float64).mean(axis=2)
+        for unit, up in UNITS
     ]
     for other in pictures[1:]:
         # Rounding in float32 turns some paths onto other ways, so pixels differ by noise and means by much less.

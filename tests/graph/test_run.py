@@ -134,6 +134,15 @@ outputs: {rest.exr: rest}
     np.testing.assert_array_equal(run["rest"].pixels, 2 * radiance.pixels + 2)
 
 
+def test_a_node_that_changes_no_quantity_can_be_left_out(tmp_path, registry, radiance):
+    graph = load(tmp_path, registry)
+    run = graph.without(["noise"]).run({"radiance": radiance}, seed=0, settings={"time_s": 1.0})
+    np.testing.assert_array_equal(run["adc"].pixels, radiance.pixels[..., :1] * 2)
+    for name in ("expose", "adc"):
+        with pytest.raises(GraphError, match="cannot be left out"):
+            graph.without([name])
+
+
 def test_an_error_inside_an_op_gets_the_place_of_its_node(tmp_path, radiance):
     ops = Registry()
 

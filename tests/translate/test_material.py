@@ -263,3 +263,27 @@ def test_an_unknown_shader_is_grey_and_noted(quad):
     scene, _, bsdf = drawn(stage)
     np.testing.assert_allclose(bsdf["bsdf"]["reflectance"]["value"], 0.18)
     assert any(note.path == "/Material" and "arnold:standard_surface" in note.text for note in scene.notes)
+
+
+def test_a_shining_picture_is_radiance_times_its_scale(quad, tmp_path):
+    """emissiveColor = decoded texel x scale, in nits; the lamp's share of samples follows its mean."""
+    stage, surface = quad
+    write(tmp_path / "a.png", CODES[..., :3])
+    textured(stage, surface, "emissiveColor", tmp_path / "a.png", scale=(200.0, 100.0, 50.0, 1.0))
+    _, shape, _ = drawn(stage)
+    np.testing.assert_allclose(shape["emitter"]["radiance"]["bitmap"], np.vectorize(srgb)(CODES[..., :3]) * [200, 100, 50], rtol=1e-5)
+    assert "texcoords" in shape
+
+
+def test_equal_materials_are_one(empty, polygon_mesh):
+    """Referenced assets bring a copy of each material; constants that agree are kept once, unused ones not at all."""
+    stage = empty()
+    for number in range(3):
+        mesh = polygon_mesh(stage, f"/M{number}", [(0, 5, 0), (1, 5, 0), (1, 5, 1)], [3], [0, 1, 2])
+        material = UsdShade.Material.Define(stage, f"/Paint{number}")
+        surface = UsdShade.Shader.Define(stage, f"/Paint{number}/Surface")
+        surface.CreateIdAttr("UsdPreviewSurface")
+        surface.CreateInput("roughness", TYPES.Float).Set(0.25)
+        material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", TYPES.Token))
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    assert sum(key.startswith("mat_") for key in translate(stage).world) == 1

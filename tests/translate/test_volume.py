@@ -92,12 +92,19 @@ def test_fog_can_be_switched_off(empty, how):
 
 @pytest.mark.parametrize("name, value", [
     ("mor", 0.0), ("mor", -5.0), ("mor", math.nan), ("mor", 1e-4), ("sigma_t", -0.1), ("contrast", 1.0), ("albedo", 1.5), ("g", 1.0),
-    ("scaleHeight", 0.0), ("phase", "mie"), ("profile", "grid"), ("mor", "thick"), ("morr", 100.0),
+    ("scaleHeight", 0.0), ("phase", "mie"), ("profile", "grid"), ("morr", 100.0),
 ])  # fmt: skip
 def test_bad_values_are_refused_with_prim_and_attribute(empty, name, value):
     stage = empty()
     fog_box(stage, "/World_Fog", **{name: value})
     with pytest.raises(StageError, match=rf"/World_Fog.*synfog:fog:{name}"):
+        translate(stage)
+
+
+def test_a_word_in_place_of_a_number_is_refused(empty):
+    stage = empty()
+    fog_box(stage, "/Fog").GetPrim().CreateAttribute("userProperties:synfog_mor", TYPES.String).Set("thick")
+    with pytest.raises(StageError, match=r"/Fog: userProperties:synfog_mor = 'thick' is not a finite number"):
         translate(stage)
 
 

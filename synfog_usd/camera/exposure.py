@@ -1,0 +1,134 @@
+"""Automatic exposure: metered on the clear frame, then locked for every fog.
+
+Takes a radiance image and the graph that will develop it; gives exposure time and
+ISO.  A lamp or the sun does not move it: it looks at the geometric mean of the
+frame and keeps large bright areas, not points, from clipping.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from synfog_usd.camera import light
+from synfog_usd.camera.optics import block_means
+from synfog_usd.camera.profiles import SensorProfile
+from synfog_usd.errors import GraphError
+from synfog_usd.graph import NodeGraph
+from synfog_usd.image import Image, Quantity
+
+DAY_KEY = 0.12
+"""Where the frame's geometric mean goes by day [part of saturation].  Below the
+photographer's 0.18: fog lifts a frame towards the luminance of its sky, and that
+must not clip."""
+
+NIGHT_KEY = 0.04
+"""The same at night: night should look like night."""
+
+DAY_CD_M2, NIGHT_CD_M2 = 50.0, 0.5
+"""Geometric mean luminance from which on it is day, and up to which it is night; between them the logarithm counts."""
+
+HIGHLIGHT_PERCENTILE = 95.0
+"""Bright areas smaller than the other 5 % of the frame (lamps, sun, glints) may clip."""
+
+DAY_HIGHLIGHT, NIGHT_HIGHLIGHT = 0.55, 0.07
+"""Part of saturation that the percentile may reach: a day's sky, and a road under street lamps."""
+
+BLURS = ("optics.diffraction", "optics.glare")
+"""Left out when metering: in a small copy they would spread a lamp over streets."""
+
+METER_WIDTH_PX = 320
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """How a frame is exposed; hand `settings` to `NodeGraph.run` for every fog of the pair.
+
+    Attributes:
+        exposure_s: time [s].
+        iso: ISO speed.
+        mean_cd_m2: geometric mean luminance that was metered [cd m-2]; 0 where all is black.
+        limit: 'none', or the end of the sensor's range that was reached: 'bright' or 'dark'.
+    """
+
+    exposure_s: float
+    iso: float
+    mean_cd_m2: float = 0.0
+    limit: Literal["none", "bright", "dark"] = "none"
+
+    @property
+    def settings(self) -> dict[str, float]:
+        """What the `auto` parameters of a graph look up."""
+        return {"exposure_s": self.exposure_s, "iso": self.iso}
+
+
+def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) -> Exposure:
+    """Exposure for a clear frame, by running the graph's own lens and pixels on a small copy of it.
+
+    The geometric mean of the green signal (the brightest 5 % cut to their lower
+    edge) goes to a key between `NIGHT_KEY` and `DAY_KEY`, but the 95th percentile
+    of the strongest channel stays at or below `NIGHT_HIGHLIGHT` to `DAY_HIGHLIGHT`.
+    Time first, from the sensor's shortest to its longest; then ISO.  What the graph
+    gives as a number stays, and the other makes up for it.
+
+    Args:
+        radiance: the clear frame.
+        graph: has one 'sensor.expose' node and a sensor profile.
+        compensation_ev: + is brighter [EV].
+
+    Raises:
+        GraphError: the graph exposes nothing, or several times.
+    """
+    nodes = graph.nodes_with("sensor.expose")
+    sensor = graph.profiles.get("sensor")
+    inputs = [name for name, port in graph.inputs.items() if port.quantity is Quantity.RADIANCE]
+    if len(nodes) != 1 or not isinstance(sensor, SensorProfile) or len(inputs) != 1:
+        raise GraphError(f"graph {graph.name!r} cannot be metered: it needs one sensor.expose node, a sensor and one radiance input; give exposure_s a number")
+    small = np.repeat(np.repeat(block_means(radiance.pixels, max(1, -(-radiance.width_px // METER_WIDTH_PX))), 2, axis=0), 2, axis=1)
+    frame = radiance.with_pixels(small)
+    name = nodes[0].name
+    sharp = graph.without([node.name for op in BLURS for node in graph.nodes_with(op)])
+    mosaic = sharp.run({inputs[0]: frame}, seed=0, overrides={f"{name}.exposure_s": 1.0}, until=name, keep=[name])[name].pixels[..., 0]
+    quads = np.stack([mosaic[0::2, 0::2], mosaic[0::2, 1::2], mosaic[1::2, 1::2]]).astype(np.float64) / sensor.saturation_e
+    green, strongest = quads[1].ravel(), quads.max(axis=0).ravel()
+    fixed_s = None if nodes[0].params["exposure_s"].is_auto else float(nodes[0].params["exposure_s"].value)
+    gains = graph.nodes_with("sensor.gain")
+    fixed_iso = float(gains[0].params["iso"].value) if gains and not gains[0].params["iso"].is_auto else None
+    return _chosen(green, strongest, light.luminance(frame)[::2, ::2].ravel().astype(np.float64), sensor, 2.0**compensation_ev, fixed_s, fixed_iso)
+
+
+def _chosen(
+    green: np.ndarray,
+    strongest: np.ndarray,
+    luminance: np.ndarray,
+    sensor: SensorProfile,
+    compensation: float,
+    fixed_s: float | None,
+    fixed_iso: float | None,
+) -> Exposure:
+    key_per_s, mean_cd_m2 = _geometric_mean(green), _geometric_mean(luminance)
+    if key_per_s <= 0.0:
+        return Exposure(fixed_s or sensor.longest_exposure_s, fixed_iso or sensor.iso_max, 0.0, "dark")
+    day = float(np.interp(np.log10(max(mean_cd_m2, 1e-30)), np.log10([NIGHT_CD_M2, DAY_CD_M2]), [0.0, 1.0]))
+    wanted_s = (NIGHT_KEY + day * (DAY_KEY - NIGHT_KEY)) / key_per_s
+    highlight_per_s = float(np.percentile(strongest, HIGHLIGHT_PERCENTILE))
+    if highlight_per_s > 0.0:
+        wanted_s = min(wanted_s, (NIGHT_HIGHLIGHT + day * (DAY_HIGHLIGHT - NIGHT_HIGHLIGHT)) / highlight_per_s)
+    wanted_s *= compensation
+    at_iso = (fixed_iso or sensor.iso_base) / sensor.iso_base
+    exposure_s = fixed_s or min(max(wanted_s / at_iso, sensor.shortest_exposure_s), sensor.longest_exposure_s)
+    iso = fixed_iso or min(max(sensor.iso_base * (wanted_s / exposure_s), sensor.iso_base), sensor.iso_max)
+    reached_s = exposure_s * iso / sensor.iso_base
+    limit: Literal["none", "bright", "dark"] = "bright" if reached_s > wanted_s * (1.0 + 1e-9) else "dark" if reached_s < wanted_s * (1.0 - 1e-9) else "none"
+    return Exposure(exposure_s, iso, mean_cd_m2, limit)
+
+
+def _geometric_mean(values: np.ndarray) -> float:
+    """Geometric mean between a thousandth of the 95th percentile and that percentile; 0 where nothing shines."""
+    for percentile in (HIGHLIGHT_PERCENTILE, 99.0, 99.9, 100.0):
+        top = float(np.percentile(values, percentile))
+        if top > 0.0:
+            return float(np.exp(np.mean(np.log(np.clip(values, top * 1e-3, top)))))
+    return 0.0

@@ -1,0 +1,115 @@
+"""What the channels of a radiance image are made of: one spectrum per channel.
+
+An R, G, B picture is linear Rec.709 in cd m-2; its channels get the spectra that
+Mallett and Yuksel fitted to sRGB, lit by D65.  Bands are boxes around their
+centres.  colour-science is imported on first use.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import re
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.camera.science import colour_science
+from synfog_usd.constants import LUMINOUS_EFFICACY_LM_W
+from synfog_usd.errors import ImageError
+from synfog_usd.image import Image
+
+Array = npt.NDArray[np.float64]
+
+WAVELENGTHS_NM: Array = np.arange(380.0, 781.0, 1.0)
+"""The grid of every spectral integral here: 380 to 780 nm in steps of 1 nm."""
+
+_BAND = re.compile(r"S0\.(\d+)(?:,(\d+))?nm")
+
+
+def band_name(centre_nm: float) -> str:
+    """Channel name of a band, after Fichet et al. (2021).
+
+    >>> band_name(550.0)
+    'S0.550,000000nm'
+    """
+    return "S0." + f"{centre_nm:.6f}".replace(".", ",") + "nm"
+
+
+def band_centre_nm(channel: str) -> float | None:
+    """Centre [nm] of a band by its channel name; None where the name is not a band's."""
+    match = _BAND.fullmatch(channel)
+    return float(f"{match[1]}.{match[2] or 0}") if match else None
+
+
+def is_rgb(channels: Sequence[str]) -> bool:
+    """Whether the channels are linear Rec.709."""
+    return tuple(channels) == ("R", "G", "B")
+
+
+@functools.lru_cache(maxsize=16)
+def channel_spectra(channels: tuple[str, ...]) -> Array:
+    """Spectrum of one unit of each channel.
+
+    R, G, B: basis(lambda) * D65(lambda), scaled so that (1, 1, 1) has a luminance
+    of 1 cd m-2; then (1, 1, 1) has the colour of D65.  Bands: a box of height 1
+    that ends half-way to the next band.
+
+    Args:
+        channels: ('R', 'G', 'B'), or two and more bands in rising order.
+
+    Returns:
+        (C, 401) float64 on `WAVELENGTHS_NM`, W m-2 sr-1 nm-1 per unit of the channel.
+
+    Raises:
+        ImageError: other channels.
+
+    Source: Mallett and Yuksel, "Spectral Primary Decomposition for Rendering with
+    sRGB Reflectance" (2019), from colour-science.
+    """
+    if is_rgb(channels):
+        colour = colour_science()
+
+        basis = colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019
+        shapes = np.array([np.interp(WAVELENGTHS_NM, basis.wavelengths, basis.values[:, index]) for index in range(3)])
+        lit = shapes * illuminant("D65")
+        return lit / luminance_of(lit.sum(axis=0))
+    centres = [band_centre_nm(name) for name in channels]
+    known = [centre for centre in centres if centre is not None]
+    if len(known) < 2 or len(known) < len(centres) or any(a >= b for a, b in itertools.pairwise(known)):
+        raise ImageError(f"channels {', '.join(channels)} are neither R, G, B nor two or more rising bands such as {band_name(550.0)}")
+    centre = np.array(known)
+    middle = (centre[:-1] + centre[1:]) / 2
+    edges = np.concatenate([[2 * centre[0] - middle[0]], middle, [2 * centre[-1] - middle[-1]]])
+    below = np.clip(edges[1:, None] - (WAVELENGTHS_NM - 0.5), 0.0, 1.0)  # a sample stands for its own nanometre: partly covered at an edge
+    return np.asarray(np.minimum(below, np.clip(WAVELENGTHS_NM + 0.5 - edges[:-1, None], 0.0, 1.0)))
+
+
+@functools.lru_cache(maxsize=4)
+def illuminant(name: str) -> Array:
+    """Relative spectral power of a CIE illuminant, 'D65' or 'A', on `WAVELENGTHS_NM`."""
+    colour = colour_science()
+
+    table = colour.SDS_ILLUMINANTS[name]
+    return np.interp(WAVELENGTHS_NM, table.wavelengths, table.values)
+
+
+@functools.lru_cache(maxsize=1)
+def observer() -> Array:
+    """(3, 401) colour matching functions of the CIE 1931 2 degree observer on `WAVELENGTHS_NM`."""
+    colour = colour_science()
+
+    table = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    return np.array([np.interp(WAVELENGTHS_NM, table.wavelengths, table.values[:, index]) for index in range(3)])
+
+
+def luminance_of(spectrum: Array) -> float:
+    """Luminance [cd m-2] of a spectral radiance [W m-2 sr-1 nm-1] on `WAVELENGTHS_NM`."""
+    return LUMINOUS_EFFICACY_LM_W * float(np.sum(spectrum * observer()[1]))
+
+
+def luminance(image: Image) -> npt.NDArray[np.float32]:
+    """(H, W) luminance [cd m-2] of a radiance image."""
+    weights = [luminance_of(spectrum) for spectrum in channel_spectra(image.channels)]
+    return np.asarray(image.pixels @ np.array(weights, dtype=np.float32))

@@ -1,0 +1,261 @@
+"""Ops of the sensor in the order of EMVA 1288: from irradiance to numbers.
+
+Electrons and DN are mosaics of one channel, 'CFA', with R G over G B.  Temporal
+noise comes from the node's own stream; PRNU and DSNU from the sensor's serial, the
+same in every frame.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Annotated
+
+import numpy as np
+
+from synfog_usd import seeds
+from synfog_usd.camera import response
+from synfog_usd.camera.profiles import SensorProfile
+from synfog_usd.camera.registry import OPS
+from synfog_usd.errors import ImageError
+from synfog_usd.graph import Auto, FromProfile, Port, Range
+from synfog_usd.image import FloatArray, Image, Quantity
+
+ELECTRONS = Port(Quantity.ELECTRONS, "mosaic")
+AMPLIFIED = Port(Quantity.DN, "analog")
+NUMBERS = Port(Quantity.DN, "mosaic")
+
+MAX_MEAN_E = 1e15
+"""A million times any well; numpy draws Poisson numbers up to 9e18."""
+
+
+@OPS.op("sensor.expose", takes=Quantity.IRRADIANCE, gives=ELECTRONS)
+def expose(
+    image: Image,
+    *,
+    exposure_s: Annotated[float, Range(0.0, 3600.0, above=True), Auto()],
+    pixel_pitch_um: Annotated[float, Range(0.3, 50.0), FromProfile("sensor.pixel_pitch_um")],
+    fill_factor: Annotated[float, Range(0.01, 1.0), FromProfile("sensor.fill_factor")],
+    sensor: Annotated[SensorProfile, FromProfile("sensor")],
+) -> Image:
+    """Mean number of electrons that light frees in each pixel behind its colour filter.
+
+    mu = t * A * integral of E QE lambda / (h c) d lambda.  One pixel of the image
+    is one pixel of the sensor: a smaller picture is a crop, not a binned frame.
+
+    Args:
+        image: irradiance (H, W, C), R, G, B [lux] or bands [W m-2 nm-1].
+        exposure_s: t [s].
+        pixel_pitch_um: side of a pixel [um]; twice the sensor's for 2 x 2 binning.
+        fill_factor: light-sensitive part [1].
+        sensor: its quantum efficiency counts.
+
+    Source: EMVA 1288 release 4.0, section 2.1.
+    """
+    rate = response.electrons_per_second(sensor, image.channels, pixel_pitch_um=pixel_pitch_um, fill_factor=fill_factor)
+    weights = (rate * exposure_s).astype(np.float32)
+    mosaic = np.zeros((image.height_px, image.width_px, 1), dtype=np.float32)
+    for row in (0, 1):
+        for column in (0, 1):
+            site = mosaic[row::2, column::2, 0]
+            for channel, weight in enumerate(weights[response.BAYER_RGGB[row][column]]):
+                site += image.pixels[row::2, column::2, channel] * weight
+    np.maximum(mosaic, 0.0, out=mosaic)
+    return image.with_pixels(mosaic, channels=("CFA",), quantity=Quantity.ELECTRONS).noted(
+        exposure_s=exposure_s, pixel_pitch_um=pixel_pitch_um, sensor=sensor.name, sensor_title=sensor.title, sensor_serial=sensor.serial, cfa_pattern="RGGB"
+    )
+
+
+@OPS.op("sensor.prnu", takes=ELECTRONS, gives=ELECTRONS)
+def prnu(
+    image: Image,
+    *,
+    prnu_percent: Annotated[float, Range(0.0, 20.0), FromProfile("sensor.prnu_percent")],
+    serial: Annotated[str, FromProfile("sensor.serial")],
+) -> Image:
+    """Photo response non-uniformity: every pixel has a gain of its own, for ever.
+
+    Args:
+        image: mean electrons.
+        prnu_percent: standard deviation of the gain [%].
+        serial: which specimen.
+
+    Source: EMVA 1288 release 4.0, section 4.
+    """
+    gain = np.float32(1.0) + np.float32(prnu_percent / 100.0) * _pattern(serial, "prnu", image.height_px, image.width_px)
+    return image.with_pixels(np.maximum(image.pixels * gain, 0.0))
+
+
+@OPS.op("sensor.dark_current", takes=ELECTRONS, gives=ELECTRONS)
+def dark_current(
+    image: Image,
+    *,
+    dark_current_e_s: Annotated[float, Range(0.0, 1e7), FromProfile("sensor.dark_current_e_s")],
+    temperature_c: Annotated[float, Range(-60.0, 150.0)] = 25.0,
+    doubling_k: Annotated[float, Range(1.0, 50.0)] = 8.0,
+) -> Image:
+    """Electrons that heat frees during the exposure, before shot noise.
+
+    mu_dark = t * I * 2^((T - 25) / T_d).
+
+    Args:
+        image: mean electrons; its provenance holds the exposure time.
+        dark_current_e_s: I, at 25 degrees C [e-/s].
+        temperature_c: T of the sensor [degrees C].
+        doubling_k: T_d, the warming that doubles it [K].
+
+    Source: EMVA 1288 release 4.0, section 7.
+    """
+    dark_e = dark_current_e_s * 2.0 ** ((temperature_c - 25.0) / doubling_k) * _fact(image, "exposure_s", "sensor.expose")
+    return image.with_pixels(image.pixels + np.float32(dark_e)).noted(dark_e=dark_e)
+
+
+@OPS.op("sensor.shot_noise", takes=ELECTRONS, gives=ELECTRONS)
+def shot_noise(image: Image, *, rng: np.random.Generator) -> Image:
+    """The count of electrons that really came: exactly Poisson, at every level.
+
+    Args:
+        image: mean electrons, >= 0.
+        rng: the node's stream.
+    """
+    return image.with_pixels(rng.poisson(np.minimum(image.pixels, MAX_MEAN_E).astype(np.float64)).astype(np.float32))
+
+
+@OPS.op("sensor.full_well", takes=ELECTRONS, gives=ELECTRONS)
+def full_well(image: Image, *, full_well_e: Annotated[float, Range(1.0, 1e9), FromProfile("sensor.full_well_e")]) -> Image:
+    """No pixel holds more than its full well [e-]."""
+    return image.with_pixels(np.minimum(image.pixels, np.float32(full_well_e)))
+
+
+@OPS.op("sensor.dsnu", takes=ELECTRONS, gives=ELECTRONS)
+def dsnu(
+    image: Image,
+    *,
+    dsnu_e: Annotated[float, Range(0.0, 1e4), FromProfile("sensor.dsnu_e")],
+    serial: Annotated[str, FromProfile("sensor.serial")],
+) -> Image:
+    """Dark signal non-uniformity: every pixel has an offset of its own, for ever.
+
+    Args:
+        image: electrons.
+        dsnu_e: standard deviation of the offset [e-].
+        serial: which specimen.
+    """
+    return image.with_pixels(image.pixels + np.float32(dsnu_e) * _pattern(serial, "dsnu", image.height_px, image.width_px))
+
+
+@OPS.op("sensor.read_noise", takes=ELECTRONS, gives=ELECTRONS)
+def read_noise(
+    image: Image,
+    *,
+    rng: np.random.Generator,
+    sigma_e: Annotated[float, Range(0.0, 1e4), FromProfile("sensor.read_noise_e")],
+) -> Image:
+    """Noise of the pixel's own amplifier, before the gain: the ISO setting multiplies it.
+
+    Args:
+        image: electrons.
+        rng: the node's stream.
+        sigma_e: standard deviation [e-].
+    """
+    return image.with_pixels(_with_noise(image.pixels, sigma_e, rng)).noted(read_noise_e=sigma_e)
+
+
+@OPS.op("sensor.gain", takes=ELECTRONS, gives=AMPLIFIED)
+def gain(
+    image: Image,
+    *,
+    iso: Annotated[float, Range(1.0, 1e7), Auto()],
+    iso_base: Annotated[float, Range(1.0, 1e5), FromProfile("sensor.iso_base")],
+    gain_dn_e: Annotated[float, Range(0.0, 1e4, above=True), FromProfile("sensor.gain_dn_e")],
+) -> Image:
+    """Electrons to DN, not yet whole numbers: K = gain_dn_e * iso / iso_base.
+
+    Args:
+        image: electrons.
+        iso: ISO speed.
+        iso_base: ISO speed at a gain of 1.
+        gain_dn_e: K at `iso_base` [DN/e-].
+    """
+    total = gain_dn_e * iso / iso_base
+    return image.with_pixels(image.pixels * np.float32(total), quantity=Quantity.DN).noted(iso=iso, system_gain_dn_e=total)
+
+
+@OPS.op("sensor.adc_noise", takes=AMPLIFIED, gives=AMPLIFIED)
+def adc_noise(
+    image: Image,
+    *,
+    rng: np.random.Generator,
+    sigma_dn: Annotated[float, Range(0.0, 1e4), FromProfile("sensor.adc_noise_dn")],
+) -> Image:
+    """Noise behind the gain: the same in DN at every ISO setting.
+
+    Args:
+        image: amplified signal [DN].
+        rng: the node's stream.
+        sigma_dn: standard deviation [DN].
+    """
+    return image.with_pixels(_with_noise(image.pixels, sigma_dn, rng)).noted(adc_noise_dn=sigma_dn)
+
+
+@OPS.op("sensor.adc", takes=AMPLIFIED, gives=NUMBERS)
+def adc(
+    image: Image,
+    *,
+    bits: Annotated[int, Range(8, 16), FromProfile("sensor.bits")],
+    black_level_dn: Annotated[int, Range(0, 65535), FromProfile("sensor.black_level_dn")],
+    white_level_dn: Annotated[int, Range(1, 65535), FromProfile("sensor.white_level_dn")],
+    sensor: Annotated[SensorProfile, FromProfile("sensor")],
+) -> Image:
+    """Whole numbers: black level added, rounded, clipped to 0 to white level.
+
+    Notes in the provenance all that a RAW file needs besides: levels, colour
+    matrix, neutral and noise profile.
+
+    Args:
+        image: amplified signal [DN].
+        bits: of the converter; white_level_dn is at most 2^bits - 1.
+        black_level_dn, white_level_dn: DN of no light, and the highest DN.
+        sensor: its colour goes into the RAW file.
+
+    Raises:
+        ImageError: levels that do not fit the bits.
+    """
+    if not black_level_dn < white_level_dn <= 2**bits - 1:
+        raise ImageError(f"black_level_dn {black_level_dn} < white_level_dn {white_level_dn} <= {2**bits - 1} does not hold")
+    numbers = image.pixels + np.float32(black_level_dn)
+    np.clip(np.rint(numbers, out=numbers), 0.0, np.float32(white_level_dn), out=numbers)
+    facts = image.provenance
+    gain_dn_e = _fact(image, "system_gain_dn_e", "sensor.gain")
+    span = white_level_dn - black_level_dn
+    dark_variance = gain_dn_e**2 * (facts.get("read_noise_e", 0.0) ** 2 + facts.get("dark_e", 0.0)) + facts.get("adc_noise_dn", 0.0) ** 2 + 1.0 / 12.0
+    return image.with_pixels(numbers).noted(
+        bits=bits,
+        black_level_dn=black_level_dn,
+        white_level_dn=white_level_dn,
+        xyz_to_camera=[[float(value) for value in row] for row in response.xyz_to_camera(sensor)],
+        as_shot_neutral=list(response.neutral(sensor, "D65")),
+        noise_profile=[gain_dn_e / span, dark_variance / span**2],
+        total_dark_noise_dn=math.sqrt(dark_variance),
+    )
+
+
+def _fact(image: Image, key: str, op: str) -> float:
+    if key not in image.provenance:
+        raise ImageError(f"the image does not say its {key}; put {op} before this node, or add it to the image's provenance")
+    return float(image.provenance[key])
+
+
+def _with_noise(pixels: FloatArray, sigma: float, rng: np.random.Generator) -> FloatArray:
+    noise = rng.standard_normal(pixels.shape, dtype=np.float32)
+    noise *= np.float32(sigma)
+    noise += pixels
+    return noise
+
+
+@functools.lru_cache(maxsize=4)
+def _pattern(serial: str, kind: str, height: int, width: int) -> FloatArray:
+    """(H, W, 1) standard normal numbers that belong to a specimen; read-only."""
+    pattern = seeds.stream(0, "sensor", serial, kind, height, width).standard_normal((height, width, 1), dtype=np.float32)
+    pattern.flags.writeable = False
+    return pattern

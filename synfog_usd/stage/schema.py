@@ -1,0 +1,145 @@
+"""The fog schema: every `synfog:` name, its default, and how it is read from a prim.
+
+Takes a prim; gives `FogAttributes` or None.  Reading does not need the plugin: a
+stage keeps the applied schema's name and the authored values without it, and the
+defaults stand here.  Knows nothing of geometry or units; the values are metres
+and 1/m whatever the stage's metersPerUnit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from pxr import Plug, Usd
+
+from synfog_usd.errors import StageError, did_you_mean
+
+API_NAME = "SynFogMediumAPI"
+PREFIX = "synfog:fog:"
+PLUGIN_FOLDER = Path(__file__).parent / "schema_plugin"
+FOG_VARIANT_SET = "fog"
+LIGHTING_VARIANT_SET = "lighting"
+
+DEFAULTS: Mapping[str, Any] = MappingProxyType(
+    {
+        "enabled": True,
+        "mor": 300.0,
+        "sigma_t": None,
+        "contrast": 0.05,
+        "albedo": 1.0,
+        "phase": "hg",
+        "g": 0.87,
+        "dropletDiameter": None,
+        "angstrom": 0.0,
+        "profile": "uniform",
+        "scaleHeight": 50.0,
+        "priority": 0,
+    }
+)
+"""Fallback values, the same as in the schema; None where there is none."""
+
+_USER_PREFIXES = ("userProperties:synfog:fog:", "userProperties:synfog_fog_", "userProperties:synfog_")
+
+
+@dataclass(frozen=True)
+class FogAttributes:
+    """What an author said of one fog, not yet judged against physics.
+
+    Attributes:
+        path: prim that the attributes stand on.
+        values: name without prefix -> value; every name of `DEFAULTS`.
+        attribute_of: name -> full name of the authored attribute; only authored ones.
+    """
+
+    path: str
+    values: Mapping[str, Any]
+    attribute_of: Mapping[str, str]
+
+
+def register() -> bool:
+    """Make the schema known to USD; False where it came too late or is known already.
+
+    USD builds its schema registry at the first question about a prim's type, so
+    this runs when `synfog_usd.stage` is imported.  Reading works either way.
+    """
+    return bool(Plug.Registry().RegisterPlugins(str(PLUGIN_FOLDER)))
+
+
+def has_fog_attributes(prim: Usd.Prim, authored: Sequence[str] | None = None) -> bool:
+    """Whether the prim carries the fog schema or one of its attributes.
+
+    Args:
+        prim: any prim.
+        authored: its `GetAuthoredPropertyNames()`, where they are at hand.
+    """
+    if API_NAME in prim.GetPrimTypeInfo().GetAppliedAPISchemas():
+        return True
+    names = prim.GetAuthoredPropertyNames() if authored is None else authored
+    return any(name.startswith((PREFIX, "userProperties:synfog")) and (name.startswith(PREFIX) or _name_of(name) is not None) for name in names)
+
+
+def read_fog(prim: Usd.Prim, time: Usd.TimeCode) -> FogAttributes | None:
+    """The fog attributes that stand on a prim, or None where there are none.
+
+    Numbers may be of any numeric type; `userProperties:synfog_*`, as Blender
+    writes custom properties, counts where the proper name is absent.
+
+    Raises:
+        StageError: an attribute of that namespace that does not exist, or a value
+            that is no number, truth value or word, as its name demands.
+    """
+    if not has_fog_attributes(prim):
+        return None
+    found: dict[str, str] = {}
+    for prop in prim.GetAuthoredPropertiesInNamespace("userProperties"):
+        name = _name_of(prop.GetName())
+        if name is not None:
+            found[name] = prop.GetName()
+    for full_name in prim.GetAuthoredPropertyNames():
+        if not full_name.startswith(PREFIX):
+            continue
+        name = full_name.removeprefix(PREFIX)
+        if name not in DEFAULTS:
+            raise StageError(f"{prim.GetPath()}: there is no attribute {full_name}; known are {', '.join(DEFAULTS)}.{did_you_mean(name, DEFAULTS)}")
+        found[name] = full_name
+    values = dict(DEFAULTS)
+    authored: dict[str, str] = {}
+    for name, full_name in found.items():
+        attribute = prim.GetAttribute(full_name)
+        value = attribute.Get(time) if attribute else None
+        if value is None:
+            continue
+        value = _checked(prim, full_name, name, value)
+        if isinstance(value, float) and attribute.GetTypeName() in ("float", "half"):
+            value = float(f"{value:.7g}")  # 0.87 as it was typed, not 0.8700000047683716
+        values[name] = value
+        authored[name] = full_name
+    return FogAttributes(str(prim.GetPath()), MappingProxyType(values), MappingProxyType(authored))
+
+
+def _name_of(property_name: str) -> str | None:
+    """The schema's name behind a user property, or None."""
+    for prefix in _USER_PREFIXES:
+        name = property_name.removeprefix(prefix)
+        if name != property_name and name in DEFAULTS:
+            return name
+    return None
+
+
+def _checked(prim: Usd.Prim, full_name: str, name: str, value: Any) -> Any:
+    if name in ("phase", "profile"):
+        if not isinstance(value, str):
+            raise StageError(f"{prim.GetPath()}: {full_name} = {value!r} is not a word; it takes for example {DEFAULTS[name]!r}")
+        return value
+    if not isinstance(value, (bool, int, float)) or not math.isfinite(value):
+        raise StageError(f"{prim.GetPath()}: {full_name} = {value!r} is not a finite number")
+    if name == "enabled":
+        return bool(value)
+    if name == "priority":
+        return int(value)
+    return float(value)

@@ -1,0 +1,449 @@
+"""A stage as a scene: the order of the rooms of `translate`.
+
+Takes a `Usd.Stage` and a few choices; gives a `SceneDict`.  Writes nothing to the
+stage.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdShade
+
+from synfog_usd.errors import StageError
+from synfog_usd.fog import FogVolume
+from synfog_usd.scene import SceneDict, Thing
+from synfog_usd.stage.labels import UNLABELED
+from synfog_usd.stage.open import check_depth, composition_notes
+from synfog_usd.stage.schema import PREFIX
+from synfog_usd.translate import geometry, light, volume
+from synfog_usd.translate.camera import read_camera
+from synfog_usd.translate.geometry import Triangles
+from synfog_usd.translate.material import GREY, LUMINANCE, Finish, Materials
+from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.skel import posed
+from synfog_usd.translate.space import Array, Space, is_similarity, stage_space
+from synfog_usd.translate.texture import ImageReader
+from synfog_usd.translate.walk import Leaf, Owner, Placement, Walk, walk
+
+_DOMES = ("DomeLight", "DomeLight_1")
+
+
+def translate(
+    stage: Usd.Stage,
+    *,
+    camera: str | None = None,
+    frame: float | None = None,
+    resolution: tuple[int, int] | None = None,
+    fog_mor_m: float | None = None,
+) -> SceneDict:
+    """One frame of a stage in Mitsuba's vocabulary, in metres, Z up, near the origin.
+
+    Args:
+        stage: with its variants chosen.
+        camera: prim path; None for the render settings' camera, else the first.
+        frame: time code; None for the stage's startTimeCode, else default values.
+        resolution: (width, height) [px]; None for the render settings', else 1280
+            pixels wide.
+        fog_mor_m: visibility [m] for the outermost fog instead of the authored one;
+            0 or inf for clear air.  A stage without fog gets a layer of it.
+
+    Raises:
+        StageError: nothing to look with, fog that makes no sense, or a file that
+            asks for more than a machine can hold; names the prim.
+    """
+    if fog_mor_m is not None and not fog_mor_m >= 0.0:
+        raise StageError(f"a visibility of {fog_mor_m} m is below 0; 0 or inf is clear air")
+    check_depth(stage)
+    notes = Notebook()
+    notes.extend(composition_notes(stage))
+    time = _moment(stage, frame, notes)
+    stage = posed(stage, time, notes)
+    space = stage_space(stage)
+    eye = read_camera(stage, space, time, notes, path=camera, resolution=resolution)
+    space = replace(space, origin_m=np.round(eye.to_world[:3, 3]) + 0.0)
+    place = eye.to_world.copy()
+    place[:3, 3] -= space.origin_m
+    eye = replace(eye, to_world=place)
+    if str(stage.GetMetadata("documentation") or "").startswith("Blender"):
+        notes.info("", "exported by Blender; its lights are read as UsdLux specifies, which leaves its suns 4 times too dim against its lamps")
+    scene = _Assembler(stage, space, time, notes)
+    scene.build(walk(stage, time, notes))
+    fog = volume.nested(scene.fog)
+    if fog_mor_m is not None:
+        fog = _overridden(fog, fog_mor_m, scene, eye.to_world[:3, 3], notes)
+    if fog and not any(part.boundary.contains(eye.to_world[:3, 3])[0] for part in fog):
+        notes.info(eye.path, "the camera stands outside of every fog boundary")
+    return SceneDict(
+        world=scene.world(),
+        camera=eye,
+        fog=fog,
+        things=tuple(scene.things),
+        thing_of=scene.thing_of,
+        origin_m=(float(space.origin_m[0]), float(space.origin_m[1]), float(space.origin_m[2])),
+        notes=notes.closed(),
+    )
+
+
+def _moment(stage: Usd.Stage, frame: float | None, notes: Notebook) -> Usd.TimeCode:
+    if frame is not None:
+        if not math.isfinite(frame):
+            raise StageError(f"frame {frame} is no finite number")
+        return Usd.TimeCode(frame)
+    if stage.HasAuthoredMetadata("startTimeCode"):
+        notes.info("", f"frame {stage.GetStartTimeCode():g}, the stage's first, is drawn; choose another with --frame")
+        return Usd.TimeCode(stage.GetStartTimeCode())
+    return Usd.TimeCode.Default()
+
+
+def _overridden(fog: tuple[FogVolume, ...], mor_m: float, scene: _Assembler, eye: Array, notes: Notebook) -> tuple[FogVolume, ...]:
+    if fog or mor_m == 0.0 or math.isinf(mor_m):
+        return volume.with_visibility(fog, mor_m)
+    made = volume.layer(mor_m, np.minimum(scene.low, eye), np.maximum(scene.high, eye), eye)
+    size = 2.0 * np.diag(made.boundary.to_world)[:3]
+    notes.warn("", f"the stage has no fog; a layer of {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} m around the camera is made for it")
+    return (made,)
+
+
+class _Assembler:
+    """Shapes, materials, lights, fog and labels of one scene, as they come."""
+
+    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Notebook) -> None:
+        self.stage, self.space, self.time, self.notes = stage, space, time, notes
+        self.images = ImageReader(notes)
+        self.materials = Materials(time, notes, self.images)
+        self.is_blender = str(stage.GetMetadata("documentation") or "").startswith("Blender")
+        self.shapes: dict[str, dict[str, Any]] = {}
+        self.groups: dict[str, dict[str, Any]] = {}
+        self.instances: dict[str, dict[str, Any]] = {}
+        self.lamps: list[light.Lamp] = []
+        self.lights: dict[str, dict[str, Any]] = {}
+        self.domes: list[light.Dome] = []
+        self.fog: list[FogVolume] = []
+        self.things: list[Thing] = []
+        self.thing_of: dict[tuple[str, ...], int] = {}
+        self.thing_ids: dict[str, int] = {}
+        self.bound: dict[str, Any] = {}
+        self.roots: list[str] = []
+        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+
+    def build(self, found: Walk) -> None:
+        self.roots = [group.root for group in found.groups]
+        self.bind([*found.leaves, *[leaf for group in found.groups for leaf in group.leaves]])
+        to_scene = self.space.matrix
+        for leaf in found.leaves:
+            self.put(leaf, to_scene @ leaf.matrix, None)
+        placements: dict[int, list[Placement]] = {}
+        for placement in found.placements:
+            placements.setdefault(placement.group, []).append(placement)
+        for number, places in placements.items():
+            self.put_group(found.groups[number].leaves, places)
+        sky = light.merged_dome(self.domes, self.notes)
+        light.weigh(self.lamps, sky)
+        if sky is not None:
+            self.lights["light_sky"] = sky
+
+    def world(self) -> dict[str, Any]:
+        drawn = [*self.shapes.values(), *[shape for group in self.groups.values() for name, shape in group.items() if name != "type"]]
+        worn = {shape["bsdf"]["id"] for shape in drawn}
+        materials = {key: bsdf for key, bsdf in self.materials.bsdfs.items() if key in worn}
+        return {"type": "scene", **materials, **self.shapes, **self.groups, **self.instances, **self.lights}
+
+    # -- materials
+
+    def bind(self, leaves: list[Leaf]) -> None:
+        """Look up the materials of all prims and subsets at once."""
+        prims: dict[str, Usd.Prim] = {}
+        for leaf in leaves:
+            prims.setdefault(str(leaf.prim.GetPath()), leaf.prim)
+        for prim in list(prims.values()):
+            if prim.GetTypeName() == "Mesh":
+                for child in prim.GetFilteredChildren(Usd.TraverseInstanceProxies()):
+                    if child.GetTypeName() == "GeomSubset":
+                        prims[str(child.GetPath())] = child
+        if prims:
+            materials = UsdShade.MaterialBindingAPI.ComputeBoundMaterials(list(prims.values()), UsdShade.Tokens.full)[0]
+            self.bound = dict(zip(prims, materials, strict=True))
+
+    def finish_of(self, leaf: Leaf, prim: Usd.Prim, *, varying_color: bool) -> Finish:
+        material = self.bound.get(str(prim.GetPath()))
+        if not material and leaf.material is not None:
+            material = UsdShade.Material(self.stage.GetPrimAtPath(leaf.material))
+        if material:
+            finish = self.materials.finish(material)
+            if not finish.empty:
+                return finish
+            self.notes.warn(leaf.prim.GetPath(), f"its material {material.GetPath()} has no surface; displayColor or grey is used")
+        if varying_color:
+            return self.materials.vertex_colored()
+        return self.materials.colored(leaf.color or GREY)
+
+    def is_fog_box(self, leaf: Leaf) -> bool:
+        """Whether a mesh without fog attributes is what Blender writes for a box with a volume material.
+
+        Its material has no surface; outside of Blender's files its name must say fog too,
+        because a mesh whose material was lost must not become fog.
+        """
+        material = self.bound.get(str(leaf.prim.GetPath()))
+        if leaf.prim.GetTypeName() != "Mesh" or not material or not self.materials.finish(material).empty:
+            return False
+        words = f"{leaf.prim.GetPath()} {material.GetPath().name}".lower()
+        if not self.is_blender and "fog" not in words and "mist" not in words:
+            return False
+        polygons = geometry.read_mesh(leaf.prim, self.time, self.notes)
+        made = geometry.part(polygons, None) if polygons is not None else None
+        return made is not None and volume.is_closed(made.positions, made.faces)
+
+    # -- placing
+
+    def put(self, leaf: Leaf, matrix: Array, placement: Placement | None) -> None:
+        """A leaf in the scene itself."""
+        kind = leaf.prim.GetTypeName()
+        if kind in _DOMES:
+            dome = light.dome(leaf.prim, kind, matrix, self.time, self.notes, self.images, z_up=bool((self.space.axes == np.eye(4)).all()))
+            if dome is not None:
+                self.domes.append(dome)
+            return
+        if leaf.fog is not None:
+            self.put_fog(leaf, leaf.fog, matrix)
+            return
+        if kind.endswith("Light"):
+            self.put_lamp(leaf, kind, matrix, placement)
+            return
+        if self.is_fog_box(leaf):
+            self.notes.warn(
+                leaf.prim.GetPath(),
+                f"a closed mesh whose material has no surface is taken as fog of {volume.DEFAULT_MOR_M:g} m visibility; "
+                f"author {PREFIX}mor on it or on its parent for another value",
+            )
+            self.put_fog(leaf, None, matrix)
+            return
+        for shape, emission, nits in self.parts(leaf, matrix):
+            self.add_shape(shape, emission, nits, self.thing(leaf, placement))
+
+    def put_fog(self, leaf: Leaf, source: Usd.Prim | None, matrix: Array) -> None:
+        made = volume.fog_volume(leaf.prim, source, matrix, self.time, self.notes)
+        if made is not None:
+            self.fog.append(made)
+
+    def put_lamp(self, leaf: Leaf, kind: str, matrix: Array, placement: Placement | None) -> None:
+        lamp = light.lamp(leaf.prim, kind, matrix, self.time, self.notes, self.images, metres_per_unit=self.space.metres_per_unit)
+        if lamp is None:
+            return
+        self.lamps.append(lamp)
+        if lamp.shape is None:
+            self.lights[f"light_{len(self.lights)}"] = lamp.emitter
+            return
+        black = {"type": "ref", "id": self.materials.black().key}
+        if isinstance(lamp.shape, Triangles):
+            shape = geometry.mesh_shape(lamp.shape, self.materials.black().key, textured=False, colored=False)
+        else:
+            shape = {**lamp.shape, "bsdf": black}
+        thing = self.thing(leaf, placement) if leaf.owner is not None or (placement is not None and placement.owner is not None) else None
+        self.new_shape({**shape, "emitter": lamp.emitter}, thing)
+
+    def add_shape(self, shape: dict[str, Any], emission: dict[str, Any] | None, nits: float, thing: int) -> None:
+        if emission is not None:
+            surface = _area_of(shape)
+            lamp = light.Lamp({"type": "area", "radiance": emission}, math.pi * surface * nits)
+            self.lamps.append(lamp)
+            shape = {**shape, "emitter": lamp.emitter}
+        if "positions" in shape:
+            np.minimum(self.low, shape["positions"].min(axis=0), out=self.low)
+            np.maximum(self.high, shape["positions"].max(axis=0), out=self.high)
+        self.new_shape(shape, thing)
+
+    def new_shape(self, shape: dict[str, Any], thing: int | None) -> None:
+        key = f"shape_{len(self.shapes)}"
+        self.shapes[key] = shape
+        if thing is not None:
+            self.thing_of[(key,)] = thing
+
+    def put_group(self, leaves: list[Leaf], places: list[Placement]) -> None:
+        """A group's leaves once and its placements as instances; what shines is placed one by one."""
+        to_scene = self.space.matrix
+        shared: list[tuple[Leaf, dict[str, Any]]] = []
+        single = len(places) == 1
+        for leaf in leaves:
+            kind = leaf.prim.GetTypeName()
+            if single or kind.endswith("Light") or kind in _DOMES or leaf.fog is not None or self.is_fog_box(leaf):
+                for place in places:
+                    self.put(leaf, to_scene @ place.matrix @ leaf.matrix, place)
+                continue
+            made = self.parts(leaf, leaf.matrix)
+            shared += [(leaf, shape) for shape, emission, _ in made if emission is None]
+            if any(emission is not None for _, emission, _ in made):
+                for place in places:
+                    matrix = to_scene @ place.matrix @ leaf.matrix
+                    for shape, emission, nits in self.parts(leaf, matrix):
+                        if emission is not None:
+                            self.add_shape(shape, emission, nits, self.thing(leaf, place))
+        if not shared:
+            return
+        key = f"group_{len(self.groups)}"
+        names = [f"shape_{n}" for n in range(len(shared))]
+        self.groups[key] = {"type": "shapegroup", **{name: shape for name, (_, shape) in zip(names, shared, strict=True)}}
+        corners = self.corners(shared)
+        for place in places:
+            instance = f"instance_{len(self.instances)}"
+            matrix = to_scene @ place.matrix
+            self.instances[instance] = {"type": "instance", "to_world": matrix, "shapegroup": {"type": "ref", "id": key}}
+            for name, (leaf, _) in zip(names, shared, strict=True):
+                self.thing_of[(instance, name)] = self.thing(leaf, place)
+            if corners is not None:
+                points = corners @ matrix[:3, :3].T + matrix[:3, 3]
+                self.low, self.high = np.minimum(self.low, points.min(axis=0)), np.maximum(self.high, points.max(axis=0))
+
+    def corners(self, shared: list[tuple[Leaf, dict[str, Any]]]) -> Array | None:
+        """(8, 3) corners of the box around a group's meshes."""
+        meshes = [shape["positions"] for _, shape in shared if "positions" in shape]
+        if not meshes:
+            return None
+        low, high = np.min([m.min(axis=0) for m in meshes], axis=0), np.max([m.max(axis=0) for m in meshes], axis=0)
+        return np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3).astype(np.float64)
+
+    # -- geometry
+
+    def parts(self, leaf: Leaf, matrix: Array) -> list[tuple[dict[str, Any], dict[str, Any] | None, float]]:
+        """Shapes of a leaf with their emission and its luminance; empty where it cannot be drawn."""
+        if geometry.determinant(matrix) == 0.0:
+            self.notes.warn(leaf.prim.GetPath(), "a shape scaled to nothing is left out")
+            return []
+        kind = leaf.prim.GetTypeName()
+        if kind != "Mesh":
+            return self.implicit(leaf, kind, matrix)
+        return self.mesh(leaf, matrix)
+
+    def implicit(self, leaf: Leaf, kind: str, matrix: Array) -> list[tuple[dict[str, Any], dict[str, Any] | None, float]]:
+        finish = self.finish_of(leaf, leaf.prim, varying_color=False)
+        key = finish.plain or finish.key
+        if finish.plain is not None:
+            self.notes.warn(leaf.prim.GetPath(), f"a {kind} has no texture coordinates; its textures are drawn as one colour")
+        emission = None if finish.uv is not None and finish.emission and finish.emission["type"] == "bitmap" else finish.emission
+        if kind == "Sphere" and is_similarity(matrix) and not finish.colored:
+            radius = float(leaf.prim.GetAttribute("radius").Get(self.time)) * abs(np.linalg.det(matrix[:3, :3])) ** (1.0 / 3.0)
+            if not radius > 0.0:
+                self.notes.warn(leaf.prim.GetPath(), "a Sphere without radius is left out")
+                return []
+            shape = {"type": "sphere", "center": [float(x) for x in matrix[:3, 3]], "radius": float(radius), "bsdf": {"type": "ref", "id": key}}
+            return [(shape, emission, finish.emission_nits)]
+        made = geometry.placed(geometry.read_implicit(leaf.prim, kind, self.time), matrix)
+        if not geometry.area(made) > 0.0:
+            self.notes.warn(leaf.prim.GetPath(), f"a {kind} without surface is left out")
+            return []
+        if finish.colored:
+            made = replace(made, colors=np.tile(leaf.color or GREY, (len(made.positions), 1)))
+        return [(geometry.mesh_shape(made, key, textured=False, colored=finish.colored), emission, finish.emission_nits)]
+
+    def mesh(self, leaf: Leaf, matrix: Array) -> list[tuple[dict[str, Any], dict[str, Any] | None, float]]:
+        prim = leaf.prim
+        subsets = self.subsets(leaf)
+        varies = _varies(prim)
+        own = self.finish_of(leaf, prim, varying_color=varies)
+        finishes = [own, *[finish for _, finish in subsets]]
+        uv = next((finish.uv for finish in finishes if finish.uv is not None), None)
+        if any(finish.uv not in (None, uv) for finish in finishes):
+            self.notes.warn(prim.GetPath(), "materials on this mesh read different texture coordinates; the first one's are used for all")
+        polygons = geometry.read_mesh(prim, self.time, self.notes, uv)
+        if polygons is None:
+            return []
+        if not varies:
+            polygons.attributes.pop("color", None)
+        smooth = geometry.point_normals(polygons) if polygons.smooth else None
+        taken = np.zeros(int(polygons.face_of.max()) + 1, dtype=bool)
+        chosen: list[tuple[np.ndarray | None, Finish]] = []
+        for faces, finish in subsets:
+            mask = np.zeros_like(taken)
+            mask[faces[(faces >= 0) & (faces < len(taken))]] = True
+            mask &= ~taken
+            taken |= mask
+            chosen.append((mask, finish))
+        chosen.append((None if not subsets else ~taken, own))
+        result = []
+        for mask, finish in chosen:
+            triangles = geometry.part(polygons, mask, smooth_normals=smooth)
+            if triangles is None:
+                continue
+            triangles = geometry.placed(triangles, matrix)
+            textured = finish.uv is not None and triangles.texcoords is not None
+            key = finish.key
+            emission, nits = finish.emission, finish.emission_nits
+            if finish.uv is not None and not textured:
+                self.notes.warn(prim.GetPath(), f"mesh without the texture coordinates {finish.uv.primvar!r}; its textures are drawn as one colour")
+                key = finish.plain or key
+                if emission is not None and emission["type"] == "bitmap":
+                    emission = None
+            if finish.colored and triangles.colors is None:
+                triangles = replace(triangles, colors=np.tile(leaf.color or GREY, (len(triangles.positions), 1)))
+            shape = geometry.mesh_shape(triangles, key, textured=textured, colored=finish.colored)
+            if light.is_light_mesh(prim):
+                shape, emission, nits = self.mesh_light(leaf, shape, triangles)
+            result.append((shape, emission, nits))
+        return result
+
+    def mesh_light(self, leaf: Leaf, shape: dict[str, Any], triangles: Triangles) -> tuple[dict[str, Any], dict[str, Any] | None, float]:
+        radiance = light.mesh_light(leaf.prim, self.time, geometry.area(triangles), self.notes, metres_per_unit=self.space.metres_per_unit)
+        sync = leaf.prim.GetAttribute("light:materialSyncMode")
+        if sync and sync.Get() == "noMaterialResponse":
+            shape = {**shape, "bsdf": {"type": "ref", "id": self.materials.black().key}}
+        if not radiance.max() > 0.0:
+            return shape, None, 0.0
+        return shape, {"type": "rgb", "value": [float(c) for c in radiance]}, float(LUMINANCE @ radiance)
+
+    def subsets(self, leaf: Leaf) -> list[tuple[np.ndarray, Finish]]:
+        """Faces with a material of their own: of family 'materialBind', or bound directly."""
+        found = []
+        for child in leaf.prim.GetFilteredChildren(Usd.TraverseInstanceProxies()):
+            if child.GetTypeName() != "GeomSubset":
+                continue
+            subset = UsdGeom.Subset(child)
+            direct = bool(UsdShade.MaterialBindingAPI(child).GetDirectBinding().GetMaterialPath())
+            if not direct and subset.GetFamilyNameAttr().Get() != UsdShade.Tokens.materialBind:
+                continue
+            if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
+                self.notes.warn(child.GetPath(), "a material on a subset that is not of faces is not drawn")
+                continue
+            indices = subset.GetIndicesAttr().Get(self.time)
+            if indices is None or not len(indices):
+                continue
+            found.append((np.asarray(indices, dtype=np.int64), self.finish_of(leaf, child, varying_color=_varies(leaf.prim))))
+        return found
+
+    # -- labels
+
+    def thing(self, leaf: Leaf, placement: Placement | None) -> int:
+        """Label id of a leaf; a new one where its owner was not met before."""
+        if placement is None:
+            owner = leaf.owner or Owner(leaf.model or str(leaf.prim.GetPath()), UNLABELED)
+            return self.thing_id(owner.path, owner.label)
+        root = self.roots[placement.group]
+        if leaf.owner is not None:
+            return self.thing_id(placement.path + leaf.owner.path.removeprefix(root), leaf.owner.label)
+        if placement.owner is not None:
+            return self.thing_id(placement.owner.path, placement.owner.label)
+        path = placement.model if leaf.model is None else placement.path + leaf.model.removeprefix(root)
+        return self.thing_id(path, UNLABELED)
+
+    def thing_id(self, path: str, label: str) -> int:
+        if path not in self.thing_ids:
+            self.things.append(Thing(len(self.things) + 1, path, label))
+            self.thing_ids[path] = len(self.things)
+        return self.thing_ids[path]
+
+
+def _area_of(shape: dict[str, Any]) -> float:
+    """Surface [m2] of a sphere or mesh of the scene."""
+    if shape["type"] == "sphere":
+        return 4.0 * math.pi * shape["radius"] ** 2
+    return geometry.area(Triangles(shape["positions"].astype(np.float64), shape["faces"].astype(np.int64)))
+
+
+def _varies(prim: Usd.Prim) -> bool:
+    """Whether a mesh has a displayColor that is not one constant."""
+    if "primvars:displayColor" not in prim.GetAuthoredPropertyNames():
+        return False
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
+    return bool(primvar.HasAuthoredValue()) and primvar.GetInterpolation() != UsdGeom.Tokens.constant

@@ -1,0 +1,345 @@
+"""Lights: UsdLux as Mitsuba emitters, in nits.
+
+Takes light prims and their place in metres; gives emitters, and shapes for those
+that have a surface.  Follows the UsdLux specification since 25.05.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Usd, UsdLux
+
+from synfog_usd.translate.geometry import ROUND, Triangles, area, ball, frustum, placed
+from synfog_usd.translate.material import LUMINANCE
+from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.space import Array, is_similarity, rotation_of, scaled
+from synfog_usd.translate.texture import ImageReader, TextureNode, is_srgb, linear
+
+TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
+"""Half a turn about Y: USD's lights look along -Z, Mitsuba's along +Z."""
+
+POLE_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""A quarter turn about X, as DomeLight_1 asks for a pole along Z."""
+
+
+@dataclass
+class Lamp:
+    """One emitter, and the surface it shines from.
+
+    Attributes:
+        emitter: Mitsuba's emitter; for a surface an 'area' one.
+        flux_lm: luminous flux [lm], for the choice of which light to sample; inf for sky and sun.
+        shape: Mitsuba's native shape, or triangles in scene metres, or None.
+    """
+
+    emitter: dict[str, Any]
+    flux_lm: float
+    shape: dict[str, Any] | Triangles | None = None
+
+
+@dataclass
+class Dome:
+    """A light from all around.
+
+    Attributes:
+        path: prim path.
+        radiance: (3,) RGB, or (H, W, 3) float32 latitude-longitude map [cd m-2].
+        to_world: rotation of the map.
+    """
+
+    path: str
+    radiance: npt.NDArray[np.float32]
+    to_world: Array = field(default_factory=lambda: np.eye(4))
+
+
+class _Inputs:
+    """Inputs of a light, also without the 'inputs:' of files before 21.02."""
+
+    def __init__(self, prim: Usd.Prim, time: Usd.TimeCode) -> None:
+        self.prim, self.time = prim, time
+
+    def get(self, name: str, default: Any) -> Any:
+        for full_name in (f"inputs:{name}", name):
+            attribute = self.prim.GetAttribute(full_name)
+            if attribute and attribute.HasAuthoredValue():
+                value = attribute.Get(self.time)
+                value = attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
+                if value is not None:
+                    return value
+        return default
+
+
+def emitted(prim: Usd.Prim, time: Usd.TimeCode, *, default_intensity: float = 1.0) -> Array:
+    """(3,) RGB of color x intensity x 2^exposure x blackbody tint, before any normalization."""
+    inputs = _Inputs(prim, time)
+    color = np.array([float(c) for c in inputs.get("color", (1.0, 1.0, 1.0))])
+    if inputs.get("enableColorTemperature", False):
+        color = color * np.array(UsdLux.BlackbodyTemperatureAsRgb(float(inputs.get("colorTemperature", 6500.0))))
+    return color * (float(inputs.get("intensity", default_intensity)) * 2.0 ** float(inputs.get("exposure", 0.0)))
+
+
+def lamp(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: Notebook, images: ImageReader, *, metres_per_unit: float) -> Lamp | None:
+    """A light other than a dome, or None where it is dark.
+
+    Args:
+        matrix: (4, 4) of the light to scene metres.
+    """
+    path = prim.GetPath()
+    inputs = _Inputs(prim, time)
+    _unsupported(prim, inputs, notes)
+    radiance = emitted(prim, time, default_intensity=50000.0 if kind == "DistantLight" else 1.0)
+    if not np.isfinite(radiance).all() or radiance.max() <= 0.0:
+        if not np.isfinite(radiance).all():
+            notes.warn(path, "light whose intensity is no finite number is dark")
+        return None
+    if radiance.min() < 0.0:
+        notes.warn(path, "negative light is not drawn; it is taken as 0 in that channel")
+        radiance = np.maximum(radiance, 0.0)
+    normalize = bool(inputs.get("normalize", False))
+    if kind == "DistantLight":
+        return _distant(radiance, float(inputs.get("angle", 0.53)), normalize, matrix, path, notes)
+    if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
+        notes.warn(path, "light scaled to nothing is left out")
+        return None
+    if normalize and metres_per_unit != 1.0:
+        notes.info(path, f"'normalize' divides by the area in stage units of {metres_per_unit:g} m, as UsdLux specifies")
+    per_area = metres_per_unit**2 if normalize else 0.0  # area in stage units = area in m2 / metres_per_unit^2
+    if kind == "SphereLight":
+        return _sphere(inputs, radiance, per_area, matrix, path, notes)
+    if kind in ("RectLight", "DiskLight"):
+        return _flat(inputs, kind, radiance, per_area, matrix, path, notes, images)
+    return _cylinder(inputs, radiance, per_area, matrix, path, notes)
+
+
+def mesh_light(prim: Usd.Prim, time: Usd.TimeCode, surface_m2: float, notes: Notebook, *, metres_per_unit: float) -> Array:
+    """(3,) radiance [cd m-2] of a mesh with MeshLightAPI, of a given area [m2]."""
+    inputs = _Inputs(prim, time)
+    _unsupported(prim, inputs, notes)
+    radiance = np.maximum(emitted(prim, time), 0.0)
+    return radiance * metres_per_unit**2 / surface_m2 if inputs.get("normalize", False) and surface_m2 > 0.0 else radiance
+
+
+def dome(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: Notebook, images: ImageReader, *, z_up: bool) -> Dome | None:
+    """A dome light, or None where it is dark.
+
+    The map's top is the light's local +Y; `DomeLight_1` may ask for the stage's up
+    axis or Z instead.
+    """
+    path = str(prim.GetPath())
+    inputs = _Inputs(prim, time)
+    _unsupported(prim, inputs, notes)
+    tint = np.maximum(emitted(prim, time), 0.0)
+    if not np.isfinite(tint).all() or tint.max() <= 0.0:
+        return None
+    turn = rotation_of(matrix)
+    if kind == "DomeLight_1":
+        pole = str(inputs.get("poleAxis", "scene"))
+        if pole == "Z" or (pole == "scene" and z_up):
+            turn = turn @ POLE_TO_Z
+    asset = inputs.get("texture:file", None)
+    file, authored = getattr(asset, "resolvedPath", "") or "", getattr(asset, "path", "") or ""
+    if not authored:
+        return Dome(path, tint.astype(np.float32), turn)
+    pixels = images.read(file, path) if file else None
+    if pixels is None:
+        if not file:
+            notes.warn(path, f"texture {authored} is not found; the light is of one colour")
+        return Dome(path, tint.astype(np.float32), turn)
+    node = TextureNode(path, file, authored, "rgb", "auto", "repeat", (1.0,) * 4, (0.0,) * 4, (0.0,) * 4, None)
+    values = linear(pixels, srgb=is_srgb(node, pixels))
+    values = np.repeat(values[..., :1], 3, axis=2) if values.shape[2] < 3 else values[..., :3]
+    values = np.maximum(values * tint.astype(np.float32), 0.0)
+    layout = str(inputs.get("texture:format", "automatic"))
+    if layout not in ("automatic", "latlong"):
+        notes.warn(path, f"texture format {layout!r} is not known; the light has the mean colour of the picture")
+        return Dome(path, values.mean(axis=(0, 1)), turn)
+    if (values == values[:1, :1]).all():
+        return Dome(path, values[0, 0].copy(), turn)
+    return Dome(path, np.ascontiguousarray(values), turn)
+
+
+def merged_dome(domes: list[Dome], notes: Notebook) -> dict[str, Any] | None:
+    """One emitter for all domes: constants add up; of several maps the brightest is kept."""
+    if not domes:
+        return None
+    constant = sum((d.radiance for d in domes if d.radiance.ndim == 1), start=np.zeros(3, dtype=np.float32))
+    maps = sorted((d for d in domes if d.radiance.ndim == 3), key=_brightness, reverse=True)
+    for left_out in maps[1:]:
+        notes.warn(left_out.path, f"only one textured dome light is drawn; {maps[0].path} is brighter")
+    if len(domes) > 1 and len(maps) <= 1:
+        notes.info(domes[0].path, f"{len(domes)} dome lights are added up")
+    if not maps:
+        return {"type": "constant", "radiance": _rgb(constant)}
+    return {"type": "envmap", "bitmap": np.ascontiguousarray(maps[0].radiance + constant, dtype=np.float32), "to_world": maps[0].to_world}
+
+
+def weigh(lamps: list[Lamp], sky: dict[str, Any] | None) -> None:
+    """Set 'sampling_weight' on all emitters.
+
+    The sky and each sun get 1, all lamps together 1, shared by the square root of
+    their flux: a lamp that is far brighter than another is often farther away.
+    """
+    local = [one for one in lamps if math.isfinite(one.flux_lm)]
+    total = sum(math.sqrt(one.flux_lm) for one in local)
+    for one in lamps:
+        one.emitter["sampling_weight"] = 1.0 if not math.isfinite(one.flux_lm) else math.sqrt(one.flux_lm) / total if total > 0.0 else 1.0 / len(local)
+    if sky is not None:
+        sky["sampling_weight"] = 1.0
+
+
+def area_emitter(radiance: Array) -> dict[str, Any]:
+    """A surface that shines with one radiance [cd m-2] in all directions of its front."""
+    return {"type": "area", "radiance": _rgb(radiance)}
+
+
+def _brightness(one: Dome) -> float:
+    """Mean luminance of a map over the sphere."""
+    rows = np.sin((np.arange(one.radiance.shape[0]) + 0.5) * np.pi / one.radiance.shape[0])
+    return float(rows @ (one.radiance @ LUMINANCE).mean(axis=1) / rows.sum())
+
+
+def _distant(radiance: Array, angle_deg: float, normalize: bool, matrix: Array, path: object, notes: Notebook) -> Lamp:
+    """Irradiance E = L pi sin^2(angle / 2), or the intensity itself where normalized."""
+    half = math.radians(min(max(angle_deg, 0.0), 180.0)) / 2.0
+    factor = math.pi * math.sin(half) ** 2 if half > 0.0 else 1.0
+    irradiance = radiance if normalize else radiance * factor
+    if angle_deg > 1.0:
+        notes.info(path, f"a distant light {angle_deg:g} degrees wide is drawn as a point at infinity: its shadows are sharp")
+    return Lamp({"type": "directional", "irradiance": _rgb(irradiance), "to_world": rotation_of(matrix) @ TURN}, math.inf)
+
+
+def _cone(inputs: _Inputs, path: object, notes: Notebook) -> tuple[float, float] | None:
+    """(cutoff, beam width) [deg] of a shaped light, or None where it shines everywhere."""
+    if not inputs.prim.HasAPI(UsdLux.ShapingAPI) and inputs.get("shaping:cone:angle", None) is None:
+        return None
+    if inputs.get("shaping:ies:file", None):
+        notes.warn(path, "IES profiles are not drawn; only the cone is")
+    if float(inputs.get("shaping:focus", 0.0)) > 0.0:
+        notes.warn(path, "shaping:focus is not drawn; only the cone is")
+    cutoff = float(inputs.get("shaping:cone:angle", 90.0))
+    if cutoff >= 180.0:
+        return None
+    cutoff = max(cutoff, 0.1)
+    return cutoff, cutoff * (1.0 - min(max(float(inputs.get("shaping:cone:softness", 0.0)), 0.0), 0.999))
+
+
+def _spot(intensity: Array, cone: tuple[float, float], matrix: Array) -> Lamp:
+    cutoff, beam = (math.radians(a) for a in cone)
+    solid_angle = 2.0 * math.pi * (1.0 - (math.cos(cutoff) + math.cos(beam)) / 2.0)
+    place = rotation_of(matrix) @ TURN
+    place[:3, 3] = matrix[:3, 3]
+    emitter = {"type": "spot", "intensity": _rgb(intensity), "cutoff_angle": cone[0], "beam_width": cone[1], "to_world": place}
+    return Lamp(emitter, float(LUMINANCE @ intensity) * solid_angle)
+
+
+def _sphere(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Notebook) -> Lamp | None:
+    radius = float(inputs.get("radius", 0.5))
+    mean_scale = abs(float(np.linalg.det(matrix[:3, :3]))) ** (1.0 / 3.0)
+    cone = _cone(inputs, path, notes)
+    if radius <= 0.0 or inputs.get("treatAsPoint", False):
+        if radius <= 0.0 and not per_area:
+            notes.warn(path, "a light without size and without 'normalize' has no defined power; its intensity is taken as with 'normalize'")
+            per_area = 1.0
+        if per_area:
+            stage_units = per_area  # (metres per unit)^2: I = L pi r^2 with L = intensity / (4 pi r^2)
+            intensity = radiance * stage_units / 4.0
+        else:
+            intensity = radiance * math.pi * (radius * mean_scale) ** 2
+        if cone is not None:
+            return _spot(intensity, cone, matrix)
+        emitter = {"type": "point", "intensity": _rgb(intensity), "position": [float(x) for x in matrix[:3, 3]]}
+        return Lamp(emitter, 4.0 * math.pi * float(LUMINANCE @ intensity))
+    if is_similarity(matrix):
+        surface = 4.0 * math.pi * (radius * mean_scale) ** 2
+        shape: Any = {"type": "sphere", "center": [float(x) for x in matrix[:3, 3]], "radius": radius * mean_scale}
+    else:
+        shape = placed(ball(radius), matrix)
+        surface = area(shape)
+    L = radiance * per_area / surface if per_area else radiance
+    if cone is not None:
+        return _spot(L * math.pi * (radius * mean_scale) ** 2, cone, matrix)
+    return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), shape)
+
+
+def _flat(inputs: _Inputs, kind: str, radiance: Array, per_area: float, matrix: Array, path: object, notes: Notebook, images: ImageReader) -> Lamp | None:
+    """A rectangle or disk in its XY plane that shines along -Z."""
+    if kind == "RectLight":
+        half_x, half_y, unit_area, native = float(inputs.get("width", 1.0)) / 2.0, float(inputs.get("height", 1.0)) / 2.0, 4.0, "rectangle"
+        asset = inputs.get("texture:file", None)
+        file = getattr(asset, "resolvedPath", "") or ""
+        pixels = images.read(file, str(path)) if file else None
+        if asset is not None and getattr(asset, "path", ""):
+            notes.warn(path, "the picture on a RectLight is drawn as its mean colour")
+        if pixels is not None:
+            node = TextureNode(str(path), file, file, "rgb", "auto", "clamp", (1.0,) * 4, (0.0,) * 4, (0.0,) * 4, None)
+            mean = linear(pixels, srgb=is_srgb(node, pixels)).mean(axis=(0, 1), dtype=np.float64)
+            radiance = radiance * (mean[:3] if len(mean) >= 3 else mean[0])
+    else:
+        half_x = half_y = float(inputs.get("radius", 0.5))
+        unit_area, native = math.pi, "disk"
+    place = matrix @ TURN @ scaled(half_x, half_y, 1.0)
+    surface = unit_area * float(np.linalg.norm(np.cross(place[:3, 0], place[:3, 1])))
+    if not surface > 0.0:
+        notes.warn(path, "light without area is left out")
+        return None
+    L = radiance * per_area / surface if per_area else radiance
+    cone = _cone(inputs, path, notes)
+    if cone is not None:
+        notes.info(path, f"{kind} with a cone is drawn as a spot at its centre")
+        return _spot(L * surface, cone, matrix)
+    # its normal stays along the light's -Z: Mitsuba takes a normal with the inverse transpose, so thickness along Z does not matter
+    return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), {"type": native, "to_world": place})
+
+
+def _cylinder(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Notebook) -> Lamp | None:
+    """A cylinder along X that shines from its side, not from its ends."""
+    length, radius = float(inputs.get("length", 1.0)), float(inputs.get("radius", 0.5))
+    if inputs.get("treatAsLine", False) or radius <= 0.0 or length <= 0.0:
+        notes.warn(path, "a cylinder light without thickness is drawn 1 mm thick")
+        radius, length = max(radius, 0.001), max(length, 0.001)
+    side = _side(length, radius)
+    shape = placed(side, matrix)
+    surface = area(shape) if not is_similarity(matrix) else 2.0 * math.pi * radius * length * abs(float(np.linalg.det(matrix[:3, :3]))) ** (2.0 / 3.0)
+    L = radiance * per_area / surface if per_area else radiance
+    if _cone(inputs, path, notes) is not None:
+        notes.warn(path, "the cone of a CylinderLight is not drawn")
+    return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), shape)
+
+
+def _side(length: float, radius: float) -> Triangles:
+    """The side of a cylinder along X, of `ROUND` segments that keep its area."""
+    fit = math.pi / (ROUND * math.sin(math.pi / ROUND))  # chord of a segment -> its arc
+    made = frustum(length, radius * fit, radius * fit)
+    assert made.normals is not None
+    flat = np.abs(made.normals[made.faces[:, 0], 2]) < 0.5
+    turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    return Triangles(made.positions @ turn.T, made.faces[flat], made.normals @ turn.T)
+
+
+def _unsupported(prim: Usd.Prim, inputs: _Inputs, notes: Notebook) -> None:
+    path = prim.GetPath()
+    for name in ("diffuse", "specular"):
+        if float(inputs.get(name, 1.0)) != 1.0:
+            notes.warn(path, f"the multiplier inputs:{name} is not drawn; light is the same for all surfaces")
+    if not inputs.get("shadow:enable", True):
+        notes.warn(path, "a light without shadows is drawn with them")
+    if prim.HasRelationship("light:filters") and prim.GetRelationship("light:filters").GetTargets():
+        notes.warn(path, "light filters are not drawn")
+    for name in ("lightLink", "shadowLink"):
+        root = prim.GetAttribute(f"collection:{name}:includeRoot")
+        if root and root.HasAuthoredValue() and not root.Get():
+            notes.warn(path, f"{name} is not drawn; the light reaches everything")
+
+
+def _rgb(value: Any) -> dict[str, Any]:
+    return {"type": "rgb", "value": [float(c) for c in value]}
+
+
+def is_light_mesh(prim: Usd.Prim) -> bool:
+    """Whether a mesh shines by MeshLightAPI."""
+    return "MeshLightAPI" in prim.GetAppliedSchemas()

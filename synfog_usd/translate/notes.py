@@ -1,0 +1,40 @@
+"""What the translation left out or made simpler, collected while it runs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from synfog_usd.scene import Note
+
+MAX_SAME = 10
+"""Notes of the same text that are kept one by one; the rest is counted."""
+
+
+class Notebook:
+    """Notes in the order in which they came, each (path, text) once."""
+
+    def __init__(self) -> None:
+        self._by_text: dict[tuple[Literal["info", "warning"], str], dict[str, None]] = {}
+
+    def info(self, path: object, text: str) -> None:
+        """A choice that was made."""
+        self._by_text.setdefault(("info", text), {})[str(path)] = None
+
+    def warn(self, path: object, text: str) -> None:
+        """The picture differs from what the author meant."""
+        self._by_text.setdefault(("warning", text), {})[str(path)] = None
+
+    def extend(self, notes: list[Note]) -> None:
+        """Take over notes of another room."""
+        for note in notes:
+            self._by_text.setdefault((note.severity, note.text), {})[note.path] = None
+
+    def closed(self) -> tuple[Note, ...]:
+        """All notes; of one text at most `MAX_SAME` and a count of the rest."""
+        notes = []
+        for (severity, text), paths in self._by_text.items():
+            listed = list(paths)
+            notes += [Note(severity, path, text) for path in listed[:MAX_SAME]]
+            if len(listed) > MAX_SAME:
+                notes.append(Note(severity, listed[MAX_SAME], f"{text} (and {len(listed) - MAX_SAME - 1} more prims)"))
+        return tuple(notes)

@@ -1,0 +1,89 @@
+"""From a stage's units and up axis to metres, Z up.
+
+Matrices here are (4, 4) float64 for column vectors; USD's own are for row vectors
+and are transposed at the door.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Gf, Usd, UsdGeom
+
+from synfog_usd.errors import StageError
+
+Array = npt.NDArray[np.float64]
+
+Y_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""(x, y, z) -> (x, -z, y)."""
+
+
+@dataclass(frozen=True)
+class Space:
+    """How stage coordinates become the scene's.
+
+    Attributes:
+        metres_per_unit: length [m] of one stage unit.
+        axes: (4, 4) rotation of the stage's up axis to Z.
+        origin_m: point [m, Z up] that becomes the scene's origin.
+    """
+
+    metres_per_unit: float
+    axes: Array
+    origin_m: Array
+
+    @property
+    def matrix(self) -> Array:
+        """Stage coordinates to scene coordinates."""
+        result = self.axes.copy()
+        result[:3, :3] *= self.metres_per_unit
+        result[:3, 3] = -self.origin_m
+        return result
+
+
+def stage_space(stage: Usd.Stage) -> Space:
+    """Units and axes of a stage, with the origin where the stage has it.
+
+    Raises:
+        StageError: metersPerUnit is not above 0.
+    """
+    metres = UsdGeom.GetStageMetersPerUnit(stage)
+    if not (metres > 0.0 and np.isfinite(metres)):
+        raise StageError(f"{stage.GetRootLayer().identifier}: metersPerUnit = {metres} is not above 0; 1 is metres, 0.01 centimetres")
+    axes = np.eye(4) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else Y_TO_Z
+    return Space(float(metres), axes, np.zeros(3))
+
+
+def columns(matrix: Gf.Matrix4d) -> Array:
+    """A USD matrix for column vectors."""
+    return np.array(matrix, dtype=np.float64).T
+
+
+def apply(matrix: Array, points: Any) -> Array:
+    """(N, 3) points under an affine matrix, in float64."""
+    return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def scaled(x: float, y: float, z: float) -> Array:
+    """A matrix that stretches along the axes."""
+    return np.diag([x, y, z, 1.0])
+
+
+def rotation_of(matrix: Array) -> Array:
+    """(4, 4) rotation nearest to a matrix: no scale, shear, mirror or translation."""
+    u, _, vt = np.linalg.svd(matrix[:3, :3])
+    rotation = u @ vt
+    if np.linalg.det(rotation) < 0.0:
+        rotation[:, 0] *= -1.0
+    result = np.eye(4)
+    result[:3, :3] = rotation
+    return result
+
+
+def is_similarity(matrix: Array, *, tolerance: float = 1e-4) -> bool:
+    """Whether a matrix stretches all directions alike."""
+    lengths = np.linalg.svd(matrix[:3, :3], compute_uv=False)
+    return bool(lengths[0] - lengths[2] <= tolerance * lengths[0])

@@ -1,0 +1,228 @@
+"""Fog: boundaries and media from the prims that carry fog attributes.
+
+Takes leaves of the walk; gives `FogVolume`s in scene metres, each with the one
+that surrounds it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Usd, UsdGeom
+
+from synfog_usd.errors import ParameterError, StageError
+from synfog_usd.fog import Boundary, FogMedium, FogVolume, extinction_from_visibility
+from synfog_usd.fog.volume import crosses, is_inside
+from synfog_usd.stage.schema import DEFAULTS, PREFIX, FogAttributes, read_fog
+from synfog_usd.translate.geometry import part, read_implicit, read_mesh
+from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.space import Array, apply, scaled
+
+DEFAULT_MOR_M = float(DEFAULTS["mor"])
+_SLACK = 1e-5
+"""Relative shrinking before containment is asked, so that faces that lie in one plane do not count as crossing."""
+
+LAYER_TOP_M = 100.0
+LAYER_HALF_WIDTH_M = 2000.0
+"""Size of the fog that is made for a stage that has none."""
+
+
+def fog_volume(prim: Usd.Prim, source: Usd.Prim | None, matrix: Array, time: Usd.TimeCode, notes: Notebook) -> FogVolume | None:
+    """The fog within one boundary prim, or None where it is switched off.
+
+    Args:
+        prim: the boundary.
+        source: prim with the fog attributes; None for a boundary that has none
+            (an exported fog box), which gets the default visibility.
+        matrix: (4, 4) of the boundary to scene metres.
+
+    Raises:
+        StageError: a value outside its range, or a boundary that is not closed.
+    """
+    attributes = read_fog(source, time) if source is not None else None
+    if attributes is None:
+        attributes = FogAttributes(str(prim.GetPath()), DEFAULTS, {})
+    if not attributes.values["enabled"]:
+        return None
+    boundary = _boundary(prim, matrix, time, notes)
+    medium = _medium(attributes, _lowest(boundary), notes)
+    return FogVolume(str(prim.GetPath()), boundary, medium, attributes.values["priority"])
+
+
+def nested(volumes: list[FogVolume]) -> tuple[FogVolume, ...]:
+    """The same volumes, each with the innermost other one around it as parent.
+
+    Raises:
+        StageError: two boundaries that cross.
+    """
+    inner = [_shrunk(volume.boundary) for volume in volumes]
+    sizes = [_size(volume.boundary) for volume in volumes]
+    around: list[list[int]] = [[] for _ in volumes]
+    for i in range(len(volumes)):
+        for j in range(i):
+            i_in_j, j_in_i = is_inside(inner[i], volumes[j].boundary), is_inside(inner[j], volumes[i].boundary)
+            if i_in_j and j_in_i:  # the same place twice: priority says which fog fills it
+                i_in_j = (volumes[i].priority, -sizes[i], i) > (volumes[j].priority, -sizes[j], j)
+                j_in_i = not i_in_j
+            if i_in_j:
+                around[i].append(j)
+            elif j_in_i:
+                around[j].append(i)
+            elif crosses(inner[i], inner[j]):
+                raise StageError(
+                    f"{volumes[j].path} and {volumes[i].path}: fog boundaries that cut through each other; put one wholly inside the other, or move them apart"
+                )
+    return tuple(replace(volume, parent=max(around[k], key=lambda j: len(around[j])) if around[k] else None) for k, volume in enumerate(volumes))
+
+
+def with_visibility(volumes: tuple[FogVolume, ...], mor_m: float) -> tuple[FogVolume, ...]:
+    """The same volumes with another visibility in the outermost ones; none for 0 or infinity."""
+    if mor_m == 0.0 or math.isinf(mor_m):
+        return ()
+    sigma_t = float(extinction_from_visibility(mor_m))
+    return tuple(volume if volume.parent is not None else replace(volume, medium=replace(volume.medium, sigma_t_per_m=sigma_t)) for volume in volumes)
+
+
+def layer(mor_m: float, low: Array, high: Array, eye: Array) -> FogVolume:
+    """A fog layer around everything, for a stage that has no fog of its own.
+
+    Args:
+        low, high: (3,) corners [m] of what is drawn.
+        eye: (3,) camera position [m].
+    """
+    bottom = min(float(low[2]), float(eye[2])) - 1.0
+    top = bottom + max(LAYER_TOP_M, 2.0 * (float(eye[2]) - bottom))
+    half = max(LAYER_HALF_WIDTH_M, float(np.abs(np.stack([low - eye, high - eye])[:, :2]).max()) * 1.01)
+    to_world = scaled(half, half, (top - bottom) / 2.0)
+    to_world[:3, 3] = eye[0], eye[1], (top + bottom) / 2.0
+    return FogVolume("", Boundary("box", to_world), replace(FogMedium.from_visibility(mor_m), base_height_m=bottom))
+
+
+def is_closed(vertices: Array, faces: npt.NDArray[np.int64]) -> bool:
+    """Whether each edge lies between two triangles that turn the same way round, points at one place being one."""
+    return len(faces) >= 4 and _open_edges(_welded(vertices, faces)) == 0
+
+
+def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Notebook) -> Boundary:
+    kind, path = prim.GetTypeName(), prim.GetPath()
+    try:
+        if kind in ("Cube", "Sphere"):
+            attribute = prim.GetAttribute("size" if kind == "Cube" else "radius")
+            half = float(attribute.Get(time)) / (2.0 if kind == "Cube" else 1.0)
+            return Boundary("box" if kind == "Cube" else "sphere", matrix @ scaled(half, half, half))
+        if kind == "Volume":
+            return _extent_box(prim, matrix, time)
+        if kind == "Mesh":
+            polygons = read_mesh(prim, time, notes)
+            made = part(polygons, None) if polygons is not None else None
+        elif kind in ("Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1"):
+            made = read_implicit(prim, kind, time)
+        else:
+            raise StageError(f"{path}: a {kind or 'prim without a type'} cannot hold fog; use a Cube, Sphere, Cylinder or closed Mesh")
+        if made is None:
+            raise StageError(f"{path}: a fog boundary without faces that can be used; make it a closed mesh")
+        return _mesh_boundary(apply(matrix, made.positions), made.faces, path)
+    except ParameterError as problem:
+        raise StageError(f"{path}: {problem}") from problem
+
+
+def _extent_box(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode) -> Boundary:
+    extent = UsdGeom.Boundable(prim).GetExtentAttr().Get(time)
+    if extent is None or len(extent) != 2:
+        raise StageError(f"{prim.GetPath()}: a Volume holds fog only with an extent; author it, or use a Cube")
+    low, high = np.array(extent[0], dtype=np.float64), np.array(extent[1], dtype=np.float64)
+    box = scaled(*((high - low) / 2.0))
+    box[:3, 3] = (low + high) / 2.0
+    return Boundary("box", matrix @ box)
+
+
+def _mesh_boundary(vertices: Array, faces: npt.NDArray[np.int64], path: object) -> Boundary:
+    points, triangles = _welded(vertices, faces)
+    count = _open_edges((points, triangles))
+    if count:
+        raise StageError(f"{path}: a fog boundary with {count} open or badly joined edges; close the mesh, so that inside and outside are clear")
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    if np.einsum("ij,ij->", a - points[0], np.cross(b - points[0], c - points[0])) < 0.0:
+        triangles = triangles[:, ::-1]
+    return Boundary("mesh", np.eye(4), points, triangles)
+
+
+def _welded(vertices: Array, faces: npt.NDArray[np.int64]) -> tuple[Array, npt.NDArray[np.int64]]:
+    """Points at one place as one, unused ones and collapsed triangles dropped."""
+    used, inverse = np.unique(faces, return_inverse=True)
+    span = float(np.ptp(vertices[used], axis=0).max())
+    grid = np.round((vertices[used] - vertices[used].min(axis=0)) / max(1e-7 * span, 1e-300))
+    _, first, same = np.unique(grid, axis=0, return_index=True, return_inverse=True)
+    triangles = same.reshape(-1)[inverse.reshape(-1)].reshape(-1, 3)
+    whole = (triangles[:, 0] != triangles[:, 1]) & (triangles[:, 1] != triangles[:, 2]) & (triangles[:, 2] != triangles[:, 0])
+    return vertices[used][first], triangles[whole].astype(np.int64)
+
+
+def _open_edges(mesh: tuple[Array, npt.NDArray[np.int64]]) -> int:
+    points, triangles = mesh
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    forward, backward = edges[:, 0] * len(points) + edges[:, 1], edges[:, 1] * len(points) + edges[:, 0]
+    return int(len(np.setxor1d(forward, backward)) // 2 + len(forward) - len(np.unique(forward)))
+
+
+def _medium(attributes: FogAttributes, base_m: float, notes: Notebook) -> FogMedium:
+    values, authored = attributes.values, attributes.attribute_of
+
+    def fault(name: str, allowed: str) -> StageError:
+        return StageError(f"{attributes.path}: {authored.get(name, PREFIX + name)} = {values[name]!r}; {allowed}")
+
+    if values["phase"] != "hg":
+        raise fault("phase", "only 'hg' (Henyey-Greenstein) is drawn")
+    if values["profile"] not in ("uniform", "exponential"):
+        raise fault("profile", "only 'uniform' and 'exponential' are drawn")
+    if values["angstrom"] != 0.0:
+        notes.warn(attributes.path, "fog is drawn grey; its Angstrom exponent is left out")
+    if "dropletDiameter" in authored:
+        notes.info(attributes.path, "the droplet diameter is not used; g alone shapes the phase function")
+    ranges: list[tuple[str, Any, str]] = [
+        ("mor", values["mor"] > 0.0, "a visibility is above 0 m"),
+        ("sigma_t", values["sigma_t"] is None or values["sigma_t"] >= 0.0, "an extinction is 0 1/m or more"),
+        ("contrast", 0.0 < values["contrast"] < 1.0, "a contrast threshold lies between 0 and 1; the WMO's is 0.05"),
+        ("albedo", 0.0 <= values["albedo"] <= 1.0, "an albedo is 0 to 1"),
+        ("g", -1.0 < values["g"] < 1.0, "a mean cosine lies between -1 and 1"),
+        ("scaleHeight", values["scaleHeight"] > 0.0, "a scale height is above 0 m"),
+    ]
+    for name, fits, allowed in ranges:
+        if not fits:
+            raise fault(name, allowed)
+    sigma_t = values["sigma_t"]
+    if sigma_t is None:
+        sigma_t = float(extinction_from_visibility(values["mor"], contrast=values["contrast"]))
+        if "mor" not in authored:
+            notes.info(attributes.path, f"fog without a visibility gets {DEFAULT_MOR_M:g} m; author {PREFIX}mor [m]")
+    try:
+        return FogMedium(sigma_t, values["albedo"], values["g"], values["profile"], base_m, values["scaleHeight"])
+    except ParameterError as problem:
+        name = "sigma_t" if "sigma_t" in authored else "mor"
+        raise StageError(f"{attributes.path}: {authored.get(name, PREFIX + name)} = {values[name]!r}: {problem}") from problem
+
+
+def _lowest(boundary: Boundary) -> float:
+    if boundary.vertices is not None:
+        return float(boundary.vertices[:, 2].min())
+    row = boundary.to_world[2, :3]
+    reach = np.abs(row).sum() if boundary.kind == "box" else np.linalg.norm(row)
+    return float(boundary.to_world[2, 3] - reach)
+
+
+def _size(boundary: Boundary) -> float:
+    """Volume [m3] of the box or of the mesh's bounding box."""
+    if boundary.vertices is not None:
+        return float(np.prod(np.ptp(boundary.vertices, axis=0)))
+    return 8.0 * abs(float(np.linalg.det(boundary.to_world[:3, :3])))
+
+
+def _shrunk(boundary: Boundary) -> Boundary:
+    if boundary.vertices is not None:
+        centre = boundary.vertices.mean(axis=0)
+        return replace(boundary, vertices=centre + (boundary.vertices - centre) * (1.0 - _SLACK))
+    return replace(boundary, to_world=boundary.to_world @ scaled(1.0 - _SLACK, 1.0 - _SLACK, 1.0 - _SLACK))

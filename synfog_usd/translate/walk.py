@@ -1,0 +1,350 @@
+"""The one traversal: what is on a stage, where, and whose.
+
+Takes a stage; gives leaves (things to draw, lights, fog) in stage coordinates and
+placements (instances of leaves that are listed once).  Knows nothing of Mitsuba.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Kind, Usd, UsdGeom, UsdLux, UsdShade, UsdVol
+
+from synfog_usd.errors import StageError
+from synfog_usd.stage.labels import LABEL_SOURCES, UNLABELED, direct_label, official_name
+from synfog_usd.stage.open import MAX_DEPTH
+from synfog_usd.stage.schema import has_fog_attributes
+from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.space import columns
+
+Array = npt.NDArray[np.float64]
+
+MAX_LEAVES = 5_000_000
+"""Prims that are drawn, instances counted; a file of 2 kB can ask for more by doubling references."""
+
+MAX_NESTED = 200_000
+"""Leaves that nested instances may list again."""
+
+DRAWN = frozenset({"Mesh", "Cube", "Sphere", "Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1", "Plane"})
+_NOT_DRAWN = frozenset({"BasisCurves", "NurbsCurves", "HermiteCurves", "Points", "NurbsPatch", "TetMesh"})
+_LIGHTS = frozenset({"DomeLight", "DomeLight_1", "DistantLight", "SphereLight", "RectLight", "DiskLight", "CylinderLight"})
+_PRUNED = frozenset(
+    {"Material", "Shader", "NodeGraph", "Skeleton", "SkelAnimation", "BlendShape", "GeomSubset", "RenderSettings", "RenderProduct", "RenderVar"}
+)
+_PASSED = frozenset({"", "Xform", "Scope", "SkelRoot", "Camera", "OpenVDBAsset", "Field3DAsset"})
+
+
+@dataclass(frozen=True, slots=True)
+class Owner:
+    """A prim that a label or an id stands for."""
+
+    path: str
+    label: str
+    splits: bool = False
+    """Whether instances below are things of their own: a group of things, not one thing."""
+
+
+@dataclass(slots=True)
+class Leaf:
+    """One prim to draw, to shine or to hold fog.
+
+    Attributes:
+        prim: the prim, of the stage or of a prototype.
+        matrix: (4, 4) float64, to stage coordinates or to the group's frame.
+        owner: nearest labelled prim, within the group for a group's leaf.
+        model: path of the nearest component or, in the world, the prim itself.
+        color: inherited constant displayColor, or None.
+        fog: prim whose fog attributes hold for this one, or None.
+        material: path of the material bound above the instance that the leaf is in, or None.
+    """
+
+    prim: Usd.Prim
+    matrix: Array
+    owner: Owner | None
+    model: str | None
+    color: tuple[float, float, float] | None = None
+    fog: Usd.Prim | None = None
+    material: str | None = None
+
+
+@dataclass(slots=True)
+class Group:
+    """Leaves that are listed once and placed often.
+
+    Attributes:
+        root: path of the prototype, a prefix of its leaves' paths.
+        leaves: what is drawn or shines.
+    """
+
+    root: str
+    leaves: list[Leaf] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Placement:
+    """One instance of a group.
+
+    Attributes:
+        group: index in `Walk.groups`.
+        matrix: (4, 4) float64 to stage coordinates.
+        path: prim path, with [n] behind a point instancer's.
+        owner: labelled prim that the instance is part of, or None.
+        model: path of the component around it, or the instance itself.
+    """
+
+    group: int
+    matrix: Array
+    path: str
+    owner: Owner | None
+    model: str
+
+
+@dataclass(slots=True)
+class Walk:
+    """All that was found."""
+
+    leaves: list[Leaf] = field(default_factory=list)
+    groups: list[Group] = field(default_factory=list)
+    placements: list[Placement] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _State:
+    depth: int
+    drawn: bool
+    owner: Owner | None = None
+    model: str | None = None
+    color: tuple[float, float, float] | None = None
+    fog: Usd.Prim | None = None
+    material: str | None = None
+
+
+def walk(stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook) -> Walk:
+    """Everything that can be seen, shines or is fog, once.
+
+    Invisible and inactive prims and those of purpose guide and proxy are left out,
+    except for fog boundaries, whose purpose does not count.
+
+    Raises:
+        StageError: nested deeper than `MAX_DEPTH` or more than `MAX_LEAVES` prims.
+    """
+    return _Walker(stage, time, notes).run()
+
+
+class _Walker:
+    def __init__(self, stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook) -> None:
+        self.stage, self.time, self.notes = stage, time, notes
+        self.transforms = UsdGeom.XformCache(time)
+        self.result = Walk()
+        self.group_index: dict[tuple[object, ...], int] = {}
+        self.open_groups: list[str] = []
+        self.count = 0
+        self.nested = 0
+
+    def run(self) -> Walk:
+        self.into(self.stage.GetPseudoRoot(), _State(-1, drawn=True), None, None)
+        return self.result
+
+    def into(self, root: Usd.Prim, start: _State, group: Group | None, frame: Usd.Prim | None) -> None:
+        """Walk the subtree of `root`; leaves go to `group`, relative to `frame`, or to the world."""
+        stack = [start]
+        iterator = iter(Usd.PrimRange(root))
+        for prim in iterator:
+            if prim.IsPseudoRoot():
+                continue
+            path = prim.GetPath()
+            depth = path.pathElementCount
+            if depth > MAX_DEPTH:
+                raise StageError(f"{str(path)[:60]}…: prims nested deeper than {MAX_DEPTH} levels; flatten the hierarchy")
+            while stack[-1].depth >= depth:
+                stack.pop()
+            kind = prim.GetTypeName()
+            if kind in _PRUNED:
+                iterator.PruneChildren()
+                continue
+            state = self.entered(prim, kind, depth, stack[-1], is_frame=frame is not None and prim == frame)
+            if state is None:
+                iterator.PruneChildren()
+                continue
+            stack.append(state)
+            if prim.IsInstance() and kind not in DRAWN:
+                self.instance(prim, state, group, frame)
+                iterator.PruneChildren()
+            elif kind == "PointInstancer":
+                self.point_instancer(prim, state, group, frame)
+                iterator.PruneChildren()
+            else:
+                self.leaf(prim, kind, state, stack[-2], group, frame)
+
+    def entered(self, prim: Usd.Prim, kind: str, depth: int, above: _State, *, is_frame: bool) -> _State | None:
+        """The state below a prim, or None where nothing below can be seen."""
+        drawn, owner, model, color, fog = above.drawn, above.owner, above.model, above.color, None
+        authored = prim.GetAuthoredPropertyNames()
+        if "visibility" in authored and prim.GetAttribute("visibility").Get(self.time) == UsdGeom.Tokens.invisible:
+            return None
+        if "purpose" in authored:
+            drawn = prim.GetAttribute("purpose").Get() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+        prim_kind = prim.GetMetadata("kind") if prim.HasAuthoredMetadata("kind") else ""
+        if prim_kind and not is_frame and Kind.Registry.IsA(prim_kind, Kind.Tokens.component):
+            model = str(prim.GetPath())
+        label = direct_label(prim, self.time) if not LABEL_SOURCES.isdisjoint(authored) else None
+        if label is not None:
+            path, official = str(prim.GetPath()), official_name(label)
+            if official is None:
+                self.notes.warn(path, f"label {label!r} is not a Cityscapes name; it counts as {UNLABELED}")
+            splits = kind == "Scope" or (bool(prim_kind) and Kind.Registry.IsA(prim_kind, Kind.Tokens.group))
+            owner = Owner(path, official or UNLABELED, splits)
+        if "primvars:displayColor" in authored:
+            color = self.constant_color(prim, color)
+        if has_fog_attributes(prim, authored):
+            fog = prim
+        return _State(depth, drawn, owner, model, color, fog, above.material)
+
+    def constant_color(self, prim: Usd.Prim, inherited: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
+        if not primvar.HasAuthoredValue() or primvar.GetInterpolation() != UsdGeom.Tokens.constant:
+            return inherited
+        values = primvar.Get(self.time)
+        if values is None:
+            values = primvar.Get(Usd.TimeCode.EarliestTime())
+        return inherited if not values else tuple(float(c) for c in values[0])
+
+    def matrix(self, prim: Usd.Prim, frame: Usd.Prim | None) -> Array:
+        if frame is None:
+            return columns(self.transforms.GetLocalToWorldTransform(prim))
+        if prim == frame:
+            return np.eye(4)
+        return columns(self.transforms.ComputeRelativeTransform(prim, frame)[0])
+
+    def leaf(self, prim: Usd.Prim, kind: str, state: _State, above: _State, group: Group | None, frame: Usd.Prim | None) -> None:
+        is_light = kind in _LIGHTS
+        fog = state.fog
+        if fog is None and kind in DRAWN:
+            parent = prim.GetParent()
+            if above.fog is not None and parent.GetTypeName() == "Xform":
+                siblings = [child for child in parent.GetFilteredChildren(Usd.TraverseInstanceProxies()) if child.IsA(UsdGeom.Gprim)]
+                if len(siblings) == 1:
+                    fog = parent
+                else:
+                    self.notes.warn(parent.GetPath(), f"has fog attributes but {len(siblings)} shapes below; put the attributes on the boundary itself")
+        if kind in _PASSED:
+            return
+        if fog is None and not is_light and kind not in DRAWN:
+            self.unknown(prim, kind, state)
+            return
+        if fog is None and not state.drawn:
+            return
+        self.count += 1
+        self.limit()
+        matrix = self.matrix(prim, frame)
+        if not math.isfinite(matrix.sum()):
+            self.notes.warn(prim.GetPath(), "a prim placed or scaled by what is no finite number is left out")
+            return
+        model = state.model or (None if group is not None else str(prim.GetPath()))
+        found = Leaf(prim, matrix, state.owner, model, state.color, fog, state.material)
+        (self.result.leaves if group is None else group.leaves).append(found)
+
+    def limit(self) -> None:
+        if self.count > MAX_LEAVES:
+            raise StageError(f"the stage draws more than {MAX_LEAVES} prims, instances counted; make it smaller")
+
+    def unknown(self, prim: Usd.Prim, kind: str, state: _State) -> None:
+        if not state.drawn or UsdShade.Material(prim) or not prim.IsA(UsdGeom.Imageable):
+            if prim.HasAPI(UsdLux.LightAPI):
+                self.notes.warn(prim.GetPath(), f"light of type {kind} is not known; it is dark")
+            return
+        if prim.IsA(UsdVol.Volume):
+            self.notes.warn(prim.GetPath(), "Volume is not drawn; only uniform and exponential fog within a closed boundary is")
+        elif kind in _NOT_DRAWN or prim.IsA(UsdGeom.Gprim):
+            self.notes.warn(prim.GetPath(), f"{kind} is not drawn; convert it to a Mesh")
+        elif kind == "PortalLight":
+            self.notes.info(prim.GetPath(), "PortalLight is left out; it only guides the sampling of a dome light")
+        elif prim.HasAPI(UsdLux.LightAPI):
+            self.notes.warn(prim.GetPath(), f"light of type {kind} is not known; it is dark")
+
+    def instance(self, prim: Usd.Prim, state: _State, group: Group | None, frame: Usd.Prim | None) -> None:
+        prototype = prim.GetPrototype()
+        path = str(prim.GetPath())
+        index = self.group_of(prototype, state, self.bound(prim, state))
+        self.place(index, self.matrix(prim, frame), path, state, group, own_thing=state.owner is not None and (state.owner.splits or state.owner.path == path))
+
+    def point_instancer(self, prim: Usd.Prim, state: _State, group: Group | None, frame: Usd.Prim | None) -> None:
+        instancer = UsdGeom.PointInstancer(prim)
+        path = str(prim.GetPath())
+        targets = instancer.GetPrototypesRel().GetForwardedTargets()
+        which = instancer.GetProtoIndicesAttr().Get(self.time)
+        if not targets or which is None:
+            self.notes.warn(path, "PointInstancer without prototypes or indices is left out")
+            return
+        which = np.asarray(which, dtype=np.int64)
+        matrices = instancer.ComputeInstanceTransformsAtTime(self.time, self.time, UsdGeom.PointInstancer.IncludeProtoXform, UsdGeom.PointInstancer.IgnoreMask)
+        if len(matrices) != len(which) or (which.size and not 0 <= which.min() <= which.max() < len(targets)):
+            self.notes.warn(path, "PointInstancer whose positions, indices and prototypes do not fit each other is left out")
+            return
+        mask = instancer.ComputeMaskAtTime(self.time)
+        shown = np.asarray(mask, dtype=bool) if len(mask) == len(which) else np.ones(len(which), dtype=bool)
+        groups = {}
+        for number in np.unique(which[shown]):
+            prototype = self.stage.GetPrimAtPath(targets[number])
+            if not prototype or not prototype.IsDefined() or prototype.IsAbstract():
+                self.notes.warn(path, f"prototype {targets[number]} is missing or abstract; its points are left out")
+                continue
+            groups[number] = self.group_of(prototype, state, self.bound(prim, state))
+        place = self.matrix(prim, frame)
+        all_matrices = np.array(matrices, dtype=np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
+        with np.errstate(invalid="ignore"):
+            products = place @ all_matrices
+        for number in np.flatnonzero(shown):
+            index = groups.get(which[number])
+            if index is not None:
+                own = state.owner is None or state.owner.splits or state.owner.path == path or state.model is None
+                self.place(index, products[number], f"{path}[{number}]", state, group, own_thing=own)
+
+    def bound(self, prim: Usd.Prim, state: _State) -> str | None:
+        """Path of the material that leaves below an instance inherit from outside."""
+        material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
+        return str(material.GetPath()) if material else state.material
+
+    def group_of(self, prototype: Usd.Prim, state: _State, material: str | None) -> int:
+        """Index of the group of a prototype, walked at its first use."""
+        root = str(prototype.GetPath())
+        key = (root, state.color, material, state.drawn)
+        known = self.group_index.get(key)
+        if known is not None:
+            return known
+        if root in self.open_groups:
+            raise StageError(f"{root}: an instancer whose prototype holds the instancer itself")
+        if len(self.open_groups) > 64:
+            raise StageError(f"{root}: instances nested deeper than 64 levels; flatten some")
+        self.open_groups.append(root)
+        group = Group(root)
+        depth = prototype.GetPath().pathElementCount
+        self.into(prototype, _State(depth - 1, state.drawn, color=state.color, material=material), group, prototype)
+        self.open_groups.pop()
+        self.group_index[key] = len(self.result.groups)
+        self.result.groups.append(group)
+        return self.group_index[key]
+
+    def place(self, index: int, matrix: Array, path: str, state: _State, group: Group | None, *, own_thing: bool) -> None:
+        if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-300:
+            self.notes.warn(path, "an instance scaled to nothing, or placed at no finite point, is left out")
+            return
+        owner = state.owner
+        if owner is not None and own_thing:
+            owner = Owner(path, owner.label)
+        inner = self.result.groups[index]
+        if group is None:
+            self.count += len(inner.leaves)
+            self.limit()
+            self.result.placements.append(Placement(index, matrix, path, owner, state.model or path))
+            return
+        self.nested += len(inner.leaves)  # Mitsuba knows one level of instances, so the inner leaves are listed again
+        if self.nested > MAX_NESTED:
+            raise StageError(f"{path}: nested instances draw more than {MAX_NESTED} prims; nest them less")
+        for leaf in inner.leaves:
+            below = str(leaf.owner.path).removeprefix(inner.root) if leaf.owner is not None else ""
+            nested = Owner(f"{path}{below}", leaf.owner.label) if leaf.owner is not None else owner
+            group.leaves.append(Leaf(leaf.prim, matrix @ leaf.matrix, nested, leaf.model and path, leaf.color, leaf.fog, leaf.material))

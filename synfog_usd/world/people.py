@@ -1,0 +1,320 @@
+"""People on foot, and a cyclist with a bicycle.
+
+A person is limbs and blobs that blend where they touch; what is skin, hair,
+coat, trousers or shoe is cut along the line where one lies nearer than the
+others.  They face +Y and stand on z = 0; lengths in metres.
+"""
+
+# ruff: noqa: RUF005 -- offsets are added to arrays, which only look like lists
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from synfog_usd.world.components import Component, Look
+from synfog_usd.world.materials import PALETTE, Material
+from synfog_usd.world.shapes import Array, Part, blob_distance, box, lathe, limb_distance, scale, shift, soft_box, soft_min, split, surface, tube, turn
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Person:
+    """One person.  Angles in degrees, forward positive.
+
+    Attributes:
+        height: [m].
+        thighs, knees: angle of each thigh and bend of each knee (left, right).
+        arms, elbows: angle of each upper arm and bend of each elbow.
+        splay: how far the arms stand off the body.
+        lean: of the trunk; turn_head: to the left.
+        coat: length of the coat below the hip [m]; hair: 'short', 'long', 'bun', 'cap'.
+        carries: 'backpack', 'handbag', 'phone', 'umbrella' or ''.
+        wears: material by role; outfits: names of cloths for coat and trousers, one pair per variant.
+        build: breadth of the trunk relative to average.
+    """
+
+    name: str
+    about: str
+    height: float
+    thighs: tuple[float, float] = (0, 0)
+    knees: tuple[float, float] = (3, 3)
+    arms: tuple[float, float] = (2, 2)
+    elbows: tuple[float, float] = (12, 12)
+    splay: float = 9
+    lean: float = 0
+    turn_head: float = 0
+    coat: float = 0.08
+    hair: str = "short"
+    carries: str = ""
+    build: float = 1.0
+    wears: Mapping[str, str] = field(default_factory=dict)
+    outfits: tuple[tuple[str, str], ...] = (("cloth_black", "denim"),)
+
+
+PEOPLE = (
+    Person("man_walking", "A man who walks, in a short coat.", 1.80, thighs=(24, -20), knees=(6, 14), arms=(-20, 22), elbows=(14, 24), lean=3, coat=0.26,
+           wears={"hair": "hair_brown", "shoes": "leather_brown"}, outfits=(("cloth_navy", "denim"), ("cloth_grey", "cloth_black"), ("cloth_green",
+           "cloth_beige"))),
+    Person("woman_walking", "A woman who walks, in a long coat, with a handbag.", 1.68, thighs=(-17, 21), knees=(16, 5), arms=(16, -14), elbows=(20, 10),
+        lean=2, coat=0.42, hair="long", carries="handbag", build=0.88,
+           wears={"hair": "hair_blond", "shoes": "leather_black", "bag": "leather_brown"}, outfits=(("cloth_beige", "cloth_black"), ("cloth_red",
+           "cloth_black"), ("cloth_grey", "denim"))),
+    Person("man_waiting", "A man who waits, hands in his pockets.", 1.77, thighs=(2, -3), knees=(2, 6), arms=(-9, -9), elbows=(38, 38), splay=15,
+        turn_head=25, coat=0.10,
+           wears={"hair": "hair_dark", "shoes": "shoe_white"}, outfits=(("cloth_teal", "denim"), ("cloth_black", "cloth_grey"))),
+    Person("woman_phone", "A woman who stands and looks at her telephone.", 1.66, thighs=(1, -2), knees=(3, 8), arms=(18, 2), elbows=(105, 14), turn_head=-8,
+        coat=0.14, hair="bun", carries="phone", build=0.88,
+           wears={"hair": "hair_dark", "shoes": "shoe_white"}, outfits=(("cloth_red", "denim"), ("cloth_mustard", "cloth_black"))),
+    Person("student", "A student who walks with a backpack.", 1.78, thighs=(-22, 25), knees=(12, 7), arms=(18, -18), elbows=(22, 18), lean=5, coat=0.10,
+        carries="backpack",
+           wears={"skin": "skin_brown", "hair": "hair_dark", "shoes": "shoe_white", "bag": "cloth_navy"}, outfits=(("cloth_mustard", "denim"), ("cloth_white",
+           "cloth_black"))),
+    Person("child", "A child of eight who walks.", 1.28, thighs=(20, -18), knees=(6, 20), arms=(-24, 20), elbows=(18, 26), lean=3, coat=0.10, hair="cap",
+        build=0.98,
+           wears={"hair": "cloth_red", "shoes": "shoe_white"}, outfits=(("cloth_teal", "cloth_grey"), ("cloth_yellow", "denim"))),
+    Person("old_man", "An old man who walks slowly with an umbrella.", 1.70, thighs=(13, -12), knees=(8, 12), arms=(-8, 12), elbows=(14, 26), lean=8,
+        coat=0.40, hair="cap", carries="umbrella", build=1.1,
+           wears={"hair": "cloth_grey", "shoes": "leather_black", "bag": "cloth_black"}, outfits=(("cloth_green", "cloth_grey"), ("cloth_beige",
+           "cloth_black"))),
+)  # fmt: skip
+
+ROLES = {"skin": "skin", "hair": "hair_dark", "coat": "cloth_black", "trousers": "denim", "shoes": "leather_black", "bag": "leather_black"}
+
+
+def build_people() -> list[Component]:
+    """Everyone in `PEOPLE`, each with outfits to choose."""
+    return [_component(person.name, "person", person.about, _person(person), person.wears, person.outfits) for person in PEOPLE]
+
+
+def build_rider() -> Component:
+    """Who rides the bicycle of `build_bicycle`: place both at the same point."""
+    hips, chest = (0.0, -0.22, 0.99), (0.0, 0.08, 1.38)
+    joints = {
+        "hips": hips, "chest": chest, "neck": (0.0, 0.15, 1.52), "head": (0.0, 0.21, 1.665),
+        "shoulders": [(s * 0.18, 0.10, 1.43) for s in (-1, 1)], "elbows": [(s * 0.27, 0.24, 1.20) for s in (-1, 1)], "hands": [(s * 0.24, 0.40,
+        1.05) for s in (-1, 1)],
+        "thighs": [(s * 0.085, -0.22, 0.96) for s in (-1, 1)], "knees": [(-0.10, 0.12, 0.68), (0.10, 0.20, 0.86)],
+        "ankles": [(-0.11, -0.12, 0.22), (0.11, -0.10, 0.50)], "toes": [(-0.11, 0.04, 0.145), (0.11, 0.06, 0.45)],
+    }  # fmt: skip
+    fields = _fields(joints, Person("rider", "", 1.78, coat=0.06, hair="helmet"))
+    parts = _cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 5500)
+    wears = {"hair": "helmet", "shoes": "shoe_white"}
+    return _component("rider", "rider", "Who rides the bicycle.", parts, wears, (("cloth_yellow", "cloth_black"), ("cloth_red", "denim")))
+
+
+def build_bicycle() -> Component:
+    """A city bicycle, without its rider."""
+    rear, front, crank, seat, head = (0, -0.50, 0.345), (0, 0.56, 0.345), (0, -0.06, 0.29), (0, -0.21, 0.80), (0, 0.36, 0.78)
+    low_head = (0, 0.395, 0.66)
+    bars = [(crank, seat, 0.016), (seat, head, 0.016), (crank, low_head, 0.019), (low_head, (0, 0.34, 0.86), 0.019), (low_head, front, 0.013)]
+    parts: list[Part] = [tube([a, b], r, "frame", sides=8) for a, b, r in bars]
+    for s in (-1, 1):
+        parts += [
+            tube([(0.02 * s, *crank[1:]), (0.055 * s, *rear[1:])], 0.009, "frame", sides=6),
+            tube([(0.02 * s, *seat[1:]), (0.055 * s, *rear[1:])], 0.008, "frame", sides=6),
+        ]
+        pedal_z = 0.29 - s * -0.155
+        parts += [tube([(0.06 * s, -0.06, 0.29), (0.07 * s, -0.07, pedal_z)], 0.01, "chrome", sides=6), box((0.11 * s - 0.045, -0.11, pedal_z - 0.012),
+            (0.11 * s + 0.045, -0.02, pedal_z + 0.012), "black_plastic")]  # fmt: skip
+        parts.append(tube([(0, 0.335, 1.0), (s * 0.12, 0.35, 1.02), (s * 0.24, 0.39, 1.02), (s * 0.28, 0.33, 1.015)], 0.012, "black_plastic", sides=6))
+    parts += [tube([(0, 0.345, 0.85), (0, 0.335, 1.0)], 0.013, "chrome", sides=6), tube([seat, (0, -0.235, 0.92)], 0.013, "chrome", sides=6)]
+    parts += [soft_box((-0.075, -0.37, 0.90), (0.075, -0.12, 0.955), "black_plastic", radius=0.03)]
+    for y in (rear[1], front[1]):
+        ring = np.linspace(0, 2 * np.pi, 33)
+        parts.append(tube(np.c_[0 * ring, y + 0.323 * np.cos(ring), 0.345 + 0.323 * np.sin(ring)], 0.022, "tyre", sides=6, capped=False))
+        parts.append(tube(np.c_[0 * ring, y + 0.298 * np.cos(ring), 0.345 + 0.298 * np.sin(ring)], 0.011, "chrome", sides=5, capped=False))
+        for k in range(14):
+            a = 2 * np.pi * k / 14
+            parts.append(tube([(0.02 * (-1) ** k, y, 0.345), (0, y + 0.3 * np.cos(a), 0.345 + 0.3 * np.sin(a))], 0.0022, "chrome", sides=3, capped=False))
+        guard = np.linspace(0.2, np.pi - 0.3, 12)
+        parts.append(tube(np.c_[0 * guard, y + 0.36 * np.cos(guard), 0.345 + 0.36 * np.sin(guard)], 0.014, "black_plastic", sides=5))
+    parts += [box((-0.06, -0.80, 0.745), (0.06, -0.36, 0.757), "black_plastic"), box((-0.03, -0.86, 0.70), (0.03, -0.84, 0.75), "tail_lamp")]
+    parts += [lathe([(0.001, 0), (0.035, 0.005), (0.03, 0.05)], "chrome", sides=10).moved(shift(0, 0.43, 0.9) @ turn(90, "x"))]
+    parts = [p.moved(shift(0, 0, -_lowest(parts))) for p in parts]
+    looks = {
+        name: Look(materials={"frame": {"diffuseColor": PALETTE[cloth].colour}})
+        for name, cloth in (("teal", "cloth_teal"), ("black", "cloth_black"), ("red", "cloth_red"))
+    }
+    return Component("bicycle", "bicycle", tuple(parts), "A city bicycle.", {"colour": looks}, {"frame": Material(roughness=0.3, clearcoat=0.7)})
+
+
+def _component(name: str, label: str, about: str, parts: list[Part], wears: Mapping[str, str], outfits: tuple[tuple[str, str], ...]) -> Component:
+    roles = {**ROLES, **wears}
+    looks = {}
+    for i, (coat, trousers) in enumerate(outfits):
+        looks["abc"[i]] = Look(materials={"coat": {"diffuseColor": PALETTE[coat].colour}, "trousers": {"diffuseColor": PALETTE[trousers].colour}})
+    materials = {role: PALETTE[cloth] for role, cloth in roles.items()}
+    return Component(name, label, tuple(parts), about, {"outfit": looks}, materials)
+
+
+def _person(person: Person) -> list[Part]:
+    joints = _pose(person)
+    parts = _cut_by_role(_fields(joints, person), (-0.62, -0.75, -0.15), (0.62, 0.75, 1.95), 5000)
+    if person.carries == "phone":
+        parts.append(
+            box((-0.04, -0.004, -0.075), (0.04, 0.006, 0.075), "bag").moved(
+                shift(joints["hands"][0][0], joints["hands"][0][1] + 0.05, joints["hands"][0][2] + 0.07) @ turn(-25, "x")
+            )
+        )
+    if person.carries == "handbag":
+        hand = joints["hands"][1]
+        parts.append(soft_box((-0.05, -0.15, -0.52), (0.05, 0.15, -0.26), "bag", radius=0.03).moved(shift(hand[0] + 0.04, hand[1], hand[2] + 0.08)))
+        parts.append(
+            tube(
+                [(hand[0] + 0.04, hand[1] - 0.11, hand[2] - 0.18), (hand[0] + 0.02, hand[1], hand[2]), (hand[0] + 0.04, hand[1] + 0.11, hand[2] - 0.18)],
+                0.008,
+                "bag",
+                sides=5,
+            )
+        )
+    if person.carries == "umbrella":
+        hand = joints["hands"][1]
+        parts.append(tube([(hand[0], hand[1], hand[2] + 0.06), (hand[0] + 0.01, hand[1] + 0.04, 0.02)], [0.03, 0.012], "bag", sides=7))
+    low, high = _lowest(parts), max(float(p.points[:, 2].max()) for p in parts)
+    factor = person.height / (high - low)
+    return [p.moved(scale(factor, factor, factor) @ shift(0, 0, -low)) for p in parts]
+
+
+def _pose(person: Person) -> dict:
+    hips = np.array([0.0, 0.0, 0.93])
+    lean = turn(-person.lean, "x")[:3, :3]
+
+    def trunk(x: float, y: float, z: float) -> Array:
+        return hips + lean @ np.array([x, y, z])
+
+    joints: dict = {"hips": hips, "chest": trunk(0, 0, 0.40), "neck": trunk(0, 0.0, 0.56), "head": trunk(0, 0.03, 0.70), "turn": person.turn_head}
+    for key in ("shoulders", "elbows", "hands", "thighs", "knees", "ankles", "toes"):
+        joints[key] = []
+    for i, s in enumerate((-1, 1)):
+        thigh, knee = np.deg2rad(person.thighs[i]), np.deg2rad(person.knees[i])
+        hip = hips + [s * 0.088, 0, -0.02]
+        k = hip + 0.43 * np.array([0.03 * s, np.sin(thigh), -np.cos(thigh)])
+        shin = thigh - knee
+        a = k + 0.41 * np.array([0.0, np.sin(shin), -np.cos(shin)])
+        foot = min(0.0, shin) * 0.9 if shin < 0 else 0.35 * shin
+        t = a + 0.15 * np.array([0.08 * s, np.cos(foot), np.sin(foot)]) - [0, 0, 0.045]
+        joints["thighs"].append(hip), joints["knees"].append(k), joints["ankles"].append(a), joints["toes"].append(t)
+        arm, bend, off = np.deg2rad(person.arms[i]), np.deg2rad(person.elbows[i]), np.deg2rad(person.splay)
+        shoulder = trunk(s * 0.175 * person.build, 0, 0.47)
+        e = shoulder + 0.29 * np.array([s * np.sin(off), np.sin(arm) * np.cos(off), -np.cos(arm) * np.cos(off)])
+        fore = arm + bend
+        inward = -0.25 * np.sin(bend)
+        h = e + 0.25 * np.array([s * (0.4 * np.sin(off) + inward), np.sin(fore), -np.cos(fore)])
+        joints["shoulders"].append(shoulder), joints["elbows"].append(e), joints["hands"].append(h)
+    return joints
+
+
+def _fields(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Array, Array], Array]]:
+    b = person.build
+    hips, chest, neck, head = (np.asarray(joints[k]) for k in ("hips", "chest", "neck", "head"))
+    up = (chest - hips) / np.linalg.norm(chest - hips)
+    facing = turn(joints.get("turn", 0.0))[:3, :3] @ np.array([0.0, 1.0, 0.0])
+
+    def skin(x: Array, y: Array, z: Array) -> Array:
+        d = blob_distance(x, y, z, head + [0, 0, 0.005], (0.073, 0.092, 0.108))
+        d = soft_min(d, blob_distance(x, y, z, head + 0.055 * facing + [0, 0, -0.06], (0.048, 0.05, 0.052)), 0.05)
+        d = soft_min(d, limb_distance(x, y, z, head + 0.092 * facing + [0, 0, 0.012], head + 0.108 * facing + [0, 0, -0.022], 0.009, 0.014), 0.015)
+        d = soft_min(d, limb_distance(x, y, z, neck - 0.06 * up, head - [0, 0.01, 0.05], 0.054, 0.05), 0.04)
+        for hand, elbow in zip(joints["hands"], joints["elbows"], strict=True):
+            along = (np.asarray(hand) - elbow) / np.linalg.norm(np.asarray(hand) - elbow)
+            d = np.minimum(d, limb_distance(x, y, z, hand, np.asarray(hand) + 0.085 * along, 0.032, 0.028))
+        return d
+
+    def hair(x: Array, y: Array, z: Array) -> Array:
+        back = -facing
+        if person.hair == "helmet":
+            d = blob_distance(x, y, z, head + 0.02 * back + [0, 0, 0.06], (0.102, 0.135, 0.088))
+            return np.maximum(d, -(z - head[2] - 0.02))
+        d = blob_distance(x, y, z, head + 0.024 * back + [0, 0, 0.034], (0.087, 0.099, 0.101))
+        d = d + 0.004 * np.sin(95 * x + 30 * z) * np.sin(80 * y) + 0.003 * np.sin(120 * z + 60 * y)  # strands
+        if person.hair == "long":
+            d = soft_min(d, limb_distance(x, y, z, head + 0.05 * back, head + 0.075 * back - [0, 0, 0.20], 0.075, 0.06), 0.05)
+        if person.hair == "bun":
+            d = soft_min(d, blob_distance(x, y, z, head + 0.105 * back + [0, 0, 0.07], (0.045, 0.04, 0.042)), 0.02)
+        if person.hair == "cap":
+            d = np.maximum(blob_distance(x, y, z, head + [0, 0, 0.035], (0.088, 0.105, 0.096)), -(z - head[2] - 0.025))
+            d = soft_min(d, blob_distance(x, y, z, head + 0.1 * facing + [0, 0, 0.035], (0.06, 0.05, 0.012)), 0.015)
+        return d
+
+    def coat(x: Array, y: Array, z: Array) -> Array:
+        d = blob_distance(x, y, z, chest - 0.02 * up, (0.172 * b, 0.118, 0.20))
+        d = soft_min(d, blob_distance(x, y, z, hips + 0.16 * up, (0.150 * b, 0.112, 0.20)), 0.10)
+        d = soft_min(d, limb_distance(x, y, z, np.asarray(joints["shoulders"][0]), np.asarray(joints["shoulders"][1]), 0.062, 0.062), 0.08)
+        d = soft_min(d, limb_distance(x, y, z, chest + 0.10 * up, neck - 0.005 * up, 0.09, 0.066), 0.06)
+        for s, e, h in zip(joints["shoulders"], joints["elbows"], joints["hands"], strict=True):
+            d = soft_min(d, limb_distance(x, y, z, s, e, 0.062, 0.05), 0.05)
+            d = soft_min(d, limb_distance(x, y, z, e, h, 0.05, 0.04), 0.03)
+        if person.coat > 0.15:  # a skirt that follows the legs half-way
+            knee = 0.5 * (np.asarray(joints["knees"][0]) + np.asarray(joints["knees"][1]))
+            hem = hips + (knee - hips) * person.coat / 0.43
+            skirt = limb_distance(
+                x / (1.0 * b),
+                y,
+                z,
+                hips * [1 / b, 1, 1] + [0, 0, 0.1],
+                hem * [1 / b, 1, 1],
+                0.135,
+                0.165 + 0.10 * max(abs(np.sin(np.deg2rad(a))) for a in person.thighs),
+            )
+            d = soft_min(d, np.maximum(skirt, hem[2] - z), 0.06)
+        else:
+            d = soft_min(d, blob_distance(x, y, z, hips + [0, 0, 0.02], (0.162 * b, 0.122, 0.09)), 0.06)
+        fold = 0.004 * np.sin(42 * z + 9 * x + 3 * np.sin(17 * y)) + 0.003 * np.sin(60 * x + 25 * z)
+        return d + fold
+
+    def trousers(x: Array, y: Array, z: Array) -> Array:
+        d = blob_distance(x, y, z, hips - [0, 0, 0.02], (0.148 * b, 0.105, 0.11))
+        for t, k, a in zip(joints["thighs"], joints["knees"], joints["ankles"], strict=True):
+            leg = soft_min(limb_distance(x, y, z, t, k, 0.088, 0.062), limb_distance(x, y, z, k, np.asarray(a) + [0, 0, 0.0], 0.060, 0.048), 0.04)
+            d = soft_min(d, leg, 0.03)
+        return d + 0.003 * np.sin(50 * z + 20 * y)
+
+    def shoes(x: Array, y: Array, z: Array) -> Array:
+        d = np.full(np.shape(x), 1e3)
+        for a, t in zip(joints["ankles"], joints["toes"], strict=True):
+            heel = np.asarray(a) + 0.25 * (np.asarray(a) - np.asarray(t)) * [1, 1, 0] - [0, 0, 0.035]
+            foot = soft_min(limb_distance(x, y, z, heel, t, 0.042, 0.036), limb_distance(x, y, z, a, np.asarray(a) - [0, 0, 0.04], 0.046, 0.044), 0.03)
+            d = np.minimum(d, foot)
+        return d
+
+    fields = {"skin": skin, "hair": hair, "coat": coat, "trousers": trousers, "shoes": shoes}
+    if person.carries == "backpack":
+
+        def bag(x: Array, y: Array, z: Array) -> Array:
+            d = blob_distance(x, y, z, chest + [0, -0.185, -0.05], (0.145, 0.10, 0.22))
+            for s in (-1, 1):
+                path = [chest + [s * 0.10, -0.13, 0.10], chest + [s * 0.105, 0.02, 0.155], chest + [s * 0.11, 0.125, 0.02], chest + [s * 0.125, 0.06, -0.13]]
+                for p, q in itertools.pairwise(path):
+                    d = np.minimum(d, limb_distance(x, y, z, p, q, 0.022, 0.022))
+            return d
+
+        fields["bag"] = bag
+    return fields
+
+
+def _cut_by_role(fields: Mapping[str, Callable[[Array, Array, Array], Array]], low: Point, high: Point, triangles: int) -> list[Part]:
+    def whole(x: Array, y: Array, z: Array) -> Array:
+        d = None
+        for f in fields.values():
+            d = f(x, y, z) if d is None else soft_min(d, f(x, y, z), 0.012)
+        assert d is not None
+        return d
+
+    rest = surface(whole, low, high, step=0.019, triangles=triangles, material="coat")
+    parts = []
+    roles = list(fields)
+    for i, role in enumerate(roles[:-1]):
+        others = [fields[r] for r in roles[i + 1 :]]
+        p = rest.points.T
+        mine, rest = split(rest, fields[role](*p) - np.minimum.reduce([f(*p) for f in others]))
+        parts.append(mine.painted(role))
+    parts.append(rest.painted(roles[-1]))
+    return [p for p in parts if len(p.faces)]
+
+
+def _lowest(parts: list[Part]) -> float:
+    return min(float(p.points[:, 2].min()) for p in parts)

@@ -1,0 +1,149 @@
+"""Street trees, hedges and fallen leaves.
+
+Trees branch by rule from a named random stream; leaves are small folded
+diamonds, so that nothing needs transparency.  Lengths in metres.
+"""
+
+# ruff: noqa: RUF005 -- offsets are added to arrays, which only look like lists
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from synfog_usd.seeds import stream
+from synfog_usd.world.components import Component
+from synfog_usd.world.shapes import Array, Part, box, quads, tube
+
+
+@dataclass(frozen=True)
+class Tree:
+    """One tree.
+
+    Attributes:
+        height: [m]; clear: height of the first branch [m]; girth: radius of the trunk [m].
+        leaves: how many; leaf: length of one [m]; tones: materials, first is commonest.
+        spread: half width of the crown relative to its height.
+    """
+
+    name: str
+    about: str
+    height: float
+    clear: float
+    girth: float
+    leaves: int
+    leaf: float
+    tones: tuple[str, ...]
+    spread: float = 0.36
+    fork: float = 36.0
+
+
+TREES = (
+    Tree("lime_tree", "A lime of the street in early autumn.", 10.5, 3.0, 0.17, 8500, 0.20, ("leaf_olive", "leaf_green", "leaf_gold"), 0.34),
+    Tree("maple_tree", "A maple of the street, turned golden.", 8.5, 2.6, 0.14, 7000, 0.20, ("leaf_gold", "leaf_olive", "leaf_rust"), 0.38),
+    Tree("bare_tree", "A plane tree that has lost most of its leaves.", 11.0, 3.2, 0.19, 500, 0.17, ("leaf_rust", "leaf_gold"), 0.36, 32.0),
+    Tree("park_tree", "A large tree of the park.", 15.0, 2.4, 0.32, 9000, 0.34, ("leaf_green", "leaf_olive"), 0.42),
+)
+
+
+def build_trees() -> list[Component]:
+    """The trees of `TREES`."""
+    return [_tree(tree) for tree in TREES]
+
+
+def build_hedge() -> Component:
+    """Eight metres of clipped hedge, 1.3 m high."""
+    rng = stream(0, "hedge")
+    n = 3600
+    u, v, face = rng.uniform(-4, 4, n), rng.uniform(0, 1, n), rng.integers(0, 5, n)
+    x = np.where(face < 2, u, np.where(face < 4, u, u))
+    y = np.where(face < 2, -0.38, np.where(face < 4, 0.38, rng.uniform(-0.38, 0.38, n))) + rng.normal(0, 0.035, n)
+    z = np.where(face < 4, v * 1.25, 1.28) + rng.normal(0, 0.035, n)
+    places = np.c_[x, y, np.maximum(z, 0.05)]
+    parts = [
+        box((-4, -0.34, 0), (4, 0.34, 1.24), "hedge", bottom=False),
+        _leaves(places, 0.10, "leaf_green", rng),
+        _leaves(places[::5] + 0.02, 0.10, "leaf_olive", rng),
+    ]
+    return Component("hedge", "vegetation", tuple(parts), "Eight metres of clipped hedge.")
+
+
+def build_leaf() -> Component:
+    """One fallen leaf, to be strewn by an instancer."""
+    corners = np.array([[(0, -0.07, 0.004), (0.045, 0.0, 0.018), (0, 0.075, 0.004), (-0.045, 0, 0.014)]])
+    return Component("fallen_leaf", "vegetation", (quads(corners, "leaf_gold"),), "A fallen leaf.")
+
+
+def _tree(tree: Tree) -> Component:
+    rng = stream(0, "tree", tree.name)
+    parts: list[Part] = []
+    tips: list[Array] = []
+    crown_middle = np.array([0, 0, tree.clear + 0.55 * (tree.height - tree.clear)])
+    crown_size = np.array([tree.spread * tree.height, tree.spread * tree.height, 0.56 * (tree.height - tree.clear)])
+
+    def inside(p: Array) -> bool:
+        return float((((p - crown_middle) / crown_size) ** 2).sum()) < 1.0
+
+    def grow(start: Array, direction: Array, length: float, radius: float, level: int) -> None:
+        count = 6 if level == 0 else (5 if level == 1 else 4)
+        points, heading = [start], direction
+        for _ in range(count):
+            lift = 0.03 if level else 0.0
+            heading = heading + rng.normal(0, 0.05 + 0.05 * level, 3) + [0, 0, lift]
+            heading /= np.linalg.norm(heading)
+            points.append(points[-1] + heading * length / count)
+        path = np.array(points)
+        taper = np.linspace(1.0, 0.62 if level == 0 else 0.45, len(path))
+        radii = radius * taper
+        if level == 0:
+            radii[0] *= 1.35
+        sides = (10, 7, 5, 3, 3)[level]
+        parts.append(tube(path, radii, "bark" if level < 2 else "twig", sides=sides, capped=False))
+        if level >= 2:
+            tips.extend(path[1:])
+        if level == 4 or radius < 0.005:
+            return
+        children = (5, 5, 4, 3)[level]
+        for i in range(children):
+            at = 1.0 if i == 0 else rng.uniform(0.62 if level == 0 else 0.30, 1.0)
+            k = at * count
+            j = min(int(k), count - 1)
+            p = path[j] + (k - j) * (path[j + 1] - path[j])
+            turn_angle = np.deg2rad(rng.normal(tree.fork if i else 10, 7))
+            side = np.cross(heading, rng.standard_normal(3))
+            side /= np.linalg.norm(side)
+            branch = np.cos(turn_angle) * heading + np.sin(turn_angle) * side
+            size = length * rng.uniform(0.58, 0.80) * (1.15 if level == 0 else 1.0)
+            while not inside(p + branch * size) and size > 0.25 * length:
+                size *= 0.8
+            grow(p, branch, size, radius * (0.74 if i == 0 else rng.uniform(0.42, 0.58)), level + 1)
+
+    first = 0.80 * tree.clear + 0.16 * tree.height
+    grow(np.array([0.0, 0.0, -0.05]), np.array([0.0, 0.0, 1.0]), first, tree.girth, 0)
+    twigs = np.array(tips)
+    which = rng.integers(0, len(twigs), tree.leaves)
+    places = twigs[which] + rng.normal(0, 0.22 if tree.leaves > 1000 else 0.05, (tree.leaves, 3))
+    tone = rng.choice(len(tree.tones), tree.leaves, p=np.array([0.62, 0.26, 0.12][: len(tree.tones)]) / sum([0.62, 0.26, 0.12][: len(tree.tones)]))
+    parts += [_leaves(places[tone == i], tree.leaf, material, rng) for i, material in enumerate(tree.tones)]
+    return Component(tree.name, "vegetation", tuple(parts), tree.about)
+
+
+def _leaves(places: Array, size: float, material: str, rng: np.random.Generator) -> Part:
+    n = len(places)
+    along = rng.standard_normal((n, 3)) + [0, 0, -0.5]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(along, rng.standard_normal((n, 3)))
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    lift = np.cross(across, along)
+    length = size * rng.uniform(0.7, 1.2, (n, 1))
+    width = 0.36 * length
+    corners = np.stack(
+        [
+            places - along * length / 2,
+            places + across * width + lift * 0.12 * length,
+            places + along * length / 2,
+            places - across * width + lift * 0.12 * length,
+        ],
+        axis=1,
+    )
+    return quads(corners, material)

@@ -1,0 +1,509 @@
+"""Pictures of asphalt, paving, brick, plaster, windows, shops, signs and plates.
+
+Every picture is computed from named random streams: albedos in linear light,
+stored as sRGB.  `write_textures` leaves them in one folder.  Row 0 is the top
+(v = 1).  Knows nothing of USD.
+"""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import OpenImageIO
+from scipy import ndimage
+
+from synfog_usd.errors import OutputError
+from synfog_usd.files import write_whole
+from synfog_usd.seeds import stream
+
+Array = npt.NDArray[np.float64]
+ORIGIN = "made by synfog_usd.world, licence CC0-1.0"
+LANE_LENGTH_M = 24.0  # length of road that one lane texture covers
+ATLAS = 4  # windows: cells per side
+SHOPS = 4  # shop windows: cells, one above the other
+FASCIAS = ("BÄCKEREI", "CAFÉ LUMEN", "APOTHEKE", "BOOKS", "BISTRO 23", "OPTIK", "BLUMEN", "RADHAUS")
+PLATES = ("SF 260 N", "KA 418 E", "LU 73 RT", "MO 550 R", "HG 87 AC", "FOG 15 V", "EX 121 Q", "TR 94 PH")
+
+_GLYPHS = {  # strokes on a grid of 4 by 6, points as digit pairs
+    "A": "002640 1232",
+    "B": "00062635443303 3342413000",
+    "C": "4536160501103041",
+    "D": "00062645412000",
+    "E": "46060040 0333",
+    "F": "460600 0333",
+    "G": "45361605011030414323",
+    "H": "0006 4046 0343",
+    "I": "2026",
+    "J": "011030414646",
+    "K": "0006 4603 1440",
+    "L": "060040",
+    "M": "0006234640",
+    "N": "0006 0640 4046",
+    "O": "1030414536160501 0110",
+    "P": "00063645443303",
+    "Q": "1030414536160501 0110 2240",
+    "R": "00063645443303 2340",
+    "S": "453616050413334241301001",
+    "T": "0646 2620",
+    "U": "060110304146",
+    "V": "062046",
+    "W": "0610233046",
+    "X": "0046 0640",
+    "Y": "062346 2320",
+    "Z": "06460040",
+    "0": "1030414536160501 0110",
+    "1": "152620",
+    "2": "05163645440040",
+    "3": "051636454433 13334241301001",
+    "4": "30360242",
+    "5": "460603334241301001",
+    "6": "4536160501103041423303",
+    "7": "064610",
+    "8": "133342413010010213 130405163645443313",
+    "9": "0110304145361605041343",
+    "-": "1333",
+    " ": "",
+}
+
+
+def write_textures(folder: Path) -> list[Path]:
+    """Write every texture into `folder`; gives the files."""
+    written = []
+    windows, windows_lit = window_atlas()
+    shops, shops_lit = shop_atlas()
+    lane, lane_gloss = asphalt_lane()
+    plain, plain_gloss = asphalt()
+    slabs, slabs_gloss = paving()
+    pictures = {
+        "asphalt_lane.jpg": lane, "asphalt.jpg": plain, "paving.jpg": slabs, "tactile.jpg": tactile(), "marking.jpg": marking(), "granite.jpg": granite(),
+        "manhole.jpg": manhole(), "grass.jpg": grass(), "brick.jpg": brick(), "plaster.jpg": plaster(), "ashlar.jpg": ashlar(),
+        "roof_tile.jpg": roof(rows=14, columns=12, colour=(0.30, 0.115, 0.065), spread=0.22), "roof_slate.jpg": roof(rows=16, columns=9, colour=(0.5, 0.5,
+        0.5), spread=0.12),
+        "bark.jpg": bark(), "windows.jpg": windows, "windows_lit.jpg": windows_lit, "shops.jpg": shops, "shops_lit.jpg": shops_lit,
+        "fascias.png": fascias(), "signs.png": signs(), "plates.png": plates(), "banners.png": banners(),
+    }  # fmt: skip
+    for name, albedo in pictures.items():
+        written.append(_write(folder / name, _to_srgb(albedo)))
+    for name, raw in {"asphalt_lane_gloss.jpg": lane_gloss, "asphalt_gloss.jpg": plain_gloss, "paving_gloss.jpg": slabs_gloss}.items():
+        written.append(_write(folder / name, raw))
+    return written
+
+
+def noise(shape: tuple[int, int], beta: float, *names: str | int, low: float = 0.0, high: float = 1e9, aspect: float = 1.0) -> Array:
+    """Noise that tiles: spectrum f^-beta between two frequencies [cycles per picture], mean 0, deviation 1."""
+    rng = stream(0, "texture", *names)
+    fy = np.fft.fftfreq(shape[0])[:, None] * shape[0] / aspect
+    fx = np.fft.rfftfreq(shape[1])[None, :] * shape[1]
+    f = np.hypot(fx, fy)
+    amplitude = np.where((f > max(low, 0.5)) & (f < high), np.maximum(f, 0.5) ** (-beta / 2), 0)
+    spectrum = amplitude * (rng.standard_normal(f.shape) + 1j * rng.standard_normal(f.shape))
+    field = np.fft.irfft2(spectrum, s=shape)
+    return (field - field.mean()) / field.std()
+
+
+def asphalt_lane() -> tuple[Array, Array]:
+    """One carriageway, kerb to kerb (11.2 m) by `LANE_LENGTH_M`: wheel tracks, oil, cracks, dirt at the kerbs; (albedo, roughness)."""
+    h, w = 2048, 1024
+    x = (np.arange(w) + 0.5) / w * 11.2 - 5.6
+    tone = np.full((h, w), 0.088)
+    tone *= 1 + 0.10 * noise((h, w), 2.2, "lane", 0, high=40) + 0.05 * noise((h, w), 1.6, "lane", 1, low=20, high=200, aspect=2)
+    wander = 0.12 * ndimage.gaussian_filter1d(noise((h, 4), 3.0, "lane", 2, high=6)[:, 0], 40, mode="wrap")
+    wet = np.zeros((h, w))
+    for centre in (-1.7, 1.7):
+        for track in (-0.78, 0.78):
+            d = (x[None, :] - centre - track - wander[:, None]) / 0.30
+            worn = np.exp(-d * d)
+            tone *= 1 - 0.20 * worn
+            wet += worn
+        oil = np.exp(-(((x[None, :] - centre) / 0.28) ** 2))
+        tone *= 1 - 0.14 * oil * (1 + 0.5 * noise((h, w), 1.8, "lane", "oil", high=60))
+    edge = np.clip((np.abs(x) - 4.6) / 1.0, 0, 1)[None, :]
+    dirt = np.clip(0.5 + 0.6 * noise((h, w), 1.8, "lane", "dirt", high=80), 0, 1.4) * edge
+    rgb = tone[..., None] * np.array([1.0, 0.985, 0.955])
+    rgb = rgb * (1 - 0.5 * dirt[..., None]) + 0.5 * dirt[..., None] * np.array([0.075, 0.062, 0.047])
+    rgb *= (1 + 0.34 * noise((h, w), 0.0, "lane", "grain", low=150))[..., None].clip(0.3, 2.2)
+    rng = stream(0, "texture", "lane", "cracks")
+    cracks = np.zeros((h, w))
+    for _ in range(10):
+        u, v, heading = rng.uniform(0, w), rng.uniform(0, h), rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.3)
+        for _ in range(int(rng.uniform(150, 700))):
+            heading += rng.normal(0, 0.18)
+            u, v = u + np.cos(heading), v + np.sin(heading)
+            cracks[int(v) % h, int(u) % w] = 1
+            if rng.random() < 0.4:
+                cracks[int(v) % h, int(u + 1) % w] = 1
+    cracks = np.clip(ndimage.gaussian_filter(cracks, 0.7, mode="wrap") * 2.6, 0, 1)
+    rgb *= (1 - 0.75 * cracks)[..., None]
+    damp = np.clip(0.5 * wet + 0.55 * noise((h, w), 2.4, "lane", "damp", high=24), -1, 1.3)
+    gloss = 0.58 - 0.15 * damp + 0.07 * noise((h, w), 0.0, "lane", "gloss", low=100)
+    return np.clip(rgb, 0.012, 1), np.clip(gloss[::2, ::2], 0.24, 0.95)
+
+
+def asphalt() -> tuple[Array, Array]:
+    """Asphalt without a direction, 6 m square; (albedo, roughness)."""
+    n = (1024, 1024)
+    tone = 0.085 * (1 + 0.11 * noise(n, 2.0, "asphalt", 0, high=30) + 0.33 * noise(n, 0.0, "asphalt", 1, low=120))
+    rgb = tone[..., None] * np.array([1.0, 0.985, 0.96])
+    gloss = 0.55 - 0.10 * noise(n, 2.2, "asphalt", 2, high=20) + 0.06 * noise(n, 0.0, "asphalt", 3, low=80)
+    return np.clip(rgb, 0.012, 0.5), np.clip(gloss[::2, ::2], 0.25, 0.95)
+
+
+def paving() -> tuple[Array, Array]:
+    """Concrete slabs of 0.5 by 0.333 m in running bond, 4 m square, stained, with chewing gum; (albedo, roughness)."""
+    n = 1024
+    v, u = np.meshgrid(np.arange(n) / n * 12, np.arange(n) / n * 8, indexing="ij")
+    row = np.floor(v).astype(int)
+    u = u + 0.5 * (row % 2)
+    column = np.floor(u).astype(int) % 8
+    rng = stream(0, "texture", "paving")
+    tone = rng.normal(1, 0.085, (12, 8))[row, column]
+    warm = rng.normal(0, 0.025, (12, 8))[row, column]
+    distance = np.minimum(np.minimum(u % 1, 1 - u % 1) * 0.5, np.minimum(v % 1, 1 - v % 1) / 3) * 1000  # mm to the joint
+    distance += 0.9 * noise((n, n), 1.0, "paving", "edge", low=20)
+    joint = np.clip((6.0 - distance) / 3.0, 0, 1)
+    chamfer = np.clip((13 - distance) / 8, 0, 1)
+    stain = noise((n, n), 2.3, "paving", "stain", high=40)
+    albedo = 0.27 * tone * (1 + 0.09 * stain) * (1 + 0.13 * noise((n, n), 0.3, "paving", "grain", low=60)) * (1 - 0.16 * chamfer)
+    gum = np.zeros((n, n))
+    for _ in range(60):
+        cy, cx, r = rng.uniform(0, n), rng.uniform(0, n), rng.uniform(2.5, 5.5)
+        dy = (np.arange(n)[:, None] - cy + n / 2) % n - n / 2
+        dx = (np.arange(n)[None, :] - cx + n / 2) % n - n / 2
+        gum = np.maximum(gum, np.clip(r - np.hypot(dx, dy), 0, 1))
+    albedo *= 1 - 0.4 * gum
+    rgb = albedo[..., None] * np.stack([1.02 + warm, np.ones_like(warm), 0.93 - warm], axis=-1)
+    rgb = rgb * (1 - joint[..., None]) + joint[..., None] * np.array([0.065, 0.06, 0.048])
+    gloss = 0.72 - 0.09 * stain + 0.12 * joint
+    return np.clip(rgb, 0.01, 0.9), np.clip(gloss[::2, ::2], 0.35, 0.95)
+
+
+def tactile() -> Array:
+    """Pale tactile slabs with bumps, 0.8 m square."""
+    n = 256
+    v, u = np.meshgrid(np.arange(n) / n * 16, np.arange(n) / n * 16, indexing="ij")
+    bump = np.clip(1 - np.hypot(u % 1 - 0.5, v % 1 - 0.5) / 0.32, 0, 1)
+    shade = 0.48 * (1 + 0.2 * np.sin(np.pi * bump) * np.sign(0.5 - v % 1)) * (1 + 0.06 * noise((n, n), 1.0, "tactile"))
+    return _edges(shade, 2, 0.6)[..., None] * np.array([1.0, 0.97, 0.9])
+
+
+def marking() -> Array:
+    """Worn road paint, 3 m square: what has gone shows the asphalt."""
+    n = (512, 512)
+    worn = noise(n, 1.5, "marking", 0, high=120) + 0.7 * noise(n, 0.2, "marking", 1, low=60)
+    bare = np.clip((worn - 1.55) * 2.2, 0, 1)[..., None]
+    paint = (0.56 * (1 + 0.07 * noise(n, 2.0, "marking", 2, high=30) + 0.05 * noise(n, 0.0, "marking", 3)))[..., None] * np.array([1.0, 0.99, 0.95])
+    return np.clip(paint * (1 - bare) + bare * np.array([0.10, 0.098, 0.094]), 0.02, 0.8)
+
+
+def granite() -> Array:
+    """Kerb stones of 1 m by 0.25 m with joints."""
+    n = (128, 512)
+    tone = 0.33 * (1 + 0.20 * noise(n, 0.2, "granite", 0, low=20) + 0.08 * noise(n, 2.0, "granite", 1))
+    across = np.minimum(np.arange(n[1]), n[1] - 1 - np.arange(n[1]))
+    tone *= 1 - 0.7 * np.clip((4 - across) / 3, 0, 1)
+    return np.clip(tone, 0.03, 0.7)[..., None] * np.array([1.0, 0.98, 0.95])
+
+
+def manhole() -> Array:
+    """A cast iron cover in the unit square."""
+    n = 256
+    v, u = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n), indexing="ij")
+    r = np.hypot(u, v)
+    rib = (np.abs(((u + v) * 7) % 1 - 0.5) < 0.22) ^ (np.abs(((u - v) * 7) % 1 - 0.5) < 0.22)
+    tone = np.where(r < 0.8, np.where(rib, 0.13, 0.06), 0.11)
+    tone = np.where(np.abs(r - 0.84) < 0.025, 0.02, tone) * (1 + 0.15 * noise((n, n), 1.0, "manhole"))
+    return np.clip(tone, 0.01, 1)[..., None] * np.array([1.0, 0.95, 0.88])
+
+
+def grass() -> Array:
+    """Rough grass with bare spots, 4 m square."""
+    n = (512, 512)
+    blade = 1 + 0.45 * noise(n, 0.6, "grass", 0, low=30)
+    dry = np.clip(0.35 + 0.35 * noise(n, 2.0, "grass", 1, high=30), 0, 1)[..., None]
+    rgb = (1 - dry) * np.array([0.05, 0.085, 0.022]) + dry * np.array([0.12, 0.11, 0.045])
+    return np.clip(rgb * blade[..., None], 0.008, 0.5)
+
+
+def brick() -> Array:
+    """Brickwork, 10 bricks by 32 courses, 2.4 m square; every brick its own tone."""
+    n = 1024
+    v, u = np.meshgrid(np.arange(n) / n * 32, np.arange(n) / n * 10, indexing="ij")
+    row = np.floor(v).astype(int)
+    u = u + 0.5 * (row % 2) + 0.02 * noise((n, n), 1.5, "brick", "wobble", high=60)
+    column = np.floor(u).astype(int) % 10
+    rng = stream(0, "texture", "brick")
+    tone = np.exp(rng.normal(0, 0.20, (32, 10)))[row, column]
+    burnt = (rng.random((32, 10)) < 0.09)[row, column]
+    hue = rng.normal(0, 0.10, (32, 10))[row, column]
+    rgb = np.stack([0.25 * tone, 0.088 * tone * (1 + hue), 0.054 * tone * (1 + 1.3 * hue)], axis=-1)
+    rgb = np.where(burnt[..., None], 0.42 * rgb + 0.012, rgb)
+    rgb *= (1 + 0.13 * noise((n, n), 0.6, "brick", "grain", low=40) + 0.05 * noise((n, n), 2.0, "brick", "stain"))[..., None]
+    distance = np.minimum(np.minimum(u % 1, 1 - u % 1) * 240, np.minimum(v % 1, 1 - v % 1) * 75) + 0.8 * noise((n, n), 1.0, "brick", "edge", low=40)
+    joint = np.clip((6.0 - distance) / 2.0, 0, 1)[..., None]
+    mortar = 0.26 * (1 + 0.12 * noise((n, n), 0.5, "brick", "mortar"))[..., None] * np.array([1.0, 0.95, 0.86])
+    return np.clip(rgb * (1 - joint) + mortar * joint, 0.01, 0.45)
+
+
+def plaster() -> Array:
+    """Rendered wall around 1, 6 m square, with rain streaks and blotches, as a factor on its colour."""
+    n = (512, 512)
+    streaks = noise(n, 2.0, "plaster", 0, high=120, aspect=0.08)
+    tone = 0.90 + 0.035 * noise(n, 2.4, "plaster", 1) + 0.025 * noise(n, 0.0, "plaster", 2, low=50) - 0.045 * np.clip(streaks - 0.3, 0, 3)
+    return np.clip(tone, 0.4, 1)[..., None] * np.array([1.0, 0.995, 0.985])
+
+
+def ashlar() -> Array:
+    """Dressed stone in blocks of 0.75 by 0.375 m, 3 m square."""
+    n = 512
+    v, u = np.meshgrid(np.arange(n) / n * 8, np.arange(n) / n * 4, indexing="ij")
+    row = np.floor(v).astype(int)
+    u = u + 0.5 * (row % 2)
+    rng = stream(0, "texture", "ashlar")
+    tone = rng.normal(1, 0.07, (8, 4))[row, np.floor(u).astype(int) % 4]
+    distance = np.minimum(np.minimum(u % 1, 1 - u % 1) * 750, np.minimum(v % 1, 1 - v % 1) * 375)
+    albedo = 0.44 * tone * (1 + 0.05 * noise((n, n), 1.2, "ashlar", 0) + 0.05 * noise((n, n), 2.2, "ashlar", 1, aspect=0.3))
+    albedo *= 1 - 0.55 * np.clip((12 - distance) / 6, 0, 1) - 0.1 * np.clip((30 - distance) / 20, 0, 1)
+    return np.clip(albedo, 0.02, 0.8)[..., None] * np.array([1.0, 0.94, 0.83])
+
+
+def roof(*, rows: int, columns: int, colour: tuple[float, float, float], spread: float) -> Array:
+    """Tiles or slates in courses, about 4 m square."""
+    n = 512
+    v, u = np.meshgrid(np.arange(n) / n * rows, np.arange(n) / n * columns, indexing="ij")
+    row = np.floor(v).astype(int)
+    u = u + 0.5 * (row % 2)
+    rng = stream(0, "texture", "roof", rows)
+    tone = np.exp(rng.normal(0, spread, (rows, columns)))[row, np.floor(u).astype(int) % columns]
+    shade = 0.55 + 0.45 * np.clip((1 - v % 1) / 0.25, 0, 1) ** 0.5
+    shade *= np.where(np.minimum(u % 1, 1 - u % 1) < 0.05, 0.65, 1.0) * (1 + 0.10 * noise((n, n), 1.6, "roof", rows))
+    return np.clip((tone * shade)[..., None] * np.array(colour), 0.01, 0.9)
+
+
+def bark() -> Array:
+    """Bark, furrowed upwards, 1 m square."""
+    n = (256, 256)
+    furrow = noise(n, 1.6, "bark", 0, high=60, aspect=0.25)
+    patch = noise(n, 2.2, "bark", 1, high=12)
+    tone = np.clip(0.11 * (1 + 0.35 * furrow + 0.22 * patch), 0.02, 0.4)
+    return tone[..., None] * np.array([1.0, 0.88, 0.72])
+
+
+def window_atlas() -> tuple[Array, Array]:
+    """Sixteen rooms behind glass, by day (albedo) and lit from inside (emission, 1 = brightest)."""
+    size = 160
+    day, lit = np.zeros((ATLAS * size, ATLAS * size, 3)), np.zeros((ATLAS * size, ATLAS * size, 3))
+    v, u = np.meshgrid(np.linspace(1, 0, size), np.linspace(0, 1, size), indexing="ij")
+    for cell in range(ATLAS**2):
+        rng = stream(0, "texture", "window", cell)
+        room = 0.018 + 0.018 * v[..., None] * np.ones(3)
+        warmth = np.array([1.0, 0.66, 0.34]) if rng.random() < 0.75 else np.array([1.0, 0.88, 0.72])
+        glow = 0.30 + 0.70 * np.exp(-(((u - rng.uniform(0.2, 0.8)) / 0.5) ** 2) - ((v - rng.uniform(0.5, 0.9)) / 0.45) ** 2)
+        light = glow[..., None] * warmth
+        if rng.random() < 0.6:  # something stands in the room
+            shelf = (np.abs(u - rng.uniform(0.1, 0.9)) < 0.14) & (v < rng.uniform(0.35, 0.75))
+            light = np.where(shelf[..., None], 0.25 * light, light)
+            room = np.where(shelf[..., None], 0.03, room)
+        kind = int(rng.integers(0, 4))
+        cloth = np.array([[0.42, 0.40, 0.36], [0.30, 0.22, 0.15], [0.20, 0.23, 0.26], [0.46, 0.45, 0.43]][int(rng.integers(0, 4))])
+        folds = 0.75 + 0.25 * np.sin(u * 75 + 2 * np.sin(3 * v))
+        if kind in (0, 1):  # curtains drawn aside
+            width = rng.uniform(0.16, 0.30) + 0.05 * (1 - v)
+            cover = (u < width) | (u > 1 - width)
+        elif kind == 2:  # a blind part way down
+            cover = v > rng.uniform(0.45, 0.8)
+            folds = 0.85 + 0.15 * np.sign(np.sin(v * 140))
+        else:  # net curtain in the lower half
+            cover = v < 0.5
+        room = np.where(cover[..., None], 0.45 * cloth * folds[..., None], room)
+        light = np.where(cover[..., None], light * cloth * folds[..., None] * 1.5, light)
+        i, j = divmod(cell, ATLAS)
+        day[i * size : (i + 1) * size, j * size : (j + 1) * size] = room
+        lit[i * size : (i + 1) * size, j * size : (j + 1) * size] = light
+    return np.clip(day, 0, 0.6), np.clip(lit, 0.004, 1)
+
+
+def shop_atlas() -> tuple[Array, Array]:
+    """Four displays behind glass, one above the other; (albedo by day, emission when lit)."""
+    h, w = 256, 768
+    day, lit = np.zeros((SHOPS * h, w, 3)), np.zeros((SHOPS * h, w, 3))
+    v, u = np.meshgrid(np.linspace(1, 0, h), np.linspace(0, 1, w), indexing="ij")
+    for cell in range(SHOPS):
+        rng = stream(0, "texture", "shop", cell)
+        albedo = np.ones((h, w, 3)) * np.array([[0.30, 0.24, 0.16], [0.22, 0.23, 0.25], [0.34, 0.31, 0.26], [0.14, 0.11, 0.09]][cell])
+        albedo *= (0.6 + 0.4 * v)[..., None]
+        shelves = [0.12, 0.34, 0.56, 0.78][: 4 if cell % 2 == 0 else 2]
+        for z in shelves:
+            at = 0.01
+            while at < 0.99:
+                width, height = rng.uniform(0.008, 0.03), rng.uniform(0.05, 0.15)
+                goods = (u > at) & (u < at + width * 0.85) & (v > z) & (v < z + height)
+                albedo[goods] = np.abs(rng.normal([0.34, 0.24, 0.18], 0.16)).clip(0.02, 0.75)
+                at += width + (rng.uniform(0.02, 0.12) if rng.random() < 0.18 else 0)
+            albedo[(np.abs(v - z) < 0.012)] = 0.28
+        for _ in range(4 if cell == 3 else 2):  # people and lamps inside
+            c = rng.uniform(0.08, 0.92)
+            body = (np.abs(u - c) < 0.022 * (1 + 0.4 * (v < 0.5))) & (v < 0.55) | (np.hypot((u - c) * 3, v - 0.6) < 0.06)
+            albedo[body] = rng.uniform(0.02, 0.10)
+        light = np.full((h, w), 0.32)
+        for c in np.linspace(0.08, 0.92, 7):
+            light += 0.9 * np.exp(-(((u - c) / 0.09) ** 2) - ((v - 0.92) / 0.35) ** 2)
+        warm = np.array([1.0, 0.78, 0.52]) if cell != 1 else np.array([0.95, 0.97, 1.0])
+        day[cell * h : (cell + 1) * h] = 0.34 * albedo
+        lit[cell * h : (cell + 1) * h] = (albedo * 1.5 + 0.03) * light[..., None] * warm
+    return np.clip(day, 0, 0.7), np.clip(lit, 0.003, 1)
+
+
+def fascias() -> Array:
+    """Shop signs, eight of 4 m by 0.5 m, one above the other."""
+    h, w = 96, 768
+    grounds = [
+        (0.10, 0.03, 0.02),
+        (0.02, 0.03, 0.04),
+        (0.55, 0.53, 0.48),
+        (0.02, 0.07, 0.05),
+        (0.03, 0.05, 0.14),
+        (0.50, 0.50, 0.50),
+        (0.06, 0.13, 0.05),
+        (0.42, 0.19, 0.02),
+    ]
+    inks = [
+        (0.72, 0.58, 0.28),
+        (0.75, 0.72, 0.62),
+        (0.45, 0.02, 0.03),
+        (0.72, 0.62, 0.30),
+        (0.75, 0.75, 0.75),
+        (0.03, 0.05, 0.20),
+        (0.80, 0.78, 0.70),
+        (0.80, 0.78, 0.72),
+    ]
+    rows = []
+    for word, ground, ink in zip(FASCIAS, grounds, inks, strict=True):
+        mask = _lettering(word, (h, w), height=0.52, weight=0.085)[..., None]
+        rows.append(np.array(ground) * (1 - mask) + mask * np.array(ink))
+    return np.clip(np.concatenate(rows), 0.005, 0.9)
+
+
+def plates() -> Array:
+    """Number plates, eight of 0.52 m by 0.11 m, one above the other."""
+    h, w = 56, 256
+    rows = []
+    for word in PLATES:
+        mask = _lettering(word, (h, w), height=0.62, weight=0.10, left=0.12)[..., None]
+        plate = np.full((h, w, 3), 0.70) * (1 - mask) + 0.015 * mask
+        plate[:, : int(0.09 * w)] = (0.015, 0.04, 0.25)
+        plate[:3] = plate[-3:] = 0.02
+        plate[:, :3] = plate[:, -3:] = 0.02
+        rows.append(plate)
+    return np.concatenate(rows)
+
+
+def banners() -> Array:
+    """Long writing for the sides of a bus, a van and a lorry, and line numbers; four of 4 m by 0.5 m."""
+    h, w = 96, 768
+    words = [("STADTVERKEHR", (0.62, 0.60, 0.55), (0.30, 0.02, 0.02)), ("HANSEN FRUCHT", (0.70, 0.69, 0.66), (0.02, 0.13, 0.06))]
+    words += [("KURIER EXPRESS", (0.72, 0.72, 0.70), (0.03, 0.08, 0.30)), ("23 NORDBAHNHOF", (0.012, 0.012, 0.012), (0.75, 0.36, 0.02))]
+    rows = []
+    for word, ground, ink in words:
+        mask = _lettering(word, (h, w), height=0.6, weight=0.09)[..., None]
+        rows.append(np.array(ground) * (1 - mask) + mask * np.array(ink))
+    return np.concatenate(rows)
+
+
+def signs() -> Array:
+    """Nine traffic signs in a 3 by 3 atlas: no entry, 30, give way, priority, crossing, no stopping, ahead only, parking, street name."""
+    n = 192
+    v, u = np.meshgrid(np.linspace(1, -1, n), np.linspace(-1, 1, n), indexing="ij")
+    r = np.hypot(u, v)
+    white, red, blue, black, yellow = (
+        np.array(c) for c in ((0.72, 0.72, 0.70), (0.52, 0.015, 0.02), (0.012, 0.07, 0.34), (0.02, 0.02, 0.02), (0.70, 0.42, 0.01))
+    )
+    grey = np.full((n, n, 3), 0.35)
+
+    def paint(base: Array, mask: Array, colour: Array) -> Array:
+        return np.where(mask[..., None], colour, base)
+
+    def triangle(size: float) -> Array:
+        return (v < size - 0.1) & (v > 1.72 * np.abs(u) - size - 0.02)
+
+    no_entry = paint(paint(paint(grey, r < 1, white), r < 0.96, red), (np.abs(u) < 0.72) & (np.abs(v) < 0.16), white)
+    limit = paint(paint(paint(grey, r < 1, red), r < 0.76, white), _lettering("30", (n, n), height=0.42, weight=0.13) > 0.5, black)
+    give_way = paint(paint(grey, triangle(0.95), red), triangle(0.62), white)
+    diamond = np.abs(u) + np.abs(v)
+    priority = paint(paint(paint(grey, diamond < 1, white), diamond < 0.93, black), diamond < 0.9, white)
+    priority = paint(priority, diamond < 0.62, yellow)
+    square = np.maximum(np.abs(u), np.abs(v))
+    stripes = (np.abs(((u + 0.1 * v) * 3.5) % 1 - 0.5) < 0.25) & (v < -0.35) & (v > -0.62)
+    walker = (np.hypot(u, v - 0.42) < 0.1) | ((np.abs(u - 0.15 * (v - 0.1)) < 0.09) & (np.abs(v - 0.1) < 0.22))
+    walker |= (np.abs(np.abs(u) - (0.05 - 0.55 * (v + 0.1))) < 0.075) & (v < -0.08) & (v > -0.36)
+    field = (v > 0.86 * -0.85) & (v < 0.75 - 1.55 * np.abs(u))
+    crossing = paint(paint(paint(grey, square < 1, white), square < 0.95, blue), field, white)
+    crossing = paint(crossing, (walker | stripes) & field, black)
+    no_stopping = paint(paint(paint(grey, r < 1, red), r < 0.8, blue), (r < 0.86) & ((np.abs(u - v) < 0.15) | (np.abs(u + v) < 0.15)), red)
+    arrow = ((np.abs(u) < 0.13) & (v > -0.6) & (v < 0.3)) | ((v > 0.15) & (v < 0.66 - 1.2 * np.abs(u)))
+    ahead = paint(paint(paint(grey, r < 1, white), r < 0.95, blue), arrow, white)
+    parking = paint(paint(paint(grey, square < 1, white), square < 0.94, blue), _lettering("P", (n, n), height=0.6, weight=0.12) > 0.5, white)
+    name = paint(paint(np.tile(blue, (n, n, 1)), square > 0.96, white), np.zeros((n, n), dtype=bool), white)
+    strip = n // 4
+    name[:strip] = paint(np.tile(blue, (strip, n, 1)), _lettering("NEBELGASSE", (strip, n), height=0.5, weight=0.09) > 0.5, white)
+    name[strip : 2 * strip] = paint(np.tile(blue, (strip, n, 1)), _lettering("AM MARKT", (strip, n), height=0.5, weight=0.09) > 0.5, white)
+    cells = [no_entry, limit, give_way, priority, crossing, no_stopping, ahead, parking, name]
+    return np.concatenate([np.concatenate(cells[i : i + 3], axis=1) for i in (0, 3, 6)])
+
+
+def _lettering(word: str, shape: tuple[int, int], *, height: float, weight: float, left: float = 0.0) -> Array:
+    """Coverage of a word drawn in round strokes, centred; `height` and `weight` are shares of the row."""
+    accents = {"Ä": "A", "É": "E", "Ö": "O", "Ü": "U"}
+    h, w = shape
+    unit = height * h / 6
+    advance = 5.6 * unit
+    total = advance * len(word) - 1.6 * unit
+    squeeze = min(1.0, (0.92 - left) * w / total)
+    x0, y0 = left * w + ((1 - left) * w - total * squeeze) / 2, (h + height * h) / 2
+    y, x = np.meshgrid(np.arange(h) + 0.5, np.arange(w) + 0.5, indexing="ij")
+    distance = np.full(shape, 1e9)
+    for i, letter in enumerate(word):
+        strokes = _GLYPHS[accents.get(letter, letter)].split()
+        lines = [[(int(s[k]), int(s[k + 1])) for k in range(0, len(s) - 1, 2)] for s in strokes]
+        if letter in "ÄÖÜ":
+            lines += [[(1, 7), (1, 7)], [(3, 7), (3, 7)]]
+        if letter == "É":
+            lines += [[(2, 7), (3, 8)]]
+        for line in lines:
+            p = np.array([(x0 + squeeze * (i * advance + a * unit), y0 - b * unit) for a, b in line])
+            for a, b in itertools.pairwise(p):
+                e = b - a
+                t = np.clip(((x - a[0]) * e[0] + (y - a[1]) * e[1]) / max(float(e @ e), 1e-9), 0, 1)
+                distance = np.minimum(distance, np.hypot(x - a[0] - t * e[0], y - a[1] - t * e[1]))
+    return np.clip(weight * h * 0.75 - distance + 0.5, 0, 1)
+
+
+def _edges(shade: Array, width: int, factor: float) -> Array:
+    out = shade.copy()
+    out[:width] *= factor
+    out[:, :width] *= factor
+    return out
+
+
+def _to_srgb(linear: Array) -> Array:
+    x = np.clip(linear, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def _write(path: Path, encoded: Array) -> Path:
+    pixels = np.ascontiguousarray(np.round(255 * np.clip(encoded, 0, 1)).astype(np.uint8))
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+
+    def put(target: Path) -> None:
+        spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")
+        spec.attribute("compression", "jpeg:82" if path.suffix == ".jpg" else "zip")
+        spec.attribute("jpeg:subsampling", "4:2:0")
+        spec.attribute("ImageDescription", ORIGIN)
+        output = OpenImageIO.ImageOutput.create(str(target))
+        if output is None or not output.open(str(target), spec) or not output.write_image(pixels) or not output.close():
+            raise OutputError(f"{path}: cannot be written; choose another output folder")
+
+    write_whole(path, put)
+    return path

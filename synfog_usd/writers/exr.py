@@ -1,0 +1,214 @@
+"""EXR files: what leaves the renderer and comes back into the camera.
+
+Writes `Image`s with channel names, meaning and provenance as attributes, the same
+bytes for the same images; reads them, and EXR files from elsewhere, with a clear
+error for what no camera can see.  OpenImageIO is imported on first use.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from synfog_usd import __version__
+from synfog_usd.errors import ImageError, OutputError
+from synfog_usd.files import write_whole
+from synfog_usd.image import FloatArray, Image, Quantity
+
+MAX_VALUES = 1 << 29
+"""Pixels x channels that are read: 2 GiB of float32, a 16k x 8k picture with four channels."""
+
+FIXED_DATE = "2000:01:01 00:00:00"
+"""OpenImageIO writes the clock's time unless a date is given; a picture of a simulation has none."""
+
+HALF_MAX = 65504.0
+
+REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+"""Chromaticities of R, G, B and white: ITU-R BT.709."""
+
+_BAND = re.compile(r"S0\.(\d+)(?:,(\d+))?nm")
+
+
+def write_exr(
+    path: Path,
+    images: Image | Sequence[Image],
+    *,
+    half: bool = False,
+    compression: Literal["none", "zip", "zips", "piz"] = "zip",
+    attributes: Mapping[str, str | int | float] | None = None,
+) -> None:
+    """Write one or several images of one size into one EXR part.
+
+    Args:
+        path: where to.
+        images: their channels stand side by side; names must differ.  Meaning and
+            provenance are those of the first.
+        half: 16-bit floats; lossless compression of what then is left.
+        compression: lossless, all of them.
+        attributes: more, by name.
+
+    Raises:
+        OutputError: it cannot be written.
+        ImageError: images that do not go together, or values that half cannot hold.
+    """
+    group = [images] if isinstance(images, Image) else list(images)
+    if not group:
+        raise ImageError(f"{path}: no image to write")
+    first = group[0]
+    names = [name for image in group for name in image.channels]
+    if len(set(names)) < len(names):
+        raise ImageError(f"{path}: channels {', '.join(sorted({name for name in names if names.count(name) > 1}))} stand in several images")
+    if any(image.pixels.shape[:2] != first.pixels.shape[:2] for image in group):
+        raise ImageError(f"{path}: images of several sizes cannot share a part")
+    pixels = first.pixels if len(group) == 1 else np.concatenate([image.pixels for image in group], axis=2)
+    if half and (peak := float(np.abs(pixels).max())) > HALF_MAX:
+        raise ImageError(f"{path}: a value of {peak:g} does not fit 16-bit floats, which end at {HALF_MAX:g}; write 32 bits")
+    facts: dict[str, Any] = {
+        "compression": compression,
+        "DateTime": FIXED_DATE,
+        "Software": f"synfog-usd {__version__}",
+        "synfog:quantity": first.quantity.value,
+        "synfog:channels": json.dumps(names),
+        "synfog:provenance": json.dumps(dict(first.provenance), sort_keys=True, ensure_ascii=False, default=str),
+    }
+    if "exposure_s" in first.provenance:
+        facts["expTime"] = float(first.provenance["exposure_s"])
+    if "iso" in first.provenance:
+        facts["isoSpeed"] = float(first.provenance["iso"])
+    if first.channels == ("R", "G", "B") and first.quantity is Quantity.RADIANCE:
+        facts["whiteLuminance"] = 1.0
+    if any(_BAND.fullmatch(name) for name in first.channels):
+        facts |= {"spectralLayoutVersion": "1.0", "emissiveUnits": "W.m^-2.sr^-1.nm^-1"}
+    facts |= attributes or {}
+    write_whole(path, lambda temporary: _write(temporary, path, pixels, names, facts, half))
+
+
+def _write(temporary: Path, path: Path, pixels: FloatArray, names: list[str], facts: Mapping[str, Any], half: bool) -> None:
+    import OpenImageIO
+
+    spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], OpenImageIO.HALF if half else OpenImageIO.FLOAT)
+    spec.channelnames = tuple(names)
+    for name, value in facts.items():
+        spec.attribute(name, value)
+    if names[:3] == ["R", "G", "B"]:
+        spec.attribute("chromaticities", OpenImageIO.TypeDesc("float[8]"), REC709)
+    _save(temporary, path, spec, pixels)
+
+
+def _save(temporary: Path, path: Path, spec: Any, pixels: np.ndarray) -> None:
+    """Write with OpenImageIO, which reports by return values."""
+    import OpenImageIO
+
+    output = OpenImageIO.ImageOutput.create(str(temporary))
+    if output is None:
+        raise OutputError(f"{path}: {OpenImageIO.geterror()}")
+    if not output.open(str(temporary), spec):
+        raise OutputError(f"{path}: cannot be written ({output.geterror()})")
+    written = output.write_image(np.ascontiguousarray(pixels))
+    if not (output.close() and written):
+        raise OutputError(f"{path}: cannot be written ({output.geterror()})")
+
+
+def read_exr(path: Path, *, quantity: Quantity | None = None, channels: Sequence[str] | None = None) -> Image:
+    """Read the first part of an EXR file.
+
+    Args:
+        path: the file.
+        quantity: what it measures; by default what the file says, else RADIANCE.
+        channels: which ones, in which order; by default, all of a file that this
+            program wrote, and of a radiance from elsewhere R, G, B or the bands,
+            by rising wavelength.
+
+    Returns:
+        float32; provenance as it was written.
+
+    Raises:
+        ImageError: missing, truncated, too large, no such channel; a radiance that
+            is NaN, infinite or negative, with its pixel.
+    """
+    pixels, names, facts = _read(path)
+    said = facts.get("synfog:quantity")
+    if quantity is None:
+        quantity = next((item for item in Quantity if item.value == said), Quantity.RADIANCE)
+    if channels is None:
+        channels = _default_channels(path, names, facts, quantity)
+    missing = [name for name in channels if name not in names]
+    if missing:
+        raise ImageError(f"{path}: no channel {', '.join(missing)}; it has {', '.join(names)}")
+    image = Image(np.ascontiguousarray(pixels[..., [names.index(name) for name in channels]]), tuple(channels), quantity, provenance=_provenance(facts))
+    if quantity is Quantity.RADIANCE:
+        check_radiance(image, str(path))
+    return image
+
+
+def check_radiance(image: Image, where: str) -> None:
+    """Refuse light that cannot be.
+
+    Raises:
+        ImageError: a pixel is NaN, infinite or negative; names the first one.
+    """
+    bad = ~np.isfinite(image.pixels) | (image.pixels < 0.0)
+    if bad.any():
+        row, column, channel = (int(index[0]) for index in np.nonzero(bad))
+        value = float(image.pixels[row, column, channel])
+        kind = "not a number" if math.isnan(value) else "infinite" if math.isinf(value) else f"negative ({value:g})"
+        raise ImageError(
+            f"{where}: radiance at x={column}, y={row}, channel {image.channels[channel]!r} is {kind}; {int(bad.sum())} values are. Light is finite and >= 0"
+        )
+
+
+def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:
+    import OpenImageIO
+
+    if not path.is_file():
+        raise ImageError(f"{path}: no such file")
+    source = OpenImageIO.ImageInput.open(str(path))
+    if source is None:
+        raise ImageError(f"{path}: cannot be read ({OpenImageIO.geterror()})")
+    try:
+        spec = source.spec()
+        if source.format_name() != "openexr":
+            raise ImageError(f"{path}: is a {source.format_name()} file; an EXR is needed")
+        if spec.width * spec.height * spec.nchannels > MAX_VALUES:
+            raise ImageError(f"{path}: {spec.width} x {spec.height} x {spec.nchannels} values are too many; at most {MAX_VALUES}")
+        if spec.deep:
+            raise ImageError(f"{path}: holds deep pixels; flatten it first")
+        pixels = source.read_image(0, 0, 0, spec.nchannels, OpenImageIO.FLOAT)
+        if pixels is None:
+            raise ImageError(f"{path}: cannot be read whole ({source.geterror()})")
+        facts = {item.name: item.value for item in spec.extra_attribs}
+        return np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels), list(spec.channelnames), facts
+    finally:
+        source.close()
+
+
+def _default_channels(path: Path, names: list[str], facts: Mapping[str, Any], quantity: Quantity) -> list[str]:
+    ours = _json(facts.get("synfog:channels"))
+    if isinstance(ours, list) and sorted(map(str, ours)) == sorted(names):
+        return ours
+    if quantity is not Quantity.RADIANCE:
+        return names
+    if {"R", "G", "B"} <= set(names):
+        return ["R", "G", "B"]
+    bands = {name: float(f"{match[1]}.{match[2] or 0}") for name in names if (match := _BAND.fullmatch(name))}
+    if bands:
+        return sorted(bands, key=lambda name: bands[name])
+    raise ImageError(f"{path}: neither R, G, B nor bands such as S0.550,000000nm; it has {', '.join(names)}")
+
+
+def _provenance(facts: Mapping[str, Any]) -> dict[str, Any]:
+    kept = _json(facts.get("synfog:provenance"))
+    return kept if isinstance(kept, dict) else {}
+
+
+def _json(text: Any) -> Any:
+    try:
+        return json.loads(text) if isinstance(text, str) else None
+    except ValueError:
+        return None

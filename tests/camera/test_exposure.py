@@ -1,0 +1,107 @@
+"""Automatic exposure: what a photographer expects of it, in numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from synfog_usd import camera, resources
+from synfog_usd.errors import GraphError
+from synfog_usd.image import Image, Quantity
+
+
+@pytest.fixture(scope="module")
+def phone():
+    return camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+
+
+def street(sky: float, road: float, lamps: int = 0, lamp: float = 1e5) -> Image:
+    """Sky over 40 % of the frame, road below, some single pixels of lamps."""
+    pixels = np.full((90, 160, 3), road, np.float32)
+    pixels[:36] = sky
+    for index in range(lamps):
+        pixels[20 + 3 * (index % 5), 10 + 9 * (index // 5)] = lamp
+    return Image(pixels, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 65.0})
+
+
+def shown(graph, image, exposure) -> np.ndarray:
+    return graph.run({"radiance": image}, seed=1, settings=exposure.settings)["srgb"].pixels
+
+
+def test_an_overcast_street_has_a_bright_sky_that_does_not_clip_and_a_readable_road(phone):
+    image = street(5000.0, 800.0)
+    exposure = camera.meter(image, phone)
+    out = shown(phone, image, exposure)
+    sky, road = out[4:32, 40:120], out[60:86, 40:120]
+    assert 0.78 < sky.mean() < 0.97 and np.mean(sky > 0.999) < 1e-3
+    assert 0.3 < road.mean() < 0.5
+    assert exposure.iso == 55.0 and exposure.limit == "none" and exposure.exposure_s < 1 / 500
+
+
+def test_fog_as_bright_as_the_sky_does_not_clip_at_the_locked_exposure(phone):
+    exposure = camera.meter(street(5000.0, 800.0), phone)
+    assert np.mean(shown(phone, street(5000.0, 5000.0), exposure) > 0.999) < 1e-3
+
+
+def test_lamps_do_not_move_the_exposure(phone):
+    """40 lamps of 100 000 nits in 14 400 pixels: a meter keyed on the brightest pixel would go down by 10 000."""
+    plain = camera.meter(street(0.5, 1.0), phone)
+    lit = camera.meter(street(0.5, 1.0, lamps=40), phone)
+    ratio = (lit.exposure_s * lit.iso) / (plain.exposure_s * plain.iso)
+    assert 0.7 < ratio <= 1.0
+
+
+def test_a_night_street_is_dark_but_readable_and_its_lamps_clip(phone):
+    image = street(0.02, 0.8, lamps=10, lamp=5e3)
+    exposure = camera.meter(image, phone)
+    out = shown(phone, image, exposure)
+    assert exposure.exposure_s == pytest.approx(1 / 15, rel=1e-6) and exposure.iso > 55.0
+    assert 0.1 < np.median(out[60:86]) < 0.45
+    assert out[20, 10].min() > 0.99
+
+
+def test_the_range_of_the_sensor_is_kept_and_said(phone):
+    """Full sun on snow a thousand times over, and a moonless night."""
+    bright = camera.meter(street(1e7, 1e7), phone)
+    assert (bright.exposure_s, bright.iso, bright.limit) == (5e-5, 55.0, "bright")
+    dark = camera.meter(street(1e-6, 1e-6), phone)
+    assert (dark.exposure_s, dark.iso, dark.limit) == (pytest.approx(1 / 15, rel=1e-6), 7040.0, "dark")
+    black = camera.meter(street(0.0, 0.0), phone)
+    assert (black.iso, black.mean_cd_m2, black.limit) == (7040.0, 0.0, "dark")
+
+
+def test_exposure_follows_the_light(phone):
+    """Twice the light, half the time, where the key is the day's."""
+    one, two = camera.meter(street(2000.0, 400.0), phone), camera.meter(street(4000.0, 800.0), phone)
+    assert one.exposure_s / two.exposure_s == pytest.approx(2.0, rel=1e-4)
+    assert two.mean_cd_m2 == pytest.approx(4000.0**0.4 * 800.0**0.6, rel=0.01)  # geometric mean of the two areas
+    brighter = camera.meter(street(2000.0, 400.0), phone, compensation_ev=1.0)
+    assert brighter.exposure_s / one.exposure_s == pytest.approx(2.0, rel=1e-6)
+
+
+def test_what_the_graph_fixes_stays_and_the_other_makes_up_for_it(phone):
+    image = street(50.0, 8.0)
+    free = camera.meter(image, phone)
+    product = free.exposure_s * free.iso
+    fixed_time = camera.meter(image, phone.with_overrides({"expose.exposure_s": free.exposure_s / 4}))
+    assert (fixed_time.exposure_s, fixed_time.exposure_s * fixed_time.iso) == (free.exposure_s / 4, pytest.approx(product))
+    fixed_iso = camera.meter(image, phone.with_overrides({"gain.iso": 440}))
+    assert (fixed_iso.iso, fixed_iso.exposure_s * fixed_iso.iso, fixed_iso.limit) == (440.0, pytest.approx(product), "none")
+    assert camera.meter(image, phone.with_overrides({"expose.exposure_s": 10})).limit == "bright"
+
+
+def test_develop_meters_only_where_the_exposure_is_left_open(phone):
+    image = street(5000.0, 800.0)
+    metered = camera.develop(phone, {"radiance": image}, seed=0, until="adc")["adc"].provenance
+    assert metered["exposure_s"] == camera.meter(image, phone).exposure_s
+    said = camera.develop(phone, {"radiance": image}, seed=0, until="adc", overrides={"expose.exposure_s": "1/250", "gain.iso": 110})["adc"].provenance
+    assert (said["exposure_s"], said["iso"]) == (1 / 250, 110.0)
+    locked = camera.develop(phone, {"radiance": image}, seed=0, until="adc", exposure=camera.Exposure(0.002, 55.0))["adc"].provenance
+    assert locked["exposure_s"] == 0.002
+
+
+def test_a_graph_that_exposes_nothing_cannot_be_metered(tmp_path):
+    path = tmp_path / "g.yaml"
+    path.write_text("synfog: graph/1\ninputs: [radiance]\nlens: pixel4a\nnodes:\n  - {op: optics.irradiance, falloff: none}\noutputs: {a.exr: irradiance}\n")
+    with pytest.raises(GraphError, match="cannot be metered"):
+        camera.meter(street(1.0, 1.0), camera.load_graph(path))

@@ -1,0 +1,106 @@
+"""The graphs that ship: each loads, runs, repeats itself byte for byte, and its files can be read."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from synfog_usd import camera, resources, seeds
+from synfog_usd.camera import light
+from synfog_usd.errors import GraphError
+from synfog_usd.graph import outputs
+from synfog_usd.image import Image, Quantity
+from synfog_usd.writers import WRITERS, write_output
+
+GRAPHS = sorted(resources.folder("pipeline").glob("*.yaml"))
+
+
+def scene(channels=("R", "G", "B"), scale=500.0) -> Image:
+    pixels = seeds.stream(0, "scene").random((48, 64, len(channels)), dtype=np.float32) * np.float32(scale)
+    return Image(pixels, channels, Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+
+
+def test_four_graphs_ship():
+    assert {path.stem for path in GRAPHS} >= {"phone", "synfog", "linear_exr", "dashcam"}
+
+
+@pytest.mark.parametrize("path", GRAPHS, ids=lambda path: path.stem)
+def test_a_shipped_graph_runs_and_repeats_itself(path, tmp_path):
+    graph = camera.load_graph(path)
+    radiance = scene()
+    exposure = camera.meter(radiance, graph)
+    files = {}
+    for folder in ("one", "two"):
+        run = graph.run({"radiance": radiance}, seed=7, settings=exposure.settings)
+        for name, node in graph.outputs.items():
+            files.setdefault(name, []).append(write_output(name, run[node], tmp_path / folder).read_bytes())
+        mosaic = run["adc"].pixels
+        assert mosaic.min() >= 0 and mosaic.max() <= graph.profiles["sensor"].white_level_dn and (mosaic == np.rint(mosaic)).all()
+    assert files and all(one == two for one, two in files.values())
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3, 5), (2, 301)])
+def test_small_pictures_with_a_lamp_go_through_the_phone(shape):
+    graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+    pixels = np.full((*shape, 3), 0.3, np.float32)
+    pixels[1, 1] = 1e6
+    out = camera.develop(graph, {"radiance": scene().with_pixels(pixels)}, seed=0)["srgb"].pixels
+    assert out.shape == (*shape, 3) and np.isfinite(out).all() and out.min() >= 0 and out[1, 1].max() > 0.99
+
+
+def test_light_in_bands_goes_through_the_phone_too():
+    """D65 as 16 bands and as RGB look alike: the same mean picture within a few 255ths (25 nm bands)."""
+    graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+    centres = np.arange(392.5, 780.0, 25.0)
+    spectrum = 1000 * np.interp(centres, light.WAVELENGTHS_NM, light.channel_spectra(("R", "G", "B")).sum(axis=0))
+    bands = Image(
+        np.broadcast_to(spectrum.astype(np.float32), (32, 32, 16)).copy(),
+        tuple(map(light.band_name, centres)),
+        Quantity.RADIANCE,
+        provenance={"fov_x_deg": 60.0},
+    )
+    rgb = Image(np.full((32, 32, 3), 1000.0, np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+    exposure = camera.meter(rgb, graph)
+    one, two = (graph.run({"radiance": image}, seed=0, settings=exposure.settings)["srgb"].pixels.mean(axis=(0, 1)) for image in (bands, rgb))
+    np.testing.assert_allclose(one, two, atol=4 / 255)
+
+
+def test_the_fixed_pattern_is_in_every_frame_and_the_rest_is_not():
+    """Mean of 40 dark frames at two sets of seeds: the averages correlate by their DSNU.
+
+    Per pixel, DSNU has 5 e- and the average of 40 frames has 2.5 / sqrt(40) = 0.4 e- of noise: correlation 0.99.
+    """
+    graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+    black = scene(scale=0.0)
+    averages = []
+    for first in (0, 100):
+        frames = [
+            graph.run(
+                {"radiance": black}, seed=seed, settings={"exposure_s": 0.001, "iso": 55}, until="read_noise", keep=["read_noise"], overrides={"dsnu.dsnu_e": 5}
+            )
+            for seed in range(first, first + 40)
+        ]
+        stack = np.stack([frame["read_noise"].pixels for frame in frames])
+        averages.append(stack.mean(axis=0).ravel())
+        assert np.corrcoef((stack[0] - stack.mean(axis=0)).ravel(), (stack[1] - stack.mean(axis=0)).ravel())[0, 1] < 0.1
+    assert np.corrcoef(*averages)[0, 1] > 0.97
+
+
+def test_what_a_graph_may_write_and_what_writers_can_write_are_the_same():
+    assert set(outputs.FORMATS) == set(WRITERS)
+
+
+def test_wrong_order_in_the_phone_is_refused_when_it_is_loaded(tmp_path):
+    """Read noise before exposure, colour correction before demosaicing, a DNG of the picture: none of them runs."""
+    text = (resources.folder("pipeline") / "phone.yaml").read_text()
+    changes = [
+        ("    op: sensor.expose\n    exposure_s: auto", "    op: sensor.read_noise"),
+        ("    op: isp.demosaic\n    algorithm: linear", "    op: isp.colour_correct"),
+        ("raw.dng: adc", "raw.dng: srgb"),
+        ("raw.dng: adc", "raw.dng: gain"),
+    ]
+    for old, new in changes:
+        assert text.count(old) == 1
+        (tmp_path / "g.yaml").write_text(text.replace(old, new))
+        with pytest.raises(GraphError, match=r"g\.yaml:\d+:\d+: .* takes "):
+            camera.load_graph(tmp_path / "g.yaml")

@@ -1,0 +1,159 @@
+"""Opening, variants and what a stage is made of."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from pxr import Usd, UsdGeom
+
+from synfog_usd.errors import StageError
+from synfog_usd.stage import cameras, composition_notes, dependencies, open_stage, select, stage_hash, variants
+
+SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "usd"
+
+STREET = """#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+def Xform "World" (
+    variants = { string fog = "mor300" }
+    prepend variantSets = ["fog", "lighting"]
+    references = @./car.usda@
+)
+{
+    variantSet "fog" = {
+        "clear" {
+            over "Fog" (
+                active = false
+            )
+            {
+            }
+        }
+        "mor300" {
+            over "Fog" {
+                float synfog:fog:mor = 300
+            }
+        }
+        "mor150" {
+            over "Fog" {
+                float synfog:fog:mor = 150
+            }
+        }
+    }
+    variantSet "lighting" = {
+        "sky" { }
+        "active" { }
+    }
+    def Cube "Fog" ( prepend apiSchemas = ["SynFogMediumAPI"] ) { }
+    def Camera "Ego" { }
+}
+"""
+CAR = '#usda 1.0\n(\n    defaultPrim = "Car"\n)\ndef Xform "Car" {\n    def Cube "Body" { }\n}\n'
+
+
+@pytest.fixture
+def street(tmp_path):
+    (tmp_path / "car.usda").write_text(CAR, encoding="utf-8")
+    (tmp_path / "street.usda").write_text(STREET, encoding="utf-8")
+    return tmp_path / "street.usda"
+
+
+def test_choosing_a_variant_writes_nothing_to_the_input(street):
+    """The choice stands on the session layer; the files and the root layer stay as they are."""
+    stage = open_stage(street)
+    assert variants(stage) == {"fog": ["clear", "mor150", "mor300"], "lighting": ["active", "sky"]}
+    before = {path: path.read_bytes() for path in street.parent.iterdir()}
+    root = stage.GetRootLayer().ExportToString()
+    select(stage, fog="mor150", lighting="active")
+    prim = stage.GetPrimAtPath("/World/Fog")
+    assert prim.GetAttribute("synfog:fog:mor").Get() == 150.0
+    assert stage.GetPrimAtPath("/World").GetVariantSet("lighting").GetVariantSelection() == "active"
+    select(stage, fog="clear")
+    assert not stage.GetPrimAtPath("/World/Fog").IsActive()
+    assert stage.GetRootLayer().ExportToString() == root and not stage.GetRootLayer().dirty
+    assert {path: path.read_bytes() for path in street.parent.iterdir()} == before
+
+
+def test_unknown_variants_are_refused_with_what_there_is(street):
+    stage = open_stage(street)
+    with pytest.raises(StageError, match=r"/World: variant set 'fog' has no 'mor15'; it has clear, mor150, mor300. Did you mean 'mor150'"):
+        select(stage, fog="mor15")
+    plain = Usd.Stage.CreateInMemory()
+    assert variants(plain) == {}
+    with pytest.raises(StageError, match="no root prim has a variant set 'lighting'"):
+        select(plain, lighting="sky")
+
+
+def test_cameras_are_listed_in_order(street):
+    stage = open_stage(street)
+    UsdGeom.Camera.Define(stage, "/Second")
+    assert cameras(stage) == ["/World/Ego", "/Second"]
+
+
+def test_the_hash_is_of_the_content_and_not_of_the_place(street, tmp_path_factory):
+    """Moved files hash the same, a chosen variant does not count, an edited reference does."""
+    first = stage_hash(open_stage(street))
+    moved = tmp_path_factory.mktemp("elsewhere") / "here"
+    shutil.copytree(street.parent, moved)
+    stage = open_stage(moved / "street.usda")
+    assert stage_hash(stage) == first
+    select(stage, fog="clear")
+    assert stage_hash(stage) == first
+    assert [path.name for path in dependencies(stage)] == ["car.usda", "street.usda"]
+    del stage
+    (moved / "car.usda").write_text(CAR.replace("Cube", "Sphere"), encoding="utf-8")
+    assert stage_hash(open_stage(moved / "street.usda")) != first
+
+
+def test_textures_belong_to_the_stage(street):
+    picture = street.parent / "sky.exr"
+    picture.write_bytes(b"one")
+    street.write_text(STREET + 'def DomeLight "Sky" {\n asset inputs:texture:file = @./sky.exr@\n}\n', encoding="utf-8")
+    stage = open_stage(street)
+    assert picture in dependencies(stage)
+    first = stage_hash(stage)
+    picture.write_bytes(b"two")
+    assert stage_hash(stage) != first
+
+
+@pytest.mark.parametrize("name, text, message", [
+    ("gone.usda", None, "no such file"),
+    ("picture.png", "x", "not a USD file by its name"),
+    ("broken.usda", "hello", "cannot be read as USD"),
+    ("broken.usdc", "hello", "cannot be read as USD"),
+    ("broken.usdz", "hello", "cannot be read as USD"),
+    ("empty.usda", "", "cannot be read as USD"),
+    ("refers.usda", '#usda 1.0\ndef "A" (references = @./gone.usda@</A>) { }\n', "/A: .*gone.usda.*remove the reference"),
+    ("cycle.usda", '#usda 1.0\ndef "A" (references = </A>) { }\n', "/A: Cycle"),
+    ("target.usda", '#usda 1.0\ndef "A" (references = </B>) { }\n', "/A: Unresolved"),
+])  # fmt: skip
+def test_what_cannot_be_opened_says_why_in_one_line(tmp_path, name, text, message):
+    path = tmp_path / name
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    with pytest.raises(StageError, match=message) as caught:
+        open_stage(path)
+    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_materialx_references_are_noted_but_open(tmp_path):
+    """The pip wheel cannot read .mtlx files; the rest of the stage is worth a picture."""
+    (tmp_path / "look.mtlx").write_text("<materialx/>", encoding="utf-8")
+    path = tmp_path / "a.usda"
+    path.write_text('#usda 1.0\ndef "A" (references = @./look.mtlx@</MaterialX>) { }\n', encoding="utf-8")
+    (note,) = composition_notes(open_stage(path))
+    assert (note.severity, note.path) == ("warning", "/A") and "look.mtlx" in note.text
+
+
+def test_a_tower_of_prims_is_refused_when_opened(tmp_path):
+    (tmp_path / "deep.usda").write_text("#usda 1.0\n" + 'def Xform "d" {\n' * 5000 + "}\n" * 5000, encoding="utf-8")
+    with pytest.raises(StageError, match="nested deeper than 256"):
+        open_stage(tmp_path / "deep.usda")
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the real files beside the project")
+def test_real_stages_open():
+    assert variants(open_stage(SHARED / "example_street.usda")) == {"fog": ["clear", "mor150", "mor300", "mor600"], "lighting": ["active", "sky"]}
+    assert dependencies(open_stage(SHARED / "people" / "CesiumMan" / "CesiumMan.usdz")) == [SHARED / "people" / "CesiumMan" / "CesiumMan.usdz"]

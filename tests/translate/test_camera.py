@@ -1,0 +1,138 @@
+"""Cameras: angle of view, shift, size, choice."""
+
+import math
+
+import numpy as np
+import pytest
+from pxr import Gf, UsdGeom, UsdRender
+
+from synfog_usd.errors import StageError
+from synfog_usd.translate import translate
+
+
+def camera(stage):
+    found = UsdGeom.Camera.Get(stage, "/Camera")
+    found.CreateFocalLengthAttr(35.0)
+    found.CreateHorizontalApertureAttr(36.0)
+    found.CreateVerticalApertureAttr(24.0)
+    return found
+
+
+@pytest.mark.parametrize("size, width_mm", [((900, 600), 36.0), ((1200, 600), 48.0), ((600, 600), 36.0), ((300, 600), 36.0)])
+def test_the_aperture_grows_to_the_picture(empty, size, width_mm):
+    """expandAperture: a wider picture keeps the height and widens, a narrower one keeps the width."""
+    stage = empty()
+    camera(stage)
+    found = translate(stage, resolution=size).camera
+    assert (found.width_px, found.height_px) == size
+    np.testing.assert_allclose(found.fov_x_deg, 2 * math.degrees(math.atan(width_mm / 2 / 35.0)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("policy, width_mm", [("expandAperture", 48.0), ("cropAperture", 36.0), ("adjustApertureWidth", 48.0), ("adjustApertureHeight", 36.0)])
+def test_other_ways_to_conform(empty, policy, width_mm):
+    stage = empty()
+    camera(stage)
+    settings = UsdRender.Settings.Define(stage, "/Render")
+    settings.CreateAspectRatioConformPolicyAttr(policy)
+    settings.CreateResolutionAttr(Gf.Vec2i(1200, 600))
+    stage.SetMetadata("renderSettingsPrimPath", "/Render")
+    np.testing.assert_allclose(translate(stage).camera.fov_x_deg, 2 * math.degrees(math.atan(width_mm / 2 / 35.0)), rtol=1e-6)
+
+
+def test_the_projection_is_usds_own(empty):
+    """A point's place in the picture, by fov and shift, is where Gf.Frustum of the same camera puts it."""
+    stage = empty()
+    authored = camera(stage)
+    authored.CreateHorizontalApertureOffsetAttr(4.0)
+    authored.CreateVerticalApertureOffsetAttr(-3.0)
+    found = translate(stage, resolution=(900, 600)).camera
+    matrix = authored.GetCamera(0).frustum.ComputeProjectionMatrix()
+    tangent = math.tan(math.radians(found.fov_x_deg / 2))
+    for x, y in ((0.0, 0.0), (0.3, 0.1), (-0.2, 0.25)):
+        clip = matrix.Transform(Gf.Vec3d(x, y, -1.0))
+        wanted = (clip[0] / 2, clip[1] / 2)  # from the centre, in picture widths and heights
+        ours = (x / tangent / 2 - found.shift[0], y / (tangent * 600 / 900) / 2 - found.shift[1])
+        np.testing.assert_allclose(ours, wanted, atol=1e-6)
+
+
+def test_lens_numbers_are_in_metres(empty):
+    """Focal length and aperture are tenths of a stage unit, focus distance is whole units."""
+    stage = empty(metres_per_unit=0.01)
+    authored = camera(stage)
+    authored.CreateFStopAttr(2.8)
+    authored.CreateFocusDistanceAttr(1200.0)
+    authored.CreateClippingRangeAttr(Gf.Vec2f(10.0, 1e6))
+    found = translate(stage).camera
+    np.testing.assert_allclose([found.focal_length_m, found.f_number, found.focus_m, found.near_m], [0.035, 2.8, 12.0, 0.1], rtol=1e-6)
+    assert (found.width_px, found.height_px) == (1280, 853)
+
+
+def test_an_absurd_focal_length_is_a_pinhole(empty):
+    """35 'mm' in a stage of metres is a lens of 3.5 m: harmless for the view, absurd for depth of field."""
+    stage = empty()
+    authored = camera(stage)
+    authored.CreateFStopAttr(2.8)
+    authored.CreateFocusDistanceAttr(12.0)
+    scene = translate(stage)
+    assert scene.camera.f_number == 0.0
+    assert any(note.path == "/Camera" and "3.50 m" in note.text for note in scene.notes)
+
+
+@pytest.mark.parametrize("scale", [(2, 2, 2), (1, 3, 0.5), (-1, 1, 1)])
+def test_scale_does_not_reach_the_lens(empty, scale):
+    """The view direction and the place stay; the frame is rigid and right-handed."""
+    stage = empty()
+    authored = camera(stage)
+    authored.AddScaleOp().Set(scale)
+    found = translate(stage).camera.to_world[:3, :3]
+    np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(found), 1.0)
+    np.testing.assert_allclose(found[:, 2], [0, -1, 0], atol=1e-12)
+    np.testing.assert_allclose(found[:, 1], [0, 0, 1], atol=1e-12)
+
+
+def test_which_camera_looks(empty):
+    """The one asked for, else the render settings', else the first, with a note."""
+    stage = empty()
+    for name in "AB":
+        UsdGeom.Camera.Define(stage, f"/{name}")
+    scene = translate(stage)
+    assert scene.camera.path == "/Camera"
+    assert any("first of 3 cameras" in note.text for note in scene.notes)
+    settings = UsdRender.Settings.Define(stage, "/Render")
+    settings.CreateCameraRel().AddTarget("/B")
+    settings.CreateResolutionAttr(Gf.Vec2i(640, 480))
+    stage.SetMetadata("renderSettingsPrimPath", "/Render")
+    found = translate(stage).camera
+    assert (found.path, found.width_px, found.height_px) == ("/B", 640, 480)
+    assert translate(stage, camera="/A", resolution=(64, 32)).camera.path == "/A"
+    with pytest.raises(StageError, match=r"/Camra: no such camera.*Did you mean '/Camera'"):
+        translate(stage, camera="/Camra")
+
+
+def test_a_stage_without_a_camera_is_refused(empty):
+    stage = empty()
+    stage.RemovePrim("/Camera")
+    with pytest.raises(StageError, match=r"no camera; add a Camera"):
+        translate(stage)
+
+
+@pytest.mark.parametrize("name, value", [("focalLength", 0.0), ("horizontalAperture", -1.0), ("projection", "orthographic")])
+def test_lenses_that_cannot_be_drawn_are_refused(empty, name, value):
+    stage = empty()
+    camera(stage).GetPrim().GetAttribute(name).Set(value)
+    with pytest.raises(StageError, match="/Camera"):
+        translate(stage)
+
+
+def test_the_frame_is_the_one_asked_for_or_the_first(empty):
+    stage = empty()
+    move = UsdGeom.Cube.Define(stage, "/Cube").AddTranslateOp()
+    for frame in (10, 20):
+        move.Set((float(frame), 0.0, 0.0), frame)
+    stage.SetStartTimeCode(10)
+    stage.SetEndTimeCode(20)
+    scene = translate(stage)
+    np.testing.assert_allclose(scene.world["shape_0"]["positions"].mean(axis=0), [10, 0, 0])
+    assert any("frame 10" in note.text for note in scene.notes)
+    np.testing.assert_allclose(translate(stage, frame=17).world["shape_0"]["positions"].mean(axis=0), [17, 0, 0])

@@ -1,0 +1,89 @@
+"""Skinned people: posed at the frame, on a copy; the stage that was given stays as it is."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
+
+from synfog_usd.translate import translate
+
+SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "usd"
+
+
+def arm(stage, path):
+    """A quad of two joints: the lower two points hang on the first, the upper two on the second."""
+    UsdSkel.Root.Define(stage, path)
+    joints = ["Shoulder", "Shoulder/Elbow"]
+    rest = Vt.Matrix4dArray([Gf.Matrix4d(1), Gf.Matrix4d().SetTranslate((0, 0, 1))])
+    skeleton = UsdSkel.Skeleton.Define(stage, f"{path}/Skeleton")
+    skeleton.CreateJointsAttr(joints)
+    skeleton.CreateBindTransformsAttr(rest)
+    skeleton.CreateRestTransformsAttr(rest)
+    animation = UsdSkel.Animation.Define(stage, f"{path}/Wave")
+    animation.CreateJointsAttr(joints)
+    animation.CreateTranslationsAttr([(0, 0, 0), (0, 0, 1)])
+    animation.CreateScalesAttr(Vt.Vec3hArray([(1, 1, 1)] * 2))
+    turns = animation.CreateRotationsAttr()
+    for frame, degrees in ((1, 0.0), (2, 90.0)):
+        turn = Gf.Quatf(Gf.Rotation((0, 1, 0), degrees).GetQuat())
+        turns.Set(Vt.QuatfArray([Gf.Quatf(1), turn]), frame)
+    mesh = UsdGeom.Mesh.Define(stage, f"{path}/Mesh")
+    mesh.CreatePointsAttr([(0, 0, 0), (0.1, 0, 0), (0.1, 0, 2), (0, 0, 2)])
+    mesh.CreateFaceVertexCountsAttr([4])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+    mesh.CreateSubdivisionSchemeAttr("none")
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateSkeletonRel().SetTargets([f"{path}/Skeleton"])
+    binding.CreateJointIndicesPrimvar(False, 1).Set([0, 0, 1, 1])
+    binding.CreateJointWeightsPrimvar(False, 1).Set([1.0] * 4)
+    UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([f"{path}/Wave"])
+
+
+WAVED = [(0, 0, 0), (0.1, 0, 0), (1, 0, 0.9), (1, 0, 1)]
+"""By hand: the upper points turn 90 degrees about Y around the elbow at z = 1, (x, z) -> (z - 1, 1 - x)."""
+
+
+def drawn(stage, **choice):
+    scene = translate(stage, **choice)
+    points = [part["positions"] for key, part in scene.world.items() if key.startswith("shape_")]
+    return np.concatenate(points)
+
+
+def test_a_pose_is_that_of_the_frame(empty):
+    stage = empty()
+    arm(stage, "/Arm")
+    layers = [layer.ExportToString() for layer in (stage.GetRootLayer(), stage.GetSessionLayer())]
+    np.testing.assert_allclose(drawn(stage, frame=1), [(0, 0, 0), (0.1, 0, 0), (0.1, 0, 2), (0, 0, 2)], atol=1e-6)
+    np.testing.assert_allclose(drawn(stage, frame=2), WAVED, atol=1e-6)
+    assert layers == [layer.ExportToString() for layer in (stage.GetRootLayer(), stage.GetSessionLayer())]
+
+
+def test_characters_in_instances_are_posed_too(empty):
+    """A prototype cannot be written to, so instances that hold characters are opened on the copy."""
+    stage = empty()
+    stage.CreateClassPrim("/Proto")
+    arm(stage, "/Proto/Arm")
+    for number in range(2):
+        prim = stage.DefinePrim(f"/Person{number}", "Xform")
+        prim.GetReferences().AddInternalReference("/Proto")
+        prim.SetInstanceable(True)
+        UsdGeom.Xformable(prim).AddTranslateOp().Set((0.0, 5.0 * number, 0.0))
+    wanted = np.concatenate([WAVED, np.add(WAVED, [0, 5, 0])])
+    np.testing.assert_allclose(drawn(stage, frame=2), wanted, atol=1e-6)
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the real files beside the project")
+@pytest.mark.parametrize("name, height_m", [("CesiumMan", (1.4, 1.6)), ("RiggedFigure", (1.4, 1.8))])
+def test_real_people_stand_upright_on_the_ground(name, height_m):
+    """A Z-up figure under a Y-up stage stands along the scene's Z, feet at 0."""
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.Camera.Define(stage, "/Camera")
+    stage.DefinePrim("/Person").GetReferences().AddReference(str(SHARED / "people" / name / f"{name}.usdz"))
+    points = drawn(stage, frame=1)
+    height = np.ptp(points, axis=0)[2]
+    assert height_m[0] < height < height_m[1]
+    assert height > 1.5 * np.ptp(points, axis=0)[:2].max() or name == "RiggedFigure"
+    assert abs(points[:, 2].min()) < 0.1

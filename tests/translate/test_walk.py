@@ -1,0 +1,258 @@
+"""What is drawn and whose it is: visibility, instances, labels, and files that mean harm."""
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdSemantics, UsdShade
+
+from synfog_usd.errors import StageError
+from synfog_usd.translate import summary, translate
+
+
+def label(prim, *words):
+    UsdSemantics.LabelsAPI.Apply(prim, "cityscapes").CreateLabelsAttr(list(words))
+
+
+def named(scene):
+    """{(shape, ...): (path, label)} and a check of the ids."""
+    assert [thing.id for thing in scene.things] == list(range(1, len(scene.things) + 1))
+    by_id = {thing.id: (thing.path, thing.label) for thing in scene.things}
+    return {key: by_id[number] for key, number in scene.thing_of.items()}
+
+
+def test_only_what_can_be_seen_is_drawn(empty):
+    """Invisible, inactive, guide and proxy prims are left out; purpose is inherited, and may be set back."""
+    stage = empty()
+    for name in ("Seen", "Invisible", "Inactive", "Guide", "Proxy", "Render"):
+        UsdGeom.Cube.Define(stage, f"/{name}/Cube")
+    UsdGeom.Imageable(stage.DefinePrim("/Invisible", "Xform")).MakeInvisible()
+    stage.GetPrimAtPath("/Inactive").SetActive(False)
+    for name in ("Guide", "Proxy", "Render"):
+        UsdGeom.Imageable(stage.DefinePrim(f"/{name}", "Xform")).CreatePurposeAttr(name.lower())
+    UsdGeom.Cube.Define(stage, "/Guide/Back").CreatePurposeAttr("default")
+    stage.CreateClassPrim("/Class")
+    UsdGeom.Cube.Define(stage, "/Class/Cube")
+    assert {thing.path for thing in translate(stage).things} == {"/Seen/Cube", "/Render/Cube", "/Guide/Back"}
+
+
+def test_the_nearest_label_names_a_thing(empty):
+    """A car with a plate: two things, not a union; what stands unlabelled goes by its component or by itself."""
+    stage = empty()
+    label(UsdGeom.Xform.Define(stage, "/Car").GetPrim(), "car")
+    UsdGeom.Cube.Define(stage, "/Car/Body")
+    UsdGeom.Cube.Define(stage, "/Car/Parts/Wheel")
+    label(UsdGeom.Cube.Define(stage, "/Car/Plate").GetPrim(), "license_plate")
+    Usd.ModelAPI(UsdGeom.Xform.Define(stage, "/Bench").GetPrim()).SetKind("component")
+    UsdGeom.Cube.Define(stage, "/Bench/Seat")
+    UsdGeom.Cube.Define(stage, "/Bench/Leg")
+    UsdGeom.Cube.Define(stage, "/Stone")
+    assert list(named(translate(stage)).values()) == [
+        ("/Car", "car"), ("/Car", "car"), ("/Car/Plate", "license plate"), ("/Bench", "unlabeled"), ("/Bench", "unlabeled"), ("/Stone", "unlabeled"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name, kind, value", [
+    ("semantic:class:params:semanticData", "String", "person"),
+    ("userProperties:cityscapes", "String", "person"),
+    ("userProperties:semantic", "String", "Person"),
+])  # fmt: skip
+def test_older_labels_count(empty, name, kind, value):
+    stage = empty()
+    UsdGeom.Cube.Define(stage, "/P").GetPrim().CreateAttribute(name, getattr(Sdf.ValueTypeNames, kind)).Set(value)
+    assert named(translate(stage)) == {("shape_0",): ("/P", "person")}
+
+
+def test_an_unknown_label_is_unlabeled_and_noted(empty):
+    stage = empty()
+    label(UsdGeom.Cube.Define(stage, "/Ship").GetPrim(), "spaceship")
+    scene = translate(stage)
+    assert named(scene) == {("shape_0",): ("/Ship", "unlabeled")}
+    assert any(note.path == "/Ship" and "'spaceship'" in note.text for note in scene.notes)
+
+
+def copies(stage, root, count, parent=""):
+    for number in range(count):
+        prim = stage.DefinePrim(f"{parent}/Copy{number}", "Xform")
+        prim.GetReferences().AddInternalReference(root)
+        prim.SetInstanceable(True)
+        UsdGeom.Xformable(prim).AddTranslateOp().Set((2.0 * number, 5.0, 0.0))
+
+
+def world_points(scene):
+    """(N, 3) all vertices as drawn, instances placed."""
+    points = [part["positions"] for key, part in scene.world.items() if key.startswith("shape_") and "positions" in part]
+    for part in (part for key, part in scene.world.items() if key.startswith("instance_")):
+        for name, shape in scene.world[part["shapegroup"]["id"]].items():
+            if name != "type":
+                points.append((part["to_world"] @ np.c_[shape["positions"], np.ones(len(shape["positions"]))].T).T[:, :3])
+    return np.concatenate(points)
+
+
+def flat_points(stage, scene):
+    """The same from USD itself, instances opened."""
+    points = []
+    cache = UsdGeom.XformCache()
+    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
+        if prim.GetTypeName() == "Mesh":
+            matrix = cache.GetLocalToWorldTransform(prim)
+            points += [np.array(matrix.Transform(Gf.Vec3d(p))) for p in UsdGeom.Mesh(prim).GetPointsAttr().Get()]
+    return np.array(points) - scene.origin_m
+
+
+def in_order(points):
+    return points[np.lexsort(np.round(points, 4).T)]
+
+
+def test_instances_share_their_prototype_and_have_ids_of_their_own(empty, polygon_mesh):
+    """Three copies of two meshes: one group of two shapes, three instances, each a thing; vertices fall where USD puts them."""
+    stage = empty()
+    stage.CreateClassPrim("/Proto")
+    label(stage.GetPrimAtPath("/Proto"), "car")
+    for name, z in (("Body", 0.0), ("Roof", 1.0)):
+        mesh = polygon_mesh(stage, f"/Proto/{name}", [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [3], [0, 1, 2])
+        mesh.AddTranslateOp().Set((0, 0, z))
+        mesh.AddRotateXOp().Set(30.0)
+    copies(stage, "/Proto", 3)
+    scene = translate(stage)
+    numbers = summary(scene)
+    assert (numbers["groups"], numbers["instances"], numbers["triangles"], numbers["triangles_drawn"]) == (1, 3, 2, 6)
+    assert named(scene) == {(f"instance_{i}", f"shape_{s}"): (f"/Copy{i}", "car") for i in range(3) for s in range(2)}
+    np.testing.assert_allclose(in_order(world_points(scene)), in_order(flat_points(stage, scene)), atol=1e-5)
+
+
+def test_labels_inside_a_prototype_split_the_instance(empty, polygon_mesh):
+    stage = empty()
+    stage.CreateClassPrim("/Proto")
+    polygon_mesh(stage, "/Proto/Body", [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [3], [0, 1, 2])
+    rider = polygon_mesh(stage, "/Proto/Rider", [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [3], [0, 1, 2])
+    label(rider.GetPrim(), "rider")
+    copies(stage, "/Proto", 2)
+    label(stage.GetPrimAtPath("/Copy1"), "bicycle")
+    assert named(translate(stage)) == {
+        ("instance_0", "shape_0"): ("/Copy0", "unlabeled"), ("instance_0", "shape_1"): ("/Copy0/Rider", "rider"),
+        ("instance_1", "shape_0"): ("/Copy1", "bicycle"), ("instance_1", "shape_1"): ("/Copy1/Rider", "rider"),
+    }  # fmt: skip
+
+
+def test_instances_under_a_labelled_thing_are_part_of_it_under_a_labelled_scope_they_are_things(empty, polygon_mesh):
+    """Wheels belong to their car; trees in a scope are trees."""
+    stage = empty()
+    stage.CreateClassPrim("/Proto")
+    polygon_mesh(stage, "/Proto/Mesh", [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [3], [0, 1, 2])
+    label(UsdGeom.Xform.Define(stage, "/Car").GetPrim(), "car")
+    label(UsdGeom.Scope.Define(stage, "/Trees").GetPrim(), "vegetation")
+    copies(stage, "/Proto", 2, "/Car")
+    copies(stage, "/Proto", 2, "/Trees")
+    assert sorted(named(translate(stage)).values()) == [
+        ("/Car", "car"), ("/Car", "car"), ("/Trees/Copy0", "vegetation"), ("/Trees/Copy1", "vegetation"),
+    ]  # fmt: skip
+
+
+def test_point_instances_are_things_with_their_numbers(empty, polygon_mesh):
+    """Two prototypes, one masked point; the prototypes themselves are not drawn."""
+    stage = empty()
+    points = UsdGeom.PointInstancer.Define(stage, "/Trees")
+    points.AddTranslateOp().Set((0, 10, 0))
+    label(points.GetPrim(), "vegetation")
+    for name in ("Oak", "Elm"):
+        polygon_mesh(stage, f"/Trees/{name}", [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [3], [0, 1, 2]).AddScaleOp().Set((2, 2, 2))
+        points.CreatePrototypesRel().AddTarget(f"/Trees/{name}")
+    points.CreateProtoIndicesAttr([0, 1, 0, 1])
+    points.CreatePositionsAttr([(0, 0, 0), (5, 0, 0), (10, 0, 0), (15, 0, 0)])
+    points.DeactivateId(2)
+    scene = translate(stage)
+    assert sorted(named(scene).values()) == [("/Trees[0]", "vegetation"), ("/Trees[1]", "vegetation"), ("/Trees[3]", "vegetation")]
+    shift = np.array([[0, 10, 0], [5, 10, 0], [15, 10, 0]])
+    wanted = np.concatenate([np.array([(0, 0, 0), (2, 0, 0), (2, 2, 0)]) + s for s in shift])
+    np.testing.assert_allclose(in_order(world_points(scene)), in_order(wanted), atol=1e-6)
+
+
+def test_nested_instances_are_flattened(empty, polygon_mesh):
+    """A row of two wheels, itself instanced three times: twelve corners for each wheel where USD puts them."""
+    stage = empty()
+    stage.CreateClassPrim("/Wheel")
+    polygon_mesh(stage, "/Wheel/Mesh", [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [3], [0, 1, 2])
+    stage.CreateClassPrim("/Row")
+    copies(stage, "/Wheel", 2, "/Row")
+    for number in range(3):
+        prim = stage.DefinePrim(f"/Place{number}", "Xform")
+        prim.GetReferences().AddInternalReference("/Row")
+        prim.SetInstanceable(True)
+        xform = UsdGeom.Xformable(prim)
+        xform.AddTranslateOp().Set((0.0, 0.0, 7.0 * number))
+        xform.AddRotateZOp().Set(25.0 * number)
+    scene = translate(stage)
+    assert not any(isinstance(part, dict) and part["type"] == "instance" for group in scene.world.values() if group != "scene" for part in group.values())
+    np.testing.assert_allclose(in_order(world_points(scene)), in_order(flat_points(stage, scene)), atol=1e-5)
+    assert {path for path, _ in named(scene).values()} == {"/Place0", "/Place1", "/Place2"}
+
+
+def test_a_material_bound_above_an_instance_reaches_into_it(empty, polygon_mesh):
+    stage = empty()
+    stage.CreateClassPrim("/Proto")
+    polygon_mesh(stage, "/Proto/Mesh", [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [3], [0, 1, 2])
+    for name, color in (("Red", (1.0, 0.0, 0.0)), ("Blue", (0.0, 0.0, 1.0))):
+        material = UsdShade.Material.Define(stage, f"/{name}Paint")
+        surface = UsdShade.Shader.Define(stage, f"/{name}Paint/Surface")
+        surface.CreateIdAttr("UsdPreviewSurface")
+        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
+        material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+        UsdShade.MaterialBindingAPI.Apply(UsdGeom.Xform.Define(stage, f"/{name}").GetPrim()).Bind(material)
+        copies(stage, "/Proto", 2, f"/{name}")
+    scene = translate(stage)
+    found = set()
+    for part in (part for key, part in scene.world.items() if key.startswith("instance_")):
+        shape = scene.world[part["shapegroup"]["id"]]["shape_0"]
+        found.add((part["shapegroup"]["id"], tuple(scene.world[shape["bsdf"]["id"]]["bsdf"]["base_color"]["value"])))
+    assert {color for _, color in found} == {(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)} and len(found) == 2
+
+
+def test_what_is_not_drawn_is_noted(empty):
+    stage = empty()
+    for path, kind in (("/Hair", "BasisCurves"), ("/Dust", "Points"), ("/Cloud", "Volume"), ("/Door", "PortalLight")):
+        stage.DefinePrim(path, kind)
+    noted = {note.path for note in translate(stage).notes}
+    assert {"/Hair", "/Dust", "/Cloud", "/Door"} <= noted
+
+
+@pytest.mark.parametrize("scale", [(0, 1, 1), (float("nan"), 1, 1), (float("inf"), 1, 1)])
+def test_shapes_of_no_size_are_noted(empty, scale):
+    stage = empty()
+    for path, kind in (("/Box", "Cube"), ("/Ball", "Sphere"), ("/Lamp", "SphereLight")):
+        UsdGeom.Xformable(stage.DefinePrim(path, kind)).AddScaleOp().Set(scale)
+    scene = translate(stage)
+    assert summary(scene)["shapes"] == 0
+    assert {"/Box", "/Ball", "/Lamp"} <= {note.path for note in scene.notes}
+
+
+def test_a_tower_of_prims_is_refused(empty):
+    """USD's own caches run out of stack at some thousands of levels and take the process with them."""
+    stage = empty()
+    layer = stage.GetRootLayer()
+    with Sdf.ChangeBlock():
+        parent = Sdf.PrimSpec(layer, "Deep", Sdf.SpecifierDef, "Xform")
+        for _ in range(5000):
+            parent = Sdf.PrimSpec(parent, "d", Sdf.SpecifierDef, "Xform")
+    with pytest.raises(StageError, match=r"nested deeper than 256"):
+        translate(stage)
+
+
+def test_doubling_instances_are_refused(empty):
+    """40 levels of two instances each are 2^40 cubes in a file of some kilobytes."""
+    stage = empty()
+    stage.CreateClassPrim("/L0")
+    UsdGeom.Cube.Define(stage, "/L0/Cube")
+    for level in range(1, 41):
+        stage.CreateClassPrim(f"/L{level}")
+        copies(stage, f"/L{level - 1}", 2, f"/L{level}")
+    copies(stage, "/L40", 2)
+    with pytest.raises(StageError, match=r"instances .* (200000|64)"):
+        translate(stage)
+
+
+def test_the_stage_is_not_written_to(empty, polygon_mesh):
+    stage = empty()
+    polygon_mesh(stage, "/Mesh", [(0, 5, 0), (1, 5, 0), (1, 5, 1)], [3], [0, 1, 2])
+    UsdLux.DomeLight.Define(stage, "/Sky")
+    before = [layer.ExportToString() for layer in (stage.GetRootLayer(), stage.GetSessionLayer())]
+    translate(stage)
+    assert before == [layer.ExportToString() for layer in (stage.GetRootLayer(), stage.GetSessionLayer())]

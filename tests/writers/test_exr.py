@@ -1,0 +1,143 @@
+"""EXR: round trips, equal bytes, and refusals that name the pixel."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import OpenImageIO
+import pytest
+
+from synfog_usd import seeds
+from synfog_usd.errors import ImageError, OutputError
+from synfog_usd.image import Image, Quantity
+from synfog_usd.writers import read_exr, write_exr
+
+
+def image(channels=("R", "G", "B"), quantity=Quantity.RADIANCE, shape=(11, 17), **provenance) -> Image:
+    pixels = seeds.stream(0, "exr", *channels).random((*shape, len(channels)), dtype=np.float32) * np.float32(1e5)
+    return Image(pixels, channels, quantity, provenance=provenance)
+
+
+def foreign(path, pixels, channels) -> None:
+    """A file that another program wrote: no attributes of ours."""
+    spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], OpenImageIO.FLOAT)
+    spec.channelnames = channels
+    out = OpenImageIO.ImageOutput.create(str(path))
+    assert out.open(str(path), spec) and out.write_image(pixels.astype(np.float32)) and out.close()
+
+
+@pytest.mark.parametrize(
+    ("channels", "quantity"),
+    [
+        (("R", "G", "B"), Quantity.RADIANCE),
+        (("S0.450,000000nm", "S0.550,000000nm", "S0.1000,000000nm"), Quantity.RADIANCE),
+        (("CFA",), Quantity.ELECTRONS),
+        (("transmittance.Y",), Quantity.DATA),
+        (("depth.Z", "N.X", "N.Y", "N.Z", "A"), Quantity.DATA),
+        (("R", "G", "B"), Quantity.LINEAR_RGB),
+    ],
+)
+def test_what_is_written_is_read_back_exactly(tmp_path, channels, quantity):
+    written = image(channels, quantity, exposure_s=0.01, shot="a b ü", matrix=[[1.5, 2.0]])
+    write_exr(tmp_path / "a.exr", written)
+    read = read_exr(tmp_path / "a.exr")
+    np.testing.assert_array_equal(read.pixels, written.pixels)
+    assert (read.channels, read.quantity, read.provenance) == (channels, quantity, written.provenance)
+
+
+def test_the_same_image_gives_the_same_bytes_whenever_it_is_written(tmp_path):
+    """OpenImageIO would write the second of the clock."""
+    write_exr(tmp_path / "a.exr", image())
+    time.sleep(1.1)
+    write_exr(tmp_path / "b.exr", image())
+    assert (tmp_path / "a.exr").read_bytes() == (tmp_path / "b.exr").read_bytes()
+
+
+def test_other_programs_find_the_standard_attributes(tmp_path):
+    write_exr(tmp_path / "a.exr", image(exposure_s=0.02, iso=100.0), attributes={"synfog:mor_m": 150.0})
+    source = OpenImageIO.ImageInput.open(str(tmp_path / "a.exr"))
+    facts = {item.name: item.value for item in source.spec().extra_attribs}
+    source.close()
+    assert facts["whiteLuminance"] == 1.0 and facts["synfog:mor_m"] == 150.0 and facts["isoSpeed"] == 100.0
+    assert facts["chromaticities"][:2] == pytest.approx((0.64, 0.33))
+    write_exr(tmp_path / "b.exr", image(("S0.450,000000nm", "S0.550,000000nm")))
+    source = OpenImageIO.ImageInput.open(str(tmp_path / "b.exr"))
+    assert source.spec().getattribute("emissiveUnits") == "W.m^-2.sr^-1.nm^-1"
+    source.close()
+
+
+def test_several_images_share_a_file_and_can_be_asked_for(tmp_path):
+    surface, airlight = (image(tuple(f"{layer}.{c}" for c in "RGB"), Quantity.RADIANCE) for layer in ("surface", "airlight"))
+    write_exr(tmp_path / "layers.exr", [surface, airlight])
+    read = read_exr(tmp_path / "layers.exr", channels=airlight.channels)
+    np.testing.assert_array_equal(read.pixels, airlight.pixels)
+    with pytest.raises(ImageError, match=r"channels surface.B, surface.G, surface.R stand in several images"):
+        write_exr(tmp_path / "x.exr", [surface, surface])
+    with pytest.raises(ImageError, match="several sizes"):
+        write_exr(tmp_path / "x.exr", [surface, image(("Y",), shape=(3, 3))])
+    with pytest.raises(ImageError, match="no image"):
+        write_exr(tmp_path / "x.exr", [])
+
+
+def test_half_floats_are_written_on_demand_and_refused_where_they_overflow(tmp_path):
+    small = image().with_pixels(image().pixels * np.float32(1e-3))
+    write_exr(tmp_path / "half.exr", small, half=True)
+    np.testing.assert_array_equal(read_exr(tmp_path / "half.exr").pixels, small.pixels.astype(np.float16).astype(np.float32))
+    with pytest.raises(ImageError, match="does not fit 16-bit floats"):
+        write_exr(tmp_path / "x.exr", image(), half=True)
+
+
+def test_radiance_from_elsewhere_is_read_by_its_channels(tmp_path):
+    """R, G, B out of A, B, G, R and depth; bands in rising order; nothing else."""
+    pixels = np.arange(2 * 3 * 5, dtype=np.float32).reshape(2, 3, 5)
+    foreign(tmp_path / "rgba.exr", pixels, ("R", "G", "B", "A", "Z"))
+    read = read_exr(tmp_path / "rgba.exr")
+    np.testing.assert_array_equal(read.pixels, pixels[..., :3])
+    assert (read.channels, read.quantity, dict(read.provenance)) == (("R", "G", "B"), Quantity.RADIANCE, {})
+    foreign(tmp_path / "bands.exr", pixels[..., :3], ("S0.1000,0nm", "S0.450,0nm", "S0.550,0nm"))
+    assert read_exr(tmp_path / "bands.exr").channels == ("S0.450,0nm", "S0.550,0nm", "S0.1000,0nm")
+    foreign(tmp_path / "data.exr", pixels[..., :1], ("Z",))
+    with pytest.raises(ImageError, match=r"data\.exr: neither R, G, B nor bands .*; it has Z"):
+        read_exr(tmp_path / "data.exr")
+    assert read_exr(tmp_path / "data.exr", quantity=Quantity.DATA).channels == ("Z",)
+    with pytest.raises(ImageError, match="no channel Q; it has Z"):
+        read_exr(tmp_path / "data.exr", channels=["Q"])
+
+
+@pytest.mark.parametrize(("value", "words"), [(np.nan, "not a number"), (np.inf, "infinite"), (-0.5, r"negative \(-0.5\)")])
+def test_light_that_cannot_be_is_refused_with_its_pixel(tmp_path, value, words):
+    pixels = np.ones((4, 6, 3), np.float32)
+    pixels[3, 5, 2] = pixels[2, 4, 1] = value
+    foreign(tmp_path / "bad.exr", pixels, ("R", "G", "B"))
+    with pytest.raises(ImageError, match=rf"bad\.exr: radiance at x=4, y=2, channel 'G' is {words}; 2 values are"):
+        read_exr(tmp_path / "bad.exr")
+
+
+def test_depth_may_be_infinite(tmp_path):
+    pixels = np.full((2, 2, 1), np.inf, np.float32)
+    write_exr(tmp_path / "z.exr", Image(pixels, ("depth.Z",), Quantity.DATA))
+    assert np.isinf(read_exr(tmp_path / "z.exr").pixels).all()
+
+
+def test_broken_files_are_refused_whatever_their_break(tmp_path):
+    write_exr(tmp_path / "whole.exr", image(shape=(64, 64)))
+    data = (tmp_path / "whole.exr").read_bytes()
+    for size in (0, 3, 40, len(data) // 2, len(data) - 10):
+        (tmp_path / "cut.exr").write_bytes(data[:size])
+        with pytest.raises(ImageError, match=r"cut\.exr: cannot be read"):
+            read_exr(tmp_path / "cut.exr")
+    with pytest.raises(ImageError, match=r"none\.exr: no such file"):
+        read_exr(tmp_path / "none.exr")
+    with pytest.raises(ImageError, match="no such file"):
+        read_exr(tmp_path)
+    foreign(tmp_path / "picture.png", np.ones((2, 2, 3)), ("R", "G", "B"))
+    with pytest.raises(ImageError, match="is a png file; an EXR is needed"):
+        read_exr(tmp_path / "picture.png")
+
+
+def test_a_place_that_cannot_be_written_is_an_error_of_ours(tmp_path):
+    (tmp_path / "a.exr").mkdir()
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_exr(tmp_path / "a.exr", image())
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.exr"]
