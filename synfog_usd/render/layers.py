@@ -157,6 +157,13 @@ class _Tracer:
             for registry, rank in self.rank.items():
                 self.lookup[registry] = rank
             self.dr = dr
+        self.first_face = np.full(size, -1, dtype=np.int64)
+        lists, start = [np.zeros(0, dtype=np.int64)], 0
+        for key, faces in loaded.face_things.items():
+            self.first_face[self.rank[self.identity(loaded.shapes[(key,)])]] = start
+            lists.append(faces)
+            start += len(faces)
+        self.face_things = np.concatenate(lists)
 
     def _group_of(self, instance: str) -> str:
         for value in self.loaded.source.world[instance].values():
@@ -184,11 +191,13 @@ class _Tracer:
 
     def trace(self, origin: Array, direction: Array) -> Hits:
         rows = self._trace_scalar(origin, direction) if self.scalar else self._trace_jit(origin, direction)
-        valid, position, onward, normal, front, rank, instance, see_through = rows
+        valid, position, onward, normal, front, rank, instance, face, see_through = rows
         code = np.where(instance > 0, instance * self.size + rank, rank)
         at = np.minimum(np.searchsorted(self.thing_keys, code), max(len(self.thing_keys) - 1, 0))
         known = (self.thing_keys[at] == code) if len(self.thing_keys) else np.zeros(len(code), dtype=bool)
         thing = np.where(known, self.thing_values[at] if len(self.thing_keys) else 0, 0)
+        joined = self.first_face[rank] >= 0
+        thing[joined] = self.face_things[self.first_face[rank[joined]] + face[joined]]
         return Hits(valid, position, onward, normal, front, thing, self.fog_of[rank], see_through)
 
     def _trace_jit(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
@@ -201,17 +210,19 @@ class _Tracer:
         instance = self.lookup[np.array(dr.reinterpret_array(mi.UInt32, si.instance))]
         front = np.array(dr.dot(si.n, ray.d) < 0.0)
         vectors = [np.array(item, dtype=np.float64).T for item in (si.p, si.spawn_ray(ray.d).o, si.sh_frame.n)]
-        return np.array(valid), *vectors, front, rank, instance, np.array(passing, dtype=np.float64)
+        face = np.array(si.prim_index, dtype=np.int64)
+        return np.array(valid), *vectors, front, rank, instance, face, np.array(passing, dtype=np.float64)
 
     def _trace_scalar(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
         mi, rows = self.mi, []
         for o, d in zip(origin, direction, strict=True):
             si = self.loaded.scene.ray_intersect(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)))
             if not si.is_valid():
-                rows.append((False, o, o, d, False, 0, 0, 0.0))
+                rows.append((False, o, o, d, False, 0, 0, 0, 0.0))
                 continue
             passing = float(np.mean(np.array(si.bsdf().eval_null_transmission(si, True))))
             rank, instance = self.rank.get(id(si.shape), 0), self.rank.get(id(si.instance), 0) if si.instance is not None else 0
             facing = float(np.dot(np.array(si.n), d)) < 0.0
-            rows.append((True, np.array(si.p), np.array(si.spawn_ray(mi.Vector3f(d)).o), np.array(si.sh_frame.n), facing, rank, instance, passing))
-        return tuple(np.array([row[index] for row in rows]) for index in range(8))
+            onward = np.array(si.spawn_ray(mi.Vector3f(d)).o)
+            rows.append((True, np.array(si.p), onward, np.array(si.sh_frame.n), facing, rank, instance, int(si.prim_index), passing))
+        return tuple(np.array([row[index] for row in rows]) for index in range(9))

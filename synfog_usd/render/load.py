@@ -17,6 +17,7 @@ import numpy as np
 from synfog_usd.errors import StageError
 from synfog_usd.fog import Boundary, FogMedium
 from synfog_usd.render import backend
+from synfog_usd.render.flatten import FaceThings, flatten
 from synfog_usd.scene import Camera, SceneDict
 
 GRID_SLICES = 512
@@ -34,7 +35,8 @@ class Loaded:
         shapes: key -> shape object; shapes of a group under (group key, inner key).
         boundaries: index of the fog volume -> its null-material shape object.
         offset: (u, v) to add to a film position; a thin lens cannot shift its axis by itself.
-        source: the scene it was made from.
+        source: the scene it was made from, with its meshes joined.
+        face_things: key of a joined mesh -> label id of each face.
     """
 
     scene: Any
@@ -44,6 +46,7 @@ class Loaded:
     boundaries: Mapping[int, Any]
     offset: tuple[float, float]
     source: SceneDict
+    face_things: FaceThings
 
 
 def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None) -> Loaded:
@@ -60,6 +63,10 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None) -> Loa
     gc.collect()  # a scene before this one must give its ids back, else every kernel is compiled anew
     if size is not None:
         source = replace(source, camera=replace(source.camera, width_px=size[0], height_px=size[1]))
+    if not backend.is_scalar():  # which has no kernels to keep small
+        source, face_things = flatten(source)
+    else:
+        face_things = {}
     world = source.world
     made: dict[str, Any] = {}
     shapes: dict[tuple[str, ...], Any] = {}
@@ -107,7 +114,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None) -> Loa
     medium = None if surrounding is None else media[surrounding]
     camera = source.camera
     offset = (camera.shift[0], -camera.shift[1]) if is_thin_lens(camera) else (0.0, 0.0)
-    return Loaded(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, boundaries, offset, source)
+    return Loaded(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, boundaries, offset, source, face_things)
 
 
 def camera_fog(source: SceneDict) -> int | None:
@@ -148,7 +155,10 @@ def _mesh(mi: Any, value: Mapping[str, Any], key: str, convert: Any) -> Any:
     if "vertex_color" in value:
         mesh.add_attribute("vertex_color", 3, np.asarray(value["vertex_color"], dtype=np.float32).ravel())
     arrays = {"vertex_positions": positions, "faces": faces}
-    arrays |= {f"vertex_{name}": value[name] for name in ("normals", "texcoords") if name in value}
+    if "normals" in value:
+        arrays["vertex_normals"] = value["normals"]
+    if "texcoords" in value:
+        arrays["vertex_texcoords"] = np.asarray(value["texcoords"]) * (1.0, -1.0) + (0.0, 1.0)  # Mitsuba's v runs down
     return _filled(mesh, arrays, mi)
 
 

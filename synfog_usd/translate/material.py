@@ -6,6 +6,7 @@ which texture coordinates it reads.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,15 +87,12 @@ class Materials:
         return Finish(self._by_color["black"])
 
     def _add(self, bsdf: dict[str, Any]) -> str:
-        """Key of a BSDF; one without pictures that is there already is used again."""
-        word = None if _has_bitmap(bsdf) else repr(bsdf)
-        if word is not None and word in self._by_word:
-            return self._by_word[word]
-        key = f"mat_{len(self.bsdfs)}"
-        self.bsdfs[key] = bsdf
-        if word is not None:
-            self._by_word[word] = key
-        return key
+        """Key of a BSDF; an equal one that is there already is used again."""
+        word = repr(_told(bsdf))
+        if word not in self._by_word:
+            self._by_word[word] = f"mat_{len(self.bsdfs)}"
+            self.bsdfs[self._by_word[word]] = bsdf
+        return self._by_word[word]
 
     def _made(self, material: UsdShade.Material) -> Finish:
         path = material.GetPath()
@@ -299,8 +297,13 @@ def _bitmap(pixels: Any, node: TextureNode, *, raw: bool) -> dict[str, Any]:
     return {"type": "bitmap", "bitmap": pixels, "raw": raw, "wrap_mode": node.wrap}
 
 
-def _has_bitmap(part: dict[str, Any]) -> bool:
-    return any(name == "bitmap" or (isinstance(value, dict) and _has_bitmap(value)) for name, value in part.items())
+def _told(part: Any) -> Any:
+    """A BSDF in words, with pictures by their content: equal words, equal BSDFs."""
+    if isinstance(part, dict):
+        return {name: _told(value) for name, value in part.items()}
+    if isinstance(part, np.ndarray):
+        return part.shape, str(part.dtype), hashlib.sha256(np.ascontiguousarray(part)).hexdigest()
+    return part
 
 
 def _without_textures(part: dict[str, Any]) -> dict[str, Any]:

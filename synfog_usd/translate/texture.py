@@ -67,6 +67,7 @@ class ImageReader:
     def __init__(self, notes: Notebook) -> None:
         self.notes = notes
         self._images: dict[str, Pixels | None] = {}
+        self.sampled: dict[tuple[Any, ...], Pixels | tuple[float, ...]] = {}
 
     def read(self, file: str, path: str) -> Pixels | None:
         """(H, W, C) uint8 or float32, row 0 at the top, alpha not multiplied in; None where it cannot be read."""
@@ -247,6 +248,13 @@ def sampled(node: TextureNode, images: ImageReader, *, channels: int) -> Pixels 
         throughout, or without texture coordinates (the texel at (0, 0), by the
         specification).
     """
+    key = (node.file, node.channel, node.color_space, node.scale, node.bias, node.fallback, node.uv is None, channels)
+    if key not in images.sampled:
+        images.sampled[key] = _sampled(node, images, channels)
+    return images.sampled[key]
+
+
+def _sampled(node: TextureNode, images: ImageReader, channels: int) -> Pixels | tuple[float, ...]:
     pixels = images.read(node.file, node.path) if node.file else None
     if pixels is None:
         return _fallback(node, channels)

@@ -62,7 +62,6 @@ PALETTE: dict[str, Material] = {
     # vehicles
     "tyre": Material((0.018, 0.018, 0.019), 0.75),
     "rim": Material((0.55, 0.56, 0.58), 0.28, 1.0),
-    "rim_dark": Material((0.06, 0.06, 0.065), 0.3, 0.6),
     "brake": Material((0.2, 0.19, 0.18), 0.45, 1.0),
     "paint": Material((0.3, 0.3, 0.3), 0.38, clearcoat=1.0),
     "black_plastic": Material((0.02, 0.02, 0.021), 0.55),
@@ -140,7 +139,6 @@ PALETTE: dict[str, Material] = {
     "skin_brown": Material((0.20, 0.105, 0.065), 0.5),
     "hair_dark": Material((0.018, 0.013, 0.010), 0.45),
     "hair_brown": Material((0.07, 0.035, 0.017), 0.5),
-    "hair_grey": Material((0.30, 0.29, 0.28), 0.55),
     "hair_blond": Material((0.34, 0.22, 0.09), 0.5),
     "denim": Material((0.045, 0.07, 0.13), 0.85),
     "cloth_black": Material((0.016, 0.016, 0.018), 0.85),

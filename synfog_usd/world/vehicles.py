@@ -144,7 +144,6 @@ def build_cars() -> list[Component]:
 
 def build_bus() -> Component:
     """A city bus of 12 m with three doors; it is one colour below and glass above."""
-    length, width, height = 12.0, 2.55, 3.05
 
     def field_(x: Array, y: Array, z: Array) -> Array:
         side = outline_distance(
@@ -198,13 +197,12 @@ def build_bus() -> Component:
         parts.append(_side_picture(sign, 1.30, -3.5, -0.4 if sign > 0 else 1.0, 0.72, 1.08, 0))
     parts.append(_plate((0, 6.03, 0.5), 6, front=True))
     parts.append(_plate((0, -6.04, 0.7), 6, front=False))
-    assert width < 2.6 and height < 3.2
     lamps = _headlights([(-0.86, 6.06, 0.74), (0.86, 6.06, 0.74)])
     variants = {
         "paint": {"red": _painted((0.36, 0.018, 0.02)), "yellow": _painted((0.62, 0.38, 0.02))},
         "lamps": {"off": Look(), "glow": _lit(()), "on": _lit(lamps)},
     }
-    return Component("bus", "bus", tuple(parts), f"A city bus, {length:.0f} m long.", variants)
+    return Component("bus", "bus", tuple(parts), "A city bus, 12 m long.", variants)
 
 
 def build_lorry() -> Component:
@@ -555,7 +553,7 @@ def _side_picture(sign: int, x: float, y0: float, y1: float, z0: float, z1: floa
 
 
 def _on_side(field_, sign: int, y: float, z: float) -> Array:
-    """(4, 4) frame on the flank at (y, z), X out of... the long side lies along Y."""
+    """(4, 4) frame on the flank at (y, z) whose X runs along the car."""
     x = np.linspace(0, 1.3, 400)
     f = field_(sign * x, np.full(400, y), np.full(400, z))
     at = x[np.argmax(f > 0)] if (f > 0).any() else 1.0
