@@ -14,11 +14,15 @@ import numpy.typing as npt
 
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
+from synfog_usd.render.fogpath import FogPath
 from synfog_usd.render.load import Loaded, make_sensor
 from synfog_usd.seeds import seed32
 
 LANES_PER_PASS = 1 << 21
 """Paths in flight at once; about 1 GiB in `volpath`, and a progress report every few seconds."""
+
+PATHS_PER_PASS = 1 << 22
+"""Paths between two progress reports where lanes are used again; memory is by the pixel."""
 
 SCALAR_PASSES = 8
 
@@ -30,7 +34,7 @@ def expose(loaded: Loaded, integrator: Any, *, samples: int, seed: int, progress
 
     Args:
         loaded: scene and sensor.
-        integrator: a Mitsuba `SamplingIntegrator`.
+        integrator: a Mitsuba `SamplingIntegrator`, or a `FogPath`.
         samples: paths per pixel, >= 2 (one has no variance).
         seed: of this image; the same gives the same numbers in the same variant.
         progress: told after each pass.
@@ -41,36 +45,67 @@ def expose(loaded: Loaded, integrator: Any, *, samples: int, seed: int, progress
     """
     if backend.is_scalar():
         return _expose_scalar(loaded, integrator, samples, seed, progress)
-    mi = backend.mitsuba()
-    import drjit as dr
-
-    width, height = loaded.source.camera.width_px, loaded.source.camera.height_px
-    pixels = width * height
+    pixels = loaded.source.camera.width_px * loaded.source.camera.height_px
     total, squares, broken, done = np.zeros((pixels, 3)), np.zeros((pixels, 3)), 0, 0
+    regenerates = isinstance(integrator, FogPath)
+    step = max(1, (PATHS_PER_PASS if regenerates else LANES_PER_PASS) // pixels)
     while done < samples:
-        count = min(samples - done, max(1, LANES_PER_PASS // pixels))
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(dr.opaque(mi.UInt32, seed32(seed, "pass", done)), pixels * count)  # opaque: a literal would compile a kernel per seed
-        index = dr.arange(mi.UInt32, pixels * count) // dr.opaque(mi.UInt32, count)
-        corner = mi.Point2f(mi.Float(index % width), mi.Float(index // width))
-        place = (corner + mi.Point2f(sampler.next_2d())) / mi.Point2f(width, height) + mi.Point2f(*loaded.offset)
-        ray, weight = loaded.sensor.sample_ray_differential(0.0, 0.5, place, mi.Point2f(sampler.next_2d()))
-        radiance, _, _ = integrator.sample(loaded.scene, sampler, ray, loaded.camera_medium, True)
-        radiance = mi.Color3f(radiance * weight)
-        finite = dr.all(dr.isfinite(radiance))
-        radiance = dr.select(finite, radiance, 0.0)
-        summed = [dr.block_sum(channel, count) for channel in radiance]
-        squared = [dr.block_sum(channel * channel, count) for channel in radiance]
-        lost = dr.count(~finite)
-        dr.eval(summed, squared, lost)
-        total += np.stack([np.asarray(channel, dtype=np.float64) for channel in summed], axis=1)
-        squares += np.stack([np.asarray(channel, dtype=np.float64) for channel in squared], axis=1)
-        broken += int(lost[0])
-        done += count
+        count = min(samples - done, step)
+        summed, squared, lost = (_regenerated if regenerates else _side_by_side)(loaded, integrator, count, seed32(seed, "pass", done))
+        total, squares, broken, done = total + summed, squares + squared, broken + lost, done + count
         progress("rendering", done / samples)
     mean = total / samples
     variance = np.maximum(squares / samples - mean**2, 0.0) / (samples - 1)
-    return mean.reshape(height, width, 3), variance.reshape(height, width, 3), broken
+    shape = (loaded.source.camera.height_px, loaded.source.camera.width_px, 3)
+    return mean.reshape(shape), variance.reshape(shape), broken
+
+
+def _sampler(lanes: int, seed: int) -> Any:
+    mi = backend.mitsuba()
+    import drjit as dr
+
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(dr.opaque(mi.UInt32, seed), lanes)  # opaque: a literal would compile a kernel per seed
+    return sampler
+
+
+def _corners(loaded: Loaded, index: Any) -> Any:
+    mi = backend.mitsuba()
+    width = loaded.source.camera.width_px
+    return mi.Point2f(mi.Float(index % width), mi.Float(index // width))
+
+
+def _regenerated(loaded: Loaded, integrator: FogPath, count: int, seed: int) -> tuple[Array, Array, int]:
+    """One lane a pixel, which traces its paths one after the other."""
+    mi = backend.mitsuba()
+    import drjit as dr
+
+    pixels = loaded.source.camera.width_px * loaded.source.camera.height_px
+    total, squares, lost = integrator.accumulate(loaded, _sampler(pixels, seed), _corners(loaded, dr.arange(mi.UInt32, pixels)), count)
+    dr.eval(total, squares, lost)
+    return np.array(total, dtype=np.float64).T, np.array(squares, dtype=np.float64).T, int(np.array(lost).sum())
+
+
+def _side_by_side(loaded: Loaded, integrator: Any, count: int, seed: int) -> tuple[Array, Array, int]:
+    """One lane a path, a contiguous run of them a pixel."""
+    mi = backend.mitsuba()
+    import drjit as dr
+
+    camera = loaded.source.camera
+    lanes = camera.width_px * camera.height_px * count
+    sampler = _sampler(lanes, seed)
+    corner = _corners(loaded, dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, count))
+    place = (corner + mi.Point2f(sampler.next_2d())) / mi.Point2f(camera.width_px, camera.height_px) + mi.Point2f(*loaded.offset)
+    ray, weight = loaded.sensor.sample_ray_differential(0.0, 0.5, place, mi.Point2f(sampler.next_2d()))
+    radiance, _, _ = integrator.sample(loaded.scene, sampler, ray, loaded.camera_medium, True)
+    radiance = mi.Color3f(radiance * weight)
+    finite = dr.all(dr.isfinite(radiance))
+    radiance = dr.select(finite, radiance, 0.0)
+    summed = [dr.block_sum(channel, count) for channel in radiance]
+    squared = [dr.block_sum(channel * channel, count) for channel in radiance]
+    lost = dr.count(~finite)
+    dr.eval(summed, squared, lost)
+    return np.array(summed, dtype=np.float64).T, np.array(squared, dtype=np.float64).T, int(lost[0])
 
 
 def _expose_scalar(loaded: Loaded, integrator: Any, samples: int, seed: int, progress: Progress) -> tuple[Array, Array, int]:

@@ -49,12 +49,13 @@ class Loaded:
     face_things: FaceThings
 
 
-def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None) -> Loaded:
+def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> Loaded:
     """Build the scene in the variant in force.
 
     Args:
         source: what `translate` made.
         size: (width, height) in pixels instead of the camera's own.
+        boundaries: whether the fog is in the scene as null-material shapes with media.
 
     Raises:
         StageError: Mitsuba refuses a part; names its key.
@@ -103,18 +104,19 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None) -> Loa
                 shapes[(key,)] = made[key]
     top.update({key: item for key, item in made.items() if not key.startswith("mat_")})
 
-    media = [_medium(mi, volume.medium, volume.boundary) for volume in source.fog]
-    boundaries = {}
-    for index, volume in enumerate(source.fog):
+    drawn = source.fog if boundaries else ()
+    media = [_medium(mi, volume.medium, volume.boundary) for volume in drawn]
+    fog_shapes = {}
+    for index, volume in enumerate(drawn):
         sides = {"interior": media[index]} | ({} if volume.parent is None else {"exterior": media[volume.parent]})
-        boundaries[index] = _boundary(mi, volume.boundary, sides)
-        top[f"fog_{index}"] = boundaries[index]
+        fog_shapes[index] = _boundary(mi, volume.boundary, sides)
+        top[f"fog_{index}"] = fog_shapes[index]
 
-    surrounding = camera_fog(source)
+    surrounding = camera_fog(source) if drawn else None
     medium = None if surrounding is None else media[surrounding]
     camera = source.camera
     offset = (camera.shift[0], -camera.shift[1]) if is_thin_lens(camera) else (0.0, 0.0)
-    return Loaded(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, boundaries, offset, source, face_things)
+    return Loaded(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_things)
 
 
 def camera_fog(source: SceneDict) -> int | None:
