@@ -50,7 +50,9 @@ def _tidy(out: Path, code: int, stage: Path) -> None:
     if code == worker.INTERRUPTED:
         print(f"synfog-usd: stopped. {kept}", file=sys.stderr)
     else:
-        print(f"synfog-usd: {stage}: the process that read and rendered it died of signal {-code} (9: out of memory, 11: damaged stage). {kept}", file=sys.stderr)
+        print(
+            f"synfog-usd: {stage}: the process that read and rendered it died of signal {-code} (9: out of memory, 11: damaged stage). {kept}", file=sys.stderr
+        )
 
 
 @contextlib.contextmanager

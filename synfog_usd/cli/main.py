@@ -13,7 +13,9 @@ from synfog_usd import __version__
 from synfog_usd.cli import worker
 from synfog_usd.errors import ParameterError, SynfogError
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help="What a real camera would have recorded of a USD scene in fog.")
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help="What a real camera would have recorded of a USD scene in fog."
+)
 graph_app = typer.Typer(no_args_is_help=True, help="Node graphs: from radiance to RAW and sRGB.")
 app.add_typer(graph_app, name="graph")
 
@@ -35,7 +37,7 @@ def bake(
     camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
     frame: Annotated[float | None, typer.Option(help="Time code.")] = None,
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None,
-    model: Annotated[str, typer.Option(help="How light is transported.")] = "volpath",
+    model: Annotated[str, typer.Option(help="How light is transported: path, volpath, or auto for the cheapest that holds.")] = "auto",
     samples: Annotated[int, typer.Option(help="Paths per pixel.")] = 64,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",

@@ -12,7 +12,6 @@ import fcntl
 import hashlib
 import importlib.metadata
 import json
-import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -125,10 +124,7 @@ def _translate(stage: Any, shot: Shot, plan: BakePlan) -> SceneDict:
     from synfog_usd.translate import translate
 
     usd.select(stage, fog=shot.fog_variant, lighting=shot.lighting_variant)
-    scene = translate(stage, camera=plan.camera, frame=plan.frame, resolution=plan.size, fog_mor_m=shot.mor_m)
-    if shot.mor_m is not None and math.isfinite(shot.mor_m) and not scene.fog:
-        raise StageError(f"{plan.stage}: --fog {shot.fog} needs a fog prim, and the stage has none; apply SynFogMediumAPI to a closed Cube, Sphere or Mesh")
-    return scene
+    return translate(stage, camera=plan.camera, frame=plan.frame, resolution=plan.size, fog_mor_m=shot.mor_m)
 
 
 def _clear_frame(stage: Any, shot: Shot, plan: BakePlan) -> Image:
@@ -139,7 +135,7 @@ def _clear_frame(stage: Any, shot: Shot, plan: BakePlan) -> Image:
     clear = CLEAR if CLEAR in usd.variants(stage).get("fog", ()) else None
     scene = replace(_translate(stage, replace(shot, fog_variant=clear or shot.fog_variant, mor_m=None), plan), fog=())
     height = max(1, round(METER_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
-    return render(scene, model="volpath", samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=(METER_WIDTH_PX, height)).radiance
+    return render(scene, samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=(METER_WIDTH_PX, height)).radiance
 
 
 def _make(shot: Shot, scene: SceneDict, exposure: Any, graph: Any, plan: BakePlan, progress: Progress) -> dict[str, Any]:
@@ -152,7 +148,7 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, graph: Any, plan: BakePla
     progress("developing", 0.93)
     folder = plan.out / shot.folder
     mor = [volume.medium.visibility_m for volume in scene.fog if volume.parent is None]
-    marks = {"synfog:lighting": shot.lighting, "synfog:fog": shot.fog, "synfog:mor_m": mor[0] if mor else 0.0, "synfog:model": plan.model}
+    marks = {"synfog:lighting": shot.lighting, "synfog:fog": shot.fog, "synfog:mor_m": mor[0] if mor else 0.0, "synfog:model": rendered.model}
     radiance, variance = rendered.radiance, rendered.radiance.variance
     assert variance is not None
     transmittance = rendered.layers.transmittance_image()
@@ -171,7 +167,7 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, graph: Any, plan: BakePla
         "mor_m": round(mor[0], 6) if mor else None,
         "camera": scene.camera.path,
         "size_px": [scene.camera.width_px, scene.camera.height_px],
-        "model": {"name": plan.model, "why": "asked for or the default; there is no other"},
+        "model": {"name": rendered.model, "why": rendered.why},
         "samples": plan.samples,
         "relative_error": float(f"{rendered.relative_error:.4g}"),
         "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"} if exposure else None,

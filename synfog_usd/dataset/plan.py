@@ -40,7 +40,7 @@ class BakePlan:
     camera: str | None = None
     frame: float | None = None
     size: tuple[int, int] | None = None
-    model: str = "volpath"
+    model: str = "auto"
     samples: int = 64
     seed: int = 0
     variant: str = "auto"

@@ -7,6 +7,7 @@ told apart by `crosses`.  Knows nothing of USD or Mitsuba.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -56,6 +57,34 @@ class Boundary:
             return np.all(np.abs(local) <= 1.0, axis=1)
         return np.sum(local**2, axis=1) <= 1.0
 
+    def interval(self, origin_m: Array, direction: Array) -> tuple[Array, Array]:
+        """Where rays are inside a box or a sphere.
+
+        Args:
+            origin_m: (N, 3) [m].
+            direction: (N, 3), unit length.
+
+        Returns:
+            distances (N,) [m] at which each ray enters, >= 0, and leaves; equal where it misses.
+
+        Raises:
+            ParameterError: for a mesh, which has no closed form.
+        """
+        if self.kind == "mesh":
+            raise ParameterError("a mesh boundary has no closed form for its intervals")
+        inverse = np.linalg.inv(self.to_world)
+        o, d = origin_m @ inverse[:3, :3].T + inverse[:3, 3], direction @ inverse[:3, :3].T
+        if self.kind == "box":
+            d = np.where(np.abs(d) < 1e-15, 1e-15, d)
+            one, other = (-1.0 - o) / d, (1.0 - o) / d
+            near, far = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+        else:
+            a, b, c = (d * d).sum(axis=1), (o * d).sum(axis=1), (o * o).sum(axis=1) - 1.0
+            root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+            near, far = (-b - root) / a, (-b + root) / a
+        near = np.maximum(near, 0.0)
+        return near, np.maximum(far, near)
+
     def surface_points(self) -> Array:
         """(N, 3) points [m] on the surface: corners, and centres of edges and faces."""
         if self.kind == "mesh":
@@ -97,6 +126,31 @@ class FogVolume:
     medium: FogMedium
     priority: int = 0
     parent: int | None = None
+
+
+def optical_depth(fog: Sequence[FogVolume], origin_m: Array, direction: Array, length_m: Array) -> Array:
+    """Optical depth along rays through nested fog, in closed form.
+
+    Each volume counts where the ray is in it but in none of its children.
+
+    Args:
+        fog: volumes with box or sphere boundaries.
+        origin_m: (N, 3) [m].
+        direction: (N, 3), unit length.
+        length_m: (N,) [m], may be infinite.
+    """
+    total = np.zeros(len(origin_m))
+    spans = [tuple(np.minimum(end, length_m) for end in volume.boundary.interval(origin_m, direction)) for volume in fog]
+
+    def depth(medium: FogMedium, span: tuple[Array, ...]) -> Array:
+        low, high = (origin_m[:, 2] + end * direction[:, 2] for end in span)
+        return medium.optical_depth(low, high, span[1] - span[0])
+
+    for index, volume in enumerate(fog):
+        total += depth(volume.medium, spans[index])
+        if volume.parent is not None:
+            total -= depth(fog[volume.parent].medium, spans[index])
+    return total
 
 
 def is_inside(inner: Boundary, outer: Boundary) -> bool:

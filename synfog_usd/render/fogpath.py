@@ -13,6 +13,7 @@ Russian roulette.  It is unbiased.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -23,6 +24,9 @@ from synfog_usd.render.load import Loaded
 
 RR_DEPTH = 8
 """Events before Russian roulette, as in `volpath`."""
+
+FAINT = 0.5
+"""Throughput below which a path is played for at once."""
 
 
 class FogPath:
@@ -81,10 +85,11 @@ class FogPath:
         """
         mi = backend.mitsuba()
         scene, context = loaded.scene, mi.BSDFContext()
+        shoot = partial(self.camera_ray, loaded)
         total, squares, lost = mi.Color3f(0.0), mi.Color3f(0.0), mi.UInt32(0)
         begun, wanted = mi.UInt32(1), dr.opaque(mi.UInt32, count)
         active = mi.Bool(True)
-        ray, camera_weight = self.camera_ray(loaded, sampler, corner, active)
+        ray, camera_weight = shoot(sampler, corner, active)
         radiance, throughput = mi.Color3f(0.0), mi.Color3f(camera_weight)
         depth = mi.UInt32(0)
         last_p, last_pdf, last_exact = mi.Point3f(ray.o), mi.Float(1.0), mi.Bool(True)
@@ -150,7 +155,7 @@ class FogPath:
             ray = vertex.spawn_ray(direction)
             depth += 1
             largest = dr.max(throughput)
-            survive = dr.select(depth > RR_DEPTH, dr.minimum(largest, 0.95), 1.0)
+            survive = dr.select(depth > RR_DEPTH, 0.95, 1.0) * dr.minimum(largest / FAINT, 1.0)
             alive &= (largest > 0.0) & (sampler.next_1d(alive) < survive)
             throughput /= dr.maximum(survive, 1e-8)
 
@@ -161,7 +166,7 @@ class FogPath:
             total, squares = total + kept, squares + kept * kept
             lost += dr.select(over & ~finite, mi.UInt32(1), mi.UInt32(0))
             again = over & (begun < wanted)
-            fresh, fresh_weight = self.camera_ray(loaded, sampler, corner, again)
+            fresh, fresh_weight = shoot(sampler, corner, again)
             begun += dr.select(again, mi.UInt32(1), mi.UInt32(0))
             ray = dr.select(again, fresh, ray)
             throughput = dr.select(again, mi.Color3f(fresh_weight), throughput)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.fog.volume import optical_depth
 from synfog_usd.image import Image, Quantity
 from synfog_usd.render import backend
 from synfog_usd.render.load import Loaded, camera_fog
@@ -85,7 +86,7 @@ def measure(loaded: Loaded) -> Layers:
 
     distance, normal, thing = np.full(count, np.inf), np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
     tau = np.zeros(count)
-    surrounding = camera_fog(loaded.source)
+    surrounding = camera_fog(loaded.source) if loaded.boundaries else None
     medium = np.full(count, -1 if surrounding is None else surrounding)
     parents = np.array([-1 if volume.parent is None else volume.parent for volume in fog] + [-1])
     start = np.broadcast_to(eye, origin.shape).copy()
@@ -113,6 +114,8 @@ def measure(loaded: Loaded) -> Layers:
         normal[ended], thing[ended] = (hits.normal * facing[:, None])[stopped], hits.thing[stopped]
         alive = alive[~stopped]
 
+    if fog and not loaded.boundaries:
+        tau = optical_depth(fog, np.broadcast_to(eye, direction.shape), direction, distance)
     depth = np.where(np.isfinite(distance), np.where(np.isfinite(distance), distance, 0.0) * (direction @ forward), np.inf)
     shape = (height, width)
     return Layers(distance.reshape(shape), depth.reshape(shape), normal.reshape(height, width, 3), thing.reshape(shape), np.exp(-tau).reshape(shape))
@@ -153,7 +156,7 @@ class _Tracer:
         if not self.scalar:
             import drjit as dr
 
-            self.lookup = np.zeros(max(self.rank) + 1, dtype=np.int64)
+            self.lookup = np.zeros(max(self.rank, default=0) + 1, dtype=np.int64)
             for registry, rank in self.rank.items():
                 self.lookup[registry] = rank
             self.dr = dr

@@ -175,9 +175,7 @@ def _filled(mesh: Any, arrays: Mapping[str, Any], mi: Any) -> Any:
 def _medium(mi: Any, medium: FogMedium, boundary: Boundary) -> Any:
     phase = {"type": "hg", "g": medium.g} if medium.g != 0.0 else {"type": "isotropic"}
     if medium.profile == "uniform":
-        return mi.load_dict(
-            {"type": "homogeneous", "sigma_t": medium.sigma_t_per_m, "albedo": medium.albedo, "phase": phase, "has_spectral_extinction": False}
-        )
+        return mi.load_dict({"type": "homogeneous", "sigma_t": medium.sigma_t_per_m, "albedo": medium.albedo, "phase": phase, "has_spectral_extinction": False})
     points = boundary.surface_points()
     low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
     if boundary.kind == "sphere":

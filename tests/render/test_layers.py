@@ -15,8 +15,15 @@ FLOAT32 = 4e-6
 """Relative error of a distance that Mitsuba holds in float32, with its ray offsets; measured 8e-7."""
 
 
-def measured(world, fog=(), **more):
-    return layers.measure(load(scene(world, fog, **more)))
+@pytest.fixture(params=[True, False], ids=["traced", "closed form"])
+def measured(request):
+    """Layers with the fog's boundaries traced, or known in closed form."""
+
+    def measure(world, fog=(), **more):
+        closed = all(volume.boundary.kind != "mesh" for volume in fog)
+        return layers.measure(load(scene(world, fog, **more), boundaries=request.param or not closed))
+
+    return measure
 
 
 def rays(width=16, height=9, fov_x_deg=10.0):
@@ -28,7 +35,7 @@ def rays(width=16, height=9, fov_x_deg=10.0):
     return directions / np.linalg.norm(directions, axis=2, keepdims=True)
 
 
-def test_depth_is_planar_and_distance_is_along_the_ray():
+def test_depth_is_planar_and_distance_is_along_the_ray(measured):
     """A wall across the view is at one depth; its distance grows with 1 / cos."""
     seen = measured({"shape_wall": wall(50.0)}, fov_x_deg=70.0)
     np.testing.assert_allclose(seen.depth_m, 50.0, rtol=FLOAT32)
@@ -38,20 +45,20 @@ def test_depth_is_planar_and_distance_is_along_the_ray():
 
 
 @pytest.mark.parametrize("visibility_m", [150.0, 600.0, 2000.0])
-def test_transmittance_of_a_wall_at_50_m(visibility_m):
+def test_transmittance_of_a_wall_at_50_m(visibility_m, measured):
     """exp(-2.996 / MOR * 50 m) on the axis, and with the ray's length off it."""
     seen = measured({"shape_wall": wall(50.0)}, [uniform_fog(visibility_m=visibility_m)], fov_x_deg=60.0)
     np.testing.assert_allclose(seen.transmittance, np.exp(np.log(0.05) / visibility_m * 50.0 / rays(fov_x_deg=60.0)[:, :, 1]), rtol=FLOAT32)
 
 
-def test_fog_counts_only_between_the_camera_and_the_surface():
+def test_fog_counts_only_between_the_camera_and_the_surface(measured):
     """Behind the wall there is more fog, and before a far box there is none."""
     ahead = FogVolume("/Fog", box((200, 10, 200), (0, 30, 0)), FogMedium(0.05))
     seen = measured({"shape_wall": wall(100.0)}, [ahead])
     np.testing.assert_allclose(seen.transmittance, np.exp(-0.05 * 20.0 / rays()[:, :, 1]), rtol=2 * FLOAT32)
 
 
-def test_a_dense_bank_inside_thin_fog_adds_up_by_parts():
+def test_a_dense_bank_inside_thin_fog_adds_up_by_parts(measured):
     """Thin fog, bank, thin fog again: the optical depths of the parts."""
     thin = FogVolume("/Thin", box(200.0), FogMedium(0.01))
     bank = FogVolume("/Bank", box((50, 5, 50), (0, 20, 0)), FogMedium(0.3), priority=1, parent=0)
@@ -60,7 +67,7 @@ def test_a_dense_bank_inside_thin_fog_adds_up_by_parts():
 
 
 @pytest.mark.parametrize("kind", ["sphere", "mesh"])
-def test_round_boundaries_end_the_fog_at_their_surface(kind):
+def test_round_boundaries_end_the_fog_at_their_surface(kind, measured):
     """From the centre of a ball of fog, every ray to the sky passes one radius."""
     if kind == "sphere":
         boundary, radius, rtol = Boundary("sphere", np.diag([80.0, 80.0, 80.0, 1.0])), 80.0, FLOAT32
@@ -72,7 +79,7 @@ def test_round_boundaries_end_the_fog_at_their_surface(kind):
     np.testing.assert_allclose(seen.transmittance, np.exp(-0.02 * radius), rtol=rtol)
 
 
-def test_exponential_fog_thins_with_height():
+def test_exponential_fog_thins_with_height(measured):
     """Looking up out of an exponential layer, tau is the closed-form column over cos."""
     up = np.eye(4)
     up[:3, :3] = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
@@ -85,7 +92,7 @@ def test_exponential_fog_thins_with_height():
     np.testing.assert_allclose(seen.transmittance, np.exp(-column * slope), rtol=FLOAT32)
 
 
-def test_cut_out_materials_are_looked_through():
+def test_cut_out_materials_are_looked_through(measured):
     """A card with opacity 0 hides nothing; with opacity 1 it does."""
     for opacity, thing in ((0.0, 2), (1.0, 1)):
         card = {"type": "mask", "opacity": opacity, "nested": {"type": "diffuse"}}

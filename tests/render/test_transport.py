@@ -5,30 +5,88 @@ import pytest
 from support.stats import assert_mean
 
 from synfog_usd.errors import ParameterError
-from synfog_usd.fog import FogMedium, FogVolume
+from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.render.shot import render
 from synfog_usd.study.truths import black, box, scene, uniform_fog, wall
+
+MODELS = ["path", "volpath"]
 
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
 
 
-def means(world_scene, *, samples=64, seeds=16):
+def means(world_scene, *, samples=64, seeds=16, model="auto"):
     """One pooled mean per seed."""
-    return np.array([render(world_scene, samples=samples, seed=seed).radiance.pixels.mean(dtype=np.float64) for seed in range(seeds)])
+    return np.array([render(world_scene, samples=samples, seed=seed, model=model).radiance.pixels.mean(dtype=np.float64) for seed in range(seeds)])
 
 
+@pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("visibility_m, resolves", [(600.0, 0.01), (150.0, 0.01), (50.0, 0.03)])
-def test_a_wall_in_absorbing_fog_dims_by_beer_and_lambert(visibility_m, resolves):
+def test_a_wall_in_absorbing_fog_dims_by_beer_and_lambert(visibility_m, resolves, model):
     """With nothing scattered, a wall of radiance 1 at 50 m reaches the camera as exp(-2.996 / MOR * 50)."""
     fog = uniform_fog(visibility_m=visibility_m, albedo=0.0)
     world = scene({"shape_wall": wall(50.0, **black(1.0))}, [fog], fov_x_deg=1.0)
-    assert_mean(means(world, samples=1024), 0.05 ** (50.0 / visibility_m), resolves=resolves)
+    assert_mean(means(world, samples=1024, model=model), 0.05 ** (50.0 / visibility_m), resolves=resolves)
 
 
-def test_scattering_fog_in_a_uniform_sky_is_invisible():
+@pytest.mark.parametrize("model", MODELS)
+def test_scattering_fog_in_a_uniform_sky_is_invisible(model):
     """White furnace: albedo 1, radiance 1 from everywhere, MOR 50: every pixel is 1."""
     world = scene(SKY, [uniform_fog(visibility_m=50.0, half_size=60.0)], fov_x_deg=60.0)
-    assert_mean(means(world), 1.0, resolves=0.01)
+    assert_mean(means(world, model=model), 1.0, resolves=0.01)
+
+
+def lamps_in_fog(g, boundary):
+    """A grey ground, a grey ball, a sky, a spot from beside and a bright ball, all in fog."""
+    aim = np.array([[0, 0, -1.0, 6], [1, 0, 0, 15], [0, -1, 0, 2], [0, 0, 0, 1]])
+    grey = {"bsdf": {"type": "twosided", "bsdf": {"type": "principled", "base_color": {"type": "rgb", "value": [0.4, 0.4, 0.4]}, "roughness": 0.4}}}
+    ground = {
+        "type": "mesh",
+        "positions": np.array([[-40, -5, -2], [40, -5, -2], [40, 75, -2], [-40, 75, -2.0]]),
+        "faces": np.array([[0, 1, 2], [0, 2, 3]]),
+        **grey,
+    }
+    world = {
+        **SKY,
+        "shape_ground": ground,
+        "shape_ball": {"type": "sphere", "center": [-1.0, 15.0, 0.0], "radius": 2.0, **grey},
+        "shape_lamp": {
+            "type": "sphere",
+            "center": [5.0, 25.0, 4.0],
+            "radius": 1.0,
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [20.0] * 3}},
+        },
+        "light_spot": {"type": "spot", "to_world": aim, "cutoff_angle": 40.0, "intensity": {"type": "rgb", "value": [60.0] * 3}},
+    }
+    fog = FogVolume("/Fog", boundary, FogMedium(0.05, albedo=0.9, g=g))
+    return scene(world, [fog], fov_x_deg=70.0)
+
+
+@pytest.mark.parametrize("g", [0.87, 0.0, -0.5])
+@pytest.mark.parametrize("boundary", [box((30.0, 30.0, 12.0), (2, 20, 3)), Boundary("sphere", np.diag([40.0, 30.0, 20.0, 1.0]))], ids=["box", "ball"])
+def test_path_agrees_with_volpath_beside_lamps(g, boundary):
+    """Surfaces, sky, a spot and a lamp in fog whose edge is in view: both models have the same mean; 2 % is resolved.
+
+    `volpath` finds the edge by tracing it, `path` from its formula; they share no code.
+    """
+    ours, theirs = (means(lamps_in_fog(g, boundary), samples=400, seeds=12, model=model) for model in ("path", "volpath"))
+    error = np.hypot(ours.std(ddof=1), theirs.std(ddof=1)) / np.sqrt(12)
+    assert 2 * 5 * error < 0.03 * ours.mean()
+    assert abs(ours.mean() - theirs.mean()) < 5 * error
+
+
+@pytest.mark.parametrize(
+    "fog, words",
+    [
+        ([uniform_fog(), FogVolume("/Bank", box(5.0), FogMedium(0.1), priority=1, parent=0)], "2"),
+        ([FogVolume("/Fog", box(50.0), FogMedium(0.1, profile="exponential"))], "/Fog"),
+    ],
+)
+def test_path_refuses_fog_that_it_does_not_know_and_auto_does_not(fog, words):
+    """Nested and layered fog are named as the reason; auto takes volpath and says why."""
+    with pytest.raises(ParameterError, match=words):
+        render(scene(SKY, fog), model="path", samples=2)
+    done = render(scene(SKY, fog), samples=2)
+    assert done.model == "volpath" and "not path" in done.why
 
 
 def test_fog_of_no_density_is_clear_air():
@@ -47,19 +105,21 @@ def test_a_bank_inside_fog_dims_with_both():
     assert_mean(means(world, samples=1024), np.exp(-(0.03 * 15 + 0.3 * 5)), resolves=0.03)
 
 
-def test_the_same_seed_gives_the_same_bytes():
+@pytest.mark.parametrize("model", MODELS)
+def test_the_same_seed_gives_the_same_bytes(model):
     """And another seed does not."""
     world = scene({**SKY, "shape_wall": wall(50.0, bsdf={"type": "diffuse"})}, [uniform_fog()])
-    first, again, other = (render(world, samples=32, seed=seed) for seed in (1, 1, 2))
+    first, again, other = (render(world, samples=32, seed=seed, model=model) for seed in (1, 1, 2))
     assert first.radiance.pixels.tobytes() == again.radiance.pixels.tobytes()
     assert first.radiance.variance.tobytes() == again.radiance.variance.tobytes()
     assert first.radiance.pixels.tobytes() != other.radiance.pixels.tobytes()
 
 
-def test_the_variance_is_that_of_the_mean():
+@pytest.mark.parametrize("model", MODELS)
+def test_the_variance_is_that_of_the_mean(model):
     """The stated variance equals the scatter over seeds: ratio 1 within 5 sigma of a chi-squared of 24 renders x 144 pixels."""
     world = scene({**SKY, "shape_wall": wall(50.0)}, [uniform_fog()])
-    runs = [render(world, samples=32, seed=seed).radiance for seed in range(24)]
+    runs = [render(world, samples=32, seed=seed, model=model).radiance for seed in range(24)]
     scatter = np.var([run.pixels[:, :, 0] for run in runs], axis=0, ddof=1, dtype=np.float64).mean()
     stated = np.mean([run.variance[:, :, 0] for run in runs], dtype=np.float64)
     assert abs(scatter / stated - 1.0) < 5 * np.sqrt(2 / (23 * 144)) * 1.5  # 1.5: the tails of path tracing are heavier than a normal's
