@@ -20,6 +20,7 @@ import drjit as dr
 
 from synfog_usd.fog import FogVolume
 from synfog_usd.render import backend
+from synfog_usd.render.lamps import Lamps
 from synfog_usd.render.load import Loaded
 
 RR_DEPTH = 8
@@ -34,14 +35,17 @@ class FogPath:
 
     Args:
         fog: the volume, or None in clear air.  Its boundary is a box or a sphere.
-        lamps: whether the scene has lights other than its environment.  Where it has
-            none, a scattering in the fog sends no shadow ray: the phase function's own
-            sample finds a sky better.
+        lamps: the lights that are sampled by where they matter; their weight in the
+            scene's own choice must be 0.
+        others: how many other lights there are but the environment.  Where there are
+            none, a scattering in the fog sends them no shadow ray: the phase function's
+            own sample finds a sky better.
+        sky: whether there is an environment.
     """
 
-    def __init__(self, fog: FogVolume | None, *, lamps: bool) -> None:
+    def __init__(self, fog: FogVolume | None, *, lamps: Lamps, others: int, sky: bool) -> None:
         mi = backend.mitsuba()
-        self.lamps = lamps
+        self.lamps, self.lit_fog, self.chosen = lamps, others > 0, others > 0 or sky
         self.foggy = fog is not None and fog.medium.sigma_t_per_m > 0.0
         if fog is not None and self.foggy:
             self.sigma_t = dr.opaque(mi.Float, fog.medium.sigma_t_per_m)
@@ -92,7 +96,7 @@ class FogPath:
         ray, camera_weight = shoot(sampler, corner, active)
         radiance, throughput = mi.Color3f(0.0), mi.Color3f(camera_weight)
         depth = mi.UInt32(0)
-        last_p, last_pdf, last_exact = mi.Point3f(ray.o), mi.Float(1.0), mi.Bool(True)
+        last_p, last_pdf, last_exact, last_alone = mi.Point3f(ray.o), mi.Float(1.0), mi.Bool(True), mi.Bool(False)
         while active:
             # Free flight: where the fog would turn the path, if nothing stands before.
             flight = mi.Float(dr.inf)
@@ -111,9 +115,20 @@ class FogPath:
             before = dr.zeros(mi.Interaction3f)
             before.p = last_p
             towards = mi.DirectionSample3f(scene, si, before)
-            light_pdf = scene.pdf_emitter_direction(before, towards, ended & ~last_exact)
-            weight = dr.select(last_exact, 1.0, _share(last_pdf, light_pdf))
+            light_pdf = mi.Float(0.0)
+            if dr.hint(self.chosen, mode="scalar"):
+                light_pdf = scene.pdf_emitter_direction(before, towards, ended & ~last_exact)
+            weight = dr.select(last_alone & (light_pdf > 0.0), 1.0, dr.select(light_pdf > 0.0, _share(last_pdf, light_pdf), 0.0))
+            weight = dr.select(last_exact, 1.0, weight)  # a lamp's face counts here only for the eye and for mirrors
             radiance += dr.select(ended, throughput * weight * si.emitter(scene, ended).eval(si, ended), 0.0)
+
+            # Lamps, scattered once on the way.
+            if dr.hint(self.foggy and self.lamps.count > 0, mode="scalar"):
+                until = dr.minimum(far, dr.select(met, si.t, flight))
+                stretch = active & (until > near)
+                place, lamp, colour = self.lamps.along(ray.o, ray.d, near, until, self.phase, self.sigma_t, sampler, stretch)
+                free, reach_lamp = self.clear_to(scene, place, mi.Normal3f(0.0), lamp, stretch & (dr.max(colour) > 0.0))
+                radiance += dr.select(free, throughput * colour * (self.sigma_t * self.albedo * reach_lamp), 0.0)
 
             # The vertex: in the fog or on a surface.
             vertex = dr.zeros(mi.Interaction3f)
@@ -125,23 +140,29 @@ class FogPath:
             bsdf = si.bsdf()
             alive = met | turned
 
-            # Shadow ray.
-            lit = met & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            if dr.hint(self.lamps, mode="scalar"):
+            # Shadow rays: to the sky and whatever is left to chance, and to a lamp.
+            smooth = met & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            lit = mi.Bool(smooth)
+            if dr.hint(self.lit_fog, mode="scalar"):
                 lit |= turned
-            light, power = scene.sample_emitter_direction(vertex, sampler.next_2d(lit), False, lit)
+            light, power = dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0)
+            if dr.hint(self.chosen, mode="scalar"):
+                light, power = scene.sample_emitter_direction(vertex, sampler.next_2d(lit), False, lit)
             lit &= light.pdf > 0.0
-            shadow = vertex.spawn_ray_to(light.p)
-            lit &= ~scene.ray_test(shadow, lit)
             value, pdf, bounce, gain = bsdf.eval_pdf_sample(context, si, si.to_local(light.d), sampler.next_1d(met), sampler.next_2d(met), met)
             if dr.hint(self.foggy, mode="scalar"):
                 scattered = self.phase(dr.dot(ray.d, light.d))
                 value = dr.select(turned, mi.Color3f(scattered), value)
                 pdf = dr.select(turned, scattered, pdf)
-                begin, end = self.interval(shadow.o, light.d)
-                power *= dr.exp(-self.sigma_t * dr.maximum(dr.minimum(end, light.dist) - begin, 0.0))
-            weight = dr.select(light.delta, 1.0, _share(light.pdf, pdf))
-            radiance += dr.select(lit, throughput * value * power * weight, 0.0)
+            if dr.hint(self.chosen, mode="scalar"):
+                free, reach_light = self.clear_to(scene, vertex.p, vertex.n, light.p, lit)
+                weight = dr.select(light.delta, 1.0, _share(light.pdf, pdf))
+                radiance += dr.select(free, throughput * value * power * (weight * reach_light), 0.0)
+            if dr.hint(self.lamps.count > 0, mode="scalar"):
+                lamp, colour = self.lamps.at(si.p, si.n, sampler, smooth)
+                free, reach_lamp = self.clear_to(scene, si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
+                reflected = bsdf.eval(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
+                radiance += dr.select(free, throughput * reflected * colour * reach_lamp, 0.0)
 
             # Onward.
             direction, last_pdf = si.to_world(bounce.wo), bounce.pdf
@@ -150,7 +171,7 @@ class FogPath:
             if dr.hint(self.foggy, mode="scalar"):
                 turn, turn_pdf = self.sample_phase(ray.d, sampler.next_2d(turned))
                 direction, last_pdf = dr.select(turned, turn, direction), dr.select(turned, turn_pdf, last_pdf)
-                last_exact |= turned & ~mi.Bool(self.lamps)
+                last_alone = turned & mi.Bool(not self.lit_fog)
             last_p = vertex.p
             ray = vertex.spawn_ray(direction)
             depth += 1
@@ -175,6 +196,21 @@ class FogPath:
             last_exact |= again
             active = alive | again
         return total, squares, lost
+
+    def clear_to(self, scene: Any, place: Any, normal: Any, light: Any, active: Any) -> tuple[Any, Any]:
+        """(whether nothing stands between a point and a light, transmittance of the fog between)."""
+        mi = backend.mitsuba()
+        start = dr.zeros(mi.Interaction3f)
+        start.p, start.n = place, normal
+        shadow = start.spawn_ray_to(light)
+        free = active & ~scene.ray_test(shadow, active)
+        through = mi.Float(1.0)
+        if self.foggy:
+            towards = light - place
+            length = dr.norm(towards)
+            begin, end = self.interval(place, towards / dr.maximum(length, 1e-12))
+            through = dr.exp(-self.sigma_t * dr.maximum(dr.minimum(end, length) - begin, 0.0))
+        return free, through
 
     def camera_ray(self, loaded: Loaded, sampler: Any, corner: Any, active: Any) -> tuple[Any, Any]:
         """A ray through a random point of the pixel, and its weight."""

@@ -18,7 +18,10 @@ from synfog_usd.errors import StageError
 from synfog_usd.fog import Boundary, FogMedium
 from synfog_usd.render import backend
 from synfog_usd.render.flatten import FaceThings, flatten
+from synfog_usd.render.lamps import is_handled
 from synfog_usd.scene import Camera, SceneDict
+
+LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea")
 
 GRID_SLICES = 512
 """Height steps of an exponential fog; linear between them, a thickness of H/10 errs by 0.1 %."""
@@ -56,6 +59,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
         source: what `translate` made.
         size: (width, height) in pixels instead of the camera's own.
         boundaries: whether the fog is in the scene as null-material shapes with media.
+            Without them, lamps that `Lamps` holds are left out of Mitsuba's own choice of lights.
 
     Raises:
         StageError: Mitsuba refuses a part; names its key.
@@ -68,6 +72,8 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
         source, face_things = flatten(source)
     else:
         face_things = {}
+    if not boundaries and any(_is_light(part) and not is_handled(part) for part in source.world.values()):  # Mitsuba wants one to choose
+        source = replace(source, world={key: _left_out(part) if is_handled(part) else part for key, part in source.world.items()})
     world = source.world
     made: dict[str, Any] = {}
     shapes: dict[tuple[str, ...], Any] = {}
@@ -135,6 +141,17 @@ def _depth(source: SceneDict, index: int) -> int:
     while parent is not None:
         count, parent = count + 1, source.fog[parent].parent
     return count
+
+
+def _is_light(part: Any) -> bool:
+    return isinstance(part, Mapping) and ("emitter" in part or part.get("type") in LIGHTS)
+
+
+def _left_out(part: Mapping[str, Any]) -> dict[str, Any]:
+    """A lamp that Mitsuba never chooses by itself."""
+    if "emitter" in part:
+        return {**part, "emitter": {**part["emitter"], "sampling_weight": 0.0}}
+    return {**part, "sampling_weight": 0.0}
 
 
 def _leaf(mi: Any, name: str, value: Any) -> Any:

@@ -51,8 +51,13 @@ def _volpath(loaded: Loaded) -> Any:
 def _path(loaded: Loaded) -> Any:
     """Path tracing with the fog's edge in closed form; see `fogpath`."""
     from synfog_usd.render.fogpath import FogPath
+    from synfog_usd.render.lamps import Lamps, is_handled
 
-    return FogPath(loaded.source.fog[0] if loaded.source.fog else None, lamps=len(loaded.scene.emitters()) > 1)
+    world = loaded.source.world
+    handled = sum(is_handled(part) for part in world.values())
+    sky = loaded.scene.environment() is not None
+    others = len(loaded.scene.emitters()) - sky - handled
+    return FogPath(loaded.source.fog[0] if loaded.source.fog else None, lamps=Lamps(world), others=others, sky=sky)
 
 
 def _path_refuses(scene: SceneDict) -> str:

@@ -1,0 +1,81 @@
+"""What a bake will make, before anything is opened."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, Shot, shots
+from synfog_usd.errors import ParameterError
+
+OFFERED = {"fog": ("clear", "mor600", "mor150"), "lighting": ("sky", "active")}
+
+
+def planned(variants=OFFERED, **asked):
+    return shots(BakePlan(Path("street.usda"), Path("out"), **asked), variants)
+
+
+def test_all_lightings_in_all_fogs_unless_asked():
+    """Lightings outside, fogs inside, in the stage's order; a variant is selected and brings its own visibility."""
+    found = planned()
+    assert [shot.folder for shot in found] == ["sky/clear", "sky/mor600", "sky/mor150", "active/clear", "active/mor600", "active/mor150"]
+    assert all((shot.lighting_variant, shot.fog_variant, shot.mor_m) == (shot.lighting, shot.fog, None) for shot in found)
+
+
+def test_a_stage_without_variants_is_one_shot_as_authored():
+    assert planned({}) == (Shot(AS_AUTHORED, AS_AUTHORED, None, None, None),)
+    assert planned({})[0].folder == "authored/authored"
+
+
+def test_what_is_asked_for_comes_once_and_in_the_asked_order():
+    found = planned(lighting=("active",), fog=("mor150", "clear", "mor150"))
+    assert [shot.folder for shot in found] == ["active/mor150", "active/clear"]
+
+
+@pytest.mark.parametrize("name, metres", [("mor200", 200.0), ("mor75.5", 75.5), ("mor0.5", 0.5), ("mor600", None)])
+def test_any_visibility_can_be_asked_for_by_its_metres(name, metres):
+    """A name that the stage has is its variant; another mor<metres> replaces the visibility and leaves the stage's own fog selected."""
+    (shot,) = planned(lighting=("sky",), fog=(name,))
+    assert (shot.fog, shot.fog_variant, shot.mor_m) == (name, name if metres is None else None, metres)
+
+
+def test_clear_air_needs_no_variant():
+    """Infinite visibility where the stage has no variant of that name; the variant where it has one."""
+    (bare,) = planned({}, fog=("clear",))
+    assert bare.fog_variant is None and math.isinf(bare.mor_m) and bare.folder == "authored/clear"
+    (variant,) = planned(fog=("clear",), lighting=("sky",))
+    assert variant.fog_variant == "clear" and variant.mor_m is None
+
+
+@pytest.mark.parametrize("name", ["mor0", "mor-5", "mor", "mor1e3", "mor15O", "MOR150", "fog", " mor150", "mor150m", "morinf"])
+def test_a_fog_that_nobody_knows_is_refused(name):
+    """The message names it, what the stage offers, and what any stage takes."""
+    with pytest.raises(ParameterError) as refusal:
+        planned(fog=(name,))
+    for word in (f"--fog {name}", "clear, mor600, mor150", "mor<metres>"):
+        assert word in str(refusal.value)
+
+
+def test_the_likely_name_is_told():
+    with pytest.raises(ParameterError, match="Did you mean 'mor150'"):
+        planned(fog=("mor15O",))
+    with pytest.raises(ParameterError, match="Did you mean 'active'"):
+        planned(lighting=("aktive",))
+
+
+def test_a_lighting_must_be_a_variant():
+    """There is no lighting that any stage takes, and a stage without the set says so."""
+    with pytest.raises(ParameterError) as refusal:
+        planned({"fog": ("clear",)}, lighting=("clear",))
+    assert "no such variant set" in str(refusal.value) and "mor<metres>" not in str(refusal.value)
+
+
+def test_one_wrong_name_stops_all():
+    with pytest.raises(ParameterError, match="--fog fgo"):
+        planned(fog=("clear", "fgo", "mor150"))
+
+
+@pytest.mark.parametrize("asked", [{"fog": ("clear",)}, {"fog": ("mor77",)}, {}])
+def test_every_shot_has_a_folder_of_its_own(asked):
+    folders = [shot.folder for shot in planned(**asked)]
+    assert len(set(folders)) == len(folders)
