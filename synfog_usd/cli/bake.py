@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-import time
-from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,8 +12,7 @@ from typing import Any
 import typer
 
 from synfog_usd.cli import worker
-
-PLAIN_INTERVAL_S = 5.0
+from synfog_usd.cli.progress import shown
 
 
 def run(plan: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
@@ -28,7 +25,7 @@ def run(plan: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
     worker.follow_parent()
     from synfog_usd.dataset.bake import BakePlan, bake
 
-    with _shown(quiet) as (progress, tell):
+    with shown(quiet) as (progress, tell):
         baked = bake(BakePlan(**plan), progress=progress, tell=tell)
         if not quiet:
             for note in baked.notes:
@@ -53,37 +50,3 @@ def _tidy(out: Path, code: int, stage: Path) -> None:
         print(
             f"synfog-usd: {stage}: the process that read and rendered it died of signal {-code} (9: out of memory, 11: damaged stage). {kept}", file=sys.stderr
         )
-
-
-@contextlib.contextmanager
-def _shown(quiet: bool) -> Iterator[tuple[Callable[[str, float], None], Callable[[str], None]]]:
-    """A progress bar with the time left on a terminal, a line now and then elsewhere."""
-    if quiet:
-        yield (lambda what, fraction: None), (lambda text: None)
-        return
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
-    if not console.is_terminal:
-        yield _plain_progress(), lambda text: print(text, file=sys.stderr, flush=True)
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield (lambda what, fraction: bar.update(task, description=escape(what), completed=fraction)), (lambda text: console.print(escape(text)))
-
-
-def _plain_progress() -> Callable[[str, float], None]:
-    began, last = time.monotonic(), [0.0]
-
-    def progress(what: str, fraction: float) -> None:
-        now = time.monotonic() - began
-        if now - last[0] < PLAIN_INTERVAL_S:
-            return
-        last[0] = now
-        left = f", about {now / fraction - now:.0f} s left" if fraction > 0.02 else ""
-        print(f"{fraction:4.0%}  {what}  {now:.0f} s{left}", file=sys.stderr, flush=True)
-
-    return progress

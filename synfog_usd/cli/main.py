@@ -92,6 +92,43 @@ def check(
 
 
 @app.command()
+def chart(
+    stage: Annotated[Path, typer.Argument(help="USD file.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for chart.csv, chart.svg and chart.png.")],
+    fog: Annotated[str | None, typer.Option(help="One fog: a variant of the stage, clear, or mor<metres>; as the stage has it if left out.")] = None,
+    lighting: Annotated[str | None, typer.Option(help="One lighting; as the stage has it if left out.")] = None,
+    camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
+    resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "160x90",
+    samples: Annotated[str, typer.Option(help="Paths per pixel to try, comma-separated.")] = "4,16,64",
+    models: Annotated[str | None, typer.Option(help="Models to compare, comma-separated; all that hold for the shot if left out.")] = None,
+    reference: Annotated[int | None, typer.Option(help="Paths per pixel of the reference; 16 times the largest of --samples if left out.")] = None,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0,
+    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+) -> None:
+    """Chart what accuracy costs: seconds against error of every model on one shot of STAGE."""
+    plan = dict(
+        stage=stage,
+        out=out,
+        fog=fog,
+        lighting=lighting,
+        camera=camera,
+        size=_size(resolution),
+        samples=_counts(samples, "--samples"),
+        models=_names(models, "--models"),
+        reference_samples=reference,
+        seed=seed,
+        variant=variant,
+    )
+    if not worker.is_worker():
+        raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
+    worker.follow_parent()
+    from synfog_usd.cli import chart as verb
+
+    verb.run(plan, quiet=quiet)
+
+
+@app.command()
 def info(
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
@@ -103,7 +140,7 @@ def info(
     from synfog_usd.render import backend
 
     chosen = backend.choose(variant)  # type: ignore[arg-type]
-    names = ("usd-core", "mitsuba", "drjit", "OpenImageIO", "colour-science", "trimesh", "pymeshlab", "numpy", "scipy", "tifffile")
+    names = ("usd-core", "mitsuba", "drjit", "OpenImageIO", "colour-science", "trimesh", "pymeshlab", "numpy", "scipy", "tifffile", "matplotlib")
     versions = {name: importlib.metadata.version(name) for name in names}
     if as_json:
         print(json.dumps({"backend": chosen.name, "variant": chosen.variant, "llvm": chosen.llvm_library, "why": chosen.why, "versions": versions}, indent=2))
@@ -182,6 +219,13 @@ def _names(text: str | None, option: str) -> tuple[str, ...] | None:
     if not names:
         raise ParameterError(f"{option} {text!r}: no name in it; separate names by commas")
     return names
+
+
+def _counts(text: str, option: str) -> tuple[int, ...]:
+    names = _names(text, option) or ()
+    if not all(name.isdecimal() for name in names):
+        raise ParameterError(f"{option} {text}: not whole numbers separated by commas, as in 4,16,64")
+    return tuple(int(name) for name in names)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import files
+from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, shots
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
@@ -36,14 +37,13 @@ Array = npt.NDArray[np.float64]
 
 NAMES = ("chart.csv", "chart.svg", "chart.png")
 RUNS = 3
-"""Renders a point; the first pays for the kernel and is not timed, all of them count for the error."""
+"""Renders a point; the first may have to wait for a kernel and is timed apart, all of them count for the error."""
 PARTS = 8
 """Independent renders that the reference is made of; their scatter is its variance."""
 REFERENCE_FACTOR = 16
 """Reference samples over the largest number in the sweep: its own error is then a quarter of the smallest one of its model."""
 FLOOR = 0.01
 """Luminance that counts as dark, over the mean: a pixel's error is relative to hypot(its luminance, FLOOR x mean)."""
-REC709 = (0.2126, 0.7152, 0.0722)
 
 
 @dataclass(frozen=True)
@@ -125,8 +125,9 @@ class Point:
 
     Attributes:
         model, samples: what was run.
-        seconds: median wall time of a render whose kernel is there already.
-        first_call_s: wall time of the first render; over `seconds` it is the making of the kernel, or reading it from Dr.Jit's cache on disk.
+        seconds: wall time of a render whose kernel is there already: the least of RUNS - 1, since other work on the machine only adds to it.
+        first_call_s: wall time of the first render; what it has over `seconds` is the making of the kernel, or reading it from Dr.Jit's
+            cache on disk, and comes once for each model.
         relative_rms, p95, bias, bias_error: see `Errors`.
         mean_nits: mean luminance of the renders.
         reference_rms, reference_model, reference_samples: see `Reference`.
@@ -169,11 +170,12 @@ def chart(plan: ChartPlan, *, progress: Progress = silent) -> list[Point]:
     _check_samples(plan)
     scene, shot = _scene(plan)
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
-    names = [models.choose(name, scene)[0] for name in plan.models or [name for name, model in models.MODELS.items() if not model.refuses(scene)]]
+    holding = [name for name, model in models.MODELS.items() if not model.refuses(scene)]
+    names = list(dict.fromkeys(models.choose(name, scene)[0] for name in plan.models or holding))
     best, _ = models.choose(models.AUTO, scene)
     reference_samples = plan.reference_samples or REFERENCE_FACTOR * max(plan.samples)
-    total, done = reference_samples + RUNS * len(names) * sum(plan.samples), 0
-    exposures = {name: _exposure(scene, name, plan.size) for name in dict.fromkeys([best, *names])}
+    total, done = reference_samples + RUNS * len(names) * sum(set(plan.samples)), 0
+    exposures = {name: _exposure(scene, name, plan.size) for name in {best: None, **dict.fromkeys(names)}}
 
     def picture(name: str, samples: int, stream: str | int, what: str) -> tuple[Array, float]:
         nonlocal done
@@ -183,32 +185,33 @@ def chart(plan: ChartPlan, *, progress: Progress = silent) -> list[Point]:
         done += samples
         return luminance, time.perf_counter() - began
 
-    parts = [picture(best, count, f"reference {index}", "reference")[0] for index, count in enumerate(_shares(reference_samples, PARTS))]
-    reference = combine(parts, _shares(reference_samples, PARTS), best)
+    sweep = {
+        (name, samples): [picture(name, samples, run, f"{name}, {samples} samples") for run in range(RUNS)] for name in names for samples in sorted(set(plan.samples))
+    }
+    shares = _shares(reference_samples, PARTS)  # last, so that no model finds its kernel made by it
+    reference = combine([picture(best, share, f"reference {index}", "reference")[0] for index, share in enumerate(shares)], shares, best)
     points = []
-    for name in dict.fromkeys(names):
-        for samples in sorted(set(plan.samples)):
-            renders = [picture(name, samples, run, f"{name}, {samples} samples") for run in range(RUNS)]
-            errors = compare([luminance for luminance, _ in renders], reference)
-            seconds = [elapsed for _, elapsed in renders]
-            points.append(
-                Point(
-                    model=name,
-                    samples=samples,
-                    seconds=float(np.median(seconds[1:])),
-                    first_call_s=seconds[0],
-                    relative_rms=errors.rms,
-                    p95=errors.p95,
-                    bias=errors.bias,
-                    bias_error=errors.bias_error,
-                    mean_nits=float(np.mean([luminance.mean() for luminance, _ in renders])),
-                    reference_rms=reference.rms,
-                    reference_model=best,
-                    reference_samples=reference_samples,
-                    variant=chosen.variant,
-                    machine=machine(),
-                )
+    for (name, samples), renders in sweep.items():
+        errors = compare([luminance for luminance, _ in renders], reference)
+        seconds = [elapsed for _, elapsed in renders]
+        points.append(
+            Point(
+                model=name,
+                samples=samples,
+                seconds=min(seconds[1:]),
+                first_call_s=seconds[0],
+                relative_rms=errors.rms,
+                p95=errors.p95,
+                bias=errors.bias,
+                bias_error=errors.bias_error,
+                mean_nits=float(np.mean([luminance.mean() for luminance, _ in renders])),
+                reference_rms=reference.rms,
+                reference_model=best,
+                reference_samples=reference_samples,
+                variant=chosen.variant,
+                machine=machine(),
             )
+        )
     title = f"{plan.stage.name}, {shot}, {plan.size[0]} x {plan.size[1]}"
     files.write_bytes(plan.out / NAMES[0], table(points).encode())
     for name, data in zip(NAMES[1:], draw(points, title=title), strict=True):
@@ -356,7 +359,7 @@ def _exposure(scene: SceneDict, name: str, size: tuple[int, int]) -> Callable[[i
 
     def expose(samples: int, seed: int, progress: Progress) -> Array:
         mean, _, _ = film.expose(loaded, integrator, samples=samples, seed=seed, progress=progress)
-        return mean @ np.array(REC709)
+        return mean @ np.array(LUMINANCE_WEIGHTS_REC709)
 
     return expose
 

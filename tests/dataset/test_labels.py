@@ -36,8 +36,107 @@ def plane(image, name):
     return image.pixels[:, :, image.channels.index(name)]
 
 
-# Murmur3 (32 bit, seed 0) as published by its author (SMHasher) and in Cryptomatte's specification 1.2.0, whose
-# sample manifests list {"bunny": "13851a76", "default": "42c9679f"}, and whose keys are the first 7 digits of the layer name's hash.
-@pytest.mark.parametrize("text, value", [("", 0), ("a", 0x3C2569B2), ("abc", 0xB3DD93FA), ("Hello, world!", 0xC0363E43), ("bunny", 0x13851A76), ("default", 0x42C9679F)])
+def bits(value):
+    """The 32 bits of a float as 8 hexadecimal digits."""
+    return f"{struct.unpack('<I', struct.pack('<f', value))[0]:08x}"
+
+
+# "bunny" and "default" with their ids, and 3.36000126251e-27 for the first: the example of Cryptomatte's specification 1.2.0
+# and the tests that its authors publish; the other four: the table of 32-bit values with seed 0 in Wikipedia's "MurmurHash".
+@pytest.mark.parametrize(
+    "text, value",
+    [
+        ("", 0),
+        ("test", 0xBA6BD213),
+        ("Hello, world!", 0xC0363E43),
+        ("The quick brown fox jumps over the lazy dog", 0x2E4FF723),
+        ("bunny", 0x13851A76),
+        ("default", 0x42C9679F),
+    ],
+)
 def test_names_are_hashed_with_murmur3(text, value):
     assert labels._murmur(text) == value
+
+
+def test_an_id_is_the_hash_read_as_a_float():
+    """The published id of "bunny", to the digits that it is published with."""
+    assert labels._crypto_float("bunny") == pytest.approx(3.36000126251e-27, rel=1e-11)
+    assert bits(labels._crypto_float("default")) == "42c9679f"
+
+
+def test_no_id_is_infinite_nan_or_denormal():
+    """Where the exponent's 8 bits are all 0 or all 1, the lowest of them is turned over and nothing else; 1 name in 128."""
+    odd = 0
+    for name in (f"/World/Car_{index}" for index in range(4096)):
+        raw, value = labels._murmur(name), labels._crypto_float(name)
+        assert np.isfinite(value) and abs(value) >= np.finfo(np.float32).tiny
+        strange = (raw >> 23) & 255 in (0, 255)
+        odd += strange
+        assert int(bits(value), 16) == raw ^ (0x00800000 if strange else 0)
+    assert 0 < odd < 100  # 32 are expected, with a standard deviation of 5.6
+
+
+def test_the_picture_has_every_layer_and_says_what_it_means(layers):
+    """Depth and distance in metres and infinite at the sky, ids as they are, Cityscapes' own class numbers."""
+    image = labels.label_image(layers, THINGS)
+    assert image.pixels.dtype == np.float32 and image.pixels.shape == (4, 5, len(labels.CHANNELS)) and image.channels == labels.CHANNELS
+    np.testing.assert_array_equal(plane(image, "depth.Z"), layers.depth_m.astype(np.float32))
+    np.testing.assert_array_equal(plane(image, "distance.Z"), layers.distance_m.astype(np.float32))
+    np.testing.assert_array_equal(np.stack([plane(image, f"N.{axis}") for axis in "XYZ"], axis=2), layers.normal)
+    np.testing.assert_array_equal(plane(image, "instance.ID"), IDS)
+    class_of = np.array([23, 7, 26, 24, 0])  # sky, road, car, person and unlabeled in the table of the Cityscapes authors
+    np.testing.assert_array_equal(plane(image, "semantic.ID"), class_of[IDS])
+
+
+def test_a_surface_without_a_thing_is_unlabeled_and_not_sky(layers):
+    """What is drawn but has no label id has class 0 and no matte; sky is where the ray meets nothing."""
+    depth = layers.depth_m.copy()
+    depth[0, 0] = 5.0
+    image = labels.label_image(Layers(depth, depth, layers.normal, IDS, layers.transmittance), THINGS)
+    assert plane(image, "semantic.ID")[0, :2].tolist() == [0, 23]
+    assert plane(image, "crypto_object00.G")[0, 0] == 0
+
+
+def test_the_matte_has_one_rank_that_its_manifest_names(layers):
+    """Id in R and coverage in G of rank 0; the ids' bits are in the manifest, also of what is hidden; no second rank."""
+    image = labels.label_image(layers, THINGS)
+    manifest = json.loads(image.provenance["cryptomatte/f834d0a/manifest"])
+    assert list(manifest) == [thing.path for thing in THINGS] and len(set(manifest.values())) == len(THINGS)
+    names = {int(digits, 16): path for path, digits in manifest.items()}
+    ids, coverage = plane(image, "crypto_object00.R"), plane(image, "crypto_object00.G")
+    for row, column in np.ndindex(IDS.shape):
+        at = IDS[row, column]
+        assert coverage[row, column] == (at > 0)
+        assert (names[int(bits(ids[row, column]), 16)] == THINGS[at - 1].path) if at else ids[row, column] == 0
+    assert not plane(image, "crypto_object00.B").any() and not plane(image, "crypto_object00.A").any()
+
+
+def test_the_matte_can_be_found_by_other_programs(layers):
+    """Key: the first seven digits of the layer name's hash; the name is that of the channels without the rank."""
+    facts = {name: value for name, value in labels.label_image(layers, THINGS).provenance.items() if name.startswith("cryptomatte/")}
+    assert facts.keys() == {f"cryptomatte/f834d0a/{name}" for name in ("name", "hash", "conversion", "manifest")}
+    assert facts["cryptomatte/f834d0a/name"] == "crypto_object"
+    assert (facts["cryptomatte/f834d0a/hash"], facts["cryptomatte/f834d0a/conversion"]) == ("MurmurHash3_32", "uint32_to_float32")
+
+
+def test_the_list_has_a_box_around_what_is_seen(layers):
+    """x, y, width and height of the visible pixels, the nearest distance, and both numbers of the class."""
+    listed = labels.label_list(layers, THINGS)
+    assert (listed["schema"], listed["taxonomy"]) == ("synfog-usd/labels", "cityscapes")
+    road, car, behind, blob = listed["things"]
+    assert road == {
+        "id": 1, "path": "/World/Road", "label": "road", "semantic_id": 7, "train_id": 0, "pixels": 9, "box_px": [0, 2, 5, 2], "distance_m": 20.5
+    }  # fmt: skip
+    assert car == {"id": 2, "path": "/World/Car", "label": "car", "semantic_id": 26, "train_id": 13, "pixels": 3, "box_px": [1, 1, 2, 2], "distance_m": 16.5}
+    assert (blob["label"], blob["semantic_id"], blob["train_id"], blob["box_px"]) == ("unlabeled", 0, 255, [3, 1, 1, 1])
+    assert behind["pixels"] == 0 and "box_px" not in behind and "distance_m" not in behind
+    assert json.loads(json.dumps(listed, allow_nan=False)) == listed
+
+
+def test_an_empty_stage_has_labels_too():
+    """Nothing but sky: class 23 everywhere, no thing."""
+    nothing = np.full((2, 3), np.inf)
+    sky = Layers(nothing, nothing, np.zeros((2, 3, 3)), np.zeros((2, 3), dtype=np.int64), np.ones((2, 3)))
+    image = labels.label_image(sky, ())
+    assert (plane(image, "semantic.ID") == 23).all() and json.loads(image.provenance["cryptomatte/f834d0a/manifest"]) == {}
+    assert labels.label_list(sky, ())["things"] == []

@@ -2,6 +2,7 @@
 
 import email
 import importlib.util
+import json
 import os
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from support.stages import street
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ("assets", "stages", "pipeline")
@@ -71,7 +73,7 @@ def test_shipped_files_do_not_look_out_of_their_folder(content):
     """No stage or pipeline names a path of the machine that it was made on."""
     texts = {name: data for name, data in content.items() if name.startswith("synfog_usd/data/") and name.endswith((".usda", ".yaml"))}
     assert len(texts) > 50
-    assert not [name for name, data in texts.items() if any(mark in data for mark in (b"@/", b"file:", b"/home/", b"/tmp/", str(ROOT).encode()))]
+    assert not [name for name, data in texts.items() if any(mark in data for mark in (b"@/", b"file:/", b"/home/", b"/tmp/", str(ROOT).encode()))]
 
 
 def test_its_metadata_says_what_pyproject_says(content):
@@ -96,23 +98,43 @@ def test_the_same_checkout_gives_the_same_wheel(wheel, tmp_path):
     assert (tmp_path / wheel.name).read_bytes() == wheel.read_bytes()
 
 
-def test_the_wheel_bakes_where_there_is_no_checkout(wheel, content, tmp_path):
-    """Unpacked into a folder of its own that stands before everything else: the shipped stage becomes files from there."""
-    site, away = tmp_path / "site", tmp_path / "away"
-    away.mkdir()
+@pytest.fixture(scope="module")
+def away(wheel, tmp_path_factory):
+    """Runs Python in an empty folder, with the unpacked wheel before everything else: (site folder, empty folder, run)."""
+    site, empty = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("away")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
     environment = {**os.environ, "PYTHONPATH": str(site), "PYTHONDONTWRITEBYTECODE": "1"}
 
     def run(*arguments):
-        done = subprocess.run([sys.executable, *arguments], cwd=away, env=environment, capture_output=True, text=True, timeout=300)
+        done = subprocess.run([sys.executable, *map(str, arguments)], cwd=empty, env=environment, capture_output=True, text=True, timeout=300)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout.strip()
 
-    where = Path(run("-c", "import synfog_usd; from synfog_usd import resources; print(resources.folder('stages'))"))
-    assert where == site / "synfog_usd" / "data" / "stages"
-    stage = where / "crossroads.usda"
-    run("-m", "synfog_usd.cli.main", "bake", str(stage), "-o", "out", "--resolution", "32x18", "--samples", "2", "--fog", "mor300", "--lighting", "sky")
-    assert {path.name for path in (away / "out" / "sky" / "mor300").iterdir()} == {"radiance.exr", "layers.exr", "raw.dng", "srgb.png"}
-    unpacked = {path.relative_to(site).as_posix() for path in site.rglob("*") if path.is_file()}
-    assert unpacked == set(content)  # nothing is written beside the package
+    assert run("-c", "from synfog_usd import resources; print(resources.folder('stages'))") == str(site / "synfog_usd" / "data" / "stages")
+    return site, empty, run
+
+
+def test_the_shipped_stage_finds_all_its_assets_in_the_wheel(away):
+    """Every layer and texture that the crossing composes lies in the unpacked wheel; none is missing."""
+    site, _, run = away
+    ask = """if True:
+        import json
+        from pxr import UsdUtils
+        from synfog_usd import resources
+        layers, assets, missing = UsdUtils.ComputeAllDependencies(str(resources.folder("stages") / "crossroads.usda"))
+        print(json.dumps([[layer.realPath for layer in layers], list(assets), list(missing)]))
+    """
+    layers, assets, missing = json.loads(run("-c", ask))
+    assert missing == []
+    assert len(layers) > 50 and len(assets) > 5
+    assert not [path for path in layers + assets if not Path(path).is_relative_to(site)]
+
+
+def test_the_wheel_bakes_where_there_is_no_checkout(away, content):
+    """Fog schema, default pipeline, sensor and lens come from the unpacked wheel, and nothing is written beside them."""
+    site, empty, run = away
+    (empty / "street.usda").write_text(street())
+    run("-m", "synfog_usd.cli.main", "bake", "street.usda", "-o", "out", "--resolution", "32x18", "--samples", "4", "--fog", "mor150", "--lighting", "sky")
+    assert {path.name for path in (empty / "out" / "sky" / "mor150").iterdir()} == {"radiance.exr", "layers.exr", "raw.dng", "srgb.png"}
+    assert {path.relative_to(site).as_posix() for path in site.rglob("*") if path.is_file()} == set(content)

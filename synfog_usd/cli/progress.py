@@ -1,0 +1,44 @@
+"""Progress on standard error: a bar on a terminal, a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+PLAIN_INTERVAL_S = 5.0
+
+
+@contextlib.contextmanager
+def shown(quiet: bool) -> Iterator[tuple[Callable[[str, float], None], Callable[[str], None]]]:
+    """Whom to tell the fraction that is done, and whom to tell a line; a bar shows the time left."""
+    if quiet:
+        yield (lambda what, fraction: None), (lambda text: None)
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        yield _plain_progress(), lambda text: print(text, file=sys.stderr, flush=True)
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield (lambda what, fraction: bar.update(task, description=escape(what), completed=fraction)), (lambda text: console.print(escape(text)))
+
+
+def _plain_progress() -> Callable[[str, float], None]:
+    began, last = time.monotonic(), [0.0]
+
+    def progress(what: str, fraction: float) -> None:
+        now = time.monotonic() - began
+        if now - last[0] < PLAIN_INTERVAL_S:
+            return
+        last[0] = now
+        left = f", about {now / fraction - now:.0f} s left" if fraction > 0.02 else ""
+        print(f"{fraction:4.0%}  {what}  {now:.0f} s{left}", file=sys.stderr, flush=True)
+
+    return progress
