@@ -5,13 +5,15 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from synfog_usd.cli import worker
+
+if TYPE_CHECKING:
+    from synfog_usd.scene import Note
 from synfog_usd.cli.progress import shown
 
 
@@ -28,12 +30,20 @@ def run(plan: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
     with shown(quiet) as (progress, tell):
         baked = bake(BakePlan(**plan), progress=progress, tell=tell)
         if not quiet:
-            for note in baked.notes:
-                tell(f"{note.severity}: {note.path or plan['stage']}: {note.text}")
+            _report(baked.notes, plan["stage"], tell)
     if as_json:
-        print(json.dumps({**baked.manifest, "seconds": baked.seconds, "kept": baked.kept, "notes": [asdict(note) for note in baked.notes]}, indent=2))
+        print(json.dumps({**baked.manifest, "seconds": baked.seconds, "kept": baked.kept}, indent=2))
     elif not quiet:
         print(f"{len(baked.manifest['shots'])} shots in {plan['out']}: look at {plan['out'] / 'contact.png'}")
+
+
+def _report(notes: Sequence[Note], stage: Path, tell: Callable[[str], None]) -> None:
+    """Every warning, and the first few remarks; all of them stand in `bake.json`."""
+    remarks = [note for note in notes if note.severity != "warning"]
+    for note in [*(note for note in notes if note.severity == "warning"), *remarks[:REMARKS]]:
+        tell(f"{note.severity}: {note.path or stage}: {note.text}")
+    if len(remarks) > REMARKS:
+        tell(f"and {len(remarks) - REMARKS} more remarks, see 'notes' in bake.json")
 
 
 def _tidy(out: Path, code: int, stage: Path) -> None:

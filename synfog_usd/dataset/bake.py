@@ -85,6 +85,7 @@ def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], N
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
     metered = bool({"exposure_s", "iso"} & set(graph.settings_needed))
     facts = _facts(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
+    facts["notes"] = [{"severity": note.severity, "path": note.path, "text": note.text} for note in first.notes]
 
     with _only_writer(plan.out):
         files.remove_leftovers(plan.out)

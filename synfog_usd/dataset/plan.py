@@ -92,7 +92,7 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
 
 def _chosen(kind: str, asked: Sequence[str] | None, offered: Sequence[str]) -> list[str | None]:
     if asked is None:
-        return [*offered] or [None]
+        return sorted(offered, key=_thinnest_first) or [None]
     for name in asked:
         if name in offered or (kind == "fog" and _visibility(name) is not None):
             continue
@@ -100,6 +100,12 @@ def _chosen(kind: str, asked: Sequence[str] | None, offered: Sequence[str]) -> l
         extra = "; any stage with a fog prim also takes clear and mor<metres>, as in mor200" if kind == "fog" else ""
         raise ParameterError(f"--{kind} {name}: the stage offers {allowed}{extra}.{did_you_mean(name, offered)}")
     return list(dict.fromkeys(asked))
+
+
+def _thinnest_first(name: str) -> tuple[float, bool, str]:
+    """Clear air, then fog from thin to dense, then what has no visibility in its name; sky light before other light."""
+    visibility = _visibility(name)
+    return (-visibility if visibility else 0.0, name != "sky", name)
 
 
 def _visibility(name: str) -> float | None:

@@ -103,8 +103,7 @@ def _joined(material: str, members: list[tuple[Mapping[str, Any], npt.NDArray[np
         for name, arrays in more.items():
             array = np.asarray(mesh[name])
             if name == "normals" and matrix is not None:
-                array = array @ np.linalg.inv(matrix[:3, :3])
-                array = array / np.maximum(np.linalg.norm(array, axis=1, keepdims=True), 1e-30)
+                array = array @ np.linalg.inv(matrix[:3, :3])  # not to unit length: their ratio is what interpolation needs
             arrays.append(array.astype(np.float32))
         start += len(points)
     arrays = {"positions": positions, "faces": faces, **more}
