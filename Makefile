@@ -37,7 +37,7 @@ $(VENV)/.done: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[dev]"
 	@touch $@
 
-# Mitsuba compiles its kernels with libLLVM 16 or newer; without one it renders in its slow scalar mode.
+# Mitsuba compiles its kernels with libLLVM 16 or newer; without one it renders in its scalar mode.
 llvm: setup
 	@$(BIN)/python -c "import sys; from synfog_usd.render import backend as b; sys.exit(not (b.find_llvm()[0] or b.has_cuda_driver()))" \
 	 || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && echo "installing libllvm19" \

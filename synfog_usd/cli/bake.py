@@ -5,16 +5,20 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from synfog_usd.cli import worker
+from synfog_usd.cli.progress import shown
 
 if TYPE_CHECKING:
     from synfog_usd.scene import Note
-from synfog_usd.cli.progress import shown
+
+REMARKS = 5
+"""How many remarks are printed; warnings all are."""
 
 
 def run(plan: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
