@@ -29,6 +29,10 @@ class GraphError(SynfogError):
     """A node graph that does not load, or cannot run on what it was given."""
 
 
+class RecipeError(SynfogError):
+    """A recipe that does not load, or asks for what the world has no room for."""
+
+
 class ImageError(SynfogError):
     """An image file that cannot be read, or holds what no camera can see."""
 

@@ -80,8 +80,12 @@ def check(
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
     worker.follow_parent()
     from synfog_usd import stage as usd
+    from synfog_usd.translate import translate
 
-    notes = usd.check(usd.open_stage(stage))
+    opened = usd.open_stage(stage)
+    notes = usd.check(opened)
+    if usd.cameras(opened):
+        notes = [*notes, *translate(opened).notes]
     if as_json:
         print(json.dumps([{"severity": note.severity, "path": note.path, "text": note.text} for note in notes], indent=2))
     else:
@@ -126,6 +130,26 @@ def chart(
     from synfog_usd.cli import chart as verb
 
     verb.run(plan, quiet=quiet)
+
+
+@app.command()
+def compose(
+    recipe: Annotated[Path, typer.Argument(help="YAML recipe, as stages/recipes/crossroads.yaml.")],
+    seed: Annotated[int, typer.Option(help="The same seed gives the same stage.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Stage to write (.usda, .usdc, .usd).")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print what stands where as JSON.")] = False,
+) -> None:
+    """Draw a stage from RECIPE: other cars, people, signals, fogs and skies at the shipped crossing."""
+    from collections import Counter
+
+    from synfog_usd.world.recipe import compose as draw
+
+    spec = draw(recipe, out, seed=seed)
+    if as_json:
+        print(json.dumps(spec.plain(), indent=2))
+        return
+    groups = Counter(placement.group for placement in spec.placed)
+    print(print(f"{out}: {groups['Vehicles']} vehicles and bicycles, {groups['People']} people, fogs {', '.join(spec.fog)}"))
 
 
 @app.command()

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import hashlib
 import importlib.metadata
 import json
 import os
@@ -52,7 +51,7 @@ class Baked:
     notes: tuple[Note, ...] = ()
 
 
-class StrictWarnings(StageError):
+class StrictError(StageError):
     """Under --strict, the translation had something to report."""
 
     exit_code = 1
@@ -79,7 +78,7 @@ def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], N
     todo = shots(plan, usd.variants(stage))
     first = _translate(stage, todo[0], plan)
     if plan.strict and any(note.severity == "warning" for note in first.notes):
-        raise StrictWarnings("\n".join(f"{note.path or plan.stage}: {note.text}" for note in first.notes if note.severity == "warning"))
+        raise StrictError("\n".join(f"{note.path or plan.stage}: {note.text}" for note in first.notes if note.severity == "warning"))
     if all(shot.mor_m is None for shot in todo) and not any(_translate(stage, shot, plan).fog for shot in todo):
         tell(f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog (see docs/artists.md).")
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]

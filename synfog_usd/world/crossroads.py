@@ -8,8 +8,7 @@ a shell: `python -m synfog_usd.world.crossroads [folder]`.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -25,41 +24,14 @@ from synfog_usd.world.people import build_bicycle, build_people, build_rider
 from synfog_usd.world.plants import build_hedge, build_leaf, build_trees
 from synfog_usd.world.shapes import Array, Part, quads, shift, turn
 from synfog_usd.world.sky import DUSK_NITS, OVERCAST_NITS, write_skies
+from synfog_usd.world.spec import Placement, View, WorldSpec
 from synfog_usd.world.street import CORNER, MAIN_HALF, NORTH, SIDE_HALF, TREE_X, WALL_X, WALL_Y, build_ground, ground_height
 from synfog_usd.world.textures import write_textures
 from synfog_usd.world.vehicles import HEADLIGHT_CD, HEADLIGHT_TINT, build_bus, build_cars, build_lorry
 
-EGO = (1.55, -37.0, 1.45)
+VIEW = View(1.55, -37.0, 1.45)
+APERTURE = 0.36  # tenths of a metre
 FOG_VARIANTS = {"clear": None, "mor600": 600.0, "mor300": 300.0, "mor150": 150.0}
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Where one component stands.
-
-    Attributes:
-        group: name of the group prim; name: prim name; asset: folder of the component.
-        x, y: [m]; heading: degrees counter-clockwise from +Y.
-        variants: selections that always hold; lit: selections while lamps are on.
-        z: height [m], or None for the ground's.
-        size: uniform scale.
-    """
-
-    group: str
-    name: str
-    asset: str
-    x: float
-    y: float
-    heading: float = 0.0
-    variants: Mapping[str, str] = field(default_factory=dict)
-    lit: Mapping[str, str] = field(default_factory=dict)
-    z: float | None = None
-    size: float = 1.0
-
-    @property
-    def height(self) -> float:
-        """Height of the origin above z = 0 [m]."""
-        return ground_height(self.x, self.y) if self.z is None else self.z
 
 
 def build(folder: Path) -> Path:
@@ -278,45 +250,66 @@ def trees() -> list[Placement]:
     return placed
 
 
-def write_stage(path: Path) -> Path:
-    """Write the stage; its references point to ../assets from where it lies."""
-    write_whole(path, _write_stage)
+def shipped() -> WorldSpec:
+    """The one that ships."""
+    return WorldSpec(
+        about="A crossing of two city streets, by overcast noon or at dusk with lamps, in clear air or in fog.",
+        placed=tuple(placements()),
+        view=VIEW,
+        fog=FOG_VARIANTS,
+        fog_selected="mor300",
+        overcast_nits=OVERCAST_NITS,
+        dusk_nits=DUSK_NITS,
+    )
+
+
+def write_stage(path: Path, spec: WorldSpec | None = None, *, assets: str = "../assets") -> Path:
+    """Write a stage of the crossing.
+
+    Args:
+        path: the file; its suffix chooses the format.
+        spec: what stands where; None is the one that ships.
+        assets: where the shipped assets lie, from the stage's folder or from the root.
+    """
+    write_whole(path, lambda temporary: _write_stage(temporary, spec or shipped(), assets))
     return path
 
 
-def _write_stage(path: Path) -> None:
-    stage = new_stage("A crossing of two city streets, by overcast noon or at dusk with lamps, in clear air or in fog.", path)
+def _write_stage(path: Path, spec: WorldSpec, assets: str) -> None:
+    stage = new_stage(spec.about, path)
+    if spec.origin:
+        stage.GetRootLayer().customLayerData = {**stage.GetRootLayer().customLayerData, **spec.origin}
     stage.SetMetadata("renderSettingsPrimPath", "/Render/Settings")
     world = UsdGeom.Xform.Define(stage, "/World").GetPrim()
     stage.SetDefaultPrim(world)
     Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
-    placed = placements()
-    _author_camera(stage)
+    placed = spec.placed
+    _author_camera(stage, spec.view)
     _author_fog(stage)
-    _author_skies(stage)
+    _author_skies(stage, spec, assets)
     for group in dict.fromkeys(p.group for p in placed):
         prim = UsdGeom.Xform.Define(stage, f"/World/{group}").GetPrim()
         Usd.ModelAPI(prim).SetKind(Kind.Tokens.group)
     for p in placed:
-        _author_placement(stage, p)
-    _author_bollards(stage)
-    _author_leaves(stage, [p for p in placed if p.group == "Plants" and abs(p.x) == TREE_X and p.y < 60])
-    _author_lights(stage, [p for p in placed if p.group == "Buildings"])
-    _author_variants(stage, placed)
+        _author_placement(stage, p, assets)
+    _author_bollards(stage, assets)
+    _author_leaves(stage, [p for p in placed if p.group == "Plants" and abs(p.x) == TREE_X and p.y < 60], spec.scatter, assets)
+    _author_lights(stage, spec, assets)
+    _author_variants(stage, spec)
     _author_render(stage)
     stage.GetRootLayer().Save()
 
 
-def _author_camera(stage: Usd.Stage) -> None:
+def _author_camera(stage: Usd.Stage, view: View) -> None:
     camera = UsdGeom.Camera.Define(stage, "/World/Ego")
-    camera.CreateHorizontalApertureAttr(0.36)  # tenths of a metre
-    camera.CreateVerticalApertureAttr(0.2025)
-    camera.CreateFocalLengthAttr(0.345)
+    camera.CreateHorizontalApertureAttr(APERTURE)
+    camera.CreateVerticalApertureAttr(APERTURE * 9 / 16)
+    camera.CreateFocalLengthAttr(view.focal_length)
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 3000))
     camera.CreateFocusDistanceAttr(30.0)
     camera.CreateFStopAttr(0.0)
-    camera.AddTranslateOp().Set(Gf.Vec3d(*EGO))
-    camera.AddRotateXYZOp().Set(Gf.Vec3f(91.2, 0, 1.2))
+    camera.AddTranslateOp().Set(Gf.Vec3d(view.x, view.y, view.z))
+    camera.AddRotateXYZOp().Set(Gf.Vec3f(view.tilt, 0, view.heading))
 
 
 def _author_fog(stage: Usd.Stage) -> None:
@@ -337,20 +330,20 @@ def _author_fog(stage: Usd.Stage) -> None:
     prim.CreateAttribute("synfog:fog:profile", Sdf.ValueTypeNames.Token, False, Sdf.VariabilityUniform).Set("uniform")
 
 
-def _author_skies(stage: Usd.Stage) -> None:
+def _author_skies(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     UsdGeom.Scope.Define(stage, "/World/Sky")
-    for name, file, nits in (("Overcast", "overcast.exr", OVERCAST_NITS), ("Dusk", "dusk.exr", DUSK_NITS)):
+    for name, file, nits in (("Overcast", "overcast.exr", spec.overcast_nits), ("Dusk", "dusk.exr", spec.dusk_nits)):
         dome = UsdLux.DomeLight.Define(stage, f"/World/Sky/{name}")
         dome.CreateIntensityAttr(nits)
-        dome.CreateTextureFileAttr(Sdf.AssetPath(f"../assets/skies/{file}"))
+        dome.CreateTextureFileAttr(Sdf.AssetPath(f"{assets}/skies/{file}"))
         dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
         UsdGeom.Xformable(dome).AddRotateXOp().Set(90.0)  # the picture's pole to the zenith
 
 
-def _author_placement(stage: Usd.Stage, p: Placement) -> None:
+def _author_placement(stage: Usd.Stage, p: Placement, assets: str) -> None:
     xform = UsdGeom.Xform.Define(stage, f"/World/{p.group}/{p.name}")
     prim = xform.GetPrim()
-    prim.GetReferences().AddReference(f"../assets/models/{p.asset}/{p.asset}.usda")
+    prim.GetReferences().AddReference(f"{assets}/models/{p.asset}/{p.asset}.usda")
     for name, choice in p.variants.items():
         prim.GetVariantSets().GetVariantSet(name).SetVariantSelection(choice)
     if p.group != "Ground":
@@ -362,7 +355,7 @@ def _author_placement(stage: Usd.Stage, p: Placement) -> None:
         xform.AddScaleOp().Set(Gf.Vec3f(p.size))
 
 
-def _author_bollards(stage: Usd.Stage) -> None:
+def _author_bollards(stage: Usd.Stage, assets: str) -> None:
     points = []
     angle = np.deg2rad(np.array([200, 212, 224, 236, 248]))
     for sx in (-1, 1):
@@ -371,11 +364,11 @@ def _author_bollards(stage: Usd.Stage) -> None:
             points += [(sx * (MAIN_HALF + CORNER + radius * np.cos(a)), sy * (SIDE_HALF + CORNER + radius * np.sin(a)), 0.12) for a in angle]
         for y in (-31.0, -29.4, -27.8, 32.0, 33.6, 35.2):
             points.append((sx * 6.0, y, 0.12))
-    _author_instancer(stage, "/World/Furniture/Bollards", "bollard", "pole", np.array(points), np.zeros(len(points)))
+    _author_instancer(stage, "/World/Furniture/Bollards", "bollard", "pole", np.array(points), np.zeros(len(points)), assets)
 
 
-def _author_leaves(stage: Usd.Stage, below: Iterable[Placement]) -> None:
-    rng = stream(0, "crossroads", "leaves")
+def _author_leaves(stage: Usd.Stage, below: Iterable[Placement], scatter: int, assets: str) -> None:
+    rng = stream(scatter, "crossroads", "leaves")
     points, turns = [], []
     for tree in below:
         count = 55 if tree.y > -50 else 15
@@ -389,14 +382,14 @@ def _author_leaves(stage: Usd.Stage, below: Iterable[Placement]) -> None:
                 continue
             points.append((x, y, ground_height(x, y)))
             turns.append(rng.uniform(0, 360))
-    _author_instancer(stage, "/World/Plants/Fallen_Leaves", "fallen_leaf", "vegetation", np.array(points), np.array(turns))
+    _author_instancer(stage, "/World/Plants/Fallen_Leaves", "fallen_leaf", "vegetation", np.array(points), np.array(turns), assets)
 
 
-def _author_instancer(stage: Usd.Stage, path: str, asset: str, name: str, points: Array, turns: Array) -> None:
+def _author_instancer(stage: Usd.Stage, path: str, asset: str, name: str, points: Array, turns: Array, assets: str) -> None:
     instancer = UsdGeom.PointInstancer.Define(stage, path)
     prototype = stage.DefinePrim(f"{path}/Prototypes/{asset.title()}", "Xform")
     prototype.GetParent().SetTypeName("Scope")
-    prototype.GetReferences().AddReference(f"../assets/models/{asset}/{asset}.usda")
+    prototype.GetReferences().AddReference(f"{assets}/models/{asset}/{asset}.usda")
     instancer.CreatePrototypesRel().SetTargets([prototype.GetPath()])
     instancer.CreateProtoIndicesAttr(Vt.IntArray([0] * len(points)))
     instancer.CreatePositionsAttr(Vt.Vec3fArray([Gf.Vec3f(*(round(float(v), 3) for v in p)) for p in points]))
@@ -407,18 +400,18 @@ def _author_instancer(stage: Usd.Stage, path: str, asset: str, name: str, points
     label(instancer.GetPrim(), name)
 
 
-def _author_lights(stage: Usd.Stage, buildings: Iterable[Placement]) -> None:
+def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     """The ego car's headlights, and one mesh each of all lit windows and shops."""
     lights = UsdGeom.Xform.Define(stage, "/World/Lights")
     Usd.ModelAPI(lights.GetPrim()).SetKind(Kind.Tokens.group)
     UsdGeom.Scope.Define(stage, "/World/Lights/Headlights")
-    for name, x in (("Left", EGO[0] - 0.62), ("Right", EGO[0] + 0.72)):
-        lamp = Lamp(name, shift(x, EGO[1] + 1.75, 0.66) @ turn(88.6, "x"), HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT)
+    for name, x in (("Left", spec.view.x - 0.62), ("Right", spec.view.x + 0.72)):
+        lamp = Lamp(name, shift(x, spec.view.y + 1.75, 0.66) @ turn(88.6, "x"), HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT)
         author_lamp(stage, Sdf.Path(f"/World/Lights/Headlights/{name}"), lamp)
-    rng = stream(0, "crossroads", "lit")
+    rng = stream(spec.scatter, "crossroads", "lit")
     panes: dict[str, list[tuple[Array, Array]]] = {"Windows": [], "Shops": []}
     homes = {h.name: glazing(h) for h in HOUSES}
-    for p in buildings:
+    for p in (p for p in spec.placed if p.group == "Buildings"):
         if p.asset not in homes or p.y > 190 or p.y < -60:
             continue
         glass = homes[p.asset]
@@ -438,15 +431,15 @@ def _author_lights(stage: Usd.Stage, buildings: Iterable[Placement]) -> None:
         part: Part = quads(np.concatenate([c for c, _ in panes[name]]), name, np.concatenate([u for _, u in panes[name]]))
         mesh = author_mesh(stage, Sdf.Path(f"/World/Lights/{name}"), part)
         look = Material((0.02, 0.02, 0.02), 0.05, emission=(nits, nits, nits), emission_texture=picture)
-        material = author_material(stage, materials.AppendChild(name), look, textures="../assets/textures/")
+        material = author_material(stage, materials.AppendChild(name), look, textures=f"{assets}/textures/")
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
         label(mesh.GetPrim(), "building")
 
 
-def _author_variants(stage: Usd.Stage, placed: Iterable[Placement]) -> None:
+def _author_variants(stage: Usd.Stage, spec: WorldSpec) -> None:
     world = stage.GetPrimAtPath("/World")
     fog = world.GetVariantSets().AddVariantSet("fog")
-    for name, mor in FOG_VARIANTS.items():
+    for name, mor in spec.fog.items():
         fog.AddVariant(name)
         fog.SetVariantSelection(name)
         with fog.GetVariantEditContext():
@@ -454,7 +447,7 @@ def _author_variants(stage: Usd.Stage, placed: Iterable[Placement]) -> None:
                 stage.OverridePrim("/World/Fog").SetActive(False)
             else:
                 stage.OverridePrim("/World/Fog/Global").CreateAttribute("synfog:fog:mor", Sdf.ValueTypeNames.Float, custom=False).Set(mor)
-    fog.SetVariantSelection("mor300")
+    fog.SetVariantSelection(spec.fog_selected)
     lighting = world.GetVariantSets().AddVariantSet("lighting")
     for name in ("active", "sky"):
         lighting.AddVariant(name)
@@ -465,7 +458,7 @@ def _author_variants(stage: Usd.Stage, placed: Iterable[Placement]) -> None:
                 stage.OverridePrim("/World/Lights").SetActive(False)
                 continue
             stage.OverridePrim("/World/Sky/Overcast").SetActive(False)
-            for p in placed:
+            for p in spec.placed:
                 for set_name, choice in p.lit.items():
                     prim = stage.OverridePrim(f"/World/{p.group}/{p.name}")
                     prim.GetVariantSets().GetVariantSet(set_name).SetVariantSelection(choice)
