@@ -36,9 +36,6 @@ LLVM_FOLDERS = (
 )
 
 SCALAR_COST = (
-    "scalar takes about twice as long for the same noise, and 10 s for the labels of 640x360; "
-    "install libllvm19 (Debian and Ubuntu: apt install libllvm19)"
-)
     "scalar takes about twice as long for the same noise, and 10 s for the labels of 640x360; install libllvm19 (Debian and Ubuntu: apt install libllvm19)"
 )
 """Measured in the shipped crossing, MOR 150, two cores: `volpath` in scalar against `path` in LLVM."""

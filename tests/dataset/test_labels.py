@@ -1,14 +1,16 @@
 """Labels of a tiny picture whose every pixel is known."""
 
 import json
+import re
 import struct
 
 import numpy as np
 import pytest
 
-from synfog_usd.dataset import labels
+from synfog_usd.dataset import bake, labels
+from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.render.layers import Layers
-from synfog_usd.scene import Thing
+from synfog_usd.scene import SceneDict, Thing
 
 THINGS = (Thing(1, "/World/Road", "road"), Thing(2, "/World/Car", "car"), Thing(3, "/World/Behind", "person"), Thing(4, "/World/Blob", "unlabeled"))
 
@@ -117,6 +119,28 @@ def test_the_matte_can_be_found_by_other_programs(layers):
     assert facts.keys() == {f"cryptomatte/f834d0a/{name}" for name in ("name", "hash", "conversion", "manifest")}
     assert facts["cryptomatte/f834d0a/name"] == "crypto_object"
     assert (facts["cryptomatte/f834d0a/hash"], facts["cryptomatte/f834d0a/conversion"]) == ("MurmurHash3_32", "uint32_to_float32")
+
+
+@pytest.mark.xfail(strict=True, reason="the facts stand in one JSON attribute, synfog:provenance, where no other program looks")
+def test_another_program_finds_the_mattes_in_the_file(layers, tmp_path, monkeypatch):
+    """As Cryptomatte's readers do: header attributes cryptomatte/<key>/name, the channels <name>00.R and .G, names from the manifest."""
+    import OpenImageIO
+
+    monkeypatch.setattr("synfog_usd.render.shot.load", lambda scene: None)
+    monkeypatch.setattr("synfog_usd.render.layers.measure", lambda loaded: layers)
+    bake._write_labels(SceneDict({}, None, things=THINGS), BakePlan(tmp_path / "street.usda", tmp_path))
+    source = OpenImageIO.ImageInput.open(str(tmp_path / "labels.exr"))
+    header = {item.name: item.value for item in source.spec().extra_attribs}
+    channels = list(source.spec().channelnames)
+    pixels = source.read_image(0, 0, 0, len(channels), OpenImageIO.FLOAT)
+    source.close()
+    (key,) = {match[1] for match in (re.fullmatch(r"(cryptomatte/[0-9a-f]{7})/name", name) for name in header) if match}
+    name = header[f"{key}/name"]
+    ids, coverage = (pixels[:, :, channels.index(f"{name}00.{part}")] for part in "RG")
+    manifest = json.loads(header[f"{key}/manifest"])
+    for thing in THINGS:
+        matte = np.where(ids.view(np.uint32) == int(manifest[thing.path], 16), coverage, 0.0)
+        np.testing.assert_array_equal(matte, thing.id == IDS)
 
 
 def test_the_list_has_a_box_around_what_is_seen(layers):

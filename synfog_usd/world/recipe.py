@@ -1,0 +1,462 @@
+"""Recipes: a YAML file of what may differ, and a seed, give one `WorldSpec` of the crossing.
+
+Every parameter draws from a stream of its own name, so that changing one leaves
+what the others draw as it was.  Nothing stands in anything else: cars follow each
+other in lanes and stand one to a bay, and people look for a free spot.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synfog_usd import resources
+from synfog_usd.errors import RecipeError, did_you_mean
+from synfog_usd.seeds import seed32, stream
+from synfog_usd.world import crossroads
+from synfog_usd.world.people import PEOPLE
+from synfog_usd.world.spec import Placement, View, WorldSpec
+from synfog_usd.world.street import MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE
+from synfog_usd.world.vehicles import CARS
+from synfog_usd.yamlio import Located, load_file
+
+SCHEMA = "recipe/1"
+
+BODIES: dict[str, tuple[float, tuple[str, ...]]] = {
+    **{body.name: (body.length, tuple(body.paints)) for body in CARS},
+    "bus": (12.0, ("red", "yellow")),
+    "lorry": (7.2, ("white", "blue")),
+}
+"""Body -> length [m] and the paints that it comes in."""
+WIDE = ("bus", "lorry")
+"""Bodies that keep nearer to the middle of the street, away from parked cars' mirrors."""
+PAINTS = tuple(dict.fromkeys(paint for _, paints in BODIES.values() for paint in paints))
+OUTFITS = {person.name: "abc"[: len(person.outfits)] for person in PEOPLE}
+WALKERS = ("man_walking", "woman_walking", "student", "child", "old_man")
+
+BAY_M = 5.8
+PARKED_X = 4.5
+NEAREST_LIT = 8
+"""Cars in traffic whose headlights are lights; the others' lenses glow.  Each light costs noise in every pixel."""
+LIT_Y = 80.0
+CROSSING_SHARE = 0.3
+"""Share of the people who are on the zebra crossings of the street that waits."""
+ROOM_M = {"bench": 1.4, "advertising_column": 1.3, "cabinet": 1.1, "bicycle": 1.3}
+"""How far people keep from the middle of a thing; from all others ROOM_ELSE_M."""
+ROOM_ELSE_M = 0.75
+TRIES = 400
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A parameter that is a number, within limits."""
+
+    low: float
+    high: float
+    default: Any
+    whole: bool = False
+
+
+@dataclass(frozen=True)
+class Names:
+    """A parameter that is one of several names."""
+
+    allowed: tuple[str, ...]
+    default: Any
+
+
+PARAMETERS: dict[str, Amount | Names] = {
+    "parked.share": Amount(0.0, 1.0, 0.7),
+    "parked.bodies": Names(tuple(body.name for body in CARS), {"hatchback": 3, "saloon": 2, "estate": 2, "offroader": 2, "van": 1}),
+    "parked.paints": Names(PAINTS, dict.fromkeys(("white", "silver", "grey", "black", "blue", "red", "green", "sand"), 1)),
+    "traffic.count": Amount(0, 24, 10, whole=True),
+    "traffic.bodies": Names(tuple(BODIES), {"hatchback": 3, "saloon": 3, "estate": 2, "offroader": 2, "van": 1, "bus": 1, "lorry": 1}),
+    "traffic.paints": Names(PAINTS, dict.fromkeys(("white", "silver", "grey", "black", "blue", "red"), 1)),
+    "traffic.main_street": Names(("waits", "goes"), {"waits": 1, "goes": 1}),
+    "people.count": Amount(0, 60, 30, whole=True),
+    "people.kinds": Names(tuple(OUTFITS), dict.fromkeys(OUTFITS, 1)),
+    "people.cyclists": Amount(0, 1, 1, whole=True),
+    "sky.overcast_nits": Amount(200.0, 20000.0, 5000.0),
+    "sky.dusk_nits": Amount(0.1, 200.0, 5.0),
+    "camera.height_m": Amount(1.0, 2.5, 1.45),
+    "camera.fov_x_deg": Amount(20.0, 100.0, 55.1),
+}
+"""What a recipe can say, by section and key, with what holds where it says nothing."""
+FOG = Amount(10, 20000, None, whole=True)
+FOG_DEFAULT = (600, 300, 150)
+
+
+@dataclass(frozen=True)
+class Draw:
+    """How one value comes about.
+
+    Attributes:
+        kind: 'fixed', 'uniform', 'integer' (both ends included) or 'choice'.
+        values: the one value, the two ends, or the names.
+        weights: of the names, positive.
+    """
+
+    kind: str
+    values: tuple[Any, ...]
+    weights: tuple[float, ...] = ()
+
+    def __call__(self, rng: np.random.Generator, among: Sequence[str] | None = None) -> Any:
+        """One value; of a choice only names in `among`, whose first it is where none of them is in the choice."""
+        if self.kind == "choice":
+            pairs = [(v, w) for v, w in zip(self.values, self.weights, strict=True) if among is None or v in among]
+            if not pairs:
+                return (among or self.values)[0]
+            edges = np.cumsum([w for _, w in pairs])
+            return pairs[int(np.searchsorted(edges, rng.random() * edges[-1], side="right"))][0]
+        if self.kind == "uniform":
+            return float(rng.uniform(*self.values))
+        if self.kind == "integer":
+            return int(rng.integers(self.values[0], self.values[1] + 1))
+        return self.values[0]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A recipe that was read and checked.
+
+    Attributes:
+        name: of its file.
+        draws: one for each of PARAMETERS.
+        fog: one for each fog variant, MOR [m]; clear air is always there.
+    """
+
+    name: str
+    draws: Mapping[str, Draw]
+    fog: tuple[Draw, ...]
+
+
+def load(path: Path) -> Recipe:
+    """Read a recipe.
+
+    Raises:
+        RecipeError: not YAML, or a section, key or value that is not known, with its place.
+    """
+    root = load_file(path, error=RecipeError)
+    items = _mapping(root, "a recipe", ("synfog", "fog", *_sections()))
+    mark = items.get("synfog")
+    if mark is None or mark.value != SCHEMA:
+        raise RecipeError(f"{(mark or root).place}: synfog is {mark.plain() if mark else 'missing'}; this program reads {SCHEMA!r}")
+    draws = {name: _default(parameter) for name, parameter in PARAMETERS.items()}
+    for section in _sections():
+        if section in items:
+            keys = tuple(name.partition(".")[2] for name in PARAMETERS if name.startswith(section + "."))
+            for key, item in _mapping(items[section], section, keys).items():
+                draws[f"{section}.{key}"] = _draw(item, f"{section}.{key}", PARAMETERS[f"{section}.{key}"])
+    fog = tuple(Draw("fixed", (mor,)) for mor in FOG_DEFAULT)
+    if "fog" in items:
+        listed = items["fog"]
+        if not isinstance(listed.value, list) or not listed.value:
+            raise RecipeError(f"{listed.place}: fog is {listed.plain()!r}; it takes a list of visibilities in metres, as in [600, 300, 150]")
+        fog = tuple(_draw(item, "fog", FOG) for item in listed.value)
+    return Recipe(path.name, draws, fog)
+
+
+def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
+    """One world of a recipe; the same seed gives the same.
+
+    Raises:
+        RecipeError: more people than there is room for.
+    """
+
+    def value(name: str) -> Any:
+        return recipe.draws[name](stream(seed, "recipe", name))
+
+    waits = value("traffic.main_street") == "waits"
+    cars = [*_parked(recipe, seed, value("parked.share")), *_traffic(recipe, seed, value("traffic.count"), waits)]
+    cars = [replace(car, name=f"{car.asset.title()}_{index + 1:02d}") for index, car in enumerate(cars)]
+    bicycles = [p for p in crossroads.people() if p.name.startswith("Parked_Bicycle")]
+    fixed = [*crossroads.ground(), *crossroads.houses(), *_furniture(waits), *crossroads.trees(), *bicycles]
+    people = _people(recipe, seed, value("people.count"), waits, [p for p in fixed if p.group not in ("Ground", "Buildings")])
+    riders = _cyclist(seed) if value("people.cyclists") else []
+    visibilities = sorted({draw(stream(seed, "recipe", "fog", index)) for index, draw in enumerate(recipe.fog)}, reverse=True)
+    fog = {"clear": None, **{f"mor{mor}": float(mor) for mor in visibilities}}
+    fov = math.radians(value("camera.fov_x_deg"))
+    height = round(value("camera.height_m"), 3)
+    return WorldSpec(
+        about=f"A crossing of two city streets, drawn from {recipe.name} with seed {seed}.",
+        placed=(*fixed, *cars, *people, *riders),
+        view=View(crossroads.VIEW.x, crossroads.VIEW.y, height, focal_length=round(crossroads.APERTURE / 2 / math.tan(fov / 2), 6)),
+        fog=fog,
+        fog_selected=list(fog)[len(fog) // 2],
+        overcast_nits=round(value("sky.overcast_nits"), 1),
+        dusk_nits=round(value("sky.dusk_nits"), 3),
+        scatter=seed32(seed, "recipe", "scatter"),
+        origin={"recipe": recipe.name, "seed": str(seed)},
+    )
+
+
+def compose(path: Path, out: Path, *, seed: int) -> WorldSpec:
+    """Draw a world and write it as a stage.
+
+    References to the shipped assets are relative where `out` lies in the folder that
+    holds them, so that the folder can move, and absolute elsewhere.
+
+    Args:
+        path: the recipe.
+        out: the stage, .usda, .usdc or .usd.
+        seed: the same gives the same bytes in the same place.
+
+    Raises:
+        RecipeError: with its place.
+        OutputError: the stage cannot be written.
+    """
+    if out.suffix not in (".usda", ".usdc", ".usd"):
+        raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
+    spec = draw(load(path), seed=seed)
+    assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
+    crossroads.write_stage(out, spec, assets=assets)
+    return spec
+
+
+def asset_folder(stage_folder: Path, assets: Path) -> str:
+    """How a stage names the folder of assets: relative within the folder that holds it, absolute elsewhere."""
+    if not stage_folder.is_relative_to(assets.parent):
+        return assets.as_posix()
+    steps = Path(os.path.relpath(assets, stage_folder)).as_posix()
+    return steps if steps.startswith("..") else f"./{steps}"
+
+
+# -- reading
+
+
+def _sections() -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name.partition(".")[0] for name in PARAMETERS))
+
+
+def _mapping(item: Located, what: str, allowed: Sequence[str]) -> dict[str, Located]:
+    if not isinstance(item.value, dict):
+        raise RecipeError(f"{item.place}: {what} is {item.plain()!r}; it takes a mapping of {', '.join(allowed)}")
+    for key, value in item.value.items():
+        if key not in allowed:
+            raise RecipeError(f"{value.key_place}: {what} has no {key!r}; it takes {', '.join(allowed)}.{did_you_mean(key, allowed)}")
+    return item.value
+
+
+def _default(parameter: Amount | Names) -> Draw:
+    if isinstance(parameter, Amount):
+        return Draw("fixed", (parameter.default,))
+    return Draw("choice", tuple(parameter.default), tuple(float(weight) for weight in parameter.default.values()))
+
+
+def _draw(item: Located, name: str, parameter: Amount | Names) -> Draw:
+    if isinstance(parameter, Names):
+        return _choice(item, name, parameter)
+    form = "a whole number or {integer: [low, high]}" if parameter.whole else "a number or {uniform: [low, high]}"
+    kind = "integer" if parameter.whole else "uniform"
+    if not isinstance(item.value, dict):
+        return Draw("fixed", (_number(item, name, parameter, form),))
+    (word, ends), *more = item.value.items() or [("", item)]
+    if word != kind or more or not isinstance(ends.value, list) or len(ends.value) != 2:
+        raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
+    low, high = (_number(end, name, parameter, form) for end in ends.value)
+    if low > high:
+        raise RecipeError(f"{ends.place}: {name} runs from {low:g} to {high:g}; the first end is the lower one")
+    return Draw(kind, (low, high))
+
+
+def _number(item: Located, name: str, parameter: Amount, form: str) -> float:
+    value = item.value
+    right = isinstance(value, int) if parameter.whole else isinstance(value, int | float)
+    if not right or isinstance(value, bool):
+        raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
+    if not parameter.low <= value <= parameter.high:
+        raise RecipeError(f"{item.place}: {name} {value:g} is outside {parameter.low:g} to {parameter.high:g}")
+    return value if parameter.whole else float(value)
+
+
+def _choice(item: Located, name: str, parameter: Names) -> Draw:
+    form = "a name or {choice: {name: weight, ...}}"
+    choice = item
+    if isinstance(item.value, dict):
+        if set(item.value) != {"choice"}:
+            raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
+        choice = item.value["choice"]
+        if not isinstance(choice.value, dict) or not choice.value:
+            raise RecipeError(f"{choice.place}: {name} chooses among {choice.plain()!r}; it takes {{name: weight, ...}}")
+    named = [(key, weight.key_place) for key, weight in choice.value.items()] if isinstance(choice.value, dict) else [(choice.plain(), item.place)]
+    for key, place in named:
+        if key not in parameter.allowed:
+            raise RecipeError(f"{place}: {name} has no {key!r}; it takes {', '.join(parameter.allowed)}.{did_you_mean(str(key), parameter.allowed)}")
+    if not isinstance(choice.value, dict):
+        return Draw("choice", (choice.value,), (1.0,))
+    for key, weight in choice.value.items():
+        if isinstance(weight.value, bool) or not isinstance(weight.value, int | float) or not 0 < weight.value < math.inf:
+            raise RecipeError(f"{weight.place}: {name}: the weight of {key!r} is {weight.plain()!r}; it takes a number above 0")
+    return Draw("choice", tuple(choice.value), tuple(float(weight.value) for weight in choice.value.values()))
+
+
+# -- placing
+
+
+@dataclass(frozen=True)
+class _Lane:
+    """A straight piece of lane that cars fill from `start` on.
+
+    Attributes:
+        along: 'y' or 'x'; across: the other coordinate [m].
+        start, end: where the first car's near bumper and the last one's far bumper may be [m].
+        heading: degrees.
+        weight: share of the traffic.
+        queue: whether the first cars stand close, nose to tail.
+    """
+
+    along: str
+    across: float
+    start: float
+    end: float
+    heading: float
+    weight: float
+    queue: bool = False
+
+
+_STOP = ZEBRA + ZEBRA_DEPTH + 1.9
+_STOP_SIDE = ZEBRA_SIDE + ZEBRA_DEPTH + 1.9
+_LANES = {
+    "waits": (
+        _Lane("y", 1.76, _STOP, 235.0, 0.0, 3),
+        _Lane("y", -1.8, _STOP, 235.0, 180.0, 4, queue=True),
+        _Lane("y", -1.85, -_STOP, -62.0, 180.0, 1),
+        _Lane("x", -2.08, -60.0, 60.0, -90.0, 1.5),
+        _Lane("x", 2.12, -60.0, 60.0, 90.0, 1.5),
+    ),
+    "goes": (
+        _Lane("y", 1.76, -8.0, 235.0, 0.0, 4),
+        _Lane("y", -1.8, -62.0, 235.0, 180.0, 4),
+        _Lane("x", -2.08, -_STOP_SIDE, -60.0, -90.0, 1, queue=True),
+        _Lane("x", 2.12, _STOP_SIDE, 60.0, 90.0, 1, queue=True),
+    ),
+}
+"""Where traffic may be while the main street waits or goes.  The camera's own lane stays free up to the crossing."""
+_GAP_M = 4.0
+_QUEUE = 3
+_QUEUE_GAP_M = (1.2, 2.5)
+
+
+def _car(recipe: Recipe, section: str, rng: np.random.Generator) -> tuple[str, float, str]:
+    body = recipe.draws[f"{section}.bodies"](rng)
+    length, paints = BODIES[body]
+    return body, length, recipe.draws[f"{section}.paints"](rng, paints)
+
+
+def _parked(recipe: Recipe, seed: int, share: float) -> list[Placement]:
+    """One car to a bay of the markings, on both sides of the main street, from behind the camera to the far end."""
+    placed = []
+    first = 20.0 + BAY_M / 2
+    bays = [*np.arange(-first, -60.0, -BAY_M), *np.arange(first, 238.0, BAY_M)]
+    for side in (-1, 1):
+        for index, y in enumerate(bays):
+            rng = stream(seed, "recipe", "parked", side, index)
+            taken = rng.random() < share
+            body, _, paint = _car(recipe, "parked", rng)
+            x, y = side * PARKED_X + np.clip(rng.normal(0, 0.04), -0.08, 0.08), y + rng.uniform(-0.12, 0.12)
+            if taken:
+                placed.append(Placement("Vehicles", "", body, round(float(x), 3), round(float(y), 3), 180.0 if side < 0 else 0.0, {"paint": paint}))
+    return placed
+
+
+def _traffic(recipe: Recipe, seed: int, count: int, waits: bool) -> list[Placement]:
+    lanes = _LANES["waits" if waits else "goes"]
+    choice = Draw("choice", tuple(range(len(lanes))), tuple(lane.weight for lane in lanes))
+    rng = stream(seed, "recipe", "traffic", "lanes")
+    bound: list[list[tuple[str, float, str]]] = [[] for _ in lanes]
+    for index in range(count):
+        car = _car(recipe, "traffic", stream(seed, "recipe", "traffic", "car", index))
+        fitting = [n for n, lane in enumerate(lanes) if sum(length + _GAP_M for _, length, _ in [*bound[n], car]) <= abs(lane.end - lane.start)]
+        if not fitting:
+            raise AssertionError("the limit of traffic.count leaves room for as many buses")
+        bound[choice(rng, fitting)].append(car)  # type: ignore[arg-type]
+    placed = []
+    for number, (lane, cars) in enumerate(zip(lanes, bound, strict=True)):
+        rng = stream(seed, "recipe", "traffic", "lane", number)
+        free = abs(lane.end - lane.start) - sum(length + _GAP_M for _, length, _ in cars)
+        slack = np.sort(rng.uniform(0.0, free, len(cars)))
+        at, before = 0.0, 0.0
+        for index, (body, length, paint) in enumerate(cars):
+            queued = lane.queue and index < _QUEUE
+            gap = float(rng.uniform(*_QUEUE_GAP_M)) * (index > 0) if queued else float(slack[index] - before) + _GAP_M
+            before = 0.0 if queued else float(slack[index])
+            middle = math.copysign(1.0, lane.end - lane.start) * (at + gap + length / 2) + lane.start
+            at += gap + length
+            near, sway = (0.9, 0.04) if body in WIDE else (1.0, 0.1)
+            across = near * lane.across + float(rng.uniform(-sway, sway))
+            x, y = (across, middle) if lane.along == "y" else (middle, across)
+            placed.append(Placement("Vehicles", "", body, round(x, 3), round(y, 3), lane.heading, {"paint": paint}, {"lamps": "glow"}))
+    view = crossroads.VIEW
+    near = sorted((p for p in placed if p.y < LIT_Y), key=lambda p: (math.hypot(p.x - view.x, p.y - view.y), p.x))[:NEAREST_LIT]
+    return [replace(p, lit={"lamps": "on"}) if p in near else p for p in placed]
+
+
+def _furniture(waits: bool) -> list[Placement]:
+    """The shipped furniture with the signals of the phase."""
+    placed = []
+    for p in crossroads.furniture():
+        if "signal" in p.variants:
+            main = abs(p.x) < abs(p.y)
+            p = replace(p, variants={"signal": "red" if main == waits else "green"})
+        placed.append(p)
+    return placed
+
+
+def _people(recipe: Recipe, seed: int, count: int, waits: bool, things: Sequence[Placement]) -> list[Placement]:
+    kinds = recipe.draws["people.kinds"]
+    walkers = [kind for kind in kinds.values if kind in WALKERS]
+    keep = [(p.x, p.y, ROOM_M.get(p.asset, ROOM_ELSE_M)) for p in things]
+    placed: list[Placement] = []
+    for index in range(count):
+        rng = stream(seed, "recipe", "person", index)
+        crosses = bool(walkers) and rng.random() < CROSSING_SHARE
+        kind = kinds(rng, walkers if crosses else None)
+        outfit = OUTFITS[kind][int(rng.integers(len(OUTFITS[kind])))]
+        for _ in range(TRIES):
+            x, y, heading = _crossing(rng, waits) if crosses else _on_pavement(rng, kind)
+            if all(math.hypot(x - a, y - b) >= room for a, b, room in keep):
+                break
+        else:
+            raise RecipeError(f"{recipe.name}: people.count {count}: no room for more than {index}")
+        keep.append((x, y, ROOM_ELSE_M))
+        placed.append(Placement("People", f"Person_{index + 1:02d}", kind, x, y, heading, {"outfit": outfit}))
+    return placed
+
+
+def _crossing(rng: np.random.Generator, waits: bool) -> tuple[float, float, float]:
+    """On a zebra of the street that waits; walkers look along it, one way or the other."""
+    side, way = (int(sign) for sign in rng.choice((-1, 1), 2))
+    turn = float(rng.normal(0, 3))
+    if waits:
+        x, y, heading = rng.uniform(-MAIN_HALF + 0.8, MAIN_HALF - 0.8), side * rng.uniform(ZEBRA + 0.4, ZEBRA + ZEBRA_DEPTH - 0.4), 90.0 * way
+    else:
+        x, y, heading = side * rng.uniform(ZEBRA_SIDE + 0.4, ZEBRA_SIDE + ZEBRA_DEPTH - 0.4), rng.uniform(-3.6, 3.6), 90.0 * (1 - way)
+    return round(float(x), 3), round(float(y), 3), round(heading + turn, 1)
+
+
+def _on_pavement(rng: np.random.Generator, kind: str) -> tuple[float, float, float]:
+    """Beside the main street, denser where the camera looks from near; walkers along it, the others any way."""
+    side, way = (int(sign) for sign in rng.choice((-1, 1), 2))
+    y = -30.0 + 150.0 * rng.random() ** 1.5
+    if abs(y) < ZEBRA:
+        y = math.copysign(ZEBRA + 4.0 * rng.random(), y)
+    x = side * rng.uniform(7.3, 8.7)
+    heading = 90.0 - 90.0 * way + rng.normal(0, 4) if kind in WALKERS else rng.uniform(0, 360)
+    return round(float(x), 3), round(float(y), 3), round(float(heading), 1)
+
+
+def _cyclist(seed: int) -> list[Placement]:
+    """One ahead of the camera, at the kerb side of its lane."""
+    rng = stream(seed, "recipe", "cyclist")
+    x, y, heading = round(float(rng.uniform(2.5, 2.8)), 3), round(float(rng.uniform(-27.0, -18.5)), 3), round(float(rng.normal(0, 1)), 1)
+    outfit, colour = "ab"[int(rng.integers(2))], ("teal", "black", "red")[int(rng.integers(3))]
+    return [
+        Placement("People", "Rider_1", "rider", x, y, heading, {"outfit": outfit}),
+        Placement("Vehicles", "Bicycle_1", "bicycle", x, y, heading, {"colour": colour}),
+    ]

@@ -1,0 +1,90 @@
+"""A street scene in numbers: what stands where, seen from where, in which light and fog.
+
+A `WorldSpec` holds no chance any more: `crossroads` makes the same stage of the
+same spec, and `recipe` draws specs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from synfog_usd.world.street import ground_height
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where one component stands.
+
+    Attributes:
+        group: name of the group prim; name: prim name; asset: folder of the component.
+        x, y: [m]; heading: degrees counter-clockwise from +Y.
+        variants: selections that always hold; lit: selections while lamps are on.
+        z: height [m], or None for the ground's.
+        size: uniform scale.
+    """
+
+    group: str
+    name: str
+    asset: str
+    x: float
+    y: float
+    heading: float = 0.0
+    variants: Mapping[str, str] = field(default_factory=dict)
+    lit: Mapping[str, str] = field(default_factory=dict)
+    z: float | None = None
+    size: float = 1.0
+
+    @property
+    def height(self) -> float:
+        """Height of the origin above z = 0 [m]."""
+        return ground_height(self.x, self.y) if self.z is None else self.z
+
+
+@dataclass(frozen=True)
+class View:
+    """The camera behind the windscreen; its car's headlights go with it.
+
+    Attributes:
+        x, y, z: of the lens [m].
+        tilt, heading: degrees from looking straight down, and counter-clockwise from +Y.
+        focal_length: for an aperture 0.36 wide, both in tenths of a metre as USD has them.
+    """
+
+    x: float
+    y: float
+    z: float
+    tilt: float = 91.2
+    heading: float = 1.2
+    focal_length: float = 0.345
+
+
+@dataclass(frozen=True)
+class WorldSpec:
+    """Everything that decides a stage of the crossing.
+
+    Attributes:
+        about: one sentence, the stage's documentation.
+        placed: whatever stands in the streets.
+        view: the camera.
+        fog: variant name -> visibility (MOR) [m], None for clear air.
+        fog_selected: the variant that an opened stage shows.
+        overcast_nits, dusk_nits: luminance at the zenith of the two skies [cd m-2].
+        scatter: number of the streams that strew leaves and light windows.
+        origin: what drew it, or {} where nothing did.
+    """
+
+    about: str
+    placed: tuple[Placement, ...]
+    view: View
+    fog: Mapping[str, float | None]
+    fog_selected: str
+    overcast_nits: float
+    dusk_nits: float
+    scatter: int = 0
+    origin: Mapping[str, str] = field(default_factory=dict)
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON has it: mappings, lists, numbers and texts."""
+        return asdict(self)
