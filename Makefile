@@ -7,7 +7,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 OUT    ?= out/demo
 
-.PHONY: demo test test-slow setup llvm lint lock wheel clean
+.PHONY: demo test test-slow setup libs llvm lint lock wheel clean
 
 demo: setup llvm
 	$(BIN)/synfog-usd info
@@ -37,8 +37,16 @@ $(VENV)/.done: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[dev]"
 	@touch $@
 
+# What the wheels of Dr.Jit (libatomic) and PyMeshLab (libGL, libOpenGL) expect of the system; a Debian without a desktop has none of it.
+LIBS := libatomic1 libgl1 libopengl0
+libs: setup
+	@$(BIN)/python -c "import ctypes as c; [c.CDLL(name) for name in ('libatomic.so.1', 'libGL.so.1', 'libOpenGL.so.0')]" 2>/dev/null \
+	 || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && echo "installing $(LIBS)" \
+	      && apt-get update -qq && apt-get install -y -qq --no-install-recommends $(LIBS) >/dev/null; } \
+	 || { echo "libatomic.so.1, libGL.so.1 or libOpenGL.so.0 is missing: install $(LIBS) (Debian, Ubuntu: apt install $(LIBS)) and try again"; exit 2; }
+
 # Mitsuba compiles its kernels with libLLVM 16 or newer; without one it renders in its scalar mode.
-llvm: setup
+llvm: libs
 	@$(BIN)/python -c "import sys; from synfog_usd.render import backend as b; sys.exit(not (b.find_llvm()[0] or b.has_cuda_driver()))" \
 	 || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && echo "installing libllvm19" \
 	      && apt-get update -qq && apt-get install -y -qq libllvm19 >/dev/null; } \

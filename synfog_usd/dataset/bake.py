@@ -182,7 +182,9 @@ def _write_labels(scene: SceneDict, plan: BakePlan) -> dict[str, str]:
     from synfog_usd.render.shot import load
 
     seen = layers.measure(load(replace(scene, fog=())))
-    writers.write_exr(plan.out / "labels.exr", labels.label_image(seen, scene.things))
+    image = labels.label_image(seen, scene.things)
+    header = {name: str(value) for name, value in image.provenance.items() if name.startswith("cryptomatte/")}  # where Cryptomatte's readers look
+    writers.write_exr(plan.out / "labels.exr", image, attributes=header)
     files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.things))
     return {name: files.sha256_of(plan.out / name) for name in ("labels.exr", "labels.json")}
 

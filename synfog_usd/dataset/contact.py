@@ -51,5 +51,5 @@ def _caption(shot: Shot, row: Mapping[str, Any]) -> str:
     exposed = ""
     if row["exposure"]:
         time_s = row["exposure"]["exposure_s"]
-        exposed = f"   {f'1/{1 / time_s:.0f}' if time_s < 0.5 else f'{time_s:.1f}'} s   ISO {row['exposure']['iso']:.0f}"
+        exposed = f"   {f'1/{1 / time_s:.0f}' if time_s < 0.3 else f'{time_s:.1f}'} s   ISO {row['exposure']['iso']:.0f}"
     return f"{shot.lighting} / {shot.fog}   {seen}{exposed}"

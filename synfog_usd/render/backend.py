@@ -107,6 +107,8 @@ def _prove(variant: str, llvm_library: str = "") -> str:
         return "gave no picture within 120 s"
     if "proved True" in child.stdout:
         return ""
+    if missing := re.search(r"(lib[\w.+-]+): cannot open shared object file", child.stderr):
+        return f"the system library {missing.group(1)} is missing; `make setup libs` names its package"
     lines = [line.strip() for line in child.stderr.splitlines() if line.strip()]
     telling = [line for line in lines if re.search(r"LLVM ERROR|Error|not found|could not|unable", line)]
     return (telling or lines or [f"the trial process ended with code {child.returncode}"])[-1][:200]

@@ -24,7 +24,7 @@ from synfog_usd.translate.camera import read_camera
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.material import GREY, LUMINANCE, Finish, Materials
 from synfog_usd.translate.notes import Notebook
-from synfog_usd.translate.skel import posed
+from synfog_usd.translate.skel import has_skeletons, posed
 from synfog_usd.translate.space import Array, Space, is_similarity, stage_space
 from synfog_usd.translate.texture import ImageReader
 from synfog_usd.translate.walk import Leaf, Owner, Placement, Walk, walk
@@ -96,6 +96,9 @@ def _moment(stage: Usd.Stage, frame: float | None, notes: Notebook) -> Usd.TimeC
     if stage.HasAuthoredMetadata("startTimeCode"):
         notes.info("", f"frame {stage.GetStartTimeCode():g}, the stage's first, is drawn; choose another with --frame")
         return Usd.TimeCode(stage.GetStartTimeCode())
+    if has_skeletons(stage):
+        notes.info("", "frame 0 is drawn, because the stage names no first frame and its characters need one; choose another with --frame")
+        return Usd.TimeCode(0.0)
     return Usd.TimeCode.Default()
 
 

@@ -17,7 +17,7 @@ MAX_PRIMS = 2_000_000
 
 def posed(stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook) -> Usd.Stage:
     """The stage itself where nothing is skinned, else a copy of it with the pose baked in."""
-    if not _has_skeletons(stage):
+    if not has_skeletons(stage):
         return stage
     roots = []
     for count, prim in enumerate(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())):
@@ -30,6 +30,9 @@ def posed(stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook) -> Usd.Stage:
         for root in roots:
             _open_instances(copy, root.GetPath())
         moment = time.GetValue() if not time.IsDefault() else 0.0
+        for prim in Usd.PrimRange(copy.GetPseudoRoot()):
+            if prim.IsA(UsdSkel.Animation):
+                _give_key(prim, moment)
         if not UsdSkel.BakeSkinning(Usd.PrimRange(copy.GetPseudoRoot()), Gf.Interval(moment, moment)):
             for root in roots:
                 notes.warn(root.GetPath(), "the pose cannot be computed; the character stands as it was modelled")
@@ -37,7 +40,17 @@ def posed(stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook) -> Usd.Stage:
     return copy
 
 
-def _has_skeletons(stage: Usd.Stage) -> bool:
+def _give_key(animation: Usd.Prim, moment: float) -> None:
+    """Write what an animation is at a moment as a key of its own: BakeSkinning passes over a moment that has none."""
+    for name in ("translations", "rotations", "scales", "blendShapeWeights"):
+        attribute = animation.GetAttribute(name)
+        value = attribute.Get(moment) if attribute.GetNumTimeSamples() else None
+        if value is not None:
+            attribute.Set(value, moment)
+
+
+def has_skeletons(stage: Usd.Stage) -> bool:
+    """Whether anything on a stage is posed by bones."""
     return any(prim.IsA(UsdSkel.Root) for top in [stage.GetPseudoRoot(), *stage.GetPrototypes()] for prim in Usd.PrimRange(top))
 
 

@@ -145,10 +145,32 @@ def _mesh_boundary(vertices: Array, faces: npt.NDArray[np.int64], path: object) 
     count = _open_edges((points, triangles))
     if count:
         raise StageError(f"{path}: a fog boundary with {count} open or badly joined edges; close the mesh, so that inside and outside are clear")
+    if (cuboid := _cuboid(points)) is not None:
+        return Boundary("box", cuboid)
     a, b, c = (points[triangles[:, k]] for k in range(3))
     if np.einsum("ij,ij->", a - points[0], np.cross(b - points[0], c - points[0])) < 0.0:
         triangles = triangles[:, ::-1]
     return Boundary("mesh", np.eye(4), points, triangles)
+
+
+def _cuboid(points: Array) -> Array | None:
+    """(4, 4) matrix that takes [-1, 1]^3 to a closed mesh of 8 corners, if it is a box: tools that know no Cube write such a mesh."""
+    if len(points) != 8:
+        return None
+    centre = points.mean(axis=0)
+    by_distance = points[np.argsort(((points - points[0]) ** 2).sum(axis=1))]
+    for second in range(2, 5):  # the nearest is a neighbour, the second of three is among the next, and the third among the five nearest
+        for third in range(second + 1, 6):
+            edges = by_distance[[1, second, third]] - points[0]
+            signs = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, -1).T
+            corners = points[0] + signs @ edges
+            nearest = np.linalg.norm(corners[:, None] - points[None], axis=2)
+            size = np.abs(edges).max()
+            if nearest.min(axis=1).max() < 1e-5 * size and len(set(nearest.argmin(axis=1))) == 8:
+                matrix = np.eye(4)
+                matrix[:3, :3], matrix[:3, 3] = edges.T / 2.0, centre
+                return matrix
+    return None
 
 
 def _welded(vertices: Array, faces: npt.NDArray[np.int64]) -> tuple[Array, npt.NDArray[np.int64]]:

@@ -121,7 +121,6 @@ def test_the_matte_can_be_found_by_other_programs(layers):
     assert (facts["cryptomatte/f834d0a/hash"], facts["cryptomatte/f834d0a/conversion"]) == ("MurmurHash3_32", "uint32_to_float32")
 
 
-@pytest.mark.xfail(strict=True, reason="the facts stand in one JSON attribute, synfog:provenance, where no other program looks")
 def test_another_program_finds_the_mattes_in_the_file(layers, tmp_path, monkeypatch):
     """As Cryptomatte's readers do: header attributes cryptomatte/<key>/name, the channels <name>00.R and .G, names from the manifest."""
     import OpenImageIO

@@ -233,19 +233,16 @@ def test_the_picture_of_them_is_right_way_up_and_not_brighter_than_the_sky(parke
     assert near < 250.0 and 1.5 * near < far < light[:20].mean()  # albedo 0.12: less than a quarter of the sky even with its gloss
 
 
-BETWEEN_KEYS = pytest.mark.xfail(strict=True, reason="UsdSkel.BakeSkinning skips a frame at which the animation has no key: the body stays as it was modelled")
-
-
 @pytest.mark.parametrize(
     "name, frame",
     [
         ("CesiumMan", 1.0),
         ("CesiumMan", 12.0),
         ("RiggedFigure", 0.0),
-        pytest.param("CesiumMan", 0.0, marks=BETWEEN_KEYS),
-        pytest.param("CesiumMan", 7.3, marks=BETWEEN_KEYS),
-        pytest.param("RiggedFigure", 1.0, marks=BETWEEN_KEYS),
-        pytest.param("RiggedFigure", 12.0, marks=BETWEEN_KEYS),
+        ("CesiumMan", 0.0),
+        ("CesiumMan", 7.3),
+        ("RiggedFigure", 1.0),
+        ("RiggedFigure", 12.0),
     ],
 )
 def test_people_are_posed_at_any_frame(name, frame):

@@ -69,9 +69,9 @@ def test_custom_properties_count_also_on_the_parent(empty, polygon_mesh, name, o
     mesh = polygon_mesh(stage, "/Box/Mesh", BOX, [4] * 6, QUADS)
     (parent if on_parent else mesh).GetPrim().CreateAttribute(name, TYPES.Double, custom=True).Set(75.0)
     scene = translate(stage)
-    assert [v.boundary.kind for v in scene.fog] == ["mesh"]
+    assert [v.boundary.kind for v in scene.fog] == ["box"]
     np.testing.assert_allclose(scene.fog[0].medium.visibility_m, 75.0)
-    np.testing.assert_allclose(np.abs(scene.fog[0].boundary.vertices).max(axis=0), [20, 20, 10])
+    np.testing.assert_allclose(np.abs(scene.fog[0].boundary.surface_points()).max(axis=0), [20, 20, 10])
     assert not any(key.startswith("shape_") for key in scene.world)
 
 
@@ -228,7 +228,30 @@ def test_the_exported_fog_box_is_fog():
     scene = translate(Usd.Stage.Open(str(SHARED / "blender501" / "street_zup.usda")))
     (volume,) = scene.fog
     np.testing.assert_allclose(volume.medium.visibility_m, 300.0)
-    np.testing.assert_allclose(np.ptp(volume.boundary.vertices, axis=0), [40, 140, 20], rtol=1e-6)
+    np.testing.assert_allclose(np.ptp(volume.boundary.surface_points(), axis=0), [40, 140, 20], rtol=1e-6)
     assert volume.boundary.contains(scene.camera.to_world[:3, 3])[0]
     kinds = sorted(part["emitter"]["type"] if "emitter" in part else part["type"] for key, part in scene.world.items() if key.startswith(("shape_", "light_")))
     assert kinds == ["area"] * 4 + ["constant", "directional"] + ["mesh"] * 5 + ["spot"]
+
+
+def test_a_mesh_that_is_a_box_becomes_one():
+    """Turned, stretched and moved boxes are told from their eight corners, with their volume; a bent one is not mistaken for one."""
+    import trimesh
+
+    from synfog_usd.translate.volume import _mesh_boundary
+
+    draw = np.random.default_rng(3)
+    for _ in range(50):
+        edges = draw.uniform(0.5, 40.0, 3)
+        solid = trimesh.creation.box(extents=edges, transform=trimesh.transformations.random_rotation_matrix(draw.random(3)))
+        solid.apply_translation(draw.uniform(-50, 50, 3))
+        found = _mesh_boundary(np.asarray(solid.vertices), np.asarray(solid.faces), "/Fog")
+        assert found.kind == "box"
+        np.testing.assert_allclose(8 * abs(np.linalg.det(found.to_world[:3, :3])), edges.prod(), rtol=1e-9)
+        inside = solid.vertices.mean(axis=0) + 0.98 * (solid.vertices - solid.vertices.mean(axis=0))
+        outside = solid.vertices.mean(axis=0) + 1.02 * (solid.vertices - solid.vertices.mean(axis=0))
+        assert found.contains(inside).all() and not found.contains(outside).any()
+    bent = trimesh.creation.box()
+    corners = np.asarray(bent.vertices).copy()
+    corners[0] *= 1.5
+    assert _mesh_boundary(corners, np.asarray(bent.faces), "/Fog").kind == "mesh"
