@@ -13,7 +13,7 @@ import importlib.metadata
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,19 +76,18 @@ def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], N
     graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
     stage = usd.open_stage(plan.stage)
     todo = shots(plan, usd.variants(stage))
-    first = _translate(stage, todo[0], plan)
-    if plan.strict and any(note.severity == "warning" for note in first.notes):
-        raise StrictError("\n".join(f"{note.path or plan.stage}: {note.text}" for note in first.notes if note.severity == "warning"))
-    if all(shot.mor_m is None for shot in todo) and not any(_translate(stage, shot, plan).fog for shot in todo):
+    first, notes, foggy = _survey(stage, todo, plan)
+    if plan.strict and any(note.severity == "warning" for note in notes):
+        raise StrictError("\n".join(f"{note.path or plan.stage}: {note.text}" for note in notes if note.severity == "warning"))
+    if all(shot.mor_m is None for shot in todo) and not foggy:
         tell(f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog (see docs/artists.md).")
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
     metered = bool({"exposure_s", "iso"} & set(graph.settings_needed))
     facts = _facts(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
-    facts["notes"] = [{"severity": note.severity, "path": note.path, "text": note.text} for note in first.notes]
 
     with _only_writer(plan.out):
         files.remove_leftovers(plan.out)
-        ledger = _Ledger(plan.out, facts)
+        ledger = _Ledger(plan.out, facts, notes)
         if not ledger.labels_done():
             progress("labels", 0.0)
             ledger.add_labels(_write_labels(first, plan))
@@ -116,7 +115,27 @@ def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], N
                 tell(f"{shot.folder}: {warning}")
         ledger.finish(todo, contact.write(plan.out, todo, ledger.rows))
     progress("done", 1.0)
-    return Baked(ledger.manifest(todo), seconds, kept, first.notes)
+    return Baked(ledger.manifest(todo), seconds, kept, notes)
+
+
+def _survey(stage: Any, todo: Sequence[Shot], plan: BakePlan) -> tuple[SceneDict, tuple[Note, ...], bool]:
+    """Translate every lighting once and every fog once, before anything is rendered.
+
+    Returns:
+        the first shot's scene, what any of them had to report, and whether one has fog.
+    """
+    first = _translate(stage, todo[0], plan)
+    notes, foggy = dict.fromkeys(first.notes), bool(first.fog)
+    lightings, fogs = {todo[0].lighting}, {todo[0].fog}
+    for shot in todo[1:]:
+        if shot.lighting in lightings and shot.fog in fogs:
+            continue
+        lightings.add(shot.lighting)
+        fogs.add(shot.fog)
+        scene = _translate(stage, shot, plan)
+        notes |= dict.fromkeys(scene.notes)
+        foggy |= bool(scene.fog)
+    return first, tuple(notes), foggy
 
 
 def _translate(stage: Any, shot: Shot, plan: BakePlan) -> SceneDict:
@@ -211,8 +230,9 @@ def _facts(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> di
 class _Ledger:
     """What is finished in an output folder, kept in `bake.json` after every shot."""
 
-    def __init__(self, out: Path, facts: Mapping[str, Any]) -> None:
+    def __init__(self, out: Path, facts: Mapping[str, Any], notes: Sequence[Note]) -> None:
         self.out, self.facts = out, dict(facts)
+        self.notes = [{"severity": note.severity, "path": note.path, "text": note.text} for note in notes]
         self.rows: dict[str, dict[str, Any]] = {}
         self.labels: dict[str, str] = {}
         self.contact: dict[str, str] = {}
@@ -249,7 +269,7 @@ class _Ledger:
     def manifest(self, order: tuple[Shot, ...]) -> dict[str, Any]:
         folders = [shot.folder for shot in order]
         ordered = [self.rows[folder] for folder in folders] + [self.rows[folder] for folder in sorted(self.rows) if folder not in folders]
-        return {"schema": "synfog-usd/bake", "version": 1, **self.facts, "labels": self.labels, "contact": self.contact, "shots": ordered}
+        return {"schema": "synfog-usd/bake", "version": 1, **self.facts, "notes": self.notes, "labels": self.labels, "contact": self.contact, "shots": ordered}
 
 
 @contextlib.contextmanager

@@ -24,7 +24,7 @@ from synfog_usd.scene import Camera, SceneDict
 LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea")
 
 GRID_SLICES = 512
-"""Height steps of an exponential fog; linear between them, a thickness of H/10 errs by 0.1 %."""
+"""Height steps of an exponential fog; linear between them, a step of a tenth of the scale height errs by (1/10)^2 / 8 = 0.13 %."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from synfog_usd.scene import SceneDict
 AUTO = "auto"
 
 RR_DEPTH = 8
-"""Events before Russian roulette.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8 and 16 alike, 2 and 40 a fifth to a quarter worse."""
+"""Events before Russian roulette.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8 and 16 alike, 2 and 40 up to a quarter worse."""
 
 
 @dataclass(frozen=True)

@@ -243,6 +243,26 @@ def test_strict_stops_at_what_is_not_understood(tmp_path):
     assert not (tmp_path / "b").exists()
 
 
+def test_what_only_another_lighting_holds_is_reported_too(tmp_path):
+    """A prim that exists in the second lighting alone is warned of, kept in the manifest, and stops a strict bake."""
+    path = tmp_path / "odd.usda"
+    text = street().replace('"active" {', '"active" {\n            def Volume "Smoke"\n            {\n            }')
+    path.write_text(text)
+    small = ["--fog", "clear", "--resolution", "32x18", "--samples", "4"]
+    loose = run("bake", path, "-o", tmp_path / "a", *small)
+    assert loose.returncode == 0 and "/World/Smoke" in loose.stderr
+    assert "/World/Smoke" in [note["path"] for note in json.loads((tmp_path / "a" / "bake.json").read_text())["notes"]]
+    refused(run("bake", path, "-o", tmp_path / "b", "--strict", *small), "/World/Smoke", code=1)
+
+
+def test_another_choice_of_shots_adds_to_a_folder(tmp_path, stage):
+    """Baking a second lighting into the same folder keeps the first one's shot and its row."""
+    small = ["-o", tmp_path / "out", "--fog", "clear", "--resolution", "32x18", "--samples", "4", "--json"]
+    assert run("bake", stage, "--lighting", "sky", *small).returncode == 0
+    rows = json.loads(run("bake", stage, "--lighting", "active", *small).stdout)["shots"]
+    assert [row["lighting"] for row in rows] == ["active", "sky"]
+
+
 def test_two_bakes_do_not_write_into_one_folder(unbroken, stage):
     """The second is refused while the first holds the folder."""
     import fcntl
