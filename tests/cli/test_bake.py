@@ -129,10 +129,15 @@ def test_a_finished_bake_is_not_rendered_again_and_a_damaged_shot_is(unbroken, s
     assert hashes(out) == before
 
 
+def obeying_ctrl_c():
+    """A shell starts background jobs with SIGINT ignored, and children inherit that; a user's terminal does not."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_ctrl_c_ends_within_two_seconds_and_keeps_finished_shots(stage, tmp_path):
     """SIGINT while a shot is rendered: exit code 130, no temporary file, finished shots stay."""
     out = tmp_path / "out"
-    child = subprocess.Popen(command(*arguments(stage, out)[:-4], "--samples", "4096"), stderr=subprocess.PIPE, text=True)
+    child = subprocess.Popen(command(*arguments(stage, out)[:-4], "--samples", "4096"), stderr=subprocess.PIPE, text=True, preexec_fn=obeying_ctrl_c)
     wait_for_shots(out, 1, child)
     time.sleep(0.3)
     began = time.monotonic()
