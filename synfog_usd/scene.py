@@ -98,6 +98,7 @@ class SceneDict:
         fog: fog volumes; the innermost one that contains the camera surrounds it.
         things: what the label ids mean, ids 1..K in order.
         thing_of: (shape key,) or (instance key, key in its group) -> label id.
+        group_of: key of a lamp in `world` -> its light group: 'sky', 'headlights' (all lamps of vehicles), 'street_lamps', 'other', or an author's own.
         origin_m: what was subtracted from every stage position, in metres, Z up, float64.
         notes: what was left out or made simpler.
     """
@@ -107,5 +108,6 @@ class SceneDict:
     fog: tuple[FogVolume, ...] = ()
     things: tuple[Thing, ...] = ()
     thing_of: Mapping[tuple[str, ...], int] = field(default_factory=dict)
+    group_of: Mapping[str, str] = field(default_factory=dict)
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[Note, ...] = ()

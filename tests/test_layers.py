@@ -30,6 +30,7 @@ HEAVY = {
     "drjit": {"render"},
     "OpenImageIO": {"graph", "camera", "writers", "study", "translate/texture.py", "world"},
     "matplotlib": {"study"},
+    "pyoidn": {"render"},
 }
 """Library -> where it may be imported."""
 

@@ -99,6 +99,30 @@ def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) ->
     return _chosen(green, strongest, light.luminance(frame)[::2, ::2].ravel().astype(np.float64), sensor, 2.0**compensation_ev, fixed_s, fixed_iso)
 
 
+def sensitivity(radiance: Image, graph: NodeGraph, exposure: Exposure) -> tuple[float, float] | None:
+    """What a pixel makes of light, by running the graph on an even grey frame.
+
+    Args:
+        radiance: any frame of the shot; its geometry is used, not its pixels.
+        graph: with one 'sensor.adc' node.
+        exposure: that it will be developed with.
+
+    Returns:
+        electrons of 1 cd m-2 in the middle of the frame [e-], and the noise that does not depend on light [e-]; None where the graph has no such node.
+    """
+    nodes = graph.nodes_with("sensor.adc")
+    inputs = [name for name, port in graph.inputs.items() if port.quantity is Quantity.RADIANCE]
+    if len(nodes) != 1 or len(inputs) != 1 or not exposure.mean_cd_m2 > 0.0:
+        return None
+    level = np.float32(0.3 * exposure.mean_cd_m2)
+    grey = radiance.with_pixels(np.full((32, 48, len(radiance.channels)), level, dtype=np.float32))
+    seen = graph.run({inputs[0]: grey}, seed=0, settings=exposure.settings, until=nodes[0].name, keep=[nodes[0].name])[nodes[0].name]
+    gain = float(seen.provenance["system_gain_dn_e"])
+    signal = float(seen.pixels[8:-8, 12:-12].mean()) - float(seen.provenance["black_level_dn"])
+    nits = float(light.luminance(grey).mean())
+    return (max(signal, 0.0) / gain / nits, float(seen.provenance["total_dark_noise_dn"]) / gain) if signal > 0.0 else None
+
+
 def _chosen(
     green: np.ndarray,
     strongest: np.ndarray,

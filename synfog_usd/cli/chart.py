@@ -1,26 +1,58 @@
-"""`synfog-usd chart`: speed against accuracy on one shot."""
+"""`synfog-usd chart`: speed against accuracy on one shot, or on every stage of a folder."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from synfog_usd.cli.progress import shown
+
+if TYPE_CHECKING:
+    from synfog_usd.study.chart import Chart
 
 
 def run(plan: dict[str, Any], *, quiet: bool) -> None:
     """Sweep as the command line asked for, print the table, and say where the drawings are."""
     from synfog_usd.study import chart as study
+    from synfog_usd.study import page
 
+    made = study.ChartPlan(**plan)
+    if made.stage.is_dir():
+        with shown(quiet) as (progress, _):
+            charts = study.suite(made, progress=progress)
+        if not quiet:
+            for name, chart in charts.items():
+                _note(name, chart)
+                print(name)
+                for line in page.verdicts(name, chart.points):
+                    print(f"  {line}")
+            print(f"look at {made.out / study.SUITE_NAMES[-1]}")
+        return
     with shown(quiet) as (progress, _):
-        points = study.chart(study.ChartPlan(**plan), progress=progress)
+        chart = study.chart(made, progress=progress)
     if quiet:
         return
-    first = points[0]
-    print(f"{'model':<9}{'samples':>8}{'seconds':>10}{'first call':>12}{'RMS error':>11}{'95th pct.':>11}{'bias':>10}{'std. err.':>11}")
+    _note(made.stage.name, chart)
+    _table(chart)
+    for line in page.verdicts(made.stage.stem, chart.points):
+        print(line)
+    print(f"look at {made.out / study.NAMES[-1]}")
+
+
+def _note(name: str, chart: Chart) -> None:
+    for note in chart.notes:
+        print(f"{name}: {note}")
+
+
+def _table(chart: Chart) -> None:
+    points = chart.points
+    first, width = points[0], max(len(point.line) for point in points) + 1
+    head: Sequence[str] = ("samples", "seconds", "total", "noise", "bias", "95th pct.", "FLIP", "mean bias", "std. err.")
+    print(f"{'model':<{width}}" + "".join(f"{name:>11}" for name in head))
     for point in points:
+        bias = f"{point.bias_rms:.2%}" if point.bias_is_seen else f"< {point.bias_limit:.2%}"
         print(
-            f"{point.model:<9}{point.samples:>8}{point.seconds:>8.2f} s{point.first_call_s:>10.2f} s"
-            f"{point.relative_rms:>11.2%}{point.p95:>11.2%}{point.bias:>+10.3%}{point.bias_error:>11.3%}"
+            f"{point.line:<{width}}{point.samples:>11}{point.seconds:>9.2f} s{point.relative_rms:>11.2%}{point.noise_rms:>11.2%}{bias:>11}"
+            f"{point.p95:>11.2%}{point.flip:>11.4f}{point.bias:>+11.3%}{point.bias_error:>11.3%}" + (" <- planned" if point.planned else "")
         )
     print(f"reference: {first.reference_model}, {first.reference_samples} samples, itself known to {first.reference_rms:.2%}; {first.variant}, {first.machine}")
-    print(f"look at {plan['out'] / study.NAMES[-1]}")

@@ -37,8 +37,15 @@ def bake(
     camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
     frame: Annotated[float | None, typer.Option(help="Time code.")] = None,
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None,
-    model: Annotated[str, typer.Option(help="How light is transported: path, volpath, or auto for the cheapest that holds.")] = "auto",
-    samples: Annotated[int, typer.Option(help="Paths per pixel.")] = 64,
+    model: Annotated[
+        str, typer.Option(help="How light is transported: slab, single, path, path+slab, volpath ...; auto tries them small and takes the cheapest that holds.")
+    ] = "auto",
+    samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 256,
+    target_error: Annotated[
+        float | None, typer.Option(help="Relative error of a pixel to stop at, as 0.01; a third of the sensor's noise if left out.")
+    ] = None,
+    time_limit: Annotated[float | None, typer.Option(help="Seconds a shot after which no more samples are begun.")] = None,
+    denoise: Annotated[bool, typer.Option("--denoise", help="Smooth surfaces and airlight apart (Open Image Denoise).")] = False,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
     strict: Annotated[bool, typer.Option("--strict", help="Stop, with exit code 1, at whatever is not understood.")] = False,
@@ -60,6 +67,9 @@ def bake(
             size=_size(resolution),
             model=model,
             samples=samples,
+            target_error=target_error,
+            time_limit_s=time_limit,
+            denoise=denoise,
             seed=seed,
             variant=variant,
             strict=strict,
@@ -97,20 +107,36 @@ def check(
 
 @app.command()
 def chart(
-    stage: Annotated[Path, typer.Argument(help="USD file.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for chart.csv, chart.svg and chart.png.")],
+    stage: Annotated[Path | None, typer.Argument(help="USD file, or a folder of them.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for chart.csv, chart.svg, chart.png and chart.html.", show_default=False)] = None,
+    suite: Annotated[bool, typer.Option("--suite", help="Every shipped stage of stages/bench, with index.html and summary.csv.")] = False,
     fog: Annotated[str | None, typer.Option(help="One fog: a variant of the stage, clear, or mor<metres>; as the stage has it if left out.")] = None,
     lighting: Annotated[str | None, typer.Option(help="One lighting; as the stage has it if left out.")] = None,
     camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
     resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "160x90",
-    samples: Annotated[str, typer.Option(help="Paths per pixel to try, comma-separated.")] = "4,16,64",
+    samples: Annotated[str | None, typer.Option(help="Paths per pixel to try, comma-separated; 8,32,128,512 and for peers 8,32,128 if left out.")] = None,
     models: Annotated[str | None, typer.Option(help="Models to compare, comma-separated; all that hold for the shot if left out.")] = None,
-    reference: Annotated[int | None, typer.Option(help="Paths per pixel of the reference; 16 times the largest of --samples if left out.")] = None,
+    depth: Annotated[str, typer.Option(help="Numbers of scatterings at which path is cut, comma-separated, or none.")] = "4",
+    bands: Annotated[str, typer.Option(help="Numbers of wavelength bands for path, comma-separated, or none.")] = "none",
+    denoise: Annotated[bool, typer.Option(help="Show unbiased models denoised too.")] = True,
+    reference: Annotated[int | None, typer.Option(help="Paths per pixel of the reference; by the sweep and the time limit if left out.")] = None,
+    time_limit: Annotated[
+        float | None, typer.Option(help="Seconds of rendering a stage, a model's first point not counted; 90 if left out, or none where --samples is given.")
+    ] = None,
+    target: Annotated[float, typer.Option(help="Total error for which the planner is asked; its choice is ringed.")] = 0.03,
     seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0,
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
 ) -> None:
-    """Chart what accuracy costs: seconds against error of every model on one shot of STAGE."""
+    """Chart what accuracy costs: seconds against error of every model on one shot of STAGE, or on every stage of a folder."""
+    if suite == (stage is not None):
+        raise ParameterError("chart: takes either a STAGE (a file, or a folder of them) or --suite")
+    if out is None:
+        raise ParameterError("chart: needs --out FOLDER")
+    if stage is None:
+        from synfog_usd.resources import folder
+
+        stage = folder("stages") / "bench"
     plan = dict(
         stage=stage,
         out=out,
@@ -118,9 +144,14 @@ def chart(
         lighting=lighting,
         camera=camera,
         size=_size(resolution),
-        samples=_counts(samples, "--samples"),
+        samples=_counts(samples, "--samples") if samples is not None else None,
         models=_names(models, "--models"),
+        depth=() if depth == "none" else _counts(depth, "--depth"),
+        bands=() if bands == "none" else _counts(bands, "--bands"),
+        denoise=denoise,
         reference_samples=reference,
+        time_limit=time_limit,
+        target=target,
         seed=seed,
         variant=variant,
     )
@@ -177,18 +208,30 @@ def info(
 
 
 @app.command()
-def selftest(variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto") -> None:
-    """Measure known answers on this machine; exit code 1 if one is missed."""
+def selftest(
+    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
+    quick: Annotated[bool, typer.Option("--quick", help="A few of the cases; under 40 s.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON on standard output.")] = False,
+) -> None:
+    """Measure known answers with every model on this machine; exit code 1 if one is missed."""
+    import time
+
     from synfog_usd.render import backend
     from synfog_usd.study import selftest as study
 
-    print(f"backend: {backend.start(variant).variant}")  # type: ignore[arg-type]
-    missed = 0
-    for result in study.run():
-        missed += not result.passed
-        word = "ok    " if result.passed else "MISSED"
-        print(f"{word}  measured {result.measured:.5f}  truth {result.truth:.5f}  resolves {result.resolves:.2%}  {result.name}", flush=True)
-    raise typer.Exit(1 if missed else 0)
+    chosen = backend.start(variant).variant  # type: ignore[arg-type]
+    print(f"backend: {chosen}", file=sys.stderr if as_json else sys.stdout, flush=True)
+    cases, rows, start = study.select(quick), [], time.monotonic()
+    for index, row in enumerate(study.run(cases), 1):
+        rows.append(row)
+        print(f"{index:3}/{len(cases)}  {time.monotonic() - start:5.0f} s  {row[0].case}", file=sys.stderr, flush=True)
+    if as_json:
+        print(json.dumps({"variant": chosen, "cases": [result.as_dict() for row in rows for result in row]}, indent=2))
+    else:
+        print(study.table(rows))
+        print("!: missed and counted; (): outside the model's stated domain; NaN: paths that were not finite; volpath and volpathmis are shown, not counted")
+        print(study.summary(rows))
+    raise typer.Exit(1 if any(result.failed for row in rows for result in row) else 0)
 
 
 @graph_app.command("check")

@@ -97,6 +97,7 @@ def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], N
             tell(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
         seconds: dict[str, float] = {}
         exposures: dict[str, Any] = {}
+        pixels: dict[str, Any] = {}  # what a pixel makes of light, by lighting
         for index, shot in enumerate(unfinished):
             began = time.perf_counter()
 
@@ -107,8 +108,10 @@ def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], N
             scene = first if shot == todo[0] else _translate(stage, shot, plan)
             if metered and shot.lighting not in exposures:
                 step("metering", 0.01)
-                exposures[shot.lighting] = camera.meter(_clear_frame(stage, shot, plan), graph)
-            row = _make(shot, scene, exposures.get(shot.lighting), graph, plan, step)
+                clear = _clear_frame(stage, shot, plan)
+                exposures[shot.lighting] = camera.meter(clear, graph)
+                pixels[shot.lighting] = camera.sensitivity(clear, graph, exposures[shot.lighting])
+            row = _make(shot, scene, exposures.get(shot.lighting), pixels.get(shot.lighting), graph, plan, step)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
             for warning in row["warnings"]:
@@ -157,13 +160,24 @@ def _clear_frame(stage: Any, shot: Shot, plan: BakePlan) -> Image:
     return render(scene, samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=(METER_WIDTH_PX, height)).radiance
 
 
-def _make(shot: Shot, scene: SceneDict, exposure: Any, graph: Any, plan: BakePlan, progress: Progress) -> dict[str, Any]:
+def _make(shot: Shot, scene: SceneDict, exposure: Any, pixel: tuple[float, float] | None, graph: Any, plan: BakePlan, progress: Progress) -> dict[str, Any]:
     """Render and develop one shot, write its files, and give its row of the manifest."""
     from synfog_usd import writers
+    from synfog_usd.render.planner import sensor_target
     from synfog_usd.render.shot import render
 
     seed = seed32(plan.seed, shot.lighting, shot.fog)
-    rendered = render(scene, model=plan.model, samples=plan.samples, seed=seed, progress=lambda what, fraction: progress(what, 0.02 + 0.9 * fraction))
+    rendered = render(
+        scene,
+        model=plan.model,
+        samples=plan.samples,
+        seed=seed,
+        target_error=plan.target_error,
+        sensor_sigma=sensor_target(*pixel) if pixel and plan.target_error is None else None,
+        time_limit_s=plan.time_limit_s,
+        denoise=plan.denoise,
+        progress=lambda what, fraction: progress(what, 0.02 + 0.9 * fraction),
+    )
     progress("developing", 0.93)
     folder = plan.out / shot.folder
     mor = [volume.medium.visibility_m for volume in scene.fog if volume.parent is None]
@@ -173,7 +187,9 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, graph: Any, plan: BakePla
     transmittance = rendered.layers.transmittance_image()
     spread = Image(variance, ("variance.R", "variance.G", "variance.B"), Quantity.DATA)
     writers.write_exr(folder / "radiance.exr", radiance, attributes=marks)
-    writers.write_exr(folder / "layers.exr", [transmittance, spread], attributes=marks)
+    parts = [_named(name, pixels) for name, pixels in rendered.parts.items()]
+    groups = [_named(f"lightgroup_{name}", pixels) for name, pixels in rendered.groups.items()]
+    writers.write_exr(folder / "layers.exr", [transmittance, *parts, spread, *groups], attributes=marks)
     names = ["radiance.exr", "layers.exr"]
     results = graph.run({"radiance": radiance}, seed=seed, settings=exposure.settings if exposure else None, keep=list(graph.outputs.values()))
     for name, node in graph.outputs.items():
@@ -186,13 +202,33 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, graph: Any, plan: BakePla
         "mor_m": round(mor[0], 6) if mor else None,
         "camera": scene.camera.path,
         "size_px": [scene.camera.width_px, scene.camera.height_px],
-        "model": {"name": rendered.model, "why": rendered.why},
-        "samples": plan.samples,
+        "model": {"name": rendered.model, "why": rendered.why, "pilot": _rounded(rendered.figures)},
+        "samples": float(f"{rendered.samples:.5g}"),
+        "target": _target(plan, pixel, rendered.met),
         "relative_error": float(f"{rendered.relative_error:.4g}"),
         "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"} if exposure else None,
         "warnings": list(rendered.warnings),
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
     }
+
+
+def _named(name: str, pixels: Any) -> Image:
+    return Image(pixels, tuple(f"{name}.{channel}" for channel in "RGB"), Quantity.DATA)
+
+
+def _rounded(figures: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    return {model: {name: float(f"{value:.4g}") for name, value in values.items()} for model, values in figures.items()}
+
+
+def _target(plan: BakePlan, pixel: tuple[float, float] | None, met: float | None) -> dict[str, Any]:
+    """What the render was to reach, and the share of its pixels that did."""
+    if plan.target_error is not None:
+        kind: dict[str, Any] = {"relative_error": plan.target_error}
+    elif pixel is not None:
+        kind = {"sensor": {"electrons_per_cd_m2": float(f"{pixel[0]:.4g}"), "dark_noise_e": float(f"{pixel[1]:.4g}"), "share": 1 / 3}}
+    else:
+        kind = {"samples": plan.samples}
+    return kind | ({} if met is None else {"pixels_under_it": round(met, 4)})
 
 
 def _write_labels(scene: SceneDict, plan: BakePlan) -> dict[str, str]:
@@ -220,6 +256,9 @@ def _facts(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> di
             "size_px": list(plan.size) if plan.size else None,
             "model": plan.model,
             "samples": plan.samples,
+            "target_error": plan.target_error,
+            "time_limit_s": plan.time_limit_s,
+            "denoise": plan.denoise,
             "seed": plan.seed,
             "variant": variant,
         },

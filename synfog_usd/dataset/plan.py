@@ -27,7 +27,8 @@ class BakePlan:
         camera: prim path; None is the stage's own choice.
         frame: time code; None is the stage's start.
         size: (width, height) in pixels; None is the stage's own.
-        model, samples, seed: see `render.shot.render`.
+        model, samples, seed, target_error, time_limit_s, denoise: see `render.shot.render`.
+            Without a target error the sensor's own noise is the target.
         variant: Mitsuba backend, see `render.backend.choose`.
         strict: whether a warning of the translation stops the bake.
     """
@@ -41,7 +42,10 @@ class BakePlan:
     frame: float | None = None
     size: tuple[int, int] | None = None
     model: str = "auto"
-    samples: int = 64
+    samples: int = 256
+    target_error: float | None = None
+    time_limit_s: float | None = None
+    denoise: bool = False
     seed: int = 0
     variant: str = "auto"
     strict: bool = False

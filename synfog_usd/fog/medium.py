@@ -1,8 +1,8 @@
 """Fog as a participating medium: how strongly, and where to, it turns light.
 
 Takes a visibility or an extinction; gives sigma_t(height), albedo and phase, and
-the optical depth along rays in closed form.  Knows nothing of USD, Mitsuba or
-files.
+the optical depth along rays in closed form.  What varies sideways too is a
+`DensityGrid`.  Knows nothing of USD, Mitsuba or files.
 """
 
 from __future__ import annotations
@@ -15,15 +15,23 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.errors import ParameterError
+from synfog_usd.fog.grid import DensityGrid
+from synfog_usd.fog.phase import HenyeyGreenstein, Phase
 
 Array = npt.NDArray[np.float64]
-Profile = Literal["uniform", "exponential"]
+Profile = Literal["uniform", "exponential", "grid"]
 
 WMO_CONTRAST = 0.05
 """Contrast threshold of the meteorological optical range, WMO-No. 8, vol. I, ch. 9."""
 
 MAX_EXTINCTION_PER_M = 100.0
 """MOR of 3 cm; denser than any cloud, and a sign of wrong units."""
+
+REFERENCE_NM = 550.0
+"""Wavelength [nm] at which extinctions and visibilities are stated."""
+
+ANGSTROM = (-1.0, 5.0)
+"""Range of Angstrom exponents [1]: fog is 0 (-0.3 to 0.3), haze 1 to 2, air itself 4.1."""
 
 
 def extinction_from_visibility(visibility_m: npt.ArrayLike, *, contrast: float = WMO_CONTRAST) -> Array:
@@ -62,12 +70,16 @@ class FogMedium:
     """One kind of fog.
 
     Attributes:
-        sigma_t_per_m: extinction [1/m] at `base_height_m`, >= 0; grey.
+        sigma_t_per_m: extinction [1/m] at 550 nm, >= 0: at `base_height_m`, or where a grid's density is 1.
         albedo: single-scattering albedo [1], 0 to 1; fog absorbs next to nothing.
-        g: mean cosine of the Henyey-Greenstein phase function, -1 < g < 1.
-        profile: 'uniform', or 'exponential' in height above `base_height_m`.
+        g: mean cosine of the phase function, -1 < g < 1.  Where `phase` is given
+            it is taken from there, whatever is passed.
+        profile: 'uniform', 'exponential' in height above `base_height_m`, or 'grid'.
         base_height_m: height [m] at which `sigma_t_per_m` holds.
         scale_height_m: height [m] over which an exponential fog thins by e, > 0.
+        phase: phase function; None for Henyey-Greenstein's with `g`.
+        angstrom: exponent [1] of the extinction over wavelength, -1 to 5; fog is grey, 0.
+        grid: relative densities in the boundary's box; with profile 'grid' and only then.
     """
 
     sigma_t_per_m: float
@@ -76,20 +88,31 @@ class FogMedium:
     profile: Profile = "uniform"
     base_height_m: float = 0.0
     scale_height_m: float = 50.0
+    phase: Phase | None = None
+    angstrom: float = 0.0
+    grid: DensityGrid | None = None
 
     def __post_init__(self) -> None:
+        if self.phase is not None:
+            object.__setattr__(self, "g", self.phase.mean_cosine)
         if not 0.0 <= self.sigma_t_per_m <= MAX_EXTINCTION_PER_M:
             raise ParameterError(f"sigma_t {self.sigma_t_per_m} 1/m is outside 0 to {MAX_EXTINCTION_PER_M:g}")
         if not 0.0 <= self.albedo <= 1.0:
             raise ParameterError(f"albedo {self.albedo} is outside 0 to 1")
         if not -1.0 < self.g < 1.0:
             raise ParameterError(f"g {self.g} is outside (-1, 1)")
-        if self.profile not in ("uniform", "exponential"):
-            raise ParameterError(f"profile {self.profile!r} is not known; it takes 'uniform' or 'exponential'")
+        if self.profile not in ("uniform", "exponential", "grid"):
+            raise ParameterError(f"profile {self.profile!r} is not known; it takes 'uniform', 'exponential' or 'grid'")
         if not (self.scale_height_m > 0.0 and math.isfinite(self.scale_height_m)):
             raise ParameterError(f"scale height {self.scale_height_m} m is not above 0")
         if not math.isfinite(self.base_height_m):
             raise ParameterError(f"base height {self.base_height_m} m is not finite")
+        if not ANGSTROM[0] <= self.angstrom <= ANGSTROM[1]:
+            raise ParameterError(f"Angstrom exponent {self.angstrom} is outside {ANGSTROM[0]:g} to {ANGSTROM[1]:g}")
+        if (self.grid is not None) != (self.profile == "grid"):
+            raise ParameterError(
+                f"profile {self.profile!r} {'with' if self.grid is not None else 'without'} a density grid; 'grid' needs one, and no other takes one"
+            )
 
     @classmethod
     def from_visibility(cls, visibility_m: float, *, contrast: float = WMO_CONTRAST, albedo: float = 1.0, g: float = 0.87) -> FogMedium:
@@ -101,8 +124,25 @@ class FogMedium:
         """Meteorological optical range [m] at the base height, at the WMO's contrast of 0.05."""
         return -math.log(WMO_CONTRAST) / self.sigma_t_per_m if self.sigma_t_per_m > 0 else math.inf
 
+    @property
+    def phase_function(self) -> Phase:
+        """The phase function, Henyey-Greenstein's where no other was given."""
+        return self.phase if self.phase is not None else HenyeyGreenstein(self.g)
+
+    def extinction_at(self, wavelength_nm: npt.ArrayLike) -> Array:
+        """Extinction at wavelengths [nm], any shape, over that at 550 nm [1]: (lambda / 550)^-angstrom."""
+        wavelength = np.asarray(wavelength_nm, dtype=np.float64)
+        if not np.all(wavelength > 0.0):
+            raise ParameterError(f"wavelength {wavelength_nm!r} nm is not above 0")
+        return np.asarray((wavelength / REFERENCE_NM) ** -self.angstrom)
+
     def sigma_t(self, height_m: npt.ArrayLike) -> Array:
-        """Extinction [1/m] at heights [m]; constant below the base height."""
+        """Extinction [1/m] at heights [m]; constant below the base height.
+
+        Raises:
+            ParameterError: a grid, which is no function of height.
+        """
+        self._must_be_layered()
         height = np.asarray(height_m, dtype=np.float64)
         if self.profile == "uniform":
             return np.full(height.shape, self.sigma_t_per_m)
@@ -117,7 +157,11 @@ class FogMedium:
 
         Returns:
             Integral of sigma_t along each segment, in closed form.
+
+        Raises:
+            ParameterError: a grid, which is no function of height; `FogVolume.optical_depth` takes any.
         """
+        self._must_be_layered()
         length = np.asarray(length_m, dtype=np.float64)
         if self.profile == "uniform":
             return self.sigma_t_per_m * length
@@ -131,6 +175,10 @@ class FogMedium:
             np.exp(-np.maximum(h0, 0.0) / self.scale_height_m),
         )
         return self.sigma_t_per_m * length * mean
+
+    def _must_be_layered(self) -> None:
+        if self.grid is not None:
+            raise ParameterError("the density of a grid is no function of height alone; ask the FogVolume, which knows where the grid lies")
 
 
 def _column(height: Array, scale: float) -> Array:

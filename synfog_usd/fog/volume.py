@@ -1,8 +1,8 @@
 """Where fog is: closed boundaries, what they contain, and which lies in which.
 
-Takes meshes, boxes and spheres in metres; gives containment.  A denser bank may
-lie wholly inside another fog; boundaries that cross have no clear meaning and are
-told apart by `crosses`.  Knows nothing of USD or Mitsuba.
+Takes meshes, boxes and spheres in metres; gives containment and optical depth.  A
+denser bank may lie wholly inside another fog; boundaries that cross have no clear
+meaning and are told apart by `crosses`.  Knows nothing of USD or Mitsuba.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import nnls
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog.medium import FogMedium
@@ -96,6 +97,34 @@ class Boundary:
             grid = grid / np.linalg.norm(grid, axis=1, keepdims=True)
         return (self.to_world @ np.c_[grid, np.ones(len(grid))].T).T[:, :3]
 
+    def frame(self) -> Array:
+        """(4, 4) matrix from [-1, 1]^3 to the box in which a density grid lies; a mesh's is along the world's axes."""
+        if self.vertices is None:
+            return self.to_world
+        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        matrix = np.diag([*((high - low) / 2.0), 1.0])
+        matrix[:3, 3] = (low + high) / 2.0
+        return matrix
+
+    def meets(self, hull_m: Array) -> bool:
+        """Whether the surface has a point in the convex hull of (N, 3) points [m].
+
+        Exact to 1e-6 of the hull's size; touching counts.
+        """
+        if self.kind == "mesh":
+            assert self.vertices is not None and self.faces is not None
+            corners = self.vertices[self.faces]
+            near = np.all((corners.min(axis=1) <= hull_m.max(axis=0)) & (corners.max(axis=1) >= hull_m.min(axis=0)), axis=1)
+            return any(_hulls_meet(hull_m, triangle) for triangle in corners[near])
+        inverse = np.linalg.inv(self.to_world)
+        local = hull_m @ inverse[:3, :3].T + inverse[:3, 3]
+        if self.kind == "box":
+            low, high = np.maximum(local.min(axis=0), -1.0), np.minimum(local.max(axis=0), 1.0)
+            part = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)  # of the box, around the hull
+            return not np.all(np.abs(local) < 1.0) and bool(np.all(low <= high)) and _hulls_meet(local, part)
+        nearest = nnls(np.vstack([local.T, np.ones(len(local))]), np.array([0.0, 0.0, 0.0, 1.0]))[1] ** 2  # is d^2 / (1 + d^2)
+        return bool(nearest <= 0.5 and np.linalg.norm(local, axis=1).max() >= 1.0)
+
     def _winding(self, points: Array) -> Array:
         """Generalised winding number (Jacobson et al. 2013), by solid angles (Van Oosterom and Strackee 1983)."""
         assert self.vertices is not None and self.faces is not None
@@ -127,9 +156,21 @@ class FogVolume:
     priority: int = 0
     parent: int | None = None
 
+    def optical_depth(self, begin_m: Array, end_m: Array) -> Array:
+        """Optical depth (N,) [1] of straight segments inside, from (N, 3) to (N, 3) points [m].
+
+        In closed form; of a grid exact for trilinear densities, to rounding.
+        """
+        length = np.linalg.norm(end_m - begin_m, axis=1)
+        if self.medium.grid is None:
+            return self.medium.optical_depth(begin_m[:, 2], end_m[:, 2], length)
+        inverse = np.linalg.inv(self.boundary.frame())
+        begin, end = (points @ inverse[:3, :3].T + inverse[:3, 3] for points in (begin_m, end_m))
+        return self.medium.sigma_t_per_m * length * self.medium.grid.mean(begin, end)
+
 
 def optical_depth(fog: Sequence[FogVolume], origin_m: Array, direction: Array, length_m: Array) -> Array:
-    """Optical depth along rays through nested fog, in closed form.
+    """Optical depth along rays through nested fog.
 
     Each volume counts where the ray is in it but in none of its children.
 
@@ -142,14 +183,11 @@ def optical_depth(fog: Sequence[FogVolume], origin_m: Array, direction: Array, l
     total = np.zeros(len(origin_m))
     spans = [tuple(np.minimum(end, length_m) for end in volume.boundary.interval(origin_m, direction)) for volume in fog]
 
-    def depth(medium: FogMedium, span: tuple[Array, ...]) -> Array:
-        low, high = (origin_m[:, 2] + end * direction[:, 2] for end in span)
-        return medium.optical_depth(low, high, span[1] - span[0])
-
     for index, volume in enumerate(fog):
-        total += depth(volume.medium, spans[index])
+        ends = [origin_m + end[:, None] * direction for end in spans[index]]
+        total += volume.optical_depth(*ends)
         if volume.parent is not None:
-            total -= depth(fog[volume.parent].medium, spans[index])
+            total -= fog[volume.parent].optical_depth(*ends)
     return total
 
 
@@ -164,3 +202,16 @@ def crosses(one: Boundary, other: Boundary) -> bool:
     if first.all() or second.all():
         return False
     return bool(first.any() or second.any())
+
+
+def _hulls_meet(one: Array, other: Array) -> bool:
+    """Whether the convex hulls of (N, 3) and (M, 3) points have a point in common, to 1e-6 of the first one's size.
+
+    They have where the least-squares problem `one' u = other' v`, sum u = sum v = 1,
+    with u, v >= 0 leaves nothing.
+    """
+    size = np.maximum(np.ptp(one, axis=0), 1e-9 * np.ptp(one))
+    a, b = (one - one[0]) / size, (other - one[0]) / size
+    shares = np.zeros((2, len(a) + len(b)))
+    shares[0, : len(a)] = shares[1, len(a) :] = 1.0
+    return bool(nnls(np.vstack([np.hstack([a.T, -b.T]), shares]), np.array([0.0, 0.0, 0.0, 1.0, 1.0]))[1] < 1e-6)

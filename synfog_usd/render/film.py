@@ -1,12 +1,16 @@
 """Samples spent and counted: the mean of each pixel and how well it is known.
 
-Rays are made here, one contiguous run of lanes per pixel, and summed in that
-order.  Mitsuba's own film adds samples with atomics, whose order changes from run
-to run; this sum does not, so the same seed gives the same bytes.
+Rays are made here and summed in a fixed order.  Mitsuba's own film adds samples
+with atomics, whose order changes from run to run; this sum does not, so the same
+seed gives the same bytes.  With `FogPath` a sample's random numbers depend on its
+pixel and its number alone, and samples are summed in chunks of CHUNK: how many
+pixels or chunks are in flight at once makes no difference.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,76 +18,206 @@ import numpy.typing as npt
 
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
-from synfog_usd.render.fogpath import FogPath
+from synfog_usd.render.fogpath import AIR, LAMPS, LAYERS, SURFACE, FogPath
 from synfog_usd.render.load import Loaded, make_sensor
 from synfog_usd.seeds import seed32
 
 LANES_PER_PASS = 1 << 21
 """Paths in flight at once; measured 0.2 GB above the scene in `volpath`."""
 
-PATHS_PER_PASS = 1 << 22
-"""Paths between two progress reports where lanes are used again; memory is by the pixel."""
+CHUNK = 16
+"""Paths that one lane traces one after the other, and that are summed in float32."""
+
+CHUNKED_LANES = 1 << 18
+"""Lanes at once where each traces a chunk: 0.1 s between two progress reports, and sums of a few hundred MB."""
 
 SCALAR_PASSES = 8
+
+ALL = "all"
+"""The one part and layer of an integrator that tells none apart."""
+
+COST = {SURFACE: 1.0, LAMPS: 1.0, AIR: 2.0}
+"""Seconds of a path of each part, relative; measured in the bench stages within a factor of two, and fixed, so that the same seed gives the same bytes."""
 
 Array = npt.NDArray[np.float64]
 
 
-def expose(loaded: Loaded, integrator: Any, *, samples: int, seed: int, progress: Progress = silent) -> tuple[Array, Array, int]:
+@dataclass
+class Part:
+    """Sums of one part of an image (of all of it, where an integrator does not tell parts apart).
+
+    Attributes:
+        layers: name -> (P, C) sum of the samples.
+        squares: (P, C) sum of their squares.
+        groups: (G, P, C) sums by light group.
+        counts: (P,) samples of each pixel.
+    """
+
+    layers: dict[str, Array]
+    squares: Array
+    groups: Array
+    counts: npt.NDArray[np.int64]
+
+    def mean(self) -> Array:
+        """(P, C)."""
+        return sum(self.layers.values()) / np.maximum(self.counts, 1)[:, None]
+
+    def variance(self) -> Array:
+        """(P, C) variance of the mean; infinite with fewer than two samples."""
+        counts = self.counts[:, None]
+        spread = np.maximum(self.squares / np.maximum(counts, 1) - self.mean() ** 2, 0.0)
+        return np.where(counts > 1, spread / np.maximum(counts - 1, 1), np.inf)
+
+
+@dataclass
+class Exposure:
+    """An image as the sum of its parts, each with samples of its own.
+
+    Attributes:
+        parts: name -> sums; parts are independent of each other.
+        lost: samples that were not finite and count as zero.
+    """
+
+    parts: dict[str, Part]
+    lost: int = 0
+
+    def mean(self) -> Array:
+        """(P, C) all light."""
+        return sum(part.mean() for part in self.parts.values())
+
+    def variance(self) -> Array:
+        """(P, C) variance of the mean."""
+        return sum(part.variance() for part in self.parts.values())
+
+    def layer(self, name: str) -> Array | None:
+        """(P, C) mean of a layer, or None where the integrator does not tell it apart."""
+        found = [part.layers[name] / np.maximum(part.counts, 1)[:, None] for part in self.parts.values() if name in part.layers]
+        if found:
+            return sum(found)
+        first = next(iter(self.parts.values()))
+        return None if ALL in first.layers else np.zeros_like(first.squares)
+
+    def group(self, index: int) -> Array:
+        """(P, C) mean of a light group."""
+        return sum(part.groups[index] / np.maximum(part.counts, 1)[:, None] for part in self.parts.values())
+
+    @property
+    def samples(self) -> int:
+        """Of all parts and pixels."""
+        return int(sum(part.counts.sum() for part in self.parts.values()))
+
+
+def expose(loaded: Loaded, integrator: Any, *, samples: int, seed: int, progress: Progress = silent) -> Exposure:
     """Average `samples` paths through every pixel, with a box filter one pixel wide.
 
     Args:
         loaded: scene and sensor.
-        integrator: a Mitsuba `SamplingIntegrator`, or a `FogPath`.
-        samples: paths per pixel, >= 2 (one has no variance).
+        integrator: a Mitsuba `SamplingIntegrator`, a `FogPath`, or anything with an `expose` of its own.
+        samples: paths per pixel, >= 2 (one has no variance).  A `FogPath` takes as many on the average of
+            its parts, weighted by what they cost: more of the part that is noisier.
         seed: of this image; the same gives the same numbers in the same variant.
         progress: told after each pass.
-
-    Returns:
-        mean radiance (H, W, 3), variance of that mean (H, W, 3), and the number of
-        samples that were not finite and count as zero.
     """
+    if hasattr(integrator, "expose"):
+        return integrator.expose(samples=samples, seed=seed, progress=progress)
+    pixels = loaded.source.camera.width_px * loaded.source.camera.height_px
+    if isinstance(integrator, FogPath):
+        exposure, everywhere = begin(integrator, pixels), np.arange(pixels)
+        if samples < 3 * CHUNK or len(integrator.parts) == 1:
+            extend(exposure, integrator, everywhere, dict.fromkeys(integrator.parts, samples), seed, progress)
+            return exposure
+        first = dict.fromkeys(integrator.parts, CHUNK)
+        extend(exposure, integrator, everywhere, first, seed, lambda what, fraction: progress(what, fraction * CHUNK / samples))
+        more = {part: count - CHUNK for part, count in shares(exposure, samples).items()}
+        extend(exposure, integrator, everywhere, more, seed, lambda what, fraction: progress(what, (CHUNK + fraction * (samples - CHUNK)) / samples))
+        return exposure
     if backend.is_scalar():
         return _expose_scalar(loaded, integrator, samples, seed, progress)
-    pixels = loaded.source.camera.width_px * loaded.source.camera.height_px
-    total, squares, broken, done = np.zeros((pixels, 3)), np.zeros((pixels, 3)), 0, 0
-    regenerates = isinstance(integrator, FogPath)
-    step = max(1, (PATHS_PER_PASS if regenerates else LANES_PER_PASS) // pixels)
+    total, squares, lost, done = np.zeros((pixels, 3)), np.zeros((pixels, 3)), 0, 0
     while done < samples:
-        count = min(samples - done, step)
-        summed, squared, lost = (_regenerated if regenerates else _side_by_side)(loaded, integrator, count, seed32(seed, "pass", done))
-        total, squares, broken, done = total + summed, squares + squared, broken + lost, done + count
+        count = min(samples - done, max(1, LANES_PER_PASS // pixels))
+        summed, squared, broken = _side_by_side(loaded, integrator, count, seed32(seed, "pass", done))
+        total, squares, lost, done = total + summed, squares + squared, lost + broken, done + count
         progress("rendering", done / samples)
-    mean = total / samples
-    variance = np.maximum(squares / samples - mean**2, 0.0) / (samples - 1)
-    shape = (loaded.source.camera.height_px, loaded.source.camera.width_px, 3)
-    return mean.reshape(shape), variance.reshape(shape), broken
+    return whole(total, squares, samples, lost)
 
 
-def _sampler(lanes: int, seed: int) -> Any:
+def whole(total: Array, squares: Array, samples: int, lost: int = 0) -> Exposure:
+    """An image that is not told apart into parts, from sums over its samples."""
+    return Exposure({ALL: Part({ALL: total}, squares, np.zeros((0, *total.shape)), np.full(len(total), samples, dtype=np.int64))}, lost)
+
+
+def shares(exposure: Exposure, samples: int) -> dict[str, int]:
+    """How many samples each part should have, in multiples of CHUNK, at the cost of `samples` of each.
+
+    Variance per sample over cost is evened out: n ~ sqrt(variance / cost), as in
+    Neyman's allocation.  Pixels count by their relative variance, the noisiest
+    hundredth left out, so that one firefly decides nothing.
+    """
+    level = np.maximum(exposure.mean().mean(axis=1), 0.0)
+    scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
+    noise = {}
+    for name, part in exposure.parts.items():
+        relative = (part.variance() * part.counts[:, None]).mean(axis=1) / scale**2
+        noise[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
+    weight = {name: max(np.sqrt(value / COST[name]), 1e-6) for name, value in noise.items()}
+    unit = samples * sum(COST[name] for name in weight) / sum(COST[name] * value for name, value in weight.items())
+    return {name: max(CHUNK, round(unit * value / CHUNK) * CHUNK) for name, value in weight.items()}
+
+
+def begin(integrator: FogPath, pixels: int) -> Exposure:
+    """An image of no samples yet."""
+    groups = integrator.groups if integrator.groups > 1 else 0
+
+    def empty(part: str) -> Part:
+        layers = {name: np.zeros((pixels, 3)) for name in LAYERS[part]}
+        return Part(layers, np.zeros((pixels, 3)), np.zeros((groups, pixels, 3)), np.zeros(pixels, dtype=np.int64))
+
+    return Exposure({part: empty(part) for part in integrator.parts})
+
+
+def extend(exposure: Exposure, integrator: FogPath, pixels: npt.NDArray[np.int64], samples: Mapping[str, int], seed: int, progress: Progress = silent) -> None:
+    """Add samples to each of some pixels.
+
+    Args:
+        pixels: (N,) their numbers, ascending.
+        samples: part -> paths a pixel; a pixel's samples so far must be a multiple of CHUNK.
+    """
+    rows = max(1, CHUNKED_LANES // max(len(pixels), 1))  # chunks of all the pixels at once
+    all_of_it, done = max(len(pixels) * sum(samples.values()), 1), 0
+    for name, count in samples.items():
+        full, rest = divmod(count, CHUNK)
+        started, part_seed = exposure.parts[name].counts[pixels].copy(), seed32(seed, name)
+        work = [(CHUNK, list(range(low, min(low + rows, full)))) for low in range(0, full, rows)] + ([(rest, [full])] if rest else [])
+        for length, chunks in work:
+            for low in range(0, len(pixels), CHUNKED_LANES):
+                some, start = pixels[low : low + CHUNKED_LANES], started[low : low + CHUNKED_LANES]
+                _add(exposure, integrator, name, some, np.concatenate([start + index * CHUNK for index in chunks]), length, len(chunks), part_seed)
+                done += len(some) * length * len(chunks)
+                progress("rendering", done / all_of_it)
+
+
+def _add(
+    exposure: Exposure, integrator: FogPath, name: str, pixels: npt.NDArray[np.int64], first: npt.NDArray[np.int64], count: int, chunks: int, seed: int
+) -> None:
     mi = backend.mitsuba()
     import drjit as dr
 
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, seed), lanes)  # opaque: a literal would compile a kernel per seed
-    return sampler
+    sums = integrator.trace(name, mi.UInt32(np.tile(pixels, chunks).astype(np.uint32)), mi.UInt32(first.astype(np.uint32)), count, seed)
+    dr.eval(sums.layers, sums.squares, sums.groups, sums.lost)
+    part = exposure.parts[name]
 
+    def add(target: Array, colour: Any) -> None:
+        for lane in np.array(colour, dtype=np.float64).T.reshape(chunks, len(pixels), -1):  # chunk by chunk: the order of the sum is fixed
+            target[pixels] += lane
 
-def _corners(loaded: Loaded, index: Any) -> Any:
-    mi = backend.mitsuba()
-    width = loaded.source.camera.width_px
-    return mi.Point2f(mi.Float(index % width), mi.Float(index // width))
-
-
-def _regenerated(loaded: Loaded, integrator: FogPath, count: int, seed: int) -> tuple[Array, Array, int]:
-    """One lane a pixel, which traces its paths one after the other."""
-    mi = backend.mitsuba()
-    import drjit as dr
-
-    pixels = loaded.source.camera.width_px * loaded.source.camera.height_px
-    total, squares, lost = integrator.accumulate(loaded, _sampler(pixels, seed), _corners(loaded, dr.arange(mi.UInt32, pixels)), count)
-    dr.eval(total, squares, lost)
-    return np.array(total, dtype=np.float64).T, np.array(squares, dtype=np.float64).T, int(np.array(lost).sum())
+    for target, layer in zip(part.layers.values(), sums.layers, strict=True):
+        add(target, layer)
+    for target, group in zip(part.groups, sums.groups, strict=True):
+        add(target, group)
+    add(part.squares, sums.squares)
+    part.counts[pixels] += count * chunks
+    exposure.lost += int(np.array(sums.lost).sum())
 
 
 def _side_by_side(loaded: Loaded, integrator: Any, count: int, seed: int) -> tuple[Array, Array, int]:
@@ -93,8 +227,10 @@ def _side_by_side(loaded: Loaded, integrator: Any, count: int, seed: int) -> tup
 
     camera = loaded.source.camera
     lanes = camera.width_px * camera.height_px * count
-    sampler = _sampler(lanes, seed)
-    corner = _corners(loaded, dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, count))
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(dr.opaque(mi.UInt32, seed), lanes)  # opaque: a literal would compile a kernel per seed
+    index = dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, count)
+    corner = mi.Point2f(mi.Float(index % camera.width_px), mi.Float(index // camera.width_px))
     place = (corner + mi.Point2f(sampler.next_2d())) / mi.Point2f(camera.width_px, camera.height_px) + mi.Point2f(*loaded.offset)
     ray, weight = loaded.sensor.sample_ray_differential(0.0, 0.5, place, mi.Point2f(sampler.next_2d()))
     radiance, _, _ = integrator.sample(loaded.scene, sampler, ray, loaded.camera_medium, True)
@@ -108,7 +244,7 @@ def _side_by_side(loaded: Loaded, integrator: Any, count: int, seed: int) -> tup
     return np.array(summed, dtype=np.float64).T, np.array(squared, dtype=np.float64).T, int(lost[0])
 
 
-def _expose_scalar(loaded: Loaded, integrator: Any, samples: int, seed: int, progress: Progress) -> tuple[Array, Array, int]:
+def _expose_scalar(loaded: Loaded, integrator: Any, samples: int, seed: int, progress: Progress) -> Exposure:
     """Whole renders with seeds of their own; their scatter gives the variance.
 
     A thin lens off its axis is drawn as a pinhole: here Mitsuba makes the rays.
@@ -120,10 +256,10 @@ def _expose_scalar(loaded: Loaded, integrator: Any, samples: int, seed: int, pro
     for index, count in enumerate(counts):
         image = np.array(integrator.render(loaded.scene, sensor, seed32(seed, "pass", index), count), dtype=np.float64)[:, :, :3]
         broken += int(np.count_nonzero(~np.isfinite(image).all(axis=2)))
-        images.append(np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0))
+        images.append(np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).reshape(-1, 3))
         progress("rendering", (index + 1) / passes)
-    weights = np.array(counts, dtype=np.float64)[:, None, None, None] / samples
+    weights = np.array(counts, dtype=np.float64)[:, None, None] / samples
     stack = np.stack(images)
     mean = (weights * stack).sum(axis=0)
     variance = (weights * (stack - mean) ** 2).sum(axis=0) / (passes - 1)
-    return mean, variance, broken
+    return whole(mean * samples, (variance * (samples - 1) + mean**2) * samples, samples, broken)

@@ -1,17 +1,20 @@
 """Lamps as a path tracer wants them: by where they matter, not one in a hundred by chance.
 
 Spots, points and lit mesh faces are held as arrays.  For a stretch of a ray in fog,
-or a point on a surface, a few candidates are drawn, weighed by the light that they
-would send there if nothing stood between, and one of them is kept (resampled
-importance sampling, Talbot et al. 2005).  Along a ray the distance of a candidate is
-drawn equiangularly (Kulla and Fajardo 2012), which takes the 1/r^2 beside a lamp
-out of the noise.  Both are unbiased.
+each lamp in turn is asked what it would scatter into the ray from two places, dimmed
+by the fog: one drawn evenly over the angle under which it sees the stretch (Kulla and
+Fajardo 2012), one by the forward peak of the phase function over the same angle, both
+weighed by the mixture.  For a point on a surface, each is asked what it would send there.
+One of these candidates is kept in proportion to its weight, and only that one is
+tested for shadow (resampled importance sampling, Talbot et al. 2005).  The 1/r^2 beside
+a lamp, transmittance, the phase function and the choice of the lamp are so taken out
+of the noise; what is left is shadow.  It is unbiased.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -19,8 +22,8 @@ import numpy as np
 from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
 from synfog_usd.render import backend
 
-CANDIDATES = 4
-"""Measured at dusk in the shipped crossing, 1 / (variance x time): 1, 2 and 4 alike, 8 a tenth worse."""
+MOST = 48
+"""Lamps that are all asked; of more, this many are drawn, by flux and peak."""
 
 SPOT_BEAM = 0.75
 """Mitsuba's share of the cutoff within which a spot is even, where none is given."""
@@ -36,41 +39,64 @@ def is_handled(part: Any) -> bool:
     return part.get("type") == "mesh" and isinstance(emitter, Mapping) and emitter.get("radiance", {}).get("type") == "rgb"
 
 
+def lamp_rows(part: Mapping[str, Any]) -> np.ndarray:
+    """(N, 20) a row for a spot or point, one for each face of a mesh; columns at `_COLUMNS`."""
+    return _faces(part) if part["type"] == "mesh" else _beam(part)
+
+
 class Lamps:
     """Every spot, point and evenly lit mesh face of a scene.
 
     Args:
         world: a scene's parts, see `SceneDict.world`.
+        groups: key -> number of the light group; 0 where it is not there.
+        mean_cosine: of the phase function of the fog.
     """
 
-    def __init__(self, world: Mapping[str, Any]) -> None:
+    def __init__(self, world: Mapping[str, Any], groups: Mapping[str, int], mean_cosine: float = 0.87) -> None:
         rows: list[np.ndarray] = []
-        for part in world.values():
+        for key, part in world.items():
             if is_handled(part):
-                rows.append(_faces(part) if part["type"] == "mesh" else _beam(part))
-        table = np.concatenate(rows) if rows else np.zeros((0, _COLUMNS))
-        weight = np.concatenate([_weights(block) for block in rows]) if rows else np.zeros(0)
-        table = table[weight > 0.0]
-        self.count = len(table)
+                block = lamp_rows(part)
+                block[:, 19] = groups.get(key, 0)
+                block = block[_light(block) > 0.0]
+                rows += [block] if len(block) else []
+        self.parts = rows
+        self.count = len(rows)
         if not self.count:
             return
         mi = backend.mitsuba()
-        self.choice = mi.DiscreteDistribution(mi.Float(weight[weight > 0.0].astype(np.float32)))
-        self.table = [mi.Float(column.astype(np.float32)) for column in table.T[:18]]
-        dr.make_opaque(self.table)
+        table = np.concatenate(rows)
+        self.faces = mi.DiscreteDistribution(mi.Float(np.concatenate([_light(block) / _light(block).sum() for block in rows]).astype(np.float32)))
+        self.table = [mi.Float(column.astype(np.float32)) for column in (*table.T[:18], table.T[19])]
+        self.begin = mi.Float((np.arange(self.count) / self.count).astype(np.float32))  # each lamp's share of the faces' distribution
+        self.share = dr.opaque(mi.Float, 1.0 / self.count)
+        drawn = np.array([_light(block).max() * np.sqrt(block[0, 18]) for block in rows])
+        self.choice = mi.DiscreteDistribution(mi.Float(drawn.astype(np.float32)))
+        g = min(max(abs(mean_cosine), 0.2), 0.99)
+        self.width = dr.opaque(mi.Float, (1.0 - g) / np.sqrt(g))  # of Henyey and Greenstein's peak, 1 + g^2 - 2 g cos = (1 - g)^2 + g angle^2 + ...
+        self.many = self.count > MOST
+        self.asked = dr.opaque(mi.UInt32, min(self.count, MOST))
+        dr.make_opaque(self.table, self.begin)
 
     def _row(self, index: Any, active: Any) -> list[Any]:
         return [dr.gather(type(column), column, index, active) for column in self.table]
 
-    def _candidate(self, sampler: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-        """A point on a lamp: (position, its row, probability of its lamp, whether it is there)."""
+    def _candidate(self, number: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
+        """A point on a lamp: (position, its row, its probability among all that could have been asked)."""
         mi = backend.mitsuba()
-        index, probability = self.choice.sample_pmf(sampler.next_1d(active), active)
+        probability = mi.Float(1.0)
+        if self.many:
+            number, probability = self.choice.sample_pmf(sampler.next_1d(active), active)
+            probability = probability * self.asked
+        at = dr.gather(mi.Float, self.begin, number, active) + dr.clip(sampler.next_1d(active), 1e-5, 0.99999) * self.share
+        index = self.faces.sample(at, active)
+        probability = probability * self.faces.eval_pmf_normalized(index, active) / self.share
         row = self._row(index, active)
         u = sampler.next_2d(active)
         root = dr.sqrt(u.x)
         position = mi.Point3f(*row[0:3]) + mi.Vector3f(*row[3:6]) * (1.0 - root) + mi.Vector3f(*row[6:9]) * (u.y * root)
-        return position, row, probability, active
+        return position, row, probability
 
     def _sent(self, row: list[Any], direction: Any) -> Any:
         """Intensity in a direction away from the lamp, as a share of the row's colour."""
@@ -79,85 +105,117 @@ class Lamps:
         beam = dr.clip((row[15] - dr.acos(dr.clip(cosine, -1.0, 1.0))) * row[16], 0.0, 1.0)
         return dr.select(row[17] > 0.5, beam, dr.maximum(cosine, 0.0))
 
-    def along(self, origin: Any, direction: Any, begin: Any, end: Any, phase: Any, sigma_t: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
+    @dr.syntax
+    def along(self, origin: Any, direction: Any, begin: Any, end: Any, air: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any, Any]:
         """One lamp's light scattered once along a stretch of a ray.
 
         Args:
             origin, direction: the ray.
             begin, end: the stretch, as distances [m].
-            phase: function of the cosine between the directions of travel [1/sr].
-            sigma_t: extinction [1/m], for the weighing only.
+            air: the fog.
 
         Returns:
-            where it scatters, where the lamp is, and colour such that colour x sigma_s x
-            transmittance to the lamp x visibility estimates the integral over the stretch.
+            where it scatters, where the lamp is, colour such that colour x transmittance
+            to the lamp x visibility estimates the integral over the stretch, and the lamp's group.
         """
         mi = backend.mitsuba()
         active = active & (end > begin)
-        kept = _Reservoir(mi)
-        for _ in range(CANDIDATES):
-            lamp, row, probability, ok = self._candidate(sampler, active)
+        kept, index = _Reservoir(mi), mi.UInt32(0)
+        while active & (index < self.asked):
+            lamp, row, probability = self._candidate(index, sampler, active)
             nearest = dr.dot(lamp - origin, direction)
             height = dr.maximum(dr.norm(lamp - (origin + direction * nearest)), 1e-4)
-            low, high = dr.atan((begin - nearest) / height), dr.atan((end - nearest) / height)
-            step = height * dr.tan(dr.lerp(low, high, sampler.next_1d(active)))
-            distance = dr.clip(nearest + step, begin, end)
-            density = height / ((high - low) * (height * height + step * step))
-            place = origin + direction * distance
-            between = place - lamp
-            square = dr.maximum(dr.squared_norm(between), 1e-8)
-            towards = between * dr.rsqrt(square)
-            strength = self._sent(row, towards) * phase(-dr.dot(towards, direction)) / square
-            value = mi.Color3f(*row[12:15]) * strength
-            kept.offer(place, lamp, value, mi.luminance(value) * dr.exp(-sigma_t * dr.sqrt(square)), density * probability, sampler, ok)
-        return kept.place, kept.lamp, kept.result()
+            # the angle by which light must turn grows along the ray from 0 to pi
+            low, high = 0.5 * dr.pi + dr.atan((begin - nearest) / height), 0.5 * dr.pi + dr.atan((end - nearest) / height)
+            low_share, high_share = _peak_share(low, self.width), _peak_share(high, self.width)
+            for by_angle in (True, False):
+                u = sampler.next_1d(active)
+                angle = dr.lerp(low, high, u) if by_angle else _of_peak_share(dr.lerp(low_share, high_share, u), self.width)
+                distance = dr.clip(nearest + height * dr.tan(angle - 0.5 * dr.pi), begin, end)
+                step = distance - nearest
+                turn = 0.5 * dr.pi + dr.atan(step / height)
+                even, peaked = 1.0 / dr.maximum(high - low, 1e-9), _peak_density(turn, self.width) / dr.maximum(high_share - low_share, 1e-12)
+                density = (even + peaked) * height / (height * height + step * step)
+                place = origin + direction * distance
+                between = place - lamp
+                square = dr.maximum(dr.squared_norm(between), 1e-8)
+                towards = between * dr.rsqrt(square)
+                through = dr.exp(-air.depth_within(origin, direction, begin, distance))
+                strength = self._sent(row, towards) * air.phase.value(-dr.dot(towards, direction)) * through * air.scattering(place) / square
+                value = mi.Color3f(*row[12:15]) * strength
+                dimmed = mi.luminance(value) * dr.exp(-air.media[0].sigma_t * dr.sqrt(square))
+                kept = kept.offered(place, lamp, value, row[18], dimmed, density * probability, sampler, active)
+            index += 1
+        return kept.place, kept.lamp, kept.result(), mi.UInt32(kept.group)
 
-    def at(self, place: Any, normal: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+    @dr.syntax
+    def at(self, place: Any, normal: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
         """One lamp's light on a point.
 
         Returns:
-            where the lamp is, and its irradiance across the ray (no cosine at the
-            point) divided by its probability, without visibility and fog.
+            where the lamp is, its irradiance across the ray (no cosine at the
+            point) divided by its probability, without visibility and fog, and its group.
         """
         mi = backend.mitsuba()
-        kept = _Reservoir(mi)
-        for _ in range(CANDIDATES):
-            lamp, row, probability, ok = self._candidate(sampler, active)
+        kept, index = _Reservoir(mi), mi.UInt32(0)
+        while active & (index < self.asked):
+            lamp, row, probability = self._candidate(index, sampler, active)
             between = place - lamp
             square = dr.maximum(dr.squared_norm(between), 1e-8)
             towards = between * dr.rsqrt(square)
             value = mi.Color3f(*row[12:15]) * (self._sent(row, towards) / square)
-            kept.offer(place, lamp, value, mi.luminance(value) * (dr.abs(dr.dot(towards, normal)) + 1e-3), probability, sampler, ok)
-        return kept.lamp, kept.result()
+            kept = kept.offered(place, lamp, value, row[18], mi.luminance(value) * (dr.abs(dr.dot(towards, normal)) + 1e-3), probability, sampler, active)
+            index += 1
+        return kept.lamp, kept.result(), mi.UInt32(kept.group)
 
 
-def _weights(rows: np.ndarray) -> np.ndarray:
-    """How often the faces of one lamp are drawn: by its flux and its peak, shared among its faces by their light."""
-    peak = np.maximum(rows[:, 12:15] @ LUMINANCE_WEIGHTS_REC709, 0.0)
-    return peak * np.sqrt(rows[0, 18])
+def _peak_density(angle: Any, width: Any) -> Any:
+    """Density over an angle that falls like a forward peak, (width^2 + angle^2)^-1.5; over 0 to infinity it is 1."""
+    square = width * width + angle * angle
+    return width * width / (square * dr.sqrt(square))
+
+
+def _peak_share(angle: Any, width: Any) -> Any:
+    """Its integral from 0 on."""
+    return angle * dr.rsqrt(width * width + angle * angle)
+
+
+def _of_peak_share(share: Any, width: Any) -> Any:
+    return width * share * dr.rsqrt(dr.maximum(1.0 - share * share, 1e-7))
+
+
+def _light(rows: np.ndarray) -> np.ndarray:
+    """(N,) luminous peak of each row [cd]."""
+    return np.maximum(rows[:, 12:15] @ LUMINANCE_WEIGHTS_REC709, 0.0)
 
 
 class _Reservoir:
     """One of several weighted candidates, as they come."""
 
-    def __init__(self, mi: Any) -> None:
-        self.place, self.lamp, self.value = mi.Point3f(0.0), mi.Point3f(0.0), mi.Color3f(0.0)
-        self.target, self.sum = mi.Float(0.0), mi.Float(0.0)
+    DRJIT_STRUCT: ClassVar[dict[str, type]] = {}
 
-    def offer(self, place: Any, lamp: Any, value: Any, target: Any, density: Any, sampler: Any, active: Any) -> None:
+    def __init__(self, mi: Any = None) -> None:
+        mi = mi or backend.mitsuba()
+        type(self).DRJIT_STRUCT = {"place": mi.Point3f, "lamp": mi.Point3f, "value": mi.Color3f, "group": mi.Float, "target": mi.Float, "sum": mi.Float}
+        self.place, self.lamp, self.value = mi.Point3f(0.0), mi.Point3f(0.0), mi.Color3f(0.0)
+        self.target, self.sum, self.group = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
+
+    def offered(self, place: Any, lamp: Any, value: Any, group: Any, target: Any, density: Any, sampler: Any, active: Any) -> _Reservoir:
         weight = dr.select(active & (density > 0.0) & (target > 0.0), target / density, 0.0)
-        self.sum = self.sum + weight
-        taken = sampler.next_1d(active) * self.sum < weight
-        self.place, self.lamp, self.value = dr.select(taken, place, self.place), dr.select(taken, lamp, self.lamp), dr.select(taken, value, self.value)
-        self.target = dr.select(taken, target, self.target)
+        after = _Reservoir()
+        after.sum = self.sum + weight
+        taken = sampler.next_1d(active) * after.sum < weight
+        after.place, after.lamp, after.value = dr.select(taken, place, self.place), dr.select(taken, lamp, self.lamp), dr.select(taken, value, self.value)
+        after.target, after.group = dr.select(taken, target, self.target), dr.select(taken, group, self.group)
+        return after
 
     def result(self) -> Any:
-        return dr.select(self.target > 0.0, self.value * (self.sum / (CANDIDATES * self.target)), 0.0)
+        return dr.select(self.target > 0.0, self.value * (self.sum / self.target), 0.0)
 
 
-_COLUMNS = 19
+_COLUMNS = 20
 """0-2 corner, 3-5 and 6-8 edges, 9-11 axis or normal, 12-14 colour [cd] (radiance x area of a face), 15 cutoff [rad], 16 1 / transition [1/rad], 17 is a spot,
-18 solid angle that it shines into."""
+18 solid angle that it shines into, 19 light group (the table's last column)."""
 
 
 def _faces(mesh: Mapping[str, Any]) -> np.ndarray:

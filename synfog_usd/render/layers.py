@@ -102,7 +102,7 @@ def measure(loaded: Loaded) -> Layers:
         for index, volume in enumerate(fog):
             inside = medium[alive] == index
             begin, end = start[alive][inside], hits.position[inside]
-            tau[alive[inside]] += volume.medium.optical_depth(begin[:, 2], end[:, 2], np.linalg.norm(end - begin, axis=1))
+            tau[alive[inside]] += volume.optical_depth(begin, end)
         start[alive], origin[alive] = hits.position, hits.onward
         crossed = hits.fog >= 0
         entering = np.where(hits.front, hits.fog, parents[hits.fog])

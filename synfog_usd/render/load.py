@@ -16,9 +16,11 @@ import numpy as np
 
 from synfog_usd.errors import StageError
 from synfog_usd.fog import Boundary, FogMedium
+from synfog_usd.fog.phase import HenyeyGreenstein
 from synfog_usd.render import backend
 from synfog_usd.render.flatten import FaceThings, flatten
 from synfog_usd.render.lamps import is_handled
+from synfog_usd.render.phases import plugin
 from synfog_usd.scene import Camera, SceneDict
 
 LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea")
@@ -190,19 +192,27 @@ def _filled(mesh: Any, arrays: Mapping[str, Any], mi: Any) -> Any:
 
 
 def _medium(mi: Any, medium: FogMedium, boundary: Boundary) -> Any:
-    phase = {"type": "hg", "g": medium.g} if medium.g != 0.0 else {"type": "isotropic"}
-    if medium.profile == "uniform":
-        return mi.load_dict({"type": "homogeneous", "sigma_t": medium.sigma_t_per_m, "albedo": medium.albedo, "phase": phase, "has_spectral_extinction": False})
-    points = boundary.surface_points()
-    low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
-    if boundary.kind == "sphere":
-        reach = np.abs(boundary.to_world[:3, :3]).sum(axis=1)
-        low, high = boundary.to_world[:3, 3] - reach - 1.0, boundary.to_world[:3, 3] + reach + 1.0
-    heights = low[2] + (np.arange(GRID_SLICES) + 0.5) / GRID_SLICES * (high[2] - low[2])
-    grid = mi.VolumeGrid(medium.sigma_t(heights).astype(np.float32).reshape(-1, 1, 1, 1))
-    place = mi.ScalarTransform4f().translate(low.tolist()).scale((high - low).tolist())
+    record = medium.phase_function
+    own = {"type": "hg", "g": medium.g} if medium.g != 0.0 else {"type": "isotropic"}
+    phase = own if isinstance(record, HenyeyGreenstein) else plugin(record)
+    parts = {"albedo": medium.albedo, "phase": phase, "has_spectral_extinction": False}
+    empty = medium.grid is not None and not medium.grid.values.any()  # delta tracking in nothing would divide by 0
+    if medium.profile == "uniform" or empty:
+        return mi.load_dict({"type": "homogeneous", "sigma_t": 0.0 if empty else medium.sigma_t_per_m, **parts})
+    if medium.grid is not None:
+        grid = mi.VolumeGrid((medium.sigma_t_per_m * medium.grid.values)[..., None])
+        place = mi.ScalarTransform4f(boundary.frame()) @ mi.ScalarTransform4f().translate(-1.0).scale(2.0)
+    else:
+        points = boundary.surface_points()
+        low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+        if boundary.kind == "sphere":
+            reach = np.abs(boundary.to_world[:3, :3]).sum(axis=1)
+            low, high = boundary.to_world[:3, 3] - reach - 1.0, boundary.to_world[:3, 3] + reach + 1.0
+        heights = low[2] + (np.arange(GRID_SLICES) + 0.5) / GRID_SLICES * (high[2] - low[2])
+        grid = mi.VolumeGrid(medium.sigma_t(heights).astype(np.float32).reshape(-1, 1, 1, 1))
+        place = mi.ScalarTransform4f().translate(low.tolist()).scale((high - low).tolist())
     density = {"type": "gridvolume", "grid": grid, "to_world": place, "filter_type": "trilinear", "wrap_mode": "clamp"}
-    return mi.load_dict({"type": "heterogeneous", "sigma_t": density, "albedo": medium.albedo, "phase": phase, "has_spectral_extinction": False})
+    return mi.load_dict({"type": "heterogeneous", "sigma_t": density, **parts})
 
 
 def _boundary(mi: Any, boundary: Boundary, media: Mapping[str, Any]) -> Any:

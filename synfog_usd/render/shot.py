@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,11 +11,18 @@ import numpy as np
 from synfog_usd.errors import ParameterError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent
-from synfog_usd.render import film, layers, models
+from synfog_usd.render import denoise as denoising
+from synfog_usd.render import layers, models, planner
+from synfog_usd.render.fogpath import LENS_M
 from synfog_usd.render.load import Loaded, to_mitsuba
 from synfog_usd.scene import SceneDict
 
 PROBE_PX = (64, 36)
+
+WORTH_A_PILOT = 1 << 19
+"""Paths of an image from which on it pays to try models on a small one first."""
+
+LAYER_NAMES = ("surface", "airlight_single", "airlight_multiple")
 
 
 @dataclass(frozen=True)
@@ -23,56 +32,128 @@ class Rendered:
     Attributes:
         radiance: (H, W, 3) linear Rec.709 in cd m-2, with the variance of its mean.
         layers: what the pixel-centre rays met.
+        parts: 'surface', 'airlight_single', 'airlight_multiple' -> (H, W, 3) float32 radiance, which add up to
+            all of it; empty where the model tells none apart.
+        groups: light group -> (H, W, 3) float32 radiance; empty where there is only one.
         model, why: which model it was, and why that one.
         relative_error: median over the pixels of standard error / mean luminance.
         warnings: what went wrong on the way, in words.
+        figures: what the pilot measured, see `planner.Choice`; empty where there was none.
+        samples: paths per pixel on average, all parts together.
+        met: share of the pixels whose standard error is under the target; None where there was no target.
     """
 
     radiance: Image
     layers: layers.Layers
     relative_error: float
+    parts: Mapping[str, np.ndarray]
+    groups: Mapping[str, np.ndarray]
     model: str
     why: str
     warnings: tuple[str, ...]
+    figures: Mapping[str, Mapping[str, float]]
+    samples: float
+    met: float | None
 
 
 def render(
-    scene: SceneDict, *, model: str = models.AUTO, samples: int = 64, seed: int = 0, size: tuple[int, int] | None = None, progress: Progress = silent
+    scene: SceneDict,
+    *,
+    model: str = models.AUTO,
+    samples: int = 64,
+    seed: int = 0,
+    size: tuple[int, int] | None = None,
+    target_error: float | None = None,
+    sensor_sigma: Callable[[np.ndarray], np.ndarray] | None = None,
+    time_limit_s: float | None = None,
+    scatterings: int | None = None,
+    bounces: int | None = None,
+    denoise: bool = False,
+    progress: Progress = silent,
 ) -> Rendered:
     """Transport light through one scene.
 
     Args:
         scene: what `translate` made.
         model: a name of `models.MODELS`, or 'auto'.
-        samples: paths per pixel, 2 to 1 048 576.
+        samples: paths per pixel, 2 to 1 048 576; with a target, the most there may be on average.
         seed: the same gives the same bytes in the same variant.
         size: (width, height) in pixels instead of the camera's own.
+        target_error: relative standard error of a pixel at which sampling stops, or None.
+        sensor_sigma: luminance -> standard error [cd m-2] at which it stops, see `planner.sensor_target`, or None.
+        time_limit_s: seconds after which no new round of samples is begun; what it ends does not repeat byte for byte.
+        scatterings, bounces: limits of `path` and `path+slab`: how often the fog, and how often surfaces, may turn a path; None is no limit.
+        denoise: smooth surface and airlight apart (see `denoise`); variance and error stay those of the samples.
         progress: told after each pass.
 
     Raises:
         ParameterError: a model that is unknown or does not hold, or a number of samples out of range.
         StageError: the renderer refuses a part of the scene.
     """
-    model, why = models.choose(model, scene)
+    models.check_name(model)
     if not 2 <= samples <= 1 << 20:
         raise ParameterError(f"--samples {samples}: outside 2 to {1 << 20}; 64 is a draft, 1024 is clean in dense fog")
+    if target_error is not None and not 0.0 < target_error <= 1.0:
+        raise ParameterError(f"--target-error {target_error:g}: outside 0 to 1; 0.01 is 1 %")
+    if time_limit_s is not None and not time_limit_s > 0.0:
+        raise ParameterError(f"--time-limit {time_limit_s:g}: not above 0 s")
+    target = planner.Target(target_error, sensor_sigma, samples, time_limit_s)
+    began = time.perf_counter()
+    width, height = size or (scene.camera.width_px, scene.camera.height_px)
+    figures: dict[str, dict[str, float]] = {}
+    if model == models.AUTO and width * height * samples >= WORTH_A_PILOT:
+        choice = planner.choose(scene, target=target, seed=seed, load=load, progress=progress)
+        model, why, figures = choice.model, choice.why, choice.figures
+    else:
+        model, why = models.choose(model, scene)
+    if denoise and (problem := denoising.available()):
+        raise ParameterError(f"--denoise: {problem}")
     loaded = load(scene, size=size, boundaries=models.MODELS[model].boundaries)
-    mean, variance, broken = film.expose(loaded, models.MODELS[model].make(loaded), samples=samples, seed=seed, progress=progress)
-    warnings = []
-    if broken:
-        warnings.append(f"{broken} of {mean.shape[0] * mean.shape[1] * samples} samples were not finite and count as black")
+    integrator = models.make(model, loaded, scatterings=scatterings, bounces=bounces)
+    exposure = planner.expose(loaded, integrator, target=target, seed=seed, now=lambda: time.perf_counter() - began, progress=progress)
     camera = loaded.source.camera
+    shape = (camera.height_px, camera.width_px, -1)
+    mean, variance = exposure.mean().reshape(shape), exposure.variance().reshape(shape)
+    warnings = []
+    if exposure.lost:
+        warnings.append(f"{exposure.lost} of {exposure.samples} samples were not finite and count as black")
+    parts = {name: exposure.layer(name) for name in LAYER_NAMES}
+    parts = {name: layer.reshape(shape).astype(np.float32) for name, layer in parts.items() if layer is not None}
+    if mean.min() < 0.0:
+        below = int((mean < 0.0).any(axis=2).sum())
+        warnings.append(f"{below} pixels came out below 0, noise of a difference, and count as black; more samples mend it")
+        mean, parts = np.maximum(mean, 0.0), {name: np.maximum(layer, 0.0) for name, layer in parts.items()}
+    if denoise:
+        if not parts:
+            raise ParameterError(f"--denoise: model {model} does not tell surface and airlight apart; use path")
+        parts = _denoised(loaded, parts)
+        mean = np.asarray(sum(parts.values()))
     radiance = Image(
         mean.astype(np.float32),
         ("R", "G", "B"),
         Quantity.RADIANCE,
         variance=variance.astype(np.float32),
-        provenance={"fov_x_deg": camera.fov_x_deg, "shift_x": camera.shift[0], "shift_y": camera.shift[1], "model": model, "samples": samples, "seed": seed},
+        provenance={"fov_x_deg": camera.fov_x_deg, "shift_x": camera.shift[0], "shift_y": camera.shift[1], "model": model, "samples": samples, "seed": seed}
+        | ({"denoised": True} if denoise else {}),
     )
     luminance, noise = mean.mean(axis=2), np.sqrt(variance.mean(axis=2))
     lit = luminance > 0.0
     error = float(np.median(noise[lit] / luminance[lit])) if lit.any() else 0.0
-    return Rendered(radiance, layers.measure(loaded), error, model, why, tuple(warnings))
+    met = None if target.open else planner.reached(exposure, target, shape[:2])
+    names = getattr(integrator, "group_names", ())
+    groups = {name: exposure.group(index).reshape(shape).astype(np.float32) for index, name in enumerate(names)} if len(names) > 1 else {}
+    return Rendered(
+        radiance, layers.measure(loaded), error, parts, groups, model, why, tuple(warnings), figures, exposure.samples / (mean.shape[0] * mean.shape[1]), met
+    )
+
+
+def _denoised(loaded: Loaded, parts: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The layers without noise; single and multiple airlight keep their shares pixel by pixel."""
+    seen = denoising.guides(loaded)
+    airlight = parts["airlight_single"] + parts["airlight_multiple"]
+    surface, clean = denoising.denoise(parts["surface"], airlight, seen.transmittance, seen.albedo, seen.normal)
+    share = np.clip(parts["airlight_single"] / np.where(airlight > 0.0, airlight, 1.0), 0.0, 1.0)
+    return {"surface": surface, "airlight_single": clean * share, "airlight_multiple": clean * (1.0 - share)}
 
 
 def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> Loaded:
@@ -82,7 +163,7 @@ def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: b
     0.1 m of MOR 150 are 0.2 %.  An authored near plane is kept only where something
     stands before it (a camera inside a car body).
     """
-    close = replace(scene.camera, near_m=min(scene.camera.near_m, 1e-3))
+    close = replace(scene.camera, near_m=min(scene.camera.near_m, LENS_M))
     loaded = to_mitsuba(replace(scene, camera=close), size=size, boundaries=boundaries)
     if scene.camera.near_m <= close.near_m:
         return loaded

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from pxr import Plug, Usd
+from pxr import Plug, Sdf, Usd
 
 from synfog_usd.errors import StageError, did_you_mean
 
@@ -37,6 +37,7 @@ DEFAULTS: Mapping[str, Any] = MappingProxyType(
         "dropletDiameter": None,
         "angstrom": 0.0,
         "profile": "uniform",
+        "densityGrid": None,
         "scaleHeight": 50.0,
         "priority": 0,
     }
@@ -91,7 +92,7 @@ def read_fog(prim: Usd.Prim, time: Usd.TimeCode) -> FogAttributes | None:
 
     Raises:
         StageError: an attribute of that namespace that does not exist, or a value
-            that is no number, truth value or word, as its name demands.
+            that is no number, truth value, word or file, as its name demands.
     """
     if not has_fog_attributes(prim):
         return None
@@ -135,6 +136,10 @@ def _checked(prim: Usd.Prim, full_name: str, name: str, value: Any) -> Any:
     if name in ("phase", "profile"):
         if not isinstance(value, str):
             raise StageError(f"{prim.GetPath()}: {full_name} = {value!r} is not a word; it takes for example {DEFAULTS[name]!r}")
+        return value
+    if name == "densityGrid":
+        if not isinstance(value, Sdf.AssetPath):
+            raise StageError(f"{prim.GetPath()}: {full_name} = {value!r} is not a file; give the attribute the type asset")
         return value
     if not isinstance(value, (bool, int, float)) or not math.isfinite(value):
         raise StageError(f"{prim.GetPath()}: {full_name} = {value!r} is not a finite number")

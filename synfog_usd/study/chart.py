@@ -1,49 +1,57 @@
-"""Speed against accuracy: what a model's error costs in seconds, on one shot.
+"""Speed against accuracy: what a model's error costs in seconds, on one shot or on a folder of stages.
 
-Every model is run at several numbers of samples and compared with a reference of
-many more, from other random streams.  Leaves `chart.csv`, `chart.svg` and
-`chart.png`.  Time is what this study measures, so its files differ from run to
-run; the pictures behind them do not.
+Every model is run at several numbers of samples, three times with seeds of its own,
+and compared with a reference of many more, from other random streams.  Leaves
+`chart.csv`, `chart.svg`, `chart.png` and `chart.html`.  Time is what this study
+measures, so its files differ from run to run; the pictures behind them do not.
 """
 
 from __future__ import annotations
 
-import csv
-import io
+import inspect
 import math
 import os
 import platform
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from synfog_usd import files
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, shots
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.seeds import seed32
+from synfog_usd.study import accuracy
+from synfog_usd.study.accuracy import Array, Reference
+from synfog_usd.study.points import PEERS, PLAIN, Point, Setting, front, line_name, lines, summary, table
 
 if TYPE_CHECKING:
     from synfog_usd.render.load import Loaded
     from synfog_usd.scene import SceneDict
 
-Array = npt.NDArray[np.float64]
-
-NAMES = ("chart.csv", "chart.svg", "chart.png")
+NAMES = ("chart.csv", "chart.svg", "chart.png", "chart.html")
+SUITE_NAMES = ("summary.csv", "suite.svg", "suite.png", "index.html")
+SAMPLES, PEER_SAMPLES = (8, 32, 128, 512), (8, 32, 128)
 RUNS = 3
-"""Renders a point; the first may have to wait for a kernel and is timed apart, all of them count for the error."""
+"""Renders a point; the first of a line may have to wait for a kernel and is timed apart, all of them count for the error."""
 PARTS = 8
 """Independent renders that the reference is made of; their scatter is its variance."""
 REFERENCE_FACTOR = 16
 """Reference samples over the largest number in the sweep: its own error is then a quarter of the smallest one of its model."""
-FLOOR = 0.01
-"""Luminance that counts as dark, over the mean: a pixel's error is relative to hypot(its luminance, FLOOR x mean)."""
+REFERENCE_SHARE = 0.45
+"""Of a time limit, what is kept for the reference."""
+LIMIT_S = 90.0
+"""Time limit where neither it nor the samples are given."""
+REFERENCES = ("path", "path+slab")
+"""What may make the reference, the first where they are alike; without either it is volpath."""
+PILOT_SAMPLES = 16
+MUST_GAIN = 1.5
+"""How much better a later one of REFERENCES must be: `path+slab` rests on a table, `path` on nothing."""
+TAKES_DEPTH, TAKES_DENOISING, TAKES_BANDS = ("path",), ("path", "path+slab"), ("path",)
 
 
 @dataclass(frozen=True)
@@ -51,14 +59,20 @@ class ChartPlan:
     """What to sweep.
 
     Attributes:
-        stage: the USD file.
-        out: folder that receives the three files.
+        stage: the USD file, or a folder of them.
+        out: folder that receives the files.
         fog, lighting: one name each as a bake takes it; None is what the stage selects itself.
         camera: prim path; None is the stage's own choice.
         size: (width, height) in pixels.
-        samples: paths per pixel, >= 2 each.
+        samples: paths per pixel, >= 2 each; None is SAMPLES, and PEER_SAMPLES for peers.
         models: names of `render.models.MODELS`; None is all that hold for the shot.
-        reference_samples: of the reference; None is REFERENCE_FACTOR times the largest of `samples`.
+        depth: numbers of scatterings at which `path` is cut, each a line of its own.
+        bands: numbers of wavelength bands for `path`, each a line of its own.
+        denoise: whether the unbiased models are also shown denoised.
+        reference_samples: of the reference; None is REFERENCE_FACTOR times the most of its model's, as far as time_limit goes.
+        time_limit: seconds of rendering for a stage, beyond the first point of each line and without the making of kernels;
+            None is LIMIT_S, or without end where samples are given.
+        target: total error for which the planner is asked.
         seed: the same gives the same errors.
         variant: Mitsuba backend, see `render.backend.choose`.
     """
@@ -69,210 +83,209 @@ class ChartPlan:
     lighting: str | None = None
     camera: str | None = None
     size: tuple[int, int] = (160, 90)
-    samples: tuple[int, ...] = (4, 16, 64)
+    samples: tuple[int, ...] | None = None
     models: tuple[str, ...] | None = None
+    depth: tuple[int, ...] = ()
+    bands: tuple[int, ...] = ()
+    denoise: bool = True
     reference_samples: int | None = None
+    time_limit: float | None = None
+    target: float = 0.03
     seed: int = 0
     variant: str = "auto"
 
 
-@dataclass(frozen=True)
-class Errors:
-    """How far one render is from the reference, relative and in luminance.
+@dataclass
+class Chart:
+    """What one shot gave.
 
     Attributes:
-        rms: root mean square over the pixels, without the reference's own variance; 0 where that is all there is.
-        p95: 95th percentile over the pixels of the absolute difference; the reference's noise is in it.
-        bias: difference of the means over the mean of the reference.
-        bias_error: standard error of `bias`, with the reference's noise in it.
+        title: stage, lighting, fog and size.
+        points: one for each line and number of samples, in that order.
+        reference: the converged picture.
+        pictures: line -> (samples, the first run's (H, W, 3)) at its most samples.
+        notes: what was left out and why.
     """
 
-    rms: float
-    p95: float
-    bias: float
-    bias_error: float
+    title: str
+    points: list[Point]
+    reference: Reference
+    pictures: dict[str, tuple[int, Array]]
+    notes: list[str]
 
 
-@dataclass(frozen=True)
-class Reference:
-    """The converged picture.
-
-    Attributes:
-        luminance: (H, W) mean [cd m-2].
-        variance: (H, W) variance of that mean.
-        model, samples: how it was made.
-    """
-
-    luminance: Array
-    variance: Array
-    model: str
-    samples: int
-
-    @property
-    def scale(self) -> Array:
-        """(H, W) luminance that errors are relative to."""
-        return np.hypot(self.luminance, FLOOR * self.luminance.mean())
-
-    @property
-    def rms(self) -> float:
-        """Its own relative standard error, root mean square over the pixels."""
-        return float(np.sqrt((self.variance / self.scale**2).mean()))
-
-
-@dataclass(frozen=True)
-class Point:
-    """One model at one number of samples: a row of `chart.csv`.
-
-    Attributes:
-        model, samples: what was run.
-        seconds: wall time of a render whose kernel is there already: the least of RUNS - 1, since other work on the machine only adds to it.
-        first_call_s: wall time of the first render; what it has over `seconds` is the making of the kernel, or reading it from Dr.Jit's
-            cache on disk, and comes once for each model.
-        relative_rms, p95, bias, bias_error: see `Errors`.
-        mean_nits: mean luminance of the renders.
-        reference_rms, reference_model, reference_samples: see `Reference`.
-        variant, machine: where it ran.
-    """
+@dataclass
+class _Line:
+    """One model in one setting, as far as it has been rendered; `runs` by samples, `seconds` and `first_call_s` beside it."""
 
     model: str
-    samples: int
-    seconds: float
-    first_call_s: float
-    relative_rms: float
-    p95: float
-    bias: float
-    bias_error: float
-    mean_nits: float
-    reference_rms: float
-    reference_model: str
-    reference_samples: int
-    variant: str
-    machine: str
+    setting: Setting
+    levels: list[int]
+    must: tuple[int, ...] = ()
+    runs: dict[int, list[Array]] = field(default_factory=dict)
+    seconds: dict[int, list[float]] = field(default_factory=dict)
+    first_call_s: float = math.nan
+
+    @property
+    def name(self) -> str:
+        return line_name(self.model, self.setting)
+
+    def estimate(self) -> float:
+        """Seconds that the next level will take; 0 for the first, and half of one level for what does not grow with samples."""
+        least = {samples: min(seconds) for samples, seconds in sorted(self.seconds.items())}
+        if not least:
+            return 0.0
+        most, *before = sorted(least, reverse=True)
+        slope = (least[most] - least[before[0]]) / (most - before[0]) if before else 0.5 * least[most] / most
+        return RUNS * (least[most] + max(slope, 0.1 * least[most] / most) * (self.levels[0] - most))
 
 
-def chart(plan: ChartPlan, *, progress: Progress = silent) -> list[Point]:
-    """Measure the sweep and write its table and its two drawings.
+def chart(plan: ChartPlan, *, progress: Progress = silent, choice: tuple[str, int | None] | None = None, lenient: bool = False) -> Chart:
+    """Measure the sweep of one shot and write its table, its drawings and its page.
 
     Args:
-        plan: what to sweep.
-        progress: told the fraction of all paths that is done.
-
-    Returns:
-        one point for each model and number of samples, in that order.
+        plan: what to sweep; its stage is a file.
+        progress: told what is being rendered and about how much is done.
+        choice: (model, samples or None) that a planner took; None asks `render.planner`, where there is one.
+        lenient: whether a model that was asked for and does not hold is left out with a note instead of an error.
 
     Raises:
         SynfogError: with place and fix, before anything is rendered.
     """
     from synfog_usd.render import backend, models
 
-    for name in plan.models or ():
-        models.check_name(name)
-    _check_samples(plan)
+    check(plan)
     scene, shot = _scene(plan)
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
+    renders = _Renders(scene, plan.size)
+    if choice is None and (model_planned := planned(scene, plan.target, max(plan.samples or SAMPLES), plan.seed)):
+        choice = (model_planned, None)
+    notes: list[str] = []
     holding = [name for name, model in models.MODELS.items() if not model.refuses(scene)]
-    names = list(dict.fromkeys(models.choose(name, scene)[0] for name in plan.models or holding))
-    best, _ = models.choose(models.AUTO, scene)
-    reference_samples = plan.reference_samples or REFERENCE_FACTOR * max(plan.samples)
-    total, done = reference_samples + RUNS * len(names) * sum(set(plan.samples)), 0
-    exposures = {name: _exposure(scene, name, plan.size) for name in {best: None, **dict.fromkeys(names)}}
+    wanted = [name for name in plan.models or holding if not lenient or name in (models.AUTO, *holding)]
+    notes += [f"{name}: does not hold here, {models.MODELS[name].refuses(scene)}" for name in plan.models or () if name not in wanted]
+    asked = list(dict.fromkeys(models.choose(name, scene)[0] for name in wanted))
+    sweep = _lines(plan, asked, renders, choice, notes)
+    limit = plan.time_limit or (math.inf if plan.samples else LIMIT_S)
+    spent, began = 0.0, time.perf_counter()
+    paths, done = RUNS * sum(sum(line.levels) for line in sweep), 0
 
-    def picture(name: str, samples: int, stream: str | int, what: str) -> tuple[Array, float]:
+    def fraction(samples: float) -> float:
+        """By paths, or by the time limit where that will end the sweep first."""
+        return (1.0 - REFERENCE_SHARE) * min(max(spent / ((1.0 - REFERENCE_SHARE) * limit), (done + samples) / paths), 1.0)
+
+    def picture(model: str, setting: Setting, samples: int, stream: str | int, what: str, within: Callable[[float], float] = fraction) -> tuple[Array, float]:
         nonlocal done
-        seed = seed32(plan.seed, "chart", name, samples, stream)
-        began = time.perf_counter()
-        luminance = exposures[name](samples, seed, lambda _, fraction: progress(what, (done + fraction * samples) / total))
+        seed = seed32(plan.seed, "chart", line_name(model, setting), samples, stream)
+        result = renders.render(model, setting, samples, seed, lambda _, part: progress(what, within(part * samples)))
         done += samples
-        return luminance, time.perf_counter() - began
+        return result
 
-    sweep = {
-        (name, samples): [picture(name, samples, run, f"{name}, {samples} samples") for run in range(RUNS)]
-        for name in names
-        for samples in sorted(set(plan.samples))
-    }
-    shares = _shares(reference_samples, PARTS)  # last, so that no model finds its kernel made by it
-    reference = combine([picture(best, share, f"reference {index}", "reference")[0] for index, share in enumerate(shares)], shares, best)
-    points = []
-    for (name, samples), renders in sweep.items():
-        errors = compare([luminance for luminance, _ in renders], reference)
-        seconds = [elapsed for _, elapsed in renders]
-        points.append(
-            Point(
-                model=name,
-                samples=samples,
-                seconds=min(seconds[1:]),
-                first_call_s=seconds[0],
-                relative_rms=errors.rms,
-                p95=errors.p95,
-                bias=errors.bias,
-                bias_error=errors.bias_error,
-                mean_nits=float(np.mean([luminance.mean() for luminance, _ in renders])),
-                reference_rms=reference.rms,
-                reference_model=best,
-                reference_samples=reference_samples,
-                variant=chosen.variant,
-                machine=machine(),
-            )
-        )
-    title = f"{plan.stage.name}, {shot}, {plan.size[0]} x {plan.size[1]}"
-    files.write_bytes(plan.out / NAMES[0], table(points).encode())
-    for name, data in zip(NAMES[1:], draw(points, title=title), strict=True):
-        files.write_bytes(plan.out / name, data)
-    progress("done", 1.0)
-    return points
+    while waiting := [line for line in sweep if line.levels]:
+        line = min(waiting, key=_Line.estimate)
+        samples = line.levels[0]
+        if line.runs and samples not in line.must and spent + line.estimate() > (1.0 - REFERENCE_SHARE) * limit:
+            notes.append(f"{line.name}: {', '.join(map(str, line.levels))} samples left out for time")
+            line.levels = [level for level in line.levels if level in line.must]
+            continue
+        line.levels.pop(0)
+        try:
+            results = [picture(line.model, line.setting, samples, run, f"{line.name}, {samples} samples") for run in range(RUNS)]
+        except (RuntimeError, ValueError, ParameterError) as error:  # a model that fails on a shot must not take the others' chart with it
+            if (plan.models and not lenient) or not sweep[1:]:
+                raise
+            notes.append(f"{line.name}: failed at {samples} samples: {str(error).splitlines()[0] if str(error) else type(error).__name__}")
+            line.levels = []
+            continue
+        line.runs[samples] = [np.maximum(rgb, 0.0) for rgb, _ in results]  # as `render` gives them; the reference keeps its noise
+        line.seconds[samples] = [elapsed for _, elapsed in results[1:]]
+        if math.isnan(line.first_call_s):
+            line.first_call_s = results[0][1]
+        spent += min(line.seconds[samples]) * RUNS if len(line.runs) > 1 else 0.0
+        if all(np.array_equal(rgb, line.runs[samples][0]) for rgb in line.runs[samples]):
+            line.levels = [level for level in line.levels if level in line.must]  # no seed in it: more samples are the same picture
+    sweep = [line for line in sweep if line.runs]
+    if not sweep:
+        raise ParameterError(f"{plan.stage}: no model gave a picture: {'; '.join(notes)}")
+
+    model, seconds_each = _reference_model(scene, sweep, lambda name, run: picture(name, PLAIN, PILOT_SAMPLES, run, f"pilot of {name}"))
+    most = max(max(line.runs) for line in sweep if line.model == model or model not in {other.model for other in sweep})
+    reference_samples = plan.reference_samples or REFERENCE_FACTOR * most
+    if plan.reference_samples is None and math.isfinite(limit):
+        affordable = int(max(limit - spent, REFERENCE_SHARE * limit) / seconds_each)
+        reference_samples = max(min(affordable, 64 * most), 2 * most, 2 * PARTS)
+    shares = [reference_samples // PARTS + (index < reference_samples % PARTS) for index in range(PARTS)]
+
+    def last(index: int) -> Callable[[float], float]:
+        return lambda samples: 1.0 - REFERENCE_SHARE * (1.0 - (sum(shares[:index]) + samples) / reference_samples)
+
+    parts = [picture(model, PLAIN, share, f"reference {index}", f"reference, {model}", last(index))[0] for index, share in enumerate(shares)]
+    reference = accuracy.combine(parts, shares, model)
+
+    points = _points(sweep, reference, plan.size, chosen.variant, choice, plan.target)
+    pictures = {line.name: (max(line.runs), line.runs[max(line.runs)][0]) for line in sweep}
+    made = Chart(f"{plan.stage.name}, {shot}, {plan.size[0]} x {plan.size[1]}", points, reference, pictures, notes)
+    _write(made, plan.out)
+    progress(f"done after {time.perf_counter() - began:.0f} s", 1.0)
+    return made
 
 
-def combine(parts: Sequence[Array], samples: Sequence[int], model: str) -> Reference:
-    """The mean of independent renders, and its variance by their scatter.
+def suite(plan: ChartPlan, *, progress: Progress = silent) -> dict[str, Chart]:
+    """Chart every stage of a folder into a folder of its name, with a page and a table over all.
 
-    Args:
-        parts: K >= 2 pictures (H, W).
-        samples: paths per pixel of each; unequal ones are weighted by it.
-
-    The weighted scatter is unbiased: with weights w that sum to 1 and a variance
-    of s / n for each part, E[sum w (x - mean)^2] is (K - 1) times the mean's.
+    Raises:
+        ParameterError: the folder holds no stage.
     """
-    weights = np.asarray(samples, dtype=np.float64)[:, None, None] / sum(samples)
-    stack = np.stack(parts).astype(np.float64)
-    mean = (weights * stack).sum(axis=0)
-    variance = (weights * (stack - mean) ** 2).sum(axis=0) / (len(parts) - 1)
-    return Reference(mean, variance, model, sum(samples))
+    from synfog_usd.study import drawing, page
+
+    stages = sorted(path for path in plan.stage.iterdir() if path.suffix in (".usd", ".usda", ".usdc", ".usdz"))
+    if not stages:
+        raise ParameterError(f"{plan.stage}: no .usd, .usda, .usdc or .usdz file in it; give a stage, or a folder of stages as stages/bench")
+    check(plan)
+    charts = {}
+    for index, stage in enumerate(stages):
+
+        def within(what: str, fraction: float, index: int = index, name: str = stage.stem) -> None:
+            progress(f"{name}: {what}", (index + fraction) / len(stages))
+
+        charts[stage.stem] = chart(replace(plan, stage=stage, out=plan.out / stage.stem), progress=within, lenient=True)
+        write_suite({name: made.points for name, made in charts.items()}, plan.out, drawing, page)  # after each, so that a stopped suite is of use
+    return charts
 
 
-def compare(pictures: Sequence[Array], reference: Reference) -> Errors:
-    """Errors of one render, averaged over independent ones.
+def write_suite(points: Mapping[str, Sequence[Point]], out: Path, drawing: Any = None, page: Any = None) -> None:
+    """The table, the drawing and the page over several charts."""
+    if drawing is None or page is None:
+        from synfog_usd.study import drawing, page
+    rows = [row for name, line in points.items() for row in summary(name, line)]
+    files.write_bytes(out / "summary.csv", table(rows).encode())
+    for name, data in zip(("suite.svg", "suite.png"), drawing.draw_suite(points), strict=True):
+        files.write_bytes(out / name, data)
+    files.write_bytes(out / "index.html", page.index(points, rows).encode())
 
-    Args:
-        pictures: luminance (H, W) of renders with seeds of their own.
 
-    The squared difference from the reference holds both variances, so the
-    reference's is taken off.  Its noise stays in what errors are relative to: with
-    a relative error o of its own, `rms` is too large by a share of about
-    1.5 o^2 + 3 o^4 / rms^2, 1.5 % for o = 0.1 and an `rms` above 0.5.  Pixels are independent: the scatter of their
-    differences gives the standard error of the mean difference.  It takes the
-    scatter between pixels for noise; a bias that differs between pixels makes it
-    too large, never too small.
+def check(plan: ChartPlan) -> None:
+    """Refuse numbers out of range.
+
+    Raises:
+        ParameterError: with the option, what was found and what is allowed.
     """
-    difference = np.stack(pictures).astype(np.float64) - reference.luminance
-    relative = difference / reference.scale
-    square = (relative**2).mean() - (reference.variance / reference.scale**2).mean()
-    shift, level = difference.mean(axis=0), reference.luminance.mean()
-    return Errors(
-        rms=math.sqrt(max(float(square), 0.0)),
-        p95=float(np.percentile(np.abs(relative), 95)),
-        bias=float(shift.mean() / level),
-        bias_error=float(shift.std(ddof=1) / math.sqrt(shift.size) / level),
-    )
+    from synfog_usd.render import models
 
-
-def table(points: Sequence[Point]) -> str:
-    """The points as CSV with a header; numbers have five digits."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [field.name for field in fields(Point)], lineterminator="\n")
-    writer.writeheader()
-    for point in points:
-        writer.writerow({name: f"{value:.5g}" if isinstance(value, float) else value for name, value in asdict(point).items()})
-    return text.getvalue()
+    for name in plan.models or ():
+        models.check_name(name)
+    for option, value in [*(("--samples", value) for value in plan.samples or ()), ("--reference", plan.reference_samples)]:
+        least = 2 * PARTS if option == "--reference" else 2
+        if value is not None and not least <= value <= 1 << 20:
+            raise ParameterError(f"{option} {value}: outside {least} to {1 << 20}; 64 is a draft, 1024 is clean in dense fog")
+    for option, values in (("--depth", plan.depth), ("--bands", plan.bands)):
+        for value in values:
+            if not 1 <= value <= 1000:
+                raise ParameterError(f"{option} {value}: outside 1 to 1000")
+    if not 0.0 < plan.target <= 1.0:
+        raise ParameterError(f"--target {plan.target:g}: outside 0 to 1; 0.03 is 3 %")
+    if plan.time_limit is not None and not 1.0 <= plan.time_limit <= 1e6:
+        raise ParameterError(f"--time-limit {plan.time_limit:g}: outside 1 to 1e6 seconds; 60 gives a draft")
 
 
 def machine() -> str:
@@ -281,60 +294,185 @@ def machine() -> str:
     return f"{platform.machine()}, {cores} core{'s' if cores > 1 else ''}"
 
 
-def draw(points: Sequence[Point], *, title: str) -> tuple[bytes, bytes]:
-    """Seconds against relative error, both logarithmic, one line a model: (SVG, PNG)."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    style = {"font.family": "DejaVu Sans", "font.size": 10, "svg.fonttype": "none", "svg.hashsalt": "synfog-usd", "axes.edgecolor": INK, "text.color": INK}
-    with pyplot.rc_context({**style, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK}):
-        figure, axes = pyplot.subplots(figsize=(7.2, 4.6), layout="constrained")
-        first = points[0]
-        shown = [point for point in points if point.relative_rms > 0.0]
-        for index, name in enumerate(dict.fromkeys(point.model for point in shown)):
-            line = [point for point in shown if point.model == name]
-            colour = COLOURS[index % len(COLOURS)]
-            axes.plot([p.seconds for p in line], [p.relative_rms for p in line], "o-", color=colour, lw=1.8, ms=6, mec="white", mew=1.0, label=name, zorder=3)
-            for point in line:
-                axes.annotate(f"{point.samples}", (point.seconds, point.relative_rms), (6, 5), textcoords="offset points", color=colour, fontsize=9)
-        axes.set(xscale="log", yscale="log", xlabel="seconds for one render, kernel made before", ylabel="relative RMS error of a pixel's luminance")
-        errors, times = [p.relative_rms for p in shown] + [first.reference_rms], [p.seconds for p in points]
-        axes.set_ylim(min(errors) / 1.6, max(errors) * 1.6)
-        axes.set_xlim(min(times) / 1.4, max(times) * 1.5)
-        axes.axhspan(axes.get_ylim()[0], first.reference_rms, color="0.5", alpha=0.16, lw=0, zorder=0, label="the reference's own error")
-        axes.grid(which="major", color="0.86", lw=0.7)
-        for axis, text in ((axes.xaxis, lambda value, _: f"{value:g}"), (axes.yaxis, lambda value, _: f"{100 * value:g} %")):
-            axis.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0), numticks=20))
-            axis.set_major_formatter(FuncFormatter(text))
-            axis.set_minor_formatter(NullFormatter())
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.set_title(title, loc="left", fontsize=11)
-        below = f"labels: paths per pixel   reference: {first.reference_model}, {first.reference_samples} paths per pixel   {first.variant}, {first.machine}"
-        figure.supxlabel(below, fontsize=8, color="0.4")
-        axes.legend(frameon=False)
-        drawn = _saved(figure, "svg", metadata={"Date": None}), _saved(figure, "png", dpi=150)
-        pyplot.close(figure)
-    return drawn
+def planned(scene: SceneDict, target: float, samples: int, seed: int) -> str | None:
+    """The model that the planner would take for this shot to reach `target`; None where there is no planner."""
+    try:
+        from synfog_usd.render import planner, shot
+    except ImportError:
+        return None
+    if not hasattr(planner, "choose"):
+        return None
+    return planner.choose(scene, target=planner.Target(relative=target, samples=samples), seed=seed32(seed, "chart", "planner"), load=shot.load).model
 
 
-INK = "#22262a"
-COLOURS = ("#0b6e99", "#c4501b", "#5a7d2a", "#7a4fa3")
+def ring(points: Sequence[Point], choice: tuple[str, int | None], target: float) -> int | None:
+    """Which point is the planner's: of its model at its samples, or where it left those open at the fewest that reach `target`, else at the most."""
+    mine = [index for index, point in enumerate(points) if point.line == choice[0]]
+    if choice[1] is not None:
+        return next((index for index in mine if points[index].samples == choice[1]), None)
+    mine.sort(key=lambda index: points[index].samples)
+    return next((index for index in mine if points[index].relative_rms <= target), mine[-1] if mine else None)
 
 
-def _saved(figure: Any, kind: str, **more: Any) -> bytes:
-    data = io.BytesIO()
-    figure.savefig(data, format=kind, **more)
-    return data.getvalue()
+class _Renders:
+    """Renders one scene with any model, and tells the seconds without its loading.
+
+    `render.shot.render` may or may not take a setting, or a scene that is loaded
+    already: what it does not take is not passed, and is left out of the sweep.
+    """
+
+    def __init__(self, scene: SceneDict, size: tuple[int, int]) -> None:
+        from synfog_usd.render import shot
+
+        self.scene, self.size, self.loadings = scene, size, {}  # type: ignore[var-annotated]
+        self.takes = frozenset(inspect.signature(shot.render).parameters)
+
+    def lacks(self, setting: Setting) -> str:
+        """Why a setting cannot be rendered here, or ''."""
+        for name in _arguments(setting):
+            if name not in self.takes:
+                return f"this version's render takes no {name}"
+        if setting.denoise:
+            from synfog_usd.render import denoise
+
+            return denoise.available()
+        return ""
+
+    def render(self, model: str, setting: Setting, samples: int, seed: int, progress: Progress) -> tuple[Array, float]:
+        """(H, W, 3) radiance, and seconds on a loaded scene, with what the model prepares for itself."""
+        from synfog_usd.render import film, models, shot
+
+        loaded, loading_s = self._loaded(models.MODELS[model].boundaries)
+        began = time.perf_counter()
+        if not (setting.bands or setting.denoise or "loaded" in self.takes):
+            integrator = models.make(model, loaded, scatterings=setting.scatterings)
+            exposure = film.expose(loaded, integrator, samples=samples, seed=seed, progress=progress)
+            picture = exposure.mean().reshape(self.size[1], self.size[0], 3)
+            return picture.astype(np.float32), time.perf_counter() - began
+        more: dict[str, Any] = {"loaded": loaded} if "loaded" in self.takes else {}
+        rendered = shot.render(self.scene, model=model, samples=samples, seed=seed, size=self.size, progress=progress, **_arguments(setting), **more)
+        elapsed = time.perf_counter() - began - (0.0 if more else loading_s)
+        return np.asarray(rendered.radiance.pixels)[..., :3], max(elapsed, 1e-3)
+
+    def _loaded(self, boundaries: bool) -> tuple[Loaded, float]:
+        from synfog_usd.render import layers, shot
+
+        if boundaries not in self.loadings:
+            shot.load(self.scene, size=self.size, boundaries=boundaries)  # the first also makes kernels
+            began = time.perf_counter()
+            loaded = shot.load(self.scene, size=self.size, boundaries=boundaries)
+            layers.measure(loaded)
+            self.loadings[boundaries] = (loaded, time.perf_counter() - began)
+        return self.loadings[boundaries]
 
 
-def _check_samples(plan: ChartPlan) -> None:
-    for option, value in [*(("--samples", value) for value in plan.samples), ("--reference", plan.reference_samples)]:
-        least = 2 * PARTS if option == "--reference" else 2
-        if value is not None and not least <= value <= 1 << 20:
-            raise ParameterError(f"{option} {value}: outside {least} to {1 << 20}; 64 is a draft, 1024 is clean in dense fog")
+def _arguments(setting: Setting) -> dict[str, Any]:
+    """What `render` is told beside model, samples and seed."""
+    return {name: getattr(setting, name) for name in ("scatterings", "bands", "denoise") if getattr(setting, name) != getattr(PLAIN, name)}
+
+
+def _lines(plan: ChartPlan, asked: Sequence[str], renders: _Renders, choice: tuple[str, int | None] | None, notes: list[str]) -> list[_Line]:
+    """The sweep: each model as it is, then in its settings."""
+    found = []
+    for model in asked:
+        settings = [PLAIN]
+        settings += [Setting(scatterings=depth) for depth in plan.depth if model in TAKES_DEPTH]
+        settings += [Setting(bands=bands) for bands in plan.bands if model in TAKES_BANDS]
+        settings += [Setting(denoise=True)] if plan.denoise and model in TAKES_DENOISING else []
+        for setting in settings:
+            if lacking := renders.lacks(setting):
+                notes.append(f"{line_name(model, setting)}: left out, {lacking}")
+                continue
+            must = (choice[1],) if choice and choice[1] and choice[0] == model and setting == PLAIN else ()
+            levels = sorted({*(plan.samples or (PEER_SAMPLES if model in PEERS else SAMPLES)), *must})
+            found.append(_Line(model, setting, levels, must))
+    return found
+
+
+def _reference_model(scene: SceneDict, sweep: Sequence[_Line], pilot: Callable[[str, int], tuple[Array, float]]) -> tuple[str, float]:
+    """The unbiased model with the least relative variance times seconds, and its seconds per path and pixel."""
+    from synfog_usd.render import models
+
+    candidates = [name for name in REFERENCES if name in models.MODELS and not models.MODELS[name].refuses(scene)] or ["volpath"]
+    costs = {}
+    for name in candidates:
+        line = next((line for line in sweep if line.model == name and line.setting == PLAIN), None)
+        if line is not None:
+            samples = max(line.runs)
+            runs, seconds = line.runs[samples], min(line.seconds[samples])
+        else:
+            try:
+                results = [pilot(name, run) for run in range(RUNS)]
+            except (RuntimeError, ValueError, ParameterError):
+                continue
+            samples, runs, seconds = PILOT_SAMPLES, [rgb for rgb, _ in results], min(elapsed for _, elapsed in results[1:])
+        bright = np.stack([accuracy.luminance(rgb) for rgb in runs])
+        scale = np.hypot(bright.mean(axis=0), accuracy.FLOOR * bright.mean())
+        costs[name] = (float((bright.var(axis=0, ddof=1) / np.maximum(scale, 1e-30) ** 2).mean()) * seconds, seconds / samples)
+    best = next(iter(costs))
+    for name, (cost, _) in costs.items():
+        if cost * MUST_GAIN < costs[best][0]:
+            best = name
+    return best, costs[best][1]
+
+
+def _points(
+    sweep: Sequence[_Line], reference: Reference, size: tuple[int, int], variant: str, choice: tuple[str, int | None] | None, target: float
+) -> list[Point]:
+    from synfog_usd.render.models import UNBIASED
+
+    points = []
+    assert reference.rgb is not None
+    for line in sweep:
+        for samples, runs in line.runs.items():
+            bright = [accuracy.luminance(rgb) for rgb in runs]
+            errors = accuracy.compare(bright, reference)
+            points.append(
+                Point(
+                    line=line.name,
+                    model=line.model,
+                    scatterings=line.setting.scatterings,
+                    bands=line.setting.bands,
+                    denoise=line.setting.denoise,
+                    unbiased=line.model in UNBIASED and line.setting == PLAIN,
+                    samples=samples,
+                    seconds=min(line.seconds[samples]),
+                    first_call_s=line.first_call_s,
+                    relative_mse=errors.mse,
+                    relative_rms=errors.rms,
+                    noise_rms=errors.noise_rms,
+                    bias_rms=errors.bias_rms,
+                    bias_limit=errors.bias_limit,
+                    bias_is_seen=errors.bias_mse > 3.0 * errors.bias_mse_error,
+                    p95=errors.p95,
+                    flip=float(np.mean([accuracy.flip(reference.rgb, rgb) for rgb in runs])),
+                    bias=errors.bias,
+                    bias_error=errors.bias_error,
+                    mean_nits=float(np.mean(bright)),
+                    on_front=False,
+                    planned=False,
+                    reference_rms=reference.rms,
+                    reference_flip=reference.flip,
+                    reference_model=reference.model,
+                    reference_samples=reference.samples,
+                    width=size[0],
+                    height=size[1],
+                    variant=variant,
+                    machine=machine(),
+                )
+            )
+    kept = set(front([(point.seconds, max(point.relative_rms, reference.rms)) for point in points]))
+    ringed = ring(points, choice, target) if choice else None
+    return [replace(point, on_front=index in kept, planned=index == ringed) for index, point in enumerate(points)]
+
+
+def _write(made: Chart, out: Path) -> None:
+    from synfog_usd.study import drawing, page
+
+    svg, png = drawing.draw(made.points, title=made.title)
+    text = page.page(made.title, svg.decode(), lines(made.points), made.reference, made.pictures, made.notes)
+    for name, data in zip(NAMES, (table(made.points).encode(), svg, png, text.encode()), strict=True):
+        files.write_bytes(out / name, data)
 
 
 def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
@@ -350,23 +488,5 @@ def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
     if plan.lighting is None:
         shot = replace(shot, lighting=AS_AUTHORED, lighting_variant=None)
     usd.select(stage, fog=shot.fog_variant, lighting=shot.lighting_variant)
-    return translate(stage, camera=plan.camera, resolution=plan.size, fog_mor_m=shot.mor_m), shot.folder
-
-
-def _exposure(scene: SceneDict, name: str, size: tuple[int, int]) -> Callable[[int, int, Progress], Array]:
-    """A function of samples and seed that renders with one model and waits for the picture; loading is done once, here."""
-    from synfog_usd.render import film, models
-    from synfog_usd.render.shot import load
-
-    loaded: Loaded = load(scene, size=size, boundaries=models.MODELS[name].boundaries)
-    integrator = models.MODELS[name].make(loaded)
-
-    def expose(samples: int, seed: int, progress: Progress) -> Array:
-        mean, _, _ = film.expose(loaded, integrator, samples=samples, seed=seed, progress=progress)
-        return mean @ np.array(LUMINANCE_WEIGHTS_REC709)
-
-    return expose
-
-
-def _shares(total: int, parts: int) -> list[int]:
-    return [total // parts + (index < total % parts) for index in range(parts)]
+    named = ", ".join(name for name in (shot.lighting, shot.fog) if name != AS_AUTHORED)
+    return translate(stage, camera=plan.camera, resolution=plan.size, fog_mor_m=shot.mor_m), named or "as authored"

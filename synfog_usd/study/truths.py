@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
+from synfog_usd.fog.slab import solve
 from synfog_usd.scene import Camera, SceneDict, Thing
 
 LOOK_NORTH = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -57,3 +59,105 @@ def scene(
 def uniform_fog(half_size: float = 200.0, *, visibility_m: float = 150.0, albedo: float = 1.0, g: float = 0.87) -> FogVolume:
     """One big box of uniform fog around the camera."""
     return FogVolume("/Fog", box(half_size), FogMedium.from_visibility(visibility_m, albedo=albedo, g=g))
+
+
+def sky(radiance: float = 1.0) -> dict[str, Any]:
+    """A sky of the same radiance everywhere, as a part of a scene's world."""
+    return {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [float(radiance)] * 3}}}
+
+
+def tilted(zenith_deg: float) -> npt.NDArray[np.float64]:
+    """Camera at the origin whose axis leans from the zenith towards +Y by an angle [deg]; 90 is `LOOK_NORTH`."""
+    z = np.radians(zenith_deg)
+    matrix = np.eye(4)
+    matrix[:3, 1], matrix[:3, 2] = (0.0, -np.cos(z), np.sin(z)), (0.0, -np.sin(z), -np.cos(z))
+    return matrix
+
+
+def pixel_rays(source: SceneDict, nodes: int = 6) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Directions (H, W, nodes^2, 3) through each pixel of a camera without shift, and the weights (nodes^2,) of their mean (Gauss and Legendre)."""
+    camera = source.camera
+    width, height = camera.width_px, camera.height_px
+    node, weight = np.polynomial.legendre.leggauss(nodes)
+    edge = np.tan(np.radians(camera.fov_x_deg) / 2)
+    x = (2 * (np.arange(width)[:, None] + (node + 1) / 2) / width - 1) * edge
+    y = (1 - 2 * (np.arange(height)[:, None] + (node + 1) / 2) / height) * edge * height / width
+    local = np.stack(np.broadcast_arrays(x[None, :, None, :], y[:, None, :, None], -1.0), axis=-1).reshape(height, width, -1, 3)
+    return local @ camera.to_world[:3, :3].T / np.linalg.norm(local, axis=-1, keepdims=True), np.outer(weight, weight).ravel() / 4
+
+
+def lamp_in_endless_fog(medium: FogMedium, lamp_m: npt.ArrayLike, directions: npt.NDArray[np.float64], intensity: float = 1.0) -> npt.NDArray[np.float64]:
+    """Light of a point lamp that endless fog turned once, seen from the origin.
+
+    With h the distance of the ray from the lamp and t = D cos(theta) + h tan(eta) along it, dt / r^2 = d(eta) / h, and
+    L = albedo sigma I / (4 pi h) * integral of exp(-sigma (t + h / cos(eta))) over eta from theta - pi/2 to pi/2.
+
+    Args:
+        medium: uniform, and turning light to every side alike (g = 0).
+        lamp_m: (3,) [m].
+        directions: (..., 3) unit vectors that do not meet the lamp.
+        intensity: of the lamp, W/sr or whatever `radiance` is to be in, times m^2.
+    """
+    lamp, sigma = np.asarray(lamp_m, dtype=np.float64), medium.sigma_t_per_m
+    along = directions @ lamp
+    beside = np.linalg.norm(np.cross(directions, lamp), axis=-1)
+    low = -np.arctan2(along, beside)
+    node, weight = np.polynomial.legendre.leggauss(96)
+    half = (np.pi / 2 - low) / 2
+    eta = low[..., None] + half[..., None] * (node + 1)
+    depth = sigma * (along[..., None] + beside[..., None] * (np.tan(eta) + 1 / np.cos(eta)))
+    return medium.albedo * sigma * intensity / (4 * np.pi * beside) * half * (np.exp(-depth) @ weight)
+
+
+@dataclass(frozen=True)
+class EmptyLayer:
+    """A layer of fog over Lambertian ground under a sky of radiance 1, seen from within.
+
+    Attributes:
+        scene: what is rendered.
+        truth: (H, W) the plane-parallel solution, averaged over each pixel.
+        zenith_deg: (H,) zenith angle of each row's middle.
+    """
+
+    scene: SceneDict
+    truth: npt.NDArray[np.float64]
+    zenith_deg: npt.NDArray[np.float64]
+
+
+def empty_layer(
+    medium: FogMedium,
+    ground: float,
+    *,
+    top_m: float = 60.0,
+    eye_m: float = 1.5,
+    sunk_m: float = 1.0,
+    half_width_m: float = 5000.0,
+    zenith_deg: tuple[float, float] = (0.0, 87.0),
+    width_px: int = 4,
+    height_px: int = 64,
+) -> EmptyLayer:
+    """An empty layer and the strip of it between two zenith angles.
+
+    The sides do not matter: what comes from them has crossed sigma_t * half_width_m
+    of fog, exp(-25) in MOR 600, or left a layer 60 m high at 89.3 degrees.
+
+    Args:
+        sunk_m: how far the fog's box reaches below the ground; 0 puts its floor on the ground.
+    """
+    low, high = zenith_deg
+    bottom, top = -eye_m, top_m - eye_m
+    s = half_width_m
+    floor = np.array([[-s, -s, bottom], [s, -s, bottom], [s, s, bottom], [-s, s, bottom]])
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [ground] * 3}}
+    world = {**sky(), "shape_ground": {"type": "mesh", "positions": floor, "faces": np.array([[0, 1, 2], [0, 2, 3]]), "bsdf": grey}}
+    fog = FogVolume("/Fog", box((s, s, (top_m + sunk_m) / 2), (0, 0, (top + bottom - sunk_m) / 2)), medium)
+    matrix = tilted((low + high) / 2)
+    edge = np.tan(np.radians(high - low) / 2)
+    fov_x_deg = float(np.degrees(2 * np.arctan(edge * width_px / height_px)))
+    world_scene = scene(world, [fog], width_px=width_px, height_px=height_px, fov_x_deg=fov_x_deg, to_world=matrix)
+    directions, weights = pixel_rays(world_scene)
+    up = directions[..., 2]
+    slab = solve(medium, bottom_m=bottom, top_m=top, ground=[ground], sky_up=[1.0], sky=[[1.0]])
+    seen = slab.radiance(np.zeros(up.size), up.ravel())[:, 0].reshape(up.shape)
+    middle = np.degrees(np.arccos((up @ weights).mean(axis=1)))
+    return EmptyLayer(world_scene, seen @ weights, middle)

@@ -22,6 +22,7 @@ from synfog_usd.stage.schema import PREFIX
 from synfog_usd.translate import geometry, light, volume
 from synfog_usd.translate.camera import read_camera
 from synfog_usd.translate.geometry import Triangles
+from synfog_usd.translate.lightgroup import SKY, authored_group, group_by_label
 from synfog_usd.translate.material import GREY, LUMINANCE, Finish, Materials
 from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.skel import has_skeletons, posed
@@ -75,6 +76,7 @@ def translate(
     fog = volume.nested(scene.fog)
     if fog_mor_m is not None:
         fog = _overridden(fog, fog_mor_m, scene, eye.to_world[:3, 3], notes)
+    volume.refuse_cut(fog, eye)
     if fog and not any(part.boundary.contains(eye.to_world[:3, 3])[0] for part in fog):
         notes.info(eye.path, "the camera stands outside of every fog boundary")
     return SceneDict(
@@ -83,6 +85,7 @@ def translate(
         fog=fog,
         things=tuple(scene.things),
         thing_of=scene.thing_of,
+        group_of=scene.group_of,
         origin_m=(float(space.origin_m[0]), float(space.origin_m[1]), float(space.origin_m[2])),
         notes=notes.closed(),
     )
@@ -129,6 +132,7 @@ class _Assembler:
         self.things: list[Thing] = []
         self.thing_of: dict[tuple[str, ...], int] = {}
         self.thing_ids: dict[str, int] = {}
+        self.group_of: dict[str, str] = {}
         self.bound: dict[str, Any] = {}
         self.roots: list[str] = []
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -148,6 +152,7 @@ class _Assembler:
         light.weigh(self.lamps, sky)
         if sky is not None:
             self.lights["light_sky"] = sky
+            self.group_of["light_sky"] = SKY
 
     def world(self) -> dict[str, Any]:
         drawn = [*self.shapes.values(), *[shape for group in self.groups.values() for name, shape in group.items() if name != "type"]]
@@ -225,7 +230,7 @@ class _Assembler:
             self.put_fog(leaf, None, matrix)
             return
         for shape, emission, nits in self.parts(leaf, matrix):
-            self.add_shape(shape, emission, nits, self.thing(leaf, placement))
+            self.add_shape(shape, emission, nits, leaf, placement)
 
     def put_fog(self, leaf: Leaf, source: Usd.Prim | None, matrix: Array) -> None:
         made = volume.fog_volume(leaf.prim, source, matrix, self.time, self.notes)
@@ -237,9 +242,12 @@ class _Assembler:
         if lamp is None:
             return
         self.lamps.append(lamp)
+        group = SKY if kind == "DistantLight" else self.light_group(leaf, placement)
         if lamp.shape is None:
+            self.group_of[f"light_{len(self.lights)}"] = group
             self.lights[f"light_{len(self.lights)}"] = lamp.emitter
             return
+        self.group_of[f"shape_{len(self.shapes)}"] = group
         black = {"type": "ref", "id": self.materials.black().key}
         if isinstance(lamp.shape, Triangles):
             shape = geometry.mesh_shape(lamp.shape, self.materials.black().key, textured=False, colored=False)
@@ -248,8 +256,16 @@ class _Assembler:
         thing = self.thing(leaf, placement) if leaf.owner is not None or (placement is not None and placement.owner is not None) else None
         self.new_shape({**shape, "emitter": lamp.emitter}, thing)
 
-    def add_shape(self, shape: dict[str, Any], emission: dict[str, Any] | None, nits: float, thing: int) -> None:
+    def light_group(self, leaf: Leaf, placement: Placement | None) -> str:
+        """Light group of a lamp: as authored on it or above it, else by what it is part of."""
+        above = self.stage.GetPrimAtPath(placement.path) if placement is not None else None
+        owner = leaf.owner or (placement.owner if placement is not None else None)
+        return authored_group(leaf.prim) or (authored_group(above) if above else None) or group_by_label(owner.label if owner is not None else UNLABELED)
+
+    def add_shape(self, shape: dict[str, Any], emission: dict[str, Any] | None, nits: float, leaf: Leaf, placement: Placement | None) -> None:
+        thing = self.thing(leaf, placement)
         if emission is not None:
+            self.group_of[f"shape_{len(self.shapes)}"] = self.light_group(leaf, placement)
             surface = _area_of(shape)
             lamp = light.Lamp({"type": "area", "radiance": emission}, math.pi * surface * nits)
             self.lamps.append(lamp)
@@ -283,7 +299,7 @@ class _Assembler:
                     matrix = to_scene @ place.matrix @ leaf.matrix
                     for shape, emission, nits in self.parts(leaf, matrix):
                         if emission is not None:
-                            self.add_shape(shape, emission, nits, self.thing(leaf, place))
+                            self.add_shape(shape, emission, nits, leaf, place)
         if not shared:
             return
         key = f"group_{len(self.groups)}"

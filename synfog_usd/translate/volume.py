@@ -1,22 +1,29 @@
 """Fog: boundaries and media from the prims that carry fog attributes.
 
 Takes leaves of the walk; gives `FogVolume`s in scene metres, each with the one
-that surrounds it.
+that surrounds it.  A density grid's file is read here.
 """
 
 from __future__ import annotations
 
 import math
+import zipfile
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdGeom
+from pxr import Ar, Sdf, Usd, UsdGeom
 
-from synfog_usd.errors import ParameterError, StageError
+from synfog_usd.errors import ParameterError, StageError, did_you_mean
 from synfog_usd.fog import Boundary, FogMedium, FogVolume, extinction_from_visibility
+from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
+from synfog_usd.fog.medium import ANGSTROM
+from synfog_usd.fog.phase import Droplets, Phase, Tabulated
 from synfog_usd.fog.volume import crosses, is_inside
+from synfog_usd.scene import Camera
 from synfog_usd.stage.schema import DEFAULTS, PREFIX, FogAttributes, read_fog
 from synfog_usd.translate.geometry import part, read_implicit, read_mesh
 from synfog_usd.translate.notes import Notebook
@@ -29,6 +36,12 @@ _SLACK = 1e-5
 LAYER_TOP_M = 100.0
 LAYER_HALF_WIDTH_M = 2000.0
 """Size of the fog that is made for a stage that has none."""
+
+PHASES = ("hg", "droplets", "mie")
+PROFILES = ("uniform", "exponential", "grid")
+
+_MAX_BYTES = 8 * MAX_VOXELS + 4096
+"""Of an array in a file, in double precision."""
 
 
 def fog_volume(prim: Usd.Prim, source: Usd.Prim | None, matrix: Array, time: Usd.TimeCode, notes: Notebook) -> FogVolume | None:
@@ -49,7 +62,7 @@ def fog_volume(prim: Usd.Prim, source: Usd.Prim | None, matrix: Array, time: Usd
     if not attributes.values["enabled"]:
         return None
     boundary = _boundary(prim, matrix, time, notes)
-    medium = _medium(attributes, _lowest(boundary), notes)
+    medium = _medium(attributes, _lowest(boundary), Path(prim.GetStage().GetRootLayer().realPath), notes)
     return FogVolume(str(prim.GetPath()), boundary, medium, attributes.values["priority"])
 
 
@@ -100,6 +113,27 @@ def layer(mor_m: float, low: Array, high: Array, eye: Array) -> FogVolume:
     to_world = scaled(half, half, (top - bottom) / 2.0)
     to_world[:3, 3] = eye[0], eye[1], (top + bottom) / 2.0
     return FogVolume("", Boundary("box", to_world), replace(FogMedium.from_visibility(mor_m), base_height_m=bottom))
+
+
+def refuse_cut(fog: tuple[FogVolume, ...], camera: Camera) -> None:
+    """Refuse fog whose boundary passes between the camera and its near plane, within the view.
+
+    A ray begins at the near plane in the fog that is around the lens; where these
+    differ, all that it meets is drawn in the wrong fog.
+
+    Raises:
+        StageError: with the boundary's prim path and the camera's.
+    """
+    half = camera.near_m * math.tan(math.radians(camera.fov_x_deg) / 2.0)
+    tall = half * camera.height_px / camera.width_px
+    corners = [((x + 2.0 * camera.shift[0]) * half, (y + 2.0 * camera.shift[1]) * tall, -camera.near_m) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
+    pyramid = apply(camera.to_world, np.array([(0.0, 0.0, 0.0), *corners]))
+    for volume in fog:
+        if volume.boundary.meets(pyramid):
+            raise StageError(
+                f"{volume.path}: the fog's boundary lies between the camera {camera.path} and its near plane at {camera.near_m:g} m; "
+                f"move one of them, or lower the camera's clippingRange"
+            )
 
 
 def is_closed(vertices: Array, faces: npt.NDArray[np.int64]) -> bool:
@@ -191,20 +225,16 @@ def _open_edges(mesh: tuple[Array, npt.NDArray[np.int64]]) -> int:
     return int(len(np.setxor1d(forward, backward)) // 2 + len(forward) - len(np.unique(forward)))
 
 
-def _medium(attributes: FogAttributes, base_m: float, notes: Notebook) -> FogMedium:
+def _medium(attributes: FogAttributes, base_m: float, stage_file: Path, notes: Notebook) -> FogMedium:
     values, authored = attributes.values, attributes.attribute_of
 
     def fault(name: str, allowed: str) -> StageError:
-        return StageError(f"{attributes.path}: {authored.get(name, PREFIX + name)} = {values[name]!r}; {allowed}")
+        value = values[name].path if isinstance(values[name], Sdf.AssetPath) else values[name]
+        return StageError(f"{attributes.path}: {authored.get(name, PREFIX + name)} = {value!r}; {allowed}")
 
-    if values["phase"] != "hg":
-        raise fault("phase", "only 'hg' (Henyey-Greenstein) is drawn")
-    if values["profile"] not in ("uniform", "exponential"):
-        raise fault("profile", "only 'uniform' and 'exponential' are drawn")
-    if values["angstrom"] != 0.0:
-        notes.warn(attributes.path, "fog is drawn grey; its Angstrom exponent is left out")
-    if "dropletDiameter" in authored:
-        notes.info(attributes.path, "the droplet diameter is not used; g alone shapes the phase function")
+    for name, words in (("phase", PHASES), ("profile", PROFILES)):
+        if values[name] not in words:
+            raise fault(name, f"it takes {', '.join(words)}.{did_you_mean(values[name], words)}")
     ranges: list[tuple[str, Any, str]] = [
         ("mor", values["mor"] > 0.0, "a visibility is above 0 m"),
         ("sigma_t", values["sigma_t"] is None or values["sigma_t"] >= 0.0, "an extinction is 0 1/m or more"),
@@ -212,20 +242,89 @@ def _medium(attributes: FogAttributes, base_m: float, notes: Notebook) -> FogMed
         ("albedo", 0.0 <= values["albedo"] <= 1.0, "an albedo is 0 to 1"),
         ("g", -1.0 < values["g"] < 1.0, "a mean cosine lies between -1 and 1"),
         ("scaleHeight", values["scaleHeight"] > 0.0, "a scale height is above 0 m"),
+        ("angstrom", ANGSTROM[0] <= values["angstrom"] <= ANGSTROM[1], f"an Angstrom exponent is {ANGSTROM[0]:g} to {ANGSTROM[1]:g}; fog has 0"),
     ]
     for name, fits, allowed in ranges:
         if not fits:
             raise fault(name, allowed)
+    phase = _phase(attributes, fault, notes)
+    if values["angstrom"] != 0.0:
+        notes.warn(attributes.path, "every colour gets the extinction at 550 nm; the Angstrom exponent is kept, but not drawn")
+    grid = None
+    if values["profile"] == "grid":
+        grid = _density_grid(values["densityGrid"], stage_file, fault)
+    elif "densityGrid" in authored:
+        notes.warn(attributes.path, f"the density grid is not drawn with profile {values['profile']!r}; set it to 'grid'")
     sigma_t = values["sigma_t"]
     if sigma_t is None:
         sigma_t = float(extinction_from_visibility(values["mor"], contrast=values["contrast"]))
         if "mor" not in authored:
             notes.info(attributes.path, f"fog without a visibility gets {DEFAULT_MOR_M:g} m; author {PREFIX}mor [m]")
     try:
-        return FogMedium(sigma_t, values["albedo"], values["g"], values["profile"], base_m, values["scaleHeight"])
+        return FogMedium(
+            sigma_t, values["albedo"], values["g"], values["profile"], base_m, values["scaleHeight"], phase=phase, angstrom=values["angstrom"], grid=grid
+        )
     except ParameterError as problem:
         name = "sigma_t" if "sigma_t" in authored else "mor"
         raise StageError(f"{attributes.path}: {authored.get(name, PREFIX + name)} = {values[name]!r}: {problem}") from problem
+
+
+Fault = Callable[[str, str], StageError]
+
+
+def _phase(attributes: FogAttributes, fault: Fault, notes: Notebook) -> Phase | None:
+    """The phase function, or None for Henyey-Greenstein's with the attribute g."""
+    kind, diameter = attributes.values["phase"], attributes.values["dropletDiameter"]
+    if kind == "hg":
+        if diameter is not None:
+            notes.info(attributes.path, "the droplet diameter is not used with phase 'hg', which g alone shapes; 'droplets' and 'mie' use it")
+        return None
+    if "g" in attributes.attribute_of:
+        notes.info(attributes.path, f"g is not used with phase {kind!r}, which the droplet diameter shapes")
+    if diameter is None:
+        raise fault("dropletDiameter", f"phase {kind!r} needs a diameter [micrometres]; radiation fog has 6 to 10, advection fog 15 to 25")
+    try:
+        return Droplets(diameter) if kind == "droplets" else Tabulated.mie(diameter)
+    except ParameterError as problem:
+        raise fault("dropletDiameter", str(problem)) from problem
+
+
+def _density_grid(asset: Sdf.AssetPath | None, stage_file: Path, fault: Fault) -> DensityGrid:
+    """The one array of a .npy or .npz file below the stage's folder."""
+    if asset is None or not asset.path:
+        raise fault("densityGrid", "profile 'grid' needs a .npy or .npz file")
+    if Ar.IsPackageRelativePath(asset.resolvedPath):
+        raise fault("densityGrid", "a grid within a .usdz is not read; put it beside the package's content in a folder")
+    if not asset.resolvedPath or not Path(asset.resolvedPath).is_file():
+        raise fault("densityGrid", "there is no such file")
+    path, folder = Path(asset.resolvedPath).resolve(), stage_file.resolve().parent
+    if not stage_file.name or not path.is_relative_to(folder):
+        raise fault("densityGrid", f"a grid lies in the folder of the stage or below it{f' ({folder})' if stage_file.name else ', and this stage has no file'}")
+    if path.suffix not in (".npy", ".npz"):
+        raise fault("densityGrid", "a grid is a .npy or .npz file")
+    try:
+        return DensityGrid(_one_array(path))
+    except (ParameterError, OSError, ValueError, EOFError, zipfile.BadZipFile) as problem:
+        raise fault("densityGrid", str(problem).strip() or "the file is damaged") from problem
+
+
+def _one_array(path: Path) -> npt.NDArray[Any]:
+    """The array of a file, without running what it may hold or filling the memory before its size is known."""
+    if path.suffix == ".npy":
+        found: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+        return found
+    with np.load(path, allow_pickle=False) as archive:
+        if len(archive.files) != 1:
+            raise ParameterError(f"the file holds {len(archive.files)} arrays ({', '.join(archive.files[:5])}); it holds one")
+        (member,) = archive.zip.infolist()
+        if member.file_size > _MAX_BYTES:
+            raise ParameterError(f"the file unpacks to {member.file_size} bytes; at most {_MAX_BYTES} are read")
+        with archive.zip.open(member) as packed:
+            version = np.lib.format.read_magic(packed)
+            shape, _, kind = (np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0)(packed)
+            if math.prod(shape) * kind.itemsize > _MAX_BYTES:
+                raise ParameterError(f"the file claims an array of shape {shape}; at most {MAX_VOXELS} voxels are read")
+        return np.asarray(archive[archive.files[0]])
 
 
 def _lowest(boundary: Boundary) -> float:

@@ -40,3 +40,91 @@ def test_a_boundary_without_volume_is_refused():
         box((1.0, 1.0, 0.0))
     with pytest.raises(ParameterError):
         Boundary("mesh", np.eye(4), np.eye(3), np.array([[0, 1, 2]]))
+
+
+def view(near, *, tan=0.5, turn=None):
+    """Corners (5, 3) of what lies between a camera at the origin and its near plane, along -Z or turned."""
+    points = near * np.array([(0, 0, 0), (-tan, -tan, -1), (tan, -tan, -1), (-tan, tan, -1), (tan, tan, -1.0)])
+    return points if turn is None else points @ turn.T
+
+
+@pytest.mark.parametrize("distance, meets", [(0.05, True), (0.0999, True), (0.1001, False), (-0.05, False)])
+def test_a_boundary_before_the_near_plane_is_found(distance, meets):
+    """A wall of fog 5 cm ahead cuts a near plane at 10 cm, one 11 cm ahead or behind does not; the camera is outside."""
+    size = 1000.0
+    assert box((size, size, size), (0, 0, -distance - size if distance > 0 else -distance + size)).meets(view(0.1)) == meets
+
+
+@pytest.mark.parametrize("shift, meets", [(0.0, False), (0.94, False), (0.96, True), (1.02, True), (1.06, False)])
+def test_a_camera_inside_may_look_out_only_behind_its_near_plane(shift, meets):
+    """A box of half size 1 m, the near plane 0.1 m wide: a corner leaves it where the camera is closer than 5 cm to the side."""
+    assert box(1.0, (-shift, 0, 0)).meets(view(0.1)) == meets
+    assert Boundary("mesh", np.eye(4), *_box_mesh(-shift)).meets(view(0.1)) == meets
+
+
+def _box_mesh(x):
+    solid = trimesh.creation.box(extents=(2, 2, 2))
+    return np.asarray(solid.vertices) + np.array([x, 0.0, 0.0]), np.asarray(solid.faces)
+
+
+@pytest.mark.parametrize("centre, radius, meets", [
+    ((0, 0, -1.05), 1.0, True),  # touches the axis 5 cm ahead
+    ((0, 0, -1.11), 1.0, False),
+    ((0, 0, 0), 1.0, False),  # all of the view is inside
+    ((0, 0, 0), 0.11, True),  # only the corners, at 0.1225 m, are outside
+    ((0, 0, 0), 0.123, False),
+    ((0, 0, -0.08), 0.001, True),  # wholly within the view
+    ((1.05, 0, -0.1), 1.0, True),  # touches the right edge
+    ((1.06, 0, -0.1), 1.0, False),
+])  # fmt: skip
+def test_a_ball_before_the_near_plane_is_found(centre, radius, meets):
+    """The nearest and the farthest point of the view from the centre say it, in closed form."""
+    matrix = np.diag([radius, radius, radius, 1.0])
+    matrix[:3, 3] = centre
+    assert Boundary("sphere", matrix).meets(view(0.1)) == meets
+
+
+def clipped(polygon, planes):
+    """Whether anything of a polygon is left behind all planes (Sutherland and Hodgman 1974)."""
+    for normal, offset in planes:
+        sides = polygon @ normal - offset
+        kept = []
+        for index in range(len(polygon)):
+            a, b = sides[index - 1], sides[index]
+            if (a <= 0) != (b <= 0):
+                kept.append(polygon[index - 1] + (polygon[index] - polygon[index - 1]) * a / (a - b))
+            if b <= 0:
+                kept.append(polygon[index])
+        if not kept:
+            return False
+        polygon = np.array(kept)
+    return True
+
+
+def planes_of(pyramid):
+    eye, corners, centre = pyramid[0], pyramid[[1, 2, 4, 3]], pyramid.mean(axis=0)
+    for a, b, c in [*[(eye, corners[k - 1], corners[k]) for k in range(4)], tuple(corners[:3])]:
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal)
+        yield (normal, normal @ a) if normal @ (centre - a) < 0 else (-normal, -normal @ a)
+
+
+def test_boxes_and_meshes_meet_what_clipping_their_faces_leaves():
+    """300 random boxes, 3 mm to 10 km, beside random views: the same answer as cutting each triangle with each plane."""
+    draw = np.random.default_rng(3)
+    solid = trimesh.creation.box(extents=(2, 2, 2))
+    answers = []
+    for _ in range(300):
+        near = 10 ** draw.uniform(-2, 0)
+        pyramid = view(near, tan=draw.uniform(0.1, 2), turn=trimesh.transformations.random_rotation_matrix(draw.random(3))[:3, :3])
+        matrix = trimesh.transformations.random_rotation_matrix(draw.random(3))
+        matrix[:3, :3] *= near * 10 ** draw.uniform(-0.5, 4, 3)
+        on_face = draw.uniform(-1, 1, 3)
+        on_face[draw.integers(3)] = draw.choice([-1, 1])
+        matrix[:3, 3] = pyramid.mean(axis=0) + near * draw.normal(size=3) - matrix[:3, :3] @ on_face
+        vertices = solid.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        planes = list(planes_of(pyramid))
+        answers.append(any(clipped(triangle, planes) for triangle in vertices[solid.faces]))
+        assert Boundary("box", matrix).meets(pyramid) == answers[-1]
+        assert Boundary("mesh", np.eye(4), vertices, solid.faces).meets(pyramid) == answers[-1]
+    assert 50 < sum(answers) < 250

@@ -1,9 +1,12 @@
 """Fog: what is authored is what is drawn, and what makes no sense is refused by name."""
 
+import importlib.util
+import io
 import math
 import subprocess
 import sys
 import textwrap
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +14,8 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from synfog_usd.errors import StageError
+from synfog_usd.fog.phase import Droplets
+from synfog_usd.stage.open import dependencies
 from synfog_usd.translate import translate
 
 TYPES = Sdf.ValueTypeNames
@@ -91,13 +96,189 @@ def test_fog_can_be_switched_off(empty, how):
 
 
 @pytest.mark.parametrize("name, value", [
-    ("mor", 0.0), ("mor", -5.0), ("mor", math.nan), ("mor", 1e-4), ("sigma_t", -0.1), ("contrast", 1.0), ("albedo", 1.5), ("g", 1.0),
-    ("scaleHeight", 0.0), ("phase", "mie"), ("profile", "grid"), ("morr", 100.0),
+    ("mor", 0.0), ("mor", -5.0), ("mor", math.nan), ("mor", math.inf), ("mor", 1e-4), ("sigma_t", -0.1), ("sigma_t", math.nan), ("sigma_t", 1e4),
+    ("contrast", 0.0), ("contrast", 1.0), ("albedo", -0.1), ("albedo", 1.5), ("albedo", math.nan), ("g", 1.0), ("g", -1.0), ("g", math.nan),
+    ("scaleHeight", 0.0), ("scaleHeight", -1.0), ("angstrom", 9.0), ("angstrom", math.nan), ("phase", "rayleigh"), ("profile", "linear"), ("morr", 100.0),
 ])  # fmt: skip
 def test_bad_values_are_refused_with_prim_and_attribute(empty, name, value):
     stage = empty()
     fog_box(stage, "/World_Fog", **{name: value})
     with pytest.raises(StageError, match=rf"/World_Fog.*synfog:fog:{name}"):
+        translate(stage)
+
+
+@pytest.mark.parametrize("phase, diameter", [("droplets", 5.0), ("droplets", 60.0), ("droplets", None), ("mie", 0.0), ("mie", 1e4), ("mie", None)])
+def test_droplets_of_no_size_are_refused(empty, phase, diameter):
+    """A phase function that is made from the diameter needs one, within the range of its fit or series."""
+    stage = empty()
+    fog_box(stage, "/Fog", phase=phase, **({} if diameter is None else {"dropletDiameter": diameter}))
+    with pytest.raises(StageError, match=r"/Fog: synfog:fog:dropletDiameter = .*(5|6|0.1)"):
+        translate(stage)
+
+
+def test_droplets_shape_the_phase_function(empty):
+    stage = empty()
+    fog_box(stage, "/Fog", phase="droplets", dropletDiameter=8.0)
+    (volume,) = translate(stage).fog
+    assert volume.medium.phase == Droplets(8.0)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("miepython") is None, reason="needs miepython")
+def test_mie_is_read(empty):
+    stage = empty()
+    fog_box(stage, "/Fog", phase="mie", dropletDiameter=8.0)
+    (volume,) = translate(stage).fog
+    assert "8 um" in volume.medium.phase.source
+
+
+def test_mie_without_miepython_says_what_to_install(empty, monkeypatch):
+    monkeypatch.setitem(sys.modules, "miepython", None)
+    stage = empty()
+    fog_box(stage, "/Fog", phase="mie", dropletDiameter=8.0)
+    with pytest.raises(StageError, match=r'/Fog: .*pip install "synfog-usd\[mie\]"'):
+        translate(stage)
+
+
+def test_what_is_not_drawn_is_noted(empty):
+    """Colour by wavelength, a diameter beside g, g beside a diameter, a grid beside another profile."""
+    stage = empty()
+    one = fog_box(stage, "/One", (0, 50, 0), dropletDiameter=8.0, angstrom=1.3)
+    one.GetPrim().CreateAttribute("synfog:fog:densityGrid", TYPES.Asset).Set("grid.npy")
+    fog_box(stage, "/Other", (0, 100, 0), phase="droplets", dropletDiameter=8.0, g=0.5)
+    scene = translate(stage)
+    assert [volume.medium.angstrom for volume in scene.fog] == [1.3, 0.0]
+    notes = [(note.severity, note.path, note.text) for note in scene.notes]
+    for severity, path, words in (
+        ("warning", "/One", "550 nm"), ("warning", "/One", "not drawn with profile 'uniform'"),
+        ("info", "/One", "diameter is not used"), ("info", "/Other", "g is not used"),
+    ):  # fmt: skip
+        assert sum(note[:2] == (severity, path) and words in note[2] for note in notes) == 1, words
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """A stage in a folder of its own, with a grid's path on its one fog."""
+
+    def make(asset):
+        folder = tmp_path / "stage"
+        folder.mkdir()
+        stage = Usd.Stage.CreateNew(str(folder / "fog.usda"))
+        UsdGeom.SetStageUpAxis(stage, "Z")
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        UsdGeom.Camera.Define(stage, "/Camera")
+        prim = fog_box(stage, "/Fog", half=20.0, profile="grid", sigma_t=0.1).GetPrim()
+        if asset is not None:
+            prim.CreateAttribute("synfog:fog:densityGrid", TYPES.Asset).Set(asset)
+        return stage, folder
+
+    return make
+
+
+@pytest.mark.parametrize("name", ["grid.npy", "grid.npz", "deep/grid.npy"])
+def test_a_grid_beside_the_stage_is_read(saved, name):
+    values = np.random.default_rng(0).random((2, 3, 4)).astype(np.float32)
+    stage, folder = saved("./" + name)
+    (folder / "deep").mkdir()
+    (np.savez_compressed if name.endswith("z") else np.save)(folder / name, values)
+    (volume,) = translate(stage).fog
+    np.testing.assert_array_equal(volume.medium.grid.values, values)
+    assert (volume.medium.profile, volume.medium.sigma_t_per_m) == ("grid", 0.1)
+    stage.Save()
+    assert (folder / name).resolve() in dependencies(stage)  # and so in the stage's hash
+
+
+GRIDS = {
+    "nan.npy": lambda path: np.save(path, np.full((2, 2, 2), np.nan)),
+    "negative.npy": lambda path: np.save(path, np.full((2, 2, 2), -0.1)),
+    "big.npy": lambda path: np.save(path, np.full((2, 2, 2), 1.1)),
+    "flat.npy": lambda path: np.save(path, np.ones((2, 2))),
+    "objects.npy": lambda path: np.save(path, np.array([[[{}]]]), allow_pickle=True),
+    "two.npz": lambda path: np.savez(path, a=np.ones((1, 1, 1)), b=np.ones((1, 1, 1))),
+    "objects.npz": lambda path: np.savez(path, np.array([[[{}]]])),
+    "text.npy": lambda path: path.write_text("0.5"),
+    "text.npz": lambda path: path.write_text("0.5"),
+    "empty.npy": lambda path: path.write_bytes(b""),
+    "grid.vdb": lambda path: path.write_bytes(b"vdb"),
+    "claims.npy": lambda path: path.write_bytes(_header((1 << 13,) * 3)),
+    "claims.npz": lambda path: _zipped(path, _header((1 << 13,) * 3)),
+    "bomb.npz": lambda path: _zipped(path, _header((1 << 7, 1 << 10, 1 << 10)) + bytes(1 << 29) + bytes(1 << 13)),
+}
+
+
+def _header(shape):
+    out = io.BytesIO()
+    np.lib.format.write_array_header_1_0(out, {"descr": "<f4", "fortran_order": False, "shape": shape})
+    return out.getvalue()
+
+
+def _zipped(path, content):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("grid.npy", content)
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_a_grid_that_makes_no_sense_is_refused_with_prim_and_attribute(saved, name):
+    """Bad values, other shapes and formats, pickled objects, and headers that claim more than there is or than we take."""
+    stage, folder = saved("./" + name)
+    GRIDS[name](folder / name)
+    with pytest.raises(StageError, match=rf"/Fog: synfog:fog:densityGrid = './{name}'; "):
+        translate(stage)
+
+
+@pytest.mark.parametrize("how", ["none", "missing", "outside", "link", "memory"])
+def test_a_grid_lies_below_the_stage(saved, empty, tmp_path, how):
+    """No file, a file elsewhere, a link to elsewhere, and a stage that lies nowhere."""
+    np.save(tmp_path / "grid.npy", np.ones((1, 1, 1)))
+    stage, folder = saved({"none": None, "missing": "./grid.npy", "outside": "../grid.npy", "link": "./link.npy", "memory": None}[how])
+    (folder / "link.npy").symlink_to(tmp_path / "grid.npy")
+    if how == "memory":
+        stage = empty()
+        fog_box(stage, "/Fog", profile="grid").GetPrim().CreateAttribute("synfog:fog:densityGrid", TYPES.Asset).Set(str(tmp_path / "grid.npy"))
+    with pytest.raises(StageError, match="/Fog: synfog:fog:densityGrid"):
+        translate(stage)
+
+
+@pytest.mark.parametrize(
+    "near, y, refused", [(0.1, 10.05, True), (0.01, 10.05, False), (0.1, 10.2, False), (0.1, -10.05, False), (0.1, -9.95, True), (0.1, 9.95, False)]
+)
+def test_fog_that_the_near_plane_cuts_is_refused(empty, near, y, refused):
+    """A camera that looks along +Y with a near plane at 10 cm: a box that begins or ends 5 cm ahead; not one farther, behind, or around both."""
+    stage = empty()
+    UsdGeom.Camera(stage.GetPrimAtPath("/Camera")).CreateClippingRangeAttr().Set((near, 1000.0))
+    fog_box(stage, "/Bank", (0, y, 0))
+    if not refused:
+        assert len(translate(stage).fog) == 1
+        return
+    with pytest.raises(StageError, match=r"/Bank: .*boundary.* /Camera .* 0.1 m"):
+        translate(stage)
+
+
+@pytest.mark.parametrize("shift, refused", [(9.97, True), (9.5, False)])
+def test_a_camera_inside_whose_view_leaves_the_fog_before_the_near_plane_is_refused(empty, shift, refused):
+    """The near plane is 0.08 m wide; beside the wall of the fog one corner of it is outside."""
+    stage = empty()
+    UsdGeom.Camera(stage.GetPrimAtPath("/Camera")).CreateClippingRangeAttr().Set((0.2, 1000.0))
+    fog_box(stage, "/Fog", (shift, 0, 0))
+    if refused:
+        with pytest.raises(StageError, match=r"/Fog: .*near plane"):
+            translate(stage)
+    else:
+        assert translate(stage).fog
+
+
+@pytest.mark.parametrize("scale", [(10.0, 10.0, 0.0), (0.0, 0.0, 0.0), (10.0, 10.0, 1e-5)])
+def test_a_boundary_without_volume_is_refused(empty, scale):
+    stage = empty()
+    cube = fog_box(stage, "/Flat")
+    cube.GetPrim().GetAttribute("xformOp:scale").Set(scale)
+    with pytest.raises(StageError, match=r"/Flat: .*thick holds no fog"):
+        translate(stage)
+
+
+def test_a_box_of_no_size_is_refused(empty):
+    stage = empty()
+    fog_box(stage, "/Nothing").GetSizeAttr().Set(0.0)
+    with pytest.raises(StageError, match=r"/Nothing: .*holds no fog"):
         translate(stage)
 
 
@@ -143,9 +324,9 @@ def test_nested_fog_knows_what_surrounds_it(empty):
 def test_a_bank_that_stands_on_the_floor_of_the_layer_is_nested(empty):
     """Faces in one plane do not count as crossing."""
     stage = empty()
-    fog_box(stage, "/Layer", (0, 0, 10), 10.0)
-    fog_box(stage, "/Bank", (0, 0, 2), 2.0)
-    fog_box(stage, "/Beside", (20, 0, 10), 10.0)
+    fog_box(stage, "/Layer", (0, 0, 9), 10.0)
+    fog_box(stage, "/Bank", (0, 0, 1), 2.0)
+    fog_box(stage, "/Beside", (20, 0, 9), 10.0)
     fog = translate(stage).fog
     assert [(v.path, v.parent) for v in fog] == [("/Layer", None), ("/Bank", 0), ("/Beside", None)]
 

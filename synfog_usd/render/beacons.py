@@ -1,0 +1,196 @@
+"""Where light that was turned more than once comes from: the neighbourhood of lamps.
+
+A path towards the dark that the fog turns into a beam by chance is the firefly of
+every foggy night.  So distances on the eye's segment and directions after a
+scattering are drawn, half of them, towards lamps: distances equiangularly (Kulla
+and Fajardo 2012), directions with the density that light scattered once more has
+around a lamp, 1 / sin(theta) times the share of the phase function beyond theta.
+The other half is drawn as ever; the weight is that of the mixture (Veach and
+Guibas 1995, one-sample balance heuristic), so nothing is ever brighter than twice.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
+from synfog_usd.render import backend
+from synfog_usd.render.air import Air
+from synfog_usd.render.lamps import Lamps
+
+MOST = 24
+"""Lamps that are aimed at; the brightest as seen from the camera where there are more."""
+
+TOWARDS = 0.5
+"""Share of distances and directions that are drawn towards lamps."""
+
+EVENLY = 0.3
+"""Share of the draws towards lamps that take any lamp alike: whatever hides or dims the favourite."""
+
+FLOOR = 1e-3
+"""Least part of a lamp's peak that it is taken to send anywhere."""
+
+NEAR_M = 0.3
+"""Lamps are taken to be this far at least."""
+
+ANGLES = 512
+
+
+class Beacons:
+    """The lamps of a scene, one row each.
+
+    Args:
+        lamps: the scene's.
+        air: the fog.
+        eye: (3,) position of the camera [m].
+    """
+
+    def __init__(self, lamps: Lamps, air: Air, eye: np.ndarray) -> None:
+        rows = np.array([_summary(rows) for rows in lamps.parts] or np.zeros((0, 10)))
+        rows = rows[rows[:, 6] > 0.0]
+        apart = ((rows[:, 0:3] - eye) ** 2).sum(axis=1) + 25.0
+        rows = rows[np.argsort(-rows[:, 6] / apart, kind="stable")[:MOST]]
+        self.count = len(rows) if air.foggy else 0
+        if not self.count:
+            return
+        mi = backend.mitsuba()
+        self.table = [mi.Float(column.astype(np.float32)) for column in rows.T]
+        self.number = dr.opaque(mi.UInt32, self.count)
+        nodes = np.concatenate([[0.0], np.geomspace(1e-3, np.pi, ANGLES - 1)])
+        value = np.array(air.phase.value(mi.Float(np.cos(nodes).astype(np.float32))), dtype=np.float64)
+        steps = 0.5 * (value[1:] + value[:-1]) * np.diff(nodes)
+        beyond = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
+        beyond = np.maximum(beyond, 1e-3 * beyond[0])
+        self.around = mi.IrregularContinuousDistribution(mi.Float(nodes.astype(np.float32)), mi.Float(beyond.astype(np.float32)))
+        self.turned_scale = 1.0 / self.around.eval_pdf_normalized(mi.Float(0.05))
+        dr.make_opaque(self.table, self.turned_scale)
+
+    def _row(self, index: Any) -> list[Any]:
+        mi = backend.mitsuba()
+        return [dr.gather(mi.Float, column, index) for column in self.table]
+
+    def _sent(self, row: list[Any], towards: Any) -> Any:
+        """Peak of a lamp times its share in a direction away from it, and beside its beam what the fog turns out of it."""
+        mi = backend.mitsuba()
+        cosine = dr.dot(mi.Vector3f(*row[3:6]), towards)
+        beside = dr.acos(dr.clip(cosine, -1.0, 1.0)) - row[7]
+        beam = dr.clip(-beside * row[8], 0.0, 1.0)
+        turned = self.around.eval_pdf_normalized(dr.clip(beside, 0.05, dr.pi)) * self.turned_scale
+        return row[6] * (FLOOR + dr.select(row[9] > 0.5, dr.maximum(beam, turned), dr.maximum(cosine, 0.05)))
+
+    @dr.syntax
+    def distance(self, origin: Any, direction: Any, begin: Any, end: Any, sigma: Any, u_which: Any, u_along: Any) -> Any:
+        """A distance [m] on a stretch, drawn towards a lamp."""
+        mi = backend.mitsuba()
+        even, u = _evenly(u_which)
+        index, total, kept = mi.UInt32(0), mi.Float(0.0), mi.Float(0.0)
+        while index < self.number:
+            row = self._row(index)
+            nearest, height, low, high = _angles(mi.Point3f(*row[0:3]), origin, direction, begin, end)
+            weight = dr.select(even, 1.0, self._along(row, origin, direction, nearest, height, low, high, begin, end, sigma))
+            total += weight
+            share = weight / dr.maximum(total, 1e-30)
+            taken = u < share
+            u = dr.clip(dr.select(taken, u / dr.maximum(share, 1e-30), (u - share) / dr.maximum(1.0 - share, 1e-30)), 0.0, 0.9999999)
+            kept = dr.select(taken, nearest + height * dr.tan(dr.lerp(low, high, u_along)), kept)
+            index += 1
+        return dr.clip(kept, begin, end)
+
+    @dr.syntax
+    def distance_density(self, origin: Any, direction: Any, begin: Any, end: Any, sigma: Any, distance: Any) -> Any:
+        """Density [1/m] of `distance`."""
+        mi = backend.mitsuba()
+        index, total, density, alike = mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
+        while index < self.number:
+            row = self._row(index)
+            nearest, height, low, high = _angles(mi.Point3f(*row[0:3]), origin, direction, begin, end)
+            weight = self._along(row, origin, direction, nearest, height, low, high, begin, end, sigma)
+            total += weight
+            step = distance - nearest
+            one = height / (dr.maximum(high - low, 1e-9) * (height * height + step * step))
+            density += weight * one
+            alike += one
+            index += 1
+        return (1.0 - EVENLY) * density / dr.maximum(total, 1e-30) + EVENLY * alike / self.number
+
+    def _along(self, row: list[Any], origin: Any, direction: Any, nearest: Any, height: Any, low: Any, high: Any, begin: Any, end: Any, sigma: Any) -> Any:
+        """How much a lamp matters on a stretch: its light at the nearest point, times the stretch's angle."""
+        mi = backend.mitsuba()
+        place = origin + direction * dr.clip(nearest, begin, end)
+        between = place - mi.Point3f(*row[0:3])
+        away = dr.maximum(dr.norm(between), NEAR_M)
+        return self._sent(row, between / away) * (high - low) / height * dr.exp(-sigma * (away + dr.clip(nearest, begin, end) - begin))
+
+    @dr.syntax
+    def direction(self, place: Any, sigma: Any, u_which: Any, u: Any) -> Any:
+        """A direction from a point, drawn towards a lamp."""
+        mi = backend.mitsuba()
+        even, v = _evenly(u_which)
+        index, total = mi.UInt32(0), mi.Float(0.0)
+        axis = mi.Vector3f(0.0, 0.0, 1.0)
+        while index < self.number:
+            weight, towards = self._seen(self._row(index), place, sigma)
+            weight = dr.select(even, 1.0, weight)
+            total += weight
+            share = weight / dr.maximum(total, 1e-30)
+            taken = v < share
+            v = dr.clip(dr.select(taken, v / dr.maximum(share, 1e-30), (v - share) / dr.maximum(1.0 - share, 1e-30)), 0.0, 0.9999999)
+            axis = dr.select(taken, towards, axis)
+            index += 1
+        angle = self.around.sample(u.x)
+        sine, cosine = dr.sincos(angle)
+        sin_phi, cos_phi = dr.sincos(2.0 * dr.pi * u.y)
+        return mi.Frame3f(axis).to_world(mi.Vector3f(sine * cos_phi, sine * sin_phi, cosine))
+
+    @dr.syntax
+    def direction_density(self, place: Any, sigma: Any, direction: Any) -> Any:
+        """Density [1/sr] of `direction`."""
+        mi = backend.mitsuba()
+        index, total, density, alike = mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
+        while index < self.number:
+            weight, towards = self._seen(self._row(index), place, sigma)
+            total += weight
+            sine = dr.norm(dr.cross(towards, direction))
+            angle = dr.atan2(sine, dr.dot(towards, direction))
+            one = self.around.eval_pdf_normalized(angle) / (2.0 * dr.pi * dr.maximum(sine, 1e-6))
+            density += weight * one
+            alike += one
+            index += 1
+        return (1.0 - EVENLY) * density / dr.maximum(total, 1e-30) + EVENLY * alike / self.number
+
+    def _seen(self, row: list[Any], place: Any, sigma: Any) -> tuple[Any, Any]:
+        mi = backend.mitsuba()
+        between = mi.Point3f(*row[0:3]) - place
+        away = dr.maximum(dr.norm(between), 1e-4)
+        towards = between / away
+        far = dr.maximum(away, NEAR_M)
+        return self._sent(row, -towards) * dr.exp(-sigma * far) / (far * far), towards
+
+
+def _evenly(u: Any) -> tuple[Any, Any]:
+    """(whether to take any lamp alike, the random number anew)."""
+    even = u < EVENLY
+    return even, dr.select(even, u / EVENLY, (u - EVENLY) / (1.0 - EVENLY))
+
+
+def _angles(lamp: Any, origin: Any, direction: Any, begin: Any, end: Any) -> tuple[Any, Any, Any, Any]:
+    """Nearest point and distance of a ray to a lamp, and the angles under which it sees both ends of a stretch."""
+    nearest = dr.dot(lamp - origin, direction)
+    height = dr.maximum(dr.norm(lamp - (origin + direction * nearest)), 1e-3)
+    return nearest, height, dr.atan((begin - nearest) / height), dr.atan((end - nearest) / height)
+
+
+def _summary(rows: np.ndarray) -> np.ndarray:
+    """One row of a lamp's many: 0-2 position, 3-5 axis, 6 luminous peak, 7 cutoff, 8 1 / transition, 9 whether it is a beam."""
+    light = np.maximum(rows[:, 12:15] @ LUMINANCE_WEIGHTS_REC709, 0.0)
+    if len(rows) == 1 and rows[0, 17] > 0.5:
+        return np.concatenate([rows[0, 0:3], rows[0, 9:12], [light[0]], rows[0, 15:18]])
+    centre = np.average(rows[:, 0:3] + (rows[:, 3:6] + rows[:, 6:9]) / 3.0, axis=0, weights=light + 1e-30)
+    axis = np.average(rows[:, 9:12], axis=0, weights=light + 1e-30)
+    lean = np.linalg.norm(axis)
+    if lean < 0.5:  # it shines all around
+        return np.concatenate([centre, [0.0, 0.0, 1.0], [light.sum() / 4.0], [1e9, 1.0, 1.0]])
+    return np.concatenate([centre, axis / lean, [light.sum()], [0.0, 1.0, 0.0]])

@@ -1,0 +1,225 @@
+"""Which model, and when to stop: no more than a scene needs.
+
+Takes a loaded scene and a target; runs each candidate small, compares it with the
+unbiased estimate, and takes the cheapest whose error is under the target.  What
+decides is counted in paths and their fixed costs, never in seconds, so that the
+same seed gives the same choice on any machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.progress import Progress, silent
+from synfog_usd.render import film, models
+from synfog_usd.scene import SceneDict
+from synfog_usd.seeds import seed32
+
+Array = npt.NDArray[np.float64]
+
+PILOT_WIDTH_PX = 64
+PILOT_SAMPLES = 64
+
+COST = {"asm": 0.5, "asm_estimated": 0.5, "slab": 0.4, "glow": 0.5, "single": 0.7, "path": 1.0, "path+slab": 1.0, "volpath": 10.0}
+"""Seconds of a sample, relative to `path`; measured in the bench stages within a factor of two, and fixed so that choices repeat."""
+
+BIASED = ("asm", "slab", "glow", "single")
+"""Models with an error that samples do not cure, cheapest first; each is tried where it holds."""
+
+SENSOR_SHARE = 1.0 / 3.0
+"""Part of the sensor's own noise that may be left of a render: together they are 5 % noisier than the sensor alone."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is good enough.
+
+    Attributes:
+        relative: standard error of a pixel's luminance over it, or None.
+        sigma: luminance (P,) [cd m-2] -> standard error [cd m-2] that is good enough, or None; the sensor's noise.
+        samples: most paths per pixel, on average over the image.
+        time_s: wall seconds after which no new round is begun, or None; a render that ends by it does not repeat byte for byte.
+    """
+
+    relative: float | None = None
+    sigma: Callable[[Array], Array] | None = None
+    samples: int = 64
+    time_s: float | None = None
+
+    @property
+    def open(self) -> bool:
+        """Whether the number of samples is the only thing that counts."""
+        return self.relative is None and self.sigma is None and self.time_s is None
+
+    def allowed(self, luminance: Array) -> Array:
+        """Standard error [cd m-2] that is good enough for each pixel."""
+        level = np.maximum(luminance, 0.01 * max(float(luminance.mean()), 1e-30))
+        limits = np.full(level.shape, np.inf)
+        if self.relative is not None:
+            limits = np.minimum(limits, self.relative * level)
+        if self.sigma is not None:
+            limits = np.minimum(limits, self.sigma(level))
+        return limits
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A model and the figures that decided.
+
+    Attributes:
+        model: its name.
+        why: in words, with the figures.
+        figures: model -> {'bias': RMS over the pixels of its relative error, where it is biased; 'noise': relative standard deviation of one sample}.
+    """
+
+    model: str
+    why: str
+    figures: dict[str, dict[str, float]]
+
+
+def choose(scene: SceneDict, *, target: Target, seed: int, load: Callable[..., Any], progress: Progress = silent) -> Choice:
+    """The cheapest model whose measured error is under the target.
+
+    Args:
+        scene: at any size; the pilot is PILOT_WIDTH_PX wide.
+        target: biased models are tried only where it names an error.
+        seed: of the pilot.
+        load: (scene, size=, boundaries=) -> `Loaded`.
+        progress: told after each candidate.
+    """
+    holding = [name for name in ("path", "path+slab") if not models.MODELS[name].refuses(scene)]
+    if not holding or not scene.fog:
+        name, why = models.choose(models.AUTO, scene)
+        return Choice(name, why, {})
+    height = max(1, round(PILOT_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
+    small = load(replace(scene, camera=replace(scene.camera, width_px=PILOT_WIDTH_PX, height_px=height)), boundaries=False)
+    figures: dict[str, dict[str, float]] = {}
+    pilots: dict[str, film.Exposure] = {}
+    for index, name in enumerate(holding):
+        progress("trying models", index / (len(holding) + len(BIASED)))
+        pilots[name] = film.expose(small, models.MODELS[name].make(small), samples=PILOT_SAMPLES, seed=seed32(seed, "pilot", name))
+        figures[name] = {"noise": _noise(pilots[name])}
+    best = min(holding, key=lambda name: figures[name]["noise"] ** 2 * COST[name])
+    others = [f"{name} {figures[name]['noise']:.3g}" for name in holding if name != best]
+    why = f"standard deviation of a sample {figures[best]['noise']:.3g} of a pixel's light" + (f", {', '.join(others)}" if others else "")
+    wanted = target.relative if target.relative is not None else _relative(target, pilots[best])
+    if wanted is None:
+        return Choice(best, why, figures)
+    tried = []
+    for index, name in enumerate(BIASED):
+        if name not in models.MODELS or models.MODELS[name].refuses(scene):
+            continue
+        progress("trying models", (len(holding) + index) / (len(holding) + len(BIASED)))
+        picture = film.expose(small, models.MODELS[name].make(small), samples=PILOT_SAMPLES, seed=seed32(seed, "pilot", name))
+        bias, least = _bias(picture, pilots[best])
+        figures[name] = {"bias": bias, "noise": _noise(picture)}
+        if bias + least < wanted and COST[name] * figures[name]["noise"] ** 2 < COST[best] * figures[best]["noise"] ** 2:
+            return Choice(name, f"its error of {bias:.2%} (known to {least:.2%}) is under the {wanted:.2%} that is asked for", figures)
+        tried.append(f"{name} errs by {bias:.1%}")
+    return Choice(best, why + (f"; {', '.join(tried)}, above {wanted:.2%}" if tried else ""), figures)
+
+
+def expose(loaded: Any, integrator: Any, *, target: Target, seed: int, now: Callable[[], float], progress: Progress = silent) -> film.Exposure:
+    """Sample until the target is met or the samples or the time are used up; more where the error still is.
+
+    A pixel's variance is judged with its neighbours': by itself it would stop at the
+    moments when it happens to look small, and those are the dark ones.
+
+    Args:
+        integrator: a `FogPath`; others are sampled evenly, to `target.samples`.
+        now: the clock [s].
+    """
+    begun = now()
+    if not isinstance(integrator, film.FogPath) or target.open:
+        return film.expose(loaded, integrator, samples=target.samples, seed=seed, progress=progress)
+    camera = loaded.source.camera
+    pixels = camera.width_px * camera.height_px
+    exposure, everywhere = film.begin(integrator, pixels), np.arange(pixels)
+    first = min(2 * film.CHUNK, max(2, target.samples))
+    film.extend(exposure, integrator, everywhere, dict.fromkeys(integrator.parts, first), seed)
+    spent = first
+    while spent < target.samples and first % film.CHUNK == 0 and (target.time_s is None or now() - begun < target.time_s):
+        need = _needed(exposure, target, (camera.height_px, camera.width_px))
+        short = need > 1.0
+        progress("rendering", min(max(spent / target.samples, 1.0 - float(short.mean())), 0.99))
+        if not short.any():
+            break
+        share = film.shares(exposure, film.CHUNK * len(integrator.parts))
+        budget = (target.samples - spent) * pixels
+        rows = everywhere[short]
+        have = int(np.median(next(iter(exposure.parts.values())).counts[rows]))
+        count = int(min(have, budget // len(rows)) // film.CHUNK * film.CHUNK)  # a round at most doubles what a pixel has
+        if count == 0:
+            break
+        scale = count / (sum(share.values()) / len(share))
+        more = {part: max(film.CHUNK, round(value * scale / film.CHUNK) * film.CHUNK) for part, value in share.items()}
+        film.extend(exposure, integrator, rows, more, seed)
+        spent += count * len(rows) / pixels
+    progress("rendering", 1.0)
+    return exposure
+
+
+def reached(exposure: film.Exposure, target: Target, shape: tuple[int, int]) -> float:
+    """Share of the pixels whose standard error is under the target."""
+    return float((_needed(exposure, target, shape) <= 1.0).mean())
+
+
+def _needed(exposure: film.Exposure, target: Target, shape: tuple[int, int]) -> Array:
+    """How many times the samples it has each pixel needs."""
+    from scipy import ndimage
+
+    luminance = np.maximum(exposure.mean().mean(axis=1), 0.0)
+    smooth = ndimage.uniform_filter(luminance.reshape(shape), 5, mode="nearest").ravel()
+    variance = ndimage.uniform_filter(np.minimum(exposure.variance(), 1e30).mean(axis=1).reshape(shape), 5, mode="nearest").ravel()
+    return variance / np.maximum(target.allowed(smooth), 1e-30) ** 2
+
+
+def _noise(exposure: film.Exposure) -> float:
+    """Relative standard deviation of a sample: root of the mean over the pixels, the noisiest hundredth left out."""
+    level = np.maximum(exposure.mean().mean(axis=1), 0.0)
+    scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
+    relative = np.sort(exposure.variance().mean(axis=1) / scale**2)
+    return float(np.sqrt(relative[: max(1, int(0.99 * len(relative)))].mean() * PILOT_SAMPLES))
+
+
+def _bias(picture: film.Exposure, reference: film.Exposure) -> tuple[float, float]:
+    """RMS over the pixels of the relative error that is not noise, and how well it is known.
+
+    Blocks of the image are compared, which has less noise than pixels; both
+    variances are taken off the squared difference.
+    """
+    one, other = picture.mean().mean(axis=1), reference.mean().mean(axis=1)
+    scale = np.maximum(other, 0.05 * other.mean() + 1e-30)
+    square = ((one - other) / scale) ** 2
+    noise = (picture.variance().mean(axis=1) + reference.variance().mean(axis=1)) / scale**2
+    excess = square - noise
+    known = float(np.sqrt(2.0 * np.std(excess) / np.sqrt(len(excess))))
+    return float(np.sqrt(max(float(excess.mean()), 0.0))), known
+
+
+def _relative(target: Target, exposure: film.Exposure) -> float | None:
+    if target.sigma is None:
+        return None
+    luminance = np.maximum(exposure.mean().mean(axis=1), 0.0)
+    level = np.maximum(luminance, 0.01 * luminance.mean() + 1e-30)
+    return float(np.median(target.sigma(level) / level))
+
+
+def sensor_target(electrons_per_nit: float, read_noise_e: float) -> Callable[[Array], Array]:
+    """Luminance -> the part of the sensor's shot and read noise that a render may add [cd m-2].
+
+    Args:
+        electrons_per_nit: what a pixel collects of 1 cd m-2.
+        read_noise_e: RMS of all noise that does not depend on the light [e-].
+    """
+
+    def sigma(luminance: Array) -> Array:
+        signal = np.maximum(luminance, 0.0) * electrons_per_nit
+        return SENSOR_SHARE * np.sqrt(signal + read_noise_e**2) / max(electrons_per_nit, 1e-30)
+
+    return sigma

@@ -1,0 +1,239 @@
+"""What a chart measured, as a table, and what follows from it: the Pareto front, and seconds to an error.
+
+A point is one model in one setting at one number of samples.  Points of one model
+and setting are a line.  Knows nothing of rendering or drawing.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+PEERS = ("volpath", "volpathmis")
+"""Mitsuba's own, which the others are measured against."""
+TARGETS = (0.01, 0.03, 0.10)
+"""Total errors that the summary tells the seconds of."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a model may be told beside its number of samples.
+
+    Attributes:
+        scatterings: how often the fog may turn a path; None is without end.
+        bands: wavelength bands; 0 is the three of RGB.
+        denoise: whether the picture is denoised, and the time that takes counted.
+    """
+
+    scatterings: int | None = None
+    bands: int = 0
+    denoise: bool = False
+
+    @property
+    def words(self) -> str:
+        """For a label, '' where nothing is set."""
+        parts = [f"depth {self.scatterings}"] if self.scatterings is not None else []
+        parts += [f"{self.bands} bands"] if self.bands else []
+        parts += ["denoised"] if self.denoise else []
+        return ", ".join(parts)
+
+
+PLAIN = Setting()
+
+
+@dataclass(frozen=True)
+class Point:
+    """One model and setting at one number of samples: a row of `chart.csv`.
+
+    Attributes:
+        line: model and setting in words.
+        model, scatterings, bands, denoise, samples: what was run; an empty cell of `scatterings` is without end.
+        unbiased: whether the model has no bias by its making, and nothing was cut off or smoothed.
+        seconds: wall time of a render on a loaded scene whose kernel is there already, with what the model prepares for itself:
+            the least of RUNS - 1, since other work on the machine only adds to it.
+        first_call_s: wall time of the line's first render; what it has over `seconds` is the making of the kernel, or
+            reading it from Dr.Jit's cache on disk.  Once a line, at its fewest samples; later points repeat no kernel.
+        relative_mse, relative_rms: mean square of the relative error of luminance over the pixels, and its root; the reference's variance is taken off.
+        noise_rms, bias_rms: what of it differs from seed to seed, and what stays; squares add up to `relative_mse`.
+        bias_limit: bias of a pixel, RMS, that two standard errors leave room for; above it, none.
+        bias_is_seen: whether `bias_rms` is more than three standard errors from none.
+        p95: 95th percentile over the pixels of the absolute relative difference.
+        flip: mean HDR-FLIP of a run; NaN where OpenImageIO has none.
+        bias, bias_error: difference of the means over the reference's, and its standard error.
+        mean_nits: mean luminance of the renders.
+        on_front: whether no point is both faster and closer.
+        planned: whether the planner chose it.
+        reference_rms, reference_flip, reference_model, reference_samples: see `accuracy.Reference`.
+        width, height: of the picture in pixels.
+        variant, machine: where it ran.
+    """
+
+    line: str
+    model: str
+    scatterings: int | None
+    bands: int
+    denoise: bool
+    unbiased: bool
+    samples: int
+    seconds: float
+    first_call_s: float
+    relative_mse: float
+    relative_rms: float
+    noise_rms: float
+    bias_rms: float
+    bias_limit: float
+    bias_is_seen: bool
+    p95: float
+    flip: float
+    bias: float
+    bias_error: float
+    mean_nits: float
+    on_front: bool
+    planned: bool
+    reference_rms: float
+    reference_flip: float
+    reference_model: str
+    reference_samples: int
+    width: int
+    height: int
+    variant: str
+    machine: str
+
+
+def line_name(model: str, setting: Setting) -> str:
+    """Model and setting in words."""
+    return f"{model}, {setting.words}" if setting.words else model
+
+
+def lines(points: Iterable[Point]) -> dict[str, list[Point]]:
+    """Points by line, each by rising samples, in the order in which the lines first stand."""
+    found: dict[str, list[Point]] = {}
+    for point in points:
+        found.setdefault(point.line, []).append(point)
+    return {name: sorted(line, key=lambda point: point.samples) for name, line in found.items()}
+
+
+def front(costs: Sequence[tuple[float, float]]) -> list[int]:
+    """Which of (seconds, error) no other beats in both, by rising seconds.
+
+    >>> front([(1.0, 0.5), (2.0, 0.6), (3.0, 0.1), (3.0, 0.2)])
+    [0, 2]
+    """
+    kept, best = [], math.inf
+    for index in sorted(range(len(costs)), key=lambda index: costs[index]):
+        if costs[index][1] < best:
+            kept.append(index)
+            best = costs[index][1]
+    return kept
+
+
+@dataclass(frozen=True)
+class Price:
+    """What a line takes to a stated error.
+
+    Attributes:
+        line, samples, seconds: of the render that has it.
+        beyond: samples over the most that were measured; above 1 the price is extrapolated.
+    """
+
+    line: str
+    samples: float
+    seconds: float
+    beyond: float
+
+
+def price(line: Sequence[Point], target: float) -> Price | None:
+    """Seconds to a total error, or None where bias alone is more.
+
+    Noise falls with the square root of samples: its square times samples, averaged over
+    the line's points, is a constant of the line.  Bias is that of the most samples: where
+    none is seen it is 0 for a model that has none by its making, and the limit of what
+    could be there for any other.  Seconds are interpolated between points, never less than the
+    least that was measured, and go on beyond them with the last slope.
+
+    Args:
+        line: points of one model and setting, by rising samples.
+    """
+    last = line[-1]
+    bias = 0.0 if last.unbiased else last.bias_rms if last.bias_is_seen else last.bias_limit
+    room = target**2 - bias**2
+    if room <= 0.0:
+        return None
+    noise = sum(point.noise_rms**2 * point.samples for point in line) / len(line)
+    samples = max(noise / room, float(line[0].samples))
+    return Price(last.line, samples, _seconds(line, samples), samples / last.samples)
+
+
+def _seconds(line: Sequence[Point], samples: float) -> float:
+    if samples <= line[0].samples:
+        return line[0].seconds
+    last = line[-1]
+    if samples > last.samples:
+        slope = (last.seconds - line[-2].seconds) / (last.samples - line[-2].samples) if len(line) > 1 else 0.0
+        if slope <= 0.0:
+            slope = last.seconds / last.samples
+        return last.seconds + slope * (samples - last.samples)
+    for left, right in itertools.pairwise(line):
+        if samples <= right.samples:
+            share = (samples - left.samples) / (right.samples - left.samples)
+            return left.seconds + share * (right.seconds - left.seconds)
+    raise AssertionError("a line's points rise in samples")
+
+
+def summary(stage: str, points: Sequence[Point]) -> list[dict[str, Any]]:
+    """One row a target: the cheapest line of ours, the cheapest unbiased one, the best peer, and how much faster than the peer."""
+    rows = []
+    first = points[0]
+    by_line = lines(points)
+    for target in TARGETS:
+        prices = {name: found for name, line in by_line.items() if (found := price(line, target))}
+        ours = [found for name, found in prices.items() if by_line[name][0].model not in PEERS]
+        fair = [found for found in ours if by_line[found.line][0].unbiased]
+        peers = [found for name, found in prices.items() if by_line[name][0].model in PEERS]
+        best, unbiased, peer = (min(group, key=lambda found: found.seconds, default=None) for group in (ours, fair, peers))
+        row: dict[str, Any] = {"stage": stage, "target": target}
+        for name, found in (("best", best), ("unbiased", unbiased), ("peer", peer)):
+            row |= {name: found.line if found else "", f"{name}_samples": math.ceil(found.samples) if found else ""}
+            row |= {f"{name}_seconds": found.seconds if found else "", f"{name}_beyond": found.beyond if found else ""}
+        for name, found in (("best", best), ("unbiased", unbiased)):
+            row[f"{name}_speedup"] = peer.seconds / found.seconds if peer and found else ""
+        row |= {"planned": next((f"{point.line}, {point.samples}" for point in points if point.planned), "")}
+        row |= {"reference_model": first.reference_model, "reference_samples": first.reference_samples, "reference_rms": first.reference_rms}
+        row |= {"width": first.width, "height": first.height, "variant": first.variant, "machine": first.machine}
+        rows.append(row)
+    return rows
+
+
+def table(rows: Iterable[Point | Mapping[str, Any]]) -> str:
+    """Rows as CSV with a header; numbers have five digits, truths are 0 and 1, what is not there is empty."""
+    plain = [asdict(row) if isinstance(row, Point) else dict(row) for row in rows]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(plain[0]), lineterminator="\n")
+    writer.writeheader()
+    for row in plain:
+        writer.writerow({name: _cell(value) for name, value in row.items()})
+    return text.getvalue()
+
+
+def read(text: str) -> list[Point]:
+    """The points of a `chart.csv`."""
+    kinds = {field.name: str(field.type) for field in fields(Point)}
+    made = {
+        "str": str,
+        "int": int,
+        "float": float,
+        "bool": lambda cell: cell == "1",
+        "int | None": lambda cell: int(cell) if cell else None,
+    }
+    return [Point(**{name: made[kind](row[name]) for name, kind in kinds.items()}) for row in csv.DictReader(io.StringIO(text))]  # type: ignore[operator]
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, bool):
+        return int(value)
+    return f"{value:.5g}" if isinstance(value, float) else "" if value is None else value

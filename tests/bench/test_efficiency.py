@@ -1,0 +1,169 @@
+"""Ours against Mitsuba's own, on one machine in one run: 1 / (variance x time).
+
+Every ratio is ours over the better of `volpath` and `volpathmis` in the same
+variant.  Errors are squared differences from a reference of many more samples,
+relative to its luminance (not below a thousandth of the mean), the reference's own
+variance taken off; time is that of sampling, kernels made before.  A ratio is good
+to about a fifth on a machine that does nothing else.  Figures are printed with -s.
+"""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from synfog_usd import stage as usd
+from synfog_usd.render import denoise as denoising
+from synfog_usd.render import film, layers, models, shot
+from synfog_usd.translate import translate
+
+pytestmark = pytest.mark.bench
+
+STAGES = Path(__file__).parents[2] / "stages" / "bench"
+SIZE = (96, 54)
+PEERS = {"volpath": 32, "volpathmis": 32}
+RUNS = 4
+
+
+def scene(name):
+    return translate(usd.open_stage(STAGES / f"{name}.usda"), resolution=SIZE)
+
+
+class Renderer:
+    """A model ready to sample one scene."""
+
+    def __init__(self, world, model):
+        self.loaded = shot.load(world, boundaries=models.MODELS[model].boundaries)
+        self.integrator = models.make(model, self.loaded)
+        self.render(64, 99)  # all kernels made
+
+    def render(self, samples, seed):
+        return film.expose(self.loaded, self.integrator, samples=samples, seed=seed)
+
+
+def luminance(exposure):
+    return exposure.mean().mean(axis=1)
+
+
+def reference(world, model, samples):
+    """(P,) luminance, its variance."""
+    done = Renderer(world, model).render(samples, 1000)
+    return luminance(done), done.variance().mean(axis=1)
+
+
+def errors(world, model, samples, truth):
+    """(P,) relative squared error of a render, and its seconds."""
+    renderer, mean, own = Renderer(world, model), truth[0], truth[1]
+    scale = np.maximum(mean, 1e-3 * mean.mean()) ** 2
+    square, seconds = [], []
+    for seed in range(RUNS):
+        began = time.perf_counter()
+        done = renderer.render(samples, seed)
+        seconds.append(time.perf_counter() - began)
+        square.append(((luminance(done) - mean) ** 2 - own) / scale)
+    return np.mean(square, axis=0), min(seconds)
+
+
+def trimmed(square):
+    """Mean without the hundredth of the pixels that is worst."""
+    return np.sort(square)[: int(0.99 * len(square))].mean()
+
+
+def ratio(name, ours, samples, *, reduce, truth_model, truth_samples):
+    """Efficiency of a model over the better peer's."""
+    world = scene(name)
+    truth = reference(world, truth_model, truth_samples)
+    found = {}
+    for model, count in {ours: samples, **PEERS}.items():
+        square, seconds = errors(world, model, count, truth)
+        found[model] = 1.0 / (reduce(square) * seconds)
+    best = max(found[peer] for peer in PEERS)
+    print(f"\n{name}, {reduce.__name__}: {ours} {found[ours] / best:.1f} x; " + ", ".join(f"{key} {value:.4g}" for key, value in found.items()))
+    return found[ours] / best
+
+
+@pytest.mark.parametrize("reduce, wanted", [(np.median, 100.0), (np.mean, 20.0)], ids=["median pixel", "all pixels"])
+def test_overcast_street(reduce, wanted):
+    """`path+slab`, where most of what is seen is fog, ground and sky."""
+    assert ratio("overcast_street", "path+slab", 256, reduce=reduce, truth_model="path+slab", truth_samples=8192) >= wanted
+
+
+def test_canyon():
+    """`path` between houses, over all pixels."""
+    assert ratio("canyon", "path", 256, reduce=np.mean, truth_model="path", truth_samples=8192) >= 6.0
+
+
+@pytest.mark.parametrize("name", ["street_lamps", "headlights"])
+def test_night(name):
+    """`path` by night, the worst hundredth of the pixels left out."""
+    assert ratio(name, "path", 256, reduce=trimmed, truth_model="path", truth_samples=16384) >= 10.0
+
+
+@pytest.mark.parametrize("name", ["canyon", "street_lamps", "headlights"])
+def test_denoised(name):
+    """Time to the same error, denoised against denoised: ours at 64 samples, `volpath` with and without guides at as many as give that error."""
+    world = scene(name)
+    mean, own = reference(world, "path", 16384)
+    scale, shape = np.maximum(mean, 1e-3 * mean.mean()) ** 2, (SIZE[1], SIZE[0], 3)
+
+    def error(picture):
+        return trimmed(((picture.reshape(-1, 3).mean(axis=1) - mean) ** 2 - own) / scale)
+
+    ours, theirs = Renderer(world, "path"), Renderer(world, "volpath")
+    began = time.perf_counter()
+    done, seen = ours.render(64, 1), denoising.guides(ours.loaded)
+    layer = {part: np.maximum(done.layer(part), 0.0).reshape(shape).astype(np.float32) for part in ("surface", "airlight_single", "airlight_multiple")}
+    clean = denoising.denoise(layer["surface"], layer["airlight_single"] + layer["airlight_multiple"], seen.transmittance, seen.albedo, seen.normal)
+    seconds, reached = time.perf_counter() - began, error(sum(clean))
+    guides = denoising.guides(ours.loaded, clear=True)
+    spent, samples, best = 0.0, 16, np.inf
+    while best > reached and spent < 20.0 * seconds:
+        samples *= 2
+        began = time.perf_counter()
+        picture = theirs.render(samples, 2).mean().reshape(shape).astype(np.float32)
+        plain, guided = denoising.denoise_plain(picture), denoising.denoise_plain(picture, guides.albedo, guides.normal)
+        spent, best = time.perf_counter() - began, min(error(plain), error(guided))
+    print(f"\n{name}, denoised: ours {reached:.4g} in {seconds:.2f} s, volpath {best:.4g} in {spent:.2f} s with {samples} samples")
+    assert spent >= 10.0 * seconds
+
+
+def test_slab_in_overcast_scenes():
+    """`slab`: time to its own total error; and its bias, over all pixels, under half a percent."""
+    world = scene("overcast_street")
+    truth = reference(world, "path+slab", 8192)
+    square, seconds = errors(world, "slab", 64, truth)
+    many = luminance(Renderer(world, "slab").render(2048, 5))
+    bias = abs(many.mean() / truth[0].mean() - 1.0)
+    peers = {}
+    for model, count in PEERS.items():
+        theirs, spent = errors(world, model, count, truth)
+        peers[model] = spent * theirs.mean() / square.mean()
+    print(f"\nslab: RMS {np.sqrt(square.mean()):.3g} in {seconds:.3f} s, bias {bias:.2%}, {min(peers.values()) / seconds:.0f} x")
+    assert min(peers.values()) / seconds >= 500.0
+    assert bias <= 0.005
+
+
+def test_memory_of_a_large_frame():
+    """1920x1080 with all layers and light groups: under 4 GiB at its peak, in a process of its own."""
+    import subprocess
+    import sys
+
+    code = (
+        "import resource; from pathlib import Path; from synfog_usd import stage as usd; from synfog_usd.translate import translate;"
+        "from synfog_usd.render.shot import render;"
+        f"world = translate(usd.open_stage(Path({str(STAGES / 'headlights.usda')!r})), resolution=(1920, 1080));"
+        "done = render(world, model='path', samples=4); assert len(done.parts) == 3 and done.groups;"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)"
+    )
+    peak = float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    print(f"\n1920x1080: {peak:.2f} GiB")
+    assert peak < 4.0
+
+
+def test_layers_hold_the_same_light_as_their_sum():
+    """What the benches time is what the tests test: the layers add up in a bench stage too."""
+    done = shot.render(replace(scene("headlights")), model="path", samples=32)
+    np.testing.assert_allclose(sum(done.parts.values()), done.radiance.pixels, rtol=1e-3, atol=1e-5)
+    assert layers.measure(shot.load(scene("headlights"), boundaries=False)).transmittance.max() <= 1.0
