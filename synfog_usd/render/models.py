@@ -168,8 +168,38 @@ def _layer_refuses(scene: SceneDict) -> str:
     return ""
 
 
+def _asm(airlight: str) -> Callable[[Loaded], Any]:
+    def make(loaded: Loaded) -> Any:
+        from synfog_usd.render.asm import make_asm
+
+        return make_asm(loaded, airlight)
+
+    return make
+
+
+def _asm_refuses(scene: SceneDict) -> str:
+    from synfog_usd.render.asm import asm_refuses
+
+    return asm_refuses(scene)
+
+
+def _glow(loaded: Loaded) -> Any:
+    from synfog_usd.render.glow import make_glow
+
+    return make_glow(loaded)
+
+
+def _glow_refuses(scene: SceneDict) -> str:
+    from synfog_usd.render.glow import glow_refuses
+
+    return glow_refuses(scene)
+
+
 MODELS: dict[str, Model] = {
+    "asm": Model(_asm("physical"), False, _asm_refuses),
+    "asm_estimated": Model(_asm("estimated"), False, _asm_refuses),
     "slab": Model(_slab, False, _layer_refuses),
+    "glow": Model(_glow, False, _glow_refuses),
     "single": Model(_single, False, _path_refuses),
     "path": Model(_path, False, _path_refuses),
     "path+slab": Model(_path_slab, False, _layer_refuses),

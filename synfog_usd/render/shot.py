@@ -69,6 +69,7 @@ def render(
     scatterings: int | None = None,
     bounces: int | None = None,
     denoise: bool = False,
+    loaded: Loaded | None = None,
     progress: Progress = silent,
 ) -> Rendered:
     """Transport light through one scene.
@@ -84,6 +85,7 @@ def render(
         time_limit_s: seconds after which no new round of samples is begun; what it ends does not repeat byte for byte.
         scatterings, bounces: limits of `path` and `path+slab`: how often the fog, and how often surfaces, may turn a path; None is no limit.
         denoise: smooth surface and airlight apart (see `denoise`); variance and error stay those of the samples.
+        loaded: the scene as `load` gave it for this model and size, to render it again; None loads it.
         progress: told after each pass.
 
     Raises:
@@ -108,7 +110,7 @@ def render(
         model, why = models.choose(model, scene)
     if denoise and (problem := denoising.available()):
         raise ParameterError(f"--denoise: {problem}")
-    loaded = load(scene, size=size, boundaries=models.MODELS[model].boundaries)
+    loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries)
     integrator = models.make(model, loaded, scatterings=scatterings, bounces=bounces)
     exposure = planner.expose(loaded, integrator, target=target, seed=seed, now=lambda: time.perf_counter() - began, progress=progress)
     camera = loaded.source.camera
