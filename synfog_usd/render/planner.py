@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import film, models
 from synfog_usd.scene import SceneDict
@@ -102,10 +103,10 @@ def choose(scene: SceneDict, *, target: Target, seed: int, load: Callable[..., A
     pilots: dict[str, film.Exposure] = {}
     for index, name in enumerate(holding):
         progress("trying models", index / (len(holding) + len(BIASED)))
-        pilots[name] = film.expose(small, models.MODELS[name].make(small), samples=PILOT_SAMPLES, seed=seed32(seed, "pilot", name))
-        figures[name] = {"noise": _noise(pilots[name])}
-    best = min(holding, key=lambda name: figures[name]["noise"] ** 2 * COST[name])
-    others = [f"{name} {figures[name]['noise']:.3g}" for name in holding if name != best]
+        if (picture := _pilot(small, name, seed)) is not None:
+            pilots[name], figures[name] = picture, {"noise": _noise(picture)}
+    best = min(pilots, key=lambda name: figures[name]["noise"] ** 2 * COST[name])
+    others = [f"{name} {figures[name]['noise']:.3g}" for name in pilots if name != best]
     why = f"standard deviation of a sample {figures[best]['noise']:.3g} of a pixel's light" + (f", {', '.join(others)}" if others else "")
     wanted = target.relative if target.relative is not None else _relative(target, pilots[best])
     if wanted is None:
@@ -115,13 +116,23 @@ def choose(scene: SceneDict, *, target: Target, seed: int, load: Callable[..., A
         if name not in models.MODELS or models.MODELS[name].refuses(scene):
             continue
         progress("trying models", (len(holding) + index) / (len(holding) + len(BIASED)))
-        picture = film.expose(small, models.MODELS[name].make(small), samples=PILOT_SAMPLES, seed=seed32(seed, "pilot", name))
+        if (picture := _pilot(small, name, seed)) is None:
+            continue
         bias, least = _bias(picture, pilots[best])
         figures[name] = {"bias": bias, "noise": _noise(picture)}
         if bias + least < wanted and COST[name] * figures[name]["noise"] ** 2 < COST[best] * figures[best]["noise"] ** 2:
             return Choice(name, f"its error of {bias:.2%} (known to {least:.2%}) is under the {wanted:.2%} that is asked for", figures)
         tried.append(f"{name} errs by {bias:.1%}")
     return Choice(best, why + (f"; {', '.join(tried)}, above {wanted:.2%}" if tried else ""), figures)
+
+
+def _pilot(small: Any, name: str, seed: int) -> film.Exposure | None:
+    """A small picture by a model, or None where it finds on a closer look that it does not hold."""
+    try:
+        integrator = models.MODELS[name].make(small)
+    except ParameterError:
+        return None
+    return film.expose(small, integrator, samples=PILOT_SAMPLES, seed=seed32(seed, "pilot", name))
 
 
 def expose(loaded: Any, integrator: Any, *, target: Target, seed: int, now: Callable[[], float], progress: Progress = silent) -> film.Exposure:

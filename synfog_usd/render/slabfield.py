@@ -184,7 +184,9 @@ def make_slab(loaded: Loaded, air: Air) -> tuple[SlabField | None, str]:
         return None, "there is no sky"
     top, bottom = float(matrix[2, 3] + abs(matrix[2, 2])), float(matrix[2, 3] - abs(matrix[2, 2]))
     ground = find_ground(loaded, top)
-    floor, albedo = (bottom, np.zeros(3)) if ground is None else (ground.height_m - MARGIN_M, ground.albedo)
+    if ground is None:
+        return None, "there is no ground under the camera"
+    floor, albedo = ground.height_m - MARGIN_M, ground.albedo
     height = max(floor, bottom)
     if not height < top - 1e-3:
         return None, "the fog ends under the ground"
