@@ -21,7 +21,7 @@ from synfog_usd.render import backend
 from synfog_usd.render.air import Air
 from synfog_usd.render.lamps import Lamps
 
-MOST = 24
+MOST = 10
 """Lamps that are aimed at; the brightest as seen from the camera where there are more."""
 
 TOWARDS = 0.5

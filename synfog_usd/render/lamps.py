@@ -22,8 +22,11 @@ import numpy as np
 from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
 from synfog_usd.render import backend
 
-MOST = 48
-"""Lamps that are all asked; of more, this many are drawn, by flux and peak."""
+MOST = 12
+"""Lamps that are all asked."""
+
+DRAWN = 4
+"""Of more lamps, this many are drawn for each stretch and point, by flux and peak; each costs as much as half a ray."""
 
 SPOT_BEAM = 0.75
 """Mitsuba's share of the cutoff within which a spot is even, where none is given."""
@@ -76,7 +79,7 @@ class Lamps:
         g = min(max(abs(mean_cosine), 0.2), 0.99)
         self.width = dr.opaque(mi.Float, (1.0 - g) / np.sqrt(g))  # of Henyey and Greenstein's peak, 1 + g^2 - 2 g cos = (1 - g)^2 + g angle^2 + ...
         self.many = self.count > MOST
-        self.asked = dr.opaque(mi.UInt32, min(self.count, MOST))
+        self.asked = dr.opaque(mi.UInt32, DRAWN if self.many else self.count)
         dr.make_opaque(self.table, self.begin)
 
     def _row(self, index: Any, active: Any) -> list[Any]:

@@ -26,11 +26,14 @@ Array = npt.NDArray[np.float64]
 PILOT_WIDTH_PX = 64
 PILOT_SAMPLES = 64
 
-COST = {"asm": 0.5, "asm_estimated": 0.5, "slab": 0.4, "glow": 0.5, "single": 0.7, "path": 1.0, "path+slab": 1.0, "volpath": 10.0}
+COST = {"asm": 0.5, "asm_estimated": 0.5, "slab": 0.4, "glow": 0.5, "single": 0.7, "path": 1.0, "path+slab": 1.3, "volpath": 10.0}
 """Seconds of a sample, relative to `path`; measured in the bench stages within a factor of two, and fixed so that choices repeat."""
 
 BIASED = ("asm", "slab", "glow", "single")
 """Models with an error that samples do not cure, cheapest first; each is tried where it holds."""
+
+WORTH_TRYING = 0.03
+"""Target from which on biased models are tried: in the bench stages none errs by less, and each costs a kernel."""
 
 SENSOR_SHARE = 1.0 / 3.0
 """Part of the sensor's own noise that may be left of a render: together they are 5 % noisier than the sensor alone."""
@@ -109,7 +112,7 @@ def choose(scene: SceneDict, *, target: Target, seed: int, load: Callable[..., A
     others = [f"{name} {figures[name]['noise']:.3g}" for name in pilots if name != best]
     why = f"standard deviation of a sample {figures[best]['noise']:.3g} of a pixel's light" + (f", {', '.join(others)}" if others else "")
     wanted = target.relative if target.relative is not None else _relative(target, pilots[best])
-    if wanted is None:
+    if wanted is None or wanted < WORTH_TRYING:
         return Choice(best, why, figures)
     tried = []
     for index, name in enumerate(BIASED):
