@@ -11,7 +11,7 @@ OUT    ?= out/demo
 
 demo: setup llvm
 	$(BIN)/synfog-usd info
-	$(BIN)/synfog-usd bake stages/crossroads.usda -o $(OUT) --resolution 640x360 --samples 24
+	$(BIN)/synfog-usd bake stages/crossroads.usda -o $(OUT) --resolution 640x360 --samples 16
 
 test: setup llvm
 	$(BIN)/python -m pytest
