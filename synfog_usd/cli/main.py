@@ -40,7 +40,7 @@ def bake(
     model: Annotated[
         str, typer.Option(help="How light is transported: slab, single, path, path+slab, volpath ...; auto tries them small and takes the cheapest that holds.")
     ] = "auto",
-    samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 256,
+    samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 64,
     target_error: Annotated[
         float | None, typer.Option(help="Relative error of a pixel to stop at, as 0.01; a third of the sensor's noise if left out.")
     ] = None,

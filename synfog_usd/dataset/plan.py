@@ -42,7 +42,7 @@ class BakePlan:
     frame: float | None = None
     size: tuple[int, int] | None = None
     model: str = "auto"
-    samples: int = 256
+    samples: int = 64
     target_error: float | None = None
     time_limit_s: float | None = None
     denoise: bool = False

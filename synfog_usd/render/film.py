@@ -36,7 +36,7 @@ SCALAR_PASSES = 8
 ALL = "all"
 """The one part and layer of an integrator that tells none apart."""
 
-COST = {SURFACE: 1.0, LAMPS: 1.0, AIR: 2.0}
+COST = {SURFACE: 1.0, LAMPS: 0.25, AIR: 1.8}
 """Seconds of a path of each part, relative; measured in the bench stages within a factor of two, and fixed, so that the same seed gives the same bytes."""
 
 Array = npt.NDArray[np.float64]

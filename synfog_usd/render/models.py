@@ -211,6 +211,9 @@ MODELS: dict[str, Model] = {
 LIMITED = ("path", "path+slab")
 """Models whose paths can be cut short."""
 
+PEERS = ("volpath", "volpathmis")
+"""Mitsuba's own; they know no layers, and are sampled evenly to the end."""
+
 UNBIASED = ("path", "path+slab", "volpath", "volpathmis")
 """Models without an error but noise, where they hold."""
 

@@ -27,13 +27,13 @@ PILOT_WIDTH_PX = 64
 PILOT_SAMPLES = 64
 
 COST = {"asm": 0.5, "asm_estimated": 0.5, "slab": 0.4, "glow": 0.5, "single": 0.7, "path": 1.0, "path+slab": 1.3, "volpath": 10.0}
-"""Seconds of a sample, relative to `path`; measured in the bench stages within a factor of two, and fixed so that choices repeat."""
+"""Seconds of a sample, relative to `path`: rough, from the bench stages, and fixed so that choices repeat."""
 
 BIASED = ("asm", "slab", "glow", "single")
 """Models with an error that samples do not cure, cheapest first; each is tried where it holds."""
 
 WORTH_TRYING = 0.03
-"""Target from which on biased models are tried: in the bench stages none errs by less, and each costs a kernel."""
+"""Target from which on biased models are tried: each costs a kernel, and even `slab` in the overcast street of the bench errs by 5 %."""
 
 SENSOR_SHARE = 1.0 / 3.0
 """Part of the sensor's own noise that may be left of a render: together they are 5 % noisier than the sensor alone."""
@@ -145,22 +145,20 @@ def expose(loaded: Any, integrator: Any, *, target: Target, seed: int, now: Call
     moments when it happens to look small, and those are the dark ones.
 
     Args:
-        integrator: a `FogPath`; others are sampled evenly, to `target.samples`.
-        now: the clock [s].
+        integrator: a `FogPath`; others are sampled evenly, to `target.samples`, whatever the target.
+        now: seconds since the shot was begun.
     """
-    begun = now()
     if not isinstance(integrator, film.FogPath) or target.open:
         return film.expose(loaded, integrator, samples=target.samples, seed=seed, progress=progress)
     camera = loaded.source.camera
     pixels = camera.width_px * camera.height_px
     exposure, everywhere = film.begin(integrator, pixels), np.arange(pixels)
     first = min(2 * film.CHUNK, max(2, target.samples))
-    film.extend(exposure, integrator, everywhere, dict.fromkeys(integrator.parts, first), seed)
+    film.extend(exposure, integrator, everywhere, dict.fromkeys(integrator.parts, first), seed, _within(progress, 0.0, first / target.samples))
     spent = first
-    while spent < target.samples and first % film.CHUNK == 0 and (target.time_s is None or now() - begun < target.time_s):
+    while spent < target.samples and first % film.CHUNK == 0 and (target.time_s is None or now() < target.time_s):
         need = _needed(exposure, target, (camera.height_px, camera.width_px))
         short = need > 1.0
-        progress("rendering", min(max(spent / target.samples, 1.0 - float(short.mean())), 0.99))
         if not short.any():
             break
         share = film.shares(exposure, film.CHUNK * len(integrator.parts))
@@ -172,10 +170,16 @@ def expose(loaded: Any, integrator: Any, *, target: Target, seed: int, now: Call
             break
         scale = count / (sum(share.values()) / len(share))
         more = {part: max(film.CHUNK, round(value * scale / film.CHUNK) * film.CHUNK) for part, value in share.items()}
-        film.extend(exposure, integrator, rows, more, seed)
-        spent += count * len(rows) / pixels
+        after = spent + count * len(rows) / pixels
+        film.extend(exposure, integrator, rows, more, seed, _within(progress, spent / target.samples, after / target.samples))
+        spent = after
     progress("rendering", 1.0)
     return exposure
+
+
+def _within(progress: Progress, low: float, high: float) -> Progress:
+    """Progress of a part that goes from one fraction of the whole to another."""
+    return lambda what, fraction: progress(what, low + (high - low) * fraction)
 
 
 def reached(exposure: film.Exposure, target: Target, shape: tuple[int, int]) -> float:
@@ -204,8 +208,7 @@ def _noise(exposure: film.Exposure) -> float:
 def _bias(picture: film.Exposure, reference: film.Exposure) -> tuple[float, float]:
     """RMS over the pixels of the relative error that is not noise, and how well it is known.
 
-    Blocks of the image are compared, which has less noise than pixels; both
-    variances are taken off the squared difference.
+    Both variances are taken off the squared difference.
     """
     one, other = picture.mean().mean(axis=1), reference.mean().mean(axis=1)
     scale = np.maximum(other, 0.05 * other.mean() + 1e-30)

@@ -33,7 +33,7 @@ class Rendered:
         radiance: (H, W, 3) linear Rec.709 in cd m-2, with the variance of its mean.
         layers: what the pixel-centre rays met.
         parts: 'surface', 'airlight_single', 'airlight_multiple' -> (H, W, 3) float32 radiance, which add up to
-            all of it; empty where the model tells none apart.
+            all of it and may be below 0 by noise; empty where the model tells none apart.
         groups: light group -> (H, W, 3) float32 radiance; empty where there is only one.
         model, why: which model it was, and why that one.
         relative_error: median over the pixels of standard error / mean luminance.
@@ -82,7 +82,7 @@ def render(
         size: (width, height) in pixels instead of the camera's own.
         target_error: relative standard error of a pixel at which sampling stops, or None.
         sensor_sigma: luminance -> standard error [cd m-2] at which it stops, see `planner.sensor_target`, or None.
-        time_limit_s: seconds after which no new round of samples is begun; what it ends does not repeat byte for byte.
+        time_limit_s: seconds after which no new round of samples is begun, in our own path tracers; what it ends does not repeat byte for byte.
         scatterings, bounces: limits of `path` and `path+slab`: how often the fog, and how often surfaces, may turn a path; None is no limit.
         denoise: smooth surface and airlight apart (see `denoise`); variance and error stay those of the samples.
         loaded: the scene as `load` gave it for this model and size, to render it again; None loads it.
@@ -110,6 +110,8 @@ def render(
         model, why = models.choose(model, scene)
     if denoise and (problem := denoising.available()):
         raise ParameterError(f"--denoise: {problem}")
+    if denoise and model in models.PEERS:
+        raise ParameterError(f"--denoise: model {model} does not tell surface and airlight apart; use path")
     loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries)
     integrator = models.make(model, loaded, scatterings=scatterings, bounces=bounces)
     exposure = planner.expose(loaded, integrator, target=target, seed=seed, now=lambda: time.perf_counter() - began, progress=progress)
@@ -124,10 +126,8 @@ def render(
     if mean.min() < 0.0:
         below = int((mean < 0.0).any(axis=2).sum())
         warnings.append(f"{below} pixels came out below 0, noise of a difference, and count as black; more samples mend it")
-        mean, parts = np.maximum(mean, 0.0), {name: np.maximum(layer, 0.0) for name, layer in parts.items()}
+        mean = np.maximum(mean, 0.0)
     if denoise:
-        if not parts:
-            raise ParameterError(f"--denoise: model {model} does not tell surface and airlight apart; use path")
         parts = _denoised(loaded, parts)
         mean = np.asarray(sum(parts.values()))
     radiance = Image(

@@ -22,7 +22,7 @@ from synfog_usd.stage.schema import PREFIX
 from synfog_usd.translate import geometry, light, volume
 from synfog_usd.translate.camera import read_camera
 from synfog_usd.translate.geometry import Triangles
-from synfog_usd.translate.lightgroup import SKY, authored_group, group_by_label
+from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group, group_by_label
 from synfog_usd.translate.material import GREY, LUMINANCE, Finish, Materials
 from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.skel import has_skeletons, posed
@@ -79,6 +79,8 @@ def translate(
     volume.refuse_cut(fog, eye)
     if fog and not any(part.boundary.contains(eye.to_world[:3, 3])[0] for part in fog):
         notes.info(eye.path, "the camera stands outside of every fog boundary")
+    if len(names := sorted(set(scene.group_of.values()))) > MOST:
+        raise StageError(f"{len(names)} light groups ({', '.join(names[:4])}, ...); at most {MOST} can be told apart: give lamps the same {ATTRIBUTE}")
     return SceneDict(
         world=scene.world(),
         camera=eye,

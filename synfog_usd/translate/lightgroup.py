@@ -6,22 +6,39 @@ Takes prims and Cityscapes labels; gives 'sky', 'headlights' (all lamps of vehic
 
 from __future__ import annotations
 
+import re
 from typing import Any
+
+from synfog_usd.errors import StageError
 
 ATTRIBUTE = "synfog:lightGroup"
 VEHICLES = ("car", "truck", "bus", "caravan", "trailer", "train", "motorcycle", "bicycle", "rider", "ego vehicle")
+
+MOST = 16
+"""Groups of one stage; each is carried along every path."""
 
 SKY, HEADLIGHTS, STREET_LAMPS, OTHER = "sky", "headlights", "street_lamps", "other"
 
 
 def authored_group(prim: Any) -> str | None:
-    """The group that stands on a prim or its nearest ancestor, or None."""
+    """The group that stands on a prim or its nearest ancestor, or None.
+
+    Raises:
+        StageError: a name that cannot be one.
+    """
     while prim and not prim.IsPseudoRoot():
         attribute = prim.GetAttribute(ATTRIBUTE)
         if attribute and attribute.HasAuthoredValue():
-            return str(attribute.Get())
+            return _checked(prim, attribute.Get())
         prim = prim.GetParent()
     return None
+
+
+def _checked(prim: Any, name: Any) -> str:
+    """The name, which becomes part of channel names in an EXR file."""
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_-]{1,32}", name):
+        raise StageError(f"{prim.GetPath()}: {ATTRIBUTE} = {str(name)[:40]!r}; a light group is 1 to 32 letters, digits, _ or -, such as {HEADLIGHTS!r}")
+    return name
 
 
 def group_by_label(label: str) -> str:

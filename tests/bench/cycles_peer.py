@@ -4,7 +4,7 @@ Runs in Blender's Python (bpy 5.0.1, which wants Python 3.11) and imports nothin
 ours.  Takes `<stem>.npz` and `<stem>.json`; leaves an .npz with the radiance of every
 render, its samples, its seed, wall and processor seconds, and Cycles' settings.
 
-    /tmp/hc/cycles/bin/python tests/bench/cycles_peer.py /tmp/canyon /tmp/canyon_cycles.npz --samples 64,256 --seeds 4 --threads 2
+    BLENDER_ENV/bin/python tests/bench/cycles_peer.py out/canyon out/canyon_cycles.npz --samples 64,256 --seeds 4 --threads 2
 
 Everything that trades bias for noise is off: clamping, denoising, adaptive sampling,
 light threshold, caustic filter, path guiding.  `BOUNCES` is far beyond what matters:

@@ -5,8 +5,8 @@ Takes a stage; gives the simplified `SceneDict` that our own renderer draws, and
 two then draw one and the same thing, so that their means must agree and their
 errors can be compared.
 
-    python tests/bench/cycles_scene.py export stages/bench/canyon.usda /tmp/canyon --fog mor150 --size 80x45
-    python tests/bench/cycles_scene.py agree  /tmp/canyon /tmp/canyon_cycles.npz --samples 4096
+    python tests/bench/cycles_scene.py export stages/bench/canyon.usda out/canyon --fog mor150 --size 80x45
+    python tests/bench/cycles_scene.py agree  out/canyon out/canyon_cycles.npz --samples 4096
 
 What the files hold: lengths in metres, Z up; triangles with one colour each; radiance
 in nits, intensities in candela, linear Rec.709.

@@ -1,0 +1,59 @@
+"""Stops and choices: samples go where the error is, and no further than asked."""
+
+import numpy as np
+import pytest
+
+from synfog_usd.errors import ParameterError
+from synfog_usd.fog import FogMedium, FogVolume
+from synfog_usd.render import planner
+from synfog_usd.render.shot import load, render
+from synfog_usd.study.truths import black, box, scene, uniform_fog, wall
+
+SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
+FOGGY = scene({**SKY, "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})}, [uniform_fog()], fov_x_deg=40.0)
+
+
+def test_a_loose_target_takes_fewer_samples_than_a_tight_one_and_both_are_met():
+    """The error that is asked for is the error that is stated, and half the error costs more."""
+    loose, tight = (render(FOGGY, model="path", samples=8192, target_error=error, seed=1) for error in (0.2, 0.05))
+    assert loose.met == tight.met == 1.0
+    assert loose.samples < tight.samples < 2 * 8192
+    assert tight.relative_error < 0.06
+
+
+def test_samples_are_the_other_stop():
+    """What cannot be met with the samples allowed is not met, and said to be."""
+    done = render(FOGGY, model="path", samples=64, target_error=0.001, seed=1)
+    assert done.met < 0.1 and done.samples <= 2.5 * 64
+
+
+def test_an_adaptive_render_repeats_byte_for_byte():
+    """Rounds depend on what was measured, not on the clock."""
+    one, other = (render(FOGGY, model="path", samples=512, target_error=0.05, seed=3).radiance.pixels.tobytes() for _ in range(2))
+    assert one == other
+
+
+def test_time_is_the_third_stop():
+    """A limit that is over at once leaves the first round only."""
+    assert render(FOGGY, model="path", samples=4096, time_limit_s=1e-6).samples == 2 * 32
+
+
+def test_the_sensors_target_is_a_third_of_its_noise():
+    """100 e- per nit and 5 e- dark: at 4 nits sqrt(400 + 25) / 3 electrons, in nits."""
+    assert planner.sensor_target(100.0, 5.0)(np.array([4.0]))[0] == pytest.approx(np.sqrt(425.0) / 3 / 100)
+
+
+def test_biased_models_are_taken_only_where_their_error_was_seen_to_be_small():
+    """In fog that scatters half of the light `asm` misses some of it; the pilot measures that and passes it over."""
+    still = scene({**SKY, "shape_wall": wall(50.0, 5.0, **black(1.0))}, [FogVolume("/Fog", box(200.0), FogMedium(0.02, albedo=0.5))], fov_x_deg=40.0)
+    choice = planner.choose(still, target=planner.Target(relative=0.05), seed=0, load=load)
+    assert choice.model == "path" and choice.figures["asm"]["bias"] > 0.05
+
+
+@pytest.mark.parametrize(
+    "wrong, words", [({"target_error": 0.0}, "--target-error"), ({"target_error": 2.0}, "--target-error"), ({"time_limit_s": 0.0}, "--time-limit")]
+)
+def test_a_target_out_of_range_is_refused(wrong, words):
+    """With the option's name."""
+    with pytest.raises(ParameterError, match=words):
+        render(FOGGY, **wrong)
