@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from synfog_usd.camera import light
+from synfog_usd import photometry
 from synfog_usd.camera.optics import block_means
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.errors import GraphError
@@ -96,7 +96,7 @@ def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) ->
     fixed_s = None if nodes[0].params["exposure_s"].is_auto else float(nodes[0].params["exposure_s"].value)
     gains = graph.nodes_with("sensor.gain")
     fixed_iso = float(gains[0].params["iso"].value) if gains and not gains[0].params["iso"].is_auto else None
-    return _chosen(green, strongest, light.luminance(frame)[::2, ::2].ravel().astype(np.float64), sensor, 2.0**compensation_ev, fixed_s, fixed_iso)
+    return _chosen(green, strongest, photometry.luminance(frame)[::2, ::2].ravel().astype(np.float64), sensor, 2.0**compensation_ev, fixed_s, fixed_iso)
 
 
 def sensitivity(radiance: Image, graph: NodeGraph, exposure: Exposure) -> tuple[float, float] | None:
@@ -119,7 +119,7 @@ def sensitivity(radiance: Image, graph: NodeGraph, exposure: Exposure) -> tuple[
     seen = graph.run({inputs[0]: grey}, seed=0, settings=exposure.settings, until=nodes[0].name, keep=[nodes[0].name])[nodes[0].name]
     gain = float(seen.provenance["system_gain_dn_e"])
     signal = float(seen.pixels[8:-8, 12:-12].mean()) - float(seen.provenance["black_level_dn"])
-    nits = float(light.luminance(grey).mean())
+    nits = float(photometry.luminance(grey).mean())
     return (max(signal, 0.0) / gain / nits, float(seen.provenance["total_dark_noise_dn"]) / gain) if signal > 0.0 else None
 
 

@@ -1,6 +1,6 @@
 """What a sensor makes of light: quantum efficiency, electrons, and colour.
 
-Takes a `SensorProfile`; gives its quantum efficiency on `light.WAVELENGTHS_NM`,
+Takes a `SensorProfile`; gives its quantum efficiency on `photometry.WAVELENGTHS_NM`,
 electrons per unit of irradiance, its neutral and the matrix that turns its
 colours into linear Rec.709.  colour-science is imported on first use.
 """
@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.camera import light
+from synfog_usd import photometry
 from synfog_usd.camera.profiles import SensorProfile
-from synfog_usd.camera.science import colour_science
 from synfog_usd.constants import LIGHT_SPEED_M_S, PLANCK_J_S
+from synfog_usd.science import colour_science
 
 Array = npt.NDArray[np.float64]
 
@@ -26,20 +26,20 @@ BAYER_RGGB = ((0, 1), (1, 2))
 
 @functools.lru_cache(maxsize=16)
 def quantum_efficiency(sensor: SensorProfile) -> Array:
-    """(3, 401) quantum efficiency [1] of the channels R, G, B on `light.WAVELENGTHS_NM`.
+    """(3, 401) quantum efficiency [1] of the channels R, G, B on `photometry.WAVELENGTHS_NM`.
 
     A sensitivity per watt divided by the wavelength is one per photon.  Outside
     the measured range it is 0.
     """
     if sensor.qe.table:
         table = np.array(sensor.qe.table)
-        return np.array([np.interp(light.WAVELENGTHS_NM, table[:, 0], table[:, 1 + channel], left=0.0, right=0.0) for channel in range(3)])
+        return np.array([np.interp(photometry.WAVELENGTHS_NM, table[:, 0], table[:, 1 + channel], left=0.0, right=0.0) for channel in range(3)])
     colour = colour_science()
 
     measured = colour.MSDS_CAMERA_SENSITIVITIES[sensor.qe.camera]
     per_photon = measured.values / measured.wavelengths[:, None]
     scaled = np.maximum(per_photon, 0.0) * (sensor.qe.peak / per_photon.max())
-    return np.array([np.interp(light.WAVELENGTHS_NM, measured.wavelengths, scaled[:, channel], left=0.0, right=0.0) for channel in range(3)])
+    return np.array([np.interp(photometry.WAVELENGTHS_NM, measured.wavelengths, scaled[:, channel], left=0.0, right=0.0) for channel in range(3)])
 
 
 def electrons_per_second(sensor: SensorProfile, channels: tuple[str, ...], *, pixel_pitch_um: float, fill_factor: float) -> Array:
@@ -49,7 +49,7 @@ def electrons_per_second(sensor: SensorProfile, channels: tuple[str, ...], *, pi
 
     Args:
         sensor: whose quantum efficiency.
-        channels: of the irradiance image; see `light.channel_spectra`.
+        channels: of the irradiance image; see `photometry.channel_spectra`.
         pixel_pitch_um: side of a pixel [um].
         fill_factor: light-sensitive part of its area [1].
 
@@ -58,9 +58,9 @@ def electrons_per_second(sensor: SensorProfile, channels: tuple[str, ...], *, pi
 
     Source: EMVA 1288 release 4.0, section 2.1.
     """
-    photons_per_joule = light.WAVELENGTHS_NM * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_S)
+    photons_per_joule = photometry.WAVELENGTHS_NM * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_S)
     area_m2 = (pixel_pitch_um * 1e-6) ** 2 * fill_factor
-    return np.asarray((quantum_efficiency(sensor) * photons_per_joule) @ light.channel_spectra(channels).T * area_m2)
+    return np.asarray((quantum_efficiency(sensor) * photons_per_joule) @ photometry.channel_spectra(channels).T * area_m2)
 
 
 def mean_wavelengths_nm(sensor: SensorProfile, channels: tuple[str, ...]) -> Array:
@@ -68,16 +68,16 @@ def mean_wavelengths_nm(sensor: SensorProfile, channels: tuple[str, ...]) -> Arr
 
     A channel that makes none gets the mean of its own spectrum.
     """
-    spectra = light.channel_spectra(channels) * light.WAVELENGTHS_NM
+    spectra = photometry.channel_spectra(channels) * photometry.WAVELENGTHS_NM
     weights = spectra * quantum_efficiency(sensor).mean(axis=0)
     weights = np.where(weights.sum(axis=1, keepdims=True) > 0.0, weights, spectra)
-    return np.asarray(weights @ light.WAVELENGTHS_NM / weights.sum(axis=1))
+    return np.asarray(weights @ photometry.WAVELENGTHS_NM / weights.sum(axis=1))
 
 
 @functools.lru_cache(maxsize=16)
 def neutral(sensor: SensorProfile, illuminant: str) -> tuple[float, float, float]:
     """Signal of a white surface in the channels R, G, B under 'D65' or 'A', the largest being 1."""
-    signal = quantum_efficiency(sensor) @ (light.illuminant(illuminant) * light.WAVELENGTHS_NM)
+    signal = quantum_efficiency(sensor) @ (photometry.illuminant(illuminant) * photometry.WAVELENGTHS_NM)
     red, green, blue = signal / signal.max()
     return float(red), float(green), float(blue)
 
@@ -154,12 +154,12 @@ def _patches(sensor: SensorProfile, illuminant: str, wavelengths_nm: Array, refl
     """White-balanced camera signal (N, 3), and XYZ (N, 3) under D65, of (N, W) reflectances; white is 1 and Y = 1."""
     colour = colour_science()
 
-    fine = np.array([np.interp(light.WAVELENGTHS_NM, wavelengths_nm, row) for row in reflectances])
-    lit = fine * light.illuminant(illuminant)
-    camera = (lit * light.WAVELENGTHS_NM) @ quantum_efficiency(sensor).T
-    white = quantum_efficiency(sensor) @ (light.illuminant(illuminant) * light.WAVELENGTHS_NM)
-    xyz = lit @ light.observer().T
-    xyz_white = light.observer() @ light.illuminant(illuminant)
+    fine = np.array([np.interp(photometry.WAVELENGTHS_NM, wavelengths_nm, row) for row in reflectances])
+    lit = fine * photometry.illuminant(illuminant)
+    camera = (lit * photometry.WAVELENGTHS_NM) @ quantum_efficiency(sensor).T
+    white = quantum_efficiency(sensor) @ (photometry.illuminant(illuminant) * photometry.WAVELENGTHS_NM)
+    xyz = lit @ photometry.observer().T
+    xyz_white = photometry.observer() @ photometry.illuminant(illuminant)
     d65 = colour.RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ.sum(axis=1)
     adapt = colour.adaptation.matrix_chromatic_adaptation_VonKries(xyz_white / xyz_white[1], d65, transform="Bradford")
     return camera / white, (xyz / xyz_white[1]) @ adapt.T

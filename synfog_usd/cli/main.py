@@ -45,6 +45,7 @@ def bake(
         float | None, typer.Option(help="Relative error of a pixel to stop at, as 0.01; a third of the sensor's noise if left out.")
     ] = None,
     time_limit: Annotated[float | None, typer.Option(help="Seconds a shot after which no more samples are begun.")] = None,
+    bands: Annotated[str, typer.Option(help="Light that a path carries: 3 (R, G, B), 8, 16 or 31 wavelength bands; auto takes as few as will do.")] = "auto",
     denoise: Annotated[bool, typer.Option("--denoise", help="Smooth surfaces and airlight apart (Open Image Denoise).")] = False,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
@@ -69,6 +70,7 @@ def bake(
             samples=samples,
             target_error=target_error,
             time_limit_s=time_limit,
+            bands=None if bands == "auto" else _count(bands, "--bands"),
             denoise=denoise,
             seed=seed,
             variant=variant,
@@ -293,6 +295,12 @@ def _counts(text: str, option: str) -> tuple[int, ...]:
     if not all(name.isdecimal() for name in names):
         raise ParameterError(f"{option} {text}: not whole numbers separated by commas, as in 4,16,64")
     return tuple(int(name) for name in names)
+
+
+def _count(text: str, option: str) -> int:
+    if not text.isdecimal():
+        raise ParameterError(f"{option} {text}: not a whole number")
+    return int(text)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

@@ -175,6 +175,7 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, pixel: tuple[float, float
         target_error=plan.target_error,
         sensor_sigma=sensor_target(*pixel) if pixel and plan.target_error is None else None,
         time_limit_s=plan.time_limit_s,
+        bands=plan.bands,
         denoise=plan.denoise,
         progress=lambda what, fraction: progress(what, 0.02 + 0.9 * fraction),
     )
@@ -185,11 +186,10 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, pixel: tuple[float, float
     radiance, variance = rendered.radiance, rendered.radiance.variance
     assert variance is not None
     transmittance = rendered.layers.transmittance_image()
-    spread = Image(variance, ("variance.R", "variance.G", "variance.B"), Quantity.DATA)
     writers.write_exr(folder / "radiance.exr", radiance, attributes=marks)
-    parts = [_named(name, pixels) for name, pixels in rendered.parts.items()]
-    groups = [_named(f"lightgroup_{name}", pixels) for name, pixels in rendered.groups.items()]
-    writers.write_exr(folder / "layers.exr", [transmittance, *parts, spread, *groups], attributes=marks)
+    named = {**rendered.parts, "variance": variance, **{f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()}}
+    found = [Image(pixels, tuple(f"{name}.{channel}" for channel in radiance.channels), Quantity.DATA) for name, pixels in named.items()]
+    writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
     names = ["radiance.exr", "layers.exr"]
     results = graph.run({"radiance": radiance}, seed=seed, settings=exposure.settings if exposure else None, keep=list(graph.outputs.values()))
     for name, node in graph.outputs.items():
@@ -202,7 +202,7 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, pixel: tuple[float, float
         "mor_m": round(mor[0], 6) if mor else None,
         "camera": scene.camera.path,
         "size_px": [scene.camera.width_px, scene.camera.height_px],
-        "model": {"name": rendered.model, "why": rendered.why, "pilot": _rounded(rendered.figures)},
+        "model": {"name": rendered.model, "bands": len(radiance.channels), "why": rendered.why, "pilot": _rounded(rendered.figures)},
         "samples": float(f"{rendered.samples:.5g}"),
         "target": _target(plan, pixel, rendered.met),
         "relative_error": float(f"{rendered.relative_error:.4g}"),
@@ -210,10 +210,6 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, pixel: tuple[float, float
         "warnings": list(rendered.warnings),
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
     }
-
-
-def _named(name: str, pixels: Any) -> Image:
-    return Image(pixels, tuple(f"{name}.{channel}" for channel in "RGB"), Quantity.DATA)
 
 
 def _rounded(figures: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
@@ -258,6 +254,7 @@ def _facts(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> di
             "samples": plan.samples,
             "target_error": plan.target_error,
             "time_limit_s": plan.time_limit_s,
+            "bands": plan.bands,
             "denoise": plan.denoise,
             "seed": plan.seed,
             "variant": variant,

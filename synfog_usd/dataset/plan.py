@@ -27,7 +27,7 @@ class BakePlan:
         camera: prim path; None is the stage's own choice.
         frame: time code; None is the stage's start.
         size: (width, height) in pixels; None is the stage's own.
-        model, samples, seed, target_error, time_limit_s, denoise: see `render.shot.render`.
+        model, samples, seed, target_error, time_limit_s, bands, denoise: see `render.shot.render`.
             Without a target error the sensor's own noise is the target.
         variant: Mitsuba backend, see `render.backend.choose`.
         strict: whether a warning of the translation stops the bake.
@@ -45,6 +45,7 @@ class BakePlan:
     samples: int = 64
     target_error: float | None = None
     time_limit_s: float | None = None
+    bands: int | None = None
     denoise: bool = False
     seed: int = 0
     variant: str = "auto"

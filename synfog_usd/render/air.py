@@ -38,15 +38,16 @@ class Air:
 
     Args:
         volumes: fog that `unknown_fog` does not object to.
+        thinned: factor on every extinction, see `Bands.clearest`.
     """
 
-    def __init__(self, volumes: Sequence[FogVolume]) -> None:
+    def __init__(self, volumes: Sequence[FogVolume], thinned: float = 1.0) -> None:
         mi = backend.mitsuba()
         self.volumes = [volume for volume in volumes if volume.medium.sigma_t_per_m > 0.0 or volume.parent is not None]
         self.foggy = any(volume.medium.sigma_t_per_m > 0.0 for volume in self.volumes)
         index = {id(volume): place for place, volume in enumerate(self.volumes)}
         around = [None if volume.parent is None else index.get(id(volumes[volume.parent])) for volume in self.volumes]
-        self.media = [_Medium(volume) for volume in self.volumes]
+        self.media = [_Medium(volume, thinned) for volume in self.volumes]
         self.parents = [None if parent is None else self.media[parent] for parent in around]
         self.order = sorted(range(len(self.volumes)), key=lambda place: _nesting(around, place))
         self.single = len(self.volumes) == 1 and self.volumes[0].medium.profile == "uniform"
@@ -161,11 +162,11 @@ class Domain:
 class _Medium(Domain):
     """One volume's numbers, out of the compiler's sight so that others need no new kernel."""
 
-    def __init__(self, volume: FogVolume) -> None:
+    def __init__(self, volume: FogVolume, thinned: float) -> None:
         super().__init__(volume.boundary.to_world, ball=volume.boundary.kind == "sphere")
         mi = backend.mitsuba()
         medium = volume.medium
-        self.sigma_t, self.albedo = dr.opaque(mi.Float, medium.sigma_t_per_m), dr.opaque(mi.Float, medium.albedo)
+        self.sigma_t, self.albedo = dr.opaque(mi.Float, thinned * medium.sigma_t_per_m), dr.opaque(mi.Float, medium.albedo)
         self.exponential = medium.profile == "exponential"
         if self.exponential:
             self.base, self.scale = dr.opaque(mi.Float, medium.base_height_m), dr.opaque(mi.Float, medium.scale_height_m)

@@ -98,7 +98,7 @@ class Asm:
             added = glow if index == 0 else 0.0  # to every sample of the first part
             whole = t * sum(part.layers.values())
             part.squares = t * t * part.squares + 2.0 * added * whole + count * added**2
-            part.groups = t * part.groups
+            part.groups = [t * group for group in part.groups]
             part.layers = {name: t * layer for name, layer in part.layers.items()}
             if index == 0:
                 part.layers[fogpath.MULTIPLE] = part.layers.get(fogpath.MULTIPLE, 0.0) + count * added

@@ -167,6 +167,21 @@ def mitsuba() -> Any:
     return module
 
 
+def numbers(array: Any) -> Any:
+    """(N,) whole numbers for a wavefront, in memory of Dr.Jit's own.
+
+    It takes NumPy's memory as it lies, and compiles a kernel for aligned and another for
+    unaligned memory: which of them is wanted would change from call to call.
+    """
+    import drjit as dr
+    import numpy as np
+
+    mi = mitsuba()
+    kept = mi.UInt32(np.ascontiguousarray(array, dtype=np.uint32)) ^ dr.opaque(mi.UInt32, 0)
+    dr.eval(kept)
+    return kept
+
+
 def is_scalar() -> bool:
     """Whether the variant in force works on single numbers."""
     return str(mitsuba().variant()).startswith("scalar")

@@ -10,7 +10,7 @@ pixels or chunks are in flight at once makes no difference.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -49,24 +49,32 @@ class Part:
     Attributes:
         layers: name -> (P, C) sum of the samples.
         squares: (P, C) sum of their squares.
-        groups: (G, P, C) sums by light group.
+        groups: G sums (P, C) by light group.
         counts: (P,) samples of each pixel.
     """
 
     layers: dict[str, Array]
     squares: Array
-    groups: Array
+    groups: list[Array]
     counts: npt.NDArray[np.int64]
+
+    def number(self) -> Array:
+        """(P, 1) samples, 1 at least, as the sums' type."""
+        return np.maximum(self.counts, 1)[:, None].astype(self.squares.dtype)
 
     def mean(self) -> Array:
         """(P, C)."""
-        return sum(self.layers.values()) / np.maximum(self.counts, 1)[:, None]
+        return sum(self.layers.values()) / self.number()
 
     def variance(self) -> Array:
         """(P, C) variance of the mean; infinite with fewer than two samples."""
-        counts = self.counts[:, None]
-        spread = np.maximum(self.squares / np.maximum(counts, 1) - self.mean() ** 2, 0.0)
-        return np.where(counts > 1, spread / np.maximum(counts - 1, 1), np.inf)
+        number = self.number()
+        spread = self.squares / number
+        spread -= self.mean() ** 2
+        np.maximum(spread, 0.0, out=spread)
+        spread /= np.maximum(number - 1.0, 1.0)
+        spread[self.counts < 2] = np.inf
+        return spread
 
 
 @dataclass
@@ -76,10 +84,12 @@ class Exposure:
     Attributes:
         parts: name -> sums; parts are independent of each other.
         lost: samples that were not finite and count as zero.
+        weights: (C,) of the channels in a pixel's luminance [cd m-2]; R, G and B count alike.
     """
 
     parts: dict[str, Part]
     lost: int = 0
+    weights: Array = field(default_factory=lambda: np.full(3, 1.0 / 3.0))
 
     def mean(self) -> Array:
         """(P, C) all light."""
@@ -89,17 +99,32 @@ class Exposure:
         """(P, C) variance of the mean."""
         return sum(part.variance() for part in self.parts.values())
 
+    def luminance(self) -> Array:
+        """(P,) of all light [cd m-2], 0 at least."""
+        return np.maximum(self.mean() @ self.weights, 0.0)
+
+    def luminance_variance(self) -> Array:
+        """(P,) variance of its mean, as if the channels rose and fell together, as those of one path do."""
+        return np.asarray(self.variance() @ self.weights * self.weights.sum())
+
     def layer(self, name: str) -> Array | None:
         """(P, C) mean of a layer, or None where the integrator does not tell it apart."""
-        found = [part.layers[name] / np.maximum(part.counts, 1)[:, None] for part in self.parts.values() if name in part.layers]
+        found = [part.layers[name] / part.number() for part in self.parts.values() if name in part.layers]
         if found:
             return sum(found)
-        first = next(iter(self.parts.values()))
-        return None if ALL in first.layers else np.zeros_like(first.squares)
+        pixels = len(next(iter(self.parts.values())).counts)
+        return None if ALL in self.parts else np.zeros((pixels, len(self.weights)))
 
-    def group(self, index: int) -> Array:
-        """(P, C) mean of a light group."""
-        return sum(part.groups[index] / np.maximum(part.counts, 1)[:, None] for part in self.parts.values())
+    def take_layer(self, name: str) -> Array | None:
+        """The same, and its sums are let go."""
+        mean = self.layer(name)
+        for part in self.parts.values():
+            part.layers.pop(name, None)
+        return mean
+
+    def take_group(self) -> Array:
+        """(P, C) mean of the first light group that is left; its sums are let go."""
+        return sum(part.groups.pop(0) / part.number() for part in self.parts.values())
 
     @property
     def samples(self) -> int:
@@ -144,7 +169,7 @@ def expose(loaded: Loaded, integrator: Any, *, samples: int, seed: int, progress
 
 def whole(total: Array, squares: Array, samples: int, lost: int = 0) -> Exposure:
     """An image that is not told apart into parts, from sums over its samples."""
-    return Exposure({ALL: Part({ALL: total}, squares, np.zeros((0, *total.shape)), np.full(len(total), samples, dtype=np.int64))}, lost)
+    return Exposure({ALL: Part({ALL: total}, squares, [], np.full(len(total), samples, dtype=np.int64))}, lost)
 
 
 def shares(exposure: Exposure, samples: int) -> dict[str, int]:
@@ -154,11 +179,11 @@ def shares(exposure: Exposure, samples: int) -> dict[str, int]:
     Neyman's allocation.  Pixels count by their relative variance, the noisiest
     hundredth left out, so that one firefly decides nothing.
     """
-    level = np.maximum(exposure.mean().mean(axis=1), 0.0)
+    level = exposure.luminance()
     scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
     noise = {}
     for name, part in exposure.parts.items():
-        relative = (part.variance() * part.counts[:, None]).mean(axis=1) / scale**2
+        relative = part.variance() @ exposure.weights * exposure.weights.sum() * part.counts / scale**2
         noise[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
     weight = {name: max(np.sqrt(value / COST[name]), 1e-6) for name, value in noise.items()}
     unit = samples * sum(COST[name] for name in weight) / sum(COST[name] * value for name, value in weight.items())
@@ -166,14 +191,15 @@ def shares(exposure: Exposure, samples: int) -> dict[str, int]:
 
 
 def begin(integrator: FogPath, pixels: int) -> Exposure:
-    """An image of no samples yet."""
-    groups = integrator.groups if integrator.groups > 1 else 0
+    """An image of no samples yet; sums over many bands are in float32, which holds 10^4 chunks to 1e-5 and half the memory."""
+    groups, bands = integrator.groups if integrator.groups > 1 else 0, integrator.bands
+    shape, kind = (pixels, bands.count), np.float64 if bands.is_rgb else np.float32
 
     def empty(part: str) -> Part:
-        layers = {name: np.zeros((pixels, 3)) for name in LAYERS[part]}
-        return Part(layers, np.zeros((pixels, 3)), np.zeros((groups, pixels, 3)), np.zeros(pixels, dtype=np.int64))
+        layers = {name: np.zeros(shape, dtype=kind) for name in LAYERS[part]}
+        return Part(layers, np.zeros(shape, dtype=kind), [np.zeros(shape, dtype=kind) for _ in range(groups)], np.zeros(pixels, dtype=np.int64))
 
-    return Exposure({part: empty(part) for part in integrator.parts})
+    return Exposure({part: empty(part) for part in integrator.parts}, weights=bands.weights)
 
 
 def extend(exposure: Exposure, integrator: FogPath, pixels: npt.NDArray[np.int64], samples: Mapping[str, int], seed: int, progress: Progress = silent) -> None:
@@ -200,15 +226,14 @@ def extend(exposure: Exposure, integrator: FogPath, pixels: npt.NDArray[np.int64
 def _add(
     exposure: Exposure, integrator: FogPath, name: str, pixels: npt.NDArray[np.int64], first: npt.NDArray[np.int64], count: int, chunks: int, seed: int
 ) -> None:
-    mi = backend.mitsuba()
     import drjit as dr
 
-    sums = integrator.trace(name, mi.UInt32(np.tile(pixels, chunks).astype(np.uint32)), mi.UInt32(first.astype(np.uint32)), count, seed)
+    sums = integrator.trace(name, backend.numbers(np.tile(pixels, chunks)), backend.numbers(first), count, seed)
     dr.eval(sums.layers, sums.squares, sums.groups, sums.lost)
     part = exposure.parts[name]
 
     def add(target: Array, colour: Any) -> None:
-        for lane in np.array(colour, dtype=np.float64).T.reshape(chunks, len(pixels), -1):  # chunk by chunk: the order of the sum is fixed
+        for lane in np.array(colour, dtype=target.dtype).T.reshape(chunks, len(pixels), -1):  # chunk by chunk: the order of the sum is fixed
             target[pixels] += lane
 
     for target, layer in zip(part.layers.values(), sums.layers, strict=True):

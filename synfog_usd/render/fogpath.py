@@ -30,6 +30,7 @@ import numpy as np
 
 from synfog_usd.render import backend
 from synfog_usd.render.air import Air, transmittance
+from synfog_usd.render.bands import Bands
 from synfog_usd.render.beacons import TOWARDS, Beacons
 from synfog_usd.render.lamps import Lamps
 from synfog_usd.render.load import Loaded
@@ -110,9 +111,9 @@ class Sums:
     """Sums over the paths of each lane.
 
     Attributes:
-        layers: a colour for each of the part's `LAYERS`.
-        squares: of the whole path's light, a colour.
-        groups: light by light group, a colour each; empty where there is only one.
+        layers: light in all bands (R, G and B, or more) for each of the part's `LAYERS`.
+        squares: of the whole path's light, in all bands.
+        groups: light by light group; empty where there is only one.
         lost: paths that were not finite and count as zero.
     """
 
@@ -135,6 +136,7 @@ class FogPath:
         slab: the layer that is known already, or None.
         method: what to leave out.
         groups: names of the light groups; `group_of_emitter` (E,) tells the scene's own emitters' by their index.
+        bands: what a path carries; R, G and B unless told otherwise.
     """
 
     def __init__(
@@ -148,7 +150,9 @@ class FogPath:
         method: Method | None = None,
         groups: tuple[str, ...] = ("other",),
         group_of_emitter: Any = None,
+        bands: Bands | None = None,
     ) -> None:
+        self.bands = bands or Bands()
         self.loaded, self.air, self.lamps, self.slab, self.method = loaded, air, lamps, slab, method or Method()
         sky = loaded.scene.environment() is not None
         self.foggy, self.lit_fog = air.foggy, others > 0
@@ -181,9 +185,9 @@ class FogPath:
         """Lamps, scattered once into the eye's segment; arguments as in `trace`."""
         mi = backend.mitsuba()
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
-        corner = self.corner(pixel)
-        single, squares, lost = mi.Color3f(0.0), mi.Color3f(0.0), mi.UInt32(0)
-        sums = [mi.Color3f(0.0) for _ in range(self.groups)] if self.groups > 1 else []
+        corner, bands = self.corner(pixel), self.bands
+        single, squares, lost = bands.black(), bands.black(), mi.UInt32(0)
+        sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []
         begun = mi.UInt32(0)
         while begun < wanted:
             sampler = Random(image_seed, pixel, first + begun)
@@ -193,7 +197,9 @@ class FogPath:
             stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)
             where, lamp, colour, group = self.lamps.along(ray.o, ray.d, near, stop, self.air, sampler, stop > near)
             free, reach_lamp = self.clear_to(where, mi.Normal3f(0.0), lamp, dr.max(colour) > 0.0)
-            light = dr.select(free, weight * colour * reach_lamp, mi.Color3f(0.0))
+            light = dr.select(free, bands.even(weight) * bands.light(colour) * reach_lamp, bands.black())
+            if dr.hint(bands.coloured, mode="scalar"):
+                light *= bands.scattered() * bands.fade(self.air.depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
             finite = dr.all(dr.isfinite(light))
             light = dr.select(finite, light, 0.0)
             single, squares = single + light, squares + light * light
@@ -217,18 +223,18 @@ class FogPath:
         """
         mi = backend.mitsuba()
         scene, context, air, slab = self.loaded.scene, mi.BSDFContext(), self.air, self.slab
-        corner = self.corner(pixel)
+        corner, bands = self.corner(pixel), self.bands
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
-        black, sky = mi.Color3f(0.0), mi.EmitterPtr(scene.environment())
+        black, sky = bands.black(), mi.EmitterPtr(scene.environment())
 
-        layers = [mi.Color3f(0.0) for _ in LAYERS[AIR if air_part else SURFACE]]
-        sums = [mi.Color3f(0.0) for _ in range(self.groups)] if self.groups > 1 else []
-        squares, lost = mi.Color3f(0.0), mi.UInt32(0)
+        layers = [bands.black() for _ in LAYERS[AIR if air_part else SURFACE]]
+        sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []
+        squares, lost = bands.black(), mi.UInt32(0)
         begun = mi.UInt32(0)
         sampler = Random(image_seed, pixel, first)
         ray, view_weight = self.camera_ray(sampler, corner, mi.Bool(True))
-        throughput, scale = mi.Color3f(view_weight), mi.Float(1.0)
-        path = mi.Color3f(0.0)  # the whole path's light
+        throughput, scale = bands.even(view_weight), mi.Float(1.0)
+        path = bands.black()  # the whole path's light
         scattered, bounces = mi.UInt32(0), mi.UInt32(0)
         depth = mi.UInt32(0)
         active = mi.Bool(True)
@@ -310,8 +316,16 @@ class FogPath:
                     lit &= scattered < self.method.scatterings
                 where, lamp, colour, group = self.lamps.along(ray.o, ray.d, near, stop, air, sampler, lit)
                 free, reach_lamp = self.clear_to(where, mi.Normal3f(0.0), lamp, lit & (dr.max(colour) > 0.0))
-                light = dr.select(free, throughput * colour * reach_lamp, black)
+                light = dr.select(free, throughput * bands.light(colour) * reach_lamp, black)
+                if dr.hint(bands.coloured, mode="scalar"):
+                    light *= bands.scattered() * bands.fade(air.depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
                 path, layers, sums = self.record(path, layers, sums, light, scattered + 1, group)
+
+            # What the clearest band, in which flights are drawn, keeps and the others lose.
+            if dr.hint(bands.coloured, mode="scalar"):
+                gone = air.depth_within(ray.o, ray.d, near, dr.maximum(dr.minimum(dr.minimum(flight, end), far), near))
+                throughput *= bands.fade(gone)
+                throughput = dr.select(turned, throughput * bands.scattered(), throughput)
             ended = active & ~turned
             if dr.hint(air_part, mode="scalar"):
                 ended &= ~at_eye
@@ -328,7 +342,7 @@ class FogPath:
             if dr.hint(slab is not None, mode="scalar"):  # no shadow ray looks for the sky
                 weight = dr.select(met, weight, 1.0)
             weight = dr.select(last_exact, 1.0, weight)  # a lamp's face counts here only for the eye and for mirrors
-            light = dr.select(ended, throughput * weight * emitter.eval(si, ended), black)
+            light = dr.select(ended, throughput * weight * bands.light(emitter.eval(si, ended)), black)
             path, layers, sums = self.record(path, layers, sums, light, scattered, self.group(emitter, ended))
 
             # The vertex: in the fog or on a surface.
@@ -354,21 +368,22 @@ class FogPath:
                 if dr.hint(slab is not None, mode="scalar"):
                     lit &= sent.emitter != sky
             lit &= sent.pdf > 0.0
-            value, pdf, bounce, gain = bsdf.eval_pdf_sample(context, si, si.to_local(sent.d), sampler.next_1d(met), sampler.next_2d(met), met)
+            reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(context, si, si.to_local(sent.d), sampler.next_1d(met), sampler.next_2d(met), met)
+            value, gain = bands.reflectance(reflected), bands.reflectance(kept)
             if dr.hint(self.foggy, mode="scalar"):
                 turn_value = air.phase.value(dr.dot(ray.d, sent.d))
-                value = dr.select(turned, mi.Color3f(turn_value), value)
+                value = dr.select(turned, bands.even(mi.Color3f(turn_value)), value)
                 pdf = dr.select(turned, turn_value, pdf)
             if dr.hint(self.chosen, mode="scalar"):
                 free, reach_light = self.clear_to(vertex.p, vertex.n, sent.p, lit)
                 weight = dr.select(sent.delta, 1.0, _share(sent.pdf, pdf))
-                light = dr.select(free, throughput * value * power * (weight * reach_light), black)
+                light = dr.select(free, throughput * value * bands.light(power) * (weight * reach_light), black)
                 path, layers, sums = self.record(path, layers, sums, light, scattered, self.group(sent.emitter, free))
             if dr.hint(self.lamps.count > 0, mode="scalar"):
                 lamp, colour, group = self.lamps.at(si.p, si.n, sampler, smooth)
                 free, reach_lamp = self.clear_to(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
                 reflected = bsdf.eval(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
-                light = dr.select(free, throughput * reflected * colour * reach_lamp, black)
+                light = dr.select(free, throughput * bands.reflectance(reflected) * bands.light(colour) * reach_lamp, black)
                 path, layers, sums = self.record(path, layers, sums, light, scattered, group)
 
             # Onward.
@@ -414,7 +429,7 @@ class FogPath:
             # The pixel's next path where this one has ended.
             over = active & ~alive
             finite = dr.all(dr.isfinite(path))
-            squares += dr.select(over & finite, path * path, 0.0)
+            squares += dr.select(over & finite, path * path, black)
             lost += dr.select(over & ~finite, mi.UInt32(1), mi.UInt32(0))
             begun += dr.select(over, mi.UInt32(1), mi.UInt32(0))
             again = over & (begun < wanted)
@@ -423,8 +438,8 @@ class FogPath:
             sampler.state.inc = dr.select(again, fresh.state.inc, sampler.state.inc)
             view, view_weight = self.camera_ray(sampler, corner, again)
             ray = dr.select(again, view, ray)
-            throughput, scale = dr.select(again, mi.Color3f(view_weight), throughput), dr.select(again, 1.0, scale)
-            path = dr.select(over, 0.0, path)
+            throughput, scale = dr.select(again, bands.even(view_weight), throughput), dr.select(again, 1.0, scale)
+            path = dr.select(over, black, path)
             depth, scattered, bounces = (
                 dr.select(again, mi.UInt32(0), depth),
                 dr.select(again, mi.UInt32(0), scattered),
@@ -465,10 +480,10 @@ class FogPath:
         back = mi.Vector3f(si.wi.x / flat * 0.8660254, si.wi.y / flat * 0.8660254, 0.5 * facing)
         value, pdf = bsdf.eval_pdf(context, si, back, active)
         fits = active & (pdf > 0.1 * dr.inv_pi)  # a fifth of the cosine's density at 60 degrees
-        return dr.select(fits, dr.minimum(value * (2.0 * dr.pi), 1.0), 0.0), mi.Vector3f(si.sh_frame.n) * facing
+        return self.bands.reflectance(dr.select(fits, dr.minimum(value * (2.0 * dr.pi), 1.0), 0.0)), mi.Vector3f(si.sh_frame.n) * facing
 
     def clear_to(self, place: Any, normal: Any, light: Any, active: Any) -> tuple[Any, Any]:
-        """(whether nothing stands between a point and a light, transmittance of the fog between)."""
+        """(whether nothing stands between a point and a light, transmittance of the fog between: one for all bands, or one each)."""
         mi = backend.mitsuba()
         start = dr.zeros(mi.Interaction3f)
         start.p, start.n = place, normal
@@ -478,7 +493,10 @@ class FogPath:
         if self.foggy:
             towards = light - place
             length = dr.norm(towards)
-            through = dr.exp(-self.air.depth(place, towards / dr.maximum(length, 1e-12), 0.0, length))
+            depth = self.air.depth(place, towards / dr.maximum(length, 1e-12), 0.0, length)
+            through = dr.exp(-depth)
+            if self.bands.coloured:
+                through = through * self.bands.fade(depth)
         return free, through
 
     def camera_ray(self, sampler: Any, corner: Any, active: Any) -> tuple[Any, Any]:

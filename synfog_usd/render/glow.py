@@ -147,19 +147,17 @@ class Glow:
 
     def expose(self, *, samples: int, seed: int, progress: Progress = silent) -> film.Exposure:
         """An image; as `film.expose`."""
-        mi = backend.mitsuba()
         exposure = film.expose(self.loaded, self.path, samples=samples, seed=seed, progress=progress)
         camera, rays = self.loaded.source.camera, min(samples, RAYS)
         pixels = camera.width_px * camera.height_px
         sums = [np.zeros((pixels, 3)) for _ in range(4)]
         for low in range(0, pixels, film.CHUNKED_LANES):
             index = np.arange(low, min(low + film.CHUNKED_LANES, pixels), dtype=np.uint32)
-            light = self._trace(mi.UInt32(index), rays, seed32(seed, PART))
+            light = self._trace(backend.numbers(index), rays, seed32(seed, PART))
             for total, part in zip(sums, light, strict=True):
                 total[index] = np.array(part, dtype=np.float64).T
         layers = dict(zip((fogpath.SURFACE, fogpath.SINGLE, fogpath.MULTIPLE), sums, strict=False))
-        groups = np.zeros((0, pixels, 3))
-        exposure.parts[PART] = film.Part(layers, sums[3], groups, np.full(pixels, rays, dtype=np.int64))
+        exposure.parts[PART] = film.Part(layers, sums[3], [], np.full(pixels, rays, dtype=np.int64))
         return exposure
 
     @dr.syntax

@@ -127,6 +127,12 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     return Loaded(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_things)
 
 
+def resized(loaded: Loaded, size: tuple[int, int]) -> Loaded:
+    """The same scene seen in (width, height) pixels."""
+    camera = replace(loaded.source.camera, width_px=size[0], height_px=size[1])
+    return replace(loaded, source=replace(loaded.source, camera=camera), sensor=make_sensor(camera, loaded.camera_medium))
+
+
 def camera_fog(source: SceneDict) -> int | None:
     """Index of the innermost fog volume around the camera, or None.
 

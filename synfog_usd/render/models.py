@@ -11,6 +11,8 @@ from typing import Any
 
 from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.render import backend
+from synfog_usd.render.bands import RGB
+from synfog_usd.render.bands import check as check_bands
 from synfog_usd.render.load import Loaded
 from synfog_usd.scene import SceneDict
 
@@ -28,12 +30,12 @@ class Model:
     """One way to transport light.
 
     Attributes:
-        make: integrator for a loaded scene, as `film.expose` takes it.
+        make: integrator for a loaded scene, as `film.expose` takes it; see `make` for what some may be told.
         boundaries: whether the fog must stand in the scene as null-material shapes.
         refuses: why a scene is outside its domain, or ''.
     """
 
-    make: Callable[[Loaded], Any]
+    make: Callable[..., Any]
     boundaries: bool
     refuses: Callable[[SceneDict], str]
 
@@ -60,8 +62,9 @@ def _volpathmis(loaded: Loaded) -> Any:
     return backend.mitsuba().load_dict({"type": "volpathmis", "max_depth": -1, "rr_depth": RR_DEPTH})
 
 
-def _tracer(loaded: Loaded, *, layer: bool = False, method: Any = None) -> Any:
+def _tracer(loaded: Loaded, *, layer: bool = False, method: Any = None, bands: int = RGB) -> Any:
     from synfog_usd.render.air import Air
+    from synfog_usd.render.bands import Bands
     from synfog_usd.render.fogpath import FogPath
     from synfog_usd.render.lamps import Lamps, is_handled
     from synfog_usd.render.slabfield import make_slab
@@ -70,15 +73,17 @@ def _tracer(loaded: Loaded, *, layer: bool = False, method: Any = None) -> Any:
     handled = sum(is_handled(part) for part in world.values())
     sky = loaded.scene.environment() is not None
     others = len(loaded.scene.emitters()) - sky - handled
-    air = Air(loaded.source.fog)
+    carried = Bands(bands, loaded.source.fog)
+    air = Air(loaded.source.fog, carried.clearest)
     slab = None
     if layer:
-        slab, problem = make_slab(loaded, air)
+        slab, problem = make_slab(loaded, air, carried)
         if slab is None:
             raise ParameterError(f"the layer cannot be used here: {problem}")
     names, numbers, of_emitter = _groups(loaded)
     g = loaded.source.fog[0].medium.phase_function.mean_cosine if loaded.source.fog else 0.0
-    return FogPath(loaded, air, lamps=Lamps(world, numbers, g), others=others, slab=slab, method=method, groups=names, group_of_emitter=of_emitter)
+    lamps = Lamps(world, numbers, g)
+    return FogPath(loaded, air, lamps=lamps, others=others, slab=slab, method=method, groups=names, group_of_emitter=of_emitter, bands=carried)
 
 
 def _index(emitter: Any) -> int:
@@ -107,25 +112,25 @@ def _groups(loaded: Loaded) -> tuple[tuple[str, ...], dict[str, int], Any]:
     return names, numbers, mi.UInt32(table)
 
 
-def _path(loaded: Loaded) -> Any:
+def _path(loaded: Loaded, **how: Any) -> Any:
     """Path tracing with the fog's edge in closed form; see `fogpath`.
 
     Valid for any lamp and surface, and for fog in boxes and balls, uniform or exponential, nested or not.  Unbiased.
     """
-    return _tracer(loaded)
+    return _tracer(loaded, **how)
 
 
-def _path_slab(loaded: Loaded) -> Any:
+def _path_slab(loaded: Loaded, **how: Any) -> Any:
     """`path` that samples only what differs from a plane-parallel layer; see `slabfield`.
 
     Valid where `path` is, for one box of fog with a level top under a sky.  Unbiased
     to 0.05 %.  Fast where most of what is seen is fog, ground and sky; slower than `path`
     in a street canyon, under a bridge or where lamps are all the light.
     """
-    return _tracer(loaded, layer=True)
+    return _tracer(loaded, layer=True, **how)
 
 
-def _slab(loaded: Loaded) -> Any:
+def _slab(loaded: Loaded, **how: Any) -> Any:
     """The layer's airlight, and surfaces in the layer's light with visibility rays.
 
     What objects take from or add to the light scattered in the fog is left out.
@@ -134,17 +139,17 @@ def _slab(loaded: Loaded) -> Any:
     """
     from synfog_usd.render.fogpath import Method
 
-    return _tracer(loaded, layer=True, method=Method(scatterings=0, bounces=2))
+    return _tracer(loaded, layer=True, method=Method(scatterings=0, bounces=2), **how)
 
 
-def _single(loaded: Loaded) -> Any:
+def _single(loaded: Loaded, **how: Any) -> Any:
     """Light that the fog turned once at most.
 
     Valid up to optical depths of about 0.3; beyond, it loses most of the airlight.
     """
     from synfog_usd.render.fogpath import Method
 
-    return _tracer(loaded, method=Method(scatterings=1))
+    return _tracer(loaded, method=Method(scatterings=1), **how)
 
 
 def _path_refuses(scene: SceneDict) -> str:
@@ -211,6 +216,9 @@ MODELS: dict[str, Model] = {
 LIMITED = ("path", "path+slab")
 """Models whose paths can be cut short."""
 
+BANDED = ("slab", "single", "path", "path+slab")
+"""Models that carry wavelength bands."""
+
 PEERS = ("volpath", "volpathmis")
 """Mitsuba's own; they know no layers, and are sampled evenly to the end."""
 
@@ -218,22 +226,27 @@ UNBIASED = ("path", "path+slab", "volpath", "volpathmis")
 """Models without an error but noise, where they hold."""
 
 
-def make(name: str, loaded: Loaded, *, scatterings: int | None = None, bounces: int | None = None) -> Any:
-    """A model's integrator, with paths cut short where that is asked for.
+def make(name: str, loaded: Loaded, *, scatterings: int | None = None, bounces: int | None = None, bands: int = RGB) -> Any:
+    """A model's integrator, with paths cut short or in wavelength bands where that is asked for.
 
     Raises:
-        ParameterError: a limit on a model that has none of its own, or one below 0.
+        ParameterError: a limit or bands for a model that takes none, or values that do not exist.
     """
-    if scatterings is None and bounces is None:
-        return MODELS[name].make(loaded)
-    from synfog_usd.render.fogpath import Method
+    how: dict[str, Any] = {}
+    if scatterings is not None or bounces is not None:
+        from synfog_usd.render.fogpath import Method
 
-    if name not in LIMITED:
-        raise ParameterError(f"--model {name} takes no limit on scatterings or bounces; {' and '.join(LIMITED)} do")
-    if min(scatterings or 0, bounces or 0) < 0:
-        raise ParameterError(f"a path cannot be turned {min(scatterings or 0, bounces or 0)} times; give 0 or more")
-    given = {key: value for key, value in (("scatterings", scatterings), ("bounces", bounces)) if value is not None}
-    return _tracer(loaded, layer=name == "path+slab", method=Method(**given))
+        if name not in LIMITED:
+            raise ParameterError(f"--model {name} takes no limit on scatterings or bounces; {' and '.join(LIMITED)} do")
+        if min(scatterings or 0, bounces or 0) < 0:
+            raise ParameterError(f"a path cannot be turned {min(scatterings or 0, bounces or 0)} times; give 0 or more")
+        how["method"] = Method(**{key: value for key, value in (("scatterings", scatterings), ("bounces", bounces)) if value is not None})
+    if bands != RGB:
+        check_bands(bands)
+        if name not in BANDED:
+            raise ParameterError(f"--model {name} knows R, G and B alone; --bands {bands} takes {', '.join(BANDED)}")
+        how["bands"] = bands
+    return MODELS[name].make(loaded, **how)
 
 
 def choose(name: str, scene: SceneDict) -> tuple[str, str]:

@@ -9,7 +9,7 @@ same seed gives the same choice on any machine.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
-from synfog_usd.render import film, models
+from synfog_usd.render import bands, film, models
+from synfog_usd.render.load import Loaded, resized
 from synfog_usd.scene import SceneDict
 from synfog_usd.seeds import seed32
 
@@ -31,6 +32,12 @@ COST = {"asm": 0.5, "asm_estimated": 0.5, "slab": 0.4, "glow": 0.5, "single": 0.
 
 BIASED = ("asm", "slab", "glow", "single")
 """Models with an error that samples do not cure, cheapest first; each is tried where it holds."""
+
+FINEST = 16
+"""Wavelength bands that the planner takes for right; 31 differ from them by less than 0.2 % in the bench stages, and are there to be asked for."""
+
+COLOUR_ERROR = 0.01
+"""Error of colours that is good enough where no target is named: what an eye just sees side by side."""
 
 WORTH_TRYING = 0.03
 """Target from which on biased models are tried: each costs a kernel, and even `slab` in the overcast street of the bench errs by 5 %."""
@@ -79,29 +86,34 @@ class Choice:
         model: its name.
         why: in words, with the figures.
         figures: model -> {'bias': RMS over the pixels of its relative error, where it is biased; 'noise': relative standard deviation of one sample}.
+        best: the model without bias that costs least, as good as `model` and slower.
     """
 
     model: str
     why: str
     figures: dict[str, dict[str, float]]
+    best: str
 
 
-def choose(scene: SceneDict, *, target: Target, seed: int, load: Callable[..., Any], progress: Progress = silent) -> Choice:
+def candidates(scene: SceneDict) -> list[str]:
+    """Unbiased models of ours that hold; empty where there is nothing to choose."""
+    return [name for name in ("path", "path+slab") if not models.MODELS[name].refuses(scene)] if scene.fog else []
+
+
+def choose(loaded: Loaded, *, target: Target, seed: int, progress: Progress = silent) -> Choice:
     """The cheapest model whose measured error is under the target.
 
+    How often a path may be turned is left open: in every bench stage a cut that errs by under
+    10 % costs as much as none, since roulette ends paths where they carry little.
+
     Args:
-        scene: at any size; the pilot is PILOT_WIDTH_PX wide.
+        loaded: a scene with `candidates`, without boundaries and at any size; the pilot is PILOT_WIDTH_PX wide.
         target: biased models are tried only where it names an error.
         seed: of the pilot.
-        load: (scene, size=, boundaries=) -> `Loaded`.
         progress: told after each candidate.
     """
-    holding = [name for name in ("path", "path+slab") if not models.MODELS[name].refuses(scene)]
-    if not holding or not scene.fog:
-        name, why = models.choose(models.AUTO, scene)
-        return Choice(name, why, {})
-    height = max(1, round(PILOT_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
-    small = load(replace(scene, camera=replace(scene.camera, width_px=PILOT_WIDTH_PX, height_px=height)), boundaries=False)
+    scene, small = loaded.source, _small(loaded)
+    holding = candidates(scene)
     figures: dict[str, dict[str, float]] = {}
     pilots: dict[str, film.Exposure] = {}
     for index, name in enumerate(holding):
@@ -113,7 +125,7 @@ def choose(scene: SceneDict, *, target: Target, seed: int, load: Callable[..., A
     why = f"standard deviation of a sample {figures[best]['noise']:.3g} of a pixel's light" + (f", {', '.join(others)}" if others else "")
     wanted = target.relative if target.relative is not None else _relative(target, pilots[best])
     if wanted is None or wanted < WORTH_TRYING:
-        return Choice(best, why, figures)
+        return Choice(best, why, figures, best)
     tried = []
     for index, name in enumerate(BIASED):
         if name not in models.MODELS or models.MODELS[name].refuses(scene):
@@ -124,9 +136,54 @@ def choose(scene: SceneDict, *, target: Target, seed: int, load: Callable[..., A
         bias, least = _bias(picture, pilots[best])
         figures[name] = {"bias": bias, "noise": _noise(picture)}
         if bias + least < wanted and COST[name] * figures[name]["noise"] ** 2 < COST[best] * figures[best]["noise"] ** 2:
-            return Choice(name, f"its error of {bias:.2%} (known to {least:.2%}) is under the {wanted:.2%} that is asked for", figures)
+            return Choice(name, f"its error of {bias:.2%} (known to {least:.2%}) is under the {wanted:.2%} that is asked for", figures, best)
         tried.append(f"{name} errs by {bias:.1%}")
-    return Choice(best, why + (f"; {', '.join(tried)}, above {wanted:.2%}" if tried else ""), figures)
+    return Choice(best, why + (f"; {', '.join(tried)}, above {wanted:.2%}" if tried else ""), figures, best)
+
+
+def choose_bands(loaded: Loaded, model: str, *, target: Target, seed: int, progress: Progress = silent) -> tuple[int, str, dict[str, float]]:
+    """The fewest wavelength bands whose colours are right to the target.
+
+    Right is what FINEST bands give along the same paths.  An eye's R, G and B of both are
+    compared, twice with seeds of their own; of the two differences the product is taken,
+    in which noise cancels.
+
+    Args:
+        loaded: as `choose` takes it.
+        model: one of `models.BANDED`.
+
+    Returns:
+        number of bands, why, and the figures: RMS over the pixels of the colours' error over their luminance, by number of bands.
+    """
+    small = _small(loaded)
+    if any(volume.medium.profile == "grid" for volume in small.source.fog):
+        return bands.RGB, "a grid takes R, G and B", {}
+    counts = (bands.RGB, *(count for count in bands.CENTRES_NM if count < FINEST))
+
+    def picture(count: int, half: int) -> tuple[Array, film.Exposure]:
+        integrator = models.make(model, small, bands=count)
+        exposure = film.expose(small, integrator, samples=PILOT_SAMPLES // 2, seed=seed32(seed, "bands", half))
+        return bands.to_rgb(exposure.mean(), count), exposure
+
+    progress("trying bands", 0.0)
+    right = [picture(FINEST, half) for half in (0, 1)]
+    level = np.mean([exposure.luminance() for _, exposure in right], axis=0)
+    scale = np.maximum(level, 0.05 * level.mean() + 1e-30)[:, None]
+    wanted = target.relative if target.relative is not None else _relative(target, right[0][1])
+    wanted = COLOUR_ERROR if wanted is None else wanted
+    figures: dict[str, float] = {}
+    for index, count in enumerate(counts):
+        progress("trying bands", (index + 1) / (len(counts) + 1))
+        first, second = ((picture(count, half)[0] - right[half][0]) / scale for half in (0, 1))
+        figures[str(count)] = error = float(np.sqrt(max(float((first * second).mean()), 0.0)))
+        if error < wanted:
+            return count, f"colours err by {error:.2%} against {FINEST} bands, under {wanted:.2%}", figures
+    return FINEST, f"fewer err by {figures[str(counts[-1])]:.2%}, above {wanted:.2%}", figures
+
+
+def _small(loaded: Loaded) -> Loaded:
+    camera = loaded.source.camera
+    return resized(loaded, (PILOT_WIDTH_PX, max(1, round(PILOT_WIDTH_PX * camera.height_px / camera.width_px))))
 
 
 def _pilot(small: Any, name: str, seed: int) -> film.Exposure | None:
@@ -191,17 +248,16 @@ def _needed(exposure: film.Exposure, target: Target, shape: tuple[int, int]) -> 
     """How many times the samples it has each pixel needs."""
     from scipy import ndimage
 
-    luminance = np.maximum(exposure.mean().mean(axis=1), 0.0)
-    smooth = ndimage.uniform_filter(luminance.reshape(shape), 5, mode="nearest").ravel()
-    variance = ndimage.uniform_filter(np.minimum(exposure.variance(), 1e30).mean(axis=1).reshape(shape), 5, mode="nearest").ravel()
+    smooth = ndimage.uniform_filter(exposure.luminance().reshape(shape), 5, mode="nearest").ravel()
+    variance = ndimage.uniform_filter(np.minimum(exposure.luminance_variance(), 1e30).reshape(shape), 5, mode="nearest").ravel()
     return variance / np.maximum(target.allowed(smooth), 1e-30) ** 2
 
 
 def _noise(exposure: film.Exposure) -> float:
     """Relative standard deviation of a sample: root of the mean over the pixels, the noisiest hundredth left out."""
-    level = np.maximum(exposure.mean().mean(axis=1), 0.0)
+    level = exposure.luminance()
     scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
-    relative = np.sort(exposure.variance().mean(axis=1) / scale**2)
+    relative = np.sort(exposure.luminance_variance() / scale**2)
     return float(np.sqrt(relative[: max(1, int(0.99 * len(relative)))].mean() * PILOT_SAMPLES))
 
 
@@ -210,10 +266,10 @@ def _bias(picture: film.Exposure, reference: film.Exposure) -> tuple[float, floa
 
     Both variances are taken off the squared difference.
     """
-    one, other = picture.mean().mean(axis=1), reference.mean().mean(axis=1)
+    one, other = picture.luminance(), reference.luminance()
     scale = np.maximum(other, 0.05 * other.mean() + 1e-30)
     square = ((one - other) / scale) ** 2
-    noise = (picture.variance().mean(axis=1) + reference.variance().mean(axis=1)) / scale**2
+    noise = (picture.luminance_variance() + reference.luminance_variance()) / scale**2
     excess = square - noise
     known = float(np.sqrt(2.0 * np.std(excess) / np.sqrt(len(excess))))
     return float(np.sqrt(max(float(excess.mean()), 0.0))), known
@@ -222,7 +278,7 @@ def _bias(picture: film.Exposure, reference: film.Exposure) -> tuple[float, floa
 def _relative(target: Target, exposure: film.Exposure) -> float | None:
     if target.sigma is None:
         return None
-    luminance = np.maximum(exposure.mean().mean(axis=1), 0.0)
+    luminance = exposure.luminance()
     level = np.maximum(luminance, 0.01 * luminance.mean() + 1e-30)
     return float(np.median(target.sigma(level) / level))
 

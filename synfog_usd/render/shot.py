@@ -11,6 +11,7 @@ import numpy as np
 from synfog_usd.errors import ParameterError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent
+from synfog_usd.render import bands as banding
 from synfog_usd.render import denoise as denoising
 from synfog_usd.render import layers, models, planner
 from synfog_usd.render.fogpath import LENS_M
@@ -22,6 +23,9 @@ PROBE_PX = (64, 36)
 WORTH_A_PILOT = 1 << 19
 """Paths of an image from which on it pays to try models on a small one first."""
 
+WORTH_A_BANDS_PILOT = 1 << 23
+"""The same for trying wavelength bands, which few scenes need and which want kernels of their own."""
+
 LAYER_NAMES = ("surface", "airlight_single", "airlight_multiple")
 
 
@@ -30,15 +34,15 @@ class Rendered:
     """What one shot gives.
 
     Attributes:
-        radiance: (H, W, 3) linear Rec.709 in cd m-2, with the variance of its mean.
+        radiance: (H, W, C) with the variance of its mean; linear Rec.709 in cd m-2, or bands in W m-2 sr-1 nm-1.
         layers: what the pixel-centre rays met.
-        parts: 'surface', 'airlight_single', 'airlight_multiple' -> (H, W, 3) float32 radiance, which add up to
+        parts: 'surface', 'airlight_single', 'airlight_multiple' -> (H, W, C) float32 radiance, which add up to
             all of it and may be below 0 by noise; empty where the model tells none apart.
-        groups: light group -> (H, W, 3) float32 radiance; empty where there is only one.
+        groups: light group -> (H, W, C) float32 radiance; empty where there is only one.
         model, why: which model it was, and why that one.
         relative_error: median over the pixels of standard error / mean luminance.
         warnings: what went wrong on the way, in words.
-        figures: what the pilot measured, see `planner.Choice`; empty where there was none.
+        figures: what the pilots measured, see `planner.Choice` and `choose_bands`; empty where there were none.
         samples: paths per pixel on average, all parts together.
         met: share of the pixels whose standard error is under the target; None where there was no target.
     """
@@ -68,6 +72,7 @@ def render(
     time_limit_s: float | None = None,
     scatterings: int | None = None,
     bounces: int | None = None,
+    bands: int | None = banding.RGB,
     denoise: bool = False,
     loaded: Loaded | None = None,
     progress: Progress = silent,
@@ -84,6 +89,7 @@ def render(
         sensor_sigma: luminance -> standard error [cd m-2] at which it stops, see `planner.sensor_target`, or None.
         time_limit_s: seconds after which no new round of samples is begun, in our own path tracers; what it ends does not repeat byte for byte.
         scatterings, bounces: limits of `path` and `path+slab`: how often the fog, and how often surfaces, may turn a path; None is no limit.
+        bands: light that each path carries: 3 for R, G and B; 8, 16 or 31 wavelength bands; None lets the planner choose.
         denoise: smooth surface and airlight apart (see `denoise`); variance and error stay those of the samples.
         loaded: the scene as `load` gave it for this model and size, to render it again; None loads it.
         progress: told after each pass.
@@ -103,26 +109,44 @@ def render(
     began = time.perf_counter()
     width, height = size or (scene.camera.width_px, scene.camera.height_px)
     figures: dict[str, dict[str, float]] = {}
-    if model == models.AUTO and width * height * samples >= WORTH_A_PILOT:
-        choice = planner.choose(scene, target=target, seed=seed, load=load, progress=progress)
-        model, why, figures = choice.model, choice.why, choice.figures
-    else:
-        model, why = models.choose(model, scene)
+    pixels = width * height
+    if bands is not None:
+        banding.check(bands)
     if denoise and (problem := denoising.available()):
         raise ParameterError(f"--denoise: {problem}")
     if denoise and model in models.PEERS:
         raise ParameterError(f"--denoise: model {model} does not tell surface and airlight apart; use path")
+    if denoise and bands not in (None, banding.RGB):
+        raise ParameterError(f"--denoise knows R, G and B alone; use --bands {banding.RGB}")
+    if model == models.AUTO and bands in (None, banding.RGB) and pixels * samples >= WORTH_A_PILOT and planner.candidates(scene):
+        loaded = loaded or load(scene, size=size, boundaries=False)
+        choice = planner.choose(loaded, target=target, seed=seed, progress=progress)
+        model, why, figures = choice.model, choice.why, dict(choice.figures)
+    else:
+        model, why = models.choose(model, scene)
     loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries)
-    integrator = models.make(model, loaded, scatterings=scatterings, bounces=bounces)
+    if bands is None:
+        bands = banding.RGB
+        if model in models.BANDED and not denoise and pixels * samples >= WORTH_A_BANDS_PILOT:
+            bands, because, figures["bands"] = planner.choose_bands(loaded, model, target=target, seed=seed, progress=progress)
+            why += f"; {bands} bands: {because}"
+    integrator = models.make(model, loaded, scatterings=scatterings, bounces=bounces, bands=bands)
     exposure = planner.expose(loaded, integrator, target=target, seed=seed, now=lambda: time.perf_counter() - began, progress=progress)
     camera = loaded.source.camera
     shape = (camera.height_px, camera.width_px, -1)
-    mean, variance = exposure.mean().reshape(shape), exposure.variance().reshape(shape)
+    met = None if target.open else planner.reached(exposure, target, shape[:2])
+    luminance, noise = exposure.luminance(), np.sqrt(exposure.luminance_variance())
+    lit = luminance > 0.0
+    error = float(np.median(noise[lit] / luminance[lit])) if lit.any() else 0.0
+    del luminance, noise
+    mean, variance = exposure.mean().reshape(shape).astype(np.float32), exposure.variance().reshape(shape).astype(np.float32)
+    for part in exposure.parts.values():  # a large frame in many bands fills memory: each sum is let go once it is read
+        part.squares = np.zeros((0, 0))
     warnings = []
     if exposure.lost:
         warnings.append(f"{exposure.lost} of {exposure.samples} samples were not finite and count as black")
-    parts = {name: exposure.layer(name) for name in LAYER_NAMES}
-    parts = {name: layer.reshape(shape).astype(np.float32) for name, layer in parts.items() if layer is not None}
+    spent = exposure.samples / pixels
+    parts = {name: layer.reshape(shape).astype(np.float32) for name in LAYER_NAMES if (layer := exposure.take_layer(name)) is not None}
     if mean.min() < 0.0:
         below = int((mean < 0.0).any(axis=2).sum())
         warnings.append(f"{below} pixels came out below 0, noise of a difference, and count as black; more samples mend it")
@@ -131,22 +155,16 @@ def render(
         parts = _denoised(loaded, parts)
         mean = np.asarray(sum(parts.values()))
     radiance = Image(
-        mean.astype(np.float32),
-        ("R", "G", "B"),
+        mean,
+        banding.names(bands),
         Quantity.RADIANCE,
-        variance=variance.astype(np.float32),
+        variance=variance,
         provenance={"fov_x_deg": camera.fov_x_deg, "shift_x": camera.shift[0], "shift_y": camera.shift[1], "model": model, "samples": samples, "seed": seed}
         | ({"denoised": True} if denoise else {}),
     )
-    luminance, noise = mean.mean(axis=2), np.sqrt(variance.mean(axis=2))
-    lit = luminance > 0.0
-    error = float(np.median(noise[lit] / luminance[lit])) if lit.any() else 0.0
-    met = None if target.open else planner.reached(exposure, target, shape[:2])
     names = getattr(integrator, "group_names", ())
-    groups = {name: exposure.group(index).reshape(shape).astype(np.float32) for index, name in enumerate(names)} if len(names) > 1 else {}
-    return Rendered(
-        radiance, layers.measure(loaded), error, parts, groups, model, why, tuple(warnings), figures, exposure.samples / (mean.shape[0] * mean.shape[1]), met
-    )
+    groups = {name: exposure.take_group().reshape(shape).astype(np.float32) for name in names} if len(names) > 1 else {}
+    return Rendered(radiance, layers.measure(loaded), error, parts, groups, model, why, tuple(warnings), figures, spent, met)
 
 
 def _denoised(loaded: Loaded, parts: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from synfog_usd.fog.slab import Slab, solve
 from synfog_usd.render import backend
 from synfog_usd.render.air import Air, Domain
+from synfog_usd.render.bands import Bands
 from synfog_usd.render.load import Loaded
 
 Array = npt.NDArray[np.float64]
@@ -108,12 +109,14 @@ class SlabField:
     Args:
         slab: the solution.
         air: the fog that it is a layer of: one box with a level top.
+        bands: the slab's channels.
         floor_m: height [m] of the domain's lower face.  Where the ground lies on the fog's own floor or under it,
             the domain still reaches below the ground; the air between is clear, and S is there what it is at the floor.
     """
 
-    def __init__(self, slab: Slab, air: Air, floor_m: float) -> None:
+    def __init__(self, slab: Slab, air: Air, floor_m: float, bands: Bands) -> None:
         mi = backend.mitsuba()
+        self.bands = bands
         self.slab, self.medium = slab, air.media[0]
         matrix = air.volumes[0].boundary.to_world.copy()
         matrix[2, :3] *= (slab.top_m - floor_m) / (2.0 * abs(matrix[2, 2]))
@@ -164,16 +167,16 @@ class SlabField:
         i, j = dr.clip(mi.Int32(row), 0, rows - 2), dr.clip(mi.Int32(column), 0, columns - 2)
         y, x = row - i, column - j
         at = first + mi.UInt32(i) * columns + mi.UInt32(j)
-        low = dr.lerp(self._read(table, at, active), self._read(table, at + 1, active), x)
-        high = dr.lerp(self._read(table, at + columns, active), self._read(table, at + columns + 1, active), x)
+        low = dr.lerp(self.bands.gather(table, at, active), self.bands.gather(table, at + 1, active), x)
+        high = dr.lerp(self.bands.gather(table, at + columns, active), self.bands.gather(table, at + columns + 1, active), x)
         return dr.lerp(low, high, y)
 
-    def _read(self, table: Any, index: Any, active: Any) -> Any:
-        return dr.gather(backend.mitsuba().Color3f, table, index, active)
 
-
-def make_slab(loaded: Loaded, air: Air) -> tuple[SlabField | None, str]:
+def make_slab(loaded: Loaded, air: Air, bands: Bands | None = None) -> tuple[SlabField | None, str]:
     """The layer that is most like a scene; else None and why there is none."""
+    bands = bands or Bands()
+    if bands.coloured:
+        return None, "the layer is solved for fog that is grey, and this one has an Angstrom exponent"
     if not air.foggy or len(air.volumes) != 1:
         return None, "the layer is solved for one fog volume"
     volume = air.volumes[0]
@@ -191,5 +194,7 @@ def make_slab(loaded: Loaded, air: Air) -> tuple[SlabField | None, str]:
     if not height < top - 1e-3:
         return None, "the fog ends under the ground"
     up, sky, _ = mean_sky(loaded)
+    if not bands.is_rgb:
+        albedo, sky = np.clip(albedo @ bands.reflectance_of, 0.0, 1.0), np.maximum(sky @ bands.light_of, 0.0)
     slab = solve(volume.medium, bottom_m=height, top_m=top, ground=albedo, sky_up=up, sky=sky)
-    return SlabField(slab, air, floor), ""
+    return SlabField(slab, air, floor, bands), ""

@@ -8,7 +8,6 @@ measures, so its files differ from run to run; the pictures behind them do not.
 
 from __future__ import annotations
 
-import inspect
 import math
 import os
 import platform
@@ -51,7 +50,7 @@ REFERENCES = ("path", "path+slab")
 PILOT_SAMPLES = 16
 MUST_GAIN = 1.5
 """How much better a later one of REFERENCES must be: `path+slab` rests on a table, `path` on nothing."""
-TAKES_DEPTH, TAKES_DENOISING, TAKES_BANDS = ("path",), ("path", "path+slab"), ("path",)
+TAKES_DEPTH, TAKES_DENOISING, TAKES_BANDS = ("path",), ("path", "path+slab"), ("path", "path+slab")
 
 
 @dataclass(frozen=True)
@@ -208,7 +207,9 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, choice: tuple[str, in
     if not sweep:
         raise ParameterError(f"{plan.stage}: no model gave a picture: {'; '.join(notes)}")
 
-    model, seconds_each = _reference_model(scene, sweep, lambda name, run: picture(name, PLAIN, PILOT_SAMPLES, run, f"pilot of {name}"))
+    finest = Setting(bands=max(plan.bands)) if plan.bands else PLAIN  # what R, G and B are short of is then seen as their bias
+    carried = {name: finest if name in TAKES_BANDS else PLAIN for name in models.MODELS}
+    model, seconds_each = _reference_model(scene, sweep, lambda name, run: picture(name, carried[name], PILOT_SAMPLES, run, f"pilot of {name}"))
     most = max(max(line.runs) for line in sweep if line.model == model or model not in {other.model for other in sweep})
     reference_samples = plan.reference_samples or REFERENCE_FACTOR * most
     if plan.reference_samples is None and math.isfinite(limit):
@@ -219,7 +220,7 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, choice: tuple[str, in
     def last(index: int) -> Callable[[float], float]:
         return lambda samples: 1.0 - REFERENCE_SHARE * (1.0 - (sum(shares[:index]) + samples) / reference_samples)
 
-    parts = [picture(model, PLAIN, share, f"reference {index}", f"reference, {model}", last(index))[0] for index, share in enumerate(shares)]
+    parts = [picture(model, carried[model], share, f"reference {index}", f"reference, {model}", last(index))[0] for index, share in enumerate(shares)]
     reference = accuracy.combine(parts, shares, model)
 
     points = _points(sweep, reference, plan.size, chosen.variant, choice, plan.target)
@@ -271,6 +272,7 @@ def check(plan: ChartPlan) -> None:
         ParameterError: with the option, what was found and what is allowed.
     """
     from synfog_usd.render import models
+    from synfog_usd.render.bands import check as check_bands
 
     for name in plan.models or ():
         models.check_name(name)
@@ -278,10 +280,11 @@ def check(plan: ChartPlan) -> None:
         least = 2 * PARTS if option == "--reference" else 2
         if value is not None and not least <= value <= 1 << 20:
             raise ParameterError(f"{option} {value}: outside {least} to {1 << 20}; 64 is a draft, 1024 is clean in dense fog")
-    for option, values in (("--depth", plan.depth), ("--bands", plan.bands)):
-        for value in values:
-            if not 1 <= value <= 1000:
-                raise ParameterError(f"{option} {value}: outside 1 to 1000")
+    for value in plan.depth:
+        if not 1 <= value <= 1000:
+            raise ParameterError(f"--depth {value}: outside 1 to 1000")
+    for value in plan.bands:
+        check_bands(value)
     if not 0.0 < plan.target <= 1.0:
         raise ParameterError(f"--target {plan.target:g}: outside 0 to 1; 0.03 is 3 %")
     if plan.time_limit is not None and not 1.0 <= plan.time_limit <= 1e6:
@@ -296,13 +299,12 @@ def machine() -> str:
 
 def planned(scene: SceneDict, target: float, samples: int, seed: int) -> str | None:
     """The model that the planner would take for this shot to reach `target`; None where there is no planner."""
-    try:
-        from synfog_usd.render import planner, shot
-    except ImportError:
+    from synfog_usd.render import planner, shot
+
+    if not planner.candidates(scene):
         return None
-    if not hasattr(planner, "choose"):
-        return None
-    return planner.choose(scene, target=planner.Target(relative=target, samples=samples), seed=seed32(seed, "chart", "planner"), load=shot.load).model
+    wanted = planner.Target(relative=target, samples=samples)
+    return planner.choose(shot.load(scene, boundaries=False), target=wanted, seed=seed32(seed, "chart", "planner")).model
 
 
 def ring(points: Sequence[Point], choice: tuple[str, int | None], target: float) -> int | None:
@@ -315,54 +317,33 @@ def ring(points: Sequence[Point], choice: tuple[str, int | None], target: float)
 
 
 class _Renders:
-    """Renders one scene with any model, and tells the seconds without its loading.
-
-    `render.shot.render` may or may not take a setting, or a scene that is loaded
-    already: what it does not take is not passed, and is left out of the sweep.
-    """
+    """Renders one scene with any model, loaded once."""
 
     def __init__(self, scene: SceneDict, size: tuple[int, int]) -> None:
-        from synfog_usd.render import shot
-
         self.scene, self.size, self.loadings = scene, size, {}  # type: ignore[var-annotated]
-        self.takes = frozenset(inspect.signature(shot.render).parameters)
 
     def lacks(self, setting: Setting) -> str:
         """Why a setting cannot be rendered here, or ''."""
-        for name in _arguments(setting):
-            if name not in self.takes:
-                return f"this version's render takes no {name}"
-        if setting.denoise:
-            from synfog_usd.render import denoise
+        from synfog_usd.render import denoise
 
-            return denoise.available()
-        return ""
+        return denoise.available() if setting.denoise else ""
 
     def render(self, model: str, setting: Setting, samples: int, seed: int, progress: Progress) -> tuple[Array, float]:
-        """(H, W, 3) radiance, and seconds on a loaded scene, with what the model prepares for itself."""
-        from synfog_usd.render import film, models, shot
+        """(H, W, 3) radiance as an eye's R, G and B, and seconds on the loaded scene, with what the model prepares for itself."""
+        from synfog_usd.render import bands, models, shot
 
-        loaded, loading_s = self._loaded(models.MODELS[model].boundaries)
+        loaded = self._loaded(models.MODELS[model].boundaries)
         began = time.perf_counter()
-        if not (setting.bands or setting.denoise or "loaded" in self.takes):
-            integrator = models.make(model, loaded, scatterings=setting.scatterings)
-            exposure = film.expose(loaded, integrator, samples=samples, seed=seed, progress=progress)
-            picture = exposure.mean().reshape(self.size[1], self.size[0], 3)
-            return picture.astype(np.float32), time.perf_counter() - began
-        more: dict[str, Any] = {"loaded": loaded} if "loaded" in self.takes else {}
-        rendered = shot.render(self.scene, model=model, samples=samples, seed=seed, size=self.size, progress=progress, **_arguments(setting), **more)
-        elapsed = time.perf_counter() - began - (0.0 if more else loading_s)
-        return np.asarray(rendered.radiance.pixels)[..., :3], max(elapsed, 1e-3)
+        rendered = shot.render(self.scene, model=model, samples=samples, seed=seed, size=self.size, progress=progress, loaded=loaded, **_arguments(setting))
+        elapsed = time.perf_counter() - began
+        return bands.to_rgb(rendered.radiance.pixels, len(rendered.radiance.channels)), max(elapsed, 1e-3)
 
-    def _loaded(self, boundaries: bool) -> tuple[Loaded, float]:
+    def _loaded(self, boundaries: bool) -> Loaded:
         from synfog_usd.render import layers, shot
 
         if boundaries not in self.loadings:
-            shot.load(self.scene, size=self.size, boundaries=boundaries)  # the first also makes kernels
-            began = time.perf_counter()
-            loaded = shot.load(self.scene, size=self.size, boundaries=boundaries)
-            layers.measure(loaded)
-            self.loadings[boundaries] = (loaded, time.perf_counter() - began)
+            self.loadings[boundaries] = shot.load(self.scene, size=self.size, boundaries=boundaries)
+            layers.measure(self.loadings[boundaries])  # makes its kernels
         return self.loadings[boundaries]
 
 

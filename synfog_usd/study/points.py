@@ -26,19 +26,19 @@ class Setting:
 
     Attributes:
         scatterings: how often the fog may turn a path; None is without end.
-        bands: wavelength bands; 0 is the three of RGB.
+        bands: light that a path carries: 3 for R, G and B, or a number of wavelength bands.
         denoise: whether the picture is denoised, and the time that takes counted.
     """
 
     scatterings: int | None = None
-    bands: int = 0
+    bands: int = 3
     denoise: bool = False
 
     @property
     def words(self) -> str:
         """For a label, '' where nothing is set."""
         parts = [f"depth {self.scatterings}"] if self.scatterings is not None else []
-        parts += [f"{self.bands} bands"] if self.bands else []
+        parts += [f"{self.bands} bands"] if self.bands != 3 else []
         parts += ["denoised"] if self.denoise else []
         return ", ".join(parts)
 

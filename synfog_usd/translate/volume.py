@@ -249,7 +249,7 @@ def _medium(attributes: FogAttributes, base_m: float, stage_file: Path, notes: N
             raise fault(name, allowed)
     phase = _phase(attributes, fault, notes)
     if values["angstrom"] != 0.0:
-        notes.warn(attributes.path, "every colour gets the extinction at 550 nm; the Angstrom exponent is kept, but not drawn")
+        notes.info(attributes.path, "its Angstrom exponent shows in wavelength bands (--bands 8, 16 or 31); R, G and B all get the extinction at 550 nm")
     grid = None
     if values["profile"] == "grid":
         grid = _density_grid(values["densityGrid"], stage_file, fault)

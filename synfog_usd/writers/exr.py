@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +19,7 @@ from synfog_usd import __version__
 from synfog_usd.errors import ImageError, OutputError
 from synfog_usd.files import write_whole
 from synfog_usd.image import FloatArray, Image, Quantity
+from synfog_usd.photometry import band_centre_nm
 
 MAX_VALUES = 1 << 29
 """Pixels x channels that are read: 2 GiB of float32, a 16k x 8k picture with four channels."""
@@ -31,8 +31,6 @@ HALF_MAX = 65504.0
 
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Chromaticities of R, G, B and white: ITU-R BT.709."""
-
-_BAND = re.compile(r"S0\.(\d+)(?:,(\d+))?nm")
 
 
 def write_exr(
@@ -83,7 +81,7 @@ def write_exr(
         facts["isoSpeed"] = float(first.provenance["iso"])
     if first.channels == ("R", "G", "B") and first.quantity is Quantity.RADIANCE:
         facts["whiteLuminance"] = 1.0
-    if any(_BAND.fullmatch(name) for name in first.channels):
+    if any(band_centre_nm(name) is not None for name in first.channels):
         facts |= {"spectralLayoutVersion": "1.0", "emissiveUnits": "W.m^-2.sr^-1.nm^-1"}
     facts |= attributes or {}
     write_whole(path, lambda temporary: _write(temporary, path, pixels, names, facts, half))
@@ -196,7 +194,7 @@ def _default_channels(path: Path, names: list[str], facts: Mapping[str, Any], qu
         return names
     if {"R", "G", "B"} <= set(names):
         return ["R", "G", "B"]
-    bands = {name: float(f"{match[1]}.{match[2] or 0}") for name in names if (match := _BAND.fullmatch(name))}
+    bands = {name: centre for name in names if (centre := band_centre_nm(name)) is not None}
     if bands:
         return sorted(bands, key=lambda name: bands[name])
     raise ImageError(f"{path}: neither R, G, B nor bands such as S0.550,000000nm; it has {', '.join(names)}")

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from synfog_usd.camera import light, optics
+from synfog_usd import photometry
+from synfog_usd.camera import optics
 from synfog_usd.camera.profiles import load_sensor
 from synfog_usd.errors import ImageError
 from synfog_usd.image import Image, Quantity
 
 SENSOR = load_sensor("imx363")
-GREEN = tuple(light.band_name(centre) for centre in (549.0, 550.0, 551.0))
+GREEN = tuple(photometry.band_name(centre) for centre in (549.0, 550.0, 551.0))
 
 
 def radiance(pixels, channels=("R", "G", "B")) -> Image:

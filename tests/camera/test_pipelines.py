@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from synfog_usd import camera, resources, seeds
-from synfog_usd.camera import light
+from synfog_usd import camera, photometry, resources, seeds
 from synfog_usd.errors import GraphError
 from synfog_usd.graph import outputs
 from synfog_usd.image import Image, Quantity
@@ -52,10 +51,10 @@ def test_light_in_bands_goes_through_the_phone_too():
     """D65 as 16 bands and as RGB look alike: the same mean picture within a few 255ths (25 nm bands)."""
     graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
     centres = np.arange(392.5, 780.0, 25.0)
-    spectrum = 1000 * np.interp(centres, light.WAVELENGTHS_NM, light.channel_spectra(("R", "G", "B")).sum(axis=0))
+    spectrum = 1000 * np.interp(centres, photometry.WAVELENGTHS_NM, photometry.channel_spectra(("R", "G", "B")).sum(axis=0))
     bands = Image(
         np.broadcast_to(spectrum.astype(np.float32), (32, 32, 16)).copy(),
-        tuple(map(light.band_name, centres)),
+        tuple(map(photometry.band_name, centres)),
         Quantity.RADIANCE,
         provenance={"fov_x_deg": 60.0},
     )

@@ -149,7 +149,7 @@ def test_what_is_not_drawn_is_noted(empty):
     assert [volume.medium.angstrom for volume in scene.fog] == [1.3, 0.0]
     notes = [(note.severity, note.path, note.text) for note in scene.notes]
     for severity, path, words in (
-        ("warning", "/One", "550 nm"), ("warning", "/One", "not drawn with profile 'uniform'"),
+        ("info", "/One", "550 nm"), ("warning", "/One", "not drawn with profile 'uniform'"),
         ("info", "/One", "diameter is not used"), ("info", "/Other", "g is not used"),
     ):  # fmt: skip
         assert sum(note[:2] == (severity, path) and words in note[2] for note in notes) == 1, words

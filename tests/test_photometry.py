@@ -6,7 +6,8 @@ import colour
 import numpy as np
 import pytest
 
-from synfog_usd.camera import light, response
+from synfog_usd import photometry
+from synfog_usd.camera import response
 from synfog_usd.camera.profiles import load_sensor
 from synfog_usd.errors import ImageError
 from synfog_usd.image import Image, Quantity
@@ -16,26 +17,26 @@ SENSOR = load_sensor("imx363")
 
 
 def bands(*centres_nm: float) -> tuple[str, ...]:
-    return tuple(light.band_name(centre) for centre in centres_nm)
+    return tuple(photometry.band_name(centre) for centre in centres_nm)
 
 
 def test_each_rgb_channel_has_the_colour_of_its_srgb_primary():
     """The spectra, seen by the CIE observer, give the matrix of IEC 61966-2-1 (4 digits there; the fit of 2019 is good to 0.0015)."""
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(380, 780, 1))
-    xyz = 683.002 * light.channel_spectra(RGB) @ observer.values
+    xyz = 683.002 * photometry.channel_spectra(RGB) @ observer.values
     np.testing.assert_allclose(xyz.T, colour.RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ, atol=0.0015)
 
 
 def test_white_has_one_nit_and_the_chromaticity_of_d65():
     image = Image(np.ones((1, 1, 3), np.float32), RGB, Quantity.RADIANCE)
-    assert light.luminance(image)[0, 0] == pytest.approx(1.0, abs=1e-6)
-    xyz = light.channel_spectra(RGB).sum(axis=0) @ light.observer().T
+    assert photometry.luminance(image)[0, 0] == pytest.approx(1.0, abs=1e-6)
+    xyz = photometry.channel_spectra(RGB).sum(axis=0) @ photometry.observer().T
     np.testing.assert_allclose(xyz[:2] / xyz.sum(), (0.3127, 0.3290), atol=1e-4)  # CIE 015, four digits
 
 
 def test_bands_fill_the_spectrum_once():
-    spectra = light.channel_spectra(bands(425, 475, 525, 575, 625, 675, 725))
-    inside = (light.WAVELENGTHS_NM > 400.5) & (light.WAVELENGTHS_NM < 749.5)
+    spectra = photometry.channel_spectra(bands(425, 475, 525, 575, 625, 675, 725))
+    inside = (photometry.WAVELENGTHS_NM > 400.5) & (photometry.WAVELENGTHS_NM < 749.5)
     np.testing.assert_allclose(spectra.sum(axis=0)[inside], 1.0, rtol=1e-12)
     np.testing.assert_allclose(spectra.sum(axis=1), 50.0, rtol=1e-12)
 
@@ -43,12 +44,12 @@ def test_bands_fill_the_spectrum_once():
 @pytest.mark.parametrize("channels", [("R", "G"), ("X", "Y", "Z"), bands(550), bands(600, 500), ("R", *bands(500, 600))])
 def test_other_channels_are_refused(channels):
     with pytest.raises(ImageError, match=r"neither R, G, B nor two or more rising bands"):
-        light.channel_spectra(channels)
+        photometry.channel_spectra(channels)
 
 
 def test_band_names_are_those_of_fichet_et_al():
-    assert light.band_name(412.5) == "S0.412,500000nm"
-    assert [light.band_centre_nm(name) for name in ("S0.412,500000nm", "S0.700nm", "T.550nm", "R")] == [412.5, 700.0, None, None]
+    assert photometry.band_name(412.5) == "S0.412,500000nm"
+    assert [photometry.band_centre_nm(name) for name in ("S0.412,500000nm", "S0.700nm", "T.550nm", "R")] == [412.5, 700.0, None, None]
 
 
 def test_electrons_of_one_wavelength_follow_the_emva_formula():
@@ -78,8 +79,8 @@ def test_electrons_of_white_light_follow_a_hand_integral():
 def test_fine_bands_and_rgb_agree_about_white():
     """D65 as 80 bands makes the electrons that RGB (1, 1, 1) makes; 5 nm boxes against 1 nm."""
     centres = np.arange(382.5, 780.0, 5.0)
-    spectrum = light.channel_spectra(RGB).sum(axis=0)
-    levels = np.interp(centres, light.WAVELENGTHS_NM, spectrum)
+    spectrum = photometry.channel_spectra(RGB).sum(axis=0)
+    levels = np.interp(centres, photometry.WAVELENGTHS_NM, spectrum)
     by_bands = response.electrons_per_second(SENSOR, bands(*centres), pixel_pitch_um=1.4, fill_factor=1.0) @ levels
     by_rgb = response.electrons_per_second(SENSOR, RGB, pixel_pitch_um=1.4, fill_factor=1.0).sum(axis=1)
     np.testing.assert_allclose(by_bands, by_rgb, rtol=2e-3)

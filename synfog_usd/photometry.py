@@ -15,10 +15,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.camera.science import colour_science
 from synfog_usd.constants import LUMINOUS_EFFICACY_LM_W
 from synfog_usd.errors import ImageError
 from synfog_usd.image import Image
+from synfog_usd.science import colour_science
 
 Array = npt.NDArray[np.float64]
 

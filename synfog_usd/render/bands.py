@@ -1,0 +1,148 @@
+"""What a path carries: three colours, or the light in each of several wavelength bands.
+
+Mitsuba's RGB variants know every light and surface by three numbers.  A band's share
+of them follows from spectra: lights get those of `photometry.channel_spectra`, surfaces
+the same basis without the illuminant (Mallett and Yuksel 2019), so that white stays
+white and what D65 shows of a surface is its colour.  Fog may thin with wavelength: then
+paths are drawn in the clearest band, and the others weigh them by what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd import photometry
+from synfog_usd.errors import ParameterError
+from synfog_usd.fog import FogVolume
+from synfog_usd.render import backend
+
+Array = npt.NDArray[np.float64]
+
+RGB = 3
+
+CENTRES_NM: dict[int, tuple[float, ...]] = {
+    8: tuple(410.0 + 40.0 * index for index in range(8)),
+    16: tuple(400.0 + 20.0 * index for index in range(16)),
+    31: tuple(400.0 + 10.0 * index for index in range(31)),
+}
+"""Number of bands -> their centres; each reaches half-way to the next.  Luminance outside of them is 1e-4 of white's."""
+
+
+def check(count: int) -> None:
+    """Refuse a number of bands that does not exist.
+
+    Raises:
+        ParameterError: with those that do.
+    """
+    if count != RGB and count not in CENTRES_NM:
+        raise ParameterError(f"--bands {count}: it takes {RGB} (R, G and B), {', '.join(map(str, CENTRES_NM))} or auto")
+
+
+@lru_cache(maxsize=8)
+def matrices(count: int) -> tuple[Array, Array]:
+    """(light (3, N) W m-2 sr-1 nm-1 per cd m-2 of R, G, B; reflectance (3, N) [1], columns of which add up to 1)."""
+    spectra = photometry.channel_spectra(("R", "G", "B"))
+    boxes = photometry.channel_spectra(names(count))
+    light = spectra @ boxes.T / boxes.sum(axis=1)
+    return light, light / light.sum(axis=0)
+
+
+def names(count: int) -> tuple[str, ...]:
+    """Channel names of an image."""
+    return ("R", "G", "B") if count == RGB else tuple(map(photometry.band_name, CENTRES_NM[count]))
+
+
+def to_rgb(pixels: Array, count: int) -> Array:
+    """(..., 3) linear Rec.709 in cd m-2 of what an eye sees of (..., N) bands.
+
+    The CIE 1931 observer's integral over the bands, then IEC 61966-2-1's matrix.
+    """
+    if count == RGB:
+        return pixels
+    boxes = photometry.channel_spectra(names(count))
+    xyz = photometry.observer() @ boxes.T
+    primaries = photometry.observer() @ photometry.channel_spectra(("R", "G", "B")).T
+    return np.asarray(pixels @ (np.linalg.inv(primaries) @ xyz).T)
+
+
+class Bands:
+    """The light that paths carry.
+
+    Args:
+        count: RGB, or a key of `CENTRES_NM`.
+        fog: the scene's, for how its extinction depends on wavelength; R, G and B all have that at 550 nm.
+
+    Attributes:
+        weights: (N,) such that pixels @ weights is a luminance [cd m-2]; for R, G, B their plain mean.
+        clearest: extinction of the clearest band over that at 550 nm.
+        coloured: whether extinction differs between bands.
+
+    Raises:
+        ParameterError: fogs with different Angstrom exponents.
+    """
+
+    def __init__(self, count: int = RGB, fog: Sequence[FogVolume] = ()) -> None:
+        check(count)
+        self.count, self.names, self.is_rgb = count, names(count), count == RGB
+        self.clearest, self.coloured = 1.0, False
+        if self.is_rgb:
+            self.weights = np.full(3, 1.0 / 3.0)
+            return
+        mi = backend.mitsuba()
+        self.type = mi.ArrayXf
+        self.light_of, self.reflectance_of = matrices(count)
+        boxes = photometry.channel_spectra(self.names)
+        self.weights = np.array([photometry.luminance_of(box) for box in boxes])
+        exponents = {volume.medium.angstrom for volume in fog if volume.medium.sigma_t_per_m > 0.0}
+        if len(exponents) > 1:
+            raise ParameterError(f"fogs with the Angstrom exponents {', '.join(f'{e:g}' for e in sorted(exponents))}: --bands takes one; use --bands 3")
+        if exponents and exponents != {0.0}:
+            extinction = next(volume.medium for volume in fog if volume.medium.sigma_t_per_m > 0.0).extinction_at(CENTRES_NM[count])
+            self.clearest, self.coloured = float(extinction.min()), True
+            self.ratio = extinction / self.clearest
+            self._more = [dr.opaque(mi.Float, value) for value in self.ratio - 1.0]
+
+    def black(self) -> Any:
+        """No light."""
+        mi = backend.mitsuba()
+        return mi.Color3f(0.0) if self.is_rgb else self._array([mi.Float(0.0)] * self.count)
+
+    def even(self, value: Any) -> Any:
+        """A throughput that is the same in all bands."""
+        mi = backend.mitsuba()
+        return mi.Color3f(value) if self.is_rgb else self._array([mi.Float(value[0])] * self.count)
+
+    def light(self, colour: Any) -> Any:
+        """Radiance or intensity in R, G, B [cd m-2, cd] in all bands."""
+        return colour if self.is_rgb else self._mixed(colour, self.light_of)
+
+    def reflectance(self, colour: Any) -> Any:
+        """What a surface leaves of R, G and B, in all bands."""
+        return colour if self.is_rgb else self._mixed(colour, self.reflectance_of)
+
+    def fade(self, depth: Any) -> Any:
+        """What each band loses over an optical depth beyond the clearest band's exp(-depth)."""
+        return self._array([dr.exp(-more * depth) for more in self._more])
+
+    def scattered(self) -> Any:
+        """Extinction of each band over that of the clearest."""
+        return self._array([more + 1.0 for more in self._more])
+
+    def gather(self, table: Any, index: Any, active: Any) -> Any:
+        """A row of a table with a column for each band."""
+        mi = backend.mitsuba()
+        if self.is_rgb:
+            return dr.gather(mi.Color3f, table, index, active)
+        return self._array([dr.gather(mi.Float, table, index * self.count + band, active) for band in range(self.count)])
+
+    def _mixed(self, colour: Any, matrix: Array) -> Any:
+        return self._array([colour[0] * float(r) + colour[1] * float(g) + colour[2] * float(b) for r, g, b in matrix.T])
+
+    def _array(self, values: list[Any]) -> Any:
+        return self.type(values)
