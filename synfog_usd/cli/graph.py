@@ -1,29 +1,128 @@
-"""`synfog-usd graph run`: a graph on files."""
+"""`synfog-usd graph`: graphs on files, drawn, and explained."""
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from synfog_usd import camera, writers
-from synfog_usd.errors import GraphError
-from synfog_usd.graph import NodeGraph
+import numpy as np
+
+from synfog_usd import camera, files, resources, writers
+from synfog_usd.camera.profiles import shipped
+from synfog_usd.errors import GraphError, OutputError
+from synfog_usd.graph import Cache, GraphRun, NodeGraph, drawing, reference
+from synfog_usd.graph.cache import default_folder
+from synfog_usd.graph.schema import schema
 from synfog_usd.image import Image, Quantity
 
+GREY_CD_M2 = 500.0
+"""Radiance of the even picture on which `show --resolution` measures."""
 
-def run(pipeline: Path, sources: Sequence[str], out: Path, *, meter_on: Path | None, changes: Sequence[str], until: str | None, seed: int) -> None:
+
+def run(
+    pipeline: Path,
+    sources: Sequence[str],
+    out: Path,
+    *,
+    meter_on: Path | None,
+    changes: Sequence[str],
+    until: str | None,
+    seed: int,
+    cache: Path | None,
+    no_cache: bool,
+) -> None:
     """Read the inputs, run, write the outputs, and print where they are and what each node took."""
-    graph = camera.load_graph(pipeline)
-    if changes:
-        graph = graph.with_overrides(dict(_pair(change, "--set", "NODE.PARAMETER=VALUE") for change in changes))
+    graph = _changed(camera.load_graph(pipeline), changes)
+    wanted = _files(graph, until)
     images = dict(_input(source, graph) for source in sources)
-    exposure = camera.meter(_read(meter_on), graph) if meter_on else None
-    wanted = {f"{until}.exr": until} if until else dict(graph.outputs)
-    results = camera.develop(graph, images, seed=seed, exposure=exposure, until=until, keep=list(wanted.values()))
+    exposure = camera.meter(_read(meter_on), graph) if meter_on else _metered(graph, images)
+    results = _developed(graph, images, exposure, seed, until, list(wanted.values()), None if no_cache else _cache(cache))
     for name, node in wanted.items():
         print(writers.write_output(name, results[node], out))
-    print(graph.table(results.milliseconds), file=sys.stderr)
+    print(drawing.table(graph, results), file=sys.stderr)
+
+
+def show(pipeline: Path, sources: Sequence[str], *, size: tuple[int, int] | None, changes: Sequence[str], mermaid: bool, svg: Path | None) -> None:
+    """Print the graph, or write its drawing; with the milliseconds of each node where there is a picture to measure on."""
+    graph = _changed(camera.load_graph(pipeline), changes)
+    images = dict(_input(source, graph) for source in sources) or (_even(graph, size) if size else {})
+    results = None
+    if images:
+        exposure = _metered(graph, images)
+        for _ in range(2):  # the first run sets up what later runs use again
+            results = _developed(graph, images, exposure, 0, None, [], None)
+    if svg is not None:
+        files.write_bytes(svg, drawing.svg(graph, results).encode())
+        print(svg)
+    else:
+        print(drawing.mermaid(graph, results) if mermaid else drawing.table(graph, results))
+
+
+def explain(op: str | None, *, everything: bool) -> None:
+    """Print the page of an op, of all, or the list of ops."""
+    if everything:
+        print(reference.pages(camera.OPS), end="")
+    elif op is not None:
+        print(reference.page(camera.OPS, op))
+    else:
+        width = max(len(item.name) for item in camera.OPS)
+        print("\n".join(f"{item.name:{width}}  {item.summary}" for item in camera.OPS))
+
+
+def schema_text() -> str:
+    """The JSON Schema of a graph of camera ops."""
+    graphs = sorted(path.stem for path in resources.folder("pipeline").glob("*.yaml"))
+    return (
+        json.dumps(schema(camera.OPS, profiles={"sensor": shipped("sensors"), "lens": shipped("lenses")}, graphs=graphs), indent=1, ensure_ascii=False) + "\n"
+    )
+
+
+def _changed(graph: NodeGraph, changes: Sequence[str]) -> NodeGraph:
+    return graph.with_overrides(dict(_pair(change, "--set", "NODE.PARAMETER=VALUE") for change in changes)) if changes else graph
+
+
+def _files(graph: NodeGraph, until: str | None) -> dict[str, str]:
+    """File name -> node of what a run writes: the outputs that `until` names, or the node itself as EXR."""
+    if until is None:
+        return dict(graph.outputs)
+    return {f"{until}.exr": until} if until in graph.nodes else graph.outputs_of(until) or {f"{until}.exr": until}
+
+
+def _metered(graph: NodeGraph, images: Mapping[str, Image]) -> camera.Exposure | None:
+    """Metered on the radiance that goes in, where neither the graph nor the images say how to expose."""
+    known = set[str]().union(*(image.provenance for image in images.values()))
+    if {"exposure_s", "iso"} & set(graph.settings_needed) <= known:
+        return None
+    radiance = next((image for image in images.values() if image.quantity is Quantity.RADIANCE), None)
+    return camera.meter(radiance, graph) if radiance is not None else None
+
+
+def _developed(
+    graph: NodeGraph, images: Mapping[str, Image], exposure: camera.Exposure | None, seed: int, until: str | None, keep: list[str], cache: Cache | None
+) -> GraphRun:
+    settings = exposure.settings if exposure else None
+    return graph.run(images, seed=seed, settings=settings, until=until, keep=keep, cache=cache)
+
+
+def _cache(folder: Path | None) -> Cache | None:
+    """The cache of the folder that was named, or the usual one, if that can be had."""
+    if folder is not None:
+        return Cache(folder)
+    try:
+        return Cache(default_folder())
+    except (OutputError, RuntimeError):  # no home, or one that cannot be written
+        return None
+
+
+def _even(graph: NodeGraph, size: tuple[int, int]) -> dict[str, Image]:
+    width, height = size
+    for name, port in graph.inputs.items():
+        if port.quantity is not Quantity.RADIANCE:
+            raise GraphError(f"--resolution: the input {name!r} is {port}, not radiance; give a picture with --in")
+    grey = Image(np.full((height, width, 3), GREY_CD_M2, dtype=np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+    return dict.fromkeys(graph.inputs, grey)
 
 
 def _input(text: str, graph: NodeGraph) -> tuple[str, Image]:

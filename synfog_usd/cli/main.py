@@ -38,7 +38,7 @@ def bake(
     frame: Annotated[float | None, typer.Option(help="Time code.")] = None,
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None,
     model: Annotated[
-        str, typer.Option(help="How light is transported: slab, single, path, path+slab, volpath ...; auto tries them small and takes the cheapest that holds.")
+        str, typer.Option(help="How light is transported: slab, single, field, path, volpath ...; auto tries them small and takes the cheapest that holds.")
     ] = "auto",
     samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 64,
     target_error: Annotated[
@@ -249,28 +249,54 @@ def graph_check(pipeline: Annotated[Path, typer.Argument(help="YAML node graph."
 def graph_show(
     pipeline: Annotated[Path, typer.Argument(help="YAML node graph.")],
     mermaid: Annotated[bool, typer.Option("--mermaid", help="As Mermaid text, for a drawing.")] = False,
+    svg: Annotated[Path | None, typer.Option("--svg", help="Write an SVG drawing to this file.")] = None,
+    source: Annotated[list[str] | None, typer.Option("--in", help="Measure the milliseconds of each node on FILE.exr, or NAME=FILE.exr.")] = None,
+    resolution: Annotated[str | None, typer.Option(help="Measure on an even grey picture of WIDTHxHEIGHT instead.")] = None,
+    change: Annotated[list[str] | None, typer.Option("--set", help="NODE.PARAMETER=VALUE.")] = None,
 ) -> None:
     """Show every node with its parameters and where each value comes from."""
-    from synfog_usd import camera
+    from synfog_usd.cli import graph as verb
 
-    graph = camera.load_graph(pipeline)
-    print(graph.mermaid() if mermaid else graph.table())
+    verb.show(pipeline, source or [], size=_size(resolution), changes=change or [], mermaid=mermaid, svg=svg)
 
 
 @graph_app.command("run")
 def graph_run(
     pipeline: Annotated[Path, typer.Argument(help="YAML node graph.")],
     source: Annotated[list[str], typer.Option("--in", help="NAME=FILE.exr, or FILE.exr for a graph with one input.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the graph's outputs.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the graph's outputs.")] = Path(),
     meter: Annotated[Path | None, typer.Option(help="EXR to meter on; the input itself if left out.")] = None,
-    change: Annotated[list[str] | None, typer.Option("--set", help="NODE.PARAMETER=VALUE.")] = None,
-    until: Annotated[str | None, typer.Option(help="Run no further than this node, and write it as EXR.")] = None,
+    change: Annotated[list[str] | None, typer.Option("--set", help="NODE.PARAMETER=VALUE, or sensor.iso=400 for every node that it fits.")] = None,
+    until: Annotated[str | None, typer.Option(help="Run no further than this node, written as EXR, or this output, as raw or raw.dng.")] = None,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
+    cache: Annotated[
+        Path | None, typer.Option(help="Folder in which results of nodes are kept, up to 2 GiB; the user's cache folder if left out.", show_default=False)
+    ] = None,
+    no_cache: Annotated[bool, typer.Option("--no-cache", help="Run every node, and keep nothing.")] = False,
 ) -> None:
-    """Run a graph on radiance of one's own."""
+    """Run a graph on radiance of one's own; what has not changed since an earlier run is not run again."""
     from synfog_usd.cli import graph as verb
 
-    verb.run(pipeline, source, out, meter_on=meter, changes=change or [], until=until, seed=seed)
+    verb.run(pipeline, source, out, meter_on=meter, changes=change or [], until=until, seed=seed, cache=cache, no_cache=no_cache)
+
+
+@graph_app.command("explain")
+def graph_explain(
+    op: Annotated[str | None, typer.Argument(help="Name of an op, as sensor.gain; a list of all if left out.")] = None,
+    everything: Annotated[bool, typer.Option("--all", help="The pages of all ops.")] = False,
+) -> None:
+    """Print the page of an op: what it computes, takes and gives, its parameters, units and ranges."""
+    from synfog_usd.cli import graph as verb
+
+    verb.explain(op, everything=everything)
+
+
+@graph_app.command("schema")
+def graph_schema() -> None:
+    """Print the JSON Schema of the format, by which editors complete and underline."""
+    from synfog_usd.cli import graph as verb
+
+    print(verb.schema_text(), end="")
 
 
 def _crash_line(code: int, stage: Path) -> int:

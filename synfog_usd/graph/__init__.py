@@ -1,11 +1,14 @@
 """Node graphs: ops, their order, and the checks that a YAML file goes through."""
 
-from synfog_usd.graph.engine import Bound, GraphRun, Node, NodeGraph, load_graph
+from synfog_usd.graph.cache import Cache
+from synfog_usd.graph.engine import Bound, GraphRun, Node, NodeGraph
+from synfog_usd.graph.load import load_graph, make_graph
 from synfog_usd.graph.op import Auto, FromProfile, Op, Parameter, Port, Profile, Range, Registry
 
 __all__ = [
     "Auto",
     "Bound",
+    "Cache",
     "FromProfile",
     "GraphRun",
     "Node",
@@ -17,4 +20,5 @@ __all__ = [
     "Range",
     "Registry",
     "load_graph",
+    "make_graph",
 ]

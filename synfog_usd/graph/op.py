@@ -2,7 +2,8 @@
 
 An op is declared once, as a function.  Its keyword-only parameters are the
 parameters of the YAML node: type, limits, unit, default and where a missing value
-comes from are read from the signature.  Knows no op and no physics.
+comes from are read from the signature, what it means from the docstring.  Knows no
+op and no physics.
 
     @ops.op("sensor.read_noise", takes=Quantity.ELECTRONS, gives=Quantity.ELECTRONS)
     def read_noise(image, *, rng, sigma_e: Annotated[float, Range(0.0), FromProfile("sensor.read_noise_e")]):
@@ -25,7 +26,7 @@ from synfog_usd.image import Image, Quantity
 
 F = TypeVar("F", bound=Callable[..., Image])
 
-RESERVED = frozenset({"name", "op", "in", "rng"})
+RESERVED = frozenset({"name", "op", "in", "rng", "include", "before", "after", "remove"})
 """Words of the YAML node itself; no parameter can be called so."""
 
 UNITS = {
@@ -47,8 +48,12 @@ UNITS = {
 }
 """Unit of a parameter by the end of its name."""
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_FRACTION = re.compile(rf"({_NUMBER.pattern})\s*/\s*({_NUMBER.pattern})")
+NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
+FRACTION = rf"({NUMBER})\s*/\s*({NUMBER})"
+_NUMBER = re.compile(NUMBER)
+_FRACTION = re.compile(FRACTION)
+_ENTRY = re.compile(r"    ([*\w]+(?:, [*\w]+)*): (.*)")
+_BRACKETS = re.compile(r"\[([^\[\],]+)\]")
 
 
 class _Missing:
@@ -141,6 +146,7 @@ class Parameter:
         default: the function's default, or MISSING.
         profile: where a missing value comes from, or None.
         auto: how `auto` is looked up, or None.
+        help: what the docstring says of it.
     """
 
     name: str
@@ -152,16 +158,17 @@ class Parameter:
     default: Any = MISSING
     profile: FromProfile | None = None
     auto: Auto | None = None
+    help: str = ""
 
     @property
     def unit(self) -> str:
-        """Unit by the end of the name, or ''."""
-        parts = self.name.split("_")
-        for start in range(1, len(parts)):
-            unit = UNITS.get("_".join(parts[start:]))
-            if unit:
-                return unit
-        return ""
+        """Unit by the end of the name, else by the docstring; '' where there is none."""
+        return _unit_of_name(self.name) or _unit_of_text(self.help)
+
+    @property
+    def can_be_set(self) -> bool:
+        """Whether a file may give it a value; a whole profile is named at the top instead."""
+        return self.kind != "profile"
 
     @property
     def auto_key(self) -> str:
@@ -256,7 +263,7 @@ class Op:
         parameters: by name, in the order of the signature.
         draws: whether it wants a random stream `rng`.
         variadic: whether it takes any count of images.
-        summary: first line of the docstring.
+        doc: the docstring, without its indentation.
     """
 
     name: str
@@ -266,7 +273,17 @@ class Op:
     parameters: Mapping[str, Parameter]
     draws: bool
     variadic: bool
-    summary: str
+    doc: str
+
+    @property
+    def summary(self) -> str:
+        """First line of the docstring."""
+        return self.doc.partition("\n")[0]
+
+    @property
+    def family(self) -> str:
+        """What stands before the dot of the name."""
+        return self.name.partition(".")[0]
 
     def port(self, index: int) -> Port:
         """What the image at `index` must be."""
@@ -349,6 +366,8 @@ def _port(value: Port | Quantity | None) -> Port:
 
 def _declared(name: str, function: Callable[..., Image], takes: tuple[Port, ...], gives: Port) -> Op:
     signature = inspect.signature(function)
+    doc = inspect.getdoc(function) or ""
+    texts = documented(doc)
     hints = typing.get_type_hints(function, include_extras=True)
     images, variadic, parameters, draws = 0, False, {}, False
     for item in signature.parameters.values():
@@ -363,14 +382,46 @@ def _declared(name: str, function: Callable[..., Image], takes: tuple[Port, ...]
         elif item.name in RESERVED:
             raise TypeError(f"op {name!r}: a parameter cannot be called {item.name!r}")
         else:
-            parameters[item.name] = _parameter(name, item, hints.get(item.name))
+            parameters[item.name] = _parameter(name, item, hints.get(item.name), texts.get(item.name, ""))
     if (variadic and images) or (not variadic and images != len(takes)) or (variadic and len(takes) != 1):
         raise TypeError(f"op {name!r}: {images} images, but {len(takes)} entries in `takes`")
-    summary = (inspect.getdoc(function) or "").partition("\n")[0]
-    return Op(name, function, takes, gives, types.MappingProxyType(parameters), draws, variadic, summary)
+    return Op(name, function, takes, gives, types.MappingProxyType(parameters), draws, variadic, doc)
 
 
-def _parameter(op: str, item: inspect.Parameter, hint: Any) -> Parameter:
+def documented(doc: str) -> dict[str, str]:
+    """What the 'Args:' of a docstring say, by name, each as one line.
+
+    >>> documented("Blurs.\\n\\nArgs:\\n    low, high: ends of\\n        the band [nm].\\n\\nSource: none")
+    {'low': 'ends of the band [nm].', 'high': 'ends of the band [nm].'}
+    """
+    texts: dict[str, str] = {}
+    names: list[str] = []
+    inside = False
+    for line in doc.splitlines():
+        if not line.startswith(" "):
+            inside = line == "Args:" or (inside and not line)
+        elif inside and (entry := _ENTRY.fullmatch(line)):
+            names = [name.strip().lstrip("*") for name in entry[1].split(",")]
+            texts |= dict.fromkeys(names, entry[2])
+        elif inside:
+            texts |= {name: f"{texts[name]} {line.strip()}" for name in names}
+    return texts
+
+
+def _unit_of_name(name: str) -> str:
+    parts = name.split("_")
+    return next((UNITS[end] for start in range(1, len(parts)) if (end := "_".join(parts[start:])) in UNITS), "")
+
+
+def _unit_of_text(text: str) -> str:
+    """What stands in square brackets; [1] is no unit."""
+    found = _BRACKETS.search(text)
+    return found[1] if found and not found[1].isdigit() else ""
+
+
+def _parameter(op: str, item: inspect.Parameter, hint: Any, text: str) -> Parameter:
+    if (named := _unit_of_name(item.name)) and (said := _unit_of_text(text)) and named != said:
+        raise TypeError(f"op {op!r}: parameter {item.name!r} is in {named} by its name, but in {said} by the docstring")
     default = MISSING if item.default is item.empty else item.default
     limits, profile, auto = Range(), None, None
     hint, optional = _without_none(hint)  # Python 3.10 wraps a hint whose default is None once more
@@ -400,7 +451,7 @@ def _parameter(op: str, item: inspect.Parameter, hint: Any) -> Parameter:
         kind = "profile"
     else:
         raise TypeError(f"op {op!r}: parameter {item.name!r} is of type {hint!r}, which no YAML node can hold")
-    return Parameter(item.name, kind, choices, length, optional, limits, default, profile, auto)
+    return Parameter(item.name, kind, choices, length, optional, limits, default, profile, auto, text)
 
 
 def _without_none(hint: Any) -> tuple[Any, bool]:

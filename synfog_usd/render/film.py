@@ -9,6 +9,7 @@ pixels or chunks are in flight at once makes no difference.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -85,11 +86,13 @@ class Exposure:
         parts: name -> sums; parts are independent of each other.
         lost: samples that were not finite and count as zero.
         weights: (C,) of the channels in a pixel's luminance [cd m-2]; R, G and B count alike.
+        grid: cells from which the part AIR is looked up, or None where it is sampled pixel by pixel.  Its `counts` are then of paths in each cell.
     """
 
     parts: dict[str, Part]
     lost: int = 0
     weights: Array = field(default_factory=lambda: np.full(3, 1.0 / 3.0))
+    grid: Any = None
 
     def mean(self) -> Array:
         """(P, C) all light."""
@@ -128,8 +131,20 @@ class Exposure:
 
     @property
     def samples(self) -> int:
-        """Of all parts and pixels."""
-        return int(sum(part.counts.sum() for part in self.parts.values()))
+        """Of all parts and pixels, and of cells."""
+        own = sum(part.counts.sum() for name, part in self.parts.items() if self.grid is None or name != AIR)
+        return int(own + (self.grid.paths if self.grid is not None else 0))
+
+    def cost(self, name: str) -> float:
+        """Seconds of one more sample of a part, relative."""
+        return self.grid.cost if self.grid is not None and name == AIR else COST[name]
+
+    def even(self, samples: int) -> dict[str, int]:
+        """As many samples of each part; in the cells what costs the same, four times as many at most."""
+        found = dict.fromkeys(self.parts, samples)
+        if self.grid is not None:
+            found[AIR] = max(2, min(round(samples * COST[AIR] / self.grid.cost), 4 * samples))
+        return found
 
 
 def expose(loaded: Loaded, integrator: Any, *, samples: int, seed: int, progress: Progress = silent) -> Exposure:
@@ -149,11 +164,11 @@ def expose(loaded: Loaded, integrator: Any, *, samples: int, seed: int, progress
     if isinstance(integrator, FogPath):
         exposure, everywhere = begin(integrator, pixels), np.arange(pixels)
         if samples < 3 * CHUNK or len(integrator.parts) == 1:
-            extend(exposure, integrator, everywhere, dict.fromkeys(integrator.parts, samples), seed, progress)
+            extend(exposure, integrator, everywhere, exposure.even(samples), seed, progress)
             return exposure
-        first = dict.fromkeys(integrator.parts, CHUNK)
+        first = exposure.even(CHUNK)
         extend(exposure, integrator, everywhere, first, seed, lambda what, fraction: progress(what, fraction * CHUNK / samples))
-        more = {part: count - CHUNK for part, count in shares(exposure, samples).items()}
+        more = {part: max(count - first[part], 0) for part, count in shares(exposure, samples).items()}
         extend(exposure, integrator, everywhere, more, seed, lambda what, fraction: progress(what, (CHUNK + fraction * (samples - CHUNK)) / samples))
         return exposure
     if backend.is_scalar():
@@ -185,8 +200,8 @@ def shares(exposure: Exposure, samples: int) -> dict[str, int]:
     for name, part in exposure.parts.items():
         relative = part.variance() @ exposure.weights * exposure.weights.sum() * part.counts / scale**2
         noise[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
-    weight = {name: max(np.sqrt(value / COST[name]), 1e-6) for name, value in noise.items()}
-    unit = samples * sum(COST[name] for name in weight) / sum(COST[name] * value for name, value in weight.items())
+    weight = {name: max(np.sqrt(value / exposure.cost(name)), 1e-6) for name, value in noise.items()}
+    unit = samples * sum(COST[name] for name in weight) / sum(exposure.cost(name) * value for name, value in weight.items())
     return {name: max(CHUNK, round(unit * value / CHUNK) * CHUNK) for name, value in weight.items()}
 
 
@@ -199,7 +214,7 @@ def begin(integrator: FogPath, pixels: int) -> Exposure:
         layers = {name: np.zeros(shape, dtype=kind) for name in LAYERS[part]}
         return Part(layers, np.zeros(shape, dtype=kind), [np.zeros(shape, dtype=kind) for _ in range(groups)], np.zeros(pixels, dtype=np.int64))
 
-    return Exposure({part: empty(part) for part in integrator.parts}, weights=bands.weights)
+    return Exposure({part: empty(part) for part in integrator.parts}, weights=bands.weights, grid=integrator.grid())
 
 
 def extend(exposure: Exposure, integrator: FogPath, pixels: npt.NDArray[np.int64], samples: Mapping[str, int], seed: int, progress: Progress = silent) -> None:
@@ -207,8 +222,14 @@ def extend(exposure: Exposure, integrator: FogPath, pixels: npt.NDArray[np.int64
 
     Args:
         pixels: (N,) their numbers, ascending.
-        samples: part -> paths a pixel; a pixel's samples so far must be a multiple of CHUNK.
+        samples: part -> paths a pixel, or in each cell; a pixel's samples so far must be a multiple of CHUNK.
     """
+    if exposure.grid is not None and samples.get(AIR, 0) > 0:
+        own = {name: count for name, count in samples.items() if name != AIR}
+        if own:
+            extend(exposure, integrator, pixels, own, seed, lambda what, fraction: progress(what, 0.6 * fraction))
+        _look_up(exposure, samples[AIR], seed, lambda what, fraction: progress(what, 0.6 + 0.4 * fraction))
+        return
     rows = max(1, CHUNKED_LANES // max(len(pixels), 1))  # chunks of all the pixels at once
     all_of_it, done = max(len(pixels) * sum(samples.values()), 1), 0
     for name, count in samples.items():
@@ -221,6 +242,21 @@ def extend(exposure: Exposure, integrator: FogPath, pixels: npt.NDArray[np.int64
                 _add(exposure, integrator, name, some, np.concatenate([start + index * CHUNK for index in chunks]), length, len(chunks), part_seed)
                 done += len(some) * length * len(chunks)
                 progress("rendering", done / all_of_it)
+
+
+def _look_up(exposure: Exposure, count: int, seed: int, progress: Progress) -> None:
+    """Begin paths in the cells, and look the air of every pixel up anew."""
+    grid, part = exposure.grid, exposure.parts[AIR]
+    before = grid.lost
+    grid.extend(count, seed32(seed, AIR), progress)
+    exposure.lost += grid.lost - before
+    rays = math.isqrt(int(np.median(exposure.parts[SURFACE].counts))) if SURFACE in exposure.parts else 1
+    layers, groups, noise = grid.airlight(rays, seed32(seed, "rays"))
+    number = max(grid.count, 2)
+    part.squares = (noise * (number - 1) + sum(layers) ** 2) * number
+    part.layers = {name: layer * number for name, layer in zip(part.layers, layers, strict=True)}
+    part.groups = [group * number for group in groups]
+    part.counts = np.full(len(part.counts), number, dtype=np.int64)
 
 
 def _add(

@@ -115,12 +115,33 @@ class Sums:
         squares: of the whole path's light, in all bands.
         groups: light by light group; empty where there is only one.
         lost: paths that were not finite and count as zero.
+        seen: paths of a cell that nothing hid; 0 for pixels.
     """
 
     layers: tuple[Any, ...]
     squares: Any
     groups: tuple[Any, ...]
     lost: Any
+    seen: Any = 0
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A camera's view cut into columns of pixels and, by what the fog leaves of them, slices.
+
+    Attributes:
+        columns, rows: of the picture; they need not be whole pixels.
+        slices: each holds the same share of what a ray scatters in all fog, were it endless.
+    """
+
+    columns: int
+    rows: int
+    slices: int
+
+    @property
+    def count(self) -> int:
+        """Of all cells."""
+        return self.columns * self.rows * self.slices
 
 
 class FogPath:
@@ -158,6 +179,7 @@ class FogPath:
         self.foggy, self.lit_fog = air.foggy, others > 0
         self.chosen = others > 0 or (sky and slab is None)
         self.group_names, self.groups, self.group_of_emitter = groups, len(groups), group_of_emitter
+        self.sky_group = groups.index("sky") if "sky" in groups else 0
         self.beacons = Beacons(lamps, air, loaded.source.camera.to_world[:3, 3])
         self.survives = dr.opaque(backend.mitsuba().Float, _survival(air))
         self.limited = self.method.scatterings < UNLIMITED
@@ -165,6 +187,10 @@ class FogPath:
 
     def _has_air(self) -> bool:
         return self.foggy and (self.method.scatterings > 0 or self.slab is not None)
+
+    def grid(self) -> Any:
+        """Cells from which the part AIR is looked up; None, since it is sampled pixel by pixel."""
+        return None
 
     def trace(self, part: str, pixel: Any, first: Any, count: int, seed: int) -> Sums:
         """Trace `count` paths of a part in each lane.
@@ -179,6 +205,20 @@ class FogPath:
         if part == LAMPS:
             return self.trace_lamps(pixel, first, count, seed)
         return self.trace_paths(part == AIR, pixel, first, count, seed)
+
+    def trace_cells(self, cells: Cells, cell: Any, first: Any, count: int, seed: int) -> Sums:
+        """Light that the fog in each cell scatters towards the camera, per share of the ray; but lamps' that it scatters once.
+
+        Args:
+            cells: how the view is cut.
+            cell: (N,) number of each lane's cell: slice by slice from the camera on, each row by row from the top left.
+            first, count, seed: as in `trace`.
+
+        Returns:
+            sums over the paths that `seen` counts: those whose place in the cell nothing hides.  With a
+            `SlabField` they are of the difference to its light.
+        """
+        return self.trace_paths(True, cell, first, count, seed, cells)
 
     @dr.syntax
     def trace_lamps(self, pixel: Any, first: Any, count: int, seed: int) -> Sums:
@@ -208,23 +248,32 @@ class FogPath:
             begun += 1
         return Sums((single,), squares, tuple(sums), lost)
 
-    def corner(self, pixel: Any) -> Any:
-        """(u, v) of pixels' top left corners, in pixels."""
+    def corner(self, pixel: Any, cells: Cells | None = None) -> Any:
+        """(u, v) of the top left corners of pixels, or of cells, in pixels."""
         mi = backend.mitsuba()
-        width = self.loaded.source.camera.width_px
-        return mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width))
+        camera = self.loaded.source.camera
+        if cells is None:
+            return mi.Point2f(mi.Float(pixel % camera.width_px), mi.Float(pixel // camera.width_px))
+        column = pixel % (cells.columns * cells.rows)
+        size = mi.Point2f(camera.width_px / cells.columns, camera.height_px / cells.rows)
+        return mi.Point2f(mi.Float(column % cells.columns), mi.Float(column // cells.columns)) * size
 
     @dr.syntax
-    def trace_paths(self, air_part: bool, pixel: Any, first: Any, count: int, seed: int) -> Sums:
-        """Paths whose first segment meets a surface, or (`air_part`) is scattered; other arguments as in `trace`.
+    def trace_paths(self, air_part: bool, pixel: Any, first: Any, count: int, seed: int, cells: Cells | None = None) -> Sums:
+        """Paths whose first segment meets a surface, or (`air_part`) is scattered, anywhere or within `cells`; other arguments as in `trace`.
 
         A lane whose path has ended begins its next one at once: vector units work on
         16 lanes in step, and would otherwise wait for the longest path of the 16.
         """
         mi = backend.mitsuba()
         scene, context, air, slab = self.loaded.scene, mi.BSDFContext(), self.air, self.slab
-        corner, bands = self.corner(pixel), self.bands
+        corner, bands = self.corner(pixel, cells), self.bands
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
+        seen, size, nearest, gridded, slices = mi.UInt32(0), mi.Point2f(1.0), mi.Float(0.0), cells is not None, 1.0
+        if dr.hint(gridded, mode="scalar"):
+            slices = float(cells.slices)
+            size = mi.Point2f(self.loaded.source.camera.width_px / cells.columns, self.loaded.source.camera.height_px / cells.rows)
+            nearest = mi.Float(pixel // (cells.columns * cells.rows))
         black, sky = bands.black(), mi.EmitterPtr(scene.environment())
 
         layers = [bands.black() for _ in LAYERS[AIR if air_part else SURFACE]]
@@ -232,7 +281,7 @@ class FogPath:
         squares, lost = bands.black(), mi.UInt32(0)
         begun = mi.UInt32(0)
         sampler = Random(image_seed, pixel, first)
-        ray, view_weight = self.camera_ray(sampler, corner, mi.Bool(True))
+        ray, view_weight = self.camera_ray(sampler, corner, mi.Bool(True), size)
         throughput, scale = bands.even(view_weight), mi.Float(1.0)
         path = bands.black()  # the whole path's light
         scattered, bounces = mi.UInt32(0), mi.UInt32(0)
@@ -278,7 +327,7 @@ class FogPath:
                 dim_here = dr.select(dimmed, transmittance(air.depth(ray.o, ray.d, 0.0, until))[0], 1.0)
                 jump = dr.select(into, there * dim_there, black) - dr.select(counted, here * dim_here, black)
                 jump *= throughput
-                if dr.hint(not air_part, mode="scalar"):
+                if dr.hint(not air_part or gridded, mode="scalar"):
                     jump = dr.select(at_eye, black, jump)
                 path, layers, sums = self.record(path, layers, sums, jump, mi.UInt32(2), mi.UInt32(0))
 
@@ -288,11 +337,20 @@ class FogPath:
                 through, opaque = transmittance(way)
                 if dr.hint(self.limited, mode="scalar"):
                     throughput = dr.select(active & ~at_eye & ~may_turn, throughput * through, throughput)
-                share = opaque if air_part else through
-                chance = dr.minimum(4.0 * share, 1.0)  # how often a faint part is drawn
-                share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
-                throughput, scale = dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
-            if dr.hint(air_part, mode="scalar"):
+                if dr.hint(not gridded, mode="scalar"):
+                    share = opaque if air_part else through
+                    chance = dr.minimum(4.0 * share, 1.0)  # how often a faint part is drawn
+                    share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
+                    throughput, scale = dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
+            if dr.hint(gridded, mode="scalar"):
+                met &= ~at_eye
+                share = (nearest + u_flight) / slices
+                some = at_eye & (share < opaque)
+                place = air.reach(ray.o, ray.d, -dr.log(1.0 - share), near, stop)
+                flight = dr.select(some, place, flight)
+                turned |= some
+                seen += dr.select(some, mi.UInt32(1), mi.UInt32(0))
+            elif dr.hint(air_part, mode="scalar"):
                 met &= ~at_eye
                 some = at_eye & (opaque > 0.0)
                 if dr.hint(self.method.scatterings == 0, mode="scalar"):
@@ -436,7 +494,7 @@ class FogPath:
             fresh = Random(image_seed, pixel, first + begun)
             sampler.state.state = dr.select(again, fresh.state.state, sampler.state.state)
             sampler.state.inc = dr.select(again, fresh.state.inc, sampler.state.inc)
-            view, view_weight = self.camera_ray(sampler, corner, again)
+            view, view_weight = self.camera_ray(sampler, corner, again, size)
             ray = dr.select(again, view, ray)
             throughput, scale = dr.select(again, bands.even(view_weight), throughput), dr.select(again, 1.0, scale)
             path = dr.select(over, black, path)
@@ -447,7 +505,7 @@ class FogPath:
             )
             last_p, last_exact, last_alone = dr.select(again, view.o, last_p), last_exact | again, last_alone & ~again
             active = alive | again
-        return Sums(tuple(layers), squares, tuple(sums), lost)
+        return Sums(tuple(layers), squares, tuple(sums), lost, seen)
 
     def record(self, path: Any, layers: list[Any], sums: list[Any], light: Any, scattered: Any, group: Any) -> Any:
         """Add light to the path, its layer and its group; light that is not finite is left out of both and spoils the path's square, which counts it."""
@@ -499,12 +557,18 @@ class FogPath:
                 through = through * self.bands.fade(depth)
         return free, through
 
-    def camera_ray(self, sampler: Any, corner: Any, active: Any) -> tuple[Any, Any]:
-        """A ray through a random point of the pixel, and its weight."""
+    def camera_ray(self, sampler: Any, corner: Any, active: Any, size: Any = 1.0) -> tuple[Any, Any]:
+        """A ray through a random point of the pixel, or of a cell `size` pixels wide, and its weight."""
         mi = backend.mitsuba()
         camera = self.loaded.source.camera
-        place = (corner + mi.Point2f(sampler.next_2d(active))) / mi.Point2f(camera.width_px, camera.height_px) + mi.Point2f(*self.loaded.offset)
-        ray, weight = self.loaded.sensor.sample_ray(0.0, 0.5, place, mi.Point2f(sampler.next_2d(active)), active)
+        place = (corner + mi.Point2f(sampler.next_2d(active)) * size) / mi.Point2f(camera.width_px, camera.height_px)
+        return self.ray_through(place, sampler, active)
+
+    def ray_through(self, place: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+        """A ray through a point (u, v) of the picture, 0 to 1 from the top left, and its weight."""
+        mi = backend.mitsuba()
+        camera = self.loaded.source.camera
+        ray, weight = self.loaded.sensor.sample_ray(0.0, 0.5, place + mi.Point2f(*self.loaded.offset), mi.Point2f(sampler.next_2d(active)), active)
         if camera.near_m <= LENS_M:  # nothing stands before the near plane: begin at the lens, so that no fog is left out
             ahead = mi.Vector3f(*(-camera.to_world[:3, 2]).tolist())
             ray.o = ray.o - ray.d * (camera.near_m / dr.dot(ray.d, ahead))

@@ -148,6 +148,15 @@ class SlabField:
         column = dr.sqrt(dr.minimum(dr.abs(direction.z), 1.0)) * (self.columns - 1)
         return self._bilinear(self.table, self._row(place) * (self.rows - 1), column, self.rows, self.columns, side, active)
 
+    def airlight(self, ray: Any, end: Any, air: Air, active: Any) -> Any:
+        """What the layer sends towards a ray's origin from before a distance `end`, infinite where nothing is met (C,)."""
+        begin, leave = self.span(ray.o, ray.d)
+        inside = active & (leave > begin) & (begin < end)
+        until = dr.minimum(end, leave)
+        there = self.radiance(ray(begin), ray.d, inside) * dr.exp(-air.depth(ray.o, ray.d, 0.0, begin))
+        here = self.radiance(ray(until), ray.d, inside) * dr.exp(-air.depth(ray.o, ray.d, 0.0, until))
+        return dr.select(inside, there - here, self.bands.black())
+
     def irradiance(self, place: Any, normal: Any, active: Any) -> Any:
         """Light on points of the domain with a normal (C,)."""
         column = 0.5 * (dr.clip(normal.z, -1.0, 1.0) + 1.0) * (self.lit_columns - 1)

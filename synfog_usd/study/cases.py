@@ -21,14 +21,14 @@ from synfog_usd.fog.medium import extinction_from_visibility
 from synfog_usd.scene import SceneDict
 from synfog_usd.study.truths import EmptyLayer, black, box, empty_layer, lamp_in_endless_fog, pixel_rays, scene, sky, tilted, uniform_fog, wall
 
-FULL = ("path", "path+slab")
-"""Ours that leave nothing out; what they cannot do they refuse."""
+FULL = ("field", "path", "path+slab")
+"""Ours that leave nothing out where the airlight is smooth; what they cannot do they refuse."""
 
 LAYER = ("slab", "path", "path+slab")
-ONCE = ("single", "path", "path+slab")
+ONCE = ("single", "field", "path", "path+slab")
 """Where the fog turns no light, or as good as never twice."""
 
-ALIKE = ("single", "slab", "path", "path+slab", "asm", "asm_estimated", "glow")
+ALIKE = ("single", "slab", "field", "field+slab", "path", "path+slab", "asm", "asm_estimated", "glow")
 """Where one world is told in two ways: the same answer, right or wrong."""
 
 

@@ -8,8 +8,8 @@ import colour
 import numpy as np
 import pytest
 
-from synfog_usd import camera, resources, seeds
-from synfog_usd.camera import isp, light
+from synfog_usd import camera, photometry, resources, seeds
+from synfog_usd.camera import isp
 from synfog_usd.camera.profiles import load_sensor
 from synfog_usd.errors import ImageError
 from synfog_usd.image import Image, Quantity
@@ -50,7 +50,7 @@ def test_a_colorchecker_under_d65_comes_out_right(tmp_path, algorithm):
     lit = np.interp(centres, d65.wavelengths, d65.values) * 0.002
     reflectances = np.array([np.interp(centres, patch.wavelengths, patch.values) for patch in chart.values()])
     pixels = np.repeat(np.repeat((reflectances * lit).reshape(4, 6, -1), 8, axis=0), 8, axis=1).astype(np.float32)
-    image = Image(pixels, tuple(light.band_name(centre) for centre in centres), Quantity.RADIANCE)
+    image = Image(pixels, tuple(photometry.band_name(centre) for centre in centres), Quantity.RADIANCE)
     path = tmp_path / "g.yaml"
     path.write_text(LINEAR.replace("EXPOSURE", "0.0002").replace("ALGORITHM", algorithm))
     out = camera.load_graph(path).run({"radiance": image}, seed=0)["colour_correct"]

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,13 @@ def run(*arguments):
     return subprocess.run([sys.executable, "-m", "synfog_usd.cli.main", "graph", *map(str, arguments)], capture_output=True, text=True, timeout=120)
 
 
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    """The user's cache folder, not the real one."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "synfog-usd"
+
+
 @pytest.fixture
 def radiance(tmp_path):
     """A ramp of 100 to 2000 nits, as the bake writes it."""
@@ -28,7 +36,7 @@ def radiance(tmp_path):
 def test_a_graph_runs_on_a_picture_of_one_s_own(radiance, tmp_path):
     """The graph's outputs are written, the nodes' times are told, and a second run gives the same bytes."""
     for name in ("a", "b"):
-        done = run("run", PIPELINE, "--in", f"radiance={radiance}", "-o", tmp_path / name, "--seed", "5")
+        done = run("run", PIPELINE, "--in", f"radiance={radiance}", "-o", tmp_path / name, "--seed", "5", "--no-cache")
         assert done.returncode == 0, done.stderr
         assert "isp.demosaic" in done.stderr
     for name in ("raw.dng", "srgb.png"):
@@ -67,3 +75,67 @@ def test_show_and_check_tell_the_nodes():
     assert "sensor.shot_noise" in run("show", PIPELINE).stdout
     assert run("show", PIPELINE, "--mermaid").stdout.startswith(("flowchart", "graph"))
     assert "raw.dng" in run("check", PIPELINE).stdout
+
+
+def ran(done):
+    """Names of the nodes that the table of a run has milliseconds for; the others are cached."""
+    assert done.returncode == 0, done.stderr
+    rows = [line.split() for line in done.stderr.splitlines()[2:22]]
+    assert all(row[-1] == "cached" or float(row[-1]) >= 0 for row in rows)
+    return [row[0] for row in rows if row[-1] != "cached"]
+
+
+def test_a_change_runs_what_follows_and_writes_the_bytes_of_a_run_without_cache(radiance, tmp_path, cache):
+    """The user's cache folder is used unless another is named, or none is wanted."""
+    arguments = ("run", PIPELINE, "--in", radiance)
+    assert len(ran(run(*arguments, "-o", tmp_path / "a"))) == 20 == len(list(cache.iterdir()))
+    assert ran(run(*arguments, "-o", tmp_path / "a", "--set", "tone.shoulder=0.3")) == ["tone", "srgb"]
+    assert len(ran(run(*arguments, "-o", tmp_path / "b", "--set", "tone.shoulder=0.3", "--no-cache"))) == 20
+    assert len(ran(run(*arguments, "-o", tmp_path / "c", "--cache", tmp_path / "own"))) == 20 == len(list((tmp_path / "own").iterdir()))
+    for name in ("raw.dng", "srgb.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert len(list(cache.iterdir())) == 22
+
+
+def test_a_cache_that_cannot_be_made_stops_a_run_only_if_it_was_asked_for(radiance, tmp_path):
+    (tmp_path / "cache").write_text("")
+    assert run("run", PIPELINE, "--in", radiance, "-o", tmp_path / "a", "--until", "irradiance").returncode == 0
+    done = run("run", PIPELINE, "--in", radiance, "-o", tmp_path / "b", "--cache", tmp_path / "cache" / "x")
+    assert done.returncode == 2 and "results cannot be kept there" in done.stderr and not (tmp_path / "b").exists()
+
+
+def test_until_takes_an_output_and_set_the_words_of_the_camera(radiance, tmp_path, monkeypatch):
+    """`--until raw` writes raw.dng, here, and nothing behind it runs; ISO 400 is in its tags (DNG: 34855)."""
+    import tifffile
+
+    monkeypatch.chdir(tmp_path)
+    done = run("run", PIPELINE, "--in", f"radiance={radiance}", "--set", "sensor.iso=400", "--until", "raw")
+    assert done.returncode == 0 and done.stdout.strip() == "raw.dng" and "iso=400" in done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cache", "in.exr", "raw.dng"]
+    with tifffile.TiffFile("raw.dng") as raw:
+        assert raw.pages[0].tags["ExifTag"].value["ISOSpeedRatings"] == 400
+
+
+def test_show_draws_with_and_without_milliseconds(radiance, tmp_path):
+    assert run("show", PIPELINE, "--svg", tmp_path / "still.svg").returncode == 0
+    assert run("show", PIPELINE, "--svg", tmp_path / "timed.svg", "--in", radiance).returncode == 0
+    for name, timed in (("still.svg", 0), ("timed.svg", 20)):
+        words = [item.text for item in ET.parse(tmp_path / name).iter("{http://www.w3.org/2000/svg}text")]
+        assert sum(word.endswith(" ms") and ":" not in word for word in words) == timed
+    assert run("show", PIPELINE, "--mermaid", "--resolution", "64x36").stdout.count(" ms") == 20
+
+
+def test_explain_prints_a_page_a_list_or_all():
+    assert "| `iso` | a number from 1 to 1e+07 or auto | auto | ISO speed. |" in run("explain", "sensor.gain").stdout
+    assert "isp.tone             Brighter middle" in run("explain").stdout
+    assert run("explain", "--all").stdout.count("\n## ") == 21
+    done = run("explain", "sensor.gian")
+    assert done.returncode == 2 and "Did you mean 'sensor.gain'?" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_check_tells_every_error_of_a_graph_that_extends_the_phone(tmp_path):
+    (tmp_path / "mine.yaml").write_text("synfog: graph/1\nextends: phone\nnodes:\n  - {name: gain, iso: high}\n  - {name: tone, shouldr: 0.1}\n")
+    done = run("check", tmp_path / "mine.yaml")
+    lines = done.stderr.replace(f"{tmp_path}/", "").splitlines()
+    assert done.returncode == 2 and lines[0] == "synfog-usd: mine.yaml: 2 errors"
+    assert [line.split(" ")[0] for line in lines[1:]] == ["mine.yaml:4:23:", "mine.yaml:5:18:"]

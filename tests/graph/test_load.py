@@ -37,6 +37,14 @@ def refusal(tmp_path: Path, text: str, registry, kind: type[Exception] = GraphEr
     return str(caught.value).replace(str(tmp_path) + "/", "")
 
 
+def lines(text: str) -> list[str]:
+    """The errors of a message, without the line that counts them."""
+    head, *rest = text.splitlines()
+    if rest:
+        assert head == f"g.yaml: {len(rest)} errors"
+    return rest or [head]
+
+
 def test_a_good_graph_loads_with_its_values_and_their_sources(tmp_path, registry):
     graph = load(tmp_path, GOOD, registry)
     assert list(graph.nodes) == ["lens", "expose", "noise", "adc", "show"]
@@ -65,6 +73,16 @@ FAULTS = [
     ("scale: 2", "scale: ^auto", "node 'lens' (lens.pass): scale is 'auto'; it takes"),
     ("scale: 2", "shape: ^rond", "node 'lens' (lens.pass): shape is 'rond'; it takes one of 'round', 'square'. Did you mean 'round'?"),
     ("time_s: 1/4", "time_s: ^1/0", "node 'expose' (chip.expose): time_s is '1/0', a division by zero; it takes a number above 0 [s] or auto."),
+    (
+        "time_s: 1/4",
+        "time_s: ^250 ms",
+        "node 'expose' (chip.expose): time_s is '250 ms'; it takes a number above 0 [s] or auto. Write the number alone, in s",
+    ),
+    (
+        "time_s: 1/4",
+        "time_ms: 250",
+        "g.yaml:6:37: node 'expose' (chip.expose) has no parameter 'time_ms'; it takes time_s. Did you mean 'time_s'?",
+    ),
     ("bits: 8", "bits: ^8.5", "node 'adc' (chip.adc): bits is 8.5; it takes a whole number from 8 to 16."),
     ("bits: 8", "invert: ^1", "node 'adc' (chip.adc): invert is 1; it takes true or false."),
     ("op: screen.show", "op: screen.show, tint: ^[1, 2]", "node 'show' (screen.show): tint is [1, 2]; it takes a list of 3 numbers."),
@@ -96,7 +114,7 @@ FAULTS = [
         "g.yaml:6:5: node 'noise' (chip.noise) takes sigma_e from the chip profile; name one at the top with 'chip: ...', or give sigma_e here",
     ),
     ("chip: good", "chip: 3", "g.yaml:3:7: chip is 3; it takes the name of a profile, or a path that ends in .yaml"),
-    ("chip: good", "chop: good", "g.yaml:3:1: a graph has no 'chop'; it takes synfog, title, inputs, chip, nodes, outputs. Did you mean 'chip'?"),
+    ("chip: good", "chop: good", "g.yaml:3:1: a graph has no 'chop'; it takes synfog, title, extends, inputs, chip, nodes, outputs. Did you mean 'chip'?"),
     ("graph/1", "graph/2", "g.yaml:1:9: synfog is 'graph/2'; this program reads 'graph/1'"),
     ("synfog: graph/1\n", "", "g.yaml:1:1: the first line must be 'synfog: graph/1'"),
     ("inputs: [radiance]\n", "", "g.yaml:1:1: the graph has no 'inputs'"),
@@ -131,7 +149,54 @@ def test_a_fault_is_named_with_its_place(tmp_path, registry, old, new, message):
         before, _, after = text.partition("^")
         message = f"g.yaml:{before.count(chr(10)) + 1}:{len(before.rpartition(chr(10))[2]) + 1}: {message}"
         text = before + after
-    assert refusal(tmp_path, text, registry)[: len(message)] == message
+    told = lines(refusal(tmp_path, text, registry))
+    assert told[0][: len(message)] == message
+    assert len(told) == (2 if "light.difference" in new else 1), "what follows from a fault is no fault of its own"  # it takes no 'scale' either
+
+
+def test_all_faults_of_a_file_are_told_at_once_in_its_order(tmp_path, registry):
+    """One of each kind, none of them on a node that another has spoiled; each with the place where it stands."""
+    text = """\
+synfog: graph/1
+title: [1]
+inputs: {radiance: radance}
+chip: bad
+nodes:
+  - {name: lens, op: lens.pass, scale: 11, shap: round}
+  - {name: expose, op: chip.expose, time_s: soon}
+  - {name: noise, op: chip.nose}
+  - {name: adc, op: chip.adc, in: expos}
+  - {name: adc, op: chip.adc}
+  - {name: late, op: screen.show, in: expose}
+  - {name: one, op: chip.noise, in: two, sigma_e: 1}
+  - {name: two, op: chip.noise, in: one, sigma_e: 1}
+outputs:
+  raw.jpg: adc
+  srgb.png: shw
+"""
+    starts = [
+        "g.yaml:2:8: title is [1]; it takes a text",
+        "g.yaml:3:20: input 'radiance' is 'radance'; it takes one of radiance,",
+        "g.yaml:4:7: chip 'bad': no such chip; there is good",
+        "g.yaml:6:40: node 'lens' (lens.pass): scale is 11; it takes a number above 0, up to 10.",
+        "g.yaml:6:44: node 'lens' (lens.pass) has no parameter 'shap'; it takes scale, shape. Did you mean 'shape'?",
+        "g.yaml:7:45: node 'expose' (chip.expose): time_s is 'soon'; it takes a number above 0 [s] or auto.",
+        "g.yaml:8:23: no op 'chip.nose'; there are chip.adc,",
+        "g.yaml:9:35: node 'adc' (chip.adc) reads 'expos', which is no node or input. Did you mean 'expose'?",
+        "g.yaml:10:5: node 'adc' stands already at line 9; give one of them another name",
+        "g.yaml:11:39: node 'late' (screen.show) takes dn; 'expose' gives electrons (mosaic). What gives dn: chip.adc",
+        "g.yaml:12:5: nodes read each other in a circle: one -> two -> one; change one 'in'",
+        "g.yaml:15:3: output 'raw.jpg': its format '.jpg' is not known",
+        "g.yaml:16:13: output 'srgb.png' is 'shw', which is no node;",
+    ]
+    told = lines(refusal(tmp_path, text, registry))
+    assert [line[: len(start)] for line, start in zip(told, starts, strict=True)] == starts
+
+
+def test_very_many_faults_are_counted_not_all_told(tmp_path, registry):
+    nodes = "".join(f"  - {{name: n{index}, op: lens.pass, in: radiance, scale: -1}}\n" for index in range(200))
+    told = refusal(tmp_path, f"synfog: graph/1\ninputs: [radiance]\nnodes:\n{nodes}outputs: {{a.exr: n0}}\n", registry).splitlines()
+    assert told[0] == "g.yaml: 200 errors" and told[-1] == "... and 150 more" and len(told) == 52
 
 
 def test_a_fault_in_a_profile_keeps_the_place_of_its_name(tmp_path, registry):

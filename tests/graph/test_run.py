@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from synfog_usd.errors import GraphError, ImageError, ParameterError
-from synfog_usd.graph import Registry, load_graph
+from synfog_usd.graph import Registry, drawing, load_graph
 from synfog_usd.image import Image, Quantity
 
 GRAPH = """\
@@ -80,8 +80,41 @@ def test_overrides_change_a_run_and_its_hash_but_not_the_graph(tmp_path, registr
 
 
 @pytest.mark.parametrize(
+    ("key", "value", "changed"),
+    [
+        ("noise.sigma_e", 7, {"noise.sigma_e": 7.0}),
+        ("chip.sigma_e", 7, {"noise.sigma_e": 7.0, "more.sigma_e": 7.0}),
+        ("chip.noise.sigma_e", 7, {"noise.sigma_e": 7.0, "more.sigma_e": 7.0}),
+        ("chip.noise_e", 7, {"noise.sigma_e": 7.0, "more.sigma_e": 7.0}),
+        ("chip.time_s", "1/8", {"expose.time_s": 0.125}),
+        ("lens.pass.scale", 3, {"lens.scale": 3.0}),
+    ],
+)
+def test_an_override_may_name_a_node_an_op_a_family_or_a_value_of_a_profile(tmp_path, registry, key, value, changed):
+    graph = load(tmp_path, registry, GRAPH.replace("  - {name: adc", "  - {name: more, op: chip.noise}\n  - {name: adc"))
+    before = {f"{node.name}.{name}": bound.value for node in graph.nodes.values() for name, bound in node.params.items()}
+    after = {f"{node.name}.{name}": bound.value for node in graph.with_overrides({key: value}).nodes.values() for name, bound in node.params.items()}
+    assert {name: after[name] for name in after if after[name] != before[name]} == changed
+
+
+def test_until_takes_the_name_of_an_output(tmp_path, registry, radiance):
+    text = GRAPH.replace("outputs: {raw.dng: adc}", "outputs: {raw.dng: adc, raw.exr: noise, early.exr: expose}")
+    graph = load(tmp_path, registry, text)
+    for until, names in (
+        ("early", ["lens", "expose"]),
+        ("early.exr", ["lens", "expose"]),
+        ("raw.exr", ["lens", "expose", "noise"]),
+        ("raw", list(graph.nodes)),
+    ):
+        assert list(graph.run({"radiance": radiance}, seed=0, settings={"time_s": 1.0}, until=until)) == names
+    assert graph.outputs_of("raw") == {"raw.dng": "adc", "raw.exr": "noise"} and graph.outputs_of("ra") == {}
+
+
+@pytest.mark.parametrize(
     ("overrides", "message"),
     [
+        ({"chip.nois_e": 1}, r"override 'chip.nois_e': no node 'chip'; write node.parameter. Did you mean"),
+        ({"chip.noise_e": -1}, r"override 'chip.noise_e': node 'noise' \(chip.noise\): sigma_e is -1; it takes a number >= 0 \[e-\]"),
         ({"lens.scal": 1}, r"override 'lens.scal': node 'lens' \(lens.pass\) has no parameter 'scal'; it takes scale, shape. Did you mean 'scale'\?"),
         ({"lns.scale": 1}, r"override 'lns.scale': no node 'lns'; write node.parameter. Did you mean 'lens.scale'\?"),
         ({"scale": 1}, r"override 'scale': no node 'scale'; write node.parameter"),
@@ -174,7 +207,7 @@ def test_the_hash_follows_meaning_not_spelling(tmp_path, registry):
 def test_a_table_and_a_chart_name_every_node_and_file(tmp_path, registry, radiance):
     graph = load(tmp_path, registry)
     run = graph.run({"radiance": radiance}, seed=0, settings={"time_s": 1.0})
-    table, chart = graph.table(run.milliseconds), graph.mermaid()
+    table, chart = drawing.table(graph, run), drawing.mermaid(graph, run)
     lines = table.splitlines()
     assert lines[0].split() == ["node", "op", "reads", "gives", "parameters", "ms"]
     assert lines[4].split()[:5] == ["noise", "chip.noise", "expose", "electrons", "(mosaic)"] and "sigma_e=2" in lines[4]

@@ -1,0 +1,259 @@
+"""What a cached run leaves out, and that its pictures are those of a run without."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pytest
+
+from synfog_usd.errors import OutputError
+from synfog_usd.files import TEMPORARY_PREFIX
+from synfog_usd.graph import Cache, Range, Registry, cache, load_graph
+from synfog_usd.image import Image, Quantity
+
+GRAPH = """\
+synfog: graph/1
+inputs: [radiance]
+chip: good
+nodes:
+  - {name: lens, op: lens.pass, scale: 2}
+  - {name: side, op: lens.pass, in: radiance, scale: 3}
+  - {name: expose, op: chip.expose, in: lens, time_s: auto}
+  - {name: noise, op: chip.noise}
+  - {name: adc, op: chip.adc}
+  - {name: show, op: screen.show}
+outputs: {raw.dng: adc, srgb.png: show}
+"""
+ALL = ["lens", "side", "expose", "noise", "adc", "show"]
+
+
+@pytest.fixture
+def run(tmp_path, registry, radiance):
+    """Runs the graph with a cache, checks each picture against a run without one, and gives the names of the nodes that ran."""
+    (tmp_path / "g.yaml").write_text(GRAPH)
+
+    def go(text: str | None = None, *, image: Image = radiance, seed=1, time_s=3.0, keep=None, ops=registry, store=None, **arguments):
+        if text is not None:
+            (tmp_path / "g.yaml").write_text(text)
+        arguments |= {"seed": seed, "settings": {"time_s": time_s}, "keep": keep}
+        graph = load_graph(tmp_path / "g.yaml", ops)
+        plain = graph.run({"radiance": image}, **arguments)
+        cached = graph.run({"radiance": image}, cache=store or Cache(tmp_path / "cache"), **arguments)
+        assert list(cached) == list(plain)
+        for name, picture in plain.items():
+            assert cached[name].pixels.tobytes() == picture.pixels.tobytes()
+            assert (cached[name].channels, cached[name].quantity) == (picture.channels, picture.quantity)
+            assert list(cached[name].provenance.items()) == list(picture.provenance.items())
+        assert set(cached.cached) == set(plain.milliseconds) - set(cached.milliseconds)
+        return [name for name in ALL if name in cached.milliseconds]
+
+    return go
+
+
+def test_nothing_runs_twice(run):
+    assert run() == ALL
+    assert run() == []
+
+
+@pytest.mark.parametrize(
+    ("change", "ran"),
+    [
+        ({"text": GRAPH.replace("scale: 2", "scale: 2.5")}, ["lens", "expose", "noise", "adc", "show"]),
+        ({"text": GRAPH.replace("op: chip.adc", "op: chip.adc, bits: 8")}, ["adc", "show"]),
+        ({"text": GRAPH.replace("op: screen.show", "op: screen.show, tint: [1, 0, 0]")}, ["show"]),
+        ({"text": GRAPH.replace("chip: good", "chip: other.yaml")}, ["noise", "adc", "show"]),
+        ({"text": GRAPH.replace("  - {name: adc", "  - {name: more, op: chip.noise, sigma_e: 0}\n  - {name: adc")}, ["adc", "show"]),
+        ({"text": GRAPH.replace("name: noise", "name: hiss")}, ["adc", "show"]),
+        ({"text": GRAPH.replace("name: expose", "name: shutter")}, []),
+        ({"text": GRAPH.replace("raw.dng", "other.dng") + "# a comment\n"}, []),
+        ({"overrides": {"noise.sigma_e": 9}}, ["noise", "adc", "show"]),
+        ({"seed": 2}, ["noise", "adc", "show"]),
+        ({"time_s": 4.0}, ["expose", "noise", "adc", "show"]),
+        ({"until": "noise"}, []),
+        ({"keep": ["adc"]}, []),
+        ({"keep": ["adc"], "overrides": {"side.scale": 1}}, ["side"]),
+    ],
+)
+def test_one_change_runs_what_follows_and_nothing_else(tmp_path, run, change, ran):
+    """Nodes of another name than those six are not counted."""
+    (tmp_path / "other.yaml").write_text("3.0")
+    run()
+    assert run(**change) == ran
+    assert run(**change) == []
+
+
+def test_another_picture_runs_all_and_so_does_another_meaning(run, radiance):
+    run()
+    pixels = radiance.pixels.copy()
+    pixels[3, 5, 2] += 1e-3
+    assert run(image=radiance.with_pixels(pixels)) == ALL
+    assert run(image=radiance.noted(fov_x_deg=3.0)) == ALL
+    assert run(image=Image(radiance.pixels, ("B", "G", "R"), Quantity.RADIANCE)) == ALL
+    assert run(image=radiance) == []
+
+
+def test_auto_that_is_found_in_the_provenance_follows_it(tmp_path, registry, radiance):
+    (tmp_path / "g.yaml").write_text(GRAPH)
+    graph, store = load_graph(tmp_path / "g.yaml", registry), Cache(tmp_path / "cache")
+    for time_s in (1.0, 2.0, 1.0):
+        exposed = graph.run({"radiance": radiance.noted(time_s=time_s)}, seed=0, until="expose", cache=store)["expose"]
+        np.testing.assert_array_equal(exposed.pixels, radiance.pixels[..., :1] * 2 * np.float32(time_s))
+
+
+def registry_of(folder: Path, source: str) -> Registry:
+    """A registry with one op, `own.op`, whose source is a file as a user has it."""
+    path = folder / "own_ops.py"
+    path.write_text(f"from synfog_usd.image import Image, Quantity\n\n{source}\n")
+    names: dict = {}
+    exec(compile(path.read_text(), str(path), "exec"), names)
+    cache._source_hash.cache_clear()
+    ops = Registry()
+    ops.op("own.op", takes=Quantity.RADIANCE, gives=Quantity.RADIANCE)(names["own"])
+    return ops
+
+
+def test_an_op_that_was_rewritten_runs_again(tmp_path, radiance):
+    """Its name and parameters stay; its source does not."""
+    (tmp_path / "g.yaml").write_text("synfog: graph/1\ninputs: [radiance]\nnodes: [{op: own.op}]\noutputs: {a.exr: op}\n")
+    source = "def own(image: Image) -> Image:\n    return image.with_pixels(image.pixels * {})"
+    peaks = []
+    for factor in (2, 2, 3):
+        graph = load_graph(tmp_path / "g.yaml", registry_of(tmp_path, source.format(factor)))
+        run = graph.run({"radiance": radiance}, seed=0, cache=Cache(tmp_path / "cache"))
+        peaks.append((run["op"].pixels.max() / radiance.pixels.max(), len(run.milliseconds)))
+    assert peaks == [(2, 1), (2, 0), (3, 1)]
+
+
+def test_an_op_that_holds_variables_of_the_function_around_it_is_never_kept(tmp_path, radiance):
+    """Two ops of one source that differ in what they hold; the second must not get the first's result."""
+    (tmp_path / "g.yaml").write_text("synfog: graph/1\ninputs: [radiance]\nnodes: [{op: own.op}]\noutputs: {a.exr: op}\n")
+
+    def scaled(factor: float) -> Registry:
+        ops = Registry()
+
+        @ops.op("own.op", takes=Quantity.RADIANCE, gives=Quantity.RADIANCE)
+        def scale(image: Image, *, power: Annotated[float, Range(0.0)] = 1.0) -> Image:
+            return image.with_pixels(image.pixels * np.float32(factor))
+
+        return ops
+
+    store = Cache(tmp_path / "cache")
+    for factor in (2, 3):
+        run = load_graph(tmp_path / "g.yaml", scaled(factor)).run({"radiance": radiance}, seed=0, cache=store)
+        assert run["op"].pixels.max() == radiance.pixels.max() * factor
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+def test_what_json_would_change_is_not_kept(tmp_path, radiance):
+    """A tuple in the provenance would come back as a list."""
+    store = Cache(tmp_path / "cache")
+    for number, (value, kept) in enumerate([((1, 2), False), ([1, 2], True), (float("nan"), False), (np.float32(1), False), ({"a": None}, True)]):
+        key = f"{number:064d}"
+        store.put(key, radiance.noted(fact=value))
+        store.flush()
+        assert (store.get(key) is not None) is kept
+
+
+def test_variance_comes_back_too(tmp_path, radiance):
+    store = Cache(tmp_path / "cache")
+    image = Image(radiance.pixels, radiance.channels, radiance.quantity, variance=radiance.pixels + 1)
+    store.put("a" * 64, image)
+    store.flush()
+    back = store.get("a" * 64)
+    np.testing.assert_array_equal(back.variance, image.variance)
+    np.testing.assert_array_equal(back.pixels, image.pixels)
+
+
+@pytest.mark.parametrize("harm", ["empty", "short", "flipped", "head", "other", "text", "folder"])
+def test_a_broken_file_is_as_good_as_none(tmp_path, run, harm):
+    """Every file is harmed in turn; the pictures are those of a run without a cache, and the file is whole again."""
+    run()
+    whole = {path: path.read_bytes() for path in sorted((tmp_path / "cache").iterdir())}
+    assert len(whole) == len(ALL)
+    for path, data in whole.items():
+        other = next(text for name, text in whole.items() if name != path)
+        path.unlink()
+        if harm == "folder":
+            path.mkdir()
+        else:
+            flipped = bytes([*data[:-9], data[-9] ^ 1, *data[-8:]])
+            path.write_bytes({"empty": b"", "short": data[:-1], "flipped": flipped, "head": data[5:], "other": other, "text": b"x y z\n\xff"}[harm])
+        run()
+        if harm == "folder":
+            path.rmdir()
+            path.write_bytes(data)
+        else:
+            assert path.read_bytes() == data
+
+
+def test_a_broken_file_makes_its_node_run_again(tmp_path, run):
+    """All of them are cut short: everything runs."""
+    run()
+    for path in (tmp_path / "cache").iterdir():
+        path.write_bytes(path.read_bytes()[:-4])
+    assert run() == ALL
+    assert run() == []
+
+
+def test_the_folder_stays_within_its_limit_and_the_oldest_go_first(tmp_path):
+    image = Image(np.zeros((16, 16, 1), np.float32), ("Y",), Quantity.DATA)  # 1 KiB and a head of 0.3 KiB
+    store = Cache(tmp_path, limit_bytes=14_000)
+    old = f"{0:064x}"
+    for number in range(40):
+        store.put(f"{number:064x}", image)
+        store.flush()
+        os.utime(tmp_path / f"{number:064x}.node", ns=(number, number))  # the clock may be too coarse to tell them apart
+        if number == 3:
+            assert store.get(old) is not None
+        assert sum(path.stat().st_size for path in tmp_path.iterdir()) <= 14_000
+    left = sorted(int(path.stem, 16) for path in tmp_path.iterdir())
+    assert left[0] == 0 and left[1:] == list(range(40 - len(left) + 1, 40)) and 6 <= len(left) <= 10
+
+
+def test_a_folder_over_the_limit_is_tidied_when_it_is_opened_and_only_of_its_own(tmp_path):
+    image = Image(np.zeros((16, 16, 1), np.float32), ("Y",), Quantity.DATA)
+    store = Cache(tmp_path)
+    for number in range(20):
+        store.put(f"{number:064x}", image)
+    store.flush()
+    (tmp_path / "notes.txt").write_text("x" * 100_000)
+    for name, age_s in (("killed", 7200), ("running", 0)):
+        (tmp_path / f"{TEMPORARY_PREFIX}{name}.node").write_text("")
+        os.utime(tmp_path / f"{TEMPORARY_PREFIX}{name}.node", (time.time() - age_s,) * 2)
+    Cache(tmp_path, limit_bytes=8_000)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert "notes.txt" in names and f"{TEMPORARY_PREFIX}running.node" in names and f"{TEMPORARY_PREFIX}killed.node" not in names
+    assert sum(path.stat().st_size for path in tmp_path.glob("*.node")) <= 8_000
+
+
+def test_an_image_larger_than_the_folder_may_be_is_not_kept(tmp_path, radiance):
+    store = Cache(tmp_path, limit_bytes=200)
+    store.put("a" * 64, radiance)
+    store.flush()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_changes_no_picture(tmp_path, run):
+    """The folder is taken away from under the cache."""
+    store = Cache(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert run(store=store) == ALL
+    assert not (tmp_path / "gone").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match=r"file/cache: results cannot be kept there \(Not a directory\); name another folder, or keep none"):
+        Cache(tmp_path / "file" / "cache")
+
+
+def test_the_usual_folder_is_the_desktop_s(monkeypatch, tmp_path):
+    """XDG base directory specification: a relative $XDG_CACHE_HOME is ignored."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for value, expected in ((str(tmp_path / "x"), tmp_path / "x"), ("", tmp_path / ".cache"), ("x", tmp_path / ".cache")):
+        monkeypatch.setenv("XDG_CACHE_HOME", value)
+        assert cache.default_folder() == expected / "synfog-usd"

@@ -1,0 +1,122 @@
+"""A graph written in Python, and one called function by function, give the bytes of the YAML."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from synfog_usd import camera, resources, seeds, writers
+from synfog_usd.camera import isp, optics, sensor
+from synfog_usd.errors import GraphError
+from synfog_usd.graph import load_graph, make_graph
+from synfog_usd.image import Image, Quantity
+
+NODES = [
+    {"name": "irradiance", "op": "optics.irradiance", "falloff": "none"},
+    {"name": "expose", "op": "sensor.expose", "exposure_s": "auto"},
+    {"name": "shot_noise", "op": "sensor.shot_noise"},
+    {"name": "full_well", "op": "sensor.full_well"},
+    {"name": "read_noise", "op": "sensor.read_noise"},
+    {"name": "gain", "op": "sensor.gain", "iso": "auto"},
+    {"name": "adc_noise", "op": "sensor.adc_noise"},
+    {"name": "adc", "op": "sensor.adc"},
+    {"name": "black_level", "op": "isp.black_level"},
+    {"name": "white_balance", "op": "isp.white_balance", "illuminant": "d65"},
+    {"name": "demosaic", "op": "isp.demosaic", "algorithm": "linear"},
+    {"name": "colour", "op": "isp.colour_correct"},
+    {"name": "srgb", "op": "isp.gamma"},
+]
+"""What `pipeline/synfog.yaml` says."""
+
+OUTPUTS = {"raw.dng": "adc", "srgb.png": "srgb"}
+SEED, SETTINGS = 11, {"exposure_s": 1 / 250, "iso": 200.0}
+
+
+@pytest.fixture
+def scene() -> Image:
+    pixels = seeds.stream(0, "scene").random((24, 32, 3), dtype=np.float32) * np.float32(800)
+    return Image(pixels, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+
+
+def written(graph, scene, folder):
+    run = graph.run({"radiance": scene}, seed=SEED, settings=SETTINGS)
+    return {name: writers.write_output(name, run[node], folder).read_bytes() for name, node in graph.outputs.items()}
+
+
+def test_a_graph_from_python_writes_the_bytes_of_the_yaml(tmp_path, scene):
+    yaml = camera.load_graph(resources.folder("pipeline") / "synfog.yaml")
+    python = make_graph(camera.OPS, name="synfog", sensor="imx363", lens="pixel4a", nodes=NODES, outputs=OUTPUTS)
+    assert python.hash == yaml.hash
+    files = written(python, scene, tmp_path / "python")
+    assert files == written(yaml, scene, tmp_path / "yaml") and set(files) == set(OUTPUTS)
+
+
+def test_the_ops_called_one_by_one_give_the_bytes_of_the_graph(scene):
+    """No engine in between: plain functions, the profile's numbers, and the streams that the nodes' names name."""
+    chip, lens = camera.load_sensor("imx363"), camera.load_lens("pixel4a")
+    image = optics.irradiance(scene, f_number=lens.f_number, transmission=lens.transmission, falloff="none", focal_length_mm=lens.focal_length_mm)
+    image = sensor.expose(image, exposure_s=1 / 250, pixel_pitch_um=chip.pixel_pitch_um, fill_factor=chip.fill_factor, sensor=chip)
+    image = sensor.shot_noise(image, rng=seeds.stream(SEED, "node", "shot_noise"))
+    image = sensor.full_well(image, full_well_e=chip.full_well_e)
+    image = sensor.read_noise(image, rng=seeds.stream(SEED, "node", "read_noise"), sigma_e=chip.read_noise_e)
+    image = sensor.gain(image, iso=200.0, iso_base=chip.iso_base, gain_dn_e=chip.gain_dn_e)
+    image = sensor.adc_noise(image, rng=seeds.stream(SEED, "node", "adc_noise"), sigma_dn=chip.adc_noise_dn)
+    raw = sensor.adc(image, bits=chip.bits, black_level_dn=chip.black_level_dn, white_level_dn=chip.white_level_dn, sensor=chip)
+    image = isp.black_level(raw, black_level_dn=chip.black_level_dn, white_level_dn=chip.white_level_dn)
+    image = isp.demosaic(isp.white_balance(image, sensor=chip))
+    picture = isp.gamma(isp.colour_correct(image, sensor=chip))
+    run = camera.load_graph(resources.folder("pipeline") / "synfog.yaml").run({"radiance": scene}, seed=SEED, settings=SETTINGS)
+    assert run["adc"].pixels.tobytes() == raw.pixels.tobytes()
+    assert run["srgb"].pixels.tobytes() == picture.pixels.tobytes()
+
+
+def test_a_graph_from_python_may_extend_a_shipped_one(scene):
+    python = make_graph(camera.OPS, extends="synfog", nodes=[{"name": "gain", "iso": 400}], outputs={})
+    assert python.hash == camera.load_graph(resources.folder("pipeline") / "synfog.yaml").with_overrides({"gain.iso": 400}).hash
+
+
+def test_the_how_to_runs_as_it_stands(tmp_path, scene):
+    """`docs/camera.md`: its YAML with the two files that it names, and its Python."""
+    text = (Path(__file__).resolve().parents[2] / "docs" / "camera.md").read_text()
+    (yaml,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    (python,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "g.yaml").write_text(yaml)
+    (tmp_path / "mine.yaml").write_bytes((resources.folder("assets") / "sensors" / "imx363.yaml").read_bytes())
+    (tmp_path / "night.yaml").write_text("synfog: graph/1\nnodes:\n  - {name: tone, shoulder: 0.2}\n")
+    graph = camera.load_graph(tmp_path / "g.yaml")
+    assert list(graph.outputs) == ["raw.dng", "linear.exr"] and "lens_shading" not in graph.nodes
+    assert graph.nodes["second_noise"].inputs == ("read_noise",) and graph.nodes["gain"].inputs == ("second_noise",)
+    names = {"radiance": scene}
+    exec(python, names)
+    assert names["results"]["colour"].pixels.shape == scene.pixels.shape
+    assert names["graph"].nodes["gain"].params["iso"].value == 400
+
+
+def test_faults_in_python_name_the_entry(registry):
+    with pytest.raises(GraphError) as caught:
+        make_graph(registry, chip="bad", nodes=[{"op": "lens.pass", "scale": -1}, {"op": "chip.expos"}, 3], outputs={"a.png": "pass"})
+    starts = [
+        "graph: 5 errors",
+        "chip: chip 'bad': no such chip",
+        "nodes[0].scale: node 'pass' (lens.pass): scale is -1; it takes a number above 0, up to 10",
+        "nodes[1].op: no op 'chip.expos';",
+        "nodes[2]: node 3 is 3; it takes a mapping with an 'op'",
+        "outputs.a.png: output 'a.png' takes display_rgb; node 'pass' gives irradiance",
+    ]
+    told = str(caught.value).splitlines()
+    assert [line[: len(start)] for line, start in zip(told, starts, strict=True)] == starts
+
+
+def test_python_and_yaml_agree_on_graphs_with_several_inputs(tmp_path, registry, radiance):
+    (tmp_path / "g.yaml").write_text(
+        "synfog: graph/1\ninputs: {sky: , lamps: radiance}\nnodes: [{op: light.sum, in: [sky, lamps, lamps]}, {op: light.sum, name: two, in: [sum, lamps]}]\n"
+        "outputs: {a.exr: two}\n"
+    )
+    nodes = [{"op": "light.sum", "in": ("sky", "lamps", "lamps")}, {"op": "light.sum", "name": "two", "in": ["sum", "lamps"]}]
+    python = make_graph(registry, inputs={"sky": "radiance", "lamps": "radiance"}, nodes=nodes, outputs={"a.exr": "two"})
+    assert python.hash == load_graph(tmp_path / "g.yaml", registry).hash
+    run = python.run({"sky": radiance, "lamps": radiance}, seed=0)
+    np.testing.assert_array_equal(run["two"].pixels, 4 * radiance.pixels)
