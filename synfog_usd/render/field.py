@@ -5,9 +5,9 @@ fog's own opacity (Wronski 2014, "froxels").  In each cell paths begin where not
 it from the camera, and their mean is the light that this fog sends; a pixel's airlight is
 the sum over the cells in front of its surface.  A hundred neighbours share every path.
 
-Everything that is not smooth is done pixel by pixel, as in `path`: surfaces, lamps that
-the fog scatters once, and under a sky without lamps the light of the plane-parallel
-layer, from which only the difference is put into the grid.
+Everything that is not smooth is done pixel by pixel, as in `path`: surfaces, and lamps that
+the fog scatters once.  With a `SlabField` the layer's light is, too, and the grid holds the
+difference to it.
 
 Valid where light that was turned more than once changes little over a cell, 1.5 degrees
 and a twelfth of the fog's opacity.  What errs: the glow within a cell's width of a lamp, and the
