@@ -46,9 +46,9 @@ def test_the_sensors_target_is_a_third_of_its_noise():
 def test_biased_models_are_taken_only_where_their_error_was_seen_to_be_small():
     """In fog that scatters half of the light `asm` misses some of it; the pilot measures that and passes it over."""
     still = scene({**SKY, "shape_wall": wall(50.0, 5.0, **black(1.0))}, [FogVolume("/Fog", box(200.0), FogMedium(0.02, albedo=0.5))], fov_x_deg=40.0)
-    choice = planner.choose(load(still, boundaries=False), target=planner.Target(relative=0.05), seed=0)
+    choice = planner.choose(load(still, boundaries=False), target=planner.Target(relative=0.1), seed=0)
     assert choice.best == "path" and choice.model in ("path", "field")
-    assert choice.figures["asm"]["bias"] > 0.05
+    assert choice.figures["asm"]["bias"] > 0.1
 
 
 @pytest.mark.parametrize(
