@@ -11,7 +11,8 @@ difference to it.
 
 Valid where light that was turned more than once changes little over a cell, 1.5 degrees
 and a twelfth of the fog's opacity.  What errs: the glow within a cell's width of a lamp, and the
-shade of an object seen through clear air beside it.  Noise of the grid is soft blotches.
+shade of an object seen through clear air beside it.  Noise of the grid is soft blotches; a cell
+that one path made far brighter than its neighbours shares with them.
 """
 
 from __future__ import annotations
@@ -42,6 +43,15 @@ BETWEEN = 4.0 / 9.0
 
 LEAST = 2
 """Paths of a cell that make it known."""
+
+LOUD = 0.4
+"""Standard error of a cell over its light from which on it is one path's chance, and seen as a ball of light."""
+
+OUTLYING = 2.0
+"""Times the median of its neighbours that such a cell may have; the rest is theirs."""
+
+SHARED_WITH = (3, 9, 9)
+"""Slices, rows and columns of those."""
 
 LOOKUPS = CELL_LANES = 1 << 18
 """Pixels, and paths' lanes, at once."""
@@ -120,7 +130,8 @@ class Grid:
         side = max(1, min(side, SIDE))
         seen = np.maximum(self.seen, 1)[:, None]
         spread = np.maximum(self.squares / seen - (sum(self.layers) / seen) ** 2, 0.0) / np.maximum(seen - 1, 1) * BETWEEN / self.cells.slices
-        values = [*(sums / seen for sums in (*self.layers, *self.groups)), spread]
+        kept = self._kept(spread)
+        values = [*(self._shared(sums / seen, kept) for sums in (*self.layers, *self.groups)), spread * kept**2]
         table = _texture(np.concatenate([self._summed(value) for value in values], axis=3))
         pixels, kind = camera.width_px * camera.height_px, np.float64 if bands.is_rgb else np.float32
         found = [np.zeros((pixels, bands.count), dtype=kind) for _ in (*values, None)]
@@ -132,6 +143,24 @@ class Grid:
         layers, groups, (noise, squares) = found[: len(self.layers)], found[len(self.layers) : -2], found[-2:]
         noise += np.maximum(squares - sum(layers) ** 2, 0.0) / side**3
         return layers, groups, noise
+
+    def _kept(self, spread: Array) -> Array:
+        """(cells, 1) part of its light that a cell keeps: 1, but where chance made it far brighter than its neighbours."""
+        from scipy import ndimage
+
+        shape = (self.cells.slices, self.cells.rows, self.cells.columns)
+        light = (sum(self.layers) / np.maximum(self.seen, 1)[:, None]) @ self.field.bands.weights
+        error = np.sqrt(spread / BETWEEN * self.cells.slices) @ self.field.bands.weights
+        around = ndimage.median_filter(np.abs(light).reshape(shape), size=(3, 3, 3), mode="nearest").ravel()
+        most = np.maximum(OUTLYING * around, 1e-30)
+        return np.where((error > LOUD * np.abs(light)) & (np.abs(light) > most), most / np.maximum(np.abs(light), 1e-30), 1.0)[:, None]
+
+    def _shared(self, values: Array, kept: Array) -> Array:
+        """(cells, C) values, of which each cell gives its neighbours what it does not keep."""
+        from scipy import ndimage
+
+        given = (values * (1.0 - kept)).reshape(self.cells.slices, self.cells.rows, self.cells.columns, -1)
+        return values * kept + ndimage.uniform_filter(given, (*SHARED_WITH, 1), mode="nearest").reshape(values.shape)
 
     @dr.syntax
     def _look(self, table: Any, names: int, pixel: Any, side: int, seed: int) -> list[Any]:

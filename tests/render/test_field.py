@@ -40,10 +40,10 @@ def test_the_white_furnace_stays_white():
     "world, model", [({**STREET, **LAMP}, "field"), ({**SKY, **STREET}, "field"), ({**SKY, **STREET}, "field+slab")], ids=["lamp", "sky", "layer"]
 )
 def test_the_mean_is_that_of_path(world, model):
-    """Beside a lamp and under a sky, with an object in front: within five standard errors of both, and 3 % would be seen."""
+    """Beside a lamp and under a sky, with an object in front: within five standard errors of both, and 4 % would be seen."""
     ours, theirs = means(view(world), model, samples=512, seeds=12), means(view(world), "path", samples=1024, seeds=12)
     error = np.hypot(ours.std(ddof=1), theirs.std(ddof=1)) / np.sqrt(12)
-    assert 10 * error < 0.03 * theirs.mean(), "cannot see 3 %"
+    assert 10 * error < 0.04 * theirs.mean(), "cannot see 4 %"
     assert abs(ours.mean() - theirs.mean()) < 5 * error
 
 
