@@ -54,7 +54,8 @@ WORTH_TRYING = 0.1
 """Target from which on those are tried: each costs a kernel, and in the bench stages the best of them, `slab` in the overcast street, errs by 12 %."""
 
 GRIDDED = {"path": "field", "path+slab": "field+slab"}
-"""Unbiased models with a sibling that takes airlight from a grid; in the bench stages 1.2 to 8 times less variance for the same seconds."""
+"""Unbiased models with a sibling that takes airlight from a grid; in the bench stages the squared error,
+the worst hundredth of the pixels left out, is 1.2 to 8 times smaller for the same seconds."""
 
 WORTH_A_GRID = 0.01
 """Target from which on the sibling is tried; a pilot knows its error to about that."""
@@ -317,15 +318,16 @@ def _bias(picture: film.Exposure, reference: film.Exposure, shape: tuple[int, in
 
 
 def _bias_of_squares(one: Array, other: Array, noise: Array, other_noise: Array, shape: tuple[int, int]) -> tuple[float, float]:
-    height, width = (length // BLOCK_PX * BLOCK_PX for length in shape)
+    side = min(BLOCK_PX, *shape)
+    height, width = (length // side * side for length in shape)
 
     def squares(values: Array) -> Array:
         cut = values.reshape(shape)[:height, :width]
-        return np.asarray(cut.reshape(height // BLOCK_PX, BLOCK_PX, width // BLOCK_PX, BLOCK_PX).mean(axis=(1, 3)).ravel())
+        return np.asarray(cut.reshape(height // side, side, width // side, side).mean(axis=(1, 3)).ravel())
 
     level = squares(other)
     scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
-    own = squares(noise) / CORRELATED + squares(other_noise) / BLOCK_PX**2
+    own = squares(noise) / min(CORRELATED, side**2) + squares(other_noise) / side**2
     excess = (squares(one - other) ** 2 - own) / scale**2
     excess = excess[np.argsort(own / scale**2, kind="stable")[: max(1, int((1.0 - FIREFLIES) * len(excess)))]]
     known = float(np.sqrt(2.0 * np.std(excess) / np.sqrt(len(excess))))

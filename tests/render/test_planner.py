@@ -58,3 +58,10 @@ def test_a_target_out_of_range_is_refused(wrong, words):
     """With the option's name."""
     with pytest.raises(ParameterError, match=words):
         render(FOGGY, **wrong)
+
+
+def test_a_picture_of_a_few_rows_is_judged_too():
+    """640 x 20: the pilot has two rows, fewer than a square over which a grid's error is measured is high."""
+    wide = scene({**SKY, "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})}, [uniform_fog()], width_px=640, height_px=20, fov_x_deg=40.0)
+    figures = planner.choose(load(wide, boundaries=False), target=planner.Target(relative=0.05), seed=0).figures
+    assert np.isfinite(figures["field"]["bias"])
