@@ -22,7 +22,7 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, Vt
 from synfog_usd.errors import OutputError
 from synfog_usd.files import write_whole
 from synfog_usd.world.components import Lamp, author_lamp, author_material, author_mesh, label, new_stage
-from synfog_usd.world.crossroads import FOG_VARIANTS
+from synfog_usd.world.crossroads import FOG_VARIANTS, author_fog_variants
 from synfog_usd.world.materials import Colour, Material
 from synfog_usd.world.shapes import Array, box, quad, shift, turn
 from synfog_usd.world.spec import Placement
@@ -293,8 +293,7 @@ def _write_other_fog(mor_m: float, path: Path) -> None:
     stage.SetMetadata("renderSettingsPrimPath", "/Render/Settings")
     world = stage.OverridePrim("/World")
     stage.SetDefaultPrim(world)
-    _author_fog_variant(stage, f"mor{mor_m:g}", mor_m)
-    world.GetVariantSets().GetVariantSet("fog").SetVariantSelection(f"mor{mor_m:g}")
+    author_fog_variants(stage, {f"mor{mor_m:g}": mor_m}, f"mor{mor_m:g}")
     stage.GetRootLayer().Save()
 
 
@@ -417,20 +416,7 @@ def _author_light_group(prim: Usd.Prim, name: str) -> None:
 
 
 def _author_fog_variants(stage: Usd.Stage, bench: Bench) -> None:
-    for name, mor in bench.fog.items():
-        _author_fog_variant(stage, name, mor)
-    stage.GetPrimAtPath("/World").GetVariantSets().GetVariantSet("fog").SetVariantSelection(list(bench.fog)[-1])
-
-
-def _author_fog_variant(stage: Usd.Stage, name: str, mor_m: float | None) -> None:
-    variants = stage.GetPrimAtPath("/World").GetVariantSets().AddVariantSet("fog")
-    variants.AddVariant(name)
-    variants.SetVariantSelection(name)
-    with variants.GetVariantEditContext():
-        if mor_m is None:
-            stage.OverridePrim("/World/Fog").SetActive(False)
-        else:
-            stage.OverridePrim("/World/Fog/Global").CreateAttribute("synfog:fog:mor", Sdf.ValueTypeNames.Float, custom=False).Set(mor_m)
+    author_fog_variants(stage, bench.fog, list(bench.fog)[-1])
 
 
 def _author_render(stage: Usd.Stage) -> None:

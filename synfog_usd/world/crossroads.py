@@ -8,7 +8,7 @@ a shell: `python -m synfog_usd.world.crossroads [folder]`.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -436,18 +436,23 @@ def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
         label(mesh.GetPrim(), "building")
 
 
-def _author_variants(stage: Usd.Stage, spec: WorldSpec) -> None:
-    world = stage.GetPrimAtPath("/World")
-    fog = world.GetVariantSets().AddVariantSet("fog")
-    for name, mor in spec.fog.items():
-        fog.AddVariant(name)
-        fog.SetVariantSelection(name)
-        with fog.GetVariantEditContext():
-            if mor is None:
+def author_fog_variants(stage: Usd.Stage, fogs: Mapping[str, float | None], selected: str) -> None:
+    """A variant of /World for each visibility [m] of /World/Fog/Global; None is clear air."""
+    variants = stage.GetPrimAtPath("/World").GetVariantSets().AddVariantSet("fog")
+    for name, mor_m in fogs.items():
+        variants.AddVariant(name)
+        variants.SetVariantSelection(name)
+        with variants.GetVariantEditContext():
+            if mor_m is None:
                 stage.OverridePrim("/World/Fog").SetActive(False)
             else:
-                stage.OverridePrim("/World/Fog/Global").CreateAttribute("synfog:fog:mor", Sdf.ValueTypeNames.Float, custom=False).Set(mor)
-    fog.SetVariantSelection(spec.fog_selected)
+                stage.OverridePrim("/World/Fog/Global").CreateAttribute("synfog:fog:mor", Sdf.ValueTypeNames.Float, custom=False).Set(mor_m)
+    variants.SetVariantSelection(selected)
+
+
+def _author_variants(stage: Usd.Stage, spec: WorldSpec) -> None:
+    author_fog_variants(stage, spec.fog, spec.fog_selected)
+    world = stage.GetPrimAtPath("/World")
     lighting = world.GetVariantSets().AddVariantSet("lighting")
     for name in ("active", "sky"):
         lighting.AddVariant(name)
