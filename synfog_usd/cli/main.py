@@ -13,10 +13,15 @@ from synfog_usd import __version__
 from synfog_usd.cli import worker
 from synfog_usd.errors import ParameterError, SynfogError
 
+# Plain help: drawing it with rich costs as long again as everything else that help does.
 app = typer.Typer(
-    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help="What a real camera would have recorded of a USD scene in fog."
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="What a real camera would have recorded of a USD scene in fog.",
 )
-graph_app = typer.Typer(no_args_is_help=True, help="Node graphs: from radiance to RAW and sRGB.")
+graph_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Node graphs: from radiance to RAW and sRGB.")
 app.add_typer(graph_app, name="graph")
 
 
