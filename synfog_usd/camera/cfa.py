@@ -1,0 +1,57 @@
+"""Colour filter arrays: which filter each pixel of a mosaic stands behind.
+
+A pattern is a name; it repeats over the sensor from the top left pixel.  Filters are
+letters: R, G, B; C lets all visible light through; I all but visible light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal, get_args
+
+import numpy as np
+
+from synfog_usd.image import FloatArray
+
+Pattern = Literal["RGGB", "GRBG", "GBRG", "BGGR", "RCCB", "RCCC", "RGIB", "MONO"]
+
+PATTERNS: dict[str, tuple[str, ...]] = {name: (name[:2], name[2:]) for name in get_args(Pattern) if name != "MONO"} | {"MONO": ("C",)}
+"""Pattern -> its rows, a letter per pixel."""
+
+BAYER = ("RGGB", "GRBG", "GBRG", "BGGR")
+"""Patterns that any demosaicing takes."""
+
+ORDER = "RGBCI"
+"""Order in which filters are told: that of the planes of a demosaiced picture."""
+
+
+def filters(pattern: str) -> tuple[str, ...]:
+    """The filters of a pattern, each once.
+
+    >>> filters("GRBG"), filters("RCCB"), filters("RGIB"), filters("MONO")
+    (('R', 'G', 'B'), ('R', 'B', 'C'), ('R', 'G', 'B', 'I'), ('C',))
+    """
+    return tuple(letter for letter in ORDER if any(letter in row for row in PATTERNS[pattern]))
+
+
+def sites(pattern: str) -> Iterator[tuple[tuple[slice, slice], int]]:
+    """The pixels of a mosaic, a grid at a time: where they are, and the number of their filter in `filters`.
+
+    >>> mosaic = np.zeros((4, 6))
+    >>> for where, number in sites("RGGB"):
+    ...     mosaic[where] = number
+    >>> mosaic[:2, :2].tolist()
+    [[0.0, 1.0], [1.0, 2.0]]
+    """
+    rows, letters = PATTERNS[pattern], filters(pattern)
+    for row, line in enumerate(rows):
+        for column, letter in enumerate(line):
+            yield (slice(row, None, len(rows)), slice(column, None, len(line))), letters.index(letter)
+
+
+def mosaic_of(planes: FloatArray, pattern: str) -> FloatArray:
+    """(H, W, 1) of (H, W, F) planes: each pixel from the plane of its own filter."""
+    mosaic = np.empty((*planes.shape[:2], 1), dtype=planes.dtype)
+    for where, number in sites(pattern):
+        mosaic[(*where, 0)] = planes[(*where, number)]
+    return mosaic
