@@ -127,7 +127,7 @@ def candidates(scene: SceneDict) -> list[str]:
     return [name for name in ("path", "path+slab") if not models.MODELS[name].refuses(scene)] if scene.fog else []
 
 
-def choose(loaded: Loaded, *, target: Target, seed: int, progress: Progress = silent) -> Choice:
+def choose(loaded: Loaded, *, target: Target, seed: int, denoised: bool = False, progress: Progress = silent) -> Choice:
     """The cheapest model whose measured error is under the target.
 
     How often a path may be turned is left open: in every bench stage a cut that errs by under
@@ -137,6 +137,8 @@ def choose(loaded: Loaded, *, target: Target, seed: int, progress: Progress = si
         loaded: a scene with `candidates`, without boundaries and at any size; the pilot is PILOT_WIDTH_PX wide.
         target: biased models are tried only where it names an error.
         seed: of the pilot.
+        denoised: the picture will be denoised; then no grid is tried.  Denoised `path` errs less than denoised `field` in the same time:
+            0.47 against 0.80 % of relative MSE after 2 s in the bench's canyon, and alike before headlights.
         progress: told after each candidate.
     """
     scene, small = loaded.source, _small(loaded)
@@ -165,6 +167,8 @@ def choose(loaded: Loaded, *, target: Target, seed: int, progress: Progress = si
         if bias + least < wanted and COST[name] * figures[name]["noise"] ** 2 < COST[best] * figures[best]["noise"] ** 2:
             return Choice(name, f"its error of {bias:.2%} (known to {least:.2%}) is under the {wanted:.2%} that is asked for", figures, best)
         tried.append(f"{name} errs by {bias:.1%}")
+    if denoised:
+        return Choice(best, why + (f"; {', '.join(tried)}, above {wanted:.2%}" if tried else ""), figures, best)
     name = GRIDDED[best]
     progress("trying models", 1.0)
     if (picture := _pilot(small, name, seed)) is not None:
@@ -342,16 +346,10 @@ def _relative(target: Target, exposure: film.Exposure) -> float | None:
     return float(np.median(target.sigma(level) / level))
 
 
-def sensor_target(electrons_per_nit: float, read_noise_e: float) -> Callable[[Array], Array]:
-    """Luminance -> the part of the sensor's shot and read noise that a render may add [cd m-2].
+def sensor_target(noise: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """Luminance -> the part of the sensor's noise that a render may add [cd m-2].
 
     Args:
-        electrons_per_nit: what a pixel collects of 1 cd m-2.
-        read_noise_e: RMS of all noise that does not depend on the light [e-].
+        noise: luminance [cd m-2] -> standard deviation of what a pixel reads [cd m-2], such as `camera.noise_floor`.
     """
-
-    def sigma(luminance: Array) -> Array:
-        signal = np.maximum(luminance, 0.0) * electrons_per_nit
-        return SENSOR_SHARE * np.sqrt(signal + read_noise_e**2) / max(electrons_per_nit, 1e-30)
-
-    return sigma
+    return lambda luminance: SENSOR_SHARE * noise(luminance)

@@ -120,7 +120,7 @@ def render(
         raise ParameterError(f"--denoise knows R, G and B alone; use --bands {banding.RGB}")
     if model == models.AUTO and bands in (None, banding.RGB) and pixels * samples >= WORTH_A_PILOT and planner.candidates(scene):
         loaded = loaded or load(scene, size=size, boundaries=False)
-        choice = planner.choose(loaded, target=target, seed=seed, progress=progress)
+        choice = planner.choose(loaded, target=target, seed=seed, denoised=denoise, progress=progress)
         model, why, figures = choice.model, choice.why, dict(choice.figures)
     else:
         model, why = models.choose(model, scene)

@@ -7,6 +7,7 @@ errors can be compared.
 
     python tests/bench/cycles_scene.py export stages/bench/canyon.usda out/canyon --fog mor150 --size 80x45
     python tests/bench/cycles_scene.py agree  out/canyon out/canyon_cycles.npz --samples 4096
+    python tests/bench/cycles_scene.py time   out/canyon out/canyon_cycles.npz --model field --samples 64
 
 What the files hold: lengths in metres, Z up; triangles with one colour each; radiance
 in nits, intensities in candela, linear Rec.709.
@@ -260,6 +261,48 @@ def agreement(ours: Array, theirs: Array, ours_variance: Array, their_variance: 
     }
 
 
+def time_to_one_percent(scene: SceneDict, cycles: Mapping[str, Array], *, model: str, samples: int, seeds: int = 4) -> dict[str, float]:
+    """Seconds until the median pixel's error is 1 %, ours and Cycles', and their ratio.
+
+    Both are compared with `path` of 8192 samples, so that a bias counts as error (that
+    picture's own variance is taken off).  Error falls with the root of time, from the
+    samples that were measured; of Cycles' most samples count.  Times are wall time, or
+    processor time by threads if that is less (other work only adds): ours with kernels
+    made before, Cycles' the slope between its least and most samples.
+    """
+    from synfog_usd.render import film, models, shot
+
+    def renders(name: str, count: int, seeds: range) -> tuple[list[Any], float]:
+        loaded = shot.load(scene, boundaries=models.MODELS[name].boundaries)
+        integrator = models.make(name, loaded)
+        film.expose(loaded, integrator, samples=64, seed=99)
+        done, seconds = [], []
+        for seed in seeds:
+            wall, processor = time.perf_counter(), time.process_time()
+            done.append(film.expose(loaded, integrator, samples=count, seed=seed))
+            seconds.append(min(time.perf_counter() - wall, (time.process_time() - processor) / float(cycles["threads"])))
+        return done, min(seconds)
+
+    (reference,), _ = renders("path", 8192, range(1000, 1001))
+    truth, own = reference.mean().mean(axis=1), reference.variance().mean(axis=1)
+
+    def error(pictures: Any) -> float:
+        square = np.mean([((picture - truth) ** 2 - own) / truth**2 for picture in pictures], axis=0)
+        return float(np.sqrt(np.median(square[truth > 1e-3 * truth.mean()])))
+
+    done, seconds = renders(model, samples, range(seeds))
+    ours = error([exposure.mean().mean(axis=1) for exposure in done])
+    counts = cycles["samples"]
+    low, high = counts.min(), counts.max()
+    slope = min(
+        (np.median(spent[counts == high]) - np.median(spent[counts == low])) / (high - low)
+        for spent in (cycles["wall_s"], cycles["processor_s"] / float(cycles["threads"]))
+    )
+    theirs = error(cycles["images"][counts == high].astype(np.float64).mean(axis=3).reshape(-1, truth.size))
+    found = {"ours": seconds * (ours / 0.01) ** 2, "cycles": float(slope * high * (theirs / 0.01) ** 2)}
+    return found | {"ratio": found["cycles"] / found["ours"], "our_error": ours, "our_seconds": seconds, "cycles_error": theirs}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     verbs = parser.add_subparsers(dest="verb", required=True)
@@ -273,6 +316,11 @@ def main() -> None:
     two.add_argument("cycles", type=Path)
     two.add_argument("--samples", type=int, default=1024)
     two.add_argument("--model", default="auto")
+    three = verbs.add_parser("time")
+    three.add_argument("stem", type=Path)
+    three.add_argument("cycles", type=Path)
+    three.add_argument("--model", default="path")
+    three.add_argument("--samples", type=int, default=64)
     arguments = parser.parse_args()
     if arguments.verb == "export":
         width, height = (int(part) for part in arguments.size.split("x"))
@@ -286,6 +334,10 @@ def main() -> None:
     backend.start()
     made_of = json.loads(arguments.stem.with_suffix(".source.json").read_text())
     scene = from_stage(Path(made_of["stage"]), fog=made_of["fog"], size=tuple(made_of["size"]))
+    if arguments.verb == "time":
+        times = time_to_one_percent(scene, np.load(arguments.cycles), model=arguments.model, samples=arguments.samples)
+        print(arguments.stem.name, arguments.model, json.dumps({name: float(f"{value:.4g}") for name, value in times.items()}))
+        return
     begin = time.perf_counter()
     drawn = render(scene, samples=arguments.samples, seed=1, model=arguments.model)
     print(f"ours: {drawn.model}, {time.perf_counter() - begin:.1f} s, relative error {drawn.relative_error:.4f}")

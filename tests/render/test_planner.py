@@ -39,8 +39,9 @@ def test_time_is_the_third_stop():
 
 
 def test_the_sensors_target_is_a_third_of_its_noise():
-    """100 e- per nit and 5 e- dark: at 4 nits sqrt(400 + 25) / 3 electrons, in nits."""
-    assert planner.sensor_target(100.0, 5.0)(np.array([4.0]))[0] == pytest.approx(np.sqrt(425.0) / 3 / 100)
+    """Two noises that come together grow by the square: 5 % more than the sensor's alone."""
+    noise = planner.sensor_target(lambda luminance: 0.5 * np.sqrt(luminance))(np.array([4.0]))[0]
+    assert np.hypot(noise, 1.0) == pytest.approx(1.054, abs=1e-3)
 
 
 def test_biased_models_are_taken_only_where_their_error_was_seen_to_be_small():
@@ -65,3 +66,5 @@ def test_a_picture_of_a_few_rows_is_judged_too():
     wide = scene({**SKY, "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})}, [uniform_fog()], width_px=640, height_px=20, fov_x_deg=40.0)
     figures = planner.choose(load(wide, boundaries=False), target=planner.Target(relative=0.05), seed=0).figures
     assert np.isfinite(figures["field"]["bias"])
+    smoothed = planner.choose(load(wide, boundaries=False), target=planner.Target(relative=0.05), seed=0, denoised=True)
+    assert smoothed.model == "path" and "field" not in smoothed.figures  # a denoiser does what the grid would
