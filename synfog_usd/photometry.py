@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.constants import LUMINOUS_EFFICACY_LM_W
-from synfog_usd.errors import ImageError
+from synfog_usd.errors import ImageError, ParameterError, did_you_mean
 from synfog_usd.image import Image
 from synfog_usd.science import colour_science
 
@@ -24,6 +24,9 @@ Array = npt.NDArray[np.float64]
 
 WAVELENGTHS_NM: Array = np.arange(380.0, 781.0, 1.0)
 """The grid of every spectral integral here: 380 to 780 nm in steps of 1 nm."""
+
+ILLUMINANTS = {"D65": "D65", "A": "A", "HPS": "HP1", "LED": "LED-B3"}
+"""Lights by name: daylight, tungsten, high-pressure sodium, a white LED; and what CIE 015:2018 calls them."""
 
 _BAND = re.compile(r"S0\.(\d+)(?:,(\d+))?nm")
 
@@ -46,6 +49,15 @@ def band_centre_nm(channel: str) -> float | None:
 def is_rgb(channels: Sequence[str]) -> bool:
     """Whether the channels are linear Rec.709."""
     return tuple(channels) == ("R", "G", "B")
+
+
+def spectra_of(channels: Sequence[str]) -> str:
+    """Where the spectra of a picture come from, in words.
+
+    >>> spectra_of(("R", "G", "B"))
+    'upsampled from linear Rec.709 (Mallett and Yuksel 2019, times D65)'
+    """
+    return "upsampled from linear Rec.709 (Mallett and Yuksel 2019, times D65)" if is_rgb(channels) else f"{len(channels)} bands"
 
 
 @functools.lru_cache(maxsize=16)
@@ -86,12 +98,20 @@ def channel_spectra(channels: tuple[str, ...]) -> Array:
     return np.asarray(np.minimum(below, np.clip(WAVELENGTHS_NM + 0.5 - edges[:-1, None], 0.0, 1.0)))
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=len(ILLUMINANTS))
 def illuminant(name: str) -> Array:
-    """Relative spectral power of a CIE illuminant, 'D65' or 'A', on `WAVELENGTHS_NM`."""
+    """Relative spectral power of a light of `ILLUMINANTS` on `WAVELENGTHS_NM`.
+
+    Raises:
+        ParameterError: another name.
+
+    Source: CIE 015:2018, from colour-science.
+    """
+    if name not in ILLUMINANTS:
+        raise ParameterError(f"illuminant {name!r} is not known; it can be {', '.join(ILLUMINANTS)}.{did_you_mean(name, ILLUMINANTS)}")
     colour = colour_science()
 
-    table = colour.SDS_ILLUMINANTS[name]
+    table = colour.SDS_ILLUMINANTS[ILLUMINANTS[name]]
     return np.interp(WAVELENGTHS_NM, table.wavelengths, table.values)
 
 

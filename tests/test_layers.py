@@ -31,6 +31,9 @@ HEAVY = {
     "OpenImageIO": {"graph", "camera", "writers", "study", "translate/texture.py", "world"},
     "matplotlib": {"study"},
     "pyoidn": {"render"},
+    "tifffile": {"writers"},
+    "imagecodecs": {"writers"},
+    "colour_demosaicing": {"camera"},
 }
 """Library -> where it may be imported."""
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from synfog_usd import graph as engine
-from synfog_usd.camera import isp, optics, sensor  # noqa: F401  (their ops register themselves)
+from synfog_usd.camera import blur, cleanup, demosaic, distortion, flare, hdr, isp, optics, sensor  # noqa: F401  (their ops register themselves)
 from synfog_usd.camera.exposure import Exposure, meter
 from synfog_usd.camera.registry import OPS
 from synfog_usd.graph import GraphRun, NodeGraph, Registry

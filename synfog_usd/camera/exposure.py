@@ -2,7 +2,8 @@
 
 Takes a radiance image and the graph that will develop it; gives exposure time and
 ISO.  A lamp or the sun does not move it: it looks at the geometric mean of the
-frame and keeps large bright areas, not points, from clipping.
+frame and keeps large bright areas, not points, from clipping.  Tells also what a
+pixel makes of light, and how much its noise hides.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from synfog_usd import photometry
-from synfog_usd.camera.optics import block_means
+from synfog_usd.camera import cfa
+from synfog_usd.camera.flare import block_means
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.errors import GraphError
-from synfog_usd.graph import NodeGraph
+from synfog_usd.graph import GraphRun, NodeGraph
 from synfog_usd.image import Image, Quantity
 
 DAY_KEY = 0.12
@@ -36,10 +39,13 @@ HIGHLIGHT_PERCENTILE = 95.0
 DAY_HIGHLIGHT, NIGHT_HIGHLIGHT = 0.55, 0.07
 """Part of saturation that the percentile may reach: a day's sky, and a road under street lamps."""
 
-BLURS = ("optics.diffraction", "optics.glare")
+BLURS = ("optics.diffraction", "optics.defocus", "optics.glare", "optics.flare")
 """Left out when metering: in a small copy they would spread a lamp over streets."""
 
 METER_WIDTH_PX = 320
+
+BLINDING_CD_M2 = 1e12
+"""Light in which every pixel is full, whatever the exposure."""
 
 
 @dataclass(frozen=True)
@@ -67,33 +73,40 @@ class Exposure:
 def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) -> Exposure:
     """Exposure for a clear frame, by running the graph's own lens and pixels on a small copy of it.
 
-    The geometric mean of the green signal (the brightest 5 % cut to their lower
-    edge) goes to a key between `NIGHT_KEY` and `DAY_KEY`, but the 95th percentile
-    of the strongest channel stays at or below `NIGHT_HIGHLIGHT` to `DAY_HIGHLIGHT`.
-    Time first, from the sensor's shortest to its longest; then ISO.  What the graph
-    gives as a number stays, and the other makes up for it.
+    The geometric mean of the signal behind the green (or clear) filters, the brightest
+    5 % cut to their lower edge, goes to a key between `NIGHT_KEY` and `DAY_KEY` of
+    saturation, but the 95th percentile of the strongest filter stays at or below
+    `NIGHT_HIGHLIGHT` to `DAY_HIGHLIGHT`.  Time first, from the sensor's shortest to
+    its longest; then ISO.  What the graph gives as a number stays, and the other
+    makes up for it.
+
+    Of several exposures that are merged the most sensitive is metered: the key
+    counts in its own saturation, highlights in that of the merged range.
 
     Args:
         radiance: the clear frame.
-        graph: has one 'sensor.expose' node and a sensor profile.
+        graph: has 'sensor.expose' and a sensor profile.
         compensation_ev: + is brighter [EV].
 
     Raises:
-        GraphError: the graph exposes nothing, or several times.
+        GraphError: the graph exposes nothing.
     """
     nodes = graph.nodes_with("sensor.expose")
     sensor = graph.profiles.get("sensor")
     inputs = [name for name, port in graph.inputs.items() if port.quantity is Quantity.RADIANCE]
-    if len(nodes) != 1 or not isinstance(sensor, SensorProfile) or len(inputs) != 1:
-        raise GraphError(f"graph {graph.name!r} cannot be metered: it needs one sensor.expose node, a sensor and one radiance input; give exposure_s a number")
+    if not nodes or not isinstance(sensor, SensorProfile) or len(inputs) != 1:
+        raise GraphError(f"graph {graph.name!r} cannot be metered: it needs a sensor.expose node, a sensor and one radiance input; give exposure_s a number")
     small = np.repeat(np.repeat(block_means(radiance.pixels, max(1, -(-radiance.width_px // METER_WIDTH_PX))), 2, axis=0), 2, axis=1)
     frame = radiance.with_pixels(small)
-    name = nodes[0].name
     sharp = graph.without([node.name for op in BLURS for node in graph.nodes_with(op)])
-    mosaic = sharp.run({inputs[0]: frame}, seed=0, overrides={f"{name}.exposure_s": 1.0}, until=name, keep=[name])[name].pixels[..., 0]
-    quads = np.stack([mosaic[0::2, 0::2], mosaic[0::2, 1::2], mosaic[1::2, 1::2]]).astype(np.float64) / sensor.saturation_e
-    green, strongest = quads[1].ravel(), quads.max(axis=0).ravel()
-    fixed_s = None if nodes[0].params["exposure_s"].is_auto else float(nodes[0].params["exposure_s"].value)
+    a_second = {f"{node.name}.exposure_s": 1.0 for node in nodes}
+    seen = {node.name: sharp.run({inputs[0]: frame}, seed=0, overrides=a_second, until=node.name, keep=[node.name])[node.name] for node in nodes}
+    chosen = max(nodes, key=lambda node: float(seen[node.name].pixels.mean(dtype=np.float64)))
+    own_e, merged_e = _saturation_e(sharp, inputs[0], radiance, sensor)
+    sites = _sites(seen[chosen.name])
+    green = sites["G" if "G" in sites else "C"] / own_e
+    strongest = np.max(list(sites.values()), axis=0) / merged_e
+    fixed_s = None if chosen.params["exposure_s"].is_auto else float(chosen.params["exposure_s"].value)
     gains = graph.nodes_with("sensor.gain")
     fixed_iso = float(gains[0].params["iso"].value) if gains and not gains[0].params["iso"].is_auto else None
     return _chosen(green, strongest, photometry.luminance(frame)[::2, ::2].ravel().astype(np.float64), sensor, 2.0**compensation_ev, fixed_s, fixed_iso)
@@ -104,23 +117,73 @@ def sensitivity(radiance: Image, graph: NodeGraph, exposure: Exposure) -> tuple[
 
     Args:
         radiance: any frame of the shot; its geometry is used, not its pixels.
-        graph: with one 'sensor.adc' node.
+        graph: with one 'sensor.adc' node, or with several and a 'sensor.merge_hdr',
+            whose most sensitive reading counts then.
         exposure: that it will be developed with.
 
     Returns:
-        electrons of 1 cd m-2 in the middle of the frame [e-], and the noise that does not depend on light [e-]; None where the graph has no such node.
+        electrons of 1 cd m-2 in the middle of the frame [e-], the mean over the colour filters, and the noise that does not depend
+        on light [e-]; None where the graph has no such node.
     """
-    nodes = graph.nodes_with("sensor.adc")
+    nodes = graph.nodes_with("sensor.merge_hdr")[-1:] or graph.nodes_with("sensor.adc")
+    exposes = [node.name for node in graph.nodes_with("sensor.expose")]
     inputs = [name for name, port in graph.inputs.items() if port.quantity is Quantity.RADIANCE]
-    if len(nodes) != 1 or len(inputs) != 1 or not exposure.mean_cd_m2 > 0.0:
+    if len(nodes) != 1 or len(inputs) != 1 or not exposes or not exposure.mean_cd_m2 > 0.0:
         return None
     level = np.float32(0.3 * exposure.mean_cd_m2)
     grey = radiance.with_pixels(np.full((32, 48, len(radiance.channels)), level, dtype=np.float32))
-    seen = graph.run({inputs[0]: grey}, seed=0, settings=exposure.settings, until=nodes[0].name, keep=[nodes[0].name])[nodes[0].name]
-    gain = float(seen.provenance["system_gain_dn_e"])
-    signal = float(seen.pixels[8:-8, 12:-12].mean()) - float(seen.provenance["black_level_dn"])
-    nits = float(photometry.luminance(grey).mean())
-    return (max(signal, 0.0) / gain / nits, float(seen.provenance["total_dark_noise_dn"]) / gain) if signal > 0.0 else None
+    run = graph.run({inputs[0]: grey}, seed=0, settings=exposure.settings, until=nodes[0].name, keep=[*exposes, nodes[0].name])
+    signal_e = max(float(run[name].pixels[8:-8, 12:-12].mean(dtype=np.float64)) for name in exposes if name in run)
+    facts, nits = run[nodes[0].name].provenance, float(photometry.luminance(grey).mean())
+    return (signal_e / nits, float(facts["total_dark_noise_dn"]) / float(facts["system_gain_dn_e"])) if signal_e > 0.0 else None
+
+
+def noise_floor(luminance_cd_m2: npt.NDArray[np.float64], *, electrons_per_cd_m2: float, dark_noise_e: float) -> npt.NDArray[np.float64]:
+    """What a pixel's own noise hides: the standard deviation of what it reads, as luminance.
+
+    sigma = sqrt(n L + sigma_d^2) / n, of shot noise and the noise in the dark.  Fixed
+    patterns are not in it: they are the same in every frame.
+
+    Args:
+        luminance_cd_m2: L [cd m-2], any shape; below 0 counts as 0.
+        electrons_per_cd_m2, dark_noise_e: n and sigma_d, as `sensitivity` gives them.
+
+    Returns:
+        sigma [cd m-2], float64, shape of `luminance_cd_m2`; the mean over the colour
+        filters in variance.  Above the first hand-over of a merged range the noise
+        is larger.
+
+    Source: EMVA 1288 release 4.0, section 2.4.
+    """
+    signal_e = np.maximum(luminance_cd_m2, 0.0) * electrons_per_cd_m2
+    return np.asarray(np.sqrt(signal_e + dark_noise_e**2) / max(electrons_per_cd_m2, 1e-30))
+
+
+def _sites(mosaic: Image) -> dict[str, npt.NDArray[np.float64]]:
+    """The pixels behind each filter of a mosaic that is even over 2 x 2 pixels, one of each two by two."""
+    rows = cfa.PATTERNS[mosaic.provenance["cfa_pattern"]]
+    corners = ((row, column) for row in (1, 0) for column in (0, 1))
+    return {rows[row % len(rows)][column % len(rows[0])]: mosaic.pixels[row::2, column::2, 0].astype(np.float64).ravel() for row, column in corners}
+
+
+def _saturation_e(graph: NodeGraph, name: str, radiance: Image, sensor: SensorProfile) -> tuple[float, float]:
+    """Electrons of the most sensitive exposure, at base ISO, at which it is full, and at which the merged range is."""
+    merges = graph.nodes_with("sensor.merge_hdr")
+    if not merges:
+        return sensor.saturation_e, sensor.saturation_e
+    blinding = radiance.with_pixels(np.full((16, 16, len(radiance.channels)), BLINDING_CD_M2, dtype=np.float32))
+    settings = {"exposure_s": sensor.longest_exposure_s, "iso": sensor.iso_base}
+    run: GraphRun = graph.run({name: blinding}, seed=0, settings=settings, until=merges[-1].name)
+    readings = [image for node, image in run.items() if graph.nodes[node].op.name == "sensor.adc"]
+    gathered = max(float(image.provenance["gathered_um2_s"]) for image in readings)
+
+    def full_e(image: Image) -> float:
+        facts = image.provenance
+        signal_dn = float(np.median(image.pixels)) - float(facts["black_level_dn"])
+        return signal_dn / float(facts["system_gain_dn_e"]) * gathered / float(facts["gathered_um2_s"])
+
+    own = max(full_e(image) for image in readings if image.provenance["gathered_um2_s"] == gathered)
+    return own, full_e(run[merges[-1].name])
 
 
 def _chosen(

@@ -1,7 +1,9 @@
-"""Ops of the image signal processor: from DN to a picture for a screen.
+"""Ops of the image signal processor: levels, white balance, colour and tone.
 
-In the order of the SynFog paper: black level, white balance, demosaic, colour
-correction, gamma; a tone curve may stand before the gamma.
+In the order of the SynFog paper: black level, white balance, demosaic
+(`camera/demosaic.py`), colour correction, gamma; a tone curve may stand before the
+gamma, and `camera/cleanup.py` has what may stand between.  A mosaic has one channel,
+'CFA'; a picture has R, G and B, or the one channel Y of a sensor that sees no colour.
 """
 
 from __future__ import annotations
@@ -9,43 +11,93 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from synfog_usd.camera import response
+from synfog_usd.camera import cfa, response
+from synfog_usd.camera.distortion import warped_like
 from synfog_usd.camera.optics import falloff_map
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import Auto, FromProfile, Port, Range
-from synfog_usd.graph.buffers import checked, pixels_of, to_buf
 from synfog_usd.image import FloatArray, Image, Quantity
 
 NUMBERS = Port(Quantity.DN, "mosaic")
 MOSAIC = Port(Quantity.LINEAR_RGB, "mosaic")
-LINEAR = Port(Quantity.LINEAR_RGB, "rgb")
-DISPLAY = Port(Quantity.DISPLAY_RGB, "rgb")
+PICTURE = Port(Quantity.LINEAR_RGB, "picture")
+DISPLAY = Port(Quantity.DISPLAY_RGB, "picture")
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Luminance of linear Rec.709 (ITU-R BT.709)."""
+
+MAX_DN = 2.0**24
+"""float32 holds whole numbers up to here."""
+
+
+@OPS.op("isp.decompand", takes=NUMBERS, gives=NUMBERS)
+def decompand(image: Image) -> Image:
+    """Companded numbers back to linear ones: the inverse of `sensor.compand`.
+
+    Straight pieces between the knee points; below the first the first piece goes
+    on, so that noise around black is kept.
+
+    Args:
+        image: whole numbers whose provenance says `companding` [[linear DN, code], ...],
+            `linear_black_dn` and `linear_white_dn`.
+
+    Raises:
+        ImageError: the provenance says none, knees that do not rise, or a number
+            above 65535.
+    """
+    _mosaic(image)
+    facts = dict(image.provenance)
+    if not {"companding", "linear_black_dn", "linear_white_dn"} <= facts.keys():
+        raise ImageError("the image does not say how it was companded; put sensor.compand before this node, or leave this node out")
+    knees = np.array(facts.pop("companding"), dtype=np.float64)
+    if knees.ndim != 2 or knees.shape[1] != 2 or len(knees) < 2 or not (np.diff(knees, axis=0) > 0.0).all():
+        raise ImageError(f"companding is {knees.tolist()}; it takes two or more pairs [linear DN, code], both rising")
+    highest = float(image.pixels.max())
+    if highest > 65535.0:
+        raise ImageError(f"the image holds {highest:g}; companded numbers go up to 65535")
+    linear, codes = knees.T
+    every = np.arange(max(highest, codes[-1]) + 1.0)
+    below = linear[0] + (every - codes[0]) * (linear[1] - linear[0]) / (codes[1] - codes[0])
+    table = np.where(every < codes[0], below, np.interp(every, codes, linear)).astype(np.float32)
+    pixels = np.take(table, np.rint(image.pixels).astype(np.int32), mode="clip")
+    black_dn, white_dn = facts.pop("linear_black_dn"), facts.pop("linear_white_dn")
+    return image.with_pixels(pixels, provenance={**facts, "black_level_dn": black_dn, "white_level_dn": white_dn, "bits": int(white_dn).bit_length()})
 
 
 @OPS.op("isp.black_level", takes=NUMBERS, gives=MOSAIC)
 def black_level(
     image: Image,
     *,
-    black_level_dn: Annotated[float, Range(0.0, 65535.0), FromProfile("sensor.black_level_dn")],
-    white_level_dn: Annotated[float, Range(1.0, 65535.0), FromProfile("sensor.white_level_dn")],
+    black_level_dn: Annotated[float | None, Range(0.0, MAX_DN)] = None,
+    white_level_dn: Annotated[float | None, Range(1.0, MAX_DN)] = None,
+    sensor: Annotated[SensorProfile | None, FromProfile("sensor")] = None,
 ) -> Image:
     """DN to a scale on which black is 0 and saturation is 1; noise below 0 is kept.
 
     Args:
         image: DN mosaic.
-        black_level_dn, white_level_dn: what becomes 0 and 1 [DN].
+        black_level_dn, white_level_dn: what becomes 0 and 1 [DN].  Empty: what the
+            image's provenance says (`sensor.adc` notes it), else the sensor profile.
+        sensor: see above.
 
     Raises:
-        ImageError: more than one channel, or black not below white.
+        ImageError: more than one channel, companded numbers, levels that nothing
+            names, or black not below white.
     """
     _mosaic(image)
-    if not black_level_dn < white_level_dn:
-        raise ImageError(f"black_level_dn {black_level_dn:g} is not below white_level_dn {white_level_dn:g}")
-    scale = np.float32(1.0 / (white_level_dn - black_level_dn))
-    return image.with_pixels((image.pixels - np.float32(black_level_dn)) * scale, quantity=Quantity.LINEAR_RGB)
+    if "companding" in image.provenance:
+        raise ImageError("the numbers are companded; put isp.decompand before this node")
+    black = _level(image, "black_level_dn", black_level_dn, sensor)
+    white = _level(image, "white_level_dn", white_level_dn, sensor)
+    if not black < white:
+        raise ImageError(f"black_level_dn {black:g} is not below white_level_dn {white:g}")
+    pixels = image.pixels - np.float32(black)
+    pixels /= np.float32(white - black)  # white becomes exactly 1
+    return image.with_pixels(pixels, quantity=Quantity.LINEAR_RGB)
 
 
 @OPS.op("isp.lens_shading", takes=MOSAIC, gives=MOSAIC)
@@ -59,7 +111,8 @@ def lens_shading(
 ) -> Image:
     """Brightens the corners that the lens left dark, and their noise with them.
 
-    Divides by (the falloff that `optics.irradiance` applied) ^ strength.
+    Divides by (the falloff that `optics.irradiance` applied, where `optics.distortion`
+    put it) ^ strength.
 
     Args:
         image: mosaic, black 0 and saturation 1; its provenance names the falloff.
@@ -72,9 +125,10 @@ def lens_shading(
     _mosaic(image)
     if "falloff" not in image.provenance:
         raise ImageError("the image does not say its falloff; optics.irradiance notes it")
-    fade = falloff_map(
-        image.height_px, image.width_px, kind=image.provenance["falloff"], f_number=image.provenance["f_number"], fov_x_deg=fov_x_deg, shift=(shift_x, shift_y)
-    )
+    facts, shift = image.provenance, (shift_x, shift_y)
+    table = facts.get("relative_illumination", ((), ()))
+    fade = falloff_map(image.height_px, image.width_px, kind=facts["falloff"], f_number=facts["f_number"], fov_x_deg=fov_x_deg, shift=shift, table=table)
+    fade = warped_like(fade, facts, fov_x_deg=fov_x_deg, shift=shift)
     return image.with_pixels(image.pixels / fade[..., None] ** np.float32(strength)).noted(lens_shading=strength)
 
 
@@ -82,91 +136,80 @@ def lens_shading(
 def white_balance(
     image: Image,
     *,
-    illuminant: Literal["d65", "a", "grey_world", "none"] = "d65",
+    illuminant: Literal["d65", "a", "hps", "led", "grey_world", "as_shot", "none"] = "d65",
     clip: bool = True,
     sensor: Annotated[SensorProfile, FromProfile("sensor")],
 ) -> Image:
-    """Gains of R, G, B that make white neutral, the smallest being 1.
+    """Gains of the filters that make white neutral, the smallest being 1.
+
+    A pattern of one or two filters (MONO, RCCC) has no colour to balance and keeps
+    its numbers.
 
     Args:
         image: mosaic, black 0 and saturation 1.
-        illuminant: the light whose white becomes neutral.  A known one by default:
-            grey_world takes the airlight's tint for a tint of the light.
+        illuminant: the light whose white becomes neutral: daylight (d65), tungsten
+            (a), high-pressure sodium (hps), a white LED (led), or the neutral in the
+            image's provenance (as_shot).  A known one by default: grey_world takes
+            the airlight's tint for a tint of the light.
         clip: cut at 1 afterwards, so that saturated pixels are white, not tinted.
         sensor: its neutral is used.
 
     Raises:
-        ImageError: grey_world on a picture with a channel that is black.
+        ImageError: a filter without signal (grey_world on a black picture), as_shot
+            without a neutral, or one for other filters.
     """
     _mosaic(image)
-    if illuminant == "none":
-        signal = np.ones(3)
-    elif illuminant == "grey_world":
-        sums, counts = np.zeros(3), np.zeros(3)
-        for row, column, channel in _sites():
-            site = image.pixels[row::2, column::2, 0]
-            sums[channel] += site.sum(dtype=np.float64)
-            counts[channel] += site.size
-        signal = sums / np.maximum(counts, 1.0)
-        if not (signal > 0.0).all():
-            raise ImageError(f"grey_world cannot balance mean signals of {signal.tolist()}; set illuminant: d65")
-    else:
-        signal = np.array(response.neutral(sensor, illuminant.upper()))
+    pattern = pattern_of(image, sensor)
+    letters = cfa.filters(pattern)
+    signal = np.ones(len(letters)) if illuminant == "none" or len(letters) < 3 else _white(image, pattern, illuminant, sensor)
+    if signal.size != len(letters):
+        raise ImageError(f"a neutral of {signal.size} numbers does not fit the filters {', '.join(letters)} of {pattern}; the image is from another sensor")
+    if not (signal > 0.0).all():
+        raise ImageError(f"{illuminant} cannot balance signals of {signal.tolist()} behind {', '.join(letters)}; set illuminant: d65")
     gains = signal.max() / signal
-    pixels = image.pixels.copy()
-    for row, column, channel in _sites():
-        pixels[row::2, column::2] *= np.float32(gains[channel])
+    rows = cfa.PATTERNS[pattern]
+    pixels = np.empty_like(image.pixels)
+    for row, line in enumerate(rows):
+        factors = np.resize([gains[letters.index(letter)] for letter in line], image.width_px).astype(np.float32)
+        np.multiply(image.pixels[row :: len(rows), :, 0], factors, out=pixels[row :: len(rows), :, 0])
     if clip:
         np.minimum(pixels, 1.0, out=pixels)
     return image.with_pixels(pixels).noted(white_balance=illuminant, wb_gains=[float(value) for value in gains])
 
 
-@OPS.op("isp.demosaic", takes=MOSAIC, gives=LINEAR)
-def demosaic(image: Image, *, algorithm: Literal["linear", "mhc"] = "linear") -> Image:
-    """The two missing colours of each pixel from its neighbours, by OpenImageIO.
-
-    Args:
-        image: white-balanced mosaic, R G over G B, at least 2 x 2.
-        algorithm: linear is the best of the two in noise and fog; mhc (Malvar, He and
-            Cutler 2004) is sharper in clear, clean pictures.
-
-    Raises:
-        ImageError: OpenImageIO failed, or the picture is smaller than 2 x 2.
-    """
-    import OpenImageIO
-
-    _mosaic(image)
-    if image.height_px < 2 or image.width_px < 2:
-        raise ImageError(f"{image.width_px} x {image.height_px} pixels hold no full mosaic; the least is 2 x 2")
-    algorithm_name = {"linear": "linear", "mhc": "MHC"}[algorithm]
-    buf = OpenImageIO.ImageBufAlgo.demosaic(to_buf(image), pattern="bayer", algorithm=algorithm_name, layout="RGGB")
-    return image.with_pixels(pixels_of(checked(buf, "demosaic")), channels=("R", "G", "B"))
-
-
-@OPS.op("isp.colour_correct", takes=LINEAR, gives=LINEAR)
+@OPS.op("isp.colour_correct", takes=PICTURE, gives=PICTURE)
 def colour_correct(
     image: Image,
     *,
-    illuminant: Literal["d65", "a"] = "d65",
+    illuminant: Literal["d65", "a", "hps", "led"] = "d65",
     sensor: Annotated[SensorProfile, FromProfile("sensor")],
 ) -> Image:
-    """Camera colours to linear Rec.709 by the 3x3 fitted for one light; white stays.
+    """Camera colours to linear Rec.709 by the matrix fitted for one light; white stays.
 
     Args:
-        image: white-balanced camera colours (H, W, 3).
-        illuminant: the light of the fit.
+        image: white-balanced camera colours (H, W, F), a channel per filter of the
+            sensor; or Y alone, which stays as it is.
+        illuminant: the light of the fit; see `isp.white_balance`.
         sensor: whose colours.
 
     The error of the fit over a ColorChecker goes into the provenance (CIEDE2000).
+
+    Raises:
+        ImageError: other channels than the sensor's filters.
     """
+    if image.channels == ("Y",):
+        return image
+    letters = cfa.filters(sensor.cfa)
+    if image.channels != letters:
+        raise ImageError(f"the picture has {', '.join(image.channels)}; sensor {sensor.name} has the filters {', '.join(letters)}, as isp.demosaic gives them")
     matrix = response.colour_matrix(sensor, illuminant.upper())
-    pixels = image.pixels @ np.array(matrix.rows, dtype=np.float32).T
-    return image.with_pixels(pixels).noted(
+    pixels = image.pixels @ np.ascontiguousarray(np.array(matrix.rows, dtype=np.float32).T)  # three times faster than the view
+    return image.with_pixels(pixels, channels=("R", "G", "B")).noted(
         colour_matrix=[list(row) for row in matrix.rows], colour_matrix_mean_de00=matrix.mean_de00, colour_matrix_max_de00=matrix.max_de00
     )
 
 
-@OPS.op("isp.tone", takes=LINEAR, gives=LINEAR)
+@OPS.op("isp.tone", takes=PICTURE, gives=PICTURE)
 def tone(
     image: Image,
     *,
@@ -179,25 +222,72 @@ def tone(
     meets the straight part with the same slope and reaches 1 flat.
 
     Args:
-        image: linear Rec.709; what is above 1 becomes 1.
+        image: linear Rec.709 or Y; what is above 1 becomes 1.
         brighten_ev: slope of the straight part [EV].
         shoulder: s [1].
+
+    Raises:
+        ImageError: the channels are not R, G, B or Y.
     """
+    _picture(image)
     gain = 2.0**brighten_ev
     power = (gain - shoulder) / (1.0 - shoulder)
-    pixels = image.pixels * np.float32(gain)
-    over = pixels > shoulder
-    u = np.minimum((pixels[over] - np.float32(shoulder)) / np.float32(gain - shoulder), 1.0)
-    pixels[over] = np.float32(shoulder) + np.float32(1.0 - shoulder) * (1.0 - (1.0 - u) ** np.float32(power))
-    return image.with_pixels(pixels)
+    straight = image.pixels * np.float32(gain)
+    rest = straight * np.float32(-1.0 / (gain - shoulder))  # 1 - u: 1 below the shoulder, 0 from saturation on
+    rest += np.float32(gain / (gain - shoulder))
+    np.clip(rest, 0.0, 1.0, out=rest)
+    np.power(rest, np.float32(power), out=rest)
+    rest *= np.float32(shoulder - 1.0)
+    rest += np.float32(1.0 - shoulder)
+    np.minimum(straight, np.float32(shoulder), out=straight)
+    straight += rest
+    return image.with_pixels(straight)
 
 
-@OPS.op("isp.gamma", takes=LINEAR, gives=DISPLAY)
+@OPS.op("isp.tone_hdr", takes=PICTURE, gives=PICTURE)
+def tone_hdr(image: Image, *, range_ev: Annotated[float, Range(1.0, 24.0)] = 12.0) -> Image:
+    """Shadows and lamps of a wide range in one picture: brightness on the screen is the logarithm of luminance.
+
+    The sRGB code of Y becomes ln(1 + m Y) / ln(1 + m), m = 2^range_ev: every doubling of
+    light gets the same step on the screen, down to where m Y = 1; below that the curve runs
+    straight into black.  Colours keep R : G : B; one that would need more than 1 of a
+    channel is darkened, not bleached.  The curve does not look at the picture, so a clear
+    and a foggy frame get the same one.
+
+    Args:
+        image: linear Rec.709 or Y, saturation 1.
+        range_ev: how far below saturation the straight part begins [EV].  Too large lifts
+            noise, too small loses shadows.
+
+    Raises:
+        ImageError: the channels are not R, G, B or Y.
+
+    Source: the curve: Kalantari and Ramamoorthi, "Deep high dynamic range imaging of
+    dynamic scenes" (2017), section 4 (there m = 5000, 12.3 EV), from the mu-law of ITU-T G.711.
+    """
+    _picture(image)
+    steepness = 2.0**range_ev
+    bright = np.clip(luminance_of(image.pixels), np.float32(1e-3 / steepness), np.float32(1.0))
+    factor = np.log1p(bright * np.float32(steepness))
+    factor *= np.float32(1.0 / np.log1p(steepness))
+    factor = decoded_srgb(factor)
+    factor /= bright
+    if len(image.channels) == 3:
+        top = np.maximum(np.maximum(image.pixels[..., 0:1], image.pixels[..., 1:2]), image.pixels[..., 2:3])
+        np.minimum(factor, np.float32(1.0) / np.maximum(top, bright), out=factor)
+    return image.with_pixels(image.pixels * factor)
+
+
+@OPS.op("isp.gamma", takes=PICTURE, gives=DISPLAY)
 def gamma(image: Image) -> Image:
-    """Linear Rec.709 to sRGB, cut to 0 to 1.
+    """Linear Rec.709, or Y, to sRGB, cut to 0 to 1.
+
+    Raises:
+        ImageError: the channels are not R, G, B or Y.
 
     Source: IEC 61966-2-1.
     """
+    _picture(image)
     return image.with_pixels(encoded_srgb(image.pixels), quantity=Quantity.DISPLAY_RGB)
 
 
@@ -218,10 +308,68 @@ def encoded_srgb(linear: FloatArray) -> FloatArray:
     return encoded
 
 
-def _sites() -> tuple[tuple[int, int, int], ...]:
-    return tuple((row, column, response.BAYER_RGGB[row][column]) for row in (0, 1) for column in (0, 1))
+def decoded_srgb(encoded: FloatArray) -> FloatArray:
+    """Linear values of sRGB codes from 0 to 1, any shape, float32: the inverse of `encoded_srgb`.
+
+    >>> [round(float(value), 4) for value in decoded_srgb(np.array([0.0, 0.02, 0.4614, 1.0], dtype=np.float32))]
+    [0.0, 0.0015, 0.18, 1.0]
+    """
+    linear = encoded * np.float32(1.0 / 1.055)
+    linear += np.float32(0.055 / 1.055)
+    np.power(linear, np.float32(2.4), out=linear)
+    np.copyto(linear, encoded * np.float32(1.0 / 12.92), where=encoded <= 0.04045)
+    return linear
+
+
+def luminance_of(pixels: FloatArray) -> FloatArray:
+    """(H, W, 1) luminance of (H, W, 3) linear Rec.709; (H, W, 1) as it is."""
+    return pixels if pixels.shape[2] == 1 else (pixels @ np.array(LUMINANCE, dtype=np.float32))[..., None]
+
+
+def pattern_of(image: Image, sensor: SensorProfile | None) -> str:
+    """The colour filters of a mosaic: as its provenance says, else as the sensor profile says.
+
+    Raises:
+        ImageError: neither says, or the pattern is not known.
+    """
+    pattern = image.provenance.get("cfa_pattern", sensor.cfa if sensor else None)
+    if pattern not in cfa.PATTERNS:
+        found = "the image does not say its cfa_pattern" if pattern is None else f"cfa_pattern {pattern!r} is not known"
+        raise ImageError(f"{found}; it can be {', '.join(cfa.PATTERNS)}. sensor.expose notes it, and a sensor profile names it")
+    return str(pattern)
+
+
+def _white(image: Image, pattern: str, illuminant: str, sensor: SensorProfile) -> npt.NDArray[np.float64]:
+    """(F,) signal of a white surface behind each filter, to any scale."""
+    if illuminant == "as_shot":
+        if "as_shot_neutral" not in image.provenance:
+            raise ImageError("the image does not say its as_shot_neutral; sensor.adc notes it. Name the light instead, such as illuminant: d65")
+        return np.array(image.provenance["as_shot_neutral"], dtype=np.float64)
+    if illuminant != "grey_world":
+        return np.array(response.neutral(sensor, illuminant.upper()))
+    sums, counts = np.zeros(len(cfa.filters(pattern))), np.zeros(len(cfa.filters(pattern)))
+    for where, number in cfa.sites(pattern):
+        site = image.pixels[where]
+        sums[number] += site.sum(dtype=np.float64)
+        counts[number] += site.size
+    return sums / np.maximum(counts, 1.0)
+
+
+def _level(image: Image, name: str, given: float | None, sensor: SensorProfile | None) -> float:
+    if given is not None:
+        return given
+    if name in image.provenance:
+        return float(image.provenance[name])
+    if sensor is None:
+        raise ImageError(f"the image does not say its {name}; sensor.adc notes it. Give {name} a number, or name a sensor")
+    return float(getattr(sensor, name))
 
 
 def _mosaic(image: Image) -> None:
     if len(image.channels) != 1:
         raise ImageError(f"a mosaic has one channel; this image has {', '.join(image.channels)}")
+
+
+def _picture(image: Image) -> None:
+    if image.channels not in (("R", "G", "B"), ("Y",)):
+        raise ImageError(f"a picture has R, G, B, or Y; this image has {', '.join(image.channels)}. isp.demosaic and isp.colour_correct make one")

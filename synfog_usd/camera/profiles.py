@@ -17,11 +17,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from synfog_usd import resources
+from synfog_usd.camera import cfa
 from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.yamlio import Located, load_file
 
 CAMERAS_MEASURED = ("Nikon 5100 (NPL)", "Sigma SDMerill (NPL)")
 """Spectral sensitivities that colour-science ships in `MSDS_CAMERA_SENSITIVITIES`."""
+
+OBSERVERS = ("cie1931",)
+"""Observers whose colour matching functions can stand for a sensor's."""
 
 MAX_CURVE_BYTES = 1 << 20
 
@@ -30,42 +34,79 @@ T = TypeVar("T", "SensorProfile", "LensProfile")
 
 @dataclass(frozen=True)
 class Limits:
-    """What a value of a profile may be; `whole` numbers are kept as int."""
+    """What a value of a profile may be; `whole` numbers are kept as int, and one with a `default` may be left out."""
 
     low: float
     high: float
     whole: bool = False
+    default: float | None = None
 
 
-def _value(low: float, high: float, *, whole: bool = False) -> Any:
-    return dataclasses.field(metadata={"limits": Limits(low, high, whole)})
+def _value(low: float, high: float, *, whole: bool = False, default: float | None = None) -> Any:
+    return dataclasses.field(metadata={"limits": Limits(low, high, whole, default)})
+
+
+SHAPES = {
+    "gaussian": (Limits(200.0, 2000.0), Limits(1.0, 2000.0), Limits(0.0, 1.0)),
+    "long_pass": (Limits(200.0, 2000.0), Limits(0.1, 500.0)),
+    "short_pass": (Limits(200.0, 2000.0), Limits(0.1, 500.0)),
+    "flat": (Limits(0.0, 1.0),),
+}
+"""Curves that a few numbers describe, and what these may be; see `Curve`."""
+
+SHAPE_WORDS = "{csv: file}, {gaussian: [centre_nm, fwhm_nm, peak]}, {long_pass: [nm, width_nm]}, {short_pass: [nm, width_nm]} or {flat: value}"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One factor of a quantum efficiency over the wavelength, 0 to 1.
+
+    Attributes:
+        kind: 'csv', or one of `SHAPES`.
+        numbers: of 'csv' wavelength_nm, value, wavelength_nm, value ..., 0 outside;
+            of 'gaussian' centre_nm, fwhm_nm, peak; of 'long_pass' and 'short_pass'
+            the wavelength at which half is left and the width [nm] over which the
+            edge goes from 10 % to 90 %; of 'flat' the value.
+    """
+
+    kind: str
+    numbers: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class QuantumEfficiency:
-    """Where the quantum efficiency of the three colour channels comes from.
+    """Where the quantum efficiency behind each colour filter comes from: one of the four.
 
     Attributes:
         camera: name in colour-science's `MSDS_CAMERA_SENSITIVITIES`, or ''.  Those
             are relative and per watt, so they are divided by the wavelength and
             scaled until the highest channel reaches `peak`.
-        peak: highest quantum efficiency [1], 0 to 1; of `camera` only.
-        table: rows of (wavelength_nm, R, G, B) from a CSV file, absolute [1]; or ().
+        observer: one of `OBSERVERS`, or ''.  R, G and B see its functions x, y and z,
+            divided and scaled in the same way.
+        peak: highest quantum efficiency [1], 0 to 1; of `camera` and `observer`.
+        table: rows of (wavelength_nm, one value per filter in the order of
+            `cfa.filters`) from a CSV file, absolute [1]; or ().
+        common: factors that all filters share (the silicon, an infra-red cut); or ().
+        filters: one factor per filter, in the order of `cfa.filters`; or ().
     """
 
     camera: str = ""
+    observer: str = ""
     peak: float = 0.0
-    table: tuple[tuple[float, float, float, float], ...] = ()
+    table: tuple[tuple[float, ...], ...] = ()
+    common: tuple[Curve, ...] = ()
+    filters: tuple[Curve, ...] = ()
 
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """A sensor with a Bayer mosaic (R G over G B).
+    """A sensor.
 
     Attributes:
         name: short name, as graphs use it.
         title: what it is, for people.
-        serial: which specimen; PRNU and DSNU are drawn from it, the same in every frame.
+        serial: which specimen; its fixed patterns are drawn from it, the same in every frame.
+        cfa: colour filter pattern, one of `cfa.PATTERNS`.
         pixel_pitch_um: side of a pixel [um].
         fill_factor: light-sensitive part of the pixel with its microlens [1].
         full_well_e: electrons that a pixel holds [e-].
@@ -75,11 +116,13 @@ class SensorProfile:
         dark_current_e_s: at 25 degrees C [e-/s].
         prnu_percent: standard deviation of the response between pixels [%].
         dsnu_e: standard deviation of the offset between pixels [e-].
+        row_noise_dn, column_noise_dn: standard deviation of the offset between rows, and
+            between columns, the same in every frame [DN]; 0 where the file leaves them out.
         bits: of the converter.
         black_level_dn, white_level_dn: DN of no light, and of saturation.
         iso_base, iso_max: ISO speed at a gain of 1, and the highest.
         shortest_exposure_s, longest_exposure_s: what automatic exposure may use [s].
-        qe: quantum efficiency.
+        qe: quantum efficiency of each filter.
         sources: name of a value -> where it is from.
         content_hash: SHA-256 of the values.
     """
@@ -87,6 +130,7 @@ class SensorProfile:
     name: str
     title: str
     serial: str
+    cfa: str
     pixel_pitch_um: float = _value(0.3, 50.0)
     fill_factor: float = _value(0.01, 1.0)
     full_well_e: float = _value(100.0, 1e7)
@@ -96,6 +140,8 @@ class SensorProfile:
     dark_current_e_s: float = _value(0.0, 1e5)
     prnu_percent: float = _value(0.0, 20.0)
     dsnu_e: float = _value(0.0, 1e3)
+    row_noise_dn: float = _value(0.0, 1e3, default=0.0)
+    column_noise_dn: float = _value(0.0, 1e3, default=0.0)
     bits: int = _value(8, 16, whole=True)
     black_level_dn: int = _value(0, 65535, whole=True)
     white_level_dn: int = _value(1, 65535, whole=True)
@@ -124,6 +170,11 @@ class LensProfile:
         focal_length_mm: [mm]; written into the RAW file, the field of view is the scene's.
         transmission: part of the light that the glass lets through [1].
         glare_fraction: part of the light that surfaces, dust and edges scatter over the picture [1].
+        blades: straight edges of the aperture; 0 for a round one.
+        distortion: OpenCV's k1, k2, p1, p2, then k3, then k4, k5, k6; () for none.
+        field_deg, relative_illumination: angles to the axis [degrees], rising from 0, and
+            the light there [1]; () for none.
+        ghost_fractions: part of a lamp's light that goes into each ghost [1]; () for none.
         sources: name of a value -> where it is from.
         content_hash: SHA-256 of the values.
     """
@@ -134,6 +185,11 @@ class LensProfile:
     focal_length_mm: float = _value(0.1, 2000.0)
     transmission: float = _value(0.01, 1.0)
     glare_fraction: float = _value(0.0, 0.5)
+    blades: int = _value(0, 32, whole=True, default=0)
+    distortion: tuple[float, ...] = ()
+    field_deg: tuple[float, ...] = ()
+    relative_illumination: tuple[float, ...] = ()
+    ghost_fractions: tuple[float, ...] = ()
     sources: tuple[tuple[str, str], ...] = ()
     content_hash: str = ""
 
@@ -145,10 +201,10 @@ def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
         ParameterError: no such profile, or a fault in it, with its place.
     """
     path = _find(reference, folder, "sensors")
-    reader = _Reader(path, "sensor/1", ("serial", "qe"), SensorProfile)
-    serial = reader.text("serial")
-    qe, qe_source = reader.quantum_efficiency()
-    profile = reader.profile(SensorProfile, serial=serial, qe=qe)
+    reader = _Reader(path, "sensor/1", ("serial", "cfa", "qe"), SensorProfile)
+    serial, pattern = reader.text("serial"), reader.pattern()
+    qe, qe_source = reader.quantum_efficiency(pattern)
+    profile = reader.profile(SensorProfile, serial=serial, cfa=pattern, qe=qe)
     for low, high in (("black_level_dn", "white_level_dn"), ("iso_base", "iso_max"), ("shortest_exposure_s", "longest_exposure_s")):
         if getattr(profile, low) >= getattr(profile, high):
             raise ParameterError(f"{reader.place(low)}: {low} {getattr(profile, low):g} is not below {high} {getattr(profile, high):g}")
@@ -160,8 +216,23 @@ def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
 
 
 def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
-    """A lens; see `load_sensor`."""
-    return _Reader(_find(reference, folder, "lenses"), "lens/1", (), LensProfile).profile(LensProfile)
+    """A lens; see `load_sensor`.  `blades`, `distortion`, `relative_illumination` and `ghost_fractions` may be left out."""
+    reader = _Reader(_find(reference, folder, "lenses"), "lens/1", ("distortion", "relative_illumination", "ghost_fractions"), LensProfile)
+    more: dict[str, Any] = {}
+    sources: list[tuple[str, str]] = []
+    for key, limits, counts in (("distortion", Limits(-1000.0, 1000.0), (4, 5, 8)), ("ghost_fractions", Limits(0.0, 0.05), (1, 2, 3, 4))):
+        if key in reader.fields:
+            (more[key],), source = reader.numbers(key, {"value": limits}, counts)
+            sources.append((key, source))
+    if "relative_illumination" in reader.fields:
+        columns, source = reader.numbers("relative_illumination", {"field_deg": Limits(0.0, 89.0), "value": Limits(0.0, 2.0)})
+        more["field_deg"], more["relative_illumination"] = columns
+        angles = columns[0]
+        if angles[0] != 0.0 or list(angles) != sorted(set(angles)):
+            raise ParameterError(f"{reader.place('relative_illumination')}: field_deg is {list(angles)}; it rises from 0")
+        sources.append(("relative_illumination", source))
+    profile = reader.profile(LensProfile, **more)
+    return dataclasses.replace(profile, sources=(*profile.sources, *sources))
 
 
 def shipped(kind: str) -> tuple[str, ...]:
@@ -228,10 +299,27 @@ class _Reader:
         return self.source_texts[item.value]
 
     def number(self, key: str) -> tuple[float, str]:
-        item, limits = self.item(key), self.limits[key]
+        limits = self.limits[key]
+        if key not in self.fields and limits.default is not None:
+            return limits.default, "not in the file"
+        item = self.item(key)
         if not isinstance(item.value, dict) or set(item.value) - {"value", "source"} or "value" not in item.value:
             raise ParameterError(f"{item.place}: {key} is {item.plain()!r}; it takes {{value: ..., source: ...}}")
         return _in_limits(key, item.value["value"], limits), self.source(key, item.value, item)
+
+    def numbers(self, key: str, columns: Mapping[str, Limits], counts: tuple[int, ...] = ()) -> tuple[list[tuple[float, ...]], str]:
+        """Lists of equal length, by the names of `columns`, and their source; `counts` says how many, else two and more."""
+        item = self.item(key)
+        form = f"{{{', '.join(f'{name}: [...]' for name in columns)}, source: ...}}"
+        fields = item.value if isinstance(item.value, dict) else {}
+        if set(fields) - {"source"} != set(columns) or not all(isinstance(fields[name].value, list) for name in columns):
+            raise ParameterError(f"{item.place}: {key} is {item.plain()!r}; it takes {form}")
+        lengths = {len(fields[name].value) for name in columns}
+        if len(lengths) > 1 or not (lengths <= set(counts) if counts else min(lengths) >= 2):
+            wanted = " or ".join(map(str, counts)) or "as many of each, two or more"
+            raise ParameterError(f"{item.place}: {key} has lists of {' and '.join(map(str, sorted(lengths)))} numbers; it takes {wanted}")
+        found = [tuple(_in_limits(f"{key} {name}", number, limits) for number in fields[name].value) for name, limits in columns.items()]
+        return found, self.source(key, fields, item)
 
     def profile(self, record: type[T], **more: Any) -> T:
         values, sources = {}, []
@@ -243,24 +331,67 @@ class _Reader:
         digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
         return record(name=name, title=title, **values, **more, sources=tuple(sources), content_hash=digest)  # type: ignore[arg-type]
 
-    def quantum_efficiency(self) -> tuple[QuantumEfficiency, str]:
-        item = self.item("qe")
-        fields = item.value if isinstance(item.value, dict) else {}
-        if set(fields) == {"camera", "peak", "source"}:
-            camera = fields["camera"]
-            if camera.value not in CAMERAS_MEASURED:
-                known = ", ".join(CAMERAS_MEASURED)
-                raise ParameterError(
-                    f"{camera.place}: camera {camera.plain()!r} is not known; it can be {known}.{did_you_mean(str(camera.value), CAMERAS_MEASURED)}"
-                )
-            peak = _in_limits("peak", fields["peak"], Limits(0.01, 1.0))
-            return QuantumEfficiency(camera=camera.value, peak=peak), self.source("qe", fields, item)
-        if set(fields) == {"csv", "source"}:
-            return QuantumEfficiency(table=self.curves(fields["csv"])), self.source("qe", fields, item)
-        raise ParameterError(f"{item.place}: qe takes {{camera: ..., peak: ..., source: ...}} or {{csv: file, source: ...}}")
+    def pattern(self) -> str:
+        item = self.item("cfa")
+        if item.value not in cfa.PATTERNS:
+            raise ParameterError(f"{item.place}: cfa is {item.plain()!r}; it can be {', '.join(cfa.PATTERNS)}.{did_you_mean(str(item.value), cfa.PATTERNS)}")
+        return str(item.value)
 
-    def curves(self, item: Located) -> tuple[tuple[float, float, float, float], ...]:
-        """Rows of a CSV file with the columns wavelength_nm, R, G, B; rising wavelengths, values 0 to 1."""
+    def quantum_efficiency(self, pattern: str) -> tuple[QuantumEfficiency, str]:
+        item, letters = self.item("qe"), cfa.filters(pattern)
+        fields = item.value if isinstance(item.value, dict) else {}
+        kinds = [kind for kind in ("camera", "observer", "csv", "product") if kind in fields]
+        kind = kinds[0] if len(kinds) == 1 else ""
+        if not kind or set(fields) != {kind, "source"} | ({"peak"} if kind in ("camera", "observer") else set()):
+            raise ParameterError(
+                f"{item.place}: qe takes {{camera: ..., peak: ..., source: ...}}, {{observer: cie1931, peak: ..., source: ...}}, "
+                "{csv: file, source: ...} or {product: ..., source: ...}"
+            )
+        source = self.source("qe", fields, item)
+        if kind == "csv":
+            return QuantumEfficiency(table=self.table(fields["csv"], letters)), source
+        if kind == "product":
+            common, filters = self.product(fields["product"], letters)
+            return QuantumEfficiency(common=common, filters=filters), source
+        chosen, known = fields[kind], CAMERAS_MEASURED if kind == "camera" else OBSERVERS
+        if chosen.value not in known:
+            hint = did_you_mean(str(chosen.value), known)
+            raise ParameterError(f"{chosen.place}: {kind} {chosen.plain()!r} is not known; it can be {', '.join(known)}.{hint}")
+        if letters != ("R", "G", "B"):
+            raise ParameterError(f"{item.place}: {kind} has curves for R, G and B; pattern {pattern} has {', '.join(letters)}; give a csv or a product")
+        peak = _in_limits("peak", fields["peak"], Limits(0.01, 1.0))
+        return QuantumEfficiency(**{kind: chosen.value}, peak=peak), source
+
+    def product(self, item: Located, letters: tuple[str, ...]) -> tuple[tuple[Curve, ...], tuple[Curve, ...]]:
+        """Factors of all filters, and those of each; a clear filter may be left out."""
+        fields = item.value if isinstance(item.value, dict) else {}
+        if "sensor" not in fields or not set(fields) <= {"sensor", "ir_filter", "filters"}:
+            raise ParameterError(f"{item.place}: product takes sensor: a curve, and if need be ir_filter: a curve and filters: {{letter: curve, ...}}")
+        common = tuple(self.curve(key, fields[key]) for key in ("sensor", "ir_filter") if key in fields)
+        named = fields["filters"].value if "filters" in fields else {}
+        if not isinstance(named, dict) or not set(letters) - {"C"} <= set(named) <= set(letters):
+            place = fields["filters"].place if "filters" in fields else item.place
+            raise ParameterError(f"{place}: filters takes a curve for each of {', '.join(letters)}; C may be left out")
+        return common, tuple(self.curve(letter, named[letter]) if letter in named else Curve("flat", (1.0,)) for letter in letters)
+
+    def curve(self, where: str, item: Located) -> Curve:
+        fields = item.value if isinstance(item.value, dict) else {}
+        kind = next(iter(fields), "")
+        if len(fields) != 1 or kind not in ("csv", *SHAPES):
+            raise ParameterError(f"{item.place}: {where} is {item.plain()!r}; it takes {SHAPE_WORDS}.{did_you_mean(kind, ('csv', *SHAPES))}")
+        if kind == "csv":
+            return Curve("csv", tuple(number for row in self.table(fields["csv"], ("value",)) for number in row))
+        given = fields[kind].value if isinstance(fields[kind].value, list) else [fields[kind]]
+        if len(given) != len(SHAPES[kind]):
+            raise ParameterError(f"{fields[kind].place}: {where} has {len(given)} numbers for {kind}; it takes {SHAPE_WORDS}")
+        return Curve(kind, tuple(_in_limits(f"{kind} of {where}", number, limits) for number, limits in zip(given, SHAPES[kind], strict=True)))
+
+    def table(self, item: Located, names: tuple[str, ...]) -> tuple[tuple[float, ...], ...]:
+        """Rows (wavelength_nm, one value per name) of a CSV file; rising wavelengths, values 0 to 1.
+
+        A line that begins with 'wavelength' names the columns, in any order; without
+        one they stand in the order of `names`.
+        """
         if not isinstance(item.value, str):
             raise ParameterError(f"{item.place}: csv is {item.plain()!r}; it takes a path that starts from the profile's folder")
         path = self.path.parent / item.value
@@ -268,19 +399,30 @@ class _Reader:
             data = path.read_bytes()[:MAX_CURVE_BYTES].decode("utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise ParameterError(f"{item.place}: {path} cannot be read ({error})") from error
-        rows: list[tuple[float, float, float, float]] = []
+        wanted = f"wavelength_nm, {', '.join(names)}"
+        order = tuple(range(1, len(names) + 1))
+        rows: list[tuple[float, ...]] = []
         for number, line in enumerate(data.splitlines(), start=1):
-            if not line.strip() or line.lstrip().startswith(("#", "wavelength")):
+            cells = [cell.strip() for cell in line.split(",")]
+            if not line.strip() or cells[0].startswith("#"):
+                continue
+            if cells[0].startswith("wavelength"):
+                if len(names) > 1 and sorted(cells[1:]) != sorted(names):
+                    raise ParameterError(f"{path}:{number}: the columns are {', '.join(cells)}; they have to be {wanted}, in any order")
+                order = tuple(cells.index(name) for name in names) if len(names) > 1 else order
                 continue
             try:
-                wavelength, red, green, blue = (float(cell) for cell in line.split(","))
-            except ValueError:
-                raise ParameterError(f"{path}:{number}: {line.strip()!r} is not wavelength_nm, R, G, B") from None
+                numbers = [float(cell) for cell in cells]
+                wavelength, values = numbers[0], tuple(numbers[column] for column in order)
+            except (ValueError, IndexError):
+                numbers = []
+            if len(numbers) != len(names) + 1:
+                raise ParameterError(f"{path}:{number}: {line.strip()!r} is not {wanted}") from None
             if not 200.0 <= wavelength <= 2000.0 or (rows and wavelength <= rows[-1][0]):
                 raise ParameterError(f"{path}:{number}: wavelength {wavelength:g} nm is outside 200 to 2000 or does not rise")
-            if not all(0.0 <= value <= 1.0 for value in (red, green, blue)):
+            if not all(0.0 <= value <= 1.0 for value in values):
                 raise ParameterError(f"{path}:{number}: a quantum efficiency is outside 0 to 1")
-            rows.append((wavelength, red, green, blue))
+            rows.append((wavelength, *values))
         if len(rows) < 2:
             raise ParameterError(f"{path}: {len(rows)} rows; a curve needs two or more")
         return tuple(rows)

@@ -1,20 +1,21 @@
 """Ops of the sensor in the order of EMVA 1288: from irradiance to numbers.
 
-Electrons and DN are mosaics of one channel, 'CFA', with R G over G B.  Temporal
-noise comes from the node's own stream; PRNU and DSNU from the sensor's serial, the
-same in every frame.
+Electrons and DN are mosaics of one channel, 'CFA', behind the filters of the
+profile's pattern.  Temporal noise comes from the node's own stream; PRNU, DSNU and
+the patterns of rows and columns from the sensor's serial, the same in every frame.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from typing import Annotated
+from concurrent.futures import ThreadPoolExecutor
+from typing import Annotated, Literal
 
 import numpy as np
 
-from synfog_usd import seeds
-from synfog_usd.camera import response
+from synfog_usd import photometry, seeds
+from synfog_usd.camera import cfa, response
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
@@ -28,6 +29,12 @@ NUMBERS = Port(Quantity.DN, "mosaic")
 MAX_MEAN_E = 1e15
 """A million times any well; numpy draws Poisson numbers up to 9e18."""
 
+STRIPS = 4
+"""Parts that shot noise is drawn in, each with a stream of its own: the same whatever the number of processors."""
+
+THREADS = 2
+"""Strips that are drawn at a time."""
+
 
 @OPS.op("sensor.expose", takes=Quantity.IRRADIANCE, gives=ELECTRONS)
 def expose(
@@ -36,33 +43,42 @@ def expose(
     exposure_s: Annotated[float, Range(0.0, 3600.0, above=True), Auto()],
     pixel_pitch_um: Annotated[float, Range(0.3, 50.0), FromProfile("sensor.pixel_pitch_um")],
     fill_factor: Annotated[float, Range(0.01, 1.0), FromProfile("sensor.fill_factor")],
+    exposure_ratio: Annotated[float, Range(0.0, 1.0, above=True)] = 1.0,
     sensor: Annotated[SensorProfile, FromProfile("sensor")],
 ) -> Image:
     """Mean number of electrons that light frees in each pixel behind its colour filter.
 
-    mu = t * A * integral of E QE lambda / (h c) d lambda.  One pixel of the image
+    mu = r t * A * integral of E QE lambda / (h c) d lambda.  One pixel of the image
     is one pixel of the sensor: a smaller picture is a crop, not a binned frame.
 
     Args:
         image: irradiance (H, W, C), R, G, B [lux] or bands [W m-2 nm-1].
         exposure_s: t [s].
         pixel_pitch_um: side of a pixel [um]; twice the sensor's for 2 x 2 binning.
-        fill_factor: light-sensitive part [1].
-        sensor: its quantum efficiency counts.
+        fill_factor: light-sensitive part [1]; for the small diode of a split pixel,
+            its sensitivity relative to one that fills the pixel.
+        exposure_ratio: r, the part of t that this exposure lasts [1]; for the short
+            exposures of a high dynamic range.
+        sensor: its pattern and quantum efficiency count.
 
     Source: EMVA 1288 release 4.0, section 2.1.
     """
     rate = response.electrons_per_second(sensor, image.channels, pixel_pitch_um=pixel_pitch_um, fill_factor=fill_factor)
-    weights = (rate * exposure_s).astype(np.float32)
-    mosaic = np.zeros((image.height_px, image.width_px, 1), dtype=np.float32)
-    for row in (0, 1):
-        for column in (0, 1):
-            site = mosaic[row::2, column::2, 0]
-            for channel, weight in enumerate(weights[response.BAYER_RGGB[row][column]]):
-                site += image.pixels[row::2, column::2, channel] * weight
+    time_s = exposure_s * exposure_ratio
+    weights = (rate * time_s).astype(np.float32)
+    mosaic = np.empty((image.height_px, image.width_px, 1), dtype=np.float32)
+    for where, number in cfa.sites(sensor.cfa):
+        np.matmul(image.pixels[where], weights[number], out=mosaic[(*where, 0)])
     np.maximum(mosaic, 0.0, out=mosaic)
     return image.with_pixels(mosaic, channels=("CFA",), quantity=Quantity.ELECTRONS).noted(
-        exposure_s=exposure_s, pixel_pitch_um=pixel_pitch_um, sensor=sensor.name, sensor_title=sensor.title, sensor_serial=sensor.serial, cfa_pattern="RGGB"
+        exposure_s=time_s,
+        gathered_um2_s=time_s * fill_factor * pixel_pitch_um**2,
+        pixel_pitch_um=pixel_pitch_um,
+        sensor=sensor.name,
+        sensor_title=sensor.title,
+        sensor_serial=sensor.serial,
+        cfa_pattern=sensor.cfa,
+        spectra=photometry.spectra_of(image.channels),
     )
 
 
@@ -118,13 +134,46 @@ def shot_noise(image: Image, *, rng: np.random.Generator) -> Image:
         image: mean electrons, >= 0.
         rng: the node's stream.
     """
-    return image.with_pixels(rng.poisson(np.minimum(image.pixels, MAX_MEAN_E).astype(np.float64)).astype(np.float32))
+    counts = np.empty_like(image.pixels)
+
+    def draw(mean_e: FloatArray, out: FloatArray, stream: np.random.Generator) -> None:
+        out[...] = stream.poisson(np.minimum(mean_e, MAX_MEAN_E).astype(np.float64))
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(draw, np.array_split(image.pixels, STRIPS), np.array_split(counts, STRIPS), rng.spawn(STRIPS)))
+    return image.with_pixels(counts).noted(shot_noise=True)
 
 
 @OPS.op("sensor.full_well", takes=ELECTRONS, gives=ELECTRONS)
-def full_well(image: Image, *, full_well_e: Annotated[float, Range(1.0, 1e9), FromProfile("sensor.full_well_e")]) -> Image:
-    """No pixel holds more than its full well [e-]."""
-    return image.with_pixels(np.minimum(image.pixels, np.float32(full_well_e)))
+def full_well(
+    image: Image,
+    *,
+    full_well_e: Annotated[float, Range(1.0, 1e9), FromProfile("sensor.full_well_e")],
+    blooming: Annotated[float, Range(0.0, 1.0)] = 0.0,
+) -> Image:
+    """No pixel holds more than its full well; what is over drains away, or spills along the column.
+
+    Half of what spills goes up and half down, and fills one pixel after the other;
+    what passes the edge of the picture is lost.
+
+    Args:
+        image: electrons.
+        full_well_e: what a pixel holds [e-].
+        blooming: part of the charge over the well that spills [1]; 0 for a sensor
+            whose drains take all of it, 1 for one without drains.
+    """
+    held = np.minimum(image.pixels, np.float32(full_well_e))
+    if blooming > 0.0 and image.pixels.max() > full_well_e:
+        spilt = (0.5 * blooming) * (image.pixels.astype(np.float64) - full_well_e).clip(min=0.0)
+        filled = held.astype(np.float64)
+        for rows in (range(image.height_px), range(image.height_px - 1, -1, -1)):
+            carried = np.zeros_like(spilt[0])
+            for row in rows:
+                taken = np.minimum(carried, full_well_e - filled[row])
+                filled[row] += taken
+                carried += spilt[row] - taken
+        held = filled.astype(np.float32)
+    return image.with_pixels(held).noted(full_well_e=full_well_e)
 
 
 @OPS.op("sensor.dsnu", takes=ELECTRONS, gives=ELECTRONS)
@@ -168,16 +217,18 @@ def gain(
     iso: Annotated[float, Range(1.0, 1e7), Auto()],
     iso_base: Annotated[float, Range(1.0, 1e5), FromProfile("sensor.iso_base")],
     gain_dn_e: Annotated[float, Range(0.0, 1e4, above=True), FromProfile("sensor.gain_dn_e")],
+    factor: Annotated[float, Range(1e-4, 1e4)] = 1.0,
 ) -> Image:
-    """Electrons to DN, not yet whole numbers: K = gain_dn_e * iso / iso_base.
+    """Electrons to DN, not yet whole numbers: K = factor * gain_dn_e * iso / iso_base.
 
     Args:
         image: electrons.
         iso: ISO speed.
         iso_base: ISO speed at a gain of 1.
         gain_dn_e: K at `iso_base` [DN/e-].
+        factor: of another conversion gain of the same pixel [1], such as 0.25 for the low one.
     """
-    total = gain_dn_e * iso / iso_base
+    total = factor * gain_dn_e * iso / iso_base
     return image.with_pixels(image.pixels * np.float32(total), quantity=Quantity.DN).noted(iso=iso, system_gain_dn_e=total)
 
 
@@ -198,6 +249,36 @@ def adc_noise(
     return image.with_pixels(_with_noise(image.pixels, sigma_dn, rng)).noted(adc_noise_dn=sigma_dn)
 
 
+@OPS.op("sensor.row_column", takes=AMPLIFIED, gives=AMPLIFIED)
+def row_column(
+    image: Image,
+    *,
+    rng: np.random.Generator,
+    row_noise_dn: Annotated[float, Range(0.0, 1e4), FromProfile("sensor.row_noise_dn")],
+    column_noise_dn: Annotated[float, Range(0.0, 1e4), FromProfile("sensor.column_noise_dn")],
+    temporal_row_noise_dn: Annotated[float, Range(0.0, 1e4)] = 0.0,
+    serial: Annotated[str, FromProfile("sensor.serial")],
+) -> Image:
+    """Offsets of whole rows and columns, whose amplifiers and converters they share.
+
+    Args:
+        image: amplified signal [DN].
+        rng: the node's stream.
+        row_noise_dn, column_noise_dn: standard deviation of the offsets that stay for
+            ever [DN].
+        temporal_row_noise_dn: of one that every row draws anew in every frame [DN].
+        serial: which specimen.
+
+    Source: EMVA 1288 release 4.0, section 4 (row and column spatial nonuniformity).
+    """
+    height, width = image.height_px, image.width_px
+    rows = np.float32(row_noise_dn) * _pattern(serial, "row", height, 1)
+    rows = rows + np.float32(temporal_row_noise_dn) * rng.standard_normal((height, 1, 1), dtype=np.float32)
+    pixels = image.pixels + rows
+    pixels += np.float32(column_noise_dn) * _pattern(serial, "column", 1, width)
+    return image.with_pixels(pixels).noted(temporal_row_noise_dn=temporal_row_noise_dn)
+
+
 @OPS.op("sensor.adc", takes=AMPLIFIED, gives=NUMBERS)
 def adc(
     image: Image,
@@ -205,17 +286,20 @@ def adc(
     bits: Annotated[int, Range(8, 16), FromProfile("sensor.bits")],
     black_level_dn: Annotated[int, Range(0, 65535), FromProfile("sensor.black_level_dn")],
     white_level_dn: Annotated[int, Range(1, 65535), FromProfile("sensor.white_level_dn")],
+    illuminant: Literal["d65", "a", "hps", "led"] = "d65",
     sensor: Annotated[SensorProfile, FromProfile("sensor")],
 ) -> Image:
     """Whole numbers: black level added, rounded, clipped to 0 to white level.
 
     Notes in the provenance all that a RAW file needs besides: levels, colour
-    matrix, neutral and noise profile.
+    matrices, neutral and noise profile.
 
     Args:
         image: amplified signal [DN].
         bits: of the converter; white_level_dn is at most 2^bits - 1.
         black_level_dn, white_level_dn: DN of no light, and the highest DN.
+        illuminant: the light whose white is noted as the neutral: daylight (d65),
+            tungsten (a), high-pressure sodium (hps) or a white LED (led).
         sensor: its colour goes into the RAW file.
 
     Raises:
@@ -228,16 +312,30 @@ def adc(
     facts = image.provenance
     gain_dn_e = _fact(image, "system_gain_dn_e", "sensor.gain")
     span = white_level_dn - black_level_dn
-    dark_variance = gain_dn_e**2 * (facts.get("read_noise_e", 0.0) ** 2 + facts.get("dark_e", 0.0)) + facts.get("adc_noise_dn", 0.0) ** 2 + 1.0 / 12.0
+    dark_variance = gain_dn_e**2 * (facts.get("read_noise_e", 0.0) ** 2 + facts.get("dark_e", 0.0)) + 1.0 / 12.0
+    dark_variance += facts.get("adc_noise_dn", 0.0) ** 2 + facts.get("temporal_row_noise_dn", 0.0) ** 2
     return image.with_pixels(numbers).noted(
         bits=bits,
         black_level_dn=black_level_dn,
         white_level_dn=white_level_dn,
-        xyz_to_camera=[[float(value) for value in row] for row in response.xyz_to_camera(sensor)],
-        as_shot_neutral=list(response.neutral(sensor, "D65")),
-        noise_profile=[gain_dn_e / span, dark_variance / span**2],
+        noise_profile=[gain_dn_e / span if facts.get("shot_noise") else 0.0, dark_variance / span**2],
         total_dark_noise_dn=math.sqrt(dark_variance),
+        cfa_pattern=sensor.cfa,
+        sensor_title=sensor.title,
+        sensor_serial=sensor.serial,
+        **_colour_facts(sensor, illuminant.upper()),
     )
+
+
+def _colour_facts(sensor: SensorProfile, illuminant: str) -> dict[str, list[float] | list[list[float]]]:
+    """What a RAW file says of colour; nothing for a sensor of fewer than three filters."""
+    if len(cfa.filters(sensor.cfa)) < 3:
+        return {}
+    return {
+        "xyz_to_camera": response.xyz_to_camera(sensor, "D65").tolist(),
+        "xyz_to_camera_a": response.xyz_to_camera(sensor, "A").tolist(),
+        "as_shot_neutral": list(response.neutral(sensor, illuminant)),
+    }
 
 
 def _fact(image: Image, key: str, op: str) -> float:
@@ -253,7 +351,7 @@ def _with_noise(pixels: FloatArray, sigma: float, rng: np.random.Generator) -> F
     return noise
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=6)
 def _pattern(serial: str, kind: str, height: int, width: int) -> FloatArray:
     """(H, W, 1) standard normal numbers that belong to a specimen; read-only."""
     pattern = seeds.stream(0, "sensor", serial, kind, height, width).standard_normal((height, width, 1), dtype=np.float32)

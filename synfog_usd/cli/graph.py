@@ -32,15 +32,17 @@ def run(
     seed: int,
     cache: Path | None,
     no_cache: bool,
+    repair: bool = False,
 ) -> None:
     """Read the inputs, run, write the outputs, and print where they are and what each node took."""
     graph = _changed(camera.load_graph(pipeline), changes)
     wanted = _files(graph, until)
-    images = dict(_input(source, graph) for source in sources)
-    exposure = camera.meter(_read(meter_on), graph) if meter_on else _metered(graph, images)
+    images = dict(_input(source, graph, repair) for source in sources)
+    exposure = camera.meter(_read(meter_on, repair), graph) if meter_on else _metered(graph, images)
     results = _developed(graph, images, exposure, seed, until, list(wanted.values()), None if no_cache else _cache(cache))
     for name, node in wanted.items():
-        print(writers.write_output(name, results[node], out))
+        options = graph.options_of(name) if graph.outputs.get(name) == node else {}
+        print(writers.write_output(name, results[node], out, options=options))
     print(drawing.table(graph, results), file=sys.stderr)
 
 
@@ -125,19 +127,19 @@ def _even(graph: NodeGraph, size: tuple[int, int]) -> dict[str, Image]:
     return dict.fromkeys(graph.inputs, grey)
 
 
-def _input(text: str, graph: NodeGraph) -> tuple[str, Image]:
+def _input(text: str, graph: NodeGraph, repair: bool = False) -> tuple[str, Image]:
     if "=" not in text and len(graph.inputs) == 1:
-        return next(iter(graph.inputs)), _read(Path(text))
+        return next(iter(graph.inputs)), _read(Path(text), repair)
     name, path = _pair(text, "--in", "NAME=FILE.exr")
     if name not in graph.inputs:
         raise GraphError(f"--in {text}: the graph has no input {name!r}; it has {', '.join(graph.inputs)}")
-    return name, _read(Path(path))
+    return name, _read(Path(path), repair)
 
 
-def _read(path: Path) -> Image:
-    image = writers.read_exr(path)
-    if image.quantity is Quantity.RADIANCE:
-        writers.check_radiance(image, str(path))
+def _read(path: Path, repair: bool = False) -> Image:
+    image = writers.read_exr(path, repair=repair)
+    if count := image.provenance.get("repaired_values", 0):
+        print(f"{path}: {count} values that light cannot have were mended", file=sys.stderr)
     return image
 
 

@@ -278,11 +278,12 @@ def graph_run(
         Path | None, typer.Option(help="Folder in which results of nodes are kept, up to 2 GiB; the user's cache folder if left out.", show_default=False)
     ] = None,
     no_cache: Annotated[bool, typer.Option("--no-cache", help="Run every node, and keep nothing.")] = False,
+    repair: Annotated[bool, typer.Option("--repair", help="Mend radiance that is negative or not finite, instead of refusing it.")] = False,
 ) -> None:
     """Run a graph on radiance of one's own; what has not changed since an earlier run is not run again."""
     from synfog_usd.cli import graph as verb
 
-    verb.run(pipeline, source, out, meter_on=meter, changes=change or [], until=until, seed=seed, cache=cache, no_cache=no_cache)
+    verb.run(pipeline, source, out, meter_on=meter, changes=change or [], until=until, seed=seed, cache=cache, no_cache=no_cache, repair=repair)
 
 
 @graph_app.command("explain")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import importlib.metadata
 import json
 import os
@@ -90,7 +91,7 @@ def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], N
         ledger = _Ledger(plan.out, facts, notes)
         if not ledger.labels_done():
             progress("labels", 0.0)
-            ledger.add_labels(_write_labels(first, plan))
+            ledger.add_labels(_write_labels(first, plan, graph))
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
         if kept:
@@ -162,18 +163,19 @@ def _clear_frame(stage: Any, shot: Shot, plan: BakePlan) -> Image:
 
 def _make(shot: Shot, scene: SceneDict, exposure: Any, pixel: tuple[float, float] | None, graph: Any, plan: BakePlan, progress: Progress) -> dict[str, Any]:
     """Render and develop one shot, write its files, and give its row of the manifest."""
-    from synfog_usd import writers
+    from synfog_usd import camera, writers
     from synfog_usd.render.planner import sensor_target
     from synfog_usd.render.shot import render
 
     seed = seed32(plan.seed, shot.lighting, shot.fog)
+    floor = functools.partial(camera.noise_floor, electrons_per_cd_m2=pixel[0], dark_noise_e=pixel[1]) if pixel else None
     rendered = render(
         scene,
         model=plan.model,
         samples=plan.samples,
         seed=seed,
         target_error=plan.target_error,
-        sensor_sigma=sensor_target(*pixel) if pixel and plan.target_error is None else None,
+        sensor_sigma=sensor_target(floor) if floor and plan.target_error is None else None,
         time_limit_s=plan.time_limit_s,
         bands=plan.bands,
         denoise=plan.denoise,
@@ -193,7 +195,7 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, pixel: tuple[float, float
     names = ["radiance.exr", "layers.exr"]
     results = graph.run({"radiance": radiance}, seed=seed, settings=exposure.settings if exposure else None, keep=list(graph.outputs.values()))
     for name, node in graph.outputs.items():
-        writers.write_output(name, results[node], folder)
+        writers.write_output(name, results[node], folder, options=graph.options_of(name))
         names.append(name)
     progress("developing", 1.0)
     return {
@@ -227,22 +229,34 @@ def _target(plan: BakePlan, pixel: tuple[float, float] | None, met: float | None
     return kind | ({} if met is None else {"pixels_under_it": round(met, 4)})
 
 
-def _write_labels(scene: SceneDict, plan: BakePlan) -> dict[str, str]:
+def _write_labels(scene: SceneDict, plan: BakePlan, graph: Any = None) -> dict[str, str]:
+    """Write what is seen where, bent as the graph's lens bends the picture; radiance.exr and layers.exr stay those of a pinhole."""
     from synfog_usd import writers
+    from synfog_usd.camera import distortion
     from synfog_usd.render import layers
     from synfog_usd.render.shot import load
 
-    seen = layers.measure(load(replace(scene, fog=())))
+    seen, facts, view = layers.measure(load(replace(scene, fog=()))), {}, scene.camera
+    bent = graph and distortion.of_graph(graph, height_px=view.height_px, width_px=view.width_px, fov_x_deg=view.fov_x_deg, shift=view.shift)
+    if bent:
+        node, warp = bent
+        seen = labels.warped(seen, warp.nearest())
+        facts = {
+            "warped": f"distortion of node {node!r}; radiance.exr and layers.exr are not",
+            "camera_matrix_px": warp.camera_matrix(),
+            "distortion_coefficients": list(warp.coefficients),
+        }
     image = labels.label_image(seen, scene.things)
     header = {name: str(value) for name, value in image.provenance.items() if name.startswith("cryptomatte/")}  # where Cryptomatte's readers look
-    writers.write_exr(plan.out / "labels.exr", image, attributes=header)
-    files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.things))
+    writers.write_exr(plan.out / "labels.exr", image.noted(**facts), attributes=header)
+    files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.things) | facts)
     return {name: files.sha256_of(plan.out / name) for name in ("labels.exr", "labels.json")}
 
 
 def _facts(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> dict[str, Any]:
     """Everything that the pixels depend on; its hash tells whether a finished shot is still the right one."""
-    versions = {name: importlib.metadata.version(name) for name in ("mitsuba", "drjit", "usd-core", "OpenImageIO", "numpy", "scipy", "colour-science")}
+    libraries = ("mitsuba", "drjit", "usd-core", "OpenImageIO", "numpy", "scipy", "colour-science", "colour-demosaicing", "tifffile", "imagecodecs")
+    versions = {name: importlib.metadata.version(name) for name in libraries}
     return {
         "stage": {"name": plan.stage.name, "sha256": stage_hash},
         "pipeline": {"name": plan.pipeline.name if plan.pipeline else "phone.yaml", "sha256": graph_hash},

@@ -46,7 +46,7 @@ WAITING = 3
 """Images that may wait to be written: at 1920 x 1080 with three channels 75 MB."""
 
 _ENTRY = re.compile(r"[0-9a-f]{64}\.node")
-_LIBRARIES = ("numpy", "scipy", "OpenImageIO", "colour-science")
+_LIBRARIES = ("numpy", "scipy", "OpenImageIO", "colour-science", "colour-demosaicing")
 
 
 def default_folder() -> Path:

@@ -15,6 +15,7 @@ from typing import Any
 from synfog_usd import resources
 from synfog_usd.errors import GraphError, SynfogError, did_you_mean
 from synfog_usd.graph.faults import Faults
+from synfog_usd.graph.outputs import NODE
 from synfog_usd.yamlio import Located, Place, load_file
 
 SCHEMA = "graph/1"
@@ -235,11 +236,20 @@ class _Composer:
         nodes.insert(names.index(item.value) + (words[0] == "after"), node)
 
     def joined_outputs(self, base: Located, own: Located) -> Located:
-        """Files of both; an own file that is empty ('srgb.png:') takes the base's away."""
+        """Files of both; an own file that is empty ('srgb.png:') takes the base's away, and one without 'node' changes how the base's is written."""
         if not isinstance(base.value, dict) or not isinstance(own.value, dict):
             return own
-        merged = {**base.value, **own.value}
-        return replace(own, value={name: item for name, item in merged.items() if item.value is not None or name not in base.value})
+        merged = dict(base.value)
+        for name, item in own.value.items():
+            if item.value is None and name in merged:
+                del merged[name]
+            elif isinstance(item.value, dict) and NODE not in item.value and name in merged:
+                before = merged[name]
+                fields = before.value if isinstance(before.value, dict) else {NODE: before}
+                merged[name] = replace(item, value={**fields, **item.value})
+            else:
+                merged[name] = item
+        return replace(own, value=merged)
 
 
 class _UnreadableError(Exception):

@@ -40,7 +40,9 @@ def table(graph: NodeGraph, run: GraphRun | None = None) -> str:
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in shown]
     lines.insert(1, "  ".join("-" * width for width in widths))
     lines += [f"{kind}: {profile.name}" for kind, profile in graph.profiles.items()]
-    lines += [f"writes {file_name} from {node}" for file_name, node in graph.outputs.items()]
+    for file_name, node_name in graph.outputs.items():
+        options = ", ".join(f"{word}={value}" for word, value in graph.options_of(file_name).items())
+        lines.append(f"writes {file_name} from {node_name}{f' ({options})' if options else ''}")
     return "\n".join(lines)
 
 

@@ -111,6 +111,8 @@ class NodeGraph:
         nodes: by name, each behind the nodes that it reads.
         outputs: file name -> node name, as the YAML says.
         profiles: kind ('sensor', 'lens') -> the profile that the header names.
+        output_options: file name -> how it is written ({'compression': 'lossless'}),
+            where the YAML says.
     """
 
     name: str
@@ -118,6 +120,7 @@ class NodeGraph:
     nodes: Mapping[str, Node]
     outputs: Mapping[str, str]
     profiles: Mapping[str, Profile]
+    output_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def hash(self) -> str:
@@ -130,7 +133,7 @@ class NodeGraph:
             "version": __version__,
             "inputs": {name: str(port) for name, port in self.inputs.items()},
             "nodes": {node.name: [node.op.name, list(node.inputs), {key: _plain(bound) for key, bound in node.params.items()}] for node in self.nodes.values()},
-            "outputs": dict(self.outputs),
+            "outputs": {name: [node, dict(self.options_of(name))] for name, node in self.outputs.items()},
             "profiles": {kind: profile.content_hash for kind, profile in self.profiles.items()},
         }
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
@@ -276,6 +279,10 @@ class NodeGraph:
     def outputs_of(self, name: str) -> dict[str, str]:
         """The outputs that `name` means: a file ('raw.dng'), or all of that stem ('raw'); file name -> node."""
         return {file: node for file, node in self.outputs.items() if name in (file, file.rpartition(".")[0])}
+
+    def options_of(self, file_name: str) -> Mapping[str, Any]:
+        """How an output is written, as its writer wants it; empty where the graph does not say."""
+        return self.output_options.get(file_name, {})
 
     def _keys(self, inputs: Mapping[str, Image], wanted: Sequence[str], seed: int, settings: Mapping[str, Any]) -> dict[str, str | None]:
         """Key of what each node gives, known before anything runs."""

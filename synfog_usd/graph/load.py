@@ -45,7 +45,7 @@ def make_graph(
     registry: Registry,
     *,
     nodes: Sequence[Mapping[str, Any]],
-    outputs: Mapping[str, str],
+    outputs: Mapping[str, str | Mapping[str, Any] | None],
     inputs: Sequence[str] | Mapping[str, str] = ("radiance",),
     name: str = "graph",
     folder: Path = Path(),
@@ -56,7 +56,8 @@ def make_graph(
     Args:
         registry: the ops and profiles that it may name.
         nodes: one mapping per node, such as {'op': 'isp.tone', 'shoulder': 0.3}.
-        outputs: file name -> node name.
+        outputs: file name -> node name, or a mapping with 'node' and how it is written:
+            {'raw.dng': {'node': 'adc', 'compression': 'lossless'}}.
         inputs: names of radiance images, or names with quantities.
         name: what errors call the graph.
         folder: where paths in it start from.
@@ -135,7 +136,7 @@ class _Loader:
         profiles = self.read_profiles()
         drafts = self.read_nodes(inputs, profiles)
         gives = self.connected(drafts, inputs)
-        outputs = self.read_outputs(gives)
+        outputs, options = self.read_outputs(gives)
         self.faults.check()
         by_name = {draft.name: draft for draft in drafts}
         nodes = {}
@@ -143,7 +144,7 @@ class _Loader:
             draft = by_name[name]
             assert draft.op is not None
             nodes[name] = Node(name, draft.op, tuple(source for source, _ in draft.sources), draft.params, draft.place, port)
-        return NodeGraph(self.name, inputs, nodes, outputs, profiles)
+        return NodeGraph(self.name, inputs, nodes, outputs, profiles, options)
 
     def check_header(self) -> None:
         allowed = ["synfog", "title", "extends", "inputs", *self.registry.profiles, "nodes", "outputs"]
@@ -371,9 +372,11 @@ class _Loader:
         makers = sorted(op.name for op in self.registry if op.gives.quantity is wanted.quantity and op.gives.quantity is not None and wanted.accepts(op.gives))
         return f"What gives {wanted}: {', '.join(makers)}" if makers else f"Name a node that gives {wanted} in 'in'"
 
-    def read_outputs(self, gives: Mapping[str, Port]) -> dict[str, str]:
+    def read_outputs(self, gives: Mapping[str, Port]) -> tuple[dict[str, str], dict[str, dict[str, output_files.Value]]]:
+        """File name -> node; and file name -> how it is written, where the graph says."""
         item = self.section("outputs", dict, "a mapping of file names to nodes, such as srgb.png: gamma")
         found: dict[str, str] = {}
+        options: dict[str, dict[str, output_files.Value]] = {}
         for file_name, entry in item.value.items() if item else ():
             fault = output_files.fault(file_name)
             if not fault and file_name.lower() in (name.lower() for name in found):
@@ -381,18 +384,40 @@ class _Loader:
             if fault:
                 self.faults.add(entry.key_place or entry.place, f"output {file_name!r}: {fault}")
                 continue
-            if not isinstance(entry.value, str) or entry.value not in gives:
-                if "nodes" not in self.unsure:
-                    there = f"there are {', '.join(gives)}.{did_you_mean(str(entry.value), gives)}"
-                    self.faults.add(entry.place, f"output {file_name!r} is {entry.plain()!r}, which is no node; {there}")
+            said, node = self.read_options(file_name, entry) if isinstance(entry.value, dict) else ({}, entry)
+            if node is None:
                 continue
-            wanted, given = output_files.FORMATS[output_files.suffix_of(file_name)], gives[entry.value]
+            if not isinstance(node.value, str) or node.value not in gives:
+                if "nodes" not in self.unsure:
+                    there = f"there are {', '.join(gives)}.{did_you_mean(str(node.value), gives)}"
+                    self.faults.add(node.place, f"output {file_name!r} is {node.plain()!r}, which is no node; {there}")
+                continue
+            wanted, given = output_files.port(file_name, said), gives[node.value]
             if not wanted.accepts(given):
                 fitting = [name for name, port in gives.items() if port.quantity and wanted.accepts(port)]
                 hint = f"; what fits: {', '.join(fitting)}" if fitting else ""
-                self.faults.add(entry.place, f"output {file_name!r} takes {wanted}; node {entry.value!r} gives {given}{hint}")
-            found[file_name] = entry.value
-        return found
+                words = "".join(f" with {word}: {value}" for word, value in said.items()) if wanted != output_files.port(file_name, {}) else ""
+                self.faults.add(node.place, f"output {file_name!r}{words} takes {wanted}; node {node.value!r} gives {given}{hint}")
+            found[file_name] = node.value
+            if said:
+                options[file_name] = said
+        return found, options
+
+    def read_options(self, file_name: str, entry: Located) -> tuple[dict[str, output_files.Value], Located | None]:
+        """How an output is written, as far as it is right, and its node."""
+        said: dict[str, output_files.Value] = {}
+        for word, item in entry.value.items():
+            if word == output_files.NODE:
+                continue
+            misspelt, fault = output_files.option_fault(file_name, word, item.plain())
+            if fault:
+                self.faults.add((item.key_place if misspelt else None) or item.place, f"output {file_name!r}{' ' if misspelt else ': '}{fault}")
+            else:
+                said[word] = item.value
+        node = entry.value.get(output_files.NODE)
+        if node is None:
+            self.faults.add(entry.place, f"output {file_name!r} has no 'node'; name the node that it is made of, beside what it has")
+        return said, node
 
 
 class _UnsureError(Exception):

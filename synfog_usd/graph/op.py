@@ -117,7 +117,7 @@ class Port:
     """What flows along an edge: a quantity, and how its channels are laid out.
 
     `None` means any on the side that takes, and "as it came" on the side that
-    gives.  Layouts are words that the ops agree on, such as 'mosaic' and 'rgb'.
+    gives.  Layouts are words that the ops agree on, such as 'mosaic' and 'picture'.
     """
 
     quantity: Quantity | None = None

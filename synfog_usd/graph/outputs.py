@@ -7,16 +7,73 @@ before it runs.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
+from synfog_usd.errors import did_you_mean
 from synfog_usd.graph.op import Port
 from synfog_usd.image import Quantity
+
+Value = bool | int | str
+
+
+@dataclass(frozen=True)
+class Option:
+    """A word that may stand beside an output's node.
+
+    Attributes:
+        choices: what it may be; the first is what the writer does without the word,
+            unless `help` says otherwise.
+        help: what it does.
+    """
+
+    choices: tuple[Value, ...]
+    help: str
+
+    def __str__(self) -> str:
+        if self.choices[0] in (True, False):
+            return "true or false"
+        return "one of " + ", ".join(str(choice) for choice in self.choices)
+
+    def holds(self, value: Any) -> bool:
+        """Whether it may be that; 1 is not true, and 8.0 is not 8."""
+        return any(type(value) is type(choice) and value == choice for choice in self.choices)
+
+
+SCREEN = Port(Quantity.DISPLAY_RGB)
 
 FORMATS = {
     ".dng": Port(Quantity.DN, "mosaic"),
     ".exr": Port(),
-    ".png": Port(Quantity.DISPLAY_RGB),
+    ".png": SCREEN,
+    ".tif": Port(),
+    ".tiff": Port(),
+    ".jxl": SCREEN,
 }
 """File suffix -> what it can hold."""
+
+_TIFF = {
+    "bits": Option((8, 16, 32), "Whole numbers of 8 or 16 bits for a screen, or 32-bit floats of anything; if left out, 16 for a screen and 32 otherwise.")
+}
+
+OPTIONS: dict[str, dict[str, Option]] = {
+    ".dng": {"compression": Option(("none", "lossless"), "none: 16 bits a pixel, which every reader takes; lossless: lossless JPEG, about 40 % of the size.")},
+    ".exr": {
+        "compression": Option(("zip", "zips", "piz", "rle", "none"), "All of them lossless."),
+        "half": Option((False, True), "16-bit floats, to 65504, for 32-bit ones."),
+    },
+    ".png": {"bits": Option((8, 16), "Bits a channel.")},
+    ".tif": _TIFF,
+    ".tiff": _TIFF,
+    ".jxl": {
+        "bits": Option((8, 16), "Bits a channel."),
+        "lossless": Option((True, False), "false: loss that an eye does not see (a butteraugli distance of 1)."),
+    },
+}
+"""File suffix -> the words that may stand beside 'node', by name: those of the writer of that format."""
+
+NODE = "node"
 
 TAKEN = frozenset({"radiance.exr", "layers.exr", "labels.exr"})
 """Names under which a bake leaves files of its own in the same folder."""
@@ -30,7 +87,7 @@ def fault(file_name: str) -> str:
     >>> fault("../srgb.png")
     'it is not a plain file name; use letters, digits, . _ - only'
     >>> fault("srgb.jpg")
-    "its format '.jpg' is not known; it can be .dng, .exr, .png"
+    "its format '.jpg' is not known; it can be .dng, .exr, .png, .tif, .tiff, .jxl"
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", file_name):
         return "it is not a plain file name; use letters, digits, . _ - only"
@@ -40,6 +97,30 @@ def fault(file_name: str) -> str:
     if file_name.lower() in TAKEN:
         return "a bake writes a file of that name itself; choose another"
     return ""
+
+
+def option_fault(file_name: str, word: str, value: Any) -> tuple[bool, str]:
+    """What is wrong with a word beside an output's node: whether it is the word itself, and what; (False, '') where nothing is.
+
+    >>> option_fault("raw.dng", "compresion", "lossless")
+    (True, "has no 'compresion'; it takes node, compression. Did you mean 'compression'?")
+    >>> option_fault("raw.dng", "compression", "zip")
+    (False, "compression is 'zip'; it takes one of none, lossless")
+    """
+    options = OPTIONS[suffix_of(file_name)]
+    if word not in options:
+        names = [NODE, *options]
+        return True, f"has no {word!r}; it takes {', '.join(names)}.{did_you_mean(word, names)}"
+    if not options[word].holds(value):
+        hint = did_you_mean(value, [choice for choice in options[word].choices if isinstance(choice, str)]) if isinstance(value, str) else ""
+        return False, f"{word} is {value!r}; it takes {options[word]}{'.' if hint else ''}{hint}"
+    return False, ""
+
+
+def port(file_name: str, options: Mapping[str, Value]) -> Port:
+    """What a file can hold when it is written so: a TIFF of 8 or 16 bits is for a screen."""
+    suffix = suffix_of(file_name)
+    return SCREEN if suffix in (".tif", ".tiff") and options.get("bits") in (8, 16) else FORMATS[suffix]
 
 
 def suffix_of(file_name: str) -> str:

@@ -54,7 +54,7 @@ def _lines(op: Op) -> list[str]:
         lines += ["| parameter | value | if left out | meaning |", "|---|---|---|---|"]
         lines += [f"| `{row.name}` | {_cell(str(row))} | {_default(row)} | {_cell(row.help)} |" for row in rows]
         lines.append("")
-    needs = [parameter.name for parameter in op.parameters.values() if not parameter.can_be_set]
+    needs = [parameter.name for parameter in op.parameters.values() if not parameter.can_be_set and parameter.default is MISSING]
     if needs:
         lines += [f"Needs a {' and a '.join(needs)} profile at the top of the graph.", ""]
     return lines

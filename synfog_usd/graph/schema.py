@@ -11,7 +11,7 @@ from typing import Any
 
 from synfog_usd.graph.compose import SCHEMA
 from synfog_usd.graph.op import FRACTION, MISSING, NUMBER, Op, Parameter, Registry
-from synfog_usd.graph.outputs import FORMATS
+from synfog_usd.graph.outputs import FORMATS, NODE, OPTIONS, Option
 from synfog_usd.image import Quantity
 
 NAME = "^[a-z][a-z0-9_]*$"
@@ -56,13 +56,26 @@ def schema(registry: Registry, *, profiles: Mapping[str, Sequence[str]] | None =
                 "items": _node(registry),
             },
             "outputs": {
-                "description": "Files and the nodes that they are made of.",
+                "description": "Files and the nodes that they are made of; {node: NAME, ...} says also how a file is written.",
                 "type": "object",
                 "minProperties": 1,
                 "propertyNames": {"pattern": rf"^[A-Za-z0-9][A-Za-z0-9._-]*\.({suffixes})$"},
-                "additionalProperties": {"type": ["string", "null"]},
+                "patternProperties": {rf"\.{suffix[1:]}$": {"anyOf": [{"type": ["string", "null"]}, _output(options)]} for suffix, options in OPTIONS.items()},
             },
         },
+    }
+
+
+def _output(options: Mapping[str, Option]) -> dict[str, Any]:
+    """An output with 'node' and options; a graph that extends another may leave 'node' out."""
+    return {
+        "type": "object",
+        "minProperties": 1,
+        "properties": {
+            NODE: {"type": "string", "description": "The node that it is made of."},
+            **{name: {"enum": list(option.choices), "description": option.help} for name, option in options.items()},
+        },
+        "additionalProperties": False,
     }
 
 

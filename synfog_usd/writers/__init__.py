@@ -5,32 +5,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
-from synfog_usd.errors import OutputError
+from synfog_usd.errors import OutputError, did_you_mean
 from synfog_usd.image import Image
 from synfog_usd.writers.dng import write_dng
 from synfog_usd.writers.exr import check_radiance, read_exr, write_exr
-from synfog_usd.writers.png import write_png
+from synfog_usd.writers.screen import write_jxl, write_png, write_tiff
 
-WRITERS: dict[str, Callable[[Path, Image], None]] = {".dng": write_dng, ".exr": write_exr, ".png": write_png}
-"""File suffix -> what writes it."""
+WRITERS: dict[str, Callable[..., None]] = {
+    ".dng": write_dng,
+    ".exr": write_exr,
+    ".png": write_png,
+    ".tif": write_tiff,
+    ".tiff": write_tiff,
+    ".jxl": write_jxl,
+}
+"""File suffix -> what writes it: f(path, image, *, options)."""
 
 
-def write_output(name: str, image: Image, folder: Path) -> Path:
+def write_output(name: str, image: Image, folder: Path, *, options: Mapping[str, Any] | None = None) -> Path:
     """Write one output of a graph.
 
     Args:
         name: plain file name; its suffix says the format.
         image: what the graph gave.
         folder: where to; made if need be.
+        options: how, by the writer's own words: {'compression': 'lossless'} for a
+            DNG, {'bits': 16} for a PNG.
 
     Returns:
         The file's path.
 
     Raises:
-        OutputError: no plain name, no such format, or it cannot be written.
+        OutputError: no plain name, no such format or option, or it cannot be written.
         ImageError: the image does not fit the format.
     """
     if not name or name in (".", "..") or Path(name).name != name or "\\" in name:
@@ -38,9 +49,13 @@ def write_output(name: str, image: Image, folder: Path) -> Path:
     suffix = Path(name).suffix.lower()
     if suffix not in WRITERS:
         raise OutputError(f"output {name!r}: format {suffix!r} is not known; it can be {', '.join(WRITERS)}")
-    path = folder / name
-    WRITERS[suffix](path, image)
+    write, path = WRITERS[suffix], folder / name
+    known = [parameter.name for parameter in inspect.signature(write).parameters.values() if parameter.kind is parameter.KEYWORD_ONLY]
+    for word in options or {}:
+        if word not in known:
+            raise OutputError(f"output {name!r} has no {word!r}; it takes {', '.join(known)}.{did_you_mean(word, known)}")
+    write(path, image, **(options or {}))
     return path
 
 
-__all__ = ["WRITERS", "check_radiance", "read_exr", "write_dng", "write_exr", "write_output", "write_png"]
+__all__ = ["WRITERS", "check_radiance", "read_exr", "write_dng", "write_exr", "write_jxl", "write_output", "write_png", "write_tiff"]

@@ -1,56 +1,81 @@
 """DNG files: the sensor's numbers, as any RAW program reads them.
 
-Uncompressed 16-bit CFA, because every reader gets those numbers exactly.  All that
-is not a pixel comes from the image's provenance, where `sensor.adc` put it.
+Takes a mosaic of DN behind any filter pattern; writes it as it is, 16 bits a pixel
+or lossless JPEG.  All that is not a pixel comes from the image's provenance, where
+`sensor.adc` (and, for HDR, `sensor.compand`) put it.  What programs do with the
+files stands in docs/raw.md.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from synfog_usd import __version__
-from synfog_usd.errors import ImageError
+from synfog_usd.errors import ImageError, OutputError
 from synfog_usd.files import write_whole
 from synfog_usd.image import Image, Quantity
 
 FIXED_DATE = "2000:01:01 00:00:00"
 """A simulated picture was taken at no time; a clock's would change the bytes."""
 
-NEEDED = (
-    "black_level_dn",
-    "white_level_dn",
-    "xyz_to_camera",
-    "as_shot_neutral",
-    "noise_profile",
-    "exposure_s",
-    "f_number",
-    "iso",
-    "sensor_title",
-    "cfa_pattern",
-)
+NEEDED = ("black_level_dn", "white_level_dn", "noise_profile", "exposure_s", "f_number", "iso", "sensor_title", "cfa_pattern")
+"""What the provenance must say of every mosaic."""
+
+NEEDED_OF_COLOUR = ("xyz_to_camera", "as_shot_neutral")
+"""And of one behind three or four different filters."""
+
+NEEDED_OF_HDR = ("linear_black_dn", "linear_white_dn")
+"""And of companded numbers."""
+
+PATTERNS = ("RGGB", "GRBG", "GBRG", "BGGR", "RCCB", "RCCC", "RGIB", "MONO")
 
 CROP_INSET_PX = 8
 """Border that demosaicing may spoil; readers crop it."""
 
-_CFA = {"RGGB": (0, 1, 1, 2)}
-_EXIF_IFD, _EXIF_PLACEHOLDER = 34665, 34664
-_BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _SRATIONAL, _DOUBLE = 1, 2, 3, 4, 5, 10, 12
-_UNDEFINED = 7
+MAX_DN = 65535
+
+_CODES = {"R": 0, "G": 1, "B": 2, "C": 1, "I": 6}
+"""Filter -> colour code of CFAPattern (TIFF/EP).
+
+A clear filter is called green, for darktable crashes at white; its row of the
+matrices says what it sees.  Infrared has no code: it is called white, no colour.
+"""
+
+_GREY = ("MONO", "RCCC")
+"""Patterns without colour: written as LinearRaw of one sample, which readers show as grey."""
+
+_PLANES = "RGCBI"
+"""Order of the colour planes: a clear filter stands where readers expect green, so that they take RCCB for a Bayer mosaic."""
+
+_FILTERS = "RGBCI"
+"""Order in which the provenance tells of filters."""
+
+_LINEAR_RAW = 34892
+_LOSSLESS_JPEG = 7
+_EXIF_IFD, _EXIF_PLACEHOLDER, _PHOTOMETRIC = 34665, 34664, 262
+_BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _UNDEFINED, _SRATIONAL, _DOUBLE = 1, 2, 3, 4, 5, 7, 10, 12
+
+Tag = tuple[int, int, int, Any]
+"""Number, type, count and value, as tifffile takes them."""
 
 
-def write_dng(path: Path, image: Image) -> None:
+def write_dng(path: Path, image: Image, *, compression: Literal["none", "lossless"] = "none") -> None:
     """Write a mosaic of DN as DNG 1.4.
 
     Args:
         path: where to.
         image: DN, one channel, whole numbers from 0 to white level; its provenance
-            has the keys in `NEEDED`.
+            has the keys in `NEEDED`, and `NEEDED_OF_COLOUR` where it has colour; `xyz_to_camera_a` (for illuminant A) and `lens_title` if known.
+            With `companding` ([[linear_dn, code], ...]) the numbers are codes, and
+            a LinearizationTable makes linear ones of them.
+        compression: 'lossless' is lossless JPEG.
 
     Raises:
         ImageError: another quantity, numbers that are not DN, or a fact missing.
@@ -59,119 +84,232 @@ def write_dng(path: Path, image: Image) -> None:
     Source: Adobe, Digital Negative Specification 1.7.1; TIFF 6.0; CIPA DC-008 (Exif).
     """
     facts = image.provenance
+    if compression not in ("none", "lossless"):
+        raise OutputError(f"{path}: compression is {compression!r}; a DNG takes none, lossless")
     if image.quantity is not Quantity.DN or len(image.channels) != 1:
         raise ImageError(f"{path}: a DNG takes a DN mosaic of one channel; this image is {image.quantity.value} with {', '.join(image.channels)}")
-    missing = [key for key in NEEDED if key not in facts]
-    if missing:
-        raise ImageError(f"{path}: a DNG needs {', '.join(missing)} in the image's provenance; sensor.adc puts it there")
-    if facts["cfa_pattern"] not in _CFA:
-        raise ImageError(f"{path}: colour filter pattern {facts['cfa_pattern']!r} cannot be written; it takes {', '.join(_CFA)}")
+    _check_facts(path, facts)
+    white = facts["white_level_dn"]
+    if white > MAX_DN:  # DNG has floats too, but dcraw and LibRaw 0.20 refuse them, and darktable 4.2 shows white
+        raise ImageError(f"{path}: a DNG takes whole numbers of at most 16 bits; white_level_dn is {white}. Put sensor.compand before it, or write an EXR")
     numbers = image.pixels[..., 0]
-    if not (np.isfinite(numbers).all() and numbers.min() >= 0.0 and numbers.max() <= facts["white_level_dn"] and (numbers == np.rint(numbers)).all()):
-        raise ImageError(f"{path}: the pixels are not whole numbers from 0 to {facts['white_level_dn']}")
+    if not (np.isfinite(numbers).all() and numbers.min() >= 0.0 and numbers.max() <= white and (numbers == np.rint(numbers)).all()):
+        raise ImageError(f"{path}: the pixels are not whole numbers from 0 to {white}")
     raw = numbers.astype(np.uint16)
-    write_whole(path, lambda temporary: _write(temporary, raw, facts))
+    write_whole(path, lambda temporary: _write(temporary, raw, facts, lossless=compression == "lossless"))
 
 
-def _write(temporary: Path, raw: np.ndarray, facts: Mapping[str, Any]) -> None:
+def _check_facts(path: Path, facts: Mapping[str, Any]) -> None:
+    pattern = facts.get("cfa_pattern")
+    needed = [*NEEDED, *(NEEDED_OF_COLOUR if len(_planes(pattern)) > 2 else ()), *(NEEDED_OF_HDR if "companding" in facts else ())]
+    if missing := [key for key in needed if key not in facts]:
+        raise ImageError(f"{path}: a DNG needs {', '.join(missing)} in the image's provenance; sensor.adc puts it there")
+    if pattern not in PATTERNS:
+        raise ImageError(f"{path}: colour filter pattern {pattern!r} cannot be written; it takes {', '.join(PATTERNS)}")
+
+
+def _planes(pattern: Any) -> str:
+    """The different filters of a pattern, in the order of the file's colour planes.
+
+    >>> _planes("GRBG"), _planes("RCCB"), _planes("RGIB"), _planes("RCCC")
+    ('RGB', 'RCB', 'RGBI', 'C')
+    """
+    return "C" if pattern in _GREY else "".join(letter for letter in _PLANES if letter in str(pattern))
+
+
+def _write(temporary: Path, raw: npt.NDArray[np.uint16], facts: Mapping[str, Any], *, lossless: bool) -> None:
     import tifffile
 
+    grey = facts["cfa_pattern"] in _GREY
+    packed: dict[str, Any] = {}
+    data: Any = raw
+    if lossless:
+        data = iter([_lossless_jpeg(raw, int(facts["white_level_dn"]), pairs=not grey)])
+        packed = {"shape": raw.shape, "dtype": raw.dtype, "compression": _LOSSLESS_JPEG, "bitspersample": 16}
+    tags = [*_common_tags(raw.shape, facts), *_level_tags(facts), *([] if grey else _filter_tags(facts["cfa_pattern"])), *_colour_tags(facts)]
+    tifffile.imwrite(
+        temporary,
+        data,
+        byteorder="<",
+        photometric="minisblack" if grey else "cfa",
+        software=f"synfog-usd {__version__}",
+        metadata=None,
+        rowsperstrip=raw.shape[0],
+        subfiletype=0,
+        extratags=[(code, kind, count, value, True) for code, kind, count, value in tags],
+        **packed,
+    )
+    _finish(temporary, _exif(facts), photometric=_LINEAR_RAW if grey else None)
+
+
+def _lossless_jpeg(raw: npt.NDArray[np.uint16], white: int, *, pairs: bool) -> bytes:
+    """The mosaic as one lossless JPEG.
+
+    Neighbours in a row are two components where they are of two colours, so that
+    each is predicted from its own; a row of odd length cannot be, and takes more room.
+    """
+    import imagecodecs
+
     height, width = raw.shape
+    rows = raw.reshape(height, width // 2, 2) if pairs and width % 2 == 0 else raw
+    return bytes(imagecodecs.jpeg_encode(rows, lossless=True, predictor=1, bitspersample=max(9, white.bit_length())))
+
+
+def _common_tags(shape: tuple[int, int], facts: Mapping[str, Any]) -> list[Tag]:
+    height, width = shape
     inset = CROP_INSET_PX if min(height, width) >= 4 * CROP_INSET_PX else 0
-    title = _ascii(str(facts["sensor_title"]))
-    black = int(facts["black_level_dn"])
-    matrix = [value for row in facts["xyz_to_camera"] for value in row]
-    tags = [
+    title = _ascii(facts["sensor_title"])
+    tags: list[Tag] = [
+        (270, _ASCII, 0, f"colour filter array {facts['cfa_pattern']}"),
         (271, _ASCII, 0, "synfog-usd"),
         (272, _ASCII, 0, title),
         (274, _SHORT, 1, 1),
         (306, _ASCII, 0, FIXED_DATE),
-        (33421, _SHORT, 2, (2, 2)),
-        (33422, _BYTE, 4, bytes(_CFA[facts["cfa_pattern"]])),
         (_EXIF_PLACEHOLDER, _LONG, 1, 0),
         (50706, _BYTE, 4, bytes((1, 4, 0, 0))),
         (50707, _BYTE, 4, bytes((1, 3, 0, 0))),  # 1.3 is the first with NoiseProfile
         (50708, _ASCII, 0, f"synfog-usd {title}"),
-        (50710, _BYTE, 3, bytes((0, 1, 2))),
-        (50711, _SHORT, 1, 1),
-        (50713, _SHORT, 2, (2, 2)),
-        (50714, _RATIONAL, 4, (black, 1) * 4),
-        (50717, _LONG, 1, int(facts["white_level_dn"])),
         (50718, _RATIONAL, 2, (1, 1, 1, 1)),
         (50719, _LONG, 2, (inset, inset)),
         (50720, _LONG, 2, (width - 2 * inset, height - 2 * inset)),
-        (50721, _SRATIONAL, 9, _rationals(matrix, 10_000)),
-        (50727, _RATIONAL, 3, (1, 1, 1, 1, 1, 1)),
-        (50728, _RATIONAL, 3, _rationals(facts["as_shot_neutral"], 1_000_000)),
         (50730, _SRATIONAL, 1, (0, 1)),
         (50731, _RATIONAL, 1, (1, 1)),
         (50732, _RATIONAL, 1, (1, 1)),
         (50734, _RATIONAL, 1, (1, 1)),
-        (50778, _SHORT, 1, 21),
         (50829, _LONG, 4, (0, 0, height, width)),
-        (51041, _DOUBLE, 6, tuple(float(value) for value in facts["noise_profile"]) * 3),
     ]
-    tifffile.imwrite(
-        temporary,
-        raw,
-        byteorder="<",
-        photometric="cfa",
-        software=f"synfog-usd {__version__}",
-        metadata=None,
-        rowsperstrip=height,
-        subfiletype=0,
-        extratags=[(code, kind, count, value, True) for code, kind, count, value in tags],
-    )
-    _add_exif(temporary, _exif(facts))
+    if "sensor_serial" in facts:
+        tags.append((50735, _ASCII, 0, _ascii(facts["sensor_serial"])))
+    return tags
+
+
+def _level_tags(facts: Mapping[str, Any]) -> list[Tag]:
+    """Black and white; of companded numbers those behind the LinearizationTable, and the table."""
+    black, white = int(facts["black_level_dn"]), int(facts["white_level_dn"])
+    tags: list[Tag] = []
+    if "companding" in facts:
+        table, black, white = linearisation(facts)
+        tags.append((50712, _SHORT, table.size, table))
+    repeat = 1 if facts["cfa_pattern"] in _GREY else 2
+    return [*tags, (50713, _SHORT, 2, (repeat, repeat)), (50714, _RATIONAL, repeat**2, (black, 1) * repeat**2), (50717, _LONG, 1, white)]
+
+
+def linearisation(facts: Mapping[str, Any]) -> tuple[npt.NDArray[np.uint16], int, int]:
+    """How readers make linear numbers of companded ones.
+
+    Args:
+        facts: provenance with companding, white_level_dn, linear_black_dn and
+            linear_white_dn.
+
+    Returns:
+        The linear number of every code from 0 to white level, rounded; and black
+        and white as linear numbers.  A linear white above 65535 is scaled to
+        65535: the table has 16 bits.  Below black the first piece goes on.
+    """
+    linear, codes = np.array(facts["companding"], dtype=np.float64).T
+    scale = min(1.0, MAX_DN / facts["linear_white_dn"])
+    every = np.arange(int(facts["white_level_dn"]) + 1)
+    table = np.interp(every, codes, linear)
+    below = every < codes[0]
+    table[below] = linear[0] + (every[below] - codes[0]) * (linear[1] - linear[0]) / (codes[1] - codes[0])
+    whole = np.clip(np.rint(table * scale), 0, MAX_DN).astype(np.uint16)
+    return whole, round(facts["linear_black_dn"] * scale), round(facts["linear_white_dn"] * scale)
+
+
+def _filter_tags(pattern: str) -> list[Tag]:
+    planes = _planes(pattern)
+    return [
+        (33421, _SHORT, 2, (2, 2)),
+        (33422, _BYTE, 4, bytes(_CODES[letter] for letter in pattern)),
+        (50710, _BYTE, len(planes), bytes(_CODES[letter] for letter in planes)),
+        (50711, _SHORT, 1, 1),
+    ]
+
+
+def _colour_tags(facts: Mapping[str, Any]) -> list[Tag]:
+    """Noise of every plane; matrices and neutral where there are planes enough for colour."""
+    planes = _planes(facts["cfa_pattern"])
+    count = len(planes)
+    tags: list[Tag] = [(51041, _DOUBLE, 2 * count, tuple(float(value) for value in facts["noise_profile"]) * count)]
+    if count < 3:
+        return tags
+    told = [letter for letter in _FILTERS if letter in planes]
+    order = [told.index(letter) for letter in planes]
+
+    def matrix(key: str) -> tuple[int, ...]:
+        return _rationals([value for index in order for value in facts[key][index]], 10_000)
+
+    d65, a = ("xyz_to_camera", 21), ("xyz_to_camera_a", 17)
+    for slot, (key, illuminant) in enumerate((a, d65) if a[0] in facts else (d65,)):  # dcraw takes the last, the others that for D65
+        tags += [(50721 + slot, _SRATIONAL, 3 * count, matrix(key)), (50778 + slot, _SHORT, 1, illuminant)]
+    return [
+        *tags,
+        (50727, _RATIONAL, count, (1, 1) * count),
+        (50728, _RATIONAL, count, _rationals([facts["as_shot_neutral"][index] for index in order], 1_000_000)),
+    ]
 
 
 def _exif(facts: Mapping[str, Any]) -> list[tuple[int, int, int, bytes]]:
     entries = [
-        (33434, _RATIONAL, 1, struct.pack("<II", *_fraction(facts["exposure_s"]))),
-        (33437, _RATIONAL, 1, struct.pack("<II", *_fraction(facts["f_number"]))),
-        (34855, _SHORT, 1, struct.pack("<H", min(65535, round(facts["iso"])))),
+        (33434, _RATIONAL, 1, _rational(facts["exposure_s"])),
+        (33437, _RATIONAL, 1, _rational(facts["f_number"])),
+        (34855, _SHORT, 1, struct.pack("<H", min(MAX_DN, round(facts["iso"])))),
         (36864, _UNDEFINED, 4, b"0231"),
-        (36867, _ASCII, len(FIXED_DATE) + 1, FIXED_DATE.encode() + b"\0"),
+        (36867, *_text(FIXED_DATE)),
     ]
     if "focal_length_mm" in facts:
-        entries.append((37386, _RATIONAL, 1, struct.pack("<II", *_fraction(facts["focal_length_mm"]))))
+        entries.append((37386, _RATIONAL, 1, _rational(facts["focal_length_mm"])))
+    if "sensor_serial" in facts:
+        entries.append((42033, *_text(_ascii(facts["sensor_serial"]))))
+    if "lens_title" in facts:
+        entries.append((42036, *_text(_ascii(facts["lens_title"]))))
     return entries
 
 
-def _add_exif(path: Path, entries: list[tuple[int, int, int, bytes]]) -> None:
-    """Append an Exif IFD and point the placeholder tag at it: tifffile writes no sub-IFD of its own."""
-    data = bytearray(path.read_bytes())
-    data += b"\0" * (len(data) % 2)
-    start = len(data)
-    table = struct.pack("<H", len(entries))
-    tail, tail_start = b"", start + 2 + 12 * len(entries) + 4
-    for code, kind, count, value in entries:
-        if len(value) > 4:
-            table += struct.pack("<HHII", code, kind, count, tail_start + len(tail))
-            tail += value + b"\0" * (len(value) % 2)
-        else:
-            table += struct.pack("<HHI", code, kind, count) + value.ljust(4, b"\0")
-    data += table + struct.pack("<I", 0) + tail
-    (first_ifd,) = struct.unpack_from("<I", data, 4)
-    (count,) = struct.unpack_from("<H", data, first_ifd)
-    for index in range(count):
-        place = first_ifd + 2 + 12 * index
-        if struct.unpack_from("<H", data, place)[0] == _EXIF_PLACEHOLDER:
-            struct.pack_into("<HHII", data, place, _EXIF_IFD, _LONG, 1, start)
-            path.write_bytes(data)
-            return
-    raise AssertionError("the placeholder of the Exif IFD is not in the file")
+def _finish(path: Path, exif: Sequence[tuple[int, int, int, bytes]], *, photometric: int | None) -> None:
+    """Append an Exif IFD and name it in IFD0, and set what tifffile would not: it writes no sub-IFD and no LinearRaw of one sample."""
+    with path.open("r+b") as file:
+        start = file.seek(0, 2)
+        start += file.write(b"\0" * (start % 2))
+        table = struct.pack("<H", len(exif))
+        tail, tail_start = b"", start + 2 + 12 * len(exif) + 4
+        for code, kind, count, value in exif:
+            if len(value) > 4:
+                table += struct.pack("<HHII", code, kind, count, tail_start + len(tail))
+                tail += value + b"\0" * (len(value) % 2)
+            else:
+                table += struct.pack("<HHI", code, kind, count) + value.ljust(4, b"\0")
+        file.write(table + struct.pack("<I", 0) + tail)
+        changes = {_EXIF_PLACEHOLDER: struct.pack("<HHII", _EXIF_IFD, _LONG, 1, start)}
+        if photometric is not None:
+            changes[_PHOTOMETRIC] = struct.pack("<HHIHH", _PHOTOMETRIC, _SHORT, 1, photometric, 0)
+        file.seek(4)
+        (first_ifd,) = struct.unpack("<I", file.read(4))
+        file.seek(first_ifd)
+        (count,) = struct.unpack("<H", file.read(2))
+        entries = file.read(12 * count)
+        for index in range(count):
+            (code,) = struct.unpack_from("<H", entries, 12 * index)
+            if code in changes:
+                file.seek(first_ifd + 2 + 12 * index)
+                file.write(changes.pop(code))
+        assert not changes, "a tag that is to be changed is not in the file"
 
 
 def _rationals(values: Any, denominator: int) -> tuple[int, ...]:
     return tuple(number for value in values for number in (round(float(value) * denominator), denominator))
 
 
-def _fraction(value: float) -> tuple[int, int]:
+def _rational(value: float) -> bytes:
     """Numerator and denominator that fit 32 bits; short times come as 1/n where they are that."""
     fraction = Fraction(float(value)).limit_denominator(1_000_000)
-    return fraction.numerator, fraction.denominator
+    return struct.pack("<II", fraction.numerator, fraction.denominator)
 
 
-def _ascii(text: str) -> str:
-    return text.encode("ascii", "replace").decode("ascii")
+def _text(text: str) -> tuple[int, int, bytes]:
+    """Type, count and bytes of an ASCII entry."""
+    return _ASCII, len(text) + 1, text.encode() + b"\0"
+
+
+def _ascii(text: Any) -> str:
+    return str(text).encode("ascii", "replace").decode("ascii")

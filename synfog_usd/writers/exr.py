@@ -11,7 +11,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -29,6 +29,8 @@ FIXED_DATE = "2000:01:01 00:00:00"
 
 HALF_MAX = 65504.0
 
+Compression = Literal["zip", "zips", "piz", "rle", "none"]
+
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Chromaticities of R, G, B and white: ITU-R BT.709."""
 
@@ -38,7 +40,7 @@ def write_exr(
     images: Image | Sequence[Image],
     *,
     half: bool = False,
-    compression: Literal["none", "zip", "zips", "piz"] = "zip",
+    compression: Compression = "zip",
     attributes: Mapping[str, str | int | float] | None = None,
 ) -> None:
     """Write one or several images of one size into one EXR part.
@@ -52,10 +54,15 @@ def write_exr(
         attributes: more, by name.
 
     Raises:
-        OutputError: it cannot be written.
-        ImageError: images that do not go together, or values that half cannot hold.
+        OutputError: it cannot be written so.
+        ImageError: images that do not go together, values that half cannot hold, or
+            light that is not finite.
     """
     group = [images] if isinstance(images, Image) else list(images)
+    if compression not in get_args(Compression):
+        raise OutputError(f"{path}: compression is {compression!r}; an EXR takes {', '.join(get_args(Compression))}")
+    if not isinstance(half, bool):
+        raise OutputError(f"{path}: half is {half!r}; it takes true or false")
     if not group:
         raise ImageError(f"{path}: no image to write")
     first = group[0]
@@ -64,6 +71,8 @@ def write_exr(
         raise ImageError(f"{path}: channels {', '.join(sorted({name for name in names if names.count(name) > 1}))} stand in several images")
     if any(image.pixels.shape[:2] != first.pixels.shape[:2] for image in group):
         raise ImageError(f"{path}: images of several sizes cannot share a part")
+    for image in group:
+        check_finite(image, str(path))
     pixels = first.pixels if len(group) == 1 else np.concatenate([image.pixels for image in group], axis=2)
     if half and (peak := float(np.abs(pixels).max())) > HALF_MAX:
         raise ImageError(f"{path}: a value of {peak:g} does not fit 16-bit floats, which end at {HALF_MAX:g}; write 32 bits")
@@ -96,10 +105,10 @@ def _write(temporary: Path, path: Path, pixels: FloatArray, names: list[str], fa
         spec.attribute(name, value)
     if names[:3] == ["R", "G", "B"]:
         spec.attribute("chromaticities", OpenImageIO.TypeDesc("float[8]"), REC709)
-    _save(temporary, path, spec, pixels)
+    save(temporary, path, spec, pixels)
 
 
-def _save(temporary: Path, path: Path, spec: Any, pixels: np.ndarray) -> None:
+def save(temporary: Path, path: Path, spec: Any, pixels: np.ndarray) -> None:
     """Write with OpenImageIO, which reports by return values."""
     import OpenImageIO
 
@@ -113,7 +122,7 @@ def _save(temporary: Path, path: Path, spec: Any, pixels: np.ndarray) -> None:
         raise OutputError(f"{path}: cannot be written ({output.geterror()})")
 
 
-def read_exr(path: Path, *, quantity: Quantity | None = None, channels: Sequence[str] | None = None) -> Image:
+def read_exr(path: Path, *, quantity: Quantity | None = None, channels: Sequence[str] | None = None, repair: bool = False) -> Image:
     """Read the first part of an EXR file.
 
     Args:
@@ -122,6 +131,7 @@ def read_exr(path: Path, *, quantity: Quantity | None = None, channels: Sequence
         channels: which ones, in which order; by default, all of a file that this
             program wrote, and of a radiance from elsewhere R, G, B or the bands,
             by rising wavelength.
+        repair: mend a radiance that cannot be (see `repaired`) instead of refusing it.
 
     Returns:
         float32; provenance as it was written.
@@ -141,6 +151,8 @@ def read_exr(path: Path, *, quantity: Quantity | None = None, channels: Sequence
         raise ImageError(f"{path}: no channel {', '.join(missing)}; it has {', '.join(names)}")
     image = Image(np.ascontiguousarray(pixels[..., [names.index(name) for name in channels]]), tuple(channels), quantity, provenance=_provenance(facts))
     if quantity is Quantity.RADIANCE:
+        if repair:
+            image = repaired(image)
         check_radiance(image, str(path))
     return image
 
@@ -157,8 +169,39 @@ def check_radiance(image: Image, where: str) -> None:
         value = float(image.pixels[row, column, channel])
         kind = "not a number" if math.isnan(value) else "infinite" if math.isinf(value) else f"negative ({value:g})"
         raise ImageError(
-            f"{where}: radiance at x={column}, y={row}, channel {image.channels[channel]!r} is {kind}; {int(bad.sum())} values are. Light is finite and >= 0"
+            f"{where}: radiance at x={column}, y={row}, channel {image.channels[channel]!r} is {kind}; "
+            f"{int(bad.sum())} values are. Light is finite and >= 0; --repair mends them"
         )
+
+
+def repaired(image: Image) -> Image:
+    """Light that can be: what is negative becomes 0, what is no finite number the median of its finite neighbours.
+
+    Neighbours are the 3 x 3 around it in the same channel; where there are none, it is 0.
+    How many values were mended is noted as `repaired_values`, if any.
+    """
+    broken = ~np.isfinite(image.pixels)
+    count = int(broken.sum() + np.count_nonzero(image.pixels < 0.0))
+    if not count:
+        return image
+    pixels = np.maximum(np.where(broken, 0.0, image.pixels), 0.0)
+    for row, column, channel in np.argwhere(broken):
+        around = slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2), channel
+        known = image.pixels[around][~broken[around]]
+        pixels[row, column, channel] = max(float(np.median(known)), 0.0) if known.size else 0.0
+    return image.with_pixels(pixels).noted(repaired_values=count)
+
+
+def check_finite(image: Image, where: str) -> None:
+    """Refuse light that is no number; DATA may be so, as the depth of the sky is infinite.
+
+    Raises:
+        ImageError: a pixel is NaN or infinite; names the first one.
+    """
+    if image.quantity is not Quantity.DATA and not np.isfinite(image.pixels).all():
+        row, column, channel = (int(index[0]) for index in np.nonzero(~np.isfinite(image.pixels)))
+        value = float(image.pixels[row, column, channel])
+        raise ImageError(f"{where}: {image.quantity.value} at x={column}, y={row}, channel {image.channels[channel]!r} is {value}; it must be finite")
 
 
 def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:

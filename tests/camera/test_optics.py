@@ -1,4 +1,4 @@
-"""Lens ops against closed forms, direct integrals and the Airy pattern."""
+"""Light on the sensor against closed forms and direct integrals."""
 
 from __future__ import annotations
 
@@ -6,26 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from scipy.special import j1
 
-from synfog_usd import photometry
+from synfog_usd import resources
 from synfog_usd.camera import optics
-from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.errors import ImageError
+from synfog_usd.camera.profiles import load_lens
+from synfog_usd.errors import ImageError, ParameterError
 from synfog_usd.image import Image, Quantity
-
-SENSOR = load_sensor("imx363")
-GREEN = tuple(photometry.band_name(centre) for centre in (549.0, 550.0, 551.0))
 
 
 def radiance(pixels, channels=("R", "G", "B")) -> Image:
     return Image(np.asarray(pixels, dtype=np.float32), channels, Quantity.RADIANCE)
-
-
-def through(plane, *, f_number: float, pitch_um: float) -> np.ndarray:
-    """A plane of 550 nm light through `optics.diffraction`."""
-    image = Image(np.repeat(np.asarray(plane, np.float32)[..., None], 3, axis=2), GREEN, Quantity.IRRADIANCE)
-    return optics.diffraction(image, f_number=f_number, pixel_pitch_um=pitch_um, sensor=SENSOR).pixels[..., 1].astype(np.float64)
 
 
 @pytest.mark.parametrize(("f_number", "m"), [(1.73, 0.0), (4.0, 0.0), (2.0, -0.1)])
@@ -72,58 +62,71 @@ def test_falloff_without_an_angle_of_view_is_refused():
         optics.irradiance(radiance(np.ones((2, 2, 3))), f_number=2.0, transmission=1.0)
 
 
-@pytest.mark.parametrize(("f_number", "pitch_um"), [(1.8, 1.4), (4.0, 3.0), (8.0, 3.0)])
-@pytest.mark.parametrize("cycles", [8, 32, 64, 96])
-def test_contrast_of_a_grating_follows_the_diffraction_limit(f_number, pitch_um, cycles):
-    """A cosine of `cycles` per 256 pixels keeps 2/pi (acos v - v sqrt(1 - v^2)) of its contrast.
-
-    Measured in the middle, away from the edges; 0.002 is left of their tails.
-    """
-    frequency = cycles / 256
-    wave = np.cos(2 * math.pi * frequency * (np.arange(256) + 0.5))
-    out = through(np.tile(1 + 0.5 * wave, (256, 1)), f_number=f_number, pitch_um=pitch_um)[128]
-    v = min(frequency * 0.550 * f_number / pitch_um, 1.0)
-    expected = 2 / math.pi * (math.acos(v) - v * math.sqrt(1 - v * v))
-    contrast = 2 * np.mean((out * wave)[64:192]) / np.mean(out[64:192]) / 0.5
-    assert contrast == pytest.approx(expected, abs=0.002)
+TABLE = {"field_deg": (0.0, 10.0, 30.0), "relative_illumination": (1.0, 0.9, 0.5)}
 
 
-def test_an_even_picture_stays_even_up_to_its_edges():
-    np.testing.assert_allclose(through(np.full((37, 61), 3.0), f_number=8.0, pitch_um=1.4), 3.0, rtol=1e-5)
+def test_a_table_is_read_at_the_angle_of_each_pixel():
+    """The 41 columns of a row over 50 degrees, by a pinhole's geometry; straight lines between the entries, by hand."""
+    image = optics.irradiance(radiance(np.ones((1, 41, 3))), f_number=2.0, transmission=1.0, falloff="table", fov_x_deg=50.0, **TABLE)
+    focal = 20.5 / math.tan(math.radians(25.0))
+    angle = np.degrees(np.arctan(np.abs(np.arange(41) - 20) / focal))
+    expected = np.where(angle < 10.0, 1.0 - 0.01 * angle, 0.9 - 0.02 * (angle - 10.0))
+    np.testing.assert_allclose(image.pixels[0, :, 1] / image.pixels[0, 20, 1], expected, rtol=1e-6)
+    assert image.provenance["relative_illumination"] == [list(TABLE["field_deg"]), list(TABLE["relative_illumination"])]
 
 
-@pytest.mark.parametrize(("f_number", "pitch_um"), [(1.73, 1.4), (4.0, 2.0)])
-def test_a_lamp_becomes_the_airy_disc_integrated_over_pixels(f_number, pitch_um):
-    """(pi / 4 q^2) (2 J1(x) / x)^2, x = pi r / q, averaged over 40 x 40 points per pixel; off the grid's axes as well as on them."""
-    q = 0.550 * f_number / pitch_um
-    plane = np.zeros((151, 151))
-    plane[75, 75] = 1e6
-    out = through(plane, f_number=f_number, pitch_um=pitch_um) / 1e6
-    fine = (np.arange(40) + 0.5) / 40 - 0.5
-    for row, column in [(0, 0), (1, 0), (1, 1), (3, 0), (2, 2), (8, 0), (6, 5), (20, 0)]:
-        x = math.pi / q * np.hypot(row + fine[:, None], column + fine[None, :])
-        expected = np.mean(math.pi / (4 * q * q) * (2 * j1(x) / x) ** 2)
-        assert out[75 + row, 75 + column] == pytest.approx(expected, rel=0.05, abs=2e-6), (row, column)
-    assert (out >= 0.0).all()
-    assert out.sum() == pytest.approx(1.0, abs=0.01)  # what lies outside 75 pixels
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({}, "falloff is table, but the lens has no relative_illumination"),
+        ({"field_deg": (0.0, 20.0), "relative_illumination": (1.0, 0.5)}, r"ends at 20 degrees, but the picture goes out to 2\d\.\d"),
+        ({"field_deg": (0.0, 20.0), "relative_illumination": (1.0,)}, "a table of 2 field_deg and 1 relative_illumination"),
+        ({"field_deg": (5.0, 40.0), "relative_illumination": (1.0, 0.5)}, "rising from 0"),
+    ],
+)
+def test_a_table_that_does_not_reach_is_refused(table, message):
+    with pytest.raises(ImageError, match=message):
+        optics.irradiance(radiance(np.ones((3, 5, 3))), f_number=2.0, transmission=1.0, falloff="table", fov_x_deg=50.0, **table)
 
 
-def test_glare_keeps_an_even_picture_and_all_of_the_light():
-    even = Image(np.full((90, 160, 3), 5.0, np.float32), ("R", "G", "B"), Quantity.IRRADIANCE)
-    np.testing.assert_allclose(optics.glare(even, fraction=0.1).pixels, 5.0, rtol=1e-5)
-    lamp = even.pixels * 0
-    lamp[40:44, 80:84] = 1000.0
-    out = optics.glare(even.with_pixels(lamp), fraction=0.1).pixels
-    np.testing.assert_allclose(out.sum(axis=(0, 1)), lamp.sum(axis=(0, 1)), rtol=1e-3)
-    np.testing.assert_allclose(out[41, 81], 900.0, rtol=0.05)
-    assert 0 < out[10, 10, 0] < out[40, 60, 0] < out[40, 75, 0]
+LENS = (resources.folder("assets") / "lenses" / "pixel4a.yaml").read_text().partition("sources:")
 
 
-def test_blocks_average_their_pixels_also_where_they_are_cut():
-    pixels = np.arange(5 * 7 * 1, dtype=np.float32).reshape(5, 7, 1)
-    means = optics.block_means(pixels, 3)
-    expected = [[pixels[r : r + 3, c : c + 3].mean() for c in (0, 3, 6)] for r in (0, 3)]
-    np.testing.assert_allclose(means[..., 0], expected, rtol=1e-6)
+def own_lens(folder, *lines):
+    (folder / "own.yaml").write_text("\n".join([LENS[0].partition("blades:")[0], *lines, LENS[1] + LENS[2]]))
+    return load_lens("own.yaml", folder)
+
+
+def test_a_lens_may_have_a_table_a_distortion_and_blades(tmp_path):
+    plain = own_lens(tmp_path)
+    assert (plain.distortion, plain.field_deg, plain.relative_illumination, plain.blades) == ((), (), (), 0)
+    lens = own_lens(
+        tmp_path,
+        "distortion: {value: [-0.3, 0.1, 0, 0.001, 0.01], source: exif}",
+        "relative_illumination: {field_deg: [0, 10, 30], value: [1, 0.9, 0.5], source: exif}",
+        "blades: {value: 6, source: estimate}",
+    )
+    assert lens.distortion == (-0.3, 0.1, 0.0, 0.001, 0.01) and lens.blades == 6
+    assert {"field_deg": lens.field_deg, "relative_illumination": lens.relative_illumination} == TABLE
+    assert {"distortion", "relative_illumination", "blades"} <= {name for name, _ in lens.sources}
+    assert lens.content_hash != plain.content_hash
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("distortion: {value: [0.1, 0.2], source: exif}", r"own\.yaml:\d+:13: distortion has lists of 2 numbers; it takes 4 or 5 or 8"),
+        ("distortion: [0.1, 0, 0, 0]", r"distortion is \[0\.1, 0, 0, 0\]; it takes \{value: \[\.\.\.\], source: \.\.\.\}"),
+        ("distortion: {value: [0, 0, 0, .nan], source: exif}", "distortion value is nan; it takes a number from -1000 to 1000"),
+        ("distortion: {value: [0, 0, 0, 0]}", "distortion has no source"),
+        ("relative_illumination: {field_deg: [0, 9], value: [1, 0.9, 0.5], source: exif}", "has lists of 2 and 3 numbers; it takes as many of each"),
+        ("relative_illumination: {field_deg: [0, 9, 5], value: [1, 0.9, 0.5], source: exif}", "it rises from 0"),
+        ("blades: {value: 6.5, source: exif}", "blades is 6.5; it takes a whole number from 0 to 32"),
+    ],
+)
+def test_a_fault_in_a_lens_is_named(tmp_path, line, message):
+    with pytest.raises(ParameterError, match=message):
+        own_lens(tmp_path, line)
 
 
 def test_lights_add_with_their_weights():

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
+import re
+
 import numpy as np
 import pytest
 
 from synfog_usd import camera, photometry, resources, seeds
+from synfog_usd.camera import cfa
 from synfog_usd.errors import GraphError
-from synfog_usd.graph import outputs
+from synfog_usd.graph import make_graph, outputs
 from synfog_usd.image import Image, Quantity
 from synfog_usd.writers import WRITERS, write_output
 
@@ -19,8 +23,8 @@ def scene(channels=("R", "G", "B"), scale=500.0) -> Image:
     return Image(pixels, channels, Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
 
 
-def test_four_graphs_ship():
-    assert {path.stem for path in GRAPHS} >= {"phone", "synfog", "linear_exr", "dashcam"}
+def test_these_graphs_ship():
+    assert {path.stem for path in GRAPHS} >= {"phone", "synfog", "linear_exr", "dashcam", "noise_free"}
 
 
 @pytest.mark.parametrize("path", GRAPHS, ids=lambda path: path.stem)
@@ -33,8 +37,9 @@ def test_a_shipped_graph_runs_and_repeats_itself(path, tmp_path):
         run = graph.run({"radiance": radiance}, seed=7, settings=exposure.settings)
         for name, node in graph.outputs.items():
             files.setdefault(name, []).append(write_output(name, run[node], tmp_path / folder).read_bytes())
-        mosaic = run["adc"].pixels
-        assert mosaic.min() >= 0 and mosaic.max() <= graph.profiles["sensor"].white_level_dn and (mosaic == np.rint(mosaic)).all()
+        for node in graph.nodes_with("sensor.adc"):
+            mosaic = run[node.name].pixels
+            assert mosaic.min() >= 0 and mosaic.max() <= graph.profiles["sensor"].white_level_dn and (mosaic == np.rint(mosaic)).all()
     assert files and all(one == two for one, two in files.values())
 
 
@@ -85,8 +90,67 @@ def test_the_fixed_pattern_is_in_every_frame_and_the_rest_is_not():
     assert np.corrcoef(*averages)[0, 1] > 0.97
 
 
+def test_the_noise_free_camera_is_the_papers_without_its_noise():
+    """Any seed gives the same bytes, and 64 frames of the paper's camera average to its numbers.
+
+    RAW, even grey: shot, read and ADC noise are 5 DN a pixel, so the mean over 64 x 48 x 64 pixels is known to
+    0.012 DN; rounding whole numbers of one level may put the noise-free one 0.5 DN off.
+    """
+    noisy, free = (camera.load_graph(resources.folder("pipeline") / f"{name}.yaml") for name in ("synfog", "noise_free"))
+    assert [name for name in noisy.nodes if name not in free.nodes] == ["shot_noise", "read_noise", "adc_noise"]
+    even = scene().with_pixels(np.full((48, 64, 3), 300.0, np.float32))
+    settings = camera.meter(even, noisy).settings
+    one, two = (free.run({"radiance": even}, seed=seed, settings=settings) for seed in (0, 1))
+    assert one["srgb"].pixels.tobytes() == two["srgb"].pixels.tobytes()
+    frames = [noisy.run({"radiance": even}, seed=seed, settings=settings, until="adc")["adc"].pixels for seed in range(64)]
+    for where in ((slice(0, None, 2), slice(0, None, 2)), (slice(0, None, 2), slice(1, None, 2)), (slice(1, None, 2), slice(1, None, 2))):
+        mean = np.mean([frame[where].mean(dtype=np.float64) for frame in frames])
+        assert 100 < mean < 900
+        assert abs(mean - one["adc"].pixels[where].mean()) < 0.5 + 4 * 0.024
+
+
+def test_a_phone_with_everything_that_may_be_put_in():
+    """Defects, denoising, Menon and sharpening by name into the shipped graph: a clean grey gets smoother, and stays the same grey."""
+    graph = make_graph(
+        camera.OPS,
+        extends="phone",
+        nodes=[
+            {"name": "defects", "op": "isp.defects", "after": "black_level"},
+            {"name": "denoise", "op": "isp.denoise", "after": "defects"},
+            {"name": "demosaic", "algorithm": "menon"},
+            {"name": "crisp", "op": "isp.sharpen", "after": "srgb"},
+        ],
+        outputs={"crisp.png": "crisp"},
+    )
+    even = scene().with_pixels(np.full((48, 64, 3), 300.0, np.float32))
+    plain = camera.develop(camera.load_graph(resources.folder("pipeline") / "phone.yaml"), {"radiance": even}, seed=0)["srgb"].pixels
+    out = camera.develop(graph, {"radiance": even}, seed=0)["crisp"].pixels
+    assert out.std() < 0.5 * plain.std()
+    np.testing.assert_allclose(out.mean(axis=(0, 1)), plain.mean(axis=(0, 1)), atol=2 / 255)
+
+
+@pytest.mark.parametrize("pattern", cfa.BAYER)
+def test_a_phone_of_each_phase_takes_the_same_picture(pattern, tmp_path):
+    """The four Bayer phases of one sensor on a smooth scene: the pictures agree to a few 255ths (their noise is their own)."""
+    source = resources.folder("assets") / "sensors" / "imx363.yaml"
+    (tmp_path / "mine.yaml").write_text(re.sub(r"^cfa:.*\n", "", source.read_text(), flags=re.M).replace("serial:", f"cfa: {pattern}\nserial:", 1))
+    graph = make_graph(camera.OPS, extends="noise_free", folder=tmp_path, sensor="./mine.yaml", nodes=[], outputs={})
+    ramp = np.linspace(50, 500, 64, dtype=np.float32)[None, :, None] * np.array([1.0, 0.7, 0.4], np.float32) * np.ones((48, 1, 1), np.float32)
+    run = graph.run({"radiance": scene().with_pixels(ramp)}, seed=0, settings={"exposure_s": 1 / 700, "iso": 55})
+    assert run["adc"].provenance["cfa_pattern"] == pattern
+    expected = make_graph(camera.OPS, extends="noise_free", nodes=[], outputs={}).run(
+        {"radiance": scene().with_pixels(ramp)}, seed=0, settings={"exposure_s": 1 / 700, "iso": 55}
+    )
+    np.testing.assert_allclose(run["srgb"].pixels[2:-2, 2:-2], expected["srgb"].pixels[2:-2, 2:-2], atol=3 / 255)
+
+
 def test_what_a_graph_may_write_and_what_writers_can_write_are_the_same():
-    assert set(outputs.FORMATS) == set(WRITERS)
+    """Formats; and of each, the words that say how."""
+    assert set(outputs.FORMATS) == set(outputs.OPTIONS) == set(WRITERS)
+    for suffix, options in outputs.OPTIONS.items():
+        words = inspect.signature(WRITERS[suffix]).parameters
+        assert set(options) == {name for name, word in words.items() if word.kind is word.KEYWORD_ONLY} - {"attributes"}
+        assert all(words[name].default in (option.choices[0], None) for name, option in options.items())
 
 
 def test_wrong_order_in_the_phone_is_refused_when_it_is_loaded(tmp_path):

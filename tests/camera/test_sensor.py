@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.stats import assert_mean
 
-from synfog_usd import seeds
-from synfog_usd.camera import response, sensor
-from synfog_usd.camera.profiles import load_sensor
+from synfog_usd import camera, resources, seeds
+from synfog_usd.camera import cfa, response, sensor
+from synfog_usd.camera.profiles import Curve, QuantumEfficiency, load_sensor
 from synfog_usd.errors import ImageError
 from synfog_usd.image import Image, Quantity
 
@@ -26,8 +28,23 @@ def analog(level: float, shape=(64, 64), **facts) -> Image:
     return Image(np.full((*shape, 1), level, np.float32), ("CFA",), Quantity.DN, provenance={"system_gain_dn_e": 0.1705, **facts})
 
 
-def digital(image: Image) -> Image:
-    return sensor.adc(image, bits=10, black_level_dn=64, white_level_dn=1023, sensor=SENSOR)
+def digital(image: Image, chip=SENSOR, **params) -> Image:
+    return sensor.adc(image, bits=10, black_level_dn=64, white_level_dn=1023, sensor=chip, **params)
+
+
+def behind(pattern: str):
+    """The phone's sensor behind other filters: Gaussians, each around a wavelength of its own."""
+    centres_nm = {"R": 600.0, "G": 540.0, "B": 460.0, "C": 550.0, "I": 740.0}
+    filters = tuple(Curve("gaussian", (centres_nm[letter], 300.0 if letter == "C" else 80.0, 0.9)) for letter in cfa.filters(pattern))
+    return replace(SENSOR, cfa=pattern, qe=QuantumEfficiency(common=(Curve("flat", (0.8,)),), filters=filters), content_hash=pattern)
+
+
+def phone():
+    return camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+
+
+def radiance(level: float, shape=(200, 300)) -> Image:
+    return Image(np.full((*shape, 3), level, np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
 
 
 @pytest.mark.parametrize("mean", [1.0, 5.0, 25.0, 3000.0])
@@ -47,22 +64,61 @@ def test_shot_noise_is_poisson(mean):
     assert (drawn == np.rint(drawn)).all() and drawn.min() >= 0
 
 
-def test_the_mosaic_sees_each_site_through_its_own_filter():
-    """Weights computed site by site from the response matrix; odd sizes too."""
+def test_shot_noise_repeats_and_its_strips_are_independent():
+    """It is drawn in strips by several threads: the same stream gives the same bytes, and no strip is a copy of another."""
+    lit = electrons(25.0, (404, 300))
+    one, again = (sensor.shot_noise(lit, rng=seeds.stream(5, "strips")).pixels for _ in range(2))
+    np.testing.assert_array_equal(one, again)
+    strips = np.array_split(one[..., 0], sensor.STRIPS)
+    n = strips[0].size
+    for index in range(1, sensor.STRIPS):
+        assert abs(np.corrcoef(strips[0].ravel(), strips[index].ravel())[0, 1]) < SIGMAS / math.sqrt(n)
+
+
+@pytest.mark.parametrize("mean_e, resolves", [(1.0, 0.025), (5.0, 0.006), (25.0, 0.002)])
+def test_few_electrons_are_not_shifted(mean_e, resolves):
+    """From the mean count to the number, nothing moves the mean: E[DN] = black + K mu (a known fault elsewhere doubled it)."""
+    chip = load_sensor("imx363")
+    means = []
+    for seed in range(16):
+        image = sensor.prnu(electrons(mean_e, (600, 600)), prnu_percent=chip.prnu_percent, serial=f"means {seed}")
+        image = sensor.shot_noise(image, rng=seeds.stream(seed, "shot", str(mean_e)))
+        image = sensor.dsnu(sensor.full_well(image, full_well_e=chip.full_well_e), dsnu_e=chip.dsnu_e, serial=f"means {seed}")
+        image = sensor.read_noise(image, rng=seeds.stream(seed, "read", str(mean_e)), sigma_e=chip.read_noise_e)
+        image = sensor.gain(image, iso=chip.iso_base, iso_base=chip.iso_base, gain_dn_e=chip.gain_dn_e)
+        image = digital(sensor.adc_noise(image, rng=seeds.stream(seed, "adc", str(mean_e)), sigma_dn=chip.adc_noise_dn))
+        means.append(image.pixels.mean(dtype=np.float64) - chip.black_level_dn)
+    assert_mean(np.array(means), mean_e * chip.gain_dn_e, resolves=resolves)
+
+
+@pytest.mark.parametrize("pattern", cfa.PATTERNS)
+def test_the_mosaic_sees_each_site_through_its_own_filter(pattern):
+    """Weights computed site by site from the response matrix and the pattern's letters; odd sizes too."""
+    chip, rows = behind(pattern), cfa.PATTERNS[pattern]
     pixels = seeds.stream(0, "mosaic").random((5, 7, 3), dtype=np.float32)
-    image = sensor.expose(Image(pixels, ("R", "G", "B"), Quantity.IRRADIANCE), exposure_s=0.5, pixel_pitch_um=1.4, fill_factor=0.8, sensor=SENSOR)
-    rate = response.electrons_per_second(SENSOR, ("R", "G", "B"), pixel_pitch_um=1.4, fill_factor=0.8)
+    image = sensor.expose(Image(pixels, ("R", "G", "B"), Quantity.IRRADIANCE), exposure_s=0.5, pixel_pitch_um=1.4, fill_factor=0.8, sensor=chip)
+    rate = response.electrons_per_second(chip, ("R", "G", "B"), pixel_pitch_um=1.4, fill_factor=0.8)
+    assert image.provenance["cfa_pattern"] == pattern and image.provenance["spectra"].startswith("upsampled from linear Rec.709")
     for row in range(5):
         for column in range(7):
-            channel = "RGGB".index("RGGB"[2 * (row % 2) + column % 2]) if (row + column) % 2 == 0 else 1
-            filter_row = {0: 0, 1: 1, 3: 2}[channel]
-            assert image.pixels[row, column, 0] == pytest.approx(0.5 * rate[filter_row] @ pixels[row, column], rel=1e-5)
+            number = cfa.filters(pattern).index(rows[row % len(rows)][column % len(rows[0])])
+            assert image.pixels[row, column, 0] == pytest.approx(0.5 * rate[number] @ pixels[row, column], rel=1e-5)
+
+
+def test_a_short_exposure_is_a_part_of_the_metered_one():
+    lit = Image(np.full((4, 4, 3), 100.0, np.float32), ("R", "G", "B"), Quantity.IRRADIANCE)
+    long, short = (
+        sensor.expose(lit, exposure_s=0.016, pixel_pitch_um=3.0, fill_factor=0.5, exposure_ratio=ratio, sensor=SENSOR) for ratio in (1.0, 1.0 / 16.0)
+    )
+    np.testing.assert_allclose(short.pixels * 16.0, long.pixels, rtol=1e-6)
+    assert short.provenance["exposure_s"] == pytest.approx(0.001) and long.provenance["gathered_um2_s"] == pytest.approx(0.016 * 0.5 * 9.0)
 
 
 def test_fixed_patterns_stay_and_belong_to_a_specimen():
     """PRNU and DSNU of one serial are the same in every frame, of another serial others; their spread is the profile's."""
     lit = electrons(1000.0)
     one = sensor.prnu(lit, prnu_percent=0.7, serial="a").pixels
+    sensor._pattern.cache_clear()  # as in another process
     again = sensor.prnu(lit, prnu_percent=0.7, serial="a").pixels
     other = sensor.prnu(lit, prnu_percent=0.7, serial="b").pixels
     np.testing.assert_array_equal(one, again)
@@ -94,6 +150,77 @@ def test_a_full_pixel_takes_no_more():
     np.testing.assert_array_equal(sensor.full_well(electrons(7000.0, (2, 2)), full_well_e=6000.0).pixels, 6000.0)
 
 
+def test_blooming_keeps_the_charge_and_fills_the_column():
+    """1000 e- over a well of 100 that holds them: 900 go up and down in halves, 4.5 pixels of 100 each way; none goes sideways."""
+    image = electrons(0.0, (21, 3))
+    image.pixels[10, 1] = 1000.0
+    out = sensor.full_well(image, full_well_e=100.0, blooming=1.0).pixels[..., 0]
+    expected = np.zeros(21)
+    expected[6:15], expected[5], expected[15] = 100.0, 50.0, 50.0
+    np.testing.assert_allclose(out[:, 1], expected, rtol=1e-6)
+    assert out[:, [0, 2]].max() == 0.0
+    np.testing.assert_allclose(sensor.full_well(image, full_well_e=100.0, blooming=0.2).pixels.sum(), 100.0 + 0.2 * 900.0, rtol=1e-6)
+
+
+def test_charge_of_two_lamps_in_a_column_goes_round_what_is_full():
+    """Neighbours that are full already pass it on; all of it is there unless it leaves the picture."""
+    level = seeds.stream(2, "bloom").uniform(0.0, 90.0, (60, 8, 1)).astype(np.float32)
+    image = electrons(0.0, (60, 8)).with_pixels(level)
+    image.pixels[[25, 32]] = 700.0
+    out = sensor.full_well(image, full_well_e=100.0, blooming=1.0).pixels
+    assert out.max() <= 100.0 and (out >= np.minimum(image.pixels, 100.0)).all()
+    np.testing.assert_allclose(out.sum(axis=0), image.pixels.sum(axis=0), rtol=1e-6)
+
+
+def test_the_well_clips_before_the_gain():
+    """At a quarter of the base gain a full well of 6000 e- ends at 64 + 6000 K / 4, far below white."""
+    full = sensor.full_well(electrons(1e6, (8, 8)), full_well_e=6000.0)
+    out = digital(sensor.gain(full, iso=13.75, iso_base=55.0, gain_dn_e=0.1705))
+    np.testing.assert_array_equal(out.pixels, round(64 + 6000 * 0.1705 / 4))
+
+
+def test_a_headlight_stays_below_two_to_the_n():
+    """1e9 cd m-2 beside darkness: 1023 in 10 bits, never 1024, and no number below 0."""
+    scene = radiance(0.01, (40, 60))
+    scene.pixels[10:20, 10:20] = 1e9
+    out = phone().run({"radiance": scene}, seed=3, settings={"exposure_s": 1 / 60, "iso": 7040}, until="adc")["adc"].pixels
+    assert out.max() == 1023.0 and out.min() >= 0.0 and (out == np.rint(out)).all()
+
+
+def test_rows_and_columns_have_offsets_that_stay_and_some_that_do_not():
+    """Standard deviations of 400 rows and 500 columns: theirs, to the accuracy of so many draws; one frame less another leaves the temporal part."""
+    frames = [
+        sensor.row_column(
+            analog(0.0, (400, 500)), rng=seeds.stream(seed, "rows"), row_noise_dn=3.0, column_noise_dn=5.0, temporal_row_noise_dn=temporal, serial="a"
+        ).pixels[..., 0]
+        for seed, temporal in ((1, 0.0), (2, 0.0), (3, 2.0))
+    ]
+    np.testing.assert_array_equal(frames[0], frames[1])
+    rows, columns = frames[0].mean(axis=1), frames[0].mean(axis=0)
+    assert abs(rows.std() - 3.0) < SIGMAS * 3.0 / math.sqrt(800) and abs(columns.std() - 5.0) < SIGMAS * 5.0 / math.sqrt(1000)
+    np.testing.assert_allclose(frames[0], rows[:, None] + columns[None, :] - frames[0].mean(), atol=1e-4)
+    moved = frames[2] - frames[0]
+    assert np.ptp(moved, axis=1).max() < 1e-4 and abs(moved[:, 0].std() - 2.0) < SIGMAS * 2.0 / math.sqrt(800)
+
+
+def test_clear_and_foggy_frames_share_what_is_fixed_and_nothing_that_is_temporal():
+    """Two seeds, as a bake gives the two shots of a pair: their dark frames agree in the DSNU (2 e- here) and in nothing else.
+
+    Covariance of two frames of N pixels, per pixel a fixed part f and temporal noise t:
+    f^2, to within (f^2 + t^2) / sqrt(N).  The same seed gives the same noise.
+    """
+    graph, settings = phone().with_overrides({"dsnu.dsnu_e": 2.0}), {"exposure_s": 0.01, "iso": 55.0}
+    shots = [seeds.seed32(0, "day", fog) for fog in ("clear", "fog", "clear")]
+    clear, fog, again = (graph.run({"radiance": radiance(0.0)}, seed=seed, settings=settings, until="adc")["adc"] for seed in shots)
+    fixed_dn, temporal_dn = 2.0 * 0.1705, clear.provenance["total_dark_noise_dn"]
+    covariance = np.cov(clear.pixels.ravel(), fog.pixels.ravel())
+    slack = SIGMAS * (fixed_dn**2 + temporal_dn**2) / math.sqrt(clear.pixels.size)
+    assert fixed_dn**2 > 2 * slack, "the test could not see the pattern"
+    assert abs(covariance[0, 1] - fixed_dn**2) < slack
+    assert abs((clear.pixels - fog.pixels).std() - math.sqrt(2) * temporal_dn) < SIGMAS * temporal_dn / math.sqrt(clear.pixels.size)
+    np.testing.assert_array_equal(clear.pixels, again.pixels)
+
+
 def test_iso_multiplies_the_noise_before_the_gain_only():
     """Total noise in DN: sqrt((2.5 K)^2 + 0.738^2); at base ISO that is the public figure, 5 e- in all."""
     for iso, expected_dn in [(55.0, 5.0 * 0.1705), (880.0, math.hypot(2.5 * 0.1705 * 16, 0.738))]:
@@ -112,9 +239,32 @@ def test_numbers_are_rounded_and_stay_in_range(level, number):
 
 def test_the_noise_profile_of_the_raw_file_is_the_noise_that_is_there():
     """S = K / (W - B); O = dark variance / (W - B)^2, the last with 1/12 of the rounding."""
-    facts = digital(analog(0.0, read_noise_e=2.5, dark_e=0.3, adc_noise_dn=0.738)).provenance
+    facts = digital(analog(0.0, shot_noise=True, read_noise_e=2.5, dark_e=0.3, adc_noise_dn=0.738)).provenance
     variance = 0.1705**2 * (2.5**2 + 0.3) + 0.738**2 + 1 / 12
     np.testing.assert_allclose(facts["noise_profile"], [0.1705 / 959, variance / 959**2], rtol=1e-12)
+    np.testing.assert_allclose(digital(analog(0.0)).provenance["noise_profile"], [0.0, 1 / 12 / 959**2], rtol=1e-12)  # a graph without noise rounds
+
+
+def test_the_conversion_gain_has_a_factor():
+    out = sensor.gain(electrons(1000.0, (2, 2)), iso=110.0, iso_base=55.0, gain_dn_e=0.2, factor=0.25)
+    np.testing.assert_allclose(out.pixels, 100.0, rtol=1e-6)
+    assert out.provenance["system_gain_dn_e"] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("pattern", cfa.PATTERNS)
+def test_the_raw_file_is_told_the_colours_of_the_filters_that_are_there(pattern):
+    """A matrix row and a neutral per filter, each sending its light's white to the neutral; nothing for fewer than three."""
+    facts = digital(analog(0.0, (2, 2)), behind(pattern), illuminant="a").provenance
+    count = len(cfa.filters(pattern))
+    assert facts["cfa_pattern"] == pattern
+    if count < 3:
+        assert not {"xyz_to_camera", "xyz_to_camera_a", "as_shot_neutral"} & set(facts)
+        return
+    assert np.shape(facts["xyz_to_camera"]) == np.shape(facts["xyz_to_camera_a"]) == (count, 3)
+    tungsten = (1.0985, 1.0, 0.3558)  # CIE 015, XYZ of illuminant A
+    np.testing.assert_allclose(np.array(facts["xyz_to_camera_a"]) @ tungsten, facts["as_shot_neutral"], atol=4e-3)  # four digits, times the matrix
+    daylight = (0.9505, 1.0, 1.0890)
+    np.testing.assert_allclose(np.array(facts["xyz_to_camera"]) @ daylight, response.neutral(behind(pattern), "D65"), atol=4e-3)
 
 
 def test_levels_that_do_not_fit_the_bits_are_refused():

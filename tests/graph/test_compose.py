@@ -23,6 +23,8 @@ nodes:
 outputs: {raw.dng: adc, srgb.png: show}
 """
 
+SHIPPED = ", ".join(sorted(path.stem for path in resources.folder("pipeline").glob("*.yaml")))
+
 
 def load(tmp_path: Path, registry, **texts: str):
     """The graph `g.yaml` among the files of these stems."""
@@ -72,6 +74,22 @@ outputs: {raw.dng: adc, again.png: again}
     graph = load(tmp_path, registry, g=own(nodes, "outputs: {again.png: again, srgb.png: }\n"), hand=by_hand)
     assert graph.hash == load_graph(tmp_path / "hand.yaml", registry).hash
     assert [graph.nodes[name].inputs for name in ("earlier", "early", "adc")] == [("expose",), ("earlier",), ("early",)]
+
+
+def test_outputs_of_both_are_written_and_how_they_are_can_be_changed(tmp_path, registry):
+    """Without 'node' the base's words stay and the own ones go before them; a name, or a 'node', begins anew."""
+    base = BASE.replace(
+        "{raw.dng: adc, srgb.png: show}", "{raw.dng: adc, all.exr: {node: noise, half: true, compression: piz}, srgb.png: {node: show, bits: 16}, a.tif: show}"
+    )
+    outputs = "outputs: {raw.dng: {compression: lossless}, all.exr: {compression: rle}, srgb.png: show, a.tif: {node: adc}, b.tif: {node: show, bits: 8}}\n"
+    graph = load(tmp_path, registry, g=own(rest=outputs), base=base)
+    assert graph.outputs == {"raw.dng": "adc", "all.exr": "noise", "srgb.png": "show", "a.tif": "adc", "b.tif": "show"}
+    assert graph.output_options == {"raw.dng": {"compression": "lossless"}, "all.exr": {"half": True, "compression": "rle"}, "b.tif": {"bits": 8}}
+    fault = refusal(tmp_path, registry, g=own(rest="outputs: {raw.dng: {compression: lossles}, new.exr: {half: true}}\n"), base=BASE)
+    assert fault.splitlines()[1:] == [
+        "g.yaml:3:34: output 'raw.dng': compression is 'lossles'; it takes one of none, lossless. Did you mean 'lossless'?",
+        "g.yaml:3:53: output 'new.exr' has no 'node'; name the node that it is made of, beside what it has",
+    ]
 
 
 def test_a_chain_of_graphs_is_followed_and_profiles_stay_in_their_folders(tmp_path, registry):
@@ -144,7 +162,7 @@ def test_words_for_editing_need_something_to_edit(tmp_path, registry, word):
         ("none.yaml", "'none.yaml' cannot be used: none.yaml: cannot be read (No such file or directory)"),
         ("folder.yaml", "'folder.yaml' cannot be used: folder.yaml: cannot be read (Is a directory)"),
         ('"a\\0.yaml"', "no shipped graph 'a\\x00.yaml'; there are"),
-        ("phon", "no shipped graph 'phon'; there are dashcam, linear_exr, phone, synfog, or give a path that ends in .yaml. Did you mean 'phone'?"),
+        ("phon", f"no shipped graph 'phon'; there are {SHIPPED}, or give a path that ends in .yaml. Did you mean 'phone'?"),
         ("[base.yaml]", "no shipped graph ['base.yaml']; there are"),
         ("3", "no shipped graph 3; there are"),
         ("broken.yaml", "'broken.yaml' cannot be used: broken.yaml:1:4: not valid YAML:"),

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from synfog_usd.errors import GraphError, ParameterError
-from synfog_usd.graph import load_graph
+from synfog_usd.graph import drawing, load_graph
 
 GOOD = """\
 synfog: graph/1
@@ -52,6 +52,23 @@ def test_a_good_graph_loads_with_its_values_and_their_sources(tmp_path, registry
     assert (graph.nodes["noise"].params["sigma_e"].value, graph.nodes["noise"].params["sigma_e"].source) == (2.0, "chip.noise_e")
     assert graph.nodes["lens"].params["shape"].source == "default"
     assert graph.outputs == {"raw.dng": "adc", "srgb.png": "show"}
+
+
+def test_outputs_may_say_how_they_are_written(tmp_path, registry):
+    """Whoever needs only file and node finds them as ever; the rest stands beside, and in the hash."""
+    plain = load(tmp_path, GOOD, registry)
+    assert plain.output_options == {} and plain.options_of("raw.dng") == {}
+    said = GOOD.replace("raw.dng: adc", "raw.dng: {compression: lossless, node: adc}").replace(
+        "srgb.png: show", "srgb.tif: {node: show, bits: 16}\n  raw.tif: adc"
+    )
+    graph = load(tmp_path, said, registry)
+    assert graph.outputs == {"raw.dng": "adc", "srgb.tif": "show", "raw.tif": "adc"}
+    assert graph.output_options == {"raw.dng": {"compression": "lossless"}, "srgb.tif": {"bits": 16}}
+    assert (
+        len({load(tmp_path, text, registry).hash for text in (said, said.replace("bits: 16", "bits: 8"), said.replace("{node: show, bits: 16}", "show"))}) == 3
+    )
+    assert load(tmp_path, GOOD.replace("raw.dng: adc", "raw.dng: {node: adc}"), registry).hash == plain.hash
+    assert "writes raw.dng from adc (compression=lossless)\nwrites srgb.tif from show (bits=16)\nwrites raw.tif from adc" in drawing.table(graph)
 
 
 # (what is replaced; by what, ^ standing before the thing that is wrong; the message or its start)
@@ -134,6 +151,32 @@ FAULTS = [
     ),
     ("srgb.png: show", "srgb.png: adc", "g.yaml:12:13: output 'srgb.png' takes display_rgb; node 'adc' gives dn (mosaic); what fits: show"),
     ("raw.dng: adc", "raw.dng: show", "g.yaml:11:12: output 'raw.dng' takes dn (mosaic); node 'show' gives display_rgb (rgb); what fits: adc"),
+    ("raw.dng: adc", "raw.dng: {compression: lossless}", "g.yaml:11:12: output 'raw.dng' has no 'node'; name the node that it is made of"),
+    (
+        "raw.dng: adc",
+        "raw.dng: {node: adc, compresion: lossless}",
+        "g.yaml:11:24: output 'raw.dng' has no 'compresion'; it takes node, compression. Did you mean 'compression'?",
+    ),
+    (
+        "raw.dng: adc",
+        "raw.dng: {node: adc, compression: ^losless}",
+        "output 'raw.dng': compression is 'losless'; it takes one of none, lossless. Did you mean 'lossless'?",
+    ),
+    ("raw.dng: adc", "raw.dng: {node: ^ad, compression: none}", "output 'raw.dng' is 'ad', which is no node; there are lens, expose, noise, adc, show."),
+    ("raw.dng: adc", "raw.dng: {node: ^[adc]}", "output 'raw.dng' is ['adc'], which is no node;"),
+    (
+        "raw.dng: adc",
+        "raw.dng: {node: ^show, compression: lossless}",
+        "output 'raw.dng' takes dn (mosaic); node 'show' gives display_rgb (rgb); what fits: adc",
+    ),
+    ("raw.dng: adc", "raw.exr: {node: adc, half: ^1}", "output 'raw.exr': half is 1; it takes true or false"),
+    ("raw.dng: adc", "raw.exr: {node: adc, compression: ^dwaa}", "output 'raw.exr': compression is 'dwaa'; it takes one of zip, zips, piz, rle, none"),
+    ("raw.dng: adc", "raw.exr: {node: adc, compression: ^null}", "output 'raw.exr': compression is None; it takes one of"),
+    ("srgb.png: show", "srgb.png: {node: show, bits: ^16.0}", "output 'srgb.png': bits is 16.0; it takes one of 8, 16"),
+    ("srgb.png: show", "srgb.png: {node: show, bits: ^12}", "output 'srgb.png': bits is 12; it takes one of 8, 16"),
+    ("srgb.png: show", "raw.tif: {node: ^adc, bits: 16}", "output 'raw.tif' with bits: 16 takes display_rgb; node 'adc' gives dn (mosaic); what fits: show"),
+    ("srgb.png: show", "raw.jxl: {node: ^adc, bits: 16}", "output 'raw.jxl' takes display_rgb; node 'adc' gives dn (mosaic); what fits: show"),
+    ("srgb.png: show", "srgb.jxl: {node: show, lossless: ^[true]}", "output 'srgb.jxl': lossless is [True]; it takes true or false"),
     ("outputs:\n  raw.dng: adc\n  srgb.png: show\n", "outputs: all\n", "g.yaml:10:10: outputs is 'all'; it takes a mapping of file names to nodes"),
     ("bits: 8", "bits: ^!!python/object/apply:os.system ['true']", "tag 'tag:yaml.org,2002:python/object/apply:os.system' is not allowed"),
     ("bits: 8}", "bits: 8", "g.yaml:9:5: not valid YAML: expected ',' or '}', but got '{'"),
@@ -258,6 +301,7 @@ def test_a_node_without_a_name_is_called_by_its_verb(tmp_path, registry):
         "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, in: {a: b}}]\noutputs: {}\n",
         "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, scale: 1" + "0" * 400 + "}]\noutputs: {a.exr: pass}\n",
         "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: [pass]}\n",
+        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: {}, b.exr: {node: {a: b}}, c.exr: {node: pass, half: {a: b}}}\n",
         "synfog: graph/1\ntitle: [1]\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: pass}\n",
     ],
 )

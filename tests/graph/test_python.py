@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from synfog_usd import camera, resources, seeds, writers
-from synfog_usd.camera import isp, optics, sensor
+from synfog_usd.camera import demosaic, isp, optics, sensor
 from synfog_usd.errors import GraphError
 from synfog_usd.graph import load_graph, make_graph
 from synfog_usd.image import Image, Quantity
@@ -43,7 +43,7 @@ def scene() -> Image:
 
 def written(graph, scene, folder):
     run = graph.run({"radiance": scene}, seed=SEED, settings=SETTINGS)
-    return {name: writers.write_output(name, run[node], folder).read_bytes() for name, node in graph.outputs.items()}
+    return {name: writers.write_output(name, run[node], folder, options=graph.options_of(name)).read_bytes() for name, node in graph.outputs.items()}
 
 
 def test_a_graph_from_python_writes_the_bytes_of_the_yaml(tmp_path, scene):
@@ -52,6 +52,18 @@ def test_a_graph_from_python_writes_the_bytes_of_the_yaml(tmp_path, scene):
     assert python.hash == yaml.hash
     files = written(python, scene, tmp_path / "python")
     assert files == written(yaml, scene, tmp_path / "yaml") and set(files) == set(OUTPUTS)
+
+
+def test_python_says_in_the_same_words_how_a_file_is_written(tmp_path, scene):
+    text = "synfog: graph/1\nextends: synfog\noutputs: {raw.dng: {compression: lossless}, srgb.png: {bits: 16}, dn.exr: {node: adc, half: true}}\n"
+    (tmp_path / "g.yaml").write_text(text)
+    yaml = camera.load_graph(tmp_path / "g.yaml")
+    outputs = {"raw.dng": {"compression": "lossless"}, "srgb.png": {"bits": 16}, "dn.exr": {"node": "adc", "half": True}}
+    python = make_graph(camera.OPS, name="g", extends="synfog", nodes=[], outputs=outputs)
+    assert python.hash == yaml.hash and yaml.output_options["raw.dng"] == {"compression": "lossless"}
+    assert written(python, scene, tmp_path / "python") == written(yaml, scene, tmp_path / "yaml")
+    with pytest.raises(GraphError, match=r"^outputs\.raw\.dng\.compression: output 'raw\.dng': compression is 'jpeg'; it takes one of none, lossless$"):
+        make_graph(camera.OPS, extends="synfog", nodes=[], outputs={"raw.dng": {"compression": "jpeg"}})
 
 
 def test_the_ops_called_one_by_one_give_the_bytes_of_the_graph(scene):
@@ -66,7 +78,7 @@ def test_the_ops_called_one_by_one_give_the_bytes_of_the_graph(scene):
     image = sensor.adc_noise(image, rng=seeds.stream(SEED, "node", "adc_noise"), sigma_dn=chip.adc_noise_dn)
     raw = sensor.adc(image, bits=chip.bits, black_level_dn=chip.black_level_dn, white_level_dn=chip.white_level_dn, sensor=chip)
     image = isp.black_level(raw, black_level_dn=chip.black_level_dn, white_level_dn=chip.white_level_dn)
-    image = isp.demosaic(isp.white_balance(image, sensor=chip))
+    image = demosaic.demosaic(isp.white_balance(image, sensor=chip))
     picture = isp.gamma(isp.colour_correct(image, sensor=chip))
     run = camera.load_graph(resources.folder("pipeline") / "synfog.yaml").run({"radiance": scene}, seed=SEED, settings=SETTINGS)
     assert run["adc"].pixels.tobytes() == raw.pixels.tobytes()

@@ -86,7 +86,7 @@ def parameter(op: str, name: str) -> dict:
 
 
 def test_the_schema_holds_ranges_choices_and_defaults():
-    assert parameter("isp.demosaic", "algorithm")["enum"] == ["linear", "mhc"] and parameter("isp.demosaic", "algorithm")["default"] == "linear"
+    assert parameter("isp.demosaic", "algorithm")["enum"] == ["linear", "mhc", "menon"] and parameter("isp.demosaic", "algorithm")["default"] == "linear"
     number, written, auto = parameter("sensor.expose", "exposure_s")["anyOf"]
     assert number == {"type": "number", "exclusiveMinimum": 0.0, "maximum": 3600.0} and auto["const"] == "auto" and written["type"] == "string"
     assert parameter("sensor.adc", "bits")["anyOf"][0] == {"type": "integer", "minimum": 8, "maximum": 16}
@@ -146,6 +146,33 @@ def test_the_schema_accepts_the_shipped_graphs(valid, path):
 def test_schema_and_loader_agree_on_a_node(tmp_path, registry, valid, node):
     """Names, types and ranges: what the one refuses the other refuses."""
     text = f"synfog: graph/1\ninputs: [radiance]\nnodes:\n  - {{{node}}}\noutputs: {{a.exr: {'lens_1' if 'Lens' in node else 'pass'}}}\n"
+    (tmp_path / "g.yaml").write_text(text)
+    try:
+        loads = bool(load_graph(tmp_path / "g.yaml", registry))
+    except GraphError:
+        loads = False
+    assert valid(text, registry) is loads
+
+
+@pytest.mark.parametrize(
+    "output",
+    [
+        "raw.dng: adc",
+        "raw.dng: {node: adc}",
+        "raw.dng: {node: adc, compression: lossless}",
+        "raw.dng: {node: adc, compression: zip}",
+        "raw.dng: {node: adc, compresion: none}",
+        "raw.dng: {node: [adc]}",
+        "raw.exr: {node: adc, half: true, compression: none}",
+        "raw.exr: {node: adc, half: 1}",
+        "raw.tif: {node: adc, bits: 32}",
+        "raw.tiff: {node: adc, bits: '32'}",
+        "raw.tif: {node: adc, lossless: true}",
+        "raw.bmp: adc",
+    ],
+)
+def test_schema_and_loader_agree_on_an_output(tmp_path, registry, valid, output):
+    text = f"synfog: graph/1\ninputs: [radiance]\nnodes: [{{op: lens.pass}}, {{op: chip.expose}}, {{op: chip.adc}}]\noutputs: {{{output}}}\n"
     (tmp_path / "g.yaml").write_text(text)
     try:
         loads = bool(load_graph(tmp_path / "g.yaml", registry))

@@ -114,6 +114,23 @@ def test_light_that_cannot_be_is_refused_with_its_pixel(tmp_path, value, words):
         read_exr(tmp_path / "bad.exr")
 
 
+def test_light_that_cannot_be_is_mended_where_that_is_asked_for(tmp_path):
+    """A pixel in the corner takes the median of its three neighbours, one without neighbours 0; what is right stays as it is."""
+    pixels = np.ones((4, 6, 3), np.float32)
+    pixels[0, 0, 0], pixels[0, 1, 0], pixels[1, 0, 0], pixels[1, 1, 0] = np.nan, 4.0, 5.0, 9.0
+    pixels[2, 4, 1] = -3.0
+    foreign(tmp_path / "bad.exr", pixels, ("R", "G", "B"))
+    wanted = pixels.copy()
+    wanted[0, 0, 0], wanted[2, 4, 1] = 5.0, 0.0
+    read = read_exr(tmp_path / "bad.exr", repair=True)
+    np.testing.assert_array_equal(read.pixels, wanted)
+    assert read.provenance["repaired_values"] == 2
+    foreign(tmp_path / "one.exr", np.full((1, 1, 3), np.inf), ("R", "G", "B"))
+    np.testing.assert_array_equal(read_exr(tmp_path / "one.exr", repair=True).pixels, 0.0)
+    foreign(tmp_path / "good.exr", wanted, ("R", "G", "B"))
+    assert "repaired_values" not in read_exr(tmp_path / "good.exr", repair=True).provenance
+
+
 def test_depth_may_be_infinite(tmp_path):
     pixels = np.full((2, 2, 1), np.inf, np.float32)
     write_exr(tmp_path / "z.exr", Image(pixels, ("depth.Z",), Quantity.DATA))
@@ -141,3 +158,22 @@ def test_a_place_that_cannot_be_written_is_an_error_of_ours(tmp_path):
     with pytest.raises(OutputError, match="cannot be written"):
         write_exr(tmp_path / "a.exr", image())
     assert list(tmp_path.iterdir()) == [tmp_path / "a.exr"]
+
+
+def test_light_that_is_no_number_is_not_written(tmp_path):
+    """DATA may hold it: the depth of the sky."""
+    for value in (np.nan, np.inf):
+        bad = image(quantity=Quantity.ELECTRONS)
+        bad.pixels[5, 7, 1] = value
+        with pytest.raises(ImageError, match=rf"a\.exr: electrons at x=7, y=5, channel 'G' is {value}; it must be finite"):
+            write_exr(tmp_path / "a.exr", [image(("Y",)), bad])
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("compression", ["zip", "zips", "piz", "rle", "none"])
+def test_every_compression_is_lossless(tmp_path, compression):
+    write_exr(tmp_path / "a.exr", image(), compression=compression)
+    np.testing.assert_array_equal(read_exr(tmp_path / "a.exr").pixels, image().pixels)
+    source = OpenImageIO.ImageInput.open(str(tmp_path / "a.exr"))
+    assert source.spec().getattribute("compression") == compression
+    source.close()

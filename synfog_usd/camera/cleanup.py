@@ -1,0 +1,226 @@
+"""Optional ops of the image signal processor: defects, noise, sharpness.
+
+`isp.defects` and `isp.denoise` stand right behind `isp.black_level`, where the noise
+is as the sensor made it; `isp.sharpen` stands behind `isp.gamma`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
+from synfog_usd.camera import cfa
+from synfog_usd.camera.isp import DISPLAY, LUMINANCE, MOSAIC, pattern_of
+from synfog_usd.camera.profiles import SensorProfile
+from synfog_usd.camera.registry import OPS
+from synfog_usd.errors import ImageError
+from synfog_usd.graph import FromProfile, Range
+from synfog_usd.image import FloatArray, Image
+
+RING = tuple((row, column) for row in (-2, 0, 2) for column in (-2, 0, 2) if row or column)
+"""Where the eight next pixels of the same filter are, in every pattern."""
+
+CROSS = ((-1, 0), (1, 0), (0, -1), (0, 1))
+"""The four next pixels, of any filter."""
+
+LAMP_SIGMA = 4.0
+"""From how many standard deviations on the light around a pixel says that it is no defect."""
+
+SPLINE = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
+"""Cubic B-spline: the smoothing step of the starlet transform."""
+
+
+@OPS.op("isp.defects", takes=MOSAIC, gives=MOSAIC)
+def defects(image: Image, *, threshold: Annotated[float, Range(3.0, 1000.0)] = 12.0) -> Image:
+    """Single hot and dead pixels become the median of their neighbours of the same filter.
+
+    A pixel is one where it lies beyond all eight neighbours by the threshold, and the
+    four pixels beside it do not lean the same way: a lens spreads a point of light
+    over more than one pixel, and a defect stays alone.  A lamp so faint or so sharp
+    that nothing of it shows beside its pixel is taken for a defect: at f/1.8 and 1.4 um
+    one of a single pixel stays from 200 standard deviations on.  Two defects within
+    reach of each other are left.
+
+    Args:
+        image: mosaic behind `isp.black_level`, before any other gain.
+        threshold: in standard deviations of the noise at the neighbours' level, from the
+            noise profile in the provenance [sigma].
+
+    The number of corrected pixels goes into the provenance.  A picture with fewer than
+    four rows or columns is left as it is.
+
+    Raises:
+        ImageError: more than one channel, or no noise profile.
+    """
+    shot, dark = _noise_profile(image)
+    if min(image.height_px, image.width_px) < 4:
+        return image.noted(defects_corrected=0)
+    padded = _padded(image.pixels[..., 0])
+    middle = padded[1:-1, 1:-1]  # with two pixels around
+    beyond = np.zeros(image.pixels.shape[:2], dtype=bool)
+    for sign, extreme in ((1.0, np.maximum), (-1.0, np.minimum)):
+        line = extreme(middle[:, :-4], middle[:, 4:])
+        ring = extreme(line[2:-2], extreme(middle[:-4, 2:-2], middle[4:, 2:-2]))
+        ring = extreme(ring, extreme(line[:-4], line[4:]))
+        step = image.pixels[..., 0] - ring
+        step *= np.float32(sign)
+        beyond |= (step > 0.0) & (step * step > np.float32(threshold**2) * _variance(ring, shot, dark))
+    rows, columns = np.nonzero(beyond)
+    around = _medians(padded, rows, columns)
+    lean, spread = np.zeros(rows.size, dtype=np.float32), np.zeros(rows.size, dtype=np.float32)
+    for down, right in CROSS:
+        level = _medians(padded, rows + down, columns + right)
+        lean += padded[rows + down + 3, columns + right + 3] - level
+        spread += np.float32(1.2) * _variance(level, shot, dark)  # a median of eight adds a fifth
+    alone = lean * np.sign(image.pixels[rows, columns, 0] - around) < np.float32(LAMP_SIGMA) * np.sqrt(spread)
+    pixels = image.pixels.copy()
+    pixels[rows[alone], columns[alone], 0] = around[alone]
+    return image.with_pixels(pixels).noted(defects_corrected=int(alone.sum()))
+
+
+@OPS.op("isp.denoise", takes=MOSAIC, gives=MOSAIC)
+def denoise(
+    image: Image,
+    *,
+    strength: Annotated[float, Range(0.0, 10.0)] = 3.0,
+    levels: Annotated[int, Range(1, 5)] = 3,
+    sensor: Annotated[SensorProfile | None, FromProfile("sensor")] = None,
+) -> Image:
+    """Less noise by shrinking what stands out of it least, each colour filter by itself.
+
+    The starlet transform splits the pixels of a filter into details of 1, 2, 4 ... pixels
+    and a smooth rest.  With T = strength * (standard deviation of the noise in that
+    detail), a detail w becomes w max(0, 1 - T^2 / w^2): what is below T goes, and what is
+    large loses T^2 / w.  So contrast below the noise is lost with it, an edge of ten T
+    keeps 99 % of its height, and the mean of a region stays.
+
+    Args:
+        image: mosaic behind `isp.black_level`, before any other gain.
+        strength: threshold in standard deviations [1]; 0 changes nothing.
+        levels: how many sizes of detail are treated.
+        sensor: names the pattern where the image does not.
+
+    Raises:
+        ImageError: more than one channel, or no noise profile.
+
+    Source: transform and noise per level: Starck and Murtagh, "Astronomical Image and
+    Data Analysis" (2006), chapter 2; shrinkage: Gao, "Wavelet shrinkage denoising using
+    the non-negative garrote" (1998).
+    """
+    shot, dark = _noise_profile(image)
+    pixels = np.empty_like(image.pixels)
+    for where, _ in cfa.sites(pattern_of(image, sensor)):
+        smooth = image.pixels[(*where, 0)].copy()
+        details = []
+        for level in range(levels):
+            rest = _smoothed(smooth, level)
+            smooth -= rest
+            details.append(smooth)
+            smooth = rest
+        variance = _variance(smooth, shot, dark)
+        for detail, part in zip(details, starlet_noise(levels), strict=True):
+            power = np.maximum(detail * detail, np.float32(1e-30))
+            kept = variance * np.float32(-((strength * part) ** 2))
+            kept /= power
+            kept += np.float32(1.0)
+            detail *= np.maximum(kept, 0.0, out=kept)
+            smooth = smooth + detail
+        pixels[(*where, 0)] = smooth
+    return image.with_pixels(pixels).noted(denoise=strength)
+
+
+@OPS.op("isp.sharpen", takes=DISPLAY, gives=DISPLAY)
+def sharpen(
+    image: Image,
+    *,
+    radius_px: Annotated[float, Range(0.2, 20.0)] = 1.0,
+    amount: Annotated[float, Range(0.0, 5.0)] = 0.5,
+    threshold: Annotated[float, Range(0.0, 1.0)] = 0.01,
+) -> Image:
+    """Unsharp mask on brightness: what a blur takes away is added once more; colours stay.
+
+    With d = luma - (luma blurred), every channel gets amount * (d - threshold), towards 0
+    where |d| is below the threshold.  Noise above the threshold is sharpened too.
+
+    Args:
+        image: coded picture, 0 to 1, R, G, B or Y.
+        radius_px: standard deviation of the Gaussian blur [px].
+        amount: how much of the detail is added [1].
+        threshold: detail that is left alone, as noise [1]; 1 is the range from black to white.
+
+    The result is cut to 0 to 1.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    luma = image.pixels[..., 0] if len(image.channels) == 1 else image.pixels @ np.array(LUMINANCE, dtype=np.float32)
+    detail = luma - gaussian_filter(luma, radius_px, mode="nearest", truncate=3.0)
+    detail -= np.clip(detail, np.float32(-threshold), np.float32(threshold))
+    detail *= np.float32(amount)
+    pixels = image.pixels + detail[..., None]
+    return image.with_pixels(np.clip(pixels, 0.0, 1.0, out=pixels))
+
+
+def starlet_noise(levels: int) -> list[float]:
+    """Standard deviation of each detail of the starlet transform of white noise of 1.
+
+    A detail is the difference of two separable filters f f^T - g g^T, so its variance is
+    |f|^4 + |g|^4 - 2 (f . g)^2.
+
+    >>> [round(value, 3) for value in starlet_noise(3)]
+    [0.891, 0.201, 0.086]
+    """
+    found = []
+    narrow = np.ones(1)
+    for level in range(levels):
+        wide = np.convolve(narrow, _dilated(level))
+        padded = np.pad(narrow, (wide.size - narrow.size) // 2)
+        found.append(float(np.sqrt((padded @ padded) ** 2 + (wide @ wide) ** 2 - 2.0 * (padded @ wide) ** 2)))
+        narrow = wide
+    return found
+
+
+def _dilated(level: int) -> np.ndarray:
+    """The B-spline with 2^level - 1 zeros between its numbers."""
+    kernel = np.zeros(4 * 2**level + 1)
+    kernel[:: 2**level] = SPLINE
+    return kernel
+
+
+def _smoothed(plane: FloatArray, level: int) -> FloatArray:
+    from scipy.ndimage import convolve1d
+
+    for axis in (0, 1):
+        plane = convolve1d(plane, _dilated(level), axis=axis, mode="mirror")
+    return plane
+
+
+def _padded(plane: FloatArray) -> FloatArray:
+    """(H + 6, W + 6): three pixels more on each side, those four further in: of the same filter, and no pixel its own neighbour."""
+    for axis in (0, 1):
+        size = plane.shape[axis]
+        plane = np.take(plane, [1, 2, 3, *range(size), size - 4, size - 3, size - 2], axis=axis)
+    return plane
+
+
+def _medians(padded: FloatArray, rows: np.ndarray, columns: np.ndarray) -> FloatArray:
+    """(N,) median of the eight neighbours of the same filter; `padded` has three pixels more on each side."""
+    return np.asarray(np.median([padded[rows + down + 3, columns + right + 3] for down, right in RING], axis=0), dtype=np.float32)
+
+
+def _variance(level: FloatArray, shot: float, dark: float) -> FloatArray:
+    """Variance of the noise at a level: shot * level + dark, at least dark."""
+    variance = np.maximum(level, np.float32(0.0))
+    variance *= np.float32(shot)
+    variance += np.float32(dark)
+    return variance
+
+
+def _noise_profile(image: Image) -> tuple[float, float]:
+    """S and O: variance = S x + O on the scale from black 0 to saturation 1."""
+    if len(image.channels) != 1:
+        raise ImageError(f"a mosaic has one channel; this image has {', '.join(image.channels)}")
+    if "noise_profile" not in image.provenance:
+        raise ImageError("the image does not say its noise_profile; sensor.adc notes it. Put sensor.adc before this node, or add it to the image's provenance")
+    shot, dark = image.provenance["noise_profile"]
+    return float(shot), float(dark)

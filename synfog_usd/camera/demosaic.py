@@ -1,0 +1,106 @@
+"""Demosaicing: from one number per pixel to a plane for every colour filter.
+
+Takes a white-balanced mosaic of any pattern; gives planes in the order of
+`cfa.filters`, or the one plane Y of a sensor that sees no colour.  OpenImageIO and
+colour-demosaicing are imported on first use.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from synfog_usd.camera import cfa
+from synfog_usd.camera.isp import MOSAIC, PICTURE, pattern_of
+from synfog_usd.camera.profiles import SensorProfile
+from synfog_usd.camera.registry import OPS
+from synfog_usd.errors import ImageError
+from synfog_usd.graph import FromProfile
+from synfog_usd.graph.buffers import checked, pixels_of, to_buf
+from synfog_usd.image import FloatArray, Image
+from synfog_usd.science import colour_science
+
+
+@OPS.op("isp.demosaic", takes=MOSAIC, gives=PICTURE)
+def demosaic(
+    image: Image,
+    *,
+    algorithm: Literal["linear", "mhc", "menon"] = "linear",
+    sensor: Annotated[SensorProfile | None, FromProfile("sensor")] = None,
+) -> Image:
+    """The missing colours of each pixel from its neighbours.
+
+    Bayer patterns become R, G, B.  RCCB and RGIB become a plane per filter, each
+    interpolated linearly from its own pixels; `isp.colour_correct` makes R, G, B of
+    them.  RCCC becomes Y: the clear pixels, and at red ones the mean of the clear
+    pixels around.  MONO becomes Y unchanged.
+
+    Args:
+        image: white-balanced mosaic, at least 2 x 2.
+        algorithm: of Bayer patterns.  linear is the best of the three in noise and
+            fog; mhc (Malvar, He and Cutler 2004) is sharper in clear, clean pictures;
+            menon (Menon, Andriani and Calvagno 2007) is the sharpest, and eight times slower.
+        sensor: names the pattern where the image does not.
+
+    Raises:
+        ImageError: OpenImageIO failed, or the picture is smaller than 2 x 2.
+    """
+    if len(image.channels) != 1:
+        raise ImageError(f"a mosaic has one channel; this image has {', '.join(image.channels)}")
+    pattern = pattern_of(image, sensor)
+    if pattern == "MONO":
+        return image.with_pixels(image.pixels, channels=("Y",))
+    if image.height_px < 2 or image.width_px < 2:
+        raise ImageError(f"{image.width_px} x {image.height_px} pixels hold no full mosaic; the least is 2 x 2")
+    if pattern == "RCCC":
+        return image.with_pixels(_plane(image.pixels[..., 0], pattern, "C")[..., None], channels=("Y",))
+    letters = cfa.filters(pattern)
+    if pattern not in cfa.BAYER:
+        return image.with_pixels(np.stack([_plane(image.pixels[..., 0], pattern, letter) for letter in letters], axis=-1), channels=letters)
+    if algorithm == "menon":
+        pixels = _colour_demosaicing().demosaicing_CFA_Bayer_Menon2007(image.pixels[..., 0], pattern)
+    else:
+        import OpenImageIO
+
+        name = {"linear": "linear", "mhc": "MHC"}[algorithm]
+        pixels = pixels_of(checked(OpenImageIO.ImageBufAlgo.demosaic(to_buf(image), pattern="bayer", algorithm=name, layout=pattern), "demosaic"))
+    return image.with_pixels(pixels, channels=letters).noted(demosaic=algorithm)
+
+
+def _plane(mosaic: FloatArray, pattern: str, letter: str) -> FloatArray:
+    """(H, W) plane of one filter: its own pixels, and between them their mean weighted by nearness.
+
+    Normalised convolution with the tent (1 2 1)^2: linear interpolation inside, and
+    at borders the weights of the pixels that are there.
+
+    Source: Knutsson and Westin, "Normalized and differential convolution" (1993).
+    """
+    from scipy.ndimage import convolve1d
+
+    height, width = mosaic.shape
+    own = [where for where, number in cfa.sites(pattern) if cfa.filters(pattern)[number] == letter]
+    tent = (1.0, 2.0, 1.0)
+    plane, weights = np.zeros_like(mosaic), np.zeros_like(mosaic)
+    for where in own:
+        plane[where] = mosaic[where]
+        there = [np.zeros(size, dtype=np.float32) for size in (height, width)]
+        for line, grid in zip(there, where, strict=True):
+            line[grid] = 1.0
+        weights += np.outer(*(convolve1d(line, tent, mode="constant") for line in there))
+    for axis in (0, 1):
+        plane = convolve1d(plane, tent, axis=axis, mode="constant")
+    plane /= weights
+    for where in own:
+        plane[where] = mosaic[where]
+    return plane
+
+
+def _colour_demosaicing() -> Any:
+    """The module `colour_demosaicing`; imported on the first call, without SciPy's remark on how it imports."""
+    colour_science()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*`scipy.ndimage.filters` namespace is deprecated", category=DeprecationWarning)
+        import colour_demosaicing
+    return colour_demosaicing

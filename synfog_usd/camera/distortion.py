@@ -1,0 +1,311 @@
+"""Op for a lens that bends straight lines, and the same bend for what goes with the picture.
+
+The picture is rendered through a pinhole; this warps it to where a lens of OpenCV's
+model puts each direction.  Pixel coordinates here are OpenCV's: the centre of the
+first pixel is (0, 0).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.camera.blur import THREADS, highlight_limit
+from synfog_usd.camera.registry import OPS
+from synfog_usd.errors import GraphError, ImageError
+from synfog_usd.graph import Auto, FromProfile, NodeGraph, Range
+from synfog_usd.image import FloatArray, Image, Quantity
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+STEP_PX = 16
+"""Distance of the points between which the map is a cubic spline."""
+
+PAD = 2
+"""Pixels around a plane, so that every place has 4 x 4 neighbours."""
+
+BAND_ROWS = 32
+"""Rows that are read at a time: their numbers stay in the cache."""
+
+BORDER_POINTS = 100_000
+"""Points of each side of the rendered picture, which is 0.01 pixels at 1,000 wide."""
+
+Fit = Literal["inside", "keep"]
+
+
+@OPS.op("optics.distortion", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
+def distortion(
+    image: Image,
+    *,
+    coefficients: Annotated[tuple[float, ...] | None, Range(-1000.0, 1000.0), FromProfile("lens.distortion")] = None,
+    fit: Fit = "inside",
+    fov_x_deg: Annotated[float, Range(0.0, 179.0, above=True), Auto()],
+    shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
+    shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
+) -> Image:
+    """Straight lines become curves, as the lens's calibration says.
+
+    A direction (x, y) = (X / Z, Y / Z) goes to x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) /
+    (1 + k4 r^2 + k5 r^4 + k6 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), and y' alike with p1
+    and p2 changed over; then to the pixel (fx x' + cx, fy y' + cy).
+
+    Stands after `optics.irradiance`, whose falloff goes by the angle to the axis, and
+    before blurs.  Pixels are read from a cubic spline, kept between 0.9 of the least
+    and 1.1 of the greatest of the nearest four, so that no edge gets a dark line; what
+    exceeds 8 times the 95th percentile is read linearly, so that no lamp gets a ring.
+    A lens without coefficients leaves the picture as it is.
+
+    The provenance gets `distortion_coefficients`, and `camera_matrix_px` (fx, cx; fy,
+    cy) of the warped picture: what OpenCV takes.
+
+    Args:
+        image: irradiance (H, W, C) of a pinhole camera.
+        coefficients: k1, k2, p1, p2, then k3, then k4, k5, k6, as in OpenCV [1].
+        fit: inside lengthens or shortens the focal length until every pixel looks
+            just inside the rendered picture; keep leaves it.
+        fov_x_deg: horizontal angle of view of the rendered picture [degrees].
+        shift_x, shift_y: offset of the axis from the centre, in image widths and
+            heights, right and up.
+
+    Raises:
+        ImageError: a count of coefficients other than 4, 5 or 8; a picture that they
+            would fold over; an axis outside the picture; under keep, a pixel that
+            looks outside the rendered picture.
+
+    Source: OpenCV, "Camera Calibration and 3D Reconstruction".
+    """
+    if not coefficients:
+        return image
+    warp = warp_of(image.height_px, image.width_px, tuple(coefficients), fit, fov_x_deg, (shift_x, shift_y))
+    return image.with_pixels(_resampled(image.pixels, warp)).noted(
+        distortion_coefficients=list(coefficients), distortion_fit=fit, camera_matrix_px=warp.camera_matrix()
+    )
+
+
+@dataclass(frozen=True)
+class Warp:
+    """Where each pixel of a distorted picture lies in the pinhole picture.
+
+    Attributes:
+        row, column: (H, W) float32, between 0 and the last row and column [px].
+        coefficients: of the lens, as in `distortion`.
+        focal_px: of the distorted picture [px].
+        centre_px: (column, row) of the axis [px], in both pictures.
+    """
+
+    row: FloatArray
+    column: FloatArray
+    coefficients: tuple[float, ...]
+    focal_px: float
+    centre_px: tuple[float, float]
+
+    def camera_matrix(self) -> list[list[float]]:
+        """3 x 3, as OpenCV takes it."""
+        return [[self.focal_px, 0.0, self.centre_px[0]], [0.0, self.focal_px, self.centre_px[1]], [0.0, 0.0, 1.0]]
+
+    def nearest(self) -> tuple[Indices, Indices]:
+        """(H, W) whole rows and columns of the pinhole picture: `plane[warp.nearest()]` is warped."""
+        return np.rint(self.row).astype(np.intp), np.rint(self.column).astype(np.intp)
+
+
+def warped_like(plane: FloatArray, facts: Mapping[str, Any], *, fov_x_deg: float, shift: tuple[float, float]) -> FloatArray:
+    """A smooth (H, W) plane of the pinhole picture, such as the falloff, where the provenance `facts` say that the picture was warped."""
+    if "distortion_coefficients" not in facts:
+        return plane
+    from scipy.ndimage import map_coordinates
+
+    warp = warp_of(*plane.shape, tuple(facts["distortion_coefficients"]), facts["distortion_fit"], fov_x_deg, shift)
+    return np.asarray(map_coordinates(plane, [warp.row, warp.column], order=1, mode="nearest"))
+
+
+def of_graph(graph: NodeGraph, *, height_px: int, width_px: int, fov_x_deg: float, shift: tuple[float, float]) -> tuple[str, Warp] | None:
+    """Name and warp of a graph's distortion node for the pinhole picture that it will get; None where it has none, or a lens without distortion.
+
+    Raises:
+        GraphError: several such nodes.
+        ImageError: see `distortion`.
+    """
+    nodes = graph.nodes_with("optics.distortion")
+    if not nodes:
+        return None
+    if len(nodes) > 1:
+        raise GraphError(f"{nodes[1].place}: graph {graph.name!r} has {len(nodes)} optics.distortion nodes; labels can follow one")
+    params = nodes[0].params
+    given = {"fov_x_deg": fov_x_deg, "shift_x": shift[0], "shift_y": shift[1]}
+    seen = {name: value if params[name].is_auto else params[name].value for name, value in given.items()}
+    coefficients = params["coefficients"].value
+    if not coefficients:
+        return None
+    warp = warp_of(height_px, width_px, tuple(coefficients), params["fit"].value, seen["fov_x_deg"], (seen["shift_x"], seen["shift_y"]))
+    return nodes[0].name, warp
+
+
+@functools.lru_cache(maxsize=2)
+def warp_of(height: int, width: int, coefficients: tuple[float, ...], fit: Fit, fov_x_deg: float, shift: tuple[float, float]) -> Warp:
+    """The map of a picture; arguments and errors as in `distortion`."""
+    if len(coefficients) not in (4, 5, 8):
+        raise ImageError(f"{len(coefficients)} distortion coefficients; it takes k1, k2, p1, p2, then k3, then k4, k5, k6: 4, 5 or 8 of them")
+    focal_px = width / 2 / math.tan(math.radians(fov_x_deg) / 2)
+    centre = ((width - 1) / 2 + shift[0] * width, (height - 1) / 2 - shift[1] * height)
+    left, right = (0.0, width - 1.0) if width > 1 else (-0.5, 0.5)
+    top, bottom = (0.0, height - 1.0) if height > 1 else (-0.5, 0.5)
+    if not (left < centre[0] < right and top < centre[1] < bottom):
+        raise ImageError(f"the axis is at column {centre[0]:.0f}, row {centre[1]:.0f}, outside the picture of {width} x {height}; distortion needs it inside")
+    columns, rows = (np.linspace(-0.5, length - 0.5, max(9, length // STEP_PX + 2)) for length in (width, height))
+    x, y = np.meshgrid((columns - centre[0]) / focal_px, (rows - centre[1]) / focal_px)
+    determinant = _distorted(x, y, coefficients)[2]
+    if (determinant <= 0.0).any():
+        angle = math.degrees(math.atan(float(np.hypot(x, y)[determinant <= 0.0].min())))
+        raise ImageError(f"the distortion coefficients fold the picture over from {angle:.0f} degrees off the axis on; render a narrower view")
+    frame = np.array([left - centre[0], right - centre[0], top - centre[1], bottom - centre[1]]) / focal_px
+    new_focal_px = focal_px * (_scale_inside(frame, coefficients) if fit == "inside" else 1.0)
+    x, y = _undistorted(x * (focal_px / new_focal_px), y * (focal_px / new_focal_px), coefficients)
+    fine = _spline(rows, height), _spline(columns, width)
+    column, row = (fine[0] @ (plane * focal_px + middle) @ fine[1].T for plane, middle in zip((x, y), centre, strict=True))
+    outside = (np.minimum(column - left, right - column) < -0.01) | (np.minimum(row - top, bottom - row) < -0.01)
+    if outside.any():
+        raise ImageError(f"{outside.mean():.1%} of the pixels look outside the rendered picture; set fit: inside, or render a wider view")
+    row, column = np.clip(row, 0.0, height - 1.0), np.clip(column, 0.0, width - 1.0)
+    return Warp(row.astype(np.float32), column.astype(np.float32), coefficients, new_focal_px, centre)
+
+
+def _distorted(x: Array, y: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array, Array, tuple[Array, Array, Array, Array]]:
+    """x', y', the determinant of their derivatives, and those: dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, 0.0, 0.0, 0.0, 0.0)[:8]
+    r2 = x * x + y * y
+    above, below = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = above / below
+    slope = (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3) - radial * (k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))) / below  # by r^2
+    mixed = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+    xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+    yy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+    moved_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    moved_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    determinant = np.where(below > 0.0, xx * yy - mixed * mixed, -1.0)
+    return moved_x, moved_y, determinant, (xx, mixed, mixed, yy)
+
+
+def _undistorted(x_wanted: Array, y_wanted: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array]:
+    """The directions that go to (x', y'), by Newton's method."""
+    x, y = x_wanted.copy(), y_wanted.copy()
+    with np.errstate(all="ignore"):  # what runs away is refused below
+        for _ in range(30):
+            moved_x, moved_y, determinant, (xx, xy, yx, yy) = _distorted(x, y, coefficients)
+            determinant = np.where(determinant > 1e-3, determinant, 1e-3)
+            miss_x, miss_y = x_wanted - moved_x, y_wanted - moved_y
+            if max(np.abs(miss_x).max(), np.abs(miss_y).max()) < 1e-12:
+                return x, y
+            x, y = x + (yy * miss_x - xy * miss_y) / determinant, y + (xx * miss_y - yx * miss_x) / determinant
+    raise ImageError("the distortion coefficients cannot be inverted at every pixel; render a narrower view, or set fit: inside")
+
+
+def _scale_inside(frame: Array, coefficients: tuple[float, ...]) -> float:
+    """Times the focal length, so that the frame just fits into the distorted border of the rendered picture.
+
+    `frame` is left, right, top, bottom of the centres of the outermost pixels from the axis, in focal lengths.
+    """
+    left, right, top, bottom = (float(length) for length in frame)
+    across, down = np.linspace(left, right, BORDER_POINTS), np.linspace(top, bottom, BORDER_POINTS)
+    border_x = np.concatenate([across, across, np.full(BORDER_POINTS, left), np.full(BORDER_POINTS, right)])
+    border_y = np.concatenate([np.full(BORDER_POINTS, top), np.full(BORDER_POINTS, bottom), down, down])
+    x, y, _, _ = _distorted(border_x, border_y, coefficients)
+    return 1.0 / float(np.max([x / left, x / right, y / top, y / bottom], axis=0).min())
+
+
+def _spline(places: Array, length: int) -> Array:
+    """(length, places) matrix of a cubic spline from values at `places` to whole numbers."""
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(places, np.eye(places.size))(np.arange(length)))
+
+
+def _resampled(pixels: FloatArray, warp: Warp) -> FloatArray:
+    """(H, W, C) read at the warp's places."""
+    height, width, count = pixels.shape
+    result = np.empty_like(pixels)
+    with ThreadPoolExecutor(THREADS) as pool:
+        planes = list(pool.map(lambda channel: _split(pixels[..., channel]), range(count)))
+        bands = [slice(start, start + BAND_ROWS) for start in range(0, height, BAND_ROWS)]
+
+        def run(band: slice) -> None:
+            taps = _taps(warp.row[band], warp.column[band], width + 2 * PAD)
+            for channel, plane in enumerate(planes):
+                result[band, :, channel] = _read(plane, taps)
+
+        list(pool.map(run, bands))
+    return result
+
+
+def _split(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """Three flat planes, padded: what does not exceed the limit of highlights, its spline coefficients, and the lamps that do, or None."""
+    from scipy.ndimage import spline_filter
+
+    limit = highlight_limit(plane)
+    flat = np.minimum(plane, limit)
+    lamps = np.pad(plane - flat, PAD).ravel() if float(plane.max()) > limit else None
+    return np.pad(flat, PAD, mode="edge").ravel(), np.pad(spline_filter(flat, mode="mirror", output=np.float32), PAD, mode="reflect").ravel(), lamps
+
+
+@dataclass(frozen=True)
+class _Taps:
+    """Neighbours of places in a flat plane, and their weights.
+
+    Attributes:
+        first: index of the upper left of 4 x 4 neighbours.
+        stride: to the next row.
+        down, across: four weights of a cubic spline each, by row and column.
+        near_down, near_across: two weights of straight lines each, of the inner 2 x 2.
+    """
+
+    first: npt.NDArray[np.int64]
+    stride: int
+    down: tuple[FloatArray, ...]
+    across: tuple[FloatArray, ...]
+    near_down: tuple[FloatArray, ...]
+    near_across: tuple[FloatArray, ...]
+
+
+def _taps(row: FloatArray, column: FloatArray, stride: int) -> _Taps:
+    low_row, low_column = np.floor(row), np.floor(column)
+    first = (low_row.astype(np.int64) + (PAD - 1)) * stride + low_column.astype(np.int64) + (PAD - 1)
+    t, u = row - low_row, column - low_column
+    return _Taps(first, stride, _cubic(t), _cubic(u), (1.0 - t, t), (1.0 - u, u))
+
+
+def _cubic(t: FloatArray) -> tuple[FloatArray, ...]:
+    """Weights of the cubic B-spline at -1 - t, -t, 1 - t and 2 - t."""
+    s = 1.0 - t
+    weights = (s**3, 4.0 - t * t * (6.0 - 3.0 * t), 4.0 - s * s * (6.0 - 3.0 * s), t**3)
+    return tuple(np.asarray(weight / 6.0, dtype=np.float32) for weight in weights)
+
+
+def _read(planes: tuple[FloatArray, FloatArray, FloatArray | None], taps: _Taps) -> FloatArray:
+    """A spline through the pixels, kept between 0.9 of the least and 1.1 of the greatest of the nearest four; lamps on straight lines."""
+    flat, coefficients, lamps = planes
+
+    def tap(plane: FloatArray, y: int, x: int) -> FloatArray:
+        return np.take(plane[y * taps.stride + x :], taps.first, mode="clip")
+
+    total = np.zeros(taps.first.shape, dtype=np.float32)
+    for y, down in enumerate(taps.down):
+        line = tap(coefficients, y, 0) * taps.across[0]
+        for x in (1, 2, 3):
+            line += tap(coefficients, y, x) * taps.across[x]
+        line *= down
+        total += line
+    corners = [tap(flat, y, x) for y in (1, 2) for x in (1, 2)]
+    np.maximum(total, np.float32(0.9) * functools.reduce(np.minimum, corners), out=total)
+    np.minimum(total, np.float32(1.1) * functools.reduce(np.maximum, corners), out=total)
+    if lamps is not None:
+        for y, down in enumerate(taps.near_down):
+            for x, across in enumerate(taps.near_across):
+                total += tap(lamps, y + 1, x + 1) * down * across
+    return total

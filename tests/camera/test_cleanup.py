@@ -1,0 +1,237 @@
+"""Defects, noise and sharpness: what is found, what is left alone, and what it costs in contrast."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from synfog_usd import camera, seeds
+from synfog_usd.camera import cfa
+from synfog_usd.camera.cleanup import defects, denoise, sharpen, starlet_noise
+from synfog_usd.errors import ImageError
+from synfog_usd.graph import make_graph
+from synfog_usd.image import Image, Quantity
+
+WELL_E, READ_E = 6000.0, 5.0
+SHOT, DARK = 1.0 / WELL_E, (READ_E / WELL_E) ** 2
+"""Of the test sensor: a signal x of the well has the variance SHOT x + DARK."""
+
+
+def mosaic(pixels, pattern="RGGB") -> Image:
+    return Image(
+        np.asarray(pixels, np.float32)[..., None],
+        ("CFA",),
+        Quantity.LINEAR_RGB,
+        provenance={"cfa_pattern": pattern, "noise_profile": [SHOT, DARK]},
+    )
+
+
+def sigma(level):
+    return np.sqrt(SHOT * level + DARK)
+
+
+def frame(mean, seed) -> np.ndarray:
+    """Counted light: Poisson and read noise on a mean signal (H, W), 1 = full well."""
+    rng = seeds.stream(seed, "cleanup")
+    return ((rng.poisson(mean * WELL_E) + READ_E * rng.standard_normal(np.shape(mean))) / WELL_E).astype(np.float32)
+
+
+def textured(size, seed, contrast=0.4) -> np.ndarray:
+    """A scene of 1/f amplitude around 0.3, as natural scenes have, through the phone's lens (lambda N / pitch = 0.64) and its pixels."""
+    down, right = np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :]
+    frequencies = np.hypot(down, right)
+    spectrum = np.fft.rfft2(seeds.stream(seed, "texture").standard_normal((size, size))) / np.maximum(frequencies, 1 / size)
+    detail = np.fft.irfft2(spectrum, s=(size, size))
+    v = np.minimum(0.64 * frequencies, 1.0)
+    lens = 2 / np.pi * (np.arccos(v) - v * np.sqrt(1 - v**2)) * np.sinc(down) * np.sinc(right)
+    return np.clip(np.fft.irfft2(np.fft.rfft2(0.3 * (1 + contrast * detail / detail.std())) * lens, s=(size, size)), 0.0, 1.0)
+
+
+# ---- defects
+
+
+@pytest.mark.parametrize("scene", ["dark", "grey", "texture"])
+def test_ordinary_pixels_stay(scene):
+    """A million noisy pixels without a defect: fewer than ten (1e-5) change.
+
+    None of a million tells a rate below 3e-6 (95 %).
+    """
+    mean = {"dark": np.zeros((1000, 1000)), "grey": np.full((1000, 1000), 0.4), "texture": textured(1000, 3)}[scene]
+    out = defects(mosaic(frame(mean, 1)))
+    assert out.provenance["defects_corrected"] < 10
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "RGIB", "MONO"])
+@pytest.mark.parametrize("level", [0.0, 0.1, 0.5])
+def test_all_single_hot_pixels_of_twenty_sigma_are_found(level, pattern):
+    """1024 of them, twelve pixels apart, all phases, corners and borders included; each becomes what it was, to the noise of a median."""
+    clean = frame(np.full((379, 379), level), 2)
+    image = clean.copy()
+    rows, columns = (index.ravel() for index in np.mgrid[0:373:12, 0:373:12])
+    rows, columns = np.minimum(rows + (columns // 12) % 7, 378), np.minimum(columns + (rows // 12) % 5, 378)
+    image[rows, columns] = level + 20 * sigma(level)
+    out = defects(mosaic(image, pattern))
+    assert out.provenance["defects_corrected"] == rows.size
+    assert np.abs(out.pixels[rows, columns, 0] - level).max() < 4 * sigma(level)
+    untouched = np.ones(image.shape, dtype=bool)
+    untouched[rows, columns] = False
+    np.testing.assert_array_equal(out.pixels[..., 0][untouched], image[untouched])
+
+
+def test_dead_pixels_are_found():
+    image = frame(np.full((120, 120), 0.5), 3)
+    image[5::12, 4::12] = 0.0
+    out = defects(mosaic(image))
+    assert out.provenance["defects_corrected"] == 100
+    assert out.pixels.min() > 0.4
+
+
+def test_lamps_are_left_alone():
+    """225 lamps of one green pixel through the phone's lens, 200 sigma to 500 wells: none is touched.  At 30 sigma nearly all are.
+
+    The lens puts 2.4 % of such a lamp into each pixel beside it (asserted): 4.8 sigma at 200, in
+    sum over four 4.4 times their own noise and more than the bound of 4; at 30 sigma nothing shows.
+    """
+    graph = make_graph(
+        camera.OPS,
+        inputs=["radiance"],
+        sensor="imx363",
+        lens="pixel4a",
+        nodes=[
+            {"op": "optics.irradiance", "falloff": "none"},
+            {"op": "optics.diffraction"},
+            {"op": "sensor.expose", "exposure_s": 0.01},
+            {"op": "sensor.shot_noise"},
+            {"op": "sensor.full_well"},
+            {"op": "sensor.read_noise"},
+            {"op": "sensor.gain", "iso": 55},
+            {"op": "sensor.adc_noise"},
+            {"op": "sensor.adc"},
+            {"op": "isp.black_level"},
+            {"op": "isp.defects"},
+        ],
+        outputs={"defects.exr": "defects"},
+    )
+    lamps = np.zeros((240, 240, 3), np.float32)
+    lamps[8::16, 9::16] = 1.0
+    exposed = graph.run({"radiance": Image(lamps, ("R", "G", "B"), Quantity.RADIANCE)}, seed=0, until="expose")["expose"].pixels[..., 0]
+    peak = exposed[8::16, 9::16].mean()
+    assert 0.02 < exposed[7, 9] / peak < 0.03 and 0.02 < exposed[8, 8] / peak < 0.03
+    corrected = {}
+    for electrons in (30 * READ_E, 200 * READ_E, 2 * WELL_E, 500 * WELL_E):
+        image = Image(lamps * np.float32(electrons / peak), ("R", "G", "B"), Quantity.RADIANCE)
+        run = graph.run({"radiance": image}, seed=1)
+        corrected[electrons] = run["defects"].provenance["defects_corrected"]
+        assert (run["defects"].pixels != run["black_level"].pixels).sum() == corrected[electrons]
+    faint, *others = corrected.values()
+    assert others == [0, 0, 0]
+    assert faint > 200  # what the docstring says of faint lamps
+
+
+def test_defects_need_a_noise_profile_and_leave_tiny_pictures_alone():
+    with pytest.raises(ImageError, match="does not say its noise_profile"):
+        defects(Image(np.zeros((8, 8, 1), np.float32), ("CFA",), Quantity.LINEAR_RGB))
+    image = mosaic([[0.0, 9.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(defects(image).pixels, image.pixels)
+
+
+# ---- denoise
+
+
+def test_noise_of_the_starlet_levels():
+    """Against the transform of noise itself: 2048 x 2048 numbers, whose standard deviations repeat to 0.3 % even at level 3."""
+    from scipy.ndimage import convolve1d
+
+    plane = seeds.stream(0, "starlet").standard_normal((2048, 2048), dtype=np.float32)
+    found = []
+    for level in range(3):
+        kernel = np.zeros(4 * 2**level + 1)
+        kernel[:: 2**level] = np.array([1, 4, 6, 4, 1]) / 16
+        smooth = convolve1d(convolve1d(plane, kernel, axis=0, mode="wrap"), kernel, axis=1, mode="wrap")
+        found.append((plane - smooth).std(dtype=np.float64))
+        plane = smooth
+    np.testing.assert_allclose(starlet_noise(3), found, rtol=0.01)
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "RGIB", "MONO"])
+@pytest.mark.parametrize("level", [0.02, 0.4])
+def test_noise_falls_and_the_mean_stays(level, pattern):
+    """Flat grey: noise below a fifth; the mean within 4 standard errors of the input's own."""
+    clean = frame(np.full((400, 400), level), 4)
+    out = denoise(mosaic(clean, pattern)).pixels[..., 0]
+    assert out[20:-20, 20:-20].std() < 0.2 * clean.std()
+    assert abs(out.mean(dtype=np.float64) - clean.mean(dtype=np.float64)) < 4 * sigma(level) / 400
+
+
+def test_contrast_above_the_noise_stays_and_below_it_goes():
+    """Vertical edges of 40 and of 1 sigma: 97 % of the first is kept two pixels off the edge, and the mean over its halves exactly.
+
+    The step's largest detail is 0.3 of its height in level 1, where T is 2.7 sigma: it loses T^2 / w = 0.6 of 12 sigma.
+    """
+    level = 0.3
+    for height, low, high in ((40.0, 0.97, 1.02), (1.0, 0.0, 1.2)):
+        mean = np.full((400, 400), level)
+        mean[:, 200:] += height * sigma(level)
+        out = denoise(mosaic(frame(mean, 5), "MONO")).pixels[..., 0]
+        step = (out[:, 202].mean() - out[:, 197].mean()) / (height * sigma(level))
+        assert low < step < high
+    bump = np.full((400, 400), level)
+    bump[50::100, 50::100] += 2.0 * sigma(level)  # single pixels of 2 sigma: gone with the noise
+    out = denoise(mosaic(frame(bump, 6), "MONO")).pixels[..., 0]
+    assert abs(out[50::100, 50::100].mean() - level) < 0.5 * sigma(level)
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "MONO"])
+def test_no_strength_changes_nothing_and_the_input_is_left_alone(pattern):
+    image = mosaic(frame(textured(200, 7), 7), pattern)
+    before = image.pixels.copy()
+    np.testing.assert_allclose(denoise(image, strength=0.0).pixels, before, atol=3e-7)
+    denoise(image)
+    defects(image)
+    np.testing.assert_array_equal(image.pixels, before)
+
+
+def test_a_detail_of_another_colour_is_not_mixed_in():
+    """Each filter by itself: a picture whose reds are bright keeps greens and blues as dark as they are."""
+    planes = np.broadcast_to(np.array([0.8, 0.1, 0.3], np.float32), (64, 64, 3))
+    image = mosaic(cfa.mosaic_of(planes, "BGGR")[..., 0], "BGGR")
+    np.testing.assert_allclose(denoise(image).pixels, image.pixels, atol=1e-6)
+
+
+def test_small_pictures_are_denoised_too():
+    for shape in ((1, 1), (2, 3), (5, 4)):
+        assert np.isfinite(denoise(mosaic(frame(np.full(shape, 0.3), 8)), levels=5).pixels).all()
+
+
+# ---- sharpen
+
+
+def wave(period_px, amplitude=0.1) -> Image:
+    line = 0.5 + amplitude * np.sin(2 * np.pi * np.arange(400) / period_px)
+    return Image(np.broadcast_to(line.astype(np.float32)[None, :, None], (20, 400, 3)).copy(), ("R", "G", "B"), Quantity.DISPLAY_RGB)
+
+
+@pytest.mark.parametrize("period_px", [4.0, 10.0, 40.0])
+@pytest.mark.parametrize("radius_px", [0.8, 2.0])
+def test_waves_rise_as_the_unsharp_mask_says(radius_px, period_px):
+    """Amplitude times 1 + amount (1 - exp(-2 pi^2 r^2 / P^2)); 1 % for a kernel cut at 3 r and sampled at pixels."""
+    out = sharpen(wave(period_px), radius_px=radius_px, amount=0.8, threshold=0.0).pixels[10, 100:300, 0]
+    expected = 0.1 * (1 + 0.8 * (1 - np.exp(-2 * (np.pi * radius_px / period_px) ** 2)))
+    carrier = np.sin(2 * np.pi * np.arange(100, 300) / period_px)
+    assert 2 * np.mean((out - 0.5) * carrier) == pytest.approx(expected, rel=0.01)
+
+
+def test_what_is_below_the_threshold_stays_and_colours_stay():
+    faint = wave(4.0, amplitude=0.005)
+    np.testing.assert_allclose(sharpen(faint, threshold=0.01).pixels, faint.pixels, atol=1e-6)
+    pixels = wave(6.0).pixels * np.array([1.0, 0.8, 0.6], np.float32)
+    out = sharpen(Image(pixels, ("R", "G", "B"), Quantity.DISPLAY_RGB)).pixels - pixels
+    np.testing.assert_allclose(out, np.repeat(out[..., :1], 3, axis=2), atol=1e-6)  # the same is added to R, G and B
+    assert np.abs(out).max() > 0.01
+
+
+def test_sharpening_stays_between_black_and_white_and_takes_grey():
+    edge = np.zeros((20, 20, 1), np.float32)
+    edge[:, 10:] = 1.0
+    out = sharpen(Image(edge, ("Y",), Quantity.DISPLAY_RGB), amount=3.0)
+    assert out.pixels.min() == 0.0 and out.pixels.max() == 1.0 and out.channels == ("Y",)

@@ -1,0 +1,200 @@
+"""Distortion against OpenCV, and labels that follow it."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from synfog_usd import camera
+from synfog_usd.camera import distortion, isp, optics
+from synfog_usd.errors import GraphError, ImageError
+from synfog_usd.image import Image, Quantity
+
+BARREL = (-0.3, 0.1, 0.001, -0.002, -0.02)
+PINCUSHION = (0.2, -0.05, 0.0, 0.001)
+RATIONAL = (0.9, 0.2, 0.0005, -0.0003, 0.01, 1.2, 0.35, 0.02)
+SIZE = (240, 321)
+VIEW = {"fov_x_deg": 62.0, "shift_x": 0.03, "shift_y": -0.05}
+
+
+def light(planes) -> Image:
+    return Image(np.asarray(planes, np.float32), ("R", "G", "B"), Quantity.IRRADIANCE)
+
+
+def pinhole(height=SIZE[0], width=SIZE[1]):
+    """Focal length and centre, OpenCV's (the first pixel is 0): right and up are positive shifts."""
+    focal = width / 2 / math.tan(math.radians(VIEW["fov_x_deg"]) / 2)
+    return focal, (width - 1) / 2 + VIEW["shift_x"] * width, (height - 1) / 2 - VIEW["shift_y"] * height
+
+
+def warp(coefficients, fit="inside", size=SIZE):
+    return distortion.warp_of(*size, coefficients, fit, VIEW["fov_x_deg"], (VIEW["shift_x"], VIEW["shift_y"]))
+
+
+def projected(rows, columns, found, coefficients):
+    """Where OpenCV puts the directions of pixels of the pinhole picture: (N, 2) columns and rows."""
+    focal, cx, cy = pinhole()
+    points = np.stack([(columns - cx) / focal, (rows - cy) / focal, np.ones(rows.shape)], axis=-1).reshape(-1, 3)
+    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.array(found.camera_matrix()), np.array(coefficients))[0][:, 0]
+
+
+@pytest.mark.parametrize("coefficients", [BARREL, PINCUSHION, RATIONAL])
+def test_every_pixel_looks_where_opencv_says(coefficients):
+    """What a pixel shows is projected back onto it, to 0.01 pixels."""
+    found = warp(coefficients)
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    back = projected(found.row.astype(float), found.column.astype(float), found, coefficients)
+    np.testing.assert_allclose(back, np.stack([columns, rows], axis=-1).reshape(-1, 2), atol=0.01)
+    assert np.hypot(found.row - rows, found.column - columns).max() > 3.0
+
+
+@pytest.mark.parametrize("coefficients", [BARREL, PINCUSHION, RATIONAL])
+def test_inside_just_reaches_the_border(coefficients):
+    """No pixel looks outside the rendered picture, and one looks within 0.05 pixels of its border."""
+    found = warp(coefficients)
+    room = min(found.row.min(), found.column.min(), SIZE[0] - 1 - found.row.max(), SIZE[1] - 1 - found.column.max())
+    assert 0.0 <= room < 0.05
+
+
+def test_keep_keeps_the_focal_length_and_refuses_to_look_outside():
+    assert warp(PINCUSHION, "keep").focal_px == pytest.approx(pinhole()[0], rel=1e-12)
+    with pytest.raises(ImageError, match=r"\d+\.\d% of the pixels look outside the rendered picture; set fit: inside"):
+        warp(BARREL, "keep")
+
+
+def test_lines_through_the_axis_stay_straight_and_others_bend_outwards():
+    """Radial distortion only; a barrel: the middle of a line stands further from the axis than its ends."""
+    _, cx, cy = pinhole()
+    found = distortion.warp_of(*SIZE, (-0.3, 0.1, 0.0, 0.0), "inside", VIEW["fov_x_deg"], (VIEW["shift_x"], VIEW["shift_y"]))
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    turn = (found.row - cy) * (columns - cx) - (found.column - cx) * (rows - cy)  # 0 where both point the same way
+    np.testing.assert_allclose(turn / np.maximum(np.hypot(rows - cy, columns - cx), 1.0), 0.0, atol=0.01)
+    line = np.stack([np.full(101, 30.0), np.linspace(60.0, 250.0, 101)])
+    seen = projected(line[0], line[1], found, (-0.3, 0.1, 0.0, 0.0))
+    assert seen[50, 1] < seen[[0, -1], 1].min() - 1.0
+
+
+def test_a_smooth_picture_is_read_between_its_pixels():
+    """Waves of 8 pixels: the picture is the wave at the directions that OpenCV's own inverse gives; a cubic spline misses 0.2 % of them."""
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
+
+    def wave(row, column):
+        return 10.0 + 3.0 * np.cos(2 * math.pi * column / 8.0) + 3.0 * np.sin(2 * math.pi * row / 8.0)
+
+    out = distortion.distortion(light(np.repeat(wave(rows, columns)[..., None], 3, axis=2)), coefficients=BARREL, **VIEW)
+    matrix = np.array(out.provenance["camera_matrix_px"])
+    points = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+    focal, cx, cy = pinhole()
+    old = np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]])
+    seen = cv2.undistortPoints(points, matrix, np.array(out.provenance["distortion_coefficients"]), None, old, None, criteria)[:, 0].reshape(*SIZE, 2)
+    expected = wave(seen[..., 1], seen[..., 0])
+    np.testing.assert_allclose(out.pixels[8:-8, 8:-8, 1], expected[8:-8, 8:-8], atol=0.03)
+
+
+def test_a_lamp_gets_no_ring_and_keeps_its_radiance():
+    """One pixel of 1e6 over 1: a tenth of what is there is all that its neighbours gain or lose, and the sum grows with the area of a pixel there."""
+    plane = np.ones((*SIZE, 3))
+    plane[60, 200] += 1e6
+    out = distortion.distortion(light(plane), coefficients=BARREL, **VIEW).pixels[..., 1].astype(float)
+    found = warp(BARREL)
+    away = np.hypot(found.row - 60, found.column - 200)
+    np.testing.assert_allclose(out[away > 2.0], 1.0, atol=0.1)
+    np.testing.assert_allclose(out[away > 6.0], 1.0, atol=0.003)
+    assert out.min() >= 0.9 * (1 - 1e-6)
+    row, column = (int(axis[0]) for axis in np.nonzero(np.hypot(found.row - 60, found.column - 200) < 0.8))
+    by_row, by_column = np.gradient(found.row.astype(float)), np.gradient(found.column.astype(float))
+    area = by_row[0] * by_column[1] - by_row[1] * by_column[0]  # pixels of the pinhole picture in one of ours
+    assert (out - 1.0).sum() / 1e6 == pytest.approx(1.0 / area[row, column], rel=0.02)
+
+
+def test_a_lens_without_distortion_changes_nothing():
+    image = light(np.ones((3, 5, 3)))
+    assert distortion.distortion(image, coefficients=None, **VIEW) is image and distortion.distortion(image, coefficients=(), **VIEW) is image
+    np.testing.assert_allclose(distortion.distortion(image, coefficients=(0.0, 0.0, 0.0, 0.0), **VIEW).pixels, 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 5), (1, 40)])
+def test_tiny_pictures_are_warped_too(shape):
+    image = light(np.full((*shape, 3), 4.0))
+    np.testing.assert_allclose(distortion.distortion(image, coefficients=BARREL, fov_x_deg=60.0).pixels, 4.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "view", "message"),
+    [
+        ((0.1, 0.2), VIEW, "2 distortion coefficients; it takes"),
+        ((-0.6, 0.0, 0.0, 0.0), VIEW | {"fov_x_deg": 100.0}, r"fold the picture over from \d+ degrees off the axis on"),
+        (BARREL, VIEW | {"shift_x": 0.7}, "the axis is at column 385, row 132, outside the picture of 321 x 240"),
+    ],
+)
+def test_what_cannot_be_warped_is_refused(coefficients, view, message):
+    with pytest.raises(ImageError, match=message):
+        distortion.distortion(light(np.ones((*SIZE, 3))), coefficients=coefficients, **view)
+
+
+GRAPH = """synfog: graph/1
+inputs: [radiance]
+sensor: imx363
+lens: automotive_6mm
+nodes:
+  - {op: optics.irradiance}
+  - {op: optics.distortion, name: bend%s}
+outputs: {a.exr: bend}
+"""
+
+
+def graph(tmp_path, text):
+    (tmp_path / "g.yaml").write_text(text)
+    return camera.load_graph(tmp_path / "g.yaml")
+
+
+def test_labels_follow_the_very_map_of_the_picture(tmp_path):
+    """A picture whose pixels are their own number, without highlights and wide enough that rounding tells: `of_graph` names the pixel that each shows."""
+    loaded = graph(tmp_path, GRAPH % "")
+    rows, columns = np.mgrid[:48, :64]
+    numbers = np.stack([rows, columns, rows + columns], axis=2).astype(np.float32) + 100.0
+    ramp = Image(numbers, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+    out = loaded.run({"radiance": ramp}, seed=0, overrides={"irradiance.falloff": "none"})["bend"]
+    name, found = distortion.of_graph(loaded, height_px=48, width_px=64, fov_x_deg=60.0, shift=(0.0, 0.0))
+    scale = math.pi * 0.9 / 17.0  # f/2
+    near_row, near_column = found.nearest()
+    assert name == "bend" and out.provenance["camera_matrix_px"] == found.camera_matrix()
+    assert np.abs(out.pixels[2:-2, 2:-2, 0] / scale - 100.0 - near_row[2:-2, 2:-2]).max() < 0.51
+    assert np.abs(out.pixels[2:-2, 2:-2, 1] / scale - 100.0 - near_column[2:-2, 2:-2]).max() < 0.51
+    assert (near_row != rows).mean() > 0.2
+
+
+def test_graphs_without_distortion_have_no_map_and_with_two_none_either(tmp_path):
+    size = {"height_px": 48, "width_px": 64, "fov_x_deg": 60.0, "shift": (0.0, 0.0)}
+    assert distortion.of_graph(graph(tmp_path, GRAPH.replace("automotive_6mm", "pixel4a") % ""), **size) is None
+    assert distortion.of_graph(graph(tmp_path, GRAPH.replace("optics.distortion", "optics.glare") % ""), **size) is None
+    with pytest.raises(GraphError, match=r"g\.yaml:8:\d+: graph 'g' has 2 optics.distortion nodes; labels can follow one"):
+        distortion.of_graph(graph(tmp_path, GRAPH % "}\n  - {op: optics.distortion, name: again"), **size)
+
+
+@pytest.mark.parametrize("falloff", ["cos4", "table"])
+def test_lens_shading_takes_a_bent_falloff_away(falloff):
+    """An even scene is even again."""
+    radiance = Image(np.full((*SIZE, 3), 5.0, np.float32), ("R", "G", "B"), Quantity.RADIANCE)
+    table = {"field_deg": (0.0, 20.0, 50.0), "relative_illumination": (1.0, 0.8, 0.4)}
+    dark = optics.irradiance(radiance, f_number=2.0, transmission=1.0, falloff=falloff, **VIEW, **table)
+    bent = distortion.distortion(dark, coefficients=BARREL, **VIEW)
+    mosaic = Image(bent.pixels[..., 1:2].copy(), ("CFA",), Quantity.LINEAR_RGB, provenance=bent.provenance)
+    flat = isp.lens_shading(mosaic, **VIEW).pixels
+    assert mosaic.pixels.min() < 0.7 * mosaic.pixels.max()
+    np.testing.assert_allclose(flat, 5.0 * math.pi / 17.0, rtol=2e-3)
+
+
+def test_the_falloff_is_found_again_where_the_picture_was_warped():
+    """cos^4 of the angle of the direction that a pixel shows."""
+    focal, cx, cy = pinhole()
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    plane = ((1.0 + ((columns - cx) ** 2 + (rows - cy) ** 2) / focal**2) ** -2).astype(np.float32)
+    out = distortion.distortion(light(np.repeat(plane[..., None], 3, axis=2)), coefficients=BARREL, **VIEW)
+    again = distortion.warped_like(plane, out.provenance, fov_x_deg=VIEW["fov_x_deg"], shift=(VIEW["shift_x"], VIEW["shift_y"]))
+    np.testing.assert_allclose(again, out.pixels[..., 1], rtol=1e-3)
+    assert distortion.warped_like(plane, {}, fov_x_deg=60.0, shift=(0.0, 0.0)) is plane

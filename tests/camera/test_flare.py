@@ -1,0 +1,137 @@
+"""Light astray in the lens: sums, places, and the spikes of a polygon."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import sici
+
+from synfog_usd import photometry
+from synfog_usd.camera import flare
+from synfog_usd.camera.profiles import load_sensor
+from synfog_usd.errors import ImageError
+from synfog_usd.image import Image, Quantity
+
+SENSOR = load_sensor("imx363")
+GREEN = tuple(photometry.band_name(centre) for centre in (549.0, 550.0, 551.0))
+LENS = {"f_number": 4.0, "pixel_pitch_um": 3.0, "sensor": SENSOR}
+
+
+def lamp(size=(401, 401), at=(200, 200), *, light=1e6, channels=GREEN) -> Image:
+    plane = np.full(size, 1.0, dtype=np.float32)
+    plane[at] += light
+    return Image(np.repeat(plane[..., None], len(channels), axis=2), channels, Quantity.IRRADIANCE)
+
+
+def test_glare_keeps_an_even_picture_and_all_of_the_light():
+    even = Image(np.full((90, 160, 3), 5.0, np.float32), ("R", "G", "B"), Quantity.IRRADIANCE)
+    np.testing.assert_allclose(flare.glare(even, fraction=0.1).pixels, 5.0, rtol=1e-5)
+    lamp = even.pixels * 0
+    lamp[40:44, 80:84] = 1000.0
+    out = flare.glare(even.with_pixels(lamp), fraction=0.1).pixels
+    np.testing.assert_allclose(out.sum(axis=(0, 1)), lamp.sum(axis=(0, 1)), rtol=1e-3)
+    np.testing.assert_allclose(out[41, 81], 900.0, rtol=0.05)
+    assert 0 < out[10, 10, 0] < out[40, 60, 0] < out[40, 75, 0]
+
+
+def test_blocks_average_their_pixels_also_where_they_are_cut():
+    pixels = np.arange(5 * 7 * 1, dtype=np.float32).reshape(5, 7, 1)
+    means = flare.block_means(pixels, 3)
+    expected = [[pixels[r : r + 3, c : c + 3].mean() for c in (0, 3, 6)] for r in (0, 3)]
+    np.testing.assert_allclose(means[..., 0], expected, rtol=1e-6)
+
+
+def added(image: Image, **params) -> np.ndarray:
+    """What the node adds to the green channel, per unit of the lamp's light, away from the lamp."""
+    out = flare.flare(image, **LENS, **params).pixels[..., 1].astype(np.float64) - 1.0
+    return out / (image.pixels[..., 1].max() - 1.0)
+
+
+@pytest.mark.parametrize(("blades", "spikes"), [(5, 10), (6, 6), (8, 8)])
+def test_a_polygon_makes_its_spikes(blades, spikes):
+    """As many as blades where that is even, twice as many where it is odd; counted around a circle of 70 pixels."""
+    angle = np.radians(np.arange(0.0, 360.0, 0.5))
+    star = added(lamp(), blades=blades, rotation_deg=10.0)
+    ring = np.mean([star[np.rint(200 - r * np.sin(angle)).astype(int), np.rint(200 + r * np.cos(angle)).astype(int)] for r in range(60, 80)], axis=0)
+    high = ring > 0.25 * ring.max()
+    assert np.count_nonzero(high & ~np.roll(high, 1)) == spikes
+    assert abs(math.degrees(angle[: 720 // spikes][ring[: 720 // spikes].argmax()]) - 10.0) <= 1.0  # anticlockwise from the right
+
+
+def test_a_spike_falls_as_the_square_of_the_distance():
+    """Far from the lamp a pair of edges of length L sends L q D / (2 pi^2 A r^2) of the light into each pixel of its spike, A the aperture's area.
+
+    From |integral over the polygon|^2 near the normal of an edge, its fringes averaged.  A regular hexagon of the area of a
+    circle of diameter D has L / D = 0.550 and L D / A = 0.700.  Across, it is sinc^2(y L / (q D)), of which three rows hold
+    2/pi (Si(2 x) - sin^2(x) / x), x = 1.5 pi L / (q D); what a round aperture sends there, q / (pi^3 r^3), is not the star's.
+    5 %: fringes along the spike do not quite average out in a pixel.
+    """
+    q = 0.550 * 4.0 / 3.0
+    star = added(lamp(), blades=6)
+    r = np.arange(30, 110)
+    blocks = (star[199:202, 200 + r].sum(axis=0) * r**2).reshape(8, 10).mean(axis=1)
+    x = 1.5 * math.pi * 0.550 / q
+    share = 2 / math.pi * (sici(2 * x)[0] - math.sin(x) ** 2 / x)
+    expected = share * 0.700 * q / (2 * math.pi**2) - 3 * q / (math.pi**3 * r).reshape(8, 10).mean(axis=1)
+    np.testing.assert_allclose(blocks, expected, rtol=0.05)
+
+
+@pytest.mark.parametrize("params", [{"blades": 6}, {"blades": 5, "fraction": 0.1}, {"ghosts": (0.01, 0.02)}, {"blades": 7, "ghosts": (0.01,)}])
+def test_no_light_is_made_or_lost(params):
+    """The lamp stands near the middle, so that star and ghosts lie inside; float32 sums to 1e-4."""
+    image = lamp(at=(190, 210))
+    out = flare.flare(image, **LENS, **params).pixels.astype(np.float64)
+    np.testing.assert_allclose(out.sum(axis=(0, 1)), image.pixels.sum(axis=(0, 1), dtype=np.float64), rtol=1e-4)
+    assert out.min() >= 0.0
+    moved = 1.0 - (out[190, 210, 1] - 1.0) / 1e6
+    assert moved > 0.009
+
+
+def test_a_star_takes_the_part_that_it_is_told():
+    image = lamp()
+    out = flare.flare(image, **LENS, blades=6, fraction=0.2)
+    assert out.provenance["flare_fractions"] == [0.2, 0.2, 0.2]
+    natural = flare.flare(image, **LENS, blades=6).provenance["flare_fractions"]
+    assert len(natural) == 3 and 0.02 < natural[1] < 0.2
+
+
+def test_a_ghost_stands_across_the_axis_and_is_a_disc():
+    """GHOSTS[0]: -1 times the lamp's offset, 0.05 image widths wide; the axis 0.05 widths right of the centre and 0.1 heights up."""
+    image = lamp((301, 961), (100, 300), light=1e7)
+    out = flare.flare(image, **LENS, ghosts=(0.01,), shift_x=0.05, shift_y=0.1).pixels[..., 1].astype(np.float64) - 1.0
+    out[100, 300] = 0.0
+    axis = (150.0 - 30.1, 480.0 + 48.05)
+    y, x = np.mgrid[:301, :961]
+    middle = (np.sum(out * y) / out.sum(), np.sum(out * x) / out.sum())
+    np.testing.assert_allclose(middle, (2 * axis[0] - 100, 2 * axis[1] - 300), atol=0.6)  # a lamp stands in the middle of its block of 2
+    assert out.sum() == pytest.approx(1e5, rel=1e-3)
+    r = np.hypot(y - middle[0], x - middle[1])
+    np.testing.assert_allclose(out[r < 20.0], 1e5 / (math.pi * 24.0**2), rtol=0.1)
+    assert out[r > 29.0].max() < 1e-3 * out.max()
+
+
+def test_without_lamps_blades_or_ghosts_nothing_changes():
+    even = lamp(light=3.0)
+    np.testing.assert_array_equal(flare.flare(even, **LENS, blades=6, ghosts=(0.01,)).pixels, even.pixels)
+    np.testing.assert_array_equal(flare.flare(lamp(), **LENS).pixels, lamp().pixels)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 5), (2, 70)])
+def test_tiny_pictures_have_room_for_a_star(shape):
+    plane = np.ones((*shape, 3), np.float32)
+    plane[0, 0] = 1e6
+    out = flare.flare(Image(plane, GREEN, Quantity.IRRADIANCE), **LENS, blades=6, ghosts=(0.01, 0.01)).pixels
+    assert out.shape == plane.shape and out.min() >= 0.0 and np.isfinite(out).all()
+
+
+@pytest.mark.parametrize("params", [{"blades": 2}, {"ghosts": (0.01,) * 5}])
+def test_what_no_lens_has_is_refused(params):
+    with pytest.raises(ImageError, match="blades is 0 \\(round\\) or from 3 on, and there are up to 4 ghosts"):
+        flare.flare(lamp((3, 5), (1, 1)), **LENS, **params)
+
+
+@pytest.mark.parametrize("blades", [0, 3, 4, 6])
+def test_an_aperture_has_the_area_of_its_circle(blades):
+    assert flare.aperture(blades, 20.0, 100.0, 200).sum() == pytest.approx(math.pi * 50.0**2, rel=1e-3)

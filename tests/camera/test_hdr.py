@@ -1,0 +1,190 @@
+"""High dynamic range: merged readings are linear, their noise is that of theory, and companding can be undone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from synfog_usd import camera, resources, seeds
+from synfog_usd.camera import hdr, isp, sensor
+from synfog_usd.camera.profiles import load_sensor
+from synfog_usd.errors import ImageError
+from synfog_usd.image import Image, Quantity
+
+CHIP = load_sensor("imx490_like")
+HIGH, LOW = 1.0, 0.25
+SIGMAS = 4.5
+"""A right sensor misses by more than this in 7 of a million draws."""
+
+
+def electrons(level, shape=(500, 500), gathered_um2_s=1.0) -> Image:
+    pixels = np.broadcast_to(np.asarray(level, np.float32), shape)[..., None].copy()
+    return Image(pixels, ("CFA",), Quantity.ELECTRONS, provenance={"exposure_s": 0.01, "gathered_um2_s": gathered_um2_s, "cfa_pattern": "RGGB"})
+
+
+def reading(counted: Image, factor: float, *, sigma_e=0.0, sigma_dn=0.0, seed=0) -> Image:
+    image = sensor.read_noise(counted, rng=seeds.stream(seed, "read", str(factor)), sigma_e=sigma_e)
+    image = sensor.gain(image, iso=100.0, iso_base=100.0, gain_dn_e=CHIP.gain_dn_e, factor=factor)
+    image = sensor.adc_noise(image, rng=seeds.stream(seed, "adc", str(factor)), sigma_dn=sigma_dn)
+    return sensor.adc(image, bits=12, black_level_dn=168, white_level_dn=4095, sensor=CHIP)
+
+
+def test_the_merged_number_is_linear_up_to_white():
+    """A ramp of 0 to 30 000 e- without noise: K e to half a DN of the reading that counts, then white; in any order of inputs."""
+    level = np.linspace(0.0, 30_000.0, 4000)
+    full = sensor.full_well(electrons(level, (1, 4000)), full_well_e=CHIP.full_well_e)
+    readings = [reading(full, HIGH), reading(full, LOW)]
+    merged, swapped = hdr.merge_hdr(*readings), hdr.merge_hdr(*readings[::-1])
+    np.testing.assert_array_equal(merged.pixels, swapped.pixels)
+    facts, out = merged.provenance, merged.pixels[0, :, 0] - 168.0
+    top = 4.0 * min(3927.0, 22_000 * CHIP.gain_dn_e * LOW)
+    assert (facts["black_level_dn"], facts["white_level_dn"], facts["bits"]) == (168, 168 + round(top), 14)
+    by_high, unfull = level * CHIP.gain_dn_e < 0.85 * 3927.0, level * CHIP.gain_dn_e < top - 2.0
+    np.testing.assert_allclose(out[by_high], (level * CHIP.gain_dn_e)[by_high], atol=0.502)
+    np.testing.assert_allclose(out[unfull], (level * CHIP.gain_dn_e)[unfull], atol=4 * 0.5 + 0.502)
+    assert (out[level > 22_001.0] == facts["white_level_dn"] - 168).all()
+    assert facts["hdr_knees_dn"] == pytest.approx([168 + 0.9 * 3927.0])
+
+
+def test_a_well_that_is_full_before_the_converter_hands_over_before_it():
+    """Well of 2000 e- at 0.73 DN/e-: the reading ends at 1457 DN, a third of its converter's range."""
+    large = reading(sensor.full_well(electrons(np.linspace(0, 8000, 4000), (1, 4000)), full_well_e=2000.0), HIGH)
+    small = reading(electrons(np.linspace(0, 800, 4000), (1, 4000), gathered_um2_s=0.1), HIGH)
+    out = hdr.merge_hdr(large, small).pixels[0, :, 0] - 168.0
+    np.testing.assert_allclose(out, np.linspace(0, 8000, 4000) * CHIP.gain_dn_e, atol=5.51)
+
+
+def variance_e2(frames: list[np.ndarray]) -> float:
+    """Temporal variance of a pixel [e-^2], from two frames of the same light."""
+    return float(np.var(frames[0] - frames[1], dtype=np.float64) / 2 / CHIP.gain_dn_e**2)
+
+
+@pytest.mark.parametrize("level_e", [500.0, 4200.0, 4700.0, 15_000.0])
+def test_two_conversion_gains_count_the_same_electrons_and_jump_only_in_read_noise(level_e):
+    """variance = mu + s^2 + (s_adc^2 + 1/12) / K^2 of the reading that counts; shot noise knows no gain.
+
+    A tall read noise of the low gain, 60 e-, makes the jump 2.6 times the noise there.
+    The variance of a sample variance over N is 2 v^2 / N.
+    """
+    frames = []
+    for frame in (1, 2):
+        counted = sensor.shot_noise(electrons(level_e), rng=seeds.stream(frame, "shot", str(level_e)))
+        readings = [reading(counted, HIGH, sigma_e=1.0, sigma_dn=0.5, seed=frame), reading(counted, LOW, sigma_e=60.0, sigma_dn=0.5, seed=frame + 10)]
+        frames.append(hdr.merge_hdr(*readings).pixels.astype(np.float64))
+    high = level_e < 0.85 * 3927.0 / CHIP.gain_dn_e
+    gain, sigma_e = (CHIP.gain_dn_e, 1.0) if high else (CHIP.gain_dn_e * LOW, 60.0)
+    expected = level_e + sigma_e**2 + (0.25 + 1 / 12) / gain**2
+    found = variance_e2(frames)
+    if 0.85 * 3927.0 < level_e * CHIP.gain_dn_e < 0.9 * 3927.0:  # between the two
+        assert level_e < found < expected
+    else:
+        assert found == pytest.approx(expected, rel=SIGMAS * math.sqrt(2 / frames[0].size))
+    mean_e = (frames[0].mean() - 168.0) / CHIP.gain_dn_e
+    assert mean_e == pytest.approx(level_e, abs=SIGMAS * math.sqrt(expected / frames[0].size) + 0.002 * level_e)
+
+
+@pytest.mark.parametrize("level_e", [4000.0, 7000.0, 40_000.0])
+def test_the_snr_falls_by_the_root_of_the_ratio_where_a_short_exposure_takes_over(level_e):
+    """Above the knee mu / 16 electrons are counted: SNR = sqrt(mu / 16) with read noise beside it, below it sqrt(mu)."""
+    frames = []
+    for frame in (1, 2):
+        exposures = [
+            sensor.shot_noise(electrons(level_e * ratio, gathered_um2_s=ratio), rng=seeds.stream(frame, "shot", str(ratio), str(level_e)))
+            for ratio in (1.0, 1.0 / 16.0)
+        ]
+        readings = [reading(exposure, HIGH, sigma_e=3.0, seed=10 * frame + index) for index, exposure in enumerate(exposures)]
+        frames.append(hdr.merge_hdr(*readings).pixels.astype(np.float64))
+    ratio = 1.0 if level_e < 5000.0 else 16.0
+    expected = ratio * level_e + ratio**2 * (9.0 + 1 / 12 / CHIP.gain_dn_e**2)
+    assert variance_e2(frames) == pytest.approx(expected, rel=SIGMAS * math.sqrt(2 / frames[0].size))
+    assert (frames[0].mean() - 168.0) / CHIP.gain_dn_e == pytest.approx(level_e, abs=SIGMAS * math.sqrt(expected / frames[0].size))
+
+
+def test_the_noise_profile_is_that_of_the_dark_parts():
+    """On the scale of the merged range: variance = S x + O, from frames of 300 e-."""
+    frames = []
+    for frame in (1, 2):
+        counted = sensor.shot_noise(electrons(300.0), rng=seeds.stream(frame, "profile"))
+        frames.append(hdr.merge_hdr(reading(counted, HIGH, sigma_e=2.0, sigma_dn=0.6, seed=frame), reading(counted, LOW, seed=frame)))
+    slope, offset = frames[0].provenance["noise_profile"]
+    span = frames[0].provenance["white_level_dn"] - 168
+    x = 300.0 * CHIP.gain_dn_e / span
+    found = np.var(frames[0].pixels - frames[1].pixels, dtype=np.float64) / 2 / span**2
+    assert slope * x + offset == pytest.approx(found, rel=SIGMAS * math.sqrt(2 / frames[0].pixels.size))
+
+
+def test_readings_that_do_not_belong_together_are_refused():
+    image = reading(electrons(10.0, (4, 4)), HIGH)
+    with pytest.raises(ImageError, match="nothing to be merged with"):
+        hdr.merge_hdr(image)
+    with pytest.raises(ImageError, match=r"4 x 4 pixels behind RGGB and 6 x 4 pixels behind RGGB cannot be merged"):
+        hdr.merge_hdr(image, reading(electrons(10.0, (4, 6)), LOW))
+    with pytest.raises(ImageError, match="not above the one before"):
+        hdr.merge_hdr(image, image)
+    with pytest.raises(ImageError, match="needs 25 bits"):
+        hdr.merge_hdr(image, reading(electrons(10.0, (4, 4), gathered_um2_s=1.2e-4), HIGH))
+    with pytest.raises(ImageError, match=r"does not say its gathered_um2_s; sensor\.expose notes it"):
+        facts = {key: value for key, value in image.provenance.items() if key != "gathered_um2_s"}
+        hdr.merge_hdr(image, image.with_pixels(image.pixels, provenance=facts))
+
+
+def linear(values) -> Image:
+    pixels = np.asarray(values, np.float32)[None, :, None]
+    return Image(pixels, ("CFA",), Quantity.DN, provenance={"black_level_dn": 168, "white_level_dn": 57_700, "cfa_pattern": "RGGB"})
+
+
+KNEES = {"linear_dn": (1024.0, 4096.0, 16_384.0), "code_dn": (1024.0, 1792.0, 2560.0)}
+
+
+def test_companding_is_undone_but_for_half_a_step():
+    """Every number of 16 bits, those below black too: back to within half the DN that a code stands for, rounded."""
+    values = np.arange(57_701)
+    coded = hdr.compand(linear(values), bits=12, **KNEES)
+    facts = coded.provenance
+    assert (facts["black_level_dn"], facts["white_level_dn"], facts["linear_black_dn"], facts["linear_white_dn"]) == (168, 4095, 168, 57_700)
+    assert facts["companding"][0] == [168, 168] and facts["companding"][-1] == [57_700.0, 4095.0]
+    assert (coded.pixels == np.rint(coded.pixels)).all() and (np.diff(coded.pixels[0, :, 0]) >= 0).all() and coded.pixels.max() == 4095
+    back = isp.decompand(coded)
+    step = np.select([values <= 1024, values <= 4096, values <= 16_384], [1.0, 4.0, 16.0], (57_700 - 16_384) / (4095 - 2560))
+    assert (np.abs(back.pixels[0, :, 0] - values) <= step / 2 + 0.01).all()
+    assert (back.provenance["black_level_dn"], back.provenance["white_level_dn"]) == (168, 57_700)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"code_dn": (1024.0, 1792.0)}, "linear_dn has 3 numbers and code_dn 2"),
+        ({"linear_dn": (1024.0, 900.0, 16_384.0)}, "do not rise"),
+        ({"code_dn": (1024.0, 4097.0, 4098.0)}, "do not rise"),
+        ({"code_dn": (2048.0, 2100.0, 2560.0)}, "at most 1 code per DN"),
+        ({"linear_dn": (2048.0, 4096.0, 16_384.0), "code_dn": (1000.0, 1792.0, 2560.0)}, r"black level 168 becomes code 82\.03"),
+        ({"linear_dn": (100.0, 4096.0, 16_384.0), "code_dn": (100.0, 1792.0, 2560.0)}, "below the first knee"),
+    ],
+)
+def test_knees_that_cannot_be_undone_are_refused(change, message):
+    with pytest.raises(ImageError, match=message):
+        hdr.compand(linear([200.0]), bits=12, **{**KNEES, **change})
+
+
+def test_the_automotive_camera_is_linear_over_its_three_readings():
+    """A staircase of light from dark to white through the shipped graph: the mean of each step, as linear DN, is in proportion.
+
+    Steps of 60 x 60 pixels of one filter colour mix are compared with a noise-free
+    sum of electrons; PRNU of 0.7 % averages out to 0.01 %.
+    """
+    graph = camera.load_graph(resources.folder("pipeline") / "automotive_hdr.yaml").without(["diffraction", "glare"])
+    levels = np.geomspace(20.0, 1800.0, 12)
+    pixels = np.repeat(levels, 60)[None, :, None] * np.ones((60, 1, 3))
+    scene = Image(pixels.astype(np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 1.0})
+    run = graph.run({"radiance": scene}, seed=5, settings={"exposure_s": 0.01, "iso": 100.0}, until="decompand")
+    gain, dark_e = run["merge"].provenance["system_gain_dn_e"], run["merge"].provenance["dark_e"]
+    means = run["decompand"].pixels[..., 0].reshape(60, 12, 60).mean(axis=(0, 2), dtype=np.float64) - 168.0
+    expected = (run["expose"].pixels[..., 0].reshape(60, 12, 60).mean(axis=(0, 2), dtype=np.float64) + dark_e) * gain
+    assert means[0] < 0.2 * 3927 and means[-1] > 4.1 * 3927  # from the first reading to the third
+    np.testing.assert_allclose(means, expected, rtol=0.006)
+    merged = run["merge"].pixels
+    assert (merged == np.rint(merged)).all() and merged.max() > 4095 and run["compand"].pixels.max() <= 4095
+    white = scene.with_pixels(np.full_like(scene.pixels, 1e9))
+    assert (graph.run({"radiance": white}, seed=5, settings={"exposure_s": 0.01, "iso": 100.0}, until="compand")["compand"].pixels >= 4090).all()

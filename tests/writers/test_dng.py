@@ -1,0 +1,286 @@
+"""DNG as other programs read it: LibRaw (rawpy) and tifffile.  More programs: tests/physics/test_raw_readers.py."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+import rawpy
+import tifffile
+from support import raws
+
+from synfog_usd import camera, resources, seeds
+from synfog_usd.camera import cfa
+from synfog_usd.errors import ImageError, OutputError
+from synfog_usd.image import Image, Quantity
+from synfog_usd.writers import dng, write_dng
+
+D65, A = 21, 17
+"""Calibration illuminants, by their Exif LightSource numbers."""
+
+
+@pytest.fixture(scope="module")
+def mosaic() -> Image:
+    """A coloured test picture from the shipped phone: 96 x 128 DN."""
+    graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+    pixels = seeds.stream(0, "dng").random((96, 128, 3), dtype=np.float32) * np.float32(1500)
+    radiance = Image(pixels, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+    return graph.run({"radiance": radiance}, seed=1, settings={"exposure_s": 1 / 800, "iso": 110}, until="adc")["adc"]
+
+
+def exif_of(path) -> dict[int, tuple]:
+    """Exif tags by number, read from the bytes with the TIFF 6.0 layout, not with the writer."""
+    data = path.read_bytes()
+    assert data[:4] == b"II*\0"
+
+    def ifd(start):
+        (count,) = struct.unpack_from("<H", data, start)
+        return {entry[0]: entry[1:] for entry in (struct.unpack_from("<HHI4s", data, start + 2 + 12 * index) for index in range(count))}
+
+    first = ifd(struct.unpack_from("<I", data, 4)[0])
+    assert list(first) == sorted(first), "TIFF wants tags in rising order"
+    found = {}
+    for code, (kind, count, raw) in ifd(struct.unpack("<I", first[34665][2])[0]).items():
+        (place,) = struct.unpack("<I", raw)
+        found[code] = (
+            struct.unpack_from("<II", data, place)
+            if kind == 5
+            else struct.unpack("<HH", raw)[:1]
+            if kind == 3
+            else (data[place : place + count] if count > 4 else raw)
+        )
+    return found
+
+
+def test_libraw_reads_the_exact_numbers_and_what_they_mean(mosaic, tmp_path):
+    write_dng(tmp_path / "a.dng", mosaic)
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        np.testing.assert_array_equal(raw.raw_image_visible, mosaic.pixels[..., 0].astype(np.uint16))
+        assert raw.black_level_per_channel == [64, 64, 64, 64] and raw.white_level == 1023
+        np.testing.assert_array_equal(raw.raw_pattern, [[0, 1], [3, 2]])  # LibRaw calls the second green 3
+        assert raw.color_desc == b"RGBG"
+        balance = np.array(raw.camera_whitebalance[:3])
+        np.testing.assert_allclose(balance / balance[1], mosaic.provenance["as_shot_neutral"][1] / np.array(mosaic.provenance["as_shot_neutral"]), rtol=1e-5)
+
+
+def test_libraw_renders_grey_neutral_and_colours_as_our_own_processor(tmp_path):
+    """An even grey and an even red field: LibRaw's linear rendering with our tags against our white balance and matrix."""
+    graph = camera.load_graph(resources.folder("pipeline") / "linear_exr.yaml")
+    for rgb in ([900.0, 900.0, 900.0], [900.0, 300.0, 200.0], [200.0, 400.0, 900.0]):
+        radiance = Image(np.broadcast_to(np.array(rgb, np.float32), (128, 128, 3)).copy(), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 5.0})
+        run = graph.run({"radiance": radiance}, seed=1, settings={"exposure_s": 1 / 500, "iso": 55})
+        write_dng(tmp_path / "a.dng", run["adc"])
+        with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+            out = raw.postprocess(gamma=(1, 1), no_auto_bright=True, use_camera_wb=True, output_bps=16)
+        theirs = out[16:-16, 16:-16].mean(axis=(0, 1)) / 65535
+        ours = run["colour"].pixels[16:-16, 16:-16].mean(axis=(0, 1), dtype=np.float64)
+        np.testing.assert_allclose(theirs / theirs.sum(), ours / ours.sum(), atol=0.004)  # 0.07 CIEDE2000 is usual between them
+        if rgb[0] == rgb[2]:
+            assert np.ptp(theirs) < 0.004 * theirs.mean() + 1e-3
+
+
+def test_every_tag_that_readers_need_is_there(mosaic, tmp_path):
+    write_dng(tmp_path / "a.dng", mosaic)
+    with tifffile.TiffFile(tmp_path / "a.dng") as file:
+        page = file.pages[0]
+        np.testing.assert_array_equal(page.asarray(), mosaic.pixels[..., 0])
+        tags = {tag.code: tag.value for tag in page.tags}
+    assert (tags[254], tags[258], tags[259], tags[262], tags[277]) == (0, 16, 1, 32803, 1)
+    assert tags[33421] == (2, 2) and bytes(tags[33422]) == b"\0\1\1\2"
+    assert bytes(tags[50706]) == b"\1\4\0\0" and tags[50713] == (2, 2) and tags[50714] == (64, 1) * 4 and tags[50717] == 1023
+    assert tags[50829] == (0, 0, 96, 128) and tags[50719] == (8, 8) and tags[50720] == (112, 80)
+    assert (tags[50778], tags[50779]) == (A, D65)
+    matrix = np.array(tags[50722]).reshape(9, 2)
+    np.testing.assert_allclose((matrix[:, 0] / matrix[:, 1]).reshape(3, 3), mosaic.provenance["xyz_to_camera"], atol=1e-4)
+    np.testing.assert_allclose(tags[51041], mosaic.provenance["noise_profile"] * 3, rtol=1e-12)
+
+
+def test_exif_says_how_it_was_taken(mosaic, tmp_path):
+    write_dng(tmp_path / "a.dng", mosaic)
+    exif = exif_of(tmp_path / "a.dng")
+    assert (exif[33434], exif[33437], exif[34855], exif[37386]) == ((1, 800), (173, 100), (110,), (219, 50))
+    assert exif[36864] == b"0231"
+
+
+@pytest.mark.parametrize("compression", ["none", "lossless"])
+def test_the_same_image_gives_the_same_bytes(mosaic, tmp_path, compression):
+    for name in ("a.dng", "b.dng"):
+        write_dng(tmp_path / name, mosaic, compression=compression)
+    assert (tmp_path / "a.dng").read_bytes() == (tmp_path / "b.dng").read_bytes()
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (5, 7), (31, 33), (32, 34)])
+def test_small_and_odd_pictures_are_written_whole(mosaic, tmp_path, shape):
+    small = mosaic.with_pixels(mosaic.pixels[: shape[0], : shape[1]])
+    write_dng(tmp_path / "a.dng", small)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.dng"), small.pixels[..., 0])
+
+
+PATTERNS = ("RGGB", "GRBG", "GBRG", "BGGR", "RCCB", "RCCC", "RGIB", "MONO")
+
+
+def test_every_pattern_of_the_camera_can_be_written():
+    assert set(dng.PATTERNS) == set(PATTERNS) == set(cfa.PATTERNS)
+
+
+@pytest.mark.parametrize("compression", ["none", "lossless"])
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_libraw_and_tifffile_read_the_exact_numbers_of_every_pattern(tmp_path, pattern, compression):
+    image = raws.noise(pattern)
+    write_dng(tmp_path / "a.dng", image, compression=compression)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.dng").reshape(96, 128), image.pixels[..., 0])
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        np.testing.assert_array_equal(raw.raw_image_visible, image.pixels[..., 0])
+        assert raw.black_level_per_channel == [64] * 4 and raw.white_level == 4095
+
+
+@pytest.mark.parametrize("bits", [8, 9, 10, 11, 12, 13, 14, 15, 16])
+def test_numbers_of_any_bits_are_exact_with_lossless_compression(tmp_path, bits):
+    image = raws.noise("GBRG", bits=bits)
+    write_dng(tmp_path / "a.dng", image, compression="lossless")
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        np.testing.assert_array_equal(raw.raw_image_visible, image.pixels[..., 0])
+        assert raw.white_level == 2**bits - 1
+
+
+@pytest.mark.parametrize("compression", ["none", "lossless"])
+@pytest.mark.parametrize("shape", [(22, 22), (31, 34), (33, 35), (64, 97)])
+def test_pictures_of_odd_size_are_exact(tmp_path, shape, compression):
+    """LibRaw opens nothing below 22 pixels."""
+    image = raws.noise("RGGB", shape=shape)
+    write_dng(tmp_path / "a.dng", image, compression=compression)
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        np.testing.assert_array_equal(raw.raw_image_visible, image.pixels[..., 0])
+
+
+def test_lossless_compression_makes_a_picture_smaller(tmp_path):
+    """A smooth ramp of four colours with noise of 2 DN needs some 4 bits a pixel of the 16."""
+    ramp = np.repeat(np.linspace(0.1, 0.8, 512)[None], 256, axis=0) + seeds.stream(0, "ramp").normal(0, 2 / 4095, (256, 512))
+    for name in ("none", "lossless"):
+        write_dng(tmp_path / f"{name}.dng", raws.scene("RGGB", ramp), compression=name)
+    assert (tmp_path / "lossless.dng").stat().st_size < 0.35 * (tmp_path / "none.dng").stat().st_size
+
+
+def tags_of(path) -> dict:
+    with tifffile.TiffFile(path) as file:
+        return {tag.code: tag.value for tag in file.pages[0].tags}
+
+
+def ratios(values) -> np.ndarray:
+    return np.array(values[::2]) / np.array(values[1::2])
+
+
+@pytest.mark.parametrize(
+    ("pattern", "codes", "planes", "rows"),
+    [
+        ("GRBG", (1, 0, 2, 1), (0, 1, 2), "RGB"),
+        ("RCCB", (0, 1, 1, 2), (0, 1, 2), "RCB"),
+        ("RGIB", (0, 1, 6, 2), (0, 1, 2, 6), "RGBI"),
+    ],
+)
+def test_colour_planes_and_their_matrices_stand_in_one_order(tmp_path, pattern, codes, planes, rows):
+    """CFAPlaneColor says which filter a row of the matrices and a number of the neutral belong to; D65 stands last, where dcraw looks."""
+    write_dng(tmp_path / "a.dng", raws.noise(pattern))
+    tags = tags_of(tmp_path / "a.dng")
+    assert (tuple(tags[33422]), tuple(tags[50710]), tags[50711], tags[33421]) == (codes, planes, 1, (2, 2))
+    for number, illuminant, light, table in ((50721, 50778, A, raws.ROWS_A), (50722, 50779, D65, raws.ROWS)):
+        assert tags[illuminant] == light
+        np.testing.assert_allclose(ratios(tags[number]).reshape(-1, 3), [table[letter] for letter in rows], atol=1e-4)
+    told = raws.filters(pattern)
+    np.testing.assert_allclose(ratios(tags[50728]), [raws.neutral(pattern)[told.index(letter)] for letter in rows], atol=1e-6)
+    assert tags[51041] == (2e-4, 3e-7) * len(rows)
+
+
+@pytest.mark.parametrize("compression", ["none", "lossless"])
+@pytest.mark.parametrize("pattern", ["MONO", "RCCC"])
+def test_what_has_no_colour_is_linear_raw_of_one_sample_and_names_its_pattern(tmp_path, pattern, compression):
+    write_dng(tmp_path / "a.dng", raws.noise(pattern), compression=compression)
+    tags = tags_of(tmp_path / "a.dng")
+    assert (tags[262], tags[277], tags[50713], tags[50714], tags[270]) == (34892, 1, (1, 1), (64, 1), f"colour filter array {pattern}")
+    assert not {33421, 33422, 50710, 50721, 50728} & set(tags) and tags[51041] == (2e-4, 3e-7)
+
+
+def test_the_date_is_fixed_and_the_camera_is_named(tmp_path):
+    write_dng(tmp_path / "a.dng", raws.noise("RGGB"))
+    tags, exif = tags_of(tmp_path / "a.dng"), exif_of(tmp_path / "a.dng")
+    assert tags[306] == "2000:01:01 00:00:00" and exif[36867] == b"2000:01:01 00:00:00\0"
+    assert (tags[50708], tags[50735], tags[272]) == ("synfog-usd Test sensor", "SN-0042", "Test sensor")
+    assert (exif[42033], exif[42036]) == (b"SN-0042\0", b"Test lens\0") and tags[274] == 1
+
+
+def test_without_a_second_matrix_the_file_has_one(tmp_path, mosaic):
+    facts = {key: value for key, value in raws.facts("RGGB").items() if key not in ("xyz_to_camera_a", "lens_title", "sensor_serial", "focal_length_mm")}
+    write_dng(tmp_path / "a.dng", Image(np.full((32, 32, 1), 64.0, np.float32), ("CFA",), Quantity.DN, provenance=facts))
+    assert (
+        tags_of(tmp_path / "a.dng")[50778] == D65
+        and not {50722, 50779, 50735} & set(tags_of(tmp_path / "a.dng"))
+        and not {42033, 42036, 37386} & set(exif_of(tmp_path / "a.dng"))
+    )
+
+
+KNEES = [[240, 240], [1264, 1264], [17648, 2288], [1048575, 4095]]
+"""20 bits in 12: slopes 1, 1/16 and 1/570."""
+
+
+def companded(numbers: np.ndarray) -> Image:
+    facts = raws.facts("RGGB", companding=KNEES, black_level_dn=240, linear_black_dn=240, linear_white_dn=1048575)
+    return Image(numbers[..., None].astype(np.float32), ("CFA",), Quantity.DN, provenance=facts)
+
+
+@pytest.mark.parametrize("compression", ["none", "lossless"])
+def test_companded_codes_are_kept_and_a_reader_makes_linear_numbers_of_them(tmp_path, compression):
+    """The file holds the codes; LibRaw shows what the table makes of them: the linear numbers over 16, to half a number."""
+    codes = np.arange(4096).reshape(64, 64)
+    write_dng(tmp_path / "a.dng", companded(codes), compression=compression)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.dng").reshape(64, 64), codes)
+    linear = np.concatenate([np.arange(1265), 1264 + 16 * np.arange(1, 1025), 17648 + np.arange(1, 1808) * (1048575 - 17648) / 1807])
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        np.testing.assert_allclose(raw.raw_image_visible.ravel(), linear * 65535 / 1048575, atol=0.5001)
+        assert raw.white_level == 65535 and raw.black_level_per_channel == [15] * 4
+
+
+def test_what_fits_16_bits_is_not_scaled(tmp_path):
+    """14 bits in 10: each linear number that has a code of its own comes back as it was."""
+    facts = raws.facts("RGGB", bits=10, companding=[[64, 64], [512, 512], [16383, 1023]], black_level_dn=64, linear_black_dn=64, linear_white_dn=16383)
+    image = Image(np.arange(1024, dtype=np.float32).reshape(32, 32, 1), ("CFA",), Quantity.DN, provenance=facts)
+    write_dng(tmp_path / "a.dng", image)
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        np.testing.assert_array_equal(raw.raw_image_visible.ravel()[:513], np.arange(513))
+        assert raw.white_level == 16383 and raw.raw_image_visible.max() == 16383 and raw.black_level_per_channel == [64] * 4
+
+
+def test_hdr_numbers_that_are_not_companded_are_refused_with_advice(tmp_path):
+    image = Image(np.full((32, 32, 1), 1e6, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts("RGGB", bits=20, black=240))
+    with pytest.raises(ImageError, match=r"at most 16 bits; white_level_dn is 1048575\. Put sensor\.compand before it, or write an EXR"):
+        write_dng(tmp_path / "a.dng", image)
+    assert not list(tmp_path.iterdir())
+
+
+def test_facts_that_are_missing_or_wrong_are_named(tmp_path):
+    numbers = np.full((32, 32, 1), 70.0, np.float32)
+    for pattern, change, words in [
+        ("RGIB", {"xyz_to_camera": None}, "needs xyz_to_camera in the image's provenance"),
+        ("RGGB", {"cfa_pattern": "XTRANS"}, "pattern 'XTRANS' cannot be written; it takes RGGB,"),
+        ("RGGB", {"companding": KNEES}, "needs linear_black_dn, linear_white_dn in"),
+    ]:
+        facts = {key: value for key, value in (raws.facts(pattern) | change).items() if value is not None}
+        with pytest.raises(ImageError, match=words):
+            write_dng(tmp_path / "a.dng", Image(numbers, ("CFA",), Quantity.DN, provenance=facts))
+    with pytest.raises(OutputError, match="compression is 'zip'; a DNG takes none, lossless"):
+        write_dng(tmp_path / "a.dng", raws.noise("RGGB"), compression="zip")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_no_raw_picture_is_refused(mosaic, tmp_path):
+    path = tmp_path / "a.dng"
+    with pytest.raises(ImageError, match=r"a DNG needs black_level_dn, .* in the image's provenance"):
+        write_dng(path, Image(mosaic.pixels, ("CFA",), Quantity.DN))
+    with pytest.raises(ImageError, match="takes a DN mosaic of one channel; this image is electrons"):
+        write_dng(path, Image(mosaic.pixels, ("CFA",), Quantity.ELECTRONS, provenance=mosaic.provenance))
+    for value in (0.5, -1.0, 1024.0, np.nan):
+        pixels = mosaic.pixels.copy()
+        pixels[3, 3] = value
+        with pytest.raises(ImageError, match="are not whole numbers from 0 to 1023"):
+            write_dng(path, mosaic.with_pixels(pixels))
+    assert not list(tmp_path.iterdir())
