@@ -106,7 +106,7 @@ class Bench:
     def frame(self, photons: float, *, seed: int) -> Image:
         """RAW numbers at a mean number of photons per pixel."""
         names = tuple(photometry.band_name(self.wavelength_nm + step) for step in (-1.0, 0.0, 1.0))
-        power = np.float32([0.0, self.irradiance_w_m2(photons), 0.0])
+        power = np.array([0.0, self.irradiance_w_m2(photons), 0.0], dtype=np.float32)
         light = Image(np.broadcast_to(power, (self.size[1], self.size[0], 3)).copy(), names, Quantity.IRRADIANCE, provenance={"f_number": 8.0})
         settings = {"exposure_s": self.exposure_s, "iso": self.reading.sensor.iso_base}
         node = self.reading.node

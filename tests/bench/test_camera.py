@@ -1,0 +1,81 @@
+"""The phone at 1920 x 1080 on two cores: its time node by node, and the memory of a process that runs it.
+
+Time is that of `graph.run`, the best of three, metered before.  The scene has texture
+and lamps, so that no blur is skipped.  The table is printed with -s.
+"""
+
+import os
+import platform
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from synfog_usd import camera, photometry, resources, seeds
+from synfog_usd.constants import LUMINOUS_EFFICACY_LM_W
+from synfog_usd.image import Image, Quantity
+
+pytestmark = pytest.mark.bench
+
+SIZE = (1920, 1080)
+RUNS = 3
+
+
+def street(channels):
+    """A sky above a textured ground, and three lamps; (H, W, C) of about 300 cd m-2, or of the power of such a light."""
+    width, height = SIZE
+    rng = seeds.stream(0, "bench", "street")
+    rows = np.linspace(0.0, 1.0, height, dtype=np.float32)[:, None]
+    grey = np.where(rows < 0.45, 900.0, 60.0 + 300.0 * rows) * (0.8 + 0.4 * rng.random((height, width), dtype=np.float32))
+    for x, y in ((400, 600), (960, 620), (1500, 590)):
+        grey[y : y + 6, x : x + 8] = 2e5
+    colour = np.ones(3) if channels == ("R", "G", "B") else np.full(len(channels), 1.0 / (LUMINOUS_EFFICACY_LM_W * 100.0))
+    pixels = grey[..., None].astype(np.float32) * colour.astype(np.float32)
+    return Image(pixels, channels, Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+
+
+def bands(count):
+    width_nm = 400.0 / count
+    return tuple(photometry.band_name(380.0 + width_nm * (index + 0.5)) for index in range(count))
+
+
+@pytest.mark.parametrize("channels, limit_s", [(("R", "G", "B"), 1.0), (bands(3), 1.0), (bands(16), 3.0)], ids=["RGB", "3 bands", "16 bands"])
+def test_the_phone_is_quick(channels, limit_s):
+    """3 bands in 1 s, 16 bands in 3 s."""
+    graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+    radiance = street(channels)
+    settings = camera.meter(radiance, graph).settings
+    outputs = tuple(graph.outputs.values())
+    tables = [graph.run({"radiance": radiance}, seed=seed, settings=settings, keep=outputs).milliseconds for seed in range(RUNS)]
+    totals_s = [sum(table.values()) / 1e3 for table in tables]
+    best = tables[int(np.argmin(totals_s))]
+    print(f"\n{SIZE[0]} x {SIZE[1]}, {len(channels)} channels, {os.cpu_count()} cores, {platform.machine()}: best of {RUNS} runs, milliseconds per node")
+    print("\n".join(f"  {name:<16} {spent:7.1f}" for name, spent in best.items()))
+    print(f"  {'all':<16} {1e3 * min(totals_s):7.1f}   (runs: {', '.join(f'{total:.2f} s' for total in totals_s)})")
+    assert min(totals_s) <= limit_s
+
+
+def test_the_memory_of_a_run_in_sixteen_bands():
+    """Metering, the run and both files in a process of its own: under 2 GiB at its peak, the radiance of 127 MiB included."""
+    code = """
+        import resource, sys, tempfile
+        sys.path.insert(0, sys.argv[1])
+        from pathlib import Path
+        from test_camera import bands, street
+        from synfog_usd import camera, resources
+        from synfog_usd.writers import write_output
+
+        graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+        run = camera.develop(graph, {"radiance": street(bands(16))}, seed=0, keep=tuple(graph.outputs.values()))
+        with tempfile.TemporaryDirectory() as folder:
+            for name, node in graph.outputs.items():
+                assert write_output(name, run[node], Path(folder)).stat().st_size > 1e5
+        print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(code), str(Path(__file__).parent)]
+    peak_gib = float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    print(f"\n{SIZE[0]} x {SIZE[1]}, 16 bands, peak memory: {peak_gib:.2f} GiB")
+    assert peak_gib < 2.0
