@@ -1,16 +1,12 @@
 """Ops that spread each point of the picture: diffraction, and focus elsewhere.
 
-Irradiance in, irradiance out.  Everything is a multiplication by the transfer
-function of the lens, one channel at a time; lamps, which a transform of pixels would
-surround with ripples, are added as copies of the exact spot.
+Irradiance in, irradiance out; `spread` does the work, and what is not worth doing is
+left out here.
 """
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -19,7 +15,7 @@ import numpy.typing as npt
 from scipy import fft
 
 from synfog_usd import photometry
-from synfog_usd.camera import response
+from synfog_usd.camera import response, spread
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
@@ -27,23 +23,6 @@ from synfog_usd.graph import FromProfile, Range
 from synfog_usd.image import FloatArray, Image, Quantity
 
 Array = npt.NDArray[np.float64]
-
-THREADS = 2
-
-EDGE_PX = 64
-"""How far a picture is mirrored beyond its edges before it is blurred; 0.3 % of a point's light goes further at q = 1."""
-
-HIGHLIGHT = 8.0
-"""Times the 95th percentile of a channel: from there on a pixel holds a point of light."""
-
-SPOT_PX = 24
-"""Half the side of the square in which the diffraction disc is integrated over pixels; beyond it has its mean tail.  Times q where q > 1."""
-
-TAIL_PX = 8
-"""From here on the tail is taken out of the spot: so smooth that a float32 transform keeps it free of noise."""
-
-COPIES = 1 << 27
-"""Pixels of spots that are added one by one (4,000 more for each spot); more are added by a transform."""
 
 DISC_MAX_PX = 2048.0
 """Widest disc of a lens out of focus."""
@@ -55,26 +34,6 @@ BROADBAND_ERROR = 0.0005
 """Part of the contrast up to which one wavelength may stand for all channels."""
 
 CROP_PX = 256
-
-_V: Array = np.linspace(0.0, 1.0, 4097)
-
-
-@dataclass(frozen=True)
-class Blur:
-    """What a lens makes of one channel.
-
-    Attributes:
-        transfer: radial frequency [cycles/pixel], any shape, to the part of the
-            contrast that is left.
-        spot: (2 R + 1, 2 R + 1) weights of a point's light around its pixel.
-        tail: weight of the mean tail q / (pi^3 r^3) outside the spot; 0 for none.
-        tail_scale: times `TAIL_PX` and `SPOT_PX`.
-    """
-
-    transfer: Callable[[FloatArray], Array]
-    spot: FloatArray
-    tail: float = 0.0
-    tail_scale: int = 1
 
 
 @OPS.op("optics.diffraction", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
@@ -131,8 +90,8 @@ def diffraction(
     if chosen == "none":
         return image.noted(**facts)
     scale = max(1, math.ceil(float(wavelengths_nm.max()) * per_nm))
-    blurs = [_aperture(float(wavelength_nm * per_nm), scale) for wavelength_nm in wavelengths_nm]
-    return image.with_pixels(_blurred(image.pixels, blurs)).noted(mean_wavelengths_nm=[round(float(nm), 3) for nm in wavelengths_nm], **facts)
+    blurs = [spread.aperture(float(wavelength_nm * per_nm), scale) for wavelength_nm in wavelengths_nm]
+    return image.with_pixels(spread.blurred(image.pixels, blurs)).noted(mean_wavelengths_nm=[round(float(nm), 3) for nm in wavelengths_nm], **facts)
 
 
 @OPS.op("optics.defocus", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
@@ -190,7 +149,7 @@ def defocus(
         return image.noted(**facts)
     if disc_px > DISC_MAX_PX:
         raise ImageError(f"the blur disc is {disc_px:.0f} pixels wide; the widest is {DISC_MAX_PX:.0f}: bring focus_m nearer to distance_m, or raise f_number")
-    return image.with_pixels(_blurred(image.pixels, [Blur(transfer, _disc(disc_px))] * len(image.channels))).noted(**facts)
+    return image.with_pixels(spread.blurred(image.pixels, [spread.Blur(transfer, spread.disc(disc_px))] * len(image.channels))).noted(**facts)
 
 
 def blur_disc_um(focus_m: float, distance_m: float | None, *, f_number: float, focal_length_mm: float) -> float:
@@ -217,28 +176,6 @@ def spectral_weights(sensor: SensorProfile, channels: tuple[str, ...]) -> Array:
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
-def highlight_limit(plane: FloatArray) -> np.float32:
-    """From where on a channel (H, W) holds points of light; every fourth row and column is looked at."""
-    return np.float32(HIGHLIGHT * np.percentile(plane[::4, ::4], 95.0))
-
-
-def aperture_transfer(v: npt.ArrayLike) -> Array:
-    """2/pi (acos v - v sqrt(1 - v^2)), 0 from v = 1 on."""
-    v = np.minimum(np.asarray(v, dtype=np.float64), 1.0)
-    return np.asarray((2.0 / math.pi) * (np.arccos(v) - v * np.sqrt(1.0 - v * v)))
-
-
-_TRANSFER: Array = aperture_transfer(_V)
-
-
-def _read_transfer(v: npt.NDArray[np.floating]) -> Array:
-    """`aperture_transfer` from a table, to 3e-7."""
-    return np.interp(v, _V, _TRANSFER)
-
-
-# ---- what auto decides by ----------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Measured:
     """Power of a crop by radial frequency, and how much of it each mode gets wrong.
@@ -260,13 +197,13 @@ class _Measured:
     def of(cls, image: Image, weights: Array, per_nm: float) -> _Measured:
         """Measure the first, middle and last channel."""
         channels = sorted({0, image.pixels.shape[2] // 2, image.pixels.shape[2] - 1})
-        limits = [highlight_limit(image.pixels[..., channel]) for channel in channels]
+        limits = [spread.highlight_limit(image.pixels[..., channel]) for channel in channels]
         middle = len(channels) // 2
         top, left = _busiest(np.minimum(image.pixels[::4, ::4, channels[middle]], limits[middle]), image.pixels.shape[:2])
         crop = image.pixels[top : top + CROP_PX, left : left + CROP_PX]
         found = [_power(np.minimum(crop[..., channel], limit)) for channel, limit in zip(channels, limits, strict=True)]
         frequency = found[0][0]
-        truth = weights[channels] @ _read_transfer(np.outer(photometry.WAVELENGTHS_NM * per_nm, frequency))
+        truth = weights[channels] @ spread.read_transfer(np.outer(photometry.WAVELENGTHS_NM * per_nm, frequency))
         q = weights @ photometry.WAVELENGTHS_NM * per_nm
         return cls(frequency, np.array([power for _, power in found]), truth, q[channels], float(q.mean()))
 
@@ -276,7 +213,7 @@ class _Measured:
             found = np.ones_like(self.truth)
         else:
             q = self.mean_q if mode == "band" else np.full_like(self.mean_q, self.all_q)
-            found = _read_transfer(np.outer(q, self.frequency))
+            found = spread.read_transfer(np.outer(q, self.frequency))
         return float(np.sqrt((self.power * (found - self.truth) ** 2).sum(axis=1)).max())
 
     @property
@@ -303,7 +240,7 @@ def _contrast(image: Image) -> float:
 
 def _has_points(image: Image) -> bool:
     planes = (image.pixels[..., channel] for channel in range(image.pixels.shape[2]))
-    return any(float(plane.max()) > float(highlight_limit(plane)) for plane in planes)
+    return any(float(plane.max()) > float(spread.highlight_limit(plane)) for plane in planes)
 
 
 def _busiest(some: FloatArray, shape: tuple[int, ...]) -> tuple[int, int]:
@@ -333,146 +270,3 @@ def _power(crop: FloatArray) -> tuple[Array, Array]:
     bins = np.rint(np.hypot(row[:, None], column[None, :]) * 512.0).astype(int)
     power = np.bincount(bins.ravel(), weights=terms.ravel(), minlength=364)
     return np.arange(power.size) / 512.0, power / (crop.size * max(mean2, 1e-300))
-
-
-# ---- the blur itself ---------------------------------------------------------------
-
-
-def _blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
-    """(H, W, C) through one blur per channel, >= 0."""
-    height, width, count = pixels.shape
-    edge = max(EDGE_PX, *(blur.spot.shape[0] // 2 for blur in blurs))
-    sizes = tuple(fft.next_fast_len(length + 2 * edge, real=True) for length in (height, width))
-    pads = tuple((edge, size - length - edge) for length, size in zip((height, width), sizes, strict=True))
-    frequency = np.hypot(np.fft.rfftfreq(sizes[0])[:, None], np.fft.rfftfreq(sizes[1])[None, :]).astype(np.float32)
-    same = blurs[0].transfer(frequency).astype(np.float32) if all(blur is blurs[0] for blur in blurs) else None
-    result = np.empty_like(pixels)
-
-    def run(channel: int) -> None:
-        blur, plane = blurs[channel], pixels[..., channel]
-        transfer = blur.transfer(frequency).astype(np.float32) if same is None else same
-        padded = np.pad(plane, pads, mode="symmetric")
-        limit = highlight_limit(plane)
-        points = None
-        if float(plane.max()) > limit:
-            points = np.maximum(padded - limit, 0.0)
-            np.minimum(padded, limit, out=padded)
-        spectrum = fft.rfft2(padded, overwrite_x=True)
-        _multiply(spectrum, transfer)
-        if points is not None and blur.tail:
-            tail = fft.rfft2(points)
-            _multiply(tail, _tail(*sizes, blur.tail_scale) * np.float32(blur.tail))
-            spectrum += tail
-        blurred = fft.irfft2(spectrum, s=sizes, overwrite_x=True)
-        if points is not None:
-            add_spots(blurred, points, blur.spot)
-        np.maximum(blurred[edge : edge + height, edge : edge + width], 0.0, out=result[..., channel])
-
-    if any(blur.tail for blur in blurs):
-        _tail(*sizes, blurs[0].tail_scale)  # before the threads, so that it is made once
-    with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(run, range(count)))
-    return result
-
-
-def _multiply(spectrum: npt.NDArray[np.complex64], transfer: FloatArray) -> None:
-    """In place, by a function that is the same at f and -f: `transfer` holds the rows of the frequencies >= 0."""
-    rows, height = transfer.shape[0], spectrum.shape[0]
-    spectrum[:rows] *= transfer
-    spectrum[rows:] *= transfer[1 : height - rows + 1][::-1]
-
-
-def add_spots(picture: FloatArray, points: FloatArray, spot: FloatArray) -> None:
-    """Add, in place, a copy of `spot` around every point, times its light; what leaves the picture is lost."""
-    rows, columns = np.nonzero(points)
-    if rows.size * (spot.size + 4000) > COPIES:
-        kernel = np.zeros(points.shape)
-        reach = spot.shape[0] // 2
-        kernel[: spot.shape[0], : spot.shape[1]] = spot
-        spectrum = fft.rfft2(np.roll(kernel, (-reach, -reach), axis=(0, 1)))
-        spectrum *= fft.rfft2(points.astype(np.float64))  # float32 would spread 1e-8 of a lamp along its row
-        picture += fft.irfft2(spectrum, s=points.shape, overwrite_x=True)
-        return
-    height, width = points.shape
-    reach = spot.shape[0] // 2
-    for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
-        top, left = max(row - reach, 0), max(column - reach, 0)
-        bottom, right = min(row + reach + 1, height), min(column + reach + 1, width)
-        part = spot[top - row + reach : bottom - row + reach, left - column + reach : right - column + reach]
-        picture[top:bottom, left:right] += points[row, column] * part
-
-
-# ---- spots -------------------------------------------------------------------------
-
-
-@functools.lru_cache(maxsize=64)
-def _aperture(q: float, scale: int) -> Blur:
-    """A round aperture with q = lambda N / pitch.
-
-    Near its centre the disc is integrated over square pixels: the inverse transform
-    of sum_k OTF(f + k) sinc(f + k) on a small grid.  From there on it follows its mean
-    tail, q / (pi^3 r^3).
-    """
-    size = 128 * scale
-    folded = np.zeros((size // 2 + 1, size // 2 + 1))
-    f = np.arange(size // 2 + 1) / size
-    aliases = range(-math.floor(1.0 / q + 0.5), math.floor(1.0 / q + 0.5) + 1)
-    for row in aliases:
-        for column in aliases:
-            y, x = f[:, None] + row, f[None, :] + column
-            folded += _read_transfer(q * np.hypot(y, x)) * np.sinc(y) * np.sinc(x)
-    weights = fft.dctn(folded, type=1) / size**2
-    reach = SPOT_PX * scale
-    quarter = np.maximum(weights[: reach + 1, : reach + 1], 0.0)
-    radius = np.hypot(np.arange(reach + 1)[:, None], np.arange(reach + 1)[None, :])
-    quarter = np.where(radius < reach, quarter - q * _tail_weights(radius, scale), 0.0)
-    half = np.concatenate([quarter[:0:-1], quarter])
-    spot = np.concatenate([half[:, :0:-1], half], axis=1)
-    total = spot.sum() + q * _tail_sum(scale)
-    return Blur(lambda frequency: _read_transfer(q * frequency), (spot / total).astype(np.float32), q / total, scale)
-
-
-def disc_weights(q: float, radius: Array) -> Array:
-    """The diffraction disc of a round aperture integrated over pixels, at whole pixels around its centre.
-
-    Args:
-        q: lambda N / pitch.
-        radius: (2 R + 1, 2 R + 1) distances from the middle pixel.
-    """
-    disc = _aperture(q, max(1, math.ceil(q)))
-    weights = disc.tail * _tail_weights(radius, disc.tail_scale)
-    reach, spot = radius.shape[0] // 2, disc.spot.shape[0] // 2
-    near = min(reach, spot)
-    weights[reach - near : reach + near + 1, reach - near : reach + near + 1] += disc.spot[spot - near : spot + near + 1, spot - near : spot + near + 1]
-    return np.asarray(weights)
-
-
-def _tail_weights(radius: Array, scale: int) -> Array:
-    """1 / (pi^3 r^3) beyond `SPOT_PX`, fading in from `TAIL_PX` on."""
-    rise = np.clip((radius / scale - TAIL_PX) / (SPOT_PX - TAIL_PX), 0.0, 1.0)
-    return np.asarray(rise * rise * (3.0 - 2.0 * rise) / (math.pi * np.maximum(radius, 1.0)) ** 3)
-
-
-def _tail_sum(scale: int) -> float:
-    """Sum of `_tail_weights` over the whole plane: as an integral up to 1,000 pixels, and in closed form beyond."""
-    radius = np.arange(0.05, 1000.0 * scale, 0.1)
-    return float(2.0 * math.pi * (_tail_weights(radius, scale) * radius).sum() * 0.1 + 2.0 / (math.pi**2 * 1000.0 * scale))
-
-
-@functools.lru_cache(maxsize=2)
-def _tail(height: int, width: int, scale: int) -> FloatArray:
-    """(H // 2 + 1, W // 2 + 1) transfer of the tail at q = 1 on the frequencies >= 0."""
-    row_px, column_px = np.fft.fftfreq(height) * height, np.fft.fftfreq(width) * width
-    weights = _tail_weights(np.hypot(row_px[:, None], column_px[None, :]), scale)
-    return np.ascontiguousarray(fft.rfft2(weights).real[: height // 2 + 1], dtype=np.float32)
-
-
-def _disc(diameter_px: float) -> FloatArray:
-    """A disc of light integrated over pixels, sum 1."""
-    radius = diameter_px / 2.0
-    reach = math.ceil(radius - 0.5) if radius > 0.5 else 0
-    finer = max(1, min(32, 1024 // (reach + 1)))
-    inside = (np.arange(finer * (2 * reach + 1)) + 0.5) / finer - reach - 0.5
-    fine = (inside[:, None] ** 2 + inside[None, :] ** 2 <= radius * radius).astype(np.float32)
-    spot = fine.reshape(2 * reach + 1, finer, 2 * reach + 1, finer).sum(axis=(1, 3))
-    return np.asarray(spot / spot.sum(), dtype=np.float32)

@@ -17,8 +17,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.camera.blur import THREADS, highlight_limit
 from synfog_usd.camera.registry import OPS
+from synfog_usd.camera.spread import THREADS, highlight_limit
 from synfog_usd.errors import GraphError, ImageError
 from synfog_usd.graph import Auto, FromProfile, NodeGraph, Range
 from synfog_usd.image import FloatArray, Image, Quantity

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy import fft
 
 from synfog_usd import photometry
-from synfog_usd.camera import blur
+from synfog_usd.camera import blur, spread
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
@@ -87,7 +87,7 @@ def flare(
     rotation_deg: Annotated[float, Range(-360.0, 360.0)] = 0.0,
     fraction: Annotated[float | None, Range(0.0, 0.5)] = None,
     ghosts: Annotated[tuple[float, ...] | None, Range(0.0, 0.05), FromProfile("lens.ghost_fractions")] = None,
-    threshold: Annotated[float, Range(1.0)] = blur.HIGHLIGHT,
+    threshold: Annotated[float, Range(1.0)] = spread.HIGHLIGHT,
     f_number: Annotated[float, Range(0.5, 64.0), FromProfile("lens.f_number")],
     pixel_pitch_um: Annotated[float, Range(0.3, 50.0), FromProfile("sensor.pixel_pitch_um")],
     sensor: Annotated[SensorProfile, FromProfile("sensor")],
@@ -134,7 +134,7 @@ def flare(
     pixels, given = image.pixels.copy(), []
     for channel in range(pixels.shape[2]):
         plane = image.pixels[..., channel]
-        limit = np.float32(threshold / blur.HIGHLIGHT) * blur.highlight_limit(plane)
+        limit = np.float32(threshold / spread.HIGHLIGHT) * spread.highlight_limit(plane)
         lamps = np.maximum(plane - limit, 0.0)
         if not lamps.any():
             continue
@@ -163,9 +163,9 @@ def _starry(lamps: FloatArray, star: FloatArray) -> FloatArray:
     reach = star.shape[0] // 2
     sizes = [fft.next_fast_len(length + 2 * reach, real=True) for length in lamps.shape]
     padded = np.pad(lamps, [(reach, size - length - reach) for length, size in zip(lamps.shape, sizes, strict=True)])
-    spread = np.zeros_like(padded)
-    blur.add_spots(spread, padded, star)
-    return spread[reach : reach + lamps.shape[0], reach : reach + lamps.shape[1]]
+    stars = np.zeros_like(padded)
+    spread.add_spots(stars, padded, star)
+    return stars[reach : reach + lamps.shape[0], reach : reach + lamps.shape[1]]
 
 
 @functools.lru_cache(maxsize=32)
@@ -179,7 +179,7 @@ def _star(blades: int, rotation_deg: float, qs: tuple[float, ...]) -> FloatArray
     table = _summed_pattern(blades, rotation_deg, samples)
     for q in qs:
         place = np.clip(edges / (q / 2.0) + samples + 0.5, 0.0, 2.0 * samples)
-        total += np.maximum(np.diff(np.diff(_between(_between(table, place).T, place).T, axis=0), axis=1) - blur.disc_weights(q, radius), 0.0)
+        total += np.maximum(np.diff(np.diff(_between(_between(table, place).T, place).T, axis=0), axis=1) - spread.disc_weights(q, radius), 0.0)
     fade = np.clip(2.0 - 2.0 * radius / reach, 0.0, 1.0)
     return np.asarray(total / len(qs) * fade * fade * (3.0 - 2.0 * fade), dtype=np.float32)
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import j1
 
 from synfog_usd import photometry, seeds
-from synfog_usd.camera import blur
+from synfog_usd.camera import blur, spread
 from synfog_usd.camera.profiles import load_sensor
 from synfog_usd.errors import ImageError
 from synfog_usd.image import Image, Quantity
@@ -98,7 +98,7 @@ def test_few_lamps_and_many_are_spread_alike(monkeypatch):
     plane = np.ones((60, 90))
     plane[5, 7], plane[30, 50:60], plane[59, 89] = 1e5, 3e4, 2e5
     one_by_one = through(plane, f_number=2.0, pitch_um=3.0)
-    monkeypatch.setattr(blur, "COPIES", 0)
+    monkeypatch.setattr(spread, "COPIES", 0)
     together = through(plane, f_number=2.0, pitch_um=3.0)
     np.testing.assert_allclose(together[8:-8, 8:-8], one_by_one[8:-8, 8:-8], rtol=1e-5)
 
@@ -223,14 +223,14 @@ def hopkins(s: np.ndarray, waves: float) -> np.ndarray:
 def product(s: np.ndarray, waves: float) -> np.ndarray:
     """Diffraction times disc; the disc is 8 N W wide, so x = pi * 8 N W * s / (lambda N)."""
     x = np.maximum(8 * math.pi * waves * s, 1e-9)
-    return blur.aperture_transfer(s) * 2 * j1(x) / x
+    return spread.aperture_transfer(s) * 2 * j1(x) / x
 
 
 @pytest.mark.parametrize(("waves", "error"), [(0.1, 0.062), (0.4, 0.246), (1.0, 0.130), (4.0, 0.047), (8.0, 0.029)])
 def test_disc_times_diffraction_is_as_far_from_hopkins_as_the_op_says(waves, error):
     """The figures of the docstring: the largest difference of the two transfers at any frequency."""
     s = np.linspace(0.0, 1.0, 201)
-    assert hopkins(s, 0.0) == pytest.approx(blur.aperture_transfer(s), abs=1e-6)
+    assert hopkins(s, 0.0) == pytest.approx(spread.aperture_transfer(s), abs=1e-6)
     assert np.abs(product(s, waves) - hopkins(s, waves)).max() == pytest.approx(error, abs=0.002)
 
 
