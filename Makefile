@@ -7,7 +7,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 OUT    ?= out/demo
 
-.PHONY: demo test test-slow setup libs llvm lint lock wheel clean
+.PHONY: demo test test-slow test-dcc setup libs llvm lint lock wheel clean
 
 demo: setup llvm
 	$(BIN)/synfog-usd info
@@ -18,6 +18,12 @@ test: setup llvm
 
 test-slow: setup llvm
 	$(BIN)/python -m pytest -m "physics or bench"
+
+# The Blender round trip; bpy 5.0.1 takes Python 3.11 and 1 GB.  SYNFOG_BPY names another Python that has it.
+SYNFOG_BPY ?= .venv-bpy/bin/python
+test-dcc: setup llvm
+	@test -x $(SYNFOG_BPY) || { python3.11 -m venv .venv-bpy && .venv-bpy/bin/python -m pip install -q --disable-pip-version-check bpy==5.0.1; }
+	SYNFOG_BPY=$(SYNFOG_BPY) $(BIN)/python -m pytest tests/dcc tests/translate/test_volume.py
 
 lint: setup
 	$(BIN)/ruff check .
@@ -59,4 +65,4 @@ wheel: setup
 	$(BIN)/python -m build --wheel
 
 clean:
-	rm -rf $(VENV) build dist out *.egg-info
+	rm -rf $(VENV) .venv-bpy build dist out *.egg-info

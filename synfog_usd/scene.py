@@ -88,7 +88,7 @@ class SceneDict:
             ('mat_*'), shapes ('shape_*'), shape groups ('group_*'), instances
             ('instance_*') and emitters ('light_*'); no camera, film, integrator
             or fog.  What differs from `mi.load_dict`:
-            a 'to_world' is a (4, 4) array; a 'bitmap' is an (H, W, C) array, uint8 or float32;
+            a 'to_world' is a (4, 4) array; a 'to_uv' is a (3, 3) one on texture coordinates (v up); a 'bitmap' is an (H, W, C) array, uint8 or float32;
             {'type': 'mesh', 'positions' (N, 3), 'faces' (M, 3), 'normals' (N, 3) or absent,
             'texcoords' (N, 2) or absent (v up), 'vertex_color' (N, 3) or absent,
             'face_normals': bool, 'bsdf': {...}, 'emitter': {...} or absent}

@@ -32,7 +32,7 @@ def run(plan: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
     from synfog_usd.dataset.bake import BakePlan, bake
 
     with shown(quiet) as (progress, tell):
-        baked = bake(BakePlan(**plan), progress=progress, tell=tell)
+        baked = bake(BakePlan(**plan), progress=progress, tell=tell, reading=worker.reading_limits)
         if not quiet:
             _report(baked.notes, plan["stage"], tell)
     if as_json:
@@ -61,6 +61,4 @@ def _tidy(out: Path, code: int, stage: Path) -> None:
     if code == worker.INTERRUPTED:
         print(f"synfog-usd: stopped. {kept}", file=sys.stderr)
     else:
-        print(
-            f"synfog-usd: {stage}: the process that read and rendered it died of signal {-code} (9: out of memory, 11: damaged stage). {kept}", file=sys.stderr
-        )
+        print(f"synfog-usd: {stage}: the process that read and rendered it died of signal {-code}: {worker.cause(code)}. {kept}", file=sys.stderr)

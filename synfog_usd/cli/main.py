@@ -23,6 +23,8 @@ app = typer.Typer(
 )
 graph_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Node graphs: from radiance to RAW and sRGB.")
 app.add_typer(graph_app, name="graph")
+asset_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The library of models.")
+app.add_typer(asset_app, name="asset")
 
 
 @app.callback(invoke_without_command=True)
@@ -41,6 +43,9 @@ def bake(
     fog: Annotated[str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")] = None,
     camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
     frame: Annotated[float | None, typer.Option(help="Time code.")] = None,
+    lights: Annotated[
+        str, typer.Option(help="How intensities are meant: usd, blender, rtx-legacy, metric; auto goes by the program that wrote them.")
+    ] = "auto",
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None,
     model: Annotated[
         str, typer.Option(help="How light is transported: slab, single, field, path, volpath ...; auto tries them small and takes the cheapest that holds.")
@@ -54,6 +59,7 @@ def bake(
     denoise: Annotated[bool, typer.Option("--denoise", help="Smooth surfaces and airlight apart (Open Image Denoise).")] = False,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
+    allow: Annotated[list[Path] | None, typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again.")] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Stop, with exit code 1, at whatever is not understood.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON on standard output.")] = False,
@@ -70,6 +76,7 @@ def bake(
             fog=_names(fog, "--fog"),
             camera=camera,
             frame=frame,
+            lights=lights,
             size=_size(resolution),
             model=model,
             samples=samples,
@@ -79,6 +86,7 @@ def bake(
             denoise=denoise,
             seed=seed,
             variant=variant,
+            allow=tuple(allow or ()),
             strict=strict,
         ),
         quiet=quiet,
@@ -90,26 +98,20 @@ def bake(
 def check(
     stage: Annotated[Path, typer.Argument(help="USD file.")],
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
+    allow: Annotated[list[Path] | None, typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
-    """Tell what in STAGE is wrong, unknown or unusual for a bake."""
+    """Tell what in STAGE is wrong or unusual, how to mend it, and what a bake makes simpler; exit code 2 where a bake would stop."""
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
     worker.follow_parent()
-    from synfog_usd import stage as usd
-    from synfog_usd.translate import translate
+    from synfog_usd.cli import check as verb
 
-    opened = usd.open_stage(stage)
-    notes = usd.check(opened)
-    if usd.cameras(opened):
-        notes = [*notes, *translate(opened).notes]
-    if as_json:
-        print(json.dumps([{"severity": note.severity, "path": note.path, "text": note.text} for note in notes], indent=2))
-    else:
-        for note in notes:
-            print(f"{note.severity}: {note.path or stage}: {note.text}")
-        print(f"{stage}: {sum(note.severity == 'warning' for note in notes)} warnings, {sum(note.severity == 'info' for note in notes)} remarks")
-    raise typer.Exit(1 if strict and any(note.severity == "warning" for note in notes) else 0)
+    with worker.reading_limits():
+        found, notes = verb.look(stage, allow=allow or [])
+    code = verb.exit_code(found, notes, strict=strict)
+    print(verb.as_json(stage, found, notes, code) if as_json else verb.as_text(stage, found, notes))
+    raise typer.Exit(code)
 
 
 @app.command()
@@ -133,6 +135,7 @@ def chart(
     target: Annotated[float, typer.Option(help="Total error for which the planner is asked; its choice is ringed.")] = 0.03,
     seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0,
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
+    allow: Annotated[list[Path] | None, typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
 ) -> None:
     """Chart what accuracy costs: seconds against error of every model on one shot of STAGE, or on every stage of a folder."""
@@ -161,6 +164,7 @@ def chart(
         target=target,
         seed=seed,
         variant=variant,
+        allow=tuple(allow or ()),
     )
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
@@ -172,22 +176,65 @@ def chart(
 
 @app.command()
 def compose(
-    recipe: Annotated[Path, typer.Argument(help="YAML recipe, as stages/recipes/crossroads.yaml.")],
+    recipe: Annotated[Path, typer.Argument(help="YAML recipe, as stages/recipes/residential.yaml.")],
     seed: Annotated[int, typer.Option(help="The same seed gives the same stage.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Stage to write (.usda, .usdc, .usd).")],
+    change: Annotated[list[str] | None, typer.Option("--set", help="SECTION.KEY=VALUE over what the recipe says, as in traffic.count=20.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what stands where as JSON.")] = False,
 ) -> None:
-    """Draw a stage from RECIPE: other cars, people, signals, fogs and skies at the shipped crossing."""
+    """Draw a stage from RECIPE: another road, other cars, people, fogs and skies for each seed."""
     from collections import Counter
 
-    from synfog_usd.world.recipe import compose as draw
+    from synfog_usd.world.compose import compose as draw
 
-    spec = draw(recipe, out, seed=seed)
+    spec = draw(recipe, out, seed=seed, changes=change or [])
     if as_json:
         print(json.dumps(spec.plain(), indent=2))
         return
     groups = Counter(placement.group for placement in spec.placed)
-    print(print(f"{out}: {groups['Vehicles']} vehicles and bicycles, {groups['People']} people, fogs {', '.join(spec.fog)}"))
+    print(f"{out}: {groups['Vehicles']} vehicles and bicycles, {groups['People']} people, fogs {', '.join(spec.fog)}")
+
+
+@app.command()
+def contact(
+    recipe: Annotated[Path, typer.Argument(help="YAML recipe, or a folder of them: seeds go round.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write (.png).")],
+    seeds: Annotated[str, typer.Option(help="Seeds to show, as in 0-15 or 3,7,9-11.")] = "0-15",
+    lighting: Annotated[str, typer.Option(help="sky (day) or active (dusk with lamps).")] = "sky",
+    fog: Annotated[str, typer.Option(help="Fogs side by side, comma-separated: clear, variants, or mor<metres>.")] = "clear,mor300",
+    resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT of one preview in pixels.")] = "320x180",
+    columns: Annotated[int, typer.Option(help="Seeds side by side; 0 makes the sheet about square.")] = 0,
+    samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 16,
+    model: Annotated[str, typer.Option(help="How light is transported; see bake.")] = "auto",
+    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
+    change: Annotated[list[str] | None, typer.Option("--set", help="SECTION.KEY=VALUE over what the recipes say.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+) -> None:
+    """Show small previews of the stages that RECIPE draws, for choosing seeds."""
+    if not worker.is_worker():
+        raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), recipe))
+    worker.follow_parent()
+    from synfog_usd.cli.progress import shown
+    from synfog_usd.dataset import sheet
+
+    size = _size(resolution)
+    assert size is not None
+    plan = sheet.SheetPlan(
+        recipes=sheet.recipes_of(recipe),
+        seeds=sheet.seeds_of(seeds),
+        out=out,
+        lighting=lighting,
+        fogs=_names(fog, "--fog") or (),
+        size=size,
+        columns=max(0, columns),
+        samples=samples,
+        model=model,
+        variant=variant,
+        changes=tuple(change or ()),
+    )
+    with shown(quiet) as (progress, tell):
+        sheet.write(plan, progress=progress, tell=tell)
+    print(out)
 
 
 @app.command()
@@ -212,6 +259,14 @@ def info(
     for line in chosen.why:
         print(f"  {line}")
     print("versions: " + ", ".join(f"{name} {version}" for name, version in versions.items()))
+
+
+@app.command("plugin-path")
+def plugin_path(bare: Annotated[bool, typer.Option("--bare", help="Print the schema's folder alone, for scripts.")] = False) -> None:
+    """Tell what to set so that usdview, Houdini, Omniverse and Blender know the fog schema."""
+    from synfog_usd.cli import plugins
+
+    print(plugins.SCHEMA if bare else plugins.advice())
 
 
 @app.command()
@@ -305,10 +360,41 @@ def graph_schema() -> None:
     print(verb.schema_text(), end="")
 
 
+@asset_app.command("import")
+def asset_import(
+    file: Annotated[Path, typer.Argument(help="Model: .glb, .gltf, .obj, .ply, .usd, .usda, .usdc or .usdz.")],
+    label: Annotated[str, typer.Option("--class", help="Cityscapes class, as car, person, 'traffic sign'.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Library folder; the model becomes <out>/<name>/<name>.usda.")] = Path("models"),
+    name: Annotated[str | None, typer.Option(help="Name of the model; from the file's name if left out.")] = None,
+    length: Annotated[float | None, typer.Option(help="Its length in metres, the way it looks; scales the model to it.")] = None,
+    unit: Annotated[str | None, typer.Option(help="Unit of the file: m, cm, mm, in, ft or dm; guessed from the class if left out.")] = None,
+    up: Annotated[str | None, typer.Option(help="Axis of the file that points up, as +Z.")] = None,
+    front: Annotated[str | None, typer.Option(help="Axis of the file that it looks along, as -Y.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON.")] = False,
+) -> None:
+    """Import FILE as a model of the library: in metres, Z up, front +Y, on the ground, labelled, in two levels of detail."""
+    if not worker.is_worker():
+        raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), file))
+    worker.follow_parent()
+    from synfog_usd.world.importer import import_asset
+
+    made = import_asset(file, label, out=out, name=name, length_m=length, unit=unit, up=up, front=front)
+    model, (full, low) = made.model, made.triangles
+    if as_json:
+        size = {"length_m": round(model.length, 4), "width_m": round(model.width, 4), "height_m": round(model.height, 4)}
+        facts = {"name": model.name, "class": model.label, "path": str(model.path), **size, "triangles": full, "triangles_low": low}
+        print(json.dumps({**facts, "notes": list(made.notes)}, indent=2))
+        return
+    for note in made.notes:
+        print(note)
+    levels = f"{full} triangles" + (f", {low} from afar" if low else "")
+    print(f"{model.path}: {model.label}, {model.length:.2f} x {model.width:.2f} x {model.height:.2f} m, {levels}")
+
+
 def _crash_line(code: int, stage: Path) -> int:
     """The exit code for the user, after a line for a child that died."""
     if code < 0:
-        print(f"{stage}: the process that read it died of signal {-code}; the file may be damaged or too deep for the USD library", file=sys.stderr)
+        print(f"synfog-usd: {stage}: the process that read it died of signal {-code}: {worker.cause(code)}", file=sys.stderr)
         return 2
     return code
 
@@ -351,6 +437,9 @@ def main(arguments: list[str] | None = None) -> Any:
     except SynfogError as error:
         print(f"synfog-usd: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
+    except MemoryError:
+        print("synfog-usd: this machine's memory does not suffice; make the stage, its textures or the picture smaller", file=sys.stderr)
+        sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(worker.INTERRUPTED)
 

@@ -58,13 +58,20 @@ class StrictError(StageError):
     exit_code = 1
 
 
-def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], None] = lambda text: None) -> Baked:
+def bake(
+    plan: BakePlan,
+    *,
+    progress: Progress = silent,
+    tell: Callable[[str], None] = lambda text: None,
+    reading: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
+) -> Baked:
     """Make every shot of a plan that is not there yet.
 
     Args:
         plan: what to make.
         progress: told the fraction of all shots that is done.
         tell: given one line for whatever a user wants to know on the way.
+        reading: makes a context that is held while the stage is read, as limits on time and memory.
 
     Raises:
         SynfogError: with place and fix; what was finished stays.
@@ -75,9 +82,10 @@ def bake(plan: BakePlan, *, progress: Progress = silent, tell: Callable[[str], N
 
     models.check_name(plan.model)
     graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
-    stage = usd.open_stage(plan.stage)
-    todo = shots(plan, usd.variants(stage))
-    first, notes, foggy = _survey(stage, todo, plan)
+    with reading():
+        stage = usd.open_stage(plan.stage, allow=plan.allow)
+        todo = shots(plan, usd.variants(stage))
+        first, notes, foggy = _survey(stage, todo, plan)
     if plan.strict and any(note.severity == "warning" for note in notes):
         raise StrictError("\n".join(f"{note.path or plan.stage}: {note.text}" for note in notes if note.severity == "warning"))
     if all(shot.mor_m is None for shot in todo) and not foggy:
@@ -147,7 +155,7 @@ def _translate(stage: Any, shot: Shot, plan: BakePlan) -> SceneDict:
     from synfog_usd.translate import translate
 
     usd.select(stage, fog=shot.fog_variant, lighting=shot.lighting_variant)
-    return translate(stage, camera=plan.camera, frame=plan.frame, resolution=plan.size, fog_mor_m=shot.mor_m)
+    return translate(stage, camera=plan.camera, frame=plan.frame, resolution=plan.size, fog_mor_m=shot.mor_m, lights=plan.lights)
 
 
 def _clear_frame(stage: Any, shot: Shot, plan: BakePlan) -> Image:
@@ -271,6 +279,7 @@ def _facts(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> di
             "bands": plan.bands,
             "denoise": plan.denoise,
             "seed": plan.seed,
+            "lights": plan.lights,
             "variant": variant,
         },
         "versions": {"synfog-usd": __version__, **versions},

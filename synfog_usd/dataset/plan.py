@@ -31,6 +31,8 @@ class BakePlan:
             Without a target error the sensor's own noise is the target.
         variant: Mitsuba backend, see `render.backend.choose`.
         strict: whether a warning of the translation stops the bake.
+        lights: how the stage's intensities are meant, see `translate.translate`.
+        allow: folders outside the stage's own in which its files may lie.
     """
 
     stage: Path
@@ -50,6 +52,8 @@ class BakePlan:
     seed: int = 0
     variant: str = "auto"
     strict: bool = False
+    lights: str = "auto"
+    allow: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -165,6 +165,10 @@ def _left_out(part: Mapping[str, Any]) -> dict[str, Any]:
 def _leaf(mi: Any, name: str, value: Any) -> Any:
     if name == "to_world":
         return mi.ScalarTransform4f(np.asarray(value, dtype=np.float64))
+    if name == "to_uv":
+        flip = np.diag([1.0, -1.0, 1.0])  # Mitsuba's v runs down
+        flip[1, 2] = 1.0
+        return mi.ScalarTransform3f(flip @ np.asarray(value, dtype=np.float64) @ flip)
     if name == "bitmap" and isinstance(value, np.ndarray):
         return mi.Bitmap(np.ascontiguousarray(value))
     return value.tolist() if isinstance(value, np.ndarray) else value

@@ -6,7 +6,7 @@ is the traversal's business.
 
 from __future__ import annotations
 
-from pxr import Usd
+from pxr import Usd, Vt
 
 from synfog_usd.cityscapes import LABELS
 
@@ -33,7 +33,9 @@ def direct_label(prim: Usd.Prim, time: Usd.TimeCode) -> str | None:
             value = attribute.Get(Usd.TimeCode.EarliestTime())
         if isinstance(value, str):
             value = [value]
-        words = [str(word) for word in value or [] if str(word)]
+        if not isinstance(value, (list, Vt.TokenArray, Vt.StringArray)):
+            continue
+        words = [str(word) for word in value if str(word)]
         if words:
             return words[0]
     return None

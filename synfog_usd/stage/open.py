@@ -6,50 +6,116 @@ that no input layer is ever changed.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import re
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar, cast
 
-from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdUtils
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
-from synfog_usd.errors import StageError, did_you_mean
+from synfog_usd.errors import StageError, SynfogError, did_you_mean
 from synfog_usd.files import sha256_of
 from synfog_usd.scene import Note
+from synfog_usd.stage import budget
+from synfog_usd.stage.budget import MAX_DEPTH
+from synfog_usd.stage.fence import LAYERS, Fence
 from synfog_usd.stage.schema import FOG_VARIANT_SET, LIGHTING_VARIANT_SET
+from synfog_usd.stage.types import mistyped
 
-MAX_DEPTH = 256
-"""Levels of nested prims; USD's own caches recurse and run out of stack at some thousands."""
+P = ParamSpec("P")
+R = TypeVar("R")
+_FOLDERS = "synfogFolders"
+"""Where the session layer keeps the fence."""
 
 _UNREADABLE = ".mtlx"
-_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
-def open_stage(path: str | Path, *, allow_errors: bool = False) -> Usd.Stage:
+def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), allow_errors: bool = False) -> Usd.Stage:
     """Open a USD file with all payloads.
+
+    What it would unfold to is counted first, and no file is read that lies neither
+    below the stage's folder nor below an allowed one.
 
     Args:
         path: a .usd, .usda, .usdc or .usdz file.
+        allow: further folders in which its layers, textures and volumes may lie.
         allow_errors: leave broken references to `composition_notes`.
 
     Raises:
-        StageError: missing, not USD, nested deeper than `MAX_DEPTH`, or with
-            references that do not compose.
+        StageError: missing, not USD, beyond a budget of `synfog_usd.stage.budget`,
+            with a file outside of the folders, or with references that do not compose.
     """
     path = Path(path)
     if not path.is_file():
         raise StageError(f"{path}: no such file; give a .usd, .usda, .usdc or .usdz file")
-    if path.suffix.lower() not in _SUFFIXES:
-        raise StageError(f"{path}: not a USD file by its name; it ends in one of {', '.join(_SUFFIXES)}")
+    if path.suffix.lower() not in LAYERS:
+        raise StageError(f"{path}: not a USD file by its name; it ends in one of {', '.join(LAYERS)}")
+    fence = Fence.around(path, allow)
     try:
+        held = budget.read_layers(path, fence)
+        quiet = UsdUtils.CoalescingDiagnosticDelegate()  # what cannot be put together is told as notes, not on the terminal
         stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
+        del held, quiet
     except Tf.ErrorException as problem:
         raise StageError(f"{path}: cannot be read as USD ({_reason(problem)}); export it again, or test it with a USD viewer") from problem
-    check_depth(stage)
-    broken = [note for note in composition_notes(stage) if note.severity == "warning" and not note.text.endswith(_MATERIALX)]
+    session = stage.GetSessionLayer()
+    session.customLayerData = {**session.customLayerData, _FOLDERS: Vt.StringArray([str(folder) for folder in fence.folders])}
+    check_size(stage)
+    _check_files(stage, fence)
+    broken = [note for note in composition_notes(stage) if note.severity == "warning" and not note.text.endswith(MATERIALX)]
     if broken and not allow_errors:
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
         raise StageError(f"{path}: {broken[0].path}: {broken[0].text}{more}; put the missing file in its place or remove the reference")
     return stage
+
+
+def fence_of(stage: Usd.Stage) -> Fence:
+    """The fence that a stage was opened with; else its folder, or none at all for a stage without a file."""
+    folders = stage.GetSessionLayer().customLayerData.get(_FOLDERS) if stage.GetSessionLayer() else None
+    if folders:
+        return Fence(tuple(Path(folder) for folder in folders))
+    file = stage.GetRootLayer().realPath
+    return Fence((Path(file).resolve().parent,) if file else ())
+
+
+def plain_errors(work: Callable[Concatenate[Usd.Stage, P], R]) -> Callable[Concatenate[Usd.Stage, P], R]:
+    """Make errors for the user of what goes wrong while a stage is read, where its file is the cause.
+
+    That is what the USD library raises (arrays of a .usdc are read when they are asked
+    for), and whatever fails while an attribute has another type than its schema's.  The
+    library's own warnings are kept from the terminal; what matters of them is told as notes.
+    """
+
+    @functools.wraps(work)
+    def told(stage: Usd.Stage, *more: P.args, **named: P.kwargs) -> R:
+        quiet = UsdUtils.CoalescingDiagnosticDelegate()
+        try:
+            return work(stage, *more, **named)
+        except SynfogError:
+            raise
+        except (TypeError, ValueError, AttributeError, IndexError) as problem:
+            wrong = mistyped(stage)
+            if wrong is None:
+                raise
+            raise StageError(f"{wrong}; author it with that type") from problem
+        except Tf.ErrorException as problem:
+            raise StageError(f"{_name(stage)}: cannot be read as USD ({_reason(problem)}); the file is damaged: export it again") from problem
+        finally:
+            del quiet
+
+    return cast("Callable[Concatenate[Usd.Stage, P], R]", told)
+
+
+@plain_errors
+def check_size(stage: Usd.Stage) -> budget.Size:
+    """Count a stage as its variants stand, see `budget.check_stage`.
+
+    Raises:
+        StageError: beyond a budget, or damaged.
+    """
+    return budget.check_stage(stage)
 
 
 def check_depth(stage: Usd.Stage) -> None:
@@ -64,7 +130,38 @@ def check_depth(stage: Usd.Stage) -> None:
                 raise StageError(f"{str(below.GetPath())[:60]}…: prims nested deeper than {MAX_DEPTH} levels; flatten the hierarchy")
 
 
-_MATERIALX = "MaterialX files are not read, so its materials are missing"
+def _check_files(stage: Usd.Stage, fence: Fence) -> None:
+    """Refuse a stage of which any file lies outside the fence, those of variants that are not chosen included.
+
+    Raises:
+        StageError: with the prim that names the file, where it can be found.
+    """
+    layers, assets = _all_files(stage)
+    used = [layer.realPath for layer in [*stage.GetUsedLayers(), *layers] if layer.realPath]
+    for file in dict.fromkeys(str(_package(path)) for path in [*used, *assets]):
+        if file != stage.GetRootLayer().realPath and (fault := fence.fault(file)):
+            raise StageError(f"{_who_names(file, layers) or _name(stage)}: {fault}")
+
+
+def _who_names(file: str, layers: Iterable[Sdf.Layer]) -> str:
+    """Path of the first attribute or prim whose value is a file, or ''."""
+    found: list[str] = []
+    for layer in layers:
+
+        def visit(path: Sdf.Path, layer: Sdf.Layer = layer) -> None:
+            if found or not path.IsPropertyPath():
+                return
+            spec = layer.GetAttributeAtPath(path)
+            values = spec.default if spec is not None else None
+            for value in values if isinstance(values, Sdf.AssetPathArray) else [values]:
+                if isinstance(value, Sdf.AssetPath) and value.path and Sdf.ComputeAssetPathRelativeToLayer(layer, value.path) == file:
+                    found.append(str(path))
+
+        layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return found[0] if found else ""
+
+
+MATERIALX = "MaterialX files are not read, so its materials are missing"
 
 
 def composition_notes(stage: Usd.Stage) -> list[Note]:
@@ -76,7 +173,7 @@ def composition_notes(stage: Usd.Stage) -> list[Note]:
         text = " ".join(str(error).split())
         asset = re.match(r"Could not open asset @([^@]+)@", text)
         if asset and asset[1].endswith(_UNREADABLE):
-            notes.append(Note("warning", path, f"refers to {asset[1]}; {_MATERIALX}"))
+            notes.append(Note("warning", path, f"refers to {asset[1]}; {MATERIALX}"))
         else:
             notes.append(Note("warning", path, text))
     return notes
@@ -96,7 +193,8 @@ def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = N
     """Choose variants, on the session layer only.
 
     Raises:
-        StageError: the stage has no such set or no such variant in it.
+        StageError: the stage has no such set or no such variant in it, or the
+            variant is beyond a budget.
     """
     for name, choice in ((FOG_VARIANT_SET, fog), (LIGHTING_VARIANT_SET, lighting)):
         if choice is None:
@@ -109,6 +207,7 @@ def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = N
             raise StageError(f"{prim.GetPath()}: variant set {name!r} has no {choice!r}; it has {', '.join(names)}.{did_you_mean(choice, names)}")
         with Usd.EditContext(stage, Usd.EditTarget(stage.GetSessionLayer())):
             prim.GetVariantSet(name).SetVariantSelection(choice)
+    check_size(stage)
 
 
 def cameras(stage: Usd.Stage) -> list[str]:
@@ -124,12 +223,14 @@ def dependencies(stage: Usd.Stage) -> list[Path]:
         if layer.realPath:
             files.add(_package(layer.realPath))
     if root.realPath:
-        layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(root.identifier))
+        layers, assets = _all_files(stage)
         files.update(_package(layer.realPath) for layer in layers if layer.realPath)
         files.update(_package(asset) for asset in assets)
+        files.update(_package(asset).with_suffix(".npz") for asset in assets if asset.lower().endswith(".vdb"))  # what is read in its place
     return sorted(path for path in files if path.is_file())
 
 
+@plain_errors
 def stage_hash(stage: Usd.Stage) -> str:
     """SHA-256 over the content of all files of the stage, wherever they lie.
 
@@ -141,6 +242,14 @@ def stage_hash(stage: Usd.Stage) -> str:
         if layer.anonymous and layer != session:
             parts.append(hashlib.sha256(layer.ExportToString().encode()).hexdigest())
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _all_files(stage: Usd.Stage) -> tuple[list[Sdf.Layer], list[str]]:
+    """Layers and other files over all variants; what is missing is told by `composition_notes` and the translation."""
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()
+    layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(stage.GetRootLayer().identifier))
+    del quiet
+    return list(layers), list(assets)
 
 
 def _variant_prim(stage: Usd.Stage, name: str) -> Usd.Prim | None:

@@ -11,17 +11,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from pxr import Plug, Sdf, Usd
 
+from synfog_usd import resources
 from synfog_usd.errors import StageError, did_you_mean
 
 API_NAME = "SynFogMediumAPI"
 PREFIX = "synfog:fog:"
-PLUGIN_FOLDER = Path(__file__).parent / "schema_plugin"
+PLUGIN_FOLDER = resources.schema_plugin()
 FOG_VARIANT_SET = "fog"
 LIGHTING_VARIANT_SET = "lighting"
 
@@ -133,16 +133,18 @@ def _name_of(property_name: str) -> str | None:
 
 
 def _checked(prim: Usd.Prim, full_name: str, name: str, value: Any) -> Any:
+    shown = " ".join(repr(value).split())
+    shown = shown if len(shown) < 80 else f"{shown[:79]}…"
     if name in ("phase", "profile"):
         if not isinstance(value, str):
-            raise StageError(f"{prim.GetPath()}: {full_name} = {value!r} is not a word; it takes for example {DEFAULTS[name]!r}")
+            raise StageError(f"{prim.GetPath()}: {full_name} = {shown} is not a word; it takes for example {DEFAULTS[name]!r}")
         return value
     if name == "densityGrid":
         if not isinstance(value, Sdf.AssetPath):
-            raise StageError(f"{prim.GetPath()}: {full_name} = {value!r} is not a file; give the attribute the type asset")
+            raise StageError(f"{prim.GetPath()}: {full_name} = {shown} is not a file; give the attribute the type asset")
         return value
     if not isinstance(value, (bool, int, float)) or not math.isfinite(value):
-        raise StageError(f"{prim.GetPath()}: {full_name} = {value!r} is not a finite number")
+        raise StageError(f"{prim.GetPath()}: {full_name} = {shown} is not a finite number")
     if name == "enabled":
         return bool(value)
     if name == "priority":

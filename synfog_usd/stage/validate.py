@@ -1,76 +1,49 @@
 """What is wrong with a stage, before a picture is made of it.
 
-Takes a stage; gives notes.  USD's own validators come first, then the few rules
-that only matter here: a camera, fog, the camera within its fog, labels.
+Takes a stage; gives findings.  What does not compose comes first, then USD's own
+validators, then the rules of `synfog_usd.stage.rules`.
 """
 
 from __future__ import annotations
 
-from pxr import Usd, UsdGeom, UsdValidation
+from pxr import Usd, UsdUtils, UsdValidation
 
-from synfog_usd.scene import Note
-from synfog_usd.stage.labels import direct_label, official_name
-from synfog_usd.stage.open import cameras, check_depth, composition_notes
-from synfog_usd.stage.schema import API_NAME, has_fog_attributes
+from synfog_usd.stage import rules
+from synfog_usd.stage.open import MATERIALX, check_size, composition_notes, plain_errors
+from synfog_usd.stage.rules import Finding
 
 _PREFIX = "usd: "
 
 
-def check(stage: Usd.Stage) -> list[Note]:
+@plain_errors
+def check(stage: Usd.Stage) -> list[Finding]:
     """All findings on a stage, USD's own and ours.
 
     Raises:
-        StageError: nested too deeply for USD to look at.
+        StageError: beyond a budget of `synfog_usd.stage.budget`, or damaged.
     """
-    check_depth(stage)
-    return [*composition_notes(stage), *_usd_findings(stage), *_camera_and_fog(stage), *_labels(stage)]
+    check_size(stage)
+    return [*_composition(stage), *_usd_findings(stage), *rules.findings(stage)]
 
 
-def _usd_findings(stage: Usd.Stage) -> list[Note]:
+def _composition(stage: Usd.Stage) -> list[Finding]:
+    """References that do not compose; MaterialX files, which the library cannot read, stop nothing."""
+    found = []
+    for note in composition_notes(stage):
+        one = rules.finding("composition", note.path, note.text)
+        found.append(Finding("warning", note.path, note.text, one.rule, one.mend) if note.text.endswith(MATERIALX) else one)
+    return found
+
+
+def _usd_findings(stage: Usd.Stage) -> list[Finding]:
     context = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
-    notes = []
-    for error in context.Validate(stage):
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # validators print what they also return
+    errors = context.Validate(stage)
+    del quiet
+    findings = []
+    for error in errors:
         warning = error.GetType() != UsdValidation.ValidationErrorType.Info
         paths = [str(site.GetPrim().GetPath()) for site in error.GetSites() if site.IsPrim()]
         text = f"{_PREFIX}{' '.join(error.GetMessage().split())} ({error.GetName()})"
-        notes.append(Note("warning" if warning else "info", paths[0] if paths else "", text))
-    return notes
-
-
-def _camera_and_fog(stage: Usd.Stage) -> list[Note]:
-    time = Usd.TimeCode.EarliestTime()
-    eyes = cameras(stage)
-    fog = [prim for prim in stage.Traverse() if has_fog_attributes(prim)]
-    notes = []
-    if not eyes:
-        notes.append(Note("warning", "", "the stage has no camera; add one, or nothing can be rendered"))
-    if not fog:
-        notes.append(Note("info", "", f"the stage has no fog; apply {API_NAME} to a Cube, Sphere or closed Mesh"))
-        return notes
-    bounds = UsdGeom.BBoxCache(time, [UsdGeom.Tokens.default_, UsdGeom.Tokens.render, UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy], False, True)
-    boxes = [bounds.ComputeWorldBound(prim) for prim in fog]
-    for path in eyes:
-        eye = UsdGeom.Xformable(stage.GetPrimAtPath(path)).ComputeLocalToWorldTransform(time).ExtractTranslation()
-        if not any(box.GetRange().Contains(box.GetMatrix().GetInverse().Transform(eye)) for box in boxes):
-            notes.append(Note("warning", path, "stands outside of every fog boundary; enlarge the fog or move the camera"))
-    return notes
-
-
-def _labels(stage: Usd.Stage) -> list[Note]:
-    time = Usd.TimeCode.EarliestTime()
-    notes: list[Note] = []
-    unlabelled: list[str] = []
-    iterator = iter(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
-    for prim in iterator:
-        if prim.IsPseudoRoot():
-            continue
-        label = direct_label(prim, time)
-        if label is not None:
-            if official_name(label) is None:
-                notes.append(Note("warning", str(prim.GetPath()), f"label {label!r} is not a Cityscapes name; it counts as unlabeled"))
-            iterator.PruneChildren()
-        elif prim.IsA(UsdGeom.Gprim) and not has_fog_attributes(prim) and not has_fog_attributes(prim.GetParent()):
-            unlabelled.append(str(prim.GetPath()))
-    if unlabelled:
-        notes.append(Note("info", unlabelled[0], f"{len(unlabelled)} prims have no label (semantics:labels:cityscapes), this is the first"))
-    return notes
+        findings.append(Finding("warning" if warning else "info", paths[0] if paths else "", text, f"usd:{error.GetName()}"))
+    return findings

@@ -74,6 +74,7 @@ class ChartPlan:
         target: total error for which the planner is asked.
         seed: the same gives the same errors.
         variant: Mitsuba backend, see `render.backend.choose`.
+        allow: folders outside the stage's own in which its files may lie.
     """
 
     stage: Path
@@ -92,6 +93,7 @@ class ChartPlan:
     target: float = 0.03
     seed: int = 0
     variant: str = "auto"
+    allow: tuple[Path, ...] = ()
 
 
 @dataclass
@@ -461,7 +463,7 @@ def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
     from synfog_usd import stage as usd
     from synfog_usd.translate import translate
 
-    stage = usd.open_stage(plan.stage)
+    stage = usd.open_stage(plan.stage, allow=plan.allow)
     asked = BakePlan(plan.stage, plan.out, lighting=(plan.lighting,) if plan.lighting else None, fog=(plan.fog,) if plan.fog else None)
     shot = shots(asked, usd.variants(stage))[0]
     if plan.fog is None:

@@ -8,104 +8,40 @@ and are rendered in one picture by the project's own renderer.
 
 from __future__ import annotations
 
-import math
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from synfog_usd import files, resources
-from synfog_usd.dataset.bake import BakePlan, bake
+from synfog_usd.dataset.bake import bake
+from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.world.library import library
+from synfog_usd.world.library import model as find
+from synfog_usd.world.sheet import CELL_PX, VIEWS_DEG, ordered, write_stage
 
 if TYPE_CHECKING:
+    from PIL import Image
+
     from synfog_usd.world.library import Model
 
-VIEWS_DEG = (150.0, 90.0, -35.0)
-"""Headings, counter-clockwise, of a model that looks along +Y when the camera does too: front quarter, side, back quarter."""
-ELEVATION_DEG = 20.0
-DISTANCE = 400.0
-CELL_PX = (118, 108)
-ROOM = (1.42, 1.0)
-"""Width and height that a model may take in its cell, of a cell 1.5 wide."""
-CELL = 1.5
-GROUPS = ("vehicle", "person", "rider", "lamp", "sign", "furniture", "plant", "building")
+WHITE_NITS = 2700.0
 
 
-def ordered(models: Sequence[Model]) -> list[Model]:
-    """By group and size, without the ground of the crossing."""
-    return sorted((m for m in models if m.group in GROUPS), key=lambda m: (GROUPS.index(m.group), m.label, m.length * m.height, m.name))
-
-
-def write_stage(path: Path, models: Sequence[Model], columns: int) -> tuple[int, int]:
-    """Write the plain with every model on it; gives the size of its picture [px]."""
-    from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
-
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
-    rows = math.ceil(len(models) / columns)
-    wide, high = columns * len(VIEWS_DEG) * CELL, rows * CELL * CELL_PX[1] / CELL_PX[0]
-    elevation = math.radians(ELEVATION_DEG)
-    row_depth = high / rows / math.sin(elevation)
-    for k, model in enumerate(models):
-        row, column = divmod(k, columns)
-        middle = Gf.Vec3d(*((a + b) / 2 for a, b in zip(model.low, model.high, strict=True)))
-        radius = math.hypot(model.length, model.width)
-        across = max(_across(model, heading) for heading in VIEWS_DEG)
-        tall = model.height * math.cos(elevation) + radius * math.sin(elevation)
-        factor = min(ROOM[0] / across, ROOM[1] / tall)
-        for view, heading in enumerate(VIEWS_DEG):
-            x = (column * len(VIEWS_DEG) + view + 0.5) * CELL - wide / 2
-            # the foot of a cell is its front edge; a deep model is pushed back by half its depth
-            y = -(row + 0.5) * row_depth + rows * row_depth / 2 - 0.30 * row_depth + 0.5 * factor * radius
-            place = Gf.Matrix4d(1.0).SetTranslate(-Gf.Vec3d(middle[0], middle[1], 0.0))
-            place *= Gf.Matrix4d(1.0).SetScale(factor) * Gf.Matrix4d(1.0).SetRotate(Gf.Rotation(Gf.Vec3d(0, 0, 1), heading))
-            place *= Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(x, y, 0.0))
-            prim = UsdGeom.Xform.Define(stage, f"/World/{model.name}_{view}")
-            prim.AddTransformOp().Set(place)
-            prim.GetPrim().GetReferences().AddReference(str(model.path.resolve()))
-            prim.GetPrim().SetInstanceable(True)
-    ground = UsdGeom.Mesh.Define(stage, "/World/Ground")
-    reach = 4 * max(wide, high / math.sin(elevation))
-    ground.CreatePointsAttr([(-reach, -reach, 0), (reach, -reach, 0), (reach, reach, 0), (-reach, reach, 0)])
-    ground.CreateFaceVertexCountsAttr([4])
-    ground.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
-    material = UsdShade.Material.Define(stage, "/World/Ground/Grey")
-    shader = UsdShade.Shader.Define(stage, "/World/Ground/Grey/Surface")
-    shader.CreateIdAttr("UsdPreviewSurface")
-    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(Gf.Vec3f(0.30))
-    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
-    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-    UsdShade.MaterialBindingAPI.Apply(ground.GetPrim()).Bind(material)
-    dome = UsdLux.DomeLight.Define(stage, "/World/Sky")
-    dome.CreateIntensityAttr(3000.0)
-    dome.CreateTextureFileAttr(str((resources.folder("assets") / "skies" / "overcast.exr").resolve()))
-    dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
-    UsdGeom.Xformable(dome).AddRotateXOp().Set(90.0)
-    camera = UsdGeom.Camera.Define(stage, "/World/Camera")
-    camera.CreateFocalLengthAttr(DISTANCE)
-    camera.CreateHorizontalApertureAttr(wide)
-    camera.CreateVerticalApertureAttr(high)
-    camera.CreateClippingRangeAttr(Gf.Vec2f(1.0, 10000.0))
-    eye = Gf.Vec3d(0, -DISTANCE * math.cos(elevation), DISTANCE * math.sin(elevation))
-    UsdGeom.Xformable(camera).AddTransformOp().Set(Gf.Matrix4d(1.0).SetLookAt(eye, Gf.Vec3d(0, 0, 0), Gf.Vec3d(0, 0, 1)).GetInverse())
-    stage.GetRootLayer().Save()
-    return columns * len(VIEWS_DEG) * CELL_PX[0], rows * CELL_PX[1]
-
-
-def draw(target: Path, models: Sequence[Model], *, columns: int = 4, samples: int = 48, scale: int = 1) -> None:
+def draw(target: Path, models: Sequence[Model], *, columns: int = 4, samples: int = 24, scale: int = 1) -> None:
     """Render the sheet to `target`, with a caption under each model."""
     from PIL import Image, ImageDraw, ImageFont
 
     with tempfile.TemporaryDirectory(prefix="synfog-library-") as folder:
         stage = Path(folder) / "sheet.usda"
         size = write_stage(stage, models, columns)
-        plan = BakePlan(stage, Path(folder) / "out", size=(size[0] * scale, size[1] * scale), samples=samples, model="path", bands=None, denoise=True)
+        allow = tuple(sorted({resources.folder("assets"), *(m.path.resolve().parents[2] for m in models)}))
+        plan = BakePlan(stage, Path(folder) / "out", size=(size[0] * scale, size[1] * scale), samples=samples, model="path", denoise=True, allow=allow)
         bake(plan)
-        picture = next((Path(folder) / "out").rglob("srgb.png"))
-        sheet = Image.open(picture).convert("RGB")
+        sheet = _developed(next((Path(folder) / "out").rglob("radiance.exr")))
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=11 * scale)
     for k, model in enumerate(models):
         row, column = divmod(k, columns)
@@ -115,16 +51,18 @@ def draw(target: Path, models: Sequence[Model], *, columns: int = 4, samples: in
     files.write_whole(target, lambda path: sheet.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG).save(path, optimize=True))
 
 
-def _across(model: Model, heading_deg: float) -> float:
-    a = math.radians(heading_deg)
-    return model.width * abs(math.cos(a)) + model.length * abs(math.sin(a))
+def _developed(radiance: Path) -> Image.Image:
+    """The picture at an exposure under which a white wall is nearly white; no lens and no sensor, whose errors would not be the models'."""
+    from OpenImageIO import ImageBuf
+    from PIL import Image
+
+    nits = np.asarray(ImageBuf(str(radiance)).get_pixels())[..., :3]
+    c = np.clip(nits / WHITE_NITS, 0.0, 1.0)
+    return Image.fromarray(np.round(255 * np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)).astype(np.uint8))
 
 
 def main(arguments: Sequence[str]) -> None:
     """`TARGET [name ...]`: all models, or those named, larger."""
-    from synfog_usd.world.library import library
-    from synfog_usd.world.library import model as find
-
     target, names = Path(arguments[0]), arguments[1:]
     if names:
         draw(target, [find(name) for name in names], columns=1 if len(names) < 3 else 2, scale=2, samples=32)

@@ -17,10 +17,11 @@ from synfog_usd.errors import StageError
 from synfog_usd.fog import FogVolume
 from synfog_usd.scene import SceneDict, Thing
 from synfog_usd.stage.labels import UNLABELED
-from synfog_usd.stage.open import check_depth, composition_notes
+from synfog_usd.stage.open import check_depth, composition_notes, plain_errors
 from synfog_usd.stage.schema import PREFIX
-from synfog_usd.translate import geometry, light, volume
+from synfog_usd.translate import curves, geometry, light, volume
 from synfog_usd.translate.camera import read_camera
+from synfog_usd.translate.convention import Chooser
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group, group_by_label
 from synfog_usd.translate.material import GREY, LUMINANCE, Finish, Materials
@@ -28,11 +29,12 @@ from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.skel import has_skeletons, posed
 from synfog_usd.translate.space import Array, Space, is_similarity, stage_space
 from synfog_usd.translate.texture import ImageReader
-from synfog_usd.translate.walk import Leaf, Owner, Placement, Walk, walk
+from synfog_usd.translate.walk import ALSO_OVERS, Leaf, Owner, Placement, Walk, walk
 
 _DOMES = ("DomeLight", "DomeLight_1")
 
 
+@plain_errors
 def translate(
     stage: Usd.Stage,
     *,
@@ -40,6 +42,7 @@ def translate(
     frame: float | None = None,
     resolution: tuple[int, int] | None = None,
     fog_mor_m: float | None = None,
+    lights: str = "auto",
 ) -> SceneDict:
     """One frame of a stage in Mitsuba's vocabulary, in metres, Z up, near the origin.
 
@@ -51,8 +54,12 @@ def translate(
             pixels wide.
         fog_mor_m: visibility [m] for the outermost fog instead of the authored one;
             0 or inf for clear air.  A stage without fog gets a layer of it.
+        lights: how intensities are meant: 'usd' (UsdLux 25.05), 'blender',
+            'rtx-legacy', 'metric' (normalize divides by m2), or 'auto', by the
+            program that wrote the layer in which they stand.
 
     Raises:
+        ParameterError: `lights` is none of these.
         StageError: nothing to look with, fog that makes no sense, or a file that
             asks for more than a machine can hold; names the prim.
     """
@@ -69,10 +76,10 @@ def translate(
     place = eye.to_world.copy()
     place[:3, 3] -= space.origin_m
     eye = replace(eye, to_world=place)
-    if str(stage.GetMetadata("documentation") or "").startswith("Blender"):
-        notes.info("", "exported by Blender; its lights are read as UsdLux specifies, which leaves its suns 4 times too dim against its lamps")
-    scene = _Assembler(stage, space, time, notes)
+    scene = _Assembler(stage, space, time, notes, Chooser(stage, lights))
     scene.build(walk(stage, time, notes))
+    scene.chooser.tell(notes)
+    volume.rtx_fog(stage, notes)
     fog = volume.nested(scene.fog)
     if fog_mor_m is not None:
         fog = _overridden(fog, fog_mor_m, scene, eye.to_world[:3, 3], notes)
@@ -119,8 +126,8 @@ def _overridden(fog: tuple[FogVolume, ...], mor_m: float, scene: _Assembler, eye
 class _Assembler:
     """Shapes, materials, lights, fog and labels of one scene, as they come."""
 
-    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Notebook) -> None:
-        self.stage, self.space, self.time, self.notes = stage, space, time, notes
+    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Notebook, chooser: Chooser) -> None:
+        self.stage, self.space, self.time, self.notes, self.chooser = stage, space, time, notes, chooser
         self.images = ImageReader(notes)
         self.materials = Materials(time, notes, self.images)
         self.is_blender = str(stage.GetMetadata("documentation") or "").startswith("Blender")
@@ -136,11 +143,14 @@ class _Assembler:
         self.thing_ids: dict[str, int] = {}
         self.group_of: dict[str, str] = {}
         self.bound: dict[str, Any] = {}
+        self.fog_boxes: dict[str, bool | None] = {}
         self.roots: list[str] = []
+        self.sheer = False
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def build(self, found: Walk) -> None:
         self.roots = [group.root for group in found.groups]
+        self.sheer = found.sheer
         self.bind([*found.leaves, *[leaf for group in found.groups for leaf in group.leaves]])
         to_scene = self.space.matrix
         for leaf in found.leaves:
@@ -171,7 +181,7 @@ class _Assembler:
             prims.setdefault(str(leaf.prim.GetPath()), leaf.prim)
         for prim in list(prims.values()):
             if prim.GetTypeName() == "Mesh":
-                for child in prim.GetFilteredChildren(Usd.TraverseInstanceProxies()):
+                for child in prim.GetFilteredChildren(Usd.TraverseInstanceProxies(ALSO_OVERS)):
                     if child.GetTypeName() == "GeomSubset":
                         prims[str(child.GetPath())] = child
         if prims:
@@ -187,25 +197,32 @@ class _Assembler:
             if not finish.empty:
                 return finish
             self.notes.warn(leaf.prim.GetPath(), f"its material {material.GetPath()} has no surface; displayColor or grey is used")
-        if varying_color:
-            return self.materials.vertex_colored()
-        return self.materials.colored(leaf.color or GREY)
+        opacity = self.opacity_of(leaf.prim) if self.sheer else 1.0
+        return self.materials.vertex_colored(opacity) if varying_color else self.materials.colored(leaf.color or GREY, opacity)
 
-    def is_fog_box(self, leaf: Leaf) -> bool:
-        """Whether a mesh without fog attributes is what Blender writes for a box with a volume material.
+    def opacity_of(self, prim: Usd.Prim) -> float:
+        """Mean displayOpacity of a shape without a material, also from above it."""
+        primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayOpacity")
+        values = primvar.Get(self.time) if primvar and primvar.HasAuthoredValue() else None
+        if values is None or not len(values):
+            return 1.0
+        if min(values) != max(values):
+            self.notes.warn(prim.GetPath(), "displayOpacity that varies is drawn as its mean")
+        mean = float(np.mean(values))
+        return min(max(mean, 0.0), 1.0) if math.isfinite(mean) else 1.0
 
-        Its material has no surface; outside of Blender's files its name must say fog too,
-        because a mesh whose material was lost must not become fog.
-        """
-        material = self.bound.get(str(leaf.prim.GetPath()))
-        if leaf.prim.GetTypeName() != "Mesh" or not material or not self.materials.finish(material).empty:
-            return False
-        words = f"{leaf.prim.GetPath()} {material.GetPath().name}".lower()
-        if not self.is_blender and "fog" not in words and "mist" not in words:
-            return False
-        polygons = geometry.read_mesh(leaf.prim, self.time, self.notes)
-        made = geometry.part(polygons, None) if polygons is not None else None
-        return made is not None and volume.is_closed(made.positions, made.faces)
+    def is_bare(self, leaf: Leaf) -> bool:
+        """Whether a shape has no material, so that its own colours count."""
+        return not self.bound.get(str(leaf.prim.GetPath())) and leaf.material is None
+
+    def is_fog_box(self, leaf: Leaf) -> bool | None:
+        """Whether a mesh without fog attributes is the box of an exported volume, see `volume.fog_box`."""
+        path = str(leaf.prim.GetPath())
+        if path not in self.fog_boxes:
+            material = self.bound.get(path)
+            mesh = leaf.prim.GetTypeName() == "Mesh" and material and self.materials.finish(material).empty
+            self.fog_boxes[path] = bool(mesh) and volume.fog_box(leaf.prim, material, self.time, self.notes, is_blender=self.is_blender)
+        return self.fog_boxes[path]
 
     # -- placing
 
@@ -222,6 +239,8 @@ class _Assembler:
             return
         if kind.endswith("Light"):
             self.put_lamp(leaf, kind, matrix, placement)
+            return
+        if self.is_fog_box(leaf) is None:
             return
         if self.is_fog_box(leaf):
             self.notes.warn(
@@ -240,7 +259,8 @@ class _Assembler:
             self.fog.append(made)
 
     def put_lamp(self, leaf: Leaf, kind: str, matrix: Array, placement: Placement | None) -> None:
-        lamp = light.lamp(leaf.prim, kind, matrix, self.time, self.notes, self.images, metres_per_unit=self.space.metres_per_unit)
+        convention = self.chooser.of(leaf.prim)
+        lamp = light.lamp(leaf.prim, kind, matrix, self.time, self.notes, self.images, metres_per_unit=self.space.metres_per_unit, convention=convention)
         if lamp is None:
             return
         self.lamps.append(lamp)
@@ -290,7 +310,7 @@ class _Assembler:
         single = len(places) == 1
         for leaf in leaves:
             kind = leaf.prim.GetTypeName()
-            if single or kind.endswith("Light") or kind in _DOMES or leaf.fog is not None or self.is_fog_box(leaf):
+            if single or kind.endswith("Light") or kind in _DOMES or leaf.fog is not None or self.is_fog_box(leaf) is not False:
                 for place in places:
                     self.put(leaf, to_scene @ place.matrix @ leaf.matrix, place)
                 continue
@@ -351,11 +371,21 @@ class _Assembler:
                 return []
             shape = {"type": "sphere", "center": [float(x) for x in matrix[:3, 3]], "radius": float(radius), "bsdf": {"type": "ref", "id": key}}
             return [(shape, emission, finish.emission_nits)]
-        made = geometry.placed(geometry.read_implicit(leaf.prim, kind, self.time), matrix)
+        if kind in ("BasisCurves", "Points"):
+            read = curves.read_curves if kind == "BasisCurves" else curves.read_points
+            own = read(leaf.prim, self.time, self.notes)
+            if own is None:
+                return []
+            if own.colors is not None and self.is_bare(leaf):
+                finish = self.materials.vertex_colored()
+                key = finish.key
+        else:
+            own = geometry.read_implicit(leaf.prim, kind, self.time)
+        made = geometry.placed(own, matrix)
         if not geometry.area(made) > 0.0:
             self.notes.warn(leaf.prim.GetPath(), f"a {kind} without surface is left out")
             return []
-        if finish.colored:
+        if finish.colored and made.colors is None:
             made = replace(made, colors=np.tile(leaf.color or GREY, (len(made.positions), 1)))
         return [(geometry.mesh_shape(made, key, textured=False, colored=finish.colored), emission, finish.emission_nits)]
 
@@ -374,7 +404,7 @@ class _Assembler:
         if not varies:
             polygons.attributes.pop("color", None)
         smooth = geometry.point_normals(polygons) if polygons.smooth else None
-        taken = np.zeros(int(polygons.face_of.max()) + 1, dtype=bool)
+        taken = np.zeros(int(polygons.face_of.max()) + 1 if subsets else 0, dtype=bool)
         chosen: list[tuple[np.ndarray | None, Finish]] = []
         for faces, finish in subsets:
             mask = np.zeros_like(taken)
@@ -406,7 +436,8 @@ class _Assembler:
         return result
 
     def mesh_light(self, leaf: Leaf, shape: dict[str, Any], triangles: Triangles) -> tuple[dict[str, Any], dict[str, Any] | None, float]:
-        radiance = light.mesh_light(leaf.prim, self.time, geometry.area(triangles), self.notes, metres_per_unit=self.space.metres_per_unit)
+        metres, convention = self.space.metres_per_unit, self.chooser.of(leaf.prim)
+        radiance = light.mesh_light(leaf.prim, self.time, geometry.area(triangles), self.notes, metres_per_unit=metres, convention=convention)
         sync = leaf.prim.GetAttribute("light:materialSyncMode")
         if sync and sync.Get() == "noMaterialResponse":
             shape = {**shape, "bsdf": {"type": "ref", "id": self.materials.black().key}}
@@ -417,7 +448,7 @@ class _Assembler:
     def subsets(self, leaf: Leaf) -> list[tuple[np.ndarray, Finish]]:
         """Faces with a material of their own: of family 'materialBind', or bound directly."""
         found = []
-        for child in leaf.prim.GetFilteredChildren(Usd.TraverseInstanceProxies()):
+        for child in leaf.prim.GetFilteredChildren(Usd.TraverseInstanceProxies(ALSO_OVERS)):
             if child.GetTypeName() != "GeomSubset":
                 continue
             subset = UsdGeom.Subset(child)

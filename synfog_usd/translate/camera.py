@@ -22,6 +22,7 @@ NEAR_M = 0.01
 
 MAX_SIZE_PX = 1 << 16
 _ABSURD_FOCAL_M = 0.5
+_EXPOSURE = ("exposure", "exposure:iso", "exposure:time", "exposure:fStop", "exposure:responsivity")
 
 
 def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Notebook, *, path: str | None, resolution: tuple[int, int] | None) -> Camera:
@@ -55,6 +56,9 @@ def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Noteb
     if f_number > 0.0 and not focus_m > 0.0:
         notes.warn(prim.GetPath(), "fStop without focusDistance; the lens is drawn as a pinhole")
         f_number = 0.0
+    scale = camera.ComputeLinearExposureScale(time)
+    if scale != 1.0 and any(prim.GetAttribute(name).HasAuthoredValue() for name in _EXPOSURE):
+        notes.info(prim.GetPath(), f"the camera's own exposure (a factor of {scale:.4g}) is not used; a bake meters its own")
     return Camera(
         path=str(prim.GetPath()),
         to_world=_upright(space.matrix @ columns(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim)), prim),

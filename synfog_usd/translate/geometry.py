@@ -7,7 +7,7 @@ coordinates, and parts of it by face.  Knows nothing of materials or Mitsuba.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
 from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.subdivide import Cage, boundary_faces, levels, subdivided
 from synfog_usd.translate.texture import UvSource
 
 Array = npt.NDArray[np.float64]
@@ -93,7 +94,8 @@ def read_mesh(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook, uv: UvSource 
     except (ValueError, TypeError):
         notes.warn(prim.GetPath(), "mesh whose points or faces are of a wrong type is left out")
         return None
-    if counts.min() < 0 or counts.sum() != len(indices) or not len(indices) or indices.min() < 0 or indices.max() >= len(points):
+    fan = _fan(counts.tobytes(), indices.tobytes()) if len(indices) <= _SMALL else None
+    if fan.highest >= len(points) if fan is not None else not _fits(counts, indices, len(points)):
         notes.warn(prim.GetPath(), f"mesh whose faces name points outside of its {len(points)}, or whose counts do not fit, is left out")
         return None
     if not np.isfinite(points).all():
@@ -105,16 +107,7 @@ def read_mesh(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook, uv: UvSource 
     if holes is not None and len(holes):
         numbers = np.asarray(holes, dtype=np.int64)
         keep[numbers[(numbers >= 0) & (numbers < len(counts))]] = False
-    if len(indices) <= _SMALL and keep.all():
-        triangles, face_of = _triangulate_small(points.tobytes(), counts.tobytes(), indices.tobytes())
-    else:
-        triangles, face_of = triangulate(points, counts, starts, indices, keep)
-    if not len(triangles):
-        notes.warn(prim.GetPath(), "mesh without a face of three or more corners is left out")
-        return None
-    if "orientation" in authored and mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
-        triangles = triangles[:, ::-1]
-    attributes = {}
+    attributes: dict[str, Attribute] = {}
     wanted = {"normals", "primvars:normals", "primvars:displayColor"} | ({f"primvars:{uv.primvar}"} if uv is not None else set())
     if not authored.isdisjoint(wanted):
         reader = _PrimvarReader(prim, time, notes, indices, np.repeat(np.arange(len(counts)), counts), len(points))
@@ -128,10 +121,105 @@ def read_mesh(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook, uv: UvSource 
         if color is not None and len(color.values) > 1:
             attributes["color"] = color
     scheme = prim.GetAttribute("subdivisionScheme").Get()
-    smooth = scheme != UsdGeom.Tokens.none and "normals" not in attributes
+    left_handed = "orientation" in authored and mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
+    if scheme == UsdGeom.Tokens.catmullClark and "normals" not in attributes and (counts[keep] >= 3).any():
+        level = levels(len(counts))
+        notes.info(prim.GetPath(), f"subdivision surface (catmullClark) is divided {level} times and lies on its limit")
+        fine = _subdivided(mesh, time, points, counts, indices, keep, attributes, level, left_handed=left_handed)
+        if not len(fine.triangles):
+            notes.warn(prim.GetPath(), "subdivision surface of which no face is drawn (interpolateBoundary 'none', or holes) is left out")
+        return fine if len(fine.triangles) else None
+    if fan is not None and keep.all():
+        if fan.triangles is not None and fan.face_of is not None and (fan.quads is None or _are_easy(points[fan.quads])):
+            triangles, face_of = fan.triangles, fan.face_of
+        else:
+            triangles, face_of = _triangulate_small(points.tobytes(), counts.tobytes(), indices.tobytes())
+    else:
+        triangles, face_of = triangulate(points, counts, starts, indices, keep)
+    if not len(triangles):
+        notes.warn(prim.GetPath(), "mesh without a face of three or more corners is left out")
+        return None
+    if left_handed:
+        triangles = triangles[:, ::-1]
+    smooth = scheme == UsdGeom.Tokens.loop and "normals" not in attributes
     if smooth:
         notes.info(prim.GetPath(), f"subdivision surface ({scheme}) is drawn as its control cage with smooth normals")
+    elif scheme == UsdGeom.Tokens.catmullClark and "subdivisionScheme" in authored and "normals" in attributes:
+        notes.info(prim.GetPath(), "subdivision surface (catmullClark) with normals of its own is drawn as its control cage with these")
     return Polygons(points, indices, triangles, face_of, attributes, smooth)
+
+
+def _subdivided(
+    mesh: UsdGeom.Mesh,
+    time: Usd.TimeCode,
+    points: Array,
+    counts: Indices,
+    indices: Indices,
+    keep: npt.NDArray[np.bool_],
+    attributes: dict[str, Attribute],
+    level: int,
+    *,
+    left_handed: bool,
+) -> Polygons:
+    """A Catmull-Clark cage as triangles on its limit surface, with normals that creases part."""
+    whole = counts >= 3
+    corners = np.flatnonzero(np.repeat(whole, counts))
+    cage = Cage(counts[whole], indices[corners], **_sharp(mesh, time, len(points)))
+    rule = mesh.GetInterpolateBoundaryAttr().Get()
+    cage = replace(cage, sharp_ends=rule == UsdGeom.Tokens.edgeAndCorner)
+    drawn = keep[whole]
+    if rule == UsdGeom.Tokens.none:
+        drawn = drawn & ~boundary_faces(cage, len(points))
+    fine = subdivided(points, cage, level)
+    face_of = np.flatnonzero(whole)[fine.face_of]
+    first = 4 * np.flatnonzero(drawn[fine.face_of])
+    triangles = np.stack([first, first + 1, first + 2, first, first + 2, first + 3], axis=1).reshape(-1, 3)
+    if left_handed:
+        triangles = triangles[:, ::-1]
+    islands = mesh.GetFaceVaryingLinearInterpolationAttr().Get() == UsdGeom.Tokens.all
+    spread: dict[str, Attribute] = {}
+    for name, attribute in attributes.items():
+        if attribute.corner is None:
+            spread[name] = Attribute(subdivided(attribute.values, cage, level).points, None)
+            continue
+        values = attribute.values[attribute.corner[corners]]
+        with_point = np.column_stack([np.arange(len(corners)) if islands else cage.indices, values])
+        _, chosen, index = np.unique(with_point, axis=0, return_index=True, return_inverse=True)
+        own = subdivided(values[chosen], Cage(cage.counts, index.reshape(-1)), level)
+        spread[name] = Attribute(own.points, own.indices)
+    a, b, c = (fine.points[fine.indices[triangles[:, k]]] for k in range(3))
+    weighted, total = cross(b - a, c - a), np.zeros((int(fine.smooth_of.max()) + 1, 3))
+    for k in range(3):
+        np.add.at(total, fine.smooth_of[triangles[:, k]], weighted)
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+    spread["normals"] = Attribute(total, None if fine.smooth_of is fine.indices else fine.smooth_of)
+    return Polygons(fine.points, fine.indices, triangles, np.repeat(face_of[first // 4], 2), spread, smooth=False)
+
+
+def _sharp(mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int) -> dict[str, Any]:
+    """Creases and corners of a mesh, as `Cage` names them; what does not fit is left out."""
+
+    def array(attribute: Usd.Attribute, kind: Any) -> Any:
+        return np.asarray([] if (value := _get(attribute, time)) is None else value, dtype=kind)
+
+    corners, at_corner = array(mesh.GetCornerIndicesAttr(), np.int64), array(mesh.GetCornerSharpnessesAttr(), np.float64)
+    count = min(len(corners), len(at_corner))
+    fits = (corners[:count] >= 0) & (corners[:count] < point_count)
+    found: dict[str, Any] = {"corners": corners[:count][fits], "corner_sharpness": at_corner[:count][fits]}
+    chain, lengths, given = (
+        array(mesh.GetCreaseIndicesAttr(), np.int64),
+        array(mesh.GetCreaseLengthsAttr(), np.int64),
+        array(mesh.GetCreaseSharpnessesAttr(), np.float64),
+    )
+    edges = int((lengths - 1).sum()) if len(lengths) else 0
+    if not len(chain) or (lengths < 2).any() or lengths.sum() != len(chain) or len(given) not in (len(lengths), edges):
+        return found
+    last = np.cumsum(lengths) - 1
+    begin = np.delete(np.arange(len(chain)), last)
+    pairs = np.stack([chain[begin], chain[begin + 1]], axis=1)
+    sharpness = given if len(given) == edges and len(given) != len(lengths) else np.repeat(given, lengths - 1)
+    fits = (pairs >= 0).all(axis=1) & (pairs < point_count).all(axis=1)
+    return found | {"creases": pairs[fits], "crease_sharpness": np.maximum(sharpness[fits], 0.0)}
 
 
 def triangulate(points: Array, counts: Indices, starts: Indices, indices: Indices, keep: npt.NDArray[np.bool_]) -> tuple[Indices, Indices]:
@@ -155,6 +243,9 @@ def triangulate(points: Array, counts: Indices, starts: Indices, indices: Indice
         corners = starts[faces][:, None] + np.arange(n)
         if n == 3:
             found.append((corners, faces))
+            continue
+        if n == 4 and _are_easy(points[indices[corners]]):
+            found.append((corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), np.repeat(faces, 2)))
             continue
         reflex = _turning(points[indices[corners]]) < 0.0
         fan, easy, hard = corners, faces, faces[:0]
@@ -183,12 +274,57 @@ _SMALL = 512
 """Corners of a mesh up to which its triangles are remembered: props come in many copies."""
 
 
+@dataclass(frozen=True)
+class _Fan:
+    """What follows from the counts and indices of a mesh alone.
+
+    Attributes:
+        highest: highest point that a face names; no mesh has as many points where counts and indices do not fit.
+        triangles, face_of: as `triangulate` gives them where no quad is concave; None for faces of other sizes.
+        quads: (Q, 4) points of the quads, which must be looked at; None where there is none.
+    """
+
+    highest: int
+    triangles: Indices | None = None
+    face_of: Indices | None = None
+    quads: Indices | None = None
+
+
+def _fits(counts: Indices, indices: Indices, point_count: int) -> bool:
+    return bool(len(indices) and counts.min() >= 0 and counts.sum() == len(indices) and indices.min() >= 0 and indices.max() < point_count)
+
+
+@functools.lru_cache(maxsize=1024)
+def _fan(counts: bytes, indices: bytes) -> _Fan:
+    """The same for all meshes of one topology, given by the bytes of its arrays."""
+    sizes, points = np.frombuffer(counts, dtype=np.int64), np.frombuffer(indices, dtype=np.int64)
+    if not _fits(sizes, points, 1 << 62):
+        return _Fan(1 << 62)
+    highest = int(points.max())
+    if not (sizes == sizes[0]).all() or sizes[0] not in (3, 4):
+        return _Fan(highest)
+    corners = np.arange(len(points)).reshape(-1, int(sizes[0]))
+    if sizes[0] == 3:
+        return _Fan(highest, corners, np.arange(len(sizes)))
+    return _Fan(highest, corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), np.repeat(np.arange(len(sizes)), 2), points.reshape(-1, 4))
+
+
 @functools.lru_cache(maxsize=1024)
 def _triangulate_small(points: bytes, counts: bytes, indices: bytes) -> tuple[Indices, Indices]:
     """`triangulate` of all faces of a mesh, given by the bytes of its arrays."""
     numbers = np.frombuffer(counts, dtype=np.int64)
     keep = np.ones(len(numbers), dtype=bool)
     return triangulate(np.frombuffer(points).reshape(-1, 3), numbers, np.cumsum(numbers) - numbers, np.frombuffer(indices, dtype=np.int64), keep)
+
+
+def _are_easy(quads: Array) -> bool:
+    """Whether all (F, 4, 3) quads are convex without doubt: each corner turns the way of the others."""
+    edges = quads[:, _NEXT] - quads
+    turn = cross(edges[:, _BEFORE], edges)
+    return bool((np.einsum("fi,fki->fk", turn[:, 0] + turn[:, 2], turn) > 0.0).all())
+
+
+_NEXT, _BEFORE = [1, 2, 3, 0], [3, 0, 1, 2]
 
 
 def _turning(polygons: Array) -> Array:
@@ -234,7 +370,7 @@ def _ears(polygon: Array) -> Indices:
 
 def cross(u: Array, v: Array) -> Array:
     """Cross product along the last axis; five times faster than numpy's on small arrays."""
-    result = np.empty(np.broadcast_shapes(u.shape, v.shape))
+    result = np.empty(u.shape if u.shape == v.shape else np.broadcast_shapes(u.shape, v.shape))
     x, y, z, a, b, c = u[..., 0], u[..., 1], u[..., 2], v[..., 0], v[..., 1], v[..., 2]
     result[..., 0], result[..., 1], result[..., 2] = y * c - z * b, z * a - x * c, x * b - y * a
     return result
@@ -331,9 +467,8 @@ class _PrimvarReader:
         return self.spread(name, values, primvar.GetInterpolation(), indices, width)
 
     def spread(self, name: str, values: Any, interpolation: str, indices: Any, width: int) -> Attribute | None:
-        try:
-            array = np.asarray(values, dtype=np.float64).reshape(-1, width)
-        except (ValueError, TypeError):
+        array = _columns(values, width)
+        if array is None:
             self.notes.warn(self.prim.GetPath(), f"primvar {name} does not hold {width} numbers each; it is not used")
             return None
         corner: Indices | None
@@ -355,6 +490,19 @@ class _PrimvarReader:
             self.notes.warn(self.prim.GetPath(), f"primvar {name} has too few values for its interpolation {interpolation!r}; it is not used")
             return None
         return Attribute(array[:wanted] if corner is None else array, corner)
+
+
+def _columns(values: Any, width: int) -> Array | None:
+    """(K, width) of an array of tuples that are at least as wide, or of plain numbers in groups of `width`; else None."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (ValueError, TypeError):
+        return None
+    if array.ndim == 2 and array.shape[1] >= width:
+        return array[:, :width]
+    if array.ndim == 1 and array.size % width == 0:
+        return array.reshape(-1, width)
+    return None
 
 
 def _get(attribute: Usd.Attribute, time: Usd.TimeCode) -> Any:

@@ -1,7 +1,8 @@
 """Lights: UsdLux as Mitsuba emitters, in nits.
 
 Takes light prims and their place in metres; gives emitters, and shapes for those
-that have a surface.  Follows the UsdLux specification since 25.05.
+that have a surface.  Follows the UsdLux specification since 25.05, but for what a
+`Convention` says.
 """
 
 from __future__ import annotations
@@ -12,8 +13,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdLux
+from pxr import Ar, Usd, UsdLux
 
+from synfog_usd.errors import StageError
+from synfog_usd.translate import ies
+from synfog_usd.translate.convention import USD, Convention
 from synfog_usd.translate.geometry import ROUND, Triangles, area, ball, frustum, placed
 from synfog_usd.translate.material import LUMINANCE
 from synfog_usd.translate.notes import Notebook
@@ -74,25 +78,41 @@ class _Inputs:
         return default
 
 
-def emitted(prim: Usd.Prim, time: Usd.TimeCode, *, default_intensity: float = 1.0) -> Array:
+def emitted(prim: Usd.Prim, time: Usd.TimeCode, *, default_intensity: float = 1.0, convention: Convention = USD) -> Array:
     """(3,) RGB of color x intensity x 2^exposure x blackbody tint, before any normalization."""
     inputs = _Inputs(prim, time)
     color = np.array([float(c) for c in inputs.get("color", (1.0, 1.0, 1.0))])
     if inputs.get("enableColorTemperature", False):
-        color = color * np.array(UsdLux.BlackbodyTemperatureAsRgb(float(inputs.get("colorTemperature", 6500.0))))
-    return color * (float(inputs.get("intensity", default_intensity)) * 2.0 ** float(inputs.get("exposure", 0.0)))
+        kelvin = float(inputs.get("colorTemperature", 6500.0))
+        if math.isnan(kelvin):  # the library's table ends the process at it
+            return np.full(3, np.nan)
+        if not (convention.plain_6500 and kelvin == 6500.0):
+            color = color * np.array(UsdLux.BlackbodyTemperatureAsRgb(kelvin))
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite then, the caller tells
+        return color * (float(inputs.get("intensity", default_intensity)) * np.exp2(float(inputs.get("exposure", 0.0))))
 
 
-def lamp(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: Notebook, images: ImageReader, *, metres_per_unit: float) -> Lamp | None:
+def lamp(
+    prim: Usd.Prim,
+    kind: str,
+    matrix: Array,
+    time: Usd.TimeCode,
+    notes: Notebook,
+    images: ImageReader,
+    *,
+    metres_per_unit: float,
+    convention: Convention = USD,
+) -> Lamp | None:
     """A light other than a dome, or None where it is dark.
 
     Args:
         matrix: (4, 4) of the light to scene metres.
+        convention: how its numbers are meant.
     """
     path = prim.GetPath()
     inputs = _Inputs(prim, time)
     _unsupported(prim, inputs, notes)
-    radiance = emitted(prim, time, default_intensity=50000.0 if kind == "DistantLight" else 1.0)
+    radiance = emitted(prim, time, default_intensity=50000.0 if kind == "DistantLight" else 1.0, convention=convention)
     if not np.isfinite(radiance).all() or radiance.max() <= 0.0:
         if not np.isfinite(radiance).all():
             notes.warn(path, "light whose intensity is no finite number is dark")
@@ -102,10 +122,13 @@ def lamp(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: No
         radiance = np.maximum(radiance, 0.0)
     normalize = bool(inputs.get("normalize", False))
     if kind == "DistantLight":
-        return _distant(radiance, float(inputs.get("angle", 0.53)), normalize, matrix, path, notes)
+        angle = float(inputs.get("angle", 0.53)) * convention.sun_angle
+        return _distant(radiance * convention.sun, angle, normalize or convention.sun_normalized, matrix, path, notes)
     if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
         notes.warn(path, "light scaled to nothing is left out")
         return None
+    if convention.square_metres:
+        metres_per_unit = 1.0
     if normalize and metres_per_unit != 1.0:
         notes.info(path, f"'normalize' divides by the area in stage units of {metres_per_unit:g} m, as UsdLux specifies")
     per_area = metres_per_unit**2 if normalize else 0.0  # area in stage units = area in m2 / metres_per_unit^2
@@ -116,11 +139,13 @@ def lamp(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: No
     return _cylinder(inputs, radiance, per_area, matrix, path, notes)
 
 
-def mesh_light(prim: Usd.Prim, time: Usd.TimeCode, surface_m2: float, notes: Notebook, *, metres_per_unit: float) -> Array:
+def mesh_light(prim: Usd.Prim, time: Usd.TimeCode, surface_m2: float, notes: Notebook, *, metres_per_unit: float, convention: Convention = USD) -> Array:
     """(3,) radiance [cd m-2] of a mesh with MeshLightAPI, of a given area [m2]."""
     inputs = _Inputs(prim, time)
     _unsupported(prim, inputs, notes)
-    radiance = np.maximum(emitted(prim, time), 0.0)
+    radiance = np.maximum(emitted(prim, time, convention=convention), 0.0)
+    if convention.square_metres:
+        metres_per_unit = 1.0
     return radiance * metres_per_unit**2 / surface_m2 if inputs.get("normalize", False) and surface_m2 > 0.0 else radiance
 
 
@@ -164,18 +189,41 @@ def dome(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: No
 
 
 def merged_dome(domes: list[Dome], notes: Notebook) -> dict[str, Any] | None:
-    """One emitter for all domes: constants add up; of several maps the brightest is kept."""
+    """One emitter for all domes, which add up; several maps are drawn in the frame of the largest."""
     if not domes:
         return None
     constant = sum((d.radiance for d in domes if d.radiance.ndim == 1), start=np.zeros(3, dtype=np.float32))
-    maps = sorted((d for d in domes if d.radiance.ndim == 3), key=_brightness, reverse=True)
-    for left_out in maps[1:]:
-        notes.warn(left_out.path, f"only one textured dome light is drawn; {maps[0].path} is brighter")
-    if len(domes) > 1 and len(maps) <= 1:
+    maps = sorted((d for d in domes if d.radiance.ndim == 3), key=lambda d: d.radiance.size, reverse=True)
+    if len(domes) > 1:
         notes.info(domes[0].path, f"{len(domes)} dome lights are added up")
     if not maps:
         return {"type": "constant", "radiance": _rgb(constant)}
-    return {"type": "envmap", "bitmap": np.ascontiguousarray(maps[0].radiance + constant, dtype=np.float32), "to_world": maps[0].to_world}
+    first = maps[0]
+    pixels = first.radiance + constant
+    for other in maps[1:]:
+        pixels = pixels + turned(other.radiance, first.to_world[:3, :3], other.to_world[:3, :3], first.radiance.shape[:2])
+    return {"type": "envmap", "bitmap": np.ascontiguousarray(pixels, dtype=np.float32), "to_world": first.to_world}
+
+
+def turned(pixels: npt.NDArray[np.float32], wanted: Array, given: Array, size: tuple[int, ...]) -> npt.NDArray[np.float32]:
+    """A latitude-longitude map in another frame, (H, W) = size, between texels by bilinear interpolation.
+
+    Args:
+        wanted, given: (3, 3) rotations of the frame asked for and of the map's own.
+    """
+    height, width = size
+    azimuth, polar = 2.0 * np.pi * (np.arange(width) + 0.5) / width, np.pi * (np.arange(height)[:, None] + 0.5) / height
+    way = np.stack([np.sin(polar) * np.sin(azimuth), np.broadcast_to(np.cos(polar), (height, width)), -np.sin(polar) * np.cos(azimuth)], axis=-1)
+    local = way @ (given.T @ wanted).T
+    x = np.arctan2(local[..., 0], -local[..., 2]) / (2.0 * np.pi) * pixels.shape[1] - 0.5
+    y = np.arccos(np.clip(local[..., 1], -1.0, 1.0)) / np.pi * pixels.shape[0] - 0.5
+    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    u, v = (x - left)[..., None], (y - top)[..., None]
+    rows = [np.clip(top + k, 0, pixels.shape[0] - 1) for k in (0, 1)]
+    columns = [(left + k) % pixels.shape[1] for k in (0, 1)]
+    above = (1.0 - u) * pixels[rows[0], columns[0]] + u * pixels[rows[0], columns[1]]
+    below = (1.0 - u) * pixels[rows[1], columns[0]] + u * pixels[rows[1], columns[1]]
+    return np.asarray((1.0 - v) * above + v * below, dtype=np.float32)
 
 
 def weigh(lamps: list[Lamp], sky: dict[str, Any] | None) -> None:
@@ -197,12 +245,6 @@ def area_emitter(radiance: Array) -> dict[str, Any]:
     return {"type": "area", "radiance": _rgb(radiance)}
 
 
-def _brightness(one: Dome) -> float:
-    """Mean luminance of a map over the sphere."""
-    rows = np.sin((np.arange(one.radiance.shape[0]) + 0.5) * np.pi / one.radiance.shape[0])
-    return float(rows @ (one.radiance @ LUMINANCE).mean(axis=1) / rows.sum())
-
-
 def _distant(radiance: Array, angle_deg: float, normalize: bool, matrix: Array, path: object, notes: Notebook) -> Lamp:
     """Irradiance E = L pi sin^2(angle / 2), or the intensity itself where normalized."""
     half = math.radians(min(max(angle_deg, 0.0), 180.0)) / 2.0
@@ -213,19 +255,138 @@ def _distant(radiance: Array, angle_deg: float, normalize: bool, matrix: Array, 
     return Lamp({"type": "directional", "irradiance": _rgb(irradiance), "to_world": rotation_of(matrix) @ TURN}, math.inf)
 
 
-def _cone(inputs: _Inputs, path: object, notes: Notebook) -> tuple[float, float] | None:
-    """(cutoff, beam width) [deg] of a shaped light, or None where it shines everywhere."""
-    if not inputs.prim.HasAPI(UsdLux.ShapingAPI) and inputs.get("shaping:cone:angle", None) is None:
+@dataclass(frozen=True)
+class _Shaping:
+    """How a light is narrowed.
+
+    Attributes:
+        cone: (cutoff, beam width) [deg], or None where no cone is.
+        softness: of the cone, 0 to 1.
+        focus, tint: exponent of the cosine off the axis, and what colour is left there.
+        profile: photometry, with `scale` [1 / cd] to multiply, or None.
+        angle_scale: stretch of its vertical angles.
+    """
+
+    cone: tuple[float, float] | None
+    softness: float = 0.0
+    focus: float = 0.0
+    tint: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    profile: ies.Photometry | None = None
+    scale: float = 1.0
+    angle_scale: float = 0.0
+
+    @property
+    def plain(self) -> bool:
+        """Whether a cone is all there is."""
+        return self.profile is None and self.focus <= 0.0
+
+
+def _shaping(inputs: _Inputs, path: object, notes: Notebook) -> _Shaping | None:
+    """What narrows a light, or None where it shines everywhere.
+
+    Source: UsdLux 25.05, ShapingAPI.
+    """
+    if not inputs.prim.HasAPI(UsdLux.ShapingAPI) and all(inputs.get(f"shaping:{name}", None) is None for name in ("cone:angle", "ies:file", "focus")):
         return None
-    if inputs.get("shaping:ies:file", None):
-        notes.warn(path, "IES profiles are not drawn; only the cone is")
-    if float(inputs.get("shaping:focus", 0.0)) > 0.0:
-        notes.warn(path, "shaping:focus is not drawn; only the cone is")
     cutoff = float(inputs.get("shaping:cone:angle", 90.0))
-    if cutoff >= 180.0:
+    softness = min(max(float(inputs.get("shaping:cone:softness", 0.0)), 0.0), 0.999)
+    cone = None if not cutoff < 180.0 else (max(cutoff, 0.1), max(cutoff, 0.1) * (1.0 - softness))
+    focus = float(inputs.get("shaping:focus", 0.0))
+    tint = inputs.get("shaping:focusTint", (0.0, 0.0, 0.0))
+    profile, asset = None, inputs.get("shaping:ies:file", None)
+    if authored := getattr(asset, "path", ""):
+        profile = _photometry(getattr(asset, "resolvedPath", "") or "", authored, path, notes)
+    if cone is None and profile is None and not focus > 0.0:
         return None
-    cutoff = max(cutoff, 0.1)
-    return cutoff, cutoff * (1.0 - min(max(float(inputs.get("shaping:cone:softness", 0.0)), 0.0), 0.999))
+    scale = 1.0
+    if profile is not None and inputs.get("shaping:ies:normalize", False):
+        flux = profile.flux_lm()
+        scale = 1.0 / flux if flux > 0.0 else 0.0
+    return _Shaping(
+        cone=cone,
+        softness=softness,
+        focus=focus if focus > 0.0 and math.isfinite(focus) else 0.0,
+        tint=(float(tint[0]), float(tint[1]), float(tint[2])),
+        profile=profile,
+        scale=scale,
+        angle_scale=min(max(float(inputs.get("shaping:ies:angleScale", 0.0)), -0.99), 0.99),
+    )
+
+
+def _photometry(file: str, authored: str, path: object, notes: Notebook) -> ies.Photometry | None:
+    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(file)) if file else None
+    if asset is None:
+        notes.warn(path, f"IES profile {authored} is not found; only the cone is drawn")
+        return None
+    try:
+        return ies.parse(bytes(asset.GetBuffer()) if asset.GetSize() <= ies.MAX_BYTES else b"", authored)
+    except StageError as error:
+        notes.warn(path, f"IES profile is not drawn, only the cone is: {error}")
+        return None
+
+
+def _shone(shaping: _Shaping, local: Array, *, flat: bool) -> Array:
+    """(..., 3) factors on the intensity in directions (..., 3) of the light's own frame, which looks along -Z.
+
+    Args:
+        flat: whether the light is a flat one, whose intensity falls with the cosine.
+    """
+    cosine = np.clip(-local[..., 2], -1.0, 1.0)
+    angle = np.degrees(np.arccos(cosine))
+    factor = np.ones((*cosine.shape, 3))
+    if shaping.focus > 0.0:
+        fall = np.abs(cosine) ** shaping.focus
+        factor *= fall[..., None] + (1.0 - fall[..., None]) * np.array(shaping.tint)
+    if shaping.cone is not None:
+        cutoff, beam = shaping.cone
+        t = np.clip((angle - beam) / max(cutoff - beam, 1e-9), 0.0, 1.0)
+        factor *= np.where(angle > cutoff, 0.0, 1.0 - t * t * (3.0 - 2.0 * t))[..., None]
+    if shaping.profile is not None:
+        stretch = 1.0 / (1.0 - shaping.angle_scale) if shaping.angle_scale > 0.0 else 1.0 + shaping.angle_scale
+        turn = np.degrees(np.arctan2(local[..., 1], local[..., 0]))
+        factor *= (shaping.scale * shaping.profile.at(np.minimum(angle * stretch, 180.0), turn))[..., None]
+    return factor * np.maximum(cosine, 0.0)[..., None] if flat else factor
+
+
+_WIDEST_DEG = 80.0
+"""Half angle of what a picture in front of a spot can hold; beyond it, its texels are too coarse."""
+
+
+def _shaped(intensity: Array, shaping: _Shaping, matrix: Array, path: object, notes: Notebook, *, flat: bool = False) -> Lamp | None:
+    """A lamp at a point: a plain cone as Mitsuba's own spot, anything else as a spot behind a picture of its distribution."""
+    if shaping.plain and shaping.cone is not None:
+        return _spot(intensity, shaping.cone, matrix)
+    angle, turn = np.radians(np.arange(0.125, 180.0, 0.25)), np.radians(np.arange(2.5, 360.0, 5.0))
+    sine = np.sin(angle)[:, None]
+    ways = np.stack([sine * np.cos(turn), sine * np.sin(turn), np.broadcast_to(-np.cos(angle)[:, None], (len(angle), len(turn)))], axis=-1)
+    ring = (_shone(shaping, ways, flat=flat) @ LUMINANCE).mean(axis=1) * np.sin(angle)
+    total = float(ring.sum())
+    if not total > 0.0:
+        notes.warn(path, "a light whose shaping leaves nothing of it is dark")
+        return None
+    kept = np.cumsum(ring) / total
+    widest = min(_WIDEST_DEG, math.degrees(float(angle[min(int(np.searchsorted(kept, 1.0 - 1e-6)) + 1, len(angle) - 1)])) + 0.5)
+    lost = 1.0 - float(kept[angle <= math.radians(widest)][-1])
+    if lost > 0.005:
+        notes.warn(path, f"{100.0 * lost:.1f} % of the light leaves more than {widest:.0f} degrees off the axis and is not drawn")
+    size = 256 if widest <= 60.0 else 512
+    place = (2.0 * (np.arange(size) + 0.5) / size - 1.0) * math.tan(math.radians(widest))
+    x, y = np.meshgrid(place, place)
+    picture = np.stack([-x, y, -np.ones_like(x)], axis=-1)  # Mitsuba's frame is the light's, turned half about Y
+    factors = _shone(shaping, picture / np.linalg.norm(picture, axis=-1, keepdims=True), flat=flat)
+    pixels = (factors if shaping.focus > 0.0 and any(shaping.tint) else factors[..., :1]).astype(np.float32)
+    to_world = rotation_of(matrix) @ TURN
+    to_world[:3, 3] = matrix[:3, 3]
+    emitter = {
+        "type": "spot",
+        "intensity": _rgb(intensity),
+        "texture": {"type": "bitmap", "bitmap": np.ascontiguousarray(pixels), "raw": True, "wrap_mode": "clamp"},
+        "cutoff_angle": widest,
+        "beam_width": widest * 0.9999,
+        "to_world": to_world,
+    }
+    flux = float(LUMINANCE @ intensity) * total * math.radians(0.25) * 2.0 * math.pi
+    return Lamp(emitter, flux)
 
 
 def _spot(intensity: Array, cone: tuple[float, float], matrix: Array) -> Lamp:
@@ -240,7 +401,7 @@ def _spot(intensity: Array, cone: tuple[float, float], matrix: Array) -> Lamp:
 def _sphere(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Notebook) -> Lamp | None:
     radius = float(inputs.get("radius", 0.5))
     mean_scale = abs(float(np.linalg.det(matrix[:3, :3]))) ** (1.0 / 3.0)
-    cone = _cone(inputs, path, notes)
+    shaping = _shaping(inputs, path, notes)
     if radius <= 0.0 or inputs.get("treatAsPoint", False):
         if radius <= 0.0 and not per_area:
             notes.warn(path, "a light without size and without 'normalize' has no defined power; its intensity is taken as with 'normalize'")
@@ -250,8 +411,8 @@ def _sphere(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, pa
             intensity = radiance * stage_units / 4.0
         else:
             intensity = radiance * math.pi * (radius * mean_scale) ** 2
-        if cone is not None:
-            return _spot(intensity, cone, matrix)
+        if shaping is not None:
+            return _shaped(intensity, shaping, matrix, path, notes)
         emitter = {"type": "point", "intensity": _rgb(intensity), "position": [float(x) for x in matrix[:3, 3]]}
         return Lamp(emitter, 4.0 * math.pi * float(LUMINANCE @ intensity))
     if is_similarity(matrix):
@@ -261,24 +422,17 @@ def _sphere(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, pa
         shape = placed(ball(radius), matrix)
         surface = area(shape)
     L = radiance * per_area / surface if per_area else radiance
-    if cone is not None:
-        return _spot(L * math.pi * (radius * mean_scale) ** 2, cone, matrix)
+    if shaping is not None:
+        return _shaped(L * math.pi * (radius * mean_scale) ** 2, shaping, matrix, path, notes)
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), shape)
 
 
 def _flat(inputs: _Inputs, kind: str, radiance: Array, per_area: float, matrix: Array, path: object, notes: Notebook, images: ImageReader) -> Lamp | None:
-    """A rectangle or disk in its XY plane that shines along -Z."""
+    """A rectangle or disk in its XY plane that shines along -Z; a rectangle's picture has its left at +X and its top at +Y."""
+    picture = None
     if kind == "RectLight":
         half_x, half_y, unit_area, native = float(inputs.get("width", 1.0)) / 2.0, float(inputs.get("height", 1.0)) / 2.0, 4.0, "rectangle"
-        asset = inputs.get("texture:file", None)
-        file = getattr(asset, "resolvedPath", "") or ""
-        pixels = images.read(file, str(path)) if file else None
-        if asset is not None and getattr(asset, "path", ""):
-            notes.warn(path, "the picture on a RectLight is drawn as its mean colour")
-        if pixels is not None:
-            node = TextureNode(str(path), file, file, "rgb", "auto", "clamp", (1.0,) * 4, (0.0,) * 4, (0.0,) * 4, None)
-            mean = linear(pixels, srgb=is_srgb(node, pixels)).mean(axis=(0, 1), dtype=np.float64)
-            radiance = radiance * (mean[:3] if len(mean) >= 3 else mean[0])
+        picture = _picture(inputs, path, notes, images)
     else:
         half_x = half_y = float(inputs.get("radius", 0.5))
         unit_area, native = math.pi, "disk"
@@ -288,12 +442,36 @@ def _flat(inputs: _Inputs, kind: str, radiance: Array, per_area: float, matrix: 
         notes.warn(path, "light without area is left out")
         return None
     L = radiance * per_area / surface if per_area else radiance
-    cone = _cone(inputs, path, notes)
-    if cone is not None:
+    shaping = _shaping(inputs, path, notes)
+    if shaping is not None and shaping.plain and shaping.cone is not None and shaping.cone[1] >= 90.0:
+        shaping = None  # ShapingAPI as many programs apply it: nothing lies beyond 90 degrees anyway
+    if shaping is not None:
         notes.info(path, f"{kind} with a cone is drawn as a spot at its centre")
-        return _spot(L * surface, cone, matrix)
+        mean = L if picture is None else L * picture.reshape(-1, 3).mean(axis=0)
+        return _shaped(mean * surface, shaping, matrix, path, notes, flat=True)
+    if picture is not None:
+        radiance_map = np.ascontiguousarray((picture * L)[::-1], dtype=np.float32)  # its top is at +Y; Mitsuba's v runs from -Y
+        nits = float(LUMINANCE @ radiance_map.mean(axis=(0, 1), dtype=np.float64))
+        emitter = {"type": "area", "radiance": {"type": "bitmap", "bitmap": radiance_map, "raw": True, "wrap_mode": "clamp"}}
+        return Lamp(emitter, math.pi * surface * nits, {"type": native, "to_world": place})
     # its normal stays along the light's -Z: Mitsuba takes a normal with the inverse transpose, so thickness along Z does not matter
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), {"type": native, "to_world": place})
+
+
+def _picture(inputs: _Inputs, path: object, notes: Notebook, images: ImageReader) -> Array | None:
+    """(H, W, 3) linear factors of the picture on a light, or None where there is none."""
+    asset = inputs.get("texture:file", None)
+    if not (authored := getattr(asset, "path", "")):
+        return None
+    file = getattr(asset, "resolvedPath", "") or ""
+    pixels = images.read(file, str(path)) if file else None
+    if pixels is None:
+        if not file:
+            notes.warn(path, f"texture {authored} is not found; the light is of one colour")
+        return None
+    node = TextureNode(str(path), file, authored, "rgb", "auto", "clamp", (1.0,) * 4, (0.0,) * 4, (0.0,) * 4, None)
+    values = linear(pixels, srgb=is_srgb(node, pixels)).astype(np.float64)
+    return np.maximum(np.repeat(values[..., :1], 3, axis=2) if values.shape[2] < 3 else values[..., :3], 0.0)
 
 
 def _cylinder(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Notebook) -> Lamp | None:
@@ -306,8 +484,8 @@ def _cylinder(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, 
     shape = placed(side, matrix)
     surface = area(shape) if not is_similarity(matrix) else 2.0 * math.pi * radius * length * abs(float(np.linalg.det(matrix[:3, :3]))) ** (2.0 / 3.0)
     L = radiance * per_area / surface if per_area else radiance
-    if _cone(inputs, path, notes) is not None:
-        notes.warn(path, "the cone of a CylinderLight is not drawn")
+    if _shaping(inputs, path, notes) is not None:
+        notes.warn(path, "the shaping of a CylinderLight is not drawn")
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), shape)
 
 

@@ -7,14 +7,16 @@ which texture coordinates it reads.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from pxr import Usd, UsdShade
 
+from synfog_usd.translate.networks import RefusedError, fed_by, is_textured, native, omni_texture
 from synfog_usd.translate.notes import Notebook
-from synfog_usd.translate.texture import ImageReader, TextureNode, UvSource, linear, producer, sampled, shader_id, texture_node, value_of
+from synfog_usd.translate.texture import ImageReader, TextureNode, UvSource, linear, producer, sampled, shader_id, value_of
 
 GREY = (0.18, 0.18, 0.18)
 LUMINANCE = np.array([0.2126729, 0.7151522, 0.0721750])
@@ -58,7 +60,7 @@ class Materials:
         self.bsdfs: dict[str, dict[str, Any]] = {}
         self._by_path: dict[str, Finish] = {}
         self._by_word: dict[str, str] = {}
-        self._by_color: dict[tuple[float, ...] | str, str] = {}
+        self._by_color: dict[tuple[Any, ...], str] = {}
 
     def finish(self, material: UsdShade.Material) -> Finish:
         """The finish of a USD material."""
@@ -67,24 +69,26 @@ class Materials:
             self._by_path[path] = self._made(material)
         return self._by_path[path]
 
-    def colored(self, color: tuple[float, ...]) -> Finish:
+    def colored(self, color: tuple[float, ...], opacity: float = 1.0) -> Finish:
         """A matte finish of one colour, for shapes without a material."""
-        if color not in self._by_color:
-            value = [min(max(float(c), 0.0), 1.0) for c in color]
-            self._by_color[color] = self._add({"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _rgb(value)}})
-        return Finish(self._by_color[color])
+        value = [min(max(float(c), 0.0), 1.0) for c in color]
+        return self._matte((*color, opacity), _rgb(value), opacity)
 
-    def vertex_colored(self) -> Finish:
+    def vertex_colored(self, opacity: float = 1.0) -> Finish:
         """A matte finish that takes its colour from the vertices."""
-        if "vertex" not in self._by_color:
-            self._by_color["vertex"] = self._add({"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _VERTEX_COLOR}})
-        return Finish(self._by_color["vertex"], colored=True)
+        return replace(self._matte(("vertex", opacity), dict(_VERTEX_COLOR), opacity), colored=True)
+
+    def _matte(self, key: tuple[Any, ...], reflectance: dict[str, Any], opacity: float) -> Finish:
+        if key not in self._by_color:
+            bsdf: dict[str, Any] = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
+            self._by_color[key] = self._add(bsdf if opacity >= 1.0 else {"type": "mask", "opacity": opacity, "bsdf": bsdf})
+        return Finish(self._by_color[key])
 
     def black(self) -> Finish:
         """A finish that reflects nothing, for the faces of lamps."""
-        if "black" not in self._by_color:
-            self._by_color["black"] = self._add({"type": "diffuse", "reflectance": _rgb([0.0, 0.0, 0.0])})
-        return Finish(self._by_color["black"])
+        if ("black",) not in self._by_color:
+            self._by_color["black",] = self._add({"type": "diffuse", "reflectance": _rgb([0.0, 0.0, 0.0])})
+        return Finish(self._by_color["black",])
 
     def _add(self, bsdf: dict[str, Any]) -> str:
         """Key of a BSDF; an equal one that is there already is used again."""
@@ -96,6 +100,14 @@ class Materials:
 
     def _made(self, material: UsdShade.Material) -> Finish:
         path = material.GetPath()
+        own = material.ComputeSurfaceSource("mitsuba")[0]
+        if own and shader_id(own.GetPrim()).startswith("mitsuba_"):
+            try:
+                bsdf = native(own, self.time, self.images)
+                textured = is_textured(bsdf)
+                return Finish(self._add(bsdf), uv=UvSource("st") if textured else None, plain=self._add(_without_textures(bsdf)) if textured else None)
+            except RefusedError as error:
+                self.notes.warn(path, f"outputs:mitsuba:surface is not drawn: {error}")
         sources = [material.ComputeSurfaceSource(context)[0] for context in ("", "mtlx", "mdl")]
         shader = next((source for source in sources if source), None)
         if not shader:
@@ -107,19 +119,28 @@ class Materials:
         if kind == "UsdPreviewSurface" or kind.startswith("ND_UsdPreviewSurface"):
             return self._surface(shader, _PREVIEW, path)
         if kind.startswith(("ND_standard_surface", "ND_open_pbr")):
-            self.notes.warn(path, f"{kind} is drawn as a preview surface with its base colour, roughness, metalness and emission")
-            return self._surface(shader, _STANDARD_SURFACE, path)
+            self.notes.info(path, f"{kind} is drawn as a preview surface: base, roughness, metalness, coat, emission, opacity and normal map")
+            return self._surface(shader, _OPEN_PBR if kind.startswith("ND_open_pbr") else _STANDARD_SURFACE, path)
         mdl = shader.GetPrim().GetAttribute("info:mdl:sourceAsset:subIdentifier")
         if mdl and str(mdl.Get()).startswith("OmniPBR"):
-            self.notes.warn(path, "OmniPBR is drawn as a preview surface with its constants")
+            self.notes.info(path, "OmniPBR is drawn as a preview surface: constants and textures of its base, roughness, metalness, opacity and normals")
             return self._surface(shader, _OMNI_PBR, path)
+        if mdl and str(mdl.Get()).startswith("OmniGlass"):
+            self.notes.warn(path, "OmniGlass is drawn as a thin pane: it reflects and lets light through straight, without refraction")
+            return self._glass(shader)
         self.notes.warn(path, f"shader {kind or (mdl and mdl.Get()) or 'of an unknown type'} is not known; the material is grey")
         return self.colored(GREY)
 
+    def _glass(self, shader: UsdShade.Shader) -> Finish:
+        """A thin pane of an OmniGlass shader's index and colour."""
+        ior = max(float(value_of(shader, "glass_ior", self.time, 1.491)), _MIN_IOR)
+        tint = [min(max(float(c), 0.0), 1.0) for c in value_of(shader, "glass_color", self.time, (1.0, 1.0, 1.0))]
+        return Finish(self._add({"type": "thindielectric", "int_ior": ior, "specular_transmittance": _rgb(tint)}))
+
     def _surface(self, shader: UsdShade.Shader, names: _Names, path: object) -> Finish:
         inputs = _Inputs(self, shader, names)
-        color = inputs.color("diffuseColor", GREY)
-        roughness, metallic = inputs.number("roughness", 0.5), inputs.number("metallic", 0.0)
+        color = inputs.color("diffuseColor", names.color)
+        roughness, metallic = inputs.number("roughness", names.roughness), inputs.number("metallic", 0.0)
         ior = inputs.constant("ior", 1.5)
         bsdf: dict[str, Any] = {"type": "principled", "base_color": color, "roughness": roughness}
         if inputs.constant("useSpecularWorkflow", 0.0):
@@ -132,7 +153,7 @@ class Materials:
         bsdf["eta"] = max(float(ior), _MIN_IOR)
         clearcoat = inputs.number("clearcoat", 0.0)
         if clearcoat != 0.0:
-            gloss = 1.0 - float(inputs.constant("clearcoatRoughness", 0.01))
+            gloss = 1.0 - float(inputs.constant("clearcoatRoughness", names.coat_roughness))
             bsdf |= {"clearcoat": clearcoat, "clearcoat_gloss": min(max(gloss, 0.0), 1.0)}
         bsdf = self._bumped(bsdf, inputs, path)
         bsdf = {"type": "twosided", "bsdf": bsdf}
@@ -144,6 +165,9 @@ class Materials:
         emission, nits = inputs.emission()
         if inputs.producer("displacement"):
             self.notes.warn(path, "displacement is not drawn")
+        for name in names.left_out:
+            if value_of(shader, name, self.time, 0.0) or producer(shader, name) is not None:
+                self.notes.warn(path, f"{name} is not drawn")
         key = self._add(bsdf)
         plain = self._add(_without_textures(bsdf)) if inputs.uv is not None else None
         return Finish(key, emission, nits, inputs.uv, plain, inputs.vertex_color)
@@ -152,7 +176,7 @@ class Materials:
         node = inputs.texture("normal")
         if node is None:
             return bsdf
-        pixels = self.images.read(node.file, node.path) if node.file else None
+        pixels = self.images.of(node)
         if pixels is None or pixels.shape[2] < 3:
             return bsdf
         usual = np.allclose(node.scale[:3], 2.0) and np.allclose(node.bias[:3], -1.0)
@@ -163,27 +187,86 @@ class Materials:
         values = linear(pixels[..., :3], srgb=False)
         if untouched and pixels.dtype != np.uint8:
             values = values * 0.5 + 0.5
-        inputs.read_uv(node)
-        return {"type": "normalmap", "normalmap": _bitmap(values, node, raw=True), "bsdf": bsdf}
+        return {"type": "normalmap", "normalmap": inputs.bitmap(values, node, raw=True), "bsdf": bsdf}
 
 
 @dataclass(frozen=True)
 class _Names:
-    """What the inputs of a preview surface are called elsewhere; '' where there is no such input."""
+    """What the inputs of a preview surface are called elsewhere, and what they are where nothing is authored.
 
-    of: dict[str, str]
+    Attributes:
+        of: name of each input; '' where there is no such input.  Empty for a preview surface itself.
+        weights: input by which another one is multiplied, and its default.
+        color, roughness, coat_roughness: defaults.
+        left_out: inputs that are noted where they are not 0.
+        omni: whether textures are named on the shader itself.
+    """
+
+    of: Mapping[str, str]
+    weights: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    color: tuple[float, float, float] = GREY
+    roughness: float = 0.5
+    coat_roughness: float = 0.01
+    left_out: tuple[str, ...] = ()
+    omni: bool = False
 
     def __getitem__(self, name: str) -> str:
         return self.of.get(name, "") if self.of else name
 
 
 _PREVIEW = _Names({})
-_STANDARD_SURFACE = _Names(
-    {"diffuseColor": "base_color", "roughness": "specular_roughness", "metallic": "metalness", "ior": "specular_IOR", "emissiveColor": "emission_color"}
+_STANDARD_SURFACE = _Names(  # Autodesk Standard Surface 1.0.1 in MaterialX 1.38
+    {
+        "diffuseColor": "base_color",
+        "roughness": "specular_roughness",
+        "metallic": "metalness",
+        "ior": "specular_IOR",
+        "emissiveColor": "emission_color",
+        "opacity": "opacity",
+        "clearcoat": "coat",
+        "clearcoatRoughness": "coat_roughness",
+        "normal": "normal",
+    },
+    weights={"diffuseColor": ("base", 1.0), "emissiveColor": ("emission", 0.0)},
+    color=(0.8, 0.8, 0.8),
+    roughness=0.2,
+    coat_roughness=0.1,
+    left_out=("transmission", "subsurface", "sheen", "thin_film_thickness"),
 )
-_OMNI_PBR = _Names(
-    {"diffuseColor": "diffuse_color_constant", "roughness": "reflection_roughness_constant", "metallic": "metallic_constant", "opacity": "opacity_constant"}
+_OPEN_PBR = _Names(  # OpenPBR Surface 1.1; emission_luminance is in nits
+    {
+        "diffuseColor": "base_color",
+        "roughness": "specular_roughness",
+        "metallic": "base_metalness",
+        "ior": "specular_ior",
+        "emissiveColor": "emission_color",
+        "opacity": "geometry_opacity",
+        "clearcoat": "coat_weight",
+        "clearcoatRoughness": "coat_roughness",
+        "normal": "geometry_normal",
+    },
+    weights={"diffuseColor": ("base_weight", 1.0), "emissiveColor": ("emission_luminance", 0.0)},
+    color=(0.8, 0.8, 0.8),
+    roughness=0.3,
+    coat_roughness=0.0,
+    left_out=("transmission_weight", "subsurface_weight", "fuzz_weight", "thin_film_weight"),
 )
+_OMNI_PBR = _Names(  # OmniPBR.mdl
+    {
+        "diffuseColor": "diffuse_color_constant",
+        "roughness": "reflection_roughness_constant",
+        "metallic": "metallic_constant",
+        "opacity": "opacity_constant",
+        "emissiveColor": "emissive_color",
+        "normal": "normalmap_texture",
+    },
+    weights={"emissiveColor": ("emissive_intensity", 40.0)},
+    color=(0.2, 0.2, 0.2),
+    omni=True,
+)
+_SWITCHES = {"opacity": "enable_opacity", "emissiveColor": "enable_emission"}
+"""OmniPBR's inputs that count only where a switch is on."""
+
 _VERTEX_COLOR = {"type": "mesh_attribute", "name": "vertex_color"}
 
 
@@ -196,11 +279,27 @@ class _Inputs:
         self.uv: UvSource | None = None
         self.vertex_color = False
 
+    def has(self, name: str) -> bool:
+        """Whether the shader has such an input, and it is not switched off."""
+        if self.names.omni and name in _SWITCHES and not value_of(self.shader, _SWITCHES[name], self.time, False):
+            return False
+        return bool(self.names[name])
+
     def producer(self, name: str) -> Usd.Attribute | None:
-        return producer(self.shader, self.names[name]) if self.names[name] else None
+        return producer(self.shader, self.names[name]) if self.has(name) else None
+
+    def weight(self, name: str) -> float:
+        """What an input is multiplied by."""
+        if name not in self.names.weights:
+            return 1.0
+        other, default = self.names.weights[name]
+        if producer(self.shader, other) is not None:
+            self.notes.warn(self.shader.GetPath(), f"a texture on {other} is not drawn; 1 is used")
+            return 1.0
+        return float(value_of(self.shader, other, self.time, default))
 
     def constant(self, name: str, default: Any) -> Any:
-        if not self.names[name]:
+        if not self.has(name):
             return default
         if producer(self.shader, self.names[name]) is not None:
             self.notes.warn(self.shader.GetPath(), f"a texture on {name} is not drawn; {default} is used")
@@ -212,32 +311,48 @@ class _Inputs:
         if node is not None:
             value = sampled(node, self.images, channels=3)
             return value if isinstance(value, tuple) else tuple(float(c) for c in linear(value, srgb=value.dtype == np.uint8).mean(axis=(0, 1)))
-        value = value_of(self.shader, self.names[name], self.time, default) if self.names[name] else default
-        return tuple(float(c) for c in value)
+        value = value_of(self.shader, self.names[name], self.time, default) if self.has(name) else default
+        weight = self.weight(name)
+        return tuple(float(c) * weight for c in value)
 
     def texture(self, name: str) -> TextureNode | None:
+        if self.names.omni:
+            return omni_texture(self.shader, name, self.time, self.notes)
         output = self.producer(name)
         if output is None:
             return None
-        kind = shader_id(output.GetPrim())
-        if kind == "UsdUVTexture":
-            return texture_node(output, self.time, self.notes)
-        self.notes.warn(self.shader.GetPath(), f"{name} is fed by {kind or 'an unknown node'}, which is not known; its default is used")
-        return None
+        node = fed_by(output, name, self.time, self.notes, self.shader.GetPath())
+        weight = self.weight(name) if node is not None else 1.0
+        if node is not None and weight != 1.0:
+            scale, bias = (tuple(c * weight for c in values[:3]) for values in (node.scale, node.bias))
+            node = replace(node, scale=(*scale, node.scale[3]), bias=(*bias, node.bias[3]))
+        return node
 
-    def read_uv(self, node: TextureNode) -> None:
+    def bitmap(self, pixels: Any, node: TextureNode, *, raw: bool) -> dict[str, Any]:
+        """A picture as Mitsuba's texture, looked up where the node says.
+
+        A shape carries the coordinates of the first texture; those of another one
+        are reached from there by an affine map.
+        """
+        made = {"type": "bitmap", "bitmap": pixels, "raw": raw, "wrap_mode": node.wrap}
         if node.uv is None:
-            return
+            return made
         if self.uv is None:
             self.uv = node.uv
-        elif self.uv != node.uv:
+        if self.uv == node.uv:
+            return made
+        first, this = (np.vstack([np.array(uv.matrix), [0.0, 0.0, 1.0]]) for uv in (self.uv, node.uv))
+        if self.uv.primvar != node.uv.primvar or abs(np.linalg.det(first)) < 1e-12:
             self.notes.warn(self.shader.GetPath(), f"textures with different coordinates; all are drawn with {self.uv.primvar!r} as the first one is")
+            return made
+        return made | {"to_uv": this @ np.linalg.inv(first)}
 
     def color(self, name: str, default: tuple[float, ...]) -> dict[str, Any]:
         output = self.producer(name)
-        if output is not None and shader_id(output.GetPrim()).startswith("UsdPrimvarReader"):
+        kind = shader_id(output.GetPrim()) if output is not None else ""
+        if output is not None and kind.startswith(("UsdPrimvarReader", "ND_UsdPrimvarReader", "ND_geompropvalue")):
             reader = UsdShade.Shader(output.GetPrim())
-            if str(value_of(reader, "varname", self.time, "")) == "displayColor":
+            if str(value_of(reader, "geomprop" if kind.startswith("ND_geom") else "varname", self.time, "")) == "displayColor":
                 self.vertex_color = True
                 return dict(_VERTEX_COLOR)
         node = self.texture(name)
@@ -246,19 +361,17 @@ class _Inputs:
         value = sampled(node, self.images, channels=3)
         if isinstance(value, tuple):
             return _rgb([min(max(c, 0.0), 1.0) for c in value])
-        self.read_uv(node)
-        return _bitmap(value if value.dtype == np.uint8 else np.clip(value, 0.0, 1.0), node, raw=False)
+        return self.bitmap(value if value.dtype == np.uint8 else np.clip(value, 0.0, 1.0), node, raw=False)
 
     def number(self, name: str, default: float) -> Any:
         node = self.texture(name)
         if node is None:
-            value = default if self.producer(name) is not None or not self.names[name] else value_of(self.shader, self.names[name], self.time, default)
-            return min(max(float(value), 0.0), 1.0)
+            value = default if self.producer(name) is not None or not self.has(name) else value_of(self.shader, self.names[name], self.time, default)
+            return min(max(float(np.mean(value)), 0.0), 1.0)
         value = sampled(node, self.images, channels=1)
         if isinstance(value, tuple):
             return min(max(value[0], 0.0), 1.0)
-        self.read_uv(node)
-        return _bitmap(np.clip(value, 0.0, 1.0), node, raw=True)
+        return self.bitmap(np.clip(value, 0.0, 1.0), node, raw=True)
 
     def opacity(self) -> Any:
         """Opacity as a number or bitmap, or None where the surface is opaque."""
@@ -274,27 +387,23 @@ class _Inputs:
 
     def emission(self) -> tuple[dict[str, Any] | None, float]:
         """Radiance and its mean luminance, or (None, 0) for a dark surface."""
-        if not self.names["emissiveColor"]:
+        if not self.has("emissiveColor"):
             return None, 0.0
         node = self.texture("emissiveColor")
-        value: Any = self.constant_color("emissiveColor", (0.0, 0.0, 0.0)) if node is None else sampled(node, self.images, channels=3)
+        dark = (1.0, 1.0, 1.0) if self.names.weights else (0.0, 0.0, 0.0)  # where a weight switches it on
+        value: Any = self.constant_color("emissiveColor", dark) if node is None else sampled(node, self.images, channels=3)
         if isinstance(value, tuple):
             strength = [max(float(c), 0.0) for c in value]
             return (_rgb(strength), float(LUMINANCE @ strength)) if max(strength) > 0.0 else (None, 0.0)
         assert node is not None
-        self.read_uv(node)
         decoded = np.maximum(linear(value, srgb=value.dtype == np.uint8), 0.0)
         if not decoded.any():
             return None, 0.0
-        return _bitmap(decoded, node, raw=True), float(LUMINANCE @ decoded.mean(axis=(0, 1)))
+        return self.bitmap(decoded, node, raw=True), float(LUMINANCE @ decoded.mean(axis=(0, 1)))
 
 
 def _rgb(value: list[float]) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(c) for c in value]}
-
-
-def _bitmap(pixels: Any, node: TextureNode, *, raw: bool) -> dict[str, Any]:
-    return {"type": "bitmap", "bitmap": pixels, "raw": raw, "wrap_mode": node.wrap}
 
 
 def _told(part: Any) -> Any:
@@ -313,8 +422,9 @@ def _without_textures(part: dict[str, Any]) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for name, value in part.items():
         if isinstance(value, dict) and value["type"] == "bitmap":
-            texel = linear(value["bitmap"][-1:, :1], srgb=value["bitmap"].dtype == np.uint8).reshape(-1)
-            result[name] = float(texel[0]) if value["raw"] else _rgb([float(c) for c in texel])
+            raw = bool(value.get("raw", False))
+            texel = linear(value["bitmap"][-1:, :1], srgb=value["bitmap"].dtype == np.uint8 and not raw).reshape(-1)
+            result[name] = float(texel[0]) if raw or len(texel) < 3 else _rgb([float(c) for c in texel[:3]])
         else:
             result[name] = _without_textures(value) if isinstance(value, dict) and "type" in value else value
     return result

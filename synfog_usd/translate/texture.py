@@ -17,10 +17,22 @@ import numpy.typing as npt
 import OpenImageIO
 from pxr import Ar, Gf, Usd, UsdShade
 
+from synfog_usd.errors import StageError
 from synfog_usd.translate.notes import Notebook
 
-MAX_PIXELS = 1 << 27
-"""Pixels of one texture; 8k x 16k."""
+MAX_PIXELS = 1 << 26
+"""Pixels of one texture; 8192 x 8192.  Asked of its header, before it is decoded."""
+
+MAX_BYTES = 1 << 33
+"""Of all textures of a stage as they are decoded."""
+
+PICTURES = frozenset(
+    (
+        *(".png", ".jpg", ".jpeg", ".jpe", ".exr", ".hdr", ".pic", ".tif", ".tiff", ".tx", ".tga", ".bmp", ".webp", ".psd", ".gif"),
+        *(".jp2", ".j2k", ".jxl", ".dds", ".sgi", ".rgb", ".rgba", ".pnm", ".ppm", ".pgm", ".heic", ".avif"),
+    )
+)
+"""Ends of the names of files that are opened as pictures; a library that tries whatever it knows on any file opens videos and raw photographs too."""
 
 _CODES = np.arange(256) / 255.0
 SRGB_TO_LINEAR = np.where(_CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4).astype(np.float32)
@@ -47,7 +59,12 @@ class UvSource:
 
 @dataclass(frozen=True)
 class TextureNode:
-    """A UsdUVTexture as authored; `file` is '' where it cannot be found."""
+    """A UsdUVTexture as authored; `file` is '' where it cannot be found.
+
+    `tiles` are the (number, file) of a tiled texture, from 1001 on; `file` is then
+    its name with <UDIM> in it, and `uv` goes to the picture that `ImageReader.of`
+    puts together.
+    """
 
     path: str
     file: str
@@ -59,6 +76,7 @@ class TextureNode:
     bias: tuple[float, ...]
     fallback: tuple[float, ...]
     uv: UvSource | None
+    tiles: tuple[tuple[int, str], ...] = ()
 
 
 class ImageReader:
@@ -67,6 +85,7 @@ class ImageReader:
     def __init__(self, notes: Notebook) -> None:
         self.notes = notes
         self._images: dict[str, Pixels | None] = {}
+        self._bytes = 0
         self.sampled: dict[tuple[Any, ...], Pixels | tuple[float, ...]] = {}
 
     def read(self, file: str, path: str) -> Pixels | None:
@@ -75,7 +94,46 @@ class ImageReader:
             self._images[file] = self._read(file, path)
         return self._images[file]
 
+    def of(self, node: TextureNode) -> Pixels | None:
+        """The picture of a texture node, its tiles side by side; None where there is none."""
+        if not node.tiles:
+            return self.read(node.file, node.path) if node.file else None
+        if node.file not in self._images:
+            self._images[node.file] = self._joined(node)
+        return self._images[node.file]
+
+    def _joined(self, node: TextureNode) -> Pixels | None:
+        """Tiles in one picture, each scaled to the largest; what no tile covers is black."""
+        left, bottom, columns, rows = tile_range(node.tiles)
+        read = [(number, self.read(file, node.path)) for number, file in node.tiles]
+        tiles = [(number, pixels) for number, pixels in read if pixels is not None]
+        if not tiles:
+            return None
+        tall, wide = max(pixels.shape[0] for _, pixels in tiles), max(pixels.shape[1] for _, pixels in tiles)
+        height, width = tall, wide
+        while height * width * columns * rows > MAX_PIXELS:
+            height, width = max(height // 2, 1), max(width // 2, 1)
+        if height < tall:
+            self.notes.warn(node.path, f"{columns} x {rows} tiles are drawn with {width} x {height} pixels each: together at most {MAX_PIXELS} are")
+        channels = max(pixels.shape[2] for _, pixels in tiles)
+        eight_bit = all(pixels.dtype == np.uint8 for _, pixels in tiles)
+        result: Pixels = np.zeros((height * rows, width * columns, channels), dtype=np.uint8 if eight_bit else np.float32)
+        for number, pixels in tiles:
+            values: Pixels = pixels if eight_bit or pixels.dtype != np.uint8 else pixels.astype(np.float32) / np.float32(255.0)
+            values = np.concatenate([values, *[values[..., -1:]] * (channels - values.shape[2])], axis=2)
+            if values.shape[:2] != (height, width):
+                source = OpenImageIO.ImageBuf(np.ascontiguousarray(values))
+                region = OpenImageIO.ROI(0, width, 0, height, 0, 1, 0, channels)
+                values = OpenImageIO.ImageBufAlgo.resize(source, roi=region).get_pixels("uint8" if eight_bit else "float")
+            column, row = (number - 1001) % 10 - left, rows - 1 - ((number - 1001) // 10 - bottom)
+            result[row * height : (row + 1) * height, column * width : (column + 1) * width] = values
+        return result
+
     def _read(self, file: str, path: str) -> Pixels | None:
+        inner = Ar.SplitPackageRelativePathInner(file)[1] if Ar.IsPackageRelativePath(file) else file
+        if Path(inner).suffix.lower() not in PICTURES:
+            self.notes.warn(path, f"texture {file} is no picture by its name, and is not opened; convert it to PNG or EXR")
+            return None
         if not Ar.IsPackageRelativePath(file):
             return self._decode(file, file, path)
         asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(file))
@@ -103,6 +161,10 @@ class ImageReader:
             self.notes.warn(path, f"texture {shown} of {spec.width} x {spec.height} pixels is too large; at most {MAX_PIXELS} are read")
             return None
         eight_bit = spec.format == OpenImageIO.TypeUInt8
+        self._bytes += spec.width * spec.height * min(spec.nchannels, 4) * (1 if eight_bit else 4)
+        if self._bytes > MAX_BYTES:
+            image.close()
+            raise StageError(f"{path}: with texture {shown} all textures take {self._bytes >> 20} MiB decoded; at most {MAX_BYTES >> 20} are read: shrink some")
         pixels = image.read_image(0, 0, 0, min(spec.nchannels, 4), "uint8" if eight_bit else "float")
         problem = image.geterror()
         image.close()
@@ -114,6 +176,13 @@ class ImageReader:
             self.notes.warn(path, f"texture {shown} holds values that are no finite numbers; they are 0")
             array = np.nan_to_num(array, nan=0.0, posinf=0.0, neginf=0.0)
         return array
+
+
+def tile_range(tiles: tuple[tuple[int, str], ...]) -> tuple[int, int, int, int]:
+    """(first column, first row, columns, rows) that tiles cover; 1001 is column 0 of row 0, ten to a row."""
+    places = [divmod(number - 1001, 10) for number, _ in tiles]
+    rows, columns = [row for row, _ in places], [column for _, column in places]
+    return min(columns), min(rows), max(columns) - min(columns) + 1, max(rows) - min(rows) + 1
 
 
 def is_srgb(node: TextureNode, pixels: Pixels) -> bool:
@@ -156,10 +225,16 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Notebook) -> 
         notes.info(path, "wrap mode 'black' is drawn as 'clamp'")
     authored = getattr(asset, "path", "") or ""
     file = getattr(asset, "resolvedPath", "") or ""
+    uv, wrap = _uv_source(shader, time, notes), _WRAP.get(wraps[0], "repeat")
+    tiles: tuple[tuple[int, str], ...] = ()
     if "<UDIM>" in authored:
-        notes.warn(path, f"tiled texture {authored} is not read; its fallback is used")
-        file = ""
-    elif not file:
+        tiles = _tiles(shader, authored, file)
+        file = (file or authored) if tiles else ""
+        if tiles and uv is not None:
+            left, bottom, columns, rows = tile_range(tiles)
+            onto = np.array([[1.0 / columns, 0.0, -left / columns], [0.0, 1.0 / rows, -bottom / rows]]) @ np.vstack([np.array(uv.matrix), [0.0, 0.0, 1.0]])
+            uv, wrap = UvSource(uv.primvar, (tuple(map(float, onto[0])), tuple(map(float, onto[1])))), "clamp"  # type: ignore[arg-type]
+    if not file:
         notes.warn(path, f"texture {authored or '(no file)'} is not found; its fallback {fallback[:3]} is used")
     return TextureNode(
         path=path,
@@ -167,12 +242,24 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Notebook) -> 
         authored=authored,
         channel=output.GetBaseName(),
         color_space=str(value_of(shader, "sourceColorSpace", time, "auto")),
-        wrap=_WRAP.get(wraps[0], "repeat"),
+        wrap=wrap,
         scale=scale,
         bias=bias,
         fallback=fallback,
-        uv=_uv_source(shader, time, notes),
+        uv=uv,
+        tiles=tiles,
     )
+
+
+def _tiles(shader: UsdShade.Shader, authored: str, file: str) -> tuple[tuple[int, str], ...]:
+    """The tiles of a texture with <UDIM> in its name, by number."""
+    for attribute in UsdShade.Utils.GetValueProducingAttributes(shader.GetInput("file")):
+        for spec in attribute.GetPropertyStack(Usd.TimeCode.Default()):
+            found = UsdShade.UdimUtils.ResolveUdimTilePaths(authored, spec.layer) or UsdShade.UdimUtils.ResolveUdimTilePaths(file, spec.layer)
+            numbered = [(int(tile), str(path)) for path, tile in found if str(tile).isdigit() and 1001 <= int(tile) <= 1100]
+            if numbered:
+                return tuple(sorted(numbered))
+    return ()
 
 
 _TUPLES = (("scale", Gf.Vec4f(1, 1, 1, 1)), ("bias", Gf.Vec4f(0, 0, 0, 0)), ("fallback", Gf.Vec4f(0, 0, 0, 1)))
@@ -218,8 +305,8 @@ def _uv_source(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Notebook) -> 
         if output is None:
             return None
         node = UsdShade.Shader(output.GetPrim())
-        kind = shader_id(output.GetPrim())
-        if kind == "UsdTransform2d":
+        kind = shader_id(output.GetPrim()).removeprefix("ND_")  # as MaterialX names the same nodes
+        if kind.startswith("UsdTransform2d"):
             angle = np.radians(float(value_of(node, "rotation", time, 0.0)))
             scale, shift = value_of(node, "scale", time, (1.0, 1.0)), value_of(node, "translation", time, (0.0, 0.0))
             turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
@@ -255,7 +342,7 @@ def sampled(node: TextureNode, images: ImageReader, *, channels: int) -> Pixels 
 
 
 def _sampled(node: TextureNode, images: ImageReader, channels: int) -> Pixels | tuple[float, ...]:
-    pixels = images.read(node.file, node.path) if node.file else None
+    pixels = images.of(node)
     if pixels is None:
         return _fallback(node, channels)
     if node.uv is None:

@@ -1,7 +1,8 @@
 """Fog: boundaries and media from the prims that carry fog attributes.
 
 Takes leaves of the walk; gives `FogVolume`s in scene metres, each with the one
-that surrounds it.  A density grid's file is read here.
+that surrounds it.  A density grid's file is read here, and what other tools write
+for fog is recognised or refused with advice.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Ar, Sdf, Usd, UsdGeom
+from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade
 
 from synfog_usd.errors import ParameterError, StageError, did_you_mean
 from synfog_usd.fog import Boundary, FogMedium, FogVolume, extinction_from_visibility
@@ -24,6 +25,7 @@ from synfog_usd.fog.medium import ANGSTROM
 from synfog_usd.fog.phase import Droplets, Phase, Tabulated
 from synfog_usd.fog.volume import crosses, is_inside
 from synfog_usd.scene import Camera
+from synfog_usd.stage.open import fence_of
 from synfog_usd.stage.schema import DEFAULTS, PREFIX, FogAttributes, read_fog
 from synfog_usd.translate.geometry import part, read_implicit, read_mesh
 from synfog_usd.translate.notes import Notebook
@@ -40,8 +42,24 @@ LAYER_HALF_WIDTH_M = 2000.0
 PHASES = ("hg", "droplets", "mie")
 PROFILES = ("uniform", "exponential", "grid")
 
+_FAR = 1e30
+"""Coordinates beyond it overflow where they are multiplied."""
+
 _MAX_BYTES = 8 * MAX_VOXELS + 4096
 """Of an array in a file, in double precision."""
+
+
+class FogError(StageError):
+    """Fog boundaries that cannot be where they are.
+
+    Attributes:
+        rule: the rule of `synfog_usd.stage.rules` that they break.
+        path: prim path of the boundary.
+    """
+
+    def __init__(self, rule: str, path: str, text: str) -> None:
+        super().__init__(text)
+        self.rule, self.path = rule, path
 
 
 def fog_volume(prim: Usd.Prim, source: Usd.Prim | None, matrix: Array, time: Usd.TimeCode, notes: Notebook) -> FogVolume | None:
@@ -61,8 +79,10 @@ def fog_volume(prim: Usd.Prim, source: Usd.Prim | None, matrix: Array, time: Usd
         attributes = FogAttributes(str(prim.GetPath()), DEFAULTS, {})
     if not attributes.values["enabled"]:
         return None
+    if prim.GetTypeName() == "Volume" and "densityGrid" not in attributes.attribute_of and _vdb_path(prim) is not None:
+        return _vdb_volume(prim, attributes, matrix, notes)
     boundary = _boundary(prim, matrix, time, notes)
-    medium = _medium(attributes, _lowest(boundary), Path(prim.GetStage().GetRootLayer().realPath), notes)
+    medium = _medium(attributes, _lowest(boundary), prim.GetStage(), notes)
     return FogVolume(str(prim.GetPath()), boundary, medium, attributes.values["priority"])
 
 
@@ -70,11 +90,12 @@ def nested(volumes: list[FogVolume]) -> tuple[FogVolume, ...]:
     """The same volumes, each with the innermost other one around it as parent.
 
     Raises:
-        StageError: two boundaries that cross.
+        FogError: two boundaries that cross.
     """
     inner = [_shrunk(volume.boundary) for volume in volumes]
     sizes = [_size(volume.boundary) for volume in volumes]
     around: list[list[int]] = [[] for _ in volumes]
+    crossing: list[tuple[str, str]] = []
     for i in range(len(volumes)):
         for j in range(i):
             i_in_j, j_in_i = is_inside(inner[i], volumes[j].boundary), is_inside(inner[j], volumes[i].boundary)
@@ -86,9 +107,15 @@ def nested(volumes: list[FogVolume]) -> tuple[FogVolume, ...]:
             elif j_in_i:
                 around[j].append(i)
             elif crosses(inner[i], inner[j]):
-                raise StageError(
-                    f"{volumes[j].path} and {volumes[i].path}: fog boundaries that cut through each other; put one wholly inside the other, or move them apart"
-                )
+                crossing.append((volumes[j].path, volumes[i].path))
+    if crossing:
+        first, second = crossing[0]
+        more = f" (and {len(crossing) - 1} pairs more)" if len(crossing) > 1 else ""
+        raise FogError(
+            "fog-crosses",
+            first,
+            f"{first} and {second}: fog boundaries that cut through each other{more}; put one wholly inside the other, or move them apart",
+        )
     return tuple(replace(volume, parent=max(around[k], key=lambda j: len(around[j])) if around[k] else None) for k, volume in enumerate(volumes))
 
 
@@ -122,7 +149,7 @@ def refuse_cut(fog: tuple[FogVolume, ...], camera: Camera) -> None:
     differ, all that it meets is drawn in the wrong fog.
 
     Raises:
-        StageError: with the boundary's prim path and the camera's.
+        FogError: with the boundary's prim path and the camera's.
     """
     half = camera.near_m * math.tan(math.radians(camera.fov_x_deg) / 2.0)
     tall = half * camera.height_px / camera.width_px
@@ -130,9 +157,11 @@ def refuse_cut(fog: tuple[FogVolume, ...], camera: Camera) -> None:
     pyramid = apply(camera.to_world, np.array([(0.0, 0.0, 0.0), *corners]))
     for volume in fog:
         if volume.boundary.meets(pyramid):
-            raise StageError(
+            raise FogError(
+                "fog-cut",
+                volume.path,
                 f"{volume.path}: the fog's boundary lies between the camera {camera.path} and its near plane at {camera.near_m:g} m; "
-                f"move one of them, or lower the camera's clippingRange"
+                f"move one of them, or lower the camera's clippingRange",
             )
 
 
@@ -147,6 +176,8 @@ def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Notebook
         if kind in ("Cube", "Sphere"):
             attribute = prim.GetAttribute("size" if kind == "Cube" else "radius")
             half = float(attribute.Get(time)) / (2.0 if kind == "Cube" else 1.0)
+            if not abs(half) < _FAR:
+                raise StageError(f"{path}: its {attribute.GetName()} is {2.0 * half if kind == 'Cube' else half:g}; a fog boundary has a size that is a number")
             return Boundary("box" if kind == "Cube" else "sphere", matrix @ scaled(half, half, half))
         if kind == "Volume":
             return _extent_box(prim, matrix, time)
@@ -166,12 +197,16 @@ def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Notebook
 
 def _extent_box(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode) -> Boundary:
     extent = UsdGeom.Boundable(prim).GetExtentAttr().Get(time)
-    if extent is None or len(extent) != 2:
+    if extent is None or len(extent) != 2 or not np.abs(np.array(extent)).max() < _FAR:
         raise StageError(f"{prim.GetPath()}: a Volume holds fog only with an extent; author it, or use a Cube")
-    low, high = np.array(extent[0], dtype=np.float64), np.array(extent[1], dtype=np.float64)
+    return Boundary("box", matrix @ _box(np.array(extent[0], dtype=np.float64), np.array(extent[1], dtype=np.float64)))
+
+
+def _box(low: Array, high: Array) -> Array:
+    """(4, 4) matrix that takes [-1, 1]^3 to the box between two corners."""
     box = scaled(*((high - low) / 2.0))
     box[:3, 3] = (low + high) / 2.0
-    return Boundary("box", matrix @ box)
+    return box
 
 
 def _mesh_boundary(vertices: Array, faces: npt.NDArray[np.int64], path: object) -> Boundary:
@@ -225,7 +260,8 @@ def _open_edges(mesh: tuple[Array, npt.NDArray[np.int64]]) -> int:
     return int(len(np.setxor1d(forward, backward)) // 2 + len(forward) - len(np.unique(forward)))
 
 
-def _medium(attributes: FogAttributes, base_m: float, stage_file: Path, notes: Notebook) -> FogMedium:
+def _medium(attributes: FogAttributes, base_m: float, stage: Usd.Stage, notes: Notebook, *, grid: DensityGrid | None = None, densest: float = 1.0) -> FogMedium:
+    """What fills a boundary; with a `grid` of its own, whose 1 stands for the density `densest`, whatever profile is authored."""
     values, authored = attributes.values, attributes.attribute_of
 
     def fault(name: str, allowed: str) -> StageError:
@@ -250,9 +286,11 @@ def _medium(attributes: FogAttributes, base_m: float, stage_file: Path, notes: N
     phase = _phase(attributes, fault, notes)
     if values["angstrom"] != 0.0:
         notes.info(attributes.path, "its Angstrom exponent shows in wavelength bands (--bands 8, 16 or 31); R, G and B all get the extinction at 550 nm")
-    grid = None
-    if values["profile"] == "grid":
-        grid = _density_grid(values["densityGrid"], stage_file, fault)
+    profile: Any = values["profile"] if grid is None else "grid"
+    if grid is not None:
+        pass
+    elif profile == "grid":
+        grid = _density_grid(values["densityGrid"], stage, fault)
     elif "densityGrid" in authored:
         notes.warn(attributes.path, f"the density grid is not drawn with profile {values['profile']!r}; set it to 'grid'")
     sigma_t = values["sigma_t"]
@@ -262,7 +300,7 @@ def _medium(attributes: FogAttributes, base_m: float, stage_file: Path, notes: N
             notes.info(attributes.path, f"fog without a visibility gets {DEFAULT_MOR_M:g} m; author {PREFIX}mor [m]")
     try:
         return FogMedium(
-            sigma_t, values["albedo"], values["g"], values["profile"], base_m, values["scaleHeight"], phase=phase, angstrom=values["angstrom"], grid=grid
+            sigma_t * densest, values["albedo"], values["g"], profile, base_m, values["scaleHeight"], phase=phase, angstrom=values["angstrom"], grid=grid
         )
     except ParameterError as problem:
         name = "sigma_t" if "sigma_t" in authored else "mor"
@@ -289,23 +327,131 @@ def _phase(attributes: FogAttributes, fault: Fault, notes: Notebook) -> Phase | 
         raise fault("dropletDiameter", str(problem)) from problem
 
 
-def _density_grid(asset: Sdf.AssetPath | None, stage_file: Path, fault: Fault) -> DensityGrid:
-    """The one array of a .npy or .npz file below the stage's folder."""
+def _density_grid(asset: Sdf.AssetPath | None, stage: Usd.Stage, fault: Fault) -> DensityGrid:
+    """The one array of a .npy or .npz file below the stage's folder or an allowed one."""
     if asset is None or not asset.path:
         raise fault("densityGrid", "profile 'grid' needs a .npy or .npz file")
     if Ar.IsPackageRelativePath(asset.resolvedPath):
         raise fault("densityGrid", "a grid within a .usdz is not read; put it beside the package's content in a folder")
     if not asset.resolvedPath or not Path(asset.resolvedPath).is_file():
         raise fault("densityGrid", "there is no such file")
-    path, folder = Path(asset.resolvedPath).resolve(), stage_file.resolve().parent
-    if not stage_file.name or not path.is_relative_to(folder):
-        raise fault("densityGrid", f"a grid lies in the folder of the stage or below it{f' ({folder})' if stage_file.name else ', and this stage has no file'}")
+    path = Path(asset.resolvedPath)
+    if (problem := fence_of(stage).fault(path)) is not None:
+        raise fault("densityGrid", problem)
     if path.suffix not in (".npy", ".npz"):
         raise fault("densityGrid", "a grid is a .npy or .npz file")
     try:
         return DensityGrid(_one_array(path))
     except (ParameterError, OSError, ValueError, EOFError, zipfile.BadZipFile) as problem:
         raise fault("densityGrid", str(problem).strip() or "the file is damaged") from problem
+
+
+def fog_box(prim: Usd.Prim, material: UsdShade.Material, time: Usd.TimeCode, notes: Notebook, *, is_blender: bool) -> bool | None:
+    """Whether a mesh without fog attributes, whose material has no surface, is the box of an exported volume.
+
+    Blender writes a box with a volume material as a mesh whose material has no output
+    at all; other tools leave an output for volumes.  Elsewhere the name must say fog,
+    because a mesh whose material was lost must not become fog.
+
+    Returns:
+        True for fog, False for a shape like others, None for a volume that is not
+        closed: it is neither drawn nor fog.
+    """
+    words = f"{prim.GetPath()} {material.GetPath().name}".lower()
+    meant = any(word in words for word in ("fog", "mist", "haze")) or any(output.GetAttr().IsAuthored() for output in material.GetVolumeOutputs())
+    if not meant and not is_blender:
+        return False
+    polygons = read_mesh(prim, time, notes)
+    made = part(polygons, None) if polygons is not None else None
+    if made is not None and is_closed(made.positions, made.faces):
+        return True
+    if meant:
+        notes.warn(prim.GetPath(), "a volume's mesh that is not closed is left out: close it, and author synfog:fog:mor on it for fog")
+        return None
+    return False
+
+
+def rtx_fog(stage: Usd.Stage, notes: Notebook) -> None:
+    """Note Omniverse's fog, a colour laid over the distance after rendering, of which no visibility can be told."""
+    settings = stage.GetRootLayer().customLayerData.get("renderSettings", {})
+    found = {name: settings[name] for name in settings if str(name).startswith("rtx:fog:")}
+    where = ""
+    for prim in stage.Traverse():
+        if prim.GetTypeName() == "RenderSettings":
+            named = {attribute.GetName(): attribute.Get() for attribute in prim.GetAuthoredAttributes()}
+            own = {name[name.index("rtx:fog:") :]: value for name, value in named.items() if "rtx:fog:" in name}
+            where = str(prim.GetPath()) if own else where
+            found |= own
+    if not found or not found.get("rtx:fog:enabled", True):
+        return
+    end = found.get("rtx:fog:fogEndDist")
+    metres = float(end) * UsdGeom.GetStageMetersPerUnit(stage) if isinstance(end, (int, float)) and math.isfinite(end) and end > 0 else 0.0
+    hint = f"mor{metres:.0f}" if metres >= 1.0 else "mor300"
+    notes.warn(
+        where,
+        f"Omniverse's fog (rtx:fog) is a colour over the distance without a visibility, and is not drawn.  Bake with --fog {hint}, or give a Cube {PREFIX}mor",
+    )
+
+
+# -- OpenVDB
+
+VDB_TOOL = "vdb2npz.py"
+
+
+def vdb_fault(prim: Usd.Prim) -> str | None:
+    """Why a Volume cannot be fog, with the way out; None where a .npz stands beside its .vdb."""
+    path = _vdb_path(prim)
+    if path is None:
+        return "it has no OpenVDB file that can be found; give it a field:density, or use a Cube with SynFogMediumAPI"
+    if path.suffix.lower() != ".vdb":
+        return f"{path.name} is no .vdb file; convert it to OpenVDB, or use a Cube with SynFogMediumAPI"
+    if not path.with_suffix(".npz").is_file():
+        return f"{path.name} is OpenVDB; make {path.stem}.npz beside it: blender --background --python {VDB_TOOL} -- {path}"
+    return None
+
+
+def _vdb_path(prim: Usd.Prim) -> Path | None:
+    """File of a Volume's density, or of its first field."""
+    fields = prim.GetRelationships()
+    for name in ("field:density", *[field.GetName() for field in fields if field.GetName().startswith("field:")]):
+        for target in prim.GetRelationship(name).GetForwardedTargets() if prim.HasRelationship(name) else ():
+            field = prim.GetStage().GetPrimAtPath(target)
+            asset = field.GetAttribute("filePath").Get() if field and field.GetAttribute("filePath") else None
+            if isinstance(asset, Sdf.AssetPath) and asset.resolvedPath and not Ar.IsPackageRelativePath(asset.resolvedPath):
+                return Path(asset.resolvedPath)
+    return None
+
+
+def _vdb_volume(prim: Usd.Prim, attributes: FogAttributes, matrix: Array, notes: Notebook) -> FogVolume:
+    """Fog of an OpenVDB volume, from the .npz that was made of it.
+
+    Raises:
+        StageError: there is none, or it is damaged.
+    """
+    path = prim.GetPath()
+    if (problem := vdb_fault(prim)) is not None:
+        raise StageError(f"{path}: {problem}")
+    file = _vdb_path(prim)
+    assert file is not None
+    file = file.with_suffix(".npz")
+    if (problem := fence_of(prim.GetStage()).fault(file)) is not None:
+        raise StageError(f"{path}: {problem}")
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            if any(member.file_size > _MAX_BYTES for member in archive.zip.infolist()):
+                raise ParameterError(f"it unpacks to more than {_MAX_BYTES} bytes")
+            low, high = (np.asarray(archive[name], dtype=np.float64).reshape(3) for name in ("low", "high"))
+            grid, densest = DensityGrid(archive["density"]), float(archive["largest"])
+        if not (np.isfinite([low, high]).all() and (high > low).all() and 0.0 < densest < math.inf):
+            raise ParameterError(f"its box from {low} to {high} or its density {densest:g} makes no sense")
+    except (ParameterError, OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as problem:
+        raise StageError(f"{path}: {file.name}: {str(problem).strip() or 'damaged'}; make it again with {VDB_TOOL}") from problem
+    boundary = Boundary("box", matrix @ _box(low, high))
+    voxels = " x ".join(map(str, grid.values.shape[::-1]))
+    notes.info(path, f"OpenVDB volume from {file.name}, {voxels} voxels; where its density is 1 the extinction is that of its fog attributes")
+    return FogVolume(
+        str(path), boundary, _medium(attributes, _lowest(boundary), prim.GetStage(), notes, grid=grid, densest=densest), attributes.values["priority"]
+    )
 
 
 def _one_array(path: Path) -> npt.NDArray[Any]:

@@ -19,6 +19,7 @@ from synfog_usd.stage.open import MAX_DEPTH
 from synfog_usd.stage.schema import has_fog_attributes
 from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.space import columns
+from synfog_usd.translate.volume import vdb_fault
 
 Array = npt.NDArray[np.float64]
 
@@ -28,12 +29,15 @@ MAX_LEAVES = 5_000_000
 MAX_NESTED = 200_000
 """Leaves that nested instances may list again."""
 
-DRAWN = frozenset({"Mesh", "Cube", "Sphere", "Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1", "Plane"})
-_NOT_DRAWN = frozenset({"BasisCurves", "NurbsCurves", "HermiteCurves", "Points", "NurbsPatch", "TetMesh"})
+DRAWN = frozenset({"Mesh", "Cube", "Sphere", "Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1", "Plane", "BasisCurves", "Points"})
+_NOT_DRAWN = frozenset({"NurbsCurves", "HermiteCurves", "NurbsPatch", "TetMesh"})
 _LIGHTS = frozenset({"DomeLight", "DomeLight_1", "DistantLight", "SphereLight", "RectLight", "DiskLight", "CylinderLight"})
 _PRUNED = frozenset(
     {"Material", "Shader", "NodeGraph", "Skeleton", "SkelAnimation", "BlendShape", "GeomSubset", "RenderSettings", "RenderProduct", "RenderVar"}
 )
+ALSO_OVERS = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
+"""Prims that count within a prototype: artists keep prototypes under an `over`, which hides them from everything else."""
+
 _PASSED = frozenset({"", "Xform", "Scope", "SkelRoot", "Camera", "OpenVDBAsset", "Field3DAsset"})
 
 
@@ -109,6 +113,8 @@ class Walk:
     leaves: list[Leaf] = field(default_factory=list)
     groups: list[Group] = field(default_factory=list)
     placements: list[Placement] = field(default_factory=list)
+    sheer: bool = False
+    """Whether any prim has a displayOpacity."""
 
 
 @dataclass(slots=True)
@@ -151,7 +157,7 @@ class _Walker:
     def into(self, root: Usd.Prim, start: _State, group: Group | None, frame: Usd.Prim | None) -> None:
         """Walk the subtree of `root`; leaves go to `group`, relative to `frame`, or to the world."""
         stack = [start]
-        iterator = iter(Usd.PrimRange(root))
+        iterator = iter(Usd.PrimRange(root) if root.IsPseudoRoot() or root.IsDefined() else Usd.PrimRange(root, ALSO_OVERS))
         for prim in iterator:
             if prim.IsPseudoRoot():
                 continue
@@ -199,6 +205,12 @@ class _Walker:
             owner = Owner(path, official or UNLABELED, splits)
         if "primvars:displayColor" in authored:
             color = self.constant_color(prim, color)
+        if "primvars:displayOpacity" in authored:
+            self.result.sheer = True
+        if "model:drawMode" in authored:
+            mode = prim.GetAttribute("model:drawMode").Get(self.time)
+            if mode in ("bounds", "cards", "origin"):
+                self.notes.info(prim.GetPath(), f"draw mode {mode!r} stands for the model in viewports; the model itself is drawn")
         if has_fog_attributes(prim, authored):
             fog = prim
         return _State(depth, drawn, owner, model, color, fog, above.material)
@@ -232,6 +244,8 @@ class _Walker:
                     self.notes.warn(parent.GetPath(), f"has fog attributes but {len(siblings)} shapes below; put the attributes on the boundary itself")
         if kind in _PASSED:
             return
+        if fog is None and kind == "Volume" and state.drawn and vdb_fault(prim) is None:
+            fog = prim
         if fog is None and not is_light and kind not in DRAWN:
             self.unknown(prim, kind, state)
             return
@@ -257,7 +271,7 @@ class _Walker:
                 self.notes.warn(prim.GetPath(), f"light of type {kind} is not known; it is dark")
             return
         if prim.IsA(UsdVol.Volume):
-            self.notes.warn(prim.GetPath(), "Volume is not drawn; only uniform and exponential fog within a closed boundary is")
+            self.notes.warn(prim.GetPath(), f"Volume is not drawn: {vdb_fault(prim)}")
         elif kind in _NOT_DRAWN or prim.IsA(UsdGeom.Gprim):
             self.notes.warn(prim.GetPath(), f"{kind} is not drawn; convert it to a Mesh")
         elif kind == "PortalLight":
@@ -289,7 +303,7 @@ class _Walker:
         groups = {}
         for number in np.unique(which[shown]):
             prototype = self.stage.GetPrimAtPath(targets[number])
-            if not prototype or not prototype.IsDefined() or prototype.IsAbstract():
+            if not prototype or not (prototype.IsDefined() or prototype.HasDefiningSpecifier()) or prototype.IsAbstract():
                 self.notes.warn(path, f"prototype {targets[number]} is missing or abstract; its points are left out")
                 continue
             groups[number] = self.group_of(prototype, state, self.bound(prim, state))

@@ -109,12 +109,12 @@ class Glazing:
 
 def build_houses() -> list[Component]:
     """All of `HOUSES`."""
-    return [Component(h.name, "building", tuple(_house(h)[0]), h.about) for h in HOUSES]
+    return [Component(h.name, "building", tuple(house_parts(h)[0]), h.about) for h in HOUSES]
 
 
 def glazing(house: House) -> Glazing:
     """Where the panes of a house are."""
-    return _house(house)[1]
+    return house_parts(house)[1]
 
 
 def build_church() -> Component:
@@ -135,34 +135,35 @@ def build_church() -> Component:
     ]
     for s in (0, 90, 180, 270):
         for z in (17.5, 20.5):
-            parts.append(_flat((-0.9, 0.9, z, z + 2.2), 4.03, "gloss_black").moved(turn(s)))
+            parts.append(flat((-0.9, 0.9, z, z + 2.2), 4.03, "gloss_black").moved(turn(s)))
         parts.append(lathe([(1.5, 0), (1.5, 0.1), (0.001, 0.1)], "frame_white", sides=20).moved(turn(s) @ shift(0, 4.0, 14.5) @ turn(-90, "x")))
-    parts.append(_flat((-1.4, 1.4, 0, 3.6), 4.03, "door_brown"))
+    parts.append(flat((-1.4, 1.4, 0, 3.6), 4.03, "door_brown"))
     return Component("church", "building", tuple(parts), "A church with a spire.")
 
 
-def _house(house: House) -> tuple[list[Part], Glazing]:
+def house_parts(house: House) -> tuple[list[Part], Glazing]:
+    """The triangles of a house and its glazing."""
     rng = stream(0, "house", house.name)
-    fronts = [(_front(house, house.width, house.shops if not house.corner else house.shops[:2], rng, 0), np.eye(4))]
+    fronts = [(front_of(house, house.width, house.shops if not house.corner else house.shops[:2], rng, 0), np.eye(4))]
     if house.corner:
         place = shift(house.width / 2, -house.depth / 2, 0) @ turn(-90)
-        fronts.append((_front(house, house.depth, house.shops[1:], rng, 1), place))
+        fronts.append((front_of(house, house.depth, house.shops[1:], rng, 1), place))
     parts = [p.moved(m) for front, m in fronts for p in front.parts]
     top = house.ground_height + house.floors * house.floor_height
     x, d = house.width / 2, house.depth
     plain = [[(-x, -d, 0), (-x, 0, 0), (-x, 0, top), (-x, -d, top)], [(x, -d, 0), (-x, -d, 0), (-x, -d, top), (x, -d, top)]]
     if not house.corner:
         plain.append([(x, 0, 0), (x, -d, 0), (x, -d, top), (x, 0, top)])
-    tile = _tile(house.wall)
+    tile = tile_of(house.wall)
     for corners in plain:
         length = float(np.linalg.norm(np.subtract(corners[1], corners[0])))
         parts.append(quad(corners, house.wall, [(0, 0), (length / tile, 0), (length / tile, top / tile), (0, top / tile)]))
-    parts += _roof(house, top, rng)
-    corners_w = np.concatenate([_place(np.array(f.panes).reshape(-1, 4, 3), m) for f, m in fronts])
+    parts += roof_of(house, top, rng)
+    corners_w = np.concatenate([place_corners(np.array(f.panes).reshape(-1, 4, 3), m) for f, m in fronts])
     cells = np.concatenate([np.array(f.cells, dtype=int) for f, m in fronts])
-    corners_s = np.concatenate([_place(np.array(f.displays).reshape(-1, 4, 3), m) for f, m in fronts])
+    corners_s = np.concatenate([place_corners(np.array(f.displays).reshape(-1, 4, 3), m) for f, m in fronts])
     rows = np.concatenate([np.array(f.rows, dtype=int) for f, m in fronts])
-    glass = Glazing(corners_w, _cell_uv(cells, ATLAS, ATLAS), corners_s, _cell_uv(rows, SHOPS, 1))
+    glass = Glazing(corners_w, cell_uv(cells, ATLAS, ATLAS), corners_s, cell_uv(rows, SHOPS, 1))
     if len(corners_w):
         parts.append(quads(glass.windows, "window", glass.window_uv))
     if len(corners_s):
@@ -170,7 +171,8 @@ def _house(house: House) -> tuple[list[Part], Glazing]:
     return parts, glass
 
 
-def _front(house: House, width: float, shops: Sequence[int], rng: np.random.Generator, side: int) -> _Front:
+def front_of(house: House, width: float, shops: Sequence[int], rng: np.random.Generator, side: int) -> _Front:
+    """One facade with its storeys; `side` 0 has the entrance."""
     front = _Front()
     half = width / 2
     w, h, sill = house.window
@@ -193,18 +195,18 @@ def _front(house: House, width: float, shops: Sequence[int], rng: np.random.Gene
             if house.surround:
                 _surround(house, front, opening, floor)
             else:
-                front.parts.append(_bar((opening[0] - 0.05, opening[1] + 0.05, opening[2] - 0.06, opening[2]), 0.0, 0.09, "zinc"))
+                front.parts.append(bar((opening[0] - 0.05, opening[1] + 0.05, opening[2] - 0.06, opening[2]), 0.0, 0.09, "zinc"))
             if balcony and (i % 2 == 0 or house.surround == 0):
                 _balcony(house, front, opening, base)
         if floor in (1, house.floors) and house.surround:
-            front.parts.append(_bar((-half, half, base - 0.12, base + 0.06), 0.0, 0.11 if floor == 1 else 0.06, house.trim))
+            front.parts.append(bar((-half, half, base - 0.12, base + 0.06), 0.0, 0.11 if floor == 1 else 0.06, house.trim))
     top = z0 + house.floors * house.floor_height
     if house.roof != "flat":
         for low, high, out in ((-0.55, -0.32, 0.08), (-0.32, -0.14, 0.22), (-0.14, 0.0, 0.38)):
-            front.parts.append(_bar((-half, half, top + low, top + high), 0.0, out, house.trim))
+            front.parts.append(bar((-half, half, top + low, top + high), 0.0, out, house.trim))
         if house.surround:
             for c in np.arange(-half + 0.3, half - 0.2, 0.6):
-                front.parts.append(_bar((c - 0.08, c + 0.08, top - 0.5, top - 0.32), 0.08, 0.2, house.trim))
+                front.parts.append(bar((c - 0.08, c + 0.08, top - 0.5, top - 0.32), 0.08, 0.2, house.trim))
         front.parts.append(tube([(-half, 0.42, top + 0.02), (half, 0.42, top + 0.02)], 0.07, "downpipe", sides=6))
     pipe = half - 0.22
     front.parts.append(tube([(pipe, 0.40, top - 0.05), (pipe, 0.10, top - 0.6), (pipe, 0.10, 0.1)], 0.05, "downpipe", sides=6, capped=False))
@@ -244,55 +246,55 @@ def _ground_floor(house: House, front: _Front, half: float, centres: list[float]
             else:
                 openings.append((c - w / 2, c + w / 2, 1.05, min(1.05 + h, height - 0.5)))
                 _window(house, front, openings[-1], rng)
-                front.parts.append(_bar((c - w / 2 - 0.08, c + w / 2 + 0.08, 0.95, 1.05), 0.0, 0.1, house.trim))
+                front.parts.append(bar((c - w / 2 - 0.08, c + w / 2 + 0.08, 0.95, 1.05), 0.0, 0.1, house.trim))
     openings.sort()
     _wall(front, house.base, half, 0.0, height, openings)
     front.parts.append(_plinth(half, openings, house.base))
     if door_at is not None:
         u0, u1, z1 = (door_at - 0.6, door_at + 0.6, 2.75) if shops else (door_at - 0.65, door_at + 0.65, 2.7)
-        front.parts += [_flat((u0, u1, 0.14, z1 - 0.55), -0.30, house.door), _flat((u0, u1, z1 - 0.5, z1), -0.30, "gloss_black"), _bar((u0, u1, z1 - 0.55,
-            z1 - 0.5), -0.3, -0.24, house.door), _bar((u0, u1, 0, 0.14), -0.3, 0.05, "kerb")]  # fmt: skip
+        front.parts += [flat((u0, u1, 0.14, z1 - 0.55), -0.30, house.door), flat((u0, u1, z1 - 0.5, z1), -0.30, "gloss_black"), bar((u0, u1, z1 - 0.55,
+            z1 - 0.5), -0.3, -0.24, house.door), bar((u0, u1, 0, 0.14), -0.3, 0.05, "kerb")]  # fmt: skip
         for u in (u0 + 0.12, (u0 + u1) / 2 + 0.04):
             for z in (0.32, 1.15):
-                front.parts.append(_bar((u, u + 0.42, z, z + 0.68), -0.3, -0.275, house.door))
+                front.parts.append(bar((u, u + 0.42, z, z + 0.68), -0.3, -0.275, house.door))
         front.parts.append(tube([((u0 + u1) / 2 - 0.06, -0.23, 1.0), ((u0 + u1) / 2 - 0.06, -0.23, 1.35)], 0.015, "chrome", sides=6))
         front.parts += [
-            _bar((u0 - 0.14, u0, 0, z1 + 0.14), 0.0, 0.06, house.trim),
-            _bar((u1, u1 + 0.14, 0, z1 + 0.14), 0.0, 0.06, house.trim),
-            _bar((u0, u1, z1, z1 + 0.14), 0.0, 0.06, house.trim),
+            bar((u0 - 0.14, u0, 0, z1 + 0.14), 0.0, 0.06, house.trim),
+            bar((u1, u1 + 0.14, 0, z1 + 0.14), 0.0, 0.06, house.trim),
+            bar((u0, u1, z1, z1 + 0.14), 0.0, 0.06, house.trim),
         ]
 
 
 def _shop(front: _Front, opening: Rect, row: int, frame: str, rng: np.random.Generator, awning: str) -> None:
     u0, u1, _, z1 = opening
     deep = -0.22
-    front.parts.append(_bar((u0, u1, 0.0, 0.45), deep - 0.05, -0.10, frame))
+    front.parts.append(bar((u0, u1, 0.0, 0.45), deep - 0.05, -0.10, frame))
     door_u = u0 + (u1 - u0) * (0.5 if u1 - u0 > 5 else 0.8)
     for a, b in ((u0, door_u - 0.5), (door_u + 0.5, u1)):
         if b - a < 0.4:
             continue
-        front.displays.append(_corners((a, b, 0.45, z1), deep))
+        front.displays.append(corners_of((a, b, 0.45, z1), deep))
         front.rows.append(int(rng.integers(0, SHOPS)))
         for u in (a, b - 0.07):
-            front.parts.append(_bar((u, u + 0.07, 0.45, z1), deep, deep + 0.07, frame))
+            front.parts.append(bar((u, u + 0.07, 0.45, z1), deep, deep + 0.07, frame))
         for u in np.linspace(a, b, 2 + int((b - a) / 2.4))[1:-1]:
-            front.parts.append(_bar((u - 0.025, u + 0.025, 0.45, z1), deep, deep + 0.06, frame))
-        front.parts.append(_bar((a, b, 2.35, 2.42), deep, deep + 0.06, frame))
-    front.displays.append(_corners((door_u - 0.45, door_u + 0.45, 0.1, 2.35), deep - 0.03))
+            front.parts.append(bar((u - 0.025, u + 0.025, 0.45, z1), deep, deep + 0.06, frame))
+        front.parts.append(bar((a, b, 2.35, 2.42), deep, deep + 0.06, frame))
+    front.displays.append(corners_of((door_u - 0.45, door_u + 0.45, 0.1, 2.35), deep - 0.03))
     front.rows.append(int(rng.integers(0, SHOPS)))
     for u in (door_u - 0.5, door_u + 0.42):
-        front.parts.append(_bar((u, u + 0.08, 0.0, z1), deep - 0.03, deep + 0.08, frame))
+        front.parts.append(bar((u, u + 0.08, 0.0, z1), deep - 0.03, deep + 0.08, frame))
     front.parts += [
-        _bar((door_u - 0.5, door_u + 0.5, 2.32, 2.42), deep - 0.03, deep + 0.08, frame),
-        _bar((door_u - 0.42, door_u + 0.42, 0.0, 0.22), deep - 0.03, deep + 0.03, frame),
+        bar((door_u - 0.5, door_u + 0.5, 2.32, 2.42), deep - 0.03, deep + 0.08, frame),
+        bar((door_u - 0.42, door_u + 0.42, 0.0, 0.22), deep - 0.03, deep + 0.03, frame),
     ]
     front.parts.append(tube([(door_u + 0.34, deep + 0.07, 0.9), (door_u + 0.34, deep + 0.07, 1.5)], 0.016, "chrome", sides=6))
     _reveal(front, opening, deep, frame)
     board = (u0 - 0.05, u1 + 0.05, z1 + 0.02, z1 + 0.58)
-    front.parts.append(_bar(board, 0.0, 0.10, frame))
+    front.parts.append(bar(board, 0.0, 0.10, frame))
     low, high = 1 - (row + 1) / len(FASCIAS), 1 - row / len(FASCIAS)
     middle, reach = (u0 + u1) / 2, min(2.4, (u1 - u0) / 2)
-    front.parts.append(_flat((middle - reach, middle + reach, z1 + 0.04, z1 + 0.56), 0.105, "fascia", [(0, low), (1, low), (1, high), (0, high)]))
+    front.parts.append(flat((middle - reach, middle + reach, z1 + 0.04, z1 + 0.56), 0.105, "fascia", [(0, low), (1, low), (1, high), (0, high)]))
     if awning:
         a, b, c = np.array([u0 - 0.1, 0.12, z1 + 0.04]), np.array([u0 - 0.1, 1.25, z1 - 0.55]), np.array([u0 - 0.1, 1.25, z1 - 0.80])
         across = np.array([u1 - u0 + 0.2, 0, 0])
@@ -312,32 +314,34 @@ def _wall(front: _Front, material: str, half: float, z0: float, z1: float, openi
         at = u1
         _reveal(front, (u0, u1, low, high), -0.22, material)
     cells.append((at, half, z0, z1))
-    tile = _tile(material)
+    tile = tile_of(material)
     kept = [c for c in cells if c[1] - c[0] > 1e-6 and c[3] - c[2] > 1e-6]
     uv = [[(u1 / tile, a / tile), (u0 / tile, a / tile), (u0 / tile, b / tile), (u1 / tile, b / tile)] for u0, u1, a, b in kept]
-    front.parts.append(quads([_corners(c, 0.0) for c in kept], material, uv))
+    front.parts.append(quads([corners_of(c, 0.0) for c in kept], material, uv))
 
 
-def _corners(rect: Rect, n: float) -> Array:
+def corners_of(rect: Rect, n: float) -> Array:
     """Corners of an upright rectangle that faces +Y, counter-clockwise from outside."""
     u0, u1, z0, z1 = rect
     return np.array([(u1, n, z0), (u0, n, z0), (u0, n, z1), (u1, n, z1)])
 
 
-def _flat(rect: Rect, n: float, material: str, uv: Sequence[tuple[float, float]] | None = None) -> Part:
+def flat(rect: Rect, n: float, material: str, uv: Sequence[tuple[float, float]] | None = None) -> Part:
+    """An upright rectangle that faces +Y at y = `n`."""
     u0, u1, z0, z1 = rect
-    return quad(_corners(rect, n), material, uv if uv is not None else [(u1 / 6, z0 / 6), (u0 / 6, z0 / 6), (u0 / 6, z1 / 6), (u1 / 6, z1 / 6)])
+    return quad(corners_of(rect, n), material, uv if uv is not None else [(u1 / 6, z0 / 6), (u0 / 6, z0 / 6), (u0 / 6, z1 / 6), (u1 / 6, z1 / 6)])
 
 
-def _bar(rect: Rect, back: float, out: float, material: str) -> Part:
+def bar(rect: Rect, back: float, out: float, material: str) -> Part:
+    """A bar from y = `back` to `out` over an upright rectangle (x0, x1, z0, z1)."""
     u0, u1, z0, z1 = rect
-    return box((u0, back, z0), (u1, out, z1), material, tile_m=_tile(material))
+    return box((u0, back, z0), (u1, out, z1), material, tile_m=tile_of(material))
 
 
 def _reveal(front: _Front, rect: Rect, deep: float, material: str) -> None:
     u0, u1, z0, z1 = rect
     loops = [np.array([(u0, n, z0), (u1, n, z0), (u1, n, z1), (u0, n, z1), (u0, n, z0)]) for n in (deep, 0.0)]
-    t = _tile(material)
+    t = tile_of(material)
     around = np.cumsum([0, u1 - u0, z1 - z0, u1 - u0, z1 - z0]) / t
     front.parts.append(strip(loops, material, uv=[np.c_[np.full(5, v), around] for v in (deep / t, 0.0)]))
 
@@ -345,7 +349,7 @@ def _reveal(front: _Front, rect: Rect, deep: float, material: str) -> None:
 def _window(house: House, front: _Front, opening: Rect, rng: np.random.Generator) -> None:
     u0, u1, z0, z1 = opening
     deep, bar = -0.17, 0.065
-    front.panes.append(_corners(opening, deep - 0.03))
+    front.panes.append(corners_of(opening, deep - 0.03))
     front.cells.append(int(rng.integers(0, ATLAS**2)))
     frame = house.frame
     rects = [(u0, u0 + bar, z0, z1), (u1 - bar, u1, z0, z1), (u0 + bar, u1 - bar, z0, z0 + bar), (u0 + bar, u1 - bar, z1 - bar, z1)]
@@ -356,7 +360,7 @@ def _window(house: House, front: _Front, opening: Rect, rng: np.random.Generator
         rects += [(u0 + bar, middle - 0.045, cross - 0.03, cross + 0.03), (middle + 0.045, u1 - bar, cross - 0.03, cross + 0.03)]
     corners, depth = [], 0.045
     for a, b, c, d in rects:
-        corners.append(_corners((a, b, c, d), deep + 0.015))
+        corners.append(corners_of((a, b, c, d), deep + 0.015))
         if d - c > b - a:
             corners += [
                 np.array([(a, deep - 0.03, c), (a, deep + 0.015, c), (a, deep + 0.015, d), (a, deep - 0.03, d)]),
@@ -371,21 +375,21 @@ def _surround(house: House, front: _Front, opening: Rect, floor: int) -> None:
     u0, u1, z0, z1 = opening
     s = house.surround
     front.parts += [
-        _bar((u0 - s, u0, z0, z1), 0.0, 0.05, house.trim),
-        _bar((u1, u1 + s, z0, z1), 0.0, 0.05, house.trim),
-        _bar((u0 - s, u1 + s, z1, z1 + s * 1.3), 0.0, 0.07, house.trim),
+        bar((u0 - s, u0, z0, z1), 0.0, 0.05, house.trim),
+        bar((u1, u1 + s, z0, z1), 0.0, 0.05, house.trim),
+        bar((u0 - s, u1 + s, z1, z1 + s * 1.3), 0.0, 0.07, house.trim),
     ]
-    front.parts.append(_bar((u0 - s - 0.05, u1 + s + 0.05, z0 - 0.10, z0), 0.0, 0.14, house.trim))
+    front.parts.append(bar((u0 - s - 0.05, u1 + s + 0.05, z0 - 0.10, z0), 0.0, 0.14, house.trim))
     if floor == 1:
-        front.parts.append(_bar((u0 - s - 0.08, u1 + s + 0.08, z1 + s * 1.3 + 0.10, z1 + s * 1.3 + 0.20), 0.0, 0.20, house.trim))
+        front.parts.append(bar((u0 - s - 0.08, u1 + s + 0.08, z1 + s * 1.3 + 0.10, z1 + s * 1.3 + 0.20), 0.0, 0.20, house.trim))
 
 
 def _balcony(house: House, front: _Front, opening: Rect, base: float) -> None:
     u0, u1 = opening[0] - 0.35, opening[1] + 0.35
     out = 0.85 if house.surround else 1.25
-    front.parts.append(_bar((u0, u1, base - 0.05, base + 0.10), 0.0, out, house.trim))
+    front.parts.append(bar((u0, u1, base - 0.05, base + 0.10), 0.0, out, house.trim))
     if not house.surround:
-        front.parts.append(_bar((u0, u1, base + 0.10, base + 1.0), out - 0.06, out, house.wall))
+        front.parts.append(bar((u0, u1, base + 0.10, base + 1.0), out - 0.06, out, house.wall))
         front.parts.append(tube([(u0, out - 0.03, base + 1.1), (u1, out - 0.03, base + 1.1)], 0.02, "railing", sides=5))
         return
     rail = [(u0, 0.0, base + 1.05), (u0, out - 0.05, base + 1.05), (u1, out - 0.05, base + 1.05), (u1, 0.0, base + 1.05)]
@@ -399,7 +403,7 @@ def _balcony(house: House, front: _Front, opening: Rect, base: float) -> None:
         for u in (u0, u1):
             front.parts.append(tube([(u, n, base + 0.17), (u, n, base + 1.05)], 0.009, "railing", sides=3, capped=False, smooth=False))
     for u in (u0 + 0.2, u1 - 0.2):
-        front.parts.append(_bar((u - 0.08, u + 0.08, base - 0.38, base - 0.05), 0.0, 0.4, house.trim))
+        front.parts.append(bar((u - 0.08, u + 0.08, base - 0.38, base - 0.05), 0.0, 0.4, house.trim))
 
 
 def _plinth(half: float, openings: Sequence[Rect], material: str) -> Part:
@@ -407,13 +411,14 @@ def _plinth(half: float, openings: Sequence[Rect], material: str) -> Part:
     at = -half
     for u0, u1, low, _ in sorted(openings):
         if low < 0.5:
-            bars.append(_bar((at, u0, 0.0, 0.5), 0.0, 0.05, material))
+            bars.append(bar((at, u0, 0.0, 0.5), 0.0, 0.05, material))
             at = u1
-    bars.append(_bar((at, half, 0.0, 0.5), 0.0, 0.05, material))
+    bars.append(bar((at, half, 0.0, 0.5), 0.0, 0.05, material))
     return join([b for b in bars if np.ptp(b.points[:, 0]) > 0.05])
 
 
-def _roof(house: House, top: float, rng: np.random.Generator) -> list[Part]:
+def roof_of(house: House, top: float, rng: np.random.Generator) -> list[Part]:
+    """The roof of a house above `top` [m], with dormers and chimneys."""
     x, d = house.width / 2, house.depth
     parts: list[Part] = []
     if house.roof == "flat":
@@ -438,7 +443,7 @@ def _roof(house: House, top: float, rng: np.random.Generator) -> list[Part]:
         ]
         for s in (-x, x):
             end = np.array([(s, 0, top), (s, -d, top), (s, -d / 2, ridge)])
-            parts.append(Part(end, np.array([[0, 1, 2]]), house.wall, end[:, 1:] / _tile(house.wall)))
+            parts.append(Part(end, np.array([[0, 1, 2]]), house.wall, end[:, 1:] / tile_of(house.wall)))
         rise = (ridge - top) / (d / 2 + 0.4)
         for u in np.linspace(-x, x, 2 + max(1, int(house.width / 4.2)))[1:-1]:
             parts += _dormer(house, u, -1.6, top + 0.85 * rise * 2.0, -1.6 - 2.6)
@@ -461,7 +466,7 @@ def _roof(house: House, top: float, rng: np.random.Generator) -> list[Part]:
             parts.append(Part(np.array([upper[3], upper[0], peak[0]]), np.array([[0, 1, 2]]), "zinc"))
         for s in (-x,) if house.corner else (-x, x):
             end = np.array([(s, 0.3, top), (s, 0.3 - inset, steep), (s, -d / 2, ridge), (s, -d + inset, steep), (s, -d, top)])
-            parts.append(Part(end, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4]]), house.wall, end[:, 1:] / _tile(house.wall)))
+            parts.append(Part(end, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4]]), house.wall, end[:, 1:] / tile_of(house.wall)))
         bays = max(2, round((house.width - 1.0) / house.bay))
         step = (house.width - 1.0) / bays
         for i in range(bays):
@@ -482,23 +487,25 @@ def _roof(house: House, top: float, rng: np.random.Generator) -> list[Part]:
 
 def _dormer(house: House, u: float, n: float, z: float, back: float) -> list[Part]:
     w, h = 0.62, 1.55
-    parts = [_flat((u - w + 0.12, u + w - 0.12, z + 0.12, z + h - 0.1), n + 0.01, "window", [(0.25, 0.5), (0, 0.5), (0, 0.75), (0.25, 0.75)])]
-    parts += [_bar((u - w, u - w + 0.12, z, z + h), back, n + 0.05, house.frame), _bar((u + w - 0.12, u + w, z, z + h), back, n + 0.05, house.frame),
-        _bar((u - w, u + w, z + h - 0.12, z + h), back, n + 0.05, house.frame), _bar((u - w, u + w, z, z + 0.12), back, n + 0.09, house.frame),
-            _bar((u - 0.03, u + 0.03, z, z + h), n, n + 0.04, house.frame)]  # fmt: skip
+    parts = [flat((u - w + 0.12, u + w - 0.12, z + 0.12, z + h - 0.1), n + 0.01, "window", [(0.25, 0.5), (0, 0.5), (0, 0.75), (0.25, 0.75)])]
+    parts += [bar((u - w, u - w + 0.12, z, z + h), back, n + 0.05, house.frame), bar((u + w - 0.12, u + w, z, z + h), back, n + 0.05, house.frame),
+        bar((u - w, u + w, z + h - 0.12, z + h), back, n + 0.05, house.frame), bar((u - w, u + w, z, z + 0.12), back, n + 0.09, house.frame),
+            bar((u - 0.03, u + 0.03, z, z + h), n, n + 0.04, house.frame)]  # fmt: skip
     parts.append(box((u - w - 0.12, back - 0.4, z + h), (u + w + 0.12, n + 0.2, z + h + 0.1), "zinc"))
     return parts
 
 
-def _tile(material: str) -> float:
+def tile_of(material: str) -> float:
+    """Metres that one repeat of a texture covers."""
     return 2.4 if material.startswith("brick") else 3.0 if material.startswith("stone") else 6.0
 
 
-def _place(corners: Array, matrix: Array) -> Array:
+def place_corners(corners: Array, matrix: Array) -> Array:
+    """(..., 3) points under a (4, 4) matrix."""
     return corners @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def _cell_uv(cells: Array, rows: int, columns: int) -> Array:
+def cell_uv(cells: Array, rows: int, columns: int) -> Array:
     """(K, 4, 2) uv of atlas cells for corners in the order of `_corners`."""
     i, j = np.divmod(np.asarray(cells, dtype=int), columns)
     u0, u1 = j / columns, (j + 1) / columns

@@ -1,8 +1,9 @@
 """Parts and their materials, written as a USD component that a stage references.
 
 Takes a `Component`; leaves `<folder>/<name>/<name>.usda` (the interface: label,
-materials, variants, lamps) and `<name>.geometry.usdc` (the meshes) behind.  The
-component stands on the ground at the origin and looks along +Y, in metres, Z up.
+materials, variants, lamps) and `<name>.geometry.usdc` (the meshes; `<name>.low.usdc`
+where there are fewer triangles to choose) behind.  The component stands on the
+ground at the origin and looks along +Y, in metres, Z up.
 """
 
 from __future__ import annotations
@@ -71,6 +72,9 @@ class Component:
         variants: variant set -> variant -> what it changes; the first is the default.
         materials: what differs from the palette, or is not in it.
         labels: Cityscapes names of meshes (by material) that differ from `label`.
+        low: the same thing in fewer triangles, of the same materials; with it comes a variant set `lod` (full, low).
+        textures: where its pictures lie, seen from its folder.
+        origin: what its files say of source and licence.
     """
 
     name: str
@@ -80,6 +84,9 @@ class Component:
     variants: Mapping[str, Mapping[str, Look]] = field(default_factory=dict)
     materials: Mapping[str, Material] = field(default_factory=dict)
     labels: Mapping[str, str] = field(default_factory=dict)
+    low: tuple[Part, ...] = ()
+    textures: str = "../../textures/"
+    origin: Mapping[str, str] = field(default_factory=lambda: {"source": f"made by {MADE_BY}", "licence": LICENCE})
 
     def triangles(self) -> int:
         """Number of triangles."""
@@ -92,6 +99,8 @@ def write_component(component: Component, models: Path) -> Path:
     meshes = by_material(component.parts)
     geometry = f"{component.name}.geometry.usdc"
     write_whole(folder / geometry, lambda path: _write_geometry(component, meshes, path))
+    if component.low:
+        write_whole(folder / f"{component.name}.low.usdc", lambda path: _write_geometry(component, by_material(component.low), path))
     target = folder / f"{component.name}.usda"
     write_whole(target, lambda path: _write_interface(component, meshes, geometry, path))
     return target
@@ -172,19 +181,19 @@ def label(prim: Usd.Prim, name: str) -> None:
     UsdSemantics.LabelsAPI.Apply(prim, "cityscapes").CreateLabelsAttr().Set([name])
 
 
-def new_stage(about: str, path: Path) -> Usd.Stage:
+def new_stage(about: str, path: Path, origin: Mapping[str, str] | None = None) -> Usd.Stage:
     """An empty stage at `path`, in metres and Z up, that says where it is from; `Save` its root layer."""
     layer = Sdf.Layer.CreateNew(str(path))
     stage = Usd.Stage.Open(layer)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     layer.documentation = about
-    layer.customLayerData = {"source": f"made by {MADE_BY}", "licence": LICENCE}
+    layer.customLayerData = dict(origin) if origin else {"source": f"made by {MADE_BY}", "licence": LICENCE}
     return stage
 
 
 def _write_geometry(component: Component, meshes: Mapping[str, Part], path: Path) -> None:
-    stage = new_stage(f"Meshes of {component.name}.", path)
+    stage = new_stage(f"Meshes of {component.name}.", path, component.origin)
     root = UsdGeom.Scope.Define(stage, "/Geometry")
     stage.SetDefaultPrim(root.GetPrim())
     for name, part in meshes.items():
@@ -193,7 +202,7 @@ def _write_geometry(component: Component, meshes: Mapping[str, Part], path: Path
 
 
 def _write_interface(component: Component, meshes: Mapping[str, Part], geometry: str, path: Path) -> None:
-    stage = new_stage(component.about, path)
+    stage = new_stage(component.about, path, component.origin)
     root = UsdGeom.Xform.Define(stage, f"/{component.name}")
     prim = root.GetPrim()
     stage.SetDefaultPrim(prim)
@@ -204,7 +213,8 @@ def _write_interface(component: Component, meshes: Mapping[str, Part], geometry:
     prim.SetDocumentation(component.about)
     label(prim, component.label)
     scope = UsdGeom.Scope.Define(stage, prim.GetPath().AppendChild("Geometry"))
-    scope.GetPrim().GetReferences().AddReference(f"./{geometry}")
+    if not component.low:
+        scope.GetPrim().GetReferences().AddReference(f"./{geometry}")
 
     looks = [look for choices in component.variants.values() for look in choices.values()]
     rebound = {mesh for look in looks for mesh in look.bindings}
@@ -214,7 +224,7 @@ def _write_interface(component: Component, meshes: Mapping[str, Part], geometry:
     for name in needed:
         skip = frozenset(key for look in looks for key in look.materials.get(name, {}))
         material = component.materials.get(name) or PALETTE[name]
-        author_material(stage, materials.AppendChild(name), material, textures="../../textures/", skip=skip)
+        author_material(stage, materials.AppendChild(name), material, textures=component.textures, skip=skip)
     for name in meshes:
         if name not in rebound:
             _bind(stage, scope.GetPath().AppendChild(name), materials.AppendChild(name))
@@ -228,7 +238,19 @@ def _write_interface(component: Component, meshes: Mapping[str, Part], geometry:
             with variants.GetVariantEditContext():
                 _author_look(stage, prim, look)
         variants.SetVariantSelection(next(iter(choices)))
+    if component.low:
+        _author_lod(prim, scope.GetPrim(), {"full": geometry, "low": f"{component.name}.low.usdc"})
     stage.GetRootLayer().Save()
+
+
+def _author_lod(prim: Usd.Prim, scope: Usd.Prim, files: Mapping[str, str]) -> None:
+    variants = prim.GetVariantSets().AddVariantSet("lod")
+    for variant, file in files.items():
+        variants.AddVariant(variant)
+        variants.SetVariantSelection(variant)
+        with variants.GetVariantEditContext():
+            scope.GetReferences().AddReference(f"./{file}")
+    variants.SetVariantSelection("full")
 
 
 def _author_look(stage: Usd.Stage, prim: Usd.Prim, look: Look) -> None:

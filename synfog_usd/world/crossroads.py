@@ -8,14 +8,23 @@ a shell: `python -m synfog_usd.world.crossroads [folder]`.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, Vt
+from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade
 
 from synfog_usd.files import write_whole
 from synfog_usd.seeds import stream
+from synfog_usd.world.authoring import (
+    author_camera,
+    author_fog,
+    author_instancer,
+    author_placement,
+    author_render,
+    author_skies,
+    author_variants,
+)
 from synfog_usd.world.buildings import HOUSES, build_church, build_houses, glazing
 from synfog_usd.world.components import Component, Lamp, author_lamp, author_material, author_mesh, label, new_stage, write_component
 from synfog_usd.world.furniture import build_furniture
@@ -30,7 +39,6 @@ from synfog_usd.world.textures import write_textures
 from synfog_usd.world.vehicles import HEADLIGHT_CD, HEADLIGHT_TINT, build_bus, build_cars, build_lorry
 
 VIEW = View(1.55, -37.0, 1.45)
-APERTURE = 0.36  # tenths of a metre
 FOG_VARIANTS = {"clear": None, "mor600": 600.0, "mor300": 300.0, "mor150": 150.0}
 
 
@@ -284,75 +292,20 @@ def _write_stage(path: Path, spec: WorldSpec, assets: str) -> None:
     stage.SetDefaultPrim(world)
     Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
     placed = spec.placed
-    _author_camera(stage, spec.view)
-    _author_fog(stage)
-    _author_skies(stage, spec, assets)
+    author_camera(stage, spec.view)
+    author_fog(stage)
+    author_skies(stage, spec, assets)
     for group in dict.fromkeys(p.group for p in placed):
         prim = UsdGeom.Xform.Define(stage, f"/World/{group}").GetPrim()
         Usd.ModelAPI(prim).SetKind(Kind.Tokens.group)
     for p in placed:
-        _author_placement(stage, p, assets)
+        author_placement(stage, p, assets)
     _author_bollards(stage, assets)
     _author_leaves(stage, [p for p in placed if p.group == "Plants" and abs(p.x) == TREE_X and p.y < 60], spec.scatter, assets)
     _author_lights(stage, spec, assets)
-    _author_variants(stage, spec)
-    _author_render(stage)
+    author_variants(stage, spec)
+    author_render(stage)
     stage.GetRootLayer().Save()
-
-
-def _author_camera(stage: Usd.Stage, view: View) -> None:
-    camera = UsdGeom.Camera.Define(stage, "/World/Ego")
-    camera.CreateHorizontalApertureAttr(APERTURE)
-    camera.CreateVerticalApertureAttr(APERTURE * 9 / 16)
-    camera.CreateFocalLengthAttr(view.focal_length)
-    camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 3000))
-    camera.CreateFocusDistanceAttr(30.0)
-    camera.CreateFStopAttr(0.0)
-    camera.AddTranslateOp().Set(Gf.Vec3d(view.x, view.y, view.z))
-    camera.AddRotateXYZOp().Set(Gf.Vec3f(view.tilt, 0, view.heading))
-
-
-def _author_fog(stage: Usd.Stage) -> None:
-    UsdGeom.Scope.Define(stage, "/World/Fog")
-    cube = UsdGeom.Cube.Define(stage, "/World/Fog/Global")
-    prim = cube.GetPrim()
-    prim.SetDocumentation("Boundary of the fog: 1.8 km wide, from below the ground to 100 m above it.")
-    cube.CreateSizeAttr(2.0)
-    cube.CreateExtentAttr(Vt.Vec3fArray([Gf.Vec3f(-1), Gf.Vec3f(1)]))
-    cube.CreatePurposeAttr(UsdGeom.Tokens.guide)
-    cube.CreateDisplayColorAttr([Gf.Vec3f(0.75, 0.8, 0.85)])
-    cube.CreateDisplayOpacityAttr([0.15])
-    cube.AddTranslateOp().Set(Gf.Vec3d(0, 100, 40))
-    cube.AddScaleOp().Set(Gf.Vec3f(900, 900, 60))
-    prim.AddAppliedSchema("SynFogMediumAPI")
-    prim.CreateAttribute("synfog:fog:g", Sdf.ValueTypeNames.Float, custom=False).Set(0.87)
-    prim.CreateAttribute("synfog:fog:phase", Sdf.ValueTypeNames.Token, False, Sdf.VariabilityUniform).Set("hg")
-    prim.CreateAttribute("synfog:fog:profile", Sdf.ValueTypeNames.Token, False, Sdf.VariabilityUniform).Set("uniform")
-
-
-def _author_skies(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
-    UsdGeom.Scope.Define(stage, "/World/Sky")
-    for name, file, nits in (("Overcast", "overcast.exr", spec.overcast_nits), ("Dusk", "dusk.exr", spec.dusk_nits)):
-        dome = UsdLux.DomeLight.Define(stage, f"/World/Sky/{name}")
-        dome.CreateIntensityAttr(nits)
-        dome.CreateTextureFileAttr(Sdf.AssetPath(f"{assets}/skies/{file}"))
-        dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
-        UsdGeom.Xformable(dome).AddRotateXOp().Set(90.0)  # the picture's pole to the zenith
-
-
-def _author_placement(stage: Usd.Stage, p: Placement, assets: str) -> None:
-    xform = UsdGeom.Xform.Define(stage, f"/World/{p.group}/{p.name}")
-    prim = xform.GetPrim()
-    prim.GetReferences().AddReference(f"{assets}/models/{p.asset}/{p.asset}.usda")
-    for name, choice in p.variants.items():
-        prim.GetVariantSets().GetVariantSet(name).SetVariantSelection(choice)
-    if p.group != "Ground":
-        prim.SetInstanceable(True)
-    xform.AddTranslateOp().Set(Gf.Vec3d(p.x, p.y, p.height))
-    if p.heading:
-        xform.AddRotateZOp().Set(float(p.heading))
-    if p.size != 1.0:
-        xform.AddScaleOp().Set(Gf.Vec3f(p.size))
 
 
 def _author_bollards(stage: Usd.Stage, assets: str) -> None:
@@ -364,7 +317,7 @@ def _author_bollards(stage: Usd.Stage, assets: str) -> None:
             points += [(sx * (MAIN_HALF + CORNER + radius * np.cos(a)), sy * (SIDE_HALF + CORNER + radius * np.sin(a)), 0.12) for a in angle]
         for y in (-31.0, -29.4, -27.8, 32.0, 33.6, 35.2):
             points.append((sx * 6.0, y, 0.12))
-    _author_instancer(stage, "/World/Furniture/Bollards", "bollard", "pole", np.array(points), np.zeros(len(points)), assets)
+    author_instancer(stage, "/World/Furniture/Bollards", "bollard", "pole", np.array(points), np.zeros(len(points)), assets)
 
 
 def _author_leaves(stage: Usd.Stage, below: Iterable[Placement], scatter: int, assets: str) -> None:
@@ -382,22 +335,7 @@ def _author_leaves(stage: Usd.Stage, below: Iterable[Placement], scatter: int, a
                 continue
             points.append((x, y, ground_height(x, y)))
             turns.append(rng.uniform(0, 360))
-    _author_instancer(stage, "/World/Plants/Fallen_Leaves", "fallen_leaf", "vegetation", np.array(points), np.array(turns), assets)
-
-
-def _author_instancer(stage: Usd.Stage, path: str, asset: str, name: str, points: Array, turns: Array, assets: str) -> None:
-    instancer = UsdGeom.PointInstancer.Define(stage, path)
-    prototype = stage.DefinePrim(f"{path}/Prototypes/{asset.title()}", "Xform")
-    prototype.GetParent().SetTypeName("Scope")
-    prototype.GetReferences().AddReference(f"{assets}/models/{asset}/{asset}.usda")
-    instancer.CreatePrototypesRel().SetTargets([prototype.GetPath()])
-    instancer.CreateProtoIndicesAttr(Vt.IntArray([0] * len(points)))
-    instancer.CreatePositionsAttr(Vt.Vec3fArray([Gf.Vec3f(*(round(float(v), 3) for v in p)) for p in points]))
-    half = np.deg2rad(turns) / 2
-    instancer.CreateOrientationsAttr(Vt.QuathArray([Gf.Quath(float(c), 0, 0, float(s)) for c, s in zip(np.cos(half), np.sin(half), strict=True)]))
-    instancer.CreateExtentAttr(instancer.ComputeExtentAtTime(Usd.TimeCode.Default(), Usd.TimeCode.Default()))
-    Usd.ModelAPI(instancer.GetPrim()).SetKind(Kind.Tokens.group)
-    label(instancer.GetPrim(), name)
+    author_instancer(stage, "/World/Plants/Fallen_Leaves", "fallen_leaf", "vegetation", np.array(points), np.array(turns), assets)
 
 
 def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
@@ -434,47 +372,6 @@ def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
         material = author_material(stage, materials.AppendChild(name), look, textures=f"{assets}/textures/")
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
         label(mesh.GetPrim(), "building")
-
-
-def author_fog_variants(stage: Usd.Stage, fogs: Mapping[str, float | None], selected: str) -> None:
-    """A variant of /World for each visibility [m] of /World/Fog/Global; None is clear air."""
-    variants = stage.GetPrimAtPath("/World").GetVariantSets().AddVariantSet("fog")
-    for name, mor_m in fogs.items():
-        variants.AddVariant(name)
-        variants.SetVariantSelection(name)
-        with variants.GetVariantEditContext():
-            if mor_m is None:
-                stage.OverridePrim("/World/Fog").SetActive(False)
-            else:
-                stage.OverridePrim("/World/Fog/Global").CreateAttribute("synfog:fog:mor", Sdf.ValueTypeNames.Float, custom=False).Set(mor_m)
-    variants.SetVariantSelection(selected)
-
-
-def _author_variants(stage: Usd.Stage, spec: WorldSpec) -> None:
-    author_fog_variants(stage, spec.fog, spec.fog_selected)
-    world = stage.GetPrimAtPath("/World")
-    lighting = world.GetVariantSets().AddVariantSet("lighting")
-    for name in ("active", "sky"):
-        lighting.AddVariant(name)
-        lighting.SetVariantSelection(name)
-        with lighting.GetVariantEditContext():
-            if name == "sky":
-                stage.OverridePrim("/World/Sky/Dusk").SetActive(False)
-                stage.OverridePrim("/World/Lights").SetActive(False)
-                continue
-            stage.OverridePrim("/World/Sky/Overcast").SetActive(False)
-            for p in spec.placed:
-                for set_name, choice in p.lit.items():
-                    prim = stage.OverridePrim(f"/World/{p.group}/{p.name}")
-                    prim.GetVariantSets().GetVariantSet(set_name).SetVariantSelection(choice)
-
-
-def _author_render(stage: Usd.Stage) -> None:
-    UsdGeom.Scope.Define(stage, "/Render")
-    settings = UsdRender.Settings.Define(stage, "/Render/Settings")
-    settings.CreateCameraRel().SetTargets(["/World/Ego"])
-    settings.CreateResolutionAttr(Gf.Vec2i(1280, 720))
-    settings.CreateIncludedPurposesAttr(["default", "render"])
 
 
 if __name__ == "__main__":

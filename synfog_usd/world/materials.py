@@ -74,6 +74,10 @@ PALETTE: dict[str, Material] = {
     "tail_lamp": Material((0.28, 0.008, 0.008), 0.06, clearcoat=1.0),
     "tail_lens": Material((0.4, 0.012, 0.01), 0.06, clearcoat=1.0),
     "amber": Material((0.5, 0.16, 0.01), 0.08, clearcoat=1.0),
+    "livery": Material((0.03, 0.10, 0.24), 0.35, clearcoat=0.8),
+    "taxi_sign": Material((0.62, 0.42, 0.04), 0.3),
+    "plate_blank": Material((0.62, 0.62, 0.60), 0.35),
+    "engine": Material((0.10, 0.10, 0.105), 0.4, 0.6),
     "plate": Material(WHITE, texture="plates.png", roughness=0.35),
     "banner": Material(WHITE, texture="banners.png", roughness=0.4),
     # metal and street furniture
@@ -91,6 +95,13 @@ PALETTE: dict[str, Material] = {
     "bin": Material((0.05, 0.06, 0.06), 0.4),
     "bollard": Material((0.03, 0.035, 0.04), 0.38),
     "reflective": Material((0.75, 0.75, 0.75), 0.4),
+    "lamp_lens_white": Material((0.72, 0.72, 0.70), 0.3),
+    "shelter_glass": Material((0.05, 0.06, 0.06), 0.04, ior=1.52),
+    "sign_blue": Material((0.012, 0.055, 0.29), 0.35),
+    "sign_white": Material((0.74, 0.74, 0.74), 0.35),
+    "sign_red": Material((0.42, 0.018, 0.014), 0.35),
+    "sign_black": Material((0.02, 0.02, 0.02), 0.4),
+    "advert": Material((0.5, 0.5, 0.48), 0.15),
     # buildings
     "brick_red": Material(WHITE, texture="brick.jpg", roughness=0.85),
     "brick_brown": Material((0.72, 0.66, 0.62), texture="brick.jpg", roughness=0.85),
@@ -126,6 +137,8 @@ PALETTE: dict[str, Material] = {
     "awning_red": Material((0.42, 0.05, 0.045), 0.8),
     "awning_green": Material((0.04, 0.14, 0.08), 0.8),
     "awning_cream": Material((0.60, 0.54, 0.42), 0.8),
+    "sheet_grey": Material((0.42, 0.43, 0.44), 0.4, 0.2),
+    "sheet_blue": Material((0.03, 0.10, 0.20), 0.4, 0.1),
     # plants
     "bark": Material(WHITE, texture="bark.jpg", roughness=0.9),
     "twig": Material((0.055, 0.042, 0.032), 0.9),
@@ -133,6 +146,9 @@ PALETTE: dict[str, Material] = {
     "leaf_olive": Material((0.12, 0.125, 0.025), 0.6),
     "leaf_gold": Material((0.33, 0.20, 0.025), 0.65),
     "leaf_rust": Material((0.22, 0.075, 0.02), 0.7),
+    "needle": Material((0.020, 0.045, 0.020), 0.65),
+    "needle_young": Material((0.040, 0.075, 0.028), 0.65),
+    "bark_birch": Material((3.4, 3.35, 3.2), texture="bark.jpg", roughness=0.8),
     "hedge": Material((0.032, 0.06, 0.018), 0.7),
     # people
     "skin": Material((0.52, 0.32, 0.23), 0.5),
@@ -155,6 +171,10 @@ PALETTE: dict[str, Material] = {
     "leather_black": Material((0.015, 0.015, 0.015), 0.4),
     "shoe_white": Material((0.60, 0.60, 0.58), 0.6),
     "helmet": Material((0.65, 0.66, 0.66), 0.3),
+    "helmet_yellow": Material((0.62, 0.42, 0.02), 0.3),
+    "hi_vis_orange": Material((0.78, 0.17, 0.02), 0.7),
+    "hi_vis_yellow": Material((0.58, 0.74, 0.03), 0.7),
+    "pram": Material((0.03, 0.045, 0.09), 0.8),
 }
 
 PAINTS: dict[str, Colour] = {
@@ -166,4 +186,7 @@ PAINTS: dict[str, Colour] = {
     "red": (0.33, 0.012, 0.012),
     "green": (0.02, 0.075, 0.05),
     "sand": (0.36, 0.29, 0.19),
+    "cream": (0.60, 0.50, 0.30),
+    "yellow": (0.62, 0.38, 0.02),
+    "orange": (0.55, 0.15, 0.015),
 }

@@ -87,7 +87,7 @@ ROLES = {"skin": "skin", "hair": "hair_dark", "coat": "cloth_black", "trousers":
 
 def build_people() -> list[Component]:
     """Everyone in `PEOPLE`, each with outfits to choose."""
-    return [_component(person.name, "person", person.about, _person(person), person.wears, person.outfits) for person in PEOPLE]
+    return [dressed(person.name, "person", person.about, person_parts(person), person.wears, person.outfits) for person in PEOPLE]
 
 
 def build_rider() -> Component:
@@ -100,10 +100,10 @@ def build_rider() -> Component:
         "thighs": [(s * 0.085, -0.22, 0.96) for s in (-1, 1)], "knees": [(-0.10, 0.12, 0.68), (0.10, 0.20, 0.86)],
         "ankles": [(-0.11, -0.12, 0.22), (0.11, -0.10, 0.50)], "toes": [(-0.11, 0.04, 0.145), (0.11, 0.06, 0.45)],
     }  # fmt: skip
-    fields = _fields(joints, Person("rider", "", 1.78, coat=0.06, hair="helmet"))
-    parts = _cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 5500)
+    fields = fields_of(joints, Person("rider", "", 1.78, coat=0.06, hair="helmet"))
+    parts = cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 5500)
     wears = {"hair": "helmet", "shoes": "shoe_white"}
-    return _component("rider", "rider", "Who rides the bicycle.", parts, wears, (("cloth_yellow", "cloth_black"), ("cloth_red", "denim")))
+    return dressed("rider", "rider", "Who rides the bicycle.", parts, wears, (("cloth_yellow", "cloth_black"), ("cloth_red", "denim")))
 
 
 def build_bicycle() -> Component:
@@ -142,18 +142,28 @@ def build_bicycle() -> Component:
     return Component("bicycle", "bicycle", tuple(parts), "A city bicycle.", {"colour": looks}, {"frame": Material(roughness=0.3, clearcoat=0.7)})
 
 
-def _component(name: str, label: str, about: str, parts: list[Part], wears: Mapping[str, str], outfits: tuple[tuple[str, str], ...]) -> Component:
+def dressed(
+    name: str,
+    label: str,
+    about: str,
+    parts: list[Part],
+    wears: Mapping[str, str],
+    outfits: tuple[tuple[str, str], ...],
+    own: Mapping[str, Material] | None = None,
+) -> Component:
+    """A component of somebody in several outfits; `own` are materials beside the roles."""
     roles = {**ROLES, **wears}
     looks = {}
     for i, (coat, trousers) in enumerate(outfits):
         looks["abc"[i]] = Look(materials={"coat": {"diffuseColor": PALETTE[coat].colour}, "trousers": {"diffuseColor": PALETTE[trousers].colour}})
-    materials = {role: PALETTE[cloth] for role, cloth in roles.items()}
+    materials = {role: PALETTE[cloth] for role, cloth in roles.items()} | dict(own or {})
     return Component(name, label, tuple(parts), about, {"outfit": looks}, materials)
 
 
-def _person(person: Person) -> list[Part]:
+def person_parts(person: Person) -> list[Part]:
+    """The triangles of somebody, feet on the ground, one part for each role."""
     joints = _pose(person)
-    parts = _cut_by_role(_fields(joints, person), (-0.62, -0.75, -0.15), (0.62, 0.75, 1.95), 5000)
+    parts = cut_by_role(fields_of(joints, person), (-0.62, -0.75, -0.15), (0.62, 0.75, 1.95), 5000)
     if person.carries == "phone":
         parts.append(
             box((-0.04, -0.004, -0.075), (0.04, 0.006, 0.075), "bag").moved(
@@ -208,7 +218,8 @@ def _pose(person: Person) -> dict:
     return joints
 
 
-def _fields(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Array, Array], Array]]:
+def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Array, Array], Array]]:
+    """Signed distances of somebody in a pose, by role."""
     b = person.build
     hips, chest, neck, head = (np.asarray(joints[k]) for k in ("hips", "chest", "neck", "head"))
     up = (chest - hips) / np.linalg.norm(chest - hips)
@@ -296,7 +307,9 @@ def _fields(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Array
     return fields
 
 
-def _cut_by_role(fields: Mapping[str, Callable[[Array, Array, Array], Array]], low: Point, high: Point, triangles: int) -> list[Part]:
+def cut_by_role(fields: Mapping[str, Callable[[Array, Array, Array], Array]], low: Point, high: Point, triangles: int) -> list[Part]:
+    """The surface round all roles within a box, cut where one lies nearer than the others."""
+
     def whole(x: Array, y: Array, z: Array) -> Array:
         d = None
         for f in fields.values():

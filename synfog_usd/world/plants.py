@@ -23,7 +23,7 @@ class Tree:
     Attributes:
         height: [m]; clear: height of the first branch [m]; girth: radius of the trunk [m].
         leaves: how many; leaf: length of one [m]; tones: materials, first is commonest.
-        spread: half width of the crown relative to its height.
+        spread: half width of the crown relative to its height; fork: angle between branches [deg].
     """
 
     name: str
@@ -49,6 +49,11 @@ TREES = (
 def build_trees() -> list[Component]:
     """The trees of `TREES`."""
     return [_tree(tree) for tree in TREES]
+
+
+def build_country_trees() -> list[Component]:
+    """A birch and a spruce."""
+    return [_birch(12.0), _conifer(13.0)]
 
 
 def build_hedge() -> Component:
@@ -128,15 +133,91 @@ def _tree(tree: Tree) -> Component:
     return Component(tree.name, "vegetation", tuple(parts), tree.about)
 
 
+def _birch(height: float) -> Component:
+    """A birch: one white trunk to the top, boughs that rise, twigs that hang."""
+    rng = stream(0, "tree", "birch")
+    z = np.linspace(0.0, height, 10)
+    bend = np.cumsum(rng.normal(0, 0.05, (10, 2)), axis=0)
+    trunk = np.c_[bend - bend[0], z]
+    parts = [tube(trunk, np.r_[0.145, np.linspace(0.115, 0.010, 9)], "bark_birch", sides=9, capped=False)]
+    twigs: list[Array] = []
+    for i, at in enumerate(np.linspace(2.3, height - 0.15, 42)):
+        start = np.array([np.interp(at, z, trunk[:, 0]), np.interp(at, z, trunk[:, 1]), at])
+        length = (0.62 * (height - at) ** 0.62 + 0.25) * rng.uniform(0.75, 1.15) * min(1.0, 0.6 + 0.16 * (at - 2.0))
+        a = 2.4 * i + rng.normal(0, 0.3)  # the golden angle, roughly
+        out = np.array([np.cos(a), np.sin(a), 0.0])
+        t = np.linspace(0, 1, 5)[:, None]
+        path = start + length * (out * t + np.array([0, 0, 1.0]) * (0.85 * t - 0.45 * t**2)) + np.r_[[[0, 0, 0]], rng.normal(0, 0.03 * length, (4, 3))]
+        parts.append(tube(path, np.linspace(0.016 + 0.009 * length, 0.006, 5), "twig", sides=4, capped=False))
+        for s in np.linspace(0.3, 1.0, 3 + round(3 * length)):
+            foot = np.array([np.interp(s, t[:, 0], path[:, k]) for k in range(3)])
+            way = out * rng.uniform(0.2, 0.9) + rng.normal(0, 0.55, 3) * [1, 1, 0.4]
+            hang = rng.uniform(0.45, 0.85)
+            twig = foot + hang * np.array([0 * way, 0.5 * way + [0, 0, -0.10], 0.75 * way + [0, 0, -0.62]])
+            parts.append(tube(twig, [0.006, 0.004, 0.003], "twig", sides=3, capped=False))
+            twigs.append(twig)
+    along = np.array(twigs)
+    count = 5200
+    which, s = rng.integers(0, len(along), count), rng.uniform(0.15, 1.0, count) * 2
+    k = np.minimum(s.astype(int), 1)
+    places = along[which, k] + (s - k)[:, None] * (along[which, k + 1] - along[which, k]) + rng.normal(0, 0.09, (count, 3))
+    tone = rng.choice(3, count, p=[0.6, 0.28, 0.12])
+    parts += [_leaves(places[tone == i], 0.23, material, rng) for i, material in enumerate(("leaf_green", "leaf_olive", "leaf_gold"))]
+    return Component("birch_tree", "vegetation", tuple(parts), f"A birch, {height:.0f} m high.")
+
+
+def _conifer(height: float) -> Component:
+    """A spruce: whorls of drooping branches, each a spray of twigs to both sides."""
+    rng = stream(0, "tree", "conifer")
+    parts: list[Part] = [tube([(0, 0, 0), (0, 0, 0.3), (0, 0, height)], [0.26, 0.20, 0.015], "bark", sides=9, capped=False)]
+    sprays: list[tuple[Array, Array, float]] = []  # middle, direction and length of each spray of needles
+    z = 0.9
+    while z < height - 0.25:
+        reach = 0.21 * (height - z) ** 0.92 + 0.16
+        count = 8 if reach > 0.8 else 5
+        for k in range(count):
+            a = 2 * np.pi * (k + rng.uniform(-0.3, 0.3)) / count + z
+            length = reach * rng.uniform(0.78, 1.10)
+            out = np.array([np.cos(a), np.sin(a), 0.0])
+            side = np.array([-np.sin(a), np.cos(a), 0.0])
+            t = np.linspace(0.0, 1.0, 4)[:, None]
+            start = np.array([0, 0, z + rng.uniform(-0.1, 0.1)])
+            path = start + out * length * t + np.array([0, 0, length]) * (-0.34 * t + 0.16 * t**2)
+            parts.append(tube(path, np.linspace(0.030, 0.008, 4) * min(1.0, reach), "twig", sides=3, capped=False))
+            steps = np.arange(0.12, 1.0, 0.17 / max(length, 0.2))
+            for s in steps:
+                at = start + out * length * s + np.array([0, 0, length * (-0.34 * s + 0.16 * s**2)])
+                for turn_side in (-1, 1):
+                    heading = out + turn_side * side * rng.uniform(0.7, 1.2) + [0, 0, rng.uniform(-0.75, -0.1)]
+                    heading /= np.linalg.norm(heading)
+                    twig = (0.30 + 0.30 * (1 - s)) * min(1.0, 0.45 + 0.4 * reach) * rng.uniform(0.8, 1.2)
+                    sprays.append((at + heading * twig / 2, heading, twig))
+            sprays.append((path[-1], (path[-1] - path[-2]) / np.linalg.norm(path[-1] - path[-2]), 0.4 * min(1.0, 0.4 + reach)))
+        z += 0.16 + 0.13 * min(1.0, (height - z) / 4)
+    places, along, size = (np.array(column) for column in zip(*sprays, strict=True))
+    young = rng.random(len(places)) < 0.25
+    for material, chosen in (("needle", ~young), ("needle_young", young)):
+        parts.append(_diamonds(places[chosen], along[chosen], size[chosen, None], 0.21, material, rng))
+    return Component("conifer", "vegetation", tuple(parts), f"A spruce, {height:.0f} m high.")
+
+
 def _leaves(places: Array, size: float, material: str, rng: np.random.Generator) -> Part:
     n = len(places)
     along = rng.standard_normal((n, 3)) + [0, 0, -0.5]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return _diamonds(places, along, size, 0.36, material, rng, spread=(0.7, 1.2))
+
+
+def _diamonds(
+    places: Array, along: Array, size: Array | float, slim: float, material: str, rng: np.random.Generator, *, spread: tuple[float, float] | None = None
+) -> Part:
+    """Folded diamonds `size` [m] long, `slim` times as wide to either side, turned at random about `along` (N, 3)."""
+    n = len(places)
     across = np.cross(along, rng.standard_normal((n, 3)))
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     lift = np.cross(across, along)
-    length = size * rng.uniform(0.7, 1.2, (n, 1))
-    width = 0.36 * length
+    length = size * rng.uniform(*spread, (n, 1)) if spread else size
+    width = slim * length
     corners = np.stack(
         [
             places - along * length / 2,

@@ -8,7 +8,6 @@ other in lanes and stand one to a bay, and people look for a free spot.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,17 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd import resources
-from synfog_usd.errors import RecipeError, did_you_mean
+from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
 from synfog_usd.world import crossroads
+from synfog_usd.world.authoring import APERTURE
+from synfog_usd.world.compose import asset_folder, compose
+from synfog_usd.world.draws import Amount, Draw, Names, check_schema, load_root, mapping, read_draws, read_fog, sections
 from synfog_usd.world.people import PEOPLE
 from synfog_usd.world.spec import Placement, View, WorldSpec
 from synfog_usd.world.street import MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE
 from synfog_usd.world.vehicles import CARS
-from synfog_usd.yamlio import Located, load_file
+from synfog_usd.yamlio import Located
 
-SCHEMA = "recipe/1"
+__all__ = ["Draw", "Recipe", "asset_folder", "compose", "draw", "load", "read"]
 
 BODIES: dict[str, tuple[float, tuple[str, ...]]] = {
     **{body.name: (body.length, tuple(body.paints)) for body in CARS},
@@ -53,24 +54,6 @@ ROOM_ELSE_M = 0.75
 TRIES = 400
 
 
-@dataclass(frozen=True)
-class Amount:
-    """A parameter that is a number, within limits."""
-
-    low: float
-    high: float
-    default: Any
-    whole: bool = False
-
-
-@dataclass(frozen=True)
-class Names:
-    """A parameter that is one of several names."""
-
-    allowed: tuple[str, ...]
-    default: Any
-
-
 PARAMETERS: dict[str, Amount | Names] = {
     "parked.share": Amount(0.0, 1.0, 0.7),
     "parked.bodies": Names(tuple(body.name for body in CARS), {"hatchback": 3, "saloon": 2, "estate": 2, "offroader": 2, "van": 1}),
@@ -88,37 +71,6 @@ PARAMETERS: dict[str, Amount | Names] = {
     "camera.fov_x_deg": Amount(20.0, 100.0, 55.1),
 }
 """What a recipe can say, by section and key, with what holds where it says nothing."""
-FOG = Amount(10, 20000, None, whole=True)
-FOG_DEFAULT = (600, 300, 150)
-
-
-@dataclass(frozen=True)
-class Draw:
-    """How one value comes about.
-
-    Attributes:
-        kind: 'fixed', 'uniform', 'integer' (both ends included) or 'choice'.
-        values: the one value, the two ends, or the names.
-        weights: of the names, positive.
-    """
-
-    kind: str
-    values: tuple[Any, ...]
-    weights: tuple[float, ...] = ()
-
-    def __call__(self, rng: np.random.Generator, among: Sequence[str] | None = None) -> Any:
-        """One value; of a choice only names in `among`, whose first it is where none of them is in the choice."""
-        if self.kind == "choice":
-            pairs = [(v, w) for v, w in zip(self.values, self.weights, strict=True) if among is None or v in among]
-            if not pairs:
-                return (among or self.values)[0]
-            edges = np.cumsum([w for _, w in pairs])
-            return pairs[int(np.searchsorted(edges, rng.random() * edges[-1], side="right"))][0]
-        if self.kind == "uniform":
-            return float(rng.uniform(*self.values))
-        if self.kind == "integer":
-            return int(rng.integers(self.values[0], self.values[1] + 1))
-        return self.values[0]
 
 
 @dataclass(frozen=True)
@@ -136,30 +88,24 @@ class Recipe:
     fog: tuple[Draw, ...]
 
 
-def load(path: Path) -> Recipe:
-    """Read a recipe.
+def load(path: Path, *, changes: Sequence[str] = ()) -> Recipe:
+    """Read a recipe of the crossing.
+
+    Args:
+        path: the file.
+        changes: 'section.key=value' each, over what stands in the file.
 
     Raises:
         RecipeError: not YAML, or a section, key or value that is not known, with its place.
     """
-    root = load_file(path, error=RecipeError)
-    items = _mapping(root, "a recipe", ("synfog", "fog", *_sections()))
-    mark = items.get("synfog")
-    if mark is None or mark.value != SCHEMA:
-        raise RecipeError(f"{(mark or root).place}: synfog is {mark.plain() if mark else 'missing'}; this program reads {SCHEMA!r}")
-    draws = {name: _default(parameter) for name, parameter in PARAMETERS.items()}
-    for section in _sections():
-        if section in items:
-            keys = tuple(name.partition(".")[2] for name in PARAMETERS if name.startswith(section + "."))
-            for key, item in _mapping(items[section], section, keys).items():
-                draws[f"{section}.{key}"] = _draw(item, f"{section}.{key}", PARAMETERS[f"{section}.{key}"])
-    fog = tuple(Draw("fixed", (mor,)) for mor in FOG_DEFAULT)
-    if "fog" in items:
-        listed = items["fog"]
-        if not isinstance(listed.value, list) or not listed.value:
-            raise RecipeError(f"{listed.place}: fog is {listed.plain()!r}; it takes a list of visibilities in metres, as in [600, 300, 150]")
-        fog = tuple(_draw(item, "fog", FOG) for item in listed.value)
-    return Recipe(path.name, draws, fog)
+    return read(load_root(path, changes), path.name)
+
+
+def read(root: Located, name: str) -> Recipe:
+    """A recipe of the crossing from its YAML."""
+    items = mapping(root, "a recipe", ("synfog", "world", "fog", *sections(PARAMETERS)))
+    check_schema(items, root)
+    return Recipe(name, read_draws(items, PARAMETERS), read_fog(items))
 
 
 def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
@@ -186,7 +132,7 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     return WorldSpec(
         about=f"A crossing of two city streets, drawn from {recipe.name} with seed {seed}.",
         placed=(*fixed, *cars, *people, *riders),
-        view=View(crossroads.VIEW.x, crossroads.VIEW.y, height, focal_length=round(crossroads.APERTURE / 2 / math.tan(fov / 2), 6)),
+        view=View(crossroads.VIEW.x, crossroads.VIEW.y, height, focal_length=round(APERTURE / 2 / math.tan(fov / 2), 6)),
         fog=fog,
         fog_selected=list(fog)[len(fog) // 2],
         overcast_nits=round(value("sky.overcast_nits"), 1),
@@ -194,106 +140,6 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
         scatter=seed32(seed, "recipe", "scatter"),
         origin={"recipe": recipe.name, "seed": str(seed)},
     )
-
-
-def compose(path: Path, out: Path, *, seed: int) -> WorldSpec:
-    """Draw a world and write it as a stage.
-
-    References to the shipped assets are relative where `out` lies in the folder that
-    holds them, so that the folder can move, and absolute elsewhere.
-
-    Args:
-        path: the recipe.
-        out: the stage, .usda, .usdc or .usd.
-        seed: the same gives the same bytes in the same place.
-
-    Raises:
-        RecipeError: with its place.
-        OutputError: the stage cannot be written.
-    """
-    if out.suffix not in (".usda", ".usdc", ".usd"):
-        raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
-    spec = draw(load(path), seed=seed)
-    assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
-    crossroads.write_stage(out, spec, assets=assets)
-    return spec
-
-
-def asset_folder(stage_folder: Path, assets: Path) -> str:
-    """How a stage names the folder of assets: relative within the folder that holds it, absolute elsewhere."""
-    if not stage_folder.is_relative_to(assets.parent):
-        return assets.as_posix()
-    steps = Path(os.path.relpath(assets, stage_folder)).as_posix()
-    return steps if steps.startswith("..") else f"./{steps}"
-
-
-# -- reading
-
-
-def _sections() -> tuple[str, ...]:
-    return tuple(dict.fromkeys(name.partition(".")[0] for name in PARAMETERS))
-
-
-def _mapping(item: Located, what: str, allowed: Sequence[str]) -> dict[str, Located]:
-    if not isinstance(item.value, dict):
-        raise RecipeError(f"{item.place}: {what} is {item.plain()!r}; it takes a mapping of {', '.join(allowed)}")
-    for key, value in item.value.items():
-        if key not in allowed:
-            raise RecipeError(f"{value.key_place}: {what} has no {key!r}; it takes {', '.join(allowed)}.{did_you_mean(key, allowed)}")
-    return item.value
-
-
-def _default(parameter: Amount | Names) -> Draw:
-    if isinstance(parameter, Amount):
-        return Draw("fixed", (parameter.default,))
-    return Draw("choice", tuple(parameter.default), tuple(float(weight) for weight in parameter.default.values()))
-
-
-def _draw(item: Located, name: str, parameter: Amount | Names) -> Draw:
-    if isinstance(parameter, Names):
-        return _choice(item, name, parameter)
-    form = "a whole number or {integer: [low, high]}" if parameter.whole else "a number or {uniform: [low, high]}"
-    kind = "integer" if parameter.whole else "uniform"
-    if not isinstance(item.value, dict):
-        return Draw("fixed", (_number(item, name, parameter, form),))
-    (word, ends), *more = item.value.items() or [("", item)]
-    if word != kind or more or not isinstance(ends.value, list) or len(ends.value) != 2:
-        raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
-    low, high = (_number(end, name, parameter, form) for end in ends.value)
-    if low > high:
-        raise RecipeError(f"{ends.place}: {name} runs from {low:g} to {high:g}; the first end is the lower one")
-    return Draw(kind, (low, high))
-
-
-def _number(item: Located, name: str, parameter: Amount, form: str) -> float:
-    value = item.value
-    right = isinstance(value, int) if parameter.whole else isinstance(value, int | float)
-    if not right or isinstance(value, bool):
-        raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
-    if not parameter.low <= value <= parameter.high:
-        raise RecipeError(f"{item.place}: {name} {value:g} is outside {parameter.low:g} to {parameter.high:g}")
-    return value if parameter.whole else float(value)
-
-
-def _choice(item: Located, name: str, parameter: Names) -> Draw:
-    form = "a name or {choice: {name: weight, ...}}"
-    choice = item
-    if isinstance(item.value, dict):
-        if set(item.value) != {"choice"}:
-            raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
-        choice = item.value["choice"]
-        if not isinstance(choice.value, dict) or not choice.value:
-            raise RecipeError(f"{choice.place}: {name} chooses among {choice.plain()!r}; it takes {{name: weight, ...}}")
-    named = [(key, weight.key_place) for key, weight in choice.value.items()] if isinstance(choice.value, dict) else [(choice.plain(), item.place)]
-    for key, place in named:
-        if key not in parameter.allowed:
-            raise RecipeError(f"{place}: {name} has no {key!r}; it takes {', '.join(parameter.allowed)}.{did_you_mean(str(key), parameter.allowed)}")
-    if not isinstance(choice.value, dict):
-        return Draw("choice", (choice.value,), (1.0,))
-    for key, weight in choice.value.items():
-        if isinstance(weight.value, bool) or not isinstance(weight.value, int | float) or not 0 < weight.value < math.inf:
-            raise RecipeError(f"{weight.place}: {name}: the weight of {key!r} is {weight.plain()!r}; it takes a number above 0")
-    return Draw("choice", tuple(choice.value), tuple(float(weight.value) for weight in choice.value.values()))
 
 
 # -- placing
@@ -393,8 +239,8 @@ def _traffic(recipe: Recipe, seed: int, count: int, waits: bool) -> list[Placeme
             x, y = (across, middle) if lane.along == "y" else (middle, across)
             placed.append(Placement("Vehicles", "", body, round(x, 3), round(y, 3), lane.heading, {"paint": paint}, {"lamps": "glow"}))
     view = crossroads.VIEW
-    near = sorted((p for p in placed if p.y < LIT_Y), key=lambda p: (math.hypot(p.x - view.x, p.y - view.y), p.x))[:NEAREST_LIT]
-    return [replace(p, lit={"lamps": "on"}) if p in near else p for p in placed]
+    nearest = sorted((p for p in placed if p.y < LIT_Y), key=lambda p: (math.hypot(p.x - view.x, p.y - view.y), p.x))[:NEAREST_LIT]
+    return [replace(p, lit={"lamps": "on"}) if p in nearest else p for p in placed]
 
 
 def _furniture(waits: bool) -> list[Placement]:

@@ -1,7 +1,7 @@
 """A street scene in numbers: what stands where, seen from where, in which light and fog.
 
 A `WorldSpec` holds no chance any more: `crossroads` makes the same stage of the
-same spec, and `recipe` draws specs.
+same spec, and `recipe` draws specs; `roads` does both for roads in general.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from synfog_usd.world.roads.network import Road
 from synfog_usd.world.street import ground_height
 
 
@@ -23,6 +24,7 @@ class Placement:
         variants: selections that always hold; lit: selections while lamps are on.
         z: height [m], or None for the ground's.
         size: uniform scale.
+        pitch: degrees, nose up.
     """
 
     group: str
@@ -35,6 +37,7 @@ class Placement:
     lit: Mapping[str, str] = field(default_factory=dict)
     z: float | None = None
     size: float = 1.0
+    pitch: float = 0.0
 
     @property
     def height(self) -> float:
@@ -62,7 +65,7 @@ class View:
 
 @dataclass(frozen=True)
 class WorldSpec:
-    """Everything that decides a stage of the crossing.
+    """Everything that decides a stage.
 
     Attributes:
         about: one sentence, the stage's documentation.
@@ -73,6 +76,8 @@ class WorldSpec:
         overcast_nits, dusk_nits: luminance at the zenith of the two skies [cd m-2].
         scatter: number of the streams that strew leaves and light windows.
         origin: what drew it, or {} where nothing did.
+        road: the road that everything stands at, or None at the crossing.
+        built: names of what is built at the road, with its numbers.
     """
 
     about: str
@@ -84,6 +89,8 @@ class WorldSpec:
     dusk_nits: float
     scatter: int = 0
     origin: Mapping[str, str] = field(default_factory=dict)
+    road: Road | None = None
+    built: Mapping[str, Any] = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
         """As JSON has it: mappings, lists, numbers and texts."""

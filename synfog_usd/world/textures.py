@@ -27,7 +27,7 @@ SHOPS = 4  # shop windows: cells, one above the other
 FASCIAS = ("BÄCKEREI", "CAFÉ LUMEN", "APOTHEKE", "BOOKS", "BISTRO 23", "OPTIK", "BLUMEN", "RADHAUS")
 PLATES = ("SF 260 N", "KA 418 E", "LU 73 RT", "MO 550 R", "HG 87 AC", "FOG 15 V", "EX 121 Q", "TR 94 PH")
 
-_GLYPHS = {  # strokes on a grid of 4 by 6, points as digit pairs
+GLYPHS = {  # strokes on a grid of 4 by 6, points as digit pairs
     "A": "002640 1232",
     "B": "00062635443303 3342413000",
     "C": "4536160501103041",
@@ -465,7 +465,7 @@ def _lettering(word: str, shape: tuple[int, int], *, height: float, weight: floa
     y, x = np.meshgrid(np.arange(h) + 0.5, np.arange(w) + 0.5, indexing="ij")
     distance = np.full(shape, 1e9)
     for i, letter in enumerate(word):
-        strokes = _GLYPHS[accents.get(letter, letter)].split()
+        strokes = GLYPHS[accents.get(letter, letter)].split()
         lines = [[(int(s[k]), int(s[k + 1])) for k in range(0, len(s) - 1, 2)] for s in strokes]
         if letter in "ÄÖÜ":
             lines += [[(1, 7), (1, 7)], [(3, 7), (3, 7)]]

@@ -14,21 +14,37 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from synfog_usd.world.components import Component, Lamp, Look
+from synfog_usd.world.coachwork import HEADLIGHT_CD as HEADLIGHT_CD
+from synfog_usd.world.coachwork import HEADLIGHT_TINT as HEADLIGHT_TINT
+from synfog_usd.world.coachwork import (
+    arches,
+    convex,
+    cut_out,
+    front_at,
+    grown,
+    headlights,
+    lens_disc,
+    lit,
+    mirror,
+    on_side,
+    painted,
+    picture,
+    plate,
+    rect,
+    screen,
+    side_picture,
+    top_at,
+    wheels,
+)
+from synfog_usd.world.components import Component, Look
 from synfog_usd.world.materials import PAINTS
 from synfog_usd.world.shapes import (
     Array,
     Part,
     box,
-    carve,
-    disc,
-    join,
-    lathe,
     outline_distance,
-    prism,
     quad,
     rounded,
-    scale,
     shaded,
     shift,
     soft_box,
@@ -36,13 +52,7 @@ from synfog_usd.world.shapes import (
     soft_min,
     strip,
     surface,
-    turn,
 )
-
-HEADLIGHT_CD = 9000.0  # dipped beam, hot spot
-HEADLIGHT_TINT = (1.02, 0.995, 0.95)
-HEADLIGHT_LENS_NITS = (36000.0, 35000.0, 32000.0)
-TAIL_NITS = (2600.0, 6.0, 2.0)
 
 
 @dataclass(frozen=True)
@@ -57,7 +67,11 @@ class Body:
         axles: y of the rear and front axle; wheel: outer radius of the tyre.
         roof_half: half width of the roof; belt: height where the cabin begins [m].
         seams: (y, z0, z1) of the gaps between doors.
-        spokes: number of spokes of the rims.
+        spokes: number of spokes of the rims; plate: row of the picture of plates.
+        tail: lowest and highest z of the tail lamps; tail_inner: their inner edge as a share of the half width.
+        rear_plate_z: height of the plate at the back, by the tail lamps if left out.
+        upright: a flat front and doors at the back; rails: on the roof; cladding: dark wheel arches.
+        triangles: of the painted skin before anything is cut out of it.
     """
 
     name: str
@@ -82,6 +96,11 @@ class Body:
     paints: Sequence[str] = field(default=("white", "silver", "grey", "black", "blue", "red", "green", "sand"))
     cladding: bool = False
     plan_corner: float = 0.5
+    tail_inner: float = 0.72
+    rear_plate_z: float | None = None
+    upright: bool = False
+    rails: bool = False
+    triangles: int = 7500
 
 
 CARS = (
@@ -93,7 +112,7 @@ CARS = (
         windows=[[(0.02, 0.985), (0.74, 0.985), (0.30, 1.285), (0.10, 1.375), (0.02, 1.39)], [(-0.86, 1.01), (-0.06, 0.985), (-0.06, 1.39), (-0.80, 1.375)],
         [(-1.42, 1.06), (-0.93, 1.015), (-0.87, 1.365), (-1.22, 1.335)]],
         screen=((1.02, 0.98), (0.30, 1.40)), rear=((-1.93, 1.03), (-1.66, 1.36)), axles=(-1.27, 1.25), wheel=0.315, roof_half=0.57, belt=0.95,
-        seams=[(0.80, 0.32, 0.97), (-0.02, 0.32, 0.98), (-0.90, 0.48, 1.0)], tail=(0.74, 1.06), plate=1,
+        seams=[(0.80, 0.32, 0.97), (-0.02, 0.32, 0.98), (-0.90, 0.48, 1.0)], tail=(0.74, 1.06), plate=1, rear_plate_z=0.62,
     ),
     Body(
         "saloon", "A four-door saloon, 4.65 m long.", 4.65, 1.83, 1.44,
@@ -103,7 +122,7 @@ CARS = (
         windows=[[(0.0, 0.97), (0.75, 0.97), (0.26, 1.255), (0.08, 1.335), (0.0, 1.35)], [(-0.88, 0.99), (-0.08, 0.97), (-0.08, 1.355), (-0.70, 1.345)],
         [(-1.34, 1.03), (-0.95, 1.00), (-0.78, 1.335), (-0.98, 1.27)]],
         screen=((1.06, 0.96), (0.22, 1.37)), rear=((-1.70, 1.045), (-0.98, 1.40)), axles=(-1.38, 1.42), wheel=0.33, roof_half=0.58, belt=0.94,
-        seams=[(0.82, 0.34, 0.96), (-0.04, 0.34, 0.97), (-0.98, 0.50, 1.0)], lamps_z=0.66, tail=(0.76, 0.94), spokes=10, plate=2,
+        seams=[(0.82, 0.34, 0.96), (-0.04, 0.34, 0.97), (-0.98, 0.50, 1.0)], lamps_z=0.66, tail=(0.76, 0.94), spokes=10, plate=2, tail_inner=0.58,
     ),
     Body(
         "estate", "A station wagon, 4.70 m long, with roof rails.", 4.70, 1.83, 1.47,
@@ -113,7 +132,7 @@ CARS = (
         windows=[[(0.02, 0.985), (0.80, 0.985), (0.33, 1.275), (0.12, 1.365), (0.02, 1.38)], [(-0.88, 1.005), (-0.06, 0.985), (-0.06, 1.385), (-0.88, 1.385)],
         [(-1.86, 1.07), (-0.96, 1.01), (-0.96, 1.385), (-1.62, 1.36)]],
         screen=((1.10, 0.975), (0.30, 1.385)), rear=((-2.25, 1.05), (-2.0, 1.385)), axles=(-1.36, 1.44), wheel=0.335, roof_half=0.60, belt=0.95,
-        seams=[(0.86, 0.34, 0.97), (-0.02, 0.34, 0.98), (-0.92, 0.50, 1.0)], lamps_z=0.68, tail=(0.78, 1.06), spokes=5, plate=3,
+        seams=[(0.86, 0.34, 0.97), (-0.02, 0.34, 0.98), (-0.92, 0.50, 1.0)], lamps_z=0.68, tail=(0.78, 1.06), spokes=5, plate=3, rails=True,
     ),
     Body(
         "offroader", "A compact sport utility vehicle, 4.45 m long.", 4.45, 1.86, 1.66,
@@ -132,14 +151,14 @@ CARS = (
         windows=[[(0.42, 1.24), (1.62, 1.24), (1.66, 1.30), (1.10, 1.86), (0.42, 1.92)]],
         screen=((1.88, 1.30), (1.16, 2.06)), rear=((-2.64, 1.42), (-2.62, 2.0)), axles=(-1.72, 1.62), wheel=0.35, roof_half=0.82, belt=1.24,
         seams=[(1.52, 0.42, 1.24), (0.34, 0.36, 2.05), (-0.95, 0.40, 2.05)], lamps_z=0.92, tail=(0.80, 1.45), spokes=6, plate=5, paints=("white", "silver",
-        "blue"), plan_corner=0.38,
+        "blue"), plan_corner=0.38, upright=True,
     ),
 )  # fmt: skip
 
 
 def build_cars() -> list[Component]:
     """The five bodies of `CARS` as components with paint and lamps to choose."""
-    return [_car(body) for body in CARS]
+    return [build_car(body) for body in CARS]
 
 
 def build_bus() -> Component:
@@ -173,34 +192,34 @@ def build_bus() -> Component:
     ]:
         for sign in (-1, 1):
             door = sign > 0 and y0 in (-3.8, -0.2, 3.4)
-            skin = _cut(skin, parts, "glass_car", (1, 2), _rect(y0, y1, 0.42 if door else z0, z1), 0, sign, 0.75)
+            skin = cut_out(skin, parts, "glass_car", (1, 2), rect(y0, y1, 0.42 if door else z0, z1), 0, sign, 0.75)
             if door:
                 for y in (y0, (y0 + y1) / 2, y1):
                     parts.append(box((1.255, y - 0.025, 0.42), (1.29, y + 0.025, 2.64), "gloss_black"))
     for sign in (-1, 1):
-        skin = _cut(skin, parts, "gloss_black", (1, 2), _rect(-5.75, 5.6, 1.22 if sign < 0 else 2.62, 2.72), 0, sign, 0.75)
-    skin = _cut(skin, parts, "glass_car", (0, 2), _rect(-1.12, 1.12, 1.12, 2.45), 1, 1, 0.6)
-    skin = _cut(skin, parts, "gloss_black", (0, 2), _rect(-1.16, 1.16, 1.05, 2.95), 1, 1, 0.6)
-    skin = _cut(skin, parts, "glass_car", (0, 2), _rect(-1.0, 1.0, 1.75, 2.6), 1, -1, 0.6)
+        skin = cut_out(skin, parts, "gloss_black", (1, 2), rect(-5.75, 5.6, 1.22 if sign < 0 else 2.62, 2.72), 0, sign, 0.75)
+    skin = cut_out(skin, parts, "glass_car", (0, 2), rect(-1.12, 1.12, 1.12, 2.45), 1, 1, 0.6)
+    skin = cut_out(skin, parts, "gloss_black", (0, 2), rect(-1.16, 1.16, 1.05, 2.95), 1, 1, 0.6)
+    skin = cut_out(skin, parts, "glass_car", (0, 2), rect(-1.0, 1.0, 1.75, 2.6), 1, -1, 0.6)
     for sign in (-1, 1):
-        skin = _cut(skin, parts, "headlamp", (0, 2), _rect(*sorted((sign * 0.72, sign * 1.16)), 0.62, 0.86), 1, 1, 0.3)
-        skin = _cut(skin, parts, "tail_lamp", (0, 2), _rect(*sorted((sign * 1.02, sign * 1.18)), 0.8, 1.5), 1, -1, 0.3)
-        parts += [_lens((sign * 0.86, 6.02, 0.74), 0.085, "headlamp_lens"), _lens((sign * 1.10, -6.02, 1.0), 0.07, "tail_lens", back=True)]
+        skin = cut_out(skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.72, sign * 1.16)), 0.62, 0.86), 1, 1, 0.3)
+        skin = cut_out(skin, parts, "tail_lamp", (0, 2), rect(*sorted((sign * 1.02, sign * 1.18)), 0.8, 1.5), 1, -1, 0.3)
+        parts += [lens_disc((sign * 0.86, 6.02, 0.74), 0.085, "headlamp_lens"), lens_disc((sign * 1.10, -6.02, 1.0), 0.07, "tail_lens", back=True)]
         parts += [
             box((sign * 1.36 - 0.12, 5.95, 2.0), (sign * 1.36 + 0.12, 6.07, 2.45), "black_plastic"),
             box((sign * 1.2 - 0.12, 5.85, 2.46), (sign * 1.2 + 0.16, 5.97, 2.54), "black_plastic"),
         ]
-    skin = _arches(skin, parts, (-3.0, 3.2), 0.49, 0.95)
-    parts += [skin, *_wheels((-3.0, 3.2), 0.48, 1.12, 0.28, 8)]
-    parts.append(_picture([(-0.85, 6.0, 2.56), (0.85, 6.0, 2.56), (0.85, 5.93, 2.80), (-0.85, 5.93, 2.80)], "banner", 3, 4, turned=True, lift=(0, 0.03, 0)))
+    skin = arches(skin, parts, (-3.0, 3.2), 0.49, 0.95)
+    parts += [skin, *wheels((-3.0, 3.2), 0.48, 1.12, 0.28, 8)]
+    parts.append(picture([(-0.85, 6.0, 2.56), (0.85, 6.0, 2.56), (0.85, 5.93, 2.80), (-0.85, 5.93, 2.80)], "banner", 3, 4, turned=True, lift=(0, 0.03, 0)))
     for sign in (-1, 1):
-        parts.append(_side_picture(sign, 1.30, -3.5, -0.4 if sign > 0 else 1.0, 0.72, 1.08, 0))
-    parts.append(_plate((0, 6.03, 0.5), 6, front=True))
-    parts.append(_plate((0, -6.04, 0.7), 6, front=False))
-    lamps = _headlights([(-0.86, 6.06, 0.74), (0.86, 6.06, 0.74)])
+        parts.append(side_picture(sign, 1.30, -3.5, -0.4 if sign > 0 else 1.0, 0.72, 1.08, 0))
+    parts.append(plate((0, 6.03, 0.5), 6, front=True))
+    parts.append(plate((0, -6.04, 0.7), 6, front=False))
+    lamps = headlights([(-0.86, 6.06, 0.74), (0.86, 6.06, 0.74)])
     variants = {
-        "paint": {"red": _painted((0.36, 0.018, 0.02)), "yellow": _painted((0.62, 0.38, 0.02))},
-        "lamps": {"off": Look(), "glow": _lit(()), "on": _lit(lamps)},
+        "paint": {"red": painted((0.36, 0.018, 0.02)), "yellow": painted((0.62, 0.38, 0.02))},
+        "lamps": {"off": Look(), "glow": lit(()), "on": lit(lamps)},
     }
     return Component("bus", "bus", tuple(parts), "A city bus, 12 m long.", variants)
 
@@ -219,33 +238,34 @@ def build_lorry() -> Component:
     skin = surface(cab, (-1.3, 1.6, 0.3), (1.3, 3.8, 2.65), step=0.05, triangles=5000, material="paint")
     parts: list[Part] = []
     for sign in (-1, 1):
-        skin = _cut(skin, parts, "glass_car", (1, 2), [(2.1, 1.42), (3.25, 1.36), (3.05, 2.18), (2.1, 2.22)], 0, sign, 0.5)
-        skin = _cut(skin, parts, "seam", (1, 2), _rect(2.0, 2.012, 0.7, 2.3), 0, sign, 0.5)
-        skin = _cut(skin, parts, "headlamp", (0, 2), _rect(*sorted((sign * 0.62, sign * 1.0)), 0.66, 0.88), 1, 1, 0.3)
-        parts.append(_lens((sign * 0.80, 3.615, 0.77), 0.08, "headlamp_lens"))
+        skin = cut_out(skin, parts, "glass_car", (1, 2), [(2.1, 1.42), (3.25, 1.36), (3.05, 2.18), (2.1, 2.22)], 0, sign, 0.5)
+        skin = cut_out(skin, parts, "seam", (1, 2), rect(2.0, 2.012, 0.7, 2.3), 0, sign, 0.5)
+        skin = cut_out(skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.62, sign * 1.0)), 0.66, 0.88), 1, 1, 0.3)
+        parts.append(lens_disc((sign * 0.80, 3.615, 0.77), 0.08, "headlamp_lens"))
         parts += [
             box((sign * 1.22 - 0.1, 3.32, 1.5), (sign * 1.22 + 0.1, 3.42, 2.05), "black_plastic"),
             box((sign * 1.12 - 0.1, 3.3, 1.95), (sign * 1.12 + 0.1, 3.34, 1.99), "black_plastic"),
         ]
-        parts.append(_lens((sign * 1.0, -3.61, 0.95), 0.07, "tail_lens", back=True))
+        parts.append(lens_disc((sign * 1.0, -3.61, 0.95), 0.07, "tail_lens", back=True))
         parts.append(box((sign * 1.0 - 0.15, -3.6, 0.85), (sign * 1.0 + 0.15, -3.55, 1.05), "tail_lamp"))
-    skin = _cut(skin, parts, "glass_car", (0, 2), [(-0.98, 1.38), (0.98, 1.38), (0.88, 2.2), (-0.88, 2.2)], 1, 1, 0.35)
-    skin = _cut(skin, parts, "black_plastic", (0, 2), _rect(-0.55, 0.55, 0.7, 1.2), 1, 1, 0.35)
-    skin = _cut(skin, parts, "black_plastic", (0, 2), _rect(-2, 2, 0.3, 0.6), 1, 1, -2)
-    skin = _arches(skin, parts, (2.65,), 0.47, 0.75)
-    parts += [skin, *_wheels((-1.9, 2.65), 0.44, 0.98, 0.27, 8)]
+    skin = cut_out(skin, parts, "glass_car", (0, 2), [(-0.98, 1.38), (0.98, 1.38), (0.88, 2.2), (-0.88, 2.2)], 1, 1, 0.35)
+    skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-0.55, 0.55, 0.7, 1.2), 1, 1, 0.35)
+    skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-2, 2, 0.3, 0.6), 1, 1, -2)
+    skin = arches(skin, parts, (2.65,), 0.47, 0.75)
+    parts += [skin, *wheels((-1.9, 2.65), 0.44, 0.98, 0.27, 8)]
     parts += [soft_box((-1.15, -3.6, 0.95), (1.15, 1.65, 3.15), "frame_white", radius=0.05), box((-0.45, -3.5, 0.55), (0.45, 2.0, 0.95), "black_plastic")]
     parts += [box((-1.1, -3.55, 0.5), (1.1, -3.45, 0.65), "black_plastic")]
     for sign in (-1, 1):
-        parts.append(_side_picture(sign, 1.155, -3.1, 1.2, 1.75, 2.3, 1))
+        parts.append(side_picture(sign, 1.155, -3.1, 1.2, 1.75, 2.3, 1))
         parts += [box((sign * 1.05 - 0.03, -0.8, 0.5), (sign * 1.05 + 0.03, 1.9, 0.85), "black_plastic")]
-    parts += [_plate((0, 3.63, 0.55), 7, front=True), _plate((0, -3.61, 0.72), 7, front=False)]
-    lamps = _headlights([(-0.80, 3.66, 0.77), (0.80, 3.66, 0.77)])
-    variants = {"paint": {"white": _painted(PAINTS["white"]), "blue": _painted(PAINTS["blue"])}, "lamps": {"off": Look(), "glow": _lit(()), "on": _lit(lamps)}}
+    parts += [plate((0, 3.63, 0.55), 7, front=True), plate((0, -3.61, 0.72), 7, front=False)]
+    lamps = headlights([(-0.80, 3.66, 0.77), (0.80, 3.66, 0.77)])
+    variants = {"paint": {"white": painted(PAINTS["white"]), "blue": painted(PAINTS["blue"])}, "lamps": {"off": Look(), "glow": lit(()), "on": lit(lamps)}}
     return Component("lorry", "truck", tuple(parts), "A box lorry, 7.2 m long.", variants)
 
 
-def _car(body: Body) -> Component:
+def build_car(body: Body) -> Component:
+    """A body as a component with glass, wheels, lamps and plates, and paint and lamps to choose."""
     half = body.width / 2
     side = rounded(body.side, 3, 0.16)
     cabin = rounded(body.cabin, 3, 0.16)
@@ -262,7 +282,7 @@ def _car(body: Body) -> Component:
     cabin_front = rounded([*upright, *((-x, z) for x, z in reversed(upright))], 3, 0.14)
     cabin_plan = rounded([(-half * 0.62, y0 + 0.05), (half * 0.62, y0 + 0.05), (half * 0.93, y0 + 0.75), (half * 0.95, 0.2), (half * 0.78, y1 - 0.55),
         (-half * 0.78, y1 - 0.55), (-half * 0.95, 0.2), (-half * 0.93, y0 + 0.75)], 3, 0.2)  # fmt: skip
-    if body.name == "van":
+    if body.upright:
         cabin_plan = plan
 
     def field_(x: Array, y: Array, z: Array) -> Array:
@@ -272,38 +292,40 @@ def _car(body: Body) -> Component:
         return soft_min(lower + 0.5 * crown, upper, 0.05)
 
     margin = 0.12
-    skin = surface(field_, (-half - margin, y0 - margin, sill - 0.2), (half + margin, y1 + margin, head + margin), step=0.042, triangles=7500, material="paint")
+    skin = surface(
+        field_, (-half - margin, y0 - margin, sill - 0.2), (half + margin, y1 + margin, head + margin), step=0.042, triangles=body.triangles, material="paint"
+    )
     parts: list[Part] = []
-    skin = _arches(skin, parts, body.axles, body.wheel + 0.045, half * 0.62, lip="black_plastic" if body.cladding else "")
+    skin = arches(skin, parts, body.axles, body.wheel + 0.045, half * 0.62, lip="black_plastic" if body.cladding else "")
     for sign in (-1, 1):
         for window in body.windows:
-            skin = _cut(skin, parts, "glass_car", (1, 2), _grown(window, -0.012), 0, sign, 0.35)
-            skin = _cut(skin, parts, "gloss_black", (1, 2), _grown(window, 0.014), 0, sign, 0.35)
+            skin = cut_out(skin, parts, "glass_car", (1, 2), grown(window, -0.012), 0, sign, 0.35)
+            skin = cut_out(skin, parts, "gloss_black", (1, 2), grown(window, 0.014), 0, sign, 0.35)
         for y, z0, z1 in body.seams:
-            skin = _cut(skin, parts, "seam", (1, 2), _rect(y - 0.004, y + 0.004, z0, z1), 0, sign, 0.4)
+            skin = cut_out(skin, parts, "seam", (1, 2), rect(y - 0.004, y + 0.004, z0, z1), 0, sign, 0.4)
         first, last = body.seams[0][0], body.seams[-1][0]
-        skin = _cut(skin, parts, "seam", (1, 2), _rect(last, first, body.seams[0][1], body.seams[0][1] + 0.008), 0, sign, 0.4)
+        skin = cut_out(skin, parts, "seam", (1, 2), rect(last, first, body.seams[0][1], body.seams[0][1] + 0.008), 0, sign, 0.4)
         for y, _, _ in body.seams[1:]:
             z = belt - 0.09
             parts.append(
                 soft_box((0, 0, 0), (0.20, 0.028, 0.022), "paint" if not body.cladding else "chrome", radius=0.01).moved(
-                    _on_side(field_, sign, y + 0.06, z) @ shift(0, 0, -0.01)
+                    on_side(field_, sign, y + 0.06, z) @ shift(0, 0, -0.01)
                 )
             )
         mirror_y = body.screen[0][0] - 0.32
-        at = _on_side(field_, sign, mirror_y, belt + 0.02)[:3, 3]
-        shell = _mirror(sign).moved(shift(at[0] + sign * 0.005, at[1], belt + 0.03))
+        at = on_side(field_, sign, mirror_y, belt + 0.02)[:3, 3]
+        shell = mirror(sign).moved(shift(at[0] + sign * 0.005, at[1], belt + 0.03))
         parts += [shell, quad([(at[0] + sign * 0.05, at[1] - 0.062, belt + 0.055), (at[0] + sign * 0.205, at[1] - 0.058, belt + 0.055), (at[0] + sign * 0.205,
             at[1] - 0.058, belt + 0.15), (at[0] + sign * 0.05, at[1] - 0.062, belt + 0.15)][:: sign], "chrome")]  # fmt: skip
     (_fy, fz), (_hy, hz) = body.screen
-    skin = _screen(skin, parts, fz + 0.005, hz - 0.03, half * 0.80, body.roof_half * 0.93, 1, body.name == "van")
+    skin = screen(skin, parts, fz + 0.005, hz - 0.03, half * 0.80, body.roof_half * 0.93, 1, body.upright)
     (_ry, rz), (_sy, sz) = body.rear
-    if body.name != "van":
-        skin = _screen(skin, parts, rz + 0.02, sz - 0.03, half * 0.66, body.roof_half * 0.82, -1, False)
+    if not body.upright:
+        skin = screen(skin, parts, rz + 0.02, sz - 0.03, half * 0.66, body.roof_half * 0.82, -1, False)
     else:
         for x0, x1 in ((-0.72, -0.06), (0.06, 0.72)):
-            skin = _cut(skin, parts, "glass_car", (0, 2), _rect(x0, x1, rz, sz), 1, -1, 0.5)
-        skin = _cut(skin, parts, "seam", (0, 2), _rect(-0.006, 0.006, 0.45, 2.15), 1, -1, 0.5)
+            skin = cut_out(skin, parts, "glass_car", (0, 2), rect(x0, x1, rz, sz), 1, -1, 0.5)
+        skin = cut_out(skin, parts, "seam", (0, 2), rect(-0.006, 0.006, 0.45, 2.15), 1, -1, 0.5)
     z = body.lamps_z
     lens = []
     for sign in (-1, 1):
@@ -315,22 +337,22 @@ def _car(body: Body) -> Component:
             (sign * half * 0.80, z + 0.075),
             (sign * half * 0.57, z + 0.03),
         ]
-        skin = _cut(skin, parts, "headlamp", (0, 2), lamp if sign > 0 else lamp[::-1], 1, 1, -9, y1 - 0.46)
+        skin = cut_out(skin, parts, "headlamp", (0, 2), lamp if sign > 0 else lamp[::-1], 1, 1, -9, y1 - 0.46)
         x = sign * half * 0.735
-        y = _front_at(field_, x, z, 1)
+        y = front_at(field_, x, z, 1)
         lens.append((x, y + 0.05, z))
-        parts.append(_lens((x, y + 0.012, z), 0.052, "headlamp_lens"))
+        parts.append(lens_disc((x, y + 0.012, z), 0.052, "headlamp_lens"))
         low, high = body.tail
         tail = [
-            (sign * half * (0.58 if body.name in ("saloon",) else 0.72), low + 0.03),
+            (sign * half * body.tail_inner, low + 0.03),
             (sign * half * 0.99, low),
             (sign * half * 0.99, high - 0.03),
             (sign * half * 0.76, high),
             (sign * half * 0.62, high - 0.05),
         ]
-        skin = _cut(skin, parts, "tail_lamp", (0, 2), _convex(tail if sign > 0 else tail[::-1]), 1, -1, -9, -y0 - 0.27)
+        skin = cut_out(skin, parts, "tail_lamp", (0, 2), convex(tail if sign > 0 else tail[::-1]), 1, -1, -9, -y0 - 0.27)
         x = sign * half * 0.80
-        parts.append(_lens((x, _front_at(field_, x, (low + high) / 2, -1) - 0.010, (low + high) / 2), 0.055, "tail_lens", back=True))
+        parts.append(lens_disc((x, front_at(field_, x, (low + high) / 2, -1) - 0.010, (low + high) / 2), 0.055, "tail_lens", back=True))
     grille = [
         (-half * 0.40, z - 0.20),
         (half * 0.40, z - 0.20),
@@ -339,235 +361,32 @@ def _car(body: Body) -> Component:
         (-half * 0.50, z + 0.005),
         (-half * 0.47, z - 0.10),
     ]
-    skin = _cut(skin, parts, "gloss_black", (0, 2), grille, 1, 1, 0.3)
-    skin = _cut(skin, parts, "black_plastic", (0, 2), _rect(-half * 0.72, half * 0.72, sill + 0.07, sill + 0.22), 1, 1, 0.3)
-    skin = _cut(skin, parts, "black_plastic", (0, 2), _rect(-half * 0.78, half * 0.78, sill, sill + 0.17), 1, -1, 0.3)
-    skin = _cut(skin, parts, "seam", (0, 2), _rect(-half * 0.6, half * 0.6, body.tail[0] - 0.16, body.tail[0] - 0.152), 1, -1, 0.3)
-    skin = _cut(skin, parts, "black_plastic", (1, 2), _rect(y0 - 1, y1 + 1, 0, sill + (0.14 if body.cladding else 0.055)), 0, 0, -9)
-    bar = np.array([_front_at(field_, x, z - 0.05, 1) for x in np.linspace(-0.35, 0.35, 7)])
+    skin = cut_out(skin, parts, "gloss_black", (0, 2), grille, 1, 1, 0.3)
+    skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-half * 0.72, half * 0.72, sill + 0.07, sill + 0.22), 1, 1, 0.3)
+    skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-half * 0.78, half * 0.78, sill, sill + 0.17), 1, -1, 0.3)
+    skin = cut_out(skin, parts, "seam", (0, 2), rect(-half * 0.6, half * 0.6, body.tail[0] - 0.16, body.tail[0] - 0.152), 1, -1, 0.3)
+    skin = cut_out(skin, parts, "black_plastic", (1, 2), rect(y0 - 1, y1 + 1, 0, sill + (0.14 if body.cladding else 0.055)), 0, 0, -9)
+    bar = np.array([front_at(field_, x, z - 0.05, 1) for x in np.linspace(-0.35, 0.35, 7)])
     for dz in (0.0, -0.055, -0.11):
         rail = np.c_[np.linspace(-0.35, 0.35, 7), bar + 0.004, np.full(7, z - 0.03 + dz)]
         parts.append(strip([rail, rail + [0, 0.0, 0.016]], "chrome" if dz == 0 else "black_plastic"))
-    plate_y = _front_at(field_, 0.0, sill + 0.25, 1), _front_at(field_, 0.0, body.tail[0] - 0.02 if body.name != "hatchback" else 0.62, -1)
+    rear_plate = body.tail[0] - 0.02 if body.rear_plate_z is None else body.rear_plate_z
+    plate_y = front_at(field_, 0.0, sill + 0.25, 1), front_at(field_, 0.0, rear_plate, -1)
     parts += [
-        _plate((0, plate_y[0] + 0.012, sill + 0.25), body.plate, front=True),
-        _plate((0, plate_y[1] - 0.012, body.tail[0] - 0.02 if body.name != "hatchback" else 0.62), body.plate, front=False),
+        plate((0, plate_y[0] + 0.012, sill + 0.25), body.plate, front=True),
+        plate((0, plate_y[1] - 0.012, rear_plate), body.plate, front=False),
     ]
     for z_badge, sign in ((z - 0.045, 1), (body.tail[0] + 0.1, -1)):
-        y = _front_at(field_, 0.0, z_badge, sign)
-        parts.append(_lens((0, y + 0.008 * sign, z_badge), 0.042, "chrome", back=sign < 0))
-    if body.name == "estate":
+        y = front_at(field_, 0.0, z_badge, sign)
+        parts.append(lens_disc((0, y + 0.008 * sign, z_badge), 0.042, "chrome", back=sign < 0))
+    if body.rails:
         for sign in (-1, 1):
             ys = np.linspace(-1.75, 0.05, 9)
-            zs = [_top_at(field_, sign * 0.53, y) for y in ys]
+            zs = [top_at(field_, sign * 0.53, y) for y in ys]
             rail = np.c_[np.full(9, sign * 0.53), ys, np.array(zs) + 0.035]
             rail[0, 2] -= 0.03
             rail[-1, 2] -= 0.03
             parts.append(shaded(strip([rail + [dx, 0, dz] for dx, dz in ((-0.015, 0), (-0.012, 0.02), (0.012, 0.02), (0.015, 0), (-0.015, 0))], "chrome"), 50))
-    parts += [skin, *_wheels(body.axles, body.wheel, half - 0.065, 0.205, body.spokes)]
-    variants = {"paint": {name: _painted(PAINTS[name]) for name in body.paints}, "lamps": {"off": Look(), "glow": _lit(()), "on": _lit(_headlights(lens))}}
+    parts += [skin, *wheels(body.axles, body.wheel, half - 0.065, 0.205, body.spokes)]
+    variants = {"paint": {name: painted(PAINTS[name]) for name in body.paints}, "lamps": {"off": Look(), "glow": lit(()), "on": lit(headlights(lens))}}
     return Component(body.name, "car", tuple(parts), body.about, variants)
-
-
-def _painted(colour: tuple[float, float, float]) -> Look:
-    return Look(materials={"paint": {"diffuseColor": colour}})
-
-
-def _lit(lamps: tuple[Lamp, ...]) -> Look:
-    return Look(materials={"headlamp_lens": {"emissiveColor": HEADLIGHT_LENS_NITS}, "tail_lens": {"emissiveColor": TAIL_NITS}}, lamps=lamps)
-
-
-def _headlights(places: Sequence[tuple[float, float, float]]) -> tuple[Lamp, ...]:
-    names = ("Left", "Right")
-    return tuple(Lamp(n, shift(*p) @ turn(88.4, "x"), HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT) for n, p in zip(names, sorted(places), strict=True))
-
-
-def _rect(u0: float, u1: float, v0: float, v1: float) -> list[tuple[float, float]]:
-    return [(u0, v0), (u1, v0), (u1, v1), (u0, v1)]
-
-
-def _grown(outline: Sequence[tuple[float, float]], by: float) -> list[tuple[float, float]]:
-    p = np.asarray(outline, dtype=np.float64)
-    a = np.roll(p, 1, axis=0)
-    b = np.roll(p, -1, axis=0)
-    e0, e1 = (p - a) / np.linalg.norm(p - a, axis=1, keepdims=True), (b - p) / np.linalg.norm(b - p, axis=1, keepdims=True)
-    n0, n1 = np.c_[e0[:, 1], -e0[:, 0]], np.c_[e1[:, 1], -e1[:, 0]]
-    offset = (n0 + n1) / np.maximum(1 + (n0 * n1).sum(axis=1, keepdims=True), 0.3)
-    return [tuple(q) for q in p + by * offset]
-
-
-def _convex(outline: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    from scipy.spatial import ConvexHull
-
-    p = np.asarray(outline)
-    return [tuple(p[i]) for i in ConvexHull(p).vertices]
-
-
-def _cut(
-    skin: Part,
-    parts: list[Part],
-    material: str,
-    axes: tuple[int, int],
-    outline: Sequence[tuple[float, float]],
-    along: int,
-    sign: int,
-    facing: float,
-    beyond: float | None = None,
-) -> Part:
-    """Repaint a convex outline of the skin, seen along an axis, where it faces that way; gives the rest.
-
-    facing: least cosine between the normals and the axis; beyond: least distance along the axis [m].
-    """
-    planes = prism(outline, axes)
-    if beyond is not None:
-        planes.append(lambda q: beyond - sign * q[:, along])
-    if sign:
-        planes.append(lambda q: -sign * q[:, along])
-    inside, rest = carve(skin, planes)
-    if len(inside.faces) == 0:
-        return skin
-    if facing > -1 and inside.normals is not None:
-        n = inside.normals[inside.faces].mean(axis=1)[:, along] * sign
-        keep = n > facing
-        back = Part(inside.points, inside.faces[~keep], skin.material, inside.uv, inside.normals)
-        rest = join([rest, back]) if (~keep).any() else rest
-        inside = Part(inside.points, inside.faces[keep], material, inside.uv, inside.normals)
-    parts.append(inside.painted(material))
-    return rest.painted(skin.material)
-
-
-def _screen(skin: Part, parts: list[Part], z0: float, z1: float, low_half: float, high_half: float, sign: int, upright: bool) -> Part:
-    outline = [(-low_half, z0), (low_half, z0), (high_half, z1), (-high_half, z1)]
-    planes = prism(_grown(outline, -0.01), (0, 2))
-    border = prism(_grown(outline, 0.02), (0, 2))
-    for material, cuts in (("glass_car", planes), ("gloss_black", border)):
-        inside, rest = carve(skin, [*cuts, lambda q: -sign * q[:, 1] - 0.5 if not upright else 0.9 - q[:, 1]])
-        n = inside.normals[inside.faces].mean(axis=1) if inside.normals is not None and len(inside.faces) else np.zeros((0, 3))
-        keep = sign * n[:, 1] > (0.18 if sign > 0 else 0.22)
-        if len(inside.faces):
-            parts.append(Part(inside.points, inside.faces[keep], material, inside.uv, inside.normals))
-            back = Part(inside.points, inside.faces[~keep], skin.material, inside.uv, inside.normals)
-            skin = (join([rest, back]) if (~keep).any() else rest).painted(skin.material)
-    return skin
-
-
-def _arches(skin: Part, parts: list[Part], axles: Sequence[float], radius: float, inner: float, lip: str = "") -> Part:
-    """Cut the wheel arches out and line them with dark plastic."""
-    angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
-    for sign in (-1, 1):
-        for y in axles:
-            circle = np.c_[y + radius * np.cos(angle), radius - 0.045 + radius * np.sin(angle)]
-            reach = [lambda q, sign=sign: inner - sign * q[:, 0]]
-            hole, skin = carve(skin, [*reach, *prism(circle, (1, 2))])
-            outer = float(np.abs(hole.points[:, 0]).max()) if len(hole.points) else inner + 0.3
-            arc = np.linspace(-0.15, np.pi + 0.15, 20)
-            ring = np.c_[np.full(20, 0.0), y + (radius + 0.004) * np.cos(arc), radius - 0.045 + (radius + 0.004) * np.sin(arc)]
-            parts.append(strip([ring + [sign * inner, 0, 0], ring + [sign * (outer - 0.035), 0, 0]], "seam"))
-            wall = np.vstack([ring, [(0, y, radius - 0.3)]]) + [sign * inner, 0, 0]
-            parts.append(Part(wall, np.array([(i, i + 1, 20) for i in range(19)]), "seam"))
-            if lip:
-                wide = np.c_[y + (radius + 0.055) * np.cos(angle), radius - 0.045 + (radius + 0.055) * np.sin(angle)]
-                band, skin = carve(skin, [*reach, *prism(wide, (1, 2))])
-                parts.append(band.painted(lip))
-    return skin.painted("paint")
-
-
-def _wheels(axles: Sequence[float], radius: float, half_track: float, width: float, spokes: int) -> list[Part]:
-    """Four wheels that stand on the ground, rims outward."""
-    tyre, rim, brake = _wheel(radius, width, spokes)
-    placed = []
-    for sign in (-1, 1):
-        for y in axles:
-            m = shift(sign * (half_track - width / 2 + 0.02), y, radius) @ turn(90 * sign, "y")
-            placed += [p.moved(m) for p in (tyre, rim, brake)]
-    return placed
-
-
-def _wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
-    r, w, bead = radius, width / 2, radius * 0.66
-    tyre = lathe(
-        [(bead, -w * 0.9), (r * 0.88, -w), (r * 0.975, -w * 0.86), (r, -w * 0.6), (r, w * 0.6), (r * 0.975, w * 0.86), (r * 0.88, w), (bead, w * 0.92)],
-        "tyre",
-        sides=36,
-        crease_deg=35,
-    )
-    dish = lathe(
-        [(bead * 0.93, -w * 0.5), (bead * 0.93, w * 0.55), (bead * 0.96, w * 0.9), (bead * 1.01, w * 0.95), (bead * 1.01, w * 0.8)],
-        "rim",
-        sides=32,
-        crease_deg=35,
-    )
-    hub = lathe([(0.001, w * 0.74), (bead * 0.16, w * 0.74), (bead * 0.2, w * 0.6)][::-1], "rim", sides=12)
-    bars = []
-    for i in range(spokes):
-        thick = 0.55 / max(spokes, 5)
-        inner_half, outer_half = bead * thick * 0.8, bead * thick * 1.15
-        top = [
-            (bead * 0.12, -inner_half, w * 0.72),
-            (bead * 0.95, -outer_half, w * 0.80),
-            (bead * 0.95, outer_half, w * 0.80),
-            (bead * 0.12, inner_half, w * 0.72),
-        ]
-        low = [(x, y * 1.25, z - w * 0.35) for x, y, z in top]
-        sides = [[low[k], low[(k + 1) % 4], top[(k + 1) % 4], top[k]] for k in (0, 2)]
-        bars.append(join([quad(top, "rim"), *(quad(s, "rim") for s in sides)]).moved(turn(360 / spokes * i)))
-    brake = disc((0, 0, w * 0.15), bead * 0.93, "brake", sides=16)
-    return tyre, join([dish, hub, *(shaded(b, 20) for b in bars)]), brake
-
-
-def _lens(centre: tuple[float, float, float], radius: float, material: str, *, back: bool = False) -> Part:
-    """A round lens of ten triangles that faces forward or back."""
-    return disc((0, 0, 0), radius, material, sides=10).moved(shift(*centre) @ turn(90 if back else -90, "x"))
-
-
-def _mirror(sign: int) -> Part:
-    arm = box((0.0, -0.02, 0.0), (0.09, 0.03, 0.05), "paint")
-    shell = soft_box((0.03, -0.055, 0.01), (0.225, 0.055, 0.165), "paint", radius=0.045)
-    both = join([arm, shell])
-    return both if sign > 0 else both.moved(scale(-1, 1, 1))
-
-
-def _plate(centre: tuple[float, float, float], row: int, *, front: bool) -> Part:
-    x, y, z = centre
-    w, h = 0.26, 0.056
-    s = 1 if front else -1
-    corners = [(x + s * w, y, z - h), (x - s * w, y, z - h), (x - s * w, y, z + h), (x + s * w, y, z + h)]
-    low, high = 1 - (row + 1) / 8, 1 - row / 8
-    return quad(corners, "plate", [(0, low), (1, low), (1, high), (0, high)])
-
-
-def _picture(
-    corners: Sequence[tuple[float, float, float]], material: str, row: int, rows: int, *, turned: bool = False, lift: tuple[float, float, float] = (0, 0, 0)
-) -> Part:
-    low, high = 1 - (row + 1) / rows, 1 - row / rows
-    uv = [(0, low), (1, low), (1, high), (0, high)]
-    p = np.asarray(corners) + np.asarray(lift)
-    if turned:  # seen from the front, +X is on the left
-        p = p[[1, 0, 3, 2]]
-    return quad(p, material, uv)
-
-
-def _side_picture(sign: int, x: float, y0: float, y1: float, z0: float, z1: float, row: int) -> Part:
-    a, b = (y0, y1) if sign > 0 else (y1, y0)
-    return _picture([(sign * x, a, z0), (sign * x, b, z0), (sign * x, b, z1), (sign * x, a, z1)], "banner", row, 4)
-
-
-def _on_side(field_, sign: int, y: float, z: float) -> Array:
-    """(4, 4) frame on the flank at (y, z) whose X runs along the car."""
-    x = np.linspace(0, 1.3, 400)
-    f = field_(sign * x, np.full(400, y), np.full(400, z))
-    at = x[np.argmax(f > 0)] if (f > 0).any() else 1.0
-    return shift(sign * at, y - 0.1, z) @ turn(90)
-
-
-def _front_at(field_, x: float, z: float, sign: int) -> float:
-    y = np.linspace(0, 3.2, 800)
-    f = field_(np.full(800, x), sign * y, np.full(800, z))
-    inside = np.nonzero(f < 0)[0]
-    return float(sign * y[inside[-1]])
-
-
-def _top_at(field_, x: float, y: float) -> float:
-    z = np.linspace(0.5, 3, 600)
-    f = field_(np.full(600, x), np.full(600, y), z)
-    return float(z[np.nonzero(f < 0)[0][-1]])

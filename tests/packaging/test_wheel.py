@@ -13,7 +13,7 @@ import pytest
 from support.stages import street
 
 ROOT = Path(__file__).resolve().parents[2]
-SHIPPED = ("assets", "stages", "pipeline")
+SHIPPED = ("assets", "stages", "pipeline", "integrations")
 
 
 def files_below(folder):

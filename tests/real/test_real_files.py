@@ -103,7 +103,23 @@ WALKERS = (("Cesium", "CesiumMan/CesiumMan.usdz", -1.2, 7.0, 0.012), ("Rigged", 
 
 def bake(stage, out, *more, size="160x90", samples=8):
     """Bake through the command line; gives the manifest that it prints."""
-    words = [sys.executable, "-m", "synfog_usd.cli.main", "bake", stage, "-o", out, "--resolution", size, "--samples", samples, "--json", *more]
+    words = [
+        sys.executable,
+        "-m",
+        "synfog_usd.cli.main",
+        "bake",
+        stage,
+        "-o",
+        out,
+        "--resolution",
+        size,
+        "--samples",
+        samples,
+        "--json",
+        "--allow",
+        REAL,
+        *more,
+    ]
     done = subprocess.run(list(map(str, words)), capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
@@ -384,3 +400,11 @@ def test_blenders_transmittance_falls_with_distance(exported):
     seen = np.isfinite(layers["distance.Z"])
     order = np.argsort(layers["distance.Z"][seen])
     assert (np.diff(layers["transmittance.Y"][seen][order]) <= 1e-6).all()
+
+
+def test_blenders_lights_are_read_as_blender_means_them_and_that_is_kept(exported):
+    """The choice stands in what is printed and stored: four lamps and a sun by its own convention."""
+    out, printed = exported
+    stored = json.loads((out / "bake.json").read_text())
+    assert printed["plan"]["lights"] == stored["plan"]["lights"] == "auto"
+    assert any("5 by 'blender'" in note["text"] for note in stored["notes"])

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom, UsdLux
 
 from synfog_usd.stage import check, open_stage, register
 from synfog_usd.stage.schema import API_NAME, DEFAULTS, PLUGIN_FOLDER, PREFIX, read_fog
@@ -60,7 +60,7 @@ def test_check_finds_what_a_render_would_miss():
     UsdGeom.Cube.Define(stage, "/World/A")
     UsdGeom.Cube.Define(stage, "/World/B").GetPrim().CreateAttribute("userProperties:cityscapes", Sdf.ValueTypeNames.String).Set("ufo")
     assert findings(stage) == {
-        ("", "the stage has no camera"), ("", "the stage has no fog"),
+        ("", "the stage has no camera"), ("", "the stage has no fog"), ("", "the stage has no light and no emissive material"),
         ("/World/B", "label 'ufo' is not a Cityscapes name"), ("/World/A", "1 prims have no label (semantics"),
     }  # fmt: skip
 
@@ -73,6 +73,7 @@ def test_check_finds_a_camera_outside_of_its_fog():
     fog = UsdGeom.Cube.Define(stage, "/World/Fog")
     fog.CreatePurposeAttr("guide")
     fog.GetPrim().ApplyAPI(API_NAME)
+    UsdLux.SphereLight.Define(stage, "/World/Lamp")
     UsdGeom.Camera.Define(stage, "/World/In")
     assert findings(stage) == set()
     UsdGeom.Camera.Define(stage, "/World/Out").AddTranslateOp().Set((5, 0, 0))

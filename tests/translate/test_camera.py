@@ -136,3 +136,11 @@ def test_the_frame_is_the_one_asked_for_or_the_first(empty):
     np.testing.assert_allclose(scene.world["shape_0"]["positions"].mean(axis=0), [10, 0, 0])
     assert any("frame 10" in note.text for note in scene.notes)
     np.testing.assert_allclose(translate(stage, frame=17).world["shape_0"]["positions"].mean(axis=0), [17, 0, 0])
+
+
+def test_a_cameras_own_exposure_is_noted(empty):
+    """Two stops are a factor of 4, by USD's own formula; without them there is nothing to say."""
+    stage = empty()
+    assert not any("exposure" in note.text for note in translate(stage).notes)
+    camera(stage).CreateExposureAttr(2.0)
+    assert any(note.path == "/Camera" and "a factor of 4)" in note.text for note in translate(stage).notes)

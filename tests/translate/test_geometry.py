@@ -8,6 +8,8 @@ from synfog_usd.translate import summary, translate
 from synfog_usd.translate.geometry import triangulate
 
 ONE = np.array([0])
+BOX = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+QUADS = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
 
 
 def shoelace(polygon):
@@ -47,6 +49,21 @@ def test_triangles_cover_a_polygon_once(n, inner):
         signed = area_vectors(points, triangles) @ normal
         assert (signed > -1e-12).all()
         np.testing.assert_allclose(signed.sum(), shoelace(flat), rtol=1e-12)
+
+
+@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize("others", [0, 1])
+def test_darts_are_covered_once_wherever_they_are_bent(empty, polygon_mesh, only_shape, turn, others):
+    """A quad whose one corner points inwards has an area of 2, alone and beside a convex one of area 4."""
+    dart = np.roll(np.array([(0, 0), (2, 1), (0, 4), (1, 1)], dtype=float), turn, axis=0)
+    square = np.array([(5, 0), (7, 0), (7, 2), (5, 2)], dtype=float)
+    flat = np.concatenate([dart, *[square] * others])
+    stage = empty()
+    polygon_mesh(stage, "/Dart", [(float(x), 5.0, float(z)) for x, z in flat], [4] * (1 + others), list(range(len(flat))))
+    shape = only_shape(translate(stage))
+    signed = -area_vectors(shape["positions"], shape["faces"])[:, 1]
+    assert (signed > 0).all()
+    np.testing.assert_allclose(signed.sum(), shoelace(dart) + 4 * others, rtol=1e-6)
 
 
 def test_a_polygon_with_a_bridged_hole_keeps_its_area():
@@ -196,19 +213,84 @@ def test_normals_stand_upright_under_uneven_scale(empty, polygon_mesh, only_shap
     np.testing.assert_allclose(shape["normals"][faces[0, 0]], flat / np.linalg.norm(flat), atol=1e-6)
 
 
-def test_subdivision_cages_get_smooth_normals_and_a_note(empty, polygon_mesh, only_shape):
-    """On the corners of a cube the mean of its three faces points along the diagonal."""
+def test_loop_cages_get_smooth_normals_and_a_note(empty, polygon_mesh, only_shape):
+    """On the corners of a tetrahedron the mean of its three faces points away from its middle."""
     stage = empty()
-    box = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-    quads = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
-    mesh = polygon_mesh(stage, "/Cage", box, [4] * 6, quads)
-    mesh.GetSubdivisionSchemeAttr().Set("catmullClark")
+    mesh = polygon_mesh(stage, "/Cage", [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], [3] * 4, [0, 1, 2, 0, 3, 1, 0, 2, 3, 1, 3, 2])
+    mesh.GetSubdivisionSchemeAttr().Set("loop")
     scene = translate(stage)
     shape = only_shape(scene)
-    assert shape["face_normals"] is False
-    diagonal = shape["positions"] / np.linalg.norm(shape["positions"], axis=1, keepdims=True)
-    assert (np.einsum("ij,ij->i", shape["normals"], diagonal) > 0.9).all()  # 0.94: by area, a quad's two triangles may both count
-    assert any(note.path == "/Cage" and "catmullClark" in note.text for note in scene.notes)
+    away = shape["positions"] / np.linalg.norm(shape["positions"], axis=1, keepdims=True)
+    np.testing.assert_allclose(np.einsum("ij,ij->i", shape["normals"], away), 1.0, rtol=1e-6)
+    assert any(note.path == "/Cage" and "loop" in note.text for note in scene.notes)
+
+
+def test_a_subdivided_cube_touches_its_limit(empty, polygon_mesh, only_shape):
+    """Corner of valence 3: (9 v + 4 sum(e) + sum(f)) / 24 = (9 + 4 - 1) / 24; axes: 68 / 81, from one step by hand and the mask of valence 4."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Cage", BOX, [4] * 6, QUADS)
+    mesh.GetSubdivisionSchemeAttr().Set("catmullClark")
+    mesh.AddTranslateOp().Set((0, 5, 0))
+    scene = translate(stage)
+    shape = only_shape(scene)
+    p = shape["positions"].astype(float) - [0, 5, 0]
+    assert len(shape["faces"]) == 2 * 6 * 4**3
+    np.testing.assert_allclose(np.abs(p[:8]), 0.5, rtol=1e-6)
+    assert np.abs(p).max() == pytest.approx(68 / 81, rel=1e-6)
+    toward = p / np.linalg.norm(p, axis=1, keepdims=True)
+    assert (np.einsum("ij,ij->i", shape["normals"], toward) > 0.97).all()
+    areas = area_vectors(p, shape["faces"])
+    assert (np.einsum("ij,ij->i", p[shape["faces"][:, 0]], areas) > 0).all()
+
+
+def test_corners_of_a_crease_have_a_normal_for_each_side(empty, polygon_mesh, only_shape):
+    """A cube whose twelve edges are infinitely sharp stays one, with the normals of its sides."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Cage", [(x, y + 5, z) for x, y, z in BOX], [4] * 6, QUADS)
+    mesh.GetSubdivisionSchemeAttr().Set("catmullClark")
+    mesh.CreateCreaseIndicesAttr([0, 1, 3, 2, 0, 4, 5, 7, 6, 4, 0, 4, 1, 5, 3, 7, 2, 6])
+    mesh.CreateCreaseLengthsAttr([5, 5, 2, 2, 2, 2])
+    mesh.CreateCreaseSharpnessesAttr([10.0] * 6)
+    shape = only_shape(translate(stage))
+    areas = area_vectors(shape["positions"], shape["faces"])
+    np.testing.assert_allclose(np.linalg.norm(areas, axis=1).sum(), 24.0, rtol=1e-6)
+    flat = areas / np.linalg.norm(areas, axis=1, keepdims=True)
+    for k in range(3):
+        np.testing.assert_allclose(shape["normals"][shape["faces"][:, k]], flat, atol=1e-6)
+
+
+@pytest.mark.parametrize("interpolation", ["faceVarying", "vertex"])
+def test_coordinates_and_holes_follow_a_subdivided_mesh(empty, polygon_mesh, only_shape, tmp_path, interpolation):
+    """On a flat square the surface is the square but for its boundary rule; u runs with x and v with z, by corners or points; a hole stays one."""
+    stage = empty()
+    points = [(x, 5, z) for z in range(4) for x in range(4)]
+    faces = [[4 * z + x, 4 * z + x + 1, 4 * z + x + 5, 4 * z + x + 4] for z in range(3) for x in range(3)]
+    indices = [k for face in faces for k in face]
+    mesh = polygon_mesh(stage, "/Sheet", points, [4] * 9, indices)
+    mesh.GetSubdivisionSchemeAttr().Set("catmullClark")
+    mesh.CreateHoleIndicesAttr([4])
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("uv", Sdf.ValueTypeNames.TexCoord2fArray, interpolation)
+    primvar.Set([(points[k][0], points[k][2]) for k in (indices if interpolation == "faceVarying" else range(16))])
+    bind_texture(stage, mesh, tmp_path, "uv")
+    shape = only_shape(translate(stage))
+    np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]], atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1).sum(), 8.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind, values", [
+    (Sdf.ValueTypeNames.Float3Array, [Gf.Vec3f(u, v, 9) for u, v in ((0, 0), (1, 0), (1, 1), (0, 1))]),
+    (Sdf.ValueTypeNames.FloatArray, [0, 0, 1, 0, 1, 1, 0, 1]),
+    (Sdf.ValueTypeNames.Double2Array, [(0, 0), (1, 0), (1, 1), (0, 1)]),
+    (Sdf.ValueTypeNames.TexCoord2hArray, [(0, 0), (1, 0), (1, 1), (0, 1)]),
+])  # fmt: skip
+def test_coordinates_of_other_types_are_read(empty, polygon_mesh, only_shape, tmp_path, kind, values):
+    """A third number is left out; plain numbers go two by two."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Quad", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
+    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("uv", kind, "vertex").Set(values)
+    bind_texture(stage, mesh, tmp_path, "uv")
+    shape = only_shape(translate(stage))
+    np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]], atol=1e-6)
 
 
 def test_subsets_split_a_mesh_by_material(empty, polygon_mesh):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pxr import Gf, UsdGeom, UsdLux, Vt
 
+from synfog_usd.errors import ParameterError
 from synfog_usd.translate import translate
 
 TINT_4300 = (1.34255, 0.93791, 0.60611)
@@ -273,3 +274,78 @@ def test_lights_in_prototypes_shine_once_per_instance(empty, kind):
     assert sum(key.startswith("instance_") for key in world) == 3
     group = next(part for key, part in world.items() if key.startswith("group_"))
     assert [part["type"] for name, part in group.items() if name != "type"] == ["mesh"]
+
+
+@pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
+def test_blenders_watts_and_suns_are_read_as_it_means_them(empty, metres_per_unit):
+    """A lamp of P watts shines with P / (pi x its area in m2), a sun of strength E with E: the exporter writes P / pi, whatever the units, and E / 4."""
+    stage = empty(metres_per_unit=metres_per_unit)
+    stage.GetRootLayer().documentation = "Blender v5.0.1"
+    light = UsdLux.SphereLight.Define(stage, "/Lamp")
+    light.CreateIntensityAttr(100.0 / math.pi)
+    light.CreateRadiusAttr(0.25 / metres_per_unit)
+    light.CreateNormalizeAttr(True)
+    light.CreateEnableColorTemperatureAttr(True)
+    light.CreateColorTemperatureAttr(6500.0)
+    scene = translate(stage)
+    np.testing.assert_allclose(strength(lamp_of(scene)[0]), 100.0 / (math.pi * 4 * math.pi * 0.25**2), rtol=1e-5)
+    assert any("'blender'" in note.text for note in scene.notes)
+    stage.RemovePrim("/Lamp")
+    sun = UsdLux.DistantLight.Define(stage, "/Sun")
+    sun.CreateIntensityAttr(3.0 / 4.0)
+    sun.CreateNormalizeAttr(True)
+    np.testing.assert_allclose(strength(lamp_of(translate(stage))[0], "irradiance"), 3.0, rtol=1e-6)
+    np.testing.assert_allclose(strength(lamp_of(translate(stage, lights="usd"))[0], "irradiance"), 0.75, rtol=1e-6)
+
+
+def test_a_blender_asset_keeps_its_convention_on_another_stage(empty, tmp_path):
+    """The layer in which an intensity stands decides, light by light."""
+    from pxr import Usd
+
+    asset = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
+    asset.GetRootLayer().documentation = "Blender v4.5.3 LTS"
+    sun = UsdLux.DistantLight.Define(asset, "/Sun")
+    sun.CreateIntensityAttr(0.5)
+    sun.CreateNormalizeAttr(True)
+    asset.SetDefaultPrim(sun.GetPrim())
+    asset.Save()
+    stage = empty()
+    stage.DefinePrim("/Theirs").GetReferences().AddReference(str(tmp_path / "asset.usda"))
+    ours = UsdLux.DistantLight.Define(stage, "/Ours")
+    ours.CreateIntensityAttr(0.5)
+    ours.CreateNormalizeAttr(True)
+    world = translate(stage).world
+    assert sorted(strength(part, "irradiance")[0] for key, part in world.items() if key.startswith("light_")) == [0.5, 2.0]
+
+
+@pytest.mark.parametrize("data, lux", [
+    ({}, 3000 * math.pi * math.sin(math.radians(0.5)) ** 2),
+    ({"renderSettings": {"rtx:fog:enabled": True}}, 3000),
+    ({"renderSettings": {"rtx:fog:enabled": True, "omni:rtx:usdluxVersion": 2505}}, 3000 * math.pi * math.sin(math.radians(0.5)) ** 2),
+])  # fmt: skip
+def test_omniverse_suns_are_irradiance_before_2505(empty, data, lux):
+    """A light of 3000, angle 1 and no 'normalize': 0.718 lx by the specification, 3000 lx in Omniverse until it followed it."""
+    stage = empty()
+    stage.GetRootLayer().customLayerData = data
+    sun = UsdLux.DistantLight.Define(stage, "/Sun")
+    sun.CreateIntensityAttr(3000.0)
+    sun.CreateAngleAttr(1.0)
+    np.testing.assert_allclose(strength(lamp_of(translate(stage))[0], "irradiance"), lux, rtol=1e-6)
+
+
+def test_metric_divides_by_square_metres(empty):
+    """The same lamp in centimetres and metres shines alike; by the specification it is 1e4 dimmer in centimetres."""
+    found = []
+    for metres_per_unit in (1.0, 0.01):
+        stage = empty(metres_per_unit=metres_per_unit)
+        light = UsdLux.DiskLight.Define(stage, "/Lamp")
+        light.CreateRadiusAttr(0.5 / metres_per_unit)
+        light.CreateIntensityAttr(10.0)
+        light.CreateNormalizeAttr(True)
+        found.append([strength(lamp_of(translate(stage, lights=name))[0])[0] for name in ("metric", "usd")])
+    np.testing.assert_allclose(found, 10 / (math.pi * 0.25) * np.array([[1, 1], [1, 1e-4]]), rtol=1e-6)
+
+
+def test_an_unknown_convention_is_refused(empty):
+    with pytest.raises(ParameterError, match=r"--lights blendr.*rtx-legacy.*Did you mean 'blender'"):
+        translate(empty(), lights="blendr")

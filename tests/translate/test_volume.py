@@ -3,6 +3,7 @@
 import importlib.util
 import io
 import math
+import os
 import subprocess
 import sys
 import textwrap
@@ -11,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom, UsdShade
+from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdVol
 
 from synfog_usd.errors import StageError
 from synfog_usd.fog.phase import Droplets
-from synfog_usd.stage.open import dependencies
+from synfog_usd.stage.open import dependencies, open_stage
 from synfog_usd.translate import translate
 
 TYPES = Sdf.ValueTypeNames
@@ -379,6 +380,141 @@ def test_a_box_with_an_empty_material_is_fog_only_where_that_is_meant(empty, pol
     assert any(note.path == f"/{name}" and note.severity == "warning" for note in scene.notes)
     if is_fog:
         np.testing.assert_allclose(scene.fog[0].medium.visibility_m, 300.0)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("named", [True, False])
+def test_a_volume_material_makes_fog_and_never_a_solid(empty, polygon_mesh, named, closed):
+    """A material with an output for volumes and none for surfaces, whatever the mesh is called; one that is not closed is left out with advice."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Haze" if named else "/Room", BOX, [4] * (6 if closed else 5), QUADS[: 24 if closed else 20])
+    mesh.AddScaleOp().Set((40.0, 40.0, 20.0))
+    material = UsdShade.Material.Define(stage, "/Air")
+    shader = UsdShade.Shader.Define(stage, "/Air/Volume")
+    shader.CreateIdAttr("kma_volume")
+    material.CreateVolumeOutput().ConnectToSource(shader.CreateOutput("out", TYPES.Token))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    scene = translate(stage)
+    assert not any(key.startswith("shape_") for key in scene.world)
+    assert len(scene.fog) == closed
+    assert any(("taken as fog" if closed else "left out: close it") in note.text for note in scene.notes if note.severity == "warning")
+
+
+OMNIVERSE = {"rtx:fog:enabled": True, "rtx:fog:fogStartDist": 0.0, "rtx:fog:fogEndDist": 25000.0}
+
+
+@pytest.mark.parametrize("where", ["layer", "prim"])
+@pytest.mark.parametrize("enabled", [True, False])
+def test_omniverses_fog_is_refused_with_a_visibility_to_try(empty, where, enabled):
+    """25 000 cm are 250 m; a fog that is switched off is no matter."""
+    stage = empty(metres_per_unit=0.01)
+    values = {**OMNIVERSE, "rtx:fog:enabled": enabled}
+    if where == "layer":
+        stage.GetRootLayer().customLayerData = {"renderSettings": values}
+    else:
+        prim = stage.DefinePrim("/Render/Settings", "RenderSettings")
+        for name, value in values.items():
+            prim.CreateAttribute(f"omni:{name}", TYPES.Bool if isinstance(value, bool) else TYPES.Float).Set(value)
+    scene = translate(stage)
+    told = [note for note in scene.notes if "rtx:fog" in note.text]
+    assert scene.fog == () and len(told) == enabled
+    if enabled:
+        assert told[0].severity == "warning" and "--fog mor250," in told[0].text and told[0].path == ("" if where == "layer" else "/Render/Settings")
+
+
+def vdb_stage(folder, **arrays):
+    """A Volume with an OpenVDB file, in centimetres and moved, and the .npz of the given arrays beside that file."""
+    (folder / "volumes").mkdir(parents=True)
+    (folder / "volumes" / "bank.vdb").write_bytes(b" BDV")
+    if arrays:
+        np.savez_compressed(folder / "volumes" / "bank.npz", **arrays)
+    stage = Usd.Stage.CreateNew(str(folder / "vdb.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdGeom.Camera.Define(stage, "/Camera")
+    volume = UsdVol.Volume.Define(stage, "/Bank")
+    volume.AddTranslateOp().Set((0, 5000, 0))
+    asset = UsdVol.OpenVDBAsset.Define(stage, "/Bank/density")
+    asset.CreateFilePathAttr("./volumes/bank.vdb")
+    asset.CreateFieldNameAttr("density")
+    volume.CreateFieldRelationship("density", asset.GetPath())
+    stage.Save()
+    return open_stage(folder / "vdb.usda")
+
+
+def vdb_arrays():
+    density = np.zeros((2, 3, 4), np.float32)
+    density[1, 2, 3] = 1.0
+    return {"density": density, "low": np.array([-100.0, -200.0, 0.0]), "high": np.array([300.0, 100.0, 400.0]), "largest": np.float64(2.5)}
+
+
+def test_an_openvdb_volume_is_fog_where_its_npz_stands_beside_it(tmp_path):
+    """Box and densities from the file, moved with the prim; extinction is that of the fog attributes times the density."""
+    stage = vdb_stage(tmp_path / "a", **vdb_arrays())
+    (found,) = translate(stage).fog
+    np.testing.assert_allclose(found.boundary.to_world, [[2, 0, 0, 1], [0, 1.5, 0, 49.5], [0, 0, 2, 2], [0, 0, 0, 1]])
+    assert found.medium.grid.values[1, 2, 3] == 1.0 and found.medium.grid.values.sum() == 1.0
+    np.testing.assert_allclose(found.medium.sigma_t_per_m, 2.5 * 2.9957323 / 300.0, rtol=1e-6)
+    stage.GetPrimAtPath("/Bank").CreateAttribute("synfog:fog:sigma_t", TYPES.Double).Set(0.2)
+    (found,) = translate(stage).fog
+    np.testing.assert_allclose(found.medium.sigma_t_per_m, 0.5)
+    assert (tmp_path / "a" / "volumes" / "bank.npz") in dependencies(stage)
+
+
+def test_an_openvdb_volume_without_its_npz_is_told_what_to_run(tmp_path):
+    scene = translate(vdb_stage(tmp_path / "a"))
+    (told,) = [note for note in scene.notes if note.path == "/Bank"]
+    assert scene.fog == () and told.severity == "warning" and "Volume is not drawn" in told.text
+    assert f"blender --background --python vdb2npz.py -- {tmp_path / 'a' / 'volumes' / 'bank.vdb'}" in told.text
+
+
+@pytest.mark.parametrize(
+    "change", [{"density": np.full((1, 1, 1), 2.0)}, {"low": np.zeros(2)}, {"high": np.full(3, -1e9)}, {"largest": np.nan}, {"largest": None}]
+)
+def test_a_damaged_npz_of_a_volume_is_refused(tmp_path, change):
+    arrays = {name: value for name, value in (vdb_arrays() | change).items() if value is not None}
+    with pytest.raises(StageError, match=r"/Bank: bank.npz: .*make it again with vdb2npz.py"):
+        translate(vdb_stage(tmp_path / "a", **arrays))
+
+
+def test_a_npz_that_is_a_link_elsewhere_is_refused(tmp_path):
+    stage = vdb_stage(tmp_path / "a", **vdb_arrays())
+    file = tmp_path / "a" / "volumes" / "bank.npz"
+    file.rename(tmp_path / "elsewhere.npz")
+    file.symlink_to(tmp_path / "elsewhere.npz")
+    with pytest.raises(StageError, match=r"/Bank: .*lies outside of the stage's folder"):
+        translate(stage)
+
+
+def test_a_grid_in_an_allowed_folder_is_read(tmp_path):
+    (tmp_path / "stage").mkdir()
+    (tmp_path / "clouds").mkdir()
+    np.save(tmp_path / "clouds" / "grid.npy", np.ones((1, 1, 1), np.float32))
+    stage = Usd.Stage.CreateNew(str(tmp_path / "stage" / "fog.usda"))
+    UsdGeom.Camera.Define(stage, "/Camera")
+    fog_box(stage, "/Fog", profile="grid").GetPrim().CreateAttribute("synfog:fog:densityGrid", TYPES.Asset).Set("../clouds/grid.npy")
+    stage.Save()
+    del stage
+    assert len(translate(open_stage(tmp_path / "stage" / "fog.usda", allow=[tmp_path / "clouds"])).fog) == 1
+
+
+BPY = os.environ.get("SYNFOG_BPY", "")
+
+
+@pytest.mark.skipif(not BPY, reason="SYNFOG_BPY names no Python that has bpy")
+@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the real files beside the project")
+def test_vdb2npz_reads_blenders_volume(tmp_path):
+    """The file that Blender wrote: its box is the extent that Blender authored; the densities, a ball's, stay within 0 to 1."""
+    (tmp_path / "fogbank.vdb").write_bytes((SHARED / "blender501" / "volumes" / "fogbank.vdb").read_bytes())
+    tool = Path(__file__).resolve().parents[2] / "integrations" / "vdb2npz.py"
+    subprocess.run([BPY, str(tool), str(tmp_path / "fogbank.vdb")], check=True, capture_output=True)
+    with np.load(tmp_path / "fogbank.npz") as made:
+        np.testing.assert_allclose([made["low"], made["high"]], [[-0.25] * 3, [15.75] * 3])
+        assert made["density"].shape == (32, 32, 32) and made["density"].max() == 1.0 and made["density"].min() == 0.0
+    subprocess.run([BPY, str(tool), str(tmp_path / "fogbank.vdb"), "--max-voxels", "10"], check=True, capture_output=True)
+    with np.load(tmp_path / "fogbank.npz") as small:
+        assert small["density"].shape == (8, 8, 8)
+        np.testing.assert_allclose([small["low"], small["high"]], [[-0.25] * 3, [15.75] * 3])
 
 
 def test_fog_is_read_without_the_plugin(tmp_path):

@@ -256,3 +256,40 @@ def test_the_stage_is_not_written_to(empty, polygon_mesh):
     before = [layer.ExportToString() for layer in (stage.GetRootLayer(), stage.GetSessionLayer())]
     translate(stage)
     assert before == [layer.ExportToString() for layer in (stage.GetRootLayer(), stage.GetSessionLayer())]
+
+
+def test_prototypes_under_an_over_are_drawn_and_masked(empty, polygon_mesh):
+    """An `over` hides prototypes from everything but their instancer; ids 11 and 13 are masked, one for good and one for now."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Hidden/Leaf", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
+    stage.GetPrimAtPath("/Hidden").SetSpecifier(Sdf.SpecifierOver)
+    instancer = UsdGeom.PointInstancer.Define(stage, "/Points")
+    instancer.CreatePrototypesRel().AddTarget(mesh.GetPath())
+    instancer.CreateProtoIndicesAttr([0] * 4)
+    instancer.CreatePositionsAttr([(float(x), 0.0, 0.0) for x in range(4)])
+    instancer.CreateIdsAttr([10, 11, 12, 13])
+    instancer.CreateInvisibleIdsAttr([11])
+    instancer.DeactivateId(13)
+    world = translate(stage).world
+    found = [part["to_world"][0, 3] for key, part in world.items() if key.startswith("instance_")]
+    np.testing.assert_allclose(found, [0.0, 2.0])
+    assert summary(translate(stage))["triangles"] == 2
+
+
+def test_draw_modes_are_noted_and_the_model_is_drawn(empty):
+    stage = empty()
+    UsdGeom.Cube.Define(stage, "/Car/Box")
+    UsdGeom.ModelAPI.Apply(stage.GetPrimAtPath("/Car")).CreateModelDrawModeAttr("cards")
+    scene = translate(stage)
+    assert summary(scene)["shapes"] == 1
+    assert [note.severity for note in scene.notes if note.path == "/Car" and "'cards'" in note.text] == ["info"]
+
+
+def test_display_opacity_counts_without_a_material(empty):
+    """Also from a parent; it lets the rest straight through."""
+    stage = empty()
+    UsdGeom.Cube.Define(stage, "/Group/Box")
+    UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Group")).CreatePrimvar("displayOpacity", Sdf.ValueTypeNames.FloatArray, "constant").Set([0.25])
+    world = translate(stage).world
+    bsdf = world[world["shape_0"]["bsdf"]["id"]]
+    assert (bsdf["type"], bsdf["opacity"], bsdf["bsdf"]["type"]) == ("mask", 0.25, "twosided")

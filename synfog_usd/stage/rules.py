@@ -1,0 +1,509 @@
+"""What is legal USD and still wrong for a photograph: our own rules, each with its way out in the common tools.
+
+Takes a composed stage; gives findings.  Nothing is changed, no prototype is looked
+at twice.  What only the translation can see (fog boundaries that cross, a near plane
+that cuts one) is found there and told with the rules that stand here.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import PurePosixPath
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade
+
+from synfog_usd.stage.labels import direct_label, official_name
+from synfog_usd.stage.open import cameras
+from synfog_usd.stage.schema import API_NAME, FOG_VARIANT_SET, LIGHTING_VARIANT_SET, has_fog_attributes
+
+Severity = Literal["info", "warning", "error"]
+TOOLS = ("Blender", "Houdini", "Omniverse")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One thing that can be wrong.
+
+    Attributes:
+        name: as it is printed.
+        severity: 'error' (a bake stops there), 'warning' (the picture will not be what
+            was meant), 'info' (worth knowing).
+        meaning: what is looked for, in one sentence.
+        mend: tool -> what to do there.
+    """
+
+    name: str
+    severity: Severity
+    meaning: str
+    mend: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong, and where.
+
+    Attributes:
+        severity: as the rule's.
+        path: prim path, or '' for the stage.
+        text: what was found and what to do.
+        rule: the rule's name; 'usd:...' for USD's own validators.
+        mend: tool -> what to do there; empty where the text says it all.
+    """
+
+    severity: Severity
+    path: str
+    text: str
+    rule: str = ""
+    mend: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def _rule(name: str, severity: Severity, meaning: str, *mend: str) -> Rule:
+    return Rule(name, severity, meaning, MappingProxyType(dict(zip(TOOLS, mend, strict=True))))
+
+
+_LABEL_MEND = (
+    "give the object a custom property 'cityscapes' of type String, or use the panel of integrations/blender",
+    "add a Labels LOP (or Edit Properties) for the token array semantics:labels:cityscapes",
+    "Semantics Schema Editor: add a label with the taxonomy 'cityscapes'",
+)
+_CUT_MEND = (
+    "move the camera or the fog box; lower Clip Start in the camera's properties",
+    "Camera LOP: lower the near clipping plane, or move one of the two",
+    "Camera > Clipping Range: lower the first number, or move one of the two",
+)
+
+RULES: Mapping[str, Rule] = MappingProxyType(
+    {
+        rule.name: rule
+        for rule in (
+            _rule(
+                "composition",
+                "error",
+                "A reference, payload or sublayer that USD cannot put in place.",
+                "export again with all linked files beside the USD file",
+                "check the file paths of Reference and Sublayer LOPs",
+                "File > Collect Asset copies all files into one folder",
+            ),
+            _rule(
+                "no-camera",
+                "error",
+                "Nothing to look with.",
+                "add a camera, and tick Cameras when exporting",
+                "add a Camera LOP",
+                "Create > Camera",
+            ),
+            _rule(
+                "refused",
+                "error",
+                "The translation refuses the stage; the text says why.",
+                "mend the prim that is named and export again",
+                "mend the prim that is named in an Edit Properties LOP",
+                "mend the prim that is named in the Property panel",
+            ),
+            _rule(
+                "fog-crosses",
+                "error",
+                "Two fog boundaries cut through each other, so that nobody can tell which fog is where.",
+                "scale or move one box until it lies wholly inside the other, or apart",
+                "Transform LOP on one of the boundaries",
+                "move or scale one of the boundaries",
+            ),
+            _rule("fog-cut", "error", "A fog's boundary lies between the camera and its near plane.", *_CUT_MEND),
+            _rule(
+                "camera-outside-fog",
+                "warning",
+                "A camera stands outside of every fog, so that it looks at a block of it.",
+                "enlarge the fog box until the camera is in it, or move the camera",
+                "Transform LOP on the fog, or on the camera",
+                "scale the fog's prim, or move the camera",
+            ),
+            _rule(
+                "units",
+                "warning",
+                "A road user whose size no such thing has; nearly always metersPerUnit or a forgotten scale.",
+                "Scene Properties > Units: set Unit Scale 1, apply the object's scale, and export with Meters per Unit 1",
+                "set metersPerUnit in a Configure Layer LOP, or scale the reference in its Transform",
+                "reference the asset with the unit correction that the stage offers, or set Stage Units in Layer properties",
+            ),
+            _rule(
+                "no-light",
+                "warning",
+                "Nothing shines: no light and no emissive material.",
+                "add a sun or a world colour, and tick Lights and World Dome Light when exporting",
+                "add a Dome Light or Distant Light LOP",
+                "Create > Light > Dome Light",
+            ),
+            _rule(
+                "light-bright",
+                "warning",
+                "A light that no lamp, sky or sun on a road is; the exposure will follow it and leave the rest black.",
+                "lower the light's Power; its unit is watts",
+                "lower Intensity and Exposure of the light, or switch Normalize off",
+                "lower Intensity and Exposure in the light's properties",
+            ),
+            _rule(
+                "light-dim",
+                "info",
+                "Less light than a full moon gives; numbers around 1 are usual in tools that do not count in nits.",
+                "raise the sun's Strength and the world's",
+                "raise Exposure: an overcast noon is 2 000 to 10 000 nits",
+                "raise Intensity: an overcast noon is 2 000 to 10 000 nits",
+            ),
+            _rule(
+                "dome-pole",
+                "warning",
+                "A sky map whose top does not point up: the horizon stands on edge.",
+                "export with the version's own axes (Z up); Blender turns its world for it",
+                "use DomeLight_1 with poleAxis 'scene', or rotate the light",
+                "rotate the dome light by 90 degrees about X in a Z-up stage",
+            ),
+            _rule(
+                "variant-shadowed",
+                "warning",
+                "A variant of fog or lighting that changes nothing, because a value on the prim itself wins.",
+                "write variants with the panel of integrations/blender",
+                "author the value only within the variant (Begin/Add Variant LOPs)",
+                "clear the local value while no variant edit target is active",
+            ),
+            _rule("label-unknown", "warning", "A label that Cityscapes does not have; it counts as unlabeled.", *_LABEL_MEND),
+            _rule(
+                "road-user-unlabelled",
+                "warning",
+                "A car, cyclist or person by its name that has no label, and so is missing in the ground truth.",
+                *_LABEL_MEND,
+            ),
+            _rule("unlabelled", "info", "Shapes without a label; they are 'unlabeled' in the ground truth.", *_LABEL_MEND),
+            _rule(
+                "no-fog",
+                "info",
+                "The stage has no fog of its own; `bake --fog mor150` makes a layer.",
+                "add a box around everything with the panel of integrations/blender, or a custom property synfog:fog:mor",
+                "a Cube with the applied schema SynFogMediumAPI and synfog:fog:mor",
+                "a Cube with an attribute synfog:fog:mor (Add > Attribute, float)",
+            ),
+            _rule(
+                "fog-solid",
+                "info",
+                "A fog boundary that other renderers draw as a solid box, because its purpose is not guide.",
+                "use the panel of integrations/blender, whose hook sets it on export",
+                "Configure Primitive LOP: purpose guide",
+                "Property panel > Purpose: guide",
+            ),
+        )
+    }
+)
+"""Every rule by name, gravest first."""
+
+SIZES_M: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "car": (2.0, 8.0),
+        "truck": (3.0, 26.0),
+        "bus": (4.0, 26.0),
+        "person": (0.4, 2.6),
+        "rider": (0.4, 2.6),
+        "bicycle": (0.7, 3.2),
+        "motorcycle": (0.9, 3.6),
+    }
+)
+"""Longest edge [m] of road users, children's and articulated ones included."""
+
+_NAMES = {
+    "car": "car", "sedan": "car", "suv": "car", "hatchback": "car", "taxi": "car", "van": "car", "vehicle": "car",
+    "ambulance": "car", "automobile": "car", "jeep": "car",
+    "truck": "truck", "lorry": "truck", "bus": "bus", "coach": "bus",
+    "person": "person", "pedestrian": "person", "human": "person", "walker": "person",
+    "cyclist": "rider", "motorcyclist": "rider",
+    "bicycle": "bicycle", "bike": "bicycle", "motorcycle": "motorcycle", "motorbike": "motorcycle",
+}  # fmt: skip
+
+MAX_LUMEN = 1e8
+"""Of one lamp: a thousand times a stadium's floodlight; a street lamp has 5 000 to 15 000."""
+
+MAX_SKY_NIT = 1e6
+"""Of a dome's intensity: a hundred times the brightest sky."""
+
+MAX_SUN_LUX = 1e6
+"""Of a distant light: eight times the sun's 130 000 outside the atmosphere."""
+
+MIN_LUX = 0.3
+"""Of everything: a full moon."""
+
+POLE_DEG = 5.0
+_PLAIN = "color_"
+"""How Blender names the map of one colour that it writes for a plain world; such a map has no top."""
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+def finding(name: str, path: str, text: str) -> Finding:
+    """A finding of a rule of ours."""
+    rule = RULES[name]
+    return Finding(rule.severity, path, text, name, rule.mend)
+
+
+def findings(stage: Usd.Stage) -> list[Finding]:
+    """All that our own rules find on a stage, as its variants stand."""
+    context = _Context(stage)
+    return [one for look in _LOOKS for one in look(context)]
+
+
+class _Context:
+    """A stage with what several rules ask for."""
+
+    def __init__(self, stage: Usd.Stage) -> None:
+        self.stage = stage
+        self.time = Usd.TimeCode.EarliestTime()
+        self.metres = UsdGeom.GetStageMetersPerUnit(stage)
+        self.prims = list(stage.Traverse())
+        seen = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render]
+        self.solid = UsdGeom.BBoxCache(self.time, seen, False, True)
+        self.whole = UsdGeom.BBoxCache(self.time, [*seen, UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy], False, True)
+        self.fog = [prim for prim in self.prims if has_fog_attributes(prim)]
+
+    def longest_m(self, prim: Usd.Prim) -> float:
+        """Longest edge [m] of what is drawn of a prim, in its own axes; 0 where that is nothing."""
+        box = self.solid.ComputeWorldBound(prim)
+        if box.GetRange().IsEmpty():
+            return 0.0
+        size, matrix = box.GetRange().GetSize(), box.GetMatrix()
+        edges = [size[axis] * Gf.Vec3d(*matrix.GetRow3(axis)).GetLength() for axis in range(3)]
+        return max(edges) * self.metres if all(math.isfinite(edge) for edge in edges) else 0.0
+
+
+def _camera_and_fog(context: _Context) -> Iterator[Finding]:
+    eyes = cameras(context.stage)
+    if not eyes:
+        yield finding("no-camera", "", "the stage has no camera; add one, or nothing can be rendered")
+    if not context.fog:
+        yield finding("no-fog", "", f"the stage has no fog; apply {API_NAME} to a Cube, Sphere or closed Mesh")
+        return
+    boxes = [context.whole.ComputeWorldBound(prim) for prim in context.fog]
+    for path in eyes:
+        eye = UsdGeom.Xformable(context.stage.GetPrimAtPath(path)).ComputeLocalToWorldTransform(context.time).ExtractTranslation()
+        if not any(box.GetRange().Contains(box.GetMatrix().GetInverse().Transform(eye)) for box in boxes):
+            yield finding("camera-outside-fog", path, "stands outside of every fog boundary; enlarge the fog or move the camera")
+    for prim in context.fog:
+        imageable = UsdGeom.Imageable(prim)
+        if prim.IsA(UsdGeom.Gprim) and imageable.ComputePurpose() != UsdGeom.Tokens.guide:
+            yield finding("fog-solid", str(prim.GetPath()), "other renderers draw this fog boundary as a solid; set its purpose to guide")
+
+
+def _lights(context: _Context) -> Iterator[Finding]:
+    lux, unknown, lamps = 0.0, False, 0
+    for prim in _once(context):
+        if not prim.HasAPI(UsdLux.LightAPI):
+            continue
+        lamps += 1
+        path, kind = str(prim.GetPath()), str(prim.GetTypeName())
+        nits = _emitted(prim, context.time)
+        if not math.isfinite(nits):
+            yield finding("light-bright", path, f"its intensity is {nits}, which is no number; it stays dark")
+        elif kind in ("DomeLight", "DomeLight_1"):
+            textured = bool(getattr(_input(prim, "texture:file", context.time, None), "path", ""))
+            unknown |= textured
+            lux += 0.0 if textured else math.pi * nits
+            if nits > MAX_SKY_NIT:
+                yield finding("light-bright", path, f"a sky of {nits:.3g} nits; an overcast noon has 2 000 to 10 000")
+        elif kind == "DistantLight":
+            half = math.radians(float(_input(prim, "angle", context.time, 0.53))) / 2.0
+            normalized = bool(_input(prim, "normalize", context.time, False)) or not 0.0 < half < math.inf
+            here = nits if normalized else nits * math.pi * math.sin(half) ** 2
+            lux += here
+            if here > MAX_SUN_LUX:
+                yield finding("light-bright", path, f"a sun of {here:.3g} lux; the real one gives 130 000 at most")
+        else:
+            unknown = True
+            lumen = math.pi * nits * (context.metres**2 if _input(prim, "normalize", context.time, False) else _area_m2(prim, context))
+            if lumen > MAX_LUMEN:
+                yield finding("light-bright", path, f"a lamp of {lumen:.3g} lm; a street lamp has 5 000 to 15 000, a headlight 1 500")
+    if not lamps and not _anything_glows(context):
+        yield finding("no-light", "", "the stage has no light and no emissive material; the picture would be black")
+    elif lamps and not unknown and lux < MIN_LUX and not _anything_glows(context):
+        yield finding("light-dim", "", f"all lights together give {lux:.2g} lux; a full moon gives {MIN_LUX}, an overcast noon 10 000 to 30 000")
+
+
+def _emitted(prim: Usd.Prim, time: Usd.TimeCode) -> float:
+    """Luminance of colour x intensity x 2^exposure, before any normalization."""
+    color = np.array([float(c) for c in _input(prim, "color", time, (1.0, 1.0, 1.0))])
+    intensity = float(_input(prim, "intensity", time, 50000.0 if prim.GetTypeName() == "DistantLight" else 1.0))
+    exposure = float(_input(prim, "exposure", time, 0.0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(_LUMINANCE @ color * intensity * np.exp2(exposure))
+
+
+def _input(prim: Usd.Prim, name: str, time: Usd.TimeCode, default: Any) -> Any:
+    attribute = prim.GetAttribute(f"inputs:{name}")
+    value = attribute.Get(time) if attribute else None
+    return default if value is None else value
+
+
+def _area_m2(prim: Usd.Prim, context: _Context) -> float:
+    """Surface of a lamp, its scale taken as even."""
+    kind = str(prim.GetTypeName())
+    number = {name: float(_input(prim, name, context.time, 1.0 if name != "radius" else 0.5)) for name in ("radius", "width", "height", "length")}
+    own = {
+        "SphereLight": 4.0 * math.pi * number["radius"] ** 2,
+        "DiskLight": math.pi * number["radius"] ** 2,
+        "RectLight": number["width"] * number["height"],
+        "CylinderLight": 2.0 * math.pi * number["radius"] * number["length"],
+    }.get(kind, 0.0)
+    matrix = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(context.time)
+    return own * abs(matrix.GetDeterminant3()) ** (2.0 / 3.0) * context.metres**2
+
+
+def _anything_glows(context: _Context) -> bool:
+    for prim in _once(context):
+        if prim.GetTypeName() == "Shader":
+            glow = UsdShade.Shader(prim).GetInput("emissiveColor") or UsdShade.Shader(prim).GetInput("emission")
+            if glow and (glow.HasConnectedSource() or any(float(c) > 0.0 for c in np.atleast_1d(np.array(glow.Get() or 0.0)))):
+                return True
+    return False
+
+
+def _dome_pole(context: _Context) -> Iterator[Finding]:
+    up_axis = UsdGeom.GetStageUpAxis(context.stage)
+    axes = {"X": Gf.Vec3d(1, 0, 0), "Y": Gf.Vec3d(0, 1, 0), "Z": Gf.Vec3d(0, 0, 1)}
+    for prim in context.prims:
+        kind = str(prim.GetTypeName())
+        file = getattr(_input(prim, "texture:file", context.time, None), "path", "") if kind in ("DomeLight", "DomeLight_1") else ""
+        if not file or PurePosixPath(file).name.startswith(_PLAIN):
+            continue
+        axis = "Y"
+        if kind == "DomeLight_1":
+            asked = prim.GetAttribute("poleAxis").Get() if prim.GetAttribute("poleAxis") else "scene"
+            axis = {"scene": up_axis, None: up_axis}.get(asked, str(asked))
+        world = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(context.time).TransformDir(axes.get(axis, axes["Y"]))
+        if world.GetLength() == 0.0:
+            continue
+        angle = math.degrees(math.acos(max(-1.0, min(1.0, Gf.Dot(world.GetNormalized(), axes[up_axis])))))
+        if angle > POLE_DEG:
+            text = f"the top of its map points {angle:.0f} degrees away from the stage's up axis {up_axis}; rotate the light"
+            yield finding("dome-pole", str(prim.GetPath()), text)
+
+
+def _road_users(context: _Context) -> Iterator[Finding]:
+    """Sizes of labelled things, and names that speak of things without a label."""
+    skipped = Sdf.Path()
+    for prim in context.prims:
+        path = prim.GetPath()
+        if not skipped.isEmpty and path.HasPrefix(skipped):
+            continue
+        label = direct_label(prim, context.time)
+        known = official_name(label) if label is not None else None
+        kind = known if label is not None else _class_by_name(prim)
+        if label is None and kind is None:
+            continue
+        if _is_many(prim):
+            continue
+        skipped = path
+        if kind is None or kind not in SIZES_M:
+            continue
+        longest = context.longest_m(prim)
+        if longest == 0.0:
+            continue
+        low, high = SIZES_M[kind]
+        what = f"this {kind}" if label is not None else f"this prim, a {kind} by its name,"
+        if low <= longest <= high:
+            if label is None:
+                yield finding("road-user-unlabelled", str(path), f"a {kind} by its name and size, and without a label (semantics:labels:cityscapes)")
+        elif label is not None or _factor(longest, low, high):
+            factor = _factor(longest, low, high)
+            advice = f"; times {factor:g} it would be {longest * factor:.3g} m" if factor else ""
+            text = f"{what} is {longest:.3g} m long, and a {kind} {low:g} to {high:g} m{advice} (metersPerUnit is {context.metres:g}, as the stage is read)"
+            yield finding("units", str(path), text)
+
+
+def _factor(longest: float, low: float, high: float) -> float | None:
+    """The unit that was probably meant: centimetres, inches, millimetres or feet, or one of them twice."""
+    return next((factor for factor in (0.01, 100.0, 0.0254, 1 / 0.0254, 0.001, 1000.0, 1e-4, 1e4, 0.3048, 1 / 0.3048) if low <= longest * factor <= high), None)
+
+
+def _class_by_name(prim: Usd.Prim) -> str | None:
+    """Class of a road user that a prim's name begins or ends with, numbers aside."""
+    if not prim.IsA(UsdGeom.Xformable) or prim.IsA(UsdGeom.Camera) or prim.HasAPI(UsdLux.LightAPI):
+        return None
+    words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", prim.GetName())]
+    return (_NAMES.get(words[-1]) or _NAMES.get(words[0])) if words else None
+
+
+def _is_many(prim: Usd.Prim) -> bool:
+    """Whether a label on a prim is that of several things below it."""
+    if prim.GetTypeName() in ("Scope", "PointInstancer"):
+        return True
+    kind = Usd.ModelAPI(prim).GetKind()
+    return bool(kind) and Kind.Registry.IsA(kind, Kind.Tokens.group)
+
+
+def _labels(context: _Context) -> Iterator[Finding]:
+    unlabelled: list[str] = []
+    for prim, label in _unlabelled(context):
+        if label is not None:
+            if official_name(label) is None:
+                yield finding("label-unknown", str(prim.GetPath()), f"label {label!r} is not a Cityscapes name; it counts as unlabeled")
+        elif prim.IsA(UsdGeom.Gprim) and not has_fog_attributes(prim) and not has_fog_attributes(prim.GetParent()):
+            unlabelled.append(str(prim.GetPath()))
+    if unlabelled:
+        yield finding("unlabelled", unlabelled[0], f"{len(unlabelled)} prims have no label (semantics:labels:cityscapes), this is the first")
+
+
+def _unlabelled(context: _Context) -> Iterator[tuple[Usd.Prim, str | None]]:
+    """(prim, label) of prims outside of what is labelled; a prototype once, where an instance without label has it."""
+    waiting, met = [context.stage.GetPseudoRoot()], set()
+    while waiting:
+        iterator = iter(Usd.PrimRange(waiting.pop()))
+        for prim in iterator:
+            label = None if prim.IsPseudoRoot() else direct_label(prim, context.time)
+            yield prim, label
+            if label is not None:
+                iterator.PruneChildren()
+            elif prim.IsInstance() and (name := str(prim.GetPrototype().GetPath())) not in met:
+                met.add(name)
+                waiting.append(prim.GetPrototype())
+
+
+def _once(context: _Context) -> Iterator[Usd.Prim]:
+    """All prims, those of prototypes once."""
+    yield from context.prims
+    for prototype in context.stage.GetPrototypes():
+        yield from Usd.PrimRange(prototype)
+
+
+def _shadowed_variants(context: _Context) -> Iterator[Finding]:
+    """Values of variants that a value on the prim itself, in the same layer, always beats."""
+    for layer in context.stage.GetLayerStack(includeSessionLayers=False):
+        for root in layer.rootPrims:
+            for set_name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET):
+                variant_set = root.variantSets.get(set_name)
+                if variant_set is None:
+                    continue
+                shadowed = {value.StripAllVariantSelections() for variant in variant_set.variants for value in _authored(layer, variant.primSpec.path)}
+                for local in sorted(shadowed & set(_authored(layer, root.path))):
+                    text = f"variants of {set_name!r} set it, and the value on the prim itself wins over them; remove that one"
+                    yield finding("variant-shadowed", str(local), text)
+
+
+def _authored(layer: Sdf.Layer, root: Sdf.Path) -> list[Sdf.Path]:
+    """Attributes with a value, and prims that are switched on or off, of a subtree; of no other variants within it."""
+    found: list[Sdf.Path] = []
+
+    def visit(path: Sdf.Path) -> None:
+        if path.StripAllVariantSelections() != path and not root.ContainsPrimVariantSelection():
+            return
+        if path.IsPrimPropertyPath():
+            attribute = layer.GetAttributeAtPath(path)
+            if attribute is not None and attribute.HasDefaultValue():
+                found.append(path)
+        elif path.IsPrimPath() and layer.GetPrimAtPath(path).HasInfo("active"):
+            found.append(path)
+
+    layer.Traverse(root, visit)
+    return found
+
+
+_LOOKS: tuple[Callable[[_Context], Iterator[Finding]], ...] = (_camera_and_fog, _lights, _dome_pole, _road_users, _shadowed_variants, _labels)

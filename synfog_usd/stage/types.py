@@ -1,0 +1,77 @@
+"""Attributes of another type than their schema's: USD reads them, and whatever asks for their value falls over it.
+
+Takes a stage; gives the first such attribute.  Asked only after something failed, so
+that good stages do not pay for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from pxr import Sdf, Sdr, Usd, UsdShade
+
+from synfog_usd.stage.schema import API_NAME
+
+_ALSO = ("LightAPI", "ShapingAPI", "ShadowAPI", "MeshLightAPI", "GeomModelAPI", "MotionAPI", API_NAME)
+"""Schemas whose attributes count where nobody applied them."""
+
+_PRIMVARS = {
+    "primvars:displayColor": Sdf.ValueTypeNames.Color3fArray,
+    "primvars:displayOpacity": Sdf.ValueTypeNames.FloatArray,
+    "primvars:normals": Sdf.ValueTypeNames.Normal3fArray,
+    "primvars:st": Sdf.ValueTypeNames.TexCoord2fArray,
+}
+
+
+def mistyped(stage: Usd.Stage) -> str | None:
+    """'/Lamp.inputs:width is a token[], and a float is wanted', of the first attribute that cannot stand for what its schema wants; or None."""
+    registry = Usd.SchemaRegistry()
+    also = [definition for name in _ALSO if (definition := registry.FindAppliedAPIPrimDefinition(name)) is not None]
+    for prim in _prims(stage):
+        inputs = _shader_inputs(prim)
+        for attribute in prim.GetAuthoredAttributes():
+            name = attribute.GetName()
+            found = _authored_type(attribute)
+            wanted = _PRIMVARS.get(name) or inputs.get(name)
+            for definition in [] if wanted else [prim.GetPrimDefinition(), *also]:
+                spec = definition.GetSchemaAttributeSpec(name) or definition.GetSchemaAttributeSpec(name.replace("userProperties:synfog_", "synfog:fog:"))
+                if spec:
+                    wanted = spec.typeName
+                    break
+            if _shape(found)[1] == "unknown":
+                return f"{attribute.GetPath()} is of a type that USD does not know, and one that it knows is wanted"
+            if wanted and _shape(found) != _shape(wanted):
+                return f"{attribute.GetPath()} is a {found}, and a {wanted} is wanted"
+    return None
+
+
+def _prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:
+    yield from Usd.PrimRange(stage.GetPseudoRoot(), Usd.PrimAllPrimsPredicate)
+    for prototype in stage.GetPrototypes():
+        yield from Usd.PrimRange(prototype)
+
+
+def _authored_type(attribute: Usd.Attribute) -> Any:
+    """The type where the value stands; the attribute itself always claims its schema's."""
+    specs = [spec for spec in attribute.GetPropertyStack(Usd.TimeCode.EarliestTime()) if spec.HasDefaultValue() or spec.HasInfo("timeSamples")]
+    return specs[0].typeName if specs else attribute.GetTypeName()
+
+
+def _shader_inputs(prim: Usd.Prim) -> dict[str, Any]:
+    """Types of the inputs of a shader that USD knows."""
+    name = UsdShade.Shader(prim).GetIdAttr().Get() if prim.GetTypeName() == "Shader" else None
+    node = Sdr.Registry().GetShaderNodeByIdentifier(name) if isinstance(name, str) else None
+    if not node:
+        return {}
+    return {f"inputs:{name}": node.GetShaderInput(name).GetTypeAsSdfType().GetSdfType() for name in node.GetShaderInputNames()}
+
+
+def _shape(kind: Any) -> tuple[bool, str]:
+    """Array or not, and what one value is: numbers of any precision are alike, and vectors of any meaning."""
+    if not kind or not str(kind.scalarType):  # asking a type that USD does not know for its default takes the process down
+        return False, "unknown"
+    one = type(kind.scalarType.defaultValue).__name__
+    if one in ("bool", "int", "float"):
+        return kind.isArray, "number"
+    return kind.isArray, one.rstrip("dfhi") if one.startswith(("Vec", "Quat", "Matrix")) else one

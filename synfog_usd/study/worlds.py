@@ -1,0 +1,120 @@
+"""What five hundred composed worlds hold: road users by class, their distances, how much of them is hidden.
+
+`python -m synfog_usd.study.worlds [count]` draws `count` worlds (500 if left out)
+over all road recipes, seed after seed, and prints the tables of docs/worlds.md.
+No stage is written and nothing is rendered.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from synfog_usd import resources
+from synfog_usd.world import draws
+from synfog_usd.world.authoring import APERTURE
+from synfog_usd.world.roads import recipe, rules
+
+DISTANCES_M = (10.0, 20.0, 40.0, 70.0, 100.0)
+SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+WITHIN_M = 100.0
+
+
+@dataclass
+class Survey:
+    """Counts over all worlds.
+
+    Attributes:
+        worlds: how many of each recipe.
+        classes: road users by Cityscapes class, wherever they stand.
+        near: in the picture's width and within WITHIN_M, by class.
+        distances: of those, by the end of the distance class [m].
+        hidden: of those, by the end of the class of the share that is hidden.
+        layouts: how many differ.
+        users, seen: road users of a world, and those in view by at least `rules.SHARE_SEEN`.
+        seconds: to draw each.
+    """
+
+    worlds: Counter[str] = field(default_factory=Counter)
+    classes: Counter[str] = field(default_factory=Counter)
+    near: Counter[str] = field(default_factory=Counter)
+    distances: Counter[float] = field(default_factory=Counter)
+    hidden: Counter[float] = field(default_factory=Counter)
+    layouts: int = 0
+    users: list[int] = field(default_factory=list)
+    seen: list[int] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+
+def road_recipes(folder: Path | None = None) -> list[Path]:
+    """Shipped recipes of roads, by name."""
+    folder = folder or resources.folder("stages") / "recipes"
+    return [path for path in sorted(folder.glob("*.yaml")) if draws.world_of(draws.load_root(path)) == "road"]
+
+
+def survey(count: int, *, tell: Callable[[int], None] = lambda done: None) -> Survey:
+    """Draw `count` worlds, recipe by recipe and seed by seed, and count what is in them."""
+    found = Survey()
+    recipes = [recipe.read(draws.load_root(path), path.name) for path in road_recipes()]
+    layouts = set()
+    for index in range(count):
+        one = recipes[index % len(recipes)]
+        began = time.process_time()
+        world = recipe.draw(one, seed=index // len(recipes))
+        found.seconds.append(time.process_time() - began)
+        assert world.road is not None
+        found.worlds[one.name.removesuffix(".yaml")] += 1
+        layouts.add((tuple((p.asset, p.x, p.y) for p in world.placed), world.road.line.curvature))
+        users = {p.name: p for p in world.placed if rules.model(p.asset).label in rules.USERS}
+        found.users.append(len(users))
+        found.classes.update(rules.model(p.asset).label for p in users.values())
+        fov = math.degrees(2 * math.atan(APERTURE / 2 / world.view.focal_length))
+        shares = rules.visible(world.view, fov, world.placed, world.road, within_m=WITHIN_M)
+        found.seen.append(sum(share >= rules.SHARE_SEEN for share in shares.values()))
+        for name, share in shares.items():
+            p = users[name]
+            away = math.hypot(p.x - world.view.x, p.y - world.view.y)
+            found.near[rules.model(p.asset).label] += 1
+            found.distances[next(end for end in DISTANCES_M if away <= end)] += 1
+            found.hidden[next(end for end in SHARES if 1.0 - share <= end + 1e-9)] += 1
+        tell(index + 1)
+    found.layouts = len(layouts)
+    return found
+
+
+def tables(found: Survey) -> str:
+    """The survey as Markdown."""
+    total, near = sum(found.worlds.values()), sum(found.near.values())
+    lines = [
+        f"{total} worlds: {', '.join(f'{n} {name}' for name, n in sorted(found.worlds.items()))}; {found.layouts} different layouts.",
+        f"Road users of a world: {min(found.users)} to {max(found.users)}, median {statistics.median(found.users):g}; within {WITHIN_M:g} m and in view: "
+        f"{min(found.seen)} to {max(found.seen)}, median {statistics.median(found.seen):g}.",
+        "",
+        "| class | in all worlds | in the picture within 100 m |",
+        "|---|---:|---:|",
+        *(f"| {name} | {n} | {found.near[name]} |" for name, n in found.classes.most_common()),
+        "",
+        "| distance from the camera | share |",
+        "|---|---:|",
+    ]
+    low = 0.0
+    for end in DISTANCES_M:
+        lines.append(f"| {low:g} to {end:g} m | {found.distances[end] / max(near, 1):.0%} |")
+        low = end
+    lines += ["", "| hidden by something else | share |", "|---|---:|"]
+    for end in SHARES:
+        lines.append(f"| {'nothing' if end == 0.0 else f'up to {end:.0%}'} | {found.hidden[end] / max(near, 1):.0%} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    wanted = int(sys.argv[1]) if len(sys.argv) > 1 else 500
+    made = survey(wanted, tell=lambda done: print(f"{done} of {wanted}", file=sys.stderr) if done % 50 == 0 else None)
+    print(tables(made))
+    print(f"\n{statistics.median(made.seconds):.2f} s of processor time each at the median.", file=sys.stderr)

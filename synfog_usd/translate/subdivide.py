@@ -1,0 +1,256 @@
+"""Catmull-Clark subdivision: a control cage as fine quads that lie on the limit surface.
+
+Takes points, faces, creases, corners and the boundary rule; gives quads, and the
+same for whatever else goes with the points.  Knows nothing of USD or materials.
+Source: Catmull and Clark (1978); semi-sharp creases: DeRose, Kass and Truong (1998),
+with the fractions of OpenSubdiv's uniform creasing; limit masks: Halstead, Kass and
+DeRose (1993).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.sparse import csgraph
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+INFINITE = 10.0
+"""Sharpness from which an edge or corner stays sharp for ever; USD's SHARPNESS_INFINITE."""
+
+MOST_FACES = 20_000
+"""Faces of a mesh up to which another level is added."""
+
+MOST_LEVELS = 3
+
+
+@dataclass(frozen=True)
+class Cage:
+    """Faces of a control cage and what is sharp on it.
+
+    Attributes:
+        counts: corners of each face, >= 3.
+        indices: point of each corner.
+        creases: (K, 2) points of each sharp edge.
+        crease_sharpness: (K,) >= 0.
+        corners: (C,) sharp points.
+        corner_sharpness: (C,) >= 0.
+        sharp_ends: whether a boundary point of a single face is a corner
+            (interpolateBoundary 'edgeAndCorner').
+    """
+
+    counts: Indices
+    indices: Indices
+    creases: Indices = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    crease_sharpness: Array = field(default_factory=lambda: np.empty(0))
+    corners: Indices = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    corner_sharpness: Array = field(default_factory=lambda: np.empty(0))
+    sharp_ends: bool = True
+
+
+@dataclass(frozen=True)
+class Quads:
+    """Fine quads of a cage.
+
+    Attributes:
+        points: (N, C) float64.
+        indices: point of each corner, four to a quad.
+        face_of: (Q,) face of the cage that each quad comes from.
+        smooth_of: smooth patch of each corner: corners of one point that no sharp edge parts.
+    """
+
+    points: Array
+    indices: Indices
+    face_of: Indices
+    smooth_of: Indices
+
+
+def levels(face_count: int) -> int:
+    """How often a cage is divided: 1 to `MOST_LEVELS`, by its number of faces."""
+    level = 1
+    while level < MOST_LEVELS and face_count * 4 ** (level + 1) <= MOST_FACES:
+        level += 1
+    return level
+
+
+def boundary_faces(cage: Cage, point_count: int) -> npt.NDArray[np.bool_]:
+    """(F,) faces that touch the boundary; the rule 'none' does not draw them."""
+    edges = _Edges(cage)
+    outer = np.zeros(point_count, dtype=bool)
+    outer[edges.ends[edges.faces_around == 1]] = True
+    return np.bincount(edges.face_of_corner, weights=outer[cage.indices], minlength=len(cage.counts)) > 0
+
+
+def subdivided(points: Array, cage: Cage, level: int) -> Quads:
+    """A cage divided `level` times, and moved onto the limit surface.
+
+    Args:
+        points: (N, C) positions, or any other values of the points.
+        cage: faces and sharpness.
+        level: >= 1.
+
+    A point beside a crease that is still half sharp after the last level stays where
+    that level puts it.
+    """
+    values, face_of = np.asarray(points, dtype=np.float64), np.arange(len(cage.counts))
+    corner_sharpness = np.zeros(len(values))
+    np.maximum.at(corner_sharpness, cage.corners, cage.corner_sharpness)
+    for _ in range(level):
+        values, cage, corner_sharpness, face_of = _divided(values, cage, corner_sharpness, face_of)
+    edges = _Edges(cage)
+    sharp = edges.sharpness(cage)
+    return Quads(_on_limit(values, cage, edges, sharp, corner_sharpness), cage.indices, face_of, _smooth_patches(cage, edges, sharp))
+
+
+class _Edges:
+    """The edges of a cage, each once."""
+
+    def __init__(self, cage: Cage) -> None:
+        starts = np.cumsum(cage.counts) - cage.counts
+        self.face_of_corner = np.repeat(np.arange(len(cage.counts)), cage.counts)
+        following = np.arange(len(cage.indices)) + 1
+        last = starts + cage.counts - 1
+        following[last] = starts
+        self.following = following
+        self.previous = np.empty_like(following)
+        self.previous[following] = np.arange(len(following))
+        pairs = np.sort(np.stack([cage.indices, cage.indices[following]], axis=1), axis=1)
+        self.size = int(cage.indices.max()) + 1
+        keys, self.of_corner, self.faces_around = np.unique(pairs[:, 0] * self.size + pairs[:, 1], return_inverse=True, return_counts=True)
+        self.of_corner = self.of_corner.reshape(-1)
+        self.keys, self.ends = keys, np.stack([keys // self.size, keys % self.size], axis=1)
+
+    def sharpness(self, cage: Cage) -> Array:
+        """(E,) sharpness of every edge; those at a boundary, or of more than two faces, never soften."""
+        sharp = np.zeros(len(self.keys))
+        if len(cage.creases):
+            pairs = np.sort(cage.creases, axis=1)
+            wanted = pairs[:, 0] * self.size + pairs[:, 1]
+            place = np.minimum(np.searchsorted(self.keys, wanted), len(self.keys) - 1)
+            known = (self.keys[place] == wanted) & (pairs[:, 1] < self.size)
+            np.maximum.at(sharp, place[known], cage.crease_sharpness[known])
+        sharp[self.faces_around != 2] = INFINITE
+        return sharp
+
+
+def _softened(sharpness: Array) -> Array:
+    return np.where(sharpness >= INFINITE, sharpness, np.maximum(sharpness - 1.0, 0.0))
+
+
+def _divided(values: Array, cage: Cage, corner_sharpness: Array, face_of: Indices) -> tuple[Array, Cage, Array, Indices]:
+    edges = _Edges(cage)
+    points, faces, count = len(values), len(cage.counts), len(edges.keys)
+    sharp = edges.sharpness(cage)
+    per_corner = (1.0 / cage.counts)[edges.face_of_corner]
+    to_face = sparse.csr_array((per_corner, (edges.face_of_corner, cage.indices)), shape=(faces, points))
+    to_middle = sparse.csr_array((np.full(2 * count, 0.5), (np.repeat(np.arange(count), 2), edges.ends.reshape(-1))), shape=(count, points))
+    beside = sparse.csr_array((np.ones(len(cage.indices)), (edges.of_corner, edges.face_of_corner)), shape=(count, faces))
+    hard = np.minimum(sharp, 1.0)
+    face_points, middles = to_face @ values, to_middle @ values
+    soft = 0.5 * middles + 0.25 * (beside @ face_points)
+    edge_points = hard[:, None] * middles + (1.0 - hard)[:, None] * soft
+
+    ends, degree = edges.ends, np.bincount(edges.ends.reshape(-1), minlength=points)
+    single = np.bincount(cage.indices, minlength=points) == 1
+    now = _vertex_points(values, cage, edges, sharp, corner_sharpness, face_points, degree, single)
+    later_sharp, later_corner = _softened(sharp), _softened(corner_sharpness)
+    vertex_points = now.values
+    if ((sharp > 0.0) & (sharp < 1.0)).any() or ((corner_sharpness > 0.0) & (corner_sharpness < 1.0)).any():
+        after = _vertex_points(values, cage, edges, later_sharp, later_corner, face_points, degree, single)
+        ending = (sharp > 0.0) & (later_sharp <= 0.0)
+        total, number = np.zeros(points), np.zeros(points)
+        for side in (0, 1):
+            np.add.at(total, ends[ending, side], sharp[ending])
+            np.add.at(number, ends[ending, side], 1.0)
+        falling = (corner_sharpness > 0.0) & (later_corner <= 0.0)
+        total[falling] += corner_sharpness[falling]
+        number[falling] += 1.0
+        share = np.where(now.rule == after.rule, 1.0, np.minimum(total / np.maximum(number, 1.0), 1.0))[:, None]
+        vertex_points = share * now.values + (1.0 - share) * after.values
+
+    corners = np.arange(len(cage.indices))
+    quads = np.stack([cage.indices, points + edges.of_corner, points + count + edges.face_of_corner, points + edges.of_corner[edges.previous]], axis=1)
+    lasting = np.flatnonzero(later_sharp > 0.0)
+    creases = np.concatenate([np.stack([ends[lasting, side], points + lasting], axis=1) for side in (0, 1)])
+    finer = Cage(
+        counts=np.full(len(corners), 4, dtype=np.int64),
+        indices=quads.reshape(-1),
+        creases=creases,
+        crease_sharpness=np.tile(later_sharp[lasting], 2),
+        sharp_ends=cage.sharp_ends,
+    )
+    result = np.concatenate([vertex_points, edge_points, face_points])
+    return result, finer, np.concatenate([later_corner, np.zeros(count + faces)]), face_of[edges.face_of_corner]
+
+
+@dataclass(frozen=True)
+class _Moved:
+    values: Array
+    rule: Indices
+    """0 smooth, 1 on a crease, 2 a corner."""
+
+
+def _rules(ends: Indices, sharp: Array, corner_sharpness: Array, single: npt.NDArray[np.bool_], *, sharp_ends: bool) -> tuple[Indices, Indices]:
+    hard = np.bincount(ends[sharp > 0.0].reshape(-1), minlength=len(corner_sharpness))
+    rule = np.where((hard > 2) | (corner_sharpness > 0.0), 2, np.where(hard == 2, 1, 0))
+    if sharp_ends:
+        rule[single] = 2
+    return rule, hard
+
+
+def _neighbours(ends: Indices, chosen: npt.NDArray[np.bool_], values: Array) -> Array:
+    """Sum of the values at the other ends of the chosen edges, for each point."""
+    a, b = ends[chosen, 0], ends[chosen, 1]
+    ones = np.ones(2 * len(a))
+    return np.asarray(sparse.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(len(values), len(values))) @ values)
+
+
+def _vertex_points(
+    values: Array, cage: Cage, edges: _Edges, sharp: Array, corner_sharpness: Array, face_points: Array, degree: Indices, single: npt.NDArray[np.bool_]
+) -> _Moved:
+    rule, _ = _rules(edges.ends, sharp, corner_sharpness, single, sharp_ends=cage.sharp_ends)
+    n = np.maximum(degree, 1)[:, None].astype(np.float64)
+    around = _neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values)
+    ones = np.ones(len(cage.indices))
+    faces = sparse.csr_array((ones, (cage.indices, edges.face_of_corner)), shape=(len(values), len(cage.counts))) @ face_points
+    smooth = (n - 2.0) / n * values + (around + faces) / n**2
+    crease = 0.75 * values + 0.125 * _neighbours(edges.ends, sharp > 0.0, values)
+    free = (rule == 0) & (degree > 0)
+    return _Moved(np.where(free[:, None], smooth, np.where((rule == 1)[:, None], crease, values)), rule)
+
+
+def _on_limit(values: Array, cage: Cage, edges: _Edges, sharp: Array, corner_sharpness: Array) -> Array:
+    points = len(values)
+    degree = np.bincount(edges.ends.reshape(-1), minlength=points)
+    rule, _ = _rules(edges.ends, sharp, corner_sharpness, np.bincount(cage.indices, minlength=points) == 1, sharp_ends=cage.sharp_ends)
+    n = np.maximum(degree, 1)[:, None].astype(np.float64)
+    across = cage.indices[edges.following[edges.following]]
+    ones = np.ones(len(across))
+    opposite = sparse.csr_array((ones, (cage.indices, across)), shape=(points, points)) @ values
+    smooth = (n**2 * values + 4.0 * _neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values) + opposite) / (n * (n + 5.0))
+    crease = (4.0 * values + _neighbours(edges.ends, sharp > 0.0, values)) / 6.0
+    half_sharp = np.zeros(points, dtype=bool)
+    half_sharp[edges.ends[(sharp > 0.0) & (sharp < INFINITE)]] = True
+    half_sharp |= (corner_sharpness > 0.0) & (corner_sharpness < INFINITE)
+    free = (rule == 0) & (degree > 0) & ~half_sharp
+    return np.where(free[:, None], smooth, np.where(((rule == 1) & ~half_sharp)[:, None], crease, values))
+
+
+def _smooth_patches(cage: Cage, edges: _Edges, sharp: Array) -> Indices:
+    """Number of the smooth patch of each corner: its point, where nothing around it is sharp for good."""
+    if not (sharp[edges.faces_around == 2] >= INFINITE).any():
+        return cage.indices
+    order = np.argsort(edges.of_corner, kind="stable")
+    inner = np.flatnonzero((edges.faces_around == 2) & (sharp < INFINITE))
+    first = (np.cumsum(edges.faces_around) - edges.faces_around)[inner]
+    a, b = order[first], order[first + 1]  # the two corners whose edges these are
+    begins, ends = edges.following[a], edges.following[b]
+    same = cage.indices[a] == cage.indices[b]  # two faces that turn against each other begin their edge at one point
+    starts, stops = np.concatenate([a, begins]), np.concatenate([np.where(same, b, ends), np.where(same, ends, b)])
+    size = len(cage.indices)
+    joined = sparse.csr_array((np.ones(len(starts)), (starts, stops)), shape=(size, size))
+    return np.asarray(csgraph.connected_components(joined, directed=False)[1], dtype=np.int64)

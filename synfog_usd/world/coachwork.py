@@ -1,0 +1,254 @@
+"""What vehicles are made of besides their skin: cuts, wheels, lamps, mirrors, plates and pictures.
+
+Openings and painted areas are cut out of a skin of triangles by planes.  Lengths
+in metres; the front looks along +Y, the wheels stand on z = 0.
+"""
+
+# ruff: noqa: RUF005 -- offsets are added to arrays, which only look like lists
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from synfog_usd.world.components import Lamp, Look
+from synfog_usd.world.shapes import (
+    Array,
+    Part,
+    box,
+    carve,
+    disc,
+    join,
+    lathe,
+    prism,
+    quad,
+    scale,
+    shaded,
+    shift,
+    soft_box,
+    strip,
+    turn,
+)
+
+HEADLIGHT_CD = 9000.0  # dipped beam, hot spot
+HEADLIGHT_TINT = (1.02, 0.995, 0.95)
+HEADLIGHT_LENS_NITS = (36000.0, 35000.0, 32000.0)
+TAIL_NITS = (2600.0, 6.0, 2.0)
+
+
+def painted(colour: tuple[float, float, float]) -> Look:
+    """What a colour of the paint changes."""
+    return Look(materials={"paint": {"diffuseColor": colour}})
+
+
+def lit(lamps: tuple[Lamp, ...]) -> Look:
+    """Lenses that glow, with the given lamps."""
+    return Look(materials={"headlamp_lens": {"emissiveColor": HEADLIGHT_LENS_NITS}, "tail_lens": {"emissiveColor": TAIL_NITS}}, lamps=lamps)
+
+
+def headlights(places: Sequence[tuple[float, float, float]]) -> tuple[Lamp, ...]:
+    """Dipped beams, left and right, a little below the horizon."""
+    names = ("Left", "Right")
+    return tuple(Lamp(n, shift(*p) @ turn(88.4, "x"), HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT) for n, p in zip(names, sorted(places), strict=True))
+
+
+def rect(u0: float, u1: float, v0: float, v1: float) -> list[tuple[float, float]]:
+    """Corners of an upright rectangle."""
+    return [(u0, v0), (u1, v0), (u1, v1), (u0, v1)]
+
+
+def grown(outline: Sequence[tuple[float, float]], by: float) -> list[tuple[float, float]]:
+    """A convex outline moved outward by a distance [m], inward where it is negative."""
+    p = np.asarray(outline, dtype=np.float64)
+    a = np.roll(p, 1, axis=0)
+    b = np.roll(p, -1, axis=0)
+    e0, e1 = (p - a) / np.linalg.norm(p - a, axis=1, keepdims=True), (b - p) / np.linalg.norm(b - p, axis=1, keepdims=True)
+    n0, n1 = np.c_[e0[:, 1], -e0[:, 0]], np.c_[e1[:, 1], -e1[:, 0]]
+    offset = (n0 + n1) / np.maximum(1 + (n0 * n1).sum(axis=1, keepdims=True), 0.3)
+    return [tuple(q) for q in p + by * offset]
+
+
+def convex(outline: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The convex hull of an outline, counter-clockwise."""
+    from scipy.spatial import ConvexHull
+
+    p = np.asarray(outline)
+    return [tuple(p[i]) for i in ConvexHull(p).vertices]
+
+
+def cut_out(
+    skin: Part,
+    parts: list[Part],
+    material: str,
+    axes: tuple[int, int],
+    outline: Sequence[tuple[float, float]],
+    along: int,
+    sign: int,
+    facing: float,
+    beyond: float | None = None,
+) -> Part:
+    """Repaint a convex outline of the skin, seen along an axis, where it faces that way; gives the rest.
+
+    facing: least cosine between the normals and the axis; beyond: least distance along the axis [m].
+    """
+    planes = prism(outline, axes)
+    if beyond is not None:
+        planes.append(lambda q: beyond - sign * q[:, along])
+    if sign:
+        planes.append(lambda q: -sign * q[:, along])
+    inside, rest = carve(skin, planes)
+    if len(inside.faces) == 0:
+        return skin
+    if facing > -1 and inside.normals is not None:
+        n = inside.normals[inside.faces].mean(axis=1)[:, along] * sign
+        keep = n > facing
+        back = Part(inside.points, inside.faces[~keep], skin.material, inside.uv, inside.normals)
+        rest = join([rest, back]) if (~keep).any() else rest
+        inside = Part(inside.points, inside.faces[keep], material, inside.uv, inside.normals)
+    parts.append(inside.painted(material))
+    return rest.painted(skin.material)
+
+
+def screen(skin: Part, parts: list[Part], z0: float, z1: float, low_half: float, high_half: float, sign: int, upright: bool) -> Part:
+    """Cut windscreen (`sign` 1) or rear window (-1) with its dark border out of the skin; gives the rest."""
+    outline = [(-low_half, z0), (low_half, z0), (high_half, z1), (-high_half, z1)]
+    planes = prism(grown(outline, -0.01), (0, 2))
+    border = prism(grown(outline, 0.02), (0, 2))
+    for material, cuts in (("glass_car", planes), ("gloss_black", border)):
+        inside, rest = carve(skin, [*cuts, lambda q: -sign * q[:, 1] - 0.5 if not upright else 0.9 - q[:, 1]])
+        n = inside.normals[inside.faces].mean(axis=1) if inside.normals is not None and len(inside.faces) else np.zeros((0, 3))
+        keep = sign * n[:, 1] > (0.18 if sign > 0 else 0.22)
+        if len(inside.faces):
+            parts.append(Part(inside.points, inside.faces[keep], material, inside.uv, inside.normals))
+            back = Part(inside.points, inside.faces[~keep], skin.material, inside.uv, inside.normals)
+            skin = (join([rest, back]) if (~keep).any() else rest).painted(skin.material)
+    return skin
+
+
+def arches(skin: Part, parts: list[Part], axles: Sequence[float], radius: float, inner: float, lip: str = "") -> Part:
+    """Cut the wheel arches out and line them with dark plastic."""
+    angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+    for sign in (-1, 1):
+        for y in axles:
+            circle = np.c_[y + radius * np.cos(angle), radius - 0.045 + radius * np.sin(angle)]
+            reach = [lambda q, sign=sign: inner - sign * q[:, 0]]
+            hole, skin = carve(skin, [*reach, *prism(circle, (1, 2))])
+            outer = float(np.abs(hole.points[:, 0]).max()) if len(hole.points) else inner + 0.3
+            arc = np.linspace(-0.15, np.pi + 0.15, 20)
+            ring = np.c_[np.full(20, 0.0), y + (radius + 0.004) * np.cos(arc), radius - 0.045 + (radius + 0.004) * np.sin(arc)]
+            parts.append(strip([ring + [sign * inner, 0, 0], ring + [sign * (outer - 0.035), 0, 0]], "seam"))
+            wall = np.vstack([ring, [(0, y, radius - 0.3)]]) + [sign * inner, 0, 0]
+            parts.append(Part(wall, np.array([(i, i + 1, 20) for i in range(19)]), "seam"))
+            if lip:
+                wide = np.c_[y + (radius + 0.055) * np.cos(angle), radius - 0.045 + (radius + 0.055) * np.sin(angle)]
+                band, skin = carve(skin, [*reach, *prism(wide, (1, 2))])
+                parts.append(band.painted(lip))
+    return skin.painted("paint")
+
+
+def wheels(axles: Sequence[float], radius: float, half_track: float, width: float, spokes: int) -> list[Part]:
+    """Four wheels that stand on the ground, rims outward."""
+    tyre, rim, brake = wheel(radius, width, spokes)
+    placed = []
+    for sign in (-1, 1):
+        for y in axles:
+            m = shift(sign * (half_track - width / 2 + 0.02), y, radius) @ turn(90 * sign, "y")
+            placed += [p.moved(m) for p in (tyre, rim, brake)]
+    return placed
+
+
+def wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
+    """Tyre, rim with spokes and brake disc about Z, outside up."""
+    r, w, bead = radius, width / 2, radius * 0.66
+    tyre = lathe(
+        [(bead, -w * 0.9), (r * 0.88, -w), (r * 0.975, -w * 0.86), (r, -w * 0.6), (r, w * 0.6), (r * 0.975, w * 0.86), (r * 0.88, w), (bead, w * 0.92)],
+        "tyre",
+        sides=36,
+        crease_deg=35,
+    )
+    dish = lathe(
+        [(bead * 0.93, -w * 0.5), (bead * 0.93, w * 0.55), (bead * 0.96, w * 0.9), (bead * 1.01, w * 0.95), (bead * 1.01, w * 0.8)],
+        "rim",
+        sides=32,
+        crease_deg=35,
+    )
+    hub = lathe([(0.001, w * 0.74), (bead * 0.16, w * 0.74), (bead * 0.2, w * 0.6)][::-1], "rim", sides=12)
+    bars = []
+    for i in range(spokes):
+        thick = 0.55 / max(spokes, 5)
+        inner_half, outer_half = bead * thick * 0.8, bead * thick * 1.15
+        top = [
+            (bead * 0.12, -inner_half, w * 0.72),
+            (bead * 0.95, -outer_half, w * 0.80),
+            (bead * 0.95, outer_half, w * 0.80),
+            (bead * 0.12, inner_half, w * 0.72),
+        ]
+        low = [(x, y * 1.25, z - w * 0.35) for x, y, z in top]
+        sides = [[low[k], low[(k + 1) % 4], top[(k + 1) % 4], top[k]] for k in (0, 2)]
+        bars.append(join([quad(top, "rim"), *(quad(s, "rim") for s in sides)]).moved(turn(360 / spokes * i)))
+    brake = disc((0, 0, w * 0.15), bead * 0.93, "brake", sides=16)
+    return tyre, join([dish, hub, *(shaded(b, 20) for b in bars)]), brake
+
+
+def lens_disc(centre: tuple[float, float, float], radius: float, material: str, *, back: bool = False) -> Part:
+    """A round lens of ten triangles that faces forward or back."""
+    return disc((0, 0, 0), radius, material, sides=10).moved(shift(*centre) @ turn(90 if back else -90, "x"))
+
+
+def mirror(sign: int) -> Part:
+    """A wing mirror in the paint of the car; `sign` is its side."""
+    arm = box((0.0, -0.02, 0.0), (0.09, 0.03, 0.05), "paint")
+    shell = soft_box((0.03, -0.055, 0.01), (0.225, 0.055, 0.165), "paint", radius=0.045)
+    both = join([arm, shell])
+    return both if sign > 0 else both.moved(scale(-1, 1, 1))
+
+
+def plate(centre: tuple[float, float, float], row: int, *, front: bool) -> Part:
+    """A number plate; `row` of their picture."""
+    x, y, z = centre
+    w, h = 0.26, 0.056
+    s = 1 if front else -1
+    corners = [(x + s * w, y, z - h), (x - s * w, y, z - h), (x - s * w, y, z + h), (x + s * w, y, z + h)]
+    low, high = 1 - (row + 1) / 8, 1 - row / 8
+    return quad(corners, "plate", [(0, low), (1, low), (1, high), (0, high)])
+
+
+def picture(
+    corners: Sequence[tuple[float, float, float]], material: str, row: int, rows: int, *, turned: bool = False, lift: tuple[float, float, float] = (0, 0, 0)
+) -> Part:
+    """One of several pictures that lie one above the other in a texture, on four corners."""
+    low, high = 1 - (row + 1) / rows, 1 - row / rows
+    uv = [(0, low), (1, low), (1, high), (0, high)]
+    p = np.asarray(corners) + np.asarray(lift)
+    if turned:  # seen from the front, +X is on the left
+        p = p[[1, 0, 3, 2]]
+    return quad(p, material, uv)
+
+
+def side_picture(sign: int, x: float, y0: float, y1: float, z0: float, z1: float, row: int) -> Part:
+    """A picture on a flank, read from outside."""
+    a, b = (y0, y1) if sign > 0 else (y1, y0)
+    return picture([(sign * x, a, z0), (sign * x, b, z0), (sign * x, b, z1), (sign * x, a, z1)], "banner", row, 4)
+
+
+def on_side(field_, sign: int, y: float, z: float) -> Array:
+    """(4, 4) frame on the flank at (y, z) whose X runs along the car."""
+    x = np.linspace(0, 1.3, 400)
+    f = field_(sign * x, np.full(400, y), np.full(400, z))
+    at = x[np.argmax(f > 0)] if (f > 0).any() else 1.0
+    return shift(sign * at, y - 0.1, z) @ turn(90)
+
+
+def front_at(field_, x: float, z: float, sign: int) -> float:
+    """The foremost (`sign` 1) or rearmost y [m] of a body at x and z."""
+    y = np.linspace(0, 3.2, 800)
+    f = field_(np.full(800, x), sign * y, np.full(800, z))
+    inside = np.nonzero(f < 0)[0]
+    return float(sign * y[inside[-1]])
+
+
+def top_at(field_, x: float, y: float) -> float:
+    """The highest z [m] of a body at x and y."""
+    z = np.linspace(0.5, 3, 600)
+    f = field_(np.full(600, x), np.full(600, y), z)
+    return float(z[np.nonzero(f < 0)[0][-1]])

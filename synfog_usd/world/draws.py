@@ -1,0 +1,256 @@
+"""The language of recipes: values that may differ, how they are drawn, and how they are read from YAML.
+
+A number is fixed, {uniform: [low, high]}, {normal: {mean, deviation, low, high}} or
+{by_hour: [[hour, value], ...]}; a whole number {integer: [low, high]}; a name is
+fixed or {choice: {name: weight, ...}}.  Every mistake has its file, line and column.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from synfog_usd.errors import RecipeError, did_you_mean
+from synfog_usd.yamlio import Located, Place, load_file, load_text
+
+SCHEMA = "recipe/1"
+WORLDS = ("crossroads", "road")
+FOG_DEFAULT = (600, 300, 150)
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A parameter that is a number, within limits."""
+
+    low: float
+    high: float
+    default: Any
+    whole: bool = False
+
+
+@dataclass(frozen=True)
+class Names:
+    """A parameter that is one of several names."""
+
+    allowed: tuple[str, ...]
+    default: Any
+
+
+FOG = Amount(10, 20000, None, whole=True)
+
+
+@dataclass(frozen=True)
+class Draw:
+    """How one value comes about.
+
+    Attributes:
+        kind: 'fixed', 'uniform', 'integer' (both ends included), 'normal', 'by_hour' or 'choice'.
+        values: the one value, the two ends, (mean, deviation, low, high), (hour, value) pairs, or the names.
+        weights: of the names, positive.
+        whole: a whole number is wanted.
+    """
+
+    kind: str
+    values: tuple[Any, ...]
+    weights: tuple[float, ...] = ()
+    whole: bool = False
+
+    def __call__(self, rng: np.random.Generator, among: Sequence[str] | None = None, *, hour: float = 12.0) -> Any:
+        """One value; of a choice only names in `among`, whose first it is where none of them is in the choice."""
+        if self.kind == "choice":
+            pairs = [(v, w) for v, w in zip(self.values, self.weights, strict=True) if among is None or v in among]
+            if not pairs:
+                return (among or self.values)[0]
+            edges = np.cumsum([w for _, w in pairs])
+            return pairs[int(np.searchsorted(edges, rng.random() * edges[-1], side="right"))][0]
+        if self.kind == "uniform":
+            return float(rng.uniform(*self.values))
+        if self.kind == "integer":
+            return int(rng.integers(self.values[0], self.values[1] + 1))
+        if self.kind == "normal":
+            mean, deviation, low, high = self.values
+            a, b = special.ndtr((np.array([low, high]) - mean) / deviation)
+            value = float(np.clip(mean + deviation * special.ndtri(a + (b - a) * rng.random()), low, high))
+            return round(value) if self.whole else value
+        if self.kind == "by_hour":
+            at, value = np.array(self.values, dtype=np.float64).T
+            found = float(np.interp(hour, at, value, period=24.0))
+            return round(found) if self.whole else found
+        return self.values[0]
+
+
+def load_root(path: Path, changes: Sequence[str] = ()) -> Located:
+    """The YAML of a recipe with changes of the command line in it.
+
+    Raises:
+        RecipeError: not YAML, or a change that is not 'section.key=value'.
+    """
+    root = load_file(path, error=RecipeError)
+    for change in changes:
+        name, found, text = change.partition("=")
+        section, dot, key = name.strip().partition(".")
+        if not found or not dot or not section or not key or not isinstance(root.value, dict):
+            raise RecipeError(f"--set {change}: takes SECTION.KEY=VALUE, as in traffic.count=20")
+        place = Place(f"--set {change}", 1, 1)
+        value = replace(load_text(text, name=f"--set {change}", error=RecipeError), key_place=place)
+        old = root.value.get(section)
+        items = dict(old.value) if old is not None and isinstance(old.value, dict) else {}
+        items[key] = value
+        root = replace(root, value={**root.value, section: Located(items, old.place if old else place, old.key_place if old else place)})
+    return root
+
+
+def world_of(root: Located) -> str:
+    """Which world a recipe is of: 'crossroads' where it does not say."""
+    item = root.value.get("world") if isinstance(root.value, dict) else None
+    if item is None:
+        return "crossroads"
+    if item.value not in WORLDS:
+        raise RecipeError(f"{item.place}: world is {item.plain()!r}; it takes {', '.join(WORLDS)}.{did_you_mean(str(item.plain()), WORLDS)}")
+    return str(item.value)
+
+
+def check_schema(items: Mapping[str, Located], root: Located) -> None:
+    """Whether this program reads the recipe."""
+    mark = items.get("synfog")
+    if mark is None or mark.value != SCHEMA:
+        raise RecipeError(f"{(mark or root).place}: synfog is {mark.plain() if mark else 'missing'}; this program reads {SCHEMA!r}")
+
+
+def sections(parameters: Mapping[str, Amount | Names]) -> tuple[str, ...]:
+    """Names of the sections of 'section.key' parameters."""
+    return tuple(dict.fromkeys(name.partition(".")[0] for name in parameters))
+
+
+def read_draws(items: Mapping[str, Located], parameters: Mapping[str, Amount | Names]) -> dict[str, Draw]:
+    """One draw for each parameter, from the sections of a recipe."""
+    draws = {name: default(parameter) for name, parameter in parameters.items()}
+    for section in sections(parameters):
+        if section in items:
+            keys = tuple(name.partition(".")[2] for name in parameters if name.startswith(section + "."))
+            for key, item in mapping(items[section], section, keys).items():
+                draws[f"{section}.{key}"] = read_draw(item, f"{section}.{key}", parameters[f"{section}.{key}"])
+    return draws
+
+
+def read_fog(items: Mapping[str, Located]) -> tuple[Draw, ...]:
+    """One draw for each fog variant."""
+    if "fog" not in items:
+        return tuple(Draw("fixed", (mor,)) for mor in FOG_DEFAULT)
+    listed = items["fog"]
+    if not isinstance(listed.value, list) or not listed.value:
+        raise RecipeError(f"{listed.place}: fog is {listed.plain()!r}; it takes a list of visibilities in metres, as in [600, 300, 150]")
+    return tuple(read_draw(item, "fog", FOG) for item in listed.value)
+
+
+def mapping(item: Located, what: str, allowed: Sequence[str]) -> dict[str, Located]:
+    """The items of a mapping whose keys are all known."""
+    if not isinstance(item.value, dict):
+        raise RecipeError(f"{item.place}: {what} is {item.plain()!r}; it takes a mapping of {', '.join(allowed)}")
+    for key, value in item.value.items():
+        if key not in allowed:
+            raise RecipeError(f"{value.key_place}: {what} has no {key!r}; it takes {', '.join(allowed)}.{did_you_mean(key, allowed)}")
+    return item.value
+
+
+def default(parameter: Amount | Names) -> Draw:
+    """What holds where a recipe says nothing."""
+    if isinstance(parameter, Amount):
+        return Draw("fixed", (parameter.default,))
+    if isinstance(parameter.default, str):
+        return Draw("choice", (parameter.default,), (1.0,))
+    return Draw("choice", tuple(parameter.default), tuple(float(weight) for weight in parameter.default.values()))
+
+
+def read_draw(item: Located, name: str, parameter: Amount | Names) -> Draw:
+    """One value of a recipe.
+
+    Raises:
+        RecipeError: not a form that the parameter takes, or outside its limits.
+    """
+    if isinstance(parameter, Names):
+        return _choice(item, name, parameter)
+    kind = "integer" if parameter.whole else "uniform"
+    number = "a whole number" if parameter.whole else "a number"
+    form = f"{number}, {{{kind}: [low, high]}}, {{normal: {{mean, deviation, low, high}}}} or {{by_hour: [[hour, value], ...]}}"
+    if not isinstance(item.value, dict):
+        return Draw("fixed", (_number(item, name, parameter, form),))
+    (word, ends), *more = item.value.items() or [("", item)]
+    if more:
+        raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
+    if word == "normal":
+        return _normal(ends, name, parameter, form)
+    if word == "by_hour":
+        return _by_hour(ends, name, parameter, form)
+    if word != kind or not isinstance(ends.value, list) or len(ends.value) != 2:
+        raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
+    low, high = (_number(end, name, parameter, form) for end in ends.value)
+    if low > high:
+        raise RecipeError(f"{ends.place}: {name} runs from {low:g} to {high:g}; the first end is the lower one")
+    return Draw(kind, (low, high))
+
+
+def _normal(item: Located, name: str, parameter: Amount, form: str) -> Draw:
+    keys = ("mean", "deviation", "low", "high")
+    items = mapping(item, f"{name}: normal", keys)
+    missing = [key for key in keys if key not in items]
+    if missing:
+        raise RecipeError(f"{item.place}: {name}: normal lacks {', '.join(missing)}; it takes {form}")
+    free = replace(parameter, whole=False)
+    low, high = _number(items["low"], name, free, form), _number(items["high"], name, free, form)
+    loose = Amount(-math.inf, math.inf, None)
+    mean, deviation = _number(items["mean"], name, loose, form), _number(items["deviation"], name, loose, form)
+    if low >= high:
+        raise RecipeError(f"{items['low'].place}: {name} runs from {low:g} to {high:g}; low is below high")
+    if not deviation > 0 or not math.isfinite(mean) or special.ndtr((high - mean) / deviation) - special.ndtr((low - mean) / deviation) < 1e-9:
+        raise RecipeError(f"{item.place}: {name}: a normal of mean {mean:g} and deviation {deviation:g} has nothing from {low:g} to {high:g}")
+    return Draw("normal", (mean, deviation, low, high), whole=parameter.whole)
+
+
+def _by_hour(item: Located, name: str, parameter: Amount, form: str) -> Draw:
+    if not isinstance(item.value, list) or not item.value:
+        raise RecipeError(f"{item.place}: {name}: by_hour is {item.plain()!r}; it takes {form}")
+    pairs = []
+    for pair in item.value:
+        if not isinstance(pair.value, list) or len(pair.value) != 2:
+            raise RecipeError(f"{pair.place}: {name}: {pair.plain()!r} is not [hour, value]")
+        hour = _number(pair.value[0], f"{name}: hour", Amount(0, 24, None), "an hour")
+        pairs.append((hour, _number(pair.value[1], name, parameter, form)))
+    return Draw("by_hour", tuple(sorted(pairs)), whole=parameter.whole)
+
+
+def _number(item: Located, name: str, parameter: Amount, form: str) -> float:
+    value = item.value
+    right = isinstance(value, int) if parameter.whole else isinstance(value, int | float)
+    if not right or isinstance(value, bool):
+        raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
+    if not parameter.low <= value <= parameter.high:
+        raise RecipeError(f"{item.place}: {name} {value:g} is outside {parameter.low:g} to {parameter.high:g}")
+    return value if parameter.whole else float(value)
+
+
+def _choice(item: Located, name: str, parameter: Names) -> Draw:
+    form = "a name or {choice: {name: weight, ...}}"
+    choice = item
+    if isinstance(item.value, dict):
+        if set(item.value) != {"choice"}:
+            raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
+        choice = item.value["choice"]
+        if not isinstance(choice.value, dict) or not choice.value:
+            raise RecipeError(f"{choice.place}: {name} chooses among {choice.plain()!r}; it takes {{name: weight, ...}}")
+    named = [(key, weight.key_place) for key, weight in choice.value.items()] if isinstance(choice.value, dict) else [(choice.plain(), item.place)]
+    for key, place in named:
+        if key not in parameter.allowed:
+            raise RecipeError(f"{place}: {name} has no {key!r}; it takes {', '.join(parameter.allowed)}.{did_you_mean(str(key), parameter.allowed)}")
+    if not isinstance(choice.value, dict):
+        return Draw("choice", (choice.value,), (1.0,))
+    for key, weight in choice.value.items():
+        if isinstance(weight.value, bool) or not isinstance(weight.value, int | float) or not 0 < weight.value < math.inf:
+            raise RecipeError(f"{weight.place}: {name}: the weight of {key!r} is {weight.plain()!r}; it takes a number above 0")
+    return Draw("choice", tuple(choice.value), tuple(float(weight.value) for weight in choice.value.values()))

@@ -1,0 +1,93 @@
+"""Fewer triangles for models that stand far away, as like the full ones as was asked for.
+
+Solid parts are thinned by quadric edge collapse (pymeshlab) until no point of
+either surface lies farther than a limit from the other; so no silhouette moves
+by more.  Leaves and needles, which do not touch, become fewer and larger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from synfog_usd.world.components import Component
+from synfog_usd.world.materials import PALETTE, Material
+from synfog_usd.world.shapes import Array, Index, Part, by_material, join, shaded
+
+LIMIT_M = 0.02
+WORTH = 3000
+"""Triangles above which a model comes in two levels of detail."""
+SLIVER_M2 = 1e-9
+SHARES = (0.15, 0.25, 0.4, 0.6)
+LEAVES = ("leaf_", "needle")
+KEPT_LEAVES = 3
+"""One leaf in so many is kept, and larger, so that the crown covers as much."""
+
+
+def with_low(component: Component, limit_m: float = LIMIT_M) -> Component:
+    """The component with a level `low`, if it is worth one and gets smaller by a quarter."""
+    if component.triangles() < WORTH:
+        return component
+    low = thinned(component.parts, limit_m, {**PALETTE, **component.materials})
+    return replace(component, low=low) if sum(len(p.faces) for p in low) < 0.75 * component.triangles() else component
+
+
+def thinned(parts: Sequence[Part], limit_m: float = LIMIT_M, materials: Mapping[str, Material] = PALETTE) -> tuple[Part, ...]:
+    """The parts, one for each material, with as few triangles as `limit_m` [m] allows; what wears a texture stays."""
+    return tuple(_thinned(part, limit_m, materials.get(part.material, Material())) for part in by_material(parts).values())
+
+
+def distance(a: Part, b: Part, samples: int = 20_000) -> float:
+    """Greatest distance [m] from a point of either surface to the other, of points spread evenly over both."""
+    import pymeshlab
+
+    meshes = pymeshlab.MeshSet(verbose=False)
+    for part in (a, b):
+        corners = part.points[part.faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        used, faces = np.unique(part.faces[area > SLIVER_M2], return_inverse=True)  # the search for the nearest point passes slivers over
+        meshes.add_mesh(pymeshlab.Mesh(part.points[used], faces.reshape(-1, 3).astype(np.int32)))
+    reach = pymeshlab.PureValue(10.0)
+    both = [
+        meshes.get_hausdorff_distance(sampledmesh=i, targetmesh=1 - i, samplevert=True, sampleface=True, samplenum=samples, maxdist=reach)["max"]
+        for i in (0, 1)
+    ]
+    return float(max(both))
+
+
+def collapsed(points: Array, faces: Index, triangles: int) -> tuple[Array, Index]:
+    """A mesh of about so many triangles, its borders kept near where they are."""
+    import pymeshlab
+
+    meshes = pymeshlab.MeshSet(verbose=False)
+    meshes.add_mesh(pymeshlab.Mesh(points, faces.astype(np.int32)))
+    meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=triangles, preservenormal=True, boundaryweight=2.0, planarquadric=True, optimalplacement=True)
+    mesh = meshes.current_mesh()
+    return np.array(mesh.vertex_matrix()), np.array(mesh.face_matrix(), dtype=np.int64)
+
+
+def _thinned(part: Part, limit_m: float, look: Material) -> Part:
+    if part.material.startswith(LEAVES):
+        return _fewer_leaves(part)
+    if look.texture or look.gloss or len(part.faces) < 150:
+        return part  # pictures stay where they are
+    points, inverse = np.unique(np.round(part.points, 5), axis=0, return_inverse=True)
+    faces = inverse.reshape(-1)[part.faces]
+    solid = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    faces = faces[solid]
+    for share in SHARES:
+        fewer = Part(*collapsed(points, faces, int(share * len(faces))), part.material)
+        if len(fewer.faces) and distance(part, fewer) <= limit_m:
+            return fewer if part.normals is None else shaded(fewer, 45)
+    return part
+
+
+def _fewer_leaves(part: Part) -> Part:
+    corners = part.points[part.faces.reshape(-1, 6)[:, [0, 1, 2, 5]]][::KEPT_LEAVES]
+    middle = corners.mean(axis=1, keepdims=True)
+    larger = middle + (corners - middle) * np.sqrt(KEPT_LEAVES)
+    first = 4 * np.arange(len(larger))[:, None]
+    faces = (first + np.array([0, 1, 2, 0, 2, 3])).reshape(-1, 3)
+    return join([Part(larger.reshape(-1, 3), faces, part.material)])

@@ -1,0 +1,336 @@
+"""A user's mesh file as triangles and materials: glTF, OBJ, PLY by trimesh, USD by itself.
+
+How many triangles there are is asked of headers before anything is expanded.
+What cannot be read is one error; what is left out is told as notes.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade
+
+from synfog_usd.errors import StageError, SynfogError
+from synfog_usd.world.materials import Material
+from synfog_usd.world.shapes import Array, Part
+
+MOST_TRIANGLES = 50_000_000
+MOST_PICTURE_PX = 80_000_000
+MOST_TEXTURE_PX = 4096
+"""Longer sides are scaled down to this."""
+MESHES = (".glb", ".gltf", ".obj", ".ply")
+STAGES = (".usd", ".usda", ".usdc", ".usdz")
+
+
+@dataclass
+class Found:
+    """What a file holds, in its own units and axes.
+
+    Attributes:
+        parts: triangles, one or more for each material.
+        materials: by name; `pictures` holds what their `texture` names.
+        metres_per_unit, up, front: what the file or its format says, or None.
+        notes: what was left out or made simpler.
+    """
+
+    parts: list[Part] = field(default_factory=list)
+    materials: dict[str, Material] = field(default_factory=dict)
+    pictures: dict[str, Any] = field(default_factory=dict)
+    metres_per_unit: float | None = None
+    up: str | None = None
+    front: str | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def read(file: Path) -> Found:
+    """All triangles of a file.
+
+    Raises:
+        StageError: it is missing, of another kind, damaged, empty or larger than `MOST_TRIANGLES`.
+    """
+    kind = file.suffix.lower()
+    if kind not in MESHES + STAGES:
+        raise StageError(f"{file}: not a kind of file that can be imported; allowed are {', '.join(MESHES + STAGES)}")
+    if not file.is_file():
+        raise StageError(f"{file}: no such file")
+    if kind not in STAGES:
+        _refuse_many(file, _counted(file, kind))
+    found = _of_stage(file) if kind in STAGES else _of_mesh(file, kind)
+    if not sum(len(p.faces) for p in found.parts):
+        raise StageError(f"{file}: no triangles in it; export the model as a mesh")
+    if not all(np.isfinite(p.points).all() for p in found.parts):
+        raise StageError(f"{file}: points that are not finite numbers; export it again")
+    for name, picture in found.pictures.items():
+        _decode(file, name, picture)
+    return found
+
+
+def _decode(file: Path, name: str, picture: Any) -> None:
+    """Read a picture now, since its library does so only when its pixels are wanted."""
+    width, height = picture.size
+    if width * height > MOST_PICTURE_PX:
+        raise StageError(f"{file}: picture {name} of {width} x {height} pixels, more than the {MOST_PICTURE_PX:,} that are read; scale it down")
+    try:
+        picture.load()
+    except Exception as error:  # a damaged picture can fail anywhere in its decoder
+        raise StageError(f"{file}: picture {name} cannot be read ({_short(error)}); save it again as PNG") from error
+
+
+def _refuse_many(file: Path, triangles: int) -> None:
+    if triangles > MOST_TRIANGLES:
+        raise StageError(f"{file}: {triangles:,} triangles, more than the {MOST_TRIANGLES:,} that are read; decimate it first, a car needs about 20,000")
+
+
+def _counted(file: Path, kind: str) -> int:
+    """Number of triangles that a file claims, at a small cost."""
+    try:
+        if kind == ".ply":
+            return _ply_faces(file)
+        if kind == ".obj":
+            return _obj_triangles(file)
+        return _gltf_triangles(json.loads(_glb_json(file) if kind == ".glb" else file.read_bytes()), file)
+    except SynfogError:
+        raise
+    except Exception as error:  # a header can be wrong in any way
+        raise StageError(f"{file}: damaged, or not what its suffix says ({_short(error)})") from error
+
+
+def _ply_faces(file: Path) -> int:
+    with file.open("rb") as handle:
+        head = handle.read(65536).split(b"end_header", 1)
+    if len(head) < 2 or not head[0].startswith(b"ply"):
+        raise ValueError("no PLY header")
+    rows = [line.split() for line in head[0].splitlines()]
+    counts = {row[1]: int(row[2]) for row in rows if len(row) == 3 and row[0] == b"element"}
+    if min(counts.values(), default=0) < 0 or sum(counts.values()) > file.stat().st_size:
+        raise ValueError(f"its header claims {sum(counts.values()):,} rows in {file.stat().st_size:,} bytes")
+    return counts.get(b"face", 0)
+
+
+def _obj_triangles(file: Path) -> int:
+    total = 0
+    with file.open("rb") as handle:
+        for line in handle:
+            if line.startswith(b"f "):
+                total += max(0, len(line.split()) - 3)
+                if total > MOST_TRIANGLES:
+                    break
+    return total
+
+
+def _glb_json(file: Path) -> bytes:
+    with file.open("rb") as handle:
+        magic, _version, _length, size, kind = struct.unpack("<4sIII4s", handle.read(20))
+        if magic != b"glTF" or kind != b"JSON" or size > file.stat().st_size:
+            raise ValueError("no GLB header")
+        return handle.read(size)
+
+
+def _gltf_triangles(scene: dict[str, Any], file: Path) -> int:
+    """Sum over nodes, so that a mesh placed a thousand times counts a thousand times."""
+    accessors = scene.get("accessors", [])
+    for item in [*scene.get("buffers", []), *scene.get("images", [])]:
+        uri = item.get("uri", "")
+        if uri and not uri.startswith("data:") and not (file.parent / uri).resolve().is_relative_to(file.parent.resolve()):
+            raise StageError(f"{file}: refers to {uri}, outside its own folder; copy it beside the file")
+    each = []
+    for mesh in scene.get("meshes", []):
+        rows = [p.get("indices", p.get("attributes", {}).get("POSITION")) for p in mesh.get("primitives", []) if p.get("mode", 4) in (4, 5, 6)]
+        each.append(sum(int(accessors[row]["count"]) // 3 for row in rows if row is not None))
+    placed = [node["mesh"] for node in scene.get("nodes", []) if "mesh" in node]
+    return max(sum(each[i] for i in placed), sum(each))
+
+
+def _short(error: BaseException) -> str:
+    text = " ".join(str(error).split()) or type(error).__name__
+    told = re.search(r" in file \S+ : '(.*?)'( |$)", text)  # what USD says, without where in its code
+    text = told[1] if told else text
+    return text if len(text) < 140 else text[:137] + "..."
+
+
+def _of_mesh(file: Path, kind: str) -> Found:
+    import trimesh
+
+    class Beside(trimesh.resolvers.FilePathResolver):
+        """Opens what lies below the folder of the file, and nothing else."""
+
+        def get(self, name: str) -> bytes:
+            if not (file.parent / name).resolve().is_relative_to(file.parent.resolve()):
+                raise ValueError(f"refers to {name}, outside its own folder")
+            return bytes(super().get(name))
+
+    try:
+        scene = trimesh.load_scene(str(file), process=False, resolver=Beside(str(file)))
+        meshes = [g for g in scene.dump() if isinstance(g, trimesh.Trimesh)]
+        found = Found()
+        if kind in (".glb", ".gltf"):
+            found.metres_per_unit, found.up, found.front = 1.0, "+Y", "+Z"  # glTF 2.0, section 3.4
+        for mesh in meshes:
+            if len(mesh.faces):
+                _take(found, mesh)
+    except Exception as error:  # a damaged file can fail anywhere in its reader
+        raise StageError(f"{file}: cannot be read ({_short(error)}); export it again, as .glb if you can") from error
+    return found
+
+
+def _take(found: Found, mesh: Any) -> None:
+    """Add a mesh of trimesh with its material."""
+    visual = mesh.visual
+    look = getattr(visual, "material", None)
+    picture = None
+    if look is None:
+        colour = _linear(np.asarray(visual.main_color[:3]) / 255.0) if visual.defined else (0.3, 0.3, 0.3)
+        made = Material(colour, 0.6)
+        if visual.defined and "colours of vertices became one" not in found.notes:
+            found.notes.append("colours of vertices became one")
+    else:
+        physical = hasattr(look, "baseColorFactor")
+        rgb = np.asarray(look.main_color[:3]) / 255.0
+        picture = look.baseColorTexture if physical else look.image
+        metallic = look.metallicFactor if physical and look.metallicFactor is not None else 0.0
+        rough = look.roughnessFactor if physical and look.roughnessFactor is not None else (1.0 if physical else 0.6)
+        # factors of glTF are linear, colours of OBJ are meant for the screen; under a picture OBJ's is not a factor
+        colour = tuple(float(v) for v in rgb) if physical else _linear(rgb)
+        if picture is not None and not (physical and look.baseColorFactor is not None):
+            colour = (1.0, 1.0, 1.0)
+        made = Material(colour, float(rough), float(metallic))
+    uv = getattr(visual, "uv", None) if picture is not None else None
+    uv = np.asarray(uv, dtype=np.float64) if uv is not None and len(uv) == len(mesh.vertices) else None
+    name = _material(found, str(getattr(look, "name", "") or "surface"), made, picture if uv is not None else None)
+    found.parts.append(Part(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64), name, uv))
+
+
+def _linear(srgb: Array) -> tuple[float, float, float]:
+    """sRGB (IEC 61966-2-1) as linear light."""
+    c = np.asarray(srgb, dtype=np.float64)
+    r, g, b = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    return float(r), float(g), float(b)
+
+
+def _material(found: Found, wanted: str, look: Material, picture: Any) -> str:
+    """The name under which a material is kept; the same look twice is one."""
+    base = Tf.MakeValidIdentifier(wanted) or "surface"
+    for number in range(1, 100_000):
+        name = base if number == 1 else f"{base}_{number}"
+        if picture is not None:
+            look = replace(look, texture=f"{name}.png")
+        if name not in found.materials:
+            found.materials[name] = look
+            if picture is not None:
+                found.pictures[look.texture] = picture
+            return name
+        if found.materials[name] == look and (picture is None or found.pictures[look.texture] is picture):
+            return name
+    raise ValueError("too many materials")
+
+
+def _of_stage(file: Path) -> Found:
+    """Every visible mesh of a USD stage, in the stage's own units."""
+    try:
+        layer = Sdf.Layer.FindOrOpen(str(file))
+        stage = Usd.Stage.Open(layer) if layer else None
+        if not stage:
+            raise StageError(f"{file}: not a USD file, or damaged")
+        found = Found(metres_per_unit=UsdGeom.GetStageMetersPerUnit(stage), up=f"+{UsdGeom.GetStageUpAxis(stage)}")
+        meshes = list(_visible(stage))
+        _refuse_many(file, sum(int(np.maximum(np.array(m.GetFaceVertexCountsAttr().Get() or []) - 2, 0).sum()) for m in meshes))
+        cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+        for mesh in meshes:
+            _take_mesh(found, mesh, np.array(cache.GetLocalToWorldTransform(mesh.GetPrim())), file.parent.resolve())
+    except SynfogError:
+        raise
+    except Exception as error:  # arrays of a damaged stage need not fit each other
+        raise StageError(f"{file}: cannot be read ({_short(error)})") from error
+    return found
+
+
+def _visible(stage: Usd.Stage) -> Iterator[UsdGeom.Mesh]:
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)):
+        if prim.IsA(UsdGeom.Mesh):
+            image = UsdGeom.Imageable(prim)
+            hidden = image.ComputeVisibility(Usd.TimeCode.EarliestTime()) == UsdGeom.Tokens.invisible
+            if not hidden and image.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
+                yield UsdGeom.Mesh(prim)
+
+
+def _take_mesh(found: Found, mesh: UsdGeom.Mesh, matrix: Array, folder: Path) -> None:
+    time = Usd.TimeCode.EarliestTime()
+    points = np.array(mesh.GetPointsAttr().Get(time) or [], dtype=np.float64).reshape(-1, 3)
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], dtype=np.int64)
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], dtype=np.int64)
+    if not len(points) or not len(counts):
+        return
+    if counts.min() < 0 or counts.sum() != len(corners) or corners.min() < 0 or corners.max() >= len(points):
+        raise ValueError(f"{mesh.GetPath()}: its indices do not fit its points")
+    if mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none and counts.max() > 3 and "subdivision was not applied" not in found.notes:
+        found.notes.append("subdivision was not applied")
+    first = np.cumsum(counts) - counts
+    fans = np.repeat(first, np.maximum(counts - 2, 0))
+    step = np.concatenate([np.arange(1, c - 1) for c in counts]) if len(counts) else np.zeros(0, dtype=np.int64)
+    triangle = np.stack([fans, fans + step, fans + step + 1], axis=1).astype(np.int64)  # into corners
+    if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
+        triangle = triangle[:, ::-1]
+    moved = points @ matrix[:3, :3] + matrix[3, :3]
+    if np.linalg.det(matrix[:3, :3]) < 0:
+        triangle = triangle[:, ::-1]
+    subsets = UsdGeom.Subset.GetGeomSubsets(mesh, UsdGeom.Tokens.face, "materialBind")
+    owner = np.repeat(np.arange(len(counts)), np.maximum(counts - 2, 0))
+    left = np.ones(len(counts), dtype=bool)
+    for prim, chosen in [*((s.GetPrim(), np.array(s.GetIndicesAttr().Get() or [], dtype=np.int64)) for s in subsets), (mesh.GetPrim(), None)]:
+        mask = np.zeros(len(counts), dtype=bool)
+        mask[chosen if chosen is not None else left] = True
+        left &= ~mask
+        if mask.any():
+            _take_faces(found, mesh, prim, moved, corners, triangle[mask[owner]], folder)
+
+
+def _take_faces(found: Found, mesh: UsdGeom.Mesh, prim: Usd.Prim, points: Array, corners: Any, triangle: Any, folder: Path) -> None:
+    look, picture, title = _surface(found, prim, folder)
+    st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
+    uv = np.array(st.ComputeFlattened() or [], dtype=np.float64).reshape(-1, 2) if picture is not None and st else np.zeros((0, 2))
+    if len(uv) == len(corners):
+        part = Part(points[corners[triangle.ravel()]], np.arange(triangle.size).reshape(-1, 3), "", uv[triangle.ravel()])
+    elif len(uv) == len(points):
+        part = Part(points, corners[triangle], "", uv)
+    else:
+        part, picture = Part(points, corners[triangle], ""), None
+    found.parts.append(part.painted(_material(found, title, look, picture)))
+
+
+def _surface(found: Found, prim: Usd.Prim, folder: Path) -> tuple[Material, Any, str]:
+    """The UsdPreviewSurface that a prim wears: its numbers, its colour picture and its name."""
+    bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    source = bound.ComputeSurfaceSource() if bound else None
+    shader = source[0] if source else None
+    if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
+        colours = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get() if prim.IsA(UsdGeom.Gprim) else None
+        return Material(tuple(float(v) for v in colours[0]) if colours else (0.3, 0.3, 0.3), 0.6), None, "surface"
+
+    def number(name: str, otherwise: Any) -> Any:
+        given = shader.GetInput(name)
+        value = given.Get() if given and not given.HasConnectedSource() else None
+        return otherwise if value is None else value
+
+    colour = tuple(float(v) for v in number("diffuseColor", (0.18, 0.18, 0.18)))
+    look = Material(colour, float(number("roughness", 0.5)), float(number("metallic", 0.0)), clearcoat=float(number("clearcoat", 0.0)))  # type: ignore[arg-type]
+    given = shader.GetInput("diffuseColor")
+    if not given or not given.HasConnectedSource():
+        return look, None, bound.GetPrim().GetName()
+    image = UsdShade.Shader(given.GetConnectedSource()[0].GetPrim())
+    asset = image.GetInput("file").Get() if image and image.GetInput("file") else None
+    path = Path(asset.resolvedPath) if asset and asset.resolvedPath else None
+    if path is None or not path.resolve().is_relative_to(folder) or not path.is_file():
+        found.notes.append(f"{bound.GetPath()}: its picture {asset.path if asset else ''!r} is not beside the file and was left out")
+        return look, None, bound.GetPrim().GetName()
+    from PIL import Image
+
+    scale = image.GetInput("scale").Get() if image.GetInput("scale") else None
+    factor = tuple(float(v) for v in scale)[:3] if scale is not None else (1.0, 1.0, 1.0)
+    return Material(factor, look.roughness, look.metallic, clearcoat=look.clearcoat), Image.open(path), bound.GetPrim().GetName()  # type: ignore[arg-type]

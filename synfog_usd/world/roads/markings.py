@@ -1,0 +1,172 @@
+"""Lines, arrows, zebras and letters on the road, in the level plane of `surface`.
+
+Lines are 12 cm wide in towns and on roads, 15 cm on motorways; worn where wheels
+cross them by the texture of the paint.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from synfog_usd.world.roads.network import Lane, Road
+from synfog_usd.world.roads.section import PAVED, Strip
+from synfog_usd.world.roads.surface import bend, ribbon
+from synfog_usd.world.shapes import Part, fan, strip
+
+THICK_M = 0.003
+TILE_M = 3.0
+ZEBRA_DEPTH_M = 3.2
+BAY_M = 5.8
+BAY_ACROSS_M = 2.5
+DEEP_M = 4.4
+"""Bays along the road are BAY_M long; in parking deeper than DEEP_M cars stand across it, in bays BAY_ACROSS_M wide."""
+LETTERS = {"B": "00062635443303 3342413000", "U": "060110304146", "S": "453616050413334241301001"}
+"""Strokes on a grid of 4 by 6, points as digit pairs."""
+
+
+def markings(road: Road) -> list[Part]:
+    """Every marking of a road, laid on it."""
+    parts = [*_lines(road), *_bays(road), *_arrows(road)]
+    for s in road.zebras:
+        parts += _zebra(road, s)
+    return [bend(part, road) for part in parts]
+
+
+def zebra_span(road: Road) -> tuple[float, float]:
+    """Offsets [m] between which people cross."""
+    paved = [band for band in road.section.strips if band.band.kind in PAVED]
+    return paved[0].low, paved[-1].high
+
+
+def bays(road: Road) -> list[tuple[Strip, float]]:
+    """(parking strip, station of the middle) of every bay."""
+    found = []
+    for band in road.section.of("parking"):
+        step = bay_length(band)
+        for low, high in _free(road):
+            found += [(band, float(s) + step / 2 + 0.05) for s in np.arange(low + 5.0, high - 5.0 - step, step)]
+    return found
+
+
+def bay_length(band: Strip) -> float:
+    """How much of the road one bay takes [m]."""
+    return BAY_ACROSS_M if band.band.width > DEEP_M else BAY_M
+
+
+def _line(t: float, low: float, high: float, width: float, dash: tuple[float, float] | None = None) -> list[Part]:
+    """A line along the road, dashed or not."""
+    pieces = [(low, high)] if dash is None else [(s, min(s + dash[0], high)) for s in np.arange(low, high, sum(dash))]
+    parts = []
+    for a, b in pieces:
+        at = np.linspace(a, b, max(2, int(np.ceil((b - a) / 2.0)) + 1))
+        loops = [np.array([(t - width / 2, s, THICK_M), (t + width / 2, s, THICK_M)]) for s in at]
+        parts.append(strip(loops, "marking", uv=[loop[:, :2] / TILE_M for loop in loops]))
+    return parts
+
+
+def _free(road: Road) -> list[tuple[float, float]]:
+    """Stretches between zebras, where lines run."""
+    cuts = [0.0, *(s + sign * (ZEBRA_DEPTH_M / 2 + 0.6) for s in sorted(road.zebras) for sign in (-1, 1)), road.line.length]
+    return list(zip(cuts[::2], cuts[1::2], strict=True))
+
+
+def _lines(road: Road) -> list[Part]:
+    parts: list[Part] = []
+    strips = road.section.strips
+    fast = any(band.band.kind == "reserve" for band in strips)
+    wide = 0.15 if fast else 0.12
+    urban = any(band.band.kind == "pavement" for band in strips)
+    for low, high in _free(road):
+        for one, other in itertools.pairwise(strips):
+            kinds = {one.band.kind, other.band.kind}
+            t = other.low
+            if kinds == {"lane"} and one.band.way != other.band.way:
+                if road.centre == "double":
+                    parts += _line(t - 0.1, low, high, wide) + _line(t + 0.1, low, high, wide)
+                elif road.centre != "none":
+                    parts += _line(t, low, high, wide, road.dash if road.centre == "dashed" else None)
+            elif kinds == {"lane"}:
+                parts += _line(t, low, high, wide, road.dash)
+            elif kinds == {"lane", "bus"}:
+                parts += _line(t, low, high, 0.25)
+            elif "cycle" in kinds and kinds & {"lane", "bus"}:
+                parts += _line(t, low, high, 0.12, (1.0, 1.0))
+            elif kinds & {"lane", "bus"} and kinds & {"shoulder"}:
+                parts += _line(t, low, high, 2 * wide if fast else wide)
+            elif kinds & {"lane", "bus"} and kinds & {"verge", "reserve", "island"} and not urban:
+                inward = -1 if one.band.kind in ("lane", "bus") else 1
+                parts += _line(t + 0.22 * inward, low, high, wide)
+    return parts
+
+
+def _bays(road: Road) -> list[Part]:
+    """Ends of the parking bays, one every BAY_M, and their line to the lane."""
+    parts: list[Part] = []
+    for band in road.section.of("parking"):
+        inner, outer = (band.low, band.high) if band.middle > 0 else (band.high, band.low)
+        for low, high in _free(road):
+            for s in np.arange(low + 5.0, high - 5.0, bay_length(band)):
+                a, b = sorted((inner, inner + 0.8 * (outer - inner)))
+                parts.append(fan([(a, s, THICK_M), (b, s, THICK_M), (b, s + 0.1, THICK_M), (a, s + 0.1, THICK_M)], "marking", tile_m=TILE_M))
+                if bay_length(band) == BAY_M:
+                    parts += _line(inner, s, s + 1.0, 0.1)
+    return parts
+
+
+def _arrows(road: Road) -> list[Part]:
+    """Arrows where lanes of one way lie side by side, letters on bus lanes."""
+    parts: list[Part] = []
+    lanes = road.lanes
+    fast = any(band.band.kind == "reserve" for band in road.section.strips)
+    for lane in lanes:
+        beside = [other for other in lanes if other.way == lane.way]
+        for s in np.arange(30.0, road.line.length - 15.0, 85.0):
+            if any(abs(s - zebra) < 9.0 for zebra in road.zebras):
+                continue
+            if lane.kind == "bus":
+                parts += _letters(lane, s)
+            elif len(beside) > 1 and not fast:
+                parts += _arrow(lane, s)
+    return parts
+
+
+def _arrow(lane: Lane, s: float) -> list[Part]:
+    outlines: Sequence[Sequence[tuple[float, float]]] = (
+        [(-0.08, 0), (0.08, 0), (0.08, 3.2), (-0.08, 3.2)],
+        [(-0.38, 3.2), (0.38, 3.2), (0, 5.0)],
+    )
+    return [fan([(lane.middle + lane.way * u, s + lane.way * v, THICK_M) for u, v in outline], "marking", tile_m=TILE_M) for outline in outlines]
+
+
+def _letters(lane: Lane, s: float) -> list[Part]:
+    """BUS, drawn out along the road to be read from a car."""
+    parts = []
+    for place, strokes in enumerate(LETTERS.values()):
+        left = lane.middle + lane.way * (-1.15 + 0.85 * place)
+        for stroke in strokes.split():
+            grid = np.array([(int(a), int(b)) for a, b in zip(stroke[::2], stroke[1::2], strict=True)], dtype=np.float64)
+            points = np.c_[left + lane.way * grid[:, 0] * 0.15, s + lane.way * grid[:, 1] * 0.42]
+            part = ribbon(points, 0.13, THICK_M, "marking")
+            parts.append(Part(part.points, part.faces, "marking", part.points[:, :2] / TILE_M))
+    return parts
+
+
+def _zebra(road: Road, s: float) -> list[Part]:
+    """Stripes of half a metre across the carriageway, and a stop line before them in each lane."""
+    low, high = zebra_span(road)
+    islands: list[Strip] = [band for band in road.section.strips if band.band.kind not in PAVED]
+    parts = []
+    for t in np.arange(low + 0.3, high - 0.5, 1.0):
+        if any(band.low - 0.1 < t + 0.25 < band.high + 0.1 for band in islands):
+            continue
+        a, b = s - ZEBRA_DEPTH_M / 2, s + ZEBRA_DEPTH_M / 2
+        parts.append(fan([(t, a, THICK_M), (t + 0.5, a, THICK_M), (t + 0.5, b, THICK_M), (t, b, THICK_M)], "marking", tile_m=TILE_M))
+    for lane in road.lanes:
+        at = s - lane.way * (ZEBRA_DEPTH_M / 2 + 1.2)
+        t0, t1 = lane.middle - lane.width / 2 + 0.1, lane.middle + lane.width / 2 - 0.1
+        y0, y1 = sorted((at, at - lane.way * 0.4))
+        parts.append(fan([(t0, y0, THICK_M), (t1, y0, THICK_M), (t1, y1, THICK_M), (t0, y1, THICK_M)], "marking", tile_m=TILE_M))
+    return parts

@@ -1,0 +1,144 @@
+"""A road as one record: line, cross-section, crossings and structures; its lanes, and the ground around it.
+
+Everything that stands at the road is placed here: from a station and an offset to
+x, y, z, heading and pitch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.seeds import stream
+from synfog_usd.world.roads.line import Line
+from synfog_usd.world.roads.section import DRIVEN, Band, Section, Strip
+
+Array = npt.NDArray[np.float64]
+BLEND_M = 55.0
+"""Over which the land leaves the height of the road."""
+WAVES = 9
+BEHIND_WALL_M = 0.35
+CUTTING_M = 8.5
+AT_PORTAL = 0.55
+"""A hill stands behind the wall of its portal, at this share of its height; before it the road lies in a cutting with slopes so wide."""
+
+
+@dataclass(frozen=True)
+class Lane:
+    """One lane.
+
+    Attributes:
+        index: from the left, bus lanes counted.
+        kind: 'lane' or 'bus'.
+        middle, width: [m].
+        way: 1 along the line, -1 against it.
+    """
+
+    index: int
+    kind: str
+    middle: float
+    width: float
+    way: int
+
+
+@dataclass(frozen=True)
+class Land:
+    """The land around.
+
+    Attributes:
+        hills_m: height of its hills, 0 for level land.
+        seed: of the hills.
+        valley: (from, to, depth) [m]: the road bridges a valley between two stations, or None.
+        hill: (from, height) [m]: a hill begins at a station, into which the road goes, or None.
+    """
+
+    hills_m: float = 0.0
+    seed: int = 0
+    valley: tuple[float, float, float] | None = None
+    hill: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Road:
+    """A road and the land around it.
+
+    Attributes:
+        line, section: where it runs and what lies across it.
+        land: what lies beyond its edges.
+        zebras: stations of the zebra crossings' middles [m].
+        centre: marking between the directions: 'dashed', 'solid', 'double' or 'none'.
+        dash: (mark, gap) of a dashed line [m].
+    """
+
+    line: Line
+    section: Section
+    land: Land = field(default_factory=Land)
+    zebras: tuple[float, ...] = ()
+    centre: str = "dashed"
+    dash: tuple[float, float] = (3.0, 6.0)
+
+    @cached_property
+    def lanes(self) -> tuple[Lane, ...]:
+        """Lanes from left to right."""
+        driven: list[Strip] = [strip for strip in self.section.strips if strip.band.kind in DRIVEN]
+        return tuple(Lane(i, strip.band.kind, strip.middle, strip.band.width, strip.band.way) for i, strip in enumerate(driven))
+
+    def pose(self, s: float, t: float, *, way: int = 1) -> tuple[float, float, float, float, float]:
+        """x, y, z [m], heading and pitch [degrees] of what stands at (s, t) and looks along the road, or against it."""
+        x, y = self.line.place(s, t)
+        heading = math.degrees(float(self.line.heading(s))) + (180.0 if way < 0 else 0.0)
+        pitch = math.degrees(math.atan(float(self.line.grade(s)))) * way
+        return round(float(x), 3), round(float(y), 3), round(float(self.ground(s, t)), 4), round((heading + 180.0) % 360.0 - 180.0, 3), round(pitch, 3)
+
+    def ground(self, s: npt.ArrayLike, t: npt.ArrayLike) -> Array:
+        """Height of the ground [m] at stations and offsets, broadcast."""
+        s, t = np.broadcast_arrays(np.asarray(s, dtype=np.float64), np.asarray(t, dtype=np.float64))
+        out = np.maximum(t - self.section.high, self.section.low - t)
+        on = self.line.height(s) + self.section.height(t)
+        if np.all(out <= 0):
+            return on
+        x, y = self.line.place(s, t)
+        return np.where(out <= 0, on, self._beside(s, t, x, y))
+
+    def height(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """Height of the ground [m] at places."""
+        s, t = self.line.nearest(x, y)
+        return self.ground(s, t)
+
+    def _beside(self, s: Array, t: Array, x: Array, y: Array) -> Array:
+        """Height of the land: the road's at its edge, hills far away."""
+        out = np.maximum(np.maximum(t - self.section.high, self.section.low - t), 0.0)
+        edge = self.line.height(s) + self.section.height(t)
+        share = np.clip(out / BLEND_M, 0.0, 1.0)
+        share = share * share * (3 - 2 * share)
+        result = edge + share * (self.hills(x, y) - edge)
+        if self.land.valley:
+            a, b, depth = self.land.valley
+            inside = np.clip(np.minimum(s - a, b - s) / 14.0, 0.0, 1.0)
+            across = np.clip(out / 1.5, 0.0, 1.0)
+            result = result - depth * inside * inside * (3 - 2 * inside) * across
+        if self.land.hill:
+            begin, high = self.land.hill[0] + BEHIND_WALL_M, self.land.hill[1]
+            cutting = np.clip(out / CUTTING_M, 0.0, 1.0) * np.clip((s - begin + 70.0) / 70.0, 0.0, 1.0)
+            result = result + high * np.where(s < begin, AT_PORTAL * cutting, np.clip(AT_PORTAL + (s - begin) / 90.0, 0.0, 1.0))
+        return result
+
+    def hills(self, x: Array, y: Array) -> Array:
+        """Height of the open land [m]: a few long waves."""
+        if not self.land.hills_m:
+            return np.zeros(np.shape(x))
+        rng = stream(self.land.seed, "land", "hills")
+        total = np.zeros(np.shape(x))
+        for _ in range(WAVES):
+            length, angle, phase = rng.uniform(110, 600), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
+            total = total + (length / 600) * np.sin((x * np.cos(angle) + y * np.sin(angle)) * 2 * np.pi / length + phase)
+        return self.land.hills_m * (total / 2.2 + 0.35)
+
+
+def section(bands: list[tuple[str, float, int]]) -> Section:
+    """A section from (kind, width, way) rows."""
+    return Section(tuple(Band(*band) for band in bands))

@@ -1,0 +1,235 @@
+"""Where things may stand at a road: footprints, lanes and gaps, and what the camera sees.
+
+Knows the sizes of models, nothing of recipes.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd import resources
+from synfog_usd.errors import RecipeError, did_you_mean
+from synfog_usd.world import library
+from synfog_usd.world.roads.network import Road
+from synfog_usd.world.spec import Placement, View
+
+Array = npt.NDArray[np.float64]
+USERS = ("person", "rider", "car", "truck", "bus", "motorcycle", "bicycle")
+GROUPS = {"vehicle": "Vehicles", "person": "People", "rider": "People", "building": "Buildings", "plant": "Plants"}
+"""Group of the library -> group prim; all others are furniture."""
+FOOT_M = {"lamp": 0.3, "sign": 0.3, "person": 0.3, "rider": 0.3}
+"""Half the side of what a thing takes up on the ground, where its box is wider than its foot."""
+TRUNK_M, TREE_HEIGHT_M = 0.4, 3.0
+LAMP_CLEAR_M = 4.6
+"""Between a lamp and the trunk of a tree: no lamp hangs in a crown."""
+SHARE_SEEN = 0.3
+ZEBRA_FREE_M = 3.6
+RAYS = ((-0.4, 0.5), (0.0, 0.5), (0.4, 0.5), (-0.4, 0.9), (0.0, 0.9), (0.4, 0.9))
+"""Across the width and up the height of a thing, as shares of both."""
+
+
+@functools.cache
+def names() -> tuple[str, ...]:
+    """Models of the library."""
+    return tuple(sorted(path.name for path in (resources.folder("assets") / "models").iterdir() if (path / f"{path.name}.usda").exists()))
+
+
+@functools.cache
+def model(name: str) -> library.Model:
+    """A model by name.
+
+    Raises:
+        RecipeError: there is none; names the nearest.
+    """
+    if name not in names():
+        raise RecipeError(f"assets/models has no {name!r}.{did_you_mean(name, names())}")
+    return library.read(resources.folder("assets") / "models" / name / f"{name}.usda")
+
+
+def prim_group(found: library.Model) -> str:
+    """Name of the group prim that a model goes to."""
+    return GROUPS.get(found.group, "Furniture")
+
+
+@functools.cache
+def foot(name: str) -> tuple[float, float, float, float]:
+    """Box that a model takes up on the ground in its own axes: low x, low y, high x, high y [m]."""
+    found = model(name)
+    half = FOOT_M.get(found.group)
+    if found.group == "plant" and found.high[2] > TREE_HEIGHT_M:
+        half = TRUNK_M
+    if half is not None:
+        return -half, -half, half, half
+    return found.low[0], found.low[1], found.high[0], found.high[1]
+
+
+def footprint(p: Placement) -> Array:
+    """(4, 2) corners of a placement on the ground [m]."""
+    x0, y0, x1, y1 = (p.size * v for v in foot(p.asset))
+    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+    c, s = math.cos(math.radians(p.heading)), math.sin(math.radians(p.heading))
+    return corners @ np.array([[c, s], [-s, c]]) + (p.x, p.y)
+
+
+def gap(a: Array, b: Array) -> float:
+    """Largest gap [m] between two rectangles along their sides; below 0 where they overlap (separating axes)."""
+    most = -math.inf
+    for corners in (a, b):
+        for edge in (corners[1] - corners[0], corners[3] - corners[0]):
+            axis = edge / math.hypot(edge[0], edge[1])
+            p, q = a @ axis, b @ axis
+            most = max(most, float(q.min() - p.max()), float(p.min() - q.max()))
+    return most
+
+
+@dataclass
+class Occupied:
+    """What stands already; asks whether something more has room."""
+
+    prints: list[Array] = field(default_factory=list)
+    circles: list[tuple[float, float, float]] = field(default_factory=list)
+    lamps: list[tuple[float, float]] = field(default_factory=list)
+    trunks: list[tuple[float, float]] = field(default_factory=list)
+
+    def free(self, p: Placement, margin: float = 0.1) -> bool:
+        """Whether a placement keeps `margin` [m] from all others."""
+        corners = footprint(p)
+        centre = corners.mean(axis=0)
+        radius = float(np.hypot(*(corners - centre).T).max())
+        found = model(p.asset)
+        if found.group == "lamp" and any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in self.trunks):
+            return False
+        if found.group == "plant" and found.high[2] > TREE_HEIGHT_M and any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in self.lamps):
+            return False
+        if not self.circles:
+            return True
+        table = np.array(self.circles)
+        near = np.flatnonzero(np.hypot(table[:, 0] - centre[0], table[:, 1] - centre[1]) < table[:, 2] + radius + margin)
+        return all(gap(corners, self.prints[i]) >= margin for i in near)
+
+    def add(self, p: Placement) -> None:
+        """Take the place of a placement."""
+        corners = footprint(p)
+        centre = corners.mean(axis=0)
+        self.prints.append(corners)
+        self.circles.append((float(centre[0]), float(centre[1]), float(np.hypot(*(corners - centre).T).max())))
+        found = model(p.asset)
+        if found.group == "lamp":
+            self.lamps.append((p.x, p.y))
+        elif found.group == "plant" and found.high[2] > TREE_HEIGHT_M:
+            self.trunks.append((p.x, p.y))
+
+    def copy(self) -> Occupied:
+        """Another that goes on from here."""
+        return Occupied(list(self.prints), list(self.circles), list(self.lamps), list(self.trunks))
+
+
+# -- lanes
+
+
+def queue(rng: np.random.Generator, span: tuple[float, float], lengths: Sequence[float], least: float) -> list[float]:
+    """Middles of vehicles in a stretch of lane, in order, with at least `least` [m] between them.
+
+    Uniform among all ways to stand there: gaps beyond the least are the spacings of
+    uniform points, as in free traffic.  Vehicles that do not fit are left out.
+    """
+    lengths = list(lengths)
+    while lengths and sum(lengths) + least * (len(lengths) - 1) > span[1] - span[0]:
+        lengths.pop()
+    spare = span[1] - span[0] - sum(lengths) - least * max(len(lengths) - 1, 0)
+    slack = np.sort(rng.uniform(0.0, max(spare, 0.0), len(lengths)))
+    places, at = [], span[0]
+    for length, before in zip(lengths, slack, strict=True):
+        places.append(float(at + before + length / 2))
+        at += length + least
+    return places
+
+
+def spans(road: Road, low: float, high: float, blocked: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Stretches of a lane between two stations that are free of zebras and of what is blocked."""
+    cuts = sorted([*blocked, *((s - ZEBRA_FREE_M, s + ZEBRA_FREE_M) for s in road.zebras)])
+    found, at = [], low
+    for a, b in cuts:
+        if a > at:
+            found.append((at, min(a, high)))
+        at = max(at, b)
+    return [(a, b) for a, b in [*found, (at, high)] if b - a > 3.0]
+
+
+# -- sight
+
+
+def visible(view: View, fov_x_deg: float, placed: Sequence[Placement], road: Road, *, within_m: float) -> dict[str, float]:
+    """Share of each road user in view that nothing stands before.
+
+    Rays from the camera to a few places of each; buildings, vehicles, people and the
+    ground block them.  Leaves do not count, nor do poles.
+
+    Returns:
+        {name: share 0 to 1} of users within `within_m` whose middle is inside the picture's width.
+    """
+    eye = np.array([view.x, view.y, view.z])
+    forward = math.radians(view.heading)
+    ahead, right = np.array([-math.sin(forward), math.cos(forward)]), np.array([math.cos(forward), math.sin(forward)])
+    users, blocks = [], []
+    for p in placed:
+        found = model(p.asset)
+        away = np.array([p.x, p.y]) - eye[:2]
+        distance = float(np.hypot(*away))
+        if distance > within_m + 20:
+            continue
+        if found.label in (*USERS, "building", "wall") or (found.group == "furniture" and found.width > 1.5):
+            blocks.append((p, footprint(p), p.height, p.height + found.high[2] * p.size))
+        if found.label in USERS and distance <= within_m:
+            depth, side = float(away @ ahead), float(away @ right)
+            if depth > 2.0 and abs(side) < depth * math.tan(math.radians(fov_x_deg) / 2):
+                users.append((p, found, distance))
+    result = {}
+    middles = np.array([prints.mean(axis=0) - eye[:2] for _, prints, _, _ in blocks]).reshape(-1, 2)
+    radii = np.array([np.hypot(*(prints - prints.mean(axis=0)).T).max() for _, prints, _, _ in blocks])
+    for p, found, distance in users:
+        across = np.array([-(p.y - eye[1]), p.x - eye[0]]) / distance
+        corners = footprint(p) - (p.x, p.y)
+        half = float(np.abs(corners @ across).max())
+        ends = np.array([(p.x + u * half * across[0], p.y + u * half * across[1], p.height + v * found.high[2] * p.size) for u, v in RAYS])
+        clear = np.ones(len(ends), dtype=bool)
+        sight = np.array([p.x - eye[0], p.y - eye[1]]) / distance
+        beside = np.abs(middles @ np.array([-sight[1], sight[0]])) < radii + half + 0.1
+        for index in np.flatnonzero(beside & (middles @ sight < distance + radii)):
+            other, prints, low, high = blocks[index]
+            if (
+                other is p
+                or (found.label == "rider" and model(other.asset).label == "bicycle")
+                or (found.label == "bicycle" and model(other.asset).label == "rider")
+            ):
+                continue
+            clear &= ~_blocked(eye, ends, prints, low, high)
+            if not clear.any():
+                break
+        if clear.any():
+            share = np.linspace(0.05, 0.93, 14)
+            points = eye + share[None, :, None] * (ends - eye)[:, None, :]
+            ground = road.height(points[..., 0], points[..., 1])
+            clear &= ~(points[..., 2] < ground - 0.02).any(axis=1)
+        result[p.name] = float(clear.mean())
+    return result
+
+
+def _blocked(eye: Array, ends: Array, corners: Array, low: float, high: float) -> npt.NDArray[np.bool_]:
+    """Which of the segments from the eye to (N, 3) ends pass through an upright box."""
+    origin = corners[0]
+    u, v = corners[1] - origin, corners[3] - origin
+    lu, lv = math.hypot(*u), math.hypot(*v)
+    a = np.array([(eye[:2] - origin) @ u / lu, (eye[:2] - origin) @ v / lv, eye[2]])
+    b = np.stack([(ends[:, :2] - origin) @ u / lu, (ends[:, :2] - origin) @ v / lv, ends[:, 2]], axis=1)
+    d = b - a
+    d = np.where(np.abs(d) < 1e-12, 1e-12, d)
+    t0, t1 = (np.array([0.0, 0.0, low]) - a) / d, (np.array([lu, lv, high]) - a) / d
+    enter, leave = np.minimum(t0, t1).max(axis=1), np.maximum(t0, t1).min(axis=1)
+    return (enter < leave) & (enter < 0.995) & (leave > 0.0)

@@ -1,0 +1,160 @@
+"""The road as triangles: carriageway, kerbs, pavements, verges, repairs, grass.
+
+Parts are made on a level plane, x to the right of the line and y along it, and
+`bend` lays them on the road.  Textured in metres along and across, so that wheel
+tracks follow the lanes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.seeds import stream
+from synfog_usd.world.roads.network import Road
+from synfog_usd.world.roads.section import KERB_M, RAISED, Strip
+from synfog_usd.world.shapes import Array, Part, disc, fan, strip
+from synfog_usd.world.textures import LANE_LENGTH_M
+
+ROAD_HALF_M = 5.6
+"""Of the street that the lane texture was painted for: its lanes are 3.4 m wide from the middle."""
+LANE_M = 3.4
+FINE_M, COARSE_M = 1.0, 4.0
+TIGHT_M = 120.0
+PAVING_TILE_M, GRASS_TILE_M, ASPHALT_TILE_M = 4.0, 4.0, 6.0
+
+
+def bend(part: Part, road: Road) -> Part:
+    """A part of the level plane on the road: x is the offset, y the station, z the height over the line."""
+    t, s, h = part.points.T
+    x, y = road.line.place(s, t)
+    return replace(part, points=np.c_[x, y, road.line.height(s) + h], normals=None)
+
+
+def stations(road: Road, low: float = 0.0, high: float | None = None) -> Array:
+    """Stations that follow the line within millimetres: closer in bends and over crests."""
+    high = road.line.length if high is None else high
+    curved = any(k for _, k in road.line.curvature) or len(road.line.slope) > 1
+    step = FINE_M if road.line.tightest < TIGHT_M else 2.0 if curved else COARSE_M
+    return np.linspace(low, high, max(2, int(np.ceil((high - low) / step)) + 1))
+
+
+def sweep(road: Road, profile: npt.ArrayLike, material: str, *, tile_m: float, low: float = 0.0, high: float | None = None) -> Part:
+    """A profile of (t, h) [m] from left to right, drawn along the road; it faces up, or outwards of what it goes round."""
+    s = stations(road, low, high)
+    p = np.asarray(profile, dtype=np.float64)
+    across = np.r_[0.0, np.cumsum(np.hypot(*np.diff(p, axis=0).T))]
+    loops = [np.c_[p[:, 0], np.full(len(p), at), p[:, 1]] for at in s]
+    uv = [np.c_[across / tile_m, np.full(len(p), at / tile_m)] for at in s]
+    return bend(strip(loops, material, uv=uv), road)
+
+
+def surface(road: Road, *, seed: int) -> dict[str, list[Part]]:
+    """Cityscapes label -> parts of everything between the road's two edges, markings apart."""
+    found: dict[str, list[Part]] = {"road": [], "sidewalk": [], "terrain": []}
+    for index, band in enumerate(road.section.strips):
+        kind = band.band.kind
+        if kind in ("lane", "bus"):
+            found["road"].append(_lane(road, band, index))
+        elif kind in ("parking", "shoulder", "cycle"):
+            found["road"].append(_flat(road, band, "asphalt", ASPHALT_TILE_M, shift=0.31 * index))
+        elif kind in ("pavement", "island"):
+            found["sidewalk"].append(_flat(road, band, "paving", PAVING_TILE_M))
+        else:
+            found["terrain"].append(_flat(road, band, "grass", GRASS_TILE_M, shift=0.37 * index))
+    found["sidewalk"] += [_kerb(road, t, side) for t, side in road.section.kerbs()]
+    found["road"] += [bend(part, road) for part in _repairs(road, seed)]
+    return {label: parts for label, parts in found.items() if parts}
+
+
+def _lane(road: Road, band: Strip, index: int) -> Part:
+    """A lane with its wheel tracks; lanes begin at different places of the texture."""
+    s = stations(road)
+    u0, u1 = ROAD_HALF_M / (2 * ROAD_HALF_M), (ROAD_HALF_M + LANE_M) / (2 * ROAD_HALF_M)
+    if band.band.way < 0:
+        u0, u1 = u1, u0
+    uv = [np.array([(u0, at / LANE_LENGTH_M + 0.41 * index), (u1, at / LANE_LENGTH_M + 0.41 * index)]) for at in s]
+    return bend(strip([np.array([(band.low, at, 0.0), (band.high, at, 0.0)]) for at in s], "asphalt_lane", uv=uv), road)
+
+
+def _flat(road: Road, band: Strip, material: str, tile_m: float, *, shift: float = 0.0) -> Part:
+    """A strip between its edges, from behind the kerb stone where it has one."""
+    low, high = band.low, band.high
+    a, b = road.section.ends(band)
+    for t, side in road.section.kerbs():
+        if band.band.kind in RAISED:
+            low = low + 0.15 if t == band.low and side > 0 else low
+            high = high - 0.15 if t == band.high and side < 0 else high
+    columns = np.linspace(low, high, 2 if a == b else 4)
+    h = np.interp(columns, (low, high), (a, b))
+    s = stations(road)
+    loops = [np.c_[columns, np.full(len(columns), at), h] for at in s]
+    uv = [np.c_[columns / tile_m + shift, np.full(len(columns), at / tile_m)] for at in s]
+    return bend(strip(loops, material, uv=uv), road)
+
+
+def _kerb(road: Road, t: float, side: int) -> Part:
+    """A granite kerb with a rounded edge."""
+    profile = np.array([(0.0, -0.02), (0.0, KERB_M - 0.02), (0.006, KERB_M - 0.006), (0.02, KERB_M), (0.152, KERB_M)])
+    profile[:, 0] = t + side * profile[:, 0]
+    return sweep(road, profile if side > 0 else profile[::-1], "kerb", tile_m=1.0)
+
+
+def ribbon(points: Array, width: float, z: float, material: str) -> Part:
+    """A band of a width [m] along (K, 2) points of the level plane."""
+    d = np.gradient(points, axis=0)
+    d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-9)
+    side = np.c_[-d[:, 1], d[:, 0]] * width / 2
+    flat = np.full(len(points), z)
+    return strip([np.c_[points + side, flat], np.c_[points - side, flat]][::-1], material)
+
+
+def _repairs(road: Road, seed: int) -> list[Part]:
+    """Patches, sealed cracks, covers and gullies, as years of digging leave them."""
+    rng = stream(seed, "road", "repairs")
+    parts: list[Part] = []
+    length = road.line.length
+    driven = list(road.section.of("lane", "bus"))
+    urban = any(band.band.kind == "pavement" for band in road.section.strips)
+    for _ in range(int(length / (28 if urban else 60))):
+        band = driven[int(rng.integers(len(driven)))]
+        width, long, s = rng.uniform(0.6, 1.6), rng.uniform(1.5, 14.0), rng.uniform(0, length - 20)
+        t = rng.uniform(band.low + 0.1, band.high - 0.1 - width)
+        for part in _patch(t, s, width, long, "asphalt_patch" if rng.random() < 0.7 else "asphalt_old"):
+            parts.append(part)
+    for _ in range(int(length / 9)):
+        band = driven[int(rng.integers(len(driven)))]
+        t, s, heading = rng.uniform(band.low, band.high), rng.uniform(5, length - 10), rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.25)
+        points = [(t, s)]
+        for _ in range(int(rng.integers(6, 26))):
+            heading += rng.normal(0, 0.22)
+            t, s = float(np.clip(t + 0.22 * np.cos(heading), driven[0].low, driven[-1].high)), s + 0.22 * np.sin(heading)
+            points.append((t, s))
+        path = np.array(points)
+        if not any(road.section.at(float(p)).band.kind in RAISED for p in path[:, 0]):  # type: ignore[union-attr]
+            parts.append(ribbon(path, float(rng.uniform(0.012, 0.035)), 0.0018, "tar"))
+    if urban:
+        for s in np.arange(rng.uniform(5, 20), length - 5, 27.0):
+            band = driven[int(rng.integers(len(driven)))]
+            t, at = band.middle + rng.uniform(-0.9, 0.9), s + rng.uniform(-6, 6)
+            parts += [disc((t, at, 0.0022), 0.43, "asphalt_patch", sides=24), disc((t, at, 0.0026), 0.33, "iron", sides=24)]
+        for t, side in road.section.kerbs():
+            for s in np.arange(rng.uniform(4, 18), length, 24.0):
+                x = t - side * 0.22
+                corners = [(x - 0.18, s - 0.25, 0.0026), (x + 0.18, s - 0.25, 0.0026), (x + 0.18, s + 0.25, 0.0026), (x - 0.18, s + 0.25, 0.0026)]
+                part = fan(corners, "iron")
+                parts.append(replace(part, uv=np.array([(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)])))
+    return parts
+
+
+def _patch(t: float, s: float, width: float, long: float, material: str) -> list[Part]:
+    """A mended trench, and the tar along its seams; cut every metre, so that it follows a bend."""
+    at = np.linspace(s, s + long, max(2, int(long) + 1))
+    left, right = np.full(len(at), t), np.full(len(at), t + width)
+    parts = [strip([np.array([(a, y, 0.0012), (b, y, 0.0012)]) for a, b, y in zip(left, right, at, strict=True)], material)]
+    parts[0] = replace(parts[0], uv=parts[0].points[:, :2] / ASPHALT_TILE_M)
+    for edge in (np.c_[left, at], np.c_[right, at], np.array([(t, s), (t + width, s)]), np.array([(t, s + long), (t + width, s + long)])):
+        parts.append(ribbon(edge, 0.035, 0.0016, "tar"))
+    return parts

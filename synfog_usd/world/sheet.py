@@ -1,0 +1,97 @@
+"""A stage on which models of the library stand in rows, each seen from three sides.
+
+All stand on one plain, far from the camera, each scaled to the same room in the
+picture; one render shows them all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
+
+from synfog_usd import resources
+from synfog_usd.world.library import Model
+
+VIEWS_DEG = (150.0, 90.0, -35.0)
+"""Headings, counter-clockwise, of a model that looks along +Y when the camera does too: front quarter, side, back quarter."""
+ELEVATION_DEG = 20.0
+DISTANCE = 2500.0
+CELL_PX = (118, 108)
+ROOM = (1.46, 1.10)
+"""Width and height that a model may take in its cell, of a cell 1.5 wide."""
+CELL = 1.5
+SKY_NITS = 3000.0
+GROUPS = ("vehicle", "person", "rider", "lamp", "sign", "furniture", "plant", "building")
+
+
+def ordered(models: Sequence[Model]) -> list[Model]:
+    """By group and size, without the ground of the crossing and its fallen leaf."""
+    return sorted((m for m in models if m.group in GROUPS and m.height > 0.1), key=lambda m: (GROUPS.index(m.group), m.label, m.length * m.height, m.name))
+
+
+def write_stage(path: Path, models: Sequence[Model], columns: int) -> tuple[int, int]:
+    """Write the plain with every model on it; gives the size of its picture [px]."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    rows = math.ceil(len(models) / columns)
+    wide, high = columns * len(VIEWS_DEG) * CELL, rows * CELL * CELL_PX[1] / CELL_PX[0]
+    elevation = math.radians(ELEVATION_DEG)
+    row_depth = high / rows / math.sin(elevation)
+    for k, model in enumerate(models):
+        row, column = divmod(k, columns)
+        middle = Gf.Vec3d(*((a + b) / 2 for a, b in zip(model.low, model.high, strict=True)))
+        radius = math.hypot(model.length, model.width)
+        across = max(_across(model, heading) for heading in VIEWS_DEG)
+        tall = model.height * math.cos(elevation) + radius * math.sin(elevation)
+        factor = min(ROOM[0] / across, ROOM[1] / tall)
+        for view, heading in enumerate(VIEWS_DEG):
+            x = (column * len(VIEWS_DEG) + view + 0.5) * CELL - wide / 2
+            # the foot of a cell is its front edge; a deep model is pushed back by half its depth
+            y = -(row + 0.5) * row_depth + rows * row_depth / 2 - 0.27 * row_depth + 0.5 * factor * radius
+            place = Gf.Matrix4d(1.0).SetTranslate(-Gf.Vec3d(middle[0], middle[1], 0.0))
+            place *= Gf.Matrix4d(1.0).SetScale(factor) * Gf.Matrix4d(1.0).SetRotate(Gf.Rotation(Gf.Vec3d(0, 0, 1), heading))
+            place *= Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(x, y, 0.0))
+            prim = UsdGeom.Xform.Define(stage, f"/World/{model.name}_{view}")
+            prim.AddTransformOp().Set(place)
+            prim.GetPrim().GetReferences().AddReference(str(model.path.resolve()))
+            for name in ("paint", "outfit"):  # so that not all cars are white
+                if name in model.variants:
+                    choices = model.variants[name]
+                    prim.GetPrim().GetVariantSets().GetVariantSet(name).SetVariantSelection(choices[k % len(choices)])
+            prim.GetPrim().SetInstanceable(True)
+    ground = UsdGeom.Mesh.Define(stage, "/World/Ground")
+    reach = 4 * max(wide, high / math.sin(elevation))
+    ground.CreatePointsAttr([(-reach, -reach, 0), (reach, -reach, 0), (reach, reach, 0), (-reach, reach, 0)])
+    ground.CreateFaceVertexCountsAttr([4])
+    ground.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+    material = UsdShade.Material.Define(stage, "/World/Ground/Grey")
+    shader = UsdShade.Shader.Define(stage, "/World/Ground/Grey/Surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(Gf.Vec3f(0.17))
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    UsdShade.MaterialBindingAPI.Apply(ground.GetPrim()).Bind(material)
+    dome = UsdLux.DomeLight.Define(stage, "/World/Sky")
+    dome.CreateIntensityAttr(SKY_NITS)
+    dome.CreateTextureFileAttr(str((resources.folder("assets") / "skies" / "overcast.exr").resolve()))
+    dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
+    UsdGeom.Xformable(dome).AddRotateXOp().Set(90.0)
+    camera = UsdGeom.Camera.Define(stage, "/World/Camera")
+    camera.CreateFocalLengthAttr(DISTANCE)
+    camera.CreateHorizontalApertureAttr(wide)
+    camera.CreateVerticalApertureAttr(high)
+    camera.CreateClippingRangeAttr(Gf.Vec2f(1.0, 10000.0))
+    eye = Gf.Vec3d(0, -DISTANCE * math.cos(elevation), DISTANCE * math.sin(elevation))
+    UsdGeom.Xformable(camera).AddTransformOp().Set(Gf.Matrix4d(1.0).SetLookAt(eye, Gf.Vec3d(0, 0, 0), Gf.Vec3d(0, 0, 1)).GetInverse())
+    stage.GetRootLayer().Save()
+    return columns * len(VIEWS_DEG) * CELL_PX[0], rows * CELL_PX[1]
+
+
+def _across(model: Model, heading_deg: float) -> float:
+    a = math.radians(heading_deg)
+    return model.width * abs(math.cos(a)) + model.length * abs(math.sin(a))

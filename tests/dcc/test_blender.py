@@ -1,0 +1,152 @@
+"""The Blender round trip: fog by the add-on, exported, read, and compared with the same street written by hand.
+
+Needs a Python with bpy, named by SYNFOG_BPY; `make test-dcc` makes one.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd
+
+from synfog_usd.stage import check, open_stage, select, variants
+from synfog_usd.translate import translate
+from synfog_usd.writers.exr import read_exr
+
+BPY = os.environ.get("SYNFOG_BPY", "")
+pytestmark = pytest.mark.skipif(not BPY, reason="SYNFOG_BPY names no Python that has bpy")
+ROOT = Path(__file__).resolve().parents[2]
+
+# By hand: the box reaches 20 m beyond what there is and 1 m below it; x -10..10, y -20..100, z -1..5 (the lamp).  The sky is 1000 nits.
+BY_HAND = """#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+def Xform "World"
+{
+    def Cube "Fog" (
+        prepend apiSchemas = ["SynFogMediumAPI"]
+    )
+    {
+        uniform token purpose = "guide"
+        double size = 1
+        float synfog:fog:mor = 150
+        double3 xformOp:translate = (0, 40, 11.5)
+        float3 xformOp:scale = (60, 160, 27)
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+    }
+    def Cube "Car" (
+        prepend apiSchemas = ["SemanticsLabelsAPI:cityscapes"]
+    )
+    {
+        token[] semantics:labels:cityscapes = ["car"]
+        double size = 1
+        double3 xformOp:translate = (1, 20, 0.75)
+        float3 xformOp:scale = (2, 4, 1.5)
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+    }
+    def Cube "Road" (
+        prepend apiSchemas = ["SemanticsLabelsAPI:cityscapes"]
+    )
+    {
+        token[] semantics:labels:cityscapes = ["road"]
+        double size = 1
+        double3 xformOp:translate = (0, 40, -0.5)
+        float3 xformOp:scale = (20, 120, 1)
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+    }
+    def DomeLight "Sky"
+    {
+        float inputs:intensity = 1000
+    }
+    def Camera "Ego"
+    {
+        float2 clippingRange = (0.1, 1000)
+        float focalLength = 0.35
+        float horizontalAperture = 0.36
+        float verticalAperture = 0.2025
+        double3 xformOp:translate = (0, 0, 1.5)
+        float xformOp:rotateX = 90
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateX"]
+    }
+}
+"""
+
+
+def exported(folder, fogs):
+    """The street as Blender writes it with the add-on's hook."""
+    folder.mkdir()
+    path = folder / "street.usda"
+    script = Path(__file__).with_name("blender_street.py")
+    done = subprocess.run([BPY, str(script), str(ROOT / "integrations" / "blender"), str(path), fogs], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0 and path.is_file(), done.stdout + done.stderr
+    return path
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    return exported(tmp_path_factory.mktemp("plain") / "out", "")
+
+
+@pytest.fixture(scope="module")
+def varied(tmp_path_factory):
+    return exported(tmp_path_factory.mktemp("varied") / "out", "clear,mor300,mor150")
+
+
+def test_what_blender_exports_is_proper_usd(plain, varied):
+    """Nothing that `check` finds; a guide prim with the schema, labels as schemas, no custom properties left."""
+    for path in (plain, varied):
+        assert check(open_stage(path)) == []
+    stage = Usd.Stage.Open(str(plain))
+    (fog,) = [prim for prim in stage.Traverse() if "SynFogMediumAPI" in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
+    assert fog.GetAttribute("purpose").Get() == "guide" and fog.GetAttribute("synfog:fog:mor").Get() == 150.0
+    labels = {
+        prim.GetName(): prim.GetAttribute("semantics:labels:cityscapes").Get() for prim in stage.Traverse() if prim.GetAttribute("semantics:labels:cityscapes")
+    }
+    assert {name: list(words) for name, words in labels.items()} == {"Car": ["car"], "Road": ["road"]}
+    assert not [prop.GetName() for prim in stage.Traverse() for prop in prim.GetAuthoredProperties() if "userProperties:synfog" in prop.GetName()]
+
+
+def test_the_scene_is_that_which_was_written_by_hand(plain, tmp_path):
+    """Fog box, extinction, camera and labels; float32 in Blender's transforms."""
+    (tmp_path / "hand.usda").write_text(BY_HAND, encoding="utf-8")
+    theirs, ours = translate(open_stage(plain)), translate(open_stage(tmp_path / "hand.usda"))
+    (fog,), (wanted,) = theirs.fog, ours.fog
+    assert fog.boundary.kind == wanted.boundary.kind == "box"
+    corners = [np.sort(volume.boundary.surface_points(), axis=0)[[0, -1]] + np.array(scene.origin_m) for scene, volume in ((theirs, fog), (ours, wanted))]
+    np.testing.assert_allclose(corners[0], corners[1], atol=1e-4)
+    np.testing.assert_allclose(fog.medium.sigma_t_per_m, wanted.medium.sigma_t_per_m, rtol=1e-6)
+    np.testing.assert_allclose([theirs.camera.fov_x_deg, *theirs.origin_m], [ours.camera.fov_x_deg, *ours.origin_m], atol=1e-4)
+    assert {thing.label for thing in theirs.things} == {thing.label for thing in ours.things} == {"car", "road"}
+
+
+def test_variants_are_shots(varied):
+    """Visibilities by name, clear air without the fog, the lamp with 'active' only."""
+    stage = open_stage(varied)
+    assert variants(stage) == {"fog": ["clear", "mor150", "mor300"], "lighting": ["active", "sky"]}
+    for name, wanted in (("clear", []), ("mor300", [300.0]), ("mor150", [150.0])):
+        select(stage, fog=name)
+        np.testing.assert_allclose([volume.medium.visibility_m for volume in translate(stage).fog], wanted, rtol=1e-6)
+    for name, lamps in (("active", 1), ("sky", 0)):
+        select(stage, lighting=name)
+        assert sum("emitter" in part or part["type"] == "point" for part in translate(stage).world.values() if isinstance(part, dict)) == lamps
+
+
+def test_the_picture_is_that_of_the_street_written_by_hand(varied, tmp_path):
+    """Without the lamp the two bake to the same light: 64 x 36 pixels to 2 % each, so that blocks of 48 differ by some 0.4 %."""
+    (tmp_path / "hand.usda").write_text(BY_HAND, encoding="utf-8")
+    means = []
+    for name, path, more in (("blender", varied, ["--lighting", "sky", "--fog", "mor150"]), ("hand", tmp_path / "hand.usda", [])):
+        words = ["bake", path, "-o", tmp_path / name, "--resolution", "64x36", "--samples", "1024", "--target-error", "0.02", "--json", *more]
+        done = subprocess.run([sys.executable, "-m", "synfog_usd.cli.main", *map(str, words)], capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr
+        (row,) = json.loads(done.stdout)["shots"]
+        means.append(read_exr(tmp_path / name / row["lighting"] / row["fog"] / "radiance.exr").pixels.reshape(6, 6, 8, 8, 3).mean(axis=(1, 3)))
+    np.testing.assert_allclose(means[0], means[1], rtol=0.02)
+    np.testing.assert_allclose(means[0].mean(), means[1].mean(), rtol=0.003)

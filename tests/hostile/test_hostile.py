@@ -1,0 +1,479 @@
+"""Stages that would fill the memory, run for ever, read other people's files or take the USD library down.
+
+What a user runs is the command line, so the gravest go through it; each must end in one
+line and exit code 2, in seconds and with little memory.
+"""
+
+import os
+import random
+import resource
+import struct
+import subprocess
+import sys
+import time
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
+
+from synfog_usd.errors import StageError
+from synfog_usd.stage import budget, check, open_stage
+from synfog_usd.translate import translate
+
+HEAD = '#usda 1.0\n(\n    upAxis = "Z"\n    metersPerUnit = 1\n)\n'
+CAMERA = 'def Camera "Ego"\n{\n}\n'
+
+
+def run(*arguments, **more):
+    """The command line; (exit code, what it told, seconds)."""
+    began = time.monotonic()
+    done = subprocess.run([sys.executable, "-m", "synfog_usd.cli.main", *map(str, arguments)], capture_output=True, text=True, timeout=120, **more)
+    return done.returncode, done.stderr, time.monotonic() - began
+
+
+def written(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def bomb(levels, *, instanceable, arc="references"):
+    """2^levels prims from a few lines."""
+    text = HEAD + CAMERA + 'def Xform "L0"\n{\n    def Cube "Leaf"\n    {\n    }\n}\n'
+    for level in range(1, levels + 1):
+        text += f'def Xform "L{level}"\n{{\n'
+        for name in "ab":
+            text += f'    def Xform "{name}" (\n        instanceable = {str(instanceable).lower()}\n        {arc} = </L{level - 1}>\n    )\n    {{\n    }}\n'
+        text += "}\n"
+    return text
+
+
+@pytest.mark.parametrize("arc", ["references", "payload", "inherits", "specializes"])
+def test_a_bomb_of_arcs_is_counted_and_not_composed(tmp_path, arc):
+    """2^30 prims from 3 kB: refused at once, with the number that they unfold to."""
+    path = written(tmp_path / "bomb.usda", bomb(30, instanceable=False, arc=arc))
+    began = time.monotonic()
+    with pytest.raises(StageError, match=r"bomb.usda: unfolds to \d+ \d\d\d \d\d\d \d\d\d prims and references; at most 2000000") as caught:
+        open_stage(path)
+    assert time.monotonic() - began < 1.0 and "\n" not in str(caught.value)
+
+
+def test_a_bomb_over_many_files_is_counted_too(tmp_path):
+    for level in range(1, 31):
+        below = "\n".join(f'    def Xform "{name}" (\n        references = @./l{level - 1}.usda@\n    )\n    {{\n    }}' for name in "ab")
+        written(tmp_path / f"l{level}.usda", f'#usda 1.0\n(\n    defaultPrim = "R"\n)\ndef Xform "R"\n{{\n{below}\n}}\n')
+    written(tmp_path / "l0.usda", '#usda 1.0\n(\n    defaultPrim = "R"\n)\ndef Cube "R"\n{\n}\n')
+    with pytest.raises(StageError, match=r"l30.usda: unfolds to"):
+        open_stage(tmp_path / "l30.usda")
+
+
+def test_the_count_is_that_of_usd(tmp_path):
+    """Each prim that USD composes counts once, and each reference that leads to one."""
+    for levels in (3, 6):
+        path = written(tmp_path / f"{levels}.usda", bomb(levels, instanceable=False))
+        survey = budget._Survey(budget.Fence.around(path))
+        name = survey.add(str(path), "")
+        survey.read_all()
+        stage = Usd.Stage.Open(str(path))
+        prims = list(stage.Traverse())
+        assert survey.stack(name, "/", 0) == len(prims) + sum(prim.GetName() in ("a", "b") for prim in prims)
+
+
+def test_an_asset_that_makes_itself_an_instance_counts_once(tmp_path):
+    """4 000 references to a tree of 600 prims that says it is instanceable are 4 601 prims, not 2.4 million."""
+    twigs = "".join(f'    def Xform "t{n}"\n    {{\n    }}\n' for n in range(600))
+    written(tmp_path / "tree.usda", f'#usda 1.0\n(\n    defaultPrim = "Tree"\n)\ndef Xform "Tree" (\n    instanceable = true\n)\n{{\n{twigs}}}\n')
+    trees = "".join(f'    def "t{n}" (\n        references = @./tree.usda@\n    )\n    {{\n    }}\n' for n in range(4000))
+    stage = open_stage(written(tmp_path / "forest.usda", HEAD + f'def Xform "Forest"\n{{\n{trees}}}\n'))
+    assert len(stage.GetPrototypes()) == 1
+
+
+def test_one_prim_with_doubling_references_is_counted(tmp_path):
+    """No prim has children, but each refers to two that refer to the same two: 2^30 references for one prim."""
+    text = HEAD + "".join(f'def "{name}{n}" (\n    references = [</a{n + 1}>, </b{n + 1}>]\n)\n{{\n}}\n' for n in range(30) for name in "ab")
+    with pytest.raises(StageError, match="unfolds to"):
+        open_stage(written(tmp_path / "stage.usda", text))
+
+
+def test_sublayers_that_double_are_counted(tmp_path):
+    """Twenty pairs of files, each file with both of the next pair: a stack of 2^20 layers."""
+    for level in range(21):
+        for name in "ab":
+            below = f"(\n    subLayers = [@./a{level + 1}.usda@, @./b{level + 1}.usda@]\n)\n" if level < 20 else ""
+            written(tmp_path / f"{name}{level}.usda", f"#usda 1.0\n{below}")
+    with pytest.raises(StageError, match="its sublayers unfold to"):
+        open_stage(tmp_path / "a0.usda")
+
+
+@pytest.mark.parametrize("levels, refused", [(40, True), (18, False)])
+def test_proxies_of_instances_are_counted_and_not_visited(tmp_path, levels, refused):
+    """Two instances at each of 40 levels are 2^41 shapes in 80 prims; `check` says so within seconds."""
+    path = written(tmp_path / "proxies.usda", bomb(levels, instanceable=True))
+    if refused:
+        code, told, seconds = run("check", path)
+        assert code == 2 and told.count("\n") == 1 and f"/L{levels}/a" in told and "unfold to" in told and "at most 5000000" in told
+        assert seconds < 20.0
+    else:
+        size = budget.check_stage(open_stage(path))
+        assert size.shapes == sum(2**level for level in range(levels + 1))  # each /Ln is drawn itself too
+        assert size.prims < 10 * levels
+
+
+def test_point_instancers_within_point_instancers_are_counted(tmp_path):
+    """300 points of 300 points of 300 points."""
+    stage = Usd.Stage.CreateInMemory()
+    target = UsdGeom.Cube.Define(stage, "/Leaf").GetPath()
+    for level in range(3):
+        instancer = UsdGeom.PointInstancer.Define(stage, f"/P{level}")
+        instancer.CreatePrototypesRel().AddTarget(target)
+        instancer.CreateProtoIndicesAttr([0] * 300)
+        instancer.CreatePositionsAttr([(0, 0, 0)] * 300)
+        target = instancer.GetPath()
+    with pytest.raises(StageError, match=r"/P2: its instances unfold to 27 000 000 shapes"):
+        budget.check_stage(stage)
+
+
+def test_triangles_are_counted_before_they_are_made(monkeypatch):
+    """A quad is two triangles, a hexagon four; a prototype counts once."""
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.Mesh.Define(stage, "/Kit/Mesh").CreateFaceVertexCountsAttr([4, 6, 3, -7])
+    for name in "abc":
+        prim = stage.DefinePrim(f"/{name}", "Xform")
+        prim.GetReferences().AddInternalReference("/Kit")
+        prim.SetInstanceable(True)
+    assert budget.check_stage(stage).triangles == 2 * (2 + 4 + 1)  # /Kit itself and the one prototype
+    monkeypatch.setattr(budget, "MAX_TRIANGLES", 13)
+    with pytest.raises(StageError, match=r"Mesh: 7 triangles, 14 with the rest of the stage; at most 13"):
+        budget.check_stage(stage)
+
+
+@pytest.mark.parametrize("levels, words", [(300, "nested deeper than 256"), (5000, "nested deeper than 256"), (100_000, "braces nested deeper than 10000")])
+def test_a_tower_is_refused_in_one_line(tmp_path, levels, words):
+    path = written(tmp_path / "deep.usda", "#usda 1.0\n" + 'def Xform "d" {\n' * levels + "}\n" * levels)
+    with pytest.raises(StageError, match=words) as caught:
+        open_stage(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_long_chain_of_references_is_refused(tmp_path):
+    text = HEAD + "".join(f'def "A{n}" (\n    references = </A{n + 1}>\n)\n{{\n}}\n' for n in range(3000)) + 'def "A3000"\n{\n}\n'
+    with pytest.raises(StageError, match="follow one another more than 200 deep"):
+        open_stage(written(tmp_path / "chain.usda", text))
+
+
+@pytest.mark.parametrize("text, words", [
+    ('def "A" (\n    references = </A>\n)\n{\n}\n', "/A.*Cycle"),
+    ('def "A" (\n    references = </B>\n)\n{\n}\ndef "B" (\n    references = </A>\n)\n{\n}\n', "Cycle"),
+    ('def "A" (\n    references = @./gone.usda@\n)\n{\n}\n', "/A.*gone.usda"),
+    ('def "A" (\n    references = @./there.obj@\n)\n{\n}\n', "/A.*there.obj.*not USD by its name"),
+    ('def "A" (\n    references = @./there.usda@</Nothing>\n)\n{\n}\n', "/A.*Nothing"),
+    ('def "A" (\n    references = @/etc/hostname@\n)\n{\n}\n', "/A: /etc/hostname lies outside of the stage's folder"),
+    ('def "A"\n{\n    asset f = @/etc/hostname@\n}\n', "/A.f: /etc/hostname lies outside of the stage's folder"),
+])  # fmt: skip
+def test_references_that_lead_nowhere_or_elsewhere_are_one_line(tmp_path, text, words):
+    written(tmp_path / "there.usda", HEAD + CAMERA)
+    written(tmp_path / "there.obj", "v 0 0 0\n")
+    with pytest.raises(StageError, match=words) as caught:
+        open_stage(written(tmp_path / "stage.usda", HEAD + text))
+    assert "\n" not in str(caught.value)
+
+
+def test_sublayers_that_hold_each_other_are_one_line(tmp_path):
+    for name, other in (("a", "b"), ("b", "a")):
+        written(tmp_path / f"{name}.usda", f'#usda 1.0\n(\n    subLayers = [@./{other}.usda@]\n)\ndef "{name}"\n{{\n}}\n')
+    with pytest.raises(StageError, match="ycle"):
+        open_stage(tmp_path / "a.usda")
+
+
+# -- the fence
+
+
+@pytest.fixture
+def two_folders(tmp_path):
+    """A stage's folder, and beside it one with a car and a picture."""
+    (tmp_path / "stage").mkdir()
+    (tmp_path / "kit").mkdir()
+    written(tmp_path / "kit" / "car.usda", '#usda 1.0\n(\n    defaultPrim = "Car"\n)\ndef Xform "Car"\n{\n    def Cube "Body"\n    {\n    }\n}\n')
+    (tmp_path / "kit" / "sky.png").write_bytes(png(2, 2))
+    return tmp_path / "stage", tmp_path / "kit"
+
+
+def png(width, height, data=None):
+    """A PNG whose header says what it likes."""
+
+    def chunk(kind, content):
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    rows = zlib.compress((b"\0" + bytes(3 * width)) * height if data is None else data)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+WAYS = {
+    "reference": 'def "Car" (\n    references = @../kit/car.usda@\n)\n{\n}\n',
+    "payload": 'def "Car" (\n    payload = @../kit/car.usda@\n)\n{\n}\n',
+    "texture": 'def DomeLight "Sky"\n{\n    asset inputs:texture:file = @../kit/sky.png@\n}\n',
+    "link": 'def "Car" (\n    references = @./link.usda@\n)\n{\n}\n',
+    "linked texture": 'def DomeLight "Sky"\n{\n    asset inputs:texture:file = @./link.png@\n}\n',
+    "variant": 'def "Car" (\n    variants = {\n        string v = "a"\n    }\n    prepend variantSets = "v"\n)\n{\n'
+    '    variantSet "v" = {\n        "a" {\n        }\n        "b" {\n'
+    '            def "x" (\n                references = @../kit/car.usda@\n            )\n            {\n            }\n        }\n    }\n}\n',
+    "samples": 'def DomeLight "Sky"\n{\n    asset inputs:texture:file.timeSamples = {\n        0: @../kit/sky.png@,\n    }\n}\n',
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_files_elsewhere_are_read_only_where_that_is_allowed(two_folders, way):
+    """By reference, payload, texture, link, in a variant that is not chosen, and at a frame that is not drawn."""
+    folder, kit = two_folders
+    (folder / "link.usda").symlink_to(kit / "car.usda")
+    (folder / "link.png").symlink_to(kit / "sky.png")
+    path = written(folder / "stage.usda", HEAD + CAMERA + WAYS[way])
+    with pytest.raises(StageError, match=r"lies outside of the stage's folder .*--allow ") as caught:
+        open_stage(path)
+    assert str(kit) in str(caught.value) or "link" in way
+    open_stage(path, allow=[kit])
+
+
+def test_the_command_line_allows_folders(two_folders):
+    folder, kit = two_folders
+    path = written(folder / "stage.usda", HEAD + CAMERA + WAYS["reference"])
+    code, told, _ = run("check", path)
+    assert code == 2 and "lies outside" in told and told.count("\n") == 1
+    assert run("check", path, "--allow", kit)[0] == 0
+
+
+def test_sublayers_elsewhere_are_refused(two_folders):
+    folder, _ = two_folders
+    path = written(folder / "stage.usda", "#usda 1.0\n(\n    subLayers = [@../kit/car.usda@]\n)\n")
+    with pytest.raises(StageError, match=r"car.usda lies outside"):
+        open_stage(path)
+
+
+def test_an_allowed_folder_must_be_there(two_folders):
+    with pytest.raises(StageError, match=r"--allow .*no such folder"):
+        open_stage(written(two_folders[0] / "stage.usda", HEAD), allow=["nowhere"])
+
+
+def test_a_pipe_that_nobody_writes_to_does_not_hang(tmp_path):
+    os.mkfifo(tmp_path / "sky.png")
+    path = written(tmp_path / "stage.usda", HEAD + CAMERA + 'def DomeLight "Sky"\n{\n    asset inputs:texture:file = @./sky.png@\n}\n')
+    with pytest.raises(StageError, match=r"/Sky.*sky\.png is no regular file"):
+        open_stage(path)
+
+
+def test_other_peoples_plugins_are_not_loaded(tmp_path):
+    """PXR_PLUGINPATH_NAME with a plugin that USD complains about when it reads it: the child never does."""
+    (tmp_path / "plugin").mkdir()
+    written(tmp_path / "plugin" / "plugInfo.json", '{"Plugins": [{"Type": "library", "Name": "evil", "LibraryPath": "evil.so", "Root": ".", "Info": 7}]}')
+    path = written(tmp_path / "stage.usda", HEAD + CAMERA)
+    environment = {**os.environ, "PXR_PLUGINPATH_NAME": str(tmp_path / "plugin")}
+    plain = subprocess.run([sys.executable, "-c", "from pxr import Plug; Plug.Registry().GetAllPlugins()"], capture_output=True, text=True, env=environment)
+    assert "plugInfo.json" in plain.stderr  # so the test could have failed
+    assert "plugInfo.json" not in run("check", path, env=environment)[1]
+
+
+# -- pictures, packages and damaged files
+
+
+@pytest.fixture
+def painted(tmp_path):
+    """A stage with a card that wears a picture."""
+
+    def make(name):
+        stage = Usd.Stage.CreateNew(str(tmp_path / "card.usda"))
+        UsdGeom.SetStageUpAxis(stage, "Z")
+        UsdGeom.Camera.Define(stage, "/Camera")
+        mesh = UsdGeom.Mesh.Define(stage, "/Card")
+        mesh.CreatePointsAttr([(-1, 5, -1), (1, 5, -1), (1, 5, 1), (-1, 5, 1)])
+        mesh.CreateFaceVertexCountsAttr([4])
+        mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+        UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex").Set([(0, 0), (1, 0), (1, 1), (0, 1)])
+        material = UsdShade.Material.Define(stage, "/Paint")
+        surface, texture, reader = (UsdShade.Shader.Define(stage, f"/Paint/{part}") for part in ("Surface", "Texture", "Reader"))
+        surface.CreateIdAttr("UsdPreviewSurface")
+        texture.CreateIdAttr("UsdUVTexture")
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+        texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(name)
+        texture.CreateInput("fallback", Sdf.ValueTypeNames.Float4).Set((0.25, 0.5, 0.75, 1))
+        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float2))
+        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+        material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+        stage.Save()
+        return translate(open_stage(tmp_path / "card.usda"))
+
+    return make
+
+
+@pytest.mark.parametrize("name, content, words", [
+    ("big.png", png(10_000, 10_000, b""), "10000 x 10000 pixels is too large"),
+    ("wide.png", png(2**31 - 1, 1, b""), None),
+    ("text.png", b"hello", "cannot be read"),
+    ("empty.png", b"", "cannot be read"),
+    ("cut.png", png(64, 64)[:60], None),
+    ("notes.txt", b"hello", "no picture by its name"),
+    ("movie.mp4", b"hello", "no picture by its name"),
+])  # fmt: skip
+def test_a_picture_that_is_none_or_too_large_is_not_decoded(tmp_path, painted, name, content, words):
+    """The fallback is drawn instead, and a note says so; a header that claims 100 megapixels is enough."""
+    (tmp_path / name).write_bytes(content)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    scene = painted(f"./{name}")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # KiB
+    told = [note.text for note in scene.notes if note.severity == "warning" and name in note.text]
+    assert told and (words is None or words in told[0])
+
+
+def test_textures_together_have_a_budget(tmp_path, painted, monkeypatch):
+    from synfog_usd.translate import texture
+
+    (tmp_path / "sky.png").write_bytes(png(512, 1024))
+    monkeypatch.setattr(texture, "MAX_BYTES", (3 << 19) - 1)
+    with pytest.raises(StageError, match=r"/Paint/Texture: with texture .*sky.png all textures take 1 MiB decoded"):
+        painted("./sky.png")
+
+
+LIBRARY = """
+import sys
+from synfog_usd.errors import SynfogError
+from synfog_usd.stage import check, open_stage
+from synfog_usd.translate import translate
+for path in sys.argv[1:]:
+    try:
+        stage = open_stage(path)
+        check(stage)
+        translate(stage)
+        print(path, "opened", flush=True)
+    except SynfogError as error:
+        assert "\\n" not in str(error), error
+        print(path, "refused", error, flush=True)
+"""
+
+
+def library(files):
+    """What becomes of each file when it is opened, checked and translated: {name: 'opened', 'refused ...' or 'crashed'}.
+
+    In children: one that a file takes down is followed by one that goes on behind that file, after the command line has shown its line.
+    """
+    left, became = [str(file) for file in files], {}
+    while left:
+        child = subprocess.run([sys.executable, "-c", LIBRARY, *left], capture_output=True, text=True, timeout=120)
+        told = child.stdout.splitlines()
+        became |= {Path(path).name: line.removeprefix(f"{path} ") for path, line in zip(left, told, strict=False)}
+        if child.returncode >= 0:
+            assert child.returncode == 0, child.stderr
+            break
+        crashed = left[len(told)]
+        code, words, _ = run("check", crashed)
+        assert code == 2 and f"{crashed}: the process that read it died of signal" in words and "Traceback" not in words
+        became[Path(crashed).name] = "crashed"
+        left = left[len(told) + 1 :]
+    return became
+
+
+def test_packages_with_odd_members(tmp_path):
+    """A .usdz opens where its first member is a good layer and nothing is compressed; what else it holds is never opened or unpacked."""
+    outside = 'def "A" (\n    references = @../outside.usda@\n)\n{\n}\n'
+    written(tmp_path / "outside.usda", HEAD)
+    (tmp_path / "in").mkdir()
+
+    def package(name, first, *, packed=False):
+        with zipfile.ZipFile(tmp_path / "in" / name, "w", zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED) as archive:
+            archive.writestr(*first)
+            archive.writestr("../../escape.usda", HEAD)
+            archive.writestr("run.py", "raise SystemExit")
+            archive.writestr("b.usdz", b"PK\x03\x04")
+        return tmp_path / "in" / name
+
+    files = [
+        package("odd.usdz", ("scene.usda", HEAD + CAMERA)),
+        package("packed.usdz", ("scene.usda", HEAD + CAMERA), packed=True),
+        package("outside.usdz", ("scene.usda", HEAD + CAMERA + outside)),
+        package("nolayer.usdz", ("run.txt", "hello")),
+        package("cut.usdz", ("scene.usda", HEAD + CAMERA)),
+    ]
+    files[-1].write_bytes(files[-1].read_bytes()[:100])
+    became = library(files)
+    assert became.pop("odd.usdz") == "opened", became
+    assert set(became) == {"packed.usdz", "outside.usdz", "nolayer.usdz", "cut.usdz"} and all(line.startswith("refused") for line in became.values()), became
+    assert not list(tmp_path.parent.rglob("escape.usda"))
+
+
+def test_damaged_binary_files_end_in_one_line(tmp_path):
+    """A .usdc cut short at twelve places is refused; with bytes changed at twelve, it opens, is refused, or takes its child down and is one line."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "whole.usdc"))
+    for n in range(40):
+        UsdGeom.Mesh.Define(stage, f"/World/M{n}").CreatePointsAttr([(n, 0, 0)] * (n + 3))
+    UsdGeom.Camera.Define(stage, "/World/Camera")
+    stage.Save()
+    del stage
+    data, rng = (tmp_path / "whole.usdc").read_bytes(), random.Random(5)
+    for n in range(12):
+        (tmp_path / f"cut{n}.usdc").write_bytes(data[: len(data) * (n + 1) // 13])
+        changed = bytearray(data)
+        for _ in range(8):
+            changed[rng.randrange(len(data))] = rng.randrange(256)
+        (tmp_path / f"changed{n}.usdc").write_bytes(changed)
+    became = library(sorted(tmp_path.glob("c*.usdc")))
+    assert len(became) == 24
+    assert all(line.startswith("refused") for name, line in became.items() if name.startswith("cut"))
+
+
+def at_start(tmp_path, code):
+    """An environment in which every Python runs `code` first, in the child that reads the stage only."""
+    body = "".join(f"    {line}\n" for line in code.splitlines())
+    written(tmp_path / "sitecustomize.py", f"import os\nif 'SYNFOG_USD_WORKER' in os.environ:\n{body}")
+    return {**os.environ, "PYTHONPATH": str(tmp_path)}
+
+
+@pytest.mark.parametrize("small", [True, False])
+def test_memory_beyond_the_limit_is_one_line(tmp_path, small):
+    """2^23 equal numbers pack into a small file and unfold to 32 MiB, and more where they are counted; on a machine of 24 MiB that is a line, and no trace."""
+    layer = Sdf.Layer.CreateNew(str(tmp_path / "big.usdc"))
+    prim = Sdf.CreatePrimInLayer(layer, "/Mesh")
+    prim.specifier, prim.typeName = Sdf.SpecifierDef, "Mesh"
+    Sdf.AttributeSpec(prim, "faceVertexCounts", Sdf.ValueTypeNames.IntArray).default = Vt.IntArray.FromNumpy(np.full(1 << 23, 3, np.int32))
+    layer.Save()
+    del layer
+    assert (tmp_path / "big.usdc").stat().st_size < 1 << 20
+    pages = (24 << 20) // resource.getpagesize()
+    shrunk = at_start(tmp_path, f"before = os.sysconf\nos.sysconf = lambda name: {pages} if name == 'SC_PHYS_PAGES' else before(name)")
+    code, told, _ = run("check", tmp_path / "big.usdc", env=shrunk if small else os.environ)
+    assert "Traceback" not in told
+    assert code == 2 and "memory" in told if small else "memory" not in told
+
+
+def test_a_crash_of_the_library_is_one_line(tmp_path):
+    """The guard against nested braces taken away, USD's parser runs out of stack; the parent says it in a line."""
+    path = written(tmp_path / "deep.usda", "#usda 1.0\n" + 'def Xform "d" {\n' * 200_000 + "}\n" * 200_000)
+    unguarded = at_start(tmp_path, "from synfog_usd.stage import budget\nbudget.MAX_BRACES = 10**9")
+    exit_code, told, _ = run("check", path, env=unguarded)
+    assert exit_code == 2 and told.count("\n") == 1 and "died of signal 11: the USD library could not cope" in told
+
+
+def test_the_limits_of_reading_end_with_it():
+    """What is allowed while a stage is read is less than before, and as before afterwards."""
+    from synfog_usd.cli import worker
+
+    kinds = (resource.RLIMIT_AS, resource.RLIMIT_CPU, resource.RLIMIT_CORE)
+    before = [resource.getrlimit(kind) for kind in kinds]
+    with worker.reading_limits():
+        inside = [resource.getrlimit(kind)[0] for kind in kinds]
+        assert os.sysconf("SC_PHYS_PAGES") * resource.getpagesize() < inside[0] < resource.RLIM_INFINITY or inside[0] > 0
+        assert worker.READ_CPU_S <= inside[1] < worker.READ_CPU_S + 3600 and inside[2] == 0
+    assert [resource.getrlimit(kind) for kind in kinds] == before
+
+
+def test_a_stage_that_takes_too_long_to_read_ends_in_one_line(tmp_path):
+    """With a second of processor time instead of ten minutes."""
+    path = written(tmp_path / "slow.usda", bomb(15, instanceable=False))
+    exit_code, told, seconds = run("check", path, env=at_start(tmp_path, "from synfog_usd.cli import worker\nworker.READ_CPU_S = 1"))
+    assert exit_code == 2 and told.count("\n") == 1 and "s of processor time" in told and seconds < 30.0
+
+
+def test_what_ships_passes_its_own_check():
+    stage = open_stage(Path(__file__).resolve().parents[2] / "stages" / "crossroads.usda")
+    assert check(stage) == []

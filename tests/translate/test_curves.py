@@ -1,0 +1,127 @@
+"""Curves and points: lengths, widths and volumes by closed forms."""
+
+from math import comb
+
+import numpy as np
+import pytest
+from pxr import Sdf, UsdGeom
+from scipy.interpolate import BSpline
+
+from synfog_usd.translate import translate
+
+
+def area_vectors(positions, faces):
+    a, b, c = (np.asarray(positions, dtype=float)[faces[:, k]] for k in range(3))
+    return np.cross(b - a, c - a) / 2
+
+
+def rings(shape, sides):
+    """Middles and mean radii of a tube's rings."""
+    points = shape["positions"].astype(float).reshape(-1, sides, 3)
+    middle = points.mean(axis=1)
+    return middle, np.linalg.norm(points - middle[:, None], axis=2).mean(axis=1)
+
+
+def define(stage, points, counts, **more):
+    curves = UsdGeom.BasisCurves.Define(stage, "/Curves")
+    curves.CreatePointsAttr(points)
+    curves.CreateCurveVertexCountsAttr(counts)
+    curves.CreateWidthsAttr(more.pop("widths", [0.2]))
+    curves.SetWidthsInterpolation(more.pop("interpolation", "constant"))
+    for name, value in more.items():
+        curves.GetPrim().GetAttribute(name).Set(value)
+    return curves
+
+
+def test_a_straight_wire_has_its_diameter(empty, only_shape):
+    """Widths are diameters: a tube of 8 sides has 2 pi r L of side, as the circle whose outline it keeps; no end caps."""
+    stage = empty()
+    define(stage, [(0, 5, 0), (3, 5, 0)], [2], type="linear")
+    shape = only_shape(translate(stage))
+    np.testing.assert_allclose(np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1).sum(), 2 * np.pi * 0.1 * 3, rtol=1e-5)
+    outward = shape["positions"].astype(float) - [0, 5, 0]
+    outward[:, 0] = 0
+    np.testing.assert_allclose(shape["normals"], outward / np.linalg.norm(outward, axis=1, keepdims=True), atol=1e-5)
+    areas = area_vectors(shape["positions"], shape["faces"])
+    assert (np.einsum("ij,ij->i", areas, shape["normals"][shape["faces"][:, 0]]) > 0).all()
+
+
+ARCH = np.array([(0, 5, 0), (1, 5, 2), (3, 6, 2), (4, 5, 0)], dtype=float)
+
+
+def bernstein(t):
+    return sum(comb(3, k) * t[:, None] ** k * (1 - t[:, None]) ** (3 - k) * ARCH[k] for k in range(4))
+
+
+def straight(t):
+    return np.stack([2 * t, 5 + 0 * t, 0 * t], axis=1)
+
+
+@pytest.mark.parametrize("basis, wrap, points, wanted", [
+    ("bezier", "nonperiodic", ARCH, bernstein),
+    ("bspline", "nonperiodic", ARCH, BSpline(np.arange(-3.0, 5.0), ARCH, 3)),
+    ("catmullRom", "pinned", [(0, 5, 0), (2, 5, 0)], straight),
+    ("bspline", "pinned", [(0, 5, 0), (2, 5, 0)], straight),
+])  # fmt: skip
+def test_cubic_curves_run_along_their_splines(empty, only_shape, basis, wrap, points, wanted):
+    """Six steps of one segment: Bernstein's polynomials, SciPy's B-spline; pinned ends meet the end points."""
+    stage = empty()
+    define(stage, [tuple(map(float, point)) for point in points], [len(points)], type="cubic", basis=basis, wrap=wrap)
+    middle, radius = rings(only_shape(translate(stage)), 8)
+    np.testing.assert_allclose(middle, wanted(np.linspace(0, 1, 7)), atol=1e-6)
+    np.testing.assert_allclose(radius, 0.1 * (np.pi / 8) / np.sin(np.pi / 8), rtol=1e-4)
+
+
+@pytest.mark.parametrize("basis", ["bspline", "catmullRom"])
+def test_periodic_curves_close(empty, only_shape, basis):
+    """A ring of 12 points is as many segments; its first and last ring of the tube are at one place, and none is far from the circle."""
+    stage = empty()
+    angle = np.arange(12) * 2 * np.pi / 12
+    define(stage, [(float(np.cos(a)), 5.0, float(np.sin(a))) for a in angle], [12], type="cubic", basis=basis, wrap="periodic", widths=[0.02])
+    middle, _ = rings(only_shape(translate(stage)), 8)
+    assert len(middle) == 12 * 6 + 1
+    np.testing.assert_allclose(middle[0], middle[-1], atol=1e-6)
+    spread = np.linalg.norm(middle - [0, 5, 0], axis=1)
+    assert np.ptp(spread) < 0.003 and spread.min() > 0.94
+
+
+@pytest.mark.parametrize("interpolation, widths, wanted", [
+    ("vertex", [0.2, 0.4, 0.2, 0.1, 0.1], [0.1, 0.2, 0.1, 0.05, 0.05]),
+    ("varying", [0.2, 0.4, 0.2, 0.1, 0.1], [0.1, 0.2, 0.1, 0.05, 0.05]),
+    ("uniform", [0.2, 0.4], [0.1, 0.1, 0.1, 0.2, 0.2]),
+])  # fmt: skip
+def test_widths_of_every_interpolation(empty, only_shape, interpolation, widths, wanted):
+    stage = empty()
+    define(stage, [(0, 5, 0), (1, 5, 0), (2, 5, 0), (0, 5, 2), (1, 5, 2)], [3, 2], type="linear", widths=widths, interpolation=interpolation)
+    middle, radius = rings(only_shape(translate(stage)), 8)
+    order = np.lexsort((middle[:, 0], middle[:, 2].round(3)))
+    np.testing.assert_allclose(radius[order] * np.sin(np.pi / 8) / (np.pi / 8), wanted, rtol=1e-4)
+
+
+def test_points_are_balls_of_their_width(empty, only_shape):
+    """A ball of 80 faces keeps the sphere's surface pi d^2; a point without width is not drawn; colours stay with their points."""
+    stage = empty()
+    cloud = UsdGeom.Points.Define(stage, "/Points")
+    cloud.CreatePointsAttr([(0, 5, 0), (2, 5, 0), (4, 5, 0)])
+    cloud.CreateWidthsAttr([0.2, 0.0, 0.6])
+    cloud.SetWidthsInterpolation("vertex")
+    UsdGeom.PrimvarsAPI(cloud).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "vertex").Set([(1, 0, 0), (0, 1, 0), (0, 0, 1)])
+    shape = only_shape(translate(stage))
+    left = shape["positions"][shape["faces"][:, 0], 0] < 2
+    areas = np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1)
+    np.testing.assert_allclose([areas[left].sum(), areas[~left].sum()], [np.pi * 0.04, np.pi * 0.36], rtol=1e-5)
+    np.testing.assert_array_equal(shape["vertex_color"][shape["positions"][:, 0] < 2], [[1, 0, 0]] * 42)
+    np.testing.assert_array_equal(shape["vertex_color"][shape["positions"][:, 0] > 2], [[0, 0, 1]] * 42)
+
+
+@pytest.mark.parametrize("change", [
+    {"curveVertexCounts": [3]}, {"curveVertexCounts": [-1, 3]}, {"widths": []}, {"points": [(0, 5, float("nan")), (1, 5, 0)]}, {"type": "cubic"},
+])  # fmt: skip
+def test_broken_curves_are_left_out_with_a_note(empty, change):
+    stage = empty()
+    curves = define(stage, [(0, 5, 0), (1, 5, 0)], [2], type="linear")
+    for name, value in change.items():
+        curves.GetPrim().GetAttribute(name).Set(value)
+    scene = translate(stage)
+    assert not any(key.startswith("shape_") for key in scene.world)
+    assert [note.severity for note in scene.notes if note.path == "/Curves"] == ["warning"]

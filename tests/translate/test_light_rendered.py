@@ -1,0 +1,199 @@
+"""Each light on a matt card: irradiance by closed form, measured with the renderer's own emitters."""
+
+import math
+
+import numpy as np
+import pytest
+from pxr import UsdGeom, UsdLux
+
+from synfog_usd.render import backend
+from synfog_usd.render.load import to_mitsuba
+from synfog_usd.translate import translate
+
+RED, GREEN = 0, 1
+
+
+def irradiance(stage, position, normal, samples=1 << 18):
+    """(3,) irradiance [lx] at a point, by the emitters' own sampling; and its standard error, relative, of the largest channel."""
+    scene = translate(stage, resolution=(8, 8))
+    backend.start("auto")
+    mi = backend.mitsuba()
+    import drjit as dr
+
+    loaded = to_mitsuba(scene).scene
+    si = dr.zeros(mi.SurfaceInteraction3f, samples)
+    si.p, si.n = mi.Point3f((np.asarray(position) - scene.origin_m).tolist()), mi.Normal3f(np.asarray(normal, dtype=float).tolist())
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(7, samples)
+    sent, weight = loaded.sample_emitter_direction(si, sampler.next_2d(), False)
+    light = np.array(weight * dr.maximum(dr.dot(sent.d, mi.Vector3f(np.asarray(normal, dtype=float).tolist())), 0.0)).reshape(3, -1)
+    mean = light.mean(axis=1)
+    return mean, float((light.std(axis=1) / np.maximum(mean, 1e-30)).max() / math.sqrt(samples)) if light.shape[1] > 1 else 0.0
+
+
+def quadrant(a, b, d):
+    """View factor from a small card to the corner of a parallel a x b rectangle at distance d."""
+    x, y = a / d, b / d
+    return (x / math.hypot(1, x) * math.atan(y / math.hypot(1, x)) + y / math.hypot(1, y) * math.atan(x / math.hypot(1, y))) / (2 * math.pi)
+
+
+def cylinder_side(radius, length, d):
+    """Irradiance of a side of radiance 1, by midpoints: axis along x, at height d above a card that looks at it."""
+    u, x = (np.arange(4000) + 0.5) / 4000 * 2 * np.pi, ((np.arange(1000) + 0.5) / 1000 - 0.5) * length
+    outward = np.stack([np.zeros_like(u), np.cos(u), np.sin(u)], axis=1)
+    place = radius * outward[:, None] + np.stack([x, np.zeros_like(x), np.full_like(x, d)], axis=1)
+    square = (place**2).sum(axis=2)
+    leaving = np.maximum(-np.einsum("uxi,ui->ux", place, outward), 0.0)
+    return float((leaving * place[..., 2] / square**2).sum() * (2 * np.pi * radius / 4000) * (length / 1000))
+
+
+@pytest.mark.parametrize("kind, size, wanted", [
+    ("SphereLight", {"radius": 0.5}, math.pi * (0.5 / 2.0) ** 2),
+    ("DiskLight", {"radius": 0.5}, math.pi * 0.25 / (0.25 + 4.0)),
+    ("RectLight", {"width": 1.0, "height": 3.0}, math.pi * 4 * quadrant(0.5, 1.5, 2.0)),
+    ("CylinderLight", {"radius": 0.3, "length": 2.0}, cylinder_side(0.3, 2.0, 2.0)),
+    ("DistantLight", {"angle": 2.0}, math.pi * math.sin(math.radians(1.0)) ** 2),
+    ("DomeLight", {}, math.pi),
+])  # fmt: skip
+def test_a_card_under_each_light(empty, kind, size, wanted):
+    """Radiance 100 two metres above: sphere (r / d)^2, coaxial disk, parallel rectangle, a cylinder by quadrature, sun sin^2, sky 1; all times pi L."""
+    stage = empty()
+    prim = stage.DefinePrim("/Lamp", kind)
+    UsdLux.LightAPI(prim).CreateIntensityAttr(100.0)
+    for name, value in size.items():
+        prim.GetAttribute(f"inputs:{name}").Set(value)
+    if kind != "DomeLight":
+        UsdGeom.Xformable(prim).AddTranslateOp().Set((0, 5, 2))
+    found, error = irradiance(stage, (0, 5, 0), (0, 0, 1), samples=1 << 21)
+    assert 4 * error < 0.005
+    np.testing.assert_allclose(found, 100.0 * wanted, rtol=0.005)  # four standard errors of the sampling at most
+
+
+def test_a_mesh_light_is_its_rectangle(empty, polygon_mesh):
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Panel", [(-0.5, 3.5, 2), (-0.5, 6.5, 2), (0.5, 6.5, 2), (0.5, 3.5, 2)], [4], [0, 1, 2, 3])
+    UsdLux.MeshLightAPI.Apply(mesh.GetPrim())
+    UsdLux.LightAPI(mesh.GetPrim()).CreateIntensityAttr(100.0)
+    found, error = irradiance(stage, (0, 5, 0), (0, 0, 1), samples=1 << 21)
+    assert 4 * error < 0.005
+    np.testing.assert_allclose(found, 100.0 * math.pi * 4 * quadrant(0.5, 1.5, 2.0), rtol=0.005)
+
+
+def around(h):
+    return 1 + math.sin(h) / 2 + math.cos(h) / 4
+
+
+@pytest.mark.parametrize("off_axis", [10.0, 20.0, 50.0, 70.0])
+@pytest.mark.parametrize("turn", [0.0, 90.0, 200.0])
+def test_a_luminaire_sends_what_its_file_says(empty, tmp_path, off_axis, turn):
+    """I(v, h) = (1000 - 5 v)(1 + sin(h) / 2 + cos(h) / 4) cd, axis straight down, h from +X to +Y: E = I / d^2 on a card that looks at the lamp."""
+    vertical, horizontal = np.arange(0, 91, 5), np.arange(0, 361, 10)
+    rows = "\n".join(" ".join(f"{(1000 - 5 * v) * around(math.radians(h)):.3f}" for v in vertical) for h in horizontal)
+    numbers = f"1 1000 1 {len(vertical)} {len(horizontal)} 1 2 0 0 0\n1 1 50\n{' '.join(map(str, vertical))}\n{' '.join(map(str, horizontal))}\n{rows}\n"
+    (tmp_path / "lamp.ies").write_text(f"IESNA:LM-63-2002\nTILT=NONE\n{numbers}")
+    stage = empty()
+    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
+    lamp.CreateRadiusAttr(0.05)
+    lamp.CreateIntensityAttr(4.0)  # normalized: a quarter of it, in candela
+    lamp.CreateNormalizeAttr(True)
+    lamp.AddTranslateOp().Set((0, 5, 6))
+    UsdLux.ShapingAPI.Apply(lamp.GetPrim()).CreateShapingIesFileAttr(str(tmp_path / "lamp.ies"))
+    v, h = math.radians(off_axis), math.radians(turn)
+    way = np.array([math.sin(v) * math.cos(h), math.sin(v) * math.sin(h), -math.cos(v)])
+    found, _ = irradiance(stage, (0, 5, 6) + 3.0 * way, -way, samples=1)
+    np.testing.assert_allclose(found, (1000 - 5 * off_axis) * around(h) / 9.0, rtol=0.01)
+
+
+def test_focus_is_a_power_of_the_cosine(empty):
+    """cos^8 off the axis, and a red remainder where a tint is given."""
+    stage = empty()
+    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
+    lamp.CreateIntensityAttr(400.0)
+    lamp.CreateNormalizeAttr(True)
+    lamp.AddTranslateOp().Set((0, 5, 6))
+    shaping = UsdLux.ShapingAPI.Apply(lamp.GetPrim())
+    shaping.CreateShapingConeAngleAttr(60.0)
+    shaping.CreateShapingFocusAttr(8.0)
+    shaping.CreateShapingFocusTintAttr((1.0, 0.0, 0.0))
+    v = math.radians(30.0)
+    way = np.array([math.sin(v), 0.0, -math.cos(v)])
+    found, _ = irradiance(stage, (0, 5, 6) + 2.0 * way, -way, samples=1)
+    fall = math.cos(v) ** 8
+    np.testing.assert_allclose(found, 100.0 / 4.0 * np.array([1.0, fall, fall]), rtol=0.01)
+
+
+def test_the_picture_of_a_rect_light_is_upright_from_its_front(empty, tmp_path):
+    """Seen from the front with +Y up, +X is at the left: the picture's left column (red) lies at +X and its top row (bright) at +Y."""
+    import OpenImageIO
+
+    pixels = np.zeros((2, 2, 3), dtype=np.float32)
+    pixels[:, 0, RED], pixels[:, 1, GREEN] = 1.0, 1.0
+    pixels[0] *= 4.0
+    out = OpenImageIO.ImageOutput.create(str(tmp_path / "a.exr"))
+    out.open(str(tmp_path / "a.exr"), OpenImageIO.ImageSpec(2, 2, 3, "float"))
+    out.write_image(pixels)
+    out.close()
+    stage = empty()
+    light = UsdLux.RectLight.Define(stage, "/Lamp")
+    light.CreateIntensityAttr(100.0)
+    light.CreateTextureFileAttr(str(tmp_path / "a.exr"))
+    light.AddTranslateOp().Set((0, 5, 2))  # looks down; +X is +X, +Y is +Y of the scene
+    near = {(x, y): irradiance(stage, (0.45 * x, 5 + 0.45 * y, 1.9), (0, 0, 1))[0] for x in (-1, 1) for y in (-1, 1)}
+    assert near[1, 1][RED] > 3 * near[1, 1][GREEN] and near[-1, 1][GREEN] > 3 * near[-1, 1][RED]
+    assert near[1, 1][RED] > 2.5 * near[1, -1][RED] and near[-1, 1][GREEN] > 2.5 * near[-1, -1][GREEN]
+
+
+def test_two_skies_add_up_in_the_frame_of_the_larger(empty, tmp_path):
+    """A sky turned by a quarter and a finer one that is not: irradiance on four sides is the sum of what each gives alone."""
+    import OpenImageIO
+
+    rng = np.random.default_rng(4)
+    for name, height in (("a", 32), ("b", 64)):
+        v, u = np.mgrid[:height, : 2 * height] / height * math.pi
+        pixels = np.stack([1.5 + np.sin(u + p) * np.sin(v) + 0.4 * np.cos(v) for p in rng.uniform(0, 6, 3)], axis=-1).astype(np.float32)
+        out = OpenImageIO.ImageOutput.create(str(tmp_path / f"{name}.exr"))
+        out.open(str(tmp_path / f"{name}.exr"), OpenImageIO.ImageSpec(2 * height, height, 3, "float"))
+        out.write_image(pixels)
+        out.close()
+
+    def stage_of(names):
+        stage = empty()
+        for name in names:
+            light = UsdLux.DomeLight.Define(stage, f"/Sky{name}")
+            light.CreateTextureFileAttr(str(tmp_path / f"{name}.exr"))
+            light.AddRotateXYZOp().Set((90, 0, 90) if name == "a" else (0, 20, 0))
+        return stage
+
+    for axis in (0, 2):
+        for sign in (-1.0, 1.0):
+            normal = sign * np.eye(3)[axis]
+            alone = [irradiance(stage_of(name), (0, 0, 0), normal)[0] for name in "ab"]
+            both, _ = irradiance(stage_of("ab"), (0, 0, 0), normal)
+            np.testing.assert_allclose(both, alone[0] + alone[1], rtol=0.01)
+
+
+@pytest.mark.parametrize("up, metres_per_unit", [("Z", 1.0), ("Y", 1.0), ("Z", 0.01)])
+def test_units_and_axes_change_no_light(empty, up, metres_per_unit):
+    """One lamp, one sun and one sky, authored three ways; normalized by square metres, so that units do not count."""
+    stage = empty(up=up, metres_per_unit=metres_per_unit)
+    k = 1.0 / metres_per_unit
+    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
+    lamp.CreateRadiusAttr(0.2 * k)
+    lamp.CreateIntensityAttr(100.0)
+    lamp.CreateNormalizeAttr(True)
+    lamp.AddTranslateOp().Set((0, 5 * k, 2 * k) if up == "Z" else (0, 2 * k, -5 * k))
+    sky = UsdLux.DomeLight.Define(stage, "/Sky")
+    sky.CreateIntensityAttr(2.0)
+    scene = translate(stage, lights="metric")
+    shape = next(part for key, part in scene.world.items() if key.startswith("shape_"))
+    np.testing.assert_allclose(np.array(shape["center"]) + scene.origin_m, [0, 5, 2], atol=1e-9)
+    np.testing.assert_allclose([shape["radius"], shape["emitter"]["radiance"]["value"][0]], [0.2, 100.0 / (4 * math.pi * 0.04)], rtol=1e-6)
+    assert scene.world["light_sky"]["radiance"]["value"] == [2.0, 2.0, 2.0]
+
+
+def test_shaping_that_shapes_nothing_leaves_a_panel_a_panel(empty):
+    """Omniverse applies ShapingAPI to every light: at 90 degrees a flat one is as it was."""
+    stage = empty()
+    light = UsdLux.RectLight.Define(stage, "/Lamp")
+    UsdLux.ShapingAPI.Apply(light.GetPrim())
+    assert any(part["type"] == "rectangle" for key, part in translate(stage).world.items() if key.startswith("shape_"))

@@ -1,0 +1,303 @@
+"""Shader networks beyond UsdPreviewSurface, tiles, and textures with coordinates of their own."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import OpenImageIO
+import pytest
+from pxr import Sdf, UsdGeom, UsdShade
+
+from synfog_usd.translate import translate
+
+TYPES = Sdf.ValueTypeNames
+CODES = np.random.default_rng(6).integers(20, 236, (4, 4, 3), dtype=np.uint8)
+
+
+def write(path, pixels):
+    out = OpenImageIO.ImageOutput.create(str(path))
+    out.open(str(path), OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(pixels.dtype)))
+    out.write_image(pixels)
+    out.close()
+
+
+def linear(codes):
+    """IEC 61966-2-1."""
+    v = np.asarray(codes) / 255
+    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
+
+
+@pytest.fixture
+def quad(empty, polygon_mesh):
+    """A unit quad in x and z with 'st' as its coordinates, and a function that adds a shader to its material."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Quad", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
+    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, "vertex").Set([(0, 0), (1, 0), (1, 1), (0, 1)])
+    material = UsdShade.Material.Define(stage, "/Material")
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+
+    def shader(name, kind, surface="", **inputs):
+        made = UsdShade.Shader.Define(stage, f"/Material/{name}")
+        if kind:
+            made.CreateIdAttr(kind)
+        for key, (value_type, value) in inputs.items():
+            source = made.CreateInput(key, value_type)
+            if isinstance(value, UsdShade.Output):
+                source.ConnectToSource(value)
+            else:
+                source.Set(value)
+        if surface:
+            output = material.CreateSurfaceOutput("" if surface == "universal" else surface)
+            output.ConnectToSource(made.CreateOutput("out" if surface == "mtlx" else "surface", TYPES.Token))
+        return made
+
+    return stage, shader
+
+
+def drawn(stage):
+    scene = translate(stage)
+    shape = scene.world["shape_0"]
+    return scene, shape, scene.world[shape["bsdf"]["id"]]
+
+
+def image(shader, name, file, kind="ND_image_color3", output="out", space="srgb_texture", **inputs):
+    made = shader(name, kind, file=(TYPES.Asset, str(file)), **inputs)
+    if space:
+        made.GetInput("file").GetAttr().SetColorSpace(space)
+    return made.CreateOutput(output, TYPES.Color3f)
+
+
+def test_standard_surface_weighs_its_picture(quad, tmp_path):
+    """base x base_color, decoded from sRGB as its colour space says; roughness, metalness, coat, opacity and emission x weight as numbers."""
+    stage, shader = quad
+    write(tmp_path / "a.png", CODES)
+    shader(
+        "Surface", "ND_standard_surface_surfaceshader", "mtlx",
+        base=(TYPES.Float, 0.5), base_color=(TYPES.Color3f, image(shader, "Picture", tmp_path / "a.png")),
+        specular_roughness=(TYPES.Float, 0.3), metalness=(TYPES.Float, 0.25), specular_IOR=(TYPES.Float, 1.4), coat=(TYPES.Float, 0.75),
+        emission=(TYPES.Float, 10.0), emission_color=(TYPES.Color3f, (1, 0.5, 0.25)), opacity=(TYPES.Color3f, (0.5, 0.5, 0.5)),
+    )  # fmt: skip
+    _, shape, bsdf = drawn(stage)
+    assert (bsdf["type"], bsdf["opacity"]) == ("mask", 0.5)
+    inner = bsdf["bsdf"]["bsdf"]
+    np.testing.assert_allclose(inner["base_color"]["bitmap"], 0.5 * linear(CODES), rtol=1e-5)
+    np.testing.assert_allclose(
+        [inner[name] for name in ("roughness", "metallic", "eta", "clearcoat", "clearcoat_gloss")], [0.3, 0.25, 1.4, 0.75, 0.9], rtol=1e-6
+    )
+    assert shape["emitter"]["radiance"]["value"] == [10.0, 5.0, 2.5]
+    np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]], atol=1e-6)
+
+
+def test_unauthored_standard_surface_takes_its_own_defaults(quad):
+    """Base 0.8, roughness 0.2 and no light, by the node's definition."""
+    stage, shader = quad
+    shader("Surface", "ND_standard_surface_surfaceshader", "mtlx")
+    _, shape, bsdf = drawn(stage)
+    np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["value"], 0.8)
+    assert bsdf["bsdf"]["roughness"] == pytest.approx(0.2) and "emitter" not in shape
+
+
+def test_open_pbr_shines_in_nits(quad):
+    stage, shader = quad
+    shader(
+        "Surface", "ND_open_pbr_surface_surfaceshader", "mtlx", base_color=(TYPES.Color3f, (0.1, 0.2, 0.3)), base_metalness=(TYPES.Float, 1.0),
+        emission_luminance=(TYPES.Float, 1000.0), emission_color=(TYPES.Color3f, (1, 1, 0.5)), transmission_weight=(TYPES.Float, 0.5),
+    )  # fmt: skip
+    scene, shape, bsdf = drawn(stage)
+    np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["value"], [0.1, 0.2, 0.3], rtol=1e-6)
+    assert (bsdf["bsdf"]["metallic"], shape["emitter"]["radiance"]["value"]) == (1.0, [1000.0, 1000.0, 500.0])
+    assert any("transmission_weight is not drawn" in note.text and note.severity == "warning" for note in scene.notes)
+
+
+@pytest.mark.parametrize("kind, output, more, index", [
+    ("ND_separate3_color3", "outg", {}, 1), ("ND_separate3_color3", "outb", {}, 2), ("ND_extract_color3", "out", {"index": (TYPES.Int, 2)}, 2),
+])  # fmt: skip
+def test_channels_are_taken_apart(quad, tmp_path, kind, output, more, index):
+    stage, shader = quad
+    write(tmp_path / "orm.png", CODES)
+    picture = image(shader, "Picture", tmp_path / "orm.png", space="lin_rec709")
+    apart = shader("Apart", kind, **{"in": (TYPES.Color3f, picture)}, **more).CreateOutput(output, TYPES.Float)
+    shader("Surface", "ND_standard_surface_surfaceshader", "mtlx", specular_roughness=(TYPES.Float, apart))
+    roughness = drawn(stage)[2]["bsdf"]["roughness"]
+    np.testing.assert_allclose(roughness["bitmap"][..., 0], CODES[..., index] / 255, rtol=1e-6)
+
+
+def test_nodes_on_the_way_are_passed_with_a_note(quad, tmp_path):
+    """A contrast node between picture and colour is left out, which is better than a grey car."""
+    stage, shader = quad
+    write(tmp_path / "a.png", CODES)
+    contrast = shader("More", "ND_contrast_color3", **{"in": (TYPES.Color3f, image(shader, "Picture", tmp_path / "a.png"))})
+    shader("Surface", "ND_standard_surface_surfaceshader", "mtlx", base_color=(TYPES.Color3f, contrast.CreateOutput("out", TYPES.Color3f)))
+    scene, _, bsdf = drawn(stage)
+    np.testing.assert_array_equal(bsdf["bsdf"]["base_color"]["bitmap"], CODES)
+    assert any("ND_contrast_color3" in note.text and note.severity == "warning" for note in scene.notes)
+
+
+def test_materialx_normal_maps_are_decoded(quad, tmp_path):
+    """Codes of [0, 255] stay as they are: the renderer decodes 2 c - 1."""
+    stage, shader = quad
+    write(tmp_path / "n.png", CODES)
+    picture = image(shader, "Picture", tmp_path / "n.png", kind="ND_image_vector3", space="")
+    normal = shader("Normal", "ND_normalmap", **{"in": (TYPES.Float3, picture)}).CreateOutput("out", TYPES.Float3)
+    shader("Surface", "ND_standard_surface_surfaceshader", "mtlx", normal=(TYPES.Float3, normal))
+    bsdf = drawn(stage)[2]["bsdf"]
+    assert bsdf["type"] == "normalmap"
+    np.testing.assert_allclose(bsdf["normalmap"]["bitmap"], CODES / 255, rtol=1e-6)
+
+
+def test_tiled_images_repeat(quad, tmp_path):
+    """uv x tiling - offset."""
+    stage, shader = quad
+    write(tmp_path / "a.png", CODES)
+    more = {"uvtiling": (TYPES.Float2, (3, 2)), "uvoffset": (TYPES.Float2, (0.5, 0.25))}
+    picture = image(shader, "Picture", tmp_path / "a.png", kind="ND_tiledimage_color3", **more)
+    shader("Surface", "ND_standard_surface_surfaceshader", "mtlx", base_color=(TYPES.Color3f, picture))
+    _, shape, _ = drawn(stage)
+    np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]] * [3, 2] - [0.5, 0.25], atol=1e-6)
+
+
+def omni(shader, **inputs):
+    made = shader("Surface", "", "mdl", **inputs)
+    made.GetPrim().CreateAttribute("info:implementationSource", TYPES.Token).Set("sourceAsset")
+    made.GetPrim().CreateAttribute("info:mdl:sourceAsset", TYPES.Asset).Set("OmniPBR.mdl")
+    made.GetPrim().CreateAttribute("info:mdl:sourceAsset:subIdentifier", TYPES.Token).Set("OmniPBR")
+
+
+@pytest.mark.parametrize("on", [False, True])
+def test_omnipbr_constants_count_where_they_are_switched_on(quad, on):
+    """Opacity and emission wait for their switches; intensity times colour is the radiance."""
+    stage, shader = quad
+    omni(
+        shader, diffuse_color_constant=(TYPES.Color3f, (0.1, 0.2, 0.3)), reflection_roughness_constant=(TYPES.Float, 0.7),
+        opacity_constant=(TYPES.Float, 0.25), enable_opacity=(TYPES.Bool, on), emissive_color=(TYPES.Color3f, (1, 0.5, 0)),
+        emissive_intensity=(TYPES.Float, 200.0), enable_emission=(TYPES.Bool, on),
+    )  # fmt: skip
+    _, shape, bsdf = drawn(stage)
+    assert bsdf["type"] == ("mask" if on else "twosided") and ("emitter" in shape) is on
+    inner = bsdf["bsdf"]["bsdf"] if on else bsdf["bsdf"]
+    np.testing.assert_allclose([*inner["base_color"]["value"], inner["roughness"]], [0.1, 0.2, 0.3, 0.7], rtol=1e-6)
+    if on:
+        assert shape["emitter"]["radiance"]["value"] == [200.0, 100.0, 0.0]
+
+
+def test_omnipbr_pictures_are_read(quad, tmp_path):
+    """The base times its tint; roughness from the green and metalness from the blue channel of an ORM map."""
+    stage, shader = quad
+    write(tmp_path / "a.png", CODES)
+    write(tmp_path / "orm.png", CODES[::-1].copy())
+    omni(
+        shader, diffuse_texture=(TYPES.Asset, str(tmp_path / "a.png")), diffuse_tint=(TYPES.Color3f, (0.5, 1, 1)),
+        ORM_texture=(TYPES.Asset, str(tmp_path / "orm.png")), enable_ORM_texture=(TYPES.Bool, True), texture_scale=(TYPES.Float2, (2, 2)),
+    )  # fmt: skip
+    _, shape, bsdf = drawn(stage)
+    np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["bitmap"], linear(CODES) * [0.5, 1, 1], rtol=1e-5)
+    np.testing.assert_allclose(bsdf["bsdf"]["roughness"]["bitmap"][..., 0], CODES[::-1, :, 1] / 255, rtol=1e-6)
+    np.testing.assert_allclose(bsdf["bsdf"]["metallic"]["bitmap"][..., 0], CODES[::-1, :, 2] / 255, rtol=1e-6)
+    np.testing.assert_allclose(shape["texcoords"], 2 * shape["positions"][:, [0, 2]], atol=1e-6)
+
+
+def test_a_native_material_goes_through_as_it_is(quad, tmp_path):
+    stage, shader = quad
+    write(tmp_path / "a.png", CODES)
+    shader("Usual", "UsdPreviewSurface", "universal", diffuseColor=(TYPES.Color3f, (1, 0, 0)))
+    picture = shader("Picture", "mitsuba_bitmap", filename=(TYPES.Asset, str(tmp_path / "a.png"))).CreateOutput("rgb", TYPES.Color3f)
+    inner = shader("Inner", "mitsuba_roughplastic", diffuse_reflectance=(TYPES.Color3f, picture), alpha=(TYPES.Float, 0.25)).CreateOutput(
+        "surface", TYPES.Token
+    )
+    shader("Own", "mitsuba_twosided", "mitsuba", bsdf=(TYPES.Token, inner))
+    _, shape, bsdf = drawn(stage)
+    assert (bsdf["type"], bsdf["bsdf"]["type"], bsdf["bsdf"]["alpha"]) == ("twosided", "roughplastic", 0.25)
+    np.testing.assert_array_equal(bsdf["bsdf"]["diffuse_reflectance"]["bitmap"], CODES)
+    assert "texcoords" in shape
+
+
+@pytest.mark.parametrize("kind", ["mitsuba_path", "mitsuba_constant", "mitsuba_bitmap"])
+def test_a_native_material_that_is_none_is_refused(quad, kind):
+    """Integrators and lights are no materials, and a bitmap needs a file; the usual surface is drawn instead."""
+    stage, shader = quad
+    shader("Usual", "UsdPreviewSurface", "universal", diffuseColor=(TYPES.Color3f, (1, 0, 0)))
+    shader("Own", kind, "mitsuba")
+    scene, _, bsdf = drawn(stage)
+    assert bsdf["bsdf"]["base_color"]["value"] == [1.0, 0.0, 0.0]
+    assert any("outputs:mitsuba:surface" in note.text for note in scene.notes)
+
+
+def reader_of(shader, name, **transform):
+    reader = shader(f"{name}Reader", "UsdPrimvarReader_float2", varname=(TYPES.String, "st")).CreateOutput("result", TYPES.Float2)
+    if not transform:
+        return reader
+    kinds = {"rotation": TYPES.Float, "scale": TYPES.Float2, "translation": TYPES.Float2}
+    inputs = {key: (kinds[key], value) for key, value in transform.items()}
+    return shader(f"{name}Turn", "UsdTransform2d", **{"in": (TYPES.Float2, reader)}, **inputs).CreateOutput("result", TYPES.Float2)
+
+
+def test_tiles_lie_side_by_side(quad, tmp_path):
+    """1001 and 1002 in the lower row, 1012 above the second; a quad over 2 x 2 tiles finds each where its number says."""
+    stage, shader = quad
+    tiles = {1001: CODES, 1002: CODES[::-1].copy(), 1012: CODES[:2, :2].copy()}
+    for number, pixels in tiles.items():
+        write(tmp_path / f"paint.{number}.png", pixels)
+    stage.GetRootLayer().Export(str(tmp_path / "stage.usda"))
+    coordinates = reader_of(shader, "Picture", scale=(2, 2))
+    picture = shader("Picture", "UsdUVTexture", file=(TYPES.Asset, str(tmp_path / "paint.<UDIM>.png")), st=(TYPES.Float2, coordinates))
+    shader("Surface", "UsdPreviewSurface", "universal", diffuseColor=(TYPES.Color3f, picture.CreateOutput("rgb", TYPES.Float3)))
+    _, shape, bsdf = drawn(stage)
+    pixels = bsdf["bsdf"]["base_color"]["bitmap"]
+    assert pixels.shape == (8, 8, 3)
+    np.testing.assert_array_equal(pixels[4:, :4], tiles[1001])
+    np.testing.assert_array_equal(pixels[4:, 4:], tiles[1002])
+    assert not pixels[:4, :4].any()
+    np.testing.assert_allclose(pixels[:4, 4:].mean(axis=(0, 1)), tiles[1012].mean(axis=(0, 1)), atol=6)  # grown to the others' size, filtered
+    np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]], atol=1e-6)
+
+
+def test_each_texture_is_looked_up_by_its_own_transform(quad, tmp_path):
+    """Roughness is read at M st and colour at N st: the renderer finds in both the texel that the specification asks for."""
+    stage, shader = quad
+    write(tmp_path / "a.png", CODES)
+    write(tmp_path / "b.png", CODES[:, ::-1].copy())
+    turns = {"A": {"scale": (2, 0.5), "translation": (0.25, 0.125)}, "B": {"rotation": 90.0, "translation": (1.0, 0.0)}}
+    inputs = {}
+    for name, key, output in (("A", "diffuseColor", "rgb"), ("B", "roughness", "g")):
+        picture = shader(
+            f"Picture{name}", "UsdUVTexture", file=(TYPES.Asset, str(tmp_path / f"{name.lower()}.png")), sourceColorSpace=(TYPES.Token, "raw"),
+            st=(TYPES.Float2, reader_of(shader, name, **turns[name])), wrapS=(TYPES.Token, "repeat"), wrapT=(TYPES.Token, "repeat"),
+        )  # fmt: skip
+        inputs[key] = (TYPES.Color3f if output == "rgb" else TYPES.Float, picture.CreateOutput(output, TYPES.Float3))
+    shader("Surface", "UsdPreviewSurface", "universal", **inputs)
+    scene, shape, bsdf = drawn(stage)
+    found = {name: looked_up(scene, shape, bsdf["bsdf"][name]) for name in ("base_color", "roughness")}
+    for st in ((0.1, 0.1), (0.15, 0.6), (0.6, 0.35), (0.9, 0.85)):
+        a = texel(CODES, (2 * st[0] + 0.25, 0.5 * st[1] + 0.125))
+        b = texel(CODES[:, ::-1], (1.0 - st[1], st[0]))
+        np.testing.assert_allclose(found["base_color"](st), a / 255, atol=2e-3)
+        np.testing.assert_allclose(found["roughness"](st)[0], b[1] / 255, atol=2e-3)
+
+
+def texel(pixels, st):
+    """Bilinear, v up, repeated."""
+    x, y = st[0] * pixels.shape[1] - 0.5, (1 - st[1]) * pixels.shape[0] - 0.5
+    left, top, result = math.floor(x), math.floor(y), 0.0
+    for j, v in ((0, 1 - (y - top)), (1, y - top)):
+        for i, u in ((0, 1 - (x - left)), (1, x - left)):
+            result = result + u * v * pixels[(top + j) % pixels.shape[0], (left + i) % pixels.shape[1]].astype(float)
+    return result
+
+
+def looked_up(scene, shape, bitmap):
+    """What the renderer reads from a texture at coordinates of the quad."""
+    from synfog_usd.render import backend
+    from synfog_usd.render.load import to_mitsuba
+
+    backend.start("auto")
+    mi = backend.mitsuba()
+    key = shape["bsdf"]["id"]
+    shown = replace(scene, world={**scene.world, key: {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": bitmap}}})
+    loaded = to_mitsuba(shown).scene
+
+    def at(st):
+        x, y, z = (np.array([st[0], 5.0, st[1]]) - scene.origin_m).tolist()
+        si = loaded.ray_intersect(mi.Ray3f(mi.Point3f(x, y - 1.0, z), mi.Vector3f(0, 1, 0)))
+        return np.array(si.bsdf().eval_diffuse_reflectance(si)).ravel()
+
+    return at

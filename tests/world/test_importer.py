@@ -1,0 +1,323 @@
+"""A user's model in the library: unit, axes, place, colour and label, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import colour
+import numpy as np
+import pytest
+import trimesh
+from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdValidation
+
+from synfog_usd.errors import OutputError, ParameterError, StageError
+from synfog_usd.world import meshfiles
+from synfog_usd.world.importer import import_asset
+from synfog_usd.world.library import library
+
+LENGTH, WIDTH, HEIGHT = 4.4, 1.8, 1.5
+REAL = Path(__file__).resolve().parents[3] / "shared" / "usd"
+
+
+def car() -> trimesh.Trimesh:
+    """A body with a cabin 0.35 m behind its middle, along +Y, Z up, in metres."""
+    body = trimesh.creation.box(extents=(WIDTH, LENGTH, 0.8))
+    body.apply_translation((0, 0, 0.4))
+    cabin = trimesh.creation.box(extents=(1.5, 2.0, 0.7))
+    cabin.apply_translation((0, -0.35, 1.15))
+    return trimesh.util.concatenate([body, cabin])
+
+
+def turned(mesh: trimesh.Trimesh, up: str, front: str, factor: float, offset=(3.0, 2.0, 1.0)) -> trimesh.Trimesh:
+    """The car in a file of other axes and unit, away from the origin."""
+    y, z = (np.eye(3)["XYZ".index(a[1])] * (-1 if a[0] == "-" else 1) for a in (front, up))
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([np.cross(y, z), y, z]).T * factor
+    matrix[:3, 3] = np.array(offset) * factor
+    copy = mesh.copy()
+    copy.apply_transform(matrix)
+    return copy
+
+
+def points_of(path: Path) -> np.ndarray:
+    stage = Usd.Stage.Open(str(path))
+    return np.concatenate([np.array(UsdGeom.Mesh(p).GetPointsAttr().Get()) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)])
+
+
+def as_usd(mesh: trimesh.Trimesh, path: Path, *, up: str, metres: float) -> Path:
+    layer = Sdf.Layer.CreateNew(str(path))
+    stage = Usd.Stage.Open(layer)
+    UsdGeom.SetStageUpAxis(stage, up)
+    UsdGeom.SetStageMetersPerUnit(stage, metres)
+    prim = UsdGeom.Mesh.Define(stage, "/Car")
+    prim.CreatePointsAttr(mesh.vertices.tolist())
+    prim.CreateFaceVertexCountsAttr([3] * len(mesh.faces))
+    prim.CreateFaceVertexIndicesAttr(mesh.faces.ravel().tolist())
+    prim.CreateDisplayColorAttr([(0.1, 0.2, 0.3)])
+    layer.Save()
+    return path
+
+
+@pytest.mark.parametrize(
+    "suffix, up, front, factor",
+    [
+        ("glb", "+Y", "+Z", 1.0),  # as glTF 2.0 says
+        ("glb", "+Y", "-X", 1.0),
+        ("obj", "+Y", "-Z", 100.0),
+        ("obj", "+Z", "-Y", 1000.0),
+        ("ply", "+Z", "+X", 1 / 0.0254),
+        ("usda", "+Z", "+Y", 1.0),
+        ("usdc", "+Y", "+Z", 100.0),
+    ],
+)
+def test_unit_up_and_front_are_found_and_the_model_stands_at_the_origin(tmp_path, suffix, up, front, factor):
+    """Whatever the axes and unit of the file, the same car results: cabin behind, wheels down, metres."""
+    mesh, file = turned(car(), up, front, factor), tmp_path / f"My Car.{suffix}"
+    if suffix.startswith("usd"):
+        as_usd(mesh, file, up=up[1], metres=1 / factor)
+    else:
+        mesh.export(file)
+    made = import_asset(file, "car", out=tmp_path / "lib")
+    model = made.model
+    assert (model.name, model.label, model.group) == ("my_car", "car", "vehicle")
+    # OBJ of trimesh has eight decimals, USD five
+    np.testing.assert_allclose(model.low, (-WIDTH / 2, -LENGTH / 2, 0), atol=2e-4)
+    np.testing.assert_allclose(model.high, (WIDTH / 2, LENGTH / 2, HEIGHT), atol=2e-4)
+    points = points_of(model.path)
+    roof = points[points[:, 2] > HEIGHT - 0.01]
+    assert roof[:, 1].mean() == pytest.approx(-0.35, abs=1e-3)
+    assert abs(roof[:, 0].mean()) < 1e-3
+    assert [n.split(":")[0] for n in made.notes if n.split(":")[0] in ("unit", "up", "front")] == ["unit", "up", "front"]
+    assert dict(library(tmp_path / "lib")).keys() == {"my_car"}
+    errors = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(Usd.Stage.Open(str(model.path)))
+    assert [e.GetMessage() for e in errors] == []
+
+
+def test_what_is_said_goes_before_what_is_guessed(tmp_path):
+    """Up, front and length given: the cabin comes to lie in front, and the length is the one asked for."""
+    file = tmp_path / "car.ply"
+    car().export(file)
+    made = import_asset(file, "car", out=tmp_path / "lib", up="+Z", front="-Y", length_m=3.3)
+    points = points_of(made.model.path)
+    assert points[points[:, 2] > 0.99 * points[:, 2].max()][:, 1].mean() == pytest.approx(0.35 * 0.75, abs=1e-3)
+    assert made.model.length == pytest.approx(3.3, abs=1e-4)
+    assert made.model.width == pytest.approx(WIDTH * 0.75, abs=1e-4)
+
+
+def test_picture_and_factor_of_gltf_are_kept_and_colours_of_obj_become_linear(tmp_path):
+    """A factor of glTF is linear already; an OBJ's Kd is meant for the screen (IEC 61966-2-1, by colour-science)."""
+    from PIL import Image
+
+    box = turned(car(), "+Y", "+Z", 1.0)
+    picture = Image.new("RGB", (8, 4), (200, 30, 40))
+    uv = np.random.default_rng(1).random((len(box.vertices), 2))
+    look = trimesh.visual.material.PBRMaterial(name="paint", baseColorTexture=picture, roughnessFactor=0.25, metallicFactor=0.5)
+    box.visual = trimesh.visual.TextureVisuals(uv=uv, material=look)
+    box.export(tmp_path / "car.glb")
+    model = import_asset(tmp_path / "car.glb", "car", out=tmp_path / "lib").model
+    stage = Usd.Stage.Open(str(model.path))
+    image = UsdShade.Shader(stage.GetPrimAtPath("/car/Materials/paint/Colour")).GetInput("file").Get()
+    with Image.open(image.resolvedPath) as kept:
+        assert kept.size == (8, 4)
+        assert kept.getpixel((3, 2)) == (200, 30, 40)
+    assert Path(image.resolvedPath).is_relative_to(model.path.parent)
+    surface = UsdShade.Shader(stage.GetPrimAtPath("/car/Materials/paint/Surface"))
+    assert surface.GetInput("roughness").Get() == pytest.approx(0.25)
+    assert surface.GetInput("metallic").Get() == pytest.approx(0.5)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/car/Geometry/paint"))
+    st = np.array(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get())
+    assert st.shape == (len(mesh.GetPointsAttr().Get()), 2)
+    # glTF counts v downward, trimesh and USD upward: the same corner has the same coordinates again
+    gaps = np.linalg.norm(st[:, None] - uv[None], axis=-1)
+    assert max(gaps.min(axis=0).max(), gaps.min(axis=1).max()) < 1e-4  # files keep four decimals
+
+    (tmp_path / "kd.mtl").write_text("newmtl red\nKd 0.5 0.1 0.05\n")
+    text = trimesh.exchange.obj.export_obj(car(), include_normals=False)
+    (tmp_path / "kd.obj").write_text("mtllib kd.mtl\nusemtl red\n" + "\n".join(line for line in text.splitlines() if line[:2] in ("v ", "f ")) + "\n")
+    model = import_asset(tmp_path / "kd.obj", "car", out=tmp_path / "lib").model
+    stage = Usd.Stage.Open(str(model.path))
+    shaders = [UsdShade.Shader(p) for p in stage.Traverse() if p.IsA(UsdShade.Shader)]
+    expected = colour.models.eotf_sRGB(np.round(np.array([0.5, 0.1, 0.05]) * 255) / 255)
+    np.testing.assert_allclose(shaders[0].GetInput("diffuseColor").Get(), expected, atol=0.01)  # trimesh keeps 8 bits
+
+
+def test_a_file_that_is_wrong_about_its_up_axis_is_told(tmp_path):
+    """A GLB with Z up, against its format: as Y up its car would be 4.4 m high."""
+    car().export(tmp_path / "car.glb")
+    made = import_asset(tmp_path / "car.glb", "car", out=tmp_path / "lib")
+    assert made.model.height == pytest.approx(HEIGHT, abs=1e-4)
+    assert "up: +Z, guessed: so its sizes fit best" in made.notes
+
+
+def test_double_and_empty_triangles_go_and_many_triangles_get_a_low_level(tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.8)  # 20 480 triangles
+    faces = np.vstack([ball.faces, ball.faces[:100], [[0, 0, 1]] * 7])
+    trimesh.Trimesh(ball.vertices, faces, process=False).export(tmp_path / "stone.ply")
+    made = import_asset(tmp_path / "stone.ply", "static", out=tmp_path)
+    full, low = made.triangles
+    assert full == 20480
+    assert 0 < low < 0.75 * full
+    assert made.model.variants["lod"] == ("full", "low")
+    assert any("107 of 20587" in note for note in made.notes)
+
+
+def glb(scene: dict, binary: bytes = b"") -> bytes:
+    """A GLB of a JSON scene and its buffer (glTF 2.0, section 4.4)."""
+    text = json.dumps(scene).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + (struct.pack("<I4s", len(binary), b"BIN\0") + binary if binary else b"")
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def many(count: int, nodes: int) -> bytes:
+    mesh = {"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}
+    accessors = [{"count": 3, "componentType": 5126, "type": "VEC3"}, {"count": 3 * count, "componentType": 5125, "type": "SCALAR"}]
+    return glb({"asset": {"version": "2.0"}, "meshes": [mesh], "accessors": accessors, "nodes": [{"mesh": 0}] * nodes})
+
+
+def test_fifty_million_triangles_are_refused_before_they_are_read(tmp_path):
+    """By the header alone: the GLB and the PLY hold no triangles at all (the PLY is a hole in the disk)."""
+    (tmp_path / "one.glb").write_bytes(many(50_000_001, 1))
+    (tmp_path / "placed.glb").write_bytes(many(1_000_000, 60))
+    ply = tmp_path / "hole.ply"
+    ply.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 8\nproperty float x\nelement face 60000000\nproperty list uchar int v\nend_header\n")
+    with ply.open("r+b") as handle:
+        handle.truncate(800_000_000)
+    for name, count in (("one.glb", "50,000,001"), ("placed.glb", "60,000,000"), ("hole.ply", "60,000,000")):
+        with pytest.raises(StageError, match=f"{count} triangles, more than the 50,000,000"):
+            import_asset(tmp_path / name, "car", out=tmp_path / "lib")
+    assert not (tmp_path / "lib").exists()
+
+
+def test_triangles_of_obj_and_usd_are_counted_too(tmp_path, monkeypatch):
+    """With the limit at 23 the car of 24 triangles is too much; at 24 it is not."""
+    mesh = car()
+    assert len(mesh.faces) == 24
+    mesh.export(tmp_path / "a.obj")
+    as_usd(mesh, tmp_path / "b.usda", up="Z", metres=1.0)
+    monkeypatch.setattr(meshfiles, "MOST_TRIANGLES", 23)
+    for name in ("a.obj", "b.usda"):
+        with pytest.raises(StageError, match="24 triangles, more than the 23"):
+            import_asset(tmp_path / name, "car", out=tmp_path / "lib")
+    monkeypatch.setattr(meshfiles, "MOST_TRIANGLES", 24)
+    for name in ("a.obj", "b.usda"):
+        assert import_asset(tmp_path / name, "car", out=tmp_path / "lib").triangles[0] == 24
+
+
+@pytest.mark.parametrize(
+    "name, data, said",
+    [
+        ("empty.glb", b"", "damaged"),
+        ("noise.glb", bytes(range(256)) * 8, "damaged"),
+        ("text.gltf", b"{not json", "damaged"),
+        ("cut.glb", many(10, 1)[:-20], "damaged|cannot be read"),
+        ("no_buffer.glb", many(10, 1), "cannot be read"),
+        ("ring.glb", glb({"asset": {"version": "2.0"}, "nodes": [{"children": [0]}], "scenes": [{"nodes": [0]}], "scene": 0}), "cannot be read|no triangles"),
+        ("away.gltf", b'{"asset": {"version": "2.0"}, "buffers": [{"uri": "../../secret.bin", "byteLength": 4}]}', "outside its own folder"),
+        ("claims.ply", b"ply\nformat ascii 1.0\nelement vertex 99999999\nproperty float x\nend_header\n", "damaged"),
+        ("points.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n", "no triangles"),
+        ("index.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot be read"),
+        ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite|cannot be read"),
+        ("flat.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "without area|no triangles"),
+        ("lines.obj", b"v 0 0 0\nv 1 0 0\nl 1 2\n", "no triangles"),
+        ("text.usda", b"#usda 1.0\ndef Xform 'A' {", "not a USD file|cannot be read"),
+        (
+            "index.usda",
+            b'#usda 1.0\ndef Mesh "A" {\npoint3f[] points = [(0,0,0)]\nint[] faceVertexCounts = [3]\nint[] faceVertexIndices = [0, 1, 2]\n}\n',
+            "do not fit",
+        ),
+        ("none.usda", b'#usda 1.0\ndef Xform "A" {}', "no triangles"),
+        ("noise.usdc", b"PXR-USDC" + bytes(300), "not a USD file|cannot be read"),
+        ("car.fbx", b"Kaydara", "not a kind of file"),
+    ],
+)
+def test_hostile_files_are_one_line_and_leave_nothing(tmp_path, name, data, said):
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(StageError, match=said) as error:
+        import_asset(tmp_path / name, "car", out=tmp_path / "lib")
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 400 + len(str(tmp_path))
+    assert not (tmp_path / "lib").exists()
+
+
+def test_a_damaged_or_huge_picture_is_one_line(tmp_path, monkeypatch):
+    """The pixels of a PNG inside a GLB are noise; and one of 32 pixels where 31 are allowed."""
+    from PIL import Image
+
+    mesh = turned(car(), "+Y", "+Z", 1.0)
+    look = trimesh.visual.material.PBRMaterial(name="paint", baseColorTexture=Image.effect_noise((64, 64), 80).convert("RGB"))
+    mesh.visual = trimesh.visual.TextureVisuals(uv=np.zeros((len(mesh.vertices), 2)), material=look)
+    data = trimesh.exchange.gltf.export_glb(trimesh.Scene(mesh))
+    at = data.index(b"IDAT") + 40
+    (tmp_path / "noise.glb").write_bytes(data[:at] + bytes(200) + data[at + 200 :])
+    (tmp_path / "sound.glb").write_bytes(data)
+    with pytest.raises(StageError, match="cannot be read"):
+        import_asset(tmp_path / "noise.glb", "car", out=tmp_path / "lib")
+    monkeypatch.setattr(meshfiles, "MOST_PICTURE_PX", 64 * 64 - 1)
+    with pytest.raises(StageError, match="64 x 64 pixels, more than the 4,095"):
+        import_asset(tmp_path / "sound.glb", "car", out=tmp_path / "lib")
+    assert not (tmp_path / "lib").exists()
+    monkeypatch.setattr(meshfiles, "MOST_PICTURE_PX", 64 * 64)
+    assert import_asset(tmp_path / "sound.glb", "car", out=tmp_path / "lib").model.label == "car"
+
+
+def test_wrong_wishes_are_told_with_what_is_allowed(tmp_path):
+    file = tmp_path / "car.ply"
+    car().export(file)
+    wishes: list[tuple[dict, str]] = [
+        ({"label": "caar"}, "Did you mean 'car'"),
+        ({"label": "spaceship"}, "allowed are car, truck"),
+        ({"label": "building", "unit": None}, "fits no unit"),
+        ({"unit": "mile"}, "allowed are m, cm"),
+        ({"up": "Z"}, r"allowed are \+X"),
+        ({"up": "+Z", "front": "-Z"}, "same axis"),
+        ({"length_m": -1.0}, "above 0"),
+        ({"length_m": float("nan")}, "above 0"),
+        ({"length_m": 4.0, "unit": "m"}, "one of them"),
+        ({"name": "no/slash"}, "not a prim name"),
+        ({"name": "../up"}, "not a prim name"),
+    ]
+    flat = trimesh.creation.box(extents=(1.0, 40.0, 0.001))
+    flat.export(tmp_path / "flat.ply")
+    for wish, said in wishes:
+        source = tmp_path / "flat.ply" if wish.get("label") == "building" else file
+        with pytest.raises(ParameterError, match=said):
+            import_asset(source, **{"label": "car", **wish}, out=tmp_path / "lib")
+    assert not (tmp_path / "lib").exists()
+
+
+def test_a_taken_name_is_not_written_over(tmp_path):
+    file = tmp_path / "car.ply"
+    car().export(file)
+    first = import_asset(file, "car", out=tmp_path / "lib").model.path.read_bytes()
+    with pytest.raises(OutputError, match="already"):
+        import_asset(file, "car", out=tmp_path / "lib", unit="m")
+    again = import_asset(file, "car", out=tmp_path / "other").model.path.read_bytes()
+    assert first == again
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="real USD files are not here")
+def test_a_real_character_becomes_a_person(tmp_path):
+    """CesiumMan of Khronos, by Apple's converter: Y up, 1.5 m tall."""
+    made = import_asset(REAL / "people" / "CesiumMan" / "CesiumMan.usdz", "person", out=tmp_path)
+    assert made.model.height == pytest.approx(1.5, abs=0.1)
+    assert made.model.low[2] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_the_command_says_what_it_made_and_one_line_of_error(tmp_path):
+    file = tmp_path / "car.ply"
+    car().export(file)
+    command = [sys.executable, "-m", "synfog_usd.cli.main", "asset", "import", str(file), "-o", str(tmp_path / "lib"), "--class"]
+    done = subprocess.run([*command, "car", "--json"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert (told["class"], told["length_m"]) == ("car", LENGTH)
+    assert Path(told["path"]).is_file()
+    failed = subprocess.run([*command, "cra"], capture_output=True, text=True, check=False)
+    assert failed.returncode == 2
+    assert failed.stderr.count("\n") == 1
+    assert "Did you mean 'car'" in failed.stderr

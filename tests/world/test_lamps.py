@@ -1,0 +1,258 @@
+"""Lamps: files whose candelas add up to their lumens, beams that keep to the regulations, lights on a stage."""
+
+import itertools
+import warnings
+from pathlib import Path
+
+import colour
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom, UsdLux
+from scipy.interpolate import RegularGridInterpolator
+
+from synfog_usd.errors import ParameterError
+from synfog_usd.translate import light, lightgroup
+from synfog_usd.translate.notes import Notebook
+from synfog_usd.world import lamps
+from synfog_usd.world.shapes import shift, turn
+
+ROOT = Path(__file__).resolve().parents[2]
+SHIPPED = ROOT / "assets" / "lamps"
+BEAMS = [name for name, lamp in lamps.LAMPS.items() if lamp.beam]
+SIGNALS = [name for name, lamp in lamps.LAMPS.items() if not lamp.beam]
+STREET = [name for name in BEAMS if name.startswith("street")]
+LOW = [name for name in BEAMS if name.startswith("low_beam")]
+
+
+def read_ies(path):
+    """(verticals, horizontals, (H, V) candelas, header numbers) of an LM-63 file, read after the standard's text."""
+    text = path.read_bytes().decode("ascii")
+    assert all(len(line) <= 256 for line in text.split("\r\n")), "LM-63-2002 lets a line hold 256 characters"
+    assert "\n" not in text.replace("\r\n", ""), "every line ends in CR LF"
+    head, _, body = text.partition("TILT=NONE")
+    assert head.startswith("IESNA:LM-63-2002\r\n")
+    assert all(line.startswith("[") for line in head.strip().split("\r\n")[1:])
+    numbers = np.array(body.split(), dtype=float)
+    count_v, count_h = int(numbers[3]), int(numbers[4])
+    assert len(numbers) == 13 + count_v + count_h + count_v * count_h
+    v, h, table = np.split(numbers[13:], [count_v, count_v + count_h])
+    return v, h, table.reshape(count_h, count_v) * numbers[2], numbers[:13]
+
+
+def sampler(path):
+    """I(vertical, horizontal) [deg], linear between the file's angles, with the symmetry that its last angle says."""
+    v, h, table, _ = read_ies(path)
+    if h[-1] == 180.0:
+        h, table = np.concatenate([h, 360 - h[-2::-1]]), np.concatenate([table, table[-2::-1]])
+    if len(h) == 1:
+        h, table = np.array([0.0, 360.0]), np.concatenate([table, table])
+    look = RegularGridInterpolator((h, v), table)
+    return lambda vertical, horizontal: look(np.stack(np.broadcast_arrays(np.mod(horizontal, 360.0), vertical), axis=-1))
+
+
+def ahead(path):
+    """I(right, up) [deg] of a lamp that looks along its -Z: the goniometer's angles of UN Regulation 112."""
+    look = sampler(path)
+
+    def at(right, up):
+        r, u = np.deg2rad(np.broadcast_arrays(np.asarray(right, float), np.asarray(up, float)))
+        x, y, z = np.cos(u) * np.sin(r), np.sin(u), np.cos(u) * np.cos(r)
+        return look(np.degrees(np.arccos(np.clip(z, -1, 1))), np.degrees(np.arctan2(y, x)))
+
+    return at
+
+
+@pytest.mark.parametrize("name", BEAMS)
+def test_candelas_over_the_sphere_are_the_stated_lumens(name):
+    """1 %: the file's own steps, integrated by Gauss-Legendre between its vertical angles."""
+    look = sampler(SHIPPED / f"{name}.ies")
+    v, _, _, numbers = read_ies(SHIPPED / f"{name}.ies")
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    azimuth = np.arange(0.25, 360.0, 0.5)
+    flux = 0.0
+    for low, high in itertools.pairwise(v):
+        angle = (low + high) / 2 + (high - low) / 2 * nodes
+        ring = look(angle[:, None], azimuth[None, :]).mean(axis=1) * 2 * np.pi
+        flux += float(np.sum(weights * ring * np.sin(np.deg2rad(angle)))) * np.deg2rad(high - low) / 2
+    lamp = lamps.LAMPS[name]
+    assert flux == pytest.approx(lamp.flux_lm, rel=0.01)
+    assert numbers[12] == lamp.watts
+    assert lamp.lamp_lm == -1 or 0.5 * lamp.lamp_lm < lamp.flux_lm < 0.95 * lamp.lamp_lm  # a lantern keeps some of it
+
+
+@pytest.mark.parametrize("name", BEAMS)
+def test_files_are_what_the_code_writes_and_reach_the_stated_candelas(name, tmp_path):
+    path = next(p for p in lamps.write_lamps(tmp_path) if p.stem == name)
+    assert path.read_bytes() == (SHIPPED / f"{name}.ies").read_bytes()
+    v, h, table, numbers = read_ies(path)
+    assert (np.diff(v) > 0).all() and (len(h) == 1 or (np.diff(h) > 0).all()) and h[0] == 0
+    assert v[0] == 0 and v[-1] in (90.0, 180.0) and h[-1] in (0.0, 180.0, 360.0)
+    assert table.min() >= 0 and table.max() == pytest.approx(lamps.LAMPS[name].candela, rel=0.01)
+    assert list(numbers[5:7]) == [1, 2]  # type C, metres
+    assert table[:, 0] == pytest.approx(table[0, 0])  # on the axis there is one direction
+
+
+LIMITS = {  # right, up [deg]: least, greatest [cd]; UN Regulation 112 class B, right-hand traffic
+    "B50L": (-3.43, 0.57, 0, 350),
+    "BR": (2.5, 1.0, 0, 1750),
+    "75R": (1.15, -0.57, 10100, np.inf),
+    "75L": (-3.43, -0.57, 0, 10600),
+    "50L": (-3.43, -0.86, 0, 13200),
+    "50R": (1.72, -0.86, 10100, np.inf),
+    "50V": (0.0, -0.86, 5100, np.inf),
+    "25L": (-9.0, -1.72, 1700, np.inf),
+    "25R": (9.0, -1.72, 1700, np.inf),
+    "HV": (0.0, 0.0, 0, 625),
+}
+
+
+@pytest.mark.parametrize("name", LOW)
+def test_a_low_beam_keeps_to_the_points_of_the_regulation(name):
+    at = ahead(SHIPPED / f"{name}.ies")
+    for point, (right, up, least, greatest) in LIMITS.items():
+        assert least <= at(right, up) <= greatest, point
+    assert at(*np.meshgrid(np.linspace(-8, 0, 17), np.linspace(0.2, 6, 30))).max() <= 625  # zone III, left of the kink
+    assert at(np.linspace(-5.15, 5.15, 11), np.full(11, -1.3)).min() >= 2500  # zone IV
+    assert at(*np.meshgrid(np.linspace(-9, 9, 37), np.linspace(-6, -1.8, 20))).max() <= 2 * at(1.72, -0.86)  # zone I
+    assert 20_000 <= at(*np.meshgrid(np.linspace(-3, 4, 29), np.linspace(-3, 0, 31))).max() <= 30_000
+
+
+@pytest.mark.parametrize("name", LOW)
+def test_the_cut_off_is_level_and_then_rises_at_fifteen_degrees(name):
+    """It lies where lg I falls fastest: R112's gradient G = lg I(b) - lg I(b + 0.1), 0.13 to 0.40 at 2.5 degrees left."""
+    at = ahead(SHIPPED / f"{name}.ies")
+    up = np.arange(-1.5, 2.6, 0.02)
+
+    def edge(right):
+        drop = np.log10(at(np.full(up.shape, right), up)) - np.log10(at(np.full(up.shape, right), up + 0.1))
+        return up[drop.argmax()] + 0.05, drop.max()
+
+    assert 0.13 <= edge(-2.5)[1] <= 0.40
+    left = [edge(x)[0] for x in (-4.0, -3.0, -2.0, -1.0)]
+    assert np.ptp(left) <= 0.15  # level, within the file's steps
+    right = np.array([1.5, 3.0, 4.5, 6.0])
+    rise = np.polyfit(right, [edge(x)[0] for x in right], 1)[0]
+    assert np.degrees(np.arctan(rise)) == pytest.approx(15.0, abs=1.5)
+
+
+@pytest.mark.parametrize("name", [n for n in BEAMS if n.startswith("high_beam")])
+def test_a_high_beam_is_brightest_ahead(name):
+    """UN Regulation 112, class B: 40 500 to 215 000 cd, HV within 80 % of the greatest, 20 250 cd at 2.6 and 5 100 at 5.2 degrees aside."""
+    at = ahead(SHIPPED / f"{name}.ies")
+    greatest = at(*np.meshgrid(np.linspace(-5, 5, 41), np.linspace(-4, 4, 33))).max()
+    assert 40_500 <= greatest <= 215_000
+    assert at(0, 0) >= 0.8 * greatest
+    assert min(at(-2.6, 0), at(2.6, 0)) >= 20_250 and min(at(-5.2, 0), at(5.2, 0)) >= 5_100
+
+
+@pytest.mark.parametrize(("name", "least", "greatest"), [("street_sodium_150w", 1.0, 1.75), ("street_led_60w", 1.75, 2.75)])
+def test_street_lanterns_are_of_the_type_they_state(name, least, greatest):
+    """IES types II and III, medium: the peak lands 2.25 to 3.75 mounting heights along the road, its half-peak trace 1 to 1.75 or to 2.75 across."""
+    look = sampler(SHIPPED / f"{name}.ies")
+    across, along = np.meshgrid(np.arange(-3, 5, 0.02), np.arange(0, 8, 0.02), indexing="ij")
+    grid = look(np.degrees(np.arctan(np.hypot(across, along))), np.degrees(np.arctan2(along, across)))
+    peak = np.unravel_index(grid.argmax(), grid.shape)
+    assert 2.25 <= along[peak] < 3.75
+    medium = (along >= 2.25) & (along < 3.75) & (grid >= grid.max() / 2)
+    assert least < across[medium].max() <= greatest
+
+
+def test_lanterns_shine_little_where_they_should_not():
+    """Of 1000 lm of the lamp: full cut-off none at 90 degrees and 100 cd from 80; cut-off 25 and 100 cd (IES RP-8)."""
+    h = np.arange(0.0, 360.0, 2.0)
+    full, cut, around = (sampler(SHIPPED / f"{name}.ies") for name in ("street_led_60w", "street_sodium_150w", "street_metal_halide_100w"))
+    assert full(90.0, h).max() == 0 and full(80.0, h).max() <= 100 * 8.0
+    assert cut(90.0, h).max() <= 25 * 17.5 and cut(80.0, h).max() <= 100 * 17.5
+    assert around(90.0, h).max() == 0 and around(80.0, h).max() <= 100 * 9.0
+    assert np.ptp(around(60.0, h)) < 1e-9
+
+
+@pytest.mark.parametrize("name", BEAMS)
+def test_the_translation_draws_a_lamp_as_bright_as_its_table_and_has_no_remark(name):
+    """Flux to 3 %: the translation steps 5 degrees about the axis, which is coarse for a low beam."""
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    prim = lamps.author_lamp(stage, "/Lamp", name, np.eye(4), lamps=str(SHIPPED)).GetPrim()
+    notes = Notebook()
+    drawn = light.lamp(prim, prim.GetTypeName(), np.eye(4), Usd.TimeCode.Default(), notes, None, metres_per_unit=1.0)
+    assert drawn.flux_lm == pytest.approx(lamps.LAMPS[name].flux_lm, rel=0.03)
+    assert not notes.closed()
+
+
+@pytest.mark.parametrize("name", [n for n, lamp in lamps.LAMPS.items() if lamp.limits_cd])
+def test_every_vehicle_lamp_is_within_its_regulation(name):
+    lamp = lamps.LAMPS[name]
+    assert lamp.limits_cd[0] <= lamp.candela <= lamp.limits_cd[1]
+    assert lamp.source.startswith("UN Regulation")
+
+
+def test_tints_have_the_luminance_and_the_colour_of_their_spectra():
+    """Against colour-science's own integration; red and amber lie outside Rec.709, so only their hue can be kept."""
+    cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    for name, lamp in lamps.LAMPS.items():
+        rgb = np.array(lamps.tint(name))
+        assert rgb @ [0.2126, 0.7152, 0.0722] == pytest.approx(1.0, abs=2e-3)  # ITU-R BT.709
+        assert rgb.min() >= 0
+        if lamp.spectrum in colour.SDS_ILLUMINANTS and lamp.spectrum != "HP1":
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # it says that it brings tables to one step
+                xy = colour.XYZ_to_xy(colour.sd_to_XYZ(colour.SDS_ILLUMINANTS[lamp.spectrum], cmfs))
+            mine = colour.XYZ_to_xy(colour.RGB_to_XYZ(rgb, "ITU-R BT.709", apply_cctf_decoding=False))
+            np.testing.assert_allclose(mine, xy, atol=2e-3)  # 1 nm against 5 nm steps
+    assert lamps.tint("tail")[0] > 4.5 and lamps.tint("tail")[2] == 0
+    amber = lamps.tint("indicator_front")
+    assert 0.1 < amber[1] / amber[0] < 0.3 and amber[2] == 0
+    sodium = lamps.tint("street_sodium_150w")
+    assert sodium[0] > 2 * sodium[1] > 10 * sodium[2]
+    temperatures = [colour.temperature.xy_to_CCT(colour.XYZ_to_xy(colour.RGB_to_XYZ(np.array(lamps.tint(n)), "ITU-R BT.709")), method="McCamy 1992")
+                    for n in ("low_beam_halogen", "street_metal_halide_100w", "low_beam_led")]  # fmt: skip
+    np.testing.assert_allclose(temperatures, [2856, 4002, 5109], rtol=0.02)  # CIE 015:2018, table 8
+
+
+def test_red_and_amber_spectra_peak_where_they_say():
+    wavelengths = lamps.WAVELENGTHS_NM
+    for name, peak in (("brake", 625), ("indicator_rear", 592)):
+        power = lamps.spectrum(lamps.LAMPS[name])
+        assert wavelengths[power.argmax()] == peak
+        half = wavelengths[power >= power.max() / 2]
+        assert 12 <= np.ptp(half) <= 20
+
+
+@pytest.mark.parametrize("name", list(lamps.LAMPS))
+def test_a_lamp_on_a_stage_has_its_candelas_its_group_and_its_file(name, tmp_path):
+    """A ball of luminance x file and of projected area pi r^2, seen from any side; a disk seen from ahead."""
+    (tmp_path / "stages").mkdir()
+    stage = Usd.Stage.CreateNew(str(tmp_path / "stages" / "one.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    place = shift(1.0, 2.0, 3.0) @ turn(90.0, "x")
+    lit = lamps.author_lamp(stage, "/Lamp", name, place, lamps=str(SHIPPED))
+    prim, lamp = lit.GetPrim(), lamps.LAMPS[name]
+    area = np.pi * lit.GetRadiusAttr().Get() ** 2
+    nits = lit.GetIntensityAttr().Get()
+    shaping = UsdLux.ShapingAPI(prim)
+    if lamp.beam:
+        file = shaping.GetShapingIesFileAttr().Get()
+        _, _, table, _ = read_ies(Path(file.resolvedPath))
+        assert nits * area * table.max() == pytest.approx(lamp.candela, rel=0.01)
+        assert prim.IsA(UsdLux.SphereLight) and not shaping.GetShapingIesNormalizeAttr().Get()
+    else:
+        assert prim.IsA(UsdLux.DiskLight) and nits * area == pytest.approx(lamp.candela, rel=1e-3)
+    assert lightgroup.authored_group(prim) == (lightgroup.STREET_LAMPS if name in STREET else lightgroup.HEADLIGHTS)
+    matrix = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+    assert np.allclose(matrix.Transform((0, 0, -1)), (1.0, 3.0, 3.0), atol=1e-6)  # looks along +Y from its place
+    assert prim.GetAttribute("synfog:spectrum:emission").Get() == lamp.spectrum
+
+
+def test_a_lamp_may_join_another_group():
+    stage = Usd.Stage.CreateInMemory()
+    lit = lamps.author_lamp(stage, "/Lamp", "street_led_60w", np.eye(4), group="left_row")
+    assert lightgroup.authored_group(lit.GetPrim()) == "left_row"
+
+
+def test_wrong_names_are_answered_with_the_right_ones(capsys):
+    with pytest.raises(ParameterError, match="Did you mean 'brake'"):
+        lamps.lamp_of("brakes")
+    with pytest.raises(ParameterError, match="has no IES file"):
+        lamps.ies_text("tail")
+    assert lamps.main([]) == 2
+    assert "usage" in capsys.readouterr().err

@@ -1,0 +1,259 @@
+"""Skies: standard luminances, the table, the shipped pictures against both, domes on a stage."""
+
+import math
+from pathlib import Path
+
+import colour
+import numpy as np
+import OpenImageIO
+import pytest
+from pxr import Usd, UsdGeom
+
+from synfog_usd.errors import ParameterError
+from synfog_usd.world import daylight, lamps, sky
+from synfog_usd.world.textures import ORIGIN
+
+ROOT = Path(__file__).resolve().parents[2]
+SHIPPED = ROOT / "assets" / "skies"
+NAMES = list(sky.SKIES)
+REC709 = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709
+
+STANDARD = """
+1 4.0 -0.70 0 -1.0 0      2 4.0 -0.70 2 -1.5 0.15    3 1.1 -0.8 0 -1.0 0
+4 1.1 -0.8 2 -1.5 0.15    5 0 -1.0 0 -1.0 0          6 0 -1.0 2 -1.5 0.15
+7 0 -1.0 5 -2.5 0.30      8 0 -1.0 10 -3.0 0.45      9 -1.0 -0.55 2 -1.5 0.15
+10 -1.0 -0.55 5 -2.5 0.30 11 -1.0 -0.55 10 -3.0 0.45 12 -1.0 -0.32 10 -3.0 0.45
+13 -1.0 -0.32 16 -3.0 0.30 14 -1.0 -0.15 16 -3.0 0.30 15 -1.0 -0.15 24 -2.8 0.15
+"""  # type, a, b, c, d, e of CIE S 011/E:2003, typed once more
+
+
+def standard(kind, height, azimuth, sun_height):
+    """L / Lz of a standard sky in one direction [rad], in scalars, from the standard's text."""
+    words = [float(w) for w in STANDARD.split()]
+    a, b, c, d, e = next(words[i + 1 : i + 6] for i in range(0, len(words), 6) if words[i] == kind)
+    cos_chi = math.sin(height) * math.sin(sun_height) + math.cos(height) * math.cos(sun_height) * math.cos(azimuth)
+
+    def f(x):
+        return 1 + c * (math.exp(d * x) - math.exp(d * math.pi / 2)) + e * math.cos(x) ** 2
+
+    def phi(h):
+        return 1 + a * math.exp(b / math.sin(h)) if h > 0 else 1.0
+
+    return f(math.acos(max(-1.0, min(1.0, cos_chi)))) * phi(height) / (f(math.pi / 2 - sun_height) * phi(math.pi / 2))
+
+
+def picture(name):
+    buffer = OpenImageIO.ImageBuf(str(SHIPPED / f"{name}.exr"))
+    return np.asarray(buffer.get_pixels(OpenImageIO.FLOAT), dtype=np.float64), buffer.spec()
+
+
+def directions(rows):
+    """Heights (rows,) and azimuths (2 rows,) of a lat-long picture's pixels [rad]."""
+    return np.pi / 2 - (np.arange(rows) + 0.5) / rows * np.pi, (np.arange(2 * rows) + 0.5) / rows * np.pi
+
+
+def on_the_ground(pixels):
+    """Horizontal illuminance per channel: each row's band of the sphere exactly, its luminance as constant."""
+    rows = len(pixels)
+    edges = np.pi / 2 - np.arange(rows // 2 + 1) / rows * np.pi
+    band = (np.sin(edges[:-1]) ** 2 - np.sin(edges[1:]) ** 2) / 2
+    return 2 * np.pi * band @ pixels[: rows // 2].mean(axis=1)
+
+
+@pytest.mark.parametrize("kind", range(1, 16))
+def test_standard_skies_follow_the_standard(kind):
+    """Against the formula in scalars: luminance in scattered directions, illuminance by Gauss-Legendre."""
+    sun = math.radians(35.0)
+    rng = np.random.default_rng(kind)
+    for height, azimuth in zip(rng.uniform(0.02, 1.55, 12), rng.uniform(0, 6.28, 12), strict=True):
+        chi = math.acos(math.sin(height) * math.sin(sun) + math.cos(height) * math.cos(sun) * math.cos(azimuth))
+        mine = daylight.relative_luminance(kind, math.pi / 2 - height, chi, math.pi / 2 - sun)
+        assert float(mine) == pytest.approx(standard(kind, height, azimuth, sun), rel=1e-9)
+    x, w = np.polynomial.legendre.leggauss(40)
+    total = sum(
+        wi * math.pi / 4 * wj * math.pi * standard(kind, (xi + 1) * math.pi / 4, (xj + 1) * math.pi, sun) * math.sin((xi + 1) * math.pi / 2) / 2
+        for xi, wi in zip(x, w, strict=True)
+        for xj, wj in zip(x, w, strict=True)
+    )
+    assert daylight.illuminance_per_zenith(kind, 35.0) == pytest.approx(total, rel=2e-3)
+
+
+def test_the_overcast_sky_is_three_times_as_bright_overhead():
+    """Type 1 stands for L = Lz (1 + 2 sin h) / 3 (Moon and Spencer 1942): 3 : 1, E = 7 pi / 9 Lz; a uniform sky gives pi Lz."""
+    horizon = daylight.relative_luminance(1, math.pi / 2, math.pi / 2, math.pi / 4)
+    assert 1 / float(horizon) == pytest.approx(3.0, rel=0.01)
+    for height in (30.0, 45.0, 60.0, 80.0):
+        mine = daylight.relative_luminance(1, math.radians(90 - height), 1.0, math.pi / 4)
+        assert float(mine) == pytest.approx((1 + 2 * math.sin(math.radians(height))) / 3, rel=0.04)
+    assert daylight.illuminance_per_zenith(1, 45.0) == pytest.approx(7 * math.pi / 9, rel=0.02)
+    assert daylight.illuminance_per_zenith(5, 45.0) == pytest.approx(math.pi, rel=1e-4)
+
+
+def test_tints_lie_on_the_loci():
+    """CCT back from the chromaticity by McCamy (1992), good to 2 % here; luminance 1."""
+    for kelvin in (2700.0, 3200.0, 4500.0, 6500.0, 9000.0):
+        rgb = np.array(daylight.tint(kelvin))
+        xy = colour.XYZ_to_xy(colour.RGB_to_XYZ(rgb, "ITU-R BT.709", apply_cctf_decoding=False))
+        assert float(colour.temperature.xy_to_CCT_McCamy1992(xy)) == pytest.approx(kelvin, rel=0.02)
+        assert rgb @ REC709 == pytest.approx(1.0, abs=1e-3)
+    np.testing.assert_allclose(daylight.tint(6504.0), 1.0, atol=0.003)  # D65 is the white of Rec.709
+
+
+def test_light_gets_bluer_with_blue_sky_and_after_sunset_and_warmer_through_thin_cloud():
+    overcast = daylight.colour_temperature(30.0, cover=1.0)
+    assert 5800 <= overcast <= 7500  # Lee and Hernandez-Andres (2005)
+    assert daylight.colour_temperature(30.0, cover=0.5) > overcast + 1000
+    assert daylight.colour_temperature(-5.0, cover=1.0) > daylight.colour_temperature(0.0, cover=1.0) > overcast
+    assert daylight.colour_temperature(4.0, cover=1.0, through=0.4) < overcast - 1000
+
+
+def test_the_table_holds_sixteen_plausible_skies():
+    """From noon to night; an overcast noon gives 5 to 20 klx, dusk 10 to 400 lx, a town's sky some tenths (Kyba et al. 2011)."""
+    assert len(sky.SKIES) == 16
+    for name, one in sky.SKIES.items():
+        low, high = (0.05, 0.5) if one.lamps_k else (1, 10) if one.sun_height_deg < -4 else (10, 400) if one.sun_height_deg <= 0 else (
+            (500, 9_000) if one.sun_height_deg < 20 else (1_000, 30_000))  # fmt: skip
+        assert low <= one.illuminance_lx <= high, name
+        assert 2_500 <= one.cct_k <= 15_000, name
+    assert 5_000 <= sky.SKIES["overcast_noon"].illuminance_lx <= 20_000
+    assert 2_000 <= sky.SKIES["overcast_noon"].zenith_nits <= 10_000
+    assert len({one.cie for one in sky.SKIES.values()}) >= 8
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_sky_gives_the_tabulated_light(name):
+    """Illuminance to 1 % (steps of 0.4 %, half floats); CCT to 3 %, by another method than it was made with; zenith to 12 %: clouds pass there."""
+    one = sky.SKIES[name]
+    pixels, spec = picture(name)
+    assert (spec.height, spec.width, spec.nchannels, str(spec.format)) == (256, 512, 3, "half")
+    assert (SHIPPED / f"{name}.exr").stat().st_size < 300_000
+    assert np.isfinite(pixels).all() and pixels.min() >= 0
+    light = on_the_ground(pixels)
+    assert light @ REC709 == pytest.approx(one.illuminance_lx, rel=0.01)
+    xyz = colour.RGB_to_XYZ(light / light.max(), "ITU-R BT.709", apply_cctf_decoding=False)
+    cct, _ = colour.temperature.XYZ_to_CCT_Ohno2013(xyz)
+    assert float(cct) == pytest.approx(one.cct_k, rel=0.03)
+    cap = pixels[: 256 // 9] @ REC709  # 20 degrees about the zenith
+    weight = np.cos(directions(256)[0][: 256 // 9])
+    assert (cap.mean(axis=1) @ weight) / weight.sum() == pytest.approx(one.zenith_nits, rel=0.12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_sky_is_the_standard_sky_on_average(name):
+    """Octants of the sky between 25 and 65 degrees, away from the sun, against the formula: the clouds come and go about it."""
+    one = sky.SKIES[name]
+    pixels, _ = picture(name)
+    heights, azimuths = directions(256)
+    sun, low = math.radians(one.sun_azimuth_deg), math.radians(max(one.sun_height_deg, 0))
+    rows = np.flatnonzero((heights > math.radians(25)) & (heights < math.radians(65)))
+    for octant in range(8):
+        columns = np.arange(octant * 64, octant * 64 + 64)
+        want = np.array([[standard(one.cie, heights[r], azimuths[c] - sun, low) for c in columns[::8]] for r in rows[::4]])
+        near = min(abs((azimuths[columns[32]] - sun + math.pi) % (2 * math.pi) - math.pi), math.pi)
+        if near < math.radians(50):
+            continue
+        have = (pixels[np.ix_(rows, columns)] @ REC709).mean()
+        assert have == pytest.approx(one.zenith_nits * want.mean(), rel=0.25), octant  # a gap may be as wide
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_sky_has_no_seam_no_pinch_and_no_sun(name):
+    """Left and right edge meet as neighbours do; the pole is one place; nothing is nearly as bright as the sun (1.6e9 cd m-2)."""
+    pixels, _ = picture(name)
+    Y = pixels[:128] @ REC709
+    inside = np.abs(np.diff(Y, axis=1)).mean(axis=0)
+    assert np.abs(Y[:, 0] - Y[:, -1]).mean() <= inside.max()
+    assert np.ptp(Y[0]) <= 0.25 * Y[0].mean()  # a ring of 0.35 degrees about the pole, within one cloud
+    assert np.abs(np.diff(Y[0])).max() <= 0.02 * Y[0].mean()
+    assert Y.max() < 12 * Y.mean() and Y.max() < 50_000
+
+
+def test_clouds_are_no_noise():
+    """Where there are gaps, cloud and sky differ in colour; structures near the horizon are flatter than overhead."""
+    pixels, _ = picture("broken_noon")
+    seen = pixels[40:110]
+    blueness = seen[..., 2] / seen[..., 0]
+    assert np.percentile(blueness, 95) > 1.5 * np.percentile(blueness, 20)
+    Y = np.log(picture("altocumulus_morning")[0][:128] @ REC709)
+
+    def scale(rows):
+        """Correlation length along a column [px]."""
+        part = Y[rows] - Y[rows].mean(axis=0)
+        return float((part**2).mean() / (np.diff(part, axis=0) ** 2).mean()) ** 0.5
+
+    assert scale(slice(40, 75)) > 1.5 * scale(slice(88, 123))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_files_say_what_they_are(name):
+    one, (_, spec) = sky.SKIES[name], picture(name)
+    assert spec.getattribute("ImageDescription") == ORIGIN
+    assert spec.getattribute("whiteLuminance") == 1.0
+    facts = {"zenithNits": one.zenith_nits, "illuminanceLux": one.illuminance_lx, "cctKelvin": one.cct_k, "sunHeightDeg": one.sun_height_deg, "cieSky": one.cie}
+    for key, value in facts.items():
+        assert spec.getattribute(f"synfog:{key}") == pytest.approx(value, rel=1e-3), key
+
+
+@pytest.mark.physics  # slow: the whole box of cloud
+def test_a_shipped_sky_is_what_the_code_paints():
+    """The same clouds from far fewer rows: both reduced to 16 rows, they agree but for what falls between rows."""
+    small = sky.paint("sunset_altocumulus", rows=32) @ REC709
+    large = picture("sunset_altocumulus")[0] @ REC709
+    a, b = small.reshape(16, 2, 32, 2).mean(axis=(1, 3))[:7], large.reshape(16, 16, 32, 16).mean(axis=(1, 3))[:7]
+    assert np.corrcoef(np.log(a).ravel(), np.log(b).ravel())[0, 1] > 0.97
+
+
+def test_painting_repeats_and_names_differ():
+    one, two = (sky.paint("rain", rows=16, cells=48) for _ in range(2))
+    assert one.tobytes() == two.tobytes()
+    assert not np.allclose(one, sky.paint("storm_front", rows=16, cells=48))
+
+
+@pytest.mark.parametrize("heading", [0.0, 120.0])
+def test_a_dome_shows_the_bright_side_where_the_sun_is(heading):
+    """The picture's place on the sphere as UsdLux has it (centre +Z, a quarter from the left +X, top +Y), moved by the light's own matrix."""
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    one = sky.SKIES["bright_overcast"]
+    light = sky.author_dome(stage, "/World/Sky", "bright_overcast", skies=str(SHIPPED), heading_deg=heading)
+    pixels, _ = picture("bright_overcast")
+    row, column = np.unravel_index((pixels @ REC709).argmax(), (256, 512))
+    u, h = (column + 0.5) / 512, math.pi / 2 - (row + 0.5) / 256 * math.pi
+    local = (math.sin(2 * math.pi * u) * math.cos(h), math.sin(h), -math.cos(2 * math.pi * u) * math.cos(h))
+    x, y, z = UsdGeom.Xformable(light).ComputeLocalToWorldTransform(Usd.TimeCode.Default()).TransformDir(local)
+    assert math.degrees(math.atan2(x, y)) % 360 == pytest.approx((one.sun_azimuth_deg + heading) % 360, abs=15)
+    assert math.degrees(math.asin(z)) == pytest.approx(one.sun_height_deg, abs=15)
+    assert light.GetIntensityAttr().Get() == 1.0  # the picture is in nits
+    assert Path(light.GetTextureFileAttr().Get().resolvedPath) == SHIPPED / "bright_overcast.exr"
+
+
+def test_wrong_names_and_numbers_are_answered(tmp_path, capsys):
+    with pytest.raises(ParameterError, match="Did you mean 'night_glow'"):
+        sky.sky_of("night_glo")
+    with pytest.raises(ParameterError, match="1 to 15"):
+        daylight.relative_luminance(16, 0.0, 0.0, 0.0)
+    with pytest.raises(ParameterError, match="1667"):
+        daylight.tint(1000.0)
+    with pytest.raises(ParameterError, match="is not a sky"):
+        sky.sheet(tmp_path / "sheet.png", tmp_path)
+    assert sky.main(["draw"]) == 2
+    assert "usage" in capsys.readouterr().err
+
+
+def test_the_sheet_shows_all_of_them(tmp_path):
+    path = sky.sheet(tmp_path / "sheet.png", SHIPPED)
+    drawn = OpenImageIO.ImageBuf(str(path)).get_pixels(OpenImageIO.FLOAT)
+    cells = [drawn[8 + 128 * i + 60 : 8 + 128 * i + 105, x : x + 300] for i in range(8) for x in (140, 596)]
+    assert all(cell.std() > 0.01 for cell in cells)
+    assert len({round(float(cell.mean()), 5) for cell in cells}) == 16
+
+
+def test_the_documented_tables_are_the_codes():
+    text = (ROOT / "docs" / "worlds.md").read_text(encoding="utf-8")
+    rows = {line.split("`")[1]: [cell.strip() for cell in line.split("|")[2:-1]] for line in text.splitlines() if line.startswith("| `")}
+    for name, one in sky.SKIES.items():
+        height, cie, lux, nits, kelvin = (float(cell.replace(",", "")) for cell in rows[name][1:])
+        assert (height, cie, lux, kelvin) == (one.sun_height_deg, one.cie, one.illuminance_lx, one.cct_k)
+        assert nits == pytest.approx(one.zenith_nits, rel=0.02)
+    for name, lamp in lamps.LAMPS.items():
+        assert [float(rows[name][i].replace(",", "")) for i in (-7, -5)] == pytest.approx([lamp.candela, lamp.flux_lm], rel=0.02), name
