@@ -21,8 +21,9 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, Vt
 
 from synfog_usd.errors import OutputError
 from synfog_usd.files import write_whole
+from synfog_usd.world.authoring import author_fog_variants
 from synfog_usd.world.components import Lamp, author_lamp, author_material, author_mesh, label, new_stage
-from synfog_usd.world.crossroads import FOG_VARIANTS, author_fog_variants
+from synfog_usd.world.crossroads import FOG_VARIANTS
 from synfog_usd.world.materials import Colour, Material
 from synfog_usd.world.shapes import Array, box, quad, shift, turn
 from synfog_usd.world.spec import Placement
