@@ -101,7 +101,6 @@ def read_mesh(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook, uv: UvSource 
     if not np.isfinite(points).all():
         notes.warn(prim.GetPath(), "mesh with points that are no finite numbers is left out")
         return None
-    starts = np.cumsum(counts) - counts
     holes = _get(mesh.GetHoleIndicesAttr(), time) if "holeIndices" in authored else None
     keep = np.ones(len(counts), dtype=bool)
     if holes is not None and len(holes):
@@ -135,7 +134,7 @@ def read_mesh(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook, uv: UvSource 
         else:
             triangles, face_of = _triangulate_small(points.tobytes(), counts.tobytes(), indices.tobytes())
     else:
-        triangles, face_of = triangulate(points, counts, starts, indices, keep)
+        triangles, face_of = triangulate(points, counts, np.cumsum(counts) - counts, indices, keep)
     if not len(triangles):
         notes.warn(prim.GetPath(), "mesh without a face of three or more corners is left out")
         return None

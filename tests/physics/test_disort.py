@@ -20,7 +20,7 @@ SEEDS = 12
 BANDS = 4
 """Groups of rows from the zenith to the horizon, each compared alone."""
 
-SAMPLES = {"path": 24576, "path+slab": 512, "slab": 256}
+SAMPLES = {"path": 24576, "path+slab": 512, "slab": 1024}
 """A standard error of 0.02 % in the noisiest band."""
 
 CASES = [(visibility_m, ground) for visibility_m in (600.0, 300.0, 150.0) for ground in (0.0, 0.15, 0.5)]
