@@ -85,6 +85,6 @@ def test_fog_that_absorbs_is_that_of_the_library(ground):
         zenith = np.degrees(np.arccos(-mu[index]))
         world = empty_layer(medium, ground, zenith_deg=(zenith - 0.5, zenith + 0.5), width_px=8, height_px=8)
         np.testing.assert_allclose(world.truth.mean(), seen[index], rtol=1e-3)
-        means = [render(world.scene, model="path", samples=4096, seed=seed).radiance.pixels.mean(dtype=np.float64) for seed in range(SEEDS)]
+        means = [render(world.scene, model="path", samples=8192, seed=seed).radiance.pixels.mean(dtype=np.float64) for seed in range(SEEDS)]
         assert np.std(means, ddof=1) / np.sqrt(SEEDS) < 5e-4 * seen[index]
         assert abs(np.mean(means) / seen[index] - 1.0) < 2.5e-3
