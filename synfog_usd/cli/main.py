@@ -376,8 +376,12 @@ def asset_import(
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), file))
     worker.follow_parent()
+    from synfog_usd.stage import open_stage
+    from synfog_usd.stage.fence import LAYERS
     from synfog_usd.world.importer import import_asset
 
+    if file.suffix.lower() in LAYERS:
+        open_stage(file)  # counted, and with no file from elsewhere, before the importer unfolds it
     made = import_asset(file, label, out=out, name=name, length_m=length, unit=unit, up=up, front=front)
     model, (full, low) = made.model, made.triangles
     if as_json:

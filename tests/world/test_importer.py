@@ -321,3 +321,28 @@ def test_the_command_says_what_it_made_and_one_line_of_error(tmp_path):
     assert failed.returncode == 2
     assert failed.stderr.count("\n") == 1
     assert "Did you mean 'car'" in failed.stderr
+
+
+def test_the_command_reads_no_layer_from_elsewhere(tmp_path):
+    """A car that refers to a file beside its folder is refused, and so is one that would unfold to 2^30 prims; nothing is written."""
+    (tmp_path / "secret.usda").write_text('#usda 1.0\n(defaultPrim = "A")\ndef Mesh "A" {}\n')
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "reach.usda").write_text('#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" (references = @../secret.usda@) {}\n')
+    levels = "".join(f'class "L{n}" {{\ndef "a" (references = </L{n + 1}>) {{\n}}\ndef "b" (references = </L{n + 1}>) {{\n}}\n}}\n' for n in range(30))
+    (tmp_path / "in" / "bomb.usda").write_text(f'#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" (references = </L0>) {{}}\n{levels}class "L30" {{}}\n')
+    for name, said in (("reach", "secret.usda"), ("bomb", "prims")):
+        command = [
+            sys.executable,
+            "-m",
+            "synfog_usd.cli.main",
+            "asset",
+            "import",
+            str(tmp_path / "in" / f"{name}.usda"),
+            "-o",
+            str(tmp_path / "lib"),
+            "--class",
+            "car",
+        ]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        assert done.returncode == 2 and said in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+        assert not (tmp_path / "lib").exists()
