@@ -32,7 +32,7 @@ LIGHT_NM = {"R": 600.0, "G": 540.0, "B": 460.0, "C": 560.0}
 
 BARS = {"gain": 0.01, "QE": 0.01, "dark noise": 0.03, "DSNU": 0.05, "PRNU": 0.05, "clipping": 0.01, "saturation": 0.02, "linearity": 0.001, "SNR": 0.01}
 """Largest relative error that passes.  Clipping is the full well, or the white level, in electrons; what the standard calls
-saturation is the flat top of the variance, and is found to one level, 1.5 %."""
+saturation is the flat top of the variance, and is found to about one level, 1.9 % at worst."""
 
 SIGMAS = 4.5
 """A right sensor misses by more than this in 7 of a million draws."""
