@@ -31,6 +31,7 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{path.name}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.touch()  # libraries that write say less well than the system why they cannot
         write(temporary)
         with temporary.open("rb") as handle:
             os.fsync(handle.fileno())

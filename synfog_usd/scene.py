@@ -19,13 +19,17 @@ from synfog_usd.fog.volume import FogVolume
 Array = npt.NDArray[np.float64]
 
 
+PARALLEL_DEG = 1e-3
+"""Angle of view that an orthographic camera is said to have: its rays are parallel, and a lens has nothing to bend or to dim."""
+
+
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole or thin-lens camera.
+    """A pinhole, thin-lens or orthographic camera, which may move while it exposes.
 
     Attributes:
         path: prim path.
-        to_world: (4, 4) float64, orthonormal, metres; looks down its local -Z with +Y up.
+        to_world: (4, 4) float64, orthonormal, metres; looks down its local -Z with +Y up; in the middle of the exposure.
         width_px, height_px: image size.
         fov_x_deg: full horizontal angle of view [deg] of the whole image.
         shift: (x, y) offset of the optical axis from the image centre in image
@@ -34,6 +38,9 @@ class Camera:
         focal_length_m: authored focal length [m].
         f_number: authored f-number, 0 for a pinhole.
         focus_m: distance of sharp focus [m]; used where f_number > 0.
+        width_m: width [m] of what an orthographic camera sees; 0 for any other.  Its `fov_x_deg` is `PARALLEL_DEG`.
+        drift_m: (x, y, z) way [m] that it goes while it exposes, evenly, in the scene's axes.
+        turn_rad: (x, y, z) rotation vector [rad] by which it turns meanwhile about its own place, in the scene's axes.
     """
 
     path: str
@@ -46,6 +53,14 @@ class Camera:
     focal_length_m: float = 0.0
     f_number: float = 0.0
     focus_m: float = 0.0
+    width_m: float = 0.0
+    drift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is elsewhere, or looks elsewhere, at the end of its exposure."""
+        return any(self.drift_m) or any(self.turn_rad)
 
 
 @dataclass(frozen=True)
@@ -98,6 +113,9 @@ class SceneDict:
         fog: fog volumes; the innermost one that contains the camera surrounds it.
         things: what the label ids mean, ids 1..K in order.
         thing_of: (shape key,) or (instance key, key in its group) -> label id.
+        reflectance_of: key of a material in `world` -> (401,) reflectance on `photometry.WAVELENGTHS_NM`, 0 to 1, that it has instead of the one that its
+            colour suggests; the colour says how bright it is, see `render.surfaces`.
+        emission_of: key of a lamp in `world` -> (401,) relative power that it has instead of its colour's; the luminance stays.
         group_of: key of a lamp in `world` -> its light group: 'sky', 'headlights' (all lamps of vehicles), 'street_lamps', 'other', or an author's own.
         origin_m: what was subtracted from every stage position, in metres, Z up, float64.
         notes: what was left out or made simpler.
@@ -109,5 +127,46 @@ class SceneDict:
     things: tuple[Thing, ...] = ()
     thing_of: Mapping[tuple[str, ...], int] = field(default_factory=dict)
     group_of: Mapping[str, str] = field(default_factory=dict)
+    reflectance_of: Mapping[str, Array] = field(default_factory=dict)
+    emission_of: Mapping[str, Array] = field(default_factory=dict)
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[Note, ...] = ()
+
+
+def base_colour(bsdf: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """The colour of a surface's matte part, an 'rgb' or a 'bitmap'; None where it has none, or takes it from vertices."""
+    for name in _COLOURS:
+        part = bsdf.get(name)
+        if isinstance(part, Mapping):
+            return part if part["type"] in ("rgb", "bitmap") else None
+    inner = bsdf.get("bsdf")
+    return base_colour(inner) if isinstance(inner, Mapping) else None
+
+
+def recoloured(bsdf: Mapping[str, Any], colour: Mapping[str, Any]) -> dict[str, Any]:
+    """The same surface with another colour of its matte part."""
+    if any(name in bsdf for name in _COLOURS):
+        return {name: colour if name in _COLOURS else part for name, part in bsdf.items()}
+    return {**bsdf, "bsdf": recoloured(bsdf["bsdf"], colour)}
+
+
+_COLOURS = ("base_color", "reflectance")
+
+
+def texels(colour: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+    """(H, W, 3) linear Rec.709 of an 'rgb' or a 'bitmap'."""
+    if colour["type"] == "rgb":
+        return np.broadcast_to(np.asarray(colour["value"], dtype=np.float32), 3).reshape(1, 1, 3)
+    pixels = np.asarray(colour["bitmap"])
+    pixels = pixels if pixels.ndim == 3 else pixels[:, :, None]
+    if pixels.dtype == np.uint8:
+        code = np.arange(256) / 255.0
+        decoded = code if colour.get("raw", False) else np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+        pixels = decoded.astype(np.float32)[pixels]
+    return np.asarray(np.broadcast_to(pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1], (*pixels.shape[:2], 3)), dtype=np.float32)
+
+
+def mean_colour(colour: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Mean linear Rec.709 of an 'rgb' or a 'bitmap'."""
+    r, g, b = texels(colour).mean(axis=(0, 1), dtype=np.float64)
+    return float(r), float(g), float(b)

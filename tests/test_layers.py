@@ -22,7 +22,23 @@ SEES = {
 }
 """Room -> the rooms that it may import, beside the base; the others see everything below the command line."""
 
-BASE = {"", "__version__", "cityscapes", "constants", "errors", "files", "image", "photometry", "progress", "resources", "science", "seeds", "yamlio"}
+BASE = {
+    "",
+    "__version__",
+    "cityscapes",
+    "constants",
+    "errors",
+    "fence",
+    "files",
+    "image",
+    "photometry",
+    "progress",
+    "resources",
+    "science",
+    "seeds",
+    "spectra",
+    "yamlio",
+}
 
 HEAVY = {
     "pxr": {"stage", "translate", "world"},

@@ -5,20 +5,26 @@ from __future__ import annotations
 import itertools
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from synfog_usd import stage as usd
 from synfog_usd.errors import StageError
-from synfog_usd.stage import rules
+from synfog_usd.stage import rulebook, rules
 from synfog_usd.translate import translate
 
 if TYPE_CHECKING:
     from synfog_usd.scene import Note
-    from synfog_usd.stage.rules import Finding
+    from synfog_usd.stage.rulebook import Finding
+
+Told = TypeVar("Told", "Finding", "Note")
 
 GRAVEST_FIRST = ("error", "warning", "info")
+MOST_LETTERS = 500
+"""Of a path or a text that is printed; JSON has all of it."""
+
 ERRORS, WARNINGS_UNDER_STRICT, CLEAN = 2, 1, 0
 
 
@@ -29,28 +35,42 @@ def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], lis
         StageError: the stage cannot be opened at all.
     """
     opened = usd.open_stage(stage, allow=allow, allow_errors=True)
-    found = usd.check(opened)
-    broken = {(one.path, one.text) for one in found if one.rule == "composition"}
     notes: dict[Note, None] = {}
-    if usd.cameras(opened):
-        try:
-            notes = _translated(opened)
-        except StageError as problem:
-            rule = getattr(problem, "rule", "refused")
-            found.append(rules.finding(rule, getattr(problem, "path", ""), str(problem)))
-    told = {(one.path, one.text) for one in found} | broken
+    found = dict.fromkeys(_placed(opened, usd.check(opened)))
+    in_fog: list[set[Finding]] = []  # what is found where there is fog, by variant
+    try:
+        for _ in _variants(opened):
+            more = _placed(opened, rules.findings(opened))
+            found |= dict.fromkeys(more)
+            if not any(one.rule == "no-fog" for one in more):
+                in_fog.append(set(more))
+            if usd.cameras(opened):
+                notes |= dict.fromkeys(translate(opened).notes)
+    except StageError as problem:
+        found[rulebook.finding(getattr(problem, "rule", "refused"), getattr(problem, "path", ""), str(problem))] = None
+    if in_fog:  # one variant with fog, and one in which the camera is in it, are enough
+        always = set.intersection(*in_fog)
+        found = {one: None for one in found if one.rule not in _OF_ALL_FOGS or one in always}
+    told = {(one.path, one.text) for one in found}
     kept = [note for note in notes if (note.path, note.text) not in told]
     return sorted(found, key=lambda one: GRAVEST_FIRST.index(one.severity)), kept
 
 
-def _translated(opened: Any) -> dict[Note, None]:
-    """Notes of translating every lighting once and every fog once, as a bake would."""
+_OF_ALL_FOGS = frozenset({"no-fog", "camera-outside-fog"})
+"""Rules that a stage breaks only if it does so in every variant of its fog: 'clear' has none, or leaves a bank ahead."""
+
+
+def _placed(opened: Any, told: Iterable[Told]) -> list[Told]:
+    """The same with the paths of prototypes, which nobody authored and whose numbers change with the variants, as those of their first instances."""
+    return [replace(one, path=usd.authored_path(opened, one.path)) for one in told]
+
+
+def _variants(opened: Any) -> Iterator[None]:
+    """The stage with every lighting once and every fog once, as a bake would choose them."""
     names = usd.variants(opened)
-    notes: dict[Note, None] = {}
     for lighting, fog in list(itertools.zip_longest(names.get("lighting", []), names.get("fog", []))) or [(None, None)]:
         usd.select(opened, lighting=lighting, fog=fog)
-        notes |= dict.fromkeys(translate(opened).notes)
-    return notes
+        yield
 
 
 def exit_code(found: Sequence[Finding], notes: Sequence[Note], *, strict: bool) -> int:
@@ -79,18 +99,24 @@ def as_text(stage: Path, found: Sequence[Finding], notes: Sequence[Note]) -> str
     """Findings with, once a rule, what to do in which tool; then the table of what is simplified or left out."""
     lines, explained = [], set()
     for one in found:
-        lines.append(f"{one.severity}: {one.path or stage}: {one.text.removeprefix(one.path + ': ') if one.path else one.text} [{one.rule}]")
+        text = one.text.removeprefix(one.path + ": ") if one.path else one.text
+        lines.append(f"{one.severity}: {_short(one.path) or stage}: {_short(text)} [{one.rule}]")
         if one.rule not in explained:
             explained.add(one.rule)
             lines += [f"    {tool}: {advice}" for tool, advice in one.mend.items()]
     rows = sorted(_by_text(notes).items(), key=lambda row: GRAVEST_FIRST.index(row[0][0]))
     if rows:
         lines += ["", "What the translation makes simpler or leaves out:", f"{'':8} {'prims':>5}  what became of it, and the first prim"]
-        lines += [f"{severity:8} {count:5}  {text} ({paths[0] or stage.name})" for (severity, text), (paths, count) in rows]
+        lines += [f"{severity:8} {count:5}  {_short(text)} ({_short(paths[0]) or stage.name})" for (severity, text), (paths, count) in rows]
         lines.append("")
     counts = {severity: sum(one.severity == severity for one in found) for severity in GRAVEST_FIRST}
     lines.append(f"{stage}: {counts['error']} errors, {counts['warning']} warnings, {counts['info']} remarks; {len(rows)} simplifications")
     return "\n".join(lines)
+
+
+def _short(text: str) -> str:
+    """What fits on a screen: names in a hostile file may have a million letters."""
+    return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 1]}…"
 
 
 _MORE = re.compile(r" \(and (\d+) more prims\)$")

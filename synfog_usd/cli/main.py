@@ -37,7 +37,9 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 @app.command()
 def bake(
     stage: Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz).")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for everything that is written.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for everything that is written; out/<name of the stage> if left out.", show_default=False)
+    ] = None,
     pipeline: Annotated[Path | None, typer.Option(help="YAML node graph; the shipped phone if left out.")] = None,
     lighting: Annotated[str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")] = None,
     fog: Annotated[str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")] = None,
@@ -57,6 +59,7 @@ def bake(
     time_limit: Annotated[float | None, typer.Option(help="Seconds a shot after which no more samples are begun.")] = None,
     bands: Annotated[str, typer.Option(help="Light that a path carries: 3 (R, G, B), 8, 16 or 31 wavelength bands; auto takes as few as will do.")] = "auto",
     denoise: Annotated[bool, typer.Option("--denoise", help="Smooth surfaces and airlight apart (Open Image Denoise).")] = False,
+    cull: Annotated[bool, typer.Option(help="Thin or leave out what fog hides from the sensor; --no-cull draws it whole.")] = True,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
     allow: Annotated[list[Path] | None, typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again.")] = None,
@@ -70,7 +73,7 @@ def bake(
     verb.run(
         dict(
             stage=stage,
-            out=out,
+            out=out or Path("out") / stage.stem,
             pipeline=pipeline,
             lighting=_names(lighting, "--lighting"),
             fog=_names(fog, "--fog"),
@@ -84,6 +87,7 @@ def bake(
             time_limit_s=time_limit,
             bands=None if bands == "auto" else _count(bands, "--bands"),
             denoise=denoise,
+            cull=cull,
             seed=seed,
             variant=variant,
             allow=tuple(allow or ()),
@@ -262,10 +266,17 @@ def info(
 
 
 @app.command("plugin-path")
-def plugin_path(bare: Annotated[bool, typer.Option("--bare", help="Print the schema's folder alone, for scripts.")] = False) -> None:
+def plugin_path(
+    bare: Annotated[bool, typer.Option("--bare", help="Print the schema's folder alone, for scripts.")] = False,
+    blender: Annotated[Path | None, typer.Option(help="Write Blender's extension to this .zip.", show_default=False)] = None,
+) -> None:
     """Tell what to set so that usdview, Houdini, Omniverse and Blender know the fog schema."""
     from synfog_usd.cli import plugins
 
+    if blender is not None:
+        plugins.pack_extension(blender)
+        print(f"{blender}: install it in Blender under Edit > Preferences > Get Extensions > Install from Disk")
+        return
     print(plugins.SCHEMA if bare else plugins.advice())
 
 
@@ -376,13 +387,14 @@ def asset_import(
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), file))
     worker.follow_parent()
+    from synfog_usd.fence import LAYERS
     from synfog_usd.stage import open_stage
-    from synfog_usd.stage.fence import LAYERS
     from synfog_usd.world.importer import import_asset
 
-    if file.suffix.lower() in LAYERS:
-        open_stage(file)  # counted, and with no file from elsewhere, before the importer unfolds it
-    made = import_asset(file, label, out=out, name=name, length_m=length, unit=unit, up=up, front=front)
+    with worker.reading_limits():
+        if file.suffix.lower() in LAYERS:
+            open_stage(file)  # counted, and with no file from elsewhere, before the importer unfolds it
+        made = import_asset(file, label, out=out, name=name, length_m=length, unit=unit, up=up, front=front)
     model, (full, low) = made.model, made.triangles
     if as_json:
         size = {"length_m": round(model.length, 4), "width_m": round(model.width, 4), "height_m": round(model.height, 4)}

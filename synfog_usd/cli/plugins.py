@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import zipfile
+from pathlib import Path
+
 from synfog_usd import resources
+from synfog_usd.errors import OutputError
+from synfog_usd.files import write_whole
 
 SCHEMA = resources.schema_plugin()
 """Folder with the codeless USD schema SynFogMediumAPI."""
@@ -24,8 +29,27 @@ Houdini, a line in houdini.env:
 Omniverse (Kit), before it starts; on Windows with ';' in place of ':':
   export PXR_PLUGINPATH_NAME={SCHEMA}:$PXR_PLUGINPATH_NAME
 
-Blender does not read USD schemas; install its add-on under Preferences > Add-ons > Install from Disk:
-  {tools / "blender" / "synfog_fog.py"}
+Blender (4.2 and newer) does not read USD schemas; pack its extension, and install the file under
+Preferences > Get Extensions > Install from Disk:
+  synfog-usd plugin-path --blender synfog_fog.zip
 
 OpenVDB volumes of any of them become fog by way of
   blender --background --python {tools / "vdb2npz.py"} -- FILE.vdb"""
+
+
+def pack_extension(path: Path) -> None:
+    """Write Blender's extension as the .zip that it installs; the same bytes each time.
+
+    Raises:
+        OutputError: the file's name does not end in .zip, or it cannot be written.
+    """
+    if path.suffix.lower() != ".zip":
+        raise OutputError(f"--blender {path}: Blender installs a .zip; name the file synfog_fog.zip")
+    folder = resources.folder("integrations") / "blender" / "synfog_fog"
+
+    def pack(place: Path) -> None:
+        with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name in ("__init__.py", "blender_manifest.toml"):
+                archive.writestr(zipfile.ZipInfo(name, (2026, 1, 1, 0, 0, 0)), (folder / name).read_bytes())
+
+    write_whole(path, pack)

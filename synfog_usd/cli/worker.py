@@ -14,6 +14,7 @@ import resource
 import signal
 import subprocess
 import sys
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
@@ -47,7 +48,7 @@ def follow_parent() -> None:
 
 @contextlib.contextmanager
 def reading_limits() -> Iterator[None]:
-    """In the child, while a stage is read: memory of this machine, and bounded time; as before afterwards, because rendering may take long.
+    """In the child, while a stage is read or translated: memory of this machine, and bounded time; as before afterwards, because rendering may take long.
 
     Beyond them the process dies of a signal or raises MemoryError, and the parent says so.
     """
@@ -64,7 +65,9 @@ def reading_limits() -> Iterator[None]:
         resource.setrlimit(kind, (min(lower), hard))
     signal.alarm(READ_WALL_S)
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # numbers that overflow in numpy: what comes of them is told as notes
+            yield
     finally:
         signal.alarm(0)
         for kind, limits in before.items():

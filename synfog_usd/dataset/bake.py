@@ -28,6 +28,9 @@ from synfog_usd.progress import Progress, silent
 from synfog_usd.seeds import seed32
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from synfog_usd.render.layers import Layers
     from synfog_usd.scene import Note, SceneDict
 
 MANIFEST = "bake.json"
@@ -71,7 +74,7 @@ def bake(
         plan: what to make.
         progress: told the fraction of all shots that is done.
         tell: given one line for whatever a user wants to know on the way.
-        reading: makes a context that is held while the stage is read, as limits on time and memory.
+        reading: makes a context that is held whenever the stage is read or translated, as limits on time and memory.
 
     Raises:
         SynfogError: with place and fix; what was finished stays.
@@ -86,6 +89,11 @@ def bake(
         stage = usd.open_stage(plan.stage, allow=plan.allow)
         todo = shots(plan, usd.variants(stage))
         first, notes, foggy = _survey(stage, todo, plan)
+
+    def read(shot: Shot) -> SceneDict:
+        with reading():
+            return _translate(stage, shot, plan)
+
     if plan.strict and any(note.severity == "warning" for note in notes):
         raise StrictError("\n".join(f"{note.path or plan.stage}: {note.text}" for note in notes if note.severity == "warning"))
     if all(shot.mor_m is None for shot in todo) and not foggy:
@@ -105,8 +113,7 @@ def bake(
         if kept:
             tell(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
         seconds: dict[str, float] = {}
-        exposures: dict[str, Any] = {}
-        pixels: dict[str, Any] = {}  # what a pixel makes of light, by lighting
+        views: dict[str, _View] = {}  # by lighting
         for index, shot in enumerate(unfinished):
             began = time.perf_counter()
 
@@ -114,17 +121,15 @@ def bake(
                 progress(f"{shot.folder}: {what}", (index + fraction) / len(unfinished))
 
             step("translating", 0.0)
-            scene = first if shot == todo[0] else _translate(stage, shot, plan)
-            if metered and shot.lighting not in exposures:
+            scene = first if shot == todo[0] else read(shot)
+            if metered and shot.lighting not in views:
                 step("metering", 0.01)
-                clear = _clear_frame(stage, shot, plan)
-                exposures[shot.lighting] = camera.meter(clear, graph)
-                pixels[shot.lighting] = camera.sensitivity(clear, graph, exposures[shot.lighting])
-            row = _make(shot, scene, exposures.get(shot.lighting), pixels.get(shot.lighting), graph, plan, step)
+                views[shot.lighting] = _meter(read(_cleared(stage, shot)), plan, graph)
+            row, told = _make(shot, scene, views.get(shot.lighting), graph, plan, step)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
-            for warning in row["warnings"]:
-                tell(f"{shot.folder}: {warning}")
+            for line in (*told, *row["warnings"]):
+                tell(f"{shot.folder}: {line}")
         ledger.finish(todo, contact.write(plan.out, todo, ledger.rows))
     progress("done", 1.0)
     return Baked(ledger.manifest(todo), seconds, kept, notes)
@@ -158,27 +163,65 @@ def _translate(stage: Any, shot: Shot, plan: BakePlan) -> SceneDict:
     return translate(stage, camera=plan.camera, frame=plan.frame, resolution=plan.size, fog_mor_m=shot.mor_m, lights=plan.lights)
 
 
-def _clear_frame(stage: Any, shot: Shot, plan: BakePlan) -> Image:
-    """The shot in clear air, small: what exposure is metered on, for all fog levels alike."""
+def _cleared(stage: Any, shot: Shot) -> Shot:
+    """The shot with the stage's own clear air, where it has any."""
     from synfog_usd import stage as usd
-    from synfog_usd.render.shot import render
 
     clear = CLEAR if CLEAR in usd.variants(stage).get("fog", ()) else None
-    scene = replace(_translate(stage, replace(shot, fog_variant=clear or shot.fog_variant, mor_m=None), plan), fog=())
-    height = max(1, round(METER_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
-    return render(scene, samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=(METER_WIDTH_PX, height)).radiance
+    return replace(shot, fog_variant=clear or shot.fog_variant, mor_m=None)
 
 
-def _make(shot: Shot, scene: SceneDict, exposure: Any, pixel: tuple[float, float] | None, graph: Any, plan: BakePlan, progress: Progress) -> dict[str, Any]:
-    """Render and develop one shot, write its files, and give its row of the manifest."""
-    from synfog_usd import camera, writers
+@dataclass(frozen=True)
+class _View:
+    """A lighting in clear air: how it is exposed, for all fog levels alike, and what is there.
+
+    Attributes:
+        exposure: see `camera.meter`.
+        pixel: what a pixel makes of light, see `camera.sensitivity`, or None.
+        luminance: of the small frame that was metered [cd m-2].
+        seen: what the ray through each pixel's centre meets.
+    """
+
+    exposure: Any
+    pixel: tuple[float, float] | None
+    luminance: np.ndarray
+    seen: Layers
+
+    @property
+    def noise(self) -> Callable[[np.ndarray], np.ndarray] | None:
+        """Luminance -> standard deviation of what a pixel reads [cd m-2]."""
+        from synfog_usd import camera
+
+        return functools.partial(camera.noise_floor, electrons_per_cd_m2=self.pixel[0], dark_noise_e=self.pixel[1]) if self.pixel else None
+
+
+def _meter(scene: SceneDict, plan: BakePlan, graph: Any) -> _View:
+    """A scene without its fog, metered on a small frame."""
+    from synfog_usd import camera, photometry
+    from synfog_usd.render import layers, models
+    from synfog_usd.render.load import resized
+    from synfog_usd.render.shot import load, render
+
+    scene = replace(scene, fog=())
+    loaded = load(scene, boundaries=models.MODELS[models.choose(models.AUTO, scene)[0]].boundaries)
+    size = METER_WIDTH_PX, max(1, round(METER_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
+    frame = render(scene, samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=size, loaded=resized(loaded, size)).radiance
+    exposure = camera.meter(frame, graph)
+    return _View(exposure, camera.sensitivity(frame, graph, exposure), photometry.luminance(frame), layers.measure(loaded))
+
+
+def _make(shot: Shot, scene: SceneDict, view: _View | None, graph: Any, plan: BakePlan, progress: Progress) -> tuple[dict[str, Any], list[str]]:
+    """Render and develop one shot, write its files, and give its row of the manifest and what a user wants to know."""
+    from synfog_usd import writers
+    from synfog_usd.render import cull
     from synfog_usd.render.planner import sensor_target
     from synfog_usd.render.shot import render
 
     seed = seed32(plan.seed, shot.lighting, shot.fog)
-    floor = functools.partial(camera.noise_floor, electrons_per_cd_m2=pixel[0], dark_noise_e=pixel[1]) if pixel else None
+    floor = view.noise if view else None
+    hidden = cull.hide(scene, floor, view.luminance) if plan.cull and view and floor else cull.through(scene)
     rendered = render(
-        scene,
+        cull.reduced(scene, hidden),
         model=plan.model,
         samples=plan.samples,
         seed=seed,
@@ -187,6 +230,7 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, pixel: tuple[float, float
         time_limit_s=plan.time_limit_s,
         bands=plan.bands,
         denoise=plan.denoise,
+        clear=view.seen if view and hidden.triangles else None,
         progress=lambda what, fraction: progress(what, 0.02 + 0.9 * fraction),
     )
     progress("developing", 0.93)
@@ -200,13 +244,15 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, pixel: tuple[float, float
     named = {**rendered.parts, "variance": variance, **{f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()}}
     found = [Image(pixels, tuple(f"{name}.{channel}" for channel in radiance.channels), Quantity.DATA) for name, pixels in named.items()]
     writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
-    names = ["radiance.exr", "layers.exr"]
+    files.write_json(folder / "things.json", labels.thing_list(hidden, scene))
+    names = ["radiance.exr", "layers.exr", "things.json"]
+    exposure = view.exposure if view else None
     results = graph.run({"radiance": radiance}, seed=seed, settings=exposure.settings if exposure else None, keep=list(graph.outputs.values()))
     for name, node in graph.outputs.items():
         writers.write_output(name, results[node], folder, options=graph.options_of(name))
         names.append(name)
     progress("developing", 1.0)
-    return {
+    row = {
         "lighting": shot.lighting,
         "fog": shot.fog,
         "mor_m": round(mor[0], 6) if mor else None,
@@ -214,12 +260,14 @@ def _make(shot: Shot, scene: SceneDict, exposure: Any, pixel: tuple[float, float
         "size_px": [scene.camera.width_px, scene.camera.height_px],
         "model": {"name": rendered.model, "bands": len(radiance.channels), "why": rendered.why, "pilot": _rounded(rendered.figures)},
         "samples": float(f"{rendered.samples:.5g}"),
-        "target": _target(plan, pixel, rendered.met),
+        "target": _target(plan, view.pixel if view else None, rendered.met),
         "relative_error": float(f"{rendered.relative_error:.4g}"),
         "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"} if exposure else None,
+        "behind_fog": hidden.facts(scene),
         "warnings": list(rendered.warnings),
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
     }
+    return row, [sentence] if (sentence := hidden.sentence(scene)) else []
 
 
 def _rounded(figures: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
@@ -278,6 +326,7 @@ def _facts(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> di
             "time_limit_s": plan.time_limit_s,
             "bands": plan.bands,
             "denoise": plan.denoise,
+            "cull": plan.cull,
             "seed": plan.seed,
             "lights": plan.lights,
             "variant": variant,

@@ -15,8 +15,9 @@ import numpy.typing as npt
 
 from synfog_usd import cityscapes
 from synfog_usd.image import Image, Quantity
+from synfog_usd.render.cull import Hidden
 from synfog_usd.render.layers import Layers
-from synfog_usd.scene import Thing
+from synfog_usd.scene import SceneDict, Thing
 
 CHANNELS = (
     "depth.Z",
@@ -98,6 +99,20 @@ def label_list(layers: Layers, things: tuple[Thing, ...]) -> dict[str, Any]:
             row["distance_m"] = round(float(layers.distance_m[seen].min()), 3)
         rows.append(row)
     return {"schema": "synfog-usd/labels", "version": 1, "taxonomy": "cityscapes", "things": rows}
+
+
+def thing_list(hidden: Hidden, scene: SceneDict) -> dict[str, Any]:
+    """What things.json holds: how much fog stands before every thing of one shot, and whether the picture has it whole.
+
+    `transmittance` is the largest over the boxes of its parts, null where the fog has no closed form; `drawn` is 'whole',
+    'thinned' or 'left out'.  Labels have every thing either way.
+    """
+    found = hidden.things(scene)
+    rows = []
+    for thing in scene.things:
+        clear, drawn = found.get(thing.id, (None, "whole"))
+        rows.append({"id": thing.id, "path": thing.path, "transmittance": None if clear is None else float(f"{clear:.4g}"), "drawn": drawn})
+    return {"schema": "synfog-usd/things", "version": 1, "things": rows}
 
 
 def _murmur(text: str) -> int:

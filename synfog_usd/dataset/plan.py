@@ -29,6 +29,7 @@ class BakePlan:
         size: (width, height) in pixels; None is the stage's own.
         model, samples, seed, target_error, time_limit_s, bands, denoise: see `render.shot.render`.
             Without a target error the sensor's own noise is the target.
+        cull: whether what fog hides from the sensor is thinned or left out, see `render.cull`.
         variant: Mitsuba backend, see `render.backend.choose`.
         strict: whether a warning of the translation stops the bake.
         lights: how the stage's intensities are meant, see `translate.translate`.
@@ -49,6 +50,7 @@ class BakePlan:
     time_limit_s: float | None = None
     bands: int | None = None
     denoise: bool = False
+    cull: bool = True
     seed: int = 0
     variant: str = "auto"
     strict: bool = False

@@ -5,6 +5,8 @@ of them follows from spectra: lights get those of `photometry.channel_spectra`, 
 the same basis without the illuminant (Mallett and Yuksel 2019), so that white stays
 white and what D65 shows of a surface is its colour.  Fog may thin with wavelength: then
 paths are drawn in the clearest band, and the others weigh them by what is left.
+
+Where a lamp or a material has a spectrum of its own, that is what counts: see `Bands.light` and `surfaces`.
 """
 
 from __future__ import annotations
@@ -18,9 +20,12 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import photometry
+from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogVolume
 from synfog_usd.render import backend
+from synfog_usd.render.load import Loaded
+from synfog_usd.render.surfaces import Surfaces
 
 Array = npt.NDArray[np.float64]
 
@@ -49,8 +54,13 @@ def matrices(count: int) -> tuple[Array, Array]:
     """(light (3, N) W m-2 sr-1 nm-1 per cd m-2 of R, G, B; reflectance (3, N) [1], columns of which add up to 1)."""
     spectra = photometry.channel_spectra(("R", "G", "B"))
     boxes = photometry.channel_spectra(names(count))
-    light = spectra @ boxes.T / boxes.sum(axis=1)
+    light = box_means(spectra, boxes)
     return light, light / light.sum(axis=0)
+
+
+def box_means(spectrum: Array, boxes: Array) -> Array:
+    """(..., N) means over bands (N, 401) of spectra (..., 401)."""
+    return np.asarray(spectrum @ boxes.T / boxes.sum(axis=1))
 
 
 def names(count: int) -> tuple[str, ...]:
@@ -77,8 +87,11 @@ class Bands:
     Args:
         count: RGB, or a key of `CENTRES_NM`.
         fog: the scene's, for how its extinction depends on wavelength; R, G and B all have that at 550 nm.
+        emissions: (401,) spectra of lamps that have one of their own; the first is kind 1 of light, colours are kind 0.
 
     Attributes:
+        kinds: of light, 1 where there are colours alone.
+        surfaces: materials with a spectrum of their own, or None.
         weights: (N,) such that pixels @ weights is a luminance [cd m-2]; for R, G, B their plain mean.
         clearest: extinction of the clearest band over that at 550 nm.
         coloured: whether extinction differs between bands.
@@ -87,8 +100,10 @@ class Bands:
         ParameterError: fogs with different Angstrom exponents.
     """
 
-    def __init__(self, count: int = RGB, fog: Sequence[FogVolume] = ()) -> None:
+    def __init__(self, count: int = RGB, fog: Sequence[FogVolume] = (), emissions: Sequence[Array] = ()) -> None:
         check(count)
+        self.kinds = 1
+        self.surfaces: Surfaces | None = None
         self.count, self.names, self.is_rgb = count, names(count), count == RGB
         self.clearest, self.coloured = 1.0, False
         if self.is_rgb:
@@ -99,6 +114,11 @@ class Bands:
         self.light_of, self.reflectance_of = matrices(count)
         boxes = photometry.channel_spectra(self.names)
         self.weights = np.array([photometry.luminance_of(box) for box in boxes])
+        if emissions:
+            self.kinds = 1 + len(emissions)
+            self.lit = np.array([box_means(curve / photometry.luminance_of(curve), boxes) for curve in emissions])
+            self._lit = mi.Float(np.concatenate([np.zeros((1, count)), self.lit]).astype(np.float32).ravel())
+            dr.make_opaque(self._lit)
         exponents = {volume.medium.angstrom for volume in fog if volume.medium.sigma_t_per_m > 0.0}
         if len(exponents) > 1:
             raise ParameterError(f"fogs with the Angstrom exponents {', '.join(f'{e:g}' for e in sorted(exponents))}: --bands takes one; use --bands 3")
@@ -118,13 +138,39 @@ class Bands:
         mi = backend.mitsuba()
         return mi.Color3f(value) if self.is_rgb else self._array([mi.Float(value[0])] * self.count)
 
-    def light(self, colour: Any) -> Any:
-        """Radiance or intensity in R, G, B [cd m-2, cd] in all bands."""
-        return colour if self.is_rgb else self._mixed(colour, self.light_of)
+    def wear(self, loaded: Loaded) -> None:
+        """Give the materials of a scene the spectra that they have."""
+        if not self.is_rgb and loaded.source.reflectance_of:
+            surfaces = Surfaces(loaded, self.reflectance_of, photometry.channel_spectra(self.names))
+            self.surfaces = surfaces if surfaces.count else None
 
-    def reflectance(self, colour: Any) -> Any:
-        """What a surface leaves of R, G and B, in all bands."""
-        return colour if self.is_rgb else self._mixed(colour, self.reflectance_of)
+    def light(self, colour: Any, kind: Any = None) -> Any:
+        """Radiance or intensity in R, G, B [cd m-2, cd] in all bands; of a kind above 0 its luminance counts."""
+        if self.is_rgb:
+            return colour
+        mixed = self._mixed(colour, self.light_of)
+        if self.kinds == 1:
+            return mixed
+        r, g, b = LUMINANCE_WEIGHTS_REC709
+        luminance = colour[0] * r + colour[1] * g + colour[2] * b
+        return dr.select(kind > 0, self.gather(self._lit, kind, kind > 0) * luminance, mixed)
+
+    def light_in(self, colour: Array, kind: int) -> Array:
+        """(..., N) the same of (..., 3) numbers."""
+        return np.asarray(colour @ self.light_of if kind == 0 else (colour @ np.array(LUMINANCE_WEIGHTS_REC709))[..., None] * self.lit[kind - 1])
+
+    def surface(self, bsdf: Any, active: Any) -> tuple[Any, Any]:
+        """The BSDF to ask, and how `reflectance` reads what it answers."""
+        return (bsdf, None) if self.surfaces is None else self.surfaces.of(bsdf, active)
+
+    def reflectance(self, colour: Any, reading: Any = None) -> Any:
+        """What a surface leaves of R, G and B, or of what else `reading` says it tells, in all bands."""
+        if self.is_rgb:
+            return colour
+        if reading is None:
+            return self._mixed(colour, self.reflectance_of)
+        first, second, rest = colour[0] - colour[2], colour[1] - colour[2], colour[2]
+        return self._array([rest + first * a + second * b for a, b in zip(reading[: self.count], reading[self.count :], strict=True)])
 
     def fade(self, depth: Any) -> Any:
         """What each band loses over an optical depth beyond the clearest band's exp(-depth)."""

@@ -7,6 +7,8 @@ and Fajardo 2012), directions with the density that light scattered once more ha
 around a lamp, 1 / sin(theta) times the share of the phase function beyond theta.
 The other half is drawn as ever; the weight is that of the mixture (Veach and
 Guibas 1995, one-sample balance heuristic), so nothing is ever brighter than twice.
+A lamp with a table of its light sends what the table has, or what the fog turns out of
+its brightest parts, whichever is more; like a cone, in nodes of 6 degrees.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import drjit as dr
 import numpy as np
 
 from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
-from synfog_usd.render import backend
+from synfog_usd.render import backend, luminaire
 from synfog_usd.render.air import Air
 from synfog_usd.render.lamps import Lamps
 
@@ -38,6 +40,9 @@ NEAR_M = 0.3
 
 ANGLES = 512
 
+NODES = (31, 60)
+"""Of a table: angles off a lamp's axis, and around it."""
+
 
 class Beacons:
     """The lamps of a scene, one row each.
@@ -49,7 +54,7 @@ class Beacons:
     """
 
     def __init__(self, lamps: Lamps, air: Air, eye: np.ndarray) -> None:
-        rows = np.array([_summary(rows) for rows in lamps.parts] or np.zeros((0, 10)))
+        rows = np.array([_summary(rows) for rows in lamps.parts] or np.zeros((0, 14)))
         rows = rows[rows[:, 6] > 0.0]
         apart = ((rows[:, 0:3] - eye) ** 2).sum(axis=1) + 25.0
         rows = rows[np.argsort(-rows[:, 6] / apart, kind="stable")[:MOST]]
@@ -57,7 +62,6 @@ class Beacons:
         if not self.count:
             return
         mi = backend.mitsuba()
-        self.table = [mi.Float(column.astype(np.float32)) for column in rows.T]
         self.number = dr.opaque(mi.UInt32, self.count)
         nodes = np.concatenate([[0.0], np.geomspace(1e-3, np.pi, ANGLES - 1)])
         value = np.array(air.phase.value(mi.Float(np.cos(nodes).astype(np.float32))), dtype=np.float64)
@@ -65,6 +69,13 @@ class Beacons:
         beyond = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
         beyond = np.maximum(beyond, 1e-3 * beyond[0])
         self.around = mi.IrregularContinuousDistribution(mi.Float(nodes.astype(np.float32)), mi.Float(beyond.astype(np.float32)))
+        self.tabled = lamps.photometric and bool((rows[:, 10] >= 0.0).any())
+        if self.tabled:
+            used = np.unique(rows[rows[:, 10] >= 0.0, 10]).astype(int)
+            share = np.interp(np.clip(_between_nodes(), 0.05, np.pi), nodes, beyond) / np.interp(0.05, nodes, beyond)
+            self.light = luminaire.Tables([_spread(lamps.tables[number], share) for number in used])
+            rows[rows[:, 10] >= 0.0, 10] = np.searchsorted(used, rows[rows[:, 10] >= 0.0, 10])
+        self.table = [mi.Float(column.astype(np.float32)) for column in rows.T[: 14 if self.tabled else 10]]
         self.turned_scale = 1.0 / self.around.eval_pdf_normalized(mi.Float(0.05))
         dr.make_opaque(self.table, self.turned_scale)
 
@@ -79,7 +90,13 @@ class Beacons:
         beside = dr.acos(dr.clip(cosine, -1.0, 1.0)) - row[7]
         beam = dr.clip(-beside * row[8], 0.0, 1.0)
         turned = self.around.eval_pdf_normalized(dr.clip(beside, 0.05, dr.pi)) * self.turned_scale
-        return row[6] * (FLOOR + dr.select(row[9] > 0.5, dr.maximum(beam, turned), dr.maximum(cosine, 0.05)))
+        sent = dr.select(row[9] > 0.5, dr.maximum(beam, turned), dr.maximum(cosine, 0.05))
+        if self.tabled:
+            axis, x = mi.Vector3f(*row[3:6]), mi.Vector3f(*row[11:14])
+            local = mi.Vector3f(dr.dot(x, towards), dr.dot(dr.cross(axis, x), towards), cosine)
+            known = row[10] >= 0.0
+            sent = dr.select(known, self.light.at(mi.UInt32(dr.maximum(row[10], 0.0)), local, known), sent)
+        return row[6] * (FLOOR + sent)
 
     @dr.syntax
     def distance(self, origin: Any, direction: Any, begin: Any, end: Any, sigma: Any, u_which: Any, u_along: Any) -> Any:
@@ -184,13 +201,42 @@ def _angles(lamp: Any, origin: Any, direction: Any, begin: Any, end: Any) -> tup
 
 
 def _summary(rows: np.ndarray) -> np.ndarray:
-    """One row of a lamp's many: 0-2 position, 3-5 axis, 6 luminous peak, 7 cutoff, 8 1 / transition, 9 whether it is a beam."""
+    """One row of a lamp's many.
+
+    0-2 position, 3-5 axis, 6 luminous peak, 7 cutoff, 8 1 / transition, 9 whether it is a beam, 10 its table or -1, 11-13 the table's +X.
+    """
     light = np.maximum(rows[:, 12:15] @ LUMINANCE_WEIGHTS_REC709, 0.0)
-    if len(rows) == 1 and rows[0, 17] > 0.5:
-        return np.concatenate([rows[0, 0:3], rows[0, 9:12], [light[0]], rows[0, 15:18]])
+    if rows[0, 17] > 0.5:  # of a lamp with three tables the brightest stands for all
+        first = rows[int(np.argmax(light))]
+        return np.concatenate([first[0:3], first[9:12], [light.sum()], first[15:18], first[20:24]])
     centre = np.average(rows[:, 0:3] + (rows[:, 3:6] + rows[:, 6:9]) / 3.0, axis=0, weights=light + 1e-30)
     axis = np.average(rows[:, 9:12], axis=0, weights=light + 1e-30)
     lean = np.linalg.norm(axis)
     if lean < 0.5:  # it shines all around
-        return np.concatenate([centre, [0.0, 0.0, 1.0], [light.sum() / 4.0], [1e9, 1.0, 1.0]])
-    return np.concatenate([centre, axis / lean, [light.sum()], [0.0, 1.0, 0.0]])
+        return np.concatenate([centre, [0.0, 0.0, 1.0], [light.sum() / 4.0], [1e9, 1.0, 1.0], _NO_TABLE])
+    return np.concatenate([centre, axis / lean, [light.sum()], [0.0, 1.0, 0.0], _NO_TABLE])
+
+
+_NO_TABLE = [-1.0, 0.0, 0.0, 0.0]
+
+
+def _between_nodes() -> np.ndarray:
+    """(N, N) angles [rad] between the directions of all nodes of a table."""
+    rows, columns = NODES
+    polar, around = np.arange(rows)[:, None] * np.pi / (rows - 1), np.arange(columns)[None] * 2.0 * np.pi / columns
+    way = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar) + 0.0 * around], axis=-1).reshape(-1, 3)
+    return np.arccos(np.clip(way @ way.T, -1.0, 1.0))
+
+
+def _spread(table: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """A table at `NODES`: the most that it has up to the next nodes, or (N, N) `share` of what it has elsewhere, whichever is more."""
+    rows, columns = NODES
+    high = np.empty(NODES)
+    polar, around = np.linspace(0.0, rows - 1.0, table.shape[0]), np.arange(table.shape[1]) * columns / table.shape[1]
+    for row in range(rows):
+        ring = table[np.abs(polar - row) <= 1.0].max(axis=0)
+        for column in range(columns):
+            apart = np.abs((around - column + columns / 2) % columns - columns / 2)
+            high[row, column] = ring[apart <= 1.0].max() if table.shape[1] >= columns else ring.max()
+    high[0], high[-1] = high[0].max(), high[-1].max()
+    return np.asarray((high.ravel()[None] * share).max(axis=1).reshape(NODES))

@@ -31,6 +31,9 @@ from synfog_usd.render.fogpath import AIR, LAYERS, Cells, FogPath, Random
 Array = npt.NDArray[np.float64]
 
 COLUMN_DEG = 1.5
+COLUMNS_PARALLEL = 40
+"""Of an orthographic camera's view."""
+
 SLICES = 12
 SIDE = 8
 """Most rays along each side of a pixel whose ends are looked up in the grid; jittered, their noise falls by their number to the power 1.5 (Mitchell 1996)."""
@@ -67,7 +70,8 @@ class Field(FogPath):
     def cells(self) -> Cells:
         """How the view is cut; never finer than its pixels."""
         camera = self.loaded.source.camera
-        columns = max(2, min(round(camera.fov_x_deg / COLUMN_DEG), camera.width_px))
+        wanted = COLUMNS_PARALLEL if camera.width_m > 0.0 else round(camera.fov_x_deg / COLUMN_DEG)
+        columns = max(2, min(wanted, camera.width_px))
         return Cells(columns, max(2, min(round(columns * camera.height_px / camera.width_px), camera.height_px)), SLICES)
 
     def grid(self) -> Grid | None:

@@ -21,6 +21,7 @@ from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.fogpath import AIR, LAMPS, LAYERS, SURFACE, FogPath
 from synfog_usd.render.load import Loaded, make_sensor
+from synfog_usd.render.motion import moved
 from synfog_usd.seeds import seed32
 
 LANES_PER_PASS = 1 << 21
@@ -294,6 +295,8 @@ def _side_by_side(loaded: Loaded, integrator: Any, count: int, seed: int) -> tup
     corner = mi.Point2f(mi.Float(index % camera.width_px), mi.Float(index // camera.width_px))
     place = (corner + mi.Point2f(sampler.next_2d())) / mi.Point2f(camera.width_px, camera.height_px) + mi.Point2f(*loaded.offset)
     ray, weight = loaded.sensor.sample_ray_differential(0.0, 0.5, place, mi.Point2f(sampler.next_2d()))
+    if camera.moves:
+        ray = moved(ray, camera, sampler.next_1d())
     radiance, _, _ = integrator.sample(loaded.scene, sampler, ray, loaded.camera_medium, True)
     radiance = mi.Color3f(radiance * weight)
     finite = dr.all(dr.isfinite(radiance))

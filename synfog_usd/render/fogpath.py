@@ -32,8 +32,10 @@ from synfog_usd.render import backend
 from synfog_usd.render.air import Air, transmittance
 from synfog_usd.render.bands import Bands
 from synfog_usd.render.beacons import TOWARDS, Beacons
+from synfog_usd.render.lampgrid import TILES, LampGrid
 from synfog_usd.render.lamps import Lamps
 from synfog_usd.render.load import Loaded
+from synfog_usd.render.motion import moved
 from synfog_usd.render.slabfield import SlabField
 
 RR_DEPTH = 8
@@ -156,7 +158,8 @@ class FogPath:
             own sample finds a sky better.
         slab: the layer that is known already, or None.
         method: what to leave out.
-        groups: names of the light groups; `group_of_emitter` (E,) tells the scene's own emitters' by their index.
+        groups: names of the light groups; `group_of_emitter` (E,) tells the number of the scene's own emitters by their index, `lamps` of the
+            others: that of the group times `bands.kinds`, plus the kind of light.
         bands: what a path carries; R, G and B unless told otherwise.
     """
 
@@ -180,6 +183,11 @@ class FogPath:
         self.chosen = others > 0 or (sky and slab is None)
         self.group_names, self.groups, self.group_of_emitter = groups, len(groups), group_of_emitter
         self.sky_group = groups.index("sky") if "sky" in groups else 0
+        self.grid_of_lamps, self.seen_lamps = None, None
+        if lamps.count and lamps.many and lamps.photometric:
+            sigma_t = air.volumes[0].medium.sigma_t_per_m if air.foggy else 0.0
+            self.grid_of_lamps = LampGrid(lamps, sigma_t, loaded.source.camera.to_world[:3, 3].copy())
+            self.seen_lamps = self.grid_of_lamps.seen(self, air) if air.foggy else None
         self.beacons = Beacons(lamps, air, loaded.source.camera.to_world[:3, 3])
         self.survives = dr.opaque(backend.mitsuba().Float, _survival(air))
         self.limited = self.method.scatterings < UNLIMITED
@@ -228,6 +236,7 @@ class FogPath:
         corner, bands = self.corner(pixel), self.bands
         single, squares, lost = bands.black(), bands.black(), mi.UInt32(0)
         sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []
+        known = None if self.seen_lamps is None else (self.seen_lamps, self.tile(pixel))
         begun = mi.UInt32(0)
         while begun < wanted:
             sampler = Random(image_seed, pixel, first + begun)
@@ -235,18 +244,27 @@ class FogPath:
             si = self.loaded.scene.ray_intersect_preliminary(ray, False)
             near, far = self.air.span(ray.o, ray.d)
             stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)
-            where, lamp, colour, group = self.lamps.along(ray.o, ray.d, near, stop, self.air, sampler, stop > near)
+            where, lamp, colour, group = self.lamps.along(ray.o, ray.d, near, stop, self.air, sampler, stop > near, known)
             free, reach_lamp = self.clear_to(where, mi.Normal3f(0.0), lamp, dr.max(colour) > 0.0)
-            light = dr.select(free, bands.even(weight) * bands.light(colour) * reach_lamp, bands.black())
+            light = dr.select(free, bands.even(weight) * self.light(colour, group) * reach_lamp, bands.black())
             if dr.hint(bands.coloured, mode="scalar"):
                 light *= bands.scattered() * bands.fade(self.air.depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
             finite = dr.all(dr.isfinite(light))
             light = dr.select(finite, light, 0.0)
             single, squares = single + light, squares + light * light
-            sums = _to_group(sums, light, group)
+            sums = _to_group(sums, light, self.numbered(group))
             lost += dr.select(finite, mi.UInt32(0), mi.UInt32(1))
             begun += 1
         return Sums((single,), squares, tuple(sums), lost)
+
+    def known_near(self, place: Any) -> Any:
+        """Chances of the lamps at points, where there are too many to ask them all."""
+        return None if self.grid_of_lamps is None else (self.grid_of_lamps.near, self.grid_of_lamps.cell(place))
+
+    def tile(self, pixel: Any) -> Any:
+        """Number of the tile of the view in which pixels lie."""
+        camera = self.loaded.source.camera
+        return pixel % camera.width_px * TILES[0] // camera.width_px + TILES[0] * (pixel // camera.width_px * TILES[1] // camera.height_px)
 
     def corner(self, pixel: Any, cells: Cells | None = None) -> Any:
         """(u, v) of the top left corners of pixels, or of cells, in pixels."""
@@ -372,9 +390,12 @@ class FogPath:
                 lit = active & ~at_eye & (stop > near)
                 if dr.hint(self.limited, mode="scalar"):
                     lit &= scattered < self.method.scatterings
-                where, lamp, colour, group = self.lamps.along(ray.o, ray.d, near, stop, air, sampler, lit)
+                asked = None
+                if dr.hint(self.grid_of_lamps is not None, mode="scalar"):
+                    asked = self.known_near(ray(air.reach(ray.o, ray.d, dr.minimum(-dr.log(1.0 - sampler.next_1d(lit)), 3.0), near, stop)))
+                where, lamp, colour, group = self.lamps.along(ray.o, ray.d, near, stop, air, sampler, lit, asked)
                 free, reach_lamp = self.clear_to(where, mi.Normal3f(0.0), lamp, lit & (dr.max(colour) > 0.0))
-                light = dr.select(free, throughput * bands.light(colour) * reach_lamp, black)
+                light = dr.select(free, throughput * self.light(colour, group) * reach_lamp, black)
                 if dr.hint(bands.coloured, mode="scalar"):
                     light *= bands.scattered() * bands.fade(air.depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
                 path, layers, sums = self.record(path, layers, sums, light, scattered + 1, group)
@@ -400,8 +421,9 @@ class FogPath:
             if dr.hint(slab is not None, mode="scalar"):  # no shadow ray looks for the sky
                 weight = dr.select(met, weight, 1.0)
             weight = dr.select(last_exact, 1.0, weight)  # a lamp's face counts here only for the eye and for mirrors
-            light = dr.select(ended, throughput * weight * bands.light(emitter.eval(si, ended)), black)
-            path, layers, sums = self.record(path, layers, sums, light, scattered, self.group(emitter, ended))
+            group = self.group(emitter, ended)
+            light = dr.select(ended, throughput * weight * self.light(emitter.eval(si, ended), group), black)
+            path, layers, sums = self.record(path, layers, sums, light, scattered, group)
 
             # The vertex: in the fog or on a surface.
             vertex = dr.zeros(mi.Interaction3f)
@@ -410,7 +432,7 @@ class FogPath:
             vertex.t = dr.select(turned, flight, si.t)
             if dr.hint(self.foggy, mode="scalar"):
                 throughput = dr.select(turned, throughput * air.albedo(vertex.p), throughput)
-            bsdf = si.bsdf()
+            bsdf, reading = bands.surface(si.bsdf(), met)
             scattered += dr.select(turned, mi.UInt32(1), mi.UInt32(0))
             bounces += dr.select(met, mi.UInt32(1), mi.UInt32(0))
             alive = met | turned
@@ -427,7 +449,7 @@ class FogPath:
                     lit &= sent.emitter != sky
             lit &= sent.pdf > 0.0
             reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(context, si, si.to_local(sent.d), sampler.next_1d(met), sampler.next_2d(met), met)
-            value, gain = bands.reflectance(reflected), bands.reflectance(kept)
+            value, gain = bands.reflectance(reflected, reading), bands.reflectance(kept, reading)
             if dr.hint(self.foggy, mode="scalar"):
                 turn_value = air.phase.value(dr.dot(ray.d, sent.d))
                 value = dr.select(turned, bands.even(mi.Color3f(turn_value)), value)
@@ -435,13 +457,14 @@ class FogPath:
             if dr.hint(self.chosen, mode="scalar"):
                 free, reach_light = self.clear_to(vertex.p, vertex.n, sent.p, lit)
                 weight = dr.select(sent.delta, 1.0, _share(sent.pdf, pdf))
-                light = dr.select(free, throughput * value * bands.light(power) * (weight * reach_light), black)
-                path, layers, sums = self.record(path, layers, sums, light, scattered, self.group(sent.emitter, free))
+                group = self.group(sent.emitter, free)
+                light = dr.select(free, throughput * value * self.light(power, group) * (weight * reach_light), black)
+                path, layers, sums = self.record(path, layers, sums, light, scattered, group)
             if dr.hint(self.lamps.count > 0, mode="scalar"):
-                lamp, colour, group = self.lamps.at(si.p, si.n, sampler, smooth)
+                lamp, colour, group = self.lamps.at(si.p, si.n, sampler, smooth, self.known_near(si.p))
                 free, reach_lamp = self.clear_to(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
                 reflected = bsdf.eval(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
-                light = dr.select(free, throughput * bands.reflectance(reflected) * bands.light(colour) * reach_lamp, black)
+                light = dr.select(free, throughput * bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp, black)
                 path, layers, sums = self.record(path, layers, sums, light, scattered, group)
 
             # Onward.
@@ -450,7 +473,7 @@ class FogPath:
             onward = dr.select(met, throughput * gain, throughput)
             if dr.hint(slab is not None, mode="scalar"):
                 known = met & slab.holds(vertex.p)
-                matte, normal = self.matte(context, si, bsdf, known & smooth)
+                matte, normal = self.matte(context, si, bsdf, reading, known & smooth)
                 light = throughput * matte * slab.irradiance(vertex.p, normal, known) * dr.inv_pi
                 cosine = dr.dot(direction, normal)
                 expected = dr.select(next_exact | (cosine <= 0.0), 0.0, cosine * dr.inv_pi / dr.maximum(next_pdf, 1e-20))
@@ -517,16 +540,24 @@ class FogPath:
         else:
             once = scattered <= 1
             layers = [layers[0] + dr.select(once, clean, 0.0), layers[1] + dr.select(once, 0.0, clean)]
-        return path, layers, _to_group(sums, clean, group)
+        return path, layers, _to_group(sums, clean, self.numbered(group))
+
+    def numbered(self, group: Any) -> Any:
+        """Light group of a lamp's number."""
+        return group // self.bands.kinds if self.bands.kinds > 1 else group
+
+    def light(self, colour: Any, group: Any) -> Any:
+        """A lamp's light in all bands."""
+        return self.bands.light(colour, group % self.bands.kinds if self.bands.kinds > 1 else None)
 
     def group(self, emitter: Any, active: Any) -> Any:
-        """Light group of the scene's own emitters."""
+        """Number of the scene's own emitters: light group x kinds of light + kind."""
         mi = backend.mitsuba()
-        if self.groups < 2:
+        if self.groups < 2 and self.bands.kinds < 2:
             return mi.UInt32(0)
         return dr.gather(mi.UInt32, self.group_of_emitter, dr.reinterpret_array(mi.UInt32, emitter), active)
 
-    def matte(self, context: Any, si: Any, bsdf: Any, active: Any) -> tuple[Any, Any]:
+    def matte(self, context: Any, si: Any, bsdf: Any, reading: Any, active: Any) -> tuple[Any, Any]:
         """A diffuse reflectance that stands for a BSDF in the layer's light, and the normal of the side that is seen.
 
         Any value leaves the mean as it is, if the BSDF's own sampling covers the
@@ -538,7 +569,7 @@ class FogPath:
         back = mi.Vector3f(si.wi.x / flat * 0.8660254, si.wi.y / flat * 0.8660254, 0.5 * facing)
         value, pdf = bsdf.eval_pdf(context, si, back, active)
         fits = active & (pdf > 0.1 * dr.inv_pi)  # a fifth of the cosine's density at 60 degrees
-        return self.bands.reflectance(dr.select(fits, dr.minimum(value * (2.0 * dr.pi), 1.0), 0.0)), mi.Vector3f(si.sh_frame.n) * facing
+        return self.bands.reflectance(dr.select(fits, dr.minimum(value * (2.0 * dr.pi), 1.0), 0.0), reading), mi.Vector3f(si.sh_frame.n) * facing
 
     def clear_to(self, place: Any, normal: Any, light: Any, active: Any) -> tuple[Any, Any]:
         """(whether nothing stands between a point and a light, transmittance of the fog between: one for all bands, or one each)."""
@@ -572,6 +603,8 @@ class FogPath:
         if camera.near_m <= LENS_M:  # nothing stands before the near plane: begin at the lens, so that no fog is left out
             ahead = mi.Vector3f(*(-camera.to_world[:3, 2]).tolist())
             ray.o = ray.o - ray.d * (camera.near_m / dr.dot(ray.d, ahead))
+        if camera.moves:
+            ray = moved(ray, camera, sampler.next_1d(active))
         return ray, weight
 
 

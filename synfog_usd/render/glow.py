@@ -33,7 +33,7 @@ from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog.glow import NORMAL_COLUMNS, TAU, TAU_ROWS, THETA_COLUMNS, glow_table
 from synfog_usd.progress import Progress, silent
-from synfog_usd.render import backend, film, fogpath
+from synfog_usd.render import backend, film, fogpath, luminaire
 from synfog_usd.render.air import Air
 from synfog_usd.render.fogpath import FogPath, Method, Random
 from synfog_usd.render.lamps import Lamps, is_handled, lamp_rows
@@ -54,7 +54,7 @@ SKY_SHARE = 0.05
 
 SKIES = ("constant", "envmap")
 SOLIDS = ("sphere", "rectangle", "disk")
-LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea")
+LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea", luminaire.TYPE)
 
 BEAM_ORDERS = 64
 BEAM_ANGLES = 129
@@ -177,7 +177,8 @@ class Glow:
             stop = dr.maximum(dr.select(lit, si.t, far), near)
             through = dr.exp(-self.sigma * (stop - near))
             begin, end = ray(near), ray(stop)
-            matte, normal = path.matte(context, si, si.bsdf(), lit)
+            bsdf, reading = path.bands.surface(si.bsdf(), lit)
+            matte, normal = path.matte(context, si, bsdf, reading, lit)
             light, once, more = mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0)
             index = mi.UInt32(0)
             while index < self.number:
@@ -242,7 +243,9 @@ class _Lamp:
             self.colour = rows[:, 12:15].sum(axis=0)
             mean = share @ rows[:, 9:12]
             self.axis = mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 1e-3 else np.array([0.0, 0.0, 1.0])
-            if part["type"] == "mesh":
+            if part["type"] == luminaire.TYPE:
+                self.moments = _tabled(part, orders)
+            elif part["type"] == "mesh":
                 self.moments = _clamped_cosine(orders) * (share @ np.polynomial.legendre.legvander(np.clip(rows[:, 9:12] @ self.axis, -1.0, 1.0), orders - 1))
             else:
                 self.moments = _beam(rows[0, 15], rows[0, 16], orders)
@@ -290,6 +293,16 @@ def _beam(cutoff: float, slope: float, orders: int) -> Array:
     angle = (node + 1.0) / 2.0 * cutoff
     value = np.clip((cutoff - angle) * slope, 0.0, 1.0) if slope < 1e8 and cutoff < math.pi else np.ones_like(angle)
     return math.pi * cutoff * (value * np.sin(angle) * weight) @ np.polynomial.legendre.legvander(np.cos(angle), orders - 1)
+
+
+def _tabled(light: Mapping[str, Any], orders: int) -> Array:
+    """(L,) moments of a lamp's table, by luminance, as a share of the peaks that its rows have for colour."""
+    table = luminaire.table_of(light)
+    weight = np.asarray(light["intensity"]["value"]) * LUMINANCE_WEIGHTS_REC709
+    rings = (table @ weight if table.shape[2] == 3 else table[:, :, 0] * weight.sum()).mean(axis=1)
+    peak = float(table.max(axis=(0, 1)) @ weight if table.shape[2] == 3 else table.max() * weight.sum())
+    cosines = np.cos(np.linspace(0.0, math.pi, len(table)))
+    return np.asarray((rings * luminaire.ring_weights(len(table))) @ np.polynomial.legendre.legvander(cosines, orders - 1) / max(peak, 1e-30))
 
 
 def _mean_radiance(lamp: _Lamp, eye: Array, medium: Any) -> float:

@@ -1,6 +1,6 @@
 """Lamps as a path tracer wants them: by where they matter, not one in a hundred by chance.
 
-Spots, points and lit mesh faces are held as arrays.  For a stretch of a ray in fog,
+Spots, points, lamps with a table of their light (`luminaire`) and lit mesh faces are held as arrays.  For a stretch of a ray in fog,
 each lamp in turn is asked what it would scatter into the ray from two places, dimmed
 by the fog: one drawn evenly over the angle under which it sees the stretch (Kulla and
 Fajardo 2012), one by the forward peak of the phase function over the same angle, both
@@ -13,6 +13,7 @@ of the noise; what is left is shadow.  It is unbiased.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -20,7 +21,8 @@ import drjit as dr
 import numpy as np
 
 from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
-from synfog_usd.render import backend
+from synfog_usd.render import backend, luminaire
+from synfog_usd.render.lampgrid import Choice
 
 MOST = 12
 """Lamps that are all asked."""
@@ -36,14 +38,16 @@ def is_handled(part: Any) -> bool:
     """Whether a shape or light of a scene is one that `Lamps` holds."""
     if not isinstance(part, Mapping):
         return False
-    if part.get("type") in ("spot", "point"):
+    if part.get("type") in ("spot", "point", luminaire.TYPE):
         return "texture" not in part
     emitter = part.get("emitter")
     return part.get("type") == "mesh" and isinstance(emitter, Mapping) and emitter.get("radiance", {}).get("type") == "rgb"
 
 
 def lamp_rows(part: Mapping[str, Any]) -> np.ndarray:
-    """(N, 20) a row for a spot or point, one for each face of a mesh; columns at `_COLUMNS`."""
+    """(N, 24) a row for a spot or point, one for each face of a mesh, one for each channel of a table; columns at `_COLUMNS`."""
+    if part["type"] == luminaire.TYPE:
+        return _photometric(part)
     return _faces(part) if part["type"] == "mesh" else _beam(part)
 
 
@@ -58,10 +62,14 @@ class Lamps:
 
     def __init__(self, world: Mapping[str, Any], groups: Mapping[str, int], mean_cosine: float = 0.87) -> None:
         rows: list[np.ndarray] = []
+        self.tables: list[np.ndarray] = []
+        known: dict[tuple[Any, ...], int] = {}
         for key, part in world.items():
             if is_handled(part):
                 block = lamp_rows(part)
                 block[:, 19] = groups.get(key, 0)
+                if part["type"] == luminaire.TYPE:
+                    block[:, 20] = [self._kept(table, known) for table in _channels(part)]
                 block = block[_light(block) > 0.0]
                 rows += [block] if len(block) else []
         self.parts = rows
@@ -71,26 +79,43 @@ class Lamps:
         mi = backend.mitsuba()
         table = np.concatenate(rows)
         self.faces = mi.DiscreteDistribution(mi.Float(np.concatenate([_light(block) / _light(block).sum() for block in rows]).astype(np.float32)))
-        self.table = [mi.Float(column.astype(np.float32)) for column in (*table.T[:18], table.T[19])]
+        self.photometric = bool(self.tables)
+        self.table = self.columns(table)
+        self.light = luminaire.Tables(self.tables) if self.photometric else None
         self.begin = mi.Float((np.arange(self.count) / self.count).astype(np.float32))  # each lamp's share of the faces' distribution
         self.share = dr.opaque(mi.Float, 1.0 / self.count)
         drawn = np.array([_light(block).max() * np.sqrt(block[0, 18]) for block in rows])
         self.choice = mi.DiscreteDistribution(mi.Float(drawn.astype(np.float32)))
         g = min(max(abs(mean_cosine), 0.2), 0.99)
         self.width = dr.opaque(mi.Float, (1.0 - g) / np.sqrt(g))  # of Henyey and Greenstein's peak, 1 + g^2 - 2 g cos = (1 - g)^2 + g angle^2 + ...
+        self.even = drawn / drawn.sum()
         self.many = self.count > MOST
         self.asked = dr.opaque(mi.UInt32, DRAWN if self.many else self.count)
         dr.make_opaque(self.table, self.begin)
 
+    def columns(self, table: np.ndarray) -> list[Any]:
+        """A kernel's columns of rows (N, 24): all but the solid angle, and what tables need only where there are any."""
+        mi = backend.mitsuba()
+        return [mi.Float(column.astype(np.float32)) for column in (*table.T[:18], table.T[19], *(table.T[20:24] if self.photometric else ()))]
+
+    def _kept(self, table: np.ndarray, known: dict[tuple[Any, ...], int]) -> int:
+        """Number of a table among all; lamps of one make share one."""
+        key = (table.shape, hashlib.sha256(table.tobytes()).digest())
+        if key not in known:
+            known[key] = len(self.tables)
+            self.tables.append(table)
+        return known[key]
+
     def _row(self, index: Any, active: Any) -> list[Any]:
         return [dr.gather(type(column), column, index, active) for column in self.table]
 
-    def _candidate(self, number: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
-        """A point on a lamp: (position, its row, its probability among all that could have been asked)."""
+    def _candidate(self, number: Any, sampler: Any, active: Any, known: tuple[Choice, Any] | None = None) -> tuple[Any, Any, Any]:
+        """A point on a lamp: (position, its row, its probability among all that could have been asked); `known` are chances by place, and the place's row."""
         mi = backend.mitsuba()
         probability = mi.Float(1.0)
         if self.many:
-            number, probability = self.choice.sample_pmf(sampler.next_1d(active), active)
+            u = sampler.next_1d(active)
+            number, probability = self.choice.sample_pmf(u, active) if known is None else known[0].sample(known[1], u, active)
             probability = probability * self.asked
         at = dr.gather(mi.Float, self.begin, number, active) + dr.clip(sampler.next_1d(active), 1e-5, 0.99999) * self.share
         index = self.faces.sample(at, active)
@@ -101,21 +126,28 @@ class Lamps:
         position = mi.Point3f(*row[0:3]) + mi.Vector3f(*row[3:6]) * (1.0 - root) + mi.Vector3f(*row[6:9]) * (u.y * root)
         return position, row, probability
 
-    def _sent(self, row: list[Any], direction: Any) -> Any:
+    def sent(self, row: list[Any], direction: Any) -> Any:
         """Intensity in a direction away from the lamp, as a share of the row's colour."""
         mi = backend.mitsuba()
         cosine = dr.dot(mi.Vector3f(*row[9:12]), direction)
         beam = dr.clip((row[15] - dr.acos(dr.clip(cosine, -1.0, 1.0))) * row[16], 0.0, 1.0)
-        return dr.select(row[17] > 0.5, beam, dr.maximum(cosine, 0.0))
+        sent = dr.select(row[17] > 0.5, beam, dr.maximum(cosine, 0.0))
+        if self.light is None:
+            return sent
+        tabled = row[19] >= 0.0
+        axis, x = mi.Vector3f(*row[9:12]), mi.Vector3f(*row[20:23])
+        local = mi.Vector3f(dr.dot(x, direction), dr.dot(dr.cross(axis, x), direction), cosine)
+        return dr.select(tabled, self.light.at(mi.UInt32(dr.maximum(row[19], 0.0)), local, tabled), sent)
 
     @dr.syntax
-    def along(self, origin: Any, direction: Any, begin: Any, end: Any, air: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+    def along(self, origin: Any, direction: Any, begin: Any, end: Any, air: Any, sampler: Any, active: Any, known: Any = None) -> tuple[Any, Any, Any, Any]:
         """One lamp's light scattered once along a stretch of a ray.
 
         Args:
             origin, direction: the ray.
             begin, end: the stretch, as distances [m].
             air: the fog.
+            known: chances of the lamps and the row to take, see `LampGrid`; None to draw by flux and peak.
 
         Returns:
             where it scatters, where the lamp is, colour such that colour x transmittance
@@ -125,7 +157,7 @@ class Lamps:
         active = active & (end > begin)
         kept, index = _Reservoir(mi), mi.UInt32(0)
         while active & (index < self.asked):
-            lamp, row, probability = self._candidate(index, sampler, active)
+            lamp, row, probability = self._candidate(index, sampler, active, known)
             nearest = dr.dot(lamp - origin, direction)
             height = dr.maximum(dr.norm(lamp - (origin + direction * nearest)), 1e-4)
             # the angle by which light must turn grows along the ray from 0 to pi
@@ -144,7 +176,7 @@ class Lamps:
                 square = dr.maximum(dr.squared_norm(between), 1e-8)
                 towards = between * dr.rsqrt(square)
                 through = dr.exp(-air.depth_within(origin, direction, begin, distance))
-                strength = self._sent(row, towards) * air.phase.value(-dr.dot(towards, direction)) * through * air.scattering(place) / square
+                strength = self.sent(row, towards) * air.phase.value(-dr.dot(towards, direction)) * through * air.scattering(place) / square
                 value = mi.Color3f(*row[12:15]) * strength
                 dimmed = mi.luminance(value) * dr.exp(-air.media[0].sigma_t * dr.sqrt(square))
                 kept = kept.offered(place, lamp, value, row[18], dimmed, density * probability, sampler, active)
@@ -152,8 +184,8 @@ class Lamps:
         return kept.place, kept.lamp, kept.result(), mi.UInt32(kept.group)
 
     @dr.syntax
-    def at(self, place: Any, normal: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
-        """One lamp's light on a point.
+    def at(self, place: Any, normal: Any, sampler: Any, active: Any, known: Any = None) -> tuple[Any, Any, Any]:
+        """One lamp's light on a point; `known` as in `along`.
 
         Returns:
             where the lamp is, its irradiance across the ray (no cosine at the
@@ -162,11 +194,11 @@ class Lamps:
         mi = backend.mitsuba()
         kept, index = _Reservoir(mi), mi.UInt32(0)
         while active & (index < self.asked):
-            lamp, row, probability = self._candidate(index, sampler, active)
+            lamp, row, probability = self._candidate(index, sampler, active, known)
             between = place - lamp
             square = dr.maximum(dr.squared_norm(between), 1e-8)
             towards = between * dr.rsqrt(square)
-            value = mi.Color3f(*row[12:15]) * (self._sent(row, towards) / square)
+            value = mi.Color3f(*row[12:15]) * (self.sent(row, towards) / square)
             kept = kept.offered(place, lamp, value, row[18], mi.luminance(value) * (dr.abs(dr.dot(towards, normal)) + 1e-3), probability, sampler, active)
             index += 1
         return kept.lamp, kept.result(), mi.UInt32(kept.group)
@@ -216,9 +248,15 @@ class _Reservoir:
         return dr.select(self.target > 0.0, self.value * (self.sum / self.target), 0.0)
 
 
-_COLUMNS = 20
+_COLUMNS = 24
 """0-2 corner, 3-5 and 6-8 edges, 9-11 axis or normal, 12-14 colour [cd] (radiance x area of a face), 15 cutoff [rad], 16 1 / transition [1/rad], 17 is a spot,
-18 solid angle that it shines into, 19 light group (the table's last column)."""
+18 solid angle that it shines into, 19 light group, 20 number of its table or -1, 21-23 the table's +X."""
+
+
+def _blank(count: int) -> np.ndarray:
+    rows = np.zeros((count, _COLUMNS))
+    rows[:, 20] = -1.0
+    return rows
 
 
 def _faces(mesh: Mapping[str, Any]) -> np.ndarray:
@@ -226,7 +264,7 @@ def _faces(mesh: Mapping[str, Any]) -> np.ndarray:
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, other)
     double_area = np.linalg.norm(normal, axis=1)
-    rows = np.zeros((len(corners), _COLUMNS))
+    rows = _blank(len(corners))
     rows[:, 0:3], rows[:, 3:6], rows[:, 6:9] = corners[:, 0], one, other
     rows[:, 9:12] = normal / np.maximum(double_area, 1e-30)[:, None]
     rows[:, 12:15] = 0.5 * double_area[:, None] * np.asarray(mesh["emitter"]["radiance"]["value"], dtype=np.float64)
@@ -235,7 +273,7 @@ def _faces(mesh: Mapping[str, Any]) -> np.ndarray:
 
 
 def _beam(light: Mapping[str, Any]) -> np.ndarray:
-    row = np.zeros((1, _COLUMNS))
+    row = _blank(1)
     matrix = np.asarray(light.get("to_world", np.eye(4)), dtype=np.float64)
     row[0, 0:3] = light["position"] if "position" in light else matrix[:3, 3]
     row[0, 9:12] = matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
@@ -250,3 +288,23 @@ def _beam(light: Mapping[str, Any]) -> np.ndarray:
         row[0, 18] = 4.0 * np.pi
     row[0, 17] = 1.0
     return row
+
+
+def _channels(light: Mapping[str, Any]) -> list[np.ndarray]:
+    """A table (V, H) of largest value 1 for each channel of a lamp's own, or zeros."""
+    table = luminaire.table_of(light)
+    peaks = np.maximum(table.max(axis=(0, 1)), 1e-30)
+    return [np.ascontiguousarray((table[:, :, c] / peaks[c]).astype(np.float32)) for c in range(table.shape[2])]
+
+
+def _photometric(light: Mapping[str, Any]) -> np.ndarray:
+    """A row for all channels alike, or one for each."""
+    table = luminaire.table_of(light)
+    peaks, colour = table.max(axis=(0, 1)), np.broadcast_to(np.asarray(light["intensity"]["value"], dtype=np.float64), 3)
+    rows = _blank(len(peaks))
+    matrix = np.asarray(light["to_world"], dtype=np.float64)
+    rows[:, 0:3], rows[:, 9:12], rows[:, 21:24] = matrix[:3, 3], matrix[:3, 2] / np.linalg.norm(matrix[:3, 2]), matrix[:3, 0] / np.linalg.norm(matrix[:3, 0])
+    rows[:, 12:15] = peaks[:, None] * (np.diag(colour) if len(peaks) == 3 else colour[None])
+    flux = luminaire.ring_weights(len(table)) @ table.mean(axis=1)
+    rows[:, 15], rows[:, 16], rows[:, 17], rows[:, 18] = 1e9, 1.0, 1.0, flux / np.maximum(peaks, 1e-30)
+    return rows

@@ -7,7 +7,7 @@ the way is integrated in closed form.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -81,15 +81,18 @@ def measure(loaded: Loaded) -> Layers:
     width, height = camera.width_px, camera.height_px
     tracer = _Tracer(loaded)
     origin, direction = tracer.centre_rays(width, height)
-    eye, forward = camera.to_world[:3, 3], -camera.to_world[:3, 2]
+    forward = -camera.to_world[:3, 2]
     count = len(origin)
+    eye = np.broadcast_to(camera.to_world[:3, 3], origin.shape)
+    if camera.width_m > 0.0:  # each ray begins at a place of its own, in the plane of the lens
+        eye = origin - ((origin - eye) @ forward)[:, None] * forward
 
     distance, normal, thing = np.full(count, np.inf), np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
     tau = np.zeros(count)
     surrounding = camera_fog(loaded.source) if loaded.boundaries else None
     medium = np.full(count, -1 if surrounding is None else surrounding)
     parents = np.array([-1 if volume.parent is None else volume.parent for volume in fog] + [-1])
-    start = np.broadcast_to(eye, origin.shape).copy()
+    start = eye.copy()
     alive = np.arange(count)
     for _ in range(MAX_CROSSINGS):
         if not alive.size:
@@ -109,16 +112,30 @@ def measure(loaded: Loaded) -> Layers:
         medium[alive[crossed]] = entering[crossed]
         stopped = ~crossed & (hits.see_through < 0.5)
         ended = alive[stopped]
-        distance[ended] = np.linalg.norm(hits.position[stopped] - eye, axis=1)
+        distance[ended] = np.linalg.norm(hits.position[stopped] - eye[ended], axis=1)
         facing = np.where(np.sum(hits.normal * direction[alive], axis=1) > 0.0, -1.0, 1.0)
         normal[ended], thing[ended] = (hits.normal * facing[:, None])[stopped], hits.thing[stopped]
         alive = alive[~stopped]
 
     if fog and not loaded.boundaries:
-        tau = optical_depth(fog, np.broadcast_to(eye, direction.shape), direction, distance)
+        tau = optical_depth(fog, eye, direction, distance)
     depth = np.where(np.isfinite(distance), np.where(np.isfinite(distance), distance, 0.0) * (direction @ forward), np.inf)
     shape = (height, width)
     return Layers(distance.reshape(shape), depth.reshape(shape), normal.reshape(height, width, 3), thing.reshape(shape), np.exp(-tau).reshape(shape))
+
+
+def seen_through(loaded: Loaded, clear: Layers) -> Layers:
+    """The layers of a whole scene, through the fog of one that has less in it.
+
+    Args:
+        loaded: the scene with its fog, in boxes and balls, and a camera of the size of `clear`.
+        clear: what the same rays meet in clear air.
+    """
+    camera = loaded.source.camera
+    _, direction = _Tracer(loaded).centre_rays(camera.width_px, camera.height_px)
+    eye = np.broadcast_to(camera.to_world[:3, 3], direction.shape)
+    depth = optical_depth(loaded.source.fog, eye, direction, clear.distance_m.ravel())
+    return replace(clear, transmittance=np.exp(-depth).reshape(clear.distance_m.shape))
 
 
 def _rows(hits: Hits, keep: npt.NDArray[np.bool_]) -> Hits:
@@ -188,7 +205,8 @@ class _Tracer:
         u, v = (x + 0.5) / width + self.loaded.offset[0], (y + 0.5) / height + self.loaded.offset[1]
         if not self.scalar:
             ray, _ = self.loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(u, v), mi.Point2f(0.5))
-            return np.array(ray.o, dtype=np.float64).T, np.array(ray.d, dtype=np.float64).T
+            origin = np.array(ray.o, dtype=np.float64).T
+            return origin, np.array(np.broadcast_to(np.array(ray.d, dtype=np.float64).T, origin.shape))  # parallel rays come as one
         rays = [self.loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(a, b), mi.Point2f(0.5))[0] for a, b in zip(u, v, strict=True)]
         return np.array([ray.o for ray in rays], dtype=np.float64), np.array([ray.d for ray in rays], dtype=np.float64)
 

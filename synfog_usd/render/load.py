@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,13 @@ import numpy as np
 from synfog_usd.errors import StageError
 from synfog_usd.fog import Boundary, FogMedium
 from synfog_usd.fog.phase import HenyeyGreenstein
-from synfog_usd.render import backend
+from synfog_usd.render import backend, luminaire
 from synfog_usd.render.flatten import FaceThings, flatten
 from synfog_usd.render.lamps import is_handled
 from synfog_usd.render.phases import plugin
 from synfog_usd.scene import Camera, SceneDict
 
-LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea")
+LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea", luminaire.TYPE)
 
 GRID_SLICES = 512
 """Height steps of an exponential fog; linear between them, a step of a tenth of the scale height errs by (1/10)^2 / 8 = 0.13 %."""
@@ -42,6 +42,8 @@ class Loaded:
         offset: (u, v) to add to a film position; a thin lens cannot shift its axis by itself.
         source: the scene it was made from, with its meshes joined.
         face_things: key of a joined mesh -> label id of each face.
+        parts: key -> object, of all that `source` names but what stands inside of groups.
+        twins: key of a material -> the object that takes its place where paths carry bands, see `surfaces`; made when it is first asked for.
     """
 
     scene: Any
@@ -52,6 +54,8 @@ class Loaded:
     offset: tuple[float, float]
     source: SceneDict
     face_things: FaceThings
+    parts: Mapping[str, Any] = field(default_factory=dict)
+    twins: dict[str, Any] = field(default_factory=dict)
 
 
 def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> Loaded:
@@ -67,6 +71,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
         StageError: Mitsuba refuses a part; names its key.
     """
     mi = backend.mitsuba()
+    luminaire.register()
     gc.collect()  # a scene before this one must give its ids back, else every kernel is compiled anew
     if size is not None:
         source = replace(source, camera=replace(source.camera, width_px=size[0], height_px=size[1]))
@@ -121,10 +126,22 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
         top[f"fog_{index}"] = fog_shapes[index]
 
     surrounding = camera_fog(source) if drawn else None
+    if drawn and source.camera.width_m > 0.0:
+        _check_lens(source, surrounding)
     medium = None if surrounding is None else media[surrounding]
     camera = source.camera
     offset = (camera.shift[0], -camera.shift[1]) if is_thin_lens(camera) else (0.0, 0.0)
-    return Loaded(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_things)
+    return Loaded(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_things, made)
+
+
+def make_bsdf(part: Mapping[str, Any]) -> Any:
+    """A surface of a `SceneDict` by itself."""
+    mi = backend.mitsuba()
+
+    def convert(value: Any) -> dict[str, Any]:
+        return {name: convert(item) if isinstance(item, Mapping) else _leaf(mi, name, item) for name, item in value.items()}
+
+    return mi.load_dict(convert(part))
 
 
 def resized(loaded: Loaded, size: tuple[int, int]) -> Loaded:
@@ -142,6 +159,20 @@ def camera_fog(source: SceneDict) -> int | None:
     around = [index for index, volume in enumerate(source.fog) if volume.boundary.contains(position)[0]]
     depth = {index: _depth(source, index) for index in around}
     return max(around, key=lambda index: depth[index]) if around else None
+
+
+def _check_lens(source: SceneDict, surrounding: int | None) -> None:
+    """Refuse an orthographic camera whose rays begin in different fogs: Mitsuba's sensor stands in one."""
+    camera = source.camera
+    half = 0.5 * camera.width_m * np.array([1.0, camera.height_px / camera.width_px])
+    for x, y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+        place = camera.to_world.copy()
+        place[:3, 3] += camera.to_world[:3, :2] @ (half * (np.array([x, y]) + 2.0 * np.array(camera.shift)))
+        if camera_fog(replace(source, camera=replace(camera, to_world=place))) != surrounding:
+            raise StageError(
+                f"{camera.path}: the orthographic camera's rays begin in different fogs, which this model cannot tell apart; "
+                "move it wholly into or out of the fog, or use --model path"
+            )
 
 
 def _depth(source: SceneDict, index: int) -> int:
@@ -253,7 +284,7 @@ def _boundary_mesh(mi: Any, vertices: Any, faces: Any, parts: Mapping[str, Any])
 
 def is_thin_lens(camera: Camera) -> bool:
     """Whether the camera blurs what is out of focus."""
-    return camera.f_number > 0.0 and camera.focus_m > 0.0 and camera.focal_length_m > 0.0
+    return camera.f_number > 0.0 and camera.focus_m > 0.0 and camera.focal_length_m > 0.0 and not camera.width_m > 0.0
 
 
 def make_sensor(camera: Camera, medium: Any, *, pinhole: bool = False) -> Any:
@@ -270,6 +301,11 @@ def make_sensor(camera: Camera, medium: Any, *, pinhole: bool = False) -> Any:
     }
     if medium is not None:
         sensor["medium"] = medium
+    if camera.width_m > 0.0:
+        place = camera.to_world @ turn
+        place[:3, 3] += camera.to_world[:3, :2] @ (np.array(camera.shift) * camera.width_m * np.array([1.0, camera.height_px / camera.width_px]))
+        sensor["to_world"] = mi.ScalarTransform4f(place @ np.diag([0.5 * camera.width_m, 0.5 * camera.width_m, 1.0, 1.0]))
+        return mi.load_dict({"type": "orthographic", **{name: part for name, part in sensor.items() if name not in ("fov", "fov_axis")}})
     if is_thin_lens(camera) and not pinhole:
         radius = camera.focal_length_m / (2.0 * camera.f_number)
         return mi.load_dict({"type": "thinlens", "aperture_radius": radius, "focus_distance": camera.focus_m, **sensor})

@@ -5,7 +5,7 @@ Each model states where it holds, and refuses a scene outside of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,14 +74,16 @@ def _tracer(loaded: Loaded, *, layer: bool = False, gridded: bool = False, metho
     handled = sum(is_handled(part) for part in world.values())
     sky = loaded.scene.environment() is not None
     others = len(loaded.scene.emitters()) - sky - handled
-    carried = Bands(bands, loaded.source.fog)
+    spectra, kind_of = _emissions(loaded, bands)
+    carried = Bands(bands, loaded.source.fog, spectra)
+    carried.wear(loaded)
     air = Air(loaded.source.fog, carried.clearest)
     slab = None
     if layer:
-        slab, problem = make_slab(loaded, air, carried)
+        slab, problem = make_slab(loaded, air, carried, kind_of.get("light_sky", 0))
         if slab is None:
             raise ParameterError(f"the layer cannot be used here: {problem}")
-    names, numbers, of_emitter = _groups(loaded)
+    names, numbers, of_emitter = _groups(loaded, carried.kinds, kind_of)
     g = loaded.source.fog[0].medium.phase_function.mean_cosine if loaded.source.fog else 0.0
     lamps = Lamps(world, numbers, g)
     kind = Field if gridded else FogPath
@@ -96,21 +98,32 @@ def _index(emitter: Any) -> int:
     return int(dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))[0])
 
 
-def _groups(loaded: Loaded) -> tuple[tuple[str, ...], dict[str, int], Any]:
-    """Names of the light groups that are there, key of a lamp -> number, and number by the renderer's own index of emitters."""
+def _emissions(loaded: Loaded, bands: int) -> tuple[list[Any], dict[str, int]]:
+    """Spectra of lamps that have their own, each once, and key of a lamp -> its kind of light, from 1 on."""
+    known: dict[bytes, int] = {}
+    spectra, kind_of = [], {}
+    for key, curve in loaded.source.emission_of.items() if bands != RGB else ():
+        word = curve.tobytes()
+        if word not in known:
+            spectra.append(curve)
+            known[word] = len(spectra)
+        kind_of[key] = known[word]
+    return spectra, kind_of
+
+
+def _groups(loaded: Loaded, kinds: int, kind_of: Mapping[str, int]) -> tuple[tuple[str, ...], dict[str, int], Any]:
+    """Names of the light groups that are there; key of a lamp -> its number, group x kinds of light + kind; and the same by the renderer's own index."""
     import numpy as np
 
     mi, source = backend.mitsuba(), loaded.source
     shining = [key for key, part in source.world.items() if isinstance(part, dict) and ("emitter" in part or key.startswith("light_"))]
     names = tuple(sorted({source.group_of.get(key, OTHER) for key in shining})) or (OTHER,)
-    numbers = {key: names.index(source.group_of.get(key, OTHER)) for key in shining}
-    index_of = {key: _index(loaded.shapes[(key,)].emitter()) for key in shining if (key,) in loaded.shapes}
-    sky = names.index("sky") if "sky" in names else 0  # the environment and suns; spots and points are held as lamps
-    indices = [(index_of[key], numbers[key]) for key in index_of]
-    indices += [(index, sky) for emitter in loaded.scene.emitters() if (index := _index(emitter)) not in index_of.values()]
-    table = np.zeros(max((index for index, _ in indices), default=0) + 1, dtype=np.uint32)
-    for index, number in indices:
-        table[index] = number
+    numbers = {key: names.index(source.group_of.get(key, OTHER)) * kinds + kind_of.get(key, 0) for key in shining}
+    index_of = {key: _index(loaded.shapes[(key,)].emitter() if (key,) in loaded.shapes else loaded.parts[key]) for key in shining}
+    others = [_index(emitter) for emitter in loaded.scene.emitters()]  # a scene made by hand may name its lights otherwise: the sky's
+    table = np.full(max([*index_of.values(), *others], default=0) + 1, kinds * (names.index("sky") if "sky" in names else 0), dtype=np.uint32)
+    for key, index in index_of.items():
+        table[index] = numbers[key]
     return names, numbers, mi.UInt32(table)
 
 

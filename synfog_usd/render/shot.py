@@ -75,6 +75,7 @@ def render(
     bands: int | None = banding.RGB,
     denoise: bool = False,
     loaded: Loaded | None = None,
+    clear: layers.Layers | None = None,
     progress: Progress = silent,
 ) -> Rendered:
     """Transport light through one scene.
@@ -92,6 +93,7 @@ def render(
         bands: light that each path carries: 3 for R, G and B; 8, 16 or 31 wavelength bands; None lets the planner choose.
         denoise: smooth surface and airlight apart (see `denoise`); variance and error stay those of the samples.
         loaded: the scene as `load` gave it for this model and size, to render it again; None loads it.
+        clear: what the pixel-centre rays meet in clear air, where the scene has less in it than it should, see `cull`; None measures it.
         progress: told after each pass.
 
     Raises:
@@ -164,7 +166,8 @@ def render(
     )
     names = getattr(integrator, "group_names", ())
     groups = {name: exposure.take_group().reshape(shape).astype(np.float32) for name in names} if len(names) > 1 else {}
-    return Rendered(radiance, layers.measure(loaded), error, parts, groups, model, why, tuple(warnings), figures, spent, met)
+    seen = layers.measure(loaded) if clear is None else layers.seen_through(loaded, clear)
+    return Rendered(radiance, seen, error, parts, groups, model, why, tuple(warnings), figures, spent, met)
 
 
 def _denoised(loaded: Loaded, parts: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -181,8 +181,8 @@ class SlabField:
         return dr.lerp(low, high, y)
 
 
-def make_slab(loaded: Loaded, air: Air, bands: Bands | None = None) -> tuple[SlabField | None, str]:
-    """The layer that is most like a scene; else None and why there is none."""
+def make_slab(loaded: Loaded, air: Air, bands: Bands | None = None, sky_kind: int = 0) -> tuple[SlabField | None, str]:
+    """The layer that is most like a scene under a sky of this kind of light; else None and why there is none."""
     bands = bands or Bands()
     if bands.coloured:
         return None, "the layer is solved for fog that is grey, and this one has an Angstrom exponent"
@@ -204,6 +204,6 @@ def make_slab(loaded: Loaded, air: Air, bands: Bands | None = None) -> tuple[Sla
         return None, "the fog ends under the ground"
     up, sky, _ = mean_sky(loaded)
     if not bands.is_rgb:
-        albedo, sky = np.clip(albedo @ bands.reflectance_of, 0.0, 1.0), np.maximum(sky @ bands.light_of, 0.0)
+        albedo, sky = np.clip(albedo @ bands.reflectance_of, 0.0, 1.0), np.maximum(bands.light_in(sky, sky_kind), 0.0)
     slab = solve(volume.medium, bottom_m=height, top_m=top, ground=albedo, sky_up=up, sky=sky)
     return SlabField(slab, air, floor, bands), ""

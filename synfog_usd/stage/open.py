@@ -16,12 +16,13 @@ from typing import Concatenate, ParamSpec, TypeVar, cast
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
 from synfog_usd.errors import StageError, SynfogError, did_you_mean
+from synfog_usd.fence import LAYERS, Fence
 from synfog_usd.files import sha256_of
 from synfog_usd.scene import Note
 from synfog_usd.stage import budget
 from synfog_usd.stage.budget import MAX_DEPTH
-from synfog_usd.stage.fence import LAYERS, Fence
 from synfog_usd.stage.schema import FOG_VARIANT_SET, LIGHTING_VARIANT_SET
+from synfog_usd.stage.survey import read_layers
 from synfog_usd.stage.types import mistyped
 
 P = ParamSpec("P")
@@ -54,7 +55,7 @@ def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), allow_erro
         raise StageError(f"{path}: not a USD file by its name; it ends in one of {', '.join(LAYERS)}")
     fence = Fence.around(path, allow)
     try:
-        held = budget.read_layers(path, fence)
+        held = read_layers(path, fence)
         quiet = UsdUtils.CoalescingDiagnosticDelegate()  # what cannot be put together is told as notes, not on the terminal
         stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
         del held, quiet
@@ -64,6 +65,7 @@ def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), allow_erro
     session.customLayerData = {**session.customLayerData, _FOLDERS: Vt.StringArray([str(folder) for folder in fence.folders])}
     check_size(stage)
     _check_files(stage, fence)
+    _check_expressions(stage, fence)
     broken = [note for note in composition_notes(stage) if note.severity == "warning" and not note.text.endswith(MATERIALX)]
     if broken and not allow_errors:
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
@@ -140,10 +142,34 @@ def _check_files(stage: Usd.Stage, fence: Fence) -> None:
     used = [layer.realPath for layer in [*stage.GetUsedLayers(), *layers] if layer.realPath]
     for file in dict.fromkeys(str(_package(path)) for path in [*used, *assets]):
         if file != stage.GetRootLayer().realPath and (fault := fence.fault(file)):
-            raise StageError(f"{_who_names(file, layers) or _name(stage)}: {fault}")
+            raise StageError(f"{_named_in(file, layers) or _name(stage)}: {fault}")
 
 
-def _who_names(file: str, layers: Iterable[Sdf.Layer]) -> str:
+def _check_expressions(stage: Usd.Stage, fence: Fence) -> None:
+    """Refuse a composed file outside the fence that an expression leads to: a layer above may set its variables otherwise than its own does.
+
+    Raises:
+        StageError: with the attribute.
+    """
+    if not any(layer.expressionVariables for layer in stage.GetUsedLayers()):
+        return
+    for root in [stage.GetPseudoRoot(), *stage.GetPrototypes()]:
+        for attribute in (one for prim in Usd.PrimRange(root) for one in prim.GetAuthoredAttributes() if str(one.GetTypeName()) in ("asset", "asset[]")):
+            for time in [Usd.TimeCode.Default(), *attribute.GetTimeSamples()]:
+                value = attribute.Get(time)
+                for asset in [value] if isinstance(value, Sdf.AssetPath) else value or ():
+                    tiles = "<UDIM>" in asset.evaluatedPath and (asset.evaluatedPath.startswith("/") or ".." in asset.evaluatedPath)
+                    found = str(_package(asset.resolvedPath)) if asset.resolvedPath else asset.evaluatedPath if tiles else ""
+                    if found and (fault := fence.fault(found)):
+                        raise StageError(f"{attribute.GetPath()}: {fault}")
+
+
+def who_names(stage: Usd.Stage, file: str) -> str:
+    """Path of the first attribute whose value is a file, in whatever layer of a stage, or ''."""
+    return _named_in(file, [layer for layer in stage.GetUsedLayers() if not layer.anonymous])
+
+
+def _named_in(file: str, layers: Iterable[Sdf.Layer]) -> str:
     """Path of the first attribute or prim whose value is a file, or ''."""
     found: list[str] = []
     for layer in layers:
@@ -170,13 +196,24 @@ def composition_notes(stage: Usd.Stage) -> list[Note]:
     for error in stage.GetCompositionErrors():
         site = str(error.rootSite)
         path = site[site.rfind("<") + 1 : -1] if site.endswith(">") else ""
-        text = " ".join(str(error).split())
+        text = re.sub(r",@anon:[^@]*@", "", " ".join(str(error).split()))  # the session layer's name differs each time
         asset = re.match(r"Could not open asset @([^@]+)@", text)
         if asset and asset[1].endswith(_UNREADABLE):
             notes.append(Note("warning", path, f"refers to {asset[1]}; {MATERIALX}"))
         else:
             notes.append(Note("warning", path, text))
     return notes
+
+
+def authored_path(stage: Usd.Stage, path: str) -> str:
+    """Where an author finds a prim or property of a prototype: within the first of its instances; other paths as they are."""
+    while path.startswith("/__Prototype_"):
+        root, slash, rest = path.removeprefix("/").partition("/")
+        prototype = stage.GetPrimAtPath(f"/{root}")
+        if not prototype:
+            break
+        path = f"{min(str(one.GetPath()) for one in prototype.GetInstances())}{slash}{rest}"
+    return path
 
 
 def variants(stage: Usd.Stage) -> dict[str, list[str]]:
@@ -208,6 +245,7 @@ def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = N
         with Usd.EditContext(stage, Usd.EditTarget(stage.GetSessionLayer())):
             prim.GetVariantSet(name).SetVariantSelection(choice)
     check_size(stage)
+    _check_expressions(stage, fence_of(stage))
 
 
 def cameras(stage: Usd.Stage) -> list[str]:

@@ -41,6 +41,8 @@ def mistyped(stage: Usd.Stage) -> str | None:
                     break
             if _shape(found)[1] == "unknown":
                 return f"{attribute.GetPath()} is of a type that USD does not know, and one that it knows is wanted"
+            if isinstance(attribute.Get(Usd.TimeCode.EarliestTime()), Sdf.Path):  # which the parser takes for a value of any type
+                return f"{attribute.GetPath()} holds a path, and a {wanted or found} is wanted"
             if wanted and _shape(found) != _shape(wanted):
                 return f"{attribute.GetPath()} is a {found}, and a {wanted} is wanted"
     return None

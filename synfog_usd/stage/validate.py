@@ -6,13 +6,24 @@ validators, then the rules of `synfog_usd.stage.rules`.
 
 from __future__ import annotations
 
+import re
+
 from pxr import Usd, UsdUtils, UsdValidation
 
 from synfog_usd.stage import rules
-from synfog_usd.stage.open import MATERIALX, check_size, composition_notes, plain_errors
-from synfog_usd.stage.rules import Finding
+from synfog_usd.stage.open import MATERIALX, check_size, composition_notes, plain_errors, who_names
+from synfog_usd.stage.rulebook import Finding, finding
 
 _PREFIX = "usd: "
+
+_MISSING = "put the file in its place, or clear the attribute"
+
+_TOLD_ALREADY = frozenset({"CompositionError"})
+"""What `composition_notes` tells too."""
+
+_HARMLESS = frozenset({"MissingDefaultPrim", "MissingMaterialBindingAPI", "InvalidFamilyType", "MismatchedPropertyType"})
+"""What USD's validators object to and a bake reads as it was meant: no default prim, a binding without its schema, a family of subsets
+of another kind, and inputs that older exporters wrote as tokens.  A value that is of no use under its type is told by the translation."""
 
 
 @plain_errors
@@ -30,7 +41,7 @@ def _composition(stage: Usd.Stage) -> list[Finding]:
     """References that do not compose; MaterialX files, which the library cannot read, stop nothing."""
     found = []
     for note in composition_notes(stage):
-        one = rules.finding("composition", note.path, note.text)
+        one = finding("composition", note.path, note.text)
         found.append(Finding("warning", note.path, note.text, one.rule, one.mend) if note.text.endswith(MATERIALX) else one)
     return found
 
@@ -41,9 +52,16 @@ def _usd_findings(stage: Usd.Stage) -> list[Finding]:
     errors = context.Validate(stage)
     del quiet
     findings = []
+    broken = " ".join(note.text for note in composition_notes(stage))
     for error in errors:
-        warning = error.GetType() != UsdValidation.ValidationErrorType.Info
-        paths = [str(site.GetPrim().GetPath()) for site in error.GetSites() if site.IsPrim()]
+        if error.GetName() == "UnresolvableDependency" and (missing := re.search(r"'(.*)'", error.GetMessage())):
+            if missing[1] not in broken:  # else it is told there
+                findings.append(Finding("warning", who_names(stage, missing[1]), f"{_PREFIX}{missing[1]} is not there; {_MISSING}", f"usd:{error.GetName()}"))
+            continue
+        if error.GetName() in _TOLD_ALREADY:
+            continue
+        warning = error.GetType() != UsdValidation.ValidationErrorType.Info and error.GetName() not in _HARMLESS
+        paths = [str((site.GetPrim() if site.IsPrim() else site.GetProperty()).GetPath()) for site in error.GetSites() if site.IsPrim() or site.IsProperty()]
         text = f"{_PREFIX}{' '.join(error.GetMessage().split())} ({error.GetName()})"
         findings.append(Finding("warning" if warning else "info", paths[0] if paths else "", text, f"usd:{error.GetName()}"))
     return findings

@@ -14,27 +14,32 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdShade
+from pxr import Usd
 
 from synfog_usd.errors import StageError
 from synfog_usd.fog import FogVolume
 from synfog_usd.scene import SceneDict, Thing
 from synfog_usd.stage.labels import UNLABELED
-from synfog_usd.stage.open import check_depth, composition_notes, plain_errors
+from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors
 from synfog_usd.stage.schema import PREFIX
-from synfog_usd.translate import curves, geometry, light, volume
-from synfog_usd.translate.camera import read_camera
+from synfog_usd.translate import geometry, light, spectrum, volume
+from synfog_usd.translate.bindings import Bindings
+from synfog_usd.translate.camera import at_mid_exposure, read_camera
 from synfog_usd.translate.convention import Chooser
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group, group_by_label
-from synfog_usd.translate.material import GREY, LUMINANCE, Finish, Materials
+from synfog_usd.translate.material import Materials
 from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.shapes import Shapes
 from synfog_usd.translate.skel import has_skeletons, posed
-from synfog_usd.translate.space import Array, Space, is_similarity, stage_space
+from synfog_usd.translate.space import Array, Space, stage_space
 from synfog_usd.translate.texture import ImageReader
-from synfog_usd.translate.walk import ALSO_OVERS, Leaf, Owner, Placement, Walk, walk
+from synfog_usd.translate.walk import Leaf, Owner, Placement, Walk, walk
 
 _DOMES = ("DomeLight", "DomeLight_1")
+
+_AHEAD = 4096
+"""Meshes that are read together; small ones of one topology are then looked at together too."""
 
 
 @plain_errors
@@ -52,7 +57,8 @@ def translate(
     Args:
         stage: with its variants chosen.
         camera: prim path; None for the render settings' camera, else the first.
-        frame: time code; None for the stage's startTimeCode, else default values.
+        frame: time code; None for the stage's startTimeCode, else the first
+            with samples, else default values.
         resolution: (width, height) [px]; None for the render settings', else 1280
             pixels wide.
         fog_mor_m: visibility [m] for the outermost fog instead of the authored one;
@@ -71,7 +77,7 @@ def translate(
     check_depth(stage)
     notes = Notebook()
     notes.extend(composition_notes(stage))
-    time = _moment(stage, frame, notes)
+    time = at_mid_exposure(stage, _moment(stage, frame, notes), notes, path=camera)
     stage = posed(stage, time, notes)
     space = stage_space(stage)
     eye = read_camera(stage, space, time, notes, path=camera, resolution=resolution)
@@ -99,8 +105,10 @@ def translate(
         things=tuple(scene.things),
         thing_of=scene.thing_of,
         group_of=scene.group_of,
+        reflectance_of=scene.materials.reflectance_of,
+        emission_of=scene.emission_of,
         origin_m=(float(space.origin_m[0]), float(space.origin_m[1]), float(space.origin_m[2])),
-        notes=notes.closed(),
+        notes=notes.closed(lambda path: authored_path(stage, path)),  # USD numbers its prototypes anew each time
     )
 
 
@@ -127,13 +135,18 @@ def _moment(stage: Usd.Stage, frame: float | None, notes: Notebook) -> Usd.TimeC
     if has_skeletons(stage):
         notes.info("", "frame 0 is drawn, because the stage names no first frame and its characters need one; choose another with --frame")
         return Usd.TimeCode(0.0)
+    samples = [layer_samples[0] for layer in stage.GetUsedLayers() if (layer_samples := layer.ListAllTimeSamples())]
+    if samples:
+        notes.info("", f"frame {min(samples):g}, the first with samples, is drawn, because the stage names no first frame; choose another with --frame")
+        return Usd.TimeCode(min(samples))
     return Usd.TimeCode.Default()
 
 
 def _overridden(fog: tuple[FogVolume, ...], mor_m: float, scene: _Assembler, eye: Array, notes: Notebook) -> tuple[FogVolume, ...]:
     if fog or mor_m == 0.0 or math.isinf(mor_m):
         return volume.with_visibility(fog, mor_m)
-    made = volume.layer(mor_m, np.minimum(scene.low, eye), np.maximum(scene.high, eye), eye)
+    low, high = np.min([eye, *[points.min(axis=0) for points in scene.spread]], axis=0), np.max([eye, *[points.max(axis=0) for points in scene.spread]], axis=0)
+    made = volume.layer(mor_m, low, high, eye)
     size = 2.0 * np.diag(made.boundary.to_world)[:3]
     notes.warn("", f"the stage has no fog; a layer of {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} m around the camera is made for it")
     return (made,)
@@ -146,6 +159,8 @@ class _Assembler:
         self.stage, self.space, self.time, self.notes, self.chooser = stage, space, time, notes, chooser
         self.images = ImageReader(notes)
         self.materials = Materials(time, notes, self.images)
+        self.bindings = Bindings(stage, time, notes, self.materials)
+        self.drawer = Shapes(time, notes, self.materials, self.bindings, chooser, space.metres_per_unit)
         self.is_blender = str(stage.GetMetadata("documentation") or "").startswith("Blender")
         self.shapes: dict[str, dict[str, Any]] = {}
         self.groups: dict[str, dict[str, Any]] = {}
@@ -158,19 +173,21 @@ class _Assembler:
         self.thing_of: dict[tuple[str, ...], int] = {}
         self.thing_ids: dict[str, int] = {}
         self.group_of: dict[str, str] = {}
-        self.bound: dict[str, Any] = {}
+        self.emission_of: dict[str, Array] = {}
         self.fog_boxes: dict[str, bool | None] = {}
         self.roots: list[str] = []
-        self.sheer = False
-        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+        self.spread: list[Array | np.ndarray] = []
 
     def build(self, found: Walk) -> None:
         self.roots = [group.root for group in found.groups]
-        self.sheer = found.sheer
-        self.bind([*found.leaves, *[leaf for group in found.groups for leaf in group.leaves]])
+        self.bindings.sheer = found.sheer
+        self.bindings.look_up([*found.leaves, *[leaf for group in found.groups for leaf in group.leaves]])
         to_scene = self.space.matrix
-        for leaf in found.leaves:
-            self.put(leaf, to_scene @ leaf.matrix, None)
+        for start in range(0, len(found.leaves), _AHEAD):
+            some = found.leaves[start : start + _AHEAD]
+            self.drawer.look_ahead(some)
+            for leaf in some:
+                self.put(leaf, to_scene @ leaf.matrix, None)
         placements: dict[int, list[Placement]] = {}
         for placement in found.placements:
             placements.setdefault(placement.group, []).append(placement)
@@ -181,6 +198,7 @@ class _Assembler:
         if sky is not None:
             self.lights["light_sky"] = sky
             self.group_of["light_sky"] = SKY
+            self.note_emission("light_sky", *[self.stage.GetPrimAtPath(dome.path) for dome in self.domes], plain=sky["type"] == "constant")
 
     def world(self) -> dict[str, Any]:
         drawn = [*self.shapes.values(), *[shape for group in self.groups.values() for name, shape in group.items() if name != "type"]]
@@ -188,63 +206,23 @@ class _Assembler:
         materials = {key: bsdf for key, bsdf in self.materials.bsdfs.items() if key in worn}
         return {"type": "scene", **materials, **self.shapes, **self.groups, **self.instances, **self.lights}
 
-    # -- materials
-
-    def bind(self, leaves: list[Leaf]) -> None:
-        """Look up the materials of all prims and subsets at once."""
-        prims: dict[str, Usd.Prim] = {}
-        for leaf in leaves:
-            prims.setdefault(str(leaf.prim.GetPath()), leaf.prim)
-        for prim in list(prims.values()):
-            if prim.GetTypeName() == "Mesh":
-                for child in prim.GetFilteredChildren(Usd.TraverseInstanceProxies(ALSO_OVERS)):
-                    if child.GetTypeName() == "GeomSubset":
-                        prims[str(child.GetPath())] = child
-        if prims:
-            materials = UsdShade.MaterialBindingAPI.ComputeBoundMaterials(list(prims.values()), UsdShade.Tokens.full)[0]
-            self.bound = dict(zip(prims, materials, strict=True))
-
-    def finish_of(self, leaf: Leaf, prim: Usd.Prim, *, varying_color: bool) -> Finish:
-        material = self.bound.get(str(prim.GetPath()))
-        if not material and leaf.material is not None:
-            material = UsdShade.Material(self.stage.GetPrimAtPath(leaf.material))
-        if material:
-            finish = self.materials.finish(material)
-            if not finish.empty:
-                return finish
-            self.notes.warn(leaf.prim.GetPath(), f"its material {material.GetPath()} has no surface; displayColor or grey is used")
-        opacity = self.opacity_of(leaf.prim) if self.sheer else 1.0
-        return self.materials.vertex_colored(opacity) if varying_color else self.materials.colored(leaf.color or GREY, opacity)
-
-    def opacity_of(self, prim: Usd.Prim) -> float:
-        """Mean displayOpacity of a shape without a material, also from above it."""
-        primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayOpacity")
-        values = primvar.Get(self.time) if primvar and primvar.HasAuthoredValue() else None
-        if values is None or not len(values):
-            return 1.0
-        if min(values) != max(values):
-            self.notes.warn(prim.GetPath(), "displayOpacity that varies is drawn as its mean")
-        mean = float(np.mean(values))
-        return min(max(mean, 0.0), 1.0) if math.isfinite(mean) else 1.0
-
-    def is_bare(self, leaf: Leaf) -> bool:
-        """Whether a shape has no material, so that its own colours count."""
-        return not self.bound.get(str(leaf.prim.GetPath())) and leaf.material is None
-
     def is_fog_box(self, leaf: Leaf) -> bool | None:
         """Whether a mesh without fog attributes is the box of an exported volume, see `volume.fog_box`."""
-        path = str(leaf.prim.GetPath())
+        material = self.bindings.bound.get(leaf.path)
+        if material is None or leaf.kind != "Mesh":
+            return False
+        path = leaf.path
         if path not in self.fog_boxes:
-            material = self.bound.get(path)
-            mesh = leaf.prim.GetTypeName() == "Mesh" and material and self.materials.finish(material).empty
-            self.fog_boxes[path] = bool(mesh) and volume.fog_box(leaf.prim, material, self.time, self.notes, is_blender=self.is_blender)
+            self.fog_boxes[path] = self.materials.finish(material).empty and volume.fog_box(
+                leaf.prim, material, self.time, self.notes, is_blender=self.is_blender
+            )
         return self.fog_boxes[path]
 
     # -- placing
 
     def put(self, leaf: Leaf, matrix: Array, placement: Placement | None) -> None:
         """A leaf in the scene itself."""
-        kind = leaf.prim.GetTypeName()
+        kind = leaf.kind
         if kind in _DOMES:
             dome = light.dome(leaf.prim, kind, matrix, self.time, self.notes, self.images, z_up=bool((self.space.axes == np.eye(4)).all()))
             if dome is not None:
@@ -256,17 +234,18 @@ class _Assembler:
         if kind.endswith("Light"):
             self.put_lamp(leaf, kind, matrix, placement)
             return
-        if self.is_fog_box(leaf) is None:
+        fog_box = self.is_fog_box(leaf)
+        if fog_box is None:
             return
-        if self.is_fog_box(leaf):
+        if fog_box:
             self.notes.warn(
-                leaf.prim.GetPath(),
+                leaf.path,
                 f"a closed mesh whose material has no surface is taken as fog of {volume.DEFAULT_MOR_M:g} m visibility; "
                 f"author {PREFIX}mor on it or on its parent for another value",
             )
             self.put_fog(leaf, None, matrix)
             return
-        for shape, emission, nits in self.parts(leaf, matrix):
+        for shape, emission, nits in self.drawer.parts(leaf, matrix):
             self.add_shape(shape, emission, nits, leaf, placement)
 
     def put_fog(self, leaf: Leaf, source: Usd.Prim | None, matrix: Array) -> None:
@@ -282,9 +261,11 @@ class _Assembler:
         self.lamps.append(lamp)
         group = SKY if kind == "DistantLight" else self.light_group(leaf, placement)
         if lamp.shape is None:
+            self.note_emission(f"light_{len(self.lights)}", leaf.prim)
             self.group_of[f"light_{len(self.lights)}"] = group
             self.lights[f"light_{len(self.lights)}"] = lamp.emitter
             return
+        self.note_emission(f"shape_{len(self.shapes)}", leaf.prim)
         self.group_of[f"shape_{len(self.shapes)}"] = group
         black = {"type": "ref", "id": self.materials.black().key}
         if isinstance(lamp.shape, Triangles):
@@ -293,6 +274,14 @@ class _Assembler:
             shape = {**lamp.shape, "bsdf": black}
         thing = self.thing(leaf, placement) if leaf.owner is not None or (placement is not None and placement.owner is not None) else None
         self.new_shape({**shape, "emitter": lamp.emitter}, thing)
+
+    def note_emission(self, key: str, *prims: Usd.Prim, plain: bool = True) -> None:
+        """The spectrum that stands on a light; one that several lights share, or a picture colours, has none."""
+        found = [(prim, curve) for prim in prims if (curve := spectrum.emission(prim, self.time, self.notes)) is not None]
+        if found and (len(prims) > 1 or not plain):
+            self.notes.warn(found[0][0].GetPath(), "its emission spectrum is not drawn: the sky is of a picture, or of several domes")
+        elif found:
+            self.emission_of[key] = found[0][1]
 
     def light_group(self, leaf: Leaf, placement: Placement | None) -> str:
         """Light group of a lamp: as authored on it or above it, else by what it is part of."""
@@ -303,14 +292,15 @@ class _Assembler:
     def add_shape(self, shape: dict[str, Any], emission: dict[str, Any] | None, nits: float, leaf: Leaf, placement: Placement | None) -> None:
         thing = self.thing(leaf, placement)
         if emission is not None:
+            material = self.bindings.bound.get(str(leaf.prim.GetPath()))
+            self.note_emission(f"shape_{len(self.shapes)}", material.GetPrim() if material and not light.is_light_mesh(leaf.prim) else leaf.prim)
             self.group_of[f"shape_{len(self.shapes)}"] = self.light_group(leaf, placement)
             surface = _area_of(shape)
             lamp = light.Lamp({"type": "area", "radiance": emission}, math.pi * surface * nits)
             self.lamps.append(lamp)
             shape = {**shape, "emitter": lamp.emitter}
         if "positions" in shape:
-            np.minimum(self.low, shape["positions"].min(axis=0), out=self.low)
-            np.maximum(self.high, shape["positions"].max(axis=0), out=self.high)
+            self.spread.append(shape["positions"])
         self.new_shape(shape, thing)
 
     def new_shape(self, shape: dict[str, Any], thing: int | None) -> None:
@@ -325,17 +315,17 @@ class _Assembler:
         shared: list[tuple[Leaf, dict[str, Any]]] = []
         single = len(places) == 1
         for leaf in leaves:
-            kind = leaf.prim.GetTypeName()
+            kind = leaf.kind
             if single or kind.endswith("Light") or kind in _DOMES or leaf.fog is not None or self.is_fog_box(leaf) is not False:
                 for place in places:
                     self.put(leaf, to_scene @ place.matrix @ leaf.matrix, place)
                 continue
-            made = self.parts(leaf, leaf.matrix)
+            made = self.drawer.parts(leaf, leaf.matrix)
             shared += [(leaf, shape) for shape, emission, _ in made if emission is None]
             if any(emission is not None for _, emission, _ in made):
                 for place in places:
                     matrix = to_scene @ place.matrix @ leaf.matrix
-                    for shape, emission, nits in self.parts(leaf, matrix):
+                    for shape, emission, nits in self.drawer.parts(leaf, matrix):
                         if emission is not None:
                             self.add_shape(shape, emission, nits, leaf, place)
         if not shared:
@@ -351,8 +341,7 @@ class _Assembler:
             for name, (leaf, _) in zip(names, shared, strict=True):
                 self.thing_of[(instance, name)] = self.thing(leaf, place)
             if corners is not None:
-                points = corners @ matrix[:3, :3].T + matrix[:3, 3]
-                self.low, self.high = np.minimum(self.low, points.min(axis=0)), np.maximum(self.high, points.max(axis=0))
+                self.spread.append(corners @ matrix[:3, :3].T + matrix[:3, 3])
 
     def corners(self, shared: list[tuple[Leaf, dict[str, Any]]]) -> Array | None:
         """(8, 3) corners of the box around a group's meshes."""
@@ -362,130 +351,12 @@ class _Assembler:
         low, high = np.min([m.min(axis=0) for m in meshes], axis=0), np.max([m.max(axis=0) for m in meshes], axis=0)
         return np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3).astype(np.float64)
 
-    # -- geometry
-
-    def parts(self, leaf: Leaf, matrix: Array) -> list[tuple[dict[str, Any], dict[str, Any] | None, float]]:
-        """Shapes of a leaf with their emission and its luminance; empty where it cannot be drawn."""
-        if geometry.determinant(matrix) == 0.0:
-            self.notes.warn(leaf.prim.GetPath(), "a shape scaled to nothing is left out")
-            return []
-        kind = leaf.prim.GetTypeName()
-        if kind != "Mesh":
-            return self.implicit(leaf, kind, matrix)
-        return self.mesh(leaf, matrix)
-
-    def implicit(self, leaf: Leaf, kind: str, matrix: Array) -> list[tuple[dict[str, Any], dict[str, Any] | None, float]]:
-        finish = self.finish_of(leaf, leaf.prim, varying_color=False)
-        key = finish.plain or finish.key
-        if finish.plain is not None:
-            self.notes.warn(leaf.prim.GetPath(), f"a {kind} has no texture coordinates; its textures are drawn as one colour")
-        emission = None if finish.uv is not None and finish.emission and finish.emission["type"] == "bitmap" else finish.emission
-        if kind == "Sphere" and is_similarity(matrix) and not finish.colored:
-            radius = float(leaf.prim.GetAttribute("radius").Get(self.time)) * abs(np.linalg.det(matrix[:3, :3])) ** (1.0 / 3.0)
-            if not radius > 0.0:
-                self.notes.warn(leaf.prim.GetPath(), "a Sphere without radius is left out")
-                return []
-            shape = {"type": "sphere", "center": [float(x) for x in matrix[:3, 3]], "radius": float(radius), "bsdf": {"type": "ref", "id": key}}
-            return [(shape, emission, finish.emission_nits)]
-        if kind in ("BasisCurves", "Points"):
-            read = curves.read_curves if kind == "BasisCurves" else curves.read_points
-            own = read(leaf.prim, self.time, self.notes)
-            if own is None:
-                return []
-            if own.colors is not None and self.is_bare(leaf):
-                finish = self.materials.vertex_colored()
-                key = finish.key
-        else:
-            own = geometry.read_implicit(leaf.prim, kind, self.time)
-        made = geometry.placed(own, matrix)
-        if not geometry.area(made) > 0.0:
-            self.notes.warn(leaf.prim.GetPath(), f"a {kind} without surface is left out")
-            return []
-        if finish.colored and made.colors is None:
-            made = replace(made, colors=np.tile(leaf.color or GREY, (len(made.positions), 1)))
-        return [(geometry.mesh_shape(made, key, textured=False, colored=finish.colored), emission, finish.emission_nits)]
-
-    def mesh(self, leaf: Leaf, matrix: Array) -> list[tuple[dict[str, Any], dict[str, Any] | None, float]]:
-        prim = leaf.prim
-        subsets = self.subsets(leaf)
-        varies = _varies(prim)
-        own = self.finish_of(leaf, prim, varying_color=varies)
-        finishes = [own, *[finish for _, finish in subsets]]
-        uv = next((finish.uv for finish in finishes if finish.uv is not None), None)
-        if any(finish.uv not in (None, uv) for finish in finishes):
-            self.notes.warn(prim.GetPath(), "materials on this mesh read different texture coordinates; the first one's are used for all")
-        polygons = geometry.read_mesh(prim, self.time, self.notes, uv)
-        if polygons is None:
-            return []
-        if not varies:
-            polygons.attributes.pop("color", None)
-        smooth = geometry.point_normals(polygons) if polygons.smooth else None
-        taken = np.zeros(int(polygons.face_of.max()) + 1 if subsets else 0, dtype=bool)
-        chosen: list[tuple[np.ndarray | None, Finish]] = []
-        for faces, finish in subsets:
-            mask = np.zeros_like(taken)
-            mask[faces[(faces >= 0) & (faces < len(taken))]] = True
-            mask &= ~taken
-            taken |= mask
-            chosen.append((mask, finish))
-        chosen.append((None if not subsets else ~taken, own))
-        result = []
-        for mask, finish in chosen:
-            triangles = geometry.part(polygons, mask, smooth_normals=smooth)
-            if triangles is None:
-                continue
-            triangles = geometry.placed(triangles, matrix)
-            textured = finish.uv is not None and triangles.texcoords is not None
-            key = finish.key
-            emission, nits = finish.emission, finish.emission_nits
-            if finish.uv is not None and not textured:
-                self.notes.warn(prim.GetPath(), f"mesh without the texture coordinates {finish.uv.primvar!r}; its textures are drawn as one colour")
-                key = finish.plain or key
-                if emission is not None and emission["type"] == "bitmap":
-                    emission = None
-            if finish.colored and triangles.colors is None:
-                triangles = replace(triangles, colors=np.tile(leaf.color or GREY, (len(triangles.positions), 1)))
-            shape = geometry.mesh_shape(triangles, key, textured=textured, colored=finish.colored)
-            if light.is_light_mesh(prim):
-                shape, emission, nits = self.mesh_light(leaf, shape, triangles)
-            result.append((shape, emission, nits))
-        return result
-
-    def mesh_light(self, leaf: Leaf, shape: dict[str, Any], triangles: Triangles) -> tuple[dict[str, Any], dict[str, Any] | None, float]:
-        metres, convention = self.space.metres_per_unit, self.chooser.of(leaf.prim)
-        radiance = light.mesh_light(leaf.prim, self.time, geometry.area(triangles), self.notes, metres_per_unit=metres, convention=convention)
-        sync = leaf.prim.GetAttribute("light:materialSyncMode")
-        if sync and sync.Get() == "noMaterialResponse":
-            shape = {**shape, "bsdf": {"type": "ref", "id": self.materials.black().key}}
-        if not radiance.max() > 0.0:
-            return shape, None, 0.0
-        return shape, {"type": "rgb", "value": [float(c) for c in radiance]}, float(LUMINANCE @ radiance)
-
-    def subsets(self, leaf: Leaf) -> list[tuple[np.ndarray, Finish]]:
-        """Faces with a material of their own: of family 'materialBind', or bound directly."""
-        found = []
-        for child in leaf.prim.GetFilteredChildren(Usd.TraverseInstanceProxies(ALSO_OVERS)):
-            if child.GetTypeName() != "GeomSubset":
-                continue
-            subset = UsdGeom.Subset(child)
-            direct = bool(UsdShade.MaterialBindingAPI(child).GetDirectBinding().GetMaterialPath())
-            if not direct and subset.GetFamilyNameAttr().Get() != UsdShade.Tokens.materialBind:
-                continue
-            if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
-                self.notes.warn(child.GetPath(), "a material on a subset that is not of faces is not drawn")
-                continue
-            indices = subset.GetIndicesAttr().Get(self.time)
-            if indices is None or not len(indices):
-                continue
-            found.append((np.asarray(indices, dtype=np.int64), self.finish_of(leaf, child, varying_color=_varies(leaf.prim))))
-        return found
-
     # -- labels
 
     def thing(self, leaf: Leaf, placement: Placement | None) -> int:
         """Label id of a leaf; a new one where its owner was not met before."""
         if placement is None:
-            owner = leaf.owner or Owner(leaf.model or str(leaf.prim.GetPath()), UNLABELED)
+            owner = leaf.owner or Owner(leaf.model or leaf.path, UNLABELED)
             return self.thing_id(owner.path, owner.label)
         root = self.roots[placement.group]
         if leaf.owner is not None:
@@ -507,11 +378,3 @@ def _area_of(shape: dict[str, Any]) -> float:
     if shape["type"] == "sphere":
         return 4.0 * math.pi * shape["radius"] ** 2
     return geometry.area(Triangles(shape["positions"].astype(np.float64), shape["faces"].astype(np.int64)))
-
-
-def _varies(prim: Usd.Prim) -> bool:
-    """Whether a mesh has a displayColor that is not one constant."""
-    if "primvars:displayColor" not in prim.GetAuthoredPropertyNames():
-        return False
-    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
-    return bool(primvar.HasAuthoredValue()) and primvar.GetInterpolation() != UsdGeom.Tokens.constant

@@ -9,9 +9,10 @@ import math
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdRender
+from scipy.spatial.transform import Rotation
 
 from synfog_usd.errors import StageError, did_you_mean
-from synfog_usd.scene import Camera
+from synfog_usd.scene import PARALLEL_DEG, Camera
 from synfog_usd.stage.open import cameras
 from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.space import Space, columns
@@ -22,13 +23,15 @@ NEAR_M = 0.01
 
 MAX_SIZE_PX = 1 << 16
 _ABSURD_FOCAL_M = 0.5
+_STILL_M, _STILL_RAD = 1e-6, 1e-7
 _EXPOSURE = ("exposure", "exposure:iso", "exposure:time", "exposure:fStop", "exposure:responsivity")
 
 
 def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Notebook, *, path: str | None, resolution: tuple[int, int] | None) -> Camera:
-    """The camera that looks.
+    """The camera that looks, in the middle of its exposure where it moves.
 
     Args:
+        time: of the frame; `at_mid_exposure` where a shutter is authored.
         path: prim path, or None for the render settings' camera, else the first one.
         resolution: (width, height) [px], or None for the render settings', else
             1280 pixels wide with the aspect of the aperture.
@@ -40,16 +43,17 @@ def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Noteb
     prim = _chosen(stage, settings, path, notes)
     camera = UsdGeom.Camera(prim)
     lens = camera.GetCamera(time)
-    if lens.projection == Gf.Camera.Orthographic:
-        raise StageError(f"{prim.GetPath()}: an orthographic camera is not drawn; set projection = 'perspective'")
+    parallel = lens.projection == Gf.Camera.Orthographic
     width_mm, height_mm, focal = lens.horizontalAperture, lens.verticalAperture, lens.focalLength
+    if parallel:
+        focal = 1.0  # of no meaning: the aperture itself is what is seen
     if not (width_mm > 0.0 and height_mm > 0.0 and focal > 0.0 and math.isfinite(width_mm * height_mm * focal)):
         raise StageError(f"{prim.GetPath()}: aperture {width_mm} x {height_mm} and focal length {focal} must be above 0")
     width_px, height_px = _resolution(settings, resolution, width_mm / height_mm, prim)
     policy = settings.GetAspectRatioConformPolicyAttr().Get() if settings else "expandAperture"
     conformed_width, conformed_height = _conformed(width_mm, height_mm, width_px / height_px, str(policy), prim, notes)
     focal_m = focal * 0.1 * space.metres_per_unit
-    f_number, focus_m = float(lens.fStop), float(lens.focusDistance) * space.metres_per_unit
+    f_number, focus_m = 0.0 if parallel else float(lens.fStop), float(lens.focusDistance) * space.metres_per_unit
     if f_number > 0.0 and focal_m > _ABSURD_FOCAL_M:
         notes.warn(prim.GetPath(), f"a focal length of {focal_m:.2f} m makes no sense for depth of field (wrong units); the lens is drawn as a pinhole")
         f_number = 0.0
@@ -59,18 +63,82 @@ def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Noteb
     scale = camera.ComputeLinearExposureScale(time)
     if scale != 1.0 and any(prim.GetAttribute(name).HasAuthoredValue() for name in _EXPOSURE):
         notes.info(prim.GetPath(), f"the camera's own exposure (a factor of {scale:.4g}) is not used; a bake meters its own")
+    to_world = _place(prim, space, time)
+    drift, turn = _motion(prim, space, time, notes)
     return Camera(
         path=str(prim.GetPath()),
-        to_world=_upright(space.matrix @ columns(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim)), prim),
+        to_world=to_world,
         width_px=width_px,
         height_px=height_px,
-        fov_x_deg=math.degrees(2.0 * math.atan(conformed_width / (2.0 * focal))),
+        fov_x_deg=PARALLEL_DEG if parallel else math.degrees(2.0 * math.atan(conformed_width / (2.0 * focal))),
         shift=(lens.horizontalApertureOffset / conformed_width, lens.verticalApertureOffset / conformed_height),
         near_m=max(float(lens.clippingRange.min) * space.metres_per_unit, 1e-4) if camera.GetClippingRangeAttr().HasAuthoredValue() else NEAR_M,
         focal_length_m=focal_m,
         f_number=f_number,
         focus_m=focus_m,
+        width_m=conformed_width * 0.1 * space.metres_per_unit if parallel else 0.0,
+        drift_m=drift,
+        turn_rad=turn,
     )
+
+
+def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook, *, path: str | None) -> Usd.TimeCode:
+    """The moment at which a frame is half exposed: all of the scene is drawn as it is then.
+
+    USD's shutter times count in frames from the frame's own time.  Without an authored shutter, or
+    one that is open for no time, it is the frame's time itself.
+
+    Args:
+        path: of the camera, as in `read_camera`.
+    """
+    if time.IsDefault():
+        return time
+    prim = _chosen(stage, UsdRender.Settings.GetStageRenderSettings(stage), path, Notebook())
+    opens, closes = _shutter(prim, time)
+    if not closes > opens:
+        return time
+    above = {prim.GetPath(), *prim.GetPath().GetAncestorsRange()}
+    moving = [one.GetPath() for one in stage.Traverse() if one.GetPath() not in above and one.IsA(UsdGeom.Xformable) and _might_move(one)]
+    if moving:
+        notes.info(moving[0], f"{len(moving)} prims may move while the shutter is open; only the camera's own motion blurs the picture")
+    if opens + closes == 0.0:
+        return time
+    middle = Usd.TimeCode(time.GetValue() + 0.5 * (opens + closes))
+    notes.info(prim.GetPath(), f"the shutter is open from {opens:g} to {closes:g} frames: the scene is drawn as it is at {middle.GetValue():g}")
+    return middle
+
+
+def _might_move(prim: Usd.Prim) -> bool:
+    return bool(UsdGeom.Xformable(prim).TransformMightBeTimeVarying())
+
+
+def _shutter(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[float, float]:
+    """When the shutter opens and closes, in frames from the frame's time; (0, 0) where nothing sensible is authored."""
+    camera = UsdGeom.Camera(prim)
+    times = float(camera.GetShutterOpenAttr().Get(time) or 0.0), float(camera.GetShutterCloseAttr().Get(time) or 0.0)
+    return times if all(map(math.isfinite, times)) else (0.0, 0.0)
+
+
+def _place(prim: Usd.Prim, space: Space, time: Usd.TimeCode) -> np.ndarray:
+    return _upright(space.matrix @ columns(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim)), prim)
+
+
+def _motion(prim: Usd.Prim, space: Space, time: Usd.TimeCode, notes: Notebook) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """(way [m], rotation vector [rad]) of a camera while it exposes, about the middle of which `time` is; zeros where it stands."""
+    still = (0.0, 0.0, 0.0)
+    opens, closes = _shutter(prim, time)
+    if time.IsDefault() or not closes > opens:
+        return still, still
+    half = 0.5 * (closes - opens)
+    first, last = (_place(prim, space, Usd.TimeCode(time.GetValue() + side * half)) for side in (-1.0, 1.0))
+    way = last[:3, 3] - first[:3, 3]
+    vector = Rotation.from_matrix(last[:3, :3] @ first[:3, :3].T).as_rotvec()
+    if np.linalg.norm(way) < _STILL_M and np.linalg.norm(vector) < _STILL_RAD:
+        return still, still
+    notes.info(
+        prim.GetPath(), f"the camera moves {np.linalg.norm(way):.3g} m and turns {math.degrees(float(np.linalg.norm(vector))):.3g} degrees while it exposes"
+    )
+    return (float(way[0]), float(way[1]), float(way[2])), (float(vector[0]), float(vector[1]), float(vector[2]))
 
 
 def _chosen(stage: Usd.Stage, settings: UsdRender.Settings, path: str | None, notes: Notebook) -> Usd.Prim:

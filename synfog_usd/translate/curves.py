@@ -1,20 +1,23 @@
-"""Curves as tubes and points as balls: meshes in the prim's own coordinates.
+"""Curves as tubes or ribbons, and points as balls: meshes in the prim's own coordinates.
 
-Takes BasisCurves and Points; gives triangles.  `widths` are diameters.  Knows
+Takes BasisCurves, HermiteCurves, NurbsCurves and Points; gives triangles.  `widths` are diameters.  Knows
 nothing of materials or Mitsuba.
 """
 
 from __future__ import annotations
 
 import functools
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
-from synfog_usd.translate.geometry import Triangles, cross
+from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.nurbs import Nurbs, nurbs_curves
+from synfog_usd.translate.primvars import array_at
+from synfog_usd.translate.sweep import ribbons, tubes
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -35,13 +38,17 @@ _BASES = {
 }
 
 
-def read_curves(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook) -> Triangles | None:
-    """BasisCurves as tubes whose mean width is that of the curves, or None with a note.
+def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Notebook) -> Triangles | None:
+    """Curves as tubes whose mean width is theirs, or as flat ribbons where they have normals; None with a note.
+
+    Args:
+        prim: a BasisCurves, HermiteCurves or NurbsCurves.
+        kind: which of these.
 
     Ends are open.  A colour that varies along a curve becomes its mean.
     """
-    path, curves = prim.GetPath(), UsdGeom.BasisCurves(prim)
-    points, counts = _array(curves.GetPointsAttr(), time, 3), _array(curves.GetCurveVertexCountsAttr(), time, 1)
+    path = prim.GetPath()
+    points, counts = array_at(prim, "points", time, 3), array_at(prim, "curveVertexCounts", time, 1)
     if points is None or counts is None or not len(counts):
         notes.warn(path, "curves without points are left out")
         return None
@@ -49,39 +56,40 @@ def read_curves(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook) -> Triangle
     if (sizes < 0).any() or sizes.sum() != len(points) or not np.isfinite(points).all():
         notes.warn(path, f"curves whose counts do not fit their {len(points)} points, or whose points are no finite numbers, are left out")
         return None
-    kind, wrap = str(curves.GetTypeAttr().Get()), str(curves.GetWrapAttr().Get())
-    basis = "linear" if kind == "linear" else str(curves.GetBasisAttr().Get())
-    if basis not in (*_BASES, "linear"):
-        notes.warn(path, f"curves of basis {basis!r} are not known; they are drawn as straight lines between their points")
-        basis = "linear"
-    widths = _array(curves.GetWidthsAttr(), time, 1)
+    widths = array_at(prim, "widths", time, 1)
     if widths is None or not np.isfinite(widths).all() or not widths.max() > 0.0:
         notes.warn(path, "curves without widths are left out; author widths (diameters)")
         return None
-    segments = np.array([_segments(int(n), basis, wrap) for n in sizes])
-    if prim.GetAttribute("normals").HasAuthoredValue():
-        notes.info(path, "curves with normals are ribbons; they are drawn as tubes")
-    cubic, total = basis != "linear", int(segments.sum())
-    fits = [(sides, steps) for sides, steps in _COARSE_TO_FINE if 2 * sides * total * (steps if cubic else 1) <= _FEW_TRIANGLES]
+    shape = _shape(prim, kind, time, points, sizes, notes)
+    if shape is None:
+        return None
+    api = UsdGeom.Curves(prim)
+    facing, spread = array_at(prim, "primvars:normals", time, 3), api.GetNormalsInterpolation()
+    if facing is None:
+        facing = array_at(prim, "normals", time, 3)
+    else:
+        spread = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals").GetInterpolation()
+    if facing is not None and not np.isfinite(facing).all():
+        facing = None
+    total = int(shape.segments.sum())
+    fits = [(sides, steps) for sides, steps in _COARSE_TO_FINE if 2 * sides * total * (steps if shape.cubic else 1) <= _FEW_TRIANGLES]
     sides, steps = fits[-1] if fits else _COARSE_TO_FINE[0]
-    steps = steps if cubic else 1
+    sides = 1 if facing is not None else sides
+    steps = steps if shape.cubic else 1
     if 2 * sides * total * steps > MOST_TRIANGLES:
         notes.warn(path, f"{len(sizes)} curves would take {2 * sides * total * steps} triangles, of at most {MOST_TRIANGLES}; they are left out")
         return None
-    closed = wrap == "periodic"
-    width_of = _Spread(widths[:, 0], str(curves.GetWidthsInterpolation()), sizes, segments, closed=closed)
+    width_of = Spread(widths, str(api.GetWidthsInterpolation()), shape)
     if not width_of.fits:
-        notes.warn(path, f"widths are too few for their interpolation {curves.GetWidthsInterpolation()!r}; the curves take the mean")
-    starts = np.cumsum(sizes) - sizes
+        notes.warn(path, f"widths are too few for their interpolation {api.GetWidthsInterpolation()!r}; the curves take the mean")
+    facing_of = None if facing is None else Spread(facing, str(spread), shape)
     made: list[tuple[Array, Indices, Array]] = []
     owners: list[Indices] = []
-    for size in np.unique(sizes[segments >= 1]):
-        chosen = np.flatnonzero(sizes == size)
-        control = points[starts[chosen][:, None] + np.arange(size)]
-        line = _sampled(control, basis, wrap, steps)
-        radius = 0.5 * np.maximum(width_of.along(chosen, basis, wrap, steps), 0.0)
-        made.append(_tubes(line, radius, sides))
-        owners.append(np.repeat(chosen, line.shape[1] * sides))
+    for chosen in shape.alike():
+        line = shape.line(chosen, steps)
+        radius = 0.5 * np.maximum(width_of.along(chosen, steps)[..., 0], 0.0)
+        made.append(tubes(line, radius, sides) if facing_of is None else ribbons(line, radius, facing_of.along(chosen, steps)))
+        owners.append(np.repeat(chosen, len(made[-1][0]) // len(chosen)))
     if not made:
         notes.warn(path, "curves of too few points for one segment are left out")
         return None
@@ -94,10 +102,106 @@ def read_curves(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook) -> Triangle
     )
 
 
+def _shape(prim: Usd.Prim, kind: str, time: Usd.TimeCode, points: Array, sizes: Indices, notes: Notebook) -> Cubics | Hermite | Nurbs | None:
+    """How curves run, or None with a note."""
+    path = prim.GetPath()
+    if kind == "NurbsCurves":
+        found = nurbs_curves(prim, time, points, sizes)
+        if isinstance(found, str):
+            notes.warn(path, f"{found}; the curves are left out")
+            return None
+        return found
+    if kind == "HermiteCurves":
+        tangent = array_at(prim, "tangents", time, 3)
+        if tangent is None or len(tangent) != len(points) or not np.isfinite(tangent).all():
+            notes.warn(path, f"Hermite curves of {len(points)} points without as many tangents are left out")
+            return None
+        return Hermite(points, sizes, np.maximum(sizes - 1, 0), tangent)
+    curves = UsdGeom.BasisCurves(prim)
+    wrap = str(curves.GetWrapAttr().Get())
+    basis = "linear" if str(curves.GetTypeAttr().Get()) == "linear" else str(curves.GetBasisAttr().Get())
+    if basis not in (*_BASES, "linear"):
+        notes.warn(path, f"curves of basis {basis!r} are not known; they are drawn as straight lines between their points")
+        basis = "linear"
+    return Cubics(points, sizes, np.array([_segments(int(n), basis, wrap) for n in sizes]), basis, wrap)
+
+
+@dataclass(frozen=True)
+class Cubics:
+    """BasisCurves.
+
+    Attributes:
+        points: (N, 3) control points of all curves.
+        sizes, segments: how many of each a curve has.
+        basis, wrap: as UsdGeomBasisCurves names them; 'linear' is a basis too.
+    """
+
+    points: Array
+    sizes: Indices
+    segments: Indices
+    basis: str
+    wrap: str
+
+    @property
+    def cubic(self) -> bool:
+        """Whether segments are bent."""
+        return self.basis != "linear"
+
+    @property
+    def closed(self) -> bool:
+        """Whether the end of a curve is its beginning."""
+        return self.wrap == "periodic"
+
+    def alike(self) -> list[Indices]:
+        """Numbers of the curves that can be sampled together."""
+        return [np.flatnonzero(self.sizes == size) for size in np.unique(self.sizes[self.segments >= 1])]
+
+    def line(self, chosen: Indices, steps: int) -> Array:
+        """(F, S, 3) points along some curves."""
+        return self.sampled(self.points, chosen, steps)
+
+    def sampled(self, values: Array, chosen: Indices, steps: int) -> Array:
+        """(F, S, C) of values that go with the points."""
+        return _sampled(_of_curves(values, self.sizes, chosen), self.basis, self.wrap, steps)
+
+
+@dataclass(frozen=True)
+class Hermite:
+    """HermiteCurves: cubic between points, with a tangent at each of these.
+
+    Attributes:
+        points: (N, 3).
+        sizes, segments: how many of each a curve has.
+        tangent: (N, 3), for a parameter from 0 to 1 on each segment.
+    """
+
+    points: Array
+    sizes: Indices
+    segments: Indices
+    tangent: Array
+    cubic = True
+    closed = False
+
+    def alike(self) -> list[Indices]:
+        """Numbers of the curves that can be sampled together."""
+        return [np.flatnonzero(self.sizes == size) for size in np.unique(self.sizes[self.segments >= 1])]
+
+    def line(self, chosen: Indices, steps: int) -> Array:
+        """(F, S, 3) points along some curves: Bezier curves whose inner points lie a third of the tangents away."""
+        point, tangent = (_of_curves(values, self.sizes, chosen) for values in (self.points, self.tangent))
+        inner = np.stack([point[:, :-1], point[:, :-1] + tangent[:, :-1] / 3.0, point[:, 1:] - tangent[:, 1:] / 3.0], axis=2)
+        control = np.concatenate([inner.reshape(len(chosen), -1, 3), point[:, -1:]], axis=1)
+        return _sampled(control, "bezier", "nonperiodic", steps)
+
+    def sampled(self, values: Array, chosen: Indices, steps: int) -> Array:
+        """(F, S, C) of values that go with the points: even between these, for they have no tangents."""
+        return _evenly(_of_curves(values, self.sizes, chosen), steps)
+
+
 def read_points(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook) -> Triangles | None:
     """Points as balls whose silhouette has the area of a sphere's, in the mean over directions; or None with a note."""
-    path, cloud = prim.GetPath(), UsdGeom.Points(prim)
-    points, widths = _array(cloud.GetPointsAttr(), time, 3), _array(cloud.GetWidthsAttr(), time, 1)
+    path = prim.GetPath()
+    points, widths = array_at(prim, "points", time, 3), array_at(prim, "widths", time, 1)
     if points is None or not len(points):
         notes.warn(path, "points without positions are left out")
         return None
@@ -162,73 +266,49 @@ def _sampled(control: Array, basis: str, wrap: str, steps: int) -> Array:
     return np.concatenate([inner, end[:, None]], axis=1)
 
 
-class _Spread:
-    """Widths of curves at their samples."""
+def _of_curves(values: Array, sizes: Indices, chosen: Indices) -> Array:
+    """(F, n, C) values of the points of some curves of one size."""
+    starts = np.cumsum(sizes) - sizes
+    return values[starts[chosen][:, None] + np.arange(sizes[chosen[0]])]
 
-    def __init__(self, values: Array, interpolation: str, sizes: Indices, segments: Indices, *, closed: bool) -> None:
-        per_curve = {"constant": None, "uniform": None, "vertex": sizes, "varying": segments + (0 if closed else 1)}.get(interpolation, sizes)
-        wanted = 1 if interpolation == "constant" else len(sizes) if per_curve is None else int(per_curve.sum())
+
+def _evenly(values: Array, steps: int) -> Array:
+    """(F, S, C) of (F, n, C) values, `steps` to each stretch between two."""
+    place = np.arange((values.shape[1] - 1) * steps + 1) / steps
+    low = np.minimum(place.astype(np.int64), values.shape[1] - 2)
+    share = (place - low)[:, None]
+    return np.asarray((1.0 - share) * values[:, low] + share * values[:, low + 1])
+
+
+class Spread:
+    """Widths or normals of curves at their samples.
+
+    Args:
+        values: (K, C).
+        interpolation: of the primvar.
+        shape: the curves.
+    """
+
+    def __init__(self, values: Array, interpolation: str, shape: Cubics | Hermite | Nurbs) -> None:
+        ends = shape.segments + (0 if shape.closed else 1)
+        per_curve = {"constant": None, "uniform": None, "vertex": shape.sizes, "varying": ends}.get(interpolation, shape.sizes)
+        wanted = 1 if interpolation == "constant" else len(shape.sizes) if per_curve is None else int(per_curve.sum())
+        if len(values) < wanted and len(values) in (1, len(shape.sizes)):  # as many exporters mean it that leave the word out
+            interpolation, per_curve, wanted = ("constant" if len(values) == 1 else "uniform"), None, len(values)
         self.fits = len(values) >= wanted
-        self.values, self.kind, self.closed = values, interpolation if self.fits else "mean", closed
-        self.starts = np.cumsum(per_curve) - per_curve if per_curve is not None else np.arange(len(sizes))
-        self.per_curve = per_curve
-        self.segments = segments
+        self.values, self.kind, self.shape, self.per_curve = values, interpolation if self.fits else "mean", shape, per_curve
 
-    def along(self, chosen: Indices, basis: str, wrap: str, steps: int) -> Array:
-        """(F, S) or (F, 1) values at the samples of curves of one size."""
+    def along(self, chosen: Indices, steps: int) -> Array:
+        """(F, S, C) or (F, 1, C) values at the samples of curves that are sampled together."""
         if self.kind in ("constant", "mean"):
-            value = self.values[0] if self.kind == "constant" else self.values.mean()
-            return np.full((len(chosen), 1), value)
+            value = self.values[0] if self.kind == "constant" else self.values.mean(axis=0)
+            return np.broadcast_to(value, (len(chosen), 1, len(value)))
         if self.per_curve is None:
             return self.values[chosen][:, None]
-        count = int(self.per_curve[chosen[0]])
-        control = self.values[self.starts[chosen][:, None] + np.arange(count)][..., None]
-        if self.kind == "vertex" and basis != "linear":
-            return _sampled(control, basis, wrap, steps)[..., 0]
-        ends = np.concatenate([control, control[:, :1]], axis=1) if self.closed else control
-        place = np.arange((ends.shape[1] - 1) * steps + 1) / steps
-        low = np.minimum(place.astype(np.int64), ends.shape[1] - 2)
-        share = (place - low)[:, None]
-        return np.asarray(((1.0 - share) * ends[:, low] + share * ends[:, low + 1])[..., 0])
-
-
-def _tubes(line: Array, radius: Array, sides: int) -> tuple[Array, Indices, Array]:
-    """Tubes around (F, S, 3) lines: positions, faces, normals; outside is outside.
-
-    The frame is carried along without twist, by double reflection (Wang et al. 2008).
-    """
-    count, samples, _ = line.shape
-    ahead = np.diff(line, axis=1)
-    tangent = np.concatenate([ahead[:, :1], ahead[:, 1:] + ahead[:, :-1], ahead[:, -1:]], axis=1)
-    length = np.linalg.norm(tangent, axis=2, keepdims=True)
-    tangent = np.where(length > 0.0, tangent / np.maximum(length, 1e-300), [1.0, 0.0, 0.0])
-    axis = np.eye(3)[np.abs(tangent[:, 0]).argmin(axis=1)]
-    side = cross(tangent[:, 0], axis)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    sideways = [side]
-    for k in range(samples - 1):
-        step = line[:, k + 1] - line[:, k]
-        square = np.maximum(np.einsum("fi,fi->f", step, step), 1e-300)[:, None]
-        turned = side - (2.0 / square) * np.einsum("fi,fi->f", step, side)[:, None] * step
-        mirrored = tangent[:, k] - (2.0 / square) * np.einsum("fi,fi->f", step, tangent[:, k])[:, None] * step
-        second = tangent[:, k + 1] - mirrored
-        square = np.einsum("fi,fi->f", second, second)[:, None]
-        side = np.where(square > 1e-24, turned - 2.0 / np.maximum(square, 1e-300) * np.einsum("fi,fi->f", second, turned)[:, None] * second, turned)
-        side = side - np.einsum("fi,fi->f", side, tangent[:, k + 1])[:, None] * tangent[:, k + 1]
-        side = side / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-300)
-        sideways.append(side)
-    u = np.stack(sideways, axis=1)
-    v = cross(tangent, u)
-    angle = np.arange(sides) * (2.0 * np.pi / sides)
-    around = u[:, :, None] * np.cos(angle)[:, None] + v[:, :, None] * np.sin(angle)[:, None]  # (F, S, sides, 3)
-    fit = (np.pi / sides) / np.sin(np.pi / sides)  # the mean width of a convex outline is its length over pi (Cauchy)
-    positions = line[:, :, None] + around * (radius * fit)[:, :, None, None]
-    ring = np.arange(count * samples).reshape(count, samples) * sides
-    a = ring[:, :-1, None] + np.arange(sides)
-    b = ring[:, :-1, None] + np.roll(np.arange(sides), -1)
-    c, d = b + sides, a + sides
-    faces = np.concatenate([np.stack([a, b, c], axis=-1).reshape(-1, 3), np.stack([a, c, d], axis=-1).reshape(-1, 3)])
-    return positions.reshape(-1, 3), faces, around.reshape(-1, 3)
+        if self.kind == "vertex" and self.shape.cubic:
+            return self.shape.sampled(self.values, chosen, steps)
+        values = _of_curves(self.values, self.per_curve, chosen)
+        return _evenly(np.concatenate([values, values[:, :1]], axis=1) if self.shape.closed else values, steps)
 
 
 def _colors(prim: Usd.Prim, time: Usd.TimeCode, sizes: Indices, owner: Indices) -> Array | None:
@@ -243,15 +323,3 @@ def _colors(prim: Usd.Prim, time: Usd.TimeCode, sizes: Indices, owner: Indices) 
     if len(array) == sizes.sum() and (sizes > 0).all():
         return (np.add.reduceat(array, np.cumsum(sizes) - sizes, axis=0) / sizes[:, None])[owner]
     return np.tile(array.mean(axis=0), (len(owner), 1)) if len(array) else None
-
-
-def _array(attribute: Usd.Attribute, time: Usd.TimeCode, width: int) -> Array | None:
-    value: Any = attribute.Get(time)
-    if value is None and attribute.GetNumTimeSamples():
-        value = attribute.Get(Usd.TimeCode.EarliestTime())
-    if value is None or not len(value):
-        return None
-    try:
-        return np.asarray(value, dtype=np.float64).reshape(-1, width)
-    except (ValueError, TypeError):
-        return None

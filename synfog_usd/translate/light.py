@@ -8,20 +8,21 @@ that have a surface.  Follows the UsdLux specification since 25.05, but for what
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Ar, Usd, UsdLux
+from pxr import Usd, UsdLux
 
-from synfog_usd.errors import StageError
-from synfog_usd.translate import ies
 from synfog_usd.translate.convention import USD, Convention
-from synfog_usd.translate.geometry import ROUND, Triangles, area, ball, frustum, placed
+from synfog_usd.translate.geometry import Triangles, area, placed
+from synfog_usd.translate.implicit import ROUND, ball, frustum
 from synfog_usd.translate.material import LUMINANCE
 from synfog_usd.translate.notes import Notebook
-from synfog_usd.translate.space import Array, is_similarity, rotation_of, scaled
+from synfog_usd.translate.shaping import Shaping, as_ball, as_card, as_tube, luminous_flux, read_shaping, table_of
+from synfog_usd.translate.space import FAR, Array, is_similarity, rotation_of, scaled
 from synfog_usd.translate.texture import ImageReader, TextureNode, is_srgb, linear
 
 TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
@@ -126,6 +127,9 @@ def lamp(
         return _distant(radiance * convention.sun, angle, normalize or convention.sun_normalized, matrix, path, notes)
     if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
         notes.warn(path, "light scaled to nothing is left out")
+        return None
+    if not all(abs(float(inputs.get(name, 1.0))) <= FAR for name in ("radius", "width", "height", "length")):
+        notes.warn(path, "light whose size is no finite number, or of more than 10 digits, is left out")
         return None
     if convention.square_metres:
         metres_per_unit = 1.0
@@ -255,141 +259,31 @@ def _distant(radiance: Array, angle_deg: float, normalize: bool, matrix: Array, 
     return Lamp({"type": "directional", "irradiance": _rgb(irradiance), "to_world": rotation_of(matrix) @ TURN}, math.inf)
 
 
-@dataclass(frozen=True)
-class _Shaping:
-    """How a light is narrowed.
-
-    Attributes:
-        cone: (cutoff, beam width) [deg], or None where no cone is.
-        softness: of the cone, 0 to 1.
-        focus, tint: exponent of the cosine off the axis, and what colour is left there.
-        profile: photometry, with `scale` [1 / cd] to multiply, or None.
-        angle_scale: stretch of its vertical angles.
-    """
-
-    cone: tuple[float, float] | None
-    softness: float = 0.0
-    focus: float = 0.0
-    tint: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    profile: ies.Photometry | None = None
-    scale: float = 1.0
-    angle_scale: float = 0.0
-
-    @property
-    def plain(self) -> bool:
-        """Whether a cone is all there is."""
-        return self.profile is None and self.focus <= 0.0
-
-
-def _shaping(inputs: _Inputs, path: object, notes: Notebook) -> _Shaping | None:
-    """What narrows a light, or None where it shines everywhere.
-
-    Source: UsdLux 25.05, ShapingAPI.
-    """
-    if not inputs.prim.HasAPI(UsdLux.ShapingAPI) and all(inputs.get(f"shaping:{name}", None) is None for name in ("cone:angle", "ies:file", "focus")):
-        return None
-    cutoff = float(inputs.get("shaping:cone:angle", 90.0))
-    softness = min(max(float(inputs.get("shaping:cone:softness", 0.0)), 0.0), 0.999)
-    cone = None if not cutoff < 180.0 else (max(cutoff, 0.1), max(cutoff, 0.1) * (1.0 - softness))
-    focus = float(inputs.get("shaping:focus", 0.0))
-    tint = inputs.get("shaping:focusTint", (0.0, 0.0, 0.0))
-    profile, asset = None, inputs.get("shaping:ies:file", None)
-    if authored := getattr(asset, "path", ""):
-        profile = _photometry(getattr(asset, "resolvedPath", "") or "", authored, path, notes)
-    if cone is None and profile is None and not focus > 0.0:
-        return None
-    scale = 1.0
-    if profile is not None and inputs.get("shaping:ies:normalize", False):
-        flux = profile.flux_lm()
-        scale = 1.0 / flux if flux > 0.0 else 0.0
-    return _Shaping(
-        cone=cone,
-        softness=softness,
-        focus=focus if focus > 0.0 and math.isfinite(focus) else 0.0,
-        tint=(float(tint[0]), float(tint[1]), float(tint[2])),
-        profile=profile,
-        scale=scale,
-        angle_scale=min(max(float(inputs.get("shaping:ies:angleScale", 0.0)), -0.99), 0.99),
-    )
-
-
-def _photometry(file: str, authored: str, path: object, notes: Notebook) -> ies.Photometry | None:
-    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(file)) if file else None
-    if asset is None:
-        notes.warn(path, f"IES profile {authored} is not found; only the cone is drawn")
-        return None
-    try:
-        return ies.parse(bytes(asset.GetBuffer()) if asset.GetSize() <= ies.MAX_BYTES else b"", authored)
-    except StageError as error:
-        notes.warn(path, f"IES profile is not drawn, only the cone is: {error}")
-        return None
-
-
-def _shone(shaping: _Shaping, local: Array, *, flat: bool) -> Array:
-    """(..., 3) factors on the intensity in directions (..., 3) of the light's own frame, which looks along -Z.
+def _shaped(intensity: Array, shaping: Shaping, matrix: Array, path: object, notes: Notebook, *, seen: Callable[[Array], Array] = as_ball) -> Lamp | None:
+    """A lamp at a point, which far from its surface it is, with a table of its light.
 
     Args:
-        flat: whether the light is a flat one, whose intensity falls with the cosine.
+        intensity: (3,) along a direction in which `seen` is 1, without shaping [cd].
+        seen: the surface's extent in directions (..., 3) of the light's own frame, as a share of its largest.
     """
-    cosine = np.clip(-local[..., 2], -1.0, 1.0)
-    angle = np.degrees(np.arccos(cosine))
-    factor = np.ones((*cosine.shape, 3))
-    if shaping.focus > 0.0:
-        fall = np.abs(cosine) ** shaping.focus
-        factor *= fall[..., None] + (1.0 - fall[..., None]) * np.array(shaping.tint)
-    if shaping.cone is not None:
-        cutoff, beam = shaping.cone
-        t = np.clip((angle - beam) / max(cutoff - beam, 1e-9), 0.0, 1.0)
-        factor *= np.where(angle > cutoff, 0.0, 1.0 - t * t * (3.0 - 2.0 * t))[..., None]
-    if shaping.profile is not None:
-        stretch = 1.0 / (1.0 - shaping.angle_scale) if shaping.angle_scale > 0.0 else 1.0 + shaping.angle_scale
-        turn = np.degrees(np.arctan2(local[..., 1], local[..., 0]))
-        factor *= (shaping.scale * shaping.profile.at(np.minimum(angle * stretch, 180.0), turn))[..., None]
-    return factor * np.maximum(cosine, 0.0)[..., None] if flat else factor
-
-
-_WIDEST_DEG = 80.0
-"""Half angle of what a picture in front of a spot can hold; beyond it, its texels are too coarse."""
-
-
-def _shaped(intensity: Array, shaping: _Shaping, matrix: Array, path: object, notes: Notebook, *, flat: bool = False) -> Lamp | None:
-    """A lamp at a point: a plain cone as Mitsuba's own spot, anything else as a spot behind a picture of its distribution."""
-    if shaping.plain and shaping.cone is not None:
-        return _spot(intensity, shaping.cone, matrix)
-    angle, turn = np.radians(np.arange(0.125, 180.0, 0.25)), np.radians(np.arange(2.5, 360.0, 5.0))
-    sine = np.sin(angle)[:, None]
-    ways = np.stack([sine * np.cos(turn), sine * np.sin(turn), np.broadcast_to(-np.cos(angle)[:, None], (len(angle), len(turn)))], axis=-1)
-    ring = (_shone(shaping, ways, flat=flat) @ LUMINANCE).mean(axis=1) * np.sin(angle)
-    total = float(ring.sum())
-    if not total > 0.0:
+    table = table_of(shaping, seen)
+    flux = float(luminous_flux(table @ (LUMINANCE * intensity)))
+    if not flux > 0.0:
         notes.warn(path, "a light whose shaping leaves nothing of it is dark")
         return None
-    kept = np.cumsum(ring) / total
-    widest = min(_WIDEST_DEG, math.degrees(float(angle[min(int(np.searchsorted(kept, 1.0 - 1e-6)) + 1, len(angle) - 1)])) + 0.5)
-    lost = 1.0 - float(kept[angle <= math.radians(widest)][-1])
-    if lost > 0.005:
-        notes.warn(path, f"{100.0 * lost:.1f} % of the light leaves more than {widest:.0f} degrees off the axis and is not drawn")
-    size = 256 if widest <= 60.0 else 512
-    place = (2.0 * (np.arange(size) + 0.5) / size - 1.0) * math.tan(math.radians(widest))
-    x, y = np.meshgrid(place, place)
-    picture = np.stack([-x, y, -np.ones_like(x)], axis=-1)  # Mitsuba's frame is the light's, turned half about Y
-    factors = _shone(shaping, picture / np.linalg.norm(picture, axis=-1, keepdims=True), flat=flat)
-    pixels = (factors if shaping.focus > 0.0 and any(shaping.tint) else factors[..., :1]).astype(np.float32)
+    tinted = shaping.focus > 0.0 and any(shaping.tint)
     to_world = rotation_of(matrix) @ TURN
     to_world[:3, 3] = matrix[:3, 3]
-    emitter = {
-        "type": "spot",
-        "intensity": _rgb(intensity),
-        "texture": {"type": "bitmap", "bitmap": np.ascontiguousarray(pixels), "raw": True, "wrap_mode": "clamp"},
-        "cutoff_angle": widest,
-        "beam_width": widest * 0.9999,
-        "to_world": to_world,
-    }
-    flux = float(LUMINANCE @ intensity) * total * math.radians(0.25) * 2.0 * math.pi
-    return Lamp(emitter, flux)
+    bitmap = np.ascontiguousarray(table if tinted else table[..., 0], dtype=np.float32)
+    return Lamp({"type": "photometric", "intensity": _rgb(intensity), "bitmap": bitmap, "to_world": to_world}, flux)
 
 
 def _spot(intensity: Array, cone: tuple[float, float], matrix: Array) -> Lamp:
+    """Mitsuba's own spot for a disk with a cone and nothing else, as the shipped stages have been baked.
+
+    It is even up to the beam width and falls to the cutoff in a straight line, where UsdLux has the cosine of a card
+    and a smoothstep: off by a tenth of the beam in a soft edge, and by 1 - cos(angle).
+    """
     cutoff, beam = (math.radians(a) for a in cone)
     solid_angle = 2.0 * math.pi * (1.0 - (math.cos(cutoff) + math.cos(beam)) / 2.0)
     place = rotation_of(matrix) @ TURN
@@ -401,7 +295,7 @@ def _spot(intensity: Array, cone: tuple[float, float], matrix: Array) -> Lamp:
 def _sphere(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Notebook) -> Lamp | None:
     radius = float(inputs.get("radius", 0.5))
     mean_scale = abs(float(np.linalg.det(matrix[:3, :3]))) ** (1.0 / 3.0)
-    shaping = _shaping(inputs, path, notes)
+    shaping = read_shaping(inputs, path, notes)
     if radius <= 0.0 or inputs.get("treatAsPoint", False):
         if radius <= 0.0 and not per_area:
             notes.warn(path, "a light without size and without 'normalize' has no defined power; its intensity is taken as with 'normalize'")
@@ -442,13 +336,16 @@ def _flat(inputs: _Inputs, kind: str, radiance: Array, per_area: float, matrix: 
         notes.warn(path, "light without area is left out")
         return None
     L = radiance * per_area / surface if per_area else radiance
-    shaping = _shaping(inputs, path, notes)
+    shaping = read_shaping(inputs, path, notes)
     if shaping is not None and shaping.plain and shaping.cone is not None and shaping.cone[1] >= 90.0:
         shaping = None  # ShapingAPI as many programs apply it: nothing lies beyond 90 degrees anyway
     if shaping is not None:
-        notes.info(path, f"{kind} with a cone is drawn as a spot at its centre")
+        simple = kind == "DiskLight" and shaping.plain and picture is None
+        notes.info(path, f"{kind} with a cone is drawn as a spot at its centre" if simple else f"the shaped {kind} is drawn at its centre")
+        if simple and shaping.cone is not None:
+            return _spot(L * surface, shaping.cone, matrix)
         mean = L if picture is None else L * picture.reshape(-1, 3).mean(axis=0)
-        return _shaped(mean * surface, shaping, matrix, path, notes, flat=True)
+        return _shaped(mean * surface, shaping, matrix, path, notes, seen=as_card)
     if picture is not None:
         radiance_map = np.ascontiguousarray((picture * L)[::-1], dtype=np.float32)  # its top is at +Y; Mitsuba's v runs from -Y
         nits = float(LUMINANCE @ radiance_map.mean(axis=(0, 1), dtype=np.float64))
@@ -484,8 +381,10 @@ def _cylinder(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, 
     shape = placed(side, matrix)
     surface = area(shape) if not is_similarity(matrix) else 2.0 * math.pi * radius * length * abs(float(np.linalg.det(matrix[:3, :3]))) ** (2.0 / 3.0)
     L = radiance * per_area / surface if per_area else radiance
-    if _shaping(inputs, path, notes) is not None:
-        notes.warn(path, "the shaping of a CylinderLight is not drawn")
+    shaping = read_shaping(inputs, path, notes)
+    if shaping is not None:
+        notes.info(path, "the shaped CylinderLight is drawn at its centre")
+        return _shaped(L * surface / math.pi, shaping, matrix, path, notes, seen=as_tube)  # broadside a tube shows 2 r l of its side 2 pi r l
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), shape)
 
 
@@ -508,9 +407,14 @@ def _unsupported(prim: Usd.Prim, inputs: _Inputs, notes: Notebook) -> None:
         notes.warn(path, "a light without shadows is drawn with them")
     if prim.HasRelationship("light:filters") and prim.GetRelationship("light:filters").GetTargets():
         notes.warn(path, "light filters are not drawn")
+    if any(float(c) > 0.0 for c in inputs.get("shadow:color", (0.0, 0.0, 0.0))) or any(
+        float(inputs.get(f"shadow:{n}", -1.0)) > 0.0 for n in ("distance", "falloff")
+    ):
+        notes.warn(path, "the colour, reach and falloff of shadows are not drawn; a shadow is what light does not reach")
     for name in ("lightLink", "shadowLink"):
         root = prim.GetAttribute(f"collection:{name}:includeRoot")
-        if root and root.HasAuthoredValue() and not root.Get():
+        excluded = prim.GetRelationship(f"collection:{name}:excludes")
+        if (root and root.HasAuthoredValue() and not root.Get()) or (excluded and excluded.GetTargets()):
             notes.warn(path, f"{name} is not drawn; the light reaches everything")
 
 

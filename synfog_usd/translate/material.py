@@ -14,11 +14,17 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdShade
 
+from synfog_usd.scene import Array
+from synfog_usd.translate import spectrum
 from synfog_usd.translate.networks import RefusedError, fed_by, is_textured, native, omni_texture
 from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.texture import ImageReader, TextureNode, UvSource, linear, producer, sampled, shader_id, value_of
+from synfog_usd.translate.wrap import MODES
 
 GREY = (0.18, 0.18, 0.18)
+DISPLAY = "displayColor"
+"""The primvar of a shape's own colours."""
+
 LUMINANCE = np.array([0.2126729, 0.7151522, 0.0721750])
 """Rec.709 luminance of linear RGB."""
 
@@ -36,6 +42,9 @@ class Finish:
         uv: texture coordinates that it reads, or None.
         plain: key of the same material for shapes without such coordinates, or None.
         colored: whether it reads the vertices' 'vertex_color'.
+        reads: the primvar that this is.
+        fallback: what it is for shapes without that primvar, where the material says so.
+        unsaid: whether its textures are black beyond their square because no wrap mode is authored.
         empty: whether the material has no output at all, as Blender writes volumes.
     """
 
@@ -45,6 +54,9 @@ class Finish:
     uv: UvSource | None = None
     plain: str | None = None
     colored: bool = False
+    reads: str = DISPLAY
+    fallback: tuple[float, float, float] | None = None
+    unsaid: bool = False
     empty: bool = False
 
 
@@ -53,11 +65,13 @@ class Materials:
 
     Attributes:
         bsdfs: 'mat_*' -> BSDF, in the order in which they were made.
+        reflectance_of: 'mat_*' -> spectrum, of those that have one; see `SceneDict`.
     """
 
     def __init__(self, time: Usd.TimeCode, notes: Notebook, images: ImageReader) -> None:
         self.time, self.notes, self.images = time, notes, images
         self.bsdfs: dict[str, dict[str, Any]] = {}
+        self.reflectance_of: dict[str, Array] = {}
         self._by_path: dict[str, Finish] = {}
         self._by_word: dict[str, str] = {}
         self._by_color: dict[tuple[Any, ...], str] = {}
@@ -66,11 +80,22 @@ class Materials:
         """The finish of a USD material."""
         path = str(material.GetPath())
         if path not in self._by_path:
-            self._by_path[path] = self._made(material)
+            self._by_path[path] = self._measured(material, self._made(material))
         return self._by_path[path]
+
+    def _measured(self, material: UsdShade.Material, made: Finish) -> Finish:
+        """The finish with the reflectance spectrum that stands on its material, or as it is."""
+        curve = spectrum.reflectance(material.GetPrim(), self.bsdfs[made.key], self.time, self.notes)
+        if curve is None:
+            return made
+        key = self._add(self.bsdfs[made.key], curve)
+        return replace(made, key=key, plain=self._add(self.bsdfs[made.plain], curve) if made.plain is not None else None)
 
     def colored(self, color: tuple[float, ...], opacity: float = 1.0) -> Finish:
         """A matte finish of one colour, for shapes without a material."""
+        known = self._by_color.get((*color, opacity))
+        if known is not None:
+            return Finish(known)
         value = [min(max(float(c), 0.0), 1.0) for c in color]
         return self._matte((*color, opacity), _rgb(value), opacity)
 
@@ -90,12 +115,14 @@ class Materials:
             self._by_color["black",] = self._add({"type": "diffuse", "reflectance": _rgb([0.0, 0.0, 0.0])})
         return Finish(self._by_color["black",])
 
-    def _add(self, bsdf: dict[str, Any]) -> str:
-        """Key of a BSDF; an equal one that is there already is used again."""
-        word = repr(_told(bsdf))
+    def _add(self, bsdf: dict[str, Any], curve: Array | None = None) -> str:
+        """Key of a BSDF and its spectrum; equal ones that are there already are used again."""
+        word = repr(_told(bsdf) if curve is None else (_told(bsdf), _told(curve)))
         if word not in self._by_word:
             self._by_word[word] = f"mat_{len(self.bsdfs)}"
             self.bsdfs[self._by_word[word]] = bsdf
+            if curve is not None:
+                self.reflectance_of[self._by_word[word]] = curve
         return self._by_word[word]
 
     def _made(self, material: UsdShade.Material) -> Finish:
@@ -170,7 +197,7 @@ class Materials:
                 self.notes.warn(path, f"{name} is not drawn")
         key = self._add(bsdf)
         plain = self._add(_without_textures(bsdf)) if inputs.uv is not None else None
-        return Finish(key, emission, nits, inputs.uv, plain, inputs.vertex_color)
+        return Finish(key, emission, nits, inputs.uv, plain, inputs.vertex_color, inputs.reads, inputs.fallback, inputs.unsaid)
 
     def _bumped(self, bsdf: dict[str, Any], inputs: _Inputs, path: object) -> dict[str, Any]:
         node = inputs.texture("normal")
@@ -184,6 +211,8 @@ class Materials:
         if not (usual or untouched):
             self.notes.warn(path, "normal map with an unusual scale and bias is left out; (2, 2, 2) and (-1, -1, -1) are known")
             return bsdf
+        along_u, along_v = ("clamp" if mode == "black" else mode for mode in self.images.wraps(node))  # no normal is black
+        node = replace(node, wrap=along_u, wrap_v=along_v)
         values = linear(pixels[..., :3], srgb=False)
         if untouched and pixels.dtype != np.uint8:
             values = values * 0.5 + 0.5
@@ -267,6 +296,9 @@ _OMNI_PBR = _Names(  # OmniPBR.mdl
 _SWITCHES = {"opacity": "enable_opacity", "emissiveColor": "enable_emission"}
 """OmniPBR's inputs that count only where a switch is on."""
 
+READERS = ("UsdPrimvarReader", "ND_UsdPrimvarReader", "ND_geompropvalue")
+"""How the shaders begin that give a primvar of the shape."""
+
 _VERTEX_COLOR = {"type": "mesh_attribute", "name": "vertex_color"}
 
 
@@ -278,6 +310,9 @@ class _Inputs:
         self.time, self.notes, self.images = materials.time, materials.notes, materials.images
         self.uv: UvSource | None = None
         self.vertex_color = False
+        self.reads = DISPLAY
+        self.fallback: tuple[float, float, float] | None = None
+        self.unsaid = False
 
     def has(self, name: str) -> bool:
         """Whether the shader has such an input, and it is not switched off."""
@@ -334,36 +369,53 @@ class _Inputs:
         A shape carries the coordinates of the first texture; those of another one
         are reached from there by an affine map.
         """
-        made = {"type": "bitmap", "bitmap": pixels, "raw": raw, "wrap_mode": node.wrap}
+        shown = self.images.wrapped(pixels, node)
+        self.unsaid |= any(
+            given not in MODES and mode == "black" for given, mode in zip((node.wrap, node.wrap_v or node.wrap), self.images.wraps(node), strict=True)
+        )
+        made = {"type": "bitmap", "bitmap": shown.pixels, "raw": raw, "wrap_mode": shown.mode}
         if node.uv is None:
             return made
+        onto = np.array([[shown.scale[0], 0.0, shown.shift[0]], [0.0, shown.scale[1], shown.shift[1]], [0.0, 0.0, 1.0]])
         if self.uv is None:
             self.uv = node.uv
-        if self.uv == node.uv:
-            return made
         first, this = (np.vstack([np.array(uv.matrix), [0.0, 0.0, 1.0]]) for uv in (self.uv, node.uv))
         if self.uv.primvar != node.uv.primvar or abs(np.linalg.det(first)) < 1e-12:
             self.notes.warn(self.shader.GetPath(), f"textures with different coordinates; all are drawn with {self.uv.primvar!r} as the first one is")
-            return made
-        return made | {"to_uv": this @ np.linalg.inv(first)}
+            this = first
+        between = onto if self.uv == node.uv or this is first else onto @ this @ np.linalg.inv(first)
+        return made if (between == np.eye(3)).all() else made | {"to_uv": between}
 
     def color(self, name: str, default: tuple[float, ...]) -> dict[str, Any]:
         output = self.producer(name)
         kind = shader_id(output.GetPrim()) if output is not None else ""
-        if output is not None and kind.startswith(("UsdPrimvarReader", "ND_UsdPrimvarReader", "ND_geompropvalue")):
-            reader = UsdShade.Shader(output.GetPrim())
-            if str(value_of(reader, "geomprop" if kind.startswith("ND_geom") else "varname", self.time, "")) == "displayColor":
-                self.vertex_color = True
-                return dict(_VERTEX_COLOR)
+        if output is not None and kind.startswith(READERS):
+            self.reads, self.fallback = self.primvar(output, kind)
+            self.vertex_color = True
+            return dict(_VERTEX_COLOR)
         node = self.texture(name)
         if node is None:
             return _rgb([min(max(c, 0.0), 1.0) for c in self.constant_color(name, default)]) if output is None else _rgb(list(default))
         value = sampled(node, self.images, channels=3)
         if isinstance(value, tuple):
             return _rgb([min(max(c, 0.0), 1.0) for c in value])
-        return self.bitmap(value if value.dtype == np.uint8 else np.clip(value, 0.0, 1.0), node, raw=False)
+        return self.bitmap(_limited(value), node, raw=False)
+
+    def primvar(self, output: Usd.Attribute, kind: str) -> tuple[str, tuple[float, float, float] | None]:
+        """The primvar that a reader names, and what it gives where there is none."""
+        reader = UsdShade.Shader(output.GetPrim())
+        is_materialx = kind.startswith("ND_geom")
+        fallback = value_of(reader, "default" if is_materialx else "fallback", self.time)
+        values = None if fallback is None else np.asarray(fallback, dtype=np.float64).reshape(-1)
+        name = str(value_of(reader, "geomprop" if is_materialx else "varname", self.time, ""))
+        return name or DISPLAY, None if values is None else (float(values[0]), float(values[min(1, len(values) - 1)]), float(values[min(2, len(values) - 1)]))
 
     def number(self, name: str, default: float) -> Any:
+        output = self.producer(name)
+        if output is not None and (kind := shader_id(output.GetPrim())).startswith(READERS):
+            source, fallback = self.primvar(output, kind)
+            self.notes.warn(self.shader.GetPath(), f"{name} that varies with primvar {source!r} is not drawn; the reader's fallback is used")
+            return min(max(fallback[0] if fallback is not None else 0.0, 0.0), 1.0)
         node = self.texture(name)
         if node is None:
             value = default if self.producer(name) is not None or not self.has(name) else value_of(self.shader, self.names[name], self.time, default)
@@ -371,7 +423,7 @@ class _Inputs:
         value = sampled(node, self.images, channels=1)
         if isinstance(value, tuple):
             return min(max(value[0], 0.0), 1.0)
-        return self.bitmap(np.clip(value, 0.0, 1.0), node, raw=True)
+        return self.bitmap(_limited(value), node, raw=True)
 
     def opacity(self) -> Any:
         """Opacity as a number or bitmap, or None where the surface is opaque."""
@@ -402,6 +454,11 @@ class _Inputs:
         return self.bitmap(decoded, node, raw=True), float(LUMINANCE @ decoded.mean(axis=(0, 1)))
 
 
+def _limited(pixels: Any) -> Any:
+    """Values from 0 to 1; the same array where they are."""
+    return pixels if pixels.dtype == np.uint8 or (pixels.min() >= 0.0 and pixels.max() <= 1.0) else np.clip(pixels, 0.0, 1.0)
+
+
 def _rgb(value: list[float]) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(c) for c in value]}
 
@@ -411,7 +468,7 @@ def _told(part: Any) -> Any:
     if isinstance(part, dict):
         return {name: _told(value) for name, value in part.items()}
     if isinstance(part, np.ndarray):
-        return part.shape, str(part.dtype), hashlib.sha256(np.ascontiguousarray(part)).hexdigest()
+        return part.shape, str(part.dtype), hashlib.sha256(np.ascontiguousarray(part).data).hexdigest()
     return part
 
 
@@ -423,7 +480,10 @@ def _without_textures(part: dict[str, Any]) -> dict[str, Any]:
     for name, value in part.items():
         if isinstance(value, dict) and value["type"] == "bitmap":
             raw = bool(value.get("raw", False))
-            texel = linear(value["bitmap"][-1:, :1], srgb=value["bitmap"].dtype == np.uint8 and not raw).reshape(-1)
+            pixels, begin = value["bitmap"], value.get("to_uv", np.eye(3))[:2, 2] + 1e-9
+            column, row = (int(place * size) % size for place, size in zip(begin, pixels.shape[1::-1], strict=True))
+            row = pixels.shape[0] - 1 - row
+            texel = linear(pixels[row : row + 1, column : column + 1], srgb=pixels.dtype == np.uint8 and not raw).reshape(-1)
             result[name] = float(texel[0]) if raw or len(texel) < 3 else _rgb([float(c) for c in texel[:3]])
         else:
             result[name] = _without_textures(value) if isinstance(value, dict) and "type" in value else value

@@ -16,7 +16,7 @@ from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.texture import ImageReader, TextureNode, UvSource, producer, shader_id, texture_node, value_of
 
 _IMAGES = ("ND_image_", "ND_tiledimage_")
-_ADDRESS = {"periodic": "repeat", "clamp": "clamp", "mirror": "mirror", "constant": "clamp"}
+_ADDRESS = {"periodic": "repeat", "clamp": "clamp", "mirror": "mirror", "constant": "black"}
 _CHANNELS = {"outr": "r", "outx": "r", "outg": "g", "outy": "g", "outb": "b", "outz": "b", "outa": "a", "outw": "a"}
 _STEPS = 12
 
@@ -81,6 +81,8 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Notebook
         channel="r" if single else "rgb",
         color_space="raw" if kind.endswith(("_float", "_vector2", "_vector3", "_vector4")) and space in ("", "auto") else _space(space),
         wrap=_ADDRESS.get(str(value_of(shader, "uaddressmode", time, "periodic")), "repeat"),
+        wrap_v=_ADDRESS.get(str(value_of(shader, "vaddressmode", time, "periodic")), "repeat"),
+        outside=(*(values + [0.0] * 3)[:3], 1.0),
         scale=(1.0,) * 4,
         bias=(0.0,) * 4,
         fallback=(*(values + [0.0] * 3)[:3], 1.0),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 from synfog_usd.scene import Note
@@ -29,11 +30,15 @@ class Notebook:
         for note in notes:
             self._by_text.setdefault((note.severity, note.text), {})[note.path] = None
 
-    def closed(self) -> tuple[Note, ...]:
-        """All notes; of one text at most `MAX_SAME` and a count of the rest."""
+    def closed(self, authored: Callable[[str], str] = str) -> tuple[Note, ...]:
+        """All notes; of one text at most `MAX_SAME` and a count of the rest.
+
+        Args:
+            authored: from the path of a prim to where its author finds it.
+        """
         notes = []
         for (severity, text), paths in self._by_text.items():
-            listed = list(paths)
+            listed = list(dict.fromkeys(authored(path) for path in paths))
             notes += [Note(severity, path, text) for path in listed[:MAX_SAME]]
             if len(listed) > MAX_SAME:
                 notes.append(Note(severity, listed[MAX_SAME], f"{text} (and {len(listed) - MAX_SAME - 1} more prims)"))

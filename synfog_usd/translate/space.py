@@ -20,6 +20,15 @@ Array = npt.NDArray[np.float64]
 Y_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """(x, y, z) -> (x, -z, y)."""
 
+UNITS_M = (1e-6, 1e3)
+"""Lengths of a stage's unit [m]: from micrometres to kilometres."""
+
+FAR = 1e10
+"""Largest number of a placement [stage units]: 10 000 km in millimetres.  An instance's, its shape's and `FAR_POINT` together stay within float32."""
+
+FAR_POINT = 1e12
+"""Largest coordinate of a mesh's point [stage units]."""
+
 
 @dataclass(frozen=True)
 class Space:
@@ -48,11 +57,12 @@ def stage_space(stage: Usd.Stage) -> Space:
     """Units and axes of a stage, with the origin where the stage has it.
 
     Raises:
-        StageError: metersPerUnit is not above 0.
+        StageError: metersPerUnit is not within `UNITS_M`.
     """
     metres = UsdGeom.GetStageMetersPerUnit(stage)
-    if not (metres > 0.0 and np.isfinite(metres)):
-        raise StageError(f"{stage.GetRootLayer().identifier}: metersPerUnit = {metres} is not above 0; 1 is metres, 0.01 centimetres")
+    if not UNITS_M[0] <= metres <= UNITS_M[1]:
+        allowed = f"from {UNITS_M[0]:g} to {UNITS_M[1]:g}"
+        raise StageError(f"{stage.GetRootLayer().identifier}: metersPerUnit = {metres:g} is not {allowed}; 1 is metres, 0.01 centimetres, 0.0254 inches")
     axes = np.eye(4) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else Y_TO_Z
     return Space(float(metres), axes, np.zeros(3))
 

@@ -1,4 +1,4 @@
-"""Catmull-Clark subdivision: a control cage as fine quads that lie on the limit surface.
+"""Subdivision by Catmull and Clark: a control cage as fine quads that lie on the limit surface.
 
 Takes points, faces, creases, corners and the boundary rule; gives quads, and the
 same for whatever else goes with the points.  Knows nothing of USD or materials.
@@ -53,13 +53,13 @@ class Cage:
 
 
 @dataclass(frozen=True)
-class Quads:
-    """Fine quads of a cage.
+class Fine:
+    """Fine faces of a cage.
 
     Attributes:
         points: (N, C) float64.
-        indices: point of each corner, four to a quad.
-        face_of: (Q,) face of the cage that each quad comes from.
+        indices: point of each corner, four to a quad or three to a triangle.
+        face_of: (Q,) face of the cage that each one comes from.
         smooth_of: smooth patch of each corner: corners of one point that no sharp edge parts.
     """
 
@@ -79,13 +79,13 @@ def levels(face_count: int) -> int:
 
 def boundary_faces(cage: Cage, point_count: int) -> npt.NDArray[np.bool_]:
     """(F,) faces that touch the boundary; the rule 'none' does not draw them."""
-    edges = _Edges(cage)
+    edges = Edges(cage)
     outer = np.zeros(point_count, dtype=bool)
     outer[edges.ends[edges.faces_around == 1]] = True
     return np.bincount(edges.face_of_corner, weights=outer[cage.indices], minlength=len(cage.counts)) > 0
 
 
-def subdivided(points: Array, cage: Cage, level: int) -> Quads:
+def subdivided(points: Array, cage: Cage, level: int) -> Fine:
     """A cage divided `level` times, and moved onto the limit surface.
 
     Args:
@@ -101,13 +101,37 @@ def subdivided(points: Array, cage: Cage, level: int) -> Quads:
     np.maximum.at(corner_sharpness, cage.corners, cage.corner_sharpness)
     for _ in range(level):
         values, cage, corner_sharpness, face_of = _divided(values, cage, corner_sharpness, face_of)
-    edges = _Edges(cage)
+    edges = Edges(cage)
     sharp = edges.sharpness(cage)
-    return Quads(_on_limit(values, cage, edges, sharp, corner_sharpness), cage.indices, face_of, _smooth_patches(cage, edges, sharp))
+    return Fine(_on_limit(values, cage, edges, sharp, corner_sharpness), cage.indices, face_of, smooth_patches(cage, edges, sharp))
 
 
-class _Edges:
-    """The edges of a cage, each once."""
+def bilinear(points: Array, cage: Cage, level: int) -> Fine:
+    """A cage divided `level` times without being smoothed: flat faces stay, bent quads become parts of their bilinear patches."""
+    values, face_of = np.asarray(points, dtype=np.float64), np.arange(len(cage.counts))
+    for _ in range(level):
+        edges = Edges(cage)
+        first, count = len(values), len(edges.keys)
+        middles = values[edges.ends].mean(axis=1)
+        starts = np.cumsum(cage.counts) - cage.counts
+        centers = np.add.reduceat(values[cage.indices], starts, axis=0) / cage.counts[:, None]
+        quads = np.stack([cage.indices, first + edges.of_corner, first + count + edges.face_of_corner, first + edges.of_corner[edges.previous]], axis=1)
+        values, face_of = np.concatenate([values, middles, centers]), face_of[edges.face_of_corner]
+        cage = Cage(np.full(len(quads), 4, dtype=np.int64), quads.reshape(-1))
+    return Fine(values, cage.indices, face_of, np.arange(len(cage.indices)))
+
+
+class Edges:
+    """The edges of a cage, each once.
+
+    Attributes:
+        keys: (E,) a number for each.
+        ends: (E, 2) its points, the lower one first.
+        faces_around: (E,) how many faces meet at it.
+        face_of_corner: face of each corner of the cage.
+        of_corner: edge from each corner to the one after it.
+        following, previous: the corners after and before each one.
+    """
 
     def __init__(self, cage: Cage) -> None:
         starts = np.cumsum(cage.counts) - cage.counts
@@ -137,12 +161,13 @@ class _Edges:
         return sharp
 
 
-def _softened(sharpness: Array) -> Array:
+def softened(sharpness: Array) -> Array:
+    """Sharpness one level further."""
     return np.where(sharpness >= INFINITE, sharpness, np.maximum(sharpness - 1.0, 0.0))
 
 
 def _divided(values: Array, cage: Cage, corner_sharpness: Array, face_of: Indices) -> tuple[Array, Cage, Array, Indices]:
-    edges = _Edges(cage)
+    edges = Edges(cage)
     points, faces, count = len(values), len(cage.counts), len(edges.keys)
     sharp = edges.sharpness(cage)
     per_corner = (1.0 / cage.counts)[edges.face_of_corner]
@@ -157,20 +182,11 @@ def _divided(values: Array, cage: Cage, corner_sharpness: Array, face_of: Indice
     ends, degree = edges.ends, np.bincount(edges.ends.reshape(-1), minlength=points)
     single = np.bincount(cage.indices, minlength=points) == 1
     now = _vertex_points(values, cage, edges, sharp, corner_sharpness, face_points, degree, single)
-    later_sharp, later_corner = _softened(sharp), _softened(corner_sharpness)
+    later_sharp, later_corner = softened(sharp), softened(corner_sharpness)
     vertex_points = now.values
-    if ((sharp > 0.0) & (sharp < 1.0)).any() or ((corner_sharpness > 0.0) & (corner_sharpness < 1.0)).any():
+    if is_fractional(sharp, corner_sharpness):
         after = _vertex_points(values, cage, edges, later_sharp, later_corner, face_points, degree, single)
-        ending = (sharp > 0.0) & (later_sharp <= 0.0)
-        total, number = np.zeros(points), np.zeros(points)
-        for side in (0, 1):
-            np.add.at(total, ends[ending, side], sharp[ending])
-            np.add.at(number, ends[ending, side], 1.0)
-        falling = (corner_sharpness > 0.0) & (later_corner <= 0.0)
-        total[falling] += corner_sharpness[falling]
-        number[falling] += 1.0
-        share = np.where(now.rule == after.rule, 1.0, np.minimum(total / np.maximum(number, 1.0), 1.0))[:, None]
-        vertex_points = share * now.values + (1.0 - share) * after.values
+        vertex_points = between(now, after, ends, sharp, corner_sharpness)
 
     corners = np.arange(len(cage.indices))
     quads = np.stack([cage.indices, points + edges.of_corner, points + count + edges.face_of_corner, points + edges.of_corner[edges.previous]], axis=1)
@@ -188,21 +204,47 @@ def _divided(values: Array, cage: Cage, corner_sharpness: Array, face_of: Indice
 
 
 @dataclass(frozen=True)
-class _Moved:
+class Moved:
+    """Points of a cage, one level on.
+
+    Attributes:
+        values: (N, C) where they go.
+        rule: (N,) by which of `rules`.
+    """
+
     values: Array
     rule: Indices
-    """0 smooth, 1 on a crease, 2 a corner."""
 
 
-def _rules(ends: Indices, sharp: Array, corner_sharpness: Array, single: npt.NDArray[np.bool_], *, sharp_ends: bool) -> tuple[Indices, Indices]:
+def is_fractional(sharp: Array, corner_sharpness: Array) -> bool:
+    """Whether anything stops being sharp within the next level."""
+    return bool(((sharp > 0.0) & (sharp < 1.0)).any() or ((corner_sharpness > 0.0) & (corner_sharpness < 1.0)).any())
+
+
+def between(now: Moved, after: Moved, ends: Indices, sharp: Array, corner_sharpness: Array) -> Array:
+    """Points beside what stops being sharp: between the rules of this level and of the next, by the mean of the fractions."""
+    ending = (sharp > 0.0) & (softened(sharp) <= 0.0)
+    total, number = np.zeros(len(now.rule)), np.zeros(len(now.rule))
+    for side in (0, 1):
+        np.add.at(total, ends[ending, side], sharp[ending])
+        np.add.at(number, ends[ending, side], 1.0)
+    falling = (corner_sharpness > 0.0) & (softened(corner_sharpness) <= 0.0)
+    total[falling] += corner_sharpness[falling]
+    number[falling] += 1.0
+    share = np.where(now.rule == after.rule, 1.0, np.minimum(total / np.maximum(number, 1.0), 1.0))[:, None]
+    return np.asarray(share * now.values + (1.0 - share) * after.values)
+
+
+def rules(ends: Indices, sharp: Array, corner_sharpness: Array, single: npt.NDArray[np.bool_], *, sharp_ends: bool) -> Indices:
+    """(N,) how each point moves: 0 smooth, 1 along its crease, 2 not at all."""
     hard = np.bincount(ends[sharp > 0.0].reshape(-1), minlength=len(corner_sharpness))
     rule = np.where((hard > 2) | (corner_sharpness > 0.0), 2, np.where(hard == 2, 1, 0))
     if sharp_ends:
         rule[single] = 2
-    return rule, hard
+    return rule
 
 
-def _neighbours(ends: Indices, chosen: npt.NDArray[np.bool_], values: Array) -> Array:
+def neighbours(ends: Indices, chosen: npt.NDArray[np.bool_], values: Array) -> Array:
     """Sum of the values at the other ends of the chosen edges, for each point."""
     a, b = ends[chosen, 0], ends[chosen, 1]
     ones = np.ones(2 * len(a))
@@ -210,29 +252,29 @@ def _neighbours(ends: Indices, chosen: npt.NDArray[np.bool_], values: Array) -> 
 
 
 def _vertex_points(
-    values: Array, cage: Cage, edges: _Edges, sharp: Array, corner_sharpness: Array, face_points: Array, degree: Indices, single: npt.NDArray[np.bool_]
-) -> _Moved:
-    rule, _ = _rules(edges.ends, sharp, corner_sharpness, single, sharp_ends=cage.sharp_ends)
+    values: Array, cage: Cage, edges: Edges, sharp: Array, corner_sharpness: Array, face_points: Array, degree: Indices, single: npt.NDArray[np.bool_]
+) -> Moved:
+    rule = rules(edges.ends, sharp, corner_sharpness, single, sharp_ends=cage.sharp_ends)
     n = np.maximum(degree, 1)[:, None].astype(np.float64)
-    around = _neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values)
+    around = neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values)
     ones = np.ones(len(cage.indices))
     faces = sparse.csr_array((ones, (cage.indices, edges.face_of_corner)), shape=(len(values), len(cage.counts))) @ face_points
     smooth = (n - 2.0) / n * values + (around + faces) / n**2
-    crease = 0.75 * values + 0.125 * _neighbours(edges.ends, sharp > 0.0, values)
+    crease = 0.75 * values + 0.125 * neighbours(edges.ends, sharp > 0.0, values)
     free = (rule == 0) & (degree > 0)
-    return _Moved(np.where(free[:, None], smooth, np.where((rule == 1)[:, None], crease, values)), rule)
+    return Moved(np.where(free[:, None], smooth, np.where((rule == 1)[:, None], crease, values)), rule)
 
 
-def _on_limit(values: Array, cage: Cage, edges: _Edges, sharp: Array, corner_sharpness: Array) -> Array:
+def _on_limit(values: Array, cage: Cage, edges: Edges, sharp: Array, corner_sharpness: Array) -> Array:
     points = len(values)
     degree = np.bincount(edges.ends.reshape(-1), minlength=points)
-    rule, _ = _rules(edges.ends, sharp, corner_sharpness, np.bincount(cage.indices, minlength=points) == 1, sharp_ends=cage.sharp_ends)
+    rule = rules(edges.ends, sharp, corner_sharpness, np.bincount(cage.indices, minlength=points) == 1, sharp_ends=cage.sharp_ends)
     n = np.maximum(degree, 1)[:, None].astype(np.float64)
     across = cage.indices[edges.following[edges.following]]
     ones = np.ones(len(across))
     opposite = sparse.csr_array((ones, (cage.indices, across)), shape=(points, points)) @ values
-    smooth = (n**2 * values + 4.0 * _neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values) + opposite) / (n * (n + 5.0))
-    crease = (4.0 * values + _neighbours(edges.ends, sharp > 0.0, values)) / 6.0
+    smooth = (n**2 * values + 4.0 * neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values) + opposite) / (n * (n + 5.0))
+    crease = (4.0 * values + neighbours(edges.ends, sharp > 0.0, values)) / 6.0
     half_sharp = np.zeros(points, dtype=bool)
     half_sharp[edges.ends[(sharp > 0.0) & (sharp < INFINITE)]] = True
     half_sharp |= (corner_sharpness > 0.0) & (corner_sharpness < INFINITE)
@@ -240,7 +282,7 @@ def _on_limit(values: Array, cage: Cage, edges: _Edges, sharp: Array, corner_sha
     return np.where(free[:, None], smooth, np.where(((rule == 1) & ~half_sharp)[:, None], crease, values))
 
 
-def _smooth_patches(cage: Cage, edges: _Edges, sharp: Array) -> Indices:
+def smooth_patches(cage: Cage, edges: Edges, sharp: Array) -> Indices:
     """Number of the smooth patch of each corner: its point, where nothing around it is sharp for good."""
     if not (sharp[edges.faces_around == 2] >= INFINITE).any():
         return cage.indices

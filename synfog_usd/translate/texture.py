@@ -19,6 +19,7 @@ from pxr import Ar, Gf, Usd, UsdShade
 
 from synfog_usd.errors import StageError
 from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.wrap import MODES, Wrapped, wrapped
 
 MAX_PIXELS = 1 << 26
 """Pixels of one texture; 8192 x 8192.  Asked of its header, before it is decoded."""
@@ -39,7 +40,8 @@ SRGB_TO_LINEAR = np.where(_CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) /
 """Linear value of each 8-bit sRGB code, IEC 61966-2-1."""
 
 _CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}
-_WRAP = {"repeat": "repeat", "mirror": "mirror", "clamp": "clamp", "black": "clamp", "useMetadata": "repeat"}
+_IN_FILES = {"periodic": "repeat", "mirror": "mirror", "clamp": "clamp", "black": "black"}
+"""OpenImageIO's words for wrap modes in a file."""
 
 Pixels = npt.NDArray[Any]
 
@@ -63,7 +65,9 @@ class TextureNode:
 
     `tiles` are the (number, file) of a tiled texture, from 1001 on; `file` is then
     its name with <UDIM> in it, and `uv` goes to the picture that `ImageReader.of`
-    puts together.
+    puts together.  `wrap` holds along u, and along v where `wrap_v` is ''; 'useMetadata'
+    is what the file says.  `outside` is what 'black' shows before a channel is picked;
+    None for `bias`, which is what black texels are.
     """
 
     path: str
@@ -77,6 +81,8 @@ class TextureNode:
     fallback: tuple[float, ...]
     uv: UvSource | None
     tiles: tuple[tuple[int, str], ...] = ()
+    wrap_v: str = ""
+    outside: tuple[float, ...] | None = None
 
 
 class ImageReader:
@@ -87,6 +93,8 @@ class ImageReader:
         self._images: dict[str, Pixels | None] = {}
         self._bytes = 0
         self.sampled: dict[tuple[Any, ...], Pixels | tuple[float, ...]] = {}
+        self._modes: dict[str, tuple[str, str]] = {}
+        self._wrapped: dict[tuple[Any, ...], tuple[Pixels, Wrapped]] = {}
 
     def read(self, file: str, path: str) -> Pixels | None:
         """(H, W, C) uint8 or float32, row 0 at the top, alpha not multiplied in; None where it cannot be read."""
@@ -101,6 +109,27 @@ class ImageReader:
         if node.file not in self._images:
             self._images[node.file] = self._joined(node)
         return self._images[node.file]
+
+    def wraps(self, node: TextureNode) -> tuple[str, str]:
+        """Modes along u and v, with those of the file where the node leaves it to it; black where nobody says."""
+        in_file = self._modes.get(node.file, ("black", "black"))
+        wanted = (node.wrap, node.wrap_v or node.wrap)
+        along_u, along_v = (wrap if wrap in MODES else own for wrap, own in zip(wanted, in_file, strict=True))
+        return along_u, along_v
+
+    def wrapped(self, pixels: Pixels, node: TextureNode) -> Wrapped:
+        """What `sampled` gave for a node as a picture of one wrap mode; the same array for the same question."""
+        wraps = self.wraps(node)
+        if wraps[0] == wraps[1] != "black":
+            return Wrapped(pixels, wraps[0])
+        said = np.array(node.bias if node.outside is None else node.outside, dtype=np.float32)
+        outside: Pixels = np.maximum(_picked(said.reshape(1, 1, 4), node, pixels.shape[2]).reshape(-1), 0.0)
+        if pixels.dtype == np.uint8:
+            outside = np.rint(255.0 * _encoded(outside)).astype(np.uint8)
+        key = (id(pixels), wraps, tuple(outside.tolist()))
+        if key not in self._wrapped:
+            self._wrapped[key] = (pixels, wrapped(pixels, wraps, outside))  # the pixels are kept, so that no other array gets their id
+        return self._wrapped[key][1]
 
     def _joined(self, node: TextureNode) -> Pixels | None:
         """Tiles in one picture, each scaled to the largest; what no tile covers is black."""
@@ -118,13 +147,13 @@ class ImageReader:
         channels = max(pixels.shape[2] for _, pixels in tiles)
         eight_bit = all(pixels.dtype == np.uint8 for _, pixels in tiles)
         result: Pixels = np.zeros((height * rows, width * columns, channels), dtype=np.uint8 if eight_bit else np.float32)
-        for number, pixels in tiles:
-            values: Pixels = pixels if eight_bit or pixels.dtype != np.uint8 else pixels.astype(np.float32) / np.float32(255.0)
+        for number, tile in tiles:
+            values: Pixels = tile if eight_bit or tile.dtype != np.uint8 else tile.astype(np.float32) / np.float32(255.0)
             values = np.concatenate([values, *[values[..., -1:]] * (channels - values.shape[2])], axis=2)
             if values.shape[:2] != (height, width):
                 source = OpenImageIO.ImageBuf(np.ascontiguousarray(values))
                 region = OpenImageIO.ROI(0, width, 0, height, 0, 1, 0, channels)
-                values = OpenImageIO.ImageBufAlgo.resize(source, roi=region).get_pixels("uint8" if eight_bit else "float")
+                values = np.asarray(OpenImageIO.ImageBufAlgo.resize(source, roi=region).get_pixels("uint8" if eight_bit else "float"))
             column, row = (number - 1001) % 10 - left, rows - 1 - ((number - 1001) // 10 - bottom)
             result[row * height : (row + 1) * height, column * width : (column + 1) * width] = values
         return result
@@ -165,6 +194,9 @@ class ImageReader:
         if self._bytes > MAX_BYTES:
             image.close()
             raise StageError(f"{path}: with texture {shown} all textures take {self._bytes >> 20} MiB decoded; at most {MAX_BYTES >> 20} are read: shrink some")
+        modes = [_IN_FILES.get(word.strip(), "black") for word in str(spec.getattribute("wrapmodes") or "").split(",")]
+        if modes != ["black"]:
+            self._modes[shown] = (modes[0], modes[-1])
         pixels = image.read_image(0, 0, 0, min(spec.nchannels, 4), "uint8" if eight_bit else "float")
         problem = image.geterror()
         image.close()
@@ -219,13 +251,10 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Notebook) -> 
     asset = value_of(shader, "file", time)
     scale, bias, fallback = (tuple(value_of(shader, name, time, default)) for name, default in _TUPLES)
     wraps = [str(value_of(shader, name, time, "useMetadata")) for name in ("wrapS", "wrapT")]
-    if wraps[0] != wraps[1] and _WRAP.get(wraps[0]) != _WRAP.get(wraps[1]):
-        notes.warn(path, f"wrapS {wraps[0]!r} and wrapT {wraps[1]!r} differ; {wraps[0]!r} is used for both")
-    if "black" in wraps:
-        notes.info(path, "wrap mode 'black' is drawn as 'clamp'")
+    wraps = [{"periodic": "repeat", "constant": "black"}.get(wrap, wrap) for wrap in wraps]  # MaterialX's words
     authored = getattr(asset, "path", "") or ""
     file = getattr(asset, "resolvedPath", "") or ""
-    uv, wrap = _uv_source(shader, time, notes), _WRAP.get(wraps[0], "repeat")
+    uv = _uv_source(shader, time, notes)
     tiles: tuple[tuple[int, str], ...] = ()
     if "<UDIM>" in authored:
         tiles = _tiles(shader, authored, file)
@@ -233,7 +262,8 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Notebook) -> 
         if tiles and uv is not None:
             left, bottom, columns, rows = tile_range(tiles)
             onto = np.array([[1.0 / columns, 0.0, -left / columns], [0.0, 1.0 / rows, -bottom / rows]]) @ np.vstack([np.array(uv.matrix), [0.0, 0.0, 1.0]])
-            uv, wrap = UvSource(uv.primvar, (tuple(map(float, onto[0])), tuple(map(float, onto[1])))), "clamp"  # type: ignore[arg-type]
+            (a, b, c), (d, e, f) = onto.tolist()
+            uv, wraps = UvSource(uv.primvar, ((a, b, c), (d, e, f))), ["clamp", "clamp"]
     if not file:
         notes.warn(path, f"texture {authored or '(no file)'} is not found; its fallback {fallback[:3]} is used")
     return TextureNode(
@@ -242,12 +272,13 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Notebook) -> 
         authored=authored,
         channel=output.GetBaseName(),
         color_space=str(value_of(shader, "sourceColorSpace", time, "auto")),
-        wrap=wrap,
+        wrap=wraps[0],
         scale=scale,
         bias=bias,
         fallback=fallback,
         uv=uv,
         tiles=tiles,
+        wrap_v=wraps[1],
     )
 
 
@@ -315,8 +346,8 @@ def _uv_source(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Notebook) -> 
             matrix = matrix @ step
             output = producer(node, "in")
         elif kind.startswith("UsdPrimvarReader"):
-            rows = tuple(tuple(float(x) for x in row) for row in matrix[:2])
-            return UvSource(str(value_of(node, "varname", time, "st")), rows)
+            (a, b, c), (d, e, f) = matrix[:2].tolist()
+            return UvSource(str(value_of(node, "varname", time, "st")), ((a, b, c), (d, e, f)))
         else:
             notes.warn(node.GetPath(), f"texture coordinates from {kind or 'an unknown node'} are not known; primvar 'st' is used")
             return UvSource("st")
@@ -353,13 +384,20 @@ def _sampled(node: TextureNode, images: ImageReader, channels: int) -> Pixels | 
     plain = all(s == 1.0 for s in node.scale) and not any(node.bias)
     if srgb and plain and channels == 3 and node.channel == "rgb" and pixels.dtype == np.uint8 and pixels.shape[:2] != (1, 1):
         return np.ascontiguousarray(pixels[..., :3])
-    picked = _picked(_four(linear(pixels, srgb=srgb)) * np.float32(node.scale) + np.float32(node.bias), node, channels)
+    scale, bias = np.array(node.scale, dtype=np.float32), np.array(node.bias, dtype=np.float32)
+    picked = _picked(_four(linear(pixels, srgb=srgb)) * scale + bias, node, channels)
     return tuple(float(x) for x in picked.reshape(-1)) if picked.shape[:2] == (1, 1) else picked
 
 
 def _fallback(node: TextureNode, channels: int) -> tuple[float, ...]:
     picked = _picked(np.array(node.fallback, dtype=np.float32).reshape(1, 1, 4), node, channels)
     return tuple(float(x) for x in picked.reshape(-1))
+
+
+def _encoded(value: Pixels) -> Pixels:
+    """sRGB codes from 0 to 1 of linear values, IEC 61966-2-1."""
+    value = np.clip(value, 0.0, 1.0)
+    return np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
 
 
 def _four(pixels: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

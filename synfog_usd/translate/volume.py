@@ -27,7 +27,9 @@ from synfog_usd.fog.volume import crosses, is_inside
 from synfog_usd.scene import Camera
 from synfog_usd.stage.open import fence_of
 from synfog_usd.stage.schema import DEFAULTS, PREFIX, FogAttributes, read_fog
-from synfog_usd.translate.geometry import part, read_implicit, read_mesh
+from synfog_usd.translate.geometry import part
+from synfog_usd.translate.implicit import read_implicit
+from synfog_usd.translate.mesh import read_mesh
 from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.space import Array, apply, scaled
 

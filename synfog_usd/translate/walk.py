@@ -6,19 +6,18 @@ placements (instances of leaves that are listed once).  Knows nothing of Mitsuba
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Kind, Usd, UsdGeom, UsdLux, UsdShade, UsdVol
+from pxr import Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdVol
 
 from synfog_usd.errors import StageError
+from synfog_usd.stage.budget import MAX_DEPTH
 from synfog_usd.stage.labels import LABEL_SOURCES, UNLABELED, direct_label, official_name
-from synfog_usd.stage.open import MAX_DEPTH
-from synfog_usd.stage.schema import has_fog_attributes
+from synfog_usd.stage.schema import PREFIX, has_fog_attributes
 from synfog_usd.translate.notes import Notebook
-from synfog_usd.translate.space import columns
+from synfog_usd.translate.space import FAR, columns
 from synfog_usd.translate.volume import vdb_fault
 
 Array = npt.NDArray[np.float64]
@@ -26,11 +25,15 @@ Array = npt.NDArray[np.float64]
 MAX_LEAVES = 5_000_000
 """Prims that are drawn, instances counted; a file of 2 kB can ask for more by doubling references."""
 
+MAX_COLORS = 16
+"""Colours that the points of one instancer may have: each takes a copy of the prototypes."""
+
 MAX_NESTED = 200_000
 """Leaves that nested instances may list again."""
 
-DRAWN = frozenset({"Mesh", "Cube", "Sphere", "Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1", "Plane", "BasisCurves", "Points"})
-_NOT_DRAWN = frozenset({"NurbsCurves", "HermiteCurves", "NurbsPatch", "TetMesh"})
+MESHES = frozenset({"Mesh", "TetMesh"})
+CURVES = frozenset({"BasisCurves", "HermiteCurves", "NurbsCurves"})
+DRAWN = frozenset({"Cube", "Sphere", "Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1", "Plane"}) | MESHES | CURVES | {"NurbsPatch", "Points"}
 _LIGHTS = frozenset({"DomeLight", "DomeLight_1", "DistantLight", "SphereLight", "RectLight", "DiskLight", "CylinderLight"})
 _PRUNED = frozenset(
     {"Material", "Shader", "NodeGraph", "Skeleton", "SkelAnimation", "BlendShape", "GeomSubset", "RenderSettings", "RenderProduct", "RenderVar"}
@@ -39,6 +42,11 @@ ALSO_OVERS = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
 """Prims that count within a prototype: artists keep prototypes under an `over`, which hides them from everything else."""
 
 _PASSED = frozenset({"", "Xform", "Scope", "SkelRoot", "Camera", "OpenVDBAsset", "Field3DAsset"})
+
+
+_SAID = LABEL_SOURCES | {"visibility", "purpose", "primvars:displayColor", "primvars:displayOpacity", "model:drawMode"}
+_SAID_BEGINNINGS = (PREFIX, "userProperties:synfog")
+"""Properties that mean something to the walk, by their names and by how these begin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,21 +65,31 @@ class Leaf:
 
     Attributes:
         prim: the prim, of the stage or of a prototype.
+        path: its path.
+        kind: name of its type.
+        authored: names of its authored properties.
+        schemas: names of the API schemas applied to it.
         matrix: (4, 4) float64, to stage coordinates or to the group's frame.
         owner: nearest labelled prim, within the group for a group's leaf.
         model: path of the nearest component or, in the world, the prim itself.
         color: inherited constant displayColor, or None.
         fog: prim whose fog attributes hold for this one, or None.
         material: path of the material bound above the instance that the leaf is in, or None.
+        stronger: whether that material comes before the leaf's own.
     """
 
     prim: Usd.Prim
+    path: str
+    kind: str
+    authored: frozenset[str]
+    schemas: tuple[str, ...]
     matrix: Array
     owner: Owner | None
     model: str | None
     color: tuple[float, float, float] | None = None
     fog: Usd.Prim | None = None
     material: str | None = None
+    stronger: bool = False
 
 
 @dataclass(slots=True)
@@ -119,13 +137,18 @@ class Walk:
 
 @dataclass(slots=True)
 class _State:
+    """What holds at a prim and below it."""
+
     depth: int
     drawn: bool
+    authored: frozenset[str] = frozenset()
+    schemas: tuple[str, ...] = ()
     owner: Owner | None = None
     model: str | None = None
     color: tuple[float, float, float] | None = None
     fog: Usd.Prim | None = None
     material: str | None = None
+    stronger: bool = False
 
 
 def walk(stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook) -> Walk:
@@ -145,6 +168,8 @@ class _Walker:
         self.stage, self.time, self.notes = stage, time, notes
         self.transforms = UsdGeom.XformCache(time)
         self.result = Walk()
+        self.known_names: dict[tuple[str, ...], tuple[frozenset[str], bool]] = {}
+        self.known_schemas: dict[tuple[str, ...], tuple[str, ...]] = {}
         self.group_index: dict[tuple[object, ...], int] = {}
         self.open_groups: list[str] = []
         self.count = 0
@@ -159,10 +184,10 @@ class _Walker:
         stack = [start]
         iterator = iter(Usd.PrimRange(root) if root.IsPseudoRoot() or root.IsDefined() else Usd.PrimRange(root, ALSO_OVERS))
         for prim in iterator:
-            if prim.IsPseudoRoot():
-                continue
             path = prim.GetPath()
             depth = path.pathElementCount
+            if not depth:
+                continue
             if depth > MAX_DEPTH:
                 raise StageError(f"{str(path)[:60]}…: prims nested deeper than {MAX_DEPTH} levels; flatten the hierarchy")
             while stack[-1].depth >= depth:
@@ -171,49 +196,60 @@ class _Walker:
             if kind in _PRUNED:
                 iterator.PruneChildren()
                 continue
-            state = self.entered(prim, kind, depth, stack[-1], is_frame=frame is not None and prim == frame)
+            state = self.entered(prim, path, kind, depth, stack[-1], is_frame=frame is not None and prim == frame)
             if state is None:
                 iterator.PruneChildren()
                 continue
             stack.append(state)
-            if prim.IsInstance() and kind not in DRAWN:
+            if kind not in DRAWN and prim.IsInstance():
                 self.instance(prim, state, group, frame)
                 iterator.PruneChildren()
             elif kind == "PointInstancer":
                 self.point_instancer(prim, state, group, frame)
                 iterator.PruneChildren()
-            else:
-                self.leaf(prim, kind, state, stack[-2], group, frame)
+            elif kind not in _PASSED:
+                self.leaf(prim, path, kind, state, stack[-2], group, frame)
 
-    def entered(self, prim: Usd.Prim, kind: str, depth: int, above: _State, *, is_frame: bool) -> _State | None:
+    def names(self, prim: Usd.Prim) -> tuple[frozenset[str], bool]:
+        """The names of a prim's authored properties, and whether any of them means something to the walk."""
+        authored = tuple(prim.GetAuthoredPropertyNames())
+        known = self.known_names.get(authored)
+        if known is None:
+            said = any(name in _SAID or name.startswith(_SAID_BEGINNINGS) for name in authored)
+            known = self.known_names[authored] = (frozenset(authored), said)
+        return known
+
+    def entered(self, prim: Usd.Prim, at: Sdf.Path, kind: str, depth: int, above: _State, *, is_frame: bool) -> _State | None:
         """The state below a prim, or None where nothing below can be seen."""
         drawn, owner, model, color, fog = above.drawn, above.owner, above.model, above.color, None
-        authored = prim.GetAuthoredPropertyNames()
-        if "visibility" in authored and prim.GetAttribute("visibility").Get(self.time) == UsdGeom.Tokens.invisible:
+        authored, says = self.names(prim)
+        schemas = tuple(prim.GetPrimTypeInfo().GetAppliedAPISchemas())
+        schemas = self.known_schemas.setdefault(schemas, schemas)
+        if says and "visibility" in authored and prim.GetAttribute("visibility").Get(self.time) == UsdGeom.Tokens.invisible:
             return None
-        if "purpose" in authored:
+        if says and "purpose" in authored:
             drawn = prim.GetAttribute("purpose").Get() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
         prim_kind = prim.GetMetadata("kind") if prim.HasAuthoredMetadata("kind") else ""
         if prim_kind and not is_frame and Kind.Registry.IsA(prim_kind, Kind.Tokens.component):
-            model = str(prim.GetPath())
-        label = direct_label(prim, self.time) if not LABEL_SOURCES.isdisjoint(authored) else None
+            model = str(at)
+        label = direct_label(prim, self.time) if says and not LABEL_SOURCES.isdisjoint(authored) else None
         if label is not None:
-            path, official = str(prim.GetPath()), official_name(label)
+            path, official = str(at), official_name(label)
             if official is None:
                 self.notes.warn(path, f"label {label!r} is not a Cityscapes name; it counts as {UNLABELED}")
             splits = kind == "Scope" or (bool(prim_kind) and Kind.Registry.IsA(prim_kind, Kind.Tokens.group))
             owner = Owner(path, official or UNLABELED, splits)
-        if "primvars:displayColor" in authored:
+        if says and "primvars:displayColor" in authored:
             color = self.constant_color(prim, color)
-        if "primvars:displayOpacity" in authored:
+        if says and "primvars:displayOpacity" in authored:
             self.result.sheer = True
-        if "model:drawMode" in authored:
+        if says and "model:drawMode" in authored:
             mode = prim.GetAttribute("model:drawMode").Get(self.time)
             if mode in ("bounds", "cards", "origin"):
-                self.notes.info(prim.GetPath(), f"draw mode {mode!r} stands for the model in viewports; the model itself is drawn")
-        if has_fog_attributes(prim, authored):
+                self.notes.info(at, f"draw mode {mode!r} stands for the model in viewports; the model itself is drawn")
+        if (says or schemas) and has_fog_attributes(prim, tuple(authored)):
             fog = prim
-        return _State(depth, drawn, owner, model, color, fog, above.material)
+        return _State(depth, drawn, authored, schemas, owner, model, color, fog, above.material, above.stronger)
 
     def constant_color(self, prim: Usd.Prim, inherited: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
         primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
@@ -222,16 +258,19 @@ class _Walker:
         values = primvar.Get(self.time)
         if values is None:
             values = primvar.Get(Usd.TimeCode.EarliestTime())
-        return inherited if not values else tuple(float(c) for c in values[0])
+        return inherited if not values else (float(values[0][0]), float(values[0][1]), float(values[0][2]))
 
     def matrix(self, prim: Usd.Prim, frame: Usd.Prim | None) -> Array:
         if frame is None:
             return columns(self.transforms.GetLocalToWorldTransform(prim))
         if prim == frame:
             return np.eye(4)
-        return columns(self.transforms.ComputeRelativeTransform(prim, frame)[0])
+        matrix, resets = self.transforms.ComputeRelativeTransform(prim, frame)
+        if resets:
+            self.notes.warn(prim.GetPath(), "!resetXformStack! within an instance is not followed: the prim stands where the instance has it")
+        return columns(matrix)
 
-    def leaf(self, prim: Usd.Prim, kind: str, state: _State, above: _State, group: Group | None, frame: Usd.Prim | None) -> None:
+    def leaf(self, prim: Usd.Prim, at: Sdf.Path, kind: str, state: _State, above: _State, group: Group | None, frame: Usd.Prim | None) -> None:
         is_light = kind in _LIGHTS
         fog = state.fog
         if fog is None and kind in DRAWN:
@@ -242,8 +281,6 @@ class _Walker:
                     fog = parent
                 else:
                     self.notes.warn(parent.GetPath(), f"has fog attributes but {len(siblings)} shapes below; put the attributes on the boundary itself")
-        if kind in _PASSED:
-            return
         if fog is None and kind == "Volume" and state.drawn and vdb_fault(prim) is None:
             fog = prim
         if fog is None and not is_light and kind not in DRAWN:
@@ -254,11 +291,12 @@ class _Walker:
         self.count += 1
         self.limit()
         matrix = self.matrix(prim, frame)
-        if not math.isfinite(matrix.sum()):
-            self.notes.warn(prim.GetPath(), "a prim placed or scaled by what is no finite number is left out")
+        if not np.abs(matrix).max() <= FAR:
+            self.notes.warn(prim.GetPath(), "a prim placed or scaled by a number that is not finite, or of more than 10 digits, is left out")
             return
-        model = state.model or (None if group is not None else str(prim.GetPath()))
-        found = Leaf(prim, matrix, state.owner, model, state.color, fog, state.material)
+        path = str(at)
+        model = state.model or (None if group is not None else path)
+        found = Leaf(prim, path, kind, state.authored, state.schemas, matrix, state.owner, model, state.color, fog, state.material, state.stronger)
         (self.result.leaves if group is None else group.leaves).append(found)
 
     def limit(self) -> None:
@@ -272,7 +310,7 @@ class _Walker:
             return
         if prim.IsA(UsdVol.Volume):
             self.notes.warn(prim.GetPath(), f"Volume is not drawn: {vdb_fault(prim)}")
-        elif kind in _NOT_DRAWN or prim.IsA(UsdGeom.Gprim):
+        elif prim.IsA(UsdGeom.Gprim):
             self.notes.warn(prim.GetPath(), f"{kind} is not drawn; convert it to a Mesh")
         elif kind == "PortalLight":
             self.notes.info(prim.GetPath(), "PortalLight is left out; it only guides the sampling of a dome light")
@@ -282,7 +320,7 @@ class _Walker:
     def instance(self, prim: Usd.Prim, state: _State, group: Group | None, frame: Usd.Prim | None) -> None:
         prototype = prim.GetPrototype()
         path = str(prim.GetPath())
-        index = self.group_of(prototype, state, self.bound(prim, state))
+        index = self.group_of(prototype, state, self.bound(prim, state), state.color)
         self.place(index, self.matrix(prim, frame), path, state, group, own_thing=state.owner is not None and (state.owner.splits or state.owner.path == path))
 
     def point_instancer(self, prim: Usd.Prim, state: _State, group: Group | None, frame: Usd.Prim | None) -> None:
@@ -301,31 +339,55 @@ class _Walker:
         mask = instancer.ComputeMaskAtTime(self.time)
         shown = np.asarray(mask, dtype=bool) if len(mask) == len(which) else np.ones(len(which), dtype=bool)
         groups = {}
-        for number in np.unique(which[shown]):
+        colors, kind_of = self.instance_colors(prim, state, which, shown)
+        for number, kind in sorted(set(zip(which[shown].tolist(), kind_of[shown].tolist(), strict=True))):
             prototype = self.stage.GetPrimAtPath(targets[number])
             if not prototype or not (prototype.IsDefined() or prototype.HasDefiningSpecifier()) or prototype.IsAbstract():
                 self.notes.warn(path, f"prototype {targets[number]} is missing or abstract; its points are left out")
                 continue
-            groups[number] = self.group_of(prototype, state, self.bound(prim, state))
+            groups[number, kind] = self.group_of(prototype, state, self.bound(prim, state), colors[kind])
         place = self.matrix(prim, frame)
         all_matrices = np.array(matrices, dtype=np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
         with np.errstate(invalid="ignore"):
             products = place @ all_matrices
         for number in np.flatnonzero(shown):
-            index = groups.get(which[number])
+            index = groups.get((int(which[number]), int(kind_of[number])))
             if index is not None:
                 own = state.owner is None or state.owner.splits or state.owner.path == path or state.model is None
                 self.place(index, products[number], f"{path}[{number}]", state, group, own_thing=own)
 
-    def bound(self, prim: Usd.Prim, state: _State) -> str | None:
-        """Path of the material that leaves below an instance inherit from outside."""
-        material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
-        return str(material.GetPath()) if material else state.material
+    def instance_colors(
+        self, prim: Usd.Prim, state: _State, which: npt.NDArray[np.int64], shown: npt.NDArray[np.bool_]
+    ) -> tuple[list[tuple[float, float, float] | None], npt.NDArray[np.int64]]:
+        """The displayColors of an instancer's points, and which of these each point has; their mean where they are many."""
+        same = np.zeros(len(which), dtype=np.int64)
+        if "primvars:displayColor" not in state.authored:
+            return [state.color], same
+        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
+        values = None if primvar.GetInterpolation() == UsdGeom.Tokens.constant else primvar.ComputeFlattened(self.time)
+        if values is None or len(values) != len(which) or not shown.any():
+            return [state.color], same
+        found, kind_of = np.unique(np.asarray(values, dtype=np.float64), axis=0, return_inverse=True)
+        if len(found) > MAX_COLORS:
+            self.notes.warn(prim.GetPath(), f"its points have {len(found)} displayColors; above {MAX_COLORS} they are drawn in their mean")
+            found, kind_of = np.asarray(values, dtype=np.float64)[shown].mean(axis=0, keepdims=True), same
+        return [(float(r), float(g), float(b)) for r, g, b in found], kind_of.reshape(-1)
 
-    def group_of(self, prototype: Usd.Prim, state: _State, material: str | None) -> int:
+    def bound(self, prim: Usd.Prim, state: _State) -> tuple[str | None, bool]:
+        """Path of the material that leaves below an instance inherit from outside, and whether it comes before theirs."""
+        if state.stronger:
+            return state.material, True
+        for purpose in (UsdShade.Tokens.full, UsdShade.Tokens.preview):
+            material, relationship = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(purpose)
+            if material:
+                strength = UsdShade.MaterialBindingAPI.GetMaterialBindingStrength(relationship)
+                return str(material.GetPath()), strength == UsdShade.Tokens.strongerThanDescendants
+        return state.material, False
+
+    def group_of(self, prototype: Usd.Prim, state: _State, bound: tuple[str | None, bool], color: tuple[float, float, float] | None) -> int:
         """Index of the group of a prototype, walked at its first use."""
         root = str(prototype.GetPath())
-        key = (root, state.color, material, state.drawn)
+        key = (root, color, bound, state.drawn)
         known = self.group_index.get(key)
         if known is not None:
             return known
@@ -336,15 +398,15 @@ class _Walker:
         self.open_groups.append(root)
         group = Group(root)
         depth = prototype.GetPath().pathElementCount
-        self.into(prototype, _State(depth - 1, state.drawn, color=state.color, material=material), group, prototype)
+        self.into(prototype, _State(depth - 1, state.drawn, color=color, material=bound[0], stronger=bound[1]), group, prototype)
         self.open_groups.pop()
         self.group_index[key] = len(self.result.groups)
         self.result.groups.append(group)
         return self.group_index[key]
 
     def place(self, index: int, matrix: Array, path: str, state: _State, group: Group | None, *, own_thing: bool) -> None:
-        if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-300:
-            self.notes.warn(path, "an instance scaled to nothing, or placed at no finite point, is left out")
+        if not np.abs(matrix).max() <= FAR or abs(np.linalg.det(matrix[:3, :3])) < 1e-300:
+            self.notes.warn(path, "an instance scaled to nothing, or placed at no finite point or at one of more than 10 digits, is left out")
             return
         owner = state.owner
         if owner is not None and own_thing:
@@ -361,4 +423,4 @@ class _Walker:
         for leaf in inner.leaves:
             below = str(leaf.owner.path).removeprefix(inner.root) if leaf.owner is not None else ""
             nested = Owner(f"{path}{below}", leaf.owner.label) if leaf.owner is not None else owner
-            group.leaves.append(Leaf(leaf.prim, matrix @ leaf.matrix, nested, leaf.model and path, leaf.color, leaf.fog, leaf.material))
+            group.leaves.append(replace(leaf, matrix=matrix @ leaf.matrix, owner=nested, model=leaf.model and path))

@@ -5,29 +5,64 @@ Takes numbers; writes prims below /World and /Render of an open stage.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdRender, Vt
 
 from synfog_usd.world.components import label
-from synfog_usd.world.shapes import Array
-from synfog_usd.world.spec import Placement, View, WorldSpec
+from synfog_usd.world.library import model
+from synfog_usd.world.shapes import Array, shift, turn
+from synfog_usd.world.sky import SKIES, author_dome
+from synfog_usd.world.spec import Dome, Placement, View, WorldSpec
 
 APERTURE = 0.36  # tenths of a metre
+EGO, RIG = "/World/Ego", "/World/Rig"
+VARS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
+    "Radiance": ("radiance.exr", {"Radiance": ("color3f", "RGB")}),
+    "Labels": (
+        "labels.exr",
+        {
+            "Depth": ("float", "depth.Z"),
+            "Distance": ("float", "distance.Z"),
+            "Normal": ("normal3f", "N"),
+            "Instance": ("int", "instance.ID"),
+            "Semantic": ("int", "semantic.ID"),
+        },
+    ),
+}
+"""Product -> file and its variables, each with its type and its channels in that file; as a bake writes them."""
 
 
 def author_camera(stage: Usd.Stage, view: View) -> None:
     """/World/Ego behind the windscreen."""
-    camera = UsdGeom.Camera.Define(stage, "/World/Ego")
+    camera = _camera(stage, EGO, view.focal_length)
+    camera.AddTranslateOp().Set(Gf.Vec3d(view.x, view.y, view.z))
+    camera.AddRotateXYZOp().Set(Gf.Vec3f(view.tilt, 0, view.heading))
+
+
+def _camera(stage: Usd.Stage, path: str, focal_length: float) -> UsdGeom.Camera:
+    camera = UsdGeom.Camera.Define(stage, path)
     camera.CreateHorizontalApertureAttr(APERTURE)
     camera.CreateVerticalApertureAttr(APERTURE * 9 / 16)
-    camera.CreateFocalLengthAttr(view.focal_length)
+    camera.CreateFocalLengthAttr(focal_length)
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 3000))
     camera.CreateFocusDistanceAttr(30.0)
     camera.CreateFStopAttr(0.0)
-    camera.AddTranslateOp().Set(Gf.Vec3d(view.x, view.y, view.z))
-    camera.AddRotateXYZOp().Set(Gf.Vec3f(view.tilt, 0, view.heading))
+    return camera
+
+
+def author_rig(stage: Usd.Stage, spec: WorldSpec) -> None:
+    """The cameras of the rig below /World/Rig, fixed to the ego's car."""
+    if not spec.rig:
+        return
+    UsdGeom.Xform.Define(stage, "/World/Rig")
+    view = spec.view
+    car = shift(view.x, view.y, view.z) @ turn(view.heading) @ turn(view.tilt - 90.0, "x")
+    for one in spec.rig:
+        camera = _camera(stage, f"{RIG}/{one.name}", one.focal_length)
+        place = car @ shift(one.right, one.ahead) @ turn(one.yaw) @ turn(90.0, "x")
+        camera.AddTransformOp().Set(Gf.Matrix4d(np.round(place.T, 6).tolist()))
 
 
 def author_fog(stage: Usd.Stage) -> None:
@@ -52,30 +87,57 @@ def author_fog(stage: Usd.Stage) -> None:
 def author_skies(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     """The two domes, of which a lighting shows one."""
     UsdGeom.Scope.Define(stage, "/World/Sky")
-    for name, file, nits in (("Overcast", "overcast.exr", spec.overcast_nits), ("Dusk", "dusk.exr", spec.dusk_nits)):
-        dome = UsdLux.DomeLight.Define(stage, f"/World/Sky/{name}")
-        dome.CreateIntensityAttr(nits)
-        dome.CreateTextureFileAttr(Sdf.AssetPath(f"{assets}/skies/{file}"))
+    for name, one in ((_day(spec.day), spec.day), ("Dusk", spec.dusk)):
+        path = f"/World/Sky/{name}"
+        if one.sky in SKIES:
+            author_dome(stage, path, one.sky, skies=f"{assets}/skies", heading_deg=one.heading_deg, gain=one.gain)
+            continue
+        dome = UsdLux.DomeLight.Define(stage, path)
+        dome.CreateIntensityAttr(one.gain)
+        dome.CreateTextureFileAttr(Sdf.AssetPath(f"{assets}/skies/{one.sky}.exr"))
         dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
         UsdGeom.Xformable(dome).AddRotateXOp().Set(90.0)  # the picture's pole to the zenith
 
 
-def author_placement(stage: Usd.Stage, p: Placement, assets: str) -> None:
-    """One component in its place, instanceable."""
-    xform = UsdGeom.Xform.Define(stage, f"/World/{p.group}/{p.name}")
-    prim = xform.GetPrim()
-    prim.GetReferences().AddReference(f"{assets}/models/{p.asset}/{p.asset}.usda")
+def _day(dome: Dome) -> str:
+    """Name of the prim of the sky by day."""
+    return "Day" if dome.sky in SKIES else "Overcast"
+
+
+def author_placements(stage: Usd.Stage, placed: Iterable[Placement], assets: str) -> None:
+    """Components in their places, instanceable.
+
+    Call it last: each later change of a variant above them composes all of them again.  For the same
+    reason they are written to the layer at one go.
+    """
+    layer = stage.GetEditTarget().GetLayer()
+    with Sdf.ChangeBlock():
+        for p in placed:
+            _author_placement(layer, p, assets)
+
+
+def _author_placement(layer: Sdf.Layer, p: Placement, assets: str) -> None:
+    prim = Sdf.CreatePrimInLayer(layer, f"/World/{p.group}/{p.name}")
+    prim.specifier, prim.typeName = Sdf.SpecifierDef, "Xform"
+    prim.referenceList.Prepend(Sdf.Reference(f"{assets}/models/{p.asset}/{p.asset}.usda"))
     for name, choice in p.variants.items():
-        prim.GetVariantSets().GetVariantSet(name).SetVariantSelection(choice)
+        prim.variantSelections[name] = choice
+    if "lamps" in p.lit and "driver" in model(p.asset).variants:  # it is in traffic
+        prim.variantSelections["driver"] = "on"
     if p.group != "Ground":
-        prim.SetInstanceable(True)
-    xform.AddTranslateOp().Set(Gf.Vec3d(p.x, p.y, p.height))
+        prim.instanceable = True
+    kinds = Sdf.ValueTypeNames
+    ops = [("xformOp:translate", kinds.Double3, Gf.Vec3d(p.x, p.y, p.height))]
     if p.heading:
-        xform.AddRotateZOp().Set(float(p.heading))
+        ops.append(("xformOp:rotateZ", kinds.Float, float(p.heading)))
     if p.pitch:
-        xform.AddRotateXOp().Set(float(p.pitch))
+        ops.append(("xformOp:rotateX", kinds.Float, float(p.pitch)))
     if p.size != 1.0:
-        xform.AddScaleOp().Set(Gf.Vec3f(p.size))
+        ops.append(("xformOp:scale", kinds.Float3, Gf.Vec3f(p.size)))
+    for name, kind, value in ops:
+        Sdf.AttributeSpec(prim, name, kind).default = value
+    order = Sdf.AttributeSpec(prim, "xformOpOrder", kinds.TokenArray, Sdf.VariabilityUniform)
+    order.default = Vt.TokenArray([name for name, _, _ in ops])
 
 
 def author_instancer(stage: Usd.Stage, path: str, asset: str, name: str, points: Array, turns: Array, assets: str) -> None:
@@ -121,11 +183,34 @@ def author_variants(stage: Usd.Stage, spec: WorldSpec) -> None:
                 stage.OverridePrim("/World/Sky/Dusk").SetActive(False)
                 stage.OverridePrim("/World/Lights").SetActive(False)
                 continue
-            stage.OverridePrim("/World/Sky/Overcast").SetActive(False)
+            stage.OverridePrim(f"/World/Sky/{_day(spec.day)}").SetActive(False)
             for p in spec.placed:
                 for set_name, choice in p.lit.items():
                     prim = stage.OverridePrim(f"/World/{p.group}/{p.name}")
                     prim.GetVariantSets().GetVariantSet(set_name).SetVariantSelection(choice)
+
+
+def author_products(stage: Usd.Stage, cameras: Sequence[str]) -> None:
+    """What each camera makes: products by camera and file, and the variables in them; add to `author_render`."""
+    UsdGeom.Scope.Define(stage, "/Render/Vars")
+    UsdGeom.Scope.Define(stage, "/Render/Products")
+    for _, variables in VARS.values():
+        for name, (kind, source) in variables.items():
+            var = UsdRender.Var.Define(stage, f"/Render/Vars/{name}")
+            var.CreateDataTypeAttr(kind)
+            var.CreateSourceNameAttr(source)
+            var.CreateSourceTypeAttr(UsdRender.Tokens.raw)
+    products = []
+    for camera in cameras:
+        title = camera.rpartition("/")[2]
+        for name, (file, variables) in VARS.items():
+            product = UsdRender.Product.Define(stage, f"/Render/Products/{title}_{name}")
+            product.CreateProductNameAttr(f"{title.lower()}/{file}")
+            product.CreateProductTypeAttr(UsdRender.Tokens.raster)
+            product.CreateCameraRel().SetTargets([camera])
+            product.CreateOrderedVarsRel().SetTargets([Sdf.Path(f"/Render/Vars/{var}") for var in variables])
+            products.append(product.GetPath())
+    UsdRender.Settings(stage.GetPrimAtPath("/Render/Settings")).CreateProductsRel().SetTargets(products)
 
 
 def author_render(stage: Usd.Stage) -> None:

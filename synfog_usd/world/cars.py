@@ -12,7 +12,6 @@ from synfog_usd.world.lettering import letters
 from synfog_usd.world.shapes import Part, box, shift, soft_box, turn
 from synfog_usd.world.vehicles import CARS, Body, build_car
 
-BRAKE_NITS = (14000.0, 40.0, 12.0)
 TAXI_SIGN_NITS = (900.0, 620.0, 90.0)
 
 MORE_CARS = (
@@ -24,7 +23,7 @@ MORE_CARS = (
         windows=[[(-0.28, 1.00), (0.80, 1.00), (0.42, 1.30), (0.24, 1.40), (-0.28, 1.42)], [(-1.30, 1.08), (-0.36, 1.02), (-0.36, 1.42), (-1.12, 1.38)]],
         screen=((1.04, 1.00), (0.44, 1.42)), rear=((-1.74, 1.05), (-1.52, 1.40)), axles=(-1.17, 1.17), wheel=0.29, roof_half=0.54, belt=0.97,
         seams=[(0.86, 0.32, 0.99), (-0.32, 0.34, 1.00)], lamps_z=0.70, tail=(0.76, 1.08), spokes=4, plate=0, rear_plate_z=0.60,
-        paints=("white", "red", "blue", "sand", "black"), triangles=4300,
+        paints=("white", "red", "blue", "sand", "black"), triangles=3600,
     ),
     Body(
         "crossover", "A large sport utility vehicle with a sloping back, 4.72 m long.", 4.72, 1.90, 1.63,
@@ -35,23 +34,15 @@ MORE_CARS = (
         [(-1.72, 1.20), (-1.02, 1.14), (-0.98, 1.50), (-1.40, 1.42)]],
         screen=((1.10, 1.08), (0.36, 1.52)), rear=((-2.24, 1.18), (-2.02, 1.40)), axles=(-1.42, 1.44), wheel=0.37, roof_half=0.62, belt=1.06,
         seams=[(0.88, 0.42, 1.08), (-0.05, 0.42, 1.09), (-0.98, 0.58, 1.11)], lamps_z=0.82, tail=(0.88, 1.14), tail_inner=0.62, spokes=10, plate=4,
-        paints=("silver", "black", "white", "blue", "red"), cladding=True, triangles=3300,
+        paints=("silver", "black", "white", "blue", "red"), cladding=True, triangles=3600,
     ),
-    replace(CARS[1], name="taxi", about="A taxi: a saloon of 4.65 m with a sign on its roof.", spokes=5, plate=5, paints=("cream", "black", "yellow"),
-            triangles=3600),
+    replace(CARS[1], name="taxi", about="A taxi: a saloon of 4.65 m with a sign on its roof.", spokes=5, plate=5, paints=("cream", "black", "yellow")),
 )  # fmt: skip
 
 
 def build_more_cars() -> list[Component]:
-    """The bodies of `MORE_CARS`; their lamps also show 'brake'."""
-    return [with_brakes(_with_sign(build_car(body)) if body.name == "taxi" else build_car(body)) for body in MORE_CARS]
-
-
-def with_brakes(vehicle: Component) -> Component:
-    """The vehicle with one more choice of lamps: as 'on', and its tail lamps as bright as brake lamps."""
-    on = vehicle.variants["lamps"]["on"]
-    brake = replace(on, materials={**on.materials, "tail_lens": {"emissiveColor": BRAKE_NITS}})
-    return replace(vehicle, variants={**vehicle.variants, "lamps": {**vehicle.variants["lamps"], "brake": brake}})
+    """The bodies of `MORE_CARS`."""
+    return [_with_sign(build_car(body)) if body.name == "taxi" else build_car(body) for body in MORE_CARS]
 
 
 def _with_sign(car: Component) -> Component:

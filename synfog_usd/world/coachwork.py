@@ -14,6 +14,7 @@ import numpy as np
 from synfog_usd.world.components import Lamp, Look
 from synfog_usd.world.shapes import (
     Array,
+    Field,
     Part,
     box,
     carve,
@@ -32,8 +33,10 @@ from synfog_usd.world.shapes import (
 
 HEADLIGHT_CD = 9000.0  # dipped beam, hot spot
 HEADLIGHT_TINT = (1.02, 0.995, 0.95)
-HEADLIGHT_LENS_NITS = (36000.0, 35000.0, 32000.0)
-TAIL_NITS = (2600.0, 6.0, 2.0)
+HEADLIGHT_LENS_NITS = (14200.0, 14000.0, 13600.0)  # 120 cd of a lens of 5 cm: with its beam's stray light under the 350 cd of UN R112's point B50L
+TAIL_NITS = (2600.0, 6.0, 2.0)  # 5 to 10 cd of a lens of 5.5 to 7.5 cm; UN R7 allows 4 to 12
+BRAKE_NITS = (39200.0, 112.0, 34.0)  # 15 times as much: 80 to 150 cd; UN R7 allows 60 to 185
+CENTRE_NITS = (47000.0, 134.0, 40.0)  # 44 cd of 240 x 18 mm; UN R7 allows 25 to 80
 
 
 def painted(colour: tuple[float, float, float]) -> Look:
@@ -41,15 +44,19 @@ def painted(colour: tuple[float, float, float]) -> Look:
     return Look(materials={"paint": {"diffuseColor": colour}})
 
 
-def lit(lamps: tuple[Lamp, ...]) -> Look:
-    """Lenses that glow, with the given lamps."""
-    return Look(materials={"headlamp_lens": {"emissiveColor": HEADLIGHT_LENS_NITS}, "tail_lens": {"emissiveColor": TAIL_NITS}}, lamps=lamps)
+def lamp_states(lamps: tuple[Lamp, ...], *, centre: bool = False) -> dict[str, Look]:
+    """What `lamps` can be: off; glow (lenses only, for afar); on, with the given lights; brake, which is on with bright tail lamps.
+
+    centre: whether there is a third brake lamp, of the material `brake_lens`.
+    """
+    glow = {"headlamp_lens": {"emissiveColor": HEADLIGHT_LENS_NITS}, "tail_lens": {"emissiveColor": TAIL_NITS}}
+    brake = {**glow, "tail_lens": {"emissiveColor": BRAKE_NITS}} | ({"brake_lens": {"emissiveColor": CENTRE_NITS}} if centre else {})
+    return {"off": Look(), "glow": Look(materials=glow), "on": Look(materials=glow, lamps=lamps), "brake": Look(materials=brake, lamps=lamps)}
 
 
-def headlights(places: Sequence[tuple[float, float, float]]) -> tuple[Lamp, ...]:
-    """Dipped beams, left and right, a little below the horizon."""
-    names = ("Left", "Right")
-    return tuple(Lamp(n, shift(*p) @ turn(88.4, "x"), HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT) for n, p in zip(names, sorted(places), strict=True))
+def headlights(places: Sequence[tuple[float, float, float]], beam: str = "low_beam_led") -> tuple[Lamp, ...]:
+    """Dipped beams, left and right, aimed level: the beam itself keeps below the horizon."""
+    return tuple(Lamp(n, shift(*p) @ turn(90, "x"), beam=beam) for n, p in zip(("Left", "Right"), sorted(places), strict=True))
 
 
 def rect(u0: float, u1: float, v0: float, v1: float) -> list[tuple[float, float]]:
@@ -109,12 +116,14 @@ def cut_out(
     return rest.painted(skin.material)
 
 
-def screen(skin: Part, parts: list[Part], z0: float, z1: float, low_half: float, high_half: float, sign: int, upright: bool) -> Part:
+def screen(
+    skin: Part, parts: list[Part], z0: float, z1: float, low_half: float, high_half: float, sign: int, upright: bool, glass: str = "glass_clear"
+) -> Part:
     """Cut windscreen (`sign` 1) or rear window (-1) with its dark border out of the skin; gives the rest."""
     outline = [(-low_half, z0), (low_half, z0), (high_half, z1), (-high_half, z1)]
     planes = prism(grown(outline, -0.01), (0, 2))
     border = prism(grown(outline, 0.02), (0, 2))
-    for material, cuts in (("glass_car", planes), ("gloss_black", border)):
+    for material, cuts in ((glass, planes), ("gloss_black", border)):
         inside, rest = carve(skin, [*cuts, lambda q: -sign * q[:, 1] - 0.5 if not upright else 0.9 - q[:, 1]])
         n = inside.normals[inside.faces].mean(axis=1) if inside.normals is not None and len(inside.faces) else np.zeros((0, 3))
         keep = sign * n[:, 1] > (0.18 if sign > 0 else 0.22)
@@ -127,7 +136,7 @@ def screen(skin: Part, parts: list[Part], z0: float, z1: float, low_half: float,
 
 def arches(skin: Part, parts: list[Part], axles: Sequence[float], radius: float, inner: float, lip: str = "") -> Part:
     """Cut the wheel arches out and line them with dark plastic."""
-    angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     for sign in (-1, 1):
         for y in axles:
             circle = np.c_[y + radius * np.cos(angle), radius - 0.045 + radius * np.sin(angle)]
@@ -163,13 +172,13 @@ def wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
     tyre = lathe(
         [(bead, -w * 0.9), (r * 0.88, -w), (r * 0.975, -w * 0.86), (r, -w * 0.6), (r, w * 0.6), (r * 0.975, w * 0.86), (r * 0.88, w), (bead, w * 0.92)],
         "tyre",
-        sides=36,
+        sides=30,
         crease_deg=35,
     )
     dish = lathe(
         [(bead * 0.93, -w * 0.5), (bead * 0.93, w * 0.55), (bead * 0.96, w * 0.9), (bead * 1.01, w * 0.95), (bead * 1.01, w * 0.8)],
         "rim",
-        sides=32,
+        sides=24,
         crease_deg=35,
     )
     hub = lathe([(0.001, w * 0.74), (bead * 0.16, w * 0.74), (bead * 0.2, w * 0.6)][::-1], "rim", sides=12)
@@ -190,9 +199,18 @@ def wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
     return tyre, join([dish, hub, *(shaded(b, 20) for b in bars)]), brake
 
 
-def lens_disc(centre: tuple[float, float, float], radius: float, material: str, *, back: bool = False) -> Part:
-    """A round lens of ten triangles that faces forward or back."""
-    return disc((0, 0, 0), radius, material, sides=10).moved(shift(*centre) @ turn(90 if back else -90, "x"))
+def lens_disc(centre: tuple[float, float, float], radius: float, material: str, *, back: bool = False, yaw_deg: float = 0.0) -> Part:
+    """A round lens of ten triangles that faces forward or back, turned by `yaw_deg` to the left."""
+    return disc((0, 0, 0), radius, material, sides=10).moved(shift(*centre) @ turn(yaw_deg) @ turn(90 if back else -90, "x"))
+
+
+def lens_on(field_: Field, x: float, z: float, radius: float, material: str, *, sign: int) -> Part:
+    """A lens that lies on the front (`sign` 1) or the back of a body, turned as its skin is there."""
+    before, after = (front_at(field_, x + dx, z, sign) for dx in (-0.04, 0.04))
+    yaw = np.rad2deg(np.arctan2(after - before, 0.08))
+    normal = sign * np.array([-np.sin(np.deg2rad(yaw)), np.cos(np.deg2rad(yaw))])
+    y = front_at(field_, x, z, sign)
+    return lens_disc((x + 0.012 * normal[0], y + 0.012 * normal[1], z), radius, material, back=sign < 0, yaw_deg=float(yaw))
 
 
 def mirror(sign: int) -> Part:

@@ -1,21 +1,31 @@
 """Parts and their materials, written as a USD component that a stage references.
 
-Takes a `Component`; leaves `<folder>/<name>/<name>.usda` (the interface: label,
-materials, variants, lamps) and `<name>.geometry.usdc` (the meshes; `<name>.low.usdc`
-where there are fewer triangles to choose) behind.  The component stands on the
-ground at the origin and looks along +Y, in metres, Z up.
+Takes a `Component`; leaves a folder `<name>` behind, divided as the USD working group
+advises (github.com/usd-wg/assets, asset-structure-guidelines.md):
+
+- `<name>.usda`, the interface: label, variants, lamps, thumbnail; it refers to the rest;
+- `<name>.mtl.usda`: materials, and which mesh wears which;
+- `<name>.geo.usdc`, a payload: the meshes; `<name>.low.geo.usdc` where there are fewer
+  triangles to choose, `<name>.<individual>.geo.usdc` of each further individual.
+
+The payload leads straight to the meshes, so that variants can be chosen while they are
+not loaded.  The component stands on the ground at the origin and looks along +Y, in
+metres, Z up.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdSemantics, UsdShade, Vt
+from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdMedia, UsdSemantics, UsdShade, Vt
 
 from synfog_usd.files import write_whole
+from synfog_usd.spectra import REFLECTANCE
+from synfog_usd.world import lamps as street_and_vehicle
 from synfog_usd.world.materials import PALETTE, Colour, Material
 from synfog_usd.world.shapes import Part, by_material
 
@@ -25,7 +35,7 @@ LICENCE = "CC0-1.0"
 
 @dataclass(frozen=True)
 class Lamp:
-    """A shaped disk light that shines along its -Z.
+    """A light that shines along its -Z: one of `world.lamps` by its name, or a shaped disk.
 
     Attributes:
         name: prim name.
@@ -34,15 +44,17 @@ class Lamp:
         radius_m: radius of the disk.
         cone_deg: half angle of the cone; softness: share of it that fades.
         colour: tint of luminance 1 within a few per cent.
+        beam: name in `lamps.LAMPS`, which then gives all but the place, or ''.
     """
 
     name: str
     place: np.ndarray
-    candela: float
-    radius_m: float
-    cone_deg: float
-    softness: float
+    candela: float = 0.0
+    radius_m: float = 0.05
+    cone_deg: float = 180.0
+    softness: float = 0.0
     colour: Colour = (1.0, 1.0, 1.0)
+    beam: str = ""
 
 
 @dataclass(frozen=True)
@@ -53,11 +65,13 @@ class Look:
         materials: material -> (input -> value).
         bindings: mesh (by the material of its parts) -> material that it wears.
         lamps: lights that exist in this variant only.
+        without: meshes that this variant leaves out.
     """
 
     materials: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     bindings: Mapping[str, str] = field(default_factory=dict)
     lamps: tuple[Lamp, ...] = ()
+    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -73,8 +87,11 @@ class Component:
         materials: what differs from the palette, or is not in it.
         labels: Cityscapes names of meshes (by material) that differ from `label`.
         low: the same thing in fewer triangles, of the same materials; with it comes a variant set `lod` (full, low).
+        low_bindings: mesh -> material that it wears in fewer triangles; meshes that nothing shows may be missing there.
+        individuals: others of its kind, of the same materials, by name; with them comes a variant set `individual`, whose 'a' is the thing itself.
         textures: where its pictures lie, seen from its folder.
         origin: what its files say of source and licence.
+        thumbnail: whether `study.library` makes a picture of it, which the interface then names before it is there.
     """
 
     name: str
@@ -85,8 +102,11 @@ class Component:
     materials: Mapping[str, Material] = field(default_factory=dict)
     labels: Mapping[str, str] = field(default_factory=dict)
     low: tuple[Part, ...] = ()
+    low_bindings: Mapping[str, str] = field(default_factory=dict)
+    individuals: Mapping[str, Component] = field(default_factory=dict)
     textures: str = "../../textures/"
     origin: Mapping[str, str] = field(default_factory=lambda: {"source": f"made by {MADE_BY}", "licence": LICENCE})
+    thumbnail: bool = True
 
     def triangles(self) -> int:
         """Number of triangles."""
@@ -97,26 +117,42 @@ def write_component(component: Component, models: Path) -> Path:
     """Write the component below the folder `models`; gives its interface layer."""
     folder = models / component.name
     meshes = by_material(component.parts)
-    geometry = f"{component.name}.geometry.usdc"
-    write_whole(folder / geometry, lambda path: _write_geometry(component, meshes, path))
-    if component.low:
-        write_whole(folder / f"{component.name}.low.usdc", lambda path: _write_geometry(component, by_material(component.low), path))
+    for individual, one in (("", component), *component.individuals.items()):
+        for level, file in _geometry_files(component.name, one, individual).items():
+            parts = by_material(one.low if level == "low" else one.parts)
+            if not set(parts) <= set(meshes):
+                raise ValueError(f"{component.name}: {file} has other materials than the rest")
+            write_whole(folder / file, functools.partial(_write_geometry, component, parts))
+    write_whole(folder / _material_file(component.name), functools.partial(_write_materials, component, meshes))
     target = folder / f"{component.name}.usda"
-    write_whole(target, lambda path: _write_interface(component, meshes, geometry, path))
+    write_whole(target, functools.partial(_write_interface, component))
     return target
 
 
-def author_material(stage: Usd.Stage, path: Sdf.Path, material: Material, *, textures: str, skip: frozenset[str] = frozenset()) -> UsdShade.Material:
-    """A UsdPreviewSurface at `path`; inputs named in `skip` are left to variants."""
+def _geometry_files(name: str, component: Component, individual: str = "") -> dict[str, str]:
+    """Level of detail -> file of meshes."""
+    stem = f"{name}.{individual}" if individual else name
+    return {"full": f"{stem}.geo.usdc"} | ({"low": f"{stem}.low.geo.usdc"} if component.low else {})
+
+
+def thumbnail_file(name: str) -> str:
+    """Where the picture of a model lies, seen from its folder."""
+    return f"thumbnails/{name}.png"
+
+
+def _material_file(name: str) -> str:
+    return f"{name}.mtl.usda"
+
+
+def author_material(stage: Usd.Stage, path: Sdf.Path, material: Material, *, textures: str) -> UsdShade.Material:
+    """A UsdPreviewSurface at `path`."""
     result = UsdShade.Material.Define(stage, path)
     shader = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
     shader.CreateIdAttr("UsdPreviewSurface")
     result.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
 
     def put(name: str, kind: Sdf.ValueTypeName, value: object) -> None:
-        shader.CreateInput(name, kind)
-        if name not in skip:
-            shader.GetInput(name).Set(value)
+        shader.CreateInput(name, kind).Set(value)
 
     if material.texture:
         image = _author_image(stage, path, "Colour", textures + material.texture, "sRGB", material.colour)
@@ -124,7 +160,7 @@ def author_material(stage: Usd.Stage, path: Sdf.Path, material: Material, *, tex
     else:
         put("diffuseColor", Sdf.ValueTypeNames.Color3f, Gf.Vec3f(*material.colour))
     if material.gloss:
-        image = _author_image(stage, path, "Roughness", textures + material.gloss, "raw", (1.0, 1.0, 1.0))
+        image = _author_image(stage, path, "Roughness", textures + material.gloss, "raw", (material.gloss_factor,) * 3)
         shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).ConnectToSource(image, "r")
     else:
         put("roughness", Sdf.ValueTypeNames.Float, material.roughness)
@@ -139,6 +175,10 @@ def author_material(stage: Usd.Stage, path: Sdf.Path, material: Material, *, tex
         put("clearcoat", Sdf.ValueTypeNames.Float, material.clearcoat)
         put("clearcoatRoughness", Sdf.ValueTypeNames.Float, 0.03)
     put("ior", Sdf.ValueTypeNames.Float, material.ior)
+    if material.opacity < 1.0:
+        put("opacity", Sdf.ValueTypeNames.Float, material.opacity)
+    if material.spectrum:
+        result.GetPrim().CreateAttribute(REFLECTANCE, Sdf.ValueTypeNames.Token).Set(material.spectrum)
     return result
 
 
@@ -147,8 +187,9 @@ def author_mesh(stage: Usd.Stage, path: Sdf.Path, part: Part) -> UsdGeom.Mesh:
     mesh = UsdGeom.Mesh.Define(stage, path)
     points = np.round(part.points, 5).astype(np.float32)
     mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(part.faces), 3, dtype=np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(part.faces.astype(np.int32).ravel()))
+    faces = part.faces[(part.faces != np.roll(part.faces, 1, axis=1)).all(axis=1)]  # a corner that stands twice makes Blender 5 repair the mesh, or crash
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
     mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)])))
@@ -162,8 +203,13 @@ def author_mesh(stage: Usd.Stage, path: Sdf.Path, part: Part) -> UsdGeom.Mesh:
     return mesh
 
 
-def author_lamp(stage: Usd.Stage, path: Sdf.Path, lamp: Lamp) -> UsdLux.DiskLight:
-    """The lamp as a disk light; intensity [cd] over its area gives the nits that UsdLux wants."""
+def author_lamp(stage: Usd.Stage, path: Sdf.Path, lamp: Lamp, *, lamps: str = "../../lamps") -> UsdLux.BoundableLightBase:
+    """The lamp as a light; intensity [cd] over its area gives the nits that UsdLux wants.
+
+    lamps: folder of the IES files as the stage's layer refers to it.
+    """
+    if lamp.beam:
+        return street_and_vehicle.author_lamp(stage, path, lamp.beam, lamp.place, lamps=lamps)
     light = UsdLux.DiskLight.Define(stage, path)
     light.CreateRadiusAttr(lamp.radius_m)
     light.CreateIntensityAttr(round(lamp.candela / (np.pi * lamp.radius_m**2), 1))
@@ -201,7 +247,26 @@ def _write_geometry(component: Component, meshes: Mapping[str, Part], path: Path
     stage.GetRootLayer().Save()
 
 
-def _write_interface(component: Component, meshes: Mapping[str, Part], geometry: str, path: Path) -> None:
+def _write_materials(component: Component, meshes: Mapping[str, Part], path: Path) -> None:
+    """All materials, and the bindings that no variant changes; those of variants are stronger than what a reference brings."""
+    stage = new_stage(f"Materials of {component.name}.", path, component.origin)
+    prim = UsdGeom.Xform.Define(stage, f"/{component.name}").GetPrim()
+    stage.SetDefaultPrim(prim)
+    looks = [look for choices in component.variants.values() for look in choices.values()]
+    rebound = {mesh for look in looks for mesh in look.bindings}
+    others = [*(m for look in looks for m in look.bindings.values()), *component.low_bindings.values()]
+    materials = prim.GetPath().AppendChild("Materials")
+    stage.OverridePrim(prim.GetPath().AppendChild("Geometry"))  # before the materials, as in the interface
+    UsdGeom.Scope.Define(stage, materials)
+    for name in dict.fromkeys([*(n for n in meshes if n not in rebound), *others]):
+        author_material(stage, materials.AppendChild(name), component.materials.get(name) or PALETTE[name], textures=component.textures)
+    for name in meshes:
+        if name not in rebound:
+            _bind(stage, prim, name, name)
+    stage.GetRootLayer().Save()
+
+
+def _write_interface(component: Component, path: Path) -> None:
     stage = new_stage(component.about, path, component.origin)
     root = UsdGeom.Xform.Define(stage, f"/{component.name}")
     prim = root.GetPrim()
@@ -210,24 +275,16 @@ def _write_interface(component: Component, meshes: Mapping[str, Part], geometry:
     model.SetKind(Kind.Tokens.component)
     model.SetAssetName(component.name)
     model.SetAssetIdentifier(Sdf.AssetPath(f"./{component.name}.usda"))
+    if component.thumbnail:
+        picture = UsdMedia.AssetPreviewsAPI.Thumbnails(defaultImage=Sdf.AssetPath(f"./{thumbnail_file(component.name)}"))
+        UsdMedia.AssetPreviewsAPI.Apply(prim).SetDefaultThumbnails(picture)
     prim.SetDocumentation(component.about)
     label(prim, component.label)
+    prim.GetReferences().AddReference(f"./{_material_file(component.name)}")
     scope = UsdGeom.Scope.Define(stage, prim.GetPath().AppendChild("Geometry"))
-    if not component.low:
-        scope.GetPrim().GetReferences().AddReference(f"./{geometry}")
-
-    looks = [look for choices in component.variants.values() for look in choices.values()]
-    rebound = {mesh for look in looks for mesh in look.bindings}
-    needed = list(dict.fromkeys([*(n for n in meshes if n not in rebound), *(m for look in looks for m in look.bindings.values())]))
-    materials = prim.GetPath().AppendChild("Materials")
-    UsdGeom.Scope.Define(stage, materials)
-    for name in needed:
-        skip = frozenset(key for look in looks for key in look.materials.get(name, {}))
-        material = component.materials.get(name) or PALETTE[name]
-        author_material(stage, materials.AppendChild(name), material, textures=component.textures, skip=skip)
-    for name in meshes:
-        if name not in rebound:
-            _bind(stage, scope.GetPath().AppendChild(name), materials.AppendChild(name))
+    files = _geometry_files(component.name, component)
+    if not component.low and not component.individuals:
+        scope.GetPrim().GetPayloads().AddPayload(f"./{files['full']}")
     for name, other in component.labels.items():
         label(stage.OverridePrim(scope.GetPath().AppendChild(name)), other)
     for set_name, choices in component.variants.items():
@@ -238,18 +295,36 @@ def _write_interface(component: Component, meshes: Mapping[str, Part], geometry:
             with variants.GetVariantEditContext():
                 _author_look(stage, prim, look)
         variants.SetVariantSelection(next(iter(choices)))
-    if component.low:
-        _author_lod(prim, scope.GetPrim(), {"full": geometry, "low": f"{component.name}.low.usdc"})
+    if component.individuals:
+        _author_individuals(stage, prim, component)
+    elif component.low:
+        _author_lod(stage, prim, component, files)
     stage.GetRootLayer().Save()
 
 
-def _author_lod(prim: Usd.Prim, scope: Usd.Prim, files: Mapping[str, str]) -> None:
+def _author_individuals(stage: Usd.Stage, prim: Usd.Prim, component: Component) -> None:
+    variants = prim.GetVariantSets().AddVariantSet("individual")
+    for name, one in (("a", component), *component.individuals.items()):
+        variants.AddVariant(name)
+        variants.SetVariantSelection(name)
+        with variants.GetVariantEditContext():
+            files = _geometry_files(component.name, one, "" if one is component else name)
+            if one.low:
+                _author_lod(stage, prim, one, files)
+            else:
+                prim.GetChild("Geometry").GetPayloads().AddPayload(f"./{files['full']}")
+    variants.SetVariantSelection("a")
+
+
+def _author_lod(stage: Usd.Stage, prim: Usd.Prim, component: Component, files: Mapping[str, str]) -> None:
     variants = prim.GetVariantSets().AddVariantSet("lod")
     for variant, file in files.items():
         variants.AddVariant(variant)
         variants.SetVariantSelection(variant)
         with variants.GetVariantEditContext():
-            scope.GetReferences().AddReference(f"./{file}")
+            prim.GetChild("Geometry").GetPayloads().AddPayload(f"./{file}")
+            for mesh, material in component.low_bindings.items() if variant == "low" else ():
+                _bind(stage, prim, mesh, material)
     variants.SetVariantSelection("full")
 
 
@@ -261,16 +336,18 @@ def _author_look(stage: Usd.Stage, prim: Usd.Prim, look: Look) -> None:
             kind = Sdf.ValueTypeNames.Color3f if isinstance(value, tuple) else Sdf.ValueTypeNames.Float
             shader.CreateInput(key, kind).Set(Gf.Vec3f(*value) if isinstance(value, tuple) else value)
     for mesh, material in look.bindings.items():
-        _bind(stage, prim.GetPath().AppendPath(f"Geometry/{mesh}"), materials.AppendChild(material))
+        _bind(stage, prim, mesh, material)
+    for mesh in look.without:
+        stage.OverridePrim(prim.GetPath().AppendPath(f"Geometry/{mesh}")).SetActive(False)
     if look.lamps:
         lamps = UsdGeom.Scope.Define(stage, prim.GetPath().AppendChild("Lamps"))
         for lamp in look.lamps:
             author_lamp(stage, lamps.GetPath().AppendChild(lamp.name), lamp)
 
 
-def _bind(stage: Usd.Stage, mesh: Sdf.Path, material: Sdf.Path) -> None:
-    prim = stage.OverridePrim(mesh)
-    UsdShade.MaterialBindingAPI.Apply(prim).Bind(UsdShade.Material(stage.GetPrimAtPath(material)))
+def _bind(stage: Usd.Stage, prim: Usd.Prim, mesh: str, material: str) -> None:
+    found = UsdShade.Material(stage.GetPrimAtPath(prim.GetPath().AppendPath(f"Materials/{material}")))
+    UsdShade.MaterialBindingAPI.Apply(stage.OverridePrim(prim.GetPath().AppendPath(f"Geometry/{mesh}"))).Bind(found)
 
 
 def _author_image(stage: Usd.Stage, material: Sdf.Path, name: str, file: str, space: str, factor: Colour) -> UsdShade.ConnectableAPI:

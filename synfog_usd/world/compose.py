@@ -8,12 +8,13 @@ from pathlib import Path
 
 from synfog_usd import resources
 from synfog_usd.errors import RecipeError
+from synfog_usd.world.departments import write_layers
 from synfog_usd.world.draws import load_root, world_of
 from synfog_usd.world.spec import WorldSpec
 
 
 def compose(path: Path, out: Path, *, seed: int, changes: Sequence[str] = ()) -> WorldSpec:
-    """Draw a world and write it as a stage.
+    """Draw a world and write it as a stage: `out`, and a layer for each department beside it.
 
     References to the shipped assets are relative where `out` lies in the folder that
     holds them, so that the folder can move, and absolute elsewhere.
@@ -32,17 +33,18 @@ def compose(path: Path, out: Path, *, seed: int, changes: Sequence[str] = ()) ->
         raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
     root = load_root(path, changes)
     assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
-    if world_of(root) == "road":
+    if world_of(root) in ("road", "roundabout"):
         from synfog_usd.world.roads import recipe as roads
-        from synfog_usd.world.roads import stage
+        from synfog_usd.world.roads import roundabout_recipe, stage
 
-        spec = roads.draw(roads.read(root, path.name), seed=seed)
-        stage.write(out, spec, assets=assets)
+        language = roads if world_of(root) == "road" else roundabout_recipe
+        spec = language.draw(language.read(root, path.name), seed=seed)
+        write_layers(out, lambda place: stage.author(place, spec, assets=assets))
         return spec
     from synfog_usd.world import crossroads, recipe
 
     spec = recipe.draw(recipe.read(root, path.name), seed=seed)
-    crossroads.write_stage(out, spec, assets=assets)
+    write_layers(out, lambda place: crossroads.author_stage(place, spec, assets=assets))
     return spec
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from synfog_usd.world.authoring import (
     author_camera,
     author_fog,
     author_instancer,
-    author_placement,
+    author_placements,
     author_render,
     author_skies,
     author_variants,
@@ -28,17 +29,19 @@ from synfog_usd.world.authoring import (
 from synfog_usd.world.buildings import HOUSES, build_church, build_houses, glazing
 from synfog_usd.world.components import Component, Lamp, author_lamp, author_material, author_mesh, label, new_stage, write_component
 from synfog_usd.world.furniture import build_furniture
+from synfog_usd.world.lod import with_low
 from synfog_usd.world.materials import Material
 from synfog_usd.world.people import build_bicycle, build_people, build_rider
 from synfog_usd.world.plants import build_hedge, build_leaf, build_trees
 from synfog_usd.world.shapes import Array, Part, quads, shift, turn
 from synfog_usd.world.sky import DUSK_NITS, OVERCAST_NITS, write_skies
-from synfog_usd.world.spec import Placement, View, WorldSpec
+from synfog_usd.world.spec import Dome, Placement, View, WorldSpec
 from synfog_usd.world.street import CORNER, MAIN_HALF, NORTH, SIDE_HALF, TREE_X, WALL_X, WALL_Y, build_ground, ground_height
 from synfog_usd.world.textures import write_textures
-from synfog_usd.world.vehicles import HEADLIGHT_CD, HEADLIGHT_TINT, build_bus, build_cars, build_lorry
+from synfog_usd.world.vehicles import build_bus, build_cars, build_lorry
 
 VIEW = View(1.55, -37.0, 1.45)
+LOW_M = 50.0  # where 2 cm are half a pixel of the 1280 that the stage asks for
 FOG_VARIANTS = {"clear": None, "mor600": 600.0, "mor300": 300.0, "mor150": 150.0}
 
 
@@ -53,15 +56,21 @@ def build(folder: Path) -> Path:
 
 
 def components() -> list[Component]:
-    """Every component of the crossing."""
+    """Every component of the crossing; vehicles, people and trees with many triangles in two levels of detail."""
     pits = [(p.x, p.y) for p in trees() if abs(p.x) == TREE_X]
-    solid = [*build_cars(), build_bus(), build_lorry(), *build_people(), build_rider(), build_bicycle(), *build_furniture()]
-    return [*build_ground(pits), *build_houses(), build_church(), *solid, *build_trees(), build_hedge(), build_leaf()]
+    solid = [with_low(c) for c in (*build_cars(), build_bus(), build_lorry(), *build_people(), build_rider(), build_bicycle(), *build_trees())]
+    return [*build_ground(pits), *build_houses(), build_church(), *solid, *build_furniture(), build_hedge(), build_leaf()]
 
 
 def placements() -> list[Placement]:
-    """Everything that stands in the streets."""
-    return [*ground(), *houses(), *vehicles(), *people(), *furniture(), *trees()]
+    """Everything that stands in the streets; vehicles and people far from the camera in fewer triangles."""
+    movable = [_coarser(p) for p in (*vehicles(), *people())]
+    return [*ground(), *houses(), *movable, *furniture(), *trees()]
+
+
+def _coarser(p: Placement) -> Placement:
+    far = np.hypot(p.x - VIEW.x, p.y - VIEW.y) > LOW_M and p.asset != "bicycle"
+    return replace(p, variants={**p.variants, "lod": "low"}) if far else p
 
 
 def ground() -> list[Placement]:
@@ -233,13 +242,14 @@ def furniture() -> list[Placement]:
 
 def trees() -> list[Placement]:
     """Street trees in their pits, and the park at the end of the street."""
-    rng = stream(0, "crossroads", "trees")
+    rng, individuals = stream(0, "crossroads", "trees"), stream(0, "crossroads", "individuals")
     placed: list[Placement] = []
     kinds = ("lime_tree", "maple_tree", "lime_tree", "bare_tree")
 
     def put(asset: str, x: float, y: float, z: float | None = None) -> None:
         size = round(float(rng.uniform(0.88, 1.12)), 3)
-        placed.append(Placement("Plants", f"Tree_{len(placed) + 1:02d}", asset, x, y, round(float(rng.uniform(0, 360)), 1), z=z, size=size))
+        which = {"individual": "abc"[int(individuals.integers(3))]}
+        placed.append(Placement("Plants", f"Tree_{len(placed) + 1:02d}", asset, x, y, round(float(rng.uniform(0, 360)), 1), which, z=z, size=size))
 
     for s, ys in ((1, [-53.0, -39.0, -25.2, 25.5, 37.0, 50.5, 64.0, 80.0, 93.0, 110.0, 124.0, 140.0, 156.0, 174.0, 192.0, 212.0, 235.0]), (-1, [-55.0, -41.0,
         -28.5, 31.5, 39.0, 55.0, 66.0, 83.0, 95.0, 111.0, 126.0, 143.0, 158.0, 178.0, 196.0, 215.0, 240.0])):  # fmt: skip
@@ -266,8 +276,8 @@ def shipped() -> WorldSpec:
         view=VIEW,
         fog=FOG_VARIANTS,
         fog_selected="mor300",
-        overcast_nits=OVERCAST_NITS,
-        dusk_nits=DUSK_NITS,
+        day=Dome("overcast", OVERCAST_NITS),
+        dusk=Dome("dusk", DUSK_NITS),
     )
 
 
@@ -279,11 +289,12 @@ def write_stage(path: Path, spec: WorldSpec | None = None, *, assets: str = "../
         spec: what stands where; None is the one that ships.
         assets: where the shipped assets lie, from the stage's folder or from the root.
     """
-    write_whole(path, lambda temporary: _write_stage(temporary, spec or shipped(), assets))
+    write_whole(path, lambda temporary: author_stage(temporary, spec or shipped(), assets=assets).Save())
     return path
 
 
-def _write_stage(path: Path, spec: WorldSpec, assets: str) -> None:
+def author_stage(path: Path, spec: WorldSpec, *, assets: str) -> Sdf.Layer:
+    """The stage of `write_stage` as one layer, not yet saved."""
     stage = new_stage(spec.about, path)
     if spec.origin:
         stage.GetRootLayer().customLayerData = {**stage.GetRootLayer().customLayerData, **spec.origin}
@@ -298,14 +309,13 @@ def _write_stage(path: Path, spec: WorldSpec, assets: str) -> None:
     for group in dict.fromkeys(p.group for p in placed):
         prim = UsdGeom.Xform.Define(stage, f"/World/{group}").GetPrim()
         Usd.ModelAPI(prim).SetKind(Kind.Tokens.group)
-    for p in placed:
-        author_placement(stage, p, assets)
     _author_bollards(stage, assets)
     _author_leaves(stage, [p for p in placed if p.group == "Plants" and abs(p.x) == TREE_X and p.y < 60], spec.scatter, assets)
     _author_lights(stage, spec, assets)
     author_variants(stage, spec)
     author_render(stage)
-    stage.GetRootLayer().Save()
+    author_placements(stage, placed, assets)
+    return Sdf.Layer.FindOrOpen(stage.GetRootLayer().identifier)
 
 
 def _author_bollards(stage: Usd.Stage, assets: str) -> None:
@@ -344,8 +354,8 @@ def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     Usd.ModelAPI(lights.GetPrim()).SetKind(Kind.Tokens.group)
     UsdGeom.Scope.Define(stage, "/World/Lights/Headlights")
     for name, x in (("Left", spec.view.x - 0.62), ("Right", spec.view.x + 0.72)):
-        lamp = Lamp(name, shift(x, spec.view.y + 1.75, 0.66) @ turn(88.6, "x"), HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT)
-        author_lamp(stage, Sdf.Path(f"/World/Lights/Headlights/{name}"), lamp)
+        lamp = Lamp(name, shift(x, spec.view.y + 1.75, 0.66) @ turn(90, "x"), beam="low_beam_led")
+        author_lamp(stage, Sdf.Path(f"/World/Lights/Headlights/{name}"), lamp, lamps=f"{assets}/lamps")
     rng = stream(spec.scatter, "crossroads", "lit")
     panes: dict[str, list[tuple[Array, Array]]] = {"Windows": [], "Shops": []}
     homes = {h.name: glazing(h) for h in HOUSES}

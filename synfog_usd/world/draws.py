@@ -20,7 +20,7 @@ from synfog_usd.errors import RecipeError, did_you_mean
 from synfog_usd.yamlio import Located, Place, load_file, load_text
 
 SCHEMA = "recipe/1"
-WORLDS = ("crossroads", "road")
+WORLDS = ("crossroads", "road", "roundabout")
 FOG_DEFAULT = (600, 300, 150)
 
 

@@ -97,8 +97,8 @@ def import_asset(
     for picture, image in found.pictures.items():
         write_whole(folder / "textures" / picture, lambda path, image=image: _save(image, path))
     origin = {"source": f"imported from {file.name}", "licence": "not stated; that of the file it came from"}
-    component = Component(name, label, tuple(parts), f"Imported from {file.name}.", materials=found.materials, textures="./textures/", origin=origin)
-    component = with_low(component)
+    about, looks = f"Imported from {file.name}.", found.materials
+    component = with_low(Component(name, label, tuple(parts), about, materials=looks, textures="./textures/", origin=origin, thumbnail=False))
     model = read_model(write_component(component, out))
     return Imported(model, tuple(notes), (component.triangles(), sum(len(p.faces) for p in component.low)))
 

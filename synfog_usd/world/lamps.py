@@ -25,15 +25,15 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
 from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.files import write_bytes
-from synfog_usd.photometry import WAVELENGTHS_NM, observer
+from synfog_usd.photometry import observer
 from synfog_usd.science import colour_science
+from synfog_usd.spectra import EMISSION, emission
 
 Array = npt.NDArray[np.float64]
 Beam = Callable[[Array, Array], Array]
 
 STREET, VEHICLE = "street_lamps", "headlights"
-GROUP_ATTRIBUTE, SPECTRUM_ATTRIBUTE = "synfog:lightGroup", "synfog:spectrum:emission"
-LEDS = {"LED 625 nm": (625.0, 18.0), "LED 592 nm": (592.0, 15.0)}  # peak and half width [nm]
+GROUP_ATTRIBUTE = "synfog:lightGroup"
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Lamp:
     Attributes:
         about: what it is.
         group: light group.
-        spectrum: name of a CIE illuminant (CIE 015:2018), or of `LEDS`.
+        spectrum: name of a CIE illuminant (CIE 015:2018), or of `spectra.LEDS`.
         source: where the figures are from.
         candela: on the axis for a signal, the greatest elsewhere [cd].
         limits_cd: least and greatest that the source allows for `candela`; the narrower where editions differ; None where no rule sets any.
@@ -230,13 +230,7 @@ def spectrum(lamp: Lamp) -> Array:
 
     Source: CIE 015:2018; single LEDs by the model of Ohno (2005); both from colour-science.
     """
-    colour = colour_science()
-    if lamp.spectrum in LEDS:
-        peak, half = LEDS[lamp.spectrum]
-        shape = colour.SpectralShape(float(WAVELENGTHS_NM[0]), float(WAVELENGTHS_NM[-1]), 1.0)
-        return np.asarray(colour.sd_single_led(peak, shape, half_spectral_width=half).values, dtype=np.float64)
-    table = colour.SDS_ILLUMINANTS[lamp.spectrum]
-    return np.interp(WAVELENGTHS_NM, table.wavelengths, table.values)
+    return emission(lamp.spectrum)
 
 
 @functools.lru_cache(maxsize=32)
@@ -291,7 +285,7 @@ def author_lamp(
     prim = light.GetPrim()
     prim.SetDocumentation(f"{lamp.about} {lamp.source}.")
     prim.CreateAttribute(GROUP_ATTRIBUTE, Sdf.ValueTypeNames.String).Set(group or lamp.group)
-    prim.CreateAttribute(SPECTRUM_ATTRIBUTE, Sdf.ValueTypeNames.String).Set(lamp.spectrum)
+    prim.CreateAttribute(EMISSION, Sdf.ValueTypeNames.String).Set(lamp.spectrum)
     UsdGeom.Xformable(light).AddTransformOp().Set(Gf.Matrix4d(np.round(np.asarray(place, float).T, 6).tolist()))
     light.CreateExtentAttr(UsdGeom.Boundable.ComputeExtentFromPlugins(light, Usd.TimeCode.Default()))
     return light

@@ -131,6 +131,12 @@ def of_group(group: str, folder: Path | None = None) -> tuple[Model, ...]:
     return tuple(m for m in library(folder).values() if m.group == group)
 
 
+def origin(model: Model) -> str:
+    """Where a model is from and under which licence, as its file states it."""
+    said = Sdf.Layer.FindOrOpen(str(model.path)).customLayerData
+    return f"{said.get('source', 'source not stated')}, licence {said.get('licence', 'not stated')}"
+
+
 def read(path: Path) -> Model:
     """What a component says of itself.
 

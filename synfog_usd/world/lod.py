@@ -11,32 +11,55 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from synfog_usd.world.components import Component
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.shapes import Array, Index, Part, by_material, join, shaded
+from synfog_usd.world.shapes import COLLAPSE, Array, Index, Part, by_material, face_normals, join, shaded
 
-LIMIT_M = 0.02
+LIMIT_M = 0.0195  # 2 cm, less half a millimetre that samples of a surface and five decimals can miss
 WORTH = 3000
 """Triangles above which a model comes in two levels of detail."""
 SLIVER_M2 = 1e-9
 SHARES = (0.15, 0.25, 0.4, 0.6)
 LEAVES = ("leaf_", "needle")
+INSIDE = ("cabin_dark", "cabin_grey", "seat_cloth", "driver_skin", "driver_hair", "driver_coat")
+"""What is seen through glass only; far away the glass is dark and nothing is behind it, which saves rays as well."""
+DARK_GLASS = {"glass_clear": "glass_car"}
+CLEAN_M = 0.005
+"""How far cleaning may move a surface: half a pixel of a picture 640 wide at 6 m."""
+CLEAN_SHARES = (0.5, 0.6, 0.7, 0.8)
+CLEANED = ("paint", "gloss_black", "black_plastic", "seam", "cabin_dark", "cabin_grey", "headlamp", "tail_lamp")
+"""What is cut out of skins, all of it without pictures; wheels, seats and glass are not."""
+SKEW = 0.6
+"""Cosine between a face and a normal below which there is a crease."""
 KEPT_LEAVES = 3
 """One leaf in so many is kept, and larger, so that the crown covers as much."""
 
 
 def with_low(component: Component, limit_m: float = LIMIT_M) -> Component:
-    """The component with a level `low`, if it is worth one and gets smaller by a quarter."""
+    """The component with a level `low`, if it is worth one and gets smaller by a quarter; its other individuals likewise."""
+    if component.individuals:
+        component = replace(component, individuals={name: with_low(one, limit_m) for name, one in component.individuals.items()})
     if component.triangles() < WORTH:
         return component
-    low = thinned(component.parts, limit_m, {**PALETTE, **component.materials})
-    return replace(component, low=low) if sum(len(p.faces) for p in low) < 0.75 * component.triangles() else component
+    outside = [part for part in component.parts if part.material not in INSIDE]
+    low = thinned(outside, limit_m, {**PALETTE, **component.materials})
+    dark = DARK_GLASS if len(outside) < len(component.parts) else {}
+    return replace(component, low=low, low_bindings=dark) if sum(len(p.faces) for p in low) < 0.75 * component.triangles() else component
 
 
 def thinned(parts: Sequence[Part], limit_m: float = LIMIT_M, materials: Mapping[str, Material] = PALETTE) -> tuple[Part, ...]:
     """The parts, one for each material, with as few triangles as `limit_m` [m] allows; what wears a texture stays."""
     return tuple(_thinned(part, limit_m, materials.get(part.material, Material())) for part in by_material(parts).values())
+
+
+def cleaned(parts: Sequence[Part], limit_m: float = CLEAN_M) -> tuple[Part, ...]:
+    """The parts, one for each material, without most of the slivers that cutting them out of a skin left.
+
+    A smooth part keeps the normals that it had at the nearest place, so that it shines as before.
+    """
+    return tuple(_cleaned(part, limit_m) for part in by_material(parts).values())
 
 
 def distance(a: Part, b: Part, samples: int = 20_000) -> float:
@@ -63,9 +86,41 @@ def collapsed(points: Array, faces: Index, triangles: int) -> tuple[Array, Index
 
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(pymeshlab.Mesh(points, faces.astype(np.int32)))
-    meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=triangles, preservenormal=True, boundaryweight=2.0, planarquadric=True, optimalplacement=True)
+    meshes.meshing_decimation_quadric_edge_collapse(**{**COLLAPSE, "planarquadric": True, "planarweight": 1e-4}, targetfacenum=triangles)
     mesh = meshes.current_mesh()
     return np.array(mesh.vertex_matrix()), np.array(mesh.face_matrix(), dtype=np.int64)
+
+
+def _cleaned(part: Part, limit_m: float) -> Part:
+    if part.material not in CLEANED or part.normals is None or len(part.faces) < 100:
+        return part
+    points, faces = _welded(part)
+    for share in CLEAN_SHARES:
+        fewer = Part(*collapsed(points, faces, int(share * len(faces))), part.material)
+        if len(fewer.faces) and distance(part, fewer) <= limit_m:
+            return _with_normals_of(part, fewer)
+    return part
+
+
+def _with_normals_of(part: Part, fewer: Part) -> Part:
+    """`fewer` with the mean normal of `part` at the four nearest points; at a crease, where that lies askew, with that of the face."""
+    assert part.normals is not None
+    gap, near = cKDTree(part.points).query(fewer.points, k=4)
+    normals = (part.normals[near] / (gap + 1e-4)[:, :, None]).sum(axis=1)
+    normals = (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))[fewer.faces].reshape(-1, 3)
+    face = np.repeat(face_normals(fewer), 3, axis=0)
+    normals = np.where((np.einsum("ij,ij->i", normals, face) > SKEW)[:, None], normals, face)
+    corners = fewer.points[fewer.faces].reshape(-1, 3)
+    _, first, inverse = np.unique(np.round(np.c_[corners, 0.05 * normals], 4), axis=0, return_index=True, return_inverse=True)
+    return Part(corners[first], inverse.reshape(-1, 3), part.material, None, normals[first])
+
+
+def _welded(part: Part) -> tuple[Array, Index]:
+    """Points and faces with points at one place made one, and no face without area."""
+    points, inverse = np.unique(np.round(part.points, 5), axis=0, return_inverse=True)
+    faces = inverse.reshape(-1)[part.faces]
+    solid = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return points, faces[solid]
 
 
 def _thinned(part: Part, limit_m: float, look: Material) -> Part:
@@ -73,10 +128,7 @@ def _thinned(part: Part, limit_m: float, look: Material) -> Part:
         return _fewer_leaves(part)
     if look.texture or look.gloss or len(part.faces) < 150:
         return part  # pictures stay where they are
-    points, inverse = np.unique(np.round(part.points, 5), axis=0, return_inverse=True)
-    faces = inverse.reshape(-1)[part.faces]
-    solid = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    faces = faces[solid]
+    points, faces = _welded(part)
     for share in SHARES:
         fewer = Part(*collapsed(points, faces, int(share * len(faces))), part.material)
         if len(fewer.faces) and distance(part, fewer) <= limit_m:

@@ -6,7 +6,7 @@ in a city; textures are files that `textures` draws.  Knows nothing of USD.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 Colour = tuple[float, float, float]
 
@@ -20,11 +20,13 @@ class Material:
         roughness: 0 (mirror) to 1.
         metallic: 0 or 1.
         texture: file name of a colour texture, or ''.
-        gloss: file name of a roughness texture, or ''.
+        gloss: file name of a roughness texture, or ''; gloss_factor: on it.
         clearcoat: 0 to 1.
         ior: index of refraction.
         emission: radiance [cd m-2], linear, or a factor on `emission_texture`.
         emission_texture: file name, or ''.
+        opacity: below 1 it lets light through straight, see `glass_clear`.
+        spectrum: name in `spectra.TABLE`, 'paint', or ''; counts where paths carry wavelength bands.
     """
 
     colour: Colour = (0.18, 0.18, 0.18)
@@ -36,6 +38,9 @@ class Material:
     ior: float = 1.5
     emission: Colour = (0.0, 0.0, 0.0)
     emission_texture: str = ""
+    opacity: float = 1.0
+    gloss_factor: float = 1.0
+    spectrum: str = ""
 
 
 WHITE = (1.0, 1.0, 1.0)
@@ -68,11 +73,20 @@ PALETTE: dict[str, Material] = {
     "gloss_black": Material((0.012, 0.012, 0.013), 0.08),
     "seam": Material((0.008, 0.008, 0.008), 0.7),
     "glass_car": Material((0.012, 0.014, 0.015), 0.03, ior=1.52),
+    # clear panes: an opacity takes its share of the reflection too, so the index is raised until 4.3 % come back along the normal as from glass
+    "glass_clear": Material((0.012, 0.015, 0.015), 0.03, ior=2.08, opacity=0.35),
+    "cabin_dark": Material((0.035, 0.036, 0.038), 0.8),
+    "cabin_grey": Material((0.11, 0.11, 0.112), 0.9),
+    "seat_cloth": Material((0.055, 0.057, 0.062), 0.95),
+    "driver_skin": Material((0.46, 0.28, 0.20), 0.5),
+    "driver_hair": Material((0.03, 0.02, 0.014), 0.5),
+    "driver_coat": Material((0.07, 0.08, 0.12), 0.9),
     "chrome": Material((0.75, 0.76, 0.78), 0.12, 1.0),
     "headlamp": Material((0.42, 0.44, 0.47), 0.05, 0.6, clearcoat=1.0),
     "headlamp_lens": Material((0.75, 0.76, 0.78), 0.05, clearcoat=1.0),
     "tail_lamp": Material((0.28, 0.008, 0.008), 0.06, clearcoat=1.0),
     "tail_lens": Material((0.4, 0.012, 0.01), 0.06, clearcoat=1.0),
+    "brake_lens": Material((0.4, 0.012, 0.01), 0.06, clearcoat=1.0),
     "amber": Material((0.5, 0.16, 0.01), 0.08, clearcoat=1.0),
     "livery": Material((0.03, 0.10, 0.24), 0.35, clearcoat=0.8),
     "taxi_sign": Material((0.62, 0.42, 0.04), 0.3),
@@ -153,6 +167,9 @@ PALETTE: dict[str, Material] = {
     # people
     "skin": Material((0.52, 0.32, 0.23), 0.5),
     "skin_brown": Material((0.20, 0.105, 0.065), 0.5),
+    "eye_white": Material((0.40, 0.385, 0.37), 0.2),
+    "eye_dark": Material((0.022, 0.017, 0.014), 0.1),
+    "lips": Material((0.30, 0.115, 0.095), 0.45),
     "hair_dark": Material((0.018, 0.013, 0.010), 0.45),
     "hair_brown": Material((0.07, 0.035, 0.017), 0.5),
     "hair_blond": Material((0.34, 0.22, 0.09), 0.5),
@@ -190,3 +207,30 @@ PAINTS: dict[str, Colour] = {
     "yellow": (0.62, 0.38, 0.02),
     "orange": (0.55, 0.15, 0.015),
 }
+
+SPECTRA: dict[str, tuple[str, ...]] = {
+    "asphalt": ("asphalt", "asphalt_lane"),
+    "asphalt_new": ("asphalt_patch", "tar"),
+    "asphalt_old": ("asphalt_old",),
+    "concrete": ("concrete", "paving", "plaster_grey"),
+    "soil": ("soil",),
+    "brick": ("brick_red", "brick_brown", "roof_tile", "pot"),
+    "grass": ("grass",),
+    "leaf": ("leaf_green", "hedge"),
+    "leaf_olive": ("leaf_olive",),
+    "leaf_gold": ("leaf_gold",),
+    "leaf_dry": ("leaf_rust",),
+    "needle": ("needle", "needle_young"),
+    "skin": ("skin", "driver_skin"),
+    "skin_brown": ("skin_brown",),
+    "sheeting_white": ("reflective", "sign_white"),
+    "sheeting_red": ("sign_red",),
+    "sheeting_blue": ("sign_blue",),
+    "paint": (
+        *("paint", "livery", "taxi_sign", "marking", "green_iron", "sheet_blue", "door_green", "door_brown", "door_blue", "frame_green"),
+        *("helmet_yellow", "awning_red", "awning_green"),
+    ),
+}
+"""Spectrum -> materials of the palette that have it."""
+
+PALETTE |= {name: replace(PALETTE[name], spectrum=spectrum) for spectrum, names in SPECTRA.items() for name in names}

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils
 
 from synfog_usd.errors import StageError, SynfogError
+from synfog_usd.fence import Fence
 from synfog_usd.world.materials import Material
 from synfog_usd.world.shapes import Array, Part
 
@@ -234,6 +235,7 @@ def _material(found: Found, wanted: str, look: Material, picture: Any) -> str:
 def _of_stage(file: Path) -> Found:
     """Every visible mesh of a USD stage, in the stage's own units."""
     try:
+        _check_fence(file)
         layer = Sdf.Layer.FindOrOpen(str(file))
         stage = Usd.Stage.Open(layer) if layer else None
         if not stage:
@@ -249,6 +251,20 @@ def _of_stage(file: Path) -> Found:
     except Exception as error:  # arrays of a damaged stage need not fit each other
         raise StageError(f"{file}: cannot be read ({_short(error)})") from error
     return found
+
+
+def _check_fence(file: Path) -> None:
+    """Refuse a stage that refers to a file outside of its folder, before it is composed.
+
+    Raises:
+        StageError: with the file.
+    """
+    fence = Fence.around(file)
+    layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(file)))
+    for path in dict.fromkeys([*(layer.realPath for layer in layers), *assets]):
+        outer = Ar.SplitPackageRelativePathOuter(path)[0] if Ar.IsPackageRelativePath(path) else path
+        if outer and (fault := fence.fault(outer)):
+            raise StageError(f"{file}: {fault.partition('; ')[0]}; copy it there")
 
 
 def _visible(stage: Usd.Stage) -> Iterator[UsdGeom.Mesh]:

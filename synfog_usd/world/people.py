@@ -16,7 +16,7 @@ import numpy as np
 
 from synfog_usd.world.components import Component, Look
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.shapes import Array, Part, blob_distance, box, lathe, limb_distance, scale, shift, soft_box, soft_min, split, surface, tube, turn
+from synfog_usd.world.shapes import Array, Part, blob_distance, box, lathe, limb_distance, scale, shift, soft_box, soft_min, split, strip, surface, tube, turn
 
 Point = tuple[float, float, float]
 
@@ -101,7 +101,7 @@ def build_rider() -> Component:
         "ankles": [(-0.11, -0.12, 0.22), (0.11, -0.10, 0.50)], "toes": [(-0.11, 0.04, 0.145), (0.11, 0.06, 0.45)],
     }  # fmt: skip
     fields = fields_of(joints, Person("rider", "", 1.78, coat=0.06, hair="helmet"))
-    parts = cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 5500)
+    parts = [*cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 5500), *face(fields, joints)]
     wears = {"hair": "helmet", "shoes": "shoe_white"}
     return dressed("rider", "rider", "Who rides the bicycle.", parts, wears, (("cloth_yellow", "cloth_black"), ("cloth_red", "denim")))
 
@@ -163,7 +163,8 @@ def dressed(
 def person_parts(person: Person) -> list[Part]:
     """The triangles of somebody, feet on the ground, one part for each role."""
     joints = _pose(person)
-    parts = cut_by_role(fields_of(joints, person), (-0.62, -0.75, -0.15), (0.62, 0.75, 1.95), 5000)
+    fields = fields_of(joints, person)
+    parts = [*cut_by_role(fields, (-0.62, -0.75, -0.15), (0.62, 0.75, 1.95), 5000), *face(fields, joints)]
     if person.carries == "phone":
         parts.append(
             box((-0.04, -0.004, -0.075), (0.04, 0.006, 0.075), "bag").moved(
@@ -327,6 +328,36 @@ def cut_by_role(fields: Mapping[str, Callable[[Array, Array, Array], Array]], lo
         parts.append(mine.painted(role))
     parts.append(rest.painted(roles[-1]))
     return [p for p in parts if len(p.faces)]
+
+
+def face(fields: Mapping[str, Callable[[Array, Array, Array], Array]], joints: Mapping) -> list[Part]:
+    """Eyes, brows and mouth, which lie on the skin."""
+    to_face = turn(joints.get("turn", 0.0))[:3, :3]
+    head = np.asarray(joints["head"], dtype=np.float64)
+    reach = np.linspace(0.03, 0.16, 400)
+
+    def on_skin(across: float, up: float, lift: float) -> Array:
+        start = head + to_face @ np.array([across, 0.0, up])
+        ray = start + reach[:, None] * (to_face @ np.array([0.0, 1.0, 0.0]))
+        outside = np.nonzero(np.minimum(fields["skin"](*ray.T), fields["hair"](*ray.T)) > 0)[0]
+        return np.asarray(start + (reach[outside[0]] + lift) * (to_face @ np.array([0.0, 1.0, 0.0])))
+
+    def oval(across: float, up: float, half: tuple[float, float], lift: float, material: str) -> Part:
+        angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+        rim = np.array([on_skin(across + half[0] * np.cos(a), up + half[1] * np.sin(a), lift) for a in angle])
+        return Part(np.vstack([rim, on_skin(across, up, lift)]), np.array([((i + 1) % 8, i, 8) for i in range(8)]), material)
+
+    def band(points: list[tuple[float, float]], thick: float, material: str) -> Part:
+        loops = [np.array([on_skin(x, z + dz, 0.0015) for x, z in points]) for dz in (0.0, thick)]
+        return strip(loops, material)
+
+    parts = [band([(-0.024, -0.058), (-0.009, -0.056), (0.009, -0.056), (0.024, -0.058)], 0.011, "lips")]
+    for s in (-1, 1):
+        parts.append(oval(s * 0.031, 0.014, (0.0125, 0.0052), 0.0015, "eye_white"))
+        parts.append(oval(s * 0.031, 0.014, (0.0056, 0.0058), 0.0030, "eye_dark"))
+        brow = [(s * 0.015, 0.031), (s * 0.030, 0.036), (s * 0.047, 0.030)]
+        parts.append(band(brow, 0.0065, "eye_dark"))
+    return parts
 
 
 def _lowest(parts: list[Part]) -> float:

@@ -7,7 +7,7 @@ diamonds, so that nothing needs transparency.  Lengths in metres.
 # ruff: noqa: RUF005 -- offsets are added to arrays, which only look like lists
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,8 @@ class Tree:
         height: [m]; clear: height of the first branch [m]; girth: radius of the trunk [m].
         leaves: how many; leaf: length of one [m]; tones: materials, first is commonest.
         spread: half width of the crown relative to its height; fork: angle between branches [deg].
+        shares: of the leaves in each tone; lean: how far the crown's middle lies aside, relative to the height.
+        individual: 'a', or which other one of its kind.
     """
 
     name: str
@@ -36,6 +38,9 @@ class Tree:
     tones: tuple[str, ...]
     spread: float = 0.36
     fork: float = 36.0
+    shares: tuple[float, ...] = (0.62, 0.26, 0.12)
+    lean: float = 0.0
+    individual: str = "a"
 
 
 TREES = (
@@ -47,8 +52,13 @@ TREES = (
 
 
 def build_trees() -> list[Component]:
-    """The trees of `TREES`."""
-    return [_tree(tree) for tree in TREES]
+    """The trees of `TREES`, three individuals of each: as the table says; tall and slender; low, broad and lopsided, further turned."""
+    trees = []
+    for tree in TREES:
+        slender = replace(tree, individual="b", height=1.10 * tree.height, spread=0.76 * tree.spread, fork=tree.fork - 6, shares=(0.38, 0.50, 0.12))
+        broad = replace(tree, individual="c", height=0.88 * tree.height, spread=1.22 * tree.spread, fork=tree.fork + 7, shares=(0.52, 0.14, 0.34), lean=0.07)
+        trees.append(replace(_tree(tree), individuals={other.individual: _tree(other) for other in (slender, broad)}))
+    return trees
 
 
 def build_country_trees() -> list[Component]:
@@ -80,10 +90,10 @@ def build_leaf() -> Component:
 
 
 def _tree(tree: Tree) -> Component:
-    rng = stream(0, "tree", tree.name)
+    rng = stream(0, "tree", tree.name, *(() if tree.individual == "a" else (tree.individual,)))
     parts: list[Part] = []
     tips: list[Array] = []
-    crown_middle = np.array([0, 0, tree.clear + 0.55 * (tree.height - tree.clear)])
+    crown_middle = np.array([tree.lean * tree.height, 0, tree.clear + 0.55 * (tree.height - tree.clear)])
     crown_size = np.array([tree.spread * tree.height, tree.spread * tree.height, 0.56 * (tree.height - tree.clear)])
 
     def inside(p: Array) -> bool:
@@ -128,7 +138,7 @@ def _tree(tree: Tree) -> Component:
     twigs = np.array(tips)
     which = rng.integers(0, len(twigs), tree.leaves)
     places = twigs[which] + rng.normal(0, 0.22 if tree.leaves > 1000 else 0.05, (tree.leaves, 3))
-    tone = rng.choice(len(tree.tones), tree.leaves, p=np.array([0.62, 0.26, 0.12][: len(tree.tones)]) / sum([0.62, 0.26, 0.12][: len(tree.tones)]))
+    tone = rng.choice(len(tree.tones), tree.leaves, p=np.array(tree.shares[: len(tree.tones)]) / sum(tree.shares[: len(tree.tones)]))
     parts += [_leaves(places[tone == i], tree.leaf, material, rng) for i, material in enumerate(tree.tones)]
     return Component(tree.name, "vegetation", tuple(parts), tree.about)
 

@@ -22,7 +22,8 @@ from synfog_usd.world.authoring import APERTURE
 from synfog_usd.world.compose import asset_folder, compose
 from synfog_usd.world.draws import Amount, Draw, Names, check_schema, load_root, mapping, read_draws, read_fog, sections
 from synfog_usd.world.people import PEOPLE
-from synfog_usd.world.spec import Placement, View, WorldSpec
+from synfog_usd.world.sky import SKIES
+from synfog_usd.world.spec import Dome, Placement, View, WorldSpec
 from synfog_usd.world.street import MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE
 from synfog_usd.world.vehicles import CARS
 from synfog_usd.yamlio import Located
@@ -65,6 +66,9 @@ PARAMETERS: dict[str, Amount | Names] = {
     "people.count": Amount(0, 60, 30, whole=True),
     "people.kinds": Names(tuple(OUTFITS), dict.fromkeys(OUTFITS, 1)),
     "people.cyclists": Amount(0, 1, 1, whole=True),
+    "sky.day": Names(("overcast", *SKIES), "overcast"),
+    "sky.dusk": Names(("dusk", *SKIES), "dusk"),
+    "sky.heading_deg": Amount(0.0, 360.0, 0.0),
     "sky.overcast_nits": Amount(200.0, 20000.0, 5000.0),
     "sky.dusk_nits": Amount(0.1, 200.0, 5.0),
     "camera.height_m": Amount(1.0, 2.5, 1.45),
@@ -135,11 +139,16 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
         view=View(crossroads.VIEW.x, crossroads.VIEW.y, height, focal_length=round(APERTURE / 2 / math.tan(fov / 2), 6)),
         fog=fog,
         fog_selected=list(fog)[len(fog) // 2],
-        overcast_nits=round(value("sky.overcast_nits"), 1),
-        dusk_nits=round(value("sky.dusk_nits"), 3),
+        day=_dome(value("sky.day"), "overcast", round(value("sky.overcast_nits"), 1), value("sky.heading_deg")),
+        dusk=_dome(value("sky.dusk"), "dusk", round(value("sky.dusk_nits"), 3), value("sky.heading_deg")),
         scatter=seed32(seed, "recipe", "scatter"),
         origin={"recipe": recipe.name, "seed": str(seed)},
     )
+
+
+def _dome(sky: str, relative: str, nits: float, heading_deg: float) -> Dome:
+    """The crossing's own sky, with its luminance at the zenith, or one of `sky.SKIES`, which has its own."""
+    return Dome(sky, nits) if sky == relative else Dome(sky, 1.0, round(heading_deg, 1))
 
 
 # -- placing

@@ -20,6 +20,22 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 Field = Callable[[Array, Array, Array], Array]
 
+COLLAPSE = {
+    "targetperc": 0.0,
+    "qualitythr": 0.3,
+    "preserveboundary": False,
+    "boundaryweight": 1.0,
+    "preservenormal": True,
+    "preservetopology": False,
+    "optimalplacement": True,
+    "planarquadric": False,
+    "planarweight": 0.001,
+    "qualityweight": False,
+    "autoclean": True,
+    "selected": False,
+}
+"""Everything that pymeshlab's quadric edge collapse can be told: what is left out it takes from its last call, and bytes would depend on that."""
+
 
 @dataclass(frozen=True)
 class Part:
@@ -462,6 +478,6 @@ def _thinned(points: Array, faces: Index, triangles: int) -> tuple[Array, Index]
 
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(pymeshlab.Mesh(points, faces.astype(np.int32)))
-    meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=triangles, preservenormal=True, preservetopology=True, optimalplacement=True)
+    meshes.meshing_decimation_quadric_edge_collapse(**{**COLLAPSE, "preservetopology": True}, targetfacenum=triangles)
     mesh = meshes.current_mesh()
     return np.array(mesh.vertex_matrix()), np.array(mesh.face_matrix(), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""A stage on which models of the library stand in rows, each seen from three sides.
+"""A stage on which models of the library stand in rows, each seen from three sides, or from one.
 
 All stand on one plain, far from the camera, each scaled to the same room in the
 picture; one render shows them all.
@@ -23,6 +23,8 @@ CELL_PX = (118, 108)
 ROOM = (1.46, 1.10)
 """Width and height that a model may take in its cell, of a cell 1.5 wide."""
 CELL = 1.5
+LIFT = 0.01
+"""How far above the plain ground lies that is itself shown, which would else vanish in it."""
 SKY_NITS = 3000.0
 GROUPS = ("vehicle", "person", "rider", "lamp", "sign", "furniture", "plant", "building")
 
@@ -32,35 +34,45 @@ def ordered(models: Sequence[Model]) -> list[Model]:
     return sorted((m for m in models if m.group in GROUPS and m.height > 0.1), key=lambda m: (GROUPS.index(m.group), m.label, m.length * m.height, m.name))
 
 
-def write_stage(path: Path, models: Sequence[Model], columns: int) -> tuple[int, int]:
-    """Write the plain with every model on it; gives the size of its picture [px]."""
+def write_stage(
+    path: Path, models: Sequence[Model], columns: int, *, views_deg: Sequence[float] = VIEWS_DEG, cell_px: tuple[int, int] = CELL_PX, varied: bool = True
+) -> tuple[int, int]:
+    """Write the plain with every model on it; gives the size of its picture [px].
+
+    Args:
+        path: of the stage.
+        models: in rows of `columns`.
+        views_deg: headings, one cell each.
+        cell_px: width and height of a cell.
+        varied: each in another of its paints or outfits, else in its first.
+    """
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
     rows = math.ceil(len(models) / columns)
-    wide, high = columns * len(VIEWS_DEG) * CELL, rows * CELL * CELL_PX[1] / CELL_PX[0]
+    wide, high = columns * len(views_deg) * CELL, rows * CELL * cell_px[1] / cell_px[0]
     elevation = math.radians(ELEVATION_DEG)
     row_depth = high / rows / math.sin(elevation)
     for k, model in enumerate(models):
         row, column = divmod(k, columns)
         middle = Gf.Vec3d(*((a + b) / 2 for a, b in zip(model.low, model.high, strict=True)))
         radius = math.hypot(model.length, model.width)
-        across = max(_across(model, heading) for heading in VIEWS_DEG)
+        across = max(_across(model, heading) for heading in views_deg)
         tall = model.height * math.cos(elevation) + radius * math.sin(elevation)
         factor = min(ROOM[0] / across, ROOM[1] / tall)
-        for view, heading in enumerate(VIEWS_DEG):
-            x = (column * len(VIEWS_DEG) + view + 0.5) * CELL - wide / 2
+        for view, heading in enumerate(views_deg):
+            x = (column * len(views_deg) + view + 0.5) * CELL - wide / 2
             # the foot of a cell is its front edge; a deep model is pushed back by half its depth
             y = -(row + 0.5) * row_depth + rows * row_depth / 2 - 0.27 * row_depth + 0.5 * factor * radius
             place = Gf.Matrix4d(1.0).SetTranslate(-Gf.Vec3d(middle[0], middle[1], 0.0))
             place *= Gf.Matrix4d(1.0).SetScale(factor) * Gf.Matrix4d(1.0).SetRotate(Gf.Rotation(Gf.Vec3d(0, 0, 1), heading))
-            place *= Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(x, y, 0.0))
+            place *= Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(x, y, LIFT - factor * model.low[2] if model.group == "ground" else 0.0))
             prim = UsdGeom.Xform.Define(stage, f"/World/{model.name}_{view}")
             prim.AddTransformOp().Set(place)
             prim.GetPrim().GetReferences().AddReference(str(model.path.resolve()))
             for name in ("paint", "outfit"):  # so that not all cars are white
-                if name in model.variants:
+                if varied and name in model.variants:
                     choices = model.variants[name]
                     prim.GetPrim().GetVariantSets().GetVariantSet(name).SetVariantSelection(choices[k % len(choices)])
             prim.GetPrim().SetInstanceable(True)
@@ -89,7 +101,7 @@ def write_stage(path: Path, models: Sequence[Model], columns: int) -> tuple[int,
     eye = Gf.Vec3d(0, -DISTANCE * math.cos(elevation), DISTANCE * math.sin(elevation))
     UsdGeom.Xformable(camera).AddTransformOp().Set(Gf.Matrix4d(1.0).SetLookAt(eye, Gf.Vec3d(0, 0, 0), Gf.Vec3d(0, 0, 1)).GetInverse())
     stage.GetRootLayer().Save()
-    return columns * len(VIEWS_DEG) * CELL_PX[0], rows * CELL_PX[1]
+    return columns * len(views_deg) * cell_px[0], rows * cell_px[1]
 
 
 def _across(model: Model, heading_deg: float) -> float:

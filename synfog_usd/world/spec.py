@@ -64,6 +64,40 @@ class View:
 
 
 @dataclass(frozen=True)
+class Mounted:
+    """A camera of the rig beside the ego's own.
+
+    Attributes:
+        name: of its prim below /World/Rig.
+        right, ahead: of the ego's lens [m], in the car's axes.
+        yaw: degrees to the left of where the car looks.
+        focal_length: as the view's.
+    """
+
+    name: str
+    right: float
+    ahead: float
+    yaw: float
+    focal_length: float
+
+
+@dataclass(frozen=True)
+class Dome:
+    """One of the skies.
+
+    Attributes:
+        sky: its picture's name in `assets/skies`.
+        gain: on the picture: 1 for one of `sky.SKIES`, which are in nits; luminance at the zenith
+            [cd m-2] for the crossing's two.
+        heading_deg: turns it clockwise seen from above.
+    """
+
+    sky: str
+    gain: float = 1.0
+    heading_deg: float = 0.0
+
+
+@dataclass(frozen=True)
 class WorldSpec:
     """Everything that decides a stage.
 
@@ -73,11 +107,12 @@ class WorldSpec:
         view: the camera.
         fog: variant name -> visibility (MOR) [m], None for clear air.
         fog_selected: the variant that an opened stage shows.
-        overcast_nits, dusk_nits: luminance at the zenith of the two skies [cd m-2].
+        day, dusk: the two skies.
         scatter: number of the streams that strew leaves and light windows.
         origin: what drew it, or {} where nothing did.
         road: the road that everything stands at, or None at the crossing.
         built: names of what is built at the road, with its numbers.
+        rig: cameras beside the ego's.
     """
 
     about: str
@@ -85,12 +120,13 @@ class WorldSpec:
     view: View
     fog: Mapping[str, float | None]
     fog_selected: str
-    overcast_nits: float
-    dusk_nits: float
+    day: Dome
+    dusk: Dome
     scatter: int = 0
     origin: Mapping[str, str] = field(default_factory=dict)
     road: Road | None = None
     built: Mapping[str, Any] = field(default_factory=dict)
+    rig: tuple[Mounted, ...] = ()
 
     def plain(self) -> dict[str, Any]:
         """As JSON has it: mappings, lists, numbers and texts."""

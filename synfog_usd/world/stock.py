@@ -3,6 +3,7 @@
     python -m synfog_usd.world.stock [folder [name ...]]
 
 writes `assets/models/<name>/` below a folder; the same code gives the same bytes.
+Their thumbnails come from `python -m synfog_usd.study.library --thumbnails assets/models`.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from synfog_usd.world.cabins import DRIVERS, bulkhead, dashboard, driver, lined, lining, rows, seat, steering_wheel
 from synfog_usd.world.coachwork import HEADLIGHT_CD as HEADLIGHT_CD
 from synfog_usd.world.coachwork import HEADLIGHT_TINT as HEADLIGHT_TINT
 from synfog_usd.world.coachwork import (
@@ -23,8 +24,9 @@ from synfog_usd.world.coachwork import (
     front_at,
     grown,
     headlights,
+    lamp_states,
     lens_disc,
-    lit,
+    lens_on,
     mirror,
     on_side,
     painted,
@@ -36,10 +38,12 @@ from synfog_usd.world.coachwork import (
     top_at,
     wheels,
 )
-from synfog_usd.world.components import Component, Look
+from synfog_usd.world.components import Component
+from synfog_usd.world.lod import cleaned
 from synfog_usd.world.materials import PAINTS
 from synfog_usd.world.shapes import (
     Array,
+    Field,
     Part,
     box,
     outline_distance,
@@ -52,6 +56,7 @@ from synfog_usd.world.shapes import (
     soft_min,
     strip,
     surface,
+    tube,
 )
 
 
@@ -72,6 +77,7 @@ class Body:
         rear_plate_z: height of the plate at the back, by the tail lamps if left out.
         upright: a flat front and doors at the back; rails: on the roof; cladding: dark wheel arches.
         triangles: of the painted skin before anything is cut out of it.
+        beam: name of its dipped beam in `lamps.LAMPS`.
     """
 
     name: str
@@ -100,7 +106,8 @@ class Body:
     rear_plate_z: float | None = None
     upright: bool = False
     rails: bool = False
-    triangles: int = 7500
+    triangles: int = 3600
+    beam: str = "low_beam_led"
 
 
 CARS = (
@@ -180,8 +187,9 @@ def build_bus() -> Component:
         )
         return soft_max(soft_max(side, plan, 0.12), front, 0.10)
 
-    skin = surface(field_, (-1.5, -6.2, 0.1), (1.5, 6.2, 3.3), step=0.09, triangles=7000, material="paint")
+    skin = surface(field_, (-1.5, -6.2, 0.1), (1.5, 6.2, 3.3), step=0.09, triangles=3600, material="paint")
     parts: list[Part] = []
+    openings = []
     for y0, y1, z0, z1 in [
         (-5.6, -3.9, 1.35, 2.62),
         (-3.8, -2.1, 1.35, 2.62),
@@ -192,19 +200,26 @@ def build_bus() -> Component:
     ]:
         for sign in (-1, 1):
             door = sign > 0 and y0 in (-3.8, -0.2, 3.4)
-            skin = cut_out(skin, parts, "glass_car", (1, 2), rect(y0, y1, 0.42 if door else z0, z1), 0, sign, 0.75)
+            openings.append((rect(y0, y1, 0.42 if door else z0, z1), sign))
+            skin = cut_out(skin, parts, "glass_clear", (1, 2), openings[-1][0], 0, sign, 0.75)
             if door:
                 for y in (y0, (y0 + y1) / 2, y1):
                     parts.append(box((1.255, y - 0.025, 0.42), (1.29, y + 0.025, 2.64), "gloss_black"))
     for sign in (-1, 1):
         skin = cut_out(skin, parts, "gloss_black", (1, 2), rect(-5.75, 5.6, 1.22 if sign < 0 else 2.62, 2.72), 0, sign, 0.75)
-    skin = cut_out(skin, parts, "glass_car", (0, 2), rect(-1.12, 1.12, 1.12, 2.45), 1, 1, 0.6)
+    screen, rear = rect(-1.12, 1.12, 1.12, 2.45), rect(-1.0, 1.0, 1.75, 2.6)
+    hip = (-0.72, 4.62, 1.10)
+    parts += lined(field_, (-1.5, -6.2, 0.1), (1.5, 6.2, 3.3), roof_z=2.58, sides=openings, front=screen, back=rear, step=0.12, triangles=600)
+    parts += [*seat(*hip), dashboard(1.0, 5.30, 5.70, 1.14), *steering_wheel(hip, radius=0.23, tilt_deg=30), *driver(hip)]
+    parts += rows((-4.6, -3.75, -1.2, 0.3, 2.0, 2.85), (-0.70,), 0.85) + rows((-4.6, -1.2, 2.0, 2.85), (0.70,), 0.85)
+    parts += [tube([(x, y, 0.5), (x, y, 2.75)], 0.018, "amber", sides=5, capped=False) for x in (-0.22, 0.22) for y in (-4.2, -1.9, 0.6, 1.7)]
+    skin = cut_out(skin, parts, "glass_clear", (0, 2), screen, 1, 1, 0.6)
     skin = cut_out(skin, parts, "gloss_black", (0, 2), rect(-1.16, 1.16, 1.05, 2.95), 1, 1, 0.6)
-    skin = cut_out(skin, parts, "glass_car", (0, 2), rect(-1.0, 1.0, 1.75, 2.6), 1, -1, 0.6)
+    skin = cut_out(skin, parts, "glass_clear", (0, 2), rear, 1, -1, 0.6)
     for sign in (-1, 1):
         skin = cut_out(skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.72, sign * 1.16)), 0.62, 0.86), 1, 1, 0.3)
         skin = cut_out(skin, parts, "tail_lamp", (0, 2), rect(*sorted((sign * 1.02, sign * 1.18)), 0.8, 1.5), 1, -1, 0.3)
-        parts += [lens_disc((sign * 0.86, 6.02, 0.74), 0.085, "headlamp_lens"), lens_disc((sign * 1.10, -6.02, 1.0), 0.07, "tail_lens", back=True)]
+        parts += [lens_disc((sign * 0.86, 6.02, 0.74), 0.056, "headlamp_lens"), lens_disc((sign * 1.10, -6.02, 1.0), 0.07, "tail_lens", back=True)]
         parts += [
             box((sign * 1.36 - 0.12, 5.95, 2.0), (sign * 1.36 + 0.12, 6.07, 2.45), "black_plastic"),
             box((sign * 1.2 - 0.12, 5.85, 2.46), (sign * 1.2 + 0.16, 5.97, 2.54), "black_plastic"),
@@ -216,12 +231,13 @@ def build_bus() -> Component:
         parts.append(side_picture(sign, 1.30, -3.5, -0.4 if sign > 0 else 1.0, 0.72, 1.08, 0))
     parts.append(plate((0, 6.03, 0.5), 6, front=True))
     parts.append(plate((0, -6.04, 0.7), 6, front=False))
-    lamps = headlights([(-0.86, 6.06, 0.74), (0.86, 6.06, 0.74)])
+    lamps = headlights([(-0.86, 6.06, 0.74), (0.86, 6.06, 0.74)], "low_beam_halogen")
     variants = {
         "paint": {"red": painted((0.36, 0.018, 0.02)), "yellow": painted((0.62, 0.38, 0.02))},
-        "lamps": {"off": Look(), "glow": lit(()), "on": lit(lamps)},
+        "lamps": lamp_states(lamps),
+        "driver": DRIVERS,
     }
-    return Component("bus", "bus", tuple(parts), "A city bus, 12 m long.", variants)
+    return Component("bus", "bus", cleaned(parts), "A city bus, 12 m long.", variants)
 
 
 def build_lorry() -> Component:
@@ -235,20 +251,24 @@ def build_lorry() -> Component:
         plan = outline_distance(rounded([(-1.1, 1.75), (1.1, 1.75), (1.1, 3.45), (0.85, 3.6), (-0.85, 3.6), (-1.1, 3.45)], 2, 0.15), x, y)
         return soft_max(soft_max(side, front, 0.10), plan, 0.08)
 
-    skin = surface(cab, (-1.3, 1.6, 0.3), (1.3, 3.8, 2.65), step=0.05, triangles=5000, material="paint")
+    skin = surface(cab, (-1.3, 1.6, 0.3), (1.3, 3.8, 2.65), step=0.05, triangles=2400, material="paint")
     parts: list[Part] = []
+    side, screen = [(2.1, 1.42), (3.25, 1.36), (3.05, 2.18), (2.1, 2.22)], [(-0.98, 1.38), (0.98, 1.38), (0.88, 2.2), (-0.88, 2.2)]
+    hip = (-0.52, 2.46, 1.34)
+    parts += lined(cab, (-1.3, 1.6, 0.3), (1.3, 3.8, 2.65), roof_z=2.2, sides=[(side, -1), (side, 1)], front=screen)
+    parts += [*seat(*hip), *seat(-hip[0], *hip[1:]), dashboard(0.88, 3.02, 3.34, 1.36), *steering_wheel(hip, radius=0.22, tilt_deg=35), *driver(hip)]
     for sign in (-1, 1):
-        skin = cut_out(skin, parts, "glass_car", (1, 2), [(2.1, 1.42), (3.25, 1.36), (3.05, 2.18), (2.1, 2.22)], 0, sign, 0.5)
+        skin = cut_out(skin, parts, "glass_clear", (1, 2), side, 0, sign, 0.5)
         skin = cut_out(skin, parts, "seam", (1, 2), rect(2.0, 2.012, 0.7, 2.3), 0, sign, 0.5)
         skin = cut_out(skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.62, sign * 1.0)), 0.66, 0.88), 1, 1, 0.3)
-        parts.append(lens_disc((sign * 0.80, 3.615, 0.77), 0.08, "headlamp_lens"))
+        parts.append(lens_disc((sign * 0.80, 3.615, 0.77), 0.056, "headlamp_lens"))
         parts += [
             box((sign * 1.22 - 0.1, 3.32, 1.5), (sign * 1.22 + 0.1, 3.42, 2.05), "black_plastic"),
             box((sign * 1.12 - 0.1, 3.3, 1.95), (sign * 1.12 + 0.1, 3.34, 1.99), "black_plastic"),
         ]
         parts.append(lens_disc((sign * 1.0, -3.61, 0.95), 0.07, "tail_lens", back=True))
         parts.append(box((sign * 1.0 - 0.15, -3.6, 0.85), (sign * 1.0 + 0.15, -3.55, 1.05), "tail_lamp"))
-    skin = cut_out(skin, parts, "glass_car", (0, 2), [(-0.98, 1.38), (0.98, 1.38), (0.88, 2.2), (-0.88, 2.2)], 1, 1, 0.35)
+    skin = cut_out(skin, parts, "glass_clear", (0, 2), screen, 1, 1, 0.35)
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-0.55, 0.55, 0.7, 1.2), 1, 1, 0.35)
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-2, 2, 0.3, 0.6), 1, 1, -2)
     skin = arches(skin, parts, (2.65,), 0.47, 0.75)
@@ -259,9 +279,9 @@ def build_lorry() -> Component:
         parts.append(side_picture(sign, 1.155, -3.1, 1.2, 1.75, 2.3, 1))
         parts += [box((sign * 1.05 - 0.03, -0.8, 0.5), (sign * 1.05 + 0.03, 1.9, 0.85), "black_plastic")]
     parts += [plate((0, 3.63, 0.55), 7, front=True), plate((0, -3.61, 0.72), 7, front=False)]
-    lamps = headlights([(-0.80, 3.66, 0.77), (0.80, 3.66, 0.77)])
-    variants = {"paint": {"white": painted(PAINTS["white"]), "blue": painted(PAINTS["blue"])}, "lamps": {"off": Look(), "glow": lit(()), "on": lit(lamps)}}
-    return Component("lorry", "truck", tuple(parts), "A box lorry, 7.2 m long.", variants)
+    lamps = headlights([(-0.80, 3.66, 0.77), (0.80, 3.66, 0.77)], "low_beam_halogen")
+    variants = {"paint": {"white": painted(PAINTS["white"]), "blue": painted(PAINTS["blue"])}, "lamps": lamp_states(lamps), "driver": DRIVERS}
+    return Component("lorry", "truck", cleaned(parts), "A box lorry, 7.2 m long.", variants)
 
 
 def build_car(body: Body) -> Component:
@@ -299,7 +319,7 @@ def build_car(body: Body) -> Component:
     skin = arches(skin, parts, body.axles, body.wheel + 0.045, half * 0.62, lip="black_plastic" if body.cladding else "")
     for sign in (-1, 1):
         for window in body.windows:
-            skin = cut_out(skin, parts, "glass_car", (1, 2), grown(window, -0.012), 0, sign, 0.35)
+            skin = cut_out(skin, parts, "glass_clear", (1, 2), grown(window, -0.012), 0, sign, 0.35)
             skin = cut_out(skin, parts, "gloss_black", (1, 2), grown(window, 0.014), 0, sign, 0.35)
         for y, z0, z1 in body.seams:
             skin = cut_out(skin, parts, "seam", (1, 2), rect(y - 0.004, y + 0.004, z0, z1), 0, sign, 0.4)
@@ -341,7 +361,7 @@ def build_car(body: Body) -> Component:
         x = sign * half * 0.735
         y = front_at(field_, x, z, 1)
         lens.append((x, y + 0.05, z))
-        parts.append(lens_disc((x, y + 0.012, z), 0.052, "headlamp_lens"))
+        parts.append(lens_on(field_, x, z, 0.052, "headlamp_lens", sign=1))
         low, high = body.tail
         tail = [
             (sign * half * body.tail_inner, low + 0.03),
@@ -351,8 +371,7 @@ def build_car(body: Body) -> Component:
             (sign * half * 0.62, high - 0.05),
         ]
         skin = cut_out(skin, parts, "tail_lamp", (0, 2), convex(tail if sign > 0 else tail[::-1]), 1, -1, -9, -y0 - 0.27)
-        x = sign * half * 0.80
-        parts.append(lens_disc((x, front_at(field_, x, (low + high) / 2, -1) - 0.010, (low + high) / 2), 0.055, "tail_lens", back=True))
+        parts.append(lens_on(field_, sign * half * 0.76, (low + high) / 2, 0.055, "tail_lens", sign=-1))
     grille = [
         (-half * 0.40, z - 0.20),
         (half * 0.40, z - 0.20),
@@ -387,6 +406,45 @@ def build_car(body: Body) -> Component:
             rail[0, 2] -= 0.03
             rail[-1, 2] -= 0.03
             parts.append(shaded(strip([rail + [dx, 0, dz] for dx, dz in ((-0.015, 0), (-0.012, 0.02), (0.012, 0.02), (0.015, 0), (-0.015, 0))], "chrome"), 50))
+    y = front_at(field_, 0.0, sz + 0.005, -1)
+    third = [(-0.12, y - 0.006, sz - 0.004), (0.12, y - 0.006, sz - 0.004), (0.12, y - 0.006, sz + 0.014), (-0.12, y - 0.006, sz + 0.014)]
+    parts.append(quad(third, "brake_lens"))
+    parts += _cabin(body, field_)
     parts += [skin, *wheels(body.axles, body.wheel, half - 0.065, 0.205, body.spokes)]
-    variants = {"paint": {name: painted(PAINTS[name]) for name in body.paints}, "lamps": {"off": Look(), "glow": lit(()), "on": lit(headlights(lens))}}
-    return Component(body.name, "car", tuple(parts), body.about, variants)
+    variants = {
+        "paint": {name: painted(PAINTS[name]) for name in body.paints},
+        "lamps": lamp_states(headlights(lens, body.beam), centre=True),
+        "driver": DRIVERS,
+    }
+    return Component(body.name, "car", cleaned(parts), body.about, variants)
+
+
+def _cabin(body: Body, field_: Field) -> list[Part]:
+    """Lining, seats, dashboard, wheel and driver of a car; a van has a wall behind the front seats."""
+    half, belt = body.width / 2, body.belt
+    (fy, fz), (_hy, hz) = body.screen
+    (ry, rz), (_sy, sz) = body.rear
+    low, high = (-half - 0.1, -body.length / 2 - 0.1, min(z for _, z in body.side) - 0.1), (half + 0.1, fy + 0.12, body.height + 0.1)
+    panels = list(lining(field_, low, high, step=0.07, triangles=500, roof_z=hz - 0.02))
+    inner: list[Part] = []  # what is cut out of the lining is thrown away
+    for k, panel in enumerate(panels):
+        for sign in (-1, 1):
+            for window in body.windows:
+                panel = cut_out(panel, inner, "hole", (1, 2), grown(window, 0.004), 0, sign, 0.3)
+        panel = screen(panel, inner, fz - 0.02, hz, half * 0.80, body.roof_half * 0.93, 1, body.upright)
+        panels[k] = screen(panel, inner, rz, sz, half * 0.66, body.roof_half * 0.82, -1, body.upright) if not body.upright else panel
+    behind = min(y for y, _ in body.windows[0])  # the pillar behind the driver
+    hip = belt - 0.42
+    x = 0.42 * half
+    at = (-x, behind + 0.27, hip)
+    parts = [*panels, *seat(*at), *seat(x, at[1], hip), dashboard(half * 0.80, at[1] + 0.44, fy - 0.02, belt - 0.03), *steering_wheel(at), *driver(at)]
+    if len(body.windows) == 1:
+        return [*parts, bulkhead(half * 0.86, behind - 0.16, hip - 0.3, hz)]
+    if body.upright:
+        for window in body.windows[1:]:
+            y = min(y for y, _ in window) + 0.30
+            parts += [*seat(-x, y, hip, half=0.42, heads=(-0.2, 0.2)), *seat(x * 1.2, y, hip, half=0.24)]
+        return parts
+    parts += seat(0.0, at[1] - 0.84, hip + 0.02, half=half * 0.62, heads=(-x, x), tall=0.52)
+    shelf = at[1] - 1.22
+    return [*parts, box((-half * 0.66, ry + 0.07, rz - 0.045), (half * 0.66, shelf, rz - 0.03), "cabin_dark")] if ry + 0.2 < shelf else parts

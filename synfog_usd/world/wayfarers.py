@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from synfog_usd.world.coachwork import HEADLIGHT_CD, HEADLIGHT_LENS_NITS, HEADLIGHT_TINT, TAIL_NITS
+from synfog_usd.world.coachwork import lamp_states
 from synfog_usd.world.components import Component, Lamp, Look
 from synfog_usd.world.materials import PAINTS, PALETTE, Material
-from synfog_usd.world.people import Person, build_bicycle, cut_by_role, dressed, fields_of, person_parts
+from synfog_usd.world.people import Person, build_bicycle, cut_by_role, dressed, face, fields_of, person_parts
 from synfog_usd.world.shapes import Part, ball, box, disc, lathe, scale, shaded, shift, soft_box, split, strip, tube, turn
 
 Joints = dict[str, object]
@@ -113,7 +113,8 @@ def _wheelchair_user() -> Component:
         "toes": [(s * 0.10, 0.60, 0.165) for s in (-1, 1)],
     }  # fmt: skip
     person = Person("wheelchair_user", "", 1.76, coat=0.06, hair="short", build=1.02)
-    parts = cut_by_role(fields_of(joints, person), (-0.50, -0.55, 0.05), (0.50, 0.85, 1.60), 4600)
+    fields = fields_of(joints, person)
+    parts = [*cut_by_role(fields, (-0.50, -0.55, 0.05), (0.50, 0.85, 1.60), 4600), *face(fields, joints)]
     for s in (-1, 1):
         x = s * 0.295
         parts += [_ring(-0.16, 0.305, 0.288, 0.017, "tyre", x), _ring(-0.16, 0.305, 0.255, 0.010, "chrome", s * 0.335, 5), *_spokes(x, -0.16, 0.305, 0.28, 12)]
@@ -155,7 +156,7 @@ def _cyclist() -> Component:
     }  # fmt: skip
     mirror = scale(-1, 1, 1)  # so that the left pedal is up
     fields = fields_of(joints, Person("cyclist", "", 1.70, coat=0.02, hair="helmet", build=0.88))
-    parts = [*cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.75, 1.85), 4600), *(p.moved(mirror) for p in machine.parts)]
+    parts = [*cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.75, 1.85), 4600), *face(fields, joints), *(p.moved(mirror) for p in machine.parts)]
     wears = {"hair": "helmet", "shoes": "shoe_white"}
     looks = (("cloth_teal", "cloth_black"), ("cloth_red", "cloth_navy"))
     component = dressed(
@@ -183,15 +184,13 @@ def _motorcyclist() -> Component:
     parts.append(shaded(strip(visor, "gloss_black"), 60))
     parts += _motorcycle()
     lens = (0.0, 0.735, 0.84)
-    glow = {"headlamp_lens": {"emissiveColor": HEADLIGHT_LENS_NITS}, "tail_lens": {"emissiveColor": TAIL_NITS}}
-    lamp = Lamp("Head", shift(lens[0], lens[1] + 0.05, lens[2]) @ turn(88.4, "x"), HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT)
+    lamp = Lamp("Head", shift(lens[0], lens[1] + 0.05, lens[2]) @ turn(90, "x"), beam="low_beam_halogen")
     wears = {"hair": "helmet", "shoes": "leather_black"}
     component = dressed("motorcyclist", "rider", "Somebody on a motorcycle, both in one.", parts, wears, (("cloth_black", "leather_black"), ("cloth_grey",
         "cloth_black"), ("cloth_red", "cloth_black")))  # fmt: skip
-    lamps = {"off": Look(), "glow": Look(materials=glow), "on": Look(materials=glow, lamps=(lamp,))}
     paint = {name: Look(materials={"paint": {"diffuseColor": PAINTS[name]}}) for name in ("red", "black", "blue")}
     machine = ("paint", "tyre", "rim", "chrome", "black_plastic", "engine", "brake", "headlamp", "headlamp_lens", "tail_lamp", "tail_lens", "plate_blank")
-    return replace(component, variants={**component.variants, "paint": paint, "lamps": lamps}, labels=dict.fromkeys(machine, "motorcycle"))
+    return replace(component, variants={**component.variants, "paint": paint, "lamps": lamp_states((lamp,))}, labels=dict.fromkeys(machine, "motorcycle"))
 
 
 def _motorcycle() -> list[Part]:
@@ -226,9 +225,9 @@ def _motorcycle() -> list[Part]:
         tube([(0, 0.10, 0.72), (0, -0.45, 0.74), (0, -0.85, 0.76)], 0.03, "black_plastic", sides=6),
         ball((0, 0.62, 0.84), (0.115, 0.115, 0.115), "black_plastic", sides=16),
         lathe([(0.098, 0), (0.10, 0.012), (0.001, 0.03)], "headlamp", sides=16).moved(shift(0, 0.70, 0.84) @ turn(-90, "x")),
-        disc((0, 0, 0), 0.075, "headlamp_lens", sides=14).moved(shift(0, 0.735, 0.84) @ turn(-90, "x")),
-        soft_box((-0.07, -0.96, 0.76), (0.07, -0.90, 0.82), "tail_lamp", radius=0.02),
-        disc((0, 0, 0), 0.03, "tail_lens", sides=10).moved(shift(0, -0.965, 0.79) @ turn(90, "x")),
+        disc((0, 0, 0), 0.056, "headlamp_lens", sides=14).moved(shift(0, 0.735, 0.84) @ turn(-90, "x")),
+        soft_box((-0.07, -0.96, 0.735), (0.07, -0.90, 0.845), "tail_lamp", radius=0.02),
+        disc((0, 0, 0), 0.05, "tail_lens", sides=10).moved(shift(0, -0.965, 0.79) @ turn(90, "x")),
         box((-0.10, -0.99, 0.50), (0.10, -0.985, 0.66), "plate_blank"),
         tube([(0, -0.86, 0.74), (0, -0.98, 0.62)], 0.02, "black_plastic", sides=5),
     ]  # fmt: skip

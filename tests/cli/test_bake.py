@@ -14,7 +14,7 @@ import pytest
 from support.stages import street
 
 SHOTS = [f"{lighting}/{fog}" for lighting in ("sky", "active") for fog in ("clear", "mor600", "mor150")]
-OUTPUTS = {"radiance.exr", "layers.exr", "raw.dng", "srgb.png"}
+OUTPUTS = {"radiance.exr", "layers.exr", "things.json", "raw.dng", "srgb.png"}
 
 
 def command(*arguments):
@@ -51,7 +51,7 @@ def unbroken(stage, tmp_path_factory):
 
 
 def test_every_lighting_and_fog_has_its_files(unbroken):
-    """Six shots with four files each, labels and a contact sheet; the manifest lists them with their hashes and nothing else is there."""
+    """Six shots with five files each, labels and a contact sheet; the manifest lists them with their hashes and nothing else is there."""
     out, printed = unbroken
     manifest = json.loads((out / "bake.json").read_text())
     assert {f"{row['lighting']}/{row['fog']}" for row in manifest["shots"]} == set(SHOTS)
@@ -184,15 +184,17 @@ def test_an_unknown_camera_is_refused(stage, tmp_path):
 
 
 def test_a_stage_without_fog_bakes_clear_air_and_says_so(tmp_path):
+    """And a bake that is not told where to writes to out/ and the stage's name."""
     path = tmp_path / "clear.usda"
     text = street()
     path.write_text(text.replace('prepend apiSchemas = ["SynFogMediumAPI"]', "").replace('uniform token purpose = "guide"\n        double size', "double size"))
     text = path.read_text()
     path.write_text(text.replace("float synfog:fog:albedo = 1.0", 'token visibility = "invisible"').replace("float synfog:fog:mor", "float unrelated"))
-    done = run("bake", path, "-o", tmp_path / "out", "--resolution", "32x18", "--samples", "4", "--lighting", "sky", "--fog", "mor600")
+    done = run("bake", path, "--resolution", "32x18", "--samples", "4", "--lighting", "sky", "--fog", "mor600", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "no fog prim" in done.stderr
-    assert json.loads((tmp_path / "out" / "bake.json").read_text())["shots"][0]["mor_m"] is None
+    assert {entry.name for entry in tmp_path.iterdir()} == {"clear.usda", "out"}
+    assert json.loads((tmp_path / "out" / "clear" / "bake.json").read_text())["shots"][0]["mor_m"] is None
 
 
 @pytest.mark.parametrize("option, value, words", [("--fog", "mor15O", ["mor15O", "mor150"]), ("--lighting", "aktive", ["aktive", "active"])])

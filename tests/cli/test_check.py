@@ -2,8 +2,10 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -11,7 +13,7 @@ from support.stages import street
 
 from synfog_usd.cli import check as verb
 from synfog_usd.scene import Note
-from synfog_usd.stage.rules import finding
+from synfog_usd.stage.rulebook import finding
 
 
 def run(*arguments):
@@ -91,6 +93,20 @@ def test_check_on_the_command_line(stage):
     )
 
 
+def test_the_extension_is_packed_whole_and_alike(tmp_path):
+    """Two packings are the same bytes: the manifest with its version, and the module; another suffix is refused."""
+    for name in ("a.zip", "b.zip"):
+        assert run("plugin-path", "--blender", tmp_path / name).returncode == 0
+    assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
+    with zipfile.ZipFile(tmp_path / "a.zip") as archive:
+        manifest = dict(re.findall(r"""^(\w+) = "(.*)"$""", archive.read("blender_manifest.toml").decode(), re.MULTILINE))
+        compile(archive.read("__init__.py"), "__init__.py", "exec")
+    assert {one.date_time for one in archive.infolist()} == {(2026, 1, 1, 0, 0, 0)}  # not when it was packed
+    assert (manifest["id"], manifest["type"], manifest["schema_version"]) == ("synfog_fog", "add-on", "1.0.0") and manifest["blender_version_min"] == "4.2.0"
+    wrong = run("plugin-path", "--blender", tmp_path / "a.py")
+    assert wrong.returncode == 2 and wrong.stderr.count("\n") == 1
+
+
 def test_other_programs_learn_the_schema_by_the_printed_path():
     """A Python that has USD and not this package knows the schema, its defaults and its documentation."""
     folder = run("plugin-path", "--bare").stdout.strip()
@@ -109,3 +125,57 @@ def test_other_programs_learn_the_schema_by_the_printed_path():
         for word in line.split():
             if word.endswith(".py"):
                 assert Path(word).is_file()
+
+
+def test_every_variant_is_looked_at_and_clear_air_is_no_fault(stage):
+    """Clear air is the chosen variant, so that the stage as it stands has no fog; a lamp that only 'active' has is far too bright."""
+    lamp = """over "Sky"
+            {
+                float inputs:exposure = -5
+            }
+            def SphereLight "Beacon"
+            {
+                float inputs:intensity = 1e12
+            }"""
+    sky = """over "Sky"
+            {
+                float inputs:exposure = -5
+            }"""
+    found, _ = verb.look(stage(('string fog = "mor150"', 'string fog = "clear"'), (sky, lamp)))
+    assert {(one.rule, one.path) for one in found} == {("light-bright", "/World/Beacon")}
+
+
+def test_a_camera_outside_of_its_fog_is_found_whatever_variant_is_chosen(stage):
+    """The camera far behind the box, with clear air chosen; with a bank ahead of it and a box around both, nothing is found."""
+    clear = ('string fog = "mor150"', 'string fog = "clear"')
+    away = ("float xformOp:rotateX = 90\n", "float xformOp:rotateX = 90\n        double3 xformOp:translate = (0, -900, 0)\n")
+    order = ('["xformOp:rotateX"]', '["xformOp:translate", "xformOp:rotateX"]')
+    found, _ = verb.look(stage(clear, away, order))
+    assert {(one.rule, one.path) for one in found} == {("camera-outside-fog", "/World/Ego")}
+    ahead = CROSSING[1].replace("(0, 220, 0)", "(0, 20, 0)")
+    assert verb.look(stage(clear, (CROSSING[0], ahead)))[0] == []
+
+
+def test_what_stands_in_a_prototype_is_told_at_an_instance(tmp_path):
+    """USD numbers its prototypes as it likes; an author knows the instances only."""
+    path = tmp_path / "kit.usda"
+    placed = "".join(f'def Xform "{name}" (\n    instanceable = true\n    references = </Kit>\n)\n{{\n}}\n' for name in ("Zoe", "Ann"))
+    head = '#usda 1.0\n(\n    defaultPrim = "Kit"\n    upAxis = "Z"\n    metersPerUnit = 1\n)\ndef Camera "Ego"\n{\n}\n'
+    path.write_text(head + 'class "Kit"\n{\n    def Mesh "Empty"\n    {\n    }\n    def NurbsPatch "Patch"\n    {\n    }\n}\n' + placed)
+    found, notes = verb.look(path)
+    assert {one.path for one in found if one.rule == "unlabelled"} == {"/Ann/Empty"}
+    assert "/Ann/Patch" in {note.path for note in notes} and not [note for note in notes if "Prototype" in note.path]
+
+
+def test_a_missing_file_is_told_once_where_it_is_named(stage):
+    """A texture at its attribute, a reference as what does not compose; and not once more by USD's validators."""
+    found, _ = verb.look(stage(("float inputs:intensity = 1000.0", "float inputs:intensity = 1000.0\n        asset inputs:texture:file = @./gone.exr@")))
+    told = [one for one in found if "gone.exr" in one.text]
+    assert [(one.path, one.severity) for one in told] == [("/World/Sky.inputs:texture:file", "warning")]
+    found, _ = verb.look(stage(('def Mesh "Wall" (\n', 'def Mesh "Wall" (\n        references = @./gone.usda@\n')))
+    assert [(one.rule, one.path) for one in found if "gone.usda" in one.text] == [("composition", "/World/Wall")]
+
+
+def test_names_of_a_million_letters_do_not_fill_the_screen():
+    text = verb.as_text(Path("s.usda"), [finding("label-unknown", "/" + "a" * 10**6, "b" * 10**6)], [Note("info", "/" + "c" * 10**6, "d" * 10**6)])
+    assert len(text) < 10_000

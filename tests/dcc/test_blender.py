@@ -150,3 +150,36 @@ def test_the_picture_is_that_of_the_street_written_by_hand(varied, tmp_path):
         means.append(read_exr(tmp_path / name / row["lighting"] / row["fog"] / "radiance.exr").pixels.reshape(6, 6, 8, 8, 3).mean(axis=(1, 3)))
     np.testing.assert_allclose(means[0], means[1], rtol=0.02)
     np.testing.assert_allclose(means[0].mean(), means[1].mean(), rtol=0.003)
+
+
+@pytest.fixture(scope="module")
+def used(tmp_path_factory):
+    """The extension, packed by the command line, installed into a fresh Blender and used."""
+    folder = tmp_path_factory.mktemp("used")
+    words = [sys.executable, "-m", "synfog_usd.cli.main", "plugin-path", "--blender", str(folder / "synfog_fog.zip")]
+    subprocess.run(words, check=True, capture_output=True, timeout=60)
+    script = Path(__file__).with_name("blender_use.py")
+    fresh = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / "user")}
+    done = subprocess.run([BPY, str(script), str(folder / "synfog_fog.zip")], capture_output=True, text=True, env=fresh, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_the_extension_installs_from_its_file(used):
+    assert "bl_ext.user_default.synfog_fog" in used["add_ons"]
+
+
+def test_the_box_shows_its_fog_in_blender_and_follows_its_visibility(used):
+    """A cube of 2 m with 20 m around it and 1 m below; density is -ln(0.05) / visibility, 1/m."""
+    assert used["size"] == used["again"] == [42.0, 42.0, 23.0]
+    np.testing.assert_allclose(used["density"], -np.log(0.05) / np.array([120.0, 60.0]), rtol=2e-4)  # 2.996 is -ln 0.05 to 1e-4
+
+
+def test_what_the_extension_does_can_be_undone(used):
+    """Two steps back, the box, its mesh and its material are gone."""
+    assert used["undone"] == [["Cube"], 0]
+
+
+def test_the_extension_refuses_what_would_go_wrong_later(used):
+    """A fog of no visibility is told at once, and no box is put into a mesh that is being edited."""
+    assert "fog9: no fog" in used["wrong"] and used["set"] is False and used["while_editing"] is False

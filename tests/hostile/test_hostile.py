@@ -12,15 +12,16 @@ import subprocess
 import sys
 import time
 import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
+from support.hostile import png
 
 from synfog_usd.errors import StageError
-from synfog_usd.stage import budget, check, open_stage
+from synfog_usd.fence import Fence
+from synfog_usd.stage import budget, check, open_stage, survey
 from synfog_usd.translate import translate
 
 HEAD = '#usda 1.0\n(\n    upAxis = "Z"\n    metersPerUnit = 1\n)\n'
@@ -73,12 +74,12 @@ def test_the_count_is_that_of_usd(tmp_path):
     """Each prim that USD composes counts once, and each reference that leads to one."""
     for levels in (3, 6):
         path = written(tmp_path / f"{levels}.usda", bomb(levels, instanceable=False))
-        survey = budget._Survey(budget.Fence.around(path))
-        name = survey.add(str(path), "")
-        survey.read_all()
+        found = survey._Survey(Fence.around(path))
+        name = found.add(str(path), "")
+        found.read_all()
         stage = Usd.Stage.Open(str(path))
         prims = list(stage.Traverse())
-        assert survey.stack(name, "/", 0) == len(prims) + sum(prim.GetName() in ("a", "b") for prim in prims)
+        assert found.stack(name, "/", 0) == len(prims) + sum(prim.GetName() in ("a", "b") for prim in prims)
 
 
 def test_an_asset_that_makes_itself_an_instance_counts_once(tmp_path):
@@ -198,16 +199,6 @@ def two_folders(tmp_path):
     written(tmp_path / "kit" / "car.usda", '#usda 1.0\n(\n    defaultPrim = "Car"\n)\ndef Xform "Car"\n{\n    def Cube "Body"\n    {\n    }\n}\n')
     (tmp_path / "kit" / "sky.png").write_bytes(png(2, 2))
     return tmp_path / "stage", tmp_path / "kit"
-
-
-def png(width, height, data=None):
-    """A PNG whose header says what it likes."""
-
-    def chunk(kind, content):
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-
-    rows = zlib.compress((b"\0" + bytes(3 * width)) * height if data is None else data)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
 
 
 WAYS = {
@@ -396,9 +387,18 @@ def test_packages_with_odd_members(tmp_path):
         package("cut.usdz", ("scene.usda", HEAD + CAMERA)),
     ]
     files[-1].write_bytes(files[-1].read_bytes()[:100])
+    whole = files[0].read_bytes()
+    for name, changes in {"secret.usdz": [(b"PK\3\4", 6, 1), (b"PK\1\2", 8, 1)], "sizes.usdz": [(b"PK\3\4", 18, 255), (b"PK\1\2", 20, 255)]}.items():
+        changed = bytearray(whole)  # encrypted by its flags; of a size that it does not have
+        for mark, at, value in changes:
+            changed[changed.index(mark) + at] = value
+        files.append(tmp_path / "in" / name)
+        files[-1].write_bytes(changed)
+    for name, inner in {"nested.usdz": "b.usdz", "climbs.usdz": "../../escape.usda", "self.usdz": "scene.usda"}.items():
+        files.append(package(name, ("scene.usda", HEAD + CAMERA + f'def "A" (\n    references = @{inner}@\n)\n{{\n}}\n')))
     became = library(files)
     assert became.pop("odd.usdz") == "opened", became
-    assert set(became) == {"packed.usdz", "outside.usdz", "nolayer.usdz", "cut.usdz"} and all(line.startswith("refused") for line in became.values()), became
+    assert set(became) == {file.name for file in files[1:]} and all(line.startswith("refused") for line in became.values()), became
     assert not list(tmp_path.parent.rglob("escape.usda"))
 
 
@@ -477,3 +477,255 @@ def test_a_stage_that_takes_too_long_to_read_ends_in_one_line(tmp_path):
 def test_what_ships_passes_its_own_check():
     stage = open_stage(Path(__file__).resolve().parents[2] / "stages" / "crossroads.usda")
     assert check(stage) == []
+
+
+# -- value clips, expressions, and sizes that no stage has
+
+
+def clip(template, begin, end, stride, *, manifest="./manifest.usda"):
+    """A prim whose values come from a row of files."""
+    return f"""def Xform "A" (
+    clips = {{
+        dictionary default = {{
+            string templateAssetPath = "{template}"
+            double templateStartTime = {begin}
+            double templateEndTime = {end}
+            double templateStride = {stride}
+            string primPath = "/A"
+            asset manifestAssetPath = @{manifest}@
+        }}
+    }}
+)
+{{
+}}
+"""
+
+
+LISTED = """def Xform "A" (
+    clips = {
+        dictionary default = {
+            asset[] assetPaths = [@../kit/car.usda@]
+            string primPath = "/A"
+            double2[] active = [(0, 0)]
+            double2[] times = [(-1e308, inf)]
+        }
+    }
+)
+{
+}
+"""
+
+
+@pytest.mark.parametrize("text, words", [
+    (clip("./c.###.usda", 0, "1e9", "1e-3"), r"/A: its clips from 0 to 1e\+09 by 0.001 are 1e\+12 files; at most 100000"),
+    (clip("./c.###.usda", 0, "inf", "1"), r"/A: its clips .* are inf files"),
+    (clip("./c.###.usda", 0, 5, 0), r"/A: its clips .* are inf files"),
+    (clip("../kit/c.###.usda", 0, 5, 1), "/A: value clip .* lies outside of the stage's folder"),
+    (clip("./l.###.usda", 0, 5, 1), r"/A: value clip .*l\.001\.usda \(a link to .* lies outside"),
+    (clip("./c.###.usda", 0, 5, 1, manifest="../kit/car.usda"), "/A: value clip .* lies outside"),
+    (LISTED, "/A: value clip .*car.usda lies outside"),
+])  # fmt: skip
+def test_value_clips_are_few_and_lie_within_the_fence(two_folders, text, words):
+    """USD lists the files of a template when it opens a stage: 10^12 of them for ever.  None is opened to say so."""
+    folder, kit = two_folders
+    (folder / "l.001.usda").symlink_to(kit / "car.usda")
+    with pytest.raises(StageError, match=words) as caught:
+        open_stage(written(folder / "stage.usda", HEAD + CAMERA + text))
+    assert "\n" not in str(caught.value)
+
+
+def test_sound_value_clips_are_read(tmp_path):
+    """x is 7 in the clip at frame 1."""
+    written(tmp_path / "manifest.usda", '#usda 1.0\ndef Xform "A"\n{\n    double x\n}\n')
+    written(tmp_path / "c.001.usda", '#usda 1.0\ndef Xform "A"\n{\n    double x.timeSamples = {\n        1: 7,\n    }\n}\n')
+    stage = open_stage(written(tmp_path / "stage.usda", HEAD + CAMERA + clip("./c.###.usda", 1, 3, 1)))
+    assert stage.GetPrimAtPath("/A").GetAttribute("x").Get(1.0) == 7.0
+
+
+def expressed(levels):
+    """The bomb of references, each by way of an expression."""
+    text = '#usda 1.0\n(\n    expressionVariables = {\n        string FILE = "stage"\n    }\n)\n' + bomb(levels, instanceable=False).removeprefix(HEAD)
+    return text.replace("references = <", 'references = @`"./${FILE}.usda"`@<')
+
+
+def test_expressions_are_evaluated_before_what_they_lead_to_is_counted(two_folders):
+    """A bomb whose references are expressions, a file elsewhere, and a variable that layers set differently."""
+    folder, kit = two_folders
+    with pytest.raises(StageError, match="unfolds to"):
+        open_stage(written(folder / "stage.usda", expressed(30)))
+    size = budget.check_stage(open_stage(written(folder / "small.usda", expressed(3).replace('"stage"', '"small"'))))
+    assert size.shapes == 1 + 2 + 4 + 8
+    variables = '(\n    expressionVariables = {{\n        string F = "{}"\n    }}\n    defaultPrim = "R"\n)\n'
+    refers = 'def "R" (\n    references = @`"./${F}.usda"`@\n)\n{\n}\n'
+    outside = "#usda 1.0\n" + variables.format("../kit/car") + refers
+    with pytest.raises(StageError, match=r"/R: .*car.usda lies outside"):
+        open_stage(written(folder / "away.usda", outside))
+    assert open_stage(folder / "away.usda", allow=[kit]).GetPrimAtPath("/R/Body")
+    for name, target in (("one", "leaf"), ("two", "other"), ("leaf", ""), ("other", "")):
+        text = "#usda 1.0\n" + variables.format(target) + (refers if target else 'def Cube "R"\n{\n}\n')
+        written(folder / f"{name}.usda", text.replace('string F = ""', ""))
+    both = 'def "A" (\n    references = @./one.usda@\n)\n{\n}\n'
+    assert str(open_stage(written(folder / "both.usda", HEAD + both)).GetPrimAtPath("/A").GetTypeName()) == "Cube"
+    with pytest.raises(StageError, match="expression variable 'F' names files and has another value in another layer"):
+        open_stage(written(folder / "differ.usda", HEAD + both + both.replace('"A"', '"B"').replace("one", "two")))
+
+
+def test_a_variable_set_above_leads_no_texture_out_of_the_fence(two_folders):
+    """Its own layer says a file beside it; the layer that refers to it, and what is drawn, one elsewhere."""
+    folder, kit = two_folders
+    (folder / "sky.png").write_bytes(png(2, 2))
+    for name, target, body in (
+        ("leaf", "./sky.png", 'def DomeLight "R"\n{\n    asset inputs:texture:file = @`"${F}"`@\n}\n'),
+        ("above", "../kit/sky.png", CAMERA + 'def "R" (\n    references = @./leaf.usda@\n)\n{\n}\n'),
+        ("tiles", "../kit/sky.<UDIM>.png", CAMERA + 'def "R" (\n    references = @./leaf.usda@\n)\n{\n}\n'),
+        ("well", "sky.png", CAMERA + 'def "R" (\n    references = @./leaf.usda@\n)\n{\n}\n'),
+    ):
+        written(folder / f"{name}.usda", f'#usda 1.0\n(\n    expressionVariables = {{\n        string F = "{target}"\n    }}\n    defaultPrim = "R"\n)\n{body}')
+    open_stage(folder / "well.usda")
+    for name in ("above", "tiles"):
+        with pytest.raises(StageError, match=r"/R\.inputs:texture:file: .* lies outside"):
+            open_stage(folder / f"{name}.usda")
+    open_stage(folder / "above.usda", allow=[kit])
+
+
+COLLECTIONS = [f'"CollectionAPI:c{n}"' for n in range(1001)]
+
+
+@pytest.mark.parametrize("text, words", [
+    (f'def "W" (\n    prepend apiSchemas = [{", ".join(COLLECTIONS)}]\n)\n{{\n}}\n', "/W: 1001 applied schemas; at most 1000"),
+    ('def "A"\n{\n    float3 x = ' + "(" * 100_000 + ")" * 100_000 + "\n}\n", "nested deeper than 10000"),
+    ('def "A"\n{\n    float[] x = ' + "[" * 100_000 + "]" * 100_000 + "\n}\n", "nested deeper than 10000"),
+    ('def "A" (\n    payload = </B>\n)\n{\n}\ndef "B" (\n    payload = </A>\n)\n{\n}\n', "/A.*Cycle"),
+    ('def "A" (\n    specializes = </B>\n)\n{\n}\ndef "B" (\n    specializes = </A>\n)\n{\n}\n', "/A.*Cycle"),
+    ('def "A" (\n    inherits = </A/B>\n)\n{\n    def "B" (\n        inherits = </A>\n    )\n    {\n    }\n}\n', "/A.*Cycle"),
+    ('def "A" (\n    references = @././../../../../../../../../etc/hostname@\n)\n{\n}\n', "/A: /etc/hostname lies outside"),
+    *((f'def "A" (\n    references = @{name}@\n)\n{{\n}}\n', "/A.*Could not open asset") for name in
+      ("http://example.com/a.usda", r"\\server\share\a.usda", "file:///etc/a.usda", "~/a.usda", "${HOME}/a.usda", "kit/a.usda", "./a.usdz[../x.usda]")),
+])  # fmt: skip
+def test_more_that_is_refused_at_once(tmp_path, text, words):
+    began = time.monotonic()
+    with pytest.raises(StageError, match=words) as caught:
+        open_stage(written(tmp_path / "stage.usda", HEAD + CAMERA + text))
+    assert "\n" not in str(caught.value) and time.monotonic() - began < 2.0
+
+
+def packed(path, kind, name, many, prim="Mesh"):
+    """A binary file of a few kB with an array of `many` equal whole numbers."""
+    layer = Sdf.Layer.CreateNew(str(path))
+    spec = Sdf.CreatePrimInLayer(layer, "/P")
+    spec.specifier, spec.typeName = Sdf.SpecifierDef, prim
+    Sdf.AttributeSpec(spec, name, kind).default = Vt.IntArray.FromNumpy(np.full(many, 3, np.int32))
+    layer.Save()
+    return path
+
+
+def test_millions_of_indices_in_a_small_file_are_counted_by_their_number(tmp_path, monkeypatch):
+    """Their numbers alone would fill the memory where they were made int64 first: the limits are asked of their count."""
+    kind = Sdf.ValueTypeNames.IntArray
+    points = packed(tmp_path / "points.usdc", kind, "protoIndices", 1 << 20, prim="PointInstancer")
+    layer = Sdf.Layer.FindOrOpen(str(points))
+    Sdf.RelationshipSpec(layer.GetPrimAtPath("/P"), "prototypes").targetPathList.explicitItems = ["/P/Ball"]
+    Sdf.CreatePrimInLayer(layer, "/P/Ball").specifier = Sdf.SpecifierDef
+    layer.Save()
+    del layer
+    faces = packed(tmp_path / "faces.usdc", kind, "faceVertexCounts", 1 << 20)
+    open_stage(points)
+    monkeypatch.setattr(budget, "MAX_SHAPES", 1 << 19)
+    monkeypatch.setattr(budget, "MAX_TRIANGLES", 1 << 19)
+    monkeypatch.setattr(np, "asarray", None)
+    with pytest.raises(StageError, match=r"/P: its instances unfold to 1 048 576 shapes"):
+        open_stage(points)
+    with pytest.raises(StageError, match=r"/P: 1 048 576 triangles"):
+        open_stage(faces)
+
+
+MESH = """def Mesh "Quad"
+{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 5, 0), (1, 5, 0), (0, 5, 1)]
+    uniform token subdivisionScheme = "none"
+}
+"""
+POINTS = "point3f[] points = [(0, 5, 0), (1, 5, 0), (0, 5, 1)]"
+
+
+def placed(matrix):
+    return f'matrix4d xformOp:transform = {matrix}\n    uniform token[] xformOpOrder = ["xformOp:transform"]\n    {POINTS}'
+
+
+@pytest.mark.parametrize("new, words", [
+    (placed("((1e38, 0, 0, 0), (0, 1e38, 0, 0), (0, 0, 1e38, 0), (1e38, 1e38, 1e38, 1))"), "more than 10 digits"),
+    (placed("((1, 0, 0, 0), (0, nan, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))"), "more than 10 digits"),
+    (placed("((0, 0, 0, 0), (0, 0, 0, 0), (0, 0, 0, 0), (0, 0, 0, 1))"), "scaled to nothing"),
+    ("point3f[] points = [(0, 5, 0), (1e38, 5, 0), (0, 5, 1)]", "more than 12 digits"),
+    ("point3f[] points = [(0, 5, 0), (inf, 5, 0), (0, 5, 1)]", "more than 12 digits"),
+    (POINTS, None),
+])  # fmt: skip
+def test_a_shape_beyond_every_street_is_left_out_with_a_note(tmp_path, new, words):
+    scene = translate(open_stage(written(tmp_path / "stage.usda", HEAD + CAMERA + MESH.replace(POINTS, new))))
+    told = [note.text for note in scene.notes if note.path == "/Quad" and note.severity == "warning"]
+    assert len(told) == (0 if words is None else 1) and all(words in text for text in told)
+    assert sum(key.startswith("shape_") for key in scene.world) == (words is None)
+
+
+@pytest.mark.parametrize("unit, fits", [("1e300", False), ("0", False), ("-1", False), ("nan", False), ("1e-9", False), ("0.0254", True), ("1000", True)])
+def test_a_unit_that_no_stage_is_in_is_refused(tmp_path, unit, fits):
+    stage = open_stage(written(tmp_path / "stage.usda", HEAD.replace("metersPerUnit = 1", f"metersPerUnit = {unit}") + CAMERA))
+    if fits:
+        translate(stage)
+    else:
+        with pytest.raises(StageError, match=r"metersPerUnit = .* is not from 1e-06 to 1000"):
+            translate(stage)
+
+
+def jpeg(width, height):
+    """The headers of a JPEG."""
+    frame = struct.pack(">HBHHB", 17, 8, height, width, 3) + b"\1\x11\0\2\x11\0\3\x11\0"
+    return b"\xff\xd8\xff\xc0" + frame + b"\xff\xda\0\x0c\3\1\0\2\x11\3\x11\0\x3f\0\xff\xd9"
+
+
+def openexr(width, height, channels):
+    """The header of an OpenEXR file."""
+
+    def attribute(name, kind, data):
+        return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<I", len(data)) + data
+
+    listed = b"".join(name.encode() + b"\0" + struct.pack("<iB3xii", 2, 0, 1, 1) for name in channels) + b"\0"
+    box = struct.pack("<iiii", 0, 0, width - 1, height - 1)
+    parts = (("channels", "chlist", listed), ("compression", "compression", b"\0"), ("dataWindow", "box2i", box), ("displayWindow", "box2i", box),
+             ("lineOrder", "lineOrder", b"\0"), ("pixelAspectRatio", "float", struct.pack("<f", 1)), ("screenWindowCenter", "v2f", bytes(8)),
+             ("screenWindowWidth", "float", struct.pack("<f", 1)))  # fmt: skip
+    return b"\x76\x2f\x31\x01" + struct.pack("<I", 2) + b"".join(attribute(*part) for part in parts) + b"\0"
+
+
+@pytest.mark.parametrize("name, content", [
+    ("big.png", png(60_000, 60_000, b"")),
+    ("big.jpg", jpeg(60_000, 60_000)),
+    ("big.exr", openexr(60_000, 60_000, "BGR")),
+    ("many.exr", openexr(8_000, 8_000, [f"c{n:04}" for n in range(1000)])),
+    ("big.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 60000 +X 60000\n"),
+])  # fmt: skip
+def test_a_header_that_claims_gigapixels_costs_no_memory(tmp_path, painted, name, content):
+    (tmp_path / name).write_bytes(content)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    scene = painted(f"./{name}")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
+    assert [note for note in scene.notes if note.severity == "warning" and name in note.text]
+
+
+# -- the importer, from Python
+
+
+def test_a_model_that_refers_elsewhere_is_not_imported(two_folders):
+    """The library's own door has the fence too, not only the command line."""
+    from synfog_usd.world.importer import import_asset
+
+    folder, kit = two_folders
+    path = written(folder / "model.usda", HEAD + WAYS["reference"])
+    with pytest.raises(StageError, match=r"car.usda lies outside of the stage's folder .*copy it there"):
+        import_asset(path, "car", out=folder / "lib")
+    (folder / "car.usda").symlink_to(kit / "car.usda")
+    written(path, HEAD + WAYS["reference"].replace("../kit", "."))
+    with pytest.raises(StageError, match=r"a link to .*car.usda\) lies outside"):
+        import_asset(path, "car", out=folder / "lib")

@@ -135,7 +135,7 @@ def test_blenders_lamps_shine_with_their_watts(street):
     np.testing.assert_allclose(found["sphere"], 1000 / (math.pi * 4 * math.pi * 0.1**2) * np.array([1, 0.8, 0.5]), rtol=0.02)
     np.testing.assert_allclose(found["rectangle"], 100 / (math.pi * 2 * 0.5), rtol=0.02)
     np.testing.assert_allclose(found["disk"], 100 / (math.pi * math.pi * 0.5**2), rtol=0.02)
-    spot = next(part for part in street.world.values() if part != "scene" and part["type"] == "spot")
+    spot = next(part for part in street.world.values() if part != "scene" and part["type"] == "photometric")
     np.testing.assert_allclose(spot["intensity"]["value"], 500 / (4 * math.pi), rtol=0.02)
 
 

@@ -144,9 +144,9 @@ def warnings_of(printed):
 
 
 def assert_whole(out, shot):
-    """The four files of a shot are there and its radiance is light."""
+    """The files of a shot are there and its radiance is light."""
     radiance = read_exr(out / shot / "radiance.exr").pixels
-    assert {path.name for path in (out / shot).iterdir()} == {"radiance.exr", "layers.exr", "raw.dng", "srgb.png"}
+    assert {path.name for path in (out / shot).iterdir()} == {"radiance.exr", "layers.exr", "things.json", "raw.dng", "srgb.png"}
     assert np.isfinite(radiance).all() and (radiance >= 0).all() and radiance.mean() > 0
 
 

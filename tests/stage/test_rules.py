@@ -7,7 +7,8 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
 from synfog_usd.stage import check, open_stage
-from synfog_usd.stage.rules import RULES, SIZES_M, TOOLS, findings
+from synfog_usd.stage.rulebook import RULES, TOOLS
+from synfog_usd.stage.rules import SIZES_M, findings
 
 ROOT = Path(__file__).resolve().parents[2]
 TYPES = Sdf.ValueTypeNames

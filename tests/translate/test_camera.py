@@ -117,7 +117,7 @@ def test_a_stage_without_a_camera_is_refused(empty):
         translate(stage)
 
 
-@pytest.mark.parametrize("name, value", [("focalLength", 0.0), ("horizontalAperture", -1.0), ("projection", "orthographic")])
+@pytest.mark.parametrize("name, value", [("focalLength", 0.0), ("horizontalAperture", -1.0)])
 def test_lenses_that_cannot_be_drawn_are_refused(empty, name, value):
     stage = empty()
     camera(stage).GetPrim().GetAttribute(name).Set(value)
@@ -144,3 +144,70 @@ def test_a_cameras_own_exposure_is_noted(empty):
     assert not any("exposure" in note.text for note in translate(stage).notes)
     camera(stage).CreateExposureAttr(2.0)
     assert any(note.path == "/Camera" and "a factor of 4)" in note.text for note in translate(stage).notes)
+
+
+@pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
+def test_an_orthographic_camera_sees_its_aperture(empty, metres_per_unit):
+    """Gf's frustum of the same camera: a window of tenths of a unit, moved by the offsets, that does not grow with distance."""
+    stage = empty(metres_per_unit=metres_per_unit)
+    authored = UsdGeom.Camera.Get(stage, "/Camera")
+    authored.CreateProjectionAttr("orthographic")
+    authored.CreateHorizontalApertureAttr(400.0)
+    authored.CreateVerticalApertureAttr(200.0)
+    authored.CreateHorizontalApertureOffsetAttr(30.0)
+    authored.CreateVerticalApertureOffsetAttr(-20.0)
+    authored.CreateFStopAttr(2.8)
+    found = translate(stage, resolution=(800, 400)).camera
+    window = authored.GetCamera(0).frustum.GetWindow()
+    size, middle = window.GetSize() * metres_per_unit, (window.GetMin() + window.GetMax()) * 0.5 * metres_per_unit
+    np.testing.assert_allclose(found.width_m, size[0], rtol=1e-6)
+    np.testing.assert_allclose([found.shift[0] * found.width_m, found.shift[1] * found.width_m / 2], middle, rtol=1e-6)
+    assert found.f_number == 0.0
+
+
+def test_a_camera_that_drives_is_where_it_is_half_way_through_its_exposure(empty):
+    """10 m in 24 frames, the shutter open for half a frame from the frame on; it turns by 24 degrees meanwhile."""
+    stage = empty()
+    authored = UsdGeom.Camera.Get(stage, "/Camera")
+    authored.ClearXformOpOrder()
+    move, turn = authored.AddTranslateOp(), authored.AddRotateXYZOp()
+    for frame in (0, 24):
+        move.Set((0.0, frame / 2.4, 1.5), frame)
+        turn.Set((90.0, 0.0, float(frame)), frame)
+    authored.CreateShutterOpenAttr(0.0)
+    authored.CreateShutterCloseAttr(0.5)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(24)
+    scene = translate(stage, frame=6)
+    np.testing.assert_allclose(scene.camera.to_world[:3, 3] + scene.origin_m, [0.0, 6.25 / 2.4, 1.5], atol=1e-9)
+    np.testing.assert_allclose(scene.camera.drift_m, [0.0, 0.5 / 2.4, 0.0], atol=1e-9)
+    np.testing.assert_allclose(scene.camera.turn_rad, [0.0, 0.0, math.radians(0.5)], atol=1e-9)
+    assert any("open from 0 to 0.5 frames" in note.text for note in scene.notes)
+    authored.CreateShutterOpenAttr(0.5)
+    assert not translate(stage, frame=6).camera.moves
+
+
+def test_what_else_moves_while_the_shutter_is_open_is_noted(empty):
+    stage = empty()
+    authored = UsdGeom.Camera.Get(stage, "/Camera")
+    authored.CreateShutterOpenAttr(-0.25)
+    authored.CreateShutterCloseAttr(0.25)
+    stage.SetStartTimeCode(0)
+    move = UsdGeom.Cube.Define(stage, "/Cube").AddTranslateOp()
+    for frame in (0, 2):
+        move.Set((float(frame), 5.0, 0.0), frame)
+    scene = translate(stage, frame=1)
+    assert any(note.path == "/Cube" and "1 prims may move" in note.text for note in scene.notes)
+    np.testing.assert_allclose(scene.world["shape_0"]["positions"].mean(axis=0) + scene.origin_m, [1.0, 5.0, 0.0])
+    assert not scene.camera.moves
+
+
+def test_exposure_attributes_multiply_as_usd_says(empty):
+    """time x ISO / 100 x 2^exposure x responsivity / N^2: 1/60 s at ISO 400, f/2, one stop, 1.5."""
+    stage = empty()
+    authored = camera(stage)
+    authored.CreateExposureAttr(1.0)
+    for name, value in (("iso", 400.0), ("time", 1 / 60), ("fStop", 2.0), ("responsivity", 1.5)):
+        authored.GetPrim().GetAttribute(f"exposure:{name}").Set(value)
+    wanted = 1 / 60 * 4.0 / 2.0**2 * 2.0 * 1.5
+    assert any(f"a factor of {wanted:.4g})" in note.text for note in translate(stage).notes)

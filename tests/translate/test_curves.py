@@ -5,7 +5,7 @@ from math import comb
 import numpy as np
 import pytest
 from pxr import Sdf, UsdGeom
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from synfog_usd.translate import translate
 
@@ -89,6 +89,8 @@ def test_periodic_curves_close(empty, only_shape, basis):
     ("vertex", [0.2, 0.4, 0.2, 0.1, 0.1], [0.1, 0.2, 0.1, 0.05, 0.05]),
     ("varying", [0.2, 0.4, 0.2, 0.1, 0.1], [0.1, 0.2, 0.1, 0.05, 0.05]),
     ("uniform", [0.2, 0.4], [0.1, 0.1, 0.1, 0.2, 0.2]),
+    ("vertex", [0.2, 0.4], [0.1, 0.1, 0.1, 0.2, 0.2]),
+    ("vertex", [0.2], [0.1] * 5),
 ])  # fmt: skip
 def test_widths_of_every_interpolation(empty, only_shape, interpolation, widths, wanted):
     stage = empty()
@@ -125,3 +127,66 @@ def test_broken_curves_are_left_out_with_a_note(empty, change):
     scene = translate(stage)
     assert not any(key.startswith("shape_") for key in scene.world)
     assert [note.severity for note in scene.notes if note.path == "/Curves"] == ["warning"]
+
+
+def test_hermite_curves_meet_their_points_with_their_tangents(empty, only_shape):
+    """Between points the curve is SciPy's cubic of the same values and slopes; widths run evenly from point to point."""
+    stage = empty()
+    tangents = np.array([(1, 0, 3), (2, 0, 0), (1, 1, -3)], dtype=float)
+    points = np.array([(0, 5, 0), (1, 5, 1), (3, 5, 0)], dtype=float)
+    curves = UsdGeom.HermiteCurves.Define(stage, "/Curves")
+    curves.CreatePointsAttr(points.tolist())
+    curves.CreateTangentsAttr(tangents.tolist())
+    curves.CreateCurveVertexCountsAttr([3])
+    curves.CreateWidthsAttr([0.02, 0.04, 0.02])
+    curves.SetWidthsInterpolation("vertex")
+    middle, radius = rings(only_shape(translate(stage)), 8)
+    t = np.linspace(0, 2, 13)
+    np.testing.assert_allclose(middle, CubicHermiteSpline([0, 1, 2], points, tangents)(t), atol=1e-5)
+    np.testing.assert_allclose(radius / radius[6], 1 - 0.5 * np.abs(t - 1), rtol=2e-3)  # rings are measured from vertices in float32
+
+
+def test_hermite_curves_without_tangents_are_left_out_with_a_note(empty):
+    stage = empty()
+    curves = UsdGeom.HermiteCurves.Define(stage, "/Curves")
+    curves.CreatePointsAttr([(0, 5, 0), (1, 5, 0)])
+    curves.CreateCurveVertexCountsAttr([2])
+    curves.CreateWidthsAttr([0.1])
+    curves.SetWidthsInterpolation("constant")
+    scene = translate(stage)
+    assert not any(key.startswith("shape_") for key in scene.world)
+    assert any(note.path == "/Curves" and "tangents" in note.text for note in scene.notes)
+
+
+@pytest.mark.parametrize("name", ["normals", "primvars:normals"])
+@pytest.mark.parametrize("facing", [(0, -1, 0), (0.8, -1, 0)])
+def test_curves_with_normals_are_flat_ribbons(empty, only_shape, name, facing):
+    """A strip of width 0.2 and length 3 has an area of 0.6 and looks along what of its normal stands at right angles to it."""
+    stage = empty()
+    curves = define(stage, [(0, 5, 0), (1, 5, 0), (3, 5, 0)], [3], type="linear")
+    if name == "normals":
+        curves.CreateNormalsAttr([facing] * 3)
+        curves.SetNormalsInterpolation("vertex")
+    else:
+        UsdGeom.PrimvarsAPI(curves).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, "constant").Set([facing])
+    shape = only_shape(translate(stage))
+    areas = area_vectors(shape["positions"], shape["faces"])
+    np.testing.assert_allclose(areas.sum(axis=0), [0, -0.6, 0], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(areas, axis=1).sum(), 0.6, rtol=1e-6)
+    np.testing.assert_allclose(shape["normals"], [[0, -1, 0]] * 6, atol=1e-6)
+
+
+def test_a_ribbon_turns_with_its_normals(empty, only_shape):
+    """Between two normals a quarter apart the strip stands across their mean: after a share t it has turned by atan(t / (1 - t)), and keeps its width."""
+    stage = empty()
+    curves = define(stage, [(0, 5, 0), (1, 5, 0), (2, 5, 0), (3, 5, 0)], [4], type="cubic", basis="bezier", widths=[1.0])
+    angle = np.radians([0.0, 90.0])
+    curves.CreateNormalsAttr([(0.0, float(np.cos(a)), float(np.sin(a))) for a in angle])
+    curves.SetNormalsInterpolation("varying")
+    shape = only_shape(translate(stage))
+    p = shape["positions"].astype(float).reshape(-1, 2, 3)
+    across, t = p[:, 0] - p[:, 1], np.linspace(0, 1, 7)
+    np.testing.assert_allclose(np.linalg.norm(across, axis=1), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(p.mean(axis=1), np.stack([3 * t, 5 + 0 * t, 0 * t], axis=1), atol=1e-6)
+    np.testing.assert_allclose(np.arctan2(np.abs(across[:, 1]), np.abs(across[:, 2])), np.arctan2(t, 1 - t), atol=1e-6)
+    np.testing.assert_allclose(np.einsum("ij,ij->i", np.cross([1, 0, 0], across), shape["normals"][::2]), 1.0, rtol=1e-6)

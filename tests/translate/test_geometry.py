@@ -5,7 +5,7 @@ import pytest
 from pxr import Gf, Sdf, UsdGeom, UsdShade
 
 from synfog_usd.translate import summary, translate
-from synfog_usd.translate.geometry import triangulate
+from synfog_usd.translate.polygons import triangulate
 
 ONE = np.array([0])
 BOX = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
@@ -200,6 +200,27 @@ def test_primvar_normals_win_and_face_varying_ones_split_vertices(empty, polygon
     np.testing.assert_allclose(shape["normals"][shape["faces"][2]], [[0.5**0.5, -(0.5**0.5), 0]] * 3, atol=1e-6)
 
 
+@pytest.mark.parametrize("interpolation", ["vertex", "faceVarying"])
+def test_normals_without_length_are_made_from_the_faces_around(empty, polygon_mesh, only_shape, interpolation):
+    """Of a cube's corners, one has no normal: it gets the mean of its sides by area, the others keep the author's; a face's own corner gets its side's."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Box", [(x, y + 5, z) for x, y, z in BOX], [4] * 6, QUADS)
+    authored = np.array(BOX if interpolation == "vertex" else [BOX[k] for k in QUADS], dtype=float)
+    authored[7 if interpolation == "vertex" else QUADS.index(7)] = 0.0
+    mesh.CreateNormalsAttr(authored.tolist())
+    mesh.SetNormalsInterpolation(interpolation)
+    scene = translate(stage)
+    shape = only_shape(scene)
+    outward = (shape["positions"] - [0, 5, 0]) / 3**0.5
+    turned = np.einsum("ij,ij->i", shape["normals"], outward)
+    if interpolation == "vertex":
+        np.testing.assert_allclose(turned, 1.0, rtol=1e-6)  # three equal squares: the diagonal, but for how they are cut
+    else:
+        changed = turned < 0.999
+        np.testing.assert_allclose(shape["normals"][changed], [[1, 0, 0]], atol=1e-6)
+    assert any("1 of its normals" in note.text for note in scene.notes)
+
+
 def test_normals_stand_upright_under_uneven_scale(empty, polygon_mesh, only_shape):
     """On a sheared and stretched plane the normal stays at right angles to its edges."""
     stage = empty()
@@ -213,16 +234,72 @@ def test_normals_stand_upright_under_uneven_scale(empty, polygon_mesh, only_shap
     np.testing.assert_allclose(shape["normals"][faces[0, 0]], flat / np.linalg.norm(flat), atol=1e-6)
 
 
-def test_loop_cages_get_smooth_normals_and_a_note(empty, polygon_mesh, only_shape):
-    """On the corners of a tetrahedron the mean of its three faces points away from its middle."""
+def test_a_loop_octahedron_touches_its_limit(empty, polygon_mesh, only_shape):
+    """Its points of valence 4 keep 1 - 4 / (4 + 3 / (8 beta)) = 24 / 55 of their distance, beta = (5/8 - (3/8 + cos(90) / 4)^2) / 4 = 31 / 256."""
     stage = empty()
-    mesh = polygon_mesh(stage, "/Cage", [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], [3] * 4, [0, 1, 2, 0, 3, 1, 0, 2, 3, 1, 3, 2])
+    tips = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    sides = [(a, b, c) if np.linalg.det([tips[a], tips[b], tips[c]]) > 0 else (a, c, b) for a in (0, 1) for b in (2, 3) for c in (4, 5)]
+    mesh = polygon_mesh(stage, "/Cage", tips, [3] * 8, [k for side in sides for k in side])
+    mesh.GetSubdivisionSchemeAttr().Set("loop")
+    mesh.AddTranslateOp().Set((0, 5, 0))
+    scene = translate(stage)
+    shape = only_shape(scene)
+    p = shape["positions"].astype(float) - [0, 5, 0]
+    assert len(shape["faces"]) == 8 * 4**3
+    np.testing.assert_allclose(p[:6], 24 / 55 * np.array(tips), atol=1e-6)
+    np.testing.assert_allclose(shape["normals"][:6], tips, atol=1e-6)
+    areas = area_vectors(p, shape["faces"])
+    assert (np.einsum("ij,ij->i", p[shape["faces"][:, 0]], areas) > 0).all()
+    assert any(note.path == "/Cage" and "loop" in note.text for note in scene.notes)
+
+
+def test_loop_on_quads_is_drawn_as_its_cage_with_a_warning(empty, polygon_mesh, only_shape):
+    """Loop divides triangles alone; a cube's corners stay where they are, with normals along the diagonals."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Cage", [(x, y + 5, z) for x, y, z in BOX], [4] * 6, QUADS)
     mesh.GetSubdivisionSchemeAttr().Set("loop")
     scene = translate(stage)
     shape = only_shape(scene)
-    away = shape["positions"] / np.linalg.norm(shape["positions"], axis=1, keepdims=True)
-    np.testing.assert_allclose(np.einsum("ij,ij->i", shape["normals"], away), 1.0, rtol=1e-6)
-    assert any(note.path == "/Cage" and "loop" in note.text for note in scene.notes)
+    assert np.ptp(shape["positions"], axis=0).tolist() == [2.0, 2.0, 2.0]
+    assert (np.einsum("ij,ij->i", shape["normals"], shape["positions"] - [0, 5, 0]) > 1.6).all()
+    assert any(note.severity == "warning" and "loop" in note.text for note in scene.notes)
+
+
+def test_bilinear_patches_lie_on_their_saddle(empty, polygon_mesh, only_shape, tmp_path):
+    """A quad over the unit square with heights x z is the paraboloid y = x z everywhere, and its coordinates run evenly; the flat one beside it stays flat."""
+    stage = empty()
+    flat = [(x, z) for z in (0.0, 1.0) for x in (0.0, 1.0, 2.0)]
+    mesh = polygon_mesh(stage, "/Saddle", [(x, 5.0 + min(x, 1.0) * z, z) for x, z in flat], [4, 4], [0, 1, 4, 3, 1, 2, 5, 4])
+    mesh.GetSubdivisionSchemeAttr().Set("bilinear")
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("uv", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
+    primvar.Set([flat[k] for k in (0, 1, 4, 3, 1, 2, 5, 4)])
+    bind_texture(stage, mesh, tmp_path, "uv")
+    shape = only_shape(translate(stage))
+    x, y, z = shape["positions"].astype(float).T
+    assert len(shape["faces"]) == 2 * 2 * 4**3 and shape["face_normals"]
+    np.testing.assert_allclose(y, 5.0 + np.minimum(x, 1.0) * z, atol=1e-6)
+    np.testing.assert_allclose(shape["texcoords"], np.stack([x, z], axis=1), atol=1e-6)
+
+
+def test_bilinear_faces_that_are_flat_are_not_divided(empty, polygon_mesh, only_shape):
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Box", [(x, y + 5, z) for x, y, z in BOX], [4] * 6, QUADS)
+    mesh.GetSubdivisionSchemeAttr().Set("bilinear")
+    assert len(only_shape(translate(stage))["faces"]) == 12
+
+
+def test_small_meshes_of_one_topology_are_told_apart(empty, polygon_mesh):
+    """A square, a dart and a square over the same four indices: each is covered once, though their faces are looked at together."""
+    stage = empty()
+    square, dart = [(0, 0), (2, 0), (2, 2), (0, 2)], [(0, 0), (2, 1), (0, 4), (1, 1)]
+    for number, outline in enumerate((square, dart, square)):
+        polygon_mesh(stage, f"/Face{number}", [(float(x), 5.0, float(z)) for x, z in outline], [4], [0, 1, 2, 3])
+    scene = translate(stage)
+    for number, outline in enumerate((square, dart, square)):
+        shape = scene.world[f"shape_{number}"]
+        signed = -area_vectors(shape["positions"], shape["faces"])[:, 1]
+        assert (signed > 0).all()
+        np.testing.assert_allclose(signed.sum(), shoelace(outline), rtol=1e-6)
 
 
 def test_a_subdivided_cube_touches_its_limit(empty, polygon_mesh, only_shape):
@@ -275,6 +352,36 @@ def test_coordinates_and_holes_follow_a_subdivided_mesh(empty, polygon_mesh, onl
     shape = only_shape(translate(stage))
     np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]], atol=1e-5)
     np.testing.assert_allclose(np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1).sum(), 8.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("indexed", [False, True])
+@pytest.mark.parametrize("interpolation, at_the_point, at_a_middle", [("varying", 1.0, 0.25), ("vertex", 16 / 36, None)])
+@pytest.mark.parametrize("scheme", ["catmullClark", "loop"])
+def test_varying_values_run_evenly_within_the_faces(empty, polygon_mesh, only_shape, scheme, interpolation, at_the_point, at_a_middle, indexed):
+    """A spike of 1 on one inner point: 'varying' keeps it, with a quarter at the middles of quads; 'vertex' smooths it: to 16/36, by Loop to a half."""
+    stage = empty()
+    points = [(x, 5, z) for z in range(5) for x in range(5)]
+    quads = [(5 * z + x, 5 * z + x + 1, 5 * z + x + 6, 5 * z + x + 5) for z in range(4) for x in range(4)]
+    faces = quads if scheme == "catmullClark" else [part for a, b, c, d in quads for part in ((a, b, c), (a, c, d))]
+    mesh = polygon_mesh(stage, "/Sheet", points, [len(face) for face in faces], [k for face in faces for k in face])
+    mesh.GetSubdivisionSchemeAttr().Set(scheme)
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, interpolation)
+    if indexed:
+        primvar.Set([(0, 0, 0), (1, 1, 1)])
+        primvar.SetIndices([int(k == 12) for k in range(25)])
+    else:
+        primvar.Set([(float(k == 12),) * 3 for k in range(25)])
+    shape = only_shape(translate(stage))
+    x, _, z = shape["positions"].T
+
+    def color(at):
+        return shape["vertex_color"][np.argmin((x - at[0]) ** 2 + (z - at[1]) ** 2), 0]
+
+    wanted = 0.5 if (scheme, interpolation) == ("loop", "vertex") else at_the_point
+    assert color((2, 2)) == pytest.approx(wanted, abs=1e-6)
+    if at_a_middle is not None:
+        assert color((1.5, 2)) == pytest.approx(0.5, abs=1e-6)
+        assert color((1.5, 2.5)) == pytest.approx(at_a_middle if scheme == "catmullClark" else 0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("kind, values", [

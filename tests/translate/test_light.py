@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from pxr import Gf, UsdGeom, UsdLux, Vt
+from pxr import Gf, Usd, UsdGeom, UsdLux, Vt
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.translate import translate
@@ -91,8 +91,8 @@ def test_a_point_light_keeps_the_intensity_of_its_sphere(empty, metres_per_unit)
     np.testing.assert_allclose(strength(lamp_of(translate(stage))[0], "intensity"), 20.0 * metres_per_unit**2, rtol=1e-6)
 
 
-def test_a_headlight_is_a_spot_along_its_minus_z(empty):
-    """Candela on the axis: normalized intensity / (4 pi r^2) times pi r^2; the cone softens from cutoff (1 - softness)."""
+def test_a_headlight_shines_along_its_minus_z(empty):
+    """Candela on the axis: normalized intensity / (4 pi r^2) times pi r^2; nothing beyond the cutoff, half of it in the middle of the smoothstep."""
     stage = empty()
     light = UsdLux.SphereLight.Define(stage, "/Lamp")
     light.CreateRadiusAttr(0.05)
@@ -105,10 +105,12 @@ def test_a_headlight_is_a_spot_along_its_minus_z(empty):
     shaping.CreateShapingConeAngleAttr(25.0)
     shaping.CreateShapingConeSoftnessAttr(0.3)
     emitter, shape = lamp_of(translate(stage))
-    assert shape is None and emitter["type"] == "spot"
+    assert shape is None and emitter["type"] == "photometric"
     np.testing.assert_allclose(strength(emitter, "intensity"), 5_000.0, rtol=1e-6)
-    assert emitter["cutoff_angle"] == 25.0
-    np.testing.assert_allclose(emitter["beam_width"], 17.5, rtol=1e-6)
+    table = emitter["bitmap"][:, 0]  # 0.25 degrees a row
+    np.testing.assert_allclose(table[[0, 69]], 1.0, rtol=1e-6)
+    np.testing.assert_allclose(table[85], 0.5, rtol=1e-3)
+    assert (table[101:] == 0.0).all()
     np.testing.assert_allclose(emitter["to_world"][:3, 2], [0, 1, 0], atol=1e-12)
     np.testing.assert_allclose(emitter["to_world"][:3, 3], [0.7, 2, 0.7], atol=1e-7)
     np.testing.assert_allclose(np.linalg.det(emitter["to_world"][:3, :3]), 1.0)
@@ -349,3 +351,29 @@ def test_metric_divides_by_square_metres(empty):
 def test_an_unknown_convention_is_refused(empty):
     with pytest.raises(ParameterError, match=r"--lights blendr.*rtx-legacy.*Did you mean 'blender'"):
         translate(empty(), lights="blendr")
+
+
+@pytest.mark.parametrize("change, words", [
+    (lambda prim: prim.GetAttribute("inputs:diffuse").Set(0.5), "inputs:diffuse is not drawn"),
+    (lambda prim: prim.GetAttribute("inputs:specular").Set(0.0), "inputs:specular is not drawn"),
+    (lambda prim: prim.GetRelationship("light:filters").AddTarget("/Filter"), "light filters are not drawn"),
+    (lambda prim: Usd.CollectionAPI(prim, "lightLink").CreateExcludesRel().AddTarget("/Car"), "lightLink is not drawn"),
+    (lambda prim: Usd.CollectionAPI(prim, "shadowLink").CreateIncludeRootAttr(False), "shadowLink is not drawn"),
+    (lambda prim: UsdLux.ShadowAPI.Apply(prim).CreateShadowEnableAttr(False), "without shadows"),
+    (lambda prim: UsdLux.ShadowAPI.Apply(prim).CreateShadowColorAttr((0.2, 0.0, 0.0)), "colour, reach and falloff of shadows"),
+])  # fmt: skip
+def test_what_is_not_physical_of_a_light_is_noted(empty, change, words):
+    stage = empty()
+    prim = UsdLux.SphereLight.Define(stage, "/Lamp").GetPrim()
+    assert not translate(stage).notes
+    change(prim)
+    assert any(note.severity == "warning" and note.path == "/Lamp" and words in note.text for note in translate(stage).notes)
+
+
+@pytest.mark.parametrize("kind, severity, words", [
+    ("PortalLight", "info", "only guides the sampling"), ("GeometryLight", "warning", "not known"), ("PluginLight", "warning", "not known"),
+])  # fmt: skip
+def test_lights_that_are_none_of_ours_are_noted(empty, kind, severity, words):
+    stage = empty()
+    stage.DefinePrim("/Lamp", kind)
+    assert any((note.severity, note.path) == (severity, "/Lamp") and words in note.text for note in translate(stage).notes)

@@ -104,6 +104,102 @@ def test_a_luminaire_sends_what_its_file_says(empty, tmp_path, off_axis, turn):
     np.testing.assert_allclose(found, (1000 - 5 * off_axis) * around(h) / 9.0, rtol=0.01)
 
 
+PROFILE = "IESNA:LM-63-2002\nTILT=NONE\n1 1000 1 {v} {h} 1 2 0 0 0\n1 1 50\n{verticals}\n{horizontals}\n{rows}\n"
+
+
+def written(file, vertical, candela):
+    """An IES file that is the same all around."""
+    rows = " ".join(f"{value:.4f}" for value in candela)
+    file.write_text(PROFILE.format(v=len(vertical), h=1, verticals=" ".join(map(str, vertical)), horizontals="0", rows=rows))
+    return str(file)
+
+
+FAR_M = 12.0
+AREA_M2 = {  # seen from `way`, a unit vector in the light's frame
+    "SphereLight": ({"radius": 0.05}, lambda way: math.pi * 0.05**2),
+    "DiskLight": ({"radius": 0.05}, lambda way: math.pi * 0.05**2 * max(-way[2], 0.0)),
+    "RectLight": ({"width": 0.04, "height": 0.1}, lambda way: 0.004 * max(-way[2], 0.0)),
+    "CylinderLight": ({"radius": 0.02, "length": 0.1}, lambda way: 2 * 0.02 * 0.1 * math.hypot(way[1], way[2])),
+}
+
+
+def smoothstep(low, high, x):
+    t = min(max((x - low) / (high - low), 0.0), 1.0)
+    return t * t * (3 - 2 * t)
+
+
+SHAPED = [(kind, shape) for kind in AREA_M2 for shape in ("cone", "focus", "ies") if (kind, shape) != ("DiskLight", "cone")]
+
+
+@pytest.mark.parametrize("kind, shape", SHAPED)
+@pytest.mark.parametrize("off_axis, turn", [(5.0, 0.0), (38.0, 40.0), (52.0, 250.0), (110.0, 130.0)])
+def test_each_shape_of_light_is_shaped_as_specified(empty, tmp_path, kind, shape, off_axis, turn):
+    """E = L A S / d^2 with the area A that is seen from there, and S: 1 - smoothstep(30, 60), a tinted cos^3, or 900 - 4 v candelas to 180 degrees.
+
+    A disk with nothing but a cone is drawn as Mitsuba's own spot, see `light._spot`.  Sizes count for (0.1 / 12)^2 = 7e-5.
+    """
+    size, seen = AREA_M2[kind]
+    stage = empty()
+    prim = stage.DefinePrim("/Lamp", kind)
+    UsdLux.LightAPI(prim).CreateIntensityAttr(1e5)
+    for name, value in size.items():
+        prim.GetAttribute(f"inputs:{name}").Set(value)
+    UsdGeom.Xformable(prim).AddTranslateOp().Set((0, 5, 30))
+    shaping = UsdLux.ShapingAPI.Apply(prim)
+    shaping.CreateShapingConeAngleAttr(60.0 if shape == "cone" else 180.0)
+    v, h = math.radians(off_axis), math.radians(turn)
+    way = np.array([math.sin(v) * math.cos(h), math.sin(v) * math.sin(h), -math.cos(v)])
+    factor = np.ones(3)
+    if shape == "cone":
+        shaping.CreateShapingConeSoftnessAttr(0.5)
+        factor *= 1 - smoothstep(30.0, 60.0, off_axis)
+    elif shape == "focus":
+        shaping.CreateShapingFocusAttr(3.0)
+        shaping.CreateShapingFocusTintAttr((0.5, 0.0, 0.2))
+        fall = abs(math.cos(v)) ** 3
+        factor = fall + (1 - fall) * np.array([0.5, 0.0, 0.2])
+    else:
+        vertical = np.arange(0, 181, 10)
+        shaping.CreateShapingIesFileAttr(written(tmp_path / "a.ies", vertical, 900.0 - 4.0 * vertical))
+        factor *= 900.0 - 4.0 * off_axis
+    found, _ = irradiance(stage, (0, 5, 30) + FAR_M * way, -way, samples=1)
+    np.testing.assert_allclose(found, 1e5 * seen(way) * factor / FAR_M**2, rtol=0.005, atol=1e-6)
+
+
+@pytest.mark.parametrize("vertical", [
+    [0, 90, 180],  # the same everywhere: nothing changes
+    [0, 45, 90],  # of one hemisphere, over which it is averaged
+])  # fmt: skip
+def test_a_normalized_profile_keeps_the_energy(empty, tmp_path, vertical):
+    """Over the mean of the sphere, or of the hemisphere where the file has no more: a profile that is even changes nothing."""
+    stage = empty()
+    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
+    lamp.CreateRadiusAttr(0.05)
+    lamp.AddTranslateOp().Set((0, 5, 6))
+    shaping = UsdLux.ShapingAPI.Apply(lamp.GetPrim())
+    shaping.CreateShapingConeAngleAttr(180.0)
+    shaping.CreateShapingIesFileAttr(written(tmp_path / "a.ies", vertical, [730.0] * 3))
+    shaping.CreateShapingIesNormalizeAttr(True)
+    found, _ = irradiance(stage, (1.0, 5, 3.0), (0, 0, 1), samples=1)
+    np.testing.assert_allclose(found, math.pi * 0.05**2 * 3.0 / 10.0**1.5, rtol=0.002)
+
+
+def test_the_angle_scale_draws_a_profile_out_from_its_top(empty, tmp_path):
+    """At 60 degrees and a scale of 0.5 the file is read at (60 - 180) / 1.5 + 180 = 100 degrees."""
+    stage = empty()
+    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
+    lamp.CreateRadiusAttr(0.05)
+    lamp.AddTranslateOp().Set((0, 5, 6))
+    shaping = UsdLux.ShapingAPI.Apply(lamp.GetPrim())
+    shaping.CreateShapingConeAngleAttr(180.0)
+    vertical = np.arange(0, 181, 10)
+    shaping.CreateShapingIesFileAttr(written(tmp_path / "a.ies", vertical, 900.0 - 4.0 * vertical))
+    shaping.CreateShapingIesAngleScaleAttr(0.5)
+    way = np.array([math.sin(math.radians(60)), 0.0, -0.5])
+    found, _ = irradiance(stage, (0, 5, 6) + 4.0 * way, -way, samples=1)
+    np.testing.assert_allclose(found, math.pi * 0.05**2 * (900.0 - 400.0) / 16.0, rtol=0.002)
+
+
 def test_focus_is_a_power_of_the_cosine(empty):
     """cos^8 off the axis, and a red remainder where a tint is given."""
     stage = empty()

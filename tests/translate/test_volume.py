@@ -548,7 +548,7 @@ def test_the_exported_fog_box_is_fog():
     np.testing.assert_allclose(np.ptp(volume.boundary.surface_points(), axis=0), [40, 140, 20], rtol=1e-6)
     assert volume.boundary.contains(scene.camera.to_world[:3, 3])[0]
     kinds = sorted(part["emitter"]["type"] if "emitter" in part else part["type"] for key, part in scene.world.items() if key.startswith(("shape_", "light_")))
-    assert kinds == ["area"] * 4 + ["constant", "directional"] + ["mesh"] * 5 + ["spot"]
+    assert kinds == ["area"] * 4 + ["constant", "directional"] + ["mesh"] * 5 + ["photometric"]
 
 
 def test_a_mesh_that_is_a_box_becomes_one():

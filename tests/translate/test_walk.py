@@ -293,3 +293,18 @@ def test_display_opacity_counts_without_a_material(empty):
     world = translate(stage).world
     bsdf = world[world["shape_0"]["bsdf"]["id"]]
     assert (bsdf["type"], bsdf["opacity"], bsdf["bsdf"]["type"]) == ("mask", 0.25, "twosided")
+
+
+def test_a_note_on_an_instance_names_what_somebody_authored(empty):
+    """Prototypes are numbered anew each time a stage is opened: their names would make two bakes of one stage differ."""
+    stage = empty()
+    stage.CreateClassPrim("/Kind")
+    UsdGeom.Mesh.Define(stage, "/Kind/Torn").CreateFaceVertexCountsAttr([3])
+    for name in ("/B", "/A"):
+        prim = UsdGeom.Xform.Define(stage, name).GetPrim()
+        prim.GetInherits().AddInherit("/Kind")
+        prim.SetInstanceable(True)
+    UsdGeom.Cube.Define(stage, "/Whole")
+    paths = [note.path for note in translate(stage).notes]
+    assert "/A/Torn" in paths
+    assert not any("Prototype" in path for path in paths)

@@ -10,6 +10,7 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdValidation
 
 from synfog_usd.seeds import stream
+from synfog_usd.translate import ies
 from synfog_usd.world import buildings, crossroads, furniture, shapes, sky, textures
 from synfog_usd.world.components import write_component
 
@@ -201,15 +202,16 @@ def test_lamps_shine_at_dusk_and_are_few(dusk):
     assert [p.GetName() for p in lights if p.IsA(UsdLux.DomeLight)] == ["Dusk"]
     local = [p for p in lights if not p.IsA(UsdLux.DomeLight)]
     assert 15 < len(local) < 40
-    for prim in local:
-        disk = UsdLux.DiskLight(prim)
-        candela = disk.GetIntensityAttr().Get() * np.pi * disk.GetRadiusAttr().Get() ** 2
-        assert 1_000 <= candela <= 15_000, prim.GetPath()
     headlights = [p for p in local if p.GetName() in ("Left", "Right")]
-    for prim in headlights:
-        place = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
-        beam = place.TransformDir(Gf.Vec3d(0, 0, -1))
-        assert -0.06 < beam[2] < -0.01, prim.GetPath()  # dipped by one to three degrees
+    assert len(headlights) >= 12
+    for prim in local:
+        candela = UsdLux.LightAPI(prim).GetIntensityAttr().Get() * np.pi * prim.GetAttribute("inputs:radius").Get() ** 2
+        if prim in headlights:  # a dipped beam of UN Regulation 112, which keeps below the horizon by itself
+            file = UsdLux.ShapingAPI(prim).GetShapingIesFileAttr().Get()
+            candela *= ies.parse(Path(file.resolvedPath).read_bytes(), file.path).candela.max()
+            place = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+            assert abs(place.TransformDir(Gf.Vec3d(0, 0, -1))[2]) < 1e-3, prim.GetPath()
+        assert 1_000 <= candela <= 44_000, prim.GetPath()
 
 
 def test_camera_looks_up_the_street_from_a_windscreen(day):

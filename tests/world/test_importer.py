@@ -12,7 +12,7 @@ import colour
 import numpy as np
 import pytest
 import trimesh
-from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdValidation
+from pxr import Sdf, Usd, UsdGeom, UsdMedia, UsdShade, UsdValidation
 
 from synfog_usd.errors import OutputError, ParameterError, StageError
 from synfog_usd.world import meshfiles
@@ -93,7 +93,10 @@ def test_unit_up_and_front_are_found_and_the_model_stands_at_the_origin(tmp_path
     assert abs(roof[:, 0].mean()) < 1e-3
     assert [n.split(":")[0] for n in made.notes if n.split(":")[0] in ("unit", "up", "front")] == ["unit", "up", "front"]
     assert dict(library(tmp_path / "lib")).keys() == {"my_car"}
-    errors = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(Usd.Stage.Open(str(model.path)))
+    assert sorted(f.name for f in model.path.parent.iterdir()) == ["my_car.geo.usdc", "my_car.mtl.usda", "my_car.usda"]
+    stage = Usd.Stage.Open(str(model.path))
+    assert UsdMedia.AssetPreviewsAPI(stage.GetDefaultPrim()).GetDefaultThumbnails() is None  # nobody has taken its picture
+    errors = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(stage)
     assert [e.GetMessage() for e in errors] == []
 
 

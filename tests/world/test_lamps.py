@@ -10,6 +10,7 @@ import pytest
 from pxr import Usd, UsdGeom, UsdLux
 from scipy.interpolate import RegularGridInterpolator
 
+from synfog_usd import photometry
 from synfog_usd.errors import ParameterError
 from synfog_usd.translate import light, lightgroup
 from synfog_usd.translate.notes import Notebook
@@ -210,7 +211,7 @@ def test_tints_have_the_luminance_and_the_colour_of_their_spectra():
 
 
 def test_red_and_amber_spectra_peak_where_they_say():
-    wavelengths = lamps.WAVELENGTHS_NM
+    wavelengths = photometry.WAVELENGTHS_NM
     for name, peak in (("brake", 625), ("indicator_rear", 592)):
         power = lamps.spectrum(lamps.LAMPS[name])
         assert wavelengths[power.argmax()] == peak

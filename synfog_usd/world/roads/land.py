@@ -128,10 +128,10 @@ def wood(road: Road, *, seed: int, count: int, nearest_m: float) -> Scatter:
         for i in np.flatnonzero(clear):
             points.append((float(cx + dx[i]), float(cy + dy[i]), float(height[i]) - 0.1))
             sizes.append(float(big[i]))
-    return Scatter("Wood", "vegetation", _distant_tree(), np.array(points).reshape(-1, 3), rng.uniform(0, 360, len(points)), np.array(sizes))
+    return Scatter("Wood", "vegetation", distant_tree(), np.array(points).reshape(-1, 3), rng.uniform(0, 360, len(points)), np.array(sizes))
 
 
-def _distant_tree() -> tuple[Part, ...]:
+def distant_tree() -> tuple[Part, ...]:
     """A trunk and lumps of leaves in three greens, about 800 triangles."""
     rng = stream(0, "land", "tree")
     parts: list[Part] = [tube([(0, 0, -0.3), (0.1, 0, 2.5), (0, 0.1, 6.0)], [0.28, 0.22, 0.1], "bark", sides=6)]
@@ -139,12 +139,12 @@ def _distant_tree() -> tuple[Part, ...]:
         angle, high = rng.uniform(0, 2 * np.pi), rng.uniform(3.6, 9.0)
         away = rng.uniform(0.3, 2.3) * (1.0 - abs(high - 5.6) / 6.5)
         size = rng.uniform(1.3, 2.1) * (1.0 if high < 7.5 else 0.75)
-        lump = _lump(rng, ("leaf_green", "hedge", "leaf_olive")[k % 3])
-        parts.append(lump.moved(shift(away * np.cos(angle), away * np.sin(angle), high) @ scaled(size, size, 0.8 * size)))
+        leaves = lump(rng, ("leaf_green", "hedge", "leaf_olive")[k % 3])
+        parts.append(leaves.moved(shift(away * np.cos(angle), away * np.sin(angle), high) @ scaled(size, size, 0.8 * size)))
     return tuple(by_material(parts).values())
 
 
-def _lump(rng: np.random.Generator, material: str) -> Part:
+def lump(rng: np.random.Generator, material: str) -> Part:
     """A ball of 96 triangles with a rough skin."""
     rows, columns = 7, 8
     loops = []
@@ -180,10 +180,11 @@ def tufts(road: Road, *, seed: int, low: float, high: float, per_m2: float = 1.2
     if not points:
         return None
     every = np.concatenate(points)
-    return Scatter("Grass", "terrain", _tuft(), every, rng.uniform(0, 360, len(every)), rng.uniform(0.5, 1.25, len(every)))
+    return Scatter("Grass", "terrain", tuft(), every, rng.uniform(0, 360, len(every)), rng.uniform(0.5, 1.25, len(every)))
 
 
-def _tuft() -> tuple[Part, ...]:
+def tuft() -> tuple[Part, ...]:
+    """Blades of grass in three colours, 10 to 30 cm high."""
     rng = stream(0, "land", "tuft")
     parts = []
     for material, n in (("leaf_olive", 9), ("leaf_green", 9), ("straw", 5)):

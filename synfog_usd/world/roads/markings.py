@@ -56,7 +56,7 @@ def bay_length(band: Strip) -> float:
     return BAY_ACROSS_M if band.band.width > DEEP_M else BAY_M
 
 
-def _line(t: float, low: float, high: float, width: float, dash: tuple[float, float] | None = None) -> list[Part]:
+def line(t: float, low: float, high: float, width: float, dash: tuple[float, float] | None = None) -> list[Part]:
     """A line along the road, dashed or not."""
     pieces = [(low, high)] if dash is None else [(s, min(s + dash[0], high)) for s in np.arange(low, high, sum(dash))]
     parts = []
@@ -85,20 +85,20 @@ def _lines(road: Road) -> list[Part]:
             t = other.low
             if kinds == {"lane"} and one.band.way != other.band.way:
                 if road.centre == "double":
-                    parts += _line(t - 0.1, low, high, wide) + _line(t + 0.1, low, high, wide)
+                    parts += line(t - 0.1, low, high, wide) + line(t + 0.1, low, high, wide)
                 elif road.centre != "none":
-                    parts += _line(t, low, high, wide, road.dash if road.centre == "dashed" else None)
+                    parts += line(t, low, high, wide, road.dash if road.centre == "dashed" else None)
             elif kinds == {"lane"}:
-                parts += _line(t, low, high, wide, road.dash)
+                parts += line(t, low, high, wide, road.dash)
             elif kinds == {"lane", "bus"}:
-                parts += _line(t, low, high, 0.25)
+                parts += line(t, low, high, 0.25)
             elif "cycle" in kinds and kinds & {"lane", "bus"}:
-                parts += _line(t, low, high, 0.12, (1.0, 1.0))
+                parts += line(t, low, high, 0.12, (1.0, 1.0))
             elif kinds & {"lane", "bus"} and kinds & {"shoulder"}:
-                parts += _line(t, low, high, 2 * wide if fast else wide)
+                parts += line(t, low, high, 2 * wide if fast else wide)
             elif kinds & {"lane", "bus"} and kinds & {"verge", "reserve", "island"} and not urban:
                 inward = -1 if one.band.kind in ("lane", "bus") else 1
-                parts += _line(t + 0.22 * inward, low, high, wide)
+                parts += line(t + 0.22 * inward, low, high, wide)
     return parts
 
 
@@ -112,7 +112,7 @@ def _bays(road: Road) -> list[Part]:
                 a, b = sorted((inner, inner + 0.8 * (outer - inner)))
                 parts.append(fan([(a, s, THICK_M), (b, s, THICK_M), (b, s + 0.1, THICK_M), (a, s + 0.1, THICK_M)], "marking", tile_m=TILE_M))
                 if bay_length(band) == BAY_M:
-                    parts += _line(inner, s, s + 1.0, 0.1)
+                    parts += line(inner, s, s + 1.0, 0.1)
     return parts
 
 
@@ -129,11 +129,12 @@ def _arrows(road: Road) -> list[Part]:
             if lane.kind == "bus":
                 parts += _letters(lane, s)
             elif len(beside) > 1 and not fast:
-                parts += _arrow(lane, s)
+                parts += arrow(lane, s)
     return parts
 
 
-def _arrow(lane: Lane, s: float) -> list[Part]:
+def arrow(lane: Lane, s: float) -> list[Part]:
+    """An arrow 5 m long from station s on, the way that a lane goes."""
     outlines: Sequence[Sequence[tuple[float, float]]] = (
         [(-0.08, 0), (0.08, 0), (0.08, 3.2), (-0.08, 3.2)],
         [(-0.38, 3.2), (0.38, 3.2), (0, 5.0)],

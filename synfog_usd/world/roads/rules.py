@@ -25,6 +25,8 @@ GROUPS = {"vehicle": "Vehicles", "person": "People", "rider": "People", "buildin
 """Group of the library -> group prim; all others are furniture."""
 FOOT_M = {"lamp": 0.3, "sign": 0.3, "person": 0.3, "rider": 0.3}
 """Half the side of what a thing takes up on the ground, where its box is wider than its foot."""
+LONG_M = 1.05
+"""People on wheels, with a pram or at a run take up their box."""
 TRUNK_M, TREE_HEIGHT_M = 0.4, 3.0
 LAMP_CLEAR_M = 4.6
 """Between a lamp and the trunk of a tree: no lamp hangs in a crown."""
@@ -61,7 +63,7 @@ def prim_group(found: library.Model) -> str:
 def foot(name: str) -> tuple[float, float, float, float]:
     """Box that a model takes up on the ground in its own axes: low x, low y, high x, high y [m]."""
     found = model(name)
-    half = FOOT_M.get(found.group)
+    half = FOOT_M.get(found.group) if found.length < LONG_M or found.group in ("lamp", "sign") else None
     if found.group == "plant" and found.high[2] > TREE_HEIGHT_M:
         half = TRUNK_M
     if half is not None:
@@ -100,30 +102,37 @@ class Occupied:
     def free(self, p: Placement, margin: float = 0.1) -> bool:
         """Whether a placement keeps `margin` [m] from all others."""
         corners = footprint(p)
-        centre = corners.mean(axis=0)
-        radius = float(np.hypot(*(corners - centre).T).max())
         found = model(p.asset)
         if found.group == "lamp" and any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in self.trunks):
             return False
         if found.group == "plant" and found.high[2] > TREE_HEIGHT_M and any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in self.lamps):
             return False
+        return self.free_outline(corners, margin)
+
+    def free_outline(self, corners: Array, margin: float) -> bool:
+        """Whether a rectangle of (4, 2) corners keeps `margin` [m] from all others."""
         if not self.circles:
             return True
+        centre = corners.mean(axis=0)
+        radius = float(np.hypot(*(corners - centre).T).max())
         table = np.array(self.circles)
         near = np.flatnonzero(np.hypot(table[:, 0] - centre[0], table[:, 1] - centre[1]) < table[:, 2] + radius + margin)
         return all(gap(corners, self.prints[i]) >= margin for i in near)
 
     def add(self, p: Placement) -> None:
         """Take the place of a placement."""
-        corners = footprint(p)
-        centre = corners.mean(axis=0)
-        self.prints.append(corners)
-        self.circles.append((float(centre[0]), float(centre[1]), float(np.hypot(*(corners - centre).T).max())))
+        self.add_outline(footprint(p))
         found = model(p.asset)
         if found.group == "lamp":
             self.lamps.append((p.x, p.y))
         elif found.group == "plant" and found.high[2] > TREE_HEIGHT_M:
             self.trunks.append((p.x, p.y))
+
+    def add_outline(self, corners: Array) -> None:
+        """Take the place of a rectangle of (4, 2) corners."""
+        centre = corners.mean(axis=0)
+        self.prints.append(corners)
+        self.circles.append((float(centre[0]), float(centre[1]), float(np.hypot(*(corners - centre).T).max())))
 
     def copy(self) -> Occupied:
         """Another that goes on from here."""

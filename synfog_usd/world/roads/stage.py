@@ -1,8 +1,8 @@
 """A road's `WorldSpec` as a USD stage: meshes of the road and its land, references, lights, fog, variants.
 
-One file with a scope for each department: /World/Road and /World/Land (layout),
-/World/Buildings, Plants and Furniture, /World/Vehicles and People (traffic),
-/World/Lights and Sky, /World/Fog, /World/Ego (camera).  It opens in plain OpenUSD.
+A scope for each kind of thing: /World/Road, Buildings, Plants and Furniture, Vehicles and
+People, Lights and Sky, Fog, Ego and Rig; `departments.py` makes layers of them.  It opens in
+plain OpenUSD.
 """
 
 from __future__ import annotations
@@ -14,18 +14,17 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
-from synfog_usd.files import write_whole
 from synfog_usd.seeds import stream
-from synfog_usd.world import authoring
-from synfog_usd.world.components import Lamp, author_lamp, author_material, author_mesh, label, new_stage
+from synfog_usd.world import authoring, lamps
+from synfog_usd.world.components import author_material, author_mesh, label, new_stage
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.roads import land, markings, structures, surface
+from synfog_usd.world.roads import asphalt, land, markings, roundabout_built, structures, surface, works
 from synfog_usd.world.roads.network import Road
+from synfog_usd.world.roads.roundabout import Roundabout
 from synfog_usd.world.roads.rules import model
 from synfog_usd.world.roads.structures import Built
 from synfog_usd.world.shapes import Array, Part, by_material, quads, shift, turn
 from synfog_usd.world.spec import Placement, View, WorldSpec
-from synfog_usd.world.vehicles import HEADLIGHT_CD, HEADLIGHT_TINT
 
 LOOKS: dict[str, Material] = {
     "post_white": Material((0.72, 0.72, 0.70), 0.5),
@@ -34,6 +33,8 @@ LOOKS: dict[str, Material] = {
     "tunnel_lamp": Material((0.6, 0.6, 0.6), 0.4, emission=(9000.0, 8200.0, 6900.0)),
     "board_blue": Material((0.012, 0.06, 0.27), 0.4),
     "board_white": Material((0.75, 0.75, 0.74), 0.4),
+    **roundabout_built.LOOKS,
+    **asphalt.LOOKS,
 }
 """Materials of what only roads have; tunnel lamps of 9 000 cd m-2, as LED luminaires of tunnels have."""
 LIT_SHARE = {"window": 0.34, "shop_glass": 0.85}
@@ -43,19 +44,14 @@ LIT_M = 170.0
 TUFTS_M = 45.0
 
 
-def write(path: Path, spec: WorldSpec, *, assets: str) -> Path:
-    """Write the stage of a road.
+def author(path: Path, spec: WorldSpec, *, assets: str) -> Sdf.Layer:
+    """The stage of a road as one layer, not yet saved.
 
     Args:
         path: the file; its suffix chooses the format.
         spec: of a road.
         assets: where the shipped assets lie, from the stage's folder or from the root.
     """
-    write_whole(path, lambda temporary: _write(temporary, spec, assets))
-    return path
-
-
-def _write(path: Path, spec: WorldSpec, assets: str) -> None:
     assert spec.road is not None
     stage = new_stage(spec.about, path)
     stage.GetRootLayer().customLayerData = {**stage.GetRootLayer().customLayerData, **spec.origin}
@@ -64,24 +60,27 @@ def _write(path: Path, spec: WorldSpec, assets: str) -> None:
     stage.SetDefaultPrim(world)
     Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
     authoring.author_camera(stage, spec.view)
+    authoring.author_rig(stage, spec)
     authoring.author_fog(stage)
     authoring.author_skies(stage, spec, assets)
-    _author_road(stage, spec, spec.road, assets)
     for group in dict.fromkeys(p.group for p in spec.placed):
         Usd.ModelAPI(UsdGeom.Xform.Define(stage, f"/World/{group}").GetPrim()).SetKind(Kind.Tokens.group)
-    for p in spec.placed:
-        authoring.author_placement(stage, p, assets)
     _author_lights(stage, spec, assets)
-    authoring.author_variants(stage, spec)
+    authoring.author_variants(stage, spec)  # early, because each choice of a variant composes what stands there by then again
+    _author_road(stage, spec, spec.road, assets)
     authoring.author_render(stage)
-    stage.GetRootLayer().Save()
+    authoring.author_products(stage, [authoring.EGO, *(f"{authoring.RIG}/{one.name}" for one in spec.rig)])
+    authoring.author_placements(stage, spec.placed, assets)
+    return Sdf.Layer.FindOrOpen(stage.GetRootLayer().identifier)
 
 
 def built(spec: WorldSpec) -> list[Built]:
     """Everything that is made for this road alone, by name."""
     road = spec.road
     assert road is not None
-    parts = surface.surface(road, seed=spec.scatter)
+    if isinstance(road, Roundabout):
+        return roundabout_built.built(spec, road)
+    parts = surface.surface(road, seed=spec.scatter, asphalt=spec.built["asphalt"])
     names = {"road": "Carriageway", "sidewalk": "Pavement", "terrain": "Verges"}
     made = [Built(names[key], key, tuple(found)) for key, found in parts.items()]
     made.append(Built("Markings", "road", tuple(markings.markings(road))))
@@ -98,6 +97,8 @@ def built(spec: WorldSpec) -> list[Built]:
     if spec.built.get("delineators") == "both":
         made += structures.delineators(road, 0.0, end)
     made += [structures.gantry(road, s, i + 1) for i, s in enumerate(spec.built.get("gantries", ()))]
+    if spec.built.get("works"):
+        made.append(works.built(road, spec.built["works"]))
     if road.land.valley:
         made += structures.bridge(road)
     if road.land.hill:
@@ -119,10 +120,12 @@ def _author_road(stage: Usd.Stage, spec: WorldSpec, road: Road, assets: str) -> 
     materials = Sdf.Path("/World/Road/Materials")
     UsdGeom.Scope.Define(stage, materials)
     known: dict[str, UsdShade.Material] = {}
+    made = asphalt.looks(spec.built["asphalt"], LOOKS)
 
     def bind(prim: Usd.Prim, name: str) -> None:
         if name not in known:
-            known[name] = author_material(stage, materials.AppendChild(name), LOOKS.get(name) or PALETTE[name], textures=f"{assets}/textures/")
+            look = made.get(name) or LOOKS.get(name) or PALETTE[name]
+            known[name] = author_material(stage, materials.AppendChild(name), look, textures=f"{assets}/textures/")
         UsdShade.MaterialBindingAPI.Apply(prim).Bind(known[name])
 
     for thing in built(spec):
@@ -131,13 +134,20 @@ def _author_road(stage: Usd.Stage, spec: WorldSpec, road: Road, assets: str) -> 
         label(prim, thing.label)
         for name, part in by_material(thing.parts).items():
             bind(author_mesh(stage, prim.GetPath().AppendChild(name), _small(part)).GetPrim(), name)
-    scatters: list[land.Scatter | None] = [land.wood(road, seed=spec.scatter, count=spec.built["trees"], nearest_m=spec.built["trees_from_m"])]
-    station = spec.built["station"]
-    if spec.built["grass"] == "tufts":
-        scatters.append(land.tufts(road, seed=spec.scatter, low=station, high=station + TUFTS_M))
-    for scatter in scatters:
+    for scatter in scatters(spec, road):
         if scatter is not None and len(scatter.points):
             _author_scatter(stage, scatter, bind)
+
+
+def scatters(spec: WorldSpec, road: Road) -> Sequence[land.Scatter | None]:
+    """Woods far away, and tall grass where the camera is near."""
+    if isinstance(road, Roundabout):
+        return roundabout_built.scatters(spec, road)
+    found: list[land.Scatter | None] = [land.wood(road, seed=spec.scatter, count=spec.built["trees"], nearest_m=spec.built["trees_from_m"])]
+    station = spec.built["station"]
+    if spec.built["grass"] == "tufts":
+        found.append(land.tufts(road, seed=spec.scatter, low=station, high=station + TUFTS_M))
+    return found
 
 
 def _small(part: Part) -> Part:
@@ -168,18 +178,18 @@ def _author_scatter(stage: Usd.Stage, scatter: land.Scatter, bind: object) -> No
 # -- lights
 
 
-def headlights(view: View, ground: float) -> Iterable[Lamp]:
-    """The low beams of the camera's own car, which goes the way that the camera looks."""
+def headlights(view: View, ground: float) -> Iterable[tuple[str, Array]]:
+    """Names and places of the dipped beams of the camera's own car, which goes the way that the camera looks."""
     place = shift(view.x, view.y, ground) @ turn(view.heading - 0.8) @ turn(view.tilt - 90.6, "x")
     for name, x in (("Left", -0.62), ("Right", 0.72)):
-        yield Lamp(name, place @ shift(x, 1.75, 0.66) @ turn(88.6, "x"), HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT)
+        yield name, place @ shift(x, 1.75, 0.66) @ turn(90.0, "x")
 
 
 @functools.cache
 def panes(asset: str) -> Mapping[str, tuple[Array, Array]]:
     """Panes of a building by material: (K, 4, 3) corners [m] and (K, 4, 2) texture coordinates."""
     found: dict[str, tuple[Array, Array]] = {}
-    layer = Sdf.Layer.FindOrOpen(str(model(asset).path.with_suffix(".geometry.usdc")))
+    layer = Sdf.Layer.FindOrOpen(str(model(asset).path.with_suffix(".geo.usdc")))
     if layer is None:
         return found
     for name in LIT_SHARE:
@@ -198,8 +208,8 @@ def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     UsdGeom.Scope.Define(stage, "/World/Lights/Headlights")
     assert spec.road is not None
     ground = float(spec.road.height(spec.view.x, spec.view.y))
-    for lamp in headlights(spec.view, ground):
-        author_lamp(stage, Sdf.Path(f"/World/Lights/Headlights/{lamp.name}"), lamp)
+    for name, place in headlights(spec.view, ground):
+        lamps.author_lamp(stage, f"/World/Lights/Headlights/{name}", spec.built["headlights"], place, lamps=f"{assets}/lamps")
     rng = stream(spec.scatter, "roads", "lit")
     fronts: dict[str, list[tuple[Array, Array]]] = {name: [] for name in LIT_SHARE}
     for p in spec.placed:

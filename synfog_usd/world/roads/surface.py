@@ -13,11 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.seeds import stream
+from synfog_usd.world.roads.asphalt import REPAIRS, Asphalt, puddles
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.section import KERB_M, RAISED, Strip
 from synfog_usd.world.shapes import Array, Part, disc, fan, strip
 from synfog_usd.world.textures import LANE_LENGTH_M
 
+WORN = Asphalt()
 ROAD_HALF_M = 5.6
 """Of the street that the lane texture was painted for: its lanes are 3.4 m wide from the middle."""
 LANE_M = 3.4
@@ -51,31 +53,45 @@ def sweep(road: Road, profile: npt.ArrayLike, material: str, *, tile_m: float, l
     return bend(strip(loops, material, uv=uv), road)
 
 
-def surface(road: Road, *, seed: int) -> dict[str, list[Part]]:
+def surface(road: Road, *, seed: int, asphalt: Asphalt = WORN) -> dict[str, list[Part]]:
     """Cityscapes label -> parts of everything between the road's two edges, markings apart."""
+    rng = stream(seed, "road", "asphalt")
+    angle, begin, flipped = rng.uniform(0, 2 * np.pi), rng.uniform(0, 1, 2), bool(rng.random() < 0.5)
     found: dict[str, list[Part]] = {"road": [], "sidewalk": [], "terrain": []}
     for index, band in enumerate(road.section.strips):
         kind = band.band.kind
         if kind in ("lane", "bus"):
-            found["road"].append(_lane(road, band, index))
+            if asphalt.lane == "asphalt_lane":
+                found["road"].append(_lane(road, band, index, float(begin[0]), flipped))
+            else:
+                found["road"].append(_turned(road, band, asphalt.lane, float(angle), begin + 0.31 * index))
         elif kind in ("parking", "shoulder", "cycle"):
-            found["road"].append(_flat(road, band, "asphalt", ASPHALT_TILE_M, shift=0.31 * index))
+            found["road"].append(_turned(road, band, "asphalt", float(angle), begin + 0.31 * index))
         elif kind in ("pavement", "island"):
             found["sidewalk"].append(_flat(road, band, "paving", PAVING_TILE_M))
         else:
             found["terrain"].append(_flat(road, band, "grass", GRASS_TILE_M, shift=0.37 * index))
     found["sidewalk"] += [_kerb(road, t, side) for t, side in road.section.kerbs()]
-    found["road"] += [bend(part, road) for part in _repairs(road, seed)]
+    found["road"] += [bend(part, road) for part in (*_repairs(road, seed, REPAIRS[asphalt.kind]), *puddles(road, asphalt, seed=seed))]
     return {label: parts for label, parts in found.items() if parts}
 
 
-def _lane(road: Road, band: Strip, index: int) -> Part:
-    """A lane with its wheel tracks; lanes begin at different places of the texture."""
+def _turned(road: Road, band: Strip, material: str, angle: float, begin: Array) -> Part:
+    """A strip of asphalt without a direction, its texture turned by an angle [rad] and begun elsewhere."""
+    part = _flat(road, band, material, ASPHALT_TILE_M)
+    assert part.uv is not None
+    c, s = np.cos(angle), np.sin(angle)
+    return replace(part, uv=part.uv @ np.array([[c, s], [-s, c]]) + begin)
+
+
+def _lane(road: Road, band: Strip, index: int, begin: float, flipped: bool) -> Part:
+    """A lane with its wheel tracks; lanes begin at different places of the texture, and roads run through it either way."""
     s = stations(road)
+    way = -1.0 if flipped else 1.0
     u0, u1 = ROAD_HALF_M / (2 * ROAD_HALF_M), (ROAD_HALF_M + LANE_M) / (2 * ROAD_HALF_M)
     if band.band.way < 0:
         u0, u1 = u1, u0
-    uv = [np.array([(u0, at / LANE_LENGTH_M + 0.41 * index), (u1, at / LANE_LENGTH_M + 0.41 * index)]) for at in s]
+    uv = [np.array([(u0, way * at / LANE_LENGTH_M + 0.41 * index + begin), (u1, way * at / LANE_LENGTH_M + 0.41 * index + begin)]) for at in s]
     return bend(strip([np.array([(band.low, at, 0.0), (band.high, at, 0.0)]) for at in s], "asphalt_lane", uv=uv), road)
 
 
@@ -111,20 +127,20 @@ def ribbon(points: Array, width: float, z: float, material: str) -> Part:
     return strip([np.c_[points + side, flat], np.c_[points - side, flat]][::-1], material)
 
 
-def _repairs(road: Road, seed: int) -> list[Part]:
+def _repairs(road: Road, seed: int, often: float = 1.0) -> list[Part]:
     """Patches, sealed cracks, covers and gullies, as years of digging leave them."""
     rng = stream(seed, "road", "repairs")
     parts: list[Part] = []
     length = road.line.length
     driven = list(road.section.of("lane", "bus"))
     urban = any(band.band.kind == "pavement" for band in road.section.strips)
-    for _ in range(int(length / (28 if urban else 60))):
+    for _ in range(int(often * length / (28 if urban else 60))):
         band = driven[int(rng.integers(len(driven)))]
         width, long, s = rng.uniform(0.6, 1.6), rng.uniform(1.5, 14.0), rng.uniform(0, length - 20)
         t = rng.uniform(band.low + 0.1, band.high - 0.1 - width)
         for part in _patch(t, s, width, long, "asphalt_patch" if rng.random() < 0.7 else "asphalt_old"):
             parts.append(part)
-    for _ in range(int(length / 9)):
+    for _ in range(int(often * length / 9)):
         band = driven[int(rng.integers(len(driven)))]
         t, s, heading = rng.uniform(band.low, band.high), rng.uniform(5, length - 10), rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.25)
         points = [(t, s)]

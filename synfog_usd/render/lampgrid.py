@@ -1,0 +1,214 @@
+"""Which of many lamps to ask: those that matter where a path is, and where the camera looks.
+
+Takes the lamps and the fog; gives, for a point or a part of the view, chances for
+each lamp.  Space around the camera is cut into cells, the view into tiles; what each
+lamp sends to a few places in them, dimmed by the fog, is its weight there (as in the
+light grids of Conty Estevez and Kulla 2018, without their tree: a street has a
+hundred lamps, not a million).  No chance is below `FLOOR` times that of a choice
+that does not know the place, so that whatever the few places have missed stays
+unbiased, and rare.  Shadows are not known to it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.render import backend
+
+Array = npt.NDArray[np.float64]
+
+FLOOR = 0.15
+"""Share of the draws that do not know the place."""
+
+CELLS = 40_000
+"""Most cells; with 100 lamps 32 MB."""
+
+CELL_M = 4.0
+"""Least side of a cell, and its height."""
+
+REACH_M = 150.0
+"""Half the side of the cells' square; places outside of it count as the nearest cell."""
+
+POINTS = 8
+"""Places in a cell that are looked at."""
+
+NEAR_M = 0.5
+"""Lamps are taken to be this far at least."""
+
+TILES = (32, 18)
+"""Columns and rows of the view."""
+
+RAYS = 4
+"""Rays of a tile; along each, every lamp is asked at `NODES` places."""
+
+NODES = 24
+
+
+class Choice:
+    """Chances of N lamps in each of R rows.
+
+    Args:
+        weights: (R, N) >= 0; a row of zeros knows nothing.
+        even: (N,) chances without knowledge.
+    """
+
+    def __init__(self, weights: Array, even: Array) -> None:
+        mi = backend.mitsuba()
+        total = weights.sum(axis=1, keepdims=True)
+        known = np.where(total > 0.0, weights / np.where(total > 0.0, total, 1.0), even)
+        chances = (1.0 - FLOOR) * known + FLOOR * even
+        below = np.cumsum(chances, axis=1)
+        below[:, -1] = 2.0  # rounding leaves no gap at the end
+        self.count = weights.shape[1]
+        self.below, self.chance = (mi.Float(values.astype(np.float32).ravel()) for values in (below, chances))
+        dr.make_opaque(self.below, self.chance)
+
+    def sample(self, row: Any, u: Any, active: Any) -> tuple[Any, Any]:
+        """(a lamp, its chance)."""
+        mi = backend.mitsuba()
+        begin, index = row * self.count, mi.UInt32(0)
+        for step in (1 << bit for bit in reversed(range((self.count - 1).bit_length()))):
+            probe = index + step
+            above = active & (probe < self.count)
+            index = dr.select(above & (dr.gather(mi.Float, self.below, begin + probe - 1, above) <= u), probe, index)
+        return index, dr.gather(mi.Float, self.chance, begin + index, active)
+
+
+class LampGrid:
+    """Lamps by place.
+
+    Args:
+        lamps: the scene's, see `lamps.Lamps`.
+        sigma_t: extinction [1/m] of the fog, 0 in clear air.
+        eye: (3,) position of the camera [m].
+    """
+
+    def __init__(self, lamps: Any, sigma_t: float, eye: Array) -> None:
+        mi = backend.mitsuba()
+        self.lamps, self.sigma_t, self.eye = lamps, sigma_t, eye
+        rows = [_representative(block) for block in lamps.parts]
+        places = np.array([row[0:3] for row in rows])
+        self.table = lamps.columns(np.array(rows))
+        low, high = eye - REACH_M, eye + REACH_M
+        low[:2], high[:2] = np.maximum(low[:2], places[:, :2].min(axis=0) - 20.0), np.minimum(high[:2], places[:, :2].max(axis=0) + 20.0)
+        low[2], high[2] = places[:, 2].min() - CELL_M, places[:, 2].max() + CELL_M
+        high = np.maximum(high, low + CELL_M)
+        height = max(CELL_M, (high[2] - low[2]) / 8.0)
+        side = max(CELL_M, np.sqrt(np.prod((high - low)[:2]) * np.ceil((high[2] - low[2]) / height) / CELLS))
+        self.size = np.array([side, side, height])
+        self.shape = np.maximum(np.ceil((high - low) / self.size), 1.0).astype(int)
+        self.low = low
+        self._low, self._scale = mi.Point3f(low.tolist()), mi.Vector3f((1.0 / self.size).tolist())
+        self._most = mi.Vector3f((self.shape - 1).astype(float).tolist())
+        self._stride = mi.UInt32(int(self.shape[0])), mi.UInt32(int(self.shape[0] * self.shape[1]))
+        dr.make_opaque(self._low, self._scale, self._most, self._stride)
+        self.near = Choice(self._weights(), lamps.even)
+
+    def cell(self, place: Any) -> Any:
+        """Row of `near` for points."""
+        mi = backend.mitsuba()
+        at = dr.clip(mi.Vector3f(place - self._low) * self._scale, 0.0, self._most)
+        return mi.UInt32(at.x) + self._stride[0] * mi.UInt32(at.y) + self._stride[1] * mi.UInt32(at.z)
+
+    def _weights(self) -> Array:
+        """(cells, N) mean of what each lamp sends to places in each cell."""
+        mi = backend.mitsuba()
+        count = int(np.prod(self.shape))
+        index = np.arange(count)
+        corner = np.stack([index % self.shape[0], index // self.shape[0] % self.shape[1], index // (self.shape[0] * self.shape[1])], axis=1)
+        bits = np.arange(POINTS)[:, None] >> np.arange(3) & 1
+        within = 0.25 + 0.5 * bits  # of the cell's eighths, the middle
+        points = self.low + (corner[:, None] + within[None]) * self.size
+        place = mi.Point3f(points.reshape(-1, 3).T.astype(np.float32))
+        found = np.zeros((count, self.lamps.count))
+        for number in range(self.lamps.count):
+            light = self._sent(dr.opaque(mi.UInt32, number), place)
+            found[:, number] = np.array(light, dtype=np.float64).reshape(count, POINTS).mean(axis=1)
+        return found
+
+    def _sent(self, number: Any, place: Any) -> Any:
+        """Luminance-weighted irradiance of one lamp at points, without shadows."""
+        mi = backend.mitsuba()
+        row = [dr.gather(mi.Float, column, number) for column in self.table]
+        between = place - mi.Point3f(*row[0:3])
+        square = dr.maximum(dr.squared_norm(between), NEAR_M**2)
+        away = dr.sqrt(square)
+        light = mi.luminance(mi.Color3f(*row[12:15]))
+        return light * self.lamps.sent(row, between / away) * dr.exp(-dr.opaque(mi.Float, self.sigma_t) * away) / square
+
+    def seen(self, tracer: Any, air: Any) -> Choice:
+        """Chances by tile of the view: what each lamp sends along rays through it, scattered once.
+
+        Args:
+            tracer: the `FogPath` whose camera looks.
+            air: the fog.
+        """
+        mi = backend.mitsuba()
+        columns, rows = TILES
+        count = columns * rows * RAYS
+        index = np.arange(count)
+        tile, ray_number = index // RAYS, index % RAYS
+        jitter = np.stack([ray_number % 2, ray_number // 2], axis=1) * 0.5 + 0.25
+        u, v = (tile % columns + jitter[:, 0]) / columns, (tile // columns + jitter[:, 1]) / rows
+        place = mi.Point2f(u.astype(np.float32), v.astype(np.float32))
+        ray, _ = tracer.ray_through(place, _Middle(), mi.Bool(True))
+        si = tracer.loaded.scene.ray_intersect_preliminary(ray, False)
+        near, far = air.span(ray.o, ray.d)
+        stop = dr.maximum(dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far), near)
+        dr.eval(ray, near, stop)
+        found = np.zeros((columns * rows, self.lamps.count))
+        for number in range(self.lamps.count):
+            light = self._along(dr.opaque(mi.UInt32, number), ray, near, stop, air)
+            found[:, number] = np.array(light, dtype=np.float64).reshape(-1, RAYS).mean(axis=1)
+        return Choice(found, self.lamps.even)
+
+    @dr.syntax
+    def _along(self, number: Any, ray: Any, begin: Any, end: Any, air: Any) -> Any:
+        """One lamp's light scattered once into rays, by midpoints that are even in the angle at the lamp."""
+        mi = backend.mitsuba()
+        lamp = mi.Point3f(*[dr.gather(mi.Float, column, number) for column in self.table[0:3]])
+        nearest = dr.dot(lamp - ray.o, ray.d)
+        height = dr.maximum(dr.norm(lamp - (ray.o + ray.d * nearest)), 0.1)
+        low, high = dr.atan((begin - nearest) / height), dr.atan((end - nearest) / height)
+        total, step = mi.Float(0.0), mi.UInt32(0)
+        while step < dr.opaque(mi.UInt32, NODES):
+            angle = dr.lerp(low, high, (mi.Float(step) + 0.5) / NODES)
+            distance = dr.clip(nearest + height * dr.tan(angle), begin, end)
+            place = ray.o + ray.d * distance
+            towards = dr.normalize(place - lamp)
+            jacobian = (height * height + dr.square(distance - nearest)) / height
+            dimmed = dr.exp(-air.depth_within(ray.o, ray.d, begin, distance)) * air.phase.value(-dr.dot(towards, ray.d))
+            total += self._sent(number, place) * dimmed * jacobian
+            step += 1
+        return total * (high - low)
+
+
+class _Middle:
+    """A sampler that always says one half."""
+
+    def next_2d(self, active: Any = True) -> Any:  # a sampler's signature
+        return backend.mitsuba().Point2f(0.5)
+
+
+def _representative(block: Array) -> Array:
+    """One row for all rows of a lamp."""
+    light = block[:, 12:15].sum(axis=1)
+    row = block[int(np.argmax(light))].copy()
+    if len(block) == 1:
+        return row
+    row[12:15] = block[:, 12:15].sum(axis=0)
+    if row[17] > 0.5:  # the channels of one table
+        return row
+    share = light / light.sum()
+    row[0:3] = share @ (block[:, 0:3] + (block[:, 3:6] + block[:, 6:9]) / 3.0)
+    axis = share @ block[:, 9:12]
+    lean = float(np.linalg.norm(axis))
+    if lean < 0.5:  # it shines all around
+        row[9:12], row[12:15], row[15:18] = (0.0, 0.0, 1.0), row[12:15] / 4.0, (1e9, 1.0, 1.0)
+    else:
+        row[9:12] = axis / lean
+    return row

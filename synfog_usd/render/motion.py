@@ -1,0 +1,36 @@
+"""A camera that moves while it exposes: each ray at a moment of its own.
+
+Takes rays of the camera as it stands in the middle of the exposure; gives them as
+they are at another moment.  Knows nothing of what the camera sees.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from synfog_usd.render import backend
+from synfog_usd.scene import Camera
+
+
+def moved(ray: Any, camera: Camera, u: Any) -> Any:
+    """A ray of a camera that moves while it exposes, at the share `u` of the exposure (Cook, Porter and Carpenter 1984)."""
+    mi = backend.mitsuba()
+    since = u - 0.5
+    eye, drift = mi.Point3f(camera.to_world[:3, 3].tolist()), mi.Vector3f(list(camera.drift_m))
+    angle = float(np.linalg.norm(camera.turn_rad))
+    ray = mi.Ray3f(ray)
+    arm = ray.o - eye
+    if angle > 0.0:
+        axis = mi.Vector3f((np.array(camera.turn_rad) / angle).tolist())
+        ray.d, arm = _turned(ray.d, axis, angle * since), _turned(arm, axis, angle * since)
+    ray.o = eye + drift * since + arm
+    return ray
+
+
+def _turned(way: Any, axis: Any, angle: Any) -> Any:
+    """A vector turned about an axis (Rodrigues)."""
+    sine, cosine = dr.sincos(angle)
+    return way * cosine + dr.cross(axis, way) * sine + axis * (dr.dot(axis, way) * (1.0 - cosine))

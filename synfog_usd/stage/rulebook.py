@@ -1,0 +1,196 @@
+"""The rule book of `check`: every rule with its severity, its meaning and its way out in the common tools.
+
+Takes nothing; gives `RULES`, and findings of them.  What looks for them stands in `synfog_usd.stage.rules`
+and, where only the translation can see it, there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Literal
+
+Severity = Literal["info", "warning", "error"]
+TOOLS = ("Blender", "Houdini", "Omniverse")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One thing that can be wrong.
+
+    Attributes:
+        name: as it is printed.
+        severity: 'error' (a bake stops there), 'warning' (the picture will not be what
+            was meant), 'info' (worth knowing).
+        meaning: what is looked for, in one sentence.
+        mend: tool -> what to do there.
+    """
+
+    name: str
+    severity: Severity
+    meaning: str
+    mend: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong, and where.
+
+    Attributes:
+        severity: as the rule's.
+        path: prim path, or '' for the stage.
+        text: what was found and what to do.
+        rule: the rule's name; 'usd:...' for USD's own validators.
+        mend: tool -> what to do there; empty where the text says it all.
+    """
+
+    severity: Severity
+    path: str
+    text: str
+    rule: str = ""
+    mend: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}), compare=False)
+
+
+def _rule(name: str, severity: Severity, meaning: str, *mend: str) -> Rule:
+    return Rule(name, severity, meaning, MappingProxyType(dict(zip(TOOLS, mend, strict=True))))
+
+
+_LABEL_MEND = (
+    "give the object a custom property 'cityscapes' of type String, or use the panel Synfog of the extension (synfog-usd plugin-path --blender)",
+    "add a Labels LOP (or Edit Properties) for the token array semantics:labels:cityscapes",
+    "Semantics Schema Editor: add a label with the taxonomy 'cityscapes'",
+)
+_CUT_MEND = (
+    "move the camera or the fog box; lower Clip Start in the camera's properties",
+    "Camera LOP: lower the near clipping plane, or move one of the two",
+    "Camera > Clipping Range: lower the first number, or move one of the two",
+)
+
+RULES: Mapping[str, Rule] = MappingProxyType(
+    {
+        rule.name: rule
+        for rule in (
+            _rule(
+                "composition",
+                "error",
+                "A reference, payload or sublayer that USD cannot put in place.",
+                "export again with all linked files beside the USD file",
+                "check the file paths of Reference and Sublayer LOPs",
+                "File > Collect Asset copies all files into one folder",
+            ),
+            _rule(
+                "no-camera",
+                "error",
+                "Nothing to look with.",
+                "add a camera, and tick Cameras when exporting",
+                "add a Camera LOP",
+                "Create > Camera",
+            ),
+            _rule(
+                "refused",
+                "error",
+                "The translation refuses the stage; the text says why.",
+                "mend the prim that is named and export again",
+                "mend the prim that is named in an Edit Properties LOP",
+                "mend the prim that is named in the Property panel",
+            ),
+            _rule(
+                "fog-crosses",
+                "error",
+                "Two fog boundaries cut through each other, so that nobody can tell which fog is where.",
+                "scale or move one box until it lies wholly inside the other, or apart",
+                "Transform LOP on one of the boundaries",
+                "move or scale one of the boundaries",
+            ),
+            _rule("fog-cut", "error", "A fog's boundary lies between the camera and its near plane.", *_CUT_MEND),
+            _rule(
+                "camera-outside-fog",
+                "warning",
+                "A camera stands outside of every fog, so that it looks at a block of it.",
+                "enlarge the fog box until the camera is in it, or move the camera",
+                "Transform LOP on the fog, or on the camera",
+                "scale the fog's prim, or move the camera",
+            ),
+            _rule(
+                "units",
+                "warning",
+                "A road user whose size no such thing has; nearly always metersPerUnit or a forgotten scale.",
+                "Scene Properties > Units: set Unit Scale 1, apply the object's scale, and export with Meters per Unit 1",
+                "set metersPerUnit in a Configure Layer LOP, or scale the reference in its Transform",
+                "reference the asset with the unit correction that the stage offers, or set Stage Units in Layer properties",
+            ),
+            _rule(
+                "no-light",
+                "warning",
+                "Nothing shines: no light and no emissive material.",
+                "add a sun or a world colour, and tick Lights and World Dome Light when exporting",
+                "add a Dome Light or Distant Light LOP",
+                "Create > Light > Dome Light",
+            ),
+            _rule(
+                "light-bright",
+                "warning",
+                "A light that no lamp, sky or sun on a road is; the exposure will follow it and leave the rest black.",
+                "lower the light's Power; its unit is watts",
+                "lower Intensity and Exposure of the light, or switch Normalize off",
+                "lower Intensity and Exposure in the light's properties",
+            ),
+            _rule(
+                "light-dim",
+                "info",
+                "Less light than a full moon gives; numbers around 1 are usual in tools that do not count in nits.",
+                "raise the sun's Strength and the world's",
+                "raise Exposure: an overcast noon is 2 000 to 10 000 nits",
+                "raise Intensity: an overcast noon is 2 000 to 10 000 nits",
+            ),
+            _rule(
+                "dome-pole",
+                "warning",
+                "A sky map whose top does not point up: the horizon stands on edge.",
+                "export with the version's own axes (Z up); Blender turns its world for it",
+                "use DomeLight_1 with poleAxis 'scene', or rotate the light",
+                "rotate the dome light by 90 degrees about X in a Z-up stage",
+            ),
+            _rule(
+                "variant-shadowed",
+                "warning",
+                "A variant of fog or lighting that changes nothing, because a value on the prim itself wins.",
+                "write variants with the panel Synfog of the extension (synfog-usd plugin-path --blender)",
+                "author the value only within the variant (Begin/Add Variant LOPs)",
+                "clear the local value while no variant edit target is active",
+            ),
+            _rule("label-unknown", "warning", "A label that Cityscapes does not have; it counts as unlabeled.", *_LABEL_MEND),
+            _rule(
+                "road-user-unlabelled",
+                "warning",
+                "A car, cyclist or person by its name that has no label, and so is missing in the ground truth.",
+                *_LABEL_MEND,
+            ),
+            _rule("unlabelled", "info", "Shapes without a label; they are 'unlabeled' in the ground truth.", *_LABEL_MEND),
+            _rule(
+                "no-fog",
+                "info",
+                "The stage has no fog of its own; `bake --fog mor150` makes a layer.",
+                "add a box around everything with the panel Synfog of the extension (synfog-usd plugin-path --blender), or a custom property synfog:fog:mor",
+                "a Cube with the applied schema SynFogMediumAPI and synfog:fog:mor",
+                "a Cube with an attribute synfog:fog:mor (Add > Attribute, float)",
+            ),
+            _rule(
+                "fog-solid",
+                "info",
+                "A fog boundary that other renderers draw as a solid box, because its purpose is not guide.",
+                "use the panel Synfog of the extension, which sets it on export",
+                "Configure Primitive LOP: purpose guide",
+                "Property panel > Purpose: guide",
+            ),
+        )
+    }
+)
+"""Every rule by name, gravest first."""
+
+
+def finding(name: str, path: str, text: str) -> Finding:
+    """A finding of a rule of ours."""
+    rule = RULES[name]
+    return Finding(rule.severity, path, text, name, rule.mend)

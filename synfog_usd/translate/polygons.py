@@ -1,0 +1,180 @@
+"""Polygons as triangles, also concave ones.
+
+Takes points and faces; gives corner numbers.  Knows nothing of USD.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.translate.geometry import cross
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+
+def triangulate(points: Array, counts: Indices, starts: Indices, indices: Indices, keep: npt.NDArray[np.bool_]) -> tuple[Indices, Indices]:
+    """Triangles of simple polygons, also concave ones.
+
+    Args:
+        points: (N, 3).
+        counts, starts: corners of each face, and its first corner.
+        indices: point of each corner.
+        keep: (F,) faces to take.
+
+    Returns:
+        (M, 3) corner numbers in the order of the faces, and (M,) the face of each.
+    """
+    found: list[tuple[Indices, Indices]] = []
+    sizes = [int(counts[0])] if counts.min() == counts.max() else np.unique(counts[keep])
+    for n in sizes:
+        if n < 3:
+            continue
+        faces = np.flatnonzero(keep & (counts == n))
+        corners = starts[faces][:, None] + np.arange(n)
+        if n == 3:
+            found.append((corners, faces))
+            continue
+        if n == 4 and are_easy(points[indices[corners]]).all():
+            found.append((corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), np.repeat(faces, 2)))
+            continue
+        reflex = _turning(points[indices[corners]]) < 0.0
+        fan, easy, hard = corners, faces, faces[:0]
+        if reflex.any():
+            concave = reflex.any(axis=1)
+            if n == 4:  # its one reflex corner sees both others
+                order = (np.arange(n) + np.where(concave, reflex.argmax(axis=1), 0)[:, None]) % n
+                fan = np.take_along_axis(corners, order, axis=1)
+            else:
+                fan, easy, hard = corners[~concave], faces[~concave], np.flatnonzero(concave)
+        fans = np.stack([np.repeat(fan[:, :1], n - 2, axis=1), fan[:, 1:-1], fan[:, 2:]], axis=-1).reshape(-1, 3)
+        found.append((fans, np.repeat(easy, n - 2)))
+        for number in hard:
+            ears = corners[number][_ears(points[indices[corners[number]]])]
+            found.append((ears, np.full(len(ears), faces[number])))
+    if not found:
+        return np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.int64)
+    if len(found) == 1:
+        return found[0]
+    triangles, face_of = np.concatenate([t for t, _ in found]), np.concatenate([f for _, f in found])
+    order = np.argsort(face_of, kind="stable")
+    return triangles[order], face_of[order]
+
+
+SMALL = 512
+"""Corners of a mesh up to which its topology is remembered: props come in many copies."""
+
+
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """The faces of a mesh, and what follows from them whatever its points are.
+
+    Attributes:
+        counts, indices: int64, corners of each face and point of each corner.
+        highest: highest point that a face names; no mesh has as many points where counts and indices do not fit.
+        triangles, face_of: as `triangulate` gives them where no quad is concave; None for faces of other sizes.
+        faces: (M, 3) uint32, the triangles by point; None with them.
+        quads: (Q, 4) points of the quads, which must be looked at; None where there is none.
+    """
+
+    counts: Indices
+    indices: Indices
+    highest: int
+    triangles: Indices | None = None
+    face_of: Indices | None = None
+    faces: npt.NDArray[np.uint32] | None = None
+    quads: Indices | None = None
+
+
+_NO_MESH = 1 << 62
+
+
+def topology(counts: Indices, indices: Indices) -> Topology:
+    """What a mesh's counts and indices say; one object for all small meshes that share them."""
+    return _remembered(counts.tobytes(), indices.tobytes()) if len(indices) <= SMALL else Topology(counts, indices, _highest(counts, indices))
+
+
+def _highest(counts: Indices, indices: Indices) -> int:
+    fits = len(indices) and counts.min() >= 0 and counts.sum() == len(indices) and indices.min() >= 0
+    return int(indices.max()) if fits else _NO_MESH
+
+
+@functools.lru_cache(maxsize=1024)
+def _remembered(count_bytes: bytes, index_bytes: bytes) -> Topology:
+    counts, indices = np.frombuffer(count_bytes, dtype=np.int64), np.frombuffer(index_bytes, dtype=np.int64)
+    highest = _highest(counts, indices)
+    if highest == _NO_MESH or not (counts == counts[0]).all() or counts[0] not in (3, 4):
+        return Topology(counts, indices, highest)
+    corners = np.arange(len(indices)).reshape(-1, int(counts[0]))
+    if counts[0] == 3:
+        return Topology(counts, indices, highest, corners, np.arange(len(counts)), indices.reshape(-1, 3).astype(np.uint32))
+    triangles = corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    return Topology(counts, indices, highest, triangles, np.repeat(np.arange(len(counts)), 2), indices[triangles].astype(np.uint32), indices.reshape(-1, 4))
+
+
+@functools.lru_cache(maxsize=1024)
+def triangulate_small(points: bytes, counts: bytes, indices: bytes) -> tuple[Indices, Indices]:
+    """`triangulate` of all faces of a mesh, given by the bytes of its arrays."""
+    numbers = np.frombuffer(counts, dtype=np.int64)
+    keep = np.ones(len(numbers), dtype=bool)
+    return triangulate(np.frombuffer(points).reshape(-1, 3), numbers, np.cumsum(numbers) - numbers, np.frombuffer(indices, dtype=np.int64), keep)
+
+
+def are_easy(quads: Array) -> npt.NDArray[np.bool_]:
+    """(F,) whether quads (F, 4, 3) are convex without doubt: each corner turns the way of the others."""
+    edges = quads[:, _NEXT] - quads
+    turn = cross(edges[:, _BEFORE], edges)
+    return np.asarray((np.einsum("fi,fki->fk", turn[:, 0] + turn[:, 2], turn) > 0.0).all(axis=1))
+
+
+_NEXT, _BEFORE = [1, 2, 3, 0], [3, 0, 1, 2]
+
+
+def _turning(polygons: Array) -> Array:
+    """(F, n): how far each corner turns to the left as seen from the face's normal (Newell); < 0 is reflex."""
+    order = np.arange(polygons.shape[1])
+    edges = polygons[:, np.append(order[1:], 0)] - polygons
+    arms = polygons - polygons[:, :1]
+    normal = cross(arms[:, 1:-1], arms[:, 2:]).sum(axis=1)
+    turn = np.einsum("fni,fi->fn", cross(edges[:, order - 1], edges), normal)
+    limit = 1e-9 * np.einsum("fi,fi->f", normal, normal)
+    return np.where(np.abs(turn) <= limit[:, None], 0.0, turn)
+
+
+def _ears(polygon: Array) -> Indices:
+    """Ear clipping of one simple polygon (n, 3); (n - 2, 3) corner numbers."""
+    arms = polygon - polygon[0]
+    normal = cross(arms[1:-1], arms[2:]).sum(axis=0)
+    axis = int(np.argmax(np.abs(normal)))
+    flat = np.delete(polygon, axis, axis=1)
+    if (normal[axis] < 0) != (axis == 1):
+        flat = flat * [-1.0, 1.0]
+    left, triangles = list(range(len(flat))), []
+    while len(left) > 3:
+        best, best_quality = None, -np.inf
+        for place, middle in enumerate(left):
+            before, after = left[place - 1], left[(place + 1) % len(left)]
+            a, b, c = flat[before], flat[middle], flat[after]
+            area = _cross2(b - a, c - b)
+            if area <= 0.0:
+                continue
+            others = flat[[k for k in left if k not in (before, middle, after)]]
+            inside = (_cross2(b - a, others - a) >= 0) & (_cross2(c - b, others - b) >= 0) & (_cross2(a - c, others - c) >= 0)
+            same = (np.abs(others[:, None] - np.array([a, b, c])[None]).max(axis=2) == 0).any(axis=1)
+            if not (inside & ~same).any():
+                quality = area / max(np.sum((b - a) ** 2), np.sum((c - b) ** 2), np.sum((a - c) ** 2))
+                if quality > best_quality:
+                    best, best_quality = place, quality
+        place = best if best is not None else 0  # no ear: the polygon cuts itself or has no area
+        triangles.append((left[place - 1], left[place], left[(place + 1) % len(left)]))
+        del left[place]
+    return np.array([*triangles, tuple(left)], dtype=np.int64)
+
+
+def _cross2(u: Array, v: Array) -> Any:
+    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]

@@ -1,0 +1,157 @@
+"""Leaves as shapes in the scene's words: meshes and spheres with a finish each.
+
+Takes a leaf and its place; gives its shapes and what they emit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from pxr import Usd
+
+from synfog_usd.translate import curves, geometry, light
+from synfog_usd.translate.bindings import Bindings, varies
+from synfog_usd.translate.convention import Chooser
+from synfog_usd.translate.geometry import Triangles
+from synfog_usd.translate.implicit import read_implicit
+from synfog_usd.translate.material import DISPLAY, LUMINANCE, Finish, Materials
+from synfog_usd.translate.mesh import Arrays, look_at_quads, read_arrays, read_mesh
+from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.nurbs import read_patch
+from synfog_usd.translate.space import Array, is_similarity
+from synfog_usd.translate.walk import CURVES, MESHES, Leaf
+
+Part: TypeAlias = tuple[dict[str, Any], dict[str, Any] | None, float]
+"""A shape, its emission or None, and the luminance of that."""
+
+
+class Shapes:
+    """Makes the shapes of leaves."""
+
+    def __init__(self, time: Usd.TimeCode, notes: Notebook, materials: Materials, bindings: Bindings, chooser: Chooser, metres_per_unit: float) -> None:
+        self.time, self.notes, self.materials, self.bindings, self.chooser = time, notes, materials, bindings, chooser
+        self.metres_per_unit = metres_per_unit
+        self.ahead: dict[str, Arrays] = {}
+
+    def look_ahead(self, leaves: Iterable[Leaf]) -> None:
+        """Read the meshes that are wanted next; those of one topology are looked at together."""
+        self.ahead = {leaf.path: read_arrays(leaf.prim, self.time, leaf.authored) for leaf in leaves if leaf.kind in MESHES}
+        look_at_quads(self.ahead.values())
+
+    def parts(self, leaf: Leaf, matrix: Array) -> list[Part]:
+        """Shapes of a leaf with their emission and its luminance; empty where it cannot be drawn."""
+        if geometry.determinant(matrix) == 0.0:
+            self.notes.warn(leaf.path, "a shape scaled to nothing is left out")
+            return []
+        kind = leaf.kind
+        if kind not in MESHES:
+            return self._implicit(leaf, kind, matrix)
+        return self._mesh(leaf, matrix)
+
+    def _implicit(self, leaf: Leaf, kind: str, matrix: Array) -> list[Part]:
+        finish = self.bindings.finish_of(leaf, leaf.path, varying_color=False)
+        textured = kind == "NurbsPatch" and finish.uv is not None
+        key = finish.key if textured else finish.plain or finish.key
+        if finish.plain is not None and not textured:
+            self.notes.warn(leaf.path, f"a {kind} has no texture coordinates; its textures are drawn as one colour")
+        emission = None if finish.uv is not None and not textured and finish.emission and finish.emission["type"] == "bitmap" else finish.emission
+        if kind == "Sphere" and is_similarity(matrix) and not finish.colored:
+            radius = float(leaf.prim.GetAttribute("radius").Get(self.time)) * abs(np.linalg.det(matrix[:3, :3])) ** (1.0 / 3.0)
+            if not radius > 0.0:
+                self.notes.warn(leaf.path, "a Sphere without radius is left out")
+                return []
+            shape = {"type": "sphere", "center": [float(x) for x in matrix[:3, 3]], "radius": float(radius), "bsdf": {"type": "ref", "id": key}}
+            return [(shape, emission, finish.emission_nits)]
+        if kind in CURVES or kind in ("Points", "NurbsPatch"):
+            own = self._swept(leaf, kind)
+            if own is None:
+                return []
+            if own.colors is not None and self.bindings.is_bare(leaf):
+                finish = self.materials.vertex_colored()
+                key = finish.key
+        else:
+            own = read_implicit(leaf.prim, kind, self.time)
+        if textured and finish.uv is not None and own.texcoords is not None:
+            onto = np.array(finish.uv.matrix)
+            own = replace(own, texcoords=own.texcoords @ onto[:, :2].T + onto[:, 2])
+        made = geometry.placed(own, matrix)
+        if not geometry.area(made) > 0.0:
+            self.notes.warn(leaf.path, f"a {kind} without surface is left out")
+            return []
+        if finish.colored and made.colors is None:
+            made = replace(made, colors=np.tile(self.bindings.plain_color(leaf, finish), (len(made.positions), 1)))
+        return [(geometry.mesh_shape(made, key, textured=textured, colored=finish.colored), emission, finish.emission_nits)]
+
+    def _swept(self, leaf: Leaf, kind: str) -> Triangles | None:
+        if kind == "Points":
+            return curves.read_points(leaf.prim, self.time, self.notes)
+        if kind == "NurbsPatch":
+            return read_patch(leaf.prim, self.time, self.notes)
+        return curves.read_curves(leaf.prim, kind, self.time, self.notes)
+
+    def _mesh(self, leaf: Leaf, matrix: Array) -> list[Part]:
+        prim = leaf.prim
+        subsets = self.bindings.subsets(leaf)
+        by_point = varies(leaf)
+        own = self.bindings.finish_of(leaf, leaf.path, varying_color=by_point)
+        finishes = [own, *[finish for _, finish in subsets]]
+        uv = next((finish.uv for finish in finishes if finish.uv is not None), None)
+        if any(finish.uv not in (None, uv) for finish in finishes):
+            self.notes.warn(prim.GetPath(), "materials on this mesh read different texture coordinates; the first one's are used for all")
+        reads = {finish.reads: None for finish in finishes if finish.colored} or {DISPLAY: None}
+        if len(reads) > 1:
+            self.notes.warn(prim.GetPath(), f"materials on this mesh read the colours {', '.join(reads)}; the first one's are used for all")
+        color = next(iter(reads))
+        polygons = read_mesh(prim, self.time, self.notes, uv, color=color, arrays=self.ahead.get(leaf.path))
+        if polygons is None:
+            return []
+        if color == DISPLAY and not by_point:
+            polygons.attributes.pop("color", None)
+        smooth = geometry.point_normals(polygons) if polygons.smooth else None
+        taken = np.zeros(int(polygons.face_of.max()) + 1 if subsets else 0, dtype=bool)
+        chosen: list[tuple[np.ndarray | None, Finish]] = []
+        for faces, finish in subsets:
+            mask: np.ndarray = np.zeros_like(taken)
+            mask[faces[(faces >= 0) & (faces < len(taken))]] = True
+            mask &= ~taken
+            taken |= mask
+            chosen.append((mask, finish))
+        chosen.append((None if not subsets else ~taken, own))
+        result = []
+        for wearers, finish in chosen:
+            triangles = geometry.part(polygons, wearers, smooth_normals=smooth)
+            if triangles is None:
+                continue
+            triangles = geometry.placed(triangles, matrix)
+            textured = finish.uv is not None and triangles.texcoords is not None
+            key = finish.key
+            if textured and finish.unsaid and triangles.texcoords is not None and np.abs(triangles.texcoords - 0.5).max() > 0.501:
+                self.notes.warn(
+                    prim.GetPath(), "texture coordinates leave the square, where a texture without wrapS and wrapT is black; author 'repeat' to tile it"
+                )
+            emission, nits = finish.emission, finish.emission_nits
+            if finish.uv is not None and not textured:
+                self.notes.warn(prim.GetPath(), f"mesh without the texture coordinates {finish.uv.primvar!r}; its textures are drawn as one colour")
+                key = finish.plain or key
+                if emission is not None and emission["type"] == "bitmap":
+                    emission = None
+            if finish.colored and triangles.colors is None:
+                triangles = replace(triangles, colors=np.tile(self.bindings.plain_color(leaf, finish), (len(triangles.positions), 1)))
+            shape = geometry.mesh_shape(triangles, key, textured=textured, colored=finish.colored)
+            if "MeshLightAPI" in leaf.schemas:
+                shape, emission, nits = self._mesh_light(leaf, shape, triangles)
+            result.append((shape, emission, nits))
+        return result
+
+    def _mesh_light(self, leaf: Leaf, shape: dict[str, Any], triangles: Triangles) -> Part:
+        metres, convention = self.metres_per_unit, self.chooser.of(leaf.prim)
+        radiance = light.mesh_light(leaf.prim, self.time, geometry.area(triangles), self.notes, metres_per_unit=metres, convention=convention)
+        sync = leaf.prim.GetAttribute("light:materialSyncMode")
+        if sync and sync.Get() == "noMaterialResponse":
+            shape = {**shape, "bsdf": {"type": "ref", "id": self.materials.black().key}}
+        if not radiance.max() > 0.0:
+            return shape, None, 0.0
+        return shape, {"type": "rgb", "value": [float(c) for c in radiance]}, float(LUMINANCE @ radiance)

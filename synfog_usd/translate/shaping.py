@@ -1,0 +1,175 @@
+"""Shaping: how a cone, a focus and a photometric file spread the light of a lamp.
+
+Takes UsdLux's shaping inputs of a light; gives a table of factors by direction.
+Follows the UsdLux specification since 25.05.  Knows nothing of radiance and places.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pxr import Ar, UsdLux
+
+from synfog_usd.errors import StageError
+from synfog_usd.translate import ies
+from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.space import Array
+
+
+@dataclass(frozen=True)
+class Shaping:
+    """How a light is narrowed.
+
+    Attributes:
+        cone: (cutoff, beam width) [deg], or None where no cone is.
+        softness: of the cone, 0 to 1.
+        focus, tint: exponent of the cosine off the axis, and what colour is left there.
+        profile: photometry, with `scale` [1 / cd] to multiply, or None.
+        angle_scale: of its vertical angles, see `_scaled_angle`.
+    """
+
+    cone: tuple[float, float] | None
+    softness: float = 0.0
+    focus: float = 0.0
+    tint: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    profile: ies.Photometry | None = None
+    scale: float = 1.0
+    angle_scale: float = 0.0
+
+    @property
+    def plain(self) -> bool:
+        """Whether a cone is all there is."""
+        return self.profile is None and self.focus <= 0.0
+
+
+def read_shaping(inputs: Any, path: object, notes: Notebook) -> Shaping | None:
+    """What narrows a light, or None where it shines everywhere.
+
+    Source: UsdLux 25.05, ShapingAPI.
+    """
+    if not inputs.prim.HasAPI(UsdLux.ShapingAPI) and all(inputs.get(f"shaping:{name}", None) is None for name in ("cone:angle", "ies:file", "focus")):
+        return None
+    cutoff = float(inputs.get("shaping:cone:angle", 90.0))
+    softness = min(max(float(inputs.get("shaping:cone:softness", 0.0)), 0.0), 0.999)
+    cone = None if not cutoff < 180.0 else (max(cutoff, 0.1), max(cutoff, 0.1) * (1.0 - softness))
+    focus = float(inputs.get("shaping:focus", 0.0))
+    tint = inputs.get("shaping:focusTint", (0.0, 0.0, 0.0))
+    profile, asset = None, inputs.get("shaping:ies:file", None)
+    if authored := getattr(asset, "path", ""):
+        profile = _photometry(getattr(asset, "resolvedPath", "") or "", authored, path, notes)
+    if cone is None and profile is None and not focus > 0.0:
+        return None
+    scale = 1.0
+    if profile is not None and inputs.get("shaping:ies:normalize", False):
+        flux = profile.flux_lm()
+        around = 4.0 * math.pi if profile.vertical_deg[-1] > 90.0 else 2.0 * math.pi  # a profile of one hemisphere leaves the other out
+        scale = around / flux if flux > 0.0 else 0.0
+    return Shaping(
+        cone=cone,
+        softness=softness,
+        focus=focus if focus > 0.0 and math.isfinite(focus) else 0.0,
+        tint=(float(tint[0]), float(tint[1]), float(tint[2])),
+        profile=profile,
+        scale=scale,
+        angle_scale=float(inputs.get("shaping:ies:angleScale", 0.0)),
+    )
+
+
+def _photometry(file: str, authored: str, path: object, notes: Notebook) -> ies.Photometry | None:
+    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(file)) if file else None
+    if asset is None:
+        notes.warn(path, f"IES profile {authored} is not found; only the cone is drawn")
+        return None
+    try:
+        return ies.parse(bytes(asset.GetBuffer()) if asset.GetSize() <= ies.MAX_BYTES else b"", authored)
+    except StageError as error:
+        notes.warn(path, f"IES profile is not drawn, only the cone is: {error}")
+        return None
+
+
+def _shone(shaping: Shaping, local: Array) -> Array:
+    """(..., 3) factors by focus and profile on the light in directions (..., 3) of its own frame, which looks along -Z."""
+    cosine = np.clip(-local[..., 2], -1.0, 1.0)
+    angle = np.degrees(np.arctan2(np.hypot(local[..., 0], local[..., 1]), cosine))
+    factor = np.ones((*cosine.shape, 3))
+    if shaping.focus > 0.0:
+        fall = np.abs(cosine) ** shaping.focus
+        factor *= fall[..., None] + (1.0 - fall[..., None]) * np.array(shaping.tint)
+    if shaping.profile is not None:
+        turn = np.degrees(np.arctan2(local[..., 1], local[..., 0]))
+        factor *= (shaping.scale * shaping.profile.at(_scaled_angle(angle, shaping.angle_scale), turn))[..., None]
+    return factor
+
+
+def _scaled_angle(angle_deg: Array, scale: float) -> Array:
+    """Vertical angle [deg] in the profile, drawn out from its top (180) by 1 + `angleScale`.
+
+    Source: hdEmbree, OpenUSD's reference for lights since 24.11 (pxrIES), as RenderMan has it.
+    """
+    return np.asarray(np.clip((angle_deg - 180.0) / max(1.0 + scale, 1e-3) + 180.0, 0.0, 180.0))
+
+
+def _coned(shaping: Shaping, angle_deg: Array) -> Array:
+    """Factor of the cone at angles off the axis: 1 - smoothstep from its beam width to its cutoff."""
+    if shaping.cone is None:
+        return np.ones_like(angle_deg)
+    cutoff, beam = shaping.cone
+    t = np.clip((angle_deg - beam) / max(cutoff - beam, 1e-9), 0.0, 1.0)
+    return np.asarray(np.where(angle_deg > cutoff, 0.0, 1.0 - t * t * (3.0 - 2.0 * t)))
+
+
+def as_ball(local: Array) -> Array:
+    """A ball is seen alike from everywhere."""
+    return np.ones(local.shape[:-1])
+
+
+def as_card(local: Array) -> Array:
+    """A card that looks along -Z is seen by the cosine, and not from behind."""
+    return np.asarray(np.maximum(-local[..., 2], 0.0))
+
+
+def as_tube(local: Array) -> Array:
+    """The side of a tube along X is seen by the sine of the angle to it."""
+    return np.asarray(np.hypot(local[..., 1], local[..., 2]))
+
+
+STEP_DEG = 0.25
+"""Of a lamp's table, off the axis; a beam's cut-off is 0.5 degrees wide at the least."""
+
+
+def _columns(shaping: Shaping, seen: Callable[[Array], Array]) -> int:
+    """Of a lamp's table: one where nothing depends on the turn about its axis, else every degree, or half of one where the profile is finer."""
+    turns = np.zeros(1) if shaping.profile is None else shaping.profile.horizontal_deg
+    if len(turns) == 1:
+        return 360 if seen is as_tube else 1
+    return 360 if np.allclose(turns, np.round(turns), atol=1e-6) else 720
+
+
+def luminous_flux(candela: Array) -> Array:
+    """Flux [lm] of a table (V, H) of candela, between whose nodes it is linear in both angles."""
+    step = math.pi / (len(candela) - 1)
+    angle = np.arange(len(candela)) * step
+    ring = 2.0 * np.sin(angle) * (1.0 - math.cos(step)) / step
+    ring[[0, -1]] = 1.0 - math.sin(step) / step
+    return np.asarray(2.0 * math.pi * (ring @ candela.mean(axis=1)))
+
+
+def table_of(shaping: Shaping, seen: Callable[[Array], Array]) -> Array:
+    """(V, H, 3) factors on a light's intensity in all directions, laid out as the renderer's `luminaire` has it.
+
+    Args:
+        seen: the surface's extent in directions (..., 3) of the light's own frame, as a share of its largest.
+    """
+    angle = np.arange(0.0, 180.0 + STEP_DEG / 2.0, STEP_DEG)
+    columns = _columns(shaping, seen)
+    turn = np.arange(columns) * (2.0 * np.pi / columns)
+    polar = np.radians(angle)[:, None]
+    # the emitter's frame is the light's own, turned half about Y
+    ways = np.stack([-np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.broadcast_to(-np.cos(polar), (len(angle), columns))], axis=-1)
+    around = STEP_DEG * ((np.arange(32) + 0.5) / 32.0 - 0.5)  # an edge between two rows: each takes its share
+    cone = _coned(shaping, np.abs(angle[:, None] + around)).mean(axis=1)
+    return np.asarray(_shone(shaping, ways) * (seen(ways) * cone[:, None])[..., None])

@@ -1,0 +1,70 @@
+"""Spectra that stand on lights and materials as `synfog:spectrum:*`.
+
+Takes a prim; gives a spectrum on `photometry.WAVELENGTHS_NM`, or None with a
+warning where what is authored is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pxr import Usd
+
+from synfog_usd import spectra
+from synfog_usd.errors import ParameterError
+from synfog_usd.scene import Array, base_colour, mean_colour
+from synfog_usd.translate.notes import Notebook
+
+
+def emission(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook) -> Array | None:
+    """Relative power of a light that names its spectrum, or None: its colour counts."""
+    return _authored(prim, spectra.EMISSION, time, notes, spectra.emission, most=np.inf)
+
+
+def reflectance(prim: Usd.Prim, bsdf: dict[str, Any], time: Usd.TimeCode, notes: Notebook) -> Array | None:
+    """Reflectance of a material that names its spectrum, or None: the colour counts.
+
+    Args:
+        prim: the material.
+        bsdf: as it is drawn; a spectrum takes the place of its base colour.  One that is named gets its tint, pairs are taken as they are.
+    """
+    if _value(prim, spectra.REFLECTANCE, time) is None:
+        return None
+    colour = base_colour(bsdf)
+    if colour is None:
+        notes.warn(prim.GetPath(), f"{spectra.REFLECTANCE} is not used: the material has no base colour of its own that is drawn")
+        return None
+
+    def named(name: str) -> Array:
+        own = mean_colour(colour)
+        return spectra.smooth(own) if name == spectra.PAINT else spectra.tinted(spectra.reflectance(name), own)
+
+    return _authored(prim, spectra.REFLECTANCE, time, notes, named, most=1.0)
+
+
+def _value(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Any:
+    """What is authored: a word, (N, 2) numbers, or whatever else; None where nothing is."""
+    attribute = prim.GetAttribute(name) or prim.GetAttribute(f"userProperties:{name}")
+    value = attribute.Get(time) if attribute and attribute.HasAuthoredValue() else None
+    if value is None or isinstance(value, str):
+        return value or None
+    return np.array(value)
+
+
+def _authored(prim: Usd.Prim, name: str, time: Usd.TimeCode, notes: Notebook, named: Callable[[str], Array], *, most: float) -> Array | None:
+    value = _value(prim, name, time)
+    if value is None:
+        return None
+    try:
+        if isinstance(value, str):
+            return named(value)
+        if value.dtype.kind not in "fiu":
+            raise ParameterError(f"{str(value)[:40]} is neither a name nor numbers")
+        return spectra.sampled(value, most=most)
+    except ParameterError as error:
+        notes.warn(
+            prim.GetPath(), f"{name}: {error} Its colour is used instead." if str(error).endswith("?") else f"{name}: {error}; its colour is used instead"
+        )
+        return None

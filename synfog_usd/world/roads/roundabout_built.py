@@ -1,0 +1,35 @@
+"""Everything that is made for a roundabout alone: surfaces, markings, signs, land, and plants that are sown."""
+
+from __future__ import annotations
+
+from synfog_usd.world.roads import roundabout_markings, roundabout_surface
+from synfog_usd.world.roads.land import Scatter
+from synfog_usd.world.roads.roundabout import Roundabout
+from synfog_usd.world.roads.roundabout_surface import LOOKS as LOOKS
+from synfog_usd.world.roads.structures import Built
+from synfog_usd.world.spec import WorldSpec
+
+NAMES = {"road": "Carriageway", "sidewalk": "Pavement", "terrain": "Verges"}
+TUFTS_PER_M2, TUFTS_M = 2.0, 32.0
+
+
+def built(spec: WorldSpec, junction: Roundabout) -> list[Built]:
+    """Parts by name, each with its Cityscapes label."""
+    made = [Built(NAMES[label], label, tuple(parts)) for label, parts in roundabout_surface.surface(junction, spec.built["asphalt"], seed=spec.scatter).items()]
+    painted = [*roundabout_markings.drawn(junction, give_way=spec.built["give_way"]), *roundabout_markings.worn(junction, seed=spec.scatter)]
+    made.append(Built("Markings", "road", tuple(painted)))
+    made.append(Built("Land", "terrain", (roundabout_surface.ground(junction),)))
+    return [*made, *roundabout_markings.signs(junction)]
+
+
+def scatters(spec: WorldSpec, junction: Roundabout) -> list[Scatter]:
+    """Woods, shrubs and tall grass."""
+    return roundabout_surface.sown(
+        junction,
+        seed=spec.scatter,
+        trees=spec.built["trees"],
+        trees_from_m=spec.built["trees_from_m"],
+        shrubs=spec.built["shrubs"],
+        tufts_per_m2=TUFTS_PER_M2 if spec.built["grass"] == "tufts" else 0.0,
+        within_m=TUFTS_M,
+    )

@@ -1,0 +1,268 @@
+"""Recipes of roundabouts: what may differ between draws, and one draw of it all.
+
+The language is that of roads (`parameters`), with sections for the circle and its
+arms in place of a line and a cross-section.  Rows stand along the kerbs: in along one
+arm, round the circle, out along the next.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.errors import RecipeError
+from synfog_usd.seeds import seed32, stream
+from synfog_usd.world.authoring import APERTURE
+from synfog_usd.world.draws import Amount, Names, check_schema, mapping, read_draws, read_fog, sections
+from synfog_usd.world.roads import recipe as roads
+from synfog_usd.world.roads import roundabout_movers as movers
+from synfog_usd.world.roads import rules
+from synfog_usd.world.roads.line import Line, bends
+from synfog_usd.world.roads.network import Land
+from synfog_usd.world.roads.parameters import PARAMETERS as ROADS
+from synfog_usd.world.roads.parameters import ROW as ROADS_ROW
+from synfog_usd.world.roads.parameters import Recipe, named, read_rows
+from synfog_usd.world.roads.roundabout import STRAIGHT_M, Roundabout, roundabout
+from synfog_usd.world.roads.roundabout_markings import GIVE_WAY
+from synfog_usd.world.roads.standing import NUDGE_M, NUDGES, look
+from synfog_usd.world.spec import Placement, View, WorldSpec
+from synfog_usd.yamlio import Located
+
+TRIES = 60
+APRON_LEAST_M = 0.8
+"""An apron narrower than that is none: no wheel would find it."""
+
+EGO = ("camera.height_m", "camera.fov_x_deg", "camera.headlights", "camera.rig", "camera.baseline_m", "road.asphalt", "road.wet")
+"""What of a straight road's parameters holds here too, beside whole sections."""
+PARAMETERS: dict[str, Amount | Names] = {
+    "circle.diameter_m": Amount(26.0, 60.0, 36.0),
+    "circle.ring_m": Amount(4.5, 9.0, 6.0),
+    "circle.apron_m": Amount(0.0, 4.0, 1.5),
+    "circle.mound_m": Amount(0.0, 2.5, 0.8),
+    "circle.corner_m": Amount(7.0, 25.0, 15.0),
+    "circle.give_way": Names(GIVE_WAY, "teeth"),
+    "circle.shrubs": Amount(0, 120, 30, whole=True),
+    "circle.trees": Amount(0, 6, 1, whole=True),
+    "circle.tree_models": Names(("*plant",), {"birch_tree": 1, "conifer": 1, "maple_tree": 1}),
+    "arms.count": Amount(3, 5, 4, whole=True),
+    "arms.apart_deg": Amount(40.0, 120.0, 62.0),
+    "arms.length_m": Amount(110.0, 600.0, 240.0),
+    "arms.lane_m": Amount(2.9, 4.2, 3.4),
+    "arms.island_m": Amount(2.0, 5.0, 3.2),
+    "arms.pavement_m": Amount(1.8, 4.5, 2.6),
+    "arms.zebra_m": Amount(7.2, 11.0, 8.2),
+    "arms.radius_m": Amount(60.0, 10000.0, 260.0),
+    "arms.turn_deg": Amount(-60.0, 60.0, 0.0),
+    "traffic.ring": Amount(0, 8, 2, whole=True),
+    "camera.before_m": Amount(14.0, 80.0, 28.0),
+    **{name: value for name, value in ROADS.items() if name.partition(".")[0] in ("sky", "rules", "people", "traffic", "land") or name in EGO},
+}
+"""What a recipe can say, by section and key, with what holds where it says nothing."""
+
+ROW: dict[str, Amount | Names] = {
+    **{key: value for key, value in ROADS_ROW.items() if key not in ("side", "start_m", "end_m", "from", "at")},
+    "from": Names(("kerb", "edge"), "edge"),
+    "beyond_m": Amount(0.0, 300.0, 0.0),
+    "until_m": Amount(0.0, 600.0, 600.0),
+}
+"""Keys of one row of things; it stands only where the circle is farther than `beyond_m` and nearer than `until_m`."""
+
+
+def read(root: Located, name: str) -> Recipe:
+    """A recipe of a roundabout from its YAML.
+
+    Raises:
+        RecipeError: with its place.
+    """
+    parameters = {key: named(parameter) for key, parameter in PARAMETERS.items()}
+    items = mapping(root, "a recipe", ("synfog", "world", "about", "rows", "fog", *sections(parameters)))
+    check_schema(items, root)
+    about = items.get("about")
+    if about is not None and not isinstance(about.value, str):
+        raise RecipeError(f"{about.place}: about is {about.plain()!r}; it takes one sentence")
+    rows = read_rows(items["rows"], ROW) if "rows" in items else ()
+    return Recipe(name, about.value if about else "A roundabout.", read_draws(items, parameters), (), rows, read_fog(items))
+
+
+# -- drawing
+
+
+def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
+    """One world of a recipe; the same seed gives the same.
+
+    Raises:
+        RecipeError: a rule cannot be met, or the arms find no room at the circle; says which, after TRIES tries.
+    """
+    hour = float(recipe.draws["traffic.hour"](stream(seed, "recipe", "traffic.hour")))
+
+    def value(name: str) -> Any:
+        return recipe.draws[name](stream(seed, "recipe", name), hour=hour)
+
+    junction = _junction(recipe, seed)
+    before = round(junction.radius + value("camera.before_m"), 2)
+    if before + 30.0 > junction.line.length:
+        raise RecipeError(
+            f"{recipe.name}: camera.before_m leaves less than 30 m of the arm's {junction.line.length:g} m behind the camera; raise arms.length_m"
+        )
+    fov = value("camera.fov_x_deg")
+    x, y, z, heading = junction.lane_pose(0, before, -1, -0.15)
+    focal = round(APERTURE / 2 / math.tan(math.radians(fov) / 2), 6)
+    view = View(x, y, round(z + value("camera.height_m"), 3), 90.6, round(heading + 0.8, 3), focal)
+    taken = rules.Occupied()
+    fixed = [*_island(recipe, junction, seed, value("circle.trees"), taken), *_signs(junction, taken), *_rows(recipe, junction, seed, taken)]
+    moving, least, seen = movers.in_sight(recipe, junction, seed, before, value, view, fov, fixed, taken)
+    if moving is None:
+        raise RecipeError(
+            f"{recipe.name}: rules.{least} cannot be met: {TRIES} tries gave at most {seen}; "
+            "ask for less, or raise traffic.per_hour, traffic.count, traffic.ring or people.count"
+        )
+    built = {"station": before, "give_way": value("circle.give_way"), "shrubs": value("circle.shrubs")}
+    return roads.assembled(recipe, seed, value, junction, view, [*fixed, *moving], built)
+
+
+def _junction(recipe: Recipe, seed: int) -> Roundabout:
+    """The circle and its arms; arms that find no room at it are drawn again."""
+    failed: RecipeError | None = None
+    for attempt in range(TRIES):
+
+        def value(name: str, *more: int, attempt: int = attempt) -> Any:
+            return recipe.draws[name](stream(seed, "recipe", name, *more, *([attempt] if attempt else [])))
+
+        count, apart = value("arms.count"), value("arms.apart_deg")
+        spare = 360.0 - count * apart
+        if spare < 0:
+            failed = RecipeError(f"arms.apart_deg {apart:.3g}: {count} arms do not find it in a circle; draw a smaller one or fewer arms.count")
+            continue
+        gaps = apart + spare * stream(seed, "recipe", "arms", "angles", attempt).dirichlet(np.full(count, 4.0))
+        headings = 180.0 + np.r_[0.0, np.cumsum(gaps)[:-1]]
+        length = round(value("arms.length_m"), 1)
+        lines = []
+        for arm, heading in enumerate(headings):
+            pieces = [(STRAIGHT_M if i == 0 else 15.0, value("arms.radius_m", arm, i), value("arms.turn_deg", arm, i)) for i in range(5)]
+            lines.append(Line(length, bends(pieces, length=length), origin=(0.0, 0.0, round(float(heading), 3))))
+        try:
+            return roundabout(
+                lines,
+                radius=round(value("circle.diameter_m") / 2, 3),
+                ring_m=round(value("circle.ring_m"), 3),
+                apron=round(value("circle.apron_m"), 3) if value("circle.apron_m") >= APRON_LEAST_M else 0.0,
+                mound=round(value("circle.mound_m"), 3),
+                lane_m=round(value("arms.lane_m"), 3),
+                half_island=round(value("arms.island_m") / 2, 3),
+                pavement=round(value("arms.pavement_m"), 3),
+                zebra_m=round(value("arms.zebra_m"), 3),
+                corner_m=round(value("circle.corner_m"), 3),
+                land=Land(round(value("land.hills_m"), 2), seed32(seed, "recipe", "land")),
+            )
+        except RecipeError as error:
+            failed = error
+    raise RecipeError(f"{recipe.name}: {failed}; {TRIES} tries")
+
+
+def _stood(junction: Roundabout, asset: str, x: float, y: float, heading: float, looks: dict[str, str] | None = None, size: float = 1.0) -> Placement:
+    """A thing on the ground at a place."""
+    found = rules.model(asset)
+    x, y, z = junction.stand(x, y)
+    return Placement(rules.prim_group(found), "", asset, x, y, round((heading + 180.0) % 360.0 - 180.0, 2), looks or {}, z=z, size=size)
+
+
+def _kept(found: list[Placement], taken: rules.Occupied, margin: float = 0.1) -> list[Placement]:
+    """Those that have room, in their order."""
+    kept = []
+    for p in found:
+        if taken.free(p, margin):
+            taken.add(p)
+            kept.append(p)
+    return kept
+
+
+def _island(recipe: Recipe, junction: Roundabout, seed: int, trees: int, taken: rules.Occupied) -> list[Placement]:
+    """Chevron boards on the middle island that face each arm, and trees on its top."""
+    found = []
+    for arm in junction.arms:
+        h = math.radians(arm.line.origin[2])
+        r = junction.island - 0.75
+        found.append(_stood(junction, "sign_chevron", -r * math.sin(h), r * math.cos(h), arm.line.origin[2]))
+    for number in range(trees):
+        rng = stream(seed, "recipe", "circle.tree", number)
+        asset = recipe.draws["circle.tree_models"](rng)
+        r, a = 0.45 * junction.island * math.sqrt(rng.random()), rng.uniform(0, 2 * math.pi)
+        size = min(1.0, 0.1 + junction.island / 12.0) * float(rng.uniform(0.55, 0.8))
+        found.append(_stood(junction, asset, r * math.cos(a), r * math.sin(a), float(rng.uniform(0, 360)), look(rng, rules.model(asset)), round(size, 3)))
+    return _kept(found, taken, 0.3)
+
+
+def _signs(junction: Roundabout, taken: rules.Occupied) -> list[Placement]:
+    """Give way at every entry, and the zebra's sign before it, on the right as one arrives; both face who does."""
+    found = []
+    for arm, road in enumerate(junction.arms):
+        for asset, s in (("sign_give_way", junction.radius + 3.6), ("sign_crossing", road.zebras[0] + 2.9)):
+            t = -(float(junction.edge(arm, -1, s)) + 0.6)
+            x, y = road.line.place(s, t)
+            u, _ = junction.across(x, y)
+            shift = 0.55 - float(u)  # the arc comes in at a slant
+            x, y = road.line.place(s, t - shift)
+            found.append(_stood(junction, asset, float(x), float(y), road.line.origin[2]))
+    return _kept(found, taken)
+
+
+def _rows(recipe: Recipe, junction: Roundabout, seed: int, taken: rules.Occupied) -> list[Placement]:
+    """Rows in their order, corner after corner; what has no room is left out."""
+    placed: list[Placement] = []
+    for number, row in enumerate(recipe.rows):
+        for corner in range(len(junction.arms)):
+            rng = stream(seed, "recipe", "rows", number, corner)
+            placed += _row(junction, corner, row.draws, rng, taken)
+    return placed
+
+
+def _row(junction: Roundabout, corner: int, draws: Any, rng: np.random.Generator, taken: rules.Occupied) -> list[Placement]:
+    line, span = junction.outline, junction.outline.span(corner)
+    base, normals = line.points[span], line.normals[span]
+    where, start = draws["from"](rng), None
+    beyond, until = junction.radius + float(draws["beyond_m"](rng)), junction.radius + float(draws["until_m"](rng))
+    placed: list[Placement] = []
+    out = (junction.pavement if where == "edge" else 0.0) + float(draws["out_m"](rng))
+    front = base + out * normals  # what stands end to end is measured where its front is
+    at = np.r_[0.0, np.cumsum(np.hypot(*np.diff(front, axis=0).T))]
+    while start is None or start < at[-1]:
+        asset, turned = draws["models"](rng), draws["turn"](rng)
+        found, size = rules.model(asset), round(float(draws["size"](rng)), 3)
+        extent = (found.width if turned in ("road", "back") else found.length) * size
+        step, gap = draws["step_m"](rng), float(draws["gap_m"](rng))
+        start = float(rng.random()) * (step or extent) if start is None else start
+        middle = start if step is not None else start + extent / 2
+        start += float(step) if step is not None else extent + gap
+        there, any_way, looks = rng.random() < draws["share"](rng), float(rng.uniform(0, 360)), look(rng, found)
+        more = float(draws["out_m"](rng)) + (junction.pavement if where == "edge" else 0.0) - out
+        if not there:
+            continue
+        for nudge in range(NUDGES if step is None else 1):
+            k = int(np.searchsorted(at, middle + NUDGE_M * nudge))
+            if k >= len(at):
+                break
+            (nx, ny), (x, y) = normals[k], front[k] + more * normals[k]
+            if not beyond <= math.hypot(*base[k]) <= until:
+                break
+            angle = {"road": math.atan2(nx, -ny), "back": math.atan2(-nx, ny), "traffic": math.atan2(-ny, -nx), "along": math.atan2(ny, nx)}
+            facing = round((math.degrees(angle[turned]) if turned in angle else any_way), 2)
+            p = Placement(rules.prim_group(found), "", asset, round(float(x), 3), round(float(y), 3), facing, looks, z=0.0, size=size)
+            if taken.free(p, 0.02 if found.group == "building" else 0.1) and _beside(junction, p, out + more):
+                taken.add(p)
+                placed.append(replace(p, z=junction.stand(p.x, p.y)[2]))
+                start += NUDGE_M * nudge if step is None else 0.0
+                break
+    return placed
+
+
+def _beside(junction: Roundabout, p: Placement, out: float) -> bool:
+    """Whether a thing keeps off the carriageways, off the pavements where it stands behind them, and off what is lowered for who crosses."""
+    corners = rules.footprint(p)
+    edges = np.concatenate([corners, (corners + np.roll(corners, 1, axis=0)) / 2])
+    u, kerb = junction.across(edges[:, 0], edges[:, 1])
+    if out >= junction.pavement:
+        return bool((u > junction.pavement + 0.02).all())
+    return bool((u > 0.12).all() and (kerb > 0.119).all())

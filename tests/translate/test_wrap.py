@@ -1,0 +1,118 @@
+"""Wrap modes: each direction's own, as a lookup in the bare picture says."""
+
+import numpy as np
+import OpenImageIO
+import pytest
+from pxr import Sdf, UsdGeom, UsdShade
+
+from synfog_usd.render import backend
+from synfog_usd.render.load import make_bsdf
+from synfog_usd.translate import translate
+from synfog_usd.translate.wrap import wrapped
+
+TYPES = Sdf.ValueTypeNames
+PICTURE = np.random.default_rng(7).uniform(0.1, 1.0, (3, 5, 1)).astype(np.float32)
+MODES = ("repeat", "mirror", "clamp", "black")
+OUTSIDE = np.array([0.05], dtype=np.float32)
+
+
+def texel(pixels, u, v, wraps):
+    """The texel of a picture (row 0 at the top) nearest to (u, v), by the words of the specification; None where it is black."""
+    found = []
+    for place, size, wrap in zip((u, v), pixels.shape[1::-1], wraps, strict=True):
+        number = int(np.floor(place * size))
+        if wrap == "black" and not 0 <= number < size:
+            return None
+        if wrap == "repeat":
+            number %= size
+        elif wrap == "mirror":
+            number = number % (2 * size)
+            number = number if number < size else 2 * size - 1 - number
+        found.append(min(max(number, 0), size - 1))
+    return float(pixels[pixels.shape[0] - 1 - found[1], found[0], 0])
+
+
+@pytest.mark.parametrize("wrap_v", MODES)
+@pytest.mark.parametrize("wrap_u", MODES)
+def test_every_pair_of_modes_shows_what_each_says(wrap_u, wrap_v):
+    """All middles of texels from -1 to 2: the picture made for one mode shows what the bare one shows for two.
+
+    A rim of one texel around a black surround keeps the picture's own colour, and is left out.
+    """
+    made = wrapped(PICTURE, (wrap_u, wrap_v), OUTSIDE)
+    height, width = PICTURE.shape[:2]
+    assert made.mode in ("repeat", "mirror", "clamp")
+    for row in range(-height, 2 * height):
+        for column in range(-width, 2 * width):
+            if (wrap_u == "black" and column in (-1, width)) or (wrap_v == "black" and row in (-1, height)):
+                continue
+            u, v = (column + 0.5) / width, (row + 0.5) / height
+            wanted = texel(PICTURE, u, v, (wrap_u, wrap_v))
+            u, v = (place * scale + shift for place, scale, shift in zip((u, v), made.scale, made.shift, strict=True))
+            found = texel(made.pixels, u, v, (made.mode,) * 2)
+            assert found == pytest.approx(float(OUTSIDE[0]) if wanted is None else wanted), (row, column)
+
+
+def stage_with(empty, polygon_mesh, file, **inputs):
+    """A quad whose coordinates run from -1 to 2, with a picture."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Quad", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
+    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, "vertex").Set([(-1, -1), (2, -1), (2, 2), (-1, 2)])
+    material = UsdShade.Material.Define(stage, "/Material")
+    surface = UsdShade.Shader.Define(stage, "/Material/Surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    picture = UsdShade.Shader.Define(stage, "/Material/Picture")
+    picture.CreateIdAttr("UsdUVTexture")
+    picture.CreateInput("file", TYPES.Asset).Set(str(file))
+    for name, value in inputs.items():
+        picture.CreateInput(name, TYPES.Token).Set(value)
+    reader = UsdShade.Shader.Define(stage, "/Material/Reader")
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", TYPES.String).Set("st")
+    picture.CreateInput("st", TYPES.Float2).ConnectToSource(reader.CreateOutput("result", TYPES.Float2))
+    surface.CreateInput("diffuseColor", TYPES.Color3f).ConnectToSource(picture.CreateOutput("rgb", TYPES.Float3))
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", TYPES.Token))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    return stage
+
+
+def write(path, modes=""):
+    spec = OpenImageIO.ImageSpec(8, 8, 3, "half")
+    if modes:
+        spec.attribute("wrapmodes", modes)
+    out = OpenImageIO.ImageOutput.create(str(path))
+    out.open(str(path), spec)
+    pixels = np.full((8, 8, 3), 0.5, dtype=np.float32)
+    pixels[:4, :4] = 0.75
+    out.write_image(pixels)
+    out.close()
+
+
+@pytest.mark.parametrize("modes, mode", [("periodic,periodic", "repeat"), ("mirror,mirror", "mirror"), ("", "clamp")])
+def test_modes_that_nobody_authored_are_the_files_or_black(empty, polygon_mesh, tmp_path, modes, mode):
+    """An EXR's own wrap modes hold; without them the picture has a black rim, two texels wide, and a warning tells that coordinates reach it."""
+    write(tmp_path / "a.exr", modes)
+    scene = translate(stage_with(empty, polygon_mesh, tmp_path / "a.exr"))
+    made = scene.world[scene.world["shape_0"]["bsdf"]["id"]]["bsdf"]["base_color"]
+    assert made["wrap_mode"] == mode
+    assert made["bitmap"].shape == ((8, 8, 3) if modes else (12, 12, 3))
+    assert made["bitmap"][0, 0, 0] == (0.75 if modes else 0.0)
+    assert any("wrapS" in note.text and note.path == "/Quad" for note in scene.notes) == (not modes)
+
+
+@pytest.mark.parametrize("wraps", [("black", "black"), ("repeat", "clamp"), ("mirror", "black")])
+def test_mitsuba_shows_it_so(empty, polygon_mesh, tmp_path, wraps):
+    """The renderer's own texture at the mesh's coordinates, at the middles of texels beyond the square."""
+    write(tmp_path / "a.exr")
+    scene = translate(stage_with(empty, polygon_mesh, tmp_path / "a.exr", wrapS=wraps[0], wrapT=wraps[1]))
+    backend.start("auto")
+    mi = backend.mitsuba()
+    texture = make_bsdf(scene.world[scene.world["shape_0"]["bsdf"]["id"]]["bsdf"]["base_color"])
+    pixels = np.full((8, 8, 1), 0.5)
+    pixels[:4, :4] = 0.75
+    for column, row in ((1, 1), (9, 1), (1, 6), (-4, 6), (14, -7), (3, 14), (-2, -2)):
+        u, v = (column + 0.5) / 8, (row + 0.5) / 8
+        si = mi.SurfaceInteraction3f()
+        si.uv = mi.Point2f(u, 1.0 - v)  # its v runs down
+        wanted = texel(pixels, u, v, wraps)
+        np.testing.assert_allclose(np.array(texture.eval_3(si)).reshape(-1), 0.0 if wanted is None else wanted, atol=1e-3, err_msg=f"{column}, {row}")

@@ -1,0 +1,98 @@
+"""A composed stage in layers: it holds what it held as one, and each layer what it is named after."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pxr import Sdf, Usd
+
+from synfog_usd.world import departments
+from synfog_usd.world.compose import compose
+from synfog_usd.world.draws import load_root
+from synfog_usd.world.roads import recipe as roads
+from synfog_usd.world.roads import stage as of_roads
+
+ROOT = Path(__file__).resolve().parents[2]
+RECIPE = ROOT / "stages" / "recipes" / "rural.yaml"
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    """The same world (as one layer, as layers)."""
+    folder = tmp_path_factory.mktemp("layers")
+    spec = roads.draw(roads.read(load_root(RECIPE, ()), RECIPE.name), seed=3)
+    of_roads.author(folder / "one.usda", spec, assets=str(ROOT / "assets")).Save()
+    compose(RECIPE, folder / "many.usda", seed=3)
+    return folder / "one.usda", folder / "many.usda"
+
+
+def held(stage):
+    """{path: everything that is composed there}."""
+    return {
+        str(prim.GetPath()): (
+            prim.GetTypeName(),
+            prim.GetAppliedSchemas(),
+            prim.IsInstance(),
+            prim.GetVariantSets().GetAllVariantSelections(),
+            {key: str(value) for key, value in prim.GetAllMetadata().items()},
+            {prop.GetName(): str(prop.Get() if isinstance(prop, Usd.Attribute) else prop.GetTargets()) for prop in prim.GetProperties()},
+        )
+        for prim in stage.TraverseAll()
+    }
+
+
+@pytest.mark.parametrize("fog, lighting", [(None, None), ("clear", "sky"), ("mor600", "active")])
+def test_layers_hold_what_one_layer_held(both, fog, lighting):
+    """Every prim, property and piece of metadata, in each variant."""
+    found = []
+    for path in both:
+        stage = Usd.Stage.Open(str(path))
+        stage.SetEditTarget(stage.GetSessionLayer())
+        for name, choice in (("fog", fog), ("lighting", lighting)):
+            if choice:
+                stage.GetDefaultPrim().GetVariantSet(name).SetVariantSelection(choice)
+        found.append(held(stage))
+    assert len(found[0]) > 100
+    assert found[0] == found[1]
+
+
+def test_each_department_has_its_own(both):
+    """Muting a layer takes away what it is named after and nothing else."""
+    stage = Usd.Stage.Open(str(both[1]))
+    assert [Path(layer).name for layer in stage.GetRootLayer().subLayerPaths] == [
+        "many.cameras.usda", "many.fog.usda", "many.lights.usda", "many.traffic.usda", "many.layout.usda",
+    ]  # fmt: skip
+    whole = {child.GetName() for child in stage.GetPrimAtPath("/World").GetAllChildren()}
+    for name, gone in (("traffic", {"Vehicles", "People"}), ("fog", {"Fog"}), ("lights", {"Lights", "Sky"})):
+        layer = str(both[1].with_name(f"many.{name}.usda"))
+        stage.MuteLayer(layer)
+        assert whole - {child.GetName() for child in stage.GetPrimAtPath("/World").GetAllChildren() if child.IsDefined()} == gone
+        stage.UnmuteLayer(layer)
+
+
+def test_the_root_layer_comes_last(tmp_path, monkeypatch):
+    """A run that is killed between layers leaves no stage that names a missing one."""
+    order = []
+    write = departments.write_whole
+    monkeypatch.setattr(departments, "write_whole", lambda path, how: (write(path, how), order.append(path.name)))
+    compose(RECIPE, tmp_path / "s.usda", seed=1)
+    assert order[-1] == "s.usda"
+    assert sorted(order) == sorted(path.name for path in tmp_path.iterdir())
+    assert len(Sdf.Layer.FindOrOpen(str(tmp_path / "s.usda")).GetPrimAtPath("/World").nameChildren) == 0
+
+
+@pytest.mark.parametrize("place", ["/proc/s.usda", "full"])
+def test_a_place_that_takes_no_stage_is_one_line(tmp_path, place):
+    """An unwritable folder, and a disk that is full."""
+    out = tmp_path / "s.usda" if place == "full" else Path(place)
+    limits = (lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))) if place == "full" else None
+    command = [sys.executable, "-m", "synfog_usd.cli.main", "compose", RECIPE, "--seed", "1", "-o", out]
+    done = subprocess.run(command, capture_output=True, text=True, preexec_fn=limits, timeout=120)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "cannot be written" in done.stderr
+    assert not out.exists()
