@@ -6,6 +6,7 @@ direction.  Knows nothing of USD.
 
 from __future__ import annotations
 
+import functools
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +22,7 @@ MAX_BYTES = 4 << 20
 _MOST_ANGLES = 4096
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Photometry:
     """Luminous intensity by direction, type C: vertical angle 0 is straight down.
 
@@ -58,6 +59,7 @@ class Photometry:
         return float((self.at(vertical[None], horizontal[:, None]) @ ring).mean() * 2.0 * np.pi)
 
 
+@functools.lru_cache(maxsize=32)
 def parse(data: bytes, name: str) -> Photometry:
     """An IES file.
 

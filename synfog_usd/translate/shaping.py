@@ -6,6 +6,7 @@ Follows the UsdLux specification since 25.05.  Knows nothing of radiance and pla
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -158,8 +159,9 @@ def luminous_flux(candela: Array) -> Array:
     return np.asarray(2.0 * math.pi * (ring @ candela.mean(axis=1)))
 
 
+@functools.lru_cache(maxsize=8)  # a street has many lamps of few kinds; a table takes up to 12 MB
 def table_of(shaping: Shaping, seen: Callable[[Array], Array]) -> Array:
-    """(V, H, 3) factors on a light's intensity in all directions, laid out as the renderer's `luminaire` has it.
+    """(V, H, 3) factors on a light's intensity in all directions, laid out as the renderer's `luminaire` has it; read only.
 
     Args:
         seen: the surface's extent in directions (..., 3) of the light's own frame, as a share of its largest.
@@ -172,4 +174,6 @@ def table_of(shaping: Shaping, seen: Callable[[Array], Array]) -> Array:
     ways = np.stack([-np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.broadcast_to(-np.cos(polar), (len(angle), columns))], axis=-1)
     around = STEP_DEG * ((np.arange(32) + 0.5) / 32.0 - 0.5)  # an edge between two rows: each takes its share
     cone = _coned(shaping, np.abs(angle[:, None] + around)).mean(axis=1)
-    return np.asarray(_shone(shaping, ways) * (seen(ways) * cone[:, None])[..., None])
+    table = _shone(shaping, ways) * (seen(ways) * cone[:, None])[..., None]
+    table.flags.writeable = False
+    return table

@@ -6,6 +6,7 @@ warning where what is authored is none.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -37,11 +38,15 @@ def reflectance(prim: Usd.Prim, bsdf: dict[str, Any], time: Usd.TimeCode, notes:
         notes.warn(prim.GetPath(), f"{spectra.REFLECTANCE} is not used: the material has no base colour of its own that is drawn")
         return None
 
-    def named(name: str) -> Array:
-        own = mean_colour(colour)
-        return spectra.smooth(own) if name == spectra.PAINT else spectra.tinted(spectra.reflectance(name), own)
+    return _authored(prim, spectra.REFLECTANCE, time, notes, lambda name: _named(name, tuple(float(c) for c in mean_colour(colour))), most=1.0)
 
-    return _authored(prim, spectra.REFLECTANCE, time, notes, named, most=1.0)
+
+@functools.lru_cache(maxsize=1024)
+def _named(name: str, own: tuple[float, float, float]) -> Array:
+    """A named reflectance in a material's own colour; solved once, as every instance of a model asks for it."""
+    curve = spectra.smooth(own) if name == spectra.PAINT else spectra.tinted(spectra.reflectance(name), own)
+    curve.flags.writeable = False
+    return curve
 
 
 def _value(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Any:
