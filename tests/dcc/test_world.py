@@ -84,8 +84,9 @@ def test_blender_finds_no_mesh_to_repair(opened):
 
 
 def test_blenders_cameras_stand_and_look_as_authored(road, opened):
-    """To 1 mm, 1e-3 of a turn's matrix and 1e-3 degrees."""
-    wanted, found = road[1]["cameras"], opened[0]["cameras"]
+    """To 1 mm, 1e-3 of a turn's matrix and 1e-3 degrees.  Blender numbers a name that something else, such as a car's back, has already."""
+    wanted, found = road[1]["cameras"], {name.partition(".")[0]: camera for name, camera in opened[0]["cameras"].items()}
+    assert len(found) == len(opened[0]["cameras"])
     assert set(found) == set(wanted)
     for name, camera in wanted.items():
         np.testing.assert_allclose(found[name]["matrix"], camera["matrix"], atol=1e-3)
