@@ -7,7 +7,7 @@ all local opinions of one layer stack, so it makes no difference to what the sta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,7 +48,7 @@ DEPARTMENTS = (
 
 
 def write_layers(path: Path, author: Callable[[Path], Sdf.Layer]) -> list[Path]:
-    """Write a stage as layers; the root layer last, so that it never names one that is missing.
+    """Write a stage as layers: none takes its place before all are written, and the root layer does so last.
 
     Args:
         path: of the root layer; the others are beside it, so that relative paths mean the same in each.
@@ -64,10 +64,10 @@ def write_layers(path: Path, author: Callable[[Path], Sdf.Layer]) -> list[Path]:
 
     def root(temporary: Path) -> None:
         layer = author(temporary)
-        for department, part in _split(layer):
-            write_whole(file_of(path, department), lambda beside, part=part: _save(part, beside))
-        layer.subLayerPaths = [f"./{file.name}" for file in made[1:]]
+        parts = [(file_of(path, department), part) for department, part in _split(layer)]
+        layer.subLayerPaths = [f"./{file.name}" for file, _ in parts]
         layer.Save()
+        _put(parts)
 
     try:
         write_whole(path, root)
@@ -81,8 +81,17 @@ def file_of(path: Path, department: Department) -> Path:
     return path.with_name(f"{path.stem}.{department.name}{path.suffix}")
 
 
-def _save(layer: Sdf.Layer, path: Path) -> None:
-    layer.Export(str(path))
+def _put(parts: Sequence[tuple[Path, Sdf.Layer]]) -> None:
+    """Write layers within each other, so that a disk that fills up at the last leaves the files of before."""
+    if not parts:
+        return
+    (path, layer), *others = parts
+
+    def write(temporary: Path) -> None:
+        layer.Export(str(temporary))
+        _put(others)
+
+    write_whole(path, write)
 
 
 def _split(layer: Sdf.Layer) -> Iterator[tuple[Department, Sdf.Layer]]:

@@ -87,7 +87,9 @@ def test_the_root_layer_comes_last(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("place", ["/proc/s.usda", "full"])
 def test_a_place_that_takes_no_stage_is_one_line(tmp_path, place):
-    """An unwritable folder, and a disk that is full."""
+    """An unwritable folder, and a disk that is full: of the stage that was there before, every layer stays as it was."""
+    compose(RECIPE, tmp_path / "s.usda", seed=2)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     out = tmp_path / "s.usda" if place == "full" else Path(place)
     limits = (lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))) if place == "full" else None
     command = [sys.executable, "-m", "synfog_usd.cli.main", "compose", RECIPE, "--seed", "1", "-o", out]
@@ -95,4 +97,4 @@ def test_a_place_that_takes_no_stage_is_one_line(tmp_path, place):
     assert done.returncode == 2, done.stderr
     assert done.stderr.count("\n") == 1
     assert "cannot be written" in done.stderr
-    assert not out.exists()
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
