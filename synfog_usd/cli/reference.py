@@ -1,0 +1,88 @@
+"""The command-line reference as one page of Markdown, made from the commands themselves.
+
+`python -m synfog_usd.cli.reference > docs/reference/cli.md` makes the page again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import typer
+
+from synfog_usd.cli.main import app
+
+HEAD = """\
+# Command line
+
+Every command with its arguments and options. This page is made from the commands themselves: `python -m synfog_usd.cli.reference`.
+
+Exit codes: 0 done; 1 done, but something that was asked to be an error was found (`--strict`, a missed self-test);
+2 refused in one line that names place and fix; 130 ended by Ctrl-C. Anything else is a fault of ours.
+"""
+
+
+def page() -> str:
+    """All commands: a table of contents, then a section for each, in the order of the program's own help."""
+    commands = list(_commands(typer.main.get_command(app), "synfog-usd"))
+    contents = ["| command | does |", "|---|---|"]
+    contents += [f"| [`{name}`](#{name.replace(' ', '-')}) | {_summary(command)} |" for name, command in commands]
+    sections = [line for name, command in commands for line in _section(name, command)]
+    return "\n".join([HEAD, *contents, "", *sections])
+
+
+def _commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """(name as typed, command) of all commands below a group."""
+    for key, inner in getattr(command, "commands", {}).items():
+        if hasattr(inner, "commands"):
+            yield from _commands(inner, f"{name} {key}")
+        else:
+            yield f"{name} {key}", inner
+
+
+def _summary(command: Any) -> str:
+    return " ".join((command.help or "").split("\n\n")[0].split())
+
+
+def _section(name: str, command: Any) -> list[str]:
+    arguments = [parameter for parameter in command.params if parameter.param_type_name == "argument"]
+    options = [parameter for parameter in command.params if parameter.param_type_name == "option" and parameter.name != "help"]
+    usage = " ".join([name, *(_placeholder(argument) for argument in arguments), *(["[OPTIONS]"] if options else [])])
+    lines = [f"## {name}", "", _summary(command), "", "```sh", usage, "```", ""]
+    if rows := [*map(_argument, arguments), *map(_option, options)]:
+        lines += ["| argument or option | if left out | meaning |", "|---|---|---|", *rows, ""]
+    return lines
+
+
+def _placeholder(argument: Any) -> str:
+    word = argument.name.upper()
+    return word if argument.required else f"[{word}]"
+
+
+def _argument(argument: Any) -> str:
+    return f"| `{_placeholder(argument)}` | {'needed' if argument.required else ''} | {_cell(argument.help)} |"
+
+
+def _option(option: Any) -> str:
+    names = ", ".join(f"`{name}`" for name in (*option.opts, *option.secondary_opts))
+    return f"| {names} | {_default(option)} | {_cell(option.help)} |"
+
+
+def _default(option: Any) -> str:
+    if option.required:
+        return "needed"
+    if option.default is None or option.default == () or callable(option.default):
+        return ""
+    if option.is_flag:
+        if not option.secondary_opts:
+            return "off"
+        return f"`{(option.opts if option.default else option.secondary_opts)[0]}`"
+    return f"`{option.default}`"
+
+
+def _cell(text: str | None) -> str:
+    return " ".join((text or "").split()).replace("|", "\\|")
+
+
+if __name__ == "__main__":
+    print(page(), end="")
