@@ -1,5 +1,6 @@
-# Two commands: `make demo` bakes the shipped crossing, `make test` passes the tests.
-# Both first make their own environment in .venv.  The machine itself is changed only where
+# Two commands: `make demo` bakes the shipped crossing, `make test` passes the tests in minutes.
+# `make test-all` passes the slow ones too: bytes of what ships, the wheel, fuzzers, agreement over many seeds.
+# All first make their own environment in .venv.  The machine itself is changed only where
 # it is Debian or Ubuntu and you are root: a missing python3-venv or libllvm19 is installed.
 
 PYTHON ?= python3
@@ -7,7 +8,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 OUT    ?= out/demo
 
-.PHONY: demo test test-slow test-dcc setup libs llvm lint lock wheel clean
+.PHONY: demo test test-all test-physics test-dcc setup libs llvm lint lock wheel clean
 
 demo: setup llvm
 	$(BIN)/synfog-usd info
@@ -16,7 +17,11 @@ demo: setup llvm
 test: setup llvm
 	$(BIN)/python -m pytest
 
-test-slow: setup llvm
+test-all: setup llvm
+	$(BIN)/python -m pytest -m "not physics and not bench and not gpu"
+
+# Hours: Monte Carlo to a per mille, and ratios against named peers.
+test-physics: setup llvm
 	$(BIN)/python -m pytest -m "physics or bench"
 
 # The Blender round trip; bpy 5.0.1 takes Python 3.11 and 1 GB.  SYNFOG_BPY names another Python that has it.

@@ -15,7 +15,10 @@ import pytest
 
 SCRIPT = Path(__file__).with_name("atheris_fuzz.py")
 SECONDS = os.environ.get("SYNFOG_FUZZ_SECONDS", "20")
-pytestmark = pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed; pip install atheris")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed; pip install atheris"),
+]
 
 
 def test_no_damage_ends_in_a_trace(tmp_path):

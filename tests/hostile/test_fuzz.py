@@ -143,6 +143,7 @@ for path in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 @fuzzed(2)
 @given(st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.integers(0, 255)), min_size=30, max_size=30), st.integers(1, 3))
 def test_any_bytes_of_a_binary_file_end_in_a_scene_or_an_error_or_one_line(tmp_path_factory, changes, many):

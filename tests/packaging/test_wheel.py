@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 from support.stages import street
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ("assets", "stages", "pipeline", "integrations")
 
