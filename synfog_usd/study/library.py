@@ -30,14 +30,14 @@ from synfog_usd.world.sheet import CELL_PX, VIEWS_DEG, ordered, write_stage
 if TYPE_CHECKING:
     from PIL import Image
 
-    from synfog_usd.world.library import Model
+    from synfog_usd.world.library import LibraryModel
 
 WHITE_NITS = 2700.0
 THUMBNAIL_PX = 128
 THUMBNAIL_COLOURS = 64
 
 
-def draw(target: Path, models: Sequence[Model], *, columns: int = 4, samples: int = 24, scale: int = 1) -> None:
+def draw(target: Path, models: Sequence[LibraryModel], *, columns: int = 4, samples: int = 24, scale: int = 1) -> None:
     """Render the sheet to `target`, with a caption under each model."""
     from PIL import Image, ImageDraw, ImageFont
 
@@ -75,7 +75,7 @@ def draw_thumbnails(folder: Path, *, columns: int = 10, samples: int = 24) -> li
     return made
 
 
-def _rendered(models: Sequence[Model], samples: int, scale: int, write: Callable[[Path], tuple[int, int]]) -> Image.Image:
+def _rendered(models: Sequence[LibraryModel], samples: int, scale: int, write: Callable[[Path], tuple[int, int]]) -> Image.Image:
     """The picture of a sheet's stage, which `write` writes."""
     with tempfile.TemporaryDirectory(prefix="synfog-library-") as folder:
         stage = Path(folder) / "sheet.usda"

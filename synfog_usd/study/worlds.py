@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from synfog_usd import resources
-from synfog_usd.world import draws
+from synfog_usd.world import language
 from synfog_usd.world.authoring import APERTURE
 from synfog_usd.world.roads import recipe, roundabout_recipe, rules
 from synfog_usd.world.spec import Placement
@@ -60,7 +60,7 @@ class Survey:
 def road_recipes(folder: Path | None = None) -> list[Path]:
     """Shipped recipes of roads and roundabouts, by name."""
     folder = folder or resources.folder("stages") / "recipes"
-    return [path for path in sorted(folder.glob("*.yaml")) if draws.world_of(draws.load_root(path)) in LANGUAGES]
+    return [path for path in sorted(folder.glob("*.yaml")) if language.world_of(language.load_root(path)) in LANGUAGES]
 
 
 def survey(count: int, *, tell: Callable[[int], None] = lambda done: None) -> Survey:
@@ -68,8 +68,8 @@ def survey(count: int, *, tell: Callable[[int], None] = lambda done: None) -> Su
     found = Survey()
     recipes = []
     for path in road_recipes():
-        root = draws.load_root(path)
-        language = LANGUAGES[draws.world_of(root)]
+        root = language.load_root(path)
+        language = LANGUAGES[language.world_of(root)]
         recipes.append((language, language.read(root, path.name)))
     layouts = set()
     for index in range(count):
@@ -79,7 +79,7 @@ def survey(count: int, *, tell: Callable[[int], None] = lambda done: None) -> Su
         found.seconds.append(time.process_time() - began)
         assert world.road is not None
         found.worlds[one.name.removesuffix(".yaml")] += 1
-        layouts.add((tuple((p.asset, p.x, p.y) for p in world.placed), world.road.line.curvature))
+        layouts.add((tuple((p.asset, p.x, p.y) for p in world.placed), world.road.reference_line.curvature))
         users = {p.name: p for p in world.placed if rules.model(p.asset).label in rules.USERS}
         found.users.append(len(users))
         found.classes.update(label for p in users.values() for label in labels(p))

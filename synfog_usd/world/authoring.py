@@ -14,7 +14,7 @@ from synfog_usd.world.components import label
 from synfog_usd.world.library import model
 from synfog_usd.world.shapes import Array, shift, turn
 from synfog_usd.world.sky import SKIES, author_dome
-from synfog_usd.world.spec import Dome, Placement, View, WorldSpec
+from synfog_usd.world.spec import Placement, SkyDome, View, WorldSpec
 
 APERTURE = 0.36  # tenths of a metre
 EGO, RIG = "/World/Ego", "/World/Rig"
@@ -99,7 +99,7 @@ def author_skies(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
         UsdGeom.Xformable(dome).AddRotateXOp().Set(90.0)  # the picture's pole to the zenith
 
 
-def _day(dome: Dome) -> str:
+def _day(dome: SkyDome) -> str:
     """Name of the prim of the sky by day."""
     return "Day" if dome.sky in SKIES else "Overcast"
 

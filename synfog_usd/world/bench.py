@@ -22,7 +22,7 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, Vt
 from synfog_usd.errors import OutputError
 from synfog_usd.files import write_whole
 from synfog_usd.world.authoring import author_fog_variants
-from synfog_usd.world.components import Lamp, author_lamp, author_material, author_mesh, label, new_stage
+from synfog_usd.world.components import MountedLamp, author_lamp, author_material, author_mesh, label, new_stage
 from synfog_usd.world.crossroads import FOG_VARIANTS
 from synfog_usd.world.materials import Colour, Material
 from synfog_usd.world.shapes import Array, box, quad, shift, turn
@@ -69,7 +69,7 @@ class Bank:
 
 
 @dataclass(frozen=True)
-class Bench:
+class BenchStage:
     """One stage in numbers.
 
     Attributes:
@@ -112,7 +112,7 @@ def write(folder: Path) -> list[Path]:
     return files
 
 
-def benches() -> list[Bench]:
+def benches() -> list[BenchStage]:
     """All stages that are not another one in other fog."""
     street, canyon = overcast_street(), street_canyon()
     bank = Bank(40.0, (-40.0, 30.0, -0.3), (40.0, 60.0, 4.0))
@@ -121,7 +121,7 @@ def benches() -> list[Bench]:
     return [street, occluders(), canyon, bridge(), street_lamps(), headlights(), in_bank]
 
 
-def overcast_street() -> Bench:
+def overcast_street() -> BenchStage:
     """An open street: small things on a wide plain, the slab's best case."""
     blocks = (
         Block("Garage", (13.0, 40.0, 0.0), (18.5, 46.5, 2.7), RENDER),
@@ -129,10 +129,10 @@ def overcast_street() -> Bench:
         Block("Kiosk", (-18.5, 68.0, 0.0), (-14.5, 72.0, 3.1), (0.10, 0.22, 0.14)),
     )
     placed = (*_street_cars(), *_street_people(), *_street_furniture(), *_street_plants())
-    return Bench("overcast_street", "An open suburban street by overcast noon; everything on it is small against its distances.", placed, blocks)
+    return BenchStage("overcast_street", "An open suburban street by overcast noon; everything on it is small against its distances.", placed, blocks)
 
 
-def occluders() -> Bench:
+def occluders() -> BenchStage:
     """What hides the sky and the fog close to the camera."""
     placed = (
         *_row("Vehicles", [("lorry", 3.35, 7.65, 0, {"paint": "blue"}), ("hatchback", -1.9, 24.0, 180, {"paint": "silver"})]),
@@ -142,10 +142,10 @@ def occluders() -> Bench:
         *_row("Furniture", [("street_lamp", -5.8, 34.0, -90, {"lamps": "off"}), ("sign_limit", 5.9, 14.5, 180, {})]),
     )
     wall = Block("Garden_Wall", (-2.95, -6.0, 0.0), (-2.6, 12.5, 2.1), (0.28, 0.16, 0.11), "wall")
-    return Bench("occluders", "A lorry, a passer-by, a wall and a hedge close to the camera, by overcast noon.", placed, (wall,))
+    return BenchStage("occluders", "A lorry, a passer-by, a wall and a hedge close to the camera, by overcast noon.", placed, (wall,))
 
 
-def street_canyon() -> Bench:
+def street_canyon() -> BenchStage:
     """Houses on both sides, 14 m apart."""
     width = {"house_brick": 15.62, "house_buff": 12.42, "house_cream": 13.02, "house_grey": 12.0, "house_ochre": 9.42, "house_rose": 11.42, "house_white": 16.0}
     rows = {
@@ -167,10 +167,10 @@ def street_canyon() -> Bench:
               ("man_walking", 5.2, 34.0, 184, {"outfit": "c"})]  # fmt: skip
     furniture = [("street_lamp", 5.6, 20.0, 90, {"lamps": "off"}), ("street_lamp", -5.6, 42.0, -90, {"lamps": "off"}), ("sign_parking", 5.4, 12.0, 180, {})]
     placed = (*houses, *_row("Vehicles", cars), *_row("People", people), *_row("Furniture", furniture))
-    return Bench("canyon", "A street of houses 17 to 24 m high, 14 m from front to front, by overcast noon.", placed)
+    return BenchStage("canyon", "A street of houses 17 to 24 m high, 14 m from front to front, by overcast noon.", placed)
 
 
-def bridge() -> Bench:
+def bridge() -> BenchStage:
     """The camera in the dark under a deck, the street ahead in the light."""
     blocks = (
         Block("Deck", (-26.0, -9.0, 4.9), (26.0, 20.0, 6.2), CONCRETE, "bridge"),
@@ -187,10 +187,10 @@ def bridge() -> Bench:
     others = [("street_lamp", 6.6, 31.0, 90, {"lamps": "off"}), ("sign_priority", 6.4, 27.0, 180, {})]
     plants = [("maple_tree", -10.5, 31.0, 80, {}), ("lime_tree", 11.0, 46.0, 200, {}), ("hedge", -8.5, 42.0, 90, {})]
     placed = (*_row("Vehicles", cars), *_row("People", people), *_row("Furniture", others), *_row("Plants", plants))
-    return Bench("bridge", "From under a bridge of concrete out into a street by overcast noon.", placed, blocks)
+    return BenchStage("bridge", "From under a bridge of concrete out into a street by overcast noon.", placed, blocks)
 
 
-def street_lamps() -> Bench:
+def street_lamps() -> BenchStage:
     """Eight lamps of two kinds, and nothing else that shines."""
     lamps = [("street_lamp", side * 6.0, y, 90 * side, {"lamps": "on"}) for side, y in ((1, 9.0), (-1, 16.0), (1, 30.0), (-1, 37.0), (1, 51.0), (-1, 58.0))]
     cars = [("saloon", 4.6, 14.5, 0, {"paint": "grey"}), ("hatchback", 4.6, 24.0, 0, {"paint": "white"}), ("estate", -4.6, 12.0, 180, {"paint": "blue"}),
@@ -198,10 +198,10 @@ def street_lamps() -> Bench:
     people = [("man_walking", 0.6, 19.0, 90, {"outfit": "a"}), ("woman_phone", 7.2, 12.5, 120, {"outfit": "a"})]
     placed = (*_row("Vehicles", cars), *_row("People", people), *(replace(p, size=LAMP_SIZE) for p in _row("Furniture", lamps)))
     globes = ((6.0, 72.0), (-6.0, 24.0))
-    return Bench("street_lamps", "Night: eight street lamps 5 m high, two of them bare globes, and parked cars.", placed, night=True, globes=globes)
+    return BenchStage("street_lamps", "Night: eight street lamps 5 m high, two of them bare globes, and parked cars.", placed, night=True, globes=globes)
 
 
-def headlights() -> Bench:
+def headlights() -> BenchStage:
     """Lamps that face the camera, and the camera's own."""
     lit = [("saloon", -1.8, 19.0, 180, {"paint": "silver", "lamps": "on"}), ("hatchback", -1.9, 38.0, 180, {"paint": "red", "lamps": "on"})]
     cars = [("estate", 4.7, 13.0, 0, {"paint": "blue"}), ("van", 4.7, 26.0, 0, {"paint": "white"}), ("offroader", -5.0, 29.0, 180, {"paint": "black"})]
@@ -209,7 +209,7 @@ def headlights() -> Bench:
     others = [("street_lamp", 6.4, 18.0, 90, {"lamps": "off"}), ("sign_limit", 6.3, 23.0, 180, {}), ("sign_crossing", -6.3, 22.0, 180, {})]
     plants = [("maple_tree", 9.5, 24.0, 15, {}), ("hedge", -9.0, 26.0, 90, {})]
     placed = (*_row("Vehicles", lit), *_row("Vehicles", cars, first=3), *_row("People", people), *_row("Furniture", others), *_row("Plants", plants))
-    return Bench("headlights", "Night: two cars come towards the camera with their headlights on; its own are on too.", placed, night=True, ego_lamps=True)
+    return BenchStage("headlights", "Night: two cars come towards the camera with their headlights on; its own are on too.", placed, night=True, ego_lamps=True)
 
 
 def _street_cars() -> list[Placement]:
@@ -265,7 +265,7 @@ def _write_sky(path: Path) -> None:
         raise OutputError(f"{path}: cannot be written; choose another output folder")
 
 
-def _write_stage(bench: Bench, path: Path) -> None:
+def _write_stage(bench: BenchStage, path: Path) -> None:
     stage = new_stage(bench.about, path)
     stage.SetMetadata("renderSettingsPrimPath", "/Render/Settings")
     world = UsdGeom.Xform.Define(stage, "/World").GetPrim()
@@ -309,7 +309,7 @@ def _author_camera(stage: Usd.Stage) -> None:
     camera.AddRotateXYZOp().Set(Gf.Vec3f(90, 0, 0))
 
 
-def _author_fog(stage: Usd.Stage, bench: Bench) -> None:
+def _author_fog(stage: Usd.Stage, bench: BenchStage) -> None:
     UsdGeom.Scope.Define(stage, "/World/Fog")
     half = FOG_HALF_M
     _author_fog_box(stage, "Global", (EYE_M[0] - half, EYE_M[1] - half, FOG_LOW_M), (EYE_M[0] + half, EYE_M[1] + half, FOG_TOP_M))
@@ -384,7 +384,7 @@ def _author_blocks(stage: Usd.Stage, blocks: Sequence[Block]) -> None:
         _bind(stage, mesh, Sdf.Path(f"/World/Blocks/Materials/{block.name}"), block.colour)
 
 
-def _author_lamps(stage: Usd.Stage, bench: Bench) -> None:
+def _author_lamps(stage: Usd.Stage, bench: BenchStage) -> None:
     """The lamps that no asset carries."""
     if not bench.ego_lamps and not bench.globes:
         return
@@ -394,7 +394,7 @@ def _author_lamps(stage: Usd.Stage, bench: Bench) -> None:
         _author_light_group(scope.GetPrim(), "headlights")
         for name, x in (("Left", EYE_M[0] - 0.62), ("Right", EYE_M[0] + 0.72)):
             place: Array = shift(x, EYE_M[1] + 1.75, 0.66) @ turn(88.6, "x")
-            author_lamp(stage, scope.GetPath().AppendChild(name), Lamp(name, place, HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT))
+            author_lamp(stage, scope.GetPath().AppendChild(name), MountedLamp(name, place, HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT))
     if bench.globes:
         scope = UsdGeom.Scope.Define(stage, "/World/Lights/Globes")
         _author_light_group(scope.GetPrim(), "street_lamps")
@@ -416,7 +416,7 @@ def _author_light_group(prim: Usd.Prim, name: str) -> None:
     prim.CreateAttribute(GROUP, Sdf.ValueTypeNames.String, custom=False).Set(name)
 
 
-def _author_fog_variants(stage: Usd.Stage, bench: Bench) -> None:
+def _author_fog_variants(stage: Usd.Stage, bench: BenchStage) -> None:
     author_fog_variants(stage, bench.fog, list(bench.fog)[-1])
 
 

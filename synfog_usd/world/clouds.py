@@ -26,7 +26,7 @@ ASYMMETRY = 0.85  # of cloud droplets in the visible
 
 
 @dataclass(frozen=True)
-class Layer:
+class CloudLayer:
     """One layer of cloud.
 
     Attributes:
@@ -58,7 +58,7 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Light:
+class CloudLight:
     """What falls on the layer; tints are linear Rec.709.
 
     Attributes:
@@ -78,7 +78,7 @@ class Light:
     horizon: npt.NDArray[np.float64]
 
 
-def clouded(layer: Layer, light: Light, azimuth: Array, height: Array, name: str, *, cells: int = CELLS) -> tuple[Array, Array]:
+def clouded(layer: CloudLayer, light: CloudLight, azimuth: Array, height: Array, name: str, *, cells: int = CELLS) -> tuple[Array, Array]:
     """Relative light from each direction, and how much of its contrast the air leaves.
 
     Args:
@@ -123,7 +123,7 @@ def _at(field: Array, where: list[Array]) -> Array:
     return np.asarray(ndimage.map_coordinates(field, where, order=1, mode="grid-wrap", output=np.float32))
 
 
-def _density(layer: Layer, cell: float, cells: int, name: str) -> Array:
+def _density(layer: CloudLayer, cell: float, cells: int, name: str) -> Array:
     """(LEVELS, cells, cells) density, 0 to 1; the first axis goes up."""
     field = _noise(layer, cell, cells, name, 0, low=0.35)
     if layer.billow:
@@ -136,7 +136,7 @@ def _density(layer: Layer, cell: float, cells: int, name: str) -> Array:
     return np.asarray(np.clip((field - edge) / np.float32(layer.edge), 0, 1) * rim, dtype=np.float32)
 
 
-def _noise(layer: Layer, cell: float, cells: int, name: str, index: int, *, low: float) -> Array:
+def _noise(layer: CloudLayer, cell: float, cells: int, name: str, index: int, *, low: float) -> Array:
     """Noise that tiles sideways, deviation 1: a spectrum f^-11/3 from `low` cycles per feature."""
     rng = stream(0, "sky", name, index)
     turn = np.deg2rad(layer.turn_deg)
@@ -151,7 +151,7 @@ def _noise(layer: Layer, cell: float, cells: int, name: str, index: int, *, low:
     return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
 
 
-def _towards_sun(tau: Array, light: Light, rise: float, cell: float) -> Array:
+def _towards_sun(tau: Array, light: CloudLight, rise: float, cell: float) -> Array:
     """Optical depth from the middle of each cell to the sun; a sun at the horizon shines up from below the layer."""
     upwards = light.sun_height_deg > 2.0
     slope = np.deg2rad(max(light.sun_height_deg, 7.0) if upwards else 8.0)
@@ -190,7 +190,7 @@ def _sunlit(tau: Array, toward: tuple[Array, ...]) -> Array:
     return np.asarray(result, dtype=np.float32)
 
 
-def _phase_angle(light: Light, azimuth: Array, height: Array) -> tuple[Array, ...]:
+def _phase_angle(light: CloudLight, azimuth: Array, height: Array) -> tuple[Array, ...]:
     """Phase function over that of even scattering, for three orders, each flatter."""
     sun = np.deg2rad(light.sun_height_deg)
     cosine = np.sin(height) * np.sin(sun) + np.cos(height) * np.cos(sun) * np.cos(azimuth - np.deg2rad(light.sun_azimuth_deg))

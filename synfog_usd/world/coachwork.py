@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from synfog_usd.world.components import Lamp, Look
+from synfog_usd.world.components import Look, MountedLamp
 from synfog_usd.world.shapes import (
     Array,
     Field,
@@ -44,7 +44,7 @@ def painted(colour: tuple[float, float, float]) -> Look:
     return Look(materials={"paint": {"diffuseColor": colour}})
 
 
-def lamp_states(lamps: tuple[Lamp, ...], *, centre: bool = False) -> dict[str, Look]:
+def lamp_states(lamps: tuple[MountedLamp, ...], *, centre: bool = False) -> dict[str, Look]:
     """What `lamps` can be: off; glow (lenses only, for afar); on, with the given lights; brake, which is on with bright tail lamps.
 
     centre: whether there is a third brake lamp, of the material `brake_lens`.
@@ -54,9 +54,9 @@ def lamp_states(lamps: tuple[Lamp, ...], *, centre: bool = False) -> dict[str, L
     return {"off": Look(), "glow": Look(materials=glow), "on": Look(materials=glow, lamps=lamps), "brake": Look(materials=brake, lamps=lamps)}
 
 
-def headlights(places: Sequence[tuple[float, float, float]], beam: str = "low_beam_led") -> tuple[Lamp, ...]:
+def headlights(places: Sequence[tuple[float, float, float]], beam: str = "low_beam_led") -> tuple[MountedLamp, ...]:
     """Dipped beams, left and right, aimed level: the beam itself keeps below the horizon."""
-    return tuple(Lamp(n, shift(*p) @ turn(90, "x"), beam=beam) for n, p in zip(("Left", "Right"), sorted(places), strict=True))
+    return tuple(MountedLamp(n, shift(*p) @ turn(90, "x"), beam=beam) for n, p in zip(("Left", "Right"), sorted(places), strict=True))
 
 
 def rect(u0: float, u1: float, v0: float, v1: float) -> list[tuple[float, float]]:

@@ -34,7 +34,7 @@ LICENCE = "CC0-1.0"
 
 
 @dataclass(frozen=True)
-class Lamp:
+class MountedLamp:
     """A light that shines along its -Z: one of `world.lamps` by its name, or a shaped disk.
 
     Attributes:
@@ -70,7 +70,7 @@ class Look:
 
     materials: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     bindings: Mapping[str, str] = field(default_factory=dict)
-    lamps: tuple[Lamp, ...] = ()
+    lamps: tuple[MountedLamp, ...] = ()
     without: tuple[str, ...] = ()
 
 
@@ -203,7 +203,7 @@ def author_mesh(stage: Usd.Stage, path: Sdf.Path, part: Part) -> UsdGeom.Mesh:
     return mesh
 
 
-def author_lamp(stage: Usd.Stage, path: Sdf.Path, lamp: Lamp, *, lamps: str = "../../lamps") -> UsdLux.BoundableLightBase:
+def author_lamp(stage: Usd.Stage, path: Sdf.Path, lamp: MountedLamp, *, lamps: str = "../../lamps") -> UsdLux.BoundableLightBase:
     """The lamp as a light; intensity [cd] over its area gives the nits that UsdLux wants.
 
     lamps: folder of the IES files as the stage's layer refers to it.

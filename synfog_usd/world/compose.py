@@ -9,7 +9,7 @@ from pathlib import Path
 from synfog_usd import resources
 from synfog_usd.errors import RecipeError
 from synfog_usd.world.departments import write_layers
-from synfog_usd.world.draws import load_root, world_of
+from synfog_usd.world.language import load_root, world_of
 from synfog_usd.world.spec import WorldSpec
 
 

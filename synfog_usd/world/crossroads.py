@@ -27,7 +27,7 @@ from synfog_usd.world.authoring import (
     author_variants,
 )
 from synfog_usd.world.buildings import HOUSES, build_church, build_houses, glazing
-from synfog_usd.world.components import Component, Lamp, author_lamp, author_material, author_mesh, label, new_stage, write_component
+from synfog_usd.world.components import Component, MountedLamp, author_lamp, author_material, author_mesh, label, new_stage, write_component
 from synfog_usd.world.furniture import build_furniture
 from synfog_usd.world.lod import with_low
 from synfog_usd.world.materials import Material
@@ -35,7 +35,7 @@ from synfog_usd.world.people import build_bicycle, build_people, build_rider
 from synfog_usd.world.plants import build_hedge, build_leaf, build_trees
 from synfog_usd.world.shapes import Array, Part, quads, shift, turn
 from synfog_usd.world.sky import DUSK_NITS, OVERCAST_NITS, write_skies
-from synfog_usd.world.spec import Dome, Placement, View, WorldSpec
+from synfog_usd.world.spec import Placement, SkyDome, View, WorldSpec
 from synfog_usd.world.street import CORNER, MAIN_HALF, NORTH, SIDE_HALF, TREE_X, WALL_X, WALL_Y, build_ground, ground_height
 from synfog_usd.world.textures import write_textures
 from synfog_usd.world.vehicles import build_bus, build_cars, build_lorry
@@ -276,8 +276,8 @@ def shipped() -> WorldSpec:
         view=VIEW,
         fog=FOG_VARIANTS,
         fog_selected="mor300",
-        day=Dome("overcast", OVERCAST_NITS),
-        dusk=Dome("dusk", DUSK_NITS),
+        day=SkyDome("overcast", OVERCAST_NITS),
+        dusk=SkyDome("dusk", DUSK_NITS),
     )
 
 
@@ -354,7 +354,7 @@ def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     Usd.ModelAPI(lights.GetPrim()).SetKind(Kind.Tokens.group)
     UsdGeom.Scope.Define(stage, "/World/Lights/Headlights")
     for name, x in (("Left", spec.view.x - 0.62), ("Right", spec.view.x + 0.72)):
-        lamp = Lamp(name, shift(x, spec.view.y + 1.75, 0.66) @ turn(90, "x"), beam="low_beam_led")
+        lamp = MountedLamp(name, shift(x, spec.view.y + 1.75, 0.66) @ turn(90, "x"), beam="low_beam_led")
         author_lamp(stage, Sdf.Path(f"/World/Lights/Headlights/{name}"), lamp, lamps=f"{assets}/lamps")
     rng = stream(spec.scatter, "crossroads", "lit")
     panes: dict[str, list[tuple[Array, Array]]] = {"Windows": [], "Shops": []}

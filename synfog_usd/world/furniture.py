@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from synfog_usd.world.components import Component, Lamp, Look
+from synfog_usd.world.components import Component, Look, MountedLamp
 from synfog_usd.world.shapes import Part, box, disc, lathe, quad, shift, soft_box, strip, tube, turn
 
 LAMP_CD = 1900.0  # 7 800 lm into a cone of 70 degrees
@@ -46,7 +46,7 @@ def _street_lamp() -> Component:
     parts.append(quad([(-0.11, 1.55, 7.855), (-0.11, 2.08, 7.855), (0.11, 2.08, 7.855), (0.11, 1.55, 7.855)], "lamp_lens"))
     parts.append(box((-0.06, -0.086, 0.45), (0.06, -0.07, 0.85), "galvanised"))
     glow = {"lamp_lens": {"emissiveColor": LAMP_LENS_NITS}}
-    lamp = Lamp("Light", shift(0, 1.82, 7.80), LAMP_CD, 0.15, 70.0, 0.5, LAMP_TINT)
+    lamp = MountedLamp("Light", shift(0, 1.82, 7.80), LAMP_CD, 0.15, 70.0, 0.5, LAMP_TINT)
     variants = {"lamps": {"off": Look(), "glow": Look(materials=glow), "on": Look(materials=glow, lamps=(lamp,))}}
     return Component("street_lamp", "pole", tuple(parts), "A street lamp of 8 m whose arm reaches forward; 'glow' shows its lens only.", variants)
 

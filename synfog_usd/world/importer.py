@@ -18,7 +18,7 @@ from pxr import Tf
 from synfog_usd.errors import OutputError, ParameterError, StageError, did_you_mean
 from synfog_usd.files import write_whole
 from synfog_usd.world.components import Component, write_component
-from synfog_usd.world.library import SIZES, Model
+from synfog_usd.world.library import SIZES, LibraryModel
 from synfog_usd.world.library import read as read_model
 from synfog_usd.world.lod import with_low
 from synfog_usd.world.meshfiles import MOST_TEXTURE_PX, Found, read
@@ -44,7 +44,7 @@ class Imported:
         triangles: of the full and of the low level (0: not worth one).
     """
 
-    model: Model
+    model: LibraryModel
     notes: tuple[str, ...]
     triangles: tuple[int, int]
 

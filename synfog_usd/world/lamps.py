@@ -37,7 +37,7 @@ GROUP_ATTRIBUTE = "synfog:lightGroup"
 
 
 @dataclass(frozen=True)
-class Lamp:
+class LampType:
     """One kind of lamp.
 
     Attributes:
@@ -150,40 +150,40 @@ _LEVEL = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0,
 _FRONT_H = tuple(sorted({round(x % 360, 2) for q in _LEVEL for x in (q, -q, 180 - q, 180 + q)} | {90.0, 270.0, 360.0}))
 
 
-def _signal(about: str, spectrum: str, candela: float, limits: tuple[float, float], radius_m: float, source: str) -> Lamp:
-    return Lamp(about, VEHICLE, spectrum, source, candela, limits, round(np.pi * candela, 1), radius_m)
+def _signal(about: str, spectrum: str, candela: float, limits: tuple[float, float], radius_m: float, source: str) -> LampType:
+    return LampType(about, VEHICLE, spectrum, source, candela, limits, round(np.pi * candela, 1), radius_m)
 
 
 RED, AMBER = "LED 625 nm", "LED 592 nm"
-LAMPS: Mapping[str, Lamp] = {
-    "street_sodium_150w": Lamp(
+LAMPS: Mapping[str, LampType] = {
+    "street_sodium_150w": LampType(
         "Street lantern, high-pressure sodium 150 W behind flat glass, IES type II, medium, cut-off.", STREET, "HP1",
         "lamp 17 500 lm, light output ratio 0.78: usual catalogue figures", 7500.0, None, 13_650.0, 0.12,
         150.0, 17_500.0, _lobes(71.0, 79.0, 10.5, 0.75, 77.5, 1.4), _STREET_V, _STREET_H,
     ),
-    "street_led_60w": Lamp(
+    "street_led_60w": LampType(
         "Street lantern, white LED 60 W, IES type III, medium, full cut-off.", STREET, "LED-B3",
         "133 lm/W out of the lantern: usual catalogue figures", 4570.0, None, 8_000.0, 0.12,
         60.0, -1.0, _lobes(71.5, 65.0, 10.5, 0.75, 76.5, 1.2), _STREET_V, _STREET_H,
     ),
-    "street_metal_halide_100w": Lamp(
+    "street_metal_halide_100w": LampType(
         "Post-top lantern, ceramic metal halide 100 W, the same all round (type V), full cut-off.", STREET, "HP4",
         "lamp 9 000 lm, light output ratio 0.75: usual catalogue figures", 2040.0, None, 6_750.0, 0.15,
         100.0, 9_000.0, _round(58.0, 14.0, 0.45), _STREET_V, (0.0,),
     ),
-    "low_beam_halogen": Lamp(
+    "low_beam_halogen": LampType(
         "Dipped beam for right-hand traffic, filament lamp, cut-off with a kink of 15 degrees.", VEHICLE, "A",
         "UN Regulation 112, class B", 22_000.0, (10_100.0, 44_000.0), 474.0, 0.06, 55.0, -1.0, _low_beam, _FRONT_V, _FRONT_H,
     ),
-    "low_beam_led": Lamp(
+    "low_beam_led": LampType(
         "Dipped beam for right-hand traffic, LED, cut-off with a kink of 15 degrees.", VEHICLE, "LED-B4",
         "UN Regulation 112, class B", 26_000.0, (10_100.0, 44_000.0), 560.0, 0.04, 25.0, -1.0, _low_beam, _FRONT_V, _FRONT_H,
     ),
-    "high_beam_halogen": Lamp(
+    "high_beam_halogen": LampType(
         "Driving beam, filament lamp.", VEHICLE, "A", "UN Regulation 112, class B", 60_000.0, (40_500.0, 215_000.0), 1365.0, 0.07, 60.0, -1.0,
         _high_beam, _FRONT_V, _FRONT_H,
     ),
-    "high_beam_led": Lamp(
+    "high_beam_led": LampType(
         "Driving beam, LED.", VEHICLE, "LED-B4", "UN Regulation 112, class B", 75_000.0, (40_500.0, 215_000.0), 1706.0, 0.04, 30.0, -1.0,
         _high_beam, _FRONT_V, _FRONT_H,
     ),
@@ -201,7 +201,7 @@ LAMPS: Mapping[str, Lamp] = {
 """Every lamp by name; vehicle builders take candela, radius and tint from here."""
 
 
-def lamp_of(name: str) -> Lamp:
+def lamp_of(name: str) -> LampType:
     """The lamp of this name.
 
     Raises:
@@ -212,7 +212,7 @@ def lamp_of(name: str) -> Lamp:
     return LAMPS[name]
 
 
-def candela(lamp: Lamp, vertical_deg: npt.ArrayLike, horizontal_deg: npt.ArrayLike) -> Array:
+def candela(lamp: LampType, vertical_deg: npt.ArrayLike, horizontal_deg: npt.ArrayLike) -> Array:
     """Intensity of a lamp [cd] by its formula.
 
     Args:
@@ -225,7 +225,7 @@ def candela(lamp: Lamp, vertical_deg: npt.ArrayLike, horizontal_deg: npt.ArrayLi
     return scale * lamp.beam(v, h)
 
 
-def spectrum(lamp: Lamp) -> Array:
+def spectrum(lamp: LampType) -> Array:
     """Relative spectral power of a lamp, (401,) on `photometry.WAVELENGTHS_NM`.
 
     Source: CIE 015:2018; single LEDs by the model of Ohno (2005); both from colour-science.

@@ -65,7 +65,7 @@ GROUPS: Mapping[str, str] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class Model:
+class LibraryModel:
     """One component.
 
     Attributes:
@@ -104,7 +104,7 @@ class Model:
 
 
 @functools.cache
-def library(folder: Path | None = None) -> Mapping[str, Model]:
+def library(folder: Path | None = None) -> Mapping[str, LibraryModel]:
     """Every component below `folder` (the shipped models if left out), by name.
 
     Raises:
@@ -114,7 +114,7 @@ def library(folder: Path | None = None) -> Mapping[str, Model]:
     return MappingProxyType({path.stem: read(path) for path in sorted(folder.glob("*/*.usda")) if path.stem == path.parent.name})
 
 
-def model(name: str, folder: Path | None = None) -> Model:
+def model(name: str, folder: Path | None = None) -> LibraryModel:
     """One component by name.
 
     Raises:
@@ -126,18 +126,18 @@ def model(name: str, folder: Path | None = None) -> Model:
     return found
 
 
-def of_group(group: str, folder: Path | None = None) -> tuple[Model, ...]:
+def of_group(group: str, folder: Path | None = None) -> tuple[LibraryModel, ...]:
     """All models of a group, by name."""
     return tuple(m for m in library(folder).values() if m.group == group)
 
 
-def origin(model: Model) -> str:
+def origin(model: LibraryModel) -> str:
     """Where a model is from and under which licence, as its file states it."""
     said = Sdf.Layer.FindOrOpen(str(model.path)).customLayerData
     return f"{said.get('source', 'source not stated')}, licence {said.get('licence', 'not stated')}"
 
 
-def read(path: Path) -> Model:
+def read(path: Path) -> LibraryModel:
     """What a component says of itself.
 
     Raises:
@@ -160,4 +160,4 @@ def read(path: Path) -> Model:
     label = str(names[0])
     group = "lamp" if label == "pole" and "lamps" in variants else GROUPS.get(label, "furniture")
     low, high = (tuple(float(v) for v in corner) for corner in (bound.GetMin(), bound.GetMax()))
-    return Model(prim.GetName(), label, group, low, high, MappingProxyType(variants), path, prim.GetDocumentation())  # type: ignore[arg-type]
+    return LibraryModel(prim.GetName(), label, group, low, high, MappingProxyType(variants), path, prim.GetDocumentation())  # type: ignore[arg-type]

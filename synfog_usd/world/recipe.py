@@ -8,7 +8,7 @@ other in lanes and stand one to a bay, and people look for a free spot.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,16 +19,13 @@ from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
 from synfog_usd.world import crossroads
 from synfog_usd.world.authoring import APERTURE
-from synfog_usd.world.compose import asset_folder, compose
-from synfog_usd.world.draws import Amount, Draw, Names, check_schema, load_root, mapping, read_draws, read_fog, sections
+from synfog_usd.world.language import Categorical, Continuous, Distribution, Recipe, check_schema, load_root, mapping, read_distributions, read_fog, sections
 from synfog_usd.world.people import PEOPLE
 from synfog_usd.world.sky import SKIES
-from synfog_usd.world.spec import Dome, Placement, View, WorldSpec
+from synfog_usd.world.spec import Placement, SkyDome, View, WorldSpec
 from synfog_usd.world.street import MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE
 from synfog_usd.world.vehicles import CARS
 from synfog_usd.yamlio import Located
-
-__all__ = ["Draw", "Recipe", "asset_folder", "compose", "draw", "load", "read"]
 
 BODIES: dict[str, tuple[float, tuple[str, ...]]] = {
     **{body.name: (body.length, tuple(body.paints)) for body in CARS},
@@ -55,41 +52,26 @@ ROOM_ELSE_M = 0.75
 TRIES = 400
 
 
-PARAMETERS: dict[str, Amount | Names] = {
-    "parked.share": Amount(0.0, 1.0, 0.7),
-    "parked.bodies": Names(tuple(body.name for body in CARS), {"hatchback": 3, "saloon": 2, "estate": 2, "offroader": 2, "van": 1}),
-    "parked.paints": Names(PAINTS, dict.fromkeys(("white", "silver", "grey", "black", "blue", "red", "green", "sand"), 1)),
-    "traffic.count": Amount(0, 24, 10, whole=True),
-    "traffic.bodies": Names(tuple(BODIES), {"hatchback": 3, "saloon": 3, "estate": 2, "offroader": 2, "van": 1, "bus": 1, "lorry": 1}),
-    "traffic.paints": Names(PAINTS, dict.fromkeys(("white", "silver", "grey", "black", "blue", "red"), 1)),
-    "traffic.main_street": Names(("waits", "goes"), {"waits": 1, "goes": 1}),
-    "people.count": Amount(0, 60, 30, whole=True),
-    "people.kinds": Names(tuple(OUTFITS), dict.fromkeys(OUTFITS, 1)),
-    "people.cyclists": Amount(0, 1, 1, whole=True),
-    "sky.day": Names(("overcast", *SKIES), "overcast"),
-    "sky.dusk": Names(("dusk", *SKIES), "dusk"),
-    "sky.heading_deg": Amount(0.0, 360.0, 0.0),
-    "sky.overcast_nits": Amount(200.0, 20000.0, 5000.0),
-    "sky.dusk_nits": Amount(0.1, 200.0, 5.0),
-    "camera.height_m": Amount(1.0, 2.5, 1.45),
-    "camera.fov_x_deg": Amount(20.0, 100.0, 55.1),
+PARAMETERS: dict[str, Continuous | Categorical] = {
+    "parked.share": Continuous(0.0, 1.0, 0.7),
+    "parked.bodies": Categorical(tuple(body.name for body in CARS), {"hatchback": 3, "saloon": 2, "estate": 2, "offroader": 2, "van": 1}),
+    "parked.paints": Categorical(PAINTS, dict.fromkeys(("white", "silver", "grey", "black", "blue", "red", "green", "sand"), 1)),
+    "traffic.count": Continuous(0, 24, 10, whole=True),
+    "traffic.bodies": Categorical(tuple(BODIES), {"hatchback": 3, "saloon": 3, "estate": 2, "offroader": 2, "van": 1, "bus": 1, "lorry": 1}),
+    "traffic.paints": Categorical(PAINTS, dict.fromkeys(("white", "silver", "grey", "black", "blue", "red"), 1)),
+    "traffic.main_street": Categorical(("waits", "goes"), {"waits": 1, "goes": 1}),
+    "people.count": Continuous(0, 60, 30, whole=True),
+    "people.kinds": Categorical(tuple(OUTFITS), dict.fromkeys(OUTFITS, 1)),
+    "people.cyclists": Continuous(0, 1, 1, whole=True),
+    "sky.day": Categorical(("overcast", *SKIES), "overcast"),
+    "sky.dusk": Categorical(("dusk", *SKIES), "dusk"),
+    "sky.heading_deg": Continuous(0.0, 360.0, 0.0),
+    "sky.overcast_nits": Continuous(200.0, 20000.0, 5000.0),
+    "sky.dusk_nits": Continuous(0.1, 200.0, 5.0),
+    "camera.height_m": Continuous(1.0, 2.5, 1.45),
+    "camera.fov_x_deg": Continuous(20.0, 100.0, 55.1),
 }
 """What a recipe can say, by section and key, with what holds where it says nothing."""
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """A recipe that was read and checked.
-
-    Attributes:
-        name: of its file.
-        draws: one for each of PARAMETERS.
-        fog: one for each fog variant, MOR [m]; clear air is always there.
-    """
-
-    name: str
-    draws: Mapping[str, Draw]
-    fog: tuple[Draw, ...]
 
 
 def load(path: Path, *, changes: Sequence[str] = ()) -> Recipe:
@@ -109,7 +91,7 @@ def read(root: Located, name: str) -> Recipe:
     """A recipe of the crossing from its YAML."""
     items = mapping(root, "a recipe", ("synfog", "world", "fog", *sections(PARAMETERS)))
     check_schema(items, root)
-    return Recipe(name, read_draws(items, PARAMETERS), read_fog(items))
+    return Recipe(name, "A crossing of two city streets.", read_distributions(items, PARAMETERS), read_fog(items))
 
 
 def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
@@ -120,7 +102,7 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     """
 
     def value(name: str) -> Any:
-        return recipe.draws[name](stream(seed, "recipe", name))
+        return recipe.distributions[name](stream(seed, "recipe", name))
 
     waits = value("traffic.main_street") == "waits"
     cars = [*_parked(recipe, seed, value("parked.share")), *_traffic(recipe, seed, value("traffic.count"), waits)]
@@ -146,9 +128,9 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     )
 
 
-def _dome(sky: str, relative: str, nits: float, heading_deg: float) -> Dome:
+def _dome(sky: str, relative: str, nits: float, heading_deg: float) -> SkyDome:
     """The crossing's own sky, with its luminance at the zenith, or one of `sky.SKIES`, which has its own."""
-    return Dome(sky, nits) if sky == relative else Dome(sky, 1.0, round(heading_deg, 1))
+    return SkyDome(sky, nits) if sky == relative else SkyDome(sky, 1.0, round(heading_deg, 1))
 
 
 # -- placing
@@ -199,9 +181,9 @@ _QUEUE_GAP_M = (1.2, 2.5)
 
 
 def _car(recipe: Recipe, section: str, rng: np.random.Generator) -> tuple[str, float, str]:
-    body = recipe.draws[f"{section}.bodies"](rng)
+    body = recipe.distributions[f"{section}.bodies"](rng)
     length, paints = BODIES[body]
-    return body, length, recipe.draws[f"{section}.paints"](rng, paints)
+    return body, length, recipe.distributions[f"{section}.paints"](rng, paints)
 
 
 def _parked(recipe: Recipe, seed: int, share: float) -> list[Placement]:
@@ -222,7 +204,7 @@ def _parked(recipe: Recipe, seed: int, share: float) -> list[Placement]:
 
 def _traffic(recipe: Recipe, seed: int, count: int, waits: bool) -> list[Placement]:
     lanes = _LANES["waits" if waits else "goes"]
-    choice = Draw("choice", tuple(range(len(lanes))), tuple(lane.weight for lane in lanes))
+    choice = Distribution("choice", tuple(range(len(lanes))), tuple(lane.weight for lane in lanes))
     rng = stream(seed, "recipe", "traffic", "lanes")
     bound: list[list[tuple[str, float, str]]] = [[] for _ in lanes]
     for index in range(count):
@@ -264,7 +246,7 @@ def _furniture(waits: bool) -> list[Placement]:
 
 
 def _people(recipe: Recipe, seed: int, count: int, waits: bool, things: Sequence[Placement]) -> list[Placement]:
-    kinds = recipe.draws["people.kinds"]
+    kinds = recipe.distributions["people.kinds"]
     walkers = [kind for kind in kinds.values if kind in WALKERS]
     keep = [(p.x, p.y, ROOM_M.get(p.asset, ROOM_ELSE_M)) for p in things]
     placed: list[Placement] = []

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.world.components import Component, Lamp, Look
+from synfog_usd.world.components import Component, Look, MountedLamp
 from synfog_usd.world.lettering import letters
 from synfog_usd.world.shapes import Part, box, disc, lathe, quad, shaded, shift, soft_box, strip, tube, turn
 
@@ -30,7 +30,7 @@ def build_roadside() -> list[Component]:
     return [_mast(), _post_top(), _guard_rail(), _fence(), _noise_wall(), _shelter(), _gantry(), _warning(), _chevron()]
 
 
-def _lit(lens: str, nits: tuple[float, float, float], lamps: tuple[Lamp, ...]) -> dict[str, Look]:
+def _lit(lens: str, nits: tuple[float, float, float], lamps: tuple[MountedLamp, ...]) -> dict[str, Look]:
     glow = {lens: {"emissiveColor": nits}}
     return {"off": Look(), "glow": Look(materials=glow), "on": Look(materials=glow, lamps=lamps)}
 
@@ -48,7 +48,7 @@ def _mast() -> Component:
         y0, y1 = sorted((sign * 1.5, sign * 2.25))
         parts.append(soft_box((-0.16, y0, 9.92), (0.16, y1, 10.02), "pole", radius=0.05))
         parts.append(quad([(-0.12, y0 + 0.08, 9.915), (-0.12, y1 - 0.04, 9.915), (0.12, y1 - 0.04, 9.915), (0.12, y0 + 0.08, 9.915)], "lamp_lens_white"))
-        lamps.append(Lamp(name, shift(0, sign * 1.9, 9.86), MAST_CD, 0.15, 70.0, 0.5, MAST_TINT))
+        lamps.append(MountedLamp(name, shift(0, sign * 1.9, 9.86), MAST_CD, 0.15, 70.0, 0.5, MAST_TINT))
     variants = {"lamps": _lit("lamp_lens_white", LED_LENS_NITS, tuple(lamps))}
     return Component("lamp_mast_double", "pole", tuple(parts), "A lamp mast of 10 m for the middle of a wide road, with an arm to each side.", variants)
 
@@ -63,7 +63,7 @@ def _post_top() -> Component:
     ]
     parts += [tube([(0.135 * c, 0.135 * s, 4.05), (0.215 * c, 0.215 * s, 4.46)], 0.010, "pole", sides=5) for c, s in _around(4)]
     # two lamps beside the post, which would shade one below the lantern
-    lamps = tuple(Lamp(name, shift(0, y, 4.0), POST_CD / 2, 0.08, 78.0, 0.5, POST_TINT) for name, y in (("Front", 0.22), ("Back", -0.22)))
+    lamps = tuple(MountedLamp(name, shift(0, y, 4.0), POST_CD / 2, 0.08, 78.0, 0.5, POST_TINT) for name, y in (("Front", 0.22), ("Back", -0.22)))
     variants = {"lamps": _lit("lamp_lens_white", POST_LENS_NITS, lamps)}
     return Component("lamp_post_top", "pole", tuple(parts), "A lantern on a post of 4.7 m, for streets where people live.", variants)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
 from synfog_usd import resources
-from synfog_usd.world.library import Model
+from synfog_usd.world.library import LibraryModel
 
 VIEWS_DEG = (150.0, 90.0, -35.0)
 """Headings, counter-clockwise, of a model that looks along +Y when the camera does too: front quarter, side, back quarter."""
@@ -29,13 +29,13 @@ SKY_NITS = 3000.0
 GROUPS = ("vehicle", "person", "rider", "lamp", "sign", "furniture", "plant", "building")
 
 
-def ordered(models: Sequence[Model]) -> list[Model]:
+def ordered(models: Sequence[LibraryModel]) -> list[LibraryModel]:
     """By group and size, without the ground of the crossing and its fallen leaf."""
     return sorted((m for m in models if m.group in GROUPS and m.height > 0.1), key=lambda m: (GROUPS.index(m.group), m.label, m.length * m.height, m.name))
 
 
 def write_stage(
-    path: Path, models: Sequence[Model], columns: int, *, views_deg: Sequence[float] = VIEWS_DEG, cell_px: tuple[int, int] = CELL_PX, varied: bool = True
+    path: Path, models: Sequence[LibraryModel], columns: int, *, views_deg: Sequence[float] = VIEWS_DEG, cell_px: tuple[int, int] = CELL_PX, varied: bool = True
 ) -> tuple[int, int]:
     """Write the plain with every model on it; gives the size of its picture [px].
 
@@ -104,6 +104,6 @@ def write_stage(
     return columns * len(views_deg) * cell_px[0], rows * cell_px[1]
 
 
-def _across(model: Model, heading_deg: float) -> float:
+def _across(model: LibraryModel, heading_deg: float) -> float:
     a = math.radians(heading_deg)
     return model.width * abs(math.cos(a)) + model.length * abs(math.sin(a))

@@ -30,7 +30,7 @@ from scipy import ndimage, optimize
 from synfog_usd.errors import OutputError, ParameterError, SynfogError, did_you_mean
 from synfog_usd.files import write_whole
 from synfog_usd.science import colour_science
-from synfog_usd.world.clouds import CELLS, Layer, Light, clouded
+from synfog_usd.world.clouds import CELLS, CloudLayer, CloudLight, clouded
 from synfog_usd.world.daylight import LUMINANCE, colour_temperature, illuminance_per_zenith, relative_luminance, tint
 from synfog_usd.world.textures import ORIGIN, noise
 
@@ -73,7 +73,7 @@ class Sky:
     sun_height_deg: float
     illuminance_lx: float
     cloud_light: float
-    layers: tuple[Layer, ...]
+    layers: tuple[CloudLayer, ...]
     sun: float = 4.0
     through: float = 0.0
     contrast: float = 1.0
@@ -96,16 +96,16 @@ class Sky:
         return self.lamps_k or colour_temperature(self.sun_height_deg, cover=self.cloud_light, through=self.through)
 
 
-_STRATUS = Layer(600, 400, 1.0, 2000, 0.03, edge=1.8, towers=1.2, billow=0.35, stretch=1.7, thinnest=0.3, haze_m=12_000)
-_ALTOSTRATUS = Layer(3200, 900, 1.0, 5000, 0.006, edge=3.5, billow=0.0, stretch=2.5, haze_m=60_000)
-_STRATOCUMULUS = Layer(1100, 450, 0.97, 1500, 0.035, edge=1.6, towers=0.6, billow=0.4, stretch=1.8, haze_m=25_000)
-_CUMULUS = Layer(1200, 1300, 0.5, 2400, 0.05, edge=0.35, towers=1.6, billow=0.45, haze_m=30_000)
-_ALTOCUMULUS = Layer(3600, 300, 0.7, 1000, 0.02, edge=0.9, towers=0.5, billow=0.5, stretch=1.5, haze_m=32_000)
-_NIMBOSTRATUS = Layer(900, 900, 1.0, 3000, 0.05, edge=1.7, towers=1.3, billow=0.35, stretch=1.6, thinnest=0.2, haze_m=14_000)
-_SCUD = Layer(400, 300, 0.45, 1100, 0.03, edge=1.0, towers=0.8, billow=0.3, stretch=1.8, haze_m=8_000)
+_STRATUS = CloudLayer(600, 400, 1.0, 2000, 0.03, edge=1.8, towers=1.2, billow=0.35, stretch=1.7, thinnest=0.3, haze_m=12_000)
+_ALTOSTRATUS = CloudLayer(3200, 900, 1.0, 5000, 0.006, edge=3.5, billow=0.0, stretch=2.5, haze_m=60_000)
+_STRATOCUMULUS = CloudLayer(1100, 450, 0.97, 1500, 0.035, edge=1.6, towers=0.6, billow=0.4, stretch=1.8, haze_m=25_000)
+_CUMULUS = CloudLayer(1200, 1300, 0.5, 2400, 0.05, edge=0.35, towers=1.6, billow=0.45, haze_m=30_000)
+_ALTOCUMULUS = CloudLayer(3600, 300, 0.7, 1000, 0.02, edge=0.9, towers=0.5, billow=0.5, stretch=1.5, haze_m=32_000)
+_NIMBOSTRATUS = CloudLayer(900, 900, 1.0, 3000, 0.05, edge=1.7, towers=1.3, billow=0.35, stretch=1.6, thinnest=0.2, haze_m=14_000)
+_SCUD = CloudLayer(400, 300, 0.45, 1100, 0.03, edge=1.0, towers=0.8, billow=0.3, stretch=1.8, haze_m=8_000)
 
 
-def _like(layer: Layer, **changes: float) -> Layer:
+def _like(layer: CloudLayer, **changes: float) -> CloudLayer:
     return replace(layer, **changes)
 
 
@@ -282,11 +282,11 @@ def _tempered(ratio: Array) -> Array:
     return np.maximum(np.minimum(ratio, 1.3) + over / (1 + over / 0.9), 0.04)
 
 
-def _light(sky: Sky, azimuth: Array) -> Light:
+def _light(sky: Sky, azimuth: Array) -> CloudLight:
     """What falls on the clouds, by the height of the sun."""
     if sky.lamps_k:
         town, dark = np.array(tint(sky.lamps_k)), np.array(tint(6000.0))
-        return Light(sky.sun_height_deg, sky.sun_azimuth_deg, 0 * dark, 0.1 * dark, town, 0.12 * dark, 0.4 * town)
+        return CloudLight(sky.sun_height_deg, sky.sun_azimuth_deg, 0 * dark, 0.1 * dark, town, 0.12 * dark, 0.4 * town)
     h = max(sky.sun_height_deg, -6.0)
     warm = _sunlight(sky)
     closed = any(layer.cover >= 0.95 for layer in sky.layers)  # a thick layer mixes sun and sky
@@ -298,10 +298,10 @@ def _light(sky: Sky, azimuth: Array) -> Light:
     towards = np.exp(-((1 - np.cos(azimuth - np.deg2rad(sky.sun_azimuth_deg))) / 0.35))[..., None]
     glow = float(np.interp(h, [-6, -3, 0, 5, 20], [1.2, 2.0, 2.5, 1.5, 0.0]))
     horizon = 1.6 * pale + glow * towards * warm
-    return Light(sky.sun_height_deg, sky.sun_azimuth_deg, sky.sun * sun, dome * above, 0.12 * dome * (above + sun) / 2, blue, horizon)
+    return CloudLight(sky.sun_height_deg, sky.sun_azimuth_deg, sky.sun * sun, dome * above, 0.12 * dome * (above + sun) / 2, blue, horizon)
 
 
-def _in_front(light: Light, seen: Array) -> Light:
+def _in_front(light: CloudLight, seen: Array) -> CloudLight:
     """The light on a lower layer: in the shade of the upper, which stands behind it."""
     mean = seen.mean(axis=(0, 1))
     return replace(light, sun=0 * light.sun, sky=mean, ground=0.1 * mean, behind=seen, horizon=seen)

@@ -64,7 +64,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Mounted:
+class RigCamera:
     """A camera of the rig beside the ego's own.
 
     Attributes:
@@ -82,7 +82,7 @@ class Mounted:
 
 
 @dataclass(frozen=True)
-class Dome:
+class SkyDome:
     """One of the skies.
 
     Attributes:
@@ -120,13 +120,13 @@ class WorldSpec:
     view: View
     fog: Mapping[str, float | None]
     fog_selected: str
-    day: Dome
-    dusk: Dome
+    day: SkyDome
+    dusk: SkyDome
     scatter: int = 0
     origin: Mapping[str, str] = field(default_factory=dict)
     road: Road | None = None
     built: Mapping[str, Any] = field(default_factory=dict)
-    rig: tuple[Mounted, ...] = ()
+    rig: tuple[RigCamera, ...] = ()
 
     def plain(self) -> dict[str, Any]:
         """As JSON has it: mappings, lists, numbers and texts."""

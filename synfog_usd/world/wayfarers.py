@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from synfog_usd.world.coachwork import lamp_states
-from synfog_usd.world.components import Component, Lamp, Look
+from synfog_usd.world.components import Component, Look, MountedLamp
 from synfog_usd.world.materials import PAINTS, PALETTE, Material
 from synfog_usd.world.people import Person, build_bicycle, cut_by_role, dressed, face, fields_of, person_parts
 from synfog_usd.world.shapes import Part, ball, box, disc, lathe, scale, shaded, shift, soft_box, split, strip, tube, turn
@@ -184,7 +184,7 @@ def _motorcyclist() -> Component:
     parts.append(shaded(strip(visor, "gloss_black"), 60))
     parts += _motorcycle()
     lens = (0.0, 0.735, 0.84)
-    lamp = Lamp("Head", shift(lens[0], lens[1] + 0.05, lens[2]) @ turn(90, "x"), beam="low_beam_halogen")
+    lamp = MountedLamp("Head", shift(lens[0], lens[1] + 0.05, lens[2]) @ turn(90, "x"), beam="low_beam_halogen")
     wears = {"hair": "helmet", "shoes": "leather_black"}
     component = dressed("motorcyclist", "rider", "Somebody on a motorcycle, both in one.", parts, wears, (("cloth_black", "leather_black"), ("cloth_grey",
         "cloth_black"), ("cloth_red", "cloth_black")))  # fmt: skip

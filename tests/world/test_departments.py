@@ -12,7 +12,7 @@ from pxr import Sdf, Usd
 
 from synfog_usd.world import departments
 from synfog_usd.world.compose import compose
-from synfog_usd.world.draws import load_root
+from synfog_usd.world.language import load_root
 from synfog_usd.world.roads import recipe as roads
 from synfog_usd.world.roads import stage as of_roads
 

@@ -17,6 +17,7 @@ from pxr import Gf, Usd, UsdGeom, UsdUtils
 from synfog_usd.cli.main import main
 from synfog_usd.errors import RecipeError
 from synfog_usd.world import recipe
+from synfog_usd.world.compose import asset_folder, compose
 from synfog_usd.world.street import MAIN_HALF, WALL_X, ground_height
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -147,7 +148,7 @@ def test_what_is_drawn_lies_where_the_recipe_says():
 
 def test_weights_are_kept():
     """4,000 draws of weights 3 : 1, within five standard deviations of a binomial."""
-    drawn = recipe.Draw("choice", ("a", "b"), (3.0, 1.0))
+    drawn = recipe.Distribution("choice", ("a", "b"), (3.0, 1.0))
     rng = np.random.Generator(np.random.PCG64(0))
     share = np.mean([drawn(rng) == "a" for _ in range(4000)])
     assert share == pytest.approx(0.75, abs=5 * math.sqrt(0.75 * 0.25 / 4000))
@@ -165,7 +166,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_gives_others(tmp_path):
     """Two goes at one seed, and another seed; the stage opens from outside the tree with nothing missing."""
     files = [tmp_path / name / "stage.usda" for name in "abc"]
     for path, seed in zip(files, (1, 1, 2), strict=True):
-        recipe.compose(SHIPPED, path, seed=seed)
+        compose(SHIPPED, path, seed=seed)
     one, two, other = ({layer.name: layer.read_bytes() for layer in path.parent.iterdir()} for path in files)
     assert one == two
     assert [name for name in one if one[name] == other[name]] == []
@@ -182,7 +183,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_gives_others(tmp_path):
 )
 def test_references_are_relative_within_the_tree_and_absolute_elsewhere(folder, found):
     """The folder that holds the assets can move as a whole; a stage outside of it still opens."""
-    assert recipe.asset_folder(Path(folder), Path("/tree/assets")) == found
+    assert asset_folder(Path(folder), Path("/tree/assets")) == found
 
 
 MISTAKES = [

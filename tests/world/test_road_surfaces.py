@@ -13,13 +13,14 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender
 
 from synfog_usd.study import worlds
-from synfog_usd.world import draws
+from synfog_usd.world import language
 from synfog_usd.world.compose import compose
 from synfog_usd.world.lamps import lamp_of
 from synfog_usd.world.materials import PALETTE
 from synfog_usd.world.roads import asphalt, parameters, recipe, rules, surface, works
-from synfog_usd.world.roads.line import Line, bends
-from synfog_usd.world.roads.network import Land, Road, section
+from synfog_usd.world.roads.lane_section import LaneSection
+from synfog_usd.world.roads.network import Land, Road
+from synfog_usd.world.roads.reference_line import ReferenceLine, bends
 from synfog_usd.world.sky import SKIES
 from synfog_usd.world.spec import Placement
 
@@ -31,11 +32,11 @@ TOWN = [("pavement", 2.6, 0), ("parking", 2.1, 0), ("lane", 3.2, -1), ("lane", 3
 @functools.cache
 def drawn(name, seed, *changes):
     path = RECIPES / f"{name}.yaml"
-    return recipe.draw(recipe.read(draws.load_root(path, changes), path.name), seed=seed)
+    return recipe.draw(recipe.read(language.load_root(path, changes), path.name), seed=seed)
 
 
 def street(hill=None):
-    return Road(Line(400.0, bends([(40.0, 150.0, 40.0)], length=400.0)), section(TOWN), Land(hill=hill))
+    return Road(ReferenceLine(400.0, bends([(40.0, 150.0, 40.0)], length=400.0)), LaneSection.from_widths(TOWN), Land(hill=hill))
 
 
 # -- wet
@@ -89,7 +90,7 @@ def test_four_asphalts_are_of_four_tones():
 def test_puddles_lie_in_wheel_tracks_and_at_kerbs_and_not_in_the_tunnel():
     """One millimetre above the carriageway, within it, none beyond the portal; none on a dry road, more on a wet one than on a damp one."""
     road = street(hill=(200.0, 14.0))
-    paved = [strip for strip in road.section.strips if strip.band.kind in ("lane", "parking")]
+    paved = [lane for lane in road.lane_section.lanes if lane.kind in ("lane", "parking")]
     count = {}
     for wet in asphalt.WETNESS:
         parts = asphalt.puddles(road, asphalt.Asphalt("worn", wet), seed=3)
@@ -155,17 +156,17 @@ def test_works_stand_beside_the_lanes_and_hold_their_workers(name):
         if site is None:
             continue
         found += 1
-        kinds = {world.road.section.at(t).band.kind for t in (site.low, site.high)}
+        kinds = {world.road.lane_section.at(t).kind for t in (site.low, site.high)}
         assert kinds <= {"pavement", "shoulder", "verge"}
         assert all(zebra < site.s or zebra > site.s + site.length for zebra in world.road.zebras)
         inside = []
         for p in world.placed:
-            s, t = (float(v) for v in world.road.line.nearest(p.x, p.y))
+            s, t = (float(v) for v in world.road.reference_line.nearest(p.x, p.y))
             if site.s < s < site.s + site.length and site.low < t < site.high:
                 inside.append(p.asset)
         assert 1 <= len(inside) <= 2 and set(inside) == {"worker"}
         points = np.concatenate([part.points for part in works.built(world.road, site).parts])
-        s, t = world.road.line.nearest(points[:, 0], points[:, 1])
+        s, t = world.road.reference_line.nearest(points[:, 0], points[:, 1])
         height = points[:, 2] - world.road.ground(s, t)
         assert height.max() == pytest.approx(1.0, abs=0.12) and height.min() > -0.7  # the heap and the verge's fall go below
     assert found >= 1
@@ -199,9 +200,9 @@ def test_the_recipes_draw_all_sixteen_skies():
     """Over the road recipes every sky is a choice, by day or by dusk, and no sky is both."""
     choices = {"day": set(), "dusk": set()}
     for path in RECIPES.glob("*.yaml"):
-        root = draws.load_root(path)
-        if draws.world_of(root) == "road":
-            found = recipe.read(root, path.name).draws
+        root = language.load_root(path)
+        if language.world_of(root) == "road":
+            found = recipe.read(root, path.name).distributions
             for key, names in choices.items():
                 names.update(found[f"sky.{key}"].values)
     assert choices["day"] | choices["dusk"] == set(SKIES) and not choices["day"] & choices["dusk"]

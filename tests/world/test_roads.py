@@ -14,12 +14,12 @@ from scipy import special, stats
 
 from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import RecipeError
-from synfog_usd.world import draws
+from synfog_usd.world import language
 from synfog_usd.world.compose import compose
 from synfog_usd.world.roads import land, markings, recipe, rules, surface
-from synfog_usd.world.roads.line import Line, bends
-from synfog_usd.world.roads.network import Road, section
-from synfog_usd.world.roads.section import KERB_M
+from synfog_usd.world.roads.lane_section import KERB_M, LaneSection
+from synfog_usd.world.roads.network import Road
+from synfog_usd.world.roads.reference_line import ReferenceLine, bends
 from synfog_usd.world.shapes import by_material
 from synfog_usd.world.spec import Placement, View
 
@@ -34,7 +34,7 @@ USERS = {"person", "rider", "car", "truck", "bus", "motorcycle", "bicycle"}
 @functools.cache
 def read(name):
     path = RECIPES / f"{name}.yaml"
-    return recipe.read(draws.load_root(path), path.name)
+    return recipe.read(language.load_root(path), path.name)
 
 
 @functools.cache
@@ -45,7 +45,7 @@ def spec(name, seed):
 def from_text(tmp_path, text):
     path = tmp_path / "mine.yaml"
     path.write_text(text)
-    return recipe.read(draws.load_root(path), path.name)
+    return recipe.read(language.load_root(path), path.name)
 
 
 @functools.cache
@@ -114,18 +114,18 @@ def check(name, seed):
     shares = rules.visible(world.view, fov, world.placed, road, within_m=100.0)
     assert sum(share >= rules.SHARE_SEEN for share in shares.values()) >= 3
     for p in world.placed:
-        s, t = (float(v) for v in road.line.nearest(p.x, p.y))
+        s, t = (float(v) for v in road.reference_line.nearest(p.x, p.y))
         if p.group in ("Vehicles", "People"):
             assert p.height == pytest.approx(float(road.height(p.x, p.y)), abs=0.005), (name, seed, p)
-        strip = road.section.at(t)
-        if p.group == "Vehicles" and strip is not None and strip.band.way:
-            along = math.cos(math.radians(p.heading) - float(road.line.heading(s)))
-            assert along * strip.band.way > 0.99, (name, seed, p)
+        lane = road.lane_section.at(t)
+        if p.group == "Vehicles" and lane is not None and lane.way:
+            along = math.cos(math.radians(p.heading) - float(road.reference_line.heading(s)))
+            assert along * lane.way > 0.99, (name, seed, p)
         if p.group == "People" and p.asset != "rider":
             crossing = any(abs(s - z) < markings.ZEBRA_DEPTH_M / 2 for z in road.zebras)
-            working = p.asset == "worker" and strip is not None and strip.band.kind in ("shoulder", "verge")
-            assert strip is not None and (strip.band.kind == "pavement" or crossing or working), (name, seed, p)
-    return tuple((p.asset, p.x, p.y) for p in world.placed), road.line.curvature, road.section
+            working = p.asset == "worker" and lane is not None and lane.kind in ("shoulder", "verge")
+            assert lane is not None and (lane.kind == "pavement" or crossing or working), (name, seed, p)
+    return tuple((p.asset, p.x, p.y) for p in world.placed), road.reference_line.curvature, road.lane_section
 
 
 def mesh_triangles(road, seed=0, beside=False):
@@ -153,7 +153,7 @@ def height_below(triangles, x, y):
 def test_a_clothoid_ends_where_fresnel_says():
     """Curvature from 0 to 1/60 over 80 m: x and y of the Euler spiral by Fresnel's integrals, within a tenth of a millimetre."""
     length, radius = 80.0, 60.0
-    line = Line(length, ((0.0, 0.0), (length, 1.0 / radius)))
+    line = ReferenceLine(length, ((0.0, 0.0), (length, 1.0 / radius)))
     scale = math.sqrt(math.pi * radius * length)  # heading = s^2 / (2 R L) = (pi / 2) (s / scale)^2
     s = np.linspace(0, length, 41)
     across, along = special.fresnel(s / scale)
@@ -165,7 +165,7 @@ def test_a_clothoid_ends_where_fresnel_says():
 
 def test_a_bend_turns_by_its_angle_and_slopes_make_parabolas():
     """Three bends end in the sum of their angles, and a slope that grows linearly lifts by half of it times the length."""
-    line = Line(900.0, bends([(30.0, 200.0, 40.0), (20.0, 120.0, -70.0), (10.0, 300.0, 12.0)], length=900.0), ((0.0, 0.0), (200.0, 0.06)))
+    line = ReferenceLine(900.0, bends([(30.0, 200.0, 40.0), (20.0, 120.0, -70.0), (10.0, 300.0, 12.0)], length=900.0), ((0.0, 0.0), (200.0, 0.06)))
     assert math.degrees(float(line.heading(900.0))) == pytest.approx(-18.0, abs=1e-3)
     s = np.array([0.0, 50.0, 125.0, 200.0, 300.0])
     np.testing.assert_allclose(line.height(s), np.where(s <= 200, 0.06 / 400 * s**2, 6.0 + 0.06 * (s - 200)), atol=1e-5)
@@ -173,7 +173,7 @@ def test_a_bend_turns_by_its_angle_and_slopes_make_parabolas():
 
 def test_nearest_finds_what_place_placed():
     """1,000 places on a winding line, within a millimetre in station and offset."""
-    line = Line(600.0, bends([(20.0, 150.0, 60.0), (10.0, 150.0, -80.0), (40.0, 90.0, 30.0)], length=600.0))
+    line = ReferenceLine(600.0, bends([(20.0, 150.0, 60.0), (10.0, 150.0, -80.0), (40.0, 90.0, 30.0)], length=600.0))
     rng = np.random.Generator(np.random.PCG64(5))
     s, t = rng.uniform(1, 599, 1000), rng.uniform(-40, 40, 1000)
     found = line.nearest(*line.place(s, t))
@@ -184,17 +184,17 @@ def test_nearest_finds_what_place_placed():
 def test_the_meshes_are_where_the_ground_is_said_to_be():
     """On a road with bends, crests, kerbs and hills: the highest triangle at 300 places is the ground within 5 mm, on the land within 8 cm."""
     bands = [("verge", 2.0, 0), ("lane", 3.2, -1), ("lane", 3.2, 1), ("parking", 2.0, 0), ("pavement", 2.5, 0)]
-    line = Line(300.0, bends([(20.0, 160.0, 50.0), (10.0, 200.0, -40.0)], length=300.0), ((0.0, 0.0), (60.0, 0.05), (180.0, -0.05), (300.0, 0.02)))
-    road = Road(line, section(bands), land=recipe.Land(6.0, 3))
+    line = ReferenceLine(300.0, bends([(20.0, 160.0, 50.0), (10.0, 200.0, -40.0)], length=300.0), ((0.0, 0.0), (60.0, 0.05), (180.0, -0.05), (300.0, 0.02)))
+    road = Road(line, LaneSection.from_widths(bands), land=recipe.Land(6.0, 3))
     triangles = mesh_triangles(road, beside=True)
     rng = np.random.Generator(np.random.PCG64(1))
-    for s, t in zip(rng.uniform(5, 295, 300), rng.uniform(road.section.low - 8, road.section.high + 8, 300), strict=True):
-        if any(abs(t - kerb) < 0.2 for kerb, _ in road.section.kerbs()):
+    for s, t in zip(rng.uniform(5, 295, 300), rng.uniform(road.lane_section.low - 8, road.lane_section.high + 8, 300), strict=True):
+        if any(abs(t - kerb) < 0.2 for kerb, _ in road.lane_section.kerbs()):
             continue
         x, y = (float(v) for v in line.place(s, t))
-        on_road = road.section.low <= t <= road.section.high
+        on_road = road.lane_section.low <= t <= road.lane_section.high
         assert height_below(triangles, x, y) == pytest.approx(float(road.ground(s, t)), abs=0.005 if on_road else 0.08), (s, t)
-    assert float(road.ground(100.0, road.section.high - 1.0) - line.height(100.0)) == pytest.approx(KERB_M)
+    assert float(road.ground(100.0, road.lane_section.high - 1.0) - line.height(100.0)) == pytest.approx(KERB_M)
 
 
 def test_markings_lie_above_the_asphalt_and_within_the_carriageway():
@@ -205,9 +205,9 @@ def test_markings_lie_above_the_asphalt_and_within_the_carriageway():
     chosen = points[np.random.Generator(np.random.PCG64(2)).choice(len(points), 150, replace=False)]
     low, high = markings.zebra_span(world.road)
     for x, y, z in chosen:
-        s, t = (float(v) for v in world.road.line.nearest(x, y))
+        s, t = (float(v) for v in world.road.reference_line.nearest(x, y))
         assert low - 0.01 <= t <= high + 0.01
-        if 1.0 < s < world.road.line.length - 1.0 and all(abs(t - kerb) > 0.2 for kerb, _ in world.road.section.kerbs()):
+        if 1.0 < s < world.road.reference_line.length - 1.0 and all(abs(t - kerb) > 0.2 for kerb, _ in world.road.lane_section.kerbs()):
             assert 0.001 < z - height_below(triangles, x, y) < 0.004
 
 
@@ -230,7 +230,7 @@ def test_five_hundred_worlds_keep_the_rules_and_none_is_another():
 def test_no_two_seeds_share_a_layout():
     """Among the quick ones; placements and lines both differ."""
     assert len({check(name, seed)[0] for name, seed in QUICK}) == len(QUICK)
-    assert len({spec("rural", seed).road.line.curvature for seed in range(4)}) == 4
+    assert len({spec("rural", seed).road.reference_line.curvature for seed in range(4)}) == 4
 
 
 def test_two_wheelers_lorries_and_houses_in_the_country_do_stand_on_the_roads():
@@ -262,8 +262,8 @@ def test_wheels_touch_the_road_on_slopes(name):
     for p in world.placed:
         if p.group != "Vehicles" or shape(p.asset)[2] == "bicycle":
             continue
-        s, _ = world.road.line.nearest(p.x, p.y)
-        if not 6 < s < world.road.line.length - 6:
+        s, _ = world.road.reference_line.nearest(p.x, p.y)
+        if not 6 < s < world.road.reference_line.length - 6:
             continue
         h, pitch = math.radians(p.heading), math.radians(p.pitch)
         two_wheels = shape(p.asset)[2] == "rider"
@@ -290,7 +290,7 @@ def test_vehicles_keep_the_distance_in_which_they_can_stop():
 
 def test_a_bus_hides_a_car_and_a_crest_hides_both():
     """Straight ahead a car is seen whole; with a bus before it, not at all; nor over a crest, nor out of the picture."""
-    flat = Road(Line(300.0), section([("lane", 3.5, -1), ("lane", 3.5, 1)]))
+    flat = Road(ReferenceLine(300.0), LaneSection.from_widths([("lane", 3.5, -1), ("lane", 3.5, 1)]))
     view = View(0.0, 0.0, 1.45, 90.0, 0.0)
 
     def seen(placed, road=flat):
@@ -302,8 +302,8 @@ def test_a_bus_hides_a_car_and_a_crest_hides_both():
     assert seen([car, bus])["Car"] == 0.0 and seen([car, bus])["Bus"] == 1.0
     assert seen([Placement("Vehicles", "Far", "saloon", 0.0, 120.0, 0.0, z=0.0)]) == {}
     assert seen([Placement("Vehicles", "Aside", "saloon", 40.0, 50.0, 0.0, z=0.0)]) == {}
-    crest = Road(Line(300.0, slope=((0.0, 0.0), (10.0, 0.12), (30.0, 0.12), (50.0, -0.12), (120.0, -0.12))), flat.section)
-    low = Placement("Vehicles", "Car", "saloon", 0.0, 90.0, 0.0, z=float(crest.line.height(90.0)))
+    crest = Road(ReferenceLine(300.0, slope=((0.0, 0.0), (10.0, 0.12), (30.0, 0.12), (50.0, -0.12), (120.0, -0.12))), flat.lane_section)
+    low = Placement("Vehicles", "Car", "saloon", 0.0, 90.0, 0.0, z=float(crest.reference_line.height(90.0)))
     assert seen([low], crest)["Car"] == 0.0
 
 
@@ -334,7 +334,7 @@ def test_lamps_do_not_hang_in_trees():
 
 def test_a_truncated_normal_is_one():
     """4,000 draws against scipy's (Kolmogorov and Smirnov, alpha 1e-4)."""
-    drawn = draws.Draw("normal", (2.0, 3.0, -1.0, 4.0))
+    drawn = language.Distribution("normal", (2.0, 3.0, -1.0, 4.0))
     rng = np.random.Generator(np.random.PCG64(0))
     values = [drawn(rng) for _ in range(4000)]
     assert stats.kstest(values, stats.truncnorm(-1.0, 2.0 / 3.0, loc=2.0, scale=3.0).cdf).pvalue > 1e-4
@@ -342,7 +342,7 @@ def test_a_truncated_normal_is_one():
 
 def test_hours_are_interpolated_round_midnight():
     """Between 22 h (100) and 2 h (300) lies midnight with 200."""
-    drawn = draws.Draw("by_hour", ((2.0, 300.0), (12.0, 500.0), (22.0, 100.0)))
+    drawn = language.Distribution("by_hour", ((2.0, 300.0), (12.0, 500.0), (22.0, 100.0)))
     rng = np.random.Generator(np.random.PCG64(0))
     assert [drawn(rng, hour=h) for h in (22.0, 0.0, 2.0, 7.0)] == pytest.approx([100.0, 200.0, 300.0, 400.0])
 
@@ -351,7 +351,7 @@ def test_more_traffic_by_day_than_by_night():
     """40 seeds of the arterial road at 8 h and at 3 h: the mean number of vehicles on the lanes grows by at least half."""
 
     def mean(hour):
-        root = draws.load_root(RECIPES / "arterial.yaml", [f"traffic.hour={hour}", "rules.in_view=0"])
+        root = language.load_root(RECIPES / "arterial.yaml", [f"traffic.hour={hour}", "rules.in_view=0"])
         found = recipe.read(root, "arterial.yaml")
         return np.mean([sum(bool(p.lit) and p.group == "Vehicles" for p in recipe.draw(found, seed=seed).placed) for seed in range(6)])
 
@@ -361,7 +361,7 @@ def test_more_traffic_by_day_than_by_night():
 def test_the_command_line_overrides_the_recipe():
     """Twenty vehicles are twenty vehicles; what else was drawn stays as it was."""
     plain = spec("motorway", 3)
-    root = draws.load_root(RECIPES / "motorway.yaml", ["traffic.count=20"])
+    root = language.load_root(RECIPES / "motorway.yaml", ["traffic.count=20"])
     changed = recipe.draw(recipe.read(root, "motorway.yaml"), seed=3)
     assert sum(p.group == "Vehicles" for p in changed.placed) in (19, 20)  # one may find no room
     assert [p for p in changed.placed if p.group == "Plants"] == [p for p in plain.placed if p.group == "Plants"]
@@ -369,17 +369,17 @@ def test_the_command_line_overrides_the_recipe():
 
 
 HEAD = "synfog: recipe/1\nworld: road\n"
-LANES = "section: [{lane: 3.5, way: -1}, {lane: 3.5, way: 1}]\n"
+LANES = "lane_section: [{lane: 3.5, way: -1}, {lane: 3.5, way: 1}]\n"
 MISTAKES = [
     ("synfog: recipe/1\nworld: rode\n", "2:8", "Did you mean 'road'"),
-    (HEAD, "1:1", "needs 'section'"),
-    (HEAD + "section: []", "3:10", "list of bands"),
-    (HEAD + "section: [{lame: 3.5, way: 1}]", "3:12", "Did you mean 'lane'"),
-    (HEAD + "section: [{lane: 3.5}]", "3:11", "needs its way"),
-    (HEAD + "section: [{lane: 3.5, way: 2}]", "3:28", "takes 1"),
-    (HEAD + "section: [{lane: 3.5, way: -1}]", "3:10", "in which the camera drives"),
-    (HEAD + "section: [{lane: 3.5, way: 1}, {lane: 3.5, way: -1}]", "3:10", "keeps to the right"),
-    (HEAD + "section: [{lane: 300, way: 1}]", "3:18", "outside 0.3 to 30"),
+    (HEAD, "1:1", "needs 'lane_section'"),
+    (HEAD + "lane_section: []", "3:15", "list of lanes"),
+    (HEAD + "lane_section: [{lame: 3.5, way: 1}]", "3:17", "Did you mean 'lane'"),
+    (HEAD + "lane_section: [{lane: 3.5}]", "3:16", "needs its way"),
+    (HEAD + "lane_section: [{lane: 3.5, way: 2}]", "3:33", "takes 1"),
+    (HEAD + "lane_section: [{lane: 3.5, way: -1}]", "3:15", "in which the camera drives"),
+    (HEAD + "lane_section: [{lane: 3.5, way: 1}, {lane: 3.5, way: -1}]", "3:15", "keeps to the right"),
+    (HEAD + "lane_section: [{lane: 300, way: 1}]", "3:23", "outside 0.3 to 30"),
     (HEAD + LANES + "road: {length_m: 10000}", "4:18", "outside 150 to 1500"),
     (HEAD + LANES + "road: {turn_deg: {normal: {mean: 0, deviation: 1, low: 5}}}", "4:27", "lacks high"),
     (HEAD + LANES + "road: {turn_deg: {normal: {mean: 0, deviation: 1, low: 50, high: 60}}}", "4:27", "has nothing from 50 to 60"),

@@ -13,13 +13,13 @@ from pxr import Usd, UsdGeom, UsdUtils, UsdValidation
 
 from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import RecipeError
-from synfog_usd.world import draws
+from synfog_usd.world import language
 from synfog_usd.world.compose import compose
 from synfog_usd.world.roads import roundabout_markings, roundabout_recipe, roundabout_surface, rules
-from synfog_usd.world.roads.line import Line
+from synfog_usd.world.roads.lane_section import KERB_M
 from synfog_usd.world.roads.network import Land
+from synfog_usd.world.roads.reference_line import ReferenceLine
 from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, roundabout
-from synfog_usd.world.roads.section import KERB_M
 from synfog_usd.world.shapes import by_material
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,12 +32,12 @@ NEW = {"asphalt", "asphalt_lane", "chip_seal", "paving", "setts", "grass"}
 
 @functools.cache
 def spec(seed):
-    return roundabout_recipe.draw(roundabout_recipe.read(draws.load_root(RECIPE), RECIPE.name), seed=seed)
+    return roundabout_recipe.draw(roundabout_recipe.read(language.load_root(RECIPE), RECIPE.name), seed=seed)
 
 
 @functools.cache
 def plain(radius=18.0, corner_m=15.0, headings=(180.0, 250.0, 5.0, 95.0), apron=1.5, hills=0.0):
-    lines = [Line(160.0, origin=(0.0, 0.0, heading)) for heading in headings]
+    lines = [ReferenceLine(160.0, origin=(0.0, 0.0, heading)) for heading in headings]
     return roundabout(
         lines, radius=radius, ring_m=6.0, apron=apron, mound=1.0, lane_m=3.4, half_island=1.6, pavement=2.5, zebra_m=8.0, corner_m=corner_m, land=Land(hills, 1)
     )
@@ -148,7 +148,7 @@ def test_the_meshes_are_where_the_ground_is_said_to_be(radius, apron, hills):
 def _island_edges(junction, x, y):
     """(t, s, half width, nearest end) of a place by every part of a splitter island that it is near."""
     for arm, road in enumerate(junction.arms):
-        h = math.radians(road.line.origin[2])
+        h = math.radians(road.reference_line.origin[2])
         s, t = -x * math.sin(h) + y * math.cos(h), x * math.cos(h) + y * math.sin(h)
         for low, high in junction.islands(arm):
             if low - 0.3 < s < high + 0.3 and abs(t) < 3:
@@ -214,7 +214,7 @@ def test_kerbs_are_low_where_people_cross():
         assert np.all((line.kerb[at] > 0.02) & (line.kerb[at] < 0.03))
         for side in (-1, 1):
             t = side * (float(junction.edge(arm, side, road.zebras[0])) + np.array([0.16, 0.6, 1.0, 1.5]))
-            z = junction.height(*road.line.place(road.zebras[0], t))
+            z = junction.height(*road.reference_line.place(road.zebras[0], t))
             assert np.all(np.diff(z) / np.diff(np.abs(t)) < 1 / 8) and z[-1] == pytest.approx(KERB_M)
     assert np.isclose(line.kerb, KERB_M).mean() > 0.8
 
@@ -257,14 +257,14 @@ def check(seed):
                 assert r > junction.inner + 0.5
             else:
                 arm, side = _arm_of(junction, p)
-                heading = float(junction.arms[arm].line.heading(side[0]))
+                heading = float(junction.arms[arm].reference_line.heading(side[0]))
                 along = forward @ np.array([-math.sin(heading), math.cos(heading)])
                 assert along * (1 if side[1] > 0 else -1) > 0.97, (seed, p)  # keeps to the right
                 for arm_, road in enumerate(junction.arms):
-                    s, t = (np.array(v) for v in road.line.nearest(prints[:, 0], prints[:, 1]))
+                    s, t = (np.array(v) for v in road.reference_line.nearest(prints[:, 0], prints[:, 1]))
                     assert not np.any((np.abs(s - road.zebras[0]) < ZEBRA_HALF_M) & (np.abs(t) < 6)), (seed, p, arm_)
         elif label == "person":
-            crossed = ((road.line.nearest(p.x, p.y), road.zebras[0]) for road in junction.arms)
+            crossed = ((road.reference_line.nearest(p.x, p.y), road.zebras[0]) for road in junction.arms)
             on_zebra = any(abs(float(s) - zebra) < ZEBRA_HALF_M and abs(float(t)) < 9.0 for (s, t), zebra in crossed)
             middle, _ = junction.across(p.x, p.y)
             assert 0.0 < middle < junction.pavement or (middle < 0.0 and on_zebra), (seed, p)
@@ -273,7 +273,7 @@ def check(seed):
 
 def _arm_of(junction, p):
     """The arm that a place is on, with its station and offset there."""
-    found = [tuple(float(v) for v in road.line.nearest(p.x, p.y)) for road in junction.arms]
+    found = [tuple(float(v) for v in road.reference_line.nearest(p.x, p.y)) for road in junction.arms]
     arm = min(range(len(found)), key=lambda k: abs(found[k][1]) if found[k][0] > junction.radius * 0.6 else math.inf)
     return arm, found[arm]
 
@@ -308,11 +308,11 @@ def test_every_arm_has_its_signs_facing_who_arrives():
     for seed in QUICK:
         world = spec(seed)
         for road in world.road.arms:
-            facing = road.line.origin[2]
+            facing = road.reference_line.origin[2]
             turned = [p for p in world.placed if abs((p.heading - facing + 180) % 360 - 180) < 1.0]
             ways = [p for p in turned if p.asset == "sign_give_way"]
             assert len(ways) == 1
-            s, t = (float(v) for v in road.line.nearest(ways[0].x, ways[0].y))
+            s, t = (float(v) for v in road.reference_line.nearest(ways[0].x, ways[0].y))
             assert 0.0 < s - world.road.radius < 5.0 and t < -world.road.lane_width
             boards = [p for p in turned if p.asset == "sign_chevron"]
             assert len(boards) == 1 and math.hypot(boards[0].x, boards[0].y) < world.road.island
@@ -331,7 +331,7 @@ def test_some_walk_in_company():
     """Where all who can walk in company do, somebody has a neighbour within a metre who looks the same way; where nobody does, fewer have."""
 
     def pairs(company):
-        root = draws.load_root(RECIPE, [f"people.company={company}", "people.count=14", "people.crossing_share=0"])
+        root = language.load_root(RECIPE, [f"people.company={company}", "people.count=14", "people.crossing_share=0"])
         people = [p for p in roundabout_recipe.draw(roundabout_recipe.read(root, RECIPE.name), seed=1).placed if shape(p.asset)[2] == "person"]
         assert len(people) == 14
         near = [(a, b) for a, b in itertools.combinations(people, 2) if math.hypot(a.x - b.x, a.y - b.y) < 1.0]
@@ -345,7 +345,7 @@ def test_some_walk_in_company():
 HEAD = "synfog: recipe/1\nworld: roundabout\n"
 MISTAKES = [
     ("synfog: recipe/1\nworld: roundabuot\n", "2:8", "Did you mean 'roundabout'"),
-    (HEAD + "section: []", "3:1", "no 'section'"),
+    (HEAD + "lane_section: []", "3:1", "no 'lane_section'"),
     (HEAD + "circle: {diametre_m: 30}", "3:10", "Did you mean 'diameter_m'"),
     (HEAD + "circle: {diameter_m: 12}", "3:22", "outside 26 to 60"),
     (HEAD + "circle: {give_way: tooth}", "3:20", "Did you mean 'teeth'"),
@@ -384,7 +384,7 @@ def test_a_rule_that_cannot_be_met_is_named(tmp_path, change, words):
     path = tmp_path / "mine.yaml"
     path.write_text(HEAD + change + "\n")
     with pytest.raises(RecipeError) as raised:
-        roundabout_recipe.draw(roundabout_recipe.read(draws.load_root(path), path.name), seed=0)
+        roundabout_recipe.draw(roundabout_recipe.read(language.load_root(path), path.name), seed=0)
     assert words in str(raised.value) and "\n" not in str(raised.value)
 
 
@@ -392,7 +392,7 @@ def test_the_command_line_overrides_the_recipe():
     """Five arms are five; another flow leaves circle, arms and plants as they were."""
 
     def drawn(*changes):
-        return roundabout_recipe.draw(roundabout_recipe.read(draws.load_root(RECIPE, changes), RECIPE.name), seed=1)
+        return roundabout_recipe.draw(roundabout_recipe.read(language.load_root(RECIPE, changes), RECIPE.name), seed=1)
 
     assert len(drawn("arms.count=5").road.arms) == 5
     fuller = drawn("traffic.per_hour=900")
@@ -456,7 +456,7 @@ def test_signs_show_their_faces_to_who_arrives():
     """Every blue face of the built signs looks out along its arm, and the white arrow on it too."""
     junction = plain()
     for thing in roundabout_markings.signs(junction):
-        heading = math.radians(junction.arms[int(thing.name[-1]) - 1].line.origin[2])
+        heading = math.radians(junction.arms[int(thing.name[-1]) - 1].reference_line.origin[2])
         out = np.array([-math.sin(heading), math.cos(heading), 0.0])
         for part in thing.parts:
             if part.material in ("sign_blue", "sign_white"):

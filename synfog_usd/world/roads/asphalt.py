@@ -13,8 +13,8 @@ import numpy as np
 
 from synfog_usd.seeds import stream
 from synfog_usd.world.materials import PALETTE, Material
+from synfog_usd.world.roads.lane_section import DRIVEN, PAVED
 from synfog_usd.world.roads.network import Road
-from synfog_usd.world.roads.section import DRIVEN, PAVED
 from synfog_usd.world.shapes import Part, strip
 
 KINDS = ("new", "worn", "old", "chip_seal")
@@ -106,16 +106,16 @@ def puddles(road: Road, asphalt: Asphalt, *, seed: int) -> list[Part]:
     if not share:
         return []
     rng = stream(seed, "road", "puddles")
-    end = road.line.length if road.land.hill is None else road.land.hill[0] + INTO_TUNNEL_M
+    end = road.reference_line.length if road.land.hill is None else road.land.hill[0] + INTO_TUNNEL_M
     parts = []
     fewer = 0.35 if asphalt.kind in ("new", "chip_seal") else 1.0  # no ruts yet, or no standing water between chippings
-    for band in road.section.of(*DRIVEN):
+    for lane in road.lane_section.of(*DRIVEN):
         for _ in range(rng.poisson(share**2 * fewer * end / TRACK_STEP_M)):
-            t = band.middle + TRACK_M * float(rng.choice((-1.0, 1.0))) + float(rng.normal(0, 0.1))
+            t = lane.middle + TRACK_M * float(rng.choice((-1.0, 1.0))) + float(rng.normal(0, 0.1))
             parts.append(_puddle(rng, float(rng.uniform(2.0, end - 12.0)), t, float(rng.uniform(1.0, 7.0)), float(rng.uniform(0.08, 0.22)), 0))
-    for kerb, side in road.section.kerbs():
-        beside = road.section.at(kerb - 0.05 * side)
-        if beside is None or beside.band.kind not in PAVED:
+    for kerb, side in road.lane_section.kerbs():
+        beside = road.lane_section.at(kerb - 0.05 * side)
+        if beside is None or beside.kind not in PAVED:
             continue
         for _ in range(rng.poisson(share * end / KERB_STEP_M)):
             parts.append(_puddle(rng, float(rng.uniform(2.0, end - 14.0)), kerb, float(rng.uniform(1.5, 10.0)), float(rng.uniform(0.12, 0.45)), -side))

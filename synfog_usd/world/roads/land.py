@@ -42,7 +42,7 @@ class Scatter:
 
 def reach(road: Road) -> float:
     """How far the swept strip goes [m] beyond the edges: it must not fold inside a bend."""
-    return min(NEAR_M, 0.75 * road.line.tightest - max(road.section.high, -road.section.low))
+    return min(NEAR_M, 0.75 * road.reference_line.tightest - max(road.lane_section.high, -road.lane_section.low))
 
 
 def land(road: Road) -> list[Part]:
@@ -56,26 +56,26 @@ def _along(road: Road) -> Array:
     extra = []
     if road.land.hill:
         extra += [road.land.hill[0] + BEHIND_WALL_M - 0.01, road.land.hill[0] + BEHIND_WALL_M + 0.01]
-    return np.unique(np.concatenate([s, [road.line.length], extra]))
+    return np.unique(np.concatenate([s, [road.reference_line.length], extra]))
 
 
 def _beside(road: Road) -> list[Part]:
     s, far = _along(road), reach(road)
     out = np.array([o for o in OUT_M if o < far] + [far])
     parts = []
-    for t in (road.section.low - out[::-1], road.section.high + out):
+    for t in (road.lane_section.low - out[::-1], road.lane_section.high + out):
         grid_s, grid_t = np.meshgrid(s, t, indexing="ij")
-        x, y = road.line.place(grid_s, grid_t)
+        x, y = road.reference_line.place(grid_s, grid_t)
         z = road.ground(grid_s, grid_t)
         points = np.stack([x, y, z], axis=-1)
         uv = points[..., :2] / GRASS_TILE_M
         parts.append(strip(list(points), "grass", uv=list(uv)))
     if road.land.hill:
         inside = s[s > road.land.hill[0] + BEHIND_WALL_M]
-        t = np.array([road.section.low, 0.0, road.section.high])
+        t = np.array([road.lane_section.low, 0.0, road.lane_section.high])
         grid_s, grid_t = np.meshgrid(inside, t, indexing="ij")
-        x, y = road.line.place(grid_s, grid_t)
-        z = np.repeat(road.ground(inside, road.section.high + 1e-6)[:, None], 3, axis=1)
+        x, y = road.reference_line.place(grid_s, grid_t)
+        z = np.repeat(road.ground(inside, road.lane_section.high + 1e-6)[:, None], 3, axis=1)
         points = np.stack([x, y, z], axis=-1)
         parts.append(strip(list(points), "grass", uv=list(points[..., :2] / GRASS_TILE_M)))
     return parts
@@ -83,8 +83,8 @@ def _beside(road: Road) -> list[Part]:
 
 def _open(road: Road) -> Part:
     """A net that is finer near the road; without the cells that the strips cover."""
-    s = np.linspace(0, road.line.length, 200)
-    x, y = road.line.place(s, 0.0)
+    s = np.linspace(0, road.reference_line.length, 200)
+    x, y = road.reference_line.place(s, 0.0)
     axes = []
     for values in (x, y):
         low, high = float(values.min()) - 90.0, float(values.max()) + 90.0
@@ -93,10 +93,10 @@ def _open(road: Road) -> Part:
         steps = steps[steps < FAR_M]
         axes.append(np.concatenate([low - steps[::-1], middle, high + steps]))
     gx, gy = np.meshgrid(*axes)
-    at, t = road.line.nearest(gx, gy)
+    at, t = road.reference_line.nearest(gx, gy)
     z = road.ground(at, t)
-    beside = (at > 0.5) & (at < road.line.length - 0.5)
-    away = np.maximum(t - road.section.high, road.section.low - t)
+    beside = (at > 0.5) & (at < road.reference_line.length - 0.5)
+    away = np.maximum(t - road.lane_section.high, road.lane_section.low - t)
     z = z - SUNK_M * np.clip((reach(road) + 30.0 - away) / 30.0, 0.0, 1.0)
     covered = beside & (away < reach(road) - 1.0)
     points = np.stack([gx, gy, z], axis=-1)
@@ -115,14 +115,14 @@ def wood(road: Road, *, seed: int, count: int, nearest_m: float) -> Scatter:
     for _ in range(60):
         if len(points) >= count:
             break
-        s, side = rng.uniform(-60, road.line.length + 160), rng.choice((-1, 1))
+        s, side = rng.uniform(-60, road.reference_line.length + 160), rng.choice((-1, 1))
         out = nearest_m + 160.0 * rng.random() ** 1.6
         n = int(rng.integers(4, 15))
-        base = road.section.high if side > 0 else road.section.low
-        cx, cy = road.line.place(s, base + side * out)
+        base = road.lane_section.high if side > 0 else road.lane_section.low
+        cx, cy = road.reference_line.place(s, base + side * out)
         dx, dy = rng.normal(0, 14, n), rng.normal(0, 14, n)
-        at, t = road.line.nearest(cx + dx, cy + dy)
-        clear = np.maximum(t - road.section.high, road.section.low - t) > nearest_m * 0.8
+        at, t = road.reference_line.nearest(cx + dx, cy + dy)
+        clear = np.maximum(t - road.lane_section.high, road.lane_section.low - t) > nearest_m * 0.8
         height = road.ground(at, t)
         big = rng.uniform(0.75, 1.35, n)
         for i in np.flatnonzero(clear):
@@ -160,22 +160,22 @@ def tufts(road: Road, *, seed: int, low: float, high: float, per_m2: float = 1.2
     """Tall grass on verges and beside the road, where the camera is near enough to see blades."""
     rng = stream(seed, "land", "tufts")
     points: list[Array] = []
-    strips = [(band.low, band.high) for band in road.section.of("verge", "reserve")]
-    if road.section.strips[0].band.kind == "verge":
-        strips.append((road.section.low - 5.0, road.section.low))
-    if road.section.strips[-1].band.kind == "verge":
-        strips.append((road.section.high, road.section.high + 5.0))
+    strips = [(lane.low, lane.high) for lane in road.lane_section.of("verge", "reserve")]
+    if road.lane_section.lanes[0].kind == "verge":
+        strips.append((road.lane_section.low - 5.0, road.lane_section.low))
+    if road.lane_section.lanes[-1].kind == "verge":
+        strips.append((road.lane_section.high, road.lane_section.high + 5.0))
     for a, b in strips:
         n = int(per_m2 * (b - a) * (high - low))
         s = low + (high - low) * rng.random(n) ** 1.7
         t = rng.uniform(a + 0.12, b - 0.02, n)
-        keep = (s > 0) & (s < road.line.length)
+        keep = (s > 0) & (s < road.reference_line.length)
         if road.land.valley:
             keep &= (s < road.land.valley[0]) | (s > road.land.valley[1])
         if road.land.hill:
             keep &= s < road.land.hill[0] - 1.0
         s, t = s[keep], t[keep]
-        x, y = road.line.place(s, t)
+        x, y = road.reference_line.place(s, t)
         points.append(np.c_[x, y, road.ground(s, t) - 0.01])
     if not points:
         return None

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from synfog_usd.world.roads.network import Lane, Road
-from synfog_usd.world.roads.section import PAVED, Strip
+from synfog_usd.world.roads.lane_section import PAVED, Lane
+from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.surface import bend, ribbon
 from synfog_usd.world.shapes import Part, fan, strip
 
@@ -37,26 +37,26 @@ def markings(road: Road) -> list[Part]:
 
 def zebra_span(road: Road) -> tuple[float, float]:
     """Offsets [m] between which people cross."""
-    paved = [band for band in road.section.strips if band.band.kind in PAVED]
+    paved = [lane for lane in road.lane_section.lanes if lane.kind in PAVED]
     return paved[0].low, paved[-1].high
 
 
-def bays(road: Road) -> list[tuple[Strip, float]]:
+def bays(road: Road) -> list[tuple[Lane, float]]:
     """(parking strip, station of the middle) of every bay."""
     found = []
-    for band in road.section.of("parking"):
-        step = bay_length(band)
+    for lane in road.lane_section.of("parking"):
+        step = bay_length(lane)
         for low, high in _free(road):
-            found += [(band, float(s) + step / 2 + 0.05) for s in np.arange(low + 5.0, high - 5.0 - step, step)]
+            found += [(lane, float(s) + step / 2 + 0.05) for s in np.arange(low + 5.0, high - 5.0 - step, step)]
     return found
 
 
-def bay_length(band: Strip) -> float:
+def bay_length(lane: Lane) -> float:
     """How much of the road one bay takes [m]."""
-    return BAY_ACROSS_M if band.band.width > DEEP_M else BAY_M
+    return BAY_ACROSS_M if lane.width > DEEP_M else BAY_M
 
 
-def line(t: float, low: float, high: float, width: float, dash: tuple[float, float] | None = None) -> list[Part]:
+def painted_line(t: float, low: float, high: float, width: float, dash: tuple[float, float] | None = None) -> list[Part]:
     """A line along the road, dashed or not."""
     pieces = [(low, high)] if dash is None else [(s, min(s + dash[0], high)) for s in np.arange(low, high, sum(dash))]
     parts = []
@@ -69,61 +69,61 @@ def line(t: float, low: float, high: float, width: float, dash: tuple[float, flo
 
 def _free(road: Road) -> list[tuple[float, float]]:
     """Stretches between zebras, where lines run."""
-    cuts = [0.0, *(s + sign * (ZEBRA_DEPTH_M / 2 + 0.6) for s in sorted(road.zebras) for sign in (-1, 1)), road.line.length]
+    cuts = [0.0, *(s + sign * (ZEBRA_DEPTH_M / 2 + 0.6) for s in sorted(road.zebras) for sign in (-1, 1)), road.reference_line.length]
     return list(zip(cuts[::2], cuts[1::2], strict=True))
 
 
 def _lines(road: Road) -> list[Part]:
     parts: list[Part] = []
-    strips = road.section.strips
-    fast = any(band.band.kind == "reserve" for band in strips)
+    strips = road.lane_section.lanes
+    fast = any(lane.kind == "reserve" for lane in strips)
     wide = 0.15 if fast else 0.12
-    urban = any(band.band.kind == "pavement" for band in strips)
+    urban = any(lane.kind == "pavement" for lane in strips)
     for low, high in _free(road):
         for one, other in itertools.pairwise(strips):
-            kinds = {one.band.kind, other.band.kind}
+            kinds = {one.kind, other.kind}
             t = other.low
-            if kinds == {"lane"} and one.band.way != other.band.way:
+            if kinds == {"lane"} and one.way != other.way:
                 if road.centre == "double":
-                    parts += line(t - 0.1, low, high, wide) + line(t + 0.1, low, high, wide)
+                    parts += painted_line(t - 0.1, low, high, wide) + painted_line(t + 0.1, low, high, wide)
                 elif road.centre != "none":
-                    parts += line(t, low, high, wide, road.dash if road.centre == "dashed" else None)
+                    parts += painted_line(t, low, high, wide, road.dash if road.centre == "dashed" else None)
             elif kinds == {"lane"}:
-                parts += line(t, low, high, wide, road.dash)
+                parts += painted_line(t, low, high, wide, road.dash)
             elif kinds == {"lane", "bus"}:
-                parts += line(t, low, high, 0.25)
+                parts += painted_line(t, low, high, 0.25)
             elif "cycle" in kinds and kinds & {"lane", "bus"}:
-                parts += line(t, low, high, 0.12, (1.0, 1.0))
+                parts += painted_line(t, low, high, 0.12, (1.0, 1.0))
             elif kinds & {"lane", "bus"} and kinds & {"shoulder"}:
-                parts += line(t, low, high, 2 * wide if fast else wide)
+                parts += painted_line(t, low, high, 2 * wide if fast else wide)
             elif kinds & {"lane", "bus"} and kinds & {"verge", "reserve", "island"} and not urban:
-                inward = -1 if one.band.kind in ("lane", "bus") else 1
-                parts += line(t + 0.22 * inward, low, high, wide)
+                inward = -1 if one.kind in ("lane", "bus") else 1
+                parts += painted_line(t + 0.22 * inward, low, high, wide)
     return parts
 
 
 def _bays(road: Road) -> list[Part]:
     """Ends of the parking bays, one every BAY_M, and their line to the lane."""
     parts: list[Part] = []
-    for band in road.section.of("parking"):
-        inner, outer = (band.low, band.high) if band.middle > 0 else (band.high, band.low)
+    for lane in road.lane_section.of("parking"):
+        inner, outer = (lane.low, lane.high) if lane.middle > 0 else (lane.high, lane.low)
         for low, high in _free(road):
-            for s in np.arange(low + 5.0, high - 5.0, bay_length(band)):
+            for s in np.arange(low + 5.0, high - 5.0, bay_length(lane)):
                 a, b = sorted((inner, inner + 0.8 * (outer - inner)))
                 parts.append(fan([(a, s, THICK_M), (b, s, THICK_M), (b, s + 0.1, THICK_M), (a, s + 0.1, THICK_M)], "marking", tile_m=TILE_M))
-                if bay_length(band) == BAY_M:
-                    parts += line(inner, s, s + 1.0, 0.1)
+                if bay_length(lane) == BAY_M:
+                    parts += painted_line(inner, s, s + 1.0, 0.1)
     return parts
 
 
 def _arrows(road: Road) -> list[Part]:
     """Arrows where lanes of one way lie side by side, letters on bus lanes."""
     parts: list[Part] = []
-    lanes = road.lanes
-    fast = any(band.band.kind == "reserve" for band in road.section.strips)
+    lanes = road.driving_lanes
+    fast = any(lane.kind == "reserve" for lane in road.lane_section.lanes)
     for lane in lanes:
         beside = [other for other in lanes if other.way == lane.way]
-        for s in np.arange(30.0, road.line.length - 15.0, 85.0):
+        for s in np.arange(30.0, road.reference_line.length - 15.0, 85.0):
             if any(abs(s - zebra) < 9.0 for zebra in road.zebras):
                 continue
             if lane.kind == "bus":
@@ -158,14 +158,14 @@ def _letters(lane: Lane, s: float) -> list[Part]:
 def _zebra(road: Road, s: float) -> list[Part]:
     """Stripes of half a metre across the carriageway, and a stop line before them in each lane."""
     low, high = zebra_span(road)
-    islands: list[Strip] = [band for band in road.section.strips if band.band.kind not in PAVED]
+    islands: list[Lane] = [lane for lane in road.lane_section.lanes if lane.kind not in PAVED]
     parts = []
     for t in np.arange(low + 0.3, high - 0.5, 1.0):
-        if any(band.low - 0.1 < t + 0.25 < band.high + 0.1 for band in islands):
+        if any(lane.low - 0.1 < t + 0.25 < lane.high + 0.1 for lane in islands):
             continue
         a, b = s - ZEBRA_DEPTH_M / 2, s + ZEBRA_DEPTH_M / 2
         parts.append(fan([(t, a, THICK_M), (t + 0.5, a, THICK_M), (t + 0.5, b, THICK_M), (t, b, THICK_M)], "marking", tile_m=TILE_M))
-    for lane in road.lanes:
+    for lane in road.driving_lanes:
         at = s - lane.way * (ZEBRA_DEPTH_M / 2 + 1.2)
         t0, t1 = lane.middle - lane.width / 2 + 0.1, lane.middle + lane.width / 2 - 0.1
         y0, y1 = sorted((at, at - lane.way * 0.4))

@@ -1,4 +1,4 @@
-"""A road as one record: line, cross-section, crossings and structures; its lanes, and the ground around it.
+"""A road as one record: reference line, lane section, crossings and structures; its lanes, and the ground around it.
 
 Everything that stands at the road is placed here: from a station and an offset to
 x, y, z, heading and pitch.
@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.seeds import stream
-from synfog_usd.world.roads.line import Line
-from synfog_usd.world.roads.section import DRIVEN, Band, Section, Strip
+from synfog_usd.world.roads.lane_section import DRIVEN, Lane, LaneSection
+from synfog_usd.world.roads.reference_line import ReferenceLine
 
 Array = npt.NDArray[np.float64]
 BLEND_M = 55.0
@@ -25,24 +25,6 @@ BEHIND_WALL_M = 0.35
 CUTTING_M = 8.5
 AT_PORTAL = 0.55
 """A hill stands behind the wall of its portal, at this share of its height; before it the road lies in a cutting with slopes so wide."""
-
-
-@dataclass(frozen=True)
-class Lane:
-    """One lane.
-
-    Attributes:
-        index: from the left, bus lanes counted.
-        kind: 'lane' or 'bus'.
-        middle, width: [m].
-        way: 1 along the line, -1 against it.
-    """
-
-    index: int
-    kind: str
-    middle: float
-    width: float
-    way: int
 
 
 @dataclass(frozen=True)
@@ -67,52 +49,51 @@ class Road:
     """A road and the land around it.
 
     Attributes:
-        line, section: where it runs and what lies across it.
+        reference_line, lane_section: where it runs and what lies across it.
         land: what lies beyond its edges.
         zebras: stations of the zebra crossings' middles [m].
         centre: marking between the directions: 'dashed', 'solid', 'double' or 'none'.
         dash: (mark, gap) of a dashed line [m].
     """
 
-    line: Line
-    section: Section
+    reference_line: ReferenceLine
+    lane_section: LaneSection
     land: Land = field(default_factory=Land)
     zebras: tuple[float, ...] = ()
     centre: str = "dashed"
     dash: tuple[float, float] = (3.0, 6.0)
 
     @cached_property
-    def lanes(self) -> tuple[Lane, ...]:
-        """Lanes from left to right."""
-        driven: list[Strip] = [strip for strip in self.section.strips if strip.band.kind in DRIVEN]
-        return tuple(Lane(i, strip.band.kind, strip.middle, strip.band.width, strip.band.way) for i, strip in enumerate(driven))
+    def driving_lanes(self) -> tuple[Lane, ...]:
+        """Lanes that are driven on, from left to right."""
+        return tuple(self.lane_section.of(*DRIVEN))
 
     def pose(self, s: float, t: float, *, way: int = 1) -> tuple[float, float, float, float, float]:
         """x, y, z [m], heading and pitch [degrees] of what stands at (s, t) and looks along the road, or against it."""
-        x, y = self.line.place(s, t)
-        heading = math.degrees(float(self.line.heading(s))) + (180.0 if way < 0 else 0.0)
-        pitch = math.degrees(math.atan(float(self.line.grade(s)))) * way
+        x, y = self.reference_line.place(s, t)
+        heading = math.degrees(float(self.reference_line.heading(s))) + (180.0 if way < 0 else 0.0)
+        pitch = math.degrees(math.atan(float(self.reference_line.grade(s)))) * way
         return round(float(x), 3), round(float(y), 3), round(float(self.ground(s, t)), 4), round((heading + 180.0) % 360.0 - 180.0, 3), round(pitch, 3)
 
     def ground(self, s: npt.ArrayLike, t: npt.ArrayLike) -> Array:
         """Height of the ground [m] at stations and offsets, broadcast."""
         s, t = np.broadcast_arrays(np.asarray(s, dtype=np.float64), np.asarray(t, dtype=np.float64))
-        out = np.maximum(t - self.section.high, self.section.low - t)
-        on = self.line.height(s) + self.section.height(t)
+        out = np.maximum(t - self.lane_section.high, self.lane_section.low - t)
+        on = self.reference_line.height(s) + self.lane_section.height(t)
         if np.all(out <= 0):
             return on
-        x, y = self.line.place(s, t)
+        x, y = self.reference_line.place(s, t)
         return np.where(out <= 0, on, self._beside(s, t, x, y))
 
     def height(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Height of the ground [m] at places."""
-        s, t = self.line.nearest(x, y)
+        s, t = self.reference_line.nearest(x, y)
         return self.ground(s, t)
 
     def _beside(self, s: Array, t: Array, x: Array, y: Array) -> Array:
         """Height of the land: the road's at its edge, hills far away."""
-        out = np.maximum(np.maximum(t - self.section.high, self.section.low - t), 0.0)
-        edge = self.line.height(s) + self.section.height(t)
+        out = np.maximum(np.maximum(t - self.lane_section.high, self.lane_section.low - t), 0.0)
+        edge = self.reference_line.height(s) + self.lane_section.height(t)
         share = np.clip(out / BLEND_M, 0.0, 1.0)
         share = share * share * (3 - 2 * share)
         result = edge + share * (self.hills(x, y) - edge)
@@ -137,8 +118,3 @@ class Road:
             length, angle, phase = rng.uniform(110, 600), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
             total = total + (length / 600) * np.sin((x * np.cos(angle) + y * np.sin(angle)) * 2 * np.pi / length + phase)
         return self.land.hills_m * (total / 2.2 + 0.35)
-
-
-def section(bands: list[tuple[str, float, int]]) -> Section:
-    """A section from (kind, width, way) rows."""
-    return Section(tuple(Band(*band) for band in bands))

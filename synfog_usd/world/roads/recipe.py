@@ -1,6 +1,6 @@
 """Recipes of roads: what may differ between draws, and one draw of it all.
 
-A recipe gives the line, the cross-section, rows of things along it, traffic,
+A recipe gives the reference line, the lane section, rows of things along it, traffic,
 people, sky and camera.  Every parameter draws from a stream of its own name; what
 stands where obeys the rules of `rules`, and a draw that cannot is tried again a
 bounded number of times before the rule is named.  What a recipe can say stands in
@@ -17,19 +17,19 @@ from typing import Any
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
 from synfog_usd.world.authoring import APERTURE
+from synfog_usd.world.language import Recipe
 from synfog_usd.world.roads import rules, works
+from synfog_usd.world.roads.actors import TRIES as TRIES
+from synfog_usd.world.roads.actors import actors_in_sight
 from synfog_usd.world.roads.asphalt import Asphalt
-from synfog_usd.world.roads.line import Line, bends
-from synfog_usd.world.roads.movers import TRIES as TRIES
-from synfog_usd.world.roads.movers import movers_in_sight
-from synfog_usd.world.roads.network import Land, Lane, Road
+from synfog_usd.world.roads.lane_section import Lane, LaneSection
+from synfog_usd.world.roads.network import Land, Road
 from synfog_usd.world.roads.parameters import PARAMETERS as PARAMETERS
 from synfog_usd.world.roads.parameters import ROW as ROW
-from synfog_usd.world.roads.parameters import Recipe as Recipe
 from synfog_usd.world.roads.parameters import read as read
-from synfog_usd.world.roads.section import Band, Section
-from synfog_usd.world.roads.standing import numbered, parked, rows_placed
-from synfog_usd.world.spec import Dome, Mounted, Placement, View, WorldSpec
+from synfog_usd.world.roads.props import numbered, parked, rows_placed
+from synfog_usd.world.roads.reference_line import ReferenceLine, bends
+from synfog_usd.world.spec import Placement, RigCamera, SkyDome, View, WorldSpec
 
 NEAREST_LIT, NEAREST_LAMPS = 6, 8
 """Vehicles and street lamps that are lights at dusk; those beyond glow.  Each light costs noise in every pixel."""
@@ -51,35 +51,35 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     Raises:
         RecipeError: a rule cannot be met; says which, after TRIES tries.
     """
-    hour = float(recipe.draws["traffic.hour"](stream(seed, "recipe", "traffic.hour")))
+    hour = float(recipe.distributions["traffic.hour"](stream(seed, "recipe", "traffic.hour")))
 
     def value(name: str) -> Any:
-        return recipe.draws[name](stream(seed, "recipe", name), hour=hour)
+        return recipe.distributions[name](stream(seed, "recipe", name), hour=hour)
 
     station = round(value("camera.station_m"), 2)
     road, built = _road(recipe, seed, station, value)
-    if station + 60.0 > road.line.length:
-        raise RecipeError(f"{recipe.name}: camera.station_m {station:g} leaves less than 60 m of the road's {road.line.length:g} m ahead")
+    if station + 60.0 > road.reference_line.length:
+        raise RecipeError(f"{recipe.name}: camera.station_m {station:g} leaves less than 60 m of the road's {road.reference_line.length:g} m ahead")
     own = _own_lane(recipe, road, value("camera.lane"))
     fov = value("camera.fov_x_deg")
     view = _view(road, own, station, value("camera.height_m"), fov)
-    taken = rules.Occupied()
+    taken = rules.CollisionSet()
     digging, workers = works.site(road, seed, station, value, taken)
     fixed = [*workers, *rows_placed(recipe, road, seed, station, taken)]
     fixed += parked(recipe, road, seed, station, value("parked.share"), taken)
-    movers, least, seen = movers_in_sight(recipe, road, seed, own, station, value, view, fov, fixed, taken, hour)
-    if movers is None:
+    actors, least, seen = actors_in_sight(recipe, road, seed, own, station, value, view, fov, fixed, taken, hour)
+    if actors is None:
         raise RecipeError(
             f"{recipe.name}: rules.{least} cannot be met: {TRIES} tries gave at most {seen}; "
             "ask for less, or raise traffic.per_hour, traffic.count, people.count or parked.share"
         )
-    return assembled(recipe, seed, value, road, view, [*fixed, *movers], {**built, "station": station, "works": digging})
+    return assembled(recipe, seed, value, road, view, [*fixed, *actors], {**built, "station": station, "works": digging})
 
 
-def assembled(recipe: Recipe, seed: int, value: Any, road: Road, view: View, standing: Sequence[Placement], built: Mapping[str, Any]) -> WorldSpec:
+def assembled(recipe: Recipe, seed: int, value: Any, road: Road, view: View, things: Sequence[Placement], built: Mapping[str, Any]) -> WorldSpec:
     """The world of a road and what stands at it, with sky, fog and the lamps that are lights."""
     heading = round(value("sky.heading_deg"), 1)
-    placed = [_coarser(p, view) for p in _lit(standing, view)]
+    placed = [_coarser(p, view) for p in _lit(things, view)]
     visibilities = sorted({fog(stream(seed, "recipe", "fog", i)) for i, fog in enumerate(recipe.fog)}, reverse=True)
     fogs = {"clear": None, **{f"mor{mor}": float(mor) for mor in visibilities}}
     return WorldSpec(
@@ -88,8 +88,8 @@ def assembled(recipe: Recipe, seed: int, value: Any, road: Road, view: View, sta
         view=view,
         fog=fogs,
         fog_selected=list(fogs)[len(fogs) // 2],
-        day=Dome(value("sky.day"), round(value("sky.gain"), 3), heading),
-        dusk=Dome(value("sky.dusk"), round(value("sky.gain"), 3), heading),
+        day=SkyDome(value("sky.day"), round(value("sky.gain"), 3), heading),
+        dusk=SkyDome(value("sky.dusk"), round(value("sky.gain"), 3), heading),
         scatter=seed32(seed, "recipe", "scatter"),
         origin={"recipe": recipe.name, "seed": str(seed)},
         road=road,
@@ -105,12 +105,12 @@ def assembled(recipe: Recipe, seed: int, value: Any, road: Road, view: View, sta
     )
 
 
-def _rig(kind: str, baseline_m: float, view: View) -> tuple[Mounted, ...]:
+def _rig(kind: str, baseline_m: float, view: View) -> tuple[RigCamera, ...]:
     """Cameras beside the ego's: the right eye, or five that look to the sides and back."""
     if kind == "stereo":
-        return (Mounted("Right", baseline_m, 0.0, 0.0, view.focal_length),)
+        return (RigCamera("Right", baseline_m, 0.0, 0.0, view.focal_length),)
     if kind == "surround":
-        return tuple(Mounted(name, right, ahead, yaw, _focal(fov)) for name, right, ahead, yaw, fov in SURROUND)
+        return tuple(RigCamera(name, right, ahead, yaw, _focal(fov)) for name, right, ahead, yaw, fov in SURROUND)
     return ()
 
 
@@ -122,17 +122,17 @@ def _road(recipe: Recipe, seed: int, station: float, value: Any) -> tuple[Road, 
     length = round(value("road.length_m"), 1)
     pieces = []
     for i in range(40):
-        parts = [recipe.draws[f"road.{key}"](stream(seed, "recipe", f"road.{key}", i)) for key in ("straight_m", "radius_m", "turn_deg")]
+        parts = [recipe.distributions[f"road.{key}"](stream(seed, "recipe", f"road.{key}", i)) for key in ("straight_m", "radius_m", "turn_deg")]
         pieces.append((float(parts[0]), float(parts[1]), float(parts[2])))
     pieces[0] = (pieces[0][0] + station * 0.6, *pieces[0][1:])
     slopes = [(0.0, 0.0), (0.75 * station, 0.0)]
     every, i = value("road.slope_every_m"), 0
     while slopes[-1][0] < length:
-        slopes.append((round(slopes[-1][0] + every, 3), round(float(recipe.draws["road.slope"](stream(seed, "recipe", "road.slope", i))), 6)))
+        slopes.append((round(slopes[-1][0] + every, 3), round(float(recipe.distributions["road.slope"](stream(seed, "recipe", "road.slope", i))), 6)))
         i += 1
     flat = all(grade == 0.0 for _, grade in slopes)
-    line = Line(length, bends(pieces, length=length), ((0.0, 0.0),) if flat else tuple(slopes))
-    bands = tuple(Band(kind, round(float(w(stream(seed, "recipe", "section", i))), 3), way) for i, (kind, w, way) in enumerate(recipe.bands))
+    line = ReferenceLine(length, bends(pieces, length=length), ((0.0, 0.0),) if flat else tuple(slopes))
+    widths = tuple((kind, round(float(w(stream(seed, "recipe", "section", i))), 3), way) for i, (kind, w, way) in enumerate(recipe.lanes))
     built: dict[str, Any] = {"rails": value("rails.where"), "delineators": value("rails.delineators"), "gantries": []}
     valley = hill = None
     if value("bridge.length_m"):
@@ -145,15 +145,15 @@ def _road(recipe: Recipe, seed: int, station: float, value: Any) -> tuple[Road, 
         built["gantries"] = [round(s, 2) for s in (first, first + 160.0) if s < length - 20.0]
     zebras, at = [], station
     for i in range(value("road.zebras")):
-        at += float(recipe.draws["road.zebra_ahead_m"](stream(seed, "recipe", "road.zebra_ahead_m", i)))
+        at += float(recipe.distributions["road.zebra_ahead_m"](stream(seed, "recipe", "road.zebra_ahead_m", i)))
         zebras.append(round(at, 2))
     land = Land(round(value("land.hills_m"), 2), seed32(seed, "recipe", "land"), valley, hill)
     dash = (value("road.dash_m"), value("road.dash_gap_m"))
-    return Road(line, Section(bands), land, tuple(s for s in zebras if s < length - 10.0), value("road.centre"), dash), built
+    return Road(line, LaneSection.from_widths(widths), land, tuple(s for s in zebras if s < length - 10.0), value("road.centre"), dash), built
 
 
 def _own_lane(recipe: Recipe, road: Road, number: int) -> Lane:
-    lanes = [lane for lane in road.lanes if lane.way > 0 and lane.kind == "lane"]
+    lanes = [lane for lane in road.driving_lanes if lane.way > 0 and lane.kind == "lane"]
     if number >= len(lanes):
         raise RecipeError(f"{recipe.name}: camera.lane {number}: the road has {len(lanes)} lanes that go its way; lanes count from 0 at the right")
     return lanes[-1 - number]
@@ -161,9 +161,9 @@ def _own_lane(recipe: Recipe, road: Road, number: int) -> Lane:
 
 def _view(road: Road, own: Lane, station: float, height_m: float, fov_x_deg: float) -> View:
     t = own.middle - 0.15
-    x, y = road.line.place(station, t)
-    heading = math.degrees(float(road.line.heading(station)))
-    pitch = math.degrees(math.atan(float(road.line.grade(station))))
+    x, y = road.reference_line.place(station, t)
+    heading = math.degrees(float(road.reference_line.heading(station)))
+    pitch = math.degrees(math.atan(float(road.reference_line.grade(station))))
     z = float(road.ground(station, t)) + height_m
     return View(round(float(x), 3), round(float(y), 3), round(z, 3), round(90.6 + pitch, 3), round(heading + 0.8, 3), _focal(fov_x_deg))
 

@@ -19,9 +19,9 @@ import numpy.typing as npt
 from scipy import spatial
 
 from synfog_usd.errors import RecipeError
-from synfog_usd.world.roads.line import Line
-from synfog_usd.world.roads.network import BLEND_M, Land, Road, section
-from synfog_usd.world.roads.section import KERB_M
+from synfog_usd.world.roads.lane_section import KERB_M, LaneSection
+from synfog_usd.world.roads.network import BLEND_M, Land, Road
+from synfog_usd.world.roads.reference_line import ReferenceLine
 
 Array = npt.NDArray[np.float64]
 HOLD_M = 16.0
@@ -97,17 +97,17 @@ class Roundabout(Road):
     @property
     def lane_width(self) -> float:
         """Width of an arm's lane [m]."""
-        return self.lanes[0].width
+        return self.driving_lanes[0].width
 
     @property
     def pavement(self) -> float:
         """Width of the pavements [m]."""
-        return self.section.high - self.lane_width
+        return self.lane_section.high - self.lane_width
 
     @property
     def inner(self) -> float:
         """Radius of the inner edge of the lane that goes round [m]."""
-        return self.radius - self.ring.lanes[0].width
+        return self.radius - self.ring.driving_lanes[0].width
 
     @property
     def island(self) -> float:
@@ -125,14 +125,14 @@ class Roundabout(Road):
         e = 0.05
         a, b = (way * (self.spread(s + d) + self.lane_width / 2 + aside) for d in (-e, e))
         t = way * (float(self.spread(s)) + self.lane_width / 2 + aside)
-        x, y, z = self.stand(*road.line.place(s, t))
-        turned = math.degrees(float(road.line.heading(s))) - math.degrees(math.atan2(float(b - a), 2 * e)) + (180.0 if way < 0 else 0.0)
+        x, y, z = self.stand(*road.reference_line.place(s, t))
+        turned = math.degrees(float(road.reference_line.heading(s))) - math.degrees(math.atan2(float(b - a), 2 * e)) + (180.0 if way < 0 else 0.0)
         return x, y, z, round((turned + 180.0) % 360.0 - 180.0, 3)
 
     def ring_pose(self, s: float, t: float) -> tuple[float, float, float, float]:
         """x, y, z [m] and heading [degrees] of what goes round, at a station and offset of the ring."""
-        x, y = self.ring.line.place(s % self.ring.line.length, t)
-        heading = math.degrees(float(self.ring.line.heading(s % self.ring.line.length)))
+        x, y = self.ring.reference_line.place(s % self.ring.reference_line.length, t)
+        heading = math.degrees(float(self.ring.reference_line.heading(s % self.ring.reference_line.length)))
         return *self.stand(x, y), round((heading + 180.0) % 360.0 - 180.0, 3)
 
     def stand(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[float, float, float]:
@@ -191,14 +191,14 @@ class Roundabout(Road):
         def along(road: Road, side: int) -> tuple[Array, Array]:
             """From the arc outwards."""
             near = np.linspace(foot, self.radius + NEAR_M, int((self.radius + NEAR_M - foot) / FINE_M) + 1)
-            far = np.linspace(near[-1], road.line.length, max(2, int((road.line.length - near[-1]) / COARSE_M)) + 1)
+            far = np.linspace(near[-1], road.reference_line.length, max(2, int((road.reference_line.length - near[-1]) / COARSE_M)) + 1)
             s = np.r_[near, far[1:]]
-            return np.stack(road.line.place(s, side * (self.spread(s) + self.lane_width)), axis=1), s
+            return np.stack(road.reference_line.place(s, side * (self.spread(s) + self.lane_width)), axis=1), s
 
         angle = math.atan2(foot, e + r)
         turn = np.linspace(0.0, angle, max(4, int(angle * r / FINE_M)) + 1)
         t, s = -(e + r) + r * np.cos(turn), foot - r * np.sin(turn)
-        into, out = np.stack(a.line.place(s, t), axis=1), np.stack(b.line.place(s, -t), axis=1)[::-1]
+        into, out = np.stack(a.reference_line.place(s, t), axis=1), np.stack(b.reference_line.place(s, -t), axis=1)[::-1]
         begin, end = math.atan2(into[-1, 1], into[-1, 0]), math.atan2(out[0, 1], out[0, 0])
         end = begin + (end - begin) % (2 * math.pi)
         arc = np.linspace(begin, end, max(2, int(self.radius * (end - begin) / FINE_M)) + 1)
@@ -271,7 +271,7 @@ class Roundabout(Road):
 
     def ground(self, s: npt.ArrayLike, t: npt.ArrayLike) -> Array:
         """Height of the ground [m] at stations and offsets of the camera's arm."""
-        return self.height(*self.line.place(s, t))
+        return self.height(*self.reference_line.place(s, t))
 
     def middle(self, r: npt.ArrayLike) -> Array:
         """Height of apron and middle island [m] at distances from the middle."""
@@ -297,7 +297,7 @@ class Roundabout(Road):
 
     def on_island(self, arm: int, x: npt.ArrayLike, y: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether places are on an arm's splitter island."""
-        h = math.radians(self.arms[arm].line.origin[2])
+        h = math.radians(self.arms[arm].reference_line.origin[2])
         x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
         s, t = -x * math.sin(h) + y * math.cos(h), x * math.cos(h) + y * math.sin(h)
         return np.logical_or.reduce([np.abs(t) <= self.half_width(low, high, s) for low, high in self._islands[arm]])
@@ -312,7 +312,7 @@ class Roundabout(Road):
 
 
 def roundabout(
-    lines: Sequence[Line], *, radius: float, ring_m: float, apron: float, mound: float, lane_m: float, half_island: float, pavement: float,
+    lines: Sequence[ReferenceLine], *, radius: float, ring_m: float, apron: float, mound: float, lane_m: float, half_island: float, pavement: float,
     zebra_m: float, corner_m: float, land: Land,
 ) -> Roundabout:  # fmt: skip
     """A roundabout from its sizes [m].
@@ -341,10 +341,10 @@ def roundabout(
                 "draw a larger circle.diameter_m, fewer arms.count or a larger arms.apart_deg"
             )
         corners.append(round(min(corner_m, most), 3))
-    across = section([("pavement", pavement, 0), ("lane", lane_m, -1), ("lane", lane_m, 1), ("pavement", pavement, 0)])
+    across = LaneSection.from_widths([("pavement", pavement, 0), ("lane", lane_m, -1), ("lane", lane_m, 1), ("pavement", pavement, 0)])
     arms = tuple(Road(line, across, land, (round(radius + zebra_m, 3),)) for line in lines)
     inner = radius - ring_m
-    ring = Road(Line(round(2 * math.pi * inner, 6), ((0.0, 1.0 / inner),), origin=(inner, 0.0, 0.0)), section([("lane", ring_m, 1)]))
+    ring = Road(ReferenceLine(round(2 * math.pi * inner, 6), ((0.0, 1.0 / inner),), origin=(inner, 0.0, 0.0)), LaneSection.from_widths([("lane", ring_m, 1)]))
     first = arms[0]
-    return Roundabout(first.line, across, land, first.zebras, arms=arms, ring=ring, radius=radius, apron=apron, mound=mound, half_island=half_island,
+    return Roundabout(first.reference_line, across, land, first.zebras, arms=arms, ring=ring, radius=radius, apron=apron, mound=mound, half_island=half_island,
                       corners=tuple(corners))  # fmt: skip

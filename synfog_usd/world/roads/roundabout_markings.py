@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from synfog_usd.seeds import stream
 from synfog_usd.world.roads import markings
+from synfog_usd.world.roads.lane_section import Lane
 from synfog_usd.world.roads.markings import THICK_M, TILE_M
-from synfog_usd.world.roads.network import Lane
 from synfog_usd.world.roads.roundabout import HOLD_M, ISLAND_EDGE_M, TAPER_M, ZEBRA_HALF_M, Roundabout
 from synfog_usd.world.roads.structures import Built
 from synfog_usd.world.roads.surface import ASPHALT_TILE_M, bend, ribbon
@@ -34,7 +34,7 @@ def drawn(junction: Roundabout, *, give_way: str) -> list[Part]:
     for arm, road in enumerate(junction.arms):
         level = [*_give_way(junction, arm, give_way), *_zebra(junction, arm), *_lines(junction, arm)]
         middle = -(float(junction.spread(junction.radius + HOLD_M)) + junction.lane_width / 2)
-        lane = Lane(0, "lane", middle, junction.lane_width, -1)
+        lane = Lane("lane", junction.lane_width, -1, middle - junction.lane_width / 2, middle + junction.lane_width / 2)
         parts += [bend(part, road) for part in [*level, *markings.arrow(lane, junction.radius + HOLD_M + 4.0)]]
     return parts
 
@@ -43,7 +43,7 @@ def entry(junction: Roundabout, arm: int, beyond: float) -> tuple[float, float]:
     """Offsets (from, to) [m] of an arm's entry at a distance beyond the circle, from the kerb to the island."""
     r = junction.radius + beyond
     right = np.linspace(-0.97 * r, -junction.half_island, 300)
-    u, _ = junction.across(*junction.arms[arm].line.place(np.sqrt(r * r - right**2), right))
+    u, _ = junction.across(*junction.arms[arm].reference_line.place(np.sqrt(r * r - right**2), right))
     kerbs = np.flatnonzero(u > -FROM_KERB_M)
     return float(right[kerbs[-1] + 1]) if len(kerbs) else float(right[0]), -junction.half_island
 
@@ -92,7 +92,7 @@ def _lines(junction: Roundabout, arm: int) -> list[Part]:
         half = float(junction.spread(at)) - 0.22
         if half > 0.12:
             parts.append(_paint(ribbon(np.array([(-half, at), (half, at + half)]), 0.25, THICK_M, "marking")))
-    dash = markings.line(0.0, end + 10.0, junction.arms[arm].line.length - 1.0, LINE_M, (3.0, 6.0))
+    dash = markings.painted_line(0.0, end + 10.0, junction.arms[arm].reference_line.length - 1.0, LINE_M, (3.0, 6.0))
     return parts + dash
 
 
@@ -110,12 +110,12 @@ def worn(junction: Roundabout, *, seed: int) -> list[Part]:
         for side in (-1, 1):
             t = side * np.linspace(junction.half_island, edge, 7)
             parts.append(bend(ribbon(np.c_[t, np.sqrt(far**2 - t * t)], 0.04, 0.0016, "tar"), road))
-            for s in np.arange(far + rng.uniform(2, 10), road.line.length - 1.0, 24.0):
+            for s in np.arange(far + rng.uniform(2, 10), road.reference_line.length - 1.0, 24.0):
                 x = side * (float(junction.spread(s)) + junction.lane_width - 0.22)
                 corners = [(x - 0.18, s - 0.25, 0.0026), (x + 0.18, s - 0.25, 0.0026), (x + 0.18, s + 0.25, 0.0026), (x - 0.18, s + 0.25, 0.0026)]
                 grate = bend(fan(corners, "iron"), road)
                 parts.append(Part(grate.points, grate.faces, "iron", np.array([(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)])))
-        for s in np.arange(far + rng.uniform(4, 12), road.line.length - 5, 31.0):
+        for s in np.arange(far + rng.uniform(4, 12), road.reference_line.length - 5, 31.0):
             t = rng.choice((-1, 1)) * (float(junction.spread(s)) + junction.lane_width / 2)
             parts += [bend(part, road) for part in _cover(t, s)]
     width = junction.radius - junction.inner
@@ -158,7 +158,7 @@ def signs(junction: Roundabout) -> list[Built]:
     for arm, road in enumerate(junction.arms):
         (low, _), (_, tip) = junction.islands(arm)
         for name, s, high, face in (("Roundabout", low + 1.1, 2.35, _round_arrows()), ("Keep_Right", tip - 0.9, 0.95, _keep_right())):
-            place = shift(*junction.stand(*road.line.place(s, 0.0))) @ turn(road.line.origin[2])
+            place = shift(*junction.stand(*road.reference_line.place(s, 0.0))) @ turn(road.reference_line.origin[2])
             pole = tube([(0, 0, -0.2), (0, 0, high + SIGN_M)], 0.03, "galvanised", sides=10)
             parts = [Part(pole.points, pole.faces, pole.material, None, pole.normals), *(part.moved(shift(0, 0, high)) for part in face)]
             made.append(Built(f"Sign_{name}_{arm + 1}", "traffic sign", tuple(part.moved(place) for part in parts)))

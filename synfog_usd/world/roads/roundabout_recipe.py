@@ -16,18 +16,18 @@ import numpy as np
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
 from synfog_usd.world.authoring import APERTURE
-from synfog_usd.world.draws import Amount, Names, check_schema, mapping, read_draws, read_fog, sections
+from synfog_usd.world.language import Categorical, Continuous, Recipe, check_schema, mapping, read_distributions, read_fog, sections
 from synfog_usd.world.roads import recipe as roads
-from synfog_usd.world.roads import roundabout_movers as movers
+from synfog_usd.world.roads import roundabout_actors as actors
 from synfog_usd.world.roads import rules
-from synfog_usd.world.roads.line import Line, bends
 from synfog_usd.world.roads.network import Land
 from synfog_usd.world.roads.parameters import PARAMETERS as ROADS
 from synfog_usd.world.roads.parameters import ROW as ROADS_ROW
-from synfog_usd.world.roads.parameters import Recipe, named, read_rows
+from synfog_usd.world.roads.parameters import named, read_rows
+from synfog_usd.world.roads.props import NUDGE_M, NUDGES, look
+from synfog_usd.world.roads.reference_line import ReferenceLine, bends
 from synfog_usd.world.roads.roundabout import STRAIGHT_M, Roundabout, roundabout
 from synfog_usd.world.roads.roundabout_markings import GIVE_WAY
-from synfog_usd.world.roads.standing import NUDGE_M, NUDGES, look
 from synfog_usd.world.spec import Placement, View, WorldSpec
 from synfog_usd.yamlio import Located
 
@@ -37,36 +37,36 @@ APRON_LEAST_M = 0.8
 
 EGO = ("camera.height_m", "camera.fov_x_deg", "camera.headlights", "camera.rig", "camera.baseline_m", "road.asphalt", "road.wet")
 """What of a straight road's parameters holds here too, beside whole sections."""
-PARAMETERS: dict[str, Amount | Names] = {
-    "circle.diameter_m": Amount(26.0, 60.0, 36.0),
-    "circle.ring_m": Amount(4.5, 9.0, 6.0),
-    "circle.apron_m": Amount(0.0, 4.0, 1.5),
-    "circle.mound_m": Amount(0.0, 2.5, 0.8),
-    "circle.corner_m": Amount(7.0, 25.0, 15.0),
-    "circle.give_way": Names(GIVE_WAY, "teeth"),
-    "circle.shrubs": Amount(0, 120, 30, whole=True),
-    "circle.trees": Amount(0, 6, 1, whole=True),
-    "circle.tree_models": Names(("*plant",), {"birch_tree": 1, "conifer": 1, "maple_tree": 1}),
-    "arms.count": Amount(3, 5, 4, whole=True),
-    "arms.apart_deg": Amount(40.0, 120.0, 62.0),
-    "arms.length_m": Amount(110.0, 600.0, 240.0),
-    "arms.lane_m": Amount(2.9, 4.2, 3.4),
-    "arms.island_m": Amount(2.0, 5.0, 3.2),
-    "arms.pavement_m": Amount(1.8, 4.5, 2.6),
-    "arms.zebra_m": Amount(7.2, 11.0, 8.2),
-    "arms.radius_m": Amount(60.0, 10000.0, 260.0),
-    "arms.turn_deg": Amount(-60.0, 60.0, 0.0),
-    "traffic.ring": Amount(0, 8, 2, whole=True),
-    "camera.before_m": Amount(14.0, 80.0, 28.0),
+PARAMETERS: dict[str, Continuous | Categorical] = {
+    "circle.diameter_m": Continuous(26.0, 60.0, 36.0),
+    "circle.ring_m": Continuous(4.5, 9.0, 6.0),
+    "circle.apron_m": Continuous(0.0, 4.0, 1.5),
+    "circle.mound_m": Continuous(0.0, 2.5, 0.8),
+    "circle.corner_m": Continuous(7.0, 25.0, 15.0),
+    "circle.give_way": Categorical(GIVE_WAY, "teeth"),
+    "circle.shrubs": Continuous(0, 120, 30, whole=True),
+    "circle.trees": Continuous(0, 6, 1, whole=True),
+    "circle.tree_models": Categorical(("*plant",), {"birch_tree": 1, "conifer": 1, "maple_tree": 1}),
+    "arms.count": Continuous(3, 5, 4, whole=True),
+    "arms.apart_deg": Continuous(40.0, 120.0, 62.0),
+    "arms.length_m": Continuous(110.0, 600.0, 240.0),
+    "arms.lane_m": Continuous(2.9, 4.2, 3.4),
+    "arms.island_m": Continuous(2.0, 5.0, 3.2),
+    "arms.pavement_m": Continuous(1.8, 4.5, 2.6),
+    "arms.zebra_m": Continuous(7.2, 11.0, 8.2),
+    "arms.radius_m": Continuous(60.0, 10000.0, 260.0),
+    "arms.turn_deg": Continuous(-60.0, 60.0, 0.0),
+    "traffic.ring": Continuous(0, 8, 2, whole=True),
+    "camera.before_m": Continuous(14.0, 80.0, 28.0),
     **{name: value for name, value in ROADS.items() if name.partition(".")[0] in ("sky", "rules", "people", "traffic", "land") or name in EGO},
 }
 """What a recipe can say, by section and key, with what holds where it says nothing."""
 
-ROW: dict[str, Amount | Names] = {
+ROW: dict[str, Continuous | Categorical] = {
     **{key: value for key, value in ROADS_ROW.items() if key not in ("side", "start_m", "end_m", "from", "at")},
-    "from": Names(("kerb", "edge"), "edge"),
-    "beyond_m": Amount(0.0, 300.0, 0.0),
-    "until_m": Amount(0.0, 600.0, 600.0),
+    "from": Categorical(("kerb", "edge"), "edge"),
+    "beyond_m": Continuous(0.0, 300.0, 0.0),
+    "until_m": Continuous(0.0, 600.0, 600.0),
 }
 """Keys of one row of things; it stands only where the circle is farther than `beyond_m` and nearer than `until_m`."""
 
@@ -84,7 +84,7 @@ def read(root: Located, name: str) -> Recipe:
     if about is not None and not isinstance(about.value, str):
         raise RecipeError(f"{about.place}: about is {about.plain()!r}; it takes one sentence")
     rows = read_rows(items["rows"], ROW) if "rows" in items else ()
-    return Recipe(name, about.value if about else "A roundabout.", read_draws(items, parameters), (), rows, read_fog(items))
+    return Recipe(name, about.value if about else "A roundabout.", read_distributions(items, parameters), read_fog(items), rows)
 
 
 # -- drawing
@@ -96,24 +96,24 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     Raises:
         RecipeError: a rule cannot be met, or the arms find no room at the circle; says which, after TRIES tries.
     """
-    hour = float(recipe.draws["traffic.hour"](stream(seed, "recipe", "traffic.hour")))
+    hour = float(recipe.distributions["traffic.hour"](stream(seed, "recipe", "traffic.hour")))
 
     def value(name: str) -> Any:
-        return recipe.draws[name](stream(seed, "recipe", name), hour=hour)
+        return recipe.distributions[name](stream(seed, "recipe", name), hour=hour)
 
     junction = _junction(recipe, seed)
     before = round(junction.radius + value("camera.before_m"), 2)
-    if before + 30.0 > junction.line.length:
+    if before + 30.0 > junction.reference_line.length:
         raise RecipeError(
-            f"{recipe.name}: camera.before_m leaves less than 30 m of the arm's {junction.line.length:g} m behind the camera; raise arms.length_m"
+            f"{recipe.name}: camera.before_m leaves less than 30 m of the arm's {junction.reference_line.length:g} m behind the camera; raise arms.length_m"
         )
     fov = value("camera.fov_x_deg")
     x, y, z, heading = junction.lane_pose(0, before, -1, -0.15)
     focal = round(APERTURE / 2 / math.tan(math.radians(fov) / 2), 6)
     view = View(x, y, round(z + value("camera.height_m"), 3), 90.6, round(heading + 0.8, 3), focal)
-    taken = rules.Occupied()
+    taken = rules.CollisionSet()
     fixed = [*_island(recipe, junction, seed, value("circle.trees"), taken), *_signs(junction, taken), *_rows(recipe, junction, seed, taken)]
-    moving, least, seen = movers.in_sight(recipe, junction, seed, before, value, view, fov, fixed, taken)
+    moving, least, seen = actors.in_sight(recipe, junction, seed, before, value, view, fov, fixed, taken)
     if moving is None:
         raise RecipeError(
             f"{recipe.name}: rules.{least} cannot be met: {TRIES} tries gave at most {seen}; "
@@ -129,7 +129,7 @@ def _junction(recipe: Recipe, seed: int) -> Roundabout:
     for attempt in range(TRIES):
 
         def value(name: str, *more: int, attempt: int = attempt) -> Any:
-            return recipe.draws[name](stream(seed, "recipe", name, *more, *([attempt] if attempt else [])))
+            return recipe.distributions[name](stream(seed, "recipe", name, *more, *([attempt] if attempt else [])))
 
         count, apart = value("arms.count"), value("arms.apart_deg")
         spare = 360.0 - count * apart
@@ -142,7 +142,7 @@ def _junction(recipe: Recipe, seed: int) -> Roundabout:
         lines = []
         for arm, heading in enumerate(headings):
             pieces = [(STRAIGHT_M if i == 0 else 15.0, value("arms.radius_m", arm, i), value("arms.turn_deg", arm, i)) for i in range(5)]
-            lines.append(Line(length, bends(pieces, length=length), origin=(0.0, 0.0, round(float(heading), 3))))
+            lines.append(ReferenceLine(length, bends(pieces, length=length), origin=(0.0, 0.0, round(float(heading), 3))))
         try:
             return roundabout(
                 lines,
@@ -169,7 +169,7 @@ def _stood(junction: Roundabout, asset: str, x: float, y: float, heading: float,
     return Placement(rules.prim_group(found), "", asset, x, y, round((heading + 180.0) % 360.0 - 180.0, 2), looks or {}, z=z, size=size)
 
 
-def _kept(found: list[Placement], taken: rules.Occupied, margin: float = 0.1) -> list[Placement]:
+def _kept(found: list[Placement], taken: rules.CollisionSet, margin: float = 0.1) -> list[Placement]:
     """Those that have room, in their order."""
     kept = []
     for p in found:
@@ -179,65 +179,65 @@ def _kept(found: list[Placement], taken: rules.Occupied, margin: float = 0.1) ->
     return kept
 
 
-def _island(recipe: Recipe, junction: Roundabout, seed: int, trees: int, taken: rules.Occupied) -> list[Placement]:
+def _island(recipe: Recipe, junction: Roundabout, seed: int, trees: int, taken: rules.CollisionSet) -> list[Placement]:
     """Chevron boards on the middle island that face each arm, and trees on its top."""
     found = []
     for arm in junction.arms:
-        h = math.radians(arm.line.origin[2])
+        h = math.radians(arm.reference_line.origin[2])
         r = junction.island - 0.75
-        found.append(_stood(junction, "sign_chevron", -r * math.sin(h), r * math.cos(h), arm.line.origin[2]))
+        found.append(_stood(junction, "sign_chevron", -r * math.sin(h), r * math.cos(h), arm.reference_line.origin[2]))
     for number in range(trees):
         rng = stream(seed, "recipe", "circle.tree", number)
-        asset = recipe.draws["circle.tree_models"](rng)
+        asset = recipe.distributions["circle.tree_models"](rng)
         r, a = 0.45 * junction.island * math.sqrt(rng.random()), rng.uniform(0, 2 * math.pi)
         size = min(1.0, 0.1 + junction.island / 12.0) * float(rng.uniform(0.55, 0.8))
         found.append(_stood(junction, asset, r * math.cos(a), r * math.sin(a), float(rng.uniform(0, 360)), look(rng, rules.model(asset)), round(size, 3)))
     return _kept(found, taken, 0.3)
 
 
-def _signs(junction: Roundabout, taken: rules.Occupied) -> list[Placement]:
+def _signs(junction: Roundabout, taken: rules.CollisionSet) -> list[Placement]:
     """Give way at every entry, and the zebra's sign before it, on the right as one arrives; both face who does."""
     found = []
     for arm, road in enumerate(junction.arms):
         for asset, s in (("sign_give_way", junction.radius + 3.6), ("sign_crossing", road.zebras[0] + 2.9)):
             t = -(float(junction.edge(arm, -1, s)) + 0.6)
-            x, y = road.line.place(s, t)
+            x, y = road.reference_line.place(s, t)
             u, _ = junction.across(x, y)
             shift = 0.55 - float(u)  # the arc comes in at a slant
-            x, y = road.line.place(s, t - shift)
-            found.append(_stood(junction, asset, float(x), float(y), road.line.origin[2]))
+            x, y = road.reference_line.place(s, t - shift)
+            found.append(_stood(junction, asset, float(x), float(y), road.reference_line.origin[2]))
     return _kept(found, taken)
 
 
-def _rows(recipe: Recipe, junction: Roundabout, seed: int, taken: rules.Occupied) -> list[Placement]:
+def _rows(recipe: Recipe, junction: Roundabout, seed: int, taken: rules.CollisionSet) -> list[Placement]:
     """Rows in their order, corner after corner; what has no room is left out."""
     placed: list[Placement] = []
     for number, row in enumerate(recipe.rows):
         for corner in range(len(junction.arms)):
             rng = stream(seed, "recipe", "rows", number, corner)
-            placed += _row(junction, corner, row.draws, rng, taken)
+            placed += _row(junction, corner, row.distributions, rng, taken)
     return placed
 
 
-def _row(junction: Roundabout, corner: int, draws: Any, rng: np.random.Generator, taken: rules.Occupied) -> list[Placement]:
+def _row(junction: Roundabout, corner: int, distributions: Any, rng: np.random.Generator, taken: rules.CollisionSet) -> list[Placement]:
     line, span = junction.outline, junction.outline.span(corner)
     base, normals = line.points[span], line.normals[span]
-    where, start = draws["from"](rng), None
-    beyond, until = junction.radius + float(draws["beyond_m"](rng)), junction.radius + float(draws["until_m"](rng))
+    where, start = distributions["from"](rng), None
+    beyond, until = junction.radius + float(distributions["beyond_m"](rng)), junction.radius + float(distributions["until_m"](rng))
     placed: list[Placement] = []
-    out = (junction.pavement if where == "edge" else 0.0) + float(draws["out_m"](rng))
+    out = (junction.pavement if where == "edge" else 0.0) + float(distributions["out_m"](rng))
     front = base + out * normals  # what stands end to end is measured where its front is
     at = np.r_[0.0, np.cumsum(np.hypot(*np.diff(front, axis=0).T))]
     while start is None or start < at[-1]:
-        asset, turned = draws["models"](rng), draws["turn"](rng)
-        found, size = rules.model(asset), round(float(draws["size"](rng)), 3)
+        asset, turned = distributions["models"](rng), distributions["turn"](rng)
+        found, size = rules.model(asset), round(float(distributions["size"](rng)), 3)
         extent = (found.width if turned in ("road", "back") else found.length) * size
-        step, gap = draws["step_m"](rng), float(draws["gap_m"](rng))
+        step, gap = distributions["step_m"](rng), float(distributions["gap_m"](rng))
         start = float(rng.random()) * (step or extent) if start is None else start
         middle = start if step is not None else start + extent / 2
         start += float(step) if step is not None else extent + gap
-        there, any_way, looks = rng.random() < draws["share"](rng), float(rng.uniform(0, 360)), look(rng, found)
-        more = float(draws["out_m"](rng)) + (junction.pavement if where == "edge" else 0.0) - out
+        there, any_way, looks = rng.random() < distributions["share"](rng), float(rng.uniform(0, 360)), look(rng, found)
+        more = float(distributions["out_m"](rng)) + (junction.pavement if where == "edge" else 0.0) - out
         if not there:
             continue
         for nudge in range(NUDGES if step is None else 1):

@@ -18,6 +18,7 @@ from synfog_usd.world.materials import Material
 from synfog_usd.world.roads import land
 from synfog_usd.world.roads.asphalt import Asphalt, puddles
 from synfog_usd.world.roads.land import FAR_M, Scatter
+from synfog_usd.world.roads.lane_section import KERB_M
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.roundabout import (
     APRON_LIP_M,
@@ -32,7 +33,6 @@ from synfog_usd.world.roads.roundabout import (
     ZEBRA_HALF_M,
     Roundabout,
 )
-from synfog_usd.world.roads.section import KERB_M
 from synfog_usd.world.roads.surface import ASPHALT_TILE_M, GRASS_TILE_M, LANE_M, PAVING_TILE_M, ROAD_HALF_M, WORN, bend
 from synfog_usd.world.shapes import Array, Part, strip
 from synfog_usd.world.textures import LANE_LENGTH_M
@@ -107,7 +107,7 @@ def _disc(junction: Roundabout, asphalt: Asphalt) -> Part:
     seams = np.arcsin(_columns(junction, far) / far)
     angle = np.linspace(0.0, 2 * np.pi, round(2 * np.pi * far), endpoint=False)
     for arm in junction.arms:
-        angle = np.r_[angle, (np.radians(arm.line.origin[2]) + np.pi / 2 - seams) % (2 * np.pi)]
+        angle = np.r_[angle, (np.radians(arm.reference_line.origin[2]) + np.pi / 2 - seams) % (2 * np.pi)]
     angle = np.unique(np.round(angle, 9))
     angle = angle[np.r_[True, np.diff(angle) > 1e-7]]
     radius = np.r_[np.linspace(junction.inner, junction.radius, 6), np.linspace(junction.radius, far, round(HOLD_M) + 1)[1:]]
@@ -120,7 +120,7 @@ def _disc(junction: Roundabout, asphalt: Asphalt) -> Part:
 def _stations(junction: Roundabout, road: Road) -> Array:
     """Of an arm's rows, after the disc."""
     near = np.linspace(junction.radius + HOLD_M + 1.0, junction.radius + HOLD_M + TAPER_M, 22)
-    return np.r_[near, np.linspace(near[-1], road.line.length, int((road.line.length - near[-1]) / 2.0) + 2)[1:]]
+    return np.r_[near, np.linspace(near[-1], road.reference_line.length, int((road.reference_line.length - near[-1]) / 2.0) + 2)[1:]]
 
 
 def _arm(junction: Roundabout, arm: int, asphalt: Asphalt) -> list[Part]:
@@ -129,7 +129,7 @@ def _arm(junction: Roundabout, arm: int, asphalt: Asphalt) -> list[Part]:
     first = _columns(junction, far)
     s = np.concatenate([np.sqrt(far**2 - first**2)[None], np.repeat(_stations(junction, road)[:, None], 5, axis=1)])
     t = np.concatenate([first[None], _columns(junction, s[1:, 0])])
-    x, y = road.line.place(s, t)
+    x, y = road.reference_line.place(s, t)
     points = np.stack([x, y, np.zeros_like(x)], axis=-1)
     u0, u1 = 0.5, 0.5 + LANE_M / (2 * ROAD_HALF_M)
     lanes = []
@@ -196,7 +196,7 @@ def _splitter(junction: Roundabout, arm: int, low: float, high: float) -> list[P
     s = np.r_[low + ends, np.arange(low + 1.6, high - 1.5, 0.5), high - ends[::-1]]
     half = junction.half_width(low, high, s)
     t = np.r_[-half, half[::-1], -half[:1]]
-    points = np.stack(junction.arms[arm].line.place(np.r_[s, s[::-1], s[:1]], t), axis=1)
+    points = np.stack(junction.arms[arm].reference_line.place(np.r_[s, s[::-1], s[:1]], t), axis=1)
     normals = _closed_normals(points)
     inner = points + BEHIND_KERB_M * normals
     n = len(s)
@@ -250,8 +250,8 @@ def ground(junction: Roundabout) -> Part:
         seam.append((line.points[span] + junction.pavement * line.normals[span])[keep])
     ends = []
     for road in junction.arms:
-        t = np.linspace(road.section.low, road.section.high, 8)[1:-1]
-        ends.append(np.stack(road.line.place(road.line.length + 0.02, t), axis=1))
+        t = np.linspace(road.lane_section.low, road.lane_section.high, 8)[1:-1]
+        ends.append(np.stack(road.reference_line.place(road.reference_line.length + 0.02, t), axis=1))
     rows = [_behind(junction, out, min(max(2.0, 0.5 * out), 7.0)) for out in OUT_M]
     reach = max(float(np.hypot(*junction.outline.points.T).max()), 150.0) + GRID_FROM_M
     axis = np.arange(-reach, reach + GRID_M, GRID_M)

@@ -43,7 +43,7 @@ def names() -> tuple[str, ...]:
 
 
 @functools.cache
-def model(name: str) -> library.Model:
+def model(name: str) -> library.LibraryModel:
     """A model by name.
 
     Raises:
@@ -54,7 +54,7 @@ def model(name: str) -> library.Model:
     return library.read(resources.folder("assets") / "models" / name / f"{name}.usda")
 
 
-def prim_group(found: library.Model) -> str:
+def prim_group(found: library.LibraryModel) -> str:
     """Name of the group prim that a model goes to."""
     return GROUPS.get(found.group, "Furniture")
 
@@ -91,7 +91,7 @@ def gap(a: Array, b: Array) -> float:
 
 
 @dataclass
-class Occupied:
+class CollisionSet:
     """What stands already; asks whether something more has room."""
 
     prints: list[Array] = field(default_factory=list)
@@ -134,9 +134,9 @@ class Occupied:
         self.prints.append(corners)
         self.circles.append((float(centre[0]), float(centre[1]), float(np.hypot(*(corners - centre).T).max())))
 
-    def copy(self) -> Occupied:
+    def copy(self) -> CollisionSet:
         """Another that goes on from here."""
-        return Occupied(list(self.prints), list(self.circles), list(self.lamps), list(self.trunks))
+        return CollisionSet(list(self.prints), list(self.circles), list(self.lamps), list(self.trunks))
 
 
 # -- lanes

@@ -86,13 +86,13 @@ def built(spec: WorldSpec) -> list[Built]:
     made.append(Built("Markings", "road", tuple(markings.markings(road))))
     made.append(Built("Land", "terrain", tuple(land.land(road))))
     rails = spec.built.get("rails", "none")
-    end = road.line.length if road.land.hill is None else road.land.hill[0] - 0.3
+    end = road.reference_line.length if road.land.hill is None else road.land.hill[0] - 0.3
     if rails in ("outer", "all"):
         for t, side in ((_soft(road, -1), 1), (_soft(road, 1), -1)):
             made.append(structures.guard_rail(road, t, side, 0.0, end, f"Guard_Rail_{'Left' if side > 0 else 'Right'}"))
     if rails in ("median", "all"):
-        for strip in road.section.of("reserve"):
-            for t, side, name in ((strip.low + 0.7, -1, "Against"), (strip.high - 0.7, 1, "Along")):
+        for lane in road.lane_section.of("reserve"):
+            for t, side, name in ((lane.low + 0.7, -1, "Against"), (lane.high - 0.7, 1, "Along")):
                 made.append(structures.guard_rail(road, t, side, 0.0, end, f"Guard_Rail_{name}"))
     if spec.built.get("delineators") == "both":
         made += structures.delineators(road, 0.0, end)
@@ -108,9 +108,9 @@ def built(spec: WorldSpec) -> list[Built]:
 
 def _soft(road: Road, side: int) -> float:
     """Offset of a guard rail beside the carriageway: 0.6 m into the verge."""
-    verges = [strip for strip in road.section.of("verge") if strip.middle * side > 0]
+    verges = [lane for lane in road.lane_section.of("verge") if lane.middle * side > 0]
     if not verges:
-        return road.section.high - 0.3 if side > 0 else road.section.low + 0.3
+        return road.lane_section.high - 0.3 if side > 0 else road.lane_section.low + 0.3
     return verges[-1].low + 0.6 if side > 0 else verges[0].high - 0.6
 
 

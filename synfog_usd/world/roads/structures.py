@@ -35,7 +35,7 @@ def guard_rail(road: Road, t: float, side: int, low: float, high: float, name: s
     """A W-beam on posts at offset t whose traffic lies to the right if `side` is 1, else to the left."""
     waves = [(0.0, 0.44), (0.08, 0.48), (0.08, 0.535), (0.02, 0.575), (0.02, 0.615), (0.08, 0.655), (0.08, 0.71), (0.0, RAIL_TOP_M)]
     profile = [(t + side * u, h) for u, h in waves]
-    base = float(road.section.height(t))
+    base = float(road.lane_section.height(t))
     profile = [(u, h + base) for u, h in profile]
     parts = [sweep(road, profile if side > 0 else profile[::-1], "galvanised", tile_m=1.0, low=low, high=high)]
     for s in np.arange(low + 1.0, high, POST_M):
@@ -47,14 +47,14 @@ def guard_rail(road: Road, t: float, side: int, low: float, high: float, name: s
 def delineators(road: Road, low: float, high: float) -> list[Built]:
     """White posts 1 m high every 50 m on both sides, with a black band and reflectors."""
     made = []
-    edges = (road.section.low, road.section.high)
-    verges = [band for band in road.section.of("verge")]
+    edges = (road.lane_section.low, road.lane_section.high)
+    verges = [lane for lane in road.lane_section.of("verge")]
     if verges:
         edges = (verges[0].high - 0.75, verges[-1].low + 0.75)
     parts: list[Part] = []
     for s in np.arange(low + 12.0, high, DELINEATOR_M):
         for t in edges:
-            base = float(road.section.height(t))
+            base = float(road.lane_section.height(t))
             parts += [
                 bend(soft_box((t - 0.06, s - 0.05, base - 0.2), (t + 0.06, s + 0.05, base + 0.72), "post_white", radius=0.03), road),
                 bend(soft_box((t - 0.061, s - 0.051, base + 0.72), (t + 0.061, s + 0.051, base + 0.90), "gloss_black", radius=0.03), road),
@@ -69,8 +69,8 @@ def bridge(road: Road) -> list[Built]:
     """The deck over the valley: fascias, underside, piers, and a railing on both sides."""
     assert road.land.valley is not None
     low, high, depth = road.land.valley
-    left, right = road.section.low, road.section.high
-    a, b = float(road.section.height(left)), float(road.section.height(right))
+    left, right = road.lane_section.low, road.lane_section.high
+    a, b = float(road.lane_section.height(left)), float(road.lane_section.height(right))
     profile = [(left, a), (left, a + 0.22), (left - 0.35, a + 0.22), (left - 0.35, a - 0.75), (left + 1.2, -1.9), (right - 1.2, -1.9), (right + 0.35, b - 0.75),
                (right + 0.35, b + 0.22), (right, b + 0.22), (right, b)]  # fmt: skip
     deck: list[Part] = [sweep(road, profile[::-1], "concrete", tile_m=3.0, low=low - 4.0, high=high + 4.0)]
@@ -100,10 +100,10 @@ def arch(half: float, *, grown: float = 0.0, sides: int = 24) -> Array:
 def tunnel(road: Road) -> list[Built]:
     """Lining, portal and lamps of a tunnel that begins where the hill does."""
     assert road.land.hill is not None
-    begin, end = road.land.hill[0], road.line.length
+    begin, end = road.land.hill[0], road.reference_line.length
     top_m = AT_PORTAL * road.land.hill[1] + 0.5
-    half = (road.section.high - road.section.low) / 2
-    middle = (road.section.high + road.section.low) / 2
+    half = (road.lane_section.high - road.lane_section.low) / 2
+    middle = (road.lane_section.high + road.lane_section.low) / 2
     line = arch(half)
     inside = sweep(road, line + np.array([middle, 0.0]), "concrete", tile_m=3.0, low=begin - 0.6, high=end)
     outer = arch(half, grown=0.5)
@@ -144,11 +144,11 @@ def _ring(road: Road, inner: Array, outer: Array, middle: float, s: float, mater
 
 def gantry(road: Road, s: float, number: int) -> Built:
     """A sign bridge over the lanes that go along: two posts, a lattice beam, a board a lane."""
-    lanes = [lane for lane in road.lanes if lane.way > 0]
+    lanes = [lane for lane in road.driving_lanes if lane.way > 0]
     left, right = lanes[0].middle - lanes[0].width / 2 - 1.3, lanes[-1].middle + lanes[-1].width / 2 + 3.4
     parts: list[Part] = []
     for t in (left, right):
-        base = float(road.section.height(t))
+        base = float(road.lane_section.height(t))
         parts.append(tube([(t, s, base - 0.2), (t, s, 7.6)], [0.2, 0.16], "galvanised", sides=10))
     for h in (6.3, 7.5):
         for y in (s - 0.35, s + 0.35):

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from synfog_usd.seeds import stream
 from synfog_usd.world.roads.asphalt import REPAIRS, Asphalt, puddles
+from synfog_usd.world.roads.lane_section import KERB_M, RAISED, Lane
 from synfog_usd.world.roads.network import Road
-from synfog_usd.world.roads.section import KERB_M, RAISED, Strip
 from synfog_usd.world.shapes import Array, Part, disc, fan, strip
 from synfog_usd.world.textures import LANE_LENGTH_M
 
@@ -31,15 +31,15 @@ PAVING_TILE_M, GRASS_TILE_M, ASPHALT_TILE_M = 4.0, 4.0, 6.0
 def bend(part: Part, road: Road) -> Part:
     """A part of the level plane on the road: x is the offset, y the station, z the height over the line."""
     t, s, h = part.points.T
-    x, y = road.line.place(s, t)
-    return replace(part, points=np.c_[x, y, road.line.height(s) + h], normals=None)
+    x, y = road.reference_line.place(s, t)
+    return replace(part, points=np.c_[x, y, road.reference_line.height(s) + h], normals=None)
 
 
 def stations(road: Road, low: float = 0.0, high: float | None = None) -> Array:
     """Stations that follow the line within millimetres: closer in bends and over crests."""
-    high = road.line.length if high is None else high
-    curved = any(k for _, k in road.line.curvature) or len(road.line.slope) > 1
-    step = FINE_M if road.line.tightest < TIGHT_M else 2.0 if curved else COARSE_M
+    high = road.reference_line.length if high is None else high
+    curved = any(k for _, k in road.reference_line.curvature) or len(road.reference_line.slope) > 1
+    step = FINE_M if road.reference_line.tightest < TIGHT_M else 2.0 if curved else COARSE_M
     return np.linspace(low, high, max(2, int(np.ceil((high - low) / step)) + 1))
 
 
@@ -58,51 +58,51 @@ def surface(road: Road, *, seed: int, asphalt: Asphalt = WORN) -> dict[str, list
     rng = stream(seed, "road", "asphalt")
     angle, begin, flipped = rng.uniform(0, 2 * np.pi), rng.uniform(0, 1, 2), bool(rng.random() < 0.5)
     found: dict[str, list[Part]] = {"road": [], "sidewalk": [], "terrain": []}
-    for index, band in enumerate(road.section.strips):
-        kind = band.band.kind
+    for index, lane in enumerate(road.lane_section.lanes):
+        kind = lane.kind
         if kind in ("lane", "bus"):
             if asphalt.lane == "asphalt_lane":
-                found["road"].append(_lane(road, band, index, float(begin[0]), flipped))
+                found["road"].append(_lane(road, lane, index, float(begin[0]), flipped))
             else:
-                found["road"].append(_turned(road, band, asphalt.lane, float(angle), begin + 0.31 * index))
+                found["road"].append(_turned(road, lane, asphalt.lane, float(angle), begin + 0.31 * index))
         elif kind in ("parking", "shoulder", "cycle"):
-            found["road"].append(_turned(road, band, "asphalt", float(angle), begin + 0.31 * index))
+            found["road"].append(_turned(road, lane, "asphalt", float(angle), begin + 0.31 * index))
         elif kind in ("pavement", "island"):
-            found["sidewalk"].append(_flat(road, band, "paving", PAVING_TILE_M))
+            found["sidewalk"].append(_flat(road, lane, "paving", PAVING_TILE_M))
         else:
-            found["terrain"].append(_flat(road, band, "grass", GRASS_TILE_M, shift=0.37 * index))
-    found["sidewalk"] += [_kerb(road, t, side) for t, side in road.section.kerbs()]
+            found["terrain"].append(_flat(road, lane, "grass", GRASS_TILE_M, shift=0.37 * index))
+    found["sidewalk"] += [_kerb(road, t, side) for t, side in road.lane_section.kerbs()]
     found["road"] += [bend(part, road) for part in (*_repairs(road, seed, REPAIRS[asphalt.kind]), *puddles(road, asphalt, seed=seed))]
     return {label: parts for label, parts in found.items() if parts}
 
 
-def _turned(road: Road, band: Strip, material: str, angle: float, begin: Array) -> Part:
+def _turned(road: Road, lane: Lane, material: str, angle: float, begin: Array) -> Part:
     """A strip of asphalt without a direction, its texture turned by an angle [rad] and begun elsewhere."""
-    part = _flat(road, band, material, ASPHALT_TILE_M)
+    part = _flat(road, lane, material, ASPHALT_TILE_M)
     assert part.uv is not None
     c, s = np.cos(angle), np.sin(angle)
     return replace(part, uv=part.uv @ np.array([[c, s], [-s, c]]) + begin)
 
 
-def _lane(road: Road, band: Strip, index: int, begin: float, flipped: bool) -> Part:
+def _lane(road: Road, lane: Lane, index: int, begin: float, flipped: bool) -> Part:
     """A lane with its wheel tracks; lanes begin at different places of the texture, and roads run through it either way."""
     s = stations(road)
     way = -1.0 if flipped else 1.0
     u0, u1 = ROAD_HALF_M / (2 * ROAD_HALF_M), (ROAD_HALF_M + LANE_M) / (2 * ROAD_HALF_M)
-    if band.band.way < 0:
+    if lane.way < 0:
         u0, u1 = u1, u0
     uv = [np.array([(u0, way * at / LANE_LENGTH_M + 0.41 * index + begin), (u1, way * at / LANE_LENGTH_M + 0.41 * index + begin)]) for at in s]
-    return bend(strip([np.array([(band.low, at, 0.0), (band.high, at, 0.0)]) for at in s], "asphalt_lane", uv=uv), road)
+    return bend(strip([np.array([(lane.low, at, 0.0), (lane.high, at, 0.0)]) for at in s], "asphalt_lane", uv=uv), road)
 
 
-def _flat(road: Road, band: Strip, material: str, tile_m: float, *, shift: float = 0.0) -> Part:
+def _flat(road: Road, lane: Lane, material: str, tile_m: float, *, shift: float = 0.0) -> Part:
     """A strip between its edges, from behind the kerb stone where it has one."""
-    low, high = band.low, band.high
-    a, b = road.section.ends(band)
-    for t, side in road.section.kerbs():
-        if band.band.kind in RAISED:
-            low = low + 0.15 if t == band.low and side > 0 else low
-            high = high - 0.15 if t == band.high and side < 0 else high
+    low, high = lane.low, lane.high
+    a, b = road.lane_section.ends(lane)
+    for t, side in road.lane_section.kerbs():
+        if lane.kind in RAISED:
+            low = low + 0.15 if t == lane.low and side > 0 else low
+            high = high - 0.15 if t == lane.high and side < 0 else high
     columns = np.linspace(low, high, 2 if a == b else 4)
     h = np.interp(columns, (low, high), (a, b))
     s = stations(road)
@@ -131,32 +131,32 @@ def _repairs(road: Road, seed: int, often: float = 1.0) -> list[Part]:
     """Patches, sealed cracks, covers and gullies, as years of digging leave them."""
     rng = stream(seed, "road", "repairs")
     parts: list[Part] = []
-    length = road.line.length
-    driven = list(road.section.of("lane", "bus"))
-    urban = any(band.band.kind == "pavement" for band in road.section.strips)
+    length = road.reference_line.length
+    driven = list(road.lane_section.of("lane", "bus"))
+    urban = any(lane.kind == "pavement" for lane in road.lane_section.lanes)
     for _ in range(int(often * length / (28 if urban else 60))):
-        band = driven[int(rng.integers(len(driven)))]
+        lane = driven[int(rng.integers(len(driven)))]
         width, long, s = rng.uniform(0.6, 1.6), rng.uniform(1.5, 14.0), rng.uniform(0, length - 20)
-        t = rng.uniform(band.low + 0.1, band.high - 0.1 - width)
+        t = rng.uniform(lane.low + 0.1, lane.high - 0.1 - width)
         for part in _patch(t, s, width, long, "asphalt_patch" if rng.random() < 0.7 else "asphalt_old"):
             parts.append(part)
     for _ in range(int(often * length / 9)):
-        band = driven[int(rng.integers(len(driven)))]
-        t, s, heading = rng.uniform(band.low, band.high), rng.uniform(5, length - 10), rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.25)
+        lane = driven[int(rng.integers(len(driven)))]
+        t, s, heading = rng.uniform(lane.low, lane.high), rng.uniform(5, length - 10), rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.25)
         points = [(t, s)]
         for _ in range(int(rng.integers(6, 26))):
             heading += rng.normal(0, 0.22)
             t, s = float(np.clip(t + 0.22 * np.cos(heading), driven[0].low, driven[-1].high)), s + 0.22 * np.sin(heading)
             points.append((t, s))
         path = np.array(points)
-        if not any(road.section.at(float(p)).band.kind in RAISED for p in path[:, 0]):  # type: ignore[union-attr]
+        if not any(road.lane_section.at(float(p)).kind in RAISED for p in path[:, 0]):  # type: ignore[union-attr]
             parts.append(ribbon(path, float(rng.uniform(0.012, 0.035)), 0.0018, "tar"))
     if urban:
         for s in np.arange(rng.uniform(5, 20), length - 5, 27.0):
-            band = driven[int(rng.integers(len(driven)))]
-            t, at = band.middle + rng.uniform(-0.9, 0.9), s + rng.uniform(-6, 6)
+            lane = driven[int(rng.integers(len(driven)))]
+            t, at = lane.middle + rng.uniform(-0.9, 0.9), s + rng.uniform(-6, 6)
             parts += [disc((t, at, 0.0022), 0.43, "asphalt_patch", sides=24), disc((t, at, 0.0026), 0.33, "iron", sides=24)]
-        for t, side in road.section.kerbs():
+        for t, side in road.lane_section.kerbs():
             for s in np.arange(rng.uniform(4, 18), length, 24.0):
                 x = t - side * 0.22
                 corners = [(x - 0.18, s - 0.25, 0.0026), (x + 0.18, s - 0.25, 0.0026), (x + 0.18, s + 0.25, 0.0026), (x - 0.18, s + 0.25, 0.0026)]

@@ -10,7 +10,7 @@ import numpy as np
 from synfog_usd.seeds import stream
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.network import Road
-from synfog_usd.world.roads.standing import in_structure, look
+from synfog_usd.world.roads.props import in_structure, look
 from synfog_usd.world.roads.structures import Built
 from synfog_usd.world.roads.surface import bend
 from synfog_usd.world.shapes import Part, ball, box, fan, tube
@@ -41,26 +41,28 @@ class Works:
     side: int
 
 
-def site(road: Road, seed: int, station: float, value: Any, taken: rules.Occupied) -> tuple[Works | None, list[Placement]]:
+def site(road: Road, seed: int, station: float, value: Any, taken: rules.CollisionSet) -> tuple[Works | None, list[Placement]]:
     """Works on the side that the recipe names, with workers; none where no strip is wide enough, or has no room."""
     where = value("works.where")
-    strips = [strip for strip in road.section.of("shoulder", "pavement", "verge") if strip.band.width >= WIDE_M + FROM_LANE_M + 0.15]
-    strips = [strip for strip in strips if (strip.middle > 0) == (where == "right")]
+    strips = [lane for lane in road.lane_section.of("shoulder", "pavement", "verge") if lane.width >= WIDE_M + FROM_LANE_M + 0.15]
+    strips = [lane for lane in strips if (lane.middle > 0) == (where == "right")]
     if where == "none" or not strips:
         return None, []
     side = 1 if where == "right" else -1
-    strip = strips[0] if side > 0 else strips[-1]
-    low, high = sorted((inner := (strip.low if side > 0 else strip.high) + side * FROM_LANE_M, inner + side * WIDE_M))
+    lane = strips[0] if side > 0 else strips[-1]
+    low, high = sorted((inner := (lane.low if side > 0 else lane.high) + side * FROM_LANE_M, inner + side * WIDE_M))
     rng = stream(seed, "recipe", "works")
     begin, length = station + value("works.ahead_m"), float(rng.uniform(4.0, 7.0))
     for attempt in range(TRIES):
         works = Works(round(begin + 2.0 * attempt, 3), round(length, 3), round(low, 3), round(high, 3), side)
         end = works.s + length
-        if end > road.line.length - 5.0 or any(works.s - CLEAR_ZEBRA_M < zebra < end + CLEAR_ZEBRA_M for zebra in road.zebras):
+        if end > road.reference_line.length - 5.0 or any(works.s - CLEAR_ZEBRA_M < zebra < end + CLEAR_ZEBRA_M for zebra in road.zebras):
             continue
         if in_structure(road, works.s, works.low) or in_structure(road, end, works.high):
             continue
-        corners = np.stack(road.line.place([works.s - 0.4, works.s - 0.4, end + 0.4, end + 0.4], [low - 0.1, high + 0.1, high + 0.1, low - 0.1]), axis=-1)
+        corners = np.stack(
+            road.reference_line.place([works.s - 0.4, works.s - 0.4, end + 0.4, end + 0.4], [low - 0.1, high + 0.1, high + 0.1, low - 0.1]), axis=-1
+        )
         if not taken.free_outline(corners, 0.1):
             continue
         workers = []
@@ -78,7 +80,7 @@ def built(road: Road, works: Works) -> Built:
     """Boards, hole, heap and cones of a site."""
     a, b, low, high = works.s, works.s + works.length, works.low, works.high
     inner, outer = (low, high) if works.side > 0 else (high, low)
-    base = float(road.section.height((low + high) / 2))
+    base = float(road.lane_section.height((low + high) / 2))
     parts: list[Part] = [*_board(low, a, high - low, base, across=True), *_board(low, b, high - low, base, across=True)]
     for t in (inner, outer):
         for s in np.arange(a + 0.15, b - 2.0, 2.2):
@@ -88,7 +90,7 @@ def built(road: Road, works: Works) -> Built:
     parts.append(fan(outline if works.side > 0 else outline[::-1], "soil"))
     parts.append(ball(((low + high) / 2 - works.side * 0.2, a + works.length * 0.72, base - 0.06), (0.45, 0.7, 0.46), "soil", sides=16))
     for s in np.linspace(a - 0.25, b + 0.25, 4):
-        parts += _cone(inner - works.side * 0.22, float(s), float(road.section.height(inner - works.side * 0.22)))
+        parts += _cone(inner - works.side * 0.22, float(s), float(road.lane_section.height(inner - works.side * 0.22)))
     return Built("Works", "static", tuple(_plain(bend(part, road)) for part in parts))
 
 

@@ -10,13 +10,14 @@ import numpy as np
 
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import stream
-from synfog_usd.world.roads import movers as roads
+from synfog_usd.world.language import Recipe
+from synfog_usd.world.roads import actors as roads
 from synfog_usd.world.roads import rules
-from synfog_usd.world.roads.movers import BRAKING, BRAKING_M, COMPANY, DENSER, OWN_CAR_M, TRIES, TRIES_ALIKE
-from synfog_usd.world.roads.parameters import WALKERS, Recipe
+from synfog_usd.world.roads.actors import BRAKING, BRAKING_M, COMPANY, DENSER, OWN_CAR_M, TRIES, TRIES_ALIKE
+from synfog_usd.world.roads.lane_section import KERB_M
+from synfog_usd.world.roads.parameters import WALKERS
+from synfog_usd.world.roads.props import draw_car, look
 from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, Roundabout
-from synfog_usd.world.roads.section import KERB_M
-from synfog_usd.world.roads.standing import draw_car, look
 from synfog_usd.world.spec import Placement, View
 
 AHEAD_M = 150.0
@@ -35,17 +36,17 @@ ABREAST_M = 0.75
 
 
 def in_sight(
-    recipe: Recipe, junction: Roundabout, seed: int, before: float, value: Any, view: View, fov: float, fixed: list[Placement], taken: rules.Occupied
+    recipe: Recipe, junction: Roundabout, seed: int, before: float, value: Any, view: View, fov: float, fixed: list[Placement], taken: rules.CollisionSet
 ) -> tuple[list[Placement] | None, str, int]:
     """Traffic and people that meet the rules of sight; None with the rule that failed and the most that was reached."""
 
-    def drawn(attempt: int, room: rules.Occupied) -> list[Placement]:
+    def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
         return [*_traffic(recipe, junction, seed, attempt, before, value, room), *_people(recipe, junction, seed, attempt, view, value, room)]
 
     return roads.in_sight(drawn, junction, value, view, fov, fixed, taken)
 
 
-def _traffic(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, before: float, value: Any, room: rules.Occupied) -> list[Placement]:
+def _traffic(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, before: float, value: Any, room: rules.CollisionSet) -> list[Placement]:
     """Vehicles round the circle, waiting at its entries, and on the arms as many as the flow at that hour."""
     speed = value("traffic.speed_kmh") / 3.6
     least = 1.5 + speed * value("traffic.headway_s")
@@ -60,7 +61,7 @@ def _traffic(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, befo
     for index, (arm, way) in enumerate(lanes):
         rng = stream(seed, "recipe", "traffic", attempt, "arm", arm, way + 1)
         road = junction.arms[arm]
-        low, high = junction.radius + 1.0, min(junction.radius + AHEAD_M, road.line.length - 6.0)
+        low, high = junction.radius + 1.0, min(junction.radius + AHEAD_M, road.reference_line.length - 6.0)
         own = [(before - OWN_CAR_M[1] - max(least, 4.0), before + OWN_CAR_M[0] + least)] if (arm, way) == (0, -1) else []
         count = int((chosen == index).sum()) if total is not None else int(rng.poisson(density * (high - low)))
         places: list[tuple[str, dict[str, str], float]] = []
@@ -85,7 +86,7 @@ def _traffic(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, befo
     return placed
 
 
-def _add(p: Placement, room: rules.Occupied, placed: list[Placement], margin: float = 0.15) -> bool:
+def _add(p: Placement, room: rules.CollisionSet, placed: list[Placement], margin: float = 0.15) -> bool:
     if not room.free(p, margin):
         return False
     room.add(p)
@@ -106,9 +107,9 @@ def fits_ring(junction: Roundabout, p: Placement) -> bool:
     return outer < junction.radius - 0.15 and float(np.hypot(*sides.T).min()) > junction.inner + 0.1
 
 
-def _ring(recipe: Recipe, junction: Roundabout, rng: np.random.Generator, count: int, room: rules.Occupied) -> list[Placement]:
+def _ring(recipe: Recipe, junction: Roundabout, rng: np.random.Generator, count: int, room: rules.CollisionSet) -> list[Placement]:
     """Vehicles that go round, at random with a car's nose between them; bodies too long for the circle stay away."""
-    width, length = junction.radius - junction.inner, junction.ring.line.length
+    width, length = junction.radius - junction.inner, junction.ring.reference_line.length
     cars = [draw_car(recipe, "traffic", rng) for _ in range(count)]
     stretch = junction.inner / (junction.inner + width / 2)  # stations are counted along the inner edge
     places = rules.queue(rng, (0.0, length - RING_LEAST_M), [rules.model(name).length * 1.1 * stretch for name, _ in cars], RING_LEAST_M * stretch)
@@ -123,14 +124,14 @@ def _ring(recipe: Recipe, junction: Roundabout, rng: np.random.Generator, count:
     return placed
 
 
-def _cyclist(junction: Roundabout, rng: np.random.Generator, before: float, room: rules.Occupied) -> list[Placement]:
+def _cyclist(junction: Roundabout, rng: np.random.Generator, before: float, room: rules.CollisionSet) -> list[Placement]:
     """At the right edge of an arm's lane, or on the ring's outer side."""
     placed: list[Placement] = []
     looks = look(rng, rules.model("cyclist"))
     for _ in range(20):
         where, arm, way = rng.random(), int(rng.integers(len(junction.arms))), int(rng.choice((-1, 1)))
         if where < 0.35:
-            x, y, z, heading = junction.ring_pose(float(rng.uniform(0, junction.ring.line.length)), junction.radius - junction.inner - 1.0)
+            x, y, z, heading = junction.ring_pose(float(rng.uniform(0, junction.ring.reference_line.length)), junction.radius - junction.inner - 1.0)
         else:
             arm = 0 if where < 0.75 else arm
             zebra = junction.arms[arm].zebras[0]
@@ -146,7 +147,7 @@ def _cyclist(junction: Roundabout, rng: np.random.Generator, before: float, room
     return placed
 
 
-def _people(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, view: View, value: Any, room: rules.Occupied) -> list[Placement]:
+def _people(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, view: View, value: Any, room: rules.CollisionSet) -> list[Placement]:
     """On pavements, denser near the camera, and on the zebras; some walk in company, side by side."""
     count, share, company = value("people.count"), value("people.crossing_share"), value("people.company")
     line = junction.outline
@@ -154,9 +155,9 @@ def _people(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, view:
     away = line.points - (view.x, view.y)
     ahead = away @ np.array([-math.sin(forward), math.cos(forward)])
     weight = np.where(ahead > -BEHIND_M, np.exp(-np.hypot(*away.T) / NEAR_M), 0.0) * (line.kerb > FULL_M)
-    zebras = np.array([road.line.place(road.zebras[0], 0.0) for road in junction.arms]) - (view.x, view.y)
+    zebras = np.array([road.reference_line.place(road.zebras[0], 0.0) for road in junction.arms]) - (view.x, view.y)
     near = np.exp(-np.hypot(*zebras.T) / NEAR_M)
-    kinds = recipe.draws["people.kinds"]
+    kinds = recipe.distributions["people.kinds"]
     walkers = [name for name in WALKERS if name in kinds.values]
     placed: list[Placement] = []
     number = 0
@@ -173,8 +174,8 @@ def _people(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, view:
                 arm = int(rng.choice(len(junction.arms), p=near / near.sum()))
                 road, side = junction.arms[arm], int(rng.choice((-1, 1)))
                 s = road.zebras[0] + float(rng.uniform(-1.1, 1.1))
-                x, y = road.line.place(s, side * float(rng.uniform(0.3, float(junction.edge(arm, side, s)) - 0.4)))
-                facing = road.line.origin[2] + 90.0 * way + float(rng.normal(0, 4))
+                x, y = road.reference_line.place(s, side * float(rng.uniform(0.3, float(junction.edge(arm, side, s)) - 0.4)))
+                facing = road.reference_line.origin[2] + 90.0 * way + float(rng.normal(0, 4))
             else:
                 k = int(rng.choice(len(weight), p=weight / weight.sum()))
                 (nx, ny), u = line.normals[k], float(rng.uniform(0.55, junction.pavement - 0.5))
@@ -197,13 +198,15 @@ def may_stand(junction: Roundabout, x: float, y: float) -> bool:
     if u > 0.0:
         return bool(FROM_EDGE_M < u < junction.pavement - FROM_EDGE_M and kerb > FULL_M)
     for road in junction.arms:
-        s, t = road.line.nearest(x, y)
+        s, t = road.reference_line.nearest(x, y)
         if abs(float(s) - road.zebras[0]) < ZEBRA_HALF_M - 0.2 and abs(float(t)) < junction.radius and u < -0.3:
             return True
     return False
 
 
-def _together(junction: Roundabout, rng: np.random.Generator, x: float, y: float, facing: float, names: Sequence[str], room: rules.Occupied) -> list[Placement]:
+def _together(
+    junction: Roundabout, rng: np.random.Generator, x: float, y: float, facing: float, names: Sequence[str], room: rules.CollisionSet
+) -> list[Placement]:
     """One, or two abreast; nobody where one of them has no room."""
     found: list[Placement] = []
     trial = room.copy() if len(names) > 1 else room

@@ -10,12 +10,13 @@ import numpy as np
 
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import stream
+from synfog_usd.world.language import Recipe
 from synfog_usd.world.roads import rules
+from synfog_usd.world.roads.lane_section import RAISED, Lane
 from synfog_usd.world.roads.markings import zebra_span
-from synfog_usd.world.roads.network import Lane, Road
-from synfog_usd.world.roads.parameters import WALKERS, Recipe
-from synfog_usd.world.roads.section import RAISED, Strip
-from synfog_usd.world.roads.standing import BEHIND_M, draw_car, look, numbered
+from synfog_usd.world.roads.network import Road
+from synfog_usd.world.roads.parameters import WALKERS
+from synfog_usd.world.roads.props import BEHIND_M, draw_car, look, numbered
 from synfog_usd.world.spec import Placement, View
 
 TRIES = 60
@@ -37,30 +38,36 @@ NEAREST_M, NEAR_SIDE = 8.0, 0.35
 """From the camera to the first who is in the picture; how many are put on the camera's own side before the side is drawn."""
 
 
-def movers_in_sight(
-    recipe: Recipe, road: Road, seed: int, own: Lane, station: float, value: Any, view: View, fov: float, fixed: list[Placement], taken: rules.Occupied,
+def actors_in_sight(
+    recipe: Recipe, road: Road, seed: int, own: Lane, station: float, value: Any, view: View, fov: float, fixed: list[Placement], taken: rules.CollisionSet,
     hour: float,
 ) -> tuple[list[Placement] | None, str, int]:  # fmt: skip
     """Traffic and people that meet the rules of sight; None with the rule that failed and the most that was reached."""
 
-    def drawn(attempt: int, room: rules.Occupied) -> list[Placement]:
+    def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
         return [*_traffic(recipe, road, seed, attempt, own, station, value, room), *_people(recipe, road, seed, attempt, station, value, room)]
 
     return in_sight(drawn, road, value, view, fov, fixed, taken)
 
 
 def in_sight(
-    drawn: Callable[[int, rules.Occupied], list[Placement]], road: Road, value: Any, view: View, fov: float, fixed: list[Placement], taken: rules.Occupied
+    drawn: Callable[[int, rules.CollisionSet], list[Placement]],
+    road: Road,
+    value: Any,
+    view: View,
+    fov: float,
+    fixed: list[Placement],
+    taken: rules.CollisionSet,
 ) -> tuple[list[Placement] | None, str, int]:
-    """Of the movers that attempt after attempt draws, those that meet the rules of sight best; `drawn` takes the attempt's number and what stands already."""
+    """Of the actors that attempt after attempt draws, those that meet the rules of sight best; `drawn` takes the attempt's number and what stands already."""
     users, in_view, within = value("rules.users"), value("rules.in_view"), value("rules.within_m")
     best = {"users": 0, "in_view": 0}
     chosen: tuple[float, list[Placement]] | None = None
     met = 0
     for attempt in range(TRIES):
         room = taken.copy()
-        movers = drawn(attempt, room)
-        every = numbered([*fixed, *movers])
+        actors = drawn(attempt, room)
+        every = numbered([*fixed, *actors])
         count = sum(rules.model(p.asset).label in rules.USERS for p in every)
         best["users"] = max(best["users"], count)
         if count < users:
@@ -72,7 +79,7 @@ def in_sight(
             met += 1
             score = seen - HIDDEN_COSTS * (len(shares) - seen)
             if chosen is None or score > chosen[0]:
-                chosen = score, movers
+                chosen = score, actors
             if met == CHOICES:
                 break
         if chosen is not None and attempt + 1 >= ENOUGH:
@@ -83,31 +90,28 @@ def in_sight(
     return None, f"{failed} {users if failed == 'users' else in_view}", best[failed]
 
 
-def _traffic(recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, station: float, value: Any, room: rules.Occupied) -> list[Placement]:
+def _traffic(recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, station: float, value: Any, room: rules.CollisionSet) -> list[Placement]:
     """Vehicles in their lanes: as many as the flow at that hour (more after tries that failed), no nearer to each other than they can stop."""
     speed = value("traffic.speed_kmh") / 3.6
     least = 1.5 + speed * value("traffic.headway_s")
-    low, high = max(station - BEHIND_M, 4.0), min(station + AHEAD_M, road.line.length - 4.0)
+    low, high = max(station - BEHIND_M, 4.0), min(station + AHEAD_M, road.reference_line.length - 4.0)
     total = value("traffic.count")
-    lengths = {lane.index: high - low for lane in road.lanes}
+    lanes = road.driving_lanes
     if total is None:
         density = value("traffic.per_hour") / 3600.0 / speed * DENSER ** (attempt // TRIES_ALIKE)
-        counts = {
-            lane.index: int(stream(seed, "recipe", "traffic", attempt, "number", lane.index).poisson(density * lengths[lane.index])) for lane in road.lanes
-        }
+        counts = [int(stream(seed, "recipe", "traffic", attempt, "number", index).poisson(density * (high - low))) for index in range(len(lanes))]
     else:
-        rng = stream(seed, "recipe", "traffic", attempt, "number")
-        chosen = rng.choice([lane.index for lane in road.lanes], total)
-        counts = {lane.index: int((chosen == lane.index).sum()) for lane in road.lanes}
+        chosen = stream(seed, "recipe", "traffic", attempt, "number").choice(range(len(lanes)), total)
+        counts = [int((chosen == index).sum()) for index in range(len(lanes))]
     placed: list[Placement] = []
-    for lane in road.lanes:
-        rng = stream(seed, "recipe", "traffic", attempt, "lane", lane.index)
+    for index, lane in enumerate(lanes):
+        rng = stream(seed, "recipe", "traffic", attempt, "lane", index)
         blocked = [(station - OWN_CAR_M[0] - least, station + OWN_CAR_M[1] + max(least, 4.0))] if lane is own else []
         free = rules.spans(road, low, high, blocked)
         long = np.array([b - a for a, b in free])
         if not len(long):
             continue
-        share = rng.choice(len(free), counts[lane.index], p=long / long.sum())
+        share = rng.choice(len(free), counts[index], p=long / long.sum())
         for number, span in enumerate(free):
             cars = []
             for _ in range(int((share == number).sum())):
@@ -131,19 +135,19 @@ def _traffic(recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, sta
     return placed
 
 
-def _cyclist(road: Road, rng: np.random.Generator, station: float, room: rules.Occupied) -> list[Placement]:
+def _cyclist(road: Road, rng: np.random.Generator, station: float, room: rules.CollisionSet) -> list[Placement]:
     """At the right edge of the rightmost lane of its way, or on the cycle lane."""
     way = 1 if rng.random() < 0.6 else -1
-    lanes = [lane for lane in road.lanes if lane.way == way]
+    lanes = [lane for lane in road.driving_lanes if lane.way == way]
     if not lanes:
         return []
     outer = lanes[-1] if way > 0 else lanes[0]
-    cycle = [strip for strip in road.section.of("cycle") if strip.middle * way > 0]
+    cycle = [lane for lane in road.lane_section.of("cycle") if lane.middle * way > 0]
     t = cycle[0].middle if cycle else outer.middle + way * (outer.width / 2 - 0.65)
     looks = look(rng, rules.model("cyclist"))
     for _ in range(20):
         s = station + float(rng.uniform(12.0, 80.0))
-        if s > road.line.length - 5.0 or any(abs(s - zebra) < 4.0 for zebra in road.zebras):
+        if s > road.reference_line.length - 5.0 or any(abs(s - zebra) < 4.0 for zebra in road.zebras):
             continue
         x, y, z, heading, pitch = road.pose(s, t, way=way)
         p = Placement("Vehicles", "", "cyclist", x, y, heading, looks, z=z, pitch=pitch)
@@ -163,14 +167,14 @@ class _Spot:
     ahead: tuple[float, float]
 
 
-def _people(recipe: Recipe, road: Road, seed: int, attempt: int, station: float, value: Any, room: rules.Occupied) -> list[Placement]:
+def _people(recipe: Recipe, road: Road, seed: int, attempt: int, station: float, value: Any, room: rules.CollisionSet) -> list[Placement]:
     """On pavements, denser near the camera, and on zebra crossings; some walk in company, side by side."""
     count, share, company = value("people.count"), value("people.crossing_share"), value("people.company")
-    walks = [strip for strip in road.section.of("pavement")]
+    walks = [lane for lane in road.lane_section.of("pavement")]
     if count and not walks:
-        raise RecipeError(f"{recipe.name}: people.count {count}: the section has no pavement for them")
+        raise RecipeError(f"{recipe.name}: people.count {count}: the lane section has no pavement for them")
     placed: list[Placement] = []
-    kinds = recipe.draws["people.kinds"]
+    kinds = recipe.distributions["people.kinds"]
     walkers = [name for name in WALKERS if name in kinds.values]
     number = 0
     while len(placed) < count:
@@ -202,37 +206,37 @@ def _crossing(road: Road, rng: np.random.Generator) -> _Spot | None:
     return _Spot(s, float(rng.uniform(low + 0.4, high - 0.4)), 90.0 * way + float(rng.normal(0, 4)), (0.0, -way))
 
 
-def _on_pavement(road: Road, rng: np.random.Generator, station: float, walks: Sequence[Strip], walking: bool) -> _Spot | None:
+def _on_pavement(road: Road, rng: np.random.Generator, station: float, walks: Sequence[Lane], walking: bool) -> _Spot | None:
     """On a pavement ahead of the camera, most on its own side; who does not walk looks anywhere."""
     way = int(rng.choice((-1, 1)))
-    near = [strip for strip in walks if strip.middle > 0]
+    near = [lane for lane in walks if lane.middle > 0]
     chosen = near if near and rng.random() < NEAR_SIDE else list(walks)
-    strip = chosen[int(rng.integers(len(chosen)))]
-    s = station + NEAREST_M + (road.line.length - station) * 0.5 * float(rng.random()) ** 1.8
-    t = float(rng.uniform(strip.low + 0.55, strip.high - 0.45))
-    if s > road.line.length - 3.0:
+    lane = chosen[int(rng.integers(len(chosen)))]
+    s = station + NEAREST_M + (road.reference_line.length - station) * 0.5 * float(rng.random()) ** 1.8
+    t = float(rng.uniform(lane.low + 0.55, lane.high - 0.45))
+    if s > road.reference_line.length - 3.0:
         return None
     return _Spot(s, t, 90.0 - 90.0 * way + float(rng.normal(0, 5)) if walking else float(rng.uniform(0, 360)), (way, 0.0))
 
 
 def _together(
-    road: Road, rng: np.random.Generator, spot: _Spot, names: Sequence[str], looks: Sequence[dict[str, str]], room: rules.Occupied, crosses: bool
+    road: Road, rng: np.random.Generator, spot: _Spot, names: Sequence[str], looks: Sequence[dict[str, str]], room: rules.CollisionSet, crosses: bool
 ) -> list[Placement]:
     """One, or two or three abreast, the third behind; nobody where one of them has no room."""
     side = float(rng.choice((-1.0, 1.0)))
     found: list[Placement] = []
     trial = room.copy() if len(names) > 1 else room
-    strip = road.section.at(spot.t)
+    lane = road.lane_section.at(spot.t)
     for name, looked, (across, back) in zip(names, looks, ABREAST_M, strict=False):
         across, back = side * across * float(rng.uniform(1.0, 1.15)), back + (float(rng.uniform(-0.15, 0.15)) if found else 0.0)
         s = spot.s - back * spot.ahead[0] + across * spot.ahead[1]
         t = spot.t - back * spot.ahead[1] + across * spot.ahead[0]
-        here = road.section.at(t)
-        if here is None or not 0.0 < s < road.line.length - 3.0:
+        here = road.lane_section.at(t)
+        if here is None or not 0.0 < s < road.reference_line.length - 3.0:
             return []
-        if crosses and (here.band.kind in RAISED or min(abs(s - zebra) for zebra in road.zebras) > ZEBRA_WALK_M + 0.2):
+        if crosses and (here.kind in RAISED or min(abs(s - zebra) for zebra in road.zebras) > ZEBRA_WALK_M + 0.2):
             return []
-        if not crosses and (here is not strip or not here.low + 0.45 <= t <= here.high - 0.4):
+        if not crosses and (here is not lane or not here.low + 0.45 <= t <= here.high - 0.4):
             return []
         x, y, z, heading, _ = road.pose(s, t)
         turn = spot.turn + (float(rng.normal(0, 2)) if found else 0.0)

@@ -25,7 +25,7 @@ FOG_DEFAULT = (600, 300, 150)
 
 
 @dataclass(frozen=True)
-class Amount:
+class Continuous:
     """A parameter that is a number, within limits."""
 
     low: float
@@ -35,18 +35,18 @@ class Amount:
 
 
 @dataclass(frozen=True)
-class Names:
+class Categorical:
     """A parameter that is one of several names."""
 
     allowed: tuple[str, ...]
     default: Any
 
 
-FOG = Amount(10, 20000, None, whole=True)
+FOG = Continuous(10, 20000, None, whole=True)
 
 
 @dataclass(frozen=True)
-class Draw:
+class Distribution:
     """How one value comes about.
 
     Attributes:
@@ -83,6 +83,34 @@ class Draw:
             found = float(np.interp(hour, at, value, period=24.0))
             return round(found) if self.whole else found
         return self.values[0]
+
+
+@dataclass(frozen=True)
+class Row:
+    """Props along a road, with the place in the recipe for errors."""
+
+    place: str
+    distributions: Mapping[str, Distribution]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A recipe that was read and checked.
+
+    Attributes:
+        name: of its file; about: one sentence.
+        distributions: one for each parameter of its world.
+        fog: one for each fog variant, MOR [m]; clear air is always there.
+        rows: props, in the order of precedence.
+        lanes: (kind, width [m], way) of a road's lane section from left to right.
+    """
+
+    name: str
+    about: str
+    distributions: Mapping[str, Distribution]
+    fog: tuple[Distribution, ...]
+    rows: tuple[Row, ...] = ()
+    lanes: tuple[tuple[str, Distribution, int], ...] = ()
 
 
 def load_root(path: Path, changes: Sequence[str] = ()) -> Located:
@@ -123,30 +151,30 @@ def check_schema(items: Mapping[str, Located], root: Located) -> None:
         raise RecipeError(f"{(mark or root).place}: synfog is {mark.plain() if mark else 'missing'}; this program reads {SCHEMA!r}")
 
 
-def sections(parameters: Mapping[str, Amount | Names]) -> tuple[str, ...]:
+def sections(parameters: Mapping[str, Continuous | Categorical]) -> tuple[str, ...]:
     """Names of the sections of 'section.key' parameters."""
     return tuple(dict.fromkeys(name.partition(".")[0] for name in parameters))
 
 
-def read_draws(items: Mapping[str, Located], parameters: Mapping[str, Amount | Names]) -> dict[str, Draw]:
+def read_distributions(items: Mapping[str, Located], parameters: Mapping[str, Continuous | Categorical]) -> dict[str, Distribution]:
     """One draw for each parameter, from the sections of a recipe."""
-    draws = {name: default(parameter) for name, parameter in parameters.items()}
+    found = {name: default(parameter) for name, parameter in parameters.items()}
     for section in sections(parameters):
         if section in items:
             keys = tuple(name.partition(".")[2] for name in parameters if name.startswith(section + "."))
             for key, item in mapping(items[section], section, keys).items():
-                draws[f"{section}.{key}"] = read_draw(item, f"{section}.{key}", parameters[f"{section}.{key}"])
-    return draws
+                found[f"{section}.{key}"] = read_distribution(item, f"{section}.{key}", parameters[f"{section}.{key}"])
+    return found
 
 
-def read_fog(items: Mapping[str, Located]) -> tuple[Draw, ...]:
+def read_fog(items: Mapping[str, Located]) -> tuple[Distribution, ...]:
     """One draw for each fog variant."""
     if "fog" not in items:
-        return tuple(Draw("fixed", (mor,)) for mor in FOG_DEFAULT)
+        return tuple(Distribution("fixed", (mor,)) for mor in FOG_DEFAULT)
     listed = items["fog"]
     if not isinstance(listed.value, list) or not listed.value:
         raise RecipeError(f"{listed.place}: fog is {listed.plain()!r}; it takes a list of visibilities in metres, as in [600, 300, 150]")
-    return tuple(read_draw(item, "fog", FOG) for item in listed.value)
+    return tuple(read_distribution(item, "fog", FOG) for item in listed.value)
 
 
 def mapping(item: Located, what: str, allowed: Sequence[str]) -> dict[str, Located]:
@@ -159,28 +187,28 @@ def mapping(item: Located, what: str, allowed: Sequence[str]) -> dict[str, Locat
     return item.value
 
 
-def default(parameter: Amount | Names) -> Draw:
+def default(parameter: Continuous | Categorical) -> Distribution:
     """What holds where a recipe says nothing."""
-    if isinstance(parameter, Amount):
-        return Draw("fixed", (parameter.default,))
+    if isinstance(parameter, Continuous):
+        return Distribution("fixed", (parameter.default,))
     if isinstance(parameter.default, str):
-        return Draw("choice", (parameter.default,), (1.0,))
-    return Draw("choice", tuple(parameter.default), tuple(float(weight) for weight in parameter.default.values()))
+        return Distribution("choice", (parameter.default,), (1.0,))
+    return Distribution("choice", tuple(parameter.default), tuple(float(weight) for weight in parameter.default.values()))
 
 
-def read_draw(item: Located, name: str, parameter: Amount | Names) -> Draw:
+def read_distribution(item: Located, name: str, parameter: Continuous | Categorical) -> Distribution:
     """One value of a recipe.
 
     Raises:
         RecipeError: not a form that the parameter takes, or outside its limits.
     """
-    if isinstance(parameter, Names):
+    if isinstance(parameter, Categorical):
         return _choice(item, name, parameter)
     kind = "integer" if parameter.whole else "uniform"
     number = "a whole number" if parameter.whole else "a number"
     form = f"{number}, {{{kind}: [low, high]}}, {{normal: {{mean, deviation, low, high}}}} or {{by_hour: [[hour, value], ...]}}"
     if not isinstance(item.value, dict):
-        return Draw("fixed", (_number(item, name, parameter, form),))
+        return Distribution("fixed", (_number(item, name, parameter, form),))
     (word, ends), *more = item.value.items() or [("", item)]
     if more:
         raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
@@ -193,10 +221,10 @@ def read_draw(item: Located, name: str, parameter: Amount | Names) -> Draw:
     low, high = (_number(end, name, parameter, form) for end in ends.value)
     if low > high:
         raise RecipeError(f"{ends.place}: {name} runs from {low:g} to {high:g}; the first end is the lower one")
-    return Draw(kind, (low, high))
+    return Distribution(kind, (low, high))
 
 
-def _normal(item: Located, name: str, parameter: Amount, form: str) -> Draw:
+def _normal(item: Located, name: str, parameter: Continuous, form: str) -> Distribution:
     keys = ("mean", "deviation", "low", "high")
     items = mapping(item, f"{name}: normal", keys)
     missing = [key for key in keys if key not in items]
@@ -204,28 +232,28 @@ def _normal(item: Located, name: str, parameter: Amount, form: str) -> Draw:
         raise RecipeError(f"{item.place}: {name}: normal lacks {', '.join(missing)}; it takes {form}")
     free = replace(parameter, whole=False)
     low, high = _number(items["low"], name, free, form), _number(items["high"], name, free, form)
-    loose = Amount(-math.inf, math.inf, None)
+    loose = Continuous(-math.inf, math.inf, None)
     mean, deviation = _number(items["mean"], name, loose, form), _number(items["deviation"], name, loose, form)
     if low >= high:
         raise RecipeError(f"{items['low'].place}: {name} runs from {low:g} to {high:g}; low is below high")
     if not deviation > 0 or not math.isfinite(mean) or special.ndtr((high - mean) / deviation) - special.ndtr((low - mean) / deviation) < 1e-9:
         raise RecipeError(f"{item.place}: {name}: a normal of mean {mean:g} and deviation {deviation:g} has nothing from {low:g} to {high:g}")
-    return Draw("normal", (mean, deviation, low, high), whole=parameter.whole)
+    return Distribution("normal", (mean, deviation, low, high), whole=parameter.whole)
 
 
-def _by_hour(item: Located, name: str, parameter: Amount, form: str) -> Draw:
+def _by_hour(item: Located, name: str, parameter: Continuous, form: str) -> Distribution:
     if not isinstance(item.value, list) or not item.value:
         raise RecipeError(f"{item.place}: {name}: by_hour is {item.plain()!r}; it takes {form}")
     pairs = []
     for pair in item.value:
         if not isinstance(pair.value, list) or len(pair.value) != 2:
             raise RecipeError(f"{pair.place}: {name}: {pair.plain()!r} is not [hour, value]")
-        hour = _number(pair.value[0], f"{name}: hour", Amount(0, 24, None), "an hour")
+        hour = _number(pair.value[0], f"{name}: hour", Continuous(0, 24, None), "an hour")
         pairs.append((hour, _number(pair.value[1], name, parameter, form)))
-    return Draw("by_hour", tuple(sorted(pairs)), whole=parameter.whole)
+    return Distribution("by_hour", tuple(sorted(pairs)), whole=parameter.whole)
 
 
-def _number(item: Located, name: str, parameter: Amount, form: str) -> float:
+def _number(item: Located, name: str, parameter: Continuous, form: str) -> float:
     value = item.value
     right = isinstance(value, int) if parameter.whole else isinstance(value, int | float)
     if not right or isinstance(value, bool):
@@ -235,7 +263,7 @@ def _number(item: Located, name: str, parameter: Amount, form: str) -> float:
     return value if parameter.whole else float(value)
 
 
-def _choice(item: Located, name: str, parameter: Names) -> Draw:
+def _choice(item: Located, name: str, parameter: Categorical) -> Distribution:
     form = "a name or {choice: {name: weight, ...}}"
     choice = item
     if isinstance(item.value, dict):
@@ -249,8 +277,8 @@ def _choice(item: Located, name: str, parameter: Names) -> Draw:
         if key not in parameter.allowed:
             raise RecipeError(f"{place}: {name} has no {key!r}; it takes {', '.join(parameter.allowed)}.{did_you_mean(str(key), parameter.allowed)}")
     if not isinstance(choice.value, dict):
-        return Draw("choice", (choice.value,), (1.0,))
+        return Distribution("choice", (choice.value,), (1.0,))
     for key, weight in choice.value.items():
         if isinstance(weight.value, bool) or not isinstance(weight.value, int | float) or not 0 < weight.value < math.inf:
             raise RecipeError(f"{weight.place}: {name}: the weight of {key!r} is {weight.plain()!r}; it takes a number above 0")
-    return Draw("choice", tuple(choice.value), tuple(float(weight.value) for weight in choice.value.values()))
+    return Distribution("choice", tuple(choice.value), tuple(float(weight.value) for weight in choice.value.values()))

@@ -1,10 +1,10 @@
-"""The centre line of a road: straights, arcs and clothoids, with slopes.
+"""The reference line of a road: straights, arcs and clothoids, with slopes.
 
 Curvature is linear in length between knots: constant on straights and arcs,
 growing on clothoids (Euler spirals).  The slope is linear between knots too, so
 that crests and sags are parabolas, as roads are built.  Places are given by the
-station s [m] along the line and the offset t [m] to its right; the line begins at
-the origin and goes to +Y.  Knows nothing of lanes.
+station s [m] along the line and the offset t [m], positive to its right (OpenDRIVE's t is
+positive to the left); the line begins at the origin and goes to +Y.  Knows nothing of lanes.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ STEP_M = 0.25
 
 
 @dataclass(frozen=True)
-class Line:
-    """A centre line.
+class ReferenceLine:
+    """A reference line.
 
     Attributes:
         length: [m].
