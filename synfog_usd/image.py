@@ -45,7 +45,7 @@ class Image:
         channels: C names, for example ('R', 'G', 'B') or ('transmittance.Y',).
         quantity: what the numbers measure.
         variance: (H, W, C) float32, variance of the mean of each pixel, or None.
-        provenance: facts that travel with the picture (exposure, sensor, shot);
+        provenance: metadata that travels with the picture (exposure, sensor, shot);
             keys are lower_snake_case with a unit suffix, values are JSON-like.
     """
 
@@ -79,6 +79,6 @@ class Image:
         changes.setdefault("variance", None)
         return replace(self, pixels=np.ascontiguousarray(pixels, dtype=np.float32), **changes)
 
-    def noted(self, **facts: Any) -> Image:
-        """A copy whose provenance also holds `facts`."""
-        return replace(self, provenance={**self.provenance, **facts})
+    def with_metadata(self, **metadata: Any) -> Image:
+        """A copy whose provenance also holds `metadata`."""
+        return replace(self, provenance={**self.provenance, **metadata})

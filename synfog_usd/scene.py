@@ -64,11 +64,11 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Thing:
+class Instance:
     """What one label id stands for.
 
     Attributes:
-        id: instance id, >= 1; 0 is no thing at all.
+        id: instance id, >= 1; 0 is none.
         path: prim path (of the instance, with [n] behind a point instancer's).
         label: Cityscapes name, or 'unlabeled'.
     """
@@ -111,8 +111,8 @@ class SceneDict:
             Radiance of emitters is RGB, linear Rec.709, in cd m-2.
         camera: the camera that looks.
         fog: fog volumes; the innermost one that contains the camera surrounds it.
-        things: what the label ids mean, ids 1..K in order.
-        thing_of: (shape key,) or (instance key, key in its group) -> label id.
+        instances: what the label ids mean, ids 1..K in order.
+        instance_of: (shape key,) or (instance key, key in its group) -> label id.
         reflectance_of: key of a material in `world` -> (401,) reflectance on `photometry.WAVELENGTHS_NM`, 0 to 1, that it has instead of the one that its
             colour suggests; the colour says how bright it is, see `render.surfaces`.
         emission_of: key of a lamp in `world` -> (401,) relative power that it has instead of its colour's; the luminance stays.
@@ -124,8 +124,8 @@ class SceneDict:
     world: Mapping[str, Any]
     camera: Camera
     fog: tuple[FogVolume, ...] = ()
-    things: tuple[Thing, ...] = ()
-    thing_of: Mapping[tuple[str, ...], int] = field(default_factory=dict)
+    instances: tuple[Instance, ...] = ()
+    instance_of: Mapping[tuple[str, ...], int] = field(default_factory=dict)
     group_of: Mapping[str, str] = field(default_factory=dict)
     reflectance_of: Mapping[str, Array] = field(default_factory=dict)
     emission_of: Mapping[str, Array] = field(default_factory=dict)

@@ -88,10 +88,10 @@ def diffraction(
         wavelengths_nm = np.full_like(wavelengths_nm, wavelengths_nm.mean())
     facts = {"diffraction_mode": chosen, "diffraction_error": float(f"{measured.error(chosen):.3g}")}
     if chosen == "none":
-        return image.noted(**facts)
+        return image.with_metadata(**facts)
     scale = max(1, math.ceil(float(wavelengths_nm.max()) * per_nm))
     blurs = [spread.aperture(float(wavelength_nm * per_nm), scale) for wavelength_nm in wavelengths_nm]
-    return image.with_pixels(spread.blurred(image.pixels, blurs)).noted(mean_wavelengths_nm=[round(float(nm), 3) for nm in wavelengths_nm], **facts)
+    return image.with_pixels(spread.blurred(image.pixels, blurs)).with_metadata(mean_wavelengths_nm=[round(float(nm), 3) for nm in wavelengths_nm], **facts)
 
 
 @OPS.op("optics.defocus", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
@@ -146,10 +146,10 @@ def defocus(
     change = float(1.0 - transfer(corner)[0])
     facts = {"defocus_px": float(f"{disc_px:.4g}"), "defocus_change": float(f"{change:.3g}")}
     if change < UNSEEN:
-        return image.noted(**facts)
+        return image.with_metadata(**facts)
     if disc_px > DISC_MAX_PX:
         raise ImageError(f"the blur disc is {disc_px:.0f} pixels wide; the widest is {DISC_MAX_PX:.0f}: bring focus_m nearer to distance_m, or raise f_number")
-    return image.with_pixels(spread.blurred(image.pixels, [spread.Blur(transfer, spread.disc(disc_px))] * len(image.channels))).noted(**facts)
+    return image.with_pixels(spread.blurred(image.pixels, [spread.Blur(transfer, spread.disc(disc_px))] * len(image.channels))).with_metadata(**facts)
 
 
 def blur_disc_um(focus_m: float, distance_m: float | None, *, f_number: float, focal_length_mm: float) -> float:

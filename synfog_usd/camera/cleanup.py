@@ -55,7 +55,7 @@ def defects(image: Image, *, threshold: Annotated[float, Range(3.0, 1000.0)] = 1
     """
     shot, dark = _noise_profile(image)
     if min(image.height_px, image.width_px) < 4:
-        return image.noted(defects_corrected=0)
+        return image.with_metadata(defects_corrected=0)
     padded = _padded(image.pixels[..., 0])
     middle = padded[1:-1, 1:-1]  # with two pixels around
     beyond = np.zeros(image.pixels.shape[:2], dtype=bool)
@@ -76,7 +76,7 @@ def defects(image: Image, *, threshold: Annotated[float, Range(3.0, 1000.0)] = 1
     alone = lean * np.sign(image.pixels[rows, columns, 0] - around) < np.float32(LAMP_SIGMA) * np.sqrt(spread)
     pixels = image.pixels.copy()
     pixels[rows[alone], columns[alone], 0] = around[alone]
-    return image.with_pixels(pixels).noted(defects_corrected=int(alone.sum()))
+    return image.with_pixels(pixels).with_metadata(defects_corrected=int(alone.sum()))
 
 
 @OPS.op("isp.denoise", takes=MOSAIC, gives=MOSAIC)
@@ -127,7 +127,7 @@ def denoise(
             detail *= np.maximum(kept, 0.0, out=kept)
             smooth = smooth + detail
         pixels[(*where, 0)] = smooth
-    return image.with_pixels(pixels).noted(denoise=strength)
+    return image.with_pixels(pixels).with_metadata(denoise=strength)
 
 
 @OPS.op("isp.sharpen", takes=DISPLAY, gives=DISPLAY)

@@ -66,7 +66,7 @@ def demosaic(
 
         name = {"linear": "linear", "mhc": "MHC"}[algorithm]
         pixels = pixels_of(checked(OpenImageIO.ImageBufAlgo.demosaic(to_buf(image), pattern="bayer", algorithm=name, layout=pattern), "demosaic"))
-    return image.with_pixels(pixels, channels=letters).noted(demosaic=algorithm)
+    return image.with_pixels(pixels, channels=letters).with_metadata(demosaic=algorithm)
 
 
 def _plane(mosaic: FloatArray, pattern: str, letter: str) -> FloatArray:

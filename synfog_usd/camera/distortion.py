@@ -85,7 +85,7 @@ def distortion(
     if not coefficients:
         return image
     warp = warp_of(image.height_px, image.width_px, tuple(coefficients), fit, fov_x_deg, (shift_x, shift_y))
-    return image.with_pixels(_resampled(image.pixels, warp)).noted(
+    return image.with_pixels(_resampled(image.pixels, warp)).with_metadata(
         distortion_coefficients=list(coefficients), distortion_fit=fit, camera_matrix_px=warp.camera_matrix()
     )
 

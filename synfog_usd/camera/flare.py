@@ -76,7 +76,7 @@ def glare(
     pixels = image.pixels * np.float32(1.0 - fraction)
     for channel in range(pixels.shape[2]):
         pixels[..., channel] += _enlarged(np.float32(fraction) * scattered[..., channel], image.height_px, image.width_px, block)
-    return image.with_pixels(pixels).noted(glare_fraction=fraction)
+    return image.with_pixels(pixels).with_metadata(glare_fraction=fraction)
 
 
 @OPS.op("optics.flare", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
@@ -149,7 +149,7 @@ def flare(
             axis = ((image.height_px - 1) / 2 - shift_y * image.height_px, (image.width_px - 1) / 2 + shift_x * image.width_px)
             pixels[..., channel] += _ghosts(lamps, ghosts, axis, blades, rotation_deg)
         pixels[..., channel] -= np.float32(lost) * lamps
-    return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).noted(flare_fractions=given, ghost_fractions=list(ghosts))
+    return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).with_metadata(flare_fractions=given, ghost_fractions=list(ghosts))
 
 
 def _wavelengths_nm(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

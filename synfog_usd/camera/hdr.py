@@ -78,7 +78,7 @@ def merge_hdr(
     np.clip(np.rint(merged, out=merged), 0.0, np.float32(white), out=merged)
     shrunk = (float(facts["white_level_dn"]) - black) / (white - black)
     slope, offset = facts["noise_profile"]
-    return first.with_pixels(merged).noted(
+    return first.with_pixels(merged).with_metadata(
         bits=white.bit_length(),
         white_level_dn=white,
         noise_profile=[slope * shrunk, offset * shrunk**2],
@@ -126,7 +126,7 @@ def compand(
         raise ImageError(f"black level {black} becomes code {black_code:g}; it has to be whole and below the first knee, such as {4 * black} -> {4 * black}")
     numbers = np.interp(image.pixels, linear, codes).astype(np.float32)
     knees = [[black, int(black_code)], *([float(x), float(y)] for x, y in zip(linear[1:], codes[1:], strict=True))]
-    return image.with_pixels(np.rint(numbers, out=numbers)).noted(
+    return image.with_pixels(np.rint(numbers, out=numbers)).with_metadata(
         bits=bits,
         black_level_dn=int(black_code),
         white_level_dn=highest,

@@ -129,7 +129,7 @@ def lens_shading(
     table = facts.get("relative_illumination", ((), ()))
     fade = falloff_map(image.height_px, image.width_px, kind=facts["falloff"], f_number=facts["f_number"], fov_x_deg=fov_x_deg, shift=shift, table=table)
     fade = warped_like(fade, facts, fov_x_deg=fov_x_deg, shift=shift)
-    return image.with_pixels(image.pixels / fade[..., None] ** np.float32(strength)).noted(lens_shading=strength)
+    return image.with_pixels(image.pixels / fade[..., None] ** np.float32(strength)).with_metadata(lens_shading=strength)
 
 
 @OPS.op("isp.white_balance", takes=MOSAIC, gives=MOSAIC)
@@ -174,7 +174,7 @@ def white_balance(
         np.multiply(image.pixels[row :: len(rows), :, 0], factors, out=pixels[row :: len(rows), :, 0])
     if clip:
         np.minimum(pixels, 1.0, out=pixels)
-    return image.with_pixels(pixels).noted(white_balance=illuminant, wb_gains=[float(value) for value in gains])
+    return image.with_pixels(pixels).with_metadata(white_balance=illuminant, wb_gains=[float(value) for value in gains])
 
 
 @OPS.op("isp.colour_correct", takes=PICTURE, gives=PICTURE)
@@ -204,7 +204,7 @@ def colour_correct(
         raise ImageError(f"the picture has {', '.join(image.channels)}; sensor {sensor.name} has the filters {', '.join(letters)}, as isp.demosaic gives them")
     matrix = response.colour_matrix(sensor, illuminant.upper())
     pixels = image.pixels @ np.ascontiguousarray(np.array(matrix.rows, dtype=np.float32).T)  # three times faster than the view
-    return image.with_pixels(pixels, channels=("R", "G", "B")).noted(
+    return image.with_pixels(pixels, channels=("R", "G", "B")).with_metadata(
         colour_matrix=[list(row) for row in matrix.rows], colour_matrix_mean_de00=matrix.mean_de00, colour_matrix_max_de00=matrix.max_de00
     )
 

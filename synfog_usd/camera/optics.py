@@ -113,7 +113,7 @@ def irradiance(
             facts["relative_illumination"] = [list(column) for column in table]
     if focal_length_mm is not None:
         facts["focal_length_mm"] = focal_length_mm
-    return image.with_pixels(pixels, quantity=Quantity.IRRADIANCE).noted(**facts)
+    return image.with_pixels(pixels, quantity=Quantity.IRRADIANCE).with_metadata(**facts)
 
 
 def falloff_map(

@@ -70,7 +70,7 @@ def expose(
     for where, number in cfa.sites(sensor.cfa):
         np.matmul(image.pixels[where], weights[number], out=mosaic[(*where, 0)])
     np.maximum(mosaic, 0.0, out=mosaic)
-    return image.with_pixels(mosaic, channels=("CFA",), quantity=Quantity.ELECTRONS).noted(
+    return image.with_pixels(mosaic, channels=("CFA",), quantity=Quantity.ELECTRONS).with_metadata(
         exposure_s=time_s,
         gathered_um2_s=time_s * fill_factor * pixel_pitch_um**2,
         pixel_pitch_um=pixel_pitch_um,
@@ -123,7 +123,7 @@ def dark_current(
     Source: EMVA 1288 release 4.0, section 7.
     """
     dark_e = dark_current_e_s * 2.0 ** ((temperature_c - 25.0) / doubling_k) * _fact(image, "exposure_s", "sensor.expose")
-    return image.with_pixels(image.pixels + np.float32(dark_e)).noted(dark_e=dark_e)
+    return image.with_pixels(image.pixels + np.float32(dark_e)).with_metadata(dark_e=dark_e)
 
 
 @OPS.op("sensor.shot_noise", takes=ELECTRONS, gives=ELECTRONS)
@@ -141,7 +141,7 @@ def shot_noise(image: Image, *, rng: np.random.Generator) -> Image:
 
     with ThreadPoolExecutor(THREADS) as pool:
         list(pool.map(draw, np.array_split(image.pixels, STRIPS), np.array_split(counts, STRIPS), rng.spawn(STRIPS)))
-    return image.with_pixels(counts).noted(shot_noise=True)
+    return image.with_pixels(counts).with_metadata(shot_noise=True)
 
 
 @OPS.op("sensor.full_well", takes=ELECTRONS, gives=ELECTRONS)
@@ -173,7 +173,7 @@ def full_well(
                 filled[row] += taken
                 carried += spilt[row] - taken
         held = filled.astype(np.float32)
-    return image.with_pixels(held).noted(full_well_e=full_well_e)
+    return image.with_pixels(held).with_metadata(full_well_e=full_well_e)
 
 
 @OPS.op("sensor.dsnu", takes=ELECTRONS, gives=ELECTRONS)
@@ -207,7 +207,7 @@ def read_noise(
         rng: the node's stream.
         sigma_e: standard deviation [e-].
     """
-    return image.with_pixels(_with_noise(image.pixels, sigma_e, rng)).noted(read_noise_e=sigma_e)
+    return image.with_pixels(_with_noise(image.pixels, sigma_e, rng)).with_metadata(read_noise_e=sigma_e)
 
 
 @OPS.op("sensor.gain", takes=ELECTRONS, gives=AMPLIFIED)
@@ -229,7 +229,7 @@ def gain(
         factor: of another conversion gain of the same pixel [1], such as 0.25 for the low one.
     """
     total = factor * gain_dn_e * iso / iso_base
-    return image.with_pixels(image.pixels * np.float32(total), quantity=Quantity.DN).noted(iso=iso, system_gain_dn_e=total)
+    return image.with_pixels(image.pixels * np.float32(total), quantity=Quantity.DN).with_metadata(iso=iso, system_gain_dn_e=total)
 
 
 @OPS.op("sensor.adc_noise", takes=AMPLIFIED, gives=AMPLIFIED)
@@ -246,7 +246,7 @@ def adc_noise(
         rng: the node's stream.
         sigma_dn: standard deviation [DN].
     """
-    return image.with_pixels(_with_noise(image.pixels, sigma_dn, rng)).noted(adc_noise_dn=sigma_dn)
+    return image.with_pixels(_with_noise(image.pixels, sigma_dn, rng)).with_metadata(adc_noise_dn=sigma_dn)
 
 
 @OPS.op("sensor.row_column", takes=AMPLIFIED, gives=AMPLIFIED)
@@ -276,7 +276,7 @@ def row_column(
     rows = rows + np.float32(temporal_row_noise_dn) * rng.standard_normal((height, 1, 1), dtype=np.float32)
     pixels = image.pixels + rows
     pixels += np.float32(column_noise_dn) * _pattern(serial, "column", 1, width)
-    return image.with_pixels(pixels).noted(temporal_row_noise_dn=temporal_row_noise_dn)
+    return image.with_pixels(pixels).with_metadata(temporal_row_noise_dn=temporal_row_noise_dn)
 
 
 @OPS.op("sensor.adc", takes=AMPLIFIED, gives=NUMBERS)
@@ -314,7 +314,7 @@ def adc(
     span = white_level_dn - black_level_dn
     dark_variance = gain_dn_e**2 * (facts.get("read_noise_e", 0.0) ** 2 + facts.get("dark_e", 0.0)) + 1.0 / 12.0
     dark_variance += facts.get("adc_noise_dn", 0.0) ** 2 + facts.get("temporal_row_noise_dn", 0.0) ** 2
-    return image.with_pixels(numbers).noted(
+    return image.with_pixels(numbers).with_metadata(
         bits=bits,
         black_level_dn=black_level_dn,
         white_level_dn=white_level_dn,

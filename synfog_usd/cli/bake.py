@@ -31,23 +31,23 @@ def run(plan: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
     worker.follow_parent()
     from synfog_usd.dataset.bake import BakePlan, bake
 
-    with shown(quiet) as (progress, tell):
-        baked = bake(BakePlan(**plan), progress=progress, tell=tell, reading=worker.reading_limits)
+    with shown(quiet) as (progress, log):
+        baked = bake(BakePlan(**plan), progress=progress, log=log, reading=worker.reading_limits)
         if not quiet:
-            _report(baked.notes, plan["stage"], tell)
+            _report(baked.notes, plan["stage"], log)
     if as_json:
         print(json.dumps({**baked.manifest, "seconds": baked.seconds, "kept": baked.kept}, indent=2))
     elif not quiet:
         print(f"{len(baked.manifest['shots'])} shots in {plan['out']}: look at {plan['out'] / 'contact.png'}")
 
 
-def _report(notes: Sequence[Note], stage: Path, tell: Callable[[str], None]) -> None:
+def _report(notes: Sequence[Note], stage: Path, log: Callable[[str], None]) -> None:
     """Every warning, and the first few remarks; all of them stand in `bake.json`."""
     remarks = [note for note in notes if note.severity != "warning"]
     for note in [*(note for note in notes if note.severity == "warning"), *remarks[:REMARKS]]:
-        tell(f"{note.severity}: {note.path or stage}: {note.text}")
+        log(f"{note.severity}: {note.path or stage}: {note.text}")
     if len(remarks) > REMARKS:
-        tell(f"and {len(remarks) - REMARKS} more remarks, see 'notes' in bake.json")
+        log(f"and {len(remarks) - REMARKS} more remarks, see 'notes' in bake.json")
 
 
 def _tidy(out: Path, code: int, stage: Path) -> None:

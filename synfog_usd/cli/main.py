@@ -236,8 +236,8 @@ def contact(
         variant=variant,
         changes=tuple(change or ()),
     )
-    with shown(quiet) as (progress, tell):
-        sheet.write(plan, progress=progress, tell=tell)
+    with shown(quiet) as (progress, log):
+        sheet.write(plan, progress=progress, log=log)
     print(out)
 
 

@@ -12,7 +12,7 @@ PLAIN_INTERVAL_S = 5.0
 
 @contextlib.contextmanager
 def shown(quiet: bool) -> Iterator[tuple[Callable[[str, float], None], Callable[[str], None]]]:
-    """Whom to tell the fraction that is done, and whom to tell a line; a bar shows the time left."""
+    """Whom to tell the fraction that is done, and a log that takes a line; a bar shows the time left."""
     if quiet:
         yield (lambda what, fraction: None), (lambda text: None)
         return

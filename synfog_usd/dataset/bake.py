@@ -65,7 +65,7 @@ def bake(
     plan: BakePlan,
     *,
     progress: Progress = silent,
-    tell: Callable[[str], None] = lambda text: None,
+    log: Callable[[str], None] = lambda text: None,
     reading: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
 ) -> Baked:
     """Make every shot of a plan that is not there yet.
@@ -73,7 +73,7 @@ def bake(
     Args:
         plan: what to make.
         progress: told the fraction of all shots that is done.
-        tell: given one line for whatever a user wants to know on the way.
+        log: given one line for whatever a user wants to know on the way.
         reading: makes a context that is held whenever the stage is read or translated, as limits on time and memory.
 
     Raises:
@@ -97,21 +97,21 @@ def bake(
     if plan.strict and any(note.severity == "warning" for note in notes):
         raise StrictError("\n".join(f"{note.path or plan.stage}: {note.text}" for note in notes if note.severity == "warning"))
     if all(shot.mor_m is None for shot in todo) and not foggy:
-        tell(f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog (see docs/artists.md).")
+        log(f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog (see docs/artists.md).")
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
     metered = bool({"exposure_s", "iso"} & set(graph.settings_needed))
-    facts = _facts(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
+    metadata = _metadata(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
 
     with _only_writer(plan.out):
         files.remove_leftovers(plan.out)
-        ledger = _Ledger(plan.out, facts, notes)
+        ledger = _Ledger(plan.out, metadata, notes)
         if not ledger.labels_done():
             progress("labels", 0.0)
             ledger.add_labels(_write_labels(first, plan, graph))
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
         if kept:
-            tell(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
+            log(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
         seconds: dict[str, float] = {}
         views: dict[str, _View] = {}  # by lighting
         for index, shot in enumerate(unfinished):
@@ -129,7 +129,7 @@ def bake(
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
             for line in (*told, *row["warnings"]):
-                tell(f"{shot.folder}: {line}")
+                log(f"{shot.folder}: {line}")
         ledger.finish(todo, contact.write(plan.out, todo, ledger.rows))
     progress("done", 1.0)
     return Baked(ledger.manifest(todo), seconds, kept, notes)
@@ -244,8 +244,8 @@ def _make(shot: Shot, scene: SceneDict, view: _View | None, graph: Any, plan: Ba
     named = {**rendered.parts, "variance": variance, **{f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()}}
     found = [Image(pixels, tuple(f"{name}.{channel}" for channel in radiance.channels), Quantity.DATA) for name, pixels in named.items()]
     writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
-    files.write_json(folder / "things.json", labels.thing_list(hidden, scene))
-    names = ["radiance.exr", "layers.exr", "things.json"]
+    files.write_json(folder / "instances.json", labels.instance_list(hidden, scene))
+    names = ["radiance.exr", "layers.exr", "instances.json"]
     exposure = view.exposure if view else None
     results = graph.run({"radiance": radiance}, seed=seed, settings=exposure.settings if exposure else None, keep=list(graph.outputs.values()))
     for name, node in graph.outputs.items():
@@ -292,24 +292,24 @@ def _write_labels(scene: SceneDict, plan: BakePlan, graph: Any = None) -> dict[s
     from synfog_usd.render import layers
     from synfog_usd.render.shot import load
 
-    seen, facts, view = layers.measure(load(replace(scene, fog=()))), {}, scene.camera
+    seen, metadata, view = layers.measure(load(replace(scene, fog=()))), {}, scene.camera
     bent = graph and distortion.of_graph(graph, height_px=view.height_px, width_px=view.width_px, fov_x_deg=view.fov_x_deg, shift=view.shift)
     if bent:
         node, warp = bent
         seen = labels.warped(seen, warp.nearest())
-        facts = {
+        metadata = {
             "warped": f"distortion of node {node!r}; radiance.exr and layers.exr are not",
             "camera_matrix_px": warp.camera_matrix(),
             "distortion_coefficients": list(warp.coefficients),
         }
-    image = labels.label_image(seen, scene.things)
+    image = labels.label_image(seen, scene.instances)
     header = {name: str(value) for name, value in image.provenance.items() if name.startswith("cryptomatte/")}  # where Cryptomatte's readers look
-    writers.write_exr(plan.out / "labels.exr", image.noted(**facts), attributes=header)
-    files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.things) | facts)
+    writers.write_exr(plan.out / "labels.exr", image.with_metadata(**metadata), attributes=header)
+    files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.instances) | metadata)
     return {name: files.sha256_of(plan.out / name) for name in ("labels.exr", "labels.json")}
 
 
-def _facts(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> dict[str, Any]:
+def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> dict[str, Any]:
     """Everything that the pixels depend on; its hash tells whether a finished shot is still the right one."""
     libraries = ("mitsuba", "drjit", "usd-core", "OpenImageIO", "numpy", "scipy", "colour-science", "colour-demosaicing", "tifffile", "imagecodecs")
     versions = {name: importlib.metadata.version(name) for name in libraries}
@@ -338,15 +338,15 @@ def _facts(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> di
 class _Ledger:
     """What is finished in an output folder, kept in `bake.json` after every shot."""
 
-    def __init__(self, out: Path, facts: Mapping[str, Any], notes: Sequence[Note]) -> None:
-        self.out, self.facts = out, dict(facts)
+    def __init__(self, out: Path, metadata: Mapping[str, Any], notes: Sequence[Note]) -> None:
+        self.out, self.metadata = out, dict(metadata)
         self.notes = [{"severity": note.severity, "path": note.path, "text": note.text} for note in notes]
         self.rows: dict[str, dict[str, Any]] = {}
         self.labels: dict[str, str] = {}
         self.contact: dict[str, str] = {}
         try:
             before = json.loads((out / MANIFEST).read_bytes())
-            same = {key: before[key] for key in facts} == json.loads(json.dumps(self.facts))
+            same = {key: before[key] for key in metadata} == json.loads(json.dumps(self.metadata))
             rows = {f"{row['lighting']}/{row['fog']}": row for row in before["shots"]} if same else {}
             self.labels = before["labels"] if same else {}
         except (OSError, ValueError, KeyError, TypeError):
@@ -377,7 +377,15 @@ class _Ledger:
     def manifest(self, order: tuple[Shot, ...]) -> dict[str, Any]:
         folders = [shot.folder for shot in order]
         ordered = [self.rows[folder] for folder in folders] + [self.rows[folder] for folder in sorted(self.rows) if folder not in folders]
-        return {"schema": "synfog-usd/bake", "version": 1, **self.facts, "notes": self.notes, "labels": self.labels, "contact": self.contact, "shots": ordered}
+        return {
+            "schema": "synfog-usd/bake",
+            "version": 1,
+            **self.metadata,
+            "notes": self.notes,
+            "labels": self.labels,
+            "contact": self.contact,
+            "shots": ordered,
+        }
 
 
 @contextlib.contextmanager

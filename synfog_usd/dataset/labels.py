@@ -17,7 +17,7 @@ from synfog_usd import cityscapes
 from synfog_usd.image import Image, Quantity
 from synfog_usd.render.cull import Hidden
 from synfog_usd.render.layers import Layers
-from synfog_usd.scene import SceneDict, Thing
+from synfog_usd.scene import Instance, SceneDict
 
 CHANNELS = (
     "depth.Z",
@@ -47,17 +47,17 @@ def warped(layers: Layers, nearest: tuple[npt.NDArray[np.intp], npt.NDArray[np.i
     return Layers(**{name: plane[nearest] for name, plane in vars(layers).items()})
 
 
-def label_image(layers: Layers, things: tuple[Thing, ...]) -> Image:
+def label_image(layers: Layers, instances: tuple[Instance, ...]) -> Image:
     """All label layers as one float32 image.
 
     Depth and distance are in metres and infinite at the sky; N is the world normal
-    (Z up) turned to the camera; ids are whole numbers, 0 where there is no thing;
+    (Z up) turned to the camera; ids are whole numbers, 0 where there is no instance;
     the Cryptomatte layer holds one rank with full coverage.
     """
-    semantic = np.array([0, *(cityscapes.label(thing.label).id for thing in things)], dtype=np.float32)
-    crypto = np.array([0.0, *(_crypto_float(thing.path) for thing in things)], dtype=np.float32)
+    semantic = np.array([0, *(cityscapes.label(instance.label).id for instance in instances)], dtype=np.float32)
+    crypto = np.array([0.0, *(_crypto_float(instance.path) for instance in instances)], dtype=np.float32)
     sky = ~np.isfinite(layers.depth_m)
-    ids = layers.thing
+    ids = layers.instance_id
     planes = [
         layers.depth_m,
         layers.distance_m,
@@ -69,50 +69,50 @@ def label_image(layers: Layers, things: tuple[Thing, ...]) -> Image:
         np.zeros(ids.shape),
         np.zeros(ids.shape),
     ]
-    manifest = json.dumps({thing.path: f"{_crypto_bits(thing.path):08x}" for thing in things}, separators=(",", ":"))
+    manifest = json.dumps({instance.path: f"{_crypto_bits(instance.path):08x}" for instance in instances}, separators=(",", ":"))
     key = f"cryptomatte/{_murmur('crypto_object'):08x}"[: len("cryptomatte/") + 7]
-    facts = {
+    metadata = {
         "comment": "depth.Z planar [m], distance.Z along the ray [m], N world frame Z up; one ray through each pixel's centre",
         f"{key}/name": "crypto_object",
         f"{key}/hash": "MurmurHash3_32",
         f"{key}/conversion": "uint32_to_float32",
         f"{key}/manifest": manifest,
     }
-    return Image(np.stack(planes, axis=2).astype(np.float32), CHANNELS, Quantity.DATA, provenance=facts)
+    return Image(np.stack(planes, axis=2).astype(np.float32), CHANNELS, Quantity.DATA, provenance=metadata)
 
 
-def label_list(layers: Layers, things: tuple[Thing, ...]) -> dict[str, Any]:
-    """What labels.json holds: every thing, and where it is seen.
+def label_list(layers: Layers, instances: tuple[Instance, ...]) -> dict[str, Any]:
+    """What labels.json holds: every instance, and where it is seen.
 
     `box_px` is [x, y, width, height] of its visible pixels; `distance_m` is that of
     its nearest visible one.
     """
     rows = []
-    for thing in things:
-        kind = cityscapes.label(thing.label)
-        row: dict[str, Any] = {"id": thing.id, "path": thing.path, "label": kind.name, "semantic_id": kind.id, "train_id": kind.train_id}
-        seen = layers.thing == thing.id
+    for instance in instances:
+        kind = cityscapes.label(instance.label)
+        row: dict[str, Any] = {"id": instance.id, "path": instance.path, "label": kind.name, "semantic_id": kind.id, "train_id": kind.train_id}
+        seen = layers.instance_id == instance.id
         row["pixels"] = int(seen.sum())
         if row["pixels"]:
             y, x = np.nonzero(seen)
             row["box_px"] = [int(x.min()), int(y.min()), int(np.ptp(x)) + 1, int(np.ptp(y)) + 1]
             row["distance_m"] = round(float(layers.distance_m[seen].min()), 3)
         rows.append(row)
-    return {"schema": "synfog-usd/labels", "version": 1, "taxonomy": "cityscapes", "things": rows}
+    return {"schema": "synfog-usd/labels", "version": 1, "taxonomy": "cityscapes", "instances": rows}
 
 
-def thing_list(hidden: Hidden, scene: SceneDict) -> dict[str, Any]:
-    """What things.json holds: how much fog stands before every thing of one shot, and whether the picture has it whole.
+def instance_list(hidden: Hidden, scene: SceneDict) -> dict[str, Any]:
+    """What instances.json holds: how much fog stands before every instance of one shot, and whether the picture has it whole.
 
     `transmittance` is the largest over the boxes of its parts, null where the fog has no closed form; `drawn` is 'whole',
-    'thinned' or 'left out'.  Labels have every thing either way.
+    'thinned' or 'left out'.  Labels have every instance either way.
     """
-    found = hidden.things(scene)
+    found = hidden.instances(scene)
     rows = []
-    for thing in scene.things:
-        clear, drawn = found.get(thing.id, (None, "whole"))
-        rows.append({"id": thing.id, "path": thing.path, "transmittance": None if clear is None else float(f"{clear:.4g}"), "drawn": drawn})
-    return {"schema": "synfog-usd/things", "version": 1, "things": rows}
+    for instance in scene.instances:
+        clear, drawn = found.get(instance.id, (None, "whole"))
+        rows.append({"id": instance.id, "path": instance.path, "transmittance": None if clear is None else float(f"{clear:.4g}"), "drawn": drawn})
+    return {"schema": "synfog-usd/instances", "version": 1, "instances": rows}
 
 
 def _murmur(text: str) -> int:

@@ -52,7 +52,7 @@ class SheetPlan:
     changes: tuple[str, ...] = ()
 
 
-def write(plan: SheetPlan, *, progress: Progress = silent, tell: Callable[[str], None] = lambda text: None) -> Path:
+def write(plan: SheetPlan, *, progress: Progress = silent, log: Callable[[str], None] = lambda text: None) -> Path:
     """Compose and bake all previews and write the sheet.
 
     Raises:
@@ -101,7 +101,7 @@ def write(plan: SheetPlan, *, progress: Progress = silent, tell: Callable[[str],
                 with Image.open(folder / shot["lighting"] / shot["fog"] / names[0]) as picture:
                     sheet.paste(picture.convert("RGB"), (corner[0] + k * plan.size[0], corner[1]))
             pen.text((corner[0] + 2, corner[1] + plan.size[1] + 1), f"{recipe.stem} {seed}: {', '.join(plan.fogs)}", fill=INK, font=font)
-            tell(f"seed {seed} of {recipe.stem} is done")
+            log(f"seed {seed} of {recipe.stem} is done")
     data = io.BytesIO()
     sheet.save(data, format="PNG", optimize=True)
     files.write_bytes(plan.out, data.getvalue())

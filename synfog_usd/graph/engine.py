@@ -359,7 +359,7 @@ class NodeGraph:
             if not np.isfinite(image.pixels).all():
                 row, column, channel = (int(index[0]) for index in np.nonzero(~np.isfinite(image.pixels)))
                 raise ImageError(f"input {name!r}: pixel x={column}, y={row} of channel {image.channels[channel]!r} is not a finite number")
-            have[name] = image.noted(**note)
+            have[name] = image.with_metadata(**note)
         return have
 
     def _apply(self, node: Node, images: list[Image], seed: int, settings: Mapping[str, Any]) -> Image:

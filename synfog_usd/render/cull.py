@@ -76,23 +76,23 @@ class Hidden:
     of_triangles: int = 0
     why: str = ""
 
-    def things(self, scene: SceneDict) -> dict[int, tuple[float | None, str]]:
+    def instances(self, scene: SceneDict) -> dict[int, tuple[float | None, str]]:
         """Label id -> (transmittance of its nearest part [1], None where it is not known; 'whole', 'thinned' or 'left out').
 
-        A thing of several parts is what the least changed of them is.
+        An instance of several parts is what the least changed of them is.
         """
         found: dict[int, tuple[float, int]] = {}
-        for (key, *_), thing in scene.thing_of.items():
-            clear, state = found.get(thing, (0.0, 2))
+        for (key, *_), instance in scene.instance_of.items():
+            clear, state = found.get(instance, (0.0, 2))
             own = 2 if key in self.left_out else int(key in self.thinned)
-            found[thing] = max(clear, self.transmittance.get(key, 1.0)), min(state, own)
+            found[instance] = max(clear, self.transmittance.get(key, 1.0)), min(state, own)
         known = bool(self.transmittance)
-        return {thing: (found[thing][0] if known else None, STATES[found[thing][1]]) for thing in sorted(found)}
+        return {instance: (found[instance][0] if known else None, STATES[found[instance][1]]) for instance in sorted(found)}
 
     def facts(self, scene: SceneDict) -> dict[str, Any]:
         """For the record of a shot."""
-        states = [state for _, state in self.things(scene).values()]
-        counts = {"things": len(states), "thinned": states.count("thinned"), "left_out": states.count("left out")}
+        states = [state for _, state in self.instances(scene).values()]
+        counts = {"instances": len(states), "thinned": states.count("thinned"), "left_out": states.count("left out")}
         saved = {"triangles": self.of_triangles, "triangles_saved": self.triangles}
         return {**counts, **saved, **({"why": self.why} if self.why else {"transmittance_below": float(f"{self.limit:.4g}")})}
 
@@ -102,7 +102,7 @@ class Hidden:
             return ""
         facts = self.facts(scene)
         return (
-            f"{facts['thinned'] + facts['left_out']} of {facts['things']} things lie behind fog (T < {self.limit:.2g}): {facts['thinned']} are thinned, "
+            f"{facts['thinned'] + facts['left_out']} of {facts['instances']} instances lie behind fog (T < {self.limit:.2g}): {facts['thinned']} are thinned, "
             f"{facts['left_out']} left out, which saves {self.triangles} of {self.of_triangles} triangles"
         )
 
@@ -122,7 +122,7 @@ class _Parts:
 def hide(scene: SceneDict, noise: Callable[[Array], Array], clear_cd_m2: Array, *, worth: int = WORTH) -> Hidden:
     """The parts of a scene that its fog hides from a sensor.
 
-    A thing behind fog differs from the fog before it by no more than that fog's own light L, so
+    An instance behind fog differs from the fog before it by no more than that fog's own light L, so
 
         T L <= EDGES SHARE sigma(L)
 
@@ -217,7 +217,7 @@ def reduced(scene: SceneDict, hidden: Hidden) -> SceneDict:
     return replace(
         scene,
         world=world,
-        thing_of={key: thing for key, thing in scene.thing_of.items() if key[0] in world},
+        instance_of={key: instance for key, instance in scene.instance_of.items() if key[0] in world},
         reflectance_of={key: curve for key, curve in scene.reflectance_of.items() if key in world},
     )
 

@@ -22,44 +22,46 @@ MAX_TRIANGLES = 30_000_000
 
 ARRAYS = ("normals", "texcoords", "vertex_color")
 
-FaceThings = Mapping[str, npt.NDArray[np.int64]]
+FaceInstances = Mapping[str, npt.NDArray[np.int64]]
 
 
-def flatten(source: SceneDict) -> tuple[SceneDict, FaceThings]:
+def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
     """Join meshes by material.
 
     Returns:
         the scene with fewer shapes, and for each joined mesh its key -> the label id
-        of every face.  Shapes that are not joined keep their place in `thing_of`.
+        of every face.  Shapes that are not joined keep their place in `instance_of`.
     """
     world, taken = source.world, set[str]()
     parts: dict[tuple[Any, ...], list[tuple[Mapping[str, Any], npt.NDArray[np.float64] | None, int]]] = {}
 
-    def take(mesh: Mapping[str, Any], matrix: npt.NDArray[np.float64] | None, thing: int) -> None:
+    def take(mesh: Mapping[str, Any], matrix: npt.NDArray[np.float64] | None, instance: int) -> None:
         smooth = tuple(name in mesh for name in ARRAYS)
-        parts.setdefault((mesh["bsdf"]["id"], *smooth, bool(mesh.get("face_normals", False))), []).append((mesh, matrix, thing))
+        parts.setdefault((mesh["bsdf"]["id"], *smooth, bool(mesh.get("face_normals", False))), []).append((mesh, matrix, instance))
 
     expand = _triangles(world) <= MAX_TRIANGLES
     for key, value in world.items():
         if key.startswith("shape_") and _plain(value):
-            take(value, None, source.thing_of.get((key,), 0))
+            take(value, None, source.instance_of.get((key,), 0))
             taken.add(key)
         elif expand and key.startswith("instance_"):
             inner = _prototype(world, value)
             if all(_plain(shape) for shape in inner.values()):
                 for name, shape in inner.items():
-                    take(shape, np.asarray(value["to_world"], dtype=np.float64), source.thing_of.get((key, name), 0))
+                    take(shape, np.asarray(value["to_world"], dtype=np.float64), source.instance_of.get((key, name), 0))
                 taken.add(key)
     left = {_group_id(value) for key, value in world.items() if key.startswith("instance_") and key not in taken}
     taken |= {key for key, value in world.items() if isinstance(value, Mapping) and value.get("type") == "shapegroup" and key not in left}
 
-    joined, things = {}, {}
+    joined, instances = {}, {}
     for index, ((material, *_), members) in enumerate(parts.items()):
         key = f"shape_joined_{index}"
         joined[key] = _joined(material, members)
-        things[key] = np.concatenate([np.full(len(mesh["faces"]), thing, dtype=np.int64) for mesh, _, thing in members])
+        instances[key] = np.concatenate([np.full(len(mesh["faces"]), instance, dtype=np.int64) for mesh, _, instance in members])
     rest = {key: value for key, value in world.items() if key not in taken}
-    return replace(source, world={**rest, **joined}, thing_of={key: thing for key, thing in source.thing_of.items() if key[0] not in taken}), things
+    return replace(
+        source, world={**rest, **joined}, instance_of={key: instance for key, instance in source.instance_of.items() if key[0] not in taken}
+    ), instances
 
 
 def _plain(shape: Mapping[str, Any]) -> bool:

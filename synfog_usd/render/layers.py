@@ -1,4 +1,4 @@
-"""What the ray through each pixel's centre meets: depth, normal, thing, transmittance.
+"""What the ray through each pixel's centre meets: depth, normal, instance, transmittance.
 
 No samples and no filter: a label is true for one point of the pixel.  Fog
 boundaries and holes in cut-out materials are passed through; the optical depth on
@@ -37,7 +37,7 @@ class Hits:
         onward: (N, 3) origin from which the same ray goes on behind the surface.
         normal: (N, 3) shading normal, as the surface has it.
         front: (N,) whether the ray came from the outer side of the geometry.
-        thing: (N,) label id, 0 for none.
+        instance_id: (N,) label id, 0 for none.
         fog: (N,) index of the fog volume whose boundary it is, -1 for a surface.
         see_through: (N,) share of light that passes unhindered (cut-out materials).
     """
@@ -47,7 +47,7 @@ class Hits:
     onward: Array
     normal: Array
     front: npt.NDArray[np.bool_]
-    thing: Ids
+    instance_id: Ids
     fog: Ids
     see_through: Array
 
@@ -60,14 +60,14 @@ class Layers:
         distance_m: along the ray from the camera, inf at the sky.
         depth_m: along the optical axis (planar), inf at the sky.
         normal: world frame (Z up), turned to the camera, 0 at the sky.
-        thing: label id, 0 for sky and unknown.
+        instance_id: label id, 0 for sky and unknown.
         transmittance: of the fog between camera and surface (or the end of the fog).
     """
 
     distance_m: Array
     depth_m: Array
     normal: Array
-    thing: Ids
+    instance_id: Ids
     transmittance: Array
 
     def transmittance_image(self) -> Image:
@@ -87,7 +87,7 @@ def measure(loaded: Loaded) -> Layers:
     if camera.width_m > 0.0:  # each ray begins at a place of its own, in the plane of the lens
         eye = origin - ((origin - eye) @ forward)[:, None] * forward
 
-    distance, normal, thing = np.full(count, np.inf), np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
+    distance, normal, instance = np.full(count, np.inf), np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
     tau = np.zeros(count)
     surrounding = camera_fog(loaded.source) if loaded.boundaries else None
     medium = np.full(count, -1 if surrounding is None else surrounding)
@@ -114,14 +114,14 @@ def measure(loaded: Loaded) -> Layers:
         ended = alive[stopped]
         distance[ended] = np.linalg.norm(hits.position[stopped] - eye[ended], axis=1)
         facing = np.where(np.sum(hits.normal * direction[alive], axis=1) > 0.0, -1.0, 1.0)
-        normal[ended], thing[ended] = (hits.normal * facing[:, None])[stopped], hits.thing[stopped]
+        normal[ended], instance[ended] = (hits.normal * facing[:, None])[stopped], hits.instance_id[stopped]
         alive = alive[~stopped]
 
     if fog and not loaded.boundaries:
         tau = optical_depth(fog, eye, direction, distance)
     depth = np.where(np.isfinite(distance), np.where(np.isfinite(distance), distance, 0.0) * (direction @ forward), np.inf)
     shape = (height, width)
-    return Layers(distance.reshape(shape), depth.reshape(shape), normal.reshape(height, width, 3), thing.reshape(shape), np.exp(-tau).reshape(shape))
+    return Layers(distance.reshape(shape), depth.reshape(shape), normal.reshape(height, width, 3), instance.reshape(shape), np.exp(-tau).reshape(shape))
 
 
 def seen_through(loaded: Loaded, clear: Layers) -> Layers:
@@ -160,16 +160,16 @@ class _Tracer:
         self.fog_of = np.full(size, -1, dtype=np.int64)
         for index, shape in loaded.boundaries.items():
             self.fog_of[self.rank[self.identity(shape)]] = index
-        things: dict[int, int] = {}
-        for key, thing in loaded.source.thing_of.items():
+        instances: dict[int, int] = {}
+        for key, instance in loaded.source.instance_of.items():
             if len(key) == 1:
-                things[self.rank[self.identity(loaded.shapes[key])]] = thing
+                instances[self.rank[self.identity(loaded.shapes[key])]] = instance
             else:
-                instance, inner = loaded.shapes[key[:1]], loaded.shapes[self._group_of(key[0]), key[1]]
-                things[self.rank[self.identity(instance)] * size + self.rank[self.identity(inner)]] = thing
+                placed, inner = loaded.shapes[key[:1]], loaded.shapes[self._group_of(key[0]), key[1]]
+                instances[self.rank[self.identity(placed)] * size + self.rank[self.identity(inner)]] = instance
         self.size = size
-        self.thing_keys = np.array(sorted(things), dtype=np.int64)
-        self.thing_values = np.array([things[key] for key in sorted(things)], dtype=np.int64)
+        self.instance_keys = np.array(sorted(instances), dtype=np.int64)
+        self.instance_values = np.array([instances[key] for key in sorted(instances)], dtype=np.int64)
         if not self.scalar:
             import drjit as dr
 
@@ -179,11 +179,11 @@ class _Tracer:
             self.dr = dr
         self.first_face = np.full(size, -1, dtype=np.int64)
         lists, start = [np.zeros(0, dtype=np.int64)], 0
-        for key, faces in loaded.face_things.items():
+        for key, faces in loaded.face_instances.items():
             self.first_face[self.rank[self.identity(loaded.shapes[(key,)])]] = start
             lists.append(faces)
             start += len(faces)
-        self.face_things = np.concatenate(lists)
+        self.face_instances = np.concatenate(lists)
 
     def _group_of(self, instance: str) -> str:
         for value in self.loaded.source.world[instance].values():
@@ -212,14 +212,14 @@ class _Tracer:
 
     def trace(self, origin: Array, direction: Array) -> Hits:
         rows = self._trace_scalar(origin, direction) if self.scalar else self._trace_jit(origin, direction)
-        valid, position, onward, normal, front, rank, instance, face, see_through = rows
-        code = np.where(instance > 0, instance * self.size + rank, rank)
-        at = np.minimum(np.searchsorted(self.thing_keys, code), max(len(self.thing_keys) - 1, 0))
-        known = (self.thing_keys[at] == code) if len(self.thing_keys) else np.zeros(len(code), dtype=bool)
-        thing = np.where(known, self.thing_values[at] if len(self.thing_keys) else 0, 0)
+        valid, position, onward, normal, front, rank, placed, face, see_through = rows
+        code = np.where(placed > 0, placed * self.size + rank, rank)
+        at = np.minimum(np.searchsorted(self.instance_keys, code), max(len(self.instance_keys) - 1, 0))
+        known = (self.instance_keys[at] == code) if len(self.instance_keys) else np.zeros(len(code), dtype=bool)
+        instance = np.where(known, self.instance_values[at] if len(self.instance_keys) else 0, 0)
         joined = self.first_face[rank] >= 0
-        thing[joined] = self.face_things[self.first_face[rank[joined]] + face[joined]]
-        return Hits(valid, position, onward, normal, front, thing, self.fog_of[rank], see_through)
+        instance[joined] = self.face_instances[self.first_face[rank[joined]] + face[joined]]
+        return Hits(valid, position, onward, normal, front, instance, self.fog_of[rank], see_through)
 
     def _trace_jit(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
         mi, dr = self.mi, self.dr
@@ -228,11 +228,11 @@ class _Tracer:
         valid = si.is_valid()
         passing = dr.mean(mi.Color3f(si.bsdf().eval_null_transmission(si, valid)))
         rank = self.lookup[np.array(dr.reinterpret_array(mi.UInt32, si.shape))]
-        instance = self.lookup[np.array(dr.reinterpret_array(mi.UInt32, si.instance))]
+        placed = self.lookup[np.array(dr.reinterpret_array(mi.UInt32, si.instance))]
         front = np.array(dr.dot(si.n, ray.d) < 0.0)
         vectors = [np.array(item, dtype=np.float64).T for item in (si.p, si.spawn_ray(ray.d).o, si.sh_frame.n)]
         face = np.array(si.prim_index, dtype=np.int64)
-        return np.array(valid), *vectors, front, rank, instance, face, np.array(passing, dtype=np.float64)
+        return np.array(valid), *vectors, front, rank, placed, face, np.array(passing, dtype=np.float64)
 
     def _trace_scalar(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
         mi, rows = self.mi, []
@@ -242,8 +242,8 @@ class _Tracer:
                 rows.append((False, o, o, d, False, 0, 0, 0, 0.0))
                 continue
             passing = float(np.mean(np.array(si.bsdf().eval_null_transmission(si, True))))
-            rank, instance = self.rank.get(id(si.shape), 0), self.rank.get(id(si.instance), 0) if si.instance is not None else 0
+            rank, placed = self.rank.get(id(si.shape), 0), self.rank.get(id(si.instance), 0) if si.instance is not None else 0
             facing = float(np.dot(np.array(si.n), d)) < 0.0
             onward = np.array(si.spawn_ray(mi.Vector3f(d)).o)
-            rows.append((True, np.array(si.p), onward, np.array(si.sh_frame.n), facing, rank, instance, int(si.prim_index), passing))
+            rows.append((True, np.array(si.p), onward, np.array(si.sh_frame.n), facing, rank, placed, int(si.prim_index), passing))
         return tuple(np.array([row[index] for row in rows]) for index in range(9))

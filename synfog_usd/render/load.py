@@ -1,7 +1,7 @@
 """A `SceneDict` as Mitsuba objects.
 
 Every object is made one by one and kept under its key, so that a shape that a ray
-hits can be traced back to the thing it belongs to.  Fog stays apart until a model
+hits can be traced back to the instance it belongs to.  Fog stays apart until a model
 asks for it as null-material boundaries.
 """
 
@@ -18,7 +18,7 @@ from synfog_usd.errors import StageError
 from synfog_usd.fog import Boundary, FogMedium
 from synfog_usd.fog.phase import HenyeyGreenstein
 from synfog_usd.render import backend, luminaire
-from synfog_usd.render.flatten import FaceThings, flatten
+from synfog_usd.render.flatten import FaceInstances, flatten
 from synfog_usd.render.lamps import is_handled
 from synfog_usd.render.phases import plugin
 from synfog_usd.scene import Camera, SceneDict
@@ -41,7 +41,7 @@ class Loaded:
         boundaries: index of the fog volume -> its null-material shape object.
         offset: (u, v) to add to a film position; a thin lens cannot shift its axis by itself.
         source: the scene it was made from, with its meshes joined.
-        face_things: key of a joined mesh -> label id of each face.
+        face_instances: key of a joined mesh -> label id of each face.
         parts: key -> object, of all that `source` names but what stands inside of groups.
         twins: key of a material -> the object that takes its place where paths carry bands, see `surfaces`; made when it is first asked for.
     """
@@ -53,7 +53,7 @@ class Loaded:
     boundaries: Mapping[int, Any]
     offset: tuple[float, float]
     source: SceneDict
-    face_things: FaceThings
+    face_instances: FaceInstances
     parts: Mapping[str, Any] = field(default_factory=dict)
     twins: dict[str, Any] = field(default_factory=dict)
 
@@ -76,9 +76,9 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     if size is not None:
         source = replace(source, camera=replace(source.camera, width_px=size[0], height_px=size[1]))
     if not backend.is_scalar():  # which has no kernels to keep small
-        source, face_things = flatten(source)
+        source, face_instances = flatten(source)
     else:
-        face_things = {}
+        face_instances = {}
     if not boundaries and any(_is_light(part) and not is_handled(part) for part in source.world.values()):  # Mitsuba wants one to choose
         source = replace(source, world={key: _left_out(part) if is_handled(part) else part for key, part in source.world.items()})
     world = source.world
@@ -131,7 +131,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     medium = None if surrounding is None else media[surrounding]
     camera = source.camera
     offset = (camera.shift[0], -camera.shift[1]) if is_thin_lens(camera) else (0.0, 0.0)
-    return Loaded(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_things, made)
+    return Loaded(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_instances, made)
 
 
 def make_bsdf(part: Mapping[str, Any]) -> Any:

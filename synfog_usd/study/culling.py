@@ -1,4 +1,4 @@
-"""What it saves, and what it costs in error, that fog hides things: the same shot with all of them and without.
+"""What it saves, and what it costs in error, that fog hides instances: the same shot with all of them and without.
 
 From a shell: `python -m synfog_usd.study.culling docs/speed-accuracy.md` measures CASES and
 replaces what stands between the page's two marks.  Both pictures of a pair are made with
@@ -63,17 +63,17 @@ class Saving:
 
     Attributes:
         name: stage, lighting and fog.
-        things, of_things: that are not drawn whole, and all.
+        instances, of_instances: that are not drawn whole, and all.
         triangles, of_triangles: that the renderer was spared, and all.
-        limit: transmittance below which things are hidden.
+        limit: transmittance below which instances are hidden.
         load_s, render_s: wall time of loading and of one render, whole and reduced; the least of two renders, kernels made before.
         error, error_max: RMS and maximum over squares of the picture of |reduced - whole| over the sensor's sigma.
         noise, noise_max: the same of what differs between seeds.
     """
 
     name: str
-    things: int
-    of_things: int
+    instances: int
+    of_instances: int
     triangles: int
     of_triangles: int
     limit: float
@@ -123,7 +123,7 @@ def saving(name: str, scene: SceneDict, *, model: str = "path", samples: int = S
     return Saving(
         name,
         facts["thinned"] + facts["left_out"],
-        facts["things"],
+        facts["instances"],
         hidden.triangles,
         hidden.of_triangles,
         hidden.limit,
@@ -194,10 +194,15 @@ def section(rows: Iterable[Saving]) -> str:
 
     text = f"{SIZE[0]} x {SIZE[1]}, {SAMPLES} samples of `path` by day and of `field` by night, {machine()}; the phone's sensor, "
     text += f"errors over squares of {SQUARE_PX} pixels.\n\n"
-    text += "| shot | hidden below T | things hidden | triangles saved | load, s | render, s | error / sigma, RMS | largest | of it noise |\n"
+    text += "| shot | hidden below T | instances hidden | triangles saved | load, s | render, s | error / sigma, RMS | largest | of it noise |\n"
     text += "|---|---|---|---|---|---|---|---|---|\n"
     for row in rows:
-        cells: list[Any] = [row.name, f"{row.limit:.2g}", f"{row.things} of {row.of_things}", f"{row.triangles / row.of_triangles:.0%} of {row.of_triangles}"]
+        cells: list[Any] = [
+            row.name,
+            f"{row.limit:.2g}",
+            f"{row.instances} of {row.of_instances}",
+            f"{row.triangles / row.of_triangles:.0%} of {row.of_triangles}",
+        ]
         cells += [f"{whole:.1f} -> {reduced:.1f}" for whole, reduced in (row.load_s, row.render_s)]
         cells += [f"{row.error:.3f}", f"{row.error_max:.3f}", f"{row.noise:.3f}, {row.noise_max:.3f}"]
         text += f"| {' | '.join(map(str, cells))} |\n"

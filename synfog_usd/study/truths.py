@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.slab import solve
-from synfog_usd.scene import Camera, SceneDict, Thing
+from synfog_usd.scene import Camera, Instance, SceneDict
 
 LOOK_NORTH = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """Camera at the origin looking along +Y with Z up."""
@@ -48,12 +48,12 @@ def scene(
     fov_x_deg: float = 10.0,
     to_world: npt.NDArray[np.float64] = LOOK_NORTH,
 ) -> SceneDict:
-    """A `SceneDict` around `world`; every shape is a thing of its own."""
+    """A `SceneDict` around `world`; every shape is an instance of its own."""
     names = [key for key in world if key.startswith("shape_")]
-    things = tuple(Thing(index + 1, "/" + name, "unlabeled") for index, name in enumerate(names))
-    thing_of = {(name,): index + 1 for index, name in enumerate(names)}
+    instances = tuple(Instance(index + 1, "/" + name, "unlabeled") for index, name in enumerate(names))
+    instance_of = {(name,): index + 1 for index, name in enumerate(names)}
     camera = Camera("/Camera", to_world, width_px, height_px, fov_x_deg)
-    return SceneDict({"type": "scene", **world}, camera, tuple(fog), things, thing_of)
+    return SceneDict({"type": "scene", **world}, camera, tuple(fog), instances, instance_of)
 
 
 def uniform_fog(half_size: float = 200.0, *, visibility_m: float = 150.0, albedo: float = 1.0, g: float = 0.87) -> FogVolume:

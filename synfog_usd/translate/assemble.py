@@ -18,7 +18,7 @@ from pxr import Usd
 
 from synfog_usd.errors import StageError
 from synfog_usd.fog import FogVolume
-from synfog_usd.scene import SceneDict, Thing
+from synfog_usd.scene import Instance, SceneDict
 from synfog_usd.stage.labels import UNLABELED
 from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors
 from synfog_usd.stage.schema import PREFIX
@@ -26,10 +26,10 @@ from synfog_usd.translate import geometry, light, spectrum, volume
 from synfog_usd.translate.bindings import Bindings
 from synfog_usd.translate.camera import at_mid_exposure, read_camera
 from synfog_usd.translate.convention import Chooser
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group, group_by_label
 from synfog_usd.translate.material import Materials
-from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.shapes import Shapes
 from synfog_usd.translate.skel import has_skeletons, posed
 from synfog_usd.translate.space import Array, Space, stage_space
@@ -75,7 +75,7 @@ def translate(
     if fog_mor_m is not None and not fog_mor_m >= 0.0:
         raise StageError(f"a visibility of {fog_mor_m} m is below 0; 0 or inf is clear air")
     check_depth(stage)
-    notes = Notebook()
+    notes = Diagnostics()
     notes.extend(composition_notes(stage))
     time = at_mid_exposure(stage, _moment(stage, frame, notes), notes, path=camera)
     stage = posed(stage, time, notes)
@@ -88,7 +88,7 @@ def translate(
     scene = _Assembler(stage, space, time, notes, Chooser(stage, lights))
     with _uncollected():
         scene.build(walk(stage, time, notes))
-    scene.chooser.tell(notes)
+    scene.chooser.report(notes)
     volume.rtx_fog(stage, notes)
     fog = volume.nested(scene.fog)
     if fog_mor_m is not None:
@@ -102,8 +102,8 @@ def translate(
         world=scene.world(),
         camera=eye,
         fog=fog,
-        things=tuple(scene.things),
-        thing_of=scene.thing_of,
+        instances=tuple(scene.instances),
+        instance_of=scene.instance_of,
         group_of=scene.group_of,
         reflectance_of=scene.materials.reflectance_of,
         emission_of=scene.emission_of,
@@ -124,7 +124,7 @@ def _uncollected() -> Iterator[None]:
             gc.enable()
 
 
-def _moment(stage: Usd.Stage, frame: float | None, notes: Notebook) -> Usd.TimeCode:
+def _moment(stage: Usd.Stage, frame: float | None, notes: Diagnostics) -> Usd.TimeCode:
     if frame is not None:
         if not math.isfinite(frame):
             raise StageError(f"frame {frame} is no finite number")
@@ -142,7 +142,7 @@ def _moment(stage: Usd.Stage, frame: float | None, notes: Notebook) -> Usd.TimeC
     return Usd.TimeCode.Default()
 
 
-def _overridden(fog: tuple[FogVolume, ...], mor_m: float, scene: _Assembler, eye: Array, notes: Notebook) -> tuple[FogVolume, ...]:
+def _overridden(fog: tuple[FogVolume, ...], mor_m: float, scene: _Assembler, eye: Array, notes: Diagnostics) -> tuple[FogVolume, ...]:
     if fog or mor_m == 0.0 or math.isinf(mor_m):
         return volume.with_visibility(fog, mor_m)
     low, high = np.min([eye, *[points.min(axis=0) for points in scene.spread]], axis=0), np.max([eye, *[points.max(axis=0) for points in scene.spread]], axis=0)
@@ -155,7 +155,7 @@ def _overridden(fog: tuple[FogVolume, ...], mor_m: float, scene: _Assembler, eye
 class _Assembler:
     """Shapes, materials, lights, fog and labels of one scene, as they come."""
 
-    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Notebook, chooser: Chooser) -> None:
+    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagnostics, chooser: Chooser) -> None:
         self.stage, self.space, self.time, self.notes, self.chooser = stage, space, time, notes, chooser
         self.images = ImageReader(notes)
         self.materials = Materials(time, notes, self.images)
@@ -164,14 +164,14 @@ class _Assembler:
         self.is_blender = str(stage.GetMetadata("documentation") or "").startswith("Blender")
         self.shapes: dict[str, dict[str, Any]] = {}
         self.groups: dict[str, dict[str, Any]] = {}
-        self.instances: dict[str, dict[str, Any]] = {}
+        self.placed: dict[str, dict[str, Any]] = {}
         self.lamps: list[light.Lamp] = []
         self.lights: dict[str, dict[str, Any]] = {}
         self.domes: list[light.Dome] = []
         self.fog: list[FogVolume] = []
-        self.things: list[Thing] = []
-        self.thing_of: dict[tuple[str, ...], int] = {}
-        self.thing_ids: dict[str, int] = {}
+        self.instances: list[Instance] = []
+        self.instance_of: dict[tuple[str, ...], int] = {}
+        self.instance_ids: dict[str, int] = {}
         self.group_of: dict[str, str] = {}
         self.emission_of: dict[str, Array] = {}
         self.fog_boxes: dict[str, bool | None] = {}
@@ -204,7 +204,7 @@ class _Assembler:
         drawn = [*self.shapes.values(), *[shape for group in self.groups.values() for name, shape in group.items() if name != "type"]]
         worn = {shape["bsdf"]["id"] for shape in drawn}
         materials = {key: bsdf for key, bsdf in self.materials.bsdfs.items() if key in worn}
-        return {"type": "scene", **materials, **self.shapes, **self.groups, **self.instances, **self.lights}
+        return {"type": "scene", **materials, **self.shapes, **self.groups, **self.placed, **self.lights}
 
     def is_fog_box(self, leaf: Leaf) -> bool | None:
         """Whether a mesh without fog attributes is the box of an exported volume, see `volume.fog_box`."""
@@ -272,8 +272,8 @@ class _Assembler:
             shape = geometry.mesh_shape(lamp.shape, self.materials.black().key, textured=False, colored=False)
         else:
             shape = {**lamp.shape, "bsdf": black}
-        thing = self.thing(leaf, placement) if leaf.owner is not None or (placement is not None and placement.owner is not None) else None
-        self.new_shape({**shape, "emitter": lamp.emitter}, thing)
+        instance = self.instance(leaf, placement) if leaf.owner is not None or (placement is not None and placement.owner is not None) else None
+        self.new_shape({**shape, "emitter": lamp.emitter}, instance)
 
     def note_emission(self, key: str, *prims: Usd.Prim, plain: bool = True) -> None:
         """The spectrum that stands on a light; one that several lights share, or a picture colours, has none."""
@@ -290,7 +290,7 @@ class _Assembler:
         return authored_group(leaf.prim) or (authored_group(above) if above else None) or group_by_label(owner.label if owner is not None else UNLABELED)
 
     def add_shape(self, shape: dict[str, Any], emission: dict[str, Any] | None, nits: float, leaf: Leaf, placement: Placement | None) -> None:
-        thing = self.thing(leaf, placement)
+        instance = self.instance(leaf, placement)
         if emission is not None:
             material = self.bindings.bound.get(str(leaf.prim.GetPath()))
             self.note_emission(f"shape_{len(self.shapes)}", material.GetPrim() if material and not light.is_light_mesh(leaf.prim) else leaf.prim)
@@ -301,13 +301,13 @@ class _Assembler:
             shape = {**shape, "emitter": lamp.emitter}
         if "positions" in shape:
             self.spread.append(shape["positions"])
-        self.new_shape(shape, thing)
+        self.new_shape(shape, instance)
 
-    def new_shape(self, shape: dict[str, Any], thing: int | None) -> None:
+    def new_shape(self, shape: dict[str, Any], instance: int | None) -> None:
         key = f"shape_{len(self.shapes)}"
         self.shapes[key] = shape
-        if thing is not None:
-            self.thing_of[(key,)] = thing
+        if instance is not None:
+            self.instance_of[(key,)] = instance
 
     def put_group(self, leaves: list[Leaf], places: list[Placement]) -> None:
         """A group's leaves once and its placements as instances; what shines is placed one by one."""
@@ -335,11 +335,11 @@ class _Assembler:
         self.groups[key] = {"type": "shapegroup", **{name: shape for name, (_, shape) in zip(names, shared, strict=True)}}
         corners = self.corners(shared)
         for place in places:
-            instance = f"instance_{len(self.instances)}"
+            instance = f"instance_{len(self.placed)}"
             matrix = to_scene @ place.matrix
-            self.instances[instance] = {"type": "instance", "to_world": matrix, "shapegroup": {"type": "ref", "id": key}}
+            self.placed[instance] = {"type": "instance", "to_world": matrix, "shapegroup": {"type": "ref", "id": key}}
             for name, (leaf, _) in zip(names, shared, strict=True):
-                self.thing_of[(instance, name)] = self.thing(leaf, place)
+                self.instance_of[(instance, name)] = self.instance(leaf, place)
             if corners is not None:
                 self.spread.append(corners @ matrix[:3, :3].T + matrix[:3, 3])
 
@@ -353,24 +353,24 @@ class _Assembler:
 
     # -- labels
 
-    def thing(self, leaf: Leaf, placement: Placement | None) -> int:
+    def instance(self, leaf: Leaf, placement: Placement | None) -> int:
         """Label id of a leaf; a new one where its owner was not met before."""
         if placement is None:
             owner = leaf.owner or Owner(leaf.model or leaf.path, UNLABELED)
-            return self.thing_id(owner.path, owner.label)
+            return self.instance_id(owner.path, owner.label)
         root = self.roots[placement.group]
         if leaf.owner is not None:
-            return self.thing_id(placement.path + leaf.owner.path.removeprefix(root), leaf.owner.label)
+            return self.instance_id(placement.path + leaf.owner.path.removeprefix(root), leaf.owner.label)
         if placement.owner is not None:
-            return self.thing_id(placement.owner.path, placement.owner.label)
+            return self.instance_id(placement.owner.path, placement.owner.label)
         path = placement.model if leaf.model is None else placement.path + leaf.model.removeprefix(root)
-        return self.thing_id(path, UNLABELED)
+        return self.instance_id(path, UNLABELED)
 
-    def thing_id(self, path: str, label: str) -> int:
-        if path not in self.thing_ids:
-            self.things.append(Thing(len(self.things) + 1, path, label))
-            self.thing_ids[path] = len(self.things)
-        return self.thing_ids[path]
+    def instance_id(self, path: str, label: str) -> int:
+        if path not in self.instance_ids:
+            self.instances.append(Instance(len(self.instances) + 1, path, label))
+            self.instance_ids[path] = len(self.instances)
+        return self.instance_ids[path]
 
 
 def _area_of(shape: dict[str, Any]) -> float:

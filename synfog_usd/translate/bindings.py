@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdShade
 
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.material import DISPLAY, GREY, Finish, Materials
-from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.walk import ALSO_OVERS, MESHES, Leaf
 
 _SEEN = Usd.TraverseInstanceProxies(ALSO_OVERS)
@@ -26,7 +26,7 @@ class Bindings:
         sheer: whether any prim has a displayOpacity.
     """
 
-    def __init__(self, stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook, materials: Materials) -> None:
+    def __init__(self, stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics, materials: Materials) -> None:
         self.stage, self.time, self.notes, self.materials = stage, time, notes, materials
         self.bound: dict[str, Any] = {}
         self.sheer = False

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from synfog_usd.errors import StageError, did_you_mean
 from synfog_usd.scene import PARALLEL_DEG, Camera
 from synfog_usd.stage.open import cameras
-from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.space import Space, columns
 
 DEFAULT_WIDTH_PX = 1280
@@ -27,7 +27,7 @@ _STILL_M, _STILL_RAD = 1e-6, 1e-7
 _EXPOSURE = ("exposure", "exposure:iso", "exposure:time", "exposure:fStop", "exposure:responsivity")
 
 
-def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Notebook, *, path: str | None, resolution: tuple[int, int] | None) -> Camera:
+def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagnostics, *, path: str | None, resolution: tuple[int, int] | None) -> Camera:
     """The camera that looks, in the middle of its exposure where it moves.
 
     Args:
@@ -82,7 +82,7 @@ def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Noteb
     )
 
 
-def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook, *, path: str | None) -> Usd.TimeCode:
+def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics, *, path: str | None) -> Usd.TimeCode:
     """The moment at which a frame is half exposed: all of the scene is drawn as it is then.
 
     USD's shutter times count in frames from the frame's own time.  Without an authored shutter, or
@@ -93,7 +93,7 @@ def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook, *, pa
     """
     if time.IsDefault():
         return time
-    prim = _chosen(stage, UsdRender.Settings.GetStageRenderSettings(stage), path, Notebook())
+    prim = _chosen(stage, UsdRender.Settings.GetStageRenderSettings(stage), path, Diagnostics())
     opens, closes = _shutter(prim, time)
     if not closes > opens:
         return time
@@ -123,7 +123,7 @@ def _place(prim: Usd.Prim, space: Space, time: Usd.TimeCode) -> np.ndarray:
     return _upright(space.matrix @ columns(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim)), prim)
 
 
-def _motion(prim: Usd.Prim, space: Space, time: Usd.TimeCode, notes: Notebook) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+def _motion(prim: Usd.Prim, space: Space, time: Usd.TimeCode, notes: Diagnostics) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """(way [m], rotation vector [rad]) of a camera while it exposes, about the middle of which `time` is; zeros where it stands."""
     still = (0.0, 0.0, 0.0)
     opens, closes = _shutter(prim, time)
@@ -141,7 +141,7 @@ def _motion(prim: Usd.Prim, space: Space, time: Usd.TimeCode, notes: Notebook) -
     return (float(way[0]), float(way[1]), float(way[2])), (float(vector[0]), float(vector[1]), float(vector[2]))
 
 
-def _chosen(stage: Usd.Stage, settings: UsdRender.Settings, path: str | None, notes: Notebook) -> Usd.Prim:
+def _chosen(stage: Usd.Stage, settings: UsdRender.Settings, path: str | None, notes: Diagnostics) -> Usd.Prim:
     known = cameras(stage)
     if path is not None:
         if path not in known:
@@ -170,7 +170,7 @@ def _resolution(settings: UsdRender.Settings, asked: tuple[int, int] | None, asp
     return asked
 
 
-def _conformed(width: float, height: float, aspect: float, policy: str, prim: Usd.Prim, notes: Notebook) -> tuple[float, float]:
+def _conformed(width: float, height: float, aspect: float, policy: str, prim: Usd.Prim, notes: Diagnostics) -> tuple[float, float]:
     """Aperture that fits the picture's aspect, by UsdRender's aspectRatioConformPolicy."""
     wide = aspect > width / height
     if policy == "adjustPixelAspectRatio":

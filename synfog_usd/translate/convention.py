@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 from pxr import Sdf, Usd
 
 from synfog_usd.errors import ParameterError, did_you_mean
-from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.diagnostics import Diagnostics
 
 Lights = Literal["auto", "usd", "blender", "rtx-legacy", "metric"]
 """Names that `translate(lights=...)` takes."""
@@ -95,7 +95,7 @@ class Chooser:
                 return self._of_root if found is USD and self._of_root.name == "rtx-legacy" else found
         return self._of_root
 
-    def tell(self, notes: Notebook) -> None:
+    def report(self, notes: Diagnostics) -> None:
         """Note which conventions were used, where that is not simply the specification's."""
         if set(self.counts) - {"usd"} or (self.asked != "auto" and self.counts):
             used = ", ".join(f"{count} by {name!r}" for name, count in sorted(self.counts.items()))

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
-from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.nurbs import Nurbs, nurbs_curves
 from synfog_usd.translate.primvars import array_at
 from synfog_usd.translate.sweep import ribbons, tubes
@@ -38,7 +38,7 @@ _BASES = {
 }
 
 
-def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Notebook) -> Triangles | None:
+def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> Triangles | None:
     """Curves as tubes whose mean width is theirs, or as flat ribbons where they have normals; None with a note.
 
     Args:
@@ -102,7 +102,7 @@ def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Notebook) 
     )
 
 
-def _shape(prim: Usd.Prim, kind: str, time: Usd.TimeCode, points: Array, sizes: Indices, notes: Notebook) -> Cubics | Hermite | Nurbs | None:
+def _shape(prim: Usd.Prim, kind: str, time: Usd.TimeCode, points: Array, sizes: Indices, notes: Diagnostics) -> Cubics | Hermite | Nurbs | None:
     """How curves run, or None with a note."""
     path = prim.GetPath()
     if kind == "NurbsCurves":
@@ -198,7 +198,7 @@ class Hermite:
         return _evenly(_of_curves(values, self.sizes, chosen), steps)
 
 
-def read_points(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook) -> Triangles | None:
+def read_points(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Triangles | None:
     """Points as balls whose silhouette has the area of a sphere's, in the mean over directions; or None with a note."""
     path = prim.GetPath()
     points, widths = array_at(prim, "points", time, 3), array_at(prim, "widths", time, 1)

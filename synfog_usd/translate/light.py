@@ -17,10 +17,10 @@ import numpy.typing as npt
 from pxr import Usd, UsdLux
 
 from synfog_usd.translate.convention import USD, Convention
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles, area, placed
 from synfog_usd.translate.implicit import ROUND, ball, frustum
 from synfog_usd.translate.material import LUMINANCE
-from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.shaping import Shaping, as_ball, as_card, as_tube, luminous_flux, read_shaping, table_of
 from synfog_usd.translate.space import FAR, Array, is_similarity, rotation_of, scaled
 from synfog_usd.translate.texture import ImageReader, TextureNode, is_srgb, linear
@@ -98,7 +98,7 @@ def lamp(
     kind: str,
     matrix: Array,
     time: Usd.TimeCode,
-    notes: Notebook,
+    notes: Diagnostics,
     images: ImageReader,
     *,
     metres_per_unit: float,
@@ -143,7 +143,7 @@ def lamp(
     return _cylinder(inputs, radiance, per_area, matrix, path, notes)
 
 
-def mesh_light(prim: Usd.Prim, time: Usd.TimeCode, surface_m2: float, notes: Notebook, *, metres_per_unit: float, convention: Convention = USD) -> Array:
+def mesh_light(prim: Usd.Prim, time: Usd.TimeCode, surface_m2: float, notes: Diagnostics, *, metres_per_unit: float, convention: Convention = USD) -> Array:
     """(3,) radiance [cd m-2] of a mesh with MeshLightAPI, of a given area [m2]."""
     inputs = _Inputs(prim, time)
     _unsupported(prim, inputs, notes)
@@ -153,7 +153,7 @@ def mesh_light(prim: Usd.Prim, time: Usd.TimeCode, surface_m2: float, notes: Not
     return radiance * metres_per_unit**2 / surface_m2 if inputs.get("normalize", False) and surface_m2 > 0.0 else radiance
 
 
-def dome(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: Notebook, images: ImageReader, *, z_up: bool) -> Dome | None:
+def dome(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: Diagnostics, images: ImageReader, *, z_up: bool) -> Dome | None:
     """A dome light, or None where it is dark.
 
     The map's top is the light's local +Y; `DomeLight_1` may ask for the stage's up
@@ -192,7 +192,7 @@ def dome(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: No
     return Dome(path, np.ascontiguousarray(values), turn)
 
 
-def merged_dome(domes: list[Dome], notes: Notebook) -> dict[str, Any] | None:
+def merged_dome(domes: list[Dome], notes: Diagnostics) -> dict[str, Any] | None:
     """One emitter for all domes, which add up; several maps are drawn in the frame of the largest."""
     if not domes:
         return None
@@ -249,7 +249,7 @@ def area_emitter(radiance: Array) -> dict[str, Any]:
     return {"type": "area", "radiance": _rgb(radiance)}
 
 
-def _distant(radiance: Array, angle_deg: float, normalize: bool, matrix: Array, path: object, notes: Notebook) -> Lamp:
+def _distant(radiance: Array, angle_deg: float, normalize: bool, matrix: Array, path: object, notes: Diagnostics) -> Lamp:
     """Irradiance E = L pi sin^2(angle / 2), or the intensity itself where normalized."""
     half = math.radians(min(max(angle_deg, 0.0), 180.0)) / 2.0
     factor = math.pi * math.sin(half) ** 2 if half > 0.0 else 1.0
@@ -259,7 +259,7 @@ def _distant(radiance: Array, angle_deg: float, normalize: bool, matrix: Array, 
     return Lamp({"type": "directional", "irradiance": _rgb(irradiance), "to_world": rotation_of(matrix) @ TURN}, math.inf)
 
 
-def _shaped(intensity: Array, shaping: Shaping, matrix: Array, path: object, notes: Notebook, *, seen: Callable[[Array], Array] = as_ball) -> Lamp | None:
+def _shaped(intensity: Array, shaping: Shaping, matrix: Array, path: object, notes: Diagnostics, *, seen: Callable[[Array], Array] = as_ball) -> Lamp | None:
     """A lamp at a point, which far from its surface it is, with a table of its light.
 
     Args:
@@ -292,7 +292,7 @@ def _spot(intensity: Array, cone: tuple[float, float], matrix: Array) -> Lamp:
     return Lamp(emitter, float(LUMINANCE @ intensity) * solid_angle)
 
 
-def _sphere(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Notebook) -> Lamp | None:
+def _sphere(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics) -> Lamp | None:
     radius = float(inputs.get("radius", 0.5))
     mean_scale = abs(float(np.linalg.det(matrix[:3, :3]))) ** (1.0 / 3.0)
     shaping = read_shaping(inputs, path, notes)
@@ -321,7 +321,7 @@ def _sphere(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, pa
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), shape)
 
 
-def _flat(inputs: _Inputs, kind: str, radiance: Array, per_area: float, matrix: Array, path: object, notes: Notebook, images: ImageReader) -> Lamp | None:
+def _flat(inputs: _Inputs, kind: str, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics, images: ImageReader) -> Lamp | None:
     """A rectangle or disk in its XY plane that shines along -Z; a rectangle's picture has its left at +X and its top at +Y."""
     picture = None
     if kind == "RectLight":
@@ -355,7 +355,7 @@ def _flat(inputs: _Inputs, kind: str, radiance: Array, per_area: float, matrix: 
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), {"type": native, "to_world": place})
 
 
-def _picture(inputs: _Inputs, path: object, notes: Notebook, images: ImageReader) -> Array | None:
+def _picture(inputs: _Inputs, path: object, notes: Diagnostics, images: ImageReader) -> Array | None:
     """(H, W, 3) linear factors of the picture on a light, or None where there is none."""
     asset = inputs.get("texture:file", None)
     if not (authored := getattr(asset, "path", "")):
@@ -371,7 +371,7 @@ def _picture(inputs: _Inputs, path: object, notes: Notebook, images: ImageReader
     return np.maximum(np.repeat(values[..., :1], 3, axis=2) if values.shape[2] < 3 else values[..., :3], 0.0)
 
 
-def _cylinder(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Notebook) -> Lamp | None:
+def _cylinder(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics) -> Lamp | None:
     """A cylinder along X that shines from its side, not from its ends."""
     length, radius = float(inputs.get("length", 1.0)), float(inputs.get("radius", 0.5))
     if inputs.get("treatAsLine", False) or radius <= 0.0 or length <= 0.0:
@@ -398,7 +398,7 @@ def _side(length: float, radius: float) -> Triangles:
     return Triangles(made.positions @ turn.T, made.faces[flat], made.normals @ turn.T)
 
 
-def _unsupported(prim: Usd.Prim, inputs: _Inputs, notes: Notebook) -> None:
+def _unsupported(prim: Usd.Prim, inputs: _Inputs, notes: Diagnostics) -> None:
     path = prim.GetPath()
     for name in ("diffuse", "specular"):
         if float(inputs.get(name, 1.0)) != 1.0:

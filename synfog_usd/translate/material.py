@@ -16,8 +16,8 @@ from pxr import Usd, UsdShade
 
 from synfog_usd.scene import Array
 from synfog_usd.translate import spectrum
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.networks import RefusedError, fed_by, is_textured, native, omni_texture
-from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.texture import ImageReader, TextureNode, UvSource, linear, producer, sampled, shader_id, value_of
 from synfog_usd.translate.wrap import MODES
 
@@ -68,7 +68,7 @@ class Materials:
         reflectance_of: 'mat_*' -> spectrum, of those that have one; see `SceneDict`.
     """
 
-    def __init__(self, time: Usd.TimeCode, notes: Notebook, images: ImageReader) -> None:
+    def __init__(self, time: Usd.TimeCode, notes: Diagnostics, images: ImageReader) -> None:
         self.time, self.notes, self.images = time, notes, images
         self.bsdfs: dict[str, dict[str, Any]] = {}
         self.reflectance_of: dict[str, Array] = {}

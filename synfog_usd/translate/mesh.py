@@ -15,8 +15,8 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
 from synfog_usd.translate import loop
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Attribute, Polygons, cross
-from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.polygons import SMALL, Topology, are_easy, topology, triangulate, triangulate_small
 from synfog_usd.translate.primvars import PrimvarReader, value_at
 from synfog_usd.translate.space import FAR_POINT
@@ -108,7 +108,7 @@ _CARRIED = frozenset({"normals", "primvars:normals", "primvars:displayColor"})
 
 
 def read_mesh(
-    prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook, uv: UvSource | None = None, *, color: str = "displayColor", arrays: Arrays | None = None
+    prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics, uv: UvSource | None = None, *, color: str = "displayColor", arrays: Arrays | None = None
 ) -> Polygons | None:
     """A mesh prim, or None with a note where it cannot be drawn.
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdShade
 
-from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.texture import ImageReader, TextureNode, UvSource, producer, shader_id, texture_node, value_of
 
 _IMAGES = ("ND_image_", "ND_tiledimage_")
@@ -27,7 +27,7 @@ PLUGINS = frozenset((*_TEXTURES, *_METALS_AND_GLASS, *_COATED, "blendbsdf", "bum
 """Mitsuba's plugins that a material may name."""
 
 
-def fed_by(output: Usd.Attribute, name: str, time: Usd.TimeCode, notes: Notebook, shader: Sdf.Path) -> TextureNode | None:
+def fed_by(output: Usd.Attribute, name: str, time: Usd.TimeCode, notes: Diagnostics, shader: Sdf.Path) -> TextureNode | None:
     """The picture behind a shader output, or None with a note where there is none that is known."""
     channel, decoded, passed = "", False, ""
     for _ in range(_STEPS):
@@ -61,7 +61,7 @@ def fed_by(output: Usd.Attribute, name: str, time: Usd.TimeCode, notes: Notebook
     return None
 
 
-def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Notebook) -> TextureNode:
+def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> TextureNode:
     """A MaterialX image node."""
     shader = UsdShade.Shader(output.GetPrim())
     path, asset = str(shader.GetPath()), value_of(shader, "file", time)
@@ -96,7 +96,7 @@ def _space(name: str) -> str:
     return "sRGB" if "srgb" in name.lower() and not name.lower().startswith("lin") else "raw"
 
 
-def _coordinates(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Notebook, *, tiled: bool) -> UvSource:
+def _coordinates(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Diagnostics, *, tiled: bool) -> UvSource:
     output, primvar = producer(shader, "texcoord"), "st"
     if output is not None:
         node, kind = UsdShade.Shader(output.GetPrim()), shader_id(output.GetPrim())
@@ -115,7 +115,7 @@ def _coordinates(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Notebook, *
 # -- OmniPBR -------------------------------------------------------------------------------------------------------
 
 
-def omni_texture(shader: UsdShade.Shader, name: str, time: Usd.TimeCode, notes: Notebook) -> TextureNode | None:
+def omni_texture(shader: UsdShade.Shader, name: str, time: Usd.TimeCode, notes: Diagnostics) -> TextureNode | None:
     """The picture that an OmniPBR shader names for one of a preview surface's inputs, or None."""
 
     def asset(word: str) -> Any:

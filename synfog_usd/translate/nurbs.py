@@ -13,8 +13,8 @@ import numpy.typing as npt
 from pxr import Usd
 from scipy.interpolate import BSpline
 
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles, cross
-from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.primvars import array_at, value_at
 
 Array = npt.NDArray[np.float64]
@@ -116,7 +116,7 @@ def _within(breaks: Array, steps: int) -> Array:
     return np.append((breaks[:-1, None] + np.diff(breaks)[:, None] * share).reshape(-1), breaks[-1])
 
 
-def read_patch(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook) -> Triangles | None:
+def read_patch(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Triangles | None:
     """A NurbsPatch as triangles whose points lie on it, with its normals; or None with a note.
 
     Coordinates are the parameters from 0 to 1 along U and V, unless it has `st` for each control point.

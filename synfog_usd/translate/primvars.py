@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Attribute
-from synfog_usd.translate.notes import Notebook
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -30,7 +30,7 @@ class PrimvarReader:
         point_count: N.
     """
 
-    def __init__(self, prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook, indices: Indices, corner_face: Indices, point_count: int) -> None:
+    def __init__(self, prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics, indices: Indices, corner_face: Indices, point_count: int) -> None:
         self.prim, self.time, self.notes = prim, time, notes
         self.indices, self.corner_face, self.point_count = indices, corner_face, point_count
         self.api = UsdGeom.PrimvarsAPI(prim)

@@ -14,7 +14,7 @@ def summary(scene: SceneDict) -> dict[str, Any]:
     Returns:
         'shapes', 'triangles' (stored), 'triangles_drawn' (instances counted),
         'materials', 'textures', 'groups', 'instances', 'lights' {type: count},
-        'fog' [{path, kind, visibility_m, parent}], 'labels' {name: things},
+        'fog' [{path, kind, visibility_m, parent}], 'labels' {name: instances},
         'camera', 'size_px', 'origin_m', 'notes' {severity: count}.
     """
     shapes = {key: part for key, part in scene.world.items() if key.startswith("shape_")}
@@ -44,7 +44,7 @@ def summary(scene: SceneDict) -> dict[str, Any]:
             }
             for volume in scene.fog
         ],
-        "labels": dict(Counter(thing.label for thing in scene.things)),
+        "labels": dict(Counter(instance.label for instance in scene.instances)),
         "camera": scene.camera.path,
         "size_px": [scene.camera.width_px, scene.camera.height_px],
         "origin_m": list(scene.origin_m),

@@ -15,11 +15,11 @@ from pxr import Usd
 from synfog_usd.translate import curves, geometry, light
 from synfog_usd.translate.bindings import Bindings, varies
 from synfog_usd.translate.convention import Chooser
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.implicit import read_implicit
 from synfog_usd.translate.material import DISPLAY, LUMINANCE, Finish, Materials
 from synfog_usd.translate.mesh import Arrays, look_at_quads, read_arrays, read_mesh
-from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.nurbs import read_patch
 from synfog_usd.translate.space import Array, is_similarity
 from synfog_usd.translate.walk import CURVES, MESHES, Leaf
@@ -31,7 +31,7 @@ Part: TypeAlias = tuple[dict[str, Any], dict[str, Any] | None, float]
 class Shapes:
     """Makes the shapes of leaves."""
 
-    def __init__(self, time: Usd.TimeCode, notes: Notebook, materials: Materials, bindings: Bindings, chooser: Chooser, metres_per_unit: float) -> None:
+    def __init__(self, time: Usd.TimeCode, notes: Diagnostics, materials: Materials, bindings: Bindings, chooser: Chooser, metres_per_unit: float) -> None:
         self.time, self.notes, self.materials, self.bindings, self.chooser = time, notes, materials, bindings, chooser
         self.metres_per_unit = metres_per_unit
         self.ahead: dict[str, Arrays] = {}

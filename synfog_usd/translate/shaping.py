@@ -17,7 +17,7 @@ from pxr import Ar, UsdLux
 
 from synfog_usd.errors import StageError
 from synfog_usd.translate import ies
-from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.space import Array
 
 
@@ -47,7 +47,7 @@ class Shaping:
         return self.profile is None and self.focus <= 0.0
 
 
-def read_shaping(inputs: Any, path: object, notes: Notebook) -> Shaping | None:
+def read_shaping(inputs: Any, path: object, notes: Diagnostics) -> Shaping | None:
     """What narrows a light, or None where it shines everywhere.
 
     Source: UsdLux 25.05, ShapingAPI.
@@ -80,7 +80,7 @@ def read_shaping(inputs: Any, path: object, notes: Notebook) -> Shaping | None:
     )
 
 
-def _photometry(file: str, authored: str, path: object, notes: Notebook) -> ies.Photometry | None:
+def _photometry(file: str, authored: str, path: object, notes: Diagnostics) -> ies.Photometry | None:
     asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(file)) if file else None
     if asset is None:
         notes.warn(path, f"IES profile {authored} is not found; only the cone is drawn")

@@ -9,13 +9,13 @@ from __future__ import annotations
 from pxr import Gf, Sdf, Usd, UsdSkel
 
 from synfog_usd.errors import StageError
-from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.diagnostics import Diagnostics
 
 MAX_PRIMS = 2_000_000
 """Prims that are searched for characters, those of instances counted."""
 
 
-def posed(stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook) -> Usd.Stage:
+def posed(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics) -> Usd.Stage:
     """The stage itself where nothing is skinned, else a copy of it with the pose baked in."""
     if not has_skeletons(stage):
         return stage

@@ -16,15 +16,15 @@ from pxr import Usd
 from synfog_usd import spectra
 from synfog_usd.errors import ParameterError
 from synfog_usd.scene import Array, base_colour, mean_colour
-from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.diagnostics import Diagnostics
 
 
-def emission(prim: Usd.Prim, time: Usd.TimeCode, notes: Notebook) -> Array | None:
+def emission(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Array | None:
     """Relative power of a light that names its spectrum, or None: its colour counts."""
     return _authored(prim, spectra.EMISSION, time, notes, spectra.emission, most=np.inf)
 
 
-def reflectance(prim: Usd.Prim, bsdf: dict[str, Any], time: Usd.TimeCode, notes: Notebook) -> Array | None:
+def reflectance(prim: Usd.Prim, bsdf: dict[str, Any], time: Usd.TimeCode, notes: Diagnostics) -> Array | None:
     """Reflectance of a material that names its spectrum, or None: the colour counts.
 
     Args:
@@ -58,7 +58,7 @@ def _value(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Any:
     return np.array(value)
 
 
-def _authored(prim: Usd.Prim, name: str, time: Usd.TimeCode, notes: Notebook, named: Callable[[str], Array], *, most: float) -> Array | None:
+def _authored(prim: Usd.Prim, name: str, time: Usd.TimeCode, notes: Diagnostics, named: Callable[[str], Array], *, most: float) -> Array | None:
     value = _value(prim, name, time)
     if value is None:
         return None

@@ -18,7 +18,7 @@ import OpenImageIO
 from pxr import Ar, Gf, Usd, UsdShade
 
 from synfog_usd.errors import StageError
-from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.wrap import MODES, Wrapped, wrapped
 
 MAX_PIXELS = 1 << 26
@@ -88,7 +88,7 @@ class TextureNode:
 class ImageReader:
     """Image files by resolved path, also inside .usdz; each read once."""
 
-    def __init__(self, notes: Notebook) -> None:
+    def __init__(self, notes: Diagnostics) -> None:
         self.notes = notes
         self._images: dict[str, Pixels | None] = {}
         self._bytes = 0
@@ -244,7 +244,7 @@ def linear(pixels: Pixels, *, srgb: bool) -> npt.NDArray[np.float32]:
     return color
 
 
-def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Notebook) -> TextureNode:
+def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Diagnostics) -> TextureNode:
     """What a UsdUVTexture says, from the output that a material is connected to."""
     shader = UsdShade.Shader(output.GetPrim())
     path = str(shader.GetPath())
@@ -328,7 +328,7 @@ def shader_id(prim: Usd.Prim) -> str:
     return str(attribute.Get() or "") if attribute else ""
 
 
-def _uv_source(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Notebook) -> UvSource | None:
+def _uv_source(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Diagnostics) -> UvSource | None:
     """The primvar behind 'st' and the transforms between, or None where 'st' is not connected."""
     matrix = np.eye(3)
     output = producer(shader, "st")

@@ -27,10 +27,10 @@ from synfog_usd.fog.volume import crosses, is_inside
 from synfog_usd.scene import Camera
 from synfog_usd.stage.open import fence_of
 from synfog_usd.stage.schema import DEFAULTS, PREFIX, FogAttributes, read_fog
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import part
 from synfog_usd.translate.implicit import read_implicit
 from synfog_usd.translate.mesh import read_mesh
-from synfog_usd.translate.notes import Notebook
 from synfog_usd.translate.space import Array, apply, scaled
 
 DEFAULT_MOR_M = float(DEFAULTS["mor"])
@@ -64,7 +64,7 @@ class FogError(StageError):
         self.rule, self.path = rule, path
 
 
-def fog_volume(prim: Usd.Prim, source: Usd.Prim | None, matrix: Array, time: Usd.TimeCode, notes: Notebook) -> FogVolume | None:
+def fog_volume(prim: Usd.Prim, source: Usd.Prim | None, matrix: Array, time: Usd.TimeCode, notes: Diagnostics) -> FogVolume | None:
     """The fog within one boundary prim, or None where it is switched off.
 
     Args:
@@ -172,7 +172,7 @@ def is_closed(vertices: Array, faces: npt.NDArray[np.int64]) -> bool:
     return len(faces) >= 4 and _open_edges(_welded(vertices, faces)) == 0
 
 
-def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Notebook) -> Boundary:
+def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Diagnostics) -> Boundary:
     kind, path = prim.GetTypeName(), prim.GetPath()
     try:
         if kind in ("Cube", "Sphere"):
@@ -262,7 +262,9 @@ def _open_edges(mesh: tuple[Array, npt.NDArray[np.int64]]) -> int:
     return int(len(np.setxor1d(forward, backward)) // 2 + len(forward) - len(np.unique(forward)))
 
 
-def _medium(attributes: FogAttributes, base_m: float, stage: Usd.Stage, notes: Notebook, *, grid: DensityGrid | None = None, densest: float = 1.0) -> FogMedium:
+def _medium(
+    attributes: FogAttributes, base_m: float, stage: Usd.Stage, notes: Diagnostics, *, grid: DensityGrid | None = None, densest: float = 1.0
+) -> FogMedium:
     """What fills a boundary; with a `grid` of its own, whose 1 stands for the density `densest`, whatever profile is authored."""
     values, authored = attributes.values, attributes.attribute_of
 
@@ -312,7 +314,7 @@ def _medium(attributes: FogAttributes, base_m: float, stage: Usd.Stage, notes: N
 Fault = Callable[[str, str], StageError]
 
 
-def _phase(attributes: FogAttributes, fault: Fault, notes: Notebook) -> Phase | None:
+def _phase(attributes: FogAttributes, fault: Fault, notes: Diagnostics) -> Phase | None:
     """The phase function, or None for Henyey-Greenstein's with the attribute g."""
     kind, diameter = attributes.values["phase"], attributes.values["dropletDiameter"]
     if kind == "hg":
@@ -348,7 +350,7 @@ def _density_grid(asset: Sdf.AssetPath | None, stage: Usd.Stage, fault: Fault) -
         raise fault("densityGrid", str(problem).strip() or "the file is damaged") from problem
 
 
-def fog_box(prim: Usd.Prim, material: UsdShade.Material, time: Usd.TimeCode, notes: Notebook, *, is_blender: bool) -> bool | None:
+def fog_box(prim: Usd.Prim, material: UsdShade.Material, time: Usd.TimeCode, notes: Diagnostics, *, is_blender: bool) -> bool | None:
     """Whether a mesh without fog attributes, whose material has no surface, is the box of an exported volume.
 
     Blender writes a box with a volume material as a mesh whose material has no output
@@ -373,7 +375,7 @@ def fog_box(prim: Usd.Prim, material: UsdShade.Material, time: Usd.TimeCode, not
     return False
 
 
-def rtx_fog(stage: Usd.Stage, notes: Notebook) -> None:
+def rtx_fog(stage: Usd.Stage, notes: Diagnostics) -> None:
     """Note Omniverse's fog, a colour laid over the distance after rendering, of which no visibility can be told."""
     settings = stage.GetRootLayer().customLayerData.get("renderSettings", {})
     found = {name: settings[name] for name in settings if str(name).startswith("rtx:fog:")}
@@ -424,7 +426,7 @@ def _vdb_path(prim: Usd.Prim) -> Path | None:
     return None
 
 
-def _vdb_volume(prim: Usd.Prim, attributes: FogAttributes, matrix: Array, notes: Notebook) -> FogVolume:
+def _vdb_volume(prim: Usd.Prim, attributes: FogAttributes, matrix: Array, notes: Diagnostics) -> FogVolume:
     """Fog of an OpenVDB volume, from the .npz that was made of it.
 
     Raises:

@@ -16,7 +16,7 @@ from synfog_usd.errors import StageError
 from synfog_usd.stage.budget import MAX_DEPTH
 from synfog_usd.stage.labels import LABEL_SOURCES, UNLABELED, direct_label, official_name
 from synfog_usd.stage.schema import PREFIX, has_fog_attributes
-from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.space import FAR, columns
 from synfog_usd.translate.volume import vdb_fault
 
@@ -56,7 +56,7 @@ class Owner:
     path: str
     label: str
     splits: bool = False
-    """Whether instances below are things of their own: a group of things, not one thing."""
+    """Whether instances below are instances of their own: a group of them, not one."""
 
 
 @dataclass(slots=True)
@@ -151,7 +151,7 @@ class _State:
     stronger: bool = False
 
 
-def walk(stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook) -> Walk:
+def walk(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics) -> Walk:
     """Everything that can be seen, shines or is fog, once.
 
     Invisible and inactive prims and those of purpose guide and proxy are left out,
@@ -164,7 +164,7 @@ def walk(stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook) -> Walk:
 
 
 class _Walker:
-    def __init__(self, stage: Usd.Stage, time: Usd.TimeCode, notes: Notebook) -> None:
+    def __init__(self, stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics) -> None:
         self.stage, self.time, self.notes = stage, time, notes
         self.transforms = UsdGeom.XformCache(time)
         self.result = Walk()
@@ -321,7 +321,9 @@ class _Walker:
         prototype = prim.GetPrototype()
         path = str(prim.GetPath())
         index = self.group_of(prototype, state, self.bound(prim, state), state.color)
-        self.place(index, self.matrix(prim, frame), path, state, group, own_thing=state.owner is not None and (state.owner.splits or state.owner.path == path))
+        self.place(
+            index, self.matrix(prim, frame), path, state, group, own_instance=state.owner is not None and (state.owner.splits or state.owner.path == path)
+        )
 
     def point_instancer(self, prim: Usd.Prim, state: _State, group: Group | None, frame: Usd.Prim | None) -> None:
         instancer = UsdGeom.PointInstancer(prim)
@@ -354,7 +356,7 @@ class _Walker:
             index = groups.get((int(which[number]), int(kind_of[number])))
             if index is not None:
                 own = state.owner is None or state.owner.splits or state.owner.path == path or state.model is None
-                self.place(index, products[number], f"{path}[{number}]", state, group, own_thing=own)
+                self.place(index, products[number], f"{path}[{number}]", state, group, own_instance=own)
 
     def instance_colors(
         self, prim: Usd.Prim, state: _State, which: npt.NDArray[np.int64], shown: npt.NDArray[np.bool_]
@@ -404,12 +406,12 @@ class _Walker:
         self.result.groups.append(group)
         return self.group_index[key]
 
-    def place(self, index: int, matrix: Array, path: str, state: _State, group: Group | None, *, own_thing: bool) -> None:
+    def place(self, index: int, matrix: Array, path: str, state: _State, group: Group | None, *, own_instance: bool) -> None:
         if not np.abs(matrix).max() <= FAR or abs(np.linalg.det(matrix[:3, :3])) < 1e-300:
             self.notes.warn(path, "an instance scaled to nothing, or placed at no finite point or at one of more than 10 digits, is left out")
             return
         owner = state.owner
-        if owner is not None and own_thing:
+        if owner is not None and own_instance:
             owner = Owner(path, owner.label)
         inner = self.result.groups[index]
         if group is None:

@@ -189,7 +189,7 @@ def repaired(image: Image) -> Image:
         around = slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2), channel
         known = image.pixels[around][~broken[around]]
         pixels[row, column, channel] = max(float(np.median(known)), 0.0) if known.size else 0.0
-    return image.with_pixels(pixels).noted(repaired_values=count)
+    return image.with_pixels(pixels).with_metadata(repaired_values=count)
 
 
 def check_finite(image: Image, where: str) -> None:

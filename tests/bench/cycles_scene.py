@@ -2,7 +2,7 @@
 
 Takes a stage; gives the simplified `SceneDict` that our own renderer draws, and
 `<stem>.npz` + `<stem>.json`, which `cycles_peer.py` reads in Blender's Python.  The
-two then draw one and the same thing, so that their means must agree and their
+two then draw one and the same instance, so that their means must agree and their
 errors can be compared.
 
     python tests/bench/cycles_scene.py export stages/bench/canyon.usda out/canyon --fog mor150 --size 80x45
@@ -41,7 +41,7 @@ DISK_SIDES = 64
 def simplified(scene: SceneDict) -> SceneDict:
     """The same geometry and light with one matt colour a material, flat faces and lamps made of triangles.
 
-    Dropped: textures (their mean is kept), gloss, metal, smooth normals, masks, things and their labels.
+    Dropped: textures (their mean is kept), gloss, metal, smooth normals, masks, instances and their labels.
 
     Raises:
         ValueError: a light or shape that Cycles is not given here.
@@ -69,7 +69,7 @@ def simplified(scene: SceneDict) -> SceneDict:
         starts = np.cumsum([0, *(len(points) for points, _ in meshes[:-1])])
         joined = np.concatenate([points for points, _ in meshes]), np.concatenate([faces + start for (_, faces), start in zip(meshes, starts, strict=True)])
         world[f"shape_{index:03d}_flat"] = _mesh(*joined, _matt(world, colour))
-    return replace(scene, world=world, things=(), thing_of={}, notes=())
+    return replace(scene, world=world, instances=(), instance_of={}, notes=())
 
 
 def export(scene: SceneDict, stem: Path) -> None:

@@ -103,7 +103,7 @@ def test_black_and_white_level_become_zero_and_one():
 def test_levels_come_from_the_node_then_the_image_then_the_sensor():
     """What a node says goes before what the ADC noted, and that before the profile (64 and 1023)."""
     image = numbers([[100.0, 300.0]])
-    noted = image.noted(black_level_dn=100, white_level_dn=300)
+    noted = image.with_metadata(black_level_dn=100, white_level_dn=300)
     np.testing.assert_allclose(isp.black_level(image, sensor=SENSOR).pixels.ravel(), [36 / 959, 236 / 959], rtol=1e-6)
     np.testing.assert_array_equal(isp.black_level(noted, sensor=SENSOR).pixels.ravel(), [0.0, 1.0])
     np.testing.assert_allclose(isp.black_level(noted, black_level_dn=0.0, sensor=SENSOR).pixels.ravel(), [1 / 3, 1.0], rtol=1e-6)
@@ -168,7 +168,7 @@ def test_companded_numbers_are_not_taken_for_linear_ones():
         isp.decompand(numbers([[64.0]]))
     for knees in ([[240, 64]], [[240, 64], [200, 100]], [[1, 2, 3], [4, 5, 6]]):
         with pytest.raises(ImageError, match="both rising"):
-            isp.decompand(companded([[64.0]]).noted(companding=knees))
+            isp.decompand(companded([[64.0]]).with_metadata(companding=knees))
     with pytest.raises(ImageError, match="go up to 65535"):
         isp.decompand(companded([[70000.0]]))
 
@@ -200,7 +200,7 @@ def test_as_shot_makes_its_neutral_white_behind_every_pattern(pattern):
     out = isp.white_balance(image, illuminant="as_shot", sensor=SENSOR)
     np.testing.assert_allclose(out.pixels, 0.5, rtol=2e-7)
     with pytest.raises(ImageError, match="does not fit the filters"):
-        isp.white_balance(image.noted(as_shot_neutral=[1.0, 1.0]), illuminant="as_shot", sensor=SENSOR)
+        isp.white_balance(image.with_metadata(as_shot_neutral=[1.0, 1.0]), illuminant="as_shot", sensor=SENSOR)
 
 
 def test_as_shot_needs_a_neutral():
@@ -257,7 +257,7 @@ def test_the_pattern_comes_from_the_image_then_the_sensor():
     with pytest.raises(ImageError, match="does not say its cfa_pattern"):
         isp.pattern_of(bare, None)
     with pytest.raises(ImageError, match="'XTRANS' is not known; it can be RGGB"):
-        isp.pattern_of(image.noted(cfa_pattern="XTRANS"), None)
+        isp.pattern_of(image.with_metadata(cfa_pattern="XTRANS"), None)
 
 
 def test_ops_on_mosaics_refuse_pictures_and_the_other_way_round():

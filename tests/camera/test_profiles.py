@@ -36,7 +36,7 @@ def test_the_phone_sensor_has_the_public_figures():
     assert sensor.saturation_e == pytest.approx(959 / 0.1705)
 
 
-# (what is replaced; by what, ^ standing before the thing that is wrong; the message or its start)
+# (what is replaced; by what, ^ standing before the instance that is wrong; the message or its start)
 FAULTS = [
     ("{value: 6000,   source: isetcam}", "{value: ^many, source: isetcam}", "full_well_e is 'many'; it takes a number from 100 to 1e+07"),
     ("{value: 6000,   source: isetcam}", "{value: ^-5, source: isetcam}", "full_well_e is -5; it takes"),

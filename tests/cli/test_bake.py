@@ -14,7 +14,7 @@ import pytest
 from support.stages import street
 
 SHOTS = [f"{lighting}/{fog}" for lighting in ("sky", "active") for fog in ("clear", "mor600", "mor150")]
-OUTPUTS = {"radiance.exr", "layers.exr", "things.json", "raw.dng", "srgb.png"}
+OUTPUTS = {"radiance.exr", "layers.exr", "instances.json", "raw.dng", "srgb.png"}
 
 
 def command(*arguments):

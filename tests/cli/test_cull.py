@@ -47,15 +47,15 @@ def baked(tmp_path_factory):
     return {name: (folder / name, *bake(stage, folder / name, *more)) for name, more in (("reduced", ()), ("whole", ("--no-cull",)))}
 
 
-def things(folder, fog):
-    return {thing["path"]: thing for thing in json.loads((folder / "sky" / fog / "things.json").read_text())["things"]}
+def instances(folder, fog):
+    return {instance["path"]: instance for instance in json.loads((folder / "sky" / fog / "instances.json").read_text())["instances"]}
 
 
 def test_a_bake_tells_what_lies_behind_fog(baked):
     """One line on the way and a record in bake.json; with --no-cull there is no line, and no triangle is saved."""
     _, told, manifest = baked["reduced"]
     lines = [line for line in told.splitlines() if "behind fog" in line]
-    assert len(lines) == 1 and "sky/mor50: 1 of 2 things lie behind fog" in lines[0]
+    assert len(lines) == 1 and "sky/mor50: 1 of 2 instances lie behind fog" in lines[0]
     (foggy,) = (row["behind_fog"] for row in manifest["shots"])
     assert foggy["thinned"] + foggy["left_out"] == 1 and foggy["triangles_saved"] > 50_000
     _, told, manifest = baked["whole"]
@@ -66,7 +66,7 @@ def test_a_bake_tells_what_lies_behind_fog(baked):
 def test_things_are_listed_with_the_transmittance_before_them(baked):
     """exp(-3 x 150 / 50) before the stones, by the WMO's threshold of 5 %, and exp(-3) before the wall."""
     for name, drawn in (("reduced", {"thinned", "left out"}), ("whole", {"whole"})):
-        found = things(baked[name][0], "mor50")
+        found = instances(baked[name][0], "mor50")
         assert found["/World/Stones"]["transmittance"] == pytest.approx(0.05 ** (150 / 50), rel=1e-3)
         assert found["/World/Wall"]["transmittance"] == pytest.approx(0.05, rel=1e-3)
         assert found["/World/Stones"]["drawn"] in drawn and found["/World/Wall"]["drawn"] == "whole"
@@ -77,7 +77,7 @@ def test_labels_and_the_layer_of_transmittance_are_of_the_whole_scene(baked):
     reduced, whole = baked["reduced"][0], baked["whole"][0]
     for name in ("labels.exr", "labels.json"):
         assert (reduced / name).read_bytes() == (whole / name).read_bytes()
-    seen = {thing["path"]: thing["pixels"] for thing in json.loads((reduced / "labels.json").read_text())["things"]}
+    seen = {instance["path"]: instance["pixels"] for instance in json.loads((reduced / "labels.json").read_text())["instances"]}
     assert seen["/World/Stones"] > 0
     layers = [OpenImageIO.ImageBuf(str(folder / "sky" / "mor50" / "layers.exr")) for folder in (reduced, whole)]
     channel = list(layers[0].spec().channelnames).index("transmittance.Y")

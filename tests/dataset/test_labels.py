@@ -13,9 +13,9 @@ from synfog_usd.dataset import bake, labels
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.image import Image, Quantity
 from synfog_usd.render.layers import Layers
-from synfog_usd.scene import Camera, SceneDict, Thing
+from synfog_usd.scene import Camera, Instance, SceneDict
 
-THINGS = (Thing(1, "/World/Road", "road"), Thing(2, "/World/Car", "car"), Thing(3, "/World/Behind", "person"), Thing(4, "/World/Blob", "unlabeled"))
+THINGS = (Instance(1, "/World/Road", "road"), Instance(2, "/World/Car", "car"), Instance(3, "/World/Behind", "person"), Instance(4, "/World/Blob", "unlabeled"))
 
 IDS = np.array(
     [
@@ -29,12 +29,12 @@ IDS = np.array(
 
 @pytest.fixture
 def layers():
-    """Four rows of five: sky, a car in an L, a road, one thing that is hidden."""
+    """Four rows of five: sky, a car in an L, a road, one instance that is hidden."""
     depth = np.where(IDS > 0, 10.0 + np.arange(20).reshape(4, 5), np.inf)
     normal = np.zeros((4, 5, 3))
     normal[IDS == 1] = (0.0, 0.0, 1.0)
     normal[IDS == 2] = (0.0, -1.0, 0.0)
-    return Layers(distance_m=depth + 0.5, depth_m=depth, normal=normal, thing=IDS, transmittance=np.exp(-np.where(np.isfinite(depth), depth, 1e3) / 100))
+    return Layers(distance_m=depth + 0.5, depth_m=depth, normal=normal, instance=IDS, transmittance=np.exp(-np.where(np.isfinite(depth), depth, 1e3) / 100))
 
 
 def plane(image, name):
@@ -106,7 +106,7 @@ def test_the_matte_has_one_rank_that_its_manifest_names(layers):
     """Id in R and coverage in G of rank 0; the ids' bits are in the manifest, also of what is hidden; no second rank."""
     image = labels.label_image(layers, THINGS)
     manifest = json.loads(image.provenance["cryptomatte/f834d0a/manifest"])
-    assert list(manifest) == [thing.path for thing in THINGS] and len(set(manifest.values())) == len(THINGS)
+    assert list(manifest) == [instance.path for instance in THINGS] and len(set(manifest.values())) == len(THINGS)
     names = {int(digits, 16): path for path, digits in manifest.items()}
     ids, coverage = plane(image, "crypto_object00.R"), plane(image, "crypto_object00.G")
     for row, column in np.ndindex(IDS.shape):
@@ -130,7 +130,7 @@ def test_another_program_finds_the_mattes_in_the_file(layers, tmp_path, monkeypa
 
     monkeypatch.setattr("synfog_usd.render.shot.load", lambda scene: None)
     monkeypatch.setattr("synfog_usd.render.layers.measure", lambda loaded: layers)
-    bake._write_labels(SceneDict({}, None, things=THINGS), BakePlan(tmp_path / "street.usda", tmp_path))
+    bake._write_labels(SceneDict({}, None, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path))
     source = OpenImageIO.ImageInput.open(str(tmp_path / "labels.exr"))
     header = {item.name: item.value for item in source.spec().extra_attribs}
     channels = list(source.spec().channelnames)
@@ -140,16 +140,16 @@ def test_another_program_finds_the_mattes_in_the_file(layers, tmp_path, monkeypa
     name = header[f"{key}/name"]
     ids, coverage = (pixels[:, :, channels.index(f"{name}00.{part}")] for part in "RG")
     manifest = json.loads(header[f"{key}/manifest"])
-    for thing in THINGS:
-        matte = np.where(ids.view(np.uint32) == int(manifest[thing.path], 16), coverage, 0.0)
-        np.testing.assert_array_equal(matte, thing.id == IDS)
+    for instance in THINGS:
+        matte = np.where(ids.view(np.uint32) == int(manifest[instance.path], 16), coverage, 0.0)
+        np.testing.assert_array_equal(matte, instance.id == IDS)
 
 
 def test_the_list_has_a_box_around_what_is_seen(layers):
     """x, y, width and height of the visible pixels, the nearest distance, and both numbers of the class."""
     listed = labels.label_list(layers, THINGS)
     assert (listed["schema"], listed["taxonomy"]) == ("synfog-usd/labels", "cityscapes")
-    road, car, behind, blob = listed["things"]
+    road, car, behind, blob = listed["instances"]
     assert road == {
         "id": 1, "path": "/World/Road", "label": "road", "semantic_id": 7, "train_id": 0, "pixels": 9, "box_px": [0, 2, 5, 2], "distance_m": 20.5
     }  # fmt: skip
@@ -160,12 +160,12 @@ def test_the_list_has_a_box_around_what_is_seen(layers):
 
 
 def test_an_empty_stage_has_labels_too():
-    """Nothing but sky: class 23 everywhere, no thing."""
+    """Nothing but sky: class 23 everywhere, no instance."""
     nothing = np.full((2, 3), np.inf)
     sky = Layers(nothing, nothing, np.zeros((2, 3, 3)), np.zeros((2, 3), dtype=np.int64), np.ones((2, 3)))
     image = labels.label_image(sky, ())
     assert (plane(image, "semantic.ID") == 23).all() and json.loads(image.provenance["cryptomatte/f834d0a/manifest"]) == {}
-    assert labels.label_list(sky, ())["things"] == []
+    assert labels.label_list(sky, ())["instances"] == []
 
 
 DISTORTED = """synfog: graph/1
@@ -193,7 +193,7 @@ def baked(tmp_path, monkeypatch):
     monkeypatch.setattr("synfog_usd.render.shot.load", lambda scene: None)
     monkeypatch.setattr("synfog_usd.render.layers.measure", lambda loaded: seen)
     view = Camera("/Camera", np.eye(4), 90, 60, 70.0)
-    bake._write_labels(SceneDict({}, view, things=THINGS), BakePlan(tmp_path / "street.usda", tmp_path), graph)
+    bake._write_labels(SceneDict({}, view, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path), graph)
     radiance = Image(np.repeat(ids[..., None], 3, axis=2).astype(np.float32) + 10.0, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 70.0})
     picture = graph.run({"radiance": radiance}, seed=0)["bend"].pixels[..., 1] - 10.0
     return writers.read_exr(tmp_path / "labels.exr", quantity=Quantity.DATA), json.loads((tmp_path / "labels.json").read_bytes()), picture, seen
@@ -206,14 +206,14 @@ def test_labels_are_bent_as_the_picture_is(baked):
     step, wide = (maximum_filter(ids, size) - minimum_filter(ids, size) for size in (3, 9))
     assert 0.05 < (step > 0).mean() < 0.3
     assert (np.abs(picture - ids) > 0.5 * step + 0.1 * wide + 0.01).mean() < 0.002
-    assert (ids != seen.thing).mean() > 0.02
+    assert (ids != seen.instance_id).mean() > 0.02
 
 
 def test_bent_layers_still_agree_with_each_other(baked):
     """Id, depth, distance, normal and matte of a pixel are those of one ray: no depth between a post and the wall."""
     image, _, _, seen = baked
     ids, depth = plane(image, "instance.ID"), plane(image, "depth.Z")
-    known = {(int(i), np.float32(d)) for i, d in zip(seen.thing.ravel(), seen.depth_m.ravel(), strict=True)}
+    known = {(int(i), np.float32(d)) for i, d in zip(seen.instance_id.ravel(), seen.depth_m.ravel(), strict=True)}
     assert {(int(i), d) for i, d in zip(ids.ravel(), depth.ravel(), strict=True)} <= known
     np.testing.assert_array_equal(plane(image, "distance.Z"), depth + 0.5)
     np.testing.assert_array_equal(plane(image, "crypto_object00.G"), ids > 0)
@@ -223,7 +223,7 @@ def test_bent_layers_still_agree_with_each_other(baked):
 def test_boxes_are_those_of_the_bent_ids_and_the_list_says_why(baked):
     image, listed, _, _ = baked
     ids = plane(image, "instance.ID")
-    for row in listed["things"]:
+    for row in listed["instances"]:
         y, x = np.nonzero(ids == row["id"])
         assert row["pixels"] == y.size
         if y.size:

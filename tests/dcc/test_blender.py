@@ -123,7 +123,7 @@ def test_the_scene_is_that_which_was_written_by_hand(plain, tmp_path):
     np.testing.assert_allclose(corners[0], corners[1], atol=1e-4)
     np.testing.assert_allclose(fog.medium.sigma_t_per_m, wanted.medium.sigma_t_per_m, rtol=1e-6)
     np.testing.assert_allclose([theirs.camera.fov_x_deg, *theirs.origin_m], [ours.camera.fov_x_deg, *ours.origin_m], atol=1e-4)
-    assert {thing.label for thing in theirs.things} == {thing.label for thing in ours.things} == {"car", "road"}
+    assert {instance.label for instance in theirs.instances} == {instance.label for instance in ours.instances} == {"car", "road"}
 
 
 def test_variants_are_shots(varied):

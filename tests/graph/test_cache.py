@@ -91,7 +91,7 @@ def test_another_picture_runs_all_and_so_does_another_meaning(run, radiance):
     pixels = radiance.pixels.copy()
     pixels[3, 5, 2] += 1e-3
     assert run(image=radiance.with_pixels(pixels)) == ALL
-    assert run(image=radiance.noted(fov_x_deg=3.0)) == ALL
+    assert run(image=radiance.with_metadata(fov_x_deg=3.0)) == ALL
     assert run(image=Image(radiance.pixels, ("B", "G", "R"), Quantity.RADIANCE)) == ALL
     assert run(image=radiance) == []
 
@@ -100,7 +100,7 @@ def test_auto_that_is_found_in_the_provenance_follows_it(tmp_path, registry, rad
     (tmp_path / "g.yaml").write_text(GRAPH)
     graph, store = load_graph(tmp_path / "g.yaml", registry), Cache(tmp_path / "cache")
     for time_s in (1.0, 2.0, 1.0):
-        exposed = graph.run({"radiance": radiance.noted(time_s=time_s)}, seed=0, until="expose", cache=store)["expose"]
+        exposed = graph.run({"radiance": radiance.with_metadata(time_s=time_s)}, seed=0, until="expose", cache=store)["expose"]
         np.testing.assert_array_equal(exposed.pixels, radiance.pixels[..., :1] * 2 * np.float32(time_s))
 
 
@@ -153,7 +153,7 @@ def test_what_json_would_change_is_not_kept(tmp_path, radiance):
     store = Cache(tmp_path / "cache")
     for number, (value, kept) in enumerate([((1, 2), False), ([1, 2], True), (float("nan"), False), (np.float32(1), False), ({"a": None}, True)]):
         key = f"{number:064d}"
-        store.put(key, radiance.noted(fact=value))
+        store.put(key, radiance.with_metadata(fact=value))
         store.flush()
         assert (store.get(key) is not None) is kept
 

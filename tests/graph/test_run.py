@@ -55,7 +55,7 @@ def test_a_node_that_is_added_moves_no_other_stream(tmp_path, registry, radiance
 def test_auto_is_found_in_the_settings_before_the_provenance(tmp_path, registry, radiance):
     graph = load(tmp_path, registry)
     assert graph.settings_needed == ("time_s",)
-    noted = radiance.noted(time_s=2.0)
+    noted = radiance.with_metadata(time_s=2.0)
     assert graph.run({"radiance": noted}, seed=0, until="expose")["expose"].pixels[0, 1, 0] == 3 * 2 * 2
     assert graph.run({"radiance": noted}, seed=0, until="expose", settings={"time_s": 5.0})["expose"].pixels[0, 1, 0] == 3 * 2 * 5
 

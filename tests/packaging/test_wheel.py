@@ -138,5 +138,5 @@ def test_the_wheel_bakes_where_there_is_no_checkout(away, content):
     site, empty, run = away
     (empty / "street.usda").write_text(street())
     run("-m", "synfog_usd.cli.main", "bake", "street.usda", "-o", "out", "--resolution", "32x18", "--samples", "4", "--fog", "mor150", "--lighting", "sky")
-    assert {path.name for path in (empty / "out" / "sky" / "mor150").iterdir()} == {"radiance.exr", "layers.exr", "raw.dng", "srgb.png", "things.json"}
+    assert {path.name for path in (empty / "out" / "sky" / "mor150").iterdir()} == {"radiance.exr", "layers.exr", "raw.dng", "srgb.png", "instances.json"}
     assert {path.relative_to(site).as_posix() for path in site.rglob("*") if path.is_file()} == set(content)

@@ -23,7 +23,7 @@ def alone(path):
     UsdGeom.SetStageUpAxis(stage, "Y")
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.Camera.Define(stage, "/Camera")
-    stage.DefinePrim("/Thing").GetReferences().AddReference(str(path))
+    stage.DefinePrim("/Instance").GetReferences().AddReference(str(path))
     return stage
 
 
@@ -104,7 +104,7 @@ def test_cars_are_drawn_triangle_by_triangle(name):
 def test_variants_are_drawn_as_selected(wheels):
     """Whatever the variant sets of the kit offer, what is selected is what is drawn."""
     stage = alone(CARS / "vehicleVariants.usda")
-    sets = stage.GetPrimAtPath("/Thing").GetVariantSets()
+    sets = stage.GetPrimAtPath("/Instance").GetVariantSets()
     for name in sets.GetNames():
         if wheels in sets.GetVariantSet(name).GetVariantNames():
             sets.GetVariantSet(name).SetVariantSelection(wheels)
@@ -158,8 +158,8 @@ def test_blenders_subdivided_monkey_is_smooth(street):
     matrix = np.array(UsdGeom.Xformable(mesh).ComputeLocalToWorldTransform(0.0))
     world = (np.c_[cage, np.ones(len(cage))] @ matrix)[:, :3]
     corners = len(UsdGeom.Mesh(mesh).GetFaceVertexIndicesAttr().Get())
-    thing = next(thing for thing in street.things if thing.path.startswith(str(mesh.GetPath())))
-    shape = street.world[next(key for key, number in street.thing_of.items() if number == thing.id)[0]]
+    instance = next(instance for instance in street.instances if instance.path.startswith(str(mesh.GetPath())))
+    shape = street.world[next(key for key, number in street.instance_of.items() if number == instance.id)[0]]
     assert len(shape["faces"]) == 2 * 4 * corners  # one quad for each corner, then four for each quad
     points = shape["positions"] + street.origin_m
     assert (points.min(axis=0) >= world.min(axis=0) - 1e-6).all() and (points.max(axis=0) <= world.max(axis=0) + 1e-6).all()

@@ -146,7 +146,7 @@ def warnings_of(printed):
 def assert_whole(out, shot):
     """The files of a shot are there and its radiance is light."""
     radiance = read_exr(out / shot / "radiance.exr").pixels
-    assert {path.name for path in (out / shot).iterdir()} == {"radiance.exr", "layers.exr", "things.json", "raw.dng", "srgb.png"}
+    assert {path.name for path in (out / shot).iterdir()} == {"radiance.exr", "layers.exr", "instances.json", "raw.dng", "srgb.png"}
     assert np.isfinite(radiance).all() and (radiance >= 0).all() and radiance.mean() > 0
 
 
@@ -204,27 +204,27 @@ def test_models_from_elsewhere_bake_without_a_warning(parked):
 def test_every_model_is_one_thing_of_its_class(parked):
     """Wheels, glass and lamps of a car carry the id of the prim that was labelled, and all ten are seen."""
     out, _ = parked
-    things = {row["path"]: row for row in json.loads((out / "labels.json").read_text())["things"]}
+    instances = {row["path"]: row for row in json.loads((out / "labels.json").read_text())["instances"]}
     wanted = {f"/World/{place[0]}": place[2] for place in PLACES} | {f"/World/{walker[0]}": "person" for walker in WALKERS} | {"/World/Ground": "road"}
-    assert {path: row["label"] for path, row in things.items()} == wanted
-    assert not [path for path, row in things.items() if row["pixels"] < 20]
+    assert {path: row["label"] for path, row in instances.items()} == wanted
+    assert not [path for path, row in instances.items() if row["pixels"] < 20]
     layers = layers_of(out, "authored/authored")
     assert set(np.unique(layers["semantic.ID"])) == {SKY, ROAD, PERSON, CAR, TRUCK}
-    for row in things.values():
+    for row in instances.values():
         seen = layers["instance.ID"] == row["id"]
         assert seen.sum() == row["pixels"] and (layers["semantic.ID"][seen] == row["semantic_id"]).all()
 
 
 def test_models_have_the_size_of_cars_and_people(parked):
-    """Boxes in metres at the thing's distance, from a focal length of 0.35 / 0.36 of the picture's width; posed people do not spread their arms."""
+    """Boxes in metres at the instance's distance, from a focal length of 0.35 / 0.36 of the picture's width; posed people do not spread their arms."""
     out, _ = parked
-    things = {row["path"].rpartition("/")[2]: row for row in json.loads((out / "labels.json").read_text())["things"]}
+    instances = {row["path"].rpartition("/")[2]: row for row in json.loads((out / "labels.json").read_text())["instances"]}
     focal_px = 160 * 0.35 / 0.36
-    size = {name: [side * row["distance_m"] / focal_px for side in row["box_px"][2:]] for name, row in things.items()}
+    size = {name: [side * row["distance_m"] / focal_px for side in row["box_px"][2:]] for name, row in instances.items()}
     assert 1.65 < size["Van"][0] < 2.3 and 2.2 < size["Van"][1] < 2.8  # 2.11 x 2.58 m in its file, widest up to 4 m behind its nearest point; a pixel is 0.13 m
     assert 1.35 < size["Cesium"][1] < 1.6 and 1.35 < size["Rigged"][1] < 1.6  # 1.46 and 1.48 m in their first frames; a pixel is 0.05 m
     assert size["Cesium"][0] < 0.6  # 0.50 m in a walk, 1.14 m with its arms spread
-    assert 15.0 < things["Van"]["distance_m"] - 4.6 / 2 < 22.0 and 6.0 < things["Cesium"]["distance_m"] < 7.5
+    assert 15.0 < instances["Van"]["distance_m"] - 4.6 / 2 < 22.0 and 6.0 < instances["Cesium"]["distance_m"] < 7.5
 
 
 def test_transmittance_among_them_is_the_closed_form(parked):
@@ -313,7 +313,7 @@ def test_the_example_street_bakes_without_a_warning(example):
 def test_the_example_streets_car_is_where_its_numbers_say(example):
     """A car of 1.8 x 1.5 m whose back is at 37.9 m, seen from 1.4 m above the road with 35.15 degrees to each side: rows 39.7 to 44.2, columns 77.3 to 82.7."""
     out, _ = example
-    (car,) = json.loads((out / "labels.json").read_text())["things"]
+    (car,) = json.loads((out / "labels.json").read_text())["instances"]
     assert (car["path"], car["label"], car["box_px"], car["pixels"]) == ("/World/Car", "car", [77, 40, 6, 4], 24)
     assert car["distance_m"] == pytest.approx(37.9, abs=0.01)
 
@@ -386,8 +386,8 @@ def test_blenders_street_is_right_way_up_through_a_shifted_lens(exported):
     assert road.sum() > 3000 and road[-1].all()
     column = layers["distance.Z"][:, 72][road[:, 72]]  # where the axis is
     assert (np.diff(column) < 0).all() and column[0] > 30.0
-    things = {row["path"].split("/")[2]: row for row in json.loads((out / "labels.json").read_text())["things"]}
-    left, top, width, height = things["Pedestrian"]["box_px"]
+    instances = {row["path"].split("/")[2]: row for row in json.loads((out / "labels.json").read_text())["instances"]}
+    left, top, width, height = instances["Pedestrian"]["box_px"]
     x, z = direction[0, :, 0], direction[:, 0, 2]
     columns, rows = np.flatnonzero((x > -2.25 / 24.85) & (x < -1.75 / 25.15)), np.flatnonzero((z < 0.35 / 24.85) & (z > -1.4 / 24.85))
     assert [left, width] == [columns[0], len(columns)] and [top, height] == [rows[0], len(rows)]

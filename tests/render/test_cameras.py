@@ -77,7 +77,7 @@ def test_labels_are_those_of_parallel_rays(boundaries):
     np.testing.assert_allclose(found.depth_m, wanted, rtol=1e-5)
     np.testing.assert_allclose(found.distance_m, wanted, rtol=1e-5)
     np.testing.assert_allclose(found.transmittance, 0.05 ** (wanted / 150.0), rtol=1e-5)
-    assert (found.thing == 1).all()
+    assert (found.instance_id == 1).all()
 
 
 def test_a_lens_across_the_edge_of_fog_is_refused_by_what_cannot_tell():

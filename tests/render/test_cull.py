@@ -12,7 +12,7 @@ from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.render import cull, layers
 from synfog_usd.render.shot import load
-from synfog_usd.scene import Thing
+from synfog_usd.scene import Instance
 from synfog_usd.study.truths import scene
 
 SIGMA = 0.06
@@ -32,7 +32,7 @@ def ball(distance_m, *, radius_m=2.0, subdivisions=4, **more):
 
 
 def avenue(*distances_m, light=SKY, fog=(FOG,), **more):
-    """Balls straight ahead, each a thing, and one in an instance beside the last."""
+    """Balls straight ahead, each with an id, and one in an instance beside the last."""
     balls = {f"shape_{distance:g}": ball(distance) for distance in distances_m}
     far = np.eye(4)
     far[:3, 3] = 10.0, distances_m[-1], 0.0
@@ -45,9 +45,9 @@ def avenue(*distances_m, light=SKY, fog=(FOG,), **more):
         **light,
         **more,
     }
-    thing_of = {(key,): number for number, key in enumerate(balls, 1)} | {("instance_0", "skin"): len(balls) + 1}
-    things = tuple(Thing(number, f"/World/{key[0]}", "car") for key, number in thing_of.items())
-    return replace(scene(world, list(fog), width_px=16, height_px=9, fov_x_deg=40.0), things=things, thing_of=thing_of)
+    instance_of = {(key,): number for number, key in enumerate(balls, 1)} | {("instance_0", "skin"): len(balls) + 1}
+    instances = tuple(Instance(number, f"/World/{key[0]}", "car") for key, number in instance_of.items())
+    return replace(scene(world, list(fog), width_px=16, height_px=9, fov_x_deg=40.0), instances=instances, instance_of=instance_of)
 
 
 def hide(source, clear=CLEAR):
@@ -183,9 +183,9 @@ def test_corners_keep_their_texture_and_normals():
 
 
 def test_the_reduced_scene_has_what_its_record_says_and_nothing_unused():
-    """Triangles, materials and things agree with the record; the renderer takes it; each thing is still listed."""
+    """Triangles, materials and instances agree with the record; the renderer takes it; each instance is still listed."""
     source = avenue(20.0, 350.0, shape_wide=ball(160.0, radius_m=40.0))
-    source = replace(source, thing_of={**source.thing_of, ("shape_wide",): 4}, things=(*source.things, Thing(4, "/World/Wide", "car")))
+    source = replace(source, instance_of={**source.instance_of, ("shape_wide",): 4}, instances=(*source.instances, Instance(4, "/World/Wide", "car")))
     hidden = hide(source)
     small = cull.reduced(source, hidden)
     assert hidden.left_out == {"shape_350", "instance_0"} and hidden.thinned == {"shape_wide"}
@@ -193,10 +193,10 @@ def test_the_reduced_scene_has_what_its_record_says_and_nothing_unused():
     faces = sum(len(small.world[key]["faces"]) for key in ("shape_20", "shape_wide"))
     assert faces == pytest.approx(hidden.of_triangles - hidden.triangles, abs=60)  # drawn at random, 512 on average
     assert load(small, boundaries=False).shapes
-    found = hidden.things(source)
+    found = hidden.instances(source)
     assert [state for _, state in found.values()] == ["whole", "left out", "left out", "thinned"]
-    assert found[2][0] == pytest.approx(np.exp(-SIGMA * 348.0)) and hidden.sentence(source).startswith("3 of 4 things lie behind fog (T < 0.0016)")
-    assert small.things == source.things
+    assert found[2][0] == pytest.approx(np.exp(-SIGMA * 348.0)) and hidden.sentence(source).startswith("3 of 4 instances lie behind fog (T < 0.0016)")
+    assert small.instances == source.instances
 
 
 def test_instances_of_one_prototype_share_their_thinned_one():
@@ -221,4 +221,4 @@ def test_the_transmittance_layer_is_that_of_the_whole_scene():
     whole = layers.measure(load(source, boundaries=False))
     seen = layers.seen_through(load(cull.reduced(source, hidden), boundaries=False), clear)
     np.testing.assert_array_equal(seen.transmittance, whole.transmittance)
-    np.testing.assert_array_equal(seen.thing, whole.thing)
+    np.testing.assert_array_equal(seen.instance_id, whole.instance_id)

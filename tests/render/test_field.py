@@ -61,7 +61,7 @@ def test_pixels_are_right_one_by_one_and_quieter_than_those_of_path():
 def test_layers_and_groups_add_up():
     """As in `path`: three layers, and the groups of lamps, each sum to all light."""
     world = view({**SKY, **STREET, **LAMP})
-    world = type(world)(world.world, world.camera, world.fog, world.things, world.thing_of, group_of={"light_lamp": "headlights", "light_sky": "sky"})
+    world = type(world)(world.world, world.camera, world.fog, world.instances, world.instance_of, group_of={"light_lamp": "headlights", "light_sky": "sky"})
     done = render(world, model="field", samples=64)
     np.testing.assert_allclose(sum(done.parts.values()), done.radiance.pixels, rtol=1e-3, atol=1e-5)
     assert set(done.groups) == {"headlights", "sky"}

@@ -25,15 +25,15 @@ def village():
     }
     turn = trimesh.transformations.rotation_matrix
     places = [turn(0.4, (0, 0, 1)) @ np.diag([1, 1, 1, 1.0]), np.diag([-1, 1, 1, 1.0]) @ turn(0.9, (1, 1, 0)), np.diag([0.5, 1.5, 2.0, 1])]
-    thing_of = {}
+    instance_of = {}
     for index, matrix in enumerate(places):
         matrix = matrix.copy()
         matrix[:3, 3] = (-6 + 6 * index, 30, 0)
         world[f"instance_{index}"] = {"type": "instance", "group": {"type": "ref", "id": "group_house"}, "to_world": matrix}
-        thing_of |= {(f"instance_{index}", "walls"): 10 + index, (f"instance_{index}", "dome"): 20 + index}
+        instance_of |= {(f"instance_{index}", "walls"): 10 + index, (f"instance_{index}", "dome"): 20 + index}
     world["shape_loose"] = part(trimesh.creation.box(extents=(40, 1, 1)).apply_translation((0, 40, -2)), "mat_a")
-    thing_of[("shape_loose",)] = 7
-    return replace(scene(world, width_px=160, height_px=90, fov_x_deg=40.0), thing_of=thing_of)
+    instance_of[("shape_loose",)] = 7
+    return replace(scene(world, width_px=160, height_px=90, fov_x_deg=40.0), instance_of=instance_of)
 
 
 def test_joined_instances_look_like_the_renderer_s_own(monkeypatch):
@@ -41,8 +41,8 @@ def test_joined_instances_look_like_the_renderer_s_own(monkeypatch):
     joined = layers.measure(load(village()))
     monkeypatch.setattr(flatten, "MAX_TRIANGLES", 0)
     own = layers.measure(load(village()))
-    assert set(np.unique(own.thing)) == {0, 7, 10, 11, 12, 20, 21, 22}
-    same = joined.thing == own.thing
+    assert set(np.unique(own.instance_id)) == {0, 7, 10, 11, 12, 20, 21, 22}
+    same = joined.instance_id == own.instance_id
     assert np.count_nonzero(~same) <= 3  # of 14 400 pixels
     seen = same & np.isfinite(own.depth_m)
     np.testing.assert_allclose(joined.depth_m[seen], own.depth_m[seen], rtol=2e-5)
@@ -50,13 +50,13 @@ def test_joined_instances_look_like_the_renderer_s_own(monkeypatch):
 
 
 def test_joining_leaves_one_mesh_a_material_and_keeps_every_face():
-    """Two materials, one of them smooth: two meshes; faces and their things are all there."""
-    flat, things = flatten.flatten(village())
+    """Two materials, one of them smooth: two meshes; faces and their instances are all there."""
+    flat, instances = flatten.flatten(village())
     meshes = {key: value for key, value in flat.world.items() if key.startswith("shape_")}
     assert len(meshes) == 2 and not [key for key in flat.world if key.startswith(("instance_", "group_"))]
-    assert {key: len(value["faces"]) for key, value in meshes.items()} == {key: len(ids) for key, ids in things.items()}
-    assert sum(len(ids) for ids in things.values()) == 4 * 12 + 3 * 320
-    counts = np.unique(np.concatenate(list(things.values())), return_counts=True)
+    assert {key: len(value["faces"]) for key, value in meshes.items()} == {key: len(ids) for key, ids in instances.items()}
+    assert sum(len(ids) for ids in instances.values()) == 4 * 12 + 3 * 320
+    counts = np.unique(np.concatenate(list(instances.values())), return_counts=True)
     assert dict(zip(*(column.tolist() for column in counts), strict=True)) == {7: 12, 10: 12, 11: 12, 12: 12, 20: 320, 21: 320, 22: 320}
 
 
@@ -65,5 +65,5 @@ def test_what_cannot_be_joined_stays():
     lamp = {**part(trimesh.creation.box(), "mat_a"), "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
     own = {**part(trimesh.creation.box(), "mat_a"), "bsdf": {"type": "diffuse"}}
     world = {"mat_a": {"type": "diffuse"}, "shape_ball": {"type": "sphere", "bsdf": {"type": "ref", "id": "mat_a"}}, "shape_lamp": lamp, "shape_own": own}
-    flat, things = flatten.flatten(scene(world))
-    assert flat.world == {"type": "scene", **world} and not things
+    flat, instances = flatten.flatten(scene(world))
+    assert flat.world == {"type": "scene", **world} and not instances

@@ -41,7 +41,7 @@ def test_depth_is_planar_and_distance_is_along_the_ray(measured):
     np.testing.assert_allclose(seen.depth_m, 50.0, rtol=FLOAT32)
     np.testing.assert_allclose(seen.distance_m, 50.0 / rays(fov_x_deg=70.0)[:, :, 1], rtol=FLOAT32)
     np.testing.assert_allclose(seen.normal, np.broadcast_to([0.0, -1.0, 0.0], seen.normal.shape), atol=1e-6)
-    assert (seen.thing == 1).all()
+    assert (seen.instance_id == 1).all()
 
 
 @pytest.mark.parametrize("visibility_m", [150.0, 600.0, 2000.0])
@@ -75,7 +75,7 @@ def test_round_boundaries_end_the_fog_at_their_surface(kind, measured):
         ball = trimesh.creation.icosphere(subdivisions=5, radius=80.0)
         boundary, radius, rtol = Boundary("mesh", np.eye(4), ball.vertices, ball.faces), 80.0, 1e-3  # chords of an icosphere: sagitta 0.05 %
     seen = measured({}, [FogVolume("/Fog", boundary, FogMedium(0.02))])
-    assert (seen.thing == 0).all() and np.isinf(seen.depth_m).all()
+    assert (seen.instance_id == 0).all() and np.isinf(seen.depth_m).all()
     np.testing.assert_allclose(seen.transmittance, np.exp(-0.02 * radius), rtol=rtol)
 
 
@@ -94,10 +94,10 @@ def test_exponential_fog_thins_with_height(measured):
 
 def test_cut_out_materials_are_looked_through(measured):
     """A card with opacity 0 hides nothing; with opacity 1 it does."""
-    for opacity, thing in ((0.0, 2), (1.0, 1)):
+    for opacity, instance in ((0.0, 2), (1.0, 1)):
         card = {"type": "mask", "opacity": opacity, "nested": {"type": "diffuse"}}
         seen = measured({"shape_card": wall(10.0, bsdf=card), "shape_wall": wall(50.0)})
-        assert (seen.thing == thing).all()
+        assert (seen.instance_id == instance).all()
 
 
 def test_what_stands_before_the_near_plane_is_cut_only_if_it_was_meant_to():
@@ -105,10 +105,10 @@ def test_what_stands_before_the_near_plane_is_cut_only_if_it_was_meant_to():
     world = {"shape_bonnet": wall(0.5, 0.2), "shape_wall": wall(50.0)}
     whole = scene(world, [uniform_fog()])
     near = replace(whole, camera=replace(whole.camera, near_m=0.2))
-    assert (layers.measure(load(near)).thing == 1).all()
+    assert (layers.measure(load(near)).instance_id == 1).all()
     cut = replace(whole, camera=replace(whole.camera, near_m=1.0))
     seen = layers.measure(load(cut))
-    assert (seen.thing == 2).all()
+    assert (seen.instance_id == 2).all()
     np.testing.assert_allclose(seen.transmittance, np.exp(np.log(0.05) / 150 * 50.0 / rays()[:, :, 1]), rtol=FLOAT32)
 
 
@@ -119,9 +119,9 @@ def test_instances_of_one_prototype_are_different_things():
     world = {"group_ball": {"type": "shapegroup", "ball": ball}}
     world |= {f"instance_{i}": {"type": "instance", "group": {"type": "ref", "id": "group_ball"}, "to_world": place} for i, place in enumerate(places)}
     whole = scene(world, fov_x_deg=30.0)
-    seen = layers.measure(load(replace(whole, thing_of={("instance_0", "ball"): 5, ("instance_1", "ball"): 6})))
-    assert set(np.unique(seen.thing)) == {0, 5, 6}
-    assert seen.thing[4, :8].max() == 5 and seen.thing[4, 8:].max() == 6
+    seen = layers.measure(load(replace(whole, instance_of={("instance_0", "ball"): 5, ("instance_1", "ball"): 6})))
+    assert set(np.unique(seen.instance_id)) == {0, 5, 6}
+    assert seen.instance_id[4, :8].max() == 5 and seen.instance_id[4, 8:].max() == 6
 
 
 @pytest.mark.parametrize("f_number", [0.0, 2.8])
@@ -129,5 +129,5 @@ def test_a_shifted_camera_sees_to_the_side_it_is_shifted_to(f_number):
     """An axis shifted by (0.25, 0.1) of the picture puts the point straight ahead that far left of and below the centre."""
     whole = scene({"shape_dot": wall(50.0, 0.5)}, width_px=80, height_px=40, fov_x_deg=40.0)
     camera = replace(whole.camera, shift=(0.25, 0.1), f_number=f_number, focal_length_m=0.035, focus_m=50.0)
-    y, x = np.nonzero(layers.measure(load(replace(whole, camera=camera))).thing)
+    y, x = np.nonzero(layers.measure(load(replace(whole, camera=camera))).instance_id)
     np.testing.assert_allclose([x.mean() + 0.5, y.mean() + 0.5], [80 * (0.5 - 0.25), 40 * (0.5 + 0.1)], atol=0.5)

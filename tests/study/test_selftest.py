@@ -90,14 +90,14 @@ def test_outside_of_its_domain_a_model_is_shown_in_brackets(monkeypatch):
     """And a crash of ours counts, a refusal does not."""
 
     def crash(loaded):
-        raise RuntimeError("no such thing")
+        raise RuntimeError("no such instance")
 
     bad = models.Model(crash, False, lambda scene: "")
     shy = replace(models.MODELS["path"], refuses=lambda scene: "no")
     monkeypatch.setattr(models, "MODELS", {"new": constant(1.0), "bad": bad, "path": shy})
     ((new, bad, path),) = selftest.run([only(WALL)])
     assert new.verdict == "missed" and not new.failed and new.cell().startswith("(+171/")
-    assert bad.failed and "no such thing" in selftest.summary([[bad]])
+    assert bad.failed and "no such instance" in selftest.summary([[bad]])
     assert path.verdict == "refused" and not path.failed
     assert selftest.table([[new, bad, path]]).splitlines()[1].startswith(new.case)
 

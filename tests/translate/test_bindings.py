@@ -215,8 +215,8 @@ def test_visibility_and_purpose_at_the_frame(empty, square):
         if path in ("/D", "/E"):
             shape.CreateVisibilityAttr().Set("invisible" if path == "/D" else "inherited", 1)
             shape.CreateVisibilityAttr().Set("inherited" if path == "/D" else "invisible", 5)
-    assert [thing.path for thing in translate(stage, frame=1).things] == ["/Proxy/B", "/E"]
-    assert [thing.path for thing in translate(stage, frame=5).things] == ["/Proxy/B", "/D"]
+    assert [instance.path for instance in translate(stage, frame=1).instances] == ["/Proxy/B", "/E"]
+    assert [instance.path for instance in translate(stage, frame=5).instances] == ["/Proxy/B", "/D"]
 
 
 def test_a_reset_of_transforms_within_an_instance_is_told(empty, square):

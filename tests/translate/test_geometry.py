@@ -426,7 +426,7 @@ def test_subsets_split_a_mesh_by_material(empty, polygon_mesh):
         bsdf = scene.world[part["bsdf"]["id"]]
         found[tuple(bsdf["bsdf"]["base_color"]["value"])] = float(np.linalg.norm(area_vectors(part["positions"], part["faces"]), axis=1).sum())
     assert found == {(1.0, 0.0, 0.0): pytest.approx(1.0), (0.0, 0.0, 1.0): pytest.approx(2.0), (0.0, 1.0, 0.0): pytest.approx(1.0)}
-    assert len(scene.things) == 1
+    assert len(scene.instances) == 1
 
 
 def test_varying_display_color_goes_to_the_vertices(empty, polygon_mesh, only_shape):

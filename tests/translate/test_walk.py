@@ -14,9 +14,9 @@ def label(prim, *words):
 
 def named(scene):
     """{(shape, ...): (path, label)} and a check of the ids."""
-    assert [thing.id for thing in scene.things] == list(range(1, len(scene.things) + 1))
-    by_id = {thing.id: (thing.path, thing.label) for thing in scene.things}
-    return {key: by_id[number] for key, number in scene.thing_of.items()}
+    assert [instance.id for instance in scene.instances] == list(range(1, len(scene.instances) + 1))
+    by_id = {instance.id: (instance.path, instance.label) for instance in scene.instances}
+    return {key: by_id[number] for key, number in scene.instance_of.items()}
 
 
 def test_only_what_can_be_seen_is_drawn(empty):
@@ -31,11 +31,11 @@ def test_only_what_can_be_seen_is_drawn(empty):
     UsdGeom.Cube.Define(stage, "/Guide/Back").CreatePurposeAttr("default")
     stage.CreateClassPrim("/Class")
     UsdGeom.Cube.Define(stage, "/Class/Cube")
-    assert {thing.path for thing in translate(stage).things} == {"/Seen/Cube", "/Render/Cube", "/Guide/Back"}
+    assert {instance.path for instance in translate(stage).instances} == {"/Seen/Cube", "/Render/Cube", "/Guide/Back"}
 
 
 def test_the_nearest_label_names_a_thing(empty):
-    """A car with a plate: two things, not a union; what stands unlabelled goes by its component or by itself."""
+    """A car with a plate: two instances, not a union; what stands unlabelled goes by its component or by itself."""
     stage = empty()
     label(UsdGeom.Xform.Define(stage, "/Car").GetPrim(), "car")
     UsdGeom.Cube.Define(stage, "/Car/Body")
@@ -103,7 +103,7 @@ def in_order(points):
 
 
 def test_instances_share_their_prototype_and_have_ids_of_their_own(empty, polygon_mesh):
-    """Three copies of two meshes: one group of two shapes, three instances, each a thing; vertices fall where USD puts them."""
+    """Three copies of two meshes: one group of two shapes, three instances, each with an id; vertices fall where USD puts them."""
     stage = empty()
     stage.CreateClassPrim("/Proto")
     label(stage.GetPrimAtPath("/Proto"), "car")

@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 from synfog_usd import photometry
 from synfog_usd.errors import ParameterError
 from synfog_usd.translate import light, lightgroup
-from synfog_usd.translate.notes import Notebook
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.world import lamps
 from synfog_usd.world.shapes import shift, turn
 
@@ -174,7 +174,7 @@ def test_the_translation_draws_a_lamp_as_bright_as_its_table_and_has_no_remark(n
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     prim = lamps.author_lamp(stage, "/Lamp", name, np.eye(4), lamps=str(SHIPPED)).GetPrim()
-    notes = Notebook()
+    notes = Diagnostics()
     drawn = light.lamp(prim, prim.GetTypeName(), np.eye(4), Usd.TimeCode.Default(), notes, None, metres_per_unit=1.0)
     assert drawn.flux_lm == pytest.approx(lamps.LAMPS[name].flux_lm, rel=0.03)
     assert not notes.closed()

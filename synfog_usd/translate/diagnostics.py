@@ -11,7 +11,7 @@ MAX_SAME = 10
 """Notes of the same text that are kept one by one; the rest is counted."""
 
 
-class Notebook:
+class Diagnostics:
     """Notes in the order in which they came, each (path, text) once."""
 
     def __init__(self) -> None:
