@@ -34,7 +34,7 @@ def layers():
     normal = np.zeros((4, 5, 3))
     normal[IDS == 1] = (0.0, 0.0, 1.0)
     normal[IDS == 2] = (0.0, -1.0, 0.0)
-    return Layers(distance_m=depth + 0.5, depth_m=depth, normal=normal, instance=IDS, transmittance=np.exp(-np.where(np.isfinite(depth), depth, 1e3) / 100))
+    return Layers(distance_m=depth + 0.5, depth_m=depth, normal=normal, instance_id=IDS, transmittance=np.exp(-np.where(np.isfinite(depth), depth, 1e3) / 100))
 
 
 def plane(image, name):
