@@ -12,11 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import FloatArray
 from synfog_usd.errors import ImageError
-
-FloatArray = npt.NDArray[np.float32]
 
 
 class Quantity(enum.Enum):

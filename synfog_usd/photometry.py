@@ -15,12 +15,11 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.constants import LUMINOUS_EFFICACY_LM_W
 from synfog_usd.errors import ImageError, ParameterError, did_you_mean
 from synfog_usd.image import Image
 from synfog_usd.science import colour_science
-
-Array = npt.NDArray[np.float64]
 
 WAVELENGTHS_NM: Array = np.arange(380.0, 781.0, 1.0)
 """The grid of every spectral integral here: 380 to 780 nm in steps of 1 nm."""

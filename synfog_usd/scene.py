@@ -14,10 +14,9 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array
+from synfog_usd.colour import SRGB_TO_LINEAR
 from synfog_usd.fog.volume import FogVolume
-
-Array = npt.NDArray[np.float64]
-
 
 PARALLEL_DEG = 1e-3
 """Angle of view that an orthographic camera is said to have: its rays are parallel, and a lens has nothing to bend or to dim."""
@@ -160,9 +159,7 @@ def texels(colour: Mapping[str, Any]) -> npt.NDArray[np.float32]:
     pixels = np.asarray(colour["bitmap"])
     pixels = pixels if pixels.ndim == 3 else pixels[:, :, None]
     if pixels.dtype == np.uint8:
-        code = np.arange(256) / 255.0
-        decoded = code if colour.get("raw", False) else np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-        pixels = decoded.astype(np.float32)[pixels]
+        pixels = pixels / np.float32(255.0) if colour.get("raw", False) else SRGB_TO_LINEAR[pixels]
     return np.asarray(np.broadcast_to(pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1], (*pixels.shape[:2], 3)), dtype=np.float32)
 
 

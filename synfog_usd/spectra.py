@@ -15,12 +15,11 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
+from synfog_usd.arrays import Array
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.photometry import ILLUMINANTS, WAVELENGTHS_NM, channel_spectra, illuminant, luminance_of, observer
 from synfog_usd.science import colour_science
-
-Array = npt.NDArray[np.float64]
 
 EMISSION, REFLECTANCE = "synfog:spectrum:emission", "synfog:spectrum:reflectance"
 """The attributes: a name, or pairs (wavelength [nm], value)."""
@@ -264,7 +263,7 @@ def rgb_of(reflectance: Array) -> Array:
 
 def brightness(rgb: npt.ArrayLike) -> float:
     """Luminance of linear Rec.709."""
-    return float(np.asarray(rgb, dtype=np.float64) @ LUMINANCE_WEIGHTS_REC709)
+    return float(np.asarray(rgb, dtype=np.float64) @ LUMINANCE)
 
 
 def scaled(shape: Array, rgb: npt.ArrayLike) -> Array:

@@ -24,7 +24,9 @@ SEES = {
 BASE = {
     "",
     "__version__",
+    "arrays",
     "cityscapes",
+    "colour",
     "constants",
     "errors",
     "fence",

@@ -11,18 +11,16 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from scipy import fft
 
 from synfog_usd import photometry
+from synfog_usd.arrays import Array, FloatArray
 from synfog_usd.camera import response, spread
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import FromProfile, Range
-from synfog_usd.image import FloatArray, Image, Quantity
-
-Array = npt.NDArray[np.float64]
+from synfog_usd.image import Image, Quantity
 
 DISC_MAX_PX = 2048.0
 """Widest disc of a lens out of focus."""

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from synfog_usd.image import FloatArray
+from synfog_usd.arrays import FloatArray
 
 Pattern = Literal["RGGB", "GRBG", "GBRG", "BGGR", "RCCB", "RCCC", "RGIB", "MONO"]
 

@@ -10,13 +10,15 @@ from typing import Annotated
 
 import numpy as np
 
+from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import cfa
-from synfog_usd.camera.isp import DISPLAY, LUMINANCE, MOSAIC, pattern_of
+from synfog_usd.camera.isp import DISPLAY, MOSAIC, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import FromProfile, Range
-from synfog_usd.image import FloatArray, Image
+from synfog_usd.image import Image
 
 RING = tuple((row, column) for row in (-2, 0, 2) for column in (-2, 0, 2) if row or column)
 """Where the eight next pixels of the same filter are, in every pattern."""
@@ -153,7 +155,7 @@ def sharpen(
     """
     from scipy.ndimage import gaussian_filter
 
-    luma = image.pixels[..., 0] if len(image.channels) == 1 else image.pixels @ np.array(LUMINANCE, dtype=np.float32)
+    luma = image.pixels[..., 0] if len(image.channels) == 1 else image.pixels @ LUMINANCE.astype(np.float32)
     detail = luma - gaussian_filter(luma, radius_px, mode="nearest", truncate=3.0)
     detail -= np.clip(detail, np.float32(-threshold), np.float32(threshold))
     detail *= np.float32(amount)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import cfa
 from synfog_usd.camera.isp import MOSAIC, PICTURE, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
@@ -19,7 +20,7 @@ from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import FromProfile
 from synfog_usd.graph.buffers import checked, pixels_of, to_buf
-from synfog_usd.image import FloatArray, Image
+from synfog_usd.image import Image
 from synfog_usd.science import colour_science
 
 

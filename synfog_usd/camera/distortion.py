@@ -17,13 +17,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array, FloatArray
 from synfog_usd.camera.registry import OPS
 from synfog_usd.camera.spread import THREADS, highlight_limit
 from synfog_usd.errors import GraphError, ImageError
 from synfog_usd.graph import Auto, FromProfile, NodeGraph, Range
-from synfog_usd.image import FloatArray, Image, Quantity
+from synfog_usd.image import Image, Quantity
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
 STEP_PX = 16

@@ -15,12 +15,13 @@ import numpy.typing as npt
 from scipy import fft
 
 from synfog_usd import photometry
+from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import blur, spread
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import Auto, FromProfile, Range
-from synfog_usd.image import FloatArray, Image, Quantity
+from synfog_usd.image import Image, Quantity
 
 THREADS = 2
 

@@ -13,22 +13,21 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.distortion import warped_like
 from synfog_usd.camera.optics import falloff_map
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
+from synfog_usd.colour import LUMINANCE, srgb_decode, srgb_encode
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import Auto, FromProfile, Port, Range
-from synfog_usd.image import FloatArray, Image, Quantity
+from synfog_usd.image import Image, Quantity
 
 NUMBERS = Port(Quantity.DN, "mosaic")
 MOSAIC = Port(Quantity.LINEAR_RGB, "mosaic")
 PICTURE = Port(Quantity.LINEAR_RGB, "picture")
 DISPLAY = Port(Quantity.DISPLAY_RGB, "picture")
-
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Luminance of linear Rec.709 (ITU-R BT.709)."""
 
 MAX_DN = 2.0**24
 """float32 holds whole numbers up to here."""
@@ -270,7 +269,7 @@ def tone_hdr(image: Image, *, range_ev: Annotated[float, Range(1.0, 24.0)] = 12.
     bright = np.clip(luminance_of(image.pixels), np.float32(1e-3 / steepness), np.float32(1.0))
     factor = np.log1p(bright * np.float32(steepness))
     factor *= np.float32(1.0 / np.log1p(steepness))
-    factor = decoded_srgb(factor)
+    factor = srgb_decode(factor)
     factor /= bright
     if len(image.channels) == 3:
         top = np.maximum(np.maximum(image.pixels[..., 0:1], image.pixels[..., 1:2]), image.pixels[..., 2:3])
@@ -288,42 +287,12 @@ def gamma(image: Image) -> Image:
     Source: IEC 61966-2-1.
     """
     _picture(image)
-    return image.with_pixels(encoded_srgb(image.pixels), quantity=Quantity.DISPLAY_RGB)
-
-
-def encoded_srgb(linear: FloatArray) -> FloatArray:
-    """sRGB of linear values of any shape, cut to 0 to 1, float32.
-
-    In numpy: OpenImageIO's conversion is four times slower, depends on the
-    environment variable OCIO, and is off by 1e-5.
-
-    >>> [round(float(value), 4) for value in encoded_srgb(np.array([0.0, 0.18, 1.0, 7.0], dtype=np.float32))]
-    [0.0, 0.4614, 1.0, 1.0]
-    """
-    clipped = np.clip(linear, 0.0, 1.0)
-    encoded = np.power(clipped, np.float32(1.0 / 2.4))
-    encoded *= np.float32(1.055)
-    encoded -= np.float32(0.055)
-    np.copyto(encoded, clipped * np.float32(12.92), where=clipped <= 0.0031308)
-    return encoded
-
-
-def decoded_srgb(encoded: FloatArray) -> FloatArray:
-    """Linear values of sRGB codes from 0 to 1, any shape, float32: the inverse of `encoded_srgb`.
-
-    >>> [round(float(value), 4) for value in decoded_srgb(np.array([0.0, 0.02, 0.4614, 1.0], dtype=np.float32))]
-    [0.0, 0.0015, 0.18, 1.0]
-    """
-    linear = encoded * np.float32(1.0 / 1.055)
-    linear += np.float32(0.055 / 1.055)
-    np.power(linear, np.float32(2.4), out=linear)
-    np.copyto(linear, encoded * np.float32(1.0 / 12.92), where=encoded <= 0.04045)
-    return linear
+    return image.with_pixels(srgb_encode(image.pixels), quantity=Quantity.DISPLAY_RGB)
 
 
 def luminance_of(pixels: FloatArray) -> FloatArray:
     """(H, W, 1) luminance of (H, W, 3) linear Rec.709; (H, W, 1) as it is."""
-    return pixels if pixels.shape[2] == 1 else (pixels @ np.array(LUMINANCE, dtype=np.float32))[..., None]
+    return pixels if pixels.shape[2] == 1 else (pixels @ LUMINANCE.astype(np.float32))[..., None]
 
 
 def pattern_of(image: Image, sensor: SensorProfile | None) -> str:

@@ -13,10 +13,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import FloatArray
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import Auto, FromProfile, Range
-from synfog_usd.image import FloatArray, Image, Quantity
+from synfog_usd.image import Image, Quantity
 
 Falloff = Literal["cos4", "foote", "table", "none"]
 

@@ -12,16 +12,14 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from synfog_usd import photometry
+from synfog_usd.arrays import Array
 from synfog_usd.camera import cfa
 from synfog_usd.camera.profiles import Curve, SensorProfile
 from synfog_usd.constants import LIGHT_SPEED_M_S, PLANCK_J_S
 from synfog_usd.errors import ParameterError
 from synfog_usd.science import colour_science
-
-Array = npt.NDArray[np.float64]
 
 
 @functools.lru_cache(maxsize=16)

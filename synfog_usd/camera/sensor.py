@@ -15,12 +15,13 @@ from typing import Annotated, Literal
 import numpy as np
 
 from synfog_usd import photometry, seeds
+from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import Auto, FromProfile, Port, Range
-from synfog_usd.image import FloatArray, Image, Quantity
+from synfog_usd.image import Image, Quantity
 
 ELECTRONS = Port(Quantity.ELECTRONS, "mosaic")
 AMPLIFIED = Port(Quantity.DN, "analog")

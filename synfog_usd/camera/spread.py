@@ -17,9 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from synfog_usd.image import FloatArray
-
-Array = npt.NDArray[np.float64]
+from synfog_usd.arrays import Array, FloatArray
 
 THREADS = 2
 

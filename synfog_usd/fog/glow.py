@@ -32,8 +32,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
-from synfog_usd.fog.phase import Array, Phase
+from synfog_usd.fog.phase import Phase
 
 TAU = (1e-3, 100.0)
 """Range of the tables; nearer, L1 goes as 1 / tau and L2+ stays; farther, L1 is gone and L2+ goes as 1 / tau."""

@@ -14,11 +14,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.fog.phase import HenyeyGreenstein, Phase
 
-Array = npt.NDArray[np.float64]
 Profile = Literal["uniform", "exponential", "grid"]
 
 WMO_CONTRAST = 0.05

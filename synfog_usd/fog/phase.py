@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
-
-Array = npt.NDArray[np.float64]
 
 DROPLETS_UM = (5.0, 50.0)
 """Open range of diameters [um] that the fit of Jendersie and d'Eon is for."""

@@ -27,10 +27,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array, FloatArray
 from synfog_usd.errors import ParameterError
-from synfog_usd.fog.medium import Array, FogMedium
-
-Table = npt.NDArray[np.float32]
+from synfog_usd.fog.medium import FogMedium
 
 MIN_STREAMS, MAX_STREAMS = 4, 512
 
@@ -243,7 +242,7 @@ class Slab:
             total += np.einsum("nq,nqc->nc", weight[side], seen)
         return total
 
-    def table(self, rows: int = 128, columns: int = 128) -> Table:
+    def table(self, rows: int = 128, columns: int = 128) -> FloatArray:
         """Radiance on a grid that `lookup` reads.
 
         Returns:
@@ -259,7 +258,7 @@ class Slab:
         v = np.linspace(0.0, 1.0, columns) ** 2
         return np.stack([self._grid(depth[side], v, side) for side in (0, 1)]).astype(np.float32)
 
-    def irradiance_table(self, rows: int = 64, columns: int = 64) -> Table:
+    def irradiance_table(self, rows: int = 64, columns: int = 64) -> FloatArray:
         """Irradiance on a grid that `lookup_irradiance` reads.
 
         Returns:
@@ -284,13 +283,13 @@ class Slab:
             x = self.medium.optical_depth(np.full(height.shape, self.bottom_m), height, height - self.bottom_m) / self.optical_depth
         return np.asarray(2.0 / math.pi * np.arcsin(np.sqrt(np.clip(x, 0.0, 1.0))))
 
-    def lookup(self, table: Table, height_m: npt.ArrayLike, up: npt.ArrayLike) -> Array:
+    def lookup(self, table: FloatArray, height_m: npt.ArrayLike, up: npt.ArrayLike) -> Array:
         """Bilinear `radiance` (N, C) from `table`: side by the sign of `up`, row `row_coordinate`, column `column_coordinate`."""
         direction = np.asarray(up, dtype=np.float64)
         seen = np.where(direction < 0.0, 1, 0)
         return _bilinear(table, seen, self.row_coordinate(height_m), column_coordinate(direction))
 
-    def lookup_irradiance(self, table: Table, height_m: npt.ArrayLike, normal_up: npt.ArrayLike) -> Array:
+    def lookup_irradiance(self, table: FloatArray, height_m: npt.ArrayLike, normal_up: npt.ArrayLike) -> Array:
         """Bilinear `irradiance` (N, C) from `irradiance_table`: row `row_coordinate`, column (normal_up + 1) / 2."""
         normal = np.asarray(normal_up, dtype=np.float64)
         return _bilinear(table[None], np.zeros(normal.shape, dtype=np.int64), self.row_coordinate(height_m), (normal + 1.0) / 2.0)
@@ -444,7 +443,7 @@ def _hemisphere(normal: Array) -> tuple[Array, Array]:
     return v, np.stack(kernel)
 
 
-def _bilinear(table: Table, page: npt.NDArray[np.int64], y: Array, s: Array) -> Array:
+def _bilinear(table: FloatArray, page: npt.NDArray[np.int64], y: Array, s: Array) -> Array:
     rows, columns = table.shape[1] - 1, table.shape[2] - 1
     i = np.clip(np.floor(y * rows).astype(np.int64), 0, rows - 1)
     j = np.clip(np.floor(s * columns).astype(np.int64), 0, columns - 1)

@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import nnls
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog.medium import FogMedium
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from synfog_usd.arrays import FloatArray
 from synfog_usd.errors import ImageError
-from synfog_usd.image import FloatArray, Image
+from synfog_usd.image import Image
 
 if TYPE_CHECKING:
     import OpenImageIO

@@ -31,10 +31,11 @@ from typing import Any
 import numpy as np
 
 from synfog_usd import __version__
+from synfog_usd.arrays import FloatArray
 from synfog_usd.errors import ImageError, OutputError
 from synfog_usd.files import TEMPORARY_PREFIX
 from synfog_usd.graph.op import Op
-from synfog_usd.image import FloatArray, Image, Quantity
+from synfog_usd.image import Image, Quantity
 
 FORMAT = "synfog-node/1"
 LIMIT_BYTES = 2 << 30

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.stage.labels import direct_label, official_name
 from synfog_usd.stage.open import cameras
 from synfog_usd.stage.rulebook import Finding, finding
@@ -59,8 +60,6 @@ MIN_LUX = 0.3
 POLE_DEG = 5.0
 _PLAIN = "color_"
 """How Blender names the map of one colour that it writes for a plain world; such a map has no top."""
-
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def findings(stage: Usd.Stage) -> list[Finding]:
@@ -150,7 +149,7 @@ def _emitted(prim: Usd.Prim, time: Usd.TimeCode) -> float:
     intensity = float(_input(prim, "intensity", time, 50000.0 if prim.GetTypeName() == "DistantLight" else 1.0))
     exposure = float(_input(prim, "exposure", time, 0.0))
     with np.errstate(over="ignore", invalid="ignore"):
-        return float(_LUMINANCE @ color * intensity * np.exp2(exposure))
+        return float(LUMINANCE @ color * intensity * np.exp2(exposure))
 
 
 def _input(prim: Usd.Prim, name: str, time: Usd.TimeCode, default: Any) -> Any:

@@ -12,11 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
-
-Array = npt.NDArray[np.float64]
+from synfog_usd.arrays import Array
+from synfog_usd.colour import LUMINANCE
 
 FLOOR = 0.01
 """Luminance that counts as dark, over the mean: a pixel's error is relative to hypot(its luminance, FLOOR x mean)."""
@@ -103,7 +101,7 @@ class Errors:
 
 def luminance(rgb: Array) -> Array:
     """(..., 3) linear Rec.709 -> (...) in the same unit."""
-    return np.asarray(rgb, dtype=np.float64) @ np.array(LUMINANCE_WEIGHTS_REC709)
+    return np.asarray(rgb, dtype=np.float64) @ LUMINANCE
 
 
 def combine(parts: Sequence[Array], samples: Sequence[int], model: str) -> Reference:

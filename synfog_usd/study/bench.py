@@ -14,13 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import camera, photometry, resources
+from synfog_usd.arrays import Array
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.profiles import SensorProfile, load_sensor, shipped
 from synfog_usd.constants import LIGHT_SPEED_M_S, PLANCK_J_S
 from synfog_usd.graph import NodeGraph, Registry, make_graph
 from synfog_usd.image import Image, Quantity
-
-Array = npt.NDArray[np.float64]
 
 EXPOSURE_S = 1e-4
 """So short that dark current does not count: 0.003 e- in the worst sensor."""

@@ -16,16 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from synfog_usd import camera, files, photometry, resources, seeds
-from synfog_usd.camera import cfa, isp, response
+from synfog_usd.arrays import Array
+from synfog_usd.camera import cfa, response
 from synfog_usd.camera.profiles import LensProfile, SensorProfile, load_sensor, shipped
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.image import Image, Quantity
 from synfog_usd.study import drawing
 from synfog_usd.study.bench import photon_transfer, readings, transfer
-
-Array = npt.NDArray[np.float64]
 
 # ---- noise and fog ---------------------------------------------------------------------
 
@@ -87,7 +86,7 @@ def stretched(frames: Array, like: Array, *, window_px: int = 61, deviation: flo
     """
     from scipy.ndimage import uniform_filter
 
-    luma = like @ np.array(isp.LUMINANCE)
+    luma = like @ LUMINANCE
     mean = uniform_filter(luma, window_px)
     spread = np.sqrt(np.maximum(uniform_filter(luma**2, window_px) - mean**2, 1e-12))
     return np.asarray(0.5 + deviation * (frames - mean[..., None]) / spread[..., None])

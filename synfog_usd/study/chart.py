@@ -20,12 +20,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from synfog_usd import files
+from synfog_usd.arrays import Array
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, shots
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.seeds import seed32
 from synfog_usd.study import accuracy
-from synfog_usd.study.accuracy import Array, Reference
+from synfog_usd.study.accuracy import Reference
 from synfog_usd.study.points import PEERS, PLAIN, Point, Setting, front, line_name, lines, summary, table
 
 if TYPE_CHECKING:

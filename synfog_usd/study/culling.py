@@ -17,15 +17,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from synfog_usd import files, photometry, resources
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
 
 if TYPE_CHECKING:
     from synfog_usd.scene import SceneDict
 
-Array = npt.NDArray[np.float64]
 
 BEGIN, END = "<!-- culling: written by synfog_usd.study.culling; do not edit -->", "<!-- end of culling -->"
 

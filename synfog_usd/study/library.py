@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from synfog_usd import files, resources
+from synfog_usd.colour import srgb_encode
 from synfog_usd.dataset.bake import bake
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.world.components import thumbnail_file
@@ -92,8 +93,7 @@ def _developed(radiance: Path) -> Image.Image:
     from PIL import Image
 
     nits = np.asarray(ImageBuf(str(radiance)).get_pixels())[..., :3]
-    c = np.clip(nits / WHITE_NITS, 0.0, 1.0)
-    return Image.fromarray(np.round(255 * np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)).astype(np.uint8))
+    return Image.fromarray(np.round(255 * srgb_encode(nits / WHITE_NITS)).astype(np.uint8))
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -10,14 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array
+from synfog_usd.colour import srgb_encode
 from synfog_usd.study import drawing
 from synfog_usd.study.accuracy import FLOOR, MIDDLE_GREY, Reference, luminance
 from synfog_usd.study.drawing import duration, percent
 from synfog_usd.study.points import TARGETS, Point, summary
-
-Array = npt.NDArray[np.float64]
 
 LEAST_WIDTH = 320
 """Pixels of a thumbnail; smaller pictures are shown with each pixel repeated."""
@@ -159,7 +158,7 @@ def toned(rgb: Array, gain: float) -> Array:
     """(H, W, 3) linear -> 0 to 255 in sRGB, brightest parts rolled off."""
     linear = np.maximum(np.asarray(rgb, dtype=np.float64) * gain, 0.0)
     linear = np.where(linear > 0.6, 1.0 - 0.4 * np.exp(-(linear - 0.6) / 0.4), linear)
-    return 255.0 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+    return 255.0 * srgb_encode(linear)
 
 
 def error_map(picture: Array, reference: Reference) -> Array:

@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import SynfogError
 from synfog_usd.render import film, layers, models
 from synfog_usd.render.shot import load
@@ -33,8 +33,6 @@ ROUNDING = 2e-6
 
 MET, MISSED, NOISY, FINITE = "met", "missed", "noisy", "finite"
 NOT_FINITE, NEGATIVE, REFUSED, CRASHED, SKIPPED = "not finite", "negative", "refused", "crashed", "skipped"
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

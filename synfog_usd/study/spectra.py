@@ -15,16 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from synfog_usd import files, photometry, spectra
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
+from synfog_usd.arrays import Array
+from synfog_usd.colour import LUMINANCE, srgb_encode
 from synfog_usd.render import bands
 from synfog_usd.render.shot import render
 from synfog_usd.study.drawing import INK, STYLE
 from synfog_usd.study.truths import scene
-
-Array = npt.NDArray[np.float64]
 
 COUNT = 31
 PANELS = {
@@ -53,7 +51,7 @@ def light_of(name: str) -> tuple[Array, tuple[float, float, float]]:
     """A lamp's spectrum and its colour in linear Rec.709, of luminance 1 and without negative light."""
     power = spectra.emission(name)
     shown = np.maximum(bands.to_rgb(bands.box_means(power, photometry.channel_spectra(bands.names(COUNT))), COUNT), 0.0)
-    r, g, b = shown / (shown @ np.array(LUMINANCE_WEIGHTS_REC709))
+    r, g, b = shown / (shown @ LUMINANCE)
     return power, (float(r), float(g), float(b))
 
 
@@ -92,7 +90,9 @@ def draw(target: Path) -> None:
                 curve = spectra.reflectance(name)
                 shown = np.clip(spectra.rgb_of(curve), 0.0, 1.0)
                 shown *= 0.45 / max(float(shown.max()), spectra.brightness(shown) / 0.6, 0.15)
-                axes.plot(photometry.WAVELENGTHS_NM, curve, color=_encoded(shown), ls=("-", "--", ":", "-.", (0, (5, 1)), (0, (1, 1)))[k], lw=1.8, label=name)
+                axes.plot(
+                    photometry.WAVELENGTHS_NM, curve, color=srgb_encode(shown), ls=("-", "--", ":", "-.", (0, (5, 1)), (0, (1, 1)))[k], lw=1.8, label=name
+                )
             axes.set_title(title, fontsize=10)
             axes.set_xlim(400, 760)
             axes.set_ylim(0, 0.8)
@@ -102,10 +102,10 @@ def draw(target: Path) -> None:
         above.axes[0].set_ylabel("reflectance")
         for axes, (title, lamp) in zip(below.subplots(1, 3), LAMPS.items(), strict=True):
             pair = np.stack([cards(lamp, bands.RGB), cards(lamp, COUNT)], axis=1)
-            axes.imshow(_encoded(np.clip(pair * WHITE, 0.0, 1.0)), aspect="auto", extent=(0, 2, len(CARDS), 0), interpolation="nearest")
+            axes.imshow(srgb_encode(np.clip(pair * WHITE, 0.0, 1.0)), aspect="auto", extent=(0, 2, len(CARDS), 0), interpolation="nearest")
             for k in range(1, len(CARDS)):
                 axes.axhline(k, color="white", lw=3)
-            luminance = pair @ np.array(LUMINANCE_WEIGHTS_REC709)
+            luminance = pair @ LUMINANCE
             ratio = luminance[:, 0] / luminance[:, 1]
             axes.set_yticks(np.arange(len(CARDS)) + 0.5, [f"{name}\n{share:.2f}" for name, share in zip(CARDS, ratio, strict=True)], fontsize=8)
             axes.set_xticks([0.5, 1.5], ["R, G, B", f"{COUNT} bands"])
@@ -115,11 +115,6 @@ def draw(target: Path) -> None:
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
     files.write_bytes(target, buffer.getvalue())
-
-
-def _encoded(linear: Array) -> Array:
-    """sRGB code values, 0 to 1."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
 
 
 def main(arguments: Sequence[str]) -> None:

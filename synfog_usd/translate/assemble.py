@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from pxr import Usd
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import StageError
 from synfog_usd.fog import FogVolume
 from synfog_usd.scene import Instance, SceneDict
@@ -32,7 +33,7 @@ from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group
 from synfog_usd.translate.material import Materials
 from synfog_usd.translate.shapes import Shapes
 from synfog_usd.translate.skel import has_skeletons, posed
-from synfog_usd.translate.space import Array, Space, stage_space
+from synfog_usd.translate.space import Space, stage_space
 from synfog_usd.translate.texture import ImageReader
 from synfog_usd.translate.walk import Leaf, Owner, Placement, Walk, walk
 

@@ -10,17 +10,14 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
+from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.nurbs import Nurbs, nurbs_curves
 from synfog_usd.translate.primvars import array_at
 from synfog_usd.translate.sweep import ribbons, tubes
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 MOST_TRIANGLES = 4_000_000
 """Triangles of one prim; about 0.5 GB with the renderer's copy."""

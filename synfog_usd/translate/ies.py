@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import StageError
-
-Array = npt.NDArray[np.float64]
 
 MAX_BYTES = 4 << 20
 _MOST_ANGLES = 4096

@@ -6,12 +6,10 @@ Takes the prims, or their sizes; gives triangles in their own coordinates.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Usd
 
+from synfog_usd.arrays import Array
 from synfog_usd.translate.geometry import Triangles
-
-Array = npt.NDArray[np.float64]
 
 ROUND = 48
 """Segments around a cylinder, cone or capsule; its radius errs by 0.2 %."""

@@ -16,13 +16,14 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdLux
 
+from synfog_usd.arrays import Array
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.translate.convention import USD, Convention
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles, area, placed
 from synfog_usd.translate.implicit import ROUND, ball, frustum
-from synfog_usd.translate.material import LUMINANCE
 from synfog_usd.translate.shaping import Shaping, as_ball, as_card, as_tube, luminous_flux, read_shaping, table_of
-from synfog_usd.translate.space import FAR, Array, is_similarity, rotation_of, scaled
+from synfog_usd.translate.space import FAR, is_similarity, rotation_of, scaled
 from synfog_usd.translate.texture import ImageReader, TextureNode, is_srgb, linear
 
 TURN = np.diag([-1.0, 1.0, -1.0, 1.0])

@@ -9,13 +9,10 @@ OpenSubdiv's documentation of Loop surfaces.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 
+from synfog_usd.arrays import Array
 from synfog_usd.translate.subdivide import INFINITE, Cage, Edges, Fine, Moved, between, is_fractional, neighbours, rules, smooth_patches, softened
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 
 def subdivided(points: Array, cage: Cage, level: int) -> Fine:

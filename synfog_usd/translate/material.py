@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdShade
 
-from synfog_usd.scene import Array
+from synfog_usd.arrays import Array
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.translate import spectrum
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.networks import RefusedError, fed_by, is_textured, native, omni_texture
@@ -24,9 +25,6 @@ from synfog_usd.translate.wrap import MODES
 GREY = (0.18, 0.18, 0.18)
 DISPLAY = "displayColor"
 """The primvar of a shape's own colours."""
-
-LUMINANCE = np.array([0.2126729, 0.7151522, 0.0721750])
-"""Rec.709 luminance of linear RGB."""
 
 _MIN_IOR = 1.001
 

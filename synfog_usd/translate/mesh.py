@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
+from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate import loop
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Attribute, Polygons, cross
@@ -22,9 +23,6 @@ from synfog_usd.translate.primvars import PrimvarReader, value_at
 from synfog_usd.translate.space import FAR_POINT
 from synfog_usd.translate.subdivide import INFINITE, Cage, bilinear, boundary_faces, levels, subdivided
 from synfog_usd.translate.texture import UvSource
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 
 @dataclass(slots=True)

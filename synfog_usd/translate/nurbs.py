@@ -9,16 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Usd
 from scipy.interpolate import BSpline
 
+from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles, cross
 from synfog_usd.translate.primvars import array_at, value_at
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 _STEPS = 8
 """Steps of a patch within each span of its knots, where it is bent."""

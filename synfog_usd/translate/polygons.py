@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate.geometry import cross
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 
 def triangulate(points: Array, counts: Indices, starts: Indices, indices: Indices, keep: npt.NDArray[np.bool_]) -> tuple[Indices, Indices]:

@@ -12,16 +12,18 @@ from typing import Any, TypeAlias
 import numpy as np
 from pxr import Usd
 
+from synfog_usd.arrays import Array
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.translate import curves, geometry, light
 from synfog_usd.translate.bindings import Bindings, varies
 from synfog_usd.translate.convention import Chooser
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.implicit import read_implicit
-from synfog_usd.translate.material import DISPLAY, LUMINANCE, Finish, Materials
+from synfog_usd.translate.material import DISPLAY, Finish, Materials
 from synfog_usd.translate.mesh import Arrays, look_at_quads, read_arrays, read_mesh
 from synfog_usd.translate.nurbs import read_patch
-from synfog_usd.translate.space import Array, is_similarity
+from synfog_usd.translate.space import is_similarity
 from synfog_usd.translate.walk import CURVES, MESHES, Leaf
 
 Part: TypeAlias = tuple[dict[str, Any], dict[str, Any] | None, float]

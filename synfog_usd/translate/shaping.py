@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from pxr import Ar, UsdLux
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import StageError
 from synfog_usd.translate import ies
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.space import Array
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Gf, Usd, UsdGeom
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import StageError
-
-Array = npt.NDArray[np.float64]
 
 Y_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """(x, y, z) -> (x, -z, y)."""

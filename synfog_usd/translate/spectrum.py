@@ -14,8 +14,9 @@ import numpy as np
 from pxr import Usd
 
 from synfog_usd import spectra
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
-from synfog_usd.scene import Array, base_colour, mean_colour
+from synfog_usd.scene import base_colour, mean_colour
 from synfog_usd.translate.diagnostics import Diagnostics
 
 

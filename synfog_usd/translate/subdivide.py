@@ -16,8 +16,7 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
+from synfog_usd.arrays import Array, Indices
 
 INFINITE = 10.0
 """Sharpness from which an edge or corner stays sharp for ever; USD's SHARPNESS_INFINITE."""

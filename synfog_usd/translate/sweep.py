@@ -7,12 +7,9 @@ faces and normals.  Knows nothing of USD.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate.geometry import cross
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 
 def ribbons(line: Array, radius: Array, facing: Array) -> tuple[Array, Indices, Array]:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import OpenImageIO
 from pxr import Ar, Gf, Usd, UsdShade
 
+from synfog_usd.colour import SRGB_TO_LINEAR, srgb_decode, srgb_encode
 from synfog_usd.errors import StageError
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.wrap import MODES, Wrapped, wrapped
@@ -34,10 +35,6 @@ PICTURES = frozenset(
     )
 )
 """Ends of the names of files that are opened as pictures; a library that tries whatever it knows on any file opens videos and raw photographs too."""
-
-_CODES = np.arange(256) / 255.0
-SRGB_TO_LINEAR = np.where(_CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4).astype(np.float32)
-"""Linear value of each 8-bit sRGB code, IEC 61966-2-1."""
 
 _CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}
 _IN_FILES = {"periodic": "repeat", "mirror": "mirror", "clamp": "clamp", "black": "black"}
@@ -125,7 +122,7 @@ class ImageReader:
         said = np.array(node.bias if node.outside is None else node.outside, dtype=np.float32)
         outside: Pixels = np.maximum(_picked(said.reshape(1, 1, 4), node, pixels.shape[2]).reshape(-1), 0.0)
         if pixels.dtype == np.uint8:
-            outside = np.rint(255.0 * _encoded(outside)).astype(np.uint8)
+            outside = np.rint(255.0 * srgb_encode(outside)).astype(np.uint8)
         key = (id(pixels), wraps, tuple(outside.tolist()))
         if key not in self._wrapped:
             self._wrapped[key] = (pixels, wrapped(pixels, wraps, outside))  # the pixels are kept, so that no other array gets their id
@@ -238,7 +235,7 @@ def linear(pixels: Pixels, *, srgb: bool) -> npt.NDArray[np.float32]:
         return result
     if not srgb:
         return pixels.astype(np.float32)
-    color = np.where(pixels <= 0.04045, pixels / 12.92, ((np.maximum(pixels, 0.0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    color = srgb_decode(pixels).astype(np.float32)
     if pixels.shape[2] == 4:
         color[..., 3] = pixels[..., 3]
     return color
@@ -392,12 +389,6 @@ def _sampled(node: TextureNode, images: ImageReader, channels: int) -> Pixels | 
 def _fallback(node: TextureNode, channels: int) -> tuple[float, ...]:
     picked = _picked(np.array(node.fallback, dtype=np.float32).reshape(1, 1, 4), node, channels)
     return tuple(float(x) for x in picked.reshape(-1))
-
-
-def _encoded(value: Pixels) -> Pixels:
-    """sRGB codes from 0 to 1 of linear values, IEC 61966-2-1."""
-    value = np.clip(value, 0.0, 1.0)
-    return np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
 
 
 def _four(pixels: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

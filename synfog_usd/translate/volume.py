@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError, StageError, did_you_mean
 from synfog_usd.fog import Boundary, FogMedium, FogVolume, extinction_from_visibility
 from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
@@ -31,7 +32,7 @@ from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import part
 from synfog_usd.translate.implicit import read_implicit
 from synfog_usd.translate.mesh import read_mesh
-from synfog_usd.translate.space import Array, apply, scaled
+from synfog_usd.translate.space import apply, scaled
 
 DEFAULT_MOR_M = float(DEFAULTS["mor"])
 _SLACK = 1e-5

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdVol
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import StageError
 from synfog_usd.stage.budget import MAX_DEPTH
 from synfog_usd.stage.labels import LABEL_SOURCES, UNLABELED, direct_label, official_name
@@ -19,8 +20,6 @@ from synfog_usd.stage.schema import PREFIX, has_fog_attributes
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.space import FAR, columns
 from synfog_usd.translate.volume import vdb_fault
-
-Array = npt.NDArray[np.float64]
 
 MAX_LEAVES = 5_000_000
 """Prims that are drawn, instances counted; a file of 2 kB can ask for more by doubling references."""

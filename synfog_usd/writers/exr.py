@@ -16,9 +16,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from synfog_usd import __version__
+from synfog_usd.arrays import FloatArray
 from synfog_usd.errors import ImageError, OutputError
 from synfog_usd.files import write_whole
-from synfog_usd.image import FloatArray, Image, Quantity
+from synfog_usd.image import Image, Quantity
 from synfog_usd.photometry import band_centre_nm
 
 MAX_VALUES = 1 << 29
