@@ -1,4 +1,4 @@
-"""`synfog-usd bake` as a user runs it: in a process of its own, from start to finish, and interrupted."""
+"""`synfog-usd bake` as a user runs it: from start to finish, interrupted, and refused."""
 
 import hashlib
 import json
@@ -6,23 +6,15 @@ import os
 import resource
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
+from support.cli import command, process, run
 from support.stages import street
 
 SHOTS = [f"{lighting}/{fog}" for lighting in ("sky", "active") for fog in ("clear", "mor600", "mor150")]
 OUTPUTS = {"radiance.exr", "layers.exr", "instances.json", "raw.dng", "srgb.png"}
-
-
-def command(*arguments):
-    return [sys.executable, "-m", "synfog_usd.cli.main", *map(str, arguments)]
-
-
-def run(*arguments, **more):
-    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=300, **more)
 
 
 def hashes(folder):
@@ -97,7 +89,7 @@ def wait_for_shots(out, count, child, timeout_s=120.0):
     raise AssertionError("no shot was finished in time")
 
 
-@pytest.mark.parametrize("finished", [1, 3])
+@pytest.mark.parametrize("finished", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_bake_that_was_killed_goes_on_and_ends_with_the_same_bytes(unbroken, stage, tmp_path, finished):
     """kill -9 in the middle, then the same command: finished shots are kept, and every file equals that of an unbroken run."""
     whole, _ = unbroken
@@ -170,7 +162,8 @@ def refused(done, *words, code=2):
 
 
 def test_a_missing_stage_is_refused(tmp_path):
-    refused(run("bake", tmp_path / "none.usda", "-o", tmp_path / "out"), "none.usda", "no such file")
+    """In a process of its own: parent and child tell one line."""
+    refused(process("bake", tmp_path / "none.usda", "-o", tmp_path / "out"), "none.usda", "no such file")
     assert not (tmp_path / "out").exists()
 
 
@@ -242,7 +235,7 @@ def test_a_full_disk_is_one_line_and_leaves_no_half_file(stage, tmp_path):
     """A limit on file size stands in for a full disk: writing fails in the middle of a file."""
     out = tmp_path / "out"
     limit = 20_000
-    done = run(*arguments(stage, out), preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    done = process(*arguments(stage, out), preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
     refused(done, str(out))
     for path in out.rglob("*"):
         assert not path.name.startswith(".synfog-part-")

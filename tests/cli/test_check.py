@@ -9,15 +9,12 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from support.cli import process, run
 from support.stages import street
 
 from synfog_usd.cli import check as verb
 from synfog_usd.scene import Note
 from synfog_usd.stage.rulebook import finding
-
-
-def run(*arguments):
-    return subprocess.run([sys.executable, "-m", "synfog_usd.cli.main", *map(str, arguments)], capture_output=True, text=True, timeout=120)
 
 
 @pytest.fixture
@@ -82,8 +79,9 @@ def test_a_rule_is_explained_once_and_simplifications_are_counted():
 
 
 def test_check_on_the_command_line(stage):
+    """The child's exit code and JSON are the parent's, and nothing is told beside."""
     path = stage(SMALL_CAR)
-    done = run("check", path, "--json", "--strict")
+    done = process("check", path, "--json", "--strict")
     assert done.returncode == 1 and done.stderr == ""
     told = json.loads(done.stdout)
     assert (

@@ -1,12 +1,11 @@
 """`synfog-usd bake` leaves out what fog hides, tells of it, and loses neither labels nor layers by it."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import OpenImageIO
 import pytest
+from support.cli import run
 from support.stages import street
 
 SIDE = 180
@@ -33,7 +32,7 @@ def stones(path, y):
 
 def bake(stage, out, *more):
     arguments = ["bake", stage, "-o", out, "--resolution", "32x18", "--samples", "4", "--lighting", "sky", "--fog", "mor50", *more]
-    done = subprocess.run([sys.executable, "-m", "synfog_usd.cli.main", *map(str, arguments)], capture_output=True, text=True, timeout=300)
+    done = run(*arguments)
     assert done.returncode == 0, done.stderr
     return done.stderr, json.loads((out / "bake.json").read_text())
 

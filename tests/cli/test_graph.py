@@ -1,13 +1,12 @@
 """`synfog-usd graph` as a camera engineer runs it."""
 
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
+from support import cli
 
 from synfog_usd import camera, writers
 from synfog_usd.image import Image, Quantity
@@ -16,7 +15,7 @@ PIPELINE = Path(__file__).resolve().parents[2] / "pipeline" / "phone.yaml"
 
 
 def run(*arguments):
-    return subprocess.run([sys.executable, "-m", "synfog_usd.cli.main", "graph", *map(str, arguments)], capture_output=True, text=True, timeout=120)
+    return cli.run("graph", *arguments)
 
 
 @pytest.fixture(autouse=True)
