@@ -30,7 +30,7 @@ from synfog_usd.seeds import seed32
 if TYPE_CHECKING:
     import numpy as np
 
-    from synfog_usd.render.layers import Layers
+    from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.scene import Note, SceneDict
 
 MANIFEST = "bake.json"
@@ -185,7 +185,7 @@ class _View:
     exposure: Any
     pixel: tuple[float, float] | None
     luminance: np.ndarray
-    seen: Layers
+    seen: Aovs
 
     @property
     def noise(self) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -198,7 +198,8 @@ class _View:
 def _meter(scene: SceneDict, plan: BakePlan, graph: Any) -> _View:
     """A scene without its fog, metered on a small frame."""
     from synfog_usd import camera, photometry
-    from synfog_usd.render import layers, models
+    from synfog_usd.render import models
+    from synfog_usd.render.film import aovs
     from synfog_usd.render.load import resized
     from synfog_usd.render.shot import load, render
 
@@ -207,13 +208,12 @@ def _meter(scene: SceneDict, plan: BakePlan, graph: Any) -> _View:
     size = METER_WIDTH_PX, max(1, round(METER_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
     frame = render(scene, samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=size, loaded=resized(loaded, size)).radiance
     exposure = camera.meter(frame, graph)
-    return _View(exposure, camera.sensitivity(frame, graph, exposure), photometry.luminance(frame), layers.measure(loaded))
+    return _View(exposure, camera.sensitivity(frame, graph, exposure), photometry.luminance(frame), aovs.measure(loaded))
 
 
 def _make(shot: Shot, scene: SceneDict, view: _View | None, graph: Any, plan: BakePlan, progress: Progress) -> tuple[dict[str, Any], list[str]]:
     """Render and develop one shot, write its files, and give its row of the manifest and what a user wants to know."""
-    from synfog_usd import writers
-    from synfog_usd.render import cull
+    from synfog_usd import cull, writers
     from synfog_usd.render.planner import sensor_target
     from synfog_usd.render.shot import render
 
@@ -239,9 +239,9 @@ def _make(shot: Shot, scene: SceneDict, view: _View | None, graph: Any, plan: Ba
     marks = {"synfog:lighting": shot.lighting, "synfog:fog": shot.fog, "synfog:mor_m": mor[0] if mor else 0.0, "synfog:model": rendered.model}
     radiance, variance = rendered.radiance, rendered.radiance.variance
     assert variance is not None
-    transmittance = rendered.layers.transmittance_image()
+    transmittance = rendered.aovs.transmittance_image()
     writers.write_exr(folder / "radiance.exr", radiance, attributes=marks)
-    named = {**rendered.parts, "variance": variance, **{f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()}}
+    named = {**rendered.components, "variance": variance, **{f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()}}
     found = [Image(pixels, tuple(f"{name}.{channel}" for channel in radiance.channels), Quantity.DATA) for name, pixels in named.items()]
     writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
     files.write_json(folder / "instances.json", labels.instance_list(hidden, scene))
@@ -289,10 +289,10 @@ def _write_labels(scene: SceneDict, plan: BakePlan, graph: Any = None) -> dict[s
     """Write what is seen where, bent as the graph's lens bends the picture; radiance.exr and layers.exr stay those of a pinhole."""
     from synfog_usd import writers
     from synfog_usd.camera import distortion
-    from synfog_usd.render import layers
+    from synfog_usd.render.film import aovs
     from synfog_usd.render.shot import load
 
-    seen, metadata, view = layers.measure(load(replace(scene, fog=()))), {}, scene.camera
+    seen, metadata, view = aovs.measure(load(replace(scene, fog=()))), {}, scene.camera
     bent = graph and distortion.of_graph(graph, height_px=view.height_px, width_px=view.width_px, fov_x_deg=view.fov_x_deg, shift=view.shift)
     if bent:
         node, warp = bent

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import cityscapes
+from synfog_usd.cull import Hidden
 from synfog_usd.image import Image, Quantity
-from synfog_usd.render.cull import Hidden
-from synfog_usd.render.layers import Layers
+from synfog_usd.render.film.aovs import Aovs
 from synfog_usd.scene import Instance, SceneDict
 
 CHANNELS = (
@@ -34,7 +34,7 @@ CHANNELS = (
 )
 
 
-def warped(layers: Layers, nearest: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]) -> Layers:
+def warped(layers: Aovs, nearest: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]) -> Aovs:
     """The layers of a distorted picture.
 
     All of them come from the same pixel, so that ids, depth and normals agree: no
@@ -44,10 +44,10 @@ def warped(layers: Layers, nearest: tuple[npt.NDArray[np.intp], npt.NDArray[np.i
         layers: of the pinhole picture.
         nearest: (H, W) row and column of the pinhole picture that each pixel shows.
     """
-    return Layers(**{name: plane[nearest] for name, plane in vars(layers).items()})
+    return Aovs(**{name: plane[nearest] for name, plane in vars(layers).items()})
 
 
-def label_image(layers: Layers, instances: tuple[Instance, ...]) -> Image:
+def label_image(layers: Aovs, instances: tuple[Instance, ...]) -> Image:
     """All label layers as one float32 image.
 
     Depth and distance are in metres and infinite at the sky; N is the world normal
@@ -81,7 +81,7 @@ def label_image(layers: Layers, instances: tuple[Instance, ...]) -> Image:
     return Image(np.stack(planes, axis=2).astype(np.float32), CHANNELS, Quantity.DATA, provenance=metadata)
 
 
-def label_list(layers: Layers, instances: tuple[Instance, ...]) -> dict[str, Any]:
+def label_list(layers: Aovs, instances: tuple[Instance, ...]) -> dict[str, Any]:
     """What labels.json holds: every instance, and where it is seen.
 
     `box_px` is [x, y, width, height] of its visible pixels; `distance_m` is that of

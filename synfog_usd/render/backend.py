@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 from synfog_usd.errors import BackendError
 
-Choice = Literal["auto", "cuda", "llvm", "scalar"]
+VariantName = Literal["auto", "cuda", "llvm", "scalar"]
 
 VARIANTS: dict[str, str] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
 MIN_LLVM = 16
@@ -115,7 +115,7 @@ def _prove(variant: str, llvm_library: str = "") -> str:
 
 
 @functools.lru_cache(maxsize=4)
-def choose(choice: Choice = "auto") -> Backend:
+def choose(choice: VariantName = "auto") -> Backend:
     """Find the best variant, or prove the one that is asked for.
 
     Raises:
@@ -147,7 +147,7 @@ def choose(choice: Choice = "auto") -> Backend:
     raise BackendError(f"--variant {choice} does not run here: {'; '.join(why)}")
 
 
-def start(choice: Choice = "auto") -> Backend:
+def start(choice: VariantName = "auto") -> Backend:
     """Choose a backend and set it for this process; later calls must agree with the first."""
     backend = choose(choice)
     if backend.llvm_library:

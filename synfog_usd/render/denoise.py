@@ -25,7 +25,7 @@ import numpy.typing as npt
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog.volume import optical_depth
 from synfog_usd.render import backend
-from synfog_usd.render.load import Loaded
+from synfog_usd.render.load import MitsubaScene
 
 INSTALL = 'pip install "synfog-usd[denoise]"'
 
@@ -147,7 +147,7 @@ def denoise_plain(image: npt.ArrayLike, albedo: npt.ArrayLike | None = None, nor
     return _clean(image, albedo, normal)
 
 
-def guides(loaded: Loaded, *, rays: int = GUIDE_RAYS, clear: bool = False) -> Guides:
+def guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS, clear: bool = False) -> Guides:
     """Look at what each pixel shows, with a few rays at fixed places in it.
 
     In a pixel with an edge each side counts as much as its light that arrives:
@@ -186,7 +186,7 @@ def _place(number: int) -> list[float]:
     return [(0.5 + (number + 1) * root ** -(axis + 1)) % 1.0 for axis in range(4)]
 
 
-def _look(loaded: Loaded, place: list[float]) -> tuple[npt.NDArray[np.float64], ...]:
+def _look(loaded: MitsubaScene, place: list[float]) -> tuple[npt.NDArray[np.float64], ...]:
     """Origins, directions, albedos, normals (N, 3), and distances (N,) of the rays of all pixels; infinite at the sky."""
     mi = backend.mitsuba()
     camera = loaded.source.camera

@@ -17,20 +17,21 @@ import numpy as np
 from synfog_usd.errors import StageError
 from synfog_usd.fog import Boundary, FogMedium
 from synfog_usd.fog.phase import HenyeyGreenstein
-from synfog_usd.render import backend, luminaire
+from synfog_usd.render import backend
 from synfog_usd.render.flatten import FaceInstances, flatten
-from synfog_usd.render.lamps import is_handled
-from synfog_usd.render.phases import plugin
+from synfog_usd.render.lights import photometric
+from synfog_usd.render.lights.sampler import is_sampled_light
+from synfog_usd.render.media.phases import plugin
 from synfog_usd.scene import Camera, SceneDict
 
-LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea", luminaire.TYPE)
+LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea", photometric.TYPE)
 
 GRID_SLICES = 512
 """Height steps of an exponential fog; linear between them, a step of a tenth of the scale height errs by (1/10)^2 / 8 = 0.13 %."""
 
 
 @dataclass(frozen=True)
-class Loaded:
+class MitsubaScene:
     """Mitsuba's side of a scene.
 
     Attributes:
@@ -43,7 +44,7 @@ class Loaded:
         source: the scene it was made from, with its meshes joined.
         face_instances: key of a joined mesh -> label id of each face.
         parts: key -> object, of all that `source` names but what stands inside of groups.
-        twins: key of a material -> the object that takes its place where paths carry bands, see `surfaces`; made when it is first asked for.
+        spectral_bsdfs: key of a material -> the object that takes its place where paths carry bands, see `spectra.bsdfs`; made when it is first asked for.
     """
 
     scene: Any
@@ -55,23 +56,23 @@ class Loaded:
     source: SceneDict
     face_instances: FaceInstances
     parts: Mapping[str, Any] = field(default_factory=dict)
-    twins: dict[str, Any] = field(default_factory=dict)
+    spectral_bsdfs: dict[str, Any] = field(default_factory=dict)
 
 
-def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> Loaded:
+def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:
     """Build the scene in the variant in force.
 
     Args:
         source: what `translate` made.
         size: (width, height) in pixels instead of the camera's own.
         boundaries: whether the fog is in the scene as null-material shapes with media.
-            Without them, lamps that `Lamps` holds are left out of Mitsuba's own choice of lights.
+            Without them, lamps that `LightSampler` holds are left out of Mitsuba's own choice of lights.
 
     Raises:
         StageError: Mitsuba refuses a part; names its key.
     """
     mi = backend.mitsuba()
-    luminaire.register()
+    photometric.register()
     gc.collect()  # a scene before this one must give its ids back, else every kernel is compiled anew
     if size is not None:
         source = replace(source, camera=replace(source.camera, width_px=size[0], height_px=size[1]))
@@ -79,8 +80,8 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
         source, face_instances = flatten(source)
     else:
         face_instances = {}
-    if not boundaries and any(_is_light(part) and not is_handled(part) for part in source.world.values()):  # Mitsuba wants one to choose
-        source = replace(source, world={key: _left_out(part) if is_handled(part) else part for key, part in source.world.items()})
+    if not boundaries and any(_is_light(part) and not is_sampled_light(part) for part in source.world.values()):  # Mitsuba wants one to choose
+        source = replace(source, world={key: _left_out(part) if is_sampled_light(part) else part for key, part in source.world.items()})
     world = source.world
     made: dict[str, Any] = {}
     shapes: dict[tuple[str, ...], Any] = {}
@@ -131,7 +132,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     medium = None if surrounding is None else media[surrounding]
     camera = source.camera
     offset = (camera.shift[0], -camera.shift[1]) if is_thin_lens(camera) else (0.0, 0.0)
-    return Loaded(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_instances, made)
+    return MitsubaScene(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_instances, made)
 
 
 def make_bsdf(part: Mapping[str, Any]) -> Any:
@@ -144,7 +145,7 @@ def make_bsdf(part: Mapping[str, Any]) -> Any:
     return mi.load_dict(convert(part))
 
 
-def resized(loaded: Loaded, size: tuple[int, int]) -> Loaded:
+def resized(loaded: MitsubaScene, size: tuple[int, int]) -> MitsubaScene:
     """The same scene seen in (width, height) pixels."""
     camera = replace(loaded.source.camera, width_px=size[0], height_px=size[1])
     return replace(loaded, source=replace(loaded.source, camera=camera), sensor=make_sensor(camera, loaded.camera_medium))

@@ -11,9 +11,9 @@ from typing import Any
 
 from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.render import backend
-from synfog_usd.render.bands import RGB
-from synfog_usd.render.bands import check as check_bands
-from synfog_usd.render.load import Loaded
+from synfog_usd.render.load import MitsubaScene
+from synfog_usd.render.spectra.bands import RGB
+from synfog_usd.render.spectra.bands import check as check_bands
 from synfog_usd.scene import SceneDict
 
 AUTO = "auto"
@@ -30,7 +30,7 @@ class Model:
     """One way to transport light.
 
     Attributes:
-        make: integrator for a loaded scene, as `film.expose` takes it; see `make` for what some may be told.
+        make: integrator for a loaded scene, as `film.accumulator.accumulate` takes it; see `make` for what some may be told.
         boundaries: whether the fog must stand in the scene as null-material shapes.
         refuses: why a scene is outside its domain, or ''.
     """
@@ -40,7 +40,7 @@ class Model:
     refuses: Callable[[SceneDict], str]
 
 
-def _volpath(loaded: Loaded) -> Any:
+def _volpath(loaded: MitsubaScene) -> Any:
     """Mitsuba's volumetric path tracer: the peer, unbiased and slow.
 
     Paths are not cut at any depth: with an albedo of 1 a fixed depth darkens dense
@@ -53,7 +53,7 @@ def _volpath(loaded: Loaded) -> Any:
     return backend.mitsuba().load_dict({"type": "volpath", "max_depth": -1, "rr_depth": RR_DEPTH})
 
 
-def _volpathmis(loaded: Loaded) -> Any:
+def _volpathmis(loaded: MitsubaScene) -> Any:
     """Mitsuba's other volumetric path tracer: the peer for spectral extinction.
 
     Valid for any fog and surface; lamps may give NaN (seen with a spot inside the fog).
@@ -62,32 +62,32 @@ def _volpathmis(loaded: Loaded) -> Any:
     return backend.mitsuba().load_dict({"type": "volpathmis", "max_depth": -1, "rr_depth": RR_DEPTH})
 
 
-def _tracer(loaded: Loaded, *, layer: bool = False, gridded: bool = False, method: Any = None, bands: int = RGB) -> Any:
-    from synfog_usd.render.air import Air
-    from synfog_usd.render.bands import Bands
-    from synfog_usd.render.field import Field
-    from synfog_usd.render.fogpath import FogPath
-    from synfog_usd.render.lamps import Lamps, is_handled
-    from synfog_usd.render.slabfield import make_slab
+def _tracer(loaded: MitsubaScene, *, with_slab: bool = False, in_froxels: bool = False, method: Any = None, bands: int = RGB) -> Any:
+    from synfog_usd.render.integrators.froxels import FroxelPath
+    from synfog_usd.render.integrators.path import FogPath
+    from synfog_usd.render.lights.sampler import LightSampler, is_sampled_light
+    from synfog_usd.render.media.control_variate import make_control_variate
+    from synfog_usd.render.media.medium import Medium
+    from synfog_usd.render.spectra.bands import Bands
 
     world = loaded.source.world
-    handled = sum(is_handled(part) for part in world.values())
+    handled = sum(is_sampled_light(part) for part in world.values())
     sky = loaded.scene.environment() is not None
     others = len(loaded.scene.emitters()) - sky - handled
     spectra, kind_of = _emissions(loaded, bands)
     carried = Bands(bands, loaded.source.fog, spectra)
-    carried.wear(loaded)
-    air = Air(loaded.source.fog, carried.clearest)
-    slab = None
-    if layer:
-        slab, problem = make_slab(loaded, air, carried, kind_of.get("light_sky", 0))
-        if slab is None:
-            raise ParameterError(f"the layer cannot be used here: {problem}")
+    carried.assign_spectral_bsdfs(loaded)
+    medium = Medium(loaded.source.fog, carried.clearest)
+    control = None
+    if with_slab:
+        control, problem = make_control_variate(loaded, medium, carried, kind_of.get("light_sky", 0))
+        if control is None:
+            raise ParameterError(f"the slab cannot be used here: {problem}")
     names, numbers, of_emitter = _groups(loaded, carried.kinds, kind_of)
     g = loaded.source.fog[0].medium.phase_function.mean_cosine if loaded.source.fog else 0.0
-    lamps = Lamps(world, numbers, g)
-    kind = Field if gridded else FogPath
-    return kind(loaded, air, lamps=lamps, others=others, slab=slab, method=method, groups=names, group_of_emitter=of_emitter, bands=carried)
+    lights = LightSampler(world, numbers, g)
+    kind = FroxelPath if in_froxels else FogPath
+    return kind(loaded, medium, lights=lights, others=others, control=control, method=method, groups=names, group_of_emitter=of_emitter, bands=carried)
 
 
 def _index(emitter: Any) -> int:
@@ -98,7 +98,7 @@ def _index(emitter: Any) -> int:
     return int(dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))[0])
 
 
-def _emissions(loaded: Loaded, bands: int) -> tuple[list[Any], dict[str, int]]:
+def _emissions(loaded: MitsubaScene, bands: int) -> tuple[list[Any], dict[str, int]]:
     """Spectra of lamps that have their own, each once, and key of a lamp -> its kind of light, from 1 on."""
     known: dict[bytes, int] = {}
     spectra, kind_of = [], {}
@@ -111,7 +111,7 @@ def _emissions(loaded: Loaded, bands: int) -> tuple[list[Any], dict[str, int]]:
     return spectra, kind_of
 
 
-def _groups(loaded: Loaded, kinds: int, kind_of: Mapping[str, int]) -> tuple[tuple[str, ...], dict[str, int], Any]:
+def _groups(loaded: MitsubaScene, kinds: int, kind_of: Mapping[str, int]) -> tuple[tuple[str, ...], dict[str, int], Any]:
     """Names of the light groups that are there; key of a lamp -> its number, group x kinds of light + kind; and the same by the renderer's own index."""
     import numpy as np
 
@@ -127,71 +127,71 @@ def _groups(loaded: Loaded, kinds: int, kind_of: Mapping[str, int]) -> tuple[tup
     return names, numbers, mi.UInt32(table)
 
 
-def _path(loaded: Loaded, **how: Any) -> Any:
-    """Path tracing with the fog's edge in closed form; see `fogpath`.
+def _path(loaded: MitsubaScene, **how: Any) -> Any:
+    """Path tracing with the fog's edge in closed form; see `integrators.path`.
 
     Valid for any lamp and surface, and for fog in boxes and balls, uniform or exponential, nested or not.  Unbiased.
     """
     return _tracer(loaded, **how)
 
 
-def _path_slab(loaded: Loaded, **how: Any) -> Any:
-    """`path` that samples only what differs from a plane-parallel layer; see `slabfield`.
+def _path_slab(loaded: MitsubaScene, **how: Any) -> Any:
+    """`path` that samples only what differs from a plane-parallel slab; see `control_variate`.
 
     Valid where `path` is, for one box of fog with a level top under a sky.  Unbiased
     to 0.05 %.  Fast where most of what is seen is fog, ground and sky; slower than `path`
     in a street canyon, under a bridge or where lamps are all the light.
     """
-    return _tracer(loaded, layer=True, **how)
+    return _tracer(loaded, with_slab=True, **how)
 
 
-def _slab(loaded: Loaded, **how: Any) -> Any:
-    """The layer's airlight, and surfaces in the layer's light with visibility rays.
+def _slab(loaded: MitsubaScene, **how: Any) -> Any:
+    """The slab's airlight, and surfaces in the slab's light with visibility rays.
 
     What objects take from or add to the light scattered in the fog is left out.
     Valid under a sky alone, with objects small against 1 / extinction; not for lamps,
     street canyons or under bridges.
     """
-    from synfog_usd.render.fogpath import Method
+    from synfog_usd.render.integrators.path import Method
 
-    return _tracer(loaded, layer=True, method=Method(scatterings=0, bounces=2), **how)
+    return _tracer(loaded, with_slab=True, method=Method(scatterings=0, bounces=2), **how)
 
 
-def _single(loaded: Loaded, **how: Any) -> Any:
-    """Light that the fog turned once at most.
+def _single(loaded: MitsubaScene, **how: Any) -> Any:
+    """Light that the fog scattered once at most.
 
     Valid up to optical depths of about 0.3; beyond, it loses most of the airlight.
     """
-    from synfog_usd.render.fogpath import Method
+    from synfog_usd.render.integrators.path import Method
 
     return _tracer(loaded, method=Method(scatterings=1), **how)
 
 
-def _field(loaded: Loaded, **how: Any) -> Any:
-    """Airlight from a grid in the camera's view, all else as `path`; see `field`.
+def _field(loaded: MitsubaScene, **how: Any) -> Any:
+    """Airlight from a grid in the camera's view, all else as `path`; see `integrators.froxels`.
 
-    Valid where `path` is, and as far as light that the fog turned more than once (a sky's: once) changes little over 1.5 degrees.
+    Valid where `path` is, and as far as light that the fog scattered more than once (a sky's: once) changes little over 1.5 degrees.
     """
-    return _tracer(loaded, gridded=True, **how)
+    return _tracer(loaded, in_froxels=True, **how)
 
 
-def _field_slab(loaded: Loaded, **how: Any) -> Any:
-    """`field`, with the difference to a plane-parallel layer in the grid; all else as `path+slab`.
+def _field_slab(loaded: MitsubaScene, **how: Any) -> Any:
+    """`field`, with the difference to a plane-parallel slab in the cache; all else as `path+slab`.
 
     Valid where both are.
     """
-    return _tracer(loaded, layer=True, gridded=True, **how)
+    return _tracer(loaded, with_slab=True, in_froxels=True, **how)
 
 
 def _path_refuses(scene: SceneDict) -> str:
     if backend.is_scalar():
         return "it needs LLVM or CUDA"
-    from synfog_usd.render.air import unknown_fog
+    from synfog_usd.render.media.medium import unsupported_fog
 
-    return unknown_fog(scene.fog)
+    return unsupported_fog(scene.fog)
 
 
-def _layer_refuses(scene: SceneDict) -> str:
+def _slab_refuses(scene: SceneDict) -> str:
     if problem := _path_refuses(scene):
         return problem
     if len(scene.fog) != 1:
@@ -204,9 +204,9 @@ def _layer_refuses(scene: SceneDict) -> str:
     return ""
 
 
-def _asm(airlight: str) -> Callable[[Loaded], Any]:
-    def make(loaded: Loaded) -> Any:
-        from synfog_usd.render.asm import make_asm
+def _asm(airlight: str) -> Callable[[MitsubaScene], Any]:
+    def make(loaded: MitsubaScene) -> Any:
+        from synfog_usd.render.integrators.asm import make_asm
 
         return make_asm(loaded, airlight)
 
@@ -214,19 +214,19 @@ def _asm(airlight: str) -> Callable[[Loaded], Any]:
 
 
 def _asm_refuses(scene: SceneDict) -> str:
-    from synfog_usd.render.asm import asm_refuses
+    from synfog_usd.render.integrators.asm import asm_refuses
 
     return asm_refuses(scene)
 
 
-def _glow(loaded: Loaded) -> Any:
-    from synfog_usd.render.glow import make_glow
+def _glow(loaded: MitsubaScene) -> Any:
+    from synfog_usd.render.integrators.glow import make_glow
 
     return make_glow(loaded)
 
 
 def _glow_refuses(scene: SceneDict) -> str:
-    from synfog_usd.render.glow import glow_refuses
+    from synfog_usd.render.integrators.glow import glow_refuses
 
     return glow_refuses(scene)
 
@@ -234,13 +234,13 @@ def _glow_refuses(scene: SceneDict) -> str:
 MODELS: dict[str, Model] = {
     "asm": Model(_asm("physical"), False, _asm_refuses),
     "asm_estimated": Model(_asm("estimated"), False, _asm_refuses),
-    "slab": Model(_slab, False, _layer_refuses),
+    "slab": Model(_slab, False, _slab_refuses),
     "glow": Model(_glow, False, _glow_refuses),
     "single": Model(_single, False, _path_refuses),
     "field": Model(_field, False, _path_refuses),
-    "field+slab": Model(_field_slab, False, _layer_refuses),
+    "field+slab": Model(_field_slab, False, _slab_refuses),
     "path": Model(_path, False, _path_refuses),
-    "path+slab": Model(_path_slab, False, _layer_refuses),
+    "path+slab": Model(_path_slab, False, _slab_refuses),
     "volpath": Model(_volpath, True, lambda scene: ""),
     "volpathmis": Model(_volpathmis, True, lambda scene: ""),
 }
@@ -253,13 +253,13 @@ BANDED = ("slab", "single", "field", "field+slab", "path", "path+slab")
 """Models that carry wavelength bands."""
 
 PEERS = ("volpath", "volpathmis")
-"""Mitsuba's own; they know no layers, and are sampled evenly to the end."""
+"""Mitsuba's own; they know no estimators, and are sampled evenly to the end."""
 
 UNBIASED = ("path", "path+slab", "volpath", "volpathmis")
 """Models without an error but noise, where they hold."""
 
 
-def make(name: str, loaded: Loaded, *, scatterings: int | None = None, bounces: int | None = None, bands: int = RGB) -> Any:
+def make(name: str, loaded: MitsubaScene, *, scatterings: int | None = None, bounces: int | None = None, bands: int = RGB) -> Any:
     """A model's integrator, with paths cut short or in wavelength bands where that is asked for.
 
     Raises:
@@ -267,12 +267,12 @@ def make(name: str, loaded: Loaded, *, scatterings: int | None = None, bounces: 
     """
     how: dict[str, Any] = {}
     if scatterings is not None or bounces is not None:
-        from synfog_usd.render.fogpath import Method
+        from synfog_usd.render.integrators.path import Method
 
         if name not in LIMITED:
             raise ParameterError(f"--model {name} takes no limit on scatterings or bounces; {' and '.join(LIMITED)} do")
         if min(scatterings or 0, bounces or 0) < 0:
-            raise ParameterError(f"a path cannot be turned {min(scatterings or 0, bounces or 0)} times; give 0 or more")
+            raise ParameterError(f"a path cannot be scattered {min(scatterings or 0, bounces or 0)} times; give 0 or more")
         how["method"] = Method(**{key: value for key, value in (("scatterings", scatterings), ("bounces", bounces)) if value is not None})
     if bands != RGB:
         check_bands(bands)

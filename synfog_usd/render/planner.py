@@ -17,8 +17,11 @@ import numpy.typing as npt
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
-from synfog_usd.render import bands, film, models
-from synfog_usd.render.load import Loaded, resized
+from synfog_usd.render import models
+from synfog_usd.render.film.accumulator import CHUNK, ESTIMATOR_COST, Accumulator, accumulate, add_samples, new_accumulator, neyman_allocation
+from synfog_usd.render.integrators.path import INSCATTERED, SURFACE, FogPath
+from synfog_usd.render.load import MitsubaScene, resized
+from synfog_usd.render.spectra import bands
 from synfog_usd.scene import SceneDict
 from synfog_usd.seeds import seed32
 
@@ -127,10 +130,10 @@ def candidates(scene: SceneDict) -> list[str]:
     return [name for name in ("path", "path+slab") if not models.MODELS[name].refuses(scene)] if scene.fog else []
 
 
-def choose(loaded: Loaded, *, target: Target, seed: int, denoised: bool = False, progress: Progress = silent) -> Choice:
+def choose(loaded: MitsubaScene, *, target: Target, seed: int, denoised: bool = False, progress: Progress = silent) -> Choice:
     """The cheapest model whose measured error is under the target.
 
-    How often a path may be turned is left open: in every bench stage a cut that errs by under
+    How often a path may be scattered is left open: in every bench stage a cut that errs by under
     10 % costs as much as none, since roulette ends paths where they carry little.
 
     Args:
@@ -144,7 +147,7 @@ def choose(loaded: Loaded, *, target: Target, seed: int, denoised: bool = False,
     scene, small = loaded.source, _small(loaded)
     holding = candidates(scene)
     figures: dict[str, dict[str, float]] = {}
-    pilots: dict[str, film.Exposure] = {}
+    pilots: dict[str, Accumulator] = {}
     for index, name in enumerate(holding):
         progress("trying models", index / (len(holding) + len(BIASED)))
         if (picture := _pilot(small, name, seed)) is not None:
@@ -183,7 +186,7 @@ def choose(loaded: Loaded, *, target: Target, seed: int, denoised: bool = False,
     return Choice(best, why + (f"; {', '.join(tried)}, above {wanted:.2%}" if tried else ""), figures, best)
 
 
-def choose_bands(loaded: Loaded, model: str, *, target: Target, seed: int, progress: Progress = silent) -> tuple[int, str, dict[str, float]]:
+def choose_bands(loaded: MitsubaScene, model: str, *, target: Target, seed: int, progress: Progress = silent) -> tuple[int, str, dict[str, float]]:
     """The fewest wavelength bands whose colours are right to the target.
 
     Right is what FINEST bands give along the same paths.  An eye's R, G and B of both are
@@ -202,14 +205,14 @@ def choose_bands(loaded: Loaded, model: str, *, target: Target, seed: int, progr
         return bands.RGB, "a grid takes R, G and B", {}
     counts = (bands.RGB, *(count for count in bands.CENTRES_NM if count < FINEST))
 
-    def picture(count: int, half: int) -> tuple[Array, film.Exposure]:
+    def picture(count: int, half: int) -> tuple[Array, Accumulator]:
         integrator = models.make(model, small, bands=count)
-        exposure = film.expose(small, integrator, samples=PILOT_SAMPLES // 2, seed=seed32(seed, "bands", half))
-        return bands.to_rgb(exposure.mean(), count), exposure
+        accumulated = accumulate(small, integrator, samples=PILOT_SAMPLES // 2, seed=seed32(seed, "bands", half))
+        return bands.to_rgb(accumulated.mean(), count), accumulated
 
     progress("trying bands", 0.0)
     right = [picture(FINEST, half) for half in (0, 1)]
-    level = np.mean([exposure.luminance() for _, exposure in right], axis=0)
+    level = np.mean([accumulated.luminance() for _, accumulated in right], axis=0)
     scale = np.maximum(level, 0.05 * level.mean() + 1e-30)[:, None]
     wanted = target.relative if target.relative is not None else _relative(target, right[0][1])
     wanted = COLOUR_ERROR if wanted is None else wanted
@@ -223,21 +226,21 @@ def choose_bands(loaded: Loaded, model: str, *, target: Target, seed: int, progr
     return FINEST, f"fewer err by {figures[str(counts[-1])]:.2%}, above {wanted:.2%}", figures
 
 
-def _small(loaded: Loaded) -> Loaded:
+def _small(loaded: MitsubaScene) -> MitsubaScene:
     camera = loaded.source.camera
     return resized(loaded, (PILOT_WIDTH_PX, max(1, round(PILOT_WIDTH_PX * camera.height_px / camera.width_px))))
 
 
-def _pilot(small: Any, name: str, seed: int) -> film.Exposure | None:
+def _pilot(small: Any, name: str, seed: int) -> Accumulator | None:
     """A small picture by a model, or None where it finds on a closer look that it does not hold."""
     try:
         integrator = models.MODELS[name].make(small)
     except ParameterError:
         return None
-    return film.expose(small, integrator, samples=PILOT_SAMPLES, seed=seed32(seed, "pilot", name))
+    return accumulate(small, integrator, samples=PILOT_SAMPLES, seed=seed32(seed, "pilot", name))
 
 
-def expose(loaded: Any, integrator: Any, *, target: Target, seed: int, now: Callable[[], float], progress: Progress = silent) -> film.Exposure:
+def accumulate_to_target(loaded: Any, integrator: Any, *, target: Target, seed: int, now: Callable[[], float], progress: Progress = silent) -> Accumulator:
     """Sample until the target is met or the samples or the time are used up; more where the error still is.
 
     A pixel's variance is judged with its neighbours': by itself it would stop at the
@@ -247,34 +250,34 @@ def expose(loaded: Any, integrator: Any, *, target: Target, seed: int, now: Call
         integrator: a `FogPath`; others are sampled evenly, to `target.samples`, whatever the target.
         now: seconds since the shot was begun.
     """
-    if not isinstance(integrator, film.FogPath) or target.open:
-        return film.expose(loaded, integrator, samples=target.samples, seed=seed, progress=progress)
+    if not isinstance(integrator, FogPath) or target.open:
+        return accumulate(loaded, integrator, samples=target.samples, seed=seed, progress=progress)
     camera = loaded.source.camera
     pixels = camera.width_px * camera.height_px
-    exposure, everywhere = film.begin(integrator, pixels), np.arange(pixels)
-    first = min(2 * film.CHUNK, max(2, target.samples))
-    film.extend(exposure, integrator, everywhere, exposure.even(first), seed, _within(progress, 0.0, first / target.samples))
+    accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
+    first = min(2 * CHUNK, max(2, target.samples))
+    add_samples(accumulated, integrator, everywhere, accumulated.even(first), seed, _within(progress, 0.0, first / target.samples))
     spent = first
-    while spent < target.samples and first % film.CHUNK == 0 and (target.time_s is None or now() < target.time_s):
-        need = _needed(exposure, target, (camera.height_px, camera.width_px))
+    while spent < target.samples and first % CHUNK == 0 and (target.time_s is None or now() < target.time_s):
+        need = _needed(accumulated, target, (camera.height_px, camera.width_px))
         short = need > 1.0
         if not short.any():
             break
-        share = film.shares(exposure, film.CHUNK * len(integrator.parts))
+        share = neyman_allocation(accumulated, CHUNK * len(integrator.estimators))
         budget = (target.samples - spent) * pixels
         rows = everywhere[short]
-        have = int(np.median(exposure.parts[film.SURFACE].counts[rows]))
-        count = int(min(have, budget // len(rows)) // film.CHUNK * film.CHUNK)  # a round at most doubles what a pixel has
+        have = int(np.median(accumulated.estimators[SURFACE].counts[rows]))
+        count = int(min(have, budget // len(rows)) // CHUNK * CHUNK)  # a round at most doubles what a pixel has
         if count == 0:
             break
-        scale = count * sum(film.COST[part] for part in share) / sum(exposure.cost(part) * value for part, value in share.items())
-        scales = {part: scale * (len(rows) / pixels if exposure.grid is not None and part == film.AIR else 1.0) for part in share}
-        more = {part: max(film.CHUNK, round(value * scales[part] / film.CHUNK) * film.CHUNK) for part, value in share.items()}
+        scale = count * sum(ESTIMATOR_COST[part] for part in share) / sum(accumulated.cost(part) * value for part, value in share.items())
+        scales = {part: scale * (len(rows) / pixels if accumulated.radiance_cache is not None and part == INSCATTERED else 1.0) for part in share}
+        more = {part: max(CHUNK, round(value * scales[part] / CHUNK) * CHUNK) for part, value in share.items()}
         after = spent + count * len(rows) / pixels
-        film.extend(exposure, integrator, rows, more, seed, _within(progress, spent / target.samples, after / target.samples))
+        add_samples(accumulated, integrator, rows, more, seed, _within(progress, spent / target.samples, after / target.samples))
         spent = after
     progress("rendering", 1.0)
-    return exposure
+    return accumulated
 
 
 def _within(progress: Progress, low: float, high: float) -> Progress:
@@ -282,29 +285,29 @@ def _within(progress: Progress, low: float, high: float) -> Progress:
     return lambda what, fraction: progress(what, low + (high - low) * fraction)
 
 
-def reached(exposure: film.Exposure, target: Target, shape: tuple[int, int]) -> float:
+def reached(accumulated: Accumulator, target: Target, shape: tuple[int, int]) -> float:
     """Share of the pixels whose standard error is under the target."""
-    return float((_needed(exposure, target, shape) <= 1.0).mean())
+    return float((_needed(accumulated, target, shape) <= 1.0).mean())
 
 
-def _needed(exposure: film.Exposure, target: Target, shape: tuple[int, int]) -> Array:
+def _needed(accumulated: Accumulator, target: Target, shape: tuple[int, int]) -> Array:
     """How many times the samples it has each pixel needs."""
     from scipy import ndimage
 
-    smooth = ndimage.uniform_filter(exposure.luminance().reshape(shape), 5, mode="nearest").ravel()
-    variance = ndimage.uniform_filter(np.minimum(exposure.luminance_variance(), 1e30).reshape(shape), 5, mode="nearest").ravel()
+    smooth = ndimage.uniform_filter(accumulated.luminance().reshape(shape), 5, mode="nearest").ravel()
+    variance = ndimage.uniform_filter(np.minimum(accumulated.luminance_variance(), 1e30).reshape(shape), 5, mode="nearest").ravel()
     return variance / np.maximum(target.allowed(smooth), 1e-30) ** 2
 
 
-def _noise(exposure: film.Exposure) -> float:
+def _noise(accumulated: Accumulator) -> float:
     """Relative standard deviation of a sample: root of the mean over the pixels, the noisiest hundredth left out."""
-    level = exposure.luminance()
+    level = accumulated.luminance()
     scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
-    relative = np.sort(exposure.luminance_variance() / scale**2)
+    relative = np.sort(accumulated.luminance_variance() / scale**2)
     return float(np.sqrt(relative[: max(1, int(0.99 * len(relative)))].mean() * PILOT_SAMPLES))
 
 
-def _bias(picture: film.Exposure, reference: film.Exposure, shape: tuple[int, int] | None = None) -> tuple[float, float]:
+def _bias(picture: Accumulator, reference: Accumulator, shape: tuple[int, int] | None = None) -> tuple[float, float]:
     """RMS over the pixels of the relative error that is not noise, and how well it is known.
 
     Both variances are taken off the squared difference.  With the `shape` (H, W) of the picture, over
@@ -338,10 +341,10 @@ def _bias_of_squares(one: Array, other: Array, noise: Array, other_noise: Array,
     return float(np.sqrt(max(float(excess.mean()), 0.0))), known
 
 
-def _relative(target: Target, exposure: film.Exposure) -> float | None:
+def _relative(target: Target, accumulated: Accumulator) -> float | None:
     if target.sigma is None:
         return None
-    luminance = exposure.luminance()
+    luminance = accumulated.luminance()
     level = np.maximum(luminance, 0.01 * luminance.mean() + 1e-30)
     return float(np.median(target.sigma(level) / level))
 

@@ -1,4 +1,4 @@
-"""One shot: radiance with its variance, and the layers that need no samples."""
+"""One shot: radiance with its variance, and the AOVs that need no samples."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import numpy as np
 from synfog_usd.errors import ParameterError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent
-from synfog_usd.render import bands as banding
 from synfog_usd.render import denoise as denoising
-from synfog_usd.render import layers, models, planner
-from synfog_usd.render.fogpath import LENS_M
-from synfog_usd.render.load import Loaded, to_mitsuba
+from synfog_usd.render import models, planner
+from synfog_usd.render.film import aovs
+from synfog_usd.render.integrators.path import LENS_M
+from synfog_usd.render.load import MitsubaScene, to_mitsuba
+from synfog_usd.render.spectra import bands as banding
 from synfog_usd.scene import SceneDict
 
 PROBE_PX = (64, 36)
@@ -26,7 +27,7 @@ WORTH_A_PILOT = 1 << 19
 WORTH_A_BANDS_PILOT = 1 << 23
 """The same for trying wavelength bands, which few scenes need and which want kernels of their own."""
 
-LAYER_NAMES = ("surface", "airlight_single", "airlight_multiple")
+COMPONENTS = ("surface", "airlight_single", "airlight_multiple")
 
 
 @dataclass(frozen=True)
@@ -35,22 +36,22 @@ class Rendered:
 
     Attributes:
         radiance: (H, W, C) with the variance of its mean; linear Rec.709 in cd m-2, or bands in W m-2 sr-1 nm-1.
-        layers: what the pixel-centre rays met.
-        parts: 'surface', 'airlight_single', 'airlight_multiple' -> (H, W, C) float32 radiance, which add up to
+        aovs: what the pixel-centre rays met.
+        components: 'surface', 'airlight_single', 'airlight_multiple' -> (H, W, C) float32 radiance, which add up to
             all of it and may be below 0 by noise; empty where the model tells none apart.
         groups: light group -> (H, W, C) float32 radiance; empty where there is only one.
         model, why: which model it was, and why that one.
         relative_error: median over the pixels of standard error / mean luminance.
         warnings: what went wrong on the way, in words.
         figures: what the pilots measured, see `planner.Choice` and `choose_bands`; empty where there were none.
-        samples: paths per pixel on average, all parts together.
+        samples: paths per pixel on average, all components together.
         met: share of the pixels whose standard error is under the target; None where there was no target.
     """
 
     radiance: Image
-    layers: layers.Layers
+    aovs: aovs.Aovs
     relative_error: float
-    parts: Mapping[str, np.ndarray]
+    components: Mapping[str, np.ndarray]
     groups: Mapping[str, np.ndarray]
     model: str
     why: str
@@ -74,8 +75,8 @@ def render(
     bounces: int | None = None,
     bands: int | None = banding.RGB,
     denoise: bool = False,
-    loaded: Loaded | None = None,
-    clear: layers.Layers | None = None,
+    loaded: MitsubaScene | None = None,
+    clear: aovs.Aovs | None = None,
     progress: Progress = silent,
 ) -> Rendered:
     """Transport light through one scene.
@@ -89,7 +90,7 @@ def render(
         target_error: relative standard error of a pixel at which sampling stops, or None.
         sensor_sigma: luminance -> standard error [cd m-2] at which it stops, see `planner.sensor_target`, or None.
         time_limit_s: seconds after which no new round of samples is begun, in our own path tracers; what it ends does not repeat byte for byte.
-        scatterings, bounces: limits of `path` and `path+slab`: how often the fog, and how often surfaces, may turn a path; None is no limit.
+        scatterings, bounces: limits of `path` and `path+slab`: how often the fog, and how often surfaces, may scatter a path; None is no limit.
         bands: light that each path carries: 3 for R, G and B; 8, 16 or 31 wavelength bands; None lets the planner choose.
         denoise: smooth surface and airlight apart (see `denoise`); variance and error stay those of the samples.
         loaded: the scene as `load` gave it for this model and size, to render it again; None loads it.
@@ -133,29 +134,29 @@ def render(
             bands, because, figures["bands"] = planner.choose_bands(loaded, model, target=target, seed=seed, progress=progress)
             why += f"; {bands} bands: {because}"
     integrator = models.make(model, loaded, scatterings=scatterings, bounces=bounces, bands=bands)
-    exposure = planner.expose(loaded, integrator, target=target, seed=seed, now=lambda: time.perf_counter() - began, progress=progress)
+    accumulated = planner.accumulate_to_target(loaded, integrator, target=target, seed=seed, now=lambda: time.perf_counter() - began, progress=progress)
     camera = loaded.source.camera
     shape = (camera.height_px, camera.width_px, -1)
-    met = None if target.open else planner.reached(exposure, target, shape[:2])
-    luminance, noise = exposure.luminance(), np.sqrt(exposure.luminance_variance())
+    met = None if target.open else planner.reached(accumulated, target, shape[:2])
+    luminance, noise = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
     lit = luminance > 0.0
     error = float(np.median(noise[lit] / luminance[lit])) if lit.any() else 0.0
     del luminance, noise
-    mean, variance = exposure.mean().reshape(shape).astype(np.float32), exposure.variance().reshape(shape).astype(np.float32)
-    for part in exposure.parts.values():  # a large frame in many bands fills memory: each sum is let go once it is read
-        part.squares = np.zeros((0, 0))
+    mean, variance = accumulated.mean().reshape(shape).astype(np.float32), accumulated.variance().reshape(shape).astype(np.float32)
+    for estimator in accumulated.estimators.values():  # a large frame in many bands fills memory: each sum is let go once it is read
+        estimator.squares = np.zeros((0, 0))
     warnings = []
-    if exposure.lost:
-        warnings.append(f"{exposure.lost} of {exposure.samples} samples were not finite and count as black")
-    spent = exposure.samples / pixels
-    parts = {name: layer.reshape(shape).astype(np.float32) for name in LAYER_NAMES if (layer := exposure.take_layer(name)) is not None}
+    if accumulated.lost:
+        warnings.append(f"{accumulated.lost} of {accumulated.samples} samples were not finite and count as black")
+    spent = accumulated.samples / pixels
+    components = {name: aov.reshape(shape).astype(np.float32) for name in COMPONENTS if (aov := accumulated.take_aov(name)) is not None}
     if mean.min() < 0.0:
         below = int((mean < 0.0).any(axis=2).sum())
         warnings.append(f"{below} pixels came out below 0, noise of a difference, and count as black; more samples mend it")
         mean = np.maximum(mean, 0.0)
     if denoise:
-        parts = _denoised(loaded, parts)
-        mean = np.asarray(sum(parts.values()))
+        components = _denoised(loaded, components)
+        mean = np.asarray(sum(components.values()))
     radiance = Image(
         mean,
         banding.names(bands),
@@ -165,21 +166,21 @@ def render(
         | ({"denoised": True} if denoise else {}),
     )
     names = getattr(integrator, "group_names", ())
-    groups = {name: exposure.take_group().reshape(shape).astype(np.float32) for name in names} if len(names) > 1 else {}
-    seen = layers.measure(loaded) if clear is None else layers.seen_through(loaded, clear)
-    return Rendered(radiance, seen, error, parts, groups, model, why, tuple(warnings), figures, spent, met)
+    groups = {name: accumulated.take_group().reshape(shape).astype(np.float32) for name in names} if len(names) > 1 else {}
+    seen = aovs.measure(loaded) if clear is None else aovs.seen_through(loaded, clear)
+    return Rendered(radiance, seen, error, components, groups, model, why, tuple(warnings), figures, spent, met)
 
 
-def _denoised(loaded: Loaded, parts: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The layers without noise; single and multiple airlight keep their shares pixel by pixel."""
+def _denoised(loaded: MitsubaScene, components: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The components without noise; single and multiple airlight keep their shares pixel by pixel."""
     seen = denoising.guides(loaded)
-    airlight = parts["airlight_single"] + parts["airlight_multiple"]
-    surface, clean = denoising.denoise(parts["surface"], airlight, seen.transmittance, seen.albedo, seen.normal)
-    share = np.clip(parts["airlight_single"] / np.where(airlight > 0.0, airlight, 1.0), 0.0, 1.0)
+    airlight = components["airlight_single"] + components["airlight_multiple"]
+    surface, clean = denoising.denoise(components["surface"], airlight, seen.transmittance, seen.albedo, seen.normal)
+    share = np.clip(components["airlight_single"] / np.where(airlight > 0.0, airlight, 1.0), 0.0, 1.0)
     return {"surface": surface, "airlight_single": clean * share, "airlight_multiple": clean * (1.0 - share)}
 
 
-def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> Loaded:
+def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:
     """The scene in Mitsuba, with the near plane moved to the lens where it hides nothing.
 
     Mitsuba starts a camera ray at the near plane and forgets the fog before it;
@@ -191,6 +192,6 @@ def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: b
     if scene.camera.near_m <= close.near_m:
         return loaded
     probe = replace(loaded, source=replace(loaded.source, camera=replace(close, width_px=PROBE_PX[0], height_px=PROBE_PX[1])))
-    if not np.any(layers.measure(probe).depth_m < scene.camera.near_m):
+    if not np.any(aovs.measure(probe).depth_m < scene.camera.near_m):
         return loaded
     return to_mitsuba(scene, size=size, boundaries=boundaries)

@@ -74,7 +74,7 @@ def readings() -> dict[str, Reading]:
 
 
 @dataclass(frozen=True)
-class Bench:
+class SensorBench:
     """A bare sensor under even light of one wavelength, as EMVA 1288 has it.
 
     Attributes:
@@ -112,14 +112,14 @@ class Bench:
         return self.graph.run({"light": light}, seed=seed, settings=settings, overrides=self.overrides, until=node, keep=[node])[node]
 
 
-def bench(reading: Reading, *, nodes: Sequence[Mapping[str, Any]] = (), registry: Registry = camera.OPS, **options: Any) -> Bench:
+def bench(reading: Reading, *, nodes: Sequence[Mapping[str, Any]] = (), registry: Registry = camera.OPS, **options: Any) -> SensorBench:
     """A reading on the bench, at 25 degrees C.
 
     Args:
         reading: see `readings`.
         nodes: changes to the graph, in the words of a graph that extends another.
         registry: of ops.
-        options: the other attributes of `Bench`.
+        options: the other attributes of `SensorBench`.
     """
     whole = camera.load_graph(resources.folder("pipeline") / f"{reading.pipeline}.yaml")
     others = [{"name": name, "remove": True} for name, node in whole.nodes.items() if node.op.family != "sensor"]
@@ -137,7 +137,7 @@ def bench(reading: Reading, *, nodes: Sequence[Mapping[str, Any]] = (), registry
         nodes=[*others, *lit, *warm, *nodes],
         outputs=dict.fromkeys(whole.outputs) | {"raw.dng": reading.node},
     )
-    return Bench(reading, graph, **options)
+    return SensorBench(reading, graph, **options)
 
 
 def transfer(reading: Reading, electrons: npt.ArrayLike) -> tuple[Array, Array]:

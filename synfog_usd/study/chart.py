@@ -30,7 +30,7 @@ from synfog_usd.study.accuracy import Reference
 from synfog_usd.study.points import PEERS, PLAIN, Point, Setting, front, line_name, lines, summary, table
 
 if TYPE_CHECKING:
-    from synfog_usd.render.load import Loaded
+    from synfog_usd.render.load import MitsubaScene
     from synfog_usd.scene import SceneDict
 
 NAMES = ("chart.csv", "chart.svg", "chart.png", "chart.html")
@@ -275,7 +275,7 @@ def check(plan: ChartPlan) -> None:
         ParameterError: with the option, what was found and what is allowed.
     """
     from synfog_usd.render import models
-    from synfog_usd.render.bands import check as check_bands
+    from synfog_usd.render.spectra.bands import check as check_bands
 
     for name in plan.models or ():
         models.check_name(name)
@@ -333,7 +333,8 @@ class _Renders:
 
     def render(self, model: str, setting: Setting, samples: int, seed: int, progress: Progress) -> tuple[Array, float]:
         """(H, W, 3) radiance as an eye's R, G and B, and seconds on the loaded scene, with what the model prepares for itself."""
-        from synfog_usd.render import bands, models, shot
+        from synfog_usd.render import models, shot
+        from synfog_usd.render.spectra import bands
 
         loaded = self._loaded(models.MODELS[model].boundaries)
         began = time.perf_counter()
@@ -341,12 +342,13 @@ class _Renders:
         elapsed = time.perf_counter() - began
         return bands.to_rgb(rendered.radiance.pixels, len(rendered.radiance.channels)), max(elapsed, 1e-3)
 
-    def _loaded(self, boundaries: bool) -> Loaded:
-        from synfog_usd.render import layers, shot
+    def _loaded(self, boundaries: bool) -> MitsubaScene:
+        from synfog_usd.render import shot
+        from synfog_usd.render.film import aovs
 
         if boundaries not in self.loadings:
             self.loadings[boundaries] = shot.load(self.scene, size=self.size, boundaries=boundaries)
-            layers.measure(self.loadings[boundaries])  # makes its kernels
+            aovs.measure(self.loadings[boundaries])  # makes its kernels
         return self.loadings[boundaries]
 
 

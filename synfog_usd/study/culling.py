@@ -97,8 +97,8 @@ def saving(name: str, scene: SceneDict, *, model: str = "path", samples: int = S
     Returns:
         None where the fog hides too little.
     """
-    from synfog_usd import camera
-    from synfog_usd.render import cull, shot
+    from synfog_usd import camera, cull
+    from synfog_usd.render import shot
 
     graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
     clear = shot.render(replace(scene, fog=()), samples=64, seed=1, size=(160, 90)).radiance

@@ -16,7 +16,9 @@ import numpy as np
 
 from synfog_usd.arrays import Array
 from synfog_usd.errors import SynfogError
-from synfog_usd.render import film, layers, models
+from synfog_usd.render import models
+from synfog_usd.render.film import aovs
+from synfog_usd.render.film.accumulator import accumulate
 from synfog_usd.render.shot import load
 from synfog_usd.scene import SceneDict
 from synfog_usd.study.cases import Case, Known, every
@@ -111,7 +113,7 @@ def measure(case: Case, known: Known, model: str) -> Result:
         return Result(case.name, model, SKIPPED, counted)
     if case.layer:
         assert known.truth is not None
-        seen = layers.measure(load(known.scene)).transmittance.astype(np.float64)
+        seen = aovs.measure(load(known.scene)).transmittance.astype(np.float64)
         return _judge(case, model, counted, np.full(SEEDS, seen.mean())[:, None], np.zeros(1), np.atleast_1d(np.mean(known.truth)), np.zeros(1))
     samples = case.samples if ours else case.peer_samples
     try:
@@ -191,7 +193,7 @@ def _render(world: SceneDict, model: str, samples: int, bands: int, seed: int) -
     shape = (world.camera.height_px, world.camera.width_px)
     images, variances, broken = [], [], 0
     for index in range(seed, seed + SEEDS):
-        exposure = film.expose(loaded, integrator, samples=samples, seed=index)
+        exposure = accumulate(loaded, integrator, samples=samples, seed=index)
         image = np.asarray(exposure.mean(), dtype=np.float64).mean(axis=1).reshape(shape)
         broken += exposure.lost + int(np.count_nonzero(~np.isfinite(image)))
         images.append(image)

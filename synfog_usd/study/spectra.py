@@ -19,8 +19,8 @@ import numpy as np
 from synfog_usd import files, photometry, spectra
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE, srgb_encode
-from synfog_usd.render import bands
 from synfog_usd.render.shot import render
+from synfog_usd.render.spectra import bands
 from synfog_usd.study.drawing import INK, STYLE
 from synfog_usd.study.truths import scene
 

@@ -161,7 +161,7 @@ def luminous_flux(candela: Array) -> Array:
 
 @functools.lru_cache(maxsize=8)  # a street has many lamps of few kinds; a table takes up to 12 MB
 def table_of(shaping: Shaping, seen: Callable[[Array], Array]) -> Array:
-    """(V, H, 3) factors on a light's intensity in all directions, laid out as the renderer's `luminaire` has it; read only.
+    """(V, H, 3) factors on a light's intensity in all directions, laid out as the renderer's `lights.photometric` has it; read only.
 
     Args:
         seen: the surface's extent in directions (..., 3) of the light's own frame, as a share of its largest.

@@ -16,7 +16,8 @@ CHILD = """
 import json, resource, sys, time
 import numpy as np
 from synfog_usd import camera, resources
-from synfog_usd.render import backend, cull, shot
+from synfog_usd.render import backend, shot
+from synfog_usd import cull
 from synfog_usd.study.culling import foggy
 
 backend.start("auto")

@@ -16,7 +16,9 @@ import pytest
 
 from synfog_usd import stage as usd
 from synfog_usd.render import denoise as denoising
-from synfog_usd.render import film, layers, models, shot
+from synfog_usd.render import models, shot
+from synfog_usd.render.film import aovs
+from synfog_usd.render.film.accumulator import accumulate
 from synfog_usd.translate import translate
 
 pytestmark = pytest.mark.bench
@@ -40,7 +42,7 @@ class Renderer:
         self.render(64, 99)  # all kernels made
 
     def render(self, samples, seed):
-        return film.expose(self.loaded, self.integrator, samples=samples, seed=seed)
+        return accumulate(self.loaded, self.integrator, samples=samples, seed=seed)
 
 
 def luminance(exposure):
@@ -178,7 +180,7 @@ def test_memory_of_a_large_frame():
         "names = ('sky', 'headlights', 'street_lamps', 'other');"
         "world = replace(world, group_of={key: names[index % 4] for index, key in enumerate(lit)});"
         "done = render(world, model='path', samples=4, bands=16);"
-        "assert len(done.parts) == 3 and len(done.groups) == 4 and done.radiance.pixels.shape == (1080, 1920, 16);"
+        "assert len(done.components) == 3 and len(done.groups) == 4 and done.radiance.pixels.shape == (1080, 1920, 16);"
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)"
     )
     peak = float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
@@ -189,5 +191,5 @@ def test_memory_of_a_large_frame():
 def test_layers_hold_the_same_light_as_their_sum():
     """What the benches time is what the tests test: the layers add up in a bench stage too."""
     done = shot.render(replace(scene("headlights")), model="path", samples=32)
-    np.testing.assert_allclose(sum(done.parts.values()), done.radiance.pixels, rtol=1e-3, atol=1e-5)
-    assert layers.measure(shot.load(scene("headlights"), boundaries=False)).transmittance.max() <= 1.0
+    np.testing.assert_allclose(sum(done.components.values()), done.radiance.pixels, rtol=1e-3, atol=1e-5)
+    assert aovs.measure(shot.load(scene("headlights"), boundaries=False)).transmittance.max() <= 1.0

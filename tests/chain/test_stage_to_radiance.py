@@ -6,7 +6,7 @@ from support.stages import street
 from support.stats import assert_mean
 
 from synfog_usd import stage as usd
-from synfog_usd.render import layers
+from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load, render
 from synfog_usd.translate import translate
 
@@ -28,7 +28,7 @@ def test_a_wall_at_50_m_in_mor_150_dims_by_beer_and_lambert(tmp_path, meters_per
     world = scene(tmp_path, meters_per_unit=meters_per_unit, up=up, albedo=0.0, emission=1.0, sky=0.0, fov_x_deg=1.0)
     means = [render(world, samples=512, seed=seed).radiance.pixels.mean(dtype=np.float64) for seed in range(16)]
     assert_mean(means, 0.05 ** (50.0 / 150.0), resolves=0.01, truth_within=4e-5)  # rays half a degree off the axis have 2e-5 more way
-    seen = layers.measure(load(world))
+    seen = aovs.measure(load(world))
     np.testing.assert_allclose(seen.transmittance, 0.05 ** (seen.distance_m / 150.0), rtol=1e-5)  # float32 distances
     np.testing.assert_allclose(seen.depth_m, 50.0, rtol=1e-5)
 

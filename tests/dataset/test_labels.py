@@ -12,7 +12,7 @@ from synfog_usd import camera, writers
 from synfog_usd.dataset import bake, labels
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.image import Image, Quantity
-from synfog_usd.render.layers import Layers
+from synfog_usd.render.film.aovs import Aovs
 from synfog_usd.scene import Camera, Instance, SceneDict
 
 THINGS = (Instance(1, "/World/Road", "road"), Instance(2, "/World/Car", "car"), Instance(3, "/World/Behind", "person"), Instance(4, "/World/Blob", "unlabeled"))
@@ -34,7 +34,7 @@ def layers():
     normal = np.zeros((4, 5, 3))
     normal[IDS == 1] = (0.0, 0.0, 1.0)
     normal[IDS == 2] = (0.0, -1.0, 0.0)
-    return Layers(distance_m=depth + 0.5, depth_m=depth, normal=normal, instance_id=IDS, transmittance=np.exp(-np.where(np.isfinite(depth), depth, 1e3) / 100))
+    return Aovs(distance_m=depth + 0.5, depth_m=depth, normal=normal, instance_id=IDS, transmittance=np.exp(-np.where(np.isfinite(depth), depth, 1e3) / 100))
 
 
 def plane(image, name):
@@ -97,7 +97,7 @@ def test_a_surface_without_a_thing_is_unlabeled_and_not_sky(layers):
     """What is drawn but has no label id has class 0 and no matte; sky is where the ray meets nothing."""
     depth = layers.depth_m.copy()
     depth[0, 0] = 5.0
-    image = labels.label_image(Layers(depth, depth, layers.normal, IDS, layers.transmittance), THINGS)
+    image = labels.label_image(Aovs(depth, depth, layers.normal, IDS, layers.transmittance), THINGS)
     assert plane(image, "semantic.ID")[0, :2].tolist() == [0, 23]
     assert plane(image, "crypto_object00.G")[0, 0] == 0
 
@@ -129,7 +129,7 @@ def test_another_program_finds_the_mattes_in_the_file(layers, tmp_path, monkeypa
     import OpenImageIO
 
     monkeypatch.setattr("synfog_usd.render.shot.load", lambda scene: None)
-    monkeypatch.setattr("synfog_usd.render.layers.measure", lambda loaded: layers)
+    monkeypatch.setattr("synfog_usd.render.film.aovs.measure", lambda loaded: layers)
     bake._write_labels(SceneDict({}, None, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path))
     source = OpenImageIO.ImageInput.open(str(tmp_path / "labels.exr"))
     header = {item.name: item.value for item in source.spec().extra_attribs}
@@ -162,7 +162,7 @@ def test_the_list_has_a_box_around_what_is_seen(layers):
 def test_an_empty_stage_has_labels_too():
     """Nothing but sky: class 23 everywhere, no instance."""
     nothing = np.full((2, 3), np.inf)
-    sky = Layers(nothing, nothing, np.zeros((2, 3, 3)), np.zeros((2, 3), dtype=np.int64), np.ones((2, 3)))
+    sky = Aovs(nothing, nothing, np.zeros((2, 3, 3)), np.zeros((2, 3), dtype=np.int64), np.ones((2, 3)))
     image = labels.label_image(sky, ())
     assert (plane(image, "semantic.ID") == 23).all() and json.loads(image.provenance["cryptomatte/f834d0a/manifest"]) == {}
     assert labels.label_list(sky, ())["instances"] == []
@@ -187,11 +187,11 @@ def baked(tmp_path, monkeypatch):
     ids[:12], ids[5:50, 8:14], ids[50:, 70:] = 0, 2, 4
     depth = np.where(ids > 0, 10.0 * ids + np.arange(90) / 100.0, np.inf)
     normal = np.broadcast_to((0.0, -1.0, 0.0), (60, 90, 3)) * (ids > 0)[..., None]
-    seen = Layers(depth + 0.5, depth, normal, ids, np.ones(ids.shape))
+    seen = Aovs(depth + 0.5, depth, normal, ids, np.ones(ids.shape))
     (tmp_path / "g.yaml").write_text(DISTORTED)
     graph = camera.load_graph(tmp_path / "g.yaml")
     monkeypatch.setattr("synfog_usd.render.shot.load", lambda scene: None)
-    monkeypatch.setattr("synfog_usd.render.layers.measure", lambda loaded: seen)
+    monkeypatch.setattr("synfog_usd.render.film.aovs.measure", lambda loaded: seen)
     view = Camera("/Camera", np.eye(4), 90, 60, 70.0)
     bake._write_labels(SceneDict({}, view, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path), graph)
     radiance = Image(np.repeat(ids[..., None], 3, axis=2).astype(np.float32) + 10.0, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 70.0})

@@ -24,7 +24,7 @@ from synfog_usd.camera import cfa
 from synfog_usd.camera.profiles import shipped
 from synfog_usd.graph import Registry
 from synfog_usd.image import Quantity
-from synfog_usd.study.bench import Bench, Reading, bench, readings, transfer
+from synfog_usd.study.bench import Reading, SensorBench, bench, readings, transfer
 
 READINGS = readings()
 LIGHT_NM = {"R": 600.0, "G": 540.0, "B": 460.0, "C": 560.0}
@@ -63,7 +63,7 @@ def sites(reading: Reading, letter: str) -> tuple[list[tuple[int, int]], int]:
     return [(row, column) for row, line in enumerate(rows) for column, found in enumerate(line) if found == letter], len(rows)
 
 
-def on_bench(reading: Reading, letter: str, *, site_px=(320, 240), **options) -> Bench:
+def on_bench(reading: Reading, letter: str, *, site_px=(320, 240), **options) -> SensorBench:
     step = sites(reading, letter)[1]
     return bench(reading, wavelength_nm=LIGHT_NM[letter], size=(site_px[0] * step, site_px[1] * step), **options)
 
@@ -102,7 +102,7 @@ def failed(missed: dict[str, float]) -> set[str]:
     return {name for name, miss in missed.items() if not abs(miss) <= BARS[name]}
 
 
-def third_cumulant(bench_: Bench, folder, electrons: float, efficiency: float, letter: str, frames: int) -> tuple[float, float]:
+def third_cumulant(bench_: SensorBench, folder, electrons: float, efficiency: float, letter: str, frames: int) -> tuple[float, float]:
     """Third cumulant of the temporal noise over the mean, both in electrons, and its standard error: 1 for Poisson, 0 for Gauss.
 
     Of each pixel's deviations from its own mean over L frames, which has (1 - 1/L)(1 - 2/L) of the cumulant.
@@ -224,7 +224,7 @@ def gauss(image, *, rng: np.random.Generator):
 class Redrawn:
     """A bench on which the pattern of the response is another in every frame."""
 
-    bench: Bench
+    bench: SensorBench
     node: str
     exposure_s: float
 
@@ -240,7 +240,7 @@ def quick_verdict(on, tmp_path) -> set[str]:
     return failed(misses(emva.judged(groups, site=(0, 1)), reading, efficiency, QUICK["levels"]))
 
 
-def quick_bench(**options) -> Bench:
+def quick_bench(**options) -> SensorBench:
     return on_bench(READINGS["imx363"], "G", site_px=(240, 180), **options)
 
 

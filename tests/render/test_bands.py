@@ -10,8 +10,9 @@ from support.stats import assert_mean
 from synfog_usd import photometry
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogMedium, FogVolume
-from synfog_usd.render import bands, planner
+from synfog_usd.render import planner
 from synfog_usd.render.shot import load, render
+from synfog_usd.render.spectra import bands
 from synfog_usd.study.truths import box, scene, wall
 
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
@@ -87,7 +88,7 @@ def test_the_lamps_light_in_haze_is_that_of_haze_as_dense_as_the_band():
         sigma_t = 0.02 * (bands.CENTRES_NM[8][band] / 550.0) ** -2.0
         grey = render(scene(lamp, [haze(0.0, sigma_t=sigma_t)], fov_x_deg=40.0), samples=512, seed=1)
         for part in ("airlight_single", "airlight_multiple"):
-            ours, theirs = hazy.parts[part][..., band].mean() / white[band], grey.parts[part].mean()
+            ours, theirs = hazy.components[part][..., band].mean() / white[band], grey.components[part].mean()
             assert ours == pytest.approx(theirs, rel=0.02 if part == "airlight_single" else 0.1), (band, part)
 
 
@@ -104,8 +105,8 @@ def test_bands_change_nothing_where_all_is_grey(model):
     plain, banded = (render(world, model=model, samples=32, bands=count) for count in (3, 16))
     white = bands.matrices(16)[0].sum(axis=0)
     np.testing.assert_allclose(banded.radiance.pixels / white, np.repeat(plain.radiance.pixels[..., :1], 16, axis=2), rtol=2e-3)
-    for part, pixels in plain.parts.items():
-        np.testing.assert_allclose(banded.parts[part].mean(axis=(0, 1)) / white, pixels.mean(), rtol=2e-3, atol=1e-6)
+    for part, pixels in plain.components.items():
+        np.testing.assert_allclose(banded.components[part].mean(axis=(0, 1)) / white, pixels.mean(), rtol=2e-3, atol=1e-6)
     assert banded.relative_error == pytest.approx(plain.relative_error, rel=0.02)
 
 

@@ -10,7 +10,7 @@ from support.stats import assert_mean
 from synfog_usd.errors import StageError
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render import backend
-from synfog_usd.render.layers import measure
+from synfog_usd.render.film.aovs import measure
 from synfog_usd.render.motion import moved
 from synfog_usd.render.shot import load, render
 from synfog_usd.scene import PARALLEL_DEG
@@ -86,7 +86,7 @@ def test_a_lens_across_the_edge_of_fog_is_refused_by_what_cannot_tell():
     world = parallel({"shape_wall": wall(50.0, 30.0, **black(1.0))}, [fog])
     with pytest.raises(StageError, match=r"/Camera: the orthographic camera's rays begin in different fogs"):
         render(world, samples=2, model="volpath")
-    seen = render(world, samples=16, model="path").parts["surface"][:, :, 1]
+    seen = render(world, samples=16, model="path").components["surface"][:, :, 1]
     np.testing.assert_allclose(seen[:, :8], 1.0, rtol=1e-5)
     np.testing.assert_allclose(seen[:, 8:], np.exp(-1.0), rtol=1e-4)
 

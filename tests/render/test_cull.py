@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from synfog_usd import camera
+from synfog_usd import camera, cull
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.grid import DensityGrid
-from synfog_usd.render import cull, layers
+from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
 from synfog_usd.scene import Instance
 from synfog_usd.study.truths import scene
@@ -217,8 +217,8 @@ def test_the_transmittance_layer_is_that_of_the_whole_scene():
     source = avenue(20.0, 130.0, 140.0)
     hidden = hide(source)
     assert hidden.thinned | hidden.left_out
-    clear = layers.measure(load(replace(source, fog=()), boundaries=False))
-    whole = layers.measure(load(source, boundaries=False))
-    seen = layers.seen_through(load(cull.reduced(source, hidden), boundaries=False), clear)
+    clear = aovs.measure(load(replace(source, fog=()), boundaries=False))
+    whole = aovs.measure(load(source, boundaries=False))
+    seen = aovs.seen_through(load(cull.reduced(source, hidden), boundaries=False), clear)
     np.testing.assert_array_equal(seen.transmittance, whole.transmittance)
     np.testing.assert_array_equal(seen.instance_id, whole.instance_id)

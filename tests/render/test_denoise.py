@@ -75,7 +75,7 @@ def street():
 
 
 def sampled(source, samples, seed):
-    parts = shot.render(source, model="path", samples=samples, seed=seed).parts
+    parts = shot.render(source, model="path", samples=samples, seed=seed).components
     return parts["surface"], parts["airlight_single"] + parts["airlight_multiple"]
 
 
@@ -240,7 +240,7 @@ def test_guides_tell_what_stands_there(seen):
     np.testing.assert_allclose(found.normal[-1, 0], (0.0, 0.0, 1.0), atol=1e-6)
     np.testing.assert_array_equal(found.albedo[0, 48], 1.0)
     np.testing.assert_array_equal(found.normal[0, 48], 0.0)
-    centre = shot.layers.measure(shot.load(source, boundaries=False)).transmittance
+    centre = shot.aovs.measure(shot.load(source, boundaries=False)).transmittance
     np.testing.assert_allclose(found.transmittance[-1], centre[-1], rtol=0.01)  # bends by 1e-3 within a pixel
     again = denoise.guides(shot.load(source, boundaries=False))
     for name in ("albedo", "normal", "transmittance"):

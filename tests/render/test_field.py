@@ -5,7 +5,7 @@ import pytest
 from support.stats import assert_mean
 
 from synfog_usd.fog import FogMedium, FogVolume
-from synfog_usd.render import film, models
+from synfog_usd.render import models
 from synfog_usd.render.shot import load, render
 from synfog_usd.study.truths import box, scene, uniform_fog, wall
 
@@ -63,7 +63,7 @@ def test_layers_and_groups_add_up():
     world = view({**SKY, **STREET, **LAMP})
     world = type(world)(world.world, world.camera, world.fog, world.instances, world.instance_of, group_of={"light_lamp": "headlights", "light_sky": "sky"})
     done = render(world, model="field", samples=64)
-    np.testing.assert_allclose(sum(done.parts.values()), done.radiance.pixels, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(sum(done.components.values()), done.radiance.pixels, rtol=1e-3, atol=1e-5)
     assert set(done.groups) == {"headlights", "sky"}
     np.testing.assert_allclose(sum(done.groups.values()), done.radiance.pixels, rtol=1e-3, atol=1e-4)
 
@@ -81,8 +81,8 @@ def test_the_same_seed_gives_the_same_bytes_whatever_is_in_flight(monkeypatch):
     """Lanes of cells and of pixels cut small change nothing."""
     world = view({**STREET, **LAMP})
     first = render(world, model="field", samples=64, seed=5).radiance.pixels.tobytes()
-    monkeypatch.setattr(film, "CHUNKED_LANES", 1000)
-    monkeypatch.setattr("synfog_usd.render.field.LOOKUPS", 500)
+    monkeypatch.setattr("synfog_usd.render.film.accumulator.CHUNKED_LANES", 1000)
+    monkeypatch.setattr("synfog_usd.render.integrators.froxels.LOOKUPS", 500)
     assert render(world, model="field", samples=64, seed=5).radiance.pixels.tobytes() == first
 
 
@@ -96,13 +96,13 @@ def test_clear_air_has_no_grid():
     """Without fog it is `path`."""
     world = scene({**SKY, "shape_wall": wall(20.0, **GREY)})
     loaded = load(world, boundaries=False)
-    assert models.make("field", loaded).grid() is None
+    assert models.make("field", loaded).radiance_cache() is None
     np.testing.assert_array_equal(render(world, model="field", samples=16).radiance.pixels, render(world, model="path", samples=16).radiance.pixels)
 
 
 def test_bands_go_through_the_grid():
     """White light in grey fog: each of 8 bands is the white spectrum times what R, G and B see."""
-    from synfog_usd.render import bands
+    from synfog_usd.render.spectra import bands
 
     world = view({**SKY, **STREET})
     plain, banded = (render(world, model="field", samples=32, bands=count).radiance.pixels.mean(axis=(0, 1)) for count in (3, 8))

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from synfog_usd.render import flatten, layers
+from synfog_usd.render import flatten
+from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
 from synfog_usd.study.truths import scene
 
@@ -38,9 +39,9 @@ def village():
 
 def test_joined_instances_look_like_the_renderer_s_own(monkeypatch):
     """Depth, normals and label ids of joined meshes equal those of Mitsuba's instances, but for rounding at edges."""
-    joined = layers.measure(load(village()))
+    joined = aovs.measure(load(village()))
     monkeypatch.setattr(flatten, "MAX_TRIANGLES", 0)
-    own = layers.measure(load(village()))
+    own = aovs.measure(load(village()))
     assert set(np.unique(own.instance_id)) == {0, 7, 10, 11, 12, 20, 21, 22}
     same = joined.instance_id == own.instance_id
     assert np.count_nonzero(~same) <= 3  # of 14 400 pixels

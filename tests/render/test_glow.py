@@ -5,8 +5,9 @@ import pytest
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
-from synfog_usd.render import film, models
-from synfog_usd.render.glow import PART, _Lamp, glow_refuses, make_glow
+from synfog_usd.render import models
+from synfog_usd.render.film.accumulator import accumulate
+from synfog_usd.render.integrators.glow import PART, _AxialLight, glow_refuses, make_glow
 from synfog_usd.render.shot import load
 from synfog_usd.study.truths import LOOK_NORTH, black, box, scene, uniform_fog, wall
 
@@ -27,7 +28,7 @@ def layer_means(world, make, *, samples, seeds, name):
     """(K,) pooled red of a layer, one per seed."""
     loaded = load(world, boundaries=False)
     integrator = make(loaded)
-    return np.array([film.expose(loaded, integrator, samples=samples, seed=seed).layer(name)[:, 0].mean() for seed in range(seeds)])
+    return np.array([accumulate(loaded, integrator, samples=samples, seed=seed).layer(name)[:, 0].mean() for seed in range(seeds)])
 
 
 def assert_same(ours, theirs, *, resolves):
@@ -92,14 +93,14 @@ def test_light_of_spots_and_panels_is_counted_whole():
     wanted = {"spot": (spot, 2.0 * np.pi * (1.0 - np.cos(np.pi / 6.0)), 7.0), "panel": (panel, np.pi, 3.0)}
     wanted |= {"globe": (globe, 4.0 * np.pi, 2.0 * np.pi * 0.25), "bulb": (bulb(0, 0, 0), 4.0 * np.pi, 1000.0), "disk": (disk, np.pi, 8.0 * np.pi)}
     for name, (part, flux, peak) in wanted.items():
-        lamp = _Lamp(part, 64)
+        lamp = _AxialLight(part, 64)
         np.testing.assert_allclose(lamp.moments[0], flux, rtol=1e-3, err_msg=name)
         np.testing.assert_allclose(lamp.colour[0], peak, rtol=1e-6, err_msg=name)
         theta = np.linspace(0.0, np.pi, 129)
         whole = 2.0 * np.pi * np.trapezoid(lamp.blurred(0.87 ** np.arange(64.0)) * np.sin(theta), theta)
         np.testing.assert_allclose(whole, flux, rtol=5e-3, err_msg=name)  # the trapezoid, and what was clipped at 0
-    np.testing.assert_allclose(_Lamp(panel, 4).position, [0.0, 5.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(_Lamp(globe, 4).position, [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(_AxialLight(panel, 4).position, [0.0, 5.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(_AxialLight(globe, 4).position, [1.0, 2.0, 3.0])
 
 
 def test_the_picture_is_the_sum_of_its_layers_and_repeats():
@@ -107,11 +108,11 @@ def test_the_picture_is_the_sum_of_its_layers_and_repeats():
     world = scene({"light_bulb": bulb(-5.0, 20.0, 0.0), "shape_wall": wall(40.0, bsdf={"type": "diffuse"})}, [uniform_fog()], fov_x_deg=60.0)
     loaded = load(world, boundaries=False)
     model = make_glow(loaded)
-    one, two, other = (film.expose(loaded, model, samples=16, seed=seed) for seed in (1, 1, 2))
+    one, two, other = (accumulate(loaded, model, samples=16, seed=seed) for seed in (1, 1, 2))
     assert one.mean().tobytes() == two.mean().tobytes() != other.mean().tobytes()
     layers = [one.layer(name) for name in ("surface", "airlight_single", "airlight_multiple")]
     np.testing.assert_allclose(sum(layers), one.mean(), rtol=1e-9, atol=1e-12)
-    table = one.parts[PART]
+    table = one.estimators[PART]
     assert np.median(np.sqrt(table.variance()[:, 0]) / table.mean()[:, 0]) < 0.05  # 16 rays through pixels 4 degrees wide
     np.testing.assert_allclose(one.mean()[:, 1], 0.5 * one.mean()[:, 0], rtol=1e-4)  # the colour of the lamp
 

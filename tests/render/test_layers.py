@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
-from synfog_usd.render import layers
+from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
 from synfog_usd.study.truths import box, scene, uniform_fog, wall
 
@@ -17,11 +17,11 @@ FLOAT32 = 4e-6
 
 @pytest.fixture(params=[True, False], ids=["traced", "closed form"])
 def measured(request):
-    """Layers with the fog's boundaries traced, or known in closed form."""
+    """AOVs with the fog's boundaries traced, or known in closed form."""
 
     def measure(world, fog=(), **more):
         closed = all(volume.boundary.kind != "mesh" for volume in fog)
-        return layers.measure(load(scene(world, fog, **more), boundaries=request.param or not closed))
+        return aovs.measure(load(scene(world, fog, **more), boundaries=request.param or not closed))
 
     return measure
 
@@ -105,9 +105,9 @@ def test_what_stands_before_the_near_plane_is_cut_only_if_it_was_meant_to():
     world = {"shape_bonnet": wall(0.5, 0.2), "shape_wall": wall(50.0)}
     whole = scene(world, [uniform_fog()])
     near = replace(whole, camera=replace(whole.camera, near_m=0.2))
-    assert (layers.measure(load(near)).instance_id == 1).all()
+    assert (aovs.measure(load(near)).instance_id == 1).all()
     cut = replace(whole, camera=replace(whole.camera, near_m=1.0))
-    seen = layers.measure(load(cut))
+    seen = aovs.measure(load(cut))
     assert (seen.instance_id == 2).all()
     np.testing.assert_allclose(seen.transmittance, np.exp(np.log(0.05) / 150 * 50.0 / rays()[:, :, 1]), rtol=FLOAT32)
 
@@ -119,7 +119,7 @@ def test_instances_of_one_prototype_are_different_things():
     world = {"group_ball": {"type": "shapegroup", "ball": ball}}
     world |= {f"instance_{i}": {"type": "instance", "group": {"type": "ref", "id": "group_ball"}, "to_world": place} for i, place in enumerate(places)}
     whole = scene(world, fov_x_deg=30.0)
-    seen = layers.measure(load(replace(whole, instance_of={("instance_0", "ball"): 5, ("instance_1", "ball"): 6})))
+    seen = aovs.measure(load(replace(whole, instance_of={("instance_0", "ball"): 5, ("instance_1", "ball"): 6})))
     assert set(np.unique(seen.instance_id)) == {0, 5, 6}
     assert seen.instance_id[4, :8].max() == 5 and seen.instance_id[4, 8:].max() == 6
 
@@ -129,5 +129,5 @@ def test_a_shifted_camera_sees_to_the_side_it_is_shifted_to(f_number):
     """An axis shifted by (0.25, 0.1) of the picture puts the point straight ahead that far left of and below the centre."""
     whole = scene({"shape_dot": wall(50.0, 0.5)}, width_px=80, height_px=40, fov_x_deg=40.0)
     camera = replace(whole.camera, shift=(0.25, 0.1), f_number=f_number, focal_length_m=0.035, focus_m=50.0)
-    y, x = np.nonzero(layers.measure(load(replace(whole, camera=camera))).instance_id)
+    y, x = np.nonzero(aovs.measure(load(replace(whole, camera=camera))).instance_id)
     np.testing.assert_allclose([x.mean() + 0.5, y.mean() + 0.5], [80 * (0.5 - 0.25), 40 * (0.5 + 0.1)], atol=0.5)

@@ -5,10 +5,12 @@ import pytest
 from support.stats import assert_mean
 
 from synfog_usd.fog import FogMedium, FogVolume
-from synfog_usd.render import backend, film, luminaire, models
-from synfog_usd.render.fogpath import LAMPS
-from synfog_usd.render.lampgrid import Choice
-from synfog_usd.render.lamps import Lamps
+from synfog_usd.render import backend, models
+from synfog_usd.render.film.accumulator import add_samples, new_accumulator
+from synfog_usd.render.integrators.path import LAMPS
+from synfog_usd.render.lights import photometric
+from synfog_usd.render.lights.grid import LightDistribution
+from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.shot import load, render
 from synfog_usd.study.truths import black, box, scene, wall
 
@@ -78,9 +80,9 @@ def test_a_lamp_scatters_once_what_its_table_says(name):
     world = scene({"light_lamp": lamp(matrix), "shape_wall": wall(60.0, 30.0, **black(0.0))}, [fog], width_px=2, height_px=2, fov_x_deg=0.1)
     integrator, means = models.make("path", load(world, boundaries=False)), []
     for seed in range(8):
-        exposure = film.begin(integrator, 4)
-        film.extend(exposure, integrator, np.arange(4), {LAMPS: 32768}, seed)
-        means.append(exposure.parts[LAMPS].mean().mean())
+        accumulated = new_accumulator(integrator, 4)
+        add_samples(accumulated, integrator, np.arange(4), {LAMPS: 32768}, seed)
+        means.append(accumulated.estimators[LAMPS].mean().mean())
     assert_mean(np.array(means), scattered_once(matrix, np.array([0.0, 1.0, 0.0]), 60.0), resolves=0.015)
 
 
@@ -90,7 +92,7 @@ def test_the_emitter_and_the_table_agree_in_all_directions():
 
     backend.start("auto")
     mi = backend.mitsuba()
-    luminaire.register()
+    photometric.register()
     matrix = frame((1.0, 2.0, 3.0), (0.3, 0.8, -0.5), (0, 0, 1))
     draw = np.random.default_rng(5)
     way = draw.normal(size=(4000, 3))
@@ -102,17 +104,17 @@ def test_the_emitter_and_the_table_agree_in_all_directions():
     _, found = mi.load_dict(parts).sample_direction(it, mi.Point2f(0.5), True)
     wanted = sent(matrix, way)
     np.testing.assert_allclose(np.array(found), np.array([[1.0], [2.0], [0.5]]) * wanted / 9.0, rtol=2e-3)  # linear between nodes 0.25 and 0.5 degrees apart
-    lamps = Lamps({"light_lamp": part}, {})
+    lamps = LightSampler({"light_lamp": part}, {})
     ours = lamps.parts[0][0, 12] * np.array(lamps.sent([column[0] for column in lamps.table], mi.Vector3f(way.T)))
     np.testing.assert_allclose(ours.ravel(), wanted, rtol=2e-3)
-    assert luminaire.ring_weights(91).sum() == pytest.approx(4 * np.pi, rel=1e-12)
+    assert photometric.ring_weights(91).sum() == pytest.approx(4 * np.pi, rel=1e-12)
 
 
 def test_three_channels_of_a_table_keep_their_colours():
     """A table that is red ahead and green behind: each channel is held as a row of its own."""
     part = lamp(np.eye(4))
     table = np.stack([part["bitmap"], part["bitmap"][::-1], 0.0 * part["bitmap"]], axis=2)
-    lamps = Lamps({"light_lamp": {**part, "bitmap": table}}, {})
+    lamps = LightSampler({"light_lamp": {**part, "bitmap": table}}, {})
     rows = lamps.parts[0]
     assert len(rows) == 2 and rows[0, 12] > 0 and rows[0, 13] == 0 and rows[1, 13] > 0 and rows[1, 12] == 0
     assert len({int(number) for number in rows[:, 20]}) == 2
@@ -122,7 +124,7 @@ def test_chances_by_place_are_what_is_drawn():
     """Two rows of three lamps: shares of 10^6 draws are the stated chances within five standard errors, and none is below its floor."""
     backend.start("auto")
     mi = backend.mitsuba()
-    choice = Choice(np.array([[1.0, 0.0, 3.0], [0.0, 0.0, 0.0]]), np.array([0.2, 0.3, 0.5]))
+    choice = LightDistribution(np.array([[1.0, 0.0, 3.0], [0.0, 0.0, 0.0]]), np.array([0.2, 0.3, 0.5]))
     u = (np.arange(1_000_000) + 0.5) / 1_000_000
     wanted = {0: 0.85 * np.array([0.25, 0.0, 0.75]) + 0.15 * np.array([0.2, 0.3, 0.5]), 1: np.array([0.2, 0.3, 0.5])}
     for row, chances in wanted.items():

@@ -10,8 +10,8 @@ from support.stats import assert_mean
 from synfog_usd import photometry, spectra
 from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
 from synfog_usd.fog import FogMedium, FogVolume
-from synfog_usd.render import bands, surfaces
 from synfog_usd.render.shot import render
+from synfog_usd.render.spectra import bands, bsdfs
 from synfog_usd.scene import mean_colour, texels
 from synfog_usd.study.truths import box, scene, wall
 
@@ -123,8 +123,8 @@ def test_gloss_stays_white_and_each_band_is_that_of_a_grey_surface(model):
     white, level = bands.matrices(8)[0].sum(axis=0), in_bands(bright(leaf, reflected), 8)
     for band in (3, 7):
         grey = render(source([level[band]] * 3, False), model=model, samples=64)
-        for part, pixels in grey.parts.items():
-            mean = banded.parts[part][..., band].mean() / white[band]
+        for part, pixels in grey.components.items():
+            mean = banded.components[part][..., band].mean() / white[band]
             assert mean == pytest.approx(pixels.mean(), rel=5e-3, abs=1e-5), (band, part)
 
 
@@ -180,7 +180,7 @@ def test_a_texture_has_the_spectrum_at_its_mean_and_its_own_hues_around_it():
     """The mean of all reflectances is the material's within 0.5 %, and D65 shows texels by their ratio to the mean."""
     part, grass = picture(), spectra.reflectance("grass")
     mean = np.array(mean_colour(part))
-    carried = surfaces.shares(texels(part), grass, mean) @ surfaces.basis(grass, mean)
+    carried = bsdfs.basis_weights(texels(part), grass, mean) @ bsdfs.basis(grass, mean)
     own = bright(grass, mean)
     np.testing.assert_allclose(carried.mean(axis=(0, 1)), own, rtol=5e-3, atol=2e-4)
     shown, ratio = spectra.rgb_of(carried), texels(part) / mean
@@ -193,7 +193,7 @@ def test_a_texture_has_the_spectrum_at_its_mean_and_its_own_hues_around_it():
 def test_no_texel_reflects_less_than_nothing_or_more_than_it_gets(name):
     """Whatever its hue: 0 to 1 at every wavelength, to a hundredth between those that are looked at."""
     part, curve = picture(gaudy=True), spectra.reflectance(name)
-    carried = surfaces.shares(texels(part), curve, mean_colour(part)) @ surfaces.basis(curve, mean_colour(part))
+    carried = bsdfs.basis_weights(texels(part), curve, mean_colour(part)) @ bsdfs.basis(curve, mean_colour(part))
     assert carried.min() > -0.01
     assert carried.max() < 1.01
     assert carried[30, 30].mean() > carried[40, 40].mean()

@@ -167,9 +167,9 @@ def test_what_is_known_of_a_layer_leaves_the_mean_as_it_is():
 def test_the_layers_add_up_and_the_surface_is_dimmed_by_the_transmittance(model):
     """surface + airlight_single + airlight_multiple is the radiance; before a black wall surface is T times its glow."""
     done = render(street(), samples=64, model=model)
-    np.testing.assert_allclose(sum(done.parts.values()), done.radiance.pixels, rtol=1e-4)
+    np.testing.assert_allclose(sum(done.components.values()), done.radiance.pixels, rtol=1e-4)
     world = scene({**SKY, "shape_wall": wall(50.0, **black(1.0))}, [uniform_fog()], fov_x_deg=1.0)
-    seen = render(world, samples=64, model="path").parts["surface"]
+    seen = render(world, samples=64, model="path").components["surface"]
     np.testing.assert_allclose(seen, 0.05 ** (50.0 / 150.0), rtol=2e-3)  # the pixels' rays are up to 0.02 % longer
 
 
@@ -203,7 +203,7 @@ def test_bytes_do_not_depend_on_how_much_is_in_flight(monkeypatch):
     """Lanes for 1000 chunks at once, or for 100: the same bytes."""
     world = lamps_in_fog(0.87, BOX)
     first = render(world, samples=64, model="path")
-    monkeypatch.setattr("synfog_usd.render.film.CHUNKED_LANES", 100)
+    monkeypatch.setattr("synfog_usd.render.film.accumulator.CHUNKED_LANES", 100)
     again = render(world, samples=64, model="path")
     assert first.radiance.pixels.tobytes() == again.radiance.pixels.tobytes()
     assert first.radiance.variance.tobytes() == again.radiance.variance.tobytes()

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.study.bench import Bench
+from synfog_usd.study.bench import SensorBench
 from synfog_usd.writers import write_dng
 
 LEVELS = (0.01, 0.02, 0.035, *np.linspace(0.05, 0.85, 13).tolist(), 0.9, 0.92, 0.94, 0.955, 0.97, 0.98, 0.99, 1.0, 1.1, 1.2)
@@ -43,7 +43,7 @@ class Group:
     files: tuple[Path, ...]
 
 
-def shoot(bench: Bench, folder: Path, photons: float, count: int) -> Group:
+def shoot(bench: SensorBench, folder: Path, photons: float, count: int) -> Group:
     """Take `count` frames, each with a seed of its own, and write them as DNG."""
     files = []
     first = len(list(folder.glob("*.dng")))
@@ -54,14 +54,14 @@ def shoot(bench: Bench, folder: Path, photons: float, count: int) -> Group:
 
 
 def series(
-    bench: Bench, folder: Path, *, photons_at_saturation: float, levels: Sequence[float] = LEVELS, stack: int = 32, dark_stack: int = 64, lit: float = 0.5
+    bench: SensorBench, folder: Path, *, photons_at_saturation: float, levels: Sequence[float] = LEVELS, stack: int = 32, dark_stack: int = 64, lit: float = 0.5
 ) -> list[Group]:
     """Two frames in the dark and at each level [part of saturation]; a stack in the dark and one at the level `lit`."""
     temporal = [shoot(bench, folder, level * photons_at_saturation, 2) for level in (0.0, *levels)]
     return [*temporal, shoot(bench, folder, 0.0, dark_stack), shoot(bench, folder, lit * photons_at_saturation, stack)]
 
 
-def dark_series(bench: Bench, folder: Path, *, photons_at_saturation: float, exposures_s: Sequence[float]) -> list[Group]:
+def dark_series(bench: SensorBench, folder: Path, *, photons_at_saturation: float, exposures_s: Sequence[float]) -> list[Group]:
     """Two frames in the dark and two in ever more light at each exposure time; and the stacks of three that the program wants."""
     groups = []
     for number, exposure_s in enumerate(exposures_s):

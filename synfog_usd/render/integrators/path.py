@@ -1,42 +1,43 @@
-"""A path tracer that knows its fog, splits what the eye sees, and may know half of the answer.
+"""A path tracer with fog in closed form, a split camera segment and a control variate.
 
 **Fog in closed form.**  Mitsuba's `volpath` finds the fog's edge by tracing a
 null-material box, on every path and every shadow ray.  Here the fog is a formula
-(`Air`): a path costs one ray a segment and one a shadow test.
+(`Medium`): a path costs one ray a segment and one a shadow test.
 
 **The eye's segment is split.**  A camera ray does not choose between meeting the
 surface and being scattered: one sub-path is scattered for certain, with weight 1 - T,
-the other meets the surface, with weight T.  So the layers surface, airlight_single
+the other meets the surface, with weight T.  So the AOVs surface, airlight_single
 and airlight_multiple come out by themselves.
 
-**Half of the answer.**  With a `SlabField` S, only the difference e = L - S is
-sampled: S is added where a path begins, and where it meets a surface, or leaves or
-enters the layer, the jump is added instead of the light (see `slabfield`).  It is
-unbiased as far as S fulfils the equation of transfer.
+**Control variate.**  With a `ControlVariate` S, only the difference e = L - S is sampled:
+S is added where a path begins, and where it meets a surface, or leaves or enters the
+slab, the jump is added instead of the light (see `media.control_variate`).  It is unbiased
+as far as S fulfils the equation of transfer.
 
 The estimator below is the usual one (Kajiya and Von Herzen 1984; Pauly et al. 2000):
 flights in proportion to transmittance, phase function and BSDF sampling combined with
 emitter sampling by the power heuristic (Veach and Guibas 1995), lamps by resampling
-(`lamps`), Russian roulette.
+(`lights.sampler`), Russian roulette.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import drjit as dr
 import numpy as np
 
 from synfog_usd.render import backend
-from synfog_usd.render.air import Air, transmittance
-from synfog_usd.render.bands import Bands
-from synfog_usd.render.beacons import TOWARDS, Beacons
-from synfog_usd.render.lampgrid import TILES, LampGrid
-from synfog_usd.render.lamps import Lamps
-from synfog_usd.render.load import Loaded
+from synfog_usd.render.lights.grid import TILES, LightGrid
+from synfog_usd.render.lights.guiding import GUIDE_PROBABILITY, LightGuide
+from synfog_usd.render.lights.sampler import LightSampler
+from synfog_usd.render.load import MitsubaScene
+from synfog_usd.render.media.control_variate import ControlVariate
+from synfog_usd.render.media.medium import Medium, transmittance
 from synfog_usd.render.motion import moved
-from synfog_usd.render.slabfield import SlabField
+from synfog_usd.render.sampling.rng import Random
+from synfog_usd.render.spectra.bands import Bands
 
 RR_DEPTH = 8
 """Events before Russian roulette, as in `volpath`."""
@@ -52,16 +53,14 @@ UNLIMITED = 1 << 20
 LENS_M = 1e-3
 """Near plane [m] up to which a ray is begun at the lens itself."""
 
-PCG32_MULTIPLIER = 0x5851F42D4C957F2D
-"""O'Neill (2014)."""
-
-SURFACE, LAMPS, AIR = "surface", "lamps", "air"
-"""The three parts of what the eye sees: surfaces through the fog; lamps, scattered once into the line of sight; everything else that the fog sends."""
+SURFACE, LAMPS, INSCATTERED = "surface", "lamps", "air"
+"""The three estimators of what the eye sees: surfaces through the fog; lamps, scattered once into the line of sight; all other in-scattered
+radiance.  Their words seed streams of random numbers: another word would be another picture."""
 
 SINGLE, MULTIPLE = "airlight_single", "airlight_multiple"
 
-LAYERS = {SURFACE: (SURFACE,), LAMPS: (SINGLE,), AIR: (SINGLE, MULTIPLE)}
-"""Which layers each part gives to."""
+AOVS = {SURFACE: (SURFACE,), LAMPS: (SINGLE,), INSCATTERED: (SINGLE, MULTIPLE)}
+"""Which AOVs each estimator adds to."""
 
 
 @dataclass(frozen=True)
@@ -69,58 +68,27 @@ class Method:
     """What a `FogPath` leaves out; nothing by default.
 
     Attributes:
-        scatterings: how often the fog may turn a path; what would be turned more often is lost.
-        bounces: how many surfaces a path may meet; further ones count as black, or as lit by the layer alone.
+        scatterings: how often the fog may scatter a path; what would be scattered more often is lost.
+        bounces: how many surfaces a path may meet; further ones count as black, or as lit by the slab alone.
     """
 
     scatterings: int = UNLIMITED
     bounces: int = UNLIMITED
 
 
-class Random:
-    """Random numbers of one path after the other, the same whatever else is in flight.
-
-    Args:
-        seed: of the image.
-        pixel: number of the pixel.
-    """
-
-    DRJIT_STRUCT: ClassVar[dict[str, type]] = {}
-
-    def __init__(self, seed: Any = None, pixel: Any = None, path: Any = None) -> None:
-        mi = backend.mitsuba()
-        type(self).DRJIT_STRUCT = {"state": mi.PCG32}  # what a loop carries; known only once a variant is chosen
-        self.state = mi.PCG32()
-        if pixel is not None:
-            mixed, stream = mi.sample_tea_32(mi.UInt32(pixel), mi.UInt32(path) ^ mi.UInt32(seed))
-            # as PCG32.seed does, but for the number of the lane, which must not matter
-            self.state.inc = (mi.UInt64(stream) << 1) | 1
-            self.state.state = (self.state.inc + mi.UInt64(mixed)) * PCG32_MULTIPLIER + self.state.inc
-
-    def next_1d(self, active: Any = True) -> Any:
-        """A number in [0, 1)."""
-        return self.state.next_float32(active)
-
-    def next_2d(self, active: Any = True) -> Any:
-        """A point in [0, 1)^2."""
-        mi = backend.mitsuba()
-        first = self.state.next_float32(active)
-        return mi.Point2f(first, self.state.next_float32(active))
-
-
 @dataclass(frozen=True)
-class Sums:
+class Moments:
     """Sums over the paths of each lane.
 
     Attributes:
-        layers: light in all bands (R, G and B, or more) for each of the part's `LAYERS`.
+        aovs: light in all bands (R, G and B, or more) for each of the estimator's `AOVS`.
         squares: of the whole path's light, in all bands.
         groups: light by light group; empty where there is only one.
         lost: paths that were not finite and count as zero.
         seen: paths of a cell that nothing hid; 0 for pixels.
     """
 
-    layers: tuple[Any, ...]
+    aovs: tuple[Any, ...]
     squares: Any
     groups: tuple[Any, ...]
     lost: Any
@@ -128,7 +96,7 @@ class Sums:
 
 
 @dataclass(frozen=True)
-class Cells:
+class FroxelGrid:
     """A camera's view cut into columns of pixels and, by what the fog leaves of them, slices.
 
     Attributes:
@@ -150,13 +118,13 @@ class FogPath:
     """One scene's integrator.
 
     Args:
-        air: the fog.
-        lamps: the lights that are sampled by where they matter; their weight in the
+        medium: the fog.
+        lights: those that are sampled by where they matter; their weight in the
             scene's own choice must be 0.
         others: how many other lights there are but the environment.  Where there are
             none, a scattering in the fog sends them no shadow ray: the phase function's
             own sample finds a sky better.
-        slab: the layer that is known already, or None.
+        control: light of the slab that is known already, or None.
         method: what to leave out.
         groups: names of the light groups; `group_of_emitter` (E,) tells the number of the scene's own emitters by their index, `lamps` of the
             others: that of the group times `bands.kinds`, plus the kind of light.
@@ -165,56 +133,60 @@ class FogPath:
 
     def __init__(
         self,
-        loaded: Loaded,
-        air: Air,
+        loaded: MitsubaScene,
+        medium: Medium,
         *,
-        lamps: Lamps,
+        lights: LightSampler,
         others: int,
-        slab: SlabField | None = None,
+        control: ControlVariate | None = None,
         method: Method | None = None,
         groups: tuple[str, ...] = ("other",),
         group_of_emitter: Any = None,
         bands: Bands | None = None,
     ) -> None:
         self.bands = bands or Bands()
-        self.loaded, self.air, self.lamps, self.slab, self.method = loaded, air, lamps, slab, method or Method()
+        self.loaded, self.medium, self.lights, self.control, self.method = loaded, medium, lights, control, method or Method()
         sky = loaded.scene.environment() is not None
-        self.foggy, self.lit_fog = air.foggy, others > 0
-        self.chosen = others > 0 or (sky and slab is None)
+        self.foggy, self.use_nee_medium = medium.foggy, others > 0
+        self.use_nee = others > 0 or (sky and control is None)
         self.group_names, self.groups, self.group_of_emitter = groups, len(groups), group_of_emitter
         self.sky_group = groups.index("sky") if "sky" in groups else 0
-        self.grid_of_lamps, self.seen_lamps = None, None
-        if lamps.count and lamps.many and lamps.photometric:
-            sigma_t = air.volumes[0].medium.sigma_t_per_m if air.foggy else 0.0
-            self.grid_of_lamps = LampGrid(lamps, sigma_t, loaded.source.camera.to_world[:3, 3].copy())
-            self.seen_lamps = self.grid_of_lamps.seen(self, air) if air.foggy else None
-        self.beacons = Beacons(lamps, air, loaded.source.camera.to_world[:3, 3])
-        self.survives = dr.opaque(backend.mitsuba().Float, _survival(air))
+        self.light_grid, self.view_lights = None, None
+        if lights.count and lights.many and lights.photometric:
+            sigma_t = medium.volumes[0].medium.sigma_t_per_m if medium.foggy else 0.0
+            self.light_grid = LightGrid(lights, sigma_t, loaded.source.camera.to_world[:3, 3].copy())
+            self.view_lights = self.light_grid.seen(self, medium) if medium.foggy else None
+        self.guide = LightGuide(lights, medium, loaded.source.camera.to_world[:3, 3])
+        self.rr_prob = dr.opaque(backend.mitsuba().Float, _rr_prob(medium))
         self.limited = self.method.scatterings < UNLIMITED
-        self.parts = (SURFACE, *((LAMPS,) if air.foggy and lamps.count and self.method.scatterings > 0 else ()), *((AIR,) if self._has_air() else ()))
+        self.estimators = (
+            SURFACE,
+            *((LAMPS,) if medium.foggy and lights.count and self.method.scatterings > 0 else ()),
+            *((INSCATTERED,) if self._has_inscattering() else ()),
+        )
 
-    def _has_air(self) -> bool:
-        return self.foggy and (self.method.scatterings > 0 or self.slab is not None)
+    def _has_inscattering(self) -> bool:
+        return self.foggy and (self.method.scatterings > 0 or self.control is not None)
 
-    def grid(self) -> Any:
-        """Cells from which the part AIR is looked up; None, since it is sampled pixel by pixel."""
+    def radiance_cache(self) -> Any:
+        """The cache from which the estimator INSCATTERED is looked up; None, since it is sampled pixel by pixel."""
         return None
 
-    def trace(self, part: str, pixel: Any, first: Any, count: int, seed: int) -> Sums:
-        """Trace `count` paths of a part in each lane.
+    def trace(self, estimator: str, pixel: Any, first: Any, count: int, seed: int) -> Moments:
+        """Trace `count` paths of an estimator in each lane.
 
         Args:
-            part: one of `parts`.
+            estimator: one of `estimators`.
             pixel: (N,) number of each lane's pixel, row by row from the top left.
             first: (N,) number of each lane's first path; the random numbers of a path depend on pixel and number alone.
             count: paths a lane.
-            seed: of the image and the part.
+            seed: of the image and the estimator.
         """
-        if part == LAMPS:
+        if estimator == LAMPS:
             return self.trace_lamps(pixel, first, count, seed)
-        return self.trace_paths(part == AIR, pixel, first, count, seed)
+        return self.trace_paths(estimator == INSCATTERED, pixel, first, count, seed)
 
-    def trace_cells(self, cells: Cells, cell: Any, first: Any, count: int, seed: int) -> Sums:
+    def trace_froxels(self, cells: FroxelGrid, cell: Any, first: Any, count: int, seed: int) -> Moments:
         """Light that the fog in each cell scatters towards the camera, per share of the ray; but lamps' that it scatters once.
 
         Args:
@@ -224,49 +196,49 @@ class FogPath:
 
         Returns:
             sums over the paths that `seen` counts: those whose place in the cell nothing hides.  With a
-            `SlabField` they are of the difference to its light.
+            `ControlVariate` they are of the difference to its light.
         """
         return self.trace_paths(True, cell, first, count, seed, cells)
 
     @dr.syntax
-    def trace_lamps(self, pixel: Any, first: Any, count: int, seed: int) -> Sums:
+    def trace_lamps(self, pixel: Any, first: Any, count: int, seed: int) -> Moments:
         """Lamps, scattered once into the eye's segment; arguments as in `trace`."""
         mi = backend.mitsuba()
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
         corner, bands = self.corner(pixel), self.bands
         single, squares, lost = bands.black(), bands.black(), mi.UInt32(0)
         sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []
-        known = None if self.seen_lamps is None else (self.seen_lamps, self.tile(pixel))
+        known = None if self.view_lights is None else (self.view_lights, self.tile(pixel))
         begun = mi.UInt32(0)
         while begun < wanted:
             sampler = Random(image_seed, pixel, first + begun)
             ray, weight = self.camera_ray(sampler, corner, mi.Bool(True))
             si = self.loaded.scene.ray_intersect_preliminary(ray, False)
-            near, far = self.air.span(ray.o, ray.d)
+            near, far = self.medium.intersect(ray.o, ray.d)
             stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)
-            where, lamp, colour, group = self.lamps.along(ray.o, ray.d, near, stop, self.air, sampler, stop > near, known)
-            free, reach_lamp = self.clear_to(where, mi.Normal3f(0.0), lamp, dr.max(colour) > 0.0)
+            where, lamp, colour, group = self.lights.along(ray.o, ray.d, near, stop, self.medium, sampler, stop > near, known)
+            free, reach_lamp = self.shadow_transmittance(where, mi.Normal3f(0.0), lamp, dr.max(colour) > 0.0)
             light = dr.select(free, bands.even(weight) * self.light(colour, group) * reach_lamp, bands.black())
             if dr.hint(bands.coloured, mode="scalar"):
-                light *= bands.scattered() * bands.fade(self.air.depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
+                light *= bands.scattered() * bands.fade(self.medium.optical_depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
             finite = dr.all(dr.isfinite(light))
             light = dr.select(finite, light, 0.0)
             single, squares = single + light, squares + light * light
             sums = _to_group(sums, light, self.numbered(group))
             lost += dr.select(finite, mi.UInt32(0), mi.UInt32(1))
             begun += 1
-        return Sums((single,), squares, tuple(sums), lost)
+        return Moments((single,), squares, tuple(sums), lost)
 
     def known_near(self, place: Any) -> Any:
         """Chances of the lamps at points, where there are too many to ask them all."""
-        return None if self.grid_of_lamps is None else (self.grid_of_lamps.near, self.grid_of_lamps.cell(place))
+        return None if self.light_grid is None else (self.light_grid.near, self.light_grid.cell(place))
 
     def tile(self, pixel: Any) -> Any:
         """Number of the tile of the view in which pixels lie."""
         camera = self.loaded.source.camera
         return pixel % camera.width_px * TILES[0] // camera.width_px + TILES[0] * (pixel // camera.width_px * TILES[1] // camera.height_px)
 
-    def corner(self, pixel: Any, cells: Cells | None = None) -> Any:
+    def corner(self, pixel: Any, cells: FroxelGrid | None = None) -> Any:
         """(u, v) of the top left corners of pixels, or of cells, in pixels."""
         mi = backend.mitsuba()
         camera = self.loaded.source.camera
@@ -277,24 +249,24 @@ class FogPath:
         return mi.Point2f(mi.Float(column % cells.columns), mi.Float(column // cells.columns)) * size
 
     @dr.syntax
-    def trace_paths(self, air_part: bool, pixel: Any, first: Any, count: int, seed: int, cells: Cells | None = None) -> Sums:
-        """Paths whose first segment meets a surface, or (`air_part`) is scattered, anywhere or within `cells`; other arguments as in `trace`.
+    def trace_paths(self, inscattered: bool, pixel: Any, first: Any, count: int, seed: int, cells: FroxelGrid | None = None) -> Moments:
+        """Paths whose first segment meets a surface, or (`inscattered`) is scattered, anywhere or within `cells`; other arguments as in `trace`.
 
         A lane whose path has ended begins its next one at once: vector units work on
         16 lanes in step, and would otherwise wait for the longest path of the 16.
         """
         mi = backend.mitsuba()
-        scene, context, air, slab = self.loaded.scene, mi.BSDFContext(), self.air, self.slab
+        scene, context, medium, control = self.loaded.scene, mi.BSDFContext(), self.medium, self.control
         corner, bands = self.corner(pixel, cells), self.bands
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
-        seen, size, nearest, gridded, slices = mi.UInt32(0), mi.Point2f(1.0), mi.Float(0.0), cells is not None, 1.0
-        if dr.hint(gridded, mode="scalar"):
+        seen, size, nearest, in_froxels, slices = mi.UInt32(0), mi.Point2f(1.0), mi.Float(0.0), cells is not None, 1.0
+        if dr.hint(in_froxels, mode="scalar"):
             slices = float(cells.slices)
             size = mi.Point2f(self.loaded.source.camera.width_px / cells.columns, self.loaded.source.camera.height_px / cells.rows)
             nearest = mi.Float(pixel // (cells.columns * cells.rows))
         black, sky = bands.black(), mi.EmitterPtr(scene.environment())
 
-        layers = [bands.black() for _ in LAYERS[AIR if air_part else SURFACE]]
+        aovs = [bands.black() for _ in AOVS[INSCATTERED if inscattered else SURFACE]]
         sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []
         squares, lost = bands.black(), mi.UInt32(0)
         begun = mi.UInt32(0)
@@ -305,206 +277,208 @@ class FogPath:
         scattered, bounces = mi.UInt32(0), mi.UInt32(0)
         depth = mi.UInt32(0)
         active = mi.Bool(True)
-        last_p, last_pdf, last_exact, last_alone = mi.Point3f(ray.o), mi.Float(1.0), mi.Bool(True), mi.Bool(False)
+        prev_p, prev_pdf, prev_delta, prev_without_nee = mi.Point3f(ray.o), mi.Float(1.0), mi.Bool(True), mi.Bool(False)
         while active:
             at_eye = active & (depth == 0)
-            # Free flight: where the fog would turn the path, if nothing stands before.
+            # Free flight: where the fog would scatter the path, if nothing stands before.
             near, far, flight = mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf)
-            may_turn = active & ~at_eye
+            may_scatter = active & ~at_eye
             if dr.hint(self.limited, mode="scalar"):
-                may_turn &= scattered < self.method.scatterings
+                may_scatter &= scattered < self.method.scatterings
             u_flight = sampler.next_1d(active)
             if dr.hint(self.foggy, mode="scalar"):
-                near, far = air.span(ray.o, ray.d)
-                thickness = -dr.log(1.0 - u_flight)
-                reach = air.reach(ray.o, ray.d, thickness, near, far)
-                flight = dr.select(may_turn & (reach < far), reach, dr.inf)
+                near, far = medium.intersect(ray.o, ray.d)
+                tau = -dr.log(1.0 - u_flight)
+                reach = medium.sample_distance(ray.o, ray.d, tau, near, far)
+                flight = dr.select(may_scatter & (reach < far), reach, dr.inf)
             segment = mi.Ray3f(ray)
-            if dr.hint(self.lamps.count == 0, mode="scalar"):  # lamps are asked all along the ray
+            if dr.hint(self.lights.count == 0, mode="scalar"):  # lamps are asked all along the ray
                 segment.maxt = dr.minimum(flight, segment.maxt)
             si = scene.ray_intersect(segment, mi.RayFlags.All, True, active)
             stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)
-            turned = active & dr.isfinite(flight) & (flight < dr.select(si.is_valid(), si.t, dr.inf))
-            met = active & si.is_valid() & ~turned
-            end = dr.select(met, si.t, dr.inf)
+            medium_scattered = active & dr.isfinite(flight) & (flight < dr.select(si.is_valid(), si.t, dr.inf))
+            surface_hit = active & si.is_valid() & ~medium_scattered
+            end = dr.select(surface_hit, si.t, dr.inf)
 
-            # The layer's light: at the eye the airlight between two ends, later a jump wherever its domain is entered or left.
-            if dr.hint(slab is not None, mode="scalar"):
-                begin_in, end_in = slab.span(ray.o, ray.d)
+            # The control variate: at the eye the airlight between two ends, later a jump wherever its domain is entered or left.
+            if dr.hint(control is not None, mode="scalar"):
+                begin_in, end_in = control.intersect(ray.o, ray.d)
                 inside = active & (end_in > begin_in) & (begin_in < dr.minimum(end, flight))
                 leaves = dr.minimum(end, flight) > end_in
                 until = dr.select(leaves, end_in, end)  # a flight ends inside: nothing to add
-                counted = inside & dr.isfinite(until) & (leaves | met)
-                here = slab.radiance(ray(until), ray.d, counted)
+                counted = inside & dr.isfinite(until) & (leaves | surface_hit)
+                here = control.radiance(ray(until), ray.d, counted)
                 into = inside & ((begin_in > 0.0) | at_eye)
-                there = slab.radiance(ray(begin_in), ray.d, into)
+                there = control.radiance(ray(begin_in), ray.d, into)
                 dimmed = mi.Bool(at_eye)
                 if dr.hint(self.limited, mode="scalar"):
-                    dimmed |= ~may_turn
-                dim_there = dr.select(dimmed, transmittance(air.depth(ray.o, ray.d, 0.0, begin_in))[0], 1.0)
-                dim_here = dr.select(dimmed, transmittance(air.depth(ray.o, ray.d, 0.0, until))[0], 1.0)
+                    dimmed |= ~may_scatter
+                dim_there = dr.select(dimmed, transmittance(medium.optical_depth(ray.o, ray.d, 0.0, begin_in))[0], 1.0)
+                dim_here = dr.select(dimmed, transmittance(medium.optical_depth(ray.o, ray.d, 0.0, until))[0], 1.0)
                 jump = dr.select(into, there * dim_there, black) - dr.select(counted, here * dim_here, black)
                 jump *= throughput
-                if dr.hint(not air_part or gridded, mode="scalar"):
+                if dr.hint(not inscattered or in_froxels, mode="scalar"):
                     jump = dr.select(at_eye, black, jump)
-                path, layers, sums = self.record(path, layers, sums, jump, mi.UInt32(2), mi.UInt32(0))
+                path, aovs, sums = self.add_light(path, aovs, sums, jump, mi.UInt32(2), mi.UInt32(0))
 
             # The eye's segment is split.
             if dr.hint(self.foggy, mode="scalar"):
-                way = air.depth_within(ray.o, ray.d, near, dr.maximum(dr.minimum(end, far), near))
+                way = medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(end, far), near))
                 through, opaque = transmittance(way)
                 if dr.hint(self.limited, mode="scalar"):
-                    throughput = dr.select(active & ~at_eye & ~may_turn, throughput * through, throughput)
-                if dr.hint(not gridded, mode="scalar"):
-                    share = opaque if air_part else through
+                    throughput = dr.select(active & ~at_eye & ~may_scatter, throughput * through, throughput)
+                if dr.hint(not in_froxels, mode="scalar"):
+                    share = opaque if inscattered else through
                     chance = dr.minimum(4.0 * share, 1.0)  # how often a faint part is drawn
                     share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
                     throughput, scale = dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
-            if dr.hint(gridded, mode="scalar"):
-                met &= ~at_eye
+            if dr.hint(in_froxels, mode="scalar"):
+                surface_hit &= ~at_eye
                 share = (nearest + u_flight) / slices
                 some = at_eye & (share < opaque)
-                place = air.reach(ray.o, ray.d, -dr.log(1.0 - share), near, stop)
+                place = medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - share), near, stop)
                 flight = dr.select(some, place, flight)
-                turned |= some
+                medium_scattered |= some
                 seen += dr.select(some, mi.UInt32(1), mi.UInt32(0))
-            elif dr.hint(air_part, mode="scalar"):
-                met &= ~at_eye
+            elif dr.hint(inscattered, mode="scalar"):
+                surface_hit &= ~at_eye
                 some = at_eye & (opaque > 0.0)
                 if dr.hint(self.method.scatterings == 0, mode="scalar"):
                     some &= False
-                place = air.reach(ray.o, ray.d, -dr.log(1.0 - u_flight * opaque), near, stop)
-                if dr.hint(self.beacons.count > 0, mode="scalar"):
+                place = medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u_flight * opaque), near, stop)
+                if dr.hint(self.guide.count > 0, mode="scalar"):
                     length = dr.maximum(stop - near, 1e-6)
                     sigma = way / length
-                    aimed = self.beacons.distance(ray.o, ray.d, near, stop, sigma, sampler.next_1d(some), sampler.next_1d(some))
-                    place = dr.select(sampler.next_1d(some) < TOWARDS, aimed, place)
-                    plain = dr.exp(-air.depth_within(ray.o, ray.d, near, place)) * air.extinction(ray(place)) / opaque
-                    mixed = TOWARDS * self.beacons.distance_density(ray.o, ray.d, near, stop, sigma, place) + (1.0 - TOWARDS) * plain
+                    guided = self.guide.distance(ray.o, ray.d, near, stop, sigma, sampler.next_1d(some), sampler.next_1d(some))
+                    place = dr.select(sampler.next_1d(some) < GUIDE_PROBABILITY, guided, place)
+                    plain = dr.exp(-medium.optical_depth_inside(ray.o, ray.d, near, place)) * medium.extinction(ray(place)) / opaque
+                    mixed = GUIDE_PROBABILITY * self.guide.distance_density(ray.o, ray.d, near, stop, sigma, place) + (1.0 - GUIDE_PROBABILITY) * plain
                     throughput = dr.select(some, throughput * plain / dr.maximum(mixed, 1e-30), throughput)
                 flight = dr.select(some, place, flight)
-                turned |= some
+                medium_scattered |= some
 
-            # Lamps, scattered once on the way; the eye's own segment is the part LAMPS.
-            if dr.hint(self.foggy and self.lamps.count > 0 and self.method.scatterings > 0, mode="scalar"):
+            # Lamps, scattered once on the way; the eye's own segment is the estimator LAMPS.
+            if dr.hint(self.foggy and self.lights.count > 0 and self.method.scatterings > 0, mode="scalar"):
                 lit = active & ~at_eye & (stop > near)
                 if dr.hint(self.limited, mode="scalar"):
                     lit &= scattered < self.method.scatterings
                 asked = None
-                if dr.hint(self.grid_of_lamps is not None, mode="scalar"):
-                    asked = self.known_near(ray(air.reach(ray.o, ray.d, dr.minimum(-dr.log(1.0 - sampler.next_1d(lit)), 3.0), near, stop)))
-                where, lamp, colour, group = self.lamps.along(ray.o, ray.d, near, stop, air, sampler, lit, asked)
-                free, reach_lamp = self.clear_to(where, mi.Normal3f(0.0), lamp, lit & (dr.max(colour) > 0.0))
+                if dr.hint(self.light_grid is not None, mode="scalar"):
+                    asked = self.known_near(ray(medium.sample_distance(ray.o, ray.d, dr.minimum(-dr.log(1.0 - sampler.next_1d(lit)), 3.0), near, stop)))
+                where, lamp, colour, group = self.lights.along(ray.o, ray.d, near, stop, medium, sampler, lit, asked)
+                free, reach_lamp = self.shadow_transmittance(where, mi.Normal3f(0.0), lamp, lit & (dr.max(colour) > 0.0))
                 light = dr.select(free, throughput * self.light(colour, group) * reach_lamp, black)
                 if dr.hint(bands.coloured, mode="scalar"):
-                    light *= bands.scattered() * bands.fade(air.depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
-                path, layers, sums = self.record(path, layers, sums, light, scattered + 1, group)
+                    light *= bands.scattered() * bands.fade(medium.optical_depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
+                path, aovs, sums = self.add_light(path, aovs, sums, light, scattered + 1, group)
 
             # What the clearest band, in which flights are drawn, keeps and the others lose.
             if dr.hint(bands.coloured, mode="scalar"):
-                gone = air.depth_within(ray.o, ray.d, near, dr.maximum(dr.minimum(dr.minimum(flight, end), far), near))
-                throughput *= bands.fade(gone)
-                throughput = dr.select(turned, throughput * bands.scattered(), throughput)
-            ended = active & ~turned
-            if dr.hint(air_part, mode="scalar"):
+                tau_to_end = medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(dr.minimum(flight, end), far), near))
+                throughput *= bands.fade(tau_to_end)
+                throughput = dr.select(medium_scattered, throughput * bands.scattered(), throughput)
+            ended = active & ~medium_scattered
+            if dr.hint(inscattered, mode="scalar"):
                 ended &= ~at_eye
 
             # What the end of the segment sends out itself, weighed against the shadow ray of the vertex before.
             before_it = dr.zeros(mi.Interaction3f)
-            before_it.p = last_p
+            before_it.p = prev_p
             towards = mi.DirectionSample3f(scene, si, before_it)
             light_pdf = mi.Float(0.0)
-            if dr.hint(self.chosen, mode="scalar"):
-                light_pdf = scene.pdf_emitter_direction(before_it, towards, ended & ~last_exact)
-            weight = dr.select(last_alone & (light_pdf > 0.0), 1.0, dr.select(light_pdf > 0.0, _share(last_pdf, light_pdf), 0.0))
+            if dr.hint(self.use_nee, mode="scalar"):
+                light_pdf = scene.pdf_emitter_direction(before_it, towards, ended & ~prev_delta)
+            weight = dr.select(prev_without_nee & (light_pdf > 0.0), 1.0, dr.select(light_pdf > 0.0, mis_weight(prev_pdf, light_pdf), 0.0))
             emitter = si.emitter(scene, ended)
-            if dr.hint(slab is not None, mode="scalar"):  # no shadow ray looks for the sky
-                weight = dr.select(met, weight, 1.0)
-            weight = dr.select(last_exact, 1.0, weight)  # a lamp's face counts here only for the eye and for mirrors
+            if dr.hint(control is not None, mode="scalar"):  # no shadow ray looks for the sky
+                weight = dr.select(surface_hit, weight, 1.0)
+            weight = dr.select(prev_delta, 1.0, weight)  # a lamp's face counts here only for the eye and for mirrors
             group = self.group(emitter, ended)
             light = dr.select(ended, throughput * weight * self.light(emitter.eval(si, ended), group), black)
-            path, layers, sums = self.record(path, layers, sums, light, scattered, group)
+            path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
 
             # The vertex: in the fog or on a surface.
             vertex = dr.zeros(mi.Interaction3f)
-            vertex.p = dr.select(turned, ray(flight), si.p)
-            vertex.n = dr.select(turned, mi.Normal3f(0.0), si.n)
-            vertex.t = dr.select(turned, flight, si.t)
+            vertex.p = dr.select(medium_scattered, ray(flight), si.p)
+            vertex.n = dr.select(medium_scattered, mi.Normal3f(0.0), si.n)
+            vertex.t = dr.select(medium_scattered, flight, si.t)
             if dr.hint(self.foggy, mode="scalar"):
-                throughput = dr.select(turned, throughput * air.albedo(vertex.p), throughput)
-            bsdf, reading = bands.surface(si.bsdf(), met)
-            scattered += dr.select(turned, mi.UInt32(1), mi.UInt32(0))
-            bounces += dr.select(met, mi.UInt32(1), mi.UInt32(0))
-            alive = met | turned
+                throughput = dr.select(medium_scattered, throughput * medium.albedo(vertex.p), throughput)
+            bsdf, reading = bands.surface(si.bsdf(), surface_hit)
+            scattered += dr.select(medium_scattered, mi.UInt32(1), mi.UInt32(0))
+            bounces += dr.select(surface_hit, mi.UInt32(1), mi.UInt32(0))
+            alive = surface_hit | medium_scattered
 
             # Shadow rays: to the sky and whatever is left to chance, and to a lamp.
-            smooth = met & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            smooth = surface_hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             lit = mi.Bool(smooth)
-            if dr.hint(self.lit_fog, mode="scalar"):
-                lit |= turned
+            if dr.hint(self.use_nee_medium, mode="scalar"):
+                lit |= medium_scattered
             sent, power = dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0)
-            if dr.hint(self.chosen, mode="scalar"):
+            if dr.hint(self.use_nee, mode="scalar"):
                 sent, power = scene.sample_emitter_direction(vertex, sampler.next_2d(lit), False, lit)
-                if dr.hint(slab is not None, mode="scalar"):
+                if dr.hint(control is not None, mode="scalar"):
                     lit &= sent.emitter != sky
             lit &= sent.pdf > 0.0
-            reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(context, si, si.to_local(sent.d), sampler.next_1d(met), sampler.next_2d(met), met)
+            reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(
+                context, si, si.to_local(sent.d), sampler.next_1d(surface_hit), sampler.next_2d(surface_hit), surface_hit
+            )
             value, gain = bands.reflectance(reflected, reading), bands.reflectance(kept, reading)
             if dr.hint(self.foggy, mode="scalar"):
-                turn_value = air.phase.value(dr.dot(ray.d, sent.d))
-                value = dr.select(turned, bands.even(mi.Color3f(turn_value)), value)
-                pdf = dr.select(turned, turn_value, pdf)
-            if dr.hint(self.chosen, mode="scalar"):
-                free, reach_light = self.clear_to(vertex.p, vertex.n, sent.p, lit)
-                weight = dr.select(sent.delta, 1.0, _share(sent.pdf, pdf))
+                phase_value = medium.phase.value(dr.dot(ray.d, sent.d))
+                value = dr.select(medium_scattered, bands.even(mi.Color3f(phase_value)), value)
+                pdf = dr.select(medium_scattered, phase_value, pdf)
+            if dr.hint(self.use_nee, mode="scalar"):
+                free, reach_light = self.shadow_transmittance(vertex.p, vertex.n, sent.p, lit)
+                weight = dr.select(sent.delta, 1.0, mis_weight(sent.pdf, pdf))
                 group = self.group(sent.emitter, free)
                 light = dr.select(free, throughput * value * self.light(power, group) * (weight * reach_light), black)
-                path, layers, sums = self.record(path, layers, sums, light, scattered, group)
-            if dr.hint(self.lamps.count > 0, mode="scalar"):
-                lamp, colour, group = self.lamps.at(si.p, si.n, sampler, smooth, self.known_near(si.p))
-                free, reach_lamp = self.clear_to(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
+                path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
+            if dr.hint(self.lights.count > 0, mode="scalar"):
+                lamp, colour, group = self.lights.at(si.p, si.n, sampler, smooth, self.known_near(si.p))
+                free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
                 reflected = bsdf.eval(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
                 light = dr.select(free, throughput * bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp, black)
-                path, layers, sums = self.record(path, layers, sums, light, scattered, group)
+                path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
 
             # Onward.
             direction, next_pdf = si.to_world(bounce.wo), bounce.pdf
-            next_exact = met & mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
-            onward = dr.select(met, throughput * gain, throughput)
-            if dr.hint(slab is not None, mode="scalar"):
-                known = met & slab.holds(vertex.p)
+            next_delta = surface_hit & mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
+            onward = dr.select(surface_hit, throughput * gain, throughput)
+            if dr.hint(control is not None, mode="scalar"):
+                known = surface_hit & control.holds(vertex.p)
                 matte, normal = self.matte(context, si, bsdf, reading, known & smooth)
-                light = throughput * matte * slab.irradiance(vertex.p, normal, known) * dr.inv_pi
+                light = throughput * matte * control.irradiance(vertex.p, normal, known) * dr.inv_pi
                 cosine = dr.dot(direction, normal)
-                expected = dr.select(next_exact | (cosine <= 0.0), 0.0, cosine * dr.inv_pi / dr.maximum(next_pdf, 1e-20))
+                expected = dr.select(next_delta | (cosine <= 0.0), 0.0, cosine * dr.inv_pi / dr.maximum(next_pdf, 1e-20))
                 rest = onward - throughput * matte * expected
-                light += rest * slab.radiance(vertex.p, direction, known)
+                light += rest * control.radiance(vertex.p, direction, known)
                 light = dr.select(
-                    known & (bounce.pdf > 0.0), light, dr.select(known, throughput * matte * slab.irradiance(vertex.p, normal, known) * dr.inv_pi, black)
+                    known & (bounce.pdf > 0.0), light, dr.select(known, throughput * matte * control.irradiance(vertex.p, normal, known) * dr.inv_pi, black)
                 )
-                path, layers, sums = self.record(path, layers, sums, light, mi.UInt32(2), mi.UInt32(0))
+                path, aovs, sums = self.add_light(path, aovs, sums, light, mi.UInt32(2), mi.UInt32(0))
             throughput = onward
-            last_pdf, last_exact, last_alone = next_pdf, next_exact, mi.Bool(False)
+            prev_pdf, prev_delta, prev_without_nee = next_pdf, next_delta, mi.Bool(False)
             if dr.hint(self.foggy, mode="scalar"):
-                turn, turn_pdf = air.phase.sample(ray.d, sampler.next_2d(turned))
-                if dr.hint(self.beacons.count > 0, mode="scalar"):
-                    spread = air.media[0].sigma_t
-                    aimed = self.beacons.direction(vertex.p, spread, sampler.next_1d(turned), sampler.next_2d(turned))
-                    turn = dr.select(sampler.next_1d(turned) < TOWARDS, aimed, turn)
-                    turn_pdf = air.phase.value(dr.dot(ray.d, turn))  # also what it is weighed by against shadow rays, on both sides
-                    mixed = TOWARDS * self.beacons.direction_density(vertex.p, spread, turn) + (1.0 - TOWARDS) * turn_pdf
-                    throughput = dr.select(turned, throughput * turn_pdf / dr.maximum(mixed, 1e-30), throughput)
-                direction, last_pdf = dr.select(turned, turn, direction), dr.select(turned, turn_pdf, last_pdf)
-                last_alone = turned & mi.Bool(not self.lit_fog)
-            last_p = vertex.p
+                wo, phase_pdf = medium.phase.sample(ray.d, sampler.next_2d(medium_scattered))
+                if dr.hint(self.guide.count > 0, mode="scalar"):
+                    spread = medium.media[0].sigma_t
+                    guided = self.guide.direction(vertex.p, spread, sampler.next_1d(medium_scattered), sampler.next_2d(medium_scattered))
+                    wo = dr.select(sampler.next_1d(medium_scattered) < GUIDE_PROBABILITY, guided, wo)
+                    phase_pdf = medium.phase.value(dr.dot(ray.d, wo))  # also what it is weighed by against shadow rays, on both sides
+                    mixed = GUIDE_PROBABILITY * self.guide.direction_density(vertex.p, spread, wo) + (1.0 - GUIDE_PROBABILITY) * phase_pdf
+                    throughput = dr.select(medium_scattered, throughput * phase_pdf / dr.maximum(mixed, 1e-30), throughput)
+                direction, prev_pdf = dr.select(medium_scattered, wo, direction), dr.select(medium_scattered, phase_pdf, prev_pdf)
+                prev_without_nee = medium_scattered & mi.Bool(not self.use_nee_medium)
+            prev_p = vertex.p
             ray = vertex.spawn_ray(direction)
             depth += 1
             largest = dr.max(throughput)
-            survive = dr.select(depth > RR_DEPTH, self.survives, 1.0) * dr.minimum(largest / (FAINT * scale), 1.0)
-            if dr.hint(slab is not None, mode="scalar"):
-                survive *= dr.select(turned & (scattered > 1), DIFFERENCE_SURVIVES, 1.0)
+            survive = dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(largest / (FAINT * scale), 1.0)
+            if dr.hint(control is not None, mode="scalar"):
+                survive *= dr.select(medium_scattered & (scattered > 1), DIFFERENCE_SURVIVES, 1.0)
             alive &= (largest > 0.0) & (sampler.next_1d(alive) < survive)
-            alive &= turned | (bounces < self.method.bounces)
+            alive &= medium_scattered | (bounces < self.method.bounces)
             throughput /= dr.maximum(survive, 1e-8)
 
             # The pixel's next path where this one has ended.
@@ -526,21 +500,21 @@ class FogPath:
                 dr.select(again, mi.UInt32(0), scattered),
                 dr.select(again, mi.UInt32(0), bounces),
             )
-            last_p, last_exact, last_alone = dr.select(again, view.o, last_p), last_exact | again, last_alone & ~again
+            prev_p, prev_delta, prev_without_nee = dr.select(again, view.o, prev_p), prev_delta | again, prev_without_nee & ~again
             active = alive | again
-        return Sums(tuple(layers), squares, tuple(sums), lost, seen)
+        return Moments(tuple(aovs), squares, tuple(sums), lost, seen)
 
-    def record(self, path: Any, layers: list[Any], sums: list[Any], light: Any, scattered: Any, group: Any) -> Any:
-        """Add light to the path, its layer and its group; light that is not finite is left out of both and spoils the path's square, which counts it."""
+    def add_light(self, path: Any, aovs: list[Any], sums: list[Any], light: Any, scattered: Any, group: Any) -> Any:
+        """Add light to the path, its AOV and its group; light that is not finite is left out of both and spoils the path's square, which counts it."""
         finite = dr.all(dr.isfinite(light))
         clean = dr.select(finite, light, 0.0)
         path = path + dr.select(finite, light, dr.nan)
-        if len(layers) == 1:
-            layers = [layers[0] + clean]
+        if len(aovs) == 1:
+            aovs = [aovs[0] + clean]
         else:
             once = scattered <= 1
-            layers = [layers[0] + dr.select(once, clean, 0.0), layers[1] + dr.select(once, 0.0, clean)]
-        return path, layers, _to_group(sums, clean, self.numbered(group))
+            aovs = [aovs[0] + dr.select(once, clean, 0.0), aovs[1] + dr.select(once, 0.0, clean)]
+        return path, aovs, _to_group(sums, clean, self.numbered(group))
 
     def numbered(self, group: Any) -> Any:
         """Light group of a lamp's number."""
@@ -558,7 +532,7 @@ class FogPath:
         return dr.gather(mi.UInt32, self.group_of_emitter, dr.reinterpret_array(mi.UInt32, emitter), active)
 
     def matte(self, context: Any, si: Any, bsdf: Any, reading: Any, active: Any) -> tuple[Any, Any]:
-        """A diffuse reflectance that stands for a BSDF in the layer's light, and the normal of the side that is seen.
+        """A diffuse reflectance that stands for a BSDF in the slab's light, and the normal of the side that is seen.
 
         Any value leaves the mean as it is, if the BSDF's own sampling covers the
         hemisphere: so it is asked, far from the mirror's direction, for value and density.
@@ -571,7 +545,7 @@ class FogPath:
         fits = active & (pdf > 0.1 * dr.inv_pi)  # a fifth of the cosine's density at 60 degrees
         return self.bands.reflectance(dr.select(fits, dr.minimum(value * (2.0 * dr.pi), 1.0), 0.0), reading), mi.Vector3f(si.sh_frame.n) * facing
 
-    def clear_to(self, place: Any, normal: Any, light: Any, active: Any) -> tuple[Any, Any]:
+    def shadow_transmittance(self, place: Any, normal: Any, light: Any, active: Any) -> tuple[Any, Any]:
         """(whether nothing stands between a point and a light, transmittance of the fog between: one for all bands, or one each)."""
         mi = backend.mitsuba()
         start = dr.zeros(mi.Interaction3f)
@@ -582,10 +556,10 @@ class FogPath:
         if self.foggy:
             towards = light - place
             length = dr.norm(towards)
-            depth = self.air.depth(place, towards / dr.maximum(length, 1e-12), 0.0, length)
-            through = dr.exp(-depth)
+            tau = self.medium.optical_depth(place, towards / dr.maximum(length, 1e-12), 0.0, length)
+            through = dr.exp(-tau)
             if self.bands.coloured:
-                through = through * self.bands.fade(depth)
+                through = through * self.bands.fade(tau)
         return free, through
 
     def camera_ray(self, sampler: Any, corner: Any, active: Any, size: Any = 1.0) -> tuple[Any, Any]:
@@ -608,18 +582,18 @@ class FogPath:
         return ray, weight
 
 
-def _survival(air: Air) -> float:
+def _rr_prob(medium: Medium) -> float:
     """Chance of a path to outlive each event after RR_DEPTH.
 
-    A path that diffuses out of fog of optical depth t across is turned about
+    A path that diffuses out of fog of optical depth t across is scattered about
     (1 - g) t^2 times.  A fixed 0.95 weighs the longest of t = 20 by 0.95^-60, which
     no number of samples ever sees: it looks dark.
     """
     thickest = 0.0
-    for volume in air.volumes:
+    for volume in medium.volumes:
         across = 2.0 * np.linalg.norm(volume.boundary.to_world[:3, :3], axis=0).min()
         thickest = max(thickest, volume.medium.sigma_t_per_m * across)
-    g = air.volumes[0].medium.phase_function.mean_cosine if air.volumes else 0.0
+    g = medium.volumes[0].medium.phase_function.mean_cosine if medium.volumes else 0.0
     return 1.0 - 0.5 / (10.0 + (1.0 - g) * thickest**2)
 
 
@@ -627,7 +601,7 @@ def _to_group(sums: list[Any], light: Any, group: Any) -> list[Any]:
     return [total + dr.select(group == index, light, 0.0) for index, total in enumerate(sums)]
 
 
-def _share(pdf: Any, other: Any) -> Any:
+def mis_weight(pdf: Any, other: Any) -> Any:
     """Weight of a sample by the power heuristic, 0 where its density is 0."""
     square = pdf * pdf
     return dr.select(pdf > 0.0, square / (square + other * other), 0.0)

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from synfog_usd import photometry, spectra
 from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
 from synfog_usd.render import backend
-from synfog_usd.render.load import Loaded, make_bsdf
+from synfog_usd.render.load import MitsubaScene, make_bsdf
 from synfog_usd.scene import base_colour, mean_colour, recoloured, texels
 
 Array = npt.NDArray[np.float64]
@@ -54,7 +54,7 @@ def basis(curve: Array, rgb: npt.ArrayLike, height: float = HEIGHT) -> Array:
     return np.stack([first, (1.0 - first) * long, (1.0 - first) * (1.0 - long)])
 
 
-def shares(pixels: npt.NDArray[np.float32], curve: Array, rgb: npt.ArrayLike) -> npt.NDArray[np.float32]:
+def basis_weights(pixels: npt.NDArray[np.float32], curve: Array, rgb: npt.ArrayLike) -> npt.NDArray[np.float32]:
     """How much of each spectrum of `basis` the texels have.
 
     Under D65 a texel differs from what the material's spectrum shows by the ratio by which it differs from the mean; a hue that
@@ -89,11 +89,11 @@ def _distinct(texel: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float32], 
     return texel[first], where.ravel()
 
 
-class Surfaces:
+class SpectralBsdfs:
     """All materials of a scene that have a spectrum.
 
     Args:
-        loaded: the scene; keeps the twins.
+        loaded: the scene; keeps the spectral BSDFs.
         plain: (3, N) how R, G and B of any other material become bands; its columns add up to 1.
         boxes: (N, 401) of the bands.
 
@@ -101,7 +101,7 @@ class Surfaces:
         count: of materials with a spectrum.
     """
 
-    def __init__(self, loaded: Loaded, plain: Array, boxes: Array) -> None:
+    def __init__(self, loaded: MitsubaScene, plain: Array, boxes: Array) -> None:
         world = loaded.source.world
         keys = [key for key in loaded.source.reflectance_of if key in loaded.parts and base_colour(world[key]) is not None]
         self.count = len(keys)
@@ -114,9 +114,9 @@ class Surfaces:
             colour, curve = base_colour(world[key]), loaded.source.reflectance_of[key]
             assert colour is not None
             mean, height = mean_colour(colour), 1.0 if colour["type"] == "rgb" else HEIGHT
-            if key not in loaded.twins:
-                loaded.twins[key] = make_bsdf(recoloured(world[key], _carried(colour, curve, mean)))
-            pairs.append((_index(loaded.parts[key]), _index(loaded.twins[key])))
+            if key not in loaded.spectral_bsdfs:
+                loaded.spectral_bsdfs[key] = make_bsdf(recoloured(world[key], _carried(colour, curve, mean)))
+            pairs.append((_index(loaded.parts[key]), _index(loaded.spectral_bsdfs[key])))
             table.append((basis(curve, mean, height) @ boxes.T / width)[:2])
         self.bands = boxes.shape[0]
         self.size = max(index for index, _ in pairs) + 1
@@ -140,7 +140,7 @@ def _carried(colour: Mapping[str, Any], curve: Array, mean: tuple[float, float, 
     """The shares of three spectra in place of a colour."""
     if colour["type"] == "rgb":
         return {"type": "rgb", "value": [float(spectra.scaled(curve, mean).max()), 0.0, 0.0]}
-    return {**colour, "bitmap": shares(texels(colour), curve, mean), "raw": True}
+    return {**colour, "bitmap": basis_weights(texels(colour), curve, mean), "raw": True}
 
 
 def _index(bsdf: Any) -> int:

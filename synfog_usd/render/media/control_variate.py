@@ -1,9 +1,9 @@
-"""The plane-parallel solution in a kernel: what would be seen if the scene were an empty layer.
+"""The plane-parallel solution in a kernel: what would be seen if the scene were an empty slab.
 
-A scene's light is L = S + e with S the light of a layer of the same fog over a
+A scene's light is L = S + e with S the light of a slab of the same fog over a
 Lambertian ground under the mean of the sky.  S is known, and in the fog e obeys the same
 equation of transfer as L, without a source: only where a path meets what the
-layer does not know is there anything to add.  The domain of S is the part of the
+slab does not know is there anything to add.  The domain of S is the part of the
 fog's box above the ground; outside of it S is 0, and a path that crosses its edge
 counts the jump.
 """
@@ -19,9 +19,9 @@ import numpy.typing as npt
 
 from synfog_usd.fog.slab import Slab, solve
 from synfog_usd.render import backend
-from synfog_usd.render.air import Air, Domain
-from synfog_usd.render.bands import Bands
-from synfog_usd.render.load import Loaded
+from synfog_usd.render.load import MitsubaScene
+from synfog_usd.render.media.medium import Domain, Medium
+from synfog_usd.render.spectra.bands import Bands
 
 Array = npt.NDArray[np.float64]
 
@@ -34,7 +34,7 @@ ROWS, COLUMNS = 256, 512
 
 BIN_M = 0.05
 MARGIN_M = 0.01
-"""The layer's ground lies this far under the scene's, so that a ray that meets the scene's is inside."""
+"""The slab's ground lies this far under the scene's, so that a ray that meets the scene's is inside."""
 
 SKY_RINGS, SKY_SECTORS = 96, 128
 STEEP = 1e-3
@@ -56,7 +56,7 @@ class Ground:
     share: float
 
 
-def find_ground(loaded: Loaded, top_m: float) -> Ground | None:
+def find_ground(loaded: MitsubaScene, top_m: float) -> Ground | None:
     """Look straight down around the camera; None where nothing is met."""
     mi = backend.mitsuba()
     eye = loaded.source.camera.to_world[:3, 3]
@@ -78,7 +78,7 @@ def find_ground(loaded: Loaded, top_m: float) -> Ground | None:
     return Ground(float(np.median(height[here])), np.clip(np.nan_to_num(colour[here]).mean(axis=0), 0.0, 1.0), float(here.mean()))
 
 
-def mean_sky(loaded: Loaded) -> tuple[Array, Array, float]:
+def mean_sky(loaded: MitsubaScene) -> tuple[Array, Array, float]:
     """The sky's mean over the azimuth.
 
     Returns:
@@ -103,22 +103,22 @@ def mean_sky(loaded: Loaded) -> tuple[Array, Array, float]:
     return up, mean, np.sqrt(off) / max(level / 3.0, 1e-30)
 
 
-class SlabField:
-    """One scene's layer.
+class ControlVariate:
+    """One scene's slab.
 
     Args:
         slab: the solution.
-        air: the fog that it is a layer of: one box with a level top.
+        medium: the fog that it is a slab of: one box with a level top.
         bands: the slab's channels.
         floor_m: height [m] of the domain's lower face.  Where the ground lies on the fog's own floor or under it,
             the domain still reaches below the ground; the air between is clear, and S is there what it is at the floor.
     """
 
-    def __init__(self, slab: Slab, air: Air, floor_m: float, bands: Bands) -> None:
+    def __init__(self, slab: Slab, medium: Medium, floor_m: float, bands: Bands) -> None:
         mi = backend.mitsuba()
         self.bands = bands
-        self.slab, self.medium = slab, air.media[0]
-        matrix = air.volumes[0].boundary.to_world.copy()
+        self.slab, self.medium = slab, medium.media[0]
+        matrix = medium.volumes[0].boundary.to_world.copy()
         matrix[2, :3] *= (slab.top_m - floor_m) / (2.0 * abs(matrix[2, 2]))
         matrix[2, 3] = 0.5 * (slab.top_m + floor_m)
         self.domain = Domain(matrix)
@@ -129,14 +129,14 @@ class SlabField:
         lit = slab.irradiance_table()
         self.lit_rows, self.lit_columns = lit.shape[:2]
         self.lit = mi.Float(np.ascontiguousarray(lit, dtype=np.float32).ravel())
-        self.exponential = air.media[0].exponential
+        self.exponential = medium.media[0].exponential
         if self.exponential:
             self.through = dr.opaque(mi.Float, 1.0 / max(slab.optical_depth, 1e-30))
         dr.make_opaque(self.table, self.lit)
 
-    def span(self, origin: Any, direction: Any) -> tuple[Any, Any]:
+    def intersect(self, origin: Any, direction: Any) -> tuple[Any, Any]:
         """Where a ray is in the domain, as distances >= 0; equal where it misses."""
-        return self.domain.span(origin, direction)
+        return self.domain.intersect(origin, direction)
 
     def holds(self, place: Any) -> Any:
         """Whether points are in the domain."""
@@ -148,13 +148,13 @@ class SlabField:
         column = dr.sqrt(dr.minimum(dr.abs(direction.z), 1.0)) * (self.columns - 1)
         return self._bilinear(self.table, self._row(place) * (self.rows - 1), column, self.rows, self.columns, side, active)
 
-    def airlight(self, ray: Any, end: Any, air: Air, active: Any) -> Any:
-        """What the layer sends towards a ray's origin from before a distance `end`, infinite where nothing is met (C,)."""
-        begin, leave = self.span(ray.o, ray.d)
+    def airlight(self, ray: Any, end: Any, medium: Medium, active: Any) -> Any:
+        """What the slab sends towards a ray's origin from before a distance `end`, infinite where nothing is met (C,)."""
+        begin, leave = self.intersect(ray.o, ray.d)
         inside = active & (leave > begin) & (begin < end)
         until = dr.minimum(end, leave)
-        there = self.radiance(ray(begin), ray.d, inside) * dr.exp(-air.depth(ray.o, ray.d, 0.0, begin))
-        here = self.radiance(ray(until), ray.d, inside) * dr.exp(-air.depth(ray.o, ray.d, 0.0, until))
+        there = self.radiance(ray(begin), ray.d, inside) * dr.exp(-medium.optical_depth(ray.o, ray.d, 0.0, begin))
+        here = self.radiance(ray(until), ray.d, inside) * dr.exp(-medium.optical_depth(ray.o, ray.d, 0.0, until))
         return dr.select(inside, there - here, self.bands.black())
 
     def irradiance(self, place: Any, normal: Any, active: Any) -> Any:
@@ -166,7 +166,10 @@ class SlabField:
         """The table's row coordinate, 0 at the ground and 1 at the top; see `Slab.table`."""
         if self.exponential:
             height = place.z - self.bottom
-            share = self.medium.column(backend.mitsuba().Point3f(0.0, 0.0, self.bottom), backend.mitsuba().Vector3f(0.0, 0.0, 1.0), 0.0, height) * self.through
+            share = (
+                self.medium.optical_depth(backend.mitsuba().Point3f(0.0, 0.0, self.bottom), backend.mitsuba().Vector3f(0.0, 0.0, 1.0), 0.0, height)
+                * self.through
+            )
         else:
             share = (place.z - self.bottom) / (self.top - self.bottom)
         return (2.0 / dr.pi) * dr.asin(dr.sqrt(dr.clip(share, 0.0, 1.0)))
@@ -181,14 +184,14 @@ class SlabField:
         return dr.lerp(low, high, y)
 
 
-def make_slab(loaded: Loaded, air: Air, bands: Bands | None = None, sky_kind: int = 0) -> tuple[SlabField | None, str]:
-    """The layer that is most like a scene under a sky of this kind of light; else None and why there is none."""
+def make_control_variate(loaded: MitsubaScene, medium: Medium, bands: Bands | None = None, sky_kind: int = 0) -> tuple[ControlVariate | None, str]:
+    """The slab that is most like a scene under a sky of this kind of light; else None and why there is none."""
     bands = bands or Bands()
     if bands.coloured:
-        return None, "the layer is solved for fog that is grey, and this one has an Angstrom exponent"
-    if not air.foggy or len(air.volumes) != 1:
-        return None, "the layer is solved for one fog volume"
-    volume = air.volumes[0]
+        return None, "the slab is solved for fog that is grey, and this one has an Angstrom exponent"
+    if not medium.foggy or len(medium.volumes) != 1:
+        return None, "the slab is solved for one fog volume"
+    volume = medium.volumes[0]
     matrix = volume.boundary.to_world
     if volume.boundary.kind != "box" or np.abs(matrix[2, :2]).max() + np.abs(matrix[:2, 2]).max() > 1e-5 * np.abs(matrix[:3, :3]).max():
         return None, f"the fog {volume.path} is no box with a level top"
@@ -206,4 +209,4 @@ def make_slab(loaded: Loaded, air: Air, bands: Bands | None = None, sky_kind: in
     if not bands.is_rgb:
         albedo, sky = np.clip(albedo @ bands.reflectance_of, 0.0, 1.0), np.maximum(bands.light_in(sky, sky_kind), 0.0)
     slab = solve(volume.medium, bottom_m=height, top_m=top, ground=albedo, sky_up=up, sky=sky)
-    return SlabField(slab, air, floor, bands), ""
+    return ControlVariate(slab, medium, floor, bands), ""

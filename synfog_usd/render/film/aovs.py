@@ -16,7 +16,7 @@ import numpy.typing as npt
 from synfog_usd.fog.volume import optical_depth
 from synfog_usd.image import Image, Quantity
 from synfog_usd.render import backend
-from synfog_usd.render.load import Loaded, camera_fog
+from synfog_usd.render.load import MitsubaScene, camera_fog
 
 Array = npt.NDArray[np.float64]
 Ids = npt.NDArray[np.int64]
@@ -53,7 +53,7 @@ class Hits:
 
 
 @dataclass(frozen=True)
-class Layers:
+class Aovs:
     """Per-pixel facts, all (H, W) or (H, W, 3).
 
     Attributes:
@@ -75,7 +75,7 @@ class Layers:
         return Image(self.transmittance[:, :, None].astype(np.float32), ("transmittance.Y",), Quantity.DATA)
 
 
-def measure(loaded: Loaded) -> Layers:
+def measure(loaded: MitsubaScene) -> Aovs:
     """Trace one ray through the centre of every pixel."""
     camera, fog = loaded.source.camera, loaded.source.fog
     width, height = camera.width_px, camera.height_px
@@ -121,11 +121,11 @@ def measure(loaded: Loaded) -> Layers:
         tau = optical_depth(fog, eye, direction, distance)
     depth = np.where(np.isfinite(distance), np.where(np.isfinite(distance), distance, 0.0) * (direction @ forward), np.inf)
     shape = (height, width)
-    return Layers(distance.reshape(shape), depth.reshape(shape), normal.reshape(height, width, 3), instance.reshape(shape), np.exp(-tau).reshape(shape))
+    return Aovs(distance.reshape(shape), depth.reshape(shape), normal.reshape(height, width, 3), instance.reshape(shape), np.exp(-tau).reshape(shape))
 
 
-def seen_through(loaded: Loaded, clear: Layers) -> Layers:
-    """The layers of a whole scene, through the fog of one that has less in it.
+def seen_through(loaded: MitsubaScene, clear: Aovs) -> Aovs:
+    """The AOVs of a whole scene, through the fog of one that has less in it.
 
     Args:
         loaded: the scene with its fog, in boxes and balls, and a camera of the size of `clear`.
@@ -134,8 +134,8 @@ def seen_through(loaded: Loaded, clear: Layers) -> Layers:
     camera = loaded.source.camera
     _, direction = _Tracer(loaded).centre_rays(camera.width_px, camera.height_px)
     eye = np.broadcast_to(camera.to_world[:3, 3], direction.shape)
-    depth = optical_depth(loaded.source.fog, eye, direction, clear.distance_m.ravel())
-    return replace(clear, transmittance=np.exp(-depth).reshape(clear.distance_m.shape))
+    tau = optical_depth(loaded.source.fog, eye, direction, clear.distance_m.ravel())
+    return replace(clear, transmittance=np.exp(-tau).reshape(clear.distance_m.shape))
 
 
 def _rows(hits: Hits, keep: npt.NDArray[np.bool_]) -> Hits:
@@ -150,7 +150,7 @@ def _replace_rows(hits: Hits, at: npt.NDArray[np.bool_], better: Hits) -> None:
 class _Tracer:
     """Rays in, numpy rows out, in any variant."""
 
-    def __init__(self, loaded: Loaded) -> None:
+    def __init__(self, loaded: MitsubaScene) -> None:
         self.mi, self.loaded = backend.mitsuba(), loaded
         self.scalar = backend.is_scalar()
         self.rank: dict[int, int] = {}

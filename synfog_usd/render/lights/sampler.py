@@ -1,6 +1,6 @@
-"""Lamps as a path tracer wants them: by where they matter, not one in a hundred by chance.
+"""Lights as a path tracer wants them: by where they matter, not one in a hundred by chance.
 
-Spots, points, lamps with a table of their light (`luminaire`) and lit mesh faces are held as arrays.  For a stretch of a ray in fog,
+Spots, points, lamps with a table of their light (`photometric`) and lit mesh faces are held as arrays.  For a stretch of a ray in fog,
 each lamp in turn is asked what it would scatter into the ray from two places, dimmed
 by the fog: one drawn evenly over the angle under which it sees the stretch (Kulla and
 Fajardo 2012), one by the forward peak of the phase function over the same angle, both
@@ -15,17 +15,19 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import drjit as dr
 import numpy as np
 
 from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
-from synfog_usd.render import backend, luminaire
-from synfog_usd.render.lampgrid import Choice
+from synfog_usd.render import backend
+from synfog_usd.render.lights import photometric
+from synfog_usd.render.lights.grid import LightDistribution
+from synfog_usd.render.sampling.reservoir import Reservoir
 
 MOST = 12
-"""Lamps that are all asked."""
+"""Lights that are all asked."""
 
 DRAWN = 4
 """Of more lamps, this many are drawn for each stretch and point, by flux and peak; each costs as much as half a ray."""
@@ -34,24 +36,24 @@ SPOT_BEAM = 0.75
 """Mitsuba's share of the cutoff within which a spot is even, where none is given."""
 
 
-def is_handled(part: Any) -> bool:
-    """Whether a shape or light of a scene is one that `Lamps` holds."""
+def is_sampled_light(part: Any) -> bool:
+    """Whether a shape or light of a scene is one that `LightSampler` holds."""
     if not isinstance(part, Mapping):
         return False
-    if part.get("type") in ("spot", "point", luminaire.TYPE):
+    if part.get("type") in ("spot", "point", photometric.TYPE):
         return "texture" not in part
     emitter = part.get("emitter")
     return part.get("type") == "mesh" and isinstance(emitter, Mapping) and emitter.get("radiance", {}).get("type") == "rgb"
 
 
-def lamp_rows(part: Mapping[str, Any]) -> np.ndarray:
+def light_rows(part: Mapping[str, Any]) -> np.ndarray:
     """(N, 24) a row for a spot or point, one for each face of a mesh, one for each channel of a table; columns at `_COLUMNS`."""
-    if part["type"] == luminaire.TYPE:
+    if part["type"] == photometric.TYPE:
         return _photometric(part)
     return _faces(part) if part["type"] == "mesh" else _beam(part)
 
 
-class Lamps:
+class LightSampler:
     """Every spot, point and evenly lit mesh face of a scene.
 
     Args:
@@ -65,14 +67,14 @@ class Lamps:
         self.tables: list[np.ndarray] = []
         known: dict[tuple[Any, ...], int] = {}
         for key, part in world.items():
-            if is_handled(part):
-                block = lamp_rows(part)
+            if is_sampled_light(part):
+                block = light_rows(part)
                 block[:, 19] = groups.get(key, 0)
-                if part["type"] == luminaire.TYPE:
+                if part["type"] == photometric.TYPE:
                     block[:, 20] = [self._kept(table, known) for table in _channels(part)]
                 block = block[_light(block) > 0.0]
                 rows += [block] if len(block) else []
-        self.parts = rows
+        self.rows = rows
         self.count = len(rows)
         if not self.count:
             return
@@ -81,7 +83,7 @@ class Lamps:
         self.faces = mi.DiscreteDistribution(mi.Float(np.concatenate([_light(block) / _light(block).sum() for block in rows]).astype(np.float32)))
         self.photometric = bool(self.tables)
         self.table = self.columns(table)
-        self.light = luminaire.Tables(self.tables) if self.photometric else None
+        self.light = photometric.Tables(self.tables) if self.photometric else None
         self.begin = mi.Float((np.arange(self.count) / self.count).astype(np.float32))  # each lamp's share of the faces' distribution
         self.share = dr.opaque(mi.Float, 1.0 / self.count)
         drawn = np.array([_light(block).max() * np.sqrt(block[0, 18]) for block in rows])
@@ -109,7 +111,7 @@ class Lamps:
     def _row(self, index: Any, active: Any) -> list[Any]:
         return [dr.gather(type(column), column, index, active) for column in self.table]
 
-    def _candidate(self, number: Any, sampler: Any, active: Any, known: tuple[Choice, Any] | None = None) -> tuple[Any, Any, Any]:
+    def _candidate(self, number: Any, sampler: Any, active: Any, known: tuple[LightDistribution, Any] | None = None) -> tuple[Any, Any, Any]:
         """A point on a lamp: (position, its row, its probability among all that could have been asked); `known` are chances by place, and the place's row."""
         mi = backend.mitsuba()
         probability = mi.Float(1.0)
@@ -140,14 +142,14 @@ class Lamps:
         return dr.select(tabled, self.light.at(mi.UInt32(dr.maximum(row[19], 0.0)), local, tabled), sent)
 
     @dr.syntax
-    def along(self, origin: Any, direction: Any, begin: Any, end: Any, air: Any, sampler: Any, active: Any, known: Any = None) -> tuple[Any, Any, Any, Any]:
+    def along(self, origin: Any, direction: Any, begin: Any, end: Any, medium: Any, sampler: Any, active: Any, known: Any = None) -> tuple[Any, Any, Any, Any]:
         """One lamp's light scattered once along a stretch of a ray.
 
         Args:
             origin, direction: the ray.
             begin, end: the stretch, as distances [m].
-            air: the fog.
-            known: chances of the lamps and the row to take, see `LampGrid`; None to draw by flux and peak.
+            medium: the fog.
+            known: chances of the lamps and the row to take, see `LightGrid`; None to draw by flux and peak.
 
         Returns:
             where it scatters, where the lamp is, colour such that colour x transmittance
@@ -155,7 +157,7 @@ class Lamps:
         """
         mi = backend.mitsuba()
         active = active & (end > begin)
-        kept, index = _Reservoir(mi), mi.UInt32(0)
+        kept, index = Reservoir(), mi.UInt32(0)
         while active & (index < self.asked):
             lamp, row, probability = self._candidate(index, sampler, active, known)
             nearest = dr.dot(lamp - origin, direction)
@@ -175,13 +177,13 @@ class Lamps:
                 between = place - lamp
                 square = dr.maximum(dr.squared_norm(between), 1e-8)
                 towards = between * dr.rsqrt(square)
-                through = dr.exp(-air.depth_within(origin, direction, begin, distance))
-                strength = self.sent(row, towards) * air.phase.value(-dr.dot(towards, direction)) * through * air.scattering(place) / square
+                through = dr.exp(-medium.optical_depth_inside(origin, direction, begin, distance))
+                strength = self.sent(row, towards) * medium.phase.value(-dr.dot(towards, direction)) * through * medium.scattering(place) / square
                 value = mi.Color3f(*row[12:15]) * strength
-                dimmed = mi.luminance(value) * dr.exp(-air.media[0].sigma_t * dr.sqrt(square))
-                kept = kept.offered(place, lamp, value, row[18], dimmed, density * probability, sampler, active)
+                dimmed = mi.luminance(value) * dr.exp(-medium.media[0].sigma_t * dr.sqrt(square))
+                kept = kept.update(place, lamp, value, row[18], dimmed, density * probability, sampler, active)
             index += 1
-        return kept.place, kept.lamp, kept.result(), mi.UInt32(kept.group)
+        return kept.place, kept.lamp, kept.estimate(), mi.UInt32(kept.group)
 
     @dr.syntax
     def at(self, place: Any, normal: Any, sampler: Any, active: Any, known: Any = None) -> tuple[Any, Any, Any]:
@@ -192,16 +194,16 @@ class Lamps:
             point) divided by its probability, without visibility and fog, and its group.
         """
         mi = backend.mitsuba()
-        kept, index = _Reservoir(mi), mi.UInt32(0)
+        kept, index = Reservoir(), mi.UInt32(0)
         while active & (index < self.asked):
             lamp, row, probability = self._candidate(index, sampler, active, known)
             between = place - lamp
             square = dr.maximum(dr.squared_norm(between), 1e-8)
             towards = between * dr.rsqrt(square)
             value = mi.Color3f(*row[12:15]) * (self.sent(row, towards) / square)
-            kept = kept.offered(place, lamp, value, row[18], mi.luminance(value) * (dr.abs(dr.dot(towards, normal)) + 1e-3), probability, sampler, active)
+            kept = kept.update(place, lamp, value, row[18], mi.luminance(value) * (dr.abs(dr.dot(towards, normal)) + 1e-3), probability, sampler, active)
             index += 1
-        return kept.lamp, kept.result(), mi.UInt32(kept.group)
+        return kept.lamp, kept.estimate(), mi.UInt32(kept.group)
 
 
 def _peak_density(angle: Any, width: Any) -> Any:
@@ -222,30 +224,6 @@ def _of_peak_share(share: Any, width: Any) -> Any:
 def _light(rows: np.ndarray) -> np.ndarray:
     """(N,) luminous peak of each row [cd]."""
     return np.maximum(rows[:, 12:15] @ LUMINANCE_WEIGHTS_REC709, 0.0)
-
-
-class _Reservoir:
-    """One of several weighted candidates, as they come."""
-
-    DRJIT_STRUCT: ClassVar[dict[str, type]] = {}
-
-    def __init__(self, mi: Any = None) -> None:
-        mi = mi or backend.mitsuba()
-        type(self).DRJIT_STRUCT = {"place": mi.Point3f, "lamp": mi.Point3f, "value": mi.Color3f, "group": mi.Float, "target": mi.Float, "sum": mi.Float}
-        self.place, self.lamp, self.value = mi.Point3f(0.0), mi.Point3f(0.0), mi.Color3f(0.0)
-        self.target, self.sum, self.group = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
-
-    def offered(self, place: Any, lamp: Any, value: Any, group: Any, target: Any, density: Any, sampler: Any, active: Any) -> _Reservoir:
-        weight = dr.select(active & (density > 0.0) & (target > 0.0), target / density, 0.0)
-        after = _Reservoir()
-        after.sum = self.sum + weight
-        taken = sampler.next_1d(active) * after.sum < weight
-        after.place, after.lamp, after.value = dr.select(taken, place, self.place), dr.select(taken, lamp, self.lamp), dr.select(taken, value, self.value)
-        after.target, after.group = dr.select(taken, target, self.target), dr.select(taken, group, self.group)
-        return after
-
-    def result(self) -> Any:
-        return dr.select(self.target > 0.0, self.value * (self.sum / self.target), 0.0)
 
 
 _COLUMNS = 24
@@ -292,19 +270,19 @@ def _beam(light: Mapping[str, Any]) -> np.ndarray:
 
 def _channels(light: Mapping[str, Any]) -> list[np.ndarray]:
     """A table (V, H) of largest value 1 for each channel of a lamp's own, or zeros."""
-    table = luminaire.table_of(light)
+    table = photometric.table_of(light)
     peaks = np.maximum(table.max(axis=(0, 1)), 1e-30)
     return [np.ascontiguousarray((table[:, :, c] / peaks[c]).astype(np.float32)) for c in range(table.shape[2])]
 
 
 def _photometric(light: Mapping[str, Any]) -> np.ndarray:
     """A row for all channels alike, or one for each."""
-    table = luminaire.table_of(light)
+    table = photometric.table_of(light)
     peaks, colour = table.max(axis=(0, 1)), np.broadcast_to(np.asarray(light["intensity"]["value"], dtype=np.float64), 3)
     rows = _blank(len(peaks))
     matrix = np.asarray(light["to_world"], dtype=np.float64)
     rows[:, 0:3], rows[:, 9:12], rows[:, 21:24] = matrix[:3, 3], matrix[:3, 2] / np.linalg.norm(matrix[:3, 2]), matrix[:3, 0] / np.linalg.norm(matrix[:3, 0])
     rows[:, 12:15] = peaks[:, None] * (np.diag(colour) if len(peaks) == 3 else colour[None])
-    flux = luminaire.ring_weights(len(table)) @ table.mean(axis=1)
+    flux = photometric.ring_weights(len(table)) @ table.mean(axis=1)
     rows[:, 15], rows[:, 16], rows[:, 17], rows[:, 18] = 1e9, 1.0, 1.0, flux / np.maximum(peaks, 1e-30)
     return rows

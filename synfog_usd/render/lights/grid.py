@@ -37,7 +37,7 @@ POINTS = 8
 """Places in a cell that are looked at."""
 
 NEAR_M = 0.5
-"""Lamps are taken to be this far at least."""
+"""Lights are taken to be this far at least."""
 
 TILES = (32, 18)
 """Columns and rows of the view."""
@@ -48,7 +48,7 @@ RAYS = 4
 NODES = 24
 
 
-class Choice:
+class LightDistribution:
     """Chances of N lamps in each of R rows.
 
     Args:
@@ -78,21 +78,21 @@ class Choice:
         return index, dr.gather(mi.Float, self.chance, begin + index, active)
 
 
-class LampGrid:
-    """Lamps by place.
+class LightGrid:
+    """Lights by place.
 
     Args:
-        lamps: the scene's, see `lamps.Lamps`.
-        sigma_t: extinction [1/m] of the fog, 0 in clear air.
+        lights: the scene's, see `LightSampler`.
+        sigma_t: extinction [1/m] of the fog, 0 in clear medium.
         eye: (3,) position of the camera [m].
     """
 
-    def __init__(self, lamps: Any, sigma_t: float, eye: Array) -> None:
+    def __init__(self, lights: Any, sigma_t: float, eye: Array) -> None:
         mi = backend.mitsuba()
-        self.lamps, self.sigma_t, self.eye = lamps, sigma_t, eye
-        rows = [_representative(block) for block in lamps.parts]
+        self.lights, self.sigma_t, self.eye = lights, sigma_t, eye
+        rows = [_representative(block) for block in lights.rows]
         places = np.array([row[0:3] for row in rows])
-        self.table = lamps.columns(np.array(rows))
+        self.table = lights.columns(np.array(rows))
         low, high = eye - REACH_M, eye + REACH_M
         low[:2], high[:2] = np.maximum(low[:2], places[:, :2].min(axis=0) - 20.0), np.minimum(high[:2], places[:, :2].max(axis=0) + 20.0)
         low[2], high[2] = places[:, 2].min() - CELL_M, places[:, 2].max() + CELL_M
@@ -106,7 +106,7 @@ class LampGrid:
         self._most = mi.Vector3f((self.shape - 1).astype(float).tolist())
         self._stride = mi.UInt32(int(self.shape[0])), mi.UInt32(int(self.shape[0] * self.shape[1]))
         dr.make_opaque(self._low, self._scale, self._most, self._stride)
-        self.near = Choice(self._weights(), lamps.even)
+        self.near = LightDistribution(self._weights(), lights.even)
 
     def cell(self, place: Any) -> Any:
         """Row of `near` for points."""
@@ -124,8 +124,8 @@ class LampGrid:
         within = 0.25 + 0.5 * bits  # of the cell's eighths, the middle
         points = self.low + (corner[:, None] + within[None]) * self.size
         place = mi.Point3f(points.reshape(-1, 3).T.astype(np.float32))
-        found = np.zeros((count, self.lamps.count))
-        for number in range(self.lamps.count):
+        found = np.zeros((count, self.lights.count))
+        for number in range(self.lights.count):
             light = self._sent(dr.opaque(mi.UInt32, number), place)
             found[:, number] = np.array(light, dtype=np.float64).reshape(count, POINTS).mean(axis=1)
         return found
@@ -138,14 +138,14 @@ class LampGrid:
         square = dr.maximum(dr.squared_norm(between), NEAR_M**2)
         away = dr.sqrt(square)
         light = mi.luminance(mi.Color3f(*row[12:15]))
-        return light * self.lamps.sent(row, between / away) * dr.exp(-dr.opaque(mi.Float, self.sigma_t) * away) / square
+        return light * self.lights.sent(row, between / away) * dr.exp(-dr.opaque(mi.Float, self.sigma_t) * away) / square
 
-    def seen(self, tracer: Any, air: Any) -> Choice:
+    def seen(self, tracer: Any, medium: Any) -> LightDistribution:
         """Chances by tile of the view: what each lamp sends along rays through it, scattered once.
 
         Args:
             tracer: the `FogPath` whose camera looks.
-            air: the fog.
+            medium: the fog.
         """
         mi = backend.mitsuba()
         columns, rows = TILES
@@ -157,17 +157,17 @@ class LampGrid:
         place = mi.Point2f(u.astype(np.float32), v.astype(np.float32))
         ray, _ = tracer.ray_through(place, _Middle(), mi.Bool(True))
         si = tracer.loaded.scene.ray_intersect_preliminary(ray, False)
-        near, far = air.span(ray.o, ray.d)
+        near, far = medium.intersect(ray.o, ray.d)
         stop = dr.maximum(dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far), near)
         dr.eval(ray, near, stop)
-        found = np.zeros((columns * rows, self.lamps.count))
-        for number in range(self.lamps.count):
-            light = self._along(dr.opaque(mi.UInt32, number), ray, near, stop, air)
+        found = np.zeros((columns * rows, self.lights.count))
+        for number in range(self.lights.count):
+            light = self._along(dr.opaque(mi.UInt32, number), ray, near, stop, medium)
             found[:, number] = np.array(light, dtype=np.float64).reshape(-1, RAYS).mean(axis=1)
-        return Choice(found, self.lamps.even)
+        return LightDistribution(found, self.lights.even)
 
     @dr.syntax
-    def _along(self, number: Any, ray: Any, begin: Any, end: Any, air: Any) -> Any:
+    def _along(self, number: Any, ray: Any, begin: Any, end: Any, medium: Any) -> Any:
         """One lamp's light scattered once into rays, by midpoints that are even in the angle at the lamp."""
         mi = backend.mitsuba()
         lamp = mi.Point3f(*[dr.gather(mi.Float, column, number) for column in self.table[0:3]])
@@ -181,7 +181,7 @@ class LampGrid:
             place = ray.o + ray.d * distance
             towards = dr.normalize(place - lamp)
             jacobian = (height * height + dr.square(distance - nearest)) / height
-            dimmed = dr.exp(-air.depth_within(ray.o, ray.d, begin, distance)) * air.phase.value(-dr.dot(towards, ray.d))
+            dimmed = dr.exp(-medium.optical_depth_inside(ray.o, ray.d, begin, distance)) * medium.phase.value(-dr.dot(towards, ray.d))
             total += self._sent(number, place) * dimmed * jacobian
             step += 1
         return total * (high - low)

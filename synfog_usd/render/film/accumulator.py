@@ -19,8 +19,8 @@ import numpy.typing as npt
 
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
-from synfog_usd.render.fogpath import AIR, LAMPS, LAYERS, SURFACE, FogPath
-from synfog_usd.render.load import Loaded, make_sensor
+from synfog_usd.render.integrators.path import AOVS, INSCATTERED, LAMPS, SURFACE, FogPath
+from synfog_usd.render.load import MitsubaScene, make_sensor
 from synfog_usd.render.motion import moved
 from synfog_usd.seeds import seed32
 
@@ -36,26 +36,26 @@ CHUNKED_LANES = 1 << 18
 SCALAR_PASSES = 8
 
 ALL = "all"
-"""The one part and layer of an integrator that tells none apart."""
+"""The one estimator and AOV of an integrator that tells none apart."""
 
-COST = {SURFACE: 1.0, LAMPS: 0.25, AIR: 1.8}
-"""Seconds of a path of each part, relative; measured in the bench stages within a factor of two, and fixed, so that the same seed gives the same bytes."""
+ESTIMATOR_COST = {SURFACE: 1.0, LAMPS: 0.25, INSCATTERED: 1.8}
+"""Seconds of a path of each estimator, relative; measured in the bench stages within a factor of two, and fixed, so that the same seed gives the same bytes."""
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass
-class Part:
-    """Sums of one part of an image (of all of it, where an integrator does not tell parts apart).
+class Estimator:
+    """Sums of one estimator of an image (of all of it, where an integrator has only one).
 
     Attributes:
-        layers: name -> (P, C) sum of the samples.
+        aovs: name -> (P, C) sum of the samples.
         squares: (P, C) sum of their squares.
         groups: G sums (P, C) by light group.
         counts: (P,) samples of each pixel.
     """
 
-    layers: dict[str, Array]
+    aovs: dict[str, Array]
     squares: Array
     groups: list[Array]
     counts: npt.NDArray[np.int64]
@@ -66,7 +66,7 @@ class Part:
 
     def mean(self) -> Array:
         """(P, C)."""
-        return sum(self.layers.values()) / self.number()
+        return sum(self.aovs.values()) / self.number()
 
     def variance(self) -> Array:
         """(P, C) variance of the mean; infinite with fewer than two samples."""
@@ -80,28 +80,29 @@ class Part:
 
 
 @dataclass
-class Exposure:
-    """An image as the sum of its parts, each with samples of its own.
+class Accumulator:
+    """An image as the sum of its estimators, each with samples of its own.
 
     Attributes:
-        parts: name -> sums; parts are independent of each other.
+        estimators: name -> sums; estimators are independent of each other.
         lost: samples that were not finite and count as zero.
         weights: (C,) of the channels in a pixel's luminance [cd m-2]; R, G and B count alike.
-        grid: cells from which the part AIR is looked up, or None where it is sampled pixel by pixel.  Its `counts` are then of paths in each cell.
+        radiance_cache: froxels from which the estimator INSCATTERED is looked up, or None where it is sampled pixel by pixel.
+            Its `counts` are then of paths in each froxel.
     """
 
-    parts: dict[str, Part]
+    estimators: dict[str, Estimator]
     lost: int = 0
     weights: Array = field(default_factory=lambda: np.full(3, 1.0 / 3.0))
-    grid: Any = None
+    radiance_cache: Any = None
 
     def mean(self) -> Array:
         """(P, C) all light."""
-        return sum(part.mean() for part in self.parts.values())
+        return sum(estimator.mean() for estimator in self.estimators.values())
 
     def variance(self) -> Array:
         """(P, C) variance of the mean."""
-        return sum(part.variance() for part in self.parts.values())
+        return sum(estimator.variance() for estimator in self.estimators.values())
 
     def luminance(self) -> Array:
         """(P,) of all light [cd m-2], 0 at least."""
@@ -111,178 +112,180 @@ class Exposure:
         """(P,) variance of its mean, as if the channels rose and fell together, as those of one path do."""
         return np.asarray(self.variance() @ self.weights * self.weights.sum())
 
-    def layer(self, name: str) -> Array | None:
-        """(P, C) mean of a layer, or None where the integrator does not tell it apart."""
-        found = [part.layers[name] / part.number() for part in self.parts.values() if name in part.layers]
+    def aov(self, name: str) -> Array | None:
+        """(P, C) mean of an AOV, or None where the integrator does not tell it apart."""
+        found = [estimator.aovs[name] / estimator.number() for estimator in self.estimators.values() if name in estimator.aovs]
         if found:
             return sum(found)
-        pixels = len(next(iter(self.parts.values())).counts)
-        return None if ALL in self.parts else np.zeros((pixels, len(self.weights)))
+        pixels = len(next(iter(self.estimators.values())).counts)
+        return None if ALL in self.estimators else np.zeros((pixels, len(self.weights)))
 
-    def take_layer(self, name: str) -> Array | None:
+    def take_aov(self, name: str) -> Array | None:
         """The same, and its sums are let go."""
-        mean = self.layer(name)
-        for part in self.parts.values():
-            part.layers.pop(name, None)
+        mean = self.aov(name)
+        for estimator in self.estimators.values():
+            estimator.aovs.pop(name, None)
         return mean
 
     def take_group(self) -> Array:
         """(P, C) mean of the first light group that is left; its sums are let go."""
-        return sum(part.groups.pop(0) / part.number() for part in self.parts.values())
+        return sum(estimator.groups.pop(0) / estimator.number() for estimator in self.estimators.values())
 
     @property
     def samples(self) -> int:
-        """Of all parts and pixels, and of cells."""
-        own = sum(part.counts.sum() for name, part in self.parts.items() if self.grid is None or name != AIR)
-        return int(own + (self.grid.paths if self.grid is not None else 0))
+        """Of all estimators and pixels, and of cells."""
+        own = sum(estimator.counts.sum() for name, estimator in self.estimators.items() if self.radiance_cache is None or name != INSCATTERED)
+        return int(own + (self.radiance_cache.paths if self.radiance_cache is not None else 0))
 
     def cost(self, name: str) -> float:
-        """Seconds of one more sample of a part, relative."""
-        return self.grid.cost if self.grid is not None and name == AIR else COST[name]
+        """Seconds of one more sample of an estimator, relative."""
+        return self.radiance_cache.cost if self.radiance_cache is not None and name == INSCATTERED else ESTIMATOR_COST[name]
 
     def even(self, samples: int) -> dict[str, int]:
-        """As many samples of each part; in the cells what costs the same, four times as many at most."""
-        found = dict.fromkeys(self.parts, samples)
-        if self.grid is not None:
-            found[AIR] = max(2, min(round(samples * COST[AIR] / self.grid.cost), 4 * samples))
+        """As many samples of each estimator; in the cells what costs the same, four times as many at most."""
+        found = dict.fromkeys(self.estimators, samples)
+        if self.radiance_cache is not None:
+            found[INSCATTERED] = max(2, min(round(samples * ESTIMATOR_COST[INSCATTERED] / self.radiance_cache.cost), 4 * samples))
         return found
 
 
-def expose(loaded: Loaded, integrator: Any, *, samples: int, seed: int, progress: Progress = silent) -> Exposure:
+def accumulate(loaded: MitsubaScene, integrator: Any, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
     """Average `samples` paths through every pixel, with a box filter one pixel wide.
 
     Args:
         loaded: scene and sensor.
-        integrator: a Mitsuba `SamplingIntegrator`, a `FogPath`, or anything with an `expose` of its own.
+        integrator: a Mitsuba `SamplingIntegrator`, a `FogPath`, or anything with an `accumulate` of its own.
         samples: paths per pixel, >= 2 (one has no variance).  A `FogPath` takes as many on the average of
-            its parts, weighted by what they cost: more of the part that is noisier.
+            its estimators, weighted by what they cost: more of the estimator that is noisier.
         seed: of this image; the same gives the same numbers in the same variant.
         progress: told after each pass.
     """
-    if hasattr(integrator, "expose"):
-        return integrator.expose(samples=samples, seed=seed, progress=progress)
+    if hasattr(integrator, "accumulate"):
+        return integrator.accumulate(samples=samples, seed=seed, progress=progress)
     pixels = loaded.source.camera.width_px * loaded.source.camera.height_px
     if isinstance(integrator, FogPath):
-        exposure, everywhere = begin(integrator, pixels), np.arange(pixels)
-        if samples < 3 * CHUNK or len(integrator.parts) == 1:
-            extend(exposure, integrator, everywhere, exposure.even(samples), seed, progress)
-            return exposure
-        first = exposure.even(CHUNK)
-        extend(exposure, integrator, everywhere, first, seed, lambda what, fraction: progress(what, fraction * CHUNK / samples))
-        more = {part: max(count - first[part], 0) for part, count in shares(exposure, samples).items()}
-        extend(exposure, integrator, everywhere, more, seed, lambda what, fraction: progress(what, (CHUNK + fraction * (samples - CHUNK)) / samples))
-        return exposure
+        accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
+        if samples < 3 * CHUNK or len(integrator.estimators) == 1:
+            add_samples(accumulated, integrator, everywhere, accumulated.even(samples), seed, progress)
+            return accumulated
+        first = accumulated.even(CHUNK)
+        add_samples(accumulated, integrator, everywhere, first, seed, lambda what, fraction: progress(what, fraction * CHUNK / samples))
+        more = {estimator: max(count - first[estimator], 0) for estimator, count in neyman_allocation(accumulated, samples).items()}
+        add_samples(accumulated, integrator, everywhere, more, seed, lambda what, fraction: progress(what, (CHUNK + fraction * (samples - CHUNK)) / samples))
+        return accumulated
     if backend.is_scalar():
-        return _expose_scalar(loaded, integrator, samples, seed, progress)
+        return _accumulate_scalar(loaded, integrator, samples, seed, progress)
     total, squares, lost, done = np.zeros((pixels, 3)), np.zeros((pixels, 3)), 0, 0
     while done < samples:
         count = min(samples - done, max(1, LANES_PER_PASS // pixels))
         summed, squared, broken = _side_by_side(loaded, integrator, count, seed32(seed, "pass", done))
         total, squares, lost, done = total + summed, squares + squared, lost + broken, done + count
         progress("rendering", done / samples)
-    return whole(total, squares, samples, lost)
+    return undivided(total, squares, samples, lost)
 
 
-def whole(total: Array, squares: Array, samples: int, lost: int = 0) -> Exposure:
-    """An image that is not told apart into parts, from sums over its samples."""
-    return Exposure({ALL: Part({ALL: total}, squares, [], np.full(len(total), samples, dtype=np.int64))}, lost)
+def undivided(total: Array, squares: Array, samples: int, lost: int = 0) -> Accumulator:
+    """An image of one estimator alone, from sums over its samples."""
+    return Accumulator({ALL: Estimator({ALL: total}, squares, [], np.full(len(total), samples, dtype=np.int64))}, lost)
 
 
-def shares(exposure: Exposure, samples: int) -> dict[str, int]:
-    """How many samples each part should have, in multiples of CHUNK, at the cost of `samples` of each.
+def neyman_allocation(accumulated: Accumulator, samples: int) -> dict[str, int]:
+    """How many samples each estimator should have, in multiples of CHUNK, at the cost of `samples` of each.
 
     Variance per sample over cost is evened out: n ~ sqrt(variance / cost), as in
     Neyman's allocation.  Pixels count by their relative variance, the noisiest
     hundredth left out, so that one firefly decides nothing.
     """
-    level = exposure.luminance()
+    level = accumulated.luminance()
     scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
     noise = {}
-    for name, part in exposure.parts.items():
-        relative = part.variance() @ exposure.weights * exposure.weights.sum() * part.counts / scale**2
+    for name, estimator in accumulated.estimators.items():
+        relative = estimator.variance() @ accumulated.weights * accumulated.weights.sum() * estimator.counts / scale**2
         noise[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
-    weight = {name: max(np.sqrt(value / exposure.cost(name)), 1e-6) for name, value in noise.items()}
-    unit = samples * sum(COST[name] for name in weight) / sum(exposure.cost(name) * value for name, value in weight.items())
+    weight = {name: max(np.sqrt(value / accumulated.cost(name)), 1e-6) for name, value in noise.items()}
+    unit = samples * sum(ESTIMATOR_COST[name] for name in weight) / sum(accumulated.cost(name) * value for name, value in weight.items())
     return {name: max(CHUNK, round(unit * value / CHUNK) * CHUNK) for name, value in weight.items()}
 
 
-def begin(integrator: FogPath, pixels: int) -> Exposure:
+def new_accumulator(integrator: FogPath, pixels: int) -> Accumulator:
     """An image of no samples yet; sums over many bands are in float32, which holds 10^4 chunks to 1e-5 and half the memory."""
     groups, bands = integrator.groups if integrator.groups > 1 else 0, integrator.bands
     shape, kind = (pixels, bands.count), np.float64 if bands.is_rgb else np.float32
 
-    def empty(part: str) -> Part:
-        layers = {name: np.zeros(shape, dtype=kind) for name in LAYERS[part]}
-        return Part(layers, np.zeros(shape, dtype=kind), [np.zeros(shape, dtype=kind) for _ in range(groups)], np.zeros(pixels, dtype=np.int64))
+    def empty(estimator: str) -> Estimator:
+        aovs = {name: np.zeros(shape, dtype=kind) for name in AOVS[estimator]}
+        return Estimator(aovs, np.zeros(shape, dtype=kind), [np.zeros(shape, dtype=kind) for _ in range(groups)], np.zeros(pixels, dtype=np.int64))
 
-    return Exposure({part: empty(part) for part in integrator.parts}, weights=bands.weights, grid=integrator.grid())
+    return Accumulator({estimator: empty(estimator) for estimator in integrator.estimators}, weights=bands.weights, radiance_cache=integrator.radiance_cache())
 
 
-def extend(exposure: Exposure, integrator: FogPath, pixels: npt.NDArray[np.int64], samples: Mapping[str, int], seed: int, progress: Progress = silent) -> None:
+def add_samples(
+    accumulated: Accumulator, integrator: FogPath, pixels: npt.NDArray[np.int64], samples: Mapping[str, int], seed: int, progress: Progress = silent
+) -> None:
     """Add samples to each of some pixels.
 
     Args:
         pixels: (N,) their numbers, ascending.
-        samples: part -> paths a pixel, or in each cell; a pixel's samples so far must be a multiple of CHUNK.
+        samples: estimator -> paths a pixel, or in each cell; a pixel's samples so far must be a multiple of CHUNK.
     """
-    if exposure.grid is not None and samples.get(AIR, 0) > 0:
-        own = {name: count for name, count in samples.items() if name != AIR}
+    if accumulated.radiance_cache is not None and samples.get(INSCATTERED, 0) > 0:
+        own = {name: count for name, count in samples.items() if name != INSCATTERED}
         if own:
-            extend(exposure, integrator, pixels, own, seed, lambda what, fraction: progress(what, 0.6 * fraction))
-        _look_up(exposure, samples[AIR], seed, lambda what, fraction: progress(what, 0.6 + 0.4 * fraction))
+            add_samples(accumulated, integrator, pixels, own, seed, lambda what, fraction: progress(what, 0.6 * fraction))
+        _read_cache(accumulated, samples[INSCATTERED], seed, lambda what, fraction: progress(what, 0.6 + 0.4 * fraction))
         return
     rows = max(1, CHUNKED_LANES // max(len(pixels), 1))  # chunks of all the pixels at once
     all_of_it, done = max(len(pixels) * sum(samples.values()), 1), 0
     for name, count in samples.items():
         full, rest = divmod(count, CHUNK)
-        started, part_seed = exposure.parts[name].counts[pixels].copy(), seed32(seed, name)
+        started, estimator_seed = accumulated.estimators[name].counts[pixels].copy(), seed32(seed, name)
         work = [(CHUNK, list(range(low, min(low + rows, full)))) for low in range(0, full, rows)] + ([(rest, [full])] if rest else [])
         for length, chunks in work:
             for low in range(0, len(pixels), CHUNKED_LANES):
                 some, start = pixels[low : low + CHUNKED_LANES], started[low : low + CHUNKED_LANES]
-                _add(exposure, integrator, name, some, np.concatenate([start + index * CHUNK for index in chunks]), length, len(chunks), part_seed)
+                _add(accumulated, integrator, name, some, np.concatenate([start + index * CHUNK for index in chunks]), length, len(chunks), estimator_seed)
                 done += len(some) * length * len(chunks)
                 progress("rendering", done / all_of_it)
 
 
-def _look_up(exposure: Exposure, count: int, seed: int, progress: Progress) -> None:
-    """Begin paths in the cells, and look the air of every pixel up anew."""
-    grid, part = exposure.grid, exposure.parts[AIR]
-    before = grid.lost
-    grid.extend(count, seed32(seed, AIR), progress)
-    exposure.lost += grid.lost - before
-    rays = math.isqrt(int(np.median(exposure.parts[SURFACE].counts))) if SURFACE in exposure.parts else 1
-    layers, groups, noise = grid.airlight(rays, seed32(seed, "rays"))
-    number = max(grid.count, 2)
-    part.squares = (noise * (number - 1) + sum(layers) ** 2) * number
-    part.layers = {name: layer * number for name, layer in zip(part.layers, layers, strict=True)}
-    part.groups = [group * number for group in groups]
-    part.counts = np.full(len(part.counts), number, dtype=np.int64)
+def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progress) -> None:
+    """Begin paths in the cells, and look the airlight of every pixel up anew."""
+    cache, estimator = accumulated.radiance_cache, accumulated.estimators[INSCATTERED]
+    before = cache.lost
+    cache.add_samples(count, seed32(seed, INSCATTERED), progress)
+    accumulated.lost += cache.lost - before
+    rays = math.isqrt(int(np.median(accumulated.estimators[SURFACE].counts))) if SURFACE in accumulated.estimators else 1
+    aovs, groups, noise = cache.airlight(rays, seed32(seed, "rays"))
+    number = max(cache.count, 2)
+    estimator.squares = (noise * (number - 1) + sum(aovs) ** 2) * number
+    estimator.aovs = {name: aov * number for name, aov in zip(estimator.aovs, aovs, strict=True)}
+    estimator.groups = [group * number for group in groups]
+    estimator.counts = np.full(len(estimator.counts), number, dtype=np.int64)
 
 
 def _add(
-    exposure: Exposure, integrator: FogPath, name: str, pixels: npt.NDArray[np.int64], first: npt.NDArray[np.int64], count: int, chunks: int, seed: int
+    accumulated: Accumulator, integrator: FogPath, name: str, pixels: npt.NDArray[np.int64], first: npt.NDArray[np.int64], count: int, chunks: int, seed: int
 ) -> None:
     import drjit as dr
 
-    sums = integrator.trace(name, backend.numbers(np.tile(pixels, chunks)), backend.numbers(first), count, seed)
-    dr.eval(sums.layers, sums.squares, sums.groups, sums.lost)
-    part = exposure.parts[name]
+    moments = integrator.trace(name, backend.numbers(np.tile(pixels, chunks)), backend.numbers(first), count, seed)
+    dr.eval(moments.aovs, moments.squares, moments.groups, moments.lost)
+    estimator = accumulated.estimators[name]
 
     def add(target: Array, colour: Any) -> None:
         for lane in np.array(colour, dtype=target.dtype).T.reshape(chunks, len(pixels), -1):  # chunk by chunk: the order of the sum is fixed
             target[pixels] += lane
 
-    for target, layer in zip(part.layers.values(), sums.layers, strict=True):
-        add(target, layer)
-    for target, group in zip(part.groups, sums.groups, strict=True):
+    for target, aov in zip(estimator.aovs.values(), moments.aovs, strict=True):
+        add(target, aov)
+    for target, group in zip(estimator.groups, moments.groups, strict=True):
         add(target, group)
-    add(part.squares, sums.squares)
-    part.counts[pixels] += count * chunks
-    exposure.lost += int(np.array(sums.lost).sum())
+    add(estimator.squares, moments.squares)
+    estimator.counts[pixels] += count * chunks
+    accumulated.lost += int(np.array(moments.lost).sum())
 
 
-def _side_by_side(loaded: Loaded, integrator: Any, count: int, seed: int) -> tuple[Array, Array, int]:
+def _side_by_side(loaded: MitsubaScene, integrator: Any, count: int, seed: int) -> tuple[Array, Array, int]:
     """One lane a path, a contiguous run of them a pixel."""
     mi = backend.mitsuba()
     import drjit as dr
@@ -308,7 +311,7 @@ def _side_by_side(loaded: Loaded, integrator: Any, count: int, seed: int) -> tup
     return np.array(summed, dtype=np.float64).T, np.array(squared, dtype=np.float64).T, int(lost[0])
 
 
-def _expose_scalar(loaded: Loaded, integrator: Any, samples: int, seed: int, progress: Progress) -> Exposure:
+def _accumulate_scalar(loaded: MitsubaScene, integrator: Any, samples: int, seed: int, progress: Progress) -> Accumulator:
     """Whole renders with seeds of their own; their scatter gives the variance.
 
     A thin lens off its axis is drawn as a pinhole: here Mitsuba makes the rays.
@@ -326,4 +329,4 @@ def _expose_scalar(loaded: Loaded, integrator: Any, samples: int, seed: int, pro
     stack = np.stack(images)
     mean = (weights * stack).sum(axis=0)
     variance = (weights * (stack - mean) ** 2).sum(axis=0) / (passes - 1)
-    return whole(mean * samples, (variance * (samples - 1) + mean**2) * samples, samples, broken)
+    return undivided(mean * samples, (variance * (samples - 1) + mean**2) * samples, samples, broken)

@@ -1,7 +1,7 @@
 """Fog as a kernel sees it: optical depth in closed form, flights by its inverse.
 
 Takes fog volumes; gives, for rays of the wavefront, how much fog lies on a stretch
-and where the fog would turn a path.  No geometry is traced for it.  Boxes and
+and where the fog would scatter a path.  No geometry is traced for it.  Boxes and
 balls, uniform or exponential, nested as deep as one likes: each adds what it has
 over the fog around it, on the stretch that it covers.
 """
@@ -15,14 +15,14 @@ import drjit as dr
 
 from synfog_usd.fog import FogVolume
 from synfog_usd.render import backend
-from synfog_usd.render.phases import kernel_phase
+from synfog_usd.render.media.phases import kernel_phase
 
 BISECTIONS = 30
 """Halvings of a stretch until its optical depth fits: 1 km to a micrometre, below what float32 holds."""
 
 
-def unknown_fog(volumes: Sequence[FogVolume]) -> str:
-    """Why `Air` cannot hold these volumes, or ''."""
+def unsupported_fog(volumes: Sequence[FogVolume]) -> str:
+    """Why `Medium` cannot hold these volumes, or ''."""
     for volume in volumes:
         if volume.boundary.kind == "mesh":
             return f"the boundary {volume.path} is a mesh, not a box or a sphere"
@@ -33,21 +33,21 @@ def unknown_fog(volumes: Sequence[FogVolume]) -> str:
     return ""
 
 
-class Air:
+class Medium:
     """The fog of one scene.
 
     Args:
-        volumes: fog that `unknown_fog` does not object to.
-        thinned: factor on every extinction, see `Bands.clearest`.
+        volumes: fog that `unsupported_fog` does not object to.
+        scale: factor on every extinction, see `Bands.clearest`.
     """
 
-    def __init__(self, volumes: Sequence[FogVolume], thinned: float = 1.0) -> None:
+    def __init__(self, volumes: Sequence[FogVolume], scale: float = 1.0) -> None:
         mi = backend.mitsuba()
         self.volumes = [volume for volume in volumes if volume.medium.sigma_t_per_m > 0.0 or volume.parent is not None]
         self.foggy = any(volume.medium.sigma_t_per_m > 0.0 for volume in self.volumes)
         index = {id(volume): place for place, volume in enumerate(self.volumes)}
         around = [None if volume.parent is None else index.get(id(volumes[volume.parent])) for volume in self.volumes]
-        self.media = [_Medium(volume, thinned) for volume in self.volumes]
+        self.media = [_Volume(volume, scale) for volume in self.volumes]
         self.parents = [None if parent is None else self.media[parent] for parent in around]
         self.order = sorted(range(len(self.volumes)), key=lambda place: _nesting(around, place))
         self.single = len(self.volumes) == 1 and self.volumes[0].medium.profile == "uniform"
@@ -56,43 +56,43 @@ class Air:
             self.one_albedo = len({volume.medium.albedo for volume in self.volumes}) == 1
             self.far_away = mi.Float(1e9)
 
-    def span(self, origin: Any, direction: Any) -> tuple[Any, Any]:
+    def intersect(self, origin: Any, direction: Any) -> tuple[Any, Any]:
         """Where a ray is in fog at all, from the first entry to the last exit [m]; equal where it misses."""
-        near, far = self.media[0].span(origin, direction)
+        near, far = self.media[0].intersect(origin, direction)
         for medium in self.media[1:]:
-            other_near, other_far = medium.span(origin, direction)
+            other_near, other_far = medium.intersect(origin, direction)
             other = other_far > other_near
             none = far <= near
             near = dr.select(other, dr.select(none, other_near, dr.minimum(near, other_near)), near)
             far = dr.select(other, dr.maximum(far, other_far), far)
         return near, dr.maximum(far, near)
 
-    def depth(self, origin: Any, direction: Any, begin: Any, end: Any) -> Any:
+    def optical_depth(self, origin: Any, direction: Any, begin: Any, end: Any) -> Any:
         """Optical depth between two distances [m] on a ray of unit direction."""
         total = backend.mitsuba().Float(0.0)
         for medium, parent in zip(self.media, self.parents, strict=True):
-            near, far = medium.span(origin, direction)
+            near, far = medium.intersect(origin, direction)
             near, far = dr.maximum(near, begin), dr.minimum(far, end)
             far = dr.maximum(far, near)
-            total += medium.column(origin, direction, near, far)
+            total += medium.optical_depth(origin, direction, near, far)
             if parent is not None:
-                total -= parent.column(origin, direction, near, far)
+                total -= parent.optical_depth(origin, direction, near, far)
         return dr.maximum(total, 0.0)
 
-    def depth_within(self, origin: Any, direction: Any, begin: Any, end: Any) -> Any:
+    def optical_depth_inside(self, origin: Any, direction: Any, begin: Any, end: Any) -> Any:
         """The same for a stretch that is known to be in fog all along: one uniform fog needs no look for its edge."""
-        return self.media[0].sigma_t * (end - begin) if self.single else self.depth(origin, direction, begin, end)
+        return self.media[0].sigma_t * (end - begin) if self.single else self.optical_depth(origin, direction, begin, end)
 
-    def reach(self, origin: Any, direction: Any, depth: Any, near: Any, far: Any) -> Any:
-        """Distance [m] at which the optical depth from `near` on is `depth`; at most `far`."""
+    def sample_distance(self, origin: Any, direction: Any, optical_depth: Any, near: Any, far: Any) -> Any:
+        """Distance [m] at which the optical depth from `near` on is `optical_depth`; at most `far`."""
         if self.single:
-            return dr.minimum(near + depth / self.media[0].sigma_t, far)
+            return dr.minimum(near + optical_depth / self.media[0].sigma_t, far)
         low, high = near, far
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
-            short = self.depth(origin, direction, near, middle) < depth
+            short = self.optical_depth(origin, direction, near, middle) < optical_depth
             low, high = dr.select(short, middle, low), dr.select(short, high, middle)
-        return dr.select(self.depth(origin, direction, near, far) > depth, 0.5 * (low + high), far)
+        return dr.select(self.optical_depth(origin, direction, near, far) > optical_depth, 0.5 * (low + high), far)
 
     def scattering(self, place: Any) -> Any:
         """Scattering coefficient [1/m] at points in fog."""
@@ -143,7 +143,7 @@ class Domain:
         local = mi.Vector3f(self.to_local @ mi.Point3f(place))
         return dr.squared_norm(local) <= 1.0 if self.ball else dr.max(dr.abs(local)) <= 1.0
 
-    def span(self, origin: Any, direction: Any) -> tuple[Any, Any]:
+    def intersect(self, origin: Any, direction: Any) -> tuple[Any, Any]:
         """Where a ray enters and leaves, as distances >= 0; equal where it misses."""
         mi = backend.mitsuba()
         o, d = self.to_local @ mi.Point3f(origin), self.to_local @ mi.Vector3f(direction)
@@ -159,14 +159,14 @@ class Domain:
         return near, dr.maximum(far, near)
 
 
-class _Medium(Domain):
+class _Volume(Domain):
     """One volume's numbers, out of the compiler's sight so that others need no new kernel."""
 
-    def __init__(self, volume: FogVolume, thinned: float) -> None:
+    def __init__(self, volume: FogVolume, scale: float) -> None:
         super().__init__(volume.boundary.to_world, ball=volume.boundary.kind == "sphere")
         mi = backend.mitsuba()
         medium = volume.medium
-        self.sigma_t, self.albedo = dr.opaque(mi.Float, thinned * medium.sigma_t_per_m), dr.opaque(mi.Float, medium.albedo)
+        self.sigma_t, self.albedo = dr.opaque(mi.Float, scale * medium.sigma_t_per_m), dr.opaque(mi.Float, medium.albedo)
         self.exponential = medium.profile == "exponential"
         if self.exponential:
             self.base, self.scale = dr.opaque(mi.Float, medium.base_height_m), dr.opaque(mi.Float, medium.scale_height_m)
@@ -176,7 +176,7 @@ class _Medium(Domain):
             return self.sigma_t
         return self.sigma_t * dr.exp(-dr.maximum(place.z - self.base, 0.0) / self.scale)
 
-    def column(self, origin: Any, direction: Any, near: Any, far: Any) -> Any:
+    def optical_depth(self, origin: Any, direction: Any, near: Any, far: Any) -> Any:
         """Optical depth of this medium between two distances, wherever its boundary is."""
         length = far - near
         if not self.exponential:
@@ -204,6 +204,7 @@ def _expm1(x: Any) -> Any:
     return dr.exp(x) - 1.0
 
 
-def transmittance(depth: Any) -> Any:
-    """exp(-depth), and 1 - exp(-depth) without cancellation for thin fog."""
-    return dr.exp(-depth), dr.select(depth < 1e-2, depth * (1.0 - depth * (0.5 - depth / 6.0)), 1.0 - dr.exp(-depth))
+def transmittance(optical_depth: Any) -> Any:
+    """exp(-tau), and 1 - exp(-tau) without cancellation for thin fog."""
+    tau = optical_depth
+    return dr.exp(-tau), dr.select(tau < 1e-2, tau * (1.0 - tau * (0.5 - tau / 6.0)), 1.0 - dr.exp(-tau))

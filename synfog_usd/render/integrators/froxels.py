@@ -1,4 +1,4 @@
-"""Airlight from a grid: what fog scatters towards the camera is smooth, and need not be sampled anew for each pixel.
+"""Airlight from a froxel grid, a radiance cache: what fog scatters towards the camera is smooth, and need not be sampled anew for each pixel.
 
 The view is cut into cells, columns of a few degrees and slices of equal share of the
 fog's own opacity (Wronski 2014, "froxels").  In each cell paths begin where nothing hides
@@ -6,10 +6,10 @@ it from the camera, and their mean is the light that this fog sends; a pixel's a
 the sum over the cells in front of its surface.  A hundred neighbours share every path.
 
 Everything that is not smooth is done pixel by pixel, as in `path`: surfaces, and lamps that
-the fog scatters once.  With a `SlabField` the layer's light is, too, and the grid holds the
+the fog scatters once.  With a `ControlVariate` the slab's light is, too, and the cache holds the
 difference to it.
 
-Valid where light that was turned more than once changes little over a cell, 1.5 degrees
+Valid where light that was scattered more than once changes little over a cell, 1.5 degrees
 and a twelfth of the fog's opacity.  What errs: the glow within a cell's width of a lamp, and the
 shade of an object seen through clear air beside it.  Noise of the grid is soft blotches; a cell
 that one path made far brighter than its neighbours shares with them.
@@ -25,8 +25,9 @@ import numpy.typing as npt
 
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
-from synfog_usd.render.air import transmittance
-from synfog_usd.render.fogpath import AIR, LAYERS, Cells, FogPath, Random
+from synfog_usd.render.integrators.path import AOVS, INSCATTERED, FogPath, FroxelGrid
+from synfog_usd.render.media.medium import transmittance
+from synfog_usd.render.sampling.rng import Random
 
 Array = npt.NDArray[np.float64]
 
@@ -60,26 +61,26 @@ LOOKUPS = CELL_LANES = 1 << 18
 """Pixels, and paths' lanes, at once."""
 
 LENGTH = 16
-"""Paths that one lane traces one after the other, as `film.CHUNK`."""
+"""Paths that one lane traces one after the other, as `film.accumulator.CHUNK`."""
 
 
-class Field(FogPath):
-    """One scene's integrator; a `FogPath` whose part AIR is looked up in a grid."""
+class FroxelPath(FogPath):
+    """One scene's integrator; a `FogPath` whose estimator INSCATTERED is looked up in a radiance cache."""
 
     @property
-    def cells(self) -> Cells:
+    def cells(self) -> FroxelGrid:
         """How the view is cut; never finer than its pixels."""
         camera = self.loaded.source.camera
         wanted = COLUMNS_PARALLEL if camera.width_m > 0.0 else round(camera.fov_x_deg / COLUMN_DEG)
         columns = max(2, min(wanted, camera.width_px))
-        return Cells(columns, max(2, min(round(columns * camera.height_px / camera.width_px), camera.height_px)), SLICES)
+        return FroxelGrid(columns, max(2, min(round(columns * camera.height_px / camera.width_px), camera.height_px)), SLICES)
 
-    def grid(self) -> Grid | None:
-        """Cells without paths yet; None where the air is clear."""
-        return Grid(self) if AIR in self.parts else None
+    def radiance_cache(self) -> RadianceCache | None:
+        """A cache without paths yet; None where the air is clear."""
+        return RadianceCache(self) if INSCATTERED in self.estimators else None
 
 
-class Grid:
+class RadianceCache:
     """Sums over the paths of each cell, slice by slice from the camera on.
 
     Attributes:
@@ -89,11 +90,11 @@ class Grid:
         lost: paths that were not finite and count as zero.
     """
 
-    def __init__(self, field: Field) -> None:
+    def __init__(self, field: FroxelPath) -> None:
         self.field, self.cells, self.count, self.lost = field, field.cells, 0, 0
         camera, shape = field.loaded.source.camera, (self.cells.count, field.bands.count)
         self.cost = CELL_COST * self.cells.count / (camera.width_px * camera.height_px)
-        self.layers, self.squares = [np.zeros(shape) for _ in LAYERS[AIR]], np.zeros(shape)
+        self.aovs, self.squares = [np.zeros(shape) for _ in AOVS[INSCATTERED]], np.zeros(shape)
         self.groups = [np.zeros(shape) for _ in range(field.groups if field.groups > 1 else 0)]
         self.seen = np.zeros(self.cells.count, dtype=np.int64)
 
@@ -102,7 +103,7 @@ class Grid:
         """In all cells."""
         return self.count * self.cells.count
 
-    def extend(self, count: int, seed: int, progress: Progress = silent) -> None:
+    def add_samples(self, count: int, seed: int, progress: Progress = silent) -> None:
         """Begin `count` more paths in every cell."""
         cells, everywhere = self.cells, np.arange(self.cells.count)
         rows, done = max(1, CELL_LANES // cells.count), 0
@@ -110,9 +111,9 @@ class Grid:
         work = [(LENGTH, min(rows, full - low)) for low in range(0, full, rows)] + ([(rest, 1)] if rest else [])
         for length, chunks in work:
             first = np.repeat(self.count + np.arange(chunks) * length, cells.count)
-            sums = self.field.trace_cells(cells, backend.numbers(np.tile(everywhere, chunks)), backend.numbers(first), length, seed)
-            dr.eval(sums.layers, sums.squares, sums.groups, sums.lost, sums.seen)
-            for target, light in zip((*self.layers, self.squares, *self.groups), (*sums.layers, sums.squares, *sums.groups), strict=True):
+            sums = self.field.trace_froxels(cells, backend.numbers(np.tile(everywhere, chunks)), backend.numbers(first), length, seed)
+            dr.eval(sums.aovs, sums.squares, sums.groups, sums.lost, sums.seen)
+            for target, light in zip((*self.aovs, self.squares, *self.groups), (*sums.aovs, sums.squares, *sums.groups), strict=True):
                 target += np.array(light, dtype=np.float64).T.reshape(chunks, *target.shape).sum(axis=0)
             self.seen += np.array(sums.seen, dtype=np.int64).reshape(chunks, -1).sum(axis=0)
             self.lost += int(np.array(sums.lost).sum())
@@ -128,14 +129,14 @@ class Grid:
             seed: of the rays.
 
         Returns:
-            a mean (P, C) for each of the part's layers, for each light group, and the variance (P, C) of all light.
+            a mean (P, C) for each of the estimator's AOVs, for each light group, and the variance (P, C) of all light.
         """
         bands, camera = self.field.bands, self.field.loaded.source.camera
         side = max(1, min(side, SIDE))
         seen = np.maximum(self.seen, 1)[:, None]
-        spread = np.maximum(self.squares / seen - (sum(self.layers) / seen) ** 2, 0.0) / np.maximum(seen - 1, 1) * BETWEEN / self.cells.slices
+        spread = np.maximum(self.squares / seen - (sum(self.aovs) / seen) ** 2, 0.0) / np.maximum(seen - 1, 1) * BETWEEN / self.cells.slices
         kept = self._kept(spread)
-        values = [*(self._shared(sums / seen, kept) for sums in (*self.layers, *self.groups)), spread * kept**2]
+        values = [*(self._shared(sums / seen, kept) for sums in (*self.aovs, *self.groups)), spread * kept**2]
         table = _texture(np.concatenate([self._summed(value) for value in values], axis=3))
         pixels, kind = camera.width_px * camera.height_px, np.float64 if bands.is_rgb else np.float32
         found = [np.zeros((pixels, bands.count), dtype=kind) for _ in (*values, None)]
@@ -144,16 +145,16 @@ class Grid:
             sums = self._look(table, len(values), backend.numbers(some), side, seed)
             for index, target in enumerate(found):
                 target[some] = np.array(sums[index * bands.count : (index + 1) * bands.count], dtype=kind).T / side**2
-        layers, groups, (noise, squares) = found[: len(self.layers)], found[len(self.layers) : -2], found[-2:]
-        noise += np.maximum(squares - sum(layers) ** 2, 0.0) / side**3
-        return layers, groups, noise
+        aovs, groups, (noise, squares) = found[: len(self.aovs)], found[len(self.aovs) : -2], found[-2:]
+        noise += np.maximum(squares - sum(aovs) ** 2, 0.0) / side**3
+        return aovs, groups, noise
 
     def _kept(self, spread: Array) -> Array:
         """(cells, 1) part of its light that a cell keeps: 1, but where chance made it far brighter than its neighbours."""
         from scipy import ndimage
 
         shape = (self.cells.slices, self.cells.rows, self.cells.columns)
-        light = (sum(self.layers) / np.maximum(self.seen, 1)[:, None]) @ self.field.bands.weights
+        light = (sum(self.aovs) / np.maximum(self.seen, 1)[:, None]) @ self.field.bands.weights
         error = np.sqrt(spread / BETWEEN * self.cells.slices) @ self.field.bands.weights
         around = ndimage.median_filter(np.abs(light).reshape(shape), size=(3, 3, 3), mode="nearest").ravel()
         most = np.maximum(OUTLYING * around, 1e-30)
@@ -172,7 +173,7 @@ class Grid:
         mi, field, count = backend.mitsuba(), self.field, self.field.bands.count
         along, image_seed, slices = dr.opaque(mi.UInt32, side), dr.opaque(mi.UInt32, seed), float(self.cells.slices)
         size = mi.Point2f(self.field.loaded.source.camera.width_px, self.field.loaded.source.camera.height_px)
-        corner, layers, sky = field.corner(pixel), len(self.layers), len(self.layers) + field.sky_group
+        corner, aovs, sky = field.corner(pixel), len(self.aovs), len(self.aovs) + field.sky_group
         grouped = bool(self.groups)
         sums = [mi.Float(0.0) for _ in range((names + 1) * count)]
         begun = mi.UInt32(0)
@@ -183,15 +184,15 @@ class Grid:
             ray, _weight = field.ray_through(place, sampler, mi.Bool(True))
             si = field.loaded.scene.ray_intersect_preliminary(ray, False)
             end = dr.select(si.is_valid(), si.t, dr.inf)
-            near, far = field.air.span(ray.o, ray.d)
-            opaque = transmittance(field.air.depth_within(ray.o, ray.d, near, dr.maximum(dr.minimum(end, far), near)))[1]
+            near, far = field.medium.intersect(ray.o, ray.d)
+            opaque = transmittance(field.medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(end, far), near)))[1]
             values = table.eval(mi.Point3f(place.x, place.y, (opaque * slices + 0.5) / (slices + 1.0)))
-            if dr.hint(field.slab is not None, mode="scalar"):
-                known = field.slab.airlight(ray, end, field.air, mi.Bool(True))
-                values = _with(values, known, (layers - 1) * count)
+            if dr.hint(field.control is not None, mode="scalar"):
+                known = field.control.airlight(ray, end, field.medium, mi.Bool(True))
+                values = _with(values, known, (aovs - 1) * count)
                 if dr.hint(grouped, mode="scalar"):
                     values = _with(values, known, sky * count)
-            sums = _added(sums, values, count, layers)
+            sums = _added(sums, values, count, aovs)
             begun += 1
         return sums
 
@@ -215,9 +216,9 @@ def _with(values: list[Any], known: Any, begin: int) -> list[Any]:
     return [*values[:begin], *(values[begin + index] + light for index, light in enumerate(known)), *values[begin + len(known) :]]
 
 
-def _added(sums: list[Any], values: list[Any], count: int, layers: int) -> list[Any]:
+def _added(sums: list[Any], values: list[Any], count: int, aovs: int) -> list[Any]:
     """Sums with one ray's values, and the squares of its light behind them."""
-    light = [sum(values[layer * count + band] for layer in range(layers)) for band in range(count)]
+    light = [sum(values[aov * count + band] for aov in range(aovs)) for band in range(count)]
     return [total + value for total, value in zip(sums, (*values, *(value * value for value in light)), strict=True)]
 
 

@@ -5,7 +5,7 @@ the light that the fog scatters between the eye and the surface: what all of the
 fog would show at the eye, less what it would show at the surface in the same
 direction, dimmed by the fog between (`fog.glow`, Narasimhan and Nayar 2003).
 
-    surface             paths of `path` that the fog turns once at most, and lamps' light
+    surface             paths of `path` that the fog scatters once at most, and lamps' light
                         that the fog scattered more often, on diffuse surfaces without shadows
     airlight_single     the same paths, with beams and shadows as they are
     airlight_multiple   from the table: no shadows, and as if the fog had no end
@@ -33,11 +33,14 @@ from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog.glow import NORMAL_COLUMNS, TAU, TAU_ROWS, THETA_COLUMNS, glow_table
 from synfog_usd.progress import Progress, silent
-from synfog_usd.render import backend, film, fogpath, luminaire
-from synfog_usd.render.air import Air
-from synfog_usd.render.fogpath import FogPath, Method, Random
-from synfog_usd.render.lamps import Lamps, is_handled, lamp_rows
-from synfog_usd.render.load import Loaded
+from synfog_usd.render import backend
+from synfog_usd.render.film.accumulator import CHUNKED_LANES, Accumulator, Estimator, accumulate
+from synfog_usd.render.integrators.path import MULTIPLE, SINGLE, SURFACE, FogPath, Method
+from synfog_usd.render.lights import photometric
+from synfog_usd.render.lights.sampler import LightSampler, is_sampled_light, light_rows
+from synfog_usd.render.load import MitsubaScene
+from synfog_usd.render.media.medium import Medium
+from synfog_usd.render.sampling.rng import Random
 from synfog_usd.scene import SceneDict
 from synfog_usd.seeds import seed32
 
@@ -54,7 +57,7 @@ SKY_SHARE = 0.05
 
 SKIES = ("constant", "envmap")
 SOLIDS = ("sphere", "rectangle", "disk")
-LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea", luminaire.TYPE)
+LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea", photometric.TYPE)
 
 BEAM_ORDERS = 64
 BEAM_ANGLES = 129
@@ -87,7 +90,7 @@ def glow_refuses(scene: SceneDict) -> str:
         if isinstance(part, Mapping) and ("emitter" in part or part.get("type") in LIGHTS) and part.get("type") not in SKIES:
             if not _is_lamp(part):
                 return f"the light {key} ({part.get('type')}) is no lamp that it knows"
-            lamps.append(_Lamp(part, 1))
+            lamps.append(_AxialLight(part, 1))
     if not lamps:
         return "there is no lamp"
     sky = sum(_sky_luminance(part) for part in scene.world.values())
@@ -99,7 +102,7 @@ def glow_refuses(scene: SceneDict) -> str:
     return ""
 
 
-def make_glow(loaded: Loaded, *, single: Single = "traced") -> Glow:
+def make_glow(loaded: MitsubaScene, *, single: Single = "traced") -> Glow:
     """The integrator.
 
     Args:
@@ -123,17 +126,17 @@ class Glow:
     this one with light scattered once from the table by 12 to 37 %.
     """
 
-    def __init__(self, loaded: Loaded, single: Single = "traced") -> None:
+    def __init__(self, loaded: MitsubaScene, single: Single = "traced") -> None:
         mi = backend.mitsuba()
         world, medium = loaded.source.world, loaded.source.fog[0].medium
         self.loaded, self.sigma_t, self.traced = loaded, medium.sigma_t_per_m, single == "traced"
-        lamps = Lamps(world, {})
+        lights = LightSampler(world, {})
         sky = loaded.scene.environment() is not None
-        others = len(loaded.scene.emitters()) - sky - sum(is_handled(part) for part in world.values())
-        self.path = FogPath(loaded, Air(loaded.source.fog), lamps=lamps, others=others, method=Method(scatterings=1 if self.traced else 0))
+        others = len(loaded.scene.emitters()) - sky - sum(is_sampled_light(part) for part in world.values())
+        self.path = FogPath(loaded, Medium(loaded.source.fog), lights=lights, others=others, method=Method(scatterings=1 if self.traced else 0))
         table = glow_table(medium.phase_function, medium.albedo)
         chi = medium.phase_function.moments(BEAM_ORDERS)
-        found = [_Lamp(part, BEAM_ORDERS) for part in world.values() if _is_lamp(part)]
+        found = [_AxialLight(part, BEAM_ORDERS) for part in world.values() if _is_lamp(part)]
         rows = [np.r_[lamp.position, lamp.axis, lamp.colour, float(not self.traced), lamp.blurred(chi)] for lamp in found]
         self.count = len(rows)
         self.lamps = mi.Float(np.concatenate(rows).astype(np.float32))
@@ -145,20 +148,20 @@ class Glow:
         self.number = dr.opaque(mi.UInt32, self.count)
         dr.make_opaque(self.lamps, self.once, self.more, self.lit)
 
-    def expose(self, *, samples: int, seed: int, progress: Progress = silent) -> film.Exposure:
-        """An image; as `film.expose`."""
-        exposure = film.expose(self.loaded, self.path, samples=samples, seed=seed, progress=progress)
+    def accumulate(self, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
+        """An image; as `film.accumulator.accumulate`."""
+        accumulated = accumulate(self.loaded, self.path, samples=samples, seed=seed, progress=progress)
         camera, rays = self.loaded.source.camera, min(samples, RAYS)
         pixels = camera.width_px * camera.height_px
         sums = [np.zeros((pixels, 3)) for _ in range(4)]
-        for low in range(0, pixels, film.CHUNKED_LANES):
-            index = np.arange(low, min(low + film.CHUNKED_LANES, pixels), dtype=np.uint32)
+        for low in range(0, pixels, CHUNKED_LANES):
+            index = np.arange(low, min(low + CHUNKED_LANES, pixels), dtype=np.uint32)
             light = self._trace(backend.numbers(index), rays, seed32(seed, PART))
             for total, part in zip(sums, light, strict=True):
                 total[index] = np.array(part, dtype=np.float64).T
-        layers = dict(zip((fogpath.SURFACE, fogpath.SINGLE, fogpath.MULTIPLE), sums, strict=False))
-        exposure.parts[PART] = film.Part(layers, sums[3], [], np.full(pixels, rays, dtype=np.int64))
-        return exposure
+        components = dict(zip((SURFACE, SINGLE, MULTIPLE), sums, strict=False))
+        accumulated.estimators[PART] = Estimator(components, sums[3], [], np.full(pixels, rays, dtype=np.int64))
+        return accumulated
 
     @dr.syntax
     def _trace(self, pixel: Any, rays: int, seed: int) -> tuple[Any, Any, Any, Any]:
@@ -172,7 +175,7 @@ class Glow:
             sampler = Random(image_seed, pixel, begun)
             ray, weight = path.camera_ray(sampler, corner, mi.Bool(True))
             si = self.loaded.scene.ray_intersect(ray)
-            near, far = path.air.span(ray.o, ray.d)
+            near, far = path.medium.intersect(ray.o, ray.d)
             lit = si.is_valid() & (si.t <= far)
             stop = dr.maximum(dr.select(lit, si.t, far), near)
             through = dr.exp(-self.sigma * (stop - near))
@@ -230,12 +233,12 @@ class Glow:
         return strength * _bilinear(self.lit, _row(tau), column, TAU_ROWS, NORMAL_COLUMNS) / tau
 
 
-class _Lamp:
+class _AxialLight:
     """A light as a point with light around an axis: position (3,), axis (3,), colour (3,) and Legendre moments of the intensity (L,)."""
 
     def __init__(self, part: Mapping[str, Any], orders: int) -> None:
-        if is_handled(part):
-            rows = lamp_rows(part)
+        if is_sampled_light(part):
+            rows = light_rows(part)
             weight = rows[:, 12:15] @ LUMINANCE_WEIGHTS_REC709
             total = max(float(weight.sum()), 1e-30)
             share = weight / total
@@ -243,7 +246,7 @@ class _Lamp:
             self.colour = rows[:, 12:15].sum(axis=0)
             mean = share @ rows[:, 9:12]
             self.axis = mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 1e-3 else np.array([0.0, 0.0, 1.0])
-            if part["type"] == luminaire.TYPE:
+            if part["type"] == photometric.TYPE:
                 self.moments = _tabled(part, orders)
             elif part["type"] == "mesh":
                 self.moments = _clamped_cosine(orders) * (share @ np.polynomial.legendre.legvander(np.clip(rows[:, 9:12] @ self.axis, -1.0, 1.0), orders - 1))
@@ -272,7 +275,7 @@ class _Lamp:
 
 
 def _is_lamp(part: Any) -> bool:
-    if is_handled(part):
+    if is_sampled_light(part):
         return True
     if not isinstance(part, Mapping) or part.get("type") not in SOLIDS or not isinstance(part.get("emitter"), Mapping):
         return False
@@ -297,15 +300,15 @@ def _beam(cutoff: float, slope: float, orders: int) -> Array:
 
 def _tabled(light: Mapping[str, Any], orders: int) -> Array:
     """(L,) moments of a lamp's table, by luminance, as a share of the peaks that its rows have for colour."""
-    table = luminaire.table_of(light)
+    table = photometric.table_of(light)
     weight = np.asarray(light["intensity"]["value"]) * LUMINANCE_WEIGHTS_REC709
     rings = (table @ weight if table.shape[2] == 3 else table[:, :, 0] * weight.sum()).mean(axis=1)
     peak = float(table.max(axis=(0, 1)) @ weight if table.shape[2] == 3 else table.max() * weight.sum())
     cosines = np.cos(np.linspace(0.0, math.pi, len(table)))
-    return np.asarray((rings * luminaire.ring_weights(len(table))) @ np.polynomial.legendre.legvander(cosines, orders - 1) / max(peak, 1e-30))
+    return np.asarray((rings * photometric.ring_weights(len(table))) @ np.polynomial.legendre.legvander(cosines, orders - 1) / max(peak, 1e-30))
 
 
-def _mean_radiance(lamp: _Lamp, eye: Array, medium: Any) -> float:
+def _mean_radiance(lamp: _AxialLight, eye: Array, medium: Any) -> float:
     """Mean luminance over the sphere at the eye: the lamp's own light and the diffusion limit, added."""
     tau = medium.sigma_t_per_m * max(float(np.linalg.norm(lamp.position - eye)), 0.1)
     absorbed = math.sqrt(3.0 * (1.0 - medium.albedo) * (1.0 - medium.albedo * medium.g))

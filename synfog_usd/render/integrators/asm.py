@@ -7,8 +7,8 @@ Takes a loaded scene; gives the integrator of the models `asm` and `asm_estimate
 in linear radiance: J what `path` renders without the fog, t the exact transmittance
 along the ray through each pixel's centre (its length, not planar depth), A one colour.
 
-    asm             A is the radiance that the plane-parallel layer of `fog.slab` gives
-                    towards the horizon at the eye's height; where no layer fits, the mean of the sky
+    asm             A is the radiance that the plane-parallel slab of `fog.slab` gives
+                    towards the horizon at the eye's height; where no slab fits, the mean of the sky
     asm_estimated   A is guessed from the picture, as one does for real ones: of a first picture,
                     made with the brightest sky of J, the mean of the pixels whose dark channel is
                     among the brightest 0.1 % (He, Sun and Tang 2009, section 4.4)
@@ -31,12 +31,14 @@ import numpy.typing as npt
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
-from synfog_usd.render import backend, film, fogpath, layers
-from synfog_usd.render.air import Air, unknown_fog
-from synfog_usd.render.fogpath import FogPath
-from synfog_usd.render.lamps import Lamps, is_handled
-from synfog_usd.render.load import Loaded
-from synfog_usd.render.slabfield import make_slab, mean_sky
+from synfog_usd.render import backend
+from synfog_usd.render.film import aovs
+from synfog_usd.render.film.accumulator import Accumulator, accumulate
+from synfog_usd.render.integrators.path import MULTIPLE, FogPath
+from synfog_usd.render.lights.sampler import LightSampler, is_sampled_light
+from synfog_usd.render.load import MitsubaScene
+from synfog_usd.render.media.control_variate import make_control_variate, mean_sky
+from synfog_usd.render.media.medium import Medium, unsupported_fog
 from synfog_usd.scene import SceneDict
 
 Array = npt.NDArray[np.float64]
@@ -62,12 +64,12 @@ def asm_refuses(scene: SceneDict) -> str:
     return ""
 
 
-def make_asm(loaded: Loaded, airlight: Airlight = "physical") -> Asm:
+def make_asm(loaded: MitsubaScene, airlight: Airlight = "physical") -> Asm:
     """The integrator.
 
     Args:
         loaded: a scene without boundaries.
-        airlight: 'physical' from the layer or the sky, or 'estimated' from the picture.
+        airlight: 'physical' from the slab or the sky, or 'estimated' from the picture.
 
     Raises:
         ParameterError: a scene that `asm_refuses`, or an airlight that is neither.
@@ -82,27 +84,27 @@ def make_asm(loaded: Loaded, airlight: Airlight = "physical") -> Asm:
 class Asm:
     """One scene's integrator."""
 
-    def __init__(self, loaded: Loaded, airlight: Airlight) -> None:
+    def __init__(self, loaded: MitsubaScene, airlight: Airlight) -> None:
         self.loaded, self.airlight = loaded, airlight
         self.clear = replace(loaded, source=replace(loaded.source, fog=()))
         self.path = _clear_path(self.clear)
-        self.transmittance = layers.measure(loaded).transmittance.reshape(-1, 1)
+        self.transmittance = aovs.measure(loaded).transmittance.reshape(-1, 1)
 
-    def expose(self, *, samples: int, seed: int, progress: Progress = silent) -> film.Exposure:
-        """An image; as `film.expose`.  Its variance is that of J; what noise A has is left out."""
-        exposure = film.expose(self.clear, self.path, samples=samples, seed=seed, progress=progress)
+    def accumulate(self, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
+        """An image; as `film.accumulator.accumulate`.  Its variance is that of J; what noise A has is left out."""
+        accumulated = accumulate(self.clear, self.path, samples=samples, seed=seed, progress=progress)
         t = self.transmittance
-        glow = (1.0 - t) * self._airlight(exposure.mean())
-        for index, part in enumerate(exposure.parts.values()):
-            count = part.counts[:, None]
+        glow = (1.0 - t) * self._airlight(accumulated.mean())
+        for index, estimator in enumerate(accumulated.estimators.values()):
+            count = estimator.counts[:, None]
             added = glow if index == 0 else 0.0  # to every sample of the first part
-            whole = t * sum(part.layers.values())
-            part.squares = t * t * part.squares + 2.0 * added * whole + count * added**2
-            part.groups = [t * group for group in part.groups]
-            part.layers = {name: t * layer for name, layer in part.layers.items()}
+            whole = t * sum(estimator.aovs.values())
+            estimator.squares = t * t * estimator.squares + 2.0 * added * whole + count * added**2
+            estimator.groups = [t * group for group in estimator.groups]
+            estimator.aovs = {name: t * aov for name, aov in estimator.aovs.items()}
             if index == 0:
-                part.layers[fogpath.MULTIPLE] = part.layers.get(fogpath.MULTIPLE, 0.0) + count * added
-        return exposure
+                estimator.aovs[MULTIPLE] = estimator.aovs.get(MULTIPLE, 0.0) + count * added
+        return accumulated
 
     def _airlight(self, clear: Array) -> Array:
         """(C,) A."""
@@ -113,13 +115,13 @@ class Asm:
         return physical_airlight(self.loaded)
 
 
-def physical_airlight(loaded: Loaded) -> Array:
-    """(3,) radiance towards the horizon at the eye's height; of the layer, or where none fits the mean of the sky's upper half."""
+def physical_airlight(loaded: MitsubaScene) -> Array:
+    """(3,) radiance towards the horizon at the eye's height; of the slab, or where none fits the mean of the sky's upper half."""
     eye = loaded.source.camera.to_world[:3, 3]
-    if not unknown_fog(loaded.source.fog):
-        field, _ = make_slab(loaded, Air(loaded.source.fog))
-        if field is not None:
-            return field.slab.radiance([eye[2]], [0.0])[0]
+    if not unsupported_fog(loaded.source.fog):
+        control, _ = make_control_variate(loaded, Medium(loaded.source.fog))
+        if control is not None:
+            return control.slab.radiance([eye[2]], [0.0])[0]
     up, sky, _ = mean_sky(loaded)
     edges = np.r_[0.0, (up[1:] + up[:-1]) / 2.0, 1.0]
     return np.diff(edges) @ sky
@@ -160,9 +162,9 @@ def dark_channel(picture: Array) -> Array:
     return least
 
 
-def _clear_path(clear: Loaded) -> FogPath:
+def _clear_path(clear: MitsubaScene) -> FogPath:
     """`path` in clear air."""
     world = clear.source.world
     sky = clear.scene.environment() is not None
-    others = len(clear.scene.emitters()) - sky - sum(is_handled(part) for part in world.values())
-    return FogPath(clear, Air(()), lamps=Lamps(world, {}), others=others)
+    others = len(clear.scene.emitters()) - sky - sum(is_sampled_light(part) for part in world.values())
+    return FogPath(clear, Medium(()), lights=LightSampler(world, {}), others=others)

@@ -1,13 +1,13 @@
-"""Where light that was turned more than once comes from: the neighbourhood of lamps.
+"""Where light that was scattered more than once comes from: the neighbourhood of lamps.
 
-A path towards the dark that the fog turns into a beam by chance is the firefly of
+A path towards the dark that the fog scatters into a beam by chance is the firefly of
 every foggy night.  So distances on the eye's segment and directions after a
 scattering are drawn, half of them, towards lamps: distances equiangularly (Kulla
 and Fajardo 2012), directions with the density that light scattered once more has
 around a lamp, 1 / sin(theta) times the share of the phase function beyond theta.
 The other half is drawn as ever; the weight is that of the mixture (Veach and
 Guibas 1995, one-sample balance heuristic), so nothing is ever brighter than twice.
-A lamp with a table of its light sends what the table has, or what the fog turns out of
+A lamp with a table of its light sends what the table has, or what the fog scatters out of
 its brightest parts, whichever is more; like a cone, in nodes of 6 degrees.
 """
 
@@ -19,14 +19,15 @@ import drjit as dr
 import numpy as np
 
 from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
-from synfog_usd.render import backend, luminaire
-from synfog_usd.render.air import Air
-from synfog_usd.render.lamps import Lamps
+from synfog_usd.render import backend
+from synfog_usd.render.lights import photometric
+from synfog_usd.render.lights.sampler import LightSampler
+from synfog_usd.render.media.medium import Medium
 
 MOST = 10
-"""Lamps that are aimed at; the brightest as seen from the camera where there are more."""
+"""Lights that are aimed at; the brightest as seen from the camera where there are more."""
 
-TOWARDS = 0.5
+GUIDE_PROBABILITY = 0.5
 """Share of distances and directions that are drawn towards lamps."""
 
 EVENLY = 0.3
@@ -36,7 +37,7 @@ FLOOR = 1e-3
 """Least part of a lamp's peak that it is taken to send anywhere."""
 
 NEAR_M = 0.3
-"""Lamps are taken to be this far at least."""
+"""Lights are taken to be this far at least."""
 
 ANGLES = 512
 
@@ -44,53 +45,53 @@ NODES = (31, 60)
 """Of a table: angles off a lamp's axis, and around it."""
 
 
-class Beacons:
+class LightGuide:
     """The lamps of a scene, one row each.
 
     Args:
-        lamps: the scene's.
-        air: the fog.
+        lights: the scene's.
+        medium: the fog.
         eye: (3,) position of the camera [m].
     """
 
-    def __init__(self, lamps: Lamps, air: Air, eye: np.ndarray) -> None:
-        rows = np.array([_summary(rows) for rows in lamps.parts] or np.zeros((0, 14)))
+    def __init__(self, lights: LightSampler, medium: Medium, eye: np.ndarray) -> None:
+        rows = np.array([_summary(rows) for rows in lights.rows] or np.zeros((0, 14)))
         rows = rows[rows[:, 6] > 0.0]
         apart = ((rows[:, 0:3] - eye) ** 2).sum(axis=1) + 25.0
         rows = rows[np.argsort(-rows[:, 6] / apart, kind="stable")[:MOST]]
-        self.count = len(rows) if air.foggy else 0
+        self.count = len(rows) if medium.foggy else 0
         if not self.count:
             return
         mi = backend.mitsuba()
         self.number = dr.opaque(mi.UInt32, self.count)
         nodes = np.concatenate([[0.0], np.geomspace(1e-3, np.pi, ANGLES - 1)])
-        value = np.array(air.phase.value(mi.Float(np.cos(nodes).astype(np.float32))), dtype=np.float64)
+        value = np.array(medium.phase.value(mi.Float(np.cos(nodes).astype(np.float32))), dtype=np.float64)
         steps = 0.5 * (value[1:] + value[:-1]) * np.diff(nodes)
         beyond = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
         beyond = np.maximum(beyond, 1e-3 * beyond[0])
         self.around = mi.IrregularContinuousDistribution(mi.Float(nodes.astype(np.float32)), mi.Float(beyond.astype(np.float32)))
-        self.tabled = lamps.photometric and bool((rows[:, 10] >= 0.0).any())
+        self.tabled = lights.photometric and bool((rows[:, 10] >= 0.0).any())
         if self.tabled:
             used = np.unique(rows[rows[:, 10] >= 0.0, 10]).astype(int)
             share = np.interp(np.clip(_between_nodes(), 0.05, np.pi), nodes, beyond) / np.interp(0.05, nodes, beyond)
-            self.light = luminaire.Tables([_spread(lamps.tables[number], share) for number in used])
+            self.light = photometric.Tables([_spread(lights.tables[number], share) for number in used])
             rows[rows[:, 10] >= 0.0, 10] = np.searchsorted(used, rows[rows[:, 10] >= 0.0, 10])
         self.table = [mi.Float(column.astype(np.float32)) for column in rows.T[: 14 if self.tabled else 10]]
-        self.turned_scale = 1.0 / self.around.eval_pdf_normalized(mi.Float(0.05))
-        dr.make_opaque(self.table, self.turned_scale)
+        self.scattered_scale = 1.0 / self.around.eval_pdf_normalized(mi.Float(0.05))
+        dr.make_opaque(self.table, self.scattered_scale)
 
     def _row(self, index: Any) -> list[Any]:
         mi = backend.mitsuba()
         return [dr.gather(mi.Float, column, index) for column in self.table]
 
     def _sent(self, row: list[Any], towards: Any) -> Any:
-        """Peak of a lamp times its share in a direction away from it, and beside its beam what the fog turns out of it."""
+        """Peak of a lamp times its share in a direction away from it, and beside its beam what the fog scatters out of it."""
         mi = backend.mitsuba()
         cosine = dr.dot(mi.Vector3f(*row[3:6]), towards)
         beside = dr.acos(dr.clip(cosine, -1.0, 1.0)) - row[7]
         beam = dr.clip(-beside * row[8], 0.0, 1.0)
-        turned = self.around.eval_pdf_normalized(dr.clip(beside, 0.05, dr.pi)) * self.turned_scale
-        sent = dr.select(row[9] > 0.5, dr.maximum(beam, turned), dr.maximum(cosine, 0.05))
+        scattered = self.around.eval_pdf_normalized(dr.clip(beside, 0.05, dr.pi)) * self.scattered_scale
+        sent = dr.select(row[9] > 0.5, dr.maximum(beam, scattered), dr.maximum(cosine, 0.05))
         if self.tabled:
             axis, x = mi.Vector3f(*row[3:6]), mi.Vector3f(*row[11:14])
             local = mi.Vector3f(dr.dot(x, towards), dr.dot(dr.cross(axis, x), towards), cosine)

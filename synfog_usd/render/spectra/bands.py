@@ -6,7 +6,7 @@ the same basis without the illuminant (Mallett and Yuksel 2019), so that white s
 white and what D65 shows of a surface is its colour.  Fog may thin with wavelength: then
 paths are drawn in the clearest band, and the others weigh them by what is left.
 
-Where a lamp or a material has a spectrum of its own, that is what counts: see `Bands.light` and `surfaces`.
+Where a lamp or a material has a spectrum of its own, that is what counts: see `Bands.light` and `spectra.bsdfs`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogVolume
 from synfog_usd.render import backend
-from synfog_usd.render.load import Loaded
-from synfog_usd.render.surfaces import Surfaces
+from synfog_usd.render.load import MitsubaScene
+from synfog_usd.render.spectra.bsdfs import SpectralBsdfs
 
 Array = npt.NDArray[np.float64]
 
@@ -91,7 +91,7 @@ class Bands:
 
     Attributes:
         kinds: of light, 1 where there are colours alone.
-        surfaces: materials with a spectrum of their own, or None.
+        spectral_bsdfs: materials with a spectrum of their own, or None.
         weights: (N,) such that pixels @ weights is a luminance [cd m-2]; for R, G, B their plain mean.
         clearest: extinction of the clearest band over that at 550 nm.
         coloured: whether extinction differs between bands.
@@ -103,7 +103,7 @@ class Bands:
     def __init__(self, count: int = RGB, fog: Sequence[FogVolume] = (), emissions: Sequence[Array] = ()) -> None:
         check(count)
         self.kinds = 1
-        self.surfaces: Surfaces | None = None
+        self.spectral_bsdfs: SpectralBsdfs | None = None
         self.count, self.names, self.is_rgb = count, names(count), count == RGB
         self.clearest, self.coloured = 1.0, False
         if self.is_rgb:
@@ -138,11 +138,11 @@ class Bands:
         mi = backend.mitsuba()
         return mi.Color3f(value) if self.is_rgb else self._array([mi.Float(value[0])] * self.count)
 
-    def wear(self, loaded: Loaded) -> None:
+    def assign_spectral_bsdfs(self, loaded: MitsubaScene) -> None:
         """Give the materials of a scene the spectra that they have."""
         if not self.is_rgb and loaded.source.reflectance_of:
-            surfaces = Surfaces(loaded, self.reflectance_of, photometry.channel_spectra(self.names))
-            self.surfaces = surfaces if surfaces.count else None
+            made = SpectralBsdfs(loaded, self.reflectance_of, photometry.channel_spectra(self.names))
+            self.spectral_bsdfs = made if made.count else None
 
     def light(self, colour: Any, kind: Any = None) -> Any:
         """Radiance or intensity in R, G, B [cd m-2, cd] in all bands; of a kind above 0 its luminance counts."""
@@ -161,7 +161,7 @@ class Bands:
 
     def surface(self, bsdf: Any, active: Any) -> tuple[Any, Any]:
         """The BSDF to ask, and how `reflectance` reads what it answers."""
-        return (bsdf, None) if self.surfaces is None else self.surfaces.of(bsdf, active)
+        return (bsdf, None) if self.spectral_bsdfs is None else self.spectral_bsdfs.of(bsdf, active)
 
     def reflectance(self, colour: Any, reading: Any = None) -> Any:
         """What a surface leaves of R, G and B, or of what else `reading` says it tells, in all bands."""
@@ -172,9 +172,9 @@ class Bands:
         first, second, rest = colour[0] - colour[2], colour[1] - colour[2], colour[2]
         return self._array([rest + first * a + second * b for a, b in zip(reading[: self.count], reading[self.count :], strict=True)])
 
-    def fade(self, depth: Any) -> Any:
-        """What each band loses over an optical depth beyond the clearest band's exp(-depth)."""
-        return self._array([dr.exp(-more * depth) for more in self._more])
+    def fade(self, optical_depth: Any) -> Any:
+        """What each band loses over an optical depth beyond the clearest band's exp(-tau)."""
+        return self._array([dr.exp(-more * optical_depth) for more in self._more])
 
     def scattered(self) -> Any:
         """Extinction of each band over that of the clearest."""

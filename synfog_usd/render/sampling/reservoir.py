@@ -1,0 +1,49 @@
+"""One of several weighted candidates, kept as they come (resampled importance sampling).
+
+Each candidate has a target, what it would matter, and the density that it was drawn with; one is kept
+in proportion to target / density.  Source: Talbot, Cline and Egbert (2005), section 3; weighted
+reservoir: Chao (1982).
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import drjit as dr
+
+from synfog_usd.render import backend
+
+
+class Reservoir:
+    """The candidate that is kept so far, for each lane.
+
+    Attributes:
+        place: where the light arrives [m].
+        lamp: where it comes from [m].
+        value: what is estimated, of the candidate that is kept.
+        group: its light group.
+        target: its target; 0 while nothing is kept.
+        sum: of the weights of all candidates so far.
+    """
+
+    DRJIT_STRUCT: ClassVar[dict[str, type]] = {}
+
+    def __init__(self) -> None:
+        mi = backend.mitsuba()
+        type(self).DRJIT_STRUCT = {"place": mi.Point3f, "lamp": mi.Point3f, "value": mi.Color3f, "group": mi.Float, "target": mi.Float, "sum": mi.Float}
+        self.place, self.lamp, self.value = mi.Point3f(0.0), mi.Point3f(0.0), mi.Color3f(0.0)
+        self.target, self.sum, self.group = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
+
+    def update(self, place: Any, lamp: Any, value: Any, group: Any, target: Any, density: Any, sampler: Any, active: Any) -> Reservoir:
+        """The reservoir after one more candidate, which was drawn with `density`."""
+        weight = dr.select(active & (density > 0.0) & (target > 0.0), target / density, 0.0)
+        after = Reservoir()
+        after.sum = self.sum + weight
+        taken = sampler.next_1d(active) * after.sum < weight
+        after.place, after.lamp, after.value = dr.select(taken, place, self.place), dr.select(taken, lamp, self.lamp), dr.select(taken, value, self.value)
+        after.target, after.group = dr.select(taken, target, self.target), dr.select(taken, group, self.group)
+        return after
+
+    def estimate(self) -> Any:
+        """Unbiased estimate of the sum of all candidates' values: value x sum of the weights / target."""
+        return dr.select(self.target > 0.0, self.value * (self.sum / self.target), 0.0)
