@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
+from support import cli
 from support.hostile import png
 
 from synfog_usd.errors import StageError
@@ -25,12 +26,6 @@ from synfog_usd.translate import translate
 
 HEAD = '#usda 1.0\n(\n    upAxis = "Z"\n    metersPerUnit = 1\n)\n'
 CAMERA = 'def Camera "Ego"\n{\n}\n'
-
-
-def run(*arguments, **more):
-    """The command line; (exit code, what it told)."""
-    done = subprocess.run([sys.executable, "-m", "synfog_usd.cli.main", *map(str, arguments)], capture_output=True, text=True, timeout=120, **more)
-    return done.returncode, done.stderr
 
 
 def written(path, text):
@@ -117,8 +112,9 @@ def test_proxies_of_instances_are_counted_and_not_visited(tmp_path, levels, refu
     """Two instances at each of 40 levels are 2^41 shapes in 80 prims: visiting them would take for ever."""
     path = written(tmp_path / "proxies.usda", bomb(levels, instanceable=True))
     if refused:
-        code, told = run("check", path)
-        assert code == 2 and told.count("\n") == 1 and f"/L{levels}/a" in told and "unfold to" in told and "at most 5000000" in told
+        done = cli.run("check", path)
+        told = done.stderr
+        assert done.returncode == 2 and told.count("\n") == 1 and f"/L{levels}/a" in told and "unfold to" in told and "at most 5000000" in told
     else:
         size = budget.check_stage(open_stage(path))
         assert size.shapes == sum(2**level for level in range(levels + 1))  # each /Ln is drawn itself too
@@ -233,9 +229,9 @@ def test_files_elsewhere_are_read_only_where_that_is_allowed(two_folders, way):
 def test_the_command_line_allows_folders(two_folders):
     folder, kit = two_folders
     path = written(folder / "stage.usda", HEAD + CAMERA + WAYS["reference"])
-    code, told = run("check", path)
-    assert code == 2 and "lies outside" in told and told.count("\n") == 1
-    assert run("check", path, "--allow", kit)[0] == 0
+    refused = cli.run("check", path)
+    assert refused.returncode == 2 and "lies outside" in refused.stderr and refused.stderr.count("\n") == 1
+    assert cli.run("check", path, "--allow", kit).returncode == 0
 
 
 def test_sublayers_elsewhere_are_refused(two_folders):
@@ -265,7 +261,7 @@ def test_other_peoples_plugins_are_not_loaded(tmp_path):
     environment = {**os.environ, "PXR_PLUGINPATH_NAME": str(tmp_path / "plugin")}
     plain = subprocess.run([sys.executable, "-c", "from pxr import Plug; Plug.Registry().GetAllPlugins()"], capture_output=True, text=True, env=environment)
     assert "plugInfo.json" in plain.stderr  # so the test could have failed
-    assert "plugInfo.json" not in run("check", path, env=environment)[1]
+    assert "plugInfo.json" not in cli.process("check", path, env=environment).stderr
 
 
 # -- pictures, packages and damaged files
@@ -361,8 +357,9 @@ def library(files):
             assert child.returncode == 0, child.stderr
             break
         crashed = left[len(told)]
-        code, words = run("check", crashed)
-        assert code == 2 and f"{crashed}: the process that read it died of signal" in words and "Traceback" not in words
+        done = cli.process("check", crashed)
+        words = done.stderr
+        assert done.returncode == 2 and f"{crashed}: the process that read it died of signal" in words and "Traceback" not in words
         became[Path(crashed).name] = "crashed"
         left = left[len(told) + 1 :]
     return became
@@ -444,17 +441,19 @@ def test_memory_beyond_the_limit_is_one_line(tmp_path, small):
     assert (tmp_path / "big.usdc").stat().st_size < 1 << 20
     pages = (24 << 20) // resource.getpagesize()
     shrunk = at_start(tmp_path, f"before = os.sysconf\nos.sysconf = lambda name: {pages} if name == 'SC_PHYS_PAGES' else before(name)")
-    code, told = run("check", tmp_path / "big.usdc", env=shrunk if small else os.environ)
+    done = cli.process("check", tmp_path / "big.usdc", env=shrunk if small else os.environ)
+    told = done.stderr
     assert "Traceback" not in told
-    assert code == 2 and "memory" in told if small else "memory" not in told
+    assert done.returncode == 2 and "memory" in told if small else "memory" not in told
 
 
 def test_a_crash_of_the_library_is_one_line(tmp_path):
     """The guard against nested braces taken away, USD's parser runs out of stack; the parent says it in a line."""
     path = written(tmp_path / "deep.usda", "#usda 1.0\n" + 'def Xform "d" {\n' * 200_000 + "}\n" * 200_000)
     unguarded = at_start(tmp_path, "from synfog_usd.stage import budget\nbudget.MAX_BRACES = 10**9")
-    exit_code, told = run("check", path, env=unguarded)
-    assert exit_code == 2 and told.count("\n") == 1 and "died of signal 11: the USD library could not cope" in told
+    done = cli.process("check", path, env=unguarded)
+    told = done.stderr
+    assert done.returncode == 2 and told.count("\n") == 1 and "died of signal 11: the USD library could not cope" in told
 
 
 def test_the_limits_of_reading_end_with_it():
@@ -473,8 +472,9 @@ def test_the_limits_of_reading_end_with_it():
 def test_a_stage_that_takes_too_long_to_read_ends_in_one_line(tmp_path):
     """With a second of processor time instead of ten minutes."""
     path = written(tmp_path / "slow.usda", bomb(15, instanceable=False))
-    exit_code, told = run("check", path, env=at_start(tmp_path, "from synfog_usd.cli import worker\nworker.READ_CPU_S = 1"))
-    assert exit_code == 2 and told.count("\n") == 1 and "s of processor time" in told
+    done = cli.process("check", path, env=at_start(tmp_path, "from synfog_usd.cli import worker\nworker.READ_CPU_S = 1"))
+    told = done.stderr
+    assert done.returncode == 2 and told.count("\n") == 1 and "s of processor time" in told
 
 
 def test_what_ships_passes_its_own_check():

@@ -1,13 +1,12 @@
 """Speed against accuracy: errors on noise and bias that are known, and small charts from a stage to their files."""
 
 import csv
-import subprocess
-import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from support import cli
 from support.stages import street
 
 from synfog_usd.seeds import stream
@@ -298,7 +297,7 @@ def test_report_replaces_what_is_between_the_marks(tmp_path):
 
 
 def run(*arguments):
-    return subprocess.run([sys.executable, "-m", "synfog_usd.cli.main", "chart", *map(str, arguments)], capture_output=True, text=True, timeout=240)
+    return cli.run("chart", *arguments)
 
 
 @pytest.fixture(scope="module")

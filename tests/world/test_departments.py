@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import resource
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from pxr import Sdf, Usd
+from support import cli
 
 from synfog_usd.world import departments
 from synfog_usd.world.compose import compose
@@ -92,8 +91,7 @@ def test_a_place_that_takes_no_stage_is_one_line(tmp_path, place):
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     out = tmp_path / "s.usda" if place == "full" else Path(place)
     limits = (lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))) if place == "full" else None
-    command = [sys.executable, "-m", "synfog_usd.cli.main", "compose", RECIPE, "--seed", "1", "-o", out]
-    done = subprocess.run(command, capture_output=True, text=True, preexec_fn=limits, timeout=120)
+    done = cli.process("compose", RECIPE, "--seed", "1", "-o", out, preexec_fn=limits)
     assert done.returncode == 2, done.stderr
     assert done.stderr.count("\n") == 1
     assert "cannot be written" in done.stderr

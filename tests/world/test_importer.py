@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-import subprocess
-import sys
 from pathlib import Path
 
 import colour
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from pxr import Sdf, Usd, UsdGeom, UsdMedia, UsdShade, UsdValidation
+from support import cli
 
 from synfog_usd.errors import OutputError, ParameterError, StageError
 from synfog_usd.world import meshfiles
@@ -314,13 +313,13 @@ def test_a_real_character_becomes_a_person(tmp_path):
 def test_the_command_says_what_it_made_and_one_line_of_error(tmp_path):
     file = tmp_path / "car.ply"
     car().export(file)
-    command = [sys.executable, "-m", "synfog_usd.cli.main", "asset", "import", str(file), "-o", str(tmp_path / "lib"), "--class"]
-    done = subprocess.run([*command, "car", "--json"], capture_output=True, text=True, check=False)
+    command = ["asset", "import", file, "-o", tmp_path / "lib", "--class"]
+    done = cli.run(*command, "car", "--json")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert (told["class"], told["length_m"]) == ("car", LENGTH)
     assert Path(told["path"]).is_file()
-    failed = subprocess.run([*command, "cra"], capture_output=True, text=True, check=False)
+    failed = cli.run(*command, "cra")
     assert failed.returncode == 2
     assert failed.stderr.count("\n") == 1
     assert "Did you mean 'car'" in failed.stderr
@@ -334,18 +333,6 @@ def test_the_command_reads_no_layer_from_elsewhere(tmp_path):
     levels = "".join(f'class "L{n}" {{\ndef "a" (references = </L{n + 1}>) {{\n}}\ndef "b" (references = </L{n + 1}>) {{\n}}\n}}\n' for n in range(30))
     (tmp_path / "in" / "bomb.usda").write_text(f'#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" (references = </L0>) {{}}\n{levels}class "L30" {{}}\n')
     for name, said in (("reach", "secret.usda"), ("bomb", "prims")):
-        command = [
-            sys.executable,
-            "-m",
-            "synfog_usd.cli.main",
-            "asset",
-            "import",
-            str(tmp_path / "in" / f"{name}.usda"),
-            "-o",
-            str(tmp_path / "lib"),
-            "--class",
-            "car",
-        ]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        done = cli.run("asset", "import", tmp_path / "in" / f"{name}.usda", "-o", tmp_path / "lib", "--class", "car")
         assert done.returncode == 2 and said in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
         assert not (tmp_path / "lib").exists()

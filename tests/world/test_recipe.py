@@ -5,14 +5,13 @@ from __future__ import annotations
 import functools
 import json
 import math
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdUtils
+from support import cli
 
 from synfog_usd.cli.main import main
 from synfog_usd.errors import RecipeError
@@ -239,8 +238,7 @@ def test_the_largest_traffic_fits_and_too_dense_a_crowd_is_refused(monkeypatch):
 
 def test_the_command_writes_a_stage_and_tells_what_stands_where(tmp_path):
     """--json is the whole world in numbers, and the stage holds that many cars."""
-    command = [sys.executable, "-m", "synfog_usd.cli.main", "compose", str(SHIPPED), "--seed", "5", "-o", str(tmp_path / "s.usda"), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = cli.run("compose", SHIPPED, "--seed", "5", "-o", tmp_path / "s.usda", "--json")
     assert done.returncode == 0, done.stderr
     printed = json.loads(done.stdout)
     assert printed == json.loads(json.dumps(spec(5).plain()))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from support import cli
 
 from synfog_usd.dataset import sheet
 from synfog_usd.errors import ParameterError
@@ -44,8 +43,7 @@ def test_a_folder_gives_its_recipes_by_name_and_an_empty_one_is_refused(tmp_path
 def test_the_command_refuses_in_one_line(tmp_path, options, words):
     """Exit code 2, and nothing written."""
     asked = options if "-o" in options else [*options, "-o", str(tmp_path / "sheet.png")]
-    command = [sys.executable, "-m", "synfog_usd.cli.main", "contact", str(RECIPES / "tunnel.yaml"), *asked]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    done = cli.run("contact", RECIPES / "tunnel.yaml", *asked, cwd=tmp_path)
     assert done.returncode == 2
     assert words in done.stderr and len(done.stderr.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
@@ -55,8 +53,8 @@ def test_the_command_refuses_in_one_line(tmp_path, options, words):
 def test_fog_takes_contrast_from_a_preview(tmp_path):
     """One seed, clear and in dense fog, side by side at the asked size: the foggy half has less contrast."""
     out = tmp_path / "sheet.png"
-    command = [sys.executable, "-m", "synfog_usd.cli.main", "contact", str(RECIPES / "tunnel.yaml"), "-o", str(out), "--seeds", "2", "--fog", "clear,mor50"]
-    done = subprocess.run([*command, "--resolution", "96x54", "--samples", "4", "--quiet"], capture_output=True, text=True, timeout=600)
+    small = ["--resolution", "96x54", "--samples", "4", "--quiet"]
+    done = cli.run("contact", RECIPES / "tunnel.yaml", "-o", out, "--seeds", "2", "--fog", "clear,mor50", *small)
     assert done.returncode == 0, done.stderr
     with Image.open(out) as picture:
         assert picture.size == (2 * sheet.GAP_PX + 192, 54 + sheet.CAPTION_PX + 2 * sheet.GAP_PX)
