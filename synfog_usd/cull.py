@@ -25,15 +25,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
+from synfog_usd.arrays import Array, Flags, Indices
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.fog.volume import FogVolume, optical_depth
 from synfog_usd.scene import Camera, SceneDict
 from synfog_usd.seeds import stream
-
-Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 SHARE = 0.1
 """Of the sensor's noise, what may change in any pixel; a render's own noise may be a third of it."""
@@ -114,8 +111,8 @@ class _Parts:
     keys: list[str]
     low: Array
     high: Array
-    triangles: npt.NDArray[np.int64]
-    left: npt.NDArray[np.int64]
+    triangles: Indices
+    left: Indices
     passive: Flags
 
 
@@ -268,7 +265,7 @@ def _references(world: Mapping[str, Any]) -> set[str]:
 
 
 def _referred(value: Any) -> set[str]:
-    """Ids that a part of a scene refers to."""
+    """Indices that a part of a scene refers to."""
     if not isinstance(value, Mapping):
         return set()
     if value.get("type") == "ref":
@@ -361,7 +358,7 @@ def _hazard(world: Mapping[str, Any]) -> str:
 
 def _has_sun(sky: Mapping[str, Any]) -> bool:
     """Whether an environment has a place that is far brighter than its mean over the sphere."""
-    bright = np.asarray(sky["bitmap"], dtype=np.float64)[..., :3] @ LUMINANCE_WEIGHTS_REC709
+    bright = np.asarray(sky["bitmap"], dtype=np.float64)[..., :3] @ LUMINANCE
     rows = np.sin((np.arange(len(bright)) + 0.5) / len(bright) * np.pi)
     return float(bright.max()) > SUN * float((bright.mean(axis=1) * rows).sum() / rows.sum())
 
@@ -374,10 +371,10 @@ def _lamps(world: Mapping[str, Any]) -> Iterator[tuple[Array, float, float]]:
             area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
             radiance, centre = part["emitter"]["radiance"], corners.mean(axis=(0, 1))
             pixels = np.asarray(radiance["value"] if radiance["type"] == "rgb" else radiance["bitmap"], dtype=np.float64)
-            yield centre, float(np.linalg.norm(corners - centre, axis=2).max()), float(area * np.max(pixels[..., :3] @ LUMINANCE_WEIGHTS_REC709))
+            yield centre, float(np.linalg.norm(corners - centre, axis=2).max()), float(area * np.max(pixels[..., :3] @ LUMINANCE))
         elif key.startswith("light_") and "intensity" in part:
             place = part["position"] if "position" in part else np.asarray(part["to_world"])[:3, 3]
-            intensity = float(np.asarray(part["intensity"]["value"]) @ LUMINANCE_WEIGHTS_REC709)
+            intensity = float(np.asarray(part["intensity"]["value"]) @ LUMINANCE)
             yield np.asarray(place, dtype=np.float64), 0.0, intensity * float(np.max(part.get("bitmap", 1.0)))
 
 
@@ -392,7 +389,7 @@ def _lit(scene: SceneDict, parts: _Parts) -> Array:
     return total
 
 
-def _before_lamps(scene: SceneDict, parts: _Parts, budget: float) -> npt.NDArray[np.bool_]:
+def _before_lamps(scene: SceneDict, parts: _Parts, budget: float) -> Flags:
     """(N,) whether a part's box stands between the eye and a lamp that is seen through the fog."""
     camera, found = scene.camera, np.zeros(len(parts.keys), dtype=bool)
     eye = camera.to_world[:3, 3]

@@ -13,8 +13,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array, Indices
 from synfog_usd.scene import SceneDict
 
 MAX_TRIANGLES = 30_000_000
@@ -22,7 +22,7 @@ MAX_TRIANGLES = 30_000_000
 
 ARRAYS = ("normals", "texcoords", "vertex_color")
 
-FaceInstances = Mapping[str, npt.NDArray[np.int64]]
+FaceInstances = Mapping[str, Indices]
 
 
 def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
@@ -33,9 +33,9 @@ def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
         of every face.  Shapes that are not joined keep their place in `instance_of`.
     """
     world, taken = source.world, set[str]()
-    parts: dict[tuple[Any, ...], list[tuple[Mapping[str, Any], npt.NDArray[np.float64] | None, int]]] = {}
+    parts: dict[tuple[Any, ...], list[tuple[Mapping[str, Any], Array | None, int]]] = {}
 
-    def take(mesh: Mapping[str, Any], matrix: npt.NDArray[np.float64] | None, instance: int) -> None:
+    def take(mesh: Mapping[str, Any], matrix: Array | None, instance: int) -> None:
         smooth = tuple(name in mesh for name in ARRAYS)
         parts.setdefault((mesh["bsdf"]["id"], *smooth, bool(mesh.get("face_normals", False))), []).append((mesh, matrix, instance))
 
@@ -92,7 +92,7 @@ def _triangles(world: Mapping[str, Any]) -> int:
     return total
 
 
-def _joined(material: str, members: list[tuple[Mapping[str, Any], npt.NDArray[np.float64] | None, int]]) -> dict[str, Any]:
+def _joined(material: str, members: list[tuple[Mapping[str, Any], Array | None, int]]) -> dict[str, Any]:
     positions, faces, more, start = [], [], {name: [] for name in ARRAYS if name in members[0][0]}, 0
     for mesh, matrix, _ in members:
         points, corners = np.asarray(mesh["positions"]), np.asarray(mesh["faces"], dtype=np.uint32)

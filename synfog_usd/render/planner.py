@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import models
@@ -24,8 +24,6 @@ from synfog_usd.render.load import MitsubaScene, resized
 from synfog_usd.render.spectra import bands
 from synfog_usd.scene import SceneDict
 from synfog_usd.seeds import seed32
-
-Array = npt.NDArray[np.float64]
 
 PILOT_WIDTH_PX = 64
 PILOT_SAMPLES = 64

@@ -80,8 +80,8 @@ def test_layers_and_variance_are_those_of_the_sum():
     foggy = accumulate(loaded, model, samples=16, seed=1)
     clear = accumulate(model.clear, model.path, samples=16, seed=1)
     t = aovs.measure(loaded).transmittance.reshape(-1, 1)
-    np.testing.assert_allclose(foggy.layer("surface"), t * clear.mean(), rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(foggy.layer("surface") + foggy.layer("airlight_single") + foggy.layer("airlight_multiple"), foggy.mean(), rtol=1e-12)
+    np.testing.assert_allclose(foggy.aov("surface"), t * clear.mean(), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(foggy.aov("surface") + foggy.aov("airlight_single") + foggy.aov("airlight_multiple"), foggy.mean(), rtol=1e-12)
     np.testing.assert_allclose(foggy.mean(), t * clear.mean() + (1.0 - t) * physical_airlight(loaded), rtol=1e-12)
     np.testing.assert_allclose(foggy.variance(), t * t * clear.variance(), rtol=1e-6, atol=1e-12)
 

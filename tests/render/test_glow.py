@@ -28,7 +28,7 @@ def layer_means(world, make, *, samples, seeds, name):
     """(K,) pooled red of a layer, one per seed."""
     loaded = load(world, boundaries=False)
     integrator = make(loaded)
-    return np.array([accumulate(loaded, integrator, samples=samples, seed=seed).layer(name)[:, 0].mean() for seed in range(seeds)])
+    return np.array([accumulate(loaded, integrator, samples=samples, seed=seed).aov(name)[:, 0].mean() for seed in range(seeds)])
 
 
 def assert_same(ours, theirs, *, resolves):
@@ -110,8 +110,8 @@ def test_the_picture_is_the_sum_of_its_layers_and_repeats():
     model = make_glow(loaded)
     one, two, other = (accumulate(loaded, model, samples=16, seed=seed) for seed in (1, 1, 2))
     assert one.mean().tobytes() == two.mean().tobytes() != other.mean().tobytes()
-    layers = [one.layer(name) for name in ("surface", "airlight_single", "airlight_multiple")]
-    np.testing.assert_allclose(sum(layers), one.mean(), rtol=1e-9, atol=1e-12)
+    aovs = [one.aov(name) for name in ("surface", "airlight_single", "airlight_multiple")]
+    np.testing.assert_allclose(sum(aovs), one.mean(), rtol=1e-9, atol=1e-12)
     table = one.estimators[PART]
     assert np.median(np.sqrt(table.variance()[:, 0]) / table.mean()[:, 0]) < 0.05  # 16 rays through pixels 4 degrees wide
     np.testing.assert_allclose(one.mean()[:, 1], 0.5 * one.mean()[:, 0], rtol=1e-4)  # the colour of the lamp

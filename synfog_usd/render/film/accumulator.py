@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array, Indices
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.integrators.path import AOVS, INSCATTERED, LAMPS, SURFACE, FogPath
@@ -41,8 +41,6 @@ ALL = "all"
 ESTIMATOR_COST = {SURFACE: 1.0, LAMPS: 0.25, INSCATTERED: 1.8}
 """Seconds of a path of each estimator, relative; measured in the bench stages within a factor of two, and fixed, so that the same seed gives the same bytes."""
 
-Array = npt.NDArray[np.float64]
-
 
 @dataclass
 class Estimator:
@@ -58,7 +56,7 @@ class Estimator:
     aovs: dict[str, Array]
     squares: Array
     groups: list[Array]
-    counts: npt.NDArray[np.int64]
+    counts: Indices
 
     def number(self) -> Array:
         """(P, 1) samples, 1 at least, as the sums' type."""
@@ -219,9 +217,7 @@ def new_accumulator(integrator: FogPath, pixels: int) -> Accumulator:
     return Accumulator({estimator: empty(estimator) for estimator in integrator.estimators}, weights=bands.weights, radiance_cache=integrator.radiance_cache())
 
 
-def add_samples(
-    accumulated: Accumulator, integrator: FogPath, pixels: npt.NDArray[np.int64], samples: Mapping[str, int], seed: int, progress: Progress = silent
-) -> None:
+def add_samples(accumulated: Accumulator, integrator: FogPath, pixels: Indices, samples: Mapping[str, int], seed: int, progress: Progress = silent) -> None:
     """Add samples to each of some pixels.
 
     Args:
@@ -263,9 +259,7 @@ def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progr
     estimator.counts = np.full(len(estimator.counts), number, dtype=np.int64)
 
 
-def _add(
-    accumulated: Accumulator, integrator: FogPath, name: str, pixels: npt.NDArray[np.int64], first: npt.NDArray[np.int64], count: int, chunks: int, seed: int
-) -> None:
+def _add(accumulated: Accumulator, integrator: FogPath, name: str, pixels: Indices, first: Indices, count: int, chunks: int, seed: int) -> None:
     import drjit as dr
 
     moments = integrator.trace(name, backend.numbers(np.tile(pixels, chunks)), backend.numbers(first), count, seed)

@@ -13,13 +13,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array, Flags, Indices
 from synfog_usd.fog.volume import optical_depth
 from synfog_usd.image import Image, Quantity
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene, camera_fog
-
-Array = npt.NDArray[np.float64]
-Ids = npt.NDArray[np.int64]
 
 MAX_CROSSINGS = 256
 
@@ -42,13 +40,13 @@ class Hits:
         see_through: (N,) share of light that passes unhindered (cut-out materials).
     """
 
-    valid: npt.NDArray[np.bool_]
+    valid: Flags
     position: Array
     onward: Array
     normal: Array
-    front: npt.NDArray[np.bool_]
-    instance_id: Ids
-    fog: Ids
+    front: Flags
+    instance_id: Indices
+    fog: Indices
     see_through: Array
 
 
@@ -67,7 +65,7 @@ class Aovs:
     distance_m: Array
     depth_m: Array
     normal: Array
-    instance_id: Ids
+    instance_id: Indices
     transmittance: Array
 
     def transmittance_image(self) -> Image:
@@ -138,11 +136,11 @@ def seen_through(loaded: MitsubaScene, clear: Aovs) -> Aovs:
     return replace(clear, transmittance=np.exp(-tau).reshape(clear.distance_m.shape))
 
 
-def _rows(hits: Hits, keep: npt.NDArray[np.bool_]) -> Hits:
+def _rows(hits: Hits, keep: Flags) -> Hits:
     return Hits(**{name: getattr(hits, name)[keep] for name in Hits.__dataclass_fields__})
 
 
-def _replace_rows(hits: Hits, at: npt.NDArray[np.bool_], better: Hits) -> None:
+def _replace_rows(hits: Hits, at: Flags, better: Hits) -> None:
     for name in Hits.__dataclass_fields__:
         getattr(hits, name)[at] = getattr(better, name)
 

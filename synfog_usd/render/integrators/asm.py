@@ -29,6 +29,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
@@ -41,7 +42,6 @@ from synfog_usd.render.media.control_variate import make_control_variate, mean_s
 from synfog_usd.render.media.medium import Medium, unsupported_fog
 from synfog_usd.scene import SceneDict
 
-Array = npt.NDArray[np.float64]
 Airlight = Literal["physical", "estimated"]
 
 PATCH_PX = 15

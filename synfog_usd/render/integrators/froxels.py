@@ -21,15 +21,13 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.integrators.path import AOVS, INSCATTERED, FogPath, FroxelGrid
 from synfog_usd.render.media.medium import transmittance
 from synfog_usd.render.sampling.rng import Random
-
-Array = npt.NDArray[np.float64]
 
 COLUMN_DEG = 1.5
 COLUMNS_PARALLEL = 40

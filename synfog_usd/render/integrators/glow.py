@@ -27,9 +27,9 @@ from typing import Any, Literal
 
 import drjit as dr
 import numpy as np
-import numpy.typing as npt
 
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
+from synfog_usd.arrays import Array
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog.glow import NORMAL_COLUMNS, TAU, TAU_ROWS, THETA_COLUMNS, glow_table
 from synfog_usd.progress import Progress, silent
@@ -44,7 +44,6 @@ from synfog_usd.render.sampling.rng import Random
 from synfog_usd.scene import SceneDict
 from synfog_usd.seeds import seed32
 
-Array = npt.NDArray[np.float64]
 Single = Literal["traced", "table"]
 
 PART = "glow"
@@ -239,7 +238,7 @@ class _AxialLight:
     def __init__(self, part: Mapping[str, Any], orders: int) -> None:
         if is_sampled_light(part):
             rows = light_rows(part)
-            weight = rows[:, 12:15] @ LUMINANCE_WEIGHTS_REC709
+            weight = rows[:, 12:15] @ LUMINANCE
             total = max(float(weight.sum()), 1e-30)
             share = weight / total
             self.position = share @ (rows[:, 0:3] + (rows[:, 3:6] + rows[:, 6:9]) / 3.0)
@@ -301,7 +300,7 @@ def _beam(cutoff: float, slope: float, orders: int) -> Array:
 def _tabled(light: Mapping[str, Any], orders: int) -> Array:
     """(L,) moments of a lamp's table, by luminance, as a share of the peaks that its rows have for colour."""
     table = photometric.table_of(light)
-    weight = np.asarray(light["intensity"]["value"]) * LUMINANCE_WEIGHTS_REC709
+    weight = np.asarray(light["intensity"]["value"]) * LUMINANCE
     rings = (table @ weight if table.shape[2] == 3 else table[:, :, 0] * weight.sum()).mean(axis=1)
     peak = float(table.max(axis=(0, 1)) @ weight if table.shape[2] == 3 else table.max() * weight.sum())
     cosines = np.cos(np.linspace(0.0, math.pi, len(table)))
@@ -313,7 +312,7 @@ def _mean_radiance(lamp: _AxialLight, eye: Array, medium: Any) -> float:
     tau = medium.sigma_t_per_m * max(float(np.linalg.norm(lamp.position - eye)), 0.1)
     absorbed = math.sqrt(3.0 * (1.0 - medium.albedo) * (1.0 - medium.albedo * medium.g))
     scalar = math.exp(-tau) / tau**2 + medium.albedo * 3.0 * (1.0 - medium.albedo * medium.g) / tau * math.exp(-absorbed * tau)
-    return float(LUMINANCE_WEIGHTS_REC709 @ lamp.colour) * lamp.moments[0] / (4.0 * math.pi) ** 2 * medium.sigma_t_per_m**2 * scalar
+    return float(LUMINANCE @ lamp.colour) * lamp.moments[0] / (4.0 * math.pi) ** 2 * medium.sigma_t_per_m**2 * scalar
 
 
 def _sky_luminance(part: Any) -> float:
@@ -321,10 +320,10 @@ def _sky_luminance(part: Any) -> float:
     if not isinstance(part, Mapping) or part.get("type") not in SKIES:
         return 0.0
     if part["type"] == "constant":
-        return float(LUMINANCE_WEIGHTS_REC709 @ np.broadcast_to(part["radiance"]["value"], 3))
+        return float(LUMINANCE @ np.broadcast_to(part["radiance"]["value"], 3))
     pixels = np.asarray(part["bitmap"], dtype=np.float64)[:, :, :3]
     rows = np.sin((np.arange(len(pixels)) + 0.5) * np.pi / len(pixels))
-    return float(rows @ (pixels @ LUMINANCE_WEIGHTS_REC709).mean(axis=1) / rows.sum()) * float(part.get("scale", 1.0))
+    return float(rows @ (pixels @ LUMINANCE).mean(axis=1) / rows.sum()) * float(part.get("scale", 1.0))
 
 
 def _angle(one: Any, other: Any) -> Any:

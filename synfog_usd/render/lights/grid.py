@@ -15,11 +15,9 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.render import backend
-
-Array = npt.NDArray[np.float64]
 
 FLOOR = 0.15
 """Share of the draws that do not know the place."""

@@ -18,7 +18,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.sampler import LightSampler
@@ -206,7 +206,7 @@ def _summary(rows: np.ndarray) -> np.ndarray:
 
     0-2 position, 3-5 axis, 6 luminous peak, 7 cutoff, 8 1 / transition, 9 whether it is a beam, 10 its table or -1, 11-13 the table's +X.
     """
-    light = np.maximum(rows[:, 12:15] @ LUMINANCE_WEIGHTS_REC709, 0.0)
+    light = np.maximum(rows[:, 12:15] @ LUMINANCE, 0.0)
     if rows[0, 17] > 0.5:  # of a lamp with three tables the brightest stands for all
         first = rows[int(np.argmax(light))]
         return np.concatenate([first[0:3], first[9:12], [light.sum()], first[15:18], first[20:24]])

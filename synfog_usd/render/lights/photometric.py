@@ -18,11 +18,9 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.render import backend
-
-Array = npt.NDArray[np.float64]
 
 TYPE = "photometric"
 

@@ -20,7 +20,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.grid import LightDistribution
@@ -223,7 +223,7 @@ def _of_peak_share(share: Any, width: Any) -> Any:
 
 def _light(rows: np.ndarray) -> np.ndarray:
     """(N,) luminous peak of each row [cd]."""
-    return np.maximum(rows[:, 12:15] @ LUMINANCE_WEIGHTS_REC709, 0.0)
+    return np.maximum(rows[:, 12:15] @ LUMINANCE, 0.0)
 
 
 _COLUMNS = 24

@@ -15,15 +15,13 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.fog.slab import Slab, solve
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Domain, Medium
 from synfog_usd.render.spectra.bands import Bands
-
-Array = npt.NDArray[np.float64]
 
 PROBES = 64
 PROBE_REACH_M = 80.0

@@ -17,17 +17,15 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-import numpy.typing as npt
 
 from synfog_usd import photometry
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
+from synfog_usd.arrays import Array
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogVolume
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.spectra.bsdfs import SpectralBsdfs
-
-Array = npt.NDArray[np.float64]
 
 RGB = 3
 
@@ -151,13 +149,13 @@ class Bands:
         mixed = self._mixed(colour, self.light_of)
         if self.kinds == 1:
             return mixed
-        r, g, b = LUMINANCE_WEIGHTS_REC709
+        r, g, b = LUMINANCE.tolist()
         luminance = colour[0] * r + colour[1] * g + colour[2] * b
         return dr.select(kind > 0, self.gather(self._lit, kind, kind > 0) * luminance, mixed)
 
     def light_in(self, colour: Array, kind: int) -> Array:
         """(..., N) the same of (..., 3) numbers."""
-        return np.asarray(colour @ self.light_of if kind == 0 else (colour @ np.array(LUMINANCE_WEIGHTS_REC709))[..., None] * self.lit[kind - 1])
+        return np.asarray(colour @ self.light_of if kind == 0 else (colour @ LUMINANCE)[..., None] * self.lit[kind - 1])
 
     def surface(self, bsdf: Any, active: Any) -> tuple[Any, Any]:
         """The BSDF to ask, and how `reflectance` reads what it answers."""

@@ -23,12 +23,11 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import photometry, spectra
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
+from synfog_usd.arrays import Array, FloatArray, Indices
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene, make_bsdf
 from synfog_usd.scene import base_colour, mean_colour, recoloured, texels
-
-Array = npt.NDArray[np.float64]
 
 LONG_NM, LONG_WIDTH_NM = 580.0, 20.0
 """Where what the own spectrum lacks of white is cut in two, and how softly."""
@@ -54,7 +53,7 @@ def basis(curve: Array, rgb: npt.ArrayLike, height: float = HEIGHT) -> Array:
     return np.stack([first, (1.0 - first) * long, (1.0 - first) * (1.0 - long)])
 
 
-def basis_weights(pixels: npt.NDArray[np.float32], curve: Array, rgb: npt.ArrayLike) -> npt.NDArray[np.float32]:
+def basis_weights(pixels: FloatArray, curve: Array, rgb: npt.ArrayLike) -> FloatArray:
     """How much of each spectrum of `basis` the texels have.
 
     Under D65 a texel differs from what the material's spectrum shows by the ratio by which it differs from the mean; a hue that
@@ -70,7 +69,7 @@ def basis_weights(pixels: npt.NDArray[np.float32], curve: Array, rgb: npt.ArrayL
     shown = spectra.rgb_of(parts).T  # (3, 3): its columns are what D65 shows of each
     target = (spectra.rgb_of(own) / mean)[:, None]
     to_shares = np.linalg.inv(shown) @ (target * np.eye(3))
-    weights = np.asarray(LUMINANCE_WEIGHTS_REC709)
+    weights = LUMINANCE
     along = np.outer([level, 0.0, 0.0], weights / float(weights @ mean))  # what a texel of the mean's hue has
     sides = parts[:, ::CHECKED_NM].astype(np.float32)
     texel, where = _distinct(pixels.reshape(-1, 3))
@@ -81,7 +80,7 @@ def basis_weights(pixels: npt.NDArray[np.float32], curve: Array, rgb: npt.ArrayL
     return np.asarray((grey + np.clip(room, 0.0, 1.0)[:, None] * hue)[where].reshape(pixels.shape), dtype=np.float32)
 
 
-def _distinct(texel: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+def _distinct(texel: FloatArray) -> tuple[FloatArray, Indices]:
     """The colours among (N, 3) texels, and which of them each is: a picture of a million has some ten thousand."""
     bits = np.ascontiguousarray(texel, dtype=np.float32).view(np.uint32).astype(np.uint64)
     word = (bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)).sum(axis=1, dtype=np.uint64)
