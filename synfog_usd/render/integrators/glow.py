@@ -166,7 +166,7 @@ class Glow:
     def _trace(self, pixel: Any, rays: int, seed: int) -> tuple[Any, Any, Any, Any]:
         """Sums over `rays` rays of the lamps' scattered light: on surfaces, once and more often in the air, and the squares of all."""
         mi, path = backend.mitsuba(), self.path
-        wanted, image_seed, context = dr.opaque(mi.UInt32, rays), dr.opaque(mi.UInt32, seed), mi.BSDFContext()
+        wanted, image_seed = dr.opaque(mi.UInt32, rays), dr.opaque(mi.UInt32, seed)
         corner = path.corner(pixel)
         surface, single, multiple, squares = mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0)
         begun = mi.UInt32(0)
@@ -180,7 +180,7 @@ class Glow:
             through = dr.exp(-self.sigma * (stop - near))
             begin, end = ray(near), ray(stop)
             bsdf, reading = path.bands.surface(si.bsdf(), lit)
-            matte, normal = path.matte(context, si, bsdf, reading, lit)
+            matte, normal = path.matte(si, bsdf, reading, lit)
             light, once, more = mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0)
             index = mi.UInt32(0)
             while index < self.number:

@@ -216,11 +216,7 @@ class FogPath:
             si = self.loaded.scene.ray_intersect_preliminary(ray, False)
             near, far = self.medium.intersect(ray.o, ray.d)
             stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)
-            where, lamp, colour, group = self.lights.along(ray.o, ray.d, near, stop, self.medium, sampler, stop > near, known)
-            free, reach_lamp = self.shadow_transmittance(where, mi.Normal3f(0.0), lamp, dr.max(colour) > 0.0)
-            light = dr.select(free, bands.even(weight) * self.light(colour, group) * reach_lamp, bands.black())
-            if dr.hint(bands.coloured, mode="scalar"):
-                light *= bands.scattered() * bands.fade(self.medium.optical_depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
+            light, group = self.nee_along(ray, near, stop, bands.even(weight), sampler, stop > near, known)
             finite = dr.all(dr.isfinite(light))
             light = dr.select(finite, light, 0.0)
             single, squares = single + light, squares + light * light
@@ -245,8 +241,7 @@ class FogPath:
         if cells is None:
             return mi.Point2f(mi.Float(pixel % camera.width_px), mi.Float(pixel // camera.width_px))
         column = pixel % (cells.columns * cells.rows)
-        size = mi.Point2f(camera.width_px / cells.columns, camera.height_px / cells.rows)
-        return mi.Point2f(mi.Float(column % cells.columns), mi.Float(column // cells.columns)) * size
+        return mi.Point2f(mi.Float(column % cells.columns), mi.Float(column // cells.columns)) * mi.Point2f(*self.froxel_size(cells))
 
     @dr.syntax
     def trace_paths(self, inscattered: bool, pixel: Any, first: Any, count: int, seed: int, cells: FroxelGrid | None = None) -> Moments:
@@ -256,108 +251,80 @@ class FogPath:
         16 lanes in step, and would otherwise wait for the longest path of the 16.
         """
         mi = backend.mitsuba()
-        scene, context, medium, control = self.loaded.scene, mi.BSDFContext(), self.medium, self.control
-        corner, bands = self.corner(pixel, cells), self.bands
+        scene, context, medium, bands, black = self.loaded.scene, mi.BSDFContext(), self.medium, self.bands, self.bands.black()
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
-        seen, size, nearest, in_froxels, slices = mi.UInt32(0), mi.Point2f(1.0), mi.Float(0.0), cells is not None, 1.0
-        if dr.hint(in_froxels, mode="scalar"):
-            slices = float(cells.slices)
-            size = mi.Point2f(self.loaded.source.camera.width_px / cells.columns, self.loaded.source.camera.height_px / cells.rows)
-            nearest = mi.Float(pixel // (cells.columns * cells.rows))
-        black, sky = bands.black(), mi.EmitterPtr(scene.environment())
+        in_froxels = cells is not None
+        corner, size = self.corner(pixel, cells), mi.Point2f(*self.froxel_size(cells) if in_froxels else (1.0, 1.0))
+        slices = float(cells.slices if in_froxels else 1)
+        nearest = mi.Float(pixel // (cells.columns * cells.rows)) if in_froxels else mi.Float(0.0)  # the froxel's slice
 
-        aovs = [bands.black() for _ in AOVS[INSCATTERED if inscattered else SURFACE]]
-        sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []
-        squares, lost = bands.black(), mi.UInt32(0)
-        begun = mi.UInt32(0)
-        sampler = Random(image_seed, pixel, first)
-        ray, view_weight = self.camera_ray(sampler, corner, mi.Bool(True), size)
-        throughput, scale = bands.even(view_weight), mi.Float(1.0)
+        # ---- Sums over the paths of a lane
+        aovs = [bands.black() for _ in AOVS[INSCATTERED if inscattered else SURFACE]]  # light by AOV
+        sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []  # light by light group
+        squares = bands.black()  # of each path's light
+        lost = mi.UInt32(0)  # paths that were not finite
+        seen = mi.UInt32(0)  # paths of a froxel that nothing hid
+        begun = mi.UInt32(0)  # paths that have ended
+
+        # ---- State of the path that is under way
+        sampler = Random(image_seed, pixel, first)  # its random numbers
+        ray, view_weight = self.camera_ray(sampler, corner, mi.Bool(True), size)  # the segment that comes next
+        throughput = bands.even(view_weight)  # beta: what its light counts
+        scale = mi.Float(1.0)  # throughput that the camera segment left; roulette measures against it
         path = bands.black()  # the whole path's light
-        scattered, bounces = mi.UInt32(0), mi.UInt32(0)
-        depth = mi.UInt32(0)
-        active = mi.Bool(True)
-        prev_p, prev_pdf, prev_delta, prev_without_nee = mi.Point3f(ray.o), mi.Float(1.0), mi.Bool(True), mi.Bool(False)
+        depth = mi.UInt32(0)  # vertices so far; 0 on the camera's segment
+        scattered, bounces = mi.UInt32(0), mi.UInt32(0)  # of them in the fog, and on surfaces
+        prev_p, prev_pdf = mi.Point3f(ray.o), mi.Float(1.0)  # the last vertex, and the density [1/sr] with which it chose its direction
+        prev_delta = mi.Bool(True)  # it could choose no other: the eye, a mirror
+        prev_without_nee = mi.Bool(False)  # it sent no shadow ray
+        active = mi.Bool(True)  # this lane still has paths
+
         while active:
             at_eye = active & (depth == 0)
-            # Free flight: where the fog would scatter the path, if nothing stands before.
-            near, far, flight = mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf)
+
+            # ==== 1. Free flight: where the fog would scatter the path, if nothing stands before
             may_scatter = active & ~at_eye
             if dr.hint(self.limited, mode="scalar"):
                 may_scatter &= scattered < self.method.scatterings
             u_flight = sampler.next_1d(active)
-            if dr.hint(self.foggy, mode="scalar"):
-                near, far = medium.intersect(ray.o, ray.d)
-                tau = -dr.log(1.0 - u_flight)
-                reach = medium.sample_distance(ray.o, ray.d, tau, near, far)
-                flight = dr.select(may_scatter & (reach < far), reach, dr.inf)
+            near, far, flight = self.sample_flight(ray, u_flight, may_scatter)
+
+            # ==== 2. What the segment meets
             segment = mi.Ray3f(ray)
             if dr.hint(self.lights.count == 0, mode="scalar"):  # lamps are asked all along the ray
                 segment.maxt = dr.minimum(flight, segment.maxt)
             si = scene.ray_intersect(segment, mi.RayFlags.All, True, active)
-            stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)
+            stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)  # where the fog before the surface ends
             medium_scattered = active & dr.isfinite(flight) & (flight < dr.select(si.is_valid(), si.t, dr.inf))
             surface_hit = active & si.is_valid() & ~medium_scattered
             end = dr.select(surface_hit, si.t, dr.inf)
 
-            # The control variate: at the eye the airlight between two ends, later a jump wherever its domain is entered or left.
-            if dr.hint(control is not None, mode="scalar"):
-                begin_in, end_in = control.intersect(ray.o, ray.d)
-                inside = active & (end_in > begin_in) & (begin_in < dr.minimum(end, flight))
-                leaves = dr.minimum(end, flight) > end_in
-                until = dr.select(leaves, end_in, end)  # a flight ends inside: nothing to add
-                counted = inside & dr.isfinite(until) & (leaves | surface_hit)
-                here = control.radiance(ray(until), ray.d, counted)
-                into = inside & ((begin_in > 0.0) | at_eye)
-                there = control.radiance(ray(begin_in), ray.d, into)
-                dimmed = mi.Bool(at_eye)
-                if dr.hint(self.limited, mode="scalar"):
-                    dimmed |= ~may_scatter
-                dim_there = dr.select(dimmed, transmittance(medium.optical_depth(ray.o, ray.d, 0.0, begin_in))[0], 1.0)
-                dim_here = dr.select(dimmed, transmittance(medium.optical_depth(ray.o, ray.d, 0.0, until))[0], 1.0)
-                jump = dr.select(into, there * dim_there, black) - dr.select(counted, here * dim_here, black)
-                jump *= throughput
+            # ==== 3. Control variate: at the eye the airlight between two ends, later a jump wherever its domain is entered or left
+            if dr.hint(self.control is not None, mode="scalar"):
+                jump = throughput * self.control_jump(ray, flight, end, active, at_eye, surface_hit, may_scatter)
                 if dr.hint(not inscattered or in_froxels, mode="scalar"):
                     jump = dr.select(at_eye, black, jump)
                 path, aovs, sums = self.add_light(path, aovs, sums, jump, mi.UInt32(2), mi.UInt32(0))
 
-            # The eye's segment is split.
+            # ==== 4. First segment: it is split, and this estimator follows one side of it
+            tau = mi.Float(0.0)  # of the segment as far as its end
             if dr.hint(self.foggy, mode="scalar"):
-                way = medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(end, far), near))
-                through, opaque = transmittance(way)
+                tau = medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(end, far), near))
                 if dr.hint(self.limited, mode="scalar"):
-                    throughput = dr.select(active & ~at_eye & ~may_scatter, throughput * through, throughput)
+                    throughput = dr.select(active & ~at_eye & ~may_scatter, throughput * transmittance(tau)[0], throughput)
                 if dr.hint(not in_froxels, mode="scalar"):
-                    share = opaque if inscattered else through
-                    chance = dr.minimum(4.0 * share, 1.0)  # how often a faint part is drawn
-                    share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
-                    throughput, scale = dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
-            if dr.hint(in_froxels, mode="scalar"):
+                    throughput, scale = self.split_camera_segment(inscattered, tau, throughput, scale, sampler, at_eye)
+            if dr.hint(inscattered, mode="scalar"):
                 surface_hit &= ~at_eye
-                share = (nearest + u_flight) / slices
-                some = at_eye & (share < opaque)
-                place = medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - share), near, stop)
-                flight = dr.select(some, place, flight)
-                medium_scattered |= some
-                seen += dr.select(some, mi.UInt32(1), mi.UInt32(0))
-            elif dr.hint(inscattered, mode="scalar"):
-                surface_hit &= ~at_eye
-                some = at_eye & (opaque > 0.0)
-                if dr.hint(self.method.scatterings == 0, mode="scalar"):
-                    some &= False
-                place = medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u_flight * opaque), near, stop)
-                if dr.hint(self.guide.count > 0, mode="scalar"):
-                    length = dr.maximum(stop - near, 1e-6)
-                    sigma = way / length
-                    guided = self.guide.distance(ray.o, ray.d, near, stop, sigma, sampler.next_1d(some), sampler.next_1d(some))
-                    place = dr.select(sampler.next_1d(some) < GUIDE_PROBABILITY, guided, place)
-                    plain = dr.exp(-medium.optical_depth_inside(ray.o, ray.d, near, place)) * medium.extinction(ray(place)) / opaque
-                    mixed = GUIDE_PROBABILITY * self.guide.distance_density(ray.o, ray.d, near, stop, sigma, place) + (1.0 - GUIDE_PROBABILITY) * plain
-                    throughput = dr.select(some, throughput * plain / dr.maximum(mixed, 1e-30), throughput)
+                if dr.hint(in_froxels, mode="scalar"):
+                    some, place = self.sample_froxel(nearest, slices, ray, near, stop, tau, u_flight, at_eye)
+                    seen += dr.select(some, mi.UInt32(1), mi.UInt32(0))
+                else:
+                    some, place, throughput = self.sample_camera_segment(ray, near, stop, tau, u_flight, throughput, sampler, at_eye)
                 flight = dr.select(some, place, flight)
                 medium_scattered |= some
 
-            # Lamps, scattered once on the way; the eye's own segment is the estimator LAMPS.
+            # ==== 5. Next-event estimation along the segment: lamps, scattered once; the camera segment's are the estimator LAMPS
             if dr.hint(self.foggy and self.lights.count > 0 and self.method.scatterings > 0, mode="scalar"):
                 lit = active & ~at_eye & (stop > near)
                 if dr.hint(self.limited, mode="scalar"):
@@ -365,14 +332,10 @@ class FogPath:
                 asked = None
                 if dr.hint(self.light_grid is not None, mode="scalar"):
                     asked = self.known_near(ray(medium.sample_distance(ray.o, ray.d, dr.minimum(-dr.log(1.0 - sampler.next_1d(lit)), 3.0), near, stop)))
-                where, lamp, colour, group = self.lights.along(ray.o, ray.d, near, stop, medium, sampler, lit, asked)
-                free, reach_lamp = self.shadow_transmittance(where, mi.Normal3f(0.0), lamp, lit & (dr.max(colour) > 0.0))
-                light = dr.select(free, throughput * self.light(colour, group) * reach_lamp, black)
-                if dr.hint(bands.coloured, mode="scalar"):
-                    light *= bands.scattered() * bands.fade(medium.optical_depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
+                light, group = self.nee_along(ray, near, stop, throughput, sampler, lit, asked)
                 path, aovs, sums = self.add_light(path, aovs, sums, light, scattered + 1, group)
 
-            # What the clearest band, in which flights are drawn, keeps and the others lose.
+            # ==== 6. What the clearest band, in which flights are drawn, keeps and the others lose
             if dr.hint(bands.coloured, mode="scalar"):
                 tau_to_end = medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(dr.minimum(flight, end), far), near))
                 throughput *= bands.fade(tau_to_end)
@@ -381,23 +344,11 @@ class FogPath:
             if dr.hint(inscattered, mode="scalar"):
                 ended &= ~at_eye
 
-            # What the end of the segment sends out itself, weighed against the shadow ray of the vertex before.
-            before_it = dr.zeros(mi.Interaction3f)
-            before_it.p = prev_p
-            towards = mi.DirectionSample3f(scene, si, before_it)
-            light_pdf = mi.Float(0.0)
-            if dr.hint(self.use_nee, mode="scalar"):
-                light_pdf = scene.pdf_emitter_direction(before_it, towards, ended & ~prev_delta)
-            weight = dr.select(prev_without_nee & (light_pdf > 0.0), 1.0, dr.select(light_pdf > 0.0, mis_weight(prev_pdf, light_pdf), 0.0))
-            emitter = si.emitter(scene, ended)
-            if dr.hint(control is not None, mode="scalar"):  # no shadow ray looks for the sky
-                weight = dr.select(surface_hit, weight, 1.0)
-            weight = dr.select(prev_delta, 1.0, weight)  # a lamp's face counts here only for the eye and for mirrors
-            group = self.group(emitter, ended)
-            light = dr.select(ended, throughput * weight * self.light(emitter.eval(si, ended), group), black)
+            # ==== 7. Emission at the segment's end, weighed against the shadow ray of the vertex before
+            light, group = self.emitted(si, ended, surface_hit, throughput, prev_p, prev_pdf, prev_delta, prev_without_nee)
             path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
 
-            # The vertex: in the fog or on a surface.
+            # ==== 8. The vertex: in the fog or on a surface
             vertex = dr.zeros(mi.Interaction3f)
             vertex.p = dr.select(medium_scattered, ray(flight), si.p)
             vertex.n = dr.select(medium_scattered, mi.Normal3f(0.0), si.n)
@@ -408,18 +359,10 @@ class FogPath:
             scattered += dr.select(medium_scattered, mi.UInt32(1), mi.UInt32(0))
             bounces += dr.select(surface_hit, mi.UInt32(1), mi.UInt32(0))
             alive = surface_hit | medium_scattered
-
-            # Shadow rays: to the sky and whatever is left to chance, and to a lamp.
             smooth = surface_hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            lit = mi.Bool(smooth)
-            if dr.hint(self.use_nee_medium, mode="scalar"):
-                lit |= medium_scattered
-            sent, power = dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0)
-            if dr.hint(self.use_nee, mode="scalar"):
-                sent, power = scene.sample_emitter_direction(vertex, sampler.next_2d(lit), False, lit)
-                if dr.hint(control is not None, mode="scalar"):
-                    lit &= sent.emitter != sky
-            lit &= sent.pdf > 0.0
+
+            # ==== 9. Next-event estimation at the vertex: the scene's own choice of lights (one call gives the BSDF's value and its next direction)
+            lit, sent, power = self.sample_emitter(vertex, smooth, medium_scattered, sampler)
             reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(
                 context, si, si.to_local(sent.d), sampler.next_1d(surface_hit), sampler.next_2d(surface_hit), surface_hit
             )
@@ -434,54 +377,35 @@ class FogPath:
                 group = self.group(sent.emitter, free)
                 light = dr.select(free, throughput * value * self.light(power, group) * (weight * reach_light), black)
                 path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
+
+            # ==== 10. Next-event estimation at a surface: one lamp of the light sampler
             if dr.hint(self.lights.count > 0, mode="scalar"):
-                lamp, colour, group = self.lights.at(si.p, si.n, sampler, smooth, self.known_near(si.p))
-                free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
-                reflected = bsdf.eval(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
-                light = dr.select(free, throughput * bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp, black)
+                light, group = self.nee_surface(si, bsdf, reading, throughput, sampler, smooth)
                 path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
 
-            # Onward.
+            # ==== 11. The next direction: from the BSDF, or from the phase function and light guiding
             direction, next_pdf = si.to_world(bounce.wo), bounce.pdf
             next_delta = surface_hit & mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
             onward = dr.select(surface_hit, throughput * gain, throughput)
-            if dr.hint(control is not None, mode="scalar"):
-                known = surface_hit & control.holds(vertex.p)
-                matte, normal = self.matte(context, si, bsdf, reading, known & smooth)
-                light = throughput * matte * control.irradiance(vertex.p, normal, known) * dr.inv_pi
-                cosine = dr.dot(direction, normal)
-                expected = dr.select(next_delta | (cosine <= 0.0), 0.0, cosine * dr.inv_pi / dr.maximum(next_pdf, 1e-20))
-                rest = onward - throughput * matte * expected
-                light += rest * control.radiance(vertex.p, direction, known)
-                light = dr.select(
-                    known & (bounce.pdf > 0.0), light, dr.select(known, throughput * matte * control.irradiance(vertex.p, normal, known) * dr.inv_pi, black)
-                )
+            if dr.hint(self.control is not None, mode="scalar"):
+                light = self.control_reflected(si, bsdf, reading, bounce, vertex.p, direction, throughput, onward, surface_hit, smooth, next_delta)
                 path, aovs, sums = self.add_light(path, aovs, sums, light, mi.UInt32(2), mi.UInt32(0))
             throughput = onward
-            prev_pdf, prev_delta, prev_without_nee = next_pdf, next_delta, mi.Bool(False)
+            prev_p, prev_pdf, prev_delta, prev_without_nee = mi.Point3f(vertex.p), mi.Float(next_pdf), mi.Bool(next_delta), mi.Bool(False)
             if dr.hint(self.foggy, mode="scalar"):
-                wo, phase_pdf = medium.phase.sample(ray.d, sampler.next_2d(medium_scattered))
-                if dr.hint(self.guide.count > 0, mode="scalar"):
-                    spread = medium.media[0].sigma_t
-                    guided = self.guide.direction(vertex.p, spread, sampler.next_1d(medium_scattered), sampler.next_2d(medium_scattered))
-                    wo = dr.select(sampler.next_1d(medium_scattered) < GUIDE_PROBABILITY, guided, wo)
-                    phase_pdf = medium.phase.value(dr.dot(ray.d, wo))  # also what it is weighed by against shadow rays, on both sides
-                    mixed = GUIDE_PROBABILITY * self.guide.direction_density(vertex.p, spread, wo) + (1.0 - GUIDE_PROBABILITY) * phase_pdf
-                    throughput = dr.select(medium_scattered, throughput * phase_pdf / dr.maximum(mixed, 1e-30), throughput)
+                wo, phase_pdf, throughput = self.sample_phase(ray.d, vertex.p, throughput, sampler, medium_scattered)
                 direction, prev_pdf = dr.select(medium_scattered, wo, direction), dr.select(medium_scattered, phase_pdf, prev_pdf)
                 prev_without_nee = medium_scattered & mi.Bool(not self.use_nee_medium)
-            prev_p = vertex.p
             ray = vertex.spawn_ray(direction)
             depth += 1
-            largest = dr.max(throughput)
-            survive = dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(largest / (FAINT * scale), 1.0)
-            if dr.hint(control is not None, mode="scalar"):
-                survive *= dr.select(medium_scattered & (scattered > 1), DIFFERENCE_SURVIVES, 1.0)
-            alive &= (largest > 0.0) & (sampler.next_1d(alive) < survive)
+
+            # ==== 12. Roulette
+            survive = self.survival(throughput, scale, depth, scattered, medium_scattered)
+            alive &= (dr.max(throughput) > 0.0) & (sampler.next_1d(alive) < survive)
             alive &= medium_scattered | (bounces < self.method.bounces)
             throughput /= dr.maximum(survive, 1e-8)
 
-            # The pixel's next path where this one has ended.
+            # ==== 13. The lane's next path where this one has ended
             over = active & ~alive
             finite = dr.all(dr.isfinite(path))
             squares += dr.select(over & finite, path * path, black)
@@ -495,14 +419,163 @@ class FogPath:
             ray = dr.select(again, view, ray)
             throughput, scale = dr.select(again, bands.even(view_weight), throughput), dr.select(again, 1.0, scale)
             path = dr.select(over, black, path)
-            depth, scattered, bounces = (
-                dr.select(again, mi.UInt32(0), depth),
-                dr.select(again, mi.UInt32(0), scattered),
-                dr.select(again, mi.UInt32(0), bounces),
-            )
+            depth = dr.select(again, mi.UInt32(0), depth)
+            scattered, bounces = dr.select(again, mi.UInt32(0), scattered), dr.select(again, mi.UInt32(0), bounces)
             prev_p, prev_delta, prev_without_nee = dr.select(again, view.o, prev_p), prev_delta | again, prev_without_nee & ~again
             active = alive | again
         return Moments(tuple(aovs), squares, tuple(sums), lost, seen)
+
+    # The steps of `trace_paths`, by its numbers: traced functions, in which `if` is Python's own.
+
+    def sample_flight(self, ray: Any, u: Any, may_scatter: Any) -> tuple[Any, Any, Any]:
+        """(1) Where the ray is in fog, from and to [m], and where the fog scatters it, infinite where it does not: density in proportion to transmittance."""
+        mi = backend.mitsuba()
+        if not self.foggy:
+            return mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf)
+        near, far = self.medium.intersect(ray.o, ray.d)
+        reach = self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u), near, far)
+        return near, far, dr.select(may_scatter & (reach < far), reach, dr.inf)
+
+    def control_jump(self, ray: Any, flight: Any, end: Any, active: Any, at_eye: Any, surface_hit: Any, may_scatter: Any) -> Any:
+        """(3) The control variate's radiance where a segment enters its domain, less that where it leaves it or meets a surface."""
+        control, black = self.control, self.bands.black()
+        begin_in, end_in = control.intersect(ray.o, ray.d)
+        inside = active & (end_in > begin_in) & (begin_in < dr.minimum(end, flight))
+        leaves = dr.minimum(end, flight) > end_in
+        until = dr.select(leaves, end_in, end)  # a flight ends inside: nothing to add
+        counted = inside & dr.isfinite(until) & (leaves | surface_hit)
+        here = control.radiance(ray(until), ray.d, counted)
+        into = inside & ((begin_in > 0.0) | at_eye)
+        there = control.radiance(ray(begin_in), ray.d, into)
+        dimmed = at_eye | ~may_scatter if self.limited else at_eye  # no flight was drawn that thins the paths
+        dim_there = dr.select(dimmed, transmittance(self.medium.optical_depth(ray.o, ray.d, 0.0, begin_in))[0], 1.0)
+        dim_here = dr.select(dimmed, transmittance(self.medium.optical_depth(ray.o, ray.d, 0.0, until))[0], 1.0)
+        return dr.select(into, there * dim_there, black) - dr.select(counted, here * dim_here, black)
+
+    def split_camera_segment(self, inscattered: bool, tau: Any, throughput: Any, scale: Any, sampler: Any, at_eye: Any) -> tuple[Any, Any]:
+        """(4) Throughput of the side of the camera's segment that is followed, T or 1 - T; a faint one is played for, and its weight is the new scale."""
+        through, opaque = transmittance(tau)
+        share = opaque if inscattered else through
+        chance = dr.minimum(4.0 * share, 1.0)
+        share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
+        return dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
+
+    def sample_froxel(self, nearest: Any, slices: float, ray: Any, near: Any, stop: Any, tau: Any, u: Any, at_eye: Any) -> tuple[Any, Any]:
+        """(4) Whether a path begins in its froxel, unhidden, and the distance [m] at which it does: even in the share of the ray that is scattered."""
+        share = (nearest + u) / slices
+        return at_eye & (share < transmittance(tau)[1]), self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - share), near, stop)
+
+    def sample_camera_segment(self, ray: Any, near: Any, stop: Any, tau: Any, u: Any, throughput: Any, sampler: Any, at_eye: Any) -> tuple[Any, Any, Any]:
+        """(4) Where the fog scatters the camera's segment, which it does for certain: in proportion to transmittance x extinction, or guided to a lamp."""
+        medium, opaque = self.medium, transmittance(tau)[1]
+        some = at_eye & (opaque > 0.0)
+        if self.method.scatterings == 0:
+            some &= False
+        place = medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u * opaque), near, stop)
+        if self.guide.count > 0:
+            sigma = tau / dr.maximum(stop - near, 1e-6)
+            guided = self.guide.distance(ray.o, ray.d, near, stop, sigma, sampler.next_1d(some), sampler.next_1d(some))
+            place = dr.select(sampler.next_1d(some) < GUIDE_PROBABILITY, guided, place)
+            plain = dr.exp(-medium.optical_depth_inside(ray.o, ray.d, near, place)) * medium.extinction(ray(place)) / opaque
+            mixed = GUIDE_PROBABILITY * self.guide.distance_density(ray.o, ray.d, near, stop, sigma, place) + (1.0 - GUIDE_PROBABILITY) * plain
+            throughput = dr.select(some, throughput * plain / dr.maximum(mixed, 1e-30), throughput)
+        return some, place, throughput
+
+    def nee_along(self, ray: Any, near: Any, stop: Any, throughput: Any, sampler: Any, active: Any, known: Any) -> tuple[Any, Any]:
+        """(5) A lamp's light that the fog scatters once into a segment, and the lamp's group."""
+        where, lamp, colour, group = self.lights.along(ray.o, ray.d, near, stop, self.medium, sampler, active, known)
+        free, reach_lamp = self.shadow_transmittance(where, backend.mitsuba().Normal3f(0.0), lamp, active & (dr.max(colour) > 0.0))
+        light = dr.select(free, throughput * self.light(colour, group) * reach_lamp, self.bands.black())
+        if self.bands.coloured:
+            light *= self.bands.scattered() * self.bands.fade(self.medium.optical_depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
+        return light, group
+
+    def emitted(
+        self, si: Any, ended: Any, surface_hit: Any, throughput: Any, prev_p: Any, prev_pdf: Any, prev_delta: Any, prev_without_nee: Any
+    ) -> tuple[Any, Any]:
+        """(7) What the end of a segment sends out itself, by the power heuristic, and its group."""
+        mi, scene = backend.mitsuba(), self.loaded.scene
+        previous = dr.zeros(mi.Interaction3f)
+        previous.p = prev_p
+        light_pdf = mi.Float(0.0)
+        if self.use_nee:
+            light_pdf = scene.pdf_emitter_direction(previous, mi.DirectionSample3f(scene, si, previous), ended & ~prev_delta)
+        weight = dr.select(prev_without_nee & (light_pdf > 0.0), 1.0, dr.select(light_pdf > 0.0, mis_weight(prev_pdf, light_pdf), 0.0))
+        if self.control is not None:  # no shadow ray looks for the sky
+            weight = dr.select(surface_hit, weight, 1.0)
+        weight = dr.select(prev_delta, 1.0, weight)  # a lamp's face counts here only for the eye and for mirrors
+        emitter = si.emitter(scene, ended)
+        group = self.group(emitter, ended)
+        return dr.select(ended, throughput * weight * self.light(emitter.eval(si, ended), group), self.bands.black()), group
+
+    def sample_emitter(self, vertex: Any, smooth: Any, medium_scattered: Any, sampler: Any) -> tuple[Any, Any, Any]:
+        """(9) Whether a light is chosen, its direction, and its radiance over the density of the choice."""
+        mi = backend.mitsuba()
+        lit = smooth | medium_scattered if self.use_nee_medium else mi.Bool(smooth)
+        sent, power = dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0)
+        if self.use_nee:
+            sent, power = self.loaded.scene.sample_emitter_direction(vertex, sampler.next_2d(lit), False, lit)
+            if self.control is not None:
+                lit &= sent.emitter != mi.EmitterPtr(self.loaded.scene.environment())
+        return lit & (sent.pdf > 0.0), sent, power
+
+    def nee_surface(self, si: Any, bsdf: Any, reading: Any, throughput: Any, sampler: Any, smooth: Any) -> tuple[Any, Any]:
+        """(10) A lamp's light on a surface as it is reflected, and the lamp's group."""
+        mi = backend.mitsuba()
+        lamp, colour, group = self.lights.at(si.p, si.n, sampler, smooth, self.known_near(si.p))
+        free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
+        reflected = bsdf.eval(mi.BSDFContext(), si, si.to_local(dr.normalize(lamp - si.p)), free)
+        return dr.select(free, throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp, self.bands.black()), group
+
+    def control_reflected(
+        self,
+        si: Any,
+        bsdf: Any,
+        reading: Any,
+        bounce: Any,
+        place: Any,
+        direction: Any,
+        throughput: Any,
+        onward: Any,
+        surface_hit: Any,
+        smooth: Any,
+        next_delta: Any,
+    ) -> Any:
+        """(11) The control variate's light that a surface reflects: a matte part of it in closed form, the rest along the direction that is taken."""
+        control, black = self.control, self.bands.black()
+        known = surface_hit & control.holds(place)
+        matte, normal = self.matte(si, bsdf, reading, known & smooth)
+        irradiance = throughput * matte * control.irradiance(place, normal, known) * dr.inv_pi
+        cosine = dr.dot(direction, normal)
+        expected = dr.select(next_delta | (cosine <= 0.0), 0.0, cosine * dr.inv_pi / dr.maximum(bounce.pdf, 1e-20))
+        rest = onward - throughput * matte * expected
+        light = irradiance + rest * control.radiance(place, direction, known)
+        return dr.select(known & (bounce.pdf > 0.0), light, dr.select(known, irradiance, black))
+
+    def sample_phase(self, forward: Any, place: Any, throughput: Any, sampler: Any, medium_scattered: Any) -> tuple[Any, Any, Any]:
+        """(11) A direction after a scattering, from the phase function or guided to a lamp, and the phase function's density of it [1/sr]."""
+        medium = self.medium
+        wo, phase_pdf = medium.phase.sample(forward, sampler.next_2d(medium_scattered))
+        if self.guide.count > 0:
+            sigma = medium.media[0].sigma_t
+            guided = self.guide.direction(place, sigma, sampler.next_1d(medium_scattered), sampler.next_2d(medium_scattered))
+            wo = dr.select(sampler.next_1d(medium_scattered) < GUIDE_PROBABILITY, guided, wo)
+            phase_pdf = medium.phase.value(dr.dot(forward, wo))  # also what it is weighed by against shadow rays, on both sides
+            mixed = GUIDE_PROBABILITY * self.guide.direction_density(place, sigma, wo) + (1.0 - GUIDE_PROBABILITY) * phase_pdf
+            throughput = dr.select(medium_scattered, throughput * phase_pdf / dr.maximum(mixed, 1e-30), throughput)
+        return wo, phase_pdf, throughput
+
+    def survival(self, throughput: Any, scale: Any, depth: Any, scattered: Any, medium_scattered: Any) -> Any:
+        """(12) Chance of a path to go on: rr_prob after RR_DEPTH vertices, less where it carries little or only a difference."""
+        survive = dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(dr.max(throughput) / (FAINT * scale), 1.0)
+        if self.control is not None:
+            survive *= dr.select(medium_scattered & (scattered > 1), DIFFERENCE_SURVIVES, 1.0)
+        return survive
+
+    def froxel_size(self, cells: FroxelGrid) -> tuple[float, float]:
+        """Width and height of a froxel in pixels."""
+        camera = self.loaded.source.camera
+        return camera.width_px / cells.columns, camera.height_px / cells.rows
 
     def add_light(self, path: Any, aovs: list[Any], sums: list[Any], light: Any, scattered: Any, group: Any) -> Any:
         """Add light to the path, its AOV and its group; light that is not finite is left out of both and spoils the path's square, which counts it."""
@@ -531,7 +604,7 @@ class FogPath:
             return mi.UInt32(0)
         return dr.gather(mi.UInt32, self.group_of_emitter, dr.reinterpret_array(mi.UInt32, emitter), active)
 
-    def matte(self, context: Any, si: Any, bsdf: Any, reading: Any, active: Any) -> tuple[Any, Any]:
+    def matte(self, si: Any, bsdf: Any, reading: Any, active: Any) -> tuple[Any, Any]:
         """A diffuse reflectance that stands for a BSDF in the slab's light, and the normal of the side that is seen.
 
         Any value leaves the mean as it is, if the BSDF's own sampling covers the
@@ -541,7 +614,7 @@ class FogPath:
         facing = dr.select(si.wi.z < 0.0, -1.0, 1.0)
         flat = dr.maximum(dr.hypot(si.wi.x, si.wi.y), 1e-6)
         back = mi.Vector3f(si.wi.x / flat * 0.8660254, si.wi.y / flat * 0.8660254, 0.5 * facing)
-        value, pdf = bsdf.eval_pdf(context, si, back, active)
+        value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, back, active)
         fits = active & (pdf > 0.1 * dr.inv_pi)  # a fifth of the cosine's density at 60 degrees
         return self.bands.reflectance(dr.select(fits, dr.minimum(value * (2.0 * dr.pi), 1.0), 0.0), reading), mi.Vector3f(si.sh_frame.n) * facing
 
