@@ -186,7 +186,7 @@ class NodeGraph:
         return found
 
     def without(self, names: Iterable[str]) -> NodeGraph:
-        """The graph with some nodes taken out; their readers read what they read.
+        """The graph without some nodes: a node that read one of them reads its input instead.
 
         Raises:
             GraphError: no such node, one that changes what its image is, reads

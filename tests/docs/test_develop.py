@@ -1,0 +1,33 @@
+"""The developer's page: its example runs, and the files that it names exist."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from synfog_usd import camera
+from synfog_usd.graph import Registry
+from synfog_usd.image import Image, Quantity
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs/develop.md").read_text(encoding="utf-8")
+
+
+def test_the_example_of_an_op_runs():
+    """A filter of density 1 lets a tenth through; the op's page knows its range."""
+    (block,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    registry = Registry(camera.OPS)
+    names: dict[str, object] = {"OPS": registry}  # a registry of its own
+    exec(compile(block.replace("from synfog_usd.camera.registry import OPS\n", ""), "develop.md", "exec", dont_inherit=True), names)
+    grey = Image(np.full((2, 3, 3), 5.0, dtype=np.float32), ("R", "G", "B"), Quantity.RADIANCE)
+    np.testing.assert_allclose(names["grey_filter"](grey, density=1.0).pixels, 0.5, rtol=1e-6)
+    assert str(registry.ops["optics.filter"].parameters["density"]) == "a number from 0 to 6"
+
+
+def test_the_files_that_it_names_exist():
+    named = re.findall(r"\]\(([\w/]+\.md)\)|`((?:docs|pipeline|tests|stages|camera|render|study|cli|graph)/[\w/.]*)`", PAGE)
+    places = [Path("docs") / link if link else Path(path) for link, path in named]
+    missing = [str(place) for place in places if not ((ROOT / place).exists() or (ROOT / "synfog_usd" / place).exists())]
+    assert len(places) > 10 and not missing
