@@ -162,14 +162,19 @@ def read_mesh(
         if not len(fine.triangles):
             notes.warn(prim.GetPath(), "subdivision surface of which no face is drawn (interpolateBoundary 'none', or holes) is left out")
         return fine if len(fine.triangles) else None
-    faces = None
+    faces, crossed = None, indices[:0]
     if keep is None and len(indices) <= SMALL:
         if fan.triangles is not None and fan.face_of is not None and (fan.quads is None or arrays.easy):
             triangles, face_of, faces = fan.triangles, fan.face_of, fan.faces
         else:
-            triangles, face_of = triangulate_small(points.tobytes(), counts.tobytes(), indices.tobytes())
+            triangles, face_of, crossed = triangulate_small(points.tobytes(), counts.tobytes(), indices.tobytes())
     else:
-        triangles, face_of = triangulate(points, counts, np.cumsum(counts) - counts, indices, np.ones(len(counts), dtype=bool) if keep is None else keep)
+        taken = np.ones(len(counts), dtype=bool) if keep is None else keep
+        triangles, face_of, crossed = triangulate(points, counts, np.cumsum(counts) - counts, indices, taken)
+    if len(crossed):
+        notes.warn(
+            prim.GetPath(), f"{len(crossed)} of its faces, number {crossed[0]} first, have edges that cross; what they cover is a guess: cut them in two"
+        )
     if not len(triangles):
         notes.warn(prim.GetPath(), "mesh without a face of three or more corners is left out")
         return None

@@ -9,6 +9,7 @@ import functools
 from dataclasses import dataclass
 from typing import Any
 
+import mapbox_earcut
 import numpy as np
 import numpy.typing as npt
 
@@ -16,8 +17,8 @@ from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate.geometry import cross
 
 
-def triangulate(points: Array, counts: Indices, starts: Indices, indices: Indices, keep: npt.NDArray[np.bool_]) -> tuple[Indices, Indices]:
-    """Triangles of simple polygons, also concave ones.
+def triangulate(points: Array, counts: Indices, starts: Indices, indices: Indices, keep: npt.NDArray[np.bool_]) -> tuple[Indices, Indices, Indices]:
+    """Triangles of polygons, also concave ones.
 
     Args:
         points: (N, 3).
@@ -26,9 +27,11 @@ def triangulate(points: Array, counts: Indices, starts: Indices, indices: Indice
         keep: (F,) faces to take.
 
     Returns:
-        (M, 3) corner numbers in the order of the faces, and (M,) the face of each.
+        (M, 3) corner numbers in the order of the faces, (M,) the face of each, and the faces whose edges
+        cross each other, so that no triangles have just their area.
     """
     found: list[tuple[Indices, Indices]] = []
+    tangled: list[Indices] = []
     sizes = [int(counts[0])] if counts.min() == counts.max() else np.unique(counts[keep])
     for n in sizes:
         if n < 3:
@@ -41,27 +44,31 @@ def triangulate(points: Array, counts: Indices, starts: Indices, indices: Indice
         if n == 4 and are_easy(points[indices[corners]]).all():
             found.append((corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), np.repeat(faces, 2)))
             continue
-        reflex = _turning(points[indices[corners]]) < 0.0
+        polygons = points[indices[corners]]
+        reflex = _turning(polygons) < 0.0
         fan, easy, hard = corners, faces, faces[:0]
-        if reflex.any():
-            concave = reflex.any(axis=1)
-            if n == 4:  # its one reflex corner sees both others
-                order = (np.arange(n) + np.where(concave, reflex.argmax(axis=1), 0)[:, None]) % n
-                fan = np.take_along_axis(corners, order, axis=1)
-            else:
-                fan, easy, hard = corners[~concave], faces[~concave], np.flatnonzero(concave)
+        if n == 4:  # its one reflex corner sees both others
+            order = (np.arange(n) + np.where(reflex.any(axis=1), reflex.argmax(axis=1), 0)[:, None]) % n
+            fan = np.take_along_axis(corners, order, axis=1)
+            tangled.append(faces[(reflex.sum(axis=1) > 1) | _balanced(polygons)])
+        else:
+            concave = reflex.any(axis=1) | ~_winds_once(polygons) | _balanced(polygons)
+            fan, easy, hard = corners[~concave], faces[~concave], np.flatnonzero(concave)
         fans = np.stack([np.repeat(fan[:, :1], n - 2, axis=1), fan[:, 1:-1], fan[:, 2:]], axis=-1).reshape(-1, 3)
         found.append((fans, np.repeat(easy, n - 2)))
         for number in hard:
-            ears = corners[number][_ears(points[indices[corners[number]]])]
-            found.append((ears, np.full(len(ears), faces[number])))
+            ears, whole = _ears(polygons[number])
+            found.append((corners[number][ears], np.full(len(ears), faces[number])))
+            if not whole:
+                tangled.append(faces[[number]])
+    crossed = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *tangled]))
     if not found:
-        return np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.int64)
+        return np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.int64), crossed
     if len(found) == 1:
-        return found[0]
+        return *found[0], crossed
     triangles, face_of = np.concatenate([t for t, _ in found]), np.concatenate([f for _, f in found])
     order = np.argsort(face_of, kind="stable")
-    return triangles[order], face_of[order]
+    return triangles[order], face_of[order], crossed
 
 
 SMALL = 512
@@ -116,7 +123,7 @@ def _remembered(count_bytes: bytes, index_bytes: bytes) -> Topology:
 
 
 @functools.lru_cache(maxsize=1024)
-def triangulate_small(points: bytes, counts: bytes, indices: bytes) -> tuple[Indices, Indices]:
+def triangulate_small(points: bytes, counts: bytes, indices: bytes) -> tuple[Indices, Indices, Indices]:
     """`triangulate` of all faces of a mesh, given by the bytes of its arrays."""
     numbers = np.frombuffer(counts, dtype=np.int64)
     keep = np.ones(len(numbers), dtype=bool)
@@ -144,34 +151,43 @@ def _turning(polygons: Array) -> Array:
     return np.where(np.abs(turn) <= limit[:, None], 0.0, turn)
 
 
-def _ears(polygon: Array) -> Indices:
-    """Ear clipping of one simple polygon (n, 3); (n - 2, 3) corner numbers."""
+def _winds_once(polygons: Array) -> npt.NDArray[np.bool_]:
+    """(F,) whether the fan of each polygon (F, n, 3) from its first corner turns one way only; that of a pentagram does not."""
+    arms = polygons - polygons[:, :1]
+    turn = cross(arms[:, 1:-1], arms[:, 2:])
+    normal = turn.sum(axis=1)
+    side = np.einsum("fni,fi->fn", turn, normal)
+    return np.asarray((side >= -1e-9 * np.einsum("fi,fi->f", normal, normal)[:, None]).all(axis=1))
+
+
+def _balanced(polygons: Array) -> npt.NDArray[np.bool_]:
+    """(F,) whether the parts of each polygon turn both ways by as much, as in an even bow tie."""
+    arms = polygons - polygons[:, :1]
+    turn = cross(arms[:, 1:-1], arms[:, 2:])
+    return np.asarray(np.linalg.norm(turn.sum(axis=1), axis=1) < 1e-9 * np.linalg.norm(turn, axis=2).max(axis=1))
+
+
+def _ears(polygon: Array) -> tuple[Indices, bool]:
+    """Ear clipping of one polygon (n, 3): (M, 3) corner numbers that turn its way, and whether they have just its area.
+
+    Source: mapbox earcut, which looks for what lies in an ear along a z-order curve.
+    """
     arms = polygon - polygon[0]
     normal = cross(arms[1:-1], arms[2:]).sum(axis=0)
     axis = int(np.argmax(np.abs(normal)))
-    flat = np.delete(polygon, axis, axis=1)
-    if (normal[axis] < 0) != (axis == 1):
-        flat = flat * [-1.0, 1.0]
-    left, triangles = list(range(len(flat))), []
-    while len(left) > 3:
-        best, best_quality = None, -np.inf
-        for place, middle in enumerate(left):
-            before, after = left[place - 1], left[(place + 1) % len(left)]
-            a, b, c = flat[before], flat[middle], flat[after]
-            area = _cross2(b - a, c - b)
-            if area <= 0.0:
-                continue
-            others = flat[[k for k in left if k not in (before, middle, after)]]
-            inside = (_cross2(b - a, others - a) >= 0) & (_cross2(c - b, others - b) >= 0) & (_cross2(a - c, others - c) >= 0)
-            same = (np.abs(others[:, None] - np.array([a, b, c])[None]).max(axis=2) == 0).any(axis=1)
-            if not (inside & ~same).any():
-                quality = area / max(np.sum((b - a) ** 2), np.sum((c - b) ** 2), np.sum((a - c) ** 2))
-                if quality > best_quality:
-                    best, best_quality = place, quality
-        place = best if best is not None else 0  # no ear: the polygon cuts itself or has no area
-        triangles.append((left[place - 1], left[place], left[(place + 1) % len(left)]))
-        del left[place]
-    return np.array([*triangles, tuple(left)], dtype=np.int64)
+    flat = np.delete(arms, axis, axis=1)
+    flip = (normal[axis] < 0) != (axis == 1)
+    # Powers of two, so exact: edges as long across as along, or the curve finds nothing apart on a fine comb.
+    steps = np.abs(np.roll(flat, -1, axis=0) - flat).mean(axis=0)
+    wide = flat * np.exp2(-np.round(np.log2(np.where(steps > 0.0, steps, 1.0))))
+    ears = mapbox_earcut.triangulate_float64(np.ascontiguousarray(wide), np.array([len(wide)], dtype=np.uint32)).astype(np.int64).reshape(-1, 3)
+    a, b, c = (flat[ears[:, k]] for k in range(3))
+    areas = _cross2(b - a, c - a)
+    if (areas.sum() < 0.0) != flip:
+        ears = ears[:, ::-1]
+    own = abs(_cross2(flat, np.roll(flat, -1, axis=0)).sum())
+    rounding = 1e-15 * len(flat) * np.abs(flat).max() ** 2
+    return ears, bool(abs(np.abs(areas).sum() - own) <= 1e-9 * own + rounding)
 
 
 def _cross2(u: Array, v: Array) -> Any:

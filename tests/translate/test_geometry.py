@@ -44,8 +44,8 @@ def test_triangles_cover_a_polygon_once(n, inner):
     for _ in range(5):
         flat = star(n, inner, rng)
         points, normal = tilted(flat, rng)
-        triangles, face_of = triangulate(points, np.array([n]), ONE, np.arange(n), np.array([True]))
-        assert len(triangles) == n - 2 and not face_of.any()
+        triangles, face_of, crossed = triangulate(points, np.array([n]), ONE, np.arange(n), np.array([True]))
+        assert len(triangles) == n - 2 and not face_of.any() and not len(crossed)
         signed = area_vectors(points, triangles) @ normal
         assert (signed > -1e-12).all()
         np.testing.assert_allclose(signed.sum(), shoelace(flat), rtol=1e-12)
@@ -70,10 +70,66 @@ def test_a_polygon_with_a_bridged_hole_keeps_its_area():
     """A 4 x 4 square with a 2 x 2 hole, joined by a bridge of no width, covers 12."""
     flat = [(0, 0), (4, 0), (4, 4), (0, 4), (0, 0), (1, 1), (1, 3), (3, 3), (3, 1), (1, 1)]
     points = np.c_[np.array(flat, dtype=float), np.zeros(10)]
-    triangles, _ = triangulate(points, np.array([10]), ONE, np.arange(10), np.array([True]))
+    triangles, _, crossed = triangulate(points, np.array([10]), ONE, np.arange(10), np.array([True]))
     signed = area_vectors(points, triangles)[:, 2]
-    assert (signed > -1e-12).all()
+    assert (signed > -1e-12).all() and not len(crossed)
     np.testing.assert_allclose(signed.sum(), 12.0)
+
+
+def spiral(n):
+    """A band that goes twenty times around."""
+    turn = np.linspace(0.5, 40 * np.pi, n // 2)
+    return np.concatenate([radius[:, None] * np.c_[np.cos(turn), np.sin(turn)] for radius in (turn + 2, turn)])[np.r_[: n // 2, n - 1 : n // 2 - 1 : -1]]
+
+
+def comb(n):
+    """A spine with n / 4 teeth."""
+    left = np.arange(n // 4, dtype=float)
+    teeth = np.stack([np.c_[left + x, np.full_like(left, y)] for x, y in [(0, 0.1), (0, 1), (0.5, 1), (0.5, 0.1)]], axis=1).reshape(-1, 2)
+    return np.r_[[(-1.0, 0.0), (n // 4 + 1.0, 0.0)], teeth[::-1]]
+
+
+def zigzag(n):
+    """A thin band up and down, n / 2 times over 1 m."""
+    along, high = np.linspace(0, 1, n // 2), np.arange(n // 2) % 2
+    return np.r_[np.c_[along, high - 0.001], np.c_[along, high + 0.001][::-1]]
+
+
+def dented_square(n):
+    """A square with n / 4 corners along each side, one corner of a dent, and each corner twice."""
+    side = np.linspace(0, 1, n // 8, endpoint=False)
+    zero, one = np.zeros_like(side), np.ones_like(side)
+    return np.repeat(np.r_[np.c_[side, zero], np.c_[one, side], np.c_[1 - side, one], np.c_[zero, 1 - side], [(0.25, 0.5)]], 2, axis=0)
+
+
+@pytest.mark.parametrize("shape", [spiral, comb, zigzag, dented_square])
+def test_long_outlines_are_covered_once(shape):
+    """An outline of 10 000 corners that no fan covers; cutting ears one by one took the cube of their number, which was hours."""
+    flat = shape(10_000)
+    points, normal = tilted(flat, np.random.default_rng(1))
+    triangles, _, crossed = triangulate(points, np.array([len(flat)]), ONE, np.arange(len(flat)), np.array([True]))
+    signed = area_vectors(points, triangles) @ normal
+    size = np.ptp(flat, axis=0).prod()
+    assert not len(crossed) and abs(signed.sum()) == pytest.approx(shoelace(flat), abs=1e-9 * size) == pytest.approx(np.abs(signed).sum(), abs=1e-9 * size)
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), [[0, 1, 0], [0, 0, 1], [1, 0, 0]], [[0, 1, 0], [1, 0, 0], [0, 0, 1]], [[0, 0, 1], [0, 1, 0], [1, 0, 0]]])
+def test_triangles_turn_the_polygons_way_from_every_side(turn):
+    """An L in each coordinate plane and from either side: its triangles' normals are its own, by Newell's sum."""
+    points = np.array([(0, 0, 0), (3, 0, 0), (3, 1, 0), (1, 1, 0), (1, 2, 0), (0, 2, 0)], dtype=float) @ np.transpose(turn)
+    triangles, _, _ = triangulate(points, np.array([6]), ONE, np.arange(6), np.array([True]))
+    newell = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0) / 2
+    np.testing.assert_allclose(area_vectors(points, triangles).sum(axis=0), newell, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [[0, 1, 3, 2], [0, 2, 4, 1, 3], [0, 3, 1, 4, 2, 5]])
+def test_outlines_that_cross_themselves_are_told(empty, polygon_mesh, order):
+    """A bow tie, a pentagram and a tangled hexagon: drawn as well as they can be, and noted with the number of the face."""
+    n = len(order)
+    angle = 2 * np.pi * np.array(order) / n + 0.3
+    stage = empty()
+    polygon_mesh(stage, "/Bow", [(float(np.cos(a)), 5.0, float(np.sin(a))) for a in angle], [n], list(range(n)))
+    assert "1 of its faces, number 0 first, have edges that cross" in " ".join(note.text for note in translate(stage).notes)
 
 
 def test_hole_indices_leave_faces_out(empty, polygon_mesh, only_shape):
