@@ -34,7 +34,7 @@ def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], lis
     Raises:
         StageError: the stage cannot be opened at all.
     """
-    opened = usd.open_stage(stage, allow=allow, allow_errors=True)
+    opened = usd.open_stage(stage, allow=allow)
     notes: dict[Note, None] = {}
     found = dict.fromkeys(_placed(opened, usd.check(opened)))
     in_fog: list[set[Finding]] = []  # what is found where there is fog, by variant

@@ -393,7 +393,7 @@ def asset_import(
 
     with worker.reading_limits():
         if file.suffix.lower() in LAYERS:
-            open_stage(file)  # counted, and with no file from elsewhere, before the importer unfolds it
+            open_stage(file, whole=True)  # counted, and with no file from elsewhere, before the importer unfolds it
         made = import_asset(file, label, out=out, name=name, length_m=length, unit=unit, up=up, front=front)
     model, (full, low) = made.model, made.triangles
     if as_json:

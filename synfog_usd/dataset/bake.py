@@ -130,7 +130,8 @@ def bake(
             seconds[shot.folder] = time.perf_counter() - began
             for line in (*told, *row["warnings"]):
                 log(f"{shot.folder}: {line}")
-        ledger.finish(todo, contact.write(plan.out, todo, ledger.rows))
+        missing = [f"{note.path}: {note.text}" for note in notes if usd.MISSING in note.text]
+        ledger.finish(todo, contact.write(plan.out, todo, ledger.rows, told=missing))
     progress("done", 1.0)
     return Baked(ledger.manifest(todo), seconds, kept, notes)
 

@@ -1,10 +1,23 @@
 """USD stages: the fog schema, opening, choosing variants, checking.  Writes to no input layer."""
 
-from synfog_usd.stage.open import authored_path, cameras, composition_notes, dependencies, open_stage, select, stage_hash, variants
+from synfog_usd.stage.open import MISSING, authored_path, cameras, composition_notes, dependencies, open_stage, select, stage_hash, variants
 from synfog_usd.stage.rulebook import Finding
 from synfog_usd.stage.schema import register
 from synfog_usd.stage.validate import check
 
 register()
 
-__all__ = ["Finding", "authored_path", "cameras", "check", "composition_notes", "dependencies", "open_stage", "register", "select", "stage_hash", "variants"]
+__all__ = [
+    "MISSING",
+    "Finding",
+    "authored_path",
+    "cameras",
+    "check",
+    "composition_notes",
+    "dependencies",
+    "open_stage",
+    "register",
+    "select",
+    "stage_hash",
+    "variants",
+]

@@ -33,20 +33,21 @@ _FOLDERS = "synfogFolders"
 _UNREADABLE = ".mtlx"
 
 
-def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), allow_errors: bool = False) -> Usd.Stage:
+def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: bool = False) -> Usd.Stage:
     """Open a USD file with all payloads.
 
     What it would unfold to is counted first, and no file is read that lies neither
-    below the stage's folder nor below an allowed one.
+    below the stage's folder nor below an allowed one.  What is missing, and what does
+    not compose, is left out; `composition_notes` tells it.
 
     Args:
         path: a .usd, .usda, .usdc or .usdz file.
         allow: further folders in which its layers, textures and volumes may lie.
-        allow_errors: leave broken references to `composition_notes`.
+        whole: refuse a stage of which anything does not compose.
 
     Raises:
         StageError: missing, not USD, beyond a budget of `synfog_usd.stage.budget`,
-            with a file outside of the folders, or with references that do not compose.
+            with a file outside of the folders, or not `whole`.
     """
     path = Path(path)
     if not path.is_file():
@@ -66,8 +67,7 @@ def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), allow_erro
     check_size(stage)
     _check_files(stage, fence)
     _check_expressions(stage, fence)
-    broken = [note for note in composition_notes(stage) if note.severity == "warning" and not note.text.endswith(MATERIALX)]
-    if broken and not allow_errors:
+    if whole and (broken := [note for note in composition_notes(stage) if MATERIALX not in note.text]):
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
         raise StageError(f"{path}: {broken[0].path}: {broken[0].text}{more}; put the missing file in its place or remove the reference")
     return stage
@@ -189,20 +189,26 @@ def _named_in(file: str, layers: Iterable[Sdf.Layer]) -> str:
 
 MATERIALX = "MaterialX files are not read, so its materials are missing"
 
+MISSING = "is missing; drawn without it"
+"""How a note about a reference, payload or sublayer ends whose file is not there."""
+
 
 def composition_notes(stage: Usd.Stage) -> list[Note]:
-    """What USD could not put together, and asset files that are missing."""
+    """What USD could not put together, layers that are missing first; files as they lie relative to the stage's own."""
     notes = []
+    folder = str(Path(_name(stage)).parent)
     for error in stage.GetCompositionErrors():
         site = str(error.rootSite)
         path = site[site.rfind("<") + 1 : -1] if site.endswith(">") else ""
         text = re.sub(r",@anon:[^@]*@", "", " ".join(str(error).split()))  # the session layer's name differs each time
-        asset = re.match(r"Could not open asset @([^@]+)@", text)
+        text = text.replace(f"@{folder}/", "@./")
+        asset = re.match(r"Could not (?:open asset|load sublayer) @([^@]+)@ (?:for (\w+)|of layer)", text)
         if asset and asset[1].endswith(_UNREADABLE):
-            notes.append(Note("warning", path, f"refers to {asset[1]}; {MATERIALX}"))
-        else:
-            notes.append(Note("warning", path, text))
-    return notes
+            text = f"refers to {asset[1]}; {MATERIALX}"
+        elif asset:
+            text = f"its {asset[2] or 'sublayer'} {asset[1]} {MISSING}"
+        notes.append(Note("warning", path, text))
+    return sorted(notes, key=lambda note: MISSING not in note.text)
 
 
 def authored_path(stage: Usd.Stage, path: str) -> str:

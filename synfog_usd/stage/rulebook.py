@@ -73,8 +73,8 @@ RULES: Mapping[str, Rule] = MappingProxyType(
         for rule in (
             _rule(
                 "composition",
-                "error",
-                "A reference, payload or sublayer that USD cannot put in place.",
+                "warning",
+                "A reference, payload or sublayer that USD cannot put in place; it is drawn without it.",
                 "export again with all linked files beside the USD file",
                 "check the file paths of Reference and Sublayer LOPs",
                 "File > Collect Asset copies all files into one folder",

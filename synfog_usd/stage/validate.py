@@ -7,11 +7,12 @@ validators, then the rules of `synfog_usd.stage.rules`.
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 from pxr import Usd, UsdUtils, UsdValidation
 
 from synfog_usd.stage import rules
-from synfog_usd.stage.open import MATERIALX, check_size, composition_notes, plain_errors, who_names
+from synfog_usd.stage.open import check_size, composition_notes, plain_errors, who_names
 from synfog_usd.stage.rulebook import Finding, finding
 
 _PREFIX = "usd: "
@@ -38,12 +39,8 @@ def check(stage: Usd.Stage) -> list[Finding]:
 
 
 def _composition(stage: Usd.Stage) -> list[Finding]:
-    """References that do not compose; MaterialX files, which the library cannot read, stop nothing."""
-    found = []
-    for note in composition_notes(stage):
-        one = finding("composition", note.path, note.text)
-        found.append(Finding("warning", note.path, note.text, one.rule, one.mend) if note.text.endswith(MATERIALX) else one)
-    return found
+    """References, payloads and sublayers that do not compose."""
+    return [finding("composition", note.path, note.text) for note in composition_notes(stage)]
 
 
 def _usd_findings(stage: Usd.Stage) -> list[Finding]:
@@ -55,7 +52,7 @@ def _usd_findings(stage: Usd.Stage) -> list[Finding]:
     broken = " ".join(note.text for note in composition_notes(stage))
     for error in errors:
         if error.GetName() == "UnresolvableDependency" and (missing := re.search(r"'(.*)'", error.GetMessage())):
-            if missing[1] not in broken:  # else it is told there
+            if Path(missing[1]).name not in broken:  # else it is told there
                 findings.append(Finding("warning", who_names(stage, missing[1]), f"{_PREFIX}{missing[1]} is not there; {_MISSING}", f"usd:{error.GetName()}"))
             continue
         if error.GetName() in _TOLD_ALREADY:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from synfog_usd.errors import StageError, did_you_mean
 from synfog_usd.scene import PARALLEL_DEG, Camera
-from synfog_usd.stage.open import cameras
+from synfog_usd.stage.open import MISSING, cameras, composition_notes
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.space import Space, columns
 
@@ -154,7 +154,9 @@ def _chosen(stage: Usd.Stage, settings: UsdRender.Settings, path: str | None, no
                 return stage.GetPrimAtPath(target)
             notes.warn(settings.GetPath(), f"names the camera {target}, which does not exist")
     if not known:
-        raise StageError(f"{stage.GetRootLayer().identifier}: the stage has no camera; add a Camera prim, or sublayer the stage under one that has one")
+        missing = "".join(f"; {note.path}: {note.text.removesuffix('; drawn without it')}" for note in composition_notes(stage)[:1] if MISSING in note.text)
+        advice = "put that file in its place" if missing else "add a Camera prim, or sublayer the stage under one that has one"
+        raise StageError(f"{stage.GetRootLayer().identifier}: the stage has no camera{missing}; {advice}")
     if len(known) > 1:
         notes.info(known[0], f"the first of {len(known)} cameras is used; name another with --camera")
     return stage.GetPrimAtPath(known[0])

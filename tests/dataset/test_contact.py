@@ -102,3 +102,17 @@ def test_the_same_pictures_give_the_same_bytes(tmp_path):
     for name in ("a", "b"):
         sheet_of(tmp_path / name)
     assert (tmp_path / "a" / "contact.png").read_bytes() == (tmp_path / "b" / "contact.png").read_bytes()
+
+
+def test_what_is_missing_stands_over_the_pictures(tmp_path):
+    """One line each for six, the number of the rest, no line wider than the sheet; the pictures follow below as they were."""
+    plain = sheet_of(tmp_path)
+    told = [f"/World/Prop{n}: its reference ./{'far/' * (40 * n)}gone{n}.usda is missing" for n in range(9)]
+    rows = {shot.folder: row(shot) for shot in PLAN}
+    contact.write(tmp_path, PLAN, rows, told=told)
+    with Image.open(tmp_path / "contact.png") as picture:
+        sheet = np.array(picture)
+    band = 26 * 7
+    assert (sheet[band:] == plain).all()
+    inked = (sheet[:band] != contact.BACKGROUND).any(axis=2)
+    assert not inked[:, -4:].any() and all(inked[26 * line : 26 * (line + 1)].sum() > 200 for line in range(7))

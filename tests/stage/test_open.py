@@ -8,6 +8,7 @@ from pxr import Usd, UsdGeom
 
 from synfog_usd.errors import StageError
 from synfog_usd.stage import cameras, composition_notes, dependencies, open_stage, select, stage_hash, variants
+from synfog_usd.translate import translate
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "usd"
 
@@ -125,9 +126,6 @@ def test_textures_belong_to_the_stage(street):
     ("broken.usdc", "hello", "cannot be read as USD"),
     ("broken.usdz", "hello", "cannot be read as USD"),
     ("empty.usda", "", "cannot be read as USD"),
-    ("refers.usda", '#usda 1.0\ndef "A" (references = @./gone.usda@</A>) { }\n', "/A: .*gone.usda.*remove the reference"),
-    ("cycle.usda", '#usda 1.0\ndef "A" (references = </A>) { }\n', "/A: Cycle"),
-    ("target.usda", '#usda 1.0\ndef "A" (references = </B>) { }\n', "/A: Unresolved"),
 ])  # fmt: skip
 def test_what_cannot_be_opened_says_why_in_one_line(tmp_path, name, text, message):
     path = tmp_path / name
@@ -136,6 +134,37 @@ def test_what_cannot_be_opened_says_why_in_one_line(tmp_path, name, text, messag
     with pytest.raises(StageError, match=message) as caught:
         open_stage(path)
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+
+
+WITHOUT = '#usda 1.0\n(\n    subLayers = [@./light.usda@]\n)\ndef Camera "Ego" { }\ndef Cube "Wall" { }\n'
+
+
+@pytest.mark.parametrize("text, path, told", [
+    ('def "A" (references = @./props/gone.usda@</A>) { }', "/A", "its reference ./props/gone.usda is missing; drawn without it"),
+    ('def "A" (payload = @./gone.usdc@) { }', "/A", "its payload ./gone.usdc is missing; drawn without it"),
+    ("", "/", "its sublayer ./light.usda is missing; drawn without it"),
+    ('def "A" (references = </A>) { }', "/A", "Cycle detected"),
+    ('def "A" (references = </B>) { }', "/A", "Unresolved"),
+])  # fmt: skip
+def test_a_stage_is_drawn_without_what_is_missing(tmp_path, text, path, told):
+    """The rest is drawn, each missing file is told with the prim that wanted it, and `whole` refuses."""
+    if text:
+        (tmp_path / "light.usda").write_text("#usda 1.0\n")
+    (tmp_path / "a.usda").write_text(WITHOUT + text)
+    stage = open_stage(tmp_path / "a.usda")
+    (note,) = composition_notes(stage)
+    assert (note.severity, note.path) == ("warning", path) and note.text.startswith(told)
+    scene = translate(stage)
+    assert note in scene.notes and any(key.startswith("shape_") for key in scene.world)
+    with pytest.raises(StageError, match="put the missing file in its place") as caught:
+        open_stage(tmp_path / "a.usda", whole=True)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_camera_in_a_missing_sublayer_is_refused_by_that_layers_name(tmp_path):
+    (tmp_path / "a.usda").write_text('#usda 1.0\n(\n    subLayers = [@./shot.usda@]\n)\ndef Cube "Wall" { }\n')
+    with pytest.raises(StageError, match=r"no camera; /: its sublayer ./shot.usda is missing; put that file in its place"):
+        translate(open_stage(tmp_path / "a.usda"))
 
 
 def test_materialx_references_are_noted_but_open(tmp_path):
