@@ -43,14 +43,14 @@ class Fence:
             if not folder.is_dir():
                 raise StageError(f"--allow {folder}: no such folder")
         shipped = [resources.folder("assets"), resources.folder("stages")]
-        return cls(tuple(dict.fromkeys(Path(folder).resolve() for folder in [stage.parent, *allowed, *shipped])))
+        return cls(tuple(dict.fromkeys(Path(os.path.realpath(folder)) for folder in [stage.parent, *allowed, *shipped])))
 
     def fault(self, file: str | Path) -> str | None:
         """Why a file is refused, with the way out; None where it lies inside."""
         path = Path(file)
         if not self.folders:
             return f"{path} belongs to a stage that has no file, and so no folder; save the stage"
-        real = path.resolve()
+        real = Path(os.path.realpath(path))  # where resolve() fails on a link to itself, which is a file that is not there
         if not any(real.is_relative_to(folder) for folder in self.folders):
             link = f" (a link to {real})" if real != Path(os.path.abspath(path)) else ""  # noqa: PTH100 - without following links
             return f"{path}{link} lies outside of the stage's folder {self.folders[0]}; copy it there, or allow its folder with --allow {self._shared(real)}"

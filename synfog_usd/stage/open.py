@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import os
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -50,6 +51,8 @@ def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: boo
             with a file outside of the folders, or not `whole`.
     """
     path = Path(path)
+    if any(sign < " " or sign == "\x7f" for sign in os.fspath(path)):
+        raise StageError(f"{os.fspath(path)!r}: USD opens no file whose path has a line break or another control character; rename it")
     if not path.is_file():
         raise StageError(f"{path}: no such file; give a .usd, .usda, .usdc or .usdz file")
     if path.suffix.lower() not in LAYERS:

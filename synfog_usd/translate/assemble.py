@@ -259,6 +259,9 @@ class _Assembler:
         lamp = light.lamp(leaf.prim, kind, matrix, self.time, self.notes, self.images, metres_per_unit=self.space.metres_per_unit, convention=convention)
         if lamp is None:
             return
+        for name in ("radiance", "irradiance", "intensity"):
+            if name in lamp.emitter:
+                light.refuse_blinding(leaf.path, np.asarray(lamp.emitter[name].get("value", 0.0)))
         self.lamps.append(lamp)
         group = SKY if kind == "DistantLight" else self.light_group(leaf, placement)
         if lamp.shape is None:
@@ -296,6 +299,7 @@ class _Assembler:
             material = self.bindings.bound.get(str(leaf.prim.GetPath()))
             self.note_emission(f"shape_{len(self.shapes)}", material.GetPrim() if material and not light.is_light_mesh(leaf.prim) else leaf.prim)
             self.group_of[f"shape_{len(self.shapes)}"] = self.light_group(leaf, placement)
+            light.refuse_blinding(leaf.path, np.asarray(nits))
             surface = _area_of(shape)
             lamp = light.Lamp({"type": "area", "radiance": emission}, math.pi * surface * nits)
             self.lamps.append(lamp)

@@ -22,6 +22,7 @@ NEAR_M = 0.01
 """Near plane where none is authored; USD's own fallback of one unit would cut off a bonnet."""
 
 MAX_SIZE_PX = 1 << 16
+MIN_VIEW_DEG, MAX_VIEW_DEG, MAX_SHIFT = PARALLEL_DEG, 179.0, 10.0
 _ABSURD_FOCAL_M = 0.5
 _STILL_M, _STILL_RAD = 1e-6, 1e-7
 _EXPOSURE = ("exposure", "exposure:iso", "exposure:time", "exposure:fStop", "exposure:responsivity")
@@ -65,13 +66,22 @@ def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagn
         notes.info(prim.GetPath(), f"the camera's own exposure (a factor of {scale:.4g}) is not used; a bake meters its own")
     to_world = _place(prim, space, time)
     drift, turn = _motion(prim, space, time, notes)
+    fov = PARALLEL_DEG if parallel else math.degrees(2.0 * math.atan(conformed_width / (2.0 * focal)))
+    if not MIN_VIEW_DEG <= fov <= MAX_VIEW_DEG:
+        raise StageError(
+            f"{prim.GetPath()}: an aperture of {width_mm:g} and a focal length of {focal:g} give an angle of view of {fov:.3g} degrees; "
+            f"{MIN_VIEW_DEG:g} to {MAX_VIEW_DEG:g} can be drawn"
+        )
+    shift = (lens.horizontalApertureOffset / conformed_width, lens.verticalApertureOffset / conformed_height)
+    if not all(abs(part) <= MAX_SHIFT for part in shift):
+        raise StageError(f"{prim.GetPath()}: its aperture offset is {shift[0]:.3g} x {shift[1]:.3g} times the aperture; at most {MAX_SHIFT:g} can be drawn")
     return Camera(
         path=str(prim.GetPath()),
         to_world=to_world,
         width_px=width_px,
         height_px=height_px,
-        fov_x_deg=PARALLEL_DEG if parallel else math.degrees(2.0 * math.atan(conformed_width / (2.0 * focal))),
-        shift=(lens.horizontalApertureOffset / conformed_width, lens.verticalApertureOffset / conformed_height),
+        fov_x_deg=fov,
+        shift=shift,
         near_m=max(float(lens.clippingRange.min) * space.metres_per_unit, 1e-4) if camera.GetClippingRangeAttr().HasAuthoredValue() else NEAR_M,
         focal_length_m=focal_m,
         f_number=f_number,

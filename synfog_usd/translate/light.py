@@ -18,6 +18,7 @@ from pxr import Usd, UsdLux
 
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
+from synfog_usd.errors import StageError
 from synfog_usd.translate.convention import USD, Convention
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles, area, placed
@@ -31,6 +32,10 @@ TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 
 POLE_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """A quarter turn about X, as DomeLight_1 asks for a pole along Z."""
+
+
+MAX_NIT = 1e16
+"""Of what shines: ten million times the sun's disc.  Far above, sums of squares leave the range of single precision."""
 
 
 @dataclass
@@ -115,13 +120,9 @@ def lamp(
     inputs = _Inputs(prim, time)
     _unsupported(prim, inputs, notes)
     radiance = emitted(prim, time, default_intensity=50000.0 if kind == "DistantLight" else 1.0, convention=convention)
-    if not np.isfinite(radiance).all() or radiance.max() <= 0.0:
-        if not np.isfinite(radiance).all():
-            notes.warn(path, "light whose intensity is no finite number is dark")
+    if not _shines(radiance, path, notes):
         return None
-    if radiance.min() < 0.0:
-        notes.warn(path, "negative light is not drawn; it is taken as 0 in that channel")
-        radiance = np.maximum(radiance, 0.0)
+    radiance = np.maximum(radiance, 0.0)
     normalize = bool(inputs.get("normalize", False))
     if kind == "DistantLight":
         angle = float(inputs.get("angle", 0.53)) * convention.sun_angle
@@ -144,11 +145,22 @@ def lamp(
     return _cylinder(inputs, radiance, per_area, matrix, path, notes)
 
 
+def _shines(radiance: Array, path: object, notes: Diagnostics) -> bool:
+    """Whether there is light of use, with a note where it is not what the author meant."""
+    if not np.isfinite(radiance).all():
+        notes.warn(path, "light whose intensity is no finite number is dark")
+        return False
+    if radiance.min() < 0.0:
+        notes.warn(path, "negative light is not drawn; it is taken as 0 in that channel")
+    return bool(radiance.max() > 0.0)
+
+
 def mesh_light(prim: Usd.Prim, time: Usd.TimeCode, surface_m2: float, notes: Diagnostics, *, metres_per_unit: float, convention: Convention = USD) -> Array:
     """(3,) radiance [cd m-2] of a mesh with MeshLightAPI, of a given area [m2]."""
     inputs = _Inputs(prim, time)
     _unsupported(prim, inputs, notes)
-    radiance = np.maximum(emitted(prim, time, convention=convention), 0.0)
+    radiance = emitted(prim, time, convention=convention)
+    radiance = np.maximum(radiance, 0.0) if _shines(radiance, prim.GetPath(), notes) else np.zeros(3)
     if convention.square_metres:
         metres_per_unit = 1.0
     return radiance * metres_per_unit**2 / surface_m2 if inputs.get("normalize", False) and surface_m2 > 0.0 else radiance
@@ -163,9 +175,11 @@ def dome(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: Di
     path = str(prim.GetPath())
     inputs = _Inputs(prim, time)
     _unsupported(prim, inputs, notes)
-    tint = np.maximum(emitted(prim, time), 0.0)
-    if not np.isfinite(tint).all() or tint.max() <= 0.0:
+    tint = emitted(prim, time)
+    if not _shines(tint, path, notes):
         return None
+    tint = np.maximum(tint, 0.0)
+    refuse_blinding(path, tint)
     turn = rotation_of(matrix)
     if kind == "DomeLight_1":
         pole = str(inputs.get("poleAxis", "scene"))
@@ -243,6 +257,20 @@ def weigh(lamps: list[Lamp], sky: dict[str, Any] | None) -> None:
         one.emitter["sampling_weight"] = 1.0 if not math.isfinite(one.flux_lm) else math.sqrt(one.flux_lm) / total if total > 0.0 else 1.0 / len(local)
     if sky is not None:
         sky["sampling_weight"] = 1.0
+
+
+def refuse_blinding(path: object, light: Array | npt.NDArray[np.float32]) -> None:
+    """Refuse light that cannot be counted.
+
+    Args:
+        path: where it stands.
+        light: radiance, irradiance or intensity in nits, lux or candela, any shape.
+
+    Raises:
+        StageError: with what it gives.
+    """
+    if not (most := float(np.max(light, initial=0.0))) <= MAX_NIT:
+        raise StageError(f"{path}: gives {most:.3g} (in nits, lux or candela); at most {MAX_NIT:g} can be counted: lower its intensity or exposure")
 
 
 def area_emitter(radiance: Array) -> dict[str, Any]:

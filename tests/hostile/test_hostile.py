@@ -6,6 +6,7 @@ line and exit code 2, uncomposed and with little memory.
 
 import os
 import random
+import re
 import resource
 import struct
 import subprocess
@@ -19,6 +20,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
 from support import cli
 from support.hostile import png
 
+from synfog_usd.cli.check import look
 from synfog_usd.errors import StageError
 from synfog_usd.fence import Fence
 from synfog_usd.stage import budget, check, open_stage, survey
@@ -731,3 +733,39 @@ def test_a_model_that_refers_elsewhere_is_not_imported(two_folders):
     written(path, HEAD + WAYS["reference"].replace("../kit", "."))
     with pytest.raises(StageError, match=r"a link to .*car.usda\) lies outside"):
         import_asset(path, "car", out=folder / "lib")
+
+
+WALL = 'def Cube "Wall"\n{\n    double3 xformOp:translate = (0, 0, -9)\n    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+
+
+@pytest.mark.parametrize("camera, light, told", [
+    ("", 'SphereLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 1e.30 .*at most 1e.16 can be counted"),
+    ("", 'SphereLight "L"\n{\n    float inputs:exposure = 1000\n', "/L: gives .*lower its intensity or exposure"),
+    ("", 'DomeLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 1e.30"),
+    ("", 'DistantLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 6.72e.25"),
+    ("float horizontalAperture = 1e30", 'DomeLight "L"\n{\n', "/Ego: an aperture of 1e.30 .*angle of view of 180 degrees; 0.001 to 179 can be drawn"),
+    ("float focalLength = 1e-30", 'DomeLight "L"\n{\n', "/Ego: .*angle of view of 180 degrees"),
+    ("float focalLength = 1e30", 'DomeLight "L"\n{\n', "/Ego: .*angle of view of 1.2e-27 degrees"),
+    ("float horizontalApertureOffset = 1e30", 'DomeLight "L"\n{\n', "/Ego: its aperture offset is .* times the aperture; at most 10"),
+])  # fmt: skip
+def test_numbers_that_no_renderer_can_count_are_refused_by_check_and_by_translation(tmp_path, camera, light, told):
+    """They ended in a renderer's traceback, or as infinity in bake.json, after `check` had found nothing."""
+    path = written(tmp_path / "a.usda", HEAD + f'def Camera "Ego"\n{{\n    {camera}\n}}\ndef {light}}}\n' + WALL)
+    with pytest.raises(StageError, match=told):
+        translate(open_stage(path))
+    found, _ = look(path)
+    assert [one.severity for one in found if re.search(told, one.text)] == ["error"]
+
+
+def test_a_texture_that_links_to_itself_is_one_that_is_not_there(tmp_path):
+    (tmp_path / "loop.png").symlink_to("loop.png")
+    light = 'def DomeLight "Sky"\n{\n    asset inputs:texture:file = @./loop.png@\n}\n'
+    scene = translate(open_stage(written(tmp_path / "a.usda", HEAD + CAMERA + light)))
+    assert "loop.png" in " ".join(note.text for note in scene.notes)
+
+
+def test_a_line_break_in_the_stages_name_is_told_in_one_line(tmp_path):
+    path = written(tmp_path / "new\nline.usda", HEAD + CAMERA)
+    with pytest.raises(StageError, match="control character; rename it") as caught:
+        open_stage(path)
+    assert "\n" not in str(caught.value)
