@@ -215,7 +215,7 @@ def _meter(scene: SceneDict, plan: BakePlan, graph: Any) -> _View:
 def _make(shot: Shot, scene: SceneDict, view: _View | None, graph: Any, plan: BakePlan, progress: Progress) -> tuple[dict[str, Any], list[str]]:
     """Render and develop one shot, write its files, and give its row of the manifest and what a user wants to know."""
     from synfog_usd import cull, writers
-    from synfog_usd.render.planner import sensor_target
+    from synfog_usd.render.sampling.adaptive import sensor_target
     from synfog_usd.render.shot import render
 
     seed = seed32(plan.seed, shot.lighting, shot.fog)

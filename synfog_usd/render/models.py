@@ -1,265 +1,171 @@
-"""The ways to transport light through fog, by name.
+"""The ways to transport light through fog, by name: one record each, which all others read.
 
-Each model states where it holds, and refuses a scene outside of it.
+A new model is an entry here and a module in `integrators`.  Nothing heavy is imported before one is made.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from synfog_usd.errors import ParameterError, did_you_mean
-from synfog_usd.render import backend
-from synfog_usd.render.load import MitsubaScene
-from synfog_usd.render.spectra.bands import RGB
-from synfog_usd.render.spectra.bands import check as check_bands
 from synfog_usd.scene import SceneDict
+
+if TYPE_CHECKING:
+    from synfog_usd.render.film.accumulator import Integrator
+    from synfog_usd.render.load import MitsubaScene
 
 AUTO = "auto"
 
-OTHER = "other"
-"""Light group of lamps that have none."""
-
-RR_DEPTH = 8
-"""Events before Russian roulette.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8 and 16 alike, 2 and 40 up to a quarter worse."""
+RGB = 3
+"""Channels of a path that carries no wavelength bands."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Model:
     """One way to transport light.
 
     Attributes:
-        make: integrator for a loaded scene, as `film.accumulator.accumulate` takes it; see `make` for what some may be told.
-        boundaries: whether the fog must stand in the scene as null-material shapes.
+        make: `Integrator` of a loaded scene; one with `limits` takes `scatterings` and `bounces`, one with `bands` takes their number.
         refuses: why a scene is outside its domain, or ''.
+        valid: where it holds, in words.
+        cost: seconds of a sample, relative to `path`: rough, from the bench stages, and fixed so that choices repeat.
+        unbiased: whether it has no error but noise, where it holds.
+        peer: whether it is Mitsuba's own: the fog then stands in the scene as null-material shapes, surface and airlight are not told
+            apart, and pixels are sampled evenly to the end.
+        needs_slab: whether it rests on the plane-parallel solution: one box of fog with a level top, under a sky.
+        bands: whether its paths can carry wavelength bands.
+        limits: whether its paths can be cut short.
+        worth_a_pilot: whether the planner tries it although its error is one that samples do not cure.
+        froxels: its sibling that takes the airlight from a radiance cache, or ''.
     """
 
-    make: Callable[..., Any]
-    boundaries: bool
-    refuses: Callable[[SceneDict], str]
+    make: Callable[..., Integrator]
+    refuses: Callable[[SceneDict], str] = lambda scene: ""
+    valid: str = ""
+    cost: float = 1.0
+    unbiased: bool = False
+    peer: bool = False
+    needs_slab: bool = False
+    bands: bool = False
+    limits: bool = False
+    worth_a_pilot: bool = False
+    froxels: str = ""
+
+    @property
+    def boundaries(self) -> bool:
+        """Whether the fog must stand in the scene as null-material shapes."""
+        return self.peer
 
 
-def _volpath(loaded: MitsubaScene) -> Any:
-    """Mitsuba's volumetric path tracer: the peer, unbiased and slow.
+def _of(module: str, function: str, **options: Any) -> Callable[..., Any]:
+    """A function of a module of `integrators`, which is imported when it is called."""
 
-    Paths are not cut at any depth: with an albedo of 1 a fixed depth darkens dense
-    fog.  Russian roulette ends them, after RR_DEPTH events and never with a
-    probability above 5 % while nothing was absorbed.
+    def call(*given: Any, **more: Any) -> Any:
+        return getattr(import_module(f"synfog_usd.render.integrators.{module}"), function)(*given, **options, **more)
 
-    Valid for any fog, lamp and surface.
-    Source: Mitsuba 3, src/integrators/volpath.cpp.
-    """
-    return backend.mitsuba().load_dict({"type": "volpath", "max_depth": -1, "rr_depth": RR_DEPTH})
-
-
-def _volpathmis(loaded: MitsubaScene) -> Any:
-    """Mitsuba's other volumetric path tracer: the peer for spectral extinction.
-
-    Valid for any fog and surface; lamps may give NaN (seen with a spot inside the fog).
-    Source: Mitsuba 3, src/integrators/volpathmis.cpp.
-    """
-    return backend.mitsuba().load_dict({"type": "volpathmis", "max_depth": -1, "rr_depth": RR_DEPTH})
-
-
-def _tracer(loaded: MitsubaScene, *, with_slab: bool = False, in_froxels: bool = False, method: Any = None, bands: int = RGB) -> Any:
-    from synfog_usd.render.integrators.froxels import FroxelPath
-    from synfog_usd.render.integrators.path import FogPath
-    from synfog_usd.render.lights.sampler import LightSampler, is_sampled_light
-    from synfog_usd.render.media.control_variate import make_control_variate
-    from synfog_usd.render.media.medium import Medium
-    from synfog_usd.render.spectra.bands import Bands
-
-    world = loaded.source.world
-    handled = sum(is_sampled_light(part) for part in world.values())
-    sky = loaded.scene.environment() is not None
-    others = len(loaded.scene.emitters()) - sky - handled
-    spectra, kind_of = _emissions(loaded, bands)
-    carried = Bands(bands, loaded.source.fog, spectra)
-    carried.assign_spectral_bsdfs(loaded)
-    medium = Medium(loaded.source.fog, carried.clearest)
-    control = None
-    if with_slab:
-        control, problem = make_control_variate(loaded, medium, carried, kind_of.get("light_sky", 0))
-        if control is None:
-            raise ParameterError(f"the slab cannot be used here: {problem}")
-    names, numbers, of_emitter = _groups(loaded, carried.kinds, kind_of)
-    g = loaded.source.fog[0].medium.phase_function.mean_cosine if loaded.source.fog else 0.0
-    lights = LightSampler(world, numbers, g)
-    kind = FroxelPath if in_froxels else FogPath
-    return kind(loaded, medium, lights=lights, others=others, control=control, method=method, groups=names, group_of_emitter=of_emitter, bands=carried)
-
-
-def _index(emitter: Any) -> int:
-    """The number by which kernels know an emitter."""
-    import drjit as dr
-
-    mi = backend.mitsuba()
-    return int(dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))[0])
-
-
-def _emissions(loaded: MitsubaScene, bands: int) -> tuple[list[Any], dict[str, int]]:
-    """Spectra of lamps that have their own, each once, and key of a lamp -> its kind of light, from 1 on."""
-    known: dict[bytes, int] = {}
-    spectra, kind_of = [], {}
-    for key, curve in loaded.source.emission_of.items() if bands != RGB else ():
-        word = curve.tobytes()
-        if word not in known:
-            spectra.append(curve)
-            known[word] = len(spectra)
-        kind_of[key] = known[word]
-    return spectra, kind_of
-
-
-def _groups(loaded: MitsubaScene, kinds: int, kind_of: Mapping[str, int]) -> tuple[tuple[str, ...], dict[str, int], Any]:
-    """Names of the light groups that are there; key of a lamp -> its number, group x kinds of light + kind; and the same by the renderer's own index."""
-    import numpy as np
-
-    mi, source = backend.mitsuba(), loaded.source
-    shining = [key for key, part in source.world.items() if isinstance(part, dict) and ("emitter" in part or key.startswith("light_"))]
-    names = tuple(sorted({source.group_of.get(key, OTHER) for key in shining})) or (OTHER,)
-    numbers = {key: names.index(source.group_of.get(key, OTHER)) * kinds + kind_of.get(key, 0) for key in shining}
-    index_of = {key: _index(loaded.shapes[(key,)].emitter() if (key,) in loaded.shapes else loaded.parts[key]) for key in shining}
-    others = [_index(emitter) for emitter in loaded.scene.emitters()]  # a scene made by hand may name its lights otherwise: the sky's
-    table = np.full(max([*index_of.values(), *others], default=0) + 1, kinds * (names.index("sky") if "sky" in names else 0), dtype=np.uint32)
-    for key, index in index_of.items():
-        table[index] = numbers[key]
-    return names, numbers, mi.UInt32(table)
-
-
-def _path(loaded: MitsubaScene, **how: Any) -> Any:
-    """Path tracing with the fog's edge in closed form; see `integrators.path`.
-
-    Valid for any lamp and surface, and for fog in boxes and balls, uniform or exponential, nested or not.  Unbiased.
-    """
-    return _tracer(loaded, **how)
-
-
-def _path_slab(loaded: MitsubaScene, **how: Any) -> Any:
-    """`path` that samples only what differs from a plane-parallel slab; see `control_variate`.
-
-    Valid where `path` is, for one box of fog with a level top under a sky.  Unbiased
-    to 0.05 %.  Fast where most of what is seen is fog, ground and sky; slower than `path`
-    in a street canyon, under a bridge or where lamps are all the light.
-    """
-    return _tracer(loaded, with_slab=True, **how)
-
-
-def _slab(loaded: MitsubaScene, **how: Any) -> Any:
-    """The slab's airlight, and surfaces in the slab's light with visibility rays.
-
-    What objects take from or add to the light scattered in the fog is left out.
-    Valid under a sky alone, with objects small against 1 / extinction; not for lamps,
-    street canyons or under bridges.
-    """
-    from synfog_usd.render.integrators.path import Method
-
-    return _tracer(loaded, with_slab=True, method=Method(scatterings=0, bounces=2), **how)
-
-
-def _single(loaded: MitsubaScene, **how: Any) -> Any:
-    """Light that the fog scattered once at most.
-
-    Valid up to optical depths of about 0.3; beyond, it loses most of the airlight.
-    """
-    from synfog_usd.render.integrators.path import Method
-
-    return _tracer(loaded, method=Method(scatterings=1), **how)
-
-
-def _field(loaded: MitsubaScene, **how: Any) -> Any:
-    """Airlight from a grid in the camera's view, all else as `path`; see `integrators.froxels`.
-
-    Valid where `path` is, and as far as light that the fog scattered more than once (a sky's: once) changes little over 1.5 degrees.
-    """
-    return _tracer(loaded, in_froxels=True, **how)
-
-
-def _field_slab(loaded: MitsubaScene, **how: Any) -> Any:
-    """`field`, with the difference to a plane-parallel slab in the cache; all else as `path+slab`.
-
-    Valid where both are.
-    """
-    return _tracer(loaded, with_slab=True, in_froxels=True, **how)
-
-
-def _path_refuses(scene: SceneDict) -> str:
-    if backend.is_scalar():
-        return "it needs LLVM or CUDA"
-    from synfog_usd.render.media.medium import unsupported_fog
-
-    return unsupported_fog(scene.fog)
-
-
-def _slab_refuses(scene: SceneDict) -> str:
-    if problem := _path_refuses(scene):
-        return problem
-    if len(scene.fog) != 1:
-        return f"it takes one fog volume, and there are {len(scene.fog)}"
-    matrix = scene.fog[0].boundary.to_world
-    if scene.fog[0].boundary.kind != "box" or max(abs(matrix[2, :2]).max(), abs(matrix[:2, 2]).max()) > 1e-5 * abs(matrix[:3, :3]).max():
-        return f"the fog {scene.fog[0].path} is no box with a level top"
-    if not any(isinstance(part, dict) and part.get("type") in ("constant", "envmap", "sunsky") for part in scene.world.values()):
-        return "there is no sky"
-    return ""
-
-
-def _asm(airlight: str) -> Callable[[MitsubaScene], Any]:
-    def make(loaded: MitsubaScene) -> Any:
-        from synfog_usd.render.integrators.asm import make_asm
-
-        return make_asm(loaded, airlight)
-
-    return make
-
-
-def _asm_refuses(scene: SceneDict) -> str:
-    from synfog_usd.render.integrators.asm import asm_refuses
-
-    return asm_refuses(scene)
-
-
-def _glow(loaded: MitsubaScene) -> Any:
-    from synfog_usd.render.integrators.glow import make_glow
-
-    return make_glow(loaded)
-
-
-def _glow_refuses(scene: SceneDict) -> str:
-    from synfog_usd.render.integrators.glow import glow_refuses
-
-    return glow_refuses(scene)
+    return call
 
 
 MODELS: dict[str, Model] = {
-    "asm": Model(_asm("physical"), False, _asm_refuses),
-    "asm_estimated": Model(_asm("estimated"), False, _asm_refuses),
-    "slab": Model(_slab, False, _slab_refuses),
-    "glow": Model(_glow, False, _glow_refuses),
-    "single": Model(_single, False, _path_refuses),
-    "field": Model(_field, False, _path_refuses),
-    "field+slab": Model(_field_slab, False, _slab_refuses),
-    "path": Model(_path, False, _path_refuses),
-    "path+slab": Model(_path_slab, False, _slab_refuses),
-    "volpath": Model(_volpath, True, lambda scene: ""),
-    "volpathmis": Model(_volpathmis, True, lambda scene: ""),
+    "asm": Model(
+        make=_of("asm", "make_asm", airlight="physical"),
+        refuses=_of("asm", "asm_refuses"),
+        valid="far from lamps, under an even sky, with transmittances near 0 or 1; see `integrators.asm`",
+        cost=0.5,
+        worth_a_pilot=True,
+    ),
+    "asm_estimated": Model(
+        make=_of("asm", "make_asm", airlight="estimated"),
+        refuses=_of("asm", "asm_refuses"),
+        valid="nowhere; it is there to show what guessing the airlight from a picture makes of it",
+        cost=0.5,
+    ),
+    "slab": Model(
+        make=_of("tracer", "make_slab"),
+        refuses=_of("tracer", "slab_refuses"),
+        valid="under a sky alone, with objects small against 1 / extinction; not for lamps, street canyons or under bridges. What objects take from "
+        "or add to the light scattered in the fog is left out",
+        cost=0.4,
+        needs_slab=True,
+        bands=True,
+        worth_a_pilot=True,
+    ),
+    "glow": Model(
+        make=_of("glow", "make_glow"),
+        refuses=_of("glow", "glow_refuses"),
+        valid="for lamps alone in uniform fog without large obstacles, far from its edge; see `integrators.glow`",
+        cost=0.5,
+        worth_a_pilot=True,
+    ),
+    "single": Model(
+        make=_of("tracer", "make_single"),
+        refuses=_of("tracer", "path_refuses"),
+        valid="up to optical depths of about 0.3; beyond, it loses most of the airlight",
+        cost=0.7,
+        bands=True,
+        worth_a_pilot=True,
+    ),
+    "field": Model(
+        make=_of("tracer", "make_tracer", in_froxels=True),
+        refuses=_of("tracer", "path_refuses"),
+        valid="where `path` is, and as far as light that the fog scattered more than once (a sky's: once) changes little over 1.5 degrees",
+        bands=True,
+    ),
+    "field+slab": Model(
+        make=_of("tracer", "make_tracer", with_slab=True, in_froxels=True),
+        refuses=_of("tracer", "slab_refuses"),
+        valid="where `field` and `path+slab` are",
+        cost=1.2,
+        needs_slab=True,
+        bands=True,
+    ),
+    "path": Model(
+        make=_of("tracer", "make_tracer"),
+        refuses=_of("tracer", "path_refuses"),
+        valid="for any lamp and surface, and for fog in boxes and balls, uniform or exponential, nested or not",
+        unbiased=True,
+        bands=True,
+        limits=True,
+        froxels="field",
+    ),
+    "path+slab": Model(
+        make=_of("tracer", "make_tracer", with_slab=True),
+        refuses=_of("tracer", "slab_refuses"),
+        valid="where `path` is, for one box of fog with a level top under a sky; unbiased to 0.05 %. Fast where most of what is seen is fog, ground "
+        "and sky; slower than `path` in a street canyon, under a bridge or where lamps are all the light",
+        cost=1.3,
+        unbiased=True,
+        needs_slab=True,
+        bands=True,
+        limits=True,
+        froxels="field+slab",
+    ),
+    "volpath": Model(make=_of("peers", "make_peer", plugin="volpath"), valid="for any fog, lamp and surface", cost=10.0, unbiased=True, peer=True),
+    "volpathmis": Model(
+        make=_of("peers", "make_peer", plugin="volpathmis"),
+        valid="for any fog and surface; lamps may give NaN (seen with a spot inside the fog)",
+        cost=10.0,
+        unbiased=True,
+        peer=True,
+    ),
 }
 """By name, cheapest first."""
 
-LIMITED = ("path", "path+slab")
-"""Models whose paths can be cut short."""
 
-BANDED = ("slab", "single", "field", "field+slab", "path", "path+slab")
-"""Models that carry wavelength bands."""
-
-PEERS = ("volpath", "volpathmis")
-"""Mitsuba's own; they know no estimators, and are sampled evenly to the end."""
-
-UNBIASED = ("path", "path+slab", "volpath", "volpathmis")
-"""Models without an error but noise, where they hold."""
+def having(fact: str) -> tuple[str, ...]:
+    """Names of the models of which a fact of `Model` is true."""
+    return tuple(name for name, model in MODELS.items() if getattr(model, fact))
 
 
-def make(name: str, loaded: MitsubaScene, *, scatterings: int | None = None, bounces: int | None = None, bands: int = RGB) -> Any:
+def ours_unbiased() -> tuple[str, ...]:
+    """Names of our own models without bias: those that a planner chooses from and that a reference is made with."""
+    return tuple(name for name in having("unbiased") if not MODELS[name].peer)
+
+
+def make(name: str, loaded: MitsubaScene, *, scatterings: int | None = None, bounces: int | None = None, bands: int = RGB) -> Integrator:
     """A model's integrator, with paths cut short or in wavelength bands where that is asked for.
 
     Raises:
@@ -267,17 +173,17 @@ def make(name: str, loaded: MitsubaScene, *, scatterings: int | None = None, bou
     """
     how: dict[str, Any] = {}
     if scatterings is not None or bounces is not None:
-        from synfog_usd.render.integrators.path import Method
-
-        if name not in LIMITED:
-            raise ParameterError(f"--model {name} takes no limit on scatterings or bounces; {' and '.join(LIMITED)} do")
+        if not MODELS[name].limits:
+            raise ParameterError(f"--model {name} takes no limit on scatterings or bounces; {' and '.join(having('limits'))} do")
         if min(scatterings or 0, bounces or 0) < 0:
             raise ParameterError(f"a path cannot be scattered {min(scatterings or 0, bounces or 0)} times; give 0 or more")
-        how["method"] = Method(**{key: value for key, value in (("scatterings", scatterings), ("bounces", bounces)) if value is not None})
+        how |= {"scatterings": scatterings, "bounces": bounces}
     if bands != RGB:
+        from synfog_usd.render.spectra.bands import check as check_bands
+
         check_bands(bands)
-        if name not in BANDED:
-            raise ParameterError(f"--model {name} knows R, G and B alone; --bands {bands} takes {', '.join(BANDED)}")
+        if not MODELS[name].bands:
+            raise ParameterError(f"--model {name} knows R, G and B alone; --bands {bands} takes {', '.join(having('bands'))}")
         how["bands"] = bands
     return MODELS[name].make(loaded, **how)
 
@@ -297,7 +203,9 @@ def choose(name: str, scene: SceneDict) -> tuple[str, str]:
             raise ParameterError(f"--model {name} does not hold here: {problem}; use --model auto")
         return name, "asked for"
     ruled_out = []
-    for candidate in ("path", "volpath"):
+    for candidate in having("unbiased"):
+        if MODELS[candidate].needs_slab:
+            continue
         problem = MODELS[candidate].refuses(scene)
         if not problem:
             return candidate, "; ".join([*ruled_out, "the cheapest unbiased one that holds"])

@@ -1,4 +1,4 @@
-"""Which model, and when to stop: no more than a scene needs.
+"""Which model, and how many bands: no more than a scene needs.
 
 Takes a loaded scene and a target; runs each candidate small, compares it with the
 unbiased estimate, and takes the cheapest whose error is under the target.  What
@@ -8,7 +8,6 @@ same seed gives the same choice on any machine.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,32 +17,15 @@ from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import models
-from synfog_usd.render.film.accumulator import CHUNK, ESTIMATOR_COST, Accumulator, accumulate, add_samples, new_accumulator, neyman_allocation
-from synfog_usd.render.integrators.path import INSCATTERED, SURFACE, FogPath
+from synfog_usd.render.film.accumulator import Accumulator
 from synfog_usd.render.load import MitsubaScene, resized
+from synfog_usd.render.sampling.adaptive import Target
 from synfog_usd.render.spectra import bands
 from synfog_usd.scene import SceneDict
 from synfog_usd.seeds import seed32
 
 PILOT_WIDTH_PX = 64
 PILOT_SAMPLES = 64
-
-COST = {
-    "asm": 0.5,
-    "asm_estimated": 0.5,
-    "slab": 0.4,
-    "glow": 0.5,
-    "single": 0.7,
-    "field": 1.0,
-    "field+slab": 1.2,
-    "path": 1.0,
-    "path+slab": 1.3,
-    "volpath": 10.0,
-}
-"""Seconds of a sample, relative to `path`: rough, from the bench stages, and fixed so that choices repeat."""
-
-BIASED = ("asm", "slab", "glow", "single")
-"""Models with an error that samples do not cure, cheapest first; each is tried where it holds."""
 
 FINEST = 16
 """Wavelength bands that the planner takes for right; 31 differ from them by less than 0.2 % in the bench stages, and are there to be asked for."""
@@ -52,14 +34,11 @@ COLOUR_ERROR = 0.01
 """Error of colours that is good enough where no target is named: what an eye just sees side by side."""
 
 WORTH_TRYING = 0.1
-"""Target from which on those are tried: each costs a kernel, and in the bench stages the best of them, `slab` in the overcast street, errs by 12 %."""
-
-GRIDDED = {"path": "field", "path+slab": "field+slab"}
-"""Unbiased models with a sibling that takes airlight from a grid; in the bench stages the squared error,
-the worst hundredth of the pixels left out, is 1.2 to 8 times smaller for the same seconds."""
+"""Target from which on biased models are tried: each costs a kernel, and in the bench stages the best of them, `slab` in the overcast street, errs by 12 %."""
 
 WORTH_A_GRID = 0.01
-"""Target from which on the sibling is tried; a pilot knows its error to about that."""
+"""Target from which on the sibling with a radiance cache is tried; a pilot knows its error to about that.  In the bench stages the squared error
+of the sibling, the worst hundredth of the pixels left out, is 1.2 to 8 times smaller for the same seconds."""
 
 BLOCK_PX = 8
 """Side of the squares over which a grid's error is measured: it is smooth, and noise is less in them."""
@@ -69,41 +48,6 @@ FIREFLIES = 0.06
 
 CORRELATED = 9.0
 """Independent pixels in such a square of a grid's picture: its cells are two or three pixels of the pilot wide."""
-
-SENSOR_SHARE = 1.0 / 3.0
-"""Part of the sensor's own noise that may be left of a render: together they are 5 % noisier than the sensor alone."""
-
-
-@dataclass(frozen=True)
-class Target:
-    """What is good enough.
-
-    Attributes:
-        relative: standard error of a pixel's luminance over it, or None.
-        sigma: luminance (P,) [cd m-2] -> standard error [cd m-2] that is good enough, or None; the sensor's noise.
-        samples: most paths per pixel, on average over the image.
-        time_s: wall seconds after which no new round is begun, or None; a render that ends by it does not repeat byte for byte.
-    """
-
-    relative: float | None = None
-    sigma: Callable[[Array], Array] | None = None
-    samples: int = 64
-    time_s: float | None = None
-
-    @property
-    def open(self) -> bool:
-        """Whether the number of samples is the only thing that counts."""
-        return self.relative is None and self.sigma is None and self.time_s is None
-
-    def allowed(self, luminance: Array) -> Array:
-        """Standard error [cd m-2] that is good enough for each pixel."""
-        level = np.maximum(luminance, 0.01 * max(float(luminance.mean()), 1e-30))
-        limits = np.full(level.shape, np.inf)
-        if self.relative is not None:
-            limits = np.minimum(limits, self.relative * level)
-        if self.sigma is not None:
-            limits = np.minimum(limits, self.sigma(level))
-        return limits
 
 
 @dataclass(frozen=True)
@@ -125,7 +69,7 @@ class Choice:
 
 def candidates(scene: SceneDict) -> list[str]:
     """Unbiased models of ours that hold; empty where there is nothing to choose."""
-    return [name for name in ("path", "path+slab") if not models.MODELS[name].refuses(scene)] if scene.fog else []
+    return [name for name in models.ours_unbiased() if not models.MODELS[name].refuses(scene)] if scene.fog else []
 
 
 def choose(loaded: MitsubaScene, *, target: Target, seed: int, denoised: bool = False, progress: Progress = silent) -> Choice:
@@ -143,34 +87,34 @@ def choose(loaded: MitsubaScene, *, target: Target, seed: int, denoised: bool = 
         progress: told after each candidate.
     """
     scene, small = loaded.source, _small(loaded)
-    holding = candidates(scene)
+    holding, biased = candidates(scene), models.having("worth_a_pilot")
     figures: dict[str, dict[str, float]] = {}
     pilots: dict[str, Accumulator] = {}
     for index, name in enumerate(holding):
-        progress("trying models", index / (len(holding) + len(BIASED)))
+        progress("trying models", index / (len(holding) + len(biased)))
         if (picture := _pilot(small, name, seed)) is not None:
             pilots[name], figures[name] = picture, {"noise": _noise(picture)}
-    best = min(pilots, key=lambda name: figures[name]["noise"] ** 2 * COST[name])
+    best = min(pilots, key=lambda name: figures[name]["noise"] ** 2 * models.MODELS[name].cost)
     others = [f"{name} {figures[name]['noise']:.3g}" for name in pilots if name != best]
     why = f"standard deviation of a sample {figures[best]['noise']:.3g} of a pixel's light" + (f", {', '.join(others)}" if others else "")
     wanted = target.relative if target.relative is not None else _relative(target, pilots[best])
     if wanted is None or wanted < WORTH_A_GRID:
         return Choice(best, why, figures, best)
     tried = []
-    for index, name in enumerate(BIASED):
+    for index, name in enumerate(biased):
         if wanted < WORTH_TRYING or models.MODELS[name].refuses(scene):
             continue
-        progress("trying models", (len(holding) + index) / (len(holding) + len(BIASED)))
+        progress("trying models", (len(holding) + index) / (len(holding) + len(biased)))
         if (picture := _pilot(small, name, seed)) is None:
             continue
         bias, least = _bias(picture, pilots[best])
         figures[name] = {"bias": bias, "noise": _noise(picture)}
-        if bias + least < wanted and COST[name] * figures[name]["noise"] ** 2 < COST[best] * figures[best]["noise"] ** 2:
+        if bias + least < wanted and models.MODELS[name].cost * figures[name]["noise"] ** 2 < models.MODELS[best].cost * figures[best]["noise"] ** 2:
             return Choice(name, f"its error of {bias:.2%} (known to {least:.2%}) is under the {wanted:.2%} that is asked for", figures, best)
         tried.append(f"{name} errs by {bias:.1%}")
     if denoised:
         return Choice(best, why + (f"; {', '.join(tried)}, above {wanted:.2%}" if tried else ""), figures, best)
-    name = GRIDDED[best]
+    name = models.MODELS[best].froxels
     progress("trying models", 1.0)
     if (picture := _pilot(small, name, seed)) is not None:
         shape = (small.source.camera.height_px, small.source.camera.width_px)
@@ -193,7 +137,7 @@ def choose_bands(loaded: MitsubaScene, model: str, *, target: Target, seed: int,
 
     Args:
         loaded: as `choose` takes it.
-        model: one of `models.BANDED`.
+        model: one that carries bands.
 
     Returns:
         number of bands, why, and the figures: RMS over the pixels of the colours' error over their luminance, by number of bands.
@@ -205,7 +149,7 @@ def choose_bands(loaded: MitsubaScene, model: str, *, target: Target, seed: int,
 
     def picture(count: int, half: int) -> tuple[Array, Accumulator]:
         integrator = models.make(model, small, bands=count)
-        accumulated = accumulate(small, integrator, samples=PILOT_SAMPLES // 2, seed=seed32(seed, "bands", half))
+        accumulated = integrator.accumulate(samples=PILOT_SAMPLES // 2, seed=seed32(seed, "bands", half))
         return bands.to_rgb(accumulated.mean(), count), accumulated
 
     progress("trying bands", 0.0)
@@ -235,66 +179,7 @@ def _pilot(small: Any, name: str, seed: int) -> Accumulator | None:
         integrator = models.MODELS[name].make(small)
     except ParameterError:
         return None
-    return accumulate(small, integrator, samples=PILOT_SAMPLES, seed=seed32(seed, "pilot", name))
-
-
-def accumulate_to_target(loaded: Any, integrator: Any, *, target: Target, seed: int, now: Callable[[], float], progress: Progress = silent) -> Accumulator:
-    """Sample until the target is met or the samples or the time are used up; more where the error still is.
-
-    A pixel's variance is judged with its neighbours': by itself it would stop at the
-    moments when it happens to look small, and those are the dark ones.
-
-    Args:
-        integrator: a `FogPath`; others are sampled evenly, to `target.samples`, whatever the target.
-        now: seconds since the shot was begun.
-    """
-    if not isinstance(integrator, FogPath) or target.open:
-        return accumulate(loaded, integrator, samples=target.samples, seed=seed, progress=progress)
-    camera = loaded.source.camera
-    pixels = camera.width_px * camera.height_px
-    accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
-    first = min(2 * CHUNK, max(2, target.samples))
-    add_samples(accumulated, integrator, everywhere, accumulated.even(first), seed, _within(progress, 0.0, first / target.samples))
-    spent = first
-    while spent < target.samples and first % CHUNK == 0 and (target.time_s is None or now() < target.time_s):
-        need = _needed(accumulated, target, (camera.height_px, camera.width_px))
-        short = need > 1.0
-        if not short.any():
-            break
-        share = neyman_allocation(accumulated, CHUNK * len(integrator.estimators))
-        budget = (target.samples - spent) * pixels
-        rows = everywhere[short]
-        have = int(np.median(accumulated.estimators[SURFACE].counts[rows]))
-        count = int(min(have, budget // len(rows)) // CHUNK * CHUNK)  # a round at most doubles what a pixel has
-        if count == 0:
-            break
-        scale = count * sum(ESTIMATOR_COST[part] for part in share) / sum(accumulated.cost(part) * value for part, value in share.items())
-        scales = {part: scale * (len(rows) / pixels if accumulated.radiance_cache is not None and part == INSCATTERED else 1.0) for part in share}
-        more = {part: max(CHUNK, round(value * scales[part] / CHUNK) * CHUNK) for part, value in share.items()}
-        after = spent + count * len(rows) / pixels
-        add_samples(accumulated, integrator, rows, more, seed, _within(progress, spent / target.samples, after / target.samples))
-        spent = after
-    progress("rendering", 1.0)
-    return accumulated
-
-
-def _within(progress: Progress, low: float, high: float) -> Progress:
-    """Progress of a part that goes from one fraction of the whole to another."""
-    return lambda what, fraction: progress(what, low + (high - low) * fraction)
-
-
-def reached(accumulated: Accumulator, target: Target, shape: tuple[int, int]) -> float:
-    """Share of the pixels whose standard error is under the target."""
-    return float((_needed(accumulated, target, shape) <= 1.0).mean())
-
-
-def _needed(accumulated: Accumulator, target: Target, shape: tuple[int, int]) -> Array:
-    """How many times the samples it has each pixel needs."""
-    from scipy import ndimage
-
-    smooth = ndimage.uniform_filter(accumulated.luminance().reshape(shape), 5, mode="nearest").ravel()
-    variance = ndimage.uniform_filter(np.minimum(accumulated.luminance_variance(), 1e30).reshape(shape), 5, mode="nearest").ravel()
-    return variance / np.maximum(target.allowed(smooth), 1e-30) ** 2
+    return integrator.accumulate(samples=PILOT_SAMPLES, seed=seed32(seed, "pilot", name))
 
 
 def _noise(accumulated: Accumulator) -> float:
@@ -345,12 +230,3 @@ def _relative(target: Target, accumulated: Accumulator) -> float | None:
     luminance = accumulated.luminance()
     level = np.maximum(luminance, 0.01 * luminance.mean() + 1e-30)
     return float(np.median(target.sigma(level) / level))
-
-
-def sensor_target(noise: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Luminance -> the part of the sensor's noise that a render may add [cd m-2].
-
-    Args:
-        noise: luminance [cd m-2] -> standard deviation of what a pixel reads [cd m-2], such as `camera.noise_floor`.
-    """
-    return lambda luminance: SENSOR_SHARE * noise(luminance)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from synfog_usd.render import models, planner
 from synfog_usd.render.film import aovs
 from synfog_usd.render.integrators.path import LENS_M
 from synfog_usd.render.load import MitsubaScene, to_mitsuba
+from synfog_usd.render.sampling.adaptive import Target, accumulate_to_target, reached
 from synfog_usd.render.spectra import bands as banding
 from synfog_usd.scene import SceneDict
 
@@ -61,67 +63,91 @@ class Rendered:
     met: float | None
 
 
-def render(
-    scene: SceneDict,
-    *,
-    model: str = models.AUTO,
-    samples: int = 64,
-    seed: int = 0,
-    size: tuple[int, int] | None = None,
-    target_error: float | None = None,
-    sensor_sigma: Callable[[np.ndarray], np.ndarray] | None = None,
-    time_limit_s: float | None = None,
-    scatterings: int | None = None,
-    bounces: int | None = None,
-    bands: int | None = banding.RGB,
-    denoise: bool = False,
-    loaded: MitsubaScene | None = None,
-    clear: aovs.Aovs | None = None,
-    progress: Progress = silent,
-) -> Rendered:
-    """Transport light through one scene.
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What a render is to be.
 
-    Args:
-        scene: what `translate` made.
+    Attributes:
         model: a name of `models.MODELS`, or 'auto'.
         samples: paths per pixel, 2 to 1 048 576; with a target, the most there may be on average.
         seed: the same gives the same bytes in the same variant.
         size: (width, height) in pixels instead of the camera's own.
         target_error: relative standard error of a pixel at which sampling stops, or None.
-        sensor_sigma: luminance -> standard error [cd m-2] at which it stops, see `planner.sensor_target`, or None.
+        sensor_sigma: luminance -> standard error [cd m-2] at which it stops, see `sampling.adaptive.sensor_target`, or None.
         time_limit_s: seconds after which no new round of samples is begun, in our own path tracers; what it ends does not repeat byte for byte.
         scatterings, bounces: limits of `path` and `path+slab`: how often the fog, and how often surfaces, may scatter a path; None is no limit.
         bands: light that each path carries: 3 for R, G and B; 8, 16 or 31 wavelength bands; None lets the planner choose.
         denoise: smooth surface and airlight apart (see `denoise`); variance and error stay those of the samples.
+
+    Raises:
+        ParameterError: a model that is unknown, a number out of range, or settings that do not go together.
+    """
+
+    model: str = models.AUTO
+    samples: int = 64
+    seed: int = 0
+    size: tuple[int, int] | None = None
+    target_error: float | None = None
+    sensor_sigma: Callable[[np.ndarray], np.ndarray] | None = None
+    time_limit_s: float | None = None
+    scatterings: int | None = None
+    bounces: int | None = None
+    bands: int | None = models.RGB
+    denoise: bool = False
+
+    def __post_init__(self) -> None:
+        models.check_name(self.model)
+        if not 2 <= self.samples <= 1 << 20:
+            raise ParameterError(f"--samples {self.samples}: outside 2 to {1 << 20}; 64 is a draft, 1024 is clean in dense fog")
+        if self.target_error is not None and not 0.0 < self.target_error <= 1.0:
+            raise ParameterError(f"--target-error {self.target_error:g}: outside 0 to 1; 0.01 is 1 %")
+        if self.time_limit_s is not None and not self.time_limit_s > 0.0:
+            raise ParameterError(f"--time-limit {self.time_limit_s:g}: not above 0 s")
+        if self.bands is not None:
+            banding.check(self.bands)
+        if self.denoise and (problem := denoising.available()):
+            raise ParameterError(f"--denoise: {problem}")
+        if self.denoise and self.model in models.having("peer"):
+            raise ParameterError(f"--denoise: model {self.model} does not tell surface and airlight apart; use path")
+        if self.denoise and self.bands not in (None, models.RGB):
+            raise ParameterError(f"--denoise knows R, G and B alone; use --bands {models.RGB}")
+
+    @property
+    def target(self) -> Target:
+        """What is good enough."""
+        return Target(self.target_error, self.sensor_sigma, self.samples, self.time_limit_s)
+
+
+def render(
+    scene: SceneDict,
+    settings: Settings | None = None,
+    *,
+    loaded: MitsubaScene | None = None,
+    clear: aovs.Aovs | None = None,
+    progress: Progress = silent,
+    **changes: Any,
+) -> Rendered:
+    """Transport light through one scene.
+
+    Args:
+        scene: what `translate` made.
+        settings: what it is to be; `Settings()` if left out.
         loaded: the scene as `load` gave it for this model and size, to render it again; None loads it.
         clear: what the pixel-centre rays meet in clear air, where the scene has less in it than it should, see `cull`; None measures it.
         progress: told after each pass.
+        changes: attributes of `settings` by name, as in `render(scene, model="path", samples=16)`.
 
     Raises:
-        ParameterError: a model that is unknown or does not hold, or a number of samples out of range.
+        ParameterError: settings that do not go together, or a model that does not hold here.
         StageError: the renderer refuses a part of the scene.
     """
-    models.check_name(model)
-    if not 2 <= samples <= 1 << 20:
-        raise ParameterError(f"--samples {samples}: outside 2 to {1 << 20}; 64 is a draft, 1024 is clean in dense fog")
-    if target_error is not None and not 0.0 < target_error <= 1.0:
-        raise ParameterError(f"--target-error {target_error:g}: outside 0 to 1; 0.01 is 1 %")
-    if time_limit_s is not None and not time_limit_s > 0.0:
-        raise ParameterError(f"--time-limit {time_limit_s:g}: not above 0 s")
-    target = planner.Target(target_error, sensor_sigma, samples, time_limit_s)
-    began = time.perf_counter()
+    settings = replace(settings or Settings(), **changes)
+    model, samples, seed, size, bands, denoise = settings.model, settings.samples, settings.seed, settings.size, settings.bands, settings.denoise
+    target, began = settings.target, time.perf_counter()
     width, height = size or (scene.camera.width_px, scene.camera.height_px)
     figures: dict[str, dict[str, float]] = {}
     pixels = width * height
-    if bands is not None:
-        banding.check(bands)
-    if denoise and (problem := denoising.available()):
-        raise ParameterError(f"--denoise: {problem}")
-    if denoise and model in models.PEERS:
-        raise ParameterError(f"--denoise: model {model} does not tell surface and airlight apart; use path")
-    if denoise and bands not in (None, banding.RGB):
-        raise ParameterError(f"--denoise knows R, G and B alone; use --bands {banding.RGB}")
-    if model == models.AUTO and bands in (None, banding.RGB) and pixels * samples >= WORTH_A_PILOT and planner.candidates(scene):
+    if model == models.AUTO and bands in (None, models.RGB) and pixels * samples >= WORTH_A_PILOT and planner.candidates(scene):
         loaded = loaded or load(scene, size=size, boundaries=False)
         choice = planner.choose(loaded, target=target, seed=seed, denoised=denoise, progress=progress)
         model, why, figures = choice.model, choice.why, dict(choice.figures)
@@ -129,15 +155,15 @@ def render(
         model, why = models.choose(model, scene)
     loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries)
     if bands is None:
-        bands = banding.RGB
-        if model in models.BANDED and not denoise and pixels * samples >= WORTH_A_BANDS_PILOT:
+        bands = models.RGB
+        if models.MODELS[model].bands and not denoise and pixels * samples >= WORTH_A_BANDS_PILOT:
             bands, because, figures["bands"] = planner.choose_bands(loaded, model, target=target, seed=seed, progress=progress)
             why += f"; {bands} bands: {because}"
-    integrator = models.make(model, loaded, scatterings=scatterings, bounces=bounces, bands=bands)
-    accumulated = planner.accumulate_to_target(loaded, integrator, target=target, seed=seed, now=lambda: time.perf_counter() - began, progress=progress)
+    integrator = models.make(model, loaded, scatterings=settings.scatterings, bounces=settings.bounces, bands=bands)
+    accumulated = accumulate_to_target(integrator, target=target, seed=seed, now=lambda: time.perf_counter() - began, progress=progress)
     camera = loaded.source.camera
     shape = (camera.height_px, camera.width_px, -1)
-    met = None if target.open else planner.reached(accumulated, target, shape[:2])
+    met = None if target.open else reached(accumulated, target, shape[:2])
     luminance, noise = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
     lit = luminance > 0.0
     error = float(np.median(noise[lit] / luminance[lit])) if lit.any() else 0.0

@@ -27,7 +27,7 @@ from synfog_usd.progress import Progress, silent
 from synfog_usd.seeds import seed32
 from synfog_usd.study import accuracy
 from synfog_usd.study.accuracy import Reference
-from synfog_usd.study.points import PEERS, PLAIN, Point, Setting, front, line_name, lines, summary, table
+from synfog_usd.study.points import PLAIN, Point, Setting, front, line_name, lines, summary, table
 
 if TYPE_CHECKING:
     from synfog_usd.render.load import MitsubaScene
@@ -46,12 +46,10 @@ REFERENCE_SHARE = 0.45
 """Of a time limit, what is kept for the reference."""
 LIMIT_S = 90.0
 """Time limit where neither it nor the samples are given."""
-REFERENCES = ("path", "path+slab")
-"""What may make the reference, the first where they are alike; without either it is volpath."""
 PILOT_SAMPLES = 16
 MUST_GAIN = 1.5
-"""How much better a later one of REFERENCES must be: `path+slab` rests on a table, `path` on nothing."""
-TAKES_DEPTH, TAKES_DENOISING, TAKES_BANDS = ("path",), ("path", "path+slab"), ("path", "path+slab")
+"""How much better than the first a later unbiased model of ours must be to make the reference: `path+slab` rests on a table, `path` on nothing.
+Without any it is volpath.  These models are also charted in bands and denoised, and the first with paths cut short."""
 
 
 @dataclass(frozen=True)
@@ -211,7 +209,7 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, choice: tuple[str, in
         raise ParameterError(f"{plan.stage}: no model gave a picture: {'; '.join(notes)}")
 
     finest = Setting(bands=max(plan.bands)) if plan.bands else PLAIN  # what R, G and B are short of is then seen as their bias
-    carried = {name: finest if name in TAKES_BANDS else PLAIN for name in models.MODELS}
+    carried = {name: finest if name in models.ours_unbiased() else PLAIN for name in models.MODELS}
     model, seconds_each = _reference_model(scene, sweep, lambda name, run: picture(name, carried[name], PILOT_SAMPLES, run, f"pilot of {name}"))
     most = max(max(line.runs) for line in sweep if line.model == model or model not in {other.model for other in sweep})
     reference_samples = plan.reference_samples or REFERENCE_FACTOR * most
@@ -303,10 +301,11 @@ def machine() -> str:
 def planned(scene: SceneDict, target: float, samples: int, seed: int) -> str | None:
     """The model that the planner would take for this shot to reach `target`; None where there is no planner."""
     from synfog_usd.render import planner, shot
+    from synfog_usd.render.sampling.adaptive import Target
 
     if not planner.candidates(scene):
         return None
-    wanted = planner.Target(relative=target, samples=samples)
+    wanted = Target(relative=target, samples=samples)
     return planner.choose(shot.load(scene, boundaries=False), target=wanted, seed=seed32(seed, "chart", "planner")).model
 
 
@@ -359,18 +358,20 @@ def _arguments(setting: Setting) -> dict[str, Any]:
 
 def _lines(plan: ChartPlan, asked: Sequence[str], renders: _Renders, choice: tuple[str, int | None] | None, notes: list[str]) -> list[_Line]:
     """The sweep: each model as it is, then in its settings."""
-    found = []
+    from synfog_usd.render import models
+
+    found, references = [], models.ours_unbiased()
     for model in asked:
         settings = [PLAIN]
-        settings += [Setting(scatterings=depth) for depth in plan.depth if model in TAKES_DEPTH]
-        settings += [Setting(bands=bands) for bands in plan.bands if model in TAKES_BANDS]
-        settings += [Setting(denoise=True)] if plan.denoise and model in TAKES_DENOISING else []
+        settings += [Setting(scatterings=depth) for depth in plan.depth if model in references[:1]]
+        settings += [Setting(bands=bands) for bands in plan.bands if model in references]
+        settings += [Setting(denoise=True)] if plan.denoise and model in references else []
         for setting in settings:
             if lacking := renders.lacks(setting):
                 notes.append(f"{line_name(model, setting)}: left out, {lacking}")
                 continue
             must = (choice[1],) if choice and choice[1] and choice[0] == model and setting == PLAIN else ()
-            levels = sorted({*(plan.samples or (PEER_SAMPLES if model in PEERS else SAMPLES)), *must})
+            levels = sorted({*(plan.samples or (PEER_SAMPLES if models.MODELS[model].peer else SAMPLES)), *must})
             found.append(_Line(model, setting, levels, must))
     return found
 
@@ -379,7 +380,7 @@ def _reference_model(scene: SceneDict, sweep: Sequence[_Line], pilot: Callable[[
     """The unbiased model with the least relative variance times seconds, and its seconds per path and pixel."""
     from synfog_usd.render import models
 
-    candidates = [name for name in REFERENCES if name in models.MODELS and not models.MODELS[name].refuses(scene)] or ["volpath"]
+    candidates = [name for name in models.ours_unbiased() if not models.MODELS[name].refuses(scene)] or ["volpath"]
     costs = {}
     for name in candidates:
         line = next((line for line in sweep if line.model == name and line.setting == PLAIN), None)
@@ -405,7 +406,7 @@ def _reference_model(scene: SceneDict, sweep: Sequence[_Line], pilot: Callable[[
 def _points(
     sweep: Sequence[_Line], reference: Reference, size: tuple[int, int], variant: str, choice: tuple[str, int | None] | None, target: float
 ) -> list[Point]:
-    from synfog_usd.render.models import UNBIASED
+    from synfog_usd.render.models import MODELS
 
     points = []
     assert reference.rgb is not None
@@ -420,7 +421,7 @@ def _points(
                     scatterings=line.setting.scatterings,
                     bands=line.setting.bands,
                     denoise=line.setting.denoise,
-                    unbiased=line.model in UNBIASED and line.setting == PLAIN,
+                    unbiased=MODELS[line.model].unbiased and line.setting == PLAIN,
                     samples=samples,
                     seconds=min(line.seconds[samples]),
                     first_call_s=line.first_call_s,

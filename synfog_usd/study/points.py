@@ -1,7 +1,7 @@
 """What a chart measured, as a table, and what follows from it: the Pareto front, and seconds to an error.
 
 A point is one model in one setting at one number of samples.  Points of one model
-and setting are a line.  Knows nothing of rendering or drawing.
+and setting are a line.  Renders and draws nothing.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-PEERS = ("volpath", "volpathmis")
-"""Mitsuba's own, which the others are measured against."""
+from synfog_usd.render.models import having
+
 TARGETS = (0.01, 0.03, 0.10)
 """Total errors that the summary tells the seconds of."""
 
@@ -187,15 +187,15 @@ def _seconds(line: Sequence[Point], samples: float) -> float:
 
 def summary(stage: str, points: Sequence[Point]) -> list[dict[str, Any]]:
     """One row a target: the cheapest line of ours, the cheapest unbiased one, the best peer, and how much faster than the peer."""
-    rows = []
+    rows, peers = [], having("peer")
     first = points[0]
     by_line = lines(points)
     for target in TARGETS:
         prices = {name: found for name, line in by_line.items() if (found := price(line, target))}
-        ours = [found for name, found in prices.items() if by_line[name][0].model not in PEERS]
+        ours = [found for name, found in prices.items() if by_line[name][0].model not in peers]
         fair = [found for found in ours if by_line[found.line][0].unbiased]
-        peers = [found for name, found in prices.items() if by_line[name][0].model in PEERS]
-        best, unbiased, peer = (min(group, key=lambda found: found.seconds, default=None) for group in (ours, fair, peers))
+        theirs = [found for name, found in prices.items() if by_line[name][0].model in peers]
+        best, unbiased, peer = (min(group, key=lambda found: found.seconds, default=None) for group in (ours, fair, theirs))
         row: dict[str, Any] = {"stage": stage, "target": target}
         for name, found in (("best", best), ("unbiased", unbiased), ("peer", peer)):
             row |= {name: found.line if found else "", f"{name}_samples": math.ceil(found.samples) if found else ""}

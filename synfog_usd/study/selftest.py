@@ -18,13 +18,9 @@ from synfog_usd.arrays import Array
 from synfog_usd.errors import SynfogError
 from synfog_usd.render import models
 from synfog_usd.render.film import aovs
-from synfog_usd.render.film.accumulator import accumulate
 from synfog_usd.render.shot import load
 from synfog_usd.scene import SceneDict
 from synfog_usd.study.cases import Case, Known, every
-
-PEERS = ("volpath", "volpathmis")
-"""Mitsuba's own: shown, and not counted."""
 
 SEEDS = 4
 LIMIT = 5.0
@@ -77,7 +73,7 @@ class Result:
             text = f"neg. {self.count} px"
         else:
             text = f"{_short(100 * self.error, sign=True)}/{_short(100 * self.resolves)}"
-        return f"!{text}" if self.failed else text if self.counted or self.model in PEERS or self.verdict == REFUSED else f"({text})"
+        return f"!{text}" if self.failed else text if self.counted or models.MODELS[self.model].peer or self.verdict == REFUSED else f"({text})"
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, with None where there is no number."""
@@ -107,7 +103,7 @@ def select(quick: bool = False) -> list[Case]:
 
 def measure(case: Case, known: Known, model: str) -> Result:
     """One model in one case."""
-    ours = model not in PEERS
+    ours = not models.MODELS[model].peer
     counted = ours and model in case.holds
     if model in case.skip or (case.layer and not counted):
         return Result(case.name, model, SKIPPED, counted)
@@ -193,7 +189,7 @@ def _render(world: SceneDict, model: str, samples: int, bands: int, seed: int) -
     shape = (world.camera.height_px, world.camera.width_px)
     images, variances, broken = [], [], 0
     for index in range(seed, seed + SEEDS):
-        exposure = accumulate(loaded, integrator, samples=samples, seed=index)
+        exposure = integrator.accumulate(samples=samples, seed=index)
         image = np.asarray(exposure.mean(), dtype=np.float64).mean(axis=1).reshape(shape)
         broken += exposure.lost + int(np.count_nonzero(~np.isfinite(image)))
         images.append(image)

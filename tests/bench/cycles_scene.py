@@ -271,16 +271,15 @@ def time_to_one_percent(scene: SceneDict, cycles: Mapping[str, Array], *, model:
     made before, Cycles' the slope between its least and most samples.
     """
     from synfog_usd.render import models, shot
-    from synfog_usd.render.film.accumulator import accumulate
 
     def renders(name: str, count: int, seeds: range) -> tuple[list[Any], float]:
         loaded = shot.load(scene, boundaries=models.MODELS[name].boundaries)
         integrator = models.make(name, loaded)
-        accumulate(loaded, integrator, samples=64, seed=99)
+        integrator.accumulate(samples=64, seed=99)
         done, seconds = [], []
         for seed in seeds:
             wall, processor = time.perf_counter(), time.process_time()
-            done.append(accumulate(loaded, integrator, samples=count, seed=seed))
+            done.append(integrator.accumulate(samples=count, seed=seed))
             seconds.append(min(time.perf_counter() - wall, (time.process_time() - processor) / float(cycles["threads"])))
         return done, min(seconds)
 

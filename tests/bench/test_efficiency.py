@@ -18,7 +18,6 @@ from synfog_usd import stage as usd
 from synfog_usd.render import denoise as denoising
 from synfog_usd.render import models, shot
 from synfog_usd.render.film import aovs
-from synfog_usd.render.film.accumulator import accumulate
 from synfog_usd.translate import translate
 
 pytestmark = pytest.mark.bench
@@ -42,7 +41,7 @@ class Renderer:
         self.render(64, 99)  # all kernels made
 
     def render(self, samples, seed):
-        return accumulate(self.loaded, self.integrator, samples=samples, seed=seed)
+        return self.integrator.accumulate(samples=samples, seed=seed)
 
 
 def luminance(exposure):

@@ -8,7 +8,6 @@ from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.render import models
 from synfog_usd.render.film import aovs
-from synfog_usd.render.film.accumulator import accumulate
 from synfog_usd.render.integrators.asm import PATCH_PX, asm_refuses, dark_channel, estimated_airlight, make_asm, physical_airlight
 from synfog_usd.render.shot import load
 from synfog_usd.study.truths import black, box, scene, uniform_fog, wall
@@ -20,7 +19,7 @@ BLUE_SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value
 def picture(world, *, airlight="physical", samples=16, seed=0):
     """(H, W, C) of the model."""
     loaded = load(world, boundaries=False)
-    mean = accumulate(loaded, make_asm(loaded, airlight), samples=samples, seed=seed).mean()
+    mean = make_asm(loaded, airlight).accumulate(samples=samples, seed=seed).mean()
     return mean.reshape(world.camera.height_px, world.camera.width_px, -1)
 
 
@@ -56,7 +55,7 @@ def test_towards_the_horizon_of_an_overcast_layer_it_is_what_path_sees():
     truth = picture(world).mean(axis=(0, 1))
     loaded = load(world, boundaries=False)
     path = models.MODELS["path"].make(loaded)
-    seen = np.array([accumulate(loaded, path, samples=128, seed=seed).mean().mean(axis=0) for seed in range(12)])
+    seen = np.array([path.accumulate(samples=128, seed=seed).mean().mean(axis=0) for seed in range(12)])
     for channel in range(3):
         assert_mean(seen[:, channel], truth[channel], resolves=0.03)
 
@@ -66,7 +65,7 @@ def test_a_lamp_by_night_has_no_glow():
     bulb = {"light_bulb": {"type": "point", "position": [0.0, 30.0, 0.0], "intensity": {"type": "rgb", "value": [100.0] * 3}}}
     world = scene(bulb, [uniform_fog(visibility_m=150.0)], fov_x_deg=60.0)
     loaded = load(world, boundaries=False)
-    path = accumulate(loaded, models.MODELS["path"].make(loaded), samples=64, seed=0).mean()
+    path = models.MODELS["path"].make(loaded).accumulate(samples=64, seed=0).mean()
     assert path.mean() > 1e-3
     np.testing.assert_array_equal(picture(world), 0.0)
 
@@ -77,8 +76,8 @@ def test_layers_and_variance_are_those_of_the_sum():
     world = scene({**BLUE_SKY, "shape_wall": wall(30.0, 5.0, bsdf={"type": "diffuse"}), "shape_ground": ground()}, [fog], fov_x_deg=60.0)
     loaded = load(world, boundaries=False)
     model = make_asm(loaded)
-    foggy = accumulate(loaded, model, samples=16, seed=1)
-    clear = accumulate(model.clear, model.path, samples=16, seed=1)
+    foggy = model.accumulate(samples=16, seed=1)
+    clear = model.path.accumulate(samples=16, seed=1)
     t = aovs.measure(loaded).transmittance.reshape(-1, 1)
     np.testing.assert_allclose(foggy.aov("surface"), t * clear.mean(), rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(foggy.aov("surface") + foggy.aov("airlight_single") + foggy.aov("airlight_multiple"), foggy.mean(), rtol=1e-12)

@@ -11,6 +11,7 @@ from synfog_usd import photometry
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render import planner
+from synfog_usd.render.sampling import adaptive
 from synfog_usd.render.shot import load, render
 from synfog_usd.render.spectra import bands
 from synfog_usd.study.truths import box, scene, wall
@@ -118,7 +119,7 @@ def test_the_planner_takes_bands_where_r_g_and_b_would_be_wrong():
     hazy = scene({**SKY, "shape_wall": wall(20.0, bsdf={"type": "diffuse", "reflectance": rgb(0.0, 0.0, 0.0)})}, [haze(1.3, albedo=0.9)], fov_x_deg=40.0)
     taken = {}
     for name, world in (("grey", grey), ("orange", orange), ("hazy", hazy)):
-        count, why, figures = planner.choose_bands(load(world, boundaries=False), "path", target=planner.Target(relative=0.01), seed=0)
+        count, why, figures = planner.choose_bands(load(world, boundaries=False), "path", target=adaptive.Target(relative=0.01), seed=0)
         taken[name] = count
         assert "%" in why and figures["3"] >= 0.0
     assert taken["grey"] == 3 and taken["orange"] > 3 and taken["hazy"] > 3

@@ -6,7 +6,6 @@ import pytest
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.render import models
-from synfog_usd.render.film.accumulator import accumulate
 from synfog_usd.render.integrators.glow import PART, _AxialLight, glow_refuses, make_glow
 from synfog_usd.render.shot import load
 from synfog_usd.study.truths import LOOK_NORTH, black, box, scene, uniform_fog, wall
@@ -28,7 +27,7 @@ def layer_means(world, make, *, samples, seeds, name):
     """(K,) pooled red of a layer, one per seed."""
     loaded = load(world, boundaries=False)
     integrator = make(loaded)
-    return np.array([accumulate(loaded, integrator, samples=samples, seed=seed).aov(name)[:, 0].mean() for seed in range(seeds)])
+    return np.array([integrator.accumulate(samples=samples, seed=seed).aov(name)[:, 0].mean() for seed in range(seeds)])
 
 
 def assert_same(ours, theirs, *, resolves):
@@ -108,7 +107,7 @@ def test_the_picture_is_the_sum_of_its_layers_and_repeats():
     world = scene({"light_bulb": bulb(-5.0, 20.0, 0.0), "shape_wall": wall(40.0, bsdf={"type": "diffuse"})}, [uniform_fog()], fov_x_deg=60.0)
     loaded = load(world, boundaries=False)
     model = make_glow(loaded)
-    one, two, other = (accumulate(loaded, model, samples=16, seed=seed) for seed in (1, 1, 2))
+    one, two, other = (model.accumulate(samples=16, seed=seed) for seed in (1, 1, 2))
     assert one.mean().tobytes() == two.mean().tobytes() != other.mean().tobytes()
     aovs = [one.aov(name) for name in ("surface", "airlight_single", "airlight_multiple")]
     np.testing.assert_allclose(sum(aovs), one.mean(), rtol=1e-9, atol=1e-12)

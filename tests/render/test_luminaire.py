@@ -6,8 +6,7 @@ from support.stats import assert_mean
 
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render import backend, models
-from synfog_usd.render.film.accumulator import add_samples, new_accumulator
-from synfog_usd.render.integrators.path import LAMPS
+from synfog_usd.render.film.accumulator import LAMPS, add_samples, new_accumulator
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.grid import LightDistribution
 from synfog_usd.render.lights.sampler import LightSampler

@@ -6,6 +6,7 @@ import pytest
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render import planner
+from synfog_usd.render.sampling import adaptive
 from synfog_usd.render.shot import load, render
 from synfog_usd.study.truths import black, box, scene, uniform_fog, wall
 
@@ -40,14 +41,14 @@ def test_time_is_the_third_stop():
 
 def test_the_sensors_target_is_a_third_of_its_noise():
     """Two noises that come together grow by the square: 5 % more than the sensor's alone."""
-    noise = planner.sensor_target(lambda luminance: 0.5 * np.sqrt(luminance))(np.array([4.0]))[0]
+    noise = adaptive.sensor_target(lambda luminance: 0.5 * np.sqrt(luminance))(np.array([4.0]))[0]
     assert np.hypot(noise, 1.0) == pytest.approx(1.054, abs=1e-3)
 
 
 def test_biased_models_are_taken_only_where_their_error_was_seen_to_be_small():
     """In fog that scatters half of the light `asm` misses some of it; the pilot measures that and passes it over."""
     still = scene({**SKY, "shape_wall": wall(50.0, 5.0, **black(1.0))}, [FogVolume("/Fog", box(200.0), FogMedium(0.02, albedo=0.5))], fov_x_deg=40.0)
-    choice = planner.choose(load(still, boundaries=False), target=planner.Target(relative=0.1), seed=0)
+    choice = planner.choose(load(still, boundaries=False), target=adaptive.Target(relative=0.1), seed=0)
     assert choice.best == "path" and choice.model in ("path", "field")
     assert choice.figures["asm"]["bias"] > 0.1
 
@@ -64,7 +65,7 @@ def test_a_target_out_of_range_is_refused(wrong, words):
 def test_a_picture_of_a_few_rows_is_judged_too():
     """640 x 20: the pilot has two rows, fewer than a square over which a grid's error is measured is high."""
     wide = scene({**SKY, "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})}, [uniform_fog()], width_px=640, height_px=20, fov_x_deg=40.0)
-    figures = planner.choose(load(wide, boundaries=False), target=planner.Target(relative=0.05), seed=0).figures
+    figures = planner.choose(load(wide, boundaries=False), target=adaptive.Target(relative=0.05), seed=0).figures
     assert np.isfinite(figures["field"]["bias"])
-    smoothed = planner.choose(load(wide, boundaries=False), target=planner.Target(relative=0.05), seed=0, denoised=True)
+    smoothed = planner.choose(load(wide, boundaries=False), target=adaptive.Target(relative=0.05), seed=0, denoised=True)
     assert smoothed.model == "path" and "field" not in smoothed.figures  # a denoiser does what the grid would

@@ -24,16 +24,16 @@ def only(name, **changes):
     return replace(found, **changes)
 
 
-def constant(value, lost=0):
+def constant(value, lost=0, *, peer=False):
     """A model that sees the same everywhere."""
 
     def make(loaded):
         camera = loaded.source.camera
         shape = (camera.width_px * camera.height_px, 3)
         exposure = SimpleNamespace(mean=lambda: np.full(shape, value), variance=lambda: np.full(shape, 1e-12), lost=lost)
-        return SimpleNamespace(expose=lambda **how: exposure)
+        return SimpleNamespace(accumulate=lambda **how: exposure)
 
-    return models.Model(make, False, lambda scene: "")
+    return models.Model(make=make, peer=peer)
 
 
 WALL = "wall at 50 m, MOR 150"
@@ -80,7 +80,7 @@ def test_a_wrong_truth_is_missed(monkeypatch):
 )
 def test_nan_and_negative_radiance_fail_in_any_domain(monkeypatch, value, lost, verdict, cell):
     """A model of ours that has no stated domain yet, and gives what no model may; a peer's NaN is shown and not counted."""
-    monkeypatch.setattr(models, "MODELS", {"new": constant(value, lost), "volpathmis": constant(value, lost)})
+    monkeypatch.setattr(models, "MODELS", {"new": constant(value, lost), "volpathmis": constant(value, lost, peer=True)})
     ((ours, theirs),) = selftest.run([only(WALL)])
     assert (ours.verdict, ours.failed, ours.cell()) == (verdict, True, cell)
     assert (theirs.verdict, theirs.failed, theirs.cell()) == (verdict, False, cell[1:])
@@ -92,7 +92,7 @@ def test_outside_of_its_domain_a_model_is_shown_in_brackets(monkeypatch):
     def crash(loaded):
         raise RuntimeError("no such instance")
 
-    bad = models.Model(crash, False, lambda scene: "")
+    bad = models.Model(make=crash)
     shy = replace(models.MODELS["path"], refuses=lambda scene: "no")
     monkeypatch.setattr(models, "MODELS", {"new": constant(1.0), "bad": bad, "path": shy})
     ((new, bad, path),) = selftest.run([only(WALL)])

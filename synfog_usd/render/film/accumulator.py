@@ -1,8 +1,8 @@
 """Samples spent and counted: the mean of each pixel and how well it is known.
 
-Rays are made here and summed in a fixed order.  Mitsuba's own film adds samples
+Samples are summed in a fixed order.  Mitsuba's own film adds samples
 with atomics, whose order changes from run to run; this sum does not, so the same
-seed gives the same bytes.  With `FogPath` a sample's random numbers depend on its
+seed gives the same bytes.  With our path tracers a sample's random numbers depend on its
 pixel and its number alone, and samples are summed in chunks of CHUNK: how many
 pixels or chunks are in flight at once makes no difference.
 """
@@ -12,20 +12,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from synfog_usd.arrays import Array, Indices
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
-from synfog_usd.render.integrators.path import AOVS, INSCATTERED, LAMPS, SURFACE, FogPath
-from synfog_usd.render.load import MitsubaScene, make_sensor
-from synfog_usd.render.motion import moved
+from synfog_usd.render.load import MitsubaScene
 from synfog_usd.seeds import seed32
-
-LANES_PER_PASS = 1 << 21
-"""Paths in flight at once; measured 0.2 GB above the scene in `volpath`."""
 
 CHUNK = 16
 """Paths that one lane traces one after the other, and that are summed in float32."""
@@ -33,13 +28,68 @@ CHUNK = 16
 CHUNKED_LANES = 1 << 18
 """Lanes at once where each traces a chunk: 0.1 s between two progress reports, and sums of a few hundred MB."""
 
-SCALAR_PASSES = 8
-
 ALL = "all"
 """The one estimator and AOV of an integrator that tells none apart."""
 
+SURFACE, LAMPS, INSCATTERED = "surface", "lamps", "air"
+"""The three estimators of what the eye sees: surfaces through the fog; lamps, scattered once into the line of sight; all other in-scattered
+radiance.  Their words seed streams of random numbers: another word would be another picture."""
+
+SINGLE, MULTIPLE = "airlight_single", "airlight_multiple"
+
+AOVS = {SURFACE: (SURFACE,), LAMPS: (SINGLE,), INSCATTERED: (SINGLE, MULTIPLE)}
+"""Which AOVs each estimator adds to."""
+
 ESTIMATOR_COST = {SURFACE: 1.0, LAMPS: 0.25, INSCATTERED: 1.8}
 """Seconds of a path of each estimator, relative; measured in the bench stages within a factor of two, and fixed, so that the same seed gives the same bytes."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Sums over the paths of each lane.
+
+    Attributes:
+        aovs: light in all bands (R, G and B, or more) for each of the estimator's `AOVS`.
+        squares: of the whole path's light, in all bands.
+        groups: light by light group; empty where there is only one.
+        lost: paths that were not finite and count as zero.
+        seen: paths of a cell that nothing hid; 0 for pixels.
+    """
+
+    aovs: tuple[Any, ...]
+    squares: Any
+    groups: tuple[Any, ...]
+    lost: Any
+    seen: Any = 0
+
+
+class Integrator(Protocol):
+    """A model, ready to render one scene."""
+
+    def accumulate(self, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
+        """An image of `samples` >= 2 paths per pixel; the same seed gives the same numbers in the same variant."""
+
+
+class Traces(Integrator, Protocol):
+    """An integrator whose estimators can be given samples of their own.
+
+    Attributes:
+        loaded: scene and sensor.
+        estimators: their names.
+        groups: number of light groups.
+        bands: what a path carries.
+    """
+
+    loaded: MitsubaScene
+    estimators: tuple[str, ...]
+    groups: int
+    bands: Any
+
+    def trace(self, estimator: str, pixel: Any, first: Any, count: int, seed: int) -> Moments:
+        """`count` paths of an estimator in each lane; (N,) `pixel`, and (N,) `first` the number of a lane's first path."""
+
+    def radiance_cache(self) -> Any:
+        """The cache from which INSCATTERED is looked up, or None."""
 
 
 @dataclass
@@ -147,39 +197,26 @@ class Accumulator:
         return found
 
 
-def accumulate(loaded: MitsubaScene, integrator: Any, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
+def accumulate_by_estimator(integrator: Traces, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
     """Average `samples` paths through every pixel, with a box filter one pixel wide.
 
     Args:
-        loaded: scene and sensor.
-        integrator: a Mitsuba `SamplingIntegrator`, a `FogPath`, or anything with an `accumulate` of its own.
-        samples: paths per pixel, >= 2 (one has no variance).  A `FogPath` takes as many on the average of
-            its estimators, weighted by what they cost: more of the estimator that is noisier.
+        integrator: what traces them.
+        samples: paths per pixel, >= 2 (one has no variance), on the average of the estimators, weighted by what they
+            cost: more of the one that is noisier.
         seed: of this image; the same gives the same numbers in the same variant.
         progress: told after each pass.
     """
-    if hasattr(integrator, "accumulate"):
-        return integrator.accumulate(samples=samples, seed=seed, progress=progress)
-    pixels = loaded.source.camera.width_px * loaded.source.camera.height_px
-    if isinstance(integrator, FogPath):
-        accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
-        if samples < 3 * CHUNK or len(integrator.estimators) == 1:
-            add_samples(accumulated, integrator, everywhere, accumulated.even(samples), seed, progress)
-            return accumulated
-        first = accumulated.even(CHUNK)
-        add_samples(accumulated, integrator, everywhere, first, seed, lambda what, fraction: progress(what, fraction * CHUNK / samples))
-        more = {estimator: max(count - first[estimator], 0) for estimator, count in neyman_allocation(accumulated, samples).items()}
-        add_samples(accumulated, integrator, everywhere, more, seed, lambda what, fraction: progress(what, (CHUNK + fraction * (samples - CHUNK)) / samples))
+    pixels = integrator.loaded.source.camera.width_px * integrator.loaded.source.camera.height_px
+    accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
+    if samples < 3 * CHUNK or len(integrator.estimators) == 1:
+        add_samples(accumulated, integrator, everywhere, accumulated.even(samples), seed, progress)
         return accumulated
-    if backend.is_scalar():
-        return _accumulate_scalar(loaded, integrator, samples, seed, progress)
-    total, squares, lost, done = np.zeros((pixels, 3)), np.zeros((pixels, 3)), 0, 0
-    while done < samples:
-        count = min(samples - done, max(1, LANES_PER_PASS // pixels))
-        summed, squared, broken = _side_by_side(loaded, integrator, count, seed32(seed, "pass", done))
-        total, squares, lost, done = total + summed, squares + squared, lost + broken, done + count
-        progress("rendering", done / samples)
-    return undivided(total, squares, samples, lost)
+    first = accumulated.even(CHUNK)
+    add_samples(accumulated, integrator, everywhere, first, seed, lambda what, fraction: progress(what, fraction * CHUNK / samples))
+    more = {estimator: max(count - first[estimator], 0) for estimator, count in neyman_allocation(accumulated, samples).items()}
+    add_samples(accumulated, integrator, everywhere, more, seed, lambda what, fraction: progress(what, (CHUNK + fraction * (samples - CHUNK)) / samples))
+    return accumulated
 
 
 def undivided(total: Array, squares: Array, samples: int, lost: int = 0) -> Accumulator:
@@ -205,7 +242,7 @@ def neyman_allocation(accumulated: Accumulator, samples: int) -> dict[str, int]:
     return {name: max(CHUNK, round(unit * value / CHUNK) * CHUNK) for name, value in weight.items()}
 
 
-def new_accumulator(integrator: FogPath, pixels: int) -> Accumulator:
+def new_accumulator(integrator: Traces, pixels: int) -> Accumulator:
     """An image of no samples yet; sums over many bands are in float32, which holds 10^4 chunks to 1e-5 and half the memory."""
     groups, bands = integrator.groups if integrator.groups > 1 else 0, integrator.bands
     shape, kind = (pixels, bands.count), np.float64 if bands.is_rgb else np.float32
@@ -217,7 +254,7 @@ def new_accumulator(integrator: FogPath, pixels: int) -> Accumulator:
     return Accumulator({estimator: empty(estimator) for estimator in integrator.estimators}, weights=bands.weights, radiance_cache=integrator.radiance_cache())
 
 
-def add_samples(accumulated: Accumulator, integrator: FogPath, pixels: Indices, samples: Mapping[str, int], seed: int, progress: Progress = silent) -> None:
+def add_samples(accumulated: Accumulator, integrator: Traces, pixels: Indices, samples: Mapping[str, int], seed: int, progress: Progress = silent) -> None:
     """Add samples to each of some pixels.
 
     Args:
@@ -259,7 +296,7 @@ def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progr
     estimator.counts = np.full(len(estimator.counts), number, dtype=np.int64)
 
 
-def _add(accumulated: Accumulator, integrator: FogPath, name: str, pixels: Indices, first: Indices, count: int, chunks: int, seed: int) -> None:
+def _add(accumulated: Accumulator, integrator: Traces, name: str, pixels: Indices, first: Indices, count: int, chunks: int, seed: int) -> None:
     import drjit as dr
 
     moments = integrator.trace(name, backend.numbers(np.tile(pixels, chunks)), backend.numbers(first), count, seed)
@@ -277,50 +314,3 @@ def _add(accumulated: Accumulator, integrator: FogPath, name: str, pixels: Indic
     add(estimator.squares, moments.squares)
     estimator.counts[pixels] += count * chunks
     accumulated.lost += int(np.array(moments.lost).sum())
-
-
-def _side_by_side(loaded: MitsubaScene, integrator: Any, count: int, seed: int) -> tuple[Array, Array, int]:
-    """One lane a path, a contiguous run of them a pixel."""
-    mi = backend.mitsuba()
-    import drjit as dr
-
-    camera = loaded.source.camera
-    lanes = camera.width_px * camera.height_px * count
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, seed), lanes)  # opaque: a literal would compile a kernel per seed
-    index = dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, count)
-    corner = mi.Point2f(mi.Float(index % camera.width_px), mi.Float(index // camera.width_px))
-    place = (corner + mi.Point2f(sampler.next_2d())) / mi.Point2f(camera.width_px, camera.height_px) + mi.Point2f(*loaded.offset)
-    ray, weight = loaded.sensor.sample_ray_differential(0.0, 0.5, place, mi.Point2f(sampler.next_2d()))
-    if camera.moves:
-        ray = moved(ray, camera, sampler.next_1d())
-    radiance, _, _ = integrator.sample(loaded.scene, sampler, ray, loaded.camera_medium, True)
-    radiance = mi.Color3f(radiance * weight)
-    finite = dr.all(dr.isfinite(radiance))
-    radiance = dr.select(finite, radiance, 0.0)
-    summed = [dr.block_sum(channel, count) for channel in radiance]
-    squared = [dr.block_sum(channel * channel, count) for channel in radiance]
-    lost = dr.count(~finite)
-    dr.eval(summed, squared, lost)
-    return np.array(summed, dtype=np.float64).T, np.array(squared, dtype=np.float64).T, int(lost[0])
-
-
-def _accumulate_scalar(loaded: MitsubaScene, integrator: Any, samples: int, seed: int, progress: Progress) -> Accumulator:
-    """Whole renders with seeds of their own; their scatter gives the variance.
-
-    A thin lens off its axis is drawn as a pinhole: here Mitsuba makes the rays.
-    """
-    sensor = loaded.sensor if loaded.offset == (0.0, 0.0) else make_sensor(loaded.source.camera, loaded.camera_medium, pinhole=True)
-    passes = min(SCALAR_PASSES, samples)
-    counts = [samples // passes + (index < samples % passes) for index in range(passes)]
-    images, broken = [], 0
-    for index, count in enumerate(counts):
-        image = np.array(integrator.render(loaded.scene, sensor, seed32(seed, "pass", index), count), dtype=np.float64)[:, :, :3]
-        broken += int(np.count_nonzero(~np.isfinite(image).all(axis=2)))
-        images.append(np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).reshape(-1, 3))
-        progress("rendering", (index + 1) / passes)
-    weights = np.array(counts, dtype=np.float64)[:, None, None] / samples
-    stack = np.stack(images)
-    mean = (weights * stack).sum(axis=0)
-    variance = (weights * (stack - mean) ** 2).sum(axis=0) / (passes - 1)
-    return undivided(mean * samples, (variance * (samples - 1) + mean**2) * samples, samples, broken)

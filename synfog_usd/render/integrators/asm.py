@@ -34,8 +34,8 @@ from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.film import aovs
-from synfog_usd.render.film.accumulator import Accumulator, accumulate
-from synfog_usd.render.integrators.path import MULTIPLE, FogPath
+from synfog_usd.render.film.accumulator import MULTIPLE, Accumulator
+from synfog_usd.render.integrators.path import FogPath
 from synfog_usd.render.lights.sampler import LightSampler, is_sampled_light
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.control_variate import make_control_variate, mean_sky
@@ -91,8 +91,8 @@ class Asm:
         self.transmittance = aovs.measure(loaded).transmittance.reshape(-1, 1)
 
     def accumulate(self, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
-        """An image; as `film.accumulator.accumulate`.  Its variance is that of J; what noise A has is left out."""
-        accumulated = accumulate(self.clear, self.path, samples=samples, seed=seed, progress=progress)
+        """An image; see `Integrator`.  Its variance is that of J; what noise A has is left out."""
+        accumulated = self.path.accumulate(samples=samples, seed=seed, progress=progress)
         t = self.transmittance
         glow = (1.0 - t) * self._airlight(accumulated.mean())
         for index, estimator in enumerate(accumulated.estimators.values()):

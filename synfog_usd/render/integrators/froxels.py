@@ -25,7 +25,8 @@ import numpy as np
 from synfog_usd.arrays import Array
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
-from synfog_usd.render.integrators.path import AOVS, INSCATTERED, FogPath, FroxelGrid
+from synfog_usd.render.film.accumulator import AOVS, INSCATTERED
+from synfog_usd.render.integrators.path import FogPath, FroxelGrid
 from synfog_usd.render.media.medium import transmittance
 from synfog_usd.render.sampling.rng import Random
 

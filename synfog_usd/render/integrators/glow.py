@@ -34,11 +34,11 @@ from synfog_usd.errors import ParameterError
 from synfog_usd.fog.glow import NORMAL_COLUMNS, TAU, TAU_ROWS, THETA_COLUMNS, glow_table
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
-from synfog_usd.render.film.accumulator import CHUNKED_LANES, Accumulator, Estimator, accumulate
-from synfog_usd.render.integrators.path import MULTIPLE, SINGLE, SURFACE, FogPath, Method
+from synfog_usd.render.film.accumulator import CHUNKED_LANES, MULTIPLE, SINGLE, SURFACE, Accumulator, Estimator
+from synfog_usd.render.integrators.path import FogPath, Method
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.sampler import LightSampler, is_sampled_light, light_rows
-from synfog_usd.render.load import MitsubaScene
+from synfog_usd.render.load import LIGHTS, MitsubaScene
 from synfog_usd.render.media.medium import Medium
 from synfog_usd.render.sampling.rng import Random
 from synfog_usd.scene import SceneDict
@@ -56,7 +56,6 @@ SKY_SHARE = 0.05
 
 SKIES = ("constant", "envmap")
 SOLIDS = ("sphere", "rectangle", "disk")
-LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea", photometric.TYPE)
 
 BEAM_ORDERS = 64
 BEAM_ANGLES = 129
@@ -148,8 +147,8 @@ class Glow:
         dr.make_opaque(self.lamps, self.once, self.more, self.lit)
 
     def accumulate(self, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
-        """An image; as `film.accumulator.accumulate`."""
-        accumulated = accumulate(self.loaded, self.path, samples=samples, seed=seed, progress=progress)
+        """An image; see `Integrator`."""
+        accumulated = self.path.accumulate(samples=samples, seed=seed, progress=progress)
         camera, rays = self.loaded.source.camera, min(samples, RAYS)
         pixels = camera.width_px * camera.height_px
         sums = [np.zeros((pixels, 3)) for _ in range(4)]

@@ -28,7 +28,9 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
+from synfog_usd.render.film.accumulator import AOVS, INSCATTERED, LAMPS, SURFACE, Accumulator, Moments, accumulate_by_estimator
 from synfog_usd.render.lights.grid import TILES, LightGrid
 from synfog_usd.render.lights.guiding import GUIDE_PROBABILITY, LightGuide
 from synfog_usd.render.lights.sampler import LightSampler
@@ -40,7 +42,8 @@ from synfog_usd.render.sampling.rng import Random
 from synfog_usd.render.spectra.bands import Bands
 
 RR_DEPTH = 8
-"""Events before Russian roulette, as in `volpath`."""
+"""Events before Russian roulette, Mitsuba's too.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8 and 16 alike,
+2 and 40 up to a quarter worse."""
 
 FAINT = 0.5
 """Share of its first throughput below which a path is played for at once."""
@@ -52,15 +55,6 @@ UNLIMITED = 1 << 20
 
 LENS_M = 1e-3
 """Near plane [m] up to which a ray is begun at the lens itself."""
-
-SURFACE, LAMPS, INSCATTERED = "surface", "lamps", "air"
-"""The three estimators of what the eye sees: surfaces through the fog; lamps, scattered once into the line of sight; all other in-scattered
-radiance.  Their words seed streams of random numbers: another word would be another picture."""
-
-SINGLE, MULTIPLE = "airlight_single", "airlight_multiple"
-
-AOVS = {SURFACE: (SURFACE,), LAMPS: (SINGLE,), INSCATTERED: (SINGLE, MULTIPLE)}
-"""Which AOVs each estimator adds to."""
 
 
 @dataclass(frozen=True)
@@ -74,25 +68,6 @@ class Method:
 
     scatterings: int = UNLIMITED
     bounces: int = UNLIMITED
-
-
-@dataclass(frozen=True)
-class Moments:
-    """Sums over the paths of each lane.
-
-    Attributes:
-        aovs: light in all bands (R, G and B, or more) for each of the estimator's `AOVS`.
-        squares: of the whole path's light, in all bands.
-        groups: light by light group; empty where there is only one.
-        lost: paths that were not finite and count as zero.
-        seen: paths of a cell that nothing hid; 0 for pixels.
-    """
-
-    aovs: tuple[Any, ...]
-    squares: Any
-    groups: tuple[Any, ...]
-    lost: Any
-    seen: Any = 0
 
 
 @dataclass(frozen=True)
@@ -167,6 +142,10 @@ class FogPath:
 
     def _has_inscattering(self) -> bool:
         return self.foggy and (self.method.scatterings > 0 or self.control is not None)
+
+    def accumulate(self, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
+        """An image, see `Integrator`."""
+        return accumulate_by_estimator(self, samples=samples, seed=seed, progress=progress)
 
     def radiance_cache(self) -> Any:
         """The cache from which the estimator INSCATTERED is looked up; None, since it is sampled pixel by pixel."""

@@ -25,9 +25,8 @@ from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogVolume
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
+from synfog_usd.render.models import RGB
 from synfog_usd.render.spectra.bsdfs import SpectralBsdfs
-
-RGB = 3
 
 CENTRES_NM: dict[int, tuple[float, ...]] = {
     8: tuple(410.0 + 40.0 * index for index in range(8)),

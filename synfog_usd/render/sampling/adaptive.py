@@ -1,0 +1,130 @@
+"""When to stop: samples where the error still is, until the target is met or they are used up.
+
+Takes an integrator and a `Target`; gives an `Accumulator`.  What decides is counted in paths and their fixed costs,
+never in seconds, so that the same seed gives the same bytes on any machine; only `Target.time_s` is a clock's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from synfog_usd.arrays import Array
+from synfog_usd.progress import Progress, silent
+from synfog_usd.render.film.accumulator import (
+    CHUNK,
+    ESTIMATOR_COST,
+    INSCATTERED,
+    SURFACE,
+    Accumulator,
+    Integrator,
+    add_samples,
+    new_accumulator,
+    neyman_allocation,
+)
+from synfog_usd.render.integrators.path import FogPath
+
+SENSOR_SHARE = 1.0 / 3.0
+"""Part of the sensor's own noise that may be left of a render: together they are 5 % noisier than the sensor alone."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is good enough.
+
+    Attributes:
+        relative: standard error of a pixel's luminance over it, or None.
+        sigma: luminance (P,) [cd m-2] -> standard error [cd m-2] that is good enough, or None; the sensor's noise.
+        samples: most paths per pixel, on average over the image.
+        time_s: wall seconds after which no new round is begun, or None; a render that ends by it does not repeat byte for byte.
+    """
+
+    relative: float | None = None
+    sigma: Callable[[Array], Array] | None = None
+    samples: int = 64
+    time_s: float | None = None
+
+    @property
+    def open(self) -> bool:
+        """Whether the number of samples is the only thing that counts."""
+        return self.relative is None and self.sigma is None and self.time_s is None
+
+    def allowed(self, luminance: Array) -> Array:
+        """Standard error [cd m-2] that is good enough for each pixel."""
+        level = np.maximum(luminance, 0.01 * max(float(luminance.mean()), 1e-30))
+        limits = np.full(level.shape, np.inf)
+        if self.relative is not None:
+            limits = np.minimum(limits, self.relative * level)
+        if self.sigma is not None:
+            limits = np.minimum(limits, self.sigma(level))
+        return limits
+
+
+def sensor_target(noise: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """Luminance -> the part of the sensor's noise that a render may add [cd m-2].
+
+    Args:
+        noise: luminance [cd m-2] -> standard deviation of what a pixel reads [cd m-2], such as `camera.noise_floor`.
+    """
+    return lambda luminance: SENSOR_SHARE * noise(luminance)
+
+
+def accumulate_to_target(integrator: Integrator, *, target: Target, seed: int, now: Callable[[], float], progress: Progress = silent) -> Accumulator:
+    """Sample until the target is met or the samples or the time are used up; more where the error still is.
+
+    A pixel's variance is judged with its neighbours': by itself it would stop at the
+    moments when it happens to look small, and those are the dark ones.
+
+    Args:
+        integrator: a `FogPath`; others are sampled evenly, to `target.samples`, whatever the target.
+        now: seconds since the shot was begun.
+    """
+    if not isinstance(integrator, FogPath) or target.open:
+        return integrator.accumulate(samples=target.samples, seed=seed, progress=progress)
+    camera = integrator.loaded.source.camera
+    pixels = camera.width_px * camera.height_px
+    accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
+    first = min(2 * CHUNK, max(2, target.samples))
+    add_samples(accumulated, integrator, everywhere, accumulated.even(first), seed, _within(progress, 0.0, first / target.samples))
+    spent = first
+    while spent < target.samples and first % CHUNK == 0 and (target.time_s is None or now() < target.time_s):
+        need = _needed(accumulated, target, (camera.height_px, camera.width_px))
+        short = need > 1.0
+        if not short.any():
+            break
+        share = neyman_allocation(accumulated, CHUNK * len(integrator.estimators))
+        budget = (target.samples - spent) * pixels
+        rows = everywhere[short]
+        have = int(np.median(accumulated.estimators[SURFACE].counts[rows]))
+        count = int(min(have, budget // len(rows)) // CHUNK * CHUNK)  # a round at most doubles what a pixel has
+        if count == 0:
+            break
+        scale = count * sum(ESTIMATOR_COST[part] for part in share) / sum(accumulated.cost(part) * value for part, value in share.items())
+        scales = {part: scale * (len(rows) / pixels if accumulated.radiance_cache is not None and part == INSCATTERED else 1.0) for part in share}
+        more = {part: max(CHUNK, round(value * scales[part] / CHUNK) * CHUNK) for part, value in share.items()}
+        after = spent + count * len(rows) / pixels
+        add_samples(accumulated, integrator, rows, more, seed, _within(progress, spent / target.samples, after / target.samples))
+        spent = after
+    progress("rendering", 1.0)
+    return accumulated
+
+
+def reached(accumulated: Accumulator, target: Target, shape: tuple[int, int]) -> float:
+    """Share of the pixels whose standard error is under the target."""
+    return float((_needed(accumulated, target, shape) <= 1.0).mean())
+
+
+def _needed(accumulated: Accumulator, target: Target, shape: tuple[int, int]) -> Array:
+    """How many times the samples it has each pixel needs."""
+    from scipy import ndimage
+
+    smooth = ndimage.uniform_filter(accumulated.luminance().reshape(shape), 5, mode="nearest").ravel()
+    variance = ndimage.uniform_filter(np.minimum(accumulated.luminance_variance(), 1e30).reshape(shape), 5, mode="nearest").ravel()
+    return variance / np.maximum(target.allowed(smooth), 1e-30) ** 2
+
+
+def _within(progress: Progress, low: float, high: float) -> Progress:
+    """Progress of a part that goes from one fraction of the whole to another."""
+    return lambda what, fraction: progress(what, low + (high - low) * fraction)
