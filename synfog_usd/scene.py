@@ -116,6 +116,7 @@ class SceneDict:
             colour suggests; the colour says how bright it is, see `render.surfaces`.
         emission_of: key of a lamp in `world` -> (401,) relative power that it has instead of its colour's; the luminance stays.
         group_of: key of a lamp in `world` -> its light group: 'sky', 'headlights' (all lamps of vehicles), 'street_lamps', 'other', or an author's own.
+        bounds_m: (2, 3) corners of the box around the camera and all that is drawn.
         origin_m: what was subtracted from every stage position, in metres, Z up, float64.
         notes: what was left out or made simpler.
     """
@@ -128,6 +129,7 @@ class SceneDict:
     group_of: Mapping[str, str] = field(default_factory=dict)
     reflectance_of: Mapping[str, Array] = field(default_factory=dict)
     emission_of: Mapping[str, Array] = field(default_factory=dict)
+    bounds_m: Array = field(default_factory=lambda: np.zeros((2, 3)))
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[Note, ...] = ()
 

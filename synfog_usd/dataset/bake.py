@@ -82,17 +82,15 @@ def bake(
     from synfog_usd import camera
     from synfog_usd import stage as usd
     from synfog_usd.render import backend, models
+    from synfog_usd.render.film import aovs
 
     models.check_name(plan.model)
     graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
     with reading():
         stage = usd.open_stage(plan.stage, allow=plan.allow)
         todo = shots(plan, usd.variants(stage))
-        first, notes, foggy = _survey(stage, todo, plan)
-
-    def read(shot: Shot) -> SceneDict:
-        with reading():
-            return _translate(stage, shot, plan)
+        scenes = _Scenes(stage, plan)
+        notes, foggy = scenes.survey(todo)
 
     if plan.strict and any(note.severity == "warning" for note in notes):
         raise StrictError("\n".join(f"{note.path or plan.stage}: {note.text}" for note in notes if note.severity == "warning"))
@@ -104,10 +102,12 @@ def bake(
 
     with _only_writer(plan.out):
         files.remove_leftovers(plan.out)
-        ledger = _Ledger(plan.out, metadata, notes)
+        ledger, renderer = _Ledger(plan.out, metadata, notes), _Renderer()
         if not ledger.labels_done():
             progress("labels", 0.0)
-            ledger.add_labels(_write_labels(first, plan, graph))
+            with reading():
+                first = scenes.of(todo[0])
+            ledger.add_labels(_write_labels(aovs.measure(renderer.within(replace(first, fog=()))), first, plan, graph))
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
         if kept:
@@ -121,14 +121,15 @@ def bake(
                 progress(f"{shot.folder}: {what}", (index + fraction) / len(unfinished))
 
             step("translating", 0.0)
-            scene = first if shot == todo[0] else read(shot)
-            if metered and shot.lighting not in views:
+            with reading():
+                scene, clear = scenes.of(shot), scenes.of(_cleared(stage, shot)) if metered and shot.lighting not in views else None
+            if clear is not None:
                 step("metering", 0.01)
-                views[shot.lighting] = _meter(read(_cleared(stage, shot)), plan, graph)
-            row, told = _make(shot, scene, views.get(shot.lighting), graph, plan, step)
+                views[shot.lighting] = _meter(replace(clear, fog=()), renderer, plan, graph)
+            row, lines = _make(shot, scene, renderer, views.get(shot.lighting), graph, plan, step)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
-            for line in (*told, *row["warnings"]):
+            for line in (*lines, *row["warnings"]):
                 log(f"{shot.folder}: {line}")
         missing = [f"{note.path}: {note.text}" for note in notes if usd.MISSING in note.text]
         ledger.finish(todo, contact.write(plan.out, todo, ledger.rows, told=missing))
@@ -136,32 +137,69 @@ def bake(
     return Baked(ledger.manifest(todo), seconds, kept, notes)
 
 
-def _survey(stage: Any, todo: Sequence[Shot], plan: BakePlan) -> tuple[SceneDict, tuple[Note, ...], bool]:
-    """Translate every lighting once and every fog once, before anything is rendered.
+class _Scenes:
+    """The scenes of a stage: one translation for each lighting, and one more for what differs from it in more than its fog."""
 
-    Returns:
-        the first shot's scene, what any of them had to report, and whether one has fog.
-    """
-    first = _translate(stage, todo[0], plan)
-    notes, foggy = dict.fromkeys(first.notes), bool(first.fog)
-    lightings, fogs = {todo[0].lighting}, {todo[0].fog}
-    for shot in todo[1:]:
-        if shot.lighting in lightings and shot.fog in fogs:
-            continue
-        lightings.add(shot.lighting)
-        fogs.add(shot.fog)
-        scene = _translate(stage, shot, plan)
-        notes |= dict.fromkeys(scene.notes)
-        foggy |= bool(scene.fog)
-    return first, tuple(notes), foggy
+    def __init__(self, stage: Any, plan: BakePlan) -> None:
+        self.stage, self.plan = stage, plan
+        self.lightings: dict[str, Any] = {}
+        self.known: dict[Shot, SceneDict] = {}
+
+    def of(self, shot: Shot) -> SceneDict:
+        """The scene of a shot; what it was translated from is held, unless it serves no other shot."""
+        from synfog_usd import stage as usd
+        from synfog_usd.translate import Exchange, translate
+
+        if shot in self.known:
+            return self.known[shot]
+        plan = self.plan
+        usd.select(self.stage, fog=shot.fog_variant, lighting=shot.lighting_variant)
+        choices: dict[str, Any] = {"camera": plan.camera, "frame": plan.frame, "resolution": plan.size, "lights": plan.lights}
+        if shot.lighting not in self.lightings:
+            self.lightings[shot.lighting] = Exchange(self.stage, **choices, fog_mor_m=shot.mor_m)
+            self.known[shot] = self.lightings[shot.lighting].scene
+            return self.known[shot]
+        scene = self.lightings[shot.lighting].within(self.stage, fog_mor_m=shot.mor_m)
+        if scene is None:
+            return translate(self.stage, **choices, fog_mor_m=shot.mor_m)
+        self.known[shot] = scene
+        return self.known[shot]
+
+    def survey(self, todo: Sequence[Shot]) -> tuple[tuple[Note, ...], bool]:
+        """Read every lighting once and every fog once, before anything is rendered.
+
+        Returns:
+            what any of them had to report, and whether one has fog.
+        """
+        notes, foggy = dict[Any, None](), False
+        lightings, fogs = set[str](), set[str]()
+        for shot in todo:
+            if shot.lighting in lightings and shot.fog in fogs:
+                continue
+            lightings.add(shot.lighting)
+            fogs.add(shot.fog)
+            scene = self.of(shot)
+            notes |= dict.fromkeys(scene.notes)
+            foggy |= bool(scene.fog)
+        return tuple(notes), foggy
 
 
-def _translate(stage: Any, shot: Shot, plan: BakePlan) -> SceneDict:
-    from synfog_usd import stage as usd
-    from synfog_usd.translate import translate
+class _Renderer:
+    """The renderer's side of one scene at a time; another that differs in its fog alone takes its place at once."""
 
-    usd.select(stage, fog=shot.fog_variant, lighting=shot.lighting_variant)
-    return translate(stage, camera=plan.camera, frame=plan.frame, resolution=plan.size, fog_mor_m=shot.mor_m, lights=plan.lights)
+    def __init__(self) -> None:
+        self.world: Any = None
+        self.loaded: Any = None
+
+    def within(self, scene: SceneDict) -> MitsubaScene:
+        """The scene in the renderer, without boundaries of fog."""
+        from synfog_usd.render.load import in_fog
+        from synfog_usd.render.shot import load
+
+        if self.world is not scene.world:
+            self.world = self.loaded = None  # two at once would make the renderer's tables, and with them its kernels, larger
+            self.loaded, self.world = load(scene, boundaries=False), scene.world
+        return in_fog(self.loaded, scene.fog)
 
 
 def _cleared(stage: Any, shot: Shot) -> Shot:
@@ -196,23 +234,32 @@ class _View:
         return functools.partial(camera.noise_floor, electrons_per_cd_m2=self.pixel[0], dark_noise_e=self.pixel[1]) if self.pixel else None
 
 
-def _meter(scene: SceneDict, plan: BakePlan, graph: Any) -> _View:
-    """A scene without its fog, metered on a small frame."""
+def _loaded(scene: SceneDict, renderer: _Renderer, model: str) -> MitsubaScene:
+    """The scene in the renderer as a model wants it."""
+    from synfog_usd.render import models
+    from synfog_usd.render.shot import load
+
+    return load(scene) if models.MODELS[models.choose(model, scene)[0]].boundaries else renderer.within(scene)
+
+
+def _meter(scene: SceneDict, renderer: _Renderer, plan: BakePlan, graph: Any) -> _View:
+    """A scene without fog, metered on a small frame."""
     from synfog_usd import camera, photometry
     from synfog_usd.render import models
     from synfog_usd.render.film import aovs
     from synfog_usd.render.load import resized
-    from synfog_usd.render.shot import load, render
+    from synfog_usd.render.shot import render
 
-    scene = replace(scene, fog=())
-    loaded = load(scene, boundaries=models.MODELS[models.choose(models.AUTO, scene)[0]].boundaries)
+    loaded = _loaded(scene, renderer, models.AUTO)
     size = METER_WIDTH_PX, max(1, round(METER_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
     frame = render(scene, samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=size, loaded=resized(loaded, size)).radiance
     exposure = camera.meter(frame, graph)
     return _View(exposure, camera.sensitivity(frame, graph, exposure), photometry.luminance(frame), aovs.measure(loaded))
 
 
-def _make(shot: Shot, scene: SceneDict, view: _View | None, graph: Any, plan: BakePlan, progress: Progress) -> tuple[dict[str, Any], list[str]]:
+def _make(
+    shot: Shot, scene: SceneDict, renderer: _Renderer, view: _View | None, graph: Any, plan: BakePlan, progress: Progress
+) -> tuple[dict[str, Any], list[str]]:
     """Render and develop one shot, write its files, and give its row of the manifest and what a user wants to know."""
     from synfog_usd import cull, writers
     from synfog_usd.render.sampling.adaptive import sensor_target
@@ -221,8 +268,9 @@ def _make(shot: Shot, scene: SceneDict, view: _View | None, graph: Any, plan: Ba
     seed = seed32(plan.seed, shot.lighting, shot.fog)
     floor = view.noise if view else None
     hidden = cull.hide(scene, floor, view.luminance) if plan.cull and view and floor else cull.through(scene)
+    drawn = cull.reduced(scene, hidden)
     rendered = render(
-        cull.reduced(scene, hidden),
+        drawn,
         model=plan.model,
         samples=plan.samples,
         seed=seed,
@@ -231,6 +279,7 @@ def _make(shot: Shot, scene: SceneDict, view: _View | None, graph: Any, plan: Ba
         time_limit_s=plan.time_limit_s,
         bands=plan.bands,
         denoise=plan.denoise,
+        loaded=_loaded(drawn, renderer, plan.model) if drawn is scene else None,
         clear=view.seen if view and hidden.triangles else None,
         progress=lambda what, fraction: progress(what, 0.02 + 0.9 * fraction),
     )
@@ -286,14 +335,12 @@ def _target(plan: BakePlan, pixel: tuple[float, float] | None, met: float | None
     return kind | ({} if met is None else {"pixels_under_it": round(met, 4)})
 
 
-def _write_labels(scene: SceneDict, plan: BakePlan, graph: Any = None) -> dict[str, str]:
-    """Write what is seen where, bent as the graph's lens bends the picture; radiance.exr and layers.exr stay those of a pinhole."""
+def _write_labels(seen: Aovs, scene: SceneDict, plan: BakePlan, graph: Any = None) -> dict[str, str]:
+    """Write what is seen where in clear air, bent as the graph's lens bends the picture; radiance.exr and layers.exr stay those of a pinhole."""
     from synfog_usd import writers
     from synfog_usd.camera import distortion
-    from synfog_usd.render.film import aovs
-    from synfog_usd.render.shot import load
 
-    seen, metadata, view = aovs.measure(load(replace(scene, fog=()))), {}, scene.camera
+    metadata, view = {}, scene.camera
     bent = graph and distortion.of_graph(graph, height_px=view.height_px, width_px=view.width_px, fov_x_deg=view.fov_x_deg, shift=view.shift)
     if bent:
         node, warp = bent

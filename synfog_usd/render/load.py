@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from synfog_usd.errors import StageError
-from synfog_usd.fog import Boundary, FogMedium
+from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.phase import HenyeyGreenstein
 from synfog_usd.render import backend
 from synfog_usd.render.flatten import FaceInstances, flatten
@@ -149,6 +149,13 @@ def resized(loaded: MitsubaScene, size: tuple[int, int]) -> MitsubaScene:
     """The same scene seen in (width, height) pixels."""
     camera = replace(loaded.source.camera, width_px=size[0], height_px=size[1])
     return replace(loaded, source=replace(loaded.source, camera=camera), sensor=make_sensor(camera, loaded.camera_medium))
+
+
+def in_fog(loaded: MitsubaScene, fog: tuple[FogVolume, ...]) -> MitsubaScene:
+    """The same scene in other fog; for one without boundaries, where nothing of the fog is in the renderer."""
+    if loaded.boundaries:
+        raise ValueError("the scene was loaded with the boundaries of its fog")
+    return replace(loaded, source=replace(loaded.source, fog=fog))
 
 
 def camera_fog(source: SceneDict) -> int | None:

@@ -229,7 +229,7 @@ def variants(stage: Usd.Stage) -> dict[str, list[str]]:
     """Names within the variant sets 'fog' and 'lighting', from the default prim or any root prim."""
     found: dict[str, list[str]] = {}
     for name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET):
-        prim = _variant_prim(stage, name)
+        prim = variant_prim(stage, name)
         if prim is not None:
             found[name] = list(prim.GetVariantSet(name).GetVariantNames())
     return found
@@ -245,7 +245,7 @@ def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = N
     for name, choice in ((FOG_VARIANT_SET, fog), (LIGHTING_VARIANT_SET, lighting)):
         if choice is None:
             continue
-        prim = _variant_prim(stage, name)
+        prim = variant_prim(stage, name)
         if prim is None:
             raise StageError(f"{_name(stage)}: no root prim has a variant set {name!r}; add one, or leave the choice out")
         names = prim.GetVariantSet(name).GetVariantNames()
@@ -299,7 +299,8 @@ def _all_files(stage: Usd.Stage) -> tuple[list[Sdf.Layer], list[str]]:
     return list(layers), list(assets)
 
 
-def _variant_prim(stage: Usd.Stage, name: str) -> Usd.Prim | None:
+def variant_prim(stage: Usd.Stage, name: str) -> Usd.Prim | None:
+    """The root prim that has a variant set, or None."""
     roots = [stage.GetDefaultPrim(), *stage.GetPseudoRoot().GetChildren()]
     return next((prim for prim in roots if prim and prim.GetVariantSets().HasVariantSet(name)), None)
 

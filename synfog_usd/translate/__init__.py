@@ -1,6 +1,7 @@
 """From a USD stage to a scene in Mitsuba's vocabulary; writes nothing to the stage."""
 
 from synfog_usd.translate.assemble import translate
+from synfog_usd.translate.exchange import Exchange
 from synfog_usd.translate.report import summary
 
-__all__ = ["summary", "translate"]
+__all__ = ["Exchange", "summary", "translate"]

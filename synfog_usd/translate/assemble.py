@@ -19,7 +19,7 @@ from pxr import Usd
 from synfog_usd.arrays import Array
 from synfog_usd.errors import StageError
 from synfog_usd.fog import FogVolume
-from synfog_usd.scene import Instance, SceneDict
+from synfog_usd.scene import Camera, Instance, SceneDict
 from synfog_usd.stage.labels import UNLABELED
 from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors
 from synfog_usd.stage.schema import PREFIX
@@ -43,7 +43,6 @@ _AHEAD = 4096
 """Meshes that are read together; small ones of one topology are then looked at together too."""
 
 
-@plain_errors
 def translate(
     stage: Usd.Stage,
     *,
@@ -73,33 +72,29 @@ def translate(
         StageError: nothing to look with, fog that makes no sense, or a file that
             asks for more than a machine can hold; names the prim.
     """
-    if fog_mor_m is not None and not fog_mor_m >= 0.0:
-        raise StageError(f"a visibility of {fog_mor_m} m is below 0; 0 or inf is clear air")
+    return with_boundaries(stage, camera=camera, frame=frame, resolution=resolution, fog_mor_m=fog_mor_m, lights=lights)[0]
+
+
+@plain_errors
+def with_boundaries(
+    stage: Usd.Stage, *, camera: str | None, frame: float | None, resolution: tuple[int, int] | None, fog_mor_m: float | None, lights: str
+) -> tuple[SceneDict, tuple[str, ...]]:
+    """What `translate` gives, and the paths of all fog boundaries of the stage, whatever visibility is asked for."""
+    check_visibility(fog_mor_m)
     check_depth(stage)
     notes = Diagnostics()
     notes.extend(composition_notes(stage))
-    time = at_mid_exposure(stage, _moment(stage, frame, notes), notes, path=camera)
-    stage = posed(stage, time, notes)
-    space = stage_space(stage)
-    eye = read_camera(stage, space, time, notes, path=camera, resolution=resolution)
-    space = replace(space, origin_m=np.round(eye.to_world[:3, 3]) + 0.0)
-    place = eye.to_world.copy()
-    place[:3, 3] -= space.origin_m
-    eye = replace(eye, to_world=place)
+    stage, time, space, eye = looked_from(stage, camera, frame, resolution, notes)
     scene = _Assembler(stage, space, time, notes, Chooser(stage, lights))
     with _uncollected():
         scene.build(walk(stage, time, notes))
     scene.chooser.report(notes)
     volume.rtx_fog(stage, notes)
-    fog = volume.nested(scene.fog)
-    if fog_mor_m is not None:
-        fog = _overridden(fog, fog_mor_m, scene, eye.to_world[:3, 3], notes)
-    volume.refuse_cut(fog, eye)
-    if fog and not any(part.boundary.contains(eye.to_world[:3, 3])[0] for part in fog):
-        notes.info(eye.path, "the camera stands outside of every fog boundary")
+    bounds = scene.bounds(eye.to_world[:3, 3])
+    fog = fog_around(scene.fog, fog_mor_m, eye, bounds, notes)
     if len(names := sorted(set(scene.group_of.values()))) > MOST:
         raise StageError(f"{len(names)} light groups ({', '.join(names[:4])}, ...); at most {MOST} can be told apart: give lamps the same {ATTRIBUTE}")
-    return SceneDict(
+    made = SceneDict(
         world=scene.world(),
         camera=eye,
         fog=fog,
@@ -108,9 +103,11 @@ def translate(
         group_of=scene.group_of,
         reflectance_of=scene.materials.reflectance_of,
         emission_of=scene.emission_of,
+        bounds_m=bounds,
         origin_m=(float(space.origin_m[0]), float(space.origin_m[1]), float(space.origin_m[2])),
         notes=notes.closed(lambda path: authored_path(stage, path)),  # USD numbers its prototypes anew each time
     )
+    return made, tuple(boundary.path for boundary in scene.fog)
 
 
 @contextlib.contextmanager
@@ -143,11 +140,45 @@ def _moment(stage: Usd.Stage, frame: float | None, notes: Diagnostics) -> Usd.Ti
     return Usd.TimeCode.Default()
 
 
-def _overridden(fog: tuple[FogVolume, ...], mor_m: float, scene: _Assembler, eye: Array, notes: Diagnostics) -> tuple[FogVolume, ...]:
+def check_visibility(mor_m: float | None) -> None:
+    """Refuse a visibility below 0.
+
+    Raises:
+        StageError: it is.
+    """
+    if mor_m is not None and not mor_m >= 0.0:
+        raise StageError(f"a visibility of {mor_m} m is below 0; 0 or inf is clear air")
+
+
+def looked_from(
+    stage: Usd.Stage, camera: str | None, frame: float | None, resolution: tuple[int, int] | None, notes: Diagnostics
+) -> tuple[Usd.Stage, Usd.TimeCode, Space, Camera]:
+    """The stage with its skeletons posed, the moment, the space around the camera, and the camera in it."""
+    time = at_mid_exposure(stage, _moment(stage, frame, notes), notes, path=camera)
+    stage = posed(stage, time, notes)
+    space = stage_space(stage)
+    eye = read_camera(stage, space, time, notes, path=camera, resolution=resolution)
+    space = replace(space, origin_m=np.round(eye.to_world[:3, 3]) + 0.0)
+    place = eye.to_world.copy()
+    place[:3, 3] -= space.origin_m
+    return stage, time, space, replace(eye, to_world=place)
+
+
+def fog_around(found: list[FogVolume], mor_m: float | None, eye: Camera, bounds_m: Array, notes: Diagnostics) -> tuple[FogVolume, ...]:
+    """Fog volumes within each other and with the visibility that is asked for, where the camera may stand."""
+    fog = volume.nested(found)
+    if mor_m is not None:
+        fog = _overridden(fog, mor_m, eye.to_world[:3, 3], bounds_m, notes)
+    volume.refuse_cut(fog, eye)
+    if fog and not any(part.boundary.contains(eye.to_world[:3, 3])[0] for part in fog):
+        notes.info(eye.path, "the camera stands outside of every fog boundary")
+    return fog
+
+
+def _overridden(fog: tuple[FogVolume, ...], mor_m: float, eye: Array, bounds_m: Array, notes: Diagnostics) -> tuple[FogVolume, ...]:
     if fog or mor_m == 0.0 or math.isinf(mor_m):
         return volume.with_visibility(fog, mor_m)
-    low, high = np.min([eye, *[points.min(axis=0) for points in scene.spread]], axis=0), np.max([eye, *[points.max(axis=0) for points in scene.spread]], axis=0)
-    made = volume.layer(mor_m, low, high, eye)
+    made = volume.layer(mor_m, bounds_m[0], bounds_m[1], eye)
     size = 2.0 * np.diag(made.boundary.to_world)[:3]
     notes.warn("", f"the stage has no fog; a layer of {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} m around the camera is made for it")
     return (made,)
@@ -355,6 +386,10 @@ class _Assembler:
             return None
         low, high = np.min([m.min(axis=0) for m in meshes], axis=0), np.max([m.max(axis=0) for m in meshes], axis=0)
         return np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3).astype(np.float64)
+
+    def bounds(self, eye: Array) -> Array:
+        """(2, 3) corners of the box around the camera and all that is drawn."""
+        return np.array([np.min([eye, *[p.min(axis=0) for p in self.spread]], axis=0), np.max([eye, *[p.max(axis=0) for p in self.spread]], axis=0)])
 
     # -- labels
 

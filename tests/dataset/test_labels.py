@@ -124,13 +124,11 @@ def test_the_matte_can_be_found_by_other_programs(layers):
     assert (facts["cryptomatte/f834d0a/hash"], facts["cryptomatte/f834d0a/conversion"]) == ("MurmurHash3_32", "uint32_to_float32")
 
 
-def test_another_program_finds_the_mattes_in_the_file(layers, tmp_path, monkeypatch):
+def test_another_program_finds_the_mattes_in_the_file(layers, tmp_path):
     """As Cryptomatte's readers do: header attributes cryptomatte/<key>/name, the channels <name>00.R and .G, names from the manifest."""
     import OpenImageIO
 
-    monkeypatch.setattr("synfog_usd.render.shot.load", lambda scene: None)
-    monkeypatch.setattr("synfog_usd.render.film.aovs.measure", lambda loaded: layers)
-    bake._write_labels(SceneDict({}, None, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path))
+    bake._write_labels(layers, SceneDict({}, None, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path))
     source = OpenImageIO.ImageInput.open(str(tmp_path / "labels.exr"))
     header = {item.name: item.value for item in source.spec().extra_attribs}
     channels = list(source.spec().channelnames)
@@ -190,10 +188,8 @@ def baked(tmp_path, monkeypatch):
     seen = Aovs(depth + 0.5, depth, normal, ids, np.ones(ids.shape))
     (tmp_path / "g.yaml").write_text(DISTORTED)
     graph = camera.load_graph(tmp_path / "g.yaml")
-    monkeypatch.setattr("synfog_usd.render.shot.load", lambda scene: None)
-    monkeypatch.setattr("synfog_usd.render.film.aovs.measure", lambda loaded: seen)
     view = Camera("/Camera", np.eye(4), 90, 60, 70.0)
-    bake._write_labels(SceneDict({}, view, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path), graph)
+    bake._write_labels(seen, SceneDict({}, view, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path), graph)
     radiance = Image(np.repeat(ids[..., None], 3, axis=2).astype(np.float32) + 10.0, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 70.0})
     picture = graph.run({"radiance": radiance}, seed=0)["bend"].pixels[..., 1] - 10.0
     return writers.read_exr(tmp_path / "labels.exr", quantity=Quantity.DATA), json.loads((tmp_path / "labels.json").read_bytes()), picture, seen

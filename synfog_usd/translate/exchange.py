@@ -1,0 +1,122 @@
+"""The same scene in another fog, without translating it again.
+
+Where the variants of the fog say nothing but of fog, all else of a scene stays what it
+is.  Which prims a variant says something of is read from its specs; what those are, from
+the composed stage.  Where anything else may have changed, the stage is translated anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from pxr import Sdf, Usd
+
+from synfog_usd.fog import FogVolume
+from synfog_usd.scene import Note, SceneDict
+from synfog_usd.stage.open import authored_path
+from synfog_usd.stage.opinions import said_of
+from synfog_usd.stage.schema import FOG_VARIANT_SET
+from synfog_usd.translate import volume
+from synfog_usd.translate.assemble import check_visibility, fog_around, looked_from, with_boundaries
+from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.walk import walk
+
+_CONTAINERS = frozenset({"", "Scope", "Xform"})
+"""Types of prims that are nothing by themselves."""
+
+
+class Exchange:
+    """A stage that is translated once, for as many fogs as its variants allow.
+
+    Args:
+        stage: with its variants chosen.
+        camera, frame, resolution, fog_mor_m, lights: see `translate`.
+
+    Attributes:
+        scene: the stage as it was chosen.
+
+    Raises:
+        StageError: as `translate` does.
+    """
+
+    def __init__(
+        self,
+        stage: Usd.Stage,
+        *,
+        camera: str | None = None,
+        frame: float | None = None,
+        resolution: tuple[int, int] | None = None,
+        fog_mor_m: float | None = None,
+        lights: str = "auto",
+    ) -> None:
+        self._camera, self._frame, self._resolution = camera, frame, resolution
+        self.scene, boundaries = with_boundaries(stage, camera=camera, frame=frame, resolution=resolution, fog_mor_m=fog_mor_m, lights=lights)
+        begun = self._read(stage, fog_mor_m)
+        self._begun = begun if begun is not None and boundaries == begun.boundaries else None
+
+    def within(self, stage: Usd.Stage, *, fog_mor_m: float | None = None) -> SceneDict | None:
+        """The scene in the fog that is now chosen on the stage.
+
+        Args:
+            stage: the same, with no other variants chosen than of the fog.
+            fog_mor_m: see `translate`.
+
+        Returns:
+            the scene with its other fog, and with the notes on that alone; None where more than the fog may differ.
+
+        Raises:
+            StageError: fog that makes no sense.
+        """
+        begun, now = self._begun, self._read(stage, fog_mor_m)
+        if begun is None or now is None or not _only_fog(begun, now):
+            return None
+        return replace(self.scene, fog=now.fog, notes=now.notes)
+
+    def _read(self, stage: Usd.Stage, fog_mor_m: float | None) -> _Fogs | None:
+        check_visibility(fog_mor_m)
+        said = said_of(stage, FOG_VARIANT_SET)
+        if said is None:
+            return None
+        notes, others = Diagnostics(), _others(stage)
+        stage, time, space, eye = looked_from(stage, self._camera, self._frame, self._resolution, Diagnostics())
+        found = walk(stage, time, Diagnostics())
+        if any(leaf.fog is not None for group in found.groups for leaf in group.leaves):
+            return None
+        leaves = [leaf for leaf in found.leaves if leaf.fog is not None]
+        volumes = [made for leaf in leaves if (made := volume.fog_volume(leaf.prim, leaf.fog, space.matrix @ leaf.matrix, time, notes)) is not None]
+        fog = fog_around(volumes, fog_mor_m, eye, self.scene.bounds_m, notes)
+        boundaries = tuple(part.path for part in volumes)
+        paths = frozenset(Sdf.Path(leaf.path) for leaf in leaves)
+        return _Fogs(said, others - paths, paths, boundaries, fog, notes.closed(lambda path: authored_path(stage, path)))
+
+
+@dataclass(frozen=True)
+class _Fogs:
+    """The fog of a stage as its variants stand.
+
+    Attributes:
+        said: prims of which the fog's variant says anything.
+        others: prims that are, or may be, anything but fog.
+        leaves: prims that are fog boundaries, switched on or not.
+        boundaries: paths of those that are switched on, in the order of the walk.
+        fog: what they hold, with the visibility that is asked for.
+        notes: on all of that.
+    """
+
+    said: frozenset[Sdf.Path]
+    others: frozenset[Sdf.Path]
+    leaves: frozenset[Sdf.Path]
+    boundaries: tuple[str, ...]
+    fog: tuple[FogVolume, ...]
+    notes: tuple[Note, ...]
+
+
+def _only_fog(one: _Fogs, other: _Fogs) -> bool:
+    """Whether each prim of which either variant says anything is fog, or holds fog and nothing else."""
+    leaves, rest = one.leaves | other.leaves, one.others | other.others
+    return all(any(leaf.HasPrefix(path) for leaf in leaves) and not any(prim.HasPrefix(path) for prim in rest) for path in one.said | other.said)
+
+
+def _others(stage: Usd.Stage) -> frozenset[Sdf.Path]:
+    """Prims that are more than containers; what is not active or not defined is nothing."""
+    return frozenset(prim.GetPath() for prim in Usd.PrimRange(stage.GetPseudoRoot()) if prim.IsInstance() or prim.GetTypeName() not in _CONTAINERS)
