@@ -1,8 +1,22 @@
 """The camera: lens, sensor and image signal processor as ops of a node graph."""
 
-from synfog_usd.camera.develop import develop, load_graph
+from synfog_usd.camera.develop import develop, exposure_left_open, load_graph, metered
 from synfog_usd.camera.exposure import Exposure, meter, noise_floor, sensitivity
 from synfog_usd.camera.profiles import LensProfile, SensorProfile, load_lens, load_sensor
 from synfog_usd.camera.registry import OPS
 
-__all__ = ["OPS", "Exposure", "LensProfile", "SensorProfile", "develop", "load_graph", "load_lens", "load_sensor", "meter", "noise_floor", "sensitivity"]
+__all__ = [
+    "OPS",
+    "Exposure",
+    "LensProfile",
+    "SensorProfile",
+    "develop",
+    "exposure_left_open",
+    "load_graph",
+    "load_lens",
+    "load_sensor",
+    "meter",
+    "metered",
+    "noise_floor",
+    "sensitivity",
+]

@@ -10,7 +10,7 @@ from synfog_usd import graph as engine
 from synfog_usd.camera import blur, cleanup, demosaic, distortion, flare, hdr, isp, optics, sensor  # noqa: F401  (their ops register themselves)
 from synfog_usd.camera.exposure import Exposure, meter
 from synfog_usd.camera.registry import OPS
-from synfog_usd.graph import GraphRun, NodeGraph, Registry
+from synfog_usd.graph import Cache, GraphRun, NodeGraph, Registry
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent
 
@@ -39,6 +39,7 @@ def develop(
     until: str | None = None,
     keep: Sequence[str] | None = None,
     progress: Progress = silent,
+    cache: Cache | None = None,
 ) -> GraphRun:
     """Run a graph, metering first where it leaves the exposure to the camera.
 
@@ -50,15 +51,29 @@ def develop(
         images: one per input.
         seed: of all random streams.
         exposure: from `meter`; metered on the radiance given here unless said.
-        overrides, until, keep, progress: see `NodeGraph.run`.
+        overrides, until, keep, progress, cache: see `NodeGraph.run`.
 
     Raises:
         GraphError: see `NodeGraph.run` and `meter`.
     """
     if overrides:
         graph = graph.with_overrides(overrides)
+    if exposure is None:
+        exposure = metered(graph, images)
+    return graph.run(images, seed=seed, settings=exposure.settings if exposure else None, until=until, keep=keep, progress=progress, cache=cache)
+
+
+def metered(graph: NodeGraph, images: Mapping[str, Image]) -> Exposure | None:
+    """Exposure for the radiance among some images; None where graph and images say how to expose, or there is none.
+
+    Raises:
+        GraphError: see `meter`.
+    """
     known = set[str]().union(*(image.provenance for image in images.values()))
-    if exposure is None and not {"exposure_s", "iso"} & set(graph.settings_needed) <= known:
-        radiance = next((image for image in images.values() if image.quantity is Quantity.RADIANCE), None)
-        exposure = meter(radiance, graph) if radiance is not None else None
-    return graph.run(images, seed=seed, settings=exposure.settings if exposure else None, until=until, keep=keep, progress=progress)
+    radiance = next((image for image in images.values() if image.quantity is Quantity.RADIANCE), None)
+    return meter(radiance, graph) if radiance is not None and not exposure_left_open(graph) <= known else None
+
+
+def exposure_left_open(graph: NodeGraph) -> set[str]:
+    """What a graph leaves to the camera, of exposure time and ISO."""
+    return {"exposure_s", "iso"} & set(graph.settings_needed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from synfog_usd import camera, files, resources, writers
 from synfog_usd.camera.profiles import shipped
 from synfog_usd.errors import GraphError, OutputError
-from synfog_usd.graph import Cache, GraphRun, NodeGraph, drawing, reference
+from synfog_usd.graph import Cache, NodeGraph, drawing, reference
 from synfog_usd.graph.cache import default_folder
 from synfog_usd.graph.schema import schema
 from synfog_usd.image import Image, Quantity
@@ -38,8 +38,9 @@ def run(
     graph = _changed(camera.load_graph(pipeline), changes)
     wanted = _files(graph, until)
     images = dict(_input(source, graph, repair) for source in sources)
-    exposure = camera.meter(_read(meter_on, repair), graph) if meter_on else _metered(graph, images)
-    results = _developed(graph, images, exposure, seed, until, list(wanted.values()), None if no_cache else _cache(cache))
+    exposure = camera.meter(_read(meter_on, repair), graph) if meter_on else None
+    keep, kept = list(wanted.values()), None if no_cache else _cache(cache)
+    results = camera.develop(graph, images, seed=seed, exposure=exposure, until=until, keep=keep, cache=kept)
     for name, node in wanted.items():
         options = graph.options_of(name) if graph.outputs.get(name) == node else {}
         print(writers.write_output(name, results[node], out, options=options))
@@ -52,9 +53,9 @@ def show(pipeline: Path, sources: Sequence[str], *, size: tuple[int, int] | None
     images = dict(_input(source, graph) for source in sources) or (_even(graph, size) if size else {})
     results = None
     if images:
-        exposure = _metered(graph, images)
+        exposure = camera.metered(graph, images)
         for _ in range(2):  # the first run sets up what later runs use again
-            results = _developed(graph, images, exposure, 0, None, [], None)
+            results = camera.develop(graph, images, seed=0, exposure=exposure, keep=[])
     if svg is not None:
         files.write_bytes(svg, drawing.svg(graph, results).encode())
         print(svg)
@@ -90,22 +91,6 @@ def _files(graph: NodeGraph, until: str | None) -> dict[str, str]:
     if until is None:
         return dict(graph.outputs)
     return {f"{until}.exr": until} if until in graph.nodes else graph.outputs_of(until) or {f"{until}.exr": until}
-
-
-def _metered(graph: NodeGraph, images: Mapping[str, Image]) -> camera.Exposure | None:
-    """Metered on the radiance that goes in, where neither the graph nor the images say how to expose."""
-    known = set[str]().union(*(image.provenance for image in images.values()))
-    if {"exposure_s", "iso"} & set(graph.settings_needed) <= known:
-        return None
-    radiance = next((image for image in images.values() if image.quantity is Quantity.RADIANCE), None)
-    return camera.meter(radiance, graph) if radiance is not None else None
-
-
-def _developed(
-    graph: NodeGraph, images: Mapping[str, Image], exposure: camera.Exposure | None, seed: int, until: str | None, keep: list[str], cache: Cache | None
-) -> GraphRun:
-    settings = exposure.settings if exposure else None
-    return graph.run(images, seed=seed, settings=settings, until=until, keep=keep, cache=cache)
 
 
 def _cache(folder: Path | None) -> Cache | None:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from synfog_usd.render.film.aovs import Aovs
+    from synfog_usd.render.load import MitsubaScene
     from synfog_usd.scene import Note, SceneDict
 
 MANIFEST = "bake.json"
@@ -97,7 +98,7 @@ def bake(
     if all(shot.mor_m is None for shot in todo) and not foggy:
         log(f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog (see docs/artists.md).")
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
-    metered = bool({"exposure_s", "iso"} & set(graph.settings_needed))
+    metered = bool(camera.exposure_left_open(graph))
     metadata = _metadata(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
 
     with _only_writer(plan.out):
@@ -141,7 +142,9 @@ class _Scenes:
     """The scenes of a stage: one translation for each lighting, and one more for what differs from it in more than its fog."""
 
     def __init__(self, stage: Any, plan: BakePlan) -> None:
-        self.stage, self.plan = stage, plan
+        from synfog_usd import stage as usd
+
+        self.stage, self.plan, self.authored = stage, plan, usd.selected(stage)
         self.lightings: dict[str, Any] = {}
         self.known: dict[Shot, SceneDict] = {}
 
@@ -153,7 +156,7 @@ class _Scenes:
         if shot in self.known:
             return self.known[shot]
         plan = self.plan
-        usd.select(self.stage, fog=shot.fog_variant, lighting=shot.lighting_variant)
+        usd.select(self.stage, fog=shot.fog_variant or self.authored.get("fog"), lighting=shot.lighting_variant or self.authored.get("lighting"))
         choices: dict[str, Any] = {"camera": plan.camera, "frame": plan.frame, "resolution": plan.size, "lights": plan.lights}
         if shot.lighting not in self.lightings:
             self.lightings[shot.lighting] = Exchange(self.stage, **choices, fog_mor_m=shot.mor_m)
@@ -261,7 +264,7 @@ def _make(
     shot: Shot, scene: SceneDict, renderer: _Renderer, view: _View | None, graph: Any, plan: BakePlan, progress: Progress
 ) -> tuple[dict[str, Any], list[str]]:
     """Render and develop one shot, write its files, and give its row of the manifest and what a user wants to know."""
-    from synfog_usd import cull, writers
+    from synfog_usd import camera, cull, writers
     from synfog_usd.render.sampling.adaptive import sensor_target
     from synfog_usd.render.shot import render
 
@@ -297,7 +300,7 @@ def _make(
     files.write_json(folder / "instances.json", labels.instance_list(hidden, scene))
     names = ["radiance.exr", "layers.exr", "instances.json"]
     exposure = view.exposure if view else None
-    results = graph.run({"radiance": radiance}, seed=seed, settings=exposure.settings if exposure else None, keep=list(graph.outputs.values()))
+    results = camera.develop(graph, {"radiance": radiance}, seed=seed, exposure=exposure, keep=list(graph.outputs.values()))
     for name, node in graph.outputs.items():
         writers.write_output(name, results[node], folder, options=graph.options_of(name))
         names.append(name)

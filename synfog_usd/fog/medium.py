@@ -80,6 +80,7 @@ class FogMedium:
         phase: phase function; None for Henyey-Greenstein's with `g`.
         angstrom: exponent [1] of the extinction over wavelength, -1 to 5; fog is grey, 0.
         grid: relative densities in the boundary's box; with profile 'grid' and only then.
+        contrast: threshold [1] at which its visibility is stated.
     """
 
     sigma_t_per_m: float
@@ -91,6 +92,7 @@ class FogMedium:
     phase: Phase | None = None
     angstrom: float = 0.0
     grid: DensityGrid | None = None
+    contrast: float = WMO_CONTRAST
 
     def __post_init__(self) -> None:
         if self.phase is not None:
@@ -99,6 +101,8 @@ class FogMedium:
             raise ParameterError(f"sigma_t {self.sigma_t_per_m} 1/m is outside 0 to {MAX_EXTINCTION_PER_M:g}")
         if not 0.0 <= self.albedo <= 1.0:
             raise ParameterError(f"albedo {self.albedo} is outside 0 to 1")
+        if not 0.0 < self.contrast < 1.0:
+            raise ParameterError(f"contrast {self.contrast} is outside (0, 1); the WMO's is 0.05")
         if not -1.0 < self.g < 1.0:
             raise ParameterError(f"g {self.g} is outside (-1, 1)")
         if self.profile not in ("uniform", "exponential", "grid"):
@@ -117,12 +121,12 @@ class FogMedium:
     @classmethod
     def from_visibility(cls, visibility_m: float, *, contrast: float = WMO_CONTRAST, albedo: float = 1.0, g: float = 0.87) -> FogMedium:
         """Uniform fog of a stated meteorological optical range [m]."""
-        return cls(float(extinction_from_visibility(visibility_m, contrast=contrast)), albedo=albedo, g=g)
+        return cls(float(extinction_from_visibility(visibility_m, contrast=contrast)), albedo=albedo, g=g, contrast=contrast)
 
     @property
     def visibility_m(self) -> float:
-        """Meteorological optical range [m] at the base height, at the WMO's contrast of 0.05."""
-        return -math.log(WMO_CONTRAST) / self.sigma_t_per_m if self.sigma_t_per_m > 0 else math.inf
+        """Visibility [m] at the base height, at its own contrast threshold: the meteorological optical range at the WMO's 0.05."""
+        return -math.log(self.contrast) / self.sigma_t_per_m if self.sigma_t_per_m > 0 else math.inf
 
     @property
     def phase_function(self) -> Phase:

@@ -235,6 +235,12 @@ def variants(stage: Usd.Stage) -> dict[str, list[str]]:
     return found
 
 
+def selected(stage: Usd.Stage) -> dict[str, str]:
+    """The variants that are chosen now in the sets 'fog' and 'lighting'; a set without a choice is left out."""
+    chosen = {name: prim.GetVariantSet(name).GetVariantSelection() for name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET) if (prim := variant_prim(stage, name))}
+    return {name: choice for name, choice in chosen.items() if choice}
+
+
 def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = None) -> None:
     """Choose variants, on the session layer only.
 

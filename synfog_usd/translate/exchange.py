@@ -13,7 +13,7 @@ from pxr import Sdf, Usd
 
 from synfog_usd.fog import FogVolume
 from synfog_usd.scene import Note, SceneDict
-from synfog_usd.stage.open import authored_path
+from synfog_usd.stage.open import authored_path, selected
 from synfog_usd.stage.opinions import said_of
 from synfog_usd.stage.schema import FOG_VARIANT_SET
 from synfog_usd.translate import volume
@@ -77,7 +77,7 @@ class Exchange:
         said = said_of(stage, FOG_VARIANT_SET)
         if said is None:
             return None
-        notes, others = Diagnostics(), _others(stage)
+        chosen, notes, others = selected(stage).get(FOG_VARIANT_SET), Diagnostics(), _others(stage)
         stage, time, space, eye = looked_from(stage, self._camera, self._frame, self._resolution, Diagnostics())
         found = walk(stage, time, Diagnostics())
         if any(leaf.fog is not None for group in found.groups for leaf in group.leaves):
@@ -87,7 +87,7 @@ class Exchange:
         fog = fog_around(volumes, fog_mor_m, eye, self.scene.bounds_m, notes)
         boundaries = tuple(part.path for part in volumes)
         paths = frozenset(Sdf.Path(leaf.path) for leaf in leaves)
-        return _Fogs(said, others - paths, paths, boundaries, fog, notes.closed(lambda path: authored_path(stage, path)))
+        return _Fogs(chosen, said, others - paths, paths, boundaries, fog, notes.closed(lambda path: authored_path(stage, path)))
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,7 @@ class _Fogs:
     """The fog of a stage as its variants stand.
 
     Attributes:
+        chosen: the variant.
         said: prims of which the fog's variant says anything.
         others: prims that are, or may be, anything but fog.
         leaves: prims that are fog boundaries, switched on or not.
@@ -103,6 +104,7 @@ class _Fogs:
         notes: on all of that.
     """
 
+    chosen: str | None
     said: frozenset[Sdf.Path]
     others: frozenset[Sdf.Path]
     leaves: frozenset[Sdf.Path]
@@ -112,7 +114,9 @@ class _Fogs:
 
 
 def _only_fog(one: _Fogs, other: _Fogs) -> bool:
-    """Whether each prim of which either variant says anything is fog, or holds fog and nothing else."""
+    """Whether it is the same variant, or each prim of which either says anything is fog, or holds fog and nothing else."""
+    if one.chosen == other.chosen:
+        return True
     leaves, rest = one.leaves | other.leaves, one.others | other.others
     return all(any(leaf.HasPrefix(path) for leaf in leaves) and not any(prim.HasPrefix(path) for prim in rest) for path in one.said | other.said)
 

@@ -22,7 +22,7 @@ from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError, StageError, did_you_mean
 from synfog_usd.fog import Boundary, FogMedium, FogVolume, extinction_from_visibility
 from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
-from synfog_usd.fog.medium import ANGSTROM
+from synfog_usd.fog.medium import ANGSTROM, WMO_CONTRAST
 from synfog_usd.fog.phase import Droplets, Phase, Tabulated
 from synfog_usd.fog.volume import crosses, is_inside
 from synfog_usd.scene import Camera
@@ -127,7 +127,10 @@ def with_visibility(volumes: tuple[FogVolume, ...], mor_m: float) -> tuple[FogVo
     if mor_m == 0.0 or math.isinf(mor_m):
         return ()
     sigma_t = float(extinction_from_visibility(mor_m))
-    return tuple(volume if volume.parent is not None else replace(volume, medium=replace(volume.medium, sigma_t_per_m=sigma_t)) for volume in volumes)
+    return tuple(
+        volume if volume.parent is not None else replace(volume, medium=replace(volume.medium, sigma_t_per_m=sigma_t, contrast=WMO_CONTRAST))
+        for volume in volumes
+    )
 
 
 def layer(mor_m: float, low: Array, high: Array, eye: Array) -> FogVolume:
@@ -298,14 +301,24 @@ def _medium(
         grid = _density_grid(values["densityGrid"], stage, fault)
     elif "densityGrid" in authored:
         notes.warn(attributes.path, f"the density grid is not drawn with profile {values['profile']!r}; set it to 'grid'")
-    sigma_t = values["sigma_t"]
+    sigma_t, contrast = values["sigma_t"], WMO_CONTRAST
     if sigma_t is None:
-        sigma_t = float(extinction_from_visibility(values["mor"], contrast=values["contrast"]))
+        contrast = values["contrast"]
+        sigma_t = float(extinction_from_visibility(values["mor"], contrast=contrast))
         if "mor" not in authored:
             notes.info(attributes.path, f"fog without a visibility gets {DEFAULT_MOR_M:g} m; author {PREFIX}mor [m]")
     try:
         return FogMedium(
-            sigma_t * densest, values["albedo"], values["g"], profile, base_m, values["scaleHeight"], phase=phase, angstrom=values["angstrom"], grid=grid
+            sigma_t * densest,
+            values["albedo"],
+            values["g"],
+            profile,
+            base_m,
+            values["scaleHeight"],
+            phase=phase,
+            angstrom=values["angstrom"],
+            grid=grid,
+            contrast=contrast,
         )
     except ParameterError as problem:
         name = "sigma_t" if "sigma_t" in authored else "mor"

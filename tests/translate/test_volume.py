@@ -43,6 +43,7 @@ def test_the_schema_is_read_whole(empty):
     fog_box(stage, "/Fog", (0, 0, 500), 1000.0, mor=80.0, contrast=0.02, albedo=0.99, g=0.8, profile="exponential", scaleHeight=25.0, priority=3.0)
     (volume,) = translate(stage).fog
     np.testing.assert_allclose(volume.medium.sigma_t_per_m, 3.912023 / 80.0, rtol=1e-6)  # -ln 0.02
+    np.testing.assert_allclose(volume.medium.visibility_m, 80.0)
     assert (volume.medium.albedo, volume.medium.g, volume.medium.profile, volume.medium.scale_height_m, volume.priority) == (0.99, 0.8, "exponential", 25.0, 3)
     np.testing.assert_allclose(volume.medium.base_height_m, -5.0)
     np.testing.assert_allclose(volume.boundary.to_world, [[10, 0, 0, 0], [0, 10, 0, 0], [0, 0, 10, 5], [0, 0, 0, 1]])

@@ -1,0 +1,103 @@
+"""Fogs that are exchanged in a scene that was translated once, against translations of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pxr import Usd
+from support.stages import street
+
+from synfog_usd import resources
+from synfog_usd import stage as usd
+from synfog_usd.translate import Exchange, translate
+
+THICK = """        "mor150" {
+            over "Fog"
+            {"""
+
+MORE = {
+    "an attribute of a light": ("", 'over "Sky"\n{\nfloat inputs:exposure = 1\n}'),
+    "a light that is gone": ("", 'over "Lamp" (\nactive = false\n)\n{\n}'),
+    "a material": ("", 'over "Paint"\n{\nover "Shader"\n{\nfloat inputs:roughness = 0.2\n}\n}'),
+    "a new prim": ("", 'def Cube "Post"\n{\n}'),
+    "the camera": ("", 'over "Ego"\n{\nfloat focalLength = 30\n}'),
+    "the root": ("", "float3 xformOp:rotateXYZ = (0, 0, 9)"),
+    "a choice of another variant": ("", 'over "Wall" (\nvariants = {\nstring look = "wet"\n}\n)\n{\n}'),
+    "a house in the fog's own scope": ('def Cube "Post"\n{\n}', ""),
+}
+
+
+def stage_of(text):
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().ImportFromString(text)
+    return stage
+
+
+def same(one, other):
+    """Whether two scenes are the same in every number."""
+    assert one.world.keys() == other.world.keys()
+    first, second = ([dict(scene.world), vars(scene.camera), scene.instance_of, scene.group_of] for scene in (one, other))
+    np.testing.assert_equal(first, second)
+        [dict(one.world), vars(one.camera), one.instance_of, one.group_of], [dict(other.world), vars(other.camera), other.instance_of, other.group_of]
+    )
+    np.testing.assert_equal([vars(part.boundary) | vars(part.medium) for part in one.fog], [vars(part.boundary) | vars(part.medium) for part in other.fog])
+    assert [(part.path, part.parent, part.priority) for part in one.fog] == [(part.path, part.parent, part.priority) for part in other.fog]
+
+
+@pytest.mark.parametrize("begin", ["clear", "mor150"])
+@pytest.mark.parametrize("mor_m", [None, 80.0, np.inf])
+def test_each_fog_is_as_if_it_were_translated(begin, mor_m):
+    """From clear air or from fog, as authored, with a visibility instead, and without any."""
+    stage = stage_of(street(lamp=True))
+    usd.select(stage, fog=begin)
+    exchange = Exchange(stage, resolution=(32, 18))
+    for name in ("clear", "mor600", "mor150"):
+        usd.select(stage, fog=name)
+        found = exchange.within(stage, fog_mor_m=mor_m)
+        assert found is not None and found.world is exchange.scene.world
+        same(found, translate(stage, resolution=(32, 18), fog_mor_m=mor_m))
+
+
+def test_the_shipped_stages_exchange_their_fogs():
+    """The crossing and the bank of fog, whose second volume no variant names."""
+    for name in ("crossroads", "bench/fog_bank"):
+        stage = usd.open_stage(resources.folder("stages") / f"{name}.usda")
+        exchange = Exchange(stage, resolution=(32, 18))
+        for fog in usd.variants(stage)["fog"]:
+            usd.select(stage, fog=fog)
+            found = exchange.within(stage)
+            assert found is not None and len(found.fog) == (0 if fog == "clear" else 2 if "bank" in name else 1), (name, fog)
+
+
+@pytest.mark.parametrize("what", MORE)
+def test_a_variant_that_says_more_is_not_exchanged(what):
+    """Whatever else a fog's variant touches, in either direction: no scene, so that the caller translates."""
+    within, beside = MORE[what]
+    text = street(lamp=True)
+    assert THICK in text
+    text = text.replace("        uniform token purpose", within + "\n        uniform token purpose", 1)  # it goes with the fog when that is switched off
+    text = text.replace(THICK, '        "mor150" {\n' + beside + '\n            over "Fog"\n            {', 1)
+    for begin, other in (("mor150", "clear"), ("clear", "mor150")):
+        stage = stage_of(text)
+        usd.select(stage, fog=begin)
+        exchange = Exchange(stage, resolution=(32, 18))
+        usd.select(stage, fog=other)
+        assert exchange.within(stage) is None, (begin, other)
+
+
+def test_a_variant_of_a_file_that_is_referred_to_counts(tmp_path):
+    """The set stands in another file, under another name: its prims are found in the stage all the same."""
+    (tmp_path / "street.usda").write_text(street())
+    text = '#usda 1.0\n(\n    defaultPrim = "Town"\n    metersPerUnit = 1\n    upAxis = "Z"\n)\ndef Xform "Town" (\n    references = @street.usda@\n)\n{\n}\n'
+    (tmp_path / "town.usda").write_text(text)
+    for more, exchanged in (("", True), ('over "Sky"\n{\nfloat inputs:exposure = 1\n}\n', False)):
+        (tmp_path / "street.usda").write_text(street().replace(THICK, '        "mor150" {\n' + more + '            over "Fog"\n            {', 1))
+        stage = usd.open_stage(tmp_path / "town.usda")
+        usd.select(stage, fog="clear")
+        exchange = Exchange(stage, resolution=(32, 18))
+        usd.select(stage, fog="mor150")
+        found = exchange.within(stage)
+        assert (found is not None) == exchanged
+        if found is not None:
+            same(found, translate(stage, resolution=(32, 18)))
+        del stage, exchange, found
