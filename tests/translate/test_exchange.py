@@ -38,8 +38,6 @@ def same(one, other):
     assert one.world.keys() == other.world.keys()
     first, second = ([dict(scene.world), vars(scene.camera), scene.instance_of, scene.group_of] for scene in (one, other))
     np.testing.assert_equal(first, second)
-        [dict(one.world), vars(one.camera), one.instance_of, one.group_of], [dict(other.world), vars(other.camera), other.instance_of, other.group_of]
-    )
     np.testing.assert_equal([vars(part.boundary) | vars(part.medium) for part in one.fog], [vars(part.boundary) | vars(part.medium) for part in other.fog])
     assert [(part.path, part.parent, part.priority) for part in one.fog] == [(part.path, part.parent, part.priority) for part in other.fog]
 
