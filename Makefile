@@ -8,7 +8,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 OUT    ?= out/demo
 
-.PHONY: demo test test-all test-physics test-dcc setup libs llvm lint lock wheel clean
+.PHONY: demo assets test test-all test-physics test-dcc setup libs llvm lint lock wheel clean
 
 demo: setup llvm
 	$(BIN)/synfog-usd info
@@ -29,6 +29,10 @@ SYNFOG_BPY ?= .venv-bpy/bin/python
 test-dcc: setup llvm
 	@test -x $(SYNFOG_BPY) || { python3.11 -m venv .venv-bpy && .venv-bpy/bin/python -m pip install -q --disable-pip-version-check bpy==5.0.1; }
 	SYNFOG_BPY=$(SYNFOG_BPY) $(BIN)/python -m pytest tests/dcc tests/translate/test_volume.py
+
+# Every shipped model, texture, lamp, stage and sky again, byte for byte; see assets/builders.
+assets: setup
+	$(BIN)/python -m assets.builders
 
 lint: setup
 	$(BIN)/ruff check .

@@ -1,10 +1,9 @@
-"""World: what this project builds itself, from a triangle to a street in fog.
+"""World: from a recipe and a seed to a stage, and models from elsewhere into the library.
 
-`shapes` makes triangles, `materials` and `textures` say what they are made of;
-`vehicles`, `cars`, `trucks`, `people`, `wayfarers`, `buildings`, `homesteads`,
-`furniture`, `roadside` and `plants` put them together, `components` writes them as
-USD, `stock` those that came after the crossing's own.  `library` lists what lies in
-assets/models, `importer` adds to it.  `sky` paints the light, `lamps` gives it off.
-`recipe` draws a crossing or, with `roads`, a road; `crossroads` and `roads.stage` set
-everything in its place, and `compose` is the door to both.
+`compose` is the door.  `language` says how recipes are read and drawn, `recipe` draws the crossing
+and `roads` roads and roundabouts; `crossroads` and `roads.stage` set everything in its place and
+`departments` parts it into layers.  `library` lists the models in assets/models, `skies` and `lamps`
+what gives light; `importer` adds models.  `shapes` makes triangles, `materials` says what they are
+made of, `components` writes them as USD.  What makes the shipped assets is no part of the package:
+`assets/builders`.
 """

@@ -10,10 +10,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdRender, Vt
 
+from synfog_usd.world import skies
 from synfog_usd.world.components import label
 from synfog_usd.world.library import model
 from synfog_usd.world.shapes import Array, shift, turn
-from synfog_usd.world.sky import SKIES, author_dome
 from synfog_usd.world.spec import Placement, SkyDome, View, WorldSpec
 
 APERTURE = 0.36  # tenths of a metre
@@ -89,8 +89,8 @@ def author_skies(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     UsdGeom.Scope.Define(stage, "/World/Sky")
     for name, one in ((_day(spec.day), spec.day), ("Dusk", spec.dusk)):
         path = f"/World/Sky/{name}"
-        if one.sky in SKIES:
-            author_dome(stage, path, one.sky, skies=f"{assets}/skies", heading_deg=one.heading_deg, gain=one.gain)
+        if one.sky in skies.skies():
+            skies.author_dome(stage, path, one.sky, skies=f"{assets}/skies", heading_deg=one.heading_deg, gain=one.gain)
             continue
         dome = UsdLux.DomeLight.Define(stage, path)
         dome.CreateIntensityAttr(one.gain)
@@ -101,7 +101,7 @@ def author_skies(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
 
 def _day(dome: SkyDome) -> str:
     """Name of the prim of the sky by day."""
-    return "Day" if dome.sky in SKIES else "Overcast"
+    return "Day" if dome.sky in skies.skies() else "Overcast"
 
 
 def author_placements(stage: Usd.Stage, placed: Iterable[Placement], assets: str) -> None:
@@ -127,7 +127,7 @@ def _author_placement(layer: Sdf.Layer, p: Placement, assets: str) -> None:
     if p.group != "Ground":
         prim.instanceable = True
     kinds = Sdf.ValueTypeNames
-    ops = [("xformOp:translate", kinds.Double3, Gf.Vec3d(p.x, p.y, p.height))]
+    ops = [("xformOp:translate", kinds.Double3, Gf.Vec3d(p.x, p.y, p.z))]
     if p.heading:
         ops.append(("xformOp:rotateZ", kinds.Float, float(p.heading)))
     if p.pitch:

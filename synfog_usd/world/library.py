@@ -7,8 +7,9 @@ model of the user's own joins by lying in such a folder.  Lengths in metres.
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
@@ -76,6 +77,7 @@ class LibraryModel:
         variants: set -> names.
         path: the file to reference.
         about: one sentence.
+        defaults: set -> the variant that it wears unasked.
     """
 
     name: str
@@ -86,6 +88,13 @@ class LibraryModel:
     variants: Mapping[str, tuple[str, ...]]
     path: Path
     about: str = ""
+    defaults: Mapping[str, str] = field(default_factory=dict)
+
+    def choices(self, name: str) -> tuple[str, ...]:
+        """Variants of a set, the one that it wears unasked first; () where it has no such set."""
+        names = self.variants.get(name, ())
+        worn = self.defaults.get(name, "")
+        return (worn, *(other for other in names if other != worn)) if worn in names else names
 
     @property
     def length(self) -> float:
@@ -126,6 +135,17 @@ def model(name: str, folder: Path | None = None) -> LibraryModel:
     return found
 
 
+@functools.cache
+def nominal(folder: Path | None = None) -> Mapping[str, Mapping[str, float]]:
+    """Sizes that meshes do not show, from `nominal.json` of the folder: model -> quantity -> value.
+
+    `length_m` of a vehicle as its maker states it; `width_m` and `depth_m` of a house between its walls, without
+    eaves and oriels; `facade_windows`, how many of its window panes, the last ones, are not in its roof.
+    """
+    found: dict[str, dict[str, float]] = json.loads(((folder or resources.folder("assets") / "models") / "nominal.json").read_text(encoding="utf-8"))
+    return MappingProxyType(found)
+
+
 def of_group(group: str, folder: Path | None = None) -> tuple[LibraryModel, ...]:
     """All models of a group, by name."""
     return tuple(m for m in library(folder).values() if m.group == group)
@@ -157,7 +177,8 @@ def read(path: Path) -> LibraryModel:
         raise StageError(f"{path}: no geometry below {prim.GetPath()}")
     sets = prim.GetVariantSets()
     variants = {name: tuple(sets.GetVariantSet(name).GetVariantNames()) for name in sets.GetNames()}
+    defaults = {name: sets.GetVariantSet(name).GetVariantSelection() for name in sets.GetNames()}
     label = str(names[0])
     group = "lamp" if label == "pole" and "lamps" in variants else GROUPS.get(label, "furniture")
     low, high = (tuple(float(v) for v in corner) for corner in (bound.GetMin(), bound.GetMax()))
-    return LibraryModel(prim.GetName(), label, group, low, high, MappingProxyType(variants), path, prim.GetDocumentation())  # type: ignore[arg-type]
+    return LibraryModel(prim.GetName(), label, group, low, high, MappingProxyType(variants), path, prim.GetDocumentation(), MappingProxyType(defaults))  # type: ignore[arg-type]

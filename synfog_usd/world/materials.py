@@ -10,6 +10,9 @@ from dataclasses import dataclass, replace
 
 Colour = tuple[float, float, float]
 
+LANE_TEXTURE_LENGTH_M, LANE_TEXTURE_HALF_M, LANE_TEXTURE_LANE_M = 24.0, 5.6, 3.4
+"""Road that `asphalt_lane.jpg` covers: its length, half the width from kerb to kerb, and the width of the lanes on both sides of its middle."""
+
 
 @dataclass(frozen=True)
 class Material:

@@ -17,26 +17,22 @@ import numpy as np
 
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
-from synfog_usd.world import crossroads
+from synfog_usd.world import crossroads, library
 from synfog_usd.world.authoring import APERTURE
+from synfog_usd.world.crossroads import stood
 from synfog_usd.world.language import Categorical, Continuous, Distribution, Recipe, check_schema, load_root, mapping, read_distributions, read_fog, sections
-from synfog_usd.world.people import PEOPLE
-from synfog_usd.world.sky import SKIES
+from synfog_usd.world.roads import rules
+from synfog_usd.world.roads.parameters import named
 from synfog_usd.world.spec import Placement, SkyDome, View, WorldSpec
 from synfog_usd.world.street import MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE
-from synfog_usd.world.vehicles import CARS
 from synfog_usd.yamlio import Located
 
-BODIES: dict[str, tuple[float, tuple[str, ...]]] = {
-    **{body.name: (body.length, tuple(body.paints)) for body in CARS},
-    "bus": (12.0, ("red", "yellow")),
-    "lorry": (7.2, ("white", "blue")),
-}
-"""Body -> length [m] and the paints that it comes in."""
+CARS = ("hatchback", "saloon", "estate", "offroader", "van")
 WIDE = ("bus", "lorry")
 """Bodies that keep nearer to the middle of the street, away from parked cars' mirrors."""
-PAINTS = tuple(dict.fromkeys(paint for _, paints in BODIES.values() for paint in paints))
-OUTFITS = {person.name: "abc"[: len(person.outfits)] for person in PEOPLE}
+BODIES = (*CARS, *WIDE)
+PAINTS = ("white", "silver", "grey", "black", "blue", "red", "green", "sand", "yellow")
+KINDS = ("man_walking", "woman_walking", "man_waiting", "woman_phone", "student", "child", "old_man")
 WALKERS = ("man_walking", "woman_walking", "student", "child", "old_man")
 
 BAY_M = 5.8
@@ -54,17 +50,17 @@ TRIES = 400
 
 PARAMETERS: dict[str, Continuous | Categorical] = {
     "parked.share": Continuous(0.0, 1.0, 0.7),
-    "parked.bodies": Categorical(tuple(body.name for body in CARS), {"hatchback": 3, "saloon": 2, "estate": 2, "offroader": 2, "van": 1}),
+    "parked.bodies": Categorical(CARS, {"hatchback": 3, "saloon": 2, "estate": 2, "offroader": 2, "van": 1}),
     "parked.paints": Categorical(PAINTS, dict.fromkeys(("white", "silver", "grey", "black", "blue", "red", "green", "sand"), 1)),
     "traffic.count": Continuous(0, 24, 10, whole=True),
-    "traffic.bodies": Categorical(tuple(BODIES), {"hatchback": 3, "saloon": 3, "estate": 2, "offroader": 2, "van": 1, "bus": 1, "lorry": 1}),
+    "traffic.bodies": Categorical(BODIES, {"hatchback": 3, "saloon": 3, "estate": 2, "offroader": 2, "van": 1, "bus": 1, "lorry": 1}),
     "traffic.paints": Categorical(PAINTS, dict.fromkeys(("white", "silver", "grey", "black", "blue", "red"), 1)),
     "traffic.main_street": Categorical(("waits", "goes"), {"waits": 1, "goes": 1}),
     "people.count": Continuous(0, 60, 30, whole=True),
-    "people.kinds": Categorical(tuple(OUTFITS), dict.fromkeys(OUTFITS, 1)),
+    "people.kinds": Categorical(KINDS, dict.fromkeys(KINDS, 1)),
     "people.cyclists": Continuous(0, 1, 1, whole=True),
-    "sky.day": Categorical(("overcast", *SKIES), "overcast"),
-    "sky.dusk": Categorical(("dusk", *SKIES), "dusk"),
+    "sky.day": Categorical(("overcast", "*sky"), "overcast"),
+    "sky.dusk": Categorical(("dusk", "*sky"), "dusk"),
     "sky.heading_deg": Continuous(0.0, 360.0, 0.0),
     "sky.overcast_nits": Continuous(200.0, 20000.0, 5000.0),
     "sky.dusk_nits": Continuous(0.1, 200.0, 5.0),
@@ -89,9 +85,10 @@ def load(path: Path, *, changes: Sequence[str] = ()) -> Recipe:
 
 def read(root: Located, name: str) -> Recipe:
     """A recipe of the crossing from its YAML."""
-    items = mapping(root, "a recipe", ("synfog", "world", "fog", *sections(PARAMETERS)))
+    parameters = {key: named(parameter) for key, parameter in PARAMETERS.items()}
+    items = mapping(root, "a recipe", ("synfog", "world", "fog", *sections(parameters)))
     check_schema(items, root)
-    return Recipe(name, "A crossing of two city streets.", read_distributions(items, PARAMETERS), read_fog(items))
+    return Recipe(name, "A crossing of two city streets.", read_distributions(items, parameters), read_fog(items))
 
 
 def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
@@ -107,8 +104,7 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     waits = value("traffic.main_street") == "waits"
     cars = [*_parked(recipe, seed, value("parked.share")), *_traffic(recipe, seed, value("traffic.count"), waits)]
     cars = [replace(car, name=f"{car.asset.title()}_{index + 1:02d}") for index, car in enumerate(cars)]
-    bicycles = [p for p in crossroads.people() if p.name.startswith("Parked_Bicycle")]
-    fixed = [*crossroads.ground(), *crossroads.houses(), *_furniture(waits), *crossroads.trees(), *bicycles]
+    fixed = [*crossroads.ground(), *crossroads.houses(), *_furniture(waits), *crossroads.trees(), *crossroads.parked_bicycles()]
     people = _people(recipe, seed, value("people.count"), waits, [p for p in fixed if p.group not in ("Ground", "Buildings")])
     riders = _cyclist(seed) if value("people.cyclists") else []
     visibilities = sorted({draw(stream(seed, "recipe", "fog", index)) for index, draw in enumerate(recipe.fog)}, reverse=True)
@@ -129,7 +125,7 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
 
 
 def _dome(sky: str, relative: str, nits: float, heading_deg: float) -> SkyDome:
-    """The crossing's own sky, with its luminance at the zenith, or one of `sky.SKIES`, which has its own."""
+    """The crossing's own sky, with its luminance at the zenith, or one of `skies`, which has its own."""
     return SkyDome(sky, nits) if sky == relative else SkyDome(sky, 1.0, round(heading_deg, 1))
 
 
@@ -182,8 +178,8 @@ _QUEUE_GAP_M = (1.2, 2.5)
 
 def _car(recipe: Recipe, section: str, rng: np.random.Generator) -> tuple[str, float, str]:
     body = recipe.distributions[f"{section}.bodies"](rng)
-    length, paints = BODIES[body]
-    return body, length, recipe.distributions[f"{section}.paints"](rng, paints)
+    paints = rules.model(body).choices("paint")
+    return body, library.nominal()[body]["length_m"], recipe.distributions[f"{section}.paints"](rng, paints)
 
 
 def _parked(recipe: Recipe, seed: int, share: float) -> list[Placement]:
@@ -198,7 +194,7 @@ def _parked(recipe: Recipe, seed: int, share: float) -> list[Placement]:
             body, _, paint = _car(recipe, "parked", rng)
             x, y = side * PARKED_X + np.clip(rng.normal(0, 0.04), -0.08, 0.08), y + rng.uniform(-0.12, 0.12)
             if taken:
-                placed.append(Placement("Vehicles", "", body, round(float(x), 3), round(float(y), 3), 180.0 if side < 0 else 0.0, {"paint": paint}))
+                placed.append(stood("Vehicles", "", body, round(float(x), 3), round(float(y), 3), 180.0 if side < 0 else 0.0, {"paint": paint}))
     return placed
 
 
@@ -228,7 +224,7 @@ def _traffic(recipe: Recipe, seed: int, count: int, waits: bool) -> list[Placeme
             near, sway = (0.9, 0.04) if body in WIDE else (1.0, 0.1)
             across = near * lane.across + float(rng.uniform(-sway, sway))
             x, y = (across, middle) if lane.along == "y" else (middle, across)
-            placed.append(Placement("Vehicles", "", body, round(x, 3), round(y, 3), lane.heading, {"paint": paint}, {"lamps": "glow"}))
+            placed.append(stood("Vehicles", "", body, round(x, 3), round(y, 3), lane.heading, {"paint": paint}, {"lamps": "glow"}))
     view = crossroads.VIEW
     nearest = sorted((p for p in placed if p.y < LIT_Y), key=lambda p: (math.hypot(p.x - view.x, p.y - view.y), p.x))[:NEAREST_LIT]
     return [replace(p, lit={"lamps": "on"}) if p in nearest else p for p in placed]
@@ -254,7 +250,8 @@ def _people(recipe: Recipe, seed: int, count: int, waits: bool, things: Sequence
         rng = stream(seed, "recipe", "person", index)
         crosses = bool(walkers) and rng.random() < CROSSING_SHARE
         kind = kinds(rng, walkers if crosses else None)
-        outfit = OUTFITS[kind][int(rng.integers(len(OUTFITS[kind])))]
+        outfits = rules.model(kind).variants["outfit"]
+        outfit = outfits[int(rng.integers(len(outfits)))]
         for _ in range(TRIES):
             x, y, heading = _crossing(rng, waits) if crosses else _on_pavement(rng, kind)
             if all(math.hypot(x - a, y - b) >= room for a, b, room in keep):
@@ -262,7 +259,7 @@ def _people(recipe: Recipe, seed: int, count: int, waits: bool, things: Sequence
         else:
             raise RecipeError(f"{recipe.name}: people.count {count}: no room for more than {index}")
         keep.append((x, y, ROOM_ELSE_M))
-        placed.append(Placement("People", f"Person_{index + 1:02d}", kind, x, y, heading, {"outfit": outfit}))
+        placed.append(stood("People", f"Person_{index + 1:02d}", kind, x, y, heading, {"outfit": outfit}))
     return placed
 
 
@@ -294,6 +291,6 @@ def _cyclist(seed: int) -> list[Placement]:
     x, y, heading = round(float(rng.uniform(2.5, 2.8)), 3), round(float(rng.uniform(-27.0, -18.5)), 3), round(float(rng.normal(0, 1)), 1)
     outfit, colour = "ab"[int(rng.integers(2))], ("teal", "black", "red")[int(rng.integers(3))]
     return [
-        Placement("People", "Rider_1", "rider", x, y, heading, {"outfit": outfit}),
-        Placement("Vehicles", "Bicycle_1", "bicycle", x, y, heading, {"colour": colour}),
+        stood("People", "Rider_1", "rider", x, y, heading, {"outfit": outfit}),
+        stood("Vehicles", "Bicycle_1", "bicycle", x, y, heading, {"colour": colour}),
     ]

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from synfog_usd.world.roads.network import Road
-from synfog_usd.world.street import ground_height
 
 
 @dataclass(frozen=True)
@@ -22,7 +21,7 @@ class Placement:
         group: name of the group prim; name: prim name; asset: folder of the component.
         x, y: [m]; heading: degrees counter-clockwise from +Y.
         variants: selections that always hold; lit: selections while lamps are on.
-        z: height [m], or None for the ground's.
+        z: height of its origin [m].
         size: uniform scale.
         pitch: degrees, nose up.
     """
@@ -35,14 +34,9 @@ class Placement:
     heading: float = 0.0
     variants: Mapping[str, str] = field(default_factory=dict)
     lit: Mapping[str, str] = field(default_factory=dict)
-    z: float | None = None
+    z: float = 0.0
     size: float = 1.0
     pitch: float = 0.0
-
-    @property
-    def height(self) -> float:
-        """Height of the origin above z = 0 [m]."""
-        return ground_height(self.x, self.y) if self.z is None else self.z
 
 
 @dataclass(frozen=True)
@@ -87,7 +81,7 @@ class SkyDome:
 
     Attributes:
         sky: its picture's name in `assets/skies`.
-        gain: on the picture: 1 for one of `sky.SKIES`, which are in nits; luminance at the zenith
+        gain: on the picture: 1 for one of `skies.skies()`, which are in nits; luminance at the zenith
             [cd m-2] for the crossing's two.
         heading_deg: turns it clockwise seen from above.
     """

@@ -9,10 +9,10 @@ import OpenImageIO
 import pytest
 from pxr import Usd, UsdGeom, UsdLux
 
+from assets.builders import bench_stages
 from synfog_usd.stage import cameras, check, open_stage, select, variants
 from synfog_usd.stage.labels import direct_label
 from synfog_usd.stage.schema import read_fog
-from synfog_usd.world import bench
 
 FOLDER = Path(__file__).resolve().parents[2] / "stages" / "bench"
 STAGES = sorted(path.stem for path in FOLDER.glob("*.usda"))
@@ -30,7 +30,7 @@ def everything(stage: Usd.Stage) -> list[Usd.Prim]:
 
 def group_of(prim: Usd.Prim) -> str | None:
     while prim and not prim.IsPseudoRoot():
-        attribute = prim.GetAttribute(bench.GROUP)
+        attribute = prim.GetAttribute(bench_stages.GROUP)
         if attribute and attribute.HasAuthoredValue():
             return str(attribute.Get())
         prim = prim.GetParent()
@@ -39,7 +39,7 @@ def group_of(prim: Usd.Prim) -> str | None:
 
 def test_the_committed_files_are_what_write_makes_and_small(tmp_path: Path):
     """Same bytes every time, and nothing else lies there."""
-    made = {path.name: path.read_bytes() for path in bench.write(tmp_path)}
+    made = {path.name: path.read_bytes() for path in bench_stages.write(tmp_path)}
     assert made == {path.name: path.read_bytes() for path in FOLDER.iterdir()}
     assert max(map(len, made.values())) < MAX_BYTES
 
@@ -79,7 +79,7 @@ def test_nothing_hangs_in_the_air_or_stands_in_the_camera(name: str):
     """Whatever has a label starts within 0.12 m of the ground or above an open street, and keeps 0.4 m from the lens."""
     stage = opened(name)
     cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"])
-    eye = np.array(bench.EYE_M)
+    eye = np.array(bench_stages.EYE_M)
     for group in ("Vehicles", "People", "Furniture", "Plants", "Buildings"):
         for prim in stage.GetPrimAtPath(f"/World/{group}").GetChildren() if stage.GetPrimAtPath(f"/World/{group}") else ():
             box = cache.ComputeWorldBound(prim).ComputeAlignedRange()
@@ -91,7 +91,7 @@ def test_nothing_hangs_in_the_air_or_stands_in_the_camera(name: str):
 
 def test_the_sky_depends_on_elevation_only():
     """CIE overcast: a third of the zenith at the horizon, and below."""
-    pixels = OpenImageIO.ImageInput.open(str(FOLDER / bench.SKY_FILE)).read_image("float")
+    pixels = OpenImageIO.ImageInput.open(str(FOLDER / bench_stages.SKY_FILE)).read_image("float")
     np.testing.assert_array_equal(pixels, np.broadcast_to(pixels[:, :1, :1], pixels.shape))
     half = pixels.shape[0] // 2
     np.testing.assert_allclose(pixels[0, 0], 1.0, atol=2e-5)  # half a row from the zenith: 1 - 2/3 (1 - cos(pi / 512)) = 1 - 1.3e-5

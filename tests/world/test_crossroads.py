@@ -9,9 +9,10 @@ import OpenImageIO
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdValidation
 
+from assets.builders import buildings, crossing, furniture, ground, noise, skies, solids, textures
 from synfog_usd.seeds import stream
 from synfog_usd.translate import ies
-from synfog_usd.world import buildings, crossroads, furniture, shapes, sky, textures
+from synfog_usd.world import shapes
 from synfog_usd.world.components import write_component
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -237,9 +238,9 @@ def test_every_file_says_where_it_is_from_and_how_it_may_be_used():
 
 
 def test_stage_is_what_the_code_writes(tmp_path):
-    """Remake with `python -m synfog_usd.world.crossroads`."""
+    """Remake with `python -m assets.builders stages`."""
     (tmp_path / "assets").symlink_to(ROOT / "assets")
-    assert crossroads.write_stage(tmp_path / "stages" / "crossroads.usda").read_bytes() == STAGE.read_bytes()
+    assert crossing.write_stage(tmp_path / "stages" / "crossroads.usda").read_bytes() == STAGE.read_bytes()
 
 
 def test_components_are_the_same_bytes_each_time(tmp_path):
@@ -258,17 +259,17 @@ def test_houses_are_the_same_triangles_each_time():
 
 def test_overcast_sky_is_three_times_brighter_overhead_than_at_the_horizon():
     """CIE overcast sky; the tolerance is the texture of the clouds (15 %) over a ring of sky."""
-    luminance = sky.overcast() @ [0.2126, 0.7152, 0.0722]
+    luminance = skies.overcast() @ [0.2126, 0.7152, 0.0722]
     rows = luminance.shape[0]
     zenith, horizon = luminance[: rows // 16].mean(), luminance[rows // 2 - rows // 32 : rows // 2].mean()
     assert zenith / horizon == pytest.approx(3.0, rel=0.15)
-    assert zenith * sky.OVERCAST_NITS == pytest.approx(5000, rel=0.15)
+    assert zenith * crossing.OVERCAST_NITS == pytest.approx(5000, rel=0.15)
 
 
 def test_albedos_are_those_of_real_surfaces():
     """Mean linear reflectance: asphalt 0.06 to 0.12, concrete slabs about 0.25, brick below 0.25."""
-    assert 0.06 < textures.asphalt()[0].mean() < 0.12
-    assert 0.2 < textures.paving()[0].mean() < 0.35
+    assert 0.06 < ground.asphalt()[0].mean() < 0.12
+    assert 0.2 < ground.paving()[0].mean() < 0.35
     assert 0.08 < textures.brick().mean() < 0.25
 
 
@@ -281,14 +282,14 @@ def test_a_cut_keeps_the_area_of_a_surface():
 
     ball = shapes.ball((0, 0, 0), (1, 1, 1), "paint", sides=24)
     angle = np.linspace(0, 2 * np.pi, 9, endpoint=False)
-    inside, rest = shapes.carve(ball, shapes.prism(0.4 * np.c_[np.cos(angle), np.sin(angle)], (0, 1)))
+    inside, rest = solids.carve(ball, solids.prism(0.4 * np.c_[np.cos(angle), np.sin(angle)], (0, 1)))
     assert area(inside) + area(rest) == pytest.approx(area(ball), rel=1e-9)
     assert 0 < area(inside) < 0.25 * area(ball)
 
 
 def test_a_surface_lies_where_its_distance_is_zero():
     """Vertices of a ball of radius 1 from a grid of 0.1 m, after thinning to 400 triangles: four Newton steps leave under 0.1 mm."""
-    part = shapes.surface(lambda x, y, z: np.sqrt(x * x + y * y + z * z) - 1.0, (-1.2,) * 3, (1.2,) * 3, step=0.1, triangles=400, material="paint")
+    part = solids.surface(lambda x, y, z: np.sqrt(x * x + y * y + z * z) - 1.0, (-1.2,) * 3, (1.2,) * 3, step=0.1, triangles=400, material="paint")
     radius = np.linalg.norm(part.points, axis=1)
     assert len(part.faces) <= 420
     np.testing.assert_allclose(radius, 1.0, atol=1e-4)
@@ -296,7 +297,7 @@ def test_a_surface_lies_where_its_distance_is_zero():
 
 
 def test_noise_tiles_and_has_unit_deviation():
-    field = textures.noise((64, 64), 2.0, "test", int(stream(0, "test").integers(0, 9)))
+    field = noise.noise((64, 64), 2.0, "test", int(stream(0, "test").integers(0, 9)))
     assert field.std() == pytest.approx(1.0)
     seam = np.abs(field[:, 0] - field[:, -1]).mean()
     inside = np.abs(np.diff(field, axis=1)).mean()
@@ -305,7 +306,7 @@ def test_noise_tiles_and_has_unit_deviation():
 
 def test_pictures_are_the_same_bytes_each_time_and_say_where_they_are_from(tmp_path):
     """Skies carry no hour of writing; every picture names its source."""
-    one, two = (sky.write_skies(tmp_path / n) for n in "ab")
+    one, two = (skies.write_skies(tmp_path / n) for n in "ab")
     for a, b in zip(one, two, strict=True):
         assert a.read_bytes() == b.read_bytes() == (ROOT / "assets" / "skies" / a.name).read_bytes()
     for path in [*(ROOT / "assets" / "textures").iterdir(), *(ROOT / "assets" / "skies").iterdir()]:

@@ -17,6 +17,7 @@ from synfog_usd.cli.main import main
 from synfog_usd.errors import RecipeError
 from synfog_usd.world import recipe
 from synfog_usd.world.compose import asset_folder, compose
+from synfog_usd.world.language import Distribution
 from synfog_usd.world.street import MAIN_HALF, WALL_X, ground_height
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -147,7 +148,7 @@ def test_what_is_drawn_lies_where_the_recipe_says():
 
 def test_weights_are_kept():
     """4,000 draws of weights 3 : 1, within five standard deviations of a binomial."""
-    drawn = recipe.Distribution("choice", ("a", "b"), (3.0, 1.0))
+    drawn = Distribution("choice", ("a", "b"), (3.0, 1.0))
     rng = np.random.Generator(np.random.PCG64(0))
     share = np.mean([drawn(rng) == "a" for _ in range(4000)])
     assert share == pytest.approx(0.75, abs=5 * math.sqrt(0.75 * 0.25 / 4000))

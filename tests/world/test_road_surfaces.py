@@ -21,7 +21,7 @@ from synfog_usd.world.roads import asphalt, parameters, recipe, rules, surface, 
 from synfog_usd.world.roads.lane_section import LaneSection
 from synfog_usd.world.roads.network import Land, Road
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
-from synfog_usd.world.sky import SKIES
+from synfog_usd.world.skies import skies
 from synfog_usd.world.spec import Placement
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -205,7 +205,7 @@ def test_the_recipes_draw_all_sixteen_skies():
             found = recipe.read(root, path.name).distributions
             for key, names in choices.items():
                 names.update(found[f"sky.{key}"].values)
-    assert choices["day"] | choices["dusk"] == set(SKIES) and not choices["day"] & choices["dusk"]
+    assert choices["day"] | choices["dusk"] == set(skies()) and not choices["day"] & choices["dusk"]
 
 
 @pytest.fixture(scope="module")

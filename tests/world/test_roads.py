@@ -116,7 +116,7 @@ def check(name, seed):
     for p in world.placed:
         s, t = (float(v) for v in road.reference_line.nearest(p.x, p.y))
         if p.group in ("Vehicles", "People"):
-            assert p.height == pytest.approx(float(road.height(p.x, p.y)), abs=0.005), (name, seed, p)
+            assert p.z == pytest.approx(float(road.height(p.x, p.y)), abs=0.005), (name, seed, p)
         lane = road.lane_section.at(t)
         if p.group == "Vehicles" and lane is not None and lane.way:
             along = math.cos(math.radians(p.heading) - float(road.reference_line.heading(s)))
@@ -271,7 +271,7 @@ def test_wheels_touch_the_road_on_slopes(name):
             for side in (0.0,) if two_wheels else (-0.75, 0.75):
                 x = p.x + side * math.cos(h) - ahead * math.cos(pitch) * math.sin(h)
                 y = p.y + side * math.sin(h) + ahead * math.cos(pitch) * math.cos(h)
-                assert p.height + ahead * math.sin(pitch) == pytest.approx(height_below(triangles, x, y), abs=0.02), (p, ahead)
+                assert p.z + ahead * math.sin(pitch) == pytest.approx(height_below(triangles, x, y), abs=0.02), (p, ahead)
         checked += 1
     assert checked >= 4
 
@@ -315,7 +315,7 @@ def test_houses_in_the_country_stand_on_the_land():
         for p in world.placed:
             if p.asset in ("farmhouse", "church"):
                 corners = outline(p)
-                ground = world.road.height(corners[:, 0], corners[:, 1]) - p.height
+                ground = world.road.height(corners[:, 0], corners[:, 1]) - p.z
                 assert ground.min() >= 0.0 and ground.max() < 1.7, (seed, p)
                 found += 1
     assert found >= 2

@@ -243,7 +243,7 @@ def check(seed):
         u, _ = junction.across(prints[:, 0], prints[:, 1])
         label, r = labels[p.name], math.hypot(p.x, p.y)
         if label in USERS:
-            assert p.height == pytest.approx(float(junction.height(p.x, p.y)), abs=0.002), (seed, p)
+            assert p.z == pytest.approx(float(junction.height(p.x, p.y)), abs=0.002), (seed, p)
         if label in ("building", "fence") or p.asset == "hedge":
             assert u.min() > junction.pavement, (seed, p)
         if label in ("car", "truck", "bus", "rider", "motorcycle"):

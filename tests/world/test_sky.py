@@ -9,9 +9,12 @@ import OpenImageIO
 import pytest
 from pxr import Usd, UsdGeom
 
+from assets.builders import __main__ as builders
+from assets.builders import daylight
+from assets.builders import skies as sky
+from assets.builders.textures import ORIGIN
 from synfog_usd.errors import ParameterError
-from synfog_usd.world import daylight, lamps, sky
-from synfog_usd.world.textures import ORIGIN
+from synfog_usd.world import lamps, skies
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "assets" / "skies"
@@ -107,6 +110,14 @@ def test_light_gets_bluer_with_blue_sky_and_after_sunset_and_warmer_through_thin
     assert daylight.colour_temperature(4.0, cover=1.0, through=0.4) < overcast - 1000
 
 
+def test_a_picture_that_says_nothing_of_itself_is_no_sky_in_nits(tmp_path):
+    """The crossing's two are relative; a file that is no picture is none either."""
+    assert list(skies.skies()) == sorted(NAMES, key=lambda name: (-sky.SKIES[name].illuminance_lx, name))
+    assert skies.read(SHIPPED / "overcast.exr") is None
+    (tmp_path / "no.exr").write_bytes(b"no picture")
+    assert skies.read(tmp_path / "no.exr") is None
+
+
 def test_the_table_holds_sixteen_plausible_skies():
     """From noon to night; an overcast noon gives 5 to 20 klx, dusk 10 to 400 lx, a town's sky some tenths (Kyba et al. 2011)."""
     assert len(sky.SKIES) == 16
@@ -192,6 +203,9 @@ def test_files_say_what_they_are(name):
     facts = {"zenithNits": one.zenith_nits, "illuminanceLux": one.illuminance_lx, "cctKelvin": one.cct_k, "sunHeightDeg": one.sun_height_deg, "cieSky": one.cie}
     for key, value in facts.items():
         assert spec.getattribute(f"synfog:{key}") == pytest.approx(value, rel=1e-3), key
+    read = skies.sky_of(name)
+    assert (read.about, read.cie, read.illuminance_lx, read.cct_k) == (one.about, one.cie, one.illuminance_lx, one.cct_k)
+    assert (read.sun_height_deg, read.sun_azimuth_deg) == (one.sun_height_deg, one.sun_azimuth_deg)
 
 
 @pytest.mark.physics  # slow: the whole box of cloud
@@ -215,7 +229,7 @@ def test_a_dome_shows_the_bright_side_where_the_sun_is(heading):
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     one = sky.SKIES["bright_overcast"]
-    light = sky.author_dome(stage, "/World/Sky", "bright_overcast", skies=str(SHIPPED), heading_deg=heading)
+    light = skies.author_dome(stage, "/World/Sky", "bright_overcast", skies=str(SHIPPED), heading_deg=heading)
     pixels, _ = picture("bright_overcast")
     row, column = np.unravel_index((pixels @ REC709).argmax(), (256, 512))
     u, h = (column + 0.5) / 512, math.pi / 2 - (row + 0.5) / 256 * math.pi
@@ -229,15 +243,16 @@ def test_a_dome_shows_the_bright_side_where_the_sun_is(heading):
 
 def test_wrong_names_and_numbers_are_answered(tmp_path, capsys):
     with pytest.raises(ParameterError, match="Did you mean 'night_glow'"):
-        sky.sky_of("night_glo")
+        skies.sky_of("night_glo")
     with pytest.raises(ParameterError, match="1 to 15"):
         daylight.relative_luminance(16, 0.0, 0.0, 0.0)
     with pytest.raises(ParameterError, match="1667"):
         daylight.tint(1000.0)
     with pytest.raises(ParameterError, match="is not a sky"):
         sky.sheet(tmp_path / "sheet.png", tmp_path)
-    assert sky.main(["draw"]) == 2
-    assert "usage" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        builders.main(["draw"])
+    assert "'draw' is none of textures" in capsys.readouterr().err
 
 
 def test_the_sheet_shows_all_of_them(tmp_path):

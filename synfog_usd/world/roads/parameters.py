@@ -25,7 +25,7 @@ from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.asphalt import KINDS as KINDS_OF_ASPHALT
 from synfog_usd.world.roads.asphalt import WETNESS
 from synfog_usd.world.roads.lane_section import DRIVEN, KINDS
-from synfog_usd.world.sky import SKIES
+from synfog_usd.world.skies import skies
 from synfog_usd.yamlio import Located
 
 CAR = {"hatchback": 3, "saloon": 3, "estate": 2, "offroader": 2, "van": 1}
@@ -77,8 +77,8 @@ PARAMETERS: dict[str, Continuous | Categorical] = {
     "people.kinds": Categorical(("*person",), PEOPLE),
     "people.company": Continuous(0.0, 1.0, 0.4),
     "people.crossing_share": Continuous(0.0, 1.0, 0.3),
-    "sky.day": Categorical(tuple(SKIES), "overcast_noon"),
-    "sky.dusk": Categorical(tuple(SKIES), "dusk_overcast"),
+    "sky.day": Categorical(("*sky",), "overcast_noon"),
+    "sky.dusk": Categorical(("*sky",), "dusk_overcast"),
     "sky.heading_deg": Continuous(0.0, 360.0, 0.0),
     "sky.gain": Continuous(0.1, 10.0, 1.0),
     "camera.station_m": Continuous(10.0, 400.0, 90.0),
@@ -134,13 +134,20 @@ def read(root: Located, name: str) -> Recipe:
 
 
 def named(parameter: Continuous | Categorical) -> Continuous | Categorical:
-    """Names that stand for models of the library become those models."""
-    if isinstance(parameter, Categorical) and parameter.allowed[0].startswith("*"):
-        words = parameter.allowed[0][1:].split()
-        found = tuple(name for name in rules.names() if not words or rules.model(name).group in words or name in words)
-        kept = parameter.default if parameter.default is None else {key: weight for key, weight in parameter.default.items() if key in found}
-        return Categorical(found, kept)
-    return parameter
+    """Names that stand for what the library holds become its names: '*sky' its skies, '*GROUP' its models of a group, '*' all models."""
+    if not isinstance(parameter, Categorical) or not any(name.startswith("*") for name in parameter.allowed):
+        return parameter
+    found: list[str] = []
+    for name in parameter.allowed:
+        if not name.startswith("*"):
+            found.append(name)
+        elif name == "*sky":
+            found += skies()
+        else:
+            words = name[1:].split()
+            found += [one for one in rules.names() if not words or rules.model(one).group in words or one in words]
+    default = parameter.default
+    return Categorical(tuple(found), {key: weight for key, weight in default.items() if key in found} if isinstance(default, dict) else default)
 
 
 def _lanes(item: Located) -> tuple[tuple[str, Distribution, int], ...]:

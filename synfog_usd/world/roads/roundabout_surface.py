@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy import spatial
 
 from synfog_usd.seeds import seed32, stream
-from synfog_usd.world.materials import Material
+from synfog_usd.world.materials import LANE_TEXTURE_HALF_M, LANE_TEXTURE_LANE_M, LANE_TEXTURE_LENGTH_M, Material
 from synfog_usd.world.roads import land
 from synfog_usd.world.roads.asphalt import Asphalt, puddles
 from synfog_usd.world.roads.land import FAR_M, Scatter
@@ -33,9 +33,8 @@ from synfog_usd.world.roads.roundabout import (
     ZEBRA_HALF_M,
     Roundabout,
 )
-from synfog_usd.world.roads.surface import ASPHALT_TILE_M, GRASS_TILE_M, LANE_M, PAVING_TILE_M, ROAD_HALF_M, WORN, bend
+from synfog_usd.world.roads.surface import ASPHALT_TILE_M, GRASS_TILE_M, PAVING_TILE_M, WORN, bend
 from synfog_usd.world.shapes import Array, Part, strip
-from synfog_usd.world.textures import LANE_LENGTH_M
 
 LOOKS = {"setts": Material((0.52, 0.49, 0.47), texture="paving.jpg", roughness=0.75)}
 """Materials that only roundabouts have: the apron's setts, the slabs' texture at a quarter of its size."""
@@ -131,10 +130,10 @@ def _arm(junction: Roundabout, arm: int, asphalt: Asphalt) -> list[Part]:
     t = np.concatenate([first[None], _columns(junction, s[1:, 0])])
     x, y = road.reference_line.place(s, t)
     points = np.stack([x, y, np.zeros_like(x)], axis=-1)
-    u0, u1 = 0.5, 0.5 + LANE_M / (2 * ROAD_HALF_M)
+    u0, u1 = 0.5, 0.5 + LANE_TEXTURE_LANE_M / (2 * LANE_TEXTURE_HALF_M)
     lanes = []
     for pair, ends in (((0, 1), (u1, u0)), ((3, 4), (u0, u1))):
-        uv = [np.c_[ends, row[list(pair)] / LANE_LENGTH_M + 0.41 * pair[0] + 0.17 * arm] for row in s]
+        uv = [np.c_[ends, row[list(pair)] / LANE_TEXTURE_LENGTH_M + 0.41 * pair[0] + 0.17 * arm] for row in s]
         lane = _whole(strip([row[list(pair)] for row in points], asphalt.lane, uv=uv))
         lanes.append(lane if asphalt.lane == "asphalt_lane" else _flat(lane, ASPHALT_TILE_M))
     return [*lanes, _flat(_whole(strip([row[1:4] for row in points], "asphalt")), ASPHALT_TILE_M)]

@@ -194,7 +194,7 @@ def visible(view: View, fov_x_deg: float, placed: Sequence[Placement], road: Roa
         if distance > within_m + 20:
             continue
         if found.label in (*USERS, "building", "wall") or (found.group == "furniture" and found.width > 1.5):
-            blocks.append((p, footprint(p), p.height, p.height + found.high[2] * p.size))
+            blocks.append((p, footprint(p), p.z, p.z + found.high[2] * p.size))
         if found.label in USERS and distance <= within_m:
             depth, side = float(away @ ahead), float(away @ right)
             if depth > 2.0 and abs(side) < depth * math.tan(math.radians(fov_x_deg) / 2):
@@ -206,7 +206,7 @@ def visible(view: View, fov_x_deg: float, placed: Sequence[Placement], road: Roa
         across = np.array([-(p.y - eye[1]), p.x - eye[0]]) / distance
         corners = footprint(p) - (p.x, p.y)
         half = float(np.abs(corners @ across).max())
-        ends = np.array([(p.x + u * half * across[0], p.y + u * half * across[1], p.height + v * found.high[2] * p.size) for u, v in RAYS])
+        ends = np.array([(p.x + u * half * across[0], p.y + u * half * across[1], p.z + v * found.high[2] * p.size) for u, v in RAYS])
         clear = np.ones(len(ends), dtype=bool)
         sight = np.array([p.x - eye[0], p.y - eye[1]]) / distance
         beside = np.abs(middles @ np.array([-sight[1], sight[0]])) < radii + half + 0.1

@@ -233,7 +233,7 @@ def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
 def _lit(p: Placement, rng: np.random.Generator) -> Sequence[tuple[str, tuple[Array, Array]]]:
     """Lit panes of one building, a hand's breadth of light before the glass."""
     result = []
-    place = shift(p.x, p.y, p.height) @ turn(p.heading)
+    place = shift(p.x, p.y, p.z) @ turn(p.heading)
     for name, (corners, uv) in panes(p.asset).items():
         lit = rng.random(len(corners)) < LIT_SHARE[name]
         if not lit.any():

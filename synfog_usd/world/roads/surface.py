@@ -13,16 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.seeds import stream
+from synfog_usd.world.materials import LANE_TEXTURE_HALF_M, LANE_TEXTURE_LANE_M, LANE_TEXTURE_LENGTH_M
 from synfog_usd.world.roads.asphalt import REPAIRS, Asphalt, puddles
 from synfog_usd.world.roads.lane_section import KERB_M, RAISED, Lane
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.shapes import Array, Part, disc, fan, strip
-from synfog_usd.world.textures import LANE_LENGTH_M
 
 WORN = Asphalt()
-ROAD_HALF_M = 5.6
-"""Of the street that the lane texture was painted for: its lanes are 3.4 m wide from the middle."""
-LANE_M = 3.4
 FINE_M, COARSE_M = 1.0, 4.0
 TIGHT_M = 120.0
 PAVING_TILE_M, GRASS_TILE_M, ASPHALT_TILE_M = 4.0, 4.0, 6.0
@@ -88,10 +85,10 @@ def _lane(road: Road, lane: Lane, index: int, begin: float, flipped: bool) -> Pa
     """A lane with its wheel tracks; lanes begin at different places of the texture, and roads run through it either way."""
     s = stations(road)
     way = -1.0 if flipped else 1.0
-    u0, u1 = ROAD_HALF_M / (2 * ROAD_HALF_M), (ROAD_HALF_M + LANE_M) / (2 * ROAD_HALF_M)
+    u0, u1 = LANE_TEXTURE_HALF_M / (2 * LANE_TEXTURE_HALF_M), (LANE_TEXTURE_HALF_M + LANE_TEXTURE_LANE_M) / (2 * LANE_TEXTURE_HALF_M)
     if lane.way < 0:
         u0, u1 = u1, u0
-    uv = [np.array([(u0, way * at / LANE_LENGTH_M + 0.41 * index + begin), (u1, way * at / LANE_LENGTH_M + 0.41 * index + begin)]) for at in s]
+    uv = [np.array([(u0, way * at / LANE_TEXTURE_LENGTH_M + 0.41 * index + begin), (u1, way * at / LANE_TEXTURE_LENGTH_M + 0.41 * index + begin)]) for at in s]
     return bend(strip([np.array([(lane.low, at, 0.0), (lane.high, at, 0.0)]) for at in s], "asphalt_lane", uv=uv), road)
 
 

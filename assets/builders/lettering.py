@@ -9,8 +9,8 @@ import itertools
 
 import numpy as np
 
+from assets.builders.textures import GLYPHS
 from synfog_usd.world.shapes import Part, quads
-from synfog_usd.world.textures import GLYPHS
 
 
 def letters(word: str, height: float, material: str, *, align: str = "middle") -> list[Part]:

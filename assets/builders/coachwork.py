@@ -11,25 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from assets.builders.solids import Field, carve, prism
 from synfog_usd.world.components import Look, MountedLamp
-from synfog_usd.world.shapes import (
-    Array,
-    Field,
-    Part,
-    box,
-    carve,
-    disc,
-    join,
-    lathe,
-    prism,
-    quad,
-    scale,
-    shaded,
-    shift,
-    soft_box,
-    strip,
-    turn,
-)
+from synfog_usd.world.shapes import Array, Part, box, disc, join, lathe, quad, scale, shaded, shift, soft_box, strip, turn
 
 HEADLIGHT_CD = 9000.0  # dipped beam, hot spot
 HEADLIGHT_TINT = (1.02, 0.995, 0.95)

@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from assets.builders.solids import blob_distance, limb_distance, soft_min, split, surface
 from synfog_usd.world.components import Component, Look
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.shapes import Array, Part, blob_distance, box, lathe, limb_distance, scale, shift, soft_box, soft_min, split, strip, surface, tube, turn
+from synfog_usd.world.shapes import Array, Part, box, lathe, scale, shift, soft_box, strip, tube, turn
 
 Point = tuple[float, float, float]
 

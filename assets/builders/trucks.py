@@ -10,13 +10,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from synfog_usd.world.cabins import DRIVERS, Point, dashboard, driver, lined, rows, seat, steering_wheel
-from synfog_usd.world.coachwork import arches, cut_out, headlights, lamp_states, lens_disc, painted, plate, rect, wheels
+from assets.builders.cabins import DRIVERS, Point, dashboard, driver, lined, rows, seat, steering_wheel
+from assets.builders.coachwork import arches, cut_out, headlights, lamp_states, lens_disc, painted, plate, rect, wheels
+from assets.builders.solids import Field, outline_distance, rounded, soft_max, surface
+from assets.builders.vehicles import Body, build_car
 from synfog_usd.world.components import Component, Look
 from synfog_usd.world.lod import cleaned
 from synfog_usd.world.materials import PAINTS
-from synfog_usd.world.shapes import Array, Field, Part, box, outline_distance, rounded, soft_box, soft_max, strip, surface, tube
-from synfog_usd.world.vehicles import Body, build_car
+from synfog_usd.world.shapes import Array, Part, box, soft_box, strip, tube
 
 Outline = Sequence[tuple[float, float]]
 Box = tuple[Point, Point]

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from assets.builders.textures import ATLAS, FASCIAS, SHOPS
 from synfog_usd.seeds import stream
 from synfog_usd.world.components import Component
 from synfog_usd.world.shapes import Array, Part, box, join, lathe, quad, quads, shift, strip, tube, turn
-from synfog_usd.world.textures import ATLAS, FASCIAS, SHOPS
 
 Rect = tuple[float, float, float, float]
 

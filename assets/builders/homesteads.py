@@ -10,12 +10,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from assets.builders.buildings import House, bar, cell_uv, flat, front_of, house_parts, place_corners, roof_of
+from assets.builders.lettering import letters
+from assets.builders.textures import ATLAS
 from synfog_usd.seeds import stream
-from synfog_usd.world.buildings import House, bar, cell_uv, flat, front_of, house_parts, place_corners, roof_of
 from synfog_usd.world.components import Component
-from synfog_usd.world.lettering import letters
 from synfog_usd.world.shapes import Part, box, lathe, quad, quads, shift, soft_box, strip, turn
-from synfog_usd.world.textures import ATLAS
 
 TERRACE = House("terrace_house", "A narrow brick house of a terrace, two storeys.", 5.8, 1, "brick_red", "brick_red", "trim_white", "frame_white", bay=2.3,
     window=(1.2, 1.45, 0.85), ground_height=2.95, floor_height=2.75, depth=9.0, roofing="slate", door="door_blue", surround=0.10)  # fmt: skip

@@ -2,21 +2,15 @@
 
 `SKIES` is the one table: what each sky is, how much light it gives and of what
 colour.  A picture of it holds linear Rec.709 in cd m-2, 512 by 256 half floats: enough
-for clouds, and none of them shows the sun's disc.  Row 0 is the zenith.  The dome's
-own axes: centre of the picture is +Z, a quarter from the left is +X, up is +Y.
-`author_dome` turns +Y to the zenith, so that the left edge of the picture lies ahead
-(+Y of the stage) and azimuths run clockwise seen from above.
+for clouds, and none of them shows the sun's disc.  Row 0 is the zenith; how it lies on the
+sphere says `synfog_usd.world.skies`, which reads what the files say of themselves.
 
 The crossing's two (`overcast`, `dusk`) are older: relative to the dome's intensity.
-
-    python -m synfog_usd.world.sky write [FOLDER]   # the sixteen EXR files
-    python -m synfog_usd.world.sky sheet [PNG]      # all of them side by side
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,23 +18,19 @@ import numpy as np
 import numpy.typing as npt
 import OpenImageIO
 from PIL import Image, ImageDraw, ImageFont
-from pxr import Sdf, Usd, UsdGeom, UsdLux
 from scipy import ndimage, optimize
 
-from synfog_usd.errors import OutputError, ParameterError, SynfogError, did_you_mean
+from assets.builders.clouds import CELLS, CloudLayer, CloudLight, clouded
+from assets.builders.daylight import LUMINANCE, colour_temperature, illuminance_per_zenith, relative_luminance, tint
+from assets.builders.textures import ORIGIN, noise
+from synfog_usd.errors import OutputError, ParameterError, did_you_mean
 from synfog_usd.files import write_whole
 from synfog_usd.science import colour_science
-from synfog_usd.world.clouds import CELLS, CloudLayer, CloudLight, clouded
-from synfog_usd.world.daylight import LUMINANCE, colour_temperature, illuminance_per_zenith, relative_luminance, tint
-from synfog_usd.world.textures import ORIGIN, noise
 
 Array = npt.NDArray[np.float64]
 SIZE = (512, 1024)
-OVERCAST_NITS = 5000.0  # at the zenith
-DUSK_NITS = 5.0
 
 
-SKIES_FOLDER = Path("assets/skies")
 ROWS = 256  # of a cloudy sky, twice as many columns
 FINER = 3  # rays per row: clouds near the horizon are much flatter than a row
 CAP_DEG = 20.0  # a sky is the standard sky on average over caps of about this radius
@@ -173,38 +163,9 @@ def sky_of(name: str) -> Sky:
     return SKIES[name]
 
 
-def author_dome(
-    stage: Usd.Stage, path: Sdf.Path | str, name: str, *, skies: str = "../assets/skies", heading_deg: float = 0.0, gain: float = 1.0
-) -> UsdLux.DomeLight:
-    """A dome light with one of `SKIES`, in nits.
-
-    Args:
-        stage: Z up.
-        path: of the light.
-        name: of the sky.
-        skies: folder of the EXR files as the stage's layer refers to it.
-        heading_deg: turns the sky clockwise seen from above; at 0 its azimuth 0 is +Y.
-        gain: on the tabulated luminance.
-
-    Raises:
-        ParameterError: another name.
-    """
-    sky = sky_of(name)
-    dome = UsdLux.DomeLight.Define(stage, path)
-    prim = dome.GetPrim()
-    prim.SetDocumentation(f"{sky.about} {sky.illuminance_lx:g} lx, {sky.cct_k:g} K, sun at {sky.sun_height_deg:g} degrees.")
-    dome.CreateIntensityAttr(gain)
-    dome.CreateTextureFileAttr(Sdf.AssetPath(f"{skies}/{name}.exr"))
-    dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
-    if heading_deg:
-        UsdGeom.Xformable(dome).AddRotateZOp().Set(-heading_deg)
-    UsdGeom.Xformable(dome).AddRotateXOp().Set(90.0)  # the picture's pole to the zenith
-    return dome
-
-
-def write_cloudy(folder: Path) -> list[Path]:
-    """Write all of `SKIES` into `folder`; gives the files."""
-    return [_write_nits(folder / f"{name}.exr", name) for name in SKIES]
+def write_cloudy(folder: Path, only: Sequence[str] = ()) -> Iterator[Path]:
+    """Write all of `SKIES`, or those named, into `folder`; gives the files."""
+    return (_write_nits(folder / f"{name}.exr", name) for name in SKIES if not only or name in only)
 
 
 def paint(name: str, *, rows: int = ROWS, cells: int = CELLS) -> Array:
@@ -463,7 +424,7 @@ def _figures(sky: Sky) -> tuple[str, str]:
 def _read(path: Path) -> Array:
     pixels = OpenImageIO.ImageBuf(str(path)).get_pixels(OpenImageIO.FLOAT) if path.is_file() else None
     if pixels is None or pixels.ndim != 3 or pixels.shape[2] != 3:
-        raise ParameterError(f"{path}: is not a sky; write them with 'python -m synfog_usd.world.sky write'")
+        raise ParameterError(f"{path}: is not a sky; write them with 'python -m assets.builders skies'")
     return np.asarray(pixels, dtype=np.float64)
 
 
@@ -484,25 +445,3 @@ def _looking_up(shown: npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8
     columns = turn % 1.0 * shown.shape[1] - 0.5
     disc = np.stack([ndimage.map_coordinates(shown[..., c].astype(float), [rows, columns], order=1, mode="grid-wrap") for c in range(3)], axis=-1)
     return np.where(angle[..., None] < 1, disc, 24).astype(np.uint8)
-
-
-def main(arguments: list[str]) -> int:
-    """The commands in the module's head."""
-    command, place = arguments[0] if arguments else "", Path(arguments[1]) if len(arguments) == 2 else None
-    try:
-        if command == "write" and len(arguments) <= 2:
-            for path in write_cloudy(place or SKIES_FOLDER):
-                print(path)
-            return 0
-        if command == "sheet" and len(arguments) <= 2:
-            print(sheet(place or Path("docs/images/skies.png"), SKIES_FOLDER))
-            return 0
-    except SynfogError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
-    print("usage: python -m synfog_usd.world.sky write [FOLDER] | sheet [PNG]", file=sys.stderr)
-    return 2
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

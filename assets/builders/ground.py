@@ -10,15 +10,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from assets.builders.noise import noise
 from synfog_usd.seeds import stream
-from synfog_usd.world.noise import noise
 
 Array = npt.NDArray[np.float64]
-LANE_LENGTH_M = 24.0  # length of road that one lane texture covers
 
 
 def asphalt_lane() -> tuple[Array, Array]:
-    """One carriageway, kerb to kerb (11.2 m) by `LANE_LENGTH_M`: wheel tracks, oil, cracks, dirt at the kerbs; (albedo, roughness)."""
+    """One carriageway, kerb to kerb (11.2 m) by `LANE_TEXTURE_LENGTH_M`: wheel tracks, oil, cracks, dirt at the kerbs; (albedo, roughness)."""
     h, w = 2048, 1024
     x = (np.arange(w) + 0.5) / w * 11.2 - 5.6
     tone = np.full((h, w), 0.088)

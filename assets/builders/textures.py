@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 import OpenImageIO
 
+from assets.builders.ground import asphalt, asphalt_lane, chip_seal, marking, paving
+from assets.builders.noise import noise as noise
 from synfog_usd.errors import OutputError
 from synfog_usd.files import write_whole
 from synfog_usd.seeds import stream
-from synfog_usd.world.ground import LANE_LENGTH_M as LANE_LENGTH_M
-from synfog_usd.world.ground import asphalt, asphalt_lane, chip_seal, marking, paving
-from synfog_usd.world.noise import noise as noise
 
 Array = npt.NDArray[np.float64]
 ORIGIN = "made by synfog_usd.world, licence CC0-1.0"

@@ -3,7 +3,7 @@
 `write(folder)` writes them as text, with the one sky that they share; the same
 code gives the same bytes.  They stand on a plane of one grey, so that what a method
 makes of the fog is not hidden by what it makes of a texture, and refer to the
-shipped assets.  From a shell: `python -m synfog_usd.world.bench [folder]`.
+shipped assets.  From a shell: `python -m assets.builders.bench_stages [folder]`.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ import numpy as np
 import OpenImageIO
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, Vt
 
+from assets.builders.crossing import FOG_VARIANTS
+from assets.builders.vehicles import HEADLIGHT_CD, HEADLIGHT_TINT
 from synfog_usd.errors import OutputError
 from synfog_usd.files import write_whole
 from synfog_usd.world.authoring import author_fog_variants
 from synfog_usd.world.components import MountedLamp, author_lamp, author_material, author_mesh, label, new_stage
-from synfog_usd.world.crossroads import FOG_VARIANTS
 from synfog_usd.world.materials import Colour, Material
 from synfog_usd.world.shapes import Array, box, quad, shift, turn
 from synfog_usd.world.spec import Placement
-from synfog_usd.world.vehicles import HEADLIGHT_CD, HEADLIGHT_TINT
 
 SKY_FILE = "overcast_cie.exr"
 SKY_SIZE = (1024, 128)  # rows are what counts: it depends on elevation only
@@ -366,7 +366,7 @@ def _author_placement(stage: Usd.Stage, p: Placement) -> None:
     if p.variants.get("lamps") == "on":
         _author_light_group(prim, "street_lamps" if p.asset == "street_lamp" else "headlights")
     prim.SetInstanceable(True)
-    xform.AddTranslateOp().Set(Gf.Vec3d(p.x, p.y, p.height))
+    xform.AddTranslateOp().Set(Gf.Vec3d(p.x, p.y, p.z))
     if p.heading:
         xform.AddRotateZOp().Set(float(p.heading))
     if p.size != 1.0:

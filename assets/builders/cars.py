@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from assets.builders.lettering import letters
+from assets.builders.vehicles import CARS, Body, build_car
 from synfog_usd.world.components import Component, Look
-from synfog_usd.world.lettering import letters
 from synfog_usd.world.shapes import Part, box, shift, soft_box, turn
-from synfog_usd.world.vehicles import CARS, Body, build_car
 
 TAXI_SIGN_NITS = (900.0, 620.0, 90.0)
 

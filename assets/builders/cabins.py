@@ -11,9 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from synfog_usd.world.coachwork import cut_out
+from assets.builders.coachwork import cut_out
+from assets.builders.solids import Field, split, surface
 from synfog_usd.world.components import Look
-from synfog_usd.world.shapes import Array, Field, Part, ball, box, join, quad, shift, soft_box, split, surface, tube, turn
+from synfog_usd.world.shapes import Array, Part, ball, box, join, quad, shift, soft_box, tube, turn
 
 Point = tuple[float, float, float]
 Outline = Sequence[tuple[float, float]]

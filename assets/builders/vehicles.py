@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from synfog_usd.world.cabins import DRIVERS, bulkhead, dashboard, driver, lined, lining, rows, seat, steering_wheel
-from synfog_usd.world.coachwork import HEADLIGHT_CD as HEADLIGHT_CD
-from synfog_usd.world.coachwork import HEADLIGHT_TINT as HEADLIGHT_TINT
-from synfog_usd.world.coachwork import (
+from assets.builders.cabins import DRIVERS, bulkhead, dashboard, driver, lined, lining, rows, seat, steering_wheel
+from assets.builders.coachwork import HEADLIGHT_CD as HEADLIGHT_CD
+from assets.builders.coachwork import HEADLIGHT_TINT as HEADLIGHT_TINT
+from assets.builders.coachwork import (
     arches,
     convex,
     cut_out,
@@ -38,26 +38,11 @@ from synfog_usd.world.coachwork import (
     top_at,
     wheels,
 )
+from assets.builders.solids import Field, outline_distance, rounded, soft_max, soft_min, surface
 from synfog_usd.world.components import Component
 from synfog_usd.world.lod import cleaned
 from synfog_usd.world.materials import PAINTS
-from synfog_usd.world.shapes import (
-    Array,
-    Field,
-    Part,
-    box,
-    outline_distance,
-    quad,
-    rounded,
-    shaded,
-    shift,
-    soft_box,
-    soft_max,
-    soft_min,
-    strip,
-    surface,
-    tube,
-)
+from synfog_usd.world.shapes import Array, Part, box, quad, shaded, shift, soft_box, strip, tube
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from synfog_usd.world.coachwork import lamp_states
+from assets.builders.coachwork import lamp_states
+from assets.builders.people import Person, build_bicycle, cut_by_role, dressed, face, fields_of, person_parts
+from assets.builders.solids import split
 from synfog_usd.world.components import Component, Look, MountedLamp
 from synfog_usd.world.materials import PAINTS, PALETTE, Material
-from synfog_usd.world.people import Person, build_bicycle, cut_by_role, dressed, face, fields_of, person_parts
-from synfog_usd.world.shapes import Part, ball, box, disc, lathe, scale, shaded, shift, soft_box, split, strip, tube, turn
+from synfog_usd.world.shapes import Part, ball, box, disc, lathe, scale, shaded, shift, soft_box, strip, tube, turn
 
 Joints = dict[str, object]
 
