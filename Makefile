@@ -2,6 +2,7 @@
 # `make test-all` passes the slow ones too: bytes of what ships, the wheel, fuzzers, agreement over many seeds.
 # All first make their own environment in .venv.  The machine itself is changed only where
 # it is Debian or Ubuntu and you are root: a missing python3-venv or libllvm19 is installed.
+# Without root libLLVM comes from the package index into .venv (x86-64 Linux).
 
 PYTHON ?= python3
 VENV   := .venv
@@ -65,10 +66,13 @@ llvm: libs
 	@$(BIN)/python -c "import sys; from synfog_usd.render import backend as b; sys.exit(not (b.find_llvm()[0] or b.has_cuda_driver()))" \
 	 || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && echo "installing libllvm19" \
 	      && apt-get update -qq && apt-get install -y -qq libllvm19 >/dev/null; } \
+	 || { echo "no libLLVM 16 or newer and no root: taking it from the package index" \
+	      && $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[llvm]" \
+	      && $(BIN)/python -c "import sys; from synfog_usd.render import backend as b; sys.exit(not b.find_llvm()[0])"; } \
 	 || $(BIN)/python -c "from synfog_usd.render import backend as b; print('no libLLVM 16 or newer:', b.SCALAR_COST)"
 
 lock:
-	uv pip compile pyproject.toml --universal --extra dev --python-version 3.10 --no-header --no-annotate -o constraints.txt
+	uv pip compile pyproject.toml --universal --extra dev --extra llvm --python-version 3.10 --no-header --no-annotate -o constraints.txt
 
 wheel: setup
 	$(BIN)/python -m build --wheel

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes.util
 import functools
+import importlib.metadata
 import os
 import re
 import subprocess
@@ -35,9 +36,12 @@ LLVM_FOLDERS = (
     "/usr/local/opt/llvm*/lib",
 )
 
-SCALAR_COST = (
-    "scalar takes about twice as long for the same noise, and 10 s for the labels of 640x360; install libllvm19 (Debian and Ubuntu: apt install libllvm19)"
-)
+LLVM_DISTRIBUTION = "karellen-llvm-core"
+"""Package of the index that brings libLLVM for x86-64 Linux; the extra `llvm`."""
+
+INSTALL_LLVM = "install libLLVM (Debian and Ubuntu: apt install libllvm19; without root, on x86-64 Linux: pip install 'synfog-usd[llvm]')"
+
+SCALAR_COST = f"scalar takes about twice as long for the same noise, and 10 s for the labels of 640x360; {INSTALL_LLVM}"
 """Measured in the shipped crossing, MOR 150, two cores: `volpath` in scalar against `path` in LLVM."""
 
 _PROOF = """
@@ -74,6 +78,8 @@ def find_llvm() -> tuple[list[tuple[int, Path]], list[tuple[int, Path]]]:
     named = os.environ.get("DRJIT_LIBLLVM_PATH")
     if named:
         found[Path(named)] = _llvm_major(Path(named)) or MIN_LLVM
+    for library in _of_package():
+        found[library] = _llvm_major(library) or MIN_LLVM
     for pattern in LLVM_FOLDERS:
         root, _, rest = pattern.partition("*")
         folders = [Path(pattern)] if not rest and "*" not in pattern else Path(root).parent.glob(Path(pattern).relative_to(Path(root).parent).as_posix())
@@ -84,6 +90,15 @@ def find_llvm() -> tuple[list[tuple[int, Path]], list[tuple[int, Path]]]:
                     found[library] = major
     ranked = sorted(((major, path) for path, major in found.items()), key=lambda item: (-item[0], str(item[1])))
     return [item for item in ranked if item[0] >= MIN_LLVM], [item for item in ranked if item[0] < MIN_LLVM]
+
+
+def _of_package() -> list[Path]:
+    """Shared libraries of `LLVM_DISTRIBUTION`, where it is installed."""
+    try:
+        listed = importlib.metadata.files(LLVM_DISTRIBUTION) or []
+    except importlib.metadata.PackageNotFoundError:
+        return []
+    return [library for file in listed if file.name.startswith("libLLVM") and (library := Path(str(file.locate())).resolve()).is_file()]
 
 
 def _llvm_major(path: Path) -> int | None:

@@ -1,0 +1,61 @@
+"""Where the renderer's compiler is found."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from synfog_usd.render import backend
+
+
+@pytest.fixture
+def no_llvm(monkeypatch, tmp_path):
+    """A machine without libLLVM; gives the folder of an environment's packages."""
+    monkeypatch.setattr(backend, "LLVM_FOLDERS", ())
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    packages = tmp_path / "lib" / "python3" / "site-packages"
+    packages.mkdir(parents=True)
+    monkeypatch.setattr(sys, "path", [str(packages)])
+    return packages
+
+
+def install(packages, name="libLLVM.so.23.1"):
+    """As pip leaves the package: the library in the environment's lib, its record beside the other packages."""
+    library = packages.parent.parent / name
+    library.write_bytes(b"")
+    record = packages / "karellen_llvm_core-23.1.4.dist-info"
+    record.mkdir()
+    (record / "METADATA").write_text("Metadata-Version: 2.1\nName: karellen-llvm-core\nVersion: 23.1.4\n")
+    (record / "RECORD").write_text(f"../../{name},,\n../../libLLVM-gone.so,,\n../../libRemarks.so,,\n")
+    return library
+
+
+def test_the_compiler_of_the_package_index_is_found(no_llvm):
+    """Without one on the system: that of the package, by its record; files that are not there, or other libraries, do not count."""
+    assert backend.find_llvm() == ([], [])
+    library = install(no_llvm)
+    assert backend.find_llvm() == ([(23, library.resolve())], [])
+
+
+def test_the_newest_compiler_is_tried_first(no_llvm, monkeypatch, tmp_path):
+    """The system's and the package's compete by their version."""
+    system = tmp_path / "usr"
+    system.mkdir()
+    for number in (15, 19):
+        (system / f"libLLVM-{number}.so").write_bytes(b"")
+    monkeypatch.setattr(backend, "LLVM_FOLDERS", (str(system),))
+    library = install(no_llvm)
+    usable, old = backend.find_llvm()
+    assert usable == [(23, library.resolve()), (19, system / "libLLVM-19.so")] and [number for number, _ in old] == [15]
+
+
+@pytest.mark.slow
+def test_the_package_renders_where_the_system_has_no_compiler():
+    """A process of its own that looks for libLLVM nowhere else; skipped where the extra is not installed."""
+    if not backend._of_package():
+        pytest.skip("the extra llvm is not installed")
+    code = "from synfog_usd.render import backend as b; b.LLVM_FOLDERS = (); found = b.choose('llvm'); print(found.name, found.llvm_library)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert done.stdout.split() == ["llvm", str(backend._of_package()[0])], done.stderr
