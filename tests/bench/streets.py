@@ -1,0 +1,207 @@
+"""Real streets, ours beside Mitsuba's `volpath` and Blender Cycles: what a shot of a shipped street costs with each.
+
+Every figure is the variance of one sample, relative to the pixel's light, times the
+processor seconds that the sample takes: how long a renderer works for a given noise.
+Processor seconds bear other work on the machine; ratios in one run are what counts.
+
+    python tests/bench/streets.py volpath                       # the streets as they are
+    python tests/bench/streets.py cycles --bpy BLENDER_ENV/bin/python -o out/streets    # the same streets, matt
+    python tests/bench/streets.py volpath --only crossing --samples 64
+
+Cycles gets what `cycles_scene.py` exports: the same triangles, lamps, sky, fog and
+camera, each material's mean colour without gloss, masks or texture; lamps with a table
+of their light become spots of the same flux that shine down.  Ours draws that too.
+
+Variance is measured between renders of several seeds and pooled over blocks of 4 x 4
+pixels, since that of one pixel from six seeds is hardly known; 'all' leaves the worst
+hundredth of the blocks out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from cycles_scene import export, simplified
+
+from synfog_usd import stage as usd
+from synfog_usd.arrays import Array
+from synfog_usd.render import models, shot
+from synfog_usd.render.lights import photometric
+from synfog_usd.scene import SceneDict
+from synfog_usd.translate import translate
+from synfog_usd.world.compose import compose
+
+ROOT = Path(__file__).parents[2]
+BLOCK_PX = 4
+SPOT_CUTOFF_DEG = 75.0
+"""Of a spot that stands for a street lamp's table."""
+
+
+@dataclass(frozen=True)
+class Street:
+    """One shot.
+
+    Attributes:
+        source: a stage, or a recipe that is drawn with seed 3; below `stages/`.
+        lighting: variant of the stage.
+        mor_m: visibility [m], or None for clear air.
+    """
+
+    source: str
+    lighting: str
+    mor_m: float | None
+
+    @property
+    def name(self) -> str:
+        """As in 'crossroads dusk MOR 150'."""
+        return f"{Path(self.source).stem} {'dusk' if self.lighting == 'active' else 'noon'} {'clear' if self.mor_m is None else f'MOR {self.mor_m:g}'}"
+
+
+STREETS = (
+    Street("crossroads.usda", "sky", None),
+    Street("crossroads.usda", "sky", 300.0),
+    Street("crossroads.usda", "sky", 150.0),
+    Street("crossroads.usda", "active", None),
+    Street("crossroads.usda", "active", 300.0),
+    Street("crossroads.usda", "active", 150.0),
+    Street("recipes/residential.yaml", "active", 300.0),
+    Street("recipes/arterial.yaml", "active", 300.0),
+    Street("recipes/motorway.yaml", "active", 300.0),
+    Street("recipes/tunnel.yaml", "active", 300.0),
+    Street("recipes/car_park.yaml", "active", 300.0),
+)
+
+
+def scene_of(street: Street, size: tuple[int, int], folder: Path) -> SceneDict:
+    """The street's shot, translated."""
+    path = ROOT / "stages" / street.source
+    if path.suffix == ".yaml":
+        drawn = folder / f"{path.stem}.usda"
+        if not drawn.exists():
+            compose(path, drawn, seed=3)
+        path = drawn
+    stage = usd.open_stage(path, allow=(ROOT / "assets",))
+    fogs = usd.variants(stage)["fog"]
+    foggy = next(name for name in fogs if name != "clear")
+    usd.select(stage, fog="clear" if street.mor_m is None else foggy, lighting=street.lighting)
+    return translate(stage, resolution=size, fog_mor_m=street.mor_m)
+
+
+def matt(scene: SceneDict) -> SceneDict:
+    """What Cycles can be given of it, see `cycles_scene.simplified`; lamps with a table become spots of their flux."""
+    world = dict(scene.world)
+    for key, part in scene.world.items():
+        if isinstance(part, dict) and part.get("type") == photometric.TYPE:
+            table = photometric.table_of(part).mean(axis=(1, 2))
+            flux = float(photometric.ring_weights(len(table)) @ table)
+            solid_angle = 2.0 * np.pi * (1.0 - np.cos(np.radians(SPOT_CUTOFF_DEG - 5.0)))
+            intensity = np.asarray(part["intensity"]["value"], dtype=np.float64) * flux / solid_angle
+            place = np.array([[1.0, 0, 0, 0], [0, -1.0, 0, 0], [0, 0, -1.0, 0], [0, 0, 0, 1.0]])
+            place[:3, 3] = np.asarray(part["to_world"], dtype=np.float64)[:3, 3]
+            world[key] = {
+                "type": "spot",
+                "intensity": {"type": "rgb", "value": intensity.tolist()},
+                "to_world": place,
+                "cutoff_angle": SPOT_CUTOFF_DEG,
+                "beam_width": SPOT_CUTOFF_DEG - 10.0,
+            }
+    return simplified(replace(scene, world=world))
+
+
+def cost(images: Array, seconds_per_sample: float, samples: int) -> tuple[float, float]:
+    """Relative variance of one sample x seconds of it, median and mean over blocks.
+
+    Args:
+        images: (S, H, W) luminance of renders with seeds of their own.
+        seconds_per_sample: processor seconds of one sample of every pixel.
+        samples: a pixel of each render.
+    """
+    height, width = (side // BLOCK_PX * BLOCK_PX for side in images.shape[1:])
+    variance, mean = images.var(axis=0, ddof=1)[:height, :width], images.mean(axis=0)[:height, :width]
+    blocks = [x.reshape(height // BLOCK_PX, BLOCK_PX, width // BLOCK_PX, BLOCK_PX).mean(axis=(1, 3)).ravel() for x in (variance, mean)]
+    lit = blocks[1] > 1e-3 * blocks[1].mean()
+    relative = np.sort(blocks[0][lit] / blocks[1][lit] ** 2) * samples * seconds_per_sample
+    return float(np.median(relative)), float(relative[: int(0.99 * len(relative)) or 1].mean())
+
+
+def ours(scene: SceneDict, model: str, samples: int, seeds: int) -> tuple[Array, float]:
+    """(S, H, W) luminance and processor seconds of one sample of every pixel; kernels are made before."""
+    integrator = models.make(model, shot.load(scene, boundaries=models.MODELS[model].boundaries))
+    integrator.accumulate(samples=16, seed=99)
+    shape = scene.camera.height_px, scene.camera.width_px
+    images, spent = [], []
+    for seed in range(seeds):
+        begin = time.process_time()
+        images.append(integrator.accumulate(samples=samples, seed=seed).mean().mean(axis=1).reshape(shape))
+        spent.append(time.process_time() - begin)
+    return np.array(images), float(np.median(spent)) / samples
+
+
+def cycles(scene: SceneDict, python: Path, stem: Path, samples: int, seeds: int) -> tuple[Array, float]:
+    """The same of Cycles; seconds are the slope between few samples and many."""
+    export(scene, stem)
+    few = max(1, samples // 4)
+    result = stem.with_suffix(".cycles.npz")
+    command = [str(python), str(Path(__file__).parent / "cycles_peer.py"), str(stem), str(result)]
+    subprocess.run([*command, "--samples", f"{few},{samples}", "--seeds", str(seeds)], check=True, capture_output=True)
+    found = np.load(result)
+    counts, spent = found["samples"], found["processor_s"]
+    slope = (np.median(spent[counts == samples]) - np.median(spent[counts == few])) / (samples - few)
+    return found["images"][counts == samples].astype(np.float64).mean(axis=3), float(slope)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("peer", choices=("volpath", "cycles"))
+    parser.add_argument("--bpy", type=Path, help="a Python that has bpy 5.0.1")
+    parser.add_argument("--only", default="", help="part of the streets' names")
+    parser.add_argument("--models", default="path,field")
+    parser.add_argument("--size", default="96x54")
+    parser.add_argument("--samples", type=int, default=64)
+    parser.add_argument("--seeds", type=int, default=6)
+    parser.add_argument("-o", "--out", type=Path)
+    arguments = parser.parse_args()
+    from synfog_usd.render import backend
+
+    backend.start()
+    width, height = (int(part) for part in arguments.size.split("x"))
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = arguments.out or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        heads = " | ".join(f"{model} over {arguments.peer}, median / all" for model in arguments.models.split(","))
+        print(f"| street | {heads} | mean of the picture, ours over theirs |")
+        for street in STREETS:
+            if arguments.only not in street.name:
+                continue
+            scene = scene_of(street, (width, height), folder)
+            if arguments.peer == "cycles":
+                scene = matt(scene)
+                stem = folder / street.name.replace(" ", "_")
+                images, seconds = cycles(scene, arguments.bpy, stem, arguments.samples, arguments.seeds)
+            else:
+                images, seconds = ours(scene, "volpath", arguments.samples, arguments.seeds)
+            theirs = cost(images, seconds, arguments.samples)
+            rows: dict[str, Any] = {arguments.peer: {"median": theirs[0], "all": theirs[1], "us_per_path": seconds / (width * height) * 1e6}}
+            cells, mean = [], float(images.mean())
+            for model in arguments.models.split(","):
+                if street.mor_m is None and model != "path":
+                    cells.append("")
+                    continue
+                pictures, spent = ours(scene, model, arguments.samples, arguments.seeds)
+                found = cost(pictures, spent, arguments.samples)
+                rows[model] = {"median": found[0], "all": found[1], "us_per_path": spent / (width * height) * 1e6, "mean": float(pictures.mean()) / mean}
+                cells.append(f"{theirs[0] / found[0]:.1f} / {theirs[1] / found[1]:.1f}")
+            print(f"| {street.name} | {' | '.join(cells)} | {rows['path']['mean']:.4f} |", flush=True)
+            (folder / f"{street.name.replace(' ', '_')}_{arguments.peer}.json").write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()
