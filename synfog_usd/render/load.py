@@ -20,7 +20,7 @@ from synfog_usd.fog.phase import HenyeyGreenstein
 from synfog_usd.render import backend
 from synfog_usd.render.flatten import FaceInstances, flatten
 from synfog_usd.render.lights import photometric
-from synfog_usd.render.lights.sampler import is_sampled_light
+from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.media.phases import plugin
 from synfog_usd.scene import Camera, SceneDict
 

@@ -104,7 +104,7 @@ def test_the_emitter_and_the_table_agree_in_all_directions():
     wanted = sent(matrix, way)
     np.testing.assert_allclose(np.array(found), np.array([[1.0], [2.0], [0.5]]) * wanted / 9.0, rtol=2e-3)  # linear between nodes 0.25 and 0.5 degrees apart
     lamps = LightSampler({"light_lamp": part}, {})
-    ours = lamps.rows[0][0, 12] * np.array(lamps.sent([column[0] for column in lamps.table], mi.Vector3f(way.T)))
+    ours = lamps.rows[0]["colour"][0, 0] * np.array(lamps.sent(lamps.columns.at(mi.UInt32(0)), mi.Vector3f(way.T)))
     np.testing.assert_allclose(ours.ravel(), wanted, rtol=2e-3)
     assert photometric.ring_weights(91).sum() == pytest.approx(4 * np.pi, rel=1e-12)
 
@@ -115,8 +115,8 @@ def test_three_channels_of_a_table_keep_their_colours():
     table = np.stack([part["bitmap"], part["bitmap"][::-1], 0.0 * part["bitmap"]], axis=2)
     lamps = LightSampler({"light_lamp": {**part, "bitmap": table}}, {})
     rows = lamps.rows[0]
-    assert len(rows) == 2 and rows[0, 12] > 0 and rows[0, 13] == 0 and rows[1, 13] > 0 and rows[1, 12] == 0
-    assert len({int(number) for number in rows[:, 20]}) == 2
+    assert len(rows) == 2 and rows["colour"][0, 0] > 0 and rows["colour"][0, 1] == 0 and rows["colour"][1, 1] > 0 and rows["colour"][1, 0] == 0
+    assert len({int(number) for number in rows["table"]}) == 2
 
 
 def test_chances_by_place_are_what_is_drawn():

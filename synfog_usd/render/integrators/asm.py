@@ -36,7 +36,8 @@ from synfog_usd.render import backend
 from synfog_usd.render.film import aovs
 from synfog_usd.render.film.accumulator import MULTIPLE, Accumulator
 from synfog_usd.render.integrators.path import FogPath
-from synfog_usd.render.lights.sampler import LightSampler, is_sampled_light
+from synfog_usd.render.lights.rows import is_sampled_light
+from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.control_variate import make_control_variate, mean_sky
 from synfog_usd.render.media.medium import Medium, unsupported_fog

@@ -37,7 +37,8 @@ from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import CHUNKED_LANES, MULTIPLE, SINGLE, SURFACE, Accumulator, Estimator
 from synfog_usd.render.integrators.path import FogPath, Method
 from synfog_usd.render.lights import photometric
-from synfog_usd.render.lights.sampler import LightSampler, is_sampled_light, light_rows
+from synfog_usd.render.lights.rows import is_sampled_light, lamp_rows
+from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import LIGHTS, MitsubaScene
 from synfog_usd.render.media.medium import Medium
 from synfog_usd.render.sampling.rng import Random
@@ -236,20 +237,20 @@ class _AxialLight:
 
     def __init__(self, part: Mapping[str, Any], orders: int) -> None:
         if is_sampled_light(part):
-            rows = light_rows(part)
-            weight = rows[:, 12:15] @ LUMINANCE
+            rows = lamp_rows(part)
+            weight = rows["colour"] @ LUMINANCE
             total = max(float(weight.sum()), 1e-30)
             share = weight / total
-            self.position = share @ (rows[:, 0:3] + (rows[:, 3:6] + rows[:, 6:9]) / 3.0)
-            self.colour = rows[:, 12:15].sum(axis=0)
-            mean = share @ rows[:, 9:12]
+            self.position = share @ (rows["position"] + (rows["edge_u"] + rows["edge_v"]) / 3.0)
+            self.colour = rows["colour"].sum(axis=0)
+            mean = share @ rows["axis"]
             self.axis = mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 1e-3 else np.array([0.0, 0.0, 1.0])
             if part["type"] == photometric.TYPE:
                 self.moments = _tabled(part, orders)
             elif part["type"] == "mesh":
-                self.moments = _clamped_cosine(orders) * (share @ np.polynomial.legendre.legvander(np.clip(rows[:, 9:12] @ self.axis, -1.0, 1.0), orders - 1))
+                self.moments = _clamped_cosine(orders) * (share @ np.polynomial.legendre.legvander(np.clip(rows["axis"] @ self.axis, -1.0, 1.0), orders - 1))
             else:
-                self.moments = _beam(rows[0, 15], rows[0, 16], orders)
+                self.moments = _beam(rows["cutoff"][0], rows["slope"][0], orders)
             return
         radiance = np.asarray(part["emitter"]["radiance"]["value"], dtype=np.float64)
         matrix = np.asarray(part.get("to_world", np.eye(4)), dtype=np.float64)

@@ -12,7 +12,8 @@ from synfog_usd.errors import ParameterError
 from synfog_usd.render import backend
 from synfog_usd.render.integrators.froxels import FroxelPath
 from synfog_usd.render.integrators.path import FogPath, Method
-from synfog_usd.render.lights.sampler import LightSampler, is_sampled_light
+from synfog_usd.render.lights.rows import is_sampled_light
+from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.control_variate import make_control_variate
 from synfog_usd.render.media.medium import Medium, unsupported_fog

@@ -18,6 +18,7 @@ import numpy as np
 
 from synfog_usd.arrays import Array
 from synfog_usd.render import backend
+from synfog_usd.render.lights.rows import EVERYWHERE, LAMP, Columns
 
 FLOOR = 0.15
 """Share of the draws that do not know the place."""
@@ -89,8 +90,8 @@ class LightGrid:
         mi = backend.mitsuba()
         self.lights, self.sigma_t, self.eye = lights, sigma_t, eye
         rows = [_representative(block) for block in lights.rows]
-        places = np.array([row[0:3] for row in rows])
-        self.table = lights.columns(np.array(rows))
+        places = np.array([row["position"] for row in rows])
+        self.columns = Columns(np.array(rows, dtype=LAMP), tabled=lights.photometric)
         low, high = eye - REACH_M, eye + REACH_M
         low[:2], high[:2] = np.maximum(low[:2], places[:, :2].min(axis=0) - 20.0), np.minimum(high[:2], places[:, :2].max(axis=0) + 20.0)
         low[2], high[2] = places[:, 2].min() - CELL_M, places[:, 2].max() + CELL_M
@@ -131,11 +132,11 @@ class LightGrid:
     def _sent(self, number: Any, place: Any) -> Any:
         """Luminance-weighted irradiance of one lamp at points, without shadows."""
         mi = backend.mitsuba()
-        row = [dr.gather(mi.Float, column, number) for column in self.table]
-        between = place - mi.Point3f(*row[0:3])
+        row = self.columns.at(number)
+        between = place - row.position
         square = dr.maximum(dr.squared_norm(between), NEAR_M**2)
         away = dr.sqrt(square)
-        light = mi.luminance(mi.Color3f(*row[12:15]))
+        light = mi.luminance(row.colour)
         return light * self.lights.sent(row, between / away) * dr.exp(-dr.opaque(mi.Float, self.sigma_t) * away) / square
 
     def seen(self, tracer: Any, medium: Any) -> LightDistribution:
@@ -168,7 +169,7 @@ class LightGrid:
     def _along(self, number: Any, ray: Any, begin: Any, end: Any, medium: Any) -> Any:
         """One lamp's light scattered once into rays, by midpoints that are even in the angle at the lamp."""
         mi = backend.mitsuba()
-        lamp = mi.Point3f(*[dr.gather(mi.Float, column, number) for column in self.table[0:3]])
+        lamp = self.columns.at(number).position
         nearest = dr.dot(lamp - ray.o, ray.d)
         height = dr.maximum(dr.norm(lamp - (ray.o + ray.d * nearest)), 0.1)
         low, high = dr.atan((begin - nearest) / height), dr.atan((end - nearest) / height)
@@ -192,21 +193,21 @@ class _Middle:
         return backend.mitsuba().Point2f(0.5)
 
 
-def _representative(block: Array) -> Array:
+def _representative(block: np.ndarray) -> np.ndarray:
     """One row for all rows of a lamp."""
-    light = block[:, 12:15].sum(axis=1)
+    light = block["colour"].sum(axis=1)
     row = block[int(np.argmax(light))].copy()
     if len(block) == 1:
         return row
-    row[12:15] = block[:, 12:15].sum(axis=0)
-    if row[17] > 0.5:  # the channels of one table
+    row["colour"] = block["colour"].sum(axis=0)
+    if row["is_beam"] > 0.5:  # the channels of one table
         return row
     share = light / light.sum()
-    row[0:3] = share @ (block[:, 0:3] + (block[:, 3:6] + block[:, 6:9]) / 3.0)
-    axis = share @ block[:, 9:12]
+    row["position"] = share @ (block["position"] + (block["edge_u"] + block["edge_v"]) / 3.0)
+    axis = share @ block["axis"]
     lean = float(np.linalg.norm(axis))
     if lean < 0.5:  # it shines all around
-        row[9:12], row[12:15], row[15:18] = (0.0, 0.0, 1.0), row[12:15] / 4.0, (1e9, 1.0, 1.0)
+        row["axis"], row["colour"], row["cutoff"], row["slope"], row["is_beam"] = (0.0, 0.0, 1.0), row["colour"] / 4.0, *EVERYWHERE, 1.0
     else:
-        row[9:12] = axis / lean
+        row["axis"] = axis / lean
     return row

@@ -18,9 +18,9 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from synfog_usd.colour import LUMINANCE
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
+from synfog_usd.render.lights.rows import EVERYWHERE, luminous_peak
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.media.medium import Medium
 
@@ -206,15 +206,16 @@ def _summary(rows: np.ndarray) -> np.ndarray:
 
     0-2 position, 3-5 axis, 6 luminous peak, 7 cutoff, 8 1 / transition, 9 whether it is a beam, 10 its table or -1, 11-13 the table's +X.
     """
-    light = np.maximum(rows[:, 12:15] @ LUMINANCE, 0.0)
-    if rows[0, 17] > 0.5:  # of a lamp with three tables the brightest stands for all
+    light = luminous_peak(rows)
+    if rows["is_beam"][0] > 0.5:  # of a lamp with three tables the brightest stands for all
         first = rows[int(np.argmax(light))]
-        return np.concatenate([first[0:3], first[9:12], [light.sum()], first[15:18], first[20:24]])
-    centre = np.average(rows[:, 0:3] + (rows[:, 3:6] + rows[:, 6:9]) / 3.0, axis=0, weights=light + 1e-30)
-    axis = np.average(rows[:, 9:12], axis=0, weights=light + 1e-30)
+        shape = [first["cutoff"], first["slope"], first["is_beam"], first["table"]]
+        return np.concatenate([first["position"], first["axis"], [light.sum()], shape, first["table_x"]])
+    centre = np.average(rows["position"] + (rows["edge_u"] + rows["edge_v"]) / 3.0, axis=0, weights=light + 1e-30)
+    axis = np.average(rows["axis"], axis=0, weights=light + 1e-30)
     lean = np.linalg.norm(axis)
     if lean < 0.5:  # it shines all around
-        return np.concatenate([centre, [0.0, 0.0, 1.0], [light.sum() / 4.0], [1e9, 1.0, 1.0], _NO_TABLE])
+        return np.concatenate([centre, [0.0, 0.0, 1.0], [light.sum() / 4.0], [*EVERYWHERE, 1.0], _NO_TABLE])
     return np.concatenate([centre, axis / lean, [light.sum()], [0.0, 1.0, 0.0], _NO_TABLE])
 
 

@@ -20,10 +20,10 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from synfog_usd.colour import LUMINANCE
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.grid import LightDistribution
+from synfog_usd.render.lights.rows import Columns, LampRow, channels, is_sampled_light, lamp_rows, luminous_peak
 from synfog_usd.render.sampling.reservoir import Reservoir
 
 MOST = 12
@@ -31,26 +31,6 @@ MOST = 12
 
 DRAWN = 4
 """Of more lamps, this many are drawn for each stretch and point, by flux and peak; each costs as much as half a ray."""
-
-SPOT_BEAM = 0.75
-"""Mitsuba's share of the cutoff within which a spot is even, where none is given."""
-
-
-def is_sampled_light(part: Any) -> bool:
-    """Whether a shape or light of a scene is one that `LightSampler` holds."""
-    if not isinstance(part, Mapping):
-        return False
-    if part.get("type") in ("spot", "point", photometric.TYPE):
-        return "texture" not in part
-    emitter = part.get("emitter")
-    return part.get("type") == "mesh" and isinstance(emitter, Mapping) and emitter.get("radiance", {}).get("type") == "rgb"
-
-
-def light_rows(part: Mapping[str, Any]) -> np.ndarray:
-    """(N, 24) a row for a spot or point, one for each face of a mesh, one for each channel of a table; columns at `_COLUMNS`."""
-    if part["type"] == photometric.TYPE:
-        return _photometric(part)
-    return _faces(part) if part["type"] == "mesh" else _beam(part)
 
 
 class LightSampler:
@@ -68,37 +48,31 @@ class LightSampler:
         known: dict[tuple[Any, ...], int] = {}
         for key, part in world.items():
             if is_sampled_light(part):
-                block = light_rows(part)
-                block[:, 19] = groups.get(key, 0)
+                block = lamp_rows(part)
+                block["group"] = groups.get(key, 0)
                 if part["type"] == photometric.TYPE:
-                    block[:, 20] = [self._kept(table, known) for table in _channels(part)]
-                block = block[_light(block) > 0.0]
+                    block["table"] = [self._kept(table, known) for table in channels(part)]
+                block = block[luminous_peak(block) > 0.0]
                 rows += [block] if len(block) else []
         self.rows = rows
         self.count = len(rows)
         if not self.count:
             return
         mi = backend.mitsuba()
-        table = np.concatenate(rows)
-        self.faces = mi.DiscreteDistribution(mi.Float(np.concatenate([_light(block) / _light(block).sum() for block in rows]).astype(np.float32)))
+        self.faces = mi.DiscreteDistribution(mi.Float(np.concatenate([luminous_peak(block) / luminous_peak(block).sum() for block in rows]).astype(np.float32)))
         self.photometric = bool(self.tables)
-        self.table = self.columns(table)
+        self.columns = Columns(np.concatenate(rows), tabled=self.photometric)
         self.light = photometric.Tables(self.tables) if self.photometric else None
         self.begin = mi.Float((np.arange(self.count) / self.count).astype(np.float32))  # each lamp's share of the faces' distribution
         self.share = dr.opaque(mi.Float, 1.0 / self.count)
-        drawn = np.array([_light(block).max() * np.sqrt(block[0, 18]) for block in rows])
+        drawn = np.array([luminous_peak(block).max() * np.sqrt(block["solid_angle"][0]) for block in rows])
         self.choice = mi.DiscreteDistribution(mi.Float(drawn.astype(np.float32)))
         g = min(max(abs(mean_cosine), 0.2), 0.99)
         self.width = dr.opaque(mi.Float, (1.0 - g) / np.sqrt(g))  # of Henyey and Greenstein's peak, 1 + g^2 - 2 g cos = (1 - g)^2 + g angle^2 + ...
         self.even = drawn / drawn.sum()
         self.many = self.count > MOST
         self.asked = dr.opaque(mi.UInt32, DRAWN if self.many else self.count)
-        dr.make_opaque(self.table, self.begin)
-
-    def columns(self, table: np.ndarray) -> list[Any]:
-        """A kernel's columns of rows (N, 24): all but the solid angle, and what tables need only where there are any."""
-        mi = backend.mitsuba()
-        return [mi.Float(column.astype(np.float32)) for column in (*table.T[:18], table.T[19], *(table.T[20:24] if self.photometric else ()))]
+        dr.make_opaque(self.begin)
 
     def _kept(self, table: np.ndarray, known: dict[tuple[Any, ...], int]) -> int:
         """Number of a table among all; lamps of one make share one."""
@@ -107,9 +81,6 @@ class LightSampler:
             known[key] = len(self.tables)
             self.tables.append(table)
         return known[key]
-
-    def _row(self, index: Any, active: Any) -> list[Any]:
-        return [dr.gather(type(column), column, index, active) for column in self.table]
 
     def _candidate(self, number: Any, sampler: Any, active: Any, known: tuple[LightDistribution, Any] | None = None) -> tuple[Any, Any, Any]:
         """A point on a lamp: (position, its row, its probability among all that could have been asked); `known` are chances by place, and the place's row."""
@@ -122,24 +93,24 @@ class LightSampler:
         at = dr.gather(mi.Float, self.begin, number, active) + dr.clip(sampler.next_1d(active), 1e-5, 0.99999) * self.share
         index = self.faces.sample(at, active)
         probability = probability * self.faces.eval_pmf_normalized(index, active) / self.share
-        row = self._row(index, active)
+        row = self.columns.at(index, active)
         u = sampler.next_2d(active)
         root = dr.sqrt(u.x)
-        position = mi.Point3f(*row[0:3]) + mi.Vector3f(*row[3:6]) * (1.0 - root) + mi.Vector3f(*row[6:9]) * (u.y * root)
+        position = row.position + row.edge_u * (1.0 - root) + row.edge_v * (u.y * root)
         return position, row, probability
 
-    def sent(self, row: list[Any], direction: Any) -> Any:
+    def sent(self, row: LampRow, direction: Any) -> Any:
         """Intensity in a direction away from the lamp, as a share of the row's colour."""
         mi = backend.mitsuba()
-        cosine = dr.dot(mi.Vector3f(*row[9:12]), direction)
-        beam = dr.clip((row[15] - dr.acos(dr.clip(cosine, -1.0, 1.0))) * row[16], 0.0, 1.0)
-        sent = dr.select(row[17] > 0.5, beam, dr.maximum(cosine, 0.0))
+        cosine = dr.dot(row.axis, direction)
+        beam = dr.clip((row.cutoff - dr.acos(dr.clip(cosine, -1.0, 1.0))) * row.slope, 0.0, 1.0)
+        sent = dr.select(row.is_beam > 0.5, beam, dr.maximum(cosine, 0.0))
         if self.light is None:
             return sent
-        tabled = row[19] >= 0.0
-        axis, x = mi.Vector3f(*row[9:12]), mi.Vector3f(*row[20:23])
+        tabled = row.table >= 0.0
+        axis, x = row.axis, row.table_x
         local = mi.Vector3f(dr.dot(x, direction), dr.dot(dr.cross(axis, x), direction), cosine)
-        return dr.select(tabled, self.light.at(mi.UInt32(dr.maximum(row[19], 0.0)), local, tabled), sent)
+        return dr.select(tabled, self.light.at(mi.UInt32(dr.maximum(row.table, 0.0)), local, tabled), sent)
 
     @dr.syntax
     def along(self, origin: Any, direction: Any, begin: Any, end: Any, medium: Any, sampler: Any, active: Any, known: Any = None) -> tuple[Any, Any, Any, Any]:
@@ -179,9 +150,9 @@ class LightSampler:
                 towards = between * dr.rsqrt(square)
                 through = dr.exp(-medium.optical_depth_inside(origin, direction, begin, distance))
                 strength = self.sent(row, towards) * medium.phase.value(-dr.dot(towards, direction)) * through * medium.scattering(place) / square
-                value = mi.Color3f(*row[12:15]) * strength
+                value = row.colour * strength
                 dimmed = mi.luminance(value) * dr.exp(-medium.media[0].sigma_t * dr.sqrt(square))
-                kept = kept.update(place, lamp, value, row[18], dimmed, density * probability, sampler, active)
+                kept = kept.update(place, lamp, value, row.group, dimmed, density * probability, sampler, active)
             index += 1
         return kept.place, kept.lamp, kept.estimate(), mi.UInt32(kept.group)
 
@@ -200,8 +171,8 @@ class LightSampler:
             between = place - lamp
             square = dr.maximum(dr.squared_norm(between), 1e-8)
             towards = between * dr.rsqrt(square)
-            value = mi.Color3f(*row[12:15]) * (self.sent(row, towards) / square)
-            kept = kept.update(place, lamp, value, row[18], mi.luminance(value) * (dr.abs(dr.dot(towards, normal)) + 1e-3), probability, sampler, active)
+            value = row.colour * (self.sent(row, towards) / square)
+            kept = kept.update(place, lamp, value, row.group, mi.luminance(value) * (dr.abs(dr.dot(towards, normal)) + 1e-3), probability, sampler, active)
             index += 1
         return kept.lamp, kept.estimate(), mi.UInt32(kept.group)
 
@@ -219,70 +190,3 @@ def _peak_share(angle: Any, width: Any) -> Any:
 
 def _of_peak_share(share: Any, width: Any) -> Any:
     return width * share * dr.rsqrt(dr.maximum(1.0 - share * share, 1e-7))
-
-
-def _light(rows: np.ndarray) -> np.ndarray:
-    """(N,) luminous peak of each row [cd]."""
-    return np.maximum(rows[:, 12:15] @ LUMINANCE, 0.0)
-
-
-_COLUMNS = 24
-"""0-2 corner, 3-5 and 6-8 edges, 9-11 axis or normal, 12-14 colour [cd] (radiance x area of a face), 15 cutoff [rad], 16 1 / transition [1/rad], 17 is a spot,
-18 solid angle that it shines into, 19 light group, 20 number of its table or -1, 21-23 the table's +X."""
-
-
-def _blank(count: int) -> np.ndarray:
-    rows = np.zeros((count, _COLUMNS))
-    rows[:, 20] = -1.0
-    return rows
-
-
-def _faces(mesh: Mapping[str, Any]) -> np.ndarray:
-    corners = np.asarray(mesh["positions"], dtype=np.float64)[np.asarray(mesh["faces"], dtype=np.int64)]
-    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(one, other)
-    double_area = np.linalg.norm(normal, axis=1)
-    rows = _blank(len(corners))
-    rows[:, 0:3], rows[:, 3:6], rows[:, 6:9] = corners[:, 0], one, other
-    rows[:, 9:12] = normal / np.maximum(double_area, 1e-30)[:, None]
-    rows[:, 12:15] = 0.5 * double_area[:, None] * np.asarray(mesh["emitter"]["radiance"]["value"], dtype=np.float64)
-    rows[:, 18] = np.pi
-    return rows
-
-
-def _beam(light: Mapping[str, Any]) -> np.ndarray:
-    row = _blank(1)
-    matrix = np.asarray(light.get("to_world", np.eye(4)), dtype=np.float64)
-    row[0, 0:3] = light["position"] if "position" in light else matrix[:3, 3]
-    row[0, 9:12] = matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
-    row[0, 12:15] = light["intensity"]["value"]
-    if light["type"] == "spot":
-        cutoff = np.radians(light.get("cutoff_angle", 20.0))
-        beam = np.radians(light["beam_width"]) if "beam_width" in light else SPOT_BEAM * cutoff
-        row[0, 15:17] = cutoff, 1.0 / max(cutoff - beam, 1e-6)
-        row[0, 18] = 2.0 * np.pi * (1.0 - np.cos(0.5 * (cutoff + beam)))
-    else:
-        row[0, 15:17], row[0, 18] = 1e9, 1.0
-        row[0, 18] = 4.0 * np.pi
-    row[0, 17] = 1.0
-    return row
-
-
-def _channels(light: Mapping[str, Any]) -> list[np.ndarray]:
-    """A table (V, H) of largest value 1 for each channel of a lamp's own, or zeros."""
-    table = photometric.table_of(light)
-    peaks = np.maximum(table.max(axis=(0, 1)), 1e-30)
-    return [np.ascontiguousarray((table[:, :, c] / peaks[c]).astype(np.float32)) for c in range(table.shape[2])]
-
-
-def _photometric(light: Mapping[str, Any]) -> np.ndarray:
-    """A row for all channels alike, or one for each."""
-    table = photometric.table_of(light)
-    peaks, colour = table.max(axis=(0, 1)), np.broadcast_to(np.asarray(light["intensity"]["value"], dtype=np.float64), 3)
-    rows = _blank(len(peaks))
-    matrix = np.asarray(light["to_world"], dtype=np.float64)
-    rows[:, 0:3], rows[:, 9:12], rows[:, 21:24] = matrix[:3, 3], matrix[:3, 2] / np.linalg.norm(matrix[:3, 2]), matrix[:3, 0] / np.linalg.norm(matrix[:3, 0])
-    rows[:, 12:15] = peaks[:, None] * (np.diag(colour) if len(peaks) == 3 else colour[None])
-    flux = photometric.ring_weights(len(table)) @ table.mean(axis=1)
-    rows[:, 15], rows[:, 16], rows[:, 17], rows[:, 18] = 1e9, 1.0, 1.0, flux / np.maximum(peaks, 1e-30)
-    return rows

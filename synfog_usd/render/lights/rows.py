@@ -1,0 +1,164 @@
+"""Lamps as rows of numbers: spots, points, lamps with a table of their light, and the faces of lit meshes.
+
+Takes parts of a `SceneDict`; gives records of `LAMP`, and `Columns` of them in a kernel's memory.  Knows nothing of sampling.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from synfog_usd.arrays import Array
+from synfog_usd.colour import LUMINANCE
+from synfog_usd.render import backend
+from synfog_usd.render.lights import photometric
+
+LAMP = np.dtype(
+    [
+        ("position", "f8", 3),  # of the lamp, or of a face's first corner [m]
+        ("edge_u", "f8", 3),  # of a face [m]; 0 of a point
+        ("edge_v", "f8", 3),
+        ("axis", "f8", 3),  # of the beam, or a face's normal
+        ("colour", "f8", 3),  # peak intensity [cd]; of a face radiance x area
+        ("cutoff", "f8"),  # angle off the axis at which a beam ends [rad]
+        ("slope", "f8"),  # 1 / the angle over which it falls to 0 there [1/rad]
+        ("is_beam", "f8"),  # 1 for a beam or a table, 0 for a face, which shines by its cosine
+        ("solid_angle", "f8"),  # flux over peak intensity [sr]
+        ("group", "f8"),  # number of its light group and kind of light
+        ("table", "f8"),  # number of its table, or -1
+        ("table_x", "f8", 3),  # the table's +X
+    ]
+)
+"""One row of a lamp."""
+
+TABLE_FIELDS = ("table", "table_x")
+"""What a kernel needs only where there are tables."""
+
+EVERYWHERE = (1e9, 1.0)
+"""Cutoff and slope of what shines to all sides."""
+
+SPOT_BEAM = 0.75
+"""Mitsuba's share of the cutoff within which a spot is even, where none is given."""
+
+
+def is_sampled_light(part: Any) -> bool:
+    """Whether a shape or light of a scene is one that `LightSampler` holds."""
+    if not isinstance(part, Mapping):
+        return False
+    if part.get("type") in ("spot", "point", photometric.TYPE):
+        return "texture" not in part
+    emitter = part.get("emitter")
+    return part.get("type") == "mesh" and isinstance(emitter, Mapping) and emitter.get("radiance", {}).get("type") == "rgb"
+
+
+def lamp_rows(part: Mapping[str, Any]) -> np.ndarray:
+    """(N,) of `LAMP`: a row for a spot or point, one for each face of a mesh, one for each channel of a table."""
+    if part["type"] == photometric.TYPE:
+        return _photometric(part)
+    return _faces(part) if part["type"] == "mesh" else _beam(part)
+
+
+def luminous_peak(rows: np.ndarray) -> Array:
+    """(N,) luminous peak of each row [cd]."""
+    return np.maximum(rows["colour"] @ LUMINANCE, 0.0)
+
+
+@dataclass
+class LampRow:
+    """One row of each lane, in a kernel; fields as in `LAMP`."""
+
+    position: Any
+    edge_u: Any
+    edge_v: Any
+    axis: Any
+    colour: Any
+    cutoff: Any
+    slope: Any
+    is_beam: Any
+    group: Any
+    table: Any = None
+    table_x: Any = None
+
+
+class Columns:
+    """Rows in a kernel's memory: all fields but the solid angle, and those of tables only where there are any.
+
+    Args:
+        rows: (N,) of `LAMP`.
+        tabled: whether there are tables.
+    """
+
+    def __init__(self, rows: np.ndarray, *, tabled: bool) -> None:
+        mi = backend.mitsuba()
+        names = [name for name in LAMP.names or () if name != "solid_angle" and (tabled or name not in TABLE_FIELDS)]
+        self.columns = {name: [mi.Float(column.astype(np.float32)) for column in np.atleast_2d(rows[name].T)] for name in names}
+        dr.make_opaque(self.columns)
+
+    def at(self, index: Any, active: Any = True) -> LampRow:
+        """The rows of some numbers."""
+        mi = backend.mitsuba()
+        found = {name: [dr.gather(mi.Float, column, index, active) for column in columns] for name, columns in self.columns.items()}
+        kinds = {"position": mi.Point3f, "colour": mi.Color3f}
+        return LampRow(**{name: values[0] if len(values) == 1 else kinds.get(name, mi.Vector3f)(*values) for name, values in found.items()})
+
+
+def _blank(count: int) -> np.ndarray:
+    rows = np.zeros(count, dtype=LAMP)
+    rows["table"] = -1.0
+    return rows
+
+
+def _faces(mesh: Mapping[str, Any]) -> np.ndarray:
+    corners = np.asarray(mesh["positions"], dtype=np.float64)[np.asarray(mesh["faces"], dtype=np.int64)]
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(one, other)
+    double_area = np.linalg.norm(normal, axis=1)
+    rows = _blank(len(corners))
+    rows["position"], rows["edge_u"], rows["edge_v"] = corners[:, 0], one, other
+    rows["axis"] = normal / np.maximum(double_area, 1e-30)[:, None]
+    rows["colour"] = 0.5 * double_area[:, None] * np.asarray(mesh["emitter"]["radiance"]["value"], dtype=np.float64)
+    rows["solid_angle"] = np.pi
+    return rows
+
+
+def _beam(light: Mapping[str, Any]) -> np.ndarray:
+    row = _blank(1)
+    matrix = np.asarray(light.get("to_world", np.eye(4)), dtype=np.float64)
+    row["position"] = light["position"] if "position" in light else matrix[:3, 3]
+    row["axis"] = matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
+    row["colour"] = light["intensity"]["value"]
+    if light["type"] == "spot":
+        cutoff = np.radians(light.get("cutoff_angle", 20.0))
+        beam = np.radians(light["beam_width"]) if "beam_width" in light else SPOT_BEAM * cutoff
+        row["cutoff"], row["slope"] = cutoff, 1.0 / max(cutoff - beam, 1e-6)
+        row["solid_angle"] = 2.0 * np.pi * (1.0 - np.cos(0.5 * (cutoff + beam)))
+    else:
+        row["cutoff"], row["slope"], row["solid_angle"] = *EVERYWHERE, 4.0 * np.pi
+    row["is_beam"] = 1.0
+    return row
+
+
+def channels(light: Mapping[str, Any]) -> list[np.ndarray]:
+    """A table (V, H) of largest value 1 for each channel of a lamp's own, or zeros."""
+    table = photometric.table_of(light)
+    peaks = np.maximum(table.max(axis=(0, 1)), 1e-30)
+    return [np.ascontiguousarray((table[:, :, c] / peaks[c]).astype(np.float32)) for c in range(table.shape[2])]
+
+
+def _photometric(light: Mapping[str, Any]) -> np.ndarray:
+    """A row for all channels alike, or one for each."""
+    table = photometric.table_of(light)
+    peaks, colour = table.max(axis=(0, 1)), np.broadcast_to(np.asarray(light["intensity"]["value"], dtype=np.float64), 3)
+    rows = _blank(len(peaks))
+    matrix = np.asarray(light["to_world"], dtype=np.float64)
+    rows["position"] = matrix[:3, 3]
+    rows["axis"], rows["table_x"] = (matrix[:3, column] / np.linalg.norm(matrix[:3, column]) for column in (2, 0))
+    rows["colour"] = peaks[:, None] * (np.diag(colour) if len(peaks) == 3 else colour[None])
+    flux = photometric.ring_weights(len(table)) @ table.mean(axis=1)
+    rows["cutoff"], rows["slope"] = EVERYWHERE
+    rows["is_beam"], rows["solid_angle"] = 1.0, flux / np.maximum(peaks, 1e-30)
+    return rows
