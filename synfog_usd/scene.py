@@ -117,6 +117,7 @@ class SceneDict:
         emission_of: key of a lamp in `world` -> (401,) relative power that it has instead of its colour's; the luminance stays.
         group_of: key of a lamp in `world` -> its light group: 'sky', 'headlights' (all lamps of vehicles), 'street_lamps', 'other', or an author's own.
         bounds_m: (2, 3) corners of the box around the camera and all that is drawn.
+        flux_of: key of a lamp in `world` -> its luminous flux [lm]; inf for a sky or a sun.
         origin_m: what was subtracted from every stage position, in metres, Z up, float64.
         notes: what was left out or made simpler.
     """
@@ -127,6 +128,7 @@ class SceneDict:
     instances: tuple[Instance, ...] = ()
     instance_of: Mapping[tuple[str, ...], int] = field(default_factory=dict)
     group_of: Mapping[str, str] = field(default_factory=dict)
+    flux_of: Mapping[str, float] = field(default_factory=dict)
     reflectance_of: Mapping[str, Array] = field(default_factory=dict)
     emission_of: Mapping[str, Array] = field(default_factory=dict)
     bounds_m: Array = field(default_factory=lambda: np.zeros((2, 3)))

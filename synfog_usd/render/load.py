@@ -8,6 +8,7 @@ asks for it as null-material boundaries.
 from __future__ import annotations
 
 import gc
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -80,6 +81,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
         source, face_instances = flatten(source)
     else:
         face_instances = {}
+    source = replace(source, world=_weighted(source))
     if not boundaries and any(_is_light(part) and not is_sampled_light(part) for part in source.world.values()):  # Mitsuba wants one to choose
         source = replace(source, world={key: _left_out(part) if is_sampled_light(part) else part for key, part in source.world.items()})
     world = source.world
@@ -194,11 +196,31 @@ def _is_light(part: Any) -> bool:
     return isinstance(part, Mapping) and ("emitter" in part or part.get("type") in LIGHTS)
 
 
+def _weighted(source: SceneDict) -> dict[str, Any]:
+    """The world with a weight in the scene's own choice of lights for each of which the flux is known.
+
+    The sky and each sun get 1, all lamps together 1, shared by the square root of
+    their flux: a lamp that is far brighter than another is often farther away.
+    """
+    flux_of = {key: flux for key, flux in source.flux_of.items() if key in source.world}
+    local = {key: flux for key, flux in flux_of.items() if math.isfinite(flux)}
+    total = sum(map(math.sqrt, local.values()))
+    world = dict(source.world)
+    for key, flux in flux_of.items():
+        weight = 1.0 if key not in local else math.sqrt(flux) / total if total > 0.0 else 1.0 / len(local)
+        world[key] = _with_weight(world[key], weight)
+    return world
+
+
+def _with_weight(part: Mapping[str, Any], weight: float) -> dict[str, Any]:
+    if "emitter" in part:
+        return {**part, "emitter": {**part["emitter"], "sampling_weight": weight}}
+    return {**part, "sampling_weight": weight}
+
+
 def _left_out(part: Mapping[str, Any]) -> dict[str, Any]:
     """A lamp that Mitsuba never chooses by itself."""
-    if "emitter" in part:
-        return {**part, "emitter": {**part["emitter"], "sampling_weight": 0.0}}
-    return {**part, "sampling_weight": 0.0}
+    return _with_weight(part, 0.0)
 
 
 def _leaf(mi: Any, name: str, value: Any) -> Any:

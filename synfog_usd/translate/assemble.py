@@ -101,6 +101,7 @@ def with_boundaries(
         instances=tuple(scene.instances),
         instance_of=scene.instance_of,
         group_of=scene.group_of,
+        flux_of=scene.flux_of,
         reflectance_of=scene.materials.reflectance_of,
         emission_of=scene.emission_of,
         bounds_m=bounds,
@@ -197,7 +198,6 @@ class _Assembler:
         self.shapes: dict[str, dict[str, Any]] = {}
         self.groups: dict[str, dict[str, Any]] = {}
         self.placed: dict[str, dict[str, Any]] = {}
-        self.lamps: list[light.Lamp] = []
         self.lights: dict[str, dict[str, Any]] = {}
         self.domes: list[light.Dome] = []
         self.fog: list[FogVolume] = []
@@ -205,6 +205,7 @@ class _Assembler:
         self.instance_of: dict[tuple[str, ...], int] = {}
         self.instance_ids: dict[str, int] = {}
         self.group_of: dict[str, str] = {}
+        self.flux_of: dict[str, float] = {}
         self.emission_of: dict[str, Array] = {}
         self.fog_boxes: dict[str, bool | None] = {}
         self.roots: list[str] = []
@@ -226,10 +227,10 @@ class _Assembler:
         for number, places in placements.items():
             self.put_group(found.groups[number].leaves, places)
         sky = light.merged_dome(self.domes, self.notes)
-        light.weigh(self.lamps, sky)
         if sky is not None:
             self.lights["light_sky"] = sky
             self.group_of["light_sky"] = SKY
+            self.flux_of["light_sky"] = math.inf
             self.note_emission("light_sky", *[self.stage.GetPrimAtPath(dome.path) for dome in self.domes], plain=sky["type"] == "constant")
 
     def world(self) -> dict[str, Any]:
@@ -293,15 +294,16 @@ class _Assembler:
         for name in ("radiance", "irradiance", "intensity"):
             if name in lamp.emitter:
                 light.refuse_blinding(leaf.path, np.asarray(lamp.emitter[name].get("value", 0.0)))
-        self.lamps.append(lamp)
         group = SKY if kind == "DistantLight" else self.light_group(leaf, placement)
         if lamp.shape is None:
             self.note_emission(f"light_{len(self.lights)}", leaf.prim)
             self.group_of[f"light_{len(self.lights)}"] = group
+            self.flux_of[f"light_{len(self.lights)}"] = lamp.flux_lm
             self.lights[f"light_{len(self.lights)}"] = lamp.emitter
             return
         self.note_emission(f"shape_{len(self.shapes)}", leaf.prim)
         self.group_of[f"shape_{len(self.shapes)}"] = group
+        self.flux_of[f"shape_{len(self.shapes)}"] = lamp.flux_lm
         black = {"type": "ref", "id": self.materials.black().key}
         if isinstance(lamp.shape, Triangles):
             shape = geometry.mesh_shape(lamp.shape, self.materials.black().key, textured=False, colored=False)
@@ -331,10 +333,8 @@ class _Assembler:
             self.note_emission(f"shape_{len(self.shapes)}", material.GetPrim() if material and not light.is_light_mesh(leaf.prim) else leaf.prim)
             self.group_of[f"shape_{len(self.shapes)}"] = self.light_group(leaf, placement)
             light.refuse_blinding(leaf.path, np.asarray(nits))
-            surface = _area_of(shape)
-            lamp = light.Lamp({"type": "area", "radiance": emission}, math.pi * surface * nits)
-            self.lamps.append(lamp)
-            shape = {**shape, "emitter": lamp.emitter}
+            self.flux_of[f"shape_{len(self.shapes)}"] = math.pi * _area_of(shape) * nits
+            shape = {**shape, "emitter": {"type": "area", "radiance": emission}}
         if "positions" in shape:
             self.spread.append(shape["positions"])
         self.new_shape(shape, instance)

@@ -44,7 +44,7 @@ class Lamp:
 
     Attributes:
         emitter: Mitsuba's emitter; for a surface an 'area' one.
-        flux_lm: luminous flux [lm], for the choice of which light to sample; inf for sky and sun.
+        flux_lm: luminous flux [lm]; inf for sky and sun, whose light has no end.
         shape: Mitsuba's native shape, or triangles in scene metres, or None.
     """
 
@@ -243,20 +243,6 @@ def turned(pixels: npt.NDArray[np.float32], wanted: Array, given: Array, size: t
     above = (1.0 - u) * pixels[rows[0], columns[0]] + u * pixels[rows[0], columns[1]]
     below = (1.0 - u) * pixels[rows[1], columns[0]] + u * pixels[rows[1], columns[1]]
     return np.asarray((1.0 - v) * above + v * below, dtype=np.float32)
-
-
-def weigh(lamps: list[Lamp], sky: dict[str, Any] | None) -> None:
-    """Set 'sampling_weight' on all emitters.
-
-    The sky and each sun get 1, all lamps together 1, shared by the square root of
-    their flux: a lamp that is far brighter than another is often farther away.
-    """
-    local = [one for one in lamps if math.isfinite(one.flux_lm)]
-    total = sum(math.sqrt(one.flux_lm) for one in local)
-    for one in lamps:
-        one.emitter["sampling_weight"] = 1.0 if not math.isfinite(one.flux_lm) else math.sqrt(one.flux_lm) / total if total > 0.0 else 1.0 / len(local)
-    if sky is not None:
-        sky["sampling_weight"] = 1.0
 
 
 def refuse_blinding(path: object, light: Array | npt.NDArray[np.float32]) -> None:

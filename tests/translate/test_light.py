@@ -219,17 +219,17 @@ def test_a_missing_sky_map_is_noted_and_leaves_its_colour(empty):
     assert any(note.path == "/Sky" and "nowhere.exr" in note.text for note in scene.notes)
 
 
-def test_sampling_follows_flux_and_leaves_the_sky_its_share(empty):
-    """Lamps of 1 : 9 in flux are sampled 1 : 3, all of them together as often as the sky."""
+def test_flux_goes_with_intensity_and_the_sky_has_no_end(empty):
+    """Spheres of 1 : 9 in intensity are 1 : 9 in flux; what shines from all around has none that could be told."""
     stage = empty()
     for number, intensity in enumerate((10.0, 90.0)):
         light = UsdLux.SphereLight.Define(stage, f"/Lamp{number}")
         light.CreateIntensityAttr(intensity)
     UsdLux.DomeLight.Define(stage, "/Sky")
     scene = translate(stage)
-    weights = [part["emitter"]["sampling_weight"] for key, part in scene.world.items() if key.startswith("shape_")]
-    np.testing.assert_allclose(weights, [0.25, 0.75])
-    assert scene.world["light_sky"]["sampling_weight"] == 1.0
+    flux = [scene.flux_of[key] for key in scene.world if key.startswith("shape_")]
+    np.testing.assert_allclose(flux, 4.0 * np.pi**2 * 0.25 * np.array([10.0, 90.0]))  # of a Lambertian sphere, pi L A; the radius is 0.5
+    assert scene.flux_of["light_sky"] == np.inf
 
 
 def test_a_mesh_with_light_api_shines(empty, polygon_mesh):
