@@ -19,7 +19,7 @@ from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.fog.medium import extinction_from_visibility
 from synfog_usd.scene import SceneDict
-from synfog_usd.study.truths import EmptyLayer, black, box, empty_layer, lamp_in_endless_fog, pixel_rays, scene, sky, tilted, uniform_fog, wall
+from synfog_usd.testing import EmptyLayer, black, box, empty_layer, lamp_in_endless_fog, pixel_rays, scene, sky, tilted, uniform_fog, wall
 
 FULL = ("field", "path", "path+slab")
 """Ours that leave nothing out where the airlight is smooth; what they cannot do they refuse."""

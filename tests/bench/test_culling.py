@@ -18,7 +18,7 @@ import numpy as np
 from synfog_usd import camera, resources
 from synfog_usd.render import backend, shot
 from synfog_usd import cull
-from synfog_usd.study.culling import foggy
+from synfog_usd.study.pages.culling import foggy
 
 backend.start("auto")
 scene = foggy(resources.folder("stages") / "crossroads.usda", "sky", float(sys.argv[1]))

@@ -7,7 +7,7 @@ import trimesh
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Boundary
 from synfog_usd.fog.volume import crosses, is_inside
-from synfog_usd.study.truths import box
+from synfog_usd.testing import box
 
 
 def test_a_mesh_contains_what_its_box_contains():

@@ -4,7 +4,7 @@ import pytest
 
 from synfog_usd import resources
 from synfog_usd.render import backend
-from synfog_usd.study.culling import MODELS, foggy, saving
+from synfog_usd.study.pages.culling import MODELS, foggy, saving
 from synfog_usd.world.compose import compose
 
 pytestmark = pytest.mark.physics

@@ -14,7 +14,7 @@ from support.stats import assert_mean
 
 from synfog_usd.fog.medium import FogMedium, extinction_from_visibility
 from synfog_usd.render.shot import render
-from synfog_usd.study.truths import empty_layer
+from synfog_usd.testing import empty_layer
 
 SEEDS = 12
 BANDS = 4

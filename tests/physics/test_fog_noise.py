@@ -14,7 +14,7 @@ import pytest
 
 from synfog_usd import camera, resources
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.study.camera import FOGS_M, WALL_M, frames_in_fog, noise, stretched, wall_in_fog
+from synfog_usd.study.pages.camera import FOGS_M, WALL_M, frames_in_fog, noise, stretched, wall_in_fog
 
 pytestmark = pytest.mark.physics
 

@@ -5,7 +5,7 @@ import pytest
 
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render.shot import render
-from synfog_usd.study.truths import box, scene, sky, uniform_fog
+from synfog_usd.testing import box, scene, sky, uniform_fog
 
 SEEDS = 16
 

@@ -10,7 +10,7 @@ from synfog_usd.render import models
 from synfog_usd.render.film import aovs
 from synfog_usd.render.integrators.asm import PATCH_PX, asm_refuses, dark_channel, estimated_airlight, make_asm, physical_airlight
 from synfog_usd.render.shot import load
-from synfog_usd.study.truths import black, box, scene, uniform_fog, wall
+from synfog_usd.testing import black, box, scene, uniform_fog, wall
 
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
 BLUE_SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.5, 0.8, 1.2]}}}

@@ -14,7 +14,7 @@ from synfog_usd.render import planner
 from synfog_usd.render.sampling import adaptive
 from synfog_usd.render.shot import load, render
 from synfog_usd.render.spectra import bands
-from synfog_usd.study.truths import box, scene, wall
+from synfog_usd.testing import box, scene, wall
 
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
 COUNTS = [8, 16, 31]

@@ -14,7 +14,7 @@ from synfog_usd.render.film.aovs import measure
 from synfog_usd.render.motion import moved
 from synfog_usd.render.shot import load, render
 from synfog_usd.scene import PARALLEL_DEG
-from synfog_usd.study.truths import LOOK_NORTH, black, box, scene, uniform_fog, wall
+from synfog_usd.testing import LOOK_NORTH, black, box, scene, uniform_fog, wall
 
 WIDTH_M = 8.0
 

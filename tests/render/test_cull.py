@@ -13,7 +13,7 @@ from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
 from synfog_usd.scene import Instance
-from synfog_usd.study.truths import scene
+from synfog_usd.testing import scene
 
 SIGMA = 0.06
 NOISE = functools.partial(camera.noise_floor, electrons_per_cd_m2=1.0, dark_noise_e=5.0)

@@ -13,7 +13,7 @@ import pytest
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogVolume
 from synfog_usd.render import backend, denoise, shot
-from synfog_usd.study.truths import box, scene, uniform_fog
+from synfog_usd.testing import box, scene, uniform_fog
 
 needs_oidn = pytest.mark.skipif(importlib.util.find_spec("pyoidn") is None, reason="needs pyoidn, of the extra 'denoise'")
 

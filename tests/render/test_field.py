@@ -7,7 +7,7 @@ from support.stats import assert_mean
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render import models
 from synfog_usd.render.shot import load, render
-from synfog_usd.study.truths import box, scene, uniform_fog, wall
+from synfog_usd.testing import box, scene, uniform_fog, wall
 
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
 GREY = {"bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.4, 0.4, 0.4]}}}}

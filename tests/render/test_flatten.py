@@ -8,7 +8,7 @@ import trimesh
 from synfog_usd.render import flatten
 from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
-from synfog_usd.study.truths import scene
+from synfog_usd.testing import scene
 
 
 def part(mesh, material, **more):

@@ -8,7 +8,7 @@ from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.render import models
 from synfog_usd.render.integrators.glow import PART, _AxialLight, glow_refuses, make_glow
 from synfog_usd.render.shot import load
-from synfog_usd.study.truths import LOOK_NORTH, black, box, scene, uniform_fog, wall
+from synfog_usd.testing import LOOK_NORTH, black, box, scene, uniform_fog, wall
 
 SIGMA = 0.05
 DIM_SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1e-5] * 3}}}

@@ -11,7 +11,7 @@ from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.grid import LightDistribution
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.shot import load, render
-from synfog_usd.study.truths import black, box, scene, wall
+from synfog_usd.testing import black, box, scene, wall
 
 SIGMA_T, G = 0.002, 0.8
 

@@ -8,7 +8,7 @@ from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render import planner
 from synfog_usd.render.sampling import adaptive
 from synfog_usd.render.shot import load, render
-from synfog_usd.study.truths import black, box, scene, uniform_fog, wall
+from synfog_usd.testing import black, box, scene, uniform_fog, wall
 
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
 FOGGY = scene({**SKY, "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})}, [uniform_fog()], fov_x_deg=40.0)

@@ -7,7 +7,7 @@ from support.stats import assert_mean
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.render.shot import render
-from synfog_usd.study.truths import black, box, scene, uniform_fog, wall
+from synfog_usd.testing import black, box, scene, uniform_fog, wall
 
 MODELS = ["path", "volpath"]
 

@@ -14,8 +14,8 @@ from synfog_usd.study import page
 from synfog_usd.study.accuracy import combine, compare, flip
 from synfog_usd.study.chart import ring
 from synfog_usd.study.drawing import draw, draw_suite, themed
+from synfog_usd.study.pages.report import BEGIN, END, report
 from synfog_usd.study.points import Point, front, price, read, summary, table
-from synfog_usd.study.report import BEGIN, END, report
 
 SHAPE = (90, 160)
 PIXELS = SHAPE[0] * SHAPE[1]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender
 
-from synfog_usd.study import worlds
+from synfog_usd.study.pages import worlds
 from synfog_usd.world import language
 from synfog_usd.world.compose import compose
 from synfog_usd.world.lamps import lamp_of

@@ -1,6 +1,6 @@
 """The shipped reflectance spectra, and what they change: their curves, and cards under three lamps in R, G, B and in bands.
 
-    python -m synfog_usd.study.spectra docs/images/spectra.png
+    python -m synfog_usd.study.pages.spectra docs/images/spectra.png
 
 The cards are rendered by the project's own renderer, in clear air.
 """
@@ -22,7 +22,7 @@ from synfog_usd.colour import LUMINANCE, srgb_encode
 from synfog_usd.render.shot import render
 from synfog_usd.render.spectra import bands
 from synfog_usd.study.drawing import INK, STYLE
-from synfog_usd.study.truths import scene
+from synfog_usd.testing import scene
 
 COUNT = 31
 PANELS = {

@@ -1,4 +1,14 @@
-"""Small worlds with known answers, as `SceneDict`s: for the tests and for `synfog-usd selftest`."""
+"""Small worlds with known answers, for tests of ours and of yours.
+
+`scene` makes a `SceneDict` of a few Mitsuba dictionaries; `black`, `wall`, `sky`, `box` and `uniform_fog` are what most worlds
+are made of.  Truths are closed forms (`lamp_in_endless_fog`) or discrete ordinates (`empty_layer`), which share no code with
+any renderer.  `synfog-usd selftest` runs the same worlds on a user's machine.  Knows nothing of Mitsuba.
+
+>>> source = scene({"shape_wall": wall(50.0, **black(1.0))}, [uniform_fog(200.0, visibility_m=150.0)], fov_x_deg=0.1)
+>>> import numpy as np
+>>> round(float(np.exp(-50.0 * source.fog[0].medium.sigma_t_per_m)), 4)  # what any unbiased model sees, beside the airlight
+0.3684
+"""
 
 from __future__ import annotations
 

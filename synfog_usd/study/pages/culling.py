@@ -1,6 +1,6 @@
 """What it saves, and what it costs in error, that fog hides instances: the same shot with all of them and without.
 
-From a shell: `python -m synfog_usd.study.culling docs/speed-accuracy.md` measures CASES and
+From a shell: `python -m synfog_usd.study.pages.culling docs/speed-accuracy.md` measures CASES and
 replaces what stands between the page's two marks.  Both pictures of a pair are made with
 the same random numbers, so that most of their noise cancels, and twice, with seeds of their
 own, which tells what noise is left.  Errors are in standard deviations of the sensor's noise.
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from synfog_usd.scene import SceneDict
 
 
-BEGIN, END = "<!-- culling: written by synfog_usd.study.culling; do not edit -->", "<!-- end of culling -->"
+BEGIN, END = "<!-- culling: written by synfog_usd.study.pages.culling; do not edit -->", "<!-- end of culling -->"
 
 SIZE = (64, 36)
 SAMPLES = 256
@@ -223,5 +223,5 @@ def report(document: Path, rows: Iterable[Saving]) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) != 2:
-        sys.exit("usage: python -m synfog_usd.study.culling docs/speed-accuracy.md")
+        sys.exit("usage: python -m synfog_usd.study.pages.culling docs/speed-accuracy.md")
     report(Path(sys.argv[1]), measured())
