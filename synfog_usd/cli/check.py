@@ -5,20 +5,22 @@ from __future__ import annotations
 import itertools
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from synfog_usd import stage as usd
 from synfog_usd.errors import StageError
 from synfog_usd.stage import rulebook, rules
-from synfog_usd.translate import translate
+from synfog_usd.translate import outdoors, translate, why_black
 
 if TYPE_CHECKING:
     from synfog_usd.scene import Note
     from synfog_usd.stage.rulebook import Finding
 
+NOTHING: Mapping[str, str] = MappingProxyType({})
 Told = TypeVar("Told", "Finding", "Note")
 
 GRAVEST_FIRST = ("error", "warning", "info")
@@ -28,8 +30,8 @@ MOST_LETTERS = 500
 ERRORS, WARNINGS_UNDER_STRICT, CLEAN = 2, 1, 0
 
 
-def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], list[Note]]:
-    """Findings on a stage, gravest first, and the notes of its translation over all lightings and fogs.
+def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], list[Note], dict[str, str]]:
+    """Findings on a stage, gravest first, the notes of its translation over all lightings and fogs, and how light it is by lighting.
 
     Raises:
         StageError: the stage cannot be opened at all.
@@ -37,15 +39,20 @@ def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], lis
     opened = usd.open_stage(stage, allow=allow)
     notes: dict[Note, None] = {}
     found = dict.fromkeys(_placed(opened, usd.check(opened)))
+    light: dict[str, str] = {}
     in_fog: list[set[Finding]] = []  # what is found where there is fog, by variant
     try:
-        for _ in _variants(opened):
+        for lighting in _variants(opened):
             more = _placed(opened, rules.findings(opened))
             found |= dict.fromkeys(more)
             if not any(one.rule == "no-fog" for one in more):
                 in_fog.append(set(more))
             if usd.cameras(opened):
-                notes |= dict.fromkeys(translate(opened).notes)
+                scene = translate(opened)
+                notes |= dict.fromkeys(scene.notes)
+                light.setdefault(lighting, str(outdoors(scene)))
+                if not any(one.rule == "no-light" for one in found) and (why := why_black(scene)) is not None:
+                    found[rulebook.finding("black", scene.camera.path, why)] = None
     except StageError as problem:
         found[rulebook.finding(getattr(problem, "rule", "refused"), getattr(problem, "path", ""), str(problem))] = None
     if in_fog:  # one variant with fog, and one in which the camera is in it, are enough
@@ -53,7 +60,7 @@ def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], lis
         found = {one: None for one in found if one.rule not in _OF_ALL_FOGS or one in always}
     told = {(one.path, one.text) for one in found}
     kept = [note for note in notes if (note.path, note.text) not in told]
-    return sorted(found, key=lambda one: GRAVEST_FIRST.index(one.severity)), kept
+    return sorted(found, key=lambda one: GRAVEST_FIRST.index(one.severity)), kept, light
 
 
 _OF_ALL_FOGS = frozenset({"no-fog", "camera-outside-fog"})
@@ -65,12 +72,12 @@ def _placed(opened: Any, told: Iterable[Told]) -> list[Told]:
     return [replace(one, path=usd.authored_path(opened, one.path)) for one in told]
 
 
-def _variants(opened: Any) -> Iterator[None]:
-    """The stage with every lighting once and every fog once, as a bake would choose them."""
+def _variants(opened: Any) -> Iterator[str]:
+    """The stage with every lighting once and every fog once, as a bake would choose them; gives the lighting's name, '' for none."""
     names = usd.variants(opened)
     for lighting, fog in list(itertools.zip_longest(names.get("lighting", []), names.get("fog", []))) or [(None, None)]:
         usd.select(opened, lighting=lighting, fog=fog)
-        yield
+        yield lighting or ""
 
 
 def exit_code(found: Sequence[Finding], notes: Sequence[Note], *, strict: bool) -> int:
@@ -79,13 +86,14 @@ def exit_code(found: Sequence[Finding], notes: Sequence[Note], *, strict: bool) 
     return ERRORS if "error" in severities else WARNINGS_UNDER_STRICT if strict and "warning" in severities else CLEAN
 
 
-def as_json(stage: Path, found: Sequence[Finding], notes: Sequence[Note], code: int) -> str:
-    """One object: 'stage', 'exit_code', 'counts', 'findings', 'translation'."""
+def as_json(stage: Path, found: Sequence[Finding], notes: Sequence[Note], code: int, light: Mapping[str, str] = NOTHING) -> str:
+    """One object: 'stage', 'exit_code', 'counts', 'light', 'findings', 'translation'."""
     return json.dumps(
         {
             "stage": str(stage),
             "exit_code": code,
             "counts": {severity: sum(one.severity == severity for one in found) for severity in GRAVEST_FIRST},
+            "light": dict(light),
             "findings": [{"rule": one.rule, "severity": one.severity, "path": one.path, "text": one.text, "mend": dict(one.mend)} for one in found],
             "translation": [
                 {"severity": severity, "text": text, "prims": count, "paths": paths} for (severity, text), (paths, count) in _by_text(notes).items()
@@ -95,7 +103,7 @@ def as_json(stage: Path, found: Sequence[Finding], notes: Sequence[Note], code: 
     )
 
 
-def as_text(stage: Path, found: Sequence[Finding], notes: Sequence[Note]) -> str:
+def as_text(stage: Path, found: Sequence[Finding], notes: Sequence[Note], light: Mapping[str, str] = NOTHING) -> str:
     """Findings with, once a rule, what to do in which tool; then the table of what is simplified or left out."""
     lines, explained = [], set()
     for one in found:
@@ -109,6 +117,7 @@ def as_text(stage: Path, found: Sequence[Finding], notes: Sequence[Note]) -> str
         lines += ["", "What the translation makes simpler or leaves out:", f"{'':8} {'prims':>5}  what became of it, and the first prim"]
         lines += [f"{severity:8} {count:5}  {_short(text)} ({_short(paths[0]) or stage.name})" for (severity, text), (paths, count) in rows]
         lines.append("")
+    lines += [f"light{f' ({lighting})' if lighting else ''}: {text}" for lighting, text in light.items()]
     counts = {severity: sum(one.severity == severity for one in found) for severity in GRAVEST_FIRST}
     lines.append(f"{stage}: {counts['error']} errors, {counts['warning']} warnings, {counts['info']} remarks; {len(rows)} simplifications")
     return "\n".join(lines)

@@ -48,6 +48,8 @@ def bake(
     lights: Annotated[
         str, typer.Option(help="How intensities are meant: usd, blender, rtx-legacy, metric; auto goes by the program that wrote them.")
     ] = "auto",
+    light_scale: Annotated[float, typer.Option(help="Multiply all lights by this.")] = 1.0,
+    sun_lux: Annotated[float | None, typer.Option(help="Multiply all lights so that the sun gives this illuminance, as 80000 for a clear noon.")] = None,
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None,
     model: Annotated[
         str, typer.Option(help="How light is transported: slab, single, field, path, volpath ...; auto tries them small and takes the cheapest that holds.")
@@ -80,6 +82,8 @@ def bake(
             camera=camera,
             frame=frame,
             lights=lights,
+            light_scale=light_scale,
+            sun_lux=sun_lux,
             size=_size(resolution),
             model=model,
             samples=samples,
@@ -112,9 +116,9 @@ def check(
     from synfog_usd.cli import check as verb
 
     with worker.reading_limits():
-        found, notes = verb.look(stage, allow=allow or [])
+        found, notes, light = verb.look(stage, allow=allow or [])
     code = verb.exit_code(found, notes, strict=strict)
-    print(verb.as_json(stage, found, notes, code) if as_json else verb.as_text(stage, found, notes))
+    print(verb.as_json(stage, found, notes, code, light) if as_json else verb.as_text(stage, found, notes, light))
     raise typer.Exit(code)
 
 

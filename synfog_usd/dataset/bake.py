@@ -84,6 +84,7 @@ def bake(
     from synfog_usd import stage as usd
     from synfog_usd.render import backend, models
     from synfog_usd.render.film import aovs
+    from synfog_usd.translate import outdoors
 
     models.check_name(plan.model)
     graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
@@ -126,7 +127,8 @@ def bake(
                 scene, clear = scenes.of(shot), scenes.of(_cleared(stage, shot)) if metered and shot.lighting not in views else None
             if clear is not None:
                 step("metering", 0.01)
-                views[shot.lighting] = _meter(replace(clear, fog=()), renderer, plan, graph)
+                view = views[shot.lighting] = _meter(replace(clear, fog=()), renderer, plan, graph)
+                log(f"{shot.lighting}: {outdoors(scene)}; this view has {float(view.luminance.mean()):.3g} cd/m2 in clear air")
             row, lines = _make(shot, scene, renderer, views.get(shot.lighting), graph, plan, step)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
@@ -157,7 +159,8 @@ class _Scenes:
             return self.known[shot]
         plan = self.plan
         usd.select(self.stage, fog=shot.fog_variant or self.authored.get("fog"), lighting=shot.lighting_variant or self.authored.get("lighting"))
-        choices: dict[str, Any] = {"camera": plan.camera, "frame": plan.frame, "resolution": plan.size, "lights": plan.lights}
+        choices: dict[str, Any] = {"camera": plan.camera, "frame": plan.frame, "resolution": plan.size}
+        choices |= {"lights": plan.lights, "light_scale": plan.light_scale, "sun_lux": plan.sun_lux}
         if shot.lighting not in self.lightings:
             self.lightings[shot.lighting] = Exchange(self.stage, **choices, fog_mor_m=shot.mor_m)
             self.known[shot] = self.lightings[shot.lighting].scene
@@ -317,10 +320,16 @@ def _make(
         "relative_error": float(f"{rendered.relative_error:.4g}"),
         "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"} if exposure else None,
         "behind_fog": hidden.facts(scene),
-        "warnings": list(rendered.warnings),
+        "warnings": [*rendered.warnings, *([why] if (why := _why_black(radiance, scene)) else [])],
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
     }
     return row, [sentence] if (sentence := hidden.sentence(scene)) else []
+
+
+def _why_black(radiance: Image, scene: SceneDict) -> str | None:
+    from synfog_usd.translate import why_black
+
+    return None if (radiance.pixels > 0.0).any() else why_black(scene) or "the picture is black: no light reaches the camera"
 
 
 def _rounded(figures: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
@@ -380,6 +389,8 @@ def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) ->
             "cull": plan.cull,
             "seed": plan.seed,
             "lights": plan.lights,
+            "light_scale": plan.light_scale,
+            "sun_lux": plan.sun_lux,
             "variant": variant,
         },
         "versions": {"synfog-usd": __version__, **versions},

@@ -33,6 +33,7 @@ class BakePlan:
         variant: Mitsuba backend, see `render.backend.choose`.
         strict: whether a warning of the translation stops the bake.
         lights: how the stage's intensities are meant, see `translate.translate`.
+        light_scale, sun_lux: what all lights are multiplied by, see `translate.translate`.
         allow: folders outside the stage's own in which its files may lie.
     """
 
@@ -55,6 +56,8 @@ class BakePlan:
     variant: str = "auto"
     strict: bool = False
     lights: str = "auto"
+    light_scale: float = 1.0
+    sun_lux: float | None = None
     allow: tuple[Path, ...] = ()
 
 

@@ -129,6 +129,14 @@ RULES: Mapping[str, Rule] = MappingProxyType(
                 "Create > Light > Dome Light",
             ),
             _rule(
+                "black",
+                "warning",
+                "Light is there and none reaches the camera, so that the picture would be black; the text says why.",
+                "move or turn the camera (View > Align View > Align Active Camera to View), or lower its Clip Start",
+                "Camera LOP: move or turn it, or lower the near clipping plane",
+                "move or turn the camera, or lower the first number of its Clipping Range",
+            ),
+            _rule(
                 "light-bright",
                 "warning",
                 "A light that no lamp, sky or sun on a road is; the exposure will follow it and leave the rest black.",

@@ -11,6 +11,7 @@ import gc
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,8 @@ from synfog_usd.fog import FogVolume
 from synfog_usd.scene import Camera, Instance, SceneDict
 from synfog_usd.stage.labels import UNLABELED
 from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors
-from synfog_usd.stage.schema import PREFIX
-from synfog_usd.translate import geometry, light, spectrum, volume
+from synfog_usd.stage.schema import LIGHTING_VARIANT_SET, PREFIX
+from synfog_usd.translate import daylight, geometry, light, spectrum, volume
 from synfog_usd.translate.bindings import Bindings
 from synfog_usd.translate.camera import at_mid_exposure, read_camera
 from synfog_usd.translate.convention import Chooser
@@ -51,6 +52,8 @@ def translate(
     resolution: tuple[int, int] | None = None,
     fog_mor_m: float | None = None,
     lights: str = "auto",
+    light_scale: float = 1.0,
+    sun_lux: float | None = None,
 ) -> SceneDict:
     """One frame of a stage in Mitsuba's vocabulary, in metres, Z up, near the origin.
 
@@ -66,18 +69,30 @@ def translate(
         lights: how intensities are meant: 'usd' (UsdLux 25.05), 'blender',
             'rtx-legacy', 'metric' (normalize divides by m2), or 'auto', by the
             program that wrote the layer in which they stand.
+        light_scale: what all lights are multiplied by, > 0.
+        sun_lux: illuminance across the sun's rays [lx], > 0, to which all lights are multiplied instead;
+            the sun is all distant lights together.
 
     Raises:
-        ParameterError: `lights` is none of these.
+        ParameterError: `lights` is none of these, or `sun_lux` is asked of a stage without a sun.
         StageError: nothing to look with, fog that makes no sense, or a file that
             asks for more than a machine can hold; names the prim.
     """
-    return with_boundaries(stage, camera=camera, frame=frame, resolution=resolution, fog_mor_m=fog_mor_m, lights=lights)[0]
+    choices = {"camera": camera, "frame": frame, "resolution": resolution, "lights": lights, "light_scale": light_scale, "sun_lux": sun_lux}
+    return with_boundaries(stage, fog_mor_m=fog_mor_m, **choices)[0]
 
 
 @plain_errors
 def with_boundaries(
-    stage: Usd.Stage, *, camera: str | None, frame: float | None, resolution: tuple[int, int] | None, fog_mor_m: float | None, lights: str
+    stage: Usd.Stage,
+    *,
+    camera: str | None,
+    frame: float | None,
+    resolution: tuple[int, int] | None,
+    fog_mor_m: float | None,
+    lights: str,
+    light_scale: float,
+    sun_lux: float | None,
 ) -> tuple[SceneDict, tuple[str, ...]]:
     """What `translate` gives, and the paths of all fog boundaries of the stage, whatever visibility is asked for."""
     check_visibility(fog_mor_m)
@@ -94,14 +109,15 @@ def with_boundaries(
     fog = fog_around(scene.fog, fog_mor_m, eye, bounds, notes)
     if len(names := sorted(set(scene.group_of.values()))) > MOST:
         raise StageError(f"{len(names)} light groups ({', '.join(names[:4])}, ...); at most {MOST} can be told apart: give lamps the same {ATTRIBUTE}")
+    world, times = _lit(scene, eye, light_scale, sun_lux, notes)
     made = SceneDict(
-        world=scene.world(),
+        world=world,
         camera=eye,
         fog=fog,
         instances=tuple(scene.instances),
         instance_of=scene.instance_of,
         group_of=scene.group_of,
-        flux_of=scene.flux_of,
+        flux_of={name: times * lumen for name, lumen in scene.flux_of.items()},
         reflectance_of=scene.materials.reflectance_of,
         emission_of=scene.emission_of,
         bounds_m=bounds,
@@ -109,6 +125,28 @@ def with_boundaries(
         notes=notes.closed(lambda path: authored_path(stage, path)),  # USD numbers its prototypes anew each time
     )
     return made, tuple(boundary.path for boundary in scene.fog)
+
+
+def _lit(scene: _Assembler, eye: Camera, light_scale: float, sun_lux: float | None, notes: Diagnostics) -> tuple[dict[str, Any], float]:
+    """The scene's world at the light that is asked for, and by how much it was multiplied; a day that would come out as night is told."""
+    world = scene.world()
+    outside = daylight.measured(world, eye)
+    times = daylight.factor(outside, light_scale=light_scale, sun_lux=sun_lux)
+    if times != 1.0:
+        notes.info("", f"all lights are multiplied by {times:.6g}")
+        return daylight.brightened(world, times), times
+    if 0.0 < outside.ground_lux < daylight.NIGHT_LUX:
+        root = scene.stage.GetDefaultPrim()
+        names = [Path(scene.stage.GetRootLayer().realPath).stem, root.GetVariantSet(LIGHTING_VARIANT_SET).GetVariantSelection() if root else ""]
+        why = daylight.why_day([*names, *scene.sky_names], sun=outside.sun_lux > 0.0, blender=scene.is_blender)
+        if why is not None:
+            mend = "--sun-lux 80000" if outside.sun_lux > 0.0 else f"--light-scale {20000.0 / outside.ground_lux:.1g}"
+            notes.warn(
+                next(iter(scene.sky_paths), ""),
+                f"sun and sky give {outside.ground_lux:.2g} lux on open ground, which is night, but {why} day; "
+                f"if so, mend it with {mend} (all lights by one factor)",
+            )
+    return world, 1.0
 
 
 @contextlib.contextmanager
@@ -210,6 +248,8 @@ class _Assembler:
         self.fog_boxes: dict[str, bool | None] = {}
         self.roots: list[str] = []
         self.spread: list[Array | np.ndarray] = []
+        self.sky_paths: list[str] = []
+        self.sky_names: list[str] = []
 
     def build(self, found: Walk) -> None:
         self.roots = [group.root for group in found.groups]
@@ -256,6 +296,10 @@ class _Assembler:
     def put(self, leaf: Leaf, matrix: Array, placement: Placement | None) -> None:
         """A leaf in the scene itself."""
         kind = leaf.kind
+        if kind in _DOMES or kind == "DistantLight":
+            self.sky_paths.append(leaf.path)
+            picture = leaf.prim.GetAttribute("inputs:texture:file").Get(self.time)
+            self.sky_names += [leaf.prim.GetName(), Path(getattr(picture, "path", "")).stem]
         if kind in _DOMES:
             dome = light.dome(leaf.prim, kind, matrix, self.time, self.notes, self.images, z_up=bool((self.space.axes == np.eye(4)).all()))
             if dome is not None:

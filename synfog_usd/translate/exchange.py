@@ -30,7 +30,7 @@ class Exchange:
 
     Args:
         stage: with its variants chosen.
-        camera, frame, resolution, fog_mor_m, lights: see `translate`.
+        camera, frame, resolution, fog_mor_m, lights, light_scale, sun_lux: see `translate`.
 
     Attributes:
         scene: the stage as it was chosen.
@@ -48,9 +48,12 @@ class Exchange:
         resolution: tuple[int, int] | None = None,
         fog_mor_m: float | None = None,
         lights: str = "auto",
+        light_scale: float = 1.0,
+        sun_lux: float | None = None,
     ) -> None:
         self._camera, self._frame, self._resolution = camera, frame, resolution
-        self.scene, boundaries = with_boundaries(stage, camera=camera, frame=frame, resolution=resolution, fog_mor_m=fog_mor_m, lights=lights)
+        light = {"lights": lights, "light_scale": light_scale, "sun_lux": sun_lux}
+        self.scene, boundaries = with_boundaries(stage, camera=camera, frame=frame, resolution=resolution, fog_mor_m=fog_mor_m, **light)
         begun = self._read(stage, fog_mor_m)
         self._begun = begun if begun is not None and boundaries == begun.boundaries else None
 

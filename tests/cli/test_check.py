@@ -55,7 +55,7 @@ BLIND = ('def Camera "Ego"', 'def Xform "Ego"')
 ])  # fmt: skip
 def test_the_exit_code_is_that_of_the_gravest(stage, changes, strict, code, rules):
     """0 where a bake goes through, 1 for warnings under --strict, 2 where a bake would stop; JSON says the same."""
-    found, notes = verb.look(stage(*changes))
+    found, notes, _ = verb.look(stage(*changes))
     assert {one.rule: one.path for one in found if one.severity != "info"} == rules
     assert verb.exit_code(found, notes, strict=strict) == code
     told = json.loads(verb.as_json(Path("street.usda"), found, notes, code))
@@ -139,7 +139,7 @@ def test_every_variant_is_looked_at_and_clear_air_is_no_fault(stage):
             {
                 float inputs:exposure = -5
             }"""
-    found, _ = verb.look(stage(('string fog = "mor150"', 'string fog = "clear"'), (sky, lamp)))
+    found, *_ = verb.look(stage(('string fog = "mor150"', 'string fog = "clear"'), (sky, lamp)))
     assert {(one.rule, one.path) for one in found} == {("light-bright", "/World/Beacon")}
 
 
@@ -148,7 +148,7 @@ def test_a_camera_outside_of_its_fog_is_found_whatever_variant_is_chosen(stage):
     clear = ('string fog = "mor150"', 'string fog = "clear"')
     away = ("float xformOp:rotateX = 90\n", "float xformOp:rotateX = 90\n        double3 xformOp:translate = (0, -900, 0)\n")
     order = ('["xformOp:rotateX"]', '["xformOp:translate", "xformOp:rotateX"]')
-    found, _ = verb.look(stage(clear, away, order))
+    found, *_ = verb.look(stage(clear, away, order))
     assert {(one.rule, one.path) for one in found} == {("camera-outside-fog", "/World/Ego")}
     ahead = CROSSING[1].replace("(0, 220, 0)", "(0, 20, 0)")
     assert verb.look(stage(clear, (CROSSING[0], ahead)))[0] == []
@@ -160,17 +160,17 @@ def test_what_stands_in_a_prototype_is_told_at_an_instance(tmp_path):
     placed = "".join(f'def Xform "{name}" (\n    instanceable = true\n    references = </Kit>\n)\n{{\n}}\n' for name in ("Zoe", "Ann"))
     head = '#usda 1.0\n(\n    defaultPrim = "Kit"\n    upAxis = "Z"\n    metersPerUnit = 1\n)\ndef Camera "Ego"\n{\n}\n'
     path.write_text(head + 'class "Kit"\n{\n    def Mesh "Empty"\n    {\n    }\n    def NurbsPatch "Patch"\n    {\n    }\n}\n' + placed)
-    found, notes = verb.look(path)
+    found, notes, _ = verb.look(path)
     assert {one.path for one in found if one.rule == "unlabelled"} == {"/Ann/Empty"}
     assert "/Ann/Patch" in {note.path for note in notes} and not [note for note in notes if "Prototype" in note.path]
 
 
 def test_a_missing_file_is_told_once_where_it_is_named(stage):
     """A texture at its attribute, a reference as what does not compose; and not once more by USD's validators."""
-    found, _ = verb.look(stage(("float inputs:intensity = 1000.0", "float inputs:intensity = 1000.0\n        asset inputs:texture:file = @./gone.exr@")))
+    found, *_ = verb.look(stage(("float inputs:intensity = 1000.0", "float inputs:intensity = 1000.0\n        asset inputs:texture:file = @./gone.exr@")))
     told = [one for one in found if "gone.exr" in one.text]
     assert [(one.path, one.severity) for one in told] == [("/World/Sky.inputs:texture:file", "warning")]
-    found, _ = verb.look(stage(('def Mesh "Wall" (\n', 'def Mesh "Wall" (\n        references = @./gone.usda@\n')))
+    found, *_ = verb.look(stage(('def Mesh "Wall" (\n', 'def Mesh "Wall" (\n        references = @./gone.usda@\n')))
     assert [(one.rule, one.path) for one in found if "gone.usda" in one.text] == [("composition", "/World/Wall")]
 
 

@@ -1,0 +1,131 @@
+"""Why a picture would be black: found in the scene, before or after it was rendered.
+
+Takes a `SceneDict`; gives a sentence.  Renders nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.arrays import Array
+from synfog_usd.scene import SceneDict
+from synfog_usd.translate.geometry import cross
+
+_ALL_AROUND = ("constant", "envmap")
+_SEEN_THROUGH = ("mask", "thindielectric", "dielectric", "roughdielectric", "null")
+_CUBE = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]), axis=-1).reshape(-1, 3)
+
+
+def why_black(scene: SceneDict) -> str | None:
+    """What keeps all light from the camera: no light at all, a solid around it, a near plane beyond everything, or nothing before it.
+
+    Returns:
+        one sentence with the fix; None where none of these is so, as in nearly every scene.
+    """
+    lights = [
+        part
+        for part in scene.world.values()
+        if isinstance(part, dict) and (part["type"] in (*_ALL_AROUND, "directional") or "emitter" in part or _is_lamp(part))
+    ]
+    if not lights:
+        return "the picture is black: the stage has no light that shines; add a DomeLight, or a lamp"
+    eye = scene.camera.to_world[:3, 3]
+    for shape, matrix, name in _shapes(scene.world):
+        if _opaque(scene.world, shape) and _surrounds(shape, matrix, eye) and not any(_surrounds(shape, matrix, place) for place in _places(lights)):
+            who = scene.instances[scene.instance_of[name] - 1].path if name in scene.instance_of else name[-1]
+            return f"the picture is black: the camera stands inside of {who}, a closed solid without a light in it; move the camera"
+    if any(part["type"] in _ALL_AROUND for part in lights):
+        return None  # the sky itself is seen
+    ahead = [
+        float(((corners - eye) @ -scene.camera.to_world[:3, 2]).max()) for corners in (_corners(shape, matrix) for shape, matrix, _ in _shapes(scene.world))
+    ]
+    if not ahead or max(ahead) <= 0.0:
+        return "the picture is black: everything lies behind the camera, and there is no sky; turn the camera, which looks along its -Z"
+    if max(ahead) <= scene.camera.near_m:
+        return (
+            f"the picture is black: the camera's near clipping of {scene.camera.near_m:g} m lies beyond everything before it, "
+            f"which ends at {max(ahead):.3g} m, and there is no sky; lower clippingRange"
+        )
+    return None
+
+
+def _is_lamp(part: Mapping[str, Any]) -> bool:
+    return part["type"] in ("point", "spot", "photometric")
+
+
+def _shapes(world: Mapping[str, Any]) -> Iterator[tuple[Mapping[str, Any], Array, tuple[str, ...]]]:
+    """Every shape with the matrix that places it and its name, those of groups once for each instance."""
+    for key, part in world.items():
+        if not isinstance(part, dict):
+            continue
+        if part["type"] == "instance":
+            for name, shape in world[part["shapegroup"]["id"]].items():
+                if name != "type":
+                    yield shape, part["to_world"], (key, name)
+        elif key.startswith("shape_"):
+            yield part, np.eye(4), (key,)
+
+
+def _opaque(world: Mapping[str, Any], shape: Mapping[str, Any]) -> bool:
+    bsdf = world.get(shape["bsdf"].get("id", ""), shape["bsdf"])
+    return bsdf["type"] not in _SEEN_THROUGH and not bsdf.get("spec_trans")
+
+
+def _places(lights: list[Any]) -> Iterator[Array]:
+    """Where lamps stand; sun and sky are nowhere."""
+    for part in lights:
+        if "position" in part:
+            yield np.asarray(part["position"], dtype=np.float64)
+        elif "emitter" in part:
+            yield _corners(part, np.eye(4)).mean(axis=0)
+        elif _is_lamp(part):
+            yield np.asarray(part["to_world"])[:3, 3]
+
+
+def _corners(shape: Mapping[str, Any], matrix: Array) -> Array:
+    """(8, 3) corners of a box around a shape, in the scene."""
+    kind = shape["type"]
+    if "positions" in shape:
+        low, high = shape["positions"].min(axis=0).astype(np.float64), shape["positions"].max(axis=0).astype(np.float64)
+    elif kind == "sphere":
+        low, high = np.asarray(shape["center"]) - shape["radius"], np.asarray(shape["center"]) + shape["radius"]
+    elif kind == "cylinder":
+        ends = np.array([shape["p0"], shape["p1"]], dtype=np.float64)
+        low, high = ends.min(axis=0) - shape["radius"], ends.max(axis=0) + shape["radius"]
+    elif "control_points" in shape:
+        points = np.asarray(shape["control_points"], dtype=np.float64)[:, :3]
+        low, high = points.min(axis=0), points.max(axis=0)
+    else:
+        low, high = np.full(3, -1.0), np.full(3, 1.0)
+    corners = np.where(_CUBE < 0.0, low, high)
+    if "to_world" in shape:
+        matrix = matrix @ shape["to_world"]
+    return np.asarray(corners @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+def _surrounds(shape: Mapping[str, Any], matrix: Array, point: Array) -> bool:
+    """Whether a closed shape goes around a point: by the solid angle that its triangles fill.
+
+    Source: Van Oosterom and Strackee (1983).
+    """
+    kind = shape["type"]
+    if kind not in ("mesh", "sphere", "cube"):
+        return False
+    corners = _corners(shape, matrix)
+    if not ((corners.min(axis=0) < point).all() and (point < corners.max(axis=0)).all()):
+        return False
+    whole = matrix @ shape["to_world"] if "to_world" in shape else matrix
+    local = np.linalg.solve(whole, [*point, 1.0])[:3]
+    if kind == "sphere":
+        return bool(np.linalg.norm(local - np.asarray(shape.get("center", (0.0, 0.0, 0.0)))) < shape.get("radius", 1.0))
+    if kind == "cube":
+        return bool((np.abs(local) < 1.0).all())
+    a, b, c = (shape["positions"][shape["faces"][:, k]] - local for k in range(3))
+    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+    top = np.einsum("ij,ij->i", a, cross(b, c))
+    bottom = la * lb * lc + np.einsum("ij,ij->i", a, b) * lc + np.einsum("ij,ij->i", b, c) * la + np.einsum("ij,ij->i", c, a) * lb
+    turns = float(np.arctan2(top, bottom).sum()) / (2.0 * np.pi)
+    return abs(turns) > 0.99

@@ -1,0 +1,148 @@
+"""How light it is outdoors: lux on open ground, the view's luminance, and whether a day was read as night.
+
+Takes a scene's emitters and camera; gives numbers, and the emitters multiplied by a factor.  Programs without
+photometric units, Blender first, light for an exposure of their own: their sun of strength 3 is 3 lux by UsdLux.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.arrays import Array
+from synfog_usd.colour import LUMINANCE
+from synfog_usd.errors import ParameterError
+from synfog_usd.scene import Camera, SceneDict
+
+GROUND_ALBEDO = 0.2
+"""Of the ground in an open view: dry asphalt and grass."""
+
+NIGHT_LUX = 100.0
+"""Below it no day is meant: sunset under clear sky gives 400 lux, an overcast noon 10 000, civil twilight ends at 3."""
+
+_DAY = frozenset({"sun", "sunny", "sunlight", "day", "daylight", "daytime", "noon", "midday", "morning", "afternoon"})
+_NIGHT = frozenset({"night", "nighttime", "moon", "moonlight", "dusk", "dawn", "twilight", "evening", "midnight", "stars", "active"})
+_LIT = ("radiance", "irradiance", "intensity")
+
+
+@dataclass(frozen=True)
+class Outdoors:
+    """What sun and sky give where nothing stands in their way; lamps do not count.
+
+    Attributes:
+        sun_lux: illuminance across the rays of all distant lights [lx].
+        ground_lux: illuminance of level ground by sun and sky [lx].
+        view_cd_m2: mean luminance of an open view from the camera: sky, and ground of albedo `GROUND_ALBEDO` [cd m-2].
+    """
+
+    sun_lux: float
+    ground_lux: float
+    view_cd_m2: float
+
+    def __str__(self) -> str:
+        return f"sun and sky give {self.ground_lux:.3g} lux on open ground, and an open view {self.view_cd_m2:.3g} cd/m2"
+
+
+def outdoors(scene: SceneDict) -> Outdoors:
+    """See `Outdoors`."""
+    return measured(scene.world, scene.camera)
+
+
+def measured(world: Mapping[str, Any], camera: Camera) -> Outdoors:
+    """See `Outdoors`; `world` as in `SceneDict`."""
+    sun = ground = 0.0
+    sky = None
+    for light in (part for part in world.values() if isinstance(part, dict)):
+        if light["type"] == "directional":
+            lux = float(LUMINANCE @ np.broadcast_to(np.asarray(light["irradiance"]["value"], dtype=np.float64), 3))
+            sun += lux
+            ground += lux * max(0.0, -float(light["to_world"][2, 2]))
+        elif light["type"] in ("constant", "envmap"):
+            sky = light
+    x, y = np.meshgrid(np.linspace(-1, 1, 33)[:-1] + 1 / 32, np.linspace(-1, 1, 33)[:-1] + 1 / 32)
+    wide = math.tan(math.radians(camera.fov_x_deg) / 2.0)
+    rays = np.stack([x * wide, y * wide * camera.height_px / camera.width_px, -np.ones_like(x)], axis=-1).reshape(-1, 3)
+    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True) @ camera.to_world[:3, :3].T
+    seen = np.zeros(len(rays))
+    if sky is not None and sky["type"] == "constant":
+        nits = float(LUMINANCE @ np.broadcast_to(np.asarray(sky["radiance"]["value"], dtype=np.float64), 3))
+        ground += math.pi * nits
+        seen[:] = nits
+    elif sky is not None:
+        nits_of, way, steradians = _texels(sky)
+        ground += float((nits_of * np.maximum(way[..., 2], 0.0) * steradians).sum())
+        seen = nits_of.reshape(-1)[_nearest(rays @ sky["to_world"][:3, :3], nits_of.shape)]
+    seen = np.where(rays[:, 2] > 0.0, seen, GROUND_ALBEDO * ground / math.pi)
+    return Outdoors(sun, ground, float(seen.mean()))
+
+
+def _texels(sky: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+    """Luminance (H, W), direction in the scene (H, W, 3) and solid angle (H, 1) of an environment's texels."""
+    nits = np.asarray(sky["bitmap"], dtype=np.float64) @ LUMINANCE
+    height, width = nits.shape
+    azimuth, polar = 2.0 * np.pi * (np.arange(width) + 0.5) / width, np.pi * (np.arange(height)[:, None] + 0.5) / height
+    local = np.stack([np.sin(polar) * np.sin(azimuth), np.broadcast_to(np.cos(polar), nits.shape), -np.sin(polar) * np.cos(azimuth)], axis=-1)
+    return nits, local @ sky["to_world"][:3, :3].T, 2.0 * np.pi**2 / (width * height) * np.sin(polar)
+
+
+def _nearest(local: Array, shape: tuple[int, ...]) -> Any:
+    """Texel number that each direction of an environment's own frame falls on."""
+    height, width = shape
+    column = np.floor(np.arctan2(local[:, 0], -local[:, 2]) / (2.0 * np.pi) * width).astype(np.int64) % width
+    row = np.clip(np.arccos(np.clip(local[:, 1], -1.0, 1.0)) / np.pi * height, 0, height - 1).astype(np.int64)
+    return row * width + column
+
+
+def why_day(names: Iterable[str], *, sun: bool, blender: bool) -> str | None:
+    """What says that a day is meant: a name, a sun above the horizon, or a file without lux; None where nothing does, or a name speaks of night.
+
+    Args:
+        names: of lights, of their pictures, of the stage's file and of the chosen lighting.
+        sun: whether a distant light shines down.
+        blender: whether the stage is from Blender.
+    """
+    words = {word.lower(): name for name in names for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
+    if not _NIGHT.isdisjoint(words):
+        return None
+    named = next((f"the name {name} says" for word, name in words.items() if word in _DAY), None)
+    return named or ("a sun above the horizon says" if sun else "a world from Blender, whose strength is seldom meant in nits, may say" if blender else None)
+
+
+def factor(outside: Outdoors, *, light_scale: float, sun_lux: float | None) -> float:
+    """What all lights are multiplied by.
+
+    Raises:
+        ParameterError: an illuminance is asked of a sun that is not there.
+    """
+    if sun_lux is None:
+        return light_scale
+    if not outside.sun_lux > 0.0:
+        raise ParameterError(f"--sun-lux {sun_lux:g}: the stage has no distant light that shines; multiply its lights by --light-scale instead")
+    return sun_lux / outside.sun_lux
+
+
+def brightened(world: Mapping[str, Any], times: float) -> dict[str, Any]:
+    """The same with all that shines multiplied by a factor."""
+    return {name: _brighter(part, times) if isinstance(part, dict) else part for name, part in world.items()}
+
+
+def _brighter(part: dict[str, Any], times: float) -> dict[str, Any]:
+    if part["type"] == "envmap":
+        return {**part, "bitmap": (part["bitmap"] * times).astype(np.float32)}
+    if part["type"] == "shapegroup":
+        return {name: _brighter(one, times) if isinstance(one, dict) else one for name, one in part.items()}
+    if "emitter" in part:
+        return {**part, "emitter": _brighter(part["emitter"], times)}
+    return {name: _times(one, times) if name in _LIT else one for name, one in part.items()}
+
+
+def _times(colour: dict[str, Any], times: float) -> dict[str, Any]:
+    """A colour, or the linear texels of a picture, times a factor."""
+    if colour["type"] == "bitmap":
+        return {**colour, "bitmap": (colour["bitmap"] * times).astype(np.float32)}
+    return {**colour, "value": (np.asarray(colour["value"], dtype=np.float64) * times).tolist()}

@@ -1,0 +1,185 @@
+"""How light it is outdoors against closed forms, days that were read as night, and pictures that would be black."""
+
+import math
+
+import numpy as np
+import OpenImageIO
+import pytest
+from pxr import Gf, Sdf, UsdGeom, UsdLux
+
+from synfog_usd.errors import ParameterError
+from synfog_usd.translate import outdoors, translate, why_black
+
+
+def sun(stage, lux, *, name="Sun", tilt=0.0):
+    """A distant light of `lux` across its rays, `tilt` degrees from straight down."""
+    light = UsdLux.DistantLight.Define(stage, f"/{name}")
+    light.CreateIntensityAttr(lux)
+    light.CreateNormalizeAttr(True)
+    light.AddRotateXOp().Set(tilt)
+    return light
+
+
+def sky(stage, nits, *, name="Sky"):
+    light = UsdLux.DomeLight.Define(stage, f"/{name}")
+    light.CreateIntensityAttr(nits)
+    return light
+
+
+def told(scene, word):
+    return [note.text for note in scene.notes if note.severity == "warning" and word in note.text]
+
+
+def test_illuminance_of_open_ground_is_that_of_sky_and_slanting_sun(empty):
+    """pi L of an even sky, and E cos of a sun at 60 degrees; ground of albedo 0.2 gives back E / pi of that, and fills half the view."""
+    stage = empty()
+    sun(stage, 50_000.0, tilt=60.0)
+    sky(stage, 4000.0)
+    light = outdoors(translate(stage))
+    assert light.sun_lux == pytest.approx(50_000.0)
+    assert light.ground_lux == pytest.approx(math.pi * 4000.0 + 25_000.0, rel=1e-6)
+    assert light.view_cd_m2 == pytest.approx((4000.0 + 0.2 * light.ground_lux / math.pi) / 2, rel=1e-6)
+    assert str(light).startswith("sun and sky give 3.76e+04 lux on open ground")
+
+
+def test_a_sky_map_counts_by_the_cosine_of_its_upper_half(empty, tmp_path):
+    """1000 nits above and 1e6 below the horizon: pi 1000 lux, the lower half's light falls on no ground."""
+    pixels = np.full((64, 128, 3), 1000.0, dtype=np.float32)
+    pixels[32:] = 1e6
+    image = OpenImageIO.ImageOutput.create(str(tmp_path / "sky.exr"))
+    image.open(str(tmp_path / "sky.exr"), OpenImageIO.ImageSpec(128, 64, 3, "float"))
+    image.write_image(pixels)
+    image.close()
+    stage = empty()
+    dome = sky(stage, 1.0)
+    dome.CreateTextureFileAttr(Sdf.AssetPath(str(tmp_path / "sky.exr")))
+    dome.AddRotateXOp().Set(90.0)  # its top to the stage's Z
+    light = outdoors(translate(stage))
+    assert light.ground_lux == pytest.approx(math.pi * 1000.0, rel=1e-3)  # 64 rows: the midpoint rule in cos sin is off by (pi / 64)^2 / 6
+    assert light.view_cd_m2 == pytest.approx((1000.0 + 0.2 * 1000.0) / 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("lux, name, warned", [
+    (3.0, "Sun", True), (3.0, "Key", True), (3.0, "Moon", False), (0.2, "MoonLight", False), (400.0, "Sun", False), (80_000.0, "Sun", False),
+    (0.0, "Sun", False),
+])  # fmt: skip
+def test_a_day_that_would_come_out_as_night_is_told_with_the_option(empty, lux, name, warned):
+    """A sun of strength 3 is 3 lux; a moon means to be one, and a light that is off is none."""
+    stage = empty()
+    sun(stage, lux, name=name)
+    lines = told(translate(stage), "which is night")
+    assert len(lines) == warned
+    assert not warned or ("3 lux on open ground" in lines[0] and "--sun-lux 80000" in lines[0])
+
+
+def test_a_world_from_blender_without_sun_is_told_with_a_factor(empty):
+    stage = empty()
+    sky(stage, 1.0, name="env_light")
+    assert told(translate(stage), "night") == []
+    stage.SetMetadata("documentation", "Blender v5.0.1")
+    (line,) = told(translate(stage), "night")
+    assert "--light-scale 6e+03" in line
+
+
+def test_all_lights_are_multiplied_alike(empty, polygon_mesh):
+    """Sun, sky, a lamp, a point and a glowing mesh: each number times 2.5; or by what the sun lacks."""
+    stage = empty()
+    sun(stage, 4.0)
+    sky(stage, 2.0)
+    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
+    lamp.CreateIntensityAttr(8.0)
+    point = UsdLux.SphereLight.Define(stage, "/Point")
+    point.CreateTreatAsPointAttr(True)
+    quad = polygon_mesh(stage, "/Glow", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
+    UsdLux.MeshLightAPI.Apply(quad.GetPrim())
+
+    def numbers(scene):
+        found = [part.get("emitter", part) for part in scene.world.values() if isinstance(part, dict)]
+        return np.array([np.mean(part[name]["value"]) for part in found for name in ("radiance", "irradiance", "intensity") if name in part])
+
+    plain = numbers(translate(stage))
+    assert len(plain) == 5
+    np.testing.assert_allclose(numbers(translate(stage, light_scale=2.5)), 2.5 * plain, rtol=1e-12)
+    bright = translate(stage, sun_lux=80_000.0)
+    np.testing.assert_allclose(numbers(bright), 20_000.0 * plain, rtol=1e-6)  # the weights of R, G and B add up to 1.0000001
+    assert told(bright, "night") == [] and "all lights are multiplied by 20000" in [note.text for note in bright.notes]
+
+
+def test_lux_are_not_asked_of_a_sun_that_is_not_there(empty):
+    stage = empty()
+    sky(stage, 1.0)
+    with pytest.raises(ParameterError, match=r"--sun-lux 80000: the stage has no distant light.*--light-scale"):
+        translate(stage, sun_lux=80_000.0)
+
+
+def cube(stage, path, place, size):
+    shape = UsdGeom.Cube.Define(stage, path)
+    shape.CreateSizeAttr(size)
+    shape.AddTranslateOp().Set(Gf.Vec3d(*place))
+    return shape
+
+
+def test_no_light_at_all_is_why_a_picture_is_black(empty):
+    stage = empty()
+    cube(stage, "/Wall", (0, 9, 0), 2.0)
+    assert "has no light that shines" in why_black(translate(stage))
+    sun(stage, 1000.0)
+    assert why_black(translate(stage)) is None
+
+
+@pytest.mark.parametrize("kind", ["Cube", "Sphere", "Mesh", "instance"])
+def test_a_camera_inside_of_a_solid_is_why_a_picture_is_black(empty, polygon_mesh, kind):
+    """By name; not where a lamp is in there too, and not beside it."""
+    stage = empty()
+    sky(stage, 1000.0)
+    path = "/Block"
+    if kind == "Cube":
+        shape = cube(stage, path, (0.2, 0, 0), 3.0)
+    elif kind == "Sphere":
+        shape = UsdGeom.Sphere.Define(stage, path)
+        shape.CreateRadiusAttr(3.0)
+        shape.AddTranslateOp().Set((0.2, 0, 0))
+    elif kind == "Mesh":
+        corners = [(x, y, z) for x in (-2, 2) for y in (-2, 2) for z in (-2, 2)]
+        shape = polygon_mesh(stage, path, corners, [4] * 6, [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3])
+        shape.AddTranslateOp().Set((0.2, 0, 0))
+    else:
+        stage.CreateClassPrim("/Kit")
+        cube(stage, "/Kit/Body", (0, 0, 0), 3.0)
+        for name, x in (("/Block", 0.2), ("/Other", 50.0)):
+            shape = UsdGeom.Xform.Define(stage, name)
+            shape.AddTranslateOp().Set((x, 0, 0))
+            shape.GetPrim().GetReferences().AddInternalReference("/Kit")
+            shape.GetPrim().SetInstanceable(True)
+        shape = UsdGeom.Xform(stage.GetPrimAtPath("/Block"))
+    why = why_black(translate(stage))
+    assert f"inside of {path}" in why and "move the camera" in why
+    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
+    lamp.CreateRadiusAttr(0.1)
+    lamp.AddTranslateOp().Set((0, 1, 0))
+    assert why_black(translate(stage)) is None
+    lamp.GetPrim().SetActive(False)
+    shape.GetOrderedXformOps()[0].Set((5.0, 0, 0))
+    assert why_black(translate(stage)) is None
+
+
+def test_nothing_before_the_camera_is_why_a_picture_is_black(empty):
+    """Only without a sky, which would be seen."""
+    stage = empty()
+    sun(stage, 1000.0)
+    cube(stage, "/Wall", (0, -9, 0), 2.0)
+    assert "everything lies behind the camera" in why_black(translate(stage))
+    sky(stage, 1.0)
+    assert why_black(translate(stage)) is None
+
+
+def test_a_near_plane_beyond_everything_is_why_a_picture_is_black(empty):
+    stage = empty()
+    sun(stage, 1000.0)
+    cube(stage, "/Wall", (0, 9, 0), 2.0)
+    camera = UsdGeom.Camera(stage.GetPrimAtPath("/Camera"))
+    camera.CreateClippingRangeAttr((9.0, 100.0))
+    assert why_black(translate(stage)) is None
+    camera.GetClippingRangeAttr().Set((10.5, 100.0))
+    why = why_black(translate(stage))
+    assert "near clipping of 10.5 m lies beyond everything before it, which ends at 10 m" in why
