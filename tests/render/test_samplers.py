@@ -1,0 +1,219 @@
+"""Every sampler of ours against the density that it states: chi-squared over cells.
+
+Phase functions are in `test_phases`, BSDFs are Mitsuba's.  Expected numbers are integrals of the stated density, or a closed form
+that shares no code with the sampler; `test_support` shows that two percent would be seen.
+"""
+
+from typing import ClassVar
+
+import drjit as dr
+import numpy as np
+import pytest
+from support.stats import assert_draws
+
+from synfog_usd.fog import FogMedium, FogVolume
+from synfog_usd.fog.volume import optical_depth
+from synfog_usd.render import backend
+from synfog_usd.render.lights import sampler as light_sampler
+from synfog_usd.render.lights.grid import FLOOR, LightDistribution
+from synfog_usd.render.lights.guiding import LightGuide
+from synfog_usd.render.lights.sampler import LightSampler
+from synfog_usd.render.media.medium import Medium
+from synfog_usd.testing import box, uniform_fog
+
+COUNT = 400_000
+EYE = np.array([0.0, 0.0, 1.5])
+
+
+@pytest.fixture
+def mi():
+    module = backend.mitsuba()
+    if backend.is_scalar():
+        pytest.skip("vectorised tests")
+    return module
+
+
+def uniform(mi, seed, dimensions=1):
+    """(N,) or (2, N) random numbers of a kernel."""
+    numbers = np.random.default_rng(seed).random((dimensions, COUNT), dtype=np.float32)
+    return mi.Float(numbers[0]) if dimensions == 1 else mi.Point2f(numbers)
+
+
+def down(x, y, z):
+    """A frame at a point that looks down."""
+    matrix = np.diag([1.0, -1.0, -1.0, 1.0])
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+def street():
+    """A spot, a bulb, a lit face and a lamp with a table of its light."""
+    table = np.outer(np.cos(np.linspace(0.0, np.pi, 19)).clip(0.05), np.linspace(0.4, 1.0, 8)).astype(np.float32)
+    grey = {"type": "rgb", "value": [0.0, 0.0, 0.0]}
+    return {
+        "light_spot": {"type": "spot", "to_world": down(-4.0, 12.0, 6.0), "intensity": {"type": "rgb", "value": [400.0] * 3}, "cutoff_angle": 60.0},
+        "light_bulb": {"type": "point", "position": [3.0, 20.0, 2.0], "intensity": {"type": "rgb", "value": [60.0, 50.0, 40.0]}},
+        "light_table": {"type": "photometric", "to_world": down(4.0, 8.0, 5.0), "intensity": {"type": "rgb", "value": [300.0] * 3}, "bitmap": table},
+        "shape_face": {
+            "type": "mesh",
+            "positions": np.array([[-2.0, 15.0, 0.0], [-1.0, 15.0, 0.0], [-1.0, 15.0, 1.0]]),
+            "faces": np.array([[0, 2, 1]]),
+            "bsdf": {"type": "diffuse", "reflectance": grey},
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [900.0] * 3}},
+        },
+    }
+
+
+@pytest.fixture
+def guide(mi):
+    medium = Medium([uniform_fog(100.0, visibility_m=80.0)])
+    return LightGuide(LightSampler(street(), {}), medium, EYE)
+
+
+WAYS = {"past all lamps": (0.1, 0.97, 0.12), "away from them": (0.3, -0.9, 0.1), "through the cone": (-0.3, 0.9, -0.05)}
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+def test_distances_are_guided_as_their_density_says(mi, guide, way):
+    """200 cells of the same chance between 0.5 and 40 m; the density integrates to 1 within 0.02 %."""
+    sigma, begin, end = 0.0375, 0.5, 40.0
+    origin, direction = mi.Point3f(EYE.tolist()), dr.normalize(mi.Vector3f(way.tolist()))
+    lane = dr.zeros(mi.Float, COUNT)
+    drawn = guide.distance(origin, direction, lane + begin, lane + end, lane + sigma, uniform(mi, 1), uniform(mi, 2))
+    places = np.linspace(begin, end, 400_001)
+    width = len(places)
+    lane = dr.zeros(mi.Float, width)
+    density = guide.distance_density(origin, direction, lane + begin, lane + end, lane + sigma, mi.Float(places.astype(np.float32)))
+    density = np.array(density, dtype=np.float64)
+    below = np.r_[0.0, np.cumsum((density[1:] + density[:-1]) / 2.0 * np.diff(places))]
+    assert below[-1] == pytest.approx(1.0, abs=2e-4)
+    edges = np.interp(np.linspace(0.0, below[-1], 201), below, places)
+    edges[0], edges[-1] = begin - 1e-3, end + 1e-3
+    assert_draws(np.histogram(np.array(drawn, dtype=np.float64), edges)[0], np.ones(200))
+
+
+@pytest.mark.parametrize("place", [(0.0, 10.0, 1.0), (3.0, 18.0, 2.0), (0.0, -60.0, 1.0)], ids=["amid", "beside the bulb", "far off"])
+def test_directions_are_guided_as_their_density_says(mi, guide, place):
+    """20 x 40 cells of the sphere; their chances by midpoints in rings about each lamp; the density integrates to 1 within 0.1 %."""
+    sigma = 0.0375
+    lane = dr.zeros(mi.Float, COUNT)
+    here = mi.Point3f(lane + place[0], lane + place[1], lane + place[2])
+    drawn = np.array(guide.direction(here, lane + sigma, uniform(mi, 3), uniform(mi, 4, 2)), dtype=np.float64)
+    np.testing.assert_allclose(np.linalg.norm(drawn, axis=0), 1.0, rtol=1e-5)
+    lamps = np.array([[-4.0, 12.0, 6.0], [3.0, 20.0, 2.0], [4.0, 8.0, 5.0], [-4.0 / 3.0, 15.0, 1.0 / 3.0]]) - place
+    lamps /= np.linalg.norm(lamps, axis=1, keepdims=True)
+    ways, solid_angles = around(lamps)
+    lane = dr.zeros(mi.Float, ways.shape[1])
+    here = mi.Point3f(lane + place[0], lane + place[1], lane + place[2])
+    density = np.array(guide.direction_density(here, lane + sigma, mi.Vector3f(ways.astype(np.float32))), dtype=np.float64)
+    assert density @ solid_angles == pytest.approx(1.0, abs=1e-3)
+
+    def cells(ways, weights=None):
+        edges = np.linspace(-1.0001, 1.0001, 21), np.linspace(-np.pi, np.pi, 41)
+        return np.histogram2d(ways[2], np.arctan2(ways[1], ways[0]), bins=edges, weights=weights)[0]
+
+    assert_draws(cells(drawn), cells(ways, density * solid_angles))
+
+
+def around(axes, rings=1500, sectors=700):
+    """Directions (3, M) all over the sphere and the solid angle (M,) of each, in rings about the nearest of axes (K, 3): there the density has no end."""
+    theta, phi = (np.arange(rings) + 0.5) / rings * np.pi, (np.arange(sectors) + 0.5) / sectors * 2.0 * np.pi
+    sine = np.sin(theta)[:, None]
+    local = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)[:, None] + 0.0 * phi]).reshape(3, -1)
+    each = np.repeat(np.sin(theta), sectors) * (np.pi / rings) * (2.0 * np.pi / sectors)
+    ways, angles = [], []
+    for number, axis in enumerate(axes):
+        side = np.cross(axis, [0.0, 0.0, 1.0])
+        side /= np.linalg.norm(side)
+        turned = np.stack([side, np.cross(axis, side), axis], axis=1) @ local
+        own = np.argmax(axes @ turned, axis=0) == number
+        ways.append(turned[:, own])
+        angles.append(each[own])
+    return np.concatenate(ways, axis=1), np.concatenate(angles)
+
+
+def test_a_lamp_is_chosen_by_place_as_its_chance_says(mi):
+    """17 lamps in three rows, one of which knows nothing: as often as the mixture of knowledge and of what knows no place."""
+    draw = np.random.default_rng(6)
+    weights, even = draw.exponential(size=(3, 17)) ** 3, draw.exponential(size=17)
+    weights[2], even = 0.0, even / even.sum()
+    chosen = LightDistribution(weights, even)
+    for row, known in enumerate([*(weights[:2] / weights[:2].sum(axis=1, keepdims=True)), even]):
+        index, chance = chosen.sample(dr.full(mi.UInt32, row, COUNT), uniform(mi, 7 + row), mi.Bool(True))
+        expected = (1.0 - FLOOR) * known + FLOOR * even
+        np.testing.assert_allclose(np.array(chance), expected[np.array(index)], rtol=1e-5)
+        assert_draws(np.bincount(np.array(index), minlength=17), expected)
+
+
+class Draws:
+    """A sampler of a kernel: independent numbers, a stream for each lane."""
+
+    DRJIT_STRUCT: ClassVar[dict[str, type]] = {}
+
+    def __init__(self, seed=0):
+        mi = backend.mitsuba()
+        type(self).DRJIT_STRUCT = {"state": mi.PCG32}
+        self.state = mi.PCG32(COUNT, seed)
+
+    def next_1d(self, active=True):
+        return self.state.next_float32(active)
+
+    def next_2d(self, active=True):
+        first = self.state.next_float32(active)
+        return backend.mitsuba().Point2f(first, self.state.next_float32(active))
+
+
+def test_resampling_keeps_a_lamp_in_proportion_to_what_it_sends(mi):
+    """Four bulbs before a surface: the one that is kept is drawn in proportion to I cos / r^2, and its estimate is the sum of all I / r^2 in the mean."""
+    places, intensity = np.array([[-4.0, 6.0, 3.0], [0.0, 9.0, 5.0], [5.0, 4.0, 1.0], [2.0, -7.0, 4.0]]), np.array([10.0, 80.0, 5.0, 40.0])
+    bulbs = {
+        f"light_{index}": {"type": "point", "position": place.tolist(), "intensity": {"type": "rgb", "value": [power] * 3}}
+        for index, (place, power) in enumerate(zip(places, intensity, strict=True))
+    }
+    here, normal = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.6, 0.8])
+    lane = dr.zeros(mi.Float, COUNT)
+    found = LightSampler(bulbs, {}).at(
+        mi.Point3f(lane + here[0], lane + here[1], lane + here[2]), mi.Normal3f(normal.tolist()), Draws(11), dr.full(mi.Bool, True, COUNT)
+    )
+    between = places - here
+    sent = intensity / (between**2).sum(axis=1)
+    target = sent * (np.abs(between @ normal) / np.linalg.norm(between, axis=1) + 1e-3)
+    kept = np.argmin(((np.array(found[0]).T[:, None] - places[None]) ** 2).sum(axis=2), axis=1)
+    assert_draws(np.bincount(kept, minlength=4), target)
+    value = np.array(found[1], dtype=np.float64)[0]
+    assert abs(value.mean() - sent.sum()) < 4.5 * value.std() / np.sqrt(COUNT)
+
+
+@pytest.mark.parametrize("width", [0.02, 0.14, 2.0])
+def test_angles_are_drawn_as_the_forward_peak_says(mi, width):
+    """Between 0.1 and 2.5 rad: 200 cells, by the inverse of the peak's integral, which another formula gives."""
+    low, high = 0.1, 2.5
+    share = [light_sampler._peak_share(mi.Float(angle), width) for angle in (low, high)]
+    drawn = np.array(light_sampler._of_peak_share(dr.lerp(share[0], share[1], uniform(mi, 12)), width), dtype=np.float64)
+    edges = np.tan(np.linspace(np.arctan(low / width), np.arctan(high / width), 201)) * width
+    expected = np.diff(np.sin(np.arctan(edges / width)))  # of (w^2 + a^2)^-1.5
+    edges[0], edges[-1] = 0.0, np.pi
+    assert_draws(np.histogram(drawn, edges)[0], expected)
+
+
+def test_flights_end_as_transmittance_says(mi):
+    """A bank in fog that thins with height: 200 cells of the same chance, by the optical depth of `fog.volume`, which is numpy's."""
+    fog = [
+        FogVolume("/Fog", box((300.0, 300.0, 40.0), (0.0, 0.0, 20.0)), FogMedium(0.03, profile="exponential", base_height_m=2.0, scale_height_m=9.0)),
+        FogVolume("/Bank", box((50.0, 8.0, 3.0), (0.0, 30.0, 3.0)), FogMedium(0.15), priority=1, parent=0),
+    ]
+    medium = Medium(fog)
+    way = np.array([0.1, 0.99, 0.06])
+    way /= np.linalg.norm(way)
+    origin, direction = mi.Point3f(EYE.tolist()), mi.Vector3f(way.tolist())
+    near, far = medium.intersect(origin, direction)
+    reach = medium.sample_distance(origin, direction, -dr.log(1.0 - uniform(mi, 13)), near, far)
+    length = float(far[0])
+    places = np.linspace(0.0, length, 200_001)
+    count = len(places)
+    tau = optical_depth(tuple(fog), np.broadcast_to(EYE, (count, 3)), np.broadcast_to(way, (count, 3)), places)
+    below = -np.expm1(-tau)  # what is scattered up to a place; the rest leaves the fog
+    edges = np.r_[np.interp(np.linspace(0.0, below[-1], 201), below, places)[:-1], length * (1.0 - 1e-6)]
+    drawn = np.array(reach, dtype=np.float64)
+    counts = np.histogram(drawn, edges)[0]
+    assert_draws(np.r_[counts, (drawn >= edges[-1]).sum()], np.r_[np.full(200, below[-1] / 200.0), 1.0 - below[-1]])
