@@ -81,6 +81,7 @@ def merge_hdr(
     return first.with_pixels(merged).with_metadata(
         bits=white.bit_length(),
         white_level_dn=white,
+        dark_signal_dn=0.0,
         noise_profile=[slope * shrunk, offset * shrunk**2],
         hdr_ratios=ratios,
         hdr_knees_dn=[black + threshold * top * ratio for top, ratio in zip(tops[:-1], ratios[:-1], strict=True)],
@@ -152,7 +153,8 @@ def _top_dn(image: Image) -> float:
 
 
 def _signal(image: Image) -> np.ndarray:
-    return image.pixels - np.float32(image.provenance["black_level_dn"])
+    facts = image.provenance
+    return image.pixels - np.float32(facts["black_level_dn"] + facts.get("dark_signal_dn", 0.0))
 
 
 def _what(image: Image) -> str:

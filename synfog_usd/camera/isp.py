@@ -8,6 +8,7 @@ gamma, and `camera/cleanup.py` has what may stand between.  A mosaic has one cha
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import numpy as np
@@ -28,6 +29,12 @@ NUMBERS = Port(Quantity.DN, "mosaic")
 MOSAIC = Port(Quantity.LINEAR_RGB, "mosaic")
 PICTURE = Port(Quantity.LINEAR_RGB, "picture")
 DISPLAY = Port(Quantity.DISPLAY_RGB, "picture")
+
+CORING_PX = 16
+"""Side of the neighbourhood that says whether there is light [px]; even, so that every filter of a pattern counts alike."""
+
+CORING_OWN = 4.0
+"""How steeply a pixel that stands alone comes back above the limit."""
 
 MAX_DN = 2.0**24
 """float32 holds whole numbers up to here."""
@@ -73,14 +80,23 @@ def black_level(
     *,
     black_level_dn: Annotated[float | None, Range(0.0, MAX_DN)] = None,
     white_level_dn: Annotated[float | None, Range(1.0, MAX_DN)] = None,
+    coring: Annotated[float, Range(0.0, 100.0)] = 4.0,
     sensor: Annotated[SensorProfile | None, FromProfile("sensor")] = None,
 ) -> Image:
-    """DN to a scale on which black is 0 and saturation is 1; noise below 0 is kept.
+    """DN to a scale on which black is 0 and saturation is 1, times the digital gain.
+
+    Black is the black level and the mean dark signal that nothing took off before.
+    What cannot be told from black becomes 0, so that unlit places are black and not a mist
+    of noise cut at 0: where the mean m of the 16 x 16 pixels around is within `coring`
+    standard deviations s of black, and the pixel itself within `coring` of its own.  From
+    2 coring s on, which is half a pixel's noise in the dark, nothing is changed.  Elsewhere noise below 0 is kept.
 
     Args:
         image: DN mosaic.
         black_level_dn, white_level_dn: what becomes 0 and 1 [DN].  Empty: what the
             image's provenance says (`sensor.adc` notes it), else the sensor profile.
+        coring: what counts as black, in standard deviations of the noise in the dark
+            that the provenance tells of (noise_profile); 0 keeps all noise.
         sensor: see above.
 
     Raises:
@@ -94,9 +110,35 @@ def black_level(
     white = _level(image, "white_level_dn", white_level_dn, sensor)
     if not black < white:
         raise ImageError(f"black_level_dn {black:g} is not below white_level_dn {white:g}")
+    black += image.provenance.get("dark_signal_dn", 0.0) if black_level_dn is None else 0.0
     pixels = image.pixels - np.float32(black)
     pixels /= np.float32(white - black)  # white becomes exactly 1
-    return image.with_pixels(pixels, quantity=Quantity.LINEAR_RGB)
+    shot, dark = image.provenance.get("noise_profile", (0.0, 0.0))
+    _core(pixels[..., 0], coring * math.sqrt(dark))
+    gain = float(image.provenance.get("digital_gain", 1.0))
+    if gain != 1.0:
+        pixels *= np.float32(gain)
+    noise = {"noise_profile": [shot * gain, dark * gain**2]} if "noise_profile" in image.provenance else {}
+    return image.with_pixels(pixels, quantity=Quantity.LINEAR_RGB).with_metadata(**noise)
+
+
+def _core(mosaic: FloatArray, limit: float) -> None:
+    """Makes 0, in place, what is within `limit` of black, and whose neighbourhood is within what is left of that in its mean."""
+    if limit <= 0.0:
+        return
+    from scipy.ndimage import uniform_filter
+
+    mean_limit = np.float32(limit / CORING_PX)
+    around = uniform_filter(mosaic, CORING_PX, mode="reflect")
+    around /= mean_limit
+    if float(around.min()) >= 2.0:
+        return
+    around -= np.float32(1.0)
+    own = mosaic * np.float32(CORING_OWN / limit)
+    own -= np.float32(CORING_OWN)
+    np.maximum(around, own, out=around)
+    np.clip(around, 0.0, 1.0, out=around)
+    mosaic *= around
 
 
 @OPS.op("isp.lens_shading", takes=MOSAIC, gives=MOSAIC)

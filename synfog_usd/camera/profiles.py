@@ -121,6 +121,9 @@ class SensorProfile:
         bits: of the converter.
         black_level_dn, white_level_dn: DN of no light, and of saturation.
         iso_base, iso_max: ISO speed at a gain of 1, and the highest.
+        analog_gain_max: the most that the sensor's own amplifiers do; ISO speeds above
+            `iso_base` times this are made of numbers.
+        optical_black_rows: rows that no light reaches, by which black is held.
         shortest_exposure_s, longest_exposure_s: what automatic exposure may use [s].
         qe: quantum efficiency of each filter.
         sources: name of a value -> where it is from.
@@ -147,6 +150,8 @@ class SensorProfile:
     white_level_dn: int = _value(1, 65535, whole=True)
     iso_base: float = _value(1.0, 1e5)
     iso_max: float = _value(1.0, 1e7)
+    analog_gain_max: float = _value(1.0, 1e4, default=16.0)
+    optical_black_rows: int = _value(1, 1024, whole=True, default=16.0)
     shortest_exposure_s: float = _value(1e-7, 1.0)
     longest_exposure_s: float = _value(1e-6, 60.0)
     qe: QuantumEfficiency = dataclasses.field(default_factory=QuantumEfficiency)

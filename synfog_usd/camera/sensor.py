@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -218,19 +219,27 @@ def gain(
     iso: Annotated[float, Range(1.0, 1e7), Auto()],
     iso_base: Annotated[float, Range(1.0, 1e5), FromProfile("sensor.iso_base")],
     gain_dn_e: Annotated[float, Range(0.0, 1e4, above=True), FromProfile("sensor.gain_dn_e")],
+    analog_gain_max: Annotated[float, Range(1.0, 1e4), FromProfile("sensor.analog_gain_max")] = 1e4,
     factor: Annotated[float, Range(1e-4, 1e4)] = 1.0,
 ) -> Image:
-    """Electrons to DN, not yet whole numbers: K = factor * gain_dn_e * iso / iso_base.
+    """Electrons to DN, not yet whole numbers: K = factor * gain_dn_e * min(iso / iso_base, analog_gain_max).
+
+    What the ISO speed asks for beyond the amplifiers is noted as `digital_gain`;
+    `isp.black_level` applies it once black is gone, and a DNG says it as BaselineExposure.
 
     Args:
         image: electrons.
         iso: ISO speed.
         iso_base: ISO speed at a gain of 1.
         gain_dn_e: K at `iso_base` [DN/e-].
+        analog_gain_max: the most that the amplifiers do, relative to `iso_base` [1].
         factor: of another conversion gain of the same pixel [1], such as 0.25 for the low one.
     """
-    total = factor * gain_dn_e * iso / iso_base
-    return image.with_pixels(image.pixels * np.float32(total), quantity=Quantity.DN).with_metadata(iso=iso, system_gain_dn_e=total)
+    analog = min(iso / iso_base, analog_gain_max)
+    total = factor * gain_dn_e * analog
+    return image.with_pixels(image.pixels * np.float32(total), quantity=Quantity.DN).with_metadata(
+        iso=iso, system_gain_dn_e=total, digital_gain=iso / iso_base / analog
+    )
 
 
 @OPS.op("sensor.adc_noise", takes=AMPLIFIED, gives=AMPLIFIED)
@@ -280,6 +289,31 @@ def row_column(
     return image.with_pixels(pixels).with_metadata(temporal_row_noise_dn=temporal_row_noise_dn)
 
 
+@OPS.op("sensor.black_clamp", takes=AMPLIFIED, gives=AMPLIFIED)
+def black_clamp(
+    image: Image,
+    *,
+    rng: np.random.Generator,
+    optical_black_rows: Annotated[int, Range(1, 1024), FromProfile("sensor.optical_black_rows")],
+) -> Image:
+    """Takes off what rows without light show: dark current, but for what noise leaves in their mean.
+
+    The mean of N = rows * columns dark pixels is K mu_dark, and misses it by
+    sqrt((K^2 (sigma_read^2 + mu_dark) + sigma_adc^2) / N + sigma_row^2 / rows).
+    All pixels of a frame are moved alike, so that black lies at the black level.
+
+    Args:
+        image: amplified signal [DN], whose provenance says what noise is in it.
+        rng: the node's stream.
+        optical_black_rows: how many rows are averaged.
+    """
+    facts = image.provenance
+    dark_dn, variance = _dark_signal(facts)
+    variance = variance / (optical_black_rows * image.width_px) + facts.get("temporal_row_noise_dn", 0.0) ** 2 / optical_black_rows
+    found_dn = dark_dn + math.sqrt(variance) * rng.standard_normal()
+    return image.with_pixels(image.pixels - np.float32(found_dn)).with_metadata(dark_signal_dn=0.0)
+
+
 @OPS.op("sensor.adc", takes=AMPLIFIED, gives=NUMBERS)
 def adc(
     image: Image,
@@ -292,8 +326,8 @@ def adc(
 ) -> Image:
     """Whole numbers: black level added, rounded, clipped to 0 to white level.
 
-    Notes in the provenance all that a RAW file needs besides: levels, colour
-    matrices, neutral and noise profile.
+    Notes in the provenance all that a RAW file needs besides: levels, mean dark
+    signal that no `sensor.black_clamp` took off, colour matrices, neutral and noise profile.
 
     Args:
         image: amplified signal [DN].
@@ -313,12 +347,13 @@ def adc(
     facts = image.provenance
     gain_dn_e = _fact(image, "system_gain_dn_e", "sensor.gain")
     span = white_level_dn - black_level_dn
-    dark_variance = gain_dn_e**2 * (facts.get("read_noise_e", 0.0) ** 2 + facts.get("dark_e", 0.0)) + 1.0 / 12.0
-    dark_variance += facts.get("adc_noise_dn", 0.0) ** 2 + facts.get("temporal_row_noise_dn", 0.0) ** 2
+    dark_dn, dark_variance = _dark_signal(facts)
+    dark_variance += facts.get("temporal_row_noise_dn", 0.0) ** 2 + 1.0 / 12.0
     return image.with_pixels(numbers).with_metadata(
         bits=bits,
         black_level_dn=black_level_dn,
         white_level_dn=white_level_dn,
+        dark_signal_dn=facts.get("dark_signal_dn", dark_dn),
         noise_profile=[gain_dn_e / span if facts.get("shot_noise") else 0.0, dark_variance / span**2],
         total_dark_noise_dn=math.sqrt(dark_variance),
         cfa_pattern=sensor.cfa,
@@ -326,6 +361,14 @@ def adc(
         sensor_serial=sensor.serial,
         **_colour_facts(sensor, illuminant.upper()),
     )
+
+
+def _dark_signal(facts: Mapping[str, Any]) -> tuple[float, float]:
+    """Mean [DN] and variance [DN^2] of what a pixel without light gives, but for noise of whole rows."""
+    if "system_gain_dn_e" not in facts:
+        raise ImageError("the image does not say its system_gain_dn_e; put sensor.gain before this node, or add it to the image's provenance")
+    gain_dn_e, dark_e = float(facts["system_gain_dn_e"]), float(facts.get("dark_e", 0.0))
+    return gain_dn_e * dark_e, gain_dn_e**2 * (facts.get("read_noise_e", 0.0) ** 2 + dark_e) + facts.get("adc_noise_dn", 0.0) ** 2
 
 
 def _colour_facts(sensor: SensorProfile, illuminant: str) -> dict[str, list[float] | list[list[float]]]:

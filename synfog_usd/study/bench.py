@@ -6,6 +6,7 @@ variance of a number in closed form, for tests and drawings to judge by.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -37,6 +38,7 @@ class Reading:
         full_well_e: [e-].
         sensitivity: light that is gathered, relative to the profile's pixel [1].
         pipeline: shipped graph whose sensor part is used.
+        iso: ISO speed that it is read at; 0 for the sensor's base.
     """
 
     sensor: SensorProfile
@@ -46,6 +48,11 @@ class Reading:
     full_well_e: float
     sensitivity: float = 1.0
     pipeline: str = "dashcam"
+    iso: float = 0.0
+
+    def at(self, iso: float) -> Reading:
+        """The same reading at another ISO speed: more gain, as far as the sensor's amplifiers go."""
+        return dataclasses.replace(self, gain_dn_e=self.gain_dn_e * min(iso / self.sensor.iso_base, self.sensor.analog_gain_max), iso=iso)
 
     @property
     def dark_noise_e(self) -> float:
@@ -107,7 +114,7 @@ class SensorBench:
         names = tuple(photometry.band_name(self.wavelength_nm + step) for step in (-1.0, 0.0, 1.0))
         power = np.array([0.0, self.irradiance_w_m2(photons), 0.0], dtype=np.float32)
         light = Image(np.broadcast_to(power, (self.size[1], self.size[0], 3)).copy(), names, Quantity.IRRADIANCE, provenance={"f_number": 8.0})
-        settings = {"exposure_s": self.exposure_s, "iso": self.reading.sensor.iso_base}
+        settings = {"exposure_s": self.exposure_s, "iso": self.reading.iso or self.reading.sensor.iso_base}
         node = self.reading.node
         return self.graph.run({"light": light}, seed=seed, settings=settings, overrides=self.overrides, until=node, keep=[node])[node]
 

@@ -8,6 +8,7 @@ files stands in docs/raw.md.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
@@ -172,7 +173,7 @@ def _common_tags(shape: tuple[int, int], facts: Mapping[str, Any]) -> list[Tag]:
         (50718, _RATIONAL, 2, (1, 1, 1, 1)),
         (50719, _LONG, 2, (inset, inset)),
         (50720, _LONG, 2, (width - 2 * inset, height - 2 * inset)),
-        (50730, _SRATIONAL, 1, (0, 1)),
+        (50730, _SRATIONAL, 1, _rationals([math.log2(facts.get("digital_gain", 1.0))], 10_000)),  # BaselineExposure [EV]
         (50731, _RATIONAL, 1, (1, 1)),
         (50732, _RATIONAL, 1, (1, 1)),
         (50734, _RATIONAL, 1, (1, 1)),
@@ -185,7 +186,7 @@ def _common_tags(shape: tuple[int, int], facts: Mapping[str, Any]) -> list[Tag]:
 
 def _level_tags(facts: Mapping[str, Any]) -> list[Tag]:
     """Black and white; of companded numbers those behind the LinearizationTable, and the table."""
-    black, white = int(facts["black_level_dn"]), int(facts["white_level_dn"])
+    black, white = round(facts["black_level_dn"] + facts.get("dark_signal_dn", 0.0)), int(facts["white_level_dn"])
     tags: list[Tag] = []
     if "companding" in facts:
         table, black, white = linearisation(facts)
@@ -213,7 +214,7 @@ def linearisation(facts: Mapping[str, Any]) -> tuple[npt.NDArray[np.uint16], int
     below = every < codes[0]
     table[below] = linear[0] + (every[below] - codes[0]) * (linear[1] - linear[0]) / (codes[1] - codes[0])
     whole = np.clip(np.rint(table * scale), 0, MAX_DN).astype(np.uint16)
-    return whole, round(facts["linear_black_dn"] * scale), round(facts["linear_white_dn"] * scale)
+    return whole, round((facts["linear_black_dn"] + facts.get("dark_signal_dn", 0.0)) * scale), round(facts["linear_white_dn"] * scale)
 
 
 def _filter_tags(pattern: str) -> list[Tag]:

@@ -380,3 +380,17 @@ outputs: {a.exr: lens_shading}
 def test_a_picture_before_the_demosaicing_is_refused_when_the_graph_is_loaded():
     with pytest.raises(GraphError, match=r"node 'early' \(isp.tone\) takes linear_rgb \(picture\); 'white_balance' gives linear_rgb \(mosaic\)"):
         make_graph(camera.OPS, extends="synfog", nodes=[{"name": "early", "op": "isp.tone", "after": "white_balance"}], outputs={})
+
+
+def test_coring_makes_black_of_noise_and_leaves_light_alone():
+    """Noise of 5 DN around black becomes 0 but for 1 pixel in a thousand; from half that on, light keeps every bit; so does a lamp of one pixel."""
+    noise = seeds.stream(1, "coring").standard_normal((256, 256)).astype(np.float32) * 5
+    facts = {"black_level_dn": 64, "white_level_dn": 1023, "noise_profile": [0.0, (5 / 959) ** 2]}
+    for level, kept in ((0.0, 1e-3), (4.0, 1.0)):
+        raw = numbers(noise + 64 + level, **facts)
+        cored, whole = (isp.black_level(raw, coring=coring).pixels for coring in (4.0, 0.0))
+        share = np.count_nonzero(cored == whole) / cored.size
+        assert share == 1.0 if level else np.count_nonzero(cored) / cored.size <= kept
+    raw.pixels[...] = 64.0
+    raw.pixels[100, 100] = 64.0 + 30.0
+    assert isp.black_level(raw).pixels[100, 100, 0] == pytest.approx(30 / 959)

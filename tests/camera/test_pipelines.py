@@ -52,6 +52,24 @@ def test_small_pictures_with_a_lamp_go_through_the_phone(shape):
     assert out.shape == (*shape, 3) and np.isfinite(out).all() and out.min() >= 0 and out[1, 1].max() > 0.99
 
 
+@pytest.mark.parametrize("path", GRAPHS, ids=lambda path: path.stem)
+def test_an_unlit_picture_is_black(path):
+    """At the exposure that is metered on it, which is the longest at the highest ISO: mean within 1 of 255 of 0 in every channel."""
+    graph = camera.load_graph(path)
+    black = scene().with_pixels(np.zeros((96, 128, 3), np.float32))
+    exposure = camera.meter(black, graph)
+    assert exposure.iso == graph.profiles["sensor"].iso_max
+    run = graph.run({"radiance": black}, seed=3, settings=exposure.settings)
+    for name, node in graph.outputs.items():
+        if name.endswith(".png"):
+            assert run[node].pixels.mean(axis=(0, 1)).max() < 1 / 255
+    for node in graph.nodes_with("sensor.adc"):
+        facts, numbers = run[node.name].provenance, run[node.name].pixels
+        limit = 5 * facts["total_dark_noise_dn"] * np.sqrt(1 / (16 * 128) + 1 / numbers.size) + 0.15  # of rows and columns, where they are
+        assert abs(float(numbers.mean(dtype=np.float64)) - facts["black_level_dn"]) < limit
+        assert numbers.min() > 0
+
+
 def test_light_in_bands_goes_through_the_phone_too():
     """D65 as 16 bands and as RGB look alike: the same mean picture within a few 255ths (25 nm bands)."""
     graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")

@@ -10,7 +10,7 @@ import pytest
 from support.stats import assert_mean
 
 from synfog_usd import camera, resources, seeds
-from synfog_usd.camera import cfa, response, sensor
+from synfog_usd.camera import cfa, isp, response, sensor
 from synfog_usd.camera.profiles import Curve, QuantumEfficiency, load_sensor
 from synfog_usd.errors import ImageError
 from synfog_usd.image import Image, Quantity
@@ -290,3 +290,39 @@ def test_photon_transfer_gives_back_the_gain_and_the_dark_noise():
     slope, offset = np.polyfit(means, variances, 1, w=1 / np.array(variances))
     assert slope == pytest.approx(0.1705, rel=0.005)  # 14 levels of 250,000 pixels: 0.08 % each
     assert math.sqrt(offset - 1 / 12) == pytest.approx(5.0 * 0.1705, rel=0.05)
+
+
+def test_the_amplifiers_end_and_numbers_go_on():
+    """K = K0 * min(ISO / base, 8); the rest is noted, and isp.black_level multiplies by it when black is gone."""
+    for iso, k, rest in ((55, 1, 1), (440, 8, 1), (880, 8, 2), (7040, 8, 16)):
+        image = sensor.gain(electrons(100.0, (4, 4)), iso=iso, iso_base=55, gain_dn_e=0.17, analog_gain_max=8)
+        np.testing.assert_allclose(image.pixels, 17.0 * k, rtol=1e-6)
+        assert image.provenance["digital_gain"] == pytest.approx(rest)
+        raw = digital(image)
+        assert isp.black_level(raw, coring=0).pixels[0, 0, 0] == pytest.approx(rest * np.rint(17.0 * k) / (1023 - 64), rel=1e-6)
+
+
+def test_rows_in_the_dark_take_dark_current_off():
+    """64 frames of 50 e- of dark signal: their mean moves to black within 4.5 standard errors of the formula, and one frame by one number.
+
+    N = 4 rows of 64: sqrt((K^2 (2.5^2 + 50) + 0.7^2) / 256) = 0.096 DN a frame at K = 0.2, which 64 draws know to 9 %.
+    """
+    facts = {"dark_e": 50.0, "read_noise_e": 2.5, "adc_noise_dn": 0.7}
+    frame = analog(10.0, **facts | {"system_gain_dn_e": 0.2})
+    left = [sensor.black_clamp(frame, rng=seeds.stream(seed, "clamp"), optical_black_rows=4).pixels for seed in range(64)]
+    assert all(np.ptp(pixels) == 0.0 for pixels in left)
+    means = np.array([pixels.mean() for pixels in left], dtype=np.float64)
+    sigma = math.sqrt((0.04 * 56.25 + 0.49) / 256)
+    assert abs(means.mean()) < SIGMAS * sigma / 8
+    assert means.std(ddof=1) == pytest.approx(sigma, rel=SIGMAS / math.sqrt(2 * 63))
+
+
+def test_dark_current_that_nothing_clamped_is_part_of_black():
+    """What the numbers hold of it the provenance says, and isp.black_level takes it off: grey stays where it was."""
+    lit = analog(100.0 + 0.1705 * 40.0, dark_e=40.0)
+    clamped = sensor.black_clamp(lit, rng=seeds.stream(0, "clamp"), optical_black_rows=1024)
+    assert digital(lit).provenance["dark_signal_dn"] == pytest.approx(0.1705 * 40.0)
+    assert digital(clamped).provenance["dark_signal_dn"] == 0.0
+    one, two = (float(isp.black_level(digital(image), coring=0).pixels.mean()) for image in (lit, clamped))
+    assert one == pytest.approx((107 - 6.82) / (959 - 6.82), rel=1e-5)  # white stays 1
+    assert two == pytest.approx(100 / 959, rel=1e-5)

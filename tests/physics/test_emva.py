@@ -119,6 +119,15 @@ def third_cumulant(bench_: SensorBench, folder, electrons: float, efficiency: fl
 CASES = [(name, "C" if reading.sensor.cfa == "MONO" else "G") for name, reading in READINGS.items()] + [("imx363", "R"), ("imx363", "B")]
 
 
+ISO_CASES = [
+    (name, letter, iso)
+    for name, letter in CASES[: len(READINGS)]
+    for iso in (READINGS[name].sensor.iso_base * READINGS[name].sensor.analog_gain_max, READINGS[name].sensor.iso_max)
+    if iso > READINGS[name].sensor.iso_base and READINGS[name].at(iso).saturation_e > 100.0
+]
+"""The ISO speed up to which amplifiers go, and the highest; theory here is good from 100 electrons on."""
+
+
 def test_every_shipped_sensor_is_on_the_bench():
     assert {reading.sensor.name for reading in READINGS.values()} == set(shipped("sensors"))
 
@@ -152,6 +161,21 @@ def test_raw_files_give_back_the_profile(name, letter, tmp_path):
 
 
 @pytest.mark.physics
+@pytest.mark.parametrize("name, letter, iso", ISO_CASES)
+def test_raw_files_give_back_the_profile_at_every_iso(name, letter, iso, tmp_path):
+    """The bars of base ISO hold where the amplifiers end, and beyond, where ISO is made of numbers."""
+    reading = READINGS[name].at(iso)
+    efficiency = quantum_efficiency(reading, letter)
+    groups = emva.series(on_bench(reading, letter), tmp_path, photons_at_saturation=reading.saturation_e / efficiency)
+    where, step = sites(reading, letter)
+    missed = misses(emva.judged(groups, site=where[0], step=step), reading, efficiency)
+    print(f"\n{name} at ISO {iso:g}, {letter}: " + ", ".join(f"{key} {100 * miss:+.2f} %" for key, miss in missed.items()))
+    assert not failed(missed), f"{missed}"
+    for path in tmp_path.glob("*.dng"):
+        path.unlink()
+
+
+@pytest.mark.physics
 def test_the_ideal_sensor_has_no_noise_but_that_of_light(tmp_path):
     """Dark frames are black to the last pixel; PRNU is 0 within what 32 frames can see, 0.004 %."""
     reading = READINGS["ideal"]
@@ -168,12 +192,13 @@ def test_the_ideal_sensor_has_no_noise_but_that_of_light(tmp_path):
 @pytest.mark.physics
 @pytest.mark.parametrize("name", [name for name, reading in READINGS.items() if reading.sensor.dark_current_e_s > 0.0 and "small" not in name])
 def test_dark_current_is_found_again(name, tmp_path):
-    """From the mean of dark frames of six exposure times within 1 %, from their variance within 4 % (one standard error: 0.9 %)."""
+    """Before the black clamp: from the mean of dark frames of six exposure times within 1 %, from their variance within 4 % (one standard error: 0.9 %)."""
     reading = READINGS[name]
     letter = "C" if reading.sensor.cfa == "MONO" else "G"
     longest_s = 0.25 * reading.saturation_e / reading.sensor.dark_current_e_s
+    clamps = [{"name": name, "remove": True} for name in on_bench(reading, letter).graph.nodes if name.startswith("black_clamp")]
     groups = emva.dark_series(
-        on_bench(reading, letter),
+        on_bench(reading, letter, nodes=clamps),  # which would take it off the mean
         tmp_path,
         photons_at_saturation=reading.saturation_e / quantum_efficiency(reading, letter),
         exposures_s=np.linspace(0.01, 1.0, 6) * longest_s,
