@@ -28,7 +28,7 @@ from synfog_usd.science import colour_science
 def demosaic(
     image: Image,
     *,
-    algorithm: Literal["linear", "mhc", "menon"] = "linear",
+    algorithm: Literal["directional", "linear", "mhc", "menon"] = "directional",
     sensor: Annotated[SensorProfile | None, FromProfile("sensor")] = None,
 ) -> Image:
     """The missing colours of each pixel from its neighbours.
@@ -40,9 +40,11 @@ def demosaic(
 
     Args:
         image: white-balanced mosaic, at least 2 x 2.
-        algorithm: of Bayer patterns.  linear is the best of the three in noise and
-            fog; mhc (Malvar, He and Cutler 2004) is sharper in clear, clean pictures;
-            menon (Menon, Andriani and Calvagno 2007) is the sharpest, and eight times slower.
+        algorithm: of Bayer patterns.  directional follows edges, so that they get no
+            colours that are not there, and averages where there are none; linear is a linear
+            filter, for measurements; mhc (Malvar, He and Cutler 2004) is one too, and sharper;
+            menon (Menon, Andriani and Calvagno 2007) follows edges, is a little sharper than
+            directional, noisier, and eight times slower.
         sensor: names the pattern where the image does not.
 
     Raises:
@@ -62,12 +64,63 @@ def demosaic(
         return image.with_pixels(np.stack([_plane(image.pixels[..., 0], pattern, letter) for letter in letters], axis=-1), channels=letters)
     if algorithm == "menon":
         pixels = _colour_demosaicing().demosaicing_CFA_Bayer_Menon2007(image.pixels[..., 0], pattern)
+    elif algorithm == "directional":
+        pixels = _directional(image.pixels[..., 0], pattern)
     else:
         import OpenImageIO
 
         name = {"linear": "linear", "mhc": "MHC"}[algorithm]
         pixels = pixels_of(checked(OpenImageIO.ImageBufAlgo.demosaic(to_buf(image), pattern="bayer", algorithm=name, layout=pattern), "demosaic"))
     return image.with_pixels(pixels, channels=letters).with_metadata(demosaic=algorithm)
+
+
+def _directional(mosaic: FloatArray, pattern: str) -> FloatArray:
+    """(H, W, 3) of a Bayer mosaic: colour differences along rows and along columns, the smoother of the two counting more.
+
+    Along a row of red and green, s (x - g(x)) with g the second-order interpolation of
+    Hamilton and Adams and s = -1 at green sites is red - green at every site; so along
+    columns.  With d_h and d_v how much these change within 5 x 5 sites, the difference at a red site is
+    (d_v^2 h + d_h^2 v) / (d_v^2 + d_h^2): along an edge where there is one, the mean of both, and so
+    half the noise, where there is none.  Between its sites it is interpolated linearly, which leaves no colour of one pixel.
+
+    Source: interpolation: Hamilton and Adams, US patent 5 629 734 (1997); differences at all sites: Zhang and
+    Wu, "Color demosaicking via directional linear minimum mean square-error estimation" (2005);
+    weights: Pekkucuksen and Altunbasak, "Gradient based threshold free color filter array interpolation" (2010).
+    """
+    from scipy.ndimage import convolve1d, uniform_filter
+
+    sites = {letter: [where for where, number in cfa.sites(pattern) if "RGB"[number] == letter] for letter in "RGB"}
+    differences, changes = [], []
+    for axis in (1, 0):
+        difference = convolve1d(mosaic, (0.25, -0.5, 0.5, -0.5, 0.25), axis=axis, mode="mirror")
+        for where in sites["G"]:
+            np.negative(difference[where], out=difference[where])
+        differences.append(convolve1d(difference, (0.25, 0.5, 0.25), axis=axis, mode="mirror"))
+        change = convolve1d(difference, (1.0, 0.0, -1.0), axis=axis, mode="mirror")
+        change = uniform_filter(np.abs(change, out=change), 5, mode="mirror")
+        changes.append(np.multiply(change, change, out=change))
+    across, down = differences
+    weight = changes[1] / (changes[0] + changes[1] + np.float32(1e-20))
+    across -= down
+    across *= weight
+    down += across  # w h + (1 - w) v
+    green = mosaic.copy()
+    planes = [green, green, green]
+    for letter, index in (("R", 0), ("B", 2)):
+        (where,) = sites[letter]
+        green[where] -= down[where]
+        sparse = np.zeros_like(mosaic)
+        sparse[where] = down[where]
+        for axis in (0, 1):
+            sparse = convolve1d(sparse, (0.5, 1.0, 0.5), axis=axis, mode="mirror")
+        planes[index] = sparse
+    picture = np.empty((*mosaic.shape, 3), dtype=np.float32)
+    np.copyto(picture[..., 1], green)
+    for letter, index in (("R", 0), ("B", 2)):
+        (where,) = sites[letter]
+        np.add(green, planes[index], out=picture[..., index])
+        picture[(*where, index)] = mosaic[where]  # but for its rounding it is that already
+    return picture
 
 
 def _plane(mosaic: FloatArray, pattern: str, letter: str) -> FloatArray:

@@ -15,7 +15,7 @@ from synfog_usd.camera.demosaic import demosaic
 from synfog_usd.errors import ImageError
 from synfog_usd.image import Image, Quantity
 
-ALGORITHMS = ("linear", "mhc", "menon")
+ALGORITHMS = ("directional", "linear", "mhc", "menon")
 OTHERS = ("RCCB", "RGIB")
 
 with warnings.catch_warnings():
@@ -86,6 +86,38 @@ def test_a_mosaic_shifted_by_a_pixel_gives_the_shifted_picture(algorithm):
         np.testing.assert_allclose(shifted[8:-8, 8:-8], whole[down:, right:][8:-8, 8:-8], atol=1e-6, err_msg=pattern)
         wrong = demosaic(mosaic(pixels[down:, right:], "RGGB"), algorithm=algorithm).pixels
         assert np.abs(wrong - whole[down:, right:]).max() > 0.05
+
+
+def grey_edge(angle_deg: float, *, low=0.1, high=0.8, size=96) -> np.ndarray:
+    """(size, size) of a neutral edge, area-sampled 8 x 8."""
+    at = (np.arange(size * 8) + 0.5) / 8 - size / 2
+    side = at[None, :] * np.cos(np.deg2rad(angle_deg)) + at[:, None] * np.sin(np.deg2rad(angle_deg))
+    return np.where(side > 0.0, high, low).reshape(size, 8, size, 8).mean(axis=(1, 3)).astype(np.float32)
+
+
+def off_grey(picture) -> float:
+    """Mean of the largest less the smallest of R, G and B."""
+    return float(np.ptp(picture[12:-12, 12:-12], axis=2).mean())
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 3.0, 20.0, 70.0, 87.0, 90.0])
+def test_directional_leaves_a_neutral_edge_neutral(angle_deg):
+    """A fifth at most of the colour that linear interpolation makes, and no more than 1.5 times Menon's."""
+    image = of_planes(np.repeat(grey_edge(angle_deg)[..., None], 3, axis=2), "RGGB")
+    directional, linear, menon = (off_grey(demosaic(image, algorithm=name).pixels) for name in ("directional", "linear", "menon"))
+    assert directional < 0.2 * linear
+    assert directional < max(1.5 * menon, 1e-6)
+
+
+def test_directional_is_less_noisy_than_menon():
+    """Even grey with white noise: brightness and colour both; 200 x 200 pixels know each to 1 %."""
+    image = mosaic(0.5 + 0.02 * seeds.stream(2, "demosaic").standard_normal((200, 200)))
+    found = {}
+    for name in ("directional", "menon"):
+        picture = demosaic(image, algorithm=name).pixels[8:-8, 8:-8]
+        luminance = picture @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+        found[name] = (float(luminance.std()), off_grey(picture))
+    assert found["directional"][0] < 0.95 * found["menon"][0] and found["directional"][1] < 0.97 * found["menon"][1]
 
 
 @pytest.mark.parametrize("pattern", OTHERS)

@@ -176,7 +176,7 @@ def test_wrong_order_in_the_phone_is_refused_when_it_is_loaded(tmp_path):
     text = (resources.folder("pipeline") / "phone.yaml").read_text()
     changes = [
         ("    op: sensor.expose\n    exposure_s: auto", "    op: sensor.read_noise"),
-        ("    op: isp.demosaic\n    algorithm: linear", "    op: isp.colour_correct"),
+        ("    op: isp.demosaic\n    algorithm: directional", "    op: isp.colour_correct"),
         ("raw.dng: adc", "raw.dng: srgb"),
         ("raw.dng: adc", "raw.dng: gain"),
     ]

@@ -25,7 +25,7 @@ NODES = [
     {"name": "adc", "op": "sensor.adc"},
     {"name": "black_level", "op": "isp.black_level"},
     {"name": "white_balance", "op": "isp.white_balance", "illuminant": "d65"},
-    {"name": "demosaic", "op": "isp.demosaic", "algorithm": "linear"},
+    {"name": "demosaic", "op": "isp.demosaic"},
     {"name": "colour", "op": "isp.colour_correct"},
     {"name": "srgb", "op": "isp.gamma"},
 ]

@@ -86,7 +86,8 @@ def parameter(op: str, name: str) -> dict:
 
 
 def test_the_schema_holds_ranges_choices_and_defaults():
-    assert parameter("isp.demosaic", "algorithm")["enum"] == ["linear", "mhc", "menon"] and parameter("isp.demosaic", "algorithm")["default"] == "linear"
+    assert parameter("isp.demosaic", "algorithm")["enum"] == ["directional", "linear", "mhc", "menon"]
+    assert parameter("isp.demosaic", "algorithm")["default"] == "directional"
     number, written, auto = parameter("sensor.expose", "exposure_s")["anyOf"]
     assert number == {"type": "number", "exclusiveMinimum": 0.0, "maximum": 3600.0} and auto["const"] == "auto" and written["type"] == "string"
     assert parameter("sensor.adc", "bits")["anyOf"][0] == {"type": "integer", "minimum": 8, "maximum": 16}
