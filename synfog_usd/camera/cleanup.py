@@ -12,7 +12,7 @@ import numpy as np
 
 from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import cfa
-from synfog_usd.camera.isp import DISPLAY, MOSAIC, pattern_of
+from synfog_usd.camera.isp import DISPLAY, SENSED, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.colour import LUMINANCE
@@ -33,7 +33,7 @@ SPLINE = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
 """Cubic B-spline: the smoothing step of the starlet transform."""
 
 
-@OPS.op("isp.defects", takes=MOSAIC, gives=MOSAIC)
+@OPS.op("isp.defects", takes=SENSED, gives=SENSED)
 def defects(image: Image, *, threshold: Annotated[float, Range(3.0, 1000.0)] = 12.0) -> Image:
     """Single hot and dead pixels become the median of their neighbours of the same filter.
 
@@ -81,7 +81,7 @@ def defects(image: Image, *, threshold: Annotated[float, Range(3.0, 1000.0)] = 1
     return image.with_pixels(pixels).with_metadata(defects_corrected=int(alone.sum()))
 
 
-@OPS.op("isp.denoise", takes=MOSAIC, gives=MOSAIC)
+@OPS.op("isp.denoise", takes=SENSED, gives=SENSED)
 def denoise(
     image: Image,
     *,

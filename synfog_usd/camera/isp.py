@@ -27,6 +27,10 @@ from synfog_usd.image import Image, Quantity
 
 NUMBERS = Port(Quantity.DN, "mosaic")
 MOSAIC = Port(Quantity.LINEAR_RGB, "mosaic")
+SENSED = Port(Quantity.LINEAR_RGB, "mosaic", ("as sensed",))
+UNBALANCED = Port(Quantity.LINEAR_RGB, "mosaic", ("as sensed", "shading corrected"))
+SHADED = Port(Quantity.LINEAR_RGB, "mosaic", ("shading corrected",))
+BALANCED = Port(Quantity.LINEAR_RGB, "mosaic", ("white-balanced",))
 PICTURE = Port(Quantity.LINEAR_RGB, "picture")
 DISPLAY = Port(Quantity.DISPLAY_RGB, "picture")
 
@@ -74,7 +78,7 @@ def decompand(image: Image) -> Image:
     return image.with_pixels(pixels, provenance={**facts, "black_level_dn": black_dn, "white_level_dn": white_dn, "bits": int(white_dn).bit_length()})
 
 
-@OPS.op("isp.black_level", takes=NUMBERS, gives=MOSAIC)
+@OPS.op("isp.black_level", takes=NUMBERS, gives=SENSED)
 def black_level(
     image: Image,
     *,
@@ -141,7 +145,7 @@ def _core(mosaic: FloatArray, limit: float) -> None:
     mosaic *= around
 
 
-@OPS.op("isp.lens_shading", takes=MOSAIC, gives=MOSAIC)
+@OPS.op("isp.lens_shading", takes=UNBALANCED, gives=SHADED)
 def lens_shading(
     image: Image,
     *,
@@ -173,7 +177,7 @@ def lens_shading(
     return image.with_pixels(image.pixels / fade[..., None] ** np.float32(strength)).with_metadata(lens_shading=strength)
 
 
-@OPS.op("isp.white_balance", takes=MOSAIC, gives=MOSAIC)
+@OPS.op("isp.white_balance", takes=UNBALANCED, gives=BALANCED)
 def white_balance(
     image: Image,
     *,

@@ -24,7 +24,14 @@ from synfog_usd.errors import ImageError
 from synfog_usd.graph import Auto, FromProfile, Port, Range
 from synfog_usd.image import Image, Quantity
 
+MEAN, COUNTED, READ_OUT = "mean", "with shot noise", "with read noise"
+"""Stages of electrons: what light and heat free on average, what came in one exposure, and what the pixel's amplifier made of it."""
+
 ELECTRONS = Port(Quantity.ELECTRONS, "mosaic")
+MEAN_ELECTRONS = Port(Quantity.ELECTRONS, "mosaic", (MEAN,))
+HELD_ELECTRONS = Port(Quantity.ELECTRONS, "mosaic", (MEAN, COUNTED))
+COUNTED_ELECTRONS = Port(Quantity.ELECTRONS, "mosaic", (COUNTED,))
+READ_ELECTRONS = Port(Quantity.ELECTRONS, "mosaic", (READ_OUT,))
 AMPLIFIED = Port(Quantity.DN, "analog")
 NUMBERS = Port(Quantity.DN, "mosaic")
 
@@ -38,7 +45,7 @@ THREADS = 2
 """Strips that are drawn at a time."""
 
 
-@OPS.op("sensor.expose", takes=Quantity.IRRADIANCE, gives=ELECTRONS)
+@OPS.op("sensor.expose", takes=Quantity.IRRADIANCE, gives=MEAN_ELECTRONS)
 def expose(
     image: Image,
     *,
@@ -84,7 +91,7 @@ def expose(
     )
 
 
-@OPS.op("sensor.prnu", takes=ELECTRONS, gives=ELECTRONS)
+@OPS.op("sensor.prnu", takes=MEAN_ELECTRONS, gives=MEAN_ELECTRONS)
 def prnu(
     image: Image,
     *,
@@ -104,7 +111,7 @@ def prnu(
     return image.with_pixels(np.maximum(image.pixels * gain, 0.0))
 
 
-@OPS.op("sensor.dark_current", takes=ELECTRONS, gives=ELECTRONS)
+@OPS.op("sensor.dark_current", takes=MEAN_ELECTRONS, gives=MEAN_ELECTRONS)
 def dark_current(
     image: Image,
     *,
@@ -128,14 +135,19 @@ def dark_current(
     return image.with_pixels(image.pixels + np.float32(dark_e)).with_metadata(dark_e=dark_e)
 
 
-@OPS.op("sensor.shot_noise", takes=ELECTRONS, gives=ELECTRONS)
+@OPS.op("sensor.shot_noise", takes=MEAN_ELECTRONS, gives=COUNTED_ELECTRONS)
 def shot_noise(image: Image, *, rng: np.random.Generator) -> Image:
     """The count of electrons that really came: exactly Poisson, at every level.
 
     Args:
         image: mean electrons, >= 0.
         rng: the node's stream.
+
+    Raises:
+        ImageError: a negative mean.
     """
+    if (lowest := float(image.pixels.min())) < 0.0:
+        raise ImageError(f"a mean of {lowest:g} electrons is below 0; shot noise comes before offsets and read noise")
     counts = np.empty_like(image.pixels)
 
     def draw(mean_e: FloatArray, out: FloatArray, stream: np.random.Generator) -> None:
@@ -146,7 +158,7 @@ def shot_noise(image: Image, *, rng: np.random.Generator) -> Image:
     return image.with_pixels(counts).with_metadata(shot_noise=True)
 
 
-@OPS.op("sensor.full_well", takes=ELECTRONS, gives=ELECTRONS)
+@OPS.op("sensor.full_well", takes=HELD_ELECTRONS, gives=ELECTRONS)
 def full_well(
     image: Image,
     *,
@@ -178,7 +190,7 @@ def full_well(
     return image.with_pixels(held).with_metadata(full_well_e=full_well_e)
 
 
-@OPS.op("sensor.dsnu", takes=ELECTRONS, gives=ELECTRONS)
+@OPS.op("sensor.dsnu", takes=ELECTRONS, gives=READ_ELECTRONS)
 def dsnu(
     image: Image,
     *,
@@ -195,7 +207,7 @@ def dsnu(
     return image.with_pixels(image.pixels + np.float32(dsnu_e) * _pattern(serial, "dsnu", image.height_px, image.width_px))
 
 
-@OPS.op("sensor.read_noise", takes=ELECTRONS, gives=ELECTRONS)
+@OPS.op("sensor.read_noise", takes=ELECTRONS, gives=READ_ELECTRONS)
 def read_noise(
     image: Image,
     *,
@@ -314,7 +326,14 @@ def black_clamp(
     return image.with_pixels(image.pixels - np.float32(found_dn)).with_metadata(dark_signal_dn=0.0)
 
 
-@OPS.op("sensor.adc", takes=AMPLIFIED, gives=NUMBERS)
+def levels_fault(bits: int, black_level_dn: int, white_level_dn: int) -> str:
+    """What is wrong with a converter's levels, or ''."""
+    if black_level_dn < white_level_dn <= 2**bits - 1:
+        return ""
+    return f"black_level_dn {black_level_dn} < white_level_dn {white_level_dn} <= {2**bits - 1}, the most of {bits} bits, does not hold"
+
+
+@OPS.op("sensor.adc", takes=AMPLIFIED, gives=NUMBERS, fault=levels_fault)
 def adc(
     image: Image,
     *,
@@ -340,8 +359,8 @@ def adc(
     Raises:
         ImageError: levels that do not fit the bits.
     """
-    if not black_level_dn < white_level_dn <= 2**bits - 1:
-        raise ImageError(f"black_level_dn {black_level_dn} < white_level_dn {white_level_dn} <= {2**bits - 1} does not hold")
+    if fault := levels_fault(bits, black_level_dn, white_level_dn):
+        raise ImageError(fault)
     numbers = image.pixels + np.float32(black_level_dn)
     np.clip(np.rint(numbers, out=numbers), 0.0, np.float32(white_level_dn), out=numbers)
     facts = image.provenance

@@ -212,14 +212,17 @@ class _Composer:
         if "remove" in words:
             if entry.value["remove"].value is not True or set(entry.value) != {"name", "remove"}:
                 self.faults.add(entry.place, f"node {name!r}: 'remove: true' takes the node away; only its 'name' stands beside it")
-            del nodes[index]
+            gone = nodes.pop(index)
+            if "in" in gone.value and index < len(nodes) and isinstance(nodes[index].value, dict) and "in" not in nodes[index].value:
+                nodes[index] = replace(nodes[index], value={**nodes[index].value, "in": gone.value["in"]})  # it read the one that is gone
         elif words:
             item = entry.value[words[0]]
             self.faults.add(
                 item.key_place or item.place, f"node {name!r} is one of the graph that is extended and keeps its place; {words[0]!r} is for new nodes"
             )
         elif "op" in fields:
-            nodes[index] = replace(entry, value=fields)
+            kept = {"in": nodes[index].value["in"]} if "in" in nodes[index].value else {}
+            nodes[index] = replace(entry, value={**kept, **fields})
         else:
             nodes[index] = replace(nodes[index], value={**nodes[index].value, **fields})
 

@@ -168,6 +168,9 @@ class NodeGraph:
                 node = nodes[node_name]
                 bound = bind(f"override {key!r}: {node}", parameter, value, "override")
                 nodes[node_name] = replace(node, params={**node.params, parameter.name: bound})
+        for node in nodes.values():
+            if fault := fault_of(node.op, node.params):
+                raise GraphError(f"overrides {', '.join(overrides)}: {node}: {fault}")
         return replace(self, nodes=nodes)
 
     def _overridden(self, key: str) -> list[tuple[str, Parameter]]:
@@ -406,6 +409,16 @@ def known_parameter(where: str, op: Op, name: str) -> Parameter:
     names = [parameter.name for parameter in settable]
     takes = f"it takes {', '.join(names)}" if names else "it takes none"
     raise GraphError(f"{where} has no parameter {name!r}; {takes}.{did_you_mean(name, names)}")
+
+
+def fault_of(op: Op, params: Mapping[str, Bound]) -> str:
+    """What is wrong with parameters together, or '' ; also where one of them is missing or left to the run."""
+    if op.fault is None:
+        return ""
+    names = op.fault.__code__.co_varnames[: op.fault.__code__.co_argcount]
+    if any(name not in params or params[name].is_auto for name in names):
+        return ""
+    return op.fault(*(params[name].value for name in names))
 
 
 def bind(where: str, parameter: Parameter, value: Any, source: str) -> Bound:

@@ -15,7 +15,7 @@ from typing import Any
 from synfog_usd.errors import GraphError, SynfogError, did_you_mean
 from synfog_usd.graph import outputs as output_files
 from synfog_usd.graph.compose import composed, node_name
-from synfog_usd.graph.engine import Bound, Node, NodeGraph, bind, known_parameter
+from synfog_usd.graph.engine import Bound, Node, NodeGraph, bind, fault_of, known_parameter
 from synfog_usd.graph.faults import Faults
 from synfog_usd.graph.op import MISSING, Op, Parameter, Port, Profile, Registry
 from synfog_usd.image import Quantity
@@ -261,6 +261,9 @@ class _Loader:
         if op is not None:
             given = {key: value for key, value in fields.items() if key not in ("name", "op", "in")}
             draft.params = self.read_params(str(draft), op, entry.place, given, profiles)
+            if fault := fault_of(op, draft.params):
+                place = next((item.place for item in given.values()), entry.place)
+                self.faults.add(place, f"{draft}: {fault}")
         return draft
 
     def read_sources(self, draft: _Draft, item: Located | None, previous: str | None) -> list[tuple[str, Place]]:

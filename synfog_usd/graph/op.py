@@ -114,21 +114,28 @@ class Auto:
 
 @dataclass(frozen=True)
 class Port:
-    """What flows along an edge: a quantity, and how its channels are laid out.
+    """What flows along an edge: a quantity, how its channels are laid out, and what was done to it.
 
-    `None` means any on the side that takes, and "as it came" on the side that
-    gives.  Layouts are words that the ops agree on, such as 'mosaic' and 'picture'.
+    `None` and () mean any on the side that takes, and "as it came" on the side that
+    gives.  Layouts and stages are words that the ops agree on, such as 'mosaic' and
+    'with shot noise'; what takes may name several stages.
     """
 
     quantity: Quantity | None = None
     layout: str | None = None
+    stages: tuple[str, ...] = ()
 
     def accepts(self, other: Port) -> bool:
         """Whether `other` may flow in here; what is unknown about it is let through."""
-        return (self.quantity is None or other.quantity in (None, self.quantity)) and (self.layout is None or other.layout in (None, self.layout))
+        return (
+            (self.quantity is None or other.quantity in (None, self.quantity))
+            and (self.layout is None or other.layout in (None, self.layout))
+            and (not self.stages or set(other.stages) <= set(self.stages))
+        )
 
     def __str__(self) -> str:
-        words = [self.quantity.value if self.quantity else "", f"({self.layout})" if self.layout else ""]
+        details = ", ".join(filter(None, (self.layout, " or ".join(self.stages))))
+        words = [self.quantity.value if self.quantity else "", f"({details})" if details else ""]
         return " ".join(word for word in words if word) or "anything"
 
 
@@ -264,6 +271,8 @@ class Op:
         draws: whether it wants a random stream `rng`.
         variadic: whether it takes any count of images.
         doc: the docstring, without its indentation.
+        fault: what is wrong with parameters that are right one by one, or ''; called
+            with those that it names, as keywords.
     """
 
     name: str
@@ -274,6 +283,7 @@ class Op:
     draws: bool
     variadic: bool
     doc: str
+    fault: Callable[..., str] | None = None
 
     @property
     def summary(self) -> str:
@@ -291,7 +301,8 @@ class Op:
 
     def result(self, first: Port) -> Port:
         """What comes out when `first` is what the first image is."""
-        return Port(self.gives.quantity or first.quantity, self.gives.layout or first.layout)
+        kept = first.stages if self.gives.quantity in (None, first.quantity) else ()
+        return Port(self.gives.quantity or first.quantity, self.gives.layout or first.layout, self.gives.stages or kept)
 
 
 class Profile(Protocol):
@@ -331,7 +342,9 @@ class Registry:
     def __iter__(self) -> Iterator[Op]:
         return iter(self.ops.values())
 
-    def op(self, name: str, *, takes: Port | Quantity | Iterable[Port | Quantity] | None, gives: Port | Quantity | None) -> Callable[[F], F]:
+    def op(
+        self, name: str, *, takes: Port | Quantity | Iterable[Port | Quantity] | None, gives: Port | Quantity | None, fault: Callable[..., str] | None = None
+    ) -> Callable[[F], F]:
         """Declare the function below as the op `name`.
 
         Args:
@@ -339,6 +352,8 @@ class Registry:
             takes: what the images must be: one for each positional parameter, or
                 one for `*images`; None for anything.
             gives: what comes out; None for what came in.
+            fault: f(**some of the parameters) -> what is wrong with them together, or '';
+                asked when a graph is read, so that it is not found in the run.
 
         Raises:
             TypeError: the function cannot be an op; the text says why.
@@ -350,7 +365,7 @@ class Registry:
                 raise TypeError(f"op name {name!r} is not of the form family.verb")
             if name in self.ops:
                 raise TypeError(f"op {name!r} is declared twice")
-            self.ops[name] = _declared(name, function, ports, _port(gives))
+            self.ops[name] = _declared(name, function, ports, _port(gives), fault)
             return function
 
         return declare
@@ -364,7 +379,7 @@ def _port(value: Port | Quantity | None) -> Port:
     return value if isinstance(value, Port) else Port(value)
 
 
-def _declared(name: str, function: Callable[..., Image], takes: tuple[Port, ...], gives: Port) -> Op:
+def _declared(name: str, function: Callable[..., Image], takes: tuple[Port, ...], gives: Port, fault: Callable[..., str] | None) -> Op:
     signature = inspect.signature(function)
     doc = inspect.getdoc(function) or ""
     texts = documented(doc)
@@ -385,7 +400,7 @@ def _declared(name: str, function: Callable[..., Image], takes: tuple[Port, ...]
             parameters[item.name] = _parameter(name, item, hints.get(item.name), texts.get(item.name, ""))
     if (variadic and images) or (not variadic and images != len(takes)) or (variadic and len(takes) != 1):
         raise TypeError(f"op {name!r}: {images} images, but {len(takes)} entries in `takes`")
-    return Op(name, function, takes, gives, types.MappingProxyType(parameters), draws, variadic, doc)
+    return Op(name, function, takes, gives, types.MappingProxyType(parameters), draws, variadic, doc, fault)
 
 
 def documented(doc: str) -> dict[str, str]:

@@ -378,7 +378,9 @@ outputs: {a.exr: lens_shading}
 
 
 def test_a_picture_before_the_demosaicing_is_refused_when_the_graph_is_loaded():
-    with pytest.raises(GraphError, match=r"node 'early' \(isp.tone\) takes linear_rgb \(picture\); 'white_balance' gives linear_rgb \(mosaic\)"):
+    with pytest.raises(
+        GraphError, match=r"node 'early' \(isp.tone\) takes linear_rgb \(picture\); 'white_balance' gives linear_rgb \(mosaic, white-balanced\)"
+    ):
         make_graph(camera.OPS, extends="synfog", nodes=[{"name": "early", "op": "isp.tone", "after": "white_balance"}], outputs={})
 
 

@@ -185,3 +185,37 @@ def test_wrong_order_in_the_phone_is_refused_when_it_is_loaded(tmp_path):
         (tmp_path / "g.yaml").write_text(text.replace(old, new))
         with pytest.raises(GraphError, match=r"g\.yaml:\d+:\d+: .* takes "):
             camera.load_graph(tmp_path / "g.yaml")
+
+
+@pytest.mark.parametrize(
+    "nodes, said",
+    [
+        ([{"op": "sensor.shot_noise", "name": "again", "after": "shot_noise"}], "'shot_noise' gives electrons (mosaic, with shot noise)"),
+        ([{"op": "sensor.shot_noise", "name": "late", "after": "read_noise"}], "'read_noise' gives electrons (mosaic, with read noise)"),
+        ([{"op": "sensor.dark_current", "name": "late", "after": "shot_noise"}], "'shot_noise' gives electrons (mosaic, with shot noise)"),
+        ([{"op": "sensor.prnu", "name": "late", "after": "dsnu"}], "'dsnu' gives electrons (mosaic, with read noise)"),
+        ([{"op": "sensor.full_well", "name": "late", "after": "read_noise"}], "'read_noise' gives electrons (mosaic, with read noise)"),
+        ([{"op": "isp.denoise", "after": "white_balance"}], "'white_balance' gives linear_rgb (mosaic, white-balanced)"),
+        ([{"op": "isp.denoise", "after": "lens_shading"}], "'lens_shading' gives linear_rgb (mosaic, shading corrected)"),
+        ([{"op": "isp.white_balance", "name": "again", "after": "white_balance"}], "'white_balance' gives linear_rgb (mosaic, white-balanced)"),
+        ([{"name": "adc", "bits": 8}], "white_level_dn 1023 <= 255, the most of 8 bits, does not hold"),
+    ],
+)
+def test_a_wrong_order_is_refused_when_the_graph_is_loaded(nodes, said):
+    """Noise of counting before noise of reading, each once; what needs the noise profile before what changes it."""
+    with pytest.raises(GraphError) as caught:
+        make_graph(camera.OPS, extends="phone", nodes=nodes, outputs={})
+    assert said in str(caught.value)
+
+
+def test_a_value_that_does_not_fit_another_is_refused_before_the_run():
+    with pytest.raises(GraphError, match=r"overrides adc.bits: node 'adc' .*white_level_dn 1023 <= 255"):
+        camera.load_graph(resources.folder("pipeline") / "phone.yaml").with_overrides({"adc.bits": 8})
+
+
+def test_taking_a_node_away_leaves_the_next_one_on_its_branch():
+    """The node behind the first of a branch stood on that branch by its place alone; it goes on there, and a replaced one too."""
+    graph = make_graph(camera.OPS, extends="automotive_hdr", nodes=[{"name": "read_noise_low", "remove": True}], outputs={})
+    assert graph.nodes["gain_low"].inputs == ("dsnu",)
+    graph = make_graph(camera.OPS, extends="automotive_hdr", nodes=[{"name": "read_noise_low", "op": "sensor.read_noise", "sigma_e": 3}], outputs={})
+    assert graph.nodes["read_noise_low"].inputs == ("dsnu",)

@@ -29,7 +29,7 @@ def test_the_pages_and_the_schema_are_fresh():
 def test_a_page_tells_units_ranges_defaults_and_meanings():
     page = reference.page(camera.OPS, "sensor.dark_current")
     assert page.startswith("## sensor.dark_current\n\nElectrons that heat frees during the exposure, before shot noise.\n")
-    assert "Takes electrons (mosaic); gives electrons (mosaic)." in page
+    assert "Takes electrons (mosaic, mean); gives electrons (mosaic, mean)." in page
     assert "| `temperature_c` | a number from -60 to 150 [degrees C] | `25` | T of the sensor [degrees C]. |" in page
     assert "| `dark_current_e_s` | a number from 0 to 1e+07 [e-/s] | `sensor.dark_current_e_s` of the profile | I, at 25 degrees C [e-/s]. |" in page
     assert "Source: EMVA 1288 release 4.0, section 7." in page and "Args" not in page
