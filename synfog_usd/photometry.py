@@ -2,7 +2,7 @@
 
 An R, G, B picture is linear Rec.709 in cd m-2; its channels get the spectra that
 Mallett and Yuksel fitted to sRGB, lit by D65.  Bands are boxes around their
-centres.  colour-science is imported on first use.
+centres.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd import tables
 from synfog_usd.arrays import Array
 from synfog_usd.constants import LUMINOUS_EFFICACY_LM_W
 from synfog_usd.errors import ImageError, ParameterError, did_you_mean
 from synfog_usd.image import Image
-from synfog_usd.science import colour_science
 
-WAVELENGTHS_NM: Array = np.arange(380.0, 781.0, 1.0)
+WAVELENGTHS_NM: Array = tables.GRID_NM
 """The grid of every spectral integral here: 380 to 780 nm in steps of 1 nm."""
 
 ILLUMINANTS = {"D65": "D65", "A": "A", "HPS": "HP1", "LED": "LED-B3"}
@@ -80,10 +80,7 @@ def channel_spectra(channels: tuple[str, ...]) -> Array:
     sRGB Reflectance" (2019), from colour-science.
     """
     if is_rgb(channels):
-        colour = colour_science()
-
-        basis = colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019
-        shapes = np.array([np.interp(WAVELENGTHS_NM, basis.wavelengths, basis.values[:, index]) for index in range(3)])
+        shapes = np.array([tables.table(tables.STANDARD)[f"basis_{letter}"] for letter in "rgb"])
         lit = shapes * illuminant("D65")
         return lit / luminance_of(lit.sum(axis=0))
     centres = [band_centre_nm(name) for name in channels]
@@ -108,19 +105,13 @@ def illuminant(name: str) -> Array:
     """
     if name not in ILLUMINANTS:
         raise ParameterError(f"illuminant {name!r} is not known; it can be {', '.join(ILLUMINANTS)}.{did_you_mean(name, ILLUMINANTS)}")
-    colour = colour_science()
-
-    table = colour.SDS_ILLUMINANTS[ILLUMINANTS[name]]
-    return np.interp(WAVELENGTHS_NM, table.wavelengths, table.values)
+    return tables.table(tables.STANDARD)[ILLUMINANTS[name]]
 
 
 @functools.lru_cache(maxsize=1)
 def observer() -> Array:
     """(3, 401) colour matching functions of the CIE 1931 2 degree observer on `WAVELENGTHS_NM`."""
-    colour = colour_science()
-
-    table = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-    return np.array([np.interp(WAVELENGTHS_NM, table.wavelengths, table.values[:, index]) for index in range(3)])
+    return np.array([tables.table(tables.STANDARD)[f"{axis}_bar"] for axis in "xyz"])
 
 
 def luminance_of(spectrum: Array) -> float:

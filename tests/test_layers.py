@@ -41,6 +41,7 @@ BASE = {
     "science",
     "seeds",
     "spectra",
+    "tables",
     "yamlio",
 }
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from scipy import fft
 
 from synfog_usd import photometry
 from synfog_usd.arrays import Array, FloatArray
@@ -261,6 +260,8 @@ def _power(crop: FloatArray) -> tuple[Array, Array]:
     The cosine transform is the Fourier transform of the crop mirrored at its edges,
     so the variances sum to that of the crop.
     """
+    from scipy import fft
+
     terms = np.square(fft.dctn(crop.astype(np.float64), norm="ortho"))
     mean2 = terms[0, 0] / crop.size
     terms[0, 0] = 0.0

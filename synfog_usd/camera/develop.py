@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from synfog_usd import graph as engine
+from synfog_usd import resources
 from synfog_usd.camera import blur, cleanup, demosaic, distortion, flare, hdr, isp, optics, sensor  # noqa: F401  (their ops register themselves)
 from synfog_usd.camera.exposure import Exposure, meter
+from synfog_usd.camera.profiles import LensProfile, SensorProfile
 from synfog_usd.camera.registry import OPS
+from synfog_usd.errors import ImageError
 from synfog_usd.graph import Cache, GraphRun, NodeGraph, Registry
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent
@@ -19,14 +23,42 @@ def load_graph(path: Path, *, registry: Registry = OPS) -> NodeGraph:
     """Read and check a graph of camera ops.
 
     Args:
-        path: the YAML file.
+        path: the YAML file, or the name of a shipped graph: 'phone'.
         registry: `OPS`, or an own one that started from it.
 
     Raises:
         GraphError: with file, line and column.
         ParameterError: a fault in a sensor or lens profile.
     """
-    return engine.load_graph(path, registry)
+    shipped = resources.folder("pipeline") / f"{path}.yaml"
+    return engine.load_graph(shipped if path.parent == Path() and not path.suffix and not path.exists() and shipped.is_file() else path, registry)
+
+
+def field_of_view(image: Image, graph: NodeGraph, *, fov_x_deg: float | None = None) -> Image:
+    """The image, with a field of view that a lens needs to know.
+
+    Args:
+        image: any; its provenance may say `fov_x_deg`.
+        graph: whose lens and sensor say one where nothing else does: 2 atan(w p / (2 f)),
+            of w pixels of pitch p behind the focal length f.
+        fov_x_deg: what counts instead [degrees].
+
+    Raises:
+        ImageError: an angle that no plane picture has.
+    """
+    if fov_x_deg is not None:
+        if not 0.0 < fov_x_deg <= 179.0:
+            raise ImageError(f"a field of view of {fov_x_deg:g} degrees is not above 0 and at most 179")
+        return image.with_metadata(fov_x_deg=fov_x_deg)
+    lens, chip = graph.profiles.get("lens"), graph.profiles.get("sensor")
+    if "fov_x_deg" in image.provenance or not isinstance(lens, LensProfile) or not isinstance(chip, SensorProfile):
+        return image
+    return image.with_metadata(fov_x_deg=lens_fov_deg(lens, chip, image.width_px), fov_from="focal length of the lens, pitch and number of the pixels")
+
+
+def lens_fov_deg(lens: LensProfile, chip: SensorProfile, width_px: int) -> float:
+    """Horizontal angle [degrees] that so many pixels of a sensor see behind a lens, distortion left out."""
+    return math.degrees(2.0 * math.atan(width_px * chip.pixel_pitch_um * 1e-3 / 2.0 / lens.focal_length_mm))
 
 
 def develop(
@@ -48,7 +80,7 @@ def develop(
 
     Args:
         graph: from `load_graph`.
-        images: one per input.
+        images: one per input; see `field_of_view` for those that do not say theirs.
         seed: of all random streams.
         exposure: from `meter`; metered on the radiance given here unless said.
         overrides, until, keep, progress, cache: see `NodeGraph.run`.
@@ -58,6 +90,7 @@ def develop(
     """
     if overrides:
         graph = graph.with_overrides(overrides)
+    images = {name: field_of_view(image, graph) for name, image in images.items()}
     if exposure is None:
         exposure = metered(graph, images)
     return graph.run(images, seed=seed, settings=exposure.settings if exposure else None, until=until, keep=keep, progress=progress, cache=cache)

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.arrays import Array, FloatArray
+from synfog_usd.camera.optics import FOV
 from synfog_usd.camera.registry import OPS
 from synfog_usd.camera.spread import THREADS, highlight_limit
 from synfog_usd.errors import GraphError, ImageError
@@ -47,7 +48,7 @@ def distortion(
     *,
     coefficients: Annotated[tuple[float, ...] | None, Range(-1000.0, 1000.0), FromProfile("lens.distortion")] = None,
     fit: Fit = "inside",
-    fov_x_deg: Annotated[float, Range(0.0, 179.0, above=True), Auto()],
+    fov_x_deg: Annotated[float, Range(0.0, 179.0, above=True), FOV],
     shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
     shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
 ) -> Image:

@@ -12,7 +12,6 @@ from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
-from scipy import fft
 
 from synfog_usd import photometry
 from synfog_usd.arrays import FloatArray
@@ -59,6 +58,8 @@ def glare(
     Source: Harvey and Shack, "Transfer characterization of scattered light in
     optical systems", Applied Optics 17 (1978); the slope of -2 is a usual one.
     """
+    from scipy import fft
+
     if fraction == 0.0:
         return image
     block = max(1, round(image.width_px / 480))
@@ -161,6 +162,8 @@ def _wavelengths_nm(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]
 
 def _starry(lamps: FloatArray, star: FloatArray) -> FloatArray:
     """The light of the stars; what lies outside the picture has none."""
+    from scipy import fft
+
     reach = star.shape[0] // 2
     sizes = [fft.next_fast_len(length + 2 * reach, real=True) for length in lamps.shape]
     padded = np.pad(lamps, [(reach, size - length - reach) for length, size in zip(lamps.shape, sizes, strict=True)])
@@ -195,6 +198,8 @@ def _between(table: npt.NDArray[np.float64], place: npt.NDArray[np.float64]) -> 
 @functools.lru_cache(maxsize=2)
 def _summed_pattern(blades: int, rotation_deg: float, samples: int) -> npt.NDArray[np.float64]:
     """(2 S + 1, 2 S + 1) sums of a polygon's far field up to each edge between its samples, which are lambda N / 2 wide; 1 in all."""
+    from scipy import fft
+
     f = np.fft.fftfreq(2 * samples).astype(np.float32)
     edges = np.sinc(np.hypot(f[:, None], f[None, :]))  # what averaging the aperture's edges over a sample took away
     pattern = np.abs(fft.fft2(aperture(blades, rotation_deg, samples, 2 * samples), workers=THREADS) / edges) ** 2
@@ -217,6 +222,8 @@ def aperture(blades: int, rotation_deg: float, diameter: float, size: int) -> Fl
 
 def _ghosts(lamps: FloatArray, fractions: tuple[float, ...], axis: tuple[float, float], blades: int, rotation_deg: float) -> FloatArray:
     """(H, W) light of the ghosts, on blocks of 1/480 of the width; `axis` is (row, column)."""
+    from scipy import fft
+
     height, width = lamps.shape
     block = max(1, round(width / 480))
     light = np.add.reduceat(np.add.reduceat(lamps, np.arange(0, height, block), axis=0, dtype=np.float64), np.arange(0, width, block), axis=1) / block**2

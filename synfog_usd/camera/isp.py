@@ -17,7 +17,7 @@ import numpy.typing as npt
 from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.distortion import warped_like
-from synfog_usd.camera.optics import falloff_map
+from synfog_usd.camera.optics import FOV, falloff_map
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.colour import LUMINANCE, srgb_decode, srgb_encode
@@ -150,7 +150,7 @@ def lens_shading(
     image: Image,
     *,
     strength: Annotated[float, Range(0.0, 1.0)] = 1.0,
-    fov_x_deg: Annotated[float, Range(0.0, 179.0, above=True), Auto()],
+    fov_x_deg: Annotated[float, Range(0.0, 179.0, above=True), FOV],
     shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
     shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
 ) -> Image:

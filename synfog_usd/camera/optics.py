@@ -19,6 +19,9 @@ from synfog_usd.errors import ImageError
 from synfog_usd.graph import Auto, FromProfile, Range
 from synfog_usd.image import Image, Quantity
 
+FOV = Auto(hint="say the picture's field of view: --fov DEGREES, or the camera's attributes in the EXR")
+"""A field of view that the image says, or the run."""
+
 Falloff = Literal["cos4", "foote", "table", "none"]
 
 Table = tuple[tuple[float, ...], tuple[float, ...]]
@@ -58,7 +61,7 @@ def irradiance(
     transmission: Annotated[float, Range(0.0, 1.0, above=True), FromProfile("lens.transmission")],
     magnification: Annotated[float, Range(-1.0, 0.0)] = 0.0,
     falloff: Falloff = "cos4",
-    fov_x_deg: Annotated[float | None, Range(0.0, 179.0, above=True), Auto()] = None,
+    fov_x_deg: Annotated[float | None, Range(0.0, 179.0, above=True), FOV] = None,
     shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
     shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
     focal_length_mm: Annotated[float | None, Range(0.0, above=True), FromProfile("lens.focal_length_mm")] = None,
@@ -80,7 +83,8 @@ def irradiance(
         fov_x_deg: horizontal angle of view [degrees]; needed unless falloff is none.
         shift_x, shift_y: offset of the axis from the centre, in image widths and
             heights, right and up.
-        focal_length_mm: noted for the RAW file; the field of view is `fov_x_deg`.
+        focal_length_mm: noted for the RAW file where no field of view is known; else
+            `sensor.expose` notes the one that such a view needs.
         field_deg: angles to the axis, before distortion, rising from 0, of the table.
         relative_illumination: light there, relative to the axis [1]; straight lines
             between them.
@@ -98,7 +102,7 @@ def irradiance(
     facts: dict[str, Any] = {"f_number": f_number, "falloff": falloff}
     if falloff != "none":
         if fov_x_deg is None:
-            raise ImageError("falloff needs the angle of view: give fov_x_deg, or put 'fov_x_deg' into the image's provenance, or set falloff: none")
+            raise ImageError(f"falloff needs the angle of view: give fov_x_deg a number, or {FOV.hint}, or set falloff: none")
         fade = falloff_map(
             image.height_px,
             image.width_px,
@@ -112,6 +116,8 @@ def irradiance(
         pixels *= fade[..., None]
         if falloff == "table":
             facts["relative_illumination"] = [list(column) for column in table]
+    if fov_x_deg is not None:
+        facts["fov_x_deg"] = fov_x_deg
     if focal_length_mm is not None:
         facts["focal_length_mm"] = focal_length_mm
     return image.with_pixels(pixels, quantity=Quantity.IRRADIANCE).with_metadata(**facts)

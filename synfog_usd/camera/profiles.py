@@ -16,12 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from synfog_usd import resources
+from synfog_usd import resources, tables
 from synfog_usd.camera import cfa
 from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.yamlio import Located, load_file
 
-CAMERAS_MEASURED = ("Nikon 5100 (NPL)", "Sigma SDMerill (NPL)")
+CAMERAS_MEASURED = tuple(tables.CAMERAS)
 """Spectral sensitivities that colour-science ships in `MSDS_CAMERA_SENSITIVITIES`."""
 
 OBSERVERS = ("cie1931",)

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synfog_usd import photometry
+from synfog_usd import photometry, tables
 from synfog_usd.arrays import Array
 from synfog_usd.camera import cfa
 from synfog_usd.camera.profiles import Curve, SensorProfile
 from synfog_usd.constants import LIGHT_SPEED_M_S, PLANCK_J_S
-from synfog_usd.errors import ParameterError
+from synfog_usd.errors import ImageError, ParameterError
 from synfog_usd.science import colour_science
 
 
@@ -50,10 +50,10 @@ def _efficiency(sensor: SensorProfile) -> Array:
     if qe.observer:
         per_photon = photometry.observer() / nm
         return np.asarray(per_photon * (qe.peak / per_photon.max()))
-    measured = colour_science().MSDS_CAMERA_SENSITIVITIES[qe.camera]
-    per_photon = (measured.values / measured.wavelengths[:, None]).T
+    measured = tables.table(tables.CAMERAS[qe.camera])
+    per_photon = np.array([measured[letter] / measured["wavelength_nm"] for letter in "RGB"])
     scaled = np.maximum(per_photon, 0.0) * (qe.peak / per_photon.max())
-    return np.array([np.interp(nm, measured.wavelengths, row, left=0.0, right=0.0) for row in scaled])
+    return np.array([np.interp(nm, measured["wavelength_nm"], row, left=0.0, right=0.0) for row in scaled])
 
 
 def _curve(curve: Curve) -> Array:
@@ -85,11 +85,19 @@ def electrons_per_second(sensor: SensorProfile, channels: tuple[str, ...], *, pi
     Returns:
         (F, C) float64: row per filter of the mosaic, column per image channel.
 
+    Raises:
+        ImageError: a band that lies outside 380 to 780 nm, where nothing is simulated:
+            it would be taken for darkness.
+
     Source: EMVA 1288 release 4.0, section 2.1.
     """
     photons_per_joule = photometry.WAVELENGTHS_NM * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_S)
     area_m2 = (pixel_pitch_um * 1e-6) ** 2 * fill_factor
-    return np.asarray((quantum_efficiency(sensor) * photons_per_joule) @ photometry.channel_spectra(channels).T * area_m2)
+    spectra = photometry.channel_spectra(channels)
+    if unseen := [name for name, spectrum in zip(channels, spectra, strict=True) if not spectrum.any()]:
+        low, high = photometry.WAVELENGTHS_NM[[0, -1]]
+        raise ImageError(f"{', '.join(unseen)} outside {low:g} to {high:g} nm, where no sensor is simulated; leave such bands out")
+    return np.asarray((quantum_efficiency(sensor) * photons_per_joule) @ spectra.T * area_m2)
 
 
 @functools.lru_cache(maxsize=16)

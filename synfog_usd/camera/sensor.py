@@ -88,6 +88,7 @@ def expose(
         sensor_serial=sensor.serial,
         cfa_pattern=sensor.cfa,
         spectra=photometry.spectra_of(image.channels),
+        **_focal_length(image, pixel_pitch_um),
     )
 
 
@@ -399,6 +400,14 @@ def _colour_facts(sensor: SensorProfile, illuminant: str) -> dict[str, list[floa
         "xyz_to_camera_a": response.xyz_to_camera(sensor, "A").tolist(),
         "as_shot_neutral": list(response.neutral(sensor, illuminant)),
     }
+
+
+def _focal_length(image: Image, pixel_pitch_um: float) -> dict[str, float]:
+    """Focal length [mm] that puts the image's field of view on so many pixels; what is noted already where no field of view is known."""
+    if "fov_x_deg" not in image.provenance:
+        return {}
+    half = math.tan(math.radians(float(image.provenance["fov_x_deg"])) / 2.0)
+    return {"focal_length_mm": image.width_px * pixel_pitch_um * 1e-3 / 2.0 / half}
 
 
 def _fact(image: Image, key: str, op: str) -> float:

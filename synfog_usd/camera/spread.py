@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import fft
 
 from synfog_usd.arrays import Array, FloatArray
 
@@ -78,6 +77,8 @@ def read_transfer(v: npt.NDArray[np.floating]) -> Array:
 
 def blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
     """(H, W, C) through one blur per channel, >= 0."""
+    from scipy import fft
+
     height, width, count = pixels.shape
     edge = max(EDGE_PX, *(blur.spot.shape[0] // 2 for blur in blurs))
     sizes = tuple(fft.next_fast_len(length + 2 * edge, real=True) for length in (height, width))
@@ -87,6 +88,8 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
     result = np.empty_like(pixels)
 
     def run(channel: int) -> None:
+        from scipy import fft
+
         blur, plane = blurs[channel], pixels[..., channel]
         transfer = blur.transfer(frequency).astype(np.float32) if same is None else same
         padded = np.pad(plane, pads, mode="symmetric")
@@ -122,6 +125,8 @@ def _multiply(spectrum: npt.NDArray[np.complex64], transfer: FloatArray) -> None
 
 def add_spots(picture: FloatArray, points: FloatArray, spot: FloatArray) -> None:
     """Add, in place, a copy of `spot` around every point, times its light; what leaves the picture is lost."""
+    from scipy import fft
+
     rows, columns = np.nonzero(points)
     if rows.size * (spot.size + 4000) > COPIES:
         kernel = np.zeros(points.shape)
@@ -148,6 +153,8 @@ def aperture(q: float, scale: int) -> Blur:
     of sum_k OTF(f + k) sinc(f + k) on a small grid.  From there on it follows its mean
     tail, q / (pi^3 r^3).
     """
+    from scipy import fft
+
     size = 128 * scale
     folded = np.zeros((size // 2 + 1, size // 2 + 1))
     f = np.arange(size // 2 + 1) / size
@@ -197,6 +204,8 @@ def _tail_sum(scale: int) -> float:
 @functools.lru_cache(maxsize=2)
 def _tail(height: int, width: int, scale: int) -> FloatArray:
     """(H // 2 + 1, W // 2 + 1) transfer of the tail at q = 1 on the frequencies >= 0."""
+    from scipy import fft
+
     row_px, column_px = np.fft.fftfreq(height) * height, np.fft.fftfreq(width) * width
     weights = _tail_weights(np.hypot(row_px[:, None], column_px[None, :]), scale)
     return np.ascontiguousarray(fft.rfft2(weights).real[: height // 2 + 1], dtype=np.float32)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from synfog_usd import camera, files, resources, writers
-from synfog_usd.camera.profiles import shipped
+from synfog_usd.camera.profiles import LensProfile, SensorProfile, shipped
 from synfog_usd.errors import GraphError, OutputError
 from synfog_usd.graph import Cache, NodeGraph, drawing, reference
 from synfog_usd.graph.cache import default_folder
@@ -33,18 +33,21 @@ def run(
     cache: Path | None,
     no_cache: bool,
     repair: bool = False,
+    fov_x_deg: float | None = None,
 ) -> None:
     """Read the inputs, run, write the outputs, and print where they are and what each node took."""
     graph = _changed(camera.load_graph(pipeline), changes)
     wanted = _files(graph, until)
-    images = dict(_input(source, graph, repair) for source in sources)
-    exposure = camera.meter(_read(meter_on, repair), graph) if meter_on else None
+    images = dict(_input(source, graph, repair, fov_x_deg) for source in sources)
+    exposure = camera.meter(_viewed(_read(meter_on, repair), graph, fov_x_deg), graph) if meter_on else camera.metered(graph, images)
     keep, kept = list(wanted.values()), None if no_cache else _cache(cache)
     results = camera.develop(graph, images, seed=seed, exposure=exposure, until=until, keep=keep, cache=kept)
     for name, node in wanted.items():
         options = graph.options_of(name) if graph.outputs.get(name) == node else {}
         print(writers.write_output(name, results[node], out, options=options))
-    print(drawing.table(graph, results), file=sys.stderr)
+    if exposure is not None:
+        print(_exposed(exposure), file=sys.stderr)
+    print(drawing.table(graph, results, exposure.settings if exposure else None), file=sys.stderr)
 
 
 def show(pipeline: Path, sources: Sequence[str], *, size: tuple[int, int] | None, changes: Sequence[str], mermaid: bool, svg: Path | None) -> None:
@@ -82,6 +85,12 @@ def schema_text() -> str:
     )
 
 
+def _exposed(exposure: camera.Exposure) -> str:
+    time_s = exposure.exposure_s
+    limit = {"bright": "; as short as it goes, and still bright", "dark": "; as long and sensitive as it goes, and still dark"}.get(exposure.limit, "")
+    return f"exposure: {f'1/{1 / time_s:.4g}' if time_s < 1.0 else f'{time_s:.4g}'} s, ISO {exposure.iso:.4g}{limit}"
+
+
 def _changed(graph: NodeGraph, changes: Sequence[str]) -> NodeGraph:
     return graph.with_overrides(dict(_pair(change, "--set", "NODE.PARAMETER=VALUE") for change in changes)) if changes else graph
 
@@ -112,17 +121,32 @@ def _even(graph: NodeGraph, size: tuple[int, int]) -> dict[str, Image]:
     return dict.fromkeys(graph.inputs, grey)
 
 
-def _input(text: str, graph: NodeGraph, repair: bool = False) -> tuple[str, Image]:
+def _input(text: str, graph: NodeGraph, repair: bool = False, fov_x_deg: float | None = None) -> tuple[str, Image]:
     if "=" not in text and len(graph.inputs) == 1:
-        return next(iter(graph.inputs)), _read(Path(text), repair)
-    name, path = _pair(text, "--in", "NAME=FILE.exr")
+        name, path = next(iter(graph.inputs)), text
+    else:
+        name, path = _pair(text, "--in", "NAME=FILE.exr")
     if name not in graph.inputs:
         raise GraphError(f"--in {text}: the graph has no input {name!r}; it has {', '.join(graph.inputs)}")
-    return name, _read(Path(path), repair)
+    return name, _viewed(_read(Path(path), repair, graph.inputs[name].quantity), graph, fov_x_deg)
 
 
-def _read(path: Path, repair: bool = False) -> Image:
-    image = writers.read_exr(path, repair=repair)
+def _viewed(image: Image, graph: NodeGraph, fov_x_deg: float | None) -> Image:
+    """The image with a field of view, and a word where the lens that the graph names has another."""
+    image = camera.field_of_view(image, graph, fov_x_deg=fov_x_deg)
+    lens, chip, seen = graph.profiles.get("lens"), graph.profiles.get("sensor"), image.provenance.get("fov_x_deg")
+    if not isinstance(lens, LensProfile) or not isinstance(chip, SensorProfile) or seen is None:
+        return image
+    own = camera.lens_fov_deg(lens, chip, image.width_px)
+    if "fov_from" in image.provenance:
+        print(f"field of view: {own:.4g} degrees, of {image.width_px} pixels behind {lens.name}; --fov says another", file=sys.stderr)
+    elif abs(seen - own) > 0.02 * own:
+        print(f"field of view: {seen:.4g} degrees, as the picture says; {image.width_px} pixels behind {lens.name} would see {own:.4g}", file=sys.stderr)
+    return image
+
+
+def _read(path: Path, repair: bool = False, quantity: Quantity | None = None) -> Image:
+    image = writers.read_exr(path, declared=quantity, repair=repair)
     if count := image.provenance.get("repaired_values", 0):
         print(f"{path}: {count} values that light cannot have were mended", file=sys.stderr)
     return image

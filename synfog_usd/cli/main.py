@@ -349,11 +349,12 @@ def graph_run(
     ] = None,
     no_cache: Annotated[bool, typer.Option("--no-cache", help="Run every node, and keep nothing.")] = False,
     repair: Annotated[bool, typer.Option("--repair", help="Mend radiance that is negative or not finite, instead of refusing it.")] = False,
+    fov: Annotated[float | None, typer.Option(help="Horizontal field of view of the inputs [degrees]; else what they say, or lens and sensor.")] = None,
 ) -> None:
     """Run a graph on radiance of one's own; what has not changed since an earlier run is not run again."""
     from synfog_usd.cli import graph as verb
 
-    verb.run(pipeline, source, out, meter_on=meter, changes=change or [], until=until, seed=seed, cache=cache, no_cache=no_cache, repair=repair)
+    verb.run(pipeline, source, out, meter_on=meter, changes=change or [], until=until, seed=seed, cache=cache, no_cache=no_cache, repair=repair, fov_x_deg=fov)
 
 
 @graph_app.command("explain")

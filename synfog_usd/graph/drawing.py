@@ -7,8 +7,10 @@ own.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 from synfog_usd.graph.engine import AUTO, Bound, GraphRun, Node, NodeGraph
 from synfog_usd.graph.op import Port
@@ -29,11 +31,21 @@ CHAR_W = 0.62
 COLOURS = ("#3b6ea5", "#b5651d", "#4f8a5b", "#7a5195", "#8a8a3a", "#a8434b")
 
 
-def table(graph: NodeGraph, run: GraphRun | None = None) -> str:
-    """The graph as a plain text table, with milliseconds if it ran."""
+def table(graph: NodeGraph, run: GraphRun | None = None, settings: Mapping[str, Any] | None = None) -> str:
+    """The graph as a plain text table, with milliseconds if it ran.
+
+    Behind a value stands where it is from: (sensor) and (lens), their profiles;
+    (default), the op; (set), an override; (run), what `settings` say for an `auto`.
+    What the file says stands alone.
+    """
+    from_run = settings or {}
     rows = [("node", "op", "reads", "gives", "parameters", "ms")]
     for node in graph.nodes.values():
-        facts = ", ".join(f"{key}={_shown(bound)}" for key, bound in node.params.items() if node.op.parameters[key].can_be_set)
+        facts = ", ".join(
+            f"{key}={_sourced(bound, from_run.get(node.op.parameters[key].auto_key))}"
+            for key, bound in node.params.items()
+            if node.op.parameters[key].can_be_set
+        )
         rows.append((node.name, node.op.name, ", ".join(node.inputs), str(node.gives), facts, _time(node, run)))
     shown = [row if run is not None else row[:-1] for row in rows]
     widths = [max(len(row[column]) for row in shown) for column in range(len(shown[0]))]
@@ -226,6 +238,13 @@ def _port_of(graph: NodeGraph, name: str) -> Port:
 
 def _flows(port: Port) -> str:
     return port.quantity.value if port.quantity else "anything"
+
+
+def _sourced(bound: Bound, told: Any) -> str:
+    if bound.is_auto:
+        return f"{told:.4g} (run)" if isinstance(told, float | int) else _shown(bound)
+    word = {"file": "", "default": "default", "override": "set"}.get(bound.source, bound.source.partition(".")[0])
+    return f"{_shown(bound)} ({word})" if word else _shown(bound)
 
 
 def _shown(bound: Bound) -> str:

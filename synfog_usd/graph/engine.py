@@ -393,9 +393,10 @@ class NodeGraph:
                 except ValueError as problem:
                     raise GraphError(f"{node.place}: {node}: {key!r} in the {where} {problem}; it takes {parameter}") from problem
         if bound.value is MISSING:
+            hint = f", or {parameter.auto.hint}" if parameter.auto and parameter.auto.hint else ""
             raise GraphError(
-                f"{node.place}: {node} has {name}: auto, but neither the run's settings nor the image's provenance has {key!r}. "
-                f"Give {name} a number, or run with settings={{{key!r}: ...}}"
+                f"{node.place}: {node} has {name}: auto, but nothing says {key}: neither the settings of the run nor the image. "
+                f"Give {name} a number there, or with --set {node.name}.{name}=...{hint}"
             )
         return bound.value
 

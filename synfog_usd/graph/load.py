@@ -44,9 +44,9 @@ def load_graph(path: Path, registry: Registry) -> NodeGraph:
 def make_graph(
     registry: Registry,
     *,
-    nodes: Sequence[Mapping[str, Any]],
-    outputs: Mapping[str, str | Mapping[str, Any] | None],
-    inputs: Sequence[str] | Mapping[str, str] = ("radiance",),
+    nodes: Sequence[Mapping[str, Any]] = (),
+    outputs: Mapping[str, str | Mapping[str, Any] | None] | None = None,
+    inputs: Sequence[str] | Mapping[str, str] | None = None,
     name: str = "graph",
     folder: Path = Path(),
     **header: str,
@@ -57,8 +57,10 @@ def make_graph(
         registry: the ops and profiles that it may name.
         nodes: one mapping per node, such as {'op': 'isp.tone', 'shoulder': 0.3}.
         outputs: file name -> node name, or a mapping with 'node' and how it is written:
-            {'raw.dng': {'node': 'adc', 'compression': 'lossless'}}.
-        inputs: names of radiance images, or names with quantities.
+            {'raw.dng': {'node': 'adc', 'compression': 'lossless'}}.  A graph that extends
+            another may leave nodes, outputs and inputs to it.
+        inputs: names of radiance images, or names with quantities; ('radiance',) unless
+            given here or by the graph that is extended.
         name: what errors call the graph.
         folder: where paths in it start from.
         header: what else stands at the top: extends='phone', sensor='imx363' ...
@@ -74,7 +76,9 @@ def make_graph(
     nodes[0].op: no op 'lens.blur'; there are none
     outputs: outputs is {}; it takes a mapping of file names to nodes, such as srgb.png: gamma
     """
-    plain = {"synfog": "graph/1", **header, "inputs": inputs, "nodes": nodes, "outputs": outputs}
+    alone = "extends" not in header
+    sections = {"inputs": inputs or (("radiance",) if alone else None), "nodes": nodes, "outputs": outputs}
+    plain = {"synfog": "graph/1", **header, **{key: value for key, value in sections.items() if value or (alone and value is not None)}}
     return _Loader(_Spots(name).located(plain, ""), name, folder, registry).load()
 
 

@@ -106,10 +106,12 @@ class Auto:
     """A value that the file may leave to the run by writing `auto`.
 
     It is looked up under `key` (the parameter's own name unless given) in the
-    run's settings, then in the provenance of the node's first image.
+    run's settings, then in the provenance of the node's first image.  `hint` tells
+    people how to say it where both are silent.
     """
 
     key: str = ""
+    hint: str = ""
 
 
 @dataclass(frozen=True)

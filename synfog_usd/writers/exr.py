@@ -35,6 +35,9 @@ Compression = Literal["zip", "zips", "piz", "rle", "none"]
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Chromaticities of R, G, B and white: ITU-R BT.709."""
 
+BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+"""XYZ to sharpened cone responses: Lam (1985), as in ICC.1:2022, annex E."""
+
 
 def write_exr(
     path: Path,
@@ -123,34 +126,49 @@ def save(temporary: Path, path: Path, spec: Any, pixels: np.ndarray) -> None:
         raise OutputError(f"{path}: cannot be written ({output.geterror()})")
 
 
-def read_exr(path: Path, *, quantity: Quantity | None = None, channels: Sequence[str] | None = None, repair: bool = False) -> Image:
-    """Read the first part of an EXR file.
+def read_exr(
+    path: Path, *, quantity: Quantity | None = None, declared: Quantity | None = None, channels: Sequence[str] | None = None, repair: bool = False
+) -> Image:
+    """Read the picture of an EXR file.
+
+    Of several parts the one with colour or bands is taken; what lies outside the data
+    window is 0, what lies outside the display window is cut off.  R, G and B of other
+    primaries become linear Rec.709 (white to white, Bradford); what of that is below 0, out of its gamut, becomes 0.
 
     Args:
         path: the file.
-        quantity: what it measures; by default what the file says, else RADIANCE.
+        quantity: what it measures, whatever the file says.
+        declared: what it measures where the file does not say; RADIANCE unless given.
         channels: which ones, in which order; by default, all of a file that this
-            program wrote, and of a radiance from elsewhere R, G, B or the bands,
-            by rising wavelength.
+            program wrote, and of light from elsewhere R, G, B or the bands,
+            by rising wavelength, or the only one.
         repair: mend a radiance that cannot be (see `repaired`) instead of refusing it.
 
     Returns:
-        float32; provenance as it was written.
+        float32; provenance as it was written, and `fov_x_deg` where the file tells of the
+        camera: focal length and width of the sensor, as OpenEXR's standard attributes have them.
 
     Raises:
-        ImageError: missing, truncated, too large, no such channel; a radiance that
-            is NaN, infinite or negative, with its pixel.
+        ImageError: missing, truncated, too large, no such channel, several parts with
+            colour; a radiance that is NaN, infinite or negative, with its pixel.
+
+    Source: attributes: OpenEXR, "Standard Attributes" (version 3.2).
     """
     pixels, names, facts = _read(path)
     said = facts.get("synfog:quantity")
     if quantity is None:
-        quantity = next((item for item in Quantity if item.value == said), Quantity.RADIANCE)
+        quantity = next((item for item in Quantity if item.value == said), declared or Quantity.RADIANCE)
     if channels is None:
         channels = _default_channels(path, names, facts, quantity)
     missing = [name for name in channels if name not in names]
     if missing:
         raise ImageError(f"{path}: no channel {', '.join(missing)}; it has {', '.join(names)}")
-    image = Image(np.ascontiguousarray(pixels[..., [names.index(name) for name in channels]]), tuple(channels), quantity, provenance=_provenance(facts))
+    known = _provenance(facts)
+    if "fov_x_deg" not in known and (fov_deg := _fov_x_deg(facts)) is not None:
+        known["fov_x_deg"] = fov_deg
+    image = Image(np.ascontiguousarray(pixels[..., [names.index(name) for name in channels]]), tuple(channels), quantity, provenance=known)
+    if image.channels == ("R", "G", "B") and quantity is not Quantity.DATA:
+        image = _rec709(image, facts.get("chromaticities"))
     if quantity is Quantity.RADIANCE:
         if repair:
             image = repaired(image)
@@ -205,6 +223,37 @@ def check_finite(image: Image, where: str) -> None:
         raise ImageError(f"{where}: {image.quantity.value} at x={column}, y={row}, channel {image.channels[channel]!r} is {value}; it must be finite")
 
 
+def _fov_x_deg(facts: Mapping[str, Any]) -> float | None:
+    """Horizontal field of view [degrees] by the camera's attributes [mm], or None."""
+    focal_mm = next((facts[name] for name in ("pinholeFocalLength", "effectiveFocalLength", "nominalFocalLength") if name in facts), None)
+    size_mm = facts.get("sensorOverallDimensions")
+    width_mm = size_mm[0] if isinstance(size_mm, tuple) else None
+    if not isinstance(focal_mm, float) or not isinstance(width_mm, float) or not (focal_mm > 0.0 and width_mm > 0.0):
+        return None
+    return math.degrees(2.0 * math.atan(width_mm / 2.0 / focal_mm))
+
+
+def _rec709(image: Image, chromaticities: Any) -> Image:
+    """R, G, B of other primaries as linear Rec.709, luminance and white kept."""
+    if not isinstance(chromaticities, tuple) or len(chromaticities) != 8 or np.allclose(chromaticities, REC709, atol=2e-3):
+        return image
+    to_xyz, from_xyz = _to_xyz(chromaticities), np.linalg.inv(_to_xyz(REC709))
+    cones = BRADFORD @ to_xyz.sum(axis=1), BRADFORD @ np.linalg.inv(from_xyz).sum(axis=1)
+    adapted = np.linalg.inv(BRADFORD) @ np.diag(cones[1] / cones[0]) @ BRADFORD
+    pixels = image.pixels @ (from_xyz @ adapted @ to_xyz).T.astype(np.float32)
+    outside = (pixels < 0.0) & (image.pixels.min(axis=2, keepdims=True) >= 0.0)
+    pixels[outside] = 0.0
+    facts: dict[str, Any] = {"primaries": [float(value) for value in chromaticities]}
+    return image.with_pixels(pixels).with_metadata(**facts, **({"out_of_gamut_values": int(outside.sum())} if outside.any() else {}))
+
+
+def _to_xyz(chromaticities: Sequence[float]) -> np.ndarray:
+    """(3, 3) R, G, B to XYZ, white having Y = 1 (SMPTE RP 177)."""
+    x, y = np.array(chromaticities, dtype=np.float64).reshape(4, 2).T
+    columns = np.array([x / y, np.ones(4), (1.0 - x - y) / y])
+    return np.asarray(columns[:, :3] * np.linalg.solve(columns[:, :3], columns[:, 3]))
+
+
 def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:
     import OpenImageIO
 
@@ -214,30 +263,66 @@ def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:
     if source is None:
         raise ImageError(f"{path}: cannot be read ({OpenImageIO.geterror()})")
     try:
-        spec = source.spec()
         if source.format_name() != "openexr":
             raise ImageError(f"{path}: is a {source.format_name()} file; an EXR is needed")
+        part = _part(path, source)
+        spec = source.spec()
         if spec.width * spec.height * spec.nchannels > MAX_VALUES:
             raise ImageError(f"{path}: {spec.width} x {spec.height} x {spec.nchannels} values are too many; at most {MAX_VALUES}")
         if spec.deep:
             raise ImageError(f"{path}: holds deep pixels; flatten it first")
-        pixels = source.read_image(0, 0, 0, spec.nchannels, OpenImageIO.FLOAT)
+        pixels = source.read_image(part, 0, 0, spec.nchannels, OpenImageIO.FLOAT)
         if pixels is None:
             raise ImageError(f"{path}: cannot be read whole ({source.geterror()})")
         facts = {item.name: item.value for item in spec.extra_attribs}
-        return np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels), list(spec.channelnames), facts
+        whole = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
+        return _displayed(path, whole, spec), list(spec.channelnames), facts
     finally:
         source.close()
+
+
+def _part(path: Path, source: Any) -> int:
+    """Number of the part that is the picture; the source stands on it."""
+    found: dict[int, str] = {}
+    count = 0
+    while source.seek_subimage(count, 0):
+        spec = source.spec()
+        if {"R", "G", "B"} <= set(spec.channelnames) or any(band_centre_nm(name) is not None for name in spec.channelnames):
+            found[count] = str(spec.getattribute("name") or spec.getattribute("oiio:subimagename") or f"part {count + 1}")
+        count += 1
+    if len(found) > 1:
+        raise ImageError(f"{path}: {len(found)} of its {count} parts hold colour or bands: {', '.join(found.values())}; save the one that is meant by itself")
+    part = next(iter(found), 0)
+    source.seek_subimage(part, 0)
+    return part
+
+
+def _displayed(path: Path, pixels: FloatArray, spec: Any) -> FloatArray:
+    """The display window of a picture whose data window may be another; 0 where there are no data."""
+    if (spec.x, spec.y, spec.width, spec.height) == (spec.full_x, spec.full_y, spec.full_width, spec.full_height):
+        return pixels
+    if spec.full_width * spec.full_height * spec.nchannels > MAX_VALUES:
+        raise ImageError(
+            f"{path}: a display window of {spec.full_width} x {spec.full_height} with {spec.nchannels} channels is too large; at most {MAX_VALUES} values"
+        )
+    whole = np.zeros((spec.full_height, spec.full_width, spec.nchannels), dtype=np.float32)
+    down, right = spec.y - spec.full_y, spec.x - spec.full_x
+    rows = slice(max(down, 0), max(min(down + spec.height, spec.full_height), 0))
+    columns = slice(max(right, 0), max(min(right + spec.width, spec.full_width), 0))
+    if rows.start >= rows.stop or columns.start >= columns.stop:
+        raise ImageError(f"{path}: its data window lies outside its display window; there is nothing to see")
+    whole[rows, columns] = pixels[rows.start - down : rows.stop - down, columns.start - right : columns.stop - right]
+    return whole
 
 
 def _default_channels(path: Path, names: list[str], facts: Mapping[str, Any], quantity: Quantity) -> list[str]:
     ours = _json(facts.get("synfog:channels"))
     if isinstance(ours, list) and sorted(map(str, ours)) == sorted(names):
         return ours
+    if quantity is not Quantity.DATA and {"R", "G", "B"} <= set(names):
+        return ["R", "G", "B"]
     if quantity is not Quantity.RADIANCE:
         return names
-    if {"R", "G", "B"} <= set(names):
-        return ["R", "G", "B"]
     bands = {name: centre for name in names if (centre := band_centre_nm(name)) is not None}
     if bands:
         return sorted(bands, key=lambda name: bands[name])

@@ -1,9 +1,11 @@
 """`synfog-usd graph` as a camera engineer runs it."""
 
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO
 import pytest
 import tifffile
 from support import cli
@@ -41,6 +43,55 @@ def test_a_graph_runs_on_a_picture_of_one_s_own(radiance, tmp_path):
         assert "isp.demosaic" in done.stderr
     for name in ("raw.dng", "srgb.png"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def foreign(path, pixels) -> Path:
+    """An EXR of another program, without any attribute of ours."""
+    buffer = OpenImageIO.ImageBuf(np.ascontiguousarray(pixels, dtype=np.float32))
+    buffer.specmod().channelnames = ("R", "G", "B")
+    assert buffer.write(str(path))
+    return path
+
+
+def test_a_foreign_picture_needs_no_more_than_the_command_says(tmp_path):
+    """Without a field of view it is that of lens and pixels, and the RAW file's focal length the lens's; with --fov the one that such a view needs."""
+    picture = foreign(tmp_path / "shot.exr", np.full((64, 96, 3), 300.0))
+    own = 2 * np.degrees(np.arctan(96 * 1.4e-3 / 2 / 4.38))
+    for name, more, focal_mm, told in (
+        ("own", (), 4.38, f"{own:.4g} degrees, of 96 pixels"),
+        ("fov", ("--fov", "60"), 96 * 1.4e-3 / 2 / np.tan(np.pi / 6), "60 degrees"),
+    ):
+        done = run("run", PIPELINE, "--in", picture, "-o", tmp_path / name, "--no-cache", *more)
+        assert done.returncode == 0 and told in done.stderr, done.stderr
+        with tifffile.TiffFile(tmp_path / name / "raw.dng") as file:
+            above, below = file.pages[0].tags[34665].value["FocalLength"]
+        assert above / below == pytest.approx(focal_mm, rel=1e-4)
+    done = run("run", PIPELINE, "--in", picture, "-o", tmp_path / "no", "--fov", "200")
+    assert done.returncode == 2 and "a field of view of 200 degrees is not above 0" in done.stderr
+
+
+def test_what_was_metered_and_where_values_are_from_is_told(radiance, tmp_path):
+    """By name of a shipped graph: the exposure in words, and in the table as the run's; profile, default and --set behind other values."""
+    done = run("run", "phone", "--in", radiance, "-o", tmp_path, "--no-cache", "--set", "full_well.blooming=0.5")
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"^exposure: 1/\d+(\.\d+)? s, ISO 55$", done.stderr, re.MULTILINE)
+    for words in (
+        r"exposure_s=[\d.e-]+ \(run\)",
+        r"full_well_e=6000 \(sensor\)",
+        r"f_number=[\d.]+ \(lens\)",
+        r"blooming=0.5 \(set\)",
+        r"doubling_k=8 \(default\)",
+    ):
+        assert re.search(words, done.stderr), words
+    assert "temperature_c=35," in done.stderr and "iso=auto" not in done.stderr
+
+
+def test_a_declared_input_is_read_as_that(tmp_path):
+    """Linear pictures of another program go through the second half of the camera."""
+    (tmp_path / "g.yaml").write_text("synfog: graph/1\ninputs: {photo: linear_rgb}\nnodes: [{op: isp.tone}, {op: isp.gamma}]\noutputs: {out.png: gamma}\n")
+    done = run("run", tmp_path / "g.yaml", "--in", f"photo={foreign(tmp_path / 'shot.exr', np.full((8, 8, 3), 0.2))}", "-o", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out.png").is_file()
 
 
 def test_light_that_cannot_be_is_refused_or_mended(radiance, tmp_path):
@@ -110,7 +161,9 @@ def test_show_and_check_tell_the_nodes():
 def ran(done):
     """Names of the nodes that the table of a run has milliseconds for; the others are cached."""
     assert done.returncode == 0, done.stderr
-    rows = [line.split() for line in done.stderr.splitlines()[2:22]]
+    lines = done.stderr.splitlines()
+    head = next(index for index, line in enumerate(lines) if line.startswith("node "))
+    rows = [line.split() for line in lines[head + 2 : head + 23]]
     assert all(row[-1] == "cached" or float(row[-1]) >= 0 for row in rows)
     return [row[0] for row in rows if row[-1] != "cached"]
 
@@ -118,13 +171,13 @@ def ran(done):
 def test_a_change_runs_what_follows_and_writes_the_bytes_of_a_run_without_cache(radiance, tmp_path, cache):
     """The user's cache folder is used unless another is named, or none is wanted."""
     arguments = ("run", PIPELINE, "--in", radiance)
-    assert len(ran(run(*arguments, "-o", tmp_path / "a"))) == 20 == len(list(cache.iterdir()))
+    assert len(ran(run(*arguments, "-o", tmp_path / "a"))) == 21 == len(list(cache.iterdir()))
     assert ran(run(*arguments, "-o", tmp_path / "a", "--set", "tone.shoulder=0.3")) == ["tone", "srgb"]
-    assert len(ran(run(*arguments, "-o", tmp_path / "b", "--set", "tone.shoulder=0.3", "--no-cache"))) == 20
-    assert len(ran(run(*arguments, "-o", tmp_path / "c", "--cache", tmp_path / "own"))) == 20 == len(list((tmp_path / "own").iterdir()))
+    assert len(ran(run(*arguments, "-o", tmp_path / "b", "--set", "tone.shoulder=0.3", "--no-cache"))) == 21
+    assert len(ran(run(*arguments, "-o", tmp_path / "c", "--cache", tmp_path / "own"))) == 21 == len(list((tmp_path / "own").iterdir()))
     for name in ("raw.dng", "srgb.png"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-    assert len(list(cache.iterdir())) == 22
+    assert len(list(cache.iterdir())) == 23
 
 
 def test_a_cache_that_cannot_be_made_stops_a_run_only_if_it_was_asked_for(radiance, tmp_path):
@@ -149,10 +202,10 @@ def test_until_takes_an_output_and_set_the_words_of_the_camera(radiance, tmp_pat
 def test_show_draws_with_and_without_milliseconds(radiance, tmp_path):
     assert run("show", PIPELINE, "--svg", tmp_path / "still.svg").returncode == 0
     assert run("show", PIPELINE, "--svg", tmp_path / "timed.svg", "--in", radiance).returncode == 0
-    for name, timed in (("still.svg", 0), ("timed.svg", 20)):
+    for name, timed in (("still.svg", 0), ("timed.svg", 21)):
         words = [item.text for item in ET.parse(tmp_path / name).iter("{http://www.w3.org/2000/svg}text")]
         assert sum(word.endswith(" ms") and ":" not in word for word in words) == timed
-    assert run("show", PIPELINE, "--mermaid", "--resolution", "64x36").stdout.count(" ms") == 20
+    assert run("show", PIPELINE, "--mermaid", "--resolution", "64x36").stdout.count(" ms") == 21
 
 
 def test_explain_prints_a_page_a_list_or_all():

@@ -132,3 +132,8 @@ def test_python_and_yaml_agree_on_graphs_with_several_inputs(tmp_path, registry,
     assert python.hash == load_graph(tmp_path / "g.yaml", registry).hash
     run = python.run({"sky": radiance, "lamps": radiance}, seed=0)
     np.testing.assert_array_equal(run["two"].pixels, 4 * radiance.pixels)
+
+
+def test_a_graph_that_extends_another_needs_nothing_of_its_own():
+    phone = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+    assert make_graph(camera.OPS, extends="phone", name="phone").hash == phone.hash == camera.load_graph(Path("phone")).hash

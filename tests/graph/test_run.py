@@ -61,7 +61,7 @@ def test_auto_is_found_in_the_settings_before_the_provenance(tmp_path, registry,
 
 
 def test_auto_that_nobody_answers_is_an_error_that_says_what_to_do(tmp_path, registry, radiance):
-    with pytest.raises(GraphError, match=r"g\.yaml:6:5: node 'expose' \(chip.expose\) has time_s: auto, but neither .* Give time_s a number"):
+    with pytest.raises(GraphError, match=r"g\.yaml:6:5: node 'expose' \(chip.expose\) has time_s: auto, but nothing says time_s: .* Give time_s a number"):
         load(tmp_path, registry).run({"radiance": radiance}, seed=0)
 
 

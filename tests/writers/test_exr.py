@@ -19,10 +19,18 @@ def image(channels=("R", "G", "B"), quantity=Quantity.RADIANCE, shape=(11, 17), 
     return Image(pixels, channels, quantity, provenance=provenance)
 
 
-def foreign(path, pixels, channels) -> None:
-    """A file that another program wrote: no attributes of ours."""
+def foreign(path, pixels, channels, *, data_window=None, **attributes) -> None:
+    """A file that another program wrote: no attributes of ours.
+
+    data_window: x and y of the pixels, and width and height of the display window.
+    """
     spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], OpenImageIO.FLOAT)
     spec.channelnames = channels
+    if data_window:
+        spec.x, spec.y, spec.full_width, spec.full_height = data_window
+    for name, value in attributes.items():
+        kinds = {2: OpenImageIO.TypeDesc(OpenImageIO.FLOAT, OpenImageIO.VEC2), 8: OpenImageIO.TypeDesc("float[8]")}
+        spec.attribute(name, kinds[len(value)], value) if isinstance(value, tuple) else spec.attribute(name, value)
     out = OpenImageIO.ImageOutput.create(str(path))
     assert out.open(str(path), spec) and out.write_image(pixels.astype(np.float32)) and out.close()
 
@@ -177,3 +185,78 @@ def test_every_compression_is_lossless(tmp_path, compression):
     source = OpenImageIO.ImageInput.open(str(tmp_path / "a.exr"))
     assert source.spec().getattribute("compression") == compression
     source.close()
+
+
+def test_the_camera_of_a_foreign_file_tells_the_field_of_view(tmp_path):
+    """36 mm behind 18 mm: 90 degrees; one of the two alone says nothing."""
+    pixels = np.ones((2, 3, 3), np.float32)
+    for name, attributes, expected in (
+        ("both", {"pinholeFocalLength": 18.0, "sensorOverallDimensions": (36.0, 24.0)}, 90.0),
+        ("nominal", {"nominalFocalLength": 50.0, "sensorOverallDimensions": (36.0, 24.0)}, 39.5978),
+        ("one", {"nominalFocalLength": 50.0}, None),
+    ):
+        foreign(tmp_path / f"{name}.exr", pixels, ("R", "G", "B"), **attributes)
+        assert read_exr(tmp_path / f"{name}.exr").provenance.get("fov_x_deg") == (expected and pytest.approx(expected, abs=1e-3))
+
+
+def test_other_primaries_become_rec709(tmp_path):
+    """ACEScg as colour-science converts it (Bradford); white stays; what is out of the gamut is cut at 0, and counted."""
+    import colour
+
+    ap1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+    pixels = np.array([[[1.0, 1.0, 1.0], [0.5, 0.4, 0.3], [0.0, 1.0, 0.0]]], np.float32)
+    foreign(tmp_path / "ap1.exr", pixels, ("R", "G", "B"), chromaticities=ap1)
+    read = read_exr(tmp_path / "ap1.exr")
+    expected = colour.RGB_to_RGB(pixels[0, :2], "ACEScg", "sRGB", chromatic_adaptation_transform="Bradford")
+    np.testing.assert_allclose(read.pixels[0, :2], expected, atol=2e-4)
+    np.testing.assert_allclose(read.pixels[0, 0], 1.0, atol=1e-5)
+    assert read.pixels[0, 2].min() == 0.0 and read.provenance["out_of_gamut_values"] == 2
+    foreign(tmp_path / "709.exr", pixels, ("R", "G", "B"), chromaticities=(0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290))
+    np.testing.assert_array_equal(read_exr(tmp_path / "709.exr").pixels, pixels)
+
+
+def test_the_data_window_stands_where_it_stood(tmp_path):
+    """A crop lies in its place with black around; overscan is cut off; a window outside the display is refused."""
+    pixels = np.arange(4 * 5 * 3, dtype=np.float32).reshape(4, 5, 3) + 1
+    foreign(tmp_path / "crop.exr", pixels, ("R", "G", "B"), data_window=(2, 1, 10, 8))
+    read = read_exr(tmp_path / "crop.exr").pixels
+    np.testing.assert_array_equal(read[1:5, 2:7], pixels)
+    assert read.shape == (8, 10, 3) and read.sum() == pixels.sum()
+    foreign(tmp_path / "over.exr", pixels, ("R", "G", "B"), data_window=(-1, -1, 3, 2))
+    np.testing.assert_array_equal(read_exr(tmp_path / "over.exr").pixels, pixels[1:3, 1:4])
+    foreign(tmp_path / "out.exr", pixels, ("R", "G", "B"), data_window=(20, 1, 10, 8))
+    with pytest.raises(ImageError, match=r"out\.exr: its data window lies outside"):
+        read_exr(tmp_path / "out.exr")
+
+
+def parts(path, *named) -> None:
+    """An EXR of several parts: (name, channels, value)."""
+    specs = []
+    for name, channels, _ in named:
+        spec = OpenImageIO.ImageSpec(3, 2, len(channels), OpenImageIO.FLOAT)
+        spec.channelnames = channels
+        spec.attribute("name", name)
+        specs.append(spec)
+    out = OpenImageIO.ImageOutput.create(str(path))
+    assert out.open(str(path), specs)
+    for index, (_, channels, value) in enumerate(named):
+        assert index == 0 or out.open(str(path), specs[index], "AppendSubimage")
+        assert out.write_image(np.full((2, 3, len(channels)), value, np.float32))
+    assert out.close()
+
+
+def test_of_several_parts_the_one_with_colour_is_read(tmp_path):
+    parts(tmp_path / "one.exr", ("depth", ("Z",), 7.0), ("beauty", ("R", "G", "B"), 3.0))
+    read = read_exr(tmp_path / "one.exr")
+    assert read.channels == ("R", "G", "B") and (read.pixels == 3.0).all()
+    parts(tmp_path / "two.exr", ("left", ("R", "G", "B"), 1.0), ("right", ("R", "G", "B"), 2.0))
+    with pytest.raises(ImageError, match="2 of its 2 parts hold colour or bands: left, right"):
+        read_exr(tmp_path / "two.exr")
+
+
+def test_what_a_foreign_file_measures_can_be_declared(tmp_path):
+    """It counts for a file that does not say; one of ours says it itself."""
+    foreign(tmp_path / "mosaic.exr", np.ones((2, 2, 1), np.float32), ("Y",))
+    assert read_exr(tmp_path / "mosaic.exr", declared=Quantity.ELECTRONS).quantity is Quantity.ELECTRONS
+    write_exr(tmp_path / "ours.exr", image())
+    assert read_exr(tmp_path / "ours.exr", declared=Quantity.LINEAR_RGB).quantity is Quantity.RADIANCE

@@ -1,0 +1,32 @@
+"""Spectra that are kept as files: they are colour-science's, to the last bit, and a picture needs no more of it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from synfog_usd import tables
+
+
+def test_the_files_hold_what_colour_science_has():
+    """Made again by `python -m synfog_usd.tables`."""
+    for name, columns in tables.from_colour_science().items():
+        kept = tables.table(name)
+        assert list(kept) == list(columns)
+        for key, values in columns.items():
+            np.testing.assert_array_equal(kept[key], values, err_msg=f"{name} {key}")
+
+
+@pytest.mark.parametrize("module", ["colour", "matplotlib", "scipy.interpolate", "scipy.optimize", "tifffile"])
+def test_metering_needs_no_heavy_library(module):
+    """What a run whose nodes are all kept does: load the graph and meter, in a fresh interpreter."""
+    code = (
+        "import sys; import numpy as np; from pathlib import Path; from synfog_usd import camera; from synfog_usd.image import Image, Quantity; "
+        "graph = camera.load_graph(Path('dashcam')); "
+        "camera.meter(Image(np.ones((8, 8, 3), np.float32), ('R', 'G', 'B'), Quantity.RADIANCE, provenance={'fov_x_deg': 60.0}), graph); "
+        f"sys.exit({module!r} in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
