@@ -4,12 +4,12 @@ Takes a scene, the noise of the sensor that will see it and the same view in cle
 the scene with less in it, and a record of what is missing.  Renders nothing.
 
 What fog hides from an eye is not what it hides from its own light.  Through an optical
-depth tau edges are dimmed by T = exp(-tau), but light that the fog turned a little still comes
+depth tau edges are dimmed by T = exp(-tau), but light that the fog scattered a little still comes
 from about where it left: it falls like T^(1 - g), which at g = 0.87 is slow.  A street
 beyond T = 0.0025 that is left out makes the fog before it 4 % too bright, sixteen times as much as
 T says.  So there are two steps.
 
-Thinned is what has no edges left that the sensor could see.  A few of its faces stay, drawn by area and enlarged
+Simplified is what has no edges left that the sensor could see.  A few of its faces stay, drawn by area and enlarged
 until they have the area of all (stochastic simplification): it goes on to keep light
 from the fog, and costs a tenth.  Left out is what keeps so little light from the fog
 that this is not seen either.
@@ -36,15 +36,15 @@ SHARE = 0.1
 """Of the sensor's noise, what may change in any pixel; a render's own noise may be a third of it."""
 
 EDGES, VEIL = 0.5, 0.25
-"""Of that, what edges may lose that are thinned, and what the fog's light may gain by what is left out; the rest is for what thinning keeps badly."""
+"""Of that, what edges may lose that are simplified, and what the fog's light may gain by what is left out; the rest is for what simplification keeps badly."""
 
 KEPT = 0.1
-"""Faces that a thinned mesh keeps."""
+"""Faces that a simplified mesh keeps."""
 
 FEWEST = 100
-"""Faces of a mesh from which on it is thinned."""
+"""Faces of a mesh from which on it is simplified."""
 
-STATES = ("whole", "thinned", "left out")
+STATES = ("whole", "simplified", "left out")
 
 WORTH = 50_000
 """Triangles of a scene below which none of this is worth a second look."""
@@ -60,36 +60,36 @@ class Hidden:
     Attributes:
         transmittance: key of a mesh or an instance -> the fog's between the eye and it, the largest over its box [1].
         limit: transmittance up to which edges are not seen; 0 where nothing is hidden.
-        thinned, left_out: keys of the parts of `SceneDict.world`.
+        simplified, left_out: keys of the parts of `SceneDict.world`.
         triangles, of_triangles: that the renderer need not have, and that the scene has with its instances written out.
         why: why nothing is hidden, or ''.
     """
 
     transmittance: Mapping[str, float] = field(default_factory=dict)
     limit: float = 0.0
-    thinned: frozenset[str] = frozenset()
+    simplified: frozenset[str] = frozenset()
     left_out: frozenset[str] = frozenset()
     triangles: int = 0
     of_triangles: int = 0
     why: str = ""
 
     def instances(self, scene: SceneDict) -> dict[int, tuple[float | None, str]]:
-        """Label id -> (transmittance of its nearest part [1], None where it is not known; 'whole', 'thinned' or 'left out').
+        """Label id -> (transmittance of its nearest part [1], None where it is not known; 'whole', 'simplified' or 'left out').
 
         An instance of several parts is what the least changed of them is.
         """
         found: dict[int, tuple[float, int]] = {}
         for (key, *_), instance in scene.instance_of.items():
             clear, state = found.get(instance, (0.0, 2))
-            own = 2 if key in self.left_out else int(key in self.thinned)
+            own = 2 if key in self.left_out else int(key in self.simplified)
             found[instance] = max(clear, self.transmittance.get(key, 1.0)), min(state, own)
         known = bool(self.transmittance)
         return {instance: (found[instance][0] if known else None, STATES[found[instance][1]]) for instance in sorted(found)}
 
-    def facts(self, scene: SceneDict) -> dict[str, Any]:
+    def metadata(self, scene: SceneDict) -> dict[str, Any]:
         """For the record of a shot."""
         states = [state for _, state in self.instances(scene).values()]
-        counts = {"instances": len(states), "thinned": states.count("thinned"), "left_out": states.count("left out")}
+        counts = {"instances": len(states), "simplified": states.count("simplified"), "left_out": states.count("left out")}
         saved = {"triangles": self.of_triangles, "triangles_saved": self.triangles}
         return {**counts, **saved, **({"why": self.why} if self.why else {"transmittance_below": float(f"{self.limit:.4g}")})}
 
@@ -97,10 +97,10 @@ class Hidden:
         """What a user is told, '' where nothing is hidden."""
         if not self.triangles:
             return ""
-        facts = self.facts(scene)
+        found = self.metadata(scene)
         return (
-            f"{facts['thinned'] + facts['left_out']} of {facts['instances']} instances lie behind fog (T < {self.limit:.2g}): {facts['thinned']} are thinned, "
-            f"{facts['left_out']} left out, which saves {self.triangles} of {self.of_triangles} triangles"
+            f"{found['simplified'] + found['left_out']} of {found['instances']} instances lie behind fog (T < {self.limit:.2g}): "
+            f"{found['simplified']} are simplified, {found['left_out']} left out, which saves {self.triangles} of {self.of_triangles} triangles"
         )
 
 
@@ -170,8 +170,8 @@ def hide(scene: SceneDict, noise: Callable[[Array], Array], clear_cd_m2: Array, 
     saved = int(parts.triangles[gone].sum() + (parts.triangles - parts.left)[thin].sum())
     if saved < worth:
         return replace(seen, why="too little lies behind fog")
-    thinned, left_out = (frozenset(key for key, yes in zip(parts.keys, flags, strict=True) if yes) for flags in (thin, gone))
-    return replace(seen, limit=limit, thinned=thinned, left_out=left_out, triangles=saved)
+    simplified, left_out = (frozenset(key for key, yes in zip(parts.keys, flags, strict=True) if yes) for flags in (thin, gone))
+    return replace(seen, limit=limit, simplified=simplified, left_out=left_out, triangles=saved)
 
 
 def through(scene: SceneDict) -> Hidden:
@@ -189,24 +189,24 @@ def through(scene: SceneDict) -> Hidden:
 
 
 def reduced(scene: SceneDict, hidden: Hidden) -> SceneDict:
-    """The scene with its hidden parts thinned or left out, and without prototypes and materials that no part has any more."""
-    if not (hidden.thinned or hidden.left_out):
+    """The scene with its hidden parts simplified or left out, and without prototypes and materials that no part has any more."""
+    if not (hidden.simplified or hidden.left_out):
         return scene
     world: dict[str, Any] = {}
     groups: dict[str, dict[str, Any]] = {}
     for key, part in scene.world.items():
         if key in hidden.left_out:
             continue
-        if key not in hidden.thinned:
+        if key not in hidden.simplified:
             world[key] = part
         elif part["type"] == "mesh":
-            world[key] = thinned(part, key)
+            world[key] = simplified(part, key)
         else:
             (group,) = _referred(part)
-            groups[f"{group}_thinned"] = groups.get(f"{group}_thinned") or {
-                name: shape if name == "type" else thinned(shape, f"{group}.{name}") for name, shape in scene.world[group].items()
+            groups[f"{group}_simplified"] = groups.get(f"{group}_simplified") or {
+                name: shape if name == "type" else simplified(shape, f"{group}.{name}") for name, shape in scene.world[group].items()
             }
-            world[key] = {name: {"type": "ref", "id": f"{group}_thinned"} if isinstance(value, Mapping) else value for name, value in part.items()}
+            world[key] = {name: {"type": "ref", "id": f"{group}_simplified"} if isinstance(value, Mapping) else value for name, value in part.items()}
     world |= groups
     before = _references(scene.world)
     while unused := (before - _references(world)) & world.keys():  # a prototype that goes may take its materials along
@@ -219,7 +219,7 @@ def reduced(scene: SceneDict, hidden: Hidden) -> SceneDict:
     )
 
 
-def thinned(mesh: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+def simplified(mesh: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     """A mesh with a few of its faces, each as much larger as it was unlikely to stay: its area is that of all, on average.
 
     A face stays with a probability in proportion to its area, 1 at most, so that a wall stays
@@ -245,7 +245,7 @@ def thinned(mesh: Mapping[str, Any], name: str) -> Mapping[str, Any]:
             break
         scale = max(count - int(certain.sum()), 1) / rest
     probability = np.minimum(area * scale, 1.0)
-    stays = stream(0, "thinned", name).random(len(faces)) < probability
+    stays = stream(0, "thinned", name).random(len(faces)) < probability  # another word would draw another mesh
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     faces, corners, grown = faces[stays], corners[stays], 1.0 / np.sqrt(probability[stays])
     middle = corners.mean(axis=1, keepdims=True)
@@ -275,7 +275,7 @@ def _referred(value: Any) -> set[str]:
 
 @dataclass(frozen=True)
 class _Bulk:
-    """Box [m], triangles, those that thinning leaves, and whether it is meshes alone, none of which shines."""
+    """Box [m], triangles, those that simplification leaves, and whether it is meshes alone, none of which shines."""
 
     low: Array
     high: Array

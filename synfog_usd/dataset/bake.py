@@ -319,7 +319,7 @@ def _make(
         "target": _target(plan, view.pixel if view else None, rendered.met),
         "relative_error": float(f"{rendered.relative_error:.4g}"),
         "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"} if exposure else None,
-        "behind_fog": hidden.facts(scene),
+        "behind_fog": hidden.metadata(scene),
         "warnings": [*rendered.warnings, *([why] if (why := _why_black(radiance, scene)) else [])],
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
     }

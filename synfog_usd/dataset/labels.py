@@ -105,7 +105,7 @@ def instance_list(hidden: Hidden, scene: SceneDict) -> dict[str, Any]:
     """What instances.json holds: how much fog stands before every instance of one shot, and whether the picture has it whole.
 
     `transmittance` is the largest over the boxes of its parts, null where the fog has no closed form; `drawn` is 'whole',
-    'thinned' or 'left out'.  Labels have every instance either way.
+    'simplified' or 'left out'.  Labels have every instance either way.
     """
     found = hidden.instances(scene)
     rows = []

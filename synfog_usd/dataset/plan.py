@@ -29,7 +29,7 @@ class BakePlan:
         size: (width, height) in pixels; None is the stage's own.
         model, samples, seed, target_error, time_limit_s, bands, denoise: see `render.shot.render`.
             Without a target error the sensor's own noise is the target.
-        cull: whether what fog hides from the sensor is thinned or left out, see `render.cull`.
+        cull: whether what fog hides from the sensor is simplified or left out, see `cull`.
         variant: Mitsuba backend, see `render.backend.choose`.
         strict: whether a warning of the translation stops the bake.
         lights: how the stage's intensities are meant, see `translate.translate`.

@@ -1,8 +1,9 @@
-"""What a picture is beyond its square, as pictures that one mode for both directions can repeat.
+"""Texture wrap modes: two of USD's, one for u and one for v, as the single one that Mitsuba's bitmap texture has.
 
-Takes pixels and a mode for each direction; gives pixels, one mode and the map that
-takes the coordinates to them.  Source of the modes: UsdPreviewSurface specification,
-UsdUVTexture, wrapS and wrapT.
+USD wraps u and v apart ('repeat', 'mirror', 'clamp', 'black'); Mitsuba takes one mode for both and knows no 'black'.  Where the
+two differ, texels are added until one mode does: a mirrored copy beside the picture for 'mirror', a rim for 'clamp' and 'black'.
+Takes pixels and the two modes; gives pixels, one mode, and the scale and shift of (u, v) that find the old texels in them.
+Source of the modes: UsdPreviewSurface specification, UsdUVTexture, inputs wrapS and wrapT.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ class Wrapped:
 
 
 def wrapped(pixels: Pixels, wraps: tuple[str, str], outside: Pixels) -> Wrapped:
-    """A picture with a mode for each direction as one that has a single mode.
+    """A texture with a wrap mode for each direction, as one with a single mode.
 
-    Where one direction ends and the other goes on, the picture ends a whole length of
-    itself beyond its square.
+    Where one direction is clamped and the other repeats, the clamped one repeats, too, but with a rim of its own length: it is
+    right up to one whole picture beyond [0, 1].
 
     Args:
         pixels: (H, W, C).

@@ -56,7 +56,7 @@ def test_a_bake_tells_what_lies_behind_fog(baked):
     lines = [line for line in told.splitlines() if "behind fog" in line]
     assert len(lines) == 1 and "sky/mor50: 1 of 2 instances lie behind fog" in lines[0]
     (foggy,) = (row["behind_fog"] for row in manifest["shots"])
-    assert foggy["thinned"] + foggy["left_out"] == 1 and foggy["triangles_saved"] > 50_000
+    assert foggy["simplified"] + foggy["left_out"] == 1 and foggy["triangles_saved"] > 50_000
     _, told, manifest = baked["whole"]
     assert "behind fog" not in told and all(row["behind_fog"]["triangles_saved"] == 0 for row in manifest["shots"])
     assert not manifest["plan"]["cull"]
@@ -64,7 +64,7 @@ def test_a_bake_tells_what_lies_behind_fog(baked):
 
 def test_things_are_listed_with_the_transmittance_before_them(baked):
     """exp(-3 x 150 / 50) before the stones, by the WMO's threshold of 5 %, and exp(-3) before the wall."""
-    for name, drawn in (("reduced", {"thinned", "left out"}), ("whole", {"whole"})):
+    for name, drawn in (("reduced", {"simplified", "left out"}), ("whole", {"whole"})):
         found = instances(baked[name][0], "mor50")
         assert found["/World/Stones"]["transmittance"] == pytest.approx(0.05 ** (150 / 50), rel=1e-3)
         assert found["/World/Wall"]["transmittance"] == pytest.approx(0.05, rel=1e-3)

@@ -40,7 +40,7 @@ def test_a_reduced_scene_looks_like_the_whole_one(name, lighting, visibility_m, 
 
 
 def test_leaving_all_of_it_out_is_seen():
-    """What T alone would allow: the same parts left out instead of thinned change the fog by more than 0.1 sigma, RMS, noise taken off."""
+    """What T alone would allow: the same parts left out instead of simplified change the fog by more than 0.1 sigma, RMS, noise taken off."""
     row = saving("crossroads", foggy(stage_of("crossroads", None), "sky", 50.0), leave_out=True)
     assert row is not None
     assert row.error**2 - row.noise**2 > 0.1**2  # measured 0.165^2

@@ -1,4 +1,4 @@
-"""What fog hides is thinned or left out, and no pixel of a sensor shows it."""
+"""What fog hides is simplified or left out, and no pixel of a sensor shows it."""
 
 import functools
 from dataclasses import replace
@@ -75,7 +75,7 @@ def test_a_grid_of_density_hides_as_much_as_even_fog_does():
     """A density of 1 everywhere is even fog."""
     grid = replace(FOG, medium=FogMedium(SIGMA, profile="grid", grid=DensityGrid(np.ones((2, 2, 2)))))
     even, dense = hide(avenue(100.0, 115.0)), hide(avenue(100.0, 115.0, fog=(grid,)))
-    assert even.transmittance == pytest.approx(dense.transmittance) and even.thinned == dense.thinned
+    assert even.transmittance == pytest.approx(dense.transmittance) and even.simplified == dense.simplified
 
 
 def test_what_is_hidden_is_what_the_sensor_s_noise_says():
@@ -83,17 +83,17 @@ def test_what_is_hidden_is_what_the_sensor_s_noise_says():
     source = avenue(100.0, 115.0, 200.0)
     hidden = hide(source)
     assert hidden.limit == pytest.approx(0.05 * np.sqrt(1000.0 + 25.0) / 1000.0, rel=1e-6)
-    assert hidden.thinned | hidden.left_out == {"shape_115", "shape_200", "instance_0"}
+    assert hidden.simplified | hidden.left_out == {"shape_115", "shape_200", "instance_0"}
     quiet = cull.hide(source, lambda luminance: 0.1 * NOISE(luminance), CLEAR, worth=1000)
-    assert quiet.thinned | quiet.left_out == {"shape_200", "instance_0"}
+    assert quiet.simplified | quiet.left_out == {"shape_200", "instance_0"}
 
 
 def test_only_what_is_small_and_far_is_left_out():
-    """Behind the same fog a small ball goes and a wide one, which darkens the fog before it, is thinned."""
+    """Behind the same fog a small ball goes and a wide one, which darkens the fog before it, is simplified."""
     near, far, wide = ball(130.0, radius_m=0.2), ball(350.0), ball(160.0, radius_m=40.0)
     hidden = hide(avenue(20.0, shape_small=near, shape_far=far, shape_wide=wide))
     assert {"shape_small", "shape_far"} <= hidden.left_out
-    assert "shape_wide" in hidden.thinned
+    assert "shape_wide" in hidden.simplified
 
 
 @pytest.mark.parametrize(
@@ -104,9 +104,9 @@ def test_only_what_is_small_and_far_is_left_out():
     ],
 )
 def test_under_a_sun_nothing_is_left_out_wholly(light):
-    """A shadow in fog is as sharp as the sun, so what throws it stays, thinned."""
+    """A shadow in fog is as sharp as the sun, so what throws it stays, simplified."""
     hidden = hide(avenue(200.0, 350.0, light={**SKY, **light}))
-    assert hidden.thinned == {"shape_200", "shape_350", "instance_0"} and not hidden.left_out
+    assert hidden.simplified == {"shape_200", "shape_350", "instance_0"} and not hidden.left_out
 
 
 def lamp(distance_m, intensity, x=0.0):
@@ -117,23 +117,23 @@ def test_what_a_lamp_lights_up_is_not_hidden():
     """A ball 2 m from 10^7 cd sends 10^6 cd m-2, of which a thousandth is seen; the same lamp far away changes nothing."""
     source = avenue(115.0, 120.0, 200.0)
     lit = replace(source, world={**source.world, **lamp(118.0, 1e7, x=-6.0)})
-    assert hide(lit).thinned == {"shape_200", "instance_0"}
+    assert hide(lit).simplified == {"shape_200", "instance_0"}
     away = replace(source, world={**source.world, **lamp(118.0, 1e7, x=-300.0)})
-    assert hide(away).thinned == {"shape_115", "shape_120", "shape_200", "instance_0"}
+    assert hide(away).simplified == {"shape_115", "shape_120", "shape_200", "instance_0"}
 
 
 def test_what_stands_before_a_lamp_that_would_be_seen_stays():
     """10^11 cd at 300 m are 8 cd m-2 in a pixel, of which 3 are seen: balls before them stay, the one beside does not."""
     source = avenue(120.0, 125.0, 200.0)
     hidden = hide(replace(source, world={**source.world, **lamp(300.0, 1e11)}))
-    assert "shape_120" not in hidden.thinned and "instance_0" in hidden.thinned
+    assert "shape_120" not in hidden.simplified and "instance_0" in hidden.simplified
 
 
 def test_what_shines_itself_stays():
     """A lit face is no part of what may go, however thick the fog."""
     lit = ball(250.0, emitter={"type": "area", "radiance": {"type": "rgb", "value": [1.0] * 3}})
     hidden = hide(avenue(200.0, shape_lit=lit))
-    assert "shape_lit" not in hidden.thinned | hidden.left_out and "shape_200" in hidden.thinned
+    assert "shape_lit" not in hidden.simplified | hidden.left_out and "shape_200" in hidden.simplified
 
 
 @pytest.mark.parametrize(("fog", "why"), [((), "there is no fog"), ("mesh", "no closed form"), ("thin", "too little")])
@@ -145,15 +145,15 @@ def test_where_nothing_is_hidden_it_says_why(fog, why):
     elif fog == "thin":
         fog = (replace(FOG, medium=FogMedium(0.005)),)
     hidden = hide(avenue(50.0, 200.0, fog=fog))
-    assert why in hidden.why and not hidden.thinned | hidden.left_out and hidden.sentence(avenue(50.0)) == ""
+    assert why in hidden.why and not hidden.simplified | hidden.left_out and hidden.sentence(avenue(50.0)) == ""
 
 
-def test_a_thinned_mesh_keeps_its_area_with_a_tenth_of_its_faces():
+def test_a_simplified_mesh_keeps_its_area_with_a_tenth_of_its_faces():
     """Area is kept on average: over 20 draws to 1 %, with 2048 of 20 480 even faces, whose sum scatters by 2 % a draw."""
     whole = ball(0.0, subdivisions=5)
     areas, counts = [], []
     for draw in range(20):
-        thin = cull.thinned(whole, f"draw {draw}")
+        thin = cull.simplified(whole, f"draw {draw}")
         areas.append(trimesh.Trimesh(thin["positions"], thin["faces"], process=False).area)
         counts.append(len(thin["faces"]))
     assert np.mean(counts) == pytest.approx(2048, rel=0.02)
@@ -165,7 +165,7 @@ def test_thinning_keeps_a_wall_and_thins_its_ivy():
     wall = trimesh.Trimesh([[-5, 0, 0], [5, 0, 0], [5, 0, 8], [-5, 0, 8]], [[0, 1, 2], [0, 2, 3]])
     ivy = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
     both = trimesh.util.concatenate([wall, ivy])
-    thin = cull.thinned({"type": "mesh", "positions": both.vertices, "faces": both.faces}, "wall")
+    thin = cull.simplified({"type": "mesh", "positions": both.vertices, "faces": both.faces}, "wall")
     np.testing.assert_allclose(np.sort(trimesh.Trimesh(thin["positions"], thin["faces"], process=False).area_faces)[-2:], 40.0)
     assert len(thin["faces"]) == pytest.approx(512, rel=0.15)
 
@@ -174,7 +174,7 @@ def test_corners_keep_their_texture_and_normals():
     """Each kept face has the texture coordinates and normals of its own corners, and its middle where it was."""
     mesh = ball(0.0)
     mesh["texcoords"], mesh["normals"] = mesh["positions"][:, :2] * 0.1, mesh["positions"] / 2.0
-    thin = cull.thinned(mesh, "skin")
+    thin = cull.simplified(mesh, "skin")
     corners, normals = thin["positions"][thin["faces"]], thin["normals"][thin["faces"]]
     free = np.all(np.abs(corners) < 1.999, axis=(1, 2))  # not cut by the ball's box
     assert free.mean() > 0.9
@@ -188,18 +188,18 @@ def test_the_reduced_scene_has_what_its_record_says_and_nothing_unused():
     source = replace(source, instance_of={**source.instance_of, ("shape_wide",): 4}, instances=(*source.instances, Instance(4, "/World/Wide", "car")))
     hidden = hide(source)
     small = cull.reduced(source, hidden)
-    assert hidden.left_out == {"shape_350", "instance_0"} and hidden.thinned == {"shape_wide"}
+    assert hidden.left_out == {"shape_350", "instance_0"} and hidden.simplified == {"shape_wide"}
     assert set(small.world) == {"type", "mat_a", "shape_20", "shape_wide", "light_sky"}
     faces = sum(len(small.world[key]["faces"]) for key in ("shape_20", "shape_wide"))
     assert faces == pytest.approx(hidden.of_triangles - hidden.triangles, abs=60)  # drawn at random, 512 on average
     assert load(small, boundaries=False).shapes
     found = hidden.instances(source)
-    assert [state for _, state in found.values()] == ["whole", "left out", "left out", "thinned"]
+    assert [state for _, state in found.values()] == ["whole", "left out", "left out", "simplified"]
     assert found[2][0] == pytest.approx(np.exp(-SIGMA * 348.0)) and hidden.sentence(source).startswith("3 of 4 instances lie behind fog (T < 0.0016)")
     assert small.instances == source.instances
 
 
-def test_instances_of_one_prototype_share_their_thinned_one():
+def test_instances_of_one_prototype_share_their_simplified_one():
     """A near instance keeps the whole prototype, far ones take another, made once."""
     source = avenue(120.0, light={**SKY, **SUN})
     near, beside = np.eye(4), np.eye(4)
@@ -208,15 +208,15 @@ def test_instances_of_one_prototype_share_their_thinned_one():
     source = replace(source, world={**source.world, **more})
     small = cull.reduced(source, hide(source))
     refers = {key: small.world[key]["group"]["id"] for key in ("instance_0", "instance_near", "instance_beside")}
-    assert refers == {"instance_0": "group_ball_thinned", "instance_near": "group_ball", "instance_beside": "group_ball_thinned"}
-    assert len(small.world["group_ball_thinned"]["skin"]["faces"]) < 0.2 * len(small.world["group_ball"]["skin"]["faces"])
+    assert refers == {"instance_0": "group_ball_simplified", "instance_near": "group_ball", "instance_beside": "group_ball_simplified"}
+    assert len(small.world["group_ball_simplified"]["skin"]["faces"]) < 0.2 * len(small.world["group_ball"]["skin"]["faces"])
 
 
 def test_the_transmittance_layer_is_that_of_the_whole_scene():
     """What was left out still stands in the layer: it equals that of a scene with everything in it."""
     source = avenue(20.0, 130.0, 140.0)
     hidden = hide(source)
-    assert hidden.thinned | hidden.left_out
+    assert hidden.simplified | hidden.left_out
     clear = aovs.measure(load(replace(source, fog=()), boundaries=False))
     whole = aovs.measure(load(source, boundaries=False))
     seen = aovs.seen_through(load(cull.reduced(source, hidden), boundaries=False), clear)

@@ -1,14 +1,10 @@
-"""Lights as a path tracer wants them: by where they matter, not one in a hundred by chance.
+"""The light sampler: which lamp, and where on it, a point or a segment of a path asks for light.
 
-Spots, points, lamps with a table of their light (`photometric`) and lit mesh faces are held as arrays.  For a stretch of a ray in fog,
-each lamp in turn is asked what it would scatter into the ray from two places, dimmed
-by the fog: one drawn evenly over the angle under which it sees the stretch (Kulla and
-Fajardo 2012), one by the forward peak of the phase function over the same angle, both
-weighed by the mixture.  For a point on a surface, each is asked what it would send there.
-One of these candidates is kept in proportion to its weight, and only that one is
-tested for shadow (resampled importance sampling, Talbot et al. 2005).  The 1/r^2 beside
-a lamp, transmittance, the phase function and the choice of the lamp are so taken out
-of the noise; what is left is shadow.  It is unbiased.
+Resampled importance sampling (Talbot et al. 2005): every lamp gives candidates, one of them is kept in proportion to what it
+would send, and only that one costs a shadow ray.  On a segment in fog a lamp gives two candidates, a scattering at a distance
+drawn evenly over the angle at the lamp (Kulla and Fajardo 2012), and one drawn by the forward peak of the phase function; their
+density is that of the mixture.  The 1/r^2 beside a lamp, transmittance, phase function and choice of the lamp are thereby out of
+the noise; what is left is shadow.  Unbiased.  Lamps are rows of numbers, see `rows`.
 """
 
 from __future__ import annotations

@@ -1,16 +1,18 @@
-"""Surfaces with a reflectance spectrum, where paths carry wavelength bands.
+"""BSDFs in wavelength bands, for materials that have a reflectance spectrum of their own.
 
-A BSDF of ours is A + B c in each colour channel c of its base colour, with A the
-gloss and B the matte part, the same for all channels, and its sampling does not
-depend on c.  So a twin of it can carry other three numbers than R, G and B: how much
-of three spectra each texel has.  The first of them is the material's own;
-the other two share what that lacks of white, one in the long and one in
-the short waves.  They add up to 1, so gloss stays white.  What the twin gives in three
-numbers is a matrix away from all bands, and no band reflects more than it gets.
+Mitsuba's RGB variants give every BSDF three colour channels.  Here a material gets a second BSDF, its spectral one, whose three
+channels are not R, G and B: each says how much of a basis spectrum a texel reflects.  Reflectance in any band then follows from
+the three numbers by a fixed matrix.
 
-A texel of the texture's mean colour has the material's spectrum, as bright as the
-mean.  Another one has it brighter or darker, and what its hue differs from the mean's is made
-up from all three.
+The basis of a material is
+    1. its own spectrum, scaled to HEIGHT;
+    2. what that lacks of white (reflectance 1) in the long waves;
+    3. what it lacks in the short waves.
+The three add up to 1.  So a texel of the material's mean colour shows its own spectrum, other texels are made up from all three,
+gloss stays white, and no band reflects more than it gets.
+
+Why three channels suffice: each BSDF of ours is A + B c in every channel c of its base colour, A the gloss and B the matte part,
+and how it is sampled does not depend on c.  Paths in R, G and B never use these BSDFs.
 """
 
 from __future__ import annotations
@@ -119,20 +121,20 @@ class SpectralBsdfs:
             table.append((basis(curve, mean, height) @ boxes.T / width)[:2])
         self.bands = boxes.shape[0]
         self.size = max(index for index, _ in pairs) + 1
-        row, twin = np.zeros(self.size, dtype=np.uint32), np.arange(self.size, dtype=np.uint32)
+        row, spectral = np.zeros(self.size, dtype=np.uint32), np.arange(self.size, dtype=np.uint32)
         for number, (index, other) in enumerate(pairs):
-            row[index], twin[index] = number + 1, other
-        self.row, self.twin = mi.UInt32(row), mi.UInt32(twin)
+            row[index], spectral[index] = number + 1, other
+        self.row, self.spectral = mi.UInt32(row), mi.UInt32(spectral)
         self.table = mi.Float(np.concatenate(table).astype(np.float32).ravel())
-        dr.make_opaque(self.row, self.twin, self.table)
+        dr.make_opaque(self.row, self.spectral, self.table)
 
     def of(self, bsdf: Any, active: Any) -> tuple[Any, list[Any]]:
         """What to ask instead of a BSDF, and two numbers a band with which `Bands.reflectance` reads the answer."""
         mi = backend.mitsuba()
         index: Any = dr.reinterpret_array(mi.UInt32, bsdf)
         row = dr.gather(mi.UInt32, self.row, index, active & (index < self.size))
-        twin = dr.select(row > 0, dr.gather(mi.UInt32, self.twin, index, row > 0), index)
-        return dr.reinterpret_array(mi.BSDFPtr, twin), [dr.gather(mi.Float, self.table, row * (2 * self.bands) + k, active) for k in range(2 * self.bands)]
+        spectral = dr.select(row > 0, dr.gather(mi.UInt32, self.spectral, index, row > 0), index)
+        return dr.reinterpret_array(mi.BSDFPtr, spectral), [dr.gather(mi.Float, self.table, row * (2 * self.bands) + k, active) for k in range(2 * self.bands)]
 
 
 def _carried(colour: Mapping[str, Any], curve: Array, mean: tuple[float, float, float]) -> dict[str, Any]:

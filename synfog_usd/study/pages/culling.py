@@ -92,7 +92,7 @@ def saving(name: str, scene: SceneDict, *, model: str = "path", samples: int = S
         scene: with its fog, at the size to compare at.
         model: of `render.models`; before lamps the noise of `path` hides what is looked for, and `field` has less.
         samples: paths per pixel.
-        leave_out: leave out all that is hidden, instead of thinning what would be missed: to see what that would cost.
+        leave_out: leave out all that is hidden, instead of simplifying what would be missed: to see what that would cost.
 
     Returns:
         None where the fog hides too little.
@@ -112,16 +112,16 @@ def saving(name: str, scene: SceneDict, *, model: str = "path", samples: int = S
     if not hidden.triangles:
         return None
     if leave_out:
-        hidden = replace(hidden, thinned=frozenset(), left_out=hidden.thinned | hidden.left_out)
+        hidden = replace(hidden, simplified=frozenset(), left_out=hidden.simplified | hidden.left_out)
     whole, load_whole, render_whole = _pictures(scene, model, samples)
     reduced, load_reduced, render_reduced = _pictures(cull.reduced(scene, hidden), model, samples)
     sigma = _squares(noise(np.mean(whole, axis=0)))
     one, other = (_squares(b - a) / sigma for a, b in zip(whole, reduced, strict=True))
     mean, half = 0.5 * (one + other), 0.5 * (one - other)
-    facts = hidden.facts(scene)
+    facts = hidden.metadata(scene)
     return Saving(
         name,
-        facts["thinned"] + facts["left_out"],
+        facts["simplified"] + facts["left_out"],
         facts["instances"],
         hidden.triangles,
         hidden.of_triangles,
