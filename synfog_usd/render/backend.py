@@ -197,6 +197,16 @@ def numbers(array: Any) -> Any:
     return kept
 
 
+def floats(array: Any) -> Any:
+    """(N,) float32 for a kernel, bit by bit, in memory of Dr.Jit's own; see `numbers`."""
+    import drjit as dr
+    import numpy as np
+
+    kept = dr.reinterpret_array(mitsuba().Float, numbers(np.ascontiguousarray(array, dtype=np.float32).view(np.uint32)))
+    dr.eval(kept)
+    return kept
+
+
 def is_scalar() -> bool:
     """Whether the variant in force works on single numbers."""
     return str(mitsuba().variant()).startswith("scalar")

@@ -111,7 +111,7 @@ def _emissions(loaded: MitsubaScene, bands: int) -> tuple[list[Any], dict[str, i
 
 def _groups(loaded: MitsubaScene, kinds: int, kind_of: Mapping[str, int]) -> tuple[tuple[str, ...], dict[str, int], Any]:
     """Names of the light groups that are there; key of a lamp -> its number, group x kinds of light + kind; and the same by the renderer's own index."""
-    mi, source = backend.mitsuba(), loaded.source
+    source = loaded.source
     shining = [key for key, part in source.world.items() if isinstance(part, dict) and ("emitter" in part or key.startswith("light_"))]
     names = tuple(sorted({source.group_of.get(key, OTHER) for key in shining})) or (OTHER,)
     numbers = {key: names.index(source.group_of.get(key, OTHER)) * kinds + kind_of.get(key, 0) for key in shining}
@@ -120,4 +120,4 @@ def _groups(loaded: MitsubaScene, kinds: int, kind_of: Mapping[str, int]) -> tup
     table = np.full(max([*index_of.values(), *others], default=0) + 1, kinds * (names.index("sky") if "sky" in names else 0), dtype=np.uint32)
     for key, index in index_of.items():
         table[index] = numbers[key]
-    return names, numbers, mi.UInt32(table)
+    return names, numbers, backend.numbers(table)

@@ -76,7 +76,7 @@ class LightGuide:
             share = np.interp(np.clip(_between_nodes(), 0.05, np.pi), nodes, beyond) / np.interp(0.05, nodes, beyond)
             self.light = photometric.Tables([_spread(lights.tables[number], share) for number in used])
             rows[rows[:, 10] >= 0.0, 10] = np.searchsorted(used, rows[rows[:, 10] >= 0.0, 10])
-        self.table = [mi.Float(column.astype(np.float32)) for column in rows.T[: 14 if self.tabled else 10]]
+        self.table = [backend.floats(column) for column in rows.T[: 14 if self.tabled else 10]]
         self.scattered_scale = 1.0 / self.around.eval_pdf_normalized(mi.Float(0.05))
         dr.make_opaque(self.table, self.scattered_scale)
 

@@ -63,9 +63,9 @@ class Tables:
         closed = [np.concatenate([table, table[:, :1]], axis=1) for table in tables]
         begin = np.cumsum([0, *(table.size for table in closed)])[:-1]
         self.values = mi.Float(np.concatenate([table.ravel() for table in closed]).astype(np.float32))
-        self.begin = mi.UInt32(begin.astype(np.uint32))
-        self.rows = mi.UInt32(np.array([table.shape[0] for table in tables], dtype=np.uint32))
-        self.columns = mi.UInt32(np.array([table.shape[1] for table in tables], dtype=np.uint32))
+        self.begin = backend.numbers(begin)
+        self.rows = backend.numbers([table.shape[0] for table in tables])
+        self.columns = backend.numbers([table.shape[1] for table in tables])
         dr.make_opaque(self.values, self.begin, self.rows, self.columns)
 
     def at(self, which: Any, local: Any, active: Any = True) -> Any:

@@ -93,9 +93,8 @@ class Columns:
     """
 
     def __init__(self, rows: np.ndarray, *, tabled: bool) -> None:
-        mi = backend.mitsuba()
         names = [name for name in LAMP.names or () if name != "solid_angle" and (tabled or name not in TABLE_FIELDS)]
-        self.columns = {name: [mi.Float(column.astype(np.float32)) for column in np.atleast_2d(rows[name].T)] for name in names}
+        self.columns = {name: [backend.floats(column) for column in np.atleast_2d(rows[name].T)] for name in names}
         dr.make_opaque(self.columns)
 
     def at(self, index: Any, active: Any = True) -> LampRow:

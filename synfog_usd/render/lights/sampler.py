@@ -55,14 +55,14 @@ class LightSampler:
         if not self.count:
             return
         mi = backend.mitsuba()
-        self.faces = mi.DiscreteDistribution(mi.Float(np.concatenate([luminous_peak(block) / luminous_peak(block).sum() for block in rows]).astype(np.float32)))
+        self.faces = mi.DiscreteDistribution(backend.floats(np.concatenate([luminous_peak(block) / luminous_peak(block).sum() for block in rows])))
         self.photometric = bool(self.tables)
         self.columns = Columns(np.concatenate(rows), tabled=self.photometric)
         self.light = photometric.Tables(self.tables) if self.photometric else None
-        self.begin = mi.Float((np.arange(self.count) / self.count).astype(np.float32))  # each lamp's share of the faces' distribution
+        self.begin = backend.floats(np.arange(self.count) / self.count)  # each lamp's share of the faces' distribution
         self.share = dr.opaque(mi.Float, 1.0 / self.count)
         drawn = np.array([luminous_peak(block).max() * np.sqrt(block["solid_angle"][0]) for block in rows])
-        self.choice = mi.DiscreteDistribution(mi.Float(drawn.astype(np.float32)))
+        self.choice = mi.DiscreteDistribution(backend.floats(drawn))
         g = min(max(abs(mean_cosine), 0.2), 0.99)
         self.width = dr.opaque(mi.Float, (1.0 - g) / np.sqrt(g))  # of Henyey and Greenstein's peak, 1 + g^2 - 2 g cos = (1 - g)^2 + g angle^2 + ...
         self.even = drawn / drawn.sum()
