@@ -10,10 +10,11 @@ import warnings
 
 import numpy as np
 import pytest
+from support import renders
+from support.renders import by_seed
 from support.stats import assert_mean
 
 from synfog_usd.fog.medium import FogMedium, extinction_from_visibility
-from synfog_usd.render.shot import render
 from synfog_usd.testing import empty_layer
 
 SEEDS = 12
@@ -29,7 +30,7 @@ CASES = [(visibility_m, ground) for visibility_m in (600.0, 300.0, 150.0) for gr
 def bands(world, model, samples):
     """(SEEDS, BANDS) radiance over truth."""
     truth = world.truth.reshape(BANDS, -1).mean(axis=1)
-    runs = [render(world.scene, model=model, samples=samples, seed=seed).radiance.pixels.mean(axis=2, dtype=np.float64) for seed in range(SEEDS)]
+    runs = [run.radiance.pixels.mean(axis=2, dtype=np.float64) for run in by_seed(world.scene, range(SEEDS), model=model, samples=samples)]
     return np.array([run.reshape(BANDS, -1).mean(axis=1) for run in runs]) / truth
 
 
@@ -85,6 +86,6 @@ def test_fog_that_absorbs_is_that_of_the_library(ground):
         zenith = np.degrees(np.arccos(-mu[index]))
         world = empty_layer(medium, ground, zenith_deg=(zenith - 0.5, zenith + 0.5), width_px=8, height_px=8)
         np.testing.assert_allclose(world.truth.mean(), seen[index], rtol=1e-3)
-        means = [render(world.scene, model="path", samples=8192, seed=seed).radiance.pixels.mean(dtype=np.float64) for seed in range(SEEDS)]
+        means = renders.means(world.scene, SEEDS, model="path", samples=8192)
         assert np.std(means, ddof=1) / np.sqrt(SEEDS) < 5e-4 * seen[index]
         assert abs(np.mean(means) / seen[index] - 1.0) < 2.5e-3

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from support import renders
 
 from synfog_usd.fog import FogMedium, FogVolume
-from synfog_usd.render.shot import render
 from synfog_usd.testing import box, scene, sky, uniform_fog
 
 SEEDS = 16
@@ -16,7 +16,7 @@ def furnace(fog):
 
 def ratio(world, model, samples):
     """Mean over the seeds and its standard error."""
-    means = [render(world, model=model, samples=samples, seed=seed).radiance.pixels.mean(dtype=np.float64) for seed in range(SEEDS)]
+    means = renders.means(world, SEEDS, model=model, samples=samples)
     return float(np.mean(means)), float(np.std(means, ddof=1) / np.sqrt(SEEDS))
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import colour
 import numpy as np
 import pytest
+from support.renders import by_seed
 from support.stats import assert_mean
 
 from synfog_usd import photometry
@@ -64,7 +65,7 @@ def test_haze_dims_each_band_by_its_own_extinction(angstrom):
     """Beer and Lambert with Angstrom's law: exp(-0.02 * 50 * (lambda / 550)^-a), rays within a degree of the axis."""
     world = scene({"shape_wall": shining(1.0, 1.0, 1.0)}, [haze(angstrom, albedo=0.0)], fov_x_deg=1.0)
     clear = render(replace(world, fog=()), samples=2, bands=8).radiance.pixels[4, 8]
-    means = np.array([render(world, samples=64, seed=seed, bands=8).radiance.pixels.mean(axis=(0, 1), dtype=np.float64) for seed in range(4)]) / clear
+    means = np.array([run.radiance.pixels.mean(axis=(0, 1), dtype=np.float64) for run in by_seed(world, range(4), samples=64, bands=8)]) / clear
     wanted = np.exp(-((np.array(bands.CENTRES_NM[8]) / 550.0) ** -angstrom))
     np.testing.assert_allclose(means.mean(axis=0), wanted, rtol=1e-3)
 
@@ -74,7 +75,7 @@ def test_haze_that_absorbs_nothing_is_invisible_in_every_band(angstrom):
     """White furnace: whatever the extinction of a band, each is as bright as the sky."""
     world = scene(SKY, [haze(angstrom, half_size=60.0)], fov_x_deg=60.0)
     sky = render(replace(world, fog=()), samples=2, bands=8).radiance.pixels[4, 8].astype(np.float64)
-    means = np.array([render(world, samples=1024, seed=seed, bands=8).radiance.pixels.mean(axis=(0, 1), dtype=np.float64) for seed in range(12)]) / sky
+    means = np.array([run.radiance.pixels.mean(axis=(0, 1), dtype=np.float64) for run in by_seed(world, range(12), samples=1024, bands=8)]) / sky
     for band in range(8):
         assert_mean(means[:, band], 1.0, resolves=0.02)
 

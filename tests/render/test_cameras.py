@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from support import renders
 from support.stats import assert_mean
 
 from synfog_usd.errors import StageError
@@ -52,7 +53,7 @@ def test_an_offset_moves_the_window(shift, column):
 def test_every_ray_goes_equally_far_through_fog(model):
     """A wall of radiance 1 at 50 m behind absorbing fog of MOR 150: 0.05^(1/3), in each pixel alike."""
     world = parallel({"shape_wall": wall(50.0, 30.0, **black(1.0))}, [uniform_fog(albedo=0.0)])
-    means = np.array([render(world, samples=640, seed=seed, model=model).radiance.pixels.mean(dtype=np.float64) for seed in range(8)])
+    means = renders.means(world, 8, samples=640, model=model)
     assert_mean(means, 0.05 ** (50.0 / 150.0), resolves=0.03, truth_within=8e-5)
 
 
@@ -62,9 +63,7 @@ def test_a_furnace_is_invisible_from_everywhere_on_the_lens():
     lit = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
     world = parallel(lit, [uniform_fog(visibility_m=50.0, half_size=60.0)])
     for model in ("path", "volpath"):
-        assert_mean(
-            np.array([render(world, samples=64, seed=seed, model=model).radiance.pixels.mean(dtype=np.float64) for seed in range(8)]), 1.0, resolves=0.02
-        )
+        assert_mean(renders.means(world, 8, samples=64, model=model), 1.0, resolves=0.02)
 
 
 @pytest.mark.parametrize("boundaries", [False, True])
@@ -95,7 +94,7 @@ def test_a_lens_across_the_edge_of_fog_is_refused_by_what_cannot_tell():
 def test_a_camera_that_drifts_smears_an_edge_over_its_way(model):
     """2 m to the right in an exposure: each pixel is the mean of an edge seen from -1 to 1 m, a ramp four pixels wide."""
     world = parallel({"shape_sheet": half_plane(0.0, 20.0)}, drift_m=(2.0, 0.0, 0.0))
-    means = np.array([render(world, samples=128, seed=seed, model=model).radiance.pixels[:, :, 1].mean(axis=0, dtype=np.float64) for seed in range(8)])
+    means = np.array([run.radiance.pixels[:, :, 1].mean(axis=0, dtype=np.float64) for run in renders.by_seed(world, range(8), samples=128, model=model)])
     left = (np.arange(16) - 8) * 0.5
     x = left[:, None] + (np.arange(1000) + 0.5) / 1000 * 0.5
     wanted = np.clip((x + 1.0) / 2.0, 0.0, 1.0).mean(axis=1)  # share of the exposure in which x + drift lies beyond the edge

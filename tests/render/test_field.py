@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.renders import by_seed, means
 from support.stats import assert_mean
 
 from synfog_usd.fog import FogMedium, FogVolume
@@ -26,27 +27,30 @@ def view(world, width_px=48):
     return scene(world, [FOG], width_px=width_px, height_px=width_px * 9 // 16, fov_x_deg=60.0)
 
 
-def means(world, model, *, samples, seeds, **how):
-    return np.array([render(world, model=model, samples=samples, seed=seed, **how).radiance.pixels.mean(dtype=np.float64) for seed in range(seeds)])
-
-
 def test_the_white_furnace_stays_white():
     """Albedo 1, radiance 1 from everywhere: the grid holds 1 in every cell, and no pixel can tell."""
     world = scene(SKY, [uniform_fog(visibility_m=50.0, half_size=60.0)], fov_x_deg=60.0)
-    assert_mean(means(world, "field", samples=64, seeds=12), 1.0, resolves=0.01)
+    assert_mean(means(world, 12, model="field", samples=64), 1.0, resolves=0.01)
 
 
 @pytest.mark.parametrize(
-    "world, model", [({**STREET, **LAMP}, "field"), ({**SKY, **STREET}, "field"), ({**SKY, **STREET}, "field+slab")], ids=["lamp", "sky", "layer"]
+    "world, model, samples, resolves",
+    [
+        pytest.param({**STREET, **LAMP}, "field", 512, 0.04, marks=pytest.mark.slow),
+        ({**SKY, **STREET}, "field", 64, 0.01),
+        ({**SKY, **STREET}, "field+slab", 64, 0.01),
+    ],
+    ids=["lamp", "sky", "layer"],
 )
-def test_the_mean_is_that_of_path(world, model):
-    """Beside a lamp and under a sky, with an object in front: within five standard errors of both, and 4 % would be seen."""
-    ours, theirs = means(view(world), model, samples=512, seeds=12), means(view(world), "path", samples=1024, seeds=12)
+def test_the_mean_is_that_of_path(world, model, samples, resolves):
+    """Beside a lamp and under a sky, with an object in front: within five standard errors of both."""
+    ours, theirs = means(view(world), 12, model=model, samples=samples), means(view(world), 12, model="path", samples=2 * samples)
     error = np.hypot(ours.std(ddof=1), theirs.std(ddof=1)) / np.sqrt(12)
-    assert 10 * error < 0.04 * theirs.mean(), "cannot see 4 %"
+    assert 10 * error < resolves * theirs.mean(), f"cannot see {resolves:.0%}"
     assert abs(ours.mean() - theirs.mean()) < 5 * error
 
 
+@pytest.mark.slow
 def test_pixels_are_right_one_by_one_and_quieter_than_those_of_path():
     """RMS error over the pixels beside a lamp: at the same cost in paths under two thirds of `path`'s, the reference's own left in both."""
     world = view({**STREET, **LAMP}, width_px=160)
@@ -71,7 +75,7 @@ def test_layers_and_groups_add_up():
 def test_the_stated_variance_is_near_that_of_the_mean():
     """Neighbours share noise, but each pixel's own scatter between seeds is what is stated, to a factor of two on the median."""
     world = view({**STREET, **LAMP})
-    seen = [render(world, model="field", samples=64, seed=seed).radiance for seed in range(24)]
+    seen = [run.radiance for run in by_seed(world, range(24), model="field", samples=64)]
     scatter = np.var([image.pixels.mean(axis=2) for image in seen], axis=0, ddof=1)
     stated = np.mean([image.variance.mean(axis=2) for image in seen], axis=0)
     assert 0.5 < np.median(scatter / stated) < 2.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.renders import by_seed
 from support.stats import assert_mean
 
 from synfog_usd.fog import FogMedium, FogVolume
@@ -10,7 +11,7 @@ from synfog_usd.render.film.accumulator import LAMPS, add_samples, new_accumulat
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.grid import LightDistribution
 from synfog_usd.render.lights.sampler import LightSampler
-from synfog_usd.render.shot import load, render
+from synfog_usd.render.shot import load
 from synfog_usd.testing import black, box, scene, wall
 
 SIGMA_T, G = 0.002, 0.8
@@ -153,10 +154,7 @@ def street_at_night(count):
 @pytest.mark.parametrize("count", [4, 20])
 def test_path_agrees_with_volpath_among_lamps_with_tables(count):
     """A few lamps, which are all asked, and many, of which some are drawn by place: the same mean within five standard errors, 3 % resolved."""
-    runs = {
-        model: [render(street_at_night(count), samples=samples, seed=seed, model=model) for seed in range(12)]
-        for model, samples in (("path", 400), ("volpath", 2000))
-    }
+    runs = {model: by_seed(street_at_night(count), range(12), samples=samples, model=model) for model, samples in (("path", 400), ("volpath", 2000))}
     ours, theirs = (np.array([run.radiance.pixels.mean(dtype=np.float64) for run in runs[model]]) for model in ("path", "volpath"))
     error = np.hypot(ours.std(ddof=1), theirs.std(ddof=1)) / np.sqrt(12)
     assert 2 * 5 * error < 0.03 * ours.mean(), f"cannot see 3 %: error is {error / ours.mean():.2%}"

@@ -5,6 +5,7 @@ from dataclasses import replace
 import colour
 import numpy as np
 import pytest
+from support.renders import by_seed
 from support.stats import assert_mean
 
 from synfog_usd import photometry, spectra
@@ -160,9 +161,7 @@ def test_a_sky_with_a_spectrum_lights_the_layer_too():
         scene(world, [FogVolume("/Fog", box((150.0, 150.0, 30.0)), FogMedium(0.02, g=0.6))], fov_x_deg=40.0), emission_of={"light_sky": spectra.emission("A")}
     )
     wanted = in_bands(illuminant("A"), 8) * (np.array([1.0, 0.7, 0.3]) @ LUMINANCE_WEIGHTS_REC709)
-    means = np.array(
-        [render(source, model="path+slab", samples=64, seed=seed, bands=8).radiance.pixels.mean(axis=(0, 1), dtype=np.float64) for seed in range(6)]
-    )
+    means = np.array([run.radiance.pixels.mean(axis=(0, 1), dtype=np.float64) for run in by_seed(source, range(6), model="path+slab", samples=64, bands=8)])
     for band in range(8):
         assert_mean(means[:, band], wanted[band], resolves=0.01)
 

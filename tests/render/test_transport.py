@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from support import renders
+from support.renders import by_seed
 from support.stats import assert_mean
 
 from synfog_usd.errors import ParameterError
@@ -16,7 +18,7 @@ SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1
 
 def means(world_scene, *, samples=64, seeds=16, model="auto"):
     """One pooled mean per seed."""
-    return np.array([render(world_scene, samples=samples, seed=seed, model=model).radiance.pixels.mean(dtype=np.float64) for seed in range(seeds)])
+    return renders.means(world_scene, seeds, samples=samples, model=model)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -155,7 +157,7 @@ def street(sky=SKY):
 
 def test_what_is_known_of_a_layer_leaves_the_mean_as_it_is():
     """`path+slab` and `path` have the same mean within five standard errors, 1 % resolved, and the difference is far less noisy."""
-    plain, known = ([render(street(), samples=count, seed=seed, model=model) for seed in range(12)] for model, count in (("path", 256), ("path+slab", 64)))
+    plain, known = (by_seed(street(), range(12), samples=count, model=model) for model, count in (("path", 256), ("path+slab", 64)))
     ours, theirs = (np.array([run.radiance.pixels.mean(dtype=np.float64) for run in runs]) for runs in (plain, known))
     error = np.hypot(ours.std(ddof=1), theirs.std(ddof=1)) / np.sqrt(12)
     assert 2 * 5 * error < 0.01 * ours.mean()
@@ -193,7 +195,7 @@ def test_a_bank_inside_fog_dims_with_both():
 def test_the_same_seed_gives_the_same_bytes(model):
     """And another seed does not."""
     world = street() if model == "path+slab" else scene({**SKY, "shape_wall": wall(50.0, bsdf={"type": "diffuse"})}, [uniform_fog()])
-    first, again, other = (render(world, samples=32, seed=seed, model=model) for seed in (1, 1, 2))
+    first, again, other = by_seed(world, (1, 1, 2), samples=32, model=model)
     assert first.radiance.pixels.tobytes() == again.radiance.pixels.tobytes()
     assert first.radiance.variance.tobytes() == again.radiance.variance.tobytes()
     assert first.radiance.pixels.tobytes() != other.radiance.pixels.tobytes()
@@ -213,7 +215,7 @@ def test_bytes_do_not_depend_on_how_much_is_in_flight(monkeypatch):
 def test_the_variance_is_that_of_the_mean(model):
     """The stated variance equals the scatter over seeds: ratio 1 within 5 sigma of a chi-squared of 24 renders x 144 pixels."""
     world = scene({**SKY, "shape_wall": wall(50.0)}, [uniform_fog()])
-    runs = [render(world, samples=32, seed=seed, model=model).radiance for seed in range(24)]
+    runs = [run.radiance for run in by_seed(world, range(24), samples=32, model=model)]
     scatter = np.var([run.pixels[:, :, 0] for run in runs], axis=0, ddof=1, dtype=np.float64).mean()
     stated = np.mean([run.variance[:, :, 0] for run in runs], dtype=np.float64)
     assert abs(scatter / stated - 1.0) < 5 * np.sqrt(2 / (23 * 144)) * 1.5  # 1.5: the tails of path tracing are heavier than a normal's
