@@ -35,6 +35,7 @@ BASE = {
     "fence",
     "files",
     "image",
+    "numbers",
     "photometry",
     "progress",
     "resources",

@@ -13,6 +13,7 @@ import typer
 
 from synfog_usd.cli import worker
 from synfog_usd.cli.progress import shown
+from synfog_usd.dataset.plan import BakePlan
 
 if TYPE_CHECKING:
     from synfog_usd.scene import Note
@@ -23,16 +24,17 @@ REMARKS = 5
 
 def run(plan: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
     """Bake as the command line asked for; raises `typer.Exit` where the code is not 0."""
+    asked = BakePlan(**plan)  # numbers that make no sense are refused before a process is begun or anything is written
     if not worker.is_worker():
         code = worker.run(sys.argv[1:])
         if code == worker.INTERRUPTED or code < 0:
             _tidy(plan["out"], code, plan["stage"])
         raise typer.Exit(2 if code < 0 else code)
     worker.follow_parent()
-    from synfog_usd.dataset.bake import BakePlan, bake
+    from synfog_usd.dataset.bake import bake
 
     with shown(quiet) as (progress, log):
-        baked = bake(BakePlan(**plan), progress=progress, log=log, reading=worker.reading_limits)
+        baked = bake(asked, progress=progress, log=log, reading=worker.reading_limits)
         if not quiet:
             _report(baked.notes, plan["stage"], log)
     if as_json:

@@ -27,6 +27,12 @@ asset_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The l
 app.add_typer(asset_app, name="asset")
 
 
+def _folder(text: str) -> Path:
+    if not text.strip():
+        raise ParameterError(f"--out {text!r}: no name of a folder; . is this one")
+    return Path(text)
+
+
 @app.callback(invoke_without_command=True)
 def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
     if version:
@@ -38,7 +44,8 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 def bake(
     stage: Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz).")],
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for everything that is written; out/<name of the stage> if left out.", show_default=False)
+        Path | None,
+        typer.Option("--out", "-o", parser=_folder, help="Folder for everything that is written; out/<name of the stage> if left out.", show_default=False),
     ] = None,
     pipeline: Annotated[Path | None, typer.Option(help="YAML node graph; the shipped phone if left out.")] = None,
     lighting: Annotated[str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")] = None,

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from synfog_usd import numbers
 from synfog_usd.errors import ParameterError, did_you_mean
 
 AS_AUTHORED = "authored"
@@ -17,7 +18,7 @@ CLEAR = "clear"
 
 @dataclass(frozen=True)
 class BakePlan:
-    """Everything that decides what a bake writes.
+    """Everything that decides what a bake writes; its numbers are checked when it is made.
 
     Attributes:
         stage: the USD file.
@@ -59,6 +60,17 @@ class BakePlan:
     light_scale: float = 1.0
     sun_lux: float | None = None
     allow: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        numbers.check_samples(self.samples)
+        numbers.check_target(error=self.target_error, time_limit_s=self.time_limit_s)
+        numbers.check_light(scale=self.light_scale, sun_lux=self.sun_lux)
+        numbers.check_frame(self.frame)
+        if self.bands is not None:
+            numbers.check_bands(self.bands)
+        for name in self.fog or ():
+            if (metres := _visibility(name)) is not None:
+                numbers.check_visibility(name, metres)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd.errors import ParameterError, did_you_mean
+from synfog_usd.numbers import RGB, check_bands
 from synfog_usd.scene import SceneDict
 
 if TYPE_CHECKING:
@@ -18,9 +19,6 @@ if TYPE_CHECKING:
     from synfog_usd.render.load import MitsubaScene
 
 AUTO = "auto"
-
-RGB = 3
-"""Channels of a path that carries no wavelength bands."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,8 +177,6 @@ def make(name: str, loaded: MitsubaScene, *, scatterings: int | None = None, bou
             raise ParameterError(f"a path cannot be scattered {min(scatterings or 0, bounces or 0)} times; give 0 or more")
         how |= {"scatterings": scatterings, "bounces": bounces}
     if bands != RGB:
-        from synfog_usd.render.spectra.bands import check as check_bands
-
         check_bands(bands)
         if not MODELS[name].bands:
             raise ParameterError(f"--model {name} knows R, G and B alone; --bands {bands} takes {', '.join(having('bands'))}")

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from synfog_usd import numbers
 from synfog_usd.errors import ParameterError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent
@@ -92,25 +93,21 @@ class Settings:
     time_limit_s: float | None = None
     scatterings: int | None = None
     bounces: int | None = None
-    bands: int | None = models.RGB
+    bands: int | None = numbers.RGB
     denoise: bool = False
 
     def __post_init__(self) -> None:
         models.check_name(self.model)
-        if not 2 <= self.samples <= 1 << 20:
-            raise ParameterError(f"--samples {self.samples}: outside 2 to {1 << 20}; 64 is a draft, 1024 is clean in dense fog")
-        if self.target_error is not None and not 0.0 < self.target_error <= 1.0:
-            raise ParameterError(f"--target-error {self.target_error:g}: outside 0 to 1; 0.01 is 1 %")
-        if self.time_limit_s is not None and not self.time_limit_s > 0.0:
-            raise ParameterError(f"--time-limit {self.time_limit_s:g}: not above 0 s")
+        numbers.check_samples(self.samples)
+        numbers.check_target(error=self.target_error, time_limit_s=self.time_limit_s)
         if self.bands is not None:
-            banding.check(self.bands)
+            numbers.check_bands(self.bands)
         if self.denoise and (problem := denoising.available()):
             raise ParameterError(f"--denoise: {problem}")
         if self.denoise and self.model in models.having("peer"):
             raise ParameterError(f"--denoise: model {self.model} does not tell surface and airlight apart; use path")
-        if self.denoise and self.bands not in (None, models.RGB):
-            raise ParameterError(f"--denoise knows R, G and B alone; use --bands {models.RGB}")
+        if self.denoise and self.bands not in (None, numbers.RGB):
+            raise ParameterError(f"--denoise knows R, G and B alone; use --bands {numbers.RGB}")
 
     @property
     def target(self) -> Target:
@@ -147,7 +144,7 @@ def render(
     width, height = size or (scene.camera.width_px, scene.camera.height_px)
     figures: dict[str, dict[str, float]] = {}
     pixels = width * height
-    if model == models.AUTO and bands in (None, models.RGB) and pixels * samples >= WORTH_A_PILOT and planner.candidates(scene):
+    if model == models.AUTO and bands in (None, numbers.RGB) and pixels * samples >= WORTH_A_PILOT and planner.candidates(scene):
         loaded = loaded or load(scene, size=size, boundaries=False)
         choice = planner.choose(loaded, target=target, seed=seed, denoised=denoise, progress=progress)
         model, why, figures = choice.model, choice.why, dict(choice.figures)
@@ -155,7 +152,7 @@ def render(
         model, why = models.choose(model, scene)
     loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries)
     if bands is None:
-        bands = models.RGB
+        bands = numbers.RGB
         if models.MODELS[model].bands and not denoise and pixels * samples >= WORTH_A_BANDS_PILOT:
             bands, because, figures["bands"] = planner.choose_bands(loaded, model, target=target, seed=seed, progress=progress)
             why += f"; {bands} bands: {because}"

@@ -272,15 +272,15 @@ def check(plan: ChartPlan) -> None:
     Raises:
         ParameterError: with the option, what was found and what is allowed.
     """
+    from synfog_usd.numbers import SAMPLES, check_bands
     from synfog_usd.render import models
-    from synfog_usd.render.spectra.bands import check as check_bands
 
     for name in plan.models or ():
         models.check_name(name)
     for option, value in [*(("--samples", value) for value in plan.samples or ()), ("--reference", plan.reference_samples)]:
-        least = 2 * PARTS if option == "--reference" else 2
-        if value is not None and not least <= value <= 1 << 20:
-            raise ParameterError(f"{option} {value}: outside {least} to {1 << 20}; 64 is a draft, 1024 is clean in dense fog")
+        least = 2 * PARTS if option == "--reference" else SAMPLES[0]
+        if value is not None and not least <= value <= SAMPLES[1]:
+            raise ParameterError(f"{option} {value}: outside {least} to {SAMPLES[1]}; 64 is a draft, 1024 is clean in dense fog")
     for value in plan.depth:
         if not 1 <= value <= 1000:
             raise ParameterError(f"--depth {value}: outside 1 to 1000")

@@ -6,6 +6,7 @@ import os
 import resource
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -290,3 +291,28 @@ def test_two_bakes_do_not_write_into_one_folder(unbroken, stage):
 )
 def test_options_out_of_range_are_refused(stage, tmp_path, arguments, word):
     refused(run("bake", stage, "-o", tmp_path / "out", *arguments), word)
+
+
+@pytest.mark.parametrize("option, value, words", [
+    ("--samples", "0", "--samples 0: outside 2 to 1048576"), ("--samples", "1", "--samples 1: outside 2"), ("--bands", "5", "--bands 5: it takes 3"),
+    ("--time-limit", "-1", "--time-limit -1: not above 0 s"), ("--time-limit", "nan", "--time-limit nan"), ("--frame", "nan", "--frame nan"),
+    ("--target-error", "0", "--target-error 0: outside 0 to 1"), ("--light-scale", "0", "--light-scale 0: outside 0 to"),
+    ("--sun-lux", "-4", "--sun-lux -4: outside"), ("--fog", "mor0.01", "--fog mor0.01: a visibility below 0.03 m"),
+    ("--resolution", "1000000000x2", "--resolution 1000000000x2"), ("-o", "", "--out '': no name of a folder"),
+])  # fmt: skip
+def test_numbers_are_refused_in_the_words_that_were_typed_and_before_anything_is_done(tmp_path, option, value, words):
+    """The stage, which does not even exist, is not asked for, and nothing is written."""
+    done = run("bake", "none.usda", "-o", "out", option, value, cwd=tmp_path)
+    refused(done, words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_refused_at_once_loads_no_library():
+    """The command line begins no second process for it, and imports neither USD nor a renderer nor numpy."""
+    script = (
+        "import sys\nfrom synfog_usd.cli import main\n"
+        "try:\n    main.main(['bake', 'none.usda', '--samples', '0'])\n"
+        "except SystemExit as end:\n    print(end.code, [name for name in ('numpy', 'pxr', 'mitsuba') if name in sys.modules])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout == "2 []\n" and done.stderr.startswith("synfog-usd: --samples 0: ")

@@ -23,9 +23,9 @@ from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogVolume
+from synfog_usd.numbers import RGB, check_bands
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
-from synfog_usd.render.models import RGB
 from synfog_usd.render.spectra.bsdfs import SpectralBsdfs
 
 CENTRES_NM: dict[int, tuple[float, ...]] = {
@@ -34,16 +34,6 @@ CENTRES_NM: dict[int, tuple[float, ...]] = {
     31: tuple(400.0 + 10.0 * index for index in range(31)),
 }
 """Number of bands -> their centres; each reaches half-way to the next.  Luminance outside of them is 1e-4 of white's."""
-
-
-def check(count: int) -> None:
-    """Refuse a number of bands that does not exist.
-
-    Raises:
-        ParameterError: with those that do.
-    """
-    if count != RGB and count not in CENTRES_NM:
-        raise ParameterError(f"--bands {count}: it takes {RGB} (R, G and B), {', '.join(map(str, CENTRES_NM))} or auto")
 
 
 @lru_cache(maxsize=8)
@@ -98,7 +88,7 @@ class Bands:
     """
 
     def __init__(self, count: int = RGB, fog: Sequence[FogVolume] = (), emissions: Sequence[Array] = ()) -> None:
-        check(count)
+        check_bands(count)
         self.kinds = 1
         self.spectral_bsdfs: SpectralBsdfs | None = None
         self.count, self.names, self.is_rgb = count, names(count), count == RGB

@@ -1,0 +1,94 @@
+"""Ranges of what a render may be asked for: one place for the command line, which refuses at once, and for the renderer.
+
+Takes numbers; raises for those out of range, in the words of the command line.  Imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+import math
+
+from synfog_usd.errors import ParameterError
+
+SAMPLES = (2, 1 << 20)
+"""Paths per pixel; one has no variance."""
+
+RGB = 3
+"""Channels of a path that carries no wavelength bands."""
+
+BANDS = (8, 16, 31)
+"""Numbers of wavelength bands that there are."""
+
+LEAST_MOR_M = 0.03
+"""Visibility [m] of the densest fog, with an extinction of 100 1/m."""
+
+MOST_LIGHT = 1e12
+"""Of a factor for all lights, and of the sun's illuminance [lx]."""
+
+
+def check_samples(samples: int, option: str = "--samples") -> None:
+    """Refuse a number of paths per pixel out of `SAMPLES`.
+
+    Raises:
+        ParameterError: with the range.
+    """
+    if not SAMPLES[0] <= samples <= SAMPLES[1]:
+        raise ParameterError(f"{option} {samples}: outside {SAMPLES[0]} to {SAMPLES[1]}; 64 is a draft, 1024 is clean in dense fog")
+
+
+def check_target(*, error: float | None, time_limit_s: float | None) -> None:
+    """Refuse a relative error outside 0 to 1, and a time that ends before it begins.
+
+    Raises:
+        ParameterError: with the range.
+    """
+    if error is not None and not 0.0 < error <= 1.0:
+        raise ParameterError(f"--target-error {error:g}: outside 0 to 1; 0.01 is 1 %")
+    if time_limit_s is not None and not time_limit_s > 0.0:
+        raise ParameterError(f"--time-limit {time_limit_s:g}: not above 0 s")
+
+
+def check_bands(count: int) -> None:
+    """Refuse a number of bands that does not exist.
+
+    Raises:
+        ParameterError: with those that do.
+    """
+    if count not in (RGB, *BANDS):
+        raise ParameterError(f"--bands {count}: it takes {RGB} (R, G and B), {', '.join(map(str, BANDS))} or auto")
+
+
+def check_light(*, scale: float, sun_lux: float | None) -> None:
+    """Refuse light that is none, or without end.
+
+    Raises:
+        ParameterError: with the range.
+    """
+    for option, value in (("--light-scale", scale), ("--sun-lux", sun_lux)):
+        if value is not None and not 0.0 < value <= MOST_LIGHT:
+            raise ParameterError(f"{option} {value:g}: outside 0 to {MOST_LIGHT:g}; leave it out for the lights as they are")
+    if sun_lux is not None and scale != 1.0:
+        raise ParameterError(f"--light-scale {scale:g} --sun-lux {sun_lux:g}: either gives one factor for all lights; leave one out")
+
+
+def check_visibility(name: str, metres: float) -> None:
+    """Refuse a fog that is denser than any.
+
+    Args:
+        name: as it was typed.
+        metres: what it means, inf for clear air.
+
+    Raises:
+        ParameterError: with the least.
+    """
+    if not metres >= LEAST_MOR_M:
+        raise ParameterError(f"--fog {name}: a visibility below {LEAST_MOR_M:g} m is a wall; the densest is mor{LEAST_MOR_M:g}")
+
+
+def check_frame(frame: float | None) -> None:
+    """Refuse a time code that is no finite number.
+
+    Raises:
+        ParameterError: with the number.
+    """
+    if frame is not None and not math.isfinite(frame):
+        raise ParameterError(f"--frame {frame}: no finite number")
