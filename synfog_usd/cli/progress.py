@@ -18,16 +18,25 @@ def shown(quiet: bool) -> Iterator[tuple[Callable[[str, float], None], Callable[
         return
     from rich.console import Console
     from rich.markup import escape
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     if not console.is_terminal:
         yield _plain_progress(), lambda text: print(text, file=sys.stderr, flush=True)
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield (lambda what, fraction: bar.update(task, description=escape(what), completed=fraction)), (lambda text: console.print(escape(text)))
+        task, began = bar.add_task("starting", total=1.0, left=""), time.monotonic()
+
+        def progress(what: str, fraction: float) -> None:
+            bar.update(task, description=escape(what), completed=fraction, left=_left(time.monotonic() - began, fraction))
+
+        yield progress, (lambda text: console.print(escape(text)))
+
+
+def _left(spent_s: float, fraction: float) -> str:
+    """Time that is left, as far as it can be told."""
+    return f"about {spent_s / fraction - spent_s:.0f} s left" if fraction > 0.02 else ""
 
 
 def _plain_progress() -> Callable[[str, float], None]:
@@ -38,7 +47,6 @@ def _plain_progress() -> Callable[[str, float], None]:
         if now - last[0] < PLAIN_INTERVAL_S:
             return
         last[0] = now
-        left = f", about {now / fraction - now:.0f} s left" if fraction > 0.02 else ""
-        print(f"{fraction:4.0%}  {what}  {now:.0f} s{left}", file=sys.stderr, flush=True)
+        print(f"{fraction:4.0%}  {what}  {now:.0f} s" + (f", {left}" if (left := _left(now, fraction)) else ""), file=sys.stderr, flush=True)
 
     return progress

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from synfog_usd import __version__, files, resources
 from synfog_usd.dataset import contact, labels
+from synfog_usd.dataset.forecast import Forecast, kinds
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
 from synfog_usd.errors import OutputError, StageError
 from synfog_usd.image import Image, Quantity
@@ -116,11 +117,12 @@ def bake(
             log(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
         seconds: dict[str, float] = {}
         views: dict[str, _View] = {}  # by lighting
+        forecast = Forecast(kinds([(shot.lighting, shot.fog != CLEAR) for shot in unfinished]))
         for index, shot in enumerate(unfinished):
             began = time.perf_counter()
 
             def step(what: str, fraction: float, index: int = index, shot: Shot = shot) -> None:
-                progress(f"{shot.folder}: {what}", (index + fraction) / len(unfinished))
+                progress(f"{shot.folder}: {what}", forecast.at(index, fraction))
 
             step("translating", 0.0)
             with reading():

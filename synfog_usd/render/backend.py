@@ -55,6 +55,10 @@ print('proved', bool(np.isfinite(np.array(mi.render(scene, spp=1))).all()))
 """
 
 
+ALIGNMENT = 64
+"""Bytes that Dr.Jit's widest vectors want memory to be aligned to."""
+
+
 @dataclass(frozen=True)
 class Backend:
     """A variant that was proved on this machine.
@@ -182,29 +186,58 @@ def mitsuba() -> Any:
     return module
 
 
-def numbers(array: Any) -> Any:
-    """(N,) whole numbers for a wavefront, in memory of Dr.Jit's own.
+def aligned(array: Any, kind: Any = None) -> Any:
+    """The same numbers, contiguous, in memory that begins at a multiple of ALIGNMENT bytes.
 
-    It takes NumPy's memory as it lies, and compiles a kernel for aligned and another for
-    unaligned memory: which of them is wanted would change from call to call.
+    Dr.Jit takes NumPy's memory as it lies, and compiles a kernel for aligned and another for
+    unaligned memory: which of them is wanted would change from run to run.
+
+    Args:
+        array: of any shape.
+        kind: NumPy's type of the result; float32 if left out.
+    """
+    import numpy as np
+
+    values = np.asarray(array, dtype=np.float32 if kind is None else kind)
+    memory = np.empty(values.nbytes + ALIGNMENT, dtype=np.uint8)
+    start = -memory.ctypes.data % ALIGNMENT
+    kept = memory[start : start + values.nbytes].view(values.dtype).reshape(values.shape)
+    kept[...] = values
+    return kept
+
+
+def numbers(array: Any) -> Any:
+    """(N,) whole numbers for a wavefront."""
+    import numpy as np
+
+    return mitsuba().UInt32(aligned(array, np.uint32))
+
+
+def floats(array: Any) -> Any:
+    """(N,) numbers for a wavefront."""
+    return mitsuba().Float(aligned(array))
+
+
+def points(array: Any) -> Any:
+    """(N, 3) places or directions for a wavefront."""
+    return mitsuba().Point3f(*(floats(column) for column in array.T))
+
+
+def rows(vectors: Any, kind: Any = None) -> Any:
+    """(N, C) numbers of vectors, one row a lane.
+
+    Taken part by part, since to interleave them is a kernel of its own for every N; computed together, since else each part would be computed from the start.
+
+    Args:
+        vectors: of C parts.
+        kind: NumPy's type of the result; float64 if left out.
     """
     import drjit as dr
     import numpy as np
 
-    mi = mitsuba()
-    kept = mi.UInt32(np.ascontiguousarray(array, dtype=np.uint32)) ^ dr.opaque(mi.UInt32, 0)
-    dr.eval(kept)
-    return kept
-
-
-def floats(array: Any) -> Any:
-    """(N,) float32 for a kernel, bit by bit, in memory of Dr.Jit's own; see `numbers`."""
-    import drjit as dr
-    import numpy as np
-
-    kept = dr.reinterpret_array(mitsuba().Float, numbers(np.ascontiguousarray(array, dtype=np.float32).view(np.uint32)))
-    dr.eval(kept)
-    return kept
+    dr.eval(*vectors)
+    parts = np.broadcast_arrays(*(np.array(part, dtype=np.float64 if kind is None else kind) for part in vectors))
+    return np.stack(parts, axis=1)
 
 
 def is_scalar() -> bool:

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog.volume import optical_depth
 from synfog_usd.render import backend
+from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.load import MitsubaScene
 
 INSTALL = 'pip install "synfog-usd[denoise]"'
@@ -162,7 +163,7 @@ def guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS, clear: bool = False)
         ParameterError: the scalar variant, or fog within a mesh.
     """
     if backend.is_scalar():
-        raise ParameterError("denoising needs LLVM or CUDA, and this is the scalar variant; install libllvm19 (Debian and Ubuntu: apt install libllvm19)")
+        raise ParameterError(f"denoising needs LLVM or CUDA, and this is the scalar variant; {backend.INSTALL_LLVM}")
     camera, fog = loaded.source.camera, () if clear else loaded.source.fog
     for volume in fog:
         if volume.boundary.kind == "mesh":
@@ -192,13 +193,12 @@ def _look(loaded: MitsubaScene, place: list[float]) -> tuple[npt.NDArray[np.floa
     camera = loaded.source.camera
     u, v, lens_u, lens_v = (dr.opaque(mi.Float, value) for value in place)
     pixel = dr.arange(mi.UInt32, camera.width_px * camera.height_px)
-    film = (mi.Point2f(mi.Float(pixel % camera.width_px), mi.Float(pixel // camera.width_px)) + mi.Point2f(u, v)) / mi.Point2f(
-        camera.width_px, camera.height_px
-    )
+    raster = Raster(camera)
+    film = (raster.corner(pixel) + mi.Point2f(u, v)) / raster.size
     ray, _ = loaded.sensor.sample_ray(0.0, 0.5, film + mi.Point2f(*loaded.offset), mi.Point2f(lens_u, lens_v))
     found = _meet(loaded.scene, ray)
     dr.eval(ray, *found)
-    return tuple(np.array(item, dtype=np.float64).T for item in (ray.o, ray.d, *found))
+    return backend.rows(ray.o), backend.rows(ray.d), backend.rows(found[0]), backend.rows(found[1]), np.array(found[2], dtype=np.float64)
 
 
 @dr.syntax

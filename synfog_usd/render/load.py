@@ -148,9 +148,10 @@ def make_bsdf(part: Mapping[str, Any]) -> Any:
 
 
 def resized(loaded: MitsubaScene, size: tuple[int, int]) -> MitsubaScene:
-    """The same scene seen in (width, height) pixels."""
+    """The same scene seen in (width, height) pixels; by the same sensor where nothing but a kernel asks it, so that the kernel stays the same."""
     camera = replace(loaded.source.camera, width_px=size[0], height_px=size[1])
-    return replace(loaded, source=replace(loaded.source, camera=camera), sensor=make_sensor(camera, loaded.camera_medium))
+    sensor = make_sensor(camera, loaded.camera_medium) if backend.is_scalar() else loaded.sensor
+    return replace(loaded, source=replace(loaded.source, camera=camera), sensor=sensor)
 
 
 def in_fog(loaded: MitsubaScene, fog: tuple[FogVolume, ...]) -> MitsubaScene:
@@ -321,13 +322,14 @@ def make_sensor(camera: Camera, medium: Any, *, pinhole: bool = False) -> Any:
     """Mitsuba's sensor for a camera inside `medium` (None in clear air)."""
     mi = backend.mitsuba()
     turn = np.diag([-1.0, 1.0, -1.0, 1.0])  # Mitsuba looks along +Z with +X to the left
+    least = 1 if backend.is_scalar() else math.gcd(camera.width_px, camera.height_px)  # kernels have the film's size in their text, and need its shape alone
     sensor: dict[str, Any] = {
         "to_world": mi.ScalarTransform4f(camera.to_world @ turn),
         "fov": camera.fov_x_deg,
         "fov_axis": "x",
         "near_clip": camera.near_m,
         "far_clip": 1e7,
-        "film": {"type": "hdrfilm", "width": camera.width_px, "height": camera.height_px, "rfilter": {"type": "box"}},
+        "film": {"type": "hdrfilm", "width": camera.width_px // least, "height": camera.height_px // least, "rfilter": {"type": "box"}},
     }
     if medium is not None:
         sensor["medium"] = medium

@@ -171,7 +171,7 @@ def render(
     warnings = []
     if accumulated.lost:
         warnings.append(f"{accumulated.lost} of {accumulated.samples} samples were not finite and count as black")
-    spent = accumulated.samples / pixels
+    spent = accumulated.samples_per_pixel
     components = {name: aov.reshape(shape).astype(np.float32) for name in COMPONENTS if (aov := accumulated.take_aov(name)) is not None}
     if mean.min() < 0.0:
         below = int((mean < 0.0).any(axis=2).sum())

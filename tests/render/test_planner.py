@@ -36,7 +36,7 @@ def test_an_adaptive_render_repeats_byte_for_byte():
 
 def test_time_is_the_third_stop():
     """A limit that is over at once leaves the first round only."""
-    assert render(FOGGY, model="path", samples=4096, time_limit_s=1e-6).samples == 2 * 32
+    assert render(FOGGY, model="path", samples=4096, time_limit_s=1e-6).samples == 32
 
 
 def test_the_sensors_target_is_a_third_of_its_noise():
@@ -65,7 +65,27 @@ def test_a_target_out_of_range_is_refused(wrong, words):
 def test_a_picture_of_a_few_rows_is_judged_too():
     """640 x 20: the pilot has two rows, fewer than a square over which a grid's error is measured is high."""
     wide = scene({**SKY, "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})}, [uniform_fog()], width_px=640, height_px=20, fov_x_deg=40.0)
-    figures = planner.choose(load(wide, boundaries=False), target=adaptive.Target(relative=0.05), seed=0).figures
+    figures = planner.choose_by_pilots(load(wide, boundaries=False), target=adaptive.Target(relative=0.05), seed=0).figures
     assert np.isfinite(figures["field"]["bias"])
-    smoothed = planner.choose(load(wide, boundaries=False), target=adaptive.Target(relative=0.05), seed=0, denoised=True)
+    smoothed = planner.choose_by_pilots(load(wide, boundaries=False), target=adaptive.Target(relative=0.05), seed=0, denoised=True)
     assert smoothed.model == "path" and "field" not in smoothed.figures  # a denoiser does what the grid would
+
+
+def square(corners):
+    """A grey quadrangle."""
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    return {"type": "mesh", "positions": np.array(corners, dtype=float), "faces": faces, "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse"}}}
+
+
+def test_an_open_view_takes_the_slab_and_a_closed_one_does_not():
+    """Ground under the whole sky sees all of it, between high walls little: the share decides, without a pilot."""
+    ground = square([(-150, -150, -1.5), (150, -150, -1.5), (150, 150, -1.5), (-150, 150, -1.5)])
+    walls = {f"shape_wall_{x}": square([(x, -150, -1.5), (x, 150, -1.5), (x, 150, 30), (x, -150, 30)]) for x in (-6, 6)}
+    plain = load(scene({**SKY, "shape_ground": ground}, [uniform_fog()], fov_x_deg=60.0), boundaries=False)
+    street = load(scene({**SKY, "shape_ground": ground, **walls}, [uniform_fog()], fov_x_deg=60.0), boundaries=False)
+    assert planner.open_to_sky(plain) == 1.0 and planner.open_to_sky(street) < 0.3
+    for loaded, model in ((plain, "path+slab"), (street, "path")):
+        choice = planner.choose(loaded, target=adaptive.Target(samples=4096), seed=0)
+        assert choice.model == choice.best == model
+        assert planner.choose(loaded, target=adaptive.Target(samples=16), seed=0).model == {"path": "field", "path+slab": "field+slab"}[model]
+        assert planner.choose(loaded, target=adaptive.Target(samples=16), seed=0, denoised=True).model == model  # a denoiser does what a cache would

@@ -185,6 +185,15 @@ class Accumulator:
         own = sum(estimator.counts.sum() for name, estimator in self.estimators.items() if self.radiance_cache is None or name != INSCATTERED)
         return int(own + (self.radiance_cache.paths if self.radiance_cache is not None else 0))
 
+    @property
+    def samples_per_pixel(self) -> float:
+        """Mean of the estimators' samples, weighted by what one costs: what a picture of so many samples of each of them costs too."""
+        if ALL in self.estimators:
+            return float(self.estimators[ALL].counts.mean())
+        cache = self.radiance_cache
+        spent = {name: cache.count if cache is not None and name == INSCATTERED else part.counts.mean() for name, part in self.estimators.items()}
+        return float(sum(self.cost(name) * count for name, count in spent.items()) / sum(ESTIMATOR_COST[name] for name in spent))
+
     def cost(self, name: str) -> float:
         """Seconds of one more sample of an estimator, relative."""
         return self.radiance_cache.cost if self.radiance_cache is not None and name == INSCATTERED else ESTIMATOR_COST[name]
@@ -304,7 +313,7 @@ def _add(accumulated: Accumulator, integrator: Traces, name: str, pixels: Indice
     estimator = accumulated.estimators[name]
 
     def add(target: Array, colour: Any) -> None:
-        for lane in np.array(colour, dtype=target.dtype).T.reshape(chunks, len(pixels), -1):  # chunk by chunk: the order of the sum is fixed
+        for lane in backend.rows(colour, target.dtype).reshape(chunks, len(pixels), -1):  # chunk by chunk: the order of the sum is fixed
             target[pixels] += lane
 
     for target, aov in zip(estimator.aovs.values(), moments.aovs, strict=True):

@@ -122,6 +122,12 @@ def measure(loaded: MitsubaScene) -> Aovs:
     return Aovs(distance.reshape(shape), depth.reshape(shape), normal.reshape(height, width, 3), instance.reshape(shape), np.exp(-tau).reshape(shape))
 
 
+def centre_rays(loaded: MitsubaScene) -> tuple[Array, Array]:
+    """(P, 3) origins and unit directions of the rays through the pixels' centres, row by row from the top left."""
+    camera = loaded.source.camera
+    return _Tracer(loaded).centre_rays(camera.width_px, camera.height_px)
+
+
 def seen_through(loaded: MitsubaScene, clear: Aovs) -> Aovs:
     """The AOVs of a whole scene, through the fog of one that has less in it.
 
@@ -202,9 +208,10 @@ class _Tracer:
         y, x = np.divmod(np.arange(width * height), width)
         u, v = (x + 0.5) / width + self.loaded.offset[0], (y + 0.5) / height + self.loaded.offset[1]
         if not self.scalar:
-            ray, _ = self.loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(u, v), mi.Point2f(0.5))
-            origin = np.array(ray.o, dtype=np.float64).T
-            return origin, np.array(np.broadcast_to(np.array(ray.d, dtype=np.float64).T, origin.shape))  # parallel rays come as one
+            ray, _ = self.loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(backend.floats(u), backend.floats(v)), mi.Point2f(0.5))
+            self.dr.eval(ray)
+            origin = backend.rows(ray.o)
+            return origin, np.array(np.broadcast_to(backend.rows(ray.d), origin.shape))  # parallel rays come as one
         rays = [self.loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(a, b), mi.Point2f(0.5))[0] for a, b in zip(u, v, strict=True)]
         return np.array([ray.o for ray in rays], dtype=np.float64), np.array([ray.d for ray in rays], dtype=np.float64)
 
@@ -221,16 +228,16 @@ class _Tracer:
 
     def _trace_jit(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
         mi, dr = self.mi, self.dr
-        ray = mi.Ray3f(mi.Point3f(origin.T), mi.Vector3f(direction.T))
+        ray = mi.Ray3f(backend.points(origin), mi.Vector3f(backend.points(direction)))
         si = self.loaded.scene.ray_intersect(ray)
         valid = si.is_valid()
         passing = dr.mean(mi.Color3f(si.bsdf().eval_null_transmission(si, valid)))
-        rank = self.lookup[np.array(dr.reinterpret_array(mi.UInt32, si.shape))]
-        placed = self.lookup[np.array(dr.reinterpret_array(mi.UInt32, si.instance))]
-        front = np.array(dr.dot(si.n, ray.d) < 0.0)
-        vectors = [np.array(item, dtype=np.float64).T for item in (si.p, si.spawn_ray(ray.d).o, si.sh_frame.n)]
+        shape, instance = dr.reinterpret_array(mi.UInt32, si.shape), dr.reinterpret_array(mi.UInt32, si.instance)
+        front, vectors = dr.dot(si.n, ray.d) < 0.0, (si.p, si.spawn_ray(ray.d).o, si.sh_frame.n)
+        dr.eval(valid, passing, shape, instance, front, vectors, si.prim_index)  # all at once: else each would trace the rays again
+        rank, placed = self.lookup[np.array(shape)], self.lookup[np.array(instance)]
         face = np.array(si.prim_index, dtype=np.int64)
-        return np.array(valid), *vectors, front, rank, placed, face, np.array(passing, dtype=np.float64)
+        return np.array(valid), *(backend.rows(item) for item in vectors), np.array(front), rank, placed, face, np.array(passing, dtype=np.float64)
 
     def _trace_scalar(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
         mi, rows = self.mi, []

@@ -113,7 +113,7 @@ class RadianceCache:
             sums = self.field.trace_froxels(cells, backend.numbers(np.tile(everywhere, chunks)), backend.numbers(first), length, seed)
             dr.eval(sums.aovs, sums.squares, sums.groups, sums.lost, sums.seen)
             for target, light in zip((*self.aovs, self.squares, *self.groups), (*sums.aovs, sums.squares, *sums.groups), strict=True):
-                target += np.array(light, dtype=np.float64).T.reshape(chunks, *target.shape).sum(axis=0)
+                target += backend.rows(light).reshape(chunks, *target.shape).sum(axis=0)
             self.seen += np.array(sums.seen, dtype=np.int64).reshape(chunks, -1).sum(axis=0)
             self.lost += int(np.array(sums.lost).sum())
             self.count += length * chunks
@@ -142,8 +142,9 @@ class RadianceCache:
         for low in range(0, pixels, LOOKUPS):
             some = np.arange(low, min(low + LOOKUPS, pixels))
             sums = self._look(table, len(values), backend.numbers(some), side, seed)
+            dr.eval(sums)
             for index, target in enumerate(found):
-                target[some] = np.array(sums[index * bands.count : (index + 1) * bands.count], dtype=kind).T / side**2
+                target[some] = backend.rows(sums[index * bands.count : (index + 1) * bands.count], kind) / side**2
         aovs, groups, (noise, squares) = found[: len(self.aovs)], found[len(self.aovs) : -2], found[-2:]
         noise += np.maximum(squares - sum(aovs) ** 2, 0.0) / side**3
         return aovs, groups, noise
@@ -171,15 +172,14 @@ class RadianceCache:
         """Sums over a pixel's rays of the table's channels, and of the squares of all light."""
         mi, field, count = backend.mitsuba(), self.field, self.field.bands.count
         along, image_seed, slices = dr.opaque(mi.UInt32, side), dr.opaque(mi.UInt32, seed), float(self.cells.slices)
-        size = mi.Point2f(self.field.loaded.source.camera.width_px, self.field.loaded.source.camera.height_px)
-        corner, aovs, sky = field.corner(pixel), len(self.aovs), len(self.aovs) + field.sky_group
+        corner, aovs, sky = field.raster.corner(pixel), len(self.aovs), len(self.aovs) + field.sky_group
         grouped = bool(self.groups)
         sums = [mi.Float(0.0) for _ in range((names + 1) * count)]
         begun = mi.UInt32(0)
         while begun < along * along:
             sampler = Random(image_seed, pixel, begun)
             square = mi.Point2f(mi.Float(begun % along), mi.Float(begun // along))
-            place = (corner + (square + mi.Point2f(sampler.next_2d())) / mi.Float(along)) / size
+            place = (corner + (square + mi.Point2f(sampler.next_2d())) / mi.Float(along)) / field.raster.size
             ray, _weight = field.ray_through(place, sampler, mi.Bool(True))
             si = field.loaded.scene.ray_intersect_preliminary(ray, False)
             end = dr.select(si.is_valid(), si.t, dr.inf)

@@ -31,6 +31,7 @@ import numpy as np
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import AOVS, INSCATTERED, LAMPS, SURFACE, Accumulator, Moments, accumulate_by_estimator
+from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.lights.grid import TILES, LightGrid
 from synfog_usd.render.lights.guiding import GUIDE_PROBABILITY, LightGuide
 from synfog_usd.render.lights.sampler import LightSampler
@@ -120,6 +121,10 @@ class FogPath:
         bands: Bands | None = None,
     ) -> None:
         self.bands = bands or Bands()
+        mi, camera = backend.mitsuba(), loaded.source.camera
+        self.raster, self.near = Raster(camera), dr.opaque(mi.Float, camera.near_m)
+        self.ahead = mi.Vector3f(*(-camera.to_world[:3, 2]).tolist())
+        dr.make_opaque(self.ahead)
         self.loaded, self.medium, self.lights, self.control, self.method = loaded, medium, lights, control, method or Method()
         sky = loaded.scene.environment() is not None
         self.foggy, self.use_nee_medium = medium.foggy, others > 0
@@ -184,7 +189,7 @@ class FogPath:
         """Lamps, scattered once into the eye's segment; arguments as in `trace`."""
         mi = backend.mitsuba()
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
-        corner, bands = self.corner(pixel), self.bands
+        corner, bands = self.raster.corner(pixel), self.bands
         single, squares, lost = bands.black(), bands.black(), mi.UInt32(0)
         sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []
         known = None if self.view_lights is None else (self.view_lights, self.tile(pixel))
@@ -210,17 +215,16 @@ class FogPath:
 
     def tile(self, pixel: Any) -> Any:
         """Number of the tile of the view in which pixels lie."""
-        camera = self.loaded.source.camera
-        return pixel % camera.width_px * TILES[0] // camera.width_px + TILES[0] * (pixel // camera.width_px * TILES[1] // camera.height_px)
+        raster = self.raster
+        return pixel % raster.width * TILES[0] // raster.width + TILES[0] * (pixel // raster.width * TILES[1] // raster.height)
 
-    def corner(self, pixel: Any, cells: FroxelGrid | None = None) -> Any:
-        """(u, v) of the top left corners of pixels, or of cells, in pixels."""
+    def froxel(self, cell: Any, cells: FroxelGrid) -> tuple[Any, Any, Any]:
+        """(u, v) of the top left corners of cells, in pixels; the width and height of one, in pixels; the slices that they are in."""
         mi = backend.mitsuba()
-        camera = self.loaded.source.camera
-        if cells is None:
-            return mi.Point2f(mi.Float(pixel % camera.width_px), mi.Float(pixel // camera.width_px))
-        column = pixel % (cells.columns * cells.rows)
-        return mi.Point2f(mi.Float(column % cells.columns), mi.Float(column // cells.columns)) * mi.Point2f(*self.froxel_size(cells))
+        columns, column_count = dr.opaque(mi.UInt32, cells.columns), dr.opaque(mi.UInt32, cells.columns * cells.rows)
+        size = self.raster.size / mi.Point2f(dr.opaque(mi.Float, cells.columns), dr.opaque(mi.Float, cells.rows))
+        column = cell % column_count
+        return mi.Point2f(mi.Float(column % columns), mi.Float(column // columns)) * size, size, mi.Float(cell // column_count)
 
     @dr.syntax
     def trace_paths(self, inscattered: bool, pixel: Any, first: Any, count: int, seed: int, cells: FroxelGrid | None = None) -> Moments:
@@ -233,9 +237,8 @@ class FogPath:
         scene, context, medium, bands, black = self.loaded.scene, mi.BSDFContext(), self.medium, self.bands, self.bands.black()
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
         in_froxels = cells is not None
-        corner, size = self.corner(pixel, cells), mi.Point2f(*self.froxel_size(cells) if in_froxels else (1.0, 1.0))
         slices = float(cells.slices if in_froxels else 1)
-        nearest = mi.Float(pixel // (cells.columns * cells.rows)) if in_froxels else mi.Float(0.0)  # the froxel's slice
+        corner, size, nearest = self.froxel(pixel, cells) if in_froxels else (self.raster.corner(pixel), mi.Point2f(1.0), mi.Float(0.0))
 
         # ---- Sums over the paths of a lane
         aovs = [bands.black() for _ in AOVS[INSCATTERED if inscattered else SURFACE]]  # light by AOV
@@ -551,11 +554,6 @@ class FogPath:
             survive *= dr.select(medium_scattered & (scattered > 1), DIFFERENCE_SURVIVES, 1.0)
         return survive
 
-    def froxel_size(self, cells: FroxelGrid) -> tuple[float, float]:
-        """Width and height of a froxel in pixels."""
-        camera = self.loaded.source.camera
-        return camera.width_px / cells.columns, camera.height_px / cells.rows
-
     def add_light(self, path: Any, aovs: list[Any], sums: list[Any], light: Any, scattered: Any, group: Any) -> Any:
         """Add light to the path, its AOV and its group; light that is not finite is left out of both and spoils the path's square, which counts it."""
         finite = dr.all(dr.isfinite(light))
@@ -616,9 +614,7 @@ class FogPath:
 
     def camera_ray(self, sampler: Any, corner: Any, active: Any, size: Any = 1.0) -> tuple[Any, Any]:
         """A ray through a random point of the pixel, or of a cell `size` pixels wide, and its weight."""
-        mi = backend.mitsuba()
-        camera = self.loaded.source.camera
-        place = (corner + mi.Point2f(sampler.next_2d(active)) * size) / mi.Point2f(camera.width_px, camera.height_px)
+        place = (corner + backend.mitsuba().Point2f(sampler.next_2d(active)) * size) / self.raster.size
         return self.ray_through(place, sampler, active)
 
     def ray_through(self, place: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
@@ -627,8 +623,7 @@ class FogPath:
         camera = self.loaded.source.camera
         ray, weight = self.loaded.sensor.sample_ray(0.0, 0.5, place + mi.Point2f(*self.loaded.offset), mi.Point2f(sampler.next_2d(active)), active)
         if camera.near_m <= LENS_M:  # nothing stands before the near plane: begin at the lens, so that no fog is left out
-            ahead = mi.Vector3f(*(-camera.to_world[:3, 2]).tolist())
-            ray.o = ray.o - ray.d * (camera.near_m / dr.dot(ray.d, ahead))
+            ray.o = ray.o - ray.d * (self.near / dr.dot(ray.d, self.ahead))
         if camera.moves:
             ray = moved(ray, camera, sampler.next_1d(active))
         return ray, weight

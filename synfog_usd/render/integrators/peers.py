@@ -15,6 +15,7 @@ from synfog_usd.arrays import Array
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import Accumulator, undivided
+from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.integrators.path import RR_DEPTH
 from synfog_usd.render.load import MitsubaScene, make_sensor
 from synfog_usd.render.motion import moved
@@ -69,8 +70,8 @@ def _side_by_side(loaded: MitsubaScene, integrator: Any, count: int, seed: int) 
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, seed), lanes)  # opaque: a literal would compile a kernel per seed
     index = dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, count)
-    corner = mi.Point2f(mi.Float(index % camera.width_px), mi.Float(index // camera.width_px))
-    place = (corner + mi.Point2f(sampler.next_2d())) / mi.Point2f(camera.width_px, camera.height_px) + mi.Point2f(*loaded.offset)
+    raster = Raster(camera)
+    place = (raster.corner(index) + mi.Point2f(sampler.next_2d())) / raster.size + mi.Point2f(*loaded.offset)
     ray, weight = loaded.sensor.sample_ray_differential(0.0, 0.5, place, mi.Point2f(sampler.next_2d()))
     if camera.moves:
         ray = moved(ray, camera, sampler.next_1d())

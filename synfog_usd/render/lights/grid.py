@@ -122,7 +122,7 @@ class LightGrid:
         bits = np.arange(POINTS)[:, None] >> np.arange(3) & 1
         within = 0.25 + 0.5 * bits  # of the cell's eighths, the middle
         points = self.low + (corner[:, None] + within[None]) * self.size
-        place = mi.Point3f(points.reshape(-1, 3).T.astype(np.float32))
+        place = backend.points(points.reshape(-1, 3))
         found = np.zeros((count, self.lights.count))
         for number in range(self.lights.count):
             light = self._sent(dr.opaque(mi.UInt32, number), place)
@@ -153,7 +153,7 @@ class LightGrid:
         tile, ray_number = index // RAYS, index % RAYS
         jitter = np.stack([ray_number % 2, ray_number // 2], axis=1) * 0.5 + 0.25
         u, v = (tile % columns + jitter[:, 0]) / columns, (tile // columns + jitter[:, 1]) / rows
-        place = mi.Point2f(u.astype(np.float32), v.astype(np.float32))
+        place = mi.Point2f(backend.floats(u), backend.floats(v))
         ray, _ = tracer.ray_through(place, _Middle(), mi.Bool(True))
         si = tracer.loaded.scene.ray_intersect_preliminary(ray, False)
         near, far = medium.intersect(ray.o, ray.d)

@@ -65,7 +65,7 @@ class LightGuide:
         mi = backend.mitsuba()
         self.number = dr.opaque(mi.UInt32, self.count)
         nodes = np.concatenate([[0.0], np.geomspace(1e-3, np.pi, ANGLES - 1)])
-        value = np.array(medium.phase.value(mi.Float(np.cos(nodes).astype(np.float32))), dtype=np.float64)
+        value = np.array(medium.phase.value(backend.floats(np.cos(nodes))), dtype=np.float64)
         steps = 0.5 * (value[1:] + value[:-1]) * np.diff(nodes)
         beyond = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
         beyond = np.maximum(beyond, 1e-3 * beyond[0])

@@ -62,7 +62,7 @@ def find_ground(loaded: MitsubaScene, top_m: float) -> Ground | None:
     step = np.sign(step) * np.abs(step) ** 2 * PROBE_REACH_M  # denser near the camera
     x, y = (axis.ravel() for axis in np.meshgrid(eye[0] + step, eye[1] + step))
     start = np.full(x.shape, top_m)
-    ray = mi.Ray3f(mi.Point3f(x, y, start), mi.Vector3f(0.0, 0.0, -1.0))
+    ray = mi.Ray3f(mi.Point3f(backend.floats(x), backend.floats(y), backend.floats(start)), mi.Vector3f(0.0, 0.0, -1.0))
     si = loaded.scene.ray_intersect(ray)
     albedo = si.bsdf().eval_diffuse_reflectance(si, si.is_valid())
     met = np.array(si.is_valid())
@@ -92,7 +92,7 @@ def mean_sky(loaded: MitsubaScene) -> tuple[Array, Array, float]:
     z, phi = (axis.ravel() for axis in np.meshgrid(up, turn, indexing="ij"))
     flat = np.sqrt(1.0 - z * z)
     si = dr.zeros(mi.SurfaceInteraction3f, len(z))
-    si.wi = -mi.Vector3f(flat * np.cos(phi), flat * np.sin(phi), z)
+    si.wi = -mi.Vector3f(*(backend.floats(axis) for axis in (flat * np.cos(phi), flat * np.sin(phi), z)))
     radiance = np.array(environment.eval(si) + mi.Color3f(dr.zeros(mi.Float, len(z))), dtype=np.float64).T.reshape(SKY_RINGS, SKY_SECTORS, 3)
     mean = radiance.mean(axis=1)
     weight = np.gradient(up)

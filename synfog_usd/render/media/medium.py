@@ -136,6 +136,7 @@ class Domain:
     def __init__(self, to_world: Any, *, ball: bool = False) -> None:
         mi = backend.mitsuba()
         self.to_local, self.ball = mi.Transform4f(mi.ScalarTransform4f(to_world).inverse()), ball
+        dr.make_opaque(self.to_local)
 
     def contains(self, place: Any) -> Any:
         """Whether points are inside."""
