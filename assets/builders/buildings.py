@@ -151,9 +151,9 @@ def house_parts(house: House) -> tuple[list[Part], Glazing]:
     parts = [p.moved(m) for front, m in fronts for p in front.parts]
     top = house.ground_height + house.floors * house.floor_height
     x, d = house.width / 2, house.depth
-    plain = [[(-x, -d, 0), (-x, 0, 0), (-x, 0, top), (-x, -d, top)], [(x, -d, 0), (-x, -d, 0), (-x, -d, top), (x, -d, top)]]
+    plain = [[(-x, 0, 0), (-x, -d, 0), (-x, -d, top), (-x, 0, top)], [(-x, -d, 0), (x, -d, 0), (x, -d, top), (-x, -d, top)]]
     if not house.corner:
-        plain.append([(x, 0, 0), (x, -d, 0), (x, -d, top), (x, 0, top)])
+        plain.append([(x, -d, 0), (x, 0, 0), (x, 0, top), (x, -d, top)])
     tile = tile_of(house.wall)
     for corners in plain:
         length = float(np.linalg.norm(np.subtract(corners[1], corners[0])))
@@ -207,7 +207,7 @@ def front_of(house: House, width: float, shops: Sequence[int], rng: np.random.Ge
         if house.surround:
             for c in np.arange(-half + 0.3, half - 0.2, 0.6):
                 front.parts.append(bar((c - 0.08, c + 0.08, top - 0.5, top - 0.32), 0.08, 0.2, house.trim))
-        front.parts.append(tube([(-half, 0.42, top + 0.02), (half, 0.42, top + 0.02)], 0.07, "downpipe", sides=6))
+        front.parts.append(tube([(0.03 - half, 0.42, top + 0.02), (half - 0.03, 0.42, top + 0.02)], 0.07, "downpipe", sides=6))
     pipe = half - 0.22
     front.parts.append(tube([(pipe, 0.40, top - 0.05), (pipe, 0.10, top - 0.6), (pipe, 0.10, 0.1)], 0.05, "downpipe", sides=6, capped=False))
     return front
@@ -216,6 +216,7 @@ def front_of(house: House, width: float, shops: Sequence[int], rng: np.random.Ge
 def _ground_floor(house: House, front: _Front, half: float, centres: list[float], shops: Sequence[int], rng: np.random.Generator, side: int) -> None:
     height = house.ground_height
     openings: list[Rect] = []
+    framed: list[Rect] = []
     door_at = None
     if shops:
         entrance = 1.5 if side == 0 else 0.0
@@ -224,6 +225,7 @@ def _ground_floor(house: House, front: _Front, half: float, centres: list[float]
         for k, row in enumerate(shops):
             u0, u1 = at + 0.25, at + room - 0.25
             openings.append((u0, u1, 0.0, 3.05))
+            framed.append(openings[-1])
             _shop(
                 front,
                 (u0, u1, 0.0, 3.05),
@@ -248,8 +250,9 @@ def _ground_floor(house: House, front: _Front, half: float, centres: list[float]
                 _window(house, front, openings[-1], rng)
                 front.parts.append(bar((c - w / 2 - 0.08, c + w / 2 + 0.08, 0.95, 1.05), 0.0, 0.1, house.trim))
     openings.sort()
-    _wall(front, house.base, half, 0.0, height, openings)
-    front.parts.append(_plinth(half, openings, house.base))
+    _wall(front, house.base, half, 0.0, height, openings, framed)
+    trimmed = [(u0 - 0.14, u1 + 0.14, low, high) if door_at is not None and u0 < door_at < u1 else (u0, u1, low, high) for u0, u1, low, high in openings]
+    front.parts.append(_plinth(half, trimmed, house.base))
     if door_at is not None:
         u0, u1, z1 = (door_at - 0.6, door_at + 0.6, 2.75) if shops else (door_at - 0.65, door_at + 0.65, 2.7)
         front.parts += [flat((u0, u1, 0.14, z1 - 0.55), -0.30, house.door), flat((u0, u1, z1 - 0.5, z1), -0.30, "gloss_black"), bar((u0, u1, z1 - 0.55,
@@ -305,14 +308,15 @@ def _shop(front: _Front, opening: Rect, row: int, frame: str, rng: np.random.Gen
             front.parts += [quad([b + s, b + e, a + e, a + s][::-1], cloth), quad([c + s, c + e, b + e, b + s][::-1], cloth)]
 
 
-def _wall(front: _Front, material: str, half: float, z0: float, z1: float, openings: Sequence[Rect]) -> None:
-    """The wall of one storey round its openings, with their reveals."""
+def _wall(front: _Front, material: str, half: float, z0: float, z1: float, openings: Sequence[Rect], framed: Sequence[Rect] = ()) -> None:
+    """The wall of one storey round its openings, with the reveals of those that are not `framed` already."""
     cells: list[Rect] = []
     at = -half
     for u0, u1, low, high in sorted(openings):
         cells += [(at, u0, z0, z1), (u0, u1, z0, low), (u0, u1, high, z1)]
         at = u1
-        _reveal(front, (u0, u1, low, high), -0.22, material)
+        if (u0, u1, low, high) not in framed:
+            _reveal(front, (u0, u1, low, high), -0.22, material)
     cells.append((at, half, z0, z1))
     tile = tile_of(material)
     kept = [c for c in cells if c[1] - c[0] > 1e-6 and c[3] - c[2] > 1e-6]
@@ -333,17 +337,18 @@ def flat(rect: Rect, n: float, material: str, uv: Sequence[tuple[float, float]] 
 
 
 def bar(rect: Rect, back: float, out: float, material: str) -> Part:
-    """A bar from y = `back` to `out` over an upright rectangle (x0, x1, z0, z1)."""
+    """A bar from y = `back` to `out` over an upright rectangle (x0, x1, z0, z1); one that sits on or in the wall has no back."""
     u0, u1, z0, z1 = rect
-    return box((u0, back, z0), (u1, out, z1), material, tile_m=tile_of(material))
+    return box((u0, back, z0), (u1, out, z1), material, tile_m=tile_of(material), back=back > 0.0)
 
 
 def _reveal(front: _Front, rect: Rect, deep: float, material: str) -> None:
     u0, u1, z0, z1 = rect
-    loops = [np.array([(u0, n, z0), (u1, n, z0), (u1, n, z1), (u0, n, z1), (u0, n, z0)]) for n in (deep, 0.0)]
+    begin = 0 if z0 > 0.0 else 1  # an opening down to the ground has the ground for a sill
+    loops = [np.array([(u0, n, z0), (u1, n, z0), (u1, n, z1), (u0, n, z1), (u0, n, z0)])[begin:] for n in (deep, 0.0)]
     t = tile_of(material)
-    around = np.cumsum([0, u1 - u0, z1 - z0, u1 - u0, z1 - z0]) / t
-    front.parts.append(strip(loops, material, uv=[np.c_[np.full(5, v), around] for v in (deep / t, 0.0)]))
+    around = np.cumsum([0, u1 - u0, z1 - z0, u1 - u0, z1 - z0])[begin:] / t
+    front.parts.append(strip(loops, material, uv=[np.c_[np.full(len(around), v), around] for v in (deep / t, 0.0)]))
 
 
 def _window(house: House, front: _Front, opening: Rect, rng: np.random.Generator) -> None:
@@ -361,12 +366,12 @@ def _window(house: House, front: _Front, opening: Rect, rng: np.random.Generator
     corners, depth = [], 0.045
     for a, b, c, d in rects:
         corners.append(corners_of((a, b, c, d), deep + 0.015))
-        if d - c > b - a:
-            corners += [
-                np.array([(a, deep - 0.03, c), (a, deep + 0.015, c), (a, deep + 0.015, d), (a, deep - 0.03, d)]),
-                np.array([(b, deep + 0.015, c), (b, deep + 0.015 - depth, c), (b, deep + 0.015 - depth, d), (b, deep + 0.015, d)]),
-            ]
-        else:
+        if d - c > b - a:  # what lies on the wall is nobody's to see
+            if a > u0:
+                corners.append(np.array([(a, deep - 0.03, c), (a, deep + 0.015, c), (a, deep + 0.015, d), (a, deep - 0.03, d)]))
+            if b < u1:
+                corners.append(np.array([(b, deep + 0.015, c), (b, deep + 0.015 - depth, c), (b, deep + 0.015 - depth, d), (b, deep + 0.015, d)]))
+        elif d < z1:
             corners.append(np.array([(b, deep + 0.015 - depth, d), (a, deep + 0.015 - depth, d), (a, deep + 0.015, d), (b, deep + 0.015, d)][::-1]))
     front.parts.append(quads(corners, frame))
 
@@ -443,7 +448,7 @@ def roof_of(house: House, top: float, rng: np.random.Generator) -> list[Part]:
         ]
         for s in (-x, x):
             end = np.array([(s, 0, top), (s, -d, top), (s, -d / 2, ridge)])
-            parts.append(Part(end, np.array([[0, 1, 2]]), house.wall, end[:, 1:] / tile_of(house.wall)))
+            parts.append(Part(end, np.array([[0, 1, 2] if s < 0 else [0, 2, 1]]), house.wall, end[:, 1:] / tile_of(house.wall)))
         rise = (ridge - top) / (d / 2 + 0.4)
         for u in np.linspace(-x, x, 2 + max(1, int(house.width / 4.2)))[1:-1]:
             parts += _dormer(house, u, -1.6, top + 0.85 * rise * 2.0, -1.6 - 2.6)
@@ -466,7 +471,8 @@ def roof_of(house: House, top: float, rng: np.random.Generator) -> list[Part]:
             parts.append(Part(np.array([upper[3], upper[0], peak[0]]), np.array([[0, 1, 2]]), "zinc"))
         for s in (-x,) if house.corner else (-x, x):
             end = np.array([(s, 0.3, top), (s, 0.3 - inset, steep), (s, -d / 2, ridge), (s, -d + inset, steep), (s, -d, top)])
-            parts.append(Part(end, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4]]), house.wall, end[:, 1:] / tile_of(house.wall)))
+            faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4]])
+            parts.append(Part(end, faces if s > 0 else faces[:, ::-1], house.wall, end[:, 1:] / tile_of(house.wall)))
         bays = max(2, round((house.width - 1.0) / house.bay))
         step = (house.width - 1.0) / bays
         for i in range(bays):
@@ -478,7 +484,7 @@ def roof_of(house: House, top: float, rng: np.random.Generator) -> list[Part]:
         chimney_z = ridge
     for s, y in ((-x + 0.5, -d * 0.42), (x - (3.2 if house.corner else 0.5), -d * 0.60)):
         w, tall = 0.45, rng.uniform(1.2, 1.9)
-        parts.append(box((s - w, y - 0.8, chimney_z - 2.5), (s + w, y + 0.8, chimney_z + tall), "brick_brown", tile_m=2.4))
+        parts.append(box((s - w, y - 0.8, chimney_z - 2.5), (s + w, y + 0.8, chimney_z + tall - 0.1), "brick_brown", tile_m=2.4))
         parts.append(box((s - w - 0.06, y - 0.86, chimney_z + tall - 0.2), (s + w + 0.06, y + 0.86, chimney_z + tall), "concrete", tile_m=6))
         for k in (-0.5, 0.0, 0.5):
             parts.append(lathe([(0.13, 0), (0.11, 0.5), (0.001, 0.5)], "pot", sides=8).moved(shift(s, y + k, chimney_z + tall)))

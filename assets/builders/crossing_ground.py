@@ -221,5 +221,5 @@ def _ribbon(points: Array, width: float, z: float, material: str) -> Part:
 def _land() -> Component:
     far, z = 1600.0, -0.04
     parts = [fan([(-far, -far, z), (far, -far, z), (far, far, z), (-far, far, z)], "grass", tile_m=4)]
-    parts.append(fan([(-30, NORTH - 0.5, 0.0), (30, NORTH - 0.5, 0.0), (30, NORTH + 5, 0.0), (-30, NORTH + 5, 0.0)], "asphalt", tile_m=6))
+    parts.append(fan([(-30, NORTH, 0.0), (30, NORTH, 0.0), (30, NORTH + 5, 0.0), (-30, NORTH + 5, 0.0)], "asphalt", tile_m=6))
     return Component("street_land", "terrain", tuple(parts), "Open land to the horizon.")

@@ -252,7 +252,7 @@ def build_lorry() -> Component:
             box((sign * 1.12 - 0.1, 3.3, 1.95), (sign * 1.12 + 0.1, 3.34, 1.99), "black_plastic"),
         ]
         parts.append(lens_disc((sign * 1.0, -3.61, 0.95), 0.07, "tail_lens", back=True))
-        parts.append(box((sign * 1.0 - 0.15, -3.6, 0.85), (sign * 1.0 + 0.15, -3.55, 1.05), "tail_lamp"))
+        parts.append(box((sign * 1.0 - 0.15, -3.62, 0.85), (sign * 1.0 + 0.15, -3.55, 1.05), "tail_lamp"))
     skin = cut_out(skin, parts, "glass_clear", (0, 2), screen, 1, 1, 0.35)
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-0.55, 0.55, 0.7, 1.2), 1, 1, 0.35)
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-2, 2, 0.3, 0.6), 1, 1, -2)

@@ -15,6 +15,7 @@ from synfog_usd import stage as usd
 from synfog_usd.errors import StageError
 from synfog_usd.stage import rulebook, rules
 from synfog_usd.translate import outdoors, translate, why_black
+from synfog_usd.translate.coincident import Overlap, coincident
 
 if TYPE_CHECKING:
     from synfog_usd.scene import Note
@@ -26,6 +27,9 @@ Told = TypeVar("Told", "Finding", "Note")
 GRAVEST_FIRST = ("error", "warning", "info")
 MOST_LETTERS = 500
 """Of a path or a text that is printed; JSON has all of it."""
+
+MOST_OVERLAPS = 20
+"""Pairs of prims with coincident faces that are told."""
 
 ERRORS, WARNINGS_UNDER_STRICT, CLEAN = 2, 1, 0
 
@@ -40,6 +44,7 @@ def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], lis
     notes: dict[Note, None] = {}
     found = dict.fromkeys(_placed(opened, usd.check(opened)))
     light: dict[str, str] = {}
+    overlaps: list[Overlap] | None = None
     in_fog: list[set[Finding]] = []  # what is found where there is fog, by variant
     try:
         for lighting in _variants(opened):
@@ -53,8 +58,13 @@ def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], lis
                 light.setdefault(lighting, str(outdoors(scene)))
                 if not any(one.rule == "no-light" for one in found) and (why := why_black(scene)) is not None:
                     found[rulebook.finding("black", scene.camera.path, why)] = None
+                overlaps = coincident(scene) if overlaps is None else overlaps  # lighting and fog move no faces
     except StageError as problem:
         found[rulebook.finding(getattr(problem, "rule", "refused"), getattr(problem, "path", ""), str(problem))] = None
+    for one in (overlaps or [])[:MOST_OVERLAPS]:
+        where = ", ".join(f"{x:.2f}" for x in one.place)
+        text = f"{one.faces} pairs of its faces and those of {one.other} lie in one another, the first near ({where}) m"
+        found[rulebook.finding("coincident-faces", one.one, text)] = None
     if in_fog:  # one variant with fog, and one in which the camera is in it, are enough
         always = set.intersection(*in_fog)
         found = {one: None for one in found if one.rule not in _OF_ALL_FOGS or one in always}

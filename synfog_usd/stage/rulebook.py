@@ -177,6 +177,14 @@ RULES: Mapping[str, Rule] = MappingProxyType(
             ),
             _rule("unlabelled", "info", "Shapes without a label; they are 'unlabeled' in the ground truth.", *_LABEL_MEND),
             _rule(
+                "coincident-faces",
+                "info",
+                "Faces of different materials lie in one another, so that rounding decides which of them each ray sees.",
+                "move one of them by a millimetre, or delete the faces that nobody should see",
+                "Transform LOP on one of them, or blast the hidden faces",
+                "move one of them by a millimetre",
+            ),
+            _rule(
                 "no-fog",
                 "info",
                 "The stage has no fog of its own; `bake --fog mor150` makes a layer.",

@@ -163,15 +163,16 @@ def quads(corners: npt.ArrayLike, material: str, uv: npt.ArrayLike | None = None
     return Part(points, faces, material, None if uv is None else np.asarray(uv, dtype=np.float64).reshape(-1, 2))
 
 
-def box(low: Sequence[float], high: Sequence[float], material: str, *, tile_m: float = 1.0, bottom: bool = True) -> Part:
-    """An upright box between two corners, textured in metres over `tile_m`."""
+def box(low: Sequence[float], high: Sequence[float], material: str, *, tile_m: float = 1.0, bottom: bool = True, back: bool = True) -> Part:
+    """An upright box between two corners, textured in metres over `tile_m`; `back` is its face towards -Y."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     p = [(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z0), (x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)]
     rows = [(0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)] + ([(3, 2, 1, 0)] if bottom else [])
     dx, dy, dz = ((x1 - x0) / tile_m, (y1 - y0) / tile_m, (z1 - z0) / tile_m)
     spans = [(dx, dz), (dy, dz), (dx, dz), (dy, dz), (dx, dy), (dx, dy)]
     uv = [[(0, 0), (u, 0), (u, v), (0, v)] for u, v in spans[: len(rows)]]
-    return quads([[p[i] for i in row] for row in rows], material, uv)
+    kept = slice(0 if back else 1, None)
+    return quads([[p[i] for i in row] for row in rows[kept]], material, uv[kept])
 
 
 def soft_box(low: Sequence[float], high: Sequence[float], material: str, *, radius: float, sides: int = 3) -> Part:
