@@ -275,7 +275,7 @@ class FogPath:
             segment = mi.Ray3f(ray)
             if dr.hint(self.lights.count == 0, mode="scalar"):  # lamps are asked all along the ray
                 segment.maxt = dr.minimum(flight, segment.maxt)
-            si = scene.ray_intersect(segment, mi.RayFlags.All, True, active)
+            si = scene.ray_intersect(segment, mi.RayFlags.All, False, active)  # not coherent: a lane's neighbours are at other depths
             stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)  # where the fog before the surface ends
             medium_scattered = active & dr.isfinite(flight) & (flight < dr.select(si.is_valid(), si.t, dr.inf))
             surface_hit = active & si.is_valid() & ~medium_scattered
