@@ -47,7 +47,7 @@ RR_DEPTH = 8
 2 and 40 up to a quarter worse."""
 
 FAINT = 0.5
-"""Share of its first throughput below which a path is played for at once."""
+"""Share of its throughput after the first vertex below which a path is played for at once: what is seen of a dark surface is as noisy as of a bright one."""
 
 DIFFERENCE_SURVIVES = 0.8
 """Chance of a path to live on after each scattering but the first, where only a difference is sampled."""
@@ -252,7 +252,7 @@ class FogPath:
         sampler = Random(image_seed, pixel, first)  # its random numbers
         ray, view_weight = self.camera_ray(sampler, corner, mi.Bool(True), size)  # the segment that comes next
         throughput = bands.even(view_weight)  # beta: what its light counts
-        scale = mi.Float(1.0)  # throughput that the camera segment left; roulette measures against it
+        scale = mi.Float(1.0)  # throughput after the first vertex, until then that which the camera segment left; roulette measures against it
         path = bands.black()  # the whole path's light
         depth = mi.UInt32(0)  # vertices so far; 0 on the camera's segment
         scattered, bounces = mi.UInt32(0), mi.UInt32(0)  # of them in the fog, and on surfaces
@@ -382,6 +382,7 @@ class FogPath:
             depth += 1
 
             # ==== 12. Roulette
+            scale = dr.select(depth == 1, dr.maximum(dr.max(throughput), 1e-30), scale)
             survive = self.survival(throughput, scale, depth, scattered, medium_scattered)
             alive &= (dr.max(throughput) > 0.0) & (sampler.next_1d(alive) < survive)
             alive &= medium_scattered | (bounces < self.method.bounces)
