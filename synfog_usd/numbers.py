@@ -21,6 +21,9 @@ BANDS = (8, 16, 31)
 LEAST_MOR_M = 0.03
 """Visibility [m] of the densest fog, with an extinction of 100 1/m."""
 
+UNITS_M = (1e-6, 1e3)
+"""Lengths of a stage's unit [m]: from micrometres to kilometres."""
+
 MOST_LIGHT = 1e12
 """Of a factor for all lights, and of the sun's illuminance [lx]."""
 
@@ -82,6 +85,18 @@ def check_visibility(name: str, metres: float) -> None:
     """
     if not metres >= LEAST_MOR_M:
         raise ParameterError(f"--fog {name}: a visibility below {LEAST_MOR_M:g} m is a wall; the densest is mor{LEAST_MOR_M:g}")
+
+
+def check_space(*, metres_per_unit: float | None, up: str | None) -> None:
+    """Refuse a unit of no length, or an axis that is none.
+
+    Raises:
+        ParameterError: with the range.
+    """
+    if metres_per_unit is not None and not UNITS_M[0] <= metres_per_unit <= UNITS_M[1]:
+        raise ParameterError(f"--meters-per-unit {metres_per_unit:g}: outside {UNITS_M[0]:g} to {UNITS_M[1]:g}; 1 is metres, 0.01 centimetres, 0.0254 inches")
+    if up is not None and up not in ("X", "Y", "Z"):
+        raise ParameterError(f"--up {up}: it takes X, Y or Z")
 
 
 def check_frame(frame: float | None) -> None:

@@ -55,6 +55,9 @@ def bake(
     lights: Annotated[
         str, typer.Option(help="How intensities are meant: usd, blender, rtx-legacy, metric; auto goes by the program that wrote them.")
     ] = "auto",
+    choices: Annotated[list[str] | None, typer.Option("--set", help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.")] = None,
+    metres_per_unit: Annotated[float | None, typer.Option("--meters-per-unit", help="Length in metres of the stage's unit, instead of its own.")] = None,
+    up: Annotated[str | None, typer.Option(help="Axis of the stage that points up: X, Y or Z, instead of its own.")] = None,
     light_scale: Annotated[float, typer.Option(help="Multiply all lights by this.")] = 1.0,
     sun_lux: Annotated[float | None, typer.Option(help="Multiply all lights so that the sun gives this illuminance, as 80000 for a clear noon.")] = None,
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None,
@@ -91,6 +94,9 @@ def bake(
             lights=lights,
             light_scale=light_scale,
             sun_lux=sun_lux,
+            choices=tuple(choices or ()),
+            metres_per_unit=metres_per_unit,
+            up=up,
             size=_size(resolution),
             model=model,
             samples=samples,

@@ -91,6 +91,8 @@ def bake(
     graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
     with reading():
         stage = usd.open_stage(plan.stage, allow=plan.allow)
+        if plan.choices or plan.metres_per_unit is not None or plan.up is not None:
+            usd.override(stage, choices=plan.choices, metres_per_unit=plan.metres_per_unit, up=plan.up)
         todo = shots(plan, usd.variants(stage))
         scenes = _Scenes(stage, plan)
         notes, foggy = scenes.survey(todo)
@@ -393,6 +395,9 @@ def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) ->
             "lights": plan.lights,
             "light_scale": plan.light_scale,
             "sun_lux": plan.sun_lux,
+            "choices": list(plan.choices),
+            "metres_per_unit": plan.metres_per_unit,
+            "up": plan.up,
             "variant": variant,
         },
         "versions": {"synfog-usd": __version__, **versions},

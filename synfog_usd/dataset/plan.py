@@ -35,6 +35,7 @@ class BakePlan:
         strict: whether a warning of the translation stops the bake.
         lights: how the stage's intensities are meant, see `translate.translate`.
         light_scale, sun_lux: what all lights are multiplied by, see `translate.translate`.
+        choices, metres_per_unit, up: how the stage is read otherwise than it says of itself, see `stage.override`.
         allow: folders outside the stage's own in which its files may lie.
     """
 
@@ -59,6 +60,9 @@ class BakePlan:
     lights: str = "auto"
     light_scale: float = 1.0
     sun_lux: float | None = None
+    choices: tuple[str, ...] = ()
+    metres_per_unit: float | None = None
+    up: str | None = None
     allow: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
@@ -66,6 +70,7 @@ class BakePlan:
         numbers.check_target(error=self.target_error, time_limit_s=self.time_limit_s)
         numbers.check_light(scale=self.light_scale, sun_lux=self.sun_lux)
         numbers.check_frame(self.frame)
+        numbers.check_space(metres_per_unit=self.metres_per_unit, up=self.up)
         if self.bands is not None:
             numbers.check_bands(self.bands)
         for name in self.fog or ():

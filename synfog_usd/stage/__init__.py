@@ -1,6 +1,6 @@
 """USD stages: the fog schema, opening, choosing variants, checking.  Writes to no input layer."""
 
-from synfog_usd.stage.open import MISSING, authored_path, cameras, composition_notes, dependencies, open_stage, select, selected, stage_hash, variants
+from synfog_usd.stage.open import MISSING, authored_path, cameras, composition_notes, dependencies, open_stage, override, select, selected, stage_hash, variants
 from synfog_usd.stage.rulebook import Finding
 from synfog_usd.stage.schema import register
 from synfog_usd.stage.validate import check
@@ -16,6 +16,7 @@ __all__ = [
     "composition_notes",
     "dependencies",
     "open_stage",
+    "override",
     "register",
     "select",
     "selected",

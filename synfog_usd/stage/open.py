@@ -263,6 +263,56 @@ def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = N
     _check_expressions(stage, fence_of(stage))
 
 
+def up_axis(stage: Usd.Stage) -> str:
+    """X, Y or Z: the axis that a stage says is up; Y where it says nonsense."""
+    axis = str(UsdGeom.GetStageUpAxis(stage))
+    return axis if axis in ("X", "Y", "Z") else "Y"
+
+
+def override(stage: Usd.Stage, *, choices: Iterable[str] = (), metres_per_unit: float | None = None, up: str | None = None) -> None:
+    """Read a stage otherwise than it says of itself, on the session layer only.
+
+    Args:
+        stage: to change.
+        choices: variants of any prim, as /World/Car:paint=red.
+        metres_per_unit: length [m] of its unit.
+        up: X, Y or Z.
+
+    Raises:
+        StageError: no such prim, set or variant; with those that there are.
+    """
+    with Usd.EditContext(stage, Usd.EditTarget(stage.GetSessionLayer())):
+        if metres_per_unit is not None:
+            stage.SetMetadata("metersPerUnit", float(metres_per_unit))
+        if up is not None:
+            stage.SetMetadata("upAxis", up)
+        for choice in choices:
+            where, name, variant = _variant_named(choice)
+            prim = stage.GetPrimAtPath(where)
+            if not prim:
+                having = [str(one.GetPath()) for one in stage.Traverse() if one.HasVariantSets()]
+                listed = f"variants are on {', '.join(having[:8])}{', ...' if len(having) > 8 else ''}" if having else "no prim of the stage has variants"
+                raise StageError(f"--set {choice}: the stage has no prim {where}; {listed}.{did_you_mean(where, having)}")
+            sets = prim.GetVariantSets().GetNames()
+            if name not in sets:
+                raise StageError(f"--set {choice}: {where} has {', '.join(sets) or 'no variant set'}.{did_you_mean(name, sets)}")
+            names = prim.GetVariantSet(name).GetVariantNames()
+            if variant not in names:
+                raise StageError(f"--set {choice}: variant set {name!r} of {where} has {', '.join(names)}.{did_you_mean(variant, names)}")
+            prim.GetVariantSet(name).SetVariantSelection(variant)
+    check_size(stage)
+    _check_expressions(stage, fence_of(stage))
+
+
+def _variant_named(choice: str) -> tuple[str, str, str]:
+    """(prim, set, variant) of /World/Car:paint=red."""
+    place, equals, variant = choice.partition("=")
+    where, colon, name = place.rpartition(":")
+    if not (equals and colon and variant and name and Sdf.Path.IsValidPathString(where) and where.startswith("/")):
+        raise StageError(f"--set {choice}: not PRIM:SET=VARIANT, as in /World/Car:paint=red")
+    return where, name, variant
+
+
 def cameras(stage: Usd.Stage) -> list[str]:
     """Paths of all active cameras, in the stage's order."""
     return [str(prim.GetPath()) for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)]

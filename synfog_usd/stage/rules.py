@@ -19,7 +19,7 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
 from synfog_usd.colour import LUMINANCE
 from synfog_usd.stage.labels import direct_label, official_name
-from synfog_usd.stage.open import cameras
+from synfog_usd.stage.open import cameras, up_axis
 from synfog_usd.stage.rulebook import Finding, finding
 from synfog_usd.stage.schema import API_NAME, FOG_VARIANT_SET, LIGHTING_VARIANT_SET, has_fog_attributes
 
@@ -182,7 +182,7 @@ def _anything_glows(context: _Context) -> bool:
 
 
 def _dome_pole(context: _Context) -> Iterator[Finding]:
-    up_axis = UsdGeom.GetStageUpAxis(context.stage)
+    up = up_axis(context.stage)
     axes = {"X": Gf.Vec3d(1, 0, 0), "Y": Gf.Vec3d(0, 1, 0), "Z": Gf.Vec3d(0, 0, 1)}
     for prim in context.prims:
         kind = str(prim.GetTypeName())
@@ -192,13 +192,13 @@ def _dome_pole(context: _Context) -> Iterator[Finding]:
         axis = "Y"
         if kind == "DomeLight_1":
             asked = prim.GetAttribute("poleAxis").Get() if prim.GetAttribute("poleAxis") else "scene"
-            axis = {"scene": up_axis, None: up_axis}.get(asked, str(asked))
+            axis = {"scene": up, None: up}.get(asked, str(asked))
         world = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(context.time).TransformDir(axes.get(axis, axes["Y"]))
         if world.GetLength() == 0.0:
             continue
-        angle = math.degrees(math.acos(max(-1.0, min(1.0, Gf.Dot(world.GetNormalized(), axes[up_axis])))))
+        angle = math.degrees(math.acos(max(-1.0, min(1.0, Gf.Dot(world.GetNormalized(), axes[up])))))
         if angle > POLE_DEG:
-            text = f"the top of its map points {angle:.0f} degrees away from the stage's up axis {up_axis}; rotate the light"
+            text = f"the top of its map points {angle:.0f} degrees away from the stage's up axis {up}; rotate the light"
             yield finding("dome-pole", str(prim.GetPath()), text)
 
 

@@ -195,7 +195,7 @@ def looked_from(
     """The stage with its skeletons posed, the moment, the space around the camera, and the camera in it."""
     time = at_mid_exposure(stage, _moment(stage, frame, notes), notes, path=camera)
     stage = posed(stage, time, notes)
-    space = stage_space(stage)
+    space = stage_space(stage, notes)
     eye = read_camera(stage, space, time, notes, path=camera, resolution=resolution)
     space = replace(space, origin_m=np.round(eye.to_world[:3, 3]) + 0.0)
     place = eye.to_world.copy()

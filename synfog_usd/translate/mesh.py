@@ -148,7 +148,8 @@ def read_mesh(
     smooth = False
     left_handed = "orientation" in authored and prim.GetAttribute("orientation").Get() == UsdGeom.Tokens.leftHanded
     whole = counts >= 3 if keep is None else keep & (counts >= 3)
-    bent = "normals" not in attributes and scheme != UsdGeom.Tokens.none and bool(whole.any())
+    told = "subdivisionScheme" in authored
+    bent = ("normals" not in attributes or told) and scheme != UsdGeom.Tokens.none and bool(whole.any())
     if bent and scheme == UsdGeom.Tokens.loop and (counts[counts >= 3] != 3).any():
         notes.warn(prim.GetPath(), "subdivision surface (loop) with faces of more than three corners is drawn as its control cage with smooth normals")
         smooth, bent = True, False
@@ -157,7 +158,8 @@ def read_mesh(
     if bent and scheme in (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop, UsdGeom.Tokens.bilinear):
         level = levels(len(counts))
         if scheme != UsdGeom.Tokens.bilinear:
-            notes.info(prim.GetPath(), f"subdivision surface ({scheme}) is divided {level} times and lies on its limit")
+            unused = "; normals of its own are not used, as UsdGeom says of what is divided" if attributes.pop("normals", None) is not None else ""
+            notes.info(prim.GetPath(), f"subdivision surface ({scheme}) is divided {level} times and lies on its limit{unused}")
         fine = _subdivided(UsdGeom.Mesh(prim), str(scheme), time, points, counts, indices, keep, attributes, level, left_handed=left_handed)
         if not len(fine.triangles):
             notes.warn(prim.GetPath(), "subdivision surface of which no face is drawn (interpolateBoundary 'none', or holes) is left out")
@@ -183,8 +185,10 @@ def read_mesh(
     if "normals" in attributes and not (whole_ones := attributes["normals"].values.any(axis=1)).all():
         notes.info(prim.GetPath(), f"{int((~whole_ones).sum())} of its normals have no length; those are made from the faces around")
         attributes["normals"] = _mended(attributes["normals"], points, indices, triangles)
-    if scheme in (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop) and "subdivisionScheme" in authored and "normals" in attributes:
-        notes.info(prim.GetPath(), f"subdivision surface ({scheme}) with normals of its own is drawn as its control cage with these")
+    if not told and is_mesh and "normals" in attributes:
+        notes.info(
+            prim.GetPath(), "names no subdivisionScheme, whose fallback is catmullClark, and has normals, which only polygons have: it is drawn as polygons"
+        )
     return Polygons(points, indices, triangles, face_of, attributes, smooth, faces)
 
 

@@ -14,12 +14,12 @@ from pxr import Gf, Usd, UsdGeom
 
 from synfog_usd.arrays import Array
 from synfog_usd.errors import StageError
+from synfog_usd.numbers import UNITS_M
+from synfog_usd.stage.open import up_axis
+from synfog_usd.translate.diagnostics import Diagnostics
 
 Y_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """(x, y, z) -> (x, -z, y)."""
-
-UNITS_M = (1e-6, 1e3)
-"""Lengths of a stage's unit [m]: from micrometres to kilometres."""
 
 FAR = 1e10
 """Largest number of a placement [stage units]: 10 000 km in millimetres.  An instance's, its shape's and `FAR_POINT` together stay within float32."""
@@ -51,7 +51,11 @@ class Space:
         return result
 
 
-def stage_space(stage: Usd.Stage) -> Space:
+X_TO_Z = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""(x, y, z) -> (y, z, x)."""
+
+
+def stage_space(stage: Usd.Stage, notes: Diagnostics) -> Space:
     """Units and axes of a stage, with the origin where the stage has it.
 
     Raises:
@@ -61,7 +65,11 @@ def stage_space(stage: Usd.Stage) -> Space:
     if not UNITS_M[0] <= metres <= UNITS_M[1]:
         allowed = f"from {UNITS_M[0]:g} to {UNITS_M[1]:g}"
         raise StageError(f"{stage.GetRootLayer().identifier}: metersPerUnit = {metres:g} is not {allowed}; 1 is metres, 0.01 centimetres, 0.0254 inches")
-    axes = np.eye(4) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else Y_TO_Z
+    axes = {"X": X_TO_Z, "Y": Y_TO_Z, "Z": np.eye(4)}[up_axis(stage)]
+    authored = str(UsdGeom.GetStageUpAxis(stage))
+    if authored not in ("Y", "Z"):
+        taken = "drawn with X up" if authored == "X" else "Y is taken, which is what USD falls back to; choose another with --up"
+        notes.warn("", f"upAxis is {authored!r}, and USD knows Y and Z alone; {taken}")
     return Space(float(metres), axes, np.zeros(3))
 
 

@@ -7,7 +7,7 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from synfog_usd.errors import StageError
-from synfog_usd.stage import cameras, composition_notes, dependencies, open_stage, select, stage_hash, variants
+from synfog_usd.stage import cameras, composition_notes, dependencies, open_stage, override, select, stage_hash, variants
 from synfog_usd.translate import translate
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "usd"
@@ -165,6 +165,43 @@ def test_a_camera_in_a_missing_sublayer_is_refused_by_that_layers_name(tmp_path)
     (tmp_path / "a.usda").write_text('#usda 1.0\n(\n    subLayers = [@./shot.usda@]\n)\ndef Cube "Wall" { }\n')
     with pytest.raises(StageError, match=r"no camera; /: its sublayer ./shot.usda is missing; put that file in its place"):
         translate(open_stage(tmp_path / "a.usda"))
+
+
+PAINTED = """#usda 1.0
+def Camera "Ego" { }
+def Xform "Car" (
+    variantSets = "paint"
+    variants = { string paint = "blue" }
+)
+{
+    variantSet "paint" = {
+        "blue" {
+            def Cube "Blue" { }
+        }
+        "red" {
+            def Cube "Red" { }
+        }
+    }
+}
+"""
+
+
+def test_any_variant_is_chosen_by_its_prim_and_set(tmp_path):
+    (tmp_path / "a.usda").write_text(PAINTED)
+    stage = open_stage(tmp_path / "a.usda")
+    override(stage, choices=["/Car:paint=red"])
+    assert stage.GetPrimAtPath("/Car/Red") and not stage.GetPrimAtPath("/Car/Blue")
+    assert stage.GetRootLayer().ExportToString() == Usd.Stage.Open(str(tmp_path / "a.usda")).GetRootLayer().ExportToString()
+
+
+@pytest.mark.parametrize("choice, told", [
+    ("/Cra:paint=red", r"no prim /Cra; variants are on /Car. Did you mean '/Car'"), ("/Car:pain=red", r"/Car has paint. Did you mean 'paint'"),
+    ("/Car:paint=rad", r"has blue, red. Did you mean 'red'"), ("/Car=red", "not PRIM:SET=VARIANT"), ("Car:paint=red", "not PRIM:SET=VARIANT"),
+])  # fmt: skip
+def test_variants_that_are_not_there_are_refused_with_those_that_are(tmp_path, choice, told):
+    (tmp_path / "a.usda").write_text(PAINTED)
+    with pytest.raises(StageError, match=told):
+        override(open_stage(tmp_path / "a.usda"), choices=[choice])
 
 
 def test_materialx_references_are_noted_but_open(tmp_path):

@@ -511,3 +511,31 @@ def test_a_broken_mesh_is_left_out_with_a_note(empty, polygon_mesh, points, coun
     scene = translate(stage)
     assert summary(scene)["shapes"] == 1
     assert [note.severity for note in scene.notes if note.path == "/Broken"] == ["warning"]
+
+
+@pytest.mark.parametrize("scheme", ["catmullClark", "loop"])
+def test_normals_of_what_is_divided_are_not_used(empty, polygon_mesh, only_shape, scheme):
+    """A cube that says it is divided is the same limit surface with and without normals of its own; one that says nothing is polygons."""
+    faces = (
+        QUADS
+        if scheme == "catmullClark"
+        else [corner for q in range(0, 24, 4) for corner in (QUADS[q], QUADS[q + 1], QUADS[q + 2], QUADS[q], QUADS[q + 2], QUADS[q + 3])]
+    )
+    size = 4 if scheme == "catmullClark" else 3
+
+    def drawn(*, normals, said=True):
+        stage = empty()
+        mesh = polygon_mesh(stage, "/Box", BOX, [size] * (len(faces) // size), faces)
+        mesh.GetSubdivisionSchemeAttr().Set(scheme) if said else mesh.GetPrim().RemoveProperty("subdivisionScheme")
+        if normals:
+            mesh.CreateNormalsAttr([(0, 0, 1)] * len(faces))
+            mesh.SetNormalsInterpolation("faceVarying")
+        scene = translate(stage)
+        return only_shape(scene), " ".join(note.text for note in scene.notes)
+
+    (with_normals, told), (without, _) = drawn(normals=True), drawn(normals=False)
+    assert "normals of its own are not used" in told and len(without["positions"]) > 8
+    np.testing.assert_array_equal(with_normals["positions"], without["positions"])
+    np.testing.assert_array_equal(with_normals["normals"], without["normals"])
+    as_polygons, told = drawn(normals=True, said=False)
+    assert len(as_polygons["faces"]) == 12 and "drawn as polygons" in told

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdLux
 
+from synfog_usd.stage import override
+from synfog_usd.stage.rules import findings
 from synfog_usd.translate import translate
 
 BOX = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
@@ -86,3 +88,27 @@ def test_a_street_at_city_coordinates_keeps_its_precision():
     near, far = translate(street("Z", 1.0)), translate(street("Z", 1.0, far=500_000.0))
     compare(dict(far.world), dict(near.world))
     assert far.origin_m[0] == 500_000.0
+
+
+def test_a_stage_with_x_up_is_drawn_with_x_up(empty, only_shape):
+    """(1, 2, 3) of such a stage is 1 m up; it was drawn lying, without a word."""
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetMetadata("upAxis", "X")
+    UsdGeom.Camera.Define(stage, "/Camera").AddTranslateOp().Set((1, 2, 3))
+    scene = translate(stage)
+    np.testing.assert_allclose(np.add(scene.camera.to_world[:3, 3], scene.origin_m), (2, 3, 1))
+    assert np.linalg.det(scene.camera.to_world[:3, :3]) == pytest.approx(1.0)
+    assert [note.text for note in scene.notes if note.severity == "warning"] == ["upAxis is 'X', and USD knows Y and Z alone; drawn with X up"]
+
+
+def test_an_up_axis_of_nonsense_is_told(empty):
+    stage = Usd.Stage.CreateInMemory()
+    stage.SetMetadata("upAxis", "W")
+    UsdGeom.Camera.Define(stage, "/Camera")
+    assert any("upAxis is 'W'" in note.text and "--up" in note.text for note in translate(stage).notes)
+    look = findings(stage)
+    assert all(one.severity != "error" for one in look)
+    override(stage, up="Z", metres_per_unit=0.01)
+    assert not any("upAxis" in note.text for note in translate(stage).notes) and UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+    assert stage.GetRootLayer().GetPrimAtPath("/").GetInfo("upAxis") == "W"
