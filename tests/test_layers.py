@@ -1,8 +1,9 @@
-"""The house rules: which room may import what, and what help loads."""
+"""The house rules: which room may import what, one name for each class, and what help loads."""
 
 import ast
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -100,6 +101,17 @@ def test_every_room_is_ruled():
     """A new folder needs a line in the table above."""
     rooms = {path.name for path in PACKAGE.iterdir() if path.is_dir() and path.name not in {"__pycache__", "data"}}
     assert rooms == {*SEES, "dataset", "study", "cli"} - {"scene", "cull", "testing"}
+
+
+def test_no_two_classes_have_one_name():
+    """One concept, one name: a reader who meets a class's name need not ask which of them is meant."""
+    places = defaultdict(list)
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(f"{path.relative_to(PACKAGE)}:{node.lineno}")
+    assert len(places) > 100
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
 HELP = """

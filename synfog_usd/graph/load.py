@@ -79,11 +79,11 @@ def make_graph(
     alone = "extends" not in header
     sections = {"inputs": inputs or (("radiance",) if alone else None), "nodes": nodes, "outputs": outputs}
     plain = {"synfog": "graph/1", **header, **{key: value for key, value in sections.items() if value or (alone and value is not None)}}
-    return _Loader(_Spots(name).located(plain, ""), name, folder, registry).load()
+    return _Loader(_PythonPlaces(name).located(plain, ""), name, folder, registry).load()
 
 
 @dataclass(frozen=True)
-class _Spot(Place):
+class _PythonPlace(Place):
     """A place in Python's data; `line` counts the values that stand before it."""
 
     label: str = ""
@@ -92,7 +92,7 @@ class _Spot(Place):
         return self.label
 
 
-class _Spots:
+class _PythonPlaces:
     """Gives every value of plain data a place."""
 
     def __init__(self, name: str) -> None:
@@ -100,7 +100,7 @@ class _Spots:
 
     def located(self, value: Any, label: str) -> Located:
         self.count += 1
-        spot = _Spot(self.name, self.count, 0, label or self.name)
+        spot = _PythonPlace(self.name, self.count, 0, label or self.name)
         if isinstance(value, Mapping):
             value = {str(key): self.located(item, f"{label}.{key}" if label else str(key)) for key, item in value.items()}
         elif isinstance(value, list | tuple):

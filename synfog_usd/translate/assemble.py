@@ -36,7 +36,7 @@ from synfog_usd.translate.shapes import Shapes
 from synfog_usd.translate.skel import has_skeletons, posed
 from synfog_usd.translate.space import Space, stage_space
 from synfog_usd.translate.texture import ImageReader
-from synfog_usd.translate.walk import Leaf, Owner, Placement, Walk, walk
+from synfog_usd.translate.walk import GroupInstance, Leaf, Owner, Walk, walk
 
 _DOMES = ("DomeLight", "DomeLight_1")
 
@@ -261,7 +261,7 @@ class _Assembler:
             self.drawer.look_ahead(some)
             for leaf in some:
                 self.put(leaf, to_scene @ leaf.matrix, None)
-        placements: dict[int, list[Placement]] = {}
+        placements: dict[int, list[GroupInstance]] = {}
         for placement in found.placements:
             placements.setdefault(placement.group, []).append(placement)
         for number, places in placements.items():
@@ -293,7 +293,7 @@ class _Assembler:
 
     # -- placing
 
-    def put(self, leaf: Leaf, matrix: Array, placement: Placement | None) -> None:
+    def put(self, leaf: Leaf, matrix: Array, placement: GroupInstance | None) -> None:
         """A leaf in the scene itself."""
         kind = leaf.kind
         if kind in _DOMES or kind == "DistantLight":
@@ -330,7 +330,7 @@ class _Assembler:
         if made is not None:
             self.fog.append(made)
 
-    def put_lamp(self, leaf: Leaf, kind: str, matrix: Array, placement: Placement | None) -> None:
+    def put_lamp(self, leaf: Leaf, kind: str, matrix: Array, placement: GroupInstance | None) -> None:
         convention = self.chooser.of(leaf.prim)
         lamp = light.lamp(leaf.prim, kind, matrix, self.time, self.notes, self.images, metres_per_unit=self.space.metres_per_unit, convention=convention)
         if lamp is None:
@@ -364,13 +364,13 @@ class _Assembler:
         elif found:
             self.emission_of[key] = found[0][1]
 
-    def light_group(self, leaf: Leaf, placement: Placement | None) -> str:
+    def light_group(self, leaf: Leaf, placement: GroupInstance | None) -> str:
         """Light group of a lamp: as authored on it or above it, else by what it is part of."""
         above = self.stage.GetPrimAtPath(placement.path) if placement is not None else None
         owner = leaf.owner or (placement.owner if placement is not None else None)
         return authored_group(leaf.prim) or (authored_group(above) if above else None) or group_by_label(owner.label if owner is not None else UNLABELED)
 
-    def add_shape(self, shape: dict[str, Any], emission: dict[str, Any] | None, nits: float, leaf: Leaf, placement: Placement | None) -> None:
+    def add_shape(self, shape: dict[str, Any], emission: dict[str, Any] | None, nits: float, leaf: Leaf, placement: GroupInstance | None) -> None:
         instance = self.instance(leaf, placement)
         if emission is not None:
             material = self.bindings.bound.get(str(leaf.prim.GetPath()))
@@ -389,7 +389,7 @@ class _Assembler:
         if instance is not None:
             self.instance_of[(key,)] = instance
 
-    def put_group(self, leaves: list[Leaf], places: list[Placement]) -> None:
+    def put_group(self, leaves: list[Leaf], places: list[GroupInstance]) -> None:
         """A group's leaves once and its placements as instances; what shines is placed one by one."""
         to_scene = self.space.matrix
         shared: list[tuple[Leaf, dict[str, Any]]] = []
@@ -437,7 +437,7 @@ class _Assembler:
 
     # -- labels
 
-    def instance(self, leaf: Leaf, placement: Placement | None) -> int:
+    def instance(self, leaf: Leaf, placement: GroupInstance | None) -> int:
         """Label id of a leaf; a new one where its owner was not met before."""
         if placement is None:
             owner = leaf.owner or Owner(leaf.model or leaf.path, UNLABELED)

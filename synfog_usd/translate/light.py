@@ -68,7 +68,7 @@ class Dome:
     to_world: Array = field(default_factory=lambda: np.eye(4))
 
 
-class _Inputs:
+class _LightInputs:
     """Inputs of a light, also without the 'inputs:' of files before 21.02."""
 
     def __init__(self, prim: Usd.Prim, time: Usd.TimeCode) -> None:
@@ -87,7 +87,7 @@ class _Inputs:
 
 def emitted(prim: Usd.Prim, time: Usd.TimeCode, *, default_intensity: float = 1.0, convention: Convention = USD) -> Array:
     """(3,) RGB of color x intensity x 2^exposure x blackbody tint, before any normalization."""
-    inputs = _Inputs(prim, time)
+    inputs = _LightInputs(prim, time)
     color = np.array([float(c) for c in inputs.get("color", (1.0, 1.0, 1.0))])
     if inputs.get("enableColorTemperature", False):
         kelvin = float(inputs.get("colorTemperature", 6500.0))
@@ -117,7 +117,7 @@ def lamp(
         convention: how its numbers are meant.
     """
     path = prim.GetPath()
-    inputs = _Inputs(prim, time)
+    inputs = _LightInputs(prim, time)
     _unsupported(prim, inputs, notes)
     radiance = emitted(prim, time, default_intensity=50000.0 if kind == "DistantLight" else 1.0, convention=convention)
     if not _shines(radiance, path, notes):
@@ -157,7 +157,7 @@ def _shines(radiance: Array, path: object, notes: Diagnostics) -> bool:
 
 def mesh_light(prim: Usd.Prim, time: Usd.TimeCode, surface_m2: float, notes: Diagnostics, *, metres_per_unit: float, convention: Convention = USD) -> Array:
     """(3,) radiance [cd m-2] of a mesh with MeshLightAPI, of a given area [m2]."""
-    inputs = _Inputs(prim, time)
+    inputs = _LightInputs(prim, time)
     _unsupported(prim, inputs, notes)
     radiance = emitted(prim, time, convention=convention)
     radiance = np.maximum(radiance, 0.0) if _shines(radiance, prim.GetPath(), notes) else np.zeros(3)
@@ -173,7 +173,7 @@ def dome(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: Di
     axis or Z instead.
     """
     path = str(prim.GetPath())
-    inputs = _Inputs(prim, time)
+    inputs = _LightInputs(prim, time)
     _unsupported(prim, inputs, notes)
     tint = emitted(prim, time)
     if not _shines(tint, path, notes):
@@ -307,7 +307,7 @@ def _spot(intensity: Array, cone: tuple[float, float], matrix: Array) -> Lamp:
     return Lamp(emitter, float(LUMINANCE @ intensity) * solid_angle)
 
 
-def _sphere(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics) -> Lamp | None:
+def _sphere(inputs: _LightInputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics) -> Lamp | None:
     radius = float(inputs.get("radius", 0.5))
     mean_scale = abs(float(np.linalg.det(matrix[:3, :3]))) ** (1.0 / 3.0)
     shaping = read_shaping(inputs, path, notes)
@@ -336,7 +336,9 @@ def _sphere(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, pa
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), shape)
 
 
-def _flat(inputs: _Inputs, kind: str, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics, images: ImageReader) -> Lamp | None:
+def _flat(
+    inputs: _LightInputs, kind: str, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics, images: ImageReader
+) -> Lamp | None:
     """A rectangle or disk in its XY plane that shines along -Z; a rectangle's picture has its left at +X and its top at +Y."""
     picture = None
     if kind == "RectLight":
@@ -370,7 +372,7 @@ def _flat(inputs: _Inputs, kind: str, radiance: Array, per_area: float, matrix: 
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), {"type": native, "to_world": place})
 
 
-def _picture(inputs: _Inputs, path: object, notes: Diagnostics, images: ImageReader) -> Array | None:
+def _picture(inputs: _LightInputs, path: object, notes: Diagnostics, images: ImageReader) -> Array | None:
     """(H, W, 3) linear factors of the picture on a light, or None where there is none."""
     asset = inputs.get("texture:file", None)
     if not (authored := getattr(asset, "path", "")):
@@ -386,7 +388,7 @@ def _picture(inputs: _Inputs, path: object, notes: Diagnostics, images: ImageRea
     return np.maximum(np.repeat(values[..., :1], 3, axis=2) if values.shape[2] < 3 else values[..., :3], 0.0)
 
 
-def _cylinder(inputs: _Inputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics) -> Lamp | None:
+def _cylinder(inputs: _LightInputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics) -> Lamp | None:
     """A cylinder along X that shines from its side, not from its ends."""
     length, radius = float(inputs.get("length", 1.0)), float(inputs.get("radius", 0.5))
     if inputs.get("treatAsLine", False) or radius <= 0.0 or length <= 0.0:
@@ -413,7 +415,7 @@ def _side(length: float, radius: float) -> Triangles:
     return Triangles(made.positions @ turn.T, made.faces[flat], made.normals @ turn.T)
 
 
-def _unsupported(prim: Usd.Prim, inputs: _Inputs, notes: Diagnostics) -> None:
+def _unsupported(prim: Usd.Prim, inputs: _LightInputs, notes: Diagnostics) -> None:
     path = prim.GetPath()
     for name in ("diffuse", "specular"):
         if float(inputs.get(name, 1.0)) != 1.0:

@@ -163,7 +163,7 @@ class Materials:
         return Finish(self._add({"type": "thindielectric", "int_ior": ior, "specular_transmittance": _rgb(tint)}))
 
     def _surface(self, shader: UsdShade.Shader, names: _Names, path: object) -> Finish:
-        inputs = _Inputs(self, shader, names)
+        inputs = _ShaderInputs(self, shader, names)
         color = inputs.color("diffuseColor", names.color)
         roughness, metallic = inputs.number("roughness", names.roughness), inputs.number("metallic", 0.0)
         ior = inputs.constant("ior", 1.5)
@@ -197,7 +197,7 @@ class Materials:
         plain = self._add(_without_textures(bsdf)) if inputs.uv is not None else None
         return Finish(key, emission, nits, inputs.uv, plain, inputs.vertex_color, inputs.reads, inputs.fallback, inputs.unsaid)
 
-    def _bumped(self, bsdf: dict[str, Any], inputs: _Inputs, path: object) -> dict[str, Any]:
+    def _bumped(self, bsdf: dict[str, Any], inputs: _ShaderInputs, path: object) -> dict[str, Any]:
         node = inputs.texture("normal")
         if node is None:
             return bsdf
@@ -300,7 +300,7 @@ READERS = ("UsdPrimvarReader", "ND_UsdPrimvarReader", "ND_geompropvalue")
 _VERTEX_COLOR = {"type": "mesh_attribute", "name": "vertex_color"}
 
 
-class _Inputs:
+class _ShaderInputs:
     """The inputs of one surface shader, and the one set of texture coordinates that they read."""
 
     def __init__(self, materials: Materials, shader: UsdShade.Shader, names: _Names) -> None:

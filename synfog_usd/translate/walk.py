@@ -105,7 +105,7 @@ class Group:
 
 
 @dataclass(slots=True)
-class Placement:
+class GroupInstance:
     """One instance of a group.
 
     Attributes:
@@ -129,7 +129,7 @@ class Walk:
 
     leaves: list[Leaf] = field(default_factory=list)
     groups: list[Group] = field(default_factory=list)
-    placements: list[Placement] = field(default_factory=list)
+    placements: list[GroupInstance] = field(default_factory=list)
     sheer: bool = False
     """Whether any prim has a displayOpacity."""
 
@@ -416,7 +416,7 @@ class _Walker:
         if group is None:
             self.count += len(inner.leaves)
             self.limit()
-            self.result.placements.append(Placement(index, matrix, path, owner, state.model or path))
+            self.result.placements.append(GroupInstance(index, matrix, path, owner, state.model or path))
             return
         self.nested += len(inner.leaves)  # Mitsuba knows one level of instances, so the inner leaves are listed again
         if self.nested > MAX_NESTED:
