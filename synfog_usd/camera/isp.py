@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import cfa, response
-from synfog_usd.camera.distortion import warped_like
+from synfog_usd.camera.distortion import Pinhole, source_of, warped_like
 from synfog_usd.camera.optics import FOV, falloff_map
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -172,8 +172,10 @@ def lens_shading(
         raise ImageError("the image does not say its falloff; optics.irradiance notes it")
     facts, shift = image.provenance, (shift_x, shift_y)
     table = facts.get("relative_illumination", ((), ()))
-    fade = falloff_map(image.height_px, image.width_px, kind=facts["falloff"], f_number=facts["f_number"], fov_x_deg=fov_x_deg, shift=shift, table=table)
-    fade = warped_like(fade, facts, fov_x_deg=fov_x_deg, shift=shift)
+    taken = Pinhole(image.height_px, image.width_px, fov_x_deg, shift)
+    height, width, fov_deg, source_shift = source_of(facts, taken)
+    fade = falloff_map(height, width, kind=facts["falloff"], f_number=facts["f_number"], fov_x_deg=fov_deg, shift=source_shift, table=table)
+    fade = warped_like(fade, facts, taken)
     return image.with_pixels(image.pixels / fade[..., None] ** np.float32(strength)).with_metadata(lens_shading=strength)
 
 

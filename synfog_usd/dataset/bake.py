@@ -31,9 +31,10 @@ from synfog_usd.seeds import seed32
 if TYPE_CHECKING:
     import numpy as np
 
+    from synfog_usd.camera.distortion import Pinhole
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
-    from synfog_usd.scene import Note, SceneDict
+    from synfog_usd.scene import Camera, Note, SceneDict
 
 MANIFEST = "bake.json"
 METER_WIDTH_PX = 160
@@ -94,7 +95,7 @@ def bake(
         if plan.choices or plan.metres_per_unit is not None or plan.up is not None:
             usd.override(stage, choices=plan.choices, metres_per_unit=plan.metres_per_unit, up=plan.up)
         todo = shots(plan, usd.variants(stage))
-        scenes = _Scenes(stage, plan)
+        scenes = _Scenes(stage, plan, graph)
         notes, foggy = scenes.survey(todo)
 
     if plan.strict and any(note.severity == "warning" for note in notes):
@@ -112,7 +113,7 @@ def bake(
             progress("labels", 0.0)
             with reading():
                 first = scenes.of(todo[0])
-            ledger.add_labels(_write_labels(aovs.measure(renderer.within(replace(first, fog=()))), first, plan, graph))
+            ledger.add_labels(_write_labels(aovs.measure(renderer.within(replace(first, fog=()))), first, plan, graph, scenes.taken))
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
         if kept:
@@ -133,7 +134,7 @@ def bake(
                 step("metering", 0.01)
                 view = views[shot.lighting] = _meter(replace(clear, fog=()), renderer, plan, graph)
                 log(f"{shot.lighting}: {outdoors(scene)}; this view has {float(view.luminance.mean()):.3g} cd/m2 in clear air")
-            row, lines = _make(shot, scene, renderer, views.get(shot.lighting), graph, plan, step)
+            row, lines = _make(shot, scene, renderer, views.get(shot.lighting), graph, plan, scenes.taken, step)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
             for line in (*lines, *row["warnings"]):
@@ -147,11 +148,12 @@ def bake(
 class _Scenes:
     """The scenes of a stage: one translation for each lighting, and one more for what differs from it in more than its fog."""
 
-    def __init__(self, stage: Any, plan: BakePlan) -> None:
+    def __init__(self, stage: Any, plan: BakePlan, graph: Any = None) -> None:
         from synfog_usd import stage as usd
 
-        self.stage, self.plan, self.authored = stage, plan, usd.selected(stage)
+        self.stage, self.plan, self.graph, self.authored = stage, plan, graph, usd.selected(stage)
         self.lightings: dict[str, Any] = {}
+        self.taken: Pinhole | None = None  # what the sensor takes, where a wider picture is rendered
         self.known: dict[Shot, SceneDict] = {}
 
     def of(self, shot: Shot) -> SceneDict:
@@ -167,13 +169,23 @@ class _Scenes:
         choices |= {"lights": plan.lights, "light_scale": plan.light_scale, "sun_lux": plan.sun_lux}
         if shot.lighting not in self.lightings:
             self.lightings[shot.lighting] = Exchange(self.stage, **choices, fog_mor_m=shot.mor_m)
-            self.known[shot] = self.lightings[shot.lighting].scene
+            self.known[shot] = self.seen(self.lightings[shot.lighting].scene)
             return self.known[shot]
         scene = self.lightings[shot.lighting].within(self.stage, fog_mor_m=shot.mor_m)
         if scene is None:
-            return translate(self.stage, **choices, fog_mor_m=shot.mor_m)
-        self.known[shot] = scene
+            return self.seen(translate(self.stage, **choices, fog_mor_m=shot.mor_m))
+        self.known[shot] = self.seen(scene)
         return self.known[shot]
+
+    def seen(self, scene: SceneDict) -> SceneDict:
+        """The scene through a wider and denser camera, where the graph's lens distorts and every pixel has to be found in the picture."""
+        from synfog_usd.camera import distortion
+
+        wider = None if self.graph is None or scene.camera.width_m > 0.0 else distortion.to_render(self.graph, _pinhole(scene.camera))
+        if wider is None:
+            return scene
+        self.taken = _pinhole(scene.camera)
+        return replace(scene, camera=replace(scene.camera, height_px=wider.height_px, width_px=wider.width_px, fov_x_deg=wider.fov_x_deg, shift=wider.shift))
 
     def survey(self, todo: Sequence[Shot]) -> tuple[tuple[Note, ...], bool]:
         """Read every lighting once and every fog once, before anything is rendered.
@@ -192,6 +204,12 @@ class _Scenes:
             notes |= dict.fromkeys(scene.notes)
             foggy |= bool(scene.fog)
         return tuple(notes), foggy
+
+
+def _pinhole(view: Camera) -> Pinhole:
+    from synfog_usd.camera.distortion import Pinhole
+
+    return Pinhole(view.height_px, view.width_px, view.fov_x_deg, view.shift)
 
 
 class _Renderer:
@@ -268,7 +286,7 @@ def _meter(scene: SceneDict, renderer: _Renderer, plan: BakePlan, graph: Any) ->
 
 
 def _make(
-    shot: Shot, scene: SceneDict, renderer: _Renderer, view: _View | None, graph: Any, plan: BakePlan, progress: Progress
+    shot: Shot, scene: SceneDict, renderer: _Renderer, view: _View | None, graph: Any, plan: BakePlan, taken: Pinhole | None, progress: Progress
 ) -> tuple[dict[str, Any], list[str]]:
     """Render and develop one shot, write its files, and give its row of the manifest and what a user wants to know."""
     from synfog_usd import camera, cull, writers
@@ -276,15 +294,16 @@ def _make(
     from synfog_usd.render.shot import render
 
     seed = seed32(plan.seed, shot.lighting, shot.fog)
-    floor = view.noise if view else None
+    density = _pinhole(scene.camera).focal_px / taken.focal_px if taken else 1.0
+    floor = _shared(view.noise, density) if view and view.noise else None
     hidden = cull.hide(scene, floor, view.luminance) if plan.cull and view and floor else cull.through(scene)
     drawn = cull.reduced(scene, hidden)
     rendered = render(
         drawn,
         model=plan.model,
-        samples=plan.samples,
+        samples=max(2, round(plan.samples / density**2)),
         seed=seed,
-        target_error=plan.target_error,
+        target_error=min(1.0, plan.target_error * density) if plan.target_error is not None else None,
         sensor_sigma=sensor_target(floor) if floor and plan.target_error is None else None,
         time_limit_s=plan.time_limit_s,
         bands=plan.bands,
@@ -298,6 +317,8 @@ def _make(
     mor = [volume.medium.visibility_m for volume in scene.fog if volume.parent is None]
     marks = {"synfog:lighting": shot.lighting, "synfog:fog": shot.fog, "synfog:mor_m": mor[0] if mor else 0.0, "synfog:model": rendered.model}
     radiance, variance = rendered.radiance, rendered.radiance.variance
+    if taken is not None:
+        radiance = radiance.with_metadata(view=[*taken[:3], *taken.shift])
     assert variance is not None
     transmittance = rendered.aovs.transmittance_image()
     writers.write_exr(folder / "radiance.exr", radiance, attributes=marks)
@@ -317,7 +338,8 @@ def _make(
         "fog": shot.fog,
         "mor_m": round(mor[0], 6) if mor else None,
         "camera": scene.camera.path,
-        "size_px": [scene.camera.width_px, scene.camera.height_px],
+        "size_px": [taken.width_px, taken.height_px] if taken else [scene.camera.width_px, scene.camera.height_px],
+        **({"rendered_px": [scene.camera.width_px, scene.camera.height_px]} if taken else {}),
         "model": {"name": rendered.model, "bands": len(radiance.channels), "why": rendered.why, "pilot": _rounded(rendered.figures)},
         "samples": float(f"{rendered.samples:.5g}"),
         "target": _target(plan, view.pixel if view else None, rendered.met),
@@ -328,6 +350,11 @@ def _make(
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
     }
     return row, [sentence] if (sentence := hidden.sentence(scene)) else []
+
+
+def _shared(noise: Callable[[np.ndarray], np.ndarray], density: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Noise that a rendered pixel may have where density^2 of them are averaged for one of the sensor."""
+    return lambda luminance: density * noise(luminance)
 
 
 def _why_black(radiance: Image, scene: SceneDict) -> str | None:
@@ -351,13 +378,13 @@ def _target(plan: BakePlan, pixel: tuple[float, float] | None, met: float | None
     return kind | ({} if met is None else {"pixels_under_it": round(met, 4)})
 
 
-def _write_labels(seen: Aovs, scene: SceneDict, plan: BakePlan, graph: Any = None) -> dict[str, str]:
+def _write_labels(seen: Aovs, scene: SceneDict, plan: BakePlan, graph: Any = None, taken: Pinhole | None = None) -> dict[str, str]:
     """Write what is seen where in clear air, bent as the graph's lens bends the picture; radiance.exr and layers.exr stay those of a pinhole."""
     from synfog_usd import writers
     from synfog_usd.camera import distortion
 
-    metadata, view = {}, scene.camera
-    bent = graph and distortion.of_graph(graph, height_px=view.height_px, width_px=view.width_px, fov_x_deg=view.fov_x_deg, shift=view.shift)
+    metadata = {}
+    bent = graph and distortion.of_graph(graph, _pinhole(scene.camera), taken)
     if bent:
         node, warp = bent
         seen = labels.warped(seen, warp.nearest())

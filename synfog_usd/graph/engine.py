@@ -201,7 +201,8 @@ class NodeGraph:
             node = graph.nodes[name]
             source = node.inputs[0]
             before = graph.inputs[source] if source in graph.inputs else graph.nodes[source].gives
-            if len(node.inputs) > 1 or before != node.gives or name in graph.outputs.values():
+            kept = (before.quantity, before.layout) == (node.gives.quantity, node.gives.layout)
+            if len(node.inputs) > 1 or not kept or name in graph.outputs.values():
                 raise GraphError(f"{node.place}: {node} cannot be left out: it makes {node.gives} of {before}, reads several images, or is an output")
             nodes = {
                 other.name: replace(other, inputs=tuple(source if item == name else item for item in other.inputs))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from support.stages import street
 
+from synfog_usd import camera
 from synfog_usd import stage as usd
 from synfog_usd.dataset.bake import _Scenes
 from synfog_usd.dataset.plan import BakePlan, shots
@@ -22,11 +25,11 @@ def translations(monkeypatch):
     return count
 
 
-def scenes(tmp_path, text, **plan):
+def scenes(tmp_path, text, graph=None, **plan):
     (tmp_path / "street.usda").write_text(text)
     wanted = BakePlan(tmp_path / "street.usda", tmp_path / "out", size=(32, 18), **plan)
     stage = usd.open_stage(wanted.stage)
-    return _Scenes(stage, wanted), shots(wanted, usd.variants(stage))
+    return _Scenes(stage, wanted, graph), shots(wanted, usd.variants(stage))
 
 
 def test_a_lighting_is_translated_once(tmp_path, translations):
@@ -55,3 +58,14 @@ def test_a_visibility_counts_in_the_variant_that_was_authored(tmp_path, translat
     after, todo = scenes(tmp_path, street(), fog=("clear", "mor75"), lighting=("sky",))
     second = [after.of(shot) for shot in todo][1]
     assert second.fog[0].path == only.fog[0].path == "/World/Fog"
+
+
+def test_a_lens_that_distorts_is_rendered_for_wider_and_denser(tmp_path):
+    """More than twice the pixels each way and a wider view; one world for all fogs still, and what the sensor takes is the stage's own."""
+    made, todo = scenes(tmp_path, street(lamp=True), camera.load_graph(Path("dashcam")), fog=("clear", "mor600"))
+    plain, _ = scenes(tmp_path, street(lamp=True), camera.load_graph(Path("phone")), fog=("clear", "mor600"))
+    wide, narrow = made.of(todo[0]).camera, plain.of(todo[0]).camera
+    assert (narrow.width_px, narrow.height_px) == (32, 18) and plain.taken is None
+    assert wide.width_px > 64 and wide.height_px > 36 and wide.fov_x_deg > narrow.fov_x_deg
+    assert made.taken == (18, 32, narrow.fov_x_deg, narrow.shift)
+    assert len({id(made.of(shot).world) for shot in todo if shot.lighting == todo[0].lighting}) == 1
