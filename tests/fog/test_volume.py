@@ -74,8 +74,8 @@ def _box_mesh(x):
     ((0, 0, 0), 0.11, True),  # only the corners, at 0.1225 m, are outside
     ((0, 0, 0), 0.123, False),
     ((0, 0, -0.08), 0.001, True),  # wholly within the view
-    ((1.05, 0, -0.1), 1.0, True),  # touches the right edge
-    ((1.06, 0, -0.1), 1.0, False),
+    ((1.0499, 0, -0.1), 1.0, True),  # reaches 0.1 mm over the right edge
+    ((1.0501, 0, -0.1), 1.0, False),  # ends 0.1 mm before it
 ])  # fmt: skip
 def test_a_ball_before_the_near_plane_is_found(centre, radius, meets):
     """The nearest and the farthest point of the view from the centre say it, in closed form."""
