@@ -31,6 +31,9 @@ R = TypeVar("R")
 _FOLDERS = "synfogFolders"
 """Where the session layer keeps the fence."""
 
+_LEFT_OUT = "synfogLeftOut"
+"""Where it keeps which attributes of a wrong type are blocked: lines of prim and text."""
+
 _UNREADABLE = ".mtlx"
 
 
@@ -89,7 +92,8 @@ def plain_errors(work: Callable[Concatenate[Usd.Stage, P], R]) -> Callable[Conca
     """Make errors for the user of what goes wrong while a stage is read, where its file is the cause.
 
     That is what the USD library raises (arrays of a .usdc are read when they are asked
-    for), and whatever fails while an attribute has another type than its schema's.  The
+    for), and whatever fails while an attribute has another type than its schema's: such
+    attributes of shapes are blocked on the session layer, and it is tried again.  The
     library's own warnings are kept from the terminal; what matters of them is told as notes.
     """
 
@@ -101,16 +105,41 @@ def plain_errors(work: Callable[Concatenate[Usd.Stage, P], R]) -> Callable[Conca
         except SynfogError:
             raise
         except (TypeError, ValueError, AttributeError, IndexError) as problem:
-            wrong = mistyped(stage)
-            if wrong is None:
+            wrong = list(mistyped(stage))
+            if not wrong:
                 raise
-            raise StageError(f"{wrong}; author it with that type") from problem
+            if _blocked(stage, wrong):
+                return work(stage, *more, **named)
+            raise StageError(f"{wrong[0][1]}; author it with that type") from problem
         except Tf.ErrorException as problem:
             raise StageError(f"{_name(stage)}: cannot be read as USD ({_reason(problem)}); the file is damaged: export it again") from problem
         finally:
             del quiet
 
     return cast("Callable[Concatenate[Usd.Stage, P], R]", told)
+
+
+def _blocked(stage: Usd.Stage, wrong: list[tuple[Usd.Attribute, str]]) -> bool:
+    """Leave attributes of shapes out; whether that is all of them.  Those of prototypes cannot be reached from the session layer."""
+    if not all(_is_left_out(attribute) for attribute, _ in wrong):
+        return False
+    session = stage.GetSessionLayer()
+    with Usd.EditContext(stage, Usd.EditTarget(session)):
+        for attribute, _ in wrong:
+            attribute.Block()
+    known = session.customLayerData.get(_LEFT_OUT, [])
+    lines = [f"{attribute.GetPrim().GetPath()}\n{attribute.GetName()} {text.split(chr(32), 1)[1]}" for attribute, text in wrong]
+    session.customLayerData = {**session.customLayerData, _LEFT_OUT: Vt.StringArray([*known, *lines])}
+    return True
+
+
+def _is_left_out(attribute: Usd.Attribute) -> bool:
+    """Whether a shape is drawn without it: arrays and primvars, which have no fallback that would have to stand for them."""
+    prim, name = attribute.GetPrim(), attribute.GetName()
+    if prim.IsInPrototype() or not prim.IsA(UsdGeom.Gprim) or name.startswith(("synfog:", "userProperties:", "xformOp")):
+        return False
+    fallback = prim.GetPrimDefinition().GetAttributeFallbackValue(name)
+    return bool(attribute.GetTypeName()) and (fallback is None or (not isinstance(fallback, (str, float, int)) and not len(fallback)))
 
 
 @plain_errors
@@ -211,6 +240,10 @@ def composition_notes(stage: Usd.Stage) -> list[Note]:
         elif asset:
             text = f"its {asset[2] or 'sublayer'} {asset[1]} {MISSING}"
         notes.append(Note("warning", path, text))
+    session = stage.GetSessionLayer()
+    for line in session.customLayerData.get(_LEFT_OUT, []) if session else []:
+        path, _, text = line.partition("\n")
+        notes.append(Note("warning", path, f"{text}; it is left out"))
     return sorted(notes, key=lambda note: MISSING not in note.text)
 
 

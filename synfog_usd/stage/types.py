@@ -1,6 +1,6 @@
 """Attributes of another type than their schema's: USD reads them, and whatever asks for their value falls over it.
 
-Takes a stage; gives the first such attribute.  Asked only after something failed, so
+Takes a stage; gives such attributes.  Asked only after something failed, so
 that good stages do not pay for it.
 """
 
@@ -24,8 +24,8 @@ _PRIMVARS = {
 }
 
 
-def mistyped(stage: Usd.Stage) -> str | None:
-    """'/Lamp.inputs:width is a token[], and a float is wanted', of the first attribute that cannot stand for what its schema wants; or None."""
+def mistyped(stage: Usd.Stage) -> Iterator[tuple[Usd.Attribute, str]]:
+    """Attributes that cannot stand for what their schemas want, each with '/Lamp.inputs:width is a token[], and a float is wanted'."""
     registry = Usd.SchemaRegistry()
     also = [definition for name in _ALSO if (definition := registry.FindAppliedAPIPrimDefinition(name)) is not None]
     for prim in _prims(stage):
@@ -40,12 +40,13 @@ def mistyped(stage: Usd.Stage) -> str | None:
                     wanted = spec.typeName
                     break
             if _shape(found)[1] == "unknown":
-                return f"{attribute.GetPath()} is of a type that USD does not know, and one that it knows is wanted"
+                yield attribute, f"{attribute.GetPath()} is of a type that USD does not know, and one that it knows is wanted"
+                continue
             if isinstance(attribute.Get(Usd.TimeCode.EarliestTime()), Sdf.Path):  # which the parser takes for a value of any type
-                return f"{attribute.GetPath()} holds a path, and a {wanted or found} is wanted"
+                yield attribute, f"{attribute.GetPath()} holds a path, and a {wanted or found} is wanted"
+                continue
             if wanted and _shape(found) != _shape(wanted):
-                return f"{attribute.GetPath()} is a {found}, and a {wanted} is wanted"
-    return None
+                yield attribute, f"{attribute.GetPath()} is a {found}, and a {wanted} is wanted"
 
 
 def _prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, UsdGeom, UsdShade
 
+from synfog_usd.stage import open_stage
 from synfog_usd.translate import summary, translate
 from synfog_usd.translate.polygons import triangulate
 
@@ -539,3 +540,36 @@ def test_normals_of_what_is_divided_are_not_used(empty, polygon_mesh, only_shape
     np.testing.assert_array_equal(with_normals["normals"], without["normals"])
     as_polygons, told = drawn(normals=True, said=False)
     assert len(as_polygons["faces"]) == 12 and "drawn as polygons" in told
+
+
+SQUARE = [(0, 5, 0), (2, 5, 0), (2, 5, 2), (0, 5, 2)]
+
+
+@pytest.mark.parametrize("kind", ["int[]", "double[]", "float[]", "int3[]", "double3[]", "half3[]", "int64[]", "point3d[]"])
+def test_points_of_any_numeric_type_are_points(tmp_path, only_shape, kind):
+    """Threes, or plain numbers in threes."""
+    values = SQUARE if "3" in kind else [number for point in SQUARE for number in point]
+    scene = translate(opened(tmp_path, f"{kind} points = {values}"))
+    np.testing.assert_array_equal(only_shape(scene)["positions"] + np.array(scene.origin_m), SQUARE)
+
+
+@pytest.mark.parametrize("line, name", [
+    ("float normals = 3", "normals is a float, and a normal3f[] is wanted"), ('token primvars:displayColor = "a"', "primvars:displayColor is a token"),
+    ('string[] primvars:displayOpacity = ["a"]', "primvars:displayOpacity is a string[]"), ('string[] holeIndices = ["a"]', "holeIndices is a string[]"),
+])  # fmt: skip
+def test_an_array_of_a_wrong_type_is_left_out_and_the_rest_is_drawn(tmp_path, only_shape, line, name):
+    """One such array refused the whole stage; now it is told by its prim, at each translation, and the file stays as it is."""
+    stage = opened(tmp_path, f"point3f[] points = {SQUARE}\n    {line}")
+    for _ in range(2):
+        scene = translate(stage)
+        assert len(only_shape(scene)["faces"]) == 2
+        assert [(note.path, note.text.endswith("it is left out")) for note in scene.notes if name in note.text] == [("/M", True)]
+    assert line in stage.GetRootLayer().ExportToString() and not stage.GetRootLayer().dirty
+
+
+def opened(tmp_path, body):
+    """A stage with one square of which some lines are given."""
+    head = '#usda 1.0\n(\n    upAxis = "Z"\n    metersPerUnit = 1\n)\ndef Camera "Ego"\n{\n}\n'
+    mesh = 'def Mesh "M"\n{\n    int[] faceVertexCounts = [4]\n    int[] faceVertexIndices = [0, 1, 2, 3]\n    uniform token subdivisionScheme = "none"\n'
+    (tmp_path / "a.usda").write_text(f"{head}{mesh}    {body}\n}}\n")
+    return open_stage(tmp_path / "a.usda")
