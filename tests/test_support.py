@@ -1,8 +1,9 @@
-"""The tests' own tests: that a failing one leaves what it saw."""
+"""The tests' own tests: that a failing one leaves what it saw, and that memory is seen at its peak."""
 
 import numpy as np
 import pytest
 from support import stats
+from support.memory import at_peak
 
 
 @pytest.fixture
@@ -46,3 +47,10 @@ def test_cells_that_hardly_anything_falls_into_count_as_one():
     stats.assert_draws(np.r_[np.full(10, 1000), np.ones(50, dtype=int), np.zeros(50, dtype=int)], expected)
     with pytest.raises(AssertionError, match="chi-squared"):
         stats.assert_draws(np.r_[np.full(10, 1000), np.full(100, 3)], expected)
+
+
+def test_memory_that_was_let_go_again_is_seen_at_its_peak():
+    """256 MiB, then 64, and less than 16 where none are taken, although the process had more before."""
+    for taken_mib, least, most in ((256, 200, 400), (64, 60, 80), (0, -1, 16)):
+        _, kib = at_peak(lambda taken_mib=taken_mib: len(bytes(range(1, 9)) * (taken_mib << 17)))
+        assert least < kib / 1024 < most
