@@ -7,6 +7,7 @@ is written depends on when, where or in how many goes it was made.
 
 from __future__ import annotations
 
+import concurrent.futures
 import contextlib
 import fcntl
 import functools
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from synfog_usd.camera.distortion import Pinhole
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
+    from synfog_usd.render.shot import Rendered
     from synfog_usd.scene import Camera, Note, SceneDict
 
 MANIFEST = "bake.json"
@@ -121,24 +123,31 @@ def bake(
         seconds: dict[str, float] = {}
         views: dict[str, _View] = {}  # by lighting
         forecast = Forecast(kinds([(shot.lighting, shot.fog != CLEAR) for shot in unfinished]))
-        for index, shot in enumerate(unfinished):
-            began = time.perf_counter()
 
-            def step(what: str, fraction: float, index: int = index, shot: Shot = shot) -> None:
-                progress(f"{shot.folder}: {what}", forecast.at(index, fraction))
-
-            step("translating", 0.0)
-            with reading():
-                scene, clear = scenes.of(shot), scenes.of(_cleared(stage, shot)) if metered and shot.lighting not in views else None
-            if clear is not None:
-                step("metering", 0.01)
-                view = views[shot.lighting] = _meter(replace(clear, fog=()), renderer, plan, graph)
-                log(f"{shot.lighting}: {outdoors(scene)}; this view has {float(view.luminance.mean()):.3g} cd/m2 in clear air")
-            row, lines = _make(shot, scene, renderer, views.get(shot.lighting), graph, plan, scenes.taken, step)
+        def finish(shot: Shot, made: _Shot, began: float) -> None:
+            row = _finish(made, graph, plan)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
-            for line in (*lines, *row["warnings"]):
+            for line in (*([made.hidden] if made.hidden else []), *row["warnings"]):
                 log(f"{shot.folder}: {line}")
+
+        with _Behind() as behind:  # a shot is developed and written while the next is rendered
+            for index, shot in enumerate(unfinished):
+                began = time.perf_counter()
+
+                def step(what: str, fraction: float, index: int = index, shot: Shot = shot) -> None:
+                    progress(f"{shot.folder}: {what}", forecast.at(index, fraction))
+
+                step("translating", 0.0)
+                with reading():
+                    scene, clear = scenes.of(shot), scenes.of(_cleared(stage, shot)) if metered and shot.lighting not in views else None
+                if clear is not None:
+                    step("metering", 0.01)
+                    behind.wait()  # the graph runs here too
+                    view = views[shot.lighting] = _meter(replace(clear, fog=()), renderer, plan, graph)
+                    log(f"{shot.lighting}: {outdoors(scene)}; this view has {float(view.luminance.mean()):.3g} cd/m2 in clear air")
+                made = _render(shot, scene, renderer, views.get(shot.lighting), plan, scenes.taken, step)
+                behind.do(functools.partial(finish, shot, made, began))
         missing = [f"{note.path}: {note.text}" for note in notes if usd.MISSING in note.text]
         ledger.finish(todo, contact.write(plan.out, todo, ledger.rows, told=missing))
     progress("done", 1.0)
@@ -247,12 +256,14 @@ class _View:
         pixel: what a pixel makes of light, see `camera.sensitivity`, or None.
         luminance: of the small frame that was metered [cd m-2].
         seen: what the ray through each pixel's centre meets.
+        world: of the scene that was looked at.
     """
 
     exposure: Any
     pixel: tuple[float, float] | None
     luminance: np.ndarray
     seen: Aovs
+    world: Mapping[str, Any]
 
     @property
     def noise(self) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -282,37 +293,90 @@ def _meter(scene: SceneDict, renderer: _Renderer, plan: BakePlan, graph: Any) ->
     size = METER_WIDTH_PX, max(1, round(METER_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
     frame = render(scene, samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=size, loaded=resized(loaded, size)).radiance
     exposure = camera.meter(frame, graph)
-    return _View(exposure, camera.sensitivity(frame, graph, exposure), photometry.luminance(frame), aovs.measure(loaded))
+    return _View(exposure, camera.sensitivity(frame, graph, exposure), photometry.luminance(frame), aovs.measure(loaded), scene.world)
 
 
-def _make(
-    shot: Shot, scene: SceneDict, renderer: _Renderer, view: _View | None, graph: Any, plan: BakePlan, taken: Pinhole | None, progress: Progress
-) -> tuple[dict[str, Any], list[str]]:
-    """Render and develop one shot, write its files, and give its row of the manifest and what a user wants to know."""
-    from synfog_usd import camera, cull, writers
+@dataclass(frozen=True)
+class _Shot:
+    """A shot that is rendered.
+
+    Attributes:
+        shot, scene, view, taken, rendered: what it is of, how it was exposed, what the sensor takes of it, and what came of it.
+        behind_fog, instances: what the manifest and `instances.json` tell of what the fog hides.
+        hidden: the same for a user, or ''.
+    """
+
+    shot: Shot
+    scene: SceneDict
+    view: _View | None
+    taken: Pinhole | None
+    rendered: Rendered
+    behind_fog: dict[str, Any]
+    instances: dict[str, Any]
+    hidden: str
+
+
+class _Behind:
+    """One task at a time, in a thread of its own; what it raises is raised at the next."""
+
+    def __init__(self) -> None:
+        self._thread = concurrent.futures.ThreadPoolExecutor(max_workers=1)
+        self._task: concurrent.futures.Future[None] | None = None
+
+    def __enter__(self) -> _Behind:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        self._thread.shutdown()
+        if kind is None:
+            self.wait()
+
+    def do(self, task: Callable[[], None]) -> None:
+        """Begin a task once the one before has ended."""
+        self.wait()
+        self._task = self._thread.submit(task)
+
+    def wait(self) -> None:
+        """Until nothing is done any more."""
+        task, self._task = self._task, None
+        if task is not None:
+            task.result()
+
+
+def _render(shot: Shot, scene: SceneDict, renderer: _Renderer, view: _View | None, plan: BakePlan, taken: Pinhole | None, progress: Progress) -> _Shot:
+    """Render one shot."""
+    from synfog_usd import cull
     from synfog_usd.render.sampling.adaptive import sensor_target
     from synfog_usd.render.shot import render
 
-    seed = seed32(plan.seed, shot.lighting, shot.fog)
     density = _pinhole(scene.camera).focal_px / taken.focal_px if taken else 1.0
     floor = _shared(view.noise, density) if view and view.noise else None
     hidden = cull.hide(scene, floor, view.luminance) if plan.cull and view and floor else cull.through(scene)
     drawn = cull.reduced(scene, hidden)
+    loaded = _loaded(drawn, renderer, plan.model) if drawn is scene else None
+    same = view is not None and view.world is scene.world and loaded is not None and not loaded.boundaries and not scene.camera.width_m
     rendered = render(
         drawn,
         model=plan.model,
         samples=max(2, round(plan.samples / density**2)),
-        seed=seed,
+        seed=seed32(plan.seed, shot.lighting, shot.fog),
         target_error=min(1.0, plan.target_error * density) if plan.target_error is not None else None,
         sensor_sigma=sensor_target(floor) if floor and plan.target_error is None else None,
         time_limit_s=plan.time_limit_s,
         bands=plan.bands,
         denoise=plan.denoise,
-        loaded=_loaded(drawn, renderer, plan.model) if drawn is scene else None,
-        clear=view.seen if view and hidden.triangles else None,
-        progress=lambda what, fraction: progress(what, 0.02 + 0.9 * fraction),
+        loaded=loaded,
+        clear=view.seen if view and (hidden.triangles or same) else None,
+        progress=lambda what, fraction: progress(what, 0.02 + 0.98 * fraction),
     )
-    progress("developing", 0.93)
+    return _Shot(shot, scene, view, taken, rendered, hidden.metadata(scene), labels.instance_list(hidden, scene), hidden.sentence(scene))
+
+
+def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
+    """Develop a shot, write its files, and give its row of the manifest."""
+    from synfog_usd import camera, writers
+
+    shot, scene, view, taken, rendered = made.shot, made.scene, made.view, made.taken, made.rendered
     folder = plan.out / shot.folder
     mor = [volume.medium.visibility_m for volume in scene.fog if volume.parent is None]
     marks = {"synfog:lighting": shot.lighting, "synfog:fog": shot.fog, "synfog:mor_m": mor[0] if mor else 0.0, "synfog:model": rendered.model}
@@ -325,15 +389,15 @@ def _make(
     named = {**rendered.components, "variance": variance, **{f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()}}
     found = [Image(pixels, tuple(f"{name}.{channel}" for channel in radiance.channels), Quantity.DATA) for name, pixels in named.items()]
     writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
-    files.write_json(folder / "instances.json", labels.instance_list(hidden, scene))
+    files.write_json(folder / "instances.json", made.instances)
     names = ["radiance.exr", "layers.exr", "instances.json"]
     exposure = view.exposure if view else None
+    seed = seed32(plan.seed, shot.lighting, shot.fog)
     results = camera.develop(graph, {"radiance": radiance}, seed=seed, exposure=exposure, keep=list(graph.outputs.values()))
     for name, node in graph.outputs.items():
         writers.write_output(name, results[node], folder, options=graph.options_of(name))
         names.append(name)
-    progress("developing", 1.0)
-    row = {
+    return {
         "lighting": shot.lighting,
         "fog": shot.fog,
         "mor_m": round(mor[0], 6) if mor else None,
@@ -345,11 +409,10 @@ def _make(
         "target": _target(plan, view.pixel if view else None, rendered.met),
         "relative_error": float(f"{rendered.relative_error:.4g}"),
         "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"} if exposure else None,
-        "behind_fog": hidden.metadata(scene),
+        "behind_fog": made.behind_fog,
         "warnings": [*rendered.warnings, *([why] if (why := _why_black(radiance, scene)) else [])],
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
     }
-    return row, [sentence] if (sentence := hidden.sentence(scene)) else []
 
 
 def _shared(noise: Callable[[np.ndarray], np.ndarray], density: float) -> Callable[[np.ndarray], np.ndarray]:
