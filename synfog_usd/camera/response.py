@@ -172,7 +172,7 @@ def colour_matrix(sensor: SensorProfile, illuminant: str) -> ColourMatrix:
 
 
 @functools.lru_cache(maxsize=32)
-def xyz_to_camera(sensor: SensorProfile, illuminant: str = "D65") -> Array:
+def xyz_to_camera(sensor: SensorProfile, illuminant: str = "D65", *, as_daylight: bool = False) -> Array:
     """(F, 3) CIE XYZ as it is under one light (white has Y = 1) to camera signal (white as in `neutral`): DNG's ColorMatrix.
 
     The inverse of `colour_matrix` where there are three filters; else the least
@@ -180,6 +180,8 @@ def xyz_to_camera(sensor: SensorProfile, illuminant: str = "D65") -> Array:
 
     Args:
         sensor, illuminant: see `colour_matrix`.
+        as_daylight: XYZ as an eye that is used to the light would have them under D65: for
+            readers that know one matrix, and take it for daylight's.
 
     Raises:
         ParameterError: see `colour_matrix`.
@@ -195,7 +197,8 @@ def xyz_to_camera(sensor: SensorProfile, illuminant: str = "D65") -> Array:
         white = colour.RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ.sum(axis=1)
         free = np.linalg.lstsq(xyz[:, [0, 2]] - xyz[:, 1:2] * white[[0, 2]], camera - xyz[:, 1:2], rcond=None)[0]
         from_xyz = np.column_stack([free[0], 1.0 - white[[0, 2]] @ free, free[1]])
-    return np.asarray(np.diag(neutral(sensor, illuminant)) @ from_xyz @ _to_d65(illuminant))
+    adapted = np.eye(3) if as_daylight else _to_d65(illuminant)
+    return np.asarray(np.diag(neutral(sensor, illuminant)) @ from_xyz @ adapted)
 
 
 def _training() -> tuple[Array, Array]:

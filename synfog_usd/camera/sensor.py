@@ -395,11 +395,10 @@ def _colour_facts(sensor: SensorProfile, illuminant: str) -> dict[str, list[floa
     """What a RAW file says of colour; nothing for a sensor of fewer than three filters."""
     if len(cfa.filters(sensor.cfa)) < 3:
         return {}
-    return {
-        "xyz_to_camera": response.xyz_to_camera(sensor, "D65").tolist(),
-        "xyz_to_camera_a": response.xyz_to_camera(sensor, "A").tolist(),
-        "as_shot_neutral": list(response.neutral(sensor, illuminant)),
-    }
+    facts = {"as_shot_neutral": list(response.neutral(sensor, illuminant))}
+    if illuminant != "D65":  # readers know daylight and tungsten at best, and few look which of them it was
+        return {"xyz_to_camera": response.xyz_to_camera(sensor, illuminant, as_daylight=True).tolist(), **facts}
+    return {"xyz_to_camera": response.xyz_to_camera(sensor, "D65").tolist(), "xyz_to_camera_a": response.xyz_to_camera(sensor, "A").tolist(), **facts}
 
 
 def _focal_length(image: Image, pixel_pitch_um: float) -> dict[str, float]:

@@ -205,16 +205,20 @@ def linearisation(facts: Mapping[str, Any]) -> tuple[npt.NDArray[np.uint16], int
     Returns:
         The linear number of every code from 0 to white level, rounded; and black
         and white as linear numbers.  A linear white above 65535 is scaled to
-        65535: the table has 16 bits.  Below black the first piece goes on.
+        65535: the table has 16 bits.  Black stays a whole number, which readers
+        take it for: the table is moved by what rounding it takes.  Below black the first piece goes on.
     """
     linear, codes = np.array(facts["companding"], dtype=np.float64).T
-    scale = min(1.0, MAX_DN / facts["linear_white_dn"])
+    dark, bright = facts["linear_black_dn"] + facts.get("dark_signal_dn", 0.0), facts["linear_white_dn"]
+    black = round(dark * min(1.0, MAX_DN / bright))
+    black = max(black, 1) if bright > MAX_DN and dark > 0.0 else black
+    scale = min(1.0, (MAX_DN - black) / (bright - dark))
     every = np.arange(int(facts["white_level_dn"]) + 1)
     table = np.interp(every, codes, linear)
     below = every < codes[0]
     table[below] = linear[0] + (every[below] - codes[0]) * (linear[1] - linear[0]) / (codes[1] - codes[0])
-    whole = np.clip(np.rint(table * scale), 0, MAX_DN).astype(np.uint16)
-    return whole, round((facts["linear_black_dn"] + facts.get("dark_signal_dn", 0.0)) * scale), round(facts["linear_white_dn"] * scale)
+    whole = np.clip(np.rint((table - dark) * scale) + black, 0, MAX_DN).astype(np.uint16)
+    return whole, black, black + round((bright - dark) * scale)
 
 
 def _filter_tags(pattern: str) -> list[Tag]:
@@ -231,7 +235,8 @@ def _colour_tags(facts: Mapping[str, Any]) -> list[Tag]:
     """Noise of every plane; matrices and neutral where there are planes enough for colour."""
     planes = _planes(facts["cfa_pattern"])
     count = len(planes)
-    tags: list[Tag] = [(51041, _DOUBLE, 2 * count, tuple(float(value) for value in facts["noise_profile"]) * count)]
+    noise = tuple(float(value) for value in facts["noise_profile"])
+    tags: list[Tag] = [(51041, _DOUBLE, 2 * count, noise * count)] if noise[0] > 0.0 else []  # a slope of 0 is no legal profile
     if count < 3:
         return tags
     told = [letter for letter in _FILTERS if letter in planes]

@@ -253,18 +253,23 @@ def test_the_conversion_gain_has_a_factor():
 
 @pytest.mark.parametrize("pattern", cfa.PATTERNS)
 def test_the_raw_file_is_told_the_colours_of_the_filters_that_are_there(pattern):
-    """A matrix row and a neutral per filter, each sending its light's white to the neutral; nothing for fewer than three."""
-    facts = digital(analog(0.0, (2, 2)), behind(pattern), illuminant="a").provenance
-    count = len(cfa.filters(pattern))
-    assert facts["cfa_pattern"] == pattern
+    """A matrix row and a neutral per filter, each sending its light's white to the neutral; nothing for fewer than three.
+
+    In daylight its matrix and tungsten's; in any other light that light's alone, as if daylight were its white.
+    """
+    chip, count = behind(pattern), len(cfa.filters(pattern))
+    by_day, by_lamp = (digital(analog(0.0, (2, 2)), chip, illuminant=light).provenance for light in ("d65", "hps"))
+    assert by_day["cfa_pattern"] == pattern
     if count < 3:
-        assert not {"xyz_to_camera", "xyz_to_camera_a", "as_shot_neutral"} & set(facts)
+        assert not {"xyz_to_camera", "xyz_to_camera_a", "as_shot_neutral"} & set(by_day)
         return
-    assert np.shape(facts["xyz_to_camera"]) == np.shape(facts["xyz_to_camera_a"]) == (count, 3)
-    tungsten = (1.0985, 1.0, 0.3558)  # CIE 015, XYZ of illuminant A
-    np.testing.assert_allclose(np.array(facts["xyz_to_camera_a"]) @ tungsten, facts["as_shot_neutral"], atol=4e-3)  # four digits, times the matrix
-    daylight = (0.9505, 1.0, 1.0890)
-    np.testing.assert_allclose(np.array(facts["xyz_to_camera"]) @ daylight, response.neutral(behind(pattern), "D65"), atol=4e-3)
+    assert np.shape(by_day["xyz_to_camera"]) == np.shape(by_day["xyz_to_camera_a"]) == np.shape(by_lamp["xyz_to_camera"]) == (count, 3)
+    assert "xyz_to_camera_a" not in by_lamp
+    tungsten, daylight = (1.0985, 1.0, 0.3558), (0.9505, 1.0, 1.0890)  # CIE 015, XYZ of illuminants A and D65
+    np.testing.assert_allclose(np.array(by_day["xyz_to_camera_a"]) @ tungsten, response.neutral(chip, "A"), atol=4e-3)  # four digits, times the matrix
+    np.testing.assert_allclose(np.array(by_day["xyz_to_camera"]) @ daylight, by_day["as_shot_neutral"], atol=4e-3)
+    np.testing.assert_allclose(np.array(by_lamp["xyz_to_camera"]) @ daylight, by_lamp["as_shot_neutral"], atol=4e-3)
+    np.testing.assert_allclose(by_lamp["as_shot_neutral"], response.neutral(chip, "HPS"), rtol=1e-12)
 
 
 def test_levels_that_do_not_fit_the_bits_are_refused():
