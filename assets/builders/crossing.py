@@ -1,6 +1,6 @@
 """The crossing of two city streets that ships: its models, and who drives and walks on `stages/crossroads.usda`.
 
-Streets, houses, furniture and trees stand in `synfog_usd.world.crossroads`, which recipes share.
+Streets, houses, furniture and trees stand in `synfog_usd.world.roads.crossing_props`, which recipes share.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from assets.builders.vehicles import CARS, build_bus, build_cars, build_lorry
 from synfog_usd.files import write_whole
 from synfog_usd.seeds import stream
 from synfog_usd.world.components import Component
-from synfog_usd.world.crossroads import VIEW, author_stage, furniture, ground, houses, parked_bicycles, stood, trees
 from synfog_usd.world.lod import with_low
+from synfog_usd.world.roads.crossing import TREE_X, Crossing
+from synfog_usd.world.roads.crossing_props import BUILT, VIEW, furniture, ground, houses, parked_bicycles, stood, trees
+from synfog_usd.world.roads.stage import author
 from synfog_usd.world.spec import Placement, SkyDome, WorldSpec
-from synfog_usd.world.street import TREE_X
 
 OVERCAST_NITS, DUSK_NITS = 5000.0, 5.0
 """Luminance of its two skies at the zenith [cd m-2]."""
@@ -131,6 +132,9 @@ def shipped() -> WorldSpec:
         fog_selected="mor300",
         day=SkyDome("overcast", OVERCAST_NITS),
         dusk=SkyDome("dusk", DUSK_NITS),
+        road=Crossing(),
+        built=BUILT,
+        products=False,
     )
 
 
@@ -142,7 +146,7 @@ def write_stage(path: Path, spec: WorldSpec | None = None, *, assets: str = "../
         spec: what stands where; None is the one that ships.
         assets: where the shipped assets lie, from the stage's folder or from the root.
     """
-    write_whole(path, lambda temporary: author_stage(temporary, spec or shipped(), assets=assets).Save())
+    write_whole(path, lambda temporary: author(temporary, spec or shipped(), assets=assets).Save())
     return path
 
 

@@ -1,6 +1,6 @@
 """The ground of the crossing: carriageways, markings, kerbs, pavements and the land around.
 
-Laid out by the figures of `synfog_usd.world.street`.  Lengths in metres.
+Laid out by the figures of `synfog_usd.world.roads.crossing`.  Lengths in metres.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 from synfog_usd.seeds import stream
 from synfog_usd.world.components import Component
 from synfog_usd.world.materials import LANE_TEXTURE_LENGTH_M
+from synfog_usd.world.roads.crossing import CORNER, KERB_M, MAIN_HALF, NORTH, SIDE, SIDE_HALF, SOUTH, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE
 from synfog_usd.world.shapes import Array, Part, disc, fan, quad, strip
-from synfog_usd.world.street import CORNER, KERB_M, MAIN_HALF, NORTH, SIDE, SIDE_HALF, SOUTH, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE
 
 
 def build_ground(trees: list[tuple[float, float]]) -> list[Component]:

@@ -1,9 +1,9 @@
 """World: from a recipe and a seed to a stage, and models from elsewhere into the library.
 
-`compose` is the door.  `language` says how recipes are read and drawn, `recipe` draws the crossing
-and `roads` roads and roundabouts; `crossroads` and `roads.stage` set everything in its place and
-`departments` parts it into layers.  `library` lists the models in assets/models, `skies` and `lamps`
-what gives light; `importer` adds models.  `shapes` makes triangles, `materials` says what they are
-made of, `components` writes them as USD.  What makes the shipped assets is no part of the package:
-`assets/builders`.
+`compose` is the door.  `language` says how recipes are read and drawn, `parameters` what each world's
+recipes can say, and `reference` makes a page and a schema of it.  `roads` draws roads and junctions and
+sets everything in its place; `departments` parts the stage into layers.  `library` lists the models in
+assets/models, `skies` and `lamps` what gives light; `importer` adds models.  `shapes` makes triangles,
+`materials` says what they are made of, `components` writes them as USD.  What makes the shipped assets
+is no part of the package: `assets/builders`.
 """

@@ -5,6 +5,7 @@ Takes numbers; writes prims below /World and /Render of an open stage.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -32,6 +33,11 @@ VARS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
     ),
 }
 """Product -> file and its variables, each with its type and its channels in that file; as a bake writes them."""
+
+
+def focal_length(fov_x_deg: float) -> float:
+    """Focal length [tenths of a metre] that shows an angle of APERTURE's width."""
+    return round(APERTURE / 2 / math.tan(math.radians(fov_x_deg) / 2), 6)
 
 
 def author_camera(stage: Usd.Stage, view: View) -> None:

@@ -3,14 +3,41 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from synfog_usd import resources
 from synfog_usd.errors import RecipeError
+from synfog_usd.world import parameters
 from synfog_usd.world.departments import write_layers
-from synfog_usd.world.language import load_root, world_of
+from synfog_usd.world.language import Recipe, load_root
+from synfog_usd.world.roads import crossing_recipe, recipe, roundabout_recipe, stage
 from synfog_usd.world.spec import WorldSpec
+
+DRAWS: Mapping[str, Callable[..., WorldSpec]] = {"crossroads": crossing_recipe.draw, "road": recipe.draw, "roundabout": roundabout_recipe.draw}
+"""World -> what draws one of a recipe."""
+
+
+def load(path: Path, changes: Sequence[str] = ()) -> Recipe:
+    """Read a recipe.
+
+    Args:
+        path: the file.
+        changes: 'section.key=value' each, over what stands in the file.
+
+    Raises:
+        RecipeError: not YAML, or a section, key or value that is not known, with its place.
+    """
+    return parameters.read(load_root(path, changes), path.name)
+
+
+def draw(found: Recipe, *, seed: int) -> WorldSpec:
+    """One world of a recipe; the same seed gives the same.
+
+    Raises:
+        RecipeError: a rule cannot be met, or there is no room for so many people.
+    """
+    return DRAWS[found.world](found, seed=seed)
 
 
 def compose(path: Path, out: Path, *, seed: int, changes: Sequence[str] = ()) -> WorldSpec:
@@ -31,20 +58,9 @@ def compose(path: Path, out: Path, *, seed: int, changes: Sequence[str] = ()) ->
     """
     if out.suffix not in (".usda", ".usdc", ".usd"):
         raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
-    root = load_root(path, changes)
+    spec = draw(load(path, changes), seed=seed)
     assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
-    if world_of(root) in ("road", "roundabout"):
-        from synfog_usd.world.roads import recipe as roads
-        from synfog_usd.world.roads import roundabout_recipe, stage
-
-        language = roads if world_of(root) == "road" else roundabout_recipe
-        spec = language.draw(language.read(root, path.name), seed=seed)
-        write_layers(out, lambda place: stage.author(place, spec, assets=assets))
-        return spec
-    from synfog_usd.world import crossroads, recipe
-
-    spec = recipe.draw(recipe.read(root, path.name), seed=seed)
-    write_layers(out, lambda place: crossroads.author_stage(place, spec, assets=assets))
+    write_layers(out, lambda place: stage.author(place, spec, assets=assets))
     return spec
 
 

@@ -17,10 +17,10 @@ import numpy as np
 from scipy import special
 
 from synfog_usd.errors import RecipeError, did_you_mean
+from synfog_usd.seeds import stream
 from synfog_usd.yamlio import Located, Place, load_file, load_text
 
 SCHEMA = "recipe/1"
-WORLDS = ("crossroads", "road", "roundabout")
 FOG_DEFAULT = (600, 300, 150)
 
 
@@ -31,6 +31,7 @@ class Continuous:
     low: float
     high: float
     default: Any
+    about: str = ""
     whole: bool = False
 
 
@@ -40,9 +41,12 @@ class Categorical:
 
     allowed: tuple[str, ...]
     default: Any
+    about: str = ""
 
 
-FOG = Continuous(10, 20000, None, whole=True)
+Parameter = Continuous | Categorical
+
+FOG = Continuous(10, 20000, None, "visibility (MOR) [m]", whole=True)
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,7 @@ class Recipe:
     """A recipe that was read and checked.
 
     Attributes:
-        name: of its file; about: one sentence.
+        name: of its file; world: one of `parameters.WORLDS`; about: one sentence.
         distributions: one for each parameter of its world.
         fog: one for each fog variant, MOR [m]; clear air is always there.
         rows: props, in the order of precedence.
@@ -106,11 +110,17 @@ class Recipe:
     """
 
     name: str
+    world: str
     about: str
     distributions: Mapping[str, Distribution]
     fog: tuple[Distribution, ...]
     rows: tuple[Row, ...] = ()
     lanes: tuple[tuple[str, Distribution, int], ...] = ()
+
+    def fog_variants(self, seed: int) -> dict[str, float | None]:
+        """Variant -> MOR [m], the clearest first; None is clear air."""
+        drawn = sorted({one(stream(seed, "recipe", "fog", index)) for index, one in enumerate(self.fog)}, reverse=True)
+        return {"clear": None, **{f"mor{mor}": float(mor) for mor in drawn}}
 
 
 def load_root(path: Path, changes: Sequence[str] = ()) -> Located:
@@ -134,16 +144,6 @@ def load_root(path: Path, changes: Sequence[str] = ()) -> Located:
     return root
 
 
-def world_of(root: Located) -> str:
-    """Which world a recipe is of: 'crossroads' where it does not say."""
-    item = root.value.get("world") if isinstance(root.value, dict) else None
-    if item is None:
-        return "crossroads"
-    if item.value not in WORLDS:
-        raise RecipeError(f"{item.place}: world is {item.plain()!r}; it takes {', '.join(WORLDS)}.{did_you_mean(str(item.plain()), WORLDS)}")
-    return str(item.value)
-
-
 def check_schema(items: Mapping[str, Located], root: Located) -> None:
     """Whether this program reads the recipe."""
     mark = items.get("synfog")
@@ -151,12 +151,12 @@ def check_schema(items: Mapping[str, Located], root: Located) -> None:
         raise RecipeError(f"{(mark or root).place}: synfog is {mark.plain() if mark else 'missing'}; this program reads {SCHEMA!r}")
 
 
-def sections(parameters: Mapping[str, Continuous | Categorical]) -> tuple[str, ...]:
+def sections(parameters: Mapping[str, Parameter]) -> tuple[str, ...]:
     """Names of the sections of 'section.key' parameters."""
     return tuple(dict.fromkeys(name.partition(".")[0] for name in parameters))
 
 
-def read_distributions(items: Mapping[str, Located], parameters: Mapping[str, Continuous | Categorical]) -> dict[str, Distribution]:
+def read_distributions(items: Mapping[str, Located], parameters: Mapping[str, Parameter]) -> dict[str, Distribution]:
     """One draw for each parameter, from the sections of a recipe."""
     found = {name: default(parameter) for name, parameter in parameters.items()}
     for section in sections(parameters):
@@ -187,7 +187,7 @@ def mapping(item: Located, what: str, allowed: Sequence[str]) -> dict[str, Locat
     return item.value
 
 
-def default(parameter: Continuous | Categorical) -> Distribution:
+def default(parameter: Parameter) -> Distribution:
     """What holds where a recipe says nothing."""
     if isinstance(parameter, Continuous):
         return Distribution("fixed", (parameter.default,))
@@ -196,7 +196,7 @@ def default(parameter: Continuous | Categorical) -> Distribution:
     return Distribution("choice", tuple(parameter.default), tuple(float(weight) for weight in parameter.default.values()))
 
 
-def read_distribution(item: Located, name: str, parameter: Continuous | Categorical) -> Distribution:
+def read_distribution(item: Located, name: str, parameter: Parameter) -> Distribution:
     """One value of a recipe.
 
     Raises:

@@ -1,16 +1,14 @@
 """A street scene in numbers: what stands where, seen from where, in which light and fog.
 
-A `WorldSpec` holds no chance any more: `crossroads` makes the same stage of the
-same spec, and `recipe` draws specs; `roads` does both for roads in general.
+A `WorldSpec` holds no chance any more: `roads.stage` makes the same stage of the same spec.  It knows
+no kind of road or junction by name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
-
-from synfog_usd.world.roads.network import Road
+from typing import Any, Protocol
 
 
 @dataclass(frozen=True)
@@ -47,14 +45,17 @@ class View:
         x, y, z: of the lens [m].
         tilt, heading: degrees from looking straight down, and counter-clockwise from +Y.
         focal_length: for an aperture 0.36 wide, both in tenths of a metre as USD has them.
+        yaw, dip: by which it looks to the left of, and above, where its car goes [degrees].
     """
 
     x: float
     y: float
     z: float
-    tilt: float = 91.2
-    heading: float = 1.2
+    tilt: float = 90.6
+    heading: float = 0.0
     focal_length: float = 0.345
+    yaw: float = 0.8
+    dip: float = 0.6
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,13 @@ class SkyDome:
     heading_deg: float = 0.0
 
 
+class Site(Protocol):
+    """The road or junction that everything stands at: a record whose kind `roads.stage` knows."""
+
+    def height(self, x: Any, y: Any) -> Any:
+        """Height of the ground [m] at a place."""
+
+
 @dataclass(frozen=True)
 class WorldSpec:
     """Everything that decides a stage.
@@ -104,9 +112,10 @@ class WorldSpec:
         day, dusk: the two skies.
         scatter: number of the streams that strew leaves and light windows.
         origin: what drew it, or {} where nothing did.
-        road: the road that everything stands at, or None at the crossing.
+        road: the road or junction that everything stands at.
         built: names of what is built at the road, with its numbers.
         rig: cameras beside the ego's.
+        products: whether the stage says what each camera makes.
     """
 
     about: str
@@ -116,11 +125,12 @@ class WorldSpec:
     fog_selected: str
     day: SkyDome
     dusk: SkyDome
+    road: Site
     scatter: int = 0
     origin: Mapping[str, str] = field(default_factory=dict)
-    road: Road | None = None
     built: Mapping[str, Any] = field(default_factory=dict)
     rig: tuple[RigCamera, ...] = ()
+    products: bool = True
 
     def plain(self) -> dict[str, Any]:
         """As JSON has it: mappings, lists, numbers and texts."""

@@ -10,9 +10,7 @@ from pxr import Sdf, Usd
 from support import cli
 
 from synfog_usd.world import departments
-from synfog_usd.world.compose import compose
-from synfog_usd.world.language import load_root
-from synfog_usd.world.roads import recipe as roads
+from synfog_usd.world.compose import compose, draw, load
 from synfog_usd.world.roads import stage as of_roads
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,7 +21,7 @@ RECIPE = ROOT / "stages" / "recipes" / "rural.yaml"
 def both(tmp_path_factory):
     """The same world (as one layer, as layers)."""
     folder = tmp_path_factory.mktemp("layers")
-    spec = roads.draw(roads.read(load_root(RECIPE, ()), RECIPE.name), seed=3)
+    spec = draw(load(RECIPE), seed=3)
     of_roads.author(folder / "one.usda", spec, assets=str(ROOT / "assets")).Save()
     compose(RECIPE, folder / "many.usda", seed=3)
     return folder / "one.usda", folder / "many.usda"

@@ -15,10 +15,10 @@ from support import cli
 
 from synfog_usd.cli.main import main
 from synfog_usd.errors import RecipeError
-from synfog_usd.world import recipe
-from synfog_usd.world.compose import asset_folder, compose
+from synfog_usd.world.compose import asset_folder, compose, draw, load
 from synfog_usd.world.language import Distribution
-from synfog_usd.world.street import MAIN_HALF, WALL_X, ground_height
+from synfog_usd.world.roads import crossing_recipe
+from synfog_usd.world.roads.crossing import MAIN_HALF, WALL_X, ground_height
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "stages" / "recipes" / "crossroads.yaml"
@@ -33,14 +33,14 @@ people: {count: 60}
 
 @functools.cache
 def spec(seed, text=None):
-    return recipe.draw(recipe.load(SHIPPED) if text is None else read(text), seed=seed)
+    return draw(load(SHIPPED) if text is None else read(text), seed=seed)
 
 
 def read(text):
     with tempfile.TemporaryDirectory() as made:
         path = Path(made) / "mine.yaml"
         path.write_text(text)
-        return recipe.load(path)
+        return load(path)
 
 
 @functools.cache
@@ -222,7 +222,7 @@ def test_a_mistake_has_its_place(tmp_path, text, place, words):
     path = tmp_path / "mine.yaml"
     path.write_text(text)
     with pytest.raises(RecipeError) as raised:
-        recipe.load(path)
+        load(path)
     assert str(raised.value).startswith(f"{path}:{place}: ")
     assert words in str(raised.value)
 
@@ -232,9 +232,9 @@ def test_the_largest_traffic_fits_and_too_dense_a_crowd_is_refused(monkeypatch):
     for way in ("waits", "goes"):
         full = spec(0, f"synfog: recipe/1\ntraffic: {{count: 24, bodies: bus, main_street: {way}}}\n")
         assert sum(p.asset == "bus" for p in full.placed) == 24
-    monkeypatch.setattr(recipe, "ROOM_ELSE_M", 20.0)
+    monkeypatch.setattr(crossing_recipe, "ROOM_ELSE_M", 20.0)
     with pytest.raises(RecipeError, match=r"crossroads.yaml: people.count \d+: no room for more than \d+"):
-        recipe.draw(recipe.load(SHIPPED), seed=0)
+        draw(load(SHIPPED), seed=0)
 
 
 def test_the_command_writes_a_stage_and_tells_what_stands_where(tmp_path):

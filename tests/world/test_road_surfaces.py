@@ -13,11 +13,11 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender
 
 from synfog_usd.study.pages import worlds
-from synfog_usd.world import language
-from synfog_usd.world.compose import compose
+from synfog_usd.world import language, parameters
+from synfog_usd.world.compose import compose, draw, load
 from synfog_usd.world.lamps import lamp_of
 from synfog_usd.world.materials import PALETTE
-from synfog_usd.world.roads import asphalt, parameters, recipe, rules, surface, works
+from synfog_usd.world.roads import asphalt, rules, surface, works
 from synfog_usd.world.roads.lane_section import LaneSection
 from synfog_usd.world.roads.network import Land, Road
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
@@ -32,7 +32,7 @@ TOWN = [("pavement", 2.6, 0), ("parking", 2.1, 0), ("lane", 3.2, -1), ("lane", 3
 @functools.cache
 def drawn(name, seed, *changes):
     path = RECIPES / f"{name}.yaml"
-    return recipe.draw(recipe.read(language.load_root(path, changes), path.name), seed=seed)
+    return draw(load(path, changes), seed=seed)
 
 
 def street(hill=None):
@@ -173,12 +173,12 @@ def test_works_stand_beside_the_lanes_and_hold_their_workers(name):
 
 
 def test_every_model_of_the_library_stands_in_some_recipe():
-    """Named in a recipe, a default, or a builder; what belongs to the crossing alone is listed here."""
+    """Named in a recipe, a default, or what the composer places; what belongs to the crossing alone is listed here."""
     crossing = {"bicycle", "rider", "corner_brick", "corner_cream", "corner_green", "fallen_leaf", "street_land", "street_pavement", "street_road",
                 "traffic_light", "traffic_light_mast"}  # fmt: skip
     own = {"guard_rail", "sign_no_entry"}  # roads build their rails along the line, and none is one-way
     text = "".join(path.read_text() for path in RECIPES.glob("*.yaml"))
-    text += "".join(path.read_text() for path in (ROOT / "synfog_usd" / "world" / "roads").glob("*.py"))
+    text += "".join(path.read_text() for path in (ROOT / "synfog_usd" / "world").rglob("*.py"))
     named = set(re.findall(r"\b\w+\b", text))
     assert set(rules.names()) - named - crossing - own == set()
 
@@ -201,8 +201,8 @@ def test_the_recipes_draw_all_sixteen_skies():
     choices = {"day": set(), "dusk": set()}
     for path in RECIPES.glob("*.yaml"):
         root = language.load_root(path)
-        if language.world_of(root) == "road":
-            found = recipe.read(root, path.name).distributions
+        if parameters.world_of(root) == "road":
+            found = parameters.read(root, path.name).distributions
             for key, names in choices.items():
                 names.update(found[f"sky.{key}"].values)
     assert choices["day"] | choices["dusk"] == set(skies()) and not choices["day"] & choices["dusk"]

@@ -15,10 +15,10 @@ from scipy import special, stats
 from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import RecipeError
 from synfog_usd.world import language
-from synfog_usd.world.compose import compose
-from synfog_usd.world.roads import land, markings, recipe, rules, surface
+from synfog_usd.world.compose import compose, draw, load
+from synfog_usd.world.roads import land, markings, rules, surface
 from synfog_usd.world.roads.lane_section import KERB_M, LaneSection
-from synfog_usd.world.roads.network import Road
+from synfog_usd.world.roads.network import Land, Road
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
 from synfog_usd.world.shapes import by_material
 from synfog_usd.world.spec import Placement, View
@@ -34,18 +34,18 @@ USERS = {"person", "rider", "car", "truck", "bus", "motorcycle", "bicycle"}
 @functools.cache
 def read(name):
     path = RECIPES / f"{name}.yaml"
-    return recipe.read(language.load_root(path), path.name)
+    return load(path)
 
 
 @functools.cache
 def spec(name, seed):
-    return recipe.draw(read(name), seed=seed)
+    return draw(read(name), seed=seed)
 
 
 def from_text(tmp_path, text):
     path = tmp_path / "mine.yaml"
     path.write_text(text)
-    return recipe.read(language.load_root(path), path.name)
+    return load(path)
 
 
 @functools.cache
@@ -185,7 +185,7 @@ def test_the_meshes_are_where_the_ground_is_said_to_be():
     """On a road with bends, crests, kerbs and hills: the highest triangle at 300 places is the ground within 5 mm, on the land within 8 cm."""
     bands = [("verge", 2.0, 0), ("lane", 3.2, -1), ("lane", 3.2, 1), ("parking", 2.0, 0), ("pavement", 2.5, 0)]
     line = ReferenceLine(300.0, bends([(20.0, 160.0, 50.0), (10.0, 200.0, -40.0)], length=300.0), ((0.0, 0.0), (60.0, 0.05), (180.0, -0.05), (300.0, 0.02)))
-    road = Road(line, LaneSection.from_widths(bands), land=recipe.Land(6.0, 3))
+    road = Road(line, LaneSection.from_widths(bands), land=Land(6.0, 3))
     triangles = mesh_triangles(road, beside=True)
     rng = np.random.Generator(np.random.PCG64(1))
     for s, t in zip(rng.uniform(5, 295, 300), rng.uniform(road.lane_section.low - 8, road.lane_section.high + 8, 300), strict=True):
@@ -351,9 +351,8 @@ def test_more_traffic_by_day_than_by_night():
     """40 seeds of the arterial road at 8 h and at 3 h: the mean number of vehicles on the lanes grows by at least half."""
 
     def mean(hour):
-        root = language.load_root(RECIPES / "arterial.yaml", [f"traffic.hour={hour}", "rules.in_view=0"])
-        found = recipe.read(root, "arterial.yaml")
-        return np.mean([sum(bool(p.lit) and p.group == "Vehicles" for p in recipe.draw(found, seed=seed).placed) for seed in range(6)])
+        found = load(RECIPES / "arterial.yaml", [f"traffic.hour={hour}", "rules.in_view=0"])
+        return np.mean([sum(bool(p.lit) and p.group == "Vehicles" for p in draw(found, seed=seed).placed) for seed in range(6)])
 
     assert mean(8) > 1.5 * mean(3)
 
@@ -361,8 +360,7 @@ def test_more_traffic_by_day_than_by_night():
 def test_the_command_line_overrides_the_recipe():
     """Twenty vehicles are twenty vehicles; what else was drawn stays as it was."""
     plain = spec("motorway", 3)
-    root = language.load_root(RECIPES / "motorway.yaml", ["traffic.count=20"])
-    changed = recipe.draw(recipe.read(root, "motorway.yaml"), seed=3)
+    changed = draw(load(RECIPES / "motorway.yaml", ["traffic.count=20"]), seed=3)
     assert sum(p.group == "Vehicles" for p in changed.placed) in (19, 20)  # one may find no room
     assert [p for p in changed.placed if p.group == "Plants"] == [p for p in plain.placed if p.group == "Plants"]
     assert changed.road == plain.road
@@ -416,7 +414,7 @@ def test_a_mistake_has_its_place(tmp_path, text, place, words):
 def test_a_rule_that_cannot_be_met_is_named(tmp_path, text, words):
     """After a bounded number of tries, in one line."""
     with pytest.raises(RecipeError) as raised:
-        recipe.draw(from_text(tmp_path, HEAD + LANES + text), seed=0)
+        draw(from_text(tmp_path, HEAD + LANES + text), seed=0)
     assert words in str(raised.value) and "\n" not in str(raised.value)
 
 

@@ -13,9 +13,8 @@ from pxr import Usd, UsdGeom, UsdUtils, UsdValidation
 
 from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import RecipeError
-from synfog_usd.world import language
-from synfog_usd.world.compose import compose
-from synfog_usd.world.roads import roundabout_markings, roundabout_recipe, roundabout_surface, rules
+from synfog_usd.world.compose import compose, draw, load
+from synfog_usd.world.roads import roundabout_markings, roundabout_surface, rules
 from synfog_usd.world.roads.lane_section import KERB_M
 from synfog_usd.world.roads.network import Land
 from synfog_usd.world.roads.reference_line import ReferenceLine
@@ -32,7 +31,7 @@ NEW = {"asphalt", "asphalt_lane", "chip_seal", "paving", "setts", "grass"}
 
 @functools.cache
 def spec(seed):
-    return roundabout_recipe.draw(roundabout_recipe.read(language.load_root(RECIPE), RECIPE.name), seed=seed)
+    return draw(load(RECIPE), seed=seed)
 
 
 @functools.cache
@@ -331,8 +330,8 @@ def test_some_walk_in_company():
     """Where all who can walk in company do, somebody has a neighbour within a metre who looks the same way; where nobody does, fewer have."""
 
     def pairs(company):
-        root = language.load_root(RECIPE, [f"people.company={company}", "people.count=14", "people.crossing_share=0"])
-        people = [p for p in roundabout_recipe.draw(roundabout_recipe.read(root, RECIPE.name), seed=1).placed if shape(p.asset)[2] == "person"]
+        found = load(RECIPE, [f"people.company={company}", "people.count=14", "people.crossing_share=0"])
+        people = [p for p in draw(found, seed=1).placed if shape(p.asset)[2] == "person"]
         assert len(people) == 14
         near = [(a, b) for a, b in itertools.combinations(people, 2) if math.hypot(a.x - b.x, a.y - b.y) < 1.0]
         return sum(abs((a.heading - b.heading + 180) % 360 - 180) < 8 for a, b in near)
@@ -384,7 +383,7 @@ def test_a_rule_that_cannot_be_met_is_named(tmp_path, change, words):
     path = tmp_path / "mine.yaml"
     path.write_text(HEAD + change + "\n")
     with pytest.raises(RecipeError) as raised:
-        roundabout_recipe.draw(roundabout_recipe.read(language.load_root(path), path.name), seed=0)
+        draw(load(path), seed=0)
     assert words in str(raised.value) and "\n" not in str(raised.value)
 
 
@@ -392,7 +391,7 @@ def test_the_command_line_overrides_the_recipe():
     """Five arms are five; another flow leaves circle, arms and plants as they were."""
 
     def drawn(*changes):
-        return roundabout_recipe.draw(roundabout_recipe.read(language.load_root(RECIPE, changes), RECIPE.name), seed=1)
+        return draw(load(RECIPE, changes), seed=1)
 
     assert len(drawn("arms.count=5").road.arms) == 5
     fuller = drawn("traffic.per_hour=900")

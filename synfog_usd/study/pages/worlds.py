@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from synfog_usd import resources
-from synfog_usd.world import language
+from synfog_usd.world import compose, parameters
 from synfog_usd.world.authoring import APERTURE
-from synfog_usd.world.roads import recipe, roundabout_recipe, rules
+from synfog_usd.world.roads import rules
 from synfog_usd.world.spec import Placement
 
 DISTANCES_M = (10.0, 20.0, 40.0, 70.0, 100.0)
@@ -27,7 +27,6 @@ SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 WITHIN_M = 100.0
 RIDDEN = {"cyclist": "bicycle", "motorcyclist": "motorcycle"}
 """What riders sit on that are one model with it."""
-LANGUAGES = {"road": recipe, "roundabout": roundabout_recipe}
 WHO = ("parked", "under way", "on foot")
 
 
@@ -58,26 +57,21 @@ class Survey:
 
 
 def road_recipes(folder: Path | None = None) -> list[Path]:
-    """Shipped recipes of roads and roundabouts, by name."""
+    """Shipped recipes of worlds with rows of props, which are roads and roundabouts, by name."""
     folder = folder or resources.folder("stages") / "recipes"
-    return [path for path in sorted(folder.glob("*.yaml")) if language.world_of(language.load_root(path)) in LANGUAGES]
+    return [path for path in sorted(folder.glob("*.yaml")) if parameters.WORLDS[compose.load(path).world].row]
 
 
 def survey(count: int, *, tell: Callable[[int], None] = lambda done: None) -> Survey:
     """Draw `count` worlds, recipe by recipe and seed by seed, and count what is in them."""
     found = Survey()
-    recipes = []
-    for path in road_recipes():
-        root = language.load_root(path)
-        language = LANGUAGES[language.world_of(root)]
-        recipes.append((language, language.read(root, path.name)))
+    recipes = [compose.load(path) for path in road_recipes()]
     layouts = set()
     for index in range(count):
-        language, one = recipes[index % len(recipes)]
+        one = recipes[index % len(recipes)]
         began = time.process_time()
-        world = language.draw(one, seed=index // len(recipes))
+        world = compose.draw(one, seed=index // len(recipes))
         found.seconds.append(time.process_time() - began)
-        assert world.road is not None
         found.worlds[one.name.removesuffix(".yaml")] += 1
         layouts.add((tuple((p.asset, p.x, p.y) for p in world.placed), world.road.reference_line.curvature))
         users = {p.name: p for p in world.placed if rules.model(p.asset).label in rules.USERS}

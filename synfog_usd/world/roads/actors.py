@@ -11,11 +11,11 @@ import numpy as np
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import stream
 from synfog_usd.world.language import Recipe
+from synfog_usd.world.parameters import WALKERS
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.lane_section import RAISED, Lane
 from synfog_usd.world.roads.markings import zebra_span
 from synfog_usd.world.roads.network import Road
-from synfog_usd.world.roads.parameters import WALKERS
 from synfog_usd.world.roads.props import BEHIND_M, draw_car, look, numbered
 from synfog_usd.world.spec import Placement, View
 

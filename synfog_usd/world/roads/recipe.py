@@ -1,10 +1,10 @@
-"""Recipes of roads: what may differ between draws, and one draw of it all.
+"""Draws of roads.
 
 A recipe gives the reference line, the lane section, rows of things along it, traffic,
 people, sky and camera.  Every parameter draws from a stream of its own name; what
 stands where obeys the rules of `rules`, and a draw that cannot is tried again a
 bounded number of times before the rule is named.  What a recipe can say stands in
-`parameters`.
+`world.parameters`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
-from synfog_usd.world.authoring import APERTURE
+from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Recipe
 from synfog_usd.world.roads import rules, works
 from synfog_usd.world.roads.actors import TRIES as TRIES
@@ -24,9 +24,6 @@ from synfog_usd.world.roads.actors import actors_in_sight
 from synfog_usd.world.roads.asphalt import Asphalt
 from synfog_usd.world.roads.lane_section import Lane, LaneSection
 from synfog_usd.world.roads.network import Land, Road
-from synfog_usd.world.roads.parameters import PARAMETERS as PARAMETERS
-from synfog_usd.world.roads.parameters import ROW as ROW
-from synfog_usd.world.roads.parameters import read as read
 from synfog_usd.world.roads.props import numbered, parked, rows_placed
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
 from synfog_usd.world.spec import Placement, RigCamera, SkyDome, View, WorldSpec
@@ -80,8 +77,7 @@ def assembled(recipe: Recipe, seed: int, value: Any, road: Road, view: View, thi
     """The world of a road and what stands at it, with sky, fog and the lamps that are lights."""
     heading = round(value("sky.heading_deg"), 1)
     placed = [_coarser(p, view) for p in _lit(things, view)]
-    visibilities = sorted({fog(stream(seed, "recipe", "fog", i)) for i, fog in enumerate(recipe.fog)}, reverse=True)
-    fogs = {"clear": None, **{f"mor{mor}": float(mor) for mor in visibilities}}
+    fogs = recipe.fog_variants(seed)
     return WorldSpec(
         about=f"{recipe.about} Drawn from {recipe.name} with seed {seed}.",
         placed=tuple(numbered(placed)),
@@ -110,12 +106,8 @@ def _rig(kind: str, baseline_m: float, view: View) -> tuple[RigCamera, ...]:
     if kind == "stereo":
         return (RigCamera("Right", baseline_m, 0.0, 0.0, view.focal_length),)
     if kind == "surround":
-        return tuple(RigCamera(name, right, ahead, yaw, _focal(fov)) for name, right, ahead, yaw, fov in SURROUND)
+        return tuple(RigCamera(name, right, ahead, yaw, focal_length(fov)) for name, right, ahead, yaw, fov in SURROUND)
     return ()
-
-
-def _focal(fov_x_deg: float) -> float:
-    return round(APERTURE / 2 / math.tan(math.radians(fov_x_deg) / 2), 6)
 
 
 def _road(recipe: Recipe, seed: int, station: float, value: Any) -> tuple[Road, dict[str, Any]]:
@@ -165,7 +157,7 @@ def _view(road: Road, own: Lane, station: float, height_m: float, fov_x_deg: flo
     heading = math.degrees(float(road.reference_line.heading(station)))
     pitch = math.degrees(math.atan(float(road.reference_line.grade(station))))
     z = float(road.ground(station, t)) + height_m
-    return View(round(float(x), 3), round(float(y), 3), round(z, 3), round(90.6 + pitch, 3), round(heading + 0.8, 3), _focal(fov_x_deg))
+    return View(round(float(x), 3), round(float(y), 3), round(z, 3), round(90.6 + pitch, 3), round(heading + 0.8, 3), focal_length(fov_x_deg))
 
 
 def _lit(placed: Sequence[Placement], view: View) -> list[Placement]:

@@ -11,11 +11,11 @@ import numpy as np
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import stream
 from synfog_usd.world.language import Recipe
+from synfog_usd.world.parameters import WALKERS
 from synfog_usd.world.roads import actors as roads
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.actors import BRAKING, BRAKING_M, COMPANY, DENSER, OWN_CAR_M, TRIES, TRIES_ALIKE
 from synfog_usd.world.roads.lane_section import KERB_M
-from synfog_usd.world.roads.parameters import WALKERS
 from synfog_usd.world.roads.props import draw_car, look
 from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, Roundabout
 from synfog_usd.world.spec import Placement, View

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from synfog_usd.world.roads import roundabout_markings, roundabout_surface
 from synfog_usd.world.roads.land import Scatter
+from synfog_usd.world.roads.road_built import PANES as PANES
+from synfog_usd.world.roads.road_built import instanced as instanced
 from synfog_usd.world.roads.roundabout import Roundabout
 from synfog_usd.world.roads.roundabout_surface import LOOKS as LOOKS
 from synfog_usd.world.roads.structures import Built

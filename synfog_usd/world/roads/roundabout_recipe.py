@@ -1,8 +1,6 @@
-"""Recipes of roundabouts: what may differ between draws, and one draw of it all.
+"""Draws of roundabouts.
 
-The language is that of roads (`parameters`), with sections for the circle and its
-arms in place of a line and a cross-section.  Rows stand along the kerbs: in along one
-arm, round the circle, out along the next.
+Rows stand along the kerbs: in along one arm, round the circle, out along the next.
 """
 
 from __future__ import annotations
@@ -15,79 +13,20 @@ import numpy as np
 
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
-from synfog_usd.world.authoring import APERTURE
-from synfog_usd.world.language import Categorical, Continuous, Recipe, check_schema, mapping, read_distributions, read_fog, sections
+from synfog_usd.world.authoring import focal_length
+from synfog_usd.world.language import Recipe
 from synfog_usd.world.roads import recipe as roads
 from synfog_usd.world.roads import roundabout_actors as actors
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.network import Land
-from synfog_usd.world.roads.parameters import PARAMETERS as ROADS
-from synfog_usd.world.roads.parameters import ROW as ROADS_ROW
-from synfog_usd.world.roads.parameters import named, read_rows
 from synfog_usd.world.roads.props import NUDGE_M, NUDGES, look
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
 from synfog_usd.world.roads.roundabout import STRAIGHT_M, Roundabout, roundabout
-from synfog_usd.world.roads.roundabout_markings import GIVE_WAY
 from synfog_usd.world.spec import Placement, View, WorldSpec
-from synfog_usd.yamlio import Located
 
 TRIES = 60
 APRON_LEAST_M = 0.8
 """An apron narrower than that is none: no wheel would find it."""
-
-EGO = ("camera.height_m", "camera.fov_x_deg", "camera.headlights", "camera.rig", "camera.baseline_m", "road.asphalt", "road.wet")
-"""What of a straight road's parameters holds here too, beside whole sections."""
-PARAMETERS: dict[str, Continuous | Categorical] = {
-    "circle.diameter_m": Continuous(26.0, 60.0, 36.0),
-    "circle.ring_m": Continuous(4.5, 9.0, 6.0),
-    "circle.apron_m": Continuous(0.0, 4.0, 1.5),
-    "circle.mound_m": Continuous(0.0, 2.5, 0.8),
-    "circle.corner_m": Continuous(7.0, 25.0, 15.0),
-    "circle.give_way": Categorical(GIVE_WAY, "teeth"),
-    "circle.shrubs": Continuous(0, 120, 30, whole=True),
-    "circle.trees": Continuous(0, 6, 1, whole=True),
-    "circle.tree_models": Categorical(("*plant",), {"birch_tree": 1, "conifer": 1, "maple_tree": 1}),
-    "arms.count": Continuous(3, 5, 4, whole=True),
-    "arms.apart_deg": Continuous(40.0, 120.0, 62.0),
-    "arms.length_m": Continuous(110.0, 600.0, 240.0),
-    "arms.lane_m": Continuous(2.9, 4.2, 3.4),
-    "arms.island_m": Continuous(2.0, 5.0, 3.2),
-    "arms.pavement_m": Continuous(1.8, 4.5, 2.6),
-    "arms.zebra_m": Continuous(7.2, 11.0, 8.2),
-    "arms.radius_m": Continuous(60.0, 10000.0, 260.0),
-    "arms.turn_deg": Continuous(-60.0, 60.0, 0.0),
-    "traffic.ring": Continuous(0, 8, 2, whole=True),
-    "camera.before_m": Continuous(14.0, 80.0, 28.0),
-    **{name: value for name, value in ROADS.items() if name.partition(".")[0] in ("sky", "rules", "people", "traffic", "land") or name in EGO},
-}
-"""What a recipe can say, by section and key, with what holds where it says nothing."""
-
-ROW: dict[str, Continuous | Categorical] = {
-    **{key: value for key, value in ROADS_ROW.items() if key not in ("side", "start_m", "end_m", "from", "at")},
-    "from": Categorical(("kerb", "edge"), "edge"),
-    "beyond_m": Continuous(0.0, 300.0, 0.0),
-    "until_m": Continuous(0.0, 600.0, 600.0),
-}
-"""Keys of one row of things; it stands only where the circle is farther than `beyond_m` and nearer than `until_m`."""
-
-
-def read(root: Located, name: str) -> Recipe:
-    """A recipe of a roundabout from its YAML.
-
-    Raises:
-        RecipeError: with its place.
-    """
-    parameters = {key: named(parameter) for key, parameter in PARAMETERS.items()}
-    items = mapping(root, "a recipe", ("synfog", "world", "about", "rows", "fog", *sections(parameters)))
-    check_schema(items, root)
-    about = items.get("about")
-    if about is not None and not isinstance(about.value, str):
-        raise RecipeError(f"{about.place}: about is {about.plain()!r}; it takes one sentence")
-    rows = read_rows(items["rows"], ROW) if "rows" in items else ()
-    return Recipe(name, about.value if about else "A roundabout.", read_distributions(items, parameters), read_fog(items), rows)
-
-
-# -- drawing
 
 
 def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
@@ -109,8 +48,7 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
         )
     fov = value("camera.fov_x_deg")
     x, y, z, heading = junction.lane_pose(0, before, -1, -0.15)
-    focal = round(APERTURE / 2 / math.tan(math.radians(fov) / 2), 6)
-    view = View(x, y, round(z + value("camera.height_m"), 3), 90.6, round(heading + 0.8, 3), focal)
+    view = View(x, y, round(z + value("camera.height_m"), 3), 90.6, round(heading + 0.8, 3), focal_length(fov))
     taken = rules.CollisionSet()
     fixed = [*_island(recipe, junction, seed, value("circle.trees"), taken), *_signs(junction, taken), *_rows(recipe, junction, seed, taken)]
     moving, least, seen = actors.in_sight(recipe, junction, seed, before, value, view, fov, fixed, taken)

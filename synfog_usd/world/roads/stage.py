@@ -1,4 +1,4 @@
-"""A road's `WorldSpec` as a USD stage: meshes of the road and its land, references, lights, fog, variants.
+"""A `WorldSpec` as a USD stage, whatever road or junction it stands at: meshes of the road and its land, references, lights, fog, variants.
 
 A scope for each kind of thing: /World/Road, Buildings, Plants and Furniture, Vehicles and
 People, Lights and Sky, Fog, Ego and Rig; `departments.py` makes layers of them.  It opens in
@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
@@ -17,12 +18,14 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 from synfog_usd.seeds import stream
 from synfog_usd.world import authoring, lamps
 from synfog_usd.world.components import author_material, author_mesh, label, new_stage
+from synfog_usd.world.library import nominal
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.roads import asphalt, land, markings, roundabout_built, structures, surface, works
+from synfog_usd.world.roads import asphalt, crossing_built, land, road_built, roundabout_built
+from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.roundabout import Roundabout
 from synfog_usd.world.roads.rules import model
-from synfog_usd.world.roads.structures import Built
+from synfog_usd.world.roads.structures import Built, LitPanes
 from synfog_usd.world.shapes import Array, Part, by_material, quads, shift, turn
 from synfog_usd.world.spec import Placement, View, WorldSpec
 
@@ -37,22 +40,19 @@ LOOKS: dict[str, Material] = {
     **asphalt.LOOKS,
 }
 """Materials of what only roads have; tunnel lamps of 9 000 cd m-2, as LED luminaires of tunnels have."""
-LIT_SHARE = {"window": 0.34, "shop_glass": 0.85}
 LIT_LOOK = {"window": ("Windows", "windows_lit.jpg", 55.0), "shop_glass": ("Shops", "shops_lit.jpg", 160.0)}
-LIT_M = 170.0
-"""How far windows are lit, from the camera."""
-TUFTS_M = 45.0
+KINDS: Mapping[type, Any] = {Road: road_built, Roundabout: roundabout_built, Crossing: crossing_built}
+"""What a road or junction is -> the module that says what is made for it alone."""
 
 
 def author(path: Path, spec: WorldSpec, *, assets: str) -> Sdf.Layer:
-    """The stage of a road as one layer, not yet saved.
+    """The stage of a world as one layer, not yet saved.
 
     Args:
         path: the file; its suffix chooses the format.
-        spec: of a road.
+        spec: what stands where.
         assets: where the shipped assets lie, from the stage's folder or from the root.
     """
-    assert spec.road is not None
     stage = new_stage(spec.about, path)
     stage.GetRootLayer().customLayerData = {**stage.GetRootLayer().customLayerData, **spec.origin}
     stage.SetMetadata("renderSettingsPrimPath", "/Render/Settings")
@@ -65,56 +65,30 @@ def author(path: Path, spec: WorldSpec, *, assets: str) -> Sdf.Layer:
     authoring.author_skies(stage, spec, assets)
     for group in dict.fromkeys(p.group for p in spec.placed):
         Usd.ModelAPI(UsdGeom.Xform.Define(stage, f"/World/{group}").GetPrim()).SetKind(Kind.Tokens.group)
+    kind = KINDS[type(spec.road)]
+    for many in kind.instanced(spec, spec.road):
+        authoring.author_instancer(stage, many.path, many.asset, many.label, many.points, many.turns, assets)
     _author_lights(stage, spec, assets)
     authoring.author_variants(stage, spec)  # early, because each choice of a variant composes what stands there by then again
-    _author_road(stage, spec, spec.road, assets)
+    _author_built(stage, spec, assets)
     authoring.author_render(stage)
-    authoring.author_products(stage, [authoring.EGO, *(f"{authoring.RIG}/{one.name}" for one in spec.rig)])
+    if spec.products:
+        authoring.author_products(stage, [authoring.EGO, *(f"{authoring.RIG}/{one.name}" for one in spec.rig)])
     authoring.author_placements(stage, spec.placed, assets)
     return Sdf.Layer.FindOrOpen(stage.GetRootLayer().identifier)
 
 
 def built(spec: WorldSpec) -> list[Built]:
-    """Everything that is made for this road alone, by name."""
-    road = spec.road
-    assert road is not None
-    if isinstance(road, Roundabout):
-        return roundabout_built.built(spec, road)
-    parts = surface.surface(road, seed=spec.scatter, asphalt=spec.built["asphalt"])
-    names = {"road": "Carriageway", "sidewalk": "Pavement", "terrain": "Verges"}
-    made = [Built(names[key], key, tuple(found)) for key, found in parts.items()]
-    made.append(Built("Markings", "road", tuple(markings.markings(road))))
-    made.append(Built("Land", "terrain", tuple(land.land(road))))
-    rails = spec.built.get("rails", "none")
-    end = road.reference_line.length if road.land.hill is None else road.land.hill[0] - 0.3
-    if rails in ("outer", "all"):
-        for t, side in ((_soft(road, -1), 1), (_soft(road, 1), -1)):
-            made.append(structures.guard_rail(road, t, side, 0.0, end, f"Guard_Rail_{'Left' if side > 0 else 'Right'}"))
-    if rails in ("median", "all"):
-        for lane in road.lane_section.of("reserve"):
-            for t, side, name in ((lane.low + 0.7, -1, "Against"), (lane.high - 0.7, 1, "Along")):
-                made.append(structures.guard_rail(road, t, side, 0.0, end, f"Guard_Rail_{name}"))
-    if spec.built.get("delineators") == "both":
-        made += structures.delineators(road, 0.0, end)
-    made += [structures.gantry(road, s, i + 1) for i, s in enumerate(spec.built.get("gantries", ()))]
-    if spec.built.get("works"):
-        made.append(works.built(road, spec.built["works"]))
-    if road.land.valley:
-        made += structures.bridge(road)
-    if road.land.hill:
-        made += structures.tunnel(road)
+    """Everything that is made for this world alone, by name."""
+    made: list[Built] = KINDS[type(spec.road)].built(spec, spec.road)
     return made
 
 
-def _soft(road: Road, side: int) -> float:
-    """Offset of a guard rail beside the carriageway: 0.6 m into the verge."""
-    verges = [lane for lane in road.lane_section.of("verge") if lane.middle * side > 0]
-    if not verges:
-        return road.lane_section.high - 0.3 if side > 0 else road.lane_section.low + 0.3
-    return verges[-1].low + 0.6 if side > 0 else verges[0].high - 0.6
-
-
-def _author_road(stage: Usd.Stage, spec: WorldSpec, road: Road, assets: str) -> None:
+def _author_built(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
+    kind = KINDS[type(spec.road)]
+    things, sown = built(spec), [s for s in kind.scatters(spec, spec.road) if s is not None and len(s.points)]
+    if not things and not sown:
+        return
     root = UsdGeom.Xform.Define(stage, "/World/Road").GetPrim()
     Usd.ModelAPI(root).SetKind(Kind.Tokens.group)
     materials = Sdf.Path("/World/Road/Materials")
@@ -128,26 +102,14 @@ def _author_road(stage: Usd.Stage, spec: WorldSpec, road: Road, assets: str) -> 
             known[name] = author_material(stage, materials.AppendChild(name), look, textures=f"{assets}/textures/")
         UsdShade.MaterialBindingAPI.Apply(prim).Bind(known[name])
 
-    for thing in built(spec):
+    for thing in things:
         prim = UsdGeom.Xform.Define(stage, f"/World/Road/{thing.name}").GetPrim()
         Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
         label(prim, thing.label)
         for name, part in by_material(thing.parts).items():
             bind(author_mesh(stage, prim.GetPath().AppendChild(name), _small(part)).GetPrim(), name)
-    for scatter in scatters(spec, road):
-        if scatter is not None and len(scatter.points):
-            _author_scatter(stage, scatter, bind)
-
-
-def scatters(spec: WorldSpec, road: Road) -> Sequence[land.Scatter | None]:
-    """Woods far away, and tall grass where the camera is near."""
-    if isinstance(road, Roundabout):
-        return roundabout_built.scatters(spec, road)
-    found: list[land.Scatter | None] = [land.wood(road, seed=spec.scatter, count=spec.built["trees"], nearest_m=spec.built["trees_from_m"])]
-    station = spec.built["station"]
-    if spec.built["grass"] == "tufts":
-        found.append(land.tufts(road, seed=spec.scatter, low=station, high=station + TUFTS_M))
-    return found
+    for scatter in sown:
+        _author_scatter(stage, scatter, bind)
 
 
 def _small(part: Part) -> Part:
@@ -180,7 +142,7 @@ def _author_scatter(stage: Usd.Stage, scatter: land.Scatter, bind: object) -> No
 
 def headlights(view: View, ground: float) -> Iterable[tuple[str, Array]]:
     """Names and places of the dipped beams of the camera's own car, which goes the way that the camera looks."""
-    place = shift(view.x, view.y, ground) @ turn(view.heading - 0.8) @ turn(view.tilt - 90.6, "x")
+    place = shift(view.x, view.y, ground) @ turn(view.heading - view.yaw) @ turn(view.tilt - (90.0 + view.dip), "x")
     for name, x in (("Left", -0.62), ("Right", 0.72)):
         yield name, place @ shift(x, 1.75, 0.66) @ turn(90.0, "x")
 
@@ -192,7 +154,7 @@ def panes(asset: str) -> Mapping[str, tuple[Array, Array]]:
     layer = Sdf.Layer.FindOrOpen(str(model(asset).path.with_suffix(".geo.usdc")))
     if layer is None:
         return found
-    for name in LIT_SHARE:
+    for name in LIT_LOOK:
         mesh = layer.GetPrimAtPath(f"/Geometry/{name}")
         if not mesh or "points" not in mesh.attributes or "primvars:st" not in mesh.attributes:
             continue
@@ -206,15 +168,15 @@ def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     """The camera's own headlights, and one mesh each of all lit windows and shops."""
     Usd.ModelAPI(UsdGeom.Xform.Define(stage, "/World/Lights").GetPrim()).SetKind(Kind.Tokens.group)
     UsdGeom.Scope.Define(stage, "/World/Lights/Headlights")
-    assert spec.road is not None
     ground = float(spec.road.height(spec.view.x, spec.view.y))
     for name, place in headlights(spec.view, ground):
         lamps.author_lamp(stage, f"/World/Lights/Headlights/{name}", spec.built["headlights"], place, lamps=f"{assets}/lamps")
-    rng = stream(spec.scatter, "roads", "lit")
-    fronts: dict[str, list[tuple[Array, Array]]] = {name: [] for name in LIT_SHARE}
+    lit = KINDS[type(spec.road)].PANES
+    rng = stream(spec.scatter, lit.name, "lit")
+    fronts: dict[str, list[tuple[Array, Array]]] = {name: [] for name in LIT_LOOK}
     for p in spec.placed:
-        if p.group == "Buildings" and np.hypot(p.x - spec.view.x, p.y - spec.view.y) < LIT_M:
-            for name, front in _lit(p, rng):
+        if p.group == "Buildings" and lit.near(p, spec.view):
+            for name, front in _lit(p, lit, rng):
                 fronts[name].append(front)
     materials = Sdf.Path("/World/Lights/Materials")
     for name, found in fronts.items():
@@ -230,12 +192,15 @@ def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
         label(mesh.GetPrim(), "building")
 
 
-def _lit(p: Placement, rng: np.random.Generator) -> Sequence[tuple[str, tuple[Array, Array]]]:
+def _lit(p: Placement, panes_lit: LitPanes, rng: np.random.Generator) -> Sequence[tuple[str, tuple[Array, Array]]]:
     """Lit panes of one building, a hand's breadth of light before the glass."""
     result = []
     place = shift(p.x, p.y, p.z) @ turn(p.heading)
     for name, (corners, uv) in panes(p.asset).items():
-        lit = rng.random(len(corners)) < LIT_SHARE[name]
+        if panes_lit.facades and name == "window":  # those of the roof stand before them
+            count = int(nominal()[p.asset]["facade_windows"])
+            corners, uv = corners[-count:], uv[-count:]
+        lit = rng.random(len(corners)) < panes_lit.shares[name]
         if not lit.any():
             continue
         front = corners[lit]

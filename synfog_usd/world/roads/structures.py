@@ -5,6 +5,7 @@ Parts by name, each with its Cityscapes label, laid on the road.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from synfog_usd.world.roads.network import AT_PORTAL, Road
 from synfog_usd.world.roads.surface import bend, sweep
 from synfog_usd.world.shapes import Array, Part, box, fan, quad, soft_box, strip, tube
+from synfog_usd.world.spec import Placement, View
 
 RAIL_TOP_M = 0.75
 POST_M = 4.0
@@ -29,6 +31,39 @@ class Built:
     name: str
     label: str
     parts: tuple[Part, ...]
+
+
+@dataclass(frozen=True)
+class Instanced:
+    """Many of one model, upright.
+
+    Attributes:
+        path: of the instancer; asset: of the model; label: Cityscapes class.
+        points: (N, 3) [m]; turns: (N,) degrees counter-clockwise.
+    """
+
+    path: str
+    asset: str
+    label: str
+    points: Array
+    turns: Array
+
+
+@dataclass(frozen=True)
+class LitPanes:
+    """Which panes of buildings are lit at dusk.
+
+    Attributes:
+        name: of the random stream.
+        shares: material of panes -> share that is lit.
+        near: whether a building counts, seen from the camera.
+        facades: whether windows in roofs stay dark, as `nominal.json` counts them.
+    """
+
+    name: str
+    shares: Mapping[str, float]
+    near: Callable[[Placement, View], bool]
+    facades: bool = False
 
 
 def guard_rail(road: Road, t: float, side: int, low: float, high: float, name: str) -> Built:

@@ -7,6 +7,7 @@ The carriageway is z = 0, pavements lie `KERB_M` above.  Lengths in metres.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 MAIN_HALF = 5.6  # lane 3.4 and parking 2.2
 SIDE_HALF = 4.4
@@ -29,3 +30,12 @@ def ground_height(x: float, y: float) -> float:
     if dx > 0 and dy > 0 and math.hypot(dx, dy) > CORNER:
         return 0.0
     return KERB_M
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """The crossing as what everything stands at; its ground is a model of the library."""
+
+    def height(self, x: float, y: float) -> float:
+        """Height of the ground [m] at a place within the streets."""
+        return ground_height(x, y)

@@ -1,37 +1,18 @@
-"""The crossing of two city streets: what stands there whatever is drawn, and the stage of a draw.
-
-The ground is a model of the library, laid out by the figures of `street`.  Recipes
-(`recipe`) and the shipped stage add who drives, parks and walks.
-"""
+"""What stands at the crossing whatever is drawn: ground, houses, lamps and signs, trees, bicycles at the walls."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 
 import numpy as np
-from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade
 
 from synfog_usd.seeds import stream
 from synfog_usd.world import library
-from synfog_usd.world.authoring import (
-    author_camera,
-    author_fog,
-    author_instancer,
-    author_placements,
-    author_render,
-    author_skies,
-    author_variants,
-)
-from synfog_usd.world.components import MountedLamp, author_lamp, author_material, author_mesh, label, new_stage
-from synfog_usd.world.materials import Material
-from synfog_usd.world.roads.stage import panes
-from synfog_usd.world.shapes import Array, Part, quads, shift, turn
-from synfog_usd.world.spec import Placement, View, WorldSpec
-from synfog_usd.world.street import CORNER, MAIN_HALF, NORTH, SIDE_HALF, TREE_X, WALL_X, WALL_Y, ground_height
+from synfog_usd.world.roads.crossing import NORTH, TREE_X, WALL_X, WALL_Y, ground_height
+from synfog_usd.world.spec import Placement, View
 
-VIEW = View(1.55, -37.0, 1.45)
-NO_PANES = (np.zeros((0, 4, 3)), np.zeros((0, 4, 2)))
+BUILT = {"headlights": "low_beam_led"}
+VIEW = View(1.55, -37.0, 1.45, tilt=91.2, heading=1.2, focal_length=0.345, yaw=1.2, dip=1.2)
 
 
 def stood(
@@ -172,96 +153,3 @@ def trees() -> list[Placement]:
     for k, x in enumerate(np.arange(-28, 29, 8.0)):
         placed.append(Placement("Plants", f"Hedge_{k + 1}", "hedge", float(x), NORTH + 6.2, 0.0, z=-0.04))
     return placed
-
-
-def author_stage(path: Path, spec: WorldSpec, *, assets: str) -> Sdf.Layer:
-    """The stage of `write_stage` as one layer, not yet saved."""
-    stage = new_stage(spec.about, path)
-    if spec.origin:
-        stage.GetRootLayer().customLayerData = {**stage.GetRootLayer().customLayerData, **spec.origin}
-    stage.SetMetadata("renderSettingsPrimPath", "/Render/Settings")
-    world = UsdGeom.Xform.Define(stage, "/World").GetPrim()
-    stage.SetDefaultPrim(world)
-    Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
-    placed = spec.placed
-    author_camera(stage, spec.view)
-    author_fog(stage)
-    author_skies(stage, spec, assets)
-    for group in dict.fromkeys(p.group for p in placed):
-        prim = UsdGeom.Xform.Define(stage, f"/World/{group}").GetPrim()
-        Usd.ModelAPI(prim).SetKind(Kind.Tokens.group)
-    _author_bollards(stage, assets)
-    _author_leaves(stage, [p for p in placed if p.group == "Plants" and abs(p.x) == TREE_X and p.y < 60], spec.scatter, assets)
-    _author_lights(stage, spec, assets)
-    author_variants(stage, spec)
-    author_render(stage)
-    author_placements(stage, placed, assets)
-    return Sdf.Layer.FindOrOpen(stage.GetRootLayer().identifier)
-
-
-def _author_bollards(stage: Usd.Stage, assets: str) -> None:
-    points = []
-    angle = np.deg2rad(np.array([200, 212, 224, 236, 248]))
-    for sx in (-1, 1):
-        for sy in (-1, 1):
-            radius = CORNER - 0.45
-            points += [(sx * (MAIN_HALF + CORNER + radius * np.cos(a)), sy * (SIDE_HALF + CORNER + radius * np.sin(a)), 0.12) for a in angle]
-        for y in (-31.0, -29.4, -27.8, 32.0, 33.6, 35.2):
-            points.append((sx * 6.0, y, 0.12))
-    author_instancer(stage, "/World/Furniture/Bollards", "bollard", "pole", np.array(points), np.zeros(len(points)), assets)
-
-
-def _author_leaves(stage: Usd.Stage, below: Iterable[Placement], scatter: int, assets: str) -> None:
-    rng = stream(scatter, "crossroads", "leaves")
-    points, turns = [], []
-    for tree in below:
-        count = 55 if tree.y > -50 else 15
-        for _ in range(count):
-            x, y = tree.x + rng.normal(0, 1.5), tree.y + rng.normal(0, 2.6)
-            if abs(x) > WALL_X - 0.15:
-                continue
-            if abs(x) < MAIN_HALF and rng.random() < 0.8:  # wind gathers them in the gutter
-                x = np.sign(tree.x) * (MAIN_HALF - abs(rng.normal(0, 0.12)) - 0.04)
-            if abs(abs(x) - MAIN_HALF) < 0.01:
-                continue
-            points.append((x, y, ground_height(x, y)))
-            turns.append(rng.uniform(0, 360))
-    author_instancer(stage, "/World/Plants/Fallen_Leaves", "fallen_leaf", "vegetation", np.array(points), np.array(turns), assets)
-
-
-def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
-    """The ego car's headlights, and one mesh each of all lit windows and shops."""
-    lights = UsdGeom.Xform.Define(stage, "/World/Lights")
-    Usd.ModelAPI(lights.GetPrim()).SetKind(Kind.Tokens.group)
-    UsdGeom.Scope.Define(stage, "/World/Lights/Headlights")
-    for name, x in (("Left", spec.view.x - 0.62), ("Right", spec.view.x + 0.72)):
-        lamp = MountedLamp(name, shift(x, spec.view.y + 1.75, 0.66) @ turn(90, "x"), beam="low_beam_led")
-        author_lamp(stage, Sdf.Path(f"/World/Lights/Headlights/{name}"), lamp, lamps=f"{assets}/lamps")
-    rng = stream(spec.scatter, "crossroads", "lit")
-    lit_panes: dict[str, list[tuple[Array, Array]]] = {"Windows": [], "Shops": []}
-    facades = {name: int(sizes["facade_windows"]) for name, sizes in library.nominal().items() if "facade_windows" in sizes}
-    for p in (p for p in spec.placed if p.group == "Buildings"):
-        if p.asset not in facades or p.y > 190 or p.y < -60:
-            continue
-        place = shift(p.x, p.y, p.z) @ turn(p.heading)
-        for name, material, share in (("Windows", "window", 0.36), ("Shops", "shop_glass", 0.85)):
-            corners, uv = panes(p.asset).get(material, NO_PANES)
-            if material == "window":  # those of the roof stand before them
-                corners, uv = corners[-facades[p.asset] :], uv[-facades[p.asset] :]
-            lit = rng.random(len(corners)) < share
-            if not lit.any():
-                continue
-            front = corners[lit]
-            normal = np.cross(front[:, 1] - front[:, 0], front[:, 2] - front[:, 0])
-            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-            front = front + 0.008 * normal[:, None]
-            lit_panes[name].append((front @ place[:3, :3].T + place[:3, 3], uv[lit]))
-    materials = Sdf.Path("/World/Lights/Materials")
-    UsdGeom.Scope.Define(stage, materials)
-    for name, picture, nits in (("Windows", "windows_lit.jpg", 55.0), ("Shops", "shops_lit.jpg", 160.0)):
-        part: Part = quads(np.concatenate([c for c, _ in lit_panes[name]]), name, np.concatenate([u for _, u in lit_panes[name]]))
-        mesh = author_mesh(stage, Sdf.Path(f"/World/Lights/{name}"), part)
-        look = Material((0.02, 0.02, 0.02), 0.05, emission=(nits, nits, nits), emission_texture=picture)
-        material = author_material(stage, materials.AppendChild(name), look, textures=f"{assets}/textures/")
-        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
-        label(mesh.GetPrim(), "building")

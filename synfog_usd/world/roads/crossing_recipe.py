@@ -1,4 +1,4 @@
-"""Recipes: a YAML file of what may differ, and a seed, give one `WorldSpec` of the crossing.
+"""Draws of the crossing: who drives, parks and walks on its streets, and in which light and fog.
 
 Every parameter draws from a stream of its own name, so that changing one leaves
 what the others draw as it was.  Nothing stands in anything else: cars follow each
@@ -10,31 +10,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
-from synfog_usd.world import crossroads, library
-from synfog_usd.world.authoring import APERTURE
-from synfog_usd.world.crossroads import stood
-from synfog_usd.world.language import Categorical, Continuous, Distribution, Recipe, check_schema, load_root, mapping, read_distributions, read_fog, sections
-from synfog_usd.world.roads import rules
-from synfog_usd.world.roads.parameters import named
-from synfog_usd.world.spec import Placement, SkyDome, View, WorldSpec
-from synfog_usd.world.street import MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE
-from synfog_usd.yamlio import Located
+from synfog_usd.world.authoring import focal_length
+from synfog_usd.world.language import Distribution, Recipe
+from synfog_usd.world.library import nominal
+from synfog_usd.world.parameters import WALKERS
+from synfog_usd.world.roads import crossing_props, rules
+from synfog_usd.world.roads.crossing import MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE, Crossing
+from synfog_usd.world.roads.crossing_props import stood
+from synfog_usd.world.roads.props import draw_car, look
+from synfog_usd.world.spec import Placement, SkyDome, WorldSpec
 
-CARS = ("hatchback", "saloon", "estate", "offroader", "van")
 WIDE = ("bus", "lorry")
 """Bodies that keep nearer to the middle of the street, away from parked cars' mirrors."""
-BODIES = (*CARS, *WIDE)
-PAINTS = ("white", "silver", "grey", "black", "blue", "red", "green", "sand", "yellow")
-KINDS = ("man_walking", "woman_walking", "man_waiting", "woman_phone", "student", "child", "old_man")
-WALKERS = ("man_walking", "woman_walking", "student", "child", "old_man")
-
 BAY_M = 5.8
 PARKED_X = 4.5
 NEAREST_LIT = 8
@@ -46,49 +39,6 @@ ROOM_M = {"bench": 1.4, "advertising_column": 1.3, "cabinet": 1.1, "bicycle": 1.
 """How far people keep from the middle of a thing; from all others ROOM_ELSE_M."""
 ROOM_ELSE_M = 0.75
 TRIES = 400
-
-
-PARAMETERS: dict[str, Continuous | Categorical] = {
-    "parked.share": Continuous(0.0, 1.0, 0.7),
-    "parked.bodies": Categorical(CARS, {"hatchback": 3, "saloon": 2, "estate": 2, "offroader": 2, "van": 1}),
-    "parked.paints": Categorical(PAINTS, dict.fromkeys(("white", "silver", "grey", "black", "blue", "red", "green", "sand"), 1)),
-    "traffic.count": Continuous(0, 24, 10, whole=True),
-    "traffic.bodies": Categorical(BODIES, {"hatchback": 3, "saloon": 3, "estate": 2, "offroader": 2, "van": 1, "bus": 1, "lorry": 1}),
-    "traffic.paints": Categorical(PAINTS, dict.fromkeys(("white", "silver", "grey", "black", "blue", "red"), 1)),
-    "traffic.main_street": Categorical(("waits", "goes"), {"waits": 1, "goes": 1}),
-    "people.count": Continuous(0, 60, 30, whole=True),
-    "people.kinds": Categorical(KINDS, dict.fromkeys(KINDS, 1)),
-    "people.cyclists": Continuous(0, 1, 1, whole=True),
-    "sky.day": Categorical(("overcast", "*sky"), "overcast"),
-    "sky.dusk": Categorical(("dusk", "*sky"), "dusk"),
-    "sky.heading_deg": Continuous(0.0, 360.0, 0.0),
-    "sky.overcast_nits": Continuous(200.0, 20000.0, 5000.0),
-    "sky.dusk_nits": Continuous(0.1, 200.0, 5.0),
-    "camera.height_m": Continuous(1.0, 2.5, 1.45),
-    "camera.fov_x_deg": Continuous(20.0, 100.0, 55.1),
-}
-"""What a recipe can say, by section and key, with what holds where it says nothing."""
-
-
-def load(path: Path, *, changes: Sequence[str] = ()) -> Recipe:
-    """Read a recipe of the crossing.
-
-    Args:
-        path: the file.
-        changes: 'section.key=value' each, over what stands in the file.
-
-    Raises:
-        RecipeError: not YAML, or a section, key or value that is not known, with its place.
-    """
-    return read(load_root(path, changes), path.name)
-
-
-def read(root: Located, name: str) -> Recipe:
-    """A recipe of the crossing from its YAML."""
-    parameters = {key: named(parameter) for key, parameter in PARAMETERS.items()}
-    items = mapping(root, "a recipe", ("synfog", "world", "fog", *sections(parameters)))
-    check_schema(items, root)
-    return Recipe(name, "A crossing of two city streets.", read_distributions(items, parameters), read_fog(items))
 
 
 def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
@@ -104,23 +54,24 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     waits = value("traffic.main_street") == "waits"
     cars = [*_parked(recipe, seed, value("parked.share")), *_traffic(recipe, seed, value("traffic.count"), waits)]
     cars = [replace(car, name=f"{car.asset.title()}_{index + 1:02d}") for index, car in enumerate(cars)]
-    fixed = [*crossroads.ground(), *crossroads.houses(), *_furniture(waits), *crossroads.trees(), *crossroads.parked_bicycles()]
+    fixed = [*crossing_props.ground(), *crossing_props.houses(), *_furniture(waits), *crossing_props.trees(), *crossing_props.parked_bicycles()]
     people = _people(recipe, seed, value("people.count"), waits, [p for p in fixed if p.group not in ("Ground", "Buildings")])
     riders = _cyclist(seed) if value("people.cyclists") else []
-    visibilities = sorted({draw(stream(seed, "recipe", "fog", index)) for index, draw in enumerate(recipe.fog)}, reverse=True)
-    fog = {"clear": None, **{f"mor{mor}": float(mor) for mor in visibilities}}
-    fov = math.radians(value("camera.fov_x_deg"))
-    height = round(value("camera.height_m"), 3)
+    fog = recipe.fog_variants(seed)
+    lens = focal_length(value("camera.fov_x_deg"))
     return WorldSpec(
-        about=f"A crossing of two city streets, drawn from {recipe.name} with seed {seed}.",
+        about=f"{recipe.about.removesuffix('.')}, drawn from {recipe.name} with seed {seed}.",
         placed=(*fixed, *cars, *people, *riders),
-        view=View(crossroads.VIEW.x, crossroads.VIEW.y, height, focal_length=round(APERTURE / 2 / math.tan(fov / 2), 6)),
+        view=replace(crossing_props.VIEW, z=round(value("camera.height_m"), 3), focal_length=lens),
         fog=fog,
         fog_selected=list(fog)[len(fog) // 2],
         day=_dome(value("sky.day"), "overcast", round(value("sky.overcast_nits"), 1), value("sky.heading_deg")),
         dusk=_dome(value("sky.dusk"), "dusk", round(value("sky.dusk_nits"), 3), value("sky.heading_deg")),
+        road=Crossing(),
         scatter=seed32(seed, "recipe", "scatter"),
         origin={"recipe": recipe.name, "seed": str(seed)},
+        built=crossing_props.BUILT,
+        products=False,
     )
 
 
@@ -176,12 +127,6 @@ _QUEUE = 3
 _QUEUE_GAP_M = (1.2, 2.5)
 
 
-def _car(recipe: Recipe, section: str, rng: np.random.Generator) -> tuple[str, float, str]:
-    body = recipe.distributions[f"{section}.bodies"](rng)
-    paints = rules.model(body).choices("paint")
-    return body, library.nominal()[body]["length_m"], recipe.distributions[f"{section}.paints"](rng, paints)
-
-
 def _parked(recipe: Recipe, seed: int, share: float) -> list[Placement]:
     """One car to a bay of the markings, on both sides of the main street, from behind the camera to the far end."""
     placed = []
@@ -191,10 +136,10 @@ def _parked(recipe: Recipe, seed: int, share: float) -> list[Placement]:
         for index, y in enumerate(bays):
             rng = stream(seed, "recipe", "parked", side, index)
             taken = rng.random() < share
-            body, _, paint = _car(recipe, "parked", rng)
+            body, looks = draw_car(recipe, "parked", rng)
             x, y = side * PARKED_X + np.clip(rng.normal(0, 0.04), -0.08, 0.08), y + rng.uniform(-0.12, 0.12)
             if taken:
-                placed.append(stood("Vehicles", "", body, round(float(x), 3), round(float(y), 3), 180.0 if side < 0 else 0.0, {"paint": paint}))
+                placed.append(stood("Vehicles", "", body, round(float(x), 3), round(float(y), 3), 180.0 if side < 0 else 0.0, looks))
     return placed
 
 
@@ -202,9 +147,10 @@ def _traffic(recipe: Recipe, seed: int, count: int, waits: bool) -> list[Placeme
     lanes = _LANES["waits" if waits else "goes"]
     choice = Distribution("choice", tuple(range(len(lanes))), tuple(lane.weight for lane in lanes))
     rng = stream(seed, "recipe", "traffic", "lanes")
-    bound: list[list[tuple[str, float, str]]] = [[] for _ in lanes]
+    bound: list[list[tuple[str, float, dict[str, str]]]] = [[] for _ in lanes]
     for index in range(count):
-        car = _car(recipe, "traffic", stream(seed, "recipe", "traffic", "car", index))
+        body, looks = draw_car(recipe, "traffic", stream(seed, "recipe", "traffic", "car", index))
+        car = (body, nominal()[body]["length_m"], looks)
         fitting = [n for n, lane in enumerate(lanes) if sum(length + _GAP_M for _, length, _ in [*bound[n], car]) <= abs(lane.end - lane.start)]
         if not fitting:
             raise AssertionError("the limit of traffic.count leaves room for as many buses")
@@ -215,7 +161,7 @@ def _traffic(recipe: Recipe, seed: int, count: int, waits: bool) -> list[Placeme
         free = abs(lane.end - lane.start) - sum(length + _GAP_M for _, length, _ in cars)
         slack = np.sort(rng.uniform(0.0, free, len(cars)))
         at, before = 0.0, 0.0
-        for index, (body, length, paint) in enumerate(cars):
+        for index, (body, length, looks) in enumerate(cars):
             queued = lane.queue and index < _QUEUE
             gap = float(rng.uniform(*_QUEUE_GAP_M)) * (index > 0) if queued else float(slack[index] - before) + _GAP_M
             before = 0.0 if queued else float(slack[index])
@@ -224,8 +170,8 @@ def _traffic(recipe: Recipe, seed: int, count: int, waits: bool) -> list[Placeme
             near, sway = (0.9, 0.04) if body in WIDE else (1.0, 0.1)
             across = near * lane.across + float(rng.uniform(-sway, sway))
             x, y = (across, middle) if lane.along == "y" else (middle, across)
-            placed.append(stood("Vehicles", "", body, round(x, 3), round(y, 3), lane.heading, {"paint": paint}, {"lamps": "glow"}))
-    view = crossroads.VIEW
+            placed.append(stood("Vehicles", "", body, round(x, 3), round(y, 3), lane.heading, looks, {"lamps": "glow"}))
+    view = crossing_props.VIEW
     nearest = sorted((p for p in placed if p.y < LIT_Y), key=lambda p: (math.hypot(p.x - view.x, p.y - view.y), p.x))[:NEAREST_LIT]
     return [replace(p, lit={"lamps": "on"}) if p in nearest else p for p in placed]
 
@@ -233,7 +179,7 @@ def _traffic(recipe: Recipe, seed: int, count: int, waits: bool) -> list[Placeme
 def _furniture(waits: bool) -> list[Placement]:
     """The shipped furniture with the signals of the phase."""
     placed = []
-    for p in crossroads.furniture():
+    for p in crossing_props.furniture():
         if "signal" in p.variants:
             main = abs(p.x) < abs(p.y)
             p = replace(p, variants={"signal": "red" if main == waits else "green"})
@@ -250,8 +196,7 @@ def _people(recipe: Recipe, seed: int, count: int, waits: bool, things: Sequence
         rng = stream(seed, "recipe", "person", index)
         crosses = bool(walkers) and rng.random() < CROSSING_SHARE
         kind = kinds(rng, walkers if crosses else None)
-        outfits = rules.model(kind).variants["outfit"]
-        outfit = outfits[int(rng.integers(len(outfits)))]
+        looks = look(rng, rules.model(kind))
         for _ in range(TRIES):
             x, y, heading = _crossing(rng, waits) if crosses else _on_pavement(rng, kind)
             if all(math.hypot(x - a, y - b) >= room for a, b, room in keep):
@@ -259,7 +204,7 @@ def _people(recipe: Recipe, seed: int, count: int, waits: bool, things: Sequence
         else:
             raise RecipeError(f"{recipe.name}: people.count {count}: no room for more than {index}")
         keep.append((x, y, ROOM_ELSE_M))
-        placed.append(stood("People", f"Person_{index + 1:02d}", kind, x, y, heading, {"outfit": outfit}))
+        placed.append(stood("People", f"Person_{index + 1:02d}", kind, x, y, heading, looks))
     return placed
 
 

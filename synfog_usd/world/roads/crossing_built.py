@@ -1,0 +1,68 @@
+"""What a stage of the crossing has beside its models: bollards round the corners, and leaves below the street trees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from synfog_usd.seeds import stream
+from synfog_usd.world.library import nominal
+from synfog_usd.world.roads.crossing import CORNER, MAIN_HALF, SIDE_HALF, TREE_X, WALL_X, Crossing, ground_height
+from synfog_usd.world.roads.land import Scatter
+from synfog_usd.world.roads.structures import Built, Instanced, LitPanes
+from synfog_usd.world.spec import Placement, View, WorldSpec
+
+
+def _lit(p: Placement, view: View) -> bool:
+    """Houses that the camera can see lit, up the main street."""
+    return -60 <= p.y <= 190 and "facade_windows" in nominal().get(p.asset, {})
+
+
+PANES = LitPanes("crossroads", {"window": 0.36, "shop_glass": 0.85}, _lit, facades=True)
+
+
+def built(spec: WorldSpec, crossing: Crossing) -> list[Built]:
+    """Nothing is made for it alone: its ground is a model."""
+    return []
+
+
+def scatters(spec: WorldSpec, crossing: Crossing) -> Sequence[Scatter | None]:
+    """Nothing is sown."""
+    return ()
+
+
+def instanced(spec: WorldSpec, crossing: Crossing) -> list[Instanced]:
+    """Bollards and leaves."""
+    below = [p for p in spec.placed if p.group == "Plants" and abs(p.x) == TREE_X and p.y < 60]
+    return [_bollards(), _leaves(below, spec.scatter)]
+
+
+def _bollards() -> Instanced:
+    points = []
+    angle = np.deg2rad(np.array([200, 212, 224, 236, 248]))
+    for sx in (-1, 1):
+        for sy in (-1, 1):
+            radius = CORNER - 0.45
+            points += [(sx * (MAIN_HALF + CORNER + radius * np.cos(a)), sy * (SIDE_HALF + CORNER + radius * np.sin(a)), 0.12) for a in angle]
+        for y in (-31.0, -29.4, -27.8, 32.0, 33.6, 35.2):
+            points.append((sx * 6.0, y, 0.12))
+    return Instanced("/World/Furniture/Bollards", "bollard", "pole", np.array(points), np.zeros(len(points)))
+
+
+def _leaves(below: Iterable[Placement], scatter: int) -> Instanced:
+    rng = stream(scatter, "crossroads", "leaves")
+    points, turns = [], []
+    for tree in below:
+        count = 55 if tree.y > -50 else 15
+        for _ in range(count):
+            x, y = tree.x + rng.normal(0, 1.5), tree.y + rng.normal(0, 2.6)
+            if abs(x) > WALL_X - 0.15:
+                continue
+            if abs(x) < MAIN_HALF and rng.random() < 0.8:  # wind gathers them in the gutter
+                x = np.sign(tree.x) * (MAIN_HALF - abs(rng.normal(0, 0.12)) - 0.04)
+            if abs(abs(x) - MAIN_HALF) < 0.01:
+                continue
+            points.append((x, y, ground_height(x, y)))
+            turns.append(rng.uniform(0, 360))
+    return Instanced("/World/Plants/Fallen_Leaves", "fallen_leaf", "vegetation", np.array(points), np.array(turns))

@@ -1,0 +1,72 @@
+"""Everything that is made for one road alone: surfaces, markings, rails, structures, land, and plants that are sown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from synfog_usd.world.roads import land, markings, structures, surface, works
+from synfog_usd.world.roads.network import Road
+from synfog_usd.world.roads.structures import Built, Instanced, LitPanes
+from synfog_usd.world.spec import Placement, View, WorldSpec
+
+LIT_M = 170.0
+"""How far windows are lit, from the camera."""
+TUFTS_M = 45.0
+
+
+def _lit(p: Placement, view: View) -> bool:
+    return math.hypot(p.x - view.x, p.y - view.y) < LIT_M
+
+
+PANES = LitPanes("roads", {"window": 0.34, "shop_glass": 0.85}, _lit)
+
+
+def built(spec: WorldSpec, road: Road) -> list[Built]:
+    """Everything that is made for this road alone, by name."""
+    parts = surface.surface(road, seed=spec.scatter, asphalt=spec.built["asphalt"])
+    names = {"road": "Carriageway", "sidewalk": "Pavement", "terrain": "Verges"}
+    made = [Built(names[key], key, tuple(found)) for key, found in parts.items()]
+    made.append(Built("Markings", "road", tuple(markings.markings(road))))
+    made.append(Built("Land", "terrain", tuple(land.land(road))))
+    rails = spec.built.get("rails", "none")
+    end = road.reference_line.length if road.land.hill is None else road.land.hill[0] - 0.3
+    if rails in ("outer", "all"):
+        for t, side in ((_soft(road, -1), 1), (_soft(road, 1), -1)):
+            made.append(structures.guard_rail(road, t, side, 0.0, end, f"Guard_Rail_{'Left' if side > 0 else 'Right'}"))
+    if rails in ("median", "all"):
+        for lane in road.lane_section.of("reserve"):
+            for t, side, name in ((lane.low + 0.7, -1, "Against"), (lane.high - 0.7, 1, "Along")):
+                made.append(structures.guard_rail(road, t, side, 0.0, end, f"Guard_Rail_{name}"))
+    if spec.built.get("delineators") == "both":
+        made += structures.delineators(road, 0.0, end)
+    made += [structures.gantry(road, s, i + 1) for i, s in enumerate(spec.built.get("gantries", ()))]
+    if spec.built.get("works"):
+        made.append(works.built(road, spec.built["works"]))
+    if road.land.valley:
+        made += structures.bridge(road)
+    if road.land.hill:
+        made += structures.tunnel(road)
+    return made
+
+
+def _soft(road: Road, side: int) -> float:
+    """Offset of a guard rail beside the carriageway: 0.6 m into the verge."""
+    verges = [lane for lane in road.lane_section.of("verge") if lane.middle * side > 0]
+    if not verges:
+        return road.lane_section.high - 0.3 if side > 0 else road.lane_section.low + 0.3
+    return verges[-1].low + 0.6 if side > 0 else verges[0].high - 0.6
+
+
+def scatters(spec: WorldSpec, road: Road) -> Sequence[land.Scatter | None]:
+    """Woods far away, and tall grass where the camera is near."""
+    found: list[land.Scatter | None] = [land.wood(road, seed=spec.scatter, count=spec.built["trees"], nearest_m=spec.built["trees_from_m"])]
+    station = spec.built["station"]
+    if spec.built["grass"] == "tufts":
+        found.append(land.tufts(road, seed=spec.scatter, low=station, high=station + TUFTS_M))
+    return found
+
+
+def instanced(spec: WorldSpec, road: Road) -> list[Instanced]:
+    """No models of the library stand here in their hundreds."""
+    return []

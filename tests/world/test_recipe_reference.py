@@ -1,0 +1,114 @@
+"""The page and the schema of recipes: fresh, and of one mind with the reader."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from synfog_usd.errors import RecipeError
+from synfog_usd.world import parameters, reference
+from synfog_usd.world.compose import load
+from synfog_usd.world.language import Continuous
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAD = "synfog: recipe/1\n"
+ROAD = HEAD + "world: road\nlane_section: [{lane: 3.5, way: -1}, {lane: 3.5, way: 1}]\n"
+
+
+@pytest.fixture(scope="module")
+def validator():
+    schema = reference.schema()
+    jsonschema.Draft7Validator.check_schema(schema)
+    return jsonschema.Draft7Validator(schema)
+
+
+def test_the_page_and_the_schema_are_fresh():
+    """Made again by `python -m synfog_usd.world.reference`."""
+    stale = [name for name, text in reference.files().items() if (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8") != text]
+    assert not stale, "run: python -m synfog_usd.world.reference"
+
+
+def test_the_file_holds_the_schema():
+    """Its definitions stand one a line; what is read back is what was made."""
+    assert json.loads(reference.files()["recipe.schema.json"]) == json.loads(json.dumps(reference.schema()))
+
+
+def test_every_parameter_says_what_it_is_and_stands_on_the_page():
+    page = reference.page()
+    for world in parameters.WORLDS.values():
+        for key, one in {**world.parameters, **world.row}.items():
+            assert one.about and f"| `{key.rpartition('.')[2]}` |" in page, key
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "stages" / "recipes").glob("*.yaml")), ids=lambda path: path.stem)
+def test_shipped_recipes_are_valid(validator, path):
+    assert [error.message for error in validator.iter_errors(yaml.safe_load(path.read_text(encoding="utf-8")))] == []
+
+
+GOOD = [
+    HEAD,
+    ROAD,
+    ROAD + "traffic: {per_hour: {by_hour: [[0, 60], [8, 700]]}, count: {integer: [3, 9]}}",
+    ROAD + "rows: [{models: lime_tree, step_m: 9}]",
+    HEAD + "world: roundabout\ncircle: {diameter_m: {normal: {mean: 36, deviation: 3, low: 30, high: 42}}}",
+    HEAD + "fog: [600, {integer: [100, 200]}]",
+]
+WRONG = [
+    "world: road",
+    HEAD + "world: rode",
+    HEAD + "world: road",
+    ROAD + "road: {length_m: 10000}",
+    ROAD + "traffic: {bodies: tank}",
+    ROAD + "fog: []",
+    ROAD + "rows: [{side: left}]",
+    ROAD + "rows: [{models: lime_tree, wher: kerb}]",
+    ROAD + "people: {count: 2.5}",
+    ROAD + "circle: {diameter_m: 30}",
+    HEAD + "world: road\nlane_section: [{lane: 3.5}]",
+    HEAD + "world: road\nlane_section: [{lame: 3.5, way: 1}]",
+    HEAD + "lane_section: [{lane: 3, way: 1}]",
+    HEAD + "world: roundabout\nrows: [{models: lime_tree, side: left}]",
+    HEAD + "sky: {day: {choice: {overcast: 0}}}",
+]
+
+
+@pytest.mark.parametrize("text", GOOD)
+def test_what_the_reader_takes_the_schema_takes(validator, tmp_path, text):
+    (tmp_path / "mine.yaml").write_text(text)
+    load(tmp_path / "mine.yaml")
+    validator.validate(yaml.safe_load(text))
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_what_the_reader_refuses_the_schema_refuses(validator, tmp_path, text):
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(RecipeError):
+        load(tmp_path / "mine.yaml")
+    assert not validator.is_valid(yaml.safe_load(text))
+
+
+@pytest.mark.parametrize("name", parameters.WORLDS)
+def test_both_ends_of_every_range_are_in_and_what_lies_beyond_is_out(validator, tmp_path, name):
+    """Number by number, for the reader and for the schema alike."""
+    world = parameters.WORLDS[name]
+    base = {"synfog": "recipe/1", "world": name, **({"lane_section": [{"lane": 3.5, "way": 1}]} if world.lanes else {})}
+    path = tmp_path / "mine.yaml"
+    for key, one in world.parameters.items():
+        if not isinstance(one, Continuous):
+            continue
+        section, _, word = key.partition(".")
+        beyond = 1 if one.whole else 1e-3
+        for value, right in ((one.low, True), (one.high, True), (one.low - beyond, False), (one.high + beyond, False)):
+            text = json.dumps({**base, section: {word: value}})
+            path.write_text(text)
+            assert validator.is_valid(json.loads(text)) == right, (key, value)
+            try:
+                load(path)
+                taken = True
+            except RecipeError:
+                taken = False
+            assert taken == right, (key, value)
