@@ -234,9 +234,13 @@ class _Renderer:
         from synfog_usd.render.shot import load
 
         if self.world is not scene.world:
-            self.world = self.loaded = None  # two at once would make the renderer's tables, and with them its kernels, larger
+            self.free()
             self.loaded, self.world = load(scene, boundaries=False), scene.world
         return in_fog(self.loaded, scene.fog)
+
+    def free(self) -> None:
+        """Let the scene go, before another is loaded: two at once take twice the memory, and make the renderer's tables and kernels larger."""
+        self.world = self.loaded = None
 
 
 def _cleared(stage: Any, shot: Shot) -> Shot:
@@ -278,7 +282,10 @@ def _loaded(scene: SceneDict, renderer: _Renderer, model: str) -> MitsubaScene:
     from synfog_usd.render import models
     from synfog_usd.render.shot import load
 
-    return load(scene) if models.MODELS[models.choose(model, scene)[0]].boundaries else renderer.within(scene)
+    if not models.MODELS[models.choose(model, scene)[0]].boundaries:
+        return renderer.within(scene)
+    renderer.free()
+    return load(scene)
 
 
 def _meter(scene: SceneDict, renderer: _Renderer, plan: BakePlan, graph: Any) -> _View:
@@ -353,7 +360,11 @@ def _render(shot: Shot, scene: SceneDict, renderer: _Renderer, view: _View | Non
     floor = _shared(view.noise, density) if view and view.noise else None
     hidden = cull.hide(scene, floor, view.luminance) if plan.cull and view and floor else cull.through(scene)
     drawn = cull.reduced(scene, hidden)
-    loaded = _loaded(drawn, renderer, plan.model) if drawn is scene else None
+    loaded = None
+    if drawn is scene:
+        loaded = _loaded(drawn, renderer, plan.model)
+    else:
+        renderer.free()
     same = view is not None and view.world is scene.world and loaded is not None and not loaded.boundaries and not scene.camera.width_m
     rendered = render(
         drawn,
