@@ -24,6 +24,8 @@ FOV = Auto(hint="say the picture's field of view: --fov DEGREES, or the camera's
 
 Falloff = Literal["cos4", "foote", "table", "none"]
 
+Aperture = Literal["disc", "sine"]
+
 Table = tuple[tuple[float, ...], tuple[float, ...]]
 """Field angles [degrees], rising from 0, and the relative illumination [1] there."""
 
@@ -61,6 +63,7 @@ def irradiance(
     transmission: Annotated[float, Range(0.0, 1.0, above=True), FromProfile("lens.transmission")],
     magnification: Annotated[float, Range(-1.0, 0.0)] = 0.0,
     falloff: Falloff = "cos4",
+    aperture: Aperture = "disc",
     fov_x_deg: Annotated[float | None, Range(0.0, 179.0, above=True), FOV] = None,
     shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
     shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
@@ -70,7 +73,8 @@ def irradiance(
 ) -> Image:
     """Light that the lens puts on the sensor.
 
-    E = tau * pi * L / (1 + 4 (N (1 + |m|))^2), times cos^4 of the field angle,
+    E = tau * pi * L sin^2, sin^2 = 1 / (1 + 4 (N (1 + |m|))^2) of a disc or 1 / (2 N (1 + |m|))^2
+    by the sine condition, times cos^4 of the field angle,
     Foote's exact formula for a disc, or the lens's own table.
 
     Args:
@@ -80,6 +84,9 @@ def irradiance(
         magnification: m [1], <= 0 (the picture is upside down); 0 for a far scene.
         falloff: how light fades towards the corners; table is what the lens was
             measured to do, vignetting included.
+        aperture: what the f-number means.  disc: a flat pupil of diameter f / N, seen from the distance f, as in ISETCam
+            and the SynFog paper.  sine: N = 1 / (2 sin), which a lens corrected for coma has, and from which
+            ISO 12232 has H = 0.65 L t / N^2; brighter by 1 / (4 N^2), 6 % at f/2.
         fov_x_deg: horizontal angle of view [degrees]; needed unless falloff is none.
         shift_x, shift_y: offset of the axis from the centre, in image widths and
             heights, right and up.
@@ -97,6 +104,8 @@ def irradiance(
     Papers of the Bureau of Standards 12 (1915).
     """
     cone = _cone(f_number, magnification)
+    if aperture == "sine":
+        cone = min(1.0, cone / (1.0 - cone))  # sin^2 of the angle whose tangent the disc has, as its sine
     pixels = image.pixels * np.float32(transmission * math.pi * cone)
     table = (tuple(field_deg or ()), tuple(relative_illumination or ()))
     facts: dict[str, Any] = {"f_number": f_number, "falloff": falloff}

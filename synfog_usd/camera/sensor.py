@@ -41,6 +41,9 @@ MAX_MEAN_E = 1e15
 STRIPS = 4
 """Parts that shot noise is drawn in, each with a stream of its own: the same whatever the number of processors."""
 
+TILE_PX = 256
+"""Side of the parts in which fixed patterns are drawn [px]."""
+
 THREADS = 2
 """Strips that are drawn at a time."""
 
@@ -424,7 +427,16 @@ def _with_noise(pixels: FloatArray, sigma: float, rng: np.random.Generator) -> F
 
 @functools.lru_cache(maxsize=6)
 def _pattern(serial: str, kind: str, height: int, width: int) -> FloatArray:
-    """(H, W, 1) standard normal numbers that belong to a specimen; read-only."""
-    pattern = seeds.stream(0, "sensor", serial, kind, height, width).standard_normal((height, width, 1), dtype=np.float32)
+    """(H, W, 1) standard normal numbers that belong to the pixels of a specimen, counted from its upper left corner; read-only.
+
+    Drawn in tiles, each with a stream of its own, so that a smaller picture is a part of a larger one.
+    """
+    pattern = np.empty((height, width, 1), dtype=np.float32)
+    for down in range(0, height, TILE_PX):
+        for right in range(0, width, TILE_PX):
+            stream = seeds.stream(0, "sensor", serial, kind, down, right)
+            part = pattern[down : down + TILE_PX, right : right + TILE_PX]
+            size = (TILE_PX if height > 1 else 1, TILE_PX if width > 1 else 1, 1)
+            part[...] = stream.standard_normal(size, dtype=np.float32)[: part.shape[0], : part.shape[1]]
     pattern.flags.writeable = False
     return pattern

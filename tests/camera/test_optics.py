@@ -26,6 +26,14 @@ def test_irradiance_on_the_axis(f_number, m):
     assert image.quantity is Quantity.IRRADIANCE
 
 
+@pytest.mark.parametrize("f_number", [0.6, 2.0, 8.0])
+def test_the_sine_condition_is_that_of_iso_12232(f_number):
+    """E = tau pi L / (4 N^2); with tau = 0.9 and 0.92 of vignetting and falloff that is the standard's 0.65 L / N^2."""
+    image = optics.irradiance(radiance(np.full((2, 2, 3), 7.0)), f_number=f_number, transmission=0.9, aperture="sine", falloff="none")
+    np.testing.assert_allclose(image.pixels, 0.9 * math.pi * 7.0 / (4 * f_number**2), rtol=1e-6)
+    np.testing.assert_allclose(image.pixels * 0.92, 0.65 * 7.0 / f_number**2, rtol=2e-3)
+
+
 def test_corners_fade_by_the_fourth_power_of_the_cosine():
     """The angle of the corner pixel from the geometry of a pinhole: 101 x 51 pixels, 70 degrees."""
     image = optics.irradiance(radiance(np.ones((51, 101, 3))), f_number=4.0, transmission=1.0, falloff="cos4", fov_x_deg=70.0)

@@ -251,6 +251,21 @@ def test_the_conversion_gain_has_a_factor():
     assert out.provenance["system_gain_dn_e"] == pytest.approx(0.1)
 
 
+def test_a_smaller_picture_is_a_part_of_the_same_specimen():
+    """Pixels, rows and columns keep their patterns whatever the size of the picture, across the tiles in which they are drawn."""
+    whole, part = (np.zeros((*size, 1), np.float32) for size in ((600, 300), (300, 270)))
+    light = Image(whole, ("CFA",), Quantity.ELECTRONS)
+    large, small = (sensor.dsnu(image, dsnu_e=1.0, serial="a").pixels for image in (light, light.with_pixels(part)))
+    np.testing.assert_array_equal(large[:300, :270], small)
+    assert large.std() == pytest.approx(1.0, abs=SIGMAS / math.sqrt(2 * large.size))
+    assert abs(np.corrcoef(large[:256, :256].ravel(), large[256:512, :256].ravel())[0, 1]) < SIGMAS / 256
+    lines = [
+        sensor.row_column(Image(pixels, ("CFA",), Quantity.DN), rng=seeds.stream(0, "x"), row_noise_dn=1.0, column_noise_dn=1.0, serial="a").pixels
+        for pixels in (whole, part)
+    ]
+    np.testing.assert_array_equal(lines[0][:300, :270], lines[1])
+
+
 @pytest.mark.parametrize("pattern", cfa.PATTERNS)
 def test_the_raw_file_is_told_the_colours_of_the_filters_that_are_there(pattern):
     """A matrix row and a neutral per filter, each sending its light's white to the neutral; nothing for fewer than three.
