@@ -54,12 +54,15 @@ def load_file(path: Path, *, error: type[SynfogError] = GraphError) -> Located:
     Raises:
         `error`: missing, too large, not YAML, or not plain data; with its place.
     """
+    if path.exists() and not path.is_file():
+        raise error(f"{path}: cannot be read (it is no regular file)")
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
     except OSError as problem:
         raise error(f"{path}: cannot be read ({problem.strerror})") from problem
     if len(data) > MAX_BYTES:
-        raise error(f"{path}: {len(data)} bytes; at most {MAX_BYTES} are read")
+        raise error(f"{path}: {path.stat().st_size} bytes; at most {MAX_BYTES} are read")
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as problem:

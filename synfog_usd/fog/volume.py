@@ -190,19 +190,6 @@ def optical_depth(fog: Sequence[FogVolume], origin_m: Array, direction: Array, l
     return total
 
 
-def is_inside(inner: Boundary, outer: Boundary) -> bool:
-    """Whether every sampled surface point of `inner` lies in `outer`."""
-    return bool(np.all(outer.contains(inner.surface_points())))
-
-
-def crosses(one: Boundary, other: Boundary) -> bool:
-    """Whether two boundaries cut through each other (neither apart nor nested), judged by surface points."""
-    first, second = other.contains(one.surface_points()), one.contains(other.surface_points())
-    if first.all() or second.all():
-        return False
-    return bool(first.any() or second.any())
-
-
 def _hulls_meet(one: Array, other: Array) -> bool:
     """Whether the convex hulls of (N, 3) and (M, 3) points have a point in common, to 1e-6 of the first one's size.
 

@@ -3,7 +3,7 @@
 Mitsuba's just-in-time variants trace every shape and every instance on their own:
 an instance costs 20 ms and 0.6 MB of every kernel, which no street of a thousand
 parts can pay.  One big mesh a material costs nothing of the kind, and memory only
-by the triangle; above `MAX_TRIANGLES` instances stay what they are.
+by the triangle; what is above `MAX_TRIANGLES` stays instances, those of the largest prototypes.
 """
 
 from __future__ import annotations
@@ -39,17 +39,15 @@ def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
         smooth = tuple(name in mesh for name in ARRAYS)
         parts.setdefault((mesh["bsdf"]["id"], *smooth, bool(mesh.get("face_normals", False))), []).append((mesh, matrix, instance))
 
-    expand = _triangles(world) <= MAX_TRIANGLES
+    expanded = _expanded(world)
     for key, value in world.items():
         if key.startswith("shape_") and _plain(value):
             take(value, None, source.instance_of.get((key,), 0))
             taken.add(key)
-        elif expand and key.startswith("instance_"):
-            inner = _prototype(world, value)
-            if all(_plain(shape) for shape in inner.values()):
-                for name, shape in inner.items():
-                    take(shape, np.asarray(value["to_world"], dtype=np.float64), source.instance_of.get((key, name), 0))
-                taken.add(key)
+        elif key in expanded:
+            for name, shape in _prototype(world, value).items():
+                take(shape, np.asarray(value["to_world"], dtype=np.float64), source.instance_of.get((key, name), 0))
+            taken.add(key)
     left = {_group_id(value) for key, value in world.items() if key.startswith("instance_") and key not in taken}
     taken |= {key for key, value in world.items() if isinstance(value, Mapping) and value.get("type") == "shapegroup" and key not in left}
 
@@ -77,19 +75,30 @@ def _prototype(world: Mapping[str, Any], instance: Mapping[str, Any]) -> dict[st
     return {name: shape for name, shape in world[_group_id(instance)].items() if name != "type"}
 
 
-def _triangles(world: Mapping[str, Any]) -> int:
-    """Triangles with every instance written out."""
-    counts: dict[str, int] = {}
-    total = 0
+def _expanded(world: Mapping[str, Any]) -> set[str]:
+    """Keys of the instances that are written out: those of the smallest prototypes first, as many as go into `MAX_TRIANGLES`.
+
+    Each instance that is left costs the same, whatever it holds: so as few as can be are left.
+    """
+    room = MAX_TRIANGLES - sum(len(value["faces"]) for key, value in world.items() if key.startswith("shape_") and value.get("type") == "mesh")
+    sizes: dict[str, int | None] = {}
+    placed: list[tuple[int, str]] = []
     for key, value in world.items():
         if key.startswith("instance_"):
             group = _group_id(value)
-            if group not in counts:
-                counts[group] = sum(len(shape["faces"]) for shape in _prototype(world, value).values() if shape.get("type") == "mesh")
-            total += counts[group]
-        elif key.startswith("shape_") and value.get("type") == "mesh":
-            total += len(value["faces"])
-    return total
+            if group not in sizes:
+                inner = list(_prototype(world, value).values())
+                sizes[group] = sum(len(shape["faces"]) for shape in inner) if all(_plain(shape) for shape in inner) else None
+            size = sizes[group]
+            if size is not None:
+                placed.append((size, key))
+    found: set[str] = set()
+    for size, key in sorted(placed, key=lambda one: one[0]):  # stable: of one size in the order of the scene
+        if size > room:
+            break
+        room -= size
+        found.add(key)
+    return found
 
 
 def _joined(material: str, members: list[tuple[Mapping[str, Any], Array | None, int]]) -> dict[str, Any]:

@@ -72,8 +72,9 @@ def read_layers(root: Path, fence: Fence) -> list[Any]:
     found.read_all()
     found.check_variables()
     for name in found.layers:
-        if (many := found.sublayers(name, 0)) > budget.MAX_LAYERS:
-            raise StageError(f"{name}: its sublayers unfold to {budget.amount(many)} layers; at most {budget.MAX_LAYERS} are composed: list each once")
+        most = max(budget.MAX_REPEATED, len(found.layers))  # a stack in which each stands once has no more
+        if (many := found.sublayers(name, 0)) > most:
+            raise StageError(f"{name}: its sublayers unfold to {budget.amount(many)} layers; at most {most} are composed: list each once")
     total = found.stack(start, "/", 0)
     for layer, target in found.prototypes():
         total += found.stack(layer, target, 0)

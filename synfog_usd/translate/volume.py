@@ -24,7 +24,6 @@ from synfog_usd.fog import Boundary, FogMedium, FogVolume, extinction_from_visib
 from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
 from synfog_usd.fog.medium import ANGSTROM, WMO_CONTRAST
 from synfog_usd.fog.phase import Droplets, Phase, Tabulated
-from synfog_usd.fog.volume import crosses, is_inside
 from synfog_usd.scene import Camera
 from synfog_usd.stage.open import fence_of
 from synfog_usd.stage.schema import DEFAULTS, PREFIX, FogAttributes, read_fog
@@ -97,20 +96,20 @@ def nested(volumes: list[FogVolume]) -> tuple[FogVolume, ...]:
     """
     inner = [_shrunk(volume.boundary) for volume in volumes]
     sizes = [_size(volume.boundary) for volume in volumes]
+    inside, partly, wholly = _contained(volumes, inner)
     around: list[list[int]] = [[] for _ in volumes]
     crossing: list[tuple[str, str]] = []
-    for i in range(len(volumes)):
-        for j in range(i):
-            i_in_j, j_in_i = is_inside(inner[i], volumes[j].boundary), is_inside(inner[j], volumes[i].boundary)
-            if i_in_j and j_in_i:  # the same place twice: priority says which fog fills it
-                i_in_j = (volumes[i].priority, -sizes[i], i) > (volumes[j].priority, -sizes[j], j)
-                j_in_i = not i_in_j
-            if i_in_j:
-                around[i].append(j)
-            elif j_in_i:
-                around[j].append(i)
-            elif crosses(inner[i], inner[j]):
-                crossing.append((volumes[j].path, volumes[i].path))
+    for i, j in sorted({(max(pair), min(pair)) for pair in inside | partly}):
+        i_in_j, j_in_i = (i, j) in inside, (j, i) in inside
+        if i_in_j and j_in_i:  # the same place twice: priority says which fog fills it
+            i_in_j = (volumes[i].priority, -sizes[i], i) > (volumes[j].priority, -sizes[j], j)
+            j_in_i = not i_in_j
+        if i_in_j:
+            around[i].append(j)
+        elif j_in_i:
+            around[j].append(i)
+        elif (i, j) not in wholly and (j, i) not in wholly and ((i, j) in partly or (j, i) in partly):
+            crossing.append((volumes[j].path, volumes[i].path))
     if crossing:
         first, second = crossing[0]
         more = f" (and {len(crossing) - 1} pairs more)" if len(crossing) > 1 else ""
@@ -120,6 +119,57 @@ def nested(volumes: list[FogVolume]) -> tuple[FogVolume, ...]:
             f"{first} and {second}: fog boundaries that cut through each other{more}; put one wholly inside the other, or move them apart",
         )
     return tuple(replace(volume, parent=max(around[k], key=lambda j: len(around[j])) if around[k] else None) for k, volume in enumerate(volumes))
+
+
+MAX_PAIRS = 2_000_000
+"""Pairs of fogs that may touch; looking at so many takes half a minute."""
+
+_Pairs = set[tuple[int, int]]
+
+
+def _contained(volumes: list[FogVolume], inner: list[Boundary]) -> tuple[_Pairs, _Pairs, _Pairs]:
+    """Pairs (i, j) for which all surface points of `inner[i]` lie in volume j, and some or all of them in `inner[j]`.
+
+    Only fogs whose boxes along the axes meet are looked at, all that meet one of them together.
+
+    Raises:
+        FogError: more than `MAX_PAIRS` of them.
+    """
+    inside: _Pairs = set()
+    partly: _Pairs = set()
+    wholly: _Pairs = set()
+    points = [boundary.surface_points() for boundary in inner]
+    boxes = np.array([_extent(volume.boundary) for volume in volumes]).reshape(-1, 2, 3)
+    seen = 0
+    for j, volume in enumerate(volumes):
+        meets = ((boxes[:, 0] <= boxes[j, 1]) & (boxes[:, 1] >= boxes[j, 0])).all(axis=1)
+        meets[j] = False
+        others = np.flatnonzero(meets)
+        seen += len(others)
+        if seen > 2 * MAX_PAIRS:
+            raise FogError(
+                "fog-crosses", volume.path, f"{volume.path}: more than {MAX_PAIRS} pairs of fog boundaries may touch; merge some, or move them apart"
+            )
+        if not len(others):
+            continue
+        stacked = np.concatenate([points[i] for i in others])
+        starts = np.cumsum([0, *(len(points[i]) for i in others[:-1])])
+        in_volume, in_inner = volume.boundary.contains(stacked), inner[j].contains(stacked)
+        for found, mask in (
+            (inside, np.logical_and.reduceat(in_volume, starts)),
+            (partly, np.logical_or.reduceat(in_inner, starts)),
+            (wholly, np.logical_and.reduceat(in_inner, starts)),
+        ):
+            found.update((int(i), j) for i in others[mask])
+    return inside, partly, wholly
+
+
+def _extent(boundary: Boundary) -> Array:
+    """(2, 3) corners of a box along the axes around a boundary."""
+    if boundary.vertices is not None:
+        return np.stack([boundary.vertices.min(axis=0), boundary.vertices.max(axis=0)])
+    reach = np.abs(boundary.to_world[:3, :3]).sum(axis=1)
+    return np.stack([boundary.to_world[:3, 3] - reach, boundary.to_world[:3, 3] + reach])
 
 
 def with_visibility(volumes: tuple[FogVolume, ...], mor_m: float) -> tuple[FogVolume, ...]:

@@ -6,7 +6,6 @@ import trimesh
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Boundary
-from synfog_usd.fog.volume import crosses, is_inside
 from synfog_usd.testing import box
 
 
@@ -24,14 +23,6 @@ def test_a_sphere_contains_points_within_its_radius():
     ball = Boundary("sphere", np.diag([3.0, 2.0, 1.0, 1.0]))
     assert ball.contains([[2.9, 0, 0], [0, 1.9, 0], [0, 0, 0.9]]).all()
     assert not ball.contains([[3.1, 0, 0], [0, 2.1, 0], [0, 0, 1.1], [2.5, 1.5, 0]]).any()
-
-
-def test_nested_apart_and_crossing_boundaries_are_told_apart():
-    """A bank within a layer is nested, two far boxes are apart, two that overlap cross."""
-    outer, bank, far, across = box(10.0), box(1.0, (3, 0, 0)), box(1.0, (30, 0, 0)), box(4.0, (9, 0, 0))
-    assert is_inside(bank, outer) and not crosses(bank, outer)
-    assert not is_inside(far, outer) and not crosses(far, outer)
-    assert crosses(across, outer) and not is_inside(across, outer)
 
 
 def test_a_boundary_without_volume_is_refused():

@@ -50,6 +50,22 @@ def test_joined_instances_look_like_the_renderer_s_own(monkeypatch):
     np.testing.assert_allclose(joined.normal[seen], own.normal[seen], atol=2e-4)
 
 
+def test_what_does_not_fit_stays_instances_of_the_largest_prototypes(monkeypatch):
+    """Of three houses of 332 triangles and five posts of 12 beside a mesh of 12, 700 triangles hold all posts and one house.
+
+    All instances stayed what they are as soon as one was too many, and each costs a kernel's time.
+    """
+    source = village()
+    post = {"type": "shapegroup", "post": part(trimesh.creation.box(), "mat_a")}
+    more = {f"instance_p{n}": {"type": "instance", "group": {"type": "ref", "id": "group_post"}, "to_world": np.eye(4)} for n in range(5)}
+    source = replace(source, world={**source.world, "group_post": post, **more})
+    monkeypatch.setattr(flatten, "MAX_TRIANGLES", 12 + 5 * 12 + 332 + 100)
+    flat, instances = flatten.flatten(source)
+    assert [key for key in flat.world if key.startswith("instance_")] == ["instance_1", "instance_2"]
+    assert "group_house" in flat.world and "group_post" not in flat.world
+    assert sum(len(ids) for ids in instances.values()) == 12 + 5 * 12 + 332
+
+
 def test_joining_leaves_one_mesh_a_material_and_keeps_every_face():
     """Two materials, one of them smooth: two meshes; faces and their instances are all there."""
     flat, instances = flatten.flatten(village())

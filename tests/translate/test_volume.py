@@ -15,9 +15,11 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdVol
 
 from synfog_usd.errors import StageError
+from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.phase import Droplets
 from synfog_usd.stage.open import dependencies, open_stage
-from synfog_usd.translate import translate
+from synfog_usd.testing import box
+from synfog_usd.translate import translate, volume
 
 TYPES = Sdf.ValueTypeNames
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "usd"
@@ -573,3 +575,30 @@ def test_a_mesh_that_is_a_box_becomes_one():
     corners = np.asarray(bent.vertices).copy()
     corners[0] *= 1.5
     assert _mesh_boundary(corners, np.asarray(bent.faces), "/Fog").kind == "mesh"
+
+
+def test_nested_apart_and_crossing_fogs_are_told_apart():
+    """A bank within a layer is nested, one far away stands alone, one that overlaps crosses."""
+    outer, bank, far, across = (FogVolume(name, box(*where), FogMedium(0.01)) for name, where in [
+        ("/Outer", (10.0,)), ("/Bank", (1.0, (3, 0, 0))), ("/Far", (1.0, (30, 0, 0))), ("/Across", (4.0, (9, 0, 0))),
+    ])  # fmt: skip
+    assert [made.parent for made in volume.nested([outer, bank, far])] == [None, 0, None]
+    with pytest.raises(volume.FogError, match="/Outer and /Across: fog boundaries that cut through each other; put"):
+        volume.nested([outer, bank, across])
+
+
+def test_many_banks_are_looked_at_by_what_they_touch(monkeypatch):
+    """400 banks in one layer: each asks about its points in those that it meets, all at once; by pairs it was 160 000 questions."""
+    asked = []
+    contains = Boundary.contains
+    monkeypatch.setattr(Boundary, "contains", lambda self, points: (asked.append(len(points)), contains(self, points))[1])
+    banks = [FogVolume(f"/B{n}", box(1.0, (4.0 * (n % 20), 4.0 * (n // 20), 0.0)), FogMedium(0.01)) for n in range(400)]
+    made = volume.nested([FogVolume("/Layer", box(200.0), FogMedium(0.001)), *banks])
+    assert [one.parent for one in made] == [None, *[0] * 400]
+    assert len(asked) <= 2 * 401 and sum(asked) == 26 * 2 * 800
+
+
+def test_more_pairs_of_fogs_than_can_be_looked_at_are_refused(monkeypatch):
+    monkeypatch.setattr(volume, "MAX_PAIRS", 100)
+    with pytest.raises(volume.FogError, match="more than 100 pairs of fog boundaries may touch"):
+        volume.nested([FogVolume(f"/F{n}", box(10.0 + n), FogMedium(0.01)) for n in range(30)])
