@@ -65,12 +65,12 @@ def bake(
         str, typer.Option(help="How light is transported: slab, single, field, path, volpath ...; auto tries them small and takes the cheapest that holds.")
     ] = "auto",
     samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 64,
-    target_error: Annotated[
-        float | None, typer.Option(help="Relative error of a pixel to stop at, as 0.01; a third of the sensor's noise if left out.")
-    ] = None,
+    target_error: Annotated[float | None, typer.Option(help="Relative error of a pixel to stop at, as 0.01; the sensor's noise if left out.")] = None,
     time_limit: Annotated[float | None, typer.Option(help="Seconds a shot after which no more samples are begun.")] = None,
     bands: Annotated[str, typer.Option(help="Light that a path carries: 3 (R, G, B), 8, 16 or 31 wavelength bands; auto takes as few as will do.")] = "auto",
-    denoise: Annotated[bool, typer.Option("--denoise", help="Smooth surfaces and airlight apart (Open Image Denoise).")] = False,
+    denoise: Annotated[
+        bool, typer.Option(help="Clean surfaces and airlight apart (Open Image Denoise) and tell what error is left; --no-denoise gives the plain mean.")
+    ] = True,
     cull: Annotated[bool, typer.Option(help="Thin or leave out what fog hides from the sensor; --no-cull draws it whole.")] = True,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",

@@ -399,6 +399,8 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
     writers.write_exr(folder / "radiance.exr", radiance, attributes=marks)
     named = {**rendered.components, "variance": variance, **{f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()}}
     found = [Image(pixels, tuple(f"{name}.{channel}" for channel in radiance.channels), Quantity.DATA) for name, pixels in named.items()]
+    if rendered.error is not None:
+        found.append(Image(rendered.error[:, :, None], ("error.Y",), Quantity.DATA))
     writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
     files.write_json(folder / "instances.json", made.instances)
     names = ["radiance.exr", "layers.exr", "instances.json"]
@@ -417,7 +419,8 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
         **({"rendered_px": [scene.camera.width_px, scene.camera.height_px]} if taken else {}),
         "model": {"name": rendered.model, "bands": len(radiance.channels), "why": rendered.why, "pilot": _rounded(rendered.figures)},
         "samples": float(f"{rendered.samples:.5g}"),
-        "target": _target(plan, view.pixel if view else None, rendered.met),
+        "denoised": rendered.error is not None,
+        "target": _target(plan, view.pixel if view else None, rendered),
         "relative_error": float(f"{rendered.relative_error:.4g}"),
         "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"} if exposure else None,
         "behind_fog": made.behind_fog,
@@ -441,15 +444,19 @@ def _rounded(figures: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, 
     return {model: {name: float(f"{value:.4g}") for name, value in values.items()} for model, values in figures.items()}
 
 
-def _target(plan: BakePlan, pixel: tuple[float, float] | None, met: float | None) -> dict[str, Any]:
-    """What the render was to reach, and the share of its pixels that did."""
+def _target(plan: BakePlan, pixel: tuple[float, float] | None, rendered: Rendered) -> dict[str, Any]:
+    """What the render was to reach, and the share of its pixels that did.
+
+    For a sensor: the shares of its noise under which what differs from seed to seed and the whole error are to stay.
+    """
     if plan.target_error is not None:
         kind: dict[str, Any] = {"relative_error": plan.target_error}
     elif pixel is not None:
-        kind = {"sensor": {"electrons_per_cd_m2": float(f"{pixel[0]:.4g}"), "dark_noise_e": float(f"{pixel[1]:.4g}"), "share": 1 / 3}}
+        share, whole = 1 / 3, 1 / 3 if rendered.error is None else 1.0
+        kind = {"sensor": {"electrons_per_cd_m2": float(f"{pixel[0]:.4g}"), "dark_noise_e": float(f"{pixel[1]:.4g}"), "share": share, "whole_share": whole}}
     else:
         kind = {"samples": plan.samples}
-    return kind | ({} if met is None else {"pixels_under_it": round(met, 4)})
+    return kind | ({} if rendered.met is None else {"pixels_under_it": round(rendered.met, 4)})
 
 
 def _write_labels(seen: Aovs, scene: SceneDict, plan: BakePlan, graph: Any = None, taken: Pinhole | None = None) -> dict[str, str]:
@@ -478,6 +485,9 @@ def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) ->
     """Everything that the pixels depend on; its hash tells whether a finished shot is still the right one."""
     libraries = ("mitsuba", "drjit", "usd-core", "OpenImageIO", "numpy", "scipy", "colour-science", "colour-demosaicing", "tifffile", "imagecodecs")
     versions = {name: importlib.metadata.version(name) for name in libraries}
+    if plan.denoise:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions["pyoidn"] = importlib.metadata.version("pyoidn")
     return {
         "stage": {"name": plan.stage.name, "sha256": stage_hash},
         "pipeline": {"name": plan.pipeline.name if plan.pipeline else "phone.yaml", "sha256": graph_hash},

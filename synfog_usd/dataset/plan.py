@@ -52,7 +52,7 @@ class BakePlan:
     target_error: float | None = None
     time_limit_s: float | None = None
     bands: int | None = None
-    denoise: bool = False
+    denoise: bool = True
     cull: bool = True
     seed: int = 0
     variant: str = "auto"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -10,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from synfog_usd import numbers
-from synfog_usd.errors import ParameterError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import denoise as denoising
-from synfog_usd.render import models, planner
+from synfog_usd.render import dualbuffer, models, planner
 from synfog_usd.render.film import aovs
+from synfog_usd.render.film.accumulator import Accumulator
 from synfog_usd.render.integrators.path import LENS_M
 from synfog_usd.render.load import MitsubaScene, to_mitsuba
-from synfog_usd.render.sampling.adaptive import Target, accumulate_to_target, reached
+from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached
 from synfog_usd.render.spectra import bands as banding
 from synfog_usd.scene import SceneDict
 
@@ -32,6 +33,9 @@ WORTH_A_BANDS_PILOT = 1 << 23
 
 COMPONENTS = ("surface", "airlight_single", "airlight_multiple")
 
+LARGE_ERROR = 0.25
+"""Error of the median pixel after denoising from which on a warning is given."""
+
 
 @dataclass(frozen=True)
 class Rendered:
@@ -41,20 +45,22 @@ class Rendered:
         radiance: (H, W, C) with the variance of its mean; linear Rec.709 in cd m-2, or bands in W m-2 sr-1 nm-1.
         aovs: what the pixel-centre rays met.
         components: 'surface', 'airlight_single', 'airlight_multiple' -> (H, W, C) float32 radiance, which add up to
-            all of it and may be below 0 by noise; empty where the model tells none apart.
+            all of it and may be below 0 by noise, but where they were denoised; empty where the model tells none apart.
+        error: (H, W) expected RMS error of each pixel's luminance [cd m-2] after denoising; None where nothing was denoised.
         groups: light group -> (H, W, C) float32 radiance; empty where there is only one.
         model, why: which model it was, and why that one.
-        relative_error: median over the pixels of standard error / mean luminance.
+        relative_error: median over the pixels of `error`, or else standard error, over luminance.
         warnings: what went wrong on the way, in words.
         figures: what the pilots measured, see `planner.Choice` and `choose_bands`; empty where there were none.
-        samples: paths per pixel on average, all components together.
-        met: share of the pixels whose standard error is under the target; None where there was no target.
+        samples: paths per pixel on average, as `Settings` means them.
+        met: share of the pixels whose `error`, or else standard error, is under the target; None where there was no target.
     """
 
     radiance: Image
     aovs: aovs.Aovs
     relative_error: float
     components: Mapping[str, np.ndarray]
+    error: np.ndarray | None
     groups: Mapping[str, np.ndarray]
     model: str
     why: str
@@ -78,7 +84,8 @@ class Settings:
         time_limit_s: seconds after which no new round of samples is begun, in our own path tracers; what it ends does not repeat byte for byte.
         scatterings, bounces: limits of `path` and `path+slab`: how often the fog, and how often surfaces, may scatter a path; None is no limit.
         bands: light that each path carries: 3 for R, G and B; 8, 16 or 31 wavelength bands; None lets the planner choose.
-        denoise: smooth surface and airlight apart (see `denoise`); variance and error stay those of the samples.
+        denoise: clean the components apart (see `denoise`), where the model tells them apart; the variance stays that of the samples.
+            What cannot be denoised is given as it is, and a warning says so.
 
     Raises:
         ParameterError: a model that is unknown, a number out of range, or settings that do not go together.
@@ -102,12 +109,6 @@ class Settings:
         numbers.check_target(error=self.target_error, time_limit_s=self.time_limit_s)
         if self.bands is not None:
             numbers.check_bands(self.bands)
-        if self.denoise and (problem := denoising.available()):
-            raise ParameterError(f"--denoise: {problem}")
-        if self.denoise and self.model in models.having("peer"):
-            raise ParameterError(f"--denoise: model {self.model} does not tell surface and airlight apart; use path")
-        if self.denoise and self.bands not in (None, numbers.RGB):
-            raise ParameterError(f"--denoise knows R, G and B alone; use --bands {numbers.RGB}")
 
     @property
     def target(self) -> Target:
@@ -144,6 +145,10 @@ def render(
     width, height = size or (scene.camera.width_px, scene.camera.height_px)
     figures: dict[str, dict[str, float]] = {}
     pixels = width * height
+    warnings = []
+    if denoise and (problem := denoising.available()):
+        warnings.append(f"not denoised, so it takes many more samples: {problem}")
+        denoise = False
     if model == models.AUTO and bands in (None, numbers.RGB) and pixels * samples >= WORTH_A_PILOT and planner.candidates(scene):
         loaded = loaded or load(scene, size=size, boundaries=False)
         choice = planner.choose(loaded, target=target, seed=seed, denoised=denoise, progress=progress)
@@ -153,54 +158,93 @@ def render(
     loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries)
     if bands is None:
         bands = numbers.RGB
-        if models.MODELS[model].bands and not denoise and pixels * samples >= WORTH_A_BANDS_PILOT:
+        if models.MODELS[model].bands and pixels * samples >= WORTH_A_BANDS_PILOT:
             bands, because, figures["bands"] = planner.choose_bands(loaded, model, target=target, seed=seed, progress=progress)
             why += f"; {bands} bands: {because}"
     integrator = models.make(model, loaded, scatterings=settings.scatterings, bounces=settings.bounces, bands=bands)
-    accumulated = accumulate_to_target(integrator, target=target, seed=seed, now=lambda: time.perf_counter() - began, progress=progress)
     camera = loaded.source.camera
     shape = (camera.height_px, camera.width_px, -1)
-    met = None if target.open else reached(accumulated, target, shape[:2])
-    luminance, noise = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
+
+    def now() -> float:
+        return time.perf_counter() - began
+
+    denoised = None
+    if denoise:
+        accumulated, denoised, problem = _denoised(loaded, integrator, target, seed, now, progress)
+        warnings += [problem] if problem else []
+        why += "" if denoised or problem else "; not denoised, since it tells no components apart"
+    else:
+        accumulated = accumulate_to_target(integrator, target=target, seed=seed, now=now, progress=progress)
+    if denoised is None:
+        met = None if target.open else reached(accumulated, target, shape[:2])
+        luminance, error = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
+    else:
+        luminance, error = (sum(denoised.components.values()) @ accumulated.weights).ravel(), denoised.error.rms.ravel()
+        met = None if target.open else float((error <= target.allowed_in_all(luminance)).mean())
     lit = luminance > 0.0
-    error = float(np.median(noise[lit] / luminance[lit])) if lit.any() else 0.0
-    del luminance, noise
+    relative_error = float(np.median(error[lit] / luminance[lit])) if lit.any() else 0.0
+    if denoised and relative_error > LARGE_ERROR:
+        warnings.append(f"after denoising the median pixel still errs by {relative_error:.0%}; more samples mend it")
+    del luminance, error
     mean, variance = accumulated.mean().reshape(shape).astype(np.float32), accumulated.variance().reshape(shape).astype(np.float32)
     for estimator in accumulated.estimators.values():  # a large frame in many bands fills memory: each sum is let go once it is read
         estimator.squares = np.zeros((0, 0))
-    warnings = []
     if accumulated.lost:
         warnings.append(f"{accumulated.lost} of {accumulated.samples} samples were not finite and count as black")
     spent = accumulated.samples_per_pixel
-    components = {name: aov.reshape(shape).astype(np.float32) for name in COMPONENTS if (aov := accumulated.take_aov(name)) is not None}
+    if denoised:
+        components = dict(denoised.components)
+        mean = np.asarray(sum(components.values()))
+    else:
+        components = {name: aov.reshape(shape).astype(np.float32) for name in COMPONENTS if (aov := accumulated.take_aov(name)) is not None}
     if mean.min() < 0.0:
         below = int((mean < 0.0).any(axis=2).sum())
         warnings.append(f"{below} pixels came out below 0, noise of a difference, and count as black; more samples mend it")
         mean = np.maximum(mean, 0.0)
-    if denoise:
-        components = _denoised(loaded, components)
-        mean = np.asarray(sum(components.values()))
     radiance = Image(
         mean,
         banding.names(bands),
         Quantity.RADIANCE,
         variance=variance,
         provenance={"fov_x_deg": camera.fov_x_deg, "shift_x": camera.shift[0], "shift_y": camera.shift[1], "model": model, "samples": samples, "seed": seed}
-        | ({"denoised": True} if denoise else {}),
+        | ({"denoised": True} if denoised else {}),
     )
     names = getattr(integrator, "group_names", ())
     groups = {name: accumulated.take_group().reshape(shape).astype(np.float32) for name in names} if len(names) > 1 else {}
     seen = aovs.measure(loaded) if clear is None else aovs.seen_through(loaded, clear)
-    return Rendered(radiance, seen, error, components, groups, model, why, tuple(warnings), figures, spent, met)
+    rms = denoised.error.rms if denoised else None
+    return Rendered(radiance, seen, relative_error, components, rms, groups, model, why, tuple(warnings), figures, spent, met)
 
 
-def _denoised(loaded: MitsubaScene, components: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The components without noise; single and multiple airlight keep their shares pixel by pixel."""
-    seen = denoising.guides(loaded)
-    airlight = components["airlight_single"] + components["airlight_multiple"]
-    surface, clean = denoising.denoise(components["surface"], airlight, seen.transmittance, seen.albedo, seen.normal)
-    share = np.clip(components["airlight_single"] / np.where(airlight > 0.0, airlight, 1.0), 0.0, 1.0)
-    return {"surface": surface, "airlight_single": clean * share, "airlight_multiple": clean * (1.0 - share)}
+def _denoised(
+    loaded: MitsubaScene, integrator: Any, target: Target, seed: int, now: Callable[[], float], progress: Progress
+) -> tuple[Accumulator, denoising.Denoised | None, str]:
+    """Samples, the picture without their noise where there is one, and what went wrong with it, or ''."""
+    shape = (2, loaded.source.camera.height_px, loaded.source.camera.width_px, -1)
+    guides = functools.cache(lambda: denoising.guides(loaded))
+    done: dict[int, denoising.Denoised | None] = {}  # by the number of samples, the last one only
+    problem = ""
+
+    def picture(accumulated: Accumulator) -> denoising.Denoised | None:
+        nonlocal problem
+        halves = {name: pair.reshape(shape) for name in COMPONENTS if (pair := accumulated.halves(name)) is not None}
+        if accumulated.samples not in done and halves:
+            done.clear()
+            problem = ""
+            try:
+                done[accumulated.samples] = denoising.denoise_halves(halves, guides(), accumulated.weights)
+            except (denoising.DenoiserError, MemoryError) as error:
+                done[accumulated.samples] = None
+                problem = f"not denoised, so it takes many more samples: {str(error) or 'not enough memory'}"
+        return done.get(accumulated.samples)
+
+    def judged(accumulated: Accumulator) -> tuple[np.ndarray, dualbuffer.Error] | None:
+        found = picture(accumulated)
+        return None if found is None else (sum(found.components.values()) @ accumulated.weights, found.error)
+
+    accumulated = accumulate_denoised(integrator, target=target, seed=seed, now=now, denoised=judged, progress=progress)
+    found = picture(accumulated)
+    return accumulated, found, problem
 
 
 def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:

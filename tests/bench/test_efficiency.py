@@ -126,7 +126,7 @@ def test_denoised(name):
         done, seen = ours.render(samples, 1), denoising.guides(ours.loaded)
         layer = {part: np.maximum(done.aov(part), 0.0).reshape(shape).astype(np.float32) for part in ("surface", "airlight_single", "airlight_multiple")}
         airlight = layer["airlight_single"] + layer["airlight_multiple"]
-        return sum(denoising.denoise(layer["surface"], airlight, seen.transmittance, seen.albedo, seen.normal))
+        return sum(denoising.denoise({"surface": layer["surface"], "airlight": airlight}, seen).values())
 
     clean(16)  # kernels made and the network loaded
     guides = denoising.guides(ours.loaded, clear=True)

@@ -129,7 +129,8 @@ def obeying_ctrl_c():
 
 def interrupted(stage, out):
     """A bake that gets SIGINT while it renders its second shot: (exit code, what it told, seconds to its end)."""
-    child = subprocess.Popen(command(*arguments(stage, out)[:-4], "--samples", "4096"), stderr=subprocess.PIPE, text=True, preexec_fn=obeying_ctrl_c)
+    many = (*arguments(stage, out)[:-4], "--samples", "4096", "--no-denoise")
+    child = subprocess.Popen(command(*many), stderr=subprocess.PIPE, text=True, preexec_fn=obeying_ctrl_c)
     wait_for_shots(out, 1, child)
     time.sleep(0.3)
     began = time.monotonic()

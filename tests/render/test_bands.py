@@ -131,7 +131,6 @@ def test_the_planner_takes_bands_where_r_g_and_b_would_be_wrong():
     [
         ({"bands": 5}, "--bands 5"),
         ({"bands": 16, "model": "volpath"}, "R, G and B alone"),
-        ({"bands": 16, "denoise": True}, "--bands 3"),
     ],
 )
 def test_bands_that_cannot_be_are_refused(wrong, words):

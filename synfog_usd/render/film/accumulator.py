@@ -5,12 +5,15 @@ with atomics, whose order changes from run to run; this sum does not, so the sam
 seed gives the same bytes.  With our path tracers a sample's random numbers depend on its
 pixel and its number alone, and samples are summed in chunks of CHUNK: how many
 pixels or chunks are in flight at once makes no difference.
+
+Samples go to two halves in turn, with random numbers of their own: two pictures that know
+nothing of each other, from which `dualbuffer` tells what denoising leaves.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -27,6 +30,11 @@ CHUNK = 16
 
 CHUNKED_LANES = 1 << 18
 """Lanes at once where each traces a chunk: 0.1 s between two progress reports, and sums of a few hundred MB."""
+
+HALVES = 2
+
+HALF_STRIDE = 1 << 30
+"""Paths of the second half are numbered from here on: never reached by those of the first."""
 
 ALL = "all"
 """The one estimator and AOV of an integrator that tells none apart."""
@@ -97,10 +105,10 @@ class Estimator:
     """Sums of one estimator of an image (of all of it, where an integrator has only one).
 
     Attributes:
-        aovs: name -> (P, C) sum of the samples.
+        aovs: name -> (H, P, C) sum of the samples in each half; H is 1 where they are not kept apart.
         squares: (P, C) sum of their squares.
         groups: G sums (P, C) by light group.
-        counts: (P,) samples of each pixel.
+        counts: (H, P) samples of each half of each pixel.
     """
 
     aovs: dict[str, Array]
@@ -109,12 +117,16 @@ class Estimator:
     counts: Indices
 
     def number(self) -> Array:
-        """(P, 1) samples, 1 at least, as the sums' type."""
-        return np.maximum(self.counts, 1)[:, None].astype(self.squares.dtype)
+        """(P, 1) samples, 1 at least, as the type of `squares`."""
+        return np.maximum(self.counts.sum(axis=0), 1)[:, None].astype(self.squares.dtype)
+
+    def total(self, name: str) -> Array:
+        """(P, C) sum of an AOV over both halves, as the type of `squares`."""
+        return self.aovs[name].sum(axis=0, dtype=self.squares.dtype)
 
     def mean(self) -> Array:
         """(P, C)."""
-        return sum(self.aovs.values()) / self.number()
+        return sum(self.total(name) for name in self.aovs) / self.number()
 
     def variance(self) -> Array:
         """(P, C) variance of the mean; infinite with fewer than two samples."""
@@ -123,7 +135,7 @@ class Estimator:
         spread -= self.mean() ** 2
         np.maximum(spread, 0.0, out=spread)
         spread /= np.maximum(number - 1.0, 1.0)
-        spread[self.counts < 2] = np.inf
+        spread[self.counts.sum(axis=0) < 2] = np.inf
         return spread
 
 
@@ -162,11 +174,25 @@ class Accumulator:
 
     def aov(self, name: str) -> Array | None:
         """(P, C) mean of an AOV, or None where the integrator does not tell it apart."""
-        found = [estimator.aovs[name] / estimator.number() for estimator in self.estimators.values() if name in estimator.aovs]
+        found = [estimator.total(name) / estimator.number() for estimator in self.estimators.values() if name in estimator.aovs]
         if found:
             return sum(found)
-        pixels = len(next(iter(self.estimators.values())).counts)
-        return None if ALL in self.estimators else np.zeros((pixels, len(self.weights)))
+        return None if ALL in self.estimators else np.zeros((self.pixels, len(self.weights)))
+
+    def halves(self, name: str) -> Array | None:
+        """(2, P, C) float32 mean of an AOV in each half, or None where they are not kept apart."""
+        if ALL in self.estimators:
+            return None
+        halves = np.zeros((HALVES, self.pixels, len(self.weights)), dtype=np.float32)
+        for estimator in self.estimators.values():
+            if name in estimator.aovs:
+                halves += estimator.aovs[name] / np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
+        return halves
+
+    @property
+    def pixels(self) -> int:
+        """P."""
+        return next(iter(self.estimators.values())).counts.shape[1]
 
     def take_aov(self, name: str) -> Array | None:
         """The same, and its sums are let go."""
@@ -189,9 +215,9 @@ class Accumulator:
     def samples_per_pixel(self) -> float:
         """Mean of the estimators' samples, weighted by what one costs: what a picture of so many samples of each of them costs too."""
         if ALL in self.estimators:
-            return float(self.estimators[ALL].counts.mean())
+            return float(self.estimators[ALL].counts.sum(axis=0).mean())
         cache = self.radiance_cache
-        spent = {name: cache.count if cache is not None and name == INSCATTERED else part.counts.mean() for name, part in self.estimators.items()}
+        spent = {name: cache.count if cache is not None and name == INSCATTERED else part.counts.sum(axis=0).mean() for name, part in self.estimators.items()}
         return float(sum(self.cost(name) * count for name, count in spent.items()) / sum(ESTIMATOR_COST[name] for name in spent))
 
     def cost(self, name: str) -> float:
@@ -230,7 +256,7 @@ def accumulate_by_estimator(integrator: Traces, *, samples: int, seed: int, prog
 
 def undivided(total: Array, squares: Array, samples: int, lost: int = 0) -> Accumulator:
     """An image of one estimator alone, from sums over its samples."""
-    return Accumulator({ALL: Estimator({ALL: total}, squares, [], np.full(len(total), samples, dtype=np.int64))}, lost)
+    return Accumulator({ALL: Estimator({ALL: total[None]}, squares, [], np.full((1, len(total)), samples, dtype=np.int64))}, lost)
 
 
 def neyman_allocation(accumulated: Accumulator, samples: int) -> dict[str, int]:
@@ -244,7 +270,7 @@ def neyman_allocation(accumulated: Accumulator, samples: int) -> dict[str, int]:
     scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
     noise = {}
     for name, estimator in accumulated.estimators.items():
-        relative = estimator.variance() @ accumulated.weights * accumulated.weights.sum() * estimator.counts / scale**2
+        relative = estimator.variance() @ accumulated.weights * accumulated.weights.sum() * estimator.counts.sum(axis=0) / scale**2
         noise[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
     weight = {name: max(np.sqrt(value / accumulated.cost(name)), 1e-6) for name, value in noise.items()}
     unit = samples * sum(ESTIMATOR_COST[name] for name in weight) / sum(accumulated.cost(name) * value for name, value in weight.items())
@@ -252,13 +278,18 @@ def neyman_allocation(accumulated: Accumulator, samples: int) -> dict[str, int]:
 
 
 def new_accumulator(integrator: Traces, pixels: int) -> Accumulator:
-    """An image of no samples yet; sums over many bands are in float32, which holds 10^4 chunks to 1e-5 and half the memory."""
+    """An image of no samples yet.
+
+    Sums of the halves and over many bands are in float32, which holds 10^4 chunks to 1e-5 in half the memory; squares of R, G and B are not,
+    since a mean's square is taken off them.
+    """
     groups, bands = integrator.groups if integrator.groups > 1 else 0, integrator.bands
     shape, kind = (pixels, bands.count), np.float64 if bands.is_rgb else np.float32
 
     def empty(estimator: str) -> Estimator:
-        aovs = {name: np.zeros(shape, dtype=kind) for name in AOVS[estimator]}
-        return Estimator(aovs, np.zeros(shape, dtype=kind), [np.zeros(shape, dtype=kind) for _ in range(groups)], np.zeros(pixels, dtype=np.int64))
+        aovs = {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]}
+        counts = np.zeros((HALVES, pixels), dtype=np.int64)
+        return Estimator(aovs, np.zeros(shape, dtype=kind), [np.zeros(shape, dtype=kind) for _ in range(groups)], counts)
 
     return Accumulator({estimator: empty(estimator) for estimator in integrator.estimators}, weights=bands.weights, radiance_cache=integrator.radiance_cache())
 
@@ -268,7 +299,7 @@ def add_samples(accumulated: Accumulator, integrator: Traces, pixels: Indices, s
 
     Args:
         pixels: (N,) their numbers, ascending.
-        samples: estimator -> paths a pixel, or in each cell; a pixel's samples so far must be a multiple of CHUNK.
+        samples: estimator -> paths a pixel, or in each cell; half of them, or one more, go to the first half.
     """
     if accumulated.radiance_cache is not None and samples.get(INSCATTERED, 0) > 0:
         own = {name: count for name, count in samples.items() if name != INSCATTERED}
@@ -279,15 +310,23 @@ def add_samples(accumulated: Accumulator, integrator: Traces, pixels: Indices, s
     rows = max(1, CHUNKED_LANES // max(len(pixels), 1))  # chunks of all the pixels at once
     all_of_it, done = max(len(pixels) * sum(samples.values()), 1), 0
     for name, count in samples.items():
-        full, rest = divmod(count, CHUNK)
-        started, estimator_seed = accumulated.estimators[name].counts[pixels].copy(), seed32(seed, name)
-        work = [(CHUNK, list(range(low, min(low + rows, full)))) for low in range(0, full, rows)] + ([(rest, [full])] if rest else [])
-        for length, chunks in work:
+        started, estimator_seed = accumulated.estimators[name].counts[:, pixels].copy(), seed32(seed, name)
+        for length, chunks in _chunks(count, rows):
             for low in range(0, len(pixels), CHUNKED_LANES):
-                some, start = pixels[low : low + CHUNKED_LANES], started[low : low + CHUNKED_LANES]
-                _add(accumulated, integrator, name, some, np.concatenate([start + index * CHUNK for index in chunks]), length, len(chunks), estimator_seed)
-                done += len(some) * length * len(chunks)
+                some = slice(low, low + CHUNKED_LANES)
+                first = np.concatenate([started[half, some] + (half * HALF_STRIDE + offset) for half, offset in chunks])
+                _add(accumulated, integrator, name, pixels[some], first, length, [half for half, _ in chunks], estimator_seed)
+                done += len(pixels[some]) * length * len(chunks)
                 progress("rendering", done / all_of_it)
+
+
+def _chunks(count: int, rows: int) -> list[tuple[int, list[tuple[int, int]]]]:
+    """How `count` paths of a pixel are traced: (paths a lane, [(half, paths of this call before), ...] of `rows` lanes at most)."""
+    by_length: dict[int, list[tuple[int, int]]] = {}
+    for half in range(HALVES):
+        for offset in range(0, own := (count + 1 - half) // HALVES, CHUNK):
+            by_length.setdefault(min(CHUNK, own - offset), []).append((half, offset))
+    return [(length, chunks[low : low + rows]) for length, chunks in by_length.items() for low in range(0, len(chunks), rows)]
 
 
 def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progress) -> None:
@@ -296,30 +335,32 @@ def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progr
     before = cache.lost
     cache.add_samples(count, seed32(seed, INSCATTERED), progress)
     accumulated.lost += cache.lost - before
-    rays = math.isqrt(int(np.median(accumulated.estimators[SURFACE].counts))) if SURFACE in accumulated.estimators else 1
+    rays = math.isqrt(int(np.median(accumulated.estimators[SURFACE].counts.sum(axis=0)))) if SURFACE in accumulated.estimators else 1
     aovs, groups, noise = cache.airlight(rays, seed32(seed, "rays"))
-    number = max(cache.count, 2)
+    number = HALVES * max(cache.count // HALVES, 1)
     estimator.squares = (noise * (number - 1) + sum(aovs) ** 2) * number
-    estimator.aovs = {name: aov * number for name, aov in zip(estimator.aovs, aovs, strict=True)}
+    halved = [np.broadcast_to((aov * (number / HALVES)).astype(np.float32), (HALVES, *aov.shape)) for aov in aovs]  # what is smooth counts as known
+    estimator.aovs = dict(zip(estimator.aovs, halved, strict=True))
     estimator.groups = [group * number for group in groups]
-    estimator.counts = np.full(len(estimator.counts), number, dtype=np.int64)
+    estimator.counts = np.full_like(estimator.counts, number // HALVES)
 
 
-def _add(accumulated: Accumulator, integrator: Traces, name: str, pixels: Indices, first: Indices, count: int, chunks: int, seed: int) -> None:
+def _add(accumulated: Accumulator, integrator: Traces, name: str, pixels: Indices, first: Indices, count: int, halves: Sequence[int], seed: int) -> None:
     import drjit as dr
 
-    moments = integrator.trace(name, backend.numbers(np.tile(pixels, chunks)), backend.numbers(first), count, seed)
+    moments = integrator.trace(name, backend.numbers(np.tile(pixels, len(halves))), backend.numbers(first), count, seed)
     dr.eval(moments.aovs, moments.squares, moments.groups, moments.lost)
     estimator = accumulated.estimators[name]
 
-    def add(target: Array, colour: Any) -> None:
-        for lane in backend.rows(colour, target.dtype).reshape(chunks, len(pixels), -1):  # chunk by chunk: the order of the sum is fixed
-            target[pixels] += lane
+    def lanes(colour: Any, kind: Any) -> Array:
+        return backend.rows(colour, kind).reshape(len(halves), len(pixels), -1)
 
     for target, aov in zip(estimator.aovs.values(), moments.aovs, strict=True):
-        add(target, aov)
-    for target, group in zip(estimator.groups, moments.groups, strict=True):
-        add(target, group)
-    add(estimator.squares, moments.squares)
-    estimator.counts[pixels] += count * chunks
+        for half, lane in zip(halves, lanes(aov, target.dtype), strict=True):  # chunk by chunk: the order of the sum is fixed
+            target[half, pixels] += lane
+    for target, colour in zip((estimator.squares, *estimator.groups), (moments.squares, *moments.groups), strict=True):
+        for lane in lanes(colour, target.dtype):
+            target[pixels] += lane
+    for half in halves:
+        estimator.counts[half, pixels] += count
     accumulated.lost += int(np.array(moments.lost).sum())

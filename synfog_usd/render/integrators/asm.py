@@ -97,10 +97,10 @@ class Asm:
         t = self.transmittance
         glow = (1.0 - t) * self._airlight(accumulated.mean())
         for index, estimator in enumerate(accumulated.estimators.values()):
-            count = estimator.counts[:, None]
+            count = estimator.counts[:, :, None]
             added = glow if index == 0 else 0.0  # to every sample of the first part
-            whole = t * sum(estimator.aovs.values())
-            estimator.squares = t * t * estimator.squares + 2.0 * added * whole + count * added**2
+            whole = t * sum(estimator.total(name) for name in estimator.aovs)
+            estimator.squares = t * t * estimator.squares + 2.0 * added * whole + count.sum(axis=0) * added**2
             estimator.groups = [t * group for group in estimator.groups]
             estimator.aovs = {name: t * aov for name, aov in estimator.aovs.items()}
             if index == 0:

@@ -13,6 +13,7 @@ import numpy as np
 
 from synfog_usd.arrays import Array
 from synfog_usd.progress import Progress, silent
+from synfog_usd.render.dualbuffer import Error
 from synfog_usd.render.film.accumulator import (
     CHUNK,
     ESTIMATOR_COST,
@@ -25,6 +26,9 @@ from synfog_usd.render.film.accumulator import (
     neyman_allocation,
 )
 from synfog_usd.render.integrators.path import FogPath
+
+DENOISER_GAIN = 10.0
+"""Raw noise over the target from which on denoising is not even tried; on the crossing it lowers what differs from seed to seed 3 to 7 times."""
 
 SENSOR_SHARE = 1.0 / 3.0
 """Part of the sensor's own noise that may be left of a render: together they are 5 % noisier than the sensor alone."""
@@ -60,6 +64,15 @@ class Target:
         if self.sigma is not None:
             limits = np.minimum(limits, self.sigma(level))
         return limits
+
+    def allowed_in_all(self, luminance: Array) -> Array:
+        """RMS error [cd m-2], bias and all, that is good enough for each pixel of a denoised picture: the relative one, or all of the sensor's noise."""
+        return self.allowed(luminance) / (SENSOR_SHARE if self.sigma is not None else 1.0)
+
+    def met_by(self, luminance: Array, error: Error) -> bool:
+        """Whether a denoised picture is good enough in its median pixel: its whole error, and, for a sensor, what differs from seed to seed."""
+        whole = float(np.median(error.rms / self.allowed_in_all(luminance)))
+        return whole <= 1.0 and (self.sigma is None or float(np.median(error.scatter / self.allowed(luminance))) <= 1.0)
 
 
 def sensor_target(noise: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -97,7 +110,7 @@ def accumulate_to_target(integrator: Integrator, *, target: Target, seed: int, n
         share = neyman_allocation(accumulated, CHUNK * len(integrator.estimators))
         budget = (target.samples - spent) * pixels
         rows = everywhere[short]
-        have = int(np.median(accumulated.estimators[SURFACE].counts[rows]))
+        have = int(np.median(accumulated.estimators[SURFACE].counts.sum(axis=0)[rows]))
         count = int(min(have, budget // len(rows)) // CHUNK * CHUNK)  # a round at most doubles what a pixel has
         if count == 0:
             break
@@ -106,6 +119,40 @@ def accumulate_to_target(integrator: Integrator, *, target: Target, seed: int, n
         more = {part: max(CHUNK, round(value * scales[part] / CHUNK) * CHUNK) for part, value in share.items()}
         after = spent + count * len(rows) / pixels
         add_samples(accumulated, integrator, rows, more, seed, _within(progress, spent / target.samples, after / target.samples))
+        spent = after
+    progress("rendering", 1.0)
+    return accumulated
+
+
+def accumulate_denoised(
+    integrator: Integrator,
+    *,
+    target: Target,
+    seed: int,
+    now: Callable[[], float],
+    denoised: Callable[[Accumulator], tuple[Array, Error] | None],
+    progress: Progress = silent,
+) -> Accumulator:
+    """Sample all pixels alike, until the denoised picture meets the target or the samples or the time are used up.
+
+    Args:
+        integrator, now: as `accumulate_to_target` takes them.
+        denoised: what the samples so far give: luminance and its error, both (H, W); None where that fails.
+    """
+    if not isinstance(integrator, FogPath) or target.open:
+        return integrator.accumulate(samples=target.samples, seed=seed, progress=progress)
+    pixels = integrator.loaded.source.camera.width_px * integrator.loaded.source.camera.height_px
+    accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
+    spent = min(2 * CHUNK, target.samples)
+    add_samples(accumulated, integrator, everywhere, accumulated.even(spent), seed, _within(progress, 0.0, spent / target.samples))
+    while spent < target.samples and (target.time_s is None or now() < target.time_s):
+        noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
+        if noise < DENOISER_GAIN and (picture := denoised(accumulated)) is not None and target.met_by(*picture):
+            break
+        after = min(2 * spent, target.samples)
+        had = {name: int(estimator.counts[:, 0].sum()) for name, estimator in accumulated.estimators.items()}
+        more = {name: max(count - had[name], 0) for name, count in neyman_allocation(accumulated, after).items()}
+        add_samples(accumulated, integrator, everywhere, more, seed, _within(progress, spent / target.samples, after / target.samples))
         spent = after
     progress("rendering", 1.0)
     return accumulated

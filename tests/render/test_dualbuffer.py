@@ -1,0 +1,121 @@
+"""What is left after denoising, told from two halves: against truths that are known, by any denoiser.
+
+The pictures are made here: a truth, noise, and filters with faults of every kind in the place of a denoiser.
+"""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from synfog_usd.render import dualbuffer
+from synfog_usd.render.dualbuffer import error_of, towards_truth
+
+GREY = np.full(3, 1.0 / 3.0, dtype=np.float32)
+SHAPE = (120, 160)
+
+
+def truth():
+    """Fields and edges, 0.2 to 2.2."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] / 20.0
+    fields = 1.0 + 0.5 * np.sin(3.0 * x) * np.cos(2.0 * y) + np.where(x + y > 7.0, 0.7, 0.0) - np.where((x % 2 < 0.3), 0.3, 0.0)
+    return np.repeat(fields[..., None], 3, axis=2).astype(np.float32)
+
+
+def halves(noise, seed):
+    """(2, H, W, 3) the truth with noise of each half that has the long tail of light's and no mean."""
+    random = np.random.default_rng(seed)
+    grain = random.gamma(0.5, 2.0, (2, *SHAPE, 1)) - 1.0  # mean 0, variance 2
+    return (truth() * (1.0 + noise * grain / np.sqrt(2.0))).astype(np.float32)
+
+
+def blurred(image, sigma=2.0):
+    return ndimage.gaussian_filter(image, (sigma, sigma, 0.0), mode="nearest")
+
+
+FILTERS = {
+    "blurs": blurred,
+    "does nothing": lambda image: image,
+    "loses a tenth": lambda image: 0.9 * blurred(image, 1.0),
+    "cuts what stands out": lambda image: blurred(np.minimum(image, 1.5 * blurred(image, 4.0)), 1.5),
+}
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("noise", [0.1, 0.4])
+def test_the_error_that_is_told_is_the_error_that_is_there(name, noise):
+    """Relative RMS over the picture, five seeds pooled: within 15 % (measured 6 %); noise of 19 200 pixels leaves 4 %."""
+    told, there = [], []
+    for seed in range(5):
+        noisy = halves(noise, seed)
+        clean = np.stack([FILTERS[name](half) for half in noisy])
+        error = error_of(noisy @ GREY, clean @ GREY)
+        told.append(rms(error.rms / (truth() @ GREY)))
+        there.append(rms((clean.mean(axis=0) - truth()) @ GREY / (truth() @ GREY)))
+    assert rms(told) == pytest.approx(rms(there), rel=0.15)
+
+
+def test_what_differs_between_two_seeds_is_told_apart_from_what_does_not():
+    """The scatter of a filter that loses light is that of its pictures over seeds; its error is larger."""
+    pictures, told = [], []
+    for seed in range(12):
+        noisy = halves(0.4, seed)
+        clean = np.stack([FILTERS["loses a tenth"](half) for half in noisy])
+        pictures.append(clean.mean(axis=0) @ GREY)
+        told.append(error_of(noisy @ GREY, clean @ GREY))
+    scatter = rms(np.std(pictures, axis=0, ddof=1))
+    assert rms([error.scatter for error in told]) == pytest.approx(scatter, rel=0.1)
+    assert min(rms(error.rms) for error in told) > 1.2 * scatter
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("noise", [0.01, 0.03, 0.1, 0.4, 1.0])
+def test_going_back_to_the_samples_never_costs_much_and_ends_at_the_truth(name, noise):
+    """Never over 1.15 times the error of the better of samples and filter: of the samples where those are good, of the filter where they are not."""
+    before, samples, after = [], [], []
+    for seed in range(3):
+        noisy = halves(noise, seed)
+        clean = np.stack([FILTERS[name](half) for half in noisy])
+        before.append(rms(clean.mean(axis=0) - truth()))
+        samples.append(rms(noisy.mean(axis=0) - truth()))
+        after.append(rms(towards_truth(noisy, clean, GREY).mean(axis=0) - truth()))
+    assert rms(after) < 1.15 * min(rms(before), rms(samples))
+
+
+def test_light_that_the_filter_lost_comes_back():
+    """A tenth is lost; the mean is that of the samples, to rounding, and blocks of 40 pixels are within 1.5 % of the truth."""
+    noisy = halves(0.2, 0)
+    clean = np.stack([FILTERS["loses a tenth"](half) for half in noisy])
+    done = towards_truth(noisy, clean, GREY).mean(axis=0)
+    assert done.mean(dtype=np.float64) == pytest.approx(noisy.mean(dtype=np.float64), rel=1e-5)
+    blocks = [image.reshape(3, 40, 4, 40, 3).mean(axis=(1, 3, 4)) for image in (done, truth())]
+    np.testing.assert_allclose(*blocks, rtol=0.015)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (16, 2048), (70, 1)])
+@pytest.mark.parametrize("light", ["none", "one pixel", "noise", "below zero"])
+def test_odd_pictures_stay_finite(shape, light):
+    """Any size, no light at all, one bright pixel of one half, light below 0: finite, and not negative."""
+    random = np.random.default_rng(1)
+    noisy = np.zeros((2, *shape, 3), dtype=np.float32)
+    if light == "one pixel":
+        noisy[0, 0, 0] = 1e6
+    elif light != "none":
+        noisy += random.exponential(1.0, noisy.shape).astype(np.float32) - (0.9 if light == "below zero" else 0.0)
+    clean = np.stack([blurred(np.maximum(half, 0.0)) for half in noisy])
+    done = towards_truth(noisy, clean, GREY)
+    assert done.shape == noisy.shape and np.isfinite(done).all() and done.min() >= 0.0
+    error = error_of(noisy @ GREY, done @ GREY)
+    assert np.isfinite(error.rms).all() and np.all(error.rms >= error.scatter) and error.scatter.min() >= 0.0
+
+
+def test_blurs_by_way_of_larger_pixels_keep_the_mean_and_the_size():
+    """What was binned and spread again is the picture, smoother; a size that the step does not divide is no matter."""
+    image = truth()[:118, :157]
+    spread = dualbuffer._spread(dualbuffer._binned(image, 16), 16, image.shape[:2])
+    assert spread.shape == image.shape
+    assert spread.mean() == pytest.approx(image.mean(), rel=0.01)
+    np.testing.assert_allclose(dualbuffer._spread(dualbuffer._binned(0 * image + 0.7, 4), 4, image.shape[:2]), 0.7, rtol=1e-5)
