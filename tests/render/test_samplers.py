@@ -77,7 +77,7 @@ WAYS = {"past all lamps": (0.1, 0.97, 0.12), "away from them": (0.3, -0.9, 0.1),
 def test_distances_are_guided_as_their_density_says(mi, guide, way):
     """200 cells of the same chance between 0.5 and 40 m; the density integrates to 1 within 0.02 %."""
     sigma, begin, end = 0.0375, 0.5, 40.0
-    origin, direction = mi.Point3f(EYE.tolist()), dr.normalize(mi.Vector3f(way.tolist()))
+    origin, direction = mi.Point3f(EYE.tolist()), dr.normalize(mi.Vector3f(*way))
     lane = dr.zeros(mi.Float, COUNT)
     drawn = guide.distance(origin, direction, lane + begin, lane + end, lane + sigma, uniform(mi, 1), uniform(mi, 2))
     places = np.linspace(begin, end, 400_001)
