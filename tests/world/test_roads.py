@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdUtils, UsdValidation
 from scipy import special, stats
+from support import sight
 
 from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import RecipeError
@@ -110,9 +111,7 @@ def check(name, seed):
             assert apart(prints, bodies[j][1]) > 0.0, (name, seed, p, bodies[j][0])
     users = [p for p in world.placed if shape(p.asset)[2] in USERS]
     assert len(users) >= 5
-    fov = math.degrees(2 * math.atan(0.36 / 2 / world.view.focal_length))
-    shares = rules.visible(world.view, fov, world.placed, road, within_m=100.0)
-    assert sum(share >= rules.SHARE_SEEN for share in shares.values()) >= 3
+    assert sum(share >= sight.SEEN for share in sight.shares(world, within_m=100.0, enough=3).values()) >= 3, (name, seed)
     for p in world.placed:
         s, t = (float(v) for v in road.reference_line.nearest(p.x, p.y))
         if p.group in ("Vehicles", "People"):
@@ -305,6 +304,21 @@ def test_a_bus_hides_a_car_and_a_crest_hides_both():
     crest = Road(ReferenceLine(300.0, slope=((0.0, 0.0), (10.0, 0.12), (30.0, 0.12), (50.0, -0.12), (120.0, -0.12))), flat.lane_section)
     low = Placement("Vehicles", "Car", "saloon", 0.0, 90.0, 0.0, z=float(crest.reference_line.height(90.0)))
     assert seen([low], crest)["Car"] == 0.0
+
+
+@pytest.mark.parametrize("name, seed", [("arterial", 0), ("residential", 1), ("rural", 1)])
+def test_who_is_seen_is_seen_in_shapely_too(name, seed):
+    """Six rays against 64 through footprints cut by GEOS: the same users in the picture, shares alike to 1/8 on average and to 0.45 each.
+
+    Six rays know a share to 0.2 (standard deviation at one half); over 16 worlds the mean difference was -0.02, its
+    mean size 0.07 and its greatest 0.39.
+    """
+    world = spec(name, seed)
+    fov = math.degrees(2 * math.atan(0.36 / 2 / world.view.focal_length))
+    rays, cut = rules.visible(world.view, fov, world.placed, world.road, within_m=100.0), sight.shares(world, within_m=100.0)
+    assert set(rays) == set(cut) and len(cut) >= 5
+    off = np.array([rays[name] - cut[name] for name in cut])
+    assert np.abs(off).mean() < 1 / 8 and np.abs(off).max() < 0.45
 
 
 def test_houses_in_the_country_stand_on_the_land():

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdUtils, UsdValidation
+from support import sight
 
 from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import RecipeError
 from synfog_usd.world.compose import compose, draw, load
-from synfog_usd.world.roads import roundabout_markings, roundabout_surface, rules
+from synfog_usd.world.roads import roundabout_markings, roundabout_surface
 from synfog_usd.world.roads.lane_section import KERB_M
 from synfog_usd.world.roads.network import Land
 from synfog_usd.world.roads.reference_line import ReferenceLine
@@ -234,9 +235,7 @@ def check(seed):
             assert apart(prints, bodies[j][1]) > 0.0, (seed, p, bodies[j][0])
     labels = {p.name: shape(p.asset)[2] for p in world.placed}
     assert sum(label in USERS for label in labels.values()) >= 5
-    fov = math.degrees(2 * math.atan(0.36 / 2 / world.view.focal_length))
-    shares = rules.visible(world.view, fov, world.placed, junction, within_m=100.0)
-    assert sum(share >= rules.SHARE_SEEN for share in shares.values()) >= 3
+    assert sum(share >= sight.SEEN for share in sight.shares(world, within_m=100.0, enough=3).values()) >= 3, seed
     going_round = 0
     for p, prints in bodies:
         u, _ = junction.across(prints[:, 0], prints[:, 1])

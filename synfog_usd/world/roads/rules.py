@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+import shapely
 
 from synfog_usd import resources
 from synfog_usd.errors import RecipeError, did_you_mean
@@ -79,45 +80,27 @@ def footprint(p: Placement) -> Array:
     return corners @ np.array([[c, s], [-s, c]]) + (p.x, p.y)
 
 
-def gap(a: Array, b: Array) -> float:
-    """Largest gap [m] between two rectangles along their sides; below 0 where they overlap (separating axes)."""
-    most = -math.inf
-    for corners in (a, b):
-        for edge in (corners[1] - corners[0], corners[3] - corners[0]):
-            axis = edge / math.hypot(edge[0], edge[1])
-            p, q = a @ axis, b @ axis
-            most = max(most, float(q.min() - p.max()), float(p.min() - q.max()))
-    return most
-
-
 @dataclass
 class CollisionSet:
     """What stands already; asks whether something more has room."""
 
-    prints: list[Array] = field(default_factory=list)
-    circles: list[tuple[float, float, float]] = field(default_factory=list)
+    prints: list[shapely.Polygon] = field(default_factory=list)
     lamps: list[tuple[float, float]] = field(default_factory=list)
     trunks: list[tuple[float, float]] = field(default_factory=list)
 
     def free(self, p: Placement, margin: float = 0.1) -> bool:
         """Whether a placement keeps `margin` [m] from all others."""
-        corners = footprint(p)
         found = model(p.asset)
         if found.group == "lamp" and any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in self.trunks):
             return False
         if found.group == "plant" and found.high[2] > TREE_HEIGHT_M and any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in self.lamps):
             return False
-        return self.free_outline(corners, margin)
+        return self.free_outline(footprint(p), margin)
 
     def free_outline(self, corners: Array, margin: float) -> bool:
         """Whether a rectangle of (4, 2) corners keeps `margin` [m] from all others."""
-        if not self.circles:
-            return True
-        centre = corners.mean(axis=0)
-        radius = float(np.hypot(*(corners - centre).T).max())
-        table = np.array(self.circles)
-        near = np.flatnonzero(np.hypot(table[:, 0] - centre[0], table[:, 1] - centre[1]) < table[:, 2] + radius + margin)
-        return all(gap(corners, self.prints[i]) >= margin for i in near)
+        # all of them at a time: a set that grows by one would build its STRtree anew for each question, which costs as much
+        return not bool(shapely.dwithin(shapely.Polygon(corners), self.prints, margin).any())
 
     def add(self, p: Placement) -> None:
         """Take the place of a placement."""
@@ -130,13 +113,11 @@ class CollisionSet:
 
     def add_outline(self, corners: Array) -> None:
         """Take the place of a rectangle of (4, 2) corners."""
-        centre = corners.mean(axis=0)
-        self.prints.append(corners)
-        self.circles.append((float(centre[0]), float(centre[1]), float(np.hypot(*(corners - centre).T).max())))
+        self.prints.append(shapely.Polygon(corners))
 
     def copy(self) -> CollisionSet:
         """Another that goes on from here."""
-        return CollisionSet(list(self.prints), list(self.circles), list(self.lamps), list(self.trunks))
+        return CollisionSet(list(self.prints), list(self.lamps), list(self.trunks))
 
 
 # -- lanes
