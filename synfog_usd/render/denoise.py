@@ -111,6 +111,10 @@ class Denoised:
     components: dict[str, Array]
     error: dualbuffer.Error
 
+    def luminance(self, weights: npt.ArrayLike) -> Array:
+        """(H, W) of the picture, for (C,) weights of the channels in it."""
+        return np.asarray(sum(self.components.values())) @ np.asarray(weights, dtype=np.float32)
+
 
 def denoise_halves(halves: Mapping[str, Array], guides: Guides, weights: npt.ArrayLike) -> Denoised:
     """Clean a picture from two independent halves of its samples, and tell what is left.

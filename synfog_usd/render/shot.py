@@ -16,7 +16,7 @@ from synfog_usd.progress import Progress, silent
 from synfog_usd.render import denoise as denoising
 from synfog_usd.render import dualbuffer, models, planner
 from synfog_usd.render.film import aovs
-from synfog_usd.render.film.accumulator import Accumulator
+from synfog_usd.render.film.accumulator import COMPONENTS, Accumulator
 from synfog_usd.render.integrators.path import LENS_M
 from synfog_usd.render.load import MitsubaScene, to_mitsuba
 from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached
@@ -30,8 +30,6 @@ WORTH_A_PILOT = 1 << 19
 
 WORTH_A_BANDS_PILOT = 1 << 23
 """The same for trying wavelength bands, which few scenes need and which want kernels of their own."""
-
-COMPONENTS = ("surface", "airlight_single", "airlight_multiple")
 
 LARGE_ERROR = 0.25
 """Error of the median pixel after denoising from which on a warning is given."""
@@ -179,7 +177,7 @@ def render(
         met = None if target.open else reached(accumulated, target, shape[:2])
         luminance, error = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
     else:
-        luminance, error = (sum(denoised.components.values()) @ accumulated.weights).ravel(), denoised.error.rms.ravel()
+        luminance, error = denoised.luminance(accumulated.weights).ravel(), denoised.error.rms.ravel()
         met = None if target.open else float((error <= target.allowed_in_all(luminance)).mean())
     lit = luminance > 0.0
     relative_error = float(np.median(error[lit] / luminance[lit])) if lit.any() else 0.0
@@ -220,15 +218,14 @@ def _denoised(
     loaded: MitsubaScene, integrator: Any, target: Target, seed: int, now: Callable[[], float], progress: Progress
 ) -> tuple[Accumulator, denoising.Denoised | None, str]:
     """Samples, the picture without their noise where there is one, and what went wrong with it, or ''."""
-    shape = (2, loaded.source.camera.height_px, loaded.source.camera.width_px, -1)
+    height, width = loaded.source.camera.height_px, loaded.source.camera.width_px
     guides = functools.cache(lambda: denoising.guides(loaded))
     done: dict[int, denoising.Denoised | None] = {}  # by the number of samples, the last one only
     problem = ""
 
     def picture(accumulated: Accumulator) -> denoising.Denoised | None:
         nonlocal problem
-        halves = {name: pair.reshape(shape) for name in COMPONENTS if (pair := accumulated.halves(name)) is not None}
-        if accumulated.samples not in done and halves:
+        if accumulated.samples not in done and (halves := accumulated.component_halves(height, width)):
             done.clear()
             problem = ""
             try:
@@ -240,7 +237,7 @@ def _denoised(
 
     def judged(accumulated: Accumulator) -> tuple[np.ndarray, dualbuffer.Error] | None:
         found = picture(accumulated)
-        return None if found is None else (sum(found.components.values()) @ accumulated.weights, found.error)
+        return None if found is None else (found.luminance(accumulated.weights), found.error)
 
     accumulated = accumulate_denoised(integrator, target=target, seed=seed, now=now, denoised=judged, progress=progress)
     found = picture(accumulated)

@@ -1,5 +1,7 @@
 """Stops and choices: samples go where the error is, and no further than asked."""
 
+import importlib.util
+
 import numpy as np
 import pytest
 
@@ -89,3 +91,12 @@ def test_an_open_view_takes_the_slab_and_a_closed_one_does_not():
         assert choice.model == choice.best == model
         assert planner.choose(loaded, target=adaptive.Target(samples=16), seed=0).model == {"path": "field", "path+slab": "field+slab"}[model]
         assert planner.choose(loaded, target=adaptive.Target(samples=16), seed=0, denoised=True).model == model  # a denoiser does what a cache would
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pyoidn") is None, reason="pyoidn has no wheel here")
+def test_where_a_denoised_picture_is_good_enough_no_bias_is_tried():
+    """10 % are asked for: the pilot without bias, denoised, errs by less, and nothing with a bias is rendered."""
+    street = scene({**SKY, "shape_wall": wall(50.0, 5.0, **black(1.0))}, [uniform_fog()], fov_x_deg=40.0)
+    choice = planner.choose(load(street, boundaries=False), target=adaptive.Target(relative=0.1), seed=0, denoised=True)
+    assert choice.model == choice.best and choice.figures[choice.best]["denoised"] < 0.1
+    assert set(choice.figures) <= {"path", "path+slab"} and "denoised it errs by" in choice.why

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.arrays import Array, FloatArray, Indices
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
@@ -44,6 +44,9 @@ SURFACE, LAMPS, INSCATTERED = "surface", "lamps", "air"
 radiance.  Their words seed streams of random numbers: another word would be another picture."""
 
 SINGLE, MULTIPLE = "airlight_single", "airlight_multiple"
+
+COMPONENTS = (SURFACE, SINGLE, MULTIPLE)
+"""AOVs that add up to the picture."""
 
 AOVS = {SURFACE: (SURFACE,), LAMPS: (SINGLE,), INSCATTERED: (SINGLE, MULTIPLE)}
 """Which AOVs each estimator adds to."""
@@ -179,15 +182,18 @@ class Accumulator:
             return sum(found)
         return None if ALL in self.estimators else np.zeros((self.pixels, len(self.weights)))
 
-    def halves(self, name: str) -> Array | None:
-        """(2, P, C) float32 mean of an AOV in each half, or None where they are not kept apart."""
-        if ALL in self.estimators:
-            return None
+    def halves(self, name: str) -> FloatArray:
+        """(2, P, C) mean of an AOV in each half, where they are kept apart."""
         halves = np.zeros((HALVES, self.pixels, len(self.weights)), dtype=np.float32)
         for estimator in self.estimators.values():
             if name in estimator.aovs:
                 halves += estimator.aovs[name] / np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
         return halves
+
+    def component_halves(self, height: int, width: int) -> dict[str, FloatArray]:
+        """(2, H, W, C) of each of `COMPONENTS`; empty where halves are not kept apart."""
+        pairs = {} if ALL in self.estimators else {name: self.halves(name) for name in COMPONENTS}
+        return {name: pair.reshape(HALVES, height, width, -1) for name, pair in pairs.items()}
 
     @property
     def pixels(self) -> int:
