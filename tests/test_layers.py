@@ -56,6 +56,7 @@ HEAVY = {
     "pyoidn": {"render"},
     "tifffile": {"writers"},
     "imagecodecs": {"writers"},
+    "rawpy": {"writers"},
     "colour_demosaicing": {"camera"},
 }
 """Library -> where it may be imported."""

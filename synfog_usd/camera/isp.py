@@ -185,7 +185,7 @@ def white_balance(
     *,
     illuminant: Literal["d65", "a", "hps", "led", "grey_world", "as_shot", "none"] = "d65",
     clip: bool = True,
-    sensor: Annotated[SensorProfile, FromProfile("sensor")],
+    sensor: Annotated[SensorProfile | None, FromProfile("sensor")] = None,
 ) -> Image:
     """Gains of the filters that make white neutral, the smallest being 1.
 
@@ -199,7 +199,7 @@ def white_balance(
             image's provenance (as_shot).  A known one by default: grey_world takes
             the airlight's tint for a tint of the light.
         clip: cut at 1 afterwards, so that saturated pixels are white, not tinted.
-        sensor: its neutral is used.
+        sensor: its neutral is used, but for as_shot and grey_world.
 
     Raises:
         ImageError: a filter without signal (grey_world on a black picture), as_shot
@@ -228,24 +228,34 @@ def white_balance(
 def colour_correct(
     image: Image,
     *,
-    illuminant: Literal["d65", "a", "hps", "led"] = "d65",
-    sensor: Annotated[SensorProfile, FromProfile("sensor")],
+    illuminant: Literal["d65", "a", "hps", "led", "as_shot"] = "d65",
+    sensor: Annotated[SensorProfile | None, FromProfile("sensor")] = None,
 ) -> Image:
     """Camera colours to linear Rec.709 by the matrix fitted for one light; white stays.
 
     Args:
         image: white-balanced camera colours (H, W, F), a channel per filter of the
             sensor; or Y alone, which stays as it is.
-        illuminant: the light of the fit; see `isp.white_balance`.
-        sensor: whose colours.
+        illuminant: the light of the fit; see `isp.white_balance`.  as_shot takes the
+            matrix that came with a RAW file.
+        sensor: whose colours, but for as_shot.
 
     The error of the fit over a ColorChecker goes into the provenance (CIEDE2000).
 
     Raises:
-        ImageError: other channels than the sensor's filters.
+        ImageError: other channels than the sensor's filters; as_shot without a matrix;
+            no sensor where one is needed.
     """
     if image.channels == ("Y",):
         return image
+    if illuminant == "as_shot":
+        if "camera_to_rec709" not in image.provenance:
+            raise ImageError("the image does not say its camera_to_rec709; a RAW file has it. Name the light and a sensor instead, such as illuminant: d65")
+        rows = np.array(image.provenance["camera_to_rec709"], dtype=np.float32)
+        if image.channels != ("R", "G", "B"):
+            raise ImageError(f"the matrix of a RAW file is for R, G, B; the picture has {', '.join(image.channels)}")
+        return image.with_pixels(image.pixels @ np.ascontiguousarray(rows.T)).with_metadata(colour_matrix=rows.tolist())
+    sensor = _named(sensor, illuminant)
     letters = cfa.filters(sensor.cfa)
     if image.channels != letters:
         raise ImageError(f"the picture has {', '.join(image.channels)}; sensor {sensor.name} has the filters {', '.join(letters)}, as isp.demosaic gives them")
@@ -356,14 +366,20 @@ def pattern_of(image: Image, sensor: SensorProfile | None) -> str:
     return str(pattern)
 
 
-def _white(image: Image, pattern: str, illuminant: str, sensor: SensorProfile) -> npt.NDArray[np.float64]:
+def _named(sensor: SensorProfile | None, illuminant: str) -> SensorProfile:
+    if sensor is None:
+        raise ImageError(f"illuminant {illuminant} is about a sensor's own colours; name one at the top with 'sensor: ...', or set illuminant: as_shot")
+    return sensor
+
+
+def _white(image: Image, pattern: str, illuminant: str, sensor: SensorProfile | None) -> npt.NDArray[np.float64]:
     """(F,) signal of a white surface behind each filter, to any scale."""
     if illuminant == "as_shot":
         if "as_shot_neutral" not in image.provenance:
             raise ImageError("the image does not say its as_shot_neutral; sensor.adc notes it. Name the light instead, such as illuminant: d65")
         return np.array(image.provenance["as_shot_neutral"], dtype=np.float64)
     if illuminant != "grey_world":
-        return np.array(response.neutral(sensor, illuminant.upper()))
+        return np.array(response.neutral(_named(sensor, illuminant), illuminant.upper()))
     sums, counts = np.zeros(len(cfa.filters(pattern))), np.zeros(len(cfa.filters(pattern)))
     for where, number in cfa.sites(pattern):
         site = image.pixels[where]

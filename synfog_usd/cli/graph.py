@@ -146,7 +146,7 @@ def _viewed(image: Image, graph: NodeGraph, fov_x_deg: float | None) -> Image:
 
 
 def _read(path: Path, repair: bool = False, quantity: Quantity | None = None) -> Image:
-    image = writers.read_exr(path, declared=quantity, repair=repair)
+    image = writers.read_exr(path, declared=quantity, repair=repair) if path.suffix.lower() == ".exr" else writers.read_raw(path)
     if count := image.provenance.get("repaired_values", 0):
         print(f"{path}: {count} values that light cannot have were mended", file=sys.stderr)
     return image

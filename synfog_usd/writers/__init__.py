@@ -14,6 +14,7 @@ from synfog_usd.errors import OutputError, did_you_mean
 from synfog_usd.image import Image
 from synfog_usd.writers.dng import write_dng
 from synfog_usd.writers.exr import check_radiance, read_exr, write_exr
+from synfog_usd.writers.raw import read_raw
 from synfog_usd.writers.screen import write_jxl, write_png, write_tiff
 
 WRITERS: dict[str, Callable[..., None]] = {
@@ -58,4 +59,4 @@ def write_output(name: str, image: Image, folder: Path, *, options: Mapping[str,
     return path
 
 
-__all__ = ["WRITERS", "check_radiance", "read_exr", "write_dng", "write_exr", "write_jxl", "write_output", "write_png", "write_tiff"]
+__all__ = ["WRITERS", "check_radiance", "read_exr", "read_raw", "write_dng", "write_exr", "write_jxl", "write_output", "write_png", "write_tiff"]

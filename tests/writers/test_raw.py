@@ -1,0 +1,81 @@
+"""RAW files go in as they came out, and through the second half of the camera to the same picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rawpy
+from support import cli, raws
+
+from synfog_usd import camera, seeds, writers
+from synfog_usd.camera import cfa
+from synfog_usd.errors import ImageError
+from synfog_usd.image import Image, Quantity
+
+
+@pytest.fixture(scope="module")
+def shot():
+    """RAW numbers and picture of the shipped phone: smooth colours, 96 x 128."""
+    from scipy.ndimage import gaussian_filter
+
+    pixels = gaussian_filter(seeds.stream(0, "raw").random((96, 128, 3), dtype=np.float32), (4, 4, 0)) * np.float32(900)
+    radiance = Image(pixels, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+    graph = camera.load_graph(Path("phone"))
+    return graph.run({"radiance": radiance}, seed=1, settings=camera.meter(radiance, graph).settings, overrides={"lens_shading.strength": 0})
+
+
+@pytest.mark.parametrize("compression", ["none", "lossless"])
+def test_a_dng_comes_back_as_it_was(shot, tmp_path, compression):
+    adc = shot["adc"]
+    writers.write_output("a.dng", adc, tmp_path, options={"compression": compression})
+    read = writers.read_raw(tmp_path / "a.dng")
+    np.testing.assert_array_equal(read.pixels, adc.pixels)
+    facts, ours = read.provenance, adc.provenance
+    assert (facts["cfa_pattern"], facts["black_level_dn"], facts["white_level_dn"]) == ("RGGB", 64.0, 1023.0)
+    np.testing.assert_allclose(facts["as_shot_neutral"], ours["as_shot_neutral"], rtol=1e-5)
+    np.testing.assert_allclose(facts["noise_profile"], ours["noise_profile"], rtol=1e-9)
+    np.testing.assert_allclose(facts["camera_to_rec709"], shot["colour"].provenance["colour_matrix"], atol=5e-4)
+    assert facts["exposure_s"] == pytest.approx(ours["exposure_s"], rel=1e-4) and facts["iso"] == 55
+
+
+def test_the_second_half_alone_makes_the_same_picture(shot, tmp_path):
+    """By the command line, from the DNG: within one of 255 of the picture that the whole camera made (its matrix has four digits in the file)."""
+    writers.write_output("a.dng", shot["adc"], tmp_path)
+    done = cli.run("graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path, "--no-cache")
+    assert done.returncode == 0, done.stderr
+    linear = writers.read_exr(tmp_path / "linear.exr")
+    assert linear.quantity is Quantity.LINEAR_RGB
+    np.testing.assert_allclose(linear.pixels, shot["colour"].pixels, atol=1 / 255)
+
+
+@pytest.mark.parametrize("pattern", cfa.BAYER)
+def test_patterns_and_blacks_of_each_filter_are_read(pattern, tmp_path):
+    path = tmp_path / "a.dng"
+    writers.write_dng(path, Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts(pattern)))
+    read = writers.read_raw(path)
+    with rawpy.imread(str(path)) as raw:
+        assert read.provenance["black_level_dn"] == raw.black_level_per_channel[0]
+    assert read.provenance["cfa_pattern"] == pattern and read.pixels.shape == (32, 40, 1)
+
+
+def test_what_is_no_mosaic_is_refused_in_one_line(tmp_path):
+    (tmp_path / "no.dng").write_bytes(b"II*\0 this is none")
+    with pytest.raises(ImageError, match=r"no\.dng: cannot be read as RAW"):
+        writers.read_raw(tmp_path / "no.dng")
+    with pytest.raises(ImageError, match="no such file"):
+        writers.read_raw(tmp_path / "none.nef")
+    grey = Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts("MONO"))
+    writers.write_dng(tmp_path / "grey.dng", grey)
+    with pytest.raises(ImageError, match=r"grey\.dng: "):
+        writers.read_raw(tmp_path / "grey.dng")
+
+
+def test_a_raw_file_is_no_light(tmp_path):
+    """A graph that begins with radiance says so, and the one for RAW files needs no sensor but the file."""
+    writers.write_dng(tmp_path / "a.dng", Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts("RGGB")))
+    done = cli.run("graph", "run", "phone", "--in", tmp_path / "a.dng", "-o", tmp_path / "out")
+    assert done.returncode == 2 and "input 'radiance' of graph 'phone' takes radiance; the image holds dn" in done.stderr
+    done = cli.run("graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path / "out", "--set", "colour.illuminant=a")
+    assert done.returncode == 2 and "name one at the top with 'sensor: ...', or set illuminant: as_shot" in done.stderr
