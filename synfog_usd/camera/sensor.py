@@ -391,7 +391,8 @@ def _dark_signal(facts: Mapping[str, Any]) -> tuple[float, float]:
     if "system_gain_dn_e" not in facts:
         raise ImageError("the image does not say its system_gain_dn_e; put sensor.gain before this node, or add it to the image's provenance")
     gain_dn_e, dark_e = float(facts["system_gain_dn_e"]), float(facts.get("dark_e", 0.0))
-    return gain_dn_e * dark_e, gain_dn_e**2 * (facts.get("read_noise_e", 0.0) ** 2 + dark_e) + facts.get("adc_noise_dn", 0.0) ** 2
+    counted_e = dark_e if facts.get("shot_noise") else 0.0
+    return gain_dn_e * dark_e, gain_dn_e**2 * (facts.get("read_noise_e", 0.0) ** 2 + counted_e) + facts.get("adc_noise_dn", 0.0) ** 2
 
 
 def _colour_facts(sensor: SensorProfile, illuminant: str) -> dict[str, list[float] | list[list[float]]]:

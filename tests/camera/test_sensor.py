@@ -327,7 +327,7 @@ def test_rows_in_the_dark_take_dark_current_off():
 
     N = 4 rows of 64: sqrt((K^2 (2.5^2 + 50) + 0.7^2) / 256) = 0.096 DN a frame at K = 0.2, which 64 draws know to 9 %.
     """
-    facts = {"dark_e": 50.0, "read_noise_e": 2.5, "adc_noise_dn": 0.7}
+    facts = {"dark_e": 50.0, "shot_noise": True, "read_noise_e": 2.5, "adc_noise_dn": 0.7}
     frame = analog(10.0, **facts | {"system_gain_dn_e": 0.2})
     left = [sensor.black_clamp(frame, rng=seeds.stream(seed, "clamp"), optical_black_rows=4).pixels for seed in range(64)]
     assert all(np.ptp(pixels) == 0.0 for pixels in left)

@@ -14,6 +14,7 @@ import pytest
 
 from synfog_usd import camera, resources
 from synfog_usd.camera.profiles import load_sensor
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.study.pages.camera import FOGS_M, WALL_M, frames_in_fog, noise, stretched, wall_in_fog
 
 pytestmark = pytest.mark.physics
@@ -79,7 +80,7 @@ def test_a_camera_without_temporal_noise_has_none_in_any_fog():
 def test_the_stretch_brings_every_region_to_the_same_contrast():
     """At a pixel: (x - mean) / deviation of the luma of the 61 x 61 pixels around it, written out; to the rounding of running sums."""
     quiet = frames_in_fog(150.0, count=1, quiet=True)
-    found, luma = stretched(quiet, quiet[0])[0], quiet[0] @ np.array([0.2126, 0.7152, 0.0722])
+    found, luma = stretched(quiet, quiet[0])[0], quiet[0] @ LUMINANCE
     for row, column in itertools.product((60, 160, 260), (60, 240, 420)):
         region = luma[row - 30 : row + 31, column - 30 : column + 31]
         expected = 0.5 + 0.2 * (quiet[0, row, column] - region.mean()) / region.std()

@@ -66,7 +66,7 @@ def frames_in_fog(visibility_m: float, *, count: int, quiet: bool = False) -> Ar
     graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
     settings = camera.meter(wall_in_fog(math.inf), graph).settings
     if quiet:
-        graph = graph.without(["shot_noise", "read_noise", "adc_noise"])
+        graph = graph.without(["shot_noise", "read_noise", "adc_noise", "black_clamp"])
     radiance = {"radiance": wall_in_fog(visibility_m)}
     runs = (graph.run(radiance, seed=seed, settings=settings, until="srgb", keep=["srgb"]) for seed in range(count))
     return np.array([np.rint(255.0 * run["srgb"].pixels) / 255.0 for run in runs], dtype=np.float64)
