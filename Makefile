@@ -8,6 +8,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 OUT    ?= out/demo
+TESTS  := $(BIN)/python -m pytest -n 2 --dist loadfile
 
 .PHONY: demo assets test test-all test-physics test-dcc setup libs llvm lint lock wheel clean
 
@@ -16,10 +17,10 @@ demo: setup llvm
 	$(BIN)/synfog-usd bake stages/crossroads.usda -o $(OUT) --resolution 640x360 --samples 16
 
 test: setup llvm
-	$(BIN)/python -m pytest
+	$(TESTS)
 
 test-all: setup llvm
-	$(BIN)/python -m pytest -m "not physics and not bench and not gpu"
+	$(TESTS) -m "not physics and not bench and not gpu"
 
 # Hours: Monte Carlo to a per mille, and ratios against named peers.
 test-physics: setup llvm

@@ -160,7 +160,7 @@ def test_words_for_editing_need_something_to_edit(tmp_path, registry, word):
         ("link.yaml", "'link.yaml' is outside the graph's own folder;"),
         ("round.yaml", "'round.yaml' cannot be "),
         ("none.yaml", "'none.yaml' cannot be used: none.yaml: cannot be read (No such file or directory)"),
-        ("folder.yaml", "'folder.yaml' cannot be used: folder.yaml: cannot be read (Is a directory)"),
+        ("folder.yaml", "'folder.yaml' cannot be used: folder.yaml: cannot be read (it is no regular file)"),
         ('"a\\0.yaml"', "no shipped graph 'a\\x00.yaml'; there are"),
         ("phon", f"no shipped graph 'phon'; there are {SHIPPED}, or give a path that ends in .yaml. Did you mean 'phone'?"),
         ("[base.yaml]", "no shipped graph ['base.yaml']; there are"),
