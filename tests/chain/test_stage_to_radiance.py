@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.renders import means
+from support.renders import pictures
 from support.stages import street
 from support.stats import assert_mean
 
@@ -27,7 +27,9 @@ def scene(folder, *, fog="mor150", size=(32, 18), **more):
 def test_a_wall_at_50_m_in_mor_150_dims_by_beer_and_lambert(tmp_path, meters_per_unit, up):
     """A wall of 1 nit in absorbing fog arrives as exp(-2.996 / 150 * 50), whatever the stage's units; 1 % is resolved."""
     world = scene(tmp_path, meters_per_unit=meters_per_unit, up=up, albedo=0.0, emission=1.0, sky=0.0, fov_x_deg=1.0)
-    assert_mean(means(world, 16, samples=512), 0.05 ** (50.0 / 150.0), resolves=0.01, truth_within=4e-5)  # rays half a degree off the axis have 2e-5 more way
+    assert_mean(
+        pictures(world, 16, samples=512), 0.05 ** (50.0 / 150.0), resolves=0.01, truth_within=4e-5
+    )  # rays half a degree off the axis have 2e-5 more way
     seen = aovs.measure(load(world))
     np.testing.assert_allclose(seen.transmittance, 0.05 ** (seen.distance_m / 150.0), rtol=1e-5)  # float32 distances
     np.testing.assert_allclose(seen.depth_m, 50.0, rtol=1e-5)

@@ -63,7 +63,7 @@ def test_a_furnace_is_invisible_from_everywhere_on_the_lens():
     lit = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
     world = parallel(lit, [uniform_fog(visibility_m=50.0, half_size=60.0)])
     for model in ("path", "volpath"):
-        assert_mean(renders.means(world, 8, samples=64, model=model), 1.0, resolves=0.02)
+        assert_mean(renders.pictures(world, 8, samples=64, model=model), 1.0, resolves=0.02)
 
 
 @pytest.mark.parametrize("boundaries", [False, True])

@@ -16,9 +16,9 @@ MODELS = ["path", "volpath"]
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
 
 
-def means(world_scene, *, samples=64, seeds=16, model="auto"):
-    """One pooled mean per seed."""
-    return renders.means(world_scene, seeds, samples=samples, model=model)
+def pictures(world_scene, *, samples=64, seeds=16, model="auto"):
+    """One picture per seed."""
+    return renders.pictures(world_scene, seeds, samples=samples, model=model)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -27,14 +27,14 @@ def test_a_wall_in_absorbing_fog_dims_by_beer_and_lambert(visibility_m, resolves
     """With nothing scattered, a wall of radiance 1 at 50 m reaches the camera as exp(-2.996 / MOR * 50)."""
     fog = uniform_fog(visibility_m=visibility_m, albedo=0.0)
     world = scene({"shape_wall": wall(50.0, **black(1.0))}, [fog], fov_x_deg=1.0)
-    assert_mean(means(world, samples=2048, model=model), 0.05 ** (50.0 / visibility_m), resolves=resolves, truth_within=8e-5)  # rays off the axis
+    assert_mean(pictures(world, samples=2048, model=model), 0.05 ** (50.0 / visibility_m), resolves=resolves, truth_within=8e-5)  # rays off the axis
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_scattering_fog_in_a_uniform_sky_is_invisible(model):
     """White furnace: albedo 1, radiance 1 from everywhere, MOR 50: every pixel is 1."""
     world = scene(SKY, [uniform_fog(visibility_m=50.0, half_size=60.0)], fov_x_deg=60.0)
-    assert_mean(means(world, model=model), 1.0, resolves=0.01)
+    assert_mean(pictures(world, model=model), 1.0, resolves=0.01)
 
 
 def lamps_in_fog(g, boundary):
@@ -72,7 +72,7 @@ def lamps_in_fog(g, boundary):
 
 def assert_models_agree(world, *, samples, resolves):
     """`path` and `volpath` have the same mean within five standard errors, and could be seen to differ by `resolves`."""
-    ours, theirs = (means(world, samples=samples, seeds=12, model=model) for model in MODELS)
+    ours, theirs = (renders.means(world, 12, samples=samples, model=model) for model in MODELS)
     error = np.hypot(ours.std(ddof=1), theirs.std(ddof=1)) / np.sqrt(12)
     assert 2 * 5 * error < resolves * ours.mean(), f"cannot see {resolves:.0%}"
     assert abs(ours.mean() - theirs.mean()) < 5 * error
@@ -188,7 +188,7 @@ def test_a_bank_inside_fog_dims_with_both():
     outer = FogVolume("/Outer", box(200.0), FogMedium(0.03, albedo=0.0))
     bank = FogVolume("/Bank", box((50, 2.5, 50), (0, 10, 0)), FogMedium(0.3, albedo=0.0), priority=1, parent=0)
     world = scene({"shape_wall": wall(20.0, **black(1.0))}, [outer, bank], fov_x_deg=1.0)
-    assert_mean(means(world, samples=1024), np.exp(-(0.03 * 15 + 0.3 * 5)), resolves=0.03)
+    assert_mean(pictures(world, samples=1024), np.exp(-(0.03 * 15 + 0.3 * 5)), resolves=0.03)
 
 
 @pytest.mark.parametrize("model", [*MODELS, "path+slab"])
