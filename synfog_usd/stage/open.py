@@ -244,7 +244,7 @@ def composition_notes(stage: Usd.Stage) -> list[Note]:
     for line in session.customLayerData.get(_LEFT_OUT, []) if session else []:
         path, _, text = line.partition("\n")
         notes.append(Note("warning", path, f"{text}; it is left out"))
-    return sorted(notes, key=lambda note: MISSING not in note.text)
+    return sorted(notes, key=lambda note: (MISSING not in note.text, note.path, note.text))  # USD composes in parallel, and tells in any order
 
 
 def authored_path(stage: Usd.Stage, path: str) -> str:

@@ -55,11 +55,15 @@ def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagn
     conformed_width, conformed_height = _conformed(width_mm, height_mm, width_px / height_px, str(policy), prim, notes)
     focal_m = focal * 0.1 * space.metres_per_unit
     f_number, focus_m = 0.0 if parallel else float(lens.fStop), float(lens.focusDistance) * space.metres_per_unit
+    if not 0.0 <= f_number < math.inf:
+        notes.warn(prim.GetPath(), f"fStop is {f_number:g}, which is no f-number; the lens is drawn as a pinhole")
+        f_number = 0.0
     if f_number > 0.0 and focal_m > _ABSURD_FOCAL_M:
         notes.warn(prim.GetPath(), f"a focal length of {focal_m:.2f} m makes no sense for depth of field (wrong units); the lens is drawn as a pinhole")
         f_number = 0.0
-    if f_number > 0.0 and not focus_m > 0.0:
-        notes.warn(prim.GetPath(), "fStop without focusDistance; the lens is drawn as a pinhole")
+    if f_number > 0.0 and not 0.0 < focus_m < math.inf:
+        what = "fStop without focusDistance" if focus_m == 0.0 else f"focusDistance is {lens.focusDistance:g}, which is no distance"
+        notes.warn(prim.GetPath(), f"{what}; the lens is drawn as a pinhole")
         f_number = 0.0
     scale = camera.ComputeLinearExposureScale(time)
     if scale != 1.0 and any(prim.GetAttribute(name).HasAuthoredValue() for name in _EXPOSURE):
@@ -82,7 +86,7 @@ def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagn
         height_px=height_px,
         fov_x_deg=fov,
         shift=shift,
-        near_m=max(float(lens.clippingRange.min) * space.metres_per_unit, 1e-4) if camera.GetClippingRangeAttr().HasAuthoredValue() else NEAR_M,
+        near_m=_near(camera, lens, space, notes),
         focal_length_m=focal_m,
         f_number=f_number,
         focus_m=focus_m,
@@ -90,6 +94,17 @@ def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagn
         drift_m=drift,
         turn_rad=turn,
     )
+
+
+def _near(camera: UsdGeom.Camera, lens: Gf.Camera, space: Space, notes: Diagnostics) -> float:
+    """Near plane [m]: as authored, where that is a distance."""
+    if not camera.GetClippingRangeAttr().HasAuthoredValue():
+        return NEAR_M
+    near = float(lens.clippingRange.min)
+    if not 0.0 <= near < math.inf:
+        notes.warn(camera.GetPath(), f"clippingRange begins at {near:g}, which is no distance; {NEAR_M:g} m is taken")
+        return NEAR_M
+    return max(near * space.metres_per_unit, 1e-4)
 
 
 def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics, *, path: str | None) -> Usd.TimeCode:

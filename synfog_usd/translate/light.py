@@ -191,8 +191,7 @@ def dome(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: Di
         return Dome(path, tint.astype(np.float32), turn)
     pixels = images.read(file, path) if file else None
     if pixels is None:
-        if not file:
-            notes.warn(path, f"texture {authored} is not found; the light is of one colour")
+        notes.warn(path, f"texture {authored} {'cannot be read' if file else 'is not found'}; the light is of one colour")
         return Dome(path, tint.astype(np.float32), turn)
     node = TextureNode(path, file, authored, "rgb", "auto", "repeat", (1.0,) * 4, (0.0,) * 4, (0.0,) * 4, None)
     values = linear(pixels, srgb=is_srgb(node, pixels))
@@ -380,8 +379,7 @@ def _picture(inputs: _LightInputs, path: object, notes: Diagnostics, images: Ima
     file = getattr(asset, "resolvedPath", "") or ""
     pixels = images.read(file, str(path)) if file else None
     if pixels is None:
-        if not file:
-            notes.warn(path, f"texture {authored} is not found; the light is of one colour")
+        notes.warn(path, f"texture {authored} {'cannot be read' if file else 'is not found'}; the light is of one colour")
         return None
     node = TextureNode(str(path), file, authored, "rgb", "auto", "clamp", (1.0,) * 4, (0.0,) * 4, (0.0,) * 4, None)
     values = linear(pixels, srgb=is_srgb(node, pixels)).astype(np.float64)

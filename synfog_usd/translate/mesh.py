@@ -160,7 +160,7 @@ def read_mesh(
         if scheme != UsdGeom.Tokens.bilinear:
             unused = "; normals of its own are not used, as UsdGeom says of what is divided" if attributes.pop("normals", None) is not None else ""
             notes.info(prim.GetPath(), f"subdivision surface ({scheme}) is divided {level} times and lies on its limit{unused}")
-        fine = _subdivided(UsdGeom.Mesh(prim), str(scheme), time, points, counts, indices, keep, attributes, level, left_handed=left_handed)
+        fine = _subdivided(UsdGeom.Mesh(prim), str(scheme), time, points, counts, indices, keep, attributes, level, notes, left_handed=left_handed)
         if not len(fine.triangles):
             notes.warn(prim.GetPath(), "subdivision surface of which no face is drawn (interpolateBoundary 'none', or holes) is left out")
         return fine if len(fine.triangles) else None
@@ -223,6 +223,7 @@ def _subdivided(
     keep: npt.NDArray[np.bool_] | None,
     attributes: dict[str, Attribute],
     level: int,
+    notes: Diagnostics,
     *,
     left_handed: bool,
 ) -> Polygons:
@@ -230,7 +231,7 @@ def _subdivided(
     divide, size = _DIVIDED[scheme]
     whole = counts >= 3
     corners = np.flatnonzero(np.repeat(whole, counts))
-    cage = Cage(counts[whole], indices[corners], **_sharp(mesh, time, len(points)))
+    cage = Cage(counts[whole], indices[corners], **_sharp(mesh, time, len(points), notes))
     rule = mesh.GetInterpolateBoundaryAttr().Get()
     cage = replace(cage, sharp_ends=rule == UsdGeom.Tokens.edgeAndCorner)
     drawn = np.ones(int(whole.sum()), dtype=bool) if keep is None else keep[whole]
@@ -284,8 +285,8 @@ def _unbent(cage: Cage) -> Cage:
     )
 
 
-def _sharp(mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int) -> dict[str, Any]:
-    """Creases and corners of a mesh, as `Cage` names them; what does not fit is left out."""
+def _sharp(mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int, notes: Diagnostics) -> dict[str, Any]:
+    """Creases and corners of a mesh, as `Cage` names them; what does not fit is left out, with a note."""
 
     def array(attribute: Usd.Attribute, kind: Any) -> Any:
         return np.asarray([] if (value := value_at(attribute, time)) is None else value, dtype=kind)
@@ -293,6 +294,8 @@ def _sharp(mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int) -> dict[str
     corners, at_corner = array(mesh.GetCornerIndicesAttr(), np.int64), array(mesh.GetCornerSharpnessesAttr(), np.float64)
     count = min(len(corners), len(at_corner))
     fits = (corners[:count] >= 0) & (corners[:count] < point_count)
+    if not fits.all() or len(corners) != len(at_corner):
+        notes.warn(mesh.GetPath(), f"{len(corners) - int(fits.sum())} of its {len(corners)} sharp corners name no point or have no sharpness")
     found: dict[str, Any] = {"corners": corners[:count][fits], "corner_sharpness": at_corner[:count][fits]}
     chain, lengths, given = (
         array(mesh.GetCreaseIndicesAttr(), np.int64),
@@ -301,10 +304,14 @@ def _sharp(mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int) -> dict[str
     )
     edges = int((lengths - 1).sum()) if len(lengths) else 0
     if not len(chain) or (lengths < 2).any() or lengths.sum() != len(chain) or len(given) not in (len(lengths), edges):
+        if len(chain):
+            notes.warn(mesh.GetPath(), "its creases' indices, lengths and sharpnesses do not fit each other; no crease is drawn")
         return found
     last = np.cumsum(lengths) - 1
     begin = np.delete(np.arange(len(chain)), last)
     pairs = np.stack([chain[begin], chain[begin + 1]], axis=1)
     sharpness = given if len(given) == edges and len(given) != len(lengths) else np.repeat(given, lengths - 1)
     fits = (pairs >= 0).all(axis=1) & (pairs < point_count).all(axis=1)
+    if not fits.all():
+        notes.warn(mesh.GetPath(), f"{int((~fits).sum())} edges of its creases name points outside of its {point_count}; they are left out")
     return found | {"creases": pairs[fits], "crease_sharpness": np.maximum(sharpness[fits], 0.0)}

@@ -54,10 +54,18 @@ def read_shaping(inputs: Any, path: object, notes: Diagnostics) -> Shaping | Non
     """
     if not inputs.prim.HasAPI(UsdLux.ShapingAPI) and all(inputs.get(f"shaping:{name}", None) is None for name in ("cone:angle", "ies:file", "focus")):
         return None
-    cutoff = float(inputs.get("shaping:cone:angle", 90.0))
-    softness = min(max(float(inputs.get("shaping:cone:softness", 0.0)), 0.0), 0.999)
+
+    def number(name: str, default: float) -> float:
+        value = float(inputs.get(f"shaping:{name}", default))
+        if not math.isfinite(value):
+            notes.warn(path, f"shaping:{name} is {value:g}, which is no number; {default:g} is taken")
+            return default
+        return value
+
+    cutoff = number("cone:angle", 90.0)
+    softness = min(max(number("cone:softness", 0.0), 0.0), 0.999)
     cone = None if not cutoff < 180.0 else (max(cutoff, 0.1), max(cutoff, 0.1) * (1.0 - softness))
-    focus = float(inputs.get("shaping:focus", 0.0))
+    focus = number("focus", 0.0)
     tint = inputs.get("shaping:focusTint", (0.0, 0.0, 0.0))
     profile, asset = None, inputs.get("shaping:ies:file", None)
     if authored := getattr(asset, "path", ""):
@@ -72,11 +80,11 @@ def read_shaping(inputs: Any, path: object, notes: Diagnostics) -> Shaping | Non
     return Shaping(
         cone=cone,
         softness=softness,
-        focus=focus if focus > 0.0 and math.isfinite(focus) else 0.0,
+        focus=max(focus, 0.0),
         tint=(float(tint[0]), float(tint[1]), float(tint[2])),
         profile=profile,
         scale=scale,
-        angle_scale=float(inputs.get("shaping:ies:angleScale", 0.0)),
+        angle_scale=number("ies:angleScale", 0.0),
     )
 
 
