@@ -204,16 +204,24 @@ class Materials:
         pixels = self.images.of(node)
         if pixels is None or pixels.shape[2] < 3:
             return bsdf
-        usual = np.allclose(node.scale[:3], 2.0) and np.allclose(node.bias[:3], -1.0)
-        untouched = np.allclose(node.scale[:3], 1.0) and np.allclose(node.bias[:3], 0.0)
-        if not (usual or untouched):
-            self.notes.warn(path, "normal map with an unusual scale and bias is left out; (2, 2, 2) and (-1, -1, -1) are known")
+        scale, bias = np.asarray(node.scale[:3], dtype=np.float64), np.asarray(node.bias[:3], dtype=np.float64)
+        untouched = np.allclose(np.abs(scale), 1.0) and np.allclose(bias, (scale < 0.0) * 1.0)
+        if untouched:  # codes of 0 to 1, some turned about
+            scale, bias = 2.0 * scale, -scale
+        if not np.allclose(bias, -0.5 * scale) or not np.isclose(scale[2], 2.0) or not np.all(np.abs(scale) > 0.0):
+            self.notes.warn(
+                path, "normal map with an unusual scale and bias is left out; (2, 2, 2) and (-1, -1, -1) are known, red and green also turned or weaker"
+            )
             return bsdf
         along_u, along_v = ("clamp" if mode == "black" else mode for mode in self.images.wraps(node))  # no normal is black
         node = replace(node, wrap=along_u, wrap_v=along_v)
         values = linear(pixels[..., :3], srgb=False)
         if untouched and pixels.dtype != np.uint8:
             values = values * 0.5 + 0.5
+        if not np.allclose(scale, 2.0):  # green turned is DirectX's handedness; two thirds of the slope, a weaker map
+            normals = values * scale.astype(np.float32) + bias.astype(np.float32)
+            normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
+            values = np.asarray(normals * 0.5 + 0.5, dtype=np.float32)
         return {"type": "normalmap", "normalmap": inputs.bitmap(values, node, raw=True), "bsdf": bsdf}
 
 

@@ -288,3 +288,22 @@ def test_equal_materials_are_one(empty, polygon_mesh):
         material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", TYPES.Token))
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     assert sum(key.startswith("mat_") for key in translate(stage).world) == 1
+
+
+@pytest.mark.parametrize("scale, bias, slope", [
+    ((2, 2, 2), (-1, -1, -1), (1, 1)), ((2, -2, 2), (-1, 1, -1), (1, -1)), ((1, -1, 1), (0, 1, 0), (1, -1)), ((-2, 2, 2), (1, -1, -1), (-1, 1)),
+    ((1, 1, 2), (-0.5, -0.5, -1), (0.5, 0.5)), ((2, -2, 2), (-1, -1, -1), None), ((2, 2, -2), (-1, -1, 1), None), ((3, 1, 2), (0, 0, 0), None),
+])  # fmt: skip
+def test_normal_maps_are_drawn_as_their_scale_and_bias_turn_them(quad, tmp_path, scale, bias, slope):
+    """Green turned is DirectX's handedness; half the scale, half the slope; what puts a flat map askew or inside out is left out with a note."""
+    stage, surface = quad
+    codes = np.array([[(128, 128, 255), (180, 90, 220), (60, 200, 230)]], dtype=np.uint8)
+    write(tmp_path / "bumps.png", codes)
+    textured(stage, surface, "normal", tmp_path / "bumps.png", scale=(*scale, 1), bias=(*bias, 0))
+    scene, _, bsdf = drawn(stage)
+    bsdf = bsdf["bsdf"]
+    assert (bsdf["type"] == "normalmap") == (slope is not None)
+    assert any("normal map" in note.text and "left out" in note.text for note in scene.notes) == (slope is None)
+    if slope is not None:
+        own, seen = codes / 255 * 2.0 - 1.0, np.asarray(bsdf["normalmap"]["bitmap"], dtype=np.float64)[..., :3] * 2.0 - 1.0
+        np.testing.assert_allclose(seen[..., :2] / seen[..., 2:], own[..., :2] / own[..., 2:] * slope, rtol=1e-5, atol=1e-6)
