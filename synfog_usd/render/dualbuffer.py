@@ -40,6 +40,9 @@ WINDOW_PX = 8.0
 CAUTION = 3.0
 """Standard deviations of a moment by which noise is taken for larger than it was measured; 3 and 5 measured alike, without it noise comes back."""
 
+AGREED = 2.0
+"""Times the smaller of both halves' differences that a pixel may go back at most."""
+
 ERROR_BLUR_PX = 4.0
 
 USUAL_RATIO = 3.0
@@ -98,10 +101,19 @@ def _correct(noisy: Array, done: Array, weights: Array, floor: Array, scale: int
     caution = 1.0 + CAUTION / np.sqrt(pixels)
     square = _blurred(left * left, window / step)
     share = np.clip(1.0 - caution * _blurred(noise * (noise - kept), window / step) / np.maximum(square, 1e-30), 0.0, 1.0)[..., None]
+    if scale == 0:
+        share = share * _agreed((wide[0] - fine[0]) @ weights, (wide[1] - fine[1]) @ weights)[..., None]
     for half in range(2):
         gain = share * (wide[half] - fine[half]) / np.maximum(fine[half] + floor, 1e-30)
         done[half] += (done[half] + floor) * _spread(gain, step, done.shape[1:3])
     np.maximum(done, 0.0, out=done)  # noise may be below 0, light is not
+
+
+def _agreed(one: Array, other: Array) -> Array:
+    """Share of the mean of two differences that both have: 1 where they are alike, 0 where one alone has it, as a rare bright sample does."""
+    mean = 0.5 * (one + other)
+    both = np.where(one * other > 0.0, AGREED * np.minimum(np.abs(one), np.abs(other)), 0.0)
+    return np.minimum(both / np.maximum(np.abs(mean), 1e-30), 1.0)
 
 
 def error_of(noisy: Array, done: Array) -> Error:
