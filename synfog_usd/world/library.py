@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
@@ -77,7 +77,6 @@ class LibraryModel:
         variants: set -> names.
         path: the file to reference.
         about: one sentence.
-        defaults: set -> the variant that it wears unasked.
     """
 
     name: str
@@ -88,13 +87,6 @@ class LibraryModel:
     variants: Mapping[str, tuple[str, ...]]
     path: Path
     about: str = ""
-    defaults: Mapping[str, str] = field(default_factory=dict)
-
-    def choices(self, name: str) -> tuple[str, ...]:
-        """Variants of a set, the one that it wears unasked first; () where it has no such set."""
-        names = self.variants.get(name, ())
-        worn = self.defaults.get(name, "")
-        return (worn, *(other for other in names if other != worn)) if worn in names else names
 
     @property
     def length(self) -> float:
@@ -177,8 +169,7 @@ def read(path: Path) -> LibraryModel:
         raise StageError(f"{path}: no geometry below {prim.GetPath()}")
     sets = prim.GetVariantSets()
     variants = {name: tuple(sets.GetVariantSet(name).GetVariantNames()) for name in sets.GetNames()}
-    defaults = {name: sets.GetVariantSet(name).GetVariantSelection() for name in sets.GetNames()}
     label = str(names[0])
     group = "lamp" if label == "pole" and "lamps" in variants else GROUPS.get(label, "furniture")
     low, high = (tuple(float(v) for v in corner) for corner in (bound.GetMin(), bound.GetMax()))
-    return LibraryModel(prim.GetName(), label, group, low, high, MappingProxyType(variants), path, prim.GetDocumentation(), MappingProxyType(defaults))  # type: ignore[arg-type]
+    return LibraryModel(prim.GetName(), label, group, low, high, MappingProxyType(variants), path, prim.GetDocumentation())  # type: ignore[arg-type]

@@ -90,15 +90,28 @@ def in_sight(
     return None, f"{failed} {users if failed == 'users' else in_view}", best[failed]
 
 
+def flow(value: Any, attempt: int) -> tuple[float, float]:
+    """Least distance between bumpers [m] and vehicles per length of lane [1/m], denser after tries that failed."""
+    speed = value("traffic.speed_kmh") / 3.6
+    return 1.5 + speed * value("traffic.headway_s"), value("traffic.per_hour") / 3600.0 / speed * DENSER ** (attempt // TRIES_ALIKE)
+
+
+def add(p: Placement, room: rules.CollisionSet, placed: list[Placement], margin: float) -> bool:
+    """Put somebody where there is room."""
+    if not room.free(p, margin):
+        return False
+    room.add(p)
+    placed.append(p)
+    return True
+
+
 def _traffic(recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, station: float, value: Any, room: rules.CollisionSet) -> list[Placement]:
     """Vehicles in their lanes: as many as the flow at that hour (more after tries that failed), no nearer to each other than they can stop."""
-    speed = value("traffic.speed_kmh") / 3.6
-    least = 1.5 + speed * value("traffic.headway_s")
+    least, density = flow(value, attempt)
     low, high = max(station - BEHIND_M, 4.0), min(station + AHEAD_M, road.reference_line.length - 4.0)
     total = value("traffic.count")
     lanes = road.driving_lanes
     if total is None:
-        density = value("traffic.per_hour") / 3600.0 / speed * DENSER ** (attempt // TRIES_ALIKE)
         counts = [int(stream(seed, "recipe", "traffic", attempt, "number", index).poisson(density * (high - low))) for index in range(len(lanes))]
     else:
         chosen = stream(seed, "recipe", "traffic", attempt, "number").choice(range(len(lanes)), total)
@@ -126,9 +139,7 @@ def _traffic(recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, sta
                 slows = any(0.0 < (zebra - s) * lane.way < BRAKING_M for zebra in road.zebras) or rng.random() < BRAKING
                 lit = "brake" if slows and "brake" in rules.model(body).variants.get("lamps", ()) else "glow"
                 p = Placement("Vehicles", "", body, x, y, heading, looks, {"lamps": lit}, z=z, pitch=pitch)
-                if room.free(p, 0.15):
-                    room.add(p)
-                    placed.append(p)
+                add(p, room, placed, 0.15)
     for number in range(value("traffic.cyclists")):
         rng = stream(seed, "recipe", "cyclist", attempt, number)
         placed += _cyclist(road, rng, station, room)

@@ -14,7 +14,7 @@ from synfog_usd.world.language import Recipe
 from synfog_usd.world.parameters import WALKERS
 from synfog_usd.world.roads import actors as roads
 from synfog_usd.world.roads import rules
-from synfog_usd.world.roads.actors import BRAKING, BRAKING_M, COMPANY, DENSER, OWN_CAR_M, TRIES, TRIES_ALIKE
+from synfog_usd.world.roads.actors import BRAKING, BRAKING_M, COMPANY, OWN_CAR_M, TRIES
 from synfog_usd.world.roads.lane_section import KERB_M
 from synfog_usd.world.roads.props import draw_car, look
 from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, Roundabout
@@ -48,8 +48,7 @@ def in_sight(
 
 def _traffic(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, before: float, value: Any, room: rules.CollisionSet) -> list[Placement]:
     """Vehicles round the circle, waiting at its entries, and on the arms as many as the flow at that hour."""
-    speed = value("traffic.speed_kmh") / 3.6
-    least = 1.5 + speed * value("traffic.headway_s")
+    least, density = roads.flow(value, attempt)
     placed: list[Placement] = []
     placed += _ring(recipe, junction, stream(seed, "recipe", "traffic", attempt, "ring"), value("traffic.ring"), room)
     total = value("traffic.count")
@@ -57,7 +56,6 @@ def _traffic(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, befo
     for number in range(value("traffic.cyclists")):
         placed += _cyclist(junction, stream(seed, "recipe", "cyclist", attempt, number), before, room)
     chosen = stream(seed, "recipe", "traffic", attempt, "number").integers(len(lanes), size=total or 0)
-    density = value("traffic.per_hour") / 3600.0 / speed * DENSER ** (attempt // TRIES_ALIKE)
     for index, (arm, way) in enumerate(lanes):
         rng = stream(seed, "recipe", "traffic", attempt, "arm", arm, way + 1)
         road = junction.arms[arm]
@@ -82,16 +80,8 @@ def _traffic(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, befo
             sway = min(0.2, max(0.0, (junction.lane_width - rules.model(name).width) / 2 - 0.15))
             x, y, z, heading = junction.lane_pose(arm, s, way, float(np.clip(rng.normal(0, 0.08), -sway, sway)))
             slows = (way < 0 and s < road.zebras[0] + BRAKING_M) or rng.random() < BRAKING
-            _add(Placement("Vehicles", "", name, x, y, heading, paint, {"lamps": "brake" if slows else "glow"}, z=z), room, placed)
+            roads.add(Placement("Vehicles", "", name, x, y, heading, paint, {"lamps": "brake" if slows else "glow"}, z=z), room, placed, 0.15)
     return placed
-
-
-def _add(p: Placement, room: rules.CollisionSet, placed: list[Placement], margin: float = 0.15) -> bool:
-    if not room.free(p, margin):
-        return False
-    room.add(p)
-    placed.append(p)
-    return True
 
 
 def _waits(junction: Roundabout, arm: int, body: str) -> bool:
@@ -119,7 +109,7 @@ def _ring(recipe: Recipe, junction: Roundabout, rng: np.random.Generator, count:
         for aside in (0.5, 0.58, 0.64):
             x, y, z, heading = junction.ring_pose(begin + s, aside * width + float(rng.normal(0, 0.1)))
             p = Placement("Vehicles", "", name, x, y, heading, paint, {"lamps": "glow"}, z=z)
-            if fits_ring(junction, p) and _add(p, room, placed, 0.4):
+            if fits_ring(junction, p) and roads.add(p, room, placed, 0.4):
                 break
     return placed
 
@@ -142,7 +132,7 @@ def _cyclist(junction: Roundabout, rng: np.random.Generator, before: float, room
                     continue
             x, y, z, heading = junction.lane_pose(arm, s, way, junction.lane_width / 2 - 0.65)
         p = Placement("Vehicles", "", "cyclist", x, y, heading, looks, z=z)
-        if _add(p, room, placed, 0.4):
+        if roads.add(p, room, placed, 0.4):
             break
     return placed
 
