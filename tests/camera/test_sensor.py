@@ -346,3 +346,11 @@ def test_dark_current_that_nothing_clamped_is_part_of_black():
     one, two = (float(isp.black_level(digital(image), coring=0).pixels.mean()) for image in (lit, clamped))
     assert one == pytest.approx((107 - 6.82) / (959 - 6.82), rel=1e-5)  # white stays 1
     assert two == pytest.approx(100 / 959, rel=1e-5)
+
+
+def test_bands_that_no_sensor_sees_are_refused():
+    """They were darkness before; 380 to 780 nm is what is simulated."""
+    names = ("S0.850,000000nm", "S0.940,000000nm")
+    light = Image(np.ones((2, 2, 2), np.float32), names, Quantity.IRRADIANCE)
+    with pytest.raises(ImageError, match=r"S0\.850,000000nm, S0\.940,000000nm outside 380 to 780 nm, where no sensor is simulated"):
+        sensor.expose(light, exposure_s=0.01, pixel_pitch_um=1.4, fill_factor=1.0, sensor=SENSOR)
