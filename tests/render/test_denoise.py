@@ -5,6 +5,8 @@ The images are made once a module, in `path`.  Measured values stand beside each
 
 import importlib.util
 import itertools
+import os
+import subprocess
 import sys
 
 import numpy as np
@@ -233,6 +235,20 @@ def test_the_same_input_gives_the_same_bytes():
     first = [layer.tobytes() for layer in denoise.denoise(layers, found).values()]
     denoise.denoise_plain(made_up((16, 16), seed=1)[0]["surface"])
     assert [layer.tobytes() for layer in denoise.denoise(layers, found).values()] == first
+
+
+@needs_oidn
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="asks for one processor as Linux does")
+def test_the_number_of_threads_changes_no_byte():
+    """A process that may use one processor, and one that may use all: the same hash."""
+    code = (
+        "import hashlib, os, sys; os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: int(sys.argv[1])]);"
+        "import numpy as np; from synfog_usd.render import denoise;"
+        "noise = np.random.default_rng(0).exponential(1.0, (90, 160, 3));"
+        "print(hashlib.sha256(denoise.denoise_plain(noise).tobytes()).hexdigest())"
+    )
+    one, all_of_them = (subprocess.run([sys.executable, "-c", code, count], capture_output=True, text=True, check=True).stdout for count in ("1", "999"))
+    assert one == all_of_them
 
 
 def test_guides_tell_what_stands_there(seen):
