@@ -186,7 +186,7 @@ def render(
     del luminance, error
     mean, variance = accumulated.mean().reshape(shape).astype(np.float32), accumulated.variance().reshape(shape).astype(np.float32)
     for estimator in accumulated.estimators.values():  # a large frame in many bands fills memory: each sum is let go once it is read
-        estimator.squares = np.zeros((0, 0))
+        estimator.squares, estimator.lane_squares = np.zeros((0, 0)), None
     if accumulated.lost:
         warnings.append(f"{accumulated.lost} of {accumulated.samples} samples were not finite and count as black")
     spent = accumulated.samples_per_pixel

@@ -109,7 +109,7 @@ def test_bands_change_nothing_where_all_is_grey(model):
     np.testing.assert_allclose(banded.radiance.pixels / white, np.repeat(plain.radiance.pixels[..., :1], 16, axis=2), rtol=2e-3)
     for part, pixels in plain.components.items():
         np.testing.assert_allclose(banded.components[part].mean(axis=(0, 1)) / white, pixels.mean(), rtol=2e-3, atol=1e-6)
-    assert banded.relative_error == pytest.approx(plain.relative_error, rel=0.02)
+    assert banded.relative_error == pytest.approx(plain.relative_error, rel=0.1)  # of 3e-4 in `slab`: float32, in which bands are summed, leaves no more
 
 
 def test_the_planner_takes_bands_where_r_g_and_b_would_be_wrong():

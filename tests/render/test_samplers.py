@@ -172,9 +172,8 @@ def test_resampling_keeps_a_lamp_in_proportion_to_what_it_sends(mi):
     }
     here, normal = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.6, 0.8])
     lane = dr.zeros(mi.Float, COUNT)
-    found = LightSampler(bulbs, {}).at(
-        mi.Point3f(lane + here[0], lane + here[1], lane + here[2]), mi.Normal3f(normal.tolist()), Draws(11), dr.full(mi.Bool, True, COUNT)
-    )
+    place, facing = mi.Point3f(lane + here[0], lane + here[1], lane + here[2]), mi.Normal3f(normal.tolist())
+    found = LightSampler(bulbs, {}).at(place, lambda way: dr.abs(dr.dot(facing, way)) + 1e-3, Draws(11), dr.full(mi.Bool, True, COUNT))
     between = places - here
     sent = intensity / (between**2).sum(axis=1)
     target = sent * (np.abs(between @ normal) / np.linalg.norm(between, axis=1) + 1e-3)

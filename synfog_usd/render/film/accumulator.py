@@ -23,9 +23,10 @@ from synfog_usd.arrays import Array, FloatArray, Indices
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
+from synfog_usd.render.sampling.sobol import RUN
 from synfog_usd.seeds import seed32
 
-CHUNK = 16
+CHUNK = RUN
 """Paths that one lane traces one after the other, and that are summed in float32."""
 
 CHUNKED_LANES = 1 << 18
@@ -35,6 +36,9 @@ HALVES = 2
 
 HALF_STRIDE = 1 << 30
 """Paths of the second half are numbered from here on: never reached by those of the first."""
+
+FREEDOM = 4.0
+"""Lanes that the scatter of a pixel's samples is worth, once it is scaled; four lanes alone would tell a median error 11 % too small (chi-squared of 3)."""
 
 ALL = "all"
 """The one estimator and AOV of an integrator that tells none apart."""
@@ -112,12 +116,16 @@ class Estimator:
         squares: (P, C) sum of their squares.
         groups: G sums (P, C) by light group.
         counts: (H, P) samples of each half of each pixel.
+        lane_squares: (P, C) sum over lanes of the square of their sum, over their samples; None where samples are independent one by one.
+        lanes: (P,) of each pixel.
     """
 
     aovs: dict[str, Array]
     squares: Array
     groups: list[Array]
     counts: Indices
+    lane_squares: Array | None = None
+    lanes: Indices | None = None
 
     def number(self) -> Array:
         """(P, 1) samples, 1 at least, as the type of `squares`."""
@@ -132,12 +140,23 @@ class Estimator:
         return sum(self.total(name) for name in self.aovs) / self.number()
 
     def variance(self) -> Array:
-        """(P, C) variance of the mean; infinite with fewer than two samples."""
-        number = self.number()
+        """(P, C) variance of the mean; infinite with fewer than two samples.
+
+        Samples of a lane keep apart from each other (`sampling.sobol`), so their scatter is too large; lanes are independent, and few.  So a
+        pixel's variance is the mean of both, the samples' scaled to what lanes have in the whole picture, weighted by degrees of freedom
+        (as in Smyth 2004).
+        """
+        number, square = self.number(), self.mean() ** 2
         spread = self.squares / number
-        spread -= self.mean() ** 2
+        spread -= square
         np.maximum(spread, 0.0, out=spread)
         spread /= np.maximum(number - 1.0, 1.0)
+        if self.lane_squares is not None and self.lanes is not None:
+            freedom = np.maximum(self.lanes - 1, 0)[:, None].astype(spread.dtype)
+            of_lanes = np.maximum(self.lane_squares / number - square, 0.0) / np.maximum(freedom, 1.0)
+            told = self.lanes > 1
+            spread *= of_lanes[told].sum() / max(float(spread[told].sum()), 1e-30) if told.any() else 1.0
+            spread = (freedom * of_lanes + FREEDOM * spread) / (freedom + FREEDOM)
         spread[self.counts.sum(axis=0) < 2] = np.inf
         return spread
 
@@ -295,7 +314,8 @@ def new_accumulator(integrator: Traces, pixels: int) -> Accumulator:
     def empty(estimator: str) -> Estimator:
         aovs = {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]}
         counts = np.zeros((HALVES, pixels), dtype=np.int64)
-        return Estimator(aovs, np.zeros(shape, dtype=kind), [np.zeros(shape, dtype=kind) for _ in range(groups)], counts)
+        squares, lane_squares = np.zeros(shape, dtype=kind), np.zeros(shape, dtype=kind)
+        return Estimator(aovs, squares, [np.zeros(shape, dtype=kind) for _ in range(groups)], counts, lane_squares, np.zeros(pixels, dtype=np.int64))
 
     return Accumulator({estimator: empty(estimator) for estimator in integrator.estimators}, weights=bands.weights, radiance_cache=integrator.radiance_cache())
 
@@ -344,6 +364,7 @@ def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progr
     rays = math.isqrt(int(np.median(accumulated.estimators[SURFACE].counts.sum(axis=0)))) if SURFACE in accumulated.estimators else 1
     aovs, groups, noise = cache.airlight(rays, seed32(seed, "rays"))
     number = HALVES * max(cache.count // HALVES, 1)
+    estimator.lane_squares = estimator.lanes = None
     estimator.squares = (noise * (number - 1) + sum(aovs) ** 2) * number
     halved = [np.broadcast_to((aov * (number / HALVES)).astype(np.float32), (HALVES, *aov.shape)) for aov in aovs]  # what is smooth counts as known
     estimator.aovs = dict(zip(estimator.aovs, halved, strict=True))
@@ -367,6 +388,10 @@ def _add(accumulated: Accumulator, integrator: Traces, name: str, pixels: Indice
     for target, colour in zip((estimator.squares, *estimator.groups), (moments.squares, *moments.groups), strict=True):
         for lane in lanes(colour, target.dtype):
             target[pixels] += lane
+    if estimator.lane_squares is not None and estimator.lanes is not None:
+        for lane in sum(lanes(aov, estimator.lane_squares.dtype) for aov in moments.aovs):
+            estimator.lane_squares[pixels] += lane**2 / count
+        estimator.lanes[pixels] += len(halves)
     for half in halves:
         estimator.counts[half, pixels] += count
     accumulated.lost += int(np.array(moments.lost).sum())

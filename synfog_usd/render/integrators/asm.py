@@ -100,7 +100,10 @@ class Asm:
             count = estimator.counts[:, :, None]
             added = glow if index == 0 else 0.0  # to every sample of the first part
             whole = t * sum(estimator.total(name) for name in estimator.aovs)
-            estimator.squares = t * t * estimator.squares + 2.0 * added * whole + count.sum(axis=0) * added**2
+            more = 2.0 * added * whole + count.sum(axis=0) * added**2
+            estimator.squares = t * t * estimator.squares + more
+            if estimator.lane_squares is not None:
+                estimator.lane_squares = t * t * estimator.lane_squares + more
             estimator.groups = [t * group for group in estimator.groups]
             estimator.aovs = {name: t * aov for name, aov in estimator.aovs.items()}
             if index == 0:

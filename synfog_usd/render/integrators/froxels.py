@@ -28,7 +28,7 @@ from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import AOVS, INSCATTERED
 from synfog_usd.render.integrators.path import FogPath, FroxelGrid
 from synfog_usd.render.media.medium import transmittance
-from synfog_usd.render.sampling.rng import Random
+from synfog_usd.render.sampling.sobol import Sobol
 
 COLUMN_DEG = 1.5
 COLUMNS_PARALLEL = 40
@@ -177,7 +177,7 @@ class RadianceCache:
         sums = [mi.Float(0.0) for _ in range((names + 1) * count)]
         begun = mi.UInt32(0)
         while begun < along * along:
-            sampler = Random(image_seed, pixel, begun)
+            sampler = Sobol(image_seed, pixel, begun)
             square = mi.Point2f(mi.Float(begun % along), mi.Float(begun // along))
             place = (corner + (square + mi.Point2f(sampler.next_2d())) / mi.Float(along)) / field.raster.size
             ray, _weight = field.ray_through(place, sampler, mi.Bool(True))

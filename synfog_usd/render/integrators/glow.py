@@ -41,7 +41,7 @@ from synfog_usd.render.lights.rows import is_sampled_light, lamp_rows
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import LIGHTS, MitsubaScene
 from synfog_usd.render.media.medium import Medium
-from synfog_usd.render.sampling.rng import Random
+from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.scene import SceneDict
 from synfog_usd.seeds import seed32
 
@@ -171,7 +171,7 @@ class Glow:
         surface, single, multiple, squares = mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0)
         begun = mi.UInt32(0)
         while begun < wanted:
-            sampler = Random(image_seed, pixel, begun)
+            sampler = Sobol(image_seed, pixel, begun)
             ray, weight = path.camera_ray(sampler, corner, mi.Bool(True))
             si = self.loaded.scene.ray_intersect(ray)
             near, far = path.medium.intersect(ray.o, ray.d)

@@ -34,12 +34,13 @@ from synfog_usd.render.film.accumulator import AOVS, INSCATTERED, LAMPS, SURFACE
 from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.lights.grid import TILES, LightGrid
 from synfog_usd.render.lights.guiding import GUIDE_PROBABILITY, LightGuide
+from synfog_usd.render.lights.importance import PICKS, Gloss, Importance, LitFaces
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.control_variate import ControlVariate
 from synfog_usd.render.media.medium import Medium, transmittance
 from synfog_usd.render.motion import moved
-from synfog_usd.render.sampling.rng import Random
+from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.render.spectra.bands import Bands
 
 RR_DEPTH = 8
@@ -49,10 +50,17 @@ RR_DEPTH = 8
 FAINT = 0.5
 """Share of its throughput after the first vertex below which a path is played for at once: what is seen of a dark surface is as noisy as of a bright one."""
 
+GROWN, GUIDE_PROBABILITY_GROWN = 1.5, 0.15
+"""Growth of the throughput from the first vertex on beyond which a path is guided no more often than that: what guiding misses weighs up to
+twice as much at every scattering."""
+
 DIFFERENCE_SURVIVES = 0.8
 """Chance of a path to live on after each scattering but the first, where only a difference is sampled."""
 
 UNLIMITED = 1 << 20
+
+MOST_WEIGHED = 160
+"""Lamps that are all weighed for each stretch and point; of more, those are asked that matter in the place's cell."""
 
 LENS_M = 1e-3
 """Near plane [m] up to which a ray is begun at the lens itself."""
@@ -131,10 +139,12 @@ class FogPath:
         self.use_nee = others > 0 or (sky and control is None)
         self.group_names, self.groups, self.group_of_emitter = groups, len(groups), group_of_emitter
         self.sky_group = groups.index("sky") if "sky" in groups else 0
+        self.importance = Importance(lights, medium) if lights.count and lights.many and lights.count <= MOST_WEIGHED else None
+        self.lit_faces = LitFaces.of(loaded, lights) if self.importance is not None else None
         self.light_grid, self.view_lights = None, None
         if lights.count and lights.many and lights.photometric:
             sigma_t = medium.volumes[0].medium.sigma_t_per_m if medium.foggy else 0.0
-            self.light_grid = LightGrid(lights, sigma_t, loaded.source.camera.to_world[:3, 3].copy())
+            self.light_grid = LightGrid(lights, sigma_t, loaded.source.camera.to_world[:3, 3].copy(), near=self.importance is None)
             self.view_lights = self.light_grid.seen(self, medium) if medium.foggy else None
         self.guide = LightGuide(lights, medium, loaded.source.camera.to_world[:3, 3])
         self.rr_prob = dr.opaque(backend.mitsuba().Float, _rr_prob(medium))
@@ -195,7 +205,7 @@ class FogPath:
         known = None if self.view_lights is None else (self.view_lights, self.tile(pixel))
         begun = mi.UInt32(0)
         while begun < wanted:
-            sampler = Random(image_seed, pixel, first + begun)
+            sampler = Sobol(image_seed, pixel, first + begun)
             ray, weight = self.camera_ray(sampler, corner, mi.Bool(True))
             si = self.loaded.scene.ray_intersect_preliminary(ray, False)
             near, far = self.medium.intersect(ray.o, ray.d)
@@ -209,8 +219,17 @@ class FogPath:
             begun += 1
         return Moments((single,), squares, tuple(sums), lost)
 
+    def known_along(self, ray: Any, near: Any, stop: Any, sampler: Any, active: Any) -> Any:
+        """Which lamps to ask about a segment, where there are too many to ask them all."""
+        if self.importance is not None:
+            return self.importance.draw(lambda index: self.importance.along(index, ray.o, ray.d, near, stop), sampler, active)
+        if self.light_grid is None:
+            return None
+        tau = dr.minimum(-dr.log(1.0 - sampler.next_1d(active)), 3.0)
+        return self.known_near(ray(self.medium.sample_distance(ray.o, ray.d, tau, near, stop)))
+
     def known_near(self, place: Any) -> Any:
-        """Chances of the lamps at points, where there are too many to ask them all."""
+        """Chances of the lamps at points, from their cells."""
         return None if self.light_grid is None else (self.light_grid.near, self.light_grid.cell(place))
 
     def tile(self, pixel: Any) -> Any:
@@ -249,7 +268,7 @@ class FogPath:
         begun = mi.UInt32(0)  # paths that have ended
 
         # ---- State of the path that is under way
-        sampler = Random(image_seed, pixel, first)  # its random numbers
+        sampler = Sobol(image_seed, pixel, first)  # its random numbers
         ray, view_weight = self.camera_ray(sampler, corner, mi.Bool(True), size)  # the segment that comes next
         throughput = bands.even(view_weight)  # beta: what its light counts
         scale = mi.Float(1.0)  # throughput after the first vertex, until then that which the camera segment left; roulette measures against it
@@ -259,6 +278,7 @@ class FogPath:
         prev_p, prev_pdf = mi.Point3f(ray.o), mi.Float(1.0)  # the last vertex, and the density [1/sr] with which it chose its direction
         prev_delta = mi.Bool(True)  # it could choose no other: the eye, a mirror
         prev_without_nee = mi.Bool(False)  # it sent no shadow ray
+        prev_gloss, prev_weighed = Gloss(), mi.Float(0.0)  # how it answers lamps, and the sum of all their weights there; 0 where none was drawn
         active = mi.Bool(True)  # this lane still has paths
 
         while active:
@@ -311,10 +331,7 @@ class FogPath:
                 lit = active & ~at_eye & (stop > near)
                 if dr.hint(self.limited, mode="scalar"):
                     lit &= scattered < self.method.scatterings
-                asked = None
-                if dr.hint(self.light_grid is not None, mode="scalar"):
-                    asked = self.known_near(ray(medium.sample_distance(ray.o, ray.d, dr.minimum(-dr.log(1.0 - sampler.next_1d(lit)), 3.0), near, stop)))
-                light, group = self.nee_along(ray, near, stop, throughput, sampler, lit, asked)
+                light, group = self.nee_along(ray, near, stop, throughput, sampler, lit, self.known_along(ray, near, stop, sampler, lit))
                 path, aovs, sums = self.add_light(path, aovs, sums, light, scattered + 1, group)
 
             # ==== 6. What the clearest band, in which flights are drawn, keeps and the others lose
@@ -327,7 +344,7 @@ class FogPath:
                 ended &= ~at_eye
 
             # ==== 7. Emission at the segment's end, weighed against the shadow ray of the vertex before
-            light, group = self.emitted(si, ended, surface_hit, throughput, prev_p, prev_pdf, prev_delta, prev_without_nee)
+            light, group = self.emitted(si, ended, surface_hit, throughput, prev_p, prev_pdf, prev_delta, prev_without_nee, prev_gloss, prev_weighed)
             path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
 
             # ==== 8. The vertex: in the fog or on a surface
@@ -362,7 +379,7 @@ class FogPath:
 
             # ==== 10. Next-event estimation at a surface: one lamp of the light sampler
             if dr.hint(self.lights.count > 0, mode="scalar"):
-                light, group = self.nee_surface(si, bsdf, reading, throughput, sampler, smooth)
+                light, group, gloss, weighed = self.nee_surface(si, bsdf, reading, throughput, sampler, smooth)
                 path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
 
             # ==== 11. The next direction: from the BSDF, or from the phase function and light guiding
@@ -373,9 +390,11 @@ class FogPath:
                 light = self.control_reflected(si, bsdf, reading, bounce, vertex.p, direction, throughput, onward, surface_hit, smooth, next_delta)
                 path, aovs, sums = self.add_light(path, aovs, sums, light, mi.UInt32(2), mi.UInt32(0))
             throughput = onward
+            if dr.hint(self.lit_faces is not None, mode="scalar"):
+                prev_gloss, prev_weighed = gloss, dr.select(smooth, weighed, 0.0)
             prev_p, prev_pdf, prev_delta, prev_without_nee = mi.Point3f(vertex.p), mi.Float(next_pdf), mi.Bool(next_delta), mi.Bool(False)
             if dr.hint(self.foggy, mode="scalar"):
-                wo, phase_pdf, throughput = self.sample_phase(ray.d, vertex.p, throughput, sampler, medium_scattered)
+                wo, phase_pdf, throughput = self.sample_phase(ray.d, vertex.p, throughput, scale, sampler, medium_scattered)
                 direction, prev_pdf = dr.select(medium_scattered, wo, direction), dr.select(medium_scattered, phase_pdf, prev_pdf)
                 prev_without_nee = medium_scattered & mi.Bool(not self.use_nee_medium)
             ray = vertex.spawn_ray(direction)
@@ -395,9 +414,7 @@ class FogPath:
             lost += dr.select(over & ~finite, mi.UInt32(1), mi.UInt32(0))
             begun += dr.select(over, mi.UInt32(1), mi.UInt32(0))
             again = over & (begun < wanted)
-            fresh = Random(image_seed, pixel, first + begun)
-            sampler.state.state = dr.select(again, fresh.state.state, sampler.state.state)
-            sampler.state.inc = dr.select(again, fresh.state.inc, sampler.state.inc)
+            sampler = sampler.restarted(again, Sobol(image_seed, pixel, first + begun))
             view, view_weight = self.camera_ray(sampler, corner, again, size)
             ray = dr.select(again, view, ray)
             throughput, scale = dr.select(again, bands.even(view_weight), throughput), dr.select(again, 1.0, scale)
@@ -474,7 +491,17 @@ class FogPath:
         return light, group
 
     def emitted(
-        self, si: Any, ended: Any, surface_hit: Any, throughput: Any, prev_p: Any, prev_pdf: Any, prev_delta: Any, prev_without_nee: Any
+        self,
+        si: Any,
+        ended: Any,
+        surface_hit: Any,
+        throughput: Any,
+        prev_p: Any,
+        prev_pdf: Any,
+        prev_delta: Any,
+        prev_without_nee: Any,
+        prev_gloss: Any,
+        prev_weighed: Any,
     ) -> tuple[Any, Any]:
         """(7) What the end of a segment sends out itself, by the power heuristic, and its group."""
         mi, scene = backend.mitsuba(), self.loaded.scene
@@ -486,8 +513,13 @@ class FogPath:
         weight = dr.select(prev_without_nee & (light_pdf > 0.0), 1.0, dr.select(light_pdf > 0.0, mis_weight(prev_pdf, light_pdf), 0.0))
         if self.control is not None:  # no shadow ray looks for the sky
             weight = dr.select(surface_hit, weight, 1.0)
-        weight = dr.select(prev_delta, 1.0, weight)  # a lamp's face counts here only for the eye and for mirrors
         emitter = si.emitter(scene, ended)
+        if self.lit_faces is not None:
+            area_pdf, lamp = self.lit_faces.of_emitter(emitter, ended & surface_hit & ~prev_delta & (prev_weighed > 0.0))
+            chance = PICKS * self.importance.at(lamp, prev_p, prev_gloss) / dr.maximum(prev_weighed, 1e-30)
+            lamp_pdf = chance * area_pdf * dr.squared_norm(si.p - prev_p) / dr.maximum(dr.abs(dr.dot(si.n, si.to_world(si.wi))), 1e-6)
+            weight = dr.select(area_pdf > 0.0, mis_weight(prev_pdf, lamp_pdf), weight)
+        weight = dr.select(prev_delta, 1.0, weight)  # else a lamp's face counts here only for the eye and for mirrors
         group = self.group(emitter, ended)
         return dr.select(ended, throughput * weight * self.light(emitter.eval(si, ended), group), self.bands.black()), group
 
@@ -502,13 +534,23 @@ class FogPath:
                 lit &= sent.emitter != mi.EmitterPtr(self.loaded.scene.environment())
         return lit & (sent.pdf > 0.0), sent, power
 
-    def nee_surface(self, si: Any, bsdf: Any, reading: Any, throughput: Any, sampler: Any, smooth: Any) -> tuple[Any, Any]:
-        """(10) A lamp's light on a surface as it is reflected, and the lamp's group."""
-        mi = backend.mitsuba()
-        lamp, colour, group = self.lights.at(si.p, si.n, sampler, smooth, self.known_near(si.p))
+    def nee_surface(self, si: Any, bsdf: Any, reading: Any, throughput: Any, sampler: Any, smooth: Any) -> tuple[Any, Any, Any, Any]:
+        """(10) A lamp's light on a surface as it is reflected, the lamp's group, how the surface answers lamps, and the sum of their weights."""
+        context, black = backend.mitsuba().BSDFContext(), self.bands.black()
+        if self.importance is None:
+            lamp, colour, group, _ = self.lights.at(si.p, lambda way: dr.abs(dr.dot(si.n, way)) + 1e-3, sampler, smooth, self.known_near(si.p))
+            free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
+            reflected = bsdf.eval(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
+            return dr.select(free, throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp, black), group, None, None
+        gloss = Gloss.of(si, bsdf, smooth)
+        picks = self.importance.draw(lambda index: self.importance.at(index, si.p, gloss), sampler, smooth)
+        lamp, colour, group, lamp_pdf = self.lights.at(si.p, gloss, sampler, smooth, picks)
         free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
-        reflected = bsdf.eval(mi.BSDFContext(), si, si.to_local(dr.normalize(lamp - si.p)), free)
-        return dr.select(free, throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp, self.bands.black()), group
+        reflected, pdf = bsdf.eval_pdf(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
+        if self.lit_faces is not None:
+            reach_lamp = reach_lamp * dr.select(lamp_pdf > 0.0, mis_weight(lamp_pdf, pdf), 1.0)
+        light = dr.select(free, throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp, black)
+        return light, group, gloss, picks.total
 
     def control_reflected(
         self,
@@ -535,16 +577,17 @@ class FogPath:
         light = irradiance + rest * control.radiance(place, direction, known)
         return dr.select(known & (bounce.pdf > 0.0), light, dr.select(known, irradiance, black))
 
-    def sample_phase(self, forward: Any, place: Any, throughput: Any, sampler: Any, medium_scattered: Any) -> tuple[Any, Any, Any]:
+    def sample_phase(self, forward: Any, place: Any, throughput: Any, scale: Any, sampler: Any, medium_scattered: Any) -> tuple[Any, Any, Any]:
         """(11) A direction after a scattering, from the phase function or guided to a lamp, and the phase function's density of it [1/sr]."""
         medium = self.medium
         wo, phase_pdf = medium.phase.sample(forward, sampler.next_2d(medium_scattered))
         if self.guide.count > 0:
             sigma = medium.media[0].sigma_t
             guided = self.guide.direction(place, sigma, sampler.next_1d(medium_scattered), sampler.next_2d(medium_scattered))
-            wo = dr.select(sampler.next_1d(medium_scattered) < GUIDE_PROBABILITY, guided, wo)
+            guiding = dr.select(dr.max(throughput) < GROWN * scale, GUIDE_PROBABILITY, GUIDE_PROBABILITY_GROWN)
+            wo = dr.select(sampler.next_1d(medium_scattered) < guiding, guided, wo)
             phase_pdf = medium.phase.value(dr.dot(forward, wo))  # also what it is weighed by against shadow rays, on both sides
-            mixed = GUIDE_PROBABILITY * self.guide.direction_density(place, sigma, wo) + (1.0 - GUIDE_PROBABILITY) * phase_pdf
+            mixed = guiding * self.guide.direction_density(place, sigma, wo) + (1.0 - guiding) * phase_pdf
             throughput = dr.select(medium_scattered, throughput * phase_pdf / dr.maximum(mixed, 1e-30), throughput)
         return wo, phase_pdf, throughput
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.render import backend
 from synfog_usd.render.integrators.froxels import FroxelPath
 from synfog_usd.render.integrators.path import FogPath, Method
+from synfog_usd.render.lights.importance import emitter_index
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
@@ -90,12 +90,6 @@ def slab_refuses(scene: SceneDict) -> str:
     return ""
 
 
-def _index(emitter: Any) -> int:
-    """The number by which kernels know an emitter."""
-    mi = backend.mitsuba()
-    return int(dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))[0])
-
-
 def _emissions(loaded: MitsubaScene, bands: int) -> tuple[list[Any], dict[str, int]]:
     """Spectra of lamps that have their own, each once, and key of a lamp -> its kind of light, from 1 on."""
     known: dict[bytes, int] = {}
@@ -115,8 +109,8 @@ def _groups(loaded: MitsubaScene, kinds: int, kind_of: Mapping[str, int]) -> tup
     shining = [key for key, part in source.world.items() if isinstance(part, dict) and ("emitter" in part or key.startswith("light_"))]
     names = tuple(sorted({source.group_of.get(key, OTHER) for key in shining})) or (OTHER,)
     numbers = {key: names.index(source.group_of.get(key, OTHER)) * kinds + kind_of.get(key, 0) for key in shining}
-    index_of = {key: _index(loaded.shapes[(key,)].emitter() if (key,) in loaded.shapes else loaded.parts[key]) for key in shining}
-    others = [_index(emitter) for emitter in loaded.scene.emitters()]  # a scene made by hand may name its lights otherwise: the sky's
+    index_of = {key: emitter_index(loaded.shapes[(key,)].emitter() if (key,) in loaded.shapes else loaded.parts[key]) for key in shining}
+    others = [emitter_index(emitter) for emitter in loaded.scene.emitters()]  # a scene made by hand may name its lights otherwise: the sky's
     table = np.full(max([*index_of.values(), *others], default=0) + 1, kinds * (names.index("sky") if "sky" in names else 0), dtype=np.uint32)
     for key, index in index_of.items():
         table[index] = numbers[key]

@@ -84,9 +84,10 @@ class LightGrid:
         lights: the scene's, see `LightSampler`.
         sigma_t: extinction [1/m] of the fog, 0 in clear medium.
         eye: (3,) position of the camera [m].
+        near: whether chances by cell are asked for.
     """
 
-    def __init__(self, lights: Any, sigma_t: float, eye: Array) -> None:
+    def __init__(self, lights: Any, sigma_t: float, eye: Array, *, near: bool = True) -> None:
         mi = backend.mitsuba()
         self.lights, self.sigma_t, self.eye = lights, sigma_t, eye
         rows = [_representative(block) for block in lights.rows]
@@ -105,7 +106,7 @@ class LightGrid:
         self._most = mi.Vector3f((self.shape - 1).astype(float).tolist())
         self._stride = mi.UInt32(int(self.shape[0])), mi.UInt32(int(self.shape[0] * self.shape[1]))
         dr.make_opaque(self._low, self._scale, self._most, self._stride)
-        self.near = LightDistribution(self._weights(), lights.even)
+        self.near = LightDistribution(self._weights(), lights.even) if near else None
 
     def cell(self, place: Any) -> Any:
         """Row of `near` for points."""

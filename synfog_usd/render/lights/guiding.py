@@ -13,7 +13,7 @@ its brightest parts, whichever is more; like a cone, in nodes of 6 degrees.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -21,8 +21,10 @@ import numpy as np
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.rows import EVERYWHERE, luminous_peak
-from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.media.medium import Medium
+
+if TYPE_CHECKING:
+    from synfog_usd.render.lights.sampler import LightSampler
 
 MOST = 10
 """Lights that are aimed at; the brightest as seen from the camera where there are more."""
@@ -55,7 +57,7 @@ class LightGuide:
     """
 
     def __init__(self, lights: LightSampler, medium: Medium, eye: np.ndarray) -> None:
-        rows = np.array([_summary(rows) for rows in lights.rows] or np.zeros((0, 14)))
+        rows = np.array([summary(rows) for rows in lights.rows] or np.zeros((0, 14)))
         rows = rows[rows[:, 6] > 0.0]
         apart = ((rows[:, 0:3] - eye) ** 2).sum(axis=1) + 25.0
         rows = rows[np.argsort(-rows[:, 6] / apart, kind="stable")[:MOST]]
@@ -201,7 +203,7 @@ def _angles(lamp: Any, origin: Any, direction: Any, begin: Any, end: Any) -> tup
     return nearest, height, dr.atan((begin - nearest) / height), dr.atan((end - nearest) / height)
 
 
-def _summary(rows: np.ndarray) -> np.ndarray:
+def summary(rows: np.ndarray) -> np.ndarray:
     """One row of a lamp's many.
 
     0-2 position, 3-5 axis, 6 luminous peak, 7 cutoff, 8 1 / transition, 9 whether it is a beam, 10 its table or -1, 11-13 the table's +X.

@@ -10,7 +10,7 @@ the noise; what is left is shadow.  Unbiased.  Lamps are rows of numbers, see `r
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import drjit as dr
@@ -19,14 +19,18 @@ import numpy as np
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.grid import LightDistribution
+from synfog_usd.render.lights.importance import PICKS, Picks
 from synfog_usd.render.lights.rows import Columns, LampRow, channels, is_sampled_light, lamp_rows, luminous_peak
 from synfog_usd.render.sampling.reservoir import Reservoir
 
 MOST = 12
 """Lights that are all asked."""
 
-DRAWN = 4
-"""Of more lamps, this many are drawn for each stretch and point, by flux and peak; each costs as much as half a ray."""
+DRAWN = PICKS
+"""Of more lamps, this many are drawn for each stretch and point; each costs as much as half a ray."""
+
+Known = Picks | tuple[LightDistribution, Any] | None
+"""What tells which of many lamps to ask."""
 
 
 class LightSampler:
@@ -40,6 +44,7 @@ class LightSampler:
 
     def __init__(self, world: Mapping[str, Any], groups: Mapping[str, int], mean_cosine: float = 0.87) -> None:
         rows: list[np.ndarray] = []
+        keys: list[str] = []
         self.tables: list[np.ndarray] = []
         known: dict[tuple[Any, ...], int] = {}
         for key, part in world.items():
@@ -49,8 +54,10 @@ class LightSampler:
                 if part["type"] == photometric.TYPE:
                     block["table"] = [self._kept(table, known) for table in channels(part)]
                 block = block[luminous_peak(block) > 0.0]
-                rows += [block] if len(block) else []
-        self.rows = rows
+                if len(block):
+                    rows.append(block)
+                    keys.append(key)
+        self.rows, self.keys = rows, keys
         self.count = len(rows)
         if not self.count:
             return
@@ -78,13 +85,12 @@ class LightSampler:
             self.tables.append(table)
         return known[key]
 
-    def _candidate(self, number: Any, sampler: Any, active: Any, known: tuple[LightDistribution, Any] | None = None) -> tuple[Any, Any, Any]:
-        """A point on a lamp: (position, its row, its probability among all that could have been asked); `known` are chances by place, and the place's row."""
+    def _candidate(self, number: Any, sampler: Any, active: Any, known: Known = None) -> tuple[Any, Any, Any]:
+        """A point on a lamp: (position, its row, its probability among all that could have been asked)."""
         mi = backend.mitsuba()
         probability = mi.Float(1.0)
         if self.many:
-            u = sampler.next_1d(active)
-            number, probability = self.choice.sample_pmf(u, active) if known is None else known[0].sample(known[1], u, active)
+            number, probability = self._drawn(number, sampler, active, known)
             probability = probability * self.asked
         at = dr.gather(mi.Float, self.begin, number, active) + dr.clip(sampler.next_1d(active), 1e-5, 0.99999) * self.share
         index = self.faces.sample(at, active)
@@ -94,6 +100,15 @@ class LightSampler:
         root = dr.sqrt(u.x)
         position = row.position + row.edge_u * (1.0 - root) + row.edge_v * (u.y * root)
         return position, row, probability
+
+    def _drawn(self, number: Any, sampler: Any, active: Any, known: Known) -> tuple[Any, Any]:
+        """One of many lamps, and its probability."""
+        if isinstance(known, Picks):
+            return known.at(number)
+        u = sampler.next_1d(active)
+        if known is None:
+            return self.choice.sample_pmf(u, active)
+        return known[0].sample(known[1], u, active)
 
     def sent(self, row: LampRow, direction: Any) -> Any:
         """Intensity in a direction away from the lamp, as a share of the row's colour."""
@@ -109,14 +124,16 @@ class LightSampler:
         return dr.select(tabled, self.light.at(mi.UInt32(dr.maximum(row.table, 0.0)), local, tabled), sent)
 
     @dr.syntax
-    def along(self, origin: Any, direction: Any, begin: Any, end: Any, medium: Any, sampler: Any, active: Any, known: Any = None) -> tuple[Any, Any, Any, Any]:
+    def along(
+        self, origin: Any, direction: Any, begin: Any, end: Any, medium: Any, sampler: Any, active: Any, known: Known = None
+    ) -> tuple[Any, Any, Any, Any]:
         """One lamp's light scattered once along a stretch of a ray.
 
         Args:
             origin, direction: the ray.
             begin, end: the stretch, as distances [m].
             medium: the fog.
-            known: chances of the lamps and the row to take, see `LightGrid`; None to draw by flux and peak.
+            known: where there are many, those that are drawn (`Importance`), or chances and the row to take (`LightGrid`); None to draw by flux and peak.
 
         Returns:
             where it scatters, where the lamp is, colour such that colour x transmittance
@@ -153,12 +170,18 @@ class LightSampler:
         return kept.place, kept.lamp, kept.estimate(), mi.UInt32(kept.group)
 
     @dr.syntax
-    def at(self, place: Any, normal: Any, sampler: Any, active: Any, known: Any = None) -> tuple[Any, Any, Any]:
-        """One lamp's light on a point; `known` as in `along`.
+    def at(self, place: Any, response: Callable[[Any], Any], sampler: Any, active: Any, known: Known = None) -> tuple[Any, Any, Any, Any]:
+        """One lamp's light on a point.
+
+        Args:
+            place: the point.
+            response: what a surface there makes of light from a unit direction towards it, in short.
+            known: as in `along`.
 
         Returns:
             where the lamp is, its irradiance across the ray (no cosine at the
-            point) divided by its probability, without visibility and fog, and its group.
+            point) divided by its probability, without visibility and fog, its group, and how many points of a lit
+            face were to be expected per solid angle [1/sr] around this one, 0 for a lamp that is a point.
         """
         mi = backend.mitsuba()
         kept, index = Reservoir(), mi.UInt32(0)
@@ -168,9 +191,11 @@ class LightSampler:
             square = dr.maximum(dr.squared_norm(between), 1e-8)
             towards = between * dr.rsqrt(square)
             value = row.colour * (self.sent(row, towards) / square)
-            kept = kept.update(place, lamp, value, row.group, mi.luminance(value) * (dr.abs(dr.dot(towards, normal)) + 1e-3), probability, sampler, active)
+            double_area, cosine = dr.norm(dr.cross(row.edge_u, row.edge_v)), dr.dot(row.axis, towards)
+            pdf = dr.select((row.is_beam > 0.5) | (cosine <= 1e-6), 0.0, probability * 2.0 * square / dr.maximum(double_area * cosine, 1e-20))
+            kept = kept.update(place, lamp, value, row.group, mi.luminance(value) * response(-towards), probability, sampler, active, pdf)
             index += 1
-        return kept.lamp, kept.estimate(), mi.UInt32(kept.group)
+        return kept.lamp, kept.estimate(), mi.UInt32(kept.group), kept.pdf
 
 
 def _peak_density(angle: Any, width: Any) -> Any:
