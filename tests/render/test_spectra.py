@@ -140,7 +140,7 @@ def test_each_lamp_has_its_own_spectrum_and_its_light_group():
         group_of={key: group for key, (_, group) in lamps.items()} | {"shape_lit": "street"},
         emission_of={key: spectra.emission(name) for key, (name, _) in lamps.items() if name},
     )
-    made = render(source, samples=64, bands=31)
+    made = render(source, samples=2048, bands=31)
     seen = {name: pixels.mean(axis=(0, 1), dtype=np.float64) for name, pixels in made.groups.items()}
     np.testing.assert_allclose(sum(seen.values()), made.radiance.pixels.mean(axis=(0, 1)), rtol=1e-5)
     sodium, led = in_bands(illuminant("HP1"), 31), in_bands(colour.sd_single_led(592.0, colour.SpectralShape(380, 780, 1), half_spectral_width=15.0).values, 31)
