@@ -42,6 +42,9 @@ MANIFEST = "bake.json"
 METER_WIDTH_PX = 160
 METER_SAMPLES = 64
 
+ANOTHER_LOAD = 0.5
+"""Share of a scene's triangles that its fog must hide: what is left is loaded once more, with kernels of its own, where the whole is loaded already."""
+
 
 @dataclass(frozen=True)
 class Baked:
@@ -359,6 +362,8 @@ def _render(shot: Shot, scene: SceneDict, renderer: _Renderer, view: _View | Non
     density = _pinhole(scene.camera).focal_px / taken.focal_px if taken else 1.0
     floor = _shared(view.noise, density) if view and view.noise else None
     hidden = cull.hide(scene, floor, view.luminance) if plan.cull and view and floor else cull.through(scene)
+    if 0 < hidden.triangles < ANOTHER_LOAD * hidden.of_triangles:
+        hidden = replace(cull.through(scene), why="too little lies behind fog to load the scene once more without it")
     drawn = cull.reduced(scene, hidden)
     loaded = None
     if drawn is scene:

@@ -100,3 +100,9 @@ def test_where_a_denoised_picture_is_good_enough_no_bias_is_tried():
     choice = planner.choose(load(street, boundaries=False), target=adaptive.Target(relative=0.1), seed=0, denoised=True)
     assert choice.model == choice.best and choice.figures[choice.best]["denoised"] < 0.1
     assert set(choice.figures) <= {"path", "path+slab"} and "denoised it errs by" in choice.why
+
+
+@pytest.mark.parametrize("model", ["path", "field"])
+def test_the_samples_that_are_told_are_those_that_were_asked_for(model):
+    """However many estimators a picture has, and whether the fog's light is sampled pixel by pixel."""
+    assert render(FOGGY, model=model, samples=20).samples == 20

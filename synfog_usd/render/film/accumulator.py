@@ -239,12 +239,11 @@ class Accumulator:
 
     @property
     def samples_per_pixel(self) -> float:
-        """Mean of the estimators' samples, weighted by what one costs: what a picture of so many samples of each of them costs too."""
-        if ALL in self.estimators:
-            return float(self.estimators[ALL].counts.sum(axis=0).mean())
-        cache = self.radiance_cache
-        spent = {name: cache.count if cache is not None and name == INSCATTERED else part.counts.sum(axis=0).mean() for name, part in self.estimators.items()}
-        return float(sum(self.cost(name) * count for name, count in spent.items()) / sum(ESTIMATOR_COST[name] for name in spent))
+        """Mean over the estimators that sample pixels, weighted by what a sample costs: a picture of so many samples of each of them costs the same."""
+        cached = self.radiance_cache is not None
+        spent = {name: part.counts.sum(axis=0).mean() for name, part in self.estimators.items() if not (cached and name == INSCATTERED)}
+        cost = {name: ESTIMATOR_COST.get(name, 1.0) for name in spent}
+        return float(sum(cost[name] * count for name, count in spent.items()) / sum(cost.values()))
 
     def cost(self, name: str) -> float:
         """Seconds of one more sample of an estimator, relative."""
