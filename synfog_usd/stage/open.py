@@ -247,6 +247,43 @@ def composition_notes(stage: Usd.Stage) -> list[Note]:
     return sorted(notes, key=lambda note: (MISSING not in note.text, note.path, note.text))  # USD composes in parallel, and tells in any order
 
 
+def unit_notes(stage: Usd.Stage) -> list[Note]:
+    """Layers in other units than the stage's, where neither the reference nor what is around it is scaled; USD itself converts nothing."""
+    own, root = UsdGeom.GetStageMetersPerUnit(stage), stage.GetRootLayer()
+    metres = {layer.identifier: layer.pseudoRoot.GetInfo("metersPerUnit") for layer in stage.GetUsedLayers() if layer.pseudoRoot.HasInfo("metersPerUnit")}
+    other = {name: value / own for name, value in metres.items() if name != root.identifier and value > 0.0 and not 0.999 < value / own < 1.001}
+    if not other:
+        return []
+    notes = []
+    for layer in stage.GetLayerStack(includeSessionLayers=False):
+        if layer.identifier in other:
+            notes.append(
+                Note(
+                    "warning",
+                    "/",
+                    f"sublayer {Path(layer.realPath).name} is in units of {metres[layer.identifier]:g} m and the stage of {own:g} m; {_NO_SCALE}",
+                )
+            )
+    references = Usd.PrimCompositionQuery.Filter()
+    references.arcTypeFilter = Usd.PrimCompositionQuery.ArcTypeFilter.ReferenceOrPayload
+    references.dependencyTypeFilter = Usd.PrimCompositionQuery.DependencyTypeFilter.Direct
+    transforms = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+    for prim in stage.Traverse():
+        if not (prim.HasAuthoredReferences() or prim.HasAuthoredPayloads()):
+            continue
+        for arc in Usd.PrimCompositionQuery(prim, references).GetCompositionArcs():
+            layer = arc.GetTargetLayer()
+            ratio = other.get(layer.identifier)
+            scale = abs(transforms.GetLocalToWorldTransform(prim).GetDeterminant3()) ** (1.0 / 3.0)
+            if ratio is not None and 0.99 < scale < 1.01:  # any other scale is an author's own answer
+                what = f"refers to {Path(layer.realPath).name}, which is in units of {metres[layer.identifier]:g} m and the stage of {own:g} m; {_NO_SCALE}"
+                notes.append(Note("warning", str(prim.GetPath()), f"{what}: scale it by {ratio:g}"))
+    return notes
+
+
+_NO_SCALE = "nothing is scaled, so it is drawn at another size than it was made"
+
+
 def authored_path(stage: Usd.Stage, path: str) -> str:
     """Where an author finds a prim or property of a prototype: within the first of its instances; other paths as they are."""
     while path.startswith("/__Prototype_"):

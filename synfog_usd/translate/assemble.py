@@ -22,7 +22,7 @@ from synfog_usd.errors import StageError
 from synfog_usd.fog import FogVolume
 from synfog_usd.scene import Camera, Instance, SceneDict
 from synfog_usd.stage.labels import UNLABELED
-from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors
+from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors, unit_notes
 from synfog_usd.stage.schema import LIGHTING_VARIANT_SET, PREFIX
 from synfog_usd.translate import daylight, geometry, light, spectrum, volume
 from synfog_usd.translate.bindings import Bindings
@@ -98,7 +98,7 @@ def with_boundaries(
     check_visibility(fog_mor_m)
     check_depth(stage)
     notes = Diagnostics()
-    notes.extend(composition_notes(stage))
+    notes.extend([*composition_notes(stage), *unit_notes(stage)])
     stage, time, space, eye = looked_from(stage, camera, frame, resolution, notes)
     scene = _Assembler(stage, space, time, notes, Chooser(stage, lights))
     with _uncollected():

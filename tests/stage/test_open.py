@@ -8,6 +8,7 @@ from pxr import Usd, UsdGeom
 
 from synfog_usd.errors import StageError
 from synfog_usd.stage import cameras, composition_notes, dependencies, open_stage, override, select, stage_hash, variants
+from synfog_usd.stage.open import unit_notes
 from synfog_usd.translate import translate
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "usd"
@@ -165,6 +166,19 @@ def test_a_camera_in_a_missing_sublayer_is_refused_by_that_layers_name(tmp_path)
     (tmp_path / "a.usda").write_text('#usda 1.0\n(\n    subLayers = [@./shot.usda@]\n)\ndef Cube "Wall" { }\n')
     with pytest.raises(StageError, match=r"no camera; /: its sublayer ./shot.usda is missing; put that file in its place"):
         translate(open_stage(tmp_path / "a.usda"))
+
+
+@pytest.mark.parametrize("asset, scale, warned", [(0.01, 1.0, True), (0.01, 0.01, False), (1.0, 1.0, False), (0.01, 0.02, False), (None, 1.0, False)])
+def test_a_reference_in_other_units_wants_a_scale(tmp_path, asset, scale, warned):
+    """USD converts nothing: a car in centimetres is drawn 450 m long, unless the reference is scaled by 0.01."""
+    units = f"    metersPerUnit = {asset}\n" if asset else ""
+    (tmp_path / "car.usda").write_text(f'#usda 1.0\n(\n    defaultPrim = "Car"\n{units})\ndef Cube "Car" {{ }}\n')
+    placed = f'    double3 xformOp:scale = ({scale}, {scale}, {scale})\n    uniform token[] xformOpOrder = ["xformOp:scale"]\n'
+    text = f'def Camera "Ego" {{ }}\ndef Xform "World"\n{{\n{placed}    def "Car" (\n        references = @./car.usda@\n    )\n    {{\n    }}\n}}\n'
+    (tmp_path / "a.usda").write_text("#usda 1.0\n(\n    metersPerUnit = 1\n)\n" + text)
+    notes = unit_notes(open_stage(tmp_path / "a.usda"))
+    assert [note.path for note in notes] == (["/World/Car"] if warned else [])
+    assert all("car.usda, which is in units of 0.01 m and the stage of 1 m" in note.text and "scale it by 0.01" in note.text for note in notes)
 
 
 PAINTED = """#usda 1.0
