@@ -126,12 +126,13 @@ def denoise_halves(halves: Mapping[str, Array], guides: Guides, weights: npt.Arr
     Raises:
         DenoiserError: Open Image Denoise fails.
     """
-    clean = [denoise({name: pair[half] for name, pair in halves.items()}, guides) for half in range(HALVES)]
     weights = np.asarray(weights, dtype=np.float32)
     components = {}
     noisy = done = np.zeros((HALVES, *guides.transmittance.shape), dtype=np.float32)
-    for name, pair in halves.items():
-        finished = pair if name in NOISELESS else dualbuffer.towards_truth(pair, np.stack([half.pop(name) for half in clean]), weights)
+    for name, pair in halves.items():  # one after the other: a large frame's fill memory
+        finished = pair
+        if name not in NOISELESS:
+            finished = dualbuffer.towards_truth(pair, np.stack([denoise({name: half}, guides)[name] for half in pair]), weights)
         noisy, done = noisy + pair @ weights, done + finished @ weights
         components[name] = finished.mean(axis=0)
     return Denoised(components, dualbuffer.error_of(noisy, done))
