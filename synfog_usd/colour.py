@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.arrays import Array
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
 
 Floats = TypeVar("Floats", npt.NDArray[np.float32], npt.NDArray[np.float64])
 
-LUMINANCE: Array = np.array(LUMINANCE_WEIGHTS_REC709)
+LUMINANCE: Array = np.array([0.2126729, 0.7151522, 0.0721750])
+"""Luminance of linear Rec.709: second row of its matrix to CIE XYZ, for the primaries of ITU-R BT.709 and a white of (0.95047, 1, 1.08883)."""
 
 
 def srgb_encode(linear: Floats) -> Floats:

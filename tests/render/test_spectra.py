@@ -9,7 +9,7 @@ from support.renders import by_seed
 from support.stats import assert_mean
 
 from synfog_usd import photometry, spectra
-from synfog_usd.constants import LUMINANCE_WEIGHTS_REC709
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render.shot import render
 from synfog_usd.render.spectra import bands, bsdfs
@@ -67,14 +67,14 @@ def bright(curve, reflected):
     """A curve, as bright under D65 as a colour of linear Rec.709."""
     white = illuminant("D65")
     eye = np.interp(WAVELENGTHS, *(lambda t: (t.wavelengths, t.values[:, 1]))(colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]))
-    return curve * (np.asarray(reflected) @ LUMINANCE_WEIGHTS_REC709) * (white * eye).sum() / (curve * white * eye).sum()
+    return curve * (np.asarray(reflected) @ LUMINANCE) * (white * eye).sum() / (curve * white * eye).sum()
 
 
 @pytest.mark.parametrize("count", [8, 31])
 def test_a_card_under_sodium_light_in_fog_is_what_the_tables_say(count):
     """Leaf x HP1 x geometry x fog, each band within 0.1 %: one point of a lamp, one surface, nothing left to chance but the place within a pixel."""
     leaf, colour_of_it, candela = spectra.reflectance("leaf"), (0.1, 0.2, 0.05), np.array([180.0, 100.0, 10.0])
-    power = illuminant("HP1") * (candela @ LUMINANCE_WEIGHTS_REC709)
+    power = illuminant("HP1") * (candela @ LUMINANCE)
     np.testing.assert_allclose(card(leaf, colour_of_it, count=count), closed_form(bright(leaf, colour_of_it), power, count), rtol=1e-3)
 
 
@@ -94,10 +94,10 @@ def test_sodium_light_on_paint_is_off_from_r_g_and_b_by_what_the_tables_say(refl
     paint, candela = spectra.smooth(reflected), np.array([2.5589, 0.6373, 0.0])
     weights = np.array([photometry.luminance_of(curve) for curve in photometry.channel_spectra(bands.names(31))])
     seen = card(paint, reflected, candela=candela) @ weights
-    lit = closed_form(np.ones_like(paint), illuminant("HP1") * (candela @ LUMINANCE_WEIGHTS_REC709)) @ weights
+    lit = closed_form(np.ones_like(paint), illuminant("HP1") * (candela @ LUMINANCE)) @ weights
     eye = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     exact = 683.002 * np.sum(paint * illuminant("HP1") * np.interp(WAVELENGTHS, eye.wavelengths, eye.values[:, 1]))
-    by_colour = ((candela * reflected) @ LUMINANCE_WEIGHTS_REC709) / (candela @ LUMINANCE_WEIGHTS_REC709)
+    by_colour = ((candela * reflected) @ LUMINANCE) / (candela @ LUMINANCE)
     assert seen / lit == pytest.approx(exact, rel=0.02)  # the lamp's lines are narrower than a band of 10 nm
     assert abs(by_colour / exact - 1.0) > off
 
@@ -160,7 +160,7 @@ def test_a_sky_with_a_spectrum_lights_the_layer_too():
     source = replace(
         scene(world, [FogVolume("/Fog", box((150.0, 150.0, 30.0)), FogMedium(0.02, g=0.6))], fov_x_deg=40.0), emission_of={"light_sky": spectra.emission("A")}
     )
-    wanted = in_bands(illuminant("A"), 8) * (np.array([1.0, 0.7, 0.3]) @ LUMINANCE_WEIGHTS_REC709)
+    wanted = in_bands(illuminant("A"), 8) * (np.array([1.0, 0.7, 0.3]) @ LUMINANCE)
     means = np.array([run.radiance.pixels.mean(axis=(0, 1), dtype=np.float64) for run in by_seed(source, range(6), model="path+slab", samples=64, bands=8)])
     for band in range(8):
         assert_mean(means[:, band], wanted[band], resolves=0.01)
