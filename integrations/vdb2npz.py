@@ -31,7 +31,10 @@ def bindings():
     try:
         import bpy
     except ImportError:
-        sys.exit("no OpenVDB here: run this with Blender (--background --python), hython, or a Python that has pyopenvdb or bpy")
+        sys.exit(
+            "no OpenVDB here: run this with Blender (--background --python), hython, or a Python that has pyopenvdb or "
+            "bpy"
+        )
     scripts = Path(bpy.utils.system_resource("SCRIPTS"))  # its own Python's packages lie beside them
     sys.path += [str(folder) for folder in (scripts.parent / "python" / "lib").glob("python3*/site-packages")]
     return __import__("openvdb")
@@ -50,7 +53,10 @@ def convert(path, grid_name, most):
     vdb = bindings()
     grids = [grid for grid in vdb.readAll(str(path))[0] if grid.name == grid_name]
     if not grids:
-        sys.exit(f"{path}: no grid {grid_name!r}; it has {', '.join(grid.name for grid in vdb.readAllGridMetadata(str(path)))}")
+        sys.exit(
+            f"{path}: no grid {grid_name!r}; it has "
+            f"{', '.join(grid.name for grid in vdb.readAllGridMetadata(str(path)))}"
+        )
     (grid,) = grids[:1]
     if grid.activeVoxelCount() == 0:
         sys.exit(f"{path}: grid {grid_name!r} is empty")
@@ -76,7 +82,9 @@ def convert(path, grid_name, most):
     low = origin + np.diag(axes) * (first - 0.5)
     high = low + np.diag(axes) * factor * np.array(density.shape)
     out = path.with_suffix(".npz")
-    np.savez_compressed(out, density=(density / largest).transpose(2, 1, 0), low=low, high=high, largest=np.float64(largest))
+    np.savez_compressed(
+        out, density=(density / largest).transpose(2, 1, 0), low=low, high=high, largest=np.float64(largest)
+    )
     return out, density.shape
 
 

@@ -17,7 +17,9 @@ from synfog_usd.arrays import Array
 Floats = TypeVar("Floats", npt.NDArray[np.float32], npt.NDArray[np.float64])
 
 LUMINANCE: Array = np.array([0.2126729, 0.7151522, 0.0721750])
-"""Luminance of linear Rec.709: second row of its matrix to CIE XYZ, for the primaries of ITU-R BT.709 and a white of (0.95047, 1, 1.08883)."""
+"""Luminance of linear Rec.709: second row of its matrix to CIE XYZ, for the primaries of ITU-R BT.709 and a white of
+(0.95047, 1, 1.08883).
+"""
 
 
 def srgb_encode(linear: Floats) -> Floats:
@@ -38,7 +40,8 @@ def srgb_encode(linear: Floats) -> Floats:
 
 
 def srgb_decode(code: Floats) -> Floats:
-    """Linear values of sRGB codes of any shape; the inverse of `srgb_encode`, which goes on above 1 and, straight, below 0.
+    """Linear values of sRGB codes of any shape; the inverse of `srgb_encode`, which goes on above 1 and, straight,
+    below 0.
 
     >>> [round(float(value), 4) for value in srgb_decode(np.array([0.0, 0.02, 0.4614, 1.0]))]
     [0.0, 0.0015, 0.18, 1.0]

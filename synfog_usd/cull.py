@@ -36,7 +36,9 @@ SHARE = 0.1
 """Of the sensor's noise, what may change in any pixel; a render's own noise may be a third of it."""
 
 EDGES, VEIL = 0.5, 0.25
-"""Of that, what edges may lose that are simplified, and what the fog's light may gain by what is left out; the rest is for what simplification keeps badly."""
+"""Of that, what edges may lose that are simplified, and what the fog's light may gain by what is left out; the rest is
+for what simplification keeps badly.
+"""
 
 KEPT = 0.1
 """Faces that a simplified mesh keeps."""
@@ -74,7 +76,8 @@ class Hidden:
     why: str = ""
 
     def instances(self, scene: SceneDict) -> dict[int, tuple[float | None, str]]:
-        """Label id -> (transmittance of its nearest part [1], None where it is not known; 'whole', 'simplified' or 'left out').
+        """Label id -> (transmittance of its nearest part [1], None where it is not known; 'whole', 'simplified' or
+        'left out').
 
         An instance of several parts is what the least changed of them is.
         """
@@ -84,14 +87,24 @@ class Hidden:
             own = 2 if key in self.left_out else int(key in self.simplified)
             found[instance] = max(clear, self.transmittance.get(key, 1.0)), min(state, own)
         known = bool(self.transmittance)
-        return {instance: (found[instance][0] if known else None, STATES[found[instance][1]]) for instance in sorted(found)}
+        return {
+            instance: (found[instance][0] if known else None, STATES[found[instance][1]]) for instance in sorted(found)
+        }
 
     def metadata(self, scene: SceneDict) -> dict[str, Any]:
         """For the record of a shot."""
         states = [state for _, state in self.instances(scene).values()]
-        counts = {"instances": len(states), "simplified": states.count("simplified"), "left_out": states.count("left out")}
+        counts = {
+            "instances": len(states),
+            "simplified": states.count("simplified"),
+            "left_out": states.count("left out"),
+        }
         saved = {"triangles": self.of_triangles, "triangles_saved": self.triangles}
-        return {**counts, **saved, **({"why": self.why} if self.why else {"transmittance_below": float(f"{self.limit:.4g}")})}
+        return {
+            **counts,
+            **saved,
+            **({"why": self.why} if self.why else {"transmittance_below": float(f"{self.limit:.4g}")}),
+        }
 
     def sentence(self, scene: SceneDict) -> str:
         """What a user is told, '' where nothing is hidden."""
@@ -99,8 +112,10 @@ class Hidden:
             return ""
         found = self.metadata(scene)
         return (
-            f"{found['simplified'] + found['left_out']} of {found['instances']} instances lie behind fog (T < {self.limit:.2g}): "
-            f"{found['simplified']} are simplified, {found['left_out']} left out, which saves {self.triangles} of {self.of_triangles} triangles"
+            f"{found['simplified'] + found['left_out']} of {found['instances']} instances lie behind fog (T < "
+            f"{self.limit:.2g}): "
+            f"{found['simplified']} are simplified, {found['left_out']} left out, which saves {self.triangles} of "
+            f"{self.of_triangles} triangles"
         )
 
 
@@ -131,9 +146,11 @@ def hide(scene: SceneDict, noise: Callable[[Array], Array], clear_cd_m2: Array, 
 
         sum T^(1 - g) Omega D <= VEIL SHARE sigma(L) / L,
 
-    with Omega the solid angle of a part's box and D the largest share per steradian of the light from its distance that one
-    direction brings: after tau scatterings Henyey and Greenstein's phase function of g^tau, over a third of its width, since
-    light spreads as it goes.  Under a sky with a sun, or with lamps, whose shadows are sharper than that, none go.
+    with Omega the solid angle of a part's box and D the largest share per steradian of the light from its distance that
+    one
+    direction brings: after tau scatterings Henyey and Greenstein's phase function of g^tau, over a third of its width,
+    since light spreads as it goes.  Under a sky with a sun, or with lamps, whose shadows are sharper than that, none
+    go.
 
     Args:
         scene: what `translate` made.
@@ -150,14 +167,22 @@ def hide(scene: SceneDict, noise: Callable[[Array], Array], clear_cd_m2: Array, 
     clear = np.array(list(seen.transmittance.values()))
     dark, bright = np.percentile(clear_cd_m2, [5.0, 99.0])
     if seen.of_triangles < worth or not bright > 0.0:
-        return replace(seen, why="the view is black" if seen.of_triangles >= worth else f"the scene has fewer than {worth} triangles")
+        return replace(
+            seen,
+            why="the view is black" if seen.of_triangles >= worth else f"the scene has fewer than {worth} triangles",
+        )
     hazard = _hazard(scene.world)
     if hazard not in ("", "sun", "lamps"):
         return replace(seen, why=hazard)
 
     share = SHARE * noise(np.array([dark, bright]))  # [cd m-2]
     limit = EDGES * float(share[1] / bright)
-    behind = parts.passive & (clear <= limit) & (clear * _lit(scene, parts) <= EDGES * share[0]) & ~_before_lamps(scene, parts, float(share[0]))
+    behind = (
+        parts.passive
+        & (clear <= limit)
+        & (clear * _lit(scene, parts) <= EDGES * share[0])
+        & ~_before_lamps(scene, parts, float(share[0]))
+    )
     g = min(max(scene.fog[0].medium.phase_function.mean_cosine, 0.0), 0.99)
     turned = g ** -np.log(np.maximum(clear, 1e-300))
     density = 3.0 * (1.0 + turned) / (4.0 * np.pi * (1.0 - turned) ** 2 + 1e-300)
@@ -170,12 +195,16 @@ def hide(scene: SceneDict, noise: Callable[[Array], Array], clear_cd_m2: Array, 
     saved = int(parts.triangles[gone].sum() + (parts.triangles - parts.left)[thin].sum())
     if saved < worth:
         return replace(seen, why="too little lies behind fog")
-    simplified, left_out = (frozenset(key for key, yes in zip(parts.keys, flags, strict=True) if yes) for flags in (thin, gone))
+    simplified, left_out = (
+        frozenset(key for key, yes in zip(parts.keys, flags, strict=True) if yes) for flags in (thin, gone)
+    )
     return replace(seen, limit=limit, simplified=simplified, left_out=left_out, triangles=saved)
 
 
 def through(scene: SceneDict) -> Hidden:
-    """The transmittance to every part of a scene, with nothing hidden; `why` where there is no fog, or none with a closed form."""
+    """The transmittance to every part of a scene, with nothing hidden; `why` where there is no fog, or none with a
+    closed form.
+    """
     parts = _parts(scene.world)
     total = int(parts.triangles.sum())
     if not scene.fog or not parts.keys:
@@ -189,7 +218,9 @@ def through(scene: SceneDict) -> Hidden:
 
 
 def reduced(scene: SceneDict, hidden: Hidden) -> SceneDict:
-    """The scene with its hidden parts simplified or left out, and without prototypes and materials that no part has any more."""
+    """The scene with its hidden parts simplified or left out, and without prototypes and materials that no part has any
+    more.
+    """
     if not (hidden.simplified or hidden.left_out):
         return scene
     world: dict[str, Any] = {}
@@ -204,9 +235,13 @@ def reduced(scene: SceneDict, hidden: Hidden) -> SceneDict:
         else:
             (group,) = _referred(part)
             groups[f"{group}_simplified"] = groups.get(f"{group}_simplified") or {
-                name: shape if name == "type" else simplified(shape, f"{group}.{name}") for name, shape in scene.world[group].items()
+                name: shape if name == "type" else simplified(shape, f"{group}.{name}")
+                for name, shape in scene.world[group].items()
             }
-            world[key] = {name: {"type": "ref", "id": f"{group}_simplified"} if isinstance(value, Mapping) else value for name, value in part.items()}
+            world[key] = {
+                name: {"type": "ref", "id": f"{group}_simplified"} if isinstance(value, Mapping) else value
+                for name, value in part.items()
+            }
     world |= groups
     before = _references(scene.world)
     while unused := (before - _references(world)) & world.keys():  # a prototype that goes may take its materials along
@@ -220,7 +255,8 @@ def reduced(scene: SceneDict, hidden: Hidden) -> SceneDict:
 
 
 def simplified(mesh: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    """A mesh with a few of its faces, each as much larger as it was unlikely to stay: its area is that of all, on average.
+    """A mesh with a few of its faces, each as much larger as it was unlikely to stay: its area is that of all, on
+    average.
 
     A face stays with a probability in proportion to its area, 1 at most, so that a wall stays
     what it is and leaves become fewer and larger; none grows out of the mesh's box.
@@ -251,7 +287,9 @@ def simplified(mesh: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     middle = corners.mean(axis=1, keepdims=True)
     positions = np.clip(middle + (corners - middle) * grown[:, None, None], low, high).reshape(-1, 3)
     more = {
-        kind: np.asarray(mesh[kind])[faces].reshape(-1, np.asarray(mesh[kind]).shape[1]) for kind in ("normals", "texcoords", "vertex_color") if kind in mesh
+        kind: np.asarray(mesh[kind])[faces].reshape(-1, np.asarray(mesh[kind]).shape[1])
+        for kind in ("normals", "texcoords", "vertex_color")
+        if kind in mesh
     }
     return {**mesh, "positions": positions, "faces": np.arange(3 * len(faces), dtype=np.uint32).reshape(-1, 3), **more}
 
@@ -295,7 +333,10 @@ def _parts(world: Mapping[str, Any]) -> _Parts:
             if group not in groups:
                 groups[group] = _bulk([shape for name, shape in world[group].items() if name != "type"])
             own, matrix = groups[group], np.asarray(part["to_world"], dtype=np.float64)
-            corners = np.stack(np.meshgrid(*zip(own.low, own.high, strict=True)), axis=-1).reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
+            corners = (
+                np.stack(np.meshgrid(*zip(own.low, own.high, strict=True)), axis=-1).reshape(-1, 3) @ matrix[:3, :3].T
+                + matrix[:3, 3]
+            )
             found[key] = replace(own, low=corners.min(axis=0), high=corners.max(axis=0))
     rows = found.values()
     return _Parts(
@@ -310,15 +351,26 @@ def _parts(world: Mapping[str, Any]) -> _Parts:
 
 def _bulk(shapes: list[Mapping[str, Any]]) -> _Bulk:
     meshes = [shape for shape in shapes if shape.get("type") == "mesh"]
-    points = [np.asarray(mesh["positions"], dtype=np.float64) for mesh in meshes if len(mesh["positions"])] or [np.zeros((1, 3))]
+    points = [np.asarray(mesh["positions"], dtype=np.float64) for mesh in meshes if len(mesh["positions"])] or [
+        np.zeros((1, 3))
+    ]
     faces = [len(mesh["faces"]) for mesh in meshes]
-    passive = bool(meshes) and len(meshes) == len(shapes) and not any("emitter" in mesh or "to_world" in mesh for mesh in meshes)
-    low, high = np.min([cloud.min(axis=0) for cloud in points], axis=0), np.max([cloud.max(axis=0) for cloud in points], axis=0)
+    passive = (
+        bool(meshes)
+        and len(meshes) == len(shapes)
+        and not any("emitter" in mesh or "to_world" in mesh for mesh in meshes)
+    )
+    low, high = (
+        np.min([cloud.min(axis=0) for cloud in points], axis=0),
+        np.max([cloud.max(axis=0) for cloud in points], axis=0),
+    )
     return _Bulk(low, high, sum(faces), sum(map(_left, faces)), passive)
 
 
 def _transmittance(fog: tuple[FogVolume, ...], eye: Array, low: Array, high: Array) -> Array:
-    """Largest transmittance from the eye to a box: at its nearest point, or at one of 27 all over it, where the fog may be thinner."""
+    """Largest transmittance from the eye to a box: at its nearest point, or at one of 27 all over it, where the fog may
+    be thinner.
+    """
     grid = np.stack(np.meshgrid(*[[0.0, 0.5, 1.0]] * 3), axis=-1).reshape(-1, 3)
     places = np.concatenate([low[:, None] + grid * (high - low)[:, None], np.clip(eye, low, high)[:, None]], axis=1)
     offsets = (places - eye).reshape(-1, 3)
@@ -329,12 +381,18 @@ def _transmittance(fog: tuple[FogVolume, ...], eye: Array, low: Array, high: Arr
 def _rays(offsets: Array) -> tuple[Array, Array]:
     """Directions and lengths of (N, 3) offsets [m]; up for one that is zero."""
     length = np.linalg.norm(offsets, axis=1)
-    return np.where(length[:, None] > 0.0, offsets / np.where(length > 0.0, length, 1.0)[:, None], [0.0, 0.0, 1.0]), length
+    return np.where(
+        length[:, None] > 0.0, offsets / np.where(length > 0.0, length, 1.0)[:, None], [0.0, 0.0, 1.0]
+    ), length
 
 
 def _clearest(fog: tuple[FogVolume, ...]) -> float:
     """Extinction in the clearest colour over that at 550 nm."""
-    ratios = [np.min(volume.medium.extinction_at(np.linspace(390.0, 710.0, 9))) / volume.medium.sigma_t_per_m for volume in fog if volume.medium.sigma_t_per_m]
+    ratios = [
+        np.min(volume.medium.extinction_at(np.linspace(390.0, 710.0, 9))) / volume.medium.sigma_t_per_m
+        for volume in fog
+        if volume.medium.sigma_t_per_m
+    ]
     return float(min([1.0, *ratios]))
 
 
@@ -368,10 +426,19 @@ def _lamps(world: Mapping[str, Any]) -> Iterator[tuple[Array, float, float]]:
     for key, part in world.items():
         if isinstance(part, Mapping) and "emitter" in part and part.get("type") == "mesh":
             corners = np.asarray(part["positions"], dtype=np.float64)[np.asarray(part["faces"], dtype=np.int64)]
-            area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+            area = (
+                0.5
+                * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+            )
             radiance, centre = part["emitter"]["radiance"], corners.mean(axis=(0, 1))
-            pixels = np.asarray(radiance["value"] if radiance["type"] == "rgb" else radiance["bitmap"], dtype=np.float64)
-            yield centre, float(np.linalg.norm(corners - centre, axis=2).max()), float(area * np.max(pixels[..., :3] @ LUMINANCE))
+            pixels = np.asarray(
+                radiance["value"] if radiance["type"] == "rgb" else radiance["bitmap"], dtype=np.float64
+            )
+            yield (
+                centre,
+                float(np.linalg.norm(corners - centre, axis=2).max()),
+                float(area * np.max(pixels[..., :3] @ LUMINANCE)),
+            )
         elif key.startswith("light_") and "intensity" in part:
             place = part["position"] if "position" in part else np.asarray(part["to_world"])[:3, 3]
             intensity = float(np.asarray(part["intensity"]["value"]) @ LUMINANCE)
@@ -379,12 +446,16 @@ def _lamps(world: Mapping[str, Any]) -> Iterator[tuple[Array, float, float]]:
 
 
 def _lit(scene: SceneDict, parts: _Parts) -> Array:
-    """(N,) radiance that lamps can give a white part [cd m-2]: the sum of I T / (pi r^2), from the nearest point of its box."""
+    """(N,) radiance that lamps can give a white part [cd m-2]: the sum of I T / (pi r^2), from the nearest point of its
+    box.
+    """
     total = np.zeros(len(parts.keys))
     for centre, radius, intensity in _lamps(scene.world):
         offsets = np.clip(centre, parts.low, parts.high) - centre
         directions, length = _rays(offsets)
-        depth = optical_depth(scene.fog, np.broadcast_to(centre, offsets.shape), directions, length) * _clearest(scene.fog)
+        depth = optical_depth(scene.fog, np.broadcast_to(centre, offsets.shape), directions, length) * _clearest(
+            scene.fog
+        )
         total += intensity * np.exp(-depth) / (np.pi * np.maximum(length - radius, 0.1) ** 2)
     return total
 
@@ -395,7 +466,9 @@ def _before_lamps(scene: SceneDict, parts: _Parts, budget: float) -> Flags:
     eye = camera.to_world[:3, 3]
     for centre, radius, intensity in _lamps(scene.world):
         (direction,), (length,) = _rays((centre - eye)[None])
-        depth = float(optical_depth(scene.fog, eye[None], direction[None], np.array([length]))[0]) * _clearest(scene.fog)
+        depth = float(optical_depth(scene.fog, eye[None], direction[None], np.array([length]))[0]) * _clearest(
+            scene.fog
+        )
         if intensity * np.exp(-depth) > budget * max(length, 0.1) ** 2 * _pixel(camera):
             with np.errstate(divide="ignore", invalid="ignore"):
                 one, other = (parts.low - radius - eye) / direction, (parts.high + radius - eye) / direction
@@ -410,7 +483,9 @@ def _pixel(camera: Camera) -> float:
 
 
 def _size(eye: Array, parts: _Parts) -> Array:
-    """(N,) solid angle of each box [sr], 2 pi at most: its area across the line of sight over the square of its distance."""
+    """(N,) solid angle of each box [sr], 2 pi at most: its area across the line of sight over the square of its
+    distance.
+    """
     middle = 0.5 * (parts.low + parts.high)
     directions, _ = _rays(middle - eye)
     sides = parts.high - parts.low

@@ -43,22 +43,31 @@ class Fence:
             if not folder.is_dir():
                 raise StageError(f"--allow {folder}: no such folder")
         shipped = [resources.folder("assets"), resources.folder("stages")]
-        return cls(tuple(dict.fromkeys(Path(os.path.realpath(folder)) for folder in [stage.parent, *allowed, *shipped])))
+        return cls(
+            tuple(dict.fromkeys(Path(os.path.realpath(folder)) for folder in [stage.parent, *allowed, *shipped]))
+        )
 
     def fault(self, file: str | Path) -> str | None:
         """Why a file is refused, with the way out; None where it lies inside."""
         path = Path(file)
         if not self.folders:
             return f"{path} belongs to a stage that has no file, and so no folder; save the stage"
-        real = Path(os.path.realpath(path))  # where resolve() fails on a link to itself, which is a file that is not there
+        real = Path(
+            os.path.realpath(path)
+        )  # where resolve() fails on a link to itself, which is a file that is not there
         if not any(real.is_relative_to(folder) for folder in self.folders):
             link = f" (a link to {real})" if real != Path(os.path.abspath(path)) else ""  # noqa: PTH100 - without following links
-            return f"{path}{link} lies outside of the stage's folder {self.folders[0]}; copy it there, or allow its folder with --allow {self._shared(real)}"
+            return (
+                f"{path}{link} lies outside of the stage's folder {self.folders[0]}; copy it there, or allow its "
+                f"folder with --allow {self._shared(real)}"
+            )
         if path.exists() and not path.is_file():
             return f"{path} is no regular file; a stage is made of files only"
         return None
 
     def _shared(self, real: Path) -> Path:
-        """The folder to allow: what the stage and the file have in common where that is near, as an asset library's root is."""
+        """The folder to allow: what the stage and the file have in common where that is near, as an asset library's
+        root is.
+        """
         common = Path(os.path.commonpath([real, self.folders[0]]))
         return common if len(self.folders[0].relative_to(common).parts) <= 3 and len(common.parts) > 3 else real.parent

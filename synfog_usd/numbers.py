@@ -1,4 +1,5 @@
-"""Ranges of what a render may be asked for: one place for the command line, which refuses at once, and for the renderer.
+"""Ranges of what a render may be asked for: one place for the command line, which refuses at once, and for the
+renderer.
 
 Takes numbers; raises for those out of range, in the words of the command line.  Imports nothing heavy.
 """
@@ -35,7 +36,9 @@ def check_samples(samples: int, option: str = "--samples") -> None:
         ParameterError: with the range.
     """
     if not SAMPLES[0] <= samples <= SAMPLES[1]:
-        raise ParameterError(f"{option} {samples}: outside {SAMPLES[0]} to {SAMPLES[1]}; 64 is a draft, 1024 is clean in dense fog")
+        raise ParameterError(
+            f"{option} {samples}: outside {SAMPLES[0]} to {SAMPLES[1]}; 64 is a draft, 1024 is clean in dense fog"
+        )
 
 
 def check_target(*, error: float | None, time_limit_s: float | None) -> None:
@@ -68,9 +71,13 @@ def check_light(*, scale: float, sun_lux: float | None) -> None:
     """
     for option, value in (("--light-scale", scale), ("--sun-lux", sun_lux)):
         if value is not None and not 0.0 < value <= MOST_LIGHT:
-            raise ParameterError(f"{option} {value:g}: outside 0 to {MOST_LIGHT:g}; leave it out for the lights as they are")
+            raise ParameterError(
+                f"{option} {value:g}: outside 0 to {MOST_LIGHT:g}; leave it out for the lights as they are"
+            )
     if sun_lux is not None and scale != 1.0:
-        raise ParameterError(f"--light-scale {scale:g} --sun-lux {sun_lux:g}: either gives one factor for all lights; leave one out")
+        raise ParameterError(
+            f"--light-scale {scale:g} --sun-lux {sun_lux:g}: either gives one factor for all lights; leave one out"
+        )
 
 
 def check_visibility(name: str, metres: float) -> None:
@@ -84,7 +91,9 @@ def check_visibility(name: str, metres: float) -> None:
         ParameterError: with the least.
     """
     if not metres >= LEAST_MOR_M:
-        raise ParameterError(f"--fog {name}: a visibility below {LEAST_MOR_M:g} m is a wall; the densest is mor{LEAST_MOR_M:g}")
+        raise ParameterError(
+            f"--fog {name}: a visibility below {LEAST_MOR_M:g} m is a wall; the densest is mor{LEAST_MOR_M:g}"
+        )
 
 
 def check_space(*, metres_per_unit: float | None, up: str | None) -> None:
@@ -94,7 +103,10 @@ def check_space(*, metres_per_unit: float | None, up: str | None) -> None:
         ParameterError: with the range.
     """
     if metres_per_unit is not None and not UNITS_M[0] <= metres_per_unit <= UNITS_M[1]:
-        raise ParameterError(f"--meters-per-unit {metres_per_unit:g}: outside {UNITS_M[0]:g} to {UNITS_M[1]:g}; 1 is metres, 0.01 centimetres, 0.0254 inches")
+        raise ParameterError(
+            f"--meters-per-unit {metres_per_unit:g}: outside {UNITS_M[0]:g} to {UNITS_M[1]:g}; 1 is metres, 0.01 "
+            f"centimetres, 0.0254 inches"
+        )
     if up is not None and up not in ("X", "Y", "Z"):
         raise ParameterError(f"--up {up}: it takes X, Y or Z")
 

@@ -56,7 +56,11 @@ def spectra_of(channels: Sequence[str]) -> str:
     >>> spectra_of(("R", "G", "B"))
     'upsampled from linear Rec.709 (Mallett and Yuksel 2019, times D65)'
     """
-    return "upsampled from linear Rec.709 (Mallett and Yuksel 2019, times D65)" if is_rgb(channels) else f"{len(channels)} bands"
+    return (
+        "upsampled from linear Rec.709 (Mallett and Yuksel 2019, times D65)"
+        if is_rgb(channels)
+        else f"{len(channels)} bands"
+    )
 
 
 @functools.lru_cache(maxsize=16)
@@ -86,11 +90,16 @@ def channel_spectra(channels: tuple[str, ...]) -> Array:
     centres = [band_centre_nm(name) for name in channels]
     known = [centre for centre in centres if centre is not None]
     if len(known) < 2 or len(known) < len(centres) or any(a >= b for a, b in itertools.pairwise(known)):
-        raise ImageError(f"channels {', '.join(channels)} are neither R, G, B nor two or more rising bands such as {band_name(550.0)}")
+        raise ImageError(
+            f"channels {', '.join(channels)} are neither R, G, B nor two or more rising bands such as "
+            f"{band_name(550.0)}"
+        )
     centre = np.array(known)
     middle = (centre[:-1] + centre[1:]) / 2
     edges = np.concatenate([[2 * centre[0] - middle[0]], middle, [2 * centre[-1] - middle[-1]]])
-    below = np.clip(edges[1:, None] - (WAVELENGTHS_NM - 0.5), 0.0, 1.0)  # a sample stands for its own nanometre: partly covered at an edge
+    below = np.clip(
+        edges[1:, None] - (WAVELENGTHS_NM - 0.5), 0.0, 1.0
+    )  # a sample stands for its own nanometre: partly covered at an edge
     return np.asarray(np.minimum(below, np.clip(WAVELENGTHS_NM + 0.5 - edges[:-1, None], 0.0, 1.0)))
 
 
@@ -104,7 +113,9 @@ def illuminant(name: str) -> Array:
     Source: CIE 015:2018, from colour-science.
     """
     if name not in ILLUMINANTS:
-        raise ParameterError(f"illuminant {name!r} is not known; it can be {', '.join(ILLUMINANTS)}.{did_you_mean(name, ILLUMINANTS)}")
+        raise ParameterError(
+            f"illuminant {name!r} is not known; it can be {', '.join(ILLUMINANTS)}.{did_you_mean(name, ILLUMINANTS)}"
+        )
     return tables.table(tables.STANDARD)[ILLUMINANTS[name]]
 
 

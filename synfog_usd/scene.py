@@ -19,7 +19,9 @@ from synfog_usd.colour import SRGB_TO_LINEAR
 from synfog_usd.fog.volume import FogVolume
 
 PARALLEL_DEG = 1e-3
-"""Angle of view that an orthographic camera is said to have: its rays are parallel, and a lens has nothing to bend or to dim."""
+"""Angle of view that an orthographic camera is said to have: its rays are parallel, and a lens has nothing to bend or
+to dim.
+"""
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,8 @@ class Camera:
 
     Attributes:
         path: prim path.
-        to_world: (4, 4) float64, orthonormal, metres; looks down its local -Z with +Y up; in the middle of the exposure.
+        to_world: (4, 4) float64, orthonormal, metres; looks down its local -Z with +Y up; in the middle of the
+            exposure.
         width_px, height_px: image size.
         fov_x_deg: full horizontal angle of view [deg] of the whole image.
         shift: (x, y) offset of the optical axis from the image centre in image
@@ -102,7 +105,8 @@ class SceneDict:
             ('mat_*'), shapes ('shape_*'), shape groups ('group_*'), instances
             ('instance_*') and emitters ('light_*'); no camera, film, integrator
             or fog.  What differs from `mi.load_dict`:
-            a 'to_world' is a (4, 4) array; a 'to_uv' is a (3, 3) one on texture coordinates (v up); a 'bitmap' is an (H, W, C) array, uint8 or float32;
+            a 'to_world' is a (4, 4) array; a 'to_uv' is a (3, 3) one on texture coordinates (v up); a 'bitmap' is an
+            (H, W, C) array, uint8 or float32;
             {'type': 'mesh', 'positions' (N, 3), 'faces' (M, 3), 'normals' (N, 3) or absent,
             'texcoords' (N, 2) or absent (v up), 'vertex_color' (N, 3) or absent,
             'face_normals': bool, 'bsdf': {...}, 'emitter': {...} or absent}
@@ -112,10 +116,12 @@ class SceneDict:
         fog: fog volumes; the innermost one that contains the camera surrounds it.
         instances: what the label ids mean, ids 1..K in order.
         instance_of: (shape key,) or (instance key, key in its group) -> label id.
-        reflectance_of: key of a material in `world` -> (401,) reflectance on `photometry.WAVELENGTHS_NM`, 0 to 1, that it has instead of the one that its
-            colour suggests; the colour says how bright it is, see `render.surfaces`.
-        emission_of: key of a lamp in `world` -> (401,) relative power that it has instead of its colour's; the luminance stays.
-        group_of: key of a lamp in `world` -> its light group: 'sky', 'headlights' (all lamps of vehicles), 'street_lamps', 'other', or an author's own.
+        reflectance_of: key of a material in `world` -> (401,) reflectance on `photometry.WAVELENGTHS_NM`, 0 to 1, that
+            it has instead of the one that its colour suggests; the colour says how bright it is, see `render.surfaces`.
+        emission_of: key of a lamp in `world` -> (401,) relative power that it has instead of its colour's; the
+            luminance stays.
+        group_of: key of a lamp in `world` -> its light group: 'sky', 'headlights' (all lamps of vehicles),
+            'street_lamps', 'other', or an author's own.
         bounds_m: (2, 3) corners of the box around the camera and all that is drawn.
         flux_of: key of a lamp in `world` -> its luminous flux [lm]; inf for a sky or a sun.
         origin_m: what was subtracted from every stage position, in metres, Z up, float64.
@@ -137,7 +143,9 @@ class SceneDict:
 
 
 def base_colour(bsdf: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """The colour of a surface's matte part, an 'rgb' or a 'bitmap'; None where it has none, or takes it from vertices."""
+    """The colour of a surface's matte part, an 'rgb' or a 'bitmap'; None where it has none, or takes it from
+    vertices.
+    """
     for name in _COLOURS:
         part = bsdf.get(name)
         if isinstance(part, Mapping):
@@ -164,7 +172,10 @@ def texels(colour: Mapping[str, Any]) -> npt.NDArray[np.float32]:
     pixels = pixels if pixels.ndim == 3 else pixels[:, :, None]
     if pixels.dtype == np.uint8:
         pixels = pixels / np.float32(255.0) if colour.get("raw", False) else SRGB_TO_LINEAR[pixels]
-    return np.asarray(np.broadcast_to(pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1], (*pixels.shape[:2], 3)), dtype=np.float32)
+    return np.asarray(
+        np.broadcast_to(pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1], (*pixels.shape[:2], 3)),
+        dtype=np.float32,
+    )
 
 
 def mean_colour(colour: Mapping[str, Any]) -> tuple[float, float, float]:

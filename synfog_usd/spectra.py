@@ -50,7 +50,9 @@ class Reflectance:
 
 
 def _layer(absorbed: Array, scattered: Array | float) -> Array:
-    """Diffuse reflectance of a layer on black by its optical thicknesses, 2 x absorption and scattering (Kubelka and Munk 1931)."""
+    """Diffuse reflectance of a layer on black by its optical thicknesses, 2 x absorption and scattering (Kubelka and
+    Munk 1931).
+    """
     a = 1.0 + absorbed / scattered
     b = np.sqrt(a * a - 1.0)
     return np.asarray(1.0 / (a + b / np.tanh(b * scattered)))
@@ -62,23 +64,122 @@ def _step(wavelength: Array, edge_nm: float, width_nm: float) -> Array:
 
 
 _PIGMENT_NM = (
-    400, 410, 420, 430, 440, 450, 460, 470, 480, 490, 500, 510, 520, 530, 540, 550, 560, 570, 580, 590, 600, 610, 620, 630, 640, 650, 660,
-    670, 675, 680, 685, 690, 695, 700, 705, 710, 715, 720, 730, 740, 760,
-)  # fmt: skip
+    400,
+    410,
+    420,
+    430,
+    440,
+    450,
+    460,
+    470,
+    480,
+    490,
+    500,
+    510,
+    520,
+    530,
+    540,
+    550,
+    560,
+    570,
+    580,
+    590,
+    600,
+    610,
+    620,
+    630,
+    640,
+    650,
+    660,
+    670,
+    675,
+    680,
+    685,
+    690,
+    695,
+    700,
+    705,
+    710,
+    715,
+    720,
+    730,
+    740,
+    760,
+)
 _CHLOROPHYLL = (
-    0.0268, 0.0553, 0.0648, 0.0698, 0.0712, 0.0609, 0.0499, 0.0462, 0.0441, 0.0368, 0.0250, 0.0154, 0.0095, 0.0086, 0.0108, 0.0129, 0.0142,
-    0.0165, 0.0196, 0.0217, 0.0228, 0.0249, 0.0280, 0.0292, 0.0321, 0.0389, 0.0459, 0.0577, 0.0591, 0.0565, 0.0469, 0.0325, 0.0204, 0.0126,
-    0.0081, 0.0055, 0.0037, 0.0025, 0.0011, 0.0005, 0.0,
-)  # fmt: skip
+    0.0268,
+    0.0553,
+    0.0648,
+    0.0698,
+    0.0712,
+    0.0609,
+    0.0499,
+    0.0462,
+    0.0441,
+    0.0368,
+    0.0250,
+    0.0154,
+    0.0095,
+    0.0086,
+    0.0108,
+    0.0129,
+    0.0142,
+    0.0165,
+    0.0196,
+    0.0217,
+    0.0228,
+    0.0249,
+    0.0280,
+    0.0292,
+    0.0321,
+    0.0389,
+    0.0459,
+    0.0577,
+    0.0591,
+    0.0565,
+    0.0469,
+    0.0325,
+    0.0204,
+    0.0126,
+    0.0081,
+    0.0055,
+    0.0037,
+    0.0025,
+    0.0011,
+    0.0005,
+    0.0,
+)
 _CAROTENE_NM = (400, 410, 420, 430, 440, 450, 460, 470, 480, 490, 500, 510, 520, 530, 540, 550, 560)
-_CAROTENE = (0.2895, 0.2203, 0.1866, 0.1735, 0.1664, 0.1577, 0.1425, 0.1308, 0.1270, 0.1166, 0.0966, 0.0728, 0.0502, 0.0303, 0.0144, 0.0038, 0.0)
-"""Specific absorption of leaf pigments [cm2 per microgram] (Feret et al. 2008, PROSPECT-5), every 10 nm and closer along the red edge."""
+_CAROTENE = (
+    0.2895,
+    0.2203,
+    0.1866,
+    0.1735,
+    0.1664,
+    0.1577,
+    0.1425,
+    0.1308,
+    0.1270,
+    0.1166,
+    0.0966,
+    0.0728,
+    0.0502,
+    0.0303,
+    0.0144,
+    0.0038,
+    0.0,
+)
+"""Specific absorption of leaf pigments [cm2 per microgram] (Feret et al. 2008, PROSPECT-5), every 10 nm and closer
+along the red edge.
+"""
 
 LEAF_SCATTERING = 0.9
 """Scattering thickness of a leaf: 46 % of near infrared come back, as PROSPECT gives for broad leaves."""
 
 LEAF_PATH = 1.42**2
-"""How much farther diffuse light goes in a leaf than its thickness says: its skin of index 1.42 turns most of it back inside."""
+"""How much farther diffuse light goes in a leaf than its thickness says: its skin of index 1.42 turns most of it back
+inside.
+"""
 
 
 LEAF_SURFACE = 0.015
@@ -98,21 +199,122 @@ def leaf(wavelength: Array, *, chlorophyll: float, carotene: float, brown: float
     green = np.interp(wavelength, _PIGMENT_NM, _CHLOROPHYLL)
     yellow = np.interp(wavelength, _CAROTENE_NM, _CAROTENE)
     tan = brown * 2.0 ** (-(wavelength - 500.0) / 55.0)
-    return LEAF_SURFACE + (1.0 - LEAF_SURFACE) * _layer(2.0 * LEAF_PATH * (chlorophyll * green + carotene * yellow + tan + 0.008), LEAF_SCATTERING)
+    return LEAF_SURFACE + (1.0 - LEAF_SURFACE) * _layer(
+        2.0 * LEAF_PATH * (chlorophyll * green + carotene * yellow + tan + 0.008), LEAF_SCATTERING
+    )
 
 
 _BLOOD_NM = (
-    380, 390, 400, 410, 420, 430, 440, 450, 460, 470, 480, 490, 500, 510, 520, 530, 540, 550, 560, 570, 580, 590, 600, 610, 620, 630, 640,
-    650, 660, 670, 680, 690, 700, 750, 780,
-)  # fmt: skip
+    380,
+    390,
+    400,
+    410,
+    420,
+    430,
+    440,
+    450,
+    460,
+    470,
+    480,
+    490,
+    500,
+    510,
+    520,
+    530,
+    540,
+    550,
+    560,
+    570,
+    580,
+    590,
+    600,
+    610,
+    620,
+    630,
+    640,
+    650,
+    660,
+    670,
+    680,
+    690,
+    700,
+    750,
+    780,
+)
 _OXYGENATED = (
-    145232, 167748, 266232, 466840, 480360, 246072, 102580, 62816, 44480, 33209, 26629, 23684, 20932, 20035, 24202, 39956, 53236, 43016,
-    32613, 44496, 50104, 14400, 3200, 1506, 942, 610, 442, 368, 319, 294, 277, 276, 290, 518, 710,
-)  # fmt: skip
+    145232,
+    167748,
+    266232,
+    466840,
+    480360,
+    246072,
+    102580,
+    62816,
+    44480,
+    33209,
+    26629,
+    23684,
+    20932,
+    20035,
+    24202,
+    39956,
+    53236,
+    43016,
+    32613,
+    44496,
+    50104,
+    14400,
+    3200,
+    1506,
+    942,
+    610,
+    442,
+    368,
+    319,
+    294,
+    277,
+    276,
+    290,
+    518,
+    710,
+)
 _DEOXYGENATED = (
-    136068, 167780, 223296, 303956, 407560, 528600, 413280, 103292, 23389, 16156, 14550, 16684, 20862, 25773, 31589, 39036, 46592, 53412,
-    53788, 45072, 37020, 28324, 14677, 9443, 6509, 5148, 4345, 3750, 3226, 2795, 2407, 2051, 1794, 1405, 1075,
-)  # fmt: skip
+    136068,
+    167780,
+    223296,
+    303956,
+    407560,
+    528600,
+    413280,
+    103292,
+    23389,
+    16156,
+    14550,
+    16684,
+    20862,
+    25773,
+    31589,
+    39036,
+    46592,
+    53412,
+    53788,
+    45072,
+    37020,
+    28324,
+    14677,
+    9443,
+    6509,
+    5148,
+    4345,
+    3750,
+    3226,
+    2795,
+    2407,
+    2051,
+    1794,
+    1405,
+    1075,
+)
 """Molar extinction of haemoglobin [1/(cm mol/l)] (Prahl 1998, after Gratzer and Kollias)."""
 
 
@@ -123,12 +325,16 @@ def skin(wavelength: Array, *, melanin: float, blood: float = 0.02, oxygen: floa
         melanin: share of the epidermis that is melanosomes; 0.01 to 0.06 light, 0.1 and more dark.
         blood: share of the dermis; oxygen: share of its haemoglobin that carries oxygen.
     """
-    haemoglobin = oxygen * np.interp(wavelength, _BLOOD_NM, _OXYGENATED) + (1.0 - oxygen) * np.interp(wavelength, _BLOOD_NM, _DEOXYGENATED)
+    haemoglobin = oxygen * np.interp(wavelength, _BLOOD_NM, _OXYGENATED) + (1.0 - oxygen) * np.interp(
+        wavelength, _BLOOD_NM, _DEOXYGENATED
+    )
     per_cm = blood * 2.303 * haemoglobin * 150.0 / 64_500.0 + 0.25  # 150 g/l of blood; 64 500 g/mol; bloodless tissue
     scattering = 46.0 * (wavelength / 500.0) ** -1.421
     ratio = 2.0 * per_cm / (0.75 * scattering)
     dermis = 1.0 + ratio - np.sqrt(ratio * ratio + 2.0 * ratio)
-    twice = np.exp(-2.0 * 2.0 * 0.006 * melanin * 6.6e11 * wavelength**-3.33)  # 60 micrometres, twice as long for diffuse light
+    twice = np.exp(
+        -2.0 * 2.0 * 0.006 * melanin * 6.6e11 * wavelength**-3.33
+    )  # 60 micrometres, twice as long for diffuse light
     return np.asarray(dermis * twice)
 
 
@@ -138,7 +344,9 @@ def _asphalt(level: float, rise: float) -> Callable[[Array], Array]:
 
 def _mineral(low: float, high: float, edge_nm: float, width_nm: float, rise: float) -> Callable[[Array], Array]:
     """Iron oxides: dark below an edge, then a slow rise."""
-    return lambda wavelength: (low + (high - low) * _step(wavelength, edge_nm, width_nm)) * (1.0 + rise * (wavelength - 550.0) / 100.0)
+    return lambda wavelength: (
+        (low + (high - low) * _step(wavelength, edge_nm, width_nm)) * (1.0 + rise * (wavelength - 550.0) / 100.0)
+    )
 
 
 def _sheeting(low: float, high: float, edge_nm: float, width_nm: float) -> Callable[[Array], Array]:
@@ -146,7 +354,9 @@ def _sheeting(low: float, high: float, edge_nm: float, width_nm: float) -> Calla
 
 
 def _between(low: float, high: float, from_nm: float, to_nm: float, width_nm: float) -> Callable[[Array], Array]:
-    return lambda wavelength: low + (high - low) * _step(wavelength, from_nm, width_nm) * (1.0 - _step(wavelength, to_nm, width_nm))
+    return lambda wavelength: (
+        low + (high - low) * _step(wavelength, from_nm, width_nm) * (1.0 - _step(wavelength, to_nm, width_nm))
+    )
 
 
 _PROSPECT = "pigments: Feret et al. (2008), PROSPECT-5; two fluxes: Kubelka and Munk (1931)"
@@ -156,31 +366,59 @@ _SIGNS = "edges such that the colour lies in the daylight box of EN 12899-1"
 
 TABLE: Mapping[str, Reflectance] = MappingProxyType(
     {
-        "leaf": Reflectance("a broad leaf, 40 micrograms of chlorophyll per cm2", _PROSPECT, lambda w: leaf(w, chlorophyll=40.0, carotene=8.0)),
-        "leaf_olive": Reflectance("a leaf that begins to turn", _PROSPECT, lambda w: leaf(w, chlorophyll=14.0, carotene=7.0, brown=0.12)),
-        "leaf_gold": Reflectance("a yellow leaf in autumn: carotenes alone", _PROSPECT, lambda w: leaf(w, chlorophyll=1.0, carotene=10.0, brown=0.15)),
-        "leaf_dry": Reflectance("a dead, brown leaf", _PROSPECT, lambda w: leaf(w, chlorophyll=0.5, carotene=4.0, brown=1.3)),
+        "leaf": Reflectance(
+            "a broad leaf, 40 micrograms of chlorophyll per cm2",
+            _PROSPECT,
+            lambda w: leaf(w, chlorophyll=40.0, carotene=8.0),
+        ),
+        "leaf_olive": Reflectance(
+            "a leaf that begins to turn", _PROSPECT, lambda w: leaf(w, chlorophyll=14.0, carotene=7.0, brown=0.12)
+        ),
+        "leaf_gold": Reflectance(
+            "a yellow leaf in autumn: carotenes alone",
+            _PROSPECT,
+            lambda w: leaf(w, chlorophyll=1.0, carotene=10.0, brown=0.15),
+        ),
+        "leaf_dry": Reflectance(
+            "a dead, brown leaf", _PROSPECT, lambda w: leaf(w, chlorophyll=0.5, carotene=4.0, brown=1.3)
+        ),
         "needle": Reflectance("conifer needles, dark", _PROSPECT, lambda w: leaf(w, chlorophyll=70.0, carotene=12.0)),
-        "grass": Reflectance("a lawn: green blades over some dry ones", _PROSPECT, lambda w: leaf(w, chlorophyll=28.0, carotene=7.0, brown=0.12)),
+        "grass": Reflectance(
+            "a lawn: green blades over some dry ones",
+            _PROSPECT,
+            lambda w: leaf(w, chlorophyll=28.0, carotene=7.0, brown=0.12),
+        ),
         "asphalt": Reflectance("asphalt in use", _HEROLD, _asphalt(0.10, 0.08)),
         "asphalt_new": Reflectance("new asphalt: bitumen, nearly black and flat", _HEROLD, _asphalt(0.05, 0.03)),
         "asphalt_old": Reflectance("old asphalt: the stone shows", _HEROLD, _asphalt(0.16, 0.12)),
-        "concrete": Reflectance("concrete and cement render", "estimate; falls towards blue as cement does", _mineral(0.20, 0.33, 430.0, 40.0, 0.03)),
+        "concrete": Reflectance(
+            "concrete and cement render",
+            "estimate; falls towards blue as cement does",
+            _mineral(0.20, 0.33, 430.0, 40.0, 0.03),
+        ),
         "soil": Reflectance(
-            "moist brown soil", "estimate; soft edge of iron oxides as in Stoner and Baumgardner (1981)", _mineral(0.06, 0.14, 550.0, 60.0, 0.10)
+            "moist brown soil",
+            "estimate; soft edge of iron oxides as in Stoner and Baumgardner (1981)",
+            _mineral(0.06, 0.14, 550.0, 60.0, 0.10),
         ),
         "brick": Reflectance(
-            "red brick: haematite", "estimate; edge of haematite near 575 nm as in Morris et al. (1985)", _mineral(0.10, 0.30, 578.0, 20.0, 0.05)
+            "red brick: haematite",
+            "estimate; edge of haematite near 575 nm as in Morris et al. (1985)",
+            _mineral(0.10, 0.30, 578.0, 20.0, 0.05),
         ),
         "skin": Reflectance("light skin", _JACQUES, lambda w: skin(w, melanin=0.025)),
         "skin_brown": Reflectance("brown skin", _JACQUES, lambda w: skin(w, melanin=0.06)),
         "sheeting_white": Reflectance("white retro-reflective sheeting", _SIGNS, _sheeting(0.04, 0.40, 408.0, 8.0)),
         "sheeting_yellow": Reflectance("yellow retro-reflective sheeting", _SIGNS, _sheeting(0.02, 0.42, 513.0, 9.0)),
         "sheeting_red": Reflectance("red retro-reflective sheeting", _SIGNS, _sheeting(0.012, 0.30, 608.0, 9.0)),
-        "sheeting_blue": Reflectance("blue retro-reflective sheeting", _SIGNS, _between(0.008, 0.17, 405.0, 490.0, 12.0)),
+        "sheeting_blue": Reflectance(
+            "blue retro-reflective sheeting", _SIGNS, _between(0.008, 0.17, 405.0, 490.0, 12.0)
+        ),
     }
 )
-"""Reflectances by name.  Each stands for all of its kind: a material that names one has it `tinted` to its own colour."""
+"""Reflectances by name.  Each stands for all of its kind: a material that names one has it `tinted` to its own
+colour.
+"""
 
 
 def reflectance(name: str) -> Array:
@@ -191,7 +429,10 @@ def reflectance(name: str) -> Array:
     """
     if name not in TABLE:
         known = (PAINT, *TABLE)
-        raise ParameterError(f"there is no spectrum {name!r}; it can be {', '.join(known)}, or pairs (nm, reflectance).{did_you_mean(name, known)}")
+        raise ParameterError(
+            f"there is no spectrum {name!r}; it can be {', '.join(known)}, or pairs (nm, "
+            f"reflectance).{did_you_mean(name, known)}"
+        )
     return np.clip(TABLE[name].curve(WAVELENGTHS_NM), 0.0, 1.0)
 
 
@@ -215,7 +456,10 @@ def emission(name: str) -> Array:
     if name not in tables:
         known = (*ILLUMINANTS, *LEDS, *tables)
         some = (*ILLUMINANTS, *LEDS, "HP1 to HP5", "LED-B1 to LED-B5", "FL1 to FL12")
-        raise ParameterError(f"there is no light {name!r}; it can be {', '.join(some)} or another illuminant of the CIE.{did_you_mean(name, known)}")
+        raise ParameterError(
+            f"there is no light {name!r}; it can be {', '.join(some)} or another illuminant of the "
+            f"CIE.{did_you_mean(name, known)}"
+        )
     return np.interp(WAVELENGTHS_NM, tables[name].wavelengths, tables[name].values)
 
 
@@ -233,10 +477,14 @@ def sampled(pairs: npt.ArrayLike, *, most: float = np.inf) -> Array:
         raise ParameterError(f"an array of shape {table.shape} is no spectrum; it takes two or more pairs (nm, value)")
     wavelength, value = table.T
     if not np.isfinite(table).all() or (np.diff(wavelength) <= 0.0).any():
-        raise ParameterError("its wavelengths do not rise, or a number is not finite; it takes pairs (nm, value) from short to long wavelengths")
+        raise ParameterError(
+            "its wavelengths do not rise, or a number is not finite; it takes pairs (nm, value) from short to long "
+            "wavelengths"
+        )
     if wavelength[0] > COVERS_NM[0] or wavelength[-1] < COVERS_NM[1]:
         raise ParameterError(
-            f"it covers {wavelength[0]:g} to {wavelength[-1]:g} nm; it must reach from {COVERS_NM[0]:g} to {COVERS_NM[1]:g} nm (not micrometres)"
+            f"it covers {wavelength[0]:g} to {wavelength[-1]:g} nm; it must reach from {COVERS_NM[0]:g} to "
+            f"{COVERS_NM[1]:g} nm (not micrometres)"
         )
     if value.min() < 0.0 or value.max() > most * (1.0 + 1e-6) or not value.max() > 0.0:
         upper = f" to {most:g}" if np.isfinite(most) else " and above"
@@ -292,9 +540,11 @@ def smooth(rgb: tuple[float, float, float]) -> Array:
 
 
 def tinted(shape: Array, rgb: tuple[float, float, float]) -> Array:
-    """A reflectance times a factor, exp of a parabola from 430 to 650 nm and even beyond, such that D65 shows a colour; at most 1 anywhere.
+    """A reflectance times a factor, exp of a parabola from 430 to 650 nm and even beyond, such that D65 shows a colour;
+    at most 1 anywhere.
 
-    So a spectrum that stands for all of its kind becomes that of one of them: its bands and edges stay, its tint is the material's.
+    So a spectrum that stands for all of its kind becomes that of one of them: its bands and edges stay, its tint is the
+    material's.
 
     Args:
         shape: (401,) reflectance.
@@ -315,8 +565,14 @@ SEEN_NM = (430.0, 650.0)
 """Outside of it a colour says next to nothing of a spectrum, and a tint does not change."""
 
 
-def _solved(curve: Callable[[Array], tuple[Array, Array]], start: float, rgb: npt.ArrayLike, reach_nm: tuple[float, float] = (0.0, np.inf)) -> Array:
-    """The curve of a parabola, by Newton's method on its three coefficients, of which D65 shows a colour; the nearest found where there is none.
+def _solved(
+    curve: Callable[[Array], tuple[Array, Array]],
+    start: float,
+    rgb: npt.ArrayLike,
+    reach_nm: tuple[float, float] = (0.0, np.inf),
+) -> Array:
+    """The curve of a parabola, by Newton's method on its three coefficients, of which D65 shows a colour; the nearest
+    found where there is none.
 
     Args:
         curve: a parabola on `WAVELENGTHS_NM` -> the curve and how fast it changes with it.

@@ -51,14 +51,24 @@ def from_colour_science() -> dict[str, dict[str, Array]]:
     def on_grid(wavelengths_nm: Array, values: Array) -> Array:
         return np.interp(GRID_NM, wavelengths_nm, values)
 
-    lights = {name: on_grid(colour.SDS_ILLUMINANTS[name].wavelengths, colour.SDS_ILLUMINANTS[name].values) for name in LIGHTS}
-    observer, basis = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"], colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019
+    lights = {
+        name: on_grid(colour.SDS_ILLUMINANTS[name].wavelengths, colour.SDS_ILLUMINANTS[name].values) for name in LIGHTS
+    }
+    observer, basis = (
+        colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"],
+        colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019,
+    )
     seen = {f"{axis}_bar": on_grid(observer.wavelengths, observer.values[:, index]) for index, axis in enumerate("xyz")}
-    shapes = {f"basis_{letter}": on_grid(basis.wavelengths, basis.values[:, index]) for index, letter in enumerate("rgb")}
+    shapes = {
+        f"basis_{letter}": on_grid(basis.wavelengths, basis.values[:, index]) for index, letter in enumerate("rgb")
+    }
     found = {STANDARD: {"wavelength_nm": GRID_NM, **lights, **seen, **shapes}}
     for camera, name in CAMERAS.items():
         measured = colour.MSDS_CAMERA_SENSITIVITIES[camera]
-        found[name] = {"wavelength_nm": measured.wavelengths, **{letter: measured.values[:, index] for index, letter in enumerate("RGB")}}
+        found[name] = {
+            "wavelength_nm": measured.wavelengths,
+            **{letter: measured.values[:, index] for index, letter in enumerate("RGB")},
+        }
     return found
 
 

@@ -1,14 +1,14 @@
 """Small worlds with known answers, for tests of ours and of yours.
 
-`scene` makes a `SceneDict` of a few Mitsuba dictionaries; `black`, `wall`, `sky`, `box` and `uniform_fog` are what most worlds
-are made of.  Truths are closed forms (`lamp_in_endless_fog`) or discrete ordinates (`empty_layer`), which share no code with
-any renderer.  `synfog-usd selftest` runs the same worlds on a user's machine.  Knows nothing of Mitsuba.
+`scene` makes a `SceneDict` of a few Mitsuba dictionaries; `black`, `wall`, `sky`, `box` and `uniform_fog` are what most
+worlds are made of.  Truths are closed forms (`lamp_in_endless_fog`) or discrete ordinates (`empty_layer`), which share
+no code with any renderer.  `synfog-usd selftest` runs the same worlds on a user's machine.  Knows nothing of Mitsuba.
 
 >>> source = scene({"shape_wall": wall(50.0, **black(1.0))}, [uniform_fog(200.0, visibility_m=150.0)], fov_x_deg=0.1)
 >>> import numpy as np
 >>> round(float(np.exp(-50.0 * source.fog[0].medium.sigma_t_per_m)), 4)  # what any unbiased model sees, beside the airlight
 0.3684
-"""
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -66,7 +66,9 @@ def scene(
     return SceneDict({"type": "scene", **world}, camera, tuple(fog), instances, instance_of)
 
 
-def uniform_fog(half_size: float = 200.0, *, visibility_m: float = 150.0, albedo: float = 1.0, g: float = 0.87) -> FogVolume:
+def uniform_fog(
+    half_size: float = 200.0, *, visibility_m: float = 150.0, albedo: float = 1.0, g: float = 0.87
+) -> FogVolume:
     """One big box of uniform fog around the camera."""
     return FogVolume("/Fog", box(half_size), FogMedium.from_visibility(visibility_m, albedo=albedo, g=g))
 
@@ -85,18 +87,26 @@ def tilted(zenith_deg: float) -> npt.NDArray[np.float64]:
 
 
 def pixel_rays(source: SceneDict, nodes: int = 6) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Directions (H, W, nodes^2, 3) through each pixel of a camera without shift, and the weights (nodes^2,) of their mean (Gauss and Legendre)."""
+    """Directions (H, W, nodes^2, 3) through each pixel of a camera without shift, and the weights (nodes^2,) of their
+    mean (Gauss and Legendre).
+    """
     camera = source.camera
     width, height = camera.width_px, camera.height_px
     node, weight = np.polynomial.legendre.leggauss(nodes)
     edge = np.tan(np.radians(camera.fov_x_deg) / 2)
     x = (2 * (np.arange(width)[:, None] + (node + 1) / 2) / width - 1) * edge
     y = (1 - 2 * (np.arange(height)[:, None] + (node + 1) / 2) / height) * edge * height / width
-    local = np.stack(np.broadcast_arrays(x[None, :, None, :], y[:, None, :, None], -1.0), axis=-1).reshape(height, width, -1, 3)
-    return local @ camera.to_world[:3, :3].T / np.linalg.norm(local, axis=-1, keepdims=True), np.outer(weight, weight).ravel() / 4
+    local = np.stack(np.broadcast_arrays(x[None, :, None, :], y[:, None, :, None], -1.0), axis=-1).reshape(
+        height, width, -1, 3
+    )
+    return local @ camera.to_world[:3, :3].T / np.linalg.norm(local, axis=-1, keepdims=True), np.outer(
+        weight, weight
+    ).ravel() / 4
 
 
-def lamp_in_endless_fog(medium: FogMedium, lamp_m: npt.ArrayLike, directions: npt.NDArray[np.float64], intensity: float = 1.0) -> npt.NDArray[np.float64]:
+def lamp_in_endless_fog(
+    medium: FogMedium, lamp_m: npt.ArrayLike, directions: npt.NDArray[np.float64], intensity: float = 1.0
+) -> npt.NDArray[np.float64]:
     """Light of a point lamp that endless fog turned once, seen from the origin.
 
     With h the distance of the ray from the lamp and t = D cos(theta) + h tan(eta) along it, dt / r^2 = d(eta) / h, and
@@ -159,7 +169,10 @@ def empty_layer(
     s = half_width_m
     floor = np.array([[-s, -s, bottom], [s, -s, bottom], [s, s, bottom], [-s, s, bottom]])
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [ground] * 3}}
-    world = {**sky(), "shape_ground": {"type": "mesh", "positions": floor, "faces": np.array([[0, 1, 2], [0, 2, 3]]), "bsdf": grey}}
+    world = {
+        **sky(),
+        "shape_ground": {"type": "mesh", "positions": floor, "faces": np.array([[0, 1, 2], [0, 2, 3]]), "bsdf": grey},
+    }
     fog = FogVolume("/Fog", box((s, s, (top_m + sunk_m) / 2), (0, 0, (top + bottom - sunk_m) / 2)), medium)
     matrix = tilted((low + high) / 2)
     edge = np.tan(np.radians(high - low) / 2)

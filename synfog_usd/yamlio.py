@@ -116,5 +116,7 @@ class _Builder:
             try:
                 value = self.scalars.construct_object(node)
             except (yaml.YAMLError, ValueError) as problem:
-                raise self.error(f"{place}: {node.value!r} cannot be read as {node.tag.rsplit(':', 1)[-1]}") from problem
+                raise self.error(
+                    f"{place}: {node.value!r} cannot be read as {node.tag.rsplit(':', 1)[-1]}"
+                ) from problem
         return Located(value, place, key_place)

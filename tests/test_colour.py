@@ -16,14 +16,23 @@ def test_the_transfer_function_is_that_of_the_standard(kind, rtol):
     light = colour.srgb_decode(codes)
     assert light.dtype == kind and colour.srgb_encode(light).dtype == kind
     np.testing.assert_allclose(light, colour_science.models.eotf_sRGB(codes.astype(np.float64)), rtol=rtol)
-    np.testing.assert_allclose(colour.srgb_encode(light), colour_science.models.eotf_inverse_sRGB(light.astype(np.float64)), rtol=10 * rtol, atol=1e-7)
+    np.testing.assert_allclose(
+        colour.srgb_encode(light),
+        colour_science.models.eotf_inverse_sRGB(light.astype(np.float64)),
+        rtol=10 * rtol,
+        atol=1e-7,
+    )
     np.testing.assert_allclose(colour.srgb_encode(np.array([-1.0, 0.0, 1.0, 7.0], dtype=kind)), [0, 0, 1, 1], rtol=rtol)
-    np.testing.assert_allclose(colour.srgb_decode(np.array([1.5, -0.1], dtype=kind)), [((1.5 + 0.055) / 1.055) ** 2.4, -0.1 / 12.92], rtol=rtol)
+    np.testing.assert_allclose(
+        colour.srgb_decode(np.array([1.5, -0.1], dtype=kind)), [((1.5 + 0.055) / 1.055) ** 2.4, -0.1 / 12.92], rtol=rtol
+    )
 
 
 def test_the_table_of_codes_is_the_function():
     """Each of 256 codes; the ends are exact."""
-    np.testing.assert_allclose(colour.SRGB_TO_LINEAR, colour_science.models.eotf_sRGB(np.arange(256) / 255.0), rtol=1e-7)
+    np.testing.assert_allclose(
+        colour.SRGB_TO_LINEAR, colour_science.models.eotf_sRGB(np.arange(256) / 255.0), rtol=1e-7
+    )
     assert colour.SRGB_TO_LINEAR[0] == 0.0 and colour.SRGB_TO_LINEAR[255] == 1.0
 
 

@@ -26,7 +26,9 @@ def test_a_writer_that_fails_leaves_the_old_file_and_nothing_beside_it(tmp_path:
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("write", [lambda p: p.write_bytes(b"x"), lambda p: Sdf.Layer.CreateNew(str(p))], ids=["bytes", "usd"])
+@pytest.mark.parametrize(
+    "write", [lambda p: p.write_bytes(b"x"), lambda p: Sdf.Layer.CreateNew(str(p))], ids=["bytes", "usd"]
+)
 def test_a_folder_that_takes_no_file_is_one_clear_error(write: object) -> None:
     """USD's library raises an error of its own kind, which would reach the user as a traceback."""
     with pytest.raises(OutputError, match=r"^/proc/x\.usda: cannot be written"):

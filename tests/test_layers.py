@@ -95,7 +95,9 @@ def test_imports_follow_the_direction_of_the_data(path):
                 assert target != "cli", f"{inside}:{line}: {room} may not import {module}"
         elif parts[0] in HEAVY:
             allowed = HEAVY[parts[0]]
-            assert room in allowed or inside.as_posix() in allowed, f"{inside}:{line}: {parts[0]} may not be imported in {room}"
+            assert room in allowed or inside.as_posix() in allowed, (
+                f"{inside}:{line}: {parts[0]} may not be imported in {room}"
+            )
 
 
 def test_every_room_is_ruled():
@@ -124,11 +126,12 @@ for arguments in ["--help"], ["bake", "--help"], ["chart", "--help"], ["compose"
     except SystemExit as end:
         assert not end.code, arguments
     print("LOADED", *sorted(sys.modules))
-"""
+"""  # noqa: E501
 
 
 def test_help_imports_nothing_heavy():
-    """What help costs is what it loads: of this package the command line alone, and no library that draws, computes or knows USD.
+    """What help costs is what it loads: of this package the command line alone, and no library that draws, computes or
+    knows USD.
 
     All in one process, so that what one page of help loads is seen at each that follows.
     """

@@ -21,7 +21,9 @@ def bands(*centres_nm: float) -> tuple[str, ...]:
 
 
 def test_each_rgb_channel_has_the_colour_of_its_srgb_primary():
-    """The spectra, seen by the CIE observer, give the matrix of IEC 61966-2-1 (4 digits there; the fit of 2019 is good to 0.0015)."""
+    """The spectra, seen by the CIE observer, give the matrix of IEC 61966-2-1 (4 digits there; the fit of 2019 is good
+    to 0.0015).
+    """
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(380, 780, 1))
     xyz = 683.002 * photometry.channel_spectra(RGB) @ observer.values
     np.testing.assert_allclose(xyz.T, colour.RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ, atol=0.0015)
@@ -41,7 +43,9 @@ def test_bands_fill_the_spectrum_once():
     np.testing.assert_allclose(spectra.sum(axis=1), 50.0, rtol=1e-12)
 
 
-@pytest.mark.parametrize("channels", [("R", "G"), ("X", "Y", "Z"), bands(550), bands(600, 500), ("R", *bands(500, 600))])
+@pytest.mark.parametrize(
+    "channels", [("R", "G"), ("X", "Y", "Z"), bands(550), bands(600, 500), ("R", *bands(500, 600))]
+)
 def test_other_channels_are_refused(channels):
     with pytest.raises(ImageError, match=r"neither R, G, B nor two or more rising bands"):
         photometry.channel_spectra(channels)
@@ -49,11 +53,18 @@ def test_other_channels_are_refused(channels):
 
 def test_band_names_are_those_of_fichet_et_al():
     assert photometry.band_name(412.5) == "S0.412,500000nm"
-    assert [photometry.band_centre_nm(name) for name in ("S0.412,500000nm", "S0.700nm", "T.550nm", "R")] == [412.5, 700.0, None, None]
+    assert [photometry.band_centre_nm(name) for name in ("S0.412,500000nm", "S0.700nm", "T.550nm", "R")] == [
+        412.5,
+        700.0,
+        None,
+        None,
+    ]
 
 
 def test_electrons_of_one_wavelength_follow_the_emva_formula():
-    """mu_p = 50.34 A[um2] t[ms] lambda[um] E[uW/cm2] (EMVA 1288 R4.0, eq. 3), times the quantum efficiency read off the measured curve."""
+    """mu_p = 50.34 A[um2] t[ms] lambda[um] E[uW/cm2] (EMVA 1288 R4.0, eq. 3), times the quantum efficiency read off the
+    measured curve.
+    """
     measured = colour.MSDS_CAMERA_SENSITIVITIES["Nikon 5100 (NPL)"]
     per_photon = measured.values / measured.wavelengths[:, None]
     qe_550 = 0.6 * per_photon[measured.wavelengths == 550.0][0] / per_photon.max()
@@ -71,7 +82,12 @@ def test_electrons_of_white_light_follow_a_hand_integral():
     watts = d65 / (683.002 * np.sum(d65 * y_bar) * 5.0)
     measured = colour.MSDS_CAMERA_SENSITIVITIES["Nikon 5100 (NPL)"].values / shape.wavelengths[:, None]
     qe = 0.6 * measured / measured.max()
-    expected = np.sum(watts[:, None] * qe * wavelengths_m[:, None] / (6.62607015e-34 * 299792458.0), axis=0) * 5.0 * (2e-6) ** 2 * 0.5
+    expected = (
+        np.sum(watts[:, None] * qe * wavelengths_m[:, None] / (6.62607015e-34 * 299792458.0), axis=0)
+        * 5.0
+        * (2e-6) ** 2
+        * 0.5
+    )
     found = response.electrons_per_second(SENSOR, RGB, pixel_pitch_um=2.0, fill_factor=0.5).sum(axis=1)
     np.testing.assert_allclose(found, expected, rtol=2e-3)  # 5 nm steps against 1 nm
 
@@ -88,15 +104,21 @@ def test_fine_bands_and_rgb_agree_about_white():
 
 def test_white_balance_equals_that_of_the_raw_to_aces_project():
     """`colour.matrix_idt` gives the multipliers of the same curves under D65; only their ratios count."""
-    with colour.utilities.suppress_warnings(colour_runtime_warnings=True):  # it says that it interpolates its own tables
-        _, multipliers = colour.matrix_idt(colour.MSDS_CAMERA_SENSITIVITIES["Nikon 5100 (NPL)"], colour.SDS_ILLUMINANTS["D65"])
+    with colour.utilities.suppress_warnings(
+        colour_runtime_warnings=True
+    ):  # it says that it interpolates its own tables
+        _, multipliers = colour.matrix_idt(
+            colour.MSDS_CAMERA_SENSITIVITIES["Nikon 5100 (NPL)"], colour.SDS_ILLUMINANTS["D65"]
+        )
     gains = 1.0 / np.array(response.neutral(SENSOR, "D65"))
     np.testing.assert_allclose(gains / gains[1], multipliers / multipliers[1], rtol=1e-3)  # 1 nm against 5 nm
 
 
 def test_the_raw_matrix_sends_d65_to_the_neutral_and_undoes_the_colour_matrix():
     white = colour.xy_to_XYZ((0.3127, 0.3290))
-    np.testing.assert_allclose(response.xyz_to_camera(SENSOR) @ white, response.neutral(SENSOR, "D65"), atol=1e-3)  # the sRGB matrix has four digits
+    np.testing.assert_allclose(
+        response.xyz_to_camera(SENSOR) @ white, response.neutral(SENSOR, "D65"), atol=1e-3
+    )  # the sRGB matrix has four digits
     rows = np.array(response.colour_matrix(SENSOR, "D65").rows)
     np.testing.assert_allclose(rows.sum(axis=1), 1.0, rtol=1e-12)
 

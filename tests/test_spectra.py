@@ -40,7 +40,9 @@ def test_reflectances_are_between_black_and_white_and_say_where_they_are_from(na
 
 
 def test_a_leaf_has_its_green_peak_and_its_red_edge_where_they_are_measured():
-    """Peak at 545 to 560 nm, least at 670 to 680 nm, steepest at 690 to 730 nm, 40 to 50 % beyond; and more chlorophyll shifts the edge to longer waves."""
+    """Peak at 545 to 560 nm, least at 670 to 680 nm, steepest at 690 to 730 nm, 40 to 50 % beyond; and more chlorophyll
+    shifts the edge to longer waves.
+    """
     curve = spectra.reflectance("leaf")
     seen = (NM >= 500) & (NM <= 600)
     red = (NM >= 620) & (NM <= 720)
@@ -55,7 +57,9 @@ def test_a_leaf_has_its_green_peak_and_its_red_edge_where_they_are_measured():
 
 
 def test_skin_has_the_bands_of_blood_and_darkens_with_melanin_most_in_blue():
-    """Dips at 542 and 577 nm (oxygenated haemoglobin); red over blue as the light skin of the ColorChecker, within a third."""
+    """Dips at 542 and 577 nm (oxygenated haemoglobin); red over blue as the light skin of the ColorChecker, within a
+    third.
+    """
     curve = spectra.reflectance("skin")
     for dip in (542, 577):
         assert at(curve, dip) < min(at(curve, dip - 14), at(curve, dip + 14))
@@ -89,7 +93,9 @@ def test_d65_shows_of_a_reflectance_what_colour_science_says():
     """Linear Rec.709 within 0.002; white is (1, 1, 1) to 1e-9."""
     np.testing.assert_allclose(spectra.rgb_of(np.ones(401)), 1.0, atol=1e-9)
     for name in ("leaf", "brick", "sheeting_blue"):
-        wanted = np.linalg.inv(colour.RGB_COLOURSPACES["ITU-R BT.709"].matrix_RGB_to_XYZ) @ tristimulus(spectra.reflectance(name))
+        wanted = np.linalg.inv(colour.RGB_COLOURSPACES["ITU-R BT.709"].matrix_RGB_to_XYZ) @ tristimulus(
+            spectra.reflectance(name)
+        )
         np.testing.assert_allclose(spectra.rgb_of(spectra.reflectance(name)), wanted, atol=2e-3)
 
 
@@ -123,7 +129,10 @@ def test_a_shape_is_scaled_to_a_brightness_and_never_above_white():
     assert spectra.scaled(spectra.reflectance("leaf"), (1.0, 1.0, 1.0)).max() == 1.0
 
 
-@pytest.mark.parametrize("name, table", [("HPS", "HP1"), ("HP1", "HP1"), ("LED", "LED-B3"), ("LED-B5", "LED-B5"), ("A", "A"), ("FL11", "FL11")])
+@pytest.mark.parametrize(
+    "name, table",
+    [("HPS", "HP1"), ("HP1", "HP1"), ("LED", "LED-B3"), ("LED-B5", "LED-B5"), ("A", "A"), ("FL11", "FL11")],
+)
 def test_lights_are_those_of_the_cie(name, table):
     wanted = colour.SDS_ILLUMINANTS[table]
     np.testing.assert_allclose(spectra.emission(name)[::5], wanted[NM[::5]], rtol=1e-9)
@@ -165,7 +174,9 @@ MATERIALS = {name: material for name, material in PALETTE.items() if material.sp
 
 @pytest.mark.parametrize("name", list(MATERIALS))
 def test_materials_of_the_palette_have_spectra_of_about_their_colour(name):
-    """Where the colour is not a texture's: within 0.05 in x and y of what D65 shows of the spectrum; signs keep to their standard instead."""
+    """Where the colour is not a texture's: within 0.05 in x and y of what D65 shows of the spectrum; signs keep to
+    their standard instead.
+    """
     material = MATERIALS[name]
     assert material.spectrum in (spectra.PAINT, *spectra.TABLE)
     if material.texture or material.spectrum == spectra.PAINT or material.spectrum.startswith("sheeting"):

@@ -25,7 +25,9 @@ def test_a_wrong_mean_leaves_image_reference_and_error(failed):
 
 
 def test_draws_that_are_two_percent_off_are_seen(failed):
-    """A thousand draws in each of 400 cells, half of them 2 % too often: seen in 9 runs of 10; draws as they should be in none of 20."""
+    """A thousand draws in each of 400 cells, half of them 2 % too often: seen in 9 runs of 10; draws as they should be
+    in none of 20.
+    """
     draw = np.random.default_rng(1)
     skewed = np.repeat([1.02, 0.98], 200) / 400.0
 

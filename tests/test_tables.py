@@ -24,9 +24,11 @@ def test_the_files_hold_what_colour_science_has():
 def test_metering_needs_no_heavy_library(module):
     """What a run whose nodes are all kept does: load the graph and meter, in a fresh interpreter."""
     code = (
-        "import sys; import numpy as np; from pathlib import Path; from synfog_usd import camera; from synfog_usd.image import Image, Quantity; "
+        "import sys; import numpy as np; from pathlib import Path; from synfog_usd import camera; from "
+        "synfog_usd.image import Image, Quantity; "
         "graph = camera.load_graph(Path('phone')); "
-        "camera.meter(Image(np.ones((8, 8, 3), np.float32), ('R', 'G', 'B'), Quantity.RADIANCE, provenance={'fov_x_deg': 60.0}), graph); "
+        "camera.meter(Image(np.ones((8, 8, 3), np.float32), ('R', 'G', 'B'), Quantity.RADIANCE, "
+        "provenance={'fov_x_deg': 60.0}), graph); "
         f"sys.exit({module!r} in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

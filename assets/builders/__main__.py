@@ -40,7 +40,9 @@ def components() -> Iterator[Component]:
 
 
 def write(what: str, folder: Path, only: Sequence[str] = ()) -> Iterator[Path]:
-    """Write one of WHAT below `folder`, of models and skies only those named, if any are; gives the files that stages refer to."""
+    """Write one of WHAT below `folder`, of models and skies only those named, if any are; gives the files that stages
+    refer to.
+    """
     assets = folder / "assets"
     if what == "textures":
         yield from write_textures(assets / "textures")
@@ -67,8 +69,15 @@ def write_nominal(models: Path) -> Path:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Gives the exit code."""
     parser = argparse.ArgumentParser(prog="python -m assets.builders", description=__doc__)
-    parser.add_argument("what", nargs="*", metavar="WHAT", help=f"{', '.join(WHAT)}: all of them if left out; or sheet, the picture of all skies")
-    parser.add_argument("--out", type=Path, default=Path.cwd(), help="the folder that holds, or will hold, assets and stages [this one]")
+    parser.add_argument(
+        "what",
+        nargs="*",
+        metavar="WHAT",
+        help=f"{', '.join(WHAT)}: all of them if left out; or sheet, the picture of all skies",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path.cwd(), help="the folder that holds, or will hold, assets and stages [this one]"
+    )
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="of models and skies")
     asked = parser.parse_args(arguments)
     for what in asked.what:

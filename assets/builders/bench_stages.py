@@ -41,7 +41,9 @@ GROUND_ALBEDO = 0.15
 GROUND_HALF_M = 2000.0
 FOG_LOW_M, FOG_TOP_M, FOG_HALF_M = -0.5, 60.0, 1500.0
 GROUP = "synfog:lightGroup"
-"""Names the light group of every light at or below the prim that carries it; without it the sky is 'sky', the rest 'other'."""
+"""Names the light group of every light at or below the prim that carries it; without it the sky is 'sky', the rest
+'other'.
+"""
 LAMP_SIZE = 0.64
 """Of the shipped street lamp, whose light then hangs 5 m high and gives 780 cd."""
 GLOBE_M, GLOBE_NITS = 0.15, (10500.0, 8150.0, 4920.0)
@@ -129,45 +131,125 @@ def overcast_street() -> BenchStage:
         Block("Kiosk", (-18.5, 68.0, 0.0), (-14.5, 72.0, 3.1), (0.10, 0.22, 0.14)),
     )
     placed = (*_street_cars(), *_street_people(), *_street_furniture(), *_street_plants())
-    return BenchStage("overcast_street", "An open suburban street by overcast noon; everything on it is small against its distances.", placed, blocks)
+    return BenchStage(
+        "overcast_street",
+        "An open suburban street by overcast noon; everything on it is small against its distances.",
+        placed,
+        blocks,
+    )
 
 
 def occluders() -> BenchStage:
     """What hides the sky and the fog close to the camera."""
     placed = (
-        *_row("Vehicles", [("lorry", 3.35, 7.65, 0, {"paint": "blue"}), ("hatchback", -1.9, 24.0, 180, {"paint": "silver"})]),
-        *_row("Vehicles", [("saloon", 2.2, 30.0, 0, {"paint": "black"}), ("van", -1.9, 41.0, 180, {"paint": "white"})], first=3),
-        *_row("People", [("man_walking", 1.02, 2.0, -80, {"outfit": "a"}), ("woman_walking", -0.6, 12.5, 95, {"outfit": "b"})]),
-        *_row("Plants", [("hedge", -3.3, 17.2, 90, {}), ("hedge", -3.3, 25.3, 90, {}), ("maple_tree", -7.5, 16.0, 40, {}), ("lime_tree", 8.5, 33.0, 10, {})]),
+        *_row(
+            "Vehicles",
+            [("lorry", 3.35, 7.65, 0, {"paint": "blue"}), ("hatchback", -1.9, 24.0, 180, {"paint": "silver"})],
+        ),
+        *_row(
+            "Vehicles",
+            [("saloon", 2.2, 30.0, 0, {"paint": "black"}), ("van", -1.9, 41.0, 180, {"paint": "white"})],
+            first=3,
+        ),
+        *_row(
+            "People",
+            [("man_walking", 1.02, 2.0, -80, {"outfit": "a"}), ("woman_walking", -0.6, 12.5, 95, {"outfit": "b"})],
+        ),
+        *_row(
+            "Plants",
+            [
+                ("hedge", -3.3, 17.2, 90, {}),
+                ("hedge", -3.3, 25.3, 90, {}),
+                ("maple_tree", -7.5, 16.0, 40, {}),
+                ("lime_tree", 8.5, 33.0, 10, {}),
+            ],
+        ),
         *_row("Furniture", [("street_lamp", -5.8, 34.0, -90, {"lamps": "off"}), ("sign_limit", 5.9, 14.5, 180, {})]),
     )
     wall = Block("Garden_Wall", (-2.95, -6.0, 0.0), (-2.6, 12.5, 2.1), (0.28, 0.16, 0.11), "wall")
-    return BenchStage("occluders", "A lorry, a passer-by, a wall and a hedge close to the camera, by overcast noon.", placed, (wall,))
+    return BenchStage(
+        "occluders", "A lorry, a passer-by, a wall and a hedge close to the camera, by overcast noon.", placed, (wall,)
+    )
 
 
 def street_canyon() -> BenchStage:
     """Houses on both sides, 14 m apart."""
-    width = {"house_brick": 15.62, "house_buff": 12.42, "house_cream": 13.02, "house_grey": 12.0, "house_ochre": 9.42, "house_rose": 11.42, "house_white": 16.0}
+    width = {
+        "house_brick": 15.62,
+        "house_buff": 12.42,
+        "house_cream": 13.02,
+        "house_grey": 12.0,
+        "house_ochre": 9.42,
+        "house_rose": 11.42,
+        "house_white": 16.0,
+    }
     rows = {
-        1: ("house_ochre", "house_brick", "house_rose", "house_white", "house_buff", "house_grey", "house_cream", "house_brick", "house_ochre", "house_rose"),
-        -1: ("house_white", "house_buff", "house_cream", "house_grey", "house_ochre", "house_brick", "house_rose", "house_buff", "house_white", "house_grey"),
+        1: (
+            "house_ochre",
+            "house_brick",
+            "house_rose",
+            "house_white",
+            "house_buff",
+            "house_grey",
+            "house_cream",
+            "house_brick",
+            "house_ochre",
+            "house_rose",
+        ),
+        -1: (
+            "house_white",
+            "house_buff",
+            "house_cream",
+            "house_grey",
+            "house_ochre",
+            "house_brick",
+            "house_rose",
+            "house_buff",
+            "house_white",
+            "house_grey",
+        ),
     }
     houses: list[Placement] = []
     for side, names in rows.items():
         y = -14.0
         for name in names:
-            houses.append(Placement("Buildings", f"House_{len(houses) + 1:02d}", name, 7.0 * side, round(y + width[name] / 2, 3), 90.0 * side, z=0.0))
+            houses.append(
+                Placement(
+                    "Buildings",
+                    f"House_{len(houses) + 1:02d}",
+                    name,
+                    7.0 * side,
+                    round(y + width[name] / 2, 3),
+                    90.0 * side,
+                    z=0.0,
+                )
+            )
             y += width[name]
     cars = [
-        ("estate", -1.8, 15.0, 180, {"paint": "silver"}), ("hatchback", 1.7, 17.5, 0, {"paint": "red"}), ("saloon", 4.4, 9.0, 0, {"paint": "white"}),
-        ("van", -4.4, 24.0, 180, {"paint": "blue"}), ("offroader", 4.4, 24.5, 0, {"paint": "grey"}), ("hatchback", -4.4, 36.0, 180, {"paint": "sand"}),
-        ("saloon", -1.8, 47.0, 180, {"paint": "black"}), ("bus", 1.8, 66.0, 0, {"paint": "red"}),
-    ]  # fmt: skip
-    people = [("student", 5.0, 14.5, 5, {"outfit": "a"}), ("woman_walking", -5.6, 13.0, 178, {"outfit": "b"}), ("old_man", -5.3, 29.0, -4, {"outfit": "a"}),
-              ("man_walking", 5.2, 34.0, 184, {"outfit": "c"})]  # fmt: skip
-    furniture = [("street_lamp", 5.6, 20.0, 90, {"lamps": "off"}), ("street_lamp", -5.6, 42.0, -90, {"lamps": "off"}), ("sign_parking", 5.4, 12.0, 180, {})]
+        ("estate", -1.8, 15.0, 180, {"paint": "silver"}),
+        ("hatchback", 1.7, 17.5, 0, {"paint": "red"}),
+        ("saloon", 4.4, 9.0, 0, {"paint": "white"}),
+        ("van", -4.4, 24.0, 180, {"paint": "blue"}),
+        ("offroader", 4.4, 24.5, 0, {"paint": "grey"}),
+        ("hatchback", -4.4, 36.0, 180, {"paint": "sand"}),
+        ("saloon", -1.8, 47.0, 180, {"paint": "black"}),
+        ("bus", 1.8, 66.0, 0, {"paint": "red"}),
+    ]
+    people = [
+        ("student", 5.0, 14.5, 5, {"outfit": "a"}),
+        ("woman_walking", -5.6, 13.0, 178, {"outfit": "b"}),
+        ("old_man", -5.3, 29.0, -4, {"outfit": "a"}),
+        ("man_walking", 5.2, 34.0, 184, {"outfit": "c"}),
+    ]
+    furniture = [
+        ("street_lamp", 5.6, 20.0, 90, {"lamps": "off"}),
+        ("street_lamp", -5.6, 42.0, -90, {"lamps": "off"}),
+        ("sign_parking", 5.4, 12.0, 180, {}),
+    ]
     placed = (*houses, *_row("Vehicles", cars), *_row("People", people), *_row("Furniture", furniture))
-    return BenchStage("canyon", "A street of houses 17 to 24 m high, 14 m from front to front, by overcast noon.", placed)
+    return BenchStage(
+        "canyon", "A street of houses 17 to 24 m high, 14 m from front to front, by overcast noon.", placed
+    )
 
 
 def bridge() -> BenchStage:
@@ -178,12 +260,24 @@ def bridge() -> BenchStage:
         Block("Parapet_Far", (-26.0, 19.7, 6.2), (26.0, 20.0, 7.3), CONCRETE, "bridge"),
         Block("Abutment_Left", (-11.5, -9.0, 0.0), (-9.0, 20.0, 4.9), CONCRETE, "bridge"),
         Block("Abutment_Right", (8.0, -9.0, 0.0), (10.5, 20.0, 4.9), CONCRETE, "bridge"),
-        *(Block(f"Pier_{k + 1}", (-1.2, y, 0.0), (-0.5, y + 0.8, 4.9), CONCRETE, "bridge") for k, y in enumerate((-4.0, 6.0, 16.0))),
+        *(
+            Block(f"Pier_{k + 1}", (-1.2, y, 0.0), (-0.5, y + 0.8, 4.9), CONCRETE, "bridge")
+            for k, y in enumerate((-4.0, 6.0, 16.0))
+        ),
         Block("Kiosk", (13.0, 34.0, 0.0), (17.0, 38.0, 3.0), RENDER),
     )
-    cars = [("saloon", 2.0, 13.5, 0, {"paint": "silver"}), ("estate", -3.4, 26.0, 180, {"paint": "green"}), ("hatchback", -3.4, 11.8, 180, {"paint": "white"}),
-            ("van", 2.1, 36.0, 0, {"paint": "blue"}), ("saloon", -3.2, 48.0, 180, {"paint": "red"})]  # fmt: skip
-    people = [("man_waiting", 6.2, 13.0, 150, {"outfit": "a"}), ("woman_walking", 6.6, 24.0, 176, {"outfit": "b"}), ("student", -7.4, 30.0, 4, {"outfit": "b"})]
+    cars = [
+        ("saloon", 2.0, 13.5, 0, {"paint": "silver"}),
+        ("estate", -3.4, 26.0, 180, {"paint": "green"}),
+        ("hatchback", -3.4, 11.8, 180, {"paint": "white"}),
+        ("van", 2.1, 36.0, 0, {"paint": "blue"}),
+        ("saloon", -3.2, 48.0, 180, {"paint": "red"}),
+    ]
+    people = [
+        ("man_waiting", 6.2, 13.0, 150, {"outfit": "a"}),
+        ("woman_walking", 6.6, 24.0, 176, {"outfit": "b"}),
+        ("student", -7.4, 30.0, 4, {"outfit": "b"}),
+    ]
     others = [("street_lamp", 6.6, 31.0, 90, {"lamps": "off"}), ("sign_priority", 6.4, 27.0, 180, {})]
     plants = [("maple_tree", -10.5, 31.0, 80, {}), ("lime_tree", 11.0, 46.0, 200, {}), ("hedge", -8.5, 42.0, 90, {})]
     placed = (*_row("Vehicles", cars), *_row("People", people), *_row("Furniture", others), *_row("Plants", plants))
@@ -192,58 +286,134 @@ def bridge() -> BenchStage:
 
 def street_lamps() -> BenchStage:
     """Eight lamps of two kinds, and nothing else that shines."""
-    lamps = [("street_lamp", side * 6.0, y, 90 * side, {"lamps": "on"}) for side, y in ((1, 9.0), (-1, 16.0), (1, 30.0), (-1, 37.0), (1, 51.0), (-1, 58.0))]
-    cars = [("saloon", 4.6, 14.5, 0, {"paint": "grey"}), ("hatchback", 4.6, 24.0, 0, {"paint": "white"}), ("estate", -4.6, 12.0, 180, {"paint": "blue"}),
-            ("van", -4.6, 27.5, 180, {"paint": "white"}), ("offroader", -4.6, 46.0, 180, {"paint": "red"})]  # fmt: skip
+    lamps = [
+        ("street_lamp", side * 6.0, y, 90 * side, {"lamps": "on"})
+        for side, y in ((1, 9.0), (-1, 16.0), (1, 30.0), (-1, 37.0), (1, 51.0), (-1, 58.0))
+    ]
+    cars = [
+        ("saloon", 4.6, 14.5, 0, {"paint": "grey"}),
+        ("hatchback", 4.6, 24.0, 0, {"paint": "white"}),
+        ("estate", -4.6, 12.0, 180, {"paint": "blue"}),
+        ("van", -4.6, 27.5, 180, {"paint": "white"}),
+        ("offroader", -4.6, 46.0, 180, {"paint": "red"}),
+    ]
     people = [("man_walking", 0.6, 19.0, 90, {"outfit": "a"}), ("woman_phone", 7.2, 12.5, 120, {"outfit": "a"})]
-    placed = (*_row("Vehicles", cars), *_row("People", people), *(replace(p, size=LAMP_SIZE) for p in _row("Furniture", lamps)))
+    placed = (
+        *_row("Vehicles", cars),
+        *_row("People", people),
+        *(replace(p, size=LAMP_SIZE) for p in _row("Furniture", lamps)),
+    )
     globes = ((6.0, 72.0), (-6.0, 24.0))
-    return BenchStage("street_lamps", "Night: eight street lamps 5 m high, two of them bare globes, and parked cars.", placed, night=True, globes=globes)
+    return BenchStage(
+        "street_lamps",
+        "Night: eight street lamps 5 m high, two of them bare globes, and parked cars.",
+        placed,
+        night=True,
+        globes=globes,
+    )
 
 
 def headlights() -> BenchStage:
     """Lamps that face the camera, and the camera's own."""
-    lit = [("saloon", -1.8, 19.0, 180, {"paint": "silver", "lamps": "on"}), ("hatchback", -1.9, 38.0, 180, {"paint": "red", "lamps": "on"})]
-    cars = [("estate", 4.7, 13.0, 0, {"paint": "blue"}), ("van", 4.7, 26.0, 0, {"paint": "white"}), ("offroader", -5.0, 29.0, 180, {"paint": "black"})]
+    lit = [
+        ("saloon", -1.8, 19.0, 180, {"paint": "silver", "lamps": "on"}),
+        ("hatchback", -1.9, 38.0, 180, {"paint": "red", "lamps": "on"}),
+    ]
+    cars = [
+        ("estate", 4.7, 13.0, 0, {"paint": "blue"}),
+        ("van", 4.7, 26.0, 0, {"paint": "white"}),
+        ("offroader", -5.0, 29.0, 180, {"paint": "black"}),
+    ]
     people = [("man_walking", 3.0, 20.5, 90, {"outfit": "b"}), ("woman_walking", -6.6, 15.0, 178, {"outfit": "a"})]
-    others = [("street_lamp", 6.4, 18.0, 90, {"lamps": "off"}), ("sign_limit", 6.3, 23.0, 180, {}), ("sign_crossing", -6.3, 22.0, 180, {})]
+    others = [
+        ("street_lamp", 6.4, 18.0, 90, {"lamps": "off"}),
+        ("sign_limit", 6.3, 23.0, 180, {}),
+        ("sign_crossing", -6.3, 22.0, 180, {}),
+    ]
     plants = [("maple_tree", 9.5, 24.0, 15, {}), ("hedge", -9.0, 26.0, 90, {})]
-    placed = (*_row("Vehicles", lit), *_row("Vehicles", cars, first=3), *_row("People", people), *_row("Furniture", others), *_row("Plants", plants))
-    return BenchStage("headlights", "Night: two cars come towards the camera with their headlights on; its own are on too.", placed, night=True, ego_lamps=True)
+    placed = (
+        *_row("Vehicles", lit),
+        *_row("Vehicles", cars, first=3),
+        *_row("People", people),
+        *_row("Furniture", others),
+        *_row("Plants", plants),
+    )
+    return BenchStage(
+        "headlights",
+        "Night: two cars come towards the camera with their headlights on; its own are on too.",
+        placed,
+        night=True,
+        ego_lamps=True,
+    )
 
 
 def _street_cars() -> list[Placement]:
-    return _row("Vehicles", [
-        ("hatchback", 1.8, 13.5, 0, {"paint": "red"}), ("estate", -1.8, 17.0, 180, {"paint": "silver"}), ("saloon", 6.0, 15.0, 0, {"paint": "white"}),
-        ("van", -5.2, 22.0, 180, {"paint": "blue"}), ("offroader", 5.2, 27.0, 0, {"paint": "grey"}), ("hatchback", -5.2, 33.0, 180, {"paint": "sand"}),
-        ("estate", 1.7, 40.0, 0, {"paint": "black"}), ("saloon", -1.8, 48.0, 180, {"paint": "green"}), ("lorry", 5.3, 54.0, 0, {"paint": "white"}),
-        ("bus", -2.0, 84.0, 180, {"paint": "yellow"}),
-    ])  # fmt: skip
+    return _row(
+        "Vehicles",
+        [
+            ("hatchback", 1.8, 13.5, 0, {"paint": "red"}),
+            ("estate", -1.8, 17.0, 180, {"paint": "silver"}),
+            ("saloon", 6.0, 15.0, 0, {"paint": "white"}),
+            ("van", -5.2, 22.0, 180, {"paint": "blue"}),
+            ("offroader", 5.2, 27.0, 0, {"paint": "grey"}),
+            ("hatchback", -5.2, 33.0, 180, {"paint": "sand"}),
+            ("estate", 1.7, 40.0, 0, {"paint": "black"}),
+            ("saloon", -1.8, 48.0, 180, {"paint": "green"}),
+            ("lorry", 5.3, 54.0, 0, {"paint": "white"}),
+            ("bus", -2.0, 84.0, 180, {"paint": "yellow"}),
+        ],
+    )
 
 
 def _street_people() -> list[Placement]:
-    return _row("People", [
-        ("student", 6.6, 10.5, 3, {"outfit": "a"}), ("woman_walking", -3.9, 13.5, 178, {"outfit": "a"}), ("man_walking", -3.4, 26.5, 92, {"outfit": "b"}),
-        ("old_man", 4.1, 21.0, 184, {"outfit": "a"}), ("child", 4.7, 21.4, 181, {"outfit": "b"}), ("woman_phone", -8.2, 19.0, -70, {"outfit": "b"}),
-    ])  # fmt: skip
+    return _row(
+        "People",
+        [
+            ("student", 6.6, 10.5, 3, {"outfit": "a"}),
+            ("woman_walking", -3.9, 13.5, 178, {"outfit": "a"}),
+            ("man_walking", -3.4, 26.5, 92, {"outfit": "b"}),
+            ("old_man", 4.1, 21.0, 184, {"outfit": "a"}),
+            ("child", 4.7, 21.4, 181, {"outfit": "b"}),
+            ("woman_phone", -8.2, 19.0, -70, {"outfit": "b"}),
+        ],
+    )
 
 
 def _street_furniture() -> list[Placement]:
-    lamps = [("street_lamp", 6.6 * side, y, 90 * side, {"lamps": "off"}) for side, y in ((1, 18.0), (-1, 38.0), (1, 60.0), (-1, 78.0))]
-    signs = [("sign_limit", 7.4, 17.0, 180, {}), ("sign_crossing", -6.6, 24.5, 180, {}), ("sign_parking", 6.6, 33.0, 180, {})]
+    lamps = [
+        ("street_lamp", 6.6 * side, y, 90 * side, {"lamps": "off"})
+        for side, y in ((1, 18.0), (-1, 38.0), (1, 60.0), (-1, 78.0))
+    ]
+    signs = [
+        ("sign_limit", 7.4, 17.0, 180, {}),
+        ("sign_crossing", -6.6, 24.5, 180, {}),
+        ("sign_parking", 6.6, 33.0, 180, {}),
+    ]
     return _row("Furniture", [*lamps, *signs, ("litter_bin", -6.9, 16.5, 0, {}), ("bench", 8.3, 29.0, 90, {})])
 
 
 def _street_plants() -> list[Placement]:
-    return _row("Plants", [
-        ("maple_tree", -11.5, 25.0, 70, {}), ("lime_tree", 12.0, 30.0, 0, {}), ("bare_tree", -11.5, 50.0, 140, {}), ("lime_tree", 12.5, 66.0, 210, {}),
-        ("hedge", 10.6, 14.0, 90, {}), ("hedge", -10.8, 15.0, 90, {}),
-    ])  # fmt: skip
+    return _row(
+        "Plants",
+        [
+            ("maple_tree", -11.5, 25.0, 70, {}),
+            ("lime_tree", 12.0, 30.0, 0, {}),
+            ("bare_tree", -11.5, 50.0, 140, {}),
+            ("lime_tree", 12.5, 66.0, 210, {}),
+            ("hedge", 10.6, 14.0, 90, {}),
+            ("hedge", -10.8, 15.0, 90, {}),
+        ],
+    )
 
 
-def _row(group: str, rows: Sequence[tuple[str, float, float, float, Mapping[str, str]]], *, first: int = 1) -> list[Placement]:
+def _row(
+    group: str, rows: Sequence[tuple[str, float, float, float, Mapping[str, str]]], *, first: int = 1
+) -> list[Placement]:
     """(asset, x, y, heading, variants), numbered."""
-    return [Placement(group, f"{asset.title()}_{first + i:02d}", asset, x, y, heading, choice, z=0.0) for i, (asset, x, y, heading, choice) in enumerate(rows)]
+    return [
+        Placement(group, f"{asset.title()}_{first + i:02d}", asset, x, y, heading, choice, z=0.0)
+        for i, (asset, x, y, heading, choice) in enumerate(rows)
+    ]
 
 
 # -- writing
@@ -312,13 +482,17 @@ def _author_camera(stage: Usd.Stage) -> None:
 def _author_fog(stage: Usd.Stage, bench: BenchStage) -> None:
     UsdGeom.Scope.Define(stage, "/World/Fog")
     half = FOG_HALF_M
-    _author_fog_box(stage, "Global", (EYE_M[0] - half, EYE_M[1] - half, FOG_LOW_M), (EYE_M[0] + half, EYE_M[1] + half, FOG_TOP_M))
+    _author_fog_box(
+        stage, "Global", (EYE_M[0] - half, EYE_M[1] - half, FOG_LOW_M), (EYE_M[0] + half, EYE_M[1] + half, FOG_TOP_M)
+    )
     if bench.bank:
         prim = _author_fog_box(stage, "Bank", bench.bank.low, bench.bank.high)
         prim.CreateAttribute("synfog:fog:mor", Sdf.ValueTypeNames.Float, custom=False).Set(bench.bank.mor_m)
 
 
-def _author_fog_box(stage: Usd.Stage, name: str, low: tuple[float, float, float], high: tuple[float, float, float]) -> Usd.Prim:
+def _author_fog_box(
+    stage: Usd.Stage, name: str, low: tuple[float, float, float], high: tuple[float, float, float]
+) -> Usd.Prim:
     cube = UsdGeom.Cube.Define(stage, f"/World/Fog/{name}")
     prim = cube.GetPrim()
     centre, half = (np.add(high, low) / 2).round(6), (np.subtract(high, low) / 2).round(6)
@@ -351,7 +525,9 @@ def _author_ground(stage: Usd.Stage) -> None:
     ground = UsdGeom.Xform.Define(stage, "/World/Ground").GetPrim()
     Usd.ModelAPI(ground).SetKind(Kind.Tokens.group)
     h = GROUND_HALF_M
-    mesh = author_mesh(stage, Sdf.Path("/World/Ground/Plane"), quad([(-h, -h, 0), (h, -h, 0), (h, h, 0), (-h, h, 0)], "ground"))
+    mesh = author_mesh(
+        stage, Sdf.Path("/World/Ground/Plane"), quad([(-h, -h, 0), (h, -h, 0), (h, h, 0), (-h, h, 0)], "ground")
+    )
     label(mesh.GetPrim(), "road")
     UsdGeom.Scope.Define(stage, "/World/Ground/Materials")
     _bind(stage, mesh, Sdf.Path("/World/Ground/Materials/Grey"), (GROUND_ALBEDO,) * 3)
@@ -394,7 +570,11 @@ def _author_lamps(stage: Usd.Stage, bench: BenchStage) -> None:
         _author_light_group(scope.GetPrim(), "headlights")
         for name, x in (("Left", EYE_M[0] - 0.62), ("Right", EYE_M[0] + 0.72)):
             place: Array = shift(x, EYE_M[1] + 1.75, 0.66) @ turn(88.6, "x")
-            author_lamp(stage, scope.GetPath().AppendChild(name), MountedLamp(name, place, HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT))
+            author_lamp(
+                stage,
+                scope.GetPath().AppendChild(name),
+                MountedLamp(name, place, HEADLIGHT_CD, 0.05, 24.0, 0.75, HEADLIGHT_TINT),
+            )
     if bench.globes:
         scope = UsdGeom.Scope.Define(stage, "/World/Lights/Globes")
         _author_light_group(scope.GetPrim(), "street_lamps")

@@ -60,30 +60,179 @@ class House:
 
 
 HOUSES = (
-    House("house_brick", "A brick house of four storeys with two shops.", 15.6, 3, "brick_red", "stone_dark", "trim_white", "frame_white", shops=(3, 1),
-        awnings=("awning_green", ""), roofing="slate", roof="mansard", corner=False),
-    House("house_cream", "A rendered house of five storeys with balconies and a bakery.", 13.0, 4, "plaster_cream", "stone", "trim_white", "frame_brown",
-        shops=(0,), awnings=("awning_red",), balconies=(1, 3), roof="mansard", roofing="slate", window=(1.2, 2.05, 0.45)),
-    House("house_grey", "A sober rendered house of four storeys.", 12.0, 3, "plaster_grey", "plaster_grey", "concrete", "frame_dark", surround=0.0, bay=2.4,
-        window=(1.45, 1.5, 0.95), ground_height=3.4, floor_height=2.95, roof="flat", door="door_blue"),
-    House("house_ochre", "A narrow ochre house of three storeys with a book shop.", 9.4, 2, "plaster_ochre", "plaster_ochre", "trim", "frame_green",
-        shops=(4,), awnings=("awning_cream",), bay=2.35),
-    House("house_stone", "A stone house of five storeys, with shops.", 17.6, 4, "stone", "stone_dark", "stone", "frame_dark", shops=(5, 2, 7), bay=2.95,
-        window=(1.3, 2.0, 0.6), balconies=(1,), roof="mansard", roofing="zinc", floor_height=3.4),
-    House("house_rose", "A rose-coloured house of four storeys.", 11.4, 3, "plaster_rose", "stone", "trim_white", "frame_white", bay=2.75, ground_height=3.6,
-        door="door_brown"),
-    House("house_white", "A white house of the twentieth century, with strips of balconies.", 16.0, 4, "plaster_white", "concrete", "concrete", "frame_dark",
-        surround=0.0, bay=3.1, window=(1.9, 1.55, 0.9), floor_height=2.9, ground_height=3.6, shops=(6,), balconies=(1, 2, 3, 4), roof="flat"),
-    House("house_buff", "A house of buff brick with three storeys.", 12.4, 2, "brick_buff", "brick_buff", "trim", "frame_white", bay=2.45, ground_height=3.5,
-        door="door_blue"),
-    House("corner_cream", "A corner house of five storeys with a café and shops to both streets.", 17.0, 4, "plaster_cream", "stone_dark", "trim_white",
-        "frame_white", depth=17.0, shops=(1, 2, 0), awnings=("awning_red", "", "awning_red"), roof="mansard", roofing="slate", balconies=(2,), corner=True,
-        window=(1.2, 1.95, 0.55)),
-    House("corner_brick", "A corner house of brick, four storeys, with shops to both streets.", 16.4, 3, "brick_brown", "stone", "stone", "frame_dark",
-        depth=16.4, shops=(3, 5), awnings=("", "awning_green"), roof="mansard", roofing="zinc", corner=True),
-    House("corner_green", "A rendered corner house of four storeys.", 16.0, 3, "plaster_green", "stone", "trim_white", "frame_white", depth=16.0, shops=(6, 4,
-        7), awnings=("awning_cream", "", ""), roof="mansard", roofing="roof_tile", corner=True),
-)  # fmt: skip
+    House(
+        "house_brick",
+        "A brick house of four storeys with two shops.",
+        15.6,
+        3,
+        "brick_red",
+        "stone_dark",
+        "trim_white",
+        "frame_white",
+        shops=(3, 1),
+        awnings=("awning_green", ""),
+        roofing="slate",
+        roof="mansard",
+        corner=False,
+    ),
+    House(
+        "house_cream",
+        "A rendered house of five storeys with balconies and a bakery.",
+        13.0,
+        4,
+        "plaster_cream",
+        "stone",
+        "trim_white",
+        "frame_brown",
+        shops=(0,),
+        awnings=("awning_red",),
+        balconies=(1, 3),
+        roof="mansard",
+        roofing="slate",
+        window=(1.2, 2.05, 0.45),
+    ),
+    House(
+        "house_grey",
+        "A sober rendered house of four storeys.",
+        12.0,
+        3,
+        "plaster_grey",
+        "plaster_grey",
+        "concrete",
+        "frame_dark",
+        surround=0.0,
+        bay=2.4,
+        window=(1.45, 1.5, 0.95),
+        ground_height=3.4,
+        floor_height=2.95,
+        roof="flat",
+        door="door_blue",
+    ),
+    House(
+        "house_ochre",
+        "A narrow ochre house of three storeys with a book shop.",
+        9.4,
+        2,
+        "plaster_ochre",
+        "plaster_ochre",
+        "trim",
+        "frame_green",
+        shops=(4,),
+        awnings=("awning_cream",),
+        bay=2.35,
+    ),
+    House(
+        "house_stone",
+        "A stone house of five storeys, with shops.",
+        17.6,
+        4,
+        "stone",
+        "stone_dark",
+        "stone",
+        "frame_dark",
+        shops=(5, 2, 7),
+        bay=2.95,
+        window=(1.3, 2.0, 0.6),
+        balconies=(1,),
+        roof="mansard",
+        roofing="zinc",
+        floor_height=3.4,
+    ),
+    House(
+        "house_rose",
+        "A rose-coloured house of four storeys.",
+        11.4,
+        3,
+        "plaster_rose",
+        "stone",
+        "trim_white",
+        "frame_white",
+        bay=2.75,
+        ground_height=3.6,
+        door="door_brown",
+    ),
+    House(
+        "house_white",
+        "A white house of the twentieth century, with strips of balconies.",
+        16.0,
+        4,
+        "plaster_white",
+        "concrete",
+        "concrete",
+        "frame_dark",
+        surround=0.0,
+        bay=3.1,
+        window=(1.9, 1.55, 0.9),
+        floor_height=2.9,
+        ground_height=3.6,
+        shops=(6,),
+        balconies=(1, 2, 3, 4),
+        roof="flat",
+    ),
+    House(
+        "house_buff",
+        "A house of buff brick with three storeys.",
+        12.4,
+        2,
+        "brick_buff",
+        "brick_buff",
+        "trim",
+        "frame_white",
+        bay=2.45,
+        ground_height=3.5,
+        door="door_blue",
+    ),
+    House(
+        "corner_cream",
+        "A corner house of five storeys with a café and shops to both streets.",
+        17.0,
+        4,
+        "plaster_cream",
+        "stone_dark",
+        "trim_white",
+        "frame_white",
+        depth=17.0,
+        shops=(1, 2, 0),
+        awnings=("awning_red", "", "awning_red"),
+        roof="mansard",
+        roofing="slate",
+        balconies=(2,),
+        corner=True,
+        window=(1.2, 1.95, 0.55),
+    ),
+    House(
+        "corner_brick",
+        "A corner house of brick, four storeys, with shops to both streets.",
+        16.4,
+        3,
+        "brick_brown",
+        "stone",
+        "stone",
+        "frame_dark",
+        depth=16.4,
+        shops=(3, 5),
+        awnings=("", "awning_green"),
+        roof="mansard",
+        roofing="zinc",
+        corner=True,
+    ),
+    House(
+        "corner_green",
+        "A rendered corner house of four storeys.",
+        16.0,
+        3,
+        "plaster_green",
+        "stone",
+        "trim_white",
+        "frame_white",
+        depth=16.0,
+        shops=(6, 4, 7),
+        awnings=("awning_cream", "", ""),
+        roof="mansard",
+        roofing="roof_tile",
+        corner=True,
+    ),
+)
 
 
 @dataclass
@@ -119,24 +268,44 @@ def glazing(house: House) -> Glazing:
 
 def build_church() -> Component:
     """A church with a spire, 46 m high, that closes a street."""
-    parts = [box((-4, -4, 0), (4, 4, 24), "stone_dark", tile_m=3.0), box((-4.4, -4.4, 23.4), (4.4, 4.4, 24.2), "stone", tile_m=3.0)]
+    parts = [
+        box((-4, -4, 0), (4, 4, 24), "stone_dark", tile_m=3.0),
+        box((-4.4, -4.4, 23.4), (4.4, 4.4, 24.2), "stone", tile_m=3.0),
+    ]
     tip = (0, 0, 46.0)
     base = [(-4, -4, 24.2), (4, -4, 24.2), (4, 4, 24.2), (-4, 4, 24.2)]
     for i in range(4):
         parts.append(Part(np.array([base[i], base[(i + 1) % 4], tip]), np.array([[0, 1, 2]]), "zinc"))
     parts += [box((-8, -32, 0), (8, -4, 11), "stone_dark", tile_m=3.0)]
     parts += [
-        quad([(-8.5, -32, 10.8), (-8.5, -4, 10.8), (0, -4, 20), (0, -32, 20)][::-1], "slate", [(0, 0), (7, 0), (7, 3), (0, 3)]),
-        quad([(8.5, -4, 10.8), (8.5, -32, 10.8), (0, -32, 20), (0, -4, 20)][::-1], "slate", [(0, 0), (7, 0), (7, 3), (0, 3)]),
+        quad(
+            [(-8.5, -32, 10.8), (-8.5, -4, 10.8), (0, -4, 20), (0, -32, 20)][::-1],
+            "slate",
+            [(0, 0), (7, 0), (7, 3), (0, 3)],
+        ),
+        quad(
+            [(8.5, -4, 10.8), (8.5, -32, 10.8), (0, -32, 20), (0, -4, 20)][::-1],
+            "slate",
+            [(0, 0), (7, 0), (7, 3), (0, 3)],
+        ),
     ]
     parts += [
-        Part(np.array([(-8, y, 11), (8, y, 11), (0, y, 20.0)]), np.array([[0, 1, 2]]), "stone_dark", np.array([(0, 0), (5, 0), (2.5, 3)]))
+        Part(
+            np.array([(-8, y, 11), (8, y, 11), (0, y, 20.0)]),
+            np.array([[0, 1, 2]]),
+            "stone_dark",
+            np.array([(0, 0), (5, 0), (2.5, 3)]),
+        )
         for y in (-4.02, -31.9)
     ]
     for s in (0, 90, 180, 270):
         for z in (17.5, 20.5):
             parts.append(flat((-0.9, 0.9, z, z + 2.2), 4.03, "gloss_black").moved(turn(s)))
-        parts.append(lathe([(1.5, 0), (1.5, 0.1), (0.001, 0.1)], "frame_white", sides=20).moved(turn(s) @ shift(0, 4.0, 14.5) @ turn(-90, "x")))
+        parts.append(
+            lathe([(1.5, 0), (1.5, 0.1), (0.001, 0.1)], "frame_white", sides=20).moved(
+                turn(s) @ shift(0, 4.0, 14.5) @ turn(-90, "x")
+            )
+        )
     parts.append(flat((-1.4, 1.4, 0, 3.6), 4.03, "door_brown"))
     return Component("church", "building", tuple(parts), "A church with a spire.")
 
@@ -151,13 +320,18 @@ def house_parts(house: House) -> tuple[list[Part], Glazing]:
     parts = [p.moved(m) for front, m in fronts for p in front.parts]
     top = house.ground_height + house.floors * house.floor_height
     x, d = house.width / 2, house.depth
-    plain = [[(-x, 0, 0), (-x, -d, 0), (-x, -d, top), (-x, 0, top)], [(-x, -d, 0), (x, -d, 0), (x, -d, top), (-x, -d, top)]]
+    plain = [
+        [(-x, 0, 0), (-x, -d, 0), (-x, -d, top), (-x, 0, top)],
+        [(-x, -d, 0), (x, -d, 0), (x, -d, top), (-x, -d, top)],
+    ]
     if not house.corner:
         plain.append([(x, -d, 0), (x, 0, 0), (x, 0, top), (x, -d, top)])
     tile = tile_of(house.wall)
     for corners in plain:
         length = float(np.linalg.norm(np.subtract(corners[1], corners[0])))
-        parts.append(quad(corners, house.wall, [(0, 0), (length / tile, 0), (length / tile, top / tile), (0, top / tile)]))
+        parts.append(
+            quad(corners, house.wall, [(0, 0), (length / tile, 0), (length / tile, top / tile), (0, top / tile)])
+        )
     parts += roof_of(house, top, rng)
     corners_w = np.concatenate([place_corners(np.array(f.panes).reshape(-1, 4, 3), m) for f, m in fronts])
     cells = np.concatenate([np.array(f.cells, dtype=int) for f, m in fronts])
@@ -195,11 +369,15 @@ def front_of(house: House, width: float, shops: Sequence[int], rng: np.random.Ge
             if house.surround:
                 _surround(house, front, opening, floor)
             else:
-                front.parts.append(bar((opening[0] - 0.05, opening[1] + 0.05, opening[2] - 0.06, opening[2]), 0.0, 0.09, "zinc"))
+                front.parts.append(
+                    bar((opening[0] - 0.05, opening[1] + 0.05, opening[2] - 0.06, opening[2]), 0.0, 0.09, "zinc")
+                )
             if balcony and (i % 2 == 0 or house.surround == 0):
                 _balcony(house, front, opening, base)
         if floor in (1, house.floors) and house.surround:
-            front.parts.append(bar((-half, half, base - 0.12, base + 0.06), 0.0, 0.11 if floor == 1 else 0.06, house.trim))
+            front.parts.append(
+                bar((-half, half, base - 0.12, base + 0.06), 0.0, 0.11 if floor == 1 else 0.06, house.trim)
+            )
     top = z0 + house.floors * house.floor_height
     if house.roof != "flat":
         for low, high, out in ((-0.55, -0.32, 0.08), (-0.32, -0.14, 0.22), (-0.14, 0.0, 0.38)):
@@ -207,13 +385,31 @@ def front_of(house: House, width: float, shops: Sequence[int], rng: np.random.Ge
         if house.surround:
             for c in np.arange(-half + 0.3, half - 0.2, 0.6):
                 front.parts.append(bar((c - 0.08, c + 0.08, top - 0.5, top - 0.32), 0.08, 0.2, house.trim))
-        front.parts.append(tube([(0.03 - half, 0.42, top + 0.02), (half - 0.03, 0.42, top + 0.02)], 0.07, "downpipe", sides=6))
+        front.parts.append(
+            tube([(0.03 - half, 0.42, top + 0.02), (half - 0.03, 0.42, top + 0.02)], 0.07, "downpipe", sides=6)
+        )
     pipe = half - 0.22
-    front.parts.append(tube([(pipe, 0.40, top - 0.05), (pipe, 0.10, top - 0.6), (pipe, 0.10, 0.1)], 0.05, "downpipe", sides=6, capped=False))
+    front.parts.append(
+        tube(
+            [(pipe, 0.40, top - 0.05), (pipe, 0.10, top - 0.6), (pipe, 0.10, 0.1)],
+            0.05,
+            "downpipe",
+            sides=6,
+            capped=False,
+        )
+    )
     return front
 
 
-def _ground_floor(house: House, front: _Front, half: float, centres: list[float], shops: Sequence[int], rng: np.random.Generator, side: int) -> None:
+def _ground_floor(
+    house: House,
+    front: _Front,
+    half: float,
+    centres: list[float],
+    shops: Sequence[int],
+    rng: np.random.Generator,
+    side: int,
+) -> None:
     height = house.ground_height
     openings: list[Rect] = []
     framed: list[Rect] = []
@@ -251,16 +447,25 @@ def _ground_floor(house: House, front: _Front, half: float, centres: list[float]
                 front.parts.append(bar((c - w / 2 - 0.08, c + w / 2 + 0.08, 0.95, 1.05), 0.0, 0.1, house.trim))
     openings.sort()
     _wall(front, house.base, half, 0.0, height, openings, framed)
-    trimmed = [(u0 - 0.14, u1 + 0.14, low, high) if door_at is not None and u0 < door_at < u1 else (u0, u1, low, high) for u0, u1, low, high in openings]
+    trimmed = [
+        (u0 - 0.14, u1 + 0.14, low, high) if door_at is not None and u0 < door_at < u1 else (u0, u1, low, high)
+        for u0, u1, low, high in openings
+    ]
     front.parts.append(_plinth(half, trimmed, house.base))
     if door_at is not None:
         u0, u1, z1 = (door_at - 0.6, door_at + 0.6, 2.75) if shops else (door_at - 0.65, door_at + 0.65, 2.7)
-        front.parts += [flat((u0, u1, 0.14, z1 - 0.55), -0.30, house.door), flat((u0, u1, z1 - 0.5, z1), -0.30, "gloss_black"), bar((u0, u1, z1 - 0.55,
-            z1 - 0.5), -0.3, -0.24, house.door), bar((u0, u1, 0, 0.14), -0.3, 0.05, "kerb")]  # fmt: skip
+        front.parts += [
+            flat((u0, u1, 0.14, z1 - 0.55), -0.30, house.door),
+            flat((u0, u1, z1 - 0.5, z1), -0.30, "gloss_black"),
+            bar((u0, u1, z1 - 0.55, z1 - 0.5), -0.3, -0.24, house.door),
+            bar((u0, u1, 0, 0.14), -0.3, 0.05, "kerb"),
+        ]
         for u in (u0 + 0.12, (u0 + u1) / 2 + 0.04):
             for z in (0.32, 1.15):
                 front.parts.append(bar((u, u + 0.42, z, z + 0.68), -0.3, -0.275, house.door))
-        front.parts.append(tube([((u0 + u1) / 2 - 0.06, -0.23, 1.0), ((u0 + u1) / 2 - 0.06, -0.23, 1.35)], 0.015, "chrome", sides=6))
+        front.parts.append(
+            tube([((u0 + u1) / 2 - 0.06, -0.23, 1.0), ((u0 + u1) / 2 - 0.06, -0.23, 1.35)], 0.015, "chrome", sides=6)
+        )
         front.parts += [
             bar((u0 - 0.14, u0, 0, z1 + 0.14), 0.0, 0.06, house.trim),
             bar((u1, u1 + 0.14, 0, z1 + 0.14), 0.0, 0.06, house.trim),
@@ -291,24 +496,48 @@ def _shop(front: _Front, opening: Rect, row: int, frame: str, rng: np.random.Gen
         bar((door_u - 0.5, door_u + 0.5, 2.32, 2.42), deep - 0.03, deep + 0.08, frame),
         bar((door_u - 0.42, door_u + 0.42, 0.0, 0.22), deep - 0.03, deep + 0.03, frame),
     ]
-    front.parts.append(tube([(door_u + 0.34, deep + 0.07, 0.9), (door_u + 0.34, deep + 0.07, 1.5)], 0.016, "chrome", sides=6))
+    front.parts.append(
+        tube([(door_u + 0.34, deep + 0.07, 0.9), (door_u + 0.34, deep + 0.07, 1.5)], 0.016, "chrome", sides=6)
+    )
     _reveal(front, opening, deep, frame)
     board = (u0 - 0.05, u1 + 0.05, z1 + 0.02, z1 + 0.58)
     front.parts.append(bar(board, 0.0, 0.10, frame))
     low, high = 1 - (row + 1) / len(FASCIAS), 1 - row / len(FASCIAS)
     middle, reach = (u0 + u1) / 2, min(2.4, (u1 - u0) / 2)
-    front.parts.append(flat((middle - reach, middle + reach, z1 + 0.04, z1 + 0.56), 0.105, "fascia", [(0, low), (1, low), (1, high), (0, high)]))
+    front.parts.append(
+        flat(
+            (middle - reach, middle + reach, z1 + 0.04, z1 + 0.56),
+            0.105,
+            "fascia",
+            [(0, low), (1, low), (1, high), (0, high)],
+        )
+    )
     if awning:
-        a, b, c = np.array([u0 - 0.1, 0.12, z1 + 0.04]), np.array([u0 - 0.1, 1.25, z1 - 0.55]), np.array([u0 - 0.1, 1.25, z1 - 0.80])
+        a, b, c = (
+            np.array([u0 - 0.1, 0.12, z1 + 0.04]),
+            np.array([u0 - 0.1, 1.25, z1 - 0.55]),
+            np.array([u0 - 0.1, 1.25, z1 - 0.80]),
+        )
         across = np.array([u1 - u0 + 0.2, 0, 0])
         n = max(4, int((u1 - u0) / 0.45))
         for k in range(n):
             s, e = across * k / n, across * (k + 1) / n
             cloth = awning if k % 2 == 0 else "awning_cream" if awning != "awning_cream" else "awning_green"
-            front.parts += [quad([b + s, b + e, a + e, a + s][::-1], cloth), quad([c + s, c + e, b + e, b + s][::-1], cloth)]
+            front.parts += [
+                quad([b + s, b + e, a + e, a + s][::-1], cloth),
+                quad([c + s, c + e, b + e, b + s][::-1], cloth),
+            ]
 
 
-def _wall(front: _Front, material: str, half: float, z0: float, z1: float, openings: Sequence[Rect], framed: Sequence[Rect] = ()) -> None:
+def _wall(
+    front: _Front,
+    material: str,
+    half: float,
+    z0: float,
+    z1: float,
+    openings: Sequence[Rect],
+    framed: Sequence[Rect] = (),
+) -> None:
     """The wall of one storey round its openings, with the reveals of those that are not `framed` already."""
     cells: list[Rect] = []
     at = -half
@@ -320,7 +549,10 @@ def _wall(front: _Front, material: str, half: float, z0: float, z1: float, openi
     cells.append((at, half, z0, z1))
     tile = tile_of(material)
     kept = [c for c in cells if c[1] - c[0] > 1e-6 and c[3] - c[2] > 1e-6]
-    uv = [[(u1 / tile, a / tile), (u0 / tile, a / tile), (u0 / tile, b / tile), (u1 / tile, b / tile)] for u0, u1, a, b in kept]
+    uv = [
+        [(u1 / tile, a / tile), (u0 / tile, a / tile), (u0 / tile, b / tile), (u1 / tile, b / tile)]
+        for u0, u1, a, b in kept
+    ]
     front.parts.append(quads([corners_of(c, 0.0) for c in kept], material, uv))
 
 
@@ -333,11 +565,17 @@ def corners_of(rect: Rect, n: float) -> Array:
 def flat(rect: Rect, n: float, material: str, uv: Sequence[tuple[float, float]] | None = None) -> Part:
     """An upright rectangle that faces +Y at y = `n`."""
     u0, u1, z0, z1 = rect
-    return quad(corners_of(rect, n), material, uv if uv is not None else [(u1 / 6, z0 / 6), (u0 / 6, z0 / 6), (u0 / 6, z1 / 6), (u1 / 6, z1 / 6)])
+    return quad(
+        corners_of(rect, n),
+        material,
+        uv if uv is not None else [(u1 / 6, z0 / 6), (u0 / 6, z0 / 6), (u0 / 6, z1 / 6), (u1 / 6, z1 / 6)],
+    )
 
 
 def bar(rect: Rect, back: float, out: float, material: str) -> Part:
-    """A bar from y = `back` to `out` over an upright rectangle (x0, x1, z0, z1); one that sits on or in the wall has no back."""
+    """A bar from y = `back` to `out` over an upright rectangle (x0, x1, z0, z1); one that sits on or in the wall has no
+    back.
+    """
     u0, u1, z0, z1 = rect
     return box((u0, back, z0), (u1, out, z1), material, tile_m=tile_of(material), back=back > 0.0)
 
@@ -357,22 +595,50 @@ def _window(house: House, front: _Front, opening: Rect, rng: np.random.Generator
     front.panes.append(corners_of(opening, deep - 0.03))
     front.cells.append(int(rng.integers(0, ATLAS**2)))
     frame = house.frame
-    rects = [(u0, u0 + bar, z0, z1), (u1 - bar, u1, z0, z1), (u0 + bar, u1 - bar, z0, z0 + bar), (u0 + bar, u1 - bar, z1 - bar, z1)]
+    rects = [
+        (u0, u0 + bar, z0, z1),
+        (u1 - bar, u1, z0, z1),
+        (u0 + bar, u1 - bar, z0, z0 + bar),
+        (u0 + bar, u1 - bar, z1 - bar, z1),
+    ]
     middle = (u0 + u1) / 2
     rects.append((middle - 0.045, middle + 0.045, z0 + bar, z1 - bar))
     if house.surround:
         cross = z0 + 0.70 * (z1 - z0)
-        rects += [(u0 + bar, middle - 0.045, cross - 0.03, cross + 0.03), (middle + 0.045, u1 - bar, cross - 0.03, cross + 0.03)]
+        rects += [
+            (u0 + bar, middle - 0.045, cross - 0.03, cross + 0.03),
+            (middle + 0.045, u1 - bar, cross - 0.03, cross + 0.03),
+        ]
     corners, depth = [], 0.045
     for a, b, c, d in rects:
         corners.append(corners_of((a, b, c, d), deep + 0.015))
         if d - c > b - a:  # what lies on the wall is nobody's to see
             if a > u0:
-                corners.append(np.array([(a, deep - 0.03, c), (a, deep + 0.015, c), (a, deep + 0.015, d), (a, deep - 0.03, d)]))
+                corners.append(
+                    np.array([(a, deep - 0.03, c), (a, deep + 0.015, c), (a, deep + 0.015, d), (a, deep - 0.03, d)])
+                )
             if b < u1:
-                corners.append(np.array([(b, deep + 0.015, c), (b, deep + 0.015 - depth, c), (b, deep + 0.015 - depth, d), (b, deep + 0.015, d)]))
+                corners.append(
+                    np.array(
+                        [
+                            (b, deep + 0.015, c),
+                            (b, deep + 0.015 - depth, c),
+                            (b, deep + 0.015 - depth, d),
+                            (b, deep + 0.015, d),
+                        ]
+                    )
+                )
         elif d < z1:
-            corners.append(np.array([(b, deep + 0.015 - depth, d), (a, deep + 0.015 - depth, d), (a, deep + 0.015, d), (b, deep + 0.015, d)][::-1]))
+            corners.append(
+                np.array(
+                    [
+                        (b, deep + 0.015 - depth, d),
+                        (a, deep + 0.015 - depth, d),
+                        (a, deep + 0.015, d),
+                        (b, deep + 0.015, d),
+                    ][::-1]
+                )
+            )
     front.parts.append(quads(corners, frame))
 
 
@@ -386,7 +652,9 @@ def _surround(house: House, front: _Front, opening: Rect, floor: int) -> None:
     ]
     front.parts.append(bar((u0 - s - 0.05, u1 + s + 0.05, z0 - 0.10, z0), 0.0, 0.14, house.trim))
     if floor == 1:
-        front.parts.append(bar((u0 - s - 0.08, u1 + s + 0.08, z1 + s * 1.3 + 0.10, z1 + s * 1.3 + 0.20), 0.0, 0.20, house.trim))
+        front.parts.append(
+            bar((u0 - s - 0.08, u1 + s + 0.08, z1 + s * 1.3 + 0.10, z1 + s * 1.3 + 0.20), 0.0, 0.20, house.trim)
+        )
 
 
 def _balcony(house: House, front: _Front, opening: Rect, base: float) -> None:
@@ -397,16 +665,33 @@ def _balcony(house: House, front: _Front, opening: Rect, base: float) -> None:
         front.parts.append(bar((u0, u1, base + 0.10, base + 1.0), out - 0.06, out, house.wall))
         front.parts.append(tube([(u0, out - 0.03, base + 1.1), (u1, out - 0.03, base + 1.1)], 0.02, "railing", sides=5))
         return
-    rail = [(u0, 0.0, base + 1.05), (u0, out - 0.05, base + 1.05), (u1, out - 0.05, base + 1.05), (u1, 0.0, base + 1.05)]
+    rail = [
+        (u0, 0.0, base + 1.05),
+        (u0, out - 0.05, base + 1.05),
+        (u1, out - 0.05, base + 1.05),
+        (u1, 0.0, base + 1.05),
+    ]
     for dz in (0.0, -0.88):
         front.parts += [
-            tube([np.add(a, (0, 0, dz)), np.add(b, (0, 0, dz))], 0.018, "railing", sides=4, capped=False, smooth=False) for a, b in itertools.pairwise(rail)
+            tube([np.add(a, (0, 0, dz)), np.add(b, (0, 0, dz))], 0.018, "railing", sides=4, capped=False, smooth=False)
+            for a, b in itertools.pairwise(rail)
         ]
     for u in np.linspace(u0, u1, max(6, int((u1 - u0) / 0.13))):
-        front.parts.append(tube([(u, out - 0.05, base + 0.17), (u, out - 0.05, base + 1.05)], 0.009, "railing", sides=3, capped=False, smooth=False))
+        front.parts.append(
+            tube(
+                [(u, out - 0.05, base + 0.17), (u, out - 0.05, base + 1.05)],
+                0.009,
+                "railing",
+                sides=3,
+                capped=False,
+                smooth=False,
+            )
+        )
     for n in np.linspace(0.12, out - 0.17, 5):
         for u in (u0, u1):
-            front.parts.append(tube([(u, n, base + 0.17), (u, n, base + 1.05)], 0.009, "railing", sides=3, capped=False, smooth=False))
+            front.parts.append(
+                tube([(u, n, base + 0.17), (u, n, base + 1.05)], 0.009, "railing", sides=3, capped=False, smooth=False)
+            )
     for u in (u0 + 0.2, u1 - 0.2):
         front.parts.append(bar((u - 0.08, u + 0.08, base - 0.38, base - 0.05), 0.0, 0.4, house.trim))
 
@@ -448,7 +733,9 @@ def roof_of(house: House, top: float, rng: np.random.Generator) -> list[Part]:
         ]
         for s in (-x, x):
             end = np.array([(s, 0, top), (s, -d, top), (s, -d / 2, ridge)])
-            parts.append(Part(end, np.array([[0, 1, 2] if s < 0 else [0, 2, 1]]), house.wall, end[:, 1:] / tile_of(house.wall)))
+            parts.append(
+                Part(end, np.array([[0, 1, 2] if s < 0 else [0, 2, 1]]), house.wall, end[:, 1:] / tile_of(house.wall))
+            )
         rise = (ridge - top) / (d / 2 + 0.4)
         for u in np.linspace(-x, x, 2 + max(1, int(house.width / 4.2)))[1:-1]:
             parts += _dormer(house, u, -1.6, top + 0.85 * rise * 2.0, -1.6 - 2.6)
@@ -466,11 +753,16 @@ def roof_of(house: House, top: float, rng: np.random.Generator) -> list[Part]:
             a, b, c, e = shape[i], shape[(i + 1) % 4], upper[(i + 1) % 4], upper[i]
             length = float(np.linalg.norm(np.subtract(a, b))) / 3.8
             parts.append(quad([a, b, c, e], house.roofing, [(0, 0), (length, 0), (length, high), (0, high)]))
-        parts += [quad([upper[0], upper[1], peak[1], peak[0]], "zinc"), quad([upper[2], upper[3], peak[0], peak[1]], "zinc")]
+        parts += [
+            quad([upper[0], upper[1], peak[1], peak[0]], "zinc"),
+            quad([upper[2], upper[3], peak[0], peak[1]], "zinc"),
+        ]
         if house.corner:
             parts.append(Part(np.array([upper[3], upper[0], peak[0]]), np.array([[0, 1, 2]]), "zinc"))
         for s in (-x,) if house.corner else (-x, x):
-            end = np.array([(s, 0.3, top), (s, 0.3 - inset, steep), (s, -d / 2, ridge), (s, -d + inset, steep), (s, -d, top)])
+            end = np.array(
+                [(s, 0.3, top), (s, 0.3 - inset, steep), (s, -d / 2, ridge), (s, -d + inset, steep), (s, -d, top)]
+            )
             faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4]])
             parts.append(Part(end, faces if s > 0 else faces[:, ::-1], house.wall, end[:, 1:] / tile_of(house.wall)))
         bays = max(2, round((house.width - 1.0) / house.bay))
@@ -484,19 +776,41 @@ def roof_of(house: House, top: float, rng: np.random.Generator) -> list[Part]:
         chimney_z = ridge
     for s, y in ((-x + 0.5, -d * 0.42), (x - (3.2 if house.corner else 0.5), -d * 0.60)):
         w, tall = 0.45, rng.uniform(1.2, 1.9)
-        parts.append(box((s - w, y - 0.8, chimney_z - 2.5), (s + w, y + 0.8, chimney_z + tall - 0.1), "brick_brown", tile_m=2.4))
-        parts.append(box((s - w - 0.06, y - 0.86, chimney_z + tall - 0.2), (s + w + 0.06, y + 0.86, chimney_z + tall), "concrete", tile_m=6))
+        parts.append(
+            box((s - w, y - 0.8, chimney_z - 2.5), (s + w, y + 0.8, chimney_z + tall - 0.1), "brick_brown", tile_m=2.4)
+        )
+        parts.append(
+            box(
+                (s - w - 0.06, y - 0.86, chimney_z + tall - 0.2),
+                (s + w + 0.06, y + 0.86, chimney_z + tall),
+                "concrete",
+                tile_m=6,
+            )
+        )
         for k in (-0.5, 0.0, 0.5):
-            parts.append(lathe([(0.13, 0), (0.11, 0.5), (0.001, 0.5)], "pot", sides=8).moved(shift(s, y + k, chimney_z + tall)))
+            parts.append(
+                lathe([(0.13, 0), (0.11, 0.5), (0.001, 0.5)], "pot", sides=8).moved(shift(s, y + k, chimney_z + tall))
+            )
     return parts
 
 
 def _dormer(house: House, u: float, n: float, z: float, back: float) -> list[Part]:
     w, h = 0.62, 1.55
-    parts = [flat((u - w + 0.12, u + w - 0.12, z + 0.12, z + h - 0.1), n + 0.01, "window", [(0.25, 0.5), (0, 0.5), (0, 0.75), (0.25, 0.75)])]
-    parts += [bar((u - w, u - w + 0.12, z, z + h), back, n + 0.05, house.frame), bar((u + w - 0.12, u + w, z, z + h), back, n + 0.05, house.frame),
-        bar((u - w, u + w, z + h - 0.12, z + h), back, n + 0.05, house.frame), bar((u - w, u + w, z, z + 0.12), back, n + 0.09, house.frame),
-            bar((u - 0.03, u + 0.03, z, z + h), n, n + 0.04, house.frame)]  # fmt: skip
+    parts = [
+        flat(
+            (u - w + 0.12, u + w - 0.12, z + 0.12, z + h - 0.1),
+            n + 0.01,
+            "window",
+            [(0.25, 0.5), (0, 0.5), (0, 0.75), (0.25, 0.75)],
+        )
+    ]
+    parts += [
+        bar((u - w, u - w + 0.12, z, z + h), back, n + 0.05, house.frame),
+        bar((u + w - 0.12, u + w, z, z + h), back, n + 0.05, house.frame),
+        bar((u - w, u + w, z + h - 0.12, z + h), back, n + 0.05, house.frame),
+        bar((u - w, u + w, z, z + 0.12), back, n + 0.09, house.frame),
+        bar((u - 0.03, u + 0.03, z, z + h), n, n + 0.04, house.frame),
+    ]
     parts.append(box((u - w - 0.12, back - 0.4, z + h), (u + w + 0.12, n + 0.2, z + h + 0.1), "zinc"))
     return parts
 

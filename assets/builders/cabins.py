@@ -30,8 +30,12 @@ DRIVERS = {"none": Look(without=DRIVER), "on": Look()}
 
 
 def lining(field: Field, low: Point, high: Point, *, step: float, triangles: int, roof_z: float) -> tuple[Part, Part]:
-    """The inside of a body given by its distance, dark up to `roof_z` and light above; windows are cut out of both later."""
-    whole = surface(lambda x, y, z: field(x, y, z) + LINING_M, low, high, step=step, triangles=triangles, material="cabin_dark")
+    """The inside of a body given by its distance, dark up to `roof_z` and light above; windows are cut out of both
+    later.
+    """
+    whole = surface(
+        lambda x, y, z: field(x, y, z) + LINING_M, low, high, step=step, triangles=triangles, material="cabin_dark"
+    )
     walls, roof = split(whole, whole.points[:, 2] - roof_z)
     return walls, roof.painted("cabin_grey")
 
@@ -59,20 +63,31 @@ def lined(
     return panels
 
 
-def rows(ys: Sequence[float] | Array, xs: Sequence[float], z: float, *, half: float = 0.44, tall: float = 0.78) -> list[Part]:
+def rows(
+    ys: Sequence[float] | Array, xs: Sequence[float], z: float, *, half: float = 0.44, tall: float = 0.78
+) -> list[Part]:
     """Backs of double seats, as one sees them above a sill; they stand at `z`."""
     lean = turn(12, "x")
-    return [box((-half, -0.05, 0.0), (half, 0.05, tall), "seat_cloth").moved(shift(x, y, z) @ lean) for y in ys for x in xs]
+    return [
+        box((-half, -0.05, 0.0), (half, 0.05, tall), "seat_cloth").moved(shift(x, y, z) @ lean) for y in ys for x in xs
+    ]
 
 
-def seat(x: float, y: float, z: float, *, half: float = 0.24, heads: Sequence[float] = (0.0,), tall: float = 0.60) -> list[Part]:
+def seat(
+    x: float, y: float, z: float, *, half: float = 0.24, heads: Sequence[float] = (0.0,), tall: float = 0.60
+) -> list[Part]:
     """A seat for somebody whose hip is at (x, y, z); `heads` are its headrests [m] from its middle."""
     lean = shift(x, y - 0.10, z - 0.06) @ turn(18, "x")
     parts = [
         soft_box((x - half, y - 0.12, z - 0.22), (x + half, y + 0.40, z - 0.06), "seat_cloth", radius=0.05, sides=2),
         soft_box((-half, -0.13, -0.08), (half, 0.0, tall), "seat_cloth", radius=0.05, sides=2).moved(lean),
     ]
-    return parts + [soft_box((h - 0.12, -0.115, tall + 0.03), (h + 0.12, -0.025, tall + 0.21), "seat_cloth", radius=0.04, sides=2).moved(lean) for h in heads]
+    return parts + [
+        soft_box(
+            (h - 0.12, -0.115, tall + 0.03), (h + 0.12, -0.025, tall + 0.21), "seat_cloth", radius=0.04, sides=2
+        ).moved(lean)
+        for h in heads
+    ]
 
 
 def dashboard(half: float, y0: float, y1: float, z: float) -> Part:
@@ -98,17 +113,27 @@ def driver(hip: Point) -> list[Part]:
         return np.asarray(hip) + back @ np.array([x, y, z])
 
     trunk = tube(
-        [at(0, 0.02, -0.02), at(0, 0.02, 0.18), at(0, 0, 0.38), at(0, 0, 0.50), at(0, 0.01, 0.56)], [0.14, 0.15, 0.16, 0.12, 0.06], "driver_coat", sides=10
+        [at(0, 0.02, -0.02), at(0, 0.02, 0.18), at(0, 0, 0.38), at(0, 0, 0.50), at(0, 0.01, 0.56)],
+        [0.14, 0.15, 0.16, 0.12, 0.06],
+        "driver_coat",
+        sides=10,
     )
-    shoulders = tube([at(-0.19, 0, 0.43), at(0, 0, 0.47), at(0.19, 0, 0.43)], [0.065, 0.085, 0.065], "driver_coat", sides=8)
+    shoulders = tube(
+        [at(-0.19, 0, 0.43), at(0, 0, 0.47), at(0.19, 0, 0.43)], [0.065, 0.085, 0.065], "driver_coat", sides=8
+    )
     head = np.asarray(hip) + back @ np.array([0, 0.0, 0.56]) + [0, 0.035, 0.13]
     parts = [trunk, shoulders]
-    skin = [tube([at(0, 0.01, 0.52), head - [0, 0.015, 0.03]], 0.055, "driver_skin", sides=8), ball(head, (0.076, 0.098, 0.118), "driver_skin", sides=12)]
+    skin = [
+        tube([at(0, 0.01, 0.52), head - [0, 0.015, 0.03]], 0.055, "driver_skin", sides=8),
+        ball(head, (0.076, 0.098, 0.118), "driver_skin", sides=12),
+    ]
     skin.append(ball(head + [0, 0.10, -0.01], (0.013, 0.018, 0.024), "driver_skin", sides=6))
     for s in (-1, 1):
         hand = np.asarray(hip) + [s * 0.165, WHEEL_AHEAD - 0.03, WHEEL_ABOVE + 0.06]
         elbow = np.asarray(hip) + [s * 0.27, 0.10, 0.17]
-        parts.append(tube([at(s * 0.19, 0, 0.43), elbow, hand - [0, 0.05, 0.01]], [0.062, 0.052, 0.036], "driver_coat", sides=7))
+        parts.append(
+            tube([at(s * 0.19, 0, 0.43), elbow, hand - [0, 0.05, 0.01]], [0.062, 0.052, 0.036], "driver_coat", sides=7)
+        )
         skin.append(ball(hand, (0.034, 0.05, 0.04), "driver_skin", sides=6))
     hair = ball(tuple(head + [0, -0.022, 0.036]), (0.083, 0.100, 0.103), "driver_hair", sides=12)
     return [join(parts), join(skin), hair]

@@ -78,7 +78,9 @@ class CloudLight:
     horizon: npt.NDArray[np.float64]
 
 
-def clouded(layer: CloudLayer, light: CloudLight, azimuth: Array, height: Array, name: str, *, cells: int = CELLS) -> tuple[Array, Array]:
+def clouded(
+    layer: CloudLayer, light: CloudLight, azimuth: Array, height: Array, name: str, *, cells: int = CELLS
+) -> tuple[Array, Array]:
     """Relative light from each direction, and how much of its contrast the air leaves.
 
     Args:
@@ -106,7 +108,11 @@ def clouded(layer: CloudLayer, light: CloudLight, azimuth: Array, height: Array,
         where = [middle * np.cos(height) * np.cos(azimuth) / cell, middle * np.cos(height) * np.sin(azimuth) / cell]
         step = _at(tau[level], where) * (far - near) / np.float32(rise)
         weight = clear * -np.expm1(-step)
-        sunny, from_above, from_below = _sunlit(_at(slanted[level], where), toward), _at(cover[0][level], where), _at(cover[1][level], where)
+        sunny, from_above, from_below = (
+            _sunlit(_at(slanted[level], where), toward),
+            _at(cover[0][level], where),
+            _at(cover[1][level], where),
+        )
         for channel in range(3):
             source = light.sun[channel] * sunny + light.sky[channel] * from_above + light.ground[channel] * from_below
             glow[..., channel] += (weight * source).astype(np.float32)
@@ -132,7 +138,9 @@ def _density(layer: CloudLayer, cell: float, cells: int, name: str) -> Array:
     z = ((np.arange(LEVELS, dtype=np.float32) + 0.5) / LEVELS)[:, None, None]
     field = field - np.float32(layer.towers) * z**1.3
     edge = np.float32(np.quantile(field.max(axis=0), 1.0 - layer.cover) - layer.thinnest * layer.edge)
-    rim = np.minimum(1, z * LEVELS / 2) * np.minimum(1, (1 - z) * LEVELS / 3)  # the layer's own base and top are no walls
+    rim = np.minimum(1, z * LEVELS / 2) * np.minimum(
+        1, (1 - z) * LEVELS / 3
+    )  # the layer's own base and top are no walls
     return np.asarray(np.clip((field - edge) / np.float32(layer.edge), 0, 1) * rim, dtype=np.float32)
 
 
@@ -146,7 +154,9 @@ def _noise(layer: CloudLayer, cell: float, cells: int, name: str, index: int, *,
     along, across = fx * np.cos(turn) + fy * np.sin(turn), fy * np.cos(turn) - fx * np.sin(turn)
     f = np.sqrt((along * layer.stretch) ** 2 + across**2 + fz**2)
     power = np.where(f > low, np.maximum(f, low) ** np.float32(-11 / 6), 0)
-    spectrum = power * (rng.standard_normal(f.shape, dtype=np.float32) + 1j * rng.standard_normal(f.shape, dtype=np.float32))
+    spectrum = power * (
+        rng.standard_normal(f.shape, dtype=np.float32) + 1j * rng.standard_normal(f.shape, dtype=np.float32)
+    )
     field = fft.irfftn(spectrum.astype(np.complex64), s=(2 * LEVELS, cells, cells))[:LEVELS]
     return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
 
@@ -193,12 +203,16 @@ def _sunlit(tau: Array, toward: tuple[Array, ...]) -> Array:
 def _phase_angle(light: CloudLight, azimuth: Array, height: Array) -> tuple[Array, ...]:
     """Phase function over that of even scattering, for three orders, each flatter."""
     sun = np.deg2rad(light.sun_height_deg)
-    cosine = np.sin(height) * np.sin(sun) + np.cos(height) * np.cos(sun) * np.cos(azimuth - np.deg2rad(light.sun_azimuth_deg))
+    cosine = np.sin(height) * np.sin(sun) + np.cos(height) * np.cos(sun) * np.cos(
+        azimuth - np.deg2rad(light.sun_azimuth_deg)
+    )
 
     def lobe(g: float) -> Array:
         return np.asarray((1 - g * g) / (1 + g * g - 2 * g * cosine) ** 1.5, dtype=np.float32)
 
-    return tuple(np.asarray(0.85 * lobe(0.7 * 0.6**k) + 0.15 * lobe(-0.25 * 0.6**k), dtype=np.float32) for k in range(3))
+    return tuple(
+        np.asarray(0.85 * lobe(0.7 * 0.6**k) + 0.15 * lobe(-0.25 * 0.6**k), dtype=np.float32) for k in range(3)
+    )
 
 
 def _distance(height: Array, level_m: float) -> Array:

@@ -13,11 +13,29 @@ import numpy as np
 
 from assets.builders.solids import Field, carve, prism
 from synfog_usd.world.components import Look, MountedLamp
-from synfog_usd.world.shapes import Array, Part, box, disc, join, lathe, quad, scale, shaded, shift, soft_box, strip, turn
+from synfog_usd.world.shapes import (
+    Array,
+    Part,
+    box,
+    disc,
+    join,
+    lathe,
+    quad,
+    scale,
+    shaded,
+    shift,
+    soft_box,
+    strip,
+    turn,
+)
 
 HEADLIGHT_CD = 9000.0  # dipped beam, hot spot
 HEADLIGHT_TINT = (1.02, 0.995, 0.95)
-HEADLIGHT_LENS_NITS = (14200.0, 14000.0, 13600.0)  # 120 cd of a lens of 5 cm: with its beam's stray light under the 350 cd of UN R112's point B50L
+HEADLIGHT_LENS_NITS = (
+    14200.0,
+    14000.0,
+    13600.0,
+)  # 120 cd of a lens of 5 cm: with its beam's stray light under the 350 cd of UN R112's point B50L
 TAIL_NITS = (2600.0, 6.0, 2.0)  # 5 to 10 cd of a lens of 5.5 to 7.5 cm; UN R7 allows 4 to 12
 BRAKE_NITS = (39200.0, 112.0, 34.0)  # 15 times as much: 80 to 150 cd; UN R7 allows 60 to 185
 CENTRE_NITS = (47000.0, 134.0, 40.0)  # 44 cd of 240 x 18 mm; UN R7 allows 25 to 80
@@ -29,18 +47,29 @@ def painted(colour: tuple[float, float, float]) -> Look:
 
 
 def lamp_states(lamps: tuple[MountedLamp, ...], *, centre: bool = False) -> dict[str, Look]:
-    """What `lamps` can be: off; glow (lenses only, for afar); on, with the given lights; brake, which is on with bright tail lamps.
+    """What `lamps` can be: off; glow (lenses only, for afar); on, with the given lights; brake, which is on with bright
+    tail lamps.
 
     centre: whether there is a third brake lamp, of the material `brake_lens`.
     """
     glow = {"headlamp_lens": {"emissiveColor": HEADLIGHT_LENS_NITS}, "tail_lens": {"emissiveColor": TAIL_NITS}}
-    brake = {**glow, "tail_lens": {"emissiveColor": BRAKE_NITS}} | ({"brake_lens": {"emissiveColor": CENTRE_NITS}} if centre else {})
-    return {"off": Look(), "glow": Look(materials=glow), "on": Look(materials=glow, lamps=lamps), "brake": Look(materials=brake, lamps=lamps)}
+    brake = {**glow, "tail_lens": {"emissiveColor": BRAKE_NITS}} | (
+        {"brake_lens": {"emissiveColor": CENTRE_NITS}} if centre else {}
+    )
+    return {
+        "off": Look(),
+        "glow": Look(materials=glow),
+        "on": Look(materials=glow, lamps=lamps),
+        "brake": Look(materials=brake, lamps=lamps),
+    }
 
 
 def headlights(places: Sequence[tuple[float, float, float]], beam: str = "low_beam_led") -> tuple[MountedLamp, ...]:
     """Dipped beams, left and right, aimed level: the beam itself keeps below the horizon."""
-    return tuple(MountedLamp(n, shift(*p) @ turn(90, "x"), beam=beam) for n, p in zip(("Left", "Right"), sorted(places), strict=True))
+    return tuple(
+        MountedLamp(n, shift(*p) @ turn(90, "x"), beam=beam)
+        for n, p in zip(("Left", "Right"), sorted(places), strict=True)
+    )
 
 
 def rect(u0: float, u1: float, v0: float, v1: float) -> list[tuple[float, float]]:
@@ -53,7 +82,10 @@ def grown(outline: Sequence[tuple[float, float]], by: float) -> list[tuple[float
     p = np.asarray(outline, dtype=np.float64)
     a = np.roll(p, 1, axis=0)
     b = np.roll(p, -1, axis=0)
-    e0, e1 = (p - a) / np.linalg.norm(p - a, axis=1, keepdims=True), (b - p) / np.linalg.norm(b - p, axis=1, keepdims=True)
+    e0, e1 = (
+        (p - a) / np.linalg.norm(p - a, axis=1, keepdims=True),
+        (b - p) / np.linalg.norm(b - p, axis=1, keepdims=True),
+    )
     n0, n1 = np.c_[e0[:, 1], -e0[:, 0]], np.c_[e1[:, 1], -e1[:, 0]]
     offset = (n0 + n1) / np.maximum(1 + (n0 * n1).sum(axis=1, keepdims=True), 0.3)
     return [tuple(q) for q in p + by * offset]
@@ -101,7 +133,15 @@ def cut_out(
 
 
 def screen(
-    skin: Part, parts: list[Part], z0: float, z1: float, low_half: float, high_half: float, sign: int, upright: bool, glass: str = "glass_clear"
+    skin: Part,
+    parts: list[Part],
+    z0: float,
+    z1: float,
+    low_half: float,
+    high_half: float,
+    sign: int,
+    upright: bool,
+    glass: str = "glass_clear",
 ) -> Part:
     """Cut windscreen (`sign` 1) or rear window (-1) with its dark border out of the skin; gives the rest."""
     outline = [(-low_half, z0), (low_half, z0), (high_half, z1), (-high_half, z1)]
@@ -109,7 +149,11 @@ def screen(
     border = prism(grown(outline, 0.02), (0, 2))
     for material, cuts in ((glass, planes), ("gloss_black", border)):
         inside, rest = carve(skin, [*cuts, lambda q: -sign * q[:, 1] - 0.5 if not upright else 0.9 - q[:, 1]])
-        n = inside.normals[inside.faces].mean(axis=1) if inside.normals is not None and len(inside.faces) else np.zeros((0, 3))
+        n = (
+            inside.normals[inside.faces].mean(axis=1)
+            if inside.normals is not None and len(inside.faces)
+            else np.zeros((0, 3))
+        )
         keep = sign * n[:, 1] > (0.18 if sign > 0 else 0.22)
         if len(inside.faces):
             parts.append(Part(inside.points, inside.faces[keep], material, inside.uv, inside.normals))
@@ -128,7 +172,9 @@ def arches(skin: Part, parts: list[Part], axles: Sequence[float], radius: float,
             hole, skin = carve(skin, [*reach, *prism(circle, (1, 2))])
             outer = float(np.abs(hole.points[:, 0]).max()) if len(hole.points) else inner + 0.3
             arc = np.linspace(-0.15, np.pi + 0.15, 20)
-            ring = np.c_[np.full(20, 0.0), y + (radius + 0.004) * np.cos(arc), radius - 0.045 + (radius + 0.004) * np.sin(arc)]
+            ring = np.c_[
+                np.full(20, 0.0), y + (radius + 0.004) * np.cos(arc), radius - 0.045 + (radius + 0.004) * np.sin(arc)
+            ]
             parts.append(strip([ring + [sign * inner, 0, 0], ring + [sign * (outer - 0.035), 0, 0]], "seam"))
             wall = np.vstack([ring, [(0, y, radius - 0.3)]]) + [sign * inner, 0, 0]
             parts.append(Part(wall, np.array([(i, i + 1, 20) for i in range(19)]), "seam"))
@@ -154,13 +200,28 @@ def wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
     """Tyre, rim with spokes and brake disc about Z, outside up."""
     r, w, bead = radius, width / 2, radius * 0.66
     tyre = lathe(
-        [(bead, -w * 0.9), (r * 0.88, -w), (r * 0.975, -w * 0.86), (r, -w * 0.6), (r, w * 0.6), (r * 0.975, w * 0.86), (r * 0.88, w), (bead, w * 0.92)],
+        [
+            (bead, -w * 0.9),
+            (r * 0.88, -w),
+            (r * 0.975, -w * 0.86),
+            (r, -w * 0.6),
+            (r, w * 0.6),
+            (r * 0.975, w * 0.86),
+            (r * 0.88, w),
+            (bead, w * 0.92),
+        ],
         "tyre",
         sides=30,
         crease_deg=35,
     )
     dish = lathe(
-        [(bead * 0.93, -w * 0.5), (bead * 0.93, w * 0.55), (bead * 0.96, w * 0.9), (bead * 1.01, w * 0.95), (bead * 1.01, w * 0.8)],
+        [
+            (bead * 0.93, -w * 0.5),
+            (bead * 0.93, w * 0.55),
+            (bead * 0.96, w * 0.9),
+            (bead * 1.01, w * 0.95),
+            (bead * 1.01, w * 0.8),
+        ],
         "rim",
         sides=24,
         crease_deg=35,
@@ -183,9 +244,13 @@ def wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
     return tyre, join([dish, hub, *(shaded(b, 20) for b in bars)]), brake
 
 
-def lens_disc(centre: tuple[float, float, float], radius: float, material: str, *, back: bool = False, yaw_deg: float = 0.0) -> Part:
+def lens_disc(
+    centre: tuple[float, float, float], radius: float, material: str, *, back: bool = False, yaw_deg: float = 0.0
+) -> Part:
     """A round lens of ten triangles that faces forward or back, turned by `yaw_deg` to the left."""
-    return disc((0, 0, 0), radius, material, sides=10).moved(shift(*centre) @ turn(yaw_deg) @ turn(90 if back else -90, "x"))
+    return disc((0, 0, 0), radius, material, sides=10).moved(
+        shift(*centre) @ turn(yaw_deg) @ turn(90 if back else -90, "x")
+    )
 
 
 def lens_on(field_: Field, x: float, z: float, radius: float, material: str, *, sign: int) -> Part:
@@ -194,7 +259,9 @@ def lens_on(field_: Field, x: float, z: float, radius: float, material: str, *, 
     yaw = np.rad2deg(np.arctan2(after - before, 0.08))
     normal = sign * np.array([-np.sin(np.deg2rad(yaw)), np.cos(np.deg2rad(yaw))])
     y = front_at(field_, x, z, sign)
-    return lens_disc((x + 0.012 * normal[0], y + 0.012 * normal[1], z), radius, material, back=sign < 0, yaw_deg=float(yaw))
+    return lens_disc(
+        (x + 0.012 * normal[0], y + 0.012 * normal[1], z), radius, material, back=sign < 0, yaw_deg=float(yaw)
+    )
 
 
 def mirror(sign: int) -> Part:
@@ -216,7 +283,13 @@ def plate(centre: tuple[float, float, float], row: int, *, front: bool) -> Part:
 
 
 def picture(
-    corners: Sequence[tuple[float, float, float]], material: str, row: int, rows: int, *, turned: bool = False, lift: tuple[float, float, float] = (0, 0, 0)
+    corners: Sequence[tuple[float, float, float]],
+    material: str,
+    row: int,
+    rows: int,
+    *,
+    turned: bool = False,
+    lift: tuple[float, float, float] = (0, 0, 0),
 ) -> Part:
     """One of several pictures that lie one above the other in a texture, on four corners."""
     low, high = 1 - (row + 1) / rows, 1 - row / rows

@@ -36,8 +36,27 @@ FOG_VARIANTS = {"clear": None, "mor600": 600.0, "mor300": 300.0, "mor150": 150.0
 def components() -> list[Component]:
     """Every component of the crossing; vehicles, people and trees with many triangles in two levels of detail."""
     pits = [(p.x, p.y) for p in trees() if abs(p.x) == TREE_X]
-    solid = [with_low(c) for c in (*build_cars(), build_bus(), build_lorry(), *build_people(), build_rider(), build_bicycle(), *build_trees())]
-    return [*build_ground(pits), *build_houses(), build_church(), *solid, *build_furniture(), build_hedge(), build_leaf()]
+    solid = [
+        with_low(c)
+        for c in (
+            *build_cars(),
+            build_bus(),
+            build_lorry(),
+            *build_people(),
+            build_rider(),
+            build_bicycle(),
+            *build_trees(),
+        )
+    ]
+    return [
+        *build_ground(pits),
+        *build_houses(),
+        build_church(),
+        *solid,
+        *build_furniture(),
+        build_hedge(),
+        build_leaf(),
+    ]
 
 
 def placements() -> list[Placement]:
@@ -57,7 +76,9 @@ def vehicles() -> list[Placement]:
 
     def put(asset: str, x: float, y: float, heading: float, paint: str, drives: bool = False) -> None:
         lit = {"lamps": "on" if y < 80 else "glow"} if drives else {}
-        placed.append(stood("Vehicles", f"{asset.title()}_{len(placed) + 1:02d}", asset, x, y, heading, {"paint": paint}, lit))
+        placed.append(
+            stood("Vehicles", f"{asset.title()}_{len(placed) + 1:02d}", asset, x, y, heading, {"paint": paint}, lit)
+        )
 
     put("hatchback", -1.80, 18.4, 180, "red", True)
     put("estate", -1.95, -22.6, 180, "silver", True)
@@ -94,28 +115,57 @@ def vehicles() -> list[Placement]:
             if rng.random() < 0.26 or any(x * sx > 0 and abs(y - b) < 7.2 for x, b in taken):
                 continue
             asset, paint = cars[int(rng.integers(0, len(cars)))], paints[int(rng.integers(0, len(paints)))]
-            put(asset, round(sx * (4.5 + float(rng.normal(0, 0.05))), 3), round(float(y + rng.normal(0, 0.15)), 3), 180.0 if sx < 0 else 0.0, paint)
+            put(
+                asset,
+                round(sx * (4.5 + float(rng.normal(0, 0.05))), 3),
+                round(float(y + rng.normal(0, 0.15)), 3),
+                180.0 if sx < 0 else 0.0,
+                paint,
+            )
     return placed
 
 
 def people() -> list[Placement]:
     """Who crosses, waits and walks, and the cyclist ahead."""
     rows = [
-        ("man_walking", -1.5, -12.5, -88, "a"), ("woman_walking", 1.0, -13.3, 92, "b"), ("old_man", 4.3, -12.4, 94, "a"), ("child", -4.5, -13.0, -90, "a"),
+        ("man_walking", -1.5, -12.5, -88, "a"),
+        ("woman_walking", 1.0, -13.3, 92, "b"),
+        ("old_man", 4.3, -12.4, 94, "a"),
+        ("child", -4.5, -13.0, -90, "a"),
         ("woman_walking", -5.1, -12.4, -92, "a"),
-        ("man_waiting", 6.9, -10.2, 40, "a"), ("woman_phone", 7.4, -16.9, 80, "a"), ("student", 7.6, -22.5, 4, "a"), ("man_walking", 8.6, -18.9, 176, "b"),
+        ("man_waiting", 6.9, -10.2, 40, "a"),
+        ("woman_phone", 7.4, -16.9, 80, "a"),
+        ("student", 7.6, -22.5, 4, "a"),
+        ("man_walking", 8.6, -18.9, 176, "b"),
         ("woman_walking", 8.2, -29.0, 184, "c"),
-        ("student", -7.4, -21.8, 178, "b"), ("man_walking", -8.3, -26.0, -3, "c"), ("woman_phone", -7.2, -11.4, -110, "b"), ("man_waiting", -7.5, -10.1, -100,
-        "b"), ("child", -8.0, -22.0, 176, "b"),
-        ("woman_walking", -7.6, 11.8, 170, "a"), ("man_walking", 7.3, 12.6, 10, "a"), ("student", 2.2, 12.7, 88, "a"), ("woman_phone", 8.8, 19.5, 90, "a"),
+        ("student", -7.4, -21.8, 178, "b"),
+        ("man_walking", -8.3, -26.0, -3, "c"),
+        ("woman_phone", -7.2, -11.4, -110, "b"),
+        ("man_waiting", -7.5, -10.1, -100, "b"),
+        ("child", -8.0, -22.0, 176, "b"),
+        ("woman_walking", -7.6, 11.8, 170, "a"),
+        ("man_walking", 7.3, 12.6, 10, "a"),
+        ("student", 2.2, 12.7, 88, "a"),
+        ("woman_phone", 8.8, 19.5, 90, "a"),
         ("man_waiting", -8.9, 18.5, -80, "a"),
-        ("old_man", -8.2, 30.0, 182, "b"), ("woman_walking", 8.0, 33.0, 3, "b"), ("man_walking", 8.7, 47.0, 181, "c"), ("student", -7.9, 52.0, 2, "b"),
+        ("old_man", -8.2, 30.0, 182, "b"),
+        ("woman_walking", 8.0, 33.0, 3, "b"),
+        ("man_walking", 8.7, 47.0, 181, "c"),
+        ("student", -7.9, 52.0, 2, "b"),
         ("woman_walking", -8.6, 70.0, 178, "c"),
-        ("man_walking", 8.1, 74.0, 0, "b"), ("woman_phone", 8.4, 96.0, 185, "b"), ("man_walking", -8.0, 110.0, 180, "a"), ("woman_walking", -1.5, 13.4, -90,
-        "c"), ("man_walking", -11.8, -5.9, -85, "a"),
-    ]  # fmt: skip
-    placed = [stood("People", f"Person_{i + 1:02d}", asset, x, y, heading, {"outfit": outfit}) for i, (asset, x, y, heading, outfit) in enumerate(rows)]
-    for i, (x, y, heading, outfit, colour) in enumerate([(2.75, -24.2, 1.0, "a", "teal"), (-2.3, 42.0, 180.0, "b", "black")]):
+        ("man_walking", 8.1, 74.0, 0, "b"),
+        ("woman_phone", 8.4, 96.0, 185, "b"),
+        ("man_walking", -8.0, 110.0, 180, "a"),
+        ("woman_walking", -1.5, 13.4, -90, "c"),
+        ("man_walking", -11.8, -5.9, -85, "a"),
+    ]
+    placed = [
+        stood("People", f"Person_{i + 1:02d}", asset, x, y, heading, {"outfit": outfit})
+        for i, (asset, x, y, heading, outfit) in enumerate(rows)
+    ]
+    for i, (x, y, heading, outfit, colour) in enumerate(
+        [(2.75, -24.2, 1.0, "a", "teal"), (-2.3, 42.0, 180.0, "b", "black")]
+    ):
         placed.append(stood("People", f"Rider_{i + 1}", "rider", x, y, heading, {"outfit": outfit}))
         placed.append(stood("Vehicles", f"Bicycle_{i + 1}", "bicycle", x, y, heading, {"colour": colour}))
     placed += parked_bicycles()
@@ -151,7 +201,11 @@ def write_stage(path: Path, spec: WorldSpec | None = None, *, assets: str = "../
 
 
 def nominal() -> dict[str, dict[str, float]]:
-    """What `assets/models/nominal.json` says: sizes that meshes do not show, as their makers mean them [m], and panes of the facades."""
+    """What `assets/models/nominal.json` says: sizes that meshes do not show, as their makers mean them [m], and panes
+    of the facades.
+    """
     sizes: dict[str, dict[str, float]] = {body.name: {"length_m": body.length} for body in CARS}
     sizes |= {"bus": {"length_m": 12.0}, "lorry": {"length_m": 7.2}}
-    return sizes | {h.name: {"width_m": h.width, "depth_m": h.depth, "facade_windows": len(glazing(h).windows)} for h in HOUSES}
+    return sizes | {
+        h.name: {"width_m": h.width, "depth_m": h.depth, "facade_windows": len(glazing(h).windows)} for h in HOUSES
+    }

@@ -12,7 +12,18 @@ import numpy as np
 from synfog_usd.seeds import stream
 from synfog_usd.world.components import Component
 from synfog_usd.world.materials import LANE_TEXTURE_LENGTH_M
-from synfog_usd.world.roads.crossing import CORNER, KERB_M, MAIN_HALF, NORTH, SIDE, SIDE_HALF, SOUTH, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE
+from synfog_usd.world.roads.crossing import (
+    CORNER,
+    KERB_M,
+    MAIN_HALF,
+    NORTH,
+    SIDE,
+    SIDE_HALF,
+    SOUTH,
+    ZEBRA,
+    ZEBRA_DEPTH,
+    ZEBRA_SIDE,
+)
 from synfog_usd.world.shapes import Array, Part, disc, fan, quad, strip
 
 
@@ -27,7 +38,11 @@ def _road() -> Component:
     for y0, y1 in ((edge_y, NORTH), (-SOUTH, -edge_y)):
         v0, v1 = y0 / LANE_TEXTURE_LENGTH_M, y1 / LANE_TEXTURE_LENGTH_M
         parts.append(
-            quad([(-MAIN_HALF, y0, 0), (MAIN_HALF, y0, 0), (MAIN_HALF, y1, 0), (-MAIN_HALF, y1, 0)], "asphalt_lane", [(0, v0), (1, v0), (1, v1), (0, v1)])
+            quad(
+                [(-MAIN_HALF, y0, 0), (MAIN_HALF, y0, 0), (MAIN_HALF, y1, 0), (-MAIN_HALF, y1, 0)],
+                "asphalt_lane",
+                [(0, v0), (1, v0), (1, v1), (0, v1)],
+            )
         )
     for x0, x1 in ((edge_x, SIDE), (-SIDE, -edge_x)):
         v0, v1 = x0 / LANE_TEXTURE_LENGTH_M + 0.37, x1 / LANE_TEXTURE_LENGTH_M + 0.37
@@ -38,17 +53,27 @@ def _road() -> Component:
                 [(0.05, v0), (0.05, v1), (0.95, v1), (0.95, v0)],
             )
         )
-    parts.append(fan([(-MAIN_HALF, -edge_y, 0), (MAIN_HALF, -edge_y, 0), (MAIN_HALF, edge_y, 0), (-MAIN_HALF, edge_y, 0)], "asphalt", tile_m=6))
+    parts.append(
+        fan(
+            [(-MAIN_HALF, -edge_y, 0), (MAIN_HALF, -edge_y, 0), (MAIN_HALF, edge_y, 0), (-MAIN_HALF, edge_y, 0)],
+            "asphalt",
+            tile_m=6,
+        )
+    )
     angle = np.linspace(np.pi, 1.5 * np.pi, 17)
     for sx in (-1, 1):
         x0, x1 = sorted((sx * MAIN_HALF, sx * edge_x))
-        parts.append(fan([(x0, -SIDE_HALF, 0), (x1, -SIDE_HALF, 0), (x1, SIDE_HALF, 0), (x0, SIDE_HALF, 0)], "asphalt", tile_m=6))
+        parts.append(
+            fan([(x0, -SIDE_HALF, 0), (x1, -SIDE_HALF, 0), (x1, SIDE_HALF, 0), (x0, SIDE_HALF, 0)], "asphalt", tile_m=6)
+        )
         for sy in (-1, 1):
             arc = np.c_[sx * (edge_x + CORNER * np.cos(angle)), sy * (edge_y + CORNER * np.sin(angle)), np.zeros(17)]
             outline = np.vstack([[(sx * MAIN_HALF, sy * SIDE_HALF, 0)], arc[:: -1 if sx * sy > 0 else 1]])
             parts.append(fan(outline, "asphalt", tile_m=6))
     parts += _repairs() + _markings()
-    return Component("street_road", "road", tuple(parts), "Two streets that cross: asphalt, repairs, covers and markings.")
+    return Component(
+        "street_road", "road", tuple(parts), "Two streets that cross: asphalt, repairs, covers and markings."
+    )
 
 
 def _repairs() -> list[Part]:
@@ -67,7 +92,12 @@ def _repairs() -> list[Part]:
     ]
     for k, (x0, x1, y0, y1) in enumerate(rects):
         wobble = rng.normal(0, 0.03, 8)
-        corners = [(x0 + wobble[0], y0 + wobble[1]), (x1 + wobble[2], y0 + wobble[3]), (x1 + wobble[4], y1 + wobble[5]), (x0 + wobble[6], y1 + wobble[7])]
+        corners = [
+            (x0 + wobble[0], y0 + wobble[1]),
+            (x1 + wobble[2], y0 + wobble[3]),
+            (x1 + wobble[4], y1 + wobble[5]),
+            (x0 + wobble[6], y1 + wobble[7]),
+        ]
         parts.append(fan([(x, y, 0.0012) for x, y in corners], "asphalt_patch" if k % 3 else "asphalt_old", tile_m=6))
         loop = [*corners, corners[0]]
         for (ax, ay), (bx, by) in itertools.pairwise(loop):
@@ -99,7 +129,12 @@ def _repairs() -> list[Part]:
         for y in (-44.0, -18.3, 17.6, 41.0, 70.0, 100.0):
             parts.append(
                 quad(
-                    [(x - 0.18, y - 0.25, 0.004), (x + 0.18, y - 0.25, 0.004), (x + 0.18, y + 0.25, 0.004), (x - 0.18, y + 0.25, 0.004)],
+                    [
+                        (x - 0.18, y - 0.25, 0.004),
+                        (x + 0.18, y - 0.25, 0.004),
+                        (x + 0.18, y + 0.25, 0.004),
+                        (x - 0.18, y + 0.25, 0.004),
+                    ],
                     "iron",
                     [(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)],
                 )
@@ -158,16 +193,38 @@ def _pavement(trees: list[tuple[float, float]]) -> Component:
             end = NORTH if sy > 0 else SOUTH
             turned = -1 if sx * sy < 0 else 1
             inner = CORNER - 0.15
-            arc = np.c_[sx * (edge_x + inner * np.cos(angle)), sy * (edge_y + inner * np.sin(angle)), np.full(17, KERB_M)]
+            arc = np.c_[
+                sx * (edge_x + inner * np.cos(angle)), sy * (edge_y + inner * np.sin(angle)), np.full(17, KERB_M)
+            ]
             parts.append(fan(np.vstack([[(sx * edge_x, sy * edge_y, KERB_M)], arc[::turned]]), "paving", tile_m=4))
             for x0, x1, y0, y1 in ((MAIN_HALF + 0.15, edge_x, edge_y, end), (edge_x, SIDE, SIDE_HALF + 0.15, edge_y)):
-                corners = np.array([(sx * x0, sy * y0, KERB_M), (sx * x1, sy * y0, KERB_M), (sx * x1, sy * y1, KERB_M), (sx * x0, sy * y1, KERB_M)])
+                corners = np.array(
+                    [
+                        (sx * x0, sy * y0, KERB_M),
+                        (sx * x1, sy * y0, KERB_M),
+                        (sx * x1, sy * y1, KERB_M),
+                        (sx * x0, sy * y1, KERB_M),
+                    ]
+                )
                 flat = fan(corners[::turned], "paving", tile_m=4)
                 parts.append(flat)
-            path = np.vstack([[(MAIN_HALF, end)], np.c_[edge_x + CORNER * np.cos(angle), edge_y + CORNER * np.sin(angle)], [(SIDE, SIDE_HALF)]])
+            path = np.vstack(
+                [
+                    [(MAIN_HALF, end)],
+                    np.c_[edge_x + CORNER * np.cos(angle), edge_y + CORNER * np.sin(angle)],
+                    [(SIDE, SIDE_HALF)],
+                ]
+            )
             parts.append(_kerb(path * [sx, sy], -turned))
-            band = [(MAIN_HALF + 0.25, ZEBRA), (MAIN_HALF + 1.05, ZEBRA), (MAIN_HALF + 1.05, ZEBRA + ZEBRA_DEPTH), (MAIN_HALF + 0.25, ZEBRA + ZEBRA_DEPTH)]
-            parts.append(fan(np.array([(sx * x, sy * y, KERB_M + 0.003) for x, y in band])[::turned], "tactile", tile_m=0.8))
+            band = [
+                (MAIN_HALF + 0.25, ZEBRA),
+                (MAIN_HALF + 1.05, ZEBRA),
+                (MAIN_HALF + 1.05, ZEBRA + ZEBRA_DEPTH),
+                (MAIN_HALF + 0.25, ZEBRA + ZEBRA_DEPTH),
+            ]
+            parts.append(
+                fan(np.array([(sx * x, sy * y, KERB_M + 0.003) for x, y in band])[::turned], "tactile", tile_m=0.8)
+            )
     for x, y in trees:
         parts.append(
             fan(
@@ -180,7 +237,12 @@ def _pavement(trees: list[tuple[float, float]]) -> Component:
                 "soil",
             )
         )
-        for dx, dy, w, h in ((-0.62, 0, 0.04, 0.64), (0.62, 0, 0.04, 0.64), (0, -0.62, 0.64, 0.04), (0, 0.62, 0.64, 0.04)):
+        for dx, dy, w, h in (
+            (-0.62, 0, 0.04, 0.64),
+            (0.62, 0, 0.04, 0.64),
+            (0, -0.62, 0.64, 0.04),
+            (0, 0.62, 0.64, 0.04),
+        ):
             parts.append(
                 fan(
                     [
@@ -192,7 +254,12 @@ def _pavement(trees: list[tuple[float, float]]) -> Component:
                     "kerb",
                 )
             )
-    return Component("street_pavement", "sidewalk", tuple(parts), "Pavements of concrete slabs with granite kerbs and pits for trees.")
+    return Component(
+        "street_pavement",
+        "sidewalk",
+        tuple(parts),
+        "Pavements of concrete slabs with granite kerbs and pits for trees.",
+    )
 
 
 def _kerb(path: Array, inward: int) -> Part:
@@ -221,5 +288,7 @@ def _ribbon(points: Array, width: float, z: float, material: str) -> Part:
 def _land() -> Component:
     far, z = 1600.0, -0.04
     parts = [fan([(-far, -far, z), (far, -far, z), (far, far, z), (-far, far, z)], "grass", tile_m=4)]
-    parts.append(fan([(-30, NORTH, 0.0), (30, NORTH, 0.0), (30, NORTH + 5, 0.0), (-30, NORTH + 5, 0.0)], "asphalt", tile_m=6))
+    parts.append(
+        fan([(-30, NORTH, 0.0), (30, NORTH, 0.0), (30, NORTH + 5, 0.0), (-30, NORTH + 5, 0.0)], "asphalt", tile_m=6)
+    )
     return Component("street_land", "terrain", tuple(parts), "Open land to the horizon.")

@@ -59,7 +59,9 @@ CIE_SKIES = {
 """Type -> parameters, ISO 15469:2004 table 1."""
 
 
-def relative_luminance(kind: int, zenith_angle: npt.ArrayLike, sun_distance: npt.ArrayLike, sun_zenith_angle: float) -> Array:
+def relative_luminance(
+    kind: int, zenith_angle: npt.ArrayLike, sun_distance: npt.ArrayLike, sun_zenith_angle: float
+) -> Array:
     """Luminance of a standard sky over that of its zenith.
 
     Args:
@@ -119,10 +121,16 @@ def tint(cct_k: float) -> tuple[float, float, float]:
     Source: CIE 015:2018 for daylight, Kang et al. (2002) for Planck, from colour-science.
     """
     if not 1667.0 <= cct_k <= 25000.0:
-        raise ParameterError(f"colour temperature {cct_k:g} K is outside 1667 to 25000 K, where chromaticities are tabulated")
+        raise ParameterError(
+            f"colour temperature {cct_k:g} K is outside 1667 to 25000 K, where chromaticities are tabulated"
+        )
     colour = colour_science()
-    x, y = colour.temperature.CCT_to_xy_CIE_D(cct_k) if cct_k >= 4000.0 else colour.temperature.CCT_to_xy_Kang2002(cct_k)
-    rgb = np.linalg.inv(colour.RGB_COLOURSPACES["ITU-R BT.709"].matrix_RGB_to_XYZ) @ np.array([x / y, 1.0, (1 - x - y) / y])
+    x, y = (
+        colour.temperature.CCT_to_xy_CIE_D(cct_k) if cct_k >= 4000.0 else colour.temperature.CCT_to_xy_Kang2002(cct_k)
+    )
+    rgb = np.linalg.inv(colour.RGB_COLOURSPACES["ITU-R BT.709"].matrix_RGB_to_XYZ) @ np.array(
+        [x / y, 1.0, (1 - x - y) / y]
+    )
     r, g, b = (max(float(c), 0.0) for c in rgb)
     return r, g, b
 

@@ -17,11 +17,17 @@ Array = npt.NDArray[np.float64]
 
 
 def asphalt_lane() -> tuple[Array, Array]:
-    """One carriageway, kerb to kerb (11.2 m) by `LANE_TEXTURE_LENGTH_M`: wheel tracks, oil, cracks, dirt at the kerbs; (albedo, roughness)."""
+    """One carriageway, kerb to kerb (11.2 m) by `LANE_TEXTURE_LENGTH_M`: wheel tracks, oil, cracks, dirt at the kerbs;
+    (albedo, roughness).
+    """
     h, w = 2048, 1024
     x = (np.arange(w) + 0.5) / w * 11.2 - 5.6
     tone = np.full((h, w), 0.088)
-    tone *= 1 + 0.10 * noise((h, w), 2.2, "lane", 0, high=40) + 0.05 * noise((h, w), 1.6, "lane", 1, low=20, high=200, aspect=2)
+    tone *= (
+        1
+        + 0.10 * noise((h, w), 2.2, "lane", 0, high=40)
+        + 0.05 * noise((h, w), 1.6, "lane", 1, low=20, high=200, aspect=2)
+    )
     wander = 0.12 * ndimage.gaussian_filter1d(noise((h, 4), 3.0, "lane", 2, high=6)[:, 0], 40, mode="wrap")
     wet = np.zeros((h, w))
     for centre in (-1.7, 1.7):
@@ -64,7 +70,9 @@ def asphalt() -> tuple[Array, Array]:
 
 
 def chip_seal() -> tuple[Array, Array]:
-    """A surface dressing, 6 m square: chippings of 8 to 11 mm in bitumen, grey and reddish ones among them; (albedo, roughness)."""
+    """A surface dressing, 6 m square: chippings of 8 to 11 mm in bitumen, grey and reddish ones among them; (albedo,
+    roughness).
+    """
     n = (1024, 1024)
     rng = stream(0, "texture", "chips", "stones")
     cells = 500  # a chipping every 12 mm
@@ -75,7 +83,9 @@ def chip_seal() -> tuple[Array, Array]:
     column = (u + 0.35 * noise(n, 0.0, "chips", "u", low=100)).astype(int) % cells
     lost = np.clip(noise(n, 1.8, "chips", "lost", high=60) - 1.1, 0, 1)  # where chippings went, the bitumen shows
     tone = 0.128 * stone[row, column] * (1 + 0.09 * noise(n, 2.0, "chips", "tone", high=20))
-    rgb = tone[..., None] * np.where(red[row, column][..., None], np.array([1.18, 0.97, 0.88]), np.array([1.0, 0.985, 0.96]))
+    rgb = tone[..., None] * np.where(
+        red[row, column][..., None], np.array([1.18, 0.97, 0.88]), np.array([1.0, 0.985, 0.96])
+    )
     rgb = rgb * (1 - 0.7 * lost[..., None]) + 0.7 * lost[..., None] * 0.035
     gloss = 0.72 - 0.22 * lost + 0.05 * noise(n, 0.0, "chips", "gloss", low=100)
     return np.clip(rgb, 0.015, 0.6), np.clip(gloss[::2, ::2], 0.3, 0.95)
@@ -91,12 +101,20 @@ def paving() -> tuple[Array, Array]:
     rng = stream(0, "texture", "paving")
     tone = rng.normal(1, 0.085, (12, 8))[row, column]
     warm = rng.normal(0, 0.025, (12, 8))[row, column]
-    distance = np.minimum(np.minimum(u % 1, 1 - u % 1) * 0.5, np.minimum(v % 1, 1 - v % 1) / 3) * 1000  # mm to the joint
+    distance = (
+        np.minimum(np.minimum(u % 1, 1 - u % 1) * 0.5, np.minimum(v % 1, 1 - v % 1) / 3) * 1000
+    )  # mm to the joint
     distance += 0.9 * noise((n, n), 1.0, "paving", "edge", low=20)
     joint = np.clip((6.0 - distance) / 3.0, 0, 1)
     chamfer = np.clip((13 - distance) / 8, 0, 1)
     stain = noise((n, n), 2.3, "paving", "stain", high=40)
-    albedo = 0.27 * tone * (1 + 0.09 * stain) * (1 + 0.13 * noise((n, n), 0.3, "paving", "grain", low=60)) * (1 - 0.16 * chamfer)
+    albedo = (
+        0.27
+        * tone
+        * (1 + 0.09 * stain)
+        * (1 + 0.13 * noise((n, n), 0.3, "paving", "grain", low=60))
+        * (1 - 0.16 * chamfer)
+    )
     gum = np.zeros((n, n))
     for _ in range(60):
         cy, cx, r = rng.uniform(0, n), rng.uniform(0, n), rng.uniform(2.5, 5.5)
@@ -115,5 +133,7 @@ def marking() -> Array:
     n = (512, 512)
     worn = noise(n, 1.5, "marking", 0, high=120) + 0.7 * noise(n, 0.2, "marking", 1, low=60)
     bare = np.clip((worn - 1.55) * 2.2, 0, 1)[..., None]
-    paint = (0.56 * (1 + 0.07 * noise(n, 2.0, "marking", 2, high=30) + 0.05 * noise(n, 0.0, "marking", 3)))[..., None] * np.array([1.0, 0.99, 0.95])
+    paint = (0.56 * (1 + 0.07 * noise(n, 2.0, "marking", 2, high=30) + 0.05 * noise(n, 0.0, "marking", 3)))[
+        ..., None
+    ] * np.array([1.0, 0.99, 0.95])
     return np.clip(paint * (1 - bare) + bare * np.array([0.10, 0.098, 0.094]), 0.02, 0.8)

@@ -102,10 +102,43 @@ _STREET_V = (*np.arange(0.0, 90.1, 2.5), 100.0, 110.0, 120.0, 140.0, 160.0, 180.
 _STREET_H = tuple(np.arange(0.0, 180.1, 5.0))
 
 
-_FRONT_V = (*np.arange(0.0, 6.0, 0.25), *np.arange(6.0, 12.0, 0.5), *np.arange(12.0, 30.0, 2.0), *np.arange(30.0, 90.1, 5.0))
+_FRONT_V = (
+    *np.arange(0.0, 6.0, 0.25),
+    *np.arange(6.0, 12.0, 0.5),
+    *np.arange(12.0, 30.0, 2.0),
+    *np.arange(30.0, 90.1, 5.0),
+)
 
 
-_LEVEL = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 17.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 75.0)
+_LEVEL = (
+    0.0,
+    0.5,
+    1.0,
+    1.5,
+    2.0,
+    2.5,
+    3.0,
+    4.0,
+    5.0,
+    6.0,
+    7.0,
+    8.0,
+    9.0,
+    10.0,
+    11.0,
+    12.0,
+    13.0,
+    14.0,
+    15.0,
+    17.0,
+    20.0,
+    25.0,
+    30.0,
+    40.0,
+    50.0,
+    60.0,
+    75.0,
+)
 
 
 _FRONT_H = tuple(sorted({round(x % 360, 2) for q in _LEVEL for x in (q, -q, 180 - q, 180 + q)} | {90.0, 270.0, 360.0}))
@@ -138,7 +171,9 @@ def candela(name: str, vertical_deg: npt.ArrayLike, horizontal_deg: npt.ArrayLik
     Args:
         vertical_deg: from the axis, 0 to 180; horizontal_deg: from +X towards +Y; they broadcast.
     """
-    v, h = np.broadcast_arrays(np.deg2rad(np.asarray(vertical_deg, float)), np.deg2rad(np.asarray(horizontal_deg, float)))
+    v, h = np.broadcast_arrays(
+        np.deg2rad(np.asarray(vertical_deg, float)), np.deg2rad(np.asarray(horizontal_deg, float))
+    )
     lamp, beam = lamp_of(name), BEAMS[name].beam
     scale = lamp.flux_lm / _flux_of_unit(beam) if lamp.group == STREET else lamp.candela / _greatest(beam)
     return scale * beam(v, h)
@@ -161,7 +196,9 @@ def ies_text(name: str) -> str:
     """
     lamp = lamp_of(name)
     if name not in BEAMS:
-        raise ParameterError(f"lamp {name!r} shines as a flat disk does and has no IES file; {', '.join(BEAMS)} have one")
+        raise ParameterError(
+            f"lamp {name!r} shines as a flat disk does and has no IES file; {', '.join(BEAMS)} have one"
+        )
     v, h = np.array(BEAMS[name].verticals_deg), np.array(BEAMS[name].horizontals_deg)
     table = candela(name, v[None, :], h[:, None])
     diameter = 2 * lamp.radius_m

@@ -25,7 +25,9 @@ def letters(word: str, height: float, material: str, *, align: str = "middle") -
     strokes, at = [], 0.0
     for letter in word:
         for line in GLYPHS[letter].split():
-            points = np.array([(int(line[i]), int(line[i + 1])) for i in range(0, len(line), 2)], dtype=np.float64) * unit
+            points = (
+                np.array([(int(line[i]), int(line[i + 1])) for i in range(0, len(line), 2)], dtype=np.float64) * unit
+            )
             points[:, 0] += at
             strokes += list(itertools.pairwise(points))
         at += 5.6 * unit

@@ -10,7 +10,9 @@ from synfog_usd.seeds import stream
 Array = npt.NDArray[np.float64]
 
 
-def noise(shape: tuple[int, int], beta: float, *names: str | int, low: float = 0.0, high: float = 1e9, aspect: float = 1.0) -> Array:
+def noise(
+    shape: tuple[int, int], beta: float, *names: str | int, low: float = 0.0, high: float = 1e9, aspect: float = 1.0
+) -> Array:
     """Noise that tiles: spectrum f^-beta between two frequencies [cycles per picture], mean 0, deviation 1."""
     rng = stream(0, "texture", *names)
     fy = np.fft.fftfreq(shape[0])[:, None] * shape[0] / aspect

@@ -57,61 +57,176 @@ class Person:
 
 
 PEOPLE = (
-    Person("man_walking", "A man who walks, in a short coat.", 1.80, thighs=(24, -20), knees=(6, 14), arms=(-20, 22), elbows=(14, 24), lean=3, coat=0.26,
-           wears={"hair": "hair_brown", "shoes": "leather_brown"}, outfits=(("cloth_navy", "denim"), ("cloth_grey", "cloth_black"), ("cloth_green",
-           "cloth_beige"))),
-    Person("woman_walking", "A woman who walks, in a long coat, with a handbag.", 1.68, thighs=(-17, 21), knees=(16, 5), arms=(16, -14), elbows=(20, 10),
-        lean=2, coat=0.42, hair="long", carries="handbag", build=0.88,
-           wears={"hair": "hair_blond", "shoes": "leather_black", "bag": "leather_brown"}, outfits=(("cloth_beige", "cloth_black"), ("cloth_red",
-           "cloth_black"), ("cloth_grey", "denim"))),
-    Person("man_waiting", "A man who waits, hands in his pockets.", 1.77, thighs=(2, -3), knees=(2, 6), arms=(-9, -9), elbows=(38, 38), splay=15,
-        turn_head=25, coat=0.10,
-           wears={"hair": "hair_dark", "shoes": "shoe_white"}, outfits=(("cloth_teal", "denim"), ("cloth_black", "cloth_grey"))),
-    Person("woman_phone", "A woman who stands and looks at her telephone.", 1.66, thighs=(1, -2), knees=(3, 8), arms=(18, 2), elbows=(105, 14), turn_head=-8,
-        coat=0.14, hair="bun", carries="phone", build=0.88,
-           wears={"hair": "hair_dark", "shoes": "shoe_white"}, outfits=(("cloth_red", "denim"), ("cloth_mustard", "cloth_black"))),
-    Person("student", "A student who walks with a backpack.", 1.78, thighs=(-22, 25), knees=(12, 7), arms=(18, -18), elbows=(22, 18), lean=5, coat=0.10,
+    Person(
+        "man_walking",
+        "A man who walks, in a short coat.",
+        1.80,
+        thighs=(24, -20),
+        knees=(6, 14),
+        arms=(-20, 22),
+        elbows=(14, 24),
+        lean=3,
+        coat=0.26,
+        wears={"hair": "hair_brown", "shoes": "leather_brown"},
+        outfits=(("cloth_navy", "denim"), ("cloth_grey", "cloth_black"), ("cloth_green", "cloth_beige")),
+    ),
+    Person(
+        "woman_walking",
+        "A woman who walks, in a long coat, with a handbag.",
+        1.68,
+        thighs=(-17, 21),
+        knees=(16, 5),
+        arms=(16, -14),
+        elbows=(20, 10),
+        lean=2,
+        coat=0.42,
+        hair="long",
+        carries="handbag",
+        build=0.88,
+        wears={"hair": "hair_blond", "shoes": "leather_black", "bag": "leather_brown"},
+        outfits=(("cloth_beige", "cloth_black"), ("cloth_red", "cloth_black"), ("cloth_grey", "denim")),
+    ),
+    Person(
+        "man_waiting",
+        "A man who waits, hands in his pockets.",
+        1.77,
+        thighs=(2, -3),
+        knees=(2, 6),
+        arms=(-9, -9),
+        elbows=(38, 38),
+        splay=15,
+        turn_head=25,
+        coat=0.10,
+        wears={"hair": "hair_dark", "shoes": "shoe_white"},
+        outfits=(("cloth_teal", "denim"), ("cloth_black", "cloth_grey")),
+    ),
+    Person(
+        "woman_phone",
+        "A woman who stands and looks at her telephone.",
+        1.66,
+        thighs=(1, -2),
+        knees=(3, 8),
+        arms=(18, 2),
+        elbows=(105, 14),
+        turn_head=-8,
+        coat=0.14,
+        hair="bun",
+        carries="phone",
+        build=0.88,
+        wears={"hair": "hair_dark", "shoes": "shoe_white"},
+        outfits=(("cloth_red", "denim"), ("cloth_mustard", "cloth_black")),
+    ),
+    Person(
+        "student",
+        "A student who walks with a backpack.",
+        1.78,
+        thighs=(-22, 25),
+        knees=(12, 7),
+        arms=(18, -18),
+        elbows=(22, 18),
+        lean=5,
+        coat=0.10,
         carries="backpack",
-           wears={"skin": "skin_brown", "hair": "hair_dark", "shoes": "shoe_white", "bag": "cloth_navy"}, outfits=(("cloth_mustard", "denim"), ("cloth_white",
-           "cloth_black"))),
-    Person("child", "A child of eight who walks.", 1.28, thighs=(20, -18), knees=(6, 20), arms=(-24, 20), elbows=(18, 26), lean=3, coat=0.10, hair="cap",
+        wears={"skin": "skin_brown", "hair": "hair_dark", "shoes": "shoe_white", "bag": "cloth_navy"},
+        outfits=(("cloth_mustard", "denim"), ("cloth_white", "cloth_black")),
+    ),
+    Person(
+        "child",
+        "A child of eight who walks.",
+        1.28,
+        thighs=(20, -18),
+        knees=(6, 20),
+        arms=(-24, 20),
+        elbows=(18, 26),
+        lean=3,
+        coat=0.10,
+        hair="cap",
         build=0.98,
-           wears={"hair": "cloth_red", "shoes": "shoe_white"}, outfits=(("cloth_teal", "cloth_grey"), ("cloth_yellow", "denim"))),
-    Person("old_man", "An old man who walks slowly with an umbrella.", 1.70, thighs=(13, -12), knees=(8, 12), arms=(-8, 12), elbows=(14, 26), lean=8,
-        coat=0.40, hair="cap", carries="umbrella", build=1.1,
-           wears={"hair": "cloth_grey", "shoes": "leather_black", "bag": "cloth_black"}, outfits=(("cloth_green", "cloth_grey"), ("cloth_beige",
-           "cloth_black"))),
-)  # fmt: skip
+        wears={"hair": "cloth_red", "shoes": "shoe_white"},
+        outfits=(("cloth_teal", "cloth_grey"), ("cloth_yellow", "denim")),
+    ),
+    Person(
+        "old_man",
+        "An old man who walks slowly with an umbrella.",
+        1.70,
+        thighs=(13, -12),
+        knees=(8, 12),
+        arms=(-8, 12),
+        elbows=(14, 26),
+        lean=8,
+        coat=0.40,
+        hair="cap",
+        carries="umbrella",
+        build=1.1,
+        wears={"hair": "cloth_grey", "shoes": "leather_black", "bag": "cloth_black"},
+        outfits=(("cloth_green", "cloth_grey"), ("cloth_beige", "cloth_black")),
+    ),
+)
 
-ROLES = {"skin": "skin", "hair": "hair_dark", "coat": "cloth_black", "trousers": "denim", "shoes": "leather_black", "bag": "leather_black"}
+ROLES = {
+    "skin": "skin",
+    "hair": "hair_dark",
+    "coat": "cloth_black",
+    "trousers": "denim",
+    "shoes": "leather_black",
+    "bag": "leather_black",
+}
 
 
 def build_people() -> list[Component]:
     """Everyone in `PEOPLE`, each with outfits to choose."""
-    return [dressed(person.name, "person", person.about, person_parts(person), person.wears, person.outfits) for person in PEOPLE]
+    return [
+        dressed(person.name, "person", person.about, person_parts(person), person.wears, person.outfits)
+        for person in PEOPLE
+    ]
 
 
 def build_rider() -> Component:
     """Who rides the bicycle of `build_bicycle`: place both at the same point."""
     hips, chest = (0.0, -0.22, 0.99), (0.0, 0.08, 1.38)
     joints = {
-        "hips": hips, "chest": chest, "neck": (0.0, 0.15, 1.52), "head": (0.0, 0.21, 1.665),
-        "shoulders": [(s * 0.18, 0.10, 1.43) for s in (-1, 1)], "elbows": [(s * 0.27, 0.24, 1.20) for s in (-1, 1)], "hands": [(s * 0.24, 0.40,
-        1.05) for s in (-1, 1)],
-        "thighs": [(s * 0.085, -0.22, 0.96) for s in (-1, 1)], "knees": [(-0.10, 0.12, 0.68), (0.10, 0.20, 0.86)],
-        "ankles": [(-0.11, -0.12, 0.22), (0.11, -0.10, 0.50)], "toes": [(-0.11, 0.04, 0.145), (0.11, 0.06, 0.45)],
-    }  # fmt: skip
+        "hips": hips,
+        "chest": chest,
+        "neck": (0.0, 0.15, 1.52),
+        "head": (0.0, 0.21, 1.665),
+        "shoulders": [(s * 0.18, 0.10, 1.43) for s in (-1, 1)],
+        "elbows": [(s * 0.27, 0.24, 1.20) for s in (-1, 1)],
+        "hands": [(s * 0.24, 0.40, 1.05) for s in (-1, 1)],
+        "thighs": [(s * 0.085, -0.22, 0.96) for s in (-1, 1)],
+        "knees": [(-0.10, 0.12, 0.68), (0.10, 0.20, 0.86)],
+        "ankles": [(-0.11, -0.12, 0.22), (0.11, -0.10, 0.50)],
+        "toes": [(-0.11, 0.04, 0.145), (0.11, 0.06, 0.45)],
+    }
     fields = fields_of(joints, Person("rider", "", 1.78, coat=0.06, hair="helmet"))
     parts = [*cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 5500), *face(fields, joints)]
     wears = {"hair": "helmet", "shoes": "shoe_white"}
-    return dressed("rider", "rider", "Who rides the bicycle.", parts, wears, (("cloth_yellow", "cloth_black"), ("cloth_red", "denim")))
+    return dressed(
+        "rider",
+        "rider",
+        "Who rides the bicycle.",
+        parts,
+        wears,
+        (("cloth_yellow", "cloth_black"), ("cloth_red", "denim")),
+    )
 
 
 def build_bicycle() -> Component:
     """A city bicycle, without its rider."""
-    rear, front, crank, seat, head = (0, -0.50, 0.345), (0, 0.56, 0.345), (0, -0.06, 0.29), (0, -0.21, 0.80), (0, 0.36, 0.78)
+    rear, front, crank, seat, head = (
+        (0, -0.50, 0.345),
+        (0, 0.56, 0.345),
+        (0, -0.06, 0.29),
+        (0, -0.21, 0.80),
+        (0, 0.36, 0.78),
+    )
     low_head = (0, 0.395, 0.66)
-    bars = [(crank, seat, 0.016), (seat, head, 0.016), (crank, low_head, 0.019), (low_head, (0, 0.34, 0.86), 0.019), (low_head, front, 0.013)]
+    bars = [
+        (crank, seat, 0.016),
+        (seat, head, 0.016),
+        (crank, low_head, 0.019),
+        (low_head, (0, 0.34, 0.86), 0.019),
+        (low_head, front, 0.013),
+    ]
     parts: list[Part] = [tube([a, b], r, "frame", sides=8) for a, b, r in bars]
     for s in (-1, 1):
         parts += [
@@ -119,28 +234,85 @@ def build_bicycle() -> Component:
             tube([(0.02 * s, *seat[1:]), (0.055 * s, *rear[1:])], 0.008, "frame", sides=6),
         ]
         pedal_z = 0.29 - s * -0.155
-        parts += [tube([(0.06 * s, -0.06, 0.29), (0.07 * s, -0.07, pedal_z)], 0.01, "chrome", sides=6), box((0.11 * s - 0.045, -0.11, pedal_z - 0.012),
-            (0.11 * s + 0.045, -0.02, pedal_z + 0.012), "black_plastic")]  # fmt: skip
-        parts.append(tube([(0, 0.335, 1.0), (s * 0.12, 0.35, 1.02), (s * 0.24, 0.39, 1.02), (s * 0.28, 0.33, 1.015)], 0.012, "black_plastic", sides=6))
-    parts += [tube([(0, 0.345, 0.85), (0, 0.335, 1.0)], 0.013, "chrome", sides=6), tube([seat, (0, -0.235, 0.92)], 0.013, "chrome", sides=6)]
+        parts += [
+            tube([(0.06 * s, -0.06, 0.29), (0.07 * s, -0.07, pedal_z)], 0.01, "chrome", sides=6),
+            box(
+                (0.11 * s - 0.045, -0.11, pedal_z - 0.012), (0.11 * s + 0.045, -0.02, pedal_z + 0.012), "black_plastic"
+            ),
+        ]
+        parts.append(
+            tube(
+                [(0, 0.335, 1.0), (s * 0.12, 0.35, 1.02), (s * 0.24, 0.39, 1.02), (s * 0.28, 0.33, 1.015)],
+                0.012,
+                "black_plastic",
+                sides=6,
+            )
+        )
+    parts += [
+        tube([(0, 0.345, 0.85), (0, 0.335, 1.0)], 0.013, "chrome", sides=6),
+        tube([seat, (0, -0.235, 0.92)], 0.013, "chrome", sides=6),
+    ]
     parts += [soft_box((-0.075, -0.37, 0.90), (0.075, -0.12, 0.955), "black_plastic", radius=0.03)]
     for y in (rear[1], front[1]):
         ring = np.linspace(0, 2 * np.pi, 33)
-        parts.append(tube(np.c_[0 * ring, y + 0.323 * np.cos(ring), 0.345 + 0.323 * np.sin(ring)], 0.022, "tyre", sides=6, capped=False))
-        parts.append(tube(np.c_[0 * ring, y + 0.298 * np.cos(ring), 0.345 + 0.298 * np.sin(ring)], 0.011, "chrome", sides=5, capped=False))
+        parts.append(
+            tube(
+                np.c_[0 * ring, y + 0.323 * np.cos(ring), 0.345 + 0.323 * np.sin(ring)],
+                0.022,
+                "tyre",
+                sides=6,
+                capped=False,
+            )
+        )
+        parts.append(
+            tube(
+                np.c_[0 * ring, y + 0.298 * np.cos(ring), 0.345 + 0.298 * np.sin(ring)],
+                0.011,
+                "chrome",
+                sides=5,
+                capped=False,
+            )
+        )
         for k in range(14):
             a = 2 * np.pi * k / 14
-            parts.append(tube([(0.02 * (-1) ** k, y, 0.345), (0, y + 0.3 * np.cos(a), 0.345 + 0.3 * np.sin(a))], 0.0022, "chrome", sides=3, capped=False))
+            parts.append(
+                tube(
+                    [(0.02 * (-1) ** k, y, 0.345), (0, y + 0.3 * np.cos(a), 0.345 + 0.3 * np.sin(a))],
+                    0.0022,
+                    "chrome",
+                    sides=3,
+                    capped=False,
+                )
+            )
         guard = np.linspace(0.2, np.pi - 0.3, 12)
-        parts.append(tube(np.c_[0 * guard, y + 0.36 * np.cos(guard), 0.345 + 0.36 * np.sin(guard)], 0.014, "black_plastic", sides=5))
-    parts += [box((-0.06, -0.80, 0.745), (0.06, -0.36, 0.757), "black_plastic"), box((-0.03, -0.86, 0.70), (0.03, -0.84, 0.75), "tail_lamp")]
-    parts += [lathe([(0.001, 0), (0.035, 0.005), (0.03, 0.05)], "chrome", sides=10).moved(shift(0, 0.43, 0.9) @ turn(90, "x"))]
+        parts.append(
+            tube(
+                np.c_[0 * guard, y + 0.36 * np.cos(guard), 0.345 + 0.36 * np.sin(guard)],
+                0.014,
+                "black_plastic",
+                sides=5,
+            )
+        )
+    parts += [
+        box((-0.06, -0.80, 0.745), (0.06, -0.36, 0.757), "black_plastic"),
+        box((-0.03, -0.86, 0.70), (0.03, -0.84, 0.75), "tail_lamp"),
+    ]
+    parts += [
+        lathe([(0.001, 0), (0.035, 0.005), (0.03, 0.05)], "chrome", sides=10).moved(shift(0, 0.43, 0.9) @ turn(90, "x"))
+    ]
     parts = [p.moved(shift(0, 0, -_lowest(parts))) for p in parts]
     looks = {
         name: Look(materials={"frame": {"diffuseColor": PALETTE[cloth].colour}})
         for name, cloth in (("teal", "cloth_teal"), ("black", "cloth_black"), ("red", "cloth_red"))
     }
-    return Component("bicycle", "bicycle", tuple(parts), "A city bicycle.", {"colour": looks}, {"frame": Material(roughness=0.3, clearcoat=0.7)})
+    return Component(
+        "bicycle",
+        "bicycle",
+        tuple(parts),
+        "A city bicycle.",
+        {"colour": looks},
+        {"frame": Material(roughness=0.3, clearcoat=0.7)},
+    )
 
 
 def dressed(
@@ -156,7 +328,12 @@ def dressed(
     roles = {**ROLES, **wears}
     looks = {}
     for i, (coat, trousers) in enumerate(outfits):
-        looks["abc"[i]] = Look(materials={"coat": {"diffuseColor": PALETTE[coat].colour}, "trousers": {"diffuseColor": PALETTE[trousers].colour}})
+        looks["abc"[i]] = Look(
+            materials={
+                "coat": {"diffuseColor": PALETTE[coat].colour},
+                "trousers": {"diffuseColor": PALETTE[trousers].colour},
+            }
+        )
     materials = {role: PALETTE[cloth] for role, cloth in roles.items()} | dict(own or {})
     return Component(name, label, tuple(parts), about, {"outfit": looks}, materials)
 
@@ -169,15 +346,24 @@ def person_parts(person: Person) -> list[Part]:
     if person.carries == "phone":
         parts.append(
             box((-0.04, -0.004, -0.075), (0.04, 0.006, 0.075), "bag").moved(
-                shift(joints["hands"][0][0], joints["hands"][0][1] + 0.05, joints["hands"][0][2] + 0.07) @ turn(-25, "x")
+                shift(joints["hands"][0][0], joints["hands"][0][1] + 0.05, joints["hands"][0][2] + 0.07)
+                @ turn(-25, "x")
             )
         )
     if person.carries == "handbag":
         hand = joints["hands"][1]
-        parts.append(soft_box((-0.05, -0.15, -0.52), (0.05, 0.15, -0.26), "bag", radius=0.03).moved(shift(hand[0] + 0.04, hand[1], hand[2] + 0.08)))
+        parts.append(
+            soft_box((-0.05, -0.15, -0.52), (0.05, 0.15, -0.26), "bag", radius=0.03).moved(
+                shift(hand[0] + 0.04, hand[1], hand[2] + 0.08)
+            )
+        )
         parts.append(
             tube(
-                [(hand[0] + 0.04, hand[1] - 0.11, hand[2] - 0.18), (hand[0] + 0.02, hand[1], hand[2]), (hand[0] + 0.04, hand[1] + 0.11, hand[2] - 0.18)],
+                [
+                    (hand[0] + 0.04, hand[1] - 0.11, hand[2] - 0.18),
+                    (hand[0] + 0.02, hand[1], hand[2]),
+                    (hand[0] + 0.04, hand[1] + 0.11, hand[2] - 0.18),
+                ],
                 0.008,
                 "bag",
                 sides=5,
@@ -185,7 +371,14 @@ def person_parts(person: Person) -> list[Part]:
         )
     if person.carries == "umbrella":
         hand = joints["hands"][1]
-        parts.append(tube([(hand[0], hand[1], hand[2] + 0.06), (hand[0] + 0.01, hand[1] + 0.04, 0.02)], [0.03, 0.012], "bag", sides=7))
+        parts.append(
+            tube(
+                [(hand[0], hand[1], hand[2] + 0.06), (hand[0] + 0.01, hand[1] + 0.04, 0.02)],
+                [0.03, 0.012],
+                "bag",
+                sides=7,
+            )
+        )
     low, high = _lowest(parts), max(float(p.points[:, 2].max()) for p in parts)
     factor = person.height / (high - low)
     return [p.moved(scale(factor, factor, factor) @ shift(0, 0, -low)) for p in parts]
@@ -198,7 +391,13 @@ def _pose(person: Person) -> dict:
     def trunk(x: float, y: float, z: float) -> Array:
         return hips + lean @ np.array([x, y, z])
 
-    joints: dict = {"hips": hips, "chest": trunk(0, 0, 0.40), "neck": trunk(0, 0.0, 0.56), "head": trunk(0, 0.03, 0.70), "turn": person.turn_head}
+    joints: dict = {
+        "hips": hips,
+        "chest": trunk(0, 0, 0.40),
+        "neck": trunk(0, 0.0, 0.56),
+        "head": trunk(0, 0.03, 0.70),
+        "turn": person.turn_head,
+    }
     for key in ("shoulders", "elbows", "hands", "thighs", "knees", "ankles", "toes"):
         joints[key] = []
     for i, s in enumerate((-1, 1)):
@@ -230,7 +429,13 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
     def skin(x: Array, y: Array, z: Array) -> Array:
         d = blob_distance(x, y, z, head + [0, 0, 0.005], (0.073, 0.092, 0.108))
         d = soft_min(d, blob_distance(x, y, z, head + 0.055 * facing + [0, 0, -0.06], (0.048, 0.05, 0.052)), 0.05)
-        d = soft_min(d, limb_distance(x, y, z, head + 0.092 * facing + [0, 0, 0.012], head + 0.108 * facing + [0, 0, -0.022], 0.009, 0.014), 0.015)
+        d = soft_min(
+            d,
+            limb_distance(
+                x, y, z, head + 0.092 * facing + [0, 0, 0.012], head + 0.108 * facing + [0, 0, -0.022], 0.009, 0.014
+            ),
+            0.015,
+        )
         d = soft_min(d, limb_distance(x, y, z, neck - 0.06 * up, head - [0, 0.01, 0.05], 0.054, 0.05), 0.04)
         for hand, elbow in zip(joints["hands"], joints["elbows"], strict=True):
             along = (np.asarray(hand) - elbow) / np.linalg.norm(np.asarray(hand) - elbow)
@@ -245,7 +450,9 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
         d = blob_distance(x, y, z, head + 0.024 * back + [0, 0, 0.034], (0.087, 0.099, 0.101))
         d = d + 0.004 * np.sin(95 * x + 30 * z) * np.sin(80 * y) + 0.003 * np.sin(120 * z + 60 * y)  # strands
         if person.hair == "long":
-            d = soft_min(d, limb_distance(x, y, z, head + 0.05 * back, head + 0.075 * back - [0, 0, 0.20], 0.075, 0.06), 0.05)
+            d = soft_min(
+                d, limb_distance(x, y, z, head + 0.05 * back, head + 0.075 * back - [0, 0, 0.20], 0.075, 0.06), 0.05
+            )
         if person.hair == "bun":
             d = soft_min(d, blob_distance(x, y, z, head + 0.105 * back + [0, 0, 0.07], (0.045, 0.04, 0.042)), 0.02)
         if person.hair == "cap":
@@ -256,7 +463,13 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
     def coat(x: Array, y: Array, z: Array) -> Array:
         d = blob_distance(x, y, z, chest - 0.02 * up, (0.172 * b, 0.118, 0.20))
         d = soft_min(d, blob_distance(x, y, z, hips + 0.16 * up, (0.150 * b, 0.112, 0.20)), 0.10)
-        d = soft_min(d, limb_distance(x, y, z, np.asarray(joints["shoulders"][0]), np.asarray(joints["shoulders"][1]), 0.062, 0.062), 0.08)
+        d = soft_min(
+            d,
+            limb_distance(
+                x, y, z, np.asarray(joints["shoulders"][0]), np.asarray(joints["shoulders"][1]), 0.062, 0.062
+            ),
+            0.08,
+        )
         d = soft_min(d, limb_distance(x, y, z, chest + 0.10 * up, neck - 0.005 * up, 0.09, 0.066), 0.06)
         for s, e, h in zip(joints["shoulders"], joints["elbows"], joints["hands"], strict=True):
             d = soft_min(d, limb_distance(x, y, z, s, e, 0.062, 0.05), 0.05)
@@ -282,7 +495,11 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
     def trousers(x: Array, y: Array, z: Array) -> Array:
         d = blob_distance(x, y, z, hips - [0, 0, 0.02], (0.148 * b, 0.105, 0.11))
         for t, k, a in zip(joints["thighs"], joints["knees"], joints["ankles"], strict=True):
-            leg = soft_min(limb_distance(x, y, z, t, k, 0.088, 0.062), limb_distance(x, y, z, k, np.asarray(a) + [0, 0, 0.0], 0.060, 0.048), 0.04)
+            leg = soft_min(
+                limb_distance(x, y, z, t, k, 0.088, 0.062),
+                limb_distance(x, y, z, k, np.asarray(a) + [0, 0, 0.0], 0.060, 0.048),
+                0.04,
+            )
             d = soft_min(d, leg, 0.03)
         return d + 0.003 * np.sin(50 * z + 20 * y)
 
@@ -290,7 +507,11 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
         d = np.full(np.shape(x), 1e3)
         for a, t in zip(joints["ankles"], joints["toes"], strict=True):
             heel = np.asarray(a) + 0.25 * (np.asarray(a) - np.asarray(t)) * [1, 1, 0] - [0, 0, 0.035]
-            foot = soft_min(limb_distance(x, y, z, heel, t, 0.042, 0.036), limb_distance(x, y, z, a, np.asarray(a) - [0, 0, 0.04], 0.046, 0.044), 0.03)
+            foot = soft_min(
+                limb_distance(x, y, z, heel, t, 0.042, 0.036),
+                limb_distance(x, y, z, a, np.asarray(a) - [0, 0, 0.04], 0.046, 0.044),
+                0.03,
+            )
             d = np.minimum(d, foot)
         return d
 
@@ -300,7 +521,12 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
         def bag(x: Array, y: Array, z: Array) -> Array:
             d = blob_distance(x, y, z, chest + [0, -0.185, -0.05], (0.145, 0.10, 0.22))
             for s in (-1, 1):
-                path = [chest + [s * 0.10, -0.13, 0.10], chest + [s * 0.105, 0.02, 0.155], chest + [s * 0.11, 0.125, 0.02], chest + [s * 0.125, 0.06, -0.13]]
+                path = [
+                    chest + [s * 0.10, -0.13, 0.10],
+                    chest + [s * 0.105, 0.02, 0.155],
+                    chest + [s * 0.11, 0.125, 0.02],
+                    chest + [s * 0.125, 0.06, -0.13],
+                ]
                 for p, q in itertools.pairwise(path):
                     d = np.minimum(d, limb_distance(x, y, z, p, q, 0.022, 0.022))
             return d
@@ -309,7 +535,9 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
     return fields
 
 
-def cut_by_role(fields: Mapping[str, Callable[[Array, Array, Array], Array]], low: Point, high: Point, triangles: int) -> list[Part]:
+def cut_by_role(
+    fields: Mapping[str, Callable[[Array, Array, Array], Array]], low: Point, high: Point, triangles: int
+) -> list[Part]:
     """The surface round all roles within a box, cut where one lies nearer than the others."""
 
     def whole(x: Array, y: Array, z: Array) -> Array:
@@ -346,7 +574,9 @@ def face(fields: Mapping[str, Callable[[Array, Array, Array], Array]], joints: M
     def oval(across: float, up: float, half: tuple[float, float], lift: float, material: str) -> Part:
         angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
         rim = np.array([on_skin(across + half[0] * np.cos(a), up + half[1] * np.sin(a), lift) for a in angle])
-        return Part(np.vstack([rim, on_skin(across, up, lift)]), np.array([((i + 1) % 8, i, 8) for i in range(8)]), material)
+        return Part(
+            np.vstack([rim, on_skin(across, up, lift)]), np.array([((i + 1) % 8, i, 8) for i in range(8)]), material
+        )
 
     def band(points: list[tuple[float, float]], thick: float, material: str) -> Part:
         loops = [np.array([on_skin(x, z + dz, 0.0015) for x, z in points]) for dz in (0.0, thick)]

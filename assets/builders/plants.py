@@ -44,19 +44,67 @@ class Tree:
 
 
 TREES = (
-    Tree("lime_tree", "A lime of the street in early autumn.", 10.5, 3.0, 0.17, 8500, 0.20, ("leaf_olive", "leaf_green", "leaf_gold"), 0.34),
-    Tree("maple_tree", "A maple of the street, turned golden.", 8.5, 2.6, 0.14, 7000, 0.20, ("leaf_gold", "leaf_olive", "leaf_rust"), 0.38),
-    Tree("bare_tree", "A plane tree that has lost most of its leaves.", 11.0, 3.2, 0.19, 500, 0.17, ("leaf_rust", "leaf_gold"), 0.36, 32.0),
+    Tree(
+        "lime_tree",
+        "A lime of the street in early autumn.",
+        10.5,
+        3.0,
+        0.17,
+        8500,
+        0.20,
+        ("leaf_olive", "leaf_green", "leaf_gold"),
+        0.34,
+    ),
+    Tree(
+        "maple_tree",
+        "A maple of the street, turned golden.",
+        8.5,
+        2.6,
+        0.14,
+        7000,
+        0.20,
+        ("leaf_gold", "leaf_olive", "leaf_rust"),
+        0.38,
+    ),
+    Tree(
+        "bare_tree",
+        "A plane tree that has lost most of its leaves.",
+        11.0,
+        3.2,
+        0.19,
+        500,
+        0.17,
+        ("leaf_rust", "leaf_gold"),
+        0.36,
+        32.0,
+    ),
     Tree("park_tree", "A large tree of the park.", 15.0, 2.4, 0.32, 9000, 0.34, ("leaf_green", "leaf_olive"), 0.42),
 )
 
 
 def build_trees() -> list[Component]:
-    """The trees of `TREES`, three individuals of each: as the table says; tall and slender; low, broad and lopsided, further turned."""
+    """The trees of `TREES`, three individuals of each: as the table says; tall and slender; low, broad and lopsided,
+    further turned.
+    """
     trees = []
     for tree in TREES:
-        slender = replace(tree, individual="b", height=1.10 * tree.height, spread=0.76 * tree.spread, fork=tree.fork - 6, shares=(0.38, 0.50, 0.12))
-        broad = replace(tree, individual="c", height=0.88 * tree.height, spread=1.22 * tree.spread, fork=tree.fork + 7, shares=(0.52, 0.14, 0.34), lean=0.07)
+        slender = replace(
+            tree,
+            individual="b",
+            height=1.10 * tree.height,
+            spread=0.76 * tree.spread,
+            fork=tree.fork - 6,
+            shares=(0.38, 0.50, 0.12),
+        )
+        broad = replace(
+            tree,
+            individual="c",
+            height=0.88 * tree.height,
+            spread=1.22 * tree.spread,
+            fork=tree.fork + 7,
+            shares=(0.52, 0.14, 0.34),
+            lean=0.07,
+        )
         trees.append(replace(_tree(tree), individuals={other.individual: _tree(other) for other in (slender, broad)}))
     return trees
 
@@ -138,7 +186,9 @@ def _tree(tree: Tree) -> Component:
     twigs = np.array(tips)
     which = rng.integers(0, len(twigs), tree.leaves)
     places = twigs[which] + rng.normal(0, 0.22 if tree.leaves > 1000 else 0.05, (tree.leaves, 3))
-    tone = rng.choice(len(tree.tones), tree.leaves, p=np.array(tree.shares[: len(tree.tones)]) / sum(tree.shares[: len(tree.tones)]))
+    tone = rng.choice(
+        len(tree.tones), tree.leaves, p=np.array(tree.shares[: len(tree.tones)]) / sum(tree.shares[: len(tree.tones)])
+    )
     parts += [_leaves(places[tone == i], tree.leaf, material, rng) for i, material in enumerate(tree.tones)]
     return Component(tree.name, "vegetation", tuple(parts), tree.about)
 
@@ -157,7 +207,11 @@ def _birch(height: float) -> Component:
         a = 2.4 * i + rng.normal(0, 0.3)  # the golden angle, roughly
         out = np.array([np.cos(a), np.sin(a), 0.0])
         t = np.linspace(0, 1, 5)[:, None]
-        path = start + length * (out * t + np.array([0, 0, 1.0]) * (0.85 * t - 0.45 * t**2)) + np.r_[[[0, 0, 0]], rng.normal(0, 0.03 * length, (4, 3))]
+        path = (
+            start
+            + length * (out * t + np.array([0, 0, 1.0]) * (0.85 * t - 0.45 * t**2))
+            + np.r_[[[0, 0, 0]], rng.normal(0, 0.03 * length, (4, 3))]
+        )
         parts.append(tube(path, np.linspace(0.016 + 0.009 * length, 0.006, 5), "twig", sides=4, capped=False))
         for s in np.linspace(0.3, 1.0, 3 + round(3 * length)):
             foot = np.array([np.interp(s, t[:, 0], path[:, k]) for k in range(3)])
@@ -170,16 +224,23 @@ def _birch(height: float) -> Component:
     count = 5200
     which, s = rng.integers(0, len(along), count), rng.uniform(0.15, 1.0, count) * 2
     k = np.minimum(s.astype(int), 1)
-    places = along[which, k] + (s - k)[:, None] * (along[which, k + 1] - along[which, k]) + rng.normal(0, 0.09, (count, 3))
+    places = (
+        along[which, k] + (s - k)[:, None] * (along[which, k + 1] - along[which, k]) + rng.normal(0, 0.09, (count, 3))
+    )
     tone = rng.choice(3, count, p=[0.6, 0.28, 0.12])
-    parts += [_leaves(places[tone == i], 0.23, material, rng) for i, material in enumerate(("leaf_green", "leaf_olive", "leaf_gold"))]
+    parts += [
+        _leaves(places[tone == i], 0.23, material, rng)
+        for i, material in enumerate(("leaf_green", "leaf_olive", "leaf_gold"))
+    ]
     return Component("birch_tree", "vegetation", tuple(parts), f"A birch, {height:.0f} m high.")
 
 
 def _conifer(height: float) -> Component:
     """A spruce: whorls of drooping branches, each a spray of twigs to both sides."""
     rng = stream(0, "tree", "conifer")
-    parts: list[Part] = [tube([(0, 0, 0), (0, 0, 0.3), (0, 0, height)], [0.26, 0.20, 0.015], "bark", sides=9, capped=False)]
+    parts: list[Part] = [
+        tube([(0, 0, 0), (0, 0, 0.3), (0, 0, height)], [0.26, 0.20, 0.015], "bark", sides=9, capped=False)
+    ]
     sprays: list[tuple[Array, Array, float]] = []  # middle, direction and length of each spray of needles
     z = 0.9
     while z < height - 0.25:
@@ -202,7 +263,9 @@ def _conifer(height: float) -> Component:
                     heading /= np.linalg.norm(heading)
                     twig = (0.30 + 0.30 * (1 - s)) * min(1.0, 0.45 + 0.4 * reach) * rng.uniform(0.8, 1.2)
                     sprays.append((at + heading * twig / 2, heading, twig))
-            sprays.append((path[-1], (path[-1] - path[-2]) / np.linalg.norm(path[-1] - path[-2]), 0.4 * min(1.0, 0.4 + reach)))
+            sprays.append(
+                (path[-1], (path[-1] - path[-2]) / np.linalg.norm(path[-1] - path[-2]), 0.4 * min(1.0, 0.4 + reach))
+            )
         z += 0.16 + 0.13 * min(1.0, (height - z) / 4)
     places, along, size = (np.array(column) for column in zip(*sprays, strict=True))
     young = rng.random(len(places)) < 0.25
@@ -219,7 +282,14 @@ def _leaves(places: Array, size: float, material: str, rng: np.random.Generator)
 
 
 def _diamonds(
-    places: Array, along: Array, size: Array | float, slim: float, material: str, rng: np.random.Generator, *, spread: tuple[float, float] | None = None
+    places: Array,
+    along: Array,
+    size: Array | float,
+    slim: float,
+    material: str,
+    rng: np.random.Generator,
+    *,
+    spread: tuple[float, float] | None = None,
 ) -> Part:
     """Folded diamonds `size` [m] long, `slim` times as wide to either side, turned at random about `along` (N, 3)."""
     n = len(places)

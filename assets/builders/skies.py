@@ -86,12 +86,16 @@ class Sky:
         return self.lamps_k or colour_temperature(self.sun_height_deg, cover=self.cloud_light, through=self.through)
 
 
-_STRATUS = CloudLayer(600, 400, 1.0, 2000, 0.03, edge=1.8, towers=1.2, billow=0.35, stretch=1.7, thinnest=0.3, haze_m=12_000)
+_STRATUS = CloudLayer(
+    600, 400, 1.0, 2000, 0.03, edge=1.8, towers=1.2, billow=0.35, stretch=1.7, thinnest=0.3, haze_m=12_000
+)
 _ALTOSTRATUS = CloudLayer(3200, 900, 1.0, 5000, 0.006, edge=3.5, billow=0.0, stretch=2.5, haze_m=60_000)
 _STRATOCUMULUS = CloudLayer(1100, 450, 0.97, 1500, 0.035, edge=1.6, towers=0.6, billow=0.4, stretch=1.8, haze_m=25_000)
 _CUMULUS = CloudLayer(1200, 1300, 0.5, 2400, 0.05, edge=0.35, towers=1.6, billow=0.45, haze_m=30_000)
 _ALTOCUMULUS = CloudLayer(3600, 300, 0.7, 1000, 0.02, edge=0.9, towers=0.5, billow=0.5, stretch=1.5, haze_m=32_000)
-_NIMBOSTRATUS = CloudLayer(900, 900, 1.0, 3000, 0.05, edge=1.7, towers=1.3, billow=0.35, stretch=1.6, thinnest=0.2, haze_m=14_000)
+_NIMBOSTRATUS = CloudLayer(
+    900, 900, 1.0, 3000, 0.05, edge=1.7, towers=1.3, billow=0.35, stretch=1.6, thinnest=0.2, haze_m=14_000
+)
 _SCUD = CloudLayer(400, 300, 0.45, 1100, 0.03, edge=1.0, towers=0.8, billow=0.3, stretch=1.8, haze_m=8_000)
 
 
@@ -101,14 +105,28 @@ def _like(layer: CloudLayer, **changes: float) -> CloudLayer:
 
 SKIES: Mapping[str, Sky] = {
     "overcast_noon": Sky(
-        "A closed layer of cloud at noon.", 1, 45.0, 12_000.0, 1.0, (_like(_STRATOCUMULUS, cover=1.0, edge=2.2, size_m=2300, depth_m=700),), contrast=0.9
+        "A closed layer of cloud at noon.",
+        1,
+        45.0,
+        12_000.0,
+        1.0,
+        (_like(_STRATOCUMULUS, cover=1.0, edge=2.2, size_m=2300, depth_m=700),),
+        contrast=0.9,
     ),
     "bright_overcast": Sky(
-        "High thin altostratus; one sees where the sun is.", 4, 50.0, 20_000.0, 0.95, (_like(_ALTOSTRATUS, extinction=0.003),), through=0.15
+        "High thin altostratus; one sees where the sun is.",
+        4,
+        50.0,
+        20_000.0,
+        0.95,
+        (_like(_ALTOSTRATUS, extinction=0.003),),
+        through=0.15,
     ),
     "stratocumulus_noon": Sky("Stratocumulus with a few gaps.", 3, 40.0, 14_000.0, 0.95, (_STRATOCUMULUS,)),
     "stratus_winter": Sky("Low stratus over a winter noon.", 5, 14.0, 5_000.0, 1.0, (_STRATUS,), contrast=2.2),
-    "rain": Sky("Nimbostratus with scud below it; steady rain.", 1, 30.0, 3_500.0, 1.0, (_NIMBOSTRATUS, _SCUD), contrast=2.2),
+    "rain": Sky(
+        "Nimbostratus with scud below it; steady rain.", 1, 30.0, 3_500.0, 1.0, (_NIMBOSTRATUS, _SCUD), contrast=2.2
+    ),
     "storm_front": Sky(
         "Dark shower clouds, thinner light between them.",
         3,
@@ -118,7 +136,15 @@ SKIES: Mapping[str, Sky] = {
         (_like(_NIMBOSTRATUS, cover=0.995, edge=1.0, towers=1.7, depth_m=1500, thinnest=0.0),),
         contrast=0.95,
     ),
-    "broken_noon": Sky("Broken cumulus, the sun behind one of them.", 8, 48.0, 24_000.0, 0.7, (_like(_CUMULUS, cover=0.62),), through=0.1),
+    "broken_noon": Sky(
+        "Broken cumulus, the sun behind one of them.",
+        8,
+        48.0,
+        24_000.0,
+        0.7,
+        (_like(_CUMULUS, cover=0.62),),
+        through=0.1,
+    ),
     "broken_afternoon": Sky("Scattered cumulus in the afternoon.", 7, 25.0, 13_000.0, 0.5, (_CUMULUS,), through=0.1),
     "altocumulus_morning": Sky("A mackerel sky of altocumulus in the morning.", 6, 18.0, 8_000.0, 0.7, (_ALTOCUMULUS,)),
     "morning_mist": Sky(
@@ -131,12 +157,34 @@ SKIES: Mapping[str, Sky] = {
         through=0.2,
     ),
     "low_sun_stratus": Sky(
-        "A low sun behind stratus, a warm glow over the road.", 4, 5.0, 1_800.0, 0.9, (_like(_STRATUS, edge=1.8, extinction=0.012),), through=0.25, contrast=1.5
+        "A low sun behind stratus, a warm glow over the road.",
+        4,
+        5.0,
+        1_800.0,
+        0.9,
+        (_like(_STRATUS, edge=1.8, extinction=0.012),),
+        through=0.25,
+        contrast=1.5,
     ),
-    "evening_cumulus": Sky("Cumulus in the last sunlight.", 7, 3.0, 1_100.0, 0.45, (_like(_CUMULUS, cover=0.45),), through=0.25, sun=3.0),
-    "sunset_altocumulus": Sky("Altocumulus lit from below at sunset.", 9, 0.0, 350.0, 0.6, (_ALTOCUMULUS,), sun=0.9, through=0.25),
-    "dusk_overcast": Sky("Blue dusk under closed stratocumulus.", 4, -3.0, 25.0, 1.0, (_like(_STRATOCUMULUS, cover=0.995),), sun=0.0),
-    "deep_dusk": Sky("The end of civil twilight behind broken cloud.", 9, -6.0, 2.0, 0.6, (_like(_STRATOCUMULUS, cover=0.7),), sun=0.0, through=0.06),
+    "evening_cumulus": Sky(
+        "Cumulus in the last sunlight.", 7, 3.0, 1_100.0, 0.45, (_like(_CUMULUS, cover=0.45),), through=0.25, sun=3.0
+    ),
+    "sunset_altocumulus": Sky(
+        "Altocumulus lit from below at sunset.", 9, 0.0, 350.0, 0.6, (_ALTOCUMULUS,), sun=0.9, through=0.25
+    ),
+    "dusk_overcast": Sky(
+        "Blue dusk under closed stratocumulus.", 4, -3.0, 25.0, 1.0, (_like(_STRATOCUMULUS, cover=0.995),), sun=0.0
+    ),
+    "deep_dusk": Sky(
+        "The end of civil twilight behind broken cloud.",
+        9,
+        -6.0,
+        2.0,
+        0.6,
+        (_like(_STRATOCUMULUS, cover=0.7),),
+        sun=0.0,
+        through=0.06,
+    ),
     "night_glow": Sky(
         "Night over a town, whose lamps light the clouds from below.",
         9,
@@ -199,7 +247,9 @@ def paint(name: str, *, rows: int = ROWS, cells: int = CELLS) -> Array:
     level = (mean @ LUMINANCE)[..., None]
     low = np.deg2rad(sky.cie_sun_height_deg)
     chi = np.arccos(np.clip(np.sin(h) * np.sin(low) + np.cos(h) * np.cos(low) * np.cos(a - sun), -1, 1))
-    standard = relative_luminance(sky.cie, np.pi / 2 - h, np.maximum(chi, np.deg2rad(AUREOLE_DEG)), np.pi / 2 - low)[..., None]
+    standard = relative_luminance(sky.cie, np.pi / 2 - h, np.maximum(chi, np.deg2rad(AUREOLE_DEG)), np.pi / 2 - low)[
+        ..., None
+    ]
     ratio = _tempered(mean / level + sky.contrast * left[..., None] * (seen - mean) / level)
     ratio /= (_smooth(ratio, h, a) @ LUMINANCE)[..., None]  # tempering and contrast have moved the mean
     share = np.clip(sky.through * WARMTH * np.exp(-((chi / np.deg2rad(WARM_DEG)) ** 2)), 0, 0.9)[..., None]
@@ -234,7 +284,9 @@ def _balance(rgb: Array, cct_k: float) -> Array:
 
 def _sunlight(sky: Sky) -> Array:
     """Tint of the sun at its height; below 2000 K there is no blue left."""
-    return np.array(tint(float(np.interp(sky.sun_height_deg, [-6, 0, 3, 10, 30, 60], [1900, 2000, 2500, 3800, 5000, 5500]))))
+    return np.array(
+        tint(float(np.interp(sky.sun_height_deg, [-6, 0, 3, 10, 30, 60], [1900, 2000, 2500, 3800, 5000, 5500])))
+    )
 
 
 def _tempered(ratio: Array) -> Array:
@@ -259,7 +311,15 @@ def _light(sky: Sky, azimuth: Array) -> CloudLight:
     towards = np.exp(-((1 - np.cos(azimuth - np.deg2rad(sky.sun_azimuth_deg))) / 0.35))[..., None]
     glow = float(np.interp(h, [-6, -3, 0, 5, 20], [1.2, 2.0, 2.5, 1.5, 0.0]))
     horizon = 1.6 * pale + glow * towards * warm
-    return CloudLight(sky.sun_height_deg, sky.sun_azimuth_deg, sky.sun * sun, dome * above, 0.12 * dome * (above + sun) / 2, blue, horizon)
+    return CloudLight(
+        sky.sun_height_deg,
+        sky.sun_azimuth_deg,
+        sky.sun * sun,
+        dome * above,
+        0.12 * dome * (above + sun) / 2,
+        blue,
+        horizon,
+    )
 
 
 def _in_front(light: CloudLight, seen: Array) -> CloudLight:
@@ -273,8 +333,20 @@ def _smooth(light: Array, height: Array, azimuth: Array) -> Array:
     towards = np.stack([np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)], axis=-1)
     step = max(light.shape[0] // 32, 1)
     sharp = 1.0 / np.deg2rad(CAP_DEG) ** 2
-    few = np.array([light[i : i + step, j : j + step].mean(axis=(0, 1)) for i in range(0, light.shape[0], step) for j in range(0, light.shape[1], step)])
-    where = np.array([towards[i : i + step, j : j + step].mean(axis=(0, 1)) for i in range(0, light.shape[0], step) for j in range(0, light.shape[1], step)])
+    few = np.array(
+        [
+            light[i : i + step, j : j + step].mean(axis=(0, 1))
+            for i in range(0, light.shape[0], step)
+            for j in range(0, light.shape[1], step)
+        ]
+    )
+    where = np.array(
+        [
+            towards[i : i + step, j : j + step].mean(axis=(0, 1))
+            for i in range(0, light.shape[0], step)
+            for j in range(0, light.shape[1], step)
+        ]
+    )
     area = np.hypot(where[:, 0], where[:, 1])  # of a cell, to a factor
     where /= np.linalg.norm(where, axis=1, keepdims=True)
     result = np.empty_like(light)
@@ -403,7 +475,9 @@ def sheet(path: Path, folder: Path) -> Path:
         shown = _exposed(_read(folder / f"{name}.exr"))
         picture.paste(Image.fromarray(_looking_up(shown, disc)), (x, y))
         upper = Image.fromarray(shown[len(shown) // 6 : len(shown) // 2])
-        picture.paste(upper.resize((strip, strip // 6), Image.Resampling.LANCZOS), (x + disc + gap, y + disc - strip // 6))
+        picture.paste(
+            upper.resize((strip, strip // 6), Image.Resampling.LANCZOS), (x + disc + gap, y + disc - strip // 6)
+        )
         draw.text((x + disc + gap, y), name.replace("_", " "), (235, 235, 235), ImageFont.load_default(15))
         for line, words in enumerate(_figures(sky)):
             draw.text((x + disc + gap, y + 20 + 14 * line), words, (170, 170, 175), font)
@@ -418,7 +492,10 @@ def sheet(path: Path, folder: Path) -> Path:
 def _figures(sky: Sky) -> tuple[str, str]:
     sun = "lit by the town" if sky.lamps_k else f"sun {sky.sun_height_deg:g}°"
     nits = f"{sky.zenith_nits:,.0f}" if sky.zenith_nits >= 100 else f"{sky.zenith_nits:.2g}"
-    return f"{sky.illuminance_lx:,g} lx on the ground, zenith {nits} nits", f"{sky.cct_k:,.0f} K, {sun}, CIE sky {sky.cie}"
+    return (
+        f"{sky.illuminance_lx:,g} lx on the ground, zenith {nits} nits",
+        f"{sky.cct_k:,.0f} K, {sun}, CIE sky {sky.cie}",
+    )
 
 
 def _read(path: Path) -> Array:
@@ -443,5 +520,11 @@ def _looking_up(shown: npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8
     angle, turn = np.hypot(x, y), np.arctan2(-x, -y) / (2 * np.pi)
     rows = angle * len(shown) / 2 - 0.5
     columns = turn % 1.0 * shown.shape[1] - 0.5
-    disc = np.stack([ndimage.map_coordinates(shown[..., c].astype(float), [rows, columns], order=1, mode="grid-wrap") for c in range(3)], axis=-1)
+    disc = np.stack(
+        [
+            ndimage.map_coordinates(shown[..., c].astype(float), [rows, columns], order=1, mode="grid-wrap")
+            for c in range(3)
+        ],
+        axis=-1,
+    )
     return np.where(angle[..., None] < 1, disc, 24).astype(np.uint8)

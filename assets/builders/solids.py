@@ -51,7 +51,9 @@ def soft_max(a: Array, b: Array, k: float) -> Array:
     return -soft_min(-a, -b, k)
 
 
-def limb_distance(x: Array, y: Array, z: Array, start: npt.ArrayLike, end: npt.ArrayLike, r0: float, r1: float) -> Array:
+def limb_distance(
+    x: Array, y: Array, z: Array, start: npt.ArrayLike, end: npt.ArrayLike, r0: float, r1: float
+) -> Array:
     """Distance to a limb: a bar from `start` to `end` whose radius goes from r0 to r1."""
     a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     e = b - a
@@ -68,7 +70,9 @@ def blob_distance(x: Array, y: Array, z: Array, centre: Sequence[float], radii: 
     return k0 * (k0 - 1) / np.maximum(k1, 1e-9)
 
 
-def surface(field: Field, low: Sequence[float], high: Sequence[float], *, step: float, triangles: int, material: str) -> Part:
+def surface(
+    field: Field, low: Sequence[float], high: Sequence[float], *, step: float, triangles: int, material: str
+) -> Part:
     """The zero surface of a signed distance as about `triangles` smooth triangles.
 
     Surface nets on a grid of `step` [m], thinned by quadric edge collapse, then
@@ -160,9 +164,14 @@ def _only(part: Part, faces: Index) -> Part:
 
 def _gradient(field: Field, points: Array, e: float = 2e-3) -> Array:
     x, y, z = points.T
-    return np.stack([field(x + e, y, z) - field(x - e, y, z), field(x, y + e, z) - field(x, y - e, z), field(x, y, z + e) - field(x, y, z - e)], axis=1) / (
-        2 * e
-    )
+    return np.stack(
+        [
+            field(x + e, y, z) - field(x - e, y, z),
+            field(x, y + e, z) - field(x, y - e, z),
+            field(x, y, z + e) - field(x, y, z - e),
+        ],
+        axis=1,
+    ) / (2 * e)
 
 
 def _surface_nets(values: Array, low: Array, step: float) -> tuple[Array, Index]:

@@ -79,14 +79,30 @@ def write_textures(folder: Path) -> list[Path]:
     slabs, slabs_gloss = paving()
     chips, chips_gloss = chip_seal()
     pictures = {
-        "asphalt_lane.jpg": lane, "asphalt.jpg": plain, "chip_seal.jpg": chips,
-        "paving.jpg": slabs, "tactile.jpg": tactile(), "marking.jpg": marking(), "granite.jpg": granite(),
-        "manhole.jpg": manhole(), "grass.jpg": grass(), "brick.jpg": brick(), "plaster.jpg": plaster(), "ashlar.jpg": ashlar(),
-        "roof_tile.jpg": roof(rows=14, columns=12, colour=(0.30, 0.115, 0.065), spread=0.22), "roof_slate.jpg": roof(rows=16, columns=9, colour=(0.5, 0.5,
-        0.5), spread=0.12),
-        "bark.jpg": bark(), "windows.jpg": windows, "windows_lit.jpg": windows_lit, "shops.jpg": shops, "shops_lit.jpg": shops_lit,
-        "fascias.png": fascias(), "signs.png": signs(), "plates.png": plates(), "banners.png": banners(),
-    }  # fmt: skip
+        "asphalt_lane.jpg": lane,
+        "asphalt.jpg": plain,
+        "chip_seal.jpg": chips,
+        "paving.jpg": slabs,
+        "tactile.jpg": tactile(),
+        "marking.jpg": marking(),
+        "granite.jpg": granite(),
+        "manhole.jpg": manhole(),
+        "grass.jpg": grass(),
+        "brick.jpg": brick(),
+        "plaster.jpg": plaster(),
+        "ashlar.jpg": ashlar(),
+        "roof_tile.jpg": roof(rows=14, columns=12, colour=(0.30, 0.115, 0.065), spread=0.22),
+        "roof_slate.jpg": roof(rows=16, columns=9, colour=(0.5, 0.5, 0.5), spread=0.12),
+        "bark.jpg": bark(),
+        "windows.jpg": windows,
+        "windows_lit.jpg": windows_lit,
+        "shops.jpg": shops,
+        "shops_lit.jpg": shops_lit,
+        "fascias.png": fascias(),
+        "signs.png": signs(),
+        "plates.png": plates(),
+        "banners.png": banners(),
+    }
     for name, albedo in pictures.items():
         written.append(_write(folder / name, _to_srgb(albedo)))
     rough = {"asphalt_lane": lane_gloss, "asphalt": plain_gloss, "chip_seal": chips_gloss, "paving": slabs_gloss}
@@ -146,8 +162,12 @@ def brick() -> Array:
     hue = rng.normal(0, 0.10, (32, 10))[row, column]
     rgb = np.stack([0.25 * tone, 0.088 * tone * (1 + hue), 0.054 * tone * (1 + 1.3 * hue)], axis=-1)
     rgb = np.where(burnt[..., None], 0.42 * rgb + 0.012, rgb)
-    rgb *= (1 + 0.13 * noise((n, n), 0.6, "brick", "grain", low=40) + 0.05 * noise((n, n), 2.0, "brick", "stain"))[..., None]
-    distance = np.minimum(np.minimum(u % 1, 1 - u % 1) * 240, np.minimum(v % 1, 1 - v % 1) * 75) + 0.8 * noise((n, n), 1.0, "brick", "edge", low=40)
+    rgb *= (1 + 0.13 * noise((n, n), 0.6, "brick", "grain", low=40) + 0.05 * noise((n, n), 2.0, "brick", "stain"))[
+        ..., None
+    ]
+    distance = np.minimum(np.minimum(u % 1, 1 - u % 1) * 240, np.minimum(v % 1, 1 - v % 1) * 75) + 0.8 * noise(
+        (n, n), 1.0, "brick", "edge", low=40
+    )
     joint = np.clip((6.0 - distance) / 2.0, 0, 1)[..., None]
     mortar = 0.26 * (1 + 0.12 * noise((n, n), 0.5, "brick", "mortar"))[..., None] * np.array([1.0, 0.95, 0.86])
     return np.clip(rgb * (1 - joint) + mortar * joint, 0.01, 0.45)
@@ -157,7 +177,12 @@ def plaster() -> Array:
     """Rendered wall around 1, 6 m square, with rain streaks and blotches, as a factor on its colour."""
     n = (512, 512)
     streaks = noise(n, 2.0, "plaster", 0, high=120, aspect=0.08)
-    tone = 0.90 + 0.035 * noise(n, 2.4, "plaster", 1) + 0.025 * noise(n, 0.0, "plaster", 2, low=50) - 0.045 * np.clip(streaks - 0.3, 0, 3)
+    tone = (
+        0.90
+        + 0.035 * noise(n, 2.4, "plaster", 1)
+        + 0.025 * noise(n, 0.0, "plaster", 2, low=50)
+        - 0.045 * np.clip(streaks - 0.3, 0, 3)
+    )
     return np.clip(tone, 0.4, 1)[..., None] * np.array([1.0, 0.995, 0.985])
 
 
@@ -170,7 +195,9 @@ def ashlar() -> Array:
     rng = stream(0, "texture", "ashlar")
     tone = rng.normal(1, 0.07, (8, 4))[row, np.floor(u).astype(int) % 4]
     distance = np.minimum(np.minimum(u % 1, 1 - u % 1) * 750, np.minimum(v % 1, 1 - v % 1) * 375)
-    albedo = 0.44 * tone * (1 + 0.05 * noise((n, n), 1.2, "ashlar", 0) + 0.05 * noise((n, n), 2.2, "ashlar", 1, aspect=0.3))
+    albedo = (
+        0.44 * tone * (1 + 0.05 * noise((n, n), 1.2, "ashlar", 0) + 0.05 * noise((n, n), 2.2, "ashlar", 1, aspect=0.3))
+    )
     albedo *= 1 - 0.55 * np.clip((12 - distance) / 6, 0, 1) - 0.1 * np.clip((30 - distance) / 20, 0, 1)
     return np.clip(albedo, 0.02, 0.8)[..., None] * np.array([1.0, 0.94, 0.83])
 
@@ -206,14 +233,18 @@ def window_atlas() -> tuple[Array, Array]:
         rng = stream(0, "texture", "window", cell)
         room = 0.018 + 0.018 * v[..., None] * np.ones(3)
         warmth = np.array([1.0, 0.66, 0.34]) if rng.random() < 0.75 else np.array([1.0, 0.88, 0.72])
-        glow = 0.30 + 0.70 * np.exp(-(((u - rng.uniform(0.2, 0.8)) / 0.5) ** 2) - ((v - rng.uniform(0.5, 0.9)) / 0.45) ** 2)
+        glow = 0.30 + 0.70 * np.exp(
+            -(((u - rng.uniform(0.2, 0.8)) / 0.5) ** 2) - ((v - rng.uniform(0.5, 0.9)) / 0.45) ** 2
+        )
         light = glow[..., None] * warmth
         if rng.random() < 0.6:  # something stands in the room
             shelf = (np.abs(u - rng.uniform(0.1, 0.9)) < 0.14) & (v < rng.uniform(0.35, 0.75))
             light = np.where(shelf[..., None], 0.25 * light, light)
             room = np.where(shelf[..., None], 0.03, room)
         kind = int(rng.integers(0, 4))
-        cloth = np.array([[0.42, 0.40, 0.36], [0.30, 0.22, 0.15], [0.20, 0.23, 0.26], [0.46, 0.45, 0.43]][int(rng.integers(0, 4))])
+        cloth = np.array(
+            [[0.42, 0.40, 0.36], [0.30, 0.22, 0.15], [0.20, 0.23, 0.26], [0.46, 0.45, 0.43]][int(rng.integers(0, 4))]
+        )
         folds = 0.75 + 0.25 * np.sin(u * 75 + 2 * np.sin(3 * v))
         if kind in (0, 1):  # curtains drawn aside
             width = rng.uniform(0.16, 0.30) + 0.05 * (1 - v)
@@ -238,7 +269,9 @@ def shop_atlas() -> tuple[Array, Array]:
     v, u = np.meshgrid(np.linspace(1, 0, h), np.linspace(0, 1, w), indexing="ij")
     for cell in range(SHOPS):
         rng = stream(0, "texture", "shop", cell)
-        albedo = np.ones((h, w, 3)) * np.array([[0.30, 0.24, 0.16], [0.22, 0.23, 0.25], [0.34, 0.31, 0.26], [0.14, 0.11, 0.09]][cell])
+        albedo = np.ones((h, w, 3)) * np.array(
+            [[0.30, 0.24, 0.16], [0.22, 0.23, 0.25], [0.34, 0.31, 0.26], [0.14, 0.11, 0.09]][cell]
+        )
         albedo *= (0.6 + 0.4 * v)[..., None]
         shelves = [0.12, 0.34, 0.56, 0.78][: 4 if cell % 2 == 0 else 2]
         for z in shelves:
@@ -251,7 +284,9 @@ def shop_atlas() -> tuple[Array, Array]:
             albedo[(np.abs(v - z) < 0.012)] = 0.28
         for _ in range(4 if cell == 3 else 2):  # people and lamps inside
             c = rng.uniform(0.08, 0.92)
-            body = (np.abs(u - c) < 0.022 * (1 + 0.4 * (v < 0.5))) & (v < 0.55) | (np.hypot((u - c) * 3, v - 0.6) < 0.06)
+            body = (np.abs(u - c) < 0.022 * (1 + 0.4 * (v < 0.5))) & (v < 0.55) | (
+                np.hypot((u - c) * 3, v - 0.6) < 0.06
+            )
             albedo[body] = rng.uniform(0.02, 0.10)
         light = np.full((h, w), 0.32)
         for c in np.linspace(0.08, 0.92, 7):
@@ -309,8 +344,14 @@ def plates() -> Array:
 def banners() -> Array:
     """Long writing for the sides of a bus, a van and a lorry, and line numbers; four of 4 m by 0.5 m."""
     h, w = 96, 768
-    words = [("STADTVERKEHR", (0.62, 0.60, 0.55), (0.30, 0.02, 0.02)), ("HANSEN FRUCHT", (0.70, 0.69, 0.66), (0.02, 0.13, 0.06))]
-    words += [("KURIER EXPRESS", (0.72, 0.72, 0.70), (0.03, 0.08, 0.30)), ("23 NORDBAHNHOF", (0.012, 0.012, 0.012), (0.75, 0.36, 0.02))]
+    words = [
+        ("STADTVERKEHR", (0.62, 0.60, 0.55), (0.30, 0.02, 0.02)),
+        ("HANSEN FRUCHT", (0.70, 0.69, 0.66), (0.02, 0.13, 0.06)),
+    ]
+    words += [
+        ("KURIER EXPRESS", (0.72, 0.72, 0.70), (0.03, 0.08, 0.30)),
+        ("23 NORDBAHNHOF", (0.012, 0.012, 0.012), (0.75, 0.36, 0.02)),
+    ]
     rows = []
     for word, ground, ink in words:
         mask = _lettering(word, (h, w), height=0.6, weight=0.09)[..., None]
@@ -319,12 +360,15 @@ def banners() -> Array:
 
 
 def signs() -> Array:
-    """Nine traffic signs in a 3 by 3 atlas: no entry, 30, give way, priority, crossing, no stopping, ahead only, parking, street name."""
+    """Nine traffic signs in a 3 by 3 atlas: no entry, 30, give way, priority, crossing, no stopping, ahead only,
+    parking, street name.
+    """
     n = 192
     v, u = np.meshgrid(np.linspace(1, -1, n), np.linspace(-1, 1, n), indexing="ij")
     r = np.hypot(u, v)
     white, red, blue, black, yellow = (
-        np.array(c) for c in ((0.72, 0.72, 0.70), (0.52, 0.015, 0.02), (0.012, 0.07, 0.34), (0.02, 0.02, 0.02), (0.70, 0.42, 0.01))
+        np.array(c)
+        for c in ((0.72, 0.72, 0.70), (0.52, 0.015, 0.02), (0.012, 0.07, 0.34), (0.02, 0.02, 0.02), (0.70, 0.42, 0.01))
     )
     grey = np.full((n, n, 3), 0.35)
 
@@ -335,7 +379,9 @@ def signs() -> Array:
         return (v < size - 0.1) & (v > 1.72 * np.abs(u) - size - 0.02)
 
     no_entry = paint(paint(paint(grey, r < 1, white), r < 0.96, red), (np.abs(u) < 0.72) & (np.abs(v) < 0.16), white)
-    limit = paint(paint(paint(grey, r < 1, red), r < 0.76, white), _lettering("30", (n, n), height=0.42, weight=0.13) > 0.5, black)
+    limit = paint(
+        paint(paint(grey, r < 1, red), r < 0.76, white), _lettering("30", (n, n), height=0.42, weight=0.13) > 0.5, black
+    )
     give_way = paint(paint(grey, triangle(0.95), red), triangle(0.62), white)
     diamond = np.abs(u) + np.abs(v)
     priority = paint(paint(paint(grey, diamond < 1, white), diamond < 0.93, black), diamond < 0.9, white)
@@ -347,14 +393,26 @@ def signs() -> Array:
     field = (v > 0.86 * -0.85) & (v < 0.75 - 1.55 * np.abs(u))
     crossing = paint(paint(paint(grey, square < 1, white), square < 0.95, blue), field, white)
     crossing = paint(crossing, (walker | stripes) & field, black)
-    no_stopping = paint(paint(paint(grey, r < 1, red), r < 0.8, blue), (r < 0.86) & ((np.abs(u - v) < 0.15) | (np.abs(u + v) < 0.15)), red)
+    no_stopping = paint(
+        paint(paint(grey, r < 1, red), r < 0.8, blue),
+        (r < 0.86) & ((np.abs(u - v) < 0.15) | (np.abs(u + v) < 0.15)),
+        red,
+    )
     arrow = ((np.abs(u) < 0.13) & (v > -0.6) & (v < 0.3)) | ((v > 0.15) & (v < 0.66 - 1.2 * np.abs(u)))
     ahead = paint(paint(paint(grey, r < 1, white), r < 0.95, blue), arrow, white)
-    parking = paint(paint(paint(grey, square < 1, white), square < 0.94, blue), _lettering("P", (n, n), height=0.6, weight=0.12) > 0.5, white)
+    parking = paint(
+        paint(paint(grey, square < 1, white), square < 0.94, blue),
+        _lettering("P", (n, n), height=0.6, weight=0.12) > 0.5,
+        white,
+    )
     name = paint(paint(np.tile(blue, (n, n, 1)), square > 0.96, white), np.zeros((n, n), dtype=bool), white)
     strip = n // 4
-    name[:strip] = paint(np.tile(blue, (strip, n, 1)), _lettering("NEBELGASSE", (strip, n), height=0.5, weight=0.09) > 0.5, white)
-    name[strip : 2 * strip] = paint(np.tile(blue, (strip, n, 1)), _lettering("AM MARKT", (strip, n), height=0.5, weight=0.09) > 0.5, white)
+    name[:strip] = paint(
+        np.tile(blue, (strip, n, 1)), _lettering("NEBELGASSE", (strip, n), height=0.5, weight=0.09) > 0.5, white
+    )
+    name[strip : 2 * strip] = paint(
+        np.tile(blue, (strip, n, 1)), _lettering("AM MARKT", (strip, n), height=0.5, weight=0.09) > 0.5, white
+    )
     cells = [no_entry, limit, give_way, priority, crossing, no_stopping, ahead, parking, name]
     return np.concatenate([np.concatenate(cells[i : i + 3], axis=1) for i in (0, 3, 6)])
 

@@ -28,8 +28,12 @@ def build_trucks() -> list[Component]:
     return [_box_truck(), _coach(), _minibus()]
 
 
-def _hull(side: Outline, front: Outline, plan: Outline, *, step: float, triangles: int, soft: float = 0.10) -> tuple[Part, Field, Box]:
-    """The skin inside three silhouettes: (y, z), (x, z) and (x, y); corners rounded.  With it its distance and a box round it."""
+def _hull(
+    side: Outline, front: Outline, plan: Outline, *, step: float, triangles: int, soft: float = 0.10
+) -> tuple[Part, Field, Box]:
+    """The skin inside three silhouettes: (y, z), (x, z) and (x, y); corners rounded.  With it its distance and a box
+    round it.
+    """
     outlines = [rounded(o, 2, 0.14) for o in (side, front, plan)]
 
     def field(x: Array, y: Array, z: Array) -> Array:
@@ -49,22 +53,42 @@ def _looks(paints: Sequence[str], lamps: Sequence[tuple[float, float, float]]) -
 def _box_truck() -> Component:
     """A cab over the engine, a box with a chilling unit, three axles."""
     skin, field, around = _hull(
-        [(2.55, 0.55), (4.50, 0.50), (4.62, 0.75), (4.60, 1.45), (4.38, 2.75), (4.05, 3.10), (2.75, 3.12), (2.55, 2.95)],
+        [
+            (2.55, 0.55),
+            (4.50, 0.50),
+            (4.62, 0.75),
+            (4.60, 1.45),
+            (4.38, 2.75),
+            (4.05, 3.10),
+            (2.75, 3.12),
+            (2.55, 2.95),
+        ],
         [(-1.18, 0.50), (1.18, 0.50), (1.23, 1.4), (1.16, 2.8), (1.0, 3.12), (-1.0, 3.12), (-1.16, 2.8), (-1.23, 1.4)],
         [(-1.24, 2.55), (1.24, 2.55), (1.24, 4.42), (0.92, 4.62), (-0.92, 4.62), (-1.24, 4.42)],
         step=0.06,
         triangles=2400,
     )
     parts: list[Part] = []
-    side, screen = [(3.05, 1.62), (4.22, 1.52), (4.05, 2.42), (3.05, 2.46)], [(-1.08, 1.60), (1.08, 1.60), (1.0, 2.52), (-1.0, 2.52)]
+    side, screen = (
+        [(3.05, 1.62), (4.22, 1.52), (4.05, 2.42), (3.05, 2.46)],
+        [(-1.08, 1.60), (1.08, 1.60), (1.0, 2.52), (-1.0, 2.52)],
+    )
     hip = (-0.62, 3.36, 1.56)
     parts += lined(field, *around, roof_z=2.5, sides=[(side, -1), (side, 1)], front=screen)
-    parts += [*seat(*hip), *seat(-hip[0], *hip[1:]), dashboard(0.98, 4.02, 4.36, 1.58), *steering_wheel(hip, radius=0.23, tilt_deg=35), *driver(hip)]
+    parts += [
+        *seat(*hip),
+        *seat(-hip[0], *hip[1:]),
+        dashboard(0.98, 4.02, 4.36, 1.58),
+        *steering_wheel(hip, radius=0.23, tilt_deg=35),
+        *driver(hip),
+    ]
     for sign in (-1, 1):
         skin = cut_out(skin, parts, "glass_clear", (1, 2), side, 0, sign, 0.5)
         for y in (2.93, 4.30):
             skin = cut_out(skin, parts, "seam", (1, 2), rect(y, y + 0.012, 0.95, 2.55), 0, sign, 0.5)
-        skin = cut_out(skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.70, sign * 1.13)), 0.78, 1.02), 1, 1, 0.2)
+        skin = cut_out(
+            skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.70, sign * 1.13)), 0.78, 1.02), 1, 1, 0.2
+        )
         parts.append(lens_disc((sign * 0.90, 4.635, 0.90), 0.056, "headlamp_lens"))
         parts += [
             soft_box((sign * 1.40 - 0.11, 4.32, 1.75), (sign * 1.40 + 0.11, 4.44, 2.35), "black_plastic", radius=0.04),
@@ -76,7 +100,9 @@ def _box_truck() -> Component:
     skin = cut_out(skin, parts, "glass_clear", (0, 2), screen, 1, 1, 0.3)
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-1.0, 1.0, 2.62, 2.78), 1, 1, 0.2)
     for k in range(3):
-        skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-0.72, 0.72, 1.10 + 0.12 * k, 1.18 + 0.12 * k), 1, 1, 0.35)
+        skin = cut_out(
+            skin, parts, "black_plastic", (0, 2), rect(-0.72, 0.72, 1.10 + 0.12 * k, 1.18 + 0.12 * k), 1, 1, 0.35
+        )
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-2, 2, 0.4, 0.70), 1, 1, -2)
     skin = arches(skin, parts, (3.62,), 0.55, 0.78)
     axles = (-2.75, -1.45, 3.62)
@@ -88,14 +114,22 @@ def _box_truck() -> Component:
         box((-0.8, 2.84, 2.9), (0.8, 2.86, 3.4), "black_plastic"),
     ]
     for sign in (-1, 1):
-        parts += [box((sign * 1.225 - 0.035, y, 1.10), (sign * 1.225 + 0.035, y + 0.07, 3.66), "galvanised") for y in (-4.61, 2.36)]
+        parts += [
+            box((sign * 1.225 - 0.035, y, 1.10), (sign * 1.225 + 0.035, y + 0.07, 3.66), "galvanised")
+            for y in (-4.61, 2.36)
+        ]
         parts.append(box((sign * 1.24 - 0.02, -4.6, 1.08), (sign * 1.24 + 0.02, 2.42, 1.2), "galvanised"))
-        parts += [box((sign * 1.16 - 0.02, -0.75, z), (sign * 1.16 + 0.02, 2.75, z + 0.14), "galvanised") for z in (0.50, 0.82)]
+        parts += [
+            box((sign * 1.16 - 0.02, -0.75, z), (sign * 1.16 + 0.02, 2.75, z + 0.14), "galvanised")
+            for z in (0.50, 0.82)
+        ]
         parts.append(strip(_mudguard(sign, axles[:2]), "black_plastic"))
         side = [(sign * 1.262, y, z) for y, z in ((-2.9, 1.85), (0.8, 2.25), (0.8, 2.85), (-2.9, 2.45))]
         parts.append(Part(np.array(side), np.array([(0, 1, 2), (0, 2, 3)])[:, :: int(sign)], "livery"))
-        parts += [box((sign * 1.05 - 0.17, -4.64, 0.86), (sign * 1.05 + 0.17, -4.56, 1.04), "tail_lamp"), box((sign * 1.22 - 0.02, -4.63, 3.4), (sign * 1.22 +
-            0.02, -4.6, 3.6), "tail_lamp")]  # fmt: skip
+        parts += [
+            box((sign * 1.05 - 0.17, -4.64, 0.86), (sign * 1.05 + 0.17, -4.56, 1.04), "tail_lamp"),
+            box((sign * 1.22 - 0.02, -4.63, 3.4), (sign * 1.22 + 0.02, -4.6, 3.6), "tail_lamp"),
+        ]
         parts.append(lens_disc((sign * 1.05, -4.645, 0.95), 0.075, "tail_lens", back=True))
     parts += [
         box((-0.006, -4.612, 1.2), (0.006, -4.598, 3.62), "seam"),
@@ -104,8 +138,13 @@ def _box_truck() -> Component:
         plate((0, 4.66, 0.58), 7, front=True),
         plate((0, -4.65, 0.80), 7, front=False),
     ]
-    return Component("box_truck", "truck", cleaned(parts), "A three-axled box truck, 9.3 m long.", _looks(("white", "orange", "green"), [(-0.90, 4.70, 0.90),
-        (0.90, 4.70, 0.90)]))  # fmt: skip
+    return Component(
+        "box_truck",
+        "truck",
+        cleaned(parts),
+        "A three-axled box truck, 9.3 m long.",
+        _looks(("white", "orange", "green"), [(-0.90, 4.70, 0.90), (0.90, 4.70, 0.90)]),
+    )
 
 
 def _mudguard(sign: int, axles: Sequence[float]) -> list[Array]:
@@ -120,22 +159,48 @@ def _mudguard(sign: int, axles: Sequence[float]) -> list[Array]:
 def _coach() -> Component:
     """A touring coach, 12.2 m long: a high floor, luggage below, one band of dark glass."""
     skin, field, around = _hull(
-        [(-6.05, 0.32), (6.0, 0.28), (6.12, 0.70), (6.08, 1.60), (5.72, 3.30), (5.35, 3.60), (-5.75, 3.62), (-6.05, 3.35), (-6.12, 1.2)],
-        [(-1.2, 0.28), (1.2, 0.28), (1.275, 0.8), (1.27, 2.6), (1.14, 3.45), (0.9, 3.62), (-0.9, 3.62), (-1.14, 3.45), (-1.27, 2.6), (-1.275, 0.8)],
+        [
+            (-6.05, 0.32),
+            (6.0, 0.28),
+            (6.12, 0.70),
+            (6.08, 1.60),
+            (5.72, 3.30),
+            (5.35, 3.60),
+            (-5.75, 3.62),
+            (-6.05, 3.35),
+            (-6.12, 1.2),
+        ],
+        [
+            (-1.2, 0.28),
+            (1.2, 0.28),
+            (1.275, 0.8),
+            (1.27, 2.6),
+            (1.14, 3.45),
+            (0.9, 3.62),
+            (-0.9, 3.62),
+            (-1.14, 3.45),
+            (-1.27, 2.6),
+            (-1.275, 0.8),
+        ],
         [(-1.275, -6.1), (1.275, -6.1), (1.275, 5.75), (0.95, 6.12), (-0.95, 6.12), (-1.275, 5.75)],
         step=0.09,
         triangles=3000,
         soft=0.16,
     )
     parts: list[Part] = []
-    sides: list[Outline] = [rect(y0, min(y0 + 1.58, 4.55), 1.72, 3.08) for y0 in np.arange(-5.55, 4.3, 1.62).tolist()] + [
-        [(4.62, 1.42), (5.62, 1.30), (5.45, 2.75), (4.62, 3.02)]
-    ]
+    sides: list[Outline] = [
+        rect(y0, min(y0 + 1.58, 4.55), 1.72, 3.08) for y0 in np.arange(-5.55, 4.3, 1.62).tolist()
+    ] + [[(4.62, 1.42), (5.62, 1.30), (5.45, 2.75), (4.62, 3.02)]]
     screen, rear = [(-1.16, 1.24), (1.16, 1.24), (1.06, 3.02), (-1.06, 3.02)], rect(-0.95, 0.95, 2.10, 3.05)
     hip = (-0.70, 4.86, 1.32)
     openings = [(one, sign) for one in sides for sign in (-1, 1)]
     parts += lined(field, *around, roof_z=3.02, sides=openings, front=screen, back=rear, step=0.12, triangles=600)
-    parts += [*seat(*hip), dashboard(1.0, 5.42, 5.80, 1.24), *steering_wheel(hip, radius=0.23, tilt_deg=30), *driver(hip)]
+    parts += [
+        *seat(*hip),
+        dashboard(1.0, 5.42, 5.80, 1.24),
+        *steering_wheel(hip, radius=0.23, tilt_deg=30),
+        *driver(hip),
+    ]
     parts += rows(np.arange(-5.1, 4.0, 0.86), (-0.68, 0.68), 1.50)
     for sign in (-1, 1):
         for window in sides:
@@ -147,36 +212,96 @@ def _coach() -> Component:
         skin = cut_out(skin, parts, "livery", (1, 2), rect(-5.6, 2.7, 1.10, 1.22), 0, sign, 0.6)
         if sign > 0:
             skin = cut_out(skin, parts, "glass_car", (1, 2), rect(4.70, 5.55, 0.45, 1.36), 0, sign, 0.6)
-        skin = cut_out(skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.74, sign * 1.20)), 0.66, 0.90), 1, 1, 0.15)
-        skin = cut_out(skin, parts, "tail_lamp", (0, 2), rect(*sorted((sign * 0.98, sign * 1.20)), 0.85, 1.55), 1, -1, 0.15)
-        parts += [lens_disc((sign * 0.90, 6.125, 0.78), 0.056, "headlamp_lens"), lens_disc((sign * 1.08, -6.125, 1.10), 0.075, "tail_lens", back=True)]
+        skin = cut_out(
+            skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.74, sign * 1.20)), 0.66, 0.90), 1, 1, 0.15
+        )
+        skin = cut_out(
+            skin, parts, "tail_lamp", (0, 2), rect(*sorted((sign * 0.98, sign * 1.20)), 0.85, 1.55), 1, -1, 0.15
+        )
+        parts += [
+            lens_disc((sign * 0.90, 6.125, 0.78), 0.056, "headlamp_lens"),
+            lens_disc((sign * 1.08, -6.125, 1.10), 0.075, "tail_lens", back=True),
+        ]
         parts += [
             soft_box((sign * 1.38 - 0.10, 6.02, 2.10), (sign * 1.38 + 0.10, 6.14, 2.62), "black_plastic", radius=0.04),
-            tube([(sign * 1.05, 5.62, 3.28), (sign * 1.36, 5.98, 3.10), (sign * 1.38, 6.08, 2.60)], 0.032, "black_plastic", sides=7),
+            tube(
+                [(sign * 1.05, 5.62, 3.28), (sign * 1.36, 5.98, 3.10), (sign * 1.38, 6.08, 2.60)],
+                0.032,
+                "black_plastic",
+                sides=7,
+            ),
         ]
     skin = cut_out(skin, parts, "glass_clear", (0, 2), screen, 1, 1, 0.35)
-    skin = cut_out(skin, parts, "gloss_black", (0, 2), [(-1.2, 1.14), (1.2, 1.14), (1.05, 3.32), (-1.05, 3.32)], 1, 1, 0.3)
+    skin = cut_out(
+        skin, parts, "gloss_black", (0, 2), [(-1.2, 1.14), (1.2, 1.14), (1.05, 3.32), (-1.05, 3.32)], 1, 1, 0.3
+    )
     skin = cut_out(skin, parts, "glass_clear", (0, 2), rear, 1, -1, 0.5)
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-0.7, 0.7, 0.75, 1.25), 1, -1, 0.5)
     skin = arches(skin, parts, (-3.35, 3.55), 0.55, 0.92)
     parts += [skin, *wheels((-3.35, 3.55), 0.51, 1.14, 0.30, 10)]
-    parts += [soft_box((-0.85, -2.6, 3.56), (0.85, 0.2, 3.76), "frame_white", radius=0.12), plate((0, 6.15, 0.50), 6, front=True),
-        plate((0, -6.14, 0.66), 6, front=False)]  # fmt: skip
+    parts += [
+        soft_box((-0.85, -2.6, 3.56), (0.85, 0.2, 3.76), "frame_white", radius=0.12),
+        plate((0, 6.15, 0.50), 6, front=True),
+        plate((0, -6.14, 0.66), 6, front=False),
+    ]
     return Component(
-        "coach", "bus", cleaned(parts), "A touring coach, 12.3 m long.", _looks(("white", "silver", "blue"), [(-0.90, 6.18, 0.78), (0.90, 6.18, 0.78)])
+        "coach",
+        "bus",
+        cleaned(parts),
+        "A touring coach, 12.3 m long.",
+        _looks(("white", "silver", "blue"), [(-0.90, 6.18, 0.78), (0.90, 6.18, 0.78)]),
     )
 
 
 MINIBUS = Body(
-    "minibus", "A minibus with windows all round, 5.9 m long.", 5.90, 2.02, 2.62,
-    side=[(-2.92, 0.30), (2.75, 0.24), (2.92, 0.36), (2.91, 0.82), (2.78, 1.04), (2.28, 1.24), (2.08, 1.32), (-2.90, 1.32), (-2.94, 0.5)],
-    cabin=[(2.34, 1.07), (2.18, 1.28), (1.45, 2.22), (1.0, 2.58), (-0.2, 2.63), (-2.80, 2.61), (-2.92, 2.5), (-2.94, 1.0)],
-    windows=[[(0.80, 1.26), (1.94, 1.26), (1.98, 1.32), (1.42, 1.96), (0.80, 2.06)], [(-0.42, 1.34), (0.66, 1.34), (0.66, 2.06), (-0.42, 2.06)],
-    [(-1.58, 1.34), (-0.50, 1.34), (-0.50, 2.06), (-1.58, 2.06)], [(-2.66, 1.34), (-1.66, 1.34), (-1.66, 2.06), (-2.66, 2.06)]],
-    screen=((2.20, 1.32), (1.47, 2.20)), rear=((-2.94, 1.46), (-2.92, 2.15)), axles=(-1.85, 1.90), wheel=0.36, roof_half=0.82, belt=1.26,
-    seams=[(1.84, 0.44, 1.26), (0.72, 0.38, 2.12), (-0.46, 0.42, 2.12)], lamps_z=0.94, tail=(0.82, 1.5), spokes=6, plate=3, paints=("white", "silver", "red"),
-    plan_corner=0.38, upright=True, triangles=3000,
-)  # fmt: skip
+    "minibus",
+    "A minibus with windows all round, 5.9 m long.",
+    5.90,
+    2.02,
+    2.62,
+    side=[
+        (-2.92, 0.30),
+        (2.75, 0.24),
+        (2.92, 0.36),
+        (2.91, 0.82),
+        (2.78, 1.04),
+        (2.28, 1.24),
+        (2.08, 1.32),
+        (-2.90, 1.32),
+        (-2.94, 0.5),
+    ],
+    cabin=[
+        (2.34, 1.07),
+        (2.18, 1.28),
+        (1.45, 2.22),
+        (1.0, 2.58),
+        (-0.2, 2.63),
+        (-2.80, 2.61),
+        (-2.92, 2.5),
+        (-2.94, 1.0),
+    ],
+    windows=[
+        [(0.80, 1.26), (1.94, 1.26), (1.98, 1.32), (1.42, 1.96), (0.80, 2.06)],
+        [(-0.42, 1.34), (0.66, 1.34), (0.66, 2.06), (-0.42, 2.06)],
+        [(-1.58, 1.34), (-0.50, 1.34), (-0.50, 2.06), (-1.58, 2.06)],
+        [(-2.66, 1.34), (-1.66, 1.34), (-1.66, 2.06), (-2.66, 2.06)],
+    ],
+    screen=((2.20, 1.32), (1.47, 2.20)),
+    rear=((-2.94, 1.46), (-2.92, 2.15)),
+    axles=(-1.85, 1.90),
+    wheel=0.36,
+    roof_half=0.82,
+    belt=1.26,
+    seams=[(1.84, 0.44, 1.26), (0.72, 0.38, 2.12), (-0.46, 0.42, 2.12)],
+    lamps_z=0.94,
+    tail=(0.82, 1.5),
+    spokes=6,
+    plate=3,
+    paints=("white", "silver", "red"),
+    plan_corner=0.38,
+    upright=True,
+    triangles=3000,
+)
 
 
 def _minibus() -> Component:

@@ -97,55 +97,235 @@ class Body:
 
 CARS = (
     Body(
-        "hatchback", "A compact five-door hatchback, 4.05 m long.", 4.05, 1.76, 1.47,
-        side=[(-1.98, 0.20), (1.90, 0.18), (2.03, 0.30), (2.02, 0.56), (1.93, 0.73), (1.55, 0.87), (0.98, 0.965), (-1.2, 1.00), (-1.88, 1.00), (-2.0, 0.80),
-        (-2.02, 0.40)],
-        cabin=[(1.22, 0.80), (0.98, 0.965), (0.28, 1.38), (-0.25, 1.475), (-1.05, 1.445), (-1.66, 1.35), (-1.93, 0.98), (-1.9, 0.75)],
-        windows=[[(0.02, 0.985), (0.74, 0.985), (0.30, 1.285), (0.10, 1.375), (0.02, 1.39)], [(-0.86, 1.01), (-0.06, 0.985), (-0.06, 1.39), (-0.80, 1.375)],
-        [(-1.42, 1.06), (-0.93, 1.015), (-0.87, 1.365), (-1.22, 1.335)]],
-        screen=((1.02, 0.98), (0.30, 1.40)), rear=((-1.93, 1.03), (-1.66, 1.36)), axles=(-1.27, 1.25), wheel=0.315, roof_half=0.57, belt=0.95,
-        seams=[(0.80, 0.32, 0.97), (-0.02, 0.32, 0.98), (-0.90, 0.48, 1.0)], tail=(0.74, 1.06), plate=1, rear_plate_z=0.62,
+        "hatchback",
+        "A compact five-door hatchback, 4.05 m long.",
+        4.05,
+        1.76,
+        1.47,
+        side=[
+            (-1.98, 0.20),
+            (1.90, 0.18),
+            (2.03, 0.30),
+            (2.02, 0.56),
+            (1.93, 0.73),
+            (1.55, 0.87),
+            (0.98, 0.965),
+            (-1.2, 1.00),
+            (-1.88, 1.00),
+            (-2.0, 0.80),
+            (-2.02, 0.40),
+        ],
+        cabin=[
+            (1.22, 0.80),
+            (0.98, 0.965),
+            (0.28, 1.38),
+            (-0.25, 1.475),
+            (-1.05, 1.445),
+            (-1.66, 1.35),
+            (-1.93, 0.98),
+            (-1.9, 0.75),
+        ],
+        windows=[
+            [(0.02, 0.985), (0.74, 0.985), (0.30, 1.285), (0.10, 1.375), (0.02, 1.39)],
+            [(-0.86, 1.01), (-0.06, 0.985), (-0.06, 1.39), (-0.80, 1.375)],
+            [(-1.42, 1.06), (-0.93, 1.015), (-0.87, 1.365), (-1.22, 1.335)],
+        ],
+        screen=((1.02, 0.98), (0.30, 1.40)),
+        rear=((-1.93, 1.03), (-1.66, 1.36)),
+        axles=(-1.27, 1.25),
+        wheel=0.315,
+        roof_half=0.57,
+        belt=0.95,
+        seams=[(0.80, 0.32, 0.97), (-0.02, 0.32, 0.98), (-0.90, 0.48, 1.0)],
+        tail=(0.74, 1.06),
+        plate=1,
+        rear_plate_z=0.62,
     ),
     Body(
-        "saloon", "A four-door saloon, 4.65 m long.", 4.65, 1.83, 1.44,
-        side=[(-2.28, 0.22), (2.18, 0.19), (2.32, 0.32), (2.31, 0.55), (2.20, 0.71), (1.75, 0.83), (1.05, 0.94), (-1.3, 1.00), (-2.10, 1.01), (-2.31, 0.96),
-        (-2.33, 0.45)],
-        cabin=[(1.25, 0.78), (1.02, 0.94), (0.20, 1.36), (-0.35, 1.44), (-0.95, 1.405), (-1.72, 1.03), (-1.85, 0.9), (-1.6, 0.78)],
-        windows=[[(0.0, 0.97), (0.75, 0.97), (0.26, 1.255), (0.08, 1.335), (0.0, 1.35)], [(-0.88, 0.99), (-0.08, 0.97), (-0.08, 1.355), (-0.70, 1.345)],
-        [(-1.34, 1.03), (-0.95, 1.00), (-0.78, 1.335), (-0.98, 1.27)]],
-        screen=((1.06, 0.96), (0.22, 1.37)), rear=((-1.70, 1.045), (-0.98, 1.40)), axles=(-1.38, 1.42), wheel=0.33, roof_half=0.58, belt=0.94,
-        seams=[(0.82, 0.34, 0.96), (-0.04, 0.34, 0.97), (-0.98, 0.50, 1.0)], lamps_z=0.66, tail=(0.76, 0.94), spokes=10, plate=2, tail_inner=0.58,
+        "saloon",
+        "A four-door saloon, 4.65 m long.",
+        4.65,
+        1.83,
+        1.44,
+        side=[
+            (-2.28, 0.22),
+            (2.18, 0.19),
+            (2.32, 0.32),
+            (2.31, 0.55),
+            (2.20, 0.71),
+            (1.75, 0.83),
+            (1.05, 0.94),
+            (-1.3, 1.00),
+            (-2.10, 1.01),
+            (-2.31, 0.96),
+            (-2.33, 0.45),
+        ],
+        cabin=[
+            (1.25, 0.78),
+            (1.02, 0.94),
+            (0.20, 1.36),
+            (-0.35, 1.44),
+            (-0.95, 1.405),
+            (-1.72, 1.03),
+            (-1.85, 0.9),
+            (-1.6, 0.78),
+        ],
+        windows=[
+            [(0.0, 0.97), (0.75, 0.97), (0.26, 1.255), (0.08, 1.335), (0.0, 1.35)],
+            [(-0.88, 0.99), (-0.08, 0.97), (-0.08, 1.355), (-0.70, 1.345)],
+            [(-1.34, 1.03), (-0.95, 1.00), (-0.78, 1.335), (-0.98, 1.27)],
+        ],
+        screen=((1.06, 0.96), (0.22, 1.37)),
+        rear=((-1.70, 1.045), (-0.98, 1.40)),
+        axles=(-1.38, 1.42),
+        wheel=0.33,
+        roof_half=0.58,
+        belt=0.94,
+        seams=[(0.82, 0.34, 0.96), (-0.04, 0.34, 0.97), (-0.98, 0.50, 1.0)],
+        lamps_z=0.66,
+        tail=(0.76, 0.94),
+        spokes=10,
+        plate=2,
+        tail_inner=0.58,
     ),
     Body(
-        "estate", "A station wagon, 4.70 m long, with roof rails.", 4.70, 1.83, 1.47,
-        side=[(-2.30, 0.23), (2.20, 0.20), (2.34, 0.33), (2.33, 0.56), (2.22, 0.73), (1.78, 0.85), (1.10, 0.955), (-1.3, 1.00), (-2.2, 1.02), (-2.33, 0.85),
-        (-2.35, 0.45)],
-        cabin=[(1.30, 0.80), (1.06, 0.955), (0.28, 1.37), (-0.30, 1.465), (-1.40, 1.445), (-2.02, 1.385), (-2.27, 1.0), (-2.2, 0.78)],
-        windows=[[(0.02, 0.985), (0.80, 0.985), (0.33, 1.275), (0.12, 1.365), (0.02, 1.38)], [(-0.88, 1.005), (-0.06, 0.985), (-0.06, 1.385), (-0.88, 1.385)],
-        [(-1.86, 1.07), (-0.96, 1.01), (-0.96, 1.385), (-1.62, 1.36)]],
-        screen=((1.10, 0.975), (0.30, 1.385)), rear=((-2.25, 1.05), (-2.0, 1.385)), axles=(-1.36, 1.44), wheel=0.335, roof_half=0.60, belt=0.95,
-        seams=[(0.86, 0.34, 0.97), (-0.02, 0.34, 0.98), (-0.92, 0.50, 1.0)], lamps_z=0.68, tail=(0.78, 1.06), spokes=5, plate=3, rails=True,
+        "estate",
+        "A station wagon, 4.70 m long, with roof rails.",
+        4.70,
+        1.83,
+        1.47,
+        side=[
+            (-2.30, 0.23),
+            (2.20, 0.20),
+            (2.34, 0.33),
+            (2.33, 0.56),
+            (2.22, 0.73),
+            (1.78, 0.85),
+            (1.10, 0.955),
+            (-1.3, 1.00),
+            (-2.2, 1.02),
+            (-2.33, 0.85),
+            (-2.35, 0.45),
+        ],
+        cabin=[
+            (1.30, 0.80),
+            (1.06, 0.955),
+            (0.28, 1.37),
+            (-0.30, 1.465),
+            (-1.40, 1.445),
+            (-2.02, 1.385),
+            (-2.27, 1.0),
+            (-2.2, 0.78),
+        ],
+        windows=[
+            [(0.02, 0.985), (0.80, 0.985), (0.33, 1.275), (0.12, 1.365), (0.02, 1.38)],
+            [(-0.88, 1.005), (-0.06, 0.985), (-0.06, 1.385), (-0.88, 1.385)],
+            [(-1.86, 1.07), (-0.96, 1.01), (-0.96, 1.385), (-1.62, 1.36)],
+        ],
+        screen=((1.10, 0.975), (0.30, 1.385)),
+        rear=((-2.25, 1.05), (-2.0, 1.385)),
+        axles=(-1.36, 1.44),
+        wheel=0.335,
+        roof_half=0.60,
+        belt=0.95,
+        seams=[(0.86, 0.34, 0.97), (-0.02, 0.34, 0.98), (-0.92, 0.50, 1.0)],
+        lamps_z=0.68,
+        tail=(0.78, 1.06),
+        spokes=5,
+        plate=3,
+        rails=True,
     ),
     Body(
-        "offroader", "A compact sport utility vehicle, 4.45 m long.", 4.45, 1.86, 1.66,
-        side=[(-2.15, 0.30), (2.10, 0.27), (2.21, 0.42), (2.20, 0.74), (2.08, 0.90), (1.60, 1.01), (1.02, 1.08), (-1.3, 1.13), (-2.06, 1.13), (-2.19, 0.95),
-        (-2.21, 0.50)],
-        cabin=[(1.22, 0.92), (1.00, 1.08), (0.38, 1.54), (-0.20, 1.66), (-1.25, 1.635), (-1.88, 1.55), (-2.10, 1.12), (-2.05, 0.9)],
-        windows=[[(0.04, 1.12), (0.80, 1.12), (0.40, 1.43), (0.18, 1.54), (0.04, 1.56)], [(-0.86, 1.15), (-0.06, 1.12), (-0.06, 1.565), (-0.84, 1.555)],
-        [(-1.62, 1.21), (-0.94, 1.155), (-0.92, 1.555), (-1.42, 1.50)]],
-        screen=((1.04, 1.10), (0.40, 1.555)), rear=((-2.08, 1.17), (-1.88, 1.56)), axles=(-1.34, 1.34), wheel=0.36, roof_half=0.62, belt=1.08,
-        seams=[(0.84, 0.42, 1.10), (-0.01, 0.42, 1.11), (-0.92, 0.58, 1.13)], lamps_z=0.84, tail=(0.86, 1.16), spokes=5, plate=4, cladding=True,
+        "offroader",
+        "A compact sport utility vehicle, 4.45 m long.",
+        4.45,
+        1.86,
+        1.66,
+        side=[
+            (-2.15, 0.30),
+            (2.10, 0.27),
+            (2.21, 0.42),
+            (2.20, 0.74),
+            (2.08, 0.90),
+            (1.60, 1.01),
+            (1.02, 1.08),
+            (-1.3, 1.13),
+            (-2.06, 1.13),
+            (-2.19, 0.95),
+            (-2.21, 0.50),
+        ],
+        cabin=[
+            (1.22, 0.92),
+            (1.00, 1.08),
+            (0.38, 1.54),
+            (-0.20, 1.66),
+            (-1.25, 1.635),
+            (-1.88, 1.55),
+            (-2.10, 1.12),
+            (-2.05, 0.9),
+        ],
+        windows=[
+            [(0.04, 1.12), (0.80, 1.12), (0.40, 1.43), (0.18, 1.54), (0.04, 1.56)],
+            [(-0.86, 1.15), (-0.06, 1.12), (-0.06, 1.565), (-0.84, 1.555)],
+            [(-1.62, 1.21), (-0.94, 1.155), (-0.92, 1.555), (-1.42, 1.50)],
+        ],
+        screen=((1.04, 1.10), (0.40, 1.555)),
+        rear=((-2.08, 1.17), (-1.88, 1.56)),
+        axles=(-1.34, 1.34),
+        wheel=0.36,
+        roof_half=0.62,
+        belt=1.08,
+        seams=[(0.84, 0.42, 1.10), (-0.01, 0.42, 1.11), (-0.92, 0.58, 1.13)],
+        lamps_z=0.84,
+        tail=(0.86, 1.16),
+        spokes=5,
+        plate=4,
+        cladding=True,
     ),
     Body(
-        "van", "A panel van, 5.3 m long and 2.3 m high.", 5.30, 1.98, 2.30,
-        side=[(-2.62, 0.30), (2.45, 0.24), (2.62, 0.36), (2.61, 0.80), (2.48, 1.02), (1.95, 1.22), (1.75, 1.30), (-2.60, 1.30), (-2.64, 0.5)],
-        cabin=[(2.02, 1.05), (1.86, 1.26), (1.14, 2.08), (0.75, 2.28), (-0.2, 2.31), (-2.50, 2.29), (-2.62, 2.2), (-2.64, 1.0)],
+        "van",
+        "A panel van, 5.3 m long and 2.3 m high.",
+        5.30,
+        1.98,
+        2.30,
+        side=[
+            (-2.62, 0.30),
+            (2.45, 0.24),
+            (2.62, 0.36),
+            (2.61, 0.80),
+            (2.48, 1.02),
+            (1.95, 1.22),
+            (1.75, 1.30),
+            (-2.60, 1.30),
+            (-2.64, 0.5),
+        ],
+        cabin=[
+            (2.02, 1.05),
+            (1.86, 1.26),
+            (1.14, 2.08),
+            (0.75, 2.28),
+            (-0.2, 2.31),
+            (-2.50, 2.29),
+            (-2.62, 2.2),
+            (-2.64, 1.0),
+        ],
         windows=[[(0.42, 1.24), (1.62, 1.24), (1.66, 1.30), (1.10, 1.86), (0.42, 1.92)]],
-        screen=((1.88, 1.30), (1.16, 2.06)), rear=((-2.64, 1.42), (-2.62, 2.0)), axles=(-1.72, 1.62), wheel=0.35, roof_half=0.82, belt=1.24,
-        seams=[(1.52, 0.42, 1.24), (0.34, 0.36, 2.05), (-0.95, 0.40, 2.05)], lamps_z=0.92, tail=(0.80, 1.45), spokes=6, plate=5, paints=("white", "silver",
-        "blue"), plan_corner=0.38, upright=True,
+        screen=((1.88, 1.30), (1.16, 2.06)),
+        rear=((-2.64, 1.42), (-2.62, 2.0)),
+        axles=(-1.72, 1.62),
+        wheel=0.35,
+        roof_half=0.82,
+        belt=1.24,
+        seams=[(1.52, 0.42, 1.24), (0.34, 0.36, 2.05), (-0.95, 0.40, 2.05)],
+        lamps_z=0.92,
+        tail=(0.80, 1.45),
+        spokes=6,
+        plate=5,
+        paints=("white", "silver", "blue"),
+        plan_corner=0.38,
+        upright=True,
     ),
-)  # fmt: skip
+)
 
 
 def build_cars() -> list[Component]:
@@ -158,12 +338,43 @@ def build_bus() -> Component:
 
     def field_(x: Array, y: Array, z: Array) -> Array:
         side = outline_distance(
-            rounded([(-5.95, 0.30), (5.9, 0.30), (6.0, 0.7), (5.98, 1.4), (5.80, 2.95), (5.6, 3.05), (-5.85, 3.05), (-6.0, 2.6), (-6.0, 0.5)], 2, 0.12), y, z
+            rounded(
+                [
+                    (-5.95, 0.30),
+                    (5.9, 0.30),
+                    (6.0, 0.7),
+                    (5.98, 1.4),
+                    (5.80, 2.95),
+                    (5.6, 3.05),
+                    (-5.85, 3.05),
+                    (-6.0, 2.6),
+                    (-6.0, 0.5),
+                ],
+                2,
+                0.12,
+            ),
+            y,
+            z,
         )
-        plan = outline_distance(rounded([(-1.275, -6.0), (1.275, -6.0), (1.275, 5.85), (0.9, 6.0), (-0.9, 6.0), (-1.275, 5.85)], 2, 0.08), x, y)
+        plan = outline_distance(
+            rounded([(-1.275, -6.0), (1.275, -6.0), (1.275, 5.85), (0.9, 6.0), (-0.9, 6.0), (-1.275, 5.85)], 2, 0.08),
+            x,
+            y,
+        )
         front = outline_distance(
             rounded(
-                [(-1.2, 0.3), (1.2, 0.3), (1.275, 0.7), (1.265, 2.3), (1.2, 2.95), (0.9, 3.05), (-0.9, 3.05), (-1.2, 2.95), (-1.265, 2.3), (-1.275, 0.7)],
+                [
+                    (-1.2, 0.3),
+                    (1.2, 0.3),
+                    (1.275, 0.7),
+                    (1.265, 2.3),
+                    (1.2, 2.95),
+                    (0.9, 3.05),
+                    (-0.9, 3.05),
+                    (-1.2, 2.95),
+                    (-1.265, 2.3),
+                    (-1.275, 0.7),
+                ],
                 2,
                 0.15,
             ),
@@ -191,27 +402,64 @@ def build_bus() -> Component:
                 for y in (y0, (y0 + y1) / 2, y1):
                     parts.append(box((1.255, y - 0.025, 0.42), (1.29, y + 0.025, 2.64), "gloss_black"))
     for sign in (-1, 1):
-        skin = cut_out(skin, parts, "gloss_black", (1, 2), rect(-5.75, 5.6, 1.22 if sign < 0 else 2.62, 2.72), 0, sign, 0.75)
+        skin = cut_out(
+            skin, parts, "gloss_black", (1, 2), rect(-5.75, 5.6, 1.22 if sign < 0 else 2.62, 2.72), 0, sign, 0.75
+        )
     screen, rear = rect(-1.12, 1.12, 1.12, 2.45), rect(-1.0, 1.0, 1.75, 2.6)
     hip = (-0.72, 4.62, 1.10)
-    parts += lined(field_, (-1.5, -6.2, 0.1), (1.5, 6.2, 3.3), roof_z=2.58, sides=openings, front=screen, back=rear, step=0.12, triangles=600)
-    parts += [*seat(*hip), dashboard(1.0, 5.30, 5.70, 1.14), *steering_wheel(hip, radius=0.23, tilt_deg=30), *driver(hip)]
+    parts += lined(
+        field_,
+        (-1.5, -6.2, 0.1),
+        (1.5, 6.2, 3.3),
+        roof_z=2.58,
+        sides=openings,
+        front=screen,
+        back=rear,
+        step=0.12,
+        triangles=600,
+    )
+    parts += [
+        *seat(*hip),
+        dashboard(1.0, 5.30, 5.70, 1.14),
+        *steering_wheel(hip, radius=0.23, tilt_deg=30),
+        *driver(hip),
+    ]
     parts += rows((-4.6, -3.75, -1.2, 0.3, 2.0, 2.85), (-0.70,), 0.85) + rows((-4.6, -1.2, 2.0, 2.85), (0.70,), 0.85)
-    parts += [tube([(x, y, 0.5), (x, y, 2.75)], 0.018, "amber", sides=5, capped=False) for x in (-0.22, 0.22) for y in (-4.2, -1.9, 0.6, 1.7)]
+    parts += [
+        tube([(x, y, 0.5), (x, y, 2.75)], 0.018, "amber", sides=5, capped=False)
+        for x in (-0.22, 0.22)
+        for y in (-4.2, -1.9, 0.6, 1.7)
+    ]
     skin = cut_out(skin, parts, "glass_clear", (0, 2), screen, 1, 1, 0.6)
     skin = cut_out(skin, parts, "gloss_black", (0, 2), rect(-1.16, 1.16, 1.05, 2.95), 1, 1, 0.6)
     skin = cut_out(skin, parts, "glass_clear", (0, 2), rear, 1, -1, 0.6)
     for sign in (-1, 1):
-        skin = cut_out(skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.72, sign * 1.16)), 0.62, 0.86), 1, 1, 0.3)
-        skin = cut_out(skin, parts, "tail_lamp", (0, 2), rect(*sorted((sign * 1.02, sign * 1.18)), 0.8, 1.5), 1, -1, 0.3)
-        parts += [lens_disc((sign * 0.86, 6.02, 0.74), 0.056, "headlamp_lens"), lens_disc((sign * 1.10, -6.02, 1.0), 0.07, "tail_lens", back=True)]
+        skin = cut_out(
+            skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.72, sign * 1.16)), 0.62, 0.86), 1, 1, 0.3
+        )
+        skin = cut_out(
+            skin, parts, "tail_lamp", (0, 2), rect(*sorted((sign * 1.02, sign * 1.18)), 0.8, 1.5), 1, -1, 0.3
+        )
+        parts += [
+            lens_disc((sign * 0.86, 6.02, 0.74), 0.056, "headlamp_lens"),
+            lens_disc((sign * 1.10, -6.02, 1.0), 0.07, "tail_lens", back=True),
+        ]
         parts += [
             box((sign * 1.36 - 0.12, 5.95, 2.0), (sign * 1.36 + 0.12, 6.07, 2.45), "black_plastic"),
             box((sign * 1.2 - 0.12, 5.85, 2.46), (sign * 1.2 + 0.16, 5.97, 2.54), "black_plastic"),
         ]
     skin = arches(skin, parts, (-3.0, 3.2), 0.49, 0.95)
     parts += [skin, *wheels((-3.0, 3.2), 0.48, 1.12, 0.28, 8)]
-    parts.append(picture([(-0.85, 6.0, 2.56), (0.85, 6.0, 2.56), (0.85, 5.93, 2.80), (-0.85, 5.93, 2.80)], "banner", 3, 4, turned=True, lift=(0, 0.03, 0)))
+    parts.append(
+        picture(
+            [(-0.85, 6.0, 2.56), (0.85, 6.0, 2.56), (0.85, 5.93, 2.80), (-0.85, 5.93, 2.80)],
+            "banner",
+            3,
+            4,
+            turned=True,
+            lift=(0, 0.03, 0),
+        )
+    )
     for sign in (-1, 1):
         parts.append(side_picture(sign, 1.30, -3.5, -0.4 if sign > 0 else 1.0, 0.72, 1.08, 0))
     parts.append(plate((0, 6.03, 0.5), 6, front=True))
@@ -230,18 +478,46 @@ def build_lorry() -> Component:
 
     def cab(x: Array, y: Array, z: Array) -> Array:
         side = outline_distance(
-            rounded([(1.75, 0.45), (3.5, 0.42), (3.6, 0.6), (3.58, 1.3), (3.30, 2.3), (3.1, 2.45), (1.85, 2.45), (1.75, 2.2)], 2, 0.15), y, z
+            rounded(
+                [
+                    (1.75, 0.45),
+                    (3.5, 0.42),
+                    (3.6, 0.6),
+                    (3.58, 1.3),
+                    (3.30, 2.3),
+                    (3.1, 2.45),
+                    (1.85, 2.45),
+                    (1.75, 2.2),
+                ],
+                2,
+                0.15,
+            ),
+            y,
+            z,
         )
-        front = outline_distance(rounded([(-1.08, 0.42), (1.08, 0.42), (1.1, 1.3), (0.98, 2.45), (-0.98, 2.45), (-1.1, 1.3)], 2, 0.12), x, z)
-        plan = outline_distance(rounded([(-1.1, 1.75), (1.1, 1.75), (1.1, 3.45), (0.85, 3.6), (-0.85, 3.6), (-1.1, 3.45)], 2, 0.15), x, y)
+        front = outline_distance(
+            rounded([(-1.08, 0.42), (1.08, 0.42), (1.1, 1.3), (0.98, 2.45), (-0.98, 2.45), (-1.1, 1.3)], 2, 0.12), x, z
+        )
+        plan = outline_distance(
+            rounded([(-1.1, 1.75), (1.1, 1.75), (1.1, 3.45), (0.85, 3.6), (-0.85, 3.6), (-1.1, 3.45)], 2, 0.15), x, y
+        )
         return soft_max(soft_max(side, front, 0.10), plan, 0.08)
 
     skin = surface(cab, (-1.3, 1.6, 0.3), (1.3, 3.8, 2.65), step=0.05, triangles=2400, material="paint")
     parts: list[Part] = []
-    side, screen = [(2.1, 1.42), (3.25, 1.36), (3.05, 2.18), (2.1, 2.22)], [(-0.98, 1.38), (0.98, 1.38), (0.88, 2.2), (-0.88, 2.2)]
+    side, screen = (
+        [(2.1, 1.42), (3.25, 1.36), (3.05, 2.18), (2.1, 2.22)],
+        [(-0.98, 1.38), (0.98, 1.38), (0.88, 2.2), (-0.88, 2.2)],
+    )
     hip = (-0.52, 2.46, 1.34)
     parts += lined(cab, (-1.3, 1.6, 0.3), (1.3, 3.8, 2.65), roof_z=2.2, sides=[(side, -1), (side, 1)], front=screen)
-    parts += [*seat(*hip), *seat(-hip[0], *hip[1:]), dashboard(0.88, 3.02, 3.34, 1.36), *steering_wheel(hip, radius=0.22, tilt_deg=35), *driver(hip)]
+    parts += [
+        *seat(*hip),
+        *seat(-hip[0], *hip[1:]),
+        dashboard(0.88, 3.02, 3.34, 1.36),
+        *steering_wheel(hip, radius=0.22, tilt_deg=35),
+        *driver(hip),
+    ]
     for sign in (-1, 1):
         skin = cut_out(skin, parts, "glass_clear", (1, 2), side, 0, sign, 0.5)
         skin = cut_out(skin, parts, "seam", (1, 2), rect(2.0, 2.012, 0.7, 2.3), 0, sign, 0.5)
@@ -258,14 +534,21 @@ def build_lorry() -> Component:
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-2, 2, 0.3, 0.6), 1, 1, -2)
     skin = arches(skin, parts, (2.65,), 0.47, 0.75)
     parts += [skin, *wheels((-1.9, 2.65), 0.44, 0.98, 0.27, 8)]
-    parts += [soft_box((-1.15, -3.6, 0.95), (1.15, 1.65, 3.15), "frame_white", radius=0.05), box((-0.45, -3.5, 0.55), (0.45, 2.0, 0.95), "black_plastic")]
+    parts += [
+        soft_box((-1.15, -3.6, 0.95), (1.15, 1.65, 3.15), "frame_white", radius=0.05),
+        box((-0.45, -3.5, 0.55), (0.45, 2.0, 0.95), "black_plastic"),
+    ]
     parts += [box((-1.1, -3.55, 0.5), (1.1, -3.45, 0.65), "black_plastic")]
     for sign in (-1, 1):
         parts.append(side_picture(sign, 1.155, -3.1, 1.2, 1.75, 2.3, 1))
         parts += [box((sign * 1.05 - 0.03, -0.8, 0.5), (sign * 1.05 + 0.03, 1.9, 0.85), "black_plastic")]
     parts += [plate((0, 3.63, 0.55), 7, front=True), plate((0, -3.61, 0.72), 7, front=False)]
     lamps = headlights([(-0.80, 3.66, 0.77), (0.80, 3.66, 0.77)], "low_beam_halogen")
-    variants = {"paint": {"white": painted(PAINTS["white"]), "blue": painted(PAINTS["blue"])}, "lamps": lamp_states(lamps), "driver": DRIVERS}
+    variants = {
+        "paint": {"white": painted(PAINTS["white"]), "blue": painted(PAINTS["blue"])},
+        "lamps": lamp_states(lamps),
+        "driver": DRIVERS,
+    }
     return Component("lorry", "truck", cleaned(parts), "A box lorry, 7.2 m long.", variants)
 
 
@@ -276,32 +559,85 @@ def build_car(body: Body) -> Component:
     cabin = rounded(body.cabin, 3, 0.16)
     y0, y1 = -body.length / 2, body.length / 2
     c = body.plan_corner
-    plan = rounded([(-half * 0.80, y0), (half * 0.80, y0), (half * 0.97, y0 + c * 0.7), (half, 0.0), (half * 0.97, y1 - c * 1.1), (half * 0.74, y1 - 0.05),
-        (0.25, y1 + 0.01), (-0.25, y1 + 0.01), (-half * 0.74, y1 - 0.05), (-half * 0.97, y1 - c * 1.1), (-half, 0.0), (-half * 0.97, y0 + c * 0.7)], 3,
-        0.2)  # fmt: skip
+    plan = rounded(
+        [
+            (-half * 0.80, y0),
+            (half * 0.80, y0),
+            (half * 0.97, y0 + c * 0.7),
+            (half, 0.0),
+            (half * 0.97, y1 - c * 1.1),
+            (half * 0.74, y1 - 0.05),
+            (0.25, y1 + 0.01),
+            (-0.25, y1 + 0.01),
+            (-half * 0.74, y1 - 0.05),
+            (-half * 0.97, y1 - c * 1.1),
+            (-half, 0.0),
+            (-half * 0.97, y0 + c * 0.7),
+        ],
+        3,
+        0.2,
+    )
     sill, belt = min(z for _, z in body.side), body.belt
-    right = [(half * 0.90, sill - 0.05), (half * 0.985, sill + 0.12), (half, 0.55 * (sill + belt)), (half * 0.965, belt - 0.06), (half * 0.90, belt + 0.12)]
+    right = [
+        (half * 0.90, sill - 0.05),
+        (half * 0.985, sill + 0.12),
+        (half, 0.55 * (sill + belt)),
+        (half * 0.965, belt - 0.06),
+        (half * 0.90, belt + 0.12),
+    ]
     front = rounded([*right, *((-x, z) for x, z in reversed(right))], 2, 0.2)
     head = body.height
-    upright = [(half * 0.93, belt - 0.25), (half * 0.925, belt), (body.roof_half, head - 0.06), (body.roof_half * 0.75, head + 0.005)]
+    upright = [
+        (half * 0.93, belt - 0.25),
+        (half * 0.925, belt),
+        (body.roof_half, head - 0.06),
+        (body.roof_half * 0.75, head + 0.005),
+    ]
     cabin_front = rounded([*upright, *((-x, z) for x, z in reversed(upright))], 3, 0.14)
-    cabin_plan = rounded([(-half * 0.62, y0 + 0.05), (half * 0.62, y0 + 0.05), (half * 0.93, y0 + 0.75), (half * 0.95, 0.2), (half * 0.78, y1 - 0.55),
-        (-half * 0.78, y1 - 0.55), (-half * 0.95, 0.2), (-half * 0.93, y0 + 0.75)], 3, 0.2)  # fmt: skip
+    cabin_plan = rounded(
+        [
+            (-half * 0.62, y0 + 0.05),
+            (half * 0.62, y0 + 0.05),
+            (half * 0.93, y0 + 0.75),
+            (half * 0.95, 0.2),
+            (half * 0.78, y1 - 0.55),
+            (-half * 0.78, y1 - 0.55),
+            (-half * 0.95, 0.2),
+            (-half * 0.93, y0 + 0.75),
+        ],
+        3,
+        0.2,
+    )
     if body.upright:
         cabin_plan = plan
 
     def field_(x: Array, y: Array, z: Array) -> Array:
-        lower = soft_max(soft_max(outline_distance(side, y, z), outline_distance(plan, x, y), 0.14), outline_distance(front, x, z), 0.12)
+        lower = soft_max(
+            soft_max(outline_distance(side, y, z), outline_distance(plan, x, y), 0.14),
+            outline_distance(front, x, z),
+            0.12,
+        )
         crown = 0.035 * (x / half) ** 2  # bonnet, roof and screens are domed
-        upper = soft_max(soft_max(outline_distance(cabin, y, z) + crown, outline_distance(cabin_front, x, z), 0.09), outline_distance(cabin_plan, x, y), 0.10)
+        upper = soft_max(
+            soft_max(outline_distance(cabin, y, z) + crown, outline_distance(cabin_front, x, z), 0.09),
+            outline_distance(cabin_plan, x, y),
+            0.10,
+        )
         return soft_min(lower + 0.5 * crown, upper, 0.05)
 
     margin = 0.12
     skin = surface(
-        field_, (-half - margin, y0 - margin, sill - 0.2), (half + margin, y1 + margin, head + margin), step=0.042, triangles=body.triangles, material="paint"
+        field_,
+        (-half - margin, y0 - margin, sill - 0.2),
+        (half + margin, y1 + margin, head + margin),
+        step=0.042,
+        triangles=body.triangles,
+        material="paint",
     )
     parts: list[Part] = []
-    skin = arches(skin, parts, body.axles, body.wheel + 0.045, half * 0.62, lip="black_plastic" if body.cladding else "")
+    skin = arches(
+        skin, parts, body.axles, body.wheel + 0.045, half * 0.62, lip="black_plastic" if body.cladding else ""
+    )
     for sign in (-1, 1):
         for window in body.windows:
             skin = cut_out(skin, parts, "glass_clear", (1, 2), grown(window, -0.012), 0, sign, 0.35)
@@ -309,19 +645,31 @@ def build_car(body: Body) -> Component:
         for y, z0, z1 in body.seams:
             skin = cut_out(skin, parts, "seam", (1, 2), rect(y - 0.004, y + 0.004, z0, z1), 0, sign, 0.4)
         first, last = body.seams[0][0], body.seams[-1][0]
-        skin = cut_out(skin, parts, "seam", (1, 2), rect(last, first, body.seams[0][1], body.seams[0][1] + 0.008), 0, sign, 0.4)
+        skin = cut_out(
+            skin, parts, "seam", (1, 2), rect(last, first, body.seams[0][1], body.seams[0][1] + 0.008), 0, sign, 0.4
+        )
         for y, _, _ in body.seams[1:]:
             z = belt - 0.09
             parts.append(
-                soft_box((0, 0, 0), (0.20, 0.028, 0.022), "paint" if not body.cladding else "chrome", radius=0.01).moved(
-                    on_side(field_, sign, y + 0.06, z) @ shift(0, 0, -0.01)
-                )
+                soft_box(
+                    (0, 0, 0), (0.20, 0.028, 0.022), "paint" if not body.cladding else "chrome", radius=0.01
+                ).moved(on_side(field_, sign, y + 0.06, z) @ shift(0, 0, -0.01))
             )
         mirror_y = body.screen[0][0] - 0.32
         at = on_side(field_, sign, mirror_y, belt + 0.02)[:3, 3]
         shell = mirror(sign).moved(shift(at[0] + sign * 0.005, at[1], belt + 0.03))
-        parts += [shell, quad([(at[0] + sign * 0.05, at[1] - 0.062, belt + 0.055), (at[0] + sign * 0.205, at[1] - 0.058, belt + 0.055), (at[0] + sign * 0.205,
-            at[1] - 0.058, belt + 0.15), (at[0] + sign * 0.05, at[1] - 0.062, belt + 0.15)][:: sign], "chrome")]  # fmt: skip
+        parts += [
+            shell,
+            quad(
+                [
+                    (at[0] + sign * 0.05, at[1] - 0.062, belt + 0.055),
+                    (at[0] + sign * 0.205, at[1] - 0.058, belt + 0.055),
+                    (at[0] + sign * 0.205, at[1] - 0.058, belt + 0.15),
+                    (at[0] + sign * 0.05, at[1] - 0.062, belt + 0.15),
+                ][::sign],
+                "chrome",
+            ),
+        ]
     (_fy, fz), (_hy, hz) = body.screen
     skin = screen(skin, parts, fz + 0.005, hz - 0.03, half * 0.80, body.roof_half * 0.93, 1, body.upright)
     (_ry, rz), (_sy, sz) = body.rear
@@ -355,7 +703,9 @@ def build_car(body: Body) -> Component:
             (sign * half * 0.76, high),
             (sign * half * 0.62, high - 0.05),
         ]
-        skin = cut_out(skin, parts, "tail_lamp", (0, 2), convex(tail if sign > 0 else tail[::-1]), 1, -1, -9, -y0 - 0.27)
+        skin = cut_out(
+            skin, parts, "tail_lamp", (0, 2), convex(tail if sign > 0 else tail[::-1]), 1, -1, -9, -y0 - 0.27
+        )
         parts.append(lens_on(field_, sign * half * 0.76, (low + high) / 2, 0.055, "tail_lens", sign=-1))
     grille = [
         (-half * 0.40, z - 0.20),
@@ -366,10 +716,30 @@ def build_car(body: Body) -> Component:
         (-half * 0.47, z - 0.10),
     ]
     skin = cut_out(skin, parts, "gloss_black", (0, 2), grille, 1, 1, 0.3)
-    skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-half * 0.72, half * 0.72, sill + 0.07, sill + 0.22), 1, 1, 0.3)
+    skin = cut_out(
+        skin, parts, "black_plastic", (0, 2), rect(-half * 0.72, half * 0.72, sill + 0.07, sill + 0.22), 1, 1, 0.3
+    )
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-half * 0.78, half * 0.78, sill, sill + 0.17), 1, -1, 0.3)
-    skin = cut_out(skin, parts, "seam", (0, 2), rect(-half * 0.6, half * 0.6, body.tail[0] - 0.16, body.tail[0] - 0.152), 1, -1, 0.3)
-    skin = cut_out(skin, parts, "black_plastic", (1, 2), rect(y0 - 1, y1 + 1, 0, sill + (0.14 if body.cladding else 0.055)), 0, 0, -9)
+    skin = cut_out(
+        skin,
+        parts,
+        "seam",
+        (0, 2),
+        rect(-half * 0.6, half * 0.6, body.tail[0] - 0.16, body.tail[0] - 0.152),
+        1,
+        -1,
+        0.3,
+    )
+    skin = cut_out(
+        skin,
+        parts,
+        "black_plastic",
+        (1, 2),
+        rect(y0 - 1, y1 + 1, 0, sill + (0.14 if body.cladding else 0.055)),
+        0,
+        0,
+        -9,
+    )
     bar = np.array([front_at(field_, x, z - 0.05, 1) for x in np.linspace(-0.35, 0.35, 7)])
     for dz in (0.0, -0.055, -0.11):
         rail = np.c_[np.linspace(-0.35, 0.35, 7), bar + 0.004, np.full(7, z - 0.03 + dz)]
@@ -390,9 +760,25 @@ def build_car(body: Body) -> Component:
             rail = np.c_[np.full(9, sign * 0.53), ys, np.array(zs) + 0.035]
             rail[0, 2] -= 0.03
             rail[-1, 2] -= 0.03
-            parts.append(shaded(strip([rail + [dx, 0, dz] for dx, dz in ((-0.015, 0), (-0.012, 0.02), (0.012, 0.02), (0.015, 0), (-0.015, 0))], "chrome"), 50))
+            parts.append(
+                shaded(
+                    strip(
+                        [
+                            rail + [dx, 0, dz]
+                            for dx, dz in ((-0.015, 0), (-0.012, 0.02), (0.012, 0.02), (0.015, 0), (-0.015, 0))
+                        ],
+                        "chrome",
+                    ),
+                    50,
+                )
+            )
     y = front_at(field_, 0.0, sz + 0.005, -1)
-    third = [(-0.12, y - 0.006, sz - 0.004), (0.12, y - 0.006, sz - 0.004), (0.12, y - 0.006, sz + 0.014), (-0.12, y - 0.006, sz + 0.014)]
+    third = [
+        (-0.12, y - 0.006, sz - 0.004),
+        (0.12, y - 0.006, sz - 0.004),
+        (0.12, y - 0.006, sz + 0.014),
+        (-0.12, y - 0.006, sz + 0.014),
+    ]
     parts.append(quad(third, "brake_lens"))
     parts += _cabin(body, field_)
     parts += [skin, *wheels(body.axles, body.wheel, half - 0.065, 0.205, body.spokes)]
@@ -409,7 +795,10 @@ def _cabin(body: Body, field_: Field) -> list[Part]:
     half, belt = body.width / 2, body.belt
     (fy, fz), (_hy, hz) = body.screen
     (ry, rz), (_sy, sz) = body.rear
-    low, high = (-half - 0.1, -body.length / 2 - 0.1, min(z for _, z in body.side) - 0.1), (half + 0.1, fy + 0.12, body.height + 0.1)
+    low, high = (
+        (-half - 0.1, -body.length / 2 - 0.1, min(z for _, z in body.side) - 0.1),
+        (half + 0.1, fy + 0.12, body.height + 0.1),
+    )
     panels = list(lining(field_, low, high, step=0.07, triangles=500, roof_z=hz - 0.02))
     inner: list[Part] = []  # what is cut out of the lining is thrown away
     for k, panel in enumerate(panels):
@@ -417,12 +806,23 @@ def _cabin(body: Body, field_: Field) -> list[Part]:
             for window in body.windows:
                 panel = cut_out(panel, inner, "hole", (1, 2), grown(window, 0.004), 0, sign, 0.3)
         panel = screen(panel, inner, fz - 0.02, hz, half * 0.80, body.roof_half * 0.93, 1, body.upright)
-        panels[k] = screen(panel, inner, rz, sz, half * 0.66, body.roof_half * 0.82, -1, body.upright) if not body.upright else panel
+        panels[k] = (
+            screen(panel, inner, rz, sz, half * 0.66, body.roof_half * 0.82, -1, body.upright)
+            if not body.upright
+            else panel
+        )
     behind = min(y for y, _ in body.windows[0])  # the pillar behind the driver
     hip = belt - 0.42
     x = 0.42 * half
     at = (-x, behind + 0.27, hip)
-    parts = [*panels, *seat(*at), *seat(x, at[1], hip), dashboard(half * 0.80, at[1] + 0.44, fy - 0.02, belt - 0.03), *steering_wheel(at), *driver(at)]
+    parts = [
+        *panels,
+        *seat(*at),
+        *seat(x, at[1], hip),
+        dashboard(half * 0.80, at[1] + 0.44, fy - 0.02, belt - 0.03),
+        *steering_wheel(at),
+        *driver(at),
+    ]
     if len(body.windows) == 1:
         return [*parts, bulkhead(half * 0.86, behind - 0.16, hip - 0.3, hz)]
     if body.upright:
@@ -432,4 +832,8 @@ def _cabin(body: Body, field_: Field) -> list[Part]:
         return parts
     parts += seat(0.0, at[1] - 0.84, hip + 0.02, half=half * 0.62, heads=(-x, x), tall=0.52)
     shelf = at[1] - 1.22
-    return [*parts, box((-half * 0.66, ry + 0.07, rz - 0.045), (half * 0.66, shelf, rz - 0.03), "cabin_dark")] if ry + 0.2 < shelf else parts
+    return (
+        [*parts, box((-half * 0.66, ry + 0.07, rz - 0.045), (half * 0.66, shelf, rz - 0.03), "cabin_dark")]
+        if ry + 0.2 < shelf
+        else parts
+    )

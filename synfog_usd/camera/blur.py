@@ -88,7 +88,9 @@ def diffraction(
         return image.with_metadata(**facts)
     scale = max(1, math.ceil(float(wavelengths_nm.max()) * per_nm))
     blurs = [spread.aperture(float(wavelength_nm * per_nm), scale) for wavelength_nm in wavelengths_nm]
-    return image.with_pixels(spread.blurred(image.pixels, blurs)).with_metadata(mean_wavelengths_nm=[round(float(nm), 3) for nm in wavelengths_nm], **facts)
+    return image.with_pixels(spread.blurred(image.pixels, blurs)).with_metadata(
+        mean_wavelengths_nm=[round(float(nm), 3) for nm in wavelengths_nm], **facts
+    )
 
 
 @OPS.op("optics.defocus", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
@@ -145,8 +147,13 @@ def defocus(
     if change < UNSEEN:
         return image.with_metadata(**facts)
     if disc_px > DISC_MAX_PX:
-        raise ImageError(f"the blur disc is {disc_px:.0f} pixels wide; the widest is {DISC_MAX_PX:.0f}: bring focus_m nearer to distance_m, or raise f_number")
-    return image.with_pixels(spread.blurred(image.pixels, [spread.Blur(transfer, spread.disc(disc_px))] * len(image.channels))).with_metadata(**facts)
+        raise ImageError(
+            f"the blur disc is {disc_px:.0f} pixels wide; the widest is {DISC_MAX_PX:.0f}: bring focus_m nearer to "
+            f"distance_m, or raise f_number"
+        )
+    return image.with_pixels(
+        spread.blurred(image.pixels, [spread.Blur(transfer, spread.disc(disc_px))] * len(image.channels))
+    ).with_metadata(**facts)
 
 
 def blur_disc_um(focus_m: float, distance_m: float | None, *, f_number: float, focal_length_mm: float) -> float:
@@ -157,13 +164,17 @@ def blur_disc_um(focus_m: float, distance_m: float | None, *, f_number: float, f
     """
     f_m = focal_length_mm * 1e-3
     if focus_m <= f_m:
-        raise ImageError(f"a lens of {focal_length_mm:g} mm cannot focus at focus_m {focus_m:g}; it takes a distance beyond the focal length")
+        raise ImageError(
+            f"a lens of {focal_length_mm:g} mm cannot focus at focus_m {focus_m:g}; it takes a distance beyond the "
+            f"focal length"
+        )
     relative = 1.0 if distance_m is None else abs(distance_m - focus_m) / distance_m
     return f_m * f_m / (f_number * (focus_m - f_m)) * relative * 1e6
 
 
 def spectral_weights(sensor: SensorProfile, channels: tuple[str, ...]) -> Array:
-    """(C, 401) share of each wavelength of `photometry.WAVELENGTHS_NM` in the electrons of each channel, over all colour filters; rows sum to 1.
+    """(C, 401) share of each wavelength of `photometry.WAVELENGTHS_NM` in the electrons of each channel, over all
+    colour filters; rows sum to 1.
 
     A channel that makes none gets the photons of its own spectrum.
     """
@@ -196,7 +207,9 @@ class _Measured:
         channels = sorted({0, image.pixels.shape[2] // 2, image.pixels.shape[2] - 1})
         limits = [spread.highlight_limit(image.pixels[..., channel]) for channel in channels]
         middle = len(channels) // 2
-        top, left = _busiest(np.minimum(image.pixels[::4, ::4, channels[middle]], limits[middle]), image.pixels.shape[:2])
+        top, left = _busiest(
+            np.minimum(image.pixels[::4, ::4, channels[middle]], limits[middle]), image.pixels.shape[:2]
+        )
         crop = image.pixels[top : top + CROP_PX, left : left + CROP_PX]
         found = [_power(np.minimum(crop[..., channel], limit)) for channel, limit in zip(channels, limits, strict=True)]
         frequency = found[0][0]
@@ -222,7 +235,12 @@ class _Measured:
 def _chosen(image: Image, mode: str, q: float, measured: _Measured) -> str:
     if mode != "auto":
         return mode
-    if q <= 1.0 and measured.error("none") < UNSEEN and _contrast(image) * 0.134 * q < UNSEEN and not _has_points(image):
+    if (
+        q <= 1.0
+        and measured.error("none") < UNSEEN
+        and _contrast(image) * 0.134 * q < UNSEEN
+        and not _has_points(image)
+    ):
         return "none"
     if len(image.channels) > 3 and measured.error("broadband") <= BROADBAND_ERROR * measured.contrast:
         return "broadband"

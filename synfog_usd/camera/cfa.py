@@ -15,7 +15,9 @@ from synfog_usd.arrays import FloatArray
 
 Pattern = Literal["RGGB", "GRBG", "GBRG", "BGGR", "RCCB", "RCCC", "RGIB", "MONO"]
 
-PATTERNS: dict[str, tuple[str, ...]] = {name: (name[:2], name[2:]) for name in get_args(Pattern) if name != "MONO"} | {"MONO": ("C",)}
+PATTERNS: dict[str, tuple[str, ...]] = {name: (name[:2], name[2:]) for name in get_args(Pattern) if name != "MONO"} | {
+    "MONO": ("C",)
+}
 """Pattern -> its rows, a letter per pixel."""
 
 BAYER = ("RGGB", "GRBG", "GBRG", "BGGR")

@@ -198,7 +198,9 @@ def _smoothed(plane: FloatArray, level: int) -> FloatArray:
 
 
 def _padded(plane: FloatArray) -> FloatArray:
-    """(H + 6, W + 6): three pixels more on each side, those four further in: of the same filter, and no pixel its own neighbour."""
+    """(H + 6, W + 6): three pixels more on each side, those four further in: of the same filter, and no pixel its own
+    neighbour.
+    """
     for axis in (0, 1):
         size = plane.shape[axis]
         plane = np.take(plane, [1, 2, 3, *range(size), size - 4, size - 3, size - 2], axis=axis)
@@ -207,7 +209,9 @@ def _padded(plane: FloatArray) -> FloatArray:
 
 def _medians(padded: FloatArray, rows: np.ndarray, columns: np.ndarray) -> FloatArray:
     """(N,) median of the eight neighbours of the same filter; `padded` has three pixels more on each side."""
-    return np.asarray(np.median([padded[rows + down + 3, columns + right + 3] for down, right in RING], axis=0), dtype=np.float32)
+    return np.asarray(
+        np.median([padded[rows + down + 3, columns + right + 3] for down, right in RING], axis=0), dtype=np.float32
+    )
 
 
 def _variance(level: FloatArray, shot: float, dark: float) -> FloatArray:
@@ -223,6 +227,9 @@ def _noise_profile(image: Image) -> tuple[float, float]:
     if len(image.channels) != 1:
         raise ImageError(f"a mosaic has one channel; this image has {', '.join(image.channels)}")
     if "noise_profile" not in image.provenance:
-        raise ImageError("the image does not say its noise_profile; sensor.adc notes it. Put sensor.adc before this node, or add it to the image's provenance")
+        raise ImageError(
+            "the image does not say its noise_profile; sensor.adc notes it. Put sensor.adc before this node, or add it "
+            "to the image's provenance"
+        )
     shot, dark = image.provenance["noise_profile"]
     return float(shot), float(dark)

@@ -61,7 +61,9 @@ def demosaic(
         return image.with_pixels(_plane(image.pixels[..., 0], pattern, "C")[..., None], channels=("Y",))
     letters = cfa.filters(pattern)
     if pattern not in cfa.BAYER:
-        return image.with_pixels(np.stack([_plane(image.pixels[..., 0], pattern, letter) for letter in letters], axis=-1), channels=letters)
+        return image.with_pixels(
+            np.stack([_plane(image.pixels[..., 0], pattern, letter) for letter in letters], axis=-1), channels=letters
+        )
     if algorithm == "menon":
         pixels = _colour_demosaicing().demosaicing_CFA_Bayer_Menon2007(image.pixels[..., 0], pattern)
     elif algorithm == "directional":
@@ -70,18 +72,25 @@ def demosaic(
         import OpenImageIO
 
         name = {"linear": "linear", "mhc": "MHC"}[algorithm]
-        pixels = pixels_of(checked(OpenImageIO.ImageBufAlgo.demosaic(to_buf(image), pattern="bayer", algorithm=name, layout=pattern), "demosaic"))
+        pixels = pixels_of(
+            checked(
+                OpenImageIO.ImageBufAlgo.demosaic(to_buf(image), pattern="bayer", algorithm=name, layout=pattern),
+                "demosaic",
+            )
+        )
     return image.with_pixels(pixels, channels=letters).with_metadata(demosaic=algorithm)
 
 
 def _directional(mosaic: FloatArray, pattern: str) -> FloatArray:
-    """(H, W, 3) of a Bayer mosaic: colour differences along rows and along columns, the smoother of the two counting more.
+    """(H, W, 3) of a Bayer mosaic: colour differences along rows and along columns, the smoother of the two counting
+    more.
 
     Along a row of red and green, s (x - g(x)) with g the second-order interpolation of
     Hamilton and Adams and s = -1 at green sites is red - green at every site; so along
     columns.  With d_h and d_v how much these change within 5 x 5 sites, the difference at a red site is
     (d_v^2 h + d_h^2 v) / (d_v^2 + d_h^2): along an edge where there is one, the mean of both, and so
-    half the noise, where there is none.  Between its sites it is interpolated linearly, which leaves no colour of one pixel.
+    half the noise, where there is none.  Between its sites it is interpolated linearly, which leaves no colour of one
+    pixel.
 
     Source: interpolation: Hamilton and Adams, US patent 5 629 734 (1997); differences at all sites: Zhang and
     Wu, "Color demosaicking via directional linear minimum mean square-error estimation" (2005);
@@ -155,6 +164,8 @@ def _colour_demosaicing() -> Any:
     """The module `colour_demosaicing`; imported on the first call, without SciPy's remark on how it imports."""
     colour_science()
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*`scipy.ndimage.filters` namespace is deprecated", category=DeprecationWarning)
+        warnings.filterwarnings(
+            "ignore", message=".*`scipy.ndimage.filters` namespace is deprecated", category=DeprecationWarning
+        )
         import colour_demosaicing
     return colour_demosaicing

@@ -31,7 +31,10 @@ def load_graph(path: Path, *, registry: Registry = OPS) -> NodeGraph:
         ParameterError: a fault in a sensor or lens profile.
     """
     shipped = resources.folder("pipeline") / f"{path}.yaml"
-    return engine.load_graph(shipped if path.parent == Path() and not path.suffix and not path.exists() and shipped.is_file() else path, registry)
+    return engine.load_graph(
+        shipped if path.parent == Path() and not path.suffix and not path.exists() and shipped.is_file() else path,
+        registry,
+    )
 
 
 def field_of_view(image: Image, graph: NodeGraph, *, fov_x_deg: float | None = None) -> Image:
@@ -53,7 +56,10 @@ def field_of_view(image: Image, graph: NodeGraph, *, fov_x_deg: float | None = N
     lens, chip = graph.profiles.get("lens"), graph.profiles.get("sensor")
     if "fov_x_deg" in image.provenance or not isinstance(lens, LensProfile) or not isinstance(chip, SensorProfile):
         return image
-    return image.with_metadata(fov_x_deg=lens_fov_deg(lens, chip, image.width_px), fov_from="focal length of the lens, pitch and number of the pixels")
+    return image.with_metadata(
+        fov_x_deg=lens_fov_deg(lens, chip, image.width_px),
+        fov_from="focal length of the lens, pitch and number of the pixels",
+    )
 
 
 def lens_fov_deg(lens: LensProfile, chip: SensorProfile, width_px: int) -> float:
@@ -93,7 +99,15 @@ def develop(
     images = {name: field_of_view(image, graph) for name, image in images.items()}
     if exposure is None:
         exposure = metered(graph, images)
-    return graph.run(images, seed=seed, settings=exposure.settings if exposure else None, until=until, keep=keep, progress=progress, cache=cache)
+    return graph.run(
+        images,
+        seed=seed,
+        settings=exposure.settings if exposure else None,
+        until=until,
+        keep=keep,
+        progress=progress,
+        cache=cache,
+    )
 
 
 def metered(graph: NodeGraph, images: Mapping[str, Image]) -> Exposure | None:

@@ -41,7 +41,9 @@ DENSITY = 2
 
 SPREAD = (0.0782, 0.0712)
 """L L^T = 0.0782 I - 0.0712 J J^T, for 1/12 and 1/12: then a wave at the Nyquist frequency keeps sinc(1/2) of its
-contrast through rendered pixel, spline and taps, within 0.003 for J from 0.35 to 0.7, and slower ones sinc(f) within 0.005."""
+contrast through rendered pixel, spline and taps, within 0.003 for J from 0.35 to 0.7, and slower ones sinc(f) within
+0.005.
+"""
 
 DENSER = 1.05
 """The least density, in terms of the largest stretching: a rendered pixel stays smaller than one of the sensor."""
@@ -80,8 +82,8 @@ def distortion(
 
     A picture of the sensor's own size loses sharpness here: pixels that were averaged
     once are averaged again.  So a bake renders a wider and denser one (`to_render`), whose provenance says
-    which view is meant; four places of it are averaged for each pixel, so far apart that their spread and that of its own pixels
-    make that of a pixel of the sensor, however much the lens stretches there.
+    which view is meant; four places of it are averaged for each pixel, so far apart that their spread and that of its
+    own pixels make that of a pixel of the sensor, however much the lens stretches there.
 
     The provenance gets `distortion_coefficients`, and `camera_matrix_px` (fx, cx; fy,
     cy) of the warped picture: what OpenCV takes.
@@ -110,19 +112,28 @@ def distortion(
     rendered = Pinhole(image.height_px, image.width_px, fov_x_deg, (shift_x, shift_y))
     taken = Pinhole(int(view[0]), int(view[1]), view[2], (view[3], view[4])) if view else None
     warp = warp_of(rendered, tuple(coefficients), fit, taken)
-    facts: dict[str, Any] = {"distortion_coefficients": list(coefficients), "distortion_fit": fit, "camera_matrix_px": warp.camera_matrix()}
+    facts: dict[str, Any] = {
+        "distortion_coefficients": list(coefficients),
+        "distortion_fit": fit,
+        "camera_matrix_px": warp.camera_matrix(),
+    }
     if taken is not None:
         facts |= {"distortion_source": [image.height_px, image.width_px, fov_x_deg, shift_x, shift_y], "view": None}
         facts |= {"fov_x_deg": taken.fov_x_deg, "shift_x": taken.shift[0], "shift_y": taken.shift[1]}
     pixels = _resampled(image.pixels, warp.row, warp.column)
     if warp.taps:
-        pixels = sum((_resampled(image.pixels, warp.row + down, warp.column + right) for down, right in warp.taps), np.zeros_like(pixels))
+        pixels = sum(
+            (_resampled(image.pixels, warp.row + down, warp.column + right) for down, right in warp.taps),
+            np.zeros_like(pixels),
+        )
         pixels *= np.float32(1.0 / len(warp.taps))
     return image.with_pixels(pixels).with_metadata(**facts)
 
 
 class Pinhole(NamedTuple):
-    """A picture without distortion: its size, angle of view [degrees], and offset of the axis in widths and heights, right and up."""
+    """A picture without distortion: its size, angle of view [degrees], and offset of the axis in widths and heights,
+    right and up.
+    """
 
     height_px: int
     width_px: int
@@ -137,7 +148,9 @@ class Pinhole(NamedTuple):
     @property
     def axis_px(self) -> tuple[float, float]:
         """Column and row of the axis [px]."""
-        return (self.width_px - 1) / 2 + self.shift[0] * self.width_px, (self.height_px - 1) / 2 - self.shift[1] * self.height_px
+        return (self.width_px - 1) / 2 + self.shift[0] * self.width_px, (self.height_px - 1) / 2 - self.shift[
+            1
+        ] * self.height_px
 
 
 @dataclass(frozen=True)
@@ -170,7 +183,9 @@ class Warp:
 
 
 def source_of(facts: Mapping[str, Any], taken: Pinhole) -> Pinhole:
-    """The picture that was rendered for one that was `taken`: the same, unless the provenance `facts` tell of a wider one."""
+    """The picture that was rendered for one that was `taken`: the same, unless the provenance `facts` tell of a wider
+    one.
+    """
     if "distortion_source" not in facts:
         return taken
     height, width, fov_x_deg, *shift = facts["distortion_source"]
@@ -178,18 +193,26 @@ def source_of(facts: Mapping[str, Any], taken: Pinhole) -> Pinhole:
 
 
 def warped_like(plane: FloatArray, facts: Mapping[str, Any], taken: Pinhole) -> FloatArray:
-    """A smooth plane of the rendered picture, such as the falloff, where the provenance `facts` say that the one `taken` was warped."""
+    """A smooth plane of the rendered picture, such as the falloff, where the provenance `facts` say that the one
+    `taken` was warped.
+    """
     if "distortion_coefficients" not in facts:
         return plane
     from scipy.ndimage import map_coordinates
 
     source = source_of(facts, taken)
-    warp = warp_of(source, tuple(facts["distortion_coefficients"]), facts["distortion_fit"], taken if "distortion_source" in facts else None)
+    warp = warp_of(
+        source,
+        tuple(facts["distortion_coefficients"]),
+        facts["distortion_fit"],
+        taken if "distortion_source" in facts else None,
+    )
     return np.asarray(map_coordinates(plane, [warp.row, warp.column], order=1, mode="nearest"))
 
 
 def to_render(graph: NodeGraph, taken: Pinhole) -> Pinhole | None:
-    """What has to be rendered for a camera whose graph distorts: all that its pixels see, `DENSITY` pixels for each, each way; None where nothing is bent.
+    """What has to be rendered for a camera whose graph distorts: all that its pixels see, `DENSITY` pixels for each,
+    each way; None where nothing is bent.
 
     Raises:
         GraphError: several distortion nodes.
@@ -202,7 +225,9 @@ def to_render(graph: NodeGraph, taken: Pinhole) -> Pinhole | None:
     columns, rows = np.linspace(-1.0, taken.width_px, 257), np.linspace(-1.0, taken.height_px, 257)
     border_x = np.concatenate([columns, columns, np.full(257, -1.0), np.full(257, taken.width_px)])
     border_y = np.concatenate([np.full(257, -1.0), np.full(257, taken.height_px), rows, rows])
-    bent = _undistorted((border_x - middle[0]) / focal_px, (border_y - middle[1]) / focal_px, tuple(node.params["coefficients"].value))
+    bent = _undistorted(
+        (border_x - middle[0]) / focal_px, (border_y - middle[1]) / focal_px, tuple(node.params["coefficients"].value)
+    )
     _, _, determinant, (xx, xy, yx, yy) = _distorted(*bent, tuple(node.params["coefficients"].value))
     squares = xx**2 + xy**2 + yx**2 + yy**2
     stretched = float(np.sqrt(0.5 * (squares + np.sqrt(np.maximum(squares**2 - 4.0 * determinant**2, 0.0)))).max())
@@ -217,7 +242,8 @@ def to_render(graph: NodeGraph, taken: Pinhole) -> Pinhole | None:
 
 
 def of_graph(graph: NodeGraph, rendered: Pinhole, taken: Pinhole | None = None) -> tuple[str, Warp] | None:
-    """Name and warp of a graph's distortion node for the pinhole picture that it will get; None where it has none, or a lens without distortion.
+    """Name and warp of a graph's distortion node for the pinhole picture that it will get; None where it has none, or a
+    lens without distortion.
 
     Args:
         graph: of camera ops.
@@ -245,7 +271,9 @@ def _node(graph: NodeGraph) -> Node | None:
     if not nodes:
         return None
     if len(nodes) > 1:
-        raise GraphError(f"{nodes[1].place}: graph {graph.name!r} has {len(nodes)} optics.distortion nodes; labels can follow one")
+        raise GraphError(
+            f"{nodes[1].place}: graph {graph.name!r} has {len(nodes)} optics.distortion nodes; labels can follow one"
+        )
     return nodes[0] if nodes[0].params["coefficients"].value else None
 
 
@@ -253,12 +281,18 @@ def _node(graph: NodeGraph) -> Node | None:
 def warp_of(rendered: Pinhole, coefficients: tuple[float, ...], fit: Fit, taken: Pinhole | None = None) -> Warp:
     """The map of a picture; arguments and errors as in `distortion`."""
     if len(coefficients) not in (4, 5, 8):
-        raise ImageError(f"{len(coefficients)} distortion coefficients; it takes k1, k2, p1, p2, then k3, then k4, k5, k6: 4, 5 or 8 of them")
+        raise ImageError(
+            f"{len(coefficients)} distortion coefficients; it takes k1, k2, p1, p2, then k3, then k4, k5, k6: 4, 5 or "
+            f"8 of them"
+        )
     height, width, focal_px, centre = rendered.height_px, rendered.width_px, rendered.focal_px, rendered.axis_px
     left, right = (0.0, width - 1.0) if width > 1 else (-0.5, 0.5)
     top, bottom = (0.0, height - 1.0) if height > 1 else (-0.5, 0.5)
     if not (left < centre[0] < right and top < centre[1] < bottom):
-        raise ImageError(f"the axis is at column {centre[0]:.0f}, row {centre[1]:.0f}, outside the picture of {width} x {height}; distortion needs it inside")
+        raise ImageError(
+            f"the axis is at column {centre[0]:.0f}, row {centre[1]:.0f}, outside the picture of {width} x {height}; "
+            f"distortion needs it inside"
+        )
     if taken is not None:
         return _viewed(taken, rendered, coefficients)
     columns, rows = (np.linspace(-0.5, length - 0.5, max(9, length // STEP_PX + 2)) for length in (width, height))
@@ -266,15 +300,23 @@ def warp_of(rendered: Pinhole, coefficients: tuple[float, ...], fit: Fit, taken:
     determinant = _distorted(x, y, coefficients)[2]
     if (determinant <= 0.0).any():
         angle = math.degrees(math.atan(float(np.hypot(x, y)[determinant <= 0.0].min())))
-        raise ImageError(f"the distortion coefficients fold the picture over from {angle:.0f} degrees off the axis on; render a narrower view")
+        raise ImageError(
+            f"the distortion coefficients fold the picture over from {angle:.0f} degrees off the axis on; render a "
+            f"narrower view"
+        )
     frame = np.array([left - centre[0], right - centre[0], top - centre[1], bottom - centre[1]]) / focal_px
     new_focal_px = focal_px * (_scale_inside(frame, coefficients) if fit == "inside" else 1.0)
     x, y = _undistorted(x * (focal_px / new_focal_px), y * (focal_px / new_focal_px), coefficients)
     fine = _spline(rows, height), _spline(columns, width)
-    column, row = (fine[0] @ (plane * focal_px + middle) @ fine[1].T for plane, middle in zip((x, y), centre, strict=True))
+    column, row = (
+        fine[0] @ (plane * focal_px + middle) @ fine[1].T for plane, middle in zip((x, y), centre, strict=True)
+    )
     outside = (np.minimum(column - left, right - column) < -0.01) | (np.minimum(row - top, bottom - row) < -0.01)
     if outside.any():
-        raise ImageError(f"{outside.mean():.1%} of the pixels look outside the rendered picture; set fit: inside, or render a wider view")
+        raise ImageError(
+            f"{outside.mean():.1%} of the pixels look outside the rendered picture; set fit: inside, or render a wider "
+            f"view"
+        )
     row, column = np.clip(row, 0.0, height - 1.0), np.clip(column, 0.0, width - 1.0)
     return Warp(row.astype(np.float32), column.astype(np.float32), coefficients, new_focal_px, centre)
 
@@ -288,7 +330,9 @@ def _viewed(taken: Pinhole, rendered: Pinhole, coefficients: tuple[float, ...]) 
     """
     focal_px, taken_px, centre, middle = rendered.focal_px, taken.focal_px, rendered.axis_px, taken.axis_px
     density = focal_px / taken_px
-    columns, rows = (np.linspace(-0.5, length - 0.5, max(33, length // STEP_PX + 2)) for length in (taken.width_px, taken.height_px))
+    columns, rows = (
+        np.linspace(-0.5, length - 0.5, max(33, length // STEP_PX + 2)) for length in (taken.width_px, taken.height_px)
+    )
     x, y = _undistorted(*np.meshgrid((columns - middle[0]) / taken_px, (rows - middle[1]) / taken_px), coefficients)
     _, _, determinant, (xx, xy, yx, yy) = _distorted(x, y, coefficients)
     if (determinant <= 0.0).any():
@@ -297,21 +341,31 @@ def _viewed(taken: Pinhole, rendered: Pinhole, coefficients: tuple[float, ...]) 
     a, b, d = whole - part * (xx**2 + xy**2), -part * (xx * yx + xy * yy), whole - part * (yx**2 + yy**2)
     root = np.sqrt(np.maximum(a * d - b * b, 0.0))
     if not ((root > 0.0) & (a > 0.0)).all():
-        raise ImageError(f"a picture of {density:.2g} pixels for each of the sensor's is too coarse for this lens; render it denser")
+        raise ImageError(
+            f"a picture of {density:.2g} pixels for each of the sensor's is too coarse for this lens; render it denser"
+        )
     scale = 1.0 / np.sqrt(a + d + 2.0 * root)
     first, both, last = (a + root) * scale, b * scale, (d + root) * scale  # L: the square root of that matrix
     back = density / determinant
     right = back * (yy * first - xy * both), back * (yy * both - xy * last)
     down = back * (xx * both - yx * first), back * (xx * last - yx * both)
     fine = _spline(rows, taken.height_px), _spline(columns, taken.width_px)
-    column, row, *steps = (fine[0] @ plane @ fine[1].T for plane in (x * focal_px + centre[0], y * focal_px + centre[1], *right, *down))
+    column, row, *steps = (
+        fine[0] @ plane @ fine[1].T for plane in (x * focal_px + centre[0], y * focal_px + centre[1], *right, *down)
+    )
     if min(column.min(), row.min(), rendered.width_px - 1 - column.max(), rendered.height_px - 1 - row.max()) < -0.01:
         raise ImageError("pixels look outside the rendered picture; render a wider view")
-    taps = tuple((np.asarray(s * steps[2] + t * steps[3], np.float32), np.asarray(s * steps[0] + t * steps[1], np.float32)) for s in (-1, 1) for t in (-1, 1))
+    taps = tuple(
+        (np.asarray(s * steps[2] + t * steps[3], np.float32), np.asarray(s * steps[0] + t * steps[1], np.float32))
+        for s in (-1, 1)
+        for t in (-1, 1)
+    )
     return Warp(row.astype(np.float32), column.astype(np.float32), coefficients, taken_px, middle, taps)
 
 
-def _distorted(x: Array, y: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array, Array, tuple[Array, Array, Array, Array]]:
+def _distorted(
+    x: Array, y: Array, coefficients: tuple[float, ...]
+) -> tuple[Array, Array, Array, tuple[Array, Array, Array, Array]]:
     """x', y', the determinant of their derivatives, and those: dx'/dx, dx'/dy, dy'/dx, dy'/dy."""
     k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, 0.0, 0.0, 0.0, 0.0)[:8]
     r2 = x * x + y * y
@@ -338,7 +392,9 @@ def _undistorted(x_wanted: Array, y_wanted: Array, coefficients: tuple[float, ..
             if max(np.abs(miss_x).max(), np.abs(miss_y).max()) < 1e-12:
                 return x, y
             x, y = x + (yy * miss_x - xy * miss_y) / determinant, y + (xx * miss_y - yx * miss_x) / determinant
-    raise ImageError("the distortion coefficients cannot be inverted at every pixel; render a narrower view, or set fit: inside")
+    raise ImageError(
+        "the distortion coefficients cannot be inverted at every pixel; render a narrower view, or set fit: inside"
+    )
 
 
 def _scale_inside(frame: Array, coefficients: tuple[float, ...]) -> float:
@@ -379,13 +435,19 @@ def _resampled(pixels: FloatArray, row: FloatArray, column: FloatArray) -> Float
 
 
 def _split(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-    """Three flat planes, padded: what does not exceed the limit of highlights, its spline coefficients, and the lamps that do, or None."""
+    """Three flat planes, padded: what does not exceed the limit of highlights, its spline coefficients, and the lamps
+    that do, or None.
+    """
     from scipy.ndimage import spline_filter
 
     limit = highlight_limit(plane)
     flat = np.minimum(plane, limit)
     lamps = np.pad(plane - flat, PAD).ravel() if float(plane.max()) > limit else None
-    return np.pad(flat, PAD, mode="edge").ravel(), np.pad(spline_filter(flat, mode="mirror", output=np.float32), PAD, mode="reflect").ravel(), lamps
+    return (
+        np.pad(flat, PAD, mode="edge").ravel(),
+        np.pad(spline_filter(flat, mode="mirror", output=np.float32), PAD, mode="reflect").ravel(),
+        lamps,
+    )
 
 
 @dataclass(frozen=True)
@@ -422,7 +484,9 @@ def _cubic(t: FloatArray) -> tuple[FloatArray, ...]:
 
 
 def _read(planes: tuple[FloatArray, FloatArray, FloatArray | None], taps: _Taps) -> FloatArray:
-    """A spline through the pixels, kept between 0.9 of the least and 1.1 of the greatest of the nearest four; lamps on straight lines."""
+    """A spline through the pixels, kept between 0.9 of the least and 1.1 of the greatest of the nearest four; lamps on
+    straight lines.
+    """
     flat, coefficients, lamps = planes
 
     def tap(plane: FloatArray, y: int, x: int) -> FloatArray:

@@ -95,12 +95,22 @@ def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) ->
     sensor = graph.profiles.get("sensor")
     inputs = [name for name, port in graph.inputs.items() if port.quantity is Quantity.RADIANCE]
     if not nodes or not isinstance(sensor, SensorProfile) or len(inputs) != 1:
-        raise GraphError(f"graph {graph.name!r} cannot be metered: it needs a sensor.expose node, a sensor and one radiance input; give exposure_s a number")
-    small = np.repeat(np.repeat(block_means(radiance.pixels, max(1, -(-radiance.width_px // METER_WIDTH_PX))), 2, axis=0), 2, axis=1)
+        raise GraphError(
+            f"graph {graph.name!r} cannot be metered: it needs a sensor.expose node, a sensor and one radiance input; "
+            f"give exposure_s a number"
+        )
+    small = np.repeat(
+        np.repeat(block_means(radiance.pixels, max(1, -(-radiance.width_px // METER_WIDTH_PX))), 2, axis=0), 2, axis=1
+    )
     frame = radiance.with_pixels(small)
     sharp = graph.without([node.name for op in BLURS for node in graph.nodes_with(op)])
     a_second = {f"{node.name}.exposure_s": 1.0 for node in nodes}
-    seen = {node.name: sharp.run({inputs[0]: frame}, seed=0, overrides=a_second, until=node.name, keep=[node.name])[node.name] for node in nodes}
+    seen = {
+        node.name: sharp.run({inputs[0]: frame}, seed=0, overrides=a_second, until=node.name, keep=[node.name])[
+            node.name
+        ]
+        for node in nodes
+    }
     chosen = max(nodes, key=lambda node: float(seen[node.name].pixels.mean(dtype=np.float64)))
     own_e, merged_e = _saturation_e(sharp, inputs[0], radiance, sensor)
     sites = _sites(seen[chosen.name])
@@ -109,7 +119,15 @@ def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) ->
     fixed_s = None if chosen.params["exposure_s"].is_auto else float(chosen.params["exposure_s"].value)
     gains = graph.nodes_with("sensor.gain")
     fixed_iso = float(gains[0].params["iso"].value) if gains and not gains[0].params["iso"].is_auto else None
-    return _chosen(green, strongest, photometry.luminance(frame)[::2, ::2].ravel().astype(np.float64), sensor, 2.0**compensation_ev, fixed_s, fixed_iso)
+    return _chosen(
+        green,
+        strongest,
+        photometry.luminance(frame)[::2, ::2].ravel().astype(np.float64),
+        sensor,
+        2.0**compensation_ev,
+        fixed_s,
+        fixed_iso,
+    )
 
 
 def sensitivity(radiance: Image, graph: NodeGraph, exposure: Exposure) -> tuple[float, float] | None:
@@ -122,8 +140,8 @@ def sensitivity(radiance: Image, graph: NodeGraph, exposure: Exposure) -> tuple[
         exposure: that it will be developed with.
 
     Returns:
-        electrons of 1 cd m-2 in the middle of the frame [e-], the mean over the colour filters, and the noise that does not depend
-        on light [e-]; None where the graph has no such node.
+        electrons of 1 cd m-2 in the middle of the frame [e-], the mean over the colour filters, and the noise that does
+        not depend on light [e-]; None where the graph has no such node.
     """
     nodes = graph.nodes_with("sensor.merge_hdr")[-1:] or graph.nodes_with("sensor.adc")
     exposes = [node.name for node in graph.nodes_with("sensor.expose")]
@@ -132,13 +150,21 @@ def sensitivity(radiance: Image, graph: NodeGraph, exposure: Exposure) -> tuple[
         return None
     level = np.float32(0.3 * exposure.mean_cd_m2)
     grey = radiance.with_pixels(np.full((32, 48, len(radiance.channels)), level, dtype=np.float32))
-    run = graph.run({inputs[0]: grey}, seed=0, settings=exposure.settings, until=nodes[0].name, keep=[*exposes, nodes[0].name])
+    run = graph.run(
+        {inputs[0]: grey}, seed=0, settings=exposure.settings, until=nodes[0].name, keep=[*exposes, nodes[0].name]
+    )
     signal_e = max(float(run[name].pixels[8:-8, 12:-12].mean(dtype=np.float64)) for name in exposes if name in run)
     facts, nits = run[nodes[0].name].provenance, float(photometry.luminance(grey).mean())
-    return (signal_e / nits, float(facts["total_dark_noise_dn"]) / float(facts["system_gain_dn_e"])) if signal_e > 0.0 else None
+    return (
+        (signal_e / nits, float(facts["total_dark_noise_dn"]) / float(facts["system_gain_dn_e"]))
+        if signal_e > 0.0
+        else None
+    )
 
 
-def noise_floor(luminance_cd_m2: npt.NDArray[np.float64], *, electrons_per_cd_m2: float, dark_noise_e: float) -> npt.NDArray[np.float64]:
+def noise_floor(
+    luminance_cd_m2: npt.NDArray[np.float64], *, electrons_per_cd_m2: float, dark_noise_e: float
+) -> npt.NDArray[np.float64]:
     """What a pixel's own noise hides: the standard deviation of what it reads, as luminance.
 
     sigma = sqrt(n L + sigma_d^2) / n, of shot noise and the noise in the dark.  Fixed
@@ -163,7 +189,10 @@ def _sites(mosaic: Image) -> dict[str, npt.NDArray[np.float64]]:
     """The pixels behind each filter of a mosaic that is even over 2 x 2 pixels, one of each two by two."""
     rows = cfa.PATTERNS[mosaic.provenance["cfa_pattern"]]
     corners = ((row, column) for row in (1, 0) for column in (0, 1))
-    return {rows[row % len(rows)][column % len(rows[0])]: mosaic.pixels[row::2, column::2, 0].astype(np.float64).ravel() for row, column in corners}
+    return {
+        rows[row % len(rows)][column % len(rows[0])]: mosaic.pixels[row::2, column::2, 0].astype(np.float64).ravel()
+        for row, column in corners
+    }
 
 
 def _saturation_e(graph: NodeGraph, name: str, radiance: Image, sensor: SensorProfile) -> tuple[float, float]:
@@ -208,7 +237,9 @@ def _chosen(
     exposure_s = fixed_s or min(max(wanted_s / at_iso, sensor.shortest_exposure_s), sensor.longest_exposure_s)
     iso = fixed_iso or min(max(sensor.iso_base * (wanted_s / exposure_s), sensor.iso_base), sensor.iso_max)
     reached_s = exposure_s * iso / sensor.iso_base
-    limit: Literal["none", "bright", "dark"] = "bright" if reached_s > wanted_s * (1.0 + 1e-9) else "dark" if reached_s < wanted_s * (1.0 - 1e-9) else "none"
+    limit: Literal["none", "bright", "dark"] = (
+        "bright" if reached_s > wanted_s * (1.0 + 1e-9) else "dark" if reached_s < wanted_s * (1.0 - 1e-9) else "none"
+    )
     return Exposure(exposure_s, iso, mean_cd_m2, limit)
 
 

@@ -73,11 +73,15 @@ def glare(
     kernel[np.abs(y) > reach_y, :] = 0.0
     kernel[:, np.abs(x) > reach_x] = 0.0
     transfer = fft.rfft2(kernel / kernel.sum())[..., None]
-    scattered = fft.irfft2(fft.rfft2(padded, axes=(0, 1), workers=THREADS) * transfer, s=padded.shape[:2], axes=(0, 1), workers=THREADS)
+    scattered = fft.irfft2(
+        fft.rfft2(padded, axes=(0, 1), workers=THREADS) * transfer, s=padded.shape[:2], axes=(0, 1), workers=THREADS
+    )
     scattered = np.maximum(scattered[reach_y : reach_y + height, reach_x : reach_x + width], 0.0).astype(np.float32)
     pixels = image.pixels * np.float32(1.0 - fraction)
     for channel in range(pixels.shape[2]):
-        pixels[..., channel] += _enlarged(np.float32(fraction) * scattered[..., channel], image.height_px, image.width_px, block)
+        pixels[..., channel] += _enlarged(
+            np.float32(fraction) * scattered[..., channel], image.height_px, image.width_px, block
+        )
     return image.with_pixels(pixels).with_metadata(glare_fraction=fraction)
 
 
@@ -130,7 +134,10 @@ def flare(
     """
     ghosts = tuple(ghosts or ())
     if blades in (1, 2) or len(ghosts) > len(GHOSTS):
-        raise ImageError(f"{blades} blades and {len(ghosts)} ghosts; blades is 0 (round) or from 3 on, and there are up to {len(GHOSTS)} ghosts")
+        raise ImageError(
+            f"{blades} blades and {len(ghosts)} ghosts; blades is 0 (round) or from 3 on, and there are up to "
+            f"{len(GHOSTS)} ghosts"
+        )
     per_nm = 1e-3 * f_number / pixel_pitch_um
     wavelengths_nm = _wavelengths_nm(blur.spectral_weights(sensor, image.channels))
     pixels, given = image.pixels.copy(), []
@@ -148,10 +155,15 @@ def flare(
             given.append(float(f"{part:.4g}"))
             pixels[..., channel] += _starry(lamps, star * np.float32(part / star.sum()))
         if sum(ghosts):
-            axis = ((image.height_px - 1) / 2 - shift_y * image.height_px, (image.width_px - 1) / 2 + shift_x * image.width_px)
+            axis = (
+                (image.height_px - 1) / 2 - shift_y * image.height_px,
+                (image.width_px - 1) / 2 + shift_x * image.width_px,
+            )
             pixels[..., channel] += _ghosts(lamps, ghosts, axis, blades, rotation_deg)
         pixels[..., channel] -= np.float32(lost) * lamps
-    return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).with_metadata(flare_fractions=given, ghost_fractions=list(ghosts))
+    return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).with_metadata(
+        flare_fractions=given, ghost_fractions=list(ghosts)
+    )
 
 
 def _wavelengths_nm(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -174,7 +186,9 @@ def _starry(lamps: FloatArray, star: FloatArray) -> FloatArray:
 
 @functools.lru_cache(maxsize=32)
 def _star(blades: int, rotation_deg: float, qs: tuple[float, ...]) -> FloatArray:
-    """(2 R + 1, 2 R + 1) what a polygon's pattern has more than a circle's, as parts of a point's light; mean of several lambda N / pitch."""
+    """(2 R + 1, 2 R + 1) what a polygon's pattern has more than a circle's, as parts of a point's light; mean of
+    several lambda N / pitch.
+    """
     samples = min(PUPIL, 2 * math.ceil(STAR_PX / min(qs)))
     reach = max(2, min(STAR_PX, int(samples * min(qs) / 2)))
     edges = np.arange(-reach, reach + 2) - 0.5
@@ -183,7 +197,11 @@ def _star(blades: int, rotation_deg: float, qs: tuple[float, ...]) -> FloatArray
     table = _summed_pattern(blades, rotation_deg, samples)
     for q in qs:
         place = np.clip(edges / (q / 2.0) + samples + 0.5, 0.0, 2.0 * samples)
-        total += np.maximum(np.diff(np.diff(_between(_between(table, place).T, place).T, axis=0), axis=1) - spread.disc_weights(q, radius), 0.0)
+        total += np.maximum(
+            np.diff(np.diff(_between(_between(table, place).T, place).T, axis=0), axis=1)
+            - spread.disc_weights(q, radius),
+            0.0,
+        )
     fade = np.clip(2.0 - 2.0 * radius / reach, 0.0, 1.0)
     return np.asarray(total / len(qs) * fade * fade * (3.0 - 2.0 * fade), dtype=np.float32)
 
@@ -197,19 +215,27 @@ def _between(table: npt.NDArray[np.float64], place: npt.NDArray[np.float64]) -> 
 
 @functools.lru_cache(maxsize=2)
 def _summed_pattern(blades: int, rotation_deg: float, samples: int) -> npt.NDArray[np.float64]:
-    """(2 S + 1, 2 S + 1) sums of a polygon's far field up to each edge between its samples, which are lambda N / 2 wide; 1 in all."""
+    """(2 S + 1, 2 S + 1) sums of a polygon's far field up to each edge between its samples, which are lambda N / 2
+    wide; 1 in all.
+    """
     from scipy import fft
 
     f = np.fft.fftfreq(2 * samples).astype(np.float32)
     edges = np.sinc(np.hypot(f[:, None], f[None, :]))  # what averaging the aperture's edges over a sample took away
     pattern = np.abs(fft.fft2(aperture(blades, rotation_deg, samples, 2 * samples), workers=THREADS) / edges) ** 2
     sums = np.zeros((2 * samples + 1, 2 * samples + 1))
-    np.cumsum(np.cumsum(fft.fftshift(pattern / pattern.sum(dtype=np.float64)), axis=0, dtype=np.float64), axis=1, out=sums[1:, 1:])
+    np.cumsum(
+        np.cumsum(fft.fftshift(pattern / pattern.sum(dtype=np.float64)), axis=0, dtype=np.float64),
+        axis=1,
+        out=sums[1:, 1:],
+    )
     return sums
 
 
 def aperture(blades: int, rotation_deg: float, diameter: float, size: int) -> FloatArray:
-    """(size, size) coverage, 0 to 1, of a regular polygon, or a circle where `blades` is 0, of the area of a circle of `diameter` samples."""
+    """(size, size) coverage, 0 to 1, of a regular polygon, or a circle where `blades` is 0, of the area of a circle of
+    `diameter` samples.
+    """
     middle = np.arange(size) - size // 2
     y, x = -middle[:, None], middle[None, :]
     if not blades:
@@ -220,13 +246,22 @@ def aperture(blades: int, rotation_deg: float, diameter: float, size: int) -> Fl
     return np.clip(inscribed - outside + 0.5, 0.0, 1.0).astype(np.float32)
 
 
-def _ghosts(lamps: FloatArray, fractions: tuple[float, ...], axis: tuple[float, float], blades: int, rotation_deg: float) -> FloatArray:
+def _ghosts(
+    lamps: FloatArray, fractions: tuple[float, ...], axis: tuple[float, float], blades: int, rotation_deg: float
+) -> FloatArray:
     """(H, W) light of the ghosts, on blocks of 1/480 of the width; `axis` is (row, column)."""
     from scipy import fft
 
     height, width = lamps.shape
     block = max(1, round(width / 480))
-    light = np.add.reduceat(np.add.reduceat(lamps, np.arange(0, height, block), axis=0, dtype=np.float64), np.arange(0, width, block), axis=1) / block**2
+    light = (
+        np.add.reduceat(
+            np.add.reduceat(lamps, np.arange(0, height, block), axis=0, dtype=np.float64),
+            np.arange(0, width, block),
+            axis=1,
+        )
+        / block**2
+    )
     rows, columns = np.nonzero(light)
     amounts = light[rows, columns]
     total = np.zeros(light.shape)
@@ -234,7 +269,10 @@ def _ghosts(lamps: FloatArray, fractions: tuple[float, ...], axis: tuple[float, 
         disc_blocks = max(1.0, diameter * width / block)
         edge = math.ceil(disc_blocks) + 2
         spread = np.zeros(tuple(fft.next_fast_len(length + 2 * edge, real=True) for length in light.shape))
-        at = [(index * block + (block - 1) / 2 - middle) * place + middle for index, middle in zip((rows, columns), axis, strict=True)]
+        at = [
+            (index * block + (block - 1) / 2 - middle) * place + middle
+            for index, middle in zip((rows, columns), axis, strict=True)
+        ]
         row, column = ((value - (block - 1) / 2) / block + edge for value in at)
         low_row, low_column = np.floor(row).astype(int), np.floor(column).astype(int)
         for next_row in (0, 1):

@@ -51,14 +51,17 @@ def merge_hdr(
     readings = sorted(images, key=_dn_per_light, reverse=True)
     first = readings[0]
     for other in readings[1:]:
-        if other.pixels.shape != first.pixels.shape or other.provenance.get("cfa_pattern") != first.provenance.get("cfa_pattern"):
+        if other.pixels.shape != first.pixels.shape or other.provenance.get("cfa_pattern") != first.provenance.get(
+            "cfa_pattern"
+        ):
             raise ImageError(f"readings of {_what(first)} and {_what(other)} cannot be merged")
     ratios = [_dn_per_light(first) / _dn_per_light(reading) for reading in readings]
     tops = [_top_dn(reading) for reading in readings]
     for index in range(1, len(readings)):
         if not tops[index] * ratios[index] > tops[index - 1] * ratios[index - 1]:
             raise ImageError(
-                f"reading {index + 1} by sensitivity ends at {tops[index] * ratios[index]:.0f} DN of the first, not above the one before "
+                f"reading {index + 1} by sensitivity ends at {tops[index] * ratios[index]:.0f} DN of the first, not "
+                f"above the one before "
                 f"({tops[index - 1] * ratios[index - 1]:.0f}); lower its factor, exposure_ratio or fill_factor"
             )
     merged = _signal(readings[-1]) * np.float32(ratios[-1])
@@ -73,7 +76,9 @@ def merge_hdr(
     black = int(facts["black_level_dn"])
     white = black + round(tops[-1] * ratios[-1])
     if white.bit_length() > MAX_BITS:
-        raise ImageError(f"the merged range ends at {white} DN, which needs {white.bit_length()} bits; {MAX_BITS} is the most")
+        raise ImageError(
+            f"the merged range ends at {white} DN, which needs {white.bit_length()} bits; {MAX_BITS} is the most"
+        )
     merged += np.float32(black)
     np.clip(np.rint(merged, out=merged), 0.0, np.float32(white), out=merged)
     shrunk = (float(facts["white_level_dn"]) - black) / (white - black)
@@ -116,15 +121,23 @@ def compand(
         raise ImageError("the numbers are companded already")
     black, white, highest = int(facts["black_level_dn"]), int(facts["white_level_dn"]), 2**bits - 1
     if len(linear_dn) != len(code_dn):
-        raise ImageError(f"linear_dn has {len(linear_dn)} numbers and code_dn {len(code_dn)}; a knee point is one of each")
+        raise ImageError(
+            f"linear_dn has {len(linear_dn)} numbers and code_dn {len(code_dn)}; a knee point is one of each"
+        )
     linear, codes = np.array([0.0, *linear_dn, white]), np.array([0.0, *code_dn, highest])
     slopes = np.diff(codes) / np.diff(linear) if (np.diff(linear) > 0.0).all() else np.array([-1.0])
     if not ((slopes > 0.0) & (slopes <= 1.0)).all():
         points = ", ".join(f"{x:g} -> {y:g}" for x, y in zip(linear, codes, strict=True))
-        raise ImageError(f"the points {points} do not rise by more than 0 and at most 1 code per DN; the last is white at {bits} bits")
+        raise ImageError(
+            f"the points {points} do not rise by more than 0 and at most 1 code per DN; the last is white at {bits} "
+            f"bits"
+        )
     black_code = black * float(slopes[0])
     if black_code != int(black_code) or not black < linear[1]:
-        raise ImageError(f"black level {black} becomes code {black_code:g}; it has to be whole and below the first knee, such as {4 * black} -> {4 * black}")
+        raise ImageError(
+            f"black level {black} becomes code {black_code:g}; it has to be whole and below the first knee, such as "
+            f"{4 * black} -> {4 * black}"
+        )
     numbers = np.interp(image.pixels, linear, codes).astype(np.float32)
     knees = [[black, int(black_code)], *([float(x), float(y)] for x, y in zip(linear[1:], codes[1:], strict=True))]
     return image.with_pixels(np.rint(numbers, out=numbers)).with_metadata(
@@ -139,7 +152,11 @@ def compand(
 
 def _dn_per_light(image: Image) -> float:
     """DN for a given light, to a scale that the readings of one frame share."""
-    for key, op in (("system_gain_dn_e", "sensor.gain"), ("gathered_um2_s", "sensor.expose"), ("black_level_dn", "sensor.adc")):
+    for key, op in (
+        ("system_gain_dn_e", "sensor.gain"),
+        ("gathered_um2_s", "sensor.expose"),
+        ("black_level_dn", "sensor.adc"),
+    ):
         if key not in image.provenance:
             raise ImageError(f"a reading does not say its {key}; {op} notes it")
     return float(image.provenance["system_gain_dn_e"]) * float(image.provenance["gathered_um2_s"])
@@ -158,4 +175,6 @@ def _signal(image: Image) -> np.ndarray:
 
 
 def _what(image: Image) -> str:
-    return f"{image.width_px} x {image.height_px} pixels behind {image.provenance.get('cfa_pattern', 'unknown filters')}"
+    return (
+        f"{image.width_px} x {image.height_px} pixels behind {image.provenance.get('cfa_pattern', 'unknown filters')}"
+    )

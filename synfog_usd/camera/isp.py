@@ -35,7 +35,9 @@ PICTURE = Port(Quantity.LINEAR_RGB, "picture")
 DISPLAY = Port(Quantity.DISPLAY_RGB, "picture")
 
 CORING_PX = 16
-"""Side of the neighbourhood that says whether there is light [px]; even, so that every filter of a pattern counts alike."""
+"""Side of the neighbourhood that says whether there is light [px]; even, so that every filter of a pattern counts
+alike.
+"""
 
 CORING_OWN = 4.0
 """How steeply a pixel that stands alone comes back above the limit."""
@@ -62,7 +64,9 @@ def decompand(image: Image) -> Image:
     _mosaic(image)
     facts = dict(image.provenance)
     if not {"companding", "linear_black_dn", "linear_white_dn"} <= facts.keys():
-        raise ImageError("the image does not say how it was companded; put sensor.compand before this node, or leave this node out")
+        raise ImageError(
+            "the image does not say how it was companded; put sensor.compand before this node, or leave this node out"
+        )
     knees = np.array(facts.pop("companding"), dtype=np.float64)
     if knees.ndim != 2 or knees.shape[1] != 2 or len(knees) < 2 or not (np.diff(knees, axis=0) > 0.0).all():
         raise ImageError(f"companding is {knees.tolist()}; it takes two or more pairs [linear DN, code], both rising")
@@ -75,7 +79,15 @@ def decompand(image: Image) -> Image:
     table = np.where(every < codes[0], below, np.interp(every, codes, linear)).astype(np.float32)
     pixels = np.take(table, np.rint(image.pixels).astype(np.int32), mode="clip")
     black_dn, white_dn = facts.pop("linear_black_dn"), facts.pop("linear_white_dn")
-    return image.with_pixels(pixels, provenance={**facts, "black_level_dn": black_dn, "white_level_dn": white_dn, "bits": int(white_dn).bit_length()})
+    return image.with_pixels(
+        pixels,
+        provenance={
+            **facts,
+            "black_level_dn": black_dn,
+            "white_level_dn": white_dn,
+            "bits": int(white_dn).bit_length(),
+        },
+    )
 
 
 @OPS.op("isp.black_level", takes=NUMBERS, gives=SENSED)
@@ -127,7 +139,9 @@ def black_level(
 
 
 def _core(mosaic: FloatArray, limit: float) -> None:
-    """Makes 0, in place, what is within `limit` of black, and whose neighbourhood is within what is left of that in its mean."""
+    """Makes 0, in place, what is within `limit` of black, and whose neighbourhood is within what is left of that in its
+    mean.
+    """
     if limit <= 0.0:
         return
     from scipy.ndimage import uniform_filter
@@ -174,9 +188,19 @@ def lens_shading(
     table = facts.get("relative_illumination", ((), ()))
     taken = Pinhole(image.height_px, image.width_px, fov_x_deg, shift)
     height, width, fov_deg, source_shift = source_of(facts, taken)
-    fade = falloff_map(height, width, kind=facts["falloff"], f_number=facts["f_number"], fov_x_deg=fov_deg, shift=source_shift, table=table)
+    fade = falloff_map(
+        height,
+        width,
+        kind=facts["falloff"],
+        f_number=facts["f_number"],
+        fov_x_deg=fov_deg,
+        shift=source_shift,
+        table=table,
+    )
     fade = warped_like(fade, facts, taken)
-    return image.with_pixels(image.pixels / fade[..., None] ** np.float32(strength)).with_metadata(lens_shading=strength)
+    return image.with_pixels(image.pixels / fade[..., None] ** np.float32(strength)).with_metadata(
+        lens_shading=strength
+    )
 
 
 @OPS.op("isp.white_balance", takes=UNBALANCED, gives=BALANCED)
@@ -208,11 +232,20 @@ def white_balance(
     _mosaic(image)
     pattern = pattern_of(image, sensor)
     letters = cfa.filters(pattern)
-    signal = np.ones(len(letters)) if illuminant == "none" or len(letters) < 3 else _white(image, pattern, illuminant, sensor)
+    signal = (
+        np.ones(len(letters))
+        if illuminant == "none" or len(letters) < 3
+        else _white(image, pattern, illuminant, sensor)
+    )
     if signal.size != len(letters):
-        raise ImageError(f"a neutral of {signal.size} numbers does not fit the filters {', '.join(letters)} of {pattern}; the image is from another sensor")
+        raise ImageError(
+            f"a neutral of {signal.size} numbers does not fit the filters {', '.join(letters)} of {pattern}; the image "
+            f"is from another sensor"
+        )
     if not (signal > 0.0).all():
-        raise ImageError(f"{illuminant} cannot balance signals of {signal.tolist()} behind {', '.join(letters)}; set illuminant: d65")
+        raise ImageError(
+            f"{illuminant} cannot balance signals of {signal.tolist()} behind {', '.join(letters)}; set illuminant: d65"
+        )
     gains = signal.max() / signal
     rows = cfa.PATTERNS[pattern]
     pixels = np.empty_like(image.pixels)
@@ -250,7 +283,10 @@ def colour_correct(
         return image
     if illuminant == "as_shot":
         if "camera_to_rec709" not in image.provenance:
-            raise ImageError("the image does not say its camera_to_rec709; a RAW file has it. Name the light and a sensor instead, such as illuminant: d65")
+            raise ImageError(
+                "the image does not say its camera_to_rec709; a RAW file has it. Name the light and a sensor instead, "
+                "such as illuminant: d65"
+            )
         rows = np.array(image.provenance["camera_to_rec709"], dtype=np.float32)
         if image.channels != ("R", "G", "B"):
             raise ImageError(f"the matrix of a RAW file is for R, G, B; the picture has {', '.join(image.channels)}")
@@ -258,11 +294,18 @@ def colour_correct(
     sensor = _named(sensor, illuminant)
     letters = cfa.filters(sensor.cfa)
     if image.channels != letters:
-        raise ImageError(f"the picture has {', '.join(image.channels)}; sensor {sensor.name} has the filters {', '.join(letters)}, as isp.demosaic gives them")
+        raise ImageError(
+            f"the picture has {', '.join(image.channels)}; sensor {sensor.name} has the filters {', '.join(letters)}, "
+            f"as isp.demosaic gives them"
+        )
     matrix = response.colour_matrix(sensor, illuminant.upper())
-    pixels = image.pixels @ np.ascontiguousarray(np.array(matrix.rows, dtype=np.float32).T)  # three times faster than the view
+    pixels = image.pixels @ np.ascontiguousarray(
+        np.array(matrix.rows, dtype=np.float32).T
+    )  # three times faster than the view
     return image.with_pixels(pixels, channels=("R", "G", "B")).with_metadata(
-        colour_matrix=[list(row) for row in matrix.rows], colour_matrix_mean_de00=matrix.mean_de00, colour_matrix_max_de00=matrix.max_de00
+        colour_matrix=[list(row) for row in matrix.rows],
+        colour_matrix_mean_de00=matrix.mean_de00,
+        colour_matrix_max_de00=matrix.max_de00,
     )
 
 
@@ -362,13 +405,18 @@ def pattern_of(image: Image, sensor: SensorProfile | None) -> str:
     pattern = image.provenance.get("cfa_pattern", sensor.cfa if sensor else None)
     if pattern not in cfa.PATTERNS:
         found = "the image does not say its cfa_pattern" if pattern is None else f"cfa_pattern {pattern!r} is not known"
-        raise ImageError(f"{found}; it can be {', '.join(cfa.PATTERNS)}. sensor.expose notes it, and a sensor profile names it")
+        raise ImageError(
+            f"{found}; it can be {', '.join(cfa.PATTERNS)}. sensor.expose notes it, and a sensor profile names it"
+        )
     return str(pattern)
 
 
 def _named(sensor: SensorProfile | None, illuminant: str) -> SensorProfile:
     if sensor is None:
-        raise ImageError(f"illuminant {illuminant} is about a sensor's own colours; name one at the top with 'sensor: ...', or set illuminant: as_shot")
+        raise ImageError(
+            f"illuminant {illuminant} is about a sensor's own colours; name one at the top with 'sensor: ...', or set "
+            f"illuminant: as_shot"
+        )
     return sensor
 
 
@@ -376,7 +424,10 @@ def _white(image: Image, pattern: str, illuminant: str, sensor: SensorProfile | 
     """(F,) signal of a white surface behind each filter, to any scale."""
     if illuminant == "as_shot":
         if "as_shot_neutral" not in image.provenance:
-            raise ImageError("the image does not say its as_shot_neutral; sensor.adc notes it. Name the light instead, such as illuminant: d65")
+            raise ImageError(
+                "the image does not say its as_shot_neutral; sensor.adc notes it. Name the light instead, such as "
+                "illuminant: d65"
+            )
         return np.array(image.provenance["as_shot_neutral"], dtype=np.float64)
     if illuminant != "grey_world":
         return np.array(response.neutral(_named(sensor, illuminant), illuminant.upper()))
@@ -394,7 +445,9 @@ def _level(image: Image, name: str, given: float | None, sensor: SensorProfile |
     if name in image.provenance:
         return float(image.provenance[name])
     if sensor is None:
-        raise ImageError(f"the image does not say its {name}; sensor.adc notes it. Give {name} a number, or name a sensor")
+        raise ImageError(
+            f"the image does not say its {name}; sensor.adc notes it. Give {name} a number, or name a sensor"
+        )
     return float(getattr(sensor, name))
 
 
@@ -405,4 +458,7 @@ def _mosaic(image: Image) -> None:
 
 def _picture(image: Image) -> None:
     if image.channels not in (("R", "G", "B"), ("Y",)):
-        raise ImageError(f"a picture has R, G, B, or Y; this image has {', '.join(image.channels)}. isp.demosaic and isp.colour_correct make one")
+        raise ImageError(
+            f"a picture has R, G, B, or Y; this image has {', '.join(image.channels)}. isp.demosaic and "
+            f"isp.colour_correct make one"
+        )

@@ -49,7 +49,8 @@ def mix(*images: Image, weights: Annotated[tuple[float, ...], Range(0.0)]) -> Im
     for image in images[1:]:
         if image.pixels.shape != first.pixels.shape or image.channels != first.channels:
             raise ImageError(
-                f"an image of shape {image.pixels.shape} with {image.channels} cannot be added to one of {first.pixels.shape} with {first.channels}"
+                f"an image of shape {image.pixels.shape} with {image.channels} cannot be added to one of "
+                f"{first.pixels.shape} with {first.channels}"
             )
     total = sum(np.float32(weight) * image.pixels for weight, image in zip(weights, images, strict=True))
     return first.with_pixels(np.asarray(total))
@@ -69,7 +70,9 @@ def irradiance(
     shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
     focal_length_mm: Annotated[float | None, Range(0.0, above=True), FromProfile("lens.focal_length_mm")] = None,
     field_deg: Annotated[tuple[float, ...] | None, Range(0.0, 89.0), FromProfile("lens.field_deg")] = None,
-    relative_illumination: Annotated[tuple[float, ...] | None, Range(0.0, 2.0), FromProfile("lens.relative_illumination")] = None,
+    relative_illumination: Annotated[
+        tuple[float, ...] | None, Range(0.0, 2.0), FromProfile("lens.relative_illumination")
+    ] = None,
 ) -> Image:
     """Light that the lens puts on the sensor.
 
@@ -84,7 +87,8 @@ def irradiance(
         magnification: m [1], <= 0 (the picture is upside down); 0 for a far scene.
         falloff: how light fades towards the corners; table is what the lens was
             measured to do, vignetting included.
-        aperture: what the f-number means.  disc: a flat pupil of diameter f / N, seen from the distance f, as in ISETCam
+        aperture: what the f-number means.  disc: a flat pupil of diameter f / N, seen from the distance f, as in
+            ISETCam
             and the SynFog paper.  sine: N = 1 / (2 sin), which a lens corrected for coma has, and from which
             ISO 12232 has H = 0.65 L t / N^2; brighter by 1 / (4 N^2), 6 % at f/2.
         fov_x_deg: horizontal angle of view [degrees]; needed unless falloff is none.
@@ -111,7 +115,9 @@ def irradiance(
     facts: dict[str, Any] = {"f_number": f_number, "falloff": falloff}
     if falloff != "none":
         if fov_x_deg is None:
-            raise ImageError(f"falloff needs the angle of view: give fov_x_deg a number, or {FOV.hint}, or set falloff: none")
+            raise ImageError(
+                f"falloff needs the angle of view: give fov_x_deg a number, or {FOV.hint}, or set falloff: none"
+            )
         fade = falloff_map(
             image.height_px,
             image.width_px,
@@ -163,20 +169,27 @@ def _cone(f_number: float, magnification: float) -> float:
 def _tabled(tan2_field: npt.NDArray[np.float64], table: Table) -> FloatArray:
     field_deg, values = table
     if not field_deg:
-        raise ImageError("falloff is table, but the lens has no relative_illumination; add it to the lens profile, or set falloff: cos4")
+        raise ImageError(
+            "falloff is table, but the lens has no relative_illumination; add it to the lens profile, or set falloff: "
+            "cos4"
+        )
     if len(field_deg) != len(values) or len(field_deg) < 2 or field_deg[0] != 0.0 or (np.diff(field_deg) <= 0.0).any():
         raise ImageError(
-            f"a table of {len(field_deg)} field_deg and {len(values)} relative_illumination: it takes two or more of each, field_deg rising from 0"
+            f"a table of {len(field_deg)} field_deg and {len(values)} relative_illumination: it takes two or more of "
+            f"each, field_deg rising from 0"
         )
     angles = np.degrees(np.arctan(np.sqrt(tan2_field)))
     if (corner := float(angles.max())) > field_deg[-1]:
         raise ImageError(
-            f"relative_illumination ends at {field_deg[-1]:g} degrees, but the picture goes out to {corner:.1f}; measure further, or set falloff: cos4"
+            f"relative_illumination ends at {field_deg[-1]:g} degrees, but the picture goes out to {corner:.1f}; "
+            f"measure further, or set falloff: cos4"
         )
     return np.interp(angles, field_deg, values).astype(np.float32)
 
 
-def _tan2_of_field(height: int, width: int, fov_x_deg: float, shift_x: float, shift_y: float) -> npt.NDArray[np.float64]:
+def _tan2_of_field(
+    height: int, width: int, fov_x_deg: float, shift_x: float, shift_y: float
+) -> npt.NDArray[np.float64]:
     """(H, W) squared tangent of the angle between each pixel's centre and the optical axis."""
     focal_px = width / 2 / math.tan(math.radians(fov_x_deg) / 2)
     x = (np.arange(width) + 0.5 - width / 2 - shift_x * width) / focal_px

@@ -54,7 +54,10 @@ SHAPES = {
 }
 """Curves that a few numbers describe, and what these may be; see `Curve`."""
 
-SHAPE_WORDS = "{csv: file}, {gaussian: [centre_nm, fwhm_nm, peak]}, {long_pass: [nm, width_nm]}, {short_pass: [nm, width_nm]} or {flat: value}"
+SHAPE_WORDS = (
+    "{csv: file}, {gaussian: [centre_nm, fwhm_nm, peak]}, {long_pass: [nm, width_nm]}, {short_pass: [nm, width_nm]} "
+    "or {flat: value}"
+)
 
 
 @dataclass(frozen=True)
@@ -210,31 +213,52 @@ def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
     serial, pattern = reader.text("serial"), reader.pattern()
     qe, qe_source = reader.quantum_efficiency(pattern)
     profile = reader.profile(SensorProfile, serial=serial, cfa=pattern, qe=qe)
-    for low, high in (("black_level_dn", "white_level_dn"), ("iso_base", "iso_max"), ("shortest_exposure_s", "longest_exposure_s")):
+    for low, high in (
+        ("black_level_dn", "white_level_dn"),
+        ("iso_base", "iso_max"),
+        ("shortest_exposure_s", "longest_exposure_s"),
+    ):
         if getattr(profile, low) >= getattr(profile, high):
-            raise ParameterError(f"{reader.place(low)}: {low} {getattr(profile, low):g} is not below {high} {getattr(profile, high):g}")
+            raise ParameterError(
+                f"{reader.place(low)}: {low} {getattr(profile, low):g} is not below {high} {getattr(profile, high):g}"
+            )
     if profile.white_level_dn > 2**profile.bits - 1:
         raise ParameterError(
-            f"{reader.place('white_level_dn')}: white_level_dn {profile.white_level_dn} is above {2**profile.bits - 1}, the most of {profile.bits} bits"
+            f"{reader.place('white_level_dn')}: white_level_dn {profile.white_level_dn} is above "
+            f"{2**profile.bits - 1}, the most of {profile.bits} bits"
         )
     return dataclasses.replace(profile, sources=(*profile.sources, ("qe", qe_source)))
 
 
 def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
-    """A lens; see `load_sensor`.  `blades`, `distortion`, `relative_illumination` and `ghost_fractions` may be left out."""
-    reader = _Reader(_find(reference, folder, "lenses"), "lens/1", ("distortion", "relative_illumination", "ghost_fractions"), LensProfile)
+    """A lens; see `load_sensor`.  `blades`, `distortion`, `relative_illumination` and `ghost_fractions` may be left
+    out.
+    """
+    reader = _Reader(
+        _find(reference, folder, "lenses"),
+        "lens/1",
+        ("distortion", "relative_illumination", "ghost_fractions"),
+        LensProfile,
+    )
     more: dict[str, Any] = {}
     sources: list[tuple[str, str]] = []
-    for key, limits, counts in (("distortion", Limits(-1000.0, 1000.0), (4, 5, 8)), ("ghost_fractions", Limits(0.0, 0.05), (1, 2, 3, 4))):
+    for key, limits, counts in (
+        ("distortion", Limits(-1000.0, 1000.0), (4, 5, 8)),
+        ("ghost_fractions", Limits(0.0, 0.05), (1, 2, 3, 4)),
+    ):
         if key in reader.fields:
             (more[key],), source = reader.numbers(key, {"value": limits}, counts)
             sources.append((key, source))
     if "relative_illumination" in reader.fields:
-        columns, source = reader.numbers("relative_illumination", {"field_deg": Limits(0.0, 89.0), "value": Limits(0.0, 2.0)})
+        columns, source = reader.numbers(
+            "relative_illumination", {"field_deg": Limits(0.0, 89.0), "value": Limits(0.0, 2.0)}
+        )
         more["field_deg"], more["relative_illumination"] = columns
         angles = columns[0]
         if angles[0] != 0.0 or list(angles) != sorted(set(angles)):
-            raise ParameterError(f"{reader.place('relative_illumination')}: field_deg is {list(angles)}; it rises from 0")
+            raise ParameterError(
+                f"{reader.place('relative_illumination')}: field_deg is {list(angles)}; it rises from 0"
+            )
         sources.append(("relative_illumination", source))
     profile = reader.profile(LensProfile, **more)
     return dataclasses.replace(profile, sources=(*profile.sources, *sources))
@@ -250,7 +274,8 @@ def _find(reference: str, folder: Path, kind: str) -> Path:
         return folder / reference
     if reference not in shipped(kind):
         raise ParameterError(
-            f"no such profile; there are {', '.join(shipped(kind))}, or give a path that ends in .yaml.{did_you_mean(reference, shipped(kind))}"
+            f"no such profile; there are {', '.join(shipped(kind))}, or give a path that ends in "
+            f".yaml.{did_you_mean(reference, shipped(kind))}"
         )
     return resources.folder("assets") / kind / f"{reference}.yaml"
 
@@ -264,12 +289,20 @@ class _Reader:
         self.root, self.fields = root, root.value
         label = self.fields.get("synfog")
         if label is None or label.value != schema:
-            raise ParameterError(f"{(label or root).place}: synfog is {label.plain() if label else 'missing'}; this program reads {schema!r}")
-        self.limits: dict[str, Limits] = {item.name: item.metadata["limits"] for item in dataclasses.fields(record) if "limits" in item.metadata}
+            raise ParameterError(
+                f"{(label or root).place}: synfog is {label.plain() if label else 'missing'}; this program reads "
+                f"{schema!r}"
+            )
+        self.limits: dict[str, Limits] = {
+            item.name: item.metadata["limits"] for item in dataclasses.fields(record) if "limits" in item.metadata
+        }
         allowed = ["synfog", "name", "title", *extra, *self.limits, "sources"]
         for key, item in self.fields.items():
             if key not in allowed:
-                raise ParameterError(f"{item.key_place}: a profile has no {key!r}; it takes {', '.join(allowed)}.{did_you_mean(key, allowed)}")
+                raise ParameterError(
+                    f"{item.key_place}: a profile has no {key!r}; it takes "
+                    f"{', '.join(allowed)}.{did_you_mean(key, allowed)}"
+                )
         self.source_texts = self.read_sources()
 
     def place(self, key: str) -> str:
@@ -288,7 +321,9 @@ class _Reader:
 
     def read_sources(self) -> dict[str, str]:
         item = self.item("sources")
-        if not isinstance(item.value, dict) or not all(isinstance(entry.value, str) and entry.value.strip() for entry in item.value.values()):
+        if not isinstance(item.value, dict) or not all(
+            isinstance(entry.value, str) and entry.value.strip() for entry in item.value.values()
+        ):
             raise ParameterError(f"{item.place}: sources is a mapping of short names to texts")
         return {key: entry.value for key, entry in item.value.items()}
 
@@ -299,7 +334,8 @@ class _Reader:
         if item.value not in self.source_texts:
             names = ", ".join(self.source_texts)
             raise ParameterError(
-                f"{item.place}: {where} has source {item.plain()!r}, which is not under 'sources' ({names}).{did_you_mean(str(item.value), self.source_texts)}"
+                f"{item.place}: {where} has source {item.plain()!r}, which is not under 'sources' "
+                f"({names}).{did_you_mean(str(item.value), self.source_texts)}"
             )
         return self.source_texts[item.value]
 
@@ -312,18 +348,29 @@ class _Reader:
             raise ParameterError(f"{item.place}: {key} is {item.plain()!r}; it takes {{value: ..., source: ...}}")
         return _in_limits(key, item.value["value"], limits), self.source(key, item.value, item)
 
-    def numbers(self, key: str, columns: Mapping[str, Limits], counts: tuple[int, ...] = ()) -> tuple[list[tuple[float, ...]], str]:
-        """Lists of equal length, by the names of `columns`, and their source; `counts` says how many, else two and more."""
+    def numbers(
+        self, key: str, columns: Mapping[str, Limits], counts: tuple[int, ...] = ()
+    ) -> tuple[list[tuple[float, ...]], str]:
+        """Lists of equal length, by the names of `columns`, and their source; `counts` says how many, else two and
+        more.
+        """
         item = self.item(key)
         form = f"{{{', '.join(f'{name}: [...]' for name in columns)}, source: ...}}"
         fields = item.value if isinstance(item.value, dict) else {}
-        if set(fields) - {"source"} != set(columns) or not all(isinstance(fields[name].value, list) for name in columns):
+        if set(fields) - {"source"} != set(columns) or not all(
+            isinstance(fields[name].value, list) for name in columns
+        ):
             raise ParameterError(f"{item.place}: {key} is {item.plain()!r}; it takes {form}")
         lengths = {len(fields[name].value) for name in columns}
         if len(lengths) > 1 or not (lengths <= set(counts) if counts else min(lengths) >= 2):
             wanted = " or ".join(map(str, counts)) or "as many of each, two or more"
-            raise ParameterError(f"{item.place}: {key} has lists of {' and '.join(map(str, sorted(lengths)))} numbers; it takes {wanted}")
-        found = [tuple(_in_limits(f"{key} {name}", number, limits) for number in fields[name].value) for name, limits in columns.items()]
+            raise ParameterError(
+                f"{item.place}: {key} has lists of {' and '.join(map(str, sorted(lengths)))} numbers; it takes {wanted}"
+            )
+        found = [
+            tuple(_in_limits(f"{key} {name}", number, limits) for number in fields[name].value)
+            for name, limits in columns.items()
+        ]
         return found, self.source(key, fields, item)
 
     def profile(self, record: type[T], **more: Any) -> T:
@@ -332,14 +379,24 @@ class _Reader:
             values[key], source = self.number(key)
             sources.append((key, source))
         name, title = self.text("name"), self.text("title")
-        facts = {"name": name, **values, **{key: dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value for key, value in more.items()}}  # type: ignore[arg-type]
+        facts = {
+            "name": name,
+            **values,
+            **{
+                key: dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
+                for key, value in more.items()
+            },
+        }  # type: ignore[arg-type]
         digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
         return record(name=name, title=title, **values, **more, sources=tuple(sources), content_hash=digest)  # type: ignore[arg-type]
 
     def pattern(self) -> str:
         item = self.item("cfa")
         if item.value not in cfa.PATTERNS:
-            raise ParameterError(f"{item.place}: cfa is {item.plain()!r}; it can be {', '.join(cfa.PATTERNS)}.{did_you_mean(str(item.value), cfa.PATTERNS)}")
+            raise ParameterError(
+                f"{item.place}: cfa is {item.plain()!r}; it can be "
+                f"{', '.join(cfa.PATTERNS)}.{did_you_mean(str(item.value), cfa.PATTERNS)}"
+            )
         return str(item.value)
 
     def quantum_efficiency(self, pattern: str) -> tuple[QuantumEfficiency, str]:
@@ -349,7 +406,8 @@ class _Reader:
         kind = kinds[0] if len(kinds) == 1 else ""
         if not kind or set(fields) != {kind, "source"} | ({"peak"} if kind in ("camera", "observer") else set()):
             raise ParameterError(
-                f"{item.place}: qe takes {{camera: ..., peak: ..., source: ...}}, {{observer: cie1931, peak: ..., source: ...}}, "
+                f"{item.place}: qe takes {{camera: ..., peak: ..., source: ...}}, {{observer: cie1931, peak: ..., "
+                f"source: ...}}, "
                 "{csv: file, source: ...} or {product: ..., source: ...}"
             )
         source = self.source("qe", fields, item)
@@ -361,9 +419,14 @@ class _Reader:
         chosen, known = fields[kind], CAMERAS_MEASURED if kind == "camera" else OBSERVERS
         if chosen.value not in known:
             hint = did_you_mean(str(chosen.value), known)
-            raise ParameterError(f"{chosen.place}: {kind} {chosen.plain()!r} is not known; it can be {', '.join(known)}.{hint}")
+            raise ParameterError(
+                f"{chosen.place}: {kind} {chosen.plain()!r} is not known; it can be {', '.join(known)}.{hint}"
+            )
         if letters != ("R", "G", "B"):
-            raise ParameterError(f"{item.place}: {kind} has curves for R, G and B; pattern {pattern} has {', '.join(letters)}; give a csv or a product")
+            raise ParameterError(
+                f"{item.place}: {kind} has curves for R, G and B; pattern {pattern} has {', '.join(letters)}; give a "
+                f"csv or a product"
+            )
         peak = _in_limits("peak", fields["peak"], Limits(0.01, 1.0))
         return QuantumEfficiency(**{kind: chosen.value}, peak=peak), source
 
@@ -371,25 +434,41 @@ class _Reader:
         """Factors of all filters, and those of each; a clear filter may be left out."""
         fields = item.value if isinstance(item.value, dict) else {}
         if "sensor" not in fields or not set(fields) <= {"sensor", "ir_filter", "filters"}:
-            raise ParameterError(f"{item.place}: product takes sensor: a curve, and if need be ir_filter: a curve and filters: {{letter: curve, ...}}")
+            raise ParameterError(
+                f"{item.place}: product takes sensor: a curve, and if need be ir_filter: a curve and filters: "
+                f"{{letter: curve, ...}}"
+            )
         common = tuple(self.curve(key, fields[key]) for key in ("sensor", "ir_filter") if key in fields)
         named = fields["filters"].value if "filters" in fields else {}
         if not isinstance(named, dict) or not set(letters) - {"C"} <= set(named) <= set(letters):
             place = fields["filters"].place if "filters" in fields else item.place
             raise ParameterError(f"{place}: filters takes a curve for each of {', '.join(letters)}; C may be left out")
-        return common, tuple(self.curve(letter, named[letter]) if letter in named else Curve("flat", (1.0,)) for letter in letters)
+        return common, tuple(
+            self.curve(letter, named[letter]) if letter in named else Curve("flat", (1.0,)) for letter in letters
+        )
 
     def curve(self, where: str, item: Located) -> Curve:
         fields = item.value if isinstance(item.value, dict) else {}
         kind = next(iter(fields), "")
         if len(fields) != 1 or kind not in ("csv", *SHAPES):
-            raise ParameterError(f"{item.place}: {where} is {item.plain()!r}; it takes {SHAPE_WORDS}.{did_you_mean(kind, ('csv', *SHAPES))}")
+            raise ParameterError(
+                f"{item.place}: {where} is {item.plain()!r}; it takes "
+                f"{SHAPE_WORDS}.{did_you_mean(kind, ('csv', *SHAPES))}"
+            )
         if kind == "csv":
             return Curve("csv", tuple(number for row in self.table(fields["csv"], ("value",)) for number in row))
         given = fields[kind].value if isinstance(fields[kind].value, list) else [fields[kind]]
         if len(given) != len(SHAPES[kind]):
-            raise ParameterError(f"{fields[kind].place}: {where} has {len(given)} numbers for {kind}; it takes {SHAPE_WORDS}")
-        return Curve(kind, tuple(_in_limits(f"{kind} of {where}", number, limits) for number, limits in zip(given, SHAPES[kind], strict=True)))
+            raise ParameterError(
+                f"{fields[kind].place}: {where} has {len(given)} numbers for {kind}; it takes {SHAPE_WORDS}"
+            )
+        return Curve(
+            kind,
+            tuple(
+                _in_limits(f"{kind} of {where}", number, limits)
+                for number, limits in zip(given, SHAPES[kind], strict=True)
+            ),
+        )
 
     def table(self, item: Located, names: tuple[str, ...]) -> tuple[tuple[float, ...], ...]:
         """Rows (wavelength_nm, one value per name) of a CSV file; rising wavelengths, values 0 to 1.
@@ -398,7 +477,9 @@ class _Reader:
         one they stand in the order of `names`.
         """
         if not isinstance(item.value, str):
-            raise ParameterError(f"{item.place}: csv is {item.plain()!r}; it takes a path that starts from the profile's folder")
+            raise ParameterError(
+                f"{item.place}: csv is {item.plain()!r}; it takes a path that starts from the profile's folder"
+            )
         path = self.path.parent / item.value
         try:
             data = path.read_bytes()[:MAX_CURVE_BYTES].decode("utf-8")
@@ -413,7 +494,9 @@ class _Reader:
                 continue
             if cells[0].startswith("wavelength"):
                 if len(names) > 1 and sorted(cells[1:]) != sorted(names):
-                    raise ParameterError(f"{path}:{number}: the columns are {', '.join(cells)}; they have to be {wanted}, in any order")
+                    raise ParameterError(
+                        f"{path}:{number}: the columns are {', '.join(cells)}; they have to be {wanted}, in any order"
+                    )
                 order = tuple(cells.index(name) for name in names) if len(names) > 1 else order
                 continue
             try:
@@ -424,7 +507,9 @@ class _Reader:
             if len(numbers) != len(names) + 1:
                 raise ParameterError(f"{path}:{number}: {line.strip()!r} is not {wanted}") from None
             if not 200.0 <= wavelength <= 2000.0 or (rows and wavelength <= rows[-1][0]):
-                raise ParameterError(f"{path}:{number}: wavelength {wavelength:g} nm is outside 200 to 2000 or does not rise")
+                raise ParameterError(
+                    f"{path}:{number}: wavelength {wavelength:g} nm is outside 200 to 2000 or does not rise"
+                )
             if not all(0.0 <= value <= 1.0 for value in values):
                 raise ParameterError(f"{path}:{number}: a quantum efficiency is outside 0 to 1")
             rows.append((wavelength, *values))

@@ -35,7 +35,10 @@ def quantum_efficiency(sensor: SensorProfile) -> Array:
     efficiency = _efficiency(sensor)
     for letter, row in zip(cfa.filters(sensor.cfa), efficiency, strict=True):
         if not row.max() > 0.0:
-            raise ParameterError(f"sensor {sensor.name!r}: its quantum efficiency behind filter {letter} is 0 from 380 to 780 nm; nothing else is simulated")
+            raise ParameterError(
+                f"sensor {sensor.name!r}: its quantum efficiency behind filter {letter} is 0 from 380 to 780 nm; "
+                f"nothing else is simulated"
+            )
     return efficiency
 
 
@@ -67,11 +70,15 @@ def _curve(curve: Curve) -> Array:
         centre_nm, fwhm_nm, peak = numbers
         return np.asarray(peak * 0.5 ** ((nm - centre_nm) / (fwhm_nm / 2.0)) ** 2)
     edge_nm, width_nm = numbers
-    rising = 0.5 * (1.0 + np.tanh((nm - edge_nm) * np.log(9.0) / width_nm))  # the logistic: 10 % and 90 % lie width_nm apart
+    rising = 0.5 * (
+        1.0 + np.tanh((nm - edge_nm) * np.log(9.0) / width_nm)
+    )  # the logistic: 10 % and 90 % lie width_nm apart
     return rising if curve.kind == "long_pass" else 1.0 - rising
 
 
-def electrons_per_second(sensor: SensorProfile, channels: tuple[str, ...], *, pixel_pitch_um: float, fill_factor: float) -> Array:
+def electrons_per_second(
+    sensor: SensorProfile, channels: tuple[str, ...], *, pixel_pitch_um: float, fill_factor: float
+) -> Array:
     """Electrons per second and unit of irradiance.
 
     N = A * integral of E(lambda) * QE(lambda) * lambda / (h c) d lambda.
@@ -96,13 +103,17 @@ def electrons_per_second(sensor: SensorProfile, channels: tuple[str, ...], *, pi
     spectra = photometry.channel_spectra(channels)
     if unseen := [name for name, spectrum in zip(channels, spectra, strict=True) if not spectrum.any()]:
         low, high = photometry.WAVELENGTHS_NM[[0, -1]]
-        raise ImageError(f"{', '.join(unseen)} outside {low:g} to {high:g} nm, where no sensor is simulated; leave such bands out")
+        raise ImageError(
+            f"{', '.join(unseen)} outside {low:g} to {high:g} nm, where no sensor is simulated; leave such bands out"
+        )
     return np.asarray((quantum_efficiency(sensor) * photons_per_joule) @ spectra.T * area_m2)
 
 
 @functools.lru_cache(maxsize=16)
 def neutral(sensor: SensorProfile, illuminant: str) -> tuple[float, ...]:
-    """(F,) signal of a white surface behind each filter under a light of `photometry.ILLUMINANTS`, the largest being 1."""
+    """(F,) signal of a white surface behind each filter under a light of `photometry.ILLUMINANTS`, the largest being
+    1.
+    """
     signal = quantum_efficiency(sensor) @ (photometry.illuminant(illuminant) * photometry.WAVELENGTHS_NM)
     return tuple(float(value) for value in signal / signal.max())
 
@@ -142,7 +153,10 @@ def colour_matrix(sensor: SensorProfile, illuminant: str) -> ColourMatrix:
     from scipy.optimize import least_squares
 
     if len(cfa.filters(sensor.cfa)) < 3:
-        raise ParameterError(f"sensor {sensor.name!r} sees no colours: pattern {sensor.cfa} has the filters {', '.join(cfa.filters(sensor.cfa))} only")
+        raise ParameterError(
+            f"sensor {sensor.name!r} sees no colours: pattern {sensor.cfa} has the filters "
+            f"{', '.join(cfa.filters(sensor.cfa))} only"
+        )
     camera, xyz = _patches(sensor, illuminant, *_training())
     to_rgb = colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB
     to_xyz = colour.RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ
@@ -173,7 +187,8 @@ def colour_matrix(sensor: SensorProfile, illuminant: str) -> ColourMatrix:
 
 @functools.lru_cache(maxsize=32)
 def xyz_to_camera(sensor: SensorProfile, illuminant: str = "D65", *, as_daylight: bool = False) -> Array:
-    """(F, 3) CIE XYZ as it is under one light (white has Y = 1) to camera signal (white as in `neutral`): DNG's ColorMatrix.
+    """(F, 3) CIE XYZ as it is under one light (white has Y = 1) to camera signal (white as in `neutral`): DNG's
+    ColorMatrix.
 
     The inverse of `colour_matrix` where there are three filters; else the least
     squares over the same reflectances, with white held.
@@ -213,7 +228,9 @@ def _to_d65(illuminant: str) -> Array:
 
     white = photometry.observer() @ photometry.illuminant(illuminant)
     d65 = colour.RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ.sum(axis=1)
-    return np.asarray(colour.adaptation.matrix_chromatic_adaptation_VonKries(white / white[1], d65, transform="Bradford"))
+    return np.asarray(
+        colour.adaptation.matrix_chromatic_adaptation_VonKries(white / white[1], d65, transform="Bradford")
+    )
 
 
 def _patches(sensor: SensorProfile, illuminant: str, wavelengths_nm: Array, reflectances: Array) -> tuple[Array, Array]:

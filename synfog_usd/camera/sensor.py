@@ -25,7 +25,9 @@ from synfog_usd.graph import Auto, FromProfile, Port, Range
 from synfog_usd.image import Image, Quantity
 
 MEAN, COUNTED, READ_OUT = "mean", "with shot noise", "with read noise"
-"""Stages of electrons: what light and heat free on average, what came in one exposure, and what the pixel's amplifier made of it."""
+"""Stages of electrons: what light and heat free on average, what came in one exposure, and what the pixel's amplifier
+made of it.
+"""
 
 ELECTRONS = Port(Quantity.ELECTRONS, "mosaic")
 MEAN_ELECTRONS = Port(Quantity.ELECTRONS, "mosaic", (MEAN,))
@@ -111,7 +113,9 @@ def prnu(
 
     Source: EMVA 1288 release 4.0, section 4.
     """
-    gain = np.float32(1.0) + np.float32(prnu_percent / 100.0) * _pattern(serial, "prnu", image.height_px, image.width_px)
+    gain = np.float32(1.0) + np.float32(prnu_percent / 100.0) * _pattern(
+        serial, "prnu", image.height_px, image.width_px
+    )
     return image.with_pixels(np.maximum(image.pixels * gain, 0.0))
 
 
@@ -135,7 +139,9 @@ def dark_current(
 
     Source: EMVA 1288 release 4.0, section 7.
     """
-    dark_e = dark_current_e_s * 2.0 ** ((temperature_c - 25.0) / doubling_k) * _fact(image, "exposure_s", "sensor.expose")
+    dark_e = (
+        dark_current_e_s * 2.0 ** ((temperature_c - 25.0) / doubling_k) * _fact(image, "exposure_s", "sensor.expose")
+    )
     return image.with_pixels(image.pixels + np.float32(dark_e)).with_metadata(dark_e=dark_e)
 
 
@@ -208,7 +214,9 @@ def dsnu(
         dsnu_e: standard deviation of the offset [e-].
         serial: which specimen.
     """
-    return image.with_pixels(image.pixels + np.float32(dsnu_e) * _pattern(serial, "dsnu", image.height_px, image.width_px))
+    return image.with_pixels(
+        image.pixels + np.float32(dsnu_e) * _pattern(serial, "dsnu", image.height_px, image.width_px)
+    )
 
 
 @OPS.op("sensor.read_noise", takes=ELECTRONS, gives=READ_ELECTRONS)
@@ -325,7 +333,10 @@ def black_clamp(
     """
     facts = image.provenance
     dark_dn, variance = _dark_signal(facts)
-    variance = variance / (optical_black_rows * image.width_px) + facts.get("temporal_row_noise_dn", 0.0) ** 2 / optical_black_rows
+    variance = (
+        variance / (optical_black_rows * image.width_px)
+        + facts.get("temporal_row_noise_dn", 0.0) ** 2 / optical_black_rows
+    )
     found_dn = dark_dn + math.sqrt(variance) * rng.standard_normal()
     return image.with_pixels(image.pixels - np.float32(found_dn)).with_metadata(dark_signal_dn=0.0)
 
@@ -334,7 +345,10 @@ def levels_fault(bits: int, black_level_dn: int, white_level_dn: int) -> str:
     """What is wrong with a converter's levels, or ''."""
     if black_level_dn < white_level_dn <= 2**bits - 1:
         return ""
-    return f"black_level_dn {black_level_dn} < white_level_dn {white_level_dn} <= {2**bits - 1}, the most of {bits} bits, does not hold"
+    return (
+        f"black_level_dn {black_level_dn} < white_level_dn {white_level_dn} <= {2**bits - 1}, the most of {bits} "
+        f"bits, does not hold"
+    )
 
 
 @OPS.op("sensor.adc", takes=AMPLIFIED, gives=NUMBERS, fault=levels_fault)
@@ -389,10 +403,15 @@ def adc(
 def _dark_signal(facts: Mapping[str, Any]) -> tuple[float, float]:
     """Mean [DN] and variance [DN^2] of what a pixel without light gives, but for noise of whole rows."""
     if "system_gain_dn_e" not in facts:
-        raise ImageError("the image does not say its system_gain_dn_e; put sensor.gain before this node, or add it to the image's provenance")
+        raise ImageError(
+            "the image does not say its system_gain_dn_e; put sensor.gain before this node, or add it to the image's "
+            "provenance"
+        )
     gain_dn_e, dark_e = float(facts["system_gain_dn_e"]), float(facts.get("dark_e", 0.0))
     counted_e = dark_e if facts.get("shot_noise") else 0.0
-    return gain_dn_e * dark_e, gain_dn_e**2 * (facts.get("read_noise_e", 0.0) ** 2 + counted_e) + facts.get("adc_noise_dn", 0.0) ** 2
+    return gain_dn_e * dark_e, gain_dn_e**2 * (facts.get("read_noise_e", 0.0) ** 2 + counted_e) + facts.get(
+        "adc_noise_dn", 0.0
+    ) ** 2
 
 
 def _colour_facts(sensor: SensorProfile, illuminant: str) -> dict[str, list[float] | list[list[float]]]:
@@ -402,11 +421,17 @@ def _colour_facts(sensor: SensorProfile, illuminant: str) -> dict[str, list[floa
     facts = {"as_shot_neutral": list(response.neutral(sensor, illuminant))}
     if illuminant != "D65":  # readers know daylight and tungsten at best, and few look which of them it was
         return {"xyz_to_camera": response.xyz_to_camera(sensor, illuminant, as_daylight=True).tolist(), **facts}
-    return {"xyz_to_camera": response.xyz_to_camera(sensor, "D65").tolist(), "xyz_to_camera_a": response.xyz_to_camera(sensor, "A").tolist(), **facts}
+    return {
+        "xyz_to_camera": response.xyz_to_camera(sensor, "D65").tolist(),
+        "xyz_to_camera_a": response.xyz_to_camera(sensor, "A").tolist(),
+        **facts,
+    }
 
 
 def _focal_length(image: Image, pixel_pitch_um: float) -> dict[str, float]:
-    """Focal length [mm] that puts the image's field of view on so many pixels; what is noted already where no field of view is known."""
+    """Focal length [mm] that puts the image's field of view on so many pixels; what is noted already where no field of
+    view is known.
+    """
     if "fov_x_deg" not in image.provenance:
         return {}
     half = math.tan(math.radians(float(image.provenance["fov_x_deg"])) / 2.0)
@@ -415,7 +440,9 @@ def _focal_length(image: Image, pixel_pitch_um: float) -> dict[str, float]:
 
 def _fact(image: Image, key: str, op: str) -> float:
     if key not in image.provenance:
-        raise ImageError(f"the image does not say its {key}; put {op} before this node, or add it to the image's provenance")
+        raise ImageError(
+            f"the image does not say its {key}; put {op} before this node, or add it to the image's provenance"
+        )
     return float(image.provenance[key])
 
 
@@ -428,7 +455,8 @@ def _with_noise(pixels: FloatArray, sigma: float, rng: np.random.Generator) -> F
 
 @functools.lru_cache(maxsize=6)
 def _pattern(serial: str, kind: str, height: int, width: int) -> FloatArray:
-    """(H, W, 1) standard normal numbers that belong to the pixels of a specimen, counted from its upper left corner; read-only.
+    """(H, W, 1) standard normal numbers that belong to the pixels of a specimen, counted from its upper left corner;
+    read-only.
 
     Drawn in tiles, each with a stream of its own, so that a smaller picture is a part of a larger one.
     """

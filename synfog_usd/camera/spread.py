@@ -21,13 +21,17 @@ from synfog_usd.arrays import Array, FloatArray
 THREADS = 2
 
 EDGE_PX = 64
-"""How far a picture is mirrored beyond its edges before it is blurred; 0.3 % of a point's light goes further at q = 1."""
+"""How far a picture is mirrored beyond its edges before it is blurred; 0.3 % of a point's light goes further at q =
+1.
+"""
 
 HIGHLIGHT = 8.0
 """Times the 95th percentile of a channel: from there on a pixel holds a point of light."""
 
 SPOT_PX = 24
-"""Half the side of the square in which the diffraction disc is integrated over pixels; beyond it has its mean tail.  Times q where q > 1."""
+"""Half the side of the square in which the diffraction disc is integrated over pixels; beyond it has its mean tail.
+Times q where q > 1.
+"""
 
 TAIL_PX = 8
 """From here on the tail is taken out of the spot: so smooth that a float32 transform keeps it free of noise."""
@@ -185,7 +189,9 @@ def disc_weights(q: float, radius: Array) -> Array:
     weights = given.tail * _tail_weights(radius, given.tail_scale)
     reach, inner = radius.shape[0] // 2, given.spot.shape[0] // 2
     near = min(reach, inner)
-    weights[reach - near : reach + near + 1, reach - near : reach + near + 1] += given.spot[inner - near : inner + near + 1, inner - near : inner + near + 1]
+    weights[reach - near : reach + near + 1, reach - near : reach + near + 1] += given.spot[
+        inner - near : inner + near + 1, inner - near : inner + near + 1
+    ]
     return np.asarray(weights)
 
 
@@ -198,7 +204,9 @@ def _tail_weights(radius: Array, scale: int) -> Array:
 def _tail_sum(scale: int) -> float:
     """Sum of `_tail_weights` over the whole plane: as an integral up to 1,000 pixels, and in closed form beyond."""
     radius = np.arange(0.05, 1000.0 * scale, 0.1)
-    return float(2.0 * math.pi * (_tail_weights(radius, scale) * radius).sum() * 0.1 + 2.0 / (math.pi**2 * 1000.0 * scale))
+    return float(
+        2.0 * math.pi * (_tail_weights(radius, scale) * radius).sum() * 0.1 + 2.0 / (math.pi**2 * 1000.0 * scale)
+    )
 
 
 @functools.lru_cache(maxsize=2)

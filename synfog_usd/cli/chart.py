@@ -47,12 +47,27 @@ def _note(name: str, chart: Chart) -> None:
 def _table(chart: Chart) -> None:
     points = chart.points
     first, width = points[0], max(len(point.line) for point in points) + 1
-    head: Sequence[str] = ("samples", "seconds", "total", "noise", "bias", "95th pct.", "FLIP", "mean bias", "std. err.")
+    head: Sequence[str] = (
+        "samples",
+        "seconds",
+        "total",
+        "noise",
+        "bias",
+        "95th pct.",
+        "FLIP",
+        "mean bias",
+        "std. err.",
+    )
     print(f"{'model':<{width}}" + "".join(f"{name:>11}" for name in head))
     for point in points:
         bias = f"{point.bias_rms:.2%}" if point.bias_is_seen else f"< {point.bias_limit:.2%}"
         print(
-            f"{point.line:<{width}}{point.samples:>11}{point.seconds:>9.2f} s{point.relative_rms:>11.2%}{point.noise_rms:>11.2%}{bias:>11}"
-            f"{point.p95:>11.2%}{point.flip:>11.4f}{point.bias:>+11.3%}{point.bias_error:>11.3%}" + (" <- planned" if point.planned else "")
+            f"{point.line:<{width}}{point.samples:>11}{point.seconds:>9.2f} "
+            f"s{point.relative_rms:>11.2%}{point.noise_rms:>11.2%}{bias:>11}"
+            f"{point.p95:>11.2%}{point.flip:>11.4f}{point.bias:>+11.3%}{point.bias_error:>11.3%}"
+            + (" <- planned" if point.planned else "")
         )
-    print(f"reference: {first.reference_model}, {first.reference_samples} samples, itself known to {first.reference_rms:.2%}; {first.variant}, {first.machine}")
+    print(
+        f"reference: {first.reference_model}, {first.reference_samples} samples, itself known to "
+        f"{first.reference_rms:.2%}; {first.variant}, {first.machine}"
+    )

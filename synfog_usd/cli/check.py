@@ -35,7 +35,8 @@ ERRORS, WARNINGS_UNDER_STRICT, CLEAN = 2, 1, 0
 
 
 def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], list[Note], dict[str, str]]:
-    """Findings on a stage, gravest first, the notes of its translation over all lightings and fogs, and how light it is by lighting.
+    """Findings on a stage, gravest first, the notes of its translation over all lightings and fogs, and how light it is
+    by lighting.
 
     Raises:
         StageError: the stage cannot be opened at all.
@@ -74,16 +75,22 @@ def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], lis
 
 
 _OF_ALL_FOGS = frozenset({"no-fog", "camera-outside-fog"})
-"""Rules that a stage breaks only if it does so in every variant of its fog: 'clear' has none, or leaves a bank ahead."""
+"""Rules that a stage breaks only if it does so in every variant of its fog: 'clear' has none, or leaves a bank
+ahead.
+"""
 
 
 def _placed(opened: Any, told: Iterable[Told]) -> list[Told]:
-    """The same with the paths of prototypes, which nobody authored and whose numbers change with the variants, as those of their first instances."""
+    """The same with the paths of prototypes, which nobody authored and whose numbers change with the variants, as those
+    of their first instances.
+    """
     return [replace(one, path=usd.authored_path(opened, one.path)) for one in told]
 
 
 def _variants(opened: Any) -> Iterator[str]:
-    """The stage with every lighting once and every fog once, as a bake would choose them; gives the lighting's name, '' for none."""
+    """The stage with every lighting once and every fog once, as a bake would choose them; gives the lighting's name, ''
+    for none.
+    """
     names = usd.variants(opened)
     for lighting, fog in list(itertools.zip_longest(names.get("lighting", []), names.get("fog", []))) or [(None, None)]:
         usd.select(opened, lighting=lighting, fog=fog)
@@ -96,7 +103,9 @@ def exit_code(found: Sequence[Finding], notes: Sequence[Note], *, strict: bool) 
     return ERRORS if "error" in severities else WARNINGS_UNDER_STRICT if strict and "warning" in severities else CLEAN
 
 
-def as_json(stage: Path, found: Sequence[Finding], notes: Sequence[Note], code: int, light: Mapping[str, str] = NOTHING) -> str:
+def as_json(
+    stage: Path, found: Sequence[Finding], notes: Sequence[Note], code: int, light: Mapping[str, str] = NOTHING
+) -> str:
     """One object: 'stage', 'exit_code', 'counts', 'light', 'findings', 'translation'."""
     return json.dumps(
         {
@@ -104,9 +113,13 @@ def as_json(stage: Path, found: Sequence[Finding], notes: Sequence[Note], code: 
             "exit_code": code,
             "counts": {severity: sum(one.severity == severity for one in found) for severity in GRAVEST_FIRST},
             "light": dict(light),
-            "findings": [{"rule": one.rule, "severity": one.severity, "path": one.path, "text": one.text, "mend": dict(one.mend)} for one in found],
+            "findings": [
+                {"rule": one.rule, "severity": one.severity, "path": one.path, "text": one.text, "mend": dict(one.mend)}
+                for one in found
+            ],
             "translation": [
-                {"severity": severity, "text": text, "prims": count, "paths": paths} for (severity, text), (paths, count) in _by_text(notes).items()
+                {"severity": severity, "text": text, "prims": count, "paths": paths}
+                for (severity, text), (paths, count) in _by_text(notes).items()
             ],
         },
         indent=2,
@@ -124,12 +137,22 @@ def as_text(stage: Path, found: Sequence[Finding], notes: Sequence[Note], light:
             lines += [f"    {tool}: {advice}" for tool, advice in one.mend.items()]
     rows = sorted(_by_text(notes).items(), key=lambda row: GRAVEST_FIRST.index(row[0][0]))
     if rows:
-        lines += ["", "What the translation makes simpler or leaves out:", f"{'':8} {'prims':>5}  what became of it, and the first prim"]
-        lines += [f"{severity:8} {count:5}  {_short(text)} ({_short(paths[0]) or stage.name})" for (severity, text), (paths, count) in rows]
+        lines += [
+            "",
+            "What the translation makes simpler or leaves out:",
+            f"{'':8} {'prims':>5}  what became of it, and the first prim",
+        ]
+        lines += [
+            f"{severity:8} {count:5}  {_short(text)} ({_short(paths[0]) or stage.name})"
+            for (severity, text), (paths, count) in rows
+        ]
         lines.append("")
     lines += [f"light{f' ({lighting})' if lighting else ''}: {text}" for lighting, text in light.items()]
     counts = {severity: sum(one.severity == severity for one in found) for severity in GRAVEST_FIRST}
-    lines.append(f"{stage}: {counts['error']} errors, {counts['warning']} warnings, {counts['info']} remarks; {len(rows)} simplifications")
+    lines.append(
+        f"{stage}: {counts['error']} errors, {counts['warning']} warnings, {counts['info']} remarks; {len(rows)} "
+        f"simplifications"
+    )
     return "\n".join(lines)
 
 
@@ -142,7 +165,9 @@ _MORE = re.compile(r" \(and (\d+) more prims\)$")
 
 
 def _by_text(notes: Sequence[Note]) -> dict[tuple[str, str], tuple[list[str], int]]:
-    """(severity, text) -> the paths that are told, and how many there are; the translation lists some and counts the rest."""
+    """(severity, text) -> the paths that are told, and how many there are; the translation lists some and counts the
+    rest.
+    """
     grouped: dict[tuple[str, str], tuple[list[str], int]] = {}
     for note in notes:
         rest = _MORE.search(note.text)

@@ -39,7 +39,11 @@ def run(
     graph = _changed(camera.load_graph(pipeline), changes)
     wanted = _files(graph, until)
     images = dict(_input(source, graph, repair, fov_x_deg) for source in sources)
-    exposure = camera.meter(_viewed(_read(meter_on, repair), graph, fov_x_deg), graph) if meter_on else camera.metered(graph, images)
+    exposure = (
+        camera.meter(_viewed(_read(meter_on, repair), graph, fov_x_deg), graph)
+        if meter_on
+        else camera.metered(graph, images)
+    )
     keep, kept = list(wanted.values()), None if no_cache else _cache(cache)
     results = camera.develop(graph, images, seed=seed, exposure=exposure, until=until, keep=keep, cache=kept)
     for name, node in wanted.items():
@@ -50,8 +54,18 @@ def run(
     print(drawing.table(graph, results, exposure.settings if exposure else None), file=sys.stderr)
 
 
-def show(pipeline: Path, sources: Sequence[str], *, size: tuple[int, int] | None, changes: Sequence[str], mermaid: bool, svg: Path | None) -> None:
-    """Print the graph, or write its drawing; with the milliseconds of each node where there is a picture to measure on."""
+def show(
+    pipeline: Path,
+    sources: Sequence[str],
+    *,
+    size: tuple[int, int] | None,
+    changes: Sequence[str],
+    mermaid: bool,
+    svg: Path | None,
+) -> None:
+    """Print the graph, or write its drawing; with the milliseconds of each node where there is a picture to measure
+    on.
+    """
     graph = _changed(camera.load_graph(pipeline), changes)
     images = dict(_input(source, graph) for source in sources) or (_even(graph, size) if size else {})
     results = None
@@ -81,18 +95,30 @@ def schema_text() -> str:
     """The JSON Schema of a graph of camera ops."""
     graphs = sorted(path.stem for path in resources.folder("pipeline").glob("*.yaml"))
     return (
-        json.dumps(schema(camera.OPS, profiles={"sensor": shipped("sensors"), "lens": shipped("lenses")}, graphs=graphs), indent=1, ensure_ascii=False) + "\n"
+        json.dumps(
+            schema(camera.OPS, profiles={"sensor": shipped("sensors"), "lens": shipped("lenses")}, graphs=graphs),
+            indent=1,
+            ensure_ascii=False,
+        )
+        + "\n"
     )
 
 
 def _exposed(exposure: camera.Exposure) -> str:
     time_s = exposure.exposure_s
-    limit = {"bright": "; as short as it goes, and still bright", "dark": "; as long and sensitive as it goes, and still dark"}.get(exposure.limit, "")
+    limit = {
+        "bright": "; as short as it goes, and still bright",
+        "dark": "; as long and sensitive as it goes, and still dark",
+    }.get(exposure.limit, "")
     return f"exposure: {f'1/{1 / time_s:.4g}' if time_s < 1.0 else f'{time_s:.4g}'} s, ISO {exposure.iso:.4g}{limit}"
 
 
 def _changed(graph: NodeGraph, changes: Sequence[str]) -> NodeGraph:
-    return graph.with_overrides(dict(_pair(change, "--set", "NODE.PARAMETER=VALUE") for change in changes)) if changes else graph
+    return (
+        graph.with_overrides(dict(_pair(change, "--set", "NODE.PARAMETER=VALUE") for change in changes))
+        if changes
+        else graph
+    )
 
 
 def _files(graph: NodeGraph, until: str | None) -> dict[str, str]:
@@ -117,7 +143,12 @@ def _even(graph: NodeGraph, size: tuple[int, int]) -> dict[str, Image]:
     for name, port in graph.inputs.items():
         if port.quantity is not Quantity.RADIANCE:
             raise GraphError(f"--resolution: the input {name!r} is {port}, not radiance; give a picture with --in")
-    grey = Image(np.full((height, width, 3), GREY_CD_M2, dtype=np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+    grey = Image(
+        np.full((height, width, 3), GREY_CD_M2, dtype=np.float32),
+        ("R", "G", "B"),
+        Quantity.RADIANCE,
+        provenance={"fov_x_deg": 60.0},
+    )
     return dict.fromkeys(graph.inputs, grey)
 
 
@@ -139,14 +170,25 @@ def _viewed(image: Image, graph: NodeGraph, fov_x_deg: float | None) -> Image:
         return image
     own = camera.lens_fov_deg(lens, chip, image.width_px)
     if "fov_from" in image.provenance:
-        print(f"field of view: {own:.4g} degrees, of {image.width_px} pixels behind {lens.name}; --fov says another", file=sys.stderr)
+        print(
+            f"field of view: {own:.4g} degrees, of {image.width_px} pixels behind {lens.name}; --fov says another",
+            file=sys.stderr,
+        )
     elif abs(seen - own) > 0.02 * own:
-        print(f"field of view: {seen:.4g} degrees, as the picture says; {image.width_px} pixels behind {lens.name} would see {own:.4g}", file=sys.stderr)
+        print(
+            f"field of view: {seen:.4g} degrees, as the picture says; {image.width_px} pixels behind {lens.name} "
+            f"would see {own:.4g}",
+            file=sys.stderr,
+        )
     return image
 
 
 def _read(path: Path, repair: bool = False, quantity: Quantity | None = None) -> Image:
-    image = writers.read_exr(path, declared=quantity, repair=repair) if path.suffix.lower() == ".exr" else writers.read_raw(path)
+    image = (
+        writers.read_exr(path, declared=quantity, repair=repair)
+        if path.suffix.lower() == ".exr"
+        else writers.read_raw(path)
+    )
     if count := image.provenance.get("repaired_values", 0):
         print(f"{path}: {count} values that light cannot have were mended", file=sys.stderr)
     return image

@@ -45,37 +45,91 @@ def bake(
     stage: Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz).")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", parser=_folder, help="Folder for everything that is written; out/<name of the stage> if left out.", show_default=False),
+        typer.Option(
+            "--out",
+            "-o",
+            parser=_folder,
+            help="Folder for everything that is written; out/<name of the stage> if left out.",
+            show_default=False,
+        ),
     ] = None,
     pipeline: Annotated[Path | None, typer.Option(help="YAML node graph; the shipped phone if left out.")] = None,
-    lighting: Annotated[str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")] = None,
-    fog: Annotated[str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")] = None,
+    lighting: Annotated[
+        str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")
+    ] = None,
+    fog: Annotated[
+        str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")
+    ] = None,
     camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
     frame: Annotated[float | None, typer.Option(help="Time code.")] = None,
     lights: Annotated[
-        str, typer.Option(help="How intensities are meant: usd, blender, rtx-legacy, metric; auto goes by the program that wrote them.")
+        str,
+        typer.Option(
+            help=(
+                "How intensities are meant: usd, blender, rtx-legacy, metric; auto goes by the program that wrote them."
+            )
+        ),
     ] = "auto",
-    choices: Annotated[list[str] | None, typer.Option("--set", help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.")] = None,
-    metres_per_unit: Annotated[float | None, typer.Option("--meters-per-unit", help="Length in metres of the stage's unit, instead of its own.")] = None,
-    up: Annotated[str | None, typer.Option(help="Axis of the stage that points up: X, Y or Z, instead of its own.")] = None,
+    choices: Annotated[
+        list[str] | None, typer.Option("--set", help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.")
+    ] = None,
+    metres_per_unit: Annotated[
+        float | None,
+        typer.Option("--meters-per-unit", help="Length in metres of the stage's unit, instead of its own."),
+    ] = None,
+    up: Annotated[
+        str | None, typer.Option(help="Axis of the stage that points up: X, Y or Z, instead of its own.")
+    ] = None,
     light_scale: Annotated[float, typer.Option(help="Multiply all lights by this.")] = 1.0,
-    sun_lux: Annotated[float | None, typer.Option(help="Multiply all lights so that the sun gives this illuminance, as 80000 for a clear noon.")] = None,
+    sun_lux: Annotated[
+        float | None,
+        typer.Option(help="Multiply all lights so that the sun gives this illuminance, as 80000 for a clear noon."),
+    ] = None,
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None,
     model: Annotated[
-        str, typer.Option(help="How light is transported: slab, single, field, path, volpath ...; auto tries them small and takes the cheapest that holds.")
+        str,
+        typer.Option(
+            help=(
+                "How light is transported: slab, single, field, path, volpath ...; auto tries them small and takes "
+                "the cheapest that holds."
+            )
+        ),
     ] = "auto",
     samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 64,
-    target_error: Annotated[float | None, typer.Option(help="Relative error of a pixel to stop at, as 0.01; the sensor's noise if left out.")] = None,
-    time_limit: Annotated[float | None, typer.Option(help="Seconds a shot after which no more samples are begun.")] = None,
-    bands: Annotated[str, typer.Option(help="Light that a path carries: 3 (R, G, B), 8, 16 or 31 wavelength bands; auto takes as few as will do.")] = "auto",
+    target_error: Annotated[
+        float | None,
+        typer.Option(help="Relative error of a pixel to stop at, as 0.01; the sensor's noise if left out."),
+    ] = None,
+    time_limit: Annotated[
+        float | None, typer.Option(help="Seconds a shot after which no more samples are begun.")
+    ] = None,
+    bands: Annotated[
+        str,
+        typer.Option(
+            help="Light that a path carries: 3 (R, G, B), 8, 16 or 31 wavelength bands; auto takes as few as will do."
+        ),
+    ] = "auto",
     denoise: Annotated[
-        bool, typer.Option(help="Clean surfaces and airlight apart (Open Image Denoise) and tell what error is left; --no-denoise gives the plain mean.")
+        bool,
+        typer.Option(
+            help=(
+                "Clean surfaces and airlight apart (Open Image Denoise) and tell what error is left; --no-denoise "
+                "gives the plain mean."
+            )
+        ),
     ] = True,
-    cull: Annotated[bool, typer.Option(help="Thin or leave out what fog hides from the sensor; --no-cull draws it whole.")] = True,
+    cull: Annotated[
+        bool, typer.Option(help="Thin or leave out what fog hides from the sensor; --no-cull draws it whole.")
+    ] = True,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
-    allow: Annotated[list[Path] | None, typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again.")] = None,
-    strict: Annotated[bool, typer.Option("--strict", help="Stop, with exit code 1, at whatever is not understood.")] = False,
+    allow: Annotated[
+        list[Path] | None,
+        typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again."),
+    ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Stop, with exit code 1, at whatever is not understood.")
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON on standard output.")] = False,
 ) -> None:
@@ -119,10 +173,15 @@ def bake(
 def check(
     stage: Annotated[Path, typer.Argument(help="USD file.")],
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
-    allow: Annotated[list[Path] | None, typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again.")] = None,
+    allow: Annotated[
+        list[Path] | None,
+        typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
-    """Tell what in STAGE is wrong or unusual, how to mend it, and what a bake makes simpler; exit code 2 where a bake would stop."""
+    """Tell what in STAGE is wrong or unusual, how to mend it, and what a bake makes simpler; exit code 2 where a bake
+    would stop.
+    """
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
     worker.follow_parent()
@@ -138,28 +197,62 @@ def check(
 @app.command()
 def chart(
     stage: Annotated[Path | None, typer.Argument(help="USD file, or a folder of them.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for chart.csv, chart.svg, chart.png and chart.html.", show_default=False)] = None,
-    suite: Annotated[bool, typer.Option("--suite", help="Every shipped stage of stages/bench, with index.html and summary.csv.")] = False,
-    fog: Annotated[str | None, typer.Option(help="One fog: a variant of the stage, clear, or mor<metres>; as the stage has it if left out.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", help="Folder for chart.csv, chart.svg, chart.png and chart.html.", show_default=False
+        ),
+    ] = None,
+    suite: Annotated[
+        bool, typer.Option("--suite", help="Every shipped stage of stages/bench, with index.html and summary.csv.")
+    ] = False,
+    fog: Annotated[
+        str | None,
+        typer.Option(help="One fog: a variant of the stage, clear, or mor<metres>; as the stage has it if left out."),
+    ] = None,
     lighting: Annotated[str | None, typer.Option(help="One lighting; as the stage has it if left out.")] = None,
     camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
     resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "160x90",
-    samples: Annotated[str | None, typer.Option(help="Paths per pixel to try, comma-separated; 8,32,128,512 and for peers 8,32,128 if left out.")] = None,
-    models: Annotated[str | None, typer.Option(help="Models to compare, comma-separated; all that hold for the shot if left out.")] = None,
-    depth: Annotated[str, typer.Option(help="Numbers of scatterings at which path is cut, comma-separated, or none.")] = "4",
-    bands: Annotated[str, typer.Option(help="Numbers of wavelength bands for path, comma-separated, or none.")] = "none",
-    denoise: Annotated[bool, typer.Option(help="Show unbiased models denoised too.")] = True,
-    reference: Annotated[int | None, typer.Option(help="Paths per pixel of the reference; by the sweep and the time limit if left out.")] = None,
-    time_limit: Annotated[
-        float | None, typer.Option(help="Seconds of rendering a stage, a model's first point not counted; 90 if left out, or none where --samples is given.")
+    samples: Annotated[
+        str | None,
+        typer.Option(help="Paths per pixel to try, comma-separated; 8,32,128,512 and for peers 8,32,128 if left out."),
     ] = None,
-    target: Annotated[float, typer.Option(help="Total error for which the planner is asked; its choice is ringed.")] = 0.03,
+    models: Annotated[
+        str | None, typer.Option(help="Models to compare, comma-separated; all that hold for the shot if left out.")
+    ] = None,
+    depth: Annotated[
+        str, typer.Option(help="Numbers of scatterings at which path is cut, comma-separated, or none.")
+    ] = "4",
+    bands: Annotated[
+        str, typer.Option(help="Numbers of wavelength bands for path, comma-separated, or none.")
+    ] = "none",
+    denoise: Annotated[bool, typer.Option(help="Show unbiased models denoised too.")] = True,
+    reference: Annotated[
+        int | None, typer.Option(help="Paths per pixel of the reference; by the sweep and the time limit if left out.")
+    ] = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(
+            help=(
+                "Seconds of rendering a stage, a model's first point not counted; 90 if left out, or none where "
+                "--samples is given."
+            )
+        ),
+    ] = None,
+    target: Annotated[
+        float, typer.Option(help="Total error for which the planner is asked; its choice is ringed.")
+    ] = 0.03,
     seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0,
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
-    allow: Annotated[list[Path] | None, typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again.")] = None,
+    allow: Annotated[
+        list[Path] | None,
+        typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again."),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
 ) -> None:
-    """Chart what accuracy costs: seconds against error of every model on one shot of STAGE, or on every stage of a folder."""
+    """Chart what accuracy costs: seconds against error of every model on one shot of STAGE, or on every stage of a
+    folder.
+    """
     if suite == (stage is not None):
         raise ParameterError("chart: takes either a STAGE (a file, or a folder of them) or --suite")
     if out is None:
@@ -200,7 +293,10 @@ def compose(
     recipe: Annotated[Path, typer.Argument(help="YAML recipe, as stages/recipes/residential.yaml.")],
     seed: Annotated[int, typer.Option(help="The same seed gives the same stage.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Stage to write (.usda, .usdc, .usd).")],
-    change: Annotated[list[str] | None, typer.Option("--set", help="SECTION.KEY=VALUE over what the recipe says, as in traffic.count=20.")] = None,
+    change: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="SECTION.KEY=VALUE over what the recipe says, as in traffic.count=20."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what stands where as JSON.")] = False,
 ) -> None:
     """Draw a stage from RECIPE: another road, other cars, people, fogs and skies for each seed."""
@@ -222,13 +318,17 @@ def contact(
     out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write (.png).")],
     seeds: Annotated[str, typer.Option(help="Seeds to show, as in 0-15 or 3,7,9-11.")] = "0-15",
     lighting: Annotated[str, typer.Option(help="sky (day) or active (dusk with lamps).")] = "sky",
-    fog: Annotated[str, typer.Option(help="Fogs side by side, comma-separated: clear, variants, or mor<metres>.")] = "clear,mor300",
+    fog: Annotated[
+        str, typer.Option(help="Fogs side by side, comma-separated: clear, variants, or mor<metres>.")
+    ] = "clear,mor300",
     resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT of one preview in pixels.")] = "320x180",
     columns: Annotated[int, typer.Option(help="Seeds side by side; 0 makes the sheet about square.")] = 0,
     samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 16,
     model: Annotated[str, typer.Option(help="How light is transported; see bake.")] = "auto",
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
-    change: Annotated[list[str] | None, typer.Option("--set", help="SECTION.KEY=VALUE over what the recipes say.")] = None,
+    change: Annotated[
+        list[str] | None, typer.Option("--set", help="SECTION.KEY=VALUE over what the recipes say.")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
 ) -> None:
     """Show small previews of the stages that RECIPE draws, for choosing seeds."""
@@ -270,10 +370,33 @@ def info(
     from synfog_usd.render import backend
 
     chosen = backend.choose(variant)  # type: ignore[arg-type]
-    names = ("usd-core", "mitsuba", "drjit", "OpenImageIO", "colour-science", "trimesh", "pymeshlab", "numpy", "scipy", "tifffile", "matplotlib")
+    names = (
+        "usd-core",
+        "mitsuba",
+        "drjit",
+        "OpenImageIO",
+        "colour-science",
+        "trimesh",
+        "pymeshlab",
+        "numpy",
+        "scipy",
+        "tifffile",
+        "matplotlib",
+    )
     versions = {name: importlib.metadata.version(name) for name in names}
     if as_json:
-        print(json.dumps({"backend": chosen.name, "variant": chosen.variant, "llvm": chosen.llvm_library, "why": chosen.why, "versions": versions}, indent=2))
+        print(
+            json.dumps(
+                {
+                    "backend": chosen.name,
+                    "variant": chosen.variant,
+                    "llvm": chosen.llvm_library,
+                    "why": chosen.why,
+                    "versions": versions,
+                },
+                indent=2,
+            )
+        )
         return
     print(f"synfog-usd {__version__}, Python {platform.python_version()}, {platform.platform()}")
     print(f"backend: {chosen.name} ({chosen.variant})")
@@ -285,7 +408,9 @@ def info(
 @app.command("plugin-path")
 def plugin_path(
     bare: Annotated[bool, typer.Option("--bare", help="Print the schema's folder alone, for scripts.")] = False,
-    blender: Annotated[Path | None, typer.Option(help="Write Blender's extension to this .zip.", show_default=False)] = None,
+    blender: Annotated[
+        Path | None, typer.Option(help="Write Blender's extension to this .zip.", show_default=False)
+    ] = None,
 ) -> None:
     """Tell what to set so that usdview, Houdini, Omniverse and Blender know the fog schema."""
     from synfog_usd.cli import plugins
@@ -319,7 +444,10 @@ def selftest(
         print(json.dumps({"variant": chosen, "cases": [result.as_dict() for row in rows for result in row]}, indent=2))
     else:
         print(study.table(rows))
-        print("!: missed and counted; (): outside the model's stated domain; NaN: paths that were not finite; volpath and volpathmis are shown, not counted")
+        print(
+            "!: missed and counted; (): outside the model's stated domain; NaN: paths that were not finite; volpath "
+            "and volpathmis are shown, not counted"
+        )
         print(study.summary(rows))
     raise typer.Exit(1 if any(result.failed for row in rows for result in row) else 0)
 
@@ -338,8 +466,13 @@ def graph_show(
     pipeline: Annotated[Path, typer.Argument(help="YAML node graph.")],
     mermaid: Annotated[bool, typer.Option("--mermaid", help="As Mermaid text, for a drawing.")] = False,
     svg: Annotated[Path | None, typer.Option("--svg", help="Write an SVG drawing to this file.")] = None,
-    source: Annotated[list[str] | None, typer.Option("--in", help="Measure the milliseconds of each node on FILE.exr, or NAME=FILE.exr.")] = None,
-    resolution: Annotated[str | None, typer.Option(help="Measure on an even grey picture of WIDTHxHEIGHT instead.")] = None,
+    source: Annotated[
+        list[str] | None,
+        typer.Option("--in", help="Measure the milliseconds of each node on FILE.exr, or NAME=FILE.exr."),
+    ] = None,
+    resolution: Annotated[
+        str | None, typer.Option(help="Measure on an even grey picture of WIDTHxHEIGHT instead.")
+    ] = None,
     change: Annotated[list[str] | None, typer.Option("--set", help="NODE.PARAMETER=VALUE.")] = None,
 ) -> None:
     """Show every node with its parameters and where each value comes from."""
@@ -354,20 +487,47 @@ def graph_run(
     source: Annotated[list[str], typer.Option("--in", help="NAME=FILE.exr, or FILE.exr for a graph with one input.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the graph's outputs.")] = Path(),
     meter: Annotated[Path | None, typer.Option(help="EXR to meter on; the input itself if left out.")] = None,
-    change: Annotated[list[str] | None, typer.Option("--set", help="NODE.PARAMETER=VALUE, or sensor.iso=400 for every node that it fits.")] = None,
-    until: Annotated[str | None, typer.Option(help="Run no further than this node, written as EXR, or this output, as raw or raw.dng.")] = None,
+    change: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="NODE.PARAMETER=VALUE, or sensor.iso=400 for every node that it fits."),
+    ] = None,
+    until: Annotated[
+        str | None,
+        typer.Option(help="Run no further than this node, written as EXR, or this output, as raw or raw.dng."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     cache: Annotated[
-        Path | None, typer.Option(help="Folder in which results of nodes are kept, up to 2 GiB; the user's cache folder if left out.", show_default=False)
+        Path | None,
+        typer.Option(
+            help="Folder in which results of nodes are kept, up to 2 GiB; the user's cache folder if left out.",
+            show_default=False,
+        ),
     ] = None,
     no_cache: Annotated[bool, typer.Option("--no-cache", help="Run every node, and keep nothing.")] = False,
-    repair: Annotated[bool, typer.Option("--repair", help="Mend radiance that is negative or not finite, instead of refusing it.")] = False,
-    fov: Annotated[float | None, typer.Option(help="Horizontal field of view of the inputs [degrees]; else what they say, or lens and sensor.")] = None,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Mend radiance that is negative or not finite, instead of refusing it.")
+    ] = False,
+    fov: Annotated[
+        float | None,
+        typer.Option(help="Horizontal field of view of the inputs [degrees]; else what they say, or lens and sensor."),
+    ] = None,
 ) -> None:
     """Run a graph on radiance of one's own; what has not changed since an earlier run is not run again."""
     from synfog_usd.cli import graph as verb
 
-    verb.run(pipeline, source, out, meter_on=meter, changes=change or [], until=until, seed=seed, cache=cache, no_cache=no_cache, repair=repair, fov_x_deg=fov)
+    verb.run(
+        pipeline,
+        source,
+        out,
+        meter_on=meter,
+        changes=change or [],
+        until=until,
+        seed=seed,
+        cache=cache,
+        no_cache=no_cache,
+        repair=repair,
+        fov_x_deg=fov,
+    )
 
 
 @graph_app.command("explain")
@@ -393,15 +553,23 @@ def graph_schema() -> None:
 def asset_import(
     file: Annotated[Path, typer.Argument(help="Model: .glb, .gltf, .obj, .ply, .usd, .usda, .usdc or .usdz.")],
     label: Annotated[str, typer.Option("--class", help="Cityscapes class, as car, person, 'traffic sign'.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Library folder; the model becomes <out>/<name>/<name>.usda.")] = Path("models"),
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Library folder; the model becomes <out>/<name>/<name>.usda.")
+    ] = Path("models"),
     name: Annotated[str | None, typer.Option(help="Name of the model; from the file's name if left out.")] = None,
-    length: Annotated[float | None, typer.Option(help="Its length in metres, the way it looks; scales the model to it.")] = None,
-    unit: Annotated[str | None, typer.Option(help="Unit of the file: m, cm, mm, in, ft or dm; guessed from the class if left out.")] = None,
+    length: Annotated[
+        float | None, typer.Option(help="Its length in metres, the way it looks; scales the model to it.")
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of the file: m, cm, mm, in, ft or dm; guessed from the class if left out.")
+    ] = None,
     up: Annotated[str | None, typer.Option(help="Axis of the file that points up, as +Z.")] = None,
     front: Annotated[str | None, typer.Option(help="Axis of the file that it looks along, as -Y.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON.")] = False,
 ) -> None:
-    """Import FILE as a model of the library: in metres, Z up, front +Y, on the ground, labelled, in two levels of detail."""
+    """Import FILE as a model of the library: in metres, Z up, front +Y, on the ground, labelled, in two levels of
+    detail.
+    """
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), file))
     worker.follow_parent()
@@ -415,8 +583,19 @@ def asset_import(
         made = import_asset(file, label, out=out, name=name, length_m=length, unit=unit, up=up, front=front)
     model, (full, low) = made.model, made.triangles
     if as_json:
-        size = {"length_m": round(model.length, 4), "width_m": round(model.width, 4), "height_m": round(model.height, 4)}
-        facts = {"name": model.name, "class": model.label, "path": str(model.path), **size, "triangles": full, "triangles_low": low}
+        size = {
+            "length_m": round(model.length, 4),
+            "width_m": round(model.width, 4),
+            "height_m": round(model.height, 4),
+        }
+        facts = {
+            "name": model.name,
+            "class": model.label,
+            "path": str(model.path),
+            **size,
+            "triangles": full,
+            "triangles_low": low,
+        }
         print(json.dumps({**facts, "notes": list(made.notes)}, indent=2))
         return
     for note in made.notes:
@@ -428,7 +607,10 @@ def asset_import(
 def _crash_line(code: int, stage: Path) -> int:
     """The exit code for the user, after a line for a child that died."""
     if code < 0:
-        print(f"synfog-usd: {stage}: the process that read it died of signal {-code}: {worker.cause(code)}", file=sys.stderr)
+        print(
+            f"synfog-usd: {stage}: the process that read it died of signal {-code}: {worker.cause(code)}",
+            file=sys.stderr,
+        )
         return 2
     return code
 
@@ -472,7 +654,10 @@ def main(arguments: list[str] | None = None) -> Any:
         print(f"synfog-usd: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
     except MemoryError:
-        print("synfog-usd: this machine's memory does not suffice; make the stage, its textures or the picture smaller", file=sys.stderr)
+        print(
+            "synfog-usd: this machine's memory does not suffice; make the stage, its textures or the picture smaller",
+            file=sys.stderr,
+        )
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(worker.INTERRUPTED)

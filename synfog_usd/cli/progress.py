@@ -24,12 +24,20 @@ def shown(quiet: bool) -> Iterator[tuple[Callable[[str, float], None], Callable[
     if not console.is_terminal:
         yield _plain_progress(), lambda text: print(text, file=sys.stderr, flush=True)
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
+    )
     with Progress(*columns, console=console, transient=True) as bar:
         task, began = bar.add_task("starting", total=1.0, left=""), time.monotonic()
 
         def progress(what: str, fraction: float) -> None:
-            bar.update(task, description=escape(what), completed=fraction, left=_left(time.monotonic() - began, fraction))
+            bar.update(
+                task, description=escape(what), completed=fraction, left=_left(time.monotonic() - began, fraction)
+            )
 
         yield progress, (lambda text: console.print(escape(text)))
 
@@ -47,6 +55,10 @@ def _plain_progress() -> Callable[[str, float], None]:
         if now - last[0] < PLAIN_INTERVAL_S:
             return
         last[0] = now
-        print(f"{fraction:4.0%}  {what}  {now:.0f} s" + (f", {left}" if (left := _left(now, fraction)) else ""), file=sys.stderr, flush=True)
+        print(
+            f"{fraction:4.0%}  {what}  {now:.0f} s" + (f", {left}" if (left := _left(now, fraction)) else ""),
+            file=sys.stderr,
+            flush=True,
+        )
 
     return progress

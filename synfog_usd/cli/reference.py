@@ -19,7 +19,7 @@ Every command with its arguments and options. This page is made from the command
 
 Exit codes: 0 done; 1 done, but something that was asked to be an error was found (`--strict`, a missed self-test);
 2 refused in one line that names place and fix; 130 ended by Ctrl-C. Anything else is a fault of ours.
-"""
+"""  # noqa: E501
 
 
 def page() -> str:
@@ -46,7 +46,9 @@ def _summary(command: Any) -> str:
 
 def _section(name: str, command: Any) -> list[str]:
     arguments = [parameter for parameter in command.params if parameter.param_type_name == "argument"]
-    options = [parameter for parameter in command.params if parameter.param_type_name == "option" and parameter.name != "help"]
+    options = [
+        parameter for parameter in command.params if parameter.param_type_name == "option" and parameter.name != "help"
+    ]
     usage = " ".join([name, *(_placeholder(argument) for argument in arguments), *(["[OPTIONS]"] if options else [])])
     lines = [f"## {name}", "", _summary(command), "", "```sh", usage, "```", ""]
     if rows := [*map(_argument, arguments), *map(_option, options)]:

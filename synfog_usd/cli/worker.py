@@ -24,13 +24,17 @@ INTERRUPTED = 130
 PR_SET_PDEATHSIG = 1
 
 READ_CPU_S = 600
-"""Processor time for reading and translating a stage; 2 million prims, the most that are composed, take 40 s to open."""
+"""Processor time for reading and translating a stage; 2 million prims, the most that are composed, take 40 s to
+open.
+"""
 
 READ_WALL_S = 3600
 """Wall time for the same, against a file system that does not answer."""
 
 FOREIGN = ("PXR_PLUGINPATH_NAME", "PXR_AR_DEFAULT_SEARCH_PATH")
-"""Variables by which USD would load other people's plugins and look for files elsewhere; the child does not see them."""
+"""Variables by which USD would load other people's plugins and look for files elsewhere; the child does not see
+them.
+"""
 
 
 def is_worker() -> bool:
@@ -48,7 +52,8 @@ def follow_parent() -> None:
 
 @contextlib.contextmanager
 def reading_limits() -> Iterator[None]:
-    """In the child, while a stage is read or translated: memory of this machine, and bounded time; as before afterwards, because rendering may take long.
+    """In the child, while a stage is read or translated: memory of this machine, and bounded time; as before
+    afterwards, because rendering may take long.
 
     Beyond them the process dies of a signal or raises MemoryError, and the parent says so.
     """
@@ -56,7 +61,9 @@ def reading_limits() -> Iterator[None]:
     cpu_s = int(spent.ru_utime + spent.ru_stime) + READ_CPU_S
     page = resource.getpagesize()
     memory = os.sysconf("SC_PHYS_PAGES") * page
-    with contextlib.suppress(OSError):  # address space that is only reserved counts too: some 1.5 GB for libraries and threads' stacks
+    with contextlib.suppress(
+        OSError
+    ):  # address space that is only reserved counts too: some 1.5 GB for libraries and threads' stacks
         memory += int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * page
     before = {}
     for kind, wanted in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CPU, cpu_s), (resource.RLIMIT_CORE, 0)):
@@ -66,7 +73,9 @@ def reading_limits() -> Iterator[None]:
     signal.alarm(READ_WALL_S)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # numbers that overflow in numpy: what comes of them is told as notes
+            warnings.simplefilter(
+                "ignore", RuntimeWarning
+            )  # numbers that overflow in numpy: what comes of them is told as notes
             yield
     finally:
         signal.alarm(0)

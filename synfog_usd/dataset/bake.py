@@ -43,7 +43,9 @@ METER_WIDTH_PX = 160
 METER_SAMPLES = 64
 
 ANOTHER_LOAD = 0.5
-"""Share of a scene's triangles that its fog must hide: what is left is loaded once more, with kernels of its own, where the whole is loaded already."""
+"""Share of a scene's triangles that its fog must hide: what is left is loaded once more, with kernels of its own, where
+the whole is loaded already.
+"""
 
 
 @dataclass(frozen=True)
@@ -104,9 +106,14 @@ def bake(
         notes, foggy = scenes.survey(todo)
 
     if plan.strict and any(note.severity == "warning" for note in notes):
-        raise StrictError("\n".join(f"{note.path or plan.stage}: {note.text}" for note in notes if note.severity == "warning"))
+        raise StrictError(
+            "\n".join(f"{note.path or plan.stage}: {note.text}" for note in notes if note.severity == "warning")
+        )
     if all(shot.mor_m is None for shot in todo) and not foggy:
-        log(f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog (see docs/artists.md).")
+        log(
+            f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog "
+            f"(see docs/artists.md)."
+        )
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
     metered = bool(camera.exposure_left_open(graph))
     metadata = _metadata(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
@@ -118,7 +125,9 @@ def bake(
             progress("labels", 0.0)
             with reading():
                 first = scenes.of(todo[0])
-            ledger.add_labels(_write_labels(aovs.measure(renderer.within(replace(first, fog=()))), first, plan, graph, scenes.taken))
+            ledger.add_labels(
+                _write_labels(aovs.measure(renderer.within(replace(first, fog=()))), first, plan, graph, scenes.taken)
+            )
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
         if kept:
@@ -143,12 +152,18 @@ def bake(
 
                 step("translating", 0.0)
                 with reading():
-                    scene, clear = scenes.of(shot), scenes.of(_cleared(stage, shot)) if metered and shot.lighting not in views else None
+                    scene, clear = (
+                        scenes.of(shot),
+                        scenes.of(_cleared(stage, shot)) if metered and shot.lighting not in views else None,
+                    )
                 if clear is not None:
                     step("metering", 0.01)
                     behind.wait()  # the graph runs here too
                     view = views[shot.lighting] = _meter(replace(clear, fog=()), renderer, plan, graph)
-                    log(f"{shot.lighting}: {outdoors(scene)}; this view has {float(view.luminance.mean()):.3g} cd/m2 in clear air")
+                    log(
+                        f"{shot.lighting}: {outdoors(scene)}; this view has {float(view.luminance.mean()):.3g} cd/m2 "
+                        f"in clear air"
+                    )
                 made = _render(shot, scene, renderer, views.get(shot.lighting), plan, scenes.taken, step)
                 behind.do(functools.partial(finish, shot, made, began))
         missing = [f"{note.path}: {note.text}" for note in notes if usd.MISSING in note.text]
@@ -158,7 +173,9 @@ def bake(
 
 
 class _Scenes:
-    """The scenes of a stage: one translation for each lighting, and one more for what differs from it in more than its fog."""
+    """The scenes of a stage: one translation for each lighting, and one more for what differs from it in more than its
+    fog.
+    """
 
     def __init__(self, stage: Any, plan: BakePlan, graph: Any = None) -> None:
         from synfog_usd import stage as usd
@@ -176,7 +193,11 @@ class _Scenes:
         if shot in self.known:
             return self.known[shot]
         plan = self.plan
-        usd.select(self.stage, fog=shot.fog_variant or self.authored.get("fog"), lighting=shot.lighting_variant or self.authored.get("lighting"))
+        usd.select(
+            self.stage,
+            fog=shot.fog_variant or self.authored.get("fog"),
+            lighting=shot.lighting_variant or self.authored.get("lighting"),
+        )
         choices: dict[str, Any] = {"camera": plan.camera, "frame": plan.frame, "resolution": plan.size}
         choices |= {"lights": plan.lights, "light_scale": plan.light_scale, "sun_lux": plan.sun_lux}
         if shot.lighting not in self.lightings:
@@ -190,14 +211,29 @@ class _Scenes:
         return self.known[shot]
 
     def seen(self, scene: SceneDict) -> SceneDict:
-        """The scene through a wider and denser camera, where the graph's lens distorts and every pixel has to be found in the picture."""
+        """The scene through a wider and denser camera, where the graph's lens distorts and every pixel has to be found
+        in the picture.
+        """
         from synfog_usd.camera import distortion
 
-        wider = None if self.graph is None or scene.camera.width_m > 0.0 else distortion.to_render(self.graph, _pinhole(scene.camera))
+        wider = (
+            None
+            if self.graph is None or scene.camera.width_m > 0.0
+            else distortion.to_render(self.graph, _pinhole(scene.camera))
+        )
         if wider is None:
             return scene
         self.taken = _pinhole(scene.camera)
-        return replace(scene, camera=replace(scene.camera, height_px=wider.height_px, width_px=wider.width_px, fov_x_deg=wider.fov_x_deg, shift=wider.shift))
+        return replace(
+            scene,
+            camera=replace(
+                scene.camera,
+                height_px=wider.height_px,
+                width_px=wider.width_px,
+                fov_x_deg=wider.fov_x_deg,
+                shift=wider.shift,
+            ),
+        )
 
     def survey(self, todo: Sequence[Shot]) -> tuple[tuple[Note, ...], bool]:
         """Read every lighting once and every fog once, before anything is rendered.
@@ -242,7 +278,9 @@ class _Renderer:
         return in_fog(self.loaded, scene.fog)
 
     def free(self) -> None:
-        """Let the scene go, before another is loaded: two at once take twice the memory, and make the renderer's tables and kernels larger."""
+        """Let the scene go, before another is loaded: two at once take twice the memory, and make the renderer's tables
+        and kernels larger.
+        """
         self.world = self.loaded = None
 
 
@@ -277,7 +315,11 @@ class _View:
         """Luminance -> standard deviation of what a pixel reads [cd m-2]."""
         from synfog_usd import camera
 
-        return functools.partial(camera.noise_floor, electrons_per_cd_m2=self.pixel[0], dark_noise_e=self.pixel[1]) if self.pixel else None
+        return (
+            functools.partial(camera.noise_floor, electrons_per_cd_m2=self.pixel[0], dark_noise_e=self.pixel[1])
+            if self.pixel
+            else None
+        )
 
 
 def _loaded(scene: SceneDict, renderer: _Renderer, model: str) -> MitsubaScene:
@@ -301,9 +343,17 @@ def _meter(scene: SceneDict, renderer: _Renderer, plan: BakePlan, graph: Any) ->
 
     loaded = _loaded(scene, renderer, models.AUTO)
     size = METER_WIDTH_PX, max(1, round(METER_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
-    frame = render(scene, samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=size, loaded=resized(loaded, size)).radiance
+    frame = render(
+        scene, samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=size, loaded=resized(loaded, size)
+    ).radiance
     exposure = camera.meter(frame, graph)
-    return _View(exposure, camera.sensitivity(frame, graph, exposure), photometry.luminance(frame), aovs.measure(loaded), scene.world)
+    return _View(
+        exposure,
+        camera.sensitivity(frame, graph, exposure),
+        photometry.luminance(frame),
+        aovs.measure(loaded),
+        scene.world,
+    )
 
 
 @dataclass(frozen=True)
@@ -311,7 +361,8 @@ class _Shot:
     """A shot that is rendered.
 
     Attributes:
-        shot, scene, view, taken, rendered: what it is of, how it was exposed, what the sensor takes of it, and what came of it.
+        shot, scene, view, taken, rendered: what it is of, how it was exposed, what the sensor takes of it, and what
+            came of it.
         behind_fog, instances: what the manifest and `instances.json` tell of what the fog hides.
         hidden: the same for a user, or ''.
     """
@@ -353,7 +404,15 @@ class _Behind:
             task.result()
 
 
-def _render(shot: Shot, scene: SceneDict, renderer: _Renderer, view: _View | None, plan: BakePlan, taken: Pinhole | None, progress: Progress) -> _Shot:
+def _render(
+    shot: Shot,
+    scene: SceneDict,
+    renderer: _Renderer,
+    view: _View | None,
+    plan: BakePlan,
+    taken: Pinhole | None,
+    progress: Progress,
+) -> _Shot:
     """Render one shot."""
     from synfog_usd import cull
     from synfog_usd.render.sampling.adaptive import sensor_target
@@ -370,7 +429,13 @@ def _render(shot: Shot, scene: SceneDict, renderer: _Renderer, view: _View | Non
         loaded = _loaded(drawn, renderer, plan.model)
     else:
         renderer.free()
-    same = view is not None and view.world is scene.world and loaded is not None and not loaded.boundaries and not scene.camera.width_m
+    same = (
+        view is not None
+        and view.world is scene.world
+        and loaded is not None
+        and not loaded.boundaries
+        and not scene.camera.width_m
+    )
     rendered = render(
         drawn,
         model=plan.model,
@@ -385,7 +450,16 @@ def _render(shot: Shot, scene: SceneDict, renderer: _Renderer, view: _View | Non
         clear=view.seen if view and (hidden.triangles or same) else None,
         progress=lambda what, fraction: progress(what, 0.02 + 0.98 * fraction),
     )
-    return _Shot(shot, scene, view, taken, rendered, hidden.metadata(scene), labels.instance_list(hidden, scene), hidden.sentence(scene))
+    return _Shot(
+        shot,
+        scene,
+        view,
+        taken,
+        rendered,
+        hidden.metadata(scene),
+        labels.instance_list(hidden, scene),
+        hidden.sentence(scene),
+    )
 
 
 def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
@@ -395,15 +469,27 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
     shot, scene, view, taken, rendered = made.shot, made.scene, made.view, made.taken, made.rendered
     folder = plan.out / shot.folder
     mor = [volume.medium.visibility_m for volume in scene.fog if volume.parent is None]
-    marks = {"synfog:lighting": shot.lighting, "synfog:fog": shot.fog, "synfog:mor_m": mor[0] if mor else 0.0, "synfog:model": rendered.model}
+    marks = {
+        "synfog:lighting": shot.lighting,
+        "synfog:fog": shot.fog,
+        "synfog:mor_m": mor[0] if mor else 0.0,
+        "synfog:model": rendered.model,
+    }
     radiance, variance = rendered.radiance, rendered.radiance.variance
     if taken is not None:
         radiance = radiance.with_metadata(view=[*taken[:3], *taken.shift])
     assert variance is not None
     transmittance = rendered.aovs.transmittance_image()
     writers.write_exr(folder / "radiance.exr", radiance, attributes=marks)
-    named = {**rendered.components, "variance": variance, **{f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()}}
-    found = [Image(pixels, tuple(f"{name}.{channel}" for channel in radiance.channels), Quantity.DATA) for name, pixels in named.items()]
+    named = {
+        **rendered.components,
+        "variance": variance,
+        **{f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()},
+    }
+    found = [
+        Image(pixels, tuple(f"{name}.{channel}" for channel in radiance.channels), Quantity.DATA)
+        for name, pixels in named.items()
+    ]
     if rendered.error is not None:
         found.append(Image(rendered.error[:, :, None], ("error.Y",), Quantity.DATA))
     writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
@@ -411,7 +497,9 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
     names = ["radiance.exr", "layers.exr", "instances.json"]
     exposure = view.exposure if view else None
     seed = seed32(plan.seed, shot.lighting, shot.fog)
-    results = camera.develop(graph, {"radiance": radiance}, seed=seed, exposure=exposure, keep=list(graph.outputs.values()))
+    results = camera.develop(
+        graph, {"radiance": radiance}, seed=seed, exposure=exposure, keep=list(graph.outputs.values())
+    )
     for name, node in graph.outputs.items():
         writers.write_output(name, results[node], folder, options=graph.options_of(name))
         names.append(name)
@@ -422,12 +510,23 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
         "camera": scene.camera.path,
         "size_px": [taken.width_px, taken.height_px] if taken else [scene.camera.width_px, scene.camera.height_px],
         **({"rendered_px": [scene.camera.width_px, scene.camera.height_px]} if taken else {}),
-        "model": {"name": rendered.model, "bands": len(radiance.channels), "why": rendered.why, "pilot": _rounded(rendered.figures)},
+        "model": {
+            "name": rendered.model,
+            "bands": len(radiance.channels),
+            "why": rendered.why,
+            "pilot": _rounded(rendered.figures),
+        },
         "samples": float(f"{rendered.samples:.5g}"),
         "denoised": rendered.error is not None,
         "target": _target(plan, view.pixel if view else None, rendered),
         "relative_error": float(f"{rendered.relative_error:.4g}"),
-        "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso, "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"} if exposure else None,
+        "exposure": {
+            "exposure_s": exposure.exposure_s,
+            "iso": exposure.iso,
+            "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide",
+        }
+        if exposure
+        else None,
         "behind_fog": made.behind_fog,
         "warnings": [*rendered.warnings, *([why] if (why := _why_black(radiance, scene)) else [])],
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
@@ -442,7 +541,11 @@ def _shared(noise: Callable[[np.ndarray], np.ndarray], density: float) -> Callab
 def _why_black(radiance: Image, scene: SceneDict) -> str | None:
     from synfog_usd.translate import why_black
 
-    return None if (radiance.pixels > 0.0).any() else why_black(scene) or "the picture is black: no light reaches the camera"
+    return (
+        None
+        if (radiance.pixels > 0.0).any()
+        else why_black(scene) or "the picture is black: no light reaches the camera"
+    )
 
 
 def _rounded(figures: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
@@ -458,14 +561,25 @@ def _target(plan: BakePlan, pixel: tuple[float, float] | None, rendered: Rendere
         kind: dict[str, Any] = {"relative_error": plan.target_error}
     elif pixel is not None:
         share, whole = 1 / 3, 1 / 3 if rendered.error is None else 1.0
-        kind = {"sensor": {"electrons_per_cd_m2": float(f"{pixel[0]:.4g}"), "dark_noise_e": float(f"{pixel[1]:.4g}"), "share": share, "whole_share": whole}}
+        kind = {
+            "sensor": {
+                "electrons_per_cd_m2": float(f"{pixel[0]:.4g}"),
+                "dark_noise_e": float(f"{pixel[1]:.4g}"),
+                "share": share,
+                "whole_share": whole,
+            }
+        }
     else:
         kind = {"samples": plan.samples}
     return kind | ({} if rendered.met is None else {"pixels_under_it": round(rendered.met, 4)})
 
 
-def _write_labels(seen: Aovs, scene: SceneDict, plan: BakePlan, graph: Any = None, taken: Pinhole | None = None) -> dict[str, str]:
-    """Write what is seen where in clear air, bent as the graph's lens bends the picture; radiance.exr and layers.exr stay those of a pinhole."""
+def _write_labels(
+    seen: Aovs, scene: SceneDict, plan: BakePlan, graph: Any = None, taken: Pinhole | None = None
+) -> dict[str, str]:
+    """Write what is seen where in clear air, bent as the graph's lens bends the picture; radiance.exr and layers.exr
+    stay those of a pinhole.
+    """
     from synfog_usd import writers
     from synfog_usd.camera import distortion
 
@@ -480,7 +594,9 @@ def _write_labels(seen: Aovs, scene: SceneDict, plan: BakePlan, graph: Any = Non
             "distortion_coefficients": list(warp.coefficients),
         }
     image = labels.label_image(seen, scene.instances)
-    header = {name: str(value) for name, value in image.provenance.items() if name.startswith("cryptomatte/")}  # where Cryptomatte's readers look
+    header = {
+        name: str(value) for name, value in image.provenance.items() if name.startswith("cryptomatte/")
+    }  # where Cryptomatte's readers look
     writers.write_exr(plan.out / "labels.exr", image.with_metadata(**metadata), attributes=header)
     files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.instances) | metadata)
     return {name: files.sha256_of(plan.out / name) for name in ("labels.exr", "labels.json")}
@@ -488,7 +604,18 @@ def _write_labels(seen: Aovs, scene: SceneDict, plan: BakePlan, graph: Any = Non
 
 def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> dict[str, Any]:
     """Everything that the pixels depend on; its hash tells whether a finished shot is still the right one."""
-    libraries = ("mitsuba", "drjit", "usd-core", "OpenImageIO", "numpy", "scipy", "colour-science", "colour-demosaicing", "tifffile", "imagecodecs")
+    libraries = (
+        "mitsuba",
+        "drjit",
+        "usd-core",
+        "OpenImageIO",
+        "numpy",
+        "scipy",
+        "colour-science",
+        "colour-demosaicing",
+        "tifffile",
+        "imagecodecs",
+    )
     versions = {name: importlib.metadata.version(name) for name in libraries}
     if plan.denoise:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -540,7 +667,9 @@ class _Ledger:
 
     @staticmethod
     def _whole(folder: Path, hashes: Mapping[str, str]) -> bool:
-        return all((folder / name).is_file() and files.sha256_of(folder / name) == digest for name, digest in hashes.items())
+        return all(
+            (folder / name).is_file() and files.sha256_of(folder / name) == digest for name, digest in hashes.items()
+        )
 
     def done(self, shot: Shot) -> bool:
         return shot.folder in self.rows
@@ -561,7 +690,9 @@ class _Ledger:
 
     def manifest(self, order: tuple[Shot, ...]) -> dict[str, Any]:
         folders = [shot.folder for shot in order]
-        ordered = [self.rows[folder] for folder in folders] + [self.rows[folder] for folder in sorted(self.rows) if folder not in folders]
+        ordered = [self.rows[folder] for folder in folders] + [
+            self.rows[folder] for folder in sorted(self.rows) if folder not in folders
+        ]
         return {
             "schema": "synfog-usd/bake",
             "version": 1,

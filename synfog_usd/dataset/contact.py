@@ -22,14 +22,17 @@ ALARM = (255, 176, 64)
 MOST_TOLD = 6
 
 
-def write(out: Path, shots: Sequence[Shot], rows: Mapping[str, Mapping[str, Any]], *, told: Sequence[str] = ()) -> dict[str, str]:
+def write(
+    out: Path, shots: Sequence[Shot], rows: Mapping[str, Mapping[str, Any]], *, told: Sequence[str] = ()
+) -> dict[str, str]:
     """Write `contact.png` from the first PNG of each shot.
 
     Args:
         out: folder of the bake.
         shots: what to show.
         rows: of the manifest, by folder.
-        told: lines that stand over the pictures, as what is missing in them; the first `MOST_TOLD` and the number of the rest.
+        told: lines that stand over the pictures, as what is missing in them; the first `MOST_TOLD` and the number of
+            the rest.
 
     Returns:
         {name: sha256}, or {} where the node graph writes no PNG.
@@ -39,16 +42,24 @@ def write(out: Path, shots: Sequence[Shot], rows: Mapping[str, Mapping[str, Any]
     names = [name for name in rows[shots[0].folder]["files"] if name.endswith(".png")]
     if not names:
         return {}
-    lightings, fogs = list(dict.fromkeys(shot.lighting for shot in shots)), list(dict.fromkeys(shot.fog for shot in shots))
+    lightings, fogs = (
+        list(dict.fromkeys(shot.lighting for shot in shots)),
+        list(dict.fromkeys(shot.fog for shot in shots)),
+    )
     with Image.open(out / shots[0].folder / names[0]) as first:
         tile = (TILE_WIDTH_PX, max(1, round(TILE_WIDTH_PX * first.height / first.width)))
     step = (tile[0] + GAP_PX, tile[1] + CAPTION_PX + GAP_PX)
-    lines = [*told[:MOST_TOLD], *([f"and {len(told) - MOST_TOLD} more, see notes in bake.json"] if len(told) > MOST_TOLD else [])]
+    lines = [
+        *told[:MOST_TOLD],
+        *([f"and {len(told) - MOST_TOLD} more, see notes in bake.json"] if len(told) > MOST_TOLD else []),
+    ]
     top = CAPTION_PX * len(lines)
     sheet = Image.new("RGB", (GAP_PX + step[0] * len(fogs), top + GAP_PX + step[1] * len(lightings)), BACKGROUND)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=16)
     for number, line in enumerate(lines):
-        draw.text((GAP_PX + 2, 3 + CAPTION_PX * number), _fitting(line, font, sheet.width - 2 * GAP_PX), fill=ALARM, font=font)
+        draw.text(
+            (GAP_PX + 2, 3 + CAPTION_PX * number), _fitting(line, font, sheet.width - 2 * GAP_PX), fill=ALARM, font=font
+        )
     for shot in shots:
         corner = (GAP_PX + step[0] * fogs.index(shot.fog), top + GAP_PX + step[1] * lightings.index(shot.lighting))
         with Image.open(out / shot.folder / names[0]) as picture:
@@ -64,7 +75,10 @@ def _fitting(line: str, font: Any, width_px: int) -> str:
     """As much of a line as goes into a width, its middle left out where it is too long."""
     line = "".join(sign if sign.isprintable() else "?" for sign in line[:2000])
     half = len(line) // 2
-    while font.getlength(shown := line if 2 * half >= len(line) - 1 else f"{line[:half]}…{line[-half:]}") > width_px and half > 1:
+    while (
+        font.getlength(shown := line if 2 * half >= len(line) - 1 else f"{line[:half]}…{line[-half:]}") > width_px
+        and half > 1
+    ):
         half -= max(1, half // 16)
     return shown
 
@@ -74,5 +88,7 @@ def _caption(shot: Shot, row: Mapping[str, Any]) -> str:
     exposed = ""
     if row["exposure"]:
         time_s = row["exposure"]["exposure_s"]
-        exposed = f"   {f'1/{1 / time_s:.0f}' if time_s < 0.3 else f'{time_s:.1f}'} s   ISO {row['exposure']['iso']:.0f}"
+        exposed = (
+            f"   {f'1/{1 / time_s:.0f}' if time_s < 0.3 else f'{time_s:.1f}'} s   ISO {row['exposure']['iso']:.0f}"
+        )
     return f"{shot.lighting} / {shot.fog}   {seen}{exposed}"

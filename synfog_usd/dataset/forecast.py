@@ -76,7 +76,9 @@ class Forecast:
             self._shot_began, self._rendering = now, None
         if fraction > SET_UP and self._rendering is None:
             self._rendering = now
-        rest = self._own(index, fraction, now) + sum(sum(self._expected(kind, now)) for kind in self._shots[index + 1 :])
+        rest = self._own(index, fraction, now) + sum(
+            sum(self._expected(kind, now)) for kind in self._shots[index + 1 :]
+        )
         elapsed = now - self._began
         self._shown = max(self._shown, elapsed / (elapsed + rest) if elapsed + rest > 0.0 else 0.0)
         return self._shown
@@ -93,7 +95,9 @@ class Forecast:
         return spent * (1.0 - done) / done if done > 0.1 else max(rendering - spent, 0.0)
 
     def _expected(self, kind: Kind, now: float) -> tuple[float, float]:
-        """Seconds of setting up and of rendering a shot: the means of its kind, else by the weights of all that were seen."""
+        """Seconds of setting up and of rendering a shot: the means of its kind, else by the weights of all that were
+        seen.
+        """
         alike = [(setting_up, rendering) for other, setting_up, rendering in self._seen if other == kind]
         if alike:
             return sum(one for one, _ in alike) / len(alike), sum(two for _, two in alike) / len(alike)

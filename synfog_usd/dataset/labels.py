@@ -69,10 +69,13 @@ def label_image(layers: Aovs, instances: tuple[Instance, ...]) -> Image:
         np.zeros(ids.shape),
         np.zeros(ids.shape),
     ]
-    manifest = json.dumps({instance.path: f"{_crypto_bits(instance.path):08x}" for instance in instances}, separators=(",", ":"))
+    manifest = json.dumps(
+        {instance.path: f"{_crypto_bits(instance.path):08x}" for instance in instances}, separators=(",", ":")
+    )
     key = f"cryptomatte/{_murmur('crypto_object'):08x}"[: len("cryptomatte/") + 7]
     metadata = {
-        "comment": "depth.Z planar [m], distance.Z along the ray [m], N world frame Z up; one ray through each pixel's centre",
+        "comment": "depth.Z planar [m], distance.Z along the ray [m], N world frame Z up; "
+        "one ray through each pixel's centre",
         f"{key}/name": "crypto_object",
         f"{key}/hash": "MurmurHash3_32",
         f"{key}/conversion": "uint32_to_float32",
@@ -90,7 +93,13 @@ def label_list(layers: Aovs, instances: tuple[Instance, ...]) -> dict[str, Any]:
     rows = []
     for instance in instances:
         kind = cityscapes.label(instance.label)
-        row: dict[str, Any] = {"id": instance.id, "path": instance.path, "label": kind.name, "semantic_id": kind.id, "train_id": kind.train_id}
+        row: dict[str, Any] = {
+            "id": instance.id,
+            "path": instance.path,
+            "label": kind.name,
+            "semantic_id": kind.id,
+            "train_id": kind.train_id,
+        }
         seen = layers.instance_id == instance.id
         row["pixels"] = int(seen.sum())
         if row["pixels"]:
@@ -102,16 +111,24 @@ def label_list(layers: Aovs, instances: tuple[Instance, ...]) -> dict[str, Any]:
 
 
 def instance_list(hidden: Hidden, scene: SceneDict) -> dict[str, Any]:
-    """What instances.json holds: how much fog stands before every instance of one shot, and whether the picture has it whole.
+    """What instances.json holds: how much fog stands before every instance of one shot, and whether the picture has it
+    whole.
 
-    `transmittance` is the largest over the boxes of its parts, null where the fog has no closed form; `drawn` is 'whole',
-    'simplified' or 'left out'.  Labels have every instance either way.
+    `transmittance` is the largest over the boxes of its parts, null where the fog has no closed form; `drawn` is
+    'whole', 'simplified' or 'left out'.  Labels have every instance either way.
     """
     found = hidden.instances(scene)
     rows = []
     for instance in scene.instances:
         clear, drawn = found.get(instance.id, (None, "whole"))
-        rows.append({"id": instance.id, "path": instance.path, "transmittance": None if clear is None else float(f"{clear:.4g}"), "drawn": drawn})
+        rows.append(
+            {
+                "id": instance.id,
+                "path": instance.path,
+                "transmittance": None if clear is None else float(f"{clear:.4g}"),
+                "drawn": drawn,
+            }
+        )
     return {"schema": "synfog-usd/instances", "version": 1, "instances": rows}
 
 

@@ -100,7 +100,12 @@ def write(plan: SheetPlan, *, progress: Progress = silent, log: Callable[[str], 
                 names = [name for name in shot["files"] if name.endswith(".png")]
                 with Image.open(folder / shot["lighting"] / shot["fog"] / names[0]) as picture:
                     sheet.paste(picture.convert("RGB"), (corner[0] + k * plan.size[0], corner[1]))
-            pen.text((corner[0] + 2, corner[1] + plan.size[1] + 1), f"{recipe.stem} {seed}: {', '.join(plan.fogs)}", fill=INK, font=font)
+            pen.text(
+                (corner[0] + 2, corner[1] + plan.size[1] + 1),
+                f"{recipe.stem} {seed}: {', '.join(plan.fogs)}",
+                fill=INK,
+                font=font,
+            )
             log(f"seed {seed} of {recipe.stem} is done")
     data = io.BytesIO()
     sheet.save(data, format="PNG", optimize=True)

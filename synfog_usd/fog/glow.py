@@ -9,7 +9,8 @@ between the direction that is looked into and the one to the lamp (Narasimhan an
 Nayar 2003).  Everything here is in units of the lamp's intensity times sigma_t^2.
 
     scattered once     L1 = albedo exp(-tau) / (tau sin theta)
-                            * integral from theta to pi of p(cos a) exp(-b (tan(a/2) - tan(theta/2))) da,  b = tau sin theta
+                            * integral from theta to pi of p(cos a) exp(-b (tan(a/2) - tan(theta/2))) da,  b = tau sin
+                              theta
     more often         L2+ = integral over s of exp(-s) J(r(s), cos a(s)) ds
                        J = albedo * sum of (2l+1) / (4 pi) chi_l f_l(r) P_l(cos a)
 
@@ -84,14 +85,19 @@ def glow_table(phase: Phase, albedo: float = 1.0) -> GlowTable:
 def _made(phase: Phase, albedo: float) -> GlowTable:
     chi = phase.moments(ORDERS)
     if abs(chi[-1]) > 0.01:
-        raise ParameterError(f"the phase function is too peaked for a table of its glow: moment {ORDERS - 1} is {chi[-1]:.3g}; it takes up to 0.01 there")
+        raise ParameterError(
+            f"the phase function is too peaked for a table of its glow: moment {ORDERS - 1} is {chi[-1]:.3g}; it takes "
+            f"up to 0.01 there"
+        )
     above = np.flatnonzero(np.abs(chi) > NEGLIGIBLE)
     orders = max(int(above[-1]) + 1, SURFACE_ORDERS)
     chi = chi[:orders]
 
     tau = np.geomspace(TAU[0], TAU[1], TAU_ROWS)
     theta = theta_nodes()
-    far = tau[0] * (tau[1] / tau[0]) ** np.arange(TAU_ROWS + math.ceil(math.log(1.0 + REACH / TAU[1]) / math.log(tau[1] / tau[0])))
+    far = tau[0] * (tau[1] / tau[0]) ** np.arange(
+        TAU_ROWS + math.ceil(math.log(1.0 + REACH / TAU[1]) / math.log(tau[1] / tau[0]))
+    )
     single = _single(phase, tau, theta) / (2.0 * np.cos(theta / 2.0))
     once = albedo * _moments_of_single(phase, far, orders)
     more = np.zeros_like(once)
@@ -99,7 +105,9 @@ def _made(phase: Phase, albedo: float) -> GlowTable:
     more[:, :smooth] = _moments_of_more(far, chi, albedo, smooth)
     multiple = _along_rays(tau, theta, far, albedo * chi * (once + more))
     once, more = once[:TAU_ROWS, :SURFACE_ORDERS], more[:TAU_ROWS, :SURFACE_ORDERS]
-    return GlowTable(phase, albedo, tau, theta, single, multiple, _on_surfaces(once), _on_surfaces(more), once[:, 0] + more[:, 0])
+    return GlowTable(
+        phase, albedo, tau, theta, single, multiple, _on_surfaces(once), _on_surfaces(more), once[:, 0] + more[:, 0]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +119,8 @@ class GlowTable:
         tau, theta: (T,), (A,) nodes of the tables.
         single: (T, A) L1 * tau * exp(tau) * sin(theta / 2) / albedo.
         multiple: (T, A) L2+; at theta = 0, where it is infinite, its value half way to the next node.
-        once, more: (T, N) irradiance on surfaces by light scattered once, and more often, times tau; nodes even in the cosine from -1 to 1.
+        once, more: (T, N) irradiance on surfaces by light scattered once, and more often, times tau; nodes even in the
+            cosine from -1 to 1.
         scalar: (T,) scalar irradiance by all scattered light, times tau.
     """
 
@@ -141,7 +150,9 @@ class GlowTable:
         """That of the light that was scattered once; as `radiance`."""
         r, angle = np.broadcast_arrays(np.asarray(tau, dtype=np.float64), np.asarray(theta, dtype=np.float64))
         with np.errstate(divide="ignore"):
-            return np.asarray(self.albedo * self._bilinear(self.single, r, angle) * np.exp(-r) / (r * np.sin(angle / 2.0)))
+            return np.asarray(
+                self.albedo * self._bilinear(self.single, r, angle) * np.exp(-r) / (r * np.sin(angle / 2.0))
+            )
 
     def radiance_multiple(self, tau: npt.ArrayLike, theta: npt.ArrayLike) -> Array:
         """That of the light that was scattered more often; as `radiance`."""
@@ -202,7 +213,9 @@ def _single(phase: Phase, tau: Array, theta: Array) -> Array:
     y = (node + 1.0) / 2.0
     a = theta[:, None] + (math.pi - theta)[:, None] * y**3
     peak = phase.value(np.cos(a)) * (math.pi - theta)[:, None] * (1.5 * weight * y**2)
-    apart = np.sin((a - theta[:, None]) / 2.0) / (np.maximum(np.cos(a / 2.0), 1e-12) * np.cos(theta / 2.0)[:, None])  # tan - tan
+    apart = np.sin((a - theta[:, None]) / 2.0) / (
+        np.maximum(np.cos(a / 2.0), 1e-12) * np.cos(theta / 2.0)[:, None]
+    )  # tan - tan
     apart *= np.sin(theta)[:, None]
     return np.stack([np.einsum("aq,aq->a", peak, np.exp(-r * apart)) for r in tau])
 
@@ -293,7 +306,9 @@ def _along_rays(tau: Array, theta: Array, far: Array, strength: Array) -> Array:
     columns = 257
     angle = math.pi * np.linspace(0.0, 1.0, columns) ** 2
     degree = (2.0 * np.arange(strength.shape[1]) + 1.0) / (4.0 * math.pi)
-    source = np.asarray((strength * degree) @ np.polynomial.legendre.legvander(np.cos(angle), strength.shape[1] - 1).T, dtype=np.float64)
+    source = np.asarray(
+        (strength * degree) @ np.polynomial.legendre.legvander(np.cos(angle), strength.shape[1] - 1).T, dtype=np.float64
+    )
     node, weight = np.polynomial.legendre.leggauss(_RAY_NODES)
     share = (node + 1.0) / 2.0
     log_first, per_row = math.log(far[0]), (len(far) - 1) / math.log(far[-1] / far[0])
@@ -318,4 +333,6 @@ def _on_surfaces(moments: Array) -> Array:
     mu = (node + 1.0) / 2.0
     clamped = 2.0 * math.pi * (mu * weight / 2.0) @ np.polynomial.legendre.legvander(mu, SURFACE_ORDERS - 1)
     clamped *= (2.0 * np.arange(SURFACE_ORDERS) + 1.0) / (4.0 * math.pi)
-    return (moments * clamped) @ np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, NORMAL_COLUMNS), SURFACE_ORDERS - 1).T
+    return (moments * clamped) @ np.polynomial.legendre.legvander(
+        np.linspace(-1.0, 1.0, NORMAL_COLUMNS), SURFACE_ORDERS - 1
+    ).T

@@ -39,13 +39,15 @@ class DensityGrid:
         found = np.asarray(self.values)
         if found.ndim != 3 or found.dtype.kind not in "fiu" or not 0 < found.size <= MAX_VOXELS:
             raise ParameterError(
-                f"a density grid of shape {found.shape} and type {found.dtype}; it has three axes (Z, Y, X), real numbers, 1 to {MAX_VOXELS} voxels"
+                f"a density grid of shape {found.shape} and type {found.dtype}; it has three axes (Z, Y, X), real "
+                f"numbers, 1 to {MAX_VOXELS} voxels"
             )
         wrong = ~((found >= 0.0) & (found <= 1.0))
         if wrong.any():
             place = tuple(int(index) for index in np.argwhere(wrong)[0])
             raise ParameterError(
-                f"a density grid with {found[place]!s} at {place}, the first of {np.count_nonzero(wrong)} values outside 0 to 1; "
+                f"a density grid with {found[place]!s} at {place}, the first of {np.count_nonzero(wrong)} values "
+                f"outside 0 to 1; "
                 f"divide by the largest and multiply the extinction by it"
             )
         values = found.astype(np.float32)
@@ -62,7 +64,12 @@ class DensityGrid:
         counts = np.array(self.values.shape[::-1], dtype=np.float64)
         begin, end = ((points + 1.0) / 2.0 * counts - 0.5 for points in (begin, end))  # centres are whole numbers
         step = max(1, _AT_ONCE // (int(counts.sum()) + 2))
-        return np.concatenate([np.zeros(0), *[self._mean(begin[at : at + step], end[at : at + step]) for at in range(0, len(begin), step)]])
+        return np.concatenate(
+            [
+                np.zeros(0),
+                *[self._mean(begin[at : at + step], end[at : at + step]) for at in range(0, len(begin), step)],
+            ]
+        )
 
     def _mean(self, begin: Array, end: Array) -> Array:
         along = end - begin

@@ -115,17 +115,24 @@ class FogMedium:
             raise ParameterError(f"Angstrom exponent {self.angstrom} is outside {ANGSTROM[0]:g} to {ANGSTROM[1]:g}")
         if (self.grid is not None) != (self.profile == "grid"):
             raise ParameterError(
-                f"profile {self.profile!r} {'with' if self.grid is not None else 'without'} a density grid; 'grid' needs one, and no other takes one"
+                f"profile {self.profile!r} {'with' if self.grid is not None else 'without'} a density grid; 'grid' "
+                f"needs one, and no other takes one"
             )
 
     @classmethod
-    def from_visibility(cls, visibility_m: float, *, contrast: float = WMO_CONTRAST, albedo: float = 1.0, g: float = 0.87) -> FogMedium:
+    def from_visibility(
+        cls, visibility_m: float, *, contrast: float = WMO_CONTRAST, albedo: float = 1.0, g: float = 0.87
+    ) -> FogMedium:
         """Uniform fog of a stated meteorological optical range [m]."""
-        return cls(float(extinction_from_visibility(visibility_m, contrast=contrast)), albedo=albedo, g=g, contrast=contrast)
+        return cls(
+            float(extinction_from_visibility(visibility_m, contrast=contrast)), albedo=albedo, g=g, contrast=contrast
+        )
 
     @property
     def visibility_m(self) -> float:
-        """Visibility [m] at the base height, at its own contrast threshold: the meteorological optical range at the WMO's 0.05."""
+        """Visibility [m] at the base height, at its own contrast threshold: the meteorological optical range at the
+        WMO's 0.05.
+        """
         return -math.log(self.contrast) / self.sigma_t_per_m if self.sigma_t_per_m > 0 else math.inf
 
     @property
@@ -152,7 +159,9 @@ class FogMedium:
             return np.full(height.shape, self.sigma_t_per_m)
         return self.sigma_t_per_m * np.exp(-np.maximum(height - self.base_height_m, 0.0) / self.scale_height_m)
 
-    def optical_depth(self, start_height_m: npt.ArrayLike, end_height_m: npt.ArrayLike, length_m: npt.ArrayLike) -> Array:
+    def optical_depth(
+        self, start_height_m: npt.ArrayLike, end_height_m: npt.ArrayLike, length_m: npt.ArrayLike
+    ) -> Array:
         """Optical depth [1] of straight segments.
 
         Args:
@@ -182,7 +191,10 @@ class FogMedium:
 
     def _must_be_layered(self) -> None:
         if self.grid is not None:
-            raise ParameterError("the density of a grid is no function of height alone; ask the FogVolume, which knows where the grid lies")
+            raise ParameterError(
+                "the density of a grid is no function of height alone; ask the FogVolume, which knows where the grid "
+                "lies"
+            )
 
 
 def _column(height: Array, scale: float) -> Array:

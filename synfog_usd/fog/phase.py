@@ -33,7 +33,18 @@ PEAK_NODES, BROAD_NODES = 513, 257
 """Nodes of a closed form's table: a geometric row into the peak, and an even one for the rest.
 Linear between them errs by (step)^2 / 8 times the relative curvature: 0.04 % and 0.05 % at most."""
 
-_WATER = ((400, 1.339), (425, 1.338), (450, 1.337), (475, 1.336), (500, 1.335), (525, 1.334), (550, 1.333), (600, 1.332), (650, 1.331), (700, 1.331))
+_WATER = (
+    (400, 1.339),
+    (425, 1.338),
+    (450, 1.337),
+    (475, 1.336),
+    (500, 1.335),
+    (525, 1.334),
+    (550, 1.333),
+    (600, 1.332),
+    (650, 1.331),
+    (700, 1.331),
+)
 """(wavelength [nm], refractive index [1]) of water: Hale and Querry (1973), Applied Optics 12, 555, table I.
 Its absorption, 2e-9 to 3e-8, takes less than 1e-5 of the light in a droplet of 100 um, and is left out."""
 
@@ -65,7 +76,9 @@ class HenyeyGreenstein:
     def value(self, cosine: npt.ArrayLike) -> Array:
         """Density [1/sr] at cosines [1], any shape."""
         g = abs(self.g)
-        away = 1.0 - math.copysign(1.0, self.g) * np.asarray(cosine, dtype=np.float64)  # 0 in the peak, and exact beside it
+        away = 1.0 - math.copysign(1.0, self.g) * np.asarray(
+            cosine, dtype=np.float64
+        )  # 0 in the peak, and exact beside it
         return np.asarray((1.0 - g * g) / (4.0 * np.pi * ((1.0 - g) ** 2 + 2.0 * g * away) ** 1.5))
 
     def moments(self, count: int) -> Array:
@@ -97,7 +110,10 @@ class Droplets:
     def __post_init__(self) -> None:
         low, high = DROPLETS_UM
         if not low < self.diameter_um < high:
-            raise ParameterError(f"droplet diameter {self.diameter_um} um is outside ({low:g}, {high:g}), for which the droplet phase function was fitted")
+            raise ParameterError(
+                f"droplet diameter {self.diameter_um} um is outside ({low:g}, {high:g}), for which the droplet phase "
+                f"function was fitted"
+            )
 
     def parameters(self) -> tuple[float, float, float, float]:
         """g of Henyey-Greenstein, g and alpha of Draine, and the share of Draine, all [1]."""
@@ -137,7 +153,9 @@ class Droplets:
         return (1.0 - share) * HenyeyGreenstein(peak).moments(count) + share * draine
 
     def table(self) -> tuple[Array, Array]:
-        """(cosines, ascending from -1 to 1; densities [1/sr]), 0.05 % from linear; the same number of rows for every diameter."""
+        """(cosines, ascending from -1 to 1; densities [1/sr]), 0.05 % from linear; the same number of rows for every
+        diameter.
+        """
         peak = _toward_peak(self.parameters()[0])
         cosines = np.sort(np.r_[peak, np.linspace(-1.0, 1.0, BROAD_NODES)[1:-1]])
         return cosines, self.value(cosines)
@@ -160,9 +178,19 @@ class Tabulated:
     def __post_init__(self) -> None:
         cosines, values = np.array(self.cosines, dtype=np.float64), np.array(self.values, dtype=np.float64)
         if cosines.ndim != 1 or cosines.shape != values.shape or len(cosines) < 2:
-            raise ParameterError(f"a phase function's table has one value for each cosine, and at least two; it has {values.shape} for {cosines.shape}")
-        if not (np.all(np.diff(cosines) > 0.0) and np.isclose(cosines[0], -1.0, atol=1e-9) and np.isclose(cosines[-1], 1.0, atol=1e-9)):
-            raise ParameterError(f"the cosines of a phase function run from -1 up to 1, each once; these from {cosines[0]:g} to {cosines[-1]:g}")
+            raise ParameterError(
+                f"a phase function's table has one value for each cosine, and at least two; it has {values.shape} for "
+                f"{cosines.shape}"
+            )
+        if not (
+            np.all(np.diff(cosines) > 0.0)
+            and np.isclose(cosines[0], -1.0, atol=1e-9)
+            and np.isclose(cosines[-1], 1.0, atol=1e-9)
+        ):
+            raise ParameterError(
+                f"the cosines of a phase function run from -1 up to 1, each once; these from {cosines[0]:g} to "
+                f"{cosines[-1]:g}"
+            )
         if not (np.all(np.isfinite(values)) and np.all(values >= 0.0) and np.any(values > 0.0)):
             raise ParameterError("the values of a phase function are finite, 0 or more, and not all 0")
         cosines[0], cosines[-1] = -1.0, 1.0
@@ -172,7 +200,11 @@ class Tabulated:
         object.__setattr__(self, "values", values)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Tabulated) and np.array_equal(self.cosines, other.cosines) and np.array_equal(self.values, other.values)
+        return (
+            isinstance(other, Tabulated)
+            and np.array_equal(self.cosines, other.cosines)
+            and np.array_equal(self.values, other.values)
+        )
 
     def __hash__(self) -> int:
         return hash(self.values.tobytes())
@@ -210,7 +242,11 @@ class Tabulated:
         cosines = np.cos(theta)
         cosines[0], cosines[-1] = -1.0, 1.0
         index = float(np.interp(wavelength_nm, *np.array(_WATER).T))
-        return cls(cosines, _intensity(index, sizes, numbers, cosines), f"Lorenz-Mie, water droplets of {diameter_um:g} um, {wavelength_nm:g} nm")
+        return cls(
+            cosines,
+            _intensity(index, sizes, numbers, cosines),
+            f"Lorenz-Mie, water droplets of {diameter_um:g} um, {wavelength_nm:g} nm",
+        )
 
     @property
     def mean_cosine(self) -> float:
@@ -259,7 +295,9 @@ def _toward_peak(g: float) -> Array:
 
 
 def _log_normal(median: float, spread: float) -> tuple[Array, Array]:
-    """Size parameters within three deviations, close enough for the narrow resonances to average out, and how many droplets have each."""
+    """Size parameters within three deviations, close enough for the narrow resonances to average out, and how many
+    droplets have each.
+    """
     if spread == 1.0:
         return np.array([median]), np.array([1.0])
     width = math.log(spread)
@@ -273,7 +311,10 @@ def _intensity(index: float, sizes: Array, numbers: Array, cosines: Array) -> Ar
     try:
         miepython: Any = importlib.import_module("miepython")
     except ImportError as missing:
-        raise ParameterError('the phase function of Lorenz and Mie needs miepython; pip install "synfog-usd[mie]", or use phase "droplets"') from missing
+        raise ParameterError(
+            'the phase function of Lorenz and Mie needs miepython; pip install "synfog-usd[mie]", or use phase '
+            '"droplets"'
+        ) from missing
     a_n, b_n = zip(*[miepython.coefficients(index, size) for size in sizes], strict=True)
     terms = max(len(row) for row in a_n)
     orders = np.arange(1, terms + 1)

@@ -34,7 +34,9 @@ from synfog_usd.fog.medium import FogMedium
 MIN_STREAMS, MAX_STREAMS = 4, 512
 
 _RESONANCE = 1e-7
-"""Relative distance from a direction 1/k at which the ray integral becomes 0/0; the direction is moved off by that much."""
+"""Relative distance from a direction 1/k at which the ray integral becomes 0/0; the direction is moved off by that
+much.
+"""
 
 _CHUNK = 16384
 """Directions treated at once: 8 MB per array at 128 streams."""
@@ -95,10 +97,18 @@ def solve(
         raise ParameterError(f"layer from {bottom_m} m to {top_m} m: both must be finite, and the bottom below the top")
     if rho.ndim != 1 or rho.size == 0 or not np.all((rho >= 0.0) & (rho <= 1.0)):
         raise ParameterError(f"ground albedo {ground!r} is not one value from 0 to 1 per channel")
-    if ring_up.ndim != 1 or ring_up.size == 0 or not (np.all(ring_up > 0.0) and np.all(ring_up <= 1.0) and np.all(np.diff(ring_up) > 0.0)):
-        raise ParameterError("sky_up is not ascending in (0, 1]; it is the z component of the direction to each ring, 1 at the zenith")
+    if (
+        ring_up.ndim != 1
+        or ring_up.size == 0
+        or not (np.all(ring_up > 0.0) and np.all(ring_up <= 1.0) and np.all(np.diff(ring_up) > 0.0))
+    ):
+        raise ParameterError(
+            "sky_up is not ascending in (0, 1]; it is the z component of the direction to each ring, 1 at the zenith"
+        )
     if ring.shape != (ring_up.size, rho.size):
-        raise ParameterError(f"sky has shape {ring.shape}; {ring_up.size} rings and {rho.size} channels want {(ring_up.size, rho.size)}")
+        raise ParameterError(
+            f"sky has shape {ring.shape}; {ring_up.size} rings and {rho.size} channels want {(ring_up.size, rho.size)}"
+        )
     if not np.all(np.isfinite(ring) & (ring >= 0.0)):
         raise ParameterError("sky radiance has values that are negative or not finite; it takes 0 and above")
     if not (isinstance(streams, int | np.integer) and MIN_STREAMS <= streams <= MAX_STREAMS and streams % 2 == 0):
@@ -113,7 +123,8 @@ def solve(
 
     node, weight = np.polynomial.legendre.leggauss(streams // 2)
     mu, root = (node + 1.0) / 2.0, np.sqrt(weight / 2.0)
-    # Symmetric and antisymmetric parts S, D of the radiance at +-mu, times sqrt(weight): mu S' = -odd D, mu D' = -even S.
+    # Symmetric and antisymmetric parts S, D of the radiance at +-mu, times sqrt(weight): mu S' = -odd D, mu D' = -even
+    # S.
     P = np.polynomial.legendre.legvander(mu, streams - 1) * root[:, None]
     strength = albedo * (2.0 * np.arange(streams) + 1.0) * chi
     even = np.eye(mu.size) - (P[:, 0::2] * strength[0::2]) @ P[:, 0::2].T
@@ -121,15 +132,19 @@ def solve(
     try:
         R = np.linalg.cholesky(odd)
     except np.linalg.LinAlgError:
-        raise ParameterError(f"the phase function is too peaked for {streams} streams, or its moments belong to no phase function") from None
+        raise ParameterError(
+            f"the phase function is too peaked for {streams} streams, or its moments belong to no phase function"
+        ) from None
     k2, y = np.linalg.eigh(R.T @ ((even / mu) / mu[:, None]) @ R)
     S = (R @ y) / mu[:, None]
-    # eigh's error is absolute, 1e-9 of the largest 1/mu**2, and swamps the slowest mode; its Rayleigh quotient is good to 1e-16.
+    # eigh's error is absolute, 1e-9 of the largest 1/mu**2, and swamps the slowest mode; its Rayleigh quotient is good
+    # to 1e-16.
     k2[0] = S[:, 0] @ even @ S[:, 0]
     k = np.sqrt(np.maximum(k2, (1e-6 / max(thick, 1.0)) ** 2))
     D = np.linalg.solve(R.T, y)
 
-    # Per pair an even and an odd function of depth, 1 at the bottom and +-1 at the top; then exp(-k t), exp(-k (T - t)).
+    # Per pair an even and an odd function of depth, 1 at the bottom and +-1 at the top; then exp(-k t), exp(-k (T -
+    # t)).
     slope = np.tanh(k * thick / 2.0)
     tiny = max(thick, 1e-12)  # a layer this thin is clear; keeps the odd functions finite
     flat, steep = D * k * slope, D * np.where(slope > 0.0, k / np.where(slope > 0.0, slope, 1.0), 2.0 / tiny)
@@ -144,7 +159,10 @@ def solve(
     received = 2.0 * (root * mu) @ down_bottom @ amplitude  # irradiance of the ground / pi
     left = rho * received[:-1] / (1.0 - rho * received[-1])
     amplitude = amplitude[:, :-1] + amplitude[:, -1:] * left
-    a, b = amplitude[: mu.size] / (1.0 + np.exp(-k * thick))[:, None], amplitude[mu.size :] / -np.expm1(-k * max(thick, tiny))[:, None]
+    a, b = (
+        amplitude[: mu.size] / (1.0 + np.exp(-k * thick))[:, None],
+        amplitude[mu.size :] / -np.expm1(-k * max(thick, tiny))[:, None],
+    )
     source = 0.5 * strength[:, None] * P.T
     emission = np.where(np.arange(streams)[:, None] % 2 == 0, source @ S, source @ (D * k))
     return Slab(
@@ -180,9 +198,9 @@ class Slab:
         anywhere        1e-6    5e-6    1e-4    2e-2    2e-6
         at the edges    2e-5    8e-5    4e-4    5e-2    3e-5
 
-    256 streams bring g = 0.95 to 1e-7 and 4e-5, 0.99 to 2e-3 and 1e-2; droplets of 10 um, 1e-3 anywhere with 128, want 256
-    for 9e-5.  The difference between `source` and the integral of phase times `radiance`, at g = 0.87, is 1e-7 in the middle
-    and at the boundaries and 2e-4 at worst a few mm from them, also where the sky jumps from ring to ring.
+    256 streams bring g = 0.95 to 1e-7 and 4e-5, 0.99 to 2e-3 and 1e-2; droplets of 10 um, 1e-3 anywhere with 128, want
+    256 for 9e-5.  The difference between `source` and the integral of phase times `radiance`, at g = 0.87, is 1e-7 in
+    the middle and at the boundaries and 2e-4 at worst a few mm from them, also where the sky jumps from ring to ring.
     """
 
     medium: FogMedium
@@ -194,7 +212,9 @@ class Slab:
     sky: Array
     _peak: float = field(repr=False)  # albedo times the delta-M fraction
     _rates: Array = field(repr=False)  # (N,) k per scaled optical depth
-    _emission: Array = field(repr=False)  # (streams, N) Legendre series of J of each mode; odd rows change sign for the other of a pair
+    _emission: Array = field(
+        repr=False
+    )  # (streams, N) Legendre series of J of each mode; odd rows change sign for the other of a pair
     _amplitudes: Array = field(repr=False)  # (2, N, C) of exp(-k t), exp(-k (T - t)), t from the top
 
     def sky_radiance(self, up: npt.ArrayLike) -> Array:
@@ -219,7 +239,11 @@ class Slab:
         Args and Returns: as `radiance`; dL/dtau = L - J exactly, with tau along the direction looked into.
         """
         scattered = self._at(height_m, up, self._scattered)
-        return scattered if self._peak == 0.0 else (1.0 - self._peak) * scattered + self._peak * self.radiance(height_m, up)
+        return (
+            scattered
+            if self._peak == 0.0
+            else (1.0 - self._peak) * scattered + self._peak * self.radiance(height_m, up)
+        )
 
     def irradiance(self, height_m: npt.ArrayLike, normal_up: npt.ArrayLike) -> Array:
         """Irradiance on a surface in the layer: radiance times cosine over the hemisphere around its normal.
@@ -231,7 +255,9 @@ class Slab:
         Returns:
             (N, C) in the unit of the sky times sr, float64; a white furnace of radiance 1 gives pi.
         """
-        height, normal = np.broadcast_arrays(np.asarray(height_m, dtype=np.float64), np.clip(np.asarray(normal_up, dtype=np.float64), -1.0, 1.0))
+        height, normal = np.broadcast_arrays(
+            np.asarray(height_m, dtype=np.float64), np.clip(np.asarray(normal_up, dtype=np.float64), -1.0, 1.0)
+        )
         if height.ndim != 1:
             raise ParameterError(f"heights and normals have shape {height.shape}; they take (N,)")
         v, weight = _hemisphere(normal)
@@ -247,12 +273,14 @@ class Slab:
 
         Returns:
             (2, rows, columns, C) float32: [0] looking up, [1] looking down; row i at y = i / (rows - 1) of
-            `row_coordinate`, column j at s = j / (columns - 1) of `column_coordinate`.  At |up| = 0 it holds the limit from that side.
+            `row_coordinate`, column j at s = j / (columns - 1) of `column_coordinate`.  At |up| = 0 it holds the
+            limit from that side.
 
-        Relative error of `lookup` at random heights and directions, 0.005 to 0.1 per metre over 60 m, g = 0.87, overcast sky:
-        64 x 64 median 7e-5, 99th percentile 7e-4; 128 x 128 2e-5, 2e-4; 256 x 256 4e-6, 4e-5.  The worst (8e-3, 2.5e-3, 6e-4) is
-        near the horizon close to a boundary, where radiance turns within the cell.  At optical depth 1000 the 99th percentile
-        is 1.5e-3; a sky that jumps between rings is smeared over a column.
+        Relative error of `lookup` at random heights and directions, 0.005 to 0.1 per metre over 60 m, g = 0.87,
+        overcast sky:
+        64 x 64 median 7e-5, 99th percentile 7e-4; 128 x 128 2e-5, 2e-4; 256 x 256 4e-6, 4e-5.  The worst (8e-3, 2.5e-3,
+        6e-4) is near the horizon close to a boundary, where radiance turns within the cell.  At optical depth 1000 the
+        99th percentile is 1.5e-3; a sky that jumps between rings is smeared over a column.
         """
         depth = self._scaled_depth * _fraction_ahead(np.linspace(0.0, 1.0, rows))
         v = np.linspace(0.0, 1.0, columns) ** 2
@@ -264,7 +292,8 @@ class Slab:
         Returns:
             (rows, columns, C) float32; rows as in `table`, column j at normal_up = 2 j / (columns - 1) - 1.
 
-        Relative error, as in `table`: 32 x 32 median 1e-4, 99th percentile 1e-3; 64 x 64 3e-5, 3e-4; 128 x 128 7e-6, 6e-5.
+        Relative error, as in `table`: 32 x 32 median 1e-4, 99th percentile 1e-3; 64 x 64 3e-5, 3e-4; 128 x 128 7e-6,
+        6e-5.
         """
         depth = self._scaled_depth * _fraction_ahead(np.linspace(0.0, 1.0, rows))
         v, weight = _hemisphere(np.linspace(-1.0, 1.0, columns))
@@ -275,16 +304,23 @@ class Slab:
         return total.astype(np.float32)
 
     def row_coordinate(self, height_m: npt.ArrayLike) -> Array:
-        """y = 2 / pi * asin(sqrt(x)), x the share of the layer's optical depth below `height_m`: 0 at the bottom, 1 at the top, fine at both."""
+        """y = 2 / pi * asin(sqrt(x)), x the share of the layer's optical depth below `height_m`: 0 at the bottom, 1 at
+        the top, fine at both.
+        """
         height = np.clip(np.asarray(height_m, dtype=np.float64), self.bottom_m, self.top_m)
         if self.optical_depth == 0.0:
             x = (height - self.bottom_m) / (self.top_m - self.bottom_m)
         else:
-            x = self.medium.optical_depth(np.full(height.shape, self.bottom_m), height, height - self.bottom_m) / self.optical_depth
+            x = (
+                self.medium.optical_depth(np.full(height.shape, self.bottom_m), height, height - self.bottom_m)
+                / self.optical_depth
+            )
         return np.asarray(2.0 / math.pi * np.arcsin(np.sqrt(np.clip(x, 0.0, 1.0))))
 
     def lookup(self, table: FloatArray, height_m: npt.ArrayLike, up: npt.ArrayLike) -> Array:
-        """Bilinear `radiance` (N, C) from `table`: side by the sign of `up`, row `row_coordinate`, column `column_coordinate`."""
+        """Bilinear `radiance` (N, C) from `table`: side by the sign of `up`, row `row_coordinate`, column
+        `column_coordinate`.
+        """
         direction = np.asarray(up, dtype=np.float64)
         seen = np.where(direction < 0.0, 1, 0)
         return _bilinear(table, seen, self.row_coordinate(height_m), column_coordinate(direction))
@@ -292,7 +328,9 @@ class Slab:
     def lookup_irradiance(self, table: FloatArray, height_m: npt.ArrayLike, normal_up: npt.ArrayLike) -> Array:
         """Bilinear `irradiance` (N, C) from `irradiance_table`: row `row_coordinate`, column (normal_up + 1) / 2."""
         normal = np.asarray(normal_up, dtype=np.float64)
-        return _bilinear(table[None], np.zeros(normal.shape, dtype=np.int64), self.row_coordinate(height_m), (normal + 1.0) / 2.0)
+        return _bilinear(
+            table[None], np.zeros(normal.shape, dtype=np.int64), self.row_coordinate(height_m), (normal + 1.0) / 2.0
+        )
 
     @property
     def _scaled_depth(self) -> float:
@@ -306,7 +344,9 @@ class Slab:
         return np.minimum(depth, self.optical_depth) * (1.0 - self._peak)
 
     def _at(self, height_m: npt.ArrayLike, up: npt.ArrayLike, quantity: Callable[[Array, Array, int], Array]) -> Array:
-        height, direction = np.broadcast_arrays(np.asarray(height_m, dtype=np.float64), np.asarray(up, dtype=np.float64))
+        height, direction = np.broadcast_arrays(
+            np.asarray(height_m, dtype=np.float64), np.asarray(up, dtype=np.float64)
+        )
         if height.ndim != 1:
             raise ParameterError(f"heights and directions have shape {height.shape}; they take (N,)")
         out = np.empty((height.size, self.ground_radiance.size))
@@ -316,10 +356,16 @@ class Slab:
         return out
 
     def _boundary(self, v: Array, side: int) -> Array:
-        return self.sky_radiance(v) if side == 0 else np.broadcast_to(self.ground_radiance, (v.size, self.ground_radiance.size))
+        return (
+            self.sky_radiance(v)
+            if side == 0
+            else np.broadcast_to(self.ground_radiance, (v.size, self.ground_radiance.size))
+        )
 
     def _modes(self, v: Array) -> tuple[Array, Array]:
-        """(N, modes) J of each mode in direction v: of those that fall, and of those that grow, away from the boundary ahead."""
+        """(N, modes) J of each mode in direction v: of those that fall, and of those that grow, away from the boundary
+        ahead.
+        """
         P = np.polynomial.legendre.legvander(v, self._emission.shape[0] - 1)
         even, odd = P[:, 0::2] @ self._emission[0::2], P[:, 1::2] @ self._emission[1::2]
         return even + odd, even - odd
@@ -331,7 +377,9 @@ class Slab:
             part = slice(i, i + _CHUNK)
             falling, growing = self._modes(v[part])
             depth = x[part, None]
-            out[part] = (falling * np.exp(-k * depth)) @ near + (growing * np.exp(-k * (self._scaled_depth - depth))) @ far
+            out[part] = (falling * np.exp(-k * depth)) @ near + (
+                growing * np.exp(-k * (self._scaled_depth - depth))
+            ) @ far
         return out
 
     def _ray(self, x: Array, v: Array, side: int) -> Array:
@@ -372,12 +420,16 @@ def column_coordinate(up: npt.ArrayLike) -> Array:
 def _checked(moments: npt.ArrayLike) -> Array:
     chi = np.asarray(moments, dtype=np.float64)
     if chi.ndim != 1 or chi.size == 0 or not np.all(np.abs(chi[1:]) < 1.0) or not abs(chi[0] - 1.0) <= 1e-6:
-        raise ParameterError("moments are not Legendre moments of a phase function: (L,), the first 1, all others inside (-1, 1)")
+        raise ParameterError(
+            "moments are not Legendre moments of a phase function: (L,), the first 1, all others inside (-1, 1)"
+        )
     return chi
 
 
 def _delta_m(chi: Array, streams: int) -> tuple[Array, float]:
-    """The first `streams` moments (streams,) with the share of the forward peak that they cannot carry taken out, and that share."""
+    """The first `streams` moments (streams,) with the share of the forward peak that they cannot carry taken out, and
+    that share.
+    """
     padded = np.zeros(streams + 1)
     padded[: min(chi.size, streams + 1)] = chi[: streams + 1]
     peak = max(float(padded[streams]), 0.0)
@@ -392,18 +444,23 @@ def _smoothed(node: Array, ring_up: Array, ring: Array) -> Array:
     """Sky (N, C) at Gauss nodes x = 2 up - 1 as the polynomial of degree N - 1 that has the sky's own first N moments.
 
     Sampled at the nodes, a sky that jumps between rings would light the fog by several percent too much or too little.
-    By parts, the integral of f P_l is f Q_l at both ends less that of f' Q_l, where Q_l is the antiderivative of P_l, and R_l of Q_l.
+    By parts, the integral of f P_l is f Q_l at both ends less that of f' Q_l, where Q_l is the antiderivative of P_l,
+    and R_l of Q_l.
     """
     edge = np.unique(np.concatenate([[0.0], ring_up, [1.0]]))
     f, x = _rings(edge, ring_up, ring), 2.0 * edge - 1.0
     degree = np.arange(-2, node.size + 2)
-    P = np.polynomial.legendre.legvander(x, node.size + 1)[:, np.where(degree < 0, -degree - 1, degree)]  # P_-1 = P_0, P_-2 = P_1
+    P = np.polynomial.legendre.legvander(x, node.size + 1)[
+        :, np.where(degree < 0, -degree - 1, degree)
+    ]  # P_-1 = P_0, P_-2 = P_1
     order = np.arange(-1, node.size + 1)
     Q = (P[:, 2:] - P[:, :-2]) / (2 * order + 1)
     order = order[1:-1]
     R = (Q[:, 2:] - Q[:, :-2]) / (2 * order + 1)
     ends = Q[-1, 1:-1, None] * f[-1] - Q[0, 1:-1, None] * f[0]
-    coefficients = (2 * order[:, None] + 1) / 2.0 * (ends - np.diff(R, axis=0).T @ (np.diff(f, axis=0) / np.diff(x)[:, None]))
+    coefficients = (
+        (2 * order[:, None] + 1) / 2.0 * (ends - np.diff(R, axis=0).T @ (np.diff(f, axis=0) / np.diff(x)[:, None]))
+    )
     return np.polynomial.legendre.legvander(node, node.size - 1) @ coefficients
 
 
@@ -423,10 +480,13 @@ def _fraction_ahead(y: Array) -> Array:
 
 
 def _hemisphere(normal: Array) -> tuple[Array, Array]:
-    """Nodes |up| (N, Q) and weights (2, N, Q) for up = +-node of the integral of cosine over the hemisphere around each normal (N,).
+    """Nodes |up| (N, Q) and weights (2, N, Q) of the integral of cosine over the hemisphere around each normal (N,).
 
-    Around the vertical, the cosine is a + b cos(phi); where it is positive for part of the circle only, its integral has
-    another form.  The forms meet at |up| = sqrt(1 - normal**2): there the integral is split, with nodes dense at every end.
+    The weights are for up = +node and up = -node.
+
+    Around the vertical, the cosine is a + b cos(phi); where it is positive for part of the circle only, its integral
+    has another form.  The forms meet at |up| = sqrt(1 - normal**2): there the integral is split, with nodes dense at
+    every end.
     """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     s = (node + 1.0) / 2.0

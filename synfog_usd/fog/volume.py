@@ -113,15 +113,21 @@ class Boundary:
         if self.kind == "mesh":
             assert self.vertices is not None and self.faces is not None
             corners = self.vertices[self.faces]
-            near = np.all((corners.min(axis=1) <= hull_m.max(axis=0)) & (corners.max(axis=1) >= hull_m.min(axis=0)), axis=1)
+            near = np.all(
+                (corners.min(axis=1) <= hull_m.max(axis=0)) & (corners.max(axis=1) >= hull_m.min(axis=0)), axis=1
+            )
             return any(_hulls_meet(hull_m, triangle) for triangle in corners[near])
         inverse = np.linalg.inv(self.to_world)
         local = hull_m @ inverse[:3, :3].T + inverse[:3, 3]
         if self.kind == "box":
             low, high = np.maximum(local.min(axis=0), -1.0), np.minimum(local.max(axis=0), 1.0)
-            part = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)  # of the box, around the hull
+            part = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(
+                -1, 3
+            )  # of the box, around the hull
             return not np.all(np.abs(local) < 1.0) and bool(np.all(low <= high)) and _hulls_meet(local, part)
-        nearest = nnls(np.vstack([local.T, np.ones(len(local))]), np.array([0.0, 0.0, 0.0, 1.0]))[1] ** 2  # is d^2 / (1 + d^2)
+        nearest = (
+            nnls(np.vstack([local.T, np.ones(len(local))]), np.array([0.0, 0.0, 0.0, 1.0]))[1] ** 2
+        )  # is d^2 / (1 + d^2)
         return bool(nearest <= 0.5 and np.linalg.norm(local, axis=1).max() >= 1.0)
 
     def _winding(self, points: Array) -> Array:
@@ -180,7 +186,9 @@ def optical_depth(fog: Sequence[FogVolume], origin_m: Array, direction: Array, l
         length_m: (N,) [m], may be infinite.
     """
     total = np.zeros(len(origin_m))
-    spans = [tuple(np.minimum(end, length_m) for end in volume.boundary.interval(origin_m, direction)) for volume in fog]
+    spans = [
+        tuple(np.minimum(end, length_m) for end in volume.boundary.interval(origin_m, direction)) for volume in fog
+    ]
 
     for index, volume in enumerate(fog):
         ends = [origin_m + end[:, None] * direction for end in spans[index]]

@@ -37,7 +37,9 @@ def pixels_of(buf: OpenImageIO.ImageBuf) -> FloatArray:
     import OpenImageIO
 
     spec = checked(buf, "read an ImageBuf").spec()
-    return np.asarray(buf.get_pixels(OpenImageIO.FLOAT), dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
+    return np.asarray(buf.get_pixels(OpenImageIO.FLOAT), dtype=np.float32).reshape(
+        spec.height, spec.width, spec.nchannels
+    )
 
 
 def checked(buf: OpenImageIO.ImageBuf, what: str) -> OpenImageIO.ImageBuf:

@@ -71,7 +71,9 @@ class Cache:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise OutputError(f"{folder}: results cannot be kept there ({error.strerror}); name another folder, or keep none") from error
+            raise OutputError(
+                f"{folder}: results cannot be kept there ({error.strerror}); name another folder, or keep none"
+            ) from error
         self.folder, self.limit_bytes = folder, limit_bytes
         self._size, self._count = self._tidied()
         self._unseen = 0
@@ -139,7 +141,9 @@ class Cache:
             self._room.release()
 
     def _tidied(self) -> tuple[int, int]:
-        """Size [byte] and count of the files that stay; those used longest ago go first, down to four fifths of the limits."""
+        """Size [byte] and count of the files that stay; those used longest ago go first, down to four fifths of the
+        limits.
+        """
         entries = []
         with contextlib.suppress(OSError), os.scandir(self.folder) as items:
             for item in items:
@@ -167,7 +171,13 @@ def image_key(image: Image, unsaid: Iterable[str] = ()) -> str | None:
         image: any.
         unsaid: keys of the provenance that do not count.
     """
-    head = _facts(image.with_pixels(image.pixels, variance=image.variance, provenance={k: v for k, v in image.provenance.items() if k not in set(unsaid)}))
+    head = _facts(
+        image.with_pixels(
+            image.pixels,
+            variance=image.variance,
+            provenance={k: v for k, v in image.provenance.items() if k not in set(unsaid)},
+        )
+    )
     if head is None:
         return None
     digest = hashlib.sha256(head.encode())
@@ -176,7 +186,9 @@ def image_key(image: Image, unsaid: Iterable[str] = ()) -> str | None:
     return digest.hexdigest()
 
 
-def node_key(op: Op, params: Mapping[str, Any], stream: tuple[int, str] | None, sources: Iterable[str | None]) -> str | None:
+def node_key(
+    op: Op, params: Mapping[str, Any], stream: tuple[int, str] | None, sources: Iterable[str | None]
+) -> str | None:
     """Key of what a node gives; None where something that it depends on has no hash.
 
     Args:
@@ -283,4 +295,10 @@ def _read(path: Path, key: str) -> Image:
     facts = json.loads(body)
     shape = tuple(facts["shape"])
     planes = numbers.reshape((2 if facts["variance"] else 1, *shape))
-    return Image(planes[0], tuple(facts["channels"]), Quantity(facts["quantity"]), planes[1] if facts["variance"] else None, facts["provenance"])
+    return Image(
+        planes[0],
+        tuple(facts["channels"]),
+        Quantity(facts["quantity"]),
+        planes[1] if facts["variance"] else None,
+        facts["provenance"],
+    )

@@ -110,7 +110,9 @@ class _Composer:
         real = path.resolve()
         if real in by.chain:
             loop = [*by.chain[by.chain.index(real) :], real]
-            self.faults.add(item.place, f"files build on each other in a circle: {' -> '.join(link.name for link in loop)}")
+            self.faults.add(
+                item.place, f"files build on each other in a circle: {' -> '.join(link.name for link in loop)}"
+            )
             return None
         self.count += 1
         if self.count >= MAX_FILES:
@@ -130,7 +132,11 @@ class _Composer:
             if text in names:
                 return self.shipped / f"{text}.yaml"
             hint = did_you_mean(text, names) if isinstance(text, str) else ""
-            self.faults.add(item.place, f"no shipped graph {item.plain()!r}; there are {', '.join(names)}, or give a path that ends in .yaml.{hint}")
+            self.faults.add(
+                item.place,
+                f"no shipped graph {item.plain()!r}; there are {', '.join(names)}, or give a path that ends in "
+                f".yaml.{hint}",
+            )
             return None
         path = Path(os.path.normpath(by.folder / text))
         try:
@@ -139,7 +145,10 @@ class _Composer:
             self.faults.add(item.place, f"{text!r} cannot be read ({problem})")
             return None
         if Path(text).is_absolute() or not any(real.is_relative_to(folder) for folder in self.allowed):
-            self.faults.add(item.place, f"{text!r} is outside the graph's own folder; give a path below it, or the name of a shipped graph")
+            self.faults.add(
+                item.place,
+                f"{text!r} is outside the graph's own folder; give a path below it, or the name of a shipped graph",
+            )
             return None
         return path
 
@@ -152,7 +161,10 @@ class _Composer:
                 continue
             for key, item in entry.value.items():
                 if key != "include":
-                    self.faults.add(item.key_place or item.place, f"{key!r} cannot stand beside 'include'; give it an entry of its own")
+                    self.faults.add(
+                        item.key_place or item.place,
+                        f"{key!r} cannot stand beside 'include'; give it an entry of its own",
+                    )
             other = self.read(entry.value["include"], file)
             if other is None:
                 raise _UnreadableError
@@ -160,7 +172,9 @@ class _Composer:
             for key, item in fields.items():
                 if key not in ("synfog", "title", "nodes"):
                     self.faults.add(
-                        item.key_place or item.place, f"{key!r} cannot stand in a file that is included; it holds nodes only (use 'extends' for a whole graph)"
+                        item.key_place or item.place,
+                        f"{key!r} cannot stand in a file that is included; it holds nodes only (use 'extends' for a "
+                        f"whole graph)",
                     )
             inner = fields.get("nodes")
             if inner is None or not isinstance(inner.value, list):
@@ -175,7 +189,11 @@ class _Composer:
             if isinstance(entry.value, dict):
                 for word in set(EDITS) & set(entry.value):
                     place = entry.value[word].key_place or entry.place
-                    self.faults.add(place, f"{word!r} is for a graph that builds on another; put 'extends: ...' at the top, or take {word!r} away")
+                    self.faults.add(
+                        place,
+                        f"{word!r} is for a graph that builds on another; put 'extends: ...' at the top, or take "
+                        f"{word!r} away",
+                    )
                     del entry.value[word]
 
     def edited(self, base: Located, own: Located) -> Located:
@@ -193,32 +211,60 @@ class _Composer:
             fields = {key: item for key, item in entry.value.items() if key not in EDITS}
             words = [word for word in EDITS if word in entry.value]
             if name in touched:
-                self.faults.add(entry.place, f"node {name!r} stands already at {touched[name]}; give one of them another name")
+                self.faults.add(
+                    entry.place, f"node {name!r} stands already at {touched[name]}; give one of them another name"
+                )
             elif "remove" in words or (name in names and name):
                 self.change(entry, name, fields, words, nodes, names)
             elif "op" not in fields and name:
-                self.faults.add(entry.place, f"node {name!r} has no 'op', and there is none of that name to change.{did_you_mean(name, names)}")
+                self.faults.add(
+                    entry.place,
+                    f"node {name!r} has no 'op', and there is none of that name to change.{did_you_mean(name, names)}",
+                )
             else:
                 self.add(replace(entry, value=fields), entry.value, name, words, nodes, names)
             if name:
                 touched.setdefault(name, entry.place)
         return replace(base, value=nodes)
 
-    def change(self, entry: Located, name: str, fields: dict[str, Located], words: list[str], nodes: list[Located], names: list[str]) -> None:
+    def change(
+        self,
+        entry: Located,
+        name: str,
+        fields: dict[str, Located],
+        words: list[str],
+        nodes: list[Located],
+        names: list[str],
+    ) -> None:
         if name not in names:
-            self.faults.add(entry.place, f"no node {name!r} to take away; there are {', '.join(filter(None, names))}.{did_you_mean(name, names)}")
+            self.faults.add(
+                entry.place,
+                f"no node {name!r} to take away; there are "
+                f"{', '.join(filter(None, names))}.{did_you_mean(name, names)}",
+            )
             return
         index = names.index(name)
         if "remove" in words:
             if entry.value["remove"].value is not True or set(entry.value) != {"name", "remove"}:
-                self.faults.add(entry.place, f"node {name!r}: 'remove: true' takes the node away; only its 'name' stands beside it")
+                self.faults.add(
+                    entry.place, f"node {name!r}: 'remove: true' takes the node away; only its 'name' stands beside it"
+                )
             gone = nodes.pop(index)
-            if "in" in gone.value and index < len(nodes) and isinstance(nodes[index].value, dict) and "in" not in nodes[index].value:
-                nodes[index] = replace(nodes[index], value={**nodes[index].value, "in": gone.value["in"]})  # it read the one that is gone
+            if (
+                "in" in gone.value
+                and index < len(nodes)
+                and isinstance(nodes[index].value, dict)
+                and "in" not in nodes[index].value
+            ):
+                nodes[index] = replace(
+                    nodes[index], value={**nodes[index].value, "in": gone.value["in"]}
+                )  # it read the one that is gone
         elif words:
             item = entry.value[words[0]]
             self.faults.add(
-                item.key_place or item.place, f"node {name!r} is one of the graph that is extended and keeps its place; {words[0]!r} is for new nodes"
+                item.key_place or item.place,
+                f"node {name!r} is one of the graph that is extended and keeps its place; {words[0]!r} is for new "
+                f"nodes",
             )
         elif "op" in fields:
             kept = {"in": nodes[index].value["in"]} if "in" in nodes[index].value else {}
@@ -226,20 +272,36 @@ class _Composer:
         else:
             nodes[index] = replace(nodes[index], value={**nodes[index].value, **fields})
 
-    def add(self, node: Located, given: dict[str, Located], name: str, words: list[str], nodes: list[Located], names: list[str]) -> None:
+    def add(
+        self,
+        node: Located,
+        given: dict[str, Located],
+        name: str,
+        words: list[str],
+        nodes: list[Located],
+        names: list[str],
+    ) -> None:
         if not words:
             nodes.append(node)
             return
         item: Any = given[words[0]]
         if len(words) > 1 or item.value not in names:
-            wrong = "'before' and 'after' exclude each other" if len(words) > 1 else f"no node {item.plain()!r} to stand {words[0]}"
-            self.faults.add(item.place, f"node {name!r}: {wrong}.{did_you_mean(str(item.value), names) if len(words) == 1 else ''}")
+            wrong = (
+                "'before' and 'after' exclude each other"
+                if len(words) > 1
+                else f"no node {item.plain()!r} to stand {words[0]}"
+            )
+            self.faults.add(
+                item.place, f"node {name!r}: {wrong}.{did_you_mean(str(item.value), names) if len(words) == 1 else ''}"
+            )
             nodes.append(node)
             return
         nodes.insert(names.index(item.value) + (words[0] == "after"), node)
 
     def joined_outputs(self, base: Located, own: Located) -> Located:
-        """Files of both; an own file that is empty ('srgb.png:') takes the base's away, and one without 'node' changes how the base's is written."""
+        """Files of both; an own file that is empty ('srgb.png:') takes the base's away, and one without 'node' changes
+        how the base's is written.
+        """
         if not isinstance(base.value, dict) or not isinstance(own.value, dict):
             return own
         merged = dict(base.value)

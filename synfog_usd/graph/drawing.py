@@ -15,7 +15,23 @@ from typing import Any
 from synfog_usd.graph.engine import AUTO, Bound, GraphRun, Node, NodeGraph
 from synfog_usd.graph.op import Port
 
-MERMAID_WORDS = frozenset({"end", "graph", "flowchart", "subgraph", "style", "class", "classdef", "click", "default", "linkstyle", "direction", "call", "href"})
+MERMAID_WORDS = frozenset(
+    {
+        "end",
+        "graph",
+        "flowchart",
+        "subgraph",
+        "style",
+        "class",
+        "classdef",
+        "click",
+        "default",
+        "linkstyle",
+        "direction",
+        "call",
+        "href",
+    }
+)
 """Words of Mermaid that cannot be the name of a node."""
 
 CHANGED = ("file", "override")
@@ -26,7 +42,9 @@ LANE_W = 20
 """Width of an edge that passes a row [px]."""
 
 CHAR_W = 0.62
-"""Width of a character over its size; sans-serif letters are narrower on average, so that no label runs out of its box."""
+"""Width of a character over its size; sans-serif letters are narrower on average, so that no label runs out of its
+box.
+"""
 
 COLOURS = ("#3b6ea5", "#b5651d", "#4f8a5b", "#7a5195", "#8a8a3a", "#a8434b")
 
@@ -64,8 +82,12 @@ def mermaid(graph: NodeGraph, run: GraphRun | None = None) -> str:
     lines += [f'  {_id(name)}(["{name}: {port}"])' for name, port in graph.inputs.items()]
     for node in graph.nodes.values():
         spent = _time(node, run)
-        lines.append(f'  {_id(node.name)}["{node.name}<br/>{node.op.name}{f"<br/>{_with_unit(spent)}" if spent else ""}"]')
-        lines += [f"  {_id(source)} -- {_flows(_port_of(graph, source))} --> {_id(node.name)}" for source in node.inputs]
+        lines.append(
+            f'  {_id(node.name)}["{node.name}<br/>{node.op.name}{f"<br/>{_with_unit(spent)}" if spent else ""}"]'
+        )
+        lines += [
+            f"  {_id(source)} -- {_flows(_port_of(graph, source))} --> {_id(node.name)}" for source in node.inputs
+        ]
     for index, (file_name, node_name) in enumerate(graph.outputs.items()):
         lines.append(f"  {_id(node_name)} --> file{index}[/{file_name}/]")
     return "\n".join(lines)
@@ -76,10 +98,14 @@ def svg(graph: NodeGraph, run: GraphRun | None = None) -> str:
     layout = _Layout(graph)
     spent = run.milliseconds if run is not None else {}
     longest, total = max(spent.values(), default=0.0), sum(spent.values())
-    palette = {family: COLOURS[index % len(COLOURS)] for index, family in enumerate(dict.fromkeys(node.op.family for node in graph.nodes.values()))}
+    palette = {
+        family: COLOURS[index % len(COLOURS)]
+        for index, family in enumerate(dict.fromkeys(node.op.family for node in graph.nodes.values()))
+    }
     title = graph.name + (f": {total:.0f} ms" if run is not None else "")
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{layout.width}" height="{layout.height}" viewBox="0 0 {layout.width} {layout.height}" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{layout.width}" height="{layout.height}" viewBox="0 0 '
+        f'{layout.width} {layout.height}" '
         'font-family="Helvetica, Arial, sans-serif" font-size="13">',
         f"<title>{escape(title)}</title>",
         f'<rect width="{layout.width}" height="{layout.height}" fill="#ffffff"/>',
@@ -93,7 +119,10 @@ def svg(graph: NodeGraph, run: GraphRun | None = None) -> str:
     parts += labels  # over all edges
     for name, port in graph.inputs.items():
         x, y = layout.corner(name)
-        parts.append(f'<rect x="{x}" y="{y}" width="{BOX_W}" height="{BOX_H}" rx="{BOX_H // 2}" fill="#eeeeee" stroke="#888888"/>')
+        parts.append(
+            f'<rect x="{x}" y="{y}" width="{BOX_W}" height="{BOX_H}" rx="{BOX_H // 2}" fill="#eeeeee" '
+            f'stroke="#888888"/>'
+        )
         parts.append(_text(x + 24, y + 21, _cut(name, BOX_W - 48), weight="bold"))
         parts.append(_text(x + 24, y + 39, str(port), size=11, fill="#666666"))
     for node in graph.nodes.values():
@@ -107,10 +136,13 @@ def svg(graph: NodeGraph, run: GraphRun | None = None) -> str:
         parts.append(f'<rect x="{x}" y="{y}" width="6" height="{high}" fill="{palette[node.op.family]}"/>')
         if longest and node.name in spent:
             parts.append(
-                f'<rect x="{x + 6}" y="{y + high - 4}" width="{(BOX_W - 6) * spent[node.name] / longest:.1f}" height="4" fill="{palette[node.op.family]}"/>'
+                f'<rect x="{x + 6}" y="{y + high - 4}" width="{(BOX_W - 6) * spent[node.name] / longest:.1f}" '
+                f'height="4" fill="{palette[node.op.family]}"/>'
             )
         parts.append(_text(x + 14, y + 18, _cut(node.name, room), weight="bold"))
-        parts.append(_text(x + 14, y + 36, _cut(f"{node.op.name}  {facts}".rstrip(), BOX_W - 22, 11), size=11, fill="#444444"))
+        parts.append(
+            _text(x + 14, y + 36, _cut(f"{node.op.name}  {facts}".rstrip(), BOX_W - 22, 11), size=11, fill="#444444")
+        )
         if time:
             parts.append(_text(x + BOX_W - 8, y + 18, time, size=12, anchor="end"))
         parts.append("</g>")
@@ -119,7 +151,11 @@ def svg(graph: NodeGraph, run: GraphRun | None = None) -> str:
         for index, file_name in enumerate(files):
             across, down = x + BOX_W + 12, y + 18 + 17 * index
             parts.append(f'<path d="M {x + BOX_W} {down - 4} h 8" stroke="#888888" stroke-width="1.5"/>')
-            parts.append(_text(across, down, _cut(file_name, layout.file_width(name) - 16), size=12, fill="#000000", weight="bold"))
+            parts.append(
+                _text(
+                    across, down, _cut(file_name, layout.file_width(name) - 16), size=12, fill="#000000", weight="bold"
+                )
+            )
     return "\n".join([*parts, "</svg>\n"])
 
 
@@ -182,7 +218,9 @@ class _Layout:
         return slot.x - BOX_W / 2, slot.y
 
     def edges(self) -> list[tuple[str, str, float, float]]:
-        """Path of every edge, with a label and where that stands [px]; a node that reads several images has one label for all."""
+        """Path of every edge, with a label and where that stands [px]; a node that reads several images has one label
+        for all.
+        """
         found = []
         for node in self.graph.nodes.values():
             sources = list(dict.fromkeys(node.inputs))
@@ -196,7 +234,11 @@ class _Layout:
                     x, y = lane.x, lane.y + lane.height
                 end = self.slots[node.name]
                 landing = end.x + (place - (len(sources) - 1) / 2) * step
-                label = ", ".join(dict.fromkeys(_flows(_port_of(self.graph, item)) for item in sources)) if place == len(sources) - 1 else ""
+                label = (
+                    ", ".join(dict.fromkeys(_flows(_port_of(self.graph, item)) for item in sources))
+                    if place == len(sources) - 1
+                    else ""
+                )
                 found.append((path + _curve(x, y, landing, end.y), label, landing + 6, end.y - 6))
         return found
 
@@ -206,7 +248,17 @@ def _curve(x: float, y: float, to_x: float, to_y: float) -> str:
     return f" L {to_x:g} {to_y:g}" if x == to_x else f" C {x:g} {middle:g} {to_x:g} {middle:g} {to_x:g} {to_y:g}"
 
 
-def _text(x: float, y: float, text: str, *, size: int = 13, fill: str = "#222222", weight: str = "normal", anchor: str = "start", halo: bool = False) -> str:
+def _text(
+    x: float,
+    y: float,
+    text: str,
+    *,
+    size: int = 13,
+    fill: str = "#222222",
+    weight: str = "normal",
+    anchor: str = "start",
+    halo: bool = False,
+) -> str:
     words = f'<text x="{x:g}" y="{y:g}" font-size="{size}" fill="{fill}" font-weight="{weight}" text-anchor="{anchor}"'
     around = f'{words} stroke="#ffffff" stroke-width="4" stroke-linejoin="round">{escape(text)}</text>' if halo else ""
     return f"{around}{words}>{escape(text)}</text>"
@@ -221,7 +273,13 @@ def _cut(text: str, room: float, size: int = 13) -> str:
 def _time(node: Node, run: GraphRun | None) -> str:
     if run is None:
         return ""
-    return f"{run.milliseconds[node.name]:.1f}" if node.name in run.milliseconds else "cached" if node.name in run.cached else ""
+    return (
+        f"{run.milliseconds[node.name]:.1f}"
+        if node.name in run.milliseconds
+        else "cached"
+        if node.name in run.cached
+        else ""
+    )
 
 
 def _with_unit(time: str) -> str:

@@ -132,7 +132,10 @@ class NodeGraph:
             "schema": SCHEMA,
             "version": __version__,
             "inputs": {name: str(port) for name, port in self.inputs.items()},
-            "nodes": {node.name: [node.op.name, list(node.inputs), {key: _plain(bound) for key, bound in node.params.items()}] for node in self.nodes.values()},
+            "nodes": {
+                node.name: [node.op.name, list(node.inputs), {key: _plain(bound) for key, bound in node.params.items()}]
+                for node in self.nodes.values()
+            },
             "outputs": {name: [node, dict(self.options_of(name))] for name, node in self.outputs.items()},
             "profiles": {kind: profile.content_hash for kind, profile in self.profiles.items()},
         }
@@ -142,7 +145,10 @@ class NodeGraph:
     def settings_needed(self) -> tuple[str, ...]:
         """Names that `auto` parameters without a default look up when the graph runs."""
         keys = {
-            node.op.parameters[key].auto_key for node in self.nodes.values() for key, bound in node.params.items() if bound.is_auto and bound.value is MISSING
+            node.op.parameters[key].auto_key
+            for node in self.nodes.values()
+            for key, bound in node.params.items()
+            if bound.is_auto and bound.value is MISSING
         }
         return tuple(sorted(keys))
 
@@ -177,15 +183,25 @@ class NodeGraph:
         where, _, name = key.rpartition(".")
         if where in self.nodes:
             return [(where, known_parameter(f"override {key!r}: {self.nodes[where]}", self.nodes[where].op, name))]
-        settable = [(node, parameter) for node in self.nodes.values() for parameter in node.op.parameters.values() if parameter.can_be_set]
+        settable = [
+            (node, parameter)
+            for node in self.nodes.values()
+            for parameter in node.op.parameters.values()
+            if parameter.can_be_set
+        ]
         found = [
             (node.name, parameter)
             for node, parameter in settable
-            if (parameter.name == name and where in (node.op.name, node.op.family)) or (parameter.profile is not None and parameter.profile.path == key)
+            if (parameter.name == name and where in (node.op.name, node.op.family))
+            or (parameter.profile is not None and parameter.profile.path == key)
         ]
         if not found:
-            names = [f"{place}.{parameter.name}" for node, parameter in settable for place in (node.name, node.op.family)]
-            raise GraphError(f"override {key!r}: no node {where or key!r}; write node.parameter.{did_you_mean(key, names)}")
+            names = [
+                f"{place}.{parameter.name}" for node, parameter in settable for place in (node.name, node.op.family)
+            ]
+            raise GraphError(
+                f"override {key!r}: no node {where or key!r}; write node.parameter.{did_you_mean(key, names)}"
+            )
         return found
 
     def without(self, names: Iterable[str]) -> NodeGraph:
@@ -203,7 +219,10 @@ class NodeGraph:
             before = graph.inputs[source] if source in graph.inputs else graph.nodes[source].gives
             kept = (before.quantity, before.layout) == (node.gives.quantity, node.gives.layout)
             if len(node.inputs) > 1 or not kept or name in graph.outputs.values():
-                raise GraphError(f"{node.place}: {node} cannot be left out: it makes {node.gives} of {before}, reads several images, or is an output")
+                raise GraphError(
+                    f"{node.place}: {node} cannot be left out: it makes {node.gives} of {before}, reads several "
+                    f"images, or is an output"
+                )
             nodes = {
                 other.name: replace(other, inputs=tuple(source if item == name else item for item in other.inputs))
                 for other in graph.nodes.values()
@@ -278,7 +297,11 @@ class NodeGraph:
         if cache:
             cache.flush()
         progress("done", 1.0)
-        return GraphRun({name: done[name] for name in wanted if name in done}, milliseconds, tuple(name for name in wanted if name not in running))
+        return GraphRun(
+            {name: done[name] for name in wanted if name in done},
+            milliseconds,
+            tuple(name for name in wanted if name not in running),
+        )
 
     def outputs_of(self, name: str) -> dict[str, str]:
         """The outputs that `name` means: a file ('raw.dng'), or all of that stem ('raw'); file name -> node."""
@@ -288,23 +311,31 @@ class NodeGraph:
         """How an output is written, as its writer wants it; empty where the graph does not say."""
         return self.output_options.get(file_name, {})
 
-    def _keys(self, inputs: Mapping[str, Image], wanted: Sequence[str], seed: int, settings: Mapping[str, Any]) -> dict[str, str | None]:
+    def _keys(
+        self, inputs: Mapping[str, Image], wanted: Sequence[str], seed: int, settings: Mapping[str, Any]
+    ) -> dict[str, str | None]:
         """Key of what each node gives, known before anything runs."""
         keys = {name: image_key(image, NOTES) for name, image in inputs.items()}
         for name in wanted:
             node = self.nodes[name]
             params = {key: self._fact(node, key, bound, settings) for key, bound in node.params.items()}
-            keys[name] = node_key(node.op, params, (seed, name) if node.op.draws else None, [keys[source] for source in node.inputs])
+            keys[name] = node_key(
+                node.op, params, (seed, name) if node.op.draws else None, [keys[source] for source in node.inputs]
+            )
         return keys
 
     def _fact(self, node: Node, name: str, bound: Bound, settings: Mapping[str, Any]) -> Any:
-        """A parameter's value as JSON holds it.  What `auto` finds in the provenance is in the key of the image that it comes with."""
+        """A parameter's value as JSON holds it.  What `auto` finds in the provenance is in the key of the image that it
+        comes with.
+        """
         if not bound.is_auto:
             return [_plain(bound), repr(bound.value)]
         key = node.op.parameters[name].auto_key
         return [AUTO, settings[key]] if key in settings else _plain(bound)
 
-    def _missing(self, keys: Mapping[str, str | None], wanted: Sequence[str], kept: Sequence[str], cache: Cache) -> tuple[list[str], dict[str, Image]]:
+    def _missing(
+        self, keys: Mapping[str, str | None], wanted: Sequence[str], kept: Sequence[str], cache: Cache
+    ) -> tuple[list[str], dict[str, Image]]:
         """The nodes that have to run, in order, and the images from the cache that they read or the caller keeps."""
         inner = {source for name in wanted for source in self.nodes[name].inputs}
         asked, note = set(kept), self._note()
@@ -328,7 +359,10 @@ class NodeGraph:
 
     def _check_node(self, name: str) -> None:
         if name not in self.nodes:
-            raise GraphError(f"graph {self.name!r} has no node {name!r}; it has {', '.join(self.nodes)}.{did_you_mean(name, self.nodes)}")
+            raise GraphError(
+                f"graph {self.name!r} has no node {name!r}; it has "
+                f"{', '.join(self.nodes)}.{did_you_mean(name, self.nodes)}"
+            )
 
     def _needed(self, until: str | None) -> list[str]:
         if until is None:
@@ -338,7 +372,9 @@ class NodeGraph:
         if nodes := self.outputs_of(until).values():
             return self._leading_to(nodes)
         known = [*self.nodes, *self.outputs]
-        raise GraphError(f"graph {self.name!r} has no node {until!r}; it has {', '.join(known)}.{did_you_mean(until, known)}")
+        raise GraphError(
+            f"graph {self.name!r} has no node {until!r}; it has {', '.join(known)}.{did_you_mean(until, known)}"
+        )
 
     def _leading_to(self, names: Iterable[str]) -> list[str]:
         """These nodes and all that they read, in order."""
@@ -351,18 +387,30 @@ class NodeGraph:
     def _checked_inputs(self, images: Mapping[str, Image], wanted: Sequence[str]) -> dict[str, Image]:
         for name in images:
             if name not in self.inputs:
-                raise GraphError(f"graph {self.name!r} has no input {name!r}; it takes {', '.join(self.inputs)}.{did_you_mean(name, self.inputs)}")
+                raise GraphError(
+                    f"graph {self.name!r} has no input {name!r}; it takes "
+                    f"{', '.join(self.inputs)}.{did_you_mean(name, self.inputs)}"
+                )
         have: dict[str, Image] = {}
         note = self._note()
         for name in sorted({source for node in wanted for source in self.nodes[node].inputs if source in self.inputs}):
             if name not in images:
-                raise GraphError(f"graph {self.name!r} needs an image for its input {name!r}; it was given {', '.join(images) or 'none'}")
+                raise GraphError(
+                    f"graph {self.name!r} needs an image for its input {name!r}; it was given "
+                    f"{', '.join(images) or 'none'}"
+                )
             image = images[name]
             if not self.inputs[name].accepts(Port(image.quantity)):
-                raise GraphError(f"input {name!r} of graph {self.name!r} takes {self.inputs[name]}; the image holds {image.quantity.value}")
+                raise GraphError(
+                    f"input {name!r} of graph {self.name!r} takes {self.inputs[name]}; the image holds "
+                    f"{image.quantity.value}"
+                )
             if not np.isfinite(image.pixels).all():
                 row, column, channel = (int(index[0]) for index in np.nonzero(~np.isfinite(image.pixels)))
-                raise ImageError(f"input {name!r}: pixel x={column}, y={row} of channel {image.channels[channel]!r} is not a finite number")
+                raise ImageError(
+                    f"input {name!r}: pixel x={column}, y={row} of channel {image.channels[channel]!r} is not a finite "
+                    f"number"
+                )
             have[name] = image.with_metadata(**note)
         return have
 
@@ -374,7 +422,10 @@ class NodeGraph:
             arguments["rng"] = seeds.stream(seed, "node", node.name)
         for index, image in enumerate(images):
             if not node.op.port(index).accepts(Port(image.quantity)):
-                raise GraphError(f"{node.place}: {node} takes {node.op.port(index)}; {node.inputs[index]!r} gave {image.quantity.value}")
+                raise GraphError(
+                    f"{node.place}: {node} takes {node.op.port(index)}; {node.inputs[index]!r} gave "
+                    f"{image.quantity.value}"
+                )
         try:
             result = node.op.function(*images, **arguments)
         except SynfogError as error:
@@ -392,11 +443,14 @@ class NodeGraph:
                 try:
                     return parameter.read(facts[key])
                 except ValueError as problem:
-                    raise GraphError(f"{node.place}: {node}: {key!r} in the {where} {problem}; it takes {parameter}") from problem
+                    raise GraphError(
+                        f"{node.place}: {node}: {key!r} in the {where} {problem}; it takes {parameter}"
+                    ) from problem
         if bound.value is MISSING:
             hint = f", or {parameter.auto.hint}" if parameter.auto and parameter.auto.hint else ""
             raise GraphError(
-                f"{node.place}: {node} has {name}: auto, but nothing says {key}: neither the settings of the run nor the image. "
+                f"{node.place}: {node} has {name}: auto, but nothing says {key}: neither the settings of the run nor "
+                f"the image. "
                 f"Give {name} a number there, or with --set {node.name}.{name}=...{hint}"
             )
         return bound.value

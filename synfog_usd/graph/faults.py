@@ -35,7 +35,13 @@ class Faults:
             SynfogError: the one error, as it is; or a GraphError with a line for
                 each of several, in the order of the file.
         """
-        errors = [error for _, error in sorted(self._found.values(), key=lambda item: (item[0].file != self.file, item[0].file, item[0].line, item[0].column))]
+        errors = [
+            error
+            for _, error in sorted(
+                self._found.values(),
+                key=lambda item: (item[0].file != self.file, item[0].file, item[0].line, item[0].column),
+            )
+        ]
         if len(errors) == 1:
             raise errors[0]
         if errors:

@@ -78,7 +78,11 @@ def make_graph(
     """
     alone = "extends" not in header
     sections = {"inputs": inputs or (("radiance",) if alone else None), "nodes": nodes, "outputs": outputs}
-    plain = {"synfog": "graph/1", **header, **{key: value for key, value in sections.items() if value or (alone and value is not None)}}
+    plain = {
+        "synfog": "graph/1",
+        **header,
+        **{key: value for key, value in sections.items() if value or (alone and value is not None)},
+    }
     return _Loader(_PythonPlaces(name).located(plain, ""), name, folder, registry).load()
 
 
@@ -102,7 +106,9 @@ class _PythonPlaces:
         self.count += 1
         spot = _PythonPlace(self.name, self.count, 0, label or self.name)
         if isinstance(value, Mapping):
-            value = {str(key): self.located(item, f"{label}.{key}" if label else str(key)) for key, item in value.items()}
+            value = {
+                str(key): self.located(item, f"{label}.{key}" if label else str(key)) for key, item in value.items()
+            }
         elif isinstance(value, list | tuple):
             value = [self.located(item, f"{label}[{index}]") for index, item in enumerate(value)]
         return Located(value, spot, spot)
@@ -132,7 +138,9 @@ class _Loader:
         self.faults = Faults(root.place.file)
         self.top = composed(root, folder, self.faults)
         self.unsure: set[str] = set()
-        """Sections and kinds of profile that are wrong themselves: what is missing for lack of them is no fault of its own."""
+        """Sections and kinds of profile that are wrong themselves: what is missing for lack of them is no fault of its
+        own.
+        """
 
     def load(self) -> NodeGraph:
         self.check_header()
@@ -147,7 +155,9 @@ class _Loader:
         for name, port in gives.items():
             draft = by_name[name]
             assert draft.op is not None
-            nodes[name] = Node(name, draft.op, tuple(source for source, _ in draft.sources), draft.params, draft.place, port)
+            nodes[name] = Node(
+                name, draft.op, tuple(source for source, _ in draft.sources), draft.params, draft.place, port
+            )
         return NodeGraph(self.name, inputs, nodes, outputs, profiles, options)
 
     def check_header(self) -> None:
@@ -156,7 +166,9 @@ class _Loader:
             if key not in allowed:
                 hint = did_you_mean(key, allowed)
                 self.unsure |= {word for word in allowed if repr(word) in hint}
-                self.faults.add(item.key_place or item.place, f"a graph has no {key!r}; it takes {', '.join(allowed)}.{hint}")
+                self.faults.add(
+                    item.key_place or item.place, f"a graph has no {key!r}; it takes {', '.join(allowed)}.{hint}"
+                )
         title = self.top.get("title")
         if title is not None and not isinstance(title.value, str):
             self.faults.add(title.place, f"title is {title.plain()!r}; it takes a text")
@@ -175,7 +187,9 @@ class _Loader:
         return None
 
     def read_inputs(self) -> dict[str, Port]:
-        item = self.section("inputs", (list, dict), "a list of names, such as [radiance], or a mapping of names to quantities")
+        item = self.section(
+            "inputs", (list, dict), "a list of names, such as [radiance], or a mapping of names to quantities"
+        )
         if item is None:
             return {}
         words = {quantity.value: quantity for quantity in Quantity}
@@ -188,13 +202,21 @@ class _Loader:
         for entry, name, word in entries:
             place = (entry.key_place if isinstance(item.value, dict) else None) or entry.place
             if not isinstance(name, str) or not _NAME.fullmatch(name):
-                self.faults.add(place, f"input {entry.plain() if name is entry.value else name!r} is not a name; use lower-case letters, digits and _")
+                self.faults.add(
+                    place,
+                    f"input {entry.plain() if name is entry.value else name!r} is not a name; use lower-case letters, "
+                    f"digits and _",
+                )
                 self.unsure.add("inputs")
                 continue
             if name in found:
                 self.faults.add(place, f"input {name!r} stands here twice")
             if word is not None and (not isinstance(word, str) or word not in words):
-                self.faults.add(entry.place, f"input {name!r} is {entry.plain()!r}; it takes one of {', '.join(words)}.{did_you_mean(str(word), words)}")
+                self.faults.add(
+                    entry.place,
+                    f"input {name!r} is {entry.plain()!r}; it takes one of "
+                    f"{', '.join(words)}.{did_you_mean(str(word), words)}",
+                )
                 found[name] = Port()
             else:
                 found[name] = Port(words[word] if word is not None else Quantity.RADIANCE)
@@ -208,7 +230,10 @@ class _Loader:
                 continue
             self.unsure.add(kind)
             if not isinstance(item.value, str):
-                self.faults.add(item.place, f"{kind} is {item.plain()!r}; it takes the name of a profile, or a path that ends in .yaml")
+                self.faults.add(
+                    item.place,
+                    f"{kind} is {item.plain()!r}; it takes the name of a profile, or a path that ends in .yaml",
+                )
                 continue
             try:
                 folder = self.folder if item.place.file == self.root.place.file else Path(item.place.file).parent
@@ -231,7 +256,9 @@ class _Loader:
             if draft.name in drafts:
                 first = drafts[draft.name].place
                 where = f"line {first.line}" if type(first) is Place and first.file == draft.place.file else str(first)
-                self.faults.add(draft.place, f"node {draft.name!r} stands already at {where}; give one of them another name")
+                self.faults.add(
+                    draft.place, f"node {draft.name!r} stands already at {where}; give one of them another name"
+                )
             elif draft.name in inputs:
                 self.faults.add(draft.place, f"node {draft.name!r} has the name of an input; give it another name")
             else:
@@ -252,14 +279,19 @@ class _Loader:
         elif op is None:
             known = sorted(self.registry.ops)
             there = f"there are {', '.join(known) or 'none'}"
-            self.faults.add(op_item.place, f"no op {op_item.plain()!r}; {there}{'.' if known else ''}{did_you_mean(str(op_item.plain()), known)}")
+            self.faults.add(
+                op_item.place,
+                f"no op {op_item.plain()!r}; {there}{'.' if known else ''}{did_you_mean(str(op_item.plain()), known)}",
+            )
         name_item = fields.get("name")
         if (name_item is not None or op is not None) and not (isinstance(name, str) and _NAME.fullmatch(name)):
             place = name_item.place if name_item is not None else entry.place
             found = name_item.plain() if name_item is not None else name
             self.faults.add(place, f"node name {found!r} is not a name; use lower-case letters, digits and _")
         elif name_item is not None and not isinstance(name_item.value, str):
-            self.faults.add(name_item.place, f"node name {name_item.plain()!r} is not a name; use lower-case letters, digits and _")
+            self.faults.add(
+                name_item.place, f"node name {name_item.plain()!r} is not a name; use lower-case letters, digits and _"
+            )
         draft = _Draft(name, op, entry.place)
         draft.sources = self.read_sources(draft, fields.get("in"), previous)
         if op is not None:
@@ -280,7 +312,9 @@ class _Loader:
             entries = item.value if isinstance(item.value, list) else [item]
             for entry in entries:
                 if not isinstance(entry.value, str):
-                    self.faults.add(entry.place, f"{draft} has in: {entry.plain()!r}; it takes the name of a node or input")
+                    self.faults.add(
+                        entry.place, f"{draft} has in: {entry.plain()!r}; it takes the name of a node or input"
+                    )
             sources = [(entry.value, entry.place) for entry in entries if isinstance(entry.value, str)]
             count = len(entries)
         op = draft.op
@@ -291,7 +325,9 @@ class _Loader:
             return []
         return sources
 
-    def read_params(self, where: str, op: Op, place: Place, given: Mapping[str, Located], profiles: Mapping[str, Profile]) -> dict[str, Bound]:
+    def read_params(
+        self, where: str, op: Op, place: Place, given: Mapping[str, Located], profiles: Mapping[str, Profile]
+    ) -> dict[str, Bound]:
         for key, item in given.items():
             try:
                 known_parameter(f"{item.key_place}: {where}", op, key)
@@ -327,7 +363,10 @@ class _Loader:
             if source.kind in self.unsure:
                 raise _UnsureError
             own = f", or give {parameter.name} here" if parameter.can_be_set else ""
-            raise GraphError(f"{where} takes {parameter.name} from the {source.kind} profile; name one at the top with '{source.kind}: ...'{own}")
+            raise GraphError(
+                f"{where} takes {parameter.name} from the {source.kind} profile; name one at the top with "
+                f"'{source.kind}: ...'{own}"
+            )
         value: Any = profiles[source.kind]
         for part in source.path.split(".")[1:]:
             value = getattr(value, part)
@@ -340,17 +379,23 @@ class _Loader:
             for source, place in draft.sources:
                 if source not in names and source not in inputs and "inputs" not in self.unsure:
                     self.faults.add(
-                        place, f"{draft} reads {source!r}, which is no node or input.{did_you_mean(source, [*inputs, *(item.name for item in drafts)])}"
+                        place,
+                        f"{draft} reads {source!r}, which is no node or "
+                        f"input.{did_you_mean(source, [*inputs, *(item.name for item in drafts)])}",
                     )
         gives: dict[str, Port] = {}
         waiting = list(drafts)
         while waiting:
-            ready = [draft for draft in waiting if all(source in gives or source not in names for source, _ in draft.sources)]
+            ready = [
+                draft for draft in waiting if all(source in gives or source not in names for source, _ in draft.sources)
+            ]
             if not ready:
                 loop = self.circle(waiting)
                 gives |= {draft.name: draft.result([]) for draft in loop}
             for draft in ready:
-                gives[draft.name] = self.typed(draft, [gives.get(source) or inputs.get(source) or Port() for source, _ in draft.sources])
+                gives[draft.name] = self.typed(
+                    draft, [gives.get(source) or inputs.get(source) or Port() for source, _ in draft.sources]
+                )
             waiting = [draft for draft in waiting if draft.name not in gives]
         return gives
 
@@ -363,7 +408,9 @@ class _Loader:
             if following in path:
                 loop = path[path.index(following) :]
                 names = [following, *reversed(loop)]
-                self.faults.add(stuck[following].place, f"nodes read each other in a circle: {' -> '.join(names)}; change one 'in'")
+                self.faults.add(
+                    stuck[following].place, f"nodes read each other in a circle: {' -> '.join(names)}; change one 'in'"
+                )
                 return [stuck[name] for name in loop]
             path.append(following)
 
@@ -376,10 +423,16 @@ class _Loader:
         return draft.result(arriving)
 
     def advice(self, wanted: Port) -> str:
-        makers = sorted(op.name for op in self.registry if op.gives.quantity is wanted.quantity and op.gives.quantity is not None and wanted.accepts(op.gives))
+        makers = sorted(
+            op.name
+            for op in self.registry
+            if op.gives.quantity is wanted.quantity and op.gives.quantity is not None and wanted.accepts(op.gives)
+        )
         return f"What gives {wanted}: {', '.join(makers)}" if makers else f"Name a node that gives {wanted} in 'in'"
 
-    def read_outputs(self, gives: Mapping[str, Port]) -> tuple[dict[str, str], dict[str, dict[str, output_files.Value]]]:
+    def read_outputs(
+        self, gives: Mapping[str, Port]
+    ) -> tuple[dict[str, str], dict[str, dict[str, output_files.Value]]]:
         """File name -> node; and file name -> how it is written, where the graph says."""
         item = self.section("outputs", dict, "a mapping of file names to nodes, such as srgb.png: gamma")
         found: dict[str, str] = {}
@@ -403,8 +456,14 @@ class _Loader:
             if not wanted.accepts(given):
                 fitting = [name for name, port in gives.items() if port.quantity and wanted.accepts(port)]
                 hint = f"; what fits: {', '.join(fitting)}" if fitting else ""
-                words = "".join(f" with {word}: {value}" for word, value in said.items()) if wanted != output_files.port(file_name, {}) else ""
-                self.faults.add(node.place, f"output {file_name!r}{words} takes {wanted}; node {node.value!r} gives {given}{hint}")
+                words = (
+                    "".join(f" with {word}: {value}" for word, value in said.items())
+                    if wanted != output_files.port(file_name, {})
+                    else ""
+                )
+                self.faults.add(
+                    node.place, f"output {file_name!r}{words} takes {wanted}; node {node.value!r} gives {given}{hint}"
+                )
             found[file_name] = node.value
             if said:
                 options[file_name] = said
@@ -418,12 +477,17 @@ class _Loader:
                 continue
             misspelt, fault = output_files.option_fault(file_name, word, item.plain())
             if fault:
-                self.faults.add((item.key_place if misspelt else None) or item.place, f"output {file_name!r}{' ' if misspelt else ': '}{fault}")
+                self.faults.add(
+                    (item.key_place if misspelt else None) or item.place,
+                    f"output {file_name!r}{' ' if misspelt else ': '}{fault}",
+                )
             else:
                 said[word] = item.value
         node = entry.value.get(output_files.NODE)
         if node is None:
-            self.faults.add(entry.place, f"output {file_name!r} has no 'node'; name the node that it is made of, beside what it has")
+            self.faults.add(
+                entry.place, f"output {file_name!r} has no 'node'; name the node that it is made of, beside what it has"
+            )
         return said, node
 
 

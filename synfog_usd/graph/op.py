@@ -190,7 +190,13 @@ class Parameter:
         elif self.kind == "numbers":
             words = f"a list of {self.length} numbers" if self.length else "a list of numbers"
         else:
-            words = {"number": "a number", "integer": "a whole number", "switch": "true or false", "text": "a text", "profile": "a profile"}[self.kind]
+            words = {
+                "number": "a number",
+                "integer": "a whole number",
+                "switch": "true or false",
+                "text": "a text",
+                "profile": "a profile",
+            }[self.kind]
         limits = str(self.limits)
         words += (f" {limits}" if limits else "") + (f" [{self.unit}]" if self.unit else "")
         return words + (" or auto" if self.auto else "")
@@ -230,7 +236,9 @@ class Parameter:
             if isinstance(value, list | tuple) and value and self.length in (None, len(value)):
                 return tuple(self._limited(_number(item)) for item in value)
         else:
-            raise ValueError(f"comes from the {self.profile.kind if self.profile else ''} profile and cannot be set here")
+            raise ValueError(
+                f"comes from the {self.profile.kind if self.profile else ''} profile and cannot be set here"
+            )
         raise ValueError(f"is {value!r}")
 
     def _limited(self, value: float) -> float:
@@ -345,7 +353,12 @@ class Registry:
         return iter(self.ops.values())
 
     def op(
-        self, name: str, *, takes: Port | Quantity | Iterable[Port | Quantity] | None, gives: Port | Quantity | None, fault: Callable[..., str] | None = None
+        self,
+        name: str,
+        *,
+        takes: Port | Quantity | Iterable[Port | Quantity] | None,
+        gives: Port | Quantity | None,
+        fault: Callable[..., str] | None = None,
     ) -> Callable[[F], F]:
         """Declare the function below as the op `name`.
 
@@ -360,7 +373,11 @@ class Registry:
         Raises:
             TypeError: the function cannot be an op; the text says why.
         """
-        ports = (_port(takes),) if takes is None or isinstance(takes, Port | Quantity) else tuple(_port(item) for item in takes)
+        ports = (
+            (_port(takes),)
+            if takes is None or isinstance(takes, Port | Quantity)
+            else tuple(_port(item) for item in takes)
+        )
 
         def declare(function: F) -> F:
             if not re.fullmatch(r"[a-z][a-z0-9_]*\.[a-z][a-z0-9_]*", name):
@@ -381,7 +398,9 @@ def _port(value: Port | Quantity | None) -> Port:
     return value if isinstance(value, Port) else Port(value)
 
 
-def _declared(name: str, function: Callable[..., Image], takes: tuple[Port, ...], gives: Port, fault: Callable[..., str] | None) -> Op:
+def _declared(
+    name: str, function: Callable[..., Image], takes: tuple[Port, ...], gives: Port, fault: Callable[..., str] | None
+) -> Op:
     signature = inspect.signature(function)
     doc = inspect.getdoc(function) or ""
     texts = documented(doc)

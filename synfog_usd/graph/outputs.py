@@ -54,11 +54,20 @@ FORMATS = {
 """File suffix -> what it can hold."""
 
 _TIFF = {
-    "bits": Option((8, 16, 32), "Whole numbers of 8 or 16 bits for a screen, or 32-bit floats of anything; if left out, 16 for a screen and 32 otherwise.")
+    "bits": Option(
+        (8, 16, 32),
+        "Whole numbers of 8 or 16 bits for a screen, or 32-bit floats of anything; if left out, 16 for a screen and "
+        "32 otherwise.",
+    )
 }
 
 OPTIONS: dict[str, dict[str, Option]] = {
-    ".dng": {"compression": Option(("none", "lossless"), "none: 16 bits a pixel, which every reader takes; lossless: lossless JPEG, about 40 % of the size.")},
+    ".dng": {
+        "compression": Option(
+            ("none", "lossless"),
+            "none: 16 bits a pixel, which every reader takes; lossless: lossless JPEG, about 40 % of the size.",
+        )
+    },
     ".exr": {
         "compression": Option(("zip", "zips", "piz", "rle", "none"), "All of them lossless."),
         "half": Option((False, True), "16-bit floats, to 65504, for 32-bit ones."),
@@ -100,7 +109,8 @@ def fault(file_name: str) -> str:
 
 
 def option_fault(file_name: str, word: str, value: Any) -> tuple[bool, str]:
-    """What is wrong with a word beside an output's node: whether it is the word itself, and what; (False, '') where nothing is.
+    """What is wrong with a word beside an output's node: whether it is the word itself, and what; (False, '') where
+    nothing is.
 
     >>> option_fault("raw.dng", "compresion", "lossless")
     (True, "has no 'compresion'; it takes node, compression. Did you mean 'compression'?")
@@ -112,7 +122,11 @@ def option_fault(file_name: str, word: str, value: Any) -> tuple[bool, str]:
         names = [NODE, *options]
         return True, f"has no {word!r}; it takes {', '.join(names)}.{did_you_mean(word, names)}"
     if not options[word].holds(value):
-        hint = did_you_mean(value, [choice for choice in options[word].choices if isinstance(choice, str)]) if isinstance(value, str) else ""
+        hint = (
+            did_you_mean(value, [choice for choice in options[word].choices if isinstance(choice, str)])
+            if isinstance(value, str)
+            else ""
+        )
         return False, f"{word} is {value!r}; it takes {options[word]}{'.' if hint else ''}{hint}"
     return False, ""
 

@@ -35,7 +35,9 @@ def pages(registry: Registry) -> str:
         first[op.family] = min(first.get(op.family, len(quantities)), quantities.index(op.takes[0].quantity))
     ordered = sorted(registry, key=lambda op: (first[op.family], op.family))
     contents = ["| op | takes | gives | does |", "|---|---|---|---|"]
-    contents += [f"| [{op.name}](#{op.name.replace('.', '')}) | {_takes(op)} | {_gives(op)} | {op.summary} |" for op in ordered]
+    contents += [
+        f"| [{op.name}](#{op.name.replace('.', '')}) | {_takes(op)} | {_gives(op)} | {op.summary} |" for op in ordered
+    ]
     return "\n".join([HEAD, *contents, "", *("\n".join(_lines(op)) for op in ordered)])
 
 
@@ -46,7 +48,8 @@ def _lines(op: Op) -> list[str]:
         "",
         *text,
         "",
-        f"Takes {_takes(op)}; gives {_gives(op)}.{' Draws random numbers from a stream named by the node.' if op.draws else ''}",
+        f"Takes {_takes(op)}; gives "
+        f"{_gives(op)}.{' Draws random numbers from a stream named by the node.' if op.draws else ''}",
         "",
     ]
     rows = [parameter for parameter in op.parameters.values() if parameter.can_be_set]
@@ -54,7 +57,11 @@ def _lines(op: Op) -> list[str]:
         lines += ["| parameter | value | if left out | meaning |", "|---|---|---|---|"]
         lines += [f"| `{row.name}` | {_cell(str(row))} | {_default(row)} | {_cell(row.help)} |" for row in rows]
         lines.append("")
-    needs = [parameter.name for parameter in op.parameters.values() if not parameter.can_be_set and parameter.default is MISSING]
+    needs = [
+        parameter.name
+        for parameter in op.parameters.values()
+        if not parameter.can_be_set and parameter.default is MISSING
+    ]
     if needs:
         lines += [f"Needs a {' and a '.join(needs)} profile at the top of the graph.", ""]
     return lines
@@ -77,7 +84,9 @@ def _default(parameter: Parameter) -> str:
         ways.append("auto")
     if parameter.default is not MISSING and parameter.default is not None:
         value = parameter.default
-        ways.append(f"`{str(value).lower() if isinstance(value, bool) else f'{value:g}' if isinstance(value, float) else value}`")
+        ways.append(
+            f"`{str(value).lower() if isinstance(value, bool) else f'{value:g}' if isinstance(value, float) else value}`"  # noqa: E501
+        )
     return ", else ".join(ways) or ("nothing" if parameter.default is None else "needed")
 
 
@@ -94,7 +103,11 @@ def _without_arguments(doc: str) -> list[str]:
             inside = line == "Args:"
         if not inside:
             lines.append(
-                f"**{line[:-1]}**" if line in ("Raises:", "Returns:") else f"- {line.strip()}" if line.startswith("    ") and ":" in line else line.strip()
+                f"**{line[:-1]}**"
+                if line in ("Raises:", "Returns:")
+                else f"- {line.strip()}"
+                if line.startswith("    ") and ":" in line
+                else line.strip()
             )
     while lines and not lines[-1]:
         lines.pop()

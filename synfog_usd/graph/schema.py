@@ -18,7 +18,9 @@ NAME = "^[a-z][a-z0-9_]*$"
 FILE = r"\.ya?ml$"
 
 
-def schema(registry: Registry, *, profiles: Mapping[str, Sequence[str]] | None = None, graphs: Sequence[str] = ()) -> dict[str, Any]:
+def schema(
+    registry: Registry, *, profiles: Mapping[str, Sequence[str]] | None = None, graphs: Sequence[str] = ()
+) -> dict[str, Any]:
     """JSON Schema, draft 7, of a graph file.
 
     Args:
@@ -28,7 +30,10 @@ def schema(registry: Registry, *, profiles: Mapping[str, Sequence[str]] | None =
     """
     suffixes = "|".join(suffix[1:] for suffix in FORMATS)
     headers = {
-        kind: {"description": f"A shipped {kind} profile, or the path of an own one that ends in .yaml.", "anyOf": _named((profiles or {}).get(kind, ()))}
+        kind: {
+            "description": f"A shipped {kind} profile, or the path of an own one that ends in .yaml.",
+            "anyOf": _named((profiles or {}).get(kind, ())),
+        }
         for kind in registry.profiles
     }
     return {
@@ -40,12 +45,20 @@ def schema(registry: Registry, *, profiles: Mapping[str, Sequence[str]] | None =
         "properties": {
             "synfog": {"const": SCHEMA, "description": "The format of this file."},
             "title": {"type": "string"},
-            "extends": {"description": "A shipped graph, or the path of an own one, whose nodes and outputs are changed here.", "anyOf": _named(graphs)},
+            "extends": {
+                "description": "A shipped graph, or the path of an own one, whose nodes and outputs are changed here.",
+                "anyOf": _named(graphs),
+            },
             "inputs": {
                 "description": "Pictures that go in: a list of names (radiance), or names with what they measure.",
                 "anyOf": [
                     {"type": "array", "items": {"type": "string", "pattern": NAME}, "minItems": 1, "uniqueItems": True},
-                    {"type": "object", "minProperties": 1, "propertyNames": {"pattern": NAME}, "additionalProperties": {"enum": _quantities()}},
+                    {
+                        "type": "object",
+                        "minProperties": 1,
+                        "propertyNames": {"pattern": NAME},
+                        "additionalProperties": {"enum": _quantities()},
+                    },
                 ],
             },
             **headers,
@@ -56,11 +69,15 @@ def schema(registry: Registry, *, profiles: Mapping[str, Sequence[str]] | None =
                 "items": _node(registry),
             },
             "outputs": {
-                "description": "Files and the nodes that they are made of; {node: NAME, ...} says also how a file is written.",
+                "description": "Files and the nodes that they are made of; {node: NAME, ...} says also "
+                "how a file is written.",
                 "type": "object",
                 "minProperties": 1,
                 "propertyNames": {"pattern": rf"^[A-Za-z0-9][A-Za-z0-9._-]*\.({suffixes})$"},
-                "patternProperties": {rf"\.{suffix[1:]}$": {"anyOf": [{"type": ["string", "null"]}, _output(options)]} for suffix, options in OPTIONS.items()},
+                "patternProperties": {
+                    rf"\.{suffix[1:]}$": {"anyOf": [{"type": ["string", "null"]}, _output(options)]}
+                    for suffix, options in OPTIONS.items()
+                },
             },
         },
     }
@@ -111,15 +128,25 @@ def _node(registry: Registry) -> dict[str, Any]:
 
 
 _WORDS: dict[str, Any] = {
-    "name": {"type": "string", "pattern": NAME, "description": "What other nodes and the outputs call it; the verb of the op if left out."},
+    "name": {
+        "type": "string",
+        "pattern": NAME,
+        "description": "What other nodes and the outputs call it; the verb of the op if left out.",
+    },
     "in": {
         "description": "The node or input that it reads, or a list of them; the node before it if left out.",
         "type": ["string", "array"],
         "items": {"type": "string"},
     },
     "include": {"type": "string", "description": "A file with nodes that stand here."},
-    "after": {"type": "string", "description": "In a graph that extends another: the node behind which this one stands."},
-    "before": {"type": "string", "description": "In a graph that extends another: the node before which this one stands."},
+    "after": {
+        "type": "string",
+        "description": "In a graph that extends another: the node behind which this one stands.",
+    },
+    "before": {
+        "type": "string",
+        "description": "In a graph that extends another: the node before which this one stands.",
+    },
     "remove": {"const": True, "description": "In a graph that extends another: takes the node away."},
 }
 

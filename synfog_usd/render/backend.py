@@ -39,7 +39,10 @@ LLVM_FOLDERS = (
 LLVM_DISTRIBUTION = "karellen-llvm-core"
 """Package of the index that brings libLLVM for x86-64 Linux; the extra `llvm`."""
 
-INSTALL_LLVM = "install libLLVM (Debian and Ubuntu: apt install libllvm19; without root, on x86-64 Linux: pip install 'synfog-usd[llvm]')"
+INSTALL_LLVM = (
+    "install libLLVM (Debian and Ubuntu: apt install libllvm19; without root, on x86-64 Linux: pip install "
+    "'synfog-usd[llvm]')"
+)
 
 SCALAR_COST = f"scalar takes about twice as long for the same noise, and 10 s for the labels of 640x360; {INSTALL_LLVM}"
 """Measured in the shipped crossing, MOR 150, two cores: `volpath` in scalar against `path` in LLVM."""
@@ -52,7 +55,7 @@ scene = mi.load_dict({'type': 'scene', 'ball': {'type': 'sphere', 'bsdf': {'type
     'camera': {'type': 'perspective', 'film': {'type': 'hdrfilm', 'width': 4, 'height': 4}}, 'integrator': {'type': 'volpath', 'max_depth': 4}})
 import numpy as np
 print('proved', bool(np.isfinite(np.array(mi.render(scene, spp=1))).all()))
-"""
+"""  # noqa: E501
 
 
 ALIGNMENT = 64
@@ -86,7 +89,11 @@ def find_llvm() -> tuple[list[tuple[int, Path]], list[tuple[int, Path]]]:
         found[library] = _llvm_major(library) or MIN_LLVM
     for pattern in LLVM_FOLDERS:
         root, _, rest = pattern.partition("*")
-        folders = [Path(pattern)] if not rest and "*" not in pattern else Path(root).parent.glob(Path(pattern).relative_to(Path(root).parent).as_posix())
+        folders = (
+            [Path(pattern)]
+            if not rest and "*" not in pattern
+            else Path(root).parent.glob(Path(pattern).relative_to(Path(root).parent).as_posix())
+        )
         for folder in folders:
             for library in [*folder.glob("libLLVM*.so*"), *folder.glob("libLLVM*.dylib")]:
                 major = _llvm_major(library.resolve()) or _llvm_major(library)
@@ -102,7 +109,11 @@ def _of_package() -> list[Path]:
         listed = importlib.metadata.files(LLVM_DISTRIBUTION) or []
     except importlib.metadata.PackageNotFoundError:
         return []
-    return [library for file in listed if file.name.startswith("libLLVM") and (library := Path(str(file.locate())).resolve()).is_file()]
+    return [
+        library
+        for file in listed
+        if file.name.startswith("libLLVM") and (library := Path(str(file.locate())).resolve()).is_file()
+    ]
 
 
 def _llvm_major(path: Path) -> int | None:
@@ -121,7 +132,9 @@ def _prove(variant: str, llvm_library: str = "") -> str:
     if llvm_library:
         environment["DRJIT_LIBLLVM_PATH"] = llvm_library
     try:
-        child = subprocess.run([sys.executable, "-c", _PROOF, variant], env=environment, capture_output=True, text=True, timeout=120)
+        child = subprocess.run(
+            [sys.executable, "-c", _PROOF, variant], env=environment, capture_output=True, text=True, timeout=120
+        )
     except subprocess.TimeoutExpired:
         return "gave no picture within 120 s"
     if "proved True" in child.stdout:
@@ -144,13 +157,20 @@ def choose(choice: VariantName = "auto") -> Backend:
         raise BackendError(f"--variant {choice}: not known; it takes auto, cuda, llvm or scalar")
     why: list[str] = []
     if choice in ("auto", "cuda"):
-        problem = _prove(VARIANTS["cuda"]) if has_cuda_driver() or choice == "cuda" else "no NVIDIA driver (libcuda) on this machine"
+        problem = (
+            _prove(VARIANTS["cuda"])
+            if has_cuda_driver() or choice == "cuda"
+            else "no NVIDIA driver (libcuda) on this machine"
+        )
         why.append(f"cuda: {problem or 'a device renders'}")
         if not problem:
             return Backend("cuda", VARIANTS["cuda"], tuple(why))
     if choice in ("auto", "llvm"):
         usable, old = find_llvm()
-        why += [f"llvm: {path} is LLVM {major}, which aborts with Mitsuba 3.9 (needs {MIN_LLVM} or newer)" for major, path in old[:1]]
+        why += [
+            f"llvm: {path} is LLVM {major}, which aborts with Mitsuba 3.9 (needs {MIN_LLVM} or newer)"
+            for major, path in old[:1]
+        ]
         for major, path in usable:
             problem = _prove(VARIANTS["llvm"], str(path))
             why.append(f"llvm: {path} (LLVM {major}) {'renders' if not problem else 'failed: ' + problem}")
@@ -226,7 +246,8 @@ def points(array: Any) -> Any:
 def rows(vectors: Any, kind: Any = None) -> Any:
     """(N, C) numbers of vectors, one row a lane.
 
-    Taken part by part, since to interleave them is a kernel of its own for every N; computed together, since else each part would be computed from the start.
+    Taken part by part, since to interleave them is a kernel of its own for every N; computed together, since else each
+    part would be computed from the start.
 
     Args:
         vectors: of C parts.

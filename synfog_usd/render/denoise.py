@@ -54,17 +54,21 @@ HALF_GUIDED = 0.01
 """Transmittance at which a guide counts half.  0 to 0.01 measured alike, 0.2 a tenth worse."""
 
 BRIGHT = 1e4
-"""Surfaces this much brighter than the typical pixel keep what is above: Open Image Denoise returns a flat patch of 1e3 times its surroundings
-to 1 %, of 1e4 to 6 %, of 1e6 to 20 %, and a lamp that is seen directly has no noise."""
+"""Surfaces this much brighter than the typical pixel keep what is above: Open Image Denoise returns a flat patch of 1e3
+times its surroundings to 1 %, of 1e4 to 6 %, of 1e6 to 20 %, and a lamp that is seen directly has no noise."""
 
 BORDER_PX = 16
-"""Mirrored on every side: without it, the border of a constant image comes back wrong by 4 % (12 % with guides); with it, by 0.2 %."""
+"""Mirrored on every side: without it, the border of a constant image comes back wrong by 4 % (12 % with guides); with
+it, by 0.2 %.
+"""
 
 GUIDE_RAYS = 64
 """Measured on the crossing: 3 to 6 % less error than with 16."""
 
 MEMORY_MB = 700
-"""What Open Image Denoise may take: it works in tiles, to the same bytes.  At 1920x1080 0.6 instead of 1.4 GB, for 1.4 times the time."""
+"""What Open Image Denoise may take: it works in tiles, to the same bytes.  At 1920x1080 0.6 instead of 1.4 GB, for 1.4
+times the time.
+"""
 
 LANES = 1 << 21
 """Pixels that are looked at at once."""
@@ -132,7 +136,9 @@ def denoise_halves(halves: Mapping[str, Array], guides: Guides, weights: npt.Arr
     for name, pair in halves.items():  # one after the other: a large frame's fill memory
         finished = pair
         if name not in NOISELESS:
-            finished = dualbuffer.towards_truth(pair, np.stack([denoise({name: half}, guides)[name] for half in pair]), weights)
+            finished = dualbuffer.towards_truth(
+                pair, np.stack([denoise({name: half}, guides)[name] for half in pair]), weights
+            )
         noisy, done = noisy + pair @ weights, done + finished @ weights
         components[name] = finished.mean(axis=0)
     return Denoised(components, dualbuffer.error_of(noisy, done))
@@ -142,8 +148,9 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides) -> dict[str
     """Clean the components of a foggy image.
 
     Args:
-        components: name -> (H, W, C) linear light as it arrives, any unit.  `SURFACE` is that of the surfaces, T * L_surface, those of `NOISELESS`
-            stay as they are, and each other is light scattered in the fog.  What is below 0 (noise of a control variate) counts as 0.
+        components: name -> (H, W, C) linear light as it arrives, any unit.  `SURFACE` is that of the surfaces, T *
+            L_surface, those of `NOISELESS` stay as they are, and each other is light scattered in the fog.  What is
+            below 0 (noise of a control variate) counts as 0.
         guides: see `guides`.  The transmittance of the pixel's centre is no substitute for theirs: at an edge
             the light is a mean, and dividing it by one side's T tripled the error of the image.
 
@@ -154,7 +161,8 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides) -> dict[str
         ParameterError: shapes that do not fit, values that are not finite, or no pyoidn.
         DenoiserError: Open Image Denoise fails.
 
-    Measured at 64 samples a pixel, RMS error before and after: 10.3 and 1.7 % (street, MOR 100), 42 and 2.6 % (the same, MOR 30), 15 and 3.1 % (canyon).
+    Measured at 64 samples a pixel, RMS error before and after: 10.3 and 1.7 % (street, MOR 100), 42 and 2.6 % (the
+    same, MOR 30), 15 and 3.1 % (canyon).
     Light of rare bright samples is lost in part: see `dualbuffer.towards_truth`.
     """
     images = {name: _image(name, pixels) for name, pixels in components.items()}
@@ -162,12 +170,20 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides) -> dict[str
     through = _image("transmittance", np.asarray(guides.transmittance)[..., None])
     albedo, normal = _image("albedo", guides.albedo), _image("normal", guides.normal)
     wanted = [(name, image, shape) for name, image in images.items()]
-    wanted += [("transmittance", through, (*shape[:2], 1)), ("albedo", albedo, (*shape[:2], 3)), ("normal", normal, (*shape[:2], 3))]
+    wanted += [
+        ("transmittance", through, (*shape[:2], 1)),
+        ("albedo", albedo, (*shape[:2], 3)),
+        ("normal", normal, (*shape[:2], 3)),
+    ]
     for name, image, fits in wanted:
         if image.shape != fits:
-            raise ParameterError(f"denoise: {name} is {image.shape}, and {next(iter(images))} is {shape}; it must be {fits}")
+            raise ParameterError(
+                f"denoise: {name} is {image.shape}, and {next(iter(images))} is {shape}; it must be {fits}"
+            )
     if through.min() < 0.0 or through.max() > 1.0:
-        raise ParameterError(f"denoise: transmittance reaches from {through.min():g} to {through.max():g}; it must be within 0 and 1")
+        raise ParameterError(
+            f"denoise: transmittance reaches from {through.min():g} to {through.max():g}; it must be within 0 and 1"
+        )
 
     trusted = through / (through + HALF_GUIDED)
     nothing = np.zeros_like(albedo)  # guides that say that there is no edge: measured 2 to 15 % below no guides at all
@@ -186,7 +202,9 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides) -> dict[str
     return {name: clean(name, image) for name, image in images.items()}
 
 
-def denoise_plain(image: npt.ArrayLike, albedo: npt.ArrayLike | None = None, normal: npt.ArrayLike | None = None) -> Array:
+def denoise_plain(
+    image: npt.ArrayLike, albedo: npt.ArrayLike | None = None, normal: npt.ArrayLike | None = None
+) -> Array:
     """Clean a whole image at once, as other renderers do; with clear-air guides it paints back what the fog hides.
 
     Args:
@@ -203,7 +221,9 @@ def denoise_plain(image: npt.ArrayLike, albedo: npt.ArrayLike | None = None, nor
         return _clean(image)
     albedo, normal = _image("albedo", albedo), _image("normal", normal)
     if {albedo.shape, normal.shape} != {(*image.shape[:2], 3)}:
-        raise ParameterError(f"denoise: albedo is {albedo.shape}, normal {normal.shape}; the image asks for {(*image.shape[:2], 3)}")
+        raise ParameterError(
+            f"denoise: albedo is {albedo.shape}, normal {normal.shape}; the image asks for {(*image.shape[:2], 3)}"
+        )
     return _clean(image, albedo, normal)
 
 
@@ -238,7 +258,9 @@ def guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS, clear: bool = False)
 
 
 def _place(number: Any, axis: int) -> Any:
-    """Where on an axis of pixel, lens or time ray `number` goes, 0 to 1, evenly spread (Roberts 2018, the R sequence in five dimensions)."""
+    """Where on an axis of pixel, lens or time ray `number` goes, 0 to 1, evenly spread (Roberts 2018, the R sequence in
+    five dimensions).
+    """
     mi = backend.mitsuba()
     root = 1.1347241384015194  # of x^6 = x + 1
     return dr.minimum(mi.Float((number + 1) * int(root ** -(axis + 1) * 2**32) + (1 << 31)) * 2.0**-32, 1.0 - 2.0**-24)
@@ -253,7 +275,9 @@ class _Eye:
     def look(self, corner: Any, number: Any) -> tuple[Any, Any, Any]:
         """Albedo, normal and transmittance of what ray `number` of each pixel meets."""
         mi, camera = backend.mitsuba(), self.loaded.source.camera
-        film = (corner + mi.Point2f(_place(number, 0), _place(number, 1))) / self.raster.size + mi.Point2f(*self.loaded.offset)
+        film = (corner + mi.Point2f(_place(number, 0), _place(number, 1))) / self.raster.size + mi.Point2f(
+            *self.loaded.offset
+        )
         ray, _ = self.loaded.sensor.sample_ray(0.0, 0.5, film, mi.Point2f(_place(number, 2), _place(number, 3)))
         ray = moved(ray, camera, _place(number, 4)) if camera.moves else ray
         albedo, normal, distance = _meet(self.loaded.scene, ray)
@@ -280,7 +304,9 @@ def _look(eye: _Eye, corner: Any, rays: Any) -> tuple[Any, Any, Any, Any]:
 
 @dr.syntax
 def _meet(scene: Any, first: Any) -> tuple[Any, Any, Any]:
-    """Albedo, normal and distance of what rays meet; what is half transparent counts by its share, and as far as half of the ray gets."""
+    """Albedo, normal and distance of what rays meet; what is half transparent counts by its share, and as far as half
+    of the ray gets.
+    """
     mi = backend.mitsuba()
     ray = mi.Ray3f(first)
     albedo, normal = mi.Color3f(0.0), mi.Normal3f(0.0)
@@ -294,7 +320,9 @@ def _meet(scene: Any, first: Any) -> tuple[Any, Any, Any]:
         colour = dr.select(matte, dr.clip(mi.Color3f(bsdf.eval_diffuse_reflectance(si, matte)), 0.0, 1.0), 1.0)
         share = dr.select(met, left * (1.0 - passing), 0.0)
         albedo += share * colour
-        normal += dr.select(met, share, 0.0) * dr.select(dr.dot(si.sh_frame.n, ray.d) > 0.0, -si.sh_frame.n, si.sh_frame.n)
+        normal += dr.select(met, share, 0.0) * dr.select(
+            dr.dot(si.sh_frame.n, ray.d) > 0.0, -si.sh_frame.n, si.sh_frame.n
+        )
         left *= passing
         distance = dr.select(met & (left < 0.5) & (distance == dr.inf), dr.norm(si.p - first.o), distance)
         onward = si.spawn_ray(ray.d)
@@ -338,8 +366,14 @@ def _clean(image: Array, albedo: Array | None = None, normal: Array | None = Non
     mean = float(image.mean(dtype=np.float64))
     if mean == 0.0:
         return np.zeros_like(image)
-    scale = np.float32(2.0 ** -round(np.log2(mean)))  # it takes what is far from 1 for noise or for nothing; a power of two rounds nothing
-    known = {} if albedo is None or normal is None else {"albedo": _framed(np.clip(albedo, 0.0, 1.0)), "normal": _framed(normal)}
+    scale = np.float32(
+        2.0 ** -round(np.log2(mean))
+    )  # it takes what is far from 1 for noise or for nothing; a power of two rounds nothing
+    known = (
+        {}
+        if albedo is None or normal is None
+        else {"albedo": _framed(np.clip(albedo, 0.0, 1.0)), "normal": _framed(normal)}
+    )
     framed = _framed(image * scale)
     channels = image.shape[2]
     result = np.empty_like(image)
@@ -373,4 +407,6 @@ def _filtered(oidn: Any, images: Mapping[str, Array]) -> Array:
 
 
 def _framed(image: Array) -> Array:
-    return np.ascontiguousarray(np.pad(image, ((BORDER_PX, BORDER_PX), (BORDER_PX, BORDER_PX), (0, 0)), mode="symmetric"), dtype=np.float32)
+    return np.ascontiguousarray(
+        np.pad(image, ((BORDER_PX, BORDER_PX), (BORDER_PX, BORDER_PX), (0, 0)), mode="symmetric"), dtype=np.float32
+    )

@@ -12,8 +12,9 @@ left under blurs from wide to none, so light that the denoiser took for outliers
 nearly as noise allows, and with more samples every w goes to 1 and the picture to the truth.
 
 Takes arrays; knows nothing of a denoiser, models or files.
-Source: two buffers: Rousselle, Knaus and Zwicker 2012; mixing by estimated errors until it converges: Firmino et al. 2022,
-"Progressive denoising of Monte Carlo rendered images".  Theirs needs the denoiser's derivatives; this needs it twice.
+Source: two buffers: Rousselle, Knaus and Zwicker 2012; mixing by estimated errors until it converges: Firmino et al.
+2022, "Progressive denoising of Monte Carlo rendered images".  Theirs needs the denoiser's derivatives; this needs it
+twice.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ from synfog_usd.arrays import FloatArray as Array
 SCALES_PX = (64, 16, 4, 0)
 """Standard deviations [px] of the blurs, wide to none; then the whole picture.
 
-Measured at dusk (crossing, MOR 150, 192x108, 64 samples of the plain `path`, mean of 32 x 32 blocks and of all): denoised alone 10 and -8 %,
-with these 4.0 and -1.7 %, with all of it first 3.4 and -0.2 % and the median pixel's error a sixth larger.
+Measured at dusk (crossing, MOR 150, 192x108, 64 samples of the plain `path`, mean of 32 x 32 blocks and of all):
+denoised alone 10 and -8 %, with these 4.0 and -1.7 %, with all of it first 3.4 and -0.2 % and the median pixel's error
+a sixth larger.
 """
 
 WINDOW = 3.0
@@ -38,7 +40,9 @@ WINDOW = 3.0
 WINDOW_PX = 8.0
 
 CAUTION = 3.0
-"""Standard deviations of a moment by which noise is taken for larger than it was measured; 3 and 5 measured alike, without it noise comes back."""
+"""Standard deviations of a moment by which noise is taken for larger than it was measured; 3 and 5 measured alike,
+without it noise comes back.
+"""
 
 AGREED = 2.0
 """Times the smaller of both halves' differences that a pixel may go back at most."""
@@ -60,7 +64,8 @@ class Error:
 
     Attributes:
         rms: (H, W) expected RMS error of each pixel, in the picture's unit.
-        scatter: (H, W) the part of it in which two pictures with seeds of their own differ: the standard deviation of each.
+        scatter: (H, W) the part of it in which two pictures with seeds of their own differ: the standard deviation of
+            each.
     """
 
     rms: Array
@@ -80,7 +85,9 @@ def towards_truth(noisy: Array, denoised: Array, weights: npt.ArrayLike) -> Arra
     """
     weights = np.asarray(weights, dtype=np.float32)
     done = np.array(denoised, dtype=np.float32)
-    floor = 1e-3 * np.maximum(np.abs(noisy.mean(axis=(0, 1, 2), dtype=np.float64)), 1e-30).astype(np.float32)  # where nothing is left to scale
+    floor = 1e-3 * np.maximum(np.abs(noisy.mean(axis=(0, 1, 2), dtype=np.float64)), 1e-30).astype(
+        np.float32
+    )  # where nothing is left to scale
     for scale in SCALES_PX:
         _correct(noisy, done, weights, floor, scale)
     before, after = (picture.mean(axis=(0, 1, 2), dtype=np.float64) for picture in (noisy, done))
@@ -91,7 +98,10 @@ def towards_truth(noisy: Array, denoised: Array, weights: npt.ArrayLike) -> Arra
 def _correct(noisy: Array, done: Array, weights: Array, floor: Array, scale: int) -> None:
     """Change `done` by what is left of the difference to `noisy` under one blur, as far as noise lets it be known."""
     step = max(1, scale // 4)
-    wide, fine = [_blurred(_binned(picture, step), scale / step) for picture in noisy], [_blurred(_binned(picture, step), scale / step) for picture in done]
+    wide, fine = (
+        [_blurred(_binned(picture, step), scale / step) for picture in noisy],
+        [_blurred(_binned(picture, step), scale / step) for picture in done],
+    )
     level = np.maximum(0.5 * (fine[0] + fine[1]) @ weights, float(floor @ weights))
     left = 0.5 * ((wide[0] + wide[1]) - (fine[0] + fine[1])) @ weights / level
     noise = 0.5 * (wide[0] - wide[1]) @ weights / level
@@ -100,7 +110,9 @@ def _correct(noisy: Array, done: Array, weights: Array, floor: Array, scale: int
     pixels = 4.0 * np.pi * window**2 / max(1.0, 4.0 * np.pi * scale**2)  # independent ones under the window
     caution = 1.0 + CAUTION / np.sqrt(pixels)
     square = _blurred(left * left, window / step)
-    share = np.clip(1.0 - caution * _blurred(noise * (noise - kept), window / step) / np.maximum(square, 1e-30), 0.0, 1.0)[..., None]
+    share = np.clip(
+        1.0 - caution * _blurred(noise * (noise - kept), window / step) / np.maximum(square, 1e-30), 0.0, 1.0
+    )[..., None]
     if scale == 0:
         share = share * _agreed((wide[0] - fine[0]) @ weights, (wide[1] - fine[1]) @ weights)[..., None]
     for half in range(2):
@@ -110,7 +122,9 @@ def _correct(noisy: Array, done: Array, weights: Array, floor: Array, scale: int
 
 
 def _agreed(one: Array, other: Array) -> Array:
-    """Share of the mean of two differences that both have: 1 where they are alike, 0 where one alone has it, as a rare bright sample does."""
+    """Share of the mean of two differences that both have: 1 where they are alike, 0 where one alone has it, as a rare
+    bright sample does.
+    """
     mean = 0.5 * (one + other)
     both = np.where(one * other > 0.0, AGREED * np.minimum(np.abs(one), np.abs(other)), 0.0)
     return np.minimum(both / np.maximum(np.abs(mean), 1e-30), 1.0)
@@ -140,7 +154,9 @@ def error_of(noisy: Array, done: Array) -> Error:
 
 
 def _ratio(square: Array, scatter: Array) -> np.float32:
-    """Squared error over squared scatter of a whole picture, 1 at least; the usual one where its own is not known better."""
+    """Squared error over squared scatter of a whole picture, 1 at least; the usual one where its own is not known
+    better.
+    """
     whole = float(scatter.mean(dtype=np.float64))
     if whole == 0.0:
         return np.float32(USUAL_RATIO)
@@ -173,4 +189,8 @@ def _spread(coarse: Array, step: int, shape: tuple[int, ...]) -> Array:
 def _blurred(image: Array, sigma: float) -> Array:
     from scipy import ndimage
 
-    return image if sigma == 0.0 else ndimage.gaussian_filter(image, (sigma, sigma, *(0.0,) * (image.ndim - 2)), mode="nearest", truncate=3.0)
+    return (
+        image
+        if sigma == 0.0
+        else ndimage.gaussian_filter(image, (sigma, sigma, *(0.0,) * (image.ndim - 2)), mode="nearest", truncate=3.0)
+    )

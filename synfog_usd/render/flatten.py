@@ -37,7 +37,9 @@ def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
 
     def take(mesh: Mapping[str, Any], matrix: Array | None, instance: int) -> None:
         smooth = tuple(name in mesh for name in ARRAYS)
-        parts.setdefault((mesh["bsdf"]["id"], *smooth, bool(mesh.get("face_normals", False))), []).append((mesh, matrix, instance))
+        parts.setdefault((mesh["bsdf"]["id"], *smooth, bool(mesh.get("face_normals", False))), []).append(
+            (mesh, matrix, instance)
+        )
 
     expanded = _expanded(world)
     for key, value in world.items():
@@ -49,26 +51,41 @@ def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
                 take(shape, np.asarray(value["to_world"], dtype=np.float64), source.instance_of.get((key, name), 0))
             taken.add(key)
     left = {_group_id(value) for key, value in world.items() if key.startswith("instance_") and key not in taken}
-    taken |= {key for key, value in world.items() if isinstance(value, Mapping) and value.get("type") == "shapegroup" and key not in left}
+    taken |= {
+        key
+        for key, value in world.items()
+        if isinstance(value, Mapping) and value.get("type") == "shapegroup" and key not in left
+    }
 
     joined, instances = {}, {}
     for index, ((material, *_), members) in enumerate(parts.items()):
         key = f"shape_joined_{index}"
         joined[key] = _joined(material, members)
-        instances[key] = np.concatenate([np.full(len(mesh["faces"]), instance, dtype=np.int64) for mesh, _, instance in members])
+        instances[key] = np.concatenate(
+            [np.full(len(mesh["faces"]), instance, dtype=np.int64) for mesh, _, instance in members]
+        )
     rest = {key: value for key, value in world.items() if key not in taken}
     return replace(
-        source, world={**rest, **joined}, instance_of={key: instance for key, instance in source.instance_of.items() if key[0] not in taken}
+        source,
+        world={**rest, **joined},
+        instance_of={key: instance for key, instance in source.instance_of.items() if key[0] not in taken},
     ), instances
 
 
 def _plain(shape: Mapping[str, Any]) -> bool:
     """Whether a shape is a mesh that can be joined: no lamp, no placement of its own, a shared material."""
-    return shape.get("type") == "mesh" and "emitter" not in shape and "to_world" not in shape and shape["bsdf"].get("type") == "ref"
+    return (
+        shape.get("type") == "mesh"
+        and "emitter" not in shape
+        and "to_world" not in shape
+        and shape["bsdf"].get("type") == "ref"
+    )
 
 
 def _group_id(instance: Mapping[str, Any]) -> str:
-    return next(str(value["id"]) for value in instance.values() if isinstance(value, Mapping) and value.get("type") == "ref")
+    return next(
+        str(value["id"]) for value in instance.values() if isinstance(value, Mapping) and value.get("type") == "ref"
+    )
 
 
 def _prototype(world: Mapping[str, Any], instance: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -76,11 +93,14 @@ def _prototype(world: Mapping[str, Any], instance: Mapping[str, Any]) -> dict[st
 
 
 def _expanded(world: Mapping[str, Any]) -> set[str]:
-    """Keys of the instances that are written out: those of the smallest prototypes first, as many as go into `MAX_TRIANGLES`.
+    """Keys of the instances that are written out: those of the smallest prototypes first, as many as go into
+    `MAX_TRIANGLES`.
 
     Each instance that is left costs the same, whatever it holds: so as few as can be are left.
     """
-    room = MAX_TRIANGLES - sum(len(value["faces"]) for key, value in world.items() if key.startswith("shape_") and value.get("type") == "mesh")
+    room = MAX_TRIANGLES - sum(
+        len(value["faces"]) for key, value in world.items() if key.startswith("shape_") and value.get("type") == "mesh"
+    )
     sizes: dict[str, int | None] = {}
     placed: list[tuple[int, str]] = []
     for key, value in world.items():
@@ -88,7 +108,9 @@ def _expanded(world: Mapping[str, Any]) -> set[str]:
             group = _group_id(value)
             if group not in sizes:
                 inner = list(_prototype(world, value).values())
-                sizes[group] = sum(len(shape["faces"]) for shape in inner) if all(_plain(shape) for shape in inner) else None
+                sizes[group] = (
+                    sum(len(shape["faces"]) for shape in inner) if all(_plain(shape) for shape in inner) else None
+                )
             size = sizes[group]
             if size is not None:
                 placed.append((size, key))
@@ -114,10 +136,17 @@ def _joined(material: str, members: list[tuple[Mapping[str, Any], Array | None, 
         for name, arrays in more.items():
             array = np.asarray(mesh[name])
             if name == "normals" and matrix is not None:
-                array = array @ np.linalg.inv(matrix[:3, :3])  # not to unit length: their ratio is what interpolation needs
+                array = array @ np.linalg.inv(
+                    matrix[:3, :3]
+                )  # not to unit length: their ratio is what interpolation needs
             arrays.append(array.astype(np.float32))
         start += len(points)
     arrays = {"positions": positions, "faces": faces, **more}
     first = members[0][0]
     kept = {"face_normals": first["face_normals"]} if "face_normals" in first else {}
-    return {"type": "mesh", **{name: np.concatenate(parts) for name, parts in arrays.items()}, **kept, "bsdf": {"type": "ref", "id": material}}
+    return {
+        "type": "mesh",
+        **{name: np.concatenate(parts) for name, parts in arrays.items()},
+        **kept,
+        "bsdf": {"type": "ref", "id": material},
+    }

@@ -25,10 +25,22 @@ from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.media.phases import plugin
 from synfog_usd.scene import Camera, SceneDict
 
-LIGHTS = ("constant", "envmap", "sunsky", "directional", "point", "spot", "projector", "directionalarea", photometric.TYPE)
+LIGHTS = (
+    "constant",
+    "envmap",
+    "sunsky",
+    "directional",
+    "point",
+    "spot",
+    "projector",
+    "directionalarea",
+    photometric.TYPE,
+)
 
 GRID_SLICES = 512
-"""Height steps of an exponential fog; linear between them, a step of a tenth of the scale height errs by (1/10)^2 / 8 = 0.13 %."""
+"""Height steps of an exponential fog; linear between them, a step of a tenth of the scale height errs by (1/10)^2 / 8 =
+0.13 %.
+"""
 
 
 @dataclass(frozen=True)
@@ -45,7 +57,8 @@ class MitsubaScene:
         source: the scene it was made from, with its meshes joined.
         face_instances: key of a joined mesh -> label id of each face.
         parts: key -> object, of all that `source` names but what stands inside of groups.
-        spectral_bsdfs: key of a material -> the object that takes its place where paths carry bands, see `spectra.bsdfs`; made when it is first asked for.
+        spectral_bsdfs: key of a material -> the object that takes its place where paths carry bands, see
+            `spectra.bsdfs`; made when it is first asked for.
     """
 
     scene: Any
@@ -82,8 +95,13 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     else:
         face_instances = {}
     source = replace(source, world=_weighted(source))
-    if not boundaries and any(_is_light(part) and not is_sampled_light(part) for part in source.world.values()):  # Mitsuba wants one to choose
-        source = replace(source, world={key: _left_out(part) if is_sampled_light(part) else part for key, part in source.world.items()})
+    if not boundaries and any(
+        _is_light(part) and not is_sampled_light(part) for part in source.world.values()
+    ):  # Mitsuba wants one to choose
+        source = replace(
+            source,
+            world={key: _left_out(part) if is_sampled_light(part) else part for key, part in source.world.items()},
+        )
     world = source.world
     made: dict[str, Any] = {}
     shapes: dict[tuple[str, ...], Any] = {}
@@ -97,7 +115,10 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
                 return made[value["id"]]
             if value.get("type") == "mesh":
                 return _mesh(mi, value, key, convert)
-            return {name: _leaf(mi, name, item) if not isinstance(item, Mapping) else convert(item, f"{key}.{name}") for name, item in value.items()}
+            return {
+                name: _leaf(mi, name, item) if not isinstance(item, Mapping) else convert(item, f"{key}.{name}")
+                for name, item in value.items()
+            }
         return value
 
     def build(value: Any, key: str) -> Any:
@@ -105,7 +126,10 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
             converted = convert(value, key)
             return mi.load_dict(converted) if isinstance(converted, dict) else converted
         except (RuntimeError, TypeError, ValueError) as error:
-            raise StageError(f"scene part {key!r} ({value.get('type')}) is refused by the renderer: {str(error).strip().splitlines()[-1]}") from error
+            raise StageError(
+                f"scene part {key!r} ({value.get('type')}) is refused by the renderer: "
+                f"{str(error).strip().splitlines()[-1]}"
+            ) from error
 
     for key, value in world.items():
         if key == "type" or key in made:
@@ -113,7 +137,9 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
         if value["type"] == "shapegroup":
             inner = {name: build(item, f"{key}.{name}") for name, item in value.items() if name != "type"}
             shapes.update({(key, name): item for name, item in inner.items()})
-            made[key] = build({"type": "shapegroup"}, key) if not inner else mi.load_dict({"type": "shapegroup", **inner})
+            made[key] = (
+                build({"type": "shapegroup"}, key) if not inner else mi.load_dict({"type": "shapegroup", **inner})
+            )
         else:
             made[key] = build(value, key)
             if key.startswith(("shape_", "instance_")):
@@ -134,7 +160,9 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     medium = None if surrounding is None else media[surrounding]
     camera = source.camera
     offset = (camera.shift[0], -camera.shift[1]) if is_thin_lens(camera) else (0.0, 0.0)
-    return MitsubaScene(mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_instances, made)
+    return MitsubaScene(
+        mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_instances, made
+    )
 
 
 def make_bsdf(part: Mapping[str, Any]) -> Any:
@@ -142,13 +170,17 @@ def make_bsdf(part: Mapping[str, Any]) -> Any:
     mi = backend.mitsuba()
 
     def convert(value: Any) -> dict[str, Any]:
-        return {name: convert(item) if isinstance(item, Mapping) else _leaf(mi, name, item) for name, item in value.items()}
+        return {
+            name: convert(item) if isinstance(item, Mapping) else _leaf(mi, name, item) for name, item in value.items()
+        }
 
     return mi.load_dict(convert(part))
 
 
 def resized(loaded: MitsubaScene, size: tuple[int, int]) -> MitsubaScene:
-    """The same scene seen in (width, height) pixels; by the same sensor where nothing but a kernel asks it, so that the kernel stays the same."""
+    """The same scene seen in (width, height) pixels; by the same sensor where nothing but a kernel asks it, so that the
+    kernel stays the same.
+    """
     camera = replace(loaded.source.camera, width_px=size[0], height_px=size[1])
     sensor = make_sensor(camera, loaded.camera_medium) if backend.is_scalar() else loaded.sensor
     return replace(loaded, source=replace(loaded.source, camera=camera), sensor=sensor)
@@ -181,7 +213,8 @@ def _check_lens(source: SceneDict, surrounding: int | None) -> None:
         place[:3, 3] += camera.to_world[:3, :2] @ (half * (np.array([x, y]) + 2.0 * np.array(camera.shift)))
         if camera_fog(replace(source, camera=replace(camera, to_world=place))) != surrounding:
             raise StageError(
-                f"{camera.path}: the orthographic camera's rays begin in different fogs, which this model cannot tell apart; "
+                f"{camera.path}: the orthographic camera's rays begin in different fogs, which this model cannot tell "
+                f"apart; "
                 "move it wholly into or out of the fog, or use --model path"
             )
 
@@ -244,7 +277,14 @@ def _mesh(mi: Any, value: Mapping[str, Any], key: str, convert: Any) -> Any:
             properties[name] = mi.load_dict(part) if isinstance(part, dict) else part
     properties["face_normals"] = bool(value.get("face_normals", "normals" not in value))
     positions, faces = np.asarray(value["positions"], dtype=np.float32), np.asarray(value["faces"], dtype=np.uint32)
-    mesh = mi.Mesh(key, len(positions), len(faces), has_vertex_normals="normals" in value, has_vertex_texcoords="texcoords" in value, props=properties)
+    mesh = mi.Mesh(
+        key,
+        len(positions),
+        len(faces),
+        has_vertex_normals="normals" in value,
+        has_vertex_texcoords="texcoords" in value,
+        props=properties,
+    )
     if "vertex_color" in value:
         mesh.add_attribute("vertex_color", 3, np.asarray(value["vertex_color"], dtype=np.float32).ravel())
     arrays = {"vertex_positions": positions, "faces": faces}
@@ -303,14 +343,18 @@ def _boundary(mi: Any, boundary: Boundary, media: Mapping[str, Any]) -> Any:
         ball = trimesh.creation.icosphere(subdivisions=5)
         vertices = (matrix @ np.c_[ball.vertices, np.ones(len(ball.vertices))].T).T[:, :3]
         return _boundary_mesh(mi, vertices, ball.faces, null)
-    return mi.load_dict({"type": "cube" if boundary.kind == "box" else "sphere", "to_world": mi.ScalarTransform4f(matrix), **null})
+    return mi.load_dict(
+        {"type": "cube" if boundary.kind == "box" else "sphere", "to_world": mi.ScalarTransform4f(matrix), **null}
+    )
 
 
 def _boundary_mesh(mi: Any, vertices: Any, faces: Any, parts: Mapping[str, Any]) -> Any:
     properties = mi.Properties()
     for name, part in {**parts, "face_normals": True}.items():
         properties[name] = part
-    return _filled(mi.Mesh("fog", len(vertices), len(faces), props=properties), {"vertex_positions": vertices, "faces": faces}, mi)
+    return _filled(
+        mi.Mesh("fog", len(vertices), len(faces), props=properties), {"vertex_positions": vertices, "faces": faces}, mi
+    )
 
 
 def is_thin_lens(camera: Camera) -> bool:
@@ -322,22 +366,35 @@ def make_sensor(camera: Camera, medium: Any, *, pinhole: bool = False) -> Any:
     """Mitsuba's sensor for a camera inside `medium` (None in clear air)."""
     mi = backend.mitsuba()
     turn = np.diag([-1.0, 1.0, -1.0, 1.0])  # Mitsuba looks along +Z with +X to the left
-    least = 1 if backend.is_scalar() else math.gcd(camera.width_px, camera.height_px)  # kernels have the film's size in their text, and need its shape alone
+    least = (
+        1 if backend.is_scalar() else math.gcd(camera.width_px, camera.height_px)
+    )  # kernels have the film's size in their text, and need its shape alone
     sensor: dict[str, Any] = {
         "to_world": mi.ScalarTransform4f(camera.to_world @ turn),
         "fov": camera.fov_x_deg,
         "fov_axis": "x",
         "near_clip": camera.near_m,
         "far_clip": 1e7,
-        "film": {"type": "hdrfilm", "width": camera.width_px // least, "height": camera.height_px // least, "rfilter": {"type": "box"}},
+        "film": {
+            "type": "hdrfilm",
+            "width": camera.width_px // least,
+            "height": camera.height_px // least,
+            "rfilter": {"type": "box"},
+        },
     }
     if medium is not None:
         sensor["medium"] = medium
     if camera.width_m > 0.0:
         place = camera.to_world @ turn
-        place[:3, 3] += camera.to_world[:3, :2] @ (np.array(camera.shift) * camera.width_m * np.array([1.0, camera.height_px / camera.width_px]))
-        sensor["to_world"] = mi.ScalarTransform4f(place @ np.diag([0.5 * camera.width_m, 0.5 * camera.width_m, 1.0, 1.0]))
-        return mi.load_dict({"type": "orthographic", **{name: part for name, part in sensor.items() if name not in ("fov", "fov_axis")}})
+        place[:3, 3] += camera.to_world[:3, :2] @ (
+            np.array(camera.shift) * camera.width_m * np.array([1.0, camera.height_px / camera.width_px])
+        )
+        sensor["to_world"] = mi.ScalarTransform4f(
+            place @ np.diag([0.5 * camera.width_m, 0.5 * camera.width_m, 1.0, 1.0])
+        )
+        return mi.load_dict(
+            {"type": "orthographic", **{name: part for name, part in sensor.items() if name not in ("fov", "fov_axis")}}
+        )
     if is_thin_lens(camera) and not pinhole:
         radius = camera.focal_length_m / (2.0 * camera.f_number)
         return mi.load_dict({"type": "thinlens", "aperture_radius": radius, "focus_distance": camera.focus_m, **sensor})

@@ -26,13 +26,14 @@ class Model:
     """One way to transport light.
 
     Attributes:
-        make: `Integrator` of a loaded scene; one with `limits` takes `scatterings` and `bounces`, one with `bands` takes their number.
+        make: `Integrator` of a loaded scene; one with `limits` takes `scatterings` and `bounces`, one with `bands`
+            takes their number.
         refuses: why a scene is outside its domain, or ''.
         valid: where it holds, in words.
         cost: seconds of a sample, relative to `path`: rough, from the bench stages, and fixed so that choices repeat.
         unbiased: whether it has no error but noise, where it holds.
-        peer: whether it is Mitsuba's own: the fog then stands in the scene as null-material shapes, surface and airlight are not told
-            apart, and pixels are sampled evenly to the end.
+        peer: whether it is Mitsuba's own: the fog then stands in the scene as null-material shapes, surface and
+            airlight are not told apart, and pixels are sampled evenly to the end.
         needs_slab: whether it rests on the plane-parallel solution: one box of fog with a level top, under a sky.
         bands: whether its paths can carry wavelength bands.
         limits: whether its paths can be cut short.
@@ -84,7 +85,7 @@ MODELS: dict[str, Model] = {
     "slab": Model(
         make=_of("tracer", "make_slab"),
         refuses=_of("tracer", "slab_refuses"),
-        valid="under a sky alone, with objects small against 1 / extinction; not for lamps, street canyons or under bridges. What objects take from "
+        valid="under a sky alone, with objects small against 1 / extinction; not for lamps, street canyons or under bridges. What objects take from "  # noqa: E501
         "or add to the light scattered in the fog is left out",
         cost=0.4,
         needs_slab=True,
@@ -109,7 +110,10 @@ MODELS: dict[str, Model] = {
     "field": Model(
         make=_of("tracer", "make_tracer", in_froxels=True),
         refuses=_of("tracer", "path_refuses"),
-        valid="where `path` is, and as far as light that the fog scattered more than once (a sky's: once) changes little over 1.5 degrees",
+        valid=(
+            "where `path` is, and as far as light that the fog scattered more than once (a sky's: once) changes "
+            "little over 1.5 degrees"
+        ),
         bands=True,
     ),
     "field+slab": Model(
@@ -132,7 +136,7 @@ MODELS: dict[str, Model] = {
     "path+slab": Model(
         make=_of("tracer", "make_tracer", with_slab=True),
         refuses=_of("tracer", "slab_refuses"),
-        valid="where `path` is, for one box of fog with a level top under a sky; unbiased to 0.05 %. Fast where most of what is seen is fog, ground "
+        valid="where `path` is, for one box of fog with a level top under a sky; unbiased to 0.05 %. Fast where most of what is seen is fog, ground "  # noqa: E501
         "and sky; slower than `path` in a street canyon, under a bridge or where lamps are all the light",
         cost=1.3,
         unbiased=True,
@@ -141,7 +145,13 @@ MODELS: dict[str, Model] = {
         limits=True,
         froxels="field+slab",
     ),
-    "volpath": Model(make=_of("peers", "make_peer", plugin="volpath"), valid="for any fog, lamp and surface", cost=10.0, unbiased=True, peer=True),
+    "volpath": Model(
+        make=_of("peers", "make_peer", plugin="volpath"),
+        valid="for any fog, lamp and surface",
+        cost=10.0,
+        unbiased=True,
+        peer=True,
+    ),
     "volpathmis": Model(
         make=_of("peers", "make_peer", plugin="volpathmis"),
         valid="for any fog and surface; lamps may give NaN (seen with a spot inside the fog)",
@@ -163,7 +173,9 @@ def ours_unbiased() -> tuple[str, ...]:
     return tuple(name for name in having("unbiased") if not MODELS[name].peer)
 
 
-def make(name: str, loaded: MitsubaScene, *, scatterings: int | None = None, bounces: int | None = None, bands: int = RGB) -> Integrator:
+def make(
+    name: str, loaded: MitsubaScene, *, scatterings: int | None = None, bounces: int | None = None, bands: int = RGB
+) -> Integrator:
     """A model's integrator, with paths cut short or in wavelength bands where that is asked for.
 
     Raises:
@@ -172,14 +184,20 @@ def make(name: str, loaded: MitsubaScene, *, scatterings: int | None = None, bou
     how: dict[str, Any] = {}
     if scatterings is not None or bounces is not None:
         if not MODELS[name].limits:
-            raise ParameterError(f"--model {name} takes no limit on scatterings or bounces; {' and '.join(having('limits'))} do")
+            raise ParameterError(
+                f"--model {name} takes no limit on scatterings or bounces; {' and '.join(having('limits'))} do"
+            )
         if min(scatterings or 0, bounces or 0) < 0:
-            raise ParameterError(f"a path cannot be scattered {min(scatterings or 0, bounces or 0)} times; give 0 or more")
+            raise ParameterError(
+                f"a path cannot be scattered {min(scatterings or 0, bounces or 0)} times; give 0 or more"
+            )
         how |= {"scatterings": scatterings, "bounces": bounces}
     if bands != RGB:
         check_bands(bands)
         if not MODELS[name].bands:
-            raise ParameterError(f"--model {name} knows R, G and B alone; --bands {bands} takes {', '.join(having('bands'))}")
+            raise ParameterError(
+                f"--model {name} knows R, G and B alone; --bands {bands} takes {', '.join(having('bands'))}"
+            )
         how["bands"] = bands
     return MODELS[name].make(loaded, **how)
 
@@ -216,4 +234,6 @@ def check_name(name: str) -> None:
         ParameterError: with the names that do.
     """
     if name not in (AUTO, *MODELS):
-        raise ParameterError(f"--model {name}: not known; it takes auto, {', '.join(MODELS)}.{did_you_mean(name, (AUTO, *MODELS))}")
+        raise ParameterError(
+            f"--model {name}: not known; it takes auto, {', '.join(MODELS)}.{did_you_mean(name, (AUTO, *MODELS))}"
+        )

@@ -16,7 +16,9 @@ from synfog_usd.scene import Camera
 
 
 def moved(ray: Any, camera: Camera, u: Any) -> Any:
-    """A ray of a camera that moves while it exposes, at the share `u` of the exposure (Cook, Porter and Carpenter 1984)."""
+    """A ray of a camera that moves while it exposes, at the share `u` of the exposure (Cook, Porter and Carpenter
+    1984).
+    """
     mi = backend.mitsuba()
     since = u - 0.5
     eye, drift = mi.Point3f(camera.to_world[:3, 3].tolist()), mi.Vector3f(list(camera.drift_m))

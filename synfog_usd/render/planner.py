@@ -34,8 +34,8 @@ PILOT_SAMPLES = 64
 OPEN = 0.5
 """Share of the sky over visible surfaces from which on most light is a plane-parallel slab's.
 
-At MOR 150, open share and standard deviation of a sample by `path` and by `path+slab`: the bench's overcast street 0.76, 1.0 and 0.45;
-the crossing 0.27, 1.9 and 2.5; the canyon 0.23, 1.8 and 2.4; under the bridge 0.08, 3.7 and 21.
+At MOR 150, open share and standard deviation of a sample by `path` and by `path+slab`: the bench's overcast street
+0.76, 1.0 and 0.45; the crossing 0.27, 1.9 and 2.5; the canyon 0.23, 1.8 and 2.4; under the bridge 0.08, 3.7 and 21.
 """
 
 SKY_RAYS = 16
@@ -57,17 +57,23 @@ CACHE_ERROR = 0.03
 """Error of a radiance cache where it is largest in the bench stages, before street lamps."""
 
 FINEST = 16
-"""Wavelength bands that the planner takes for right; 31 differ from them by less than 0.2 % in the bench stages, and are there to be asked for."""
+"""Wavelength bands that the planner takes for right; 31 differ from them by less than 0.2 % in the bench stages, and
+are there to be asked for.
+"""
 
 COLOUR_ERROR = 0.01
 """Error of colours that is good enough where no target is named: what an eye just sees side by side."""
 
 WORTH_TRYING = 0.1
-"""Target from which on biased models are tried: each costs a kernel, and in the bench stages the best of them, `slab` in the overcast street, errs by 12 %."""
+"""Target from which on biased models are tried: each costs a kernel, and in the bench stages the best of them, `slab`
+in the overcast street, errs by 12 %.
+"""
 
 WORTH_A_GRID = 0.01
-"""Target from which on the sibling with a radiance cache is tried; a pilot knows its error to about that.  In the bench stages the squared error
-of the sibling, the worst hundredth of the pixels left out, is 1.2 to 8 times smaller for the same seconds."""
+"""Target from which on the sibling with a radiance cache is tried; a pilot knows its error to about that.  In the bench
+stages the squared error of the sibling, the worst hundredth of the pixels left out, is 1.2 to 8 times smaller for the
+same seconds.
+"""
 
 BLOCK_PX = 8
 """Side of the squares over which a grid's error is measured: it is smooth, and noise is less in them."""
@@ -86,7 +92,8 @@ class Choice:
     Attributes:
         model: its name.
         why: in words, with the figures.
-        figures: model -> {'bias': RMS over the pixels of its relative error, where it is biased; 'noise': relative standard deviation of one sample}.
+        figures: model -> {'bias': RMS over the pixels of its relative error, where it is biased; 'noise': relative
+            standard deviation of one sample}.
         best: the model without bias that costs least, as good as `model` and slower.
     """
 
@@ -101,8 +108,11 @@ def candidates(scene: SceneDict) -> list[str]:
     return [name for name in models.ours_unbiased() if not models.MODELS[name].refuses(scene)] if scene.fog else []
 
 
-def choose(loaded: MitsubaScene, *, target: Target, seed: int, denoised: bool = False, progress: Progress = silent) -> Choice:
-    """The model that is to be expected to need the fewest seconds; with pilots where the target allows of a bias, see `choose_by_pilots`.
+def choose(
+    loaded: MitsubaScene, *, target: Target, seed: int, denoised: bool = False, progress: Progress = silent
+) -> Choice:
+    """The model that is to be expected to need the fewest seconds; with pilots where the target allows of a bias, see
+    `choose_by_pilots`.
 
     Arguments as there.
     """
@@ -110,17 +120,29 @@ def choose(loaded: MitsubaScene, *, target: Target, seed: int, denoised: bool = 
         return choose_by_pilots(loaded, target=target, seed=seed, denoised=denoised, progress=progress)
     progress("choosing a model", 0.0)
     share = open_to_sky(loaded)
-    best = "path+slab" if share >= OPEN and "path+slab" in candidates(loaded.source) and _can_be_made("path+slab", loaded) else "path"
+    best = (
+        "path+slab"
+        if share >= OPEN and "path+slab" in candidates(loaded.source) and _can_be_made("path+slab", loaded)
+        else "path"
+    )
     why = f"surfaces see {share:.0%} of the sky, {'over' if share >= OPEN else 'under'} {OPEN:.0%}"
     figures = {best: {"open_to_sky": share}}
     left, cache = USUAL_NOISE / np.sqrt(target.samples), models.MODELS[best].froxels
     if denoised or not cache or left < CACHE_ERROR or (target.relative is not None and target.relative < CACHE_ERROR):
         return Choice(best, why, figures, best)
-    return Choice(cache, f"{why}; {target.samples} samples leave more noise than the {CACHE_ERROR:.0%} by which a radiance cache errs at most", figures, best)
+    return Choice(
+        cache,
+        f"{why}; {target.samples} samples leave more noise than the {CACHE_ERROR:.0%} by which a radiance cache errs "
+        f"at most",
+        figures,
+        best,
+    )
 
 
 def open_to_sky(loaded: MitsubaScene) -> float:
-    """Share of the upper half of the sky that the surfaces of a view see; near ones count more, the same in every fog; 1 where there are none."""
+    """Share of the upper half of the sky that the surfaces of a view see; near ones count more, the same in every fog;
+    1 where there are none.
+    """
     mi, small = backend.mitsuba(), _small(loaded)
     seen = aovs.measure(small)
     origin, direction = aovs.centre_rays(small)
@@ -148,7 +170,9 @@ def _can_be_made(name: str, loaded: MitsubaScene) -> bool:
     return True
 
 
-def choose_by_pilots(loaded: MitsubaScene, *, target: Target, seed: int, denoised: bool = False, progress: Progress = silent) -> Choice:
+def choose_by_pilots(
+    loaded: MitsubaScene, *, target: Target, seed: int, denoised: bool = False, progress: Progress = silent
+) -> Choice:
     """The cheapest model whose measured error is under the target.
 
     How often a path may be scattered is left open: in every bench stage a cut that errs by under
@@ -158,8 +182,9 @@ def choose_by_pilots(loaded: MitsubaScene, *, target: Target, seed: int, denoise
         loaded: a scene with `candidates`, without boundaries and at any size; the pilot is PILOT_WIDTH_PX wide.
         target: biased models are tried only where it names an error.
         seed: of the pilot.
-        denoised: the picture will be denoised; then the pilot without bias is, too, and taken where it errs less than is asked for.  No grid is tried:
-            denoised `path` errs less than denoised `field` in the same time: 0.47 against 0.80 % of relative MSE after 2 s in the bench's canyon,
+        denoised: the picture will be denoised; then the pilot without bias is, too, and taken where it errs less than
+            is asked for.  No grid is tried: denoised `path` errs less than denoised `field` in the same time: 0.47
+                against 0.80 % of relative MSE after 2 s in the bench's canyon,
             and alike before headlights.
         progress: told after each candidate.
     """
@@ -173,14 +198,22 @@ def choose_by_pilots(loaded: MitsubaScene, *, target: Target, seed: int, denoise
             pilots[name], figures[name] = picture, {"noise": _noise(picture)}
     best = min(pilots, key=lambda name: figures[name]["noise"] ** 2 * models.MODELS[name].cost)
     others = [f"{name} {figures[name]['noise']:.3g}" for name in pilots if name != best]
-    why = f"standard deviation of a sample {figures[best]['noise']:.3g} of a pixel's light" + (f", {', '.join(others)}" if others else "")
+    why = f"standard deviation of a sample {figures[best]['noise']:.3g} of a pixel's light" + (
+        f", {', '.join(others)}" if others else ""
+    )
     wanted = target.relative if target.relative is not None else _relative(target, pilots[best])
     if wanted is None or wanted < WORTH_A_GRID:
         return Choice(best, why, figures, best)
     if denoised and target.samples >= PILOT_SAMPLES:
         figures[best]["denoised"] = left = _denoised_error(small, pilots[best])
         if left < wanted:
-            return Choice(best, f"denoised it errs by {left:.1%} after {PILOT_SAMPLES} samples, under the {wanted:.1%} that is asked for", figures, best)
+            return Choice(
+                best,
+                f"denoised it errs by {left:.1%} after {PILOT_SAMPLES} samples, under the {wanted:.1%} that is asked "
+                f"for",
+                figures,
+                best,
+            )
     tried = []
     for index, name in enumerate(biased):
         if wanted < WORTH_TRYING or models.MODELS[name].refuses(scene):
@@ -190,8 +223,17 @@ def choose_by_pilots(loaded: MitsubaScene, *, target: Target, seed: int, denoise
             continue
         bias, least = _bias(picture, pilots[best])
         figures[name] = {"bias": bias, "noise": _noise(picture)}
-        if bias + least < wanted and models.MODELS[name].cost * figures[name]["noise"] ** 2 < models.MODELS[best].cost * figures[best]["noise"] ** 2:
-            return Choice(name, f"its error of {bias:.2%} (known to {least:.2%}) is under the {wanted:.2%} that is asked for", figures, best)
+        if (
+            bias + least < wanted
+            and models.MODELS[name].cost * figures[name]["noise"] ** 2
+            < models.MODELS[best].cost * figures[best]["noise"] ** 2
+        ):
+            return Choice(
+                name,
+                f"its error of {bias:.2%} (known to {least:.2%}) is under the {wanted:.2%} that is asked for",
+                figures,
+                best,
+            )
         tried.append(f"{name} errs by {bias:.1%}")
     if denoised:
         return Choice(best, why + (f"; {', '.join(tried)}, above {wanted:.2%}" if tried else ""), figures, best)
@@ -203,13 +245,19 @@ def choose_by_pilots(loaded: MitsubaScene, *, target: Target, seed: int, denoise
         figures[name] = {"bias": bias, "noise": _noise(picture)}
         left = figures[best]["noise"] / np.sqrt(target.samples)
         if bias + least < max(wanted, left):
-            than = f"the {wanted:.2%} that is asked for" if wanted > left else f"the noise of {left:.2%} that {best} would leave"
+            than = (
+                f"the {wanted:.2%} that is asked for"
+                if wanted > left
+                else f"the noise of {left:.2%} that {best} would leave"
+            )
             return Choice(name, f"its error of {bias:.2%} (known to {least:.2%}) is under {than}", figures, best)
         tried.append(f"{name} errs by {bias:.2%} (known to {least:.2%})")
     return Choice(best, why + (f"; {', '.join(tried)}, above {wanted:.2%}" if tried else ""), figures, best)
 
 
-def choose_bands(loaded: MitsubaScene, model: str, *, target: Target, seed: int, progress: Progress = silent) -> tuple[int, str, dict[str, float]]:
+def choose_bands(
+    loaded: MitsubaScene, model: str, *, target: Target, seed: int, progress: Progress = silent
+) -> tuple[int, str, dict[str, float]]:
     """The fewest wavelength bands whose colours are right to the target.
 
     Right is what FINEST bands give along the same paths.  An eye's R, G and B of both are
@@ -221,7 +269,8 @@ def choose_bands(loaded: MitsubaScene, model: str, *, target: Target, seed: int,
         model: one that carries bands.
 
     Returns:
-        number of bands, why, and the figures: RMS over the pixels of the colours' error over their luminance, by number of bands.
+        number of bands, why, and the figures: RMS over the pixels of the colours' error over their luminance, by number
+            of bands.
     """
     small = _small(loaded)
     if any(volume.medium.profile == "grid" for volume in small.source.fog):
@@ -299,7 +348,9 @@ def _bias(picture: Accumulator, reference: Accumulator, shape: tuple[int, int] |
     return float(np.sqrt(max(float(excess.mean()), 0.0))), known
 
 
-def _bias_of_squares(one: Array, other: Array, noise: Array, other_noise: Array, shape: tuple[int, int]) -> tuple[float, float]:
+def _bias_of_squares(
+    one: Array, other: Array, noise: Array, other_noise: Array, shape: tuple[int, int]
+) -> tuple[float, float]:
     side = min(BLOCK_PX, *shape)
     height, width = (length // side * side for length in shape)
 

@@ -44,14 +44,16 @@ class Rendered:
         aovs: what the pixel-centre rays met.
         components: 'surface', 'airlight_single', 'airlight_multiple' -> (H, W, C) float32 radiance, which add up to
             all of it and may be below 0 by noise, but where they were denoised; empty where the model tells none apart.
-        error: (H, W) expected RMS error of each pixel's luminance [cd m-2] after denoising; None where nothing was denoised.
+        error: (H, W) expected RMS error of each pixel's luminance [cd m-2] after denoising; None where nothing was
+            denoised.
         groups: light group -> (H, W, C) float32 radiance; empty where there is only one.
         model, why: which model it was, and why that one.
         relative_error: median over the pixels of `error`, or else standard error, over luminance.
         warnings: what went wrong on the way, in words.
         figures: what the pilots measured, see `planner.Choice` and `choose_bands`; empty where there were none.
         samples: paths per pixel on average, as `Settings` means them.
-        met: share of the pixels whose `error`, or else standard error, is under the target; None where there was no target.
+        met: share of the pixels whose `error`, or else standard error, is under the target; None where there was no
+            target.
     """
 
     radiance: Image
@@ -78,12 +80,16 @@ class Settings:
         seed: the same gives the same bytes in the same variant.
         size: (width, height) in pixels instead of the camera's own.
         target_error: relative standard error of a pixel at which sampling stops, or None.
-        sensor_sigma: luminance -> standard error [cd m-2] at which it stops, see `sampling.adaptive.sensor_target`, or None.
-        time_limit_s: seconds after which no new round of samples is begun, in our own path tracers; what it ends does not repeat byte for byte.
-        scatterings, bounces: limits of `path` and `path+slab`: how often the fog, and how often surfaces, may scatter a path; None is no limit.
-        bands: light that each path carries: 3 for R, G and B; 8, 16 or 31 wavelength bands; None lets the planner choose.
-        denoise: clean the components apart (see `denoise`), where the model tells them apart; the variance stays that of the samples.
-            What cannot be denoised is given as it is, and a warning says so.
+        sensor_sigma: luminance -> standard error [cd m-2] at which it stops, see `sampling.adaptive.sensor_target`, or
+            None.
+        time_limit_s: seconds after which no new round of samples is begun, in our own path tracers; what it ends does
+            not repeat byte for byte.
+        scatterings, bounces: limits of `path` and `path+slab`: how often the fog, and how often surfaces, may scatter a
+            path; None is no limit.
+        bands: light that each path carries: 3 for R, G and B; 8, 16 or 31 wavelength bands; None lets the planner
+            choose.
+        denoise: clean the components apart (see `denoise`), where the model tells them apart; the variance stays that
+            of the samples. What cannot be denoised is given as it is, and a warning says so.
 
     Raises:
         ParameterError: a model that is unknown, a number out of range, or settings that do not go together.
@@ -129,7 +135,8 @@ def render(
         scene: what `translate` made.
         settings: what it is to be; `Settings()` if left out.
         loaded: the scene as `load` gave it for this model and size, to render it again; None loads it.
-        clear: what the pixel-centre rays meet in clear air, where the scene has less in it than it should, see `cull`; None measures it.
+        clear: what the pixel-centre rays meet in clear air, where the scene has less in it than it should, see `cull`;
+            None measures it.
         progress: told after each pass.
         changes: attributes of `settings` by name, as in `render(scene, model="path", samples=16)`.
 
@@ -138,7 +145,14 @@ def render(
         StageError: the renderer refuses a part of the scene.
     """
     settings = replace(settings or Settings(), **changes)
-    model, samples, seed, size, bands, denoise = settings.model, settings.samples, settings.seed, settings.size, settings.bands, settings.denoise
+    model, samples, seed, size, bands, denoise = (
+        settings.model,
+        settings.samples,
+        settings.seed,
+        settings.size,
+        settings.bands,
+        settings.denoise,
+    )
     target, began = settings.target, time.perf_counter()
     width, height = size or (scene.camera.width_px, scene.camera.height_px)
     figures: dict[str, dict[str, float]] = {}
@@ -147,7 +161,12 @@ def render(
     if denoise and (problem := denoising.available()):
         warnings.append(f"not denoised, so it takes many more samples: {problem}")
         denoise = False
-    if model == models.AUTO and bands in (None, numbers.RGB) and pixels * samples >= WORTH_A_PILOT and planner.candidates(scene):
+    if (
+        model == models.AUTO
+        and bands in (None, numbers.RGB)
+        and pixels * samples >= WORTH_A_PILOT
+        and planner.candidates(scene)
+    ):
         loaded = loaded or load(scene, size=size, boundaries=False)
         choice = planner.choose(loaded, target=target, seed=seed, denoised=denoise, progress=progress)
         model, why, figures = choice.model, choice.why, dict(choice.figures)
@@ -157,7 +176,9 @@ def render(
     if bands is None:
         bands = numbers.RGB
         if models.MODELS[model].bands and pixels * samples >= WORTH_A_BANDS_PILOT:
-            bands, because, figures["bands"] = planner.choose_bands(loaded, model, target=target, seed=seed, progress=progress)
+            bands, because, figures["bands"] = planner.choose_bands(
+                loaded, model, target=target, seed=seed, progress=progress
+            )
             why += f"; {bands} bands: {because}"
     integrator = models.make(model, loaded, scatterings=settings.scatterings, bounces=settings.bounces, bands=bands)
     camera = loaded.source.camera
@@ -184,8 +205,13 @@ def render(
     if denoised and relative_error > LARGE_ERROR:
         warnings.append(f"after denoising the median pixel still errs by {relative_error:.0%}; more samples mend it")
     del luminance, error
-    mean, variance = accumulated.mean().reshape(shape).astype(np.float32), accumulated.variance().reshape(shape).astype(np.float32)
-    for estimator in accumulated.estimators.values():  # a large frame in many bands fills memory: each sum is let go once it is read
+    mean, variance = (
+        accumulated.mean().reshape(shape).astype(np.float32),
+        accumulated.variance().reshape(shape).astype(np.float32),
+    )
+    for estimator in (
+        accumulated.estimators.values()
+    ):  # a large frame in many bands fills memory: each sum is let go once it is read
         estimator.squares, estimator.lane_squares = np.zeros((0, 0)), None
     if accumulated.lost:
         warnings.append(f"{accumulated.lost} of {accumulated.samples} samples were not finite and count as black")
@@ -194,24 +220,41 @@ def render(
         components = dict(denoised.components)
         mean = np.asarray(sum(components.values()))
     else:
-        components = {name: aov.reshape(shape).astype(np.float32) for name in COMPONENTS if (aov := accumulated.take_aov(name)) is not None}
+        components = {
+            name: aov.reshape(shape).astype(np.float32)
+            for name in COMPONENTS
+            if (aov := accumulated.take_aov(name)) is not None
+        }
     if mean.min() < 0.0:
         below = int((mean < 0.0).any(axis=2).sum())
-        warnings.append(f"{below} pixels came out below 0, noise of a difference, and count as black; more samples mend it")
+        warnings.append(
+            f"{below} pixels came out below 0, noise of a difference, and count as black; more samples mend it"
+        )
         mean = np.maximum(mean, 0.0)
     radiance = Image(
         mean,
         banding.names(bands),
         Quantity.RADIANCE,
         variance=variance,
-        provenance={"fov_x_deg": camera.fov_x_deg, "shift_x": camera.shift[0], "shift_y": camera.shift[1], "model": model, "samples": samples, "seed": seed}
+        provenance={
+            "fov_x_deg": camera.fov_x_deg,
+            "shift_x": camera.shift[0],
+            "shift_y": camera.shift[1],
+            "model": model,
+            "samples": samples,
+            "seed": seed,
+        }
         | ({"denoised": True} if denoised else {}),
     )
     names = getattr(integrator, "group_names", ())
-    groups = {name: accumulated.take_group().reshape(shape).astype(np.float32) for name in names} if len(names) > 1 else {}
+    groups = (
+        {name: accumulated.take_group().reshape(shape).astype(np.float32) for name in names} if len(names) > 1 else {}
+    )
     seen = aovs.measure(loaded) if clear is None else aovs.seen_through(loaded, clear)
     rms = denoised.error.rms if denoised else None
-    return Rendered(radiance, seen, relative_error, components, rms, groups, model, why, tuple(warnings), figures, spent, met)
+    return Rendered(
+        radiance, seen, relative_error, components, rms, groups, model, why, tuple(warnings), figures, spent, met
+    )
 
 
 def _denoised(
@@ -255,7 +298,9 @@ def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: b
     loaded = to_mitsuba(replace(scene, camera=close), size=size, boundaries=boundaries)
     if scene.camera.near_m <= close.near_m:
         return loaded
-    probe = replace(loaded, source=replace(loaded.source, camera=replace(close, width_px=PROBE_PX[0], height_px=PROBE_PX[1])))
+    probe = replace(
+        loaded, source=replace(loaded.source, camera=replace(close, width_px=PROBE_PX[0], height_px=PROBE_PX[1]))
+    )
     if not np.any(aovs.measure(probe).depth_m < scene.camera.near_m):
         return loaded
     return to_mitsuba(scene, size=size, boundaries=boundaries)

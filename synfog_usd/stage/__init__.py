@@ -1,6 +1,18 @@
 """USD stages: the fog schema, opening, choosing variants, checking.  Writes to no input layer."""
 
-from synfog_usd.stage.open import MISSING, authored_path, cameras, composition_notes, dependencies, open_stage, override, select, selected, stage_hash, variants
+from synfog_usd.stage.open import (
+    MISSING,
+    authored_path,
+    cameras,
+    composition_notes,
+    dependencies,
+    open_stage,
+    override,
+    select,
+    selected,
+    stage_hash,
+    variants,
+)
 from synfog_usd.stage.rulebook import Finding
 from synfog_usd.stage.schema import register
 from synfog_usd.stage.validate import check

@@ -30,19 +30,25 @@ MAX_SHAPES = 1_500_000
 """Shapes and lights to draw, instances counted; each instance takes 2 kB while it is translated."""
 
 MAX_REPEATED = 2000
-"""Layers in a stack of sublayers in which some stand more than once: composing it takes the square of their number, 3 s for 16 000."""
+"""Layers in a stack of sublayers in which some stand more than once: composing it takes the square of their number, 3 s
+for 16 000.
+"""
 
 MAX_TRIANGLES = 100_000_000
 """Triangles to store, instances not counted: some 10 GB in memory."""
 
 MAX_BRACES = 10_000
-"""Levels of braces, brackets and parentheses in a text file; USD's parser calls itself for each and runs out of stack between 20 000 and 100 000."""
+"""Levels of braces, brackets and parentheses in a text file; USD's parser calls itself for each and runs out of stack
+between 20 000 and 100 000.
+"""
 
 MAX_SCHEMAS = 1000
 """Applied API schemas of one prim; USD composes a definition for each further one."""
 
 MAX_CLIPS = 100_000
-"""Files that one set of value clips may name; USD lists them all when it opens the stage, and a stride of 1e-9 s names 10^18."""
+"""Files that one set of value clips may name; USD lists them all when it opens the stage, and a stride of 1e-9 s names
+10^18.
+"""
 
 MAX_NESTED = 64
 """Levels of instances within instances."""
@@ -77,7 +83,10 @@ def check_stage(stage: Usd.Stage) -> Size:
         raise StageError(f"{where} shapes; at most {MAX_SHAPES} are drawn: place fewer instances, or nest them less")
     if counter.triangles > MAX_TRIANGLES:
         path, most = counter.heaviest
-        raise StageError(f"{path}: {amount(most)} triangles, {amount(counter.triangles)} with the rest of the stage; at most {MAX_TRIANGLES} are read")
+        raise StageError(
+            f"{path}: {amount(most)} triangles, {amount(counter.triangles)} with the rest of the stage; at most "
+            f"{MAX_TRIANGLES} are read"
+        )
     return Size(counter.prims, shapes, counter.triangles)
 
 
@@ -101,7 +110,9 @@ class _Counter:
         for prim in Usd.PrimRange(root):
             path = prim.GetPath()
             if path.pathElementCount > MAX_DEPTH:
-                raise StageError(f"{str(path)[:60]}…: prims nested deeper than {MAX_DEPTH} levels; flatten the hierarchy")
+                raise StageError(
+                    f"{str(path)[:60]}…: prims nested deeper than {MAX_DEPTH} levels; flatten the hierarchy"
+                )
             self.prims += 1
             kind = str(prim.GetTypeName())
             count = 0

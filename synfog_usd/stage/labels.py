@@ -13,7 +13,12 @@ from synfog_usd.cityscapes import LABELS
 TAXONOMY = "cityscapes"
 UNLABELED = "unlabeled"
 
-_SOURCES_IN_ORDER = (f"semantics:labels:{TAXONOMY}", "semantic:class:params:semanticData", f"userProperties:{TAXONOMY}", "userProperties:semantic")
+_SOURCES_IN_ORDER = (
+    f"semantics:labels:{TAXONOMY}",
+    "semantic:class:params:semanticData",
+    f"userProperties:{TAXONOMY}",
+    "userProperties:semantic",
+)
 LABEL_SOURCES = frozenset(_SOURCES_IN_ORDER)
 """Attributes that may hold a label."""
 

@@ -55,7 +55,10 @@ def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: boo
     """
     path = Path(path)
     if any(sign < " " or sign == "\x7f" for sign in os.fspath(path)):
-        raise StageError(f"{os.fspath(path)!r}: USD opens no file whose path has a line break or another control character; rename it")
+        raise StageError(
+            f"{os.fspath(path)!r}: USD opens no file whose path has a line break or another control character; rename "
+            f"it"
+        )
     if not path.is_file():
         raise StageError(f"{path}: no such file; give a .usd, .usda, .usdc or .usdz file")
     if path.suffix.lower() not in LAYERS:
@@ -63,19 +66,29 @@ def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: boo
     fence = Fence.around(path, allow)
     try:
         held = read_layers(path, fence)
-        quiet = UsdUtils.CoalescingDiagnosticDelegate()  # what cannot be put together is told as notes, not on the terminal
+        quiet = (
+            UsdUtils.CoalescingDiagnosticDelegate()
+        )  # what cannot be put together is told as notes, not on the terminal
         stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
         del held, quiet
     except Tf.ErrorException as problem:
-        raise StageError(f"{path}: cannot be read as USD ({_reason(problem)}); export it again, or test it with a USD viewer") from problem
+        raise StageError(
+            f"{path}: cannot be read as USD ({_reason(problem)}); export it again, or test it with a USD viewer"
+        ) from problem
     session = stage.GetSessionLayer()
-    session.customLayerData = {**session.customLayerData, _FOLDERS: Vt.StringArray([str(folder) for folder in fence.folders])}
+    session.customLayerData = {
+        **session.customLayerData,
+        _FOLDERS: Vt.StringArray([str(folder) for folder in fence.folders]),
+    }
     check_size(stage)
     _check_files(stage, fence)
     _check_expressions(stage, fence)
     if whole and (broken := [note for note in composition_notes(stage) if MATERIALX not in note.text]):
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
-        raise StageError(f"{path}: {broken[0].path}: {broken[0].text}{more}; put the missing file in its place or remove the reference")
+        raise StageError(
+            f"{path}: {broken[0].path}: {broken[0].text}{more}; put the missing file in its place or remove the "
+            f"reference"
+        )
     return stage
 
 
@@ -112,7 +125,9 @@ def plain_errors(work: Callable[Concatenate[Usd.Stage, P], R]) -> Callable[Conca
                 return work(stage, *more, **named)
             raise StageError(f"{wrong[0][1]}; author it with that type") from problem
         except Tf.ErrorException as problem:
-            raise StageError(f"{_name(stage)}: cannot be read as USD ({_reason(problem)}); the file is damaged: export it again") from problem
+            raise StageError(
+                f"{_name(stage)}: cannot be read as USD ({_reason(problem)}); the file is damaged: export it again"
+            ) from problem
         finally:
             del quiet
 
@@ -120,7 +135,9 @@ def plain_errors(work: Callable[Concatenate[Usd.Stage, P], R]) -> Callable[Conca
 
 
 def _blocked(stage: Usd.Stage, wrong: list[tuple[Usd.Attribute, str]]) -> bool:
-    """Leave attributes of shapes out; whether that is all of them.  Those of prototypes cannot be reached from the session layer."""
+    """Leave attributes of shapes out; whether that is all of them.  Those of prototypes cannot be reached from the
+    session layer.
+    """
     if not all(_is_left_out(attribute) for attribute, _ in wrong):
         return False
     session = stage.GetSessionLayer()
@@ -128,18 +145,29 @@ def _blocked(stage: Usd.Stage, wrong: list[tuple[Usd.Attribute, str]]) -> bool:
         for attribute, _ in wrong:
             attribute.Block()
     known = session.customLayerData.get(_LEFT_OUT, [])
-    lines = [f"{attribute.GetPrim().GetPath()}\n{attribute.GetName()} {text.split(chr(32), 1)[1]}" for attribute, text in wrong]
+    lines = [
+        f"{attribute.GetPrim().GetPath()}\n{attribute.GetName()} {text.split(chr(32), 1)[1]}"
+        for attribute, text in wrong
+    ]
     session.customLayerData = {**session.customLayerData, _LEFT_OUT: Vt.StringArray([*known, *lines])}
     return True
 
 
 def _is_left_out(attribute: Usd.Attribute) -> bool:
-    """Whether a shape is drawn without it: arrays and primvars, which have no fallback that would have to stand for them."""
+    """Whether a shape is drawn without it: arrays and primvars, which have no fallback that would have to stand for
+    them.
+    """
     prim, name = attribute.GetPrim(), attribute.GetName()
-    if prim.IsInPrototype() or not prim.IsA(UsdGeom.Gprim) or name.startswith(("synfog:", "userProperties:", "xformOp")):
+    if (
+        prim.IsInPrototype()
+        or not prim.IsA(UsdGeom.Gprim)
+        or name.startswith(("synfog:", "userProperties:", "xformOp"))
+    ):
         return False
     fallback = prim.GetPrimDefinition().GetAttributeFallbackValue(name)
-    return bool(attribute.GetTypeName()) and (fallback is None or (not isinstance(fallback, (str, float, int)) and not len(fallback)))
+    return bool(attribute.GetTypeName()) and (
+        fallback is None or (not isinstance(fallback, (str, float, int)) and not len(fallback))
+    )
 
 
 @plain_errors
@@ -161,7 +189,9 @@ def check_depth(stage: Usd.Stage) -> None:
     for prim in [*stage.GetPrototypes(), stage.GetPseudoRoot()]:
         for below in Usd.PrimRange(prim):
             if below.GetPath().pathElementCount > MAX_DEPTH:
-                raise StageError(f"{str(below.GetPath())[:60]}…: prims nested deeper than {MAX_DEPTH} levels; flatten the hierarchy")
+                raise StageError(
+                    f"{str(below.GetPath())[:60]}…: prims nested deeper than {MAX_DEPTH} levels; flatten the hierarchy"
+                )
 
 
 def _check_files(stage: Usd.Stage, fence: Fence) -> None:
@@ -178,7 +208,8 @@ def _check_files(stage: Usd.Stage, fence: Fence) -> None:
 
 
 def _check_expressions(stage: Usd.Stage, fence: Fence) -> None:
-    """Refuse a composed file outside the fence that an expression leads to: a layer above may set its variables otherwise than its own does.
+    """Refuse a composed file outside the fence that an expression leads to: a layer above may set its variables
+    otherwise than its own does.
 
     Raises:
         StageError: with the attribute.
@@ -186,12 +217,25 @@ def _check_expressions(stage: Usd.Stage, fence: Fence) -> None:
     if not any(layer.expressionVariables for layer in stage.GetUsedLayers()):
         return
     for root in [stage.GetPseudoRoot(), *stage.GetPrototypes()]:
-        for attribute in (one for prim in Usd.PrimRange(root) for one in prim.GetAuthoredAttributes() if str(one.GetTypeName()) in ("asset", "asset[]")):
+        for attribute in (
+            one
+            for prim in Usd.PrimRange(root)
+            for one in prim.GetAuthoredAttributes()
+            if str(one.GetTypeName()) in ("asset", "asset[]")
+        ):
             for time in [Usd.TimeCode.Default(), *attribute.GetTimeSamples()]:
                 value = attribute.Get(time)
                 for asset in [value] if isinstance(value, Sdf.AssetPath) else value or ():
-                    tiles = "<UDIM>" in asset.evaluatedPath and (asset.evaluatedPath.startswith("/") or ".." in asset.evaluatedPath)
-                    found = str(_package(asset.resolvedPath)) if asset.resolvedPath else asset.evaluatedPath if tiles else ""
+                    tiles = "<UDIM>" in asset.evaluatedPath and (
+                        asset.evaluatedPath.startswith("/") or ".." in asset.evaluatedPath
+                    )
+                    found = (
+                        str(_package(asset.resolvedPath))
+                        if asset.resolvedPath
+                        else asset.evaluatedPath
+                        if tiles
+                        else ""
+                    )
                     if found and (fault := fence.fault(found)):
                         raise StageError(f"{attribute.GetPath()}: {fault}")
 
@@ -212,7 +256,11 @@ def _named_in(file: str, layers: Iterable[Sdf.Layer]) -> str:
             spec = layer.GetAttributeAtPath(path)
             values = spec.default if spec is not None else None
             for value in values if isinstance(values, Sdf.AssetPathArray) else [values]:
-                if isinstance(value, Sdf.AssetPath) and value.path and Sdf.ComputeAssetPathRelativeToLayer(layer, value.path) == file:
+                if (
+                    isinstance(value, Sdf.AssetPath)
+                    and value.path
+                    and Sdf.ComputeAssetPathRelativeToLayer(layer, value.path) == file
+                ):
                     found.append(str(path))
 
         layer.Traverse(Sdf.Path.absoluteRootPath, visit)
@@ -244,14 +292,26 @@ def composition_notes(stage: Usd.Stage) -> list[Note]:
     for line in session.customLayerData.get(_LEFT_OUT, []) if session else []:
         path, _, text = line.partition("\n")
         notes.append(Note("warning", path, f"{text}; it is left out"))
-    return sorted(notes, key=lambda note: (MISSING not in note.text, note.path, note.text))  # USD composes in parallel, and tells in any order
+    return sorted(
+        notes, key=lambda note: (MISSING not in note.text, note.path, note.text)
+    )  # USD composes in parallel, and tells in any order
 
 
 def unit_notes(stage: Usd.Stage) -> list[Note]:
-    """Layers in other units than the stage's, where neither the reference nor what is around it is scaled; USD itself converts nothing."""
+    """Layers in other units than the stage's, where neither the reference nor what is around it is scaled; USD itself
+    converts nothing.
+    """
     own, root = UsdGeom.GetStageMetersPerUnit(stage), stage.GetRootLayer()
-    metres = {layer.identifier: layer.pseudoRoot.GetInfo("metersPerUnit") for layer in stage.GetUsedLayers() if layer.pseudoRoot.HasInfo("metersPerUnit")}
-    other = {name: value / own for name, value in metres.items() if name != root.identifier and value > 0.0 and not 0.999 < value / own < 1.001}
+    metres = {
+        layer.identifier: layer.pseudoRoot.GetInfo("metersPerUnit")
+        for layer in stage.GetUsedLayers()
+        if layer.pseudoRoot.HasInfo("metersPerUnit")
+    }
+    other = {
+        name: value / own
+        for name, value in metres.items()
+        if name != root.identifier and value > 0.0 and not 0.999 < value / own < 1.001
+    }
     if not other:
         return []
     notes = []
@@ -261,7 +321,8 @@ def unit_notes(stage: Usd.Stage) -> list[Note]:
                 Note(
                     "warning",
                     "/",
-                    f"sublayer {Path(layer.realPath).name} is in units of {metres[layer.identifier]:g} m and the stage of {own:g} m; {_NO_SCALE}",
+                    f"sublayer {Path(layer.realPath).name} is in units of {metres[layer.identifier]:g} m and the "
+                    f"stage of {own:g} m; {_NO_SCALE}",
                 )
             )
     references = Usd.PrimCompositionQuery.Filter()
@@ -276,7 +337,10 @@ def unit_notes(stage: Usd.Stage) -> list[Note]:
             ratio = other.get(layer.identifier)
             scale = abs(transforms.GetLocalToWorldTransform(prim).GetDeterminant3()) ** (1.0 / 3.0)
             if ratio is not None and 0.99 < scale < 1.01:  # any other scale is an author's own answer
-                what = f"refers to {Path(layer.realPath).name}, which is in units of {metres[layer.identifier]:g} m and the stage of {own:g} m; {_NO_SCALE}"
+                what = (
+                    f"refers to {Path(layer.realPath).name}, which is in units of {metres[layer.identifier]:g} m and "
+                    f"the stage of {own:g} m; {_NO_SCALE}"
+                )
                 notes.append(Note("warning", str(prim.GetPath()), f"{what}: scale it by {ratio:g}"))
     return notes
 
@@ -285,7 +349,9 @@ _NO_SCALE = "nothing is scaled, so it is drawn at another size than it was made"
 
 
 def authored_path(stage: Usd.Stage, path: str) -> str:
-    """Where an author finds a prim or property of a prototype: within the first of its instances; other paths as they are."""
+    """Where an author finds a prim or property of a prototype: within the first of its instances; other paths as they
+    are.
+    """
     while path.startswith("/__Prototype_"):
         root, slash, rest = path.removeprefix("/").partition("/")
         prototype = stage.GetPrimAtPath(f"/{root}")
@@ -307,7 +373,11 @@ def variants(stage: Usd.Stage) -> dict[str, list[str]]:
 
 def selected(stage: Usd.Stage) -> dict[str, str]:
     """The variants that are chosen now in the sets 'fog' and 'lighting'; a set without a choice is left out."""
-    chosen = {name: prim.GetVariantSet(name).GetVariantSelection() for name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET) if (prim := variant_prim(stage, name))}
+    chosen = {
+        name: prim.GetVariantSet(name).GetVariantSelection()
+        for name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET)
+        if (prim := variant_prim(stage, name))
+    }
     return {name: choice for name, choice in chosen.items() if choice}
 
 
@@ -323,10 +393,15 @@ def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = N
             continue
         prim = variant_prim(stage, name)
         if prim is None:
-            raise StageError(f"{_name(stage)}: no root prim has a variant set {name!r}; add one, or leave the choice out")
+            raise StageError(
+                f"{_name(stage)}: no root prim has a variant set {name!r}; add one, or leave the choice out"
+            )
         names = prim.GetVariantSet(name).GetVariantNames()
         if choice not in names:
-            raise StageError(f"{prim.GetPath()}: variant set {name!r} has no {choice!r}; it has {', '.join(names)}.{did_you_mean(choice, names)}")
+            raise StageError(
+                f"{prim.GetPath()}: variant set {name!r} has no {choice!r}; it has "
+                f"{', '.join(names)}.{did_you_mean(choice, names)}"
+            )
         with Usd.EditContext(stage, Usd.EditTarget(stage.GetSessionLayer())):
             prim.GetVariantSet(name).SetVariantSelection(choice)
     check_size(stage)
@@ -339,7 +414,9 @@ def up_axis(stage: Usd.Stage) -> str:
     return axis if axis in ("X", "Y", "Z") else "Y"
 
 
-def override(stage: Usd.Stage, *, choices: Iterable[str] = (), metres_per_unit: float | None = None, up: str | None = None) -> None:
+def override(
+    stage: Usd.Stage, *, choices: Iterable[str] = (), metres_per_unit: float | None = None, up: str | None = None
+) -> None:
     """Read a stage otherwise than it says of itself, on the session layer only.
 
     Args:
@@ -361,14 +438,25 @@ def override(stage: Usd.Stage, *, choices: Iterable[str] = (), metres_per_unit: 
             prim = stage.GetPrimAtPath(where)
             if not prim:
                 having = [str(one.GetPath()) for one in stage.Traverse() if one.HasVariantSets()]
-                listed = f"variants are on {', '.join(having[:8])}{', ...' if len(having) > 8 else ''}" if having else "no prim of the stage has variants"
-                raise StageError(f"--set {choice}: the stage has no prim {where}; {listed}.{did_you_mean(where, having)}")
+                listed = (
+                    f"variants are on {', '.join(having[:8])}{', ...' if len(having) > 8 else ''}"
+                    if having
+                    else "no prim of the stage has variants"
+                )
+                raise StageError(
+                    f"--set {choice}: the stage has no prim {where}; {listed}.{did_you_mean(where, having)}"
+                )
             sets = prim.GetVariantSets().GetNames()
             if name not in sets:
-                raise StageError(f"--set {choice}: {where} has {', '.join(sets) or 'no variant set'}.{did_you_mean(name, sets)}")
+                raise StageError(
+                    f"--set {choice}: {where} has {', '.join(sets) or 'no variant set'}.{did_you_mean(name, sets)}"
+                )
             names = prim.GetVariantSet(name).GetVariantNames()
             if variant not in names:
-                raise StageError(f"--set {choice}: variant set {name!r} of {where} has {', '.join(names)}.{did_you_mean(variant, names)}")
+                raise StageError(
+                    f"--set {choice}: variant set {name!r} of {where} has "
+                    f"{', '.join(names)}.{did_you_mean(variant, names)}"
+                )
             prim.GetVariantSet(name).SetVariantSelection(variant)
     check_size(stage)
     _check_expressions(stage, fence_of(stage))
@@ -399,7 +487,9 @@ def dependencies(stage: Usd.Stage) -> list[Path]:
         layers, assets = _all_files(stage)
         files.update(_package(layer.realPath) for layer in layers if layer.realPath)
         files.update(_package(asset) for asset in assets)
-        files.update(_package(asset).with_suffix(".npz") for asset in assets if asset.lower().endswith(".vdb"))  # what is read in its place
+        files.update(
+            _package(asset).with_suffix(".npz") for asset in assets if asset.lower().endswith(".vdb")
+        )  # what is read in its place
     return sorted(path for path in files if path.is_file())
 
 

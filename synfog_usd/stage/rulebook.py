@@ -57,7 +57,8 @@ def _rule(name: str, severity: Severity, meaning: str, *mend: str) -> Rule:
 
 
 _LABEL_MEND = (
-    "give the object a custom property 'cityscapes' of type String, or use the panel Synfog of the extension (synfog-usd plugin-path --blender)",
+    "give the object a custom property 'cityscapes' of type String, or use the panel Synfog of the extension "
+    "(synfog-usd plugin-path --blender)",
     "add a Labels LOP (or Edit Properties) for the token array semantics:labels:cityscapes",
     "Semantics Schema Editor: add a label with the taxonomy 'cityscapes'",
 )
@@ -116,9 +117,11 @@ RULES: Mapping[str, Rule] = MappingProxyType(
                 "units",
                 "warning",
                 "A road user whose size no such thing has; nearly always metersPerUnit or a forgotten scale.",
-                "Scene Properties > Units: set Unit Scale 1, apply the object's scale, and export with Meters per Unit 1",
+                "Scene Properties > Units: set Unit Scale 1, apply the object's scale, and export with Meters per "
+                "Unit 1",
                 "set metersPerUnit in a Configure Layer LOP, or scale the reference in its Transform",
-                "reference the asset with the unit correction that the stage offers, or set Stage Units in Layer properties",
+                "reference the asset with the unit correction that the stage offers, or set Stage Units in Layer "
+                "properties",
             ),
             _rule(
                 "no-light",
@@ -168,18 +171,26 @@ RULES: Mapping[str, Rule] = MappingProxyType(
                 "author the value only within the variant (Begin/Add Variant LOPs)",
                 "clear the local value while no variant edit target is active",
             ),
-            _rule("label-unknown", "warning", "A label that Cityscapes does not have; it counts as unlabeled.", *_LABEL_MEND),
+            _rule(
+                "label-unknown",
+                "warning",
+                "A label that Cityscapes does not have; it counts as unlabeled.",
+                *_LABEL_MEND,
+            ),
             _rule(
                 "road-user-unlabelled",
                 "warning",
                 "A car, cyclist or person by its name that has no label, and so is missing in the ground truth.",
                 *_LABEL_MEND,
             ),
-            _rule("unlabelled", "info", "Shapes without a label; they are 'unlabeled' in the ground truth.", *_LABEL_MEND),
+            _rule(
+                "unlabelled", "info", "Shapes without a label; they are 'unlabeled' in the ground truth.", *_LABEL_MEND
+            ),
             _rule(
                 "coincident-faces",
                 "info",
-                "Faces of different materials lie in one another, so that rounding decides which of them each ray sees.",
+                "Faces of different materials lie in one another, so that rounding decides which of them each ray "
+                "sees.",
                 "move one of them by a millimetre, or delete the faces that nobody should see",
                 "Transform LOP on one of them, or blast the hidden faces",
                 "move one of them by a millimetre",
@@ -188,7 +199,8 @@ RULES: Mapping[str, Rule] = MappingProxyType(
                 "no-fog",
                 "info",
                 "The stage has no fog of its own; `bake --fog mor150` makes a layer.",
-                "add a box around everything with the panel Synfog of the extension (synfog-usd plugin-path --blender), or a custom property synfog:fog:mor",
+                "add a box around everything with the panel Synfog of the extension (synfog-usd plugin-path "
+                "--blender), or a custom property synfog:fog:mor",
                 "a Cube with the applied schema SynFogMediumAPI and synfog:fog:mor",
                 "a Cube with an attribute synfog:fog:mor (Add > Attribute, float)",
             ),

@@ -100,13 +100,23 @@ def _camera_and_fog(context: _Context) -> Iterator[Finding]:
         return
     boxes = [context.whole.ComputeWorldBound(prim) for prim in context.fog]
     for path in eyes:
-        eye = UsdGeom.Xformable(context.stage.GetPrimAtPath(path)).ComputeLocalToWorldTransform(context.time).ExtractTranslation()
+        eye = (
+            UsdGeom.Xformable(context.stage.GetPrimAtPath(path))
+            .ComputeLocalToWorldTransform(context.time)
+            .ExtractTranslation()
+        )
         if not any(box.GetRange().Contains(box.GetMatrix().GetInverse().Transform(eye)) for box in boxes):
-            yield finding("camera-outside-fog", path, "stands outside of every fog boundary; enlarge the fog or move the camera")
+            yield finding(
+                "camera-outside-fog", path, "stands outside of every fog boundary; enlarge the fog or move the camera"
+            )
     for prim in context.fog:
         imageable = UsdGeom.Imageable(prim)
         if prim.IsA(UsdGeom.Gprim) and imageable.ComputePurpose() != UsdGeom.Tokens.guide:
-            yield finding("fog-solid", str(prim.GetPath()), "other renderers draw this fog boundary as a solid; set its purpose to guide")
+            yield finding(
+                "fog-solid",
+                str(prim.GetPath()),
+                "other renderers draw this fog boundary as a solid; set its purpose to guide",
+            )
 
 
 def _lights(context: _Context) -> Iterator[Finding]:
@@ -134,13 +144,25 @@ def _lights(context: _Context) -> Iterator[Finding]:
                 yield finding("light-bright", path, f"a sun of {here:.3g} lux; the real one gives 130 000 at most")
         else:
             unknown = True
-            lumen = math.pi * nits * (context.metres**2 if _input(prim, "normalize", context.time, False) else _area_m2(prim, context))
+            lumen = (
+                math.pi
+                * nits
+                * (context.metres**2 if _input(prim, "normalize", context.time, False) else _area_m2(prim, context))
+            )
             if lumen > MAX_LUMEN:
-                yield finding("light-bright", path, f"a lamp of {lumen:.3g} lm; a street lamp has 5 000 to 15 000, a headlight 1 500")
+                yield finding(
+                    "light-bright",
+                    path,
+                    f"a lamp of {lumen:.3g} lm; a street lamp has 5 000 to 15 000, a headlight 1 500",
+                )
     if not lamps and not _anything_glows(context):
         yield finding("no-light", "", "the stage has no light and no emissive material; the picture would be black")
     elif lamps and not unknown and lux < MIN_LUX and not _anything_glows(context):
-        yield finding("light-dim", "", f"all lights together give {lux:.2g} lux; a full moon gives {MIN_LUX}, an overcast noon 10 000 to 30 000")
+        yield finding(
+            "light-dim",
+            "",
+            f"all lights together give {lux:.2g} lux; a full moon gives {MIN_LUX}, an overcast noon 10 000 to 30 000",
+        )
 
 
 def _emitted(prim: Usd.Prim, time: Usd.TimeCode) -> float:
@@ -161,7 +183,10 @@ def _input(prim: Usd.Prim, name: str, time: Usd.TimeCode, default: Any) -> Any:
 def _area_m2(prim: Usd.Prim, context: _Context) -> float:
     """Surface of a lamp, its scale taken as even."""
     kind = str(prim.GetTypeName())
-    number = {name: float(_input(prim, name, context.time, 1.0 if name != "radius" else 0.5)) for name in ("radius", "width", "height", "length")}
+    number = {
+        name: float(_input(prim, name, context.time, 1.0 if name != "radius" else 0.5))
+        for name in ("radius", "width", "height", "length")
+    }
     own = {
         "SphereLight": 4.0 * math.pi * number["radius"] ** 2,
         "DiskLight": math.pi * number["radius"] ** 2,
@@ -176,7 +201,9 @@ def _anything_glows(context: _Context) -> bool:
     for prim in _once(context):
         if prim.GetTypeName() == "Shader":
             glow = UsdShade.Shader(prim).GetInput("emissiveColor") or UsdShade.Shader(prim).GetInput("emission")
-            if glow and (glow.HasConnectedSource() or any(float(c) > 0.0 for c in np.atleast_1d(np.array(glow.Get() or 0.0)))):
+            if glow and (
+                glow.HasConnectedSource() or any(float(c) > 0.0 for c in np.atleast_1d(np.array(glow.Get() or 0.0)))
+            ):
                 return True
     return False
 
@@ -186,14 +213,20 @@ def _dome_pole(context: _Context) -> Iterator[Finding]:
     axes = {"X": Gf.Vec3d(1, 0, 0), "Y": Gf.Vec3d(0, 1, 0), "Z": Gf.Vec3d(0, 0, 1)}
     for prim in context.prims:
         kind = str(prim.GetTypeName())
-        file = getattr(_input(prim, "texture:file", context.time, None), "path", "") if kind in ("DomeLight", "DomeLight_1") else ""
+        file = (
+            getattr(_input(prim, "texture:file", context.time, None), "path", "")
+            if kind in ("DomeLight", "DomeLight_1")
+            else ""
+        )
         if not file or PurePosixPath(file).name.startswith(_PLAIN):
             continue
         axis = "Y"
         if kind == "DomeLight_1":
             asked = prim.GetAttribute("poleAxis").Get() if prim.GetAttribute("poleAxis") else "scene"
             axis = {"scene": up, None: up}.get(asked, str(asked))
-        world = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(context.time).TransformDir(axes.get(axis, axes["Y"]))
+        world = (
+            UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(context.time).TransformDir(axes.get(axis, axes["Y"]))
+        )
         if world.GetLength() == 0.0:
             continue
         angle = math.degrees(math.acos(max(-1.0, min(1.0, Gf.Dot(world.GetNormalized(), axes[up])))))
@@ -226,17 +259,31 @@ def _road_users(context: _Context) -> Iterator[Finding]:
         what = f"this {kind}" if label is not None else f"this prim, a {kind} by its name,"
         if low <= longest <= high:
             if label is None:
-                yield finding("road-user-unlabelled", str(path), f"a {kind} by its name and size, and without a label (semantics:labels:cityscapes)")
+                yield finding(
+                    "road-user-unlabelled",
+                    str(path),
+                    f"a {kind} by its name and size, and without a label (semantics:labels:cityscapes)",
+                )
         elif label is not None or _factor(longest, low, high):
             factor = _factor(longest, low, high)
             advice = f"; times {factor:g} it would be {longest * factor:.3g} m" if factor else ""
-            text = f"{what} is {longest:.3g} m long, and a {kind} {low:g} to {high:g} m{advice} (metersPerUnit is {context.metres:g}, as the stage is read)"
+            text = (
+                f"{what} is {longest:.3g} m long, and a {kind} {low:g} to {high:g} m{advice} (metersPerUnit is "
+                f"{context.metres:g}, as the stage is read)"
+            )
             yield finding("units", str(path), text)
 
 
 def _factor(longest: float, low: float, high: float) -> float | None:
     """The unit that was probably meant: centimetres, inches, millimetres or feet, or one of them twice."""
-    return next((factor for factor in (0.01, 100.0, 0.0254, 1 / 0.0254, 0.001, 1000.0, 1e-4, 1e4, 0.3048, 1 / 0.3048) if low <= longest * factor <= high), None)
+    return next(
+        (
+            factor
+            for factor in (0.01, 100.0, 0.0254, 1 / 0.0254, 0.001, 1000.0, 1e-4, 1e4, 0.3048, 1 / 0.3048)
+            if low <= longest * factor <= high
+        ),
+        None,
+    )
 
 
 def _class_by_name(prim: Usd.Prim) -> str | None:
@@ -260,11 +307,19 @@ def _labels(context: _Context) -> Iterator[Finding]:
     for prim, label in _unlabelled(context):
         if label is not None:
             if official_name(label) is None:
-                yield finding("label-unknown", str(prim.GetPath()), f"label {label!r} is not a Cityscapes name; it counts as unlabeled")
+                yield finding(
+                    "label-unknown",
+                    str(prim.GetPath()),
+                    f"label {label!r} is not a Cityscapes name; it counts as unlabeled",
+                )
         elif prim.IsA(UsdGeom.Gprim) and not has_fog_attributes(prim) and not has_fog_attributes(prim.GetParent()):
             unlabelled.append(str(prim.GetPath()))
     if unlabelled:
-        yield finding("unlabelled", unlabelled[0], f"{len(unlabelled)} prims have no label (semantics:labels:cityscapes), this is the first")
+        yield finding(
+            "unlabelled",
+            unlabelled[0],
+            f"{len(unlabelled)} prims have no label (semantics:labels:cityscapes), this is the first",
+        )
 
 
 def _unlabelled(context: _Context) -> Iterator[tuple[Usd.Prim, str | None]]:
@@ -297,9 +352,16 @@ def _shadowed_variants(context: _Context) -> Iterator[Finding]:
                 variant_set = root.variantSets.get(set_name)
                 if variant_set is None:
                     continue
-                shadowed = {value.StripAllVariantSelections() for variant in variant_set.variants for value in _authored(layer, variant.primSpec.path)}
+                shadowed = {
+                    value.StripAllVariantSelections()
+                    for variant in variant_set.variants
+                    for value in _authored(layer, variant.primSpec.path)
+                }
                 for local in sorted(shadowed & set(_authored(layer, root.path))):
-                    text = f"variants of {set_name!r} set it, and the value on the prim itself wins over them; remove that one"
+                    text = (
+                        f"variants of {set_name!r} set it, and the value on the prim itself wins over them; remove "
+                        f"that one"
+                    )
                     yield finding("variant-shadowed", str(local), text)
 
 
@@ -321,4 +383,11 @@ def _authored(layer: Sdf.Layer, root: Sdf.Path) -> list[Sdf.Path]:
     return found
 
 
-_LOOKS: tuple[Callable[[_Context], Iterator[Finding]], ...] = (_camera_and_fog, _lights, _dome_pole, _road_users, _shadowed_variants, _labels)
+_LOOKS: tuple[Callable[[_Context], Iterator[Finding]], ...] = (
+    _camera_and_fog,
+    _lights,
+    _dome_pole,
+    _road_users,
+    _shadowed_variants,
+    _labels,
+)

@@ -81,7 +81,10 @@ def has_fog_attributes(prim: Usd.Prim, authored: Sequence[str] | None = None) ->
     if API_NAME in prim.GetPrimTypeInfo().GetAppliedAPISchemas():
         return True
     names = prim.GetAuthoredPropertyNames() if authored is None else authored
-    return any(name.startswith((PREFIX, "userProperties:synfog")) and (name.startswith(PREFIX) or _name_of(name) is not None) for name in names)
+    return any(
+        name.startswith((PREFIX, "userProperties:synfog")) and (name.startswith(PREFIX) or _name_of(name) is not None)
+        for name in names
+    )
 
 
 def read_fog(prim: Usd.Prim, time: Usd.TimeCode) -> FogAttributes | None:
@@ -106,7 +109,10 @@ def read_fog(prim: Usd.Prim, time: Usd.TimeCode) -> FogAttributes | None:
             continue
         name = full_name.removeprefix(PREFIX)
         if name not in DEFAULTS:
-            raise StageError(f"{prim.GetPath()}: there is no attribute {full_name}; known are {', '.join(DEFAULTS)}.{did_you_mean(name, DEFAULTS)}")
+            raise StageError(
+                f"{prim.GetPath()}: there is no attribute {full_name}; known are "
+                f"{', '.join(DEFAULTS)}.{did_you_mean(name, DEFAULTS)}"
+            )
         found[name] = full_name
     values = dict(DEFAULTS)
     authored: dict[str, str] = {}
@@ -137,11 +143,15 @@ def _checked(prim: Usd.Prim, full_name: str, name: str, value: Any) -> Any:
     shown = shown if len(shown) < 80 else f"{shown[:79]}…"
     if name in ("phase", "profile"):
         if not isinstance(value, str):
-            raise StageError(f"{prim.GetPath()}: {full_name} = {shown} is not a word; it takes for example {DEFAULTS[name]!r}")
+            raise StageError(
+                f"{prim.GetPath()}: {full_name} = {shown} is not a word; it takes for example {DEFAULTS[name]!r}"
+            )
         return value
     if name == "densityGrid":
         if not isinstance(value, Sdf.AssetPath):
-            raise StageError(f"{prim.GetPath()}: {full_name} = {shown} is not a file; give the attribute the type asset")
+            raise StageError(
+                f"{prim.GetPath()}: {full_name} = {shown} is not a file; give the attribute the type asset"
+            )
         return value
     if not isinstance(value, (bool, int, float)) or not math.isfinite(value):
         raise StageError(f"{prim.GetPath()}: {full_name} = {shown} is not a finite number")

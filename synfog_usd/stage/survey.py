@@ -74,7 +74,10 @@ def read_layers(root: Path, fence: Fence) -> list[Any]:
     for name in found.layers:
         most = max(budget.MAX_REPEATED, len(found.layers))  # a stack in which each stands once has no more
         if (many := found.sublayers(name, 0)) > most:
-            raise StageError(f"{name}: its sublayers unfold to {budget.amount(many)} layers; at most {most} are composed: list each once")
+            raise StageError(
+                f"{name}: its sublayers unfold to {budget.amount(many)} layers; at most {most} are composed: list each "
+                f"once"
+            )
     total = found.stack(start, "/", 0)
     for layer, target in found.prototypes():
         total += found.stack(layer, target, 0)
@@ -112,11 +115,16 @@ class _Survey:
         outer = Ar.SplitPackageRelativePathOuter(resolved)[0] if Ar.IsPackageRelativePath(resolved) else resolved
         if who and (fault := self.fence.fault(outer)):
             raise StageError(f"{who}: {fault}")
-        suffix = Path(Ar.SplitPackageRelativePathInner(resolved)[1] if Ar.IsPackageRelativePath(resolved) else resolved).suffix.lower()
+        suffix = Path(
+            Ar.SplitPackageRelativePathInner(resolved)[1] if Ar.IsPackageRelativePath(resolved) else resolved
+        ).suffix.lower()
         if suffix in UNREAD_LAYERS:
             return None
         if suffix not in LAYERS:
-            raise StageError(f"{who}: refers to {identifier}, which is not USD by its name; a reference leads to one of {', '.join(LAYERS)}")
+            raise StageError(
+                f"{who}: refers to {identifier}, which is not USD by its name; a reference leads to one of "
+                f"{', '.join(LAYERS)}"
+            )
         if resolved not in self.open:
             if len(self.open) >= budget.MAX_LAYERS:
                 raise StageError(f"{who}: more than {budget.MAX_LAYERS} layers; merge some")
@@ -132,16 +140,21 @@ class _Survey:
         return resolved
 
     def file(self, layer: Any, asset: str) -> str:
-        """The file that an asset path of a layer means, its expression evaluated; '' where that cannot be, which USD tells itself."""
+        """The file that an asset path of a layer means, its expression evaluated; '' where that cannot be, which USD
+        tells itself.
+        """
         if Sdf.VariableExpression.IsExpression(asset):
             known = {**layer.expressionVariables, **self.variables}
             made = Sdf.VariableExpression(asset).Evaluate(known)
-            self.relied |= {name: known[name] for name in made.usedVariables if name in known and name not in self.variables}
+            self.relied |= {
+                name: known[name] for name in made.usedVariables if name in known and name not in self.variables
+            }
             asset = made.value if isinstance(made.value, str) else ""
         return str(Sdf.ComputeAssetPathRelativeToLayer(layer, asset)) if asset else ""
 
     def check_variables(self) -> None:
-        """Refuse a variable on which a file depends and that layers set differently: which one wins, only composing would tell.
+        """Refuse a variable on which a file depends and that layers set differently: which one wins, only composing
+        would tell.
 
         Raises:
             StageError: with the layer and the variable.
@@ -149,16 +162,24 @@ class _Survey:
         for name, layer in self.open.items():
             for variable in set(self.relied) & set(layer.expressionVariables):
                 if layer.expressionVariables[variable] != self.relied[variable]:
-                    raise StageError(f"{name}: expression variable {variable!r} names files and has another value in another layer; set it in the root layer")
+                    raise StageError(
+                        f"{name}: expression variable {variable!r} names files and has another value in another layer; "
+                        f"set it in the root layer"
+                    )
 
     def check_clips(self, layer: Any, path: str, sets: Any) -> None:
-        """Refuse value clips that name too many files, or one outside of the fence; USD lists them when the stage is opened.
+        """Refuse value clips that name too many files, or one outside of the fence; USD lists them when the stage is
+        opened.
 
         Raises:
             StageError: with the prim.
         """
         for clips in (one for one in sets.values() if isinstance(one, dict)) if isinstance(sets, dict) else ():
-            named = [str(item.path) for item in [*(clips.get("assetPaths") or ()), clips.get("manifestAssetPath")] if isinstance(item, Sdf.AssetPath)]
+            named = [
+                str(item.path)
+                for item in [*(clips.get("assetPaths") or ()), clips.get("manifestAssetPath")]
+                if isinstance(item, Sdf.AssetPath)
+            ]
             files = [self.file(layer, name) for name in named]
             template = clips.get("templateAssetPath")
             if isinstance(template, str) and template:
@@ -167,7 +188,8 @@ class _Survey:
                     many = (end - begin) / stride if stride else math.inf
                     if not many <= budget.MAX_CLIPS:
                         raise StageError(
-                            f"{path}: its clips from {begin:g} to {end:g} by {stride:g} are {many:.3g} files; at most {budget.MAX_CLIPS} are listed: "
+                            f"{path}: its clips from {begin:g} to {end:g} by {stride:g} are {many:.3g} files; at most "
+                            f"{budget.MAX_CLIPS} are listed: "
                             f"raise templateStride, or shorten their time"
                         )
                 whole = self.file(layer, template)
@@ -193,7 +215,9 @@ class _Survey:
             spec = layer.GetPrimAtPath(path)
             if path.IsPrimPath():
                 if path.pathElementCount > budget.MAX_DEPTH:
-                    raise StageError(f"{str(path)[:60]}…: prims nested deeper than {budget.MAX_DEPTH} levels; flatten the hierarchy")
+                    raise StageError(
+                        f"{str(path)[:60]}…: prims nested deeper than {budget.MAX_DEPTH} levels; flatten the hierarchy"
+                    )
                 prims.append(str(path))
             keys = spec.ListInfoKeys() if spec is not None else ()
             if _MATTER.isdisjoint(keys):
@@ -201,7 +225,10 @@ class _Survey:
             if "clips" in keys:
                 self.check_clips(layer, str(path), spec.GetInfo("clips"))
             if "apiSchemas" in keys and (many := len(list(_items(spec.GetInfo("apiSchemas"))))) > budget.MAX_SCHEMAS:
-                raise StageError(f"{path}: {many} applied schemas; at most {budget.MAX_SCHEMAS} are composed: remove those that nothing uses")
+                raise StageError(
+                    f"{path}: {many} applied schemas; at most {budget.MAX_SCHEMAS} are composed: remove those that "
+                    f"nothing uses"
+                )
             shared = "instanceable" in keys and bool(spec.instanceable)
             if shared:
                 instanceable.append(str(path))
@@ -241,7 +268,9 @@ class _Survey:
         if key in self.counted:
             return self.counted[key]
         if depth > budget.MAX_CHAIN:
-            raise StageError(f"{root} in {name}: references follow one another more than {budget.MAX_CHAIN} deep; flatten some")
+            raise StageError(
+                f"{root} in {name}: references follow one another more than {budget.MAX_CHAIN} deep; flatten some"
+            )
         self.counted[key] = 0  # of a cycle, which USD reports itself
         layer = self.layers.get(name)
         total = 0
@@ -267,7 +296,9 @@ class _Survey:
                 raise StageError(f"{name}: sublayers nested more than {budget.MAX_CHAIN} deep; merge some")
             self.counted[key] = 0
             layer = self.layers.get(name)
-            self.counted[key] = 1 + sum(self.sublayers(below, depth + 1) for below in (layer.sublayers if layer else ()))
+            self.counted[key] = 1 + sum(
+                self.sublayers(below, depth + 1) for below in (layer.sublayers if layer else ())
+            )
         return self.counted[key]
 
     def is_instance(self, name: str, root: str, depth: int) -> bool:
@@ -313,7 +344,8 @@ _STEP[list(b"{[(")], _STEP[list(b"}])")] = 1, -1
 
 
 def _check_braces(path: Path) -> None:
-    """Refuse a text layer whose braces, brackets and parentheses nest too deeply to be parsed; those within strings count too.
+    """Refuse a text layer whose braces, brackets and parentheses nest too deeply to be parsed; those within strings
+    count too.
 
     Raises:
         StageError: with the file.
@@ -328,7 +360,9 @@ def _check_braces(path: Path) -> None:
             if len(steps):
                 levels = level + np.cumsum(steps, dtype=np.int64)
                 if int(levels.max()) > budget.MAX_BRACES:
-                    raise StageError(f"{path}: braces nested deeper than {budget.MAX_BRACES} levels; flatten the hierarchy")
+                    raise StageError(
+                        f"{path}: braces nested deeper than {budget.MAX_BRACES} levels; flatten the hierarchy"
+                    )
                 level = int(levels[-1])
 
 

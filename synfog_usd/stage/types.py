@@ -25,7 +25,9 @@ _PRIMVARS = {
 
 
 def mistyped(stage: Usd.Stage) -> Iterator[tuple[Usd.Attribute, str]]:
-    """Attributes that cannot stand for what their schemas want, each with '/Lamp.inputs:width is a token[], and a float is wanted'."""
+    """Attributes that cannot stand for what their schemas want, each with '/Lamp.inputs:width is a token[], and a float
+    is wanted'.
+    """
     registry = Usd.SchemaRegistry()
     also = [definition for name in _ALSO if (definition := registry.FindAppliedAPIPrimDefinition(name)) is not None]
     for prim in _prims(stage):
@@ -35,14 +37,21 @@ def mistyped(stage: Usd.Stage) -> Iterator[tuple[Usd.Attribute, str]]:
             found = _authored_type(attribute)
             wanted = _PRIMVARS.get(name) or inputs.get(name)
             for definition in [] if wanted else [prim.GetPrimDefinition(), *also]:
-                spec = definition.GetSchemaAttributeSpec(name) or definition.GetSchemaAttributeSpec(name.replace("userProperties:synfog_", "synfog:fog:"))
+                spec = definition.GetSchemaAttributeSpec(name) or definition.GetSchemaAttributeSpec(
+                    name.replace("userProperties:synfog_", "synfog:fog:")
+                )
                 if spec:
                     wanted = spec.typeName
                     break
             if _shape(found)[1] == "unknown":
-                yield attribute, f"{attribute.GetPath()} is of a type that USD does not know, and one that it knows is wanted"
+                yield (
+                    attribute,
+                    f"{attribute.GetPath()} is of a type that USD does not know, and one that it knows is wanted",
+                )
                 continue
-            if isinstance(attribute.Get(Usd.TimeCode.EarliestTime()), Sdf.Path):  # which the parser takes for a value of any type
+            if isinstance(
+                attribute.Get(Usd.TimeCode.EarliestTime()), Sdf.Path
+            ):  # which the parser takes for a value of any type
                 yield attribute, f"{attribute.GetPath()} holds a path, and a {wanted or found} is wanted"
                 continue
             if wanted and _shape(found) != _shape(wanted):
@@ -57,7 +66,11 @@ def _prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:
 
 def _authored_type(attribute: Usd.Attribute) -> Any:
     """The type where the value stands; the attribute itself always claims its schema's."""
-    specs = [spec for spec in attribute.GetPropertyStack(Usd.TimeCode.EarliestTime()) if spec.HasDefaultValue() or spec.HasInfo("timeSamples")]
+    specs = [
+        spec
+        for spec in attribute.GetPropertyStack(Usd.TimeCode.EarliestTime())
+        if spec.HasDefaultValue() or spec.HasInfo("timeSamples")
+    ]
     return specs[0].typeName if specs else attribute.GetTypeName()
 
 
@@ -67,12 +80,17 @@ def _shader_inputs(prim: Usd.Prim) -> dict[str, Any]:
     node = Sdr.Registry().GetShaderNodeByIdentifier(name) if isinstance(name, str) else None
     if not node:
         return {}
-    return {f"inputs:{name}": node.GetShaderInput(name).GetTypeAsSdfType().GetSdfType() for name in node.GetShaderInputNames()}
+    return {
+        f"inputs:{name}": node.GetShaderInput(name).GetTypeAsSdfType().GetSdfType()
+        for name in node.GetShaderInputNames()
+    }
 
 
 def _shape(kind: Any) -> tuple[bool, str]:
     """Array or not, and what one value is: numbers of any precision are alike, and vectors of any meaning."""
-    if not kind or not str(kind.scalarType):  # asking a type that USD does not know for its default takes the process down
+    if not kind or not str(
+        kind.scalarType
+    ):  # asking a type that USD does not know for its default takes the process down
         return False, "unknown"
     one = type(kind.scalarType.defaultValue).__name__
     if one in ("bool", "int", "float"):

@@ -22,9 +22,13 @@ _MISSING = "put the file in its place, or clear the attribute"
 _TOLD_ALREADY = frozenset({"CompositionError"})
 """What `composition_notes` tells too."""
 
-_HARMLESS = frozenset({"MissingDefaultPrim", "MissingMaterialBindingAPI", "InvalidFamilyType", "MismatchedPropertyType"})
-"""What USD's validators object to and a bake reads as it was meant: no default prim, a binding without its schema, a family of subsets
-of another kind, and inputs that older exporters wrote as tokens.  A value that is of no use under its type is told by the translation."""
+_HARMLESS = frozenset(
+    {"MissingDefaultPrim", "MissingMaterialBindingAPI", "InvalidFamilyType", "MismatchedPropertyType"}
+)
+"""What USD's validators object to and a bake reads as it was meant: no default prim, a binding without its schema, a
+family of subsets of another kind, and inputs that older exporters wrote as tokens.  A value that is of no use under its
+type is told by the translation.
+"""
 
 
 @plain_errors
@@ -53,12 +57,25 @@ def _usd_findings(stage: Usd.Stage) -> list[Finding]:
     for error in errors:
         if error.GetName() == "UnresolvableDependency" and (missing := re.search(r"'(.*)'", error.GetMessage())):
             if Path(missing[1]).name not in broken:  # else it is told there
-                findings.append(Finding("warning", who_names(stage, missing[1]), f"{_PREFIX}{missing[1]} is not there; {_MISSING}", f"usd:{error.GetName()}"))
+                findings.append(
+                    Finding(
+                        "warning",
+                        who_names(stage, missing[1]),
+                        f"{_PREFIX}{missing[1]} is not there; {_MISSING}",
+                        f"usd:{error.GetName()}",
+                    )
+                )
             continue
         if error.GetName() in _TOLD_ALREADY:
             continue
         warning = error.GetType() != UsdValidation.ValidationErrorType.Info and error.GetName() not in _HARMLESS
-        paths = [str((site.GetPrim() if site.IsPrim() else site.GetProperty()).GetPath()) for site in error.GetSites() if site.IsPrim() or site.IsProperty()]
+        paths = [
+            str((site.GetPrim() if site.IsPrim() else site.GetProperty()).GetPath())
+            for site in error.GetSites()
+            if site.IsPrim() or site.IsProperty()
+        ]
         text = f"{_PREFIX}{' '.join(error.GetMessage().split())} ({error.GetName()})"
-        findings.append(Finding("warning" if warning else "info", paths[0] if paths else "", text, f"usd:{error.GetName()}"))
+        findings.append(
+            Finding("warning" if warning else "info", paths[0] if paths else "", text, f"usd:{error.GetName()}")
+        )
     return findings

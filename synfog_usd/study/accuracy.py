@@ -19,7 +19,9 @@ from synfog_usd.colour import LUMINANCE
 FLOOR = 0.01
 """Luminance that counts as dark, over the mean: a pixel's error is relative to hypot(its luminance, FLOOR x mean)."""
 BLOCK_PX = 8
-"""Side of the blocks whose scatter gives standard errors: what a denoiser or an interpolation ties together lies mostly within one."""
+"""Side of the blocks whose scatter gives standard errors: what a denoiser or an interpolation ties together lies mostly
+within one.
+"""
 MIDDLE_GREY = 0.18
 
 
@@ -32,7 +34,8 @@ class Reference:
         variance: (H, W) variance of that mean.
         model, samples: how it was made.
         rgb: (H, W, 3) linear Rec.709 [cd m-2], where colours were kept.
-        flip: mean FLIP between its two halves, which is more than its own distance from the truth; NaN where it was not made.
+        flip: mean FLIP between its two halves, which is more than its own distance from the truth; NaN where it was not
+            made.
     """
 
     luminance: Array
@@ -189,7 +192,9 @@ def flip(reference: Array, test: Array, *, exposure_of: Array | None = None) -> 
     if median <= 0.0:
         return 0.0 if np.array_equal(reference, test) else math.nan
     gain = MIDDLE_GREY / median
-    buffers = [OpenImageIO.ImageBuf(np.ascontiguousarray(picture * gain, dtype=np.float32)) for picture in (reference, test)]
+    buffers = [
+        OpenImageIO.ImageBuf(np.ascontiguousarray(picture * gain, dtype=np.float32)) for picture in (reference, test)
+    ]
     most = max(float(bright.max()) * gain, 2.0 * MIDDLE_GREY)
     result = OpenImageIO.ImageBufAlgo.FLIP_diff(*buffers, hdr=1, maxluminance=most, medianluminance=MIDDLE_GREY)
     return float(np.asarray(result.get_pixels(OpenImageIO.FLOAT), dtype=np.float64).mean())

@@ -52,7 +52,9 @@ class Reading:
 
     def at(self, iso: float) -> Reading:
         """The same reading at another ISO speed: more gain, as far as the sensor's amplifiers go."""
-        return dataclasses.replace(self, gain_dn_e=self.gain_dn_e * min(iso / self.sensor.iso_base, self.sensor.analog_gain_max), iso=iso)
+        return dataclasses.replace(
+            self, gain_dn_e=self.gain_dn_e * min(iso / self.sensor.iso_base, self.sensor.analog_gain_max), iso=iso
+        )
 
     @property
     def dark_noise_e(self) -> float:
@@ -66,7 +68,9 @@ class Reading:
 
 
 def readings() -> dict[str, Reading]:
-    """Every shipped sensor as its profile has it; of the HDR sensor also its two other readings in `pipeline/automotive_hdr.yaml`."""
+    """Every shipped sensor as its profile has it; of the HDR sensor also its two other readings in
+    `pipeline/automotive_hdr.yaml`.
+    """
     found: dict[str, Reading] = {}
     for name in shipped("sensors"):
         chip = load_sensor(name)
@@ -113,13 +117,22 @@ class SensorBench:
         """RAW numbers at a mean number of photons per pixel."""
         names = tuple(photometry.band_name(self.wavelength_nm + step) for step in (-1.0, 0.0, 1.0))
         power = np.array([0.0, self.irradiance_w_m2(photons), 0.0], dtype=np.float32)
-        light = Image(np.broadcast_to(power, (self.size[1], self.size[0], 3)).copy(), names, Quantity.IRRADIANCE, provenance={"f_number": 8.0})
+        light = Image(
+            np.broadcast_to(power, (self.size[1], self.size[0], 3)).copy(),
+            names,
+            Quantity.IRRADIANCE,
+            provenance={"f_number": 8.0},
+        )
         settings = {"exposure_s": self.exposure_s, "iso": self.reading.iso or self.reading.sensor.iso_base}
         node = self.reading.node
-        return self.graph.run({"light": light}, seed=seed, settings=settings, overrides=self.overrides, until=node, keep=[node])[node]
+        return self.graph.run(
+            {"light": light}, seed=seed, settings=settings, overrides=self.overrides, until=node, keep=[node]
+        )[node]
 
 
-def bench(reading: Reading, *, nodes: Sequence[Mapping[str, Any]] = (), registry: Registry = camera.OPS, **options: Any) -> SensorBench:
+def bench(
+    reading: Reading, *, nodes: Sequence[Mapping[str, Any]] = (), registry: Registry = camera.OPS, **options: Any
+) -> SensorBench:
     """A reading on the bench, at 25 degrees C.
 
     Args:
@@ -186,8 +199,11 @@ def _cut_normal(mean: Array, sigma: float, top: float) -> tuple[Array, Array]:
     return first, second
 
 
-def photon_transfer(reading: Reading, electrons: Sequence[float], *, size: tuple[int, int] = (320, 240)) -> tuple[Array, Array]:
-    """Mean above black [DN] and temporal variance [DN^2] at each level, from two frames each, behind the green or clear filter.
+def photon_transfer(
+    reading: Reading, electrons: Sequence[float], *, size: tuple[int, int] = (320, 240)
+) -> tuple[Array, Array]:
+    """Mean above black [DN] and temporal variance [DN^2] at each level, from two frames each, behind the green or clear
+    filter.
 
     Args:
         reading: what is photographed.
@@ -197,13 +213,20 @@ def photon_transfer(reading: Reading, electrons: Sequence[float], *, size: tuple
     chip = reading.sensor
     letter = "G" if "G" in cfa.filters(chip.cfa) else "C"
     on = bench(reading, size=size)
-    per_photon = response.quantum_efficiency(chip)[cfa.filters(chip.cfa).index(letter)][int(on.wavelength_nm - photometry.WAVELENGTHS_NM[0])]
+    per_photon = response.quantum_efficiency(chip)[cfa.filters(chip.cfa).index(letter)][
+        int(on.wavelength_nm - photometry.WAVELENGTHS_NM[0])
+    ]
     efficiency = per_photon * chip.fill_factor * reading.sensitivity
     rows = cfa.PATTERNS[chip.cfa]
     row, column = next((row, line.index(letter)) for row, line in enumerate(rows) if letter in line)
     means, variances = [], []
     for index, level in enumerate(electrons):
-        pair = [on.frame(level / efficiency, seed=2 * index + frame).pixels[row :: len(rows), column :: len(rows), 0].astype(np.float64) for frame in (0, 1)]
+        pair = [
+            on.frame(level / efficiency, seed=2 * index + frame)
+            .pixels[row :: len(rows), column :: len(rows), 0]
+            .astype(np.float64)
+            for frame in (0, 1)
+        ]
         means.append((pair[0].mean() + pair[1].mean()) / 2 - chip.black_level_dn)
         variances.append(np.var(pair[0] - pair[1]) / 2)
     return np.array(means), np.array(variances)

@@ -19,7 +19,19 @@ from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.fog.medium import extinction_from_visibility
 from synfog_usd.scene import SceneDict
-from synfog_usd.testing import EmptyLayer, black, box, empty_layer, lamp_in_endless_fog, pixel_rays, scene, sky, tilted, uniform_fog, wall
+from synfog_usd.testing import (
+    EmptyLayer,
+    black,
+    box,
+    empty_layer,
+    lamp_in_endless_fog,
+    pixel_rays,
+    scene,
+    sky,
+    tilted,
+    uniform_fog,
+    wall,
+)
 
 FULL = ("field", "path", "path+slab")
 """Ours that leave nothing out where the airlight is smooth; what they cannot do they refuse."""
@@ -92,7 +104,12 @@ def thinning_fog() -> tuple[SceneDict, FogMedium]:
     """A glowing ceiling 40 m above, seen through exponential fog that absorbs, 45 degrees up."""
     medium = FogMedium(0.04, albedo=0.0, profile="exponential", base_height_m=-2.0, scale_height_m=20.0)
     s, h = 2000.0, 40.0
-    ceiling = {"type": "mesh", "positions": np.array([[-s, -s, h], [-s, s, h], [s, s, h], [s, -s, h]]), "faces": np.array([[0, 1, 2], [0, 2, 3]]), **black(1.0)}
+    ceiling = {
+        "type": "mesh",
+        "positions": np.array([[-s, -s, h], [-s, s, h], [s, s, h], [s, -s, h]]),
+        "faces": np.array([[0, 1, 2], [0, 2, 3]]),
+        **black(1.0),
+    }
     fog = FogVolume("/Fog", box((500.0, 500.0, 31.0), (0, 0, 29.0)), medium)
     return scene({"shape_ceiling": ceiling}, [fog], fov_x_deg=8.0, to_world=tilted(45.0)), medium
 
@@ -128,7 +145,10 @@ def inside_three() -> Known:
         FogVolume("/Bank", box(10.0), FogMedium(0.05, albedo=0.0), priority=1, parent=0),
         FogVolume("/Core", box(4.0), FogMedium(0.2, albedo=0.0), priority=2, parent=1),
     ]
-    return Known(scene({"shape_wall": wall(30.0, **black(1.0))}, fog, fov_x_deg=0.1), float(np.exp(-(4 * 0.2 + 6 * 0.05 + 20 * 0.01))))
+    return Known(
+        scene({"shape_wall": wall(30.0, **black(1.0))}, fog, fov_x_deg=0.1),
+        float(np.exp(-(4 * 0.2 + 6 * 0.05 + 20 * 0.01))),
+    )
 
 
 def known(layer: EmptyLayer) -> Known:
@@ -138,7 +158,9 @@ def known(layer: EmptyLayer) -> Known:
 
 def layer(ground: float, *, mor_m: float = 150.0, **how: Any) -> Known:
     """An empty layer of fog that only scatters, 60 m high."""
-    return known(empty_layer(FogMedium(float(extinction_from_visibility(mor_m))), ground, width_px=8, height_px=12, **how))
+    return known(
+        empty_layer(FogMedium(float(extinction_from_visibility(mor_m))), ground, width_px=8, height_px=12, **how)
+    )
 
 
 def halves() -> Known:
@@ -147,7 +169,9 @@ def halves() -> Known:
     volume = whole.scene.fog[0]
     matrix, middle, half = volume.boundary.to_world, volume.boundary.to_world[2, 3], volume.boundary.to_world[2, 2]
     sizes = (matrix[0, 0], matrix[1, 1], half / 2)
-    parts = tuple(replace(volume, path=f"/Half{sign}", boundary=box(sizes, (0, 0, middle + sign * half / 2))) for sign in (-1, 1))
+    parts = tuple(
+        replace(volume, path=f"/Half{sign}", boundary=box(sizes, (0, 0, middle + sign * half / 2))) for sign in (-1, 1)
+    )
     return replace(whole, scene=replace(whole.scene, fog=parts))
 
 
@@ -166,15 +190,24 @@ def thin(sigma_t: float) -> Known:
     """Fog of next to nothing, and clear air."""
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.4] * 3}}
     world = {**sky(), "shape_wall": wall(30.0, 5.0, bsdf=grey)}
-    return Known(scene(world, [FogVolume("/Fog", box(100.0), FogMedium(sigma_t))], fov_x_deg=50.0), other=scene(world, fov_x_deg=50.0))
+    return Known(
+        scene(world, [FogVolume("/Fog", box(100.0), FogMedium(sigma_t))], fov_x_deg=50.0),
+        other=scene(world, fov_x_deg=50.0),
+    )
 
 
 def lamp(distance_m: float, sigma_t: float) -> Known:
-    """A bare bulb 40 degrees beside the axis, in a ball of fog 20 optical depths in radius that turns one flight in a thousand."""
+    """A bare bulb 40 degrees beside the axis, in a ball of fog 20 optical depths in radius that turns one flight in a
+    thousand.
+    """
     medium = FogMedium(sigma_t, albedo=1e-3, g=0.0)
     place = distance_m * np.array([np.sin(np.radians(40.0)), np.cos(np.radians(40.0)), 0.0])
     bulb = {"type": "point", "position": place, "intensity": {"type": "rgb", "value": [1.0] * 3}}
-    source = scene({"light_bulb": bulb}, [FogVolume("/Fog", Boundary("sphere", np.diag([*[20.0 / sigma_t] * 3, 1.0])), medium)], fov_x_deg=40.0)
+    source = scene(
+        {"light_bulb": bulb},
+        [FogVolume("/Fog", Boundary("sphere", np.diag([*[20.0 / sigma_t] * 3, 1.0])), medium)],
+        fov_x_deg=40.0,
+    )
     directions, weights = pixel_rays(source)
     return Known(source, lamp_in_endless_fog(medium, place, directions) @ weights)
 
@@ -185,7 +218,13 @@ def spot() -> Known:
     flat = np.array([[-60, -60, -1.5], [60, -60, -1.5], [60, 60, -1.5], [-60, 60, -1.5]])
     ground = {"type": "mesh", "positions": flat, "faces": np.array([[0, 1, 2], [0, 2, 3]]), "bsdf": {"type": "diffuse"}}
     lamp_of = {"type": "spot", "to_world": aim, "cutoff_angle": 40.0, "intensity": {"type": "rgb", "value": [60.0] * 3}}
-    return Known(scene({**sky(0.01), "shape_ground": ground, "light_spot": lamp_of}, [FogVolume("/Fog", box(40.0), FogMedium(0.05))], fov_x_deg=60.0))
+    return Known(
+        scene(
+            {**sky(0.01), "shape_ground": ground, "light_spot": lamp_of},
+            [FogVolume("/Fog", box(40.0), FogMedium(0.05))],
+            fov_x_deg=60.0,
+        )
+    )
 
 
 def restaged(**how: Any) -> Known:
@@ -293,7 +332,13 @@ def every() -> list[Case]:
             )
             for mor in (600.0, 300.0, 150.0)
         ),
-        Case("black wall at optical depth 5: Beer-Lambert", lambda: glowing_wall(0.1), ONCE, samples=8192, peer_samples=4096),
+        Case(
+            "black wall at optical depth 5: Beer-Lambert",
+            lambda: glowing_wall(0.1),
+            ONCE,
+            samples=8192,
+            peer_samples=4096,
+        ),
         Case("glowing ceiling through exponential fog", exponential_wall, ONCE, 1e-3, peer_samples=1024),
         Case("the same fog as a grid", exponential_grid, ONCE, 1e-3, peer_samples=1024),
         Case("bank of 0.3/m inside fog of 0.03/m", bank, ONCE, peer_samples=2048, quick=True),
@@ -301,15 +346,52 @@ def every() -> list[Case]:
         Case("transmittance layer of a wall, MOR 150", transmittance, ("path",), layer=True, quick=True),
         Case("white furnace, MOR 50", lambda: furnace(sigma[50.0]), FULL, samples=512, quick=True),
         Case("white furnace, optical depth 30", lambda: furnace(0.5), FULL, samples=96, resolves=0.05, peer_samples=32),
-        Case("white furnace, optical depth 100", lambda: furnace(100.0 / 60.0), FULL, samples=32, resolves=0.1, peer_samples=16),
-        *(Case(f"white furnace, MOR 50, g = {g:g}", lambda g=g: furnace(sigma[50.0], g), FULL, TABLE) for g in (0.0, 1e-4, 0.99, -0.99)),
+        Case(
+            "white furnace, optical depth 100",
+            lambda: furnace(100.0 / 60.0),
+            FULL,
+            samples=32,
+            resolves=0.1,
+            peer_samples=16,
+        ),
         *(
-            Case(f"empty layer, MOR 150, ground {ground:g}, zenith 0-87", lambda ground=ground: layer(ground), LAYER, TABLE, bands=3)
+            Case(f"white furnace, MOR 50, g = {g:g}", lambda g=g: furnace(sigma[50.0], g), FULL, TABLE)
+            for g in (0.0, 1e-4, 0.99, -0.99)
+        ),
+        *(
+            Case(
+                f"empty layer, MOR 150, ground {ground:g}, zenith 0-87",
+                lambda ground=ground: layer(ground),
+                LAYER,
+                TABLE,
+                bands=3,
+            )
             for ground in (0.0, 0.15, 0.5)
         ),
-        Case("empty layer, its floor exactly on the ground", lambda: layer(0.5, sunk_m=0.0), LAYER, TABLE, bands=3, quick=True),
-        Case("camera exactly on the layer's top, zenith 100-160", lambda: layer(0.5, eye_m=60.0, zenith_deg=(100.0, 160.0)), LAYER, TABLE, bands=3),
-        Case("layer of optical depth 1000, 50 cm under its top", deep, LAYER, TABLE, bands=2, samples=128, peer_samples=64),
+        Case(
+            "empty layer, its floor exactly on the ground",
+            lambda: layer(0.5, sunk_m=0.0),
+            LAYER,
+            TABLE,
+            bands=3,
+            quick=True,
+        ),
+        Case(
+            "camera exactly on the layer's top, zenith 100-160",
+            lambda: layer(0.5, eye_m=60.0, zenith_deg=(100.0, 160.0)),
+            LAYER,
+            TABLE,
+            bands=3,
+        ),
+        Case(
+            "layer of optical depth 1000, 50 cm under its top",
+            deep,
+            LAYER,
+            TABLE,
+            bands=2,
+            samples=128,
+            peer_samples=64,
+        ),
         Case("two half layers stacked are one", halves, LAYER, TABLE, bands=3),
         Case("1 cm inside the fog's box = 1 cm outside", threshold, ALIKE, 1e-3, resolves=0.03),
         Case("fog of extinction 0 = clear air", lambda: thin(0.0), ALIKE, quick=True),
@@ -318,7 +400,15 @@ def every() -> list[Case]:
         Case("point lamp 1 cm from the camera", lambda: lamp(0.01, 0.05), ONCE, 2e-3),
         Case("spot in fog: finite", spot, ("single", *FULL), samples=64, peer_samples=64),
         *(
-            Case(f"USD stage, {what} = m, Z up, at 0", lambda how=how: restaged(**how), ALIKE, resolves=0.1, samples=512, peer_samples=128, quick=len(how) == 3)
+            Case(
+                f"USD stage, {what} = m, Z up, at 0",
+                lambda how=how: restaged(**how),
+                ALIKE,
+                resolves=0.1,
+                samples=512,
+                peer_samples=128,
+                quick=len(how) == 3,
+            )
             for what, how in (
                 ("1000 km away", {"offset_m": 1e6}),
                 ("cm", {"metres_per_unit": 0.01}),
@@ -331,4 +421,8 @@ def every() -> list[Case]:
 
 def deep() -> Known:
     """60 m of 16.7 per metre that absorbs a hundredth."""
-    return known(empty_layer(FogMedium(1000.0 / 60.0, albedo=0.99), 0.15, eye_m=59.5, zenith_deg=(0.0, 60.0), width_px=8, height_px=12))
+    return known(
+        empty_layer(
+            FogMedium(1000.0 / 60.0, albedo=0.99), 0.15, eye_m=59.5, zenith_deg=(0.0, 60.0), width_px=8, height_px=12
+        )
+    )

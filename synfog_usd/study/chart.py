@@ -37,19 +37,25 @@ NAMES = ("chart.csv", "chart.svg", "chart.png", "chart.html")
 SUITE_NAMES = ("summary.csv", "suite.svg", "suite.png", "index.html")
 SAMPLES, PEER_SAMPLES = (8, 32, 128, 512), (8, 32, 128)
 RUNS = 3
-"""Renders a point; the first of a line may have to wait for a kernel and is timed apart, all of them count for the error."""
+"""Renders a point; the first of a line may have to wait for a kernel and is timed apart, all of them count for the
+error.
+"""
 PARTS = 8
 """Independent renders that the reference is made of; their scatter is its variance."""
 REFERENCE_FACTOR = 16
-"""Reference samples over the largest number in the sweep: its own error is then a quarter of the smallest one of its model."""
+"""Reference samples over the largest number in the sweep: its own error is then a quarter of the smallest one of its
+model.
+"""
 REFERENCE_SHARE = 0.45
 """Of a time limit, what is kept for the reference."""
 LIMIT_S = 90.0
 """Time limit where neither it nor the samples are given."""
 PILOT_SAMPLES = 16
 MUST_GAIN = 1.5
-"""How much better than the first a later unbiased model of ours must be to make the reference: `path+slab` rests on a table, `path` on nothing.
-Without any it is volpath.  These models are also charted in bands and denoised, and the first with paths cut short."""
+"""How much better than the first a later unbiased model of ours must be to make the reference: `path+slab` rests on a
+table, `path` on nothing. Without any it is volpath.  These models are also charted in bands and denoised, and the first
+with paths cut short.
+"""
 
 
 @dataclass(frozen=True)
@@ -67,9 +73,10 @@ class ChartPlan:
         depth: numbers of scatterings at which `path` is cut, each a line of its own.
         bands: numbers of wavelength bands for `path`, each a line of its own.
         denoise: whether the unbiased models are also shown denoised.
-        reference_samples: of the reference; None is REFERENCE_FACTOR times the most of its model's, as far as time_limit goes.
-        time_limit: seconds of rendering for a stage, beyond the first point of each line and without the making of kernels;
-            None is LIMIT_S, or without end where samples are given.
+        reference_samples: of the reference; None is REFERENCE_FACTOR times the most of its model's, as far as
+            time_limit goes.
+        time_limit: seconds of rendering for a stage, beyond the first point of each line and without the making of
+            kernels; None is LIMIT_S, or without end where samples are given.
         target: total error for which the planner is asked.
         seed: the same gives the same errors.
         variant: Mitsuba backend, see `render.backend.choose`.
@@ -116,7 +123,9 @@ class Chart:
 
 @dataclass
 class _Line:
-    """One model in one setting, as far as it has been rendered; `runs` by samples, `seconds` and `first_call_s` beside it."""
+    """One model in one setting, as far as it has been rendered; `runs` by samples, `seconds` and `first_call_s` beside
+    it.
+    """
 
     model: str
     setting: Setting
@@ -131,7 +140,9 @@ class _Line:
         return line_name(self.model, self.setting)
 
     def estimate(self) -> float:
-        """Seconds that the next level will take; 0 for the first, and half of one level for what does not grow with samples."""
+        """Seconds that the next level will take; 0 for the first, and half of one level for what does not grow with
+        samples.
+        """
         least = {samples: min(seconds) for samples, seconds in sorted(self.seconds.items())}
         if not least:
             return 0.0
@@ -140,7 +151,9 @@ class _Line:
         return RUNS * (least[most] + max(slope, 0.1 * least[most] / most) * (self.levels[0] - most))
 
 
-def chart(plan: ChartPlan, *, progress: Progress = silent, choice: tuple[str, int | None] | None = None, lenient: bool = False) -> Chart:
+def chart(
+    plan: ChartPlan, *, progress: Progress = silent, choice: tuple[str, int | None] | None = None, lenient: bool = False
+) -> Chart:
     """Measure the sweep of one shot and write its table, its drawings and its page.
 
     Args:
@@ -163,7 +176,11 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, choice: tuple[str, in
     notes: list[str] = []
     holding = [name for name, model in models.MODELS.items() if not model.refuses(scene)]
     wanted = [name for name in plan.models or holding if not lenient or name in (models.AUTO, *holding)]
-    notes += [f"{name}: does not hold here, {models.MODELS[name].refuses(scene)}" for name in plan.models or () if name not in wanted]
+    notes += [
+        f"{name}: does not hold here, {models.MODELS[name].refuses(scene)}"
+        for name in plan.models or ()
+        if name not in wanted
+    ]
     asked = list(dict.fromkeys(models.choose(name, scene)[0] for name in wanted))
     sweep = _lines(plan, asked, renders, choice, notes)
     limit = plan.time_limit or (math.inf if plan.samples else LIMIT_S)
@@ -172,9 +189,18 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, choice: tuple[str, in
 
     def fraction(samples: float) -> float:
         """By paths, or by the time limit where that will end the sweep first."""
-        return (1.0 - REFERENCE_SHARE) * min(max(spent / ((1.0 - REFERENCE_SHARE) * limit), (done + samples) / paths), 1.0)
+        return (1.0 - REFERENCE_SHARE) * min(
+            max(spent / ((1.0 - REFERENCE_SHARE) * limit), (done + samples) / paths), 1.0
+        )
 
-    def picture(model: str, setting: Setting, samples: int, stream: str | int, what: str, within: Callable[[float], float] = fraction) -> tuple[Array, float]:
+    def picture(
+        model: str,
+        setting: Setting,
+        samples: int,
+        stream: str | int,
+        what: str,
+        within: Callable[[float], float] = fraction,
+    ) -> tuple[Array, float]:
         nonlocal done
         seed = seed32(plan.seed, "chart", line_name(model, setting), samples, stream)
         result = renders.render(model, setting, samples, seed, lambda _, part: progress(what, within(part * samples)))
@@ -190,27 +216,45 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, choice: tuple[str, in
             continue
         line.levels.pop(0)
         try:
-            results = [picture(line.model, line.setting, samples, run, f"{line.name}, {samples} samples") for run in range(RUNS)]
-        except (RuntimeError, ValueError, ParameterError) as error:  # a model that fails on a shot must not take the others' chart with it
+            results = [
+                picture(line.model, line.setting, samples, run, f"{line.name}, {samples} samples")
+                for run in range(RUNS)
+            ]
+        except (
+            RuntimeError,
+            ValueError,
+            ParameterError,
+        ) as error:  # a model that fails on a shot must not take the others' chart with it
             if (plan.models and not lenient) or not sweep[1:]:
                 raise
-            notes.append(f"{line.name}: failed at {samples} samples: {str(error).splitlines()[0] if str(error) else type(error).__name__}")
+            notes.append(
+                f"{line.name}: failed at {samples} samples: "
+                f"{str(error).splitlines()[0] if str(error) else type(error).__name__}"
+            )
             line.levels = []
             continue
-        line.runs[samples] = [np.maximum(rgb, 0.0) for rgb, _ in results]  # as `render` gives them; the reference keeps its noise
+        line.runs[samples] = [
+            np.maximum(rgb, 0.0) for rgb, _ in results
+        ]  # as `render` gives them; the reference keeps its noise
         line.seconds[samples] = [elapsed for _, elapsed in results[1:]]
         if math.isnan(line.first_call_s):
             line.first_call_s = results[0][1]
         spent += min(line.seconds[samples]) * RUNS if len(line.runs) > 1 else 0.0
         if all(np.array_equal(rgb, line.runs[samples][0]) for rgb in line.runs[samples]):
-            line.levels = [level for level in line.levels if level in line.must]  # no seed in it: more samples are the same picture
+            line.levels = [
+                level for level in line.levels if level in line.must
+            ]  # no seed in it: more samples are the same picture
     sweep = [line for line in sweep if line.runs]
     if not sweep:
         raise ParameterError(f"{plan.stage}: no model gave a picture: {'; '.join(notes)}")
 
-    finest = Setting(bands=max(plan.bands)) if plan.bands else PLAIN  # what R, G and B are short of is then seen as their bias
+    finest = (
+        Setting(bands=max(plan.bands)) if plan.bands else PLAIN
+    )  # what R, G and B are short of is then seen as their bias
     carried = {name: finest if name in models.ours_unbiased() else PLAIN for name in models.MODELS}
-    model, seconds_each = _reference_model(scene, sweep, lambda name, run: picture(name, carried[name], PILOT_SAMPLES, run, f"pilot of {name}"))
+    model, seconds_each = _reference_model(
+        scene, sweep, lambda name, run: picture(name, carried[name], PILOT_SAMPLES, run, f"pilot of {name}")
+    )
     most = max(max(line.runs) for line in sweep if line.model == model or model not in {other.model for other in sweep})
     reference_samples = plan.reference_samples or REFERENCE_FACTOR * most
     if plan.reference_samples is None and math.isfinite(limit):
@@ -221,7 +265,10 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, choice: tuple[str, in
     def last(index: int) -> Callable[[float], float]:
         return lambda samples: 1.0 - REFERENCE_SHARE * (1.0 - (sum(shares[:index]) + samples) / reference_samples)
 
-    parts = [picture(model, carried[model], share, f"reference {index}", f"reference, {model}", last(index))[0] for index, share in enumerate(shares)]
+    parts = [
+        picture(model, carried[model], share, f"reference {index}", f"reference, {model}", last(index))[0]
+        for index, share in enumerate(shares)
+    ]
     reference = accuracy.combine(parts, shares, model)
 
     points = _points(sweep, reference, plan.size, chosen.variant, choice, plan.target)
@@ -242,7 +289,10 @@ def suite(plan: ChartPlan, *, progress: Progress = silent) -> dict[str, Chart]:
 
     stages = sorted(path for path in plan.stage.iterdir() if path.suffix in (".usd", ".usda", ".usdc", ".usdz"))
     if not stages:
-        raise ParameterError(f"{plan.stage}: no .usd, .usda, .usdc or .usdz file in it; give a stage, or a folder of stages as stages/bench")
+        raise ParameterError(
+            f"{plan.stage}: no .usd, .usda, .usdc or .usdz file in it; give a stage, or a folder of stages as "
+            f"stages/bench"
+        )
     check(plan)
     charts = {}
     for index, stage in enumerate(stages):
@@ -251,7 +301,9 @@ def suite(plan: ChartPlan, *, progress: Progress = silent) -> dict[str, Chart]:
             progress(f"{name}: {what}", (index + fraction) / len(stages))
 
         charts[stage.stem] = chart(replace(plan, stage=stage, out=plan.out / stage.stem), progress=within, lenient=True)
-        write_suite({name: made.points for name, made in charts.items()}, plan.out, drawing, page)  # after each, so that a stopped suite is of use
+        write_suite(
+            {name: made.points for name, made in charts.items()}, plan.out, drawing, page
+        )  # after each, so that a stopped suite is of use
     return charts
 
 
@@ -277,10 +329,15 @@ def check(plan: ChartPlan) -> None:
 
     for name in plan.models or ():
         models.check_name(name)
-    for option, value in [*(("--samples", value) for value in plan.samples or ()), ("--reference", plan.reference_samples)]:
+    for option, value in [
+        *(("--samples", value) for value in plan.samples or ()),
+        ("--reference", plan.reference_samples),
+    ]:
         least = 2 * PARTS if option == "--reference" else SAMPLES[0]
         if value is not None and not least <= value <= SAMPLES[1]:
-            raise ParameterError(f"{option} {value}: outside {least} to {SAMPLES[1]}; 64 is a draft, 1024 is clean in dense fog")
+            raise ParameterError(
+                f"{option} {value}: outside {least} to {SAMPLES[1]}; 64 is a draft, 1024 is clean in dense fog"
+            )
     for value in plan.depth:
         if not 1 <= value <= 1000:
             raise ParameterError(f"--depth {value}: outside 1 to 1000")
@@ -306,11 +363,15 @@ def planned(scene: SceneDict, target: float, samples: int, seed: int) -> str | N
     if not planner.candidates(scene):
         return None
     wanted = Target(relative=target, samples=samples)
-    return planner.choose(shot.load(scene, boundaries=False), target=wanted, seed=seed32(seed, "chart", "planner")).model
+    return planner.choose(
+        shot.load(scene, boundaries=False), target=wanted, seed=seed32(seed, "chart", "planner")
+    ).model
 
 
 def ring(points: Sequence[Point], choice: tuple[str, int | None], target: float) -> int | None:
-    """Which point is the planner's: of its model at its samples, or where it left those open at the fewest that reach `target`, else at the most."""
+    """Which point is the planner's: of its model at its samples, or where it left those open at the fewest that reach
+    `target`, else at the most.
+    """
     mine = [index for index, point in enumerate(points) if point.line == choice[0]]
     if choice[1] is not None:
         return next((index for index in mine if points[index].samples == choice[1]), None)
@@ -331,13 +392,24 @@ class _Renders:
         return denoise.available() if setting.denoise else ""
 
     def render(self, model: str, setting: Setting, samples: int, seed: int, progress: Progress) -> tuple[Array, float]:
-        """(H, W, 3) radiance as an eye's R, G and B, and seconds on the loaded scene, with what the model prepares for itself."""
+        """(H, W, 3) radiance as an eye's R, G and B, and seconds on the loaded scene, with what the model prepares for
+        itself.
+        """
         from synfog_usd.render import models, shot
         from synfog_usd.render.spectra import bands
 
         loaded = self._loaded(models.MODELS[model].boundaries)
         began = time.perf_counter()
-        rendered = shot.render(self.scene, model=model, samples=samples, seed=seed, size=self.size, progress=progress, loaded=loaded, **_arguments(setting))
+        rendered = shot.render(
+            self.scene,
+            model=model,
+            samples=samples,
+            seed=seed,
+            size=self.size,
+            progress=progress,
+            loaded=loaded,
+            **_arguments(setting),
+        )
         elapsed = time.perf_counter() - began
         return bands.to_rgb(rendered.radiance.pixels, len(rendered.radiance.channels)), max(elapsed, 1e-3)
 
@@ -353,10 +425,16 @@ class _Renders:
 
 def _arguments(setting: Setting) -> dict[str, Any]:
     """What `render` is told beside model, samples and seed."""
-    return {name: getattr(setting, name) for name in ("scatterings", "bands", "denoise") if getattr(setting, name) != getattr(PLAIN, name)}
+    return {
+        name: getattr(setting, name)
+        for name in ("scatterings", "bands", "denoise")
+        if getattr(setting, name) != getattr(PLAIN, name)
+    }
 
 
-def _lines(plan: ChartPlan, asked: Sequence[str], renders: _Renders, choice: tuple[str, int | None] | None, notes: list[str]) -> list[_Line]:
+def _lines(
+    plan: ChartPlan, asked: Sequence[str], renders: _Renders, choice: tuple[str, int | None] | None, notes: list[str]
+) -> list[_Line]:
     """The sweep: each model as it is, then in its settings."""
     from synfog_usd.render import models
 
@@ -376,7 +454,9 @@ def _lines(plan: ChartPlan, asked: Sequence[str], renders: _Renders, choice: tup
     return found
 
 
-def _reference_model(scene: SceneDict, sweep: Sequence[_Line], pilot: Callable[[str, int], tuple[Array, float]]) -> tuple[str, float]:
+def _reference_model(
+    scene: SceneDict, sweep: Sequence[_Line], pilot: Callable[[str, int], tuple[Array, float]]
+) -> tuple[str, float]:
     """The unbiased model with the least relative variance times seconds, and its seconds per path and pixel."""
     from synfog_usd.render import models
 
@@ -392,10 +472,17 @@ def _reference_model(scene: SceneDict, sweep: Sequence[_Line], pilot: Callable[[
                 results = [pilot(name, run) for run in range(RUNS)]
             except (RuntimeError, ValueError, ParameterError):
                 continue
-            samples, runs, seconds = PILOT_SAMPLES, [rgb for rgb, _ in results], min(elapsed for _, elapsed in results[1:])
+            samples, runs, seconds = (
+                PILOT_SAMPLES,
+                [rgb for rgb, _ in results],
+                min(elapsed for _, elapsed in results[1:]),
+            )
         bright = np.stack([accuracy.luminance(rgb) for rgb in runs])
         scale = np.hypot(bright.mean(axis=0), accuracy.FLOOR * bright.mean())
-        costs[name] = (float((bright.var(axis=0, ddof=1) / np.maximum(scale, 1e-30) ** 2).mean()) * seconds, seconds / samples)
+        costs[name] = (
+            float((bright.var(axis=0, ddof=1) / np.maximum(scale, 1e-30) ** 2).mean()) * seconds,
+            seconds / samples,
+        )
     best = next(iter(costs))
     for name, (cost, _) in costs.items():
         if cost * MUST_GAIN < costs[best][0]:
@@ -404,7 +491,12 @@ def _reference_model(scene: SceneDict, sweep: Sequence[_Line], pilot: Callable[[
 
 
 def _points(
-    sweep: Sequence[_Line], reference: Reference, size: tuple[int, int], variant: str, choice: tuple[str, int | None] | None, target: float
+    sweep: Sequence[_Line],
+    reference: Reference,
+    size: tuple[int, int],
+    variant: str,
+    choice: tuple[str, int | None] | None,
+    target: float,
 ) -> list[Point]:
     from synfog_usd.render.models import MODELS
 
@@ -468,7 +560,12 @@ def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
     from synfog_usd.translate import translate
 
     stage = usd.open_stage(plan.stage, allow=plan.allow)
-    asked = BakePlan(plan.stage, plan.out, lighting=(plan.lighting,) if plan.lighting else None, fog=(plan.fog,) if plan.fog else None)
+    asked = BakePlan(
+        plan.stage,
+        plan.out,
+        lighting=(plan.lighting,) if plan.lighting else None,
+        fog=(plan.fog,) if plan.fog else None,
+    )
     shot = shots(asked, usd.variants(stage))[0]
     if plan.fog is None:
         shot = replace(shot, fog=AS_AUTHORED, fog_variant=None, mor_m=None)

@@ -47,7 +47,9 @@ DARK = {
 }
 """What each colour becomes on a dark page."""
 OTHER = (("#5f6870", "*"), ("#3d4a99", "<"), ("#99693d", ">"))
-DIRECTIONS = tuple((dx / 2, dy / 2) for dx in (2, 1, 0, -1, -2) for dy in (0, 1, -1, 2, -2) if max(abs(dx), abs(dy)) == 2)
+DIRECTIONS = tuple(
+    (dx / 2, dy / 2) for dx in (2, 1, 0, -1, -2) for dy in (0, 1, -1, 2, -2) if max(abs(dx), abs(dy)) == 2
+)
 """Where a label may stand beside its mark, to the right of it first."""
 DASHES = ("-", "--", ":", "-.")
 STYLE = {"font.family": "DejaVu Sans", "font.size": 10, "svg.fonttype": "none", "svg.hashsalt": "synfog-usd"}
@@ -69,7 +71,12 @@ def draw(points: Sequence[Point], *, title: str) -> tuple[bytes, bytes]:
     with pyplot.rc_context({**STYLE, **dict.fromkeys(COLOUR_KEYS, INK)}):
         width = 7.0 + max(2.7, 0.36 * len(by_line) + 0.5)
         figure, (axes, aside) = pyplot.subplots(
-            1, 2, figsize=(width, 5.6), layout="constrained", sharey=True, gridspec_kw={"width_ratios": (7.0, width - 7.0), "wspace": 0.03}
+            1,
+            2,
+            figsize=(width, 5.6),
+            layout="constrained",
+            sharey=True,
+            gridspec_kw={"width_ratios": (7.0, width - 7.0), "wspace": 0.03},
         )
         _scales(axes, shown, first)
         steps = _front(axes, points, first)
@@ -82,13 +89,35 @@ def draw(points: Sequence[Point], *, title: str) -> tuple[bytes, bytes]:
         chosen = [point for point in points if point.planned]
         if chosen:
             axes.plot(
-                [p.seconds for p in chosen], [p.relative_rms for p in chosen], "o", ms=17, mfc="none", mec=INK, mew=1.6, zorder=6, label="planner's choice"
+                [p.seconds for p in chosen],
+                [p.relative_rms for p in chosen],
+                "o",
+                ms=17,
+                mfc="none",
+                mec=INK,
+                mew=1.6,
+                zorder=6,
+                label="planner's choice",
             )
-        axes.set(xlabel="seconds for one render, scene loaded, kernel made before", ylabel="total relative error of a pixel's luminance, RMS")
+        axes.set(
+            xlabel="seconds for one render, scene loaded, kernel made before",
+            ylabel="total relative error of a pixel's luminance, RMS",
+        )
         axes.set_title(title, loc="left", fontsize=11.5, fontweight="bold", pad=22)
         _aside(aside, by_line, first)
-        below = f"numbers at the marks: paths per pixel; reference: {first.reference_model}, {first.reference_samples}; {first.variant}, {first.machine}"
-        axes.annotate(below, (0.0, 1.0), (0.0, 8.0), xycoords="axes fraction", textcoords="offset points", fontsize=8.5, color=FAINT)
+        below = (
+            f"numbers at the marks: paths per pixel; reference: {first.reference_model}, {first.reference_samples}; "
+            f"{first.variant}, {first.machine}"
+        )
+        axes.annotate(
+            below,
+            (0.0, 1.0),
+            (0.0, 8.0),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            fontsize=8.5,
+            color=FAINT,
+        )
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=4, frameon=False, fontsize=8.5)
         figure.canvas.draw()
         figure.set_layout_engine("none")
@@ -107,7 +136,13 @@ def draw_suite(stages: Mapping[str, Sequence[Point]]) -> tuple[bytes, bytes]:
     names = list(lines(everything))
     with pyplot.rc_context({**STYLE, **dict.fromkeys(COLOUR_KEYS, INK), "font.size": 9}):
         figure, grid = pyplot.subplots(
-            rows, columns, figsize=(3.5 * columns + 0.4, 2.9 * rows + 0.7), layout="constrained", sharex=True, sharey=True, squeeze=False
+            rows,
+            columns,
+            figsize=(3.5 * columns + 0.4, 2.9 * rows + 0.7),
+            layout="constrained",
+            sharex=True,
+            sharey=True,
+            squeeze=False,
         )
         for index, axes in enumerate(grid.flat):
             if index >= len(stages):
@@ -115,7 +150,11 @@ def draw_suite(stages: Mapping[str, Sequence[Point]]) -> tuple[bytes, bytes]:
                 continue
             name, points = list(stages.items())[index]
             _scales(
-                axes, [p for p in everything if p.relative_rms > 0.0] or everything, points[0], lowest=min(p.reference_rms for p in everything), dense=False
+                axes,
+                [p for p in everything if p.relative_rms > 0.0] or everything,
+                points[0],
+                lowest=min(p.reference_rms for p in everything),
+                dense=False,
             )
             _front(axes, points, points[0])
             by_line = lines(points)
@@ -124,9 +163,27 @@ def draw_suite(stages: Mapping[str, Sequence[Point]]) -> tuple[bytes, bytes]:
                 seen = [p for p in line if p.relative_rms > 0.0]
                 dash = _dash(line_name, by_line)
                 fill = colour if dash == "-" else PAPER
-                axes.plot([p.seconds for p in seen], [p.relative_rms for p in seen], dash + marker, color=colour, lw=1.3, ms=4.5, mfc=fill, zorder=3)
+                axes.plot(
+                    [p.seconds for p in seen],
+                    [p.relative_rms for p in seen],
+                    dash + marker,
+                    color=colour,
+                    lw=1.3,
+                    ms=4.5,
+                    mfc=fill,
+                    zorder=3,
+                )
             chosen = [p for p in points if p.planned]
-            axes.plot([p.seconds for p in chosen], [p.relative_rms for p in chosen], "o", ms=12, mfc="none", mec=INK, mew=1.3, zorder=6)
+            axes.plot(
+                [p.seconds for p in chosen],
+                [p.relative_rms for p in chosen],
+                "o",
+                ms=12,
+                mfc="none",
+                mec=INK,
+                mew=1.3,
+                zorder=6,
+            )
             axes.set_title(name, loc="left", fontsize=10, fontweight="bold")
             axes.tick_params(labelbottom=index + columns >= len(stages))
         figure.supxlabel("seconds for one render, scene loaded, kernel made before", fontsize=9.5)
@@ -136,12 +193,30 @@ def draw_suite(stages: Mapping[str, Sequence[Point]]) -> tuple[bytes, bytes]:
             model = next(p for p in everything if p.line == name).model
             colour, marker = look(model)
             dash = _dash(name, names)
-            handles.append(Line2D([], [], color=colour, marker=marker, ls=dash, ms=5, lw=1.4, mfc=colour if dash == "-" else PAPER, label=name))
+            handles.append(
+                Line2D(
+                    [],
+                    [],
+                    color=colour,
+                    marker=marker,
+                    ls=dash,
+                    ms=5,
+                    lw=1.4,
+                    mfc=colour if dash == "-" else PAPER,
+                    label=name,
+                )
+            )
         handles.append(Line2D([], [], color=INK, lw=1.0, label="Pareto front"))
         handles.append(Line2D([], [], color="#bfc3c7", lw=6, label="reference's own error"))
         if any(point.planned for point in everything):
             handles.append(Line2D([], [], color=INK, marker="o", ms=10, mfc="none", ls="", label="planner's choice"))
-        figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), max(3, 2 * columns)), frameon=False, fontsize=9)
+        figure.legend(
+            handles=handles,
+            loc="outside upper center",
+            ncols=min(len(handles), max(3, 2 * columns)),
+            frameon=False,
+            fontsize=9,
+        )
         return _both(pyplot, figure)
 
 
@@ -197,7 +272,9 @@ def _dash(name: str, names: Iterable[str]) -> str:
     return DASHES[1 + [other for other in names if other.startswith(model + ",")].index(name) % (len(DASHES) - 1)]
 
 
-def _scales(axes: Any, shown: Sequence[Point], first: Point, *, lowest: float | None = None, dense: bool = True) -> None:
+def _scales(
+    axes: Any, shown: Sequence[Point], first: Point, *, lowest: float | None = None, dense: bool = True
+) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set(xscale="log", yscale="log")
@@ -206,11 +283,22 @@ def _scales(axes: Any, shown: Sequence[Point], first: Point, *, lowest: float | 
     bottom = max(min(smallest, lowest or first.reference_rms), min(smallest, 1.0) / 8.0) / 1.7
     axes.set_ylim(bottom, max(errors) * 1.7)
     axes.set_xlim(min(times) / 1.6, max(times) * (2.4 if dense else 1.5))
-    axes.axhspan(bottom / 100, first.reference_rms, color="#8a9096", alpha=0.22, lw=0, zorder=0, label="reference's own error")
+    axes.axhspan(
+        bottom / 100, first.reference_rms, color="#8a9096", alpha=0.22, lw=0, zorder=0, label="reference's own error"
+    )
     axes.grid(which="major", color=GRID, lw=0.7)
     spread_x, spread_y = math.log10(max(times) / min(times) * 2), math.log10(max(errors) / bottom)
-    for axis, spread, text in ((axes.xaxis, spread_x, lambda value, _: f"{value:g}"), (axes.yaxis, spread_y, lambda value, _: f"{100 * value:g} %")):
-        axis.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0) if spread < (2.4 if dense else 1.6) else (1.0, 3.0) if dense else (1.0,), numticks=20))
+    for axis, spread, text in (
+        (axes.xaxis, spread_x, lambda value, _: f"{value:g}"),
+        (axes.yaxis, spread_y, lambda value, _: f"{100 * value:g} %"),
+    ):
+        axis.set_major_locator(
+            LogLocator(
+                base=10,
+                subs=(1.0, 2.0, 5.0) if spread < (2.4 if dense else 1.6) else (1.0, 3.0) if dense else (1.0,),
+                numticks=20,
+            )
+        )
         axis.set_major_formatter(FuncFormatter(text))
         axis.set_minor_formatter(NullFormatter())
     axes.minorticks_off()
@@ -220,7 +308,10 @@ def _scales(axes: Any, shown: Sequence[Point], first: Point, *, lowest: float | 
 def _front(axes: Any, points: Sequence[Point], first: Point) -> list[tuple[float, float]]:
     """Draw the steps from one point that nothing beats to the next; gives their corners."""
     shown = [point for point in points if point.relative_rms > 0.0]
-    best = [shown[index] for index in front([(point.seconds, max(point.relative_rms, first.reference_rms)) for point in shown])]
+    best = [
+        shown[index]
+        for index in front([(point.seconds, max(point.relative_rms, first.reference_rms)) for point in shown])
+    ]
     if not best:
         return []
     heights = [axes.get_ylim()[1], *(max(point.relative_rms, first.reference_rms) for point in best)]
@@ -228,7 +319,14 @@ def _front(axes: Any, points: Sequence[Point], first: Point) -> list[tuple[float
     corners = [(best[0].seconds, heights[0])]
     for point, height, end in zip(best, heights[1:], ends, strict=True):
         corners += [(point.seconds, height), (end, height)]
-    axes.plot(*zip(*corners, strict=True), color=INK, lw=1.0, alpha=0.8, zorder=2, label="Pareto front: nothing is faster and closer")
+    axes.plot(
+        *zip(*corners, strict=True),
+        color=INK,
+        lw=1.0,
+        alpha=0.8,
+        zorder=2,
+        label="Pareto front: nothing is faster and closer",
+    )
     return corners
 
 
@@ -297,7 +395,14 @@ def _label(axes: Any, by_line: Mapping[str, Sequence[Point]], steps: Sequence[tu
 
     def put(point: Point, text: str, size: float, weight: str, colour: str, *, must: bool) -> None:
         label = axes.annotate(
-            text, (point.seconds, point.relative_rms), (0, 0), textcoords="offset points", color=colour, fontsize=size, fontweight=weight, zorder=7
+            text,
+            (point.seconds, point.relative_rms),
+            (0, 0),
+            textcoords="offset points",
+            color=colour,
+            fontsize=size,
+            fontweight=weight,
+            zorder=7,
         )
         extent = label.get_window_extent(renderer)
         width, height = extent.width, extent.height
@@ -311,9 +416,15 @@ def _label(axes: Any, by_line: Mapping[str, Sequence[Point]], steps: Sequence[tu
                 box = (left - unit, low, left + width + unit, low + height)
                 if box[0] < inside[0] or box[1] < inside[1] or box[2] > inside[2] or box[3] > inside[3]:
                     continue
-                cost = 10.0 * sum(_overlap(box, other) for other in taken) + 0.2 * sum(_holds(box, place) for place in strokes) + distance / 20.0
+                cost = (
+                    10.0 * sum(_overlap(box, other) for other in taken)
+                    + 0.2 * sum(_holds(box, place) for place in strokes)
+                    + distance / 20.0
+                )
                 others = (place for key, place in places.items() if key not in own)
-                if math.dist(_nearest(box, (x, y)), (x, y)) > min((math.dist(_nearest(box, place), place) for place in others), default=math.inf):
+                if math.dist(_nearest(box, (x, y)), (x, y)) > min(
+                    (math.dist(_nearest(box, place), place) for place in others), default=math.inf
+                ):
                     cost += 3.0  # it would be read as another line's
                 if best is None or cost < best[0]:
                     best = (cost, box, distance)

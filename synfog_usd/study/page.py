@@ -33,7 +33,7 @@ th,td{padding:.2rem .7rem;text-align:right;border-bottom:1px solid var(--dcdfe2)
 tr.front td:first-child{font-weight:700}.key{display:inline-block;width:.7em;height:.7em;border-radius:50%;margin-right:.45em}
 .grid{display:grid;grid-template-columns:repeat(auto-fill,minmax(250px,1fr));gap:1rem}figure{margin:0}figcaption{font-size:.85rem}
 img{width:100%;height:auto;image-rendering:pixelated;display:block;border-radius:3px}.chart img{image-rendering:auto;background:#fff}a{color:var(--0b5fa5)}
-"""
+"""  # noqa: E501
 
 
 def page(
@@ -66,23 +66,28 @@ def page(
         title,
         f"<h1>{html.escape(title)}</h1><ul>{said}</ul>{body}"
         "<p class=faint>Down and to the left is better. Hold the pointer over a mark for its numbers. "
-        f"The reference, {html.escape(first.reference_model)} with {first.reference_samples} paths per pixel, is itself known to "
+        f"The reference, {html.escape(first.reference_model)} with {first.reference_samples} paths per pixel, is "
+        f"itself known to "
         f"{percent(first.reference_rms)}. {html.escape(first.variant)}, {html.escape(first.machine)}.</p>"
         f"<h2>What the errors look like</h2>{_thumbnails(by_line, reference, pictures)}"
-        f"<h2>Numbers</h2><div class=wide>{_numbers(points)}</div>" + (f"<h2>Left out</h2><ul>{left_out}</ul>" if left_out else ""),
+        f"<h2>Numbers</h2><div class=wide>{_numbers(points)}</div>"
+        + (f"<h2>Left out</h2><ul>{left_out}</ul>" if left_out else ""),
     )
 
 
 def index(stages: Mapping[str, Sequence[Point]], rows: Sequence[Mapping[str, Any]]) -> str:
     """All stages of a suite: seconds to each target, and the charts, which lie beside it."""
     cells = "".join(
-        f'<figure class=chart><a href="{html.escape(name)}/chart.html"><img src="{html.escape(name)}/chart.png" alt="{html.escape(_alt(points))}"></a>'
-        f'<figcaption><a href="{html.escape(name)}/chart.html">{html.escape(name)}</a> {html.escape(" ".join(verdicts("", points)[1:2]))}</figcaption></figure>'
+        f'<figure class=chart><a href="{html.escape(name)}/chart.html"><img src="{html.escape(name)}/chart.png" '
+        f'alt="{html.escape(_alt(points))}"></a>'
+        f'<figcaption><a href="{html.escape(name)}/chart.html">{html.escape(name)}</a> '
+        f"{html.escape(' '.join(verdicts('', points)[1:2]))}</figcaption></figure>"
         for name, points in stages.items()
     )
     return _document(
         "Speed against accuracy",
-        "<h1>Speed against accuracy</h1><p>Seconds to a total error, for the fastest of our models and for the best of Mitsuba's own; "
+        "<h1>Speed against accuracy</h1><p>Seconds to a total error, for the fastest of our models and for the best of "
+        "Mitsuba's own; "
         "<em>~</em> is extrapolated from fewer samples by the square root.</p>"
         f'<div class=wide>{html_table(rows)}</div><p><a href="summary.csv">summary.csv</a></p>'
         '<figure class=chart><img src="suite.png" alt="All stages"></figure>'
@@ -99,7 +104,9 @@ def sentence(row: Mapping[str, Any]) -> str:
     """A row of the summary in words."""
     target = f"{100 * float(row['target']):g} %"
     if not row["best"]:
-        return f"{target} error: none of our models." + (f" {row['peer']} takes {seconds(row, 'peer')}." if row["peer"] else "")
+        return f"{target} error: none of our models." + (
+            f" {row['peer']} takes {seconds(row, 'peer')}." if row["peer"] else ""
+        )
     text = f"{target} error: {row['best']} in {seconds(row, 'best')}"
     if row["unbiased"] and row["unbiased"] != row["best"]:
         text += f", without bias {row['unbiased']} in {seconds(row, 'unbiased')}"
@@ -167,18 +174,28 @@ def error_map(picture: Array, reference: Reference) -> Array:
     return NONE + np.where(relative < 0.0, -relative * (BELOW - NONE), relative * (ABOVE - NONE))
 
 
-def _thumbnails(by_line: Mapping[str, Sequence[Point]], reference: Reference, pictures: Mapping[str, tuple[int, Array]]) -> str:
+def _thumbnails(
+    by_line: Mapping[str, Sequence[Point]], reference: Reference, pictures: Mapping[str, tuple[int, Array]]
+) -> str:
     assert reference.rgb is not None
     median = float(np.median(np.hypot(reference.luminance, FLOOR * reference.luminance.mean())))
     gain = MIDDLE_GREY / median if median > 0.0 else 1.0
-    cells = _figure(toned(reference.rgb, gain), f"<b>reference</b>, {html.escape(reference.model)}, {reference.samples} paths per pixel", "reference")
+    cells = _figure(
+        toned(reference.rgb, gain),
+        f"<b>reference</b>, {html.escape(reference.model)}, {reference.samples} paths per pixel",
+        "reference",
+    )
     for name, (samples, picture) in pictures.items():
         point = by_line[name][-1]
         bias = percent(point.bias_rms) if point.bias_is_seen else f"below {percent(point.bias_limit)}"
-        words = f"{_key(point)}<b>{html.escape(name)}</b>, {samples}: noise {percent(point.noise_rms)}, bias {bias}, {_time(point.seconds)}"
+        words = (
+            f"{_key(point)}<b>{html.escape(name)}</b>, {samples}: noise {percent(point.noise_rms)}, bias {bias}, "
+            f"{_time(point.seconds)}"
+        )
         cells += _figure(error_map(picture, reference), words, f"error of {name}")
     text = (
-        f"Error of one render at the most samples: blue is too dark, brown too bright, full colour at {percent(ERROR_SHOWN)}. Grain is noise, a tint is bias."
+        f"Error of one render at the most samples: blue is too dark, brown too bright, full colour at "
+        f"{percent(ERROR_SHOWN)}. Grain is noise, a tint is bias."
     )
     return f"<p class=faint>{text}</p><div class=grid>{cells}</div>"
 
@@ -186,27 +203,53 @@ def _thumbnails(by_line: Mapping[str, Sequence[Point]], reference: Reference, pi
 def _figure(pixels: Array, caption: str, alt: str) -> str:
     again = max(1, math.ceil(LEAST_WIDTH / pixels.shape[1])) if pixels.shape[1] < LEAST_WIDTH / 4 else 1
     data = base64.b64encode(png(pixels.repeat(again, axis=0).repeat(again, axis=1))).decode()
-    return f'<figure><img src="data:image/png;base64,{data}" alt="{html.escape(alt)}"><figcaption>{caption}</figcaption></figure>'
+    return (
+        f'<figure><img src="data:image/png;base64,{data}" '
+        f'alt="{html.escape(alt)}"><figcaption>{caption}</figcaption></figure>'
+    )
 
 
 def _numbers(points: Sequence[Point]) -> str:
-    names = ("model", "samples", "time", "first call", "total", "noise", "bias of a pixel", "95th pct.", "FLIP", "bias of the mean", "std. err.")
+    names = (
+        "model",
+        "samples",
+        "time",
+        "first call",
+        "total",
+        "noise",
+        "bias of a pixel",
+        "95th pct.",
+        "FLIP",
+        "bias of the mean",
+        "std. err.",
+    )
     body = "".join(
-        f"<tr{' class=front' if p.on_front else ''}><td>{_key(p)}{html.escape(p.line)}{' (planned)' if p.planned else ''}</td>"
+        f"<tr{' class=front' if p.on_front else ''}><td>{_key(p)}{html.escape(p.line)}{' (planned)' if p.planned else ''}</td>"  # noqa: E501
         f"<td>{p.samples}</td><td>{_time(p.seconds)}</td><td>{_time(p.first_call_s)}</td><td>{percent(p.relative_rms)}</td><td>{percent(p.noise_rms)}</td>"
-        f"<td>{percent(p.bias_rms) if p.bias_is_seen else '&lt; ' + percent(p.bias_limit)}</td><td>{percent(p.p95)}</td>"
-        f"<td>{'' if math.isnan(p.flip) else f'{p.flip:.3f}'}</td><td>{100 * p.bias:+.2g} %</td><td>{percent(p.bias_error)}</td></tr>"
+        f"<td>{percent(p.bias_rms) if p.bias_is_seen else '&lt; ' + percent(p.bias_limit)}</td><td>{percent(p.p95)}</td>"  # noqa: E501
+        f"<td>{'' if math.isnan(p.flip) else f'{p.flip:.3f}'}</td><td>{100 * p.bias:+.2g} "
+        f"%</td><td>{percent(p.bias_error)}</td></tr>"
         for p in points
     )
     first = points[0]
-    own = "" if math.isnan(first.reference_flip) else f" FLIP between the two halves of the reference: {first.reference_flip:.3f}."
+    own = (
+        ""
+        if math.isnan(first.reference_flip)
+        else f" FLIP between the two halves of the reference: {first.reference_flip:.3f}."
+    )
     head = "".join(f"<th>{name}</th>" for name in names)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table><small>Bold: on the Pareto front.{own}</small>"
+    return (
+        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table><small>Bold: on the Pareto "
+        f"front.{own}</small>"
+    )
 
 
 def _tip(point: Point) -> str:
     bias = percent(point.bias_rms) if point.bias_is_seen else f"< {percent(point.bias_limit)}"
-    return f"{point.line}, {point.samples} samples: {_time(point.seconds)}, total {percent(point.relative_rms)}, noise {percent(point.noise_rms)}, bias {bias}"
+    return (
+        f"{point.line}, {point.samples} samples: {_time(point.seconds)}, total {percent(point.relative_rms)}, noise "
+        f"{percent(point.noise_rms)}, bias {bias}"
+    )
 
 
 def _alt(points: Sequence[Point]) -> str:
@@ -214,7 +257,7 @@ def _alt(points: Sequence[Point]) -> str:
 
 
 def _key(point: Point) -> str:
-    return f'<span class=key style="background:var(--{drawing.look(point.model)[0][1:]},{drawing.look(point.model)[0]})"></span>'
+    return f'<span class=key style="background:var(--{drawing.look(point.model)[0][1:]},{drawing.look(point.model)[0]})"></span>'  # noqa: E501
 
 
 def _time(value: float) -> str:
@@ -223,6 +266,7 @@ def _time(value: float) -> str:
 
 def _document(title: str, body: str) -> str:
     return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">'
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
+        f'content="width=device-width,initial-scale=1">'
         f"<title>{html.escape(title)}</title><style>{drawing.theme()}{CSS}</style></head>\n<body>{body}</body></html>\n"
     )

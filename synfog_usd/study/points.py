@@ -54,11 +54,12 @@ class Point:
         line: model and setting in words.
         model, scatterings, bands, denoise, samples: what was run; an empty cell of `scatterings` is without end.
         unbiased: whether the model has no bias by its making, and nothing was cut off or smoothed.
-        seconds: wall time of a render on a loaded scene whose kernel is there already, with what the model prepares for itself:
-            the least of RUNS - 1, since other work on the machine only adds to it.
+        seconds: wall time of a render on a loaded scene whose kernel is there already, with what the model prepares for
+            itself: the least of RUNS - 1, since other work on the machine only adds to it.
         first_call_s: wall time of the line's first render; what it has over `seconds` is the making of the kernel, or
             reading it from Dr.Jit's cache on disk.  Once a line, at its fewest samples; later points repeat no kernel.
-        relative_mse, relative_rms: mean square of the relative error of luminance over the pixels, and its root; the reference's variance is taken off.
+        relative_mse, relative_rms: mean square of the relative error of luminance over the pixels, and its root; the
+            reference's variance is taken off.
         noise_rms, bias_rms: what of it differs from seed to seed, and what stays; squares add up to `relative_mse`.
         bias_limit: bias of a pixel, RMS, that two standard errors leave room for; above it, none.
         bias_is_seen: whether `bias_rms` is more than three standard errors from none.
@@ -186,7 +187,9 @@ def _seconds(line: Sequence[Point], samples: float) -> float:
 
 
 def summary(stage: str, points: Sequence[Point]) -> list[dict[str, Any]]:
-    """One row a target: the cheapest line of ours, the cheapest unbiased one, the best peer, and how much faster than the peer."""
+    """One row a target: the cheapest line of ours, the cheapest unbiased one, the best peer, and how much faster than
+    the peer.
+    """
     rows, peers = [], having("peer")
     first = points[0]
     by_line = lines(points)
@@ -195,7 +198,9 @@ def summary(stage: str, points: Sequence[Point]) -> list[dict[str, Any]]:
         ours = [found for name, found in prices.items() if by_line[name][0].model not in peers]
         fair = [found for found in ours if by_line[found.line][0].unbiased]
         theirs = [found for name, found in prices.items() if by_line[name][0].model in peers]
-        best, unbiased, peer = (min(group, key=lambda found: found.seconds, default=None) for group in (ours, fair, theirs))
+        best, unbiased, peer = (
+            min(group, key=lambda found: found.seconds, default=None) for group in (ours, fair, theirs)
+        )
         row: dict[str, Any] = {"stage": stage, "target": target}
         for name, found in (("best", best), ("unbiased", unbiased), ("peer", peer)):
             row |= {name: found.line if found else "", f"{name}_samples": math.ceil(found.samples) if found else ""}
@@ -203,7 +208,11 @@ def summary(stage: str, points: Sequence[Point]) -> list[dict[str, Any]]:
         for name, found in (("best", best), ("unbiased", unbiased)):
             row[f"{name}_speedup"] = peer.seconds / found.seconds if peer and found else ""
         row |= {"planned": next((f"{point.line}, {point.samples}" for point in points if point.planned), "")}
-        row |= {"reference_model": first.reference_model, "reference_samples": first.reference_samples, "reference_rms": first.reference_rms}
+        row |= {
+            "reference_model": first.reference_model,
+            "reference_samples": first.reference_samples,
+            "reference_rms": first.reference_rms,
+        }
         row |= {"width": first.width, "height": first.height, "variant": first.variant, "machine": first.machine}
         rows.append(row)
     return rows
@@ -230,7 +239,10 @@ def read(text: str) -> list[Point]:
         "bool": lambda cell: cell == "1",
         "int | None": lambda cell: int(cell) if cell else None,
     }
-    return [Point(**{name: made[kind](row[name]) for name, kind in kinds.items()}) for row in csv.DictReader(io.StringIO(text))]  # type: ignore[operator]
+    return [
+        Point(**{name: made[kind](row[name]) for name, kind in kinds.items()})
+        for row in csv.DictReader(io.StringIO(text))
+    ]  # type: ignore[operator]
 
 
 def _cell(value: Any) -> Any:

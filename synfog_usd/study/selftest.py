@@ -39,8 +39,8 @@ class Result:
 
     Attributes:
         case, model: their names.
-        verdict: 'met', 'missed', 'noisy' (it could not have seen what it should), 'finite' (no truth was asked for), 'not finite', 'negative',
-            'refused', 'crashed' or 'skipped'.
+        verdict: 'met', 'missed', 'noisy' (it could not have seen what it should), 'finite' (no truth was asked for),
+            'not finite', 'negative', 'refused', 'crashed' or 'skipped'.
         counted: whether the case is in the model's stated domain and the model one of ours.
         failed: whether it makes the run fail.
         error: relative error of the mean, of the worst band of rows; nan where there is none.
@@ -73,11 +73,20 @@ class Result:
             text = f"neg. {self.count} px"
         else:
             text = f"{_short(100 * self.error, sign=True)}/{_short(100 * self.resolves)}"
-        return f"!{text}" if self.failed else text if self.counted or models.MODELS[self.model].peer or self.verdict == REFUSED else f"({text})"
+        return (
+            f"!{text}"
+            if self.failed
+            else text
+            if self.counted or models.MODELS[self.model].peer or self.verdict == REFUSED
+            else f"({text})"
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, with None where there is no number."""
-        return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in asdict(self).items()}
+        return {
+            key: None if isinstance(value, float) and not np.isfinite(value) else value
+            for key, value in asdict(self).items()
+        }
 
 
 def run(cases: Iterable[Case] | None = None, *, quick: bool = False) -> Iterator[list[Result]]:
@@ -110,7 +119,15 @@ def measure(case: Case, known: Known, model: str) -> Result:
     if case.layer:
         assert known.truth is not None
         seen = aovs.measure(load(known.scene)).transmittance.astype(np.float64)
-        return _judge(case, model, counted, np.full(SEEDS, seen.mean())[:, None], np.zeros(1), np.atleast_1d(np.mean(known.truth)), np.zeros(1))
+        return _judge(
+            case,
+            model,
+            counted,
+            np.full(SEEDS, seen.mean())[:, None],
+            np.zeros(1),
+            np.atleast_1d(np.mean(known.truth)),
+            np.zeros(1),
+        )
     samples = case.samples if ours else case.peer_samples
     try:
         if problem := models.MODELS[model].refuses(known.scene):
@@ -144,9 +161,17 @@ def table(results: Iterable[Iterable[Result]]) -> str:
     cells = [[result.cell() for result in row] for row in rows]
     wide = [max(len(text) for text in (name, *(row[at] for row in cells))) for at, name in enumerate(names)]
     first = max([len("error/resolves [%]"), *(len(row[0].case) for row in rows)])
-    lines = ["  ".join(["error/resolves [%]".ljust(first), *(name.rjust(width) for name, width in zip(names, wide, strict=True))])]
+    lines = [
+        "  ".join(
+            ["error/resolves [%]".ljust(first), *(name.rjust(width) for name, width in zip(names, wide, strict=True))]
+        )
+    ]
     for row, texts in zip(rows, cells, strict=True):
-        lines.append("  ".join([row[0].case.ljust(first), *(text.rjust(width) for text, width in zip(texts, wide, strict=True))]).rstrip())
+        lines.append(
+            "  ".join(
+                [row[0].case.ljust(first), *(text.rjust(width) for text, width in zip(texts, wide, strict=True))]
+            ).rstrip()
+        )
     return "\n".join(lines)
 
 
@@ -170,7 +195,9 @@ def describe(result: Result) -> str:
         return f"{result.count} pixels are below 0 by more than {LIMIT:g} standard errors"
     if result.why:
         return f"{result.verdict}: {result.why}"
-    return f"off by {result.error:+.3%}, with {result.resolves:.3%} resolved" + (", which is too noisy to tell" if result.verdict == NOISY else "")
+    return f"off by {result.error:+.3%}, with {result.resolves:.3%} resolved" + (
+        ", which is too noisy to tell" if result.verdict == NOISY else ""
+    )
 
 
 @dataclass(frozen=True)
@@ -193,20 +220,26 @@ def _render(world: SceneDict, model: str, samples: int, bands: int, seed: int) -
         image = np.asarray(exposure.mean(), dtype=np.float64).mean(axis=1).reshape(shape)
         broken += exposure.lost + int(np.count_nonzero(~np.isfinite(image)))
         images.append(image)
-        variances.append(np.asarray(exposure.variance(), dtype=np.float64).mean(axis=1).reshape(shape))  # grey worlds: the channels are one
+        variances.append(
+            np.asarray(exposure.variance(), dtype=np.float64).mean(axis=1).reshape(shape)
+        )  # grey worlds: the channels are one
     pooled, variance = np.mean(images, axis=0), np.mean(variances, axis=0) / SEEDS
     means = np.array([_bands(image, bands) for image in images])
     count = np.array([part.size for part in np.array_split(variance, bands)])
     stated = np.sqrt(_bands(variance, bands) / count)
     below = pooled < -LIMIT * np.sqrt(variance) - ROUNDING * np.abs(pooled).mean()
-    return _Seen(means, np.maximum(stated, means.std(axis=0, ddof=1) / np.sqrt(SEEDS)), broken, int(np.count_nonzero(below)))
+    return _Seen(
+        means, np.maximum(stated, means.std(axis=0, ddof=1) / np.sqrt(SEEDS)), broken, int(np.count_nonzero(below))
+    )
 
 
 def _bands(image: Array, bands: int) -> Array:
     return np.array([part.mean() for part in np.array_split(image, bands)])
 
 
-def _judge(case: Case, model: str, counted: bool, means: Array, error: Array, truth: Array, truth_error: Array) -> Result:
+def _judge(
+    case: Case, model: str, counted: bool, means: Array, error: Array, truth: Array, truth_error: Array
+) -> Result:
     size = np.abs(truth)
     noise = np.maximum(np.hypot(error, truth_error), ROUNDING * size) / size
     off = means.mean(axis=0) / truth - 1.0

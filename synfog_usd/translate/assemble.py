@@ -78,7 +78,14 @@ def translate(
         StageError: nothing to look with, fog that makes no sense, or a file that
             asks for more than a machine can hold; names the prim.
     """
-    choices = {"camera": camera, "frame": frame, "resolution": resolution, "lights": lights, "light_scale": light_scale, "sun_lux": sun_lux}
+    choices = {
+        "camera": camera,
+        "frame": frame,
+        "resolution": resolution,
+        "lights": lights,
+        "light_scale": light_scale,
+        "sun_lux": sun_lux,
+    }
     return with_boundaries(stage, fog_mor_m=fog_mor_m, **choices)[0]
 
 
@@ -108,7 +115,10 @@ def with_boundaries(
     bounds = scene.bounds(eye.to_world[:3, 3])
     fog = fog_around(scene.fog, fog_mor_m, eye, bounds, notes)
     if len(names := sorted(set(scene.group_of.values()))) > MOST:
-        raise StageError(f"{len(names)} light groups ({', '.join(names[:4])}, ...); at most {MOST} can be told apart: give lamps the same {ATTRIBUTE}")
+        raise StageError(
+            f"{len(names)} light groups ({', '.join(names[:4])}, ...); at most {MOST} can be told apart: give lamps "
+            f"the same {ATTRIBUTE}"
+        )
     world, times = _lit(scene, eye, light_scale, sun_lux, notes)
     made = SceneDict(
         world=world,
@@ -127,8 +137,12 @@ def with_boundaries(
     return made, tuple(boundary.path for boundary in scene.fog)
 
 
-def _lit(scene: _Assembler, eye: Camera, light_scale: float, sun_lux: float | None, notes: Diagnostics) -> tuple[dict[str, Any], float]:
-    """The scene's world at the light that is asked for, and by how much it was multiplied; a day that would come out as night is told."""
+def _lit(
+    scene: _Assembler, eye: Camera, light_scale: float, sun_lux: float | None, notes: Diagnostics
+) -> tuple[dict[str, Any], float]:
+    """The scene's world at the light that is asked for, and by how much it was multiplied; a day that would come out as
+    night is told.
+    """
     world = scene.world()
     outside = daylight.measured(world, eye)
     times = daylight.factor(outside, light_scale=light_scale, sun_lux=sun_lux)
@@ -137,7 +151,10 @@ def _lit(scene: _Assembler, eye: Camera, light_scale: float, sun_lux: float | No
         return daylight.brightened(world, times), times
     if 0.0 < outside.ground_lux < daylight.NIGHT_LUX:
         root = scene.stage.GetDefaultPrim()
-        names = [Path(scene.stage.GetRootLayer().realPath).stem, root.GetVariantSet(LIGHTING_VARIANT_SET).GetVariantSelection() if root else ""]
+        names = [
+            Path(scene.stage.GetRootLayer().realPath).stem,
+            root.GetVariantSet(LIGHTING_VARIANT_SET).GetVariantSelection() if root else "",
+        ]
         why = daylight.why_day([*names, *scene.sky_names], sun=outside.sun_lux > 0.0, blender=scene.is_blender)
         if why is not None:
             mend = "--sun-lux 80000" if outside.sun_lux > 0.0 else f"--light-scale {20000.0 / outside.ground_lux:.1g}"
@@ -151,7 +168,9 @@ def _lit(scene: _Assembler, eye: Camera, light_scale: float, sun_lux: float | No
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """No garbage collection meanwhile: all that is made lives on, and being looked at again and again is a tenth of the time."""
+    """No garbage collection meanwhile: all that is made lives on, and being looked at again and again is a tenth of the
+    time.
+    """
     was = gc.isenabled()
     gc.disable()
     try:
@@ -170,11 +189,19 @@ def _moment(stage: Usd.Stage, frame: float | None, notes: Diagnostics) -> Usd.Ti
         notes.info("", f"frame {stage.GetStartTimeCode():g}, the stage's first, is drawn; choose another with --frame")
         return Usd.TimeCode(stage.GetStartTimeCode())
     if has_skeletons(stage):
-        notes.info("", "frame 0 is drawn, because the stage names no first frame and its characters need one; choose another with --frame")
+        notes.info(
+            "",
+            "frame 0 is drawn, because the stage names no first frame and its characters need one; choose another "
+            "with --frame",
+        )
         return Usd.TimeCode(0.0)
     samples = [layer_samples[0] for layer in stage.GetUsedLayers() if (layer_samples := layer.ListAllTimeSamples())]
     if samples:
-        notes.info("", f"frame {min(samples):g}, the first with samples, is drawn, because the stage names no first frame; choose another with --frame")
+        notes.info(
+            "",
+            f"frame {min(samples):g}, the first with samples, is drawn, because the stage names no first frame; "
+            f"choose another with --frame",
+        )
         return Usd.TimeCode(min(samples))
     return Usd.TimeCode.Default()
 
@@ -203,7 +230,9 @@ def looked_from(
     return stage, time, space, replace(eye, to_world=place)
 
 
-def fog_around(found: list[FogVolume], mor_m: float | None, eye: Camera, bounds_m: Array, notes: Diagnostics) -> tuple[FogVolume, ...]:
+def fog_around(
+    found: list[FogVolume], mor_m: float | None, eye: Camera, bounds_m: Array, notes: Diagnostics
+) -> tuple[FogVolume, ...]:
     """Fog volumes within each other and with the visibility that is asked for, where the camera may stand."""
     fog = volume.nested(found)
     if mor_m is not None:
@@ -214,19 +243,27 @@ def fog_around(found: list[FogVolume], mor_m: float | None, eye: Camera, bounds_
     return fog
 
 
-def _overridden(fog: tuple[FogVolume, ...], mor_m: float, eye: Array, bounds_m: Array, notes: Diagnostics) -> tuple[FogVolume, ...]:
+def _overridden(
+    fog: tuple[FogVolume, ...], mor_m: float, eye: Array, bounds_m: Array, notes: Diagnostics
+) -> tuple[FogVolume, ...]:
     if fog or mor_m == 0.0 or math.isinf(mor_m):
         return volume.with_visibility(fog, mor_m)
     made = volume.layer(mor_m, bounds_m[0], bounds_m[1], eye)
     size = 2.0 * np.diag(made.boundary.to_world)[:3]
-    notes.warn("", f"the stage has no fog; a layer of {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} m around the camera is made for it")
+    notes.warn(
+        "",
+        f"the stage has no fog; a layer of {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} m around the camera is made "
+        f"for it",
+    )
     return (made,)
 
 
 class _Assembler:
     """Shapes, materials, lights, fog and labels of one scene, as they come."""
 
-    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagnostics, chooser: Chooser) -> None:
+    def __init__(
+        self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagnostics, chooser: Chooser
+    ) -> None:
         self.stage, self.space, self.time, self.notes, self.chooser = stage, space, time, notes, chooser
         self.images = ImageReader(notes)
         self.materials = Materials(time, notes, self.images)
@@ -271,10 +308,17 @@ class _Assembler:
             self.lights["light_sky"] = sky
             self.group_of["light_sky"] = SKY
             self.flux_of["light_sky"] = math.inf
-            self.note_emission("light_sky", *[self.stage.GetPrimAtPath(dome.path) for dome in self.domes], plain=sky["type"] == "constant")
+            self.note_emission(
+                "light_sky",
+                *[self.stage.GetPrimAtPath(dome.path) for dome in self.domes],
+                plain=sky["type"] == "constant",
+            )
 
     def world(self) -> dict[str, Any]:
-        drawn = [*self.shapes.values(), *[shape for group in self.groups.values() for name, shape in group.items() if name != "type"]]
+        drawn = [
+            *self.shapes.values(),
+            *[shape for group in self.groups.values() for name, shape in group.items() if name != "type"],
+        ]
         worn = {shape["bsdf"]["id"] for shape in drawn}
         materials = {key: bsdf for key, bsdf in self.materials.bsdfs.items() if key in worn}
         return {"type": "scene", **materials, **self.shapes, **self.groups, **self.placed, **self.lights}
@@ -301,7 +345,15 @@ class _Assembler:
             picture = leaf.prim.GetAttribute("inputs:texture:file").Get(self.time)
             self.sky_names += [leaf.prim.GetName(), Path(getattr(picture, "path", "")).stem]
         if kind in _DOMES:
-            dome = light.dome(leaf.prim, kind, matrix, self.time, self.notes, self.images, z_up=bool((self.space.axes == np.eye(4)).all()))
+            dome = light.dome(
+                leaf.prim,
+                kind,
+                matrix,
+                self.time,
+                self.notes,
+                self.images,
+                z_up=bool((self.space.axes == np.eye(4)).all()),
+            )
             if dome is not None:
                 self.domes.append(dome)
             return
@@ -317,7 +369,8 @@ class _Assembler:
         if fog_box:
             self.notes.warn(
                 leaf.path,
-                f"a closed mesh whose material has no surface is taken as fog of {volume.DEFAULT_MOR_M:g} m visibility; "
+                f"a closed mesh whose material has no surface is taken as fog of {volume.DEFAULT_MOR_M:g} m "
+                f"visibility; "
                 f"author {PREFIX}mor on it or on its parent for another value",
             )
             self.put_fog(leaf, None, matrix)
@@ -332,7 +385,16 @@ class _Assembler:
 
     def put_lamp(self, leaf: Leaf, kind: str, matrix: Array, placement: GroupInstance | None) -> None:
         convention = self.chooser.of(leaf.prim)
-        lamp = light.lamp(leaf.prim, kind, matrix, self.time, self.notes, self.images, metres_per_unit=self.space.metres_per_unit, convention=convention)
+        lamp = light.lamp(
+            leaf.prim,
+            kind,
+            matrix,
+            self.time,
+            self.notes,
+            self.images,
+            metres_per_unit=self.space.metres_per_unit,
+            convention=convention,
+        )
         if lamp is None:
             return
         for name in ("radiance", "irradiance", "intensity"):
@@ -353,14 +415,23 @@ class _Assembler:
             shape = geometry.mesh_shape(lamp.shape, self.materials.black().key, textured=False, colored=False)
         else:
             shape = {**lamp.shape, "bsdf": black}
-        instance = self.instance(leaf, placement) if leaf.owner is not None or (placement is not None and placement.owner is not None) else None
+        instance = (
+            self.instance(leaf, placement)
+            if leaf.owner is not None or (placement is not None and placement.owner is not None)
+            else None
+        )
         self.new_shape({**shape, "emitter": lamp.emitter}, instance)
 
     def note_emission(self, key: str, *prims: Usd.Prim, plain: bool = True) -> None:
         """The spectrum that stands on a light; one that several lights share, or a picture colours, has none."""
-        found = [(prim, curve) for prim in prims if (curve := spectrum.emission(prim, self.time, self.notes)) is not None]
+        found = [
+            (prim, curve) for prim in prims if (curve := spectrum.emission(prim, self.time, self.notes)) is not None
+        ]
         if found and (len(prims) > 1 or not plain):
-            self.notes.warn(found[0][0].GetPath(), "its emission spectrum is not drawn: the sky is of a picture, or of several domes")
+            self.notes.warn(
+                found[0][0].GetPath(),
+                "its emission spectrum is not drawn: the sky is of a picture, or of several domes",
+            )
         elif found:
             self.emission_of[key] = found[0][1]
 
@@ -368,13 +439,27 @@ class _Assembler:
         """Light group of a lamp: as authored on it or above it, else by what it is part of."""
         above = self.stage.GetPrimAtPath(placement.path) if placement is not None else None
         owner = leaf.owner or (placement.owner if placement is not None else None)
-        return authored_group(leaf.prim) or (authored_group(above) if above else None) or group_by_label(owner.label if owner is not None else UNLABELED)
+        return (
+            authored_group(leaf.prim)
+            or (authored_group(above) if above else None)
+            or group_by_label(owner.label if owner is not None else UNLABELED)
+        )
 
-    def add_shape(self, shape: dict[str, Any], emission: dict[str, Any] | None, nits: float, leaf: Leaf, placement: GroupInstance | None) -> None:
+    def add_shape(
+        self,
+        shape: dict[str, Any],
+        emission: dict[str, Any] | None,
+        nits: float,
+        leaf: Leaf,
+        placement: GroupInstance | None,
+    ) -> None:
         instance = self.instance(leaf, placement)
         if emission is not None:
             material = self.bindings.bound.get(str(leaf.prim.GetPath()))
-            self.note_emission(f"shape_{len(self.shapes)}", material.GetPrim() if material and not light.is_light_mesh(leaf.prim) else leaf.prim)
+            self.note_emission(
+                f"shape_{len(self.shapes)}",
+                material.GetPrim() if material and not light.is_light_mesh(leaf.prim) else leaf.prim,
+            )
             self.group_of[f"shape_{len(self.shapes)}"] = self.light_group(leaf, placement)
             light.refuse_blinding(leaf.path, np.asarray(nits))
             self.flux_of[f"shape_{len(self.shapes)}"] = math.pi * _area_of(shape) * nits
@@ -396,7 +481,13 @@ class _Assembler:
         single = len(places) == 1
         for leaf in leaves:
             kind = leaf.kind
-            if single or kind.endswith("Light") or kind in _DOMES or leaf.fog is not None or self.is_fog_box(leaf) is not False:
+            if (
+                single
+                or kind.endswith("Light")
+                or kind in _DOMES
+                or leaf.fog is not None
+                or self.is_fog_box(leaf) is not False
+            ):
                 for place in places:
                     self.put(leaf, to_scene @ place.matrix @ leaf.matrix, place)
                 continue
@@ -412,7 +503,10 @@ class _Assembler:
             return
         key = f"group_{len(self.groups)}"
         names = [f"shape_{n}" for n in range(len(shared))]
-        self.groups[key] = {"type": "shapegroup", **{name: shape for name, (_, shape) in zip(names, shared, strict=True)}}
+        self.groups[key] = {
+            "type": "shapegroup",
+            **{name: shape for name, (_, shape) in zip(names, shared, strict=True)},
+        }
         corners = self.corners(shared)
         for place in places:
             instance = f"instance_{len(self.placed)}"
@@ -433,7 +527,12 @@ class _Assembler:
 
     def bounds(self, eye: Array) -> Array:
         """(2, 3) corners of the box around the camera and all that is drawn."""
-        return np.array([np.min([eye, *[p.min(axis=0) for p in self.spread]], axis=0), np.max([eye, *[p.max(axis=0) for p in self.spread]], axis=0)])
+        return np.array(
+            [
+                np.min([eye, *[p.min(axis=0) for p in self.spread]], axis=0),
+                np.max([eye, *[p.max(axis=0) for p in self.spread]], axis=0),
+            ]
+        )
 
     # -- labels
 

@@ -38,14 +38,18 @@ class Bindings:
         prims = {leaf.path: leaf.prim for leaf in leaves}
         for leaf in leaves:
             if leaf.kind in MESHES and leaf.path not in self._below:
-                self._below[leaf.path] = [child for child in leaf.prim.GetFilteredChildren(_SEEN) if child.GetTypeName() == "GeomSubset"]
+                self._below[leaf.path] = [
+                    child for child in leaf.prim.GetFilteredChildren(_SEEN) if child.GetTypeName() == "GeomSubset"
+                ]
         prims |= {str(child.GetPath()): child for children in self._below.values() for child in children}
         if prims:
             materials = UsdShade.MaterialBindingAPI.ComputeBoundMaterials(list(prims.values()), UsdShade.Tokens.full)[0]
             self.bound = {path: material for path, material in zip(prims, materials, strict=True) if material}
             bare = [path for path in prims if path not in self.bound]
             if bare:
-                shown = UsdShade.MaterialBindingAPI.ComputeBoundMaterials([prims[path] for path in bare], UsdShade.Tokens.preview)[0]
+                shown = UsdShade.MaterialBindingAPI.ComputeBoundMaterials(
+                    [prims[path] for path in bare], UsdShade.Tokens.preview
+                )[0]
                 self._previewed = {path: material for path, material in zip(bare, shown, strict=True) if material}
 
     def finish_of(self, leaf: Leaf, path: str, *, varying_color: bool) -> Finish:
@@ -60,7 +64,9 @@ class Bindings:
             finish = self.materials.finish(material)
             if not finish.empty:
                 return finish
-            self.notes.warn(leaf.path, f"its material {material.GetPath()} has no surface; displayColor or grey is used")
+            self.notes.warn(
+                leaf.path, f"its material {material.GetPath()} has no surface; displayColor or grey is used"
+            )
         opacity = self.opacity_of(leaf.prim) if self.sheer else 1.0
         if varying_color:
             return self.materials.vertex_colored(opacity)
@@ -87,7 +93,9 @@ class Bindings:
             return leaf.color or finish.fallback or GREY
         primvar = UsdGeom.PrimvarsAPI(leaf.prim).FindPrimvarWithInheritance(finish.reads)
         values = primvar.ComputeFlattened(self.time) if primvar and primvar.HasAuthoredValue() else None
-        first = np.asarray(values[0] if values is not None and len(values) else finish.fallback or (0.0, 0.0, 0.0), dtype=np.float64).reshape(-1)
+        first = np.asarray(
+            values[0] if values is not None and len(values) else finish.fallback or (0.0, 0.0, 0.0), dtype=np.float64
+        ).reshape(-1)
         return (float(first[0]), float(first[1]), float(first[2])) if len(first) >= 3 else (float(first[0]),) * 3
 
     def subsets(self, leaf: Leaf) -> list[tuple[np.ndarray, Finish]]:
@@ -104,7 +112,12 @@ class Bindings:
             indices = subset.GetIndicesAttr().Get(self.time)
             if indices is None or not len(indices):
                 continue
-            found.append((np.asarray(indices, dtype=np.int64), self.finish_of(leaf, str(child.GetPath()), varying_color=varies(leaf))))
+            found.append(
+                (
+                    np.asarray(indices, dtype=np.int64),
+                    self.finish_of(leaf, str(child.GetPath()), varying_color=varies(leaf)),
+                )
+            )
         return found
 
 

@@ -28,7 +28,15 @@ _STILL_M, _STILL_RAD = 1e-6, 1e-7
 _EXPOSURE = ("exposure", "exposure:iso", "exposure:time", "exposure:fStop", "exposure:responsivity")
 
 
-def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagnostics, *, path: str | None, resolution: tuple[int, int] | None) -> Camera:
+def read_camera(
+    stage: Usd.Stage,
+    space: Space,
+    time: Usd.TimeCode,
+    notes: Diagnostics,
+    *,
+    path: str | None,
+    resolution: tuple[int, int] | None,
+) -> Camera:
     """The camera that looks, in the middle of its exposure where it moves.
 
     Args:
@@ -49,7 +57,9 @@ def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagn
     if parallel:
         focal = 1.0  # of no meaning: the aperture itself is what is seen
     if not (width_mm > 0.0 and height_mm > 0.0 and focal > 0.0 and math.isfinite(width_mm * height_mm * focal)):
-        raise StageError(f"{prim.GetPath()}: aperture {width_mm} x {height_mm} and focal length {focal} must be above 0")
+        raise StageError(
+            f"{prim.GetPath()}: aperture {width_mm} x {height_mm} and focal length {focal} must be above 0"
+        )
     width_px, height_px = _resolution(settings, resolution, width_mm / height_mm, prim)
     policy = settings.GetAspectRatioConformPolicyAttr().Get() if settings else "expandAperture"
     conformed_width, conformed_height = _conformed(width_mm, height_mm, width_px / height_px, str(policy), prim, notes)
@@ -59,26 +69,40 @@ def read_camera(stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagn
         notes.warn(prim.GetPath(), f"fStop is {f_number:g}, which is no f-number; the lens is drawn as a pinhole")
         f_number = 0.0
     if f_number > 0.0 and focal_m > _ABSURD_FOCAL_M:
-        notes.warn(prim.GetPath(), f"a focal length of {focal_m:.2f} m makes no sense for depth of field (wrong units); the lens is drawn as a pinhole")
+        notes.warn(
+            prim.GetPath(),
+            f"a focal length of {focal_m:.2f} m makes no sense for depth of field (wrong units); the lens is drawn as "
+            f"a pinhole",
+        )
         f_number = 0.0
     if f_number > 0.0 and not 0.0 < focus_m < math.inf:
-        what = "fStop without focusDistance" if focus_m == 0.0 else f"focusDistance is {lens.focusDistance:g}, which is no distance"
+        what = (
+            "fStop without focusDistance"
+            if focus_m == 0.0
+            else f"focusDistance is {lens.focusDistance:g}, which is no distance"
+        )
         notes.warn(prim.GetPath(), f"{what}; the lens is drawn as a pinhole")
         f_number = 0.0
     scale = camera.ComputeLinearExposureScale(time)
     if scale != 1.0 and any(prim.GetAttribute(name).HasAuthoredValue() for name in _EXPOSURE):
-        notes.info(prim.GetPath(), f"the camera's own exposure (a factor of {scale:.4g}) is not used; a bake meters its own")
+        notes.info(
+            prim.GetPath(), f"the camera's own exposure (a factor of {scale:.4g}) is not used; a bake meters its own"
+        )
     to_world = _place(prim, space, time)
     drift, turn = _motion(prim, space, time, notes)
     fov = PARALLEL_DEG if parallel else math.degrees(2.0 * math.atan(conformed_width / (2.0 * focal)))
     if not MIN_VIEW_DEG <= fov <= MAX_VIEW_DEG:
         raise StageError(
-            f"{prim.GetPath()}: an aperture of {width_mm:g} and a focal length of {focal:g} give an angle of view of {fov:.3g} degrees; "
+            f"{prim.GetPath()}: an aperture of {width_mm:g} and a focal length of {focal:g} give an angle of view of "
+            f"{fov:.3g} degrees; "
             f"{MIN_VIEW_DEG:g} to {MAX_VIEW_DEG:g} can be drawn"
         )
     shift = (lens.horizontalApertureOffset / conformed_width, lens.verticalApertureOffset / conformed_height)
     if not all(abs(part) <= MAX_SHIFT for part in shift):
-        raise StageError(f"{prim.GetPath()}: its aperture offset is {shift[0]:.3g} x {shift[1]:.3g} times the aperture; at most {MAX_SHIFT:g} can be drawn")
+        raise StageError(
+            f"{prim.GetPath()}: its aperture offset is {shift[0]:.3g} x {shift[1]:.3g} times the aperture; at most "
+            f"{MAX_SHIFT:g} can be drawn"
+        )
     return Camera(
         path=str(prim.GetPath()),
         to_world=to_world,
@@ -123,13 +147,24 @@ def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics, *,
     if not closes > opens:
         return time
     above = {prim.GetPath(), *prim.GetPath().GetAncestorsRange()}
-    moving = [one.GetPath() for one in stage.Traverse() if one.GetPath() not in above and one.IsA(UsdGeom.Xformable) and _might_move(one)]
+    moving = [
+        one.GetPath()
+        for one in stage.Traverse()
+        if one.GetPath() not in above and one.IsA(UsdGeom.Xformable) and _might_move(one)
+    ]
     if moving:
-        notes.info(moving[0], f"{len(moving)} prims may move while the shutter is open; only the camera's own motion blurs the picture")
+        notes.info(
+            moving[0],
+            f"{len(moving)} prims may move while the shutter is open; only the camera's own motion blurs the picture",
+        )
     if opens + closes == 0.0:
         return time
     middle = Usd.TimeCode(time.GetValue() + 0.5 * (opens + closes))
-    notes.info(prim.GetPath(), f"the shutter is open from {opens:g} to {closes:g} frames: the scene is drawn as it is at {middle.GetValue():g}")
+    notes.info(
+        prim.GetPath(),
+        f"the shutter is open from {opens:g} to {closes:g} frames: the scene is drawn as it is at "
+        f"{middle.GetValue():g}",
+    )
     return middle
 
 
@@ -148,8 +183,12 @@ def _place(prim: Usd.Prim, space: Space, time: Usd.TimeCode) -> np.ndarray:
     return _upright(space.matrix @ columns(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim)), prim)
 
 
-def _motion(prim: Usd.Prim, space: Space, time: Usd.TimeCode, notes: Diagnostics) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """(way [m], rotation vector [rad]) of a camera while it exposes, about the middle of which `time` is; zeros where it stands."""
+def _motion(
+    prim: Usd.Prim, space: Space, time: Usd.TimeCode, notes: Diagnostics
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """(way [m], rotation vector [rad]) of a camera while it exposes, about the middle of which `time` is; zeros where
+    it stands.
+    """
     still = (0.0, 0.0, 0.0)
     opens, closes = _shutter(prim, time)
     if time.IsDefault() or not closes > opens:
@@ -161,7 +200,9 @@ def _motion(prim: Usd.Prim, space: Space, time: Usd.TimeCode, notes: Diagnostics
     if np.linalg.norm(way) < _STILL_M and np.linalg.norm(vector) < _STILL_RAD:
         return still, still
     notes.info(
-        prim.GetPath(), f"the camera moves {np.linalg.norm(way):.3g} m and turns {math.degrees(float(np.linalg.norm(vector))):.3g} degrees while it exposes"
+        prim.GetPath(),
+        f"the camera moves {np.linalg.norm(way):.3g} m and turns {math.degrees(float(np.linalg.norm(vector))):.3g} "
+        f"degrees while it exposes",
     )
     return (float(way[0]), float(way[1]), float(way[2])), (float(vector[0]), float(vector[1]), float(vector[2]))
 
@@ -179,31 +220,50 @@ def _chosen(stage: Usd.Stage, settings: UsdRender.Settings, path: str | None, no
                 return stage.GetPrimAtPath(target)
             notes.warn(settings.GetPath(), f"names the camera {target}, which does not exist")
     if not known:
-        missing = "".join(f"; {note.path}: {note.text.removesuffix('; drawn without it')}" for note in composition_notes(stage)[:1] if MISSING in note.text)
-        advice = "put that file in its place" if missing else "add a Camera prim, or sublayer the stage under one that has one"
+        missing = "".join(
+            f"; {note.path}: {note.text.removesuffix('; drawn without it')}"
+            for note in composition_notes(stage)[:1]
+            if MISSING in note.text
+        )
+        advice = (
+            "put that file in its place"
+            if missing
+            else "add a Camera prim, or sublayer the stage under one that has one"
+        )
         raise StageError(f"{stage.GetRootLayer().identifier}: the stage has no camera{missing}; {advice}")
     if len(known) > 1:
         notes.info(known[0], f"the first of {len(known)} cameras is used; name another with --camera")
     return stage.GetPrimAtPath(known[0])
 
 
-def _resolution(settings: UsdRender.Settings, asked: tuple[int, int] | None, aspect: float, prim: Usd.Prim) -> tuple[int, int]:
+def _resolution(
+    settings: UsdRender.Settings, asked: tuple[int, int] | None, aspect: float, prim: Usd.Prim
+) -> tuple[int, int]:
     if asked is None and settings and settings.GetResolutionAttr().HasAuthoredValue():
         asked = tuple(int(n) for n in settings.GetResolutionAttr().Get())  # type: ignore[assignment]
     if asked is None:
         asked = (DEFAULT_WIDTH_PX, max(round(DEFAULT_WIDTH_PX / aspect), 1))
     if not all(1 <= n <= MAX_SIZE_PX for n in asked):
-        raise StageError(f"{prim.GetPath()}: a picture of {asked[0]} x {asked[1]} pixels; each side is 1 to {MAX_SIZE_PX}")
+        raise StageError(
+            f"{prim.GetPath()}: a picture of {asked[0]} x {asked[1]} pixels; each side is 1 to {MAX_SIZE_PX}"
+        )
     return asked
 
 
-def _conformed(width: float, height: float, aspect: float, policy: str, prim: Usd.Prim, notes: Diagnostics) -> tuple[float, float]:
+def _conformed(
+    width: float, height: float, aspect: float, policy: str, prim: Usd.Prim, notes: Diagnostics
+) -> tuple[float, float]:
     """Aperture that fits the picture's aspect, by UsdRender's aspectRatioConformPolicy."""
     wide = aspect > width / height
     if policy == "adjustPixelAspectRatio":
         notes.warn(prim.GetPath(), "pixels are square here; the aperture is expanded instead of stretching them")
         policy = "expandAperture"
-    keep_height = {"expandAperture": wide, "cropAperture": not wide, "adjustApertureWidth": True, "adjustApertureHeight": False}.get(policy, wide)
+    keep_height = {
+        "expandAperture": wide,
+        "cropAperture": not wide,
+        "adjustApertureWidth": True,
+        "adjustApertureHeight": False,
+    }.get(policy, wide)
     return (height * aspect, height) if keep_height else (width, width / aspect)
 
 

@@ -1,7 +1,8 @@
 """Faces of different materials that lie in one another, so that a renderer's rounding decides which is seen.
 
 Takes a translated scene; gives pairs of prims that have such faces.  Knows nothing of what stands before
-them: faces that nobody can see count, too.  Faces back to back, as of a box that stands on the ground, do not.  Small faces
+them: faces that nobody can see count, too.  Faces back to back, as of a box that stands on the ground, do not.  Small
+faces
 100 m from the origin are missed: their planes are known too badly.
 """
 
@@ -69,7 +70,8 @@ def coincident(scene: SceneDict) -> list[Overlap]:
     names = {0: "", **{instance.id: instance.path for instance in scene.instances}}
     origin = np.array(scene.origin_m)
     told = [
-        Overlap(names[one], names[other], len(pairs), tuple(float(x) for x in next(iter(pairs.values())) + origin)) for (one, other), pairs in found.items()
+        Overlap(names[one], names[other], len(pairs), tuple(float(x) for x in next(iter(pairs.values())) + origin))
+        for (one, other), pairs in found.items()
     ]
     return sorted(told, key=lambda overlap: (-overlap.faces, overlap.one, overlap.other))
 
@@ -98,7 +100,9 @@ def _triangles(scene: SceneDict) -> tuple[Array, npt.NDArray[np.int64], npt.NDAr
         if key.startswith("shape_"):
             take(value, None, scene.instance_of.get((key,), 0))
         elif key.startswith("instance_"):
-            group = next(str(part["id"]) for part in value.values() if isinstance(part, Mapping) and part.get("type") == "ref")
+            group = next(
+                str(part["id"]) for part in value.values() if isinstance(part, Mapping) and part.get("type") == "ref"
+            )
             for name, shape in scene.world[group].items():
                 if isinstance(shape, Mapping):
                     take(shape, np.asarray(value["to_world"], dtype=np.float64), scene.instance_of.get((key, name), 0))
@@ -124,20 +128,26 @@ def _planes(normal: Array, corners: Array, material: npt.NDArray[np.int64]) -> I
 
 
 def _pairs(flat: Array, away: Array, material: npt.NDArray[np.int64]) -> Iterator[tuple[int, int]]:
-    """Pairs of triangles (n, 3, 2) of one plane's axes that overlap, are nearer than `APART_M` (their corners' `away` (n, 3)) and differ in material."""
+    """Pairs of triangles (n, 3, 2) of one plane's axes that overlap, are nearer than `APART_M` (their corners' `away`
+    (n, 3)) and differ in material.
+    """
     low, high = flat.min(axis=1) + LEAST_M, flat.max(axis=1)
     order = np.argsort(low[:, 0], kind="stable")
     for rank, one in enumerate(order):
         rest = order[rank + 1 : np.searchsorted(low[order, 0], high[one, 0])]
         rest = rest[(material[rest] != material[one]) & (low[rest, 1] < high[one, 1]) & (low[one, 1] < high[rest, 1])]
-        rest = rest[(away[rest].min(axis=1) < away[one].max() + APART_M) & (away[one].min() < away[rest].max(axis=1) + APART_M)]
+        rest = rest[
+            (away[rest].min(axis=1) < away[one].max() + APART_M) & (away[one].min() < away[rest].max(axis=1) + APART_M)
+        ]
         for other in rest:
             if _overlap(flat[one], flat[other]):
                 yield int(one), int(other)
 
 
 def _overlap(one: Array, other: Array) -> bool:
-    """Whether two triangles (3, 2) overlap by more than `LEAST_M` along every edge's normal (theorem of the separating axis)."""
+    """Whether two triangles (3, 2) overlap by more than `LEAST_M` along every edge's normal (theorem of the separating
+    axis).
+    """
     edges = np.concatenate([one - np.roll(one, 1, axis=0), other - np.roll(other, 1, axis=0)])
     across = np.stack([-edges[:, 1], edges[:, 0]], axis=1)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)

@@ -48,8 +48,8 @@ USD = Convention("usd")
 
 CONVENTIONS = {
     "usd": USD,
-    # Blender 5.0.1's exporter (usd_light_convert.cc): watts over pi for lamps in metres, a quarter of the sun's strength and half of its angle,
-    # and 6500 K switched on for every lamp
+    # Blender 5.0.1's exporter (usd_light_convert.cc): watts over pi for lamps in metres, a quarter of the sun's
+    # strength and half of its angle, and 6500 K switched on for every lamp
     "blender": Convention("blender", sun=4.0, sun_angle=2.0, sun_normalized=True, square_metres=True, plain_6500=True),
     # Omniverse RTX before omni:rtx:usdluxVersion 2505
     "rtx-legacy": Convention("rtx-legacy", sun_normalized=True),
@@ -71,7 +71,10 @@ class Chooser:
 
     def __init__(self, stage: Usd.Stage, asked: str) -> None:
         if asked not in get_args(Lights):
-            raise ParameterError(f"--lights {asked}: lights are read by {', '.join(get_args(Lights))}.{did_you_mean(asked, get_args(Lights))}")
+            raise ParameterError(
+                f"--lights {asked}: lights are read by "
+                f"{', '.join(get_args(Lights))}.{did_you_mean(asked, get_args(Lights))}"
+            )
         self.asked = asked
         self.counts: Counter[str] = Counter()
         self._of_layer: dict[str, Convention] = {}
@@ -108,14 +111,20 @@ def _by_layer(layer: Sdf.Layer) -> Convention:
         return CONVENTIONS["blender"]
     data = layer.customLayerData
     settings = data.get("renderSettings", {})
-    rtx = [name for name in settings if str(name).startswith(("rtx:", "omni:rtx:"))] if isinstance(settings, dict) else []
+    rtx = (
+        [name for name in settings if str(name).startswith(("rtx:", "omni:rtx:"))] if isinstance(settings, dict) else []
+    )
     if not rtx and "omni_layer" not in data:
         return USD
     return USD if _version(settings) >= _SPECIFIED_SINCE else CONVENTIONS["rtx-legacy"]
 
 
 def _version(settings: Any) -> int:
-    value: Any = settings.get("omni:rtx:usdluxVersion", settings.get("rtx:usdluxVersion", 0)) if isinstance(settings, dict) else 0
+    value: Any = (
+        settings.get("omni:rtx:usdluxVersion", settings.get("rtx:usdluxVersion", 0))
+        if isinstance(settings, dict)
+        else 0
+    )
     try:
         return int(value)
     except (TypeError, ValueError):

@@ -51,7 +51,11 @@ def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostic
         return None
     sizes = counts[:, 0].astype(np.int64)
     if (sizes < 0).any() or sizes.sum() != len(points) or not np.isfinite(points).all():
-        notes.warn(path, f"curves whose counts do not fit their {len(points)} points, or whose points are no finite numbers, are left out")
+        notes.warn(
+            path,
+            f"curves whose counts do not fit their {len(points)} points, or whose points are no finite numbers, are "
+            f"left out",
+        )
         return None
     widths = array_at(prim, "widths", time, 1)
     if widths is None or not np.isfinite(widths).all() or not widths.max() > 0.0:
@@ -69,23 +73,36 @@ def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostic
     if facing is not None and not np.isfinite(facing).all():
         facing = None
     total = int(shape.segments.sum())
-    fits = [(sides, steps) for sides, steps in _COARSE_TO_FINE if 2 * sides * total * (steps if shape.cubic else 1) <= _FEW_TRIANGLES]
+    fits = [
+        (sides, steps)
+        for sides, steps in _COARSE_TO_FINE
+        if 2 * sides * total * (steps if shape.cubic else 1) <= _FEW_TRIANGLES
+    ]
     sides, steps = fits[-1] if fits else _COARSE_TO_FINE[0]
     sides = 1 if facing is not None else sides
     steps = steps if shape.cubic else 1
     if 2 * sides * total * steps > MOST_TRIANGLES:
-        notes.warn(path, f"{len(sizes)} curves would take {2 * sides * total * steps} triangles, of at most {MOST_TRIANGLES}; they are left out")
+        notes.warn(
+            path,
+            f"{len(sizes)} curves would take {2 * sides * total * steps} triangles, of at most {MOST_TRIANGLES}; they "
+            f"are left out",
+        )
         return None
     width_of = Spread(widths, str(api.GetWidthsInterpolation()), shape)
     if not width_of.fits:
-        notes.warn(path, f"widths are too few for their interpolation {api.GetWidthsInterpolation()!r}; the curves take the mean")
+        notes.warn(
+            path,
+            f"widths are too few for their interpolation {api.GetWidthsInterpolation()!r}; the curves take the mean",
+        )
     facing_of = None if facing is None else Spread(facing, str(spread), shape)
     made: list[tuple[Array, Indices, Array]] = []
     owners: list[Indices] = []
     for chosen in shape.alike():
         line = shape.line(chosen, steps)
         radius = 0.5 * np.maximum(width_of.along(chosen, steps)[..., 0], 0.0)
-        made.append(tubes(line, radius, sides) if facing_of is None else ribbons(line, radius, facing_of.along(chosen, steps)))
+        made.append(
+            tubes(line, radius, sides) if facing_of is None else ribbons(line, radius, facing_of.along(chosen, steps))
+        )
         owners.append(np.repeat(chosen, len(made[-1][0]) // len(chosen)))
     if not made:
         notes.warn(path, "curves of too few points for one segment are left out")
@@ -99,7 +116,9 @@ def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostic
     )
 
 
-def _shape(prim: Usd.Prim, kind: str, time: Usd.TimeCode, points: Array, sizes: Indices, notes: Diagnostics) -> Cubics | Hermite | Nurbs | None:
+def _shape(
+    prim: Usd.Prim, kind: str, time: Usd.TimeCode, points: Array, sizes: Indices, notes: Diagnostics
+) -> Cubics | Hermite | Nurbs | None:
     """How curves run, or None with a note."""
     path = prim.GetPath()
     if kind == "NurbsCurves":
@@ -118,7 +137,9 @@ def _shape(prim: Usd.Prim, kind: str, time: Usd.TimeCode, points: Array, sizes: 
     wrap = str(curves.GetWrapAttr().Get())
     basis = "linear" if str(curves.GetTypeAttr().Get()) == "linear" else str(curves.GetBasisAttr().Get())
     if basis not in (*_BASES, "linear"):
-        notes.warn(path, f"curves of basis {basis!r} are not known; they are drawn as straight lines between their points")
+        notes.warn(
+            path, f"curves of basis {basis!r} are not known; they are drawn as straight lines between their points"
+        )
         basis = "linear"
     return Cubics(points, sizes, np.array([_segments(int(n), basis, wrap) for n in sizes]), basis, wrap)
 
@@ -186,7 +207,9 @@ class Hermite:
     def line(self, chosen: Indices, steps: int) -> Array:
         """(F, S, 3) points along some curves: Bezier curves whose inner points lie a third of the tangents away."""
         point, tangent = (_of_curves(values, self.sizes, chosen) for values in (self.points, self.tangent))
-        inner = np.stack([point[:, :-1], point[:, :-1] + tangent[:, :-1] / 3.0, point[:, 1:] - tangent[:, 1:] / 3.0], axis=2)
+        inner = np.stack(
+            [point[:, :-1], point[:, :-1] + tangent[:, :-1] / 3.0, point[:, 1:] - tangent[:, 1:] / 3.0], axis=2
+        )
         control = np.concatenate([inner.reshape(len(chosen), -1, 3), point[:, -1:]], axis=1)
         return _sampled(control, "bezier", "nonperiodic", steps)
 
@@ -209,7 +232,11 @@ def read_points(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Trian
     shown = np.isfinite(points).all(axis=1) & np.isfinite(radius) & (radius > 0.0)
     normals, faces, fit = _ball(1 if 80 * len(points) <= _FEW_TRIANGLES else 0)
     if len(faces) * int(shown.sum()) > MOST_TRIANGLES:
-        notes.warn(path, f"{int(shown.sum())} points would take {len(faces) * int(shown.sum())} triangles, of at most {MOST_TRIANGLES}; they are left out")
+        notes.warn(
+            path,
+            f"{int(shown.sum())} points would take {len(faces) * int(shown.sum())} triangles, of at most "
+            f"{MOST_TRIANGLES}; they are left out",
+        )
         return None
     if not shown.any():
         notes.warn(path, "points that are no finite numbers or have no width are left out")
@@ -252,7 +279,9 @@ def _sampled(control: Array, basis: str, wrap: str, steps: int) -> Array:
     if closed:
         control = np.concatenate([control, control[:, : 1 if basis == "bezier" else 3]], axis=1)
     elif wrap == "pinned" and basis != "bezier":
-        control = np.concatenate([2 * control[:, :1] - control[:, 1:2], control, 2 * control[:, -1:] - control[:, -2:-1]], axis=1)
+        control = np.concatenate(
+            [2 * control[:, :1] - control[:, 1:2], control, 2 * control[:, -1:] - control[:, -2:-1]], axis=1
+        )
     stride = 3 if basis == "bezier" else 1
     first = np.arange(_segments(n, basis, wrap)) * stride
     t = np.arange(steps) / steps
@@ -288,12 +317,22 @@ class Spread:
 
     def __init__(self, values: Array, interpolation: str, shape: Cubics | Hermite | Nurbs) -> None:
         ends = shape.segments + (0 if shape.closed else 1)
-        per_curve = {"constant": None, "uniform": None, "vertex": shape.sizes, "varying": ends}.get(interpolation, shape.sizes)
+        per_curve = {"constant": None, "uniform": None, "vertex": shape.sizes, "varying": ends}.get(
+            interpolation, shape.sizes
+        )
         wanted = 1 if interpolation == "constant" else len(shape.sizes) if per_curve is None else int(per_curve.sum())
-        if len(values) < wanted and len(values) in (1, len(shape.sizes)):  # as many exporters mean it that leave the word out
+        if len(values) < wanted and len(values) in (
+            1,
+            len(shape.sizes),
+        ):  # as many exporters mean it that leave the word out
             interpolation, per_curve, wanted = ("constant" if len(values) == 1 else "uniform"), None, len(values)
         self.fits = len(values) >= wanted
-        self.values, self.kind, self.shape, self.per_curve = values, interpolation if self.fits else "mean", shape, per_curve
+        self.values, self.kind, self.shape, self.per_curve = (
+            values,
+            interpolation if self.fits else "mean",
+            shape,
+            per_curve,
+        )
 
     def along(self, chosen: Indices, steps: int) -> Array:
         """(F, S, C) or (F, 1, C) values at the samples of curves that are sampled together."""
@@ -309,7 +348,9 @@ class Spread:
 
 
 def _colors(prim: Usd.Prim, time: Usd.TimeCode, sizes: Indices, owner: Indices) -> Array | None:
-    """(N, 3) displayColor of each vertex, by the curve or point it belongs to; None where there is one colour at most."""
+    """(N, 3) displayColor of each vertex, by the curve or point it belongs to; None where there is one colour at
+    most.
+    """
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
     values = primvar.ComputeFlattened(time) if primvar and primvar.HasAuthoredValue() else None
     if values is None or primvar.GetInterpolation() == UsdGeom.Tokens.constant:

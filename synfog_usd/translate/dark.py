@@ -20,7 +20,8 @@ _CUBE = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]), axis=-1).re
 
 
 def why_black(scene: SceneDict) -> str | None:
-    """What keeps all light from the camera: no light at all, a solid around it, a near plane beyond everything, or nothing before it.
+    """What keeps all light from the camera: no light at all, a solid around it, a near plane beyond everything, or
+    nothing before it.
 
     Returns:
         one sentence with the fix; None where none of these is so, as in nearly every scene.
@@ -28,25 +29,38 @@ def why_black(scene: SceneDict) -> str | None:
     lights = [
         part
         for part in scene.world.values()
-        if isinstance(part, dict) and (part["type"] in (*_ALL_AROUND, "directional") or "emitter" in part or _is_lamp(part))
+        if isinstance(part, dict)
+        and (part["type"] in (*_ALL_AROUND, "directional") or "emitter" in part or _is_lamp(part))
     ]
     if not lights:
         return "the picture is black: the stage has no light that shines; add a DomeLight, or a lamp"
     eye = scene.camera.to_world[:3, 3]
     for shape, matrix, name in _shapes(scene.world):
-        if _opaque(scene.world, shape) and _surrounds(shape, matrix, eye) and not any(_surrounds(shape, matrix, place) for place in _places(lights)):
+        if (
+            _opaque(scene.world, shape)
+            and _surrounds(shape, matrix, eye)
+            and not any(_surrounds(shape, matrix, place) for place in _places(lights))
+        ):
             who = scene.instances[scene.instance_of[name] - 1].path if name in scene.instance_of else name[-1]
-            return f"the picture is black: the camera stands inside of {who}, a closed solid without a light in it; move the camera"
+            return (
+                f"the picture is black: the camera stands inside of {who}, a closed solid without a light in it; move "
+                f"the camera"
+            )
     if any(part["type"] in _ALL_AROUND for part in lights):
         return None  # the sky itself is seen
     ahead = [
-        float(((corners - eye) @ -scene.camera.to_world[:3, 2]).max()) for corners in (_corners(shape, matrix) for shape, matrix, _ in _shapes(scene.world))
+        float(((corners - eye) @ -scene.camera.to_world[:3, 2]).max())
+        for corners in (_corners(shape, matrix) for shape, matrix, _ in _shapes(scene.world))
     ]
     if not ahead or max(ahead) <= 0.0:
-        return "the picture is black: everything lies behind the camera, and there is no sky; turn the camera, which looks along its -Z"
+        return (
+            "the picture is black: everything lies behind the camera, and there is no sky; turn the camera, which "
+            "looks along its -Z"
+        )
     if max(ahead) <= scene.camera.near_m:
         return (
-            f"the picture is black: the camera's near clipping of {scene.camera.near_m:g} m lies beyond everything before it, "
+            f"the picture is black: the camera's near clipping of {scene.camera.near_m:g} m lies beyond everything "
+            f"before it, "
             f"which ends at {max(ahead):.3g} m, and there is no sky; lower clippingRange"
         )
     return None
@@ -126,6 +140,11 @@ def _surrounds(shape: Mapping[str, Any], matrix: Array, point: Array) -> bool:
     a, b, c = (shape["positions"][shape["faces"][:, k]] - local for k in range(3))
     la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
     top = np.einsum("ij,ij->i", a, cross(b, c))
-    bottom = la * lb * lc + np.einsum("ij,ij->i", a, b) * lc + np.einsum("ij,ij->i", b, c) * la + np.einsum("ij,ij->i", c, a) * lb
+    bottom = (
+        la * lb * lc
+        + np.einsum("ij,ij->i", a, b) * lc
+        + np.einsum("ij,ij->i", b, c) * la
+        + np.einsum("ij,ij->i", c, a) * lb
+    )
     turns = float(np.arctan2(top, bottom).sum()) / (2.0 * np.pi)
     return abs(turns) > 0.99

@@ -26,7 +26,9 @@ NIGHT_LUX = 100.0
 """Below it no day is meant: sunset under clear sky gives 400 lux, an overcast noon 10 000, civil twilight ends at 3."""
 
 _DAY = frozenset({"sun", "sunny", "sunlight", "day", "daylight", "daytime", "noon", "midday", "morning", "afternoon"})
-_NIGHT = frozenset({"night", "nighttime", "moon", "moonlight", "dusk", "dawn", "twilight", "evening", "midnight", "stars", "active"})
+_NIGHT = frozenset(
+    {"night", "nighttime", "moon", "moonlight", "dusk", "dawn", "twilight", "evening", "midnight", "stars", "active"}
+)
 _LIT = ("radiance", "irradiance", "intensity")
 
 
@@ -45,7 +47,9 @@ class Outdoors:
     view_cd_m2: float
 
     def __str__(self) -> str:
-        return f"sun and sky give {self.ground_lux:.3g} lux on open ground, and an open view {self.view_cd_m2:.3g} cd/m2"
+        return (
+            f"sun and sky give {self.ground_lux:.3g} lux on open ground, and an open view {self.view_cd_m2:.3g} cd/m2"
+        )
 
 
 def outdoors(scene: SceneDict) -> Outdoors:
@@ -86,7 +90,10 @@ def _texels(sky: Mapping[str, Any]) -> tuple[Array, Array, Array]:
     nits = np.asarray(sky["bitmap"], dtype=np.float64) @ LUMINANCE
     height, width = nits.shape
     azimuth, polar = 2.0 * np.pi * (np.arange(width) + 0.5) / width, np.pi * (np.arange(height)[:, None] + 0.5) / height
-    local = np.stack([np.sin(polar) * np.sin(azimuth), np.broadcast_to(np.cos(polar), nits.shape), -np.sin(polar) * np.cos(azimuth)], axis=-1)
+    local = np.stack(
+        [np.sin(polar) * np.sin(azimuth), np.broadcast_to(np.cos(polar), nits.shape), -np.sin(polar) * np.cos(azimuth)],
+        axis=-1,
+    )
     return nits, local @ sky["to_world"][:3, :3].T, 2.0 * np.pi**2 / (width * height) * np.sin(polar)
 
 
@@ -99,7 +106,8 @@ def _nearest(local: Array, shape: tuple[int, ...]) -> Any:
 
 
 def why_day(names: Iterable[str], *, sun: bool, blender: bool) -> str | None:
-    """What says that a day is meant: a name, a sun above the horizon, or a file without lux; None where nothing does, or a name speaks of night.
+    """What says that a day is meant: a name, a sun above the horizon, or a file without lux; None where nothing does,
+    or a name speaks of night.
 
     Args:
         names: of lights, of their pictures, of the stage's file and of the chosen lighting.
@@ -110,7 +118,13 @@ def why_day(names: Iterable[str], *, sun: bool, blender: bool) -> str | None:
     if not _NIGHT.isdisjoint(words):
         return None
     named = next((f"the name {name} says" for word, name in words.items() if word in _DAY), None)
-    return named or ("a sun above the horizon says" if sun else "a world from Blender, whose strength is seldom meant in nits, may say" if blender else None)
+    return named or (
+        "a sun above the horizon says"
+        if sun
+        else "a world from Blender, whose strength is seldom meant in nits, may say"
+        if blender
+        else None
+    )
 
 
 def factor(outside: Outdoors, *, light_scale: float, sun_lux: float | None) -> float:
@@ -122,7 +136,10 @@ def factor(outside: Outdoors, *, light_scale: float, sun_lux: float | None) -> f
     if sun_lux is None:
         return light_scale
     if not outside.sun_lux > 0.0:
-        raise ParameterError(f"--sun-lux {sun_lux:g}: the stage has no distant light that shines; multiply its lights by --light-scale instead")
+        raise ParameterError(
+            f"--sun-lux {sun_lux:g}: the stage has no distant light that shines; multiply its lights by --light-scale "
+            f"instead"
+        )
     return sun_lux / outside.sun_lux
 
 

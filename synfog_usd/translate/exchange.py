@@ -53,7 +53,9 @@ class Exchange:
     ) -> None:
         self._camera, self._frame, self._resolution = camera, frame, resolution
         light = {"lights": lights, "light_scale": light_scale, "sun_lux": sun_lux}
-        self.scene, boundaries = with_boundaries(stage, camera=camera, frame=frame, resolution=resolution, fog_mor_m=fog_mor_m, **light)
+        self.scene, boundaries = with_boundaries(
+            stage, camera=camera, frame=frame, resolution=resolution, fog_mor_m=fog_mor_m, **light
+        )
         begun = self._read(stage, fog_mor_m)
         self._begun = begun if begun is not None and boundaries == begun.boundaries else None
 
@@ -86,11 +88,17 @@ class Exchange:
         if any(leaf.fog is not None for group in found.groups for leaf in group.leaves):
             return None
         leaves = [leaf for leaf in found.leaves if leaf.fog is not None]
-        volumes = [made for leaf in leaves if (made := volume.fog_volume(leaf.prim, leaf.fog, space.matrix @ leaf.matrix, time, notes)) is not None]
+        volumes = [
+            made
+            for leaf in leaves
+            if (made := volume.fog_volume(leaf.prim, leaf.fog, space.matrix @ leaf.matrix, time, notes)) is not None
+        ]
         fog = fog_around(volumes, fog_mor_m, eye, self.scene.bounds_m, notes)
         boundaries = tuple(part.path for part in volumes)
         paths = frozenset(Sdf.Path(leaf.path) for leaf in leaves)
-        return _Fogs(chosen, said, others - paths, paths, boundaries, fog, notes.closed(lambda path: authored_path(stage, path)))
+        return _Fogs(
+            chosen, said, others - paths, paths, boundaries, fog, notes.closed(lambda path: authored_path(stage, path))
+        )
 
 
 @dataclass(frozen=True)
@@ -117,13 +125,22 @@ class _Fogs:
 
 
 def _only_fog(one: _Fogs, other: _Fogs) -> bool:
-    """Whether it is the same variant, or each prim of which either says anything is fog, or holds fog and nothing else."""
+    """Whether it is the same variant, or each prim of which either says anything is fog, or holds fog and nothing
+    else.
+    """
     if one.chosen == other.chosen:
         return True
     leaves, rest = one.leaves | other.leaves, one.others | other.others
-    return all(any(leaf.HasPrefix(path) for leaf in leaves) and not any(prim.HasPrefix(path) for prim in rest) for path in one.said | other.said)
+    return all(
+        any(leaf.HasPrefix(path) for leaf in leaves) and not any(prim.HasPrefix(path) for prim in rest)
+        for path in one.said | other.said
+    )
 
 
 def _others(stage: Usd.Stage) -> frozenset[Sdf.Path]:
     """Prims that are more than containers; what is not active or not defined is nothing."""
-    return frozenset(prim.GetPath() for prim in Usd.PrimRange(stage.GetPseudoRoot()) if prim.IsInstance() or prim.GetTypeName() not in _CONTAINERS)
+    return frozenset(
+        prim.GetPath()
+        for prim in Usd.PrimRange(stage.GetPseudoRoot())
+        if prim.IsInstance() or prim.GetTypeName() not in _CONTAINERS
+    )

@@ -71,7 +71,9 @@ class Triangles:
     colors: Array | None = None
 
 
-def part(polygons: Polygons, faces: npt.NDArray[np.bool_] | None, *, smooth_normals: Array | None = None) -> Triangles | None:
+def part(
+    polygons: Polygons, faces: npt.NDArray[np.bool_] | None, *, smooth_normals: Array | None = None
+) -> Triangles | None:
     """The triangles of some faces, with one set of vertices for all attributes.
 
     Args:
@@ -80,7 +82,11 @@ def part(polygons: Polygons, faces: npt.NDArray[np.bool_] | None, *, smooth_norm
         smooth_normals: (N, 3) normals of the points, from `point_normals`.
     """
     triangles = polygons.triangles
-    if faces is None and polygons.faces is not None and all(attribute.corner is None for attribute in polygons.attributes.values()):
+    if (
+        faces is None
+        and polygons.faces is not None
+        and all(attribute.corner is None for attribute in polygons.attributes.values())
+    ):
         own = {name: attribute.values for name, attribute in polygons.attributes.items()}
         normals = own.get("normals", smooth_normals)
         return Triangles(polygons.points, polygons.faces, normals, own.get("st"), own.get("color"))
@@ -96,7 +102,11 @@ def part(polygons: Polygons, faces: npt.NDArray[np.bool_] | None, *, smooth_norm
     else:
         key = point
         for index in split:
-            key = key * (int(index.max()) + 1) + index if int(key.max()) < 2**62 // (int(index.max()) + 1) else np.arange(len(key))
+            key = (
+                key * (int(index.max()) + 1) + index
+                if int(key.max()) < 2**62 // (int(index.max()) + 1)
+                else np.arange(len(key))
+            )
         _, chosen, vertex = np.unique(key, return_index=True, return_inverse=True)
         vertex = vertex.reshape(-1)
 

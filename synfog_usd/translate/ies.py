@@ -36,7 +36,9 @@ class Photometry:
 
     def at(self, vertical_deg: Any, horizontal_deg: Any) -> Array:
         """Candela in directions of any shape; 0 outside of the measured range of vertical angles."""
-        v, h = np.broadcast_arrays(np.asarray(vertical_deg, dtype=np.float64), np.mod(np.asarray(horizontal_deg, dtype=np.float64), 360.0))
+        v, h = np.broadcast_arrays(
+            np.asarray(vertical_deg, dtype=np.float64), np.mod(np.asarray(horizontal_deg, dtype=np.float64), 360.0)
+        )
         first, last = self.horizontal_deg[0], self.horizontal_deg[-1]
         if first == 90.0 and last == 270.0:
             h = np.where(h < 90.0, 180.0 - h, np.where(h > 270.0, 540.0 - h, h))
@@ -45,9 +47,14 @@ class Photometry:
             h = np.where(h > 90.0, 180.0 - h, h) if last <= 90.0 else h
         low_h, share_h = _place(self.horizontal_deg, h)
         low_v, share_v = _place(self.vertical_deg, v)
-        high_h, high_v = np.minimum(low_h + 1, len(self.horizontal_deg) - 1), np.minimum(low_v + 1, len(self.vertical_deg) - 1)
+        high_h, high_v = (
+            np.minimum(low_h + 1, len(self.horizontal_deg) - 1),
+            np.minimum(low_v + 1, len(self.vertical_deg) - 1),
+        )
         value = (1.0 - share_h) * ((1.0 - share_v) * self.candela[low_h, low_v] + share_v * self.candela[low_h, high_v])
-        value = value + share_h * ((1.0 - share_v) * self.candela[high_h, low_v] + share_v * self.candela[high_h, high_v])
+        value = value + share_h * (
+            (1.0 - share_v) * self.candela[high_h, low_v] + share_v * self.candela[high_h, high_v]
+        )
         return np.where((v >= self.vertical_deg[0] - 1e-9) & (v <= self.vertical_deg[-1] + 1e-9), value, 0.0)
 
     def flux_lm(self) -> float:
@@ -85,13 +92,22 @@ def parse(data: bytes, name: str) -> Photometry:
     factor, verticals, horizontals, kind = numbers[2], int(numbers[3]), int(numbers[4]), int(numbers[5])
     if kind != 1:
         raise StageError(f"{name}: photometry of type {kind}; only type C (1) is read")
-    if not (2 <= verticals <= _MOST_ANGLES and 1 <= horizontals <= _MOST_ANGLES) or len(numbers) < 13 + verticals + horizontals + verticals * horizontals:
+    if (
+        not (2 <= verticals <= _MOST_ANGLES and 1 <= horizontals <= _MOST_ANGLES)
+        or len(numbers) < 13 + verticals + horizontals + verticals * horizontals
+    ):
         raise StageError(f"{name}: {verticals} x {horizontals} angles do not fit its {len(numbers)} numbers")
     ballast = numbers[10] * (numbers[11] if numbers[11] > 0.0 else 1.0)
     angles = numbers[13:]
     vertical, horizontal = angles[:verticals], angles[verticals : verticals + horizontals]
     candela = angles[verticals + horizontals :][: verticals * horizontals].reshape(horizontals, verticals)
-    if (np.diff(vertical) <= 0.0).any() or (np.diff(horizontal) <= 0.0).any() or vertical[0] < 0.0 or vertical[-1] > 180.0 or horizontal[-1] > 360.0:
+    if (
+        (np.diff(vertical) <= 0.0).any()
+        or (np.diff(horizontal) <= 0.0).any()
+        or vertical[0] < 0.0
+        or vertical[-1] > 180.0
+        or horizontal[-1] > 360.0
+    ):
         raise StageError(f"{name}: its angles do not rise within 0 to 180 and 0 to 360 degrees")
     return Photometry(vertical, horizontal, np.maximum(candela * (factor * ballast), 0.0))
 

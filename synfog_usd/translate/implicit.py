@@ -30,7 +30,14 @@ def read_implicit(prim: Usd.Prim, kind: str, time: Usd.TimeCode) -> Triangles:
     axis = prim.GetAttribute("axis").Get() if prim.HasAttribute("axis") else "Z"
     if kind == "Plane":
         width, length = number("width", 2.0), number("length", 2.0)
-        corners = np.array([[-width / 2, -length / 2, 0], [width / 2, -length / 2, 0], [width / 2, length / 2, 0], [-width / 2, length / 2, 0]])
+        corners = np.array(
+            [
+                [-width / 2, -length / 2, 0],
+                [width / 2, -length / 2, 0],
+                [width / 2, length / 2, 0],
+                [-width / 2, length / 2, 0],
+            ]
+        )
         made = Triangles(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.tile([0.0, 0.0, 1.0], (4, 1)))
     else:
         height = number("height", 2.0 if kind in ("Cylinder", "Cylinder_1", "Cone") else 1.0)
@@ -70,7 +77,9 @@ def frustum(height: float, bottom: float, top: float) -> Triangles:
     slope = np.array([height, bottom - top]) / max(np.hypot(height, bottom - top), 1e-300)
     rings = [
         _revolved(np.array([0.0, bottom]), np.array([-height / 2] * 2), np.zeros(2), -np.ones(2)),
-        _revolved(np.array([bottom, top]), np.array([-height / 2, height / 2]), np.full(2, slope[0]), np.full(2, slope[1])),
+        _revolved(
+            np.array([bottom, top]), np.array([-height / 2, height / 2]), np.full(2, slope[0]), np.full(2, slope[1])
+        ),
         _revolved(np.array([top, 0.0]), np.array([height / 2] * 2), np.zeros(2), np.ones(2)),
     ]
     return _joined(rings)
@@ -90,7 +99,9 @@ def _revolved(radius: Array, z: Array, normal_r: Array, normal_z: Array) -> Tria
     around = np.arange(ROUND) * (2 * np.pi / ROUND)
     x, y = np.cos(around), np.sin(around)
     positions = np.stack([np.outer(radius, x), np.outer(radius, y), np.repeat(z[:, None], ROUND, axis=1)], axis=-1)
-    normals = np.stack([np.outer(normal_r, x), np.outer(normal_r, y), np.repeat(normal_z[:, None], ROUND, axis=1)], axis=-1)
+    normals = np.stack(
+        [np.outer(normal_r, x), np.outer(normal_r, y), np.repeat(normal_z[:, None], ROUND, axis=1)], axis=-1
+    )
     row, column = np.meshgrid(np.arange(len(z) - 1), np.arange(ROUND), indexing="ij")
     a, b = row * ROUND + column, row * ROUND + (column + 1) % ROUND
     c, d = b + ROUND, a + ROUND

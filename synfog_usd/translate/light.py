@@ -85,7 +85,9 @@ class _LightInputs:
         return default
 
 
-def emitted(prim: Usd.Prim, time: Usd.TimeCode, *, default_intensity: float = 1.0, convention: Convention = USD) -> Array:
+def emitted(
+    prim: Usd.Prim, time: Usd.TimeCode, *, default_intensity: float = 1.0, convention: Convention = USD
+) -> Array:
     """(3,) RGB of color x intensity x 2^exposure x blackbody tint, before any normalization."""
     inputs = _LightInputs(prim, time)
     color = np.array([float(c) for c in inputs.get("color", (1.0, 1.0, 1.0))])
@@ -136,7 +138,9 @@ def lamp(
     if convention.square_metres:
         metres_per_unit = 1.0
     if normalize and metres_per_unit != 1.0:
-        notes.info(path, f"'normalize' divides by the area in stage units of {metres_per_unit:g} m, as UsdLux specifies")
+        notes.info(
+            path, f"'normalize' divides by the area in stage units of {metres_per_unit:g} m, as UsdLux specifies"
+        )
     per_area = metres_per_unit**2 if normalize else 0.0  # area in stage units = area in m2 / metres_per_unit^2
     if kind == "SphereLight":
         return _sphere(inputs, radiance, per_area, matrix, path, notes)
@@ -155,7 +159,15 @@ def _shines(radiance: Array, path: object, notes: Diagnostics) -> bool:
     return bool(radiance.max() > 0.0)
 
 
-def mesh_light(prim: Usd.Prim, time: Usd.TimeCode, surface_m2: float, notes: Diagnostics, *, metres_per_unit: float, convention: Convention = USD) -> Array:
+def mesh_light(
+    prim: Usd.Prim,
+    time: Usd.TimeCode,
+    surface_m2: float,
+    notes: Diagnostics,
+    *,
+    metres_per_unit: float,
+    convention: Convention = USD,
+) -> Array:
     """(3,) radiance [cd m-2] of a mesh with MeshLightAPI, of a given area [m2]."""
     inputs = _LightInputs(prim, time)
     _unsupported(prim, inputs, notes)
@@ -163,10 +175,14 @@ def mesh_light(prim: Usd.Prim, time: Usd.TimeCode, surface_m2: float, notes: Dia
     radiance = np.maximum(radiance, 0.0) if _shines(radiance, prim.GetPath(), notes) else np.zeros(3)
     if convention.square_metres:
         metres_per_unit = 1.0
-    return radiance * metres_per_unit**2 / surface_m2 if inputs.get("normalize", False) and surface_m2 > 0.0 else radiance
+    return (
+        radiance * metres_per_unit**2 / surface_m2 if inputs.get("normalize", False) and surface_m2 > 0.0 else radiance
+    )
 
 
-def dome(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: Diagnostics, images: ImageReader, *, z_up: bool) -> Dome | None:
+def dome(
+    prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: Diagnostics, images: ImageReader, *, z_up: bool
+) -> Dome | None:
     """A dome light, or None where it is dark.
 
     The map's top is the light's local +Y; `DomeLight_1` may ask for the stage's up
@@ -191,7 +207,9 @@ def dome(prim: Usd.Prim, kind: str, matrix: Array, time: Usd.TimeCode, notes: Di
         return Dome(path, tint.astype(np.float32), turn)
     pixels = images.read(file, path) if file else None
     if pixels is None:
-        notes.warn(path, f"texture {authored} {'cannot be read' if file else 'is not found'}; the light is of one colour")
+        notes.warn(
+            path, f"texture {authored} {'cannot be read' if file else 'is not found'}; the light is of one colour"
+        )
         return Dome(path, tint.astype(np.float32), turn)
     node = TextureNode(path, file, authored, "rgb", "auto", "repeat", (1.0,) * 4, (0.0,) * 4, (0.0,) * 4, None)
     values = linear(pixels, srgb=is_srgb(node, pixels))
@@ -219,11 +237,15 @@ def merged_dome(domes: list[Dome], notes: Diagnostics) -> dict[str, Any] | None:
     first = maps[0]
     pixels = first.radiance + constant
     for other in maps[1:]:
-        pixels = pixels + turned(other.radiance, first.to_world[:3, :3], other.to_world[:3, :3], first.radiance.shape[:2])
+        pixels = pixels + turned(
+            other.radiance, first.to_world[:3, :3], other.to_world[:3, :3], first.radiance.shape[:2]
+        )
     return {"type": "envmap", "bitmap": np.ascontiguousarray(pixels, dtype=np.float32), "to_world": first.to_world}
 
 
-def turned(pixels: npt.NDArray[np.float32], wanted: Array, given: Array, size: tuple[int, ...]) -> npt.NDArray[np.float32]:
+def turned(
+    pixels: npt.NDArray[np.float32], wanted: Array, given: Array, size: tuple[int, ...]
+) -> npt.NDArray[np.float32]:
     """A latitude-longitude map in another frame, (H, W) = size, between texels by bilinear interpolation.
 
     Args:
@@ -231,7 +253,14 @@ def turned(pixels: npt.NDArray[np.float32], wanted: Array, given: Array, size: t
     """
     height, width = size
     azimuth, polar = 2.0 * np.pi * (np.arange(width) + 0.5) / width, np.pi * (np.arange(height)[:, None] + 0.5) / height
-    way = np.stack([np.sin(polar) * np.sin(azimuth), np.broadcast_to(np.cos(polar), (height, width)), -np.sin(polar) * np.cos(azimuth)], axis=-1)
+    way = np.stack(
+        [
+            np.sin(polar) * np.sin(azimuth),
+            np.broadcast_to(np.cos(polar), (height, width)),
+            -np.sin(polar) * np.cos(azimuth),
+        ],
+        axis=-1,
+    )
     local = way @ (given.T @ wanted).T
     x = np.arctan2(local[..., 0], -local[..., 2]) / (2.0 * np.pi) * pixels.shape[1] - 0.5
     y = np.arccos(np.clip(local[..., 1], -1.0, 1.0)) / np.pi * pixels.shape[0] - 0.5
@@ -255,7 +284,10 @@ def refuse_blinding(path: object, light: Array | npt.NDArray[np.float32]) -> Non
         StageError: with what it gives.
     """
     if not (most := float(np.max(light, initial=0.0))) <= MAX_NIT:
-        raise StageError(f"{path}: gives {most:.3g} (in nits, lux or candela); at most {MAX_NIT:g} can be counted: lower its intensity or exposure")
+        raise StageError(
+            f"{path}: gives {most:.3g} (in nits, lux or candela); at most {MAX_NIT:g} can be counted: lower its "
+            f"intensity or exposure"
+        )
 
 
 def area_emitter(radiance: Array) -> dict[str, Any]:
@@ -263,17 +295,31 @@ def area_emitter(radiance: Array) -> dict[str, Any]:
     return {"type": "area", "radiance": _rgb(radiance)}
 
 
-def _distant(radiance: Array, angle_deg: float, normalize: bool, matrix: Array, path: object, notes: Diagnostics) -> Lamp:
+def _distant(
+    radiance: Array, angle_deg: float, normalize: bool, matrix: Array, path: object, notes: Diagnostics
+) -> Lamp:
     """Irradiance E = L pi sin^2(angle / 2), or the intensity itself where normalized."""
     half = math.radians(min(max(angle_deg, 0.0), 180.0)) / 2.0
     factor = math.pi * math.sin(half) ** 2 if half > 0.0 else 1.0
     irradiance = radiance if normalize else radiance * factor
     if angle_deg > 1.0:
-        notes.info(path, f"a distant light {angle_deg:g} degrees wide is drawn as a point at infinity: its shadows are sharp")
-    return Lamp({"type": "directional", "irradiance": _rgb(irradiance), "to_world": rotation_of(matrix) @ TURN}, math.inf)
+        notes.info(
+            path, f"a distant light {angle_deg:g} degrees wide is drawn as a point at infinity: its shadows are sharp"
+        )
+    return Lamp(
+        {"type": "directional", "irradiance": _rgb(irradiance), "to_world": rotation_of(matrix) @ TURN}, math.inf
+    )
 
 
-def _shaped(intensity: Array, shaping: Shaping, matrix: Array, path: object, notes: Diagnostics, *, seen: Callable[[Array], Array] = as_ball) -> Lamp | None:
+def _shaped(
+    intensity: Array,
+    shaping: Shaping,
+    matrix: Array,
+    path: object,
+    notes: Diagnostics,
+    *,
+    seen: Callable[[Array], Array] = as_ball,
+) -> Lamp | None:
     """A lamp at a point, which far from its surface it is, with a table of its light.
 
     Args:
@@ -302,17 +348,29 @@ def _spot(intensity: Array, cone: tuple[float, float], matrix: Array) -> Lamp:
     solid_angle = 2.0 * math.pi * (1.0 - (math.cos(cutoff) + math.cos(beam)) / 2.0)
     place = rotation_of(matrix) @ TURN
     place[:3, 3] = matrix[:3, 3]
-    emitter = {"type": "spot", "intensity": _rgb(intensity), "cutoff_angle": cone[0], "beam_width": cone[1], "to_world": place}
+    emitter = {
+        "type": "spot",
+        "intensity": _rgb(intensity),
+        "cutoff_angle": cone[0],
+        "beam_width": cone[1],
+        "to_world": place,
+    }
     return Lamp(emitter, float(LUMINANCE @ intensity) * solid_angle)
 
 
-def _sphere(inputs: _LightInputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics) -> Lamp | None:
+def _sphere(
+    inputs: _LightInputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics
+) -> Lamp | None:
     radius = float(inputs.get("radius", 0.5))
     mean_scale = abs(float(np.linalg.det(matrix[:3, :3]))) ** (1.0 / 3.0)
     shaping = read_shaping(inputs, path, notes)
     if radius <= 0.0 or inputs.get("treatAsPoint", False):
         if radius <= 0.0 and not per_area:
-            notes.warn(path, "a light without size and without 'normalize' has no defined power; its intensity is taken as with 'normalize'")
+            notes.warn(
+                path,
+                "a light without size and without 'normalize' has no defined power; its intensity is taken as with "
+                "'normalize'",
+            )
             per_area = 1.0
         if per_area:
             stage_units = per_area  # (metres per unit)^2: I = L pi r^2 with L = intensity / (4 pi r^2)
@@ -336,12 +394,26 @@ def _sphere(inputs: _LightInputs, radiance: Array, per_area: float, matrix: Arra
 
 
 def _flat(
-    inputs: _LightInputs, kind: str, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics, images: ImageReader
+    inputs: _LightInputs,
+    kind: str,
+    radiance: Array,
+    per_area: float,
+    matrix: Array,
+    path: object,
+    notes: Diagnostics,
+    images: ImageReader,
 ) -> Lamp | None:
-    """A rectangle or disk in its XY plane that shines along -Z; a rectangle's picture has its left at +X and its top at +Y."""
+    """A rectangle or disk in its XY plane that shines along -Z; a rectangle's picture has its left at +X and its top at
+    +Y.
+    """
     picture = None
     if kind == "RectLight":
-        half_x, half_y, unit_area, native = float(inputs.get("width", 1.0)) / 2.0, float(inputs.get("height", 1.0)) / 2.0, 4.0, "rectangle"
+        half_x, half_y, unit_area, native = (
+            float(inputs.get("width", 1.0)) / 2.0,
+            float(inputs.get("height", 1.0)) / 2.0,
+            4.0,
+            "rectangle",
+        )
         picture = _picture(inputs, path, notes, images)
     else:
         half_x = half_y = float(inputs.get("radius", 0.5))
@@ -357,17 +429,28 @@ def _flat(
         shaping = None  # ShapingAPI as many programs apply it: nothing lies beyond 90 degrees anyway
     if shaping is not None:
         simple = kind == "DiskLight" and shaping.plain and picture is None
-        notes.info(path, f"{kind} with a cone is drawn as a spot at its centre" if simple else f"the shaped {kind} is drawn at its centre")
+        notes.info(
+            path,
+            f"{kind} with a cone is drawn as a spot at its centre"
+            if simple
+            else f"the shaped {kind} is drawn at its centre",
+        )
         if simple and shaping.cone is not None:
             return _spot(L * surface, shaping.cone, matrix)
         mean = L if picture is None else L * picture.reshape(-1, 3).mean(axis=0)
         return _shaped(mean * surface, shaping, matrix, path, notes, seen=as_card)
     if picture is not None:
-        radiance_map = np.ascontiguousarray((picture * L)[::-1], dtype=np.float32)  # its top is at +Y; Mitsuba's v runs from -Y
+        radiance_map = np.ascontiguousarray(
+            (picture * L)[::-1], dtype=np.float32
+        )  # its top is at +Y; Mitsuba's v runs from -Y
         nits = float(LUMINANCE @ radiance_map.mean(axis=(0, 1), dtype=np.float64))
-        emitter = {"type": "area", "radiance": {"type": "bitmap", "bitmap": radiance_map, "raw": True, "wrap_mode": "clamp"}}
+        emitter = {
+            "type": "area",
+            "radiance": {"type": "bitmap", "bitmap": radiance_map, "raw": True, "wrap_mode": "clamp"},
+        }
         return Lamp(emitter, math.pi * surface * nits, {"type": native, "to_world": place})
-    # its normal stays along the light's -Z: Mitsuba takes a normal with the inverse transpose, so thickness along Z does not matter
+    # its normal stays along the light's -Z: Mitsuba takes a normal with the inverse transpose, so thickness along Z
+    # does not matter
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), {"type": native, "to_world": place})
 
 
@@ -379,14 +462,18 @@ def _picture(inputs: _LightInputs, path: object, notes: Diagnostics, images: Ima
     file = getattr(asset, "resolvedPath", "") or ""
     pixels = images.read(file, str(path)) if file else None
     if pixels is None:
-        notes.warn(path, f"texture {authored} {'cannot be read' if file else 'is not found'}; the light is of one colour")
+        notes.warn(
+            path, f"texture {authored} {'cannot be read' if file else 'is not found'}; the light is of one colour"
+        )
         return None
     node = TextureNode(str(path), file, authored, "rgb", "auto", "clamp", (1.0,) * 4, (0.0,) * 4, (0.0,) * 4, None)
     values = linear(pixels, srgb=is_srgb(node, pixels)).astype(np.float64)
     return np.maximum(np.repeat(values[..., :1], 3, axis=2) if values.shape[2] < 3 else values[..., :3], 0.0)
 
 
-def _cylinder(inputs: _LightInputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics) -> Lamp | None:
+def _cylinder(
+    inputs: _LightInputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics
+) -> Lamp | None:
     """A cylinder along X that shines from its side, not from its ends."""
     length, radius = float(inputs.get("length", 1.0)), float(inputs.get("radius", 0.5))
     if inputs.get("treatAsLine", False) or radius <= 0.0 or length <= 0.0:
@@ -394,12 +481,18 @@ def _cylinder(inputs: _LightInputs, radiance: Array, per_area: float, matrix: Ar
         radius, length = max(radius, 0.001), max(length, 0.001)
     side = _side(length, radius)
     shape = placed(side, matrix)
-    surface = area(shape) if not is_similarity(matrix) else 2.0 * math.pi * radius * length * abs(float(np.linalg.det(matrix[:3, :3]))) ** (2.0 / 3.0)
+    surface = (
+        area(shape)
+        if not is_similarity(matrix)
+        else 2.0 * math.pi * radius * length * abs(float(np.linalg.det(matrix[:3, :3]))) ** (2.0 / 3.0)
+    )
     L = radiance * per_area / surface if per_area else radiance
     shaping = read_shaping(inputs, path, notes)
     if shaping is not None:
         notes.info(path, "the shaped CylinderLight is drawn at its centre")
-        return _shaped(L * surface / math.pi, shaping, matrix, path, notes, seen=as_tube)  # broadside a tube shows 2 r l of its side 2 pi r l
+        return _shaped(
+            L * surface / math.pi, shaping, matrix, path, notes, seen=as_tube
+        )  # broadside a tube shows 2 r l of its side 2 pi r l
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), shape)
 
 
@@ -425,7 +518,9 @@ def _unsupported(prim: Usd.Prim, inputs: _LightInputs, notes: Diagnostics) -> No
     if any(float(c) > 0.0 for c in inputs.get("shadow:color", (0.0, 0.0, 0.0))) or any(
         float(inputs.get(f"shadow:{n}", -1.0)) > 0.0 for n in ("distance", "falloff")
     ):
-        notes.warn(path, "the colour, reach and falloff of shadows are not drawn; a shadow is what light does not reach")
+        notes.warn(
+            path, "the colour, reach and falloff of shadows are not drawn; a shadow is what light does not reach"
+        )
     for name in ("lightLink", "shadowLink"):
         root = prim.GetAttribute(f"collection:{name}:includeRoot")
         excluded = prim.GetRelationship(f"collection:{name}:excludes")

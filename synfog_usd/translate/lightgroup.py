@@ -37,7 +37,10 @@ def authored_group(prim: Any) -> str | None:
 def _checked(prim: Any, name: Any) -> str:
     """The name, which becomes part of channel names in an EXR file."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_-]{1,32}", name):
-        raise StageError(f"{prim.GetPath()}: {ATTRIBUTE} = {str(name)[:40]!r}; a light group is 1 to 32 letters, digits, _ or -, such as {HEADLIGHTS!r}")
+        raise StageError(
+            f"{prim.GetPath()}: {ATTRIBUTE} = {str(name)[:40]!r}; a light group is 1 to 32 letters, digits, _ or -, "
+            f"such as {HEADLIGHTS!r}"
+        )
     return name
 
 

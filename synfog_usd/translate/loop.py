@@ -12,7 +12,19 @@ import numpy as np
 from scipy import sparse
 
 from synfog_usd.arrays import Array
-from synfog_usd.translate.subdivide import INFINITE, Cage, Edges, Fine, Moved, between, is_fractional, neighbours, rules, smooth_patches, softened
+from synfog_usd.translate.subdivide import (
+    INFINITE,
+    Cage,
+    Edges,
+    Fine,
+    Moved,
+    between,
+    is_fractional,
+    neighbours,
+    rules,
+    smooth_patches,
+    softened,
+)
 
 
 def subdivided(points: Array, cage: Cage, level: int) -> Fine:
@@ -31,7 +43,12 @@ def subdivided(points: Array, cage: Cage, level: int) -> Fine:
         face_of = np.repeat(face_of, 4)
     edges = Edges(cage)
     sharp = edges.sharpness(cage)
-    return Fine(_on_limit(values, cage, edges, sharp, corner_sharpness), cage.indices, face_of, smooth_patches(cage, edges, sharp))
+    return Fine(
+        _on_limit(values, cage, edges, sharp, corner_sharpness),
+        cage.indices,
+        face_of,
+        smooth_patches(cage, edges, sharp),
+    )
 
 
 def _divided(values: Array, cage: Cage, corner_sharpness: Array) -> tuple[Array, Cage, Array]:
@@ -48,7 +65,9 @@ def _divided(values: Array, cage: Cage, corner_sharpness: Array) -> tuple[Array,
     now = _vertex_points(values, cage, edges, sharp, corner_sharpness)
     vertex_points = now.values
     if is_fractional(sharp, corner_sharpness):
-        vertex_points = between(now, _vertex_points(values, cage, edges, later_sharp, later_corner), edges.ends, sharp, corner_sharpness)
+        vertex_points = between(
+            now, _vertex_points(values, cage, edges, later_sharp, later_corner), edges.ends, sharp, corner_sharpness
+        )
 
     a, b, c = cage.indices.reshape(-1, 3).T
     ab, bc, ca = points + edges.of_corner.reshape(-1, 3).T
@@ -69,11 +88,21 @@ def _ring_weight(degree: Array) -> Array:
     return np.asarray((0.625 - (0.375 + 0.25 * np.cos(2.0 * np.pi / degree)) ** 2) / degree)
 
 
-def _moved(values: Array, cage: Cage, edges: Edges, sharp: Array, corner_sharpness: Array, weight: Array, along: float) -> Moved:
-    """Points as means of themselves and their neighbours: `weight` (N,) for each of these where it is smooth, `along` for the two of a crease."""
+def _moved(
+    values: Array, cage: Cage, edges: Edges, sharp: Array, corner_sharpness: Array, weight: Array, along: float
+) -> Moved:
+    """Points as means of themselves and their neighbours: `weight` (N,) for each of these where it is smooth, `along`
+    for the two of a crease.
+    """
     points = len(values)
     degree = np.bincount(edges.ends.reshape(-1), minlength=points)
-    rule = rules(edges.ends, sharp, corner_sharpness, np.bincount(cage.indices, minlength=points) == 1, sharp_ends=cage.sharp_ends)
+    rule = rules(
+        edges.ends,
+        sharp,
+        corner_sharpness,
+        np.bincount(cage.indices, minlength=points) == 1,
+        sharp_ends=cage.sharp_ends,
+    )
     around = neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values)
     smooth = (1.0 - degree * weight)[:, None] * values + weight[:, None] * around
     crease = (1.0 - 2.0 * along) * values + along * neighbours(edges.ends, sharp > 0.0, values)

@@ -19,7 +19,16 @@ from synfog_usd.colour import LUMINANCE
 from synfog_usd.translate import spectrum
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.networks import RefusedError, fed_by, is_textured, native, omni_texture
-from synfog_usd.translate.texture import ImageReader, TextureNode, UvSource, linear, producer, sampled, shader_id, value_of
+from synfog_usd.translate.texture import (
+    ImageReader,
+    TextureNode,
+    UvSource,
+    linear,
+    producer,
+    sampled,
+    shader_id,
+    value_of,
+)
 from synfog_usd.translate.wrap import MODES
 
 GREY = (0.18, 0.18, 0.18)
@@ -87,7 +96,9 @@ class Materials:
         if curve is None:
             return made
         key = self._add(self.bsdfs[made.key], curve)
-        return replace(made, key=key, plain=self._add(self.bsdfs[made.plain], curve) if made.plain is not None else None)
+        return replace(
+            made, key=key, plain=self._add(self.bsdfs[made.plain], curve) if made.plain is not None else None
+        )
 
     def colored(self, color: tuple[float, ...], opacity: float = 1.0) -> Finish:
         """A matte finish of one colour, for shapes without a material."""
@@ -104,7 +115,9 @@ class Materials:
     def _matte(self, key: tuple[Any, ...], reflectance: dict[str, Any], opacity: float) -> Finish:
         if key not in self._by_color:
             bsdf: dict[str, Any] = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
-            self._by_color[key] = self._add(bsdf if opacity >= 1.0 else {"type": "mask", "opacity": opacity, "bsdf": bsdf})
+            self._by_color[key] = self._add(
+                bsdf if opacity >= 1.0 else {"type": "mask", "opacity": opacity, "bsdf": bsdf}
+            )
         return Finish(self._by_color[key])
 
     def black(self) -> Finish:
@@ -130,7 +143,11 @@ class Materials:
             try:
                 bsdf = native(own, self.time, self.images)
                 textured = is_textured(bsdf)
-                return Finish(self._add(bsdf), uv=UvSource("st") if textured else None, plain=self._add(_without_textures(bsdf)) if textured else None)
+                return Finish(
+                    self._add(bsdf),
+                    uv=UvSource("st") if textured else None,
+                    plain=self._add(_without_textures(bsdf)) if textured else None,
+                )
             except RefusedError as error:
                 self.notes.warn(path, f"outputs:mitsuba:surface is not drawn: {error}")
         sources = [material.ComputeSurfaceSource(context)[0] for context in ("", "mtlx", "mdl")]
@@ -138,22 +155,39 @@ class Materials:
         if not shader:
             outputs = [o for o in material.GetOutputs() if o.HasConnectedSource()]
             if outputs and not all(o.GetBaseName() == "volume" for o in outputs):
-                self.notes.warn(path, "material's outputs lead to no shader that is known; its shapes take displayColor or grey")
-            return Finish(self.colored(GREY).key, empty=not outputs or all(o.GetBaseName() == "volume" for o in outputs))
+                self.notes.warn(
+                    path, "material's outputs lead to no shader that is known; its shapes take displayColor or grey"
+                )
+            return Finish(
+                self.colored(GREY).key, empty=not outputs or all(o.GetBaseName() == "volume" for o in outputs)
+            )
         kind = shader_id(shader.GetPrim())
         if kind == "UsdPreviewSurface" or kind.startswith("ND_UsdPreviewSurface"):
             return self._surface(shader, _PREVIEW, path)
         if kind.startswith(("ND_standard_surface", "ND_open_pbr")):
-            self.notes.info(path, f"{kind} is drawn as a preview surface: base, roughness, metalness, coat, emission, opacity and normal map")
+            self.notes.info(
+                path,
+                f"{kind} is drawn as a preview surface: base, roughness, metalness, coat, emission, opacity and "
+                f"normal map",
+            )
             return self._surface(shader, _OPEN_PBR if kind.startswith("ND_open_pbr") else _STANDARD_SURFACE, path)
         mdl = shader.GetPrim().GetAttribute("info:mdl:sourceAsset:subIdentifier")
         if mdl and str(mdl.Get()).startswith("OmniPBR"):
-            self.notes.info(path, "OmniPBR is drawn as a preview surface: constants and textures of its base, roughness, metalness, opacity and normals")
+            self.notes.info(
+                path,
+                "OmniPBR is drawn as a preview surface: constants and textures of its base, roughness, metalness, "
+                "opacity and normals",
+            )
             return self._surface(shader, _OMNI_PBR, path)
         if mdl and str(mdl.Get()).startswith("OmniGlass"):
-            self.notes.warn(path, "OmniGlass is drawn as a thin pane: it reflects and lets light through straight, without refraction")
+            self.notes.warn(
+                path,
+                "OmniGlass is drawn as a thin pane: it reflects and lets light through straight, without refraction",
+            )
             return self._glass(shader)
-        self.notes.warn(path, f"shader {kind or (mdl and mdl.Get()) or 'of an unknown type'} is not known; the material is grey")
+        self.notes.warn(
+            path, f"shader {kind or (mdl and mdl.Get()) or 'of an unknown type'} is not known; the material is grey"
+        )
         return self.colored(GREY)
 
     def _glass(self, shader: UsdShade.Shader) -> Finish:
@@ -172,7 +206,11 @@ class Materials:
             specular = inputs.constant_color("specularColor", (0.0, 0.0, 0.0))
             f0 = min(float(np.mean(specular)), 0.99)
             ior = (1.0 + f0**0.5) / (1.0 - f0**0.5)
-            self.notes.info(path, f"specular workflow is drawn with an index of refraction of {ior:.2f} for the mean of its specularColor")
+            self.notes.info(
+                path,
+                f"specular workflow is drawn with an index of refraction of {ior:.2f} for the mean of its "
+                f"specularColor",
+            )
         elif metallic != 0.0:
             bsdf["metallic"] = metallic
         bsdf["eta"] = max(float(ior), _MIN_IOR)
@@ -186,7 +224,11 @@ class Materials:
         if opacity is not None:
             bsdf = {"type": "mask", "opacity": opacity, "bsdf": bsdf}
             if not isinstance(opacity, dict) and str(inputs.constant("opacityMode", "transparent")) == "transparent":
-                self.notes.info(path, f"opacity {opacity:.2f} lets light through straight and takes its share of the reflection too; no refraction")
+                self.notes.info(
+                    path,
+                    f"opacity {opacity:.2f} lets light through straight and takes its share of the reflection too; no "
+                    f"refraction",
+                )
         emission, nits = inputs.emission()
         if inputs.producer("displacement"):
             self.notes.warn(path, "displacement is not drawn")
@@ -195,7 +237,9 @@ class Materials:
                 self.notes.warn(path, f"{name} is not drawn")
         key = self._add(bsdf)
         plain = self._add(_without_textures(bsdf)) if inputs.uv is not None else None
-        return Finish(key, emission, nits, inputs.uv, plain, inputs.vertex_color, inputs.reads, inputs.fallback, inputs.unsaid)
+        return Finish(
+            key, emission, nits, inputs.uv, plain, inputs.vertex_color, inputs.reads, inputs.fallback, inputs.unsaid
+        )
 
     def _bumped(self, bsdf: dict[str, Any], inputs: _ShaderInputs, path: object) -> dict[str, Any]:
         node = inputs.texture("normal")
@@ -210,10 +254,14 @@ class Materials:
             scale, bias = 2.0 * scale, -scale
         if not np.allclose(bias, -0.5 * scale) or not np.isclose(scale[2], 2.0) or not np.all(np.abs(scale) > 0.0):
             self.notes.warn(
-                path, "normal map with an unusual scale and bias is left out; (2, 2, 2) and (-1, -1, -1) are known, red and green also turned or weaker"
+                path,
+                "normal map with an unusual scale and bias is left out; (2, 2, 2) and (-1, -1, -1) are known, red and "
+                "green also turned or weaker",
             )
             return bsdf
-        along_u, along_v = ("clamp" if mode == "black" else mode for mode in self.images.wraps(node))  # no normal is black
+        along_u, along_v = (
+            "clamp" if mode == "black" else mode for mode in self.images.wraps(node)
+        )  # no normal is black
         node = replace(node, wrap=along_u, wrap_v=along_v)
         values = linear(pixels[..., :3], srgb=False)
         if untouched and pixels.dtype != np.uint8:
@@ -351,7 +399,11 @@ class _ShaderInputs:
         node = self.texture(name)
         if node is not None:
             value = sampled(node, self.images, channels=3)
-            return value if isinstance(value, tuple) else tuple(float(c) for c in linear(value, srgb=value.dtype == np.uint8).mean(axis=(0, 1)))
+            return (
+                value
+                if isinstance(value, tuple)
+                else tuple(float(c) for c in linear(value, srgb=value.dtype == np.uint8).mean(axis=(0, 1)))
+            )
         value = value_of(self.shader, self.names[name], self.time, default) if self.has(name) else default
         weight = self.weight(name)
         return tuple(float(c) * weight for c in value)
@@ -377,7 +429,8 @@ class _ShaderInputs:
         """
         shown = self.images.wrapped(pixels, node)
         self.unsaid |= any(
-            given not in MODES and mode == "black" for given, mode in zip((node.wrap, node.wrap_v or node.wrap), self.images.wraps(node), strict=True)
+            given not in MODES and mode == "black"
+            for given, mode in zip((node.wrap, node.wrap_v or node.wrap), self.images.wraps(node), strict=True)
         )
         made = {"type": "bitmap", "bitmap": shown.pixels, "raw": raw, "wrap_mode": shown.mode}
         if node.uv is None:
@@ -387,7 +440,10 @@ class _ShaderInputs:
             self.uv = node.uv
         first, this = (np.vstack([np.array(uv.matrix), [0.0, 0.0, 1.0]]) for uv in (self.uv, node.uv))
         if self.uv.primvar != node.uv.primvar or abs(np.linalg.det(first)) < 1e-12:
-            self.notes.warn(self.shader.GetPath(), f"textures with different coordinates; all are drawn with {self.uv.primvar!r} as the first one is")
+            self.notes.warn(
+                self.shader.GetPath(),
+                f"textures with different coordinates; all are drawn with {self.uv.primvar!r} as the first one is",
+            )
             this = first
         between = onto if self.uv == node.uv or this is first else onto @ this @ np.linalg.inv(first)
         return made if (between == np.eye(3)).all() else made | {"to_uv": between}
@@ -401,7 +457,11 @@ class _ShaderInputs:
             return dict(_VERTEX_COLOR)
         node = self.texture(name)
         if node is None:
-            return _rgb([min(max(c, 0.0), 1.0) for c in self.constant_color(name, default)]) if output is None else _rgb(list(default))
+            return (
+                _rgb([min(max(c, 0.0), 1.0) for c in self.constant_color(name, default)])
+                if output is None
+                else _rgb(list(default))
+            )
         value = sampled(node, self.images, channels=3)
         if isinstance(value, tuple):
             return _rgb([min(max(c, 0.0), 1.0) for c in value])
@@ -414,17 +474,28 @@ class _ShaderInputs:
         fallback = value_of(reader, "default" if is_materialx else "fallback", self.time)
         values = None if fallback is None else np.asarray(fallback, dtype=np.float64).reshape(-1)
         name = str(value_of(reader, "geomprop" if is_materialx else "varname", self.time, ""))
-        return name or DISPLAY, None if values is None else (float(values[0]), float(values[min(1, len(values) - 1)]), float(values[min(2, len(values) - 1)]))
+        return name or DISPLAY, None if values is None else (
+            float(values[0]),
+            float(values[min(1, len(values) - 1)]),
+            float(values[min(2, len(values) - 1)]),
+        )
 
     def number(self, name: str, default: float) -> Any:
         output = self.producer(name)
         if output is not None and (kind := shader_id(output.GetPrim())).startswith(READERS):
             source, fallback = self.primvar(output, kind)
-            self.notes.warn(self.shader.GetPath(), f"{name} that varies with primvar {source!r} is not drawn; the reader's fallback is used")
+            self.notes.warn(
+                self.shader.GetPath(),
+                f"{name} that varies with primvar {source!r} is not drawn; the reader's fallback is used",
+            )
             return min(max(fallback[0] if fallback is not None else 0.0, 0.0), 1.0)
         node = self.texture(name)
         if node is None:
-            value = default if self.producer(name) is not None or not self.has(name) else value_of(self.shader, self.names[name], self.time, default)
+            value = (
+                default
+                if self.producer(name) is not None or not self.has(name)
+                else value_of(self.shader, self.names[name], self.time, default)
+            )
             return min(max(float(np.mean(value)), 0.0), 1.0)
         value = sampled(node, self.images, channels=1)
         if isinstance(value, tuple):
@@ -449,7 +520,9 @@ class _ShaderInputs:
             return None, 0.0
         node = self.texture("emissiveColor")
         dark = (1.0, 1.0, 1.0) if self.names.weights else (0.0, 0.0, 0.0)  # where a weight switches it on
-        value: Any = self.constant_color("emissiveColor", dark) if node is None else sampled(node, self.images, channels=3)
+        value: Any = (
+            self.constant_color("emissiveColor", dark) if node is None else sampled(node, self.images, channels=3)
+        )
         if isinstance(value, tuple):
             strength = [max(float(c), 0.0) for c in value]
             return (_rgb(strength), float(LUMINANCE @ strength)) if max(strength) > 0.0 else (None, 0.0)
@@ -462,7 +535,11 @@ class _ShaderInputs:
 
 def _limited(pixels: Any) -> Any:
     """Values from 0 to 1; the same array where they are."""
-    return pixels if pixels.dtype == np.uint8 or (pixels.min() >= 0.0 and pixels.max() <= 1.0) else np.clip(pixels, 0.0, 1.0)
+    return (
+        pixels
+        if pixels.dtype == np.uint8 or (pixels.min() >= 0.0 and pixels.max() <= 1.0)
+        else np.clip(pixels, 0.0, 1.0)
+    )
 
 
 def _rgb(value: list[float]) -> dict[str, Any]:
@@ -489,7 +566,9 @@ def _without_textures(part: dict[str, Any]) -> dict[str, Any]:
             pixels, begin = value["bitmap"], value.get("to_uv", np.eye(3))[:2, 2] + 1e-9
             column, row = (int(place * size) % size for place, size in zip(begin, pixels.shape[1::-1], strict=True))
             row = pixels.shape[0] - 1 - row
-            texel = linear(pixels[row : row + 1, column : column + 1], srgb=pixels.dtype == np.uint8 and not raw).reshape(-1)
+            texel = linear(
+                pixels[row : row + 1, column : column + 1], srgb=pixels.dtype == np.uint8 and not raw
+            ).reshape(-1)
             result[name] = float(texel[0]) if raw or len(texel) < 3 else _rgb([float(c) for c in texel[:3]])
         else:
             result[name] = _without_textures(value) if isinstance(value, dict) and "type" in value else value

@@ -56,7 +56,11 @@ def _outside_of_tetrahedra(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[Indices 
     if faces is None or not len(faces):
         cells = value_at(prim.GetAttribute("tetVertexIndices"), time)
         moment = Usd.TimeCode.EarliestTime() if time.IsDefault() else time
-        faces = UsdGeom.TetMesh.ComputeSurfaceFaces(UsdGeom.TetMesh(prim), moment) if cells is not None and len(cells) else None
+        faces = (
+            UsdGeom.TetMesh.ComputeSurfaceFaces(UsdGeom.TetMesh(prim), moment)
+            if cells is not None and len(cells)
+            else None
+        )
     if faces is None or not len(faces):
         return None, None
     corners = np.asarray(faces, dtype=np.int64).reshape(-1)  # also where plain numbers stand in the place of threes
@@ -71,7 +75,10 @@ def read_arrays(prim: Usd.Prim, time: Usd.TimeCode, authored: frozenset[str] | N
     """
     names = frozenset(prim.GetAuthoredPropertyNames()) if authored is None else authored
     if prim.GetTypeName() == "TetMesh":
-        raw_points, (raw_counts, raw_indices) = value_at(prim.GetAttribute("points"), time), _outside_of_tetrahedra(prim, time)
+        raw_points, (raw_counts, raw_indices) = (
+            value_at(prim.GetAttribute("points"), time),
+            _outside_of_tetrahedra(prim, time),
+        )
     else:
         raw_points, raw_counts, raw_indices = (value_at(prim.GetAttribute(name), time) for name in _ARRAYS)
     if raw_points is None or raw_counts is None or raw_indices is None or not len(raw_counts):
@@ -106,7 +113,13 @@ _CARRIED = frozenset({"normals", "primvars:normals", "primvars:displayColor"})
 
 
 def read_mesh(
-    prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics, uv: UvSource | None = None, *, color: str = "displayColor", arrays: Arrays | None = None
+    prim: Usd.Prim,
+    time: Usd.TimeCode,
+    notes: Diagnostics,
+    uv: UvSource | None = None,
+    *,
+    color: str = "displayColor",
+    arrays: Arrays | None = None,
 ) -> Polygons | None:
     """A mesh prim, or None with a note where it cannot be drawn.
 
@@ -130,7 +143,11 @@ def read_mesh(
         numbers = np.asarray(holes, dtype=np.int64)
         keep[numbers[(numbers >= 0) & (numbers < len(counts))]] = False
     attributes: dict[str, Attribute] = {}
-    if not authored.isdisjoint(_CARRIED) or f"primvars:{color}" in authored or (uv is not None and f"primvars:{uv.primvar}" in authored):
+    if (
+        not authored.isdisjoint(_CARRIED)
+        or f"primvars:{color}" in authored
+        or (uv is not None and f"primvars:{uv.primvar}" in authored)
+    ):
         reader = PrimvarReader(prim, time, notes, indices, np.repeat(np.arange(len(counts)), counts), len(points))
         normals, colors = reader.normals(), reader.primvar(color, 3)
         st = reader.primvar(uv.primvar, 2) if uv is not None else None
@@ -143,7 +160,11 @@ def read_mesh(
             attributes["color"] = colors
     is_mesh = prim.GetTypeName() == "Mesh"
     scheme = (
-        UsdGeom.Tokens.none if not is_mesh else prim.GetAttribute("subdivisionScheme").Get() if "subdivisionScheme" in authored else UsdGeom.Tokens.catmullClark
+        UsdGeom.Tokens.none
+        if not is_mesh
+        else prim.GetAttribute("subdivisionScheme").Get()
+        if "subdivisionScheme" in authored
+        else UsdGeom.Tokens.catmullClark
     )
     smooth = False
     left_handed = "orientation" in authored and prim.GetAttribute("orientation").Get() == UsdGeom.Tokens.leftHanded
@@ -151,18 +172,43 @@ def read_mesh(
     told = "subdivisionScheme" in authored
     bent = ("normals" not in attributes or told) and scheme != UsdGeom.Tokens.none and bool(whole.any())
     if bent and scheme == UsdGeom.Tokens.loop and (counts[counts >= 3] != 3).any():
-        notes.warn(prim.GetPath(), "subdivision surface (loop) with faces of more than three corners is drawn as its control cage with smooth normals")
+        notes.warn(
+            prim.GetPath(),
+            "subdivision surface (loop) with faces of more than three corners is drawn as its control cage with "
+            "smooth normals",
+        )
         smooth, bent = True, False
     if bent and scheme == UsdGeom.Tokens.bilinear:
         bent = _has_bent_quads(points, counts, indices)
     if bent and scheme in (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop, UsdGeom.Tokens.bilinear):
         level = levels(len(counts))
         if scheme != UsdGeom.Tokens.bilinear:
-            unused = "; normals of its own are not used, as UsdGeom says of what is divided" if attributes.pop("normals", None) is not None else ""
-            notes.info(prim.GetPath(), f"subdivision surface ({scheme}) is divided {level} times and lies on its limit{unused}")
-        fine = _subdivided(UsdGeom.Mesh(prim), str(scheme), time, points, counts, indices, keep, attributes, level, notes, left_handed=left_handed)
+            unused = (
+                "; normals of its own are not used, as UsdGeom says of what is divided"
+                if attributes.pop("normals", None) is not None
+                else ""
+            )
+            notes.info(
+                prim.GetPath(), f"subdivision surface ({scheme}) is divided {level} times and lies on its limit{unused}"
+            )
+        fine = _subdivided(
+            UsdGeom.Mesh(prim),
+            str(scheme),
+            time,
+            points,
+            counts,
+            indices,
+            keep,
+            attributes,
+            level,
+            notes,
+            left_handed=left_handed,
+        )
         if not len(fine.triangles):
-            notes.warn(prim.GetPath(), "subdivision surface of which no face is drawn (interpolateBoundary 'none', or holes) is left out")
+            notes.warn(
+                prim.GetPath(),
+                "subdivision surface of which no face is drawn (interpolateBoundary 'none', or holes) is left out",
+            )
         return fine if len(fine.triangles) else None
     faces, crossed = None, indices[:0]
     if keep is None and len(indices) <= SMALL:
@@ -175,7 +221,9 @@ def read_mesh(
         triangles, face_of, crossed = triangulate(points, counts, np.cumsum(counts) - counts, indices, taken)
     if len(crossed):
         notes.warn(
-            prim.GetPath(), f"{len(crossed)} of its faces, number {crossed[0]} first, have edges that cross; what they cover is a guess: cut them in two"
+            prim.GetPath(),
+            f"{len(crossed)} of its faces, number {crossed[0]} first, have edges that cross; what they cover is a "
+            f"guess: cut them in two",
         )
     if not len(triangles):
         notes.warn(prim.GetPath(), "mesh without a face of three or more corners is left out")
@@ -183,11 +231,16 @@ def read_mesh(
     if left_handed:
         triangles, faces = triangles[:, ::-1], None
     if "normals" in attributes and not (whole_ones := attributes["normals"].values.any(axis=1)).all():
-        notes.info(prim.GetPath(), f"{int((~whole_ones).sum())} of its normals have no length; those are made from the faces around")
+        notes.info(
+            prim.GetPath(),
+            f"{int((~whole_ones).sum())} of its normals have no length; those are made from the faces around",
+        )
         attributes["normals"] = _mended(attributes["normals"], points, indices, triangles)
     if not told and is_mesh and "normals" in attributes:
         notes.info(
-            prim.GetPath(), "names no subdivisionScheme, whose fallback is catmullClark, and has normals, which only polygons have: it is drawn as polygons"
+            prim.GetPath(),
+            "names no subdivisionScheme, whose fallback is catmullClark, and has normals, which only polygons have: "
+            "it is drawn as polygons",
         )
     return Polygons(points, indices, triangles, face_of, attributes, smooth, faces)
 
@@ -205,7 +258,9 @@ def _mended(normals: Attribute, points: Array, indices: Indices, triangles: Indi
 
 
 def _has_bent_quads(points: Array, counts: Indices, indices: Indices) -> bool:
-    """Whether any face but parallelograms and triangles is there: on others, values spread otherwise than over two triangles."""
+    """Whether any face but parallelograms and triangles is there: on others, values spread otherwise than over two
+    triangles.
+    """
     if not np.isin(counts, (3, 4)).all():
         return True
     starts = (np.cumsum(counts) - counts)[counts == 4]
@@ -240,14 +295,18 @@ def _subdivided(
     fine = divide(points, cage, level)
     face_of = np.flatnonzero(whole)[fine.face_of]
     chosen = np.flatnonzero(drawn[fine.face_of])
-    triangles: Indices = (size * chosen[:, None] + np.array([0, 1, 2, 0, 2, 3] if size == 4 else [0, 1, 2])).reshape(-1, 3)
+    triangles: Indices = (size * chosen[:, None] + np.array([0, 1, 2, 0, 2, 3] if size == 4 else [0, 1, 2])).reshape(
+        -1, 3
+    )
     if left_handed:
         triangles = triangles[:, ::-1]
     islands = mesh.GetFaceVaryingLinearInterpolationAttr().Get() == UsdGeom.Tokens.all
     spread: dict[str, Attribute] = {}
     for name, attribute in attributes.items():
         if attribute.corner is None:
-            spread[name] = Attribute(divide(attribute.values, _unbent(cage) if attribute.linear else cage, level).points, None)
+            spread[name] = Attribute(
+                divide(attribute.values, _unbent(cage) if attribute.linear else cage, level).points, None
+            )
             continue
         values = attribute.values[attribute.corner[corners]]
         with_point = np.column_stack([np.arange(len(corners)) if islands else cage.indices, values])
@@ -291,11 +350,17 @@ def _sharp(mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int, notes: Diag
     def array(attribute: Usd.Attribute, kind: Any) -> Any:
         return np.asarray([] if (value := value_at(attribute, time)) is None else value, dtype=kind)
 
-    corners, at_corner = array(mesh.GetCornerIndicesAttr(), np.int64), array(mesh.GetCornerSharpnessesAttr(), np.float64)
+    corners, at_corner = (
+        array(mesh.GetCornerIndicesAttr(), np.int64),
+        array(mesh.GetCornerSharpnessesAttr(), np.float64),
+    )
     count = min(len(corners), len(at_corner))
     fits = (corners[:count] >= 0) & (corners[:count] < point_count)
     if not fits.all() or len(corners) != len(at_corner):
-        notes.warn(mesh.GetPath(), f"{len(corners) - int(fits.sum())} of its {len(corners)} sharp corners name no point or have no sharpness")
+        notes.warn(
+            mesh.GetPath(),
+            f"{len(corners) - int(fits.sum())} of its {len(corners)} sharp corners name no point or have no sharpness",
+        )
     found: dict[str, Any] = {"corners": corners[:count][fits], "corner_sharpness": at_corner[:count][fits]}
     chain, lengths, given = (
         array(mesh.GetCreaseIndicesAttr(), np.int64),
@@ -305,7 +370,10 @@ def _sharp(mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int, notes: Diag
     edges = int((lengths - 1).sum()) if len(lengths) else 0
     if not len(chain) or (lengths < 2).any() or lengths.sum() != len(chain) or len(given) not in (len(lengths), edges):
         if len(chain):
-            notes.warn(mesh.GetPath(), "its creases' indices, lengths and sharpnesses do not fit each other; no crease is drawn")
+            notes.warn(
+                mesh.GetPath(),
+                "its creases' indices, lengths and sharpnesses do not fit each other; no crease is drawn",
+            )
         return found
     last = np.cumsum(lengths) - 1
     begin = np.delete(np.arange(len(chain)), last)
@@ -313,5 +381,8 @@ def _sharp(mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int, notes: Diag
     sharpness = given if len(given) == edges and len(given) != len(lengths) else np.repeat(given, lengths - 1)
     fits = (pairs >= 0).all(axis=1) & (pairs < point_count).all(axis=1)
     if not fits.all():
-        notes.warn(mesh.GetPath(), f"{int((~fits).sum())} edges of its creases name points outside of its {point_count}; they are left out")
+        notes.warn(
+            mesh.GetPath(),
+            f"{int((~fits).sum())} edges of its creases name points outside of its {point_count}; they are left out",
+        )
     return found | {"creases": pairs[fits], "crease_sharpness": np.maximum(sharpness[fits], 0.0)}

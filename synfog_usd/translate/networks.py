@@ -23,11 +23,15 @@ _STEPS = 12
 _TEXTURES = ("bitmap", "checkerboard", "mesh_attribute")
 _METALS_AND_GLASS = ("conductor", "roughconductor", "dielectric", "roughdielectric", "thindielectric")
 _COATED = ("diffuse", "plastic", "roughplastic", "principled", "principledthin")
-PLUGINS = frozenset((*_TEXTURES, *_METALS_AND_GLASS, *_COATED, "blendbsdf", "bumpmap", "mask", "normalmap", "null", "twosided"))
+PLUGINS = frozenset(
+    (*_TEXTURES, *_METALS_AND_GLASS, *_COATED, "blendbsdf", "bumpmap", "mask", "normalmap", "null", "twosided")
+)
 """Mitsuba's plugins that a material may name."""
 
 
-def fed_by(output: Usd.Attribute, name: str, time: Usd.TimeCode, notes: Diagnostics, shader: Sdf.Path) -> TextureNode | None:
+def fed_by(
+    output: Usd.Attribute, name: str, time: Usd.TimeCode, notes: Diagnostics, shader: Sdf.Path
+) -> TextureNode | None:
     """The picture behind a shader output, or None with a note where there is none that is known."""
     channel, decoded, passed = "", False, ""
     for _ in range(_STEPS):
@@ -52,7 +56,10 @@ def fed_by(output: Usd.Attribute, name: str, time: Usd.TimeCode, notes: Diagnost
             decoded = True
         elif not kind.startswith(("ND_convert", "ND_dot")):
             passed = kind or "an unknown node"
-        following = next((upstream for source in node.GetInputs() if (upstream := producer(node, source.GetBaseName())) is not None), None)
+        following = next(
+            (upstream for source in node.GetInputs() if (upstream := producer(node, source.GetBaseName())) is not None),
+            None,
+        )
         if following is None:
             notes.warn(shader, f"{name} is fed by {kind or 'an unknown node'}, which is not known; its default is used")
             return None
@@ -79,7 +86,9 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnost
         file=file,
         authored=authored,
         channel="r" if single else "rgb",
-        color_space="raw" if kind.endswith(("_float", "_vector2", "_vector3", "_vector4")) and space in ("", "auto") else _space(space),
+        color_space="raw"
+        if kind.endswith(("_float", "_vector2", "_vector3", "_vector4")) and space in ("", "auto")
+        else _space(space),
         wrap=_ADDRESS.get(str(value_of(shader, "uaddressmode", time, "periodic")), "repeat"),
         wrap_v=_ADDRESS.get(str(value_of(shader, "vaddressmode", time, "periodic")), "repeat"),
         outside=(*(values + [0.0] * 3)[:3], 1.0),
@@ -105,7 +114,10 @@ def _coordinates(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Diagnostics
         elif kind.startswith("UsdPrimvarReader") or kind.startswith("ND_UsdPrimvarReader"):
             primvar = str(value_of(node, "varname", time, "st"))
         elif not kind.startswith("ND_texcoord"):
-            notes.warn(node.GetPath(), f"texture coordinates through {kind or 'an unknown node'} are drawn as primvar 'st' without it")
+            notes.warn(
+                node.GetPath(),
+                f"texture coordinates through {kind or 'an unknown node'} are drawn as primvar 'st' without it",
+            )
     if not tiled:
         return UvSource(primvar)
     tiling, offset = value_of(shader, "uvtiling", time, (1.0, 1.0)), value_of(shader, "uvoffset", time, (0.0, 0.0))
@@ -132,7 +144,11 @@ def omni_texture(shader: UsdShade.Shader, name: str, time: Usd.TimeCode, notes: 
         tint = value_of(shader, "diffuse_tint", time, Gf.Vec3f(1, 1, 1))
         scale = (float(tint[0]), float(tint[1]), float(tint[2]))
     elif name == "roughness":
-        separate = asset("reflectionroughness_texture") if number("reflection_roughness_texture_influence", 0.0) > 0.0 else None
+        separate = (
+            asset("reflectionroughness_texture")
+            if number("reflection_roughness_texture_influence", 0.0) > 0.0
+            else None
+        )
         found, channel, space = (orm, "g", "raw") if orm else (separate, "r", "raw")
     elif name == "metallic":
         separate = asset("metallic_texture") if number("metallic_texture_influence", 0.0) > 0.0 else None
@@ -146,7 +162,10 @@ def omni_texture(shader: UsdShade.Shader, name: str, time: Usd.TimeCode, notes: 
     if not found.resolvedPath:
         notes.warn(shader.GetPath(), f"texture {found.path} is not found; the constant is used")
         return None
-    stretch, shift = value_of(shader, "texture_scale", time, (1.0, 1.0)), value_of(shader, "texture_translate", time, (0.0, 0.0))
+    stretch, shift = (
+        value_of(shader, "texture_scale", time, (1.0, 1.0)),
+        value_of(shader, "texture_translate", time, (0.0, 0.0)),
+    )
     usual = name == "normal"
     return TextureNode(
         path=str(shader.GetPath()),
@@ -177,7 +196,9 @@ def native(shader: UsdShade.Shader, time: Usd.TimeCode, images: ImageReader, dep
     """
     kind = shader_id(shader.GetPrim()).removeprefix("mitsuba_")
     if kind not in PLUGINS or depth > 8:
-        raise RefusedError(f"{shader.GetPath()}: {kind or 'a shader without id'} is none of Mitsuba's materials and textures")
+        raise RefusedError(
+            f"{shader.GetPath()}: {kind or 'a shader without id'} is none of Mitsuba's materials and textures"
+        )
     made: dict[str, Any] = {"type": kind}
     for source in shader.GetInputs():
         name = source.GetBaseName()
@@ -204,4 +225,6 @@ def native(shader: UsdShade.Shader, time: Usd.TimeCode, images: ImageReader, dep
 
 def is_textured(part: Any) -> bool:
     """Whether a native material holds a texture with coordinates."""
-    return isinstance(part, dict) and (part.get("type") in ("bitmap", "checkerboard") or any(is_textured(value) for value in part.values()))
+    return isinstance(part, dict) and (
+        part.get("type") in ("bitmap", "checkerboard") or any(is_textured(value) for value in part.values())
+    )

@@ -64,7 +64,9 @@ class Nurbs:
         number = int(chosen[0])
         start = int(self.sizes[:number].sum())
         own, weights = values[start : start + self.sizes[number]], self.weights[start : start + self.sizes[number]]
-        spline = BSpline(self.knots[number], np.column_stack([own * weights[:, None], weights]), int(self.orders[number]) - 1)
+        spline = BSpline(
+            self.knots[number], np.column_stack([own * weights[:, None], weights]), int(self.orders[number]) - 1
+        )
         found = spline(_within(self.breaks[number], steps))
         return np.asarray(found[:, :-1] / found[:, -1:])[None]
 
@@ -77,7 +79,10 @@ def nurbs_curves(prim: Usd.Prim, time: Usd.TimeCode, points: Array, sizes: Indic
     order = np.broadcast_to(orders[:, 0].astype(np.int64), (len(sizes),))
     lengths = sizes + order
     if (order < 2).any() or lengths.sum() != len(knots):
-        return f"NURBS curves have {len(knots)} knots, which are not their points and orders together ({int(lengths.sum())})"
+        return (
+            f"NURBS curves have {len(knots)} knots, which are not their points and orders together "
+            f"({int(lengths.sum())})"
+        )
     ranges, weights = array_at(prim, "ranges", time, 2), array_at(prim, "pointWeights", time, 1)
     weight = np.ones(len(points)) if weights is None or len(weights) != len(points) else weights[:, 0]
     if not (np.isfinite(weight).all() and (weight > 0.0).all()):
@@ -85,7 +90,12 @@ def nurbs_curves(prim: Usd.Prim, time: Usd.TimeCode, points: Array, sizes: Indic
     own = np.split(knots[:, 0], np.cumsum(lengths)[:-1])
     breaks = []
     for number, line in enumerate(own):
-        found = _breaks(line, int(sizes[number]), int(order[number]), ranges[number] if ranges is not None and len(ranges) == len(sizes) else None)
+        found = _breaks(
+            line,
+            int(sizes[number]),
+            int(order[number]),
+            ranges[number] if ranges is not None and len(ranges) == len(sizes) else None,
+        )
         if isinstance(found, str):
             return f"NURBS curve {number} with {found}"
         breaks.append(found)
@@ -126,7 +136,10 @@ def read_patch(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Triang
         count, order = (int(value_at(prim.GetAttribute(axis + name), time) or 0) for name in ("VertexCount", "Order"))
         knots, over = array_at(prim, f"{axis}Knots", time, 1), array_at(prim, f"{axis}Range", time, 2)
         if order < 2 or count < order or knots is None or len(knots) != count + order:
-            fault = f"its {axis}Knots are not as many as its {axis}VertexCount and {axis}Order together, or its points fewer than its order"
+            fault = (
+                f"its {axis}Knots are not as many as its {axis}VertexCount and {axis}Order together, or its points "
+                f"fewer than its order"
+            )
             break
         breaks = _breaks(knots[:, 0], count, order, over[0] if over is not None else None)
         if isinstance(breaks, str):
@@ -135,7 +148,11 @@ def read_patch(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Triang
         axes.append((count, order, knots[:, 0], _within(breaks, _STEPS if order > 2 else 1)))
     if not fault and (points is None or len(points) != axes[0][0] * axes[1][0] or not np.isfinite(points).all()):
         fault = "its points are not uVertexCount x vVertexCount finite ones"
-    weight = np.ones(0 if points is None else len(points)) if weights is None or points is None or len(weights) != len(points) else weights[:, 0]
+    weight = (
+        np.ones(0 if points is None else len(points))
+        if weights is None or points is None or len(weights) != len(points)
+        else weights[:, 0]
+    )
     if not fault and not (np.isfinite(weight).all() and (weight > 0.0).all()):
         fault = "its weights are not above 0"
     if not fault and len(axes[0][3]) * len(axes[1][3]) > _MOST:
@@ -144,7 +161,9 @@ def read_patch(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Triang
         notes.warn(path, f"a NurbsPatch is left out: {fault}")
         return None
     if value_at(prim.GetAttribute("trimCurve:counts"), time):
-        notes.warn(path, "trim curves of a NurbsPatch are not drawn: the whole patch is; export it as a mesh to have it cut")
+        notes.warn(
+            path, "trim curves of a NurbsPatch are not drawn: the whole patch is; export it as a mesh to have it cut"
+        )
     grid = np.column_stack([points * weight[:, None], weight]).reshape(axes[1][0], axes[0][0], 4)  # U runs fastest
 
     def at(values: Array, u_derivative: int, v_derivative: int) -> Array:
@@ -160,7 +179,9 @@ def read_patch(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Triang
     normals = cross(du, dv)
     columns = len(axes[0][3])
     a = (np.arange(len(axes[1][3]) - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
-    faces = np.concatenate([np.stack([a, a + 1, a + columns + 1], axis=1), np.stack([a, a + columns + 1, a + columns], axis=1)])
+    faces = np.concatenate(
+        [np.stack([a, a + 1, a + columns + 1], axis=1), np.stack([a, a + columns + 1, a + columns], axis=1)]
+    )
     if (value_at(prim.GetAttribute("orientation"), time) or "") == "leftHanded":
         normals, faces = -normals, faces[:, ::-1]
     length = np.linalg.norm(normals, axis=1, keepdims=True)

@@ -17,7 +17,9 @@ from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate.geometry import cross
 
 
-def triangulate(points: Array, counts: Indices, starts: Indices, indices: Indices, keep: npt.NDArray[np.bool_]) -> tuple[Indices, Indices, Indices]:
+def triangulate(
+    points: Array, counts: Indices, starts: Indices, indices: Indices, keep: npt.NDArray[np.bool_]
+) -> tuple[Indices, Indices, Indices]:
     """Triangles of polygons, also concave ones.
 
     Args:
@@ -101,7 +103,11 @@ _NO_MESH = 1 << 62
 
 def topology(counts: Indices, indices: Indices) -> Topology:
     """What a mesh's counts and indices say; one object for all small meshes that share them."""
-    return _remembered(counts.tobytes(), indices.tobytes()) if len(indices) <= SMALL else Topology(counts, indices, _highest(counts, indices))
+    return (
+        _remembered(counts.tobytes(), indices.tobytes())
+        if len(indices) <= SMALL
+        else Topology(counts, indices, _highest(counts, indices))
+    )
 
 
 def _highest(counts: Indices, indices: Indices) -> int:
@@ -117,9 +123,19 @@ def _remembered(count_bytes: bytes, index_bytes: bytes) -> Topology:
         return Topology(counts, indices, highest)
     corners = np.arange(len(indices)).reshape(-1, int(counts[0]))
     if counts[0] == 3:
-        return Topology(counts, indices, highest, corners, np.arange(len(counts)), indices.reshape(-1, 3).astype(np.uint32))
+        return Topology(
+            counts, indices, highest, corners, np.arange(len(counts)), indices.reshape(-1, 3).astype(np.uint32)
+        )
     triangles = corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    return Topology(counts, indices, highest, triangles, np.repeat(np.arange(len(counts)), 2), indices[triangles].astype(np.uint32), indices.reshape(-1, 4))
+    return Topology(
+        counts,
+        indices,
+        highest,
+        triangles,
+        np.repeat(np.arange(len(counts)), 2),
+        indices[triangles].astype(np.uint32),
+        indices.reshape(-1, 4),
+    )
 
 
 @functools.lru_cache(maxsize=1024)
@@ -127,7 +143,13 @@ def triangulate_small(points: bytes, counts: bytes, indices: bytes) -> tuple[Ind
     """`triangulate` of all faces of a mesh, given by the bytes of its arrays."""
     numbers = np.frombuffer(counts, dtype=np.int64)
     keep = np.ones(len(numbers), dtype=bool)
-    return triangulate(np.frombuffer(points).reshape(-1, 3), numbers, np.cumsum(numbers) - numbers, np.frombuffer(indices, dtype=np.int64), keep)
+    return triangulate(
+        np.frombuffer(points).reshape(-1, 3),
+        numbers,
+        np.cumsum(numbers) - numbers,
+        np.frombuffer(indices, dtype=np.int64),
+        keep,
+    )
 
 
 def are_easy(quads: Array) -> npt.NDArray[np.bool_]:
@@ -152,7 +174,9 @@ def _turning(polygons: Array) -> Array:
 
 
 def _winds_once(polygons: Array) -> npt.NDArray[np.bool_]:
-    """(F,) whether the fan of each polygon (F, n, 3) from its first corner turns one way only; that of a pentagram does not."""
+    """(F,) whether the fan of each polygon (F, n, 3) from its first corner turns one way only; that of a pentagram does
+    not.
+    """
     arms = polygons - polygons[:, :1]
     turn = cross(arms[:, 1:-1], arms[:, 2:])
     normal = turn.sum(axis=1)
@@ -180,7 +204,11 @@ def _ears(polygon: Array) -> tuple[Indices, bool]:
     # Powers of two, so exact: edges as long across as along, or the curve finds nothing apart on a fine comb.
     steps = np.abs(np.roll(flat, -1, axis=0) - flat).mean(axis=0)
     wide = flat * np.exp2(-np.round(np.log2(np.where(steps > 0.0, steps, 1.0))))
-    ears = mapbox_earcut.triangulate_float64(np.ascontiguousarray(wide), np.array([len(wide)], dtype=np.uint32)).astype(np.int64).reshape(-1, 3)
+    ears = (
+        mapbox_earcut.triangulate_float64(np.ascontiguousarray(wide), np.array([len(wide)], dtype=np.uint32))
+        .astype(np.int64)
+        .reshape(-1, 3)
+    )
     a, b, c = (flat[ears[:, k]] for k in range(3))
     areas = _cross2(b - a, c - a)
     if (areas.sum() < 0.0) != flip:

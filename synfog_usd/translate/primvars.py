@@ -27,13 +27,23 @@ class PrimvarReader:
         point_count: N.
     """
 
-    def __init__(self, prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics, indices: Indices, corner_face: Indices, point_count: int) -> None:
+    def __init__(
+        self,
+        prim: Usd.Prim,
+        time: Usd.TimeCode,
+        notes: Diagnostics,
+        indices: Indices,
+        corner_face: Indices,
+        point_count: int,
+    ) -> None:
         self.prim, self.time, self.notes = prim, time, notes
         self.indices, self.corner_face, self.point_count = indices, corner_face, point_count
         self.api = UsdGeom.PrimvarsAPI(prim)
 
     def normals(self) -> Attribute | None:
-        """Normals, unit or (0, 0, 0) where the author's has no length: primvars:normals before normals; None where there are none of use."""
+        """Normals, unit or (0, 0, 0) where the author's has no length: primvars:normals before normals; None where
+        there are none of use.
+        """
         found = self.primvar("normals", 3)
         if found is None:
             attribute = self.prim.GetAttribute("normals")
@@ -47,7 +57,10 @@ class PrimvarReader:
         if not good.any():
             self.notes.warn(self.prim.GetPath(), "normals without length, or that are no finite numbers, are not used")
             return None
-        return Attribute(found.values / lengths if good.all() else np.where(good, found.values, 0.0) / np.where(good, lengths, 1.0), found.corner)
+        return Attribute(
+            found.values / lengths if good.all() else np.where(good, found.values, 0.0) / np.where(good, lengths, 1.0),
+            found.corner,
+        )
 
     def primvar(self, name: str, width: int) -> Attribute | None:
         """A primvar of `width` numbers each, or None with a note where it does not fit."""
@@ -69,8 +82,15 @@ class PrimvarReader:
             self.notes.warn(self.prim.GetPath(), f"primvar {name} does not hold {width} numbers each; it is not used")
             return None
         corner: Indices | None
-        if interpolation in (UsdGeom.Tokens.uniform, UsdGeom.Tokens.faceVarying) and self.prim.GetTypeName() == "TetMesh":
-            self.notes.warn(self.prim.GetPath(), f"primvar {name} goes with tetrahedra, of which only the outside is drawn; it is not used: make it 'vertex'")
+        if (
+            interpolation in (UsdGeom.Tokens.uniform, UsdGeom.Tokens.faceVarying)
+            and self.prim.GetTypeName() == "TetMesh"
+        ):
+            self.notes.warn(
+                self.prim.GetPath(),
+                f"primvar {name} goes with tetrahedra, of which only the outside is drawn; it is not used: make it "
+                f"'vertex'",
+            )
             return None
         if interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
             corner, wanted = None, self.point_count
@@ -87,13 +107,18 @@ class PrimvarReader:
         else:
             fits = len(array) >= wanted
         if not fits:
-            self.notes.warn(self.prim.GetPath(), f"primvar {name} has too few values for its interpolation {interpolation!r}; it is not used")
+            self.notes.warn(
+                self.prim.GetPath(),
+                f"primvar {name} has too few values for its interpolation {interpolation!r}; it is not used",
+            )
             return None
         return Attribute(array[:wanted] if corner is None else array, corner, interpolation == UsdGeom.Tokens.varying)
 
 
 def _columns(values: Any, width: int) -> Array | None:
-    """(K, width) of an array of tuples that are at least as wide, or of plain numbers in groups of `width`; else None."""
+    """(K, width) of an array of tuples that are at least as wide, or of plain numbers in groups of `width`; else
+    None.
+    """
     try:
         array = np.asarray(values, dtype=np.float64)
     except (ValueError, TypeError):

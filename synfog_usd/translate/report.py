@@ -20,7 +20,9 @@ def summary(scene: SceneDict) -> dict[str, Any]:
     shapes = {key: part for key, part in scene.world.items() if key.startswith("shape_")}
     groups = {key: part for key, part in scene.world.items() if key.startswith("group_")}
     instances = [part for key, part in scene.world.items() if key.startswith("instance_")]
-    inside = {key: sum(_triangles(shape) for name, shape in group.items() if name != "type") for key, group in groups.items()}
+    inside = {
+        key: sum(_triangles(shape) for name, shape in group.items() if name != "type") for key, group in groups.items()
+    }
     own = sum(_triangles(shape) for shape in shapes.values())
     lights = Counter(part["type"] for key, part in scene.world.items() if key.startswith("light_"))
     lights.update("area" for shape in shapes.values() if "emitter" in shape)

@@ -33,14 +33,24 @@ Part: TypeAlias = tuple[dict[str, Any], dict[str, Any] | None, float]
 class Shapes:
     """Makes the shapes of leaves."""
 
-    def __init__(self, time: Usd.TimeCode, notes: Diagnostics, materials: Materials, bindings: Bindings, chooser: Chooser, metres_per_unit: float) -> None:
+    def __init__(
+        self,
+        time: Usd.TimeCode,
+        notes: Diagnostics,
+        materials: Materials,
+        bindings: Bindings,
+        chooser: Chooser,
+        metres_per_unit: float,
+    ) -> None:
         self.time, self.notes, self.materials, self.bindings, self.chooser = time, notes, materials, bindings, chooser
         self.metres_per_unit = metres_per_unit
         self.ahead: dict[str, Arrays] = {}
 
     def look_ahead(self, leaves: Iterable[Leaf]) -> None:
         """Read the meshes that are wanted next; those of one topology are looked at together."""
-        self.ahead = {leaf.path: read_arrays(leaf.prim, self.time, leaf.authored) for leaf in leaves if leaf.kind in MESHES}
+        self.ahead = {
+            leaf.path: read_arrays(leaf.prim, self.time, leaf.authored) for leaf in leaves if leaf.kind in MESHES
+        }
         look_at_quads(self.ahead.values())
 
     def parts(self, leaf: Leaf, matrix: Array) -> list[Part]:
@@ -59,13 +69,24 @@ class Shapes:
         key = finish.key if textured else finish.plain or finish.key
         if finish.plain is not None and not textured:
             self.notes.warn(leaf.path, f"a {kind} has no texture coordinates; its textures are drawn as one colour")
-        emission = None if finish.uv is not None and not textured and finish.emission and finish.emission["type"] == "bitmap" else finish.emission
+        emission = (
+            None
+            if finish.uv is not None and not textured and finish.emission and finish.emission["type"] == "bitmap"
+            else finish.emission
+        )
         if kind == "Sphere" and is_similarity(matrix) and not finish.colored:
-            radius = float(leaf.prim.GetAttribute("radius").Get(self.time)) * abs(np.linalg.det(matrix[:3, :3])) ** (1.0 / 3.0)
+            radius = float(leaf.prim.GetAttribute("radius").Get(self.time)) * abs(np.linalg.det(matrix[:3, :3])) ** (
+                1.0 / 3.0
+            )
             if not radius > 0.0:
                 self.notes.warn(leaf.path, "a Sphere without radius is left out")
                 return []
-            shape = {"type": "sphere", "center": [float(x) for x in matrix[:3, 3]], "radius": float(radius), "bsdf": {"type": "ref", "id": key}}
+            shape = {
+                "type": "sphere",
+                "center": [float(x) for x in matrix[:3, 3]],
+                "radius": float(radius),
+                "bsdf": {"type": "ref", "id": key},
+            }
             return [(shape, emission, finish.emission_nits)]
         if kind in CURVES or kind in ("Points", "NurbsPatch"):
             own = self._swept(leaf, kind)
@@ -85,7 +106,9 @@ class Shapes:
             return []
         if finish.colored and made.colors is None:
             made = replace(made, colors=np.tile(self.bindings.plain_color(leaf, finish), (len(made.positions), 1)))
-        return [(geometry.mesh_shape(made, key, textured=textured, colored=finish.colored), emission, finish.emission_nits)]
+        return [
+            (geometry.mesh_shape(made, key, textured=textured, colored=finish.colored), emission, finish.emission_nits)
+        ]
 
     def _swept(self, leaf: Leaf, kind: str) -> Triangles | None:
         if kind == "Points":
@@ -102,10 +125,16 @@ class Shapes:
         finishes = [own, *[finish for _, finish in subsets]]
         uv = next((finish.uv for finish in finishes if finish.uv is not None), None)
         if any(finish.uv not in (None, uv) for finish in finishes):
-            self.notes.warn(prim.GetPath(), "materials on this mesh read different texture coordinates; the first one's are used for all")
+            self.notes.warn(
+                prim.GetPath(),
+                "materials on this mesh read different texture coordinates; the first one's are used for all",
+            )
         reads = {finish.reads: None for finish in finishes if finish.colored} or {DISPLAY: None}
         if len(reads) > 1:
-            self.notes.warn(prim.GetPath(), f"materials on this mesh read the colours {', '.join(reads)}; the first one's are used for all")
+            self.notes.warn(
+                prim.GetPath(),
+                f"materials on this mesh read the colours {', '.join(reads)}; the first one's are used for all",
+            )
         color = next(iter(reads))
         polygons = read_mesh(prim, self.time, self.notes, uv, color=color, arrays=self.ahead.get(leaf.path))
         if polygons is None:
@@ -130,18 +159,30 @@ class Shapes:
             triangles = geometry.placed(triangles, matrix)
             textured = finish.uv is not None and triangles.texcoords is not None
             key = finish.key
-            if textured and finish.unsaid and triangles.texcoords is not None and np.abs(triangles.texcoords - 0.5).max() > 0.501:
+            if (
+                textured
+                and finish.unsaid
+                and triangles.texcoords is not None
+                and np.abs(triangles.texcoords - 0.5).max() > 0.501
+            ):
                 self.notes.warn(
-                    prim.GetPath(), "texture coordinates leave the square, where a texture without wrapS and wrapT is black; author 'repeat' to tile it"
+                    prim.GetPath(),
+                    "texture coordinates leave the square, where a texture without wrapS and wrapT is black; author "
+                    "'repeat' to tile it",
                 )
             emission, nits = finish.emission, finish.emission_nits
             if finish.uv is not None and not textured:
-                self.notes.warn(prim.GetPath(), f"mesh without the texture coordinates {finish.uv.primvar!r}; its textures are drawn as one colour")
+                self.notes.warn(
+                    prim.GetPath(),
+                    f"mesh without the texture coordinates {finish.uv.primvar!r}; its textures are drawn as one colour",
+                )
                 key = finish.plain or key
                 if emission is not None and emission["type"] == "bitmap":
                     emission = None
             if finish.colored and triangles.colors is None:
-                triangles = replace(triangles, colors=np.tile(self.bindings.plain_color(leaf, finish), (len(triangles.positions), 1)))
+                triangles = replace(
+                    triangles, colors=np.tile(self.bindings.plain_color(leaf, finish), (len(triangles.positions), 1))
+                )
             shape = geometry.mesh_shape(triangles, key, textured=textured, colored=finish.colored)
             if "MeshLightAPI" in leaf.schemas:
                 shape, emission, nits = self._mesh_light(leaf, shape, triangles)
@@ -150,7 +191,9 @@ class Shapes:
 
     def _mesh_light(self, leaf: Leaf, shape: dict[str, Any], triangles: Triangles) -> Part:
         metres, convention = self.metres_per_unit, self.chooser.of(leaf.prim)
-        radiance = light.mesh_light(leaf.prim, self.time, geometry.area(triangles), self.notes, metres_per_unit=metres, convention=convention)
+        radiance = light.mesh_light(
+            leaf.prim, self.time, geometry.area(triangles), self.notes, metres_per_unit=metres, convention=convention
+        )
         sync = leaf.prim.GetAttribute("light:materialSyncMode")
         if sync and sync.Get() == "noMaterialResponse":
             shape = {**shape, "bsdf": {"type": "ref", "id": self.materials.black().key}}

@@ -52,7 +52,9 @@ def read_shaping(inputs: Any, path: object, notes: Diagnostics) -> Shaping | Non
 
     Source: UsdLux 25.05, ShapingAPI.
     """
-    if not inputs.prim.HasAPI(UsdLux.ShapingAPI) and all(inputs.get(f"shaping:{name}", None) is None for name in ("cone:angle", "ies:file", "focus")):
+    if not inputs.prim.HasAPI(UsdLux.ShapingAPI) and all(
+        inputs.get(f"shaping:{name}", None) is None for name in ("cone:angle", "ies:file", "focus")
+    ):
         return None
 
     def number(name: str, default: float) -> float:
@@ -75,7 +77,9 @@ def read_shaping(inputs: Any, path: object, notes: Diagnostics) -> Shaping | Non
     scale = 1.0
     if profile is not None and inputs.get("shaping:ies:normalize", False):
         flux = profile.flux_lm()
-        around = 4.0 * math.pi if profile.vertical_deg[-1] > 90.0 else 2.0 * math.pi  # a profile of one hemisphere leaves the other out
+        around = (
+            4.0 * math.pi if profile.vertical_deg[-1] > 90.0 else 2.0 * math.pi
+        )  # a profile of one hemisphere leaves the other out
         scale = around / flux if flux > 0.0 else 0.0
     return Shaping(
         cone=cone,
@@ -101,7 +105,9 @@ def _photometry(file: str, authored: str, path: object, notes: Diagnostics) -> i
 
 
 def _shone(shaping: Shaping, local: Array) -> Array:
-    """(..., 3) factors by focus and profile on the light in directions (..., 3) of its own frame, which looks along -Z."""
+    """(..., 3) factors by focus and profile on the light in directions (..., 3) of its own frame, which looks along
+    -Z.
+    """
     cosine = np.clip(-local[..., 2], -1.0, 1.0)
     angle = np.degrees(np.arctan2(np.hypot(local[..., 0], local[..., 1]), cosine))
     factor = np.ones((*cosine.shape, 3))
@@ -151,7 +157,9 @@ STEP_DEG = 0.25
 
 
 def _columns(shaping: Shaping, seen: Callable[[Array], Array]) -> int:
-    """Of a lamp's table: one where nothing depends on the turn about its axis, else every degree, or half of one where the profile is finer."""
+    """Of a lamp's table: one where nothing depends on the turn about its axis, else every degree, or half of one where
+    the profile is finer.
+    """
     turns = np.zeros(1) if shaping.profile is None else shaping.profile.horizontal_deg
     if len(turns) == 1:
         return 360 if seen is as_tube else 1
@@ -169,7 +177,8 @@ def luminous_flux(candela: Array) -> Array:
 
 @functools.lru_cache(maxsize=8)  # a street has many lamps of few kinds; a table takes up to 12 MB
 def table_of(shaping: Shaping, seen: Callable[[Array], Array]) -> Array:
-    """(V, H, 3) factors on a light's intensity in all directions, laid out as the renderer's `lights.photometric` has it; read only.
+    """(V, H, 3) factors on a light's intensity in all directions, laid out as the renderer's `lights.photometric` has
+    it; read only.
 
     Args:
         seen: the surface's extent in directions (..., 3) of the light's own frame, as a share of its largest.
@@ -179,7 +188,14 @@ def table_of(shaping: Shaping, seen: Callable[[Array], Array]) -> Array:
     turn = np.arange(columns) * (2.0 * np.pi / columns)
     polar = np.radians(angle)[:, None]
     # the emitter's frame is the light's own, turned half about Y
-    ways = np.stack([-np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.broadcast_to(-np.cos(polar), (len(angle), columns))], axis=-1)
+    ways = np.stack(
+        [
+            -np.sin(polar) * np.cos(turn),
+            np.sin(polar) * np.sin(turn),
+            np.broadcast_to(-np.cos(polar), (len(angle), columns)),
+        ],
+        axis=-1,
+    )
     around = STEP_DEG * ((np.arange(32) + 0.5) / 32.0 - 0.5)  # an edge between two rows: each takes its share
     cone = _coned(shaping, np.abs(angle[:, None] + around)).mean(axis=1)
     table = _shone(shaping, ways) * (seen(ways) * cone[:, None])[..., None]

@@ -22,7 +22,10 @@ def posed(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics) -> Usd.Stage
     roots = []
     for count, prim in enumerate(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())):
         if count > MAX_PRIMS:
-            raise StageError(f"{prim.GetPath()}: more than {MAX_PRIMS} prims, instances counted, on a stage with skeletons; make it smaller")
+            raise StageError(
+                f"{prim.GetPath()}: more than {MAX_PRIMS} prims, instances counted, on a stage with skeletons; make it "
+                f"smaller"
+            )
         if prim.IsA(UsdSkel.Root):
             roots.append(prim)
     copy = _copy(stage)
@@ -51,13 +54,17 @@ def _give_key(animation: Usd.Prim, moment: float) -> None:
 
 def has_skeletons(stage: Usd.Stage) -> bool:
     """Whether anything on a stage is posed by bones."""
-    return any(prim.IsA(UsdSkel.Root) for top in [stage.GetPseudoRoot(), *stage.GetPrototypes()] for prim in Usd.PrimRange(top))
+    return any(
+        prim.IsA(UsdSkel.Root) for top in [stage.GetPseudoRoot(), *stage.GetPrototypes()] for prim in Usd.PrimRange(top)
+    )
 
 
 def _copy(stage: Usd.Stage) -> Usd.Stage:
     session = Sdf.Layer.CreateAnonymous("pose.usda")
     session.TransferContent(stage.GetSessionLayer())
-    copy = Usd.Stage.OpenMasked(stage.GetRootLayer(), session, stage.GetPathResolverContext(), stage.GetPopulationMask(), Usd.Stage.LoadNone)
+    copy = Usd.Stage.OpenMasked(
+        stage.GetRootLayer(), session, stage.GetPathResolverContext(), stage.GetPopulationMask(), Usd.Stage.LoadNone
+    )
     copy.SetLoadRules(stage.GetLoadRules())
     for identifier in stage.GetMutedLayers():
         copy.MuteLayer(identifier)

@@ -22,7 +22,9 @@ Y_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 
 """(x, y, z) -> (x, -z, y)."""
 
 FAR = 1e10
-"""Largest number of a placement [stage units]: 10 000 km in millimetres.  An instance's, its shape's and `FAR_POINT` together stay within float32."""
+"""Largest number of a placement [stage units]: 10 000 km in millimetres.  An instance's, its shape's and `FAR_POINT`
+together stay within float32.
+"""
 
 FAR_POINT = 1e12
 """Largest coordinate of a mesh's point [stage units]."""
@@ -64,11 +66,18 @@ def stage_space(stage: Usd.Stage, notes: Diagnostics) -> Space:
     metres = UsdGeom.GetStageMetersPerUnit(stage)
     if not UNITS_M[0] <= metres <= UNITS_M[1]:
         allowed = f"from {UNITS_M[0]:g} to {UNITS_M[1]:g}"
-        raise StageError(f"{stage.GetRootLayer().identifier}: metersPerUnit = {metres:g} is not {allowed}; 1 is metres, 0.01 centimetres, 0.0254 inches")
+        raise StageError(
+            f"{stage.GetRootLayer().identifier}: metersPerUnit = {metres:g} is not {allowed}; 1 is metres, 0.01 "
+            f"centimetres, 0.0254 inches"
+        )
     axes = {"X": X_TO_Z, "Y": Y_TO_Z, "Z": np.eye(4)}[up_axis(stage)]
     authored = str(UsdGeom.GetStageUpAxis(stage))
     if authored not in ("Y", "Z"):
-        taken = "drawn with X up" if authored == "X" else "Y is taken, which is what USD falls back to; choose another with --up"
+        taken = (
+            "drawn with X up"
+            if authored == "X"
+            else "Y is taken, which is what USD falls back to; choose another with --up"
+        )
         notes.warn("", f"upAxis is {authored!r}, and USD knows Y and Z alone; {taken}")
     return Space(float(metres), axes, np.zeros(3))
 

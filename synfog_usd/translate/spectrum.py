@@ -30,16 +30,27 @@ def reflectance(prim: Usd.Prim, bsdf: dict[str, Any], time: Usd.TimeCode, notes:
 
     Args:
         prim: the material.
-        bsdf: as it is drawn; a spectrum takes the place of its base colour.  One that is named gets its tint, pairs are taken as they are.
+        bsdf: as it is drawn; a spectrum takes the place of its base colour.  One that is named gets its tint, pairs are
+            taken as they are.
     """
     if _value(prim, spectra.REFLECTANCE, time) is None:
         return None
     colour = base_colour(bsdf)
     if colour is None:
-        notes.warn(prim.GetPath(), f"{spectra.REFLECTANCE} is not used: the material has no base colour of its own that is drawn")
+        notes.warn(
+            prim.GetPath(),
+            f"{spectra.REFLECTANCE} is not used: the material has no base colour of its own that is drawn",
+        )
         return None
 
-    return _authored(prim, spectra.REFLECTANCE, time, notes, lambda name: _named(name, tuple(float(c) for c in mean_colour(colour))), most=1.0)
+    return _authored(
+        prim,
+        spectra.REFLECTANCE,
+        time,
+        notes,
+        lambda name: _named(name, tuple(float(c) for c in mean_colour(colour))),
+        most=1.0,
+    )
 
 
 @functools.lru_cache(maxsize=1024)
@@ -59,7 +70,9 @@ def _value(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Any:
     return np.array(value)
 
 
-def _authored(prim: Usd.Prim, name: str, time: Usd.TimeCode, notes: Diagnostics, named: Callable[[str], Array], *, most: float) -> Array | None:
+def _authored(
+    prim: Usd.Prim, name: str, time: Usd.TimeCode, notes: Diagnostics, named: Callable[[str], Array], *, most: float
+) -> Array | None:
     value = _value(prim, name, time)
     if value is None:
         return None
@@ -71,6 +84,9 @@ def _authored(prim: Usd.Prim, name: str, time: Usd.TimeCode, notes: Diagnostics,
         return spectra.sampled(value, most=most)
     except ParameterError as error:
         notes.warn(
-            prim.GetPath(), f"{name}: {error} Its colour is used instead." if str(error).endswith("?") else f"{name}: {error}; its colour is used instead"
+            prim.GetPath(),
+            f"{name}: {error} Its colour is used instead."
+            if str(error).endswith("?")
+            else f"{name}: {error}; its colour is used instead",
         )
         return None

@@ -102,11 +102,18 @@ def subdivided(points: Array, cage: Cage, level: int) -> Fine:
         values, cage, corner_sharpness, face_of = _divided(values, cage, corner_sharpness, face_of)
     edges = Edges(cage)
     sharp = edges.sharpness(cage)
-    return Fine(_on_limit(values, cage, edges, sharp, corner_sharpness), cage.indices, face_of, smooth_patches(cage, edges, sharp))
+    return Fine(
+        _on_limit(values, cage, edges, sharp, corner_sharpness),
+        cage.indices,
+        face_of,
+        smooth_patches(cage, edges, sharp),
+    )
 
 
 def bilinear(points: Array, cage: Cage, level: int) -> Fine:
-    """A cage divided `level` times without being smoothed: flat faces stay, bent quads become parts of their bilinear patches."""
+    """A cage divided `level` times without being smoothed: flat faces stay, bent quads become parts of their bilinear
+    patches.
+    """
     values, face_of = np.asarray(points, dtype=np.float64), np.arange(len(cage.counts))
     for _ in range(level):
         edges = Edges(cage)
@@ -114,7 +121,15 @@ def bilinear(points: Array, cage: Cage, level: int) -> Fine:
         middles = values[edges.ends].mean(axis=1)
         starts = np.cumsum(cage.counts) - cage.counts
         centers = np.add.reduceat(values[cage.indices], starts, axis=0) / cage.counts[:, None]
-        quads = np.stack([cage.indices, first + edges.of_corner, first + count + edges.face_of_corner, first + edges.of_corner[edges.previous]], axis=1)
+        quads = np.stack(
+            [
+                cage.indices,
+                first + edges.of_corner,
+                first + count + edges.face_of_corner,
+                first + edges.of_corner[edges.previous],
+            ],
+            axis=1,
+        )
         values, face_of = np.concatenate([values, middles, centers]), face_of[edges.face_of_corner]
         cage = Cage(np.full(len(quads), 4, dtype=np.int64), quads.reshape(-1))
     return Fine(values, cage.indices, face_of, np.arange(len(cage.indices)))
@@ -143,7 +158,9 @@ class Edges:
         self.previous[following] = np.arange(len(following))
         pairs = np.sort(np.stack([cage.indices, cage.indices[following]], axis=1), axis=1)
         self.size = int(cage.indices.max()) + 1
-        keys, self.of_corner, self.faces_around = np.unique(pairs[:, 0] * self.size + pairs[:, 1], return_inverse=True, return_counts=True)
+        keys, self.of_corner, self.faces_around = np.unique(
+            pairs[:, 0] * self.size + pairs[:, 1], return_inverse=True, return_counts=True
+        )
         self.of_corner = self.of_corner.reshape(-1)
         self.keys, self.ends = keys, np.stack([keys // self.size, keys % self.size], axis=1)
 
@@ -165,14 +182,20 @@ def softened(sharpness: Array) -> Array:
     return np.where(sharpness >= INFINITE, sharpness, np.maximum(sharpness - 1.0, 0.0))
 
 
-def _divided(values: Array, cage: Cage, corner_sharpness: Array, face_of: Indices) -> tuple[Array, Cage, Array, Indices]:
+def _divided(
+    values: Array, cage: Cage, corner_sharpness: Array, face_of: Indices
+) -> tuple[Array, Cage, Array, Indices]:
     edges = Edges(cage)
     points, faces, count = len(values), len(cage.counts), len(edges.keys)
     sharp = edges.sharpness(cage)
     per_corner = (1.0 / cage.counts)[edges.face_of_corner]
     to_face = sparse.csr_array((per_corner, (edges.face_of_corner, cage.indices)), shape=(faces, points))
-    to_middle = sparse.csr_array((np.full(2 * count, 0.5), (np.repeat(np.arange(count), 2), edges.ends.reshape(-1))), shape=(count, points))
-    beside = sparse.csr_array((np.ones(len(cage.indices)), (edges.of_corner, edges.face_of_corner)), shape=(count, faces))
+    to_middle = sparse.csr_array(
+        (np.full(2 * count, 0.5), (np.repeat(np.arange(count), 2), edges.ends.reshape(-1))), shape=(count, points)
+    )
+    beside = sparse.csr_array(
+        (np.ones(len(cage.indices)), (edges.of_corner, edges.face_of_corner)), shape=(count, faces)
+    )
     hard = np.minimum(sharp, 1.0)
     face_points, middles = to_face @ values, to_middle @ values
     soft = 0.5 * middles + 0.25 * (beside @ face_points)
@@ -188,7 +211,15 @@ def _divided(values: Array, cage: Cage, corner_sharpness: Array, face_of: Indice
         vertex_points = between(now, after, ends, sharp, corner_sharpness)
 
     corners = np.arange(len(cage.indices))
-    quads = np.stack([cage.indices, points + edges.of_corner, points + count + edges.face_of_corner, points + edges.of_corner[edges.previous]], axis=1)
+    quads = np.stack(
+        [
+            cage.indices,
+            points + edges.of_corner,
+            points + count + edges.face_of_corner,
+            points + edges.of_corner[edges.previous],
+        ],
+        axis=1,
+    )
     lasting = np.flatnonzero(later_sharp > 0.0)
     creases = np.concatenate([np.stack([ends[lasting, side], points + lasting], axis=1) for side in (0, 1)])
     finer = Cage(
@@ -221,7 +252,9 @@ def is_fractional(sharp: Array, corner_sharpness: Array) -> bool:
 
 
 def between(now: Moved, after: Moved, ends: Indices, sharp: Array, corner_sharpness: Array) -> Array:
-    """Points beside what stops being sharp: between the rules of this level and of the next, by the mean of the fractions."""
+    """Points beside what stops being sharp: between the rules of this level and of the next, by the mean of the
+    fractions.
+    """
     ending = (sharp > 0.0) & (softened(sharp) <= 0.0)
     total, number = np.zeros(len(now.rule)), np.zeros(len(now.rule))
     for side in (0, 1):
@@ -234,7 +267,9 @@ def between(now: Moved, after: Moved, ends: Indices, sharp: Array, corner_sharpn
     return np.asarray(share * now.values + (1.0 - share) * after.values)
 
 
-def rules(ends: Indices, sharp: Array, corner_sharpness: Array, single: npt.NDArray[np.bool_], *, sharp_ends: bool) -> Indices:
+def rules(
+    ends: Indices, sharp: Array, corner_sharpness: Array, single: npt.NDArray[np.bool_], *, sharp_ends: bool
+) -> Indices:
     """(N,) how each point moves: 0 smooth, 1 along its crease, 2 not at all."""
     hard = np.bincount(ends[sharp > 0.0].reshape(-1), minlength=len(corner_sharpness))
     rule = np.where((hard > 2) | (corner_sharpness > 0.0), 2, np.where(hard == 2, 1, 0))
@@ -247,17 +282,30 @@ def neighbours(ends: Indices, chosen: npt.NDArray[np.bool_], values: Array) -> A
     """Sum of the values at the other ends of the chosen edges, for each point."""
     a, b = ends[chosen, 0], ends[chosen, 1]
     ones = np.ones(2 * len(a))
-    return np.asarray(sparse.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(len(values), len(values))) @ values)
+    return np.asarray(
+        sparse.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(len(values), len(values)))
+        @ values
+    )
 
 
 def _vertex_points(
-    values: Array, cage: Cage, edges: Edges, sharp: Array, corner_sharpness: Array, face_points: Array, degree: Indices, single: npt.NDArray[np.bool_]
+    values: Array,
+    cage: Cage,
+    edges: Edges,
+    sharp: Array,
+    corner_sharpness: Array,
+    face_points: Array,
+    degree: Indices,
+    single: npt.NDArray[np.bool_],
 ) -> Moved:
     rule = rules(edges.ends, sharp, corner_sharpness, single, sharp_ends=cage.sharp_ends)
     n = np.maximum(degree, 1)[:, None].astype(np.float64)
     around = neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values)
     ones = np.ones(len(cage.indices))
-    faces = sparse.csr_array((ones, (cage.indices, edges.face_of_corner)), shape=(len(values), len(cage.counts))) @ face_points
+    faces = (
+        sparse.csr_array((ones, (cage.indices, edges.face_of_corner)), shape=(len(values), len(cage.counts)))
+        @ face_points
+    )
     smooth = (n - 2.0) / n * values + (around + faces) / n**2
     crease = 0.75 * values + 0.125 * neighbours(edges.ends, sharp > 0.0, values)
     free = (rule == 0) & (degree > 0)
@@ -267,12 +315,20 @@ def _vertex_points(
 def _on_limit(values: Array, cage: Cage, edges: Edges, sharp: Array, corner_sharpness: Array) -> Array:
     points = len(values)
     degree = np.bincount(edges.ends.reshape(-1), minlength=points)
-    rule = rules(edges.ends, sharp, corner_sharpness, np.bincount(cage.indices, minlength=points) == 1, sharp_ends=cage.sharp_ends)
+    rule = rules(
+        edges.ends,
+        sharp,
+        corner_sharpness,
+        np.bincount(cage.indices, minlength=points) == 1,
+        sharp_ends=cage.sharp_ends,
+    )
     n = np.maximum(degree, 1)[:, None].astype(np.float64)
     across = cage.indices[edges.following[edges.following]]
     ones = np.ones(len(across))
     opposite = sparse.csr_array((ones, (cage.indices, across)), shape=(points, points)) @ values
-    smooth = (n**2 * values + 4.0 * neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values) + opposite) / (n * (n + 5.0))
+    smooth = (n**2 * values + 4.0 * neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values) + opposite) / (
+        n * (n + 5.0)
+    )
     crease = (4.0 * values + neighbours(edges.ends, sharp > 0.0, values)) / 6.0
     half_sharp = np.zeros(points, dtype=bool)
     half_sharp[edges.ends[(sharp > 0.0) & (sharp < INFINITE)]] = True

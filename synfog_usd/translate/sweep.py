@@ -61,7 +61,11 @@ def tubes(line: Array, radius: Array, sides: int) -> tuple[Array, Indices, Array
         mirrored = tangent[:, k] - (2.0 / square) * np.einsum("fi,fi->f", step, tangent[:, k])[:, None] * step
         second = tangent[:, k + 1] - mirrored
         square = np.einsum("fi,fi->f", second, second)[:, None]
-        side = np.where(square > 1e-24, turned - 2.0 / np.maximum(square, 1e-300) * np.einsum("fi,fi->f", second, turned)[:, None] * second, turned)
+        side = np.where(
+            square > 1e-24,
+            turned - 2.0 / np.maximum(square, 1e-300) * np.einsum("fi,fi->f", second, turned)[:, None] * second,
+            turned,
+        )
         side = side - np.einsum("fi,fi->f", side, tangent[:, k + 1])[:, None] * tangent[:, k + 1]
         side = side / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-300)
         sideways.append(side)

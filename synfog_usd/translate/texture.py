@@ -30,11 +30,29 @@ MAX_BYTES = 1 << 33
 
 PICTURES = frozenset(
     (
-        *(".png", ".jpg", ".jpeg", ".jpe", ".exr", ".hdr", ".pic", ".tif", ".tiff", ".tx", ".tga", ".bmp", ".webp", ".psd", ".gif"),
+        *(
+            ".png",
+            ".jpg",
+            ".jpeg",
+            ".jpe",
+            ".exr",
+            ".hdr",
+            ".pic",
+            ".tif",
+            ".tiff",
+            ".tx",
+            ".tga",
+            ".bmp",
+            ".webp",
+            ".psd",
+            ".gif",
+        ),
         *(".jp2", ".j2k", ".jxl", ".dds", ".sgi", ".rgb", ".rgba", ".pnm", ".ppm", ".pgm", ".heic", ".avif"),
     )
 )
-"""Ends of the names of files that are opened as pictures; a library that tries whatever it knows on any file opens videos and raw photographs too."""
+"""Ends of the names of files that are opened as pictures; a library that tries whatever it knows on any file opens
+videos and raw photographs too.
+"""
 
 _CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}
 _IN_FILES = {"periodic": "repeat", "mirror": "mirror", "clamp": "clamp", "black": "black"}
@@ -125,7 +143,10 @@ class ImageReader:
             outside = np.rint(255.0 * srgb_encode(outside)).astype(np.uint8)
         key = (id(pixels), wraps, tuple(outside.tolist()))
         if key not in self._wrapped:
-            self._wrapped[key] = (pixels, wrapped(pixels, wraps, outside))  # the pixels are kept, so that no other array gets their id
+            self._wrapped[key] = (
+                pixels,
+                wrapped(pixels, wraps, outside),
+            )  # the pixels are kept, so that no other array gets their id
         return self._wrapped[key][1]
 
     def _joined(self, node: TextureNode) -> Pixels | None:
@@ -140,17 +161,27 @@ class ImageReader:
         while height * width * columns * rows > MAX_PIXELS:
             height, width = max(height // 2, 1), max(width // 2, 1)
         if height < tall:
-            self.notes.warn(node.path, f"{columns} x {rows} tiles are drawn with {width} x {height} pixels each: together at most {MAX_PIXELS} are")
+            self.notes.warn(
+                node.path,
+                f"{columns} x {rows} tiles are drawn with {width} x {height} pixels each: together at most "
+                f"{MAX_PIXELS} are",
+            )
         channels = max(pixels.shape[2] for _, pixels in tiles)
         eight_bit = all(pixels.dtype == np.uint8 for _, pixels in tiles)
-        result: Pixels = np.zeros((height * rows, width * columns, channels), dtype=np.uint8 if eight_bit else np.float32)
+        result: Pixels = np.zeros(
+            (height * rows, width * columns, channels), dtype=np.uint8 if eight_bit else np.float32
+        )
         for number, tile in tiles:
-            values: Pixels = tile if eight_bit or tile.dtype != np.uint8 else tile.astype(np.float32) / np.float32(255.0)
+            values: Pixels = (
+                tile if eight_bit or tile.dtype != np.uint8 else tile.astype(np.float32) / np.float32(255.0)
+            )
             values = np.concatenate([values, *[values[..., -1:]] * (channels - values.shape[2])], axis=2)
             if values.shape[:2] != (height, width):
                 source = OpenImageIO.ImageBuf(np.ascontiguousarray(values))
                 region = OpenImageIO.ROI(0, width, 0, height, 0, 1, 0, channels)
-                values = np.asarray(OpenImageIO.ImageBufAlgo.resize(source, roi=region).get_pixels("uint8" if eight_bit else "float"))
+                values = np.asarray(
+                    OpenImageIO.ImageBufAlgo.resize(source, roi=region).get_pixels("uint8" if eight_bit else "float")
+                )
             column, row = (number - 1001) % 10 - left, rows - 1 - ((number - 1001) // 10 - bottom)
             result[row * height : (row + 1) * height, column * width : (column + 1) * width] = values
         return result
@@ -158,7 +189,9 @@ class ImageReader:
     def _read(self, file: str, path: str) -> Pixels | None:
         inner = Ar.SplitPackageRelativePathInner(file)[1] if Ar.IsPackageRelativePath(file) else file
         if Path(inner).suffix.lower() not in PICTURES:
-            self.notes.warn(path, f"texture {file} is no picture by its name, and is not opened; convert it to PNG or EXR")
+            self.notes.warn(
+                path, f"texture {file} is no picture by its name, and is not opened; convert it to PNG or EXR"
+            )
             return None
         if not Ar.IsPackageRelativePath(file):
             return self._decode(file, file, path)
@@ -179,18 +212,26 @@ class ImageReader:
         hints.attribute("oiio:UnassociatedAlpha", 1)
         image = OpenImageIO.ImageInput.open(name, hints)
         if image is None:
-            self.notes.warn(path, f"texture {shown} cannot be read ({OpenImageIO.geterror().strip() or 'unknown format'})")
+            self.notes.warn(
+                path, f"texture {shown} cannot be read ({OpenImageIO.geterror().strip() or 'unknown format'})"
+            )
             return None
         spec = image.spec()
         if spec.width * spec.height > MAX_PIXELS or spec.depth > 1:
             image.close()
-            self.notes.warn(path, f"texture {shown} of {spec.width} x {spec.height} pixels is too large; at most {MAX_PIXELS} are read")
+            self.notes.warn(
+                path,
+                f"texture {shown} of {spec.width} x {spec.height} pixels is too large; at most {MAX_PIXELS} are read",
+            )
             return None
         eight_bit = spec.format == OpenImageIO.TypeUInt8
         self._bytes += spec.width * spec.height * min(spec.nchannels, 4) * (1 if eight_bit else 4)
         if self._bytes > MAX_BYTES:
             image.close()
-            raise StageError(f"{path}: with texture {shown} all textures take {self._bytes >> 20} MiB decoded; at most {MAX_BYTES >> 20} are read: shrink some")
+            raise StageError(
+                f"{path}: with texture {shown} all textures take {self._bytes >> 20} MiB decoded; at most "
+                f"{MAX_BYTES >> 20} are read: shrink some"
+            )
         modes = [_IN_FILES.get(word.strip(), "black") for word in str(spec.getattribute("wrapmodes") or "").split(",")]
         if modes != ["black"]:
             self._modes[shown] = (modes[0], modes[-1])
@@ -258,7 +299,9 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Diagnostics) 
         file = (file or authored) if tiles else ""
         if tiles and uv is not None:
             left, bottom, columns, rows = tile_range(tiles)
-            onto = np.array([[1.0 / columns, 0.0, -left / columns], [0.0, 1.0 / rows, -bottom / rows]]) @ np.vstack([np.array(uv.matrix), [0.0, 0.0, 1.0]])
+            onto = np.array([[1.0 / columns, 0.0, -left / columns], [0.0, 1.0 / rows, -bottom / rows]]) @ np.vstack(
+                [np.array(uv.matrix), [0.0, 0.0, 1.0]]
+            )
             (a, b, c), (d, e, f) = onto.tolist()
             uv, wraps = UvSource(uv.primvar, ((a, b, c), (d, e, f))), ["clamp", "clamp"]
     if not file:
@@ -283,8 +326,12 @@ def _tiles(shader: UsdShade.Shader, authored: str, file: str) -> tuple[tuple[int
     """The tiles of a texture with <UDIM> in its name, by number."""
     for attribute in UsdShade.Utils.GetValueProducingAttributes(shader.GetInput("file")):
         for spec in attribute.GetPropertyStack(Usd.TimeCode.Default()):
-            found = UsdShade.UdimUtils.ResolveUdimTilePaths(authored, spec.layer) or UsdShade.UdimUtils.ResolveUdimTilePaths(file, spec.layer)
-            numbered = [(int(tile), str(path)) for path, tile in found if str(tile).isdigit() and 1001 <= int(tile) <= 1100]
+            found = UsdShade.UdimUtils.ResolveUdimTilePaths(
+                authored, spec.layer
+            ) or UsdShade.UdimUtils.ResolveUdimTilePaths(file, spec.layer)
+            numbered = [
+                (int(tile), str(path)) for path, tile in found if str(tile).isdigit() and 1001 <= int(tile) <= 1100
+            ]
             if numbered:
                 return tuple(sorted(numbered))
     return ()
@@ -337,7 +384,9 @@ def _uv_source(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Diagnostics) 
         if kind.startswith("UsdTransform2d"):
             angle = np.radians(float(value_of(node, "rotation", time, 0.0)))
             scale, shift = value_of(node, "scale", time, (1.0, 1.0)), value_of(node, "translation", time, (0.0, 0.0))
-            turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+            turn = np.array(
+                [[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
+            )
             step = turn @ np.diag([float(scale[0]), float(scale[1]), 1.0])
             step[:2, 2] = float(shift[0]), float(shift[1])
             matrix = matrix @ step
@@ -346,7 +395,10 @@ def _uv_source(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Diagnostics) 
             (a, b, c), (d, e, f) = matrix[:2].tolist()
             return UvSource(str(value_of(node, "varname", time, "st")), ((a, b, c), (d, e, f)))
         else:
-            notes.warn(node.GetPath(), f"texture coordinates from {kind or 'an unknown node'} are not known; primvar 'st' is used")
+            notes.warn(
+                node.GetPath(),
+                f"texture coordinates from {kind or 'an unknown node'} are not known; primvar 'st' is used",
+            )
             return UvSource("st")
     return UvSource("st")
 
@@ -379,7 +431,14 @@ def _sampled(node: TextureNode, images: ImageReader, channels: int) -> Pixels | 
         pixels = pixels[:1, :1]
     srgb = is_srgb(node, pixels)
     plain = all(s == 1.0 for s in node.scale) and not any(node.bias)
-    if srgb and plain and channels == 3 and node.channel == "rgb" and pixels.dtype == np.uint8 and pixels.shape[:2] != (1, 1):
+    if (
+        srgb
+        and plain
+        and channels == 3
+        and node.channel == "rgb"
+        and pixels.dtype == np.uint8
+        and pixels.shape[:2] != (1, 1)
+    ):
         return np.ascontiguousarray(pixels[..., :3])
     scale, bias = np.array(node.scale, dtype=np.float32), np.array(node.bias, dtype=np.float32)
     picked = _picked(_four(linear(pixels, srgb=srgb)) * scale + bias, node, channels)
@@ -407,5 +466,7 @@ def _four(pixels: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
 def _picked(pixels: npt.NDArray[np.float32], node: TextureNode, channels: int) -> npt.NDArray[np.float32]:
     channel = _CHANNEL.get(node.channel)
     if channels == 3:
-        return np.ascontiguousarray(pixels[..., :3] if channel is None else np.repeat(pixels[..., channel : channel + 1], 3, axis=2))
+        return np.ascontiguousarray(
+            pixels[..., :3] if channel is None else np.repeat(pixels[..., channel : channel + 1], 3, axis=2)
+        )
     return np.ascontiguousarray(pixels[..., channel or 0][..., None])

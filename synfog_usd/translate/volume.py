@@ -64,7 +64,9 @@ class FogError(StageError):
         self.rule, self.path = rule, path
 
 
-def fog_volume(prim: Usd.Prim, source: Usd.Prim | None, matrix: Array, time: Usd.TimeCode, notes: Diagnostics) -> FogVolume | None:
+def fog_volume(
+    prim: Usd.Prim, source: Usd.Prim | None, matrix: Array, time: Usd.TimeCode, notes: Diagnostics
+) -> FogVolume | None:
     """The fog within one boundary prim, or None where it is switched off.
 
     Args:
@@ -116,9 +118,13 @@ def nested(volumes: list[FogVolume]) -> tuple[FogVolume, ...]:
         raise FogError(
             "fog-crosses",
             first,
-            f"{first} and {second}: fog boundaries that cut through each other{more}; put one wholly inside the other, or move them apart",
+            f"{first} and {second}: fog boundaries that cut through each other{more}; put one wholly inside the "
+            f"other, or move them apart",
         )
-    return tuple(replace(volume, parent=max(around[k], key=lambda j: len(around[j])) if around[k] else None) for k, volume in enumerate(volumes))
+    return tuple(
+        replace(volume, parent=max(around[k], key=lambda j: len(around[j])) if around[k] else None)
+        for k, volume in enumerate(volumes)
+    )
 
 
 MAX_PAIRS = 2_000_000
@@ -148,7 +154,10 @@ def _contained(volumes: list[FogVolume], inner: list[Boundary]) -> tuple[_Pairs,
         seen += len(others)
         if seen > 2 * MAX_PAIRS:
             raise FogError(
-                "fog-crosses", volume.path, f"{volume.path}: more than {MAX_PAIRS} pairs of fog boundaries may touch; merge some, or move them apart"
+                "fog-crosses",
+                volume.path,
+                f"{volume.path}: more than {MAX_PAIRS} pairs of fog boundaries may touch; merge some, or move them "
+                f"apart",
             )
         if not len(others):
             continue
@@ -178,7 +187,9 @@ def with_visibility(volumes: tuple[FogVolume, ...], mor_m: float) -> tuple[FogVo
         return ()
     sigma_t = float(extinction_from_visibility(mor_m))
     return tuple(
-        volume if volume.parent is not None else replace(volume, medium=replace(volume.medium, sigma_t_per_m=sigma_t, contrast=WMO_CONTRAST))
+        volume
+        if volume.parent is not None
+        else replace(volume, medium=replace(volume.medium, sigma_t_per_m=sigma_t, contrast=WMO_CONTRAST))
         for volume in volumes
     )
 
@@ -209,14 +220,19 @@ def refuse_cut(fog: tuple[FogVolume, ...], camera: Camera) -> None:
     """
     half = camera.near_m * math.tan(math.radians(camera.fov_x_deg) / 2.0)
     tall = half * camera.height_px / camera.width_px
-    corners = [((x + 2.0 * camera.shift[0]) * half, (y + 2.0 * camera.shift[1]) * tall, -camera.near_m) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
+    corners = [
+        ((x + 2.0 * camera.shift[0]) * half, (y + 2.0 * camera.shift[1]) * tall, -camera.near_m)
+        for x in (-1.0, 1.0)
+        for y in (-1.0, 1.0)
+    ]
     pyramid = apply(camera.to_world, np.array([(0.0, 0.0, 0.0), *corners]))
     for volume in fog:
         if volume.boundary.meets(pyramid):
             raise FogError(
                 "fog-cut",
                 volume.path,
-                f"{volume.path}: the fog's boundary lies between the camera {camera.path} and its near plane at {camera.near_m:g} m; "
+                f"{volume.path}: the fog's boundary lies between the camera {camera.path} and its near plane at "
+                f"{camera.near_m:g} m; "
                 f"move one of them, or lower the camera's clippingRange",
             )
 
@@ -233,7 +249,10 @@ def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Diagnost
             attribute = prim.GetAttribute("size" if kind == "Cube" else "radius")
             half = float(attribute.Get(time)) / (2.0 if kind == "Cube" else 1.0)
             if not abs(half) < _FAR:
-                raise StageError(f"{path}: its {attribute.GetName()} is {2.0 * half if kind == 'Cube' else half:g}; a fog boundary has a size that is a number")
+                raise StageError(
+                    f"{path}: its {attribute.GetName()} is {2.0 * half if kind == 'Cube' else half:g}; a fog boundary "
+                    f"has a size that is a number"
+                )
             return Boundary("box" if kind == "Cube" else "sphere", matrix @ scaled(half, half, half))
         if kind == "Volume":
             return _extent_box(prim, matrix, time)
@@ -243,7 +262,10 @@ def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Diagnost
         elif kind in ("Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1"):
             made = read_implicit(prim, kind, time)
         else:
-            raise StageError(f"{path}: a {kind or 'prim without a type'} cannot hold fog; use a Cube, Sphere, Cylinder or closed Mesh")
+            raise StageError(
+                f"{path}: a {kind or 'prim without a type'} cannot hold fog; use a Cube, Sphere, Cylinder or closed "
+                f"Mesh"
+            )
         if made is None:
             raise StageError(f"{path}: a fog boundary without faces that can be used; make it a closed mesh")
         return _mesh_boundary(apply(matrix, made.positions), made.faces, path)
@@ -269,7 +291,10 @@ def _mesh_boundary(vertices: Array, faces: npt.NDArray[np.int64], path: object) 
     points, triangles = _welded(vertices, faces)
     count = _open_edges((points, triangles))
     if count:
-        raise StageError(f"{path}: a fog boundary with {count} open or badly joined edges; close the mesh, so that inside and outside are clear")
+        raise StageError(
+            f"{path}: a fog boundary with {count} open or badly joined edges; close the mesh, so that inside and "
+            f"outside are clear"
+        )
     if (cuboid := _cuboid(points)) is not None:
         return Boundary("box", cuboid)
     a, b, c = (points[triangles[:, k]] for k in range(3))
@@ -279,12 +304,16 @@ def _mesh_boundary(vertices: Array, faces: npt.NDArray[np.int64], path: object) 
 
 
 def _cuboid(points: Array) -> Array | None:
-    """(4, 4) matrix that takes [-1, 1]^3 to a closed mesh of 8 corners, if it is a box: tools that know no Cube write such a mesh."""
+    """(4, 4) matrix that takes [-1, 1]^3 to a closed mesh of 8 corners, if it is a box: tools that know no Cube write
+    such a mesh.
+    """
     if len(points) != 8:
         return None
     centre = points.mean(axis=0)
     by_distance = points[np.argsort(((points - points[0]) ** 2).sum(axis=1))]
-    for second in range(2, 5):  # the nearest is a neighbour, the second of three is among the next, and the third among the five nearest
+    for second in range(
+        2, 5
+    ):  # the nearest is a neighbour, the second of three is among the next, and the third among the five nearest
         for third in range(second + 1, 6):
             edges = by_distance[[1, second, third]] - points[0]
             signs = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, -1).T
@@ -305,7 +334,11 @@ def _welded(vertices: Array, faces: npt.NDArray[np.int64]) -> tuple[Array, npt.N
     grid = np.round((vertices[used] - vertices[used].min(axis=0)) / max(1e-7 * span, 1e-300))
     _, first, same = np.unique(grid, axis=0, return_index=True, return_inverse=True)
     triangles = same.reshape(-1)[inverse.reshape(-1)].reshape(-1, 3)
-    whole = (triangles[:, 0] != triangles[:, 1]) & (triangles[:, 1] != triangles[:, 2]) & (triangles[:, 2] != triangles[:, 0])
+    whole = (
+        (triangles[:, 0] != triangles[:, 1])
+        & (triangles[:, 1] != triangles[:, 2])
+        & (triangles[:, 2] != triangles[:, 0])
+    )
     return vertices[used][first], triangles[whole].astype(np.int64)
 
 
@@ -317,9 +350,17 @@ def _open_edges(mesh: tuple[Array, npt.NDArray[np.int64]]) -> int:
 
 
 def _medium(
-    attributes: FogAttributes, base_m: float, stage: Usd.Stage, notes: Diagnostics, *, grid: DensityGrid | None = None, densest: float = 1.0
+    attributes: FogAttributes,
+    base_m: float,
+    stage: Usd.Stage,
+    notes: Diagnostics,
+    *,
+    grid: DensityGrid | None = None,
+    densest: float = 1.0,
 ) -> FogMedium:
-    """What fills a boundary; with a `grid` of its own, whose 1 stands for the density `densest`, whatever profile is authored."""
+    """What fills a boundary; with a `grid` of its own, whose 1 stands for the density `densest`, whatever profile is
+    authored.
+    """
     values, authored = attributes.values, attributes.attribute_of
 
     def fault(name: str, allowed: str) -> StageError:
@@ -336,21 +377,31 @@ def _medium(
         ("albedo", 0.0 <= values["albedo"] <= 1.0, "an albedo is 0 to 1"),
         ("g", -1.0 < values["g"] < 1.0, "a mean cosine lies between -1 and 1"),
         ("scaleHeight", values["scaleHeight"] > 0.0, "a scale height is above 0 m"),
-        ("angstrom", ANGSTROM[0] <= values["angstrom"] <= ANGSTROM[1], f"an Angstrom exponent is {ANGSTROM[0]:g} to {ANGSTROM[1]:g}; fog has 0"),
+        (
+            "angstrom",
+            ANGSTROM[0] <= values["angstrom"] <= ANGSTROM[1],
+            f"an Angstrom exponent is {ANGSTROM[0]:g} to {ANGSTROM[1]:g}; fog has 0",
+        ),
     ]
     for name, fits, allowed in ranges:
         if not fits:
             raise fault(name, allowed)
     phase = _phase(attributes, fault, notes)
     if values["angstrom"] != 0.0:
-        notes.info(attributes.path, "its Angstrom exponent shows in wavelength bands (--bands 8, 16 or 31); R, G and B all get the extinction at 550 nm")
+        notes.info(
+            attributes.path,
+            "its Angstrom exponent shows in wavelength bands (--bands 8, 16 or 31); R, G and B all get the extinction "
+            "at 550 nm",
+        )
     profile: Any = values["profile"] if grid is None else "grid"
     if grid is not None:
         pass
     elif profile == "grid":
         grid = _density_grid(values["densityGrid"], stage, fault)
     elif "densityGrid" in authored:
-        notes.warn(attributes.path, f"the density grid is not drawn with profile {values['profile']!r}; set it to 'grid'")
+        notes.warn(
+            attributes.path, f"the density grid is not drawn with profile {values['profile']!r}; set it to 'grid'"
+        )
     sigma_t, contrast = values["sigma_t"], WMO_CONTRAST
     if sigma_t is None:
         contrast = values["contrast"]
@@ -372,7 +423,9 @@ def _medium(
         )
     except ParameterError as problem:
         name = "sigma_t" if "sigma_t" in authored else "mor"
-        raise StageError(f"{attributes.path}: {authored.get(name, PREFIX + name)} = {values[name]!r}: {problem}") from problem
+        raise StageError(
+            f"{attributes.path}: {authored.get(name, PREFIX + name)} = {values[name]!r}: {problem}"
+        ) from problem
 
 
 Fault = Callable[[str, str], StageError]
@@ -383,12 +436,18 @@ def _phase(attributes: FogAttributes, fault: Fault, notes: Diagnostics) -> Phase
     kind, diameter = attributes.values["phase"], attributes.values["dropletDiameter"]
     if kind == "hg":
         if diameter is not None:
-            notes.info(attributes.path, "the droplet diameter is not used with phase 'hg', which g alone shapes; 'droplets' and 'mie' use it")
+            notes.info(
+                attributes.path,
+                "the droplet diameter is not used with phase 'hg', which g alone shapes; 'droplets' and 'mie' use it",
+            )
         return None
     if "g" in attributes.attribute_of:
         notes.info(attributes.path, f"g is not used with phase {kind!r}, which the droplet diameter shapes")
     if diameter is None:
-        raise fault("dropletDiameter", f"phase {kind!r} needs a diameter [micrometres]; radiation fog has 6 to 10, advection fog 15 to 25")
+        raise fault(
+            "dropletDiameter",
+            f"phase {kind!r} needs a diameter [micrometres]; radiation fog has 6 to 10, advection fog 15 to 25",
+        )
     try:
         return Droplets(diameter) if kind == "droplets" else Tabulated.mie(diameter)
     except ParameterError as problem:
@@ -414,7 +473,9 @@ def _density_grid(asset: Sdf.AssetPath | None, stage: Usd.Stage, fault: Fault) -
         raise fault("densityGrid", str(problem).strip() or "the file is damaged") from problem
 
 
-def fog_box(prim: Usd.Prim, material: UsdShade.Material, time: Usd.TimeCode, notes: Diagnostics, *, is_blender: bool) -> bool | None:
+def fog_box(
+    prim: Usd.Prim, material: UsdShade.Material, time: Usd.TimeCode, notes: Diagnostics, *, is_blender: bool
+) -> bool | None:
     """Whether a mesh without fog attributes, whose material has no surface, is the box of an exported volume.
 
     Blender writes a box with a volume material as a mesh whose material has no output
@@ -426,7 +487,9 @@ def fog_box(prim: Usd.Prim, material: UsdShade.Material, time: Usd.TimeCode, not
         closed: it is neither drawn nor fog.
     """
     words = f"{prim.GetPath()} {material.GetPath().name}".lower()
-    meant = any(word in words for word in ("fog", "mist", "haze")) or any(output.GetAttr().IsAuthored() for output in material.GetVolumeOutputs())
+    meant = any(word in words for word in ("fog", "mist", "haze")) or any(
+        output.GetAttr().IsAuthored() for output in material.GetVolumeOutputs()
+    )
     if not meant and not is_blender:
         return False
     polygons = read_mesh(prim, time, notes)
@@ -434,7 +497,10 @@ def fog_box(prim: Usd.Prim, material: UsdShade.Material, time: Usd.TimeCode, not
     if made is not None and is_closed(made.positions, made.faces):
         return True
     if meant:
-        notes.warn(prim.GetPath(), "a volume's mesh that is not closed is left out: close it, and author synfog:fog:mor on it for fog")
+        notes.warn(
+            prim.GetPath(),
+            "a volume's mesh that is not closed is left out: close it, and author synfog:fog:mor on it for fog",
+        )
         return None
     return False
 
@@ -453,11 +519,16 @@ def rtx_fog(stage: Usd.Stage, notes: Diagnostics) -> None:
     if not found or not found.get("rtx:fog:enabled", True):
         return
     end = found.get("rtx:fog:fogEndDist")
-    metres = float(end) * UsdGeom.GetStageMetersPerUnit(stage) if isinstance(end, (int, float)) and math.isfinite(end) and end > 0 else 0.0
+    metres = (
+        float(end) * UsdGeom.GetStageMetersPerUnit(stage)
+        if isinstance(end, (int, float)) and math.isfinite(end) and end > 0
+        else 0.0
+    )
     hint = f"mor{metres:.0f}" if metres >= 1.0 else "mor300"
     notes.warn(
         where,
-        f"Omniverse's fog (rtx:fog) is a colour over the distance without a visibility, and is not drawn.  Bake with --fog {hint}, or give a Cube {PREFIX}mor",
+        f"Omniverse's fog (rtx:fog) is a colour over the distance without a visibility, and is not drawn.  Bake with "
+        f"--fog {hint}, or give a Cube {PREFIX}mor",
     )
 
 
@@ -474,7 +545,10 @@ def vdb_fault(prim: Usd.Prim) -> str | None:
     if path.suffix.lower() != ".vdb":
         return f"{path.name} is no .vdb file; convert it to OpenVDB, or use a Cube with SynFogMediumAPI"
     if not path.with_suffix(".npz").is_file():
-        return f"{path.name} is OpenVDB; make {path.stem}.npz beside it: blender --background --python {VDB_TOOL} -- {path}"
+        return (
+            f"{path.name} is OpenVDB; make {path.stem}.npz beside it: blender --background --python {VDB_TOOL} -- "
+            f"{path}"
+        )
     return None
 
 
@@ -485,7 +559,11 @@ def _vdb_path(prim: Usd.Prim) -> Path | None:
         for target in prim.GetRelationship(name).GetForwardedTargets() if prim.HasRelationship(name) else ():
             field = prim.GetStage().GetPrimAtPath(target)
             asset = field.GetAttribute("filePath").Get() if field and field.GetAttribute("filePath") else None
-            if isinstance(asset, Sdf.AssetPath) and asset.resolvedPath and not Ar.IsPackageRelativePath(asset.resolvedPath):
+            if (
+                isinstance(asset, Sdf.AssetPath)
+                and asset.resolvedPath
+                and not Ar.IsPackageRelativePath(asset.resolvedPath)
+            ):
                 return Path(asset.resolvedPath)
     return None
 
@@ -513,12 +591,21 @@ def _vdb_volume(prim: Usd.Prim, attributes: FogAttributes, matrix: Array, notes:
         if not (np.isfinite([low, high]).all() and (high > low).all() and 0.0 < densest < math.inf):
             raise ParameterError(f"its box from {low} to {high} or its density {densest:g} makes no sense")
     except (ParameterError, OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as problem:
-        raise StageError(f"{path}: {file.name}: {str(problem).strip() or 'damaged'}; make it again with {VDB_TOOL}") from problem
+        raise StageError(
+            f"{path}: {file.name}: {str(problem).strip() or 'damaged'}; make it again with {VDB_TOOL}"
+        ) from problem
     boundary = Boundary("box", matrix @ _box(low, high))
     voxels = " x ".join(map(str, grid.values.shape[::-1]))
-    notes.info(path, f"OpenVDB volume from {file.name}, {voxels} voxels; where its density is 1 the extinction is that of its fog attributes")
+    notes.info(
+        path,
+        f"OpenVDB volume from {file.name}, {voxels} voxels; where its density is 1 the extinction is that of its fog "
+        f"attributes",
+    )
     return FogVolume(
-        str(path), boundary, _medium(attributes, _lowest(boundary), prim.GetStage(), notes, grid=grid, densest=densest), attributes.values["priority"]
+        str(path),
+        boundary,
+        _medium(attributes, _lowest(boundary), prim.GetStage(), notes, grid=grid, densest=densest),
+        attributes.values["priority"],
     )
 
 
@@ -529,13 +616,17 @@ def _one_array(path: Path) -> npt.NDArray[Any]:
         return found
     with np.load(path, allow_pickle=False) as archive:
         if len(archive.files) != 1:
-            raise ParameterError(f"the file holds {len(archive.files)} arrays ({', '.join(archive.files[:5])}); it holds one")
+            raise ParameterError(
+                f"the file holds {len(archive.files)} arrays ({', '.join(archive.files[:5])}); it holds one"
+            )
         (member,) = archive.zip.infolist()
         if member.file_size > _MAX_BYTES:
             raise ParameterError(f"the file unpacks to {member.file_size} bytes; at most {_MAX_BYTES} are read")
         with archive.zip.open(member) as packed:
             version = np.lib.format.read_magic(packed)
-            shape, _, kind = (np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0)(packed)
+            shape, _, kind = (
+                np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            )(packed)
             if math.prod(shape) * kind.itemsize > _MAX_BYTES:
                 raise ParameterError(f"the file claims an array of shape {shape}; at most {MAX_VOXELS} voxels are read")
         return np.asarray(archive[archive.files[0]])

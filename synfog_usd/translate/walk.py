@@ -32,13 +32,33 @@ MAX_NESTED = 200_000
 
 MESHES = frozenset({"Mesh", "TetMesh"})
 CURVES = frozenset({"BasisCurves", "HermiteCurves", "NurbsCurves"})
-DRAWN = frozenset({"Cube", "Sphere", "Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1", "Plane"}) | MESHES | CURVES | {"NurbsPatch", "Points"}
-_LIGHTS = frozenset({"DomeLight", "DomeLight_1", "DistantLight", "SphereLight", "RectLight", "DiskLight", "CylinderLight"})
+DRAWN = (
+    frozenset({"Cube", "Sphere", "Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1", "Plane"})
+    | MESHES
+    | CURVES
+    | {"NurbsPatch", "Points"}
+)
+_LIGHTS = frozenset(
+    {"DomeLight", "DomeLight_1", "DistantLight", "SphereLight", "RectLight", "DiskLight", "CylinderLight"}
+)
 _PRUNED = frozenset(
-    {"Material", "Shader", "NodeGraph", "Skeleton", "SkelAnimation", "BlendShape", "GeomSubset", "RenderSettings", "RenderProduct", "RenderVar"}
+    {
+        "Material",
+        "Shader",
+        "NodeGraph",
+        "Skeleton",
+        "SkelAnimation",
+        "BlendShape",
+        "GeomSubset",
+        "RenderSettings",
+        "RenderProduct",
+        "RenderVar",
+    }
 )
 ALSO_OVERS = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
-"""Prims that count within a prototype: artists keep prototypes under an `over`, which hides them from everything else."""
+"""Prims that count within a prototype: artists keep prototypes under an `over`, which hides them from everything
+else.
+"""
 
 _PASSED = frozenset({"", "Xform", "Scope", "SkelRoot", "Camera", "OpenVDBAsset", "Field3DAsset"})
 
@@ -181,14 +201,18 @@ class _Walker:
     def into(self, root: Usd.Prim, start: _State, group: Group | None, frame: Usd.Prim | None) -> None:
         """Walk the subtree of `root`; leaves go to `group`, relative to `frame`, or to the world."""
         stack = [start]
-        iterator = iter(Usd.PrimRange(root) if root.IsPseudoRoot() or root.IsDefined() else Usd.PrimRange(root, ALSO_OVERS))
+        iterator = iter(
+            Usd.PrimRange(root) if root.IsPseudoRoot() or root.IsDefined() else Usd.PrimRange(root, ALSO_OVERS)
+        )
         for prim in iterator:
             path = prim.GetPath()
             depth = path.pathElementCount
             if not depth:
                 continue
             if depth > MAX_DEPTH:
-                raise StageError(f"{str(path)[:60]}…: prims nested deeper than {MAX_DEPTH} levels; flatten the hierarchy")
+                raise StageError(
+                    f"{str(path)[:60]}…: prims nested deeper than {MAX_DEPTH} levels; flatten the hierarchy"
+                )
             while stack[-1].depth >= depth:
                 stack.pop()
             kind = prim.GetTypeName()
@@ -218,13 +242,19 @@ class _Walker:
             known = self.known_names[authored] = (frozenset(authored), said)
         return known
 
-    def entered(self, prim: Usd.Prim, at: Sdf.Path, kind: str, depth: int, above: _State, *, is_frame: bool) -> _State | None:
+    def entered(
+        self, prim: Usd.Prim, at: Sdf.Path, kind: str, depth: int, above: _State, *, is_frame: bool
+    ) -> _State | None:
         """The state below a prim, or None where nothing below can be seen."""
         drawn, owner, model, color, fog = above.drawn, above.owner, above.model, above.color, None
         authored, says = self.names(prim)
         schemas = tuple(prim.GetPrimTypeInfo().GetAppliedAPISchemas())
         schemas = self.known_schemas.setdefault(schemas, schemas)
-        if says and "visibility" in authored and prim.GetAttribute("visibility").Get(self.time) == UsdGeom.Tokens.invisible:
+        if (
+            says
+            and "visibility" in authored
+            and prim.GetAttribute("visibility").Get(self.time) == UsdGeom.Tokens.invisible
+        ):
             return None
         if says and "purpose" in authored:
             drawn = prim.GetAttribute("purpose").Get() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
@@ -250,7 +280,9 @@ class _Walker:
             fog = prim
         return _State(depth, drawn, authored, schemas, owner, model, color, fog, above.material, above.stronger)
 
-    def constant_color(self, prim: Usd.Prim, inherited: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+    def constant_color(
+        self, prim: Usd.Prim, inherited: tuple[float, float, float] | None
+    ) -> tuple[float, float, float] | None:
         primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
         if not primvar.HasAuthoredValue() or primvar.GetInterpolation() != UsdGeom.Tokens.constant:
             return inherited
@@ -266,20 +298,40 @@ class _Walker:
             return np.eye(4)
         matrix, resets = self.transforms.ComputeRelativeTransform(prim, frame)
         if resets:
-            self.notes.warn(prim.GetPath(), "!resetXformStack! within an instance is not followed: the prim stands where the instance has it")
+            self.notes.warn(
+                prim.GetPath(),
+                "!resetXformStack! within an instance is not followed: the prim stands where the instance has it",
+            )
         return columns(matrix)
 
-    def leaf(self, prim: Usd.Prim, at: Sdf.Path, kind: str, state: _State, above: _State, group: Group | None, frame: Usd.Prim | None) -> None:
+    def leaf(
+        self,
+        prim: Usd.Prim,
+        at: Sdf.Path,
+        kind: str,
+        state: _State,
+        above: _State,
+        group: Group | None,
+        frame: Usd.Prim | None,
+    ) -> None:
         is_light = kind in _LIGHTS
         fog = state.fog
         if fog is None and kind in DRAWN:
             parent = prim.GetParent()
             if above.fog is not None and parent.GetTypeName() == "Xform":
-                siblings = [child for child in parent.GetFilteredChildren(Usd.TraverseInstanceProxies()) if child.IsA(UsdGeom.Gprim)]
+                siblings = [
+                    child
+                    for child in parent.GetFilteredChildren(Usd.TraverseInstanceProxies())
+                    if child.IsA(UsdGeom.Gprim)
+                ]
                 if len(siblings) == 1:
                     fog = parent
                 else:
-                    self.notes.warn(parent.GetPath(), f"has fog attributes but {len(siblings)} shapes below; put the attributes on the boundary itself")
+                    self.notes.warn(
+                        parent.GetPath(),
+                        f"has fog attributes but {len(siblings)} shapes below; put the attributes on the boundary "
+                        f"itself",
+                    )
         if fog is None and kind == "Volume" and state.drawn and vdb_fault(prim) is None:
             fog = prim
         if fog is None and not is_light and kind not in DRAWN:
@@ -291,11 +343,27 @@ class _Walker:
         self.limit()
         matrix = self.matrix(prim, frame)
         if not np.abs(matrix).max() <= FAR:
-            self.notes.warn(prim.GetPath(), "a prim placed or scaled by a number that is not finite, or of more than 10 digits, is left out")
+            self.notes.warn(
+                prim.GetPath(),
+                "a prim placed or scaled by a number that is not finite, or of more than 10 digits, is left out",
+            )
             return
         path = str(at)
         model = state.model or (None if group is not None else path)
-        found = Leaf(prim, path, kind, state.authored, state.schemas, matrix, state.owner, model, state.color, fog, state.material, state.stronger)
+        found = Leaf(
+            prim,
+            path,
+            kind,
+            state.authored,
+            state.schemas,
+            matrix,
+            state.owner,
+            model,
+            state.color,
+            fog,
+            state.material,
+            state.stronger,
+        )
         (self.result.leaves if group is None else group.leaves).append(found)
 
     def limit(self) -> None:
@@ -321,7 +389,12 @@ class _Walker:
         path = str(prim.GetPath())
         index = self.group_of(prototype, state, self.bound(prim, state), state.color)
         self.place(
-            index, self.matrix(prim, frame), path, state, group, own_instance=state.owner is not None and (state.owner.splits or state.owner.path == path)
+            index,
+            self.matrix(prim, frame),
+            path,
+            state,
+            group,
+            own_instance=state.owner is not None and (state.owner.splits or state.owner.path == path),
         )
 
     def point_instancer(self, prim: Usd.Prim, state: _State, group: Group | None, frame: Usd.Prim | None) -> None:
@@ -333,9 +406,13 @@ class _Walker:
             self.notes.warn(path, "PointInstancer without prototypes or indices is left out")
             return
         which = np.asarray(which, dtype=np.int64)
-        matrices = instancer.ComputeInstanceTransformsAtTime(self.time, self.time, UsdGeom.PointInstancer.IncludeProtoXform, UsdGeom.PointInstancer.IgnoreMask)
+        matrices = instancer.ComputeInstanceTransformsAtTime(
+            self.time, self.time, UsdGeom.PointInstancer.IncludeProtoXform, UsdGeom.PointInstancer.IgnoreMask
+        )
         if len(matrices) != len(which) or (which.size and not 0 <= which.min() <= which.max() < len(targets)):
-            self.notes.warn(path, "PointInstancer whose positions, indices and prototypes do not fit each other is left out")
+            self.notes.warn(
+                path, "PointInstancer whose positions, indices and prototypes do not fit each other is left out"
+            )
             return
         mask = instancer.ComputeMaskAtTime(self.time)
         shown = np.asarray(mask, dtype=bool) if len(mask) == len(which) else np.ones(len(which), dtype=bool)
@@ -343,7 +420,11 @@ class _Walker:
         colors, kind_of = self.instance_colors(prim, state, which, shown)
         for number, kind in sorted(set(zip(which[shown].tolist(), kind_of[shown].tolist(), strict=True))):
             prototype = self.stage.GetPrimAtPath(targets[number])
-            if not prototype or not (prototype.IsDefined() or prototype.HasDefiningSpecifier()) or prototype.IsAbstract():
+            if (
+                not prototype
+                or not (prototype.IsDefined() or prototype.HasDefiningSpecifier())
+                or prototype.IsAbstract()
+            ):
                 self.notes.warn(path, f"prototype {targets[number]} is missing or abstract; its points are left out")
                 continue
             groups[number, kind] = self.group_of(prototype, state, self.bound(prim, state), colors[kind])
@@ -360,7 +441,9 @@ class _Walker:
     def instance_colors(
         self, prim: Usd.Prim, state: _State, which: npt.NDArray[np.int64], shown: npt.NDArray[np.bool_]
     ) -> tuple[list[tuple[float, float, float] | None], npt.NDArray[np.int64]]:
-        """The displayColors of an instancer's points, and which of these each point has; their mean where they are many."""
+        """The displayColors of an instancer's points, and which of these each point has; their mean where they are
+        many.
+        """
         same = np.zeros(len(which), dtype=np.int64)
         if "primvars:displayColor" not in state.authored:
             return [state.color], same
@@ -370,12 +453,17 @@ class _Walker:
             return [state.color], same
         found, kind_of = np.unique(np.asarray(values, dtype=np.float64), axis=0, return_inverse=True)
         if len(found) > MAX_COLORS:
-            self.notes.warn(prim.GetPath(), f"its points have {len(found)} displayColors; above {MAX_COLORS} they are drawn in their mean")
+            self.notes.warn(
+                prim.GetPath(),
+                f"its points have {len(found)} displayColors; above {MAX_COLORS} they are drawn in their mean",
+            )
             found, kind_of = np.asarray(values, dtype=np.float64)[shown].mean(axis=0, keepdims=True), same
         return [(float(r), float(g), float(b)) for r, g, b in found], kind_of.reshape(-1)
 
     def bound(self, prim: Usd.Prim, state: _State) -> tuple[str | None, bool]:
-        """Path of the material that leaves below an instance inherit from outside, and whether it comes before theirs."""
+        """Path of the material that leaves below an instance inherit from outside, and whether it comes before
+        theirs.
+        """
         if state.stronger:
             return state.material, True
         for purpose in (UsdShade.Tokens.full, UsdShade.Tokens.preview):
@@ -385,7 +473,13 @@ class _Walker:
                 return str(material.GetPath()), strength == UsdShade.Tokens.strongerThanDescendants
         return state.material, False
 
-    def group_of(self, prototype: Usd.Prim, state: _State, bound: tuple[str | None, bool], color: tuple[float, float, float] | None) -> int:
+    def group_of(
+        self,
+        prototype: Usd.Prim,
+        state: _State,
+        bound: tuple[str | None, bool],
+        color: tuple[float, float, float] | None,
+    ) -> int:
         """Index of the group of a prototype, walked at its first use."""
         root = str(prototype.GetPath())
         key = (root, color, bound, state.drawn)
@@ -399,15 +493,26 @@ class _Walker:
         self.open_groups.append(root)
         group = Group(root)
         depth = prototype.GetPath().pathElementCount
-        self.into(prototype, _State(depth - 1, state.drawn, color=color, material=bound[0], stronger=bound[1]), group, prototype)
+        self.into(
+            prototype,
+            _State(depth - 1, state.drawn, color=color, material=bound[0], stronger=bound[1]),
+            group,
+            prototype,
+        )
         self.open_groups.pop()
         self.group_index[key] = len(self.result.groups)
         self.result.groups.append(group)
         return self.group_index[key]
 
-    def place(self, index: int, matrix: Array, path: str, state: _State, group: Group | None, *, own_instance: bool) -> None:
+    def place(
+        self, index: int, matrix: Array, path: str, state: _State, group: Group | None, *, own_instance: bool
+    ) -> None:
         if not np.abs(matrix).max() <= FAR or abs(np.linalg.det(matrix[:3, :3])) < 1e-300:
-            self.notes.warn(path, "an instance scaled to nothing, or placed at no finite point or at one of more than 10 digits, is left out")
+            self.notes.warn(
+                path,
+                "an instance scaled to nothing, or placed at no finite point or at one of more than 10 digits, is "
+                "left out",
+            )
             return
         owner = state.owner
         if owner is not None and own_instance:

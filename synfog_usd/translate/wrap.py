@@ -1,8 +1,10 @@
 """Texture wrap modes: two of USD's, one for u and one for v, as the single one that Mitsuba's bitmap texture has.
 
-USD wraps u and v apart ('repeat', 'mirror', 'clamp', 'black'); Mitsuba takes one mode for both and knows no 'black'.  Where the
-two differ, texels are added until one mode does: a mirrored copy beside the picture for 'mirror', a rim for 'clamp' and 'black'.
-Takes pixels and the two modes; gives pixels, one mode, and the scale and shift of (u, v) that find the old texels in them.
+USD wraps u and v apart ('repeat', 'mirror', 'clamp', 'black'); Mitsuba takes one mode for both and knows no 'black'.
+Where the
+two differ, texels are added until one mode does: a mirrored copy beside the picture for 'mirror', a rim for 'clamp' and
+'black'. Takes pixels and the two modes; gives pixels, one mode, and the scale and shift of (u, v) that find the old
+texels in them.
 Source of the modes: UsdPreviewSurface specification, UsdUVTexture, inputs wrapS and wrapT.
 """
 
@@ -19,7 +21,9 @@ Pixels = npt.NDArray[Any]
 MODES = ("repeat", "mirror", "clamp", "black")
 
 _EDGE = 2
-"""Texels around a picture that is black beyond its square: one of its own, so that its rim stays as it is, and a black one."""
+"""Texels around a picture that is black beyond its square: one of its own, so that its rim stays as it is, and a black
+one.
+"""
 
 
 @dataclass(frozen=True)
@@ -41,8 +45,8 @@ class Wrapped:
 def wrapped(pixels: Pixels, wraps: tuple[str, str], outside: Pixels) -> Wrapped:
     """A texture with a wrap mode for each direction, as one with a single mode.
 
-    Where one direction is clamped and the other repeats, the clamped one repeats, too, but with a rim of its own length: it is
-    right up to one whole picture beyond [0, 1].
+    Where one direction is clamped and the other repeats, the clamped one repeats, too, but with a rim of its own
+    length: it is right up to one whole picture beyond [0, 1].
 
     Args:
         pixels: (H, W, C).
@@ -63,11 +67,15 @@ def wrapped(pixels: Pixels, wraps: tuple[str, str], outside: Pixels) -> Wrapped:
             rim = _EDGE if all(ends) else size + 1
             pixels = _framed(pixels, axis, rim, outside if wrap == "black" else None)
             scale[direction], shift[direction] = size / (size + 2 * rim), rim / (size + 2 * rim)
-    return Wrapped(np.ascontiguousarray(pixels), "clamp" if all(ends) else "repeat", (scale[0], scale[1]), (shift[0], shift[1]))
+    return Wrapped(
+        np.ascontiguousarray(pixels), "clamp" if all(ends) else "repeat", (scale[0], scale[1]), (shift[0], shift[1])
+    )
 
 
 def _framed(pixels: Pixels, axis: int, rim: int, outside: Pixels | None) -> Pixels:
-    """A picture with a rim of `rim` texels at both ends: its last texel once, then `outside`, or its last texel throughout."""
+    """A picture with a rim of `rim` texels at both ends: its last texel once, then `outside`, or its last texel
+    throughout.
+    """
     margins = [(0, 0)] * 3
     margins[axis] = (rim, rim)
     result: Pixels = np.pad(pixels, margins, mode="edge")

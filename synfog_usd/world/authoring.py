@@ -146,7 +146,9 @@ def _author_placement(layer: Sdf.Layer, p: Placement, assets: str) -> None:
     order.default = Vt.TokenArray([name for name, _, _ in ops])
 
 
-def author_instancer(stage: Usd.Stage, path: str, asset: str, name: str, points: Array, turns: Array, assets: str) -> None:
+def author_instancer(
+    stage: Usd.Stage, path: str, asset: str, name: str, points: Array, turns: Array, assets: str
+) -> None:
     """Many of one component, upright: (N, 3) places [m] and (N,) headings [degrees]."""
     instancer = UsdGeom.PointInstancer.Define(stage, path)
     prototype = stage.DefinePrim(f"{path}/Prototypes/{asset.title()}", "Xform")
@@ -156,7 +158,9 @@ def author_instancer(stage: Usd.Stage, path: str, asset: str, name: str, points:
     instancer.CreateProtoIndicesAttr(Vt.IntArray([0] * len(points)))
     instancer.CreatePositionsAttr(Vt.Vec3fArray([Gf.Vec3f(*(round(float(v), 3) for v in p)) for p in points]))
     half = np.deg2rad(turns) / 2
-    instancer.CreateOrientationsAttr(Vt.QuathArray([Gf.Quath(float(c), 0, 0, float(s)) for c, s in zip(np.cos(half), np.sin(half), strict=True)]))
+    instancer.CreateOrientationsAttr(
+        Vt.QuathArray([Gf.Quath(float(c), 0, 0, float(s)) for c, s in zip(np.cos(half), np.sin(half), strict=True)])
+    )
     instancer.CreateExtentAttr(instancer.ComputeExtentAtTime(Usd.TimeCode.Default(), Usd.TimeCode.Default()))
     Usd.ModelAPI(instancer.GetPrim()).SetKind(Kind.Tokens.group)
     label(instancer.GetPrim(), name)
@@ -172,7 +176,9 @@ def author_fog_variants(stage: Usd.Stage, fogs: Mapping[str, float | None], sele
             if mor_m is None:
                 stage.OverridePrim("/World/Fog").SetActive(False)
             else:
-                stage.OverridePrim("/World/Fog/Global").CreateAttribute("synfog:fog:mor", Sdf.ValueTypeNames.Float, custom=False).Set(mor_m)
+                stage.OverridePrim("/World/Fog/Global").CreateAttribute(
+                    "synfog:fog:mor", Sdf.ValueTypeNames.Float, custom=False
+                ).Set(mor_m)
     variants.SetVariantSelection(selected)
 
 

@@ -88,7 +88,8 @@ class Component:
         labels: Cityscapes names of meshes (by material) that differ from `label`.
         low: the same thing in fewer triangles, of the same materials; with it comes a variant set `lod` (full, low).
         low_bindings: mesh -> material that it wears in fewer triangles; meshes that nothing shows may be missing there.
-        individuals: others of its kind, of the same materials, by name; with them comes a variant set `individual`, whose 'a' is the thing itself.
+        individuals: others of its kind, of the same materials, by name; with them comes a variant set `individual`,
+            whose 'a' is the thing itself.
         textures: where its pictures lie, seen from its folder.
         origin: what its files say of source and licence.
         thumbnail: whether `study.library` makes a picture of it, which the interface then names before it is there.
@@ -187,7 +188,9 @@ def author_mesh(stage: Usd.Stage, path: Sdf.Path, part: Part) -> UsdGeom.Mesh:
     mesh = UsdGeom.Mesh.Define(stage, path)
     points = np.round(part.points, 5).astype(np.float32)
     mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
-    faces = part.faces[(part.faces != np.roll(part.faces, 1, axis=1)).all(axis=1)]  # a corner that stands twice makes Blender 5 repair the mesh, or crash
+    faces = part.faces[
+        (part.faces != np.roll(part.faces, 1, axis=1)).all(axis=1)
+    ]  # a corner that stands twice makes Blender 5 repair the mesh, or crash
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
@@ -203,7 +206,9 @@ def author_mesh(stage: Usd.Stage, path: Sdf.Path, part: Part) -> UsdGeom.Mesh:
     return mesh
 
 
-def author_lamp(stage: Usd.Stage, path: Sdf.Path, lamp: MountedLamp, *, lamps: str = "../../lamps") -> UsdLux.BoundableLightBase:
+def author_lamp(
+    stage: Usd.Stage, path: Sdf.Path, lamp: MountedLamp, *, lamps: str = "../../lamps"
+) -> UsdLux.BoundableLightBase:
     """The lamp as a light; intensity [cd] over its area gives the nits that UsdLux wants.
 
     lamps: folder of the IES files as the stage's layer refers to it.
@@ -248,7 +253,9 @@ def _write_geometry(component: Component, meshes: Mapping[str, Part], path: Path
 
 
 def _write_materials(component: Component, meshes: Mapping[str, Part], path: Path) -> None:
-    """All materials, and the bindings that no variant changes; those of variants are stronger than what a reference brings."""
+    """All materials, and the bindings that no variant changes; those of variants are stronger than what a reference
+    brings.
+    """
     stage = new_stage(f"Materials of {component.name}.", path, component.origin)
     prim = UsdGeom.Xform.Define(stage, f"/{component.name}").GetPrim()
     stage.SetDefaultPrim(prim)
@@ -259,7 +266,12 @@ def _write_materials(component: Component, meshes: Mapping[str, Part], path: Pat
     stage.OverridePrim(prim.GetPath().AppendChild("Geometry"))  # before the materials, as in the interface
     UsdGeom.Scope.Define(stage, materials)
     for name in dict.fromkeys([*(n for n in meshes if n not in rebound), *others]):
-        author_material(stage, materials.AppendChild(name), component.materials.get(name) or PALETTE[name], textures=component.textures)
+        author_material(
+            stage,
+            materials.AppendChild(name),
+            component.materials.get(name) or PALETTE[name],
+            textures=component.textures,
+        )
     for name in meshes:
         if name not in rebound:
             _bind(stage, prim, name, name)
@@ -276,7 +288,9 @@ def _write_interface(component: Component, path: Path) -> None:
     model.SetAssetName(component.name)
     model.SetAssetIdentifier(Sdf.AssetPath(f"./{component.name}.usda"))
     if component.thumbnail:
-        picture = UsdMedia.AssetPreviewsAPI.Thumbnails(defaultImage=Sdf.AssetPath(f"./{thumbnail_file(component.name)}"))
+        picture = UsdMedia.AssetPreviewsAPI.Thumbnails(
+            defaultImage=Sdf.AssetPath(f"./{thumbnail_file(component.name)}")
+        )
         UsdMedia.AssetPreviewsAPI.Apply(prim).SetDefaultThumbnails(picture)
     prim.SetDocumentation(component.about)
     label(prim, component.label)
@@ -350,7 +364,9 @@ def _bind(stage: Usd.Stage, prim: Usd.Prim, mesh: str, material: str) -> None:
     UsdShade.MaterialBindingAPI.Apply(stage.OverridePrim(prim.GetPath().AppendPath(f"Geometry/{mesh}"))).Bind(found)
 
 
-def _author_image(stage: Usd.Stage, material: Sdf.Path, name: str, file: str, space: str, factor: Colour) -> UsdShade.ConnectableAPI:
+def _author_image(
+    stage: Usd.Stage, material: Sdf.Path, name: str, file: str, space: str, factor: Colour
+) -> UsdShade.ConnectableAPI:
     reader = UsdShade.Shader.Define(stage, material.AppendChild("Coordinates"))
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")

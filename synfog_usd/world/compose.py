@@ -14,7 +14,11 @@ from synfog_usd.world.language import Recipe, load_root
 from synfog_usd.world.roads import crossing_recipe, recipe, roundabout_recipe, stage
 from synfog_usd.world.spec import WorldSpec
 
-DRAWS: Mapping[str, Callable[..., WorldSpec]] = {"crossroads": crossing_recipe.draw, "road": recipe.draw, "roundabout": roundabout_recipe.draw}
+DRAWS: Mapping[str, Callable[..., WorldSpec]] = {
+    "crossroads": crossing_recipe.draw,
+    "road": recipe.draw,
+    "roundabout": roundabout_recipe.draw,
+}
 """World -> what draws one of a recipe."""
 
 

@@ -72,7 +72,10 @@ def write_layers(path: Path, author: Callable[[Path], Sdf.Layer]) -> list[Path]:
     try:
         write_whole(path, root)
     except Tf.ErrorException as error:
-        raise OutputError(f"{path}: cannot be written ({str(error).split(' : ')[-1].strip()}); choose another output folder or free some space") from error
+        raise OutputError(
+            f"{path}: cannot be written ({str(error).split(' : ')[-1].strip()}); choose another output folder or free "
+            f"some space"
+        ) from error
     return made
 
 
@@ -104,7 +107,10 @@ def _split(layer: Sdf.Layer) -> Iterator[tuple[Department, Sdf.Layer]]:
         world = Sdf.CreatePrimInLayer(part, WORLD)
         there = [child.name for child in layer.GetPrimAtPath(WORLD).nameChildren]
         names = [name for name in there if name in department.below or not department.below]
-        for path in (*(WORLD.AppendChild(name) for name in names), *(Sdf.Path(f"/{name}") for name in department.roots)):
+        for path in (
+            *(WORLD.AppendChild(name) for name in names),
+            *(Sdf.Path(f"/{name}") for name in department.roots),
+        ):
             _move(layer, path, part)
         if department.variants:
             _move_variants(layer, department.variants, world)
@@ -113,7 +119,11 @@ def _split(layer: Sdf.Layer) -> Iterator[tuple[Department, Sdf.Layer]]:
 
 def _move(layer: Sdf.Layer, path: Sdf.Path, part: Sdf.Layer) -> None:
     Sdf.CopySpec(layer, path, part, path)
-    parent = layer.GetPrimAtPath(path.GetParentPath()) if path.GetParentPath() != Sdf.Path.absoluteRootPath else layer.pseudoRoot
+    parent = (
+        layer.GetPrimAtPath(path.GetParentPath())
+        if path.GetParentPath() != Sdf.Path.absoluteRootPath
+        else layer.pseudoRoot
+    )
     del parent.nameChildren[path.name]
 
 

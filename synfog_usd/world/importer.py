@@ -25,7 +25,9 @@ from synfog_usd.world.meshfiles import MOST_TEXTURE_PX, Found, read
 from synfog_usd.world.shapes import Array, Part, by_material
 
 UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048, "dm": 0.1}
-AXES: dict[str, tuple[int, int]] = {sign + axis: (k, -1 if sign == "-" else 1) for k, axis in enumerate("XYZ") for sign in "+-"}
+AXES: dict[str, tuple[int, int]] = {
+    sign + axis: (k, -1 if sign == "-" else 1) for k, axis in enumerate("XYZ") for sign in "+-"
+}
 CABIN_SHARE = 0.62
 """Of the height: what lies above is the cabin of a car."""
 CABIN_OFFSET = 0.025
@@ -79,13 +81,19 @@ def import_asset(
     _check(label, unit, up, front, length_m)
     name = name or Tf.MakeValidIdentifier(file.stem.lower())
     if not Tf.IsValidIdentifier(name):
-        raise ParameterError(f"--name {name}: not a prim name; use letters, digits and underscores, and begin with a letter")
+        raise ParameterError(
+            f"--name {name}: not a prim name; use letters, digits and underscores, and begin with a letter"
+        )
     folder = out / name
     if folder.exists():
         raise OutputError(f"{folder}: there is a model of this name already; choose another --name or remove it")
     found = read(file)
     notes = list(found.notes)
-    parts = [p for p in (_cleaned(p, p.material in _textured(found)) for p in by_material(found.parts).values()) if len(p.faces)]
+    parts = [
+        p
+        for p in (_cleaned(p, p.material in _textured(found)) for p in by_material(found.parts).values())
+        if len(p.faces)
+    ]
     before, after = sum(len(p.faces) for p in found.parts), sum(len(p.faces) for p in parts)
     if not parts:
         raise StageError(f"{file}: all its triangles are without area; export the model as a mesh")
@@ -98,14 +106,21 @@ def import_asset(
         write_whole(folder / "textures" / picture, lambda path, image=image: _save(image, path))
     origin = {"source": f"imported from {file.name}", "licence": "not stated; that of the file it came from"}
     about, looks = f"Imported from {file.name}.", found.materials
-    component = with_low(Component(name, label, tuple(parts), about, materials=looks, textures="./textures/", origin=origin, thumbnail=False))
+    component = with_low(
+        Component(
+            name, label, tuple(parts), about, materials=looks, textures="./textures/", origin=origin, thumbnail=False
+        )
+    )
     model = read_model(write_component(component, out))
     return Imported(model, tuple(notes), (component.triangles(), sum(len(p.faces) for p in component.low)))
 
 
 def _check(label: str, unit: str | None, up: str | None, front: str | None, length_m: float | None) -> None:
     if label not in SIZES:
-        raise ParameterError(f"--class {label}: not a class of things that can be imported; allowed are {', '.join(SIZES)}.{did_you_mean(label, SIZES)}")
+        raise ParameterError(
+            f"--class {label}: not a class of things that can be imported; allowed are "
+            f"{', '.join(SIZES)}.{did_you_mean(label, SIZES)}"
+        )
     if unit is not None and unit not in UNITS:
         raise ParameterError(f"--unit {unit}: not a unit; allowed are {', '.join(UNITS)}")
     for option, axis in (("--up", up), ("--front", front)):
@@ -133,32 +148,70 @@ def _cleaned(part: Part, textured: bool) -> Part:
         return replace(part, faces=part.faces[solid], normals=None)
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(pymeshlab.Mesh(part.points, part.faces.astype(np.int32)))
-    for step in ("remove_duplicate_vertices", "remove_duplicate_faces", "remove_null_faces", "remove_unreferenced_vertices"):
+    for step in (
+        "remove_duplicate_vertices",
+        "remove_duplicate_faces",
+        "remove_null_faces",
+        "remove_unreferenced_vertices",
+    ):
         getattr(meshes, f"meshing_{step}")()
     mesh = meshes.current_mesh()
-    return Part(np.array(mesh.vertex_matrix()).reshape(-1, 3), np.array(mesh.face_matrix(), dtype=np.int64).reshape(-1, 3), part.material)
+    return Part(
+        np.array(mesh.vertex_matrix()).reshape(-1, 3),
+        np.array(mesh.face_matrix(), dtype=np.int64).reshape(-1, 3),
+        part.material,
+    )
 
 
-def _placed(points: Array, label: str, found: Found, notes: list[str], *, unit: str | None, up: str | None, front: str | None, length_m: float | None) -> Array:
+def _placed(
+    points: Array,
+    label: str,
+    found: Found,
+    notes: list[str],
+    *,
+    unit: str | None,
+    up: str | None,
+    front: str | None,
+    length_m: float | None,
+) -> Array:
     """(4, 4) matrix from the file's axes and unit to the component's."""
     size = np.ptp(points, axis=0)
     if not size.max() > 0:
         raise StageError("all its points are the same; export the model as a mesh")
     says = found.metres_per_unit
-    factors = {f"given as {unit}": UNITS[unit]} if unit else {"length given": 0.0} if length_m else ({"as the file says": says} if says else {})
-    ups = [up] if up else [found.up] if found.up else ["+Y", "+Z"] if front is None else [a for a in ("+Y", "+Z") if AXES[a][0] != AXES[front][0]]
+    factors = (
+        {f"given as {unit}": UNITS[unit]}
+        if unit
+        else {"length given": 0.0}
+        if length_m
+        else ({"as the file says": says} if says else {})
+    )
+    ups = (
+        [up]
+        if up
+        else [found.up]
+        if found.up
+        else ["+Y", "+Z"]
+        if front is None
+        else [a for a in ("+Y", "+Z") if AXES[a][0] != AXES[front][0]]
+    )
     guesses = {f"guessed: {u}": s for u, s in UNITS.items()}
     best = _best(size, label, ups, front, factors or guesses, length_m)
     if says and not unit and not length_m and best[0] > 0:  # the file says a unit that gives no such thing
         other = _best(size, label, ups, front, guesses, None)
         best = other if other[0] == 0 else best
-    if found.up and not up and best[0] > 0 and not front:  # nor does its up axis; it would not be the first file to be wrong
+    if (
+        found.up and not up and best[0] > 0 and not front
+    ):  # nor does its up axis; it would not be the first file to be wrong
         other = _best(size, label, ["+Y", "+Z"], front, factors or guesses, length_m)
         best = other if other[0] == 0 else best
     miss, up_axis, ahead, why, factor = best
     if miss > 0 and length_m is None and unit is None:
         seen = " x ".join(f"{v:.4g}" for v in size)
-        raise ParameterError(f"a {label} of {seen} (x, y, z in the file) fits no unit of {', '.join(UNITS)}; say its --length in metres, or another --class")
+        raise ParameterError(
+            f"a {label} of {seen} (x, y, z in the file) fits no unit of {', '.join(UNITS)}; say its --length in "
+            f"metres, or another --class"
+        )
     notes.append(f"unit: {factor:.5g} m, {why}")
     says_so = "given" if up else "as the file says" if found.up == up_axis else "guessed: so its sizes fit best"
     notes.append(f"up: {up_axis}, {says_so}")
@@ -172,12 +225,19 @@ def _placed(points: Array, label: str, found: Found, notes: list[str], *, unit: 
     extent = (high - low)[[1, 0, 2]]
     if miss > 0:
         allowed = ", ".join(f"{a:g} to {b:g}" for a, b in SIZES[label])
-        notes.append(f"warning: {' x '.join(f'{v:.2f}' for v in extent)} m is no usual size of a {label} (length, width, height {allowed} m)")
+        notes.append(
+            f"warning: {' x '.join(f'{v:.2f}' for v in extent)} m is no usual size of a {label} (length, width, height "
+            f"{allowed} m)"
+        )
     return matrix
 
 
-def _best(size: Array, label: str, ups: list[str], front: str | None, factors: dict[str, float], length_m: float | None) -> tuple[float, str, int, str, float]:
-    """The reading whose sizes miss those of the class least: (miss, up, index of the axis of length, why, metres per unit)."""
+def _best(
+    size: Array, label: str, ups: list[str], front: str | None, factors: dict[str, float], length_m: float | None
+) -> tuple[float, str, int, str, float]:
+    """The reading whose sizes miss those of the class least: (miss, up, index of the axis of length, why, metres per
+    unit).
+    """
     readings = []
     for order, up in enumerate(ups):
         flat = [k for k in range(3) if k != AXES[up][0]]
@@ -205,14 +265,22 @@ def _miss(extent: Array, label: str) -> float:
 def _off_middle(extent: Array, label: str) -> float:
     """Distance from the middle of the ranges, in half ranges of logarithms, squared and summed."""
     logs = np.log(np.maximum(extent, 1e-9))
-    return float(sum(((v - math.log(a * b) / 2) / (math.log(b / a) / 2)) ** 2 for v, (a, b) in zip(logs, SIZES[label], strict=True)))
+    return float(
+        sum(
+            ((v - math.log(a * b) / 2) / (math.log(b / a) / 2)) ** 2
+            for v, (a, b) in zip(logs, SIZES[label], strict=True)
+        )
+    )
 
 
 def _front(points: Array, label: str, up: str, ahead: int, found: Found) -> tuple[str, str]:
     """Which way it looks, and why."""
     custom = found.front or ("+Z" if up == "+Y" else "-Y")
     if label not in ROLLS:
-        return (custom, "as its format has it" if found.front else "by custom of its up axis; give --front if it looks elsewhere")
+        return (
+            custom,
+            "as its format has it" if found.front else "by custom of its up axis; give --front if it looks elsewhere",
+        )
     axis = "XYZ"[ahead]
     if label == "car":
         height = points[:, AXES[up][0]] * AXES[up][1]
@@ -220,9 +288,14 @@ def _front(points: Array, label: str, up: str, ahead: int, found: Found) -> tupl
         along = points[:, ahead]
         offset = ((cabin.min() + cabin.max()) / 2 - (along.min() + along.max()) / 2) / np.ptp(along)
         if abs(offset) > CABIN_OFFSET:
-            return ("-" if offset > 0 else "+") + axis, f"guessed: its cabin lies {abs(offset):.0%} of the length behind the middle"
+            return (
+                "-" if offset > 0 else "+"
+            ) + axis, f"guessed: its cabin lies {abs(offset):.0%} of the length behind the middle"
     if custom[1] == axis:
-        return custom, "as its format has it" if found.front else "by custom of its up axis; give --front if it looks backward"
+        return (
+            custom,
+            "as its format has it" if found.front else "by custom of its up axis; give --front if it looks backward",
+        )
     return "+" + axis, "guessed: its longer side; give --front if it looks backward"
 
 

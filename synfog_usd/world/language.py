@@ -140,7 +140,10 @@ def load_root(path: Path, changes: Sequence[str] = ()) -> Located:
         old = root.value.get(section)
         items = dict(old.value) if old is not None and isinstance(old.value, dict) else {}
         items[key] = value
-        root = replace(root, value={**root.value, section: Located(items, old.place if old else place, old.key_place if old else place)})
+        root = replace(
+            root,
+            value={**root.value, section: Located(items, old.place if old else place, old.key_place if old else place)},
+        )
     return root
 
 
@@ -148,7 +151,9 @@ def check_schema(items: Mapping[str, Located], root: Located) -> None:
     """Whether this program reads the recipe."""
     mark = items.get("synfog")
     if mark is None or mark.value != SCHEMA:
-        raise RecipeError(f"{(mark or root).place}: synfog is {mark.plain() if mark else 'missing'}; this program reads {SCHEMA!r}")
+        raise RecipeError(
+            f"{(mark or root).place}: synfog is {mark.plain() if mark else 'missing'}; this program reads {SCHEMA!r}"
+        )
 
 
 def sections(parameters: Mapping[str, Parameter]) -> tuple[str, ...]:
@@ -173,7 +178,10 @@ def read_fog(items: Mapping[str, Located]) -> tuple[Distribution, ...]:
         return tuple(Distribution("fixed", (mor,)) for mor in FOG_DEFAULT)
     listed = items["fog"]
     if not isinstance(listed.value, list) or not listed.value:
-        raise RecipeError(f"{listed.place}: fog is {listed.plain()!r}; it takes a list of visibilities in metres, as in [600, 300, 150]")
+        raise RecipeError(
+            f"{listed.place}: fog is {listed.plain()!r}; it takes a list of visibilities in metres, as in [600, 300, "
+            f"150]"
+        )
     return tuple(read_distribution(item, "fog", FOG) for item in listed.value)
 
 
@@ -183,7 +191,9 @@ def mapping(item: Located, what: str, allowed: Sequence[str]) -> dict[str, Locat
         raise RecipeError(f"{item.place}: {what} is {item.plain()!r}; it takes a mapping of {', '.join(allowed)}")
     for key, value in item.value.items():
         if key not in allowed:
-            raise RecipeError(f"{value.key_place}: {what} has no {key!r}; it takes {', '.join(allowed)}.{did_you_mean(key, allowed)}")
+            raise RecipeError(
+                f"{value.key_place}: {what} has no {key!r}; it takes {', '.join(allowed)}.{did_you_mean(key, allowed)}"
+            )
     return item.value
 
 
@@ -193,7 +203,9 @@ def default(parameter: Parameter) -> Distribution:
         return Distribution("fixed", (parameter.default,))
     if isinstance(parameter.default, str):
         return Distribution("choice", (parameter.default,), (1.0,))
-    return Distribution("choice", tuple(parameter.default), tuple(float(weight) for weight in parameter.default.values()))
+    return Distribution(
+        "choice", tuple(parameter.default), tuple(float(weight) for weight in parameter.default.values())
+    )
 
 
 def read_distribution(item: Located, name: str, parameter: Parameter) -> Distribution:
@@ -206,7 +218,10 @@ def read_distribution(item: Located, name: str, parameter: Parameter) -> Distrib
         return _choice(item, name, parameter)
     kind = "integer" if parameter.whole else "uniform"
     number = "a whole number" if parameter.whole else "a number"
-    form = f"{number}, {{{kind}: [low, high]}}, {{normal: {{mean, deviation, low, high}}}} or {{by_hour: [[hour, value], ...]}}"
+    form = (
+        f"{number}, {{{kind}: [low, high]}}, {{normal: {{mean, deviation, low, high}}}} or {{by_hour: [[hour, value], "
+        f"...]}}"
+    )
     if not isinstance(item.value, dict):
         return Distribution("fixed", (_number(item, name, parameter, form),))
     (word, ends), *more = item.value.items() or [("", item)]
@@ -236,8 +251,15 @@ def _normal(item: Located, name: str, parameter: Continuous, form: str) -> Distr
     mean, deviation = _number(items["mean"], name, loose, form), _number(items["deviation"], name, loose, form)
     if low >= high:
         raise RecipeError(f"{items['low'].place}: {name} runs from {low:g} to {high:g}; low is below high")
-    if not deviation > 0 or not math.isfinite(mean) or special.ndtr((high - mean) / deviation) - special.ndtr((low - mean) / deviation) < 1e-9:
-        raise RecipeError(f"{item.place}: {name}: a normal of mean {mean:g} and deviation {deviation:g} has nothing from {low:g} to {high:g}")
+    if (
+        not deviation > 0
+        or not math.isfinite(mean)
+        or special.ndtr((high - mean) / deviation) - special.ndtr((low - mean) / deviation) < 1e-9
+    ):
+        raise RecipeError(
+            f"{item.place}: {name}: a normal of mean {mean:g} and deviation {deviation:g} has nothing from {low:g} to "
+            f"{high:g}"
+        )
     return Distribution("normal", (mean, deviation, low, high), whole=parameter.whole)
 
 
@@ -271,14 +293,29 @@ def _choice(item: Located, name: str, parameter: Categorical) -> Distribution:
             raise RecipeError(f"{item.place}: {name} is {item.plain()!r}; it takes {form}")
         choice = item.value["choice"]
         if not isinstance(choice.value, dict) or not choice.value:
-            raise RecipeError(f"{choice.place}: {name} chooses among {choice.plain()!r}; it takes {{name: weight, ...}}")
-    named = [(key, weight.key_place) for key, weight in choice.value.items()] if isinstance(choice.value, dict) else [(choice.plain(), item.place)]
+            raise RecipeError(
+                f"{choice.place}: {name} chooses among {choice.plain()!r}; it takes {{name: weight, ...}}"
+            )
+    named = (
+        [(key, weight.key_place) for key, weight in choice.value.items()]
+        if isinstance(choice.value, dict)
+        else [(choice.plain(), item.place)]
+    )
     for key, place in named:
         if key not in parameter.allowed:
-            raise RecipeError(f"{place}: {name} has no {key!r}; it takes {', '.join(parameter.allowed)}.{did_you_mean(str(key), parameter.allowed)}")
+            raise RecipeError(
+                f"{place}: {name} has no {key!r}; it takes "
+                f"{', '.join(parameter.allowed)}.{did_you_mean(str(key), parameter.allowed)}"
+            )
     if not isinstance(choice.value, dict):
         return Distribution("choice", (choice.value,), (1.0,))
     for key, weight in choice.value.items():
-        if isinstance(weight.value, bool) or not isinstance(weight.value, int | float) or not 0 < weight.value < math.inf:
-            raise RecipeError(f"{weight.place}: {name}: the weight of {key!r} is {weight.plain()!r}; it takes a number above 0")
+        if (
+            isinstance(weight.value, bool)
+            or not isinstance(weight.value, int | float)
+            or not 0 < weight.value < math.inf
+        ):
+            raise RecipeError(
+                f"{weight.place}: {name}: the weight of {key!r} is {weight.plain()!r}; it takes a number above 0"
+            )
     return Distribution("choice", tuple(choice.value), tuple(float(weight.value) for weight in choice.value.values()))

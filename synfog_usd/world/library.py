@@ -112,7 +112,9 @@ def library(folder: Path | None = None) -> Mapping[str, LibraryModel]:
         StageError: a component that cannot be read, or lacks class or size.
     """
     folder = folder or resources.folder("assets") / "models"
-    return MappingProxyType({path.stem: read(path) for path in sorted(folder.glob("*/*.usda")) if path.stem == path.parent.name})
+    return MappingProxyType(
+        {path.stem: read(path) for path in sorted(folder.glob("*/*.usda")) if path.stem == path.parent.name}
+    )
 
 
 def model(name: str, folder: Path | None = None) -> LibraryModel:
@@ -134,7 +136,9 @@ def nominal(folder: Path | None = None) -> Mapping[str, Mapping[str, float]]:
     `length_m` of a vehicle as its maker states it; `width_m` and `depth_m` of a house between its walls, without
     eaves and oriels; `facade_windows`, how many of its window panes, the last ones, are not in its roof.
     """
-    found: dict[str, dict[str, float]] = json.loads(((folder or resources.folder("assets") / "models") / "nominal.json").read_text(encoding="utf-8"))
+    found: dict[str, dict[str, float]] = json.loads(
+        ((folder or resources.folder("assets") / "models") / "nominal.json").read_text(encoding="utf-8")
+    )
     return MappingProxyType(found)
 
 
@@ -162,9 +166,16 @@ def read(path: Path) -> LibraryModel:
         raise StageError(f"{path}: not a component; it needs a default prim that holds the model")
     names = prim.GetAttribute("semantics:labels:cityscapes").Get() or []
     if len(names) != 1:
-        raise StageError(f"{path}: {len(names)} Cityscapes labels on {prim.GetPath()}; a model has one, as synfog-usd asset import writes it")
+        raise StageError(
+            f"{path}: {len(names)} Cityscapes labels on {prim.GetPath()}; a model has one, as synfog-usd asset import "
+            f"writes it"
+        )
     purposes = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render]
-    bound = UsdGeom.BBoxCache(Usd.TimeCode.Default(), purposes, useExtentsHint=False).ComputeUntransformedBound(prim).ComputeAlignedRange()
+    bound = (
+        UsdGeom.BBoxCache(Usd.TimeCode.Default(), purposes, useExtentsHint=False)
+        .ComputeUntransformedBound(prim)
+        .ComputeAlignedRange()
+    )
     if bound.IsEmpty():
         raise StageError(f"{path}: no geometry below {prim.GetPath()}")
     sets = prim.GetVariantSets()
@@ -172,4 +183,6 @@ def read(path: Path) -> LibraryModel:
     label = str(names[0])
     group = "lamp" if label == "pole" and "lamps" in variants else GROUPS.get(label, "furniture")
     low, high = (tuple(float(v) for v in corner) for corner in (bound.GetMin(), bound.GetMax()))
-    return LibraryModel(prim.GetName(), label, group, low, high, MappingProxyType(variants), path, prim.GetDocumentation())  # type: ignore[arg-type]
+    return LibraryModel(
+        prim.GetName(), label, group, low, high, MappingProxyType(variants), path, prim.GetDocumentation()
+    )  # type: ignore[arg-type]

@@ -38,20 +38,32 @@ KEPT_LEAVES = 3
 
 
 def with_low(component: Component, limit_m: float = LIMIT_M) -> Component:
-    """The component with a level `low`, if it is worth one and gets smaller by a quarter; its other individuals likewise."""
+    """The component with a level `low`, if it is worth one and gets smaller by a quarter; its other individuals
+    likewise.
+    """
     if component.individuals:
-        component = replace(component, individuals={name: with_low(one, limit_m) for name, one in component.individuals.items()})
+        component = replace(
+            component, individuals={name: with_low(one, limit_m) for name, one in component.individuals.items()}
+        )
     if component.triangles() < WORTH:
         return component
     outside = [part for part in component.parts if part.material not in INSIDE]
     low = thinned(outside, limit_m, {**PALETTE, **component.materials})
     dark = DARK_GLASS if len(outside) < len(component.parts) else {}
-    return replace(component, low=low, low_bindings=dark) if sum(len(p.faces) for p in low) < 0.75 * component.triangles() else component
+    return (
+        replace(component, low=low, low_bindings=dark)
+        if sum(len(p.faces) for p in low) < 0.75 * component.triangles()
+        else component
+    )
 
 
-def thinned(parts: Sequence[Part], limit_m: float = LIMIT_M, materials: Mapping[str, Material] = PALETTE) -> tuple[Part, ...]:
+def thinned(
+    parts: Sequence[Part], limit_m: float = LIMIT_M, materials: Mapping[str, Material] = PALETTE
+) -> tuple[Part, ...]:
     """The parts, one for each material, with as few triangles as `limit_m` [m] allows; what wears a texture stays."""
-    return tuple(_thinned(part, limit_m, materials.get(part.material, Material())) for part in by_material(parts).values())
+    return tuple(
+        _thinned(part, limit_m, materials.get(part.material, Material())) for part in by_material(parts).values()
+    )
 
 
 def cleaned(parts: Sequence[Part], limit_m: float = CLEAN_M) -> tuple[Part, ...]:
@@ -70,11 +82,15 @@ def distance(a: Part, b: Part, samples: int = 20_000) -> float:
     for part in (a, b):
         corners = part.points[part.faces]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        used, faces = np.unique(part.faces[area > SLIVER_M2], return_inverse=True)  # the search for the nearest point passes slivers over
+        used, faces = np.unique(
+            part.faces[area > SLIVER_M2], return_inverse=True
+        )  # the search for the nearest point passes slivers over
         meshes.add_mesh(pymeshlab.Mesh(part.points[used], faces.reshape(-1, 3).astype(np.int32)))
     reach = pymeshlab.PureValue(10.0)
     both = [
-        meshes.get_hausdorff_distance(sampledmesh=i, targetmesh=1 - i, samplevert=True, sampleface=True, samplenum=samples, maxdist=reach)["max"]
+        meshes.get_hausdorff_distance(
+            sampledmesh=i, targetmesh=1 - i, samplevert=True, sampleface=True, samplenum=samples, maxdist=reach
+        )["max"]
         for i in (0, 1)
     ]
     return float(max(both))
@@ -86,7 +102,9 @@ def collapsed(points: Array, faces: Index, triangles: int) -> tuple[Array, Index
 
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(pymeshlab.Mesh(points, faces.astype(np.int32)))
-    meshes.meshing_decimation_quadric_edge_collapse(**{**COLLAPSE, "planarquadric": True, "planarweight": 1e-4}, targetfacenum=triangles)
+    meshes.meshing_decimation_quadric_edge_collapse(
+        **{**COLLAPSE, "planarquadric": True, "planarweight": 1e-4}, targetfacenum=triangles
+    )
     mesh = meshes.current_mesh()
     return np.array(mesh.vertex_matrix()), np.array(mesh.face_matrix(), dtype=np.int64)
 
@@ -103,7 +121,9 @@ def _cleaned(part: Part, limit_m: float) -> Part:
 
 
 def _with_normals_of(part: Part, fewer: Part) -> Part:
-    """`fewer` with the mean normal of `part` at the four nearest points; at a crease, where that lies askew, with that of the face."""
+    """`fewer` with the mean normal of `part` at the four nearest points; at a crease, where that lies askew, with that
+    of the face.
+    """
     assert part.normals is not None
     gap, near = cKDTree(part.points).query(fewer.points, k=4)
     normals = (part.normals[near] / (gap + 1e-4)[:, :, None]).sum(axis=1)
@@ -111,7 +131,9 @@ def _with_normals_of(part: Part, fewer: Part) -> Part:
     face = np.repeat(face_normals(fewer), 3, axis=0)
     normals = np.where((np.einsum("ij,ij->i", normals, face) > SKEW)[:, None], normals, face)
     corners = fewer.points[fewer.faces].reshape(-1, 3)
-    _, first, inverse = np.unique(np.round(np.c_[corners, 0.05 * normals], 4), axis=0, return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(
+        np.round(np.c_[corners, 0.05 * normals], 4), axis=0, return_index=True, return_inverse=True
+    )
     return Part(corners[first], inverse.reshape(-1, 3), part.material, None, normals[first])
 
 

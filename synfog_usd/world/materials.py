@@ -11,7 +11,9 @@ from dataclasses import dataclass, replace
 Colour = tuple[float, float, float]
 
 LANE_TEXTURE_LENGTH_M, LANE_TEXTURE_HALF_M, LANE_TEXTURE_LANE_M = 24.0, 5.6, 3.4
-"""Road that `asphalt_lane.jpg` covers: its length, half the width from kerb to kerb, and the width of the lanes on both sides of its middle."""
+"""Road that `asphalt_lane.jpg` covers: its length, half the width from kerb to kerb, and the width of the lanes on both
+sides of its middle.
+"""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,8 @@ PALETTE: dict[str, Material] = {
     "gloss_black": Material((0.012, 0.012, 0.013), 0.08),
     "seam": Material((0.008, 0.008, 0.008), 0.7),
     "glass_car": Material((0.012, 0.014, 0.015), 0.03, ior=1.52),
-    # clear panes: an opacity takes its share of the reflection too, so the index is raised until 4.3 % come back along the normal as from glass
+    # clear panes: an opacity takes its share of the reflection too, so the index is raised until 4.3 % come back along
+    # the normal as from glass
     "glass_clear": Material((0.012, 0.015, 0.015), 0.03, ior=2.08, opacity=0.35),
     "cabin_dark": Material((0.035, 0.036, 0.038), 0.8),
     "cabin_grey": Material((0.11, 0.11, 0.112), 0.9),
@@ -230,7 +233,18 @@ SPECTRA: dict[str, tuple[str, ...]] = {
     "sheeting_red": ("sign_red",),
     "sheeting_blue": ("sign_blue",),
     "paint": (
-        *("paint", "livery", "taxi_sign", "marking", "green_iron", "sheet_blue", "door_green", "door_brown", "door_blue", "frame_green"),
+        *(
+            "paint",
+            "livery",
+            "taxi_sign",
+            "marking",
+            "green_iron",
+            "sheet_blue",
+            "door_green",
+            "door_brown",
+            "door_blue",
+            "frame_green",
+        ),
         *("helmet_yellow", "awning_red", "awning_green"),
     ),
 }

@@ -77,7 +77,10 @@ def _decode(file: Path, name: str, picture: Any) -> None:
     """Read a picture now, since its library does so only when its pixels are wanted."""
     width, height = picture.size
     if width * height > MOST_PICTURE_PX:
-        raise StageError(f"{file}: picture {name} of {width} x {height} pixels, more than the {MOST_PICTURE_PX:,} that are read; scale it down")
+        raise StageError(
+            f"{file}: picture {name} of {width} x {height} pixels, more than the {MOST_PICTURE_PX:,} that are read; "
+            f"scale it down"
+        )
     try:
         picture.load()
     except Exception as error:  # a damaged picture can fail anywhere in its decoder
@@ -86,7 +89,10 @@ def _decode(file: Path, name: str, picture: Any) -> None:
 
 def _refuse_many(file: Path, triangles: int) -> None:
     if triangles > MOST_TRIANGLES:
-        raise StageError(f"{file}: {triangles:,} triangles, more than the {MOST_TRIANGLES:,} that are read; decimate it first, a car needs about 20,000")
+        raise StageError(
+            f"{file}: {triangles:,} triangles, more than the {MOST_TRIANGLES:,} that are read; decimate it first, a "
+            f"car needs about 20,000"
+        )
 
 
 def _counted(file: Path, kind: str) -> int:
@@ -139,11 +145,19 @@ def _gltf_triangles(scene: dict[str, Any], file: Path) -> int:
     accessors = scene.get("accessors", [])
     for item in [*scene.get("buffers", []), *scene.get("images", [])]:
         uri = item.get("uri", "")
-        if uri and not uri.startswith("data:") and not (file.parent / uri).resolve().is_relative_to(file.parent.resolve()):
+        if (
+            uri
+            and not uri.startswith("data:")
+            and not (file.parent / uri).resolve().is_relative_to(file.parent.resolve())
+        ):
             raise StageError(f"{file}: refers to {uri}, outside its own folder; copy it beside the file")
     each = []
     for mesh in scene.get("meshes", []):
-        rows = [p.get("indices", p.get("attributes", {}).get("POSITION")) for p in mesh.get("primitives", []) if p.get("mode", 4) in (4, 5, 6)]
+        rows = [
+            p.get("indices", p.get("attributes", {}).get("POSITION"))
+            for p in mesh.get("primitives", [])
+            if p.get("mode", 4) in (4, 5, 6)
+        ]
         each.append(sum(int(accessors[row]["count"]) // 3 for row in rows if row is not None))
     placed = [node["mesh"] for node in scene.get("nodes", []) if "mesh" in node]
     return max(sum(each[i] for i in placed), sum(each))
@@ -205,7 +219,9 @@ def _take(found: Found, mesh: Any) -> None:
     uv = getattr(visual, "uv", None) if picture is not None else None
     uv = np.asarray(uv, dtype=np.float64) if uv is not None and len(uv) == len(mesh.vertices) else None
     name = _material(found, str(getattr(look, "name", "") or "surface"), made, picture if uv is not None else None)
-    found.parts.append(Part(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64), name, uv))
+    found.parts.append(
+        Part(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64), name, uv)
+    )
 
 
 def _linear(srgb: Array) -> tuple[float, float, float]:
@@ -242,7 +258,9 @@ def _of_stage(file: Path) -> Found:
             raise StageError(f"{file}: not a USD file, or damaged")
         found = Found(metres_per_unit=UsdGeom.GetStageMetersPerUnit(stage), up=f"+{UsdGeom.GetStageUpAxis(stage)}")
         meshes = list(_visible(stage))
-        _refuse_many(file, sum(int(np.maximum(np.array(m.GetFaceVertexCountsAttr().Get() or []) - 2, 0).sum()) for m in meshes))
+        _refuse_many(
+            file, sum(int(np.maximum(np.array(m.GetFaceVertexCountsAttr().Get() or []) - 2, 0).sum()) for m in meshes)
+        )
         cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         for mesh in meshes:
             _take_mesh(found, mesh, np.array(cache.GetLocalToWorldTransform(mesh.GetPrim())), file.parent.resolve())
@@ -285,7 +303,11 @@ def _take_mesh(found: Found, mesh: UsdGeom.Mesh, matrix: Array, folder: Path) ->
         return
     if counts.min() < 0 or counts.sum() != len(corners) or corners.min() < 0 or corners.max() >= len(points):
         raise ValueError(f"{mesh.GetPath()}: its indices do not fit its points")
-    if mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none and counts.max() > 3 and "subdivision was not applied" not in found.notes:
+    if (
+        mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none
+        and counts.max() > 3
+        and "subdivision was not applied" not in found.notes
+    ):
         found.notes.append("subdivision was not applied")
     first = np.cumsum(counts) - counts
     fans = np.repeat(first, np.maximum(counts - 2, 0))
@@ -299,7 +321,10 @@ def _take_mesh(found: Found, mesh: UsdGeom.Mesh, matrix: Array, folder: Path) ->
     subsets = UsdGeom.Subset.GetGeomSubsets(mesh, UsdGeom.Tokens.face, "materialBind")
     owner = np.repeat(np.arange(len(counts)), np.maximum(counts - 2, 0))
     left = np.ones(len(counts), dtype=bool)
-    for prim, chosen in [*((s.GetPrim(), np.array(s.GetIndicesAttr().Get() or [], dtype=np.int64)) for s in subsets), (mesh.GetPrim(), None)]:
+    for prim, chosen in [
+        *((s.GetPrim(), np.array(s.GetIndicesAttr().Get() or [], dtype=np.int64)) for s in subsets),
+        (mesh.GetPrim(), None),
+    ]:
         mask = np.zeros(len(counts), dtype=bool)
         mask[chosen if chosen is not None else left] = True
         left &= ~mask
@@ -307,12 +332,20 @@ def _take_mesh(found: Found, mesh: UsdGeom.Mesh, matrix: Array, folder: Path) ->
             _take_faces(found, mesh, prim, moved, corners, triangle[mask[owner]], folder)
 
 
-def _take_faces(found: Found, mesh: UsdGeom.Mesh, prim: Usd.Prim, points: Array, corners: Any, triangle: Any, folder: Path) -> None:
+def _take_faces(
+    found: Found, mesh: UsdGeom.Mesh, prim: Usd.Prim, points: Array, corners: Any, triangle: Any, folder: Path
+) -> None:
     look, picture, title = _surface(found, prim, folder)
     st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
-    uv = np.array(st.ComputeFlattened() or [], dtype=np.float64).reshape(-1, 2) if picture is not None and st else np.zeros((0, 2))
+    uv = (
+        np.array(st.ComputeFlattened() or [], dtype=np.float64).reshape(-1, 2)
+        if picture is not None and st
+        else np.zeros((0, 2))
+    )
     if len(uv) == len(corners):
-        part = Part(points[corners[triangle.ravel()]], np.arange(triangle.size).reshape(-1, 3), "", uv[triangle.ravel()])
+        part = Part(
+            points[corners[triangle.ravel()]], np.arange(triangle.size).reshape(-1, 3), "", uv[triangle.ravel()]
+        )
     elif len(uv) == len(points):
         part = Part(points, corners[triangle], "", uv)
     else:
@@ -335,7 +368,12 @@ def _surface(found: Found, prim: Usd.Prim, folder: Path) -> tuple[Material, Any,
         return otherwise if value is None else value
 
     colour = tuple(float(v) for v in number("diffuseColor", (0.18, 0.18, 0.18)))
-    look = Material(colour, float(number("roughness", 0.5)), float(number("metallic", 0.0)), clearcoat=float(number("clearcoat", 0.0)))  # type: ignore[arg-type]
+    look = Material(
+        colour,
+        float(number("roughness", 0.5)),
+        float(number("metallic", 0.0)),
+        clearcoat=float(number("clearcoat", 0.0)),
+    )  # type: ignore[arg-type]
     given = shader.GetInput("diffuseColor")
     if not given or not given.HasConnectedSource():
         return look, None, bound.GetPrim().GetName()
@@ -343,10 +381,16 @@ def _surface(found: Found, prim: Usd.Prim, folder: Path) -> tuple[Material, Any,
     asset = image.GetInput("file").Get() if image and image.GetInput("file") else None
     path = Path(asset.resolvedPath) if asset and asset.resolvedPath else None
     if path is None or not path.resolve().is_relative_to(folder) or not path.is_file():
-        found.notes.append(f"{bound.GetPath()}: its picture {asset.path if asset else ''!r} is not beside the file and was left out")
+        found.notes.append(
+            f"{bound.GetPath()}: its picture {asset.path if asset else ''!r} is not beside the file and was left out"
+        )
         return look, None, bound.GetPrim().GetName()
     from PIL import Image
 
     scale = image.GetInput("scale").Get() if image.GetInput("scale") else None
     factor = tuple(float(v) for v in scale)[:3] if scale is not None else (1.0, 1.0, 1.0)
-    return Material(factor, look.roughness, look.metallic, clearcoat=look.clearcoat), Image.open(path), bound.GetPrim().GetName()  # type: ignore[arg-type]
+    return (
+        Material(factor, look.roughness, look.metallic, clearcoat=look.clearcoat),
+        Image.open(path),
+        bound.GetPrim().GetName(),
+    )  # type: ignore[arg-type]

@@ -1,4 +1,5 @@
-"""What recipes can say, world by world: every parameter with its limits and what holds without it, and how a recipe is read.
+"""What recipes can say, world by world: every parameter with its limits and what holds without it, and how a recipe is
+read.
 
 One language for the crossing, roads and roundabouts: a world takes a set of parameters of it.  Knows nothing of how
 a world is drawn.  `reference` makes a page and a JSON Schema of it.
@@ -34,15 +35,38 @@ from synfog_usd.yamlio import Located
 
 CAR = {"hatchback": 3, "saloon": 3, "estate": 2, "offroader": 2, "van": 1}
 PAINTS = ("white", "silver", "grey", "black", "blue", "red", "green", "sand", "yellow")
-PEOPLE = {"man_walking": 3, "woman_walking": 3, "student": 2, "schoolgirl": 1, "child": 1, "old_man": 1, "man_waiting": 1, "woman_phone": 1,
-          "woman_pram": 0.5, "jogger": 0.5, "wheelchair_user": 0.3}  # fmt: skip
-WALKERS = ("man_walking", "woman_walking", "student", "child", "schoolgirl", "old_man", "jogger", "woman_pram", "wheelchair_user")
+PEOPLE = {
+    "man_walking": 3,
+    "woman_walking": 3,
+    "student": 2,
+    "schoolgirl": 1,
+    "child": 1,
+    "old_man": 1,
+    "man_waiting": 1,
+    "woman_phone": 1,
+    "woman_pram": 0.5,
+    "jogger": 0.5,
+    "wheelchair_user": 0.3,
+}
+WALKERS = (
+    "man_walking",
+    "woman_walking",
+    "student",
+    "child",
+    "schoolgirl",
+    "old_man",
+    "jogger",
+    "woman_pram",
+    "wheelchair_user",
+)
 LANE = Continuous(0.3, 30.0, None, "width of a lane [m]")
 
 PARKED: dict[str, Parameter] = {
     "parked.share": Continuous(0.0, 1.0, 0.7, "share of the bays that are taken"),
     "parked.bodies": Categorical(("*vehicle",), CAR, "models that park"),
-    "parked.paints": Categorical(PAINTS, dict.fromkeys(PAINTS, 1), "their paints; a body that comes in none of them takes its own"),
+    "parked.paints": Categorical(
+        PAINTS, dict.fromkeys(PAINTS, 1), "their paints; a body that comes in none of them takes its own"
+    ),
 }
 TRAFFIC: dict[str, Parameter] = {
     "traffic.hour": Continuous(0.0, 24.0, 12.0, "time of day [h], by which by_hour is read"),
@@ -50,8 +74,12 @@ TRAFFIC: dict[str, Parameter] = {
     "traffic.speed_kmh": Continuous(5.0, 130.0, 50.0, "speed [km/h]; density is flow over speed"),
     "traffic.headway_s": Continuous(0.3, 5.0, 0.9, "least time between bumpers [s]; 1.5 m come on top"),
     "traffic.count": Continuous(0, 120, None, "vehicles in all, in place of the flow", whole=True),
-    "traffic.bodies": Categorical(("*vehicle motorcyclist",), {**CAR, "bus": 0.3, "lorry": 0.6, "motorcyclist": 0.3}, "models that drive"),
-    "traffic.paints": Categorical(PAINTS, dict.fromkeys(PAINTS, 1), "their paints; a body that comes in none of them takes its own"),
+    "traffic.bodies": Categorical(
+        ("*vehicle motorcyclist",), {**CAR, "bus": 0.3, "lorry": 0.6, "motorcyclist": 0.3}, "models that drive"
+    ),
+    "traffic.paints": Categorical(
+        PAINTS, dict.fromkeys(PAINTS, 1), "their paints; a body that comes in none of them takes its own"
+    ),
     "traffic.cyclists": Continuous(0, 6, 0, "cyclists ahead of the camera", whole=True),
 }
 ON_FOOT: dict[str, Parameter] = {
@@ -78,7 +106,11 @@ SURFACE: dict[str, Parameter] = {
 }
 EGO: dict[str, Parameter] = {
     "camera.height_m": Continuous(1.0, 3.5, 1.45, "height of the lens over the road [m]"),
-    "camera.headlights": Categorical(("low_beam_halogen", "low_beam_led"), {"low_beam_halogen": 1, "low_beam_led": 1}, "dipped beams of the camera's car"),
+    "camera.headlights": Categorical(
+        ("low_beam_halogen", "low_beam_led"),
+        {"low_beam_halogen": 1, "low_beam_led": 1},
+        "dipped beams of the camera's car",
+    ),
     "camera.rig": Categorical(("single", "stereo", "surround"), "single", "cameras beside the ego's"),
     "camera.baseline_m": Continuous(0.05, 1.0, 0.3, "distance of the right eye of a stereo rig [m]"),
     "camera.fov_x_deg": Continuous(20.0, 100.0, 55.1, "horizontal angle of view [degrees]"),
@@ -109,7 +141,9 @@ ROAD: dict[str, Parameter] = {
     "tunnel.height_m": Continuous(13.0, 40.0, 15.0, "of the hill [m]"),
     "rails.where": Categorical(("none", "outer", "median", "all"), "none", "guard rails"),
     "rails.delineators": Categorical(("none", "both"), "none", "white posts every 50 m"),
-    "rails.gantry_ahead_m": Continuous(20.0, 200.0, None, "from the camera to the first sign gantry [m]; none without it"),
+    "rails.gantry_ahead_m": Continuous(
+        20.0, 200.0, None, "from the camera to the first sign gantry [m]; none without it"
+    ),
     "works.where": Categorical(("none", "left", "right"), "none", "side of the works beside the carriageway"),
     "works.ahead_m": Continuous(5.0, 200.0, 30.0, "from the camera to the works [m]"),
     **PARKED,
@@ -130,7 +164,9 @@ ROUNDABOUT: dict[str, Parameter] = {
     "circle.give_way": Categorical(GIVE_WAY, "teeth", "give-way line"),
     "circle.shrubs": Continuous(0, 120, 30, "shrubs on the middle island", whole=True),
     "circle.trees": Continuous(0, 6, 1, "trees on the middle island", whole=True),
-    "circle.tree_models": Categorical(("*plant",), {"birch_tree": 1, "conifer": 1, "maple_tree": 1}, "models of these trees"),
+    "circle.tree_models": Categorical(
+        ("*plant",), {"birch_tree": 1, "conifer": 1, "maple_tree": 1}, "models of these trees"
+    ),
     "arms.count": Continuous(3, 5, 4, "number of arms", whole=True),
     "arms.apart_deg": Continuous(40.0, 120.0, 62.0, "least angle between neighbouring arms [degrees]"),
     "arms.length_m": Continuous(110.0, 600.0, 240.0, "length from the middle [m]"),
@@ -150,15 +186,22 @@ ROUNDABOUT: dict[str, Parameter] = {
     **EGO,
     **RULES,
 }
-CARS, CROSSING_PEOPLE = tuple(CAR), ("man_walking", "woman_walking", "man_waiting", "woman_phone", "student", "child", "old_man")
+CARS, CROSSING_PEOPLE = (
+    tuple(CAR),
+    ("man_walking", "woman_walking", "man_waiting", "woman_phone", "student", "child", "old_man"),
+)
 CROSSROADS: dict[str, Parameter] = {
     "parked.share": PARKED["parked.share"],
-    "parked.bodies": Categorical(CARS, {"hatchback": 3, "saloon": 2, "estate": 2, "offroader": 2, "van": 1}, "models that park"),
+    "parked.bodies": Categorical(
+        CARS, {"hatchback": 3, "saloon": 2, "estate": 2, "offroader": 2, "van": 1}, "models that park"
+    ),
     "parked.paints": replace(PARKED["parked.paints"], default=dict.fromkeys(PAINTS[:-1], 1)),
     "traffic.count": Continuous(0, 24, 10, "vehicles in all", whole=True),
     "traffic.bodies": Categorical((*CARS, "bus", "lorry"), {**CAR, "bus": 1, "lorry": 1}, "models that drive"),
     "traffic.paints": replace(TRAFFIC["traffic.paints"], default=dict.fromkeys(PAINTS[:6], 1)),
-    "traffic.main_street": Categorical(("waits", "goes"), {"waits": 1, "goes": 1}, "signals, who drives and who crosses follow"),
+    "traffic.main_street": Categorical(
+        ("waits", "goes"), {"waits": 1, "goes": 1}, "signals, who drives and who crosses follow"
+    ),
     "people.count": Continuous(0, 60, 30, "people on pavements and zebras", whole=True),
     "people.kinds": Categorical(CROSSING_PEOPLE, dict.fromkeys(CROSSING_PEOPLE, 1), "models of people"),
     "people.cyclists": Continuous(0, 1, 1, "cyclists ahead of the camera", whole=True),
@@ -237,7 +280,10 @@ def world_of(root: Located) -> str:
     if item is None:
         return next(iter(WORLDS))
     if item.value not in WORLDS:
-        raise RecipeError(f"{item.place}: world is {item.plain()!r}; it takes {', '.join(WORLDS)}.{did_you_mean(str(item.plain()), WORLDS)}")
+        raise RecipeError(
+            f"{item.place}: world is {item.plain()!r}; it takes "
+            f"{', '.join(WORLDS)}.{did_you_mean(str(item.plain()), WORLDS)}"
+        )
     return str(item.value)
 
 
@@ -254,7 +300,10 @@ def read(root: Located, name: str) -> Recipe:
     if about is not None and not isinstance(about.value, str):
         raise RecipeError(f"{about.place}: about is {about.plain()!r}; it takes one sentence")
     if world.lanes and "lane_section" not in items:
-        raise RecipeError(f"{root.place}: a road needs 'lane_section': its lanes from left to right, as in [{{lane: 3.5, way: -1}}, {{lane: 3.5, way: 1}}]")
+        raise RecipeError(
+            f"{root.place}: a road needs 'lane_section': its lanes from left to right, as in [{{lane: 3.5, way: -1}}, "
+            f"{{lane: 3.5, way: 1}}]"
+        )
     parameters = {key: named(parameter) for key, parameter in world.parameters.items()}
     return Recipe(
         name,
@@ -268,7 +317,9 @@ def read(root: Located, name: str) -> Recipe:
 
 
 def named(parameter: Parameter) -> Parameter:
-    """Names that stand for what the library holds become its names: '*sky' its skies, '*GROUP' its models of a group, '*' all models."""
+    """Names that stand for what the library holds become its names: '*sky' its skies, '*GROUP' its models of a group,
+    '*' all models.
+    """
     if not isinstance(parameter, Categorical) or not any(name.startswith("*") for name in parameter.allowed):
         return parameter
     found: list[str] = []
@@ -287,25 +338,39 @@ def named(parameter: Parameter) -> Parameter:
 
 def _lanes(item: Located) -> tuple[tuple[str, Distribution, int], ...]:
     if not isinstance(item.value, list) or not item.value:
-        raise RecipeError(f"{item.place}: lane_section is {item.plain()!r}; it takes a list of lanes from left to right, as in [{{lane: 3.5, way: 1}}]")
+        raise RecipeError(
+            f"{item.place}: lane_section is {item.plain()!r}; it takes a list of lanes from left to right, as in "
+            f"[{{lane: 3.5, way: 1}}]"
+        )
     lanes = []
     for lane in item.value:
         if not isinstance(lane.value, dict) or not lane.value:
-            raise RecipeError(f"{lane.place}: a lane is {lane.plain()!r}; it takes {{KIND: width, way: 1 or -1}} with KIND one of {', '.join(KINDS)}")
+            raise RecipeError(
+                f"{lane.place}: a lane is {lane.plain()!r}; it takes {{KIND: width, way: 1 or -1}} with KIND one of "
+                f"{', '.join(KINDS)}"
+            )
         kinds = [key for key in lane.value if key != "way"]
         for key in kinds:
             if key not in KINDS:
-                raise RecipeError(f"{lane.value[key].key_place}: no lane {key!r}; there are {', '.join(KINDS)}.{did_you_mean(key, KINDS)}")
+                raise RecipeError(
+                    f"{lane.value[key].key_place}: no lane {key!r}; there are "
+                    f"{', '.join(KINDS)}.{did_you_mean(key, KINDS)}"
+                )
         if len(kinds) != 1:
             raise RecipeError(f"{lane.place}: a lane has one kind, found {', '.join(kinds) or 'none'}")
         kind, way = kinds[0], 0
         if "way" in lane.value:
             way = lane.value["way"].value
             if way not in (1, -1) or isinstance(way, bool):
-                raise RecipeError(f"{lane.value['way'].place}: way is {lane.value['way'].plain()!r}; it takes 1 (away from the camera) or -1")
+                raise RecipeError(
+                    f"{lane.value['way'].place}: way is {lane.value['way'].plain()!r}; it takes 1 (away from the "
+                    f"camera) or -1"
+                )
         elif kind in DRIVEN:
             raise RecipeError(f"{lane.place}: {kind} needs its way: 1 (away from the camera) or -1")
-        lanes.append((kind, read_distribution(lane.value[kind], f"lane_section: {kind}", LANE), way if kind in DRIVEN else 0))
+        lanes.append(
+            (kind, read_distribution(lane.value[kind], f"lane_section: {kind}", LANE), way if kind in DRIVEN else 0)
+        )
     ways = [way for _, _, way in lanes if way]
     if 1 not in ways:
         raise RecipeError(f"{item.place}: no lane has way 1, in which the camera drives")
@@ -317,7 +382,10 @@ def _lanes(item: Located) -> tuple[tuple[str, Distribution, int], ...]:
 def _rows(item: Located, keys: Mapping[str, Parameter]) -> tuple[Row, ...]:
     """Rows of a recipe, each of whose keys is one of `keys`."""
     if not isinstance(item.value, list):
-        raise RecipeError(f"{item.place}: rows is {item.plain()!r}; it takes a list of {{models: ..., side: ..., out_m: ..., step_m: ...}}")
+        raise RecipeError(
+            f"{item.place}: rows is {item.plain()!r}; it takes a list of {{models: ..., side: ..., out_m: ..., step_m: "
+            f"...}}"
+        )
     rows = []
     for row in item.value:
         items = mapping(row, "a row", tuple(keys))

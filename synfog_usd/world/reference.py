@@ -29,31 +29,60 @@ which editors complete and underline: `python -m synfog_usd.world.reference`. Ho
 - A number is fixed, `{uniform: [low, high]}`, `{normal: {mean, deviation, low, high}}` (cut at both ends) or `{by_hour: [[hour, value], ...]}`.
 - A whole number is fixed, `{integer: [low, high]}` with both ends, `{normal: ...}` or `{by_hour: ...}`, both rounded.
 - A name is fixed or `{choice: {name: weight, ...}}`; weights are above 0.
-"""
+"""  # noqa: E501
 LANES = """\
 Lanes from left to right, `{KIND: width}` each; those that are driven also say their `way`: 1 away from the camera, -1 towards it.
-Lanes of way -1 lie left of those of way 1."""
-STARS = {"*": "any model", "*sky": "any sky in nits", "*vehicle": "any vehicle", "*person": "any person", "*plant": "any plant"}
+Lanes of way -1 lie left of those of way 1."""  # noqa: E501
+STARS = {
+    "*": "any model",
+    "*sky": "any sky in nits",
+    "*vehicle": "any vehicle",
+    "*person": "any person",
+    "*plant": "any plant",
+}
 
 
 def page() -> str:
     """The page, as Markdown."""
     lines = [HEAD]
     for name, world in WORLDS.items():
-        lines += [f"## world: {name}", "", f"{world.about} Keys of the recipe: {', '.join(f'`{key}`' for key in world.keys)}.", ""]
+        lines += [
+            f"## world: {name}",
+            "",
+            f"{world.about} Keys of the recipe: {', '.join(f'`{key}`' for key in world.keys)}.",
+            "",
+        ]
         for section in sections(world.parameters):
-            lines += [f"### {section} ({name})", "", *_table({key.partition(".")[2]: one for key, one in world.parameters.items() if _in(key, section)}), ""]
+            lines += [
+                f"### {section} ({name})",
+                "",
+                *_table({key.partition(".")[2]: one for key, one in world.parameters.items() if _in(key, section)}),
+                "",
+            ]
         if world.lanes:
             lines += [
                 f"### lane_section ({name})",
                 "",
-                "Lanes from left to right, `{KIND: width}` each; those that are driven also say their `way`: 1 away from the camera, -1 ",
+                "Lanes from left to right, `{KIND: width}` each; those that are driven also say their `way`: 1 away "
+                "from the camera, -1 ",
             ]
             lines[-1] += "towards it. Lanes of way -1 lie left of those of way 1."
-            lines += ["", f"Kinds: {', '.join(f'`{kind}`' for kind in KINDS)}; driven: {', '.join(f'`{kind}`' for kind in DRIVEN)}.", ""]
+            lines += [
+                "",
+                f"Kinds: {', '.join(f'`{kind}`' for kind in KINDS)}; driven: "
+                f"{', '.join(f'`{kind}`' for kind in DRIVEN)}.",
+                "",
+            ]
             lines += [*_table({"KIND": LANE}), ""]
         if world.row:
-            lines += [f"### rows ({name})", "", "A list of rows of props; earlier rows go first where there is no room.", "", *_table(world.row), ""]
+            lines += [
+                f"### rows ({name})",
+                "",
+                "A list of rows of props; earlier rows go first where there is no room.",
+                "",
+                *_table(world.row),
+                "",
+            ]
     lines += ["## fog", "", "A list of visibilities, one variant each, in every world; clear air is always there.", ""]
     lines += [*_table({"fog": FOG}, left_out=str(list(FOG_DEFAULT))), ""]
     return "\n".join(lines)
@@ -62,10 +91,17 @@ def page() -> str:
 def schema() -> dict[str, Any]:
     """JSON Schema, draft 7, of a recipe."""
     first, *others = WORLDS
-    every = [FOG, LANE, *(one for world in WORLDS.values() for one in (*world.parameters.values(), *world.row.values()))]
+    every = [
+        FOG,
+        LANE,
+        *(one for world in WORLDS.values() for one in (*world.parameters.values(), *world.row.values())),
+    ]
     chosen: dict[str, Any] = {"properties": {"world": {"enum": others}}, "required": ["world"]}
     rules = [{"if": {"not": chosen}, "then": _world(WORLDS[first])}]
-    rules += [{"if": {"properties": {"world": {"const": name}}, "required": ["world"]}, "then": _world(WORLDS[name])} for name in others]
+    rules += [
+        {"if": {"properties": {"world": {"const": name}}, "required": ["world"]}, "then": _world(WORLDS[name])}
+        for name in others
+    ]
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
         "title": "synfog-usd recipe",
@@ -84,35 +120,66 @@ def _world(world: World) -> dict[str, Any]:
     properties: dict[str, Any] = {
         "synfog": True,
         "world": True,
-        "about": {"type": "string", "default": world.about, "description": "One sentence, for the stage's documentation."},
-        "fog": {"type": "array", "minItems": 1, "items": _value(FOG), "default": list(FOG_DEFAULT), "description": "Visibilities (MOR) in metres."},
+        "about": {
+            "type": "string",
+            "default": world.about,
+            "description": "One sentence, for the stage's documentation.",
+        },
+        "fog": {
+            "type": "array",
+            "minItems": 1,
+            "items": _value(FOG),
+            "default": list(FOG_DEFAULT),
+            "description": "Visibilities (MOR) in metres.",
+        },
     }
     for section in sections(world.parameters):
-        properties[section] = _mapping({key.partition(".")[2]: one for key, one in world.parameters.items() if _in(key, section)})
+        properties[section] = _mapping(
+            {key.partition(".")[2]: one for key, one in world.parameters.items() if _in(key, section)}
+        )
     if world.row:
-        properties["rows"] = {"type": "array", "items": _mapping(world.row) | {"required": ["models"]}, "description": "Props along the road."}
+        properties["rows"] = {
+            "type": "array",
+            "items": _mapping(world.row) | {"required": ["models"]},
+            "description": "Props along the road.",
+        }
     if world.lanes:
-        properties["lane_section"] = {"type": "array", "minItems": 1, "items": {"anyOf": [_lane(kind) for kind in KINDS]}}
+        properties["lane_section"] = {
+            "type": "array",
+            "minItems": 1,
+            "items": {"anyOf": [_lane(kind) for kind in KINDS]},
+        }
         properties["lane_section"]["description"] = "Lanes from left to right."
-    return {"properties": properties, "additionalProperties": False} | ({"required": ["lane_section"]} if world.lanes else {})
+    return {"properties": properties, "additionalProperties": False} | (
+        {"required": ["lane_section"]} if world.lanes else {}
+    )
 
 
 def _lane(kind: str) -> dict[str, Any]:
     return {
         "type": "object",
-        "properties": {kind: _value(LANE), "way": {"enum": [1, -1], "description": "1 away from the camera, -1 towards it."}},
+        "properties": {
+            kind: _value(LANE),
+            "way": {"enum": [1, -1], "description": "1 away from the camera, -1 towards it."},
+        },
         "required": [kind, "way"] if kind in DRIVEN else [kind],
         "additionalProperties": False,
     }
 
 
 def _mapping(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    return {"type": "object", "properties": {key: _value(one) for key, one in parameters.items()}, "additionalProperties": False}
+    return {
+        "type": "object",
+        "properties": {key: _value(one) for key, one in parameters.items()},
+        "additionalProperties": False,
+    }
 
 
 def _value(parameter: Parameter) -> dict[str, Any]:
     """A parameter, in every form that it takes, which stand among the definitions."""
-    about = {"description": parameter.about} | ({} if parameter.default is None else {"default": named(parameter).default})
+    about = {"description": parameter.about} | (
+        {} if parameter.default is None else {"default": named(parameter).default}
+    )
     return about | {"allOf": [{"$ref": f"#/definitions/{_form(parameter)}"}]}
 
 
@@ -128,15 +195,34 @@ def _forms(parameter: Parameter) -> dict[str, Any]:
     parameter = named(parameter)
     if isinstance(parameter, Categorical):
         names = {"enum": list(parameter.allowed)}
-        weights = {"type": "object", "minProperties": 1, "propertyNames": names, "additionalProperties": {"type": "number", "exclusiveMinimum": 0}}
+        weights = {
+            "type": "object",
+            "minProperties": 1,
+            "propertyNames": names,
+            "additionalProperties": {"type": "number", "exclusiveMinimum": 0},
+        }
         return {"anyOf": [names, _one("choice", weights)]}
     number = {"type": "integer" if parameter.whole else "number", "minimum": parameter.low, "maximum": parameter.high}
     loose = {"type": "number", "minimum": parameter.low, "maximum": parameter.high}
     pair = {"type": "array", "items": number, "minItems": 2, "maxItems": 2}
-    hours = {"type": "array", "items": [{"type": "number", "minimum": 0, "maximum": 24}, number], "minItems": 2, "maxItems": 2}
-    shape = {"mean": {"type": "number"}, "deviation": {"type": "number", "exclusiveMinimum": 0}, "low": loose, "high": loose}
+    hours = {
+        "type": "array",
+        "items": [{"type": "number", "minimum": 0, "maximum": 24}, number],
+        "minItems": 2,
+        "maxItems": 2,
+    }
+    shape = {
+        "mean": {"type": "number"},
+        "deviation": {"type": "number", "exclusiveMinimum": 0},
+        "low": loose,
+        "high": loose,
+    }
     normal = {"type": "object", "properties": shape, "required": list(shape), "additionalProperties": False}
-    forms = [_one("integer" if parameter.whole else "uniform", pair), _one("normal", normal), _one("by_hour", {"type": "array", "items": hours, "minItems": 1})]
+    forms = [
+        _one("integer" if parameter.whole else "uniform", pair),
+        _one("normal", normal),
+        _one("by_hour", {"type": "array", "items": hours, "minItems": 1}),
+    ]
     return {"anyOf": [number, *forms]}
 
 
@@ -150,13 +236,17 @@ def _in(key: str, section: str) -> bool:
 
 def _table(parameters: Mapping[str, Parameter], *, left_out: str = "") -> list[str]:
     lines = ["| key | value | if left out | meaning |", "|---|---|---|---|"]
-    return lines + [f"| `{key}` | {_range(one)} | {left_out or _default(one)} | {one.about} |" for key, one in parameters.items()]
+    return lines + [
+        f"| `{key}` | {_range(one)} | {left_out or _default(one)} | {one.about} |" for key, one in parameters.items()
+    ]
 
 
 def _range(parameter: Parameter) -> str:
     if isinstance(parameter, Continuous):
         return f"{'whole, ' if parameter.whole else ''}{parameter.low:g} to {parameter.high:g}"
-    return ", ".join(STARS.get(name, f"any of {name[1:]}") if name.startswith("*") else f"`{name}`" for name in parameter.allowed)
+    return ", ".join(
+        STARS.get(name, f"any of {name[1:]}") if name.startswith("*") else f"`{name}`" for name in parameter.allowed
+    )
 
 
 def _default(parameter: Parameter) -> str:
@@ -170,7 +260,9 @@ def _default(parameter: Parameter) -> str:
 def files() -> dict[str, str]:
     """Name -> content of the two files."""
     whole = schema()
-    rows = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in whole.pop("definitions").items()]  # one a line
+    rows = [
+        f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in whole.pop("definitions").items()
+    ]  # one a line
     text = json.dumps(whole, indent=1).removesuffix("\n}") + ',\n "definitions": {\n' + ",\n".join(rows) + "\n }\n}\n"
     return {"recipes.md": page(), "recipe.schema.json": text}
 

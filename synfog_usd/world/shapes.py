@@ -31,7 +31,9 @@ COLLAPSE = {
     "autoclean": True,
     "selected": False,
 }
-"""Everything that pymeshlab's quadric edge collapse can be told: what is left out it takes from its last call, and bytes would depend on that."""
+"""Everything that pymeshlab's quadric edge collapse can be told: what is left out it takes from its last call, and
+bytes would depend on that.
+"""
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,9 @@ def join(parts: Sequence[Part], material: str | None = None) -> Part:
         points=np.concatenate([p.points for p in parts]),
         faces=np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=True)]),
         material=material or parts[0].material,
-        uv=np.concatenate([p.uv if p.uv is not None else np.zeros((len(p.points), 2)) for p in parts]) if textured else None,
+        uv=np.concatenate([p.uv if p.uv is not None else np.zeros((len(p.points), 2)) for p in parts])
+        if textured
+        else None,
         normals=np.concatenate([p.normals for p in parts if p.normals is not None]) if smooth else None,
     )
 
@@ -133,7 +137,10 @@ def shaded(part: Part, crease_deg: float = 40.0) -> Part:
     incidence = sparse.csr_matrix((np.ones(len(corner_vertex)), (np.arange(len(corner_vertex)), corner_vertex)))
     pairs = (incidence @ incidence.T).tocoo()
     keep = np.einsum("ij,ij->i", n[corner_face[pairs.row]], n[corner_face[pairs.col]]) > np.cos(np.deg2rad(crease_deg))
-    weights = sparse.csr_matrix((area[corner_face[pairs.col[keep]]], (pairs.row[keep], corner_face[pairs.col[keep]])), shape=(len(corner_vertex), len(n)))
+    weights = sparse.csr_matrix(
+        (area[corner_face[pairs.col[keep]]], (pairs.row[keep], corner_face[pairs.col[keep]])),
+        shape=(len(corner_vertex), len(n)),
+    )
     normals = weights @ n
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
     corner_point = part.faces.ravel()
@@ -163,7 +170,15 @@ def quads(corners: npt.ArrayLike, material: str, uv: npt.ArrayLike | None = None
     return Part(points, faces, material, None if uv is None else np.asarray(uv, dtype=np.float64).reshape(-1, 2))
 
 
-def box(low: Sequence[float], high: Sequence[float], material: str, *, tile_m: float = 1.0, bottom: bool = True, back: bool = True) -> Part:
+def box(
+    low: Sequence[float],
+    high: Sequence[float],
+    material: str,
+    *,
+    tile_m: float = 1.0,
+    bottom: bool = True,
+    back: bool = True,
+) -> Part:
     """An upright box between two corners, textured in metres over `tile_m`; `back` is its face towards -Y."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     p = [(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z0), (x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)]
@@ -184,9 +199,16 @@ def soft_box(low: Sequence[float], high: Sequence[float], material: str, *, radi
     corner = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]).repeat(sides + 1, axis=0) * (half[:2] - r)
     rim = np.linspace(0, np.pi / 2, sides + 1)
     rings = [(r, -half[2])] + [(r * np.cos(t), half[2] - r + r * np.sin(t)) for t in rim]
-    loops = [np.c_[corner + radius_ring * np.c_[np.cos(angle), np.sin(angle)], np.full(len(angle), z)] for radius_ring, z in rings]
+    loops = [
+        np.c_[corner + radius_ring * np.c_[np.cos(angle), np.sin(angle)], np.full(len(angle), z)]
+        for radius_ring, z in rings
+    ]
     skin = strip(loops, material, closed=True)
-    top = Part(np.vstack([loops[-1], [(0, 0, half[2])]]), np.array([(i, (i + 1) % len(angle), len(angle)) for i in range(len(angle))]), material)
+    top = Part(
+        np.vstack([loops[-1], [(0, 0, half[2])]]),
+        np.array([(i, (i + 1) % len(angle), len(angle)) for i in range(len(angle))]),
+        material,
+    )
     return shaded(join([skin, top]), 50).moved(shift(*middle))
 
 
@@ -211,7 +233,16 @@ def lathe(profile: Sequence[tuple[float, float]], material: str, *, sides: int =
     return shaded(part, crease_deg)
 
 
-def tube(path: npt.ArrayLike, radii: npt.ArrayLike, material: str, *, sides: int = 8, tile_m: float = 1.0, capped: bool = True, smooth: bool = True) -> Part:
+def tube(
+    path: npt.ArrayLike,
+    radii: npt.ArrayLike,
+    material: str,
+    *,
+    sides: int = 8,
+    tile_m: float = 1.0,
+    capped: bool = True,
+    smooth: bool = True,
+) -> Part:
     """A round bar along (K, 3) points with a radius at each; textured round and along."""
     p = np.asarray(path, dtype=np.float64)
     r = np.broadcast_to(np.asarray(radii, dtype=np.float64), len(p))
@@ -236,7 +267,9 @@ def tube(path: npt.ArrayLike, radii: npt.ArrayLike, material: str, *, sides: int
     parts = [skin]
     for loop, centre, flip in ((loops[0], p[0], True), (loops[-1], p[-1], False)):
         faces = np.array([(i, i + 1, sides + 1) for i in range(sides)])
-        parts.append(Part(np.vstack([loop, centre]), faces[:, ::-1] if flip else faces, material, np.zeros((sides + 2, 2))))
+        parts.append(
+            Part(np.vstack([loop, centre]), faces[:, ::-1] if flip else faces, material, np.zeros((sides + 2, 2)))
+        )
     return join(parts)
 
 

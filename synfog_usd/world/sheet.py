@@ -16,7 +16,9 @@ from synfog_usd import resources
 from synfog_usd.world.library import LibraryModel
 
 VIEWS_DEG = (150.0, 90.0, -35.0)
-"""Headings, counter-clockwise, of a model that looks along +Y when the camera does too: front quarter, side, back quarter."""
+"""Headings, counter-clockwise, of a model that looks along +Y when the camera does too: front quarter, side, back
+quarter.
+"""
 ELEVATION_DEG = 20.0
 DISTANCE = 2500.0
 CELL_PX = (118, 108)
@@ -31,11 +33,20 @@ GROUPS = ("vehicle", "person", "rider", "lamp", "sign", "furniture", "plant", "b
 
 def ordered(models: Sequence[LibraryModel]) -> list[LibraryModel]:
     """By group and size, without the ground of the crossing and its fallen leaf."""
-    return sorted((m for m in models if m.group in GROUPS and m.height > 0.1), key=lambda m: (GROUPS.index(m.group), m.label, m.length * m.height, m.name))
+    return sorted(
+        (m for m in models if m.group in GROUPS and m.height > 0.1),
+        key=lambda m: (GROUPS.index(m.group), m.label, m.length * m.height, m.name),
+    )
 
 
 def write_stage(
-    path: Path, models: Sequence[LibraryModel], columns: int, *, views_deg: Sequence[float] = VIEWS_DEG, cell_px: tuple[int, int] = CELL_PX, varied: bool = True
+    path: Path,
+    models: Sequence[LibraryModel],
+    columns: int,
+    *,
+    views_deg: Sequence[float] = VIEWS_DEG,
+    cell_px: tuple[int, int] = CELL_PX,
+    varied: bool = True,
 ) -> tuple[int, int]:
     """Write the plain with every model on it; gives the size of its picture [px].
 
@@ -66,8 +77,12 @@ def write_stage(
             # the foot of a cell is its front edge; a deep model is pushed back by half its depth
             y = -(row + 0.5) * row_depth + rows * row_depth / 2 - 0.27 * row_depth + 0.5 * factor * radius
             place = Gf.Matrix4d(1.0).SetTranslate(-Gf.Vec3d(middle[0], middle[1], 0.0))
-            place *= Gf.Matrix4d(1.0).SetScale(factor) * Gf.Matrix4d(1.0).SetRotate(Gf.Rotation(Gf.Vec3d(0, 0, 1), heading))
-            place *= Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(x, y, LIFT - factor * model.low[2] if model.group == "ground" else 0.0))
+            place *= Gf.Matrix4d(1.0).SetScale(factor) * Gf.Matrix4d(1.0).SetRotate(
+                Gf.Rotation(Gf.Vec3d(0, 0, 1), heading)
+            )
+            place *= Gf.Matrix4d(1.0).SetTranslate(
+                Gf.Vec3d(x, y, LIFT - factor * model.low[2] if model.group == "ground" else 0.0)
+            )
             prim = UsdGeom.Xform.Define(stage, f"/World/{model.name}_{view}")
             prim.AddTransformOp().Set(place)
             prim.GetPrim().GetReferences().AddReference(str(model.path.resolve()))
@@ -99,7 +114,9 @@ def write_stage(
     camera.CreateVerticalApertureAttr(high)
     camera.CreateClippingRangeAttr(Gf.Vec2f(1.0, 10000.0))
     eye = Gf.Vec3d(0, -DISTANCE * math.cos(elevation), DISTANCE * math.sin(elevation))
-    UsdGeom.Xformable(camera).AddTransformOp().Set(Gf.Matrix4d(1.0).SetLookAt(eye, Gf.Vec3d(0, 0, 0), Gf.Vec3d(0, 0, 1)).GetInverse())
+    UsdGeom.Xformable(camera).AddTransformOp().Set(
+        Gf.Matrix4d(1.0).SetLookAt(eye, Gf.Vec3d(0, 0, 0), Gf.Vec3d(0, 0, 1)).GetInverse()
+    )
     stage.GetRootLayer().Save()
     return columns * len(views_deg) * cell_px[0], rows * cell_px[1]
 

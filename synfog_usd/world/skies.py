@@ -54,7 +54,12 @@ class Sky:
 def skies(folder: Path | None = None) -> Mapping[str, Sky]:
     """Every sky in nits below `folder` (the shipped ones if left out), the brightest first."""
     found = [read(path) for path in sorted((folder or resources.folder("assets") / "skies").glob("*.exr"))]
-    return MappingProxyType({sky.name: sky for sky in sorted((sky for sky in found if sky), key=lambda sky: (-sky.illuminance_lx, sky.name))})
+    return MappingProxyType(
+        {
+            sky.name: sky
+            for sky in sorted((sky for sky in found if sky), key=lambda sky: (-sky.illuminance_lx, sky.name))
+        }
+    )
 
 
 def read(path: Path) -> Sky | None:
@@ -65,11 +70,16 @@ def read(path: Path) -> Sky | None:
         return None
     spec = file.spec()
     file.close()
-    said = [spec.getattribute(f"synfog:{key}") for key in ("about", "cieSky", "sunHeightDeg", "sunAzimuthDeg", "illuminanceLux", "zenithNits", "cctKelvin")]
+    said = [
+        spec.getattribute(f"synfog:{key}")
+        for key in ("about", "cieSky", "sunHeightDeg", "sunAzimuthDeg", "illuminanceLux", "zenithNits", "cctKelvin")
+    ]
     if any(value is None for value in said):
         return None
     about, cie, *numbers = said
-    return Sky(path.stem, str(about), int(cie), *(float(f"{float(value):.6g}") for value in numbers), path)  # float32 in the file
+    return Sky(
+        path.stem, str(about), int(cie), *(float(f"{float(value):.6g}") for value in numbers), path
+    )  # float32 in the file
 
 
 def sky_of(name: str) -> Sky:
@@ -79,12 +89,20 @@ def sky_of(name: str) -> Sky:
         ParameterError: another name.
     """
     if name not in skies():
-        raise ParameterError(f"sky {name!r} does not exist; it can be {', '.join(skies())}.{did_you_mean(name, skies())}")
+        raise ParameterError(
+            f"sky {name!r} does not exist; it can be {', '.join(skies())}.{did_you_mean(name, skies())}"
+        )
     return skies()[name]
 
 
 def author_dome(
-    stage: Usd.Stage, path: Sdf.Path | str, name: str, *, skies: str = "../assets/skies", heading_deg: float = 0.0, gain: float = 1.0
+    stage: Usd.Stage,
+    path: Sdf.Path | str,
+    name: str,
+    *,
+    skies: str = "../assets/skies",
+    heading_deg: float = 0.0,
+    gain: float = 1.0,
 ) -> UsdLux.DomeLight:
     """A dome light with one of `skies()`, in nits.
 
@@ -102,7 +120,9 @@ def author_dome(
     sky = sky_of(name)
     dome = UsdLux.DomeLight.Define(stage, path)
     prim = dome.GetPrim()
-    prim.SetDocumentation(f"{sky.about} {sky.illuminance_lx:g} lx, {sky.cct_k:g} K, sun at {sky.sun_height_deg:g} degrees.")
+    prim.SetDocumentation(
+        f"{sky.about} {sky.illuminance_lx:g} lx, {sky.cct_k:g} K, sun at {sky.sun_height_deg:g} degrees."
+    )
     dome.CreateIntensityAttr(gain)
     dome.CreateTextureFileAttr(Sdf.AssetPath(f"{skies}/{name}.exr"))
     dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)

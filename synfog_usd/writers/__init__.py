@@ -51,12 +51,29 @@ def write_output(name: str, image: Image, folder: Path, *, options: Mapping[str,
     if suffix not in WRITERS:
         raise OutputError(f"output {name!r}: format {suffix!r} is not known; it can be {', '.join(WRITERS)}")
     write, path = WRITERS[suffix], folder / name
-    known = [parameter.name for parameter in inspect.signature(write).parameters.values() if parameter.kind is parameter.KEYWORD_ONLY]
+    known = [
+        parameter.name
+        for parameter in inspect.signature(write).parameters.values()
+        if parameter.kind is parameter.KEYWORD_ONLY
+    ]
     for word in options or {}:
         if word not in known:
-            raise OutputError(f"output {name!r} has no {word!r}; it takes {', '.join(known)}.{did_you_mean(word, known)}")
+            raise OutputError(
+                f"output {name!r} has no {word!r}; it takes {', '.join(known)}.{did_you_mean(word, known)}"
+            )
     write(path, image, **(options or {}))
     return path
 
 
-__all__ = ["WRITERS", "check_radiance", "read_exr", "read_raw", "write_dng", "write_exr", "write_jxl", "write_output", "write_png", "write_tiff"]
+__all__ = [
+    "WRITERS",
+    "check_radiance",
+    "read_exr",
+    "read_raw",
+    "write_dng",
+    "write_exr",
+    "write_jxl",
+    "write_output",
+    "write_png",
+    "write_tiff",
+]

@@ -26,7 +26,16 @@ from synfog_usd.image import Image, Quantity
 FIXED_DATE = "2000:01:01 00:00:00"
 """A simulated picture was taken at no time; a clock's would change the bytes."""
 
-NEEDED = ("black_level_dn", "white_level_dn", "noise_profile", "exposure_s", "f_number", "iso", "sensor_title", "cfa_pattern")
+NEEDED = (
+    "black_level_dn",
+    "white_level_dn",
+    "noise_profile",
+    "exposure_s",
+    "f_number",
+    "iso",
+    "sensor_title",
+    "cfa_pattern",
+)
 """What the provenance must say of every mosaic."""
 
 NEEDED_OF_COLOUR = ("xyz_to_camera", "as_shot_neutral")
@@ -53,7 +62,9 @@ _GREY = ("MONO", "RCCC")
 """Patterns without colour: written as LinearRaw of one sample, which readers show as grey."""
 
 _PLANES = "RGCBI"
-"""Order of the colour planes: a clear filter stands where readers expect green, so that they take RCCB for a Bayer mosaic."""
+"""Order of the colour planes: a clear filter stands where readers expect green, so that they take RCCB for a Bayer
+mosaic.
+"""
 
 _FILTERS = "RGBCI"
 """Order in which the provenance tells of filters."""
@@ -73,8 +84,8 @@ def write_dng(path: Path, image: Image, *, compression: Literal["none", "lossles
     Args:
         path: where to.
         image: DN, one channel, whole numbers from 0 to white level; its provenance
-            has the keys in `NEEDED`, and `NEEDED_OF_COLOUR` where it has colour; `xyz_to_camera_a` (for illuminant A) and `lens_title` if known.
-            With `companding` ([[linear_dn, code], ...]) the numbers are codes, and
+            has the keys in `NEEDED`, and `NEEDED_OF_COLOUR` where it has colour; `xyz_to_camera_a` (for illuminant A)
+            and `lens_title` if known. With `companding` ([[linear_dn, code], ...]) the numbers are codes, and
             a LinearizationTable makes linear ones of them.
         compression: 'lossless' is lossless JPEG.
 
@@ -88,13 +99,24 @@ def write_dng(path: Path, image: Image, *, compression: Literal["none", "lossles
     if compression not in ("none", "lossless"):
         raise OutputError(f"{path}: compression is {compression!r}; a DNG takes none, lossless")
     if image.quantity is not Quantity.DN or len(image.channels) != 1:
-        raise ImageError(f"{path}: a DNG takes a DN mosaic of one channel; this image is {image.quantity.value} with {', '.join(image.channels)}")
+        raise ImageError(
+            f"{path}: a DNG takes a DN mosaic of one channel; this image is {image.quantity.value} with "
+            f"{', '.join(image.channels)}"
+        )
     _check_facts(path, facts)
     white = facts["white_level_dn"]
     if white > MAX_DN:  # DNG has floats too, but dcraw and LibRaw 0.20 refuse them, and darktable 4.2 shows white
-        raise ImageError(f"{path}: a DNG takes whole numbers of at most 16 bits; white_level_dn is {white}. Put sensor.compand before it, or write an EXR")
+        raise ImageError(
+            f"{path}: a DNG takes whole numbers of at most 16 bits; white_level_dn is {white}. Put sensor.compand "
+            f"before it, or write an EXR"
+        )
     numbers = image.pixels[..., 0]
-    if not (np.isfinite(numbers).all() and numbers.min() >= 0.0 and numbers.max() <= white and (numbers == np.rint(numbers)).all()):
+    if not (
+        np.isfinite(numbers).all()
+        and numbers.min() >= 0.0
+        and numbers.max() <= white
+        and (numbers == np.rint(numbers)).all()
+    ):
         raise ImageError(f"{path}: the pixels are not whole numbers from 0 to {white}")
     raw = numbers.astype(np.uint16)
     write_whole(path, lambda temporary: _write(temporary, raw, facts, lossless=compression == "lossless"))
@@ -102,9 +124,15 @@ def write_dng(path: Path, image: Image, *, compression: Literal["none", "lossles
 
 def _check_facts(path: Path, facts: Mapping[str, Any]) -> None:
     pattern = facts.get("cfa_pattern")
-    needed = [*NEEDED, *(NEEDED_OF_COLOUR if len(_planes(pattern)) > 2 else ()), *(NEEDED_OF_HDR if "companding" in facts else ())]
+    needed = [
+        *NEEDED,
+        *(NEEDED_OF_COLOUR if len(_planes(pattern)) > 2 else ()),
+        *(NEEDED_OF_HDR if "companding" in facts else ()),
+    ]
     if missing := [key for key in needed if key not in facts]:
-        raise ImageError(f"{path}: a DNG needs {', '.join(missing)} in the image's provenance; sensor.adc puts it there")
+        raise ImageError(
+            f"{path}: a DNG needs {', '.join(missing)} in the image's provenance; sensor.adc puts it there"
+        )
     if pattern not in PATTERNS:
         raise ImageError(f"{path}: colour filter pattern {pattern!r} cannot be written; it takes {', '.join(PATTERNS)}")
 
@@ -127,7 +155,12 @@ def _write(temporary: Path, raw: npt.NDArray[np.uint16], facts: Mapping[str, Any
     if lossless:
         data = iter([_lossless_jpeg(raw, int(facts["white_level_dn"]), pairs=not grey)])
         packed = {"shape": raw.shape, "dtype": raw.dtype, "compression": _LOSSLESS_JPEG, "bitspersample": 16}
-    tags = [*_common_tags(raw.shape, facts), *_level_tags(facts), *([] if grey else _filter_tags(facts["cfa_pattern"])), *_colour_tags(facts)]
+    tags = [
+        *_common_tags(raw.shape, facts),
+        *_level_tags(facts),
+        *([] if grey else _filter_tags(facts["cfa_pattern"])),
+        *_colour_tags(facts),
+    ]
     tifffile.imwrite(
         temporary,
         data,
@@ -173,7 +206,12 @@ def _common_tags(shape: tuple[int, int], facts: Mapping[str, Any]) -> list[Tag]:
         (50718, _RATIONAL, 2, (1, 1, 1, 1)),
         (50719, _LONG, 2, (inset, inset)),
         (50720, _LONG, 2, (width - 2 * inset, height - 2 * inset)),
-        (50730, _SRATIONAL, 1, _rationals([math.log2(facts.get("digital_gain", 1.0))], 10_000)),  # BaselineExposure [EV]
+        (
+            50730,
+            _SRATIONAL,
+            1,
+            _rationals([math.log2(facts.get("digital_gain", 1.0))], 10_000),
+        ),  # BaselineExposure [EV]
         (50731, _RATIONAL, 1, (1, 1)),
         (50732, _RATIONAL, 1, (1, 1)),
         (50734, _RATIONAL, 1, (1, 1)),
@@ -192,7 +230,12 @@ def _level_tags(facts: Mapping[str, Any]) -> list[Tag]:
         table, black, white = linearisation(facts)
         tags.append((50712, _SHORT, table.size, table))
     repeat = 1 if facts["cfa_pattern"] in _GREY else 2
-    return [*tags, (50713, _SHORT, 2, (repeat, repeat)), (50714, _RATIONAL, repeat**2, (black, 1) * repeat**2), (50717, _LONG, 1, white)]
+    return [
+        *tags,
+        (50713, _SHORT, 2, (repeat, repeat)),
+        (50714, _RATIONAL, repeat**2, (black, 1) * repeat**2),
+        (50717, _LONG, 1, white),
+    ]
 
 
 def linearisation(facts: Mapping[str, Any]) -> tuple[npt.NDArray[np.uint16], int, int]:
@@ -236,7 +279,9 @@ def _colour_tags(facts: Mapping[str, Any]) -> list[Tag]:
     planes = _planes(facts["cfa_pattern"])
     count = len(planes)
     noise = tuple(float(value) for value in facts["noise_profile"])
-    tags: list[Tag] = [(51041, _DOUBLE, 2 * count, noise * count)] if noise[0] > 0.0 else []  # a slope of 0 is no legal profile
+    tags: list[Tag] = (
+        [(51041, _DOUBLE, 2 * count, noise * count)] if noise[0] > 0.0 else []
+    )  # a slope of 0 is no legal profile
     if count < 3:
         return tags
     told = [letter for letter in _FILTERS if letter in planes]
@@ -246,7 +291,9 @@ def _colour_tags(facts: Mapping[str, Any]) -> list[Tag]:
         return _rationals([value for index in order for value in facts[key][index]], 10_000)
 
     d65, a = ("xyz_to_camera", 21), ("xyz_to_camera_a", 17)
-    for slot, (key, illuminant) in enumerate((a, d65) if a[0] in facts else (d65,)):  # dcraw takes the last, the others that for D65
+    for slot, (key, illuminant) in enumerate(
+        (a, d65) if a[0] in facts else (d65,)
+    ):  # dcraw takes the last, the others that for D65
         tags += [(50721 + slot, _SRATIONAL, 3 * count, matrix(key)), (50778 + slot, _SHORT, 1, illuminant)]
     return [
         *tags,
@@ -273,7 +320,9 @@ def _exif(facts: Mapping[str, Any]) -> list[tuple[int, int, int, bytes]]:
 
 
 def _finish(path: Path, exif: Sequence[tuple[int, int, int, bytes]], *, photometric: int | None) -> None:
-    """Append an Exif IFD and name it in IFD0, and set what tifffile would not: it writes no sub-IFD and no LinearRaw of one sample."""
+    """Append an Exif IFD and name it in IFD0, and set what tifffile would not: it writes no sub-IFD and no LinearRaw of
+    one sample.
+    """
     with path.open("r+b") as file:
         start = file.seek(0, 2)
         start += file.write(b"\0" * (start % 2))

@@ -72,14 +72,19 @@ def write_exr(
     first = group[0]
     names = [name for image in group for name in image.channels]
     if len(set(names)) < len(names):
-        raise ImageError(f"{path}: channels {', '.join(sorted({name for name in names if names.count(name) > 1}))} stand in several images")
+        raise ImageError(
+            f"{path}: channels {', '.join(sorted({name for name in names if names.count(name) > 1}))} stand in several "
+            f"images"
+        )
     if any(image.pixels.shape[:2] != first.pixels.shape[:2] for image in group):
         raise ImageError(f"{path}: images of several sizes cannot share a part")
     for image in group:
         check_finite(image, str(path))
     pixels = first.pixels if len(group) == 1 else np.concatenate([image.pixels for image in group], axis=2)
     if half and (peak := float(np.abs(pixels).max())) > HALF_MAX:
-        raise ImageError(f"{path}: a value of {peak:g} does not fit 16-bit floats, which end at {HALF_MAX:g}; write 32 bits")
+        raise ImageError(
+            f"{path}: a value of {peak:g} does not fit 16-bit floats, which end at {HALF_MAX:g}; write 32 bits"
+        )
     facts: dict[str, Any] = {
         "compression": compression,
         "DateTime": FIXED_DATE,
@@ -100,10 +105,14 @@ def write_exr(
     write_whole(path, lambda temporary: _write(temporary, path, pixels, names, facts, half))
 
 
-def _write(temporary: Path, path: Path, pixels: FloatArray, names: list[str], facts: Mapping[str, Any], half: bool) -> None:
+def _write(
+    temporary: Path, path: Path, pixels: FloatArray, names: list[str], facts: Mapping[str, Any], half: bool
+) -> None:
     import OpenImageIO
 
-    spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], OpenImageIO.HALF if half else OpenImageIO.FLOAT)
+    spec = OpenImageIO.ImageSpec(
+        pixels.shape[1], pixels.shape[0], pixels.shape[2], OpenImageIO.HALF if half else OpenImageIO.FLOAT
+    )
     spec.channelnames = tuple(names)
     for name, value in facts.items():
         spec.attribute(name, value)
@@ -127,7 +136,12 @@ def save(temporary: Path, path: Path, spec: Any, pixels: np.ndarray) -> None:
 
 
 def read_exr(
-    path: Path, *, quantity: Quantity | None = None, declared: Quantity | None = None, channels: Sequence[str] | None = None, repair: bool = False
+    path: Path,
+    *,
+    quantity: Quantity | None = None,
+    declared: Quantity | None = None,
+    channels: Sequence[str] | None = None,
+    repair: bool = False,
 ) -> Image:
     """Read the picture of an EXR file.
 
@@ -166,7 +180,12 @@ def read_exr(
     known = _provenance(facts)
     if "fov_x_deg" not in known and (fov_deg := _fov_x_deg(facts)) is not None:
         known["fov_x_deg"] = fov_deg
-    image = Image(np.ascontiguousarray(pixels[..., [names.index(name) for name in channels]]), tuple(channels), quantity, provenance=known)
+    image = Image(
+        np.ascontiguousarray(pixels[..., [names.index(name) for name in channels]]),
+        tuple(channels),
+        quantity,
+        provenance=known,
+    )
     if image.channels == ("R", "G", "B") and quantity is not Quantity.DATA:
         image = _rec709(image, facts.get("chromaticities"))
     if quantity is Quantity.RADIANCE:
@@ -220,12 +239,18 @@ def check_finite(image: Image, where: str) -> None:
     if image.quantity is not Quantity.DATA and not np.isfinite(image.pixels).all():
         row, column, channel = (int(index[0]) for index in np.nonzero(~np.isfinite(image.pixels)))
         value = float(image.pixels[row, column, channel])
-        raise ImageError(f"{where}: {image.quantity.value} at x={column}, y={row}, channel {image.channels[channel]!r} is {value}; it must be finite")
+        raise ImageError(
+            f"{where}: {image.quantity.value} at x={column}, y={row}, channel {image.channels[channel]!r} is {value}; "
+            f"it must be finite"
+        )
 
 
 def _fov_x_deg(facts: Mapping[str, Any]) -> float | None:
     """Horizontal field of view [degrees] by the camera's attributes [mm], or None."""
-    focal_mm = next((facts[name] for name in ("pinholeFocalLength", "effectiveFocalLength", "nominalFocalLength") if name in facts), None)
+    focal_mm = next(
+        (facts[name] for name in ("pinholeFocalLength", "effectiveFocalLength", "nominalFocalLength") if name in facts),
+        None,
+    )
     size_mm = facts.get("sensorOverallDimensions")
     width_mm = size_mm[0] if isinstance(size_mm, tuple) else None
     if not isinstance(focal_mm, float) or not isinstance(width_mm, float) or not (focal_mm > 0.0 and width_mm > 0.0):
@@ -235,7 +260,11 @@ def _fov_x_deg(facts: Mapping[str, Any]) -> float | None:
 
 def _rec709(image: Image, chromaticities: Any) -> Image:
     """R, G, B of other primaries as linear Rec.709, luminance and white kept."""
-    if not isinstance(chromaticities, tuple) or len(chromaticities) != 8 or np.allclose(chromaticities, REC709, atol=2e-3):
+    if (
+        not isinstance(chromaticities, tuple)
+        or len(chromaticities) != 8
+        or np.allclose(chromaticities, REC709, atol=2e-3)
+    ):
         return image
     to_xyz, from_xyz = _to_xyz(chromaticities), np.linalg.inv(_to_xyz(REC709))
     cones = BRADFORD @ to_xyz.sum(axis=1), BRADFORD @ np.linalg.inv(from_xyz).sum(axis=1)
@@ -244,7 +273,9 @@ def _rec709(image: Image, chromaticities: Any) -> Image:
     outside = (pixels < 0.0) & (image.pixels.min(axis=2, keepdims=True) >= 0.0)
     pixels[outside] = 0.0
     facts: dict[str, Any] = {"primaries": [float(value) for value in chromaticities]}
-    return image.with_pixels(pixels).with_metadata(**facts, **({"out_of_gamut_values": int(outside.sum())} if outside.any() else {}))
+    return image.with_pixels(pixels).with_metadata(
+        **facts, **({"out_of_gamut_values": int(outside.sum())} if outside.any() else {})
+    )
 
 
 def _to_xyz(chromaticities: Sequence[float]) -> np.ndarray:
@@ -268,7 +299,9 @@ def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:
         part = _part(path, source)
         spec = source.spec()
         if spec.width * spec.height * spec.nchannels > MAX_VALUES:
-            raise ImageError(f"{path}: {spec.width} x {spec.height} x {spec.nchannels} values are too many; at most {MAX_VALUES}")
+            raise ImageError(
+                f"{path}: {spec.width} x {spec.height} x {spec.nchannels} values are too many; at most {MAX_VALUES}"
+            )
         if spec.deep:
             raise ImageError(f"{path}: holds deep pixels; flatten it first")
         pixels = source.read_image(part, 0, 0, spec.nchannels, OpenImageIO.FLOAT)
@@ -287,11 +320,18 @@ def _part(path: Path, source: Any) -> int:
     count = 0
     while source.seek_subimage(count, 0):
         spec = source.spec()
-        if {"R", "G", "B"} <= set(spec.channelnames) or any(band_centre_nm(name) is not None for name in spec.channelnames):
-            found[count] = str(spec.getattribute("name") or spec.getattribute("oiio:subimagename") or f"part {count + 1}")
+        if {"R", "G", "B"} <= set(spec.channelnames) or any(
+            band_centre_nm(name) is not None for name in spec.channelnames
+        ):
+            found[count] = str(
+                spec.getattribute("name") or spec.getattribute("oiio:subimagename") or f"part {count + 1}"
+            )
         count += 1
     if len(found) > 1:
-        raise ImageError(f"{path}: {len(found)} of its {count} parts hold colour or bands: {', '.join(found.values())}; save the one that is meant by itself")
+        raise ImageError(
+            f"{path}: {len(found)} of its {count} parts hold colour or bands: {', '.join(found.values())}; save the "
+            f"one that is meant by itself"
+        )
     part = next(iter(found), 0)
     source.seek_subimage(part, 0)
     return part
@@ -303,7 +343,8 @@ def _displayed(path: Path, pixels: FloatArray, spec: Any) -> FloatArray:
         return pixels
     if spec.full_width * spec.full_height * spec.nchannels > MAX_VALUES:
         raise ImageError(
-            f"{path}: a display window of {spec.full_width} x {spec.full_height} with {spec.nchannels} channels is too large; at most {MAX_VALUES} values"
+            f"{path}: a display window of {spec.full_width} x {spec.full_height} with {spec.nchannels} channels is too "
+            f"large; at most {MAX_VALUES} values"
         )
     whole = np.zeros((spec.full_height, spec.full_width, spec.nchannels), dtype=np.float32)
     down, right = spec.y - spec.full_y, spec.x - spec.full_x

@@ -27,10 +27,10 @@ def read_raw(path: Path) -> Image:
         path: the file.
 
     Returns:
-        DN, one channel, not turned.  The provenance has `cfa_pattern`, `black_level_dn`, `white_level_dn`, `as_shot_neutral`
-        (R, G, B), `camera_to_rec709` where the file or LibRaw's table of cameras has a matrix; and as
-        far as the file says them `noise_profile`, `exposure_s`, `iso`, `f_number` and `focal_length_mm`.  Blacks that differ by filter
-        are made one.
+        DN, one channel, not turned.  The provenance has `cfa_pattern`, `black_level_dn`, `white_level_dn`,
+        `as_shot_neutral` (R, G, B), `camera_to_rec709` where the file or LibRaw's table of cameras has a matrix; and as
+        far as the file says them `noise_profile`, `exposure_s`, `iso`, `f_number` and `focal_length_mm`.  Blacks that
+        differ by filter are made one.
 
     Raises:
         ImageError: missing, no RAW file, or no Bayer mosaic of one number a pixel.
@@ -47,7 +47,9 @@ def read_raw(path: Path) -> Image:
             pixels = raw.raw_image_visible.astype(np.float32) - offsets[raw.raw_colors_visible]
     except rawpy.LibRawError as error:
         reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else error
-        raise ImageError(f"{path}: cannot be read as RAW ({reason}); an EXR, a DNG or another camera's RAW file is needed") from error
+        raise ImageError(
+            f"{path}: cannot be read as RAW ({reason}); an EXR, a DNG or another camera's RAW file is needed"
+        ) from error
     return Image(pixels[..., None], ("CFA",), Quantity.DN, provenance=facts | _noise(path))
 
 
@@ -58,12 +60,18 @@ def _facts(path: Path, raw: Any) -> tuple[dict[str, Any], np.ndarray]:
     if raw.num_colors < 3 or corner.max() >= len(letters):
         raise ImageError(f"{path}: has {raw.num_colors} kind of filter; only Bayer patterns of R, G and B are read")
     pattern = "".join(letters[number] for number in corner.ravel())
-    repeats = all(np.array_equal(raw.raw_colors_visible[down : down + 2, right : right + 2], corner) for down in (0, 2, 4) for right in (0, 2, 4))
+    repeats = all(
+        np.array_equal(raw.raw_colors_visible[down : down + 2, right : right + 2], corner)
+        for down in (0, 2, 4)
+        for right in (0, 2, 4)
+    )
     if pattern not in BAYER or not repeats:
         raise ImageError(f"{path}: its filters are no Bayer pattern of 2 x 2 but {pattern}...; only those are read")
     blacks = np.array(raw.black_level_per_channel, dtype=np.float32)
     black = float(blacks[corner.ravel()].mean())
-    gains = next((found for found in (raw.camera_whitebalance, raw.daylight_whitebalance) if min(found[:3]) > 0.0), None)
+    gains = next(
+        (found for found in (raw.camera_whitebalance, raw.daylight_whitebalance) if min(found[:3]) > 0.0), None
+    )
     if gains is None:
         raise ImageError(f"{path}: neither the file nor LibRaw says its white balance")
     neutral = 1.0 / np.array(gains[:3], dtype=np.float64)
@@ -77,8 +85,17 @@ def _facts(path: Path, raw: Any) -> tuple[dict[str, Any], np.ndarray]:
     matrix = np.array(raw.color_matrix, dtype=np.float64)[:, :3]
     if np.allclose(matrix.sum(axis=1), 1.0, atol=1e-3):
         facts["camera_to_rec709"] = matrix.tolist()
-    taken = {"exposure_s": "shutter_speed", "iso": "iso_speed", "f_number": "aperture", "focal_length_mm": "focal_length"}
-    facts |= {name: float(value) for name, key in taken.items() if (value := getattr(getattr(raw, "other", None), key, 0.0)) and value > 0.0}
+    taken = {
+        "exposure_s": "shutter_speed",
+        "iso": "iso_speed",
+        "f_number": "aperture",
+        "focal_length_mm": "focal_length",
+    }
+    facts |= {
+        name: float(value)
+        for name, key in taken.items()
+        if (value := getattr(getattr(raw, "other", None), key, 0.0)) and value > 0.0
+    }
     return facts, blacks - black
 
 

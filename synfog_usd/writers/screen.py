@@ -19,7 +19,9 @@ from synfog_usd.image import Image, Quantity
 from synfog_usd.writers.exr import FIXED_DATE, check_finite, save
 
 JXL_EFFORT = 1
-"""Of 1 to 9.  At 1 a noisy 1920 x 1080 takes 0.05 to 0.2 s without loss; the usual 7 takes 13 s and saves an eighth of the size."""
+"""Of 1 to 9.  At 1 a noisy 1920 x 1080 takes 0.05 to 0.2 s without loss; the usual 7 takes 13 s and saves an eighth of
+the size.
+"""
 
 
 def write_png(path: Path, image: Image, *, bits: Literal[8, 16] = 8) -> None:
@@ -56,7 +58,11 @@ def write_jxl(path: Path, image: Image, *, bits: Literal[8, 16] = 8, lossless: b
     numbers = _coded(path, "JPEG XL", image, bits)
     if numbers.shape[2] == 1:
         numbers = numbers.repeat(3, axis=2)
-    _write(path, numbers, {"oiio:ColorSpace": "sRGB", "jpegxl:distance": 0.0 if lossless else 1.0, "jpegxl:effort": JXL_EFFORT})
+    _write(
+        path,
+        numbers,
+        {"oiio:ColorSpace": "sRGB", "jpegxl:distance": 0.0 if lossless else 1.0, "jpegxl:effort": JXL_EFFORT},
+    )
 
 
 def write_tiff(path: Path, image: Image, *, bits: Literal[8, 16, 32] | None = None) -> None:
@@ -81,7 +87,9 @@ def write_tiff(path: Path, image: Image, *, bits: Literal[8, 16, 32] | None = No
         "DateTime": FIXED_DATE,  # OpenImageIO writes the clock's unless one is given
         "Software": f"synfog-usd {__version__}",
         "ImageDescription": json.dumps(
-            {"quantity": image.quantity.value, "channels": image.channels, "provenance": dict(image.provenance)}, sort_keys=True, default=str
+            {"quantity": image.quantity.value, "channels": image.channels, "provenance": dict(image.provenance)},
+            sort_keys=True,
+            default=str,
         ),
     }
     if screen:
@@ -92,7 +100,10 @@ def write_tiff(path: Path, image: Image, *, bits: Literal[8, 16, 32] | None = No
     elif screen or bits not in (8, 16):
         _write(path, _coded(path, "TIFF", image, bits), facts)
     else:
-        raise ImageError(f"{path}: a TIFF of {bits} bits takes display_rgb; this image is {image.quantity.value}. Write 32 bits, or put isp.gamma before it")
+        raise ImageError(
+            f"{path}: a TIFF of {bits} bits takes display_rgb; this image is {image.quantity.value}. Write 32 bits, or "
+            f"put isp.gamma before it"
+        )
 
 
 def _coded(path: Path, kind: str, image: Image, bits: int) -> np.ndarray:
@@ -100,12 +111,16 @@ def _coded(path: Path, kind: str, image: Image, bits: int) -> np.ndarray:
     if bits not in (8, 16):
         raise OutputError(f"{path}: bits is {bits!r}; a {kind} takes {'8, 16 or 32' if kind == 'TIFF' else '8 or 16'}")
     if image.quantity is not Quantity.DISPLAY_RGB:
-        raise ImageError(f"{path}: a {kind} takes display_rgb; this image is {image.quantity.value}. Put isp.gamma before it")
+        raise ImageError(
+            f"{path}: a {kind} takes display_rgb; this image is {image.quantity.value}. Put isp.gamma before it"
+        )
     if len(image.channels) not in (1, 3):
         raise ImageError(f"{path}: a {kind} takes 1 or 3 channels; this image has {', '.join(image.channels)}")
     if np.isnan(image.pixels).any():
         raise ImageError(f"{path}: the image holds NaN")
-    return np.rint(np.clip(image.pixels, 0.0, 1.0) * np.float32(2**bits - 1)).astype(np.uint8 if bits == 8 else np.uint16)
+    return np.rint(np.clip(image.pixels, 0.0, 1.0) * np.float32(2**bits - 1)).astype(
+        np.uint8 if bits == 8 else np.uint16
+    )
 
 
 def _write(path: Path, numbers: np.ndarray, facts: Mapping[str, Any]) -> None:
@@ -115,7 +130,9 @@ def _write(path: Path, numbers: np.ndarray, facts: Mapping[str, Any]) -> None:
 def _put(temporary: Path, path: Path, numbers: np.ndarray, facts: Mapping[str, Any]) -> None:
     import OpenImageIO
 
-    spec = OpenImageIO.ImageSpec(numbers.shape[1], numbers.shape[0], numbers.shape[2], numbers.dtype.name.replace("float32", "float"))
+    spec = OpenImageIO.ImageSpec(
+        numbers.shape[1], numbers.shape[0], numbers.shape[2], numbers.dtype.name.replace("float32", "float")
+    )
     for name, value in facts.items():
         spec.attribute(name, value)
     save(temporary, path, spec, numbers)

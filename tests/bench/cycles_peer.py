@@ -4,7 +4,8 @@ Runs in Blender's Python (bpy 5.0.1, which wants Python 3.11) and imports nothin
 ours.  Takes `<stem>.npz` and `<stem>.json`; leaves an .npz with the radiance of every
 render, its samples, its seed, wall and processor seconds, and Cycles' settings.
 
-    BLENDER_ENV/bin/python tests/bench/cycles_peer.py out/canyon out/canyon_cycles.npz --samples 64,256 --seeds 4 --threads 2
+    BLENDER_ENV/bin/python tests/bench/cycles_peer.py out/canyon out/canyon_cycles.npz --samples 64,256 --seeds 4
+    --threads 2
 
 Everything that trades bias for noise is off: clamping, denoising, adaptive sampling,
 light threshold, caustic filter, path guiding.  `BOUNCES` is far beyond what matters:
@@ -33,7 +34,9 @@ BOUNCES = 1024
 """Cycles' largest number.  A path in 60 m of MOR 50 fog (3.6 mean free paths, g 0.87) scatters some tens of times."""
 
 WATTS_PER_CANDELA = 4.0 * math.pi
-"""Cycles' watts of a point for each unit of radiant intensity, I = P / (4 pi); of a spot too, whose cone cuts off and does not gather.  Measured: 1.000."""
+"""Cycles' watts of a point for each unit of radiant intensity, I = P / (4 pi); of a spot too, whose cone cuts off and
+does not gather.  Measured: 1.000.
+"""
 
 
 def build(stem: Path) -> None:
@@ -149,7 +152,9 @@ def _material(name: str, material: dict) -> bpy.types.Material:
 
 
 def _lamp(name: str, lamp: dict) -> None:
-    """A point without size; a spot whose light fades linearly with the angle, by nodes, since Blender's own fades otherwise."""
+    """A point without size; a spot whose light fades linearly with the angle, by nodes, since Blender's own fades
+    otherwise.
+    """
     spot = lamp["type"] == "spot"
     data = bpy.data.lights.new(name, "SPOT" if spot else "POINT")
     peak = max(lamp["intensity"])
@@ -165,12 +170,23 @@ def _lamp(name: str, lamp: dict) -> None:
         data.use_nodes = True
         nodes, links = data.node_tree.nodes, data.node_tree.links
         nodes.clear()
-        out, shine, geometry = nodes.new("ShaderNodeOutputLight"), nodes.new("ShaderNodeEmission"), nodes.new("ShaderNodeNewGeometry")
-        along, angle, fade = nodes.new("ShaderNodeVectorMath"), nodes.new("ShaderNodeMath"), nodes.new("ShaderNodeMapRange")
+        out, shine, geometry = (
+            nodes.new("ShaderNodeOutputLight"),
+            nodes.new("ShaderNodeEmission"),
+            nodes.new("ShaderNodeNewGeometry"),
+        )
+        along, angle, fade = (
+            nodes.new("ShaderNodeVectorMath"),
+            nodes.new("ShaderNodeMath"),
+            nodes.new("ShaderNodeMapRange"),
+        )
         along.operation, angle.operation = "DOT_PRODUCT", "ARCCOSINE"
         along.inputs[1].default_value = lamp["axis"]
         fade.clamp = True
-        fade.inputs["From Min"].default_value, fade.inputs["From Max"].default_value = math.radians(lamp["beam_deg"]), math.radians(lamp["cutoff_deg"])
+        fade.inputs["From Min"].default_value, fade.inputs["From Max"].default_value = (
+            math.radians(lamp["beam_deg"]),
+            math.radians(lamp["cutoff_deg"]),
+        )
         fade.inputs["To Min"].default_value, fade.inputs["To Max"].default_value = 1.0, 0.0
         links.new(geometry.outputs["Incoming"], along.inputs[0])  # from the lamp to what it lights
         links.new(along.outputs["Value"], angle.inputs[0])
@@ -194,7 +210,9 @@ def _sky(sky: object, arrays: np.lib.npyio.NpzFile) -> None:
         pixels = arrays["sky"]
         height, width = pixels.shape[:2]
         image = bpy.data.images.new("sky", width, height, float_buffer=True, is_data=True)
-        image.pixels.foreach_set(np.concatenate([pixels[::-1], np.ones((height, width, 1), np.float32)], axis=2).astype(np.float32).ravel())
+        image.pixels.foreach_set(
+            np.concatenate([pixels[::-1], np.ones((height, width, 1), np.float32)], axis=2).astype(np.float32).ravel()
+        )
         image.update()
         image.pack()
         texture = nodes.new("ShaderNodeTexEnvironment")
@@ -207,7 +225,9 @@ def _sky(sky: object, arrays: np.lib.npyio.NpzFile) -> None:
 def _fog(fog: dict) -> None:
     """A cube of homogeneous scattering, without a surface."""
     if fog["albedo"] != 1.0:
-        raise SystemExit("only fog that absorbs nothing is drawn: the colour of Cycles' scatter node does not mean the same")
+        raise SystemExit(
+            "only fog that absorbs nothing is drawn: the colour of Cycles' scatter node does not mean the same"
+        )
     corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
     matrix = np.array(fog["to_world"])
     points = corners @ matrix[:3, :3].T + matrix[:3, 3]
@@ -259,25 +279,45 @@ def main() -> None:
         for seed in range(1, arguments.seeds + 1):
             pixels, wall, processor = draw(samples=count, seed=seed)
             rows.append((pixels, count, seed, wall, processor))
-            print(f"{count} samples, seed {seed}: {wall:.2f} s wall, {processor:.2f} s processor, mean {pixels.mean(dtype=np.float64):.6g}", flush=True)
+            print(
+                f"{count} samples, seed {seed}: {wall:.2f} s wall, {processor:.2f} s processor, mean "
+                f"{pixels.mean(dtype=np.float64):.6g}",
+                flush=True,
+            )
     images, samples, seeds, walls, processors = (np.array(column) for column in zip(*rows, strict=True))
-    np.savez_compressed(arguments.out, images=images, samples=samples, seed=seeds, wall_s=walls, processor_s=processors, threads=arguments.threads)
+    np.savez_compressed(
+        arguments.out,
+        images=images,
+        samples=samples,
+        seed=seeds,
+        wall_s=walls,
+        processor_s=processors,
+        threads=arguments.threads,
+    )
     report(images, samples, walls, processors, arguments.threads)
 
 
 def report(images: np.ndarray, samples: np.ndarray, walls: np.ndarray, processors: np.ndarray, threads: int) -> None:
-    """Seconds a sample (slope between the least and the most), and noise of one sample and time to 1 % by each count."""
+    """Seconds a sample (slope between the least and the most), and noise of one sample and time to 1 % by each
+    count.
+    """
     counts = np.unique(samples)
     per_sample = {}
     for name, seconds in (("wall", walls), ("processor", processors)):
         least, most = (np.median(seconds[samples == n]) for n in (counts[0], counts[-1]))
         per_sample[name] = (most - least) / max(counts[-1] - counts[0], 1) if len(counts) > 1 else most / counts[-1]
-    found = {"s_per_sample_wall": per_sample["wall"], "s_per_sample_processor_by_threads": per_sample["processor"] / threads}
+    found = {
+        "s_per_sample_wall": per_sample["wall"],
+        "s_per_sample_processor_by_threads": per_sample["processor"] / threads,
+    }
     for count in counts:
         luminance = images[samples == count].astype(np.float64).mean(axis=3)
         if len(luminance) > 1:
-            relative = np.sqrt(np.maximum(luminance.var(axis=0, ddof=1), 0.0)) / np.maximum(luminance.mean(axis=0), 1e-30)
-            # the root of a sample variance of few seeds has a median below sigma: chi-square's median over its degrees of freedom
+            relative = np.sqrt(np.maximum(luminance.var(axis=0, ddof=1), 0.0)) / np.maximum(
+                luminance.mean(axis=0), 1e-30
+            )
+            # the root of a sample variance of few seeds has a median below sigma: chi-square's median over its degrees
+            # of freedom
             n = len(luminance) - 1
             median = float(np.median(relative)) / math.sqrt(1.0 - 2.0 / (9.0 * n)) ** 3
             found[f"relative_sd_at_{count}"] = median

@@ -67,7 +67,10 @@ def simplified(scene: SceneDict) -> SceneDict:
         world[key] = _mesh(points, faces, _matt(world, colour)) | {"emitter": emitter}
     for index, (colour, meshes) in enumerate(parts.items()):
         starts = np.cumsum([0, *(len(points) for points, _ in meshes[:-1])])
-        joined = np.concatenate([points for points, _ in meshes]), np.concatenate([faces + start for (_, faces), start in zip(meshes, starts, strict=True)])
+        joined = (
+            np.concatenate([points for points, _ in meshes]),
+            np.concatenate([faces + start for (_, faces), start in zip(meshes, starts, strict=True)]),
+        )
         world[f"shape_{index:03d}_flat"] = _mesh(*joined, _matt(world, colour))
     return replace(scene, world=world, instances=(), instance_of={}, notes=())
 
@@ -107,16 +110,32 @@ def export(scene: SceneDict, stem: Path) -> None:
     if scene.fog:
         volume = scene.fog[0]
         medium = volume.medium
-        fog = {"to_world": volume.boundary.to_world.tolist(), "sigma_t": medium.sigma_t_per_m, "albedo": medium.albedo, "g": medium.g}
+        fog = {
+            "to_world": volume.boundary.to_world.tolist(),
+            "sigma_t": medium.sigma_t_per_m,
+            "albedo": medium.albedo,
+            "g": medium.g,
+        }
     camera = scene.camera
     plain = {
-        "camera": {"to_world": camera.to_world.tolist(), "fov_x_deg": camera.fov_x_deg, "width": camera.width_px, "height": camera.height_px},
+        "camera": {
+            "to_world": camera.to_world.tolist(),
+            "fov_x_deg": camera.fov_x_deg,
+            "width": camera.width_px,
+            "height": camera.height_px,
+        },
         "fog": fog,
         "sky": sky,
         "lamps": lamps,
         "materials": materials,
     }
-    np.savez_compressed(stem.with_suffix(".npz"), positions=np.concatenate(positions), faces=np.concatenate(faces), material=np.concatenate(which), **arrays)
+    np.savez_compressed(
+        stem.with_suffix(".npz"),
+        positions=np.concatenate(positions),
+        faces=np.concatenate(faces),
+        material=np.concatenate(which),
+        **arrays,
+    )
     stem.with_suffix(".json").write_text(json.dumps(plain, indent=1))
 
 
@@ -147,7 +166,11 @@ def _flat_colour(value: Any) -> tuple[float, float, float]:
 
 
 def _three(value: Any) -> tuple[float, float, float]:
-    numbers = np.broadcast_to(np.asarray(value, dtype=np.float64).ravel(), 3) if np.size(value) == 1 else np.asarray(value, dtype=np.float64).ravel()[:3]
+    numbers = (
+        np.broadcast_to(np.asarray(value, dtype=np.float64).ravel(), 3)
+        if np.size(value) == 1
+        else np.asarray(value, dtype=np.float64).ravel()[:3]
+    )
     r, g, b = (round(float(c), 6) for c in numbers)
     return r, g, b
 
@@ -160,12 +183,20 @@ def _material(world: Mapping[str, Any], reference: Mapping[str, Any]) -> Mapping
 def _matt(world: dict[str, Any], colour: tuple[float, ...]) -> dict[str, str]:
     """Reference to the matt material of a colour, which is added to the world."""
     key = "mat_" + "_".join(f"{round(c * 1e6):07d}" for c in colour)
-    world.setdefault(key, {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(colour)}}})
+    world.setdefault(
+        key, {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(colour)}}}
+    )
     return {"type": "ref", "id": key}
 
 
 def _mesh(points: Array, faces: npt.NDArray[np.int64], bsdf: Mapping[str, Any]) -> dict[str, Any]:
-    return {"type": "mesh", "positions": points.astype(np.float32), "faces": faces.astype(np.uint32), "face_normals": True, "bsdf": bsdf}
+    return {
+        "type": "mesh",
+        "positions": points.astype(np.float32),
+        "faces": faces.astype(np.uint32),
+        "face_normals": True,
+        "bsdf": bsdf,
+    }
 
 
 def _triangles(key: str, part: Mapping[str, Any]) -> tuple[Array, npt.NDArray[np.int64]]:
@@ -193,7 +224,9 @@ def _triangles(key: str, part: Mapping[str, Any]) -> tuple[Array, npt.NDArray[np
 
 
 def _lamp(part: Mapping[str, Any]) -> dict[str, Any]:
-    """Candela, position; for a spot its axis and the angles [deg] between which it fades linearly, as Mitsuba's does."""
+    """Candela, position; for a spot its axis and the angles [deg] between which it fades linearly, as Mitsuba's
+    does.
+    """
     intensity = [float(c) for c in part["intensity"]["value"]]
     if part["type"] == "point":
         return {"type": "point", "intensity": intensity, "position": [float(x) for x in part["position"]]}
@@ -222,7 +255,10 @@ def _cycles_sky(part: Mapping[str, Any]) -> npt.NDArray[np.float32]:
     j, i = np.floor(u).astype(int), np.minimum(np.floor(v).astype(int), rows - 2)
     a, b = (u - j)[..., None], (v - i)[..., None]
     left, right = j % columns, (j + 1) % columns
-    return ((1 - b) * ((1 - a) * pixels[i, left] + a * pixels[i, right]) + b * ((1 - a) * pixels[i + 1, left] + a * pixels[i + 1, right])).astype(np.float32)
+    return (
+        (1 - b) * ((1 - a) * pixels[i, left] + a * pixels[i, right])
+        + b * ((1 - a) * pixels[i + 1, left] + a * pixels[i + 1, right])
+    ).astype(np.float32)
 
 
 def from_stage(path: Path, *, fog: str | None, size: tuple[int, int]) -> SceneDict:
@@ -261,7 +297,9 @@ def agreement(ours: Array, theirs: Array, ours_variance: Array, their_variance: 
     }
 
 
-def time_to_one_percent(scene: SceneDict, cycles: Mapping[str, Array], *, model: str, samples: int, seeds: int = 4) -> dict[str, float]:
+def time_to_one_percent(
+    scene: SceneDict, cycles: Mapping[str, Array], *, model: str, samples: int, seeds: int = 4
+) -> dict[str, float]:
     """Seconds until the median pixel's error is 1 %, ours and Cycles', and their ratio.
 
     Both are compared with `path` of 8192 samples, so that a bias counts as error (that
@@ -280,7 +318,9 @@ def time_to_one_percent(scene: SceneDict, cycles: Mapping[str, Array], *, model:
         for seed in seeds:
             wall, processor = time.perf_counter(), time.process_time()
             done.append(integrator.accumulate(samples=count, seed=seed))
-            seconds.append(min(time.perf_counter() - wall, (time.process_time() - processor) / float(cycles["threads"])))
+            seconds.append(
+                min(time.perf_counter() - wall, (time.process_time() - processor) / float(cycles["threads"]))
+            )
         return done, min(seconds)
 
     (reference,), _ = renders("path", 8192, range(1000, 1001))
@@ -300,7 +340,12 @@ def time_to_one_percent(scene: SceneDict, cycles: Mapping[str, Array], *, model:
     )
     theirs = error(cycles["images"][counts == high].astype(np.float64).mean(axis=3).reshape(-1, truth.size))
     found = {"ours": seconds * (ours / 0.01) ** 2, "cycles": float(slope * high * (theirs / 0.01) ** 2)}
-    return found | {"ratio": found["cycles"] / found["ours"], "our_error": ours, "our_seconds": seconds, "cycles_error": theirs}
+    return found | {
+        "ratio": found["cycles"] / found["ours"],
+        "our_error": ours,
+        "our_seconds": seconds,
+        "cycles_error": theirs,
+    }
 
 
 def main() -> None:
@@ -336,7 +381,11 @@ def main() -> None:
     scene = from_stage(Path(made_of["stage"]), fog=made_of["fog"], size=tuple(made_of["size"]))
     if arguments.verb == "time":
         times = time_to_one_percent(scene, np.load(arguments.cycles), model=arguments.model, samples=arguments.samples)
-        print(arguments.stem.name, arguments.model, json.dumps({name: float(f"{value:.4g}") for name, value in times.items()}))
+        print(
+            arguments.stem.name,
+            arguments.model,
+            json.dumps({name: float(f"{value:.4g}") for name, value in times.items()}),
+        )
         return
     begin = time.perf_counter()
     drawn = render(scene, samples=arguments.samples, seed=1, model=arguments.model)
@@ -345,7 +394,12 @@ def main() -> None:
     images = peer["images"][peer["samples"] == peer["samples"].max()].astype(np.float64)
     variance = images.var(axis=0, ddof=1) / len(images)
     assert drawn.radiance.variance is not None
-    found = agreement(drawn.radiance.pixels.astype(np.float64), images.mean(axis=0), drawn.radiance.variance.astype(np.float64), variance)
+    found = agreement(
+        drawn.radiance.pixels.astype(np.float64),
+        images.mean(axis=0),
+        drawn.radiance.variance.astype(np.float64),
+        variance,
+    )
     print(json.dumps({name: round(value, 5) for name, value in found.items()}))
 
 

@@ -62,7 +62,10 @@ class Street:
     @property
     def name(self) -> str:
         """As in 'crossroads dusk MOR 150'."""
-        return f"{Path(self.source).stem} {'dusk' if self.lighting == 'active' else 'noon'} {'clear' if self.mor_m is None else f'MOR {self.mor_m:g}'}"
+        return (
+            f"{Path(self.source).stem} {'dusk' if self.lighting == 'active' else 'noon'} "
+            f"{'clear' if self.mor_m is None else f'MOR {self.mor_m:g}'}"
+        )
 
 
 STREETS = (
@@ -126,7 +129,10 @@ def cost(images: Array, seconds_per_sample: float, samples: int) -> tuple[float,
     """
     height, width = (side // BLOCK_PX * BLOCK_PX for side in images.shape[1:])
     variance, mean = images.var(axis=0, ddof=1)[:height, :width], images.mean(axis=0)[:height, :width]
-    blocks = [x.reshape(height // BLOCK_PX, BLOCK_PX, width // BLOCK_PX, BLOCK_PX).mean(axis=(1, 3)).ravel() for x in (variance, mean)]
+    blocks = [
+        x.reshape(height // BLOCK_PX, BLOCK_PX, width // BLOCK_PX, BLOCK_PX).mean(axis=(1, 3)).ravel()
+        for x in (variance, mean)
+    ]
     lit = blocks[1] > 1e-3 * blocks[1].mean()
     relative = np.sort(blocks[0][lit] / blocks[1][lit] ** 2) * samples * seconds_per_sample
     return float(np.median(relative)), float(relative[: int(0.99 * len(relative)) or 1].mean())
@@ -189,7 +195,9 @@ def main() -> None:
             else:
                 images, seconds = ours(scene, "volpath", arguments.samples, arguments.seeds)
             theirs = cost(images, seconds, arguments.samples)
-            rows: dict[str, Any] = {arguments.peer: {"median": theirs[0], "all": theirs[1], "us_per_path": seconds / (width * height) * 1e6}}
+            rows: dict[str, Any] = {
+                arguments.peer: {"median": theirs[0], "all": theirs[1], "us_per_path": seconds / (width * height) * 1e6}
+            }
             cells, mean = [], float(images.mean())
             for model in arguments.models.split(","):
                 if street.mor_m is None and model != "path":
@@ -197,7 +205,12 @@ def main() -> None:
                     continue
                 pictures, spent = ours(scene, model, arguments.samples, arguments.seeds)
                 found = cost(pictures, spent, arguments.samples)
-                rows[model] = {"median": found[0], "all": found[1], "us_per_path": spent / (width * height) * 1e6, "mean": float(pictures.mean()) / mean}
+                rows[model] = {
+                    "median": found[0],
+                    "all": found[1],
+                    "us_per_path": spent / (width * height) * 1e6,
+                    "mean": float(pictures.mean()) / mean,
+                }
                 cells.append(f"{theirs[0] / found[0]:.1f} / {theirs[1] / found[1]:.1f}")
             print(f"| {street.name} | {' | '.join(cells)} | {rows['path']['mean']:.4f} |", flush=True)
             (folder / f"{street.name.replace(' ', '_')}_{arguments.peer}.json").write_text(json.dumps(rows, indent=1))

@@ -25,14 +25,20 @@ RUNS = 3
 
 
 def street(channels):
-    """A sky above a textured ground, and three lamps; (H, W, C) of about 300 cd m-2, or of the power of such a light."""
+    """A sky above a textured ground, and three lamps; (H, W, C) of about 300 cd m-2, or of the power of such a
+    light.
+    """
     width, height = SIZE
     rng = seeds.stream(0, "bench", "street")
     rows = np.linspace(0.0, 1.0, height, dtype=np.float32)[:, None]
-    grey = np.where(rows < 0.45, 900.0, 60.0 + 300.0 * rows) * (0.8 + 0.4 * rng.random((height, width), dtype=np.float32))
+    grey = np.where(rows < 0.45, 900.0, 60.0 + 300.0 * rows) * (
+        0.8 + 0.4 * rng.random((height, width), dtype=np.float32)
+    )
     for x, y in ((400, 600), (960, 620), (1500, 590)):
         grey[y : y + 6, x : x + 8] = 2e5
-    colour = np.ones(3) if channels == ("R", "G", "B") else np.full(len(channels), 1.0 / (LUMINOUS_EFFICACY_LM_W * 100.0))
+    colour = (
+        np.ones(3) if channels == ("R", "G", "B") else np.full(len(channels), 1.0 / (LUMINOUS_EFFICACY_LM_W * 100.0))
+    )
     pixels = grey[..., None].astype(np.float32) * colour.astype(np.float32)
     return Image(pixels, channels, Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
 
@@ -42,24 +48,34 @@ def bands(count):
     return tuple(photometry.band_name(380.0 + width_nm * (index + 0.5)) for index in range(count))
 
 
-@pytest.mark.parametrize("channels, limit_s", [(("R", "G", "B"), 1.0), (bands(3), 1.0), (bands(16), 3.0)], ids=["RGB", "3 bands", "16 bands"])
+@pytest.mark.parametrize(
+    "channels, limit_s", [(("R", "G", "B"), 1.0), (bands(3), 1.0), (bands(16), 3.0)], ids=["RGB", "3 bands", "16 bands"]
+)
 def test_the_phone_is_quick(channels, limit_s):
     """3 bands in 1 s, 16 bands in 3 s."""
     graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
     radiance = street(channels)
     settings = camera.meter(radiance, graph).settings
     outputs = tuple(graph.outputs.values())
-    tables = [graph.run({"radiance": radiance}, seed=seed, settings=settings, keep=outputs).milliseconds for seed in range(RUNS)]
+    tables = [
+        graph.run({"radiance": radiance}, seed=seed, settings=settings, keep=outputs).milliseconds
+        for seed in range(RUNS)
+    ]
     totals_s = [sum(table.values()) / 1e3 for table in tables]
     best = tables[int(np.argmin(totals_s))]
-    print(f"\n{SIZE[0]} x {SIZE[1]}, {len(channels)} channels, {os.cpu_count()} cores, {platform.machine()}: best of {RUNS} runs, milliseconds per node")
+    print(
+        f"\n{SIZE[0]} x {SIZE[1]}, {len(channels)} channels, {os.cpu_count()} cores, {platform.machine()}: best of "
+        f"{RUNS} runs, milliseconds per node"
+    )
     print("\n".join(f"  {name:<16} {spent:7.1f}" for name, spent in best.items()))
     print(f"  {'all':<16} {1e3 * min(totals_s):7.1f}   (runs: {', '.join(f'{total:.2f} s' for total in totals_s)})")
     assert min(totals_s) <= limit_s
 
 
 def test_the_memory_of_a_run_in_sixteen_bands():
-    """Metering, the run and both files in a process of its own: under 2 GiB at its peak, the radiance of 127 MiB included."""
+    """Metering, the run and both files in a process of its own: under 2 GiB at its peak, the radiance of 127 MiB
+    included.
+    """
     code = """
         import resource, sys, tempfile
         sys.path.insert(0, sys.argv[1])

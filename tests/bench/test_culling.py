@@ -34,12 +34,16 @@ print(json.dumps({"seconds": time.perf_counter() - began, "mebibytes": (after - 
 
 
 def cost(visibility_m, which):
-    done = subprocess.run([sys.executable, "-c", CHILD, str(visibility_m), which], capture_output=True, text=True, check=True, timeout=600)
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, str(visibility_m), which], capture_output=True, text=True, check=True, timeout=600
+    )
     return json.loads(done.stdout)
 
 
 def test_the_shipped_crossing_in_dense_fog_loads_with_less_time_and_memory():
-    """At MOR 50 over half of the triangles are behind fog, not the textures; looking for them is counted in the reduced time."""
+    """At MOR 50 over half of the triangles are behind fog, not the textures; looking for them is counted in the reduced
+    time.
+    """
     whole, reduced = cost(50.0, "whole"), cost(50.0, "reduced")
     print(f"\nwhole {whole}, reduced {reduced}")
     assert reduced["mebibytes"] < 0.75 * whole["mebibytes"]

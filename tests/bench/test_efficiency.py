@@ -108,7 +108,8 @@ def test_night(name):
 
 @pytest.mark.parametrize("name", ["canyon", "street_lamps", "headlights"])
 def test_denoised(name):
-    """Time to the same error, denoised against denoised: `path` at 128 samples with its guides, `volpath` with and without.
+    """Time to the same error, denoised against denoised: `path` at 128 samples with its guides, `volpath` with and
+    without.
 
     `volpath` gets as many samples as give that error, between two counts on logarithms.
 
@@ -124,7 +125,10 @@ def test_denoised(name):
 
     def clean(samples):
         done, seen = ours.render(samples, 1), denoising.guides(ours.loaded)
-        layer = {part: np.maximum(done.aov(part), 0.0).reshape(shape).astype(np.float32) for part in ("surface", "airlight_single", "airlight_multiple")}
+        layer = {
+            part: np.maximum(done.aov(part), 0.0).reshape(shape).astype(np.float32)
+            for part in ("surface", "airlight_single", "airlight_multiple")
+        }
         airlight = layer["airlight_single"] + layer["airlight_multiple"]
         return sum(denoising.denoise({"surface": layer["surface"], "airlight": airlight}, seen).values())
 
@@ -142,16 +146,28 @@ def test_denoised(name):
         spent = time.perf_counter() - began
         found.append((min(error(plain), error(denoising.denoise_plain(picture, guides.albedo, guides.normal))), spent))
     (worse, less), (better, more) = found[-2:]
-    same = more if better > reached else np.exp(np.interp(-np.log(reached), -np.log([worse, better]), np.log([less, more])))
-    print(f"\n{name}, denoised: ours {reached:.4g} in {seconds:.2f} s, volpath {better:.4g} in {more:.2f} s with {samples} samples: {same / seconds:.1f} x")
+    same = (
+        more
+        if better > reached
+        else np.exp(np.interp(-np.log(reached), -np.log([worse, better]), np.log([less, more])))
+    )
+    print(
+        f"\n{name}, denoised: ours {reached:.4g} in {seconds:.2f} s, volpath {better:.4g} in {more:.2f} s with "
+        f"{samples} samples: {same / seconds:.1f} x"
+    )
     assert same >= 10.0 * seconds
 
 
 @pytest.mark.xfail(
-    reason="missed: `slab` has no shade of trees in the fog, 5 % too bright; `field+slab` has no bias that is seen, and the noise of its surfaces"
+    reason=(
+        "missed: `slab` has no shade of trees in the fog, 5 % too bright; `field+slab` has no bias that is seen, and "
+        "the noise of its surfaces"
+    )
 )
 def test_slab_in_overcast_scenes():
-    """Time to one's own total error over all pixels, and the bias of the mean: 500 times and half a percent are wanted of `slab` or of `field+slab`."""
+    """Time to one's own total error over all pixels, and the bias of the mean: 500 times and half a percent are wanted
+    of `slab` or of `field+slab`.
+    """
     world = scene("overcast_street")
     truth = reference(world, "path+slab", 8192)
     theirs = {model: errors(world, model, count, truth) for model, count in PEERS.items()}
@@ -175,7 +191,8 @@ def test_memory_of_a_large_frame():
         "from synfog_usd import stage as usd; from synfog_usd.translate import translate;"
         "from synfog_usd.render.shot import render;"
         f"world = translate(usd.open_stage(Path({str(STAGES / 'headlights.usda')!r})), resolution=(1920, 1080));"
-        "lit = [key for key, part in world.world.items() if isinstance(part, dict) and ('emitter' in part or key.startswith('light_'))];"
+        "lit = [key for key, part in world.world.items() if isinstance(part, dict) and ('emitter' in part or "
+        "key.startswith('light_'))];"
         "names = ('sky', 'headlights', 'street_lamps', 'other');"
         "world = replace(world, group_of={key: names[index % 4] for index, key in enumerate(lit)});"
         "done = render(world, model='path', samples=4, bands=16);"

@@ -41,12 +41,21 @@ def town(path, count):
             order.default = Vt.TokenArray(["xformOp:translate"])
             mesh = Sdf.PrimSpec(parent, "Mesh", Sdf.SpecifierDef, "Mesh")
             for name, kind, value in (
-                ("points", Sdf.ValueTypeNames.Point3fArray, Vt.Vec3fArray.FromNumpy(corners * np.float32(rng.uniform(0.5, 5)))),
+                (
+                    "points",
+                    Sdf.ValueTypeNames.Point3fArray,
+                    Vt.Vec3fArray.FromNumpy(corners * np.float32(rng.uniform(0.5, 5))),
+                ),
                 ("faceVertexCounts", Sdf.ValueTypeNames.IntArray, Vt.IntArray([4] * 6)),
                 ("faceVertexIndices", Sdf.ValueTypeNames.IntArray, quads),
                 ("subdivisionScheme", Sdf.ValueTypeNames.Token, "none"),
             ):
-                Sdf.AttributeSpec(mesh, name, kind, Sdf.VariabilityUniform if kind == Sdf.ValueTypeNames.Token else Sdf.VariabilityVarying).default = value
+                Sdf.AttributeSpec(
+                    mesh,
+                    name,
+                    kind,
+                    Sdf.VariabilityUniform if kind == Sdf.ValueTypeNames.Token else Sdf.VariabilityVarying,
+                ).default = value
     layer.Save()
 
 
@@ -57,7 +66,9 @@ def test_a_hundred_thousand_prims_take_less_than_ten_seconds(tmp_path):
     began = time.process_time()
     scene = translate(stage)
     spent = time.process_time() - began
-    print(f"{PRIMS} prims in {spent:.1f} s, {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GB at most")
+    print(
+        f"{PRIMS} prims in {spent:.1f} s, {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GB at most"
+    )
     assert summary(scene)["triangles"] == 12 * PRIMS // 2
     assert spent < 10.0
 
@@ -75,7 +86,9 @@ def parking(path, cars, texture):
     mesh = UsdGeom.Mesh.Define(stage, "/Car/Body")
     mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(np.stack([x, y, np.sin(x) * np.cos(y)], axis=-1).reshape(-1, 3)))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray([4] * len(first)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.stack([first, first + 1, first + n + 1, first + n], axis=1).astype(np.int32).ravel()))
+    mesh.CreateFaceVertexIndicesAttr(
+        Vt.IntArray.FromNumpy(np.stack([first, first + 1, first + n + 1, first + n], axis=1).astype(np.int32).ravel())
+    )
     mesh.CreateSubdivisionSchemeAttr("none")
     UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex").Set(
         Vt.Vec2fArray.FromNumpy(np.stack([x, y], axis=-1).reshape(-1, 2) / np.float32(n))
@@ -90,8 +103,12 @@ def parking(path, cars, texture):
         reader = UsdShade.Shader.Define(stage, f"/Car/Paint{number}/Reader")
         reader.CreateIdAttr("UsdPrimvarReader_float2")
         reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
-        picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float2))
-        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(picture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+        picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(
+            reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        )
+        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(
+            picture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+        )
         surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.1 * number)
         material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
         subset = UsdGeom.Subset.Define(stage, f"/Car/Body/Part{number}")
@@ -122,7 +139,9 @@ print(peak_kb() - before, found["triangles"], found["triangles_drawn"], found["t
 
 
 def test_a_thousand_cars_cost_the_memory_of_one(tmp_path):
-    """Instances share geometry and their ten materials one 64 MB picture: a thousand cost at most 20 MB more than two, in processes of their own."""
+    """Instances share geometry and their ten materials one 64 MB picture: a thousand cost at most 20 MB more than two,
+    in processes of their own.
+    """
     picture = tmp_path / "paint.png"
     out = OpenImageIO.ImageOutput.create(str(picture))
     out.open(str(picture), OpenImageIO.ImageSpec(4096, 4096, 4, "uint8"))
@@ -133,7 +152,13 @@ def test_a_thousand_cars_cost_the_memory_of_one(tmp_path):
     found = {}
     for cars in (2, 1000):
         parking(tmp_path / f"{cars}.usda", cars, picture)
-        done = subprocess.run([sys.executable, "-c", PROGRAM, str(tmp_path / f"{cars}.usda")], capture_output=True, text=True, check=True, timeout=300)
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, str(tmp_path / f"{cars}.usda")],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=300,
+        )
         found[cars] = list(map(int, done.stdout.split()))
         print(f"{cars} cars: {found[cars][0] / 1024:.0f} MB for {found[cars][2]} triangles drawn")
     (few_kb, stored, _, textures), (many_kb, also, drawn, _) = found[2], found[1000]

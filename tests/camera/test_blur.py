@@ -25,12 +25,18 @@ GREEN = bands(549.0, 550.0, 551.0)
 
 
 def light(plane, channels=GREEN) -> Image:
-    return Image(np.repeat(np.asarray(plane, np.float32)[..., None], len(channels), axis=2), channels, Quantity.IRRADIANCE)
+    return Image(
+        np.repeat(np.asarray(plane, np.float32)[..., None], len(channels), axis=2), channels, Quantity.IRRADIANCE
+    )
 
 
 def through(plane, *, f_number: float, pitch_um: float, mode="band") -> np.ndarray:
     """A plane of 550 nm light through `optics.diffraction`."""
-    return blur.diffraction(light(plane), mode=mode, f_number=f_number, pixel_pitch_um=pitch_um, sensor=SENSOR).pixels[..., 1].astype(np.float64)
+    return (
+        blur.diffraction(light(plane), mode=mode, f_number=f_number, pixel_pitch_um=pitch_um, sensor=SENSOR)
+        .pixels[..., 1]
+        .astype(np.float64)
+    )
 
 
 def texture(contrast, shape=(256, 256), mean=100.0):
@@ -64,7 +70,9 @@ def test_an_even_picture_stays_even_up_to_its_edges(shape):
 
 @pytest.mark.parametrize(("f_number", "pitch_um"), [(1.73, 1.4), (4.0, 2.0), (8.0, 2.0), (2.0, 6.0)])
 def test_a_lamp_becomes_the_airy_disc_integrated_over_pixels(f_number, pitch_um):
-    """(pi / 4 q^2) (2 J1(x) / x)^2, x = pi r / q, averaged over 40 x 40 points per pixel; off the grid's axes as well as on them."""
+    """(pi / 4 q^2) (2 J1(x) / x)^2, x = pi r / q, averaged over 40 x 40 points per pixel; off the grid's axes as well
+    as on them.
+    """
     q = 0.550 * f_number / pitch_um
     plane = np.zeros((151, 151))
     plane[75, 75] = 1e6
@@ -105,7 +113,9 @@ def test_few_lamps_and_many_are_spread_alike(monkeypatch):
 
 @pytest.mark.parametrize("mode", ["none", "band"])
 def test_the_error_in_the_provenance_is_the_difference_to_the_whole_spectrum(mode):
-    """Narrow bands in a picture of 256 x 256: the RMS of what the node changes, found from the pixels, over the mean; band has none left."""
+    """Narrow bands in a picture of 256 x 256: the RMS of what the node changes, found from the pixels, over the mean;
+    band has none left.
+    """
     plane = texture(0.2)
     image = blur.diffraction(light(plane), mode=mode, f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR)
     assert image.provenance["diffraction_mode"] == mode
@@ -133,8 +143,16 @@ def test_thick_fog_is_left_alone_and_a_lamp_in_it_is_not():
     kept = blur.diffraction(light(fog), f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR)
     assert kept.provenance["diffraction_mode"] == "none" and 0.0 < kept.provenance["diffraction_error"] < 0.001
     np.testing.assert_array_equal(kept.pixels, light(fog).pixels)
-    for plane in (texture(0.02, (300, 400)), np.where(np.arange(400) == 37, np.where(np.arange(300) == 50, 1e4, 1.0)[:, None], 1.0) * fog):
-        assert blur.diffraction(light(plane), f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR).provenance["diffraction_mode"] == "band"
+    for plane in (
+        texture(0.02, (300, 400)),
+        np.where(np.arange(400) == 37, np.where(np.arange(300) == 50, 1e4, 1.0)[:, None], 1.0) * fog,
+    ):
+        assert (
+            blur.diffraction(light(plane), f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR).provenance[
+                "diffraction_mode"
+            ]
+            == "band"
+        )
 
 
 def test_a_frame_of_contrast_is_blurred_even_where_its_crop_is_smooth():
@@ -146,18 +164,27 @@ def test_a_frame_of_contrast_is_blurred_even_where_its_crop_is_smooth():
 
 
 def test_a_small_thing_in_even_fog_is_not_lost():
-    """One dark car of 40 x 60 pixels in 1080 x 1920: over the frame 0.02 of contrast, but its edges change by more than 0.001."""
+    """One dark car of 40 x 60 pixels in 1080 x 1920: over the frame 0.02 of contrast, but its edges change by more than
+    0.001.
+    """
     plane = np.full((1080, 1920), 100.0)
     plane[700:740, 400:460] = 70.0
     image = blur.diffraction(light(plane), f_number=2.0, pixel_pitch_um=3.0, sensor=SENSOR)
-    assert plane.std() / plane.mean() * 0.134 * 0.55 * 2.0 / 3.0 < 0.001 and image.provenance["diffraction_mode"] == "band"
+    assert (
+        plane.std() / plane.mean() * 0.134 * 0.55 * 2.0 / 3.0 < 0.001 and image.provenance["diffraction_mode"] == "band"
+    )
 
 
 def test_many_bands_share_a_wavelength_only_where_it_does_not_show():
     """Six bands within 2 nm do, six from 420 to 670 nm do not."""
     plane = texture(0.3)
-    for centres, mode in [((549.0, 549.4, 549.8, 550.2, 550.6, 551.0), "broadband"), ((420, 470, 520, 570, 620, 670), "band")]:
-        image = blur.diffraction(light(plane, bands(*map(float, centres))), f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR)
+    for centres, mode in [
+        ((549.0, 549.4, 549.8, 550.2, 550.6, 551.0), "broadband"),
+        ((420, 470, 520, 570, 620, 670), "band"),
+    ]:
+        image = blur.diffraction(
+            light(plane, bands(*map(float, centres))), f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR
+        )
         assert image.provenance["diffraction_mode"] == mode
         if mode == "broadband":
             assert image.provenance["diffraction_error"] < 0.0005 * 0.3
@@ -170,12 +197,16 @@ LENS = {"f_number": 2.0, "focal_length_mm": 6.0, "pixel_pitch_um": 3.0}
 
 @pytest.mark.parametrize(("focus_m", "distance_m"), [(5.0, None), (0.5, 2.0), (3.0, 0.4)])
 def test_the_blur_disc_is_the_cone_cut_by_the_sensor(focus_m, distance_m):
-    """Thin lens: rays through the rim of the pupil, 3 mm wide, cross at the image of the scene and are cut where that of the focus is."""
+    """Thin lens: rays through the rim of the pupil, 3 mm wide, cross at the image of the scene and are cut where that
+    of the focus is.
+    """
     f, pupil = 6e-3, 3e-3
     sensor = 1 / (1 / f - 1 / focus_m)
     image = f if distance_m is None else 1 / (1 / f - 1 / distance_m)
     expected = pupil * abs(sensor - image) / image
-    assert blur.blur_disc_um(focus_m, distance_m, f_number=2.0, focal_length_mm=6.0) == pytest.approx(expected * 1e6, rel=1e-9)
+    assert blur.blur_disc_um(focus_m, distance_m, f_number=2.0, focal_length_mm=6.0) == pytest.approx(
+        expected * 1e6, rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("focus_m", [5.0, 1.0, 0.3])
@@ -200,14 +231,17 @@ def test_a_lamp_out_of_focus_is_an_even_disc_with_all_of_its_light():
     y, x = np.mgrid[-80:81, -80:81]
     assert c == pytest.approx(6e-3**2 / (2 * (0.2 - 6e-3)) / 3e-6, rel=1e-3)
     assert out.sum() == pytest.approx(1.0, rel=1e-4)
-    assert math.sqrt(np.sum(out * (x * x + y * y)) / out.sum()) == pytest.approx(math.sqrt(c * c / 8 + 1 / 6), rel=0.002)
+    assert math.sqrt(np.sum(out * (x * x + y * y)) / out.sum()) == pytest.approx(
+        math.sqrt(c * c / 8 + 1 / 6), rel=0.002
+    )
     r = np.hypot(x, y)
     np.testing.assert_allclose(out[r < c / 2 - 1.0], 4 / (math.pi * c * c), rtol=0.002)
     assert np.abs(out[r > c / 2 + 1.0]).max() < 1e-9
 
 
 def hopkins(s: np.ndarray, waves: float) -> np.ndarray:
-    """OTF of a round pupil with `waves` wavelengths of defocus at its rim, at s = lambda N frequency: the overlap of two pupils 2 s apart.
+    """OTF of a round pupil with `waves` wavelengths of defocus at its rim, at s = lambda N frequency: the overlap of
+    two pupils 2 s apart.
 
     Integral of exp(2 pi i W (|u + s|^2 - |u - s|^2)) = exp(8 pi i W s x) over the lens-shaped overlap, by rows of it.
     """
@@ -235,7 +269,9 @@ def test_disc_times_diffraction_is_as_far_from_hopkins_as_the_op_says(waves, err
 
 
 def test_a_lens_in_focus_is_left_alone_and_says_so():
-    """Focused at 1 km the disc is 0.006 pixels wide; the finest diagonal keeps all but (2.22 * 0.006)^2 / 8 of its contrast."""
+    """Focused at 1 km the disc is 0.006 pixels wide; the finest diagonal keeps all but (2.22 * 0.006)^2 / 8 of its
+    contrast.
+    """
     plane = texture(0.3)
     image = blur.defocus(light(plane), focus_m=1000.0, **LENS)
     np.testing.assert_array_equal(image.pixels, light(plane).pixels)
@@ -251,8 +287,13 @@ def test_a_disc_wider_than_the_picture_keeps_it_even(shape):
 
 @pytest.mark.parametrize(
     ("focus_m", "focal_mm", "message"),
-    [(0.02, 50.0, "a lens of 50 mm cannot focus at focus_m 0.02"), (0.2, 100.0, r"disc is \d+ pixels wide; the widest is 2048")],
+    [
+        (0.02, 50.0, "a lens of 50 mm cannot focus at focus_m 0.02"),
+        (0.2, 100.0, r"disc is \d+ pixels wide; the widest is 2048"),
+    ],
 )
 def test_what_no_lens_does_is_refused(focus_m, focal_mm, message):
     with pytest.raises(ImageError, match=message):
-        blur.defocus(light(np.ones((3, 5))), focus_m=focus_m, f_number=2.0, focal_length_mm=focal_mm, pixel_pitch_um=3.0)
+        blur.defocus(
+            light(np.ones((3, 5))), focus_m=focus_m, f_number=2.0, focal_length_mm=focal_mm, pixel_pitch_um=3.0
+        )

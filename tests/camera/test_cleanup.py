@@ -37,14 +37,20 @@ def frame(mean, seed) -> np.ndarray:
 
 
 def textured(size, seed, contrast=0.4) -> np.ndarray:
-    """A scene of 1/f amplitude around 0.3, as natural scenes have, through the phone's lens (lambda N / pitch = 0.64) and its pixels."""
+    """A scene of 1/f amplitude around 0.3, as natural scenes have, through the phone's lens (lambda N / pitch = 0.64)
+    and its pixels.
+    """
     down, right = np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :]
     frequencies = np.hypot(down, right)
-    spectrum = np.fft.rfft2(seeds.stream(seed, "texture").standard_normal((size, size))) / np.maximum(frequencies, 1 / size)
+    spectrum = np.fft.rfft2(seeds.stream(seed, "texture").standard_normal((size, size))) / np.maximum(
+        frequencies, 1 / size
+    )
     detail = np.fft.irfft2(spectrum, s=(size, size))
     v = np.minimum(0.64 * frequencies, 1.0)
     lens = 2 / np.pi * (np.arccos(v) - v * np.sqrt(1 - v**2)) * np.sinc(down) * np.sinc(right)
-    return np.clip(np.fft.irfft2(np.fft.rfft2(0.3 * (1 + contrast * detail / detail.std())) * lens, s=(size, size)), 0.0, 1.0)
+    return np.clip(
+        np.fft.irfft2(np.fft.rfft2(0.3 * (1 + contrast * detail / detail.std())) * lens, s=(size, size)), 0.0, 1.0
+    )
 
 
 # ---- defects
@@ -64,7 +70,9 @@ def test_ordinary_pixels_stay(scene):
 @pytest.mark.parametrize("pattern", ["RGGB", "RGIB", "MONO"])
 @pytest.mark.parametrize("level", [0.0, 0.1, 0.5])
 def test_all_single_hot_pixels_of_twenty_sigma_are_found(level, pattern):
-    """1024 of them, twelve pixels apart, all phases, corners and borders included; each becomes what it was, to the noise of a median."""
+    """1024 of them, twelve pixels apart, all phases, corners and borders included; each becomes what it was, to the
+    noise of a median.
+    """
     clean = frame(np.full((379, 379), level), 2)
     image = clean.copy()
     rows, columns = (index.ravel() for index in np.mgrid[0:373:12, 0:373:12])
@@ -87,7 +95,8 @@ def test_dead_pixels_are_found():
 
 
 def test_lamps_are_left_alone():
-    """225 lamps of one green pixel through the phone's lens, 200 sigma to 500 wells: none is touched.  At 30 sigma nearly all are.
+    """225 lamps of one green pixel through the phone's lens, 200 sigma to 500 wells: none is touched.  At 30 sigma
+    nearly all are.
 
     The lens puts 2.4 % of such a lamp into each pixel beside it (asserted): 4.8 sigma at 200, in
     sum over four 4.4 times their own noise and more than the bound of 4; at 30 sigma nothing shows.
@@ -114,7 +123,9 @@ def test_lamps_are_left_alone():
     )
     lamps = np.zeros((240, 240, 3), np.float32)
     lamps[8::16, 9::16] = 1.0
-    exposed = graph.run({"radiance": Image(lamps, ("R", "G", "B"), Quantity.RADIANCE)}, seed=0, until="expose")["expose"].pixels[..., 0]
+    exposed = graph.run({"radiance": Image(lamps, ("R", "G", "B"), Quantity.RADIANCE)}, seed=0, until="expose")[
+        "expose"
+    ].pixels[..., 0]
     peak = exposed[8::16, 9::16].mean()
     assert 0.02 < exposed[7, 9] / peak < 0.03 and 0.02 < exposed[8, 8] / peak < 0.03
     corrected = {}
@@ -139,7 +150,9 @@ def test_defects_need_a_noise_profile_and_leave_tiny_pictures_alone():
 
 
 def test_noise_of_the_starlet_levels():
-    """Against the transform of noise itself: 2048 x 2048 numbers, whose standard deviations repeat to 0.3 % even at level 3."""
+    """Against the transform of noise itself: 2048 x 2048 numbers, whose standard deviations repeat to 0.3 % even at
+    level 3.
+    """
     from scipy.ndimage import convolve1d
 
     plane = seeds.stream(0, "starlet").standard_normal((2048, 2048), dtype=np.float32)
@@ -164,7 +177,8 @@ def test_noise_falls_and_the_mean_stays(level, pattern):
 
 
 def test_contrast_above_the_noise_stays_and_below_it_goes():
-    """Vertical edges of 40 and of 1 sigma: 97 % of the first is kept two pixels off the edge, and the mean over its halves exactly.
+    """Vertical edges of 40 and of 1 sigma: 97 % of the first is kept two pixels off the edge, and the mean over its
+    halves exactly.
 
     The step's largest detail is 0.3 of its height in level 1, where T is 2.7 sigma: it loses T^2 / w = 0.6 of 12 sigma.
     """
@@ -208,7 +222,11 @@ def test_small_pictures_are_denoised_too():
 
 def wave(period_px, amplitude=0.1) -> Image:
     line = 0.5 + amplitude * np.sin(2 * np.pi * np.arange(400) / period_px)
-    return Image(np.broadcast_to(line.astype(np.float32)[None, :, None], (20, 400, 3)).copy(), ("R", "G", "B"), Quantity.DISPLAY_RGB)
+    return Image(
+        np.broadcast_to(line.astype(np.float32)[None, :, None], (20, 400, 3)).copy(),
+        ("R", "G", "B"),
+        Quantity.DISPLAY_RGB,
+    )
 
 
 @pytest.mark.parametrize("period_px", [4.0, 10.0, 40.0])

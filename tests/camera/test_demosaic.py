@@ -24,7 +24,9 @@ with warnings.catch_warnings():
 
 
 def mosaic(pixels, pattern="RGGB") -> Image:
-    return Image(np.asarray(pixels, np.float32)[..., None], ("CFA",), Quantity.LINEAR_RGB, provenance={"cfa_pattern": pattern})
+    return Image(
+        np.asarray(pixels, np.float32)[..., None], ("CFA",), Quantity.LINEAR_RGB, provenance={"cfa_pattern": pattern}
+    )
 
 
 def of_planes(planes, pattern) -> Image:
@@ -39,7 +41,9 @@ def smooth_noise(height, width, planes) -> np.ndarray:
     """A picture with detail that a demosaicing can follow."""
     from scipy.ndimage import gaussian_filter
 
-    return np.stack([gaussian_filter(noise(height, width, index + 1)[..., index], 1.5) for index in range(planes)], axis=-1)
+    return np.stack(
+        [gaussian_filter(noise(height, width, index + 1)[..., index], 1.5) for index in range(planes)], axis=-1
+    )
 
 
 @pytest.mark.parametrize("pattern", cfa.BAYER)
@@ -69,7 +73,9 @@ def test_openimageio_agrees_with_colour_demosaicing_inside(algorithm, judge, pat
     """The same two algorithms by another hand; they differ in the two rows at the border.  float32 rounding."""
     pixels = noise(33, 40)
     expected = getattr(colour_demosaicing, f"demosaicing_CFA_Bayer_{judge}")(pixels.astype(np.float64), pattern)
-    np.testing.assert_allclose(demosaic(mosaic(pixels, pattern), algorithm=algorithm).pixels[2:-2, 2:-2], expected[2:-2, 2:-2], atol=1e-6)
+    np.testing.assert_allclose(
+        demosaic(mosaic(pixels, pattern), algorithm=algorithm).pixels[2:-2, 2:-2], expected[2:-2, 2:-2], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -104,7 +110,9 @@ def off_grey(picture) -> float:
 def test_directional_leaves_a_neutral_edge_neutral(angle_deg):
     """A fifth at most of the colour that linear interpolation makes, and no more than 1.5 times Menon's."""
     image = of_planes(np.repeat(grey_edge(angle_deg)[..., None], 3, axis=2), "RGGB")
-    directional, linear, menon = (off_grey(demosaic(image, algorithm=name).pixels) for name in ("directional", "linear", "menon"))
+    directional, linear, menon = (
+        off_grey(demosaic(image, algorithm=name).pixels) for name in ("directional", "linear", "menon")
+    )
     assert directional < 0.2 * linear
     assert directional < max(1.5 * menon, 1e-6)
 
@@ -135,7 +143,9 @@ def test_other_patterns_keep_known_samples_and_slopes(pattern):
     """A pixel keeps its number in its own plane; a slope is interpolated exactly where it has pixels on both sides."""
     letters = cfa.filters(pattern)
     rows, columns = np.mgrid[0:12, 0:14]
-    planes = np.stack([0.1 + 0.01 * (index + 1) * rows + 0.02 * columns for index in range(len(letters))], axis=-1).astype(np.float32)
+    planes = np.stack(
+        [0.1 + 0.01 * (index + 1) * rows + 0.02 * columns for index in range(len(letters))], axis=-1
+    ).astype(np.float32)
     image = of_planes(planes, pattern)
     out = demosaic(image)
     names = [letter for letter in letters if letter == "C"] if pattern == "RCCC" else letters
@@ -155,7 +165,13 @@ def test_a_sensor_without_colour_gives_brightness():
     np.testing.assert_array_equal(out.pixels[..., 0], pixels)
     out = demosaic(mosaic(pixels, "RCCC"))
     assert out.channels == ("Y",)
-    around = (2 * (pixels[1, 2] + pixels[3, 2] + pixels[2, 1] + pixels[2, 3]) + pixels[1, 1] + pixels[1, 3] + pixels[3, 1] + pixels[3, 3]) / 12
+    around = (
+        2 * (pixels[1, 2] + pixels[3, 2] + pixels[2, 1] + pixels[2, 3])
+        + pixels[1, 1]
+        + pixels[1, 3]
+        + pixels[3, 1]
+        + pixels[3, 3]
+    ) / 12
     assert out.pixels[2, 2, 0] == pytest.approx(around, rel=1e-6)
 
 
@@ -184,8 +200,10 @@ def test_a_mosaic_that_is_none_is_refused():
 def test_menon_warns_of_nothing():
     """In a fresh interpreter in which every warning is an error."""
     code = (
-        "import numpy as np; from synfog_usd.camera.demosaic import demosaic; from synfog_usd.image import Image, Quantity; "
-        "demosaic(Image(np.ones((4, 4, 1), np.float32), ('CFA',), Quantity.LINEAR_RGB, provenance={'cfa_pattern': 'RGGB'}), algorithm='menon')"
+        "import numpy as np; from synfog_usd.camera.demosaic import demosaic; from synfog_usd.image import Image, "
+        "Quantity; "
+        "demosaic(Image(np.ones((4, 4, 1), np.float32), ('CFA',), Quantity.LINEAR_RGB, provenance={'cfa_pattern': "
+        "'RGGB'}), algorithm='menon')"
     )
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and not done.stderr, done.stderr

@@ -31,14 +31,18 @@ def pinhole(height=SIZE[0], width=SIZE[1]):
 
 
 def warp(coefficients, fit="inside", size=SIZE):
-    return distortion.warp_of(distortion.Pinhole(*size, VIEW["fov_x_deg"], (VIEW["shift_x"], VIEW["shift_y"])), coefficients, fit)
+    return distortion.warp_of(
+        distortion.Pinhole(*size, VIEW["fov_x_deg"], (VIEW["shift_x"], VIEW["shift_y"])), coefficients, fit
+    )
 
 
 def projected(rows, columns, found, coefficients):
     """Where OpenCV puts the directions of pixels of the pinhole picture: (N, 2) columns and rows."""
     focal, cx, cy = pinhole()
     points = np.stack([(columns - cx) / focal, (rows - cy) / focal, np.ones(rows.shape)], axis=-1).reshape(-1, 3)
-    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.array(found.camera_matrix()), np.array(coefficients))[0][:, 0]
+    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.array(found.camera_matrix()), np.array(coefficients))[
+        0
+    ][:, 0]
 
 
 @pytest.mark.parametrize("coefficients", [BARREL, PINCUSHION, RATIONAL])
@@ -68,7 +72,11 @@ def test_keep_keeps_the_focal_length_and_refuses_to_look_outside():
 def test_lines_through_the_axis_stay_straight_and_others_bend_outwards():
     """Radial distortion only; a barrel: the middle of a line stands further from the axis than its ends."""
     _, cx, cy = pinhole()
-    found = distortion.warp_of(distortion.Pinhole(*SIZE, VIEW["fov_x_deg"], (VIEW["shift_x"], VIEW["shift_y"])), (-0.3, 0.1, 0.0, 0.0), "inside")
+    found = distortion.warp_of(
+        distortion.Pinhole(*SIZE, VIEW["fov_x_deg"], (VIEW["shift_x"], VIEW["shift_y"])),
+        (-0.3, 0.1, 0.0, 0.0),
+        "inside",
+    )
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     turn = (found.row - cy) * (columns - cx) - (found.column - cx) * (rows - cy)  # 0 where both point the same way
     np.testing.assert_allclose(turn / np.maximum(np.hypot(rows - cy, columns - cx), 1.0), 0.0, atol=0.01)
@@ -78,25 +86,33 @@ def test_lines_through_the_axis_stay_straight_and_others_bend_outwards():
 
 
 def test_a_smooth_picture_is_read_between_its_pixels():
-    """Waves of 8 pixels: the picture is the wave at the directions that OpenCV's own inverse gives; a cubic spline misses 0.2 % of them."""
+    """Waves of 8 pixels: the picture is the wave at the directions that OpenCV's own inverse gives; a cubic spline
+    misses 0.2 % of them.
+    """
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
 
     def wave(row, column):
         return 10.0 + 3.0 * np.cos(2 * math.pi * column / 8.0) + 3.0 * np.sin(2 * math.pi * row / 8.0)
 
-    out = distortion.distortion(light(np.repeat(wave(rows, columns)[..., None], 3, axis=2)), coefficients=BARREL, **VIEW)
+    out = distortion.distortion(
+        light(np.repeat(wave(rows, columns)[..., None], 3, axis=2)), coefficients=BARREL, **VIEW
+    )
     matrix = np.array(out.provenance["camera_matrix_px"])
     points = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
     focal, cx, cy = pinhole()
     old = np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]])
-    seen = cv2.undistortPoints(points, matrix, np.array(out.provenance["distortion_coefficients"]), None, old, None, criteria)[:, 0].reshape(*SIZE, 2)
+    seen = cv2.undistortPoints(
+        points, matrix, np.array(out.provenance["distortion_coefficients"]), None, old, None, criteria
+    )[:, 0].reshape(*SIZE, 2)
     expected = wave(seen[..., 1], seen[..., 0])
     np.testing.assert_allclose(out.pixels[8:-8, 8:-8, 1], expected[8:-8, 8:-8], atol=0.03)
 
 
 def test_a_lamp_gets_no_ring_and_keeps_its_radiance():
-    """One pixel of 1e6 over 1: a tenth of what is there is all that its neighbours gain or lose, and the sum grows with the area of a pixel there."""
+    """One pixel of 1e6 over 1: a tenth of what is there is all that its neighbours gain or lose, and the sum grows with
+    the area of a pixel there.
+    """
     plane = np.ones((*SIZE, 3))
     plane[60, 200] += 1e6
     out = distortion.distortion(light(plane), coefficients=BARREL, **VIEW).pixels[..., 1].astype(float)
@@ -113,8 +129,13 @@ def test_a_lamp_gets_no_ring_and_keeps_its_radiance():
 
 def test_a_lens_without_distortion_changes_nothing():
     image = light(np.ones((3, 5, 3)))
-    assert distortion.distortion(image, coefficients=None, **VIEW) is image and distortion.distortion(image, coefficients=(), **VIEW) is image
-    np.testing.assert_allclose(distortion.distortion(image, coefficients=(0.0, 0.0, 0.0, 0.0), **VIEW).pixels, 1.0, rtol=1e-6)
+    assert (
+        distortion.distortion(image, coefficients=None, **VIEW) is image
+        and distortion.distortion(image, coefficients=(), **VIEW) is image
+    )
+    np.testing.assert_allclose(
+        distortion.distortion(image, coefficients=(0.0, 0.0, 0.0, 0.0), **VIEW).pixels, 1.0, rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 5), (1, 40)])
@@ -153,7 +174,9 @@ def graph(tmp_path, text):
 
 
 def test_labels_follow_the_very_map_of_the_picture(tmp_path):
-    """A picture whose pixels are their own number, without highlights and wide enough that rounding tells: `of_graph` names the pixel that each shows."""
+    """A picture whose pixels are their own number, without highlights and wide enough that rounding tells: `of_graph`
+    names the pixel that each shows.
+    """
     loaded = graph(tmp_path, GRAPH % "")
     rows, columns = np.mgrid[:48, :64]
     numbers = np.stack([rows, columns, rows + columns], axis=2).astype(np.float32) + 100.0
@@ -172,7 +195,9 @@ def test_graphs_without_distortion_have_no_map_and_with_two_none_either(tmp_path
     size = distortion.Pinhole(48, 64, 60.0, (0.0, 0.0))
     assert distortion.of_graph(graph(tmp_path, GRAPH.replace("automotive_6mm", "pixel4a") % ""), size) is None
     assert distortion.of_graph(graph(tmp_path, GRAPH.replace("optics.distortion", "optics.glare") % ""), size) is None
-    with pytest.raises(GraphError, match=r"g\.yaml:8:\d+: graph 'g' has 2 optics.distortion nodes; labels can follow one"):
+    with pytest.raises(
+        GraphError, match=r"g\.yaml:8:\d+: graph 'g' has 2 optics.distortion nodes; labels can follow one"
+    ):
         distortion.of_graph(graph(tmp_path, GRAPH % "}\n  - {op: optics.distortion, name: again"), size)
 
 
@@ -195,16 +220,24 @@ def test_the_falloff_is_found_again_where_the_picture_was_warped():
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     plane = ((1.0 + ((columns - cx) ** 2 + (rows - cy) ** 2) / focal**2) ** -2).astype(np.float32)
     out = distortion.distortion(light(np.repeat(plane[..., None], 3, axis=2)), coefficients=BARREL, **VIEW)
-    again = distortion.warped_like(plane, out.provenance, distortion.Pinhole(*SIZE, VIEW["fov_x_deg"], (VIEW["shift_x"], VIEW["shift_y"])))
+    again = distortion.warped_like(
+        plane, out.provenance, distortion.Pinhole(*SIZE, VIEW["fov_x_deg"], (VIEW["shift_x"], VIEW["shift_y"]))
+    )
     np.testing.assert_allclose(again, out.pixels[..., 1], rtol=1e-3)
     assert distortion.warped_like(plane, {}, distortion.Pinhole(*SIZE, 60.0, (0.0, 0.0))) is plane
 
 
 def bent_wave(rendered, taken, cycles, down) -> np.ndarray:
-    """(H, W) of a wave of so many cycles per pixel of the taken picture, across or down it, as each pixel of the rendered one averages it (8 x 8 places)."""
+    """(H, W) of a wave of so many cycles per pixel of the taken picture, across or down it, as each pixel of the
+    rendered one averages it (8 x 8 places).
+    """
     fine = 8
-    columns, rows = ((np.arange(length * fine) + 0.5) / fine - 0.5 for length in (rendered.width_px, rendered.height_px))
-    x, y = np.meshgrid((columns - rendered.axis_px[0]) / rendered.focal_px, (rows - rendered.axis_px[1]) / rendered.focal_px)
+    columns, rows = (
+        (np.arange(length * fine) + 0.5) / fine - 0.5 for length in (rendered.width_px, rendered.height_px)
+    )
+    x, y = np.meshgrid(
+        (columns - rendered.axis_px[0]) / rendered.focal_px, (rows - rendered.axis_px[1]) / rendered.focal_px
+    )
     k1, k2 = BENT[:2]
     radial = 1.0 + k1 * (x * x + y * y) + k2 * (x * x + y * y) ** 2
     place = (y if down else x) * radial * taken.focal_px + taken.axis_px[1 if down else 0]
@@ -218,7 +251,8 @@ BENT = (-0.35, 0.15, 0.0, 0.0)
 
 @pytest.mark.parametrize("fov_x_deg", [50.0, 100.0])
 def test_a_picture_rendered_for_the_lens_is_as_sharp_as_its_pixels(fov_x_deg, tmp_path):
-    """Contrast of waves up to 0.5 cycles a pixel at centre, half field and corner, across and down: sinc(f) within 0.01.
+    """Contrast of waves up to 0.5 cycles a pixel at centre, half field and corner, across and down: sinc(f) within
+    0.01.
 
     Waves of 10 %, which the guard against dark lines at edges leaves alone.
     """
@@ -232,14 +266,27 @@ def test_a_picture_rendered_for_the_lens_is_as_sharp_as_its_pixels(fov_x_deg, tm
         for down in (False, True):
             wave = np.repeat(bent_wave(rendered, taken, cycles, down)[..., None], 3, axis=2)
             out = distortion.distortion(
-                light(wave), coefficients=BENT, fov_x_deg=rendered.fov_x_deg, shift_x=rendered.shift[0], shift_y=rendered.shift[1], view=view
+                light(wave),
+                coefficients=BENT,
+                fov_x_deg=rendered.fov_x_deg,
+                shift_x=rendered.shift[0],
+                shift_y=rendered.shift[1],
+                view=view,
             )
             assert out.pixels.shape == (96, 128, 3) and out.provenance["fov_x_deg"] == fov_x_deg
             for where, (row, column) in patches.items():
                 patch = out.pixels[row - 10 : row + 10, column - 10 : column + 10, 1].astype(np.float64)
-                phase = 2 * np.pi * cycles * (np.arange(row - 10, row + 10)[:, None] if down else np.arange(column - 10, column + 10)[None, :])
+                phase = (
+                    2
+                    * np.pi
+                    * cycles
+                    * (np.arange(row - 10, row + 10)[:, None] if down else np.arange(column - 10, column + 10)[None, :])
+                )
                 waves = np.stack(
-                    [np.broadcast_to(one, patch.shape).ravel() for one in (np.ones_like(phase), np.cos(phase), *([np.sin(phase)] if cycles < 0.5 else []))],
+                    [
+                        np.broadcast_to(one, patch.shape).ravel()
+                        for one in (np.ones_like(phase), np.cos(phase), *([np.sin(phase)] if cycles < 0.5 else []))
+                    ],
                     axis=1,
                 )
                 mean, *parts = np.linalg.lstsq(waves, patch.ravel(), rcond=None)[0]
@@ -249,12 +296,23 @@ def test_a_picture_rendered_for_the_lens_is_as_sharp_as_its_pixels(fov_x_deg, tm
 
 
 def test_what_is_rendered_is_what_the_pixels_see(tmp_path):
-    """Twice as many pixels as the sensor in the middle, off the axis too; none where no lens bends; the map's own centre is the axis."""
+    """Twice as many pixels as the sensor in the middle, off the axis too; none where no lens bends; the map's own
+    centre is the axis.
+    """
     shown = graph(tmp_path, GRAPH % "")
     for shift in ((0.0, 0.0), (0.1, -0.05)):
         taken = distortion.Pinhole(96, 128, 60.0, shift)
         rendered = distortion.to_render(shown, taken)
-        assert rendered.focal_px == pytest.approx(2 * taken.focal_px) and rendered.width_px > 256 and rendered.height_px > 192
+        assert (
+            rendered.focal_px == pytest.approx(2 * taken.focal_px)
+            and rendered.width_px > 256
+            and rendered.height_px > 192
+        )
         found = distortion.of_graph(shown, rendered, taken)[1]
-        assert found.row.min() < 8 and found.column.min() < 8 and found.row.max() > rendered.height_px - 9 and found.column.max() > rendered.width_px - 9
+        assert (
+            found.row.min() < 8
+            and found.column.min() < 8
+            and found.row.max() > rendered.height_px - 9
+            and found.column.max() > rendered.width_px - 9
+        )
     assert distortion.to_render(graph(tmp_path, GRAPH.replace("automotive_6mm", "pixel4a") % ""), taken) is None

@@ -89,9 +89,16 @@ def test_what_the_graph_fixes_stays_and_the_other_makes_up_for_it(phone):
     free = camera.meter(image, phone)
     product = free.exposure_s * free.iso
     fixed_time = camera.meter(image, phone.with_overrides({"expose.exposure_s": free.exposure_s / 4}))
-    assert (fixed_time.exposure_s, fixed_time.exposure_s * fixed_time.iso) == (free.exposure_s / 4, pytest.approx(product))
+    assert (fixed_time.exposure_s, fixed_time.exposure_s * fixed_time.iso) == (
+        free.exposure_s / 4,
+        pytest.approx(product),
+    )
     fixed_iso = camera.meter(image, phone.with_overrides({"gain.iso": 440}))
-    assert (fixed_iso.iso, fixed_iso.exposure_s * fixed_iso.iso, fixed_iso.limit) == (440.0, pytest.approx(product), "none")
+    assert (fixed_iso.iso, fixed_iso.exposure_s * fixed_iso.iso, fixed_iso.limit) == (
+        440.0,
+        pytest.approx(product),
+        "none",
+    )
     assert camera.meter(image, phone.with_overrides({"expose.exposure_s": 10})).limit == "bright"
 
 
@@ -99,15 +106,22 @@ def test_develop_meters_only_where_the_exposure_is_left_open(phone):
     image = street(5000.0, 800.0)
     metered = camera.develop(phone, {"radiance": image}, seed=0, until="adc")["adc"].provenance
     assert metered["exposure_s"] == camera.meter(image, phone).exposure_s
-    said = camera.develop(phone, {"radiance": image}, seed=0, until="adc", overrides={"expose.exposure_s": "1/250", "gain.iso": 110})["adc"].provenance
+    said = camera.develop(
+        phone, {"radiance": image}, seed=0, until="adc", overrides={"expose.exposure_s": "1/250", "gain.iso": 110}
+    )["adc"].provenance
     assert (said["exposure_s"], said["iso"]) == (1 / 250, 110.0)
-    locked = camera.develop(phone, {"radiance": image}, seed=0, until="adc", exposure=camera.Exposure(0.002, 55.0))["adc"].provenance
+    locked = camera.develop(phone, {"radiance": image}, seed=0, until="adc", exposure=camera.Exposure(0.002, 55.0))[
+        "adc"
+    ].provenance
     assert locked["exposure_s"] == 0.002
 
 
 def test_a_graph_that_exposes_nothing_cannot_be_metered(tmp_path):
     path = tmp_path / "g.yaml"
-    path.write_text("synfog: graph/1\ninputs: [radiance]\nlens: pixel4a\nnodes:\n  - {op: optics.irradiance, falloff: none}\noutputs: {a.exr: irradiance}\n")
+    path.write_text(
+        "synfog: graph/1\ninputs: [radiance]\nlens: pixel4a\nnodes:\n  - {op: optics.irradiance, falloff: "
+        "none}\noutputs: {a.exr: irradiance}\n"
+    )
     with pytest.raises(GraphError, match="cannot be metered"):
         camera.meter(street(1.0, 1.0), camera.load_graph(path))
 
@@ -117,15 +131,28 @@ def test_any_pattern_is_metered_by_its_green_or_clear_pixels(phone, pattern):
     """An even day frame: those pixels collect the day's key of saturation; nothing of 0.55 is reached."""
     centres_nm = {"R": 600.0, "G": 540.0, "B": 460.0, "C": 550.0, "I": 740.0}
     letters = cfa.filters(pattern)
-    qe = QuantumEfficiency(common=(Curve("flat", (1.0,)),), filters=tuple(Curve("gaussian", (centres_nm[letter], 80.0, 0.5)) for letter in letters))
+    qe = QuantumEfficiency(
+        common=(Curve("flat", (1.0,)),),
+        filters=tuple(Curve("gaussian", (centres_nm[letter], 80.0, 0.5)) for letter in letters),
+    )
     chip = replace(phone.profiles["sensor"], cfa=pattern, qe=qe, content_hash=pattern)
     nodes = {
-        name: replace(node, params={key: replace(bound, value=chip) if bound.source == "sensor" else bound for key, bound in node.params.items()})
+        name: replace(
+            node,
+            params={
+                key: replace(bound, value=chip) if bound.source == "sensor" else bound
+                for key, bound in node.params.items()
+            },
+        )
         for name, node in phone.nodes.items()
     }
-    graph = replace(phone, nodes=nodes, profiles={**phone.profiles, "sensor": chip}).with_overrides({"irradiance.falloff": "none"})
+    graph = replace(phone, nodes=nodes, profiles={**phone.profiles, "sensor": chip}).with_overrides(
+        {"irradiance.falloff": "none"}
+    )
     image = street(1000.0, 1000.0)
-    out = graph.run({"radiance": image}, seed=0, settings=camera.meter(image, graph).settings, until="expose")["expose"].pixels[..., 0]
+    out = graph.run({"radiance": image}, seed=0, settings=camera.meter(image, graph).settings, until="expose")[
+        "expose"
+    ].pixels[..., 0]
     letter = "G" if "G" in letters else "C"
     rows = cfa.PATTERNS[pattern]
     row = next(index for index, line in enumerate(rows) if letter in line)
@@ -149,7 +176,9 @@ def test_of_several_exposures_the_most_sensitive_is_metered(automotive):
 
 
 def test_highlights_may_fill_the_merged_range(automotive):
-    """A sky 100 times the road: a single reading would be held down to 0.55 of its well by it, the merged range to 0.55 of its own."""
+    """A sky 100 times the road: a single reading would be held down to 0.55 of its well by it, the merged range to 0.55
+    of its own.
+    """
     graph, image = automotive.with_overrides({"irradiance.falloff": "none"}), street(20_000.0, 200.0)
     run = graph.run({"radiance": image}, seed=0, settings=camera.meter(image, graph).settings, until="merge")
     sky = run["expose"].pixels[4:24:2, 41:120:2].mean()
@@ -157,9 +186,13 @@ def test_highlights_may_fill_the_merged_range(automotive):
     assert sky > 22_000
 
 
-@pytest.mark.parametrize("name, iso", [("phone", 55.0), ("phone", 440.0), ("dashcam", 100.0), ("machine_vision_mono", 100.0), ("automotive_hdr", 100.0)])
+@pytest.mark.parametrize(
+    "name, iso",
+    [("phone", 55.0), ("phone", 440.0), ("dashcam", 100.0), ("machine_vision_mono", 100.0), ("automotive_hdr", 100.0)],
+)
 def test_the_noise_floor_is_the_noise_of_frames(name, iso):
-    """Standard deviation in the middle of real frames, from two of them, over what a nit gives: as `noise_floor` says, within 3 %.
+    """Standard deviation in the middle of real frames, from two of them, over what a nit gives: as `noise_floor` says,
+    within 3 %.
 
     24 576 pixels: 0.45 % for one standard deviation.  Fixed patterns cancel in the difference.
     """
@@ -169,7 +202,9 @@ def test_the_noise_floor_is_the_noise_of_frames(name, iso):
         exposure = camera.Exposure(1 / 60, iso, max(level, 1.0))
         electrons, dark_e = camera.sensitivity(frame, graph, exposure)
         until = "merge" if name == "automotive_hdr" else "adc"
-        frames = [graph.run({"radiance": frame}, seed=seed, settings=exposure.settings, until=until)[until] for seed in (1, 2)]
+        frames = [
+            graph.run({"radiance": frame}, seed=seed, settings=exposure.settings, until=until)[until] for seed in (1, 2)
+        ]
         gain = frames[0].provenance["system_gain_dn_e"]
         middle = [image.pixels[64:192, 96:288].astype(np.float64) for image in frames]
         found = np.sqrt(np.mean((middle[0] - middle[1]) ** 2) / 2) / gain / electrons

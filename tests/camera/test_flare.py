@@ -54,18 +54,30 @@ def test_a_polygon_makes_its_spikes(blades, spikes):
     """As many as blades where that is even, twice as many where it is odd; counted around a circle of 70 pixels."""
     angle = np.radians(np.arange(0.0, 360.0, 0.5))
     star = added(lamp(), blades=blades, rotation_deg=10.0)
-    ring = np.mean([star[np.rint(200 - r * np.sin(angle)).astype(int), np.rint(200 + r * np.cos(angle)).astype(int)] for r in range(60, 80)], axis=0)
+    ring = np.mean(
+        [
+            star[np.rint(200 - r * np.sin(angle)).astype(int), np.rint(200 + r * np.cos(angle)).astype(int)]
+            for r in range(60, 80)
+        ],
+        axis=0,
+    )
     high = ring > 0.25 * ring.max()
     assert np.count_nonzero(high & ~np.roll(high, 1)) == spikes
-    assert abs(math.degrees(angle[: 720 // spikes][ring[: 720 // spikes].argmax()]) - 10.0) <= 1.0  # anticlockwise from the right
+    assert (
+        abs(math.degrees(angle[: 720 // spikes][ring[: 720 // spikes].argmax()]) - 10.0) <= 1.0
+    )  # anticlockwise from the right
 
 
 def test_a_spike_falls_as_the_square_of_the_distance():
-    """Far from the lamp a pair of edges of length L sends L q D / (2 pi^2 A r^2) of the light into each pixel of its spike, A the aperture's area.
+    """Far from the lamp a pair of edges of length L sends L q D / (2 pi^2 A r^2) of the light into each pixel of its
+    spike, A the aperture's area.
 
-    From |integral over the polygon|^2 near the normal of an edge, its fringes averaged.  A regular hexagon of the area of a
-    circle of diameter D has L / D = 0.550 and L D / A = 0.700.  Across, it is sinc^2(y L / (q D)), of which three rows hold
-    2/pi (Si(2 x) - sin^2(x) / x), x = 1.5 pi L / (q D); what a round aperture sends there, q / (pi^3 r^3), is not the star's.
+    From |integral over the polygon|^2 near the normal of an edge, its fringes averaged.
+    A regular hexagon of the area of a
+    circle of diameter D has L / D = 0.550 and L D / A = 0.700.  Across, it is sinc^2(y L / (q D)), of which three rows
+    hold
+    2/pi (Si(2 x) - sin^2(x) / x), x = 1.5 pi L / (q D); what a round aperture sends there, q / (pi^3 r^3), is not the
+    star's.
     5 %: fringes along the spike do not quite average out in a pixel.
     """
     q = 0.550 * 4.0 / 3.0
@@ -78,7 +90,10 @@ def test_a_spike_falls_as_the_square_of_the_distance():
     np.testing.assert_allclose(blocks, expected, rtol=0.05)
 
 
-@pytest.mark.parametrize("params", [{"blades": 6}, {"blades": 5, "fraction": 0.1}, {"ghosts": (0.01, 0.02)}, {"blades": 7, "ghosts": (0.01,)}])
+@pytest.mark.parametrize(
+    "params",
+    [{"blades": 6}, {"blades": 5, "fraction": 0.1}, {"ghosts": (0.01, 0.02)}, {"blades": 7, "ghosts": (0.01,)}],
+)
 def test_no_light_is_made_or_lost(params):
     """The lamp stands near the middle, so that star and ghosts lie inside; float32 sums to 1e-4."""
     image = lamp(at=(190, 210))
@@ -98,14 +113,18 @@ def test_a_star_takes_the_part_that_it_is_told():
 
 
 def test_a_ghost_stands_across_the_axis_and_is_a_disc():
-    """GHOSTS[0]: -1 times the lamp's offset, 0.05 image widths wide; the axis 0.05 widths right of the centre and 0.1 heights up."""
+    """GHOSTS[0]: -1 times the lamp's offset, 0.05 image widths wide; the axis 0.05 widths right of the centre and 0.1
+    heights up.
+    """
     image = lamp((301, 961), (100, 300), light=1e7)
     out = flare.flare(image, **LENS, ghosts=(0.01,), shift_x=0.05, shift_y=0.1).pixels[..., 1].astype(np.float64) - 1.0
     out[100, 300] = 0.0
     axis = (150.0 - 30.1, 480.0 + 48.05)
     y, x = np.mgrid[:301, :961]
     middle = (np.sum(out * y) / out.sum(), np.sum(out * x) / out.sum())
-    np.testing.assert_allclose(middle, (2 * axis[0] - 100, 2 * axis[1] - 300), atol=0.6)  # a lamp stands in the middle of its block of 2
+    np.testing.assert_allclose(
+        middle, (2 * axis[0] - 100, 2 * axis[1] - 300), atol=0.6
+    )  # a lamp stands in the middle of its block of 2
     assert out.sum() == pytest.approx(1e5, rel=1e-3)
     r = np.hypot(y - middle[0], x - middle[1])
     np.testing.assert_allclose(out[r < 20.0], 1e5 / (math.pi * 24.0**2), rtol=0.1)

@@ -21,7 +21,12 @@ SIGMAS = 4.5
 
 def electrons(level, shape=(500, 500), gathered_um2_s=1.0) -> Image:
     pixels = np.broadcast_to(np.asarray(level, np.float32), shape)[..., None].copy()
-    return Image(pixels, ("CFA",), Quantity.ELECTRONS, provenance={"exposure_s": 0.01, "gathered_um2_s": gathered_um2_s, "cfa_pattern": "RGGB"})
+    return Image(
+        pixels,
+        ("CFA",),
+        Quantity.ELECTRONS,
+        provenance={"exposure_s": 0.01, "gathered_um2_s": gathered_um2_s, "cfa_pattern": "RGGB"},
+    )
 
 
 def reading(counted: Image, factor: float, *, sigma_e=0.0, sigma_dn=0.0, seed=0) -> Image:
@@ -32,7 +37,9 @@ def reading(counted: Image, factor: float, *, sigma_e=0.0, sigma_dn=0.0, seed=0)
 
 
 def test_the_merged_number_is_linear_up_to_white():
-    """A ramp of 0 to 30 000 e- without noise: K e to half a DN of the reading that counts, then white; in any order of inputs."""
+    """A ramp of 0 to 30 000 e- without noise: K e to half a DN of the reading that counts, then white; in any order of
+    inputs.
+    """
     level = np.linspace(0.0, 30_000.0, 4000)
     full = sensor.full_well(electrons(level, (1, 4000)), full_well_e=CHIP.full_well_e)
     readings = [reading(full, HIGH), reading(full, LOW)]
@@ -71,7 +78,10 @@ def test_two_conversion_gains_count_the_same_electrons_and_jump_only_in_read_noi
     frames = []
     for frame in (1, 2):
         counted = sensor.shot_noise(electrons(level_e), rng=seeds.stream(frame, "shot", str(level_e)))
-        readings = [reading(counted, HIGH, sigma_e=1.0, sigma_dn=0.5, seed=frame), reading(counted, LOW, sigma_e=60.0, sigma_dn=0.5, seed=frame + 10)]
+        readings = [
+            reading(counted, HIGH, sigma_e=1.0, sigma_dn=0.5, seed=frame),
+            reading(counted, LOW, sigma_e=60.0, sigma_dn=0.5, seed=frame + 10),
+        ]
         frames.append(hdr.merge_hdr(*readings).pixels.astype(np.float64))
     high = level_e < 0.85 * 3927.0 / CHIP.gain_dn_e
     gain, sigma_e = (CHIP.gain_dn_e, 1.0) if high else (CHIP.gain_dn_e * LOW, 60.0)
@@ -87,19 +97,28 @@ def test_two_conversion_gains_count_the_same_electrons_and_jump_only_in_read_noi
 
 @pytest.mark.parametrize("level_e", [4000.0, 7000.0, 40_000.0])
 def test_the_snr_falls_by_the_root_of_the_ratio_where_a_short_exposure_takes_over(level_e):
-    """Above the knee mu / 16 electrons are counted: SNR = sqrt(mu / 16) with read noise beside it, below it sqrt(mu)."""
+    """Above the knee mu / 16 electrons are counted: SNR = sqrt(mu / 16) with read noise beside it, below it
+    sqrt(mu).
+    """
     frames = []
     for frame in (1, 2):
         exposures = [
-            sensor.shot_noise(electrons(level_e * ratio, gathered_um2_s=ratio), rng=seeds.stream(frame, "shot", str(ratio), str(level_e)))
+            sensor.shot_noise(
+                electrons(level_e * ratio, gathered_um2_s=ratio),
+                rng=seeds.stream(frame, "shot", str(ratio), str(level_e)),
+            )
             for ratio in (1.0, 1.0 / 16.0)
         ]
-        readings = [reading(exposure, HIGH, sigma_e=3.0, seed=10 * frame + index) for index, exposure in enumerate(exposures)]
+        readings = [
+            reading(exposure, HIGH, sigma_e=3.0, seed=10 * frame + index) for index, exposure in enumerate(exposures)
+        ]
         frames.append(hdr.merge_hdr(*readings).pixels.astype(np.float64))
     ratio = 1.0 if level_e < 5000.0 else 16.0
     expected = ratio * level_e + ratio**2 * (9.0 + 1 / 12 / CHIP.gain_dn_e**2)
     assert variance_e2(frames) == pytest.approx(expected, rel=SIGMAS * math.sqrt(2 / frames[0].size))
-    assert (frames[0].mean() - 168.0) / CHIP.gain_dn_e == pytest.approx(level_e, abs=SIGMAS * math.sqrt(expected / frames[0].size))
+    assert (frames[0].mean() - 168.0) / CHIP.gain_dn_e == pytest.approx(
+        level_e, abs=SIGMAS * math.sqrt(expected / frames[0].size)
+    )
 
 
 def test_the_noise_profile_is_that_of_the_dark_parts():
@@ -107,7 +126,11 @@ def test_the_noise_profile_is_that_of_the_dark_parts():
     frames = []
     for frame in (1, 2):
         counted = sensor.shot_noise(electrons(300.0), rng=seeds.stream(frame, "profile"))
-        frames.append(hdr.merge_hdr(reading(counted, HIGH, sigma_e=2.0, sigma_dn=0.6, seed=frame), reading(counted, LOW, seed=frame)))
+        frames.append(
+            hdr.merge_hdr(
+                reading(counted, HIGH, sigma_e=2.0, sigma_dn=0.6, seed=frame), reading(counted, LOW, seed=frame)
+            )
+        )
     slope, offset = frames[0].provenance["noise_profile"]
     span = frames[0].provenance["white_level_dn"] - 168
     x = 300.0 * CHIP.gain_dn_e / span
@@ -132,7 +155,12 @@ def test_readings_that_do_not_belong_together_are_refused():
 
 def linear(values) -> Image:
     pixels = np.asarray(values, np.float32)[None, :, None]
-    return Image(pixels, ("CFA",), Quantity.DN, provenance={"black_level_dn": 168, "white_level_dn": 57_700, "cfa_pattern": "RGGB"})
+    return Image(
+        pixels,
+        ("CFA",),
+        Quantity.DN,
+        provenance={"black_level_dn": 168, "white_level_dn": 57_700, "cfa_pattern": "RGGB"},
+    )
 
 
 KNEES = {"linear_dn": (1024.0, 4096.0, 16_384.0), "code_dn": (1024.0, 1792.0, 2560.0)}
@@ -143,11 +171,22 @@ def test_companding_is_undone_but_for_half_a_step():
     values = np.arange(57_701)
     coded = hdr.compand(linear(values), bits=12, **KNEES)
     facts = coded.provenance
-    assert (facts["black_level_dn"], facts["white_level_dn"], facts["linear_black_dn"], facts["linear_white_dn"]) == (168, 4095, 168, 57_700)
+    assert (facts["black_level_dn"], facts["white_level_dn"], facts["linear_black_dn"], facts["linear_white_dn"]) == (
+        168,
+        4095,
+        168,
+        57_700,
+    )
     assert facts["companding"][0] == [168, 168] and facts["companding"][-1] == [57_700.0, 4095.0]
-    assert (coded.pixels == np.rint(coded.pixels)).all() and (np.diff(coded.pixels[0, :, 0]) >= 0).all() and coded.pixels.max() == 4095
+    assert (
+        (coded.pixels == np.rint(coded.pixels)).all()
+        and (np.diff(coded.pixels[0, :, 0]) >= 0).all()
+        and coded.pixels.max() == 4095
+    )
     back = isp.decompand(coded)
-    step = np.select([values <= 1024, values <= 4096, values <= 16_384], [1.0, 4.0, 16.0], (57_700 - 16_384) / (4095 - 2560))
+    step = np.select(
+        [values <= 1024, values <= 4096, values <= 16_384], [1.0, 4.0, 16.0], (57_700 - 16_384) / (4095 - 2560)
+    )
     assert (np.abs(back.pixels[0, :, 0] - values) <= step / 2 + 0.01).all()
     assert (back.provenance["black_level_dn"], back.provenance["white_level_dn"]) == (168, 57_700)
 
@@ -159,7 +198,10 @@ def test_companding_is_undone_but_for_half_a_step():
         ({"linear_dn": (1024.0, 900.0, 16_384.0)}, "do not rise"),
         ({"code_dn": (1024.0, 4097.0, 4098.0)}, "do not rise"),
         ({"code_dn": (2048.0, 2100.0, 2560.0)}, "at most 1 code per DN"),
-        ({"linear_dn": (2048.0, 4096.0, 16_384.0), "code_dn": (1000.0, 1792.0, 2560.0)}, r"black level 168 becomes code 82\.03"),
+        (
+            {"linear_dn": (2048.0, 4096.0, 16_384.0), "code_dn": (1000.0, 1792.0, 2560.0)},
+            r"black level 168 becomes code 82\.03",
+        ),
         ({"linear_dn": (100.0, 4096.0, 16_384.0), "code_dn": (100.0, 1792.0, 2560.0)}, "below the first knee"),
     ],
 )
@@ -169,7 +211,8 @@ def test_knees_that_cannot_be_undone_are_refused(change, message):
 
 
 def test_the_automotive_camera_is_linear_over_its_three_readings():
-    """A staircase of light from dark to white through the shipped graph: the mean of each step, as linear DN, is in proportion.
+    """A staircase of light from dark to white through the shipped graph: the mean of each step, as linear DN, is in
+    proportion.
 
     Steps of 60 x 60 pixels of one filter colour mix are compared with a noise-free
     sum of electrons; PRNU of 0.7 % averages out to 0.01 %.
@@ -187,4 +230,9 @@ def test_the_automotive_camera_is_linear_over_its_three_readings():
     merged = run["merge"].pixels
     assert (merged == np.rint(merged)).all() and merged.max() > 4095 and run["compand"].pixels.max() <= 4095
     white = scene.with_pixels(np.full_like(scene.pixels, 1e9))
-    assert (graph.run({"radiance": white}, seed=5, settings={"exposure_s": 0.01, "iso": 100.0}, until="compand")["compand"].pixels >= 4090).all()
+    assert (
+        graph.run({"radiance": white}, seed=5, settings={"exposure_s": 0.01, "iso": 100.0}, until="compand")[
+            "compand"
+        ].pixels
+        >= 4090
+    ).all()

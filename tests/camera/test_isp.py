@@ -1,4 +1,6 @@
-"""Levels, colour and tone: white stays white in every light, gamma is sRGB, and a ColorChecker comes out as the eye sees it."""
+"""Levels, colour and tone: white stays white in every light, gamma is sRGB, and a ColorChecker comes out as the eye
+sees it.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ outputs: {linear.exr: colour_correct}
 
 
 def mosaic(pixels, quantity=Quantity.LINEAR_RGB, pattern="RGGB", **facts) -> Image:
-    return Image(np.asarray(pixels, np.float32)[..., None], ("CFA",), quantity, provenance={"cfa_pattern": pattern, **facts})
+    return Image(
+        np.asarray(pixels, np.float32)[..., None], ("CFA",), quantity, provenance={"cfa_pattern": pattern, **facts}
+    )
 
 
 def numbers(pixels, **facts) -> Image:
@@ -72,12 +76,16 @@ def test_a_colorchecker_under_d65_comes_out_right(tmp_path, algorithm):
     path.write_text(LINEAR.replace("EXPOSURE", "0.0002").replace("ALGORITHM", algorithm))
     out = camera.load_graph(path).run({"radiance": image}, seed=0)["colour_correct"]
     found = out.pixels[11::24, 11::24].reshape(24, 3).astype(np.float64)
-    with colour.utilities.suppress_warnings(colour_runtime_warnings=True):  # it says that it interpolates its own tables
+    with colour.utilities.suppress_warnings(
+        colour_runtime_warnings=True
+    ):  # it says that it interpolates its own tables
         expected = np.array([colour.sd_to_XYZ(patch, illuminant=d65) for patch in chart.values()]) / 100
     srgb = colour.RGB_COLOURSPACES["sRGB"]
     found_xyz = found @ srgb.matrix_RGB_to_XYZ.T
     found_xyz *= expected[:, 1].sum() / found_xyz[:, 1].sum()
-    difference = colour.delta_E(colour.XYZ_to_Lab(expected, srgb.whitepoint), colour.XYZ_to_Lab(found_xyz, srgb.whitepoint), method="CIE 2000")
+    difference = colour.delta_E(
+        colour.XYZ_to_Lab(expected, srgb.whitepoint), colour.XYZ_to_Lab(found_xyz, srgb.whitepoint), method="CIE 2000"
+    )
     assert difference.mean() < 1.08 and difference.max() < 3.5
     assert out.provenance["colour_matrix_mean_de00"] == pytest.approx(difference.mean(), abs=0.15)
 
@@ -86,7 +94,9 @@ def test_a_colorchecker_under_d65_comes_out_right(tmp_path, algorithm):
 def test_grey_is_neutral_through_the_whole_phone(level):
     """The mean of 120 x 120 noisy pixels of D65 grey: R = G = B to a 255th."""
     graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
-    even = Image(np.full((120, 120, 3), level, np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+    even = Image(
+        np.full((120, 120, 3), level, np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0}
+    )
     means = camera.develop(graph, {"radiance": even}, seed=4)["srgb"].pixels.mean(axis=(0, 1), dtype=np.float64)
     assert 0.2 < means.mean() < 0.8
     assert np.ptp(means) < 1 / 255
@@ -106,7 +116,9 @@ def test_levels_come_from_the_node_then_the_image_then_the_sensor():
     noted = image.with_metadata(black_level_dn=100, white_level_dn=300)
     np.testing.assert_allclose(isp.black_level(image, sensor=SENSOR).pixels.ravel(), [36 / 959, 236 / 959], rtol=1e-6)
     np.testing.assert_array_equal(isp.black_level(noted, sensor=SENSOR).pixels.ravel(), [0.0, 1.0])
-    np.testing.assert_allclose(isp.black_level(noted, black_level_dn=0.0, sensor=SENSOR).pixels.ravel(), [1 / 3, 1.0], rtol=1e-6)
+    np.testing.assert_allclose(
+        isp.black_level(noted, black_level_dn=0.0, sensor=SENSOR).pixels.ravel(), [1 / 3, 1.0], rtol=1e-6
+    )
     with pytest.raises(ImageError, match="does not say its black_level_dn"):
         isp.black_level(image)
     with pytest.raises(ImageError, match="300 is not below white_level_dn 300"):
@@ -127,7 +139,15 @@ KNEES = [[240.0, 64.0], [2000.0, 1824.0], [30000.0, 3224.0], [1048575.0, 4095.0]
 
 
 def companded(codes) -> Image:
-    return numbers(codes, companding=KNEES, linear_black_dn=240, linear_white_dn=1048575, black_level_dn=64, white_level_dn=4095, bits=12)
+    return numbers(
+        codes,
+        companding=KNEES,
+        linear_black_dn=240,
+        linear_white_dn=1048575,
+        black_level_dn=64,
+        white_level_dn=4095,
+        bits=12,
+    )
 
 
 def test_decompanding_is_the_inverse_of_the_straight_pieces():
@@ -138,7 +158,9 @@ def test_decompanding_is_the_inverse_of_the_straight_pieces():
     out = isp.decompand(companded(codes.reshape(1, -1)))
     slope = np.interp(linear, [240, 2000, 2000.001, 30000, 30000.001, 1048575], [1, 1, 20, 20, 1169.4, 1169.4])
     assert (np.abs(out.pixels.ravel() - linear) <= slope / 2 * 1.001 + 0.001).all()
-    np.testing.assert_array_equal(isp.decompand(companded([[64, 1824, 3224, 4095]])).pixels.ravel(), [row[0] for row in KNEES])
+    np.testing.assert_array_equal(
+        isp.decompand(companded([[64, 1824, 3224, 4095]])).pixels.ravel(), [row[0] for row in KNEES]
+    )
     np.testing.assert_array_equal(isp.decompand(companded([[63, 0, 4095]])).pixels.ravel(), [239.0, 176.0, 1048575.0])
 
 
@@ -147,16 +169,28 @@ def test_decompanding_takes_back_what_the_sensor_companded():
     linear = seeds.stream(1, "hdr").integers(0, 60000, (40, 50)).astype(np.float32)
     linear[:20] %= 1024
     image = numbers(linear, black_level_dn=240, white_level_dn=60000, bits=16)
-    out = isp.decompand(hdr.compand(image, bits=12, linear_dn=(1024.0, 4096.0, 16384.0), code_dn=(1024.0, 1792.0, 2560.0)))
+    out = isp.decompand(
+        hdr.compand(image, bits=12, linear_dn=(1024.0, 4096.0, 16384.0), code_dn=(1024.0, 1792.0, 2560.0))
+    )
     np.testing.assert_array_equal(out.pixels[:20], image.pixels[:20])
-    width = np.select([linear <= 1024, linear <= 4096, linear <= 16384], [1.0, 4.0, 16.0], (60000 - 16384) / (4095 - 2560))
+    width = np.select(
+        [linear <= 1024, linear <= 4096, linear <= 16384], [1.0, 4.0, 16.0], (60000 - 16384) / (4095 - 2560)
+    )
     assert (np.abs(out.pixels[..., 0] - linear) <= width / 2 + 0.01).all()
-    assert (out.provenance["black_level_dn"], out.provenance["white_level_dn"], out.provenance["bits"]) == (240, 60000, 16)
+    assert (out.provenance["black_level_dn"], out.provenance["white_level_dn"], out.provenance["bits"]) == (
+        240,
+        60000,
+        16,
+    )
 
 
 def test_decompanded_numbers_have_linear_levels():
     out = isp.decompand(companded([[64.0, 4095.0]]))
-    assert (out.provenance["black_level_dn"], out.provenance["white_level_dn"], out.provenance["bits"]) == (240, 1048575, 20)
+    assert (out.provenance["black_level_dn"], out.provenance["white_level_dn"], out.provenance["bits"]) == (
+        240,
+        1048575,
+        20,
+    )
     assert not {"companding", "linear_black_dn", "linear_white_dn"} & out.provenance.keys()
     np.testing.assert_array_equal(isp.black_level(out, sensor=SENSOR).pixels.ravel(), [0.0, 1.0])
 
@@ -192,7 +226,9 @@ def test_gains_are_those_of_colour_science(light):
 
 @pytest.mark.parametrize("pattern", [name for name in cfa.PATTERNS if len(cfa.filters(name)) > 2])
 def test_as_shot_makes_its_neutral_white_behind_every_pattern(pattern):
-    """A surface that gives the neutral of the provenance, in odd sizes too: even everywhere, the strongest filter unchanged."""
+    """A surface that gives the neutral of the provenance, in odd sizes too: even everywhere, the strongest filter
+    unchanged.
+    """
     letters = cfa.filters(pattern)
     neutral = np.linspace(0.3, 1.0, len(letters))[::-1]
     planes = np.broadcast_to(0.5 * neutral, (5, 7, len(letters))).astype(np.float32)
@@ -224,7 +260,9 @@ def test_a_white_surface_is_even_after_the_balance_in_every_phase(pattern):
 def test_a_sensor_without_colour_keeps_its_numbers(pattern):
     pixels = seeds.stream(0, "mono").random((6, 8), dtype=np.float32)
     for illuminant in ("d65", "grey_world", "none"):
-        out = isp.white_balance(mosaic(pixels, pattern=pattern), illuminant=illuminant, sensor=replace(SENSOR, cfa=pattern))
+        out = isp.white_balance(
+            mosaic(pixels, pattern=pattern), illuminant=illuminant, sensor=replace(SENSOR, cfa=pattern)
+        )
         np.testing.assert_array_equal(out.pixels[..., 0], pixels)
 
 
@@ -242,7 +280,8 @@ def test_grey_world_balances_the_means(pattern):
     pixels[1::2, 1::2] *= 0.25
     out = isp.white_balance(mosaic(pixels, pattern=pattern), illuminant="grey_world", sensor=SENSOR).pixels[..., 0]
     means = [
-        np.mean([out[where].mean(dtype=np.float64) for where, number in cfa.sites(pattern) if number == wanted]) for wanted in range(len(cfa.filters(pattern)))
+        np.mean([out[where].mean(dtype=np.float64) for where, number in cfa.sites(pattern) if number == wanted])
+        for wanted in range(len(cfa.filters(pattern)))
     ]
     np.testing.assert_allclose(means, means[0], rtol=1e-5)
     with pytest.raises(ImageError, match="grey_world cannot balance"):
@@ -309,7 +348,9 @@ def test_the_tone_curve_rises_without_a_kink_and_ends_at_white(ev, shoulder):
     if ev > 0.6:
         assert np.abs(np.diff(slope)).max() < 0.02  # a kink would be a step of the order of 1
     assert isp.tone(grey([9.0]), brighten_ev=ev, shoulder=shoulder).pixels[0, 0, 0] == pytest.approx(1.0)
-    assert isp.tone(grey([-0.01]), brighten_ev=ev, shoulder=shoulder).pixels[0, 0, 0] == pytest.approx(-0.01 * 2**ev, rel=1e-4)  # noise below black stays
+    assert isp.tone(grey([-0.01]), brighten_ev=ev, shoulder=shoulder).pixels[0, 0, 0] == pytest.approx(
+        -0.01 * 2**ev, rel=1e-4
+    )  # noise below black stays
 
 
 def test_the_curve_for_wide_ranges_is_the_logarithm_on_the_screen():
@@ -320,11 +361,15 @@ def test_the_curve_for_wide_ranges_is_the_logarithm_on_the_screen():
     assert (np.diff(out) > 0).all()
     steps = np.diff(isp.gamma(isp.tone_hdr(grey([1 / 8, 1 / 4, 1 / 2, 1.0]), range_ev=12.0)).pixels.ravel())
     np.testing.assert_allclose(steps, 1 / 12, rtol=0.01)
-    np.testing.assert_allclose(isp.tone_hdr(grey([7.0]), range_ev=12.0).pixels, 7.0, rtol=1e-6)  # above white it is for gamma to cut
+    np.testing.assert_allclose(
+        isp.tone_hdr(grey([7.0]), range_ev=12.0).pixels, 7.0, rtol=1e-6
+    )  # above white it is for gamma to cut
 
 
 def test_the_curve_for_wide_ranges_keeps_colours_and_noise_below_black():
-    """R : G : B stays and no channel passes 1; grey RGB and Y come out alike; below black the slope is that of black."""
+    """R : G : B stays and no channel passes 1; grey RGB and Y come out alike; below black the slope is that of
+    black.
+    """
     pixels = seeds.stream(0, "tone").random((60, 90, 3), dtype=np.float32) ** 6
     out = isp.tone_hdr(picture(pixels)).pixels
     np.testing.assert_allclose(out * pixels[..., 1:2], pixels * out[..., 1:2], rtol=1e-5)
@@ -337,7 +382,9 @@ def test_the_curve_for_wide_ranges_keeps_colours_and_noise_below_black():
 
 
 def test_both_ends_of_a_tunnel_show():
-    """A wall in the tunnel and daylight 12 stops above it, each with a detail of 10 %: two 255ths apart at least; the plain curve loses the wall."""
+    """A wall in the tunnel and daylight 12 stops above it, each with a detail of 10 %: two 255ths apart at least; the
+    plain curve loses the wall.
+    """
     inside, outside = 2.0**-13, 0.5
     scene = grey([inside, 1.1 * inside, outside, 1.1 * outside])
     coded = isp.gamma(isp.tone_hdr(scene, range_ev=14.0)).pixels.ravel() * 255
@@ -367,9 +414,13 @@ outputs: {a.exr: lens_shading}
 """
     (tmp_path / "g.yaml").write_text(text)
     graph = camera.load_graph(tmp_path / "g.yaml")
-    even = Image(np.full((60, 80, 3), 1000.0, np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 80.0})
+    even = Image(
+        np.full((60, 80, 3), 1000.0, np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 80.0}
+    )
     full = graph.run({"radiance": even}, seed=0)["lens_shading"].pixels[..., 0]
-    half = graph.run({"radiance": even}, seed=0, overrides={"lens_shading.strength": 0.5})["lens_shading"].pixels[..., 0]
+    half = graph.run({"radiance": even}, seed=0, overrides={"lens_shading.strength": 0.5})["lens_shading"].pixels[
+        ..., 0
+    ]
     assert full[0, 0] == pytest.approx(full[30, 40], rel=0.002)  # rounding to DN
     assert half[0, 0] < 0.7 * half[30, 40]
 
@@ -379,13 +430,24 @@ outputs: {a.exr: lens_shading}
 
 def test_a_picture_before_the_demosaicing_is_refused_when_the_graph_is_loaded():
     with pytest.raises(
-        GraphError, match=r"node 'early' \(isp.tone\) takes linear_rgb \(picture\); 'white_balance' gives linear_rgb \(mosaic, white-balanced\)"
+        GraphError,
+        match=(
+            r"node 'early' \(isp.tone\) takes linear_rgb \(picture\); 'white_balance' gives linear_rgb \(mosaic, "
+            r"white-balanced\)"
+        ),
     ):
-        make_graph(camera.OPS, extends="synfog", nodes=[{"name": "early", "op": "isp.tone", "after": "white_balance"}], outputs={})
+        make_graph(
+            camera.OPS,
+            extends="synfog",
+            nodes=[{"name": "early", "op": "isp.tone", "after": "white_balance"}],
+            outputs={},
+        )
 
 
 def test_coring_makes_black_of_noise_and_leaves_light_alone():
-    """Noise of 5 DN around black becomes 0 but for 1 pixel in a thousand; from half that on, light keeps every bit; so does a lamp of one pixel."""
+    """Noise of 5 DN around black becomes 0 but for 1 pixel in a thousand; from half that on, light keeps every bit; so
+    does a lamp of one pixel.
+    """
     noise = seeds.stream(1, "coring").standard_normal((256, 256)).astype(np.float32) * 5
     facts = {"black_level_dn": 64, "white_level_dn": 1023, "noise_profile": [0.0, (5 / 959) ** 2]}
     for level, kept in ((0.0, 1e-3), (4.0, 1.0)):

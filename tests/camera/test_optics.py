@@ -20,8 +20,12 @@ def radiance(pixels, channels=("R", "G", "B")) -> Image:
 
 @pytest.mark.parametrize(("f_number", "m"), [(1.73, 0.0), (4.0, 0.0), (2.0, -0.1)])
 def test_irradiance_on_the_axis(f_number, m):
-    """E = tau pi L / (1 + 4 (N (1 - m))^2) with m <= 0, as ISETCam writes it (a positive sign of m would be a fault)."""
-    image = optics.irradiance(radiance(np.full((2, 2, 3), 7.0)), f_number=f_number, transmission=0.9, magnification=m, falloff="none")
+    """E = tau pi L / (1 + 4 (N (1 - m))^2) with m <= 0, as ISETCam writes it (a positive sign of m would be a
+    fault).
+    """
+    image = optics.irradiance(
+        radiance(np.full((2, 2, 3), 7.0)), f_number=f_number, transmission=0.9, magnification=m, falloff="none"
+    )
     np.testing.assert_allclose(image.pixels, 0.9 * math.pi * 7.0 / (1 + 4 * (f_number * (1 - m)) ** 2), rtol=1e-6)
     assert image.quantity is Quantity.IRRADIANCE
 
@@ -29,14 +33,18 @@ def test_irradiance_on_the_axis(f_number, m):
 @pytest.mark.parametrize("f_number", [0.6, 2.0, 8.0])
 def test_the_sine_condition_is_that_of_iso_12232(f_number):
     """E = tau pi L / (4 N^2); with tau = 0.9 and 0.92 of vignetting and falloff that is the standard's 0.65 L / N^2."""
-    image = optics.irradiance(radiance(np.full((2, 2, 3), 7.0)), f_number=f_number, transmission=0.9, aperture="sine", falloff="none")
+    image = optics.irradiance(
+        radiance(np.full((2, 2, 3), 7.0)), f_number=f_number, transmission=0.9, aperture="sine", falloff="none"
+    )
     np.testing.assert_allclose(image.pixels, 0.9 * math.pi * 7.0 / (4 * f_number**2), rtol=1e-6)
     np.testing.assert_allclose(image.pixels * 0.92, 0.65 * 7.0 / f_number**2, rtol=2e-3)
 
 
 def test_corners_fade_by_the_fourth_power_of_the_cosine():
     """The angle of the corner pixel from the geometry of a pinhole: 101 x 51 pixels, 70 degrees."""
-    image = optics.irradiance(radiance(np.ones((51, 101, 3))), f_number=4.0, transmission=1.0, falloff="cos4", fov_x_deg=70.0)
+    image = optics.irradiance(
+        radiance(np.ones((51, 101, 3))), f_number=4.0, transmission=1.0, falloff="cos4", fov_x_deg=70.0
+    )
     focal = 50.5 / math.tan(math.radians(35.0))
     phi = math.atan(math.hypot(50.0, 25.0) / focal)
     assert image.pixels[0, 0, 0] / image.pixels[25, 50, 0] == pytest.approx(math.cos(phi) ** 4, rel=1e-6)
@@ -44,7 +52,9 @@ def test_corners_fade_by_the_fourth_power_of_the_cosine():
 
 def test_a_shifted_lens_has_its_axis_where_the_shift_says():
     """Right and up are positive: with a quarter of each, the brightest pixel stands there."""
-    image = optics.irradiance(radiance(np.ones((80, 160, 3))), f_number=4.0, transmission=1.0, fov_x_deg=70.0, shift_x=0.25, shift_y=0.25)
+    image = optics.irradiance(
+        radiance(np.ones((80, 160, 3))), f_number=4.0, transmission=1.0, fov_x_deg=70.0, shift_x=0.25, shift_y=0.25
+    )
     row, column = np.unravel_index(image.pixels[..., 0].argmax(), (80, 160))
     assert abs(column - 119.5) <= 0.5 and abs(row - 19.5) <= 0.5
 
@@ -59,7 +69,9 @@ def test_foote_equals_the_integral_over_the_exit_pupil(f_number):
     offset = math.tan(math.radians(30.0))
     distance2 = 1 + (r * np.cos(angle) - offset) ** 2 + (r * np.sin(angle)) ** 2
     expected = np.sum(area / distance2**2)  # cos at both ends is 1 / distance
-    image = optics.irradiance(radiance(np.ones((1, 401, 3))), f_number=f_number, transmission=1.0, falloff="foote", fov_x_deg=90.0)
+    image = optics.irradiance(
+        radiance(np.ones((1, 401, 3))), f_number=f_number, transmission=1.0, falloff="foote", fov_x_deg=90.0
+    )
     column = np.interp(offset, (np.arange(401) - 200) / 200.5, np.arange(401))
     found = np.interp(column, np.arange(401), image.pixels[0, :, 0].astype(np.float64))
     assert found / math.pi == pytest.approx(expected / math.pi, rel=2e-4)  # 160,000 cells; linear between pixels
@@ -75,7 +87,9 @@ TABLE = {"field_deg": (0.0, 10.0, 30.0), "relative_illumination": (1.0, 0.9, 0.5
 
 def test_a_table_is_read_at_the_angle_of_each_pixel():
     """The 41 columns of a row over 50 degrees, by a pinhole's geometry; straight lines between the entries, by hand."""
-    image = optics.irradiance(radiance(np.ones((1, 41, 3))), f_number=2.0, transmission=1.0, falloff="table", fov_x_deg=50.0, **TABLE)
+    image = optics.irradiance(
+        radiance(np.ones((1, 41, 3))), f_number=2.0, transmission=1.0, falloff="table", fov_x_deg=50.0, **TABLE
+    )
     focal = 20.5 / math.tan(math.radians(25.0))
     angle = np.degrees(np.arctan(np.abs(np.arange(41) - 20) / focal))
     expected = np.where(angle < 10.0, 1.0 - 0.01 * angle, 0.9 - 0.02 * (angle - 10.0))
@@ -87,14 +101,22 @@ def test_a_table_is_read_at_the_angle_of_each_pixel():
     ("table", "message"),
     [
         ({}, "falloff is table, but the lens has no relative_illumination"),
-        ({"field_deg": (0.0, 20.0), "relative_illumination": (1.0, 0.5)}, r"ends at 20 degrees, but the picture goes out to 2\d\.\d"),
-        ({"field_deg": (0.0, 20.0), "relative_illumination": (1.0,)}, "a table of 2 field_deg and 1 relative_illumination"),
+        (
+            {"field_deg": (0.0, 20.0), "relative_illumination": (1.0, 0.5)},
+            r"ends at 20 degrees, but the picture goes out to 2\d\.\d",
+        ),
+        (
+            {"field_deg": (0.0, 20.0), "relative_illumination": (1.0,)},
+            "a table of 2 field_deg and 1 relative_illumination",
+        ),
         ({"field_deg": (5.0, 40.0), "relative_illumination": (1.0, 0.5)}, "rising from 0"),
     ],
 )
 def test_a_table_that_does_not_reach_is_refused(table, message):
     with pytest.raises(ImageError, match=message):
-        optics.irradiance(radiance(np.ones((3, 5, 3))), f_number=2.0, transmission=1.0, falloff="table", fov_x_deg=50.0, **table)
+        optics.irradiance(
+            radiance(np.ones((3, 5, 3))), f_number=2.0, transmission=1.0, falloff="table", fov_x_deg=50.0, **table
+        )
 
 
 LENS = (resources.folder("assets") / "lenses" / "pixel4a.yaml").read_text().partition("sources:")
@@ -123,11 +145,23 @@ def test_a_lens_may_have_a_table_a_distortion_and_blades(tmp_path):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("distortion: {value: [0.1, 0.2], source: exif}", r"own\.yaml:\d+:13: distortion has lists of 2 numbers; it takes 4 or 5 or 8"),
-        ("distortion: [0.1, 0, 0, 0]", r"distortion is \[0\.1, 0, 0, 0\]; it takes \{value: \[\.\.\.\], source: \.\.\.\}"),
-        ("distortion: {value: [0, 0, 0, .nan], source: exif}", "distortion value is nan; it takes a number from -1000 to 1000"),
+        (
+            "distortion: {value: [0.1, 0.2], source: exif}",
+            r"own\.yaml:\d+:13: distortion has lists of 2 numbers; it takes 4 or 5 or 8",
+        ),
+        (
+            "distortion: [0.1, 0, 0, 0]",
+            r"distortion is \[0\.1, 0, 0, 0\]; it takes \{value: \[\.\.\.\], source: \.\.\.\}",
+        ),
+        (
+            "distortion: {value: [0, 0, 0, .nan], source: exif}",
+            "distortion value is nan; it takes a number from -1000 to 1000",
+        ),
         ("distortion: {value: [0, 0, 0, 0]}", "distortion has no source"),
-        ("relative_illumination: {field_deg: [0, 9], value: [1, 0.9, 0.5], source: exif}", "has lists of 2 and 3 numbers; it takes as many of each"),
+        (
+            "relative_illumination: {field_deg: [0, 9], value: [1, 0.9, 0.5], source: exif}",
+            "has lists of 2 and 3 numbers; it takes as many of each",
+        ),
         ("relative_illumination: {field_deg: [0, 9, 5], value: [1, 0.9, 0.5], source: exif}", "it rises from 0"),
         ("blades: {value: 6.5, source: exif}", "blades is 6.5; it takes a whole number from 0 to 32"),
     ],

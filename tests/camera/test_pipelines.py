@@ -40,7 +40,11 @@ def test_a_shipped_graph_runs_and_repeats_itself(path, tmp_path):
             files.setdefault(name, []).append(write_output(name, run[node], tmp_path / folder).read_bytes())
         for node in graph.nodes_with("sensor.adc"):
             mosaic = run[node.name].pixels
-            assert mosaic.min() >= 0 and mosaic.max() <= graph.profiles["sensor"].white_level_dn and (mosaic == np.rint(mosaic)).all()
+            assert (
+                mosaic.min() >= 0
+                and mosaic.max() <= graph.profiles["sensor"].white_level_dn
+                and (mosaic == np.rint(mosaic)).all()
+            )
     assert files and all(one == two for one, two in files.values())
 
 
@@ -55,7 +59,9 @@ def test_small_pictures_with_a_lamp_go_through_the_phone(shape):
 
 @pytest.mark.parametrize("path", GRAPHS, ids=lambda path: path.stem)
 def test_an_unlit_picture_is_black(path):
-    """At the exposure that is metered on it, which is the longest at the highest ISO: mean within 1 of 255 of 0 in every channel."""
+    """At the exposure that is metered on it, which is the longest at the highest ISO: mean within 1 of 255 of 0 in
+    every channel.
+    """
     graph = camera.load_graph(path)
     black = scene().with_pixels(np.zeros((96, 128, 3), np.float32))
     exposure = camera.meter(black, graph)
@@ -66,7 +72,9 @@ def test_an_unlit_picture_is_black(path):
             assert run[node].pixels.mean(axis=(0, 1)).max() < 1 / 255
     for node in graph.nodes_with("sensor.adc"):
         facts, numbers = run[node.name].provenance, run[node.name].pixels
-        limit = 5 * facts["total_dark_noise_dn"] * np.sqrt(1 / (16 * 128) + 1 / numbers.size) + 0.15  # of rows and columns, where they are
+        limit = (
+            5 * facts["total_dark_noise_dn"] * np.sqrt(1 / (16 * 128) + 1 / numbers.size) + 0.15
+        )  # of rows and columns, where they are
         assert abs(float(numbers.mean(dtype=np.float64)) - facts["black_level_dn"]) < limit
         assert numbers.min() > 0
 
@@ -75,16 +83,23 @@ def test_light_in_bands_goes_through_the_phone_too():
     """D65 as 16 bands and as RGB look alike: the same mean picture within a few 255ths (25 nm bands)."""
     graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
     centres = np.arange(392.5, 780.0, 25.0)
-    spectrum = 1000 * np.interp(centres, photometry.WAVELENGTHS_NM, photometry.channel_spectra(("R", "G", "B")).sum(axis=0))
+    spectrum = 1000 * np.interp(
+        centres, photometry.WAVELENGTHS_NM, photometry.channel_spectra(("R", "G", "B")).sum(axis=0)
+    )
     bands = Image(
         np.broadcast_to(spectrum.astype(np.float32), (32, 32, 16)).copy(),
         tuple(map(photometry.band_name, centres)),
         Quantity.RADIANCE,
         provenance={"fov_x_deg": 60.0},
     )
-    rgb = Image(np.full((32, 32, 3), 1000.0, np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+    rgb = Image(
+        np.full((32, 32, 3), 1000.0, np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0}
+    )
     exposure = camera.meter(rgb, graph)
-    one, two = (graph.run({"radiance": image}, seed=0, settings=exposure.settings)["srgb"].pixels.mean(axis=(0, 1)) for image in (bands, rgb))
+    one, two = (
+        graph.run({"radiance": image}, seed=0, settings=exposure.settings)["srgb"].pixels.mean(axis=(0, 1))
+        for image in (bands, rgb)
+    )
     np.testing.assert_allclose(one, two, atol=4 / 255)
 
 
@@ -99,7 +114,12 @@ def test_the_fixed_pattern_is_in_every_frame_and_the_rest_is_not():
     for first in (0, 100):
         frames = [
             graph.run(
-                {"radiance": black}, seed=seed, settings={"exposure_s": 0.001, "iso": 55}, until="read_noise", keep=["read_noise"], overrides={"dsnu.dsnu_e": 5}
+                {"radiance": black},
+                seed=seed,
+                settings={"exposure_s": 0.001, "iso": 55},
+                until="read_noise",
+                keep=["read_noise"],
+                overrides={"dsnu.dsnu_e": 5},
             )
             for seed in range(first, first + 40)
         ]
@@ -115,21 +135,31 @@ def test_the_noise_free_camera_is_the_papers_without_its_noise():
     RAW, even grey: shot, read and ADC noise are 5 DN a pixel, so the mean over 64 x 48 x 64 pixels is known to
     0.012 DN; rounding whole numbers of one level may put the noise-free one 0.5 DN off.
     """
-    noisy, free = (camera.load_graph(resources.folder("pipeline") / f"{name}.yaml") for name in ("synfog", "noise_free"))
+    noisy, free = (
+        camera.load_graph(resources.folder("pipeline") / f"{name}.yaml") for name in ("synfog", "noise_free")
+    )
     assert [name for name in noisy.nodes if name not in free.nodes] == ["shot_noise", "read_noise", "adc_noise"]
     even = scene().with_pixels(np.full((48, 64, 3), 300.0, np.float32))
     settings = camera.meter(even, noisy).settings
     one, two = (free.run({"radiance": even}, seed=seed, settings=settings) for seed in (0, 1))
     assert one["srgb"].pixels.tobytes() == two["srgb"].pixels.tobytes()
-    frames = [noisy.run({"radiance": even}, seed=seed, settings=settings, until="adc")["adc"].pixels for seed in range(64)]
-    for where in ((slice(0, None, 2), slice(0, None, 2)), (slice(0, None, 2), slice(1, None, 2)), (slice(1, None, 2), slice(1, None, 2))):
+    frames = [
+        noisy.run({"radiance": even}, seed=seed, settings=settings, until="adc")["adc"].pixels for seed in range(64)
+    ]
+    for where in (
+        (slice(0, None, 2), slice(0, None, 2)),
+        (slice(0, None, 2), slice(1, None, 2)),
+        (slice(1, None, 2), slice(1, None, 2)),
+    ):
         mean = np.mean([frame[where].mean(dtype=np.float64) for frame in frames])
         assert 100 < mean < 900
         assert abs(mean - one["adc"].pixels[where].mean()) < 0.5 + 4 * 0.024
 
 
 def test_a_phone_with_everything_that_may_be_put_in():
-    """Defects, denoising, Menon and sharpening by name into the shipped graph: a clean grey gets smoother, and stays the same grey."""
+    """Defects, denoising, Menon and sharpening by name into the shipped graph: a clean grey gets smoother, and stays
+    the same grey.
+    """
     graph = make_graph(
         camera.OPS,
         extends="phone",
@@ -142,7 +172,9 @@ def test_a_phone_with_everything_that_may_be_put_in():
         outputs={"crisp.png": "crisp"},
     )
     even = scene().with_pixels(np.full((48, 64, 3), 300.0, np.float32))
-    plain = camera.develop(camera.load_graph(resources.folder("pipeline") / "phone.yaml"), {"radiance": even}, seed=0)["srgb"].pixels
+    plain = camera.develop(camera.load_graph(resources.folder("pipeline") / "phone.yaml"), {"radiance": even}, seed=0)[
+        "srgb"
+    ].pixels
     out = camera.develop(graph, {"radiance": even}, seed=0)["crisp"].pixels
     assert out.std() < 0.5 * plain.std()
     np.testing.assert_allclose(out.mean(axis=(0, 1)), plain.mean(axis=(0, 1)), atol=2 / 255)
@@ -150,11 +182,19 @@ def test_a_phone_with_everything_that_may_be_put_in():
 
 @pytest.mark.parametrize("pattern", cfa.BAYER)
 def test_a_phone_of_each_phase_takes_the_same_picture(pattern, tmp_path):
-    """The four Bayer phases of one sensor on a smooth scene: the pictures agree to a few 255ths (their noise is their own)."""
+    """The four Bayer phases of one sensor on a smooth scene: the pictures agree to a few 255ths (their noise is their
+    own).
+    """
     source = resources.folder("assets") / "sensors" / "imx363.yaml"
-    (tmp_path / "mine.yaml").write_text(re.sub(r"^cfa:.*\n", "", source.read_text(), flags=re.M).replace("serial:", f"cfa: {pattern}\nserial:", 1))
+    (tmp_path / "mine.yaml").write_text(
+        re.sub(r"^cfa:.*\n", "", source.read_text(), flags=re.M).replace("serial:", f"cfa: {pattern}\nserial:", 1)
+    )
     graph = make_graph(camera.OPS, extends="noise_free", folder=tmp_path, sensor="./mine.yaml", nodes=[], outputs={})
-    ramp = np.linspace(50, 500, 64, dtype=np.float32)[None, :, None] * np.array([1.0, 0.7, 0.4], np.float32) * np.ones((48, 1, 1), np.float32)
+    ramp = (
+        np.linspace(50, 500, 64, dtype=np.float32)[None, :, None]
+        * np.array([1.0, 0.7, 0.4], np.float32)
+        * np.ones((48, 1, 1), np.float32)
+    )
     run = graph.run({"radiance": scene().with_pixels(ramp)}, seed=0, settings={"exposure_s": 1 / 700, "iso": 55})
     assert run["adc"].provenance["cfa_pattern"] == pattern
     expected = make_graph(camera.OPS, extends="noise_free", nodes=[], outputs={}).run(
@@ -191,14 +231,35 @@ def test_wrong_order_in_the_phone_is_refused_when_it_is_loaded(tmp_path):
 @pytest.mark.parametrize(
     "nodes, said",
     [
-        ([{"op": "sensor.shot_noise", "name": "again", "after": "shot_noise"}], "'shot_noise' gives electrons (mosaic, with shot noise)"),
-        ([{"op": "sensor.shot_noise", "name": "late", "after": "read_noise"}], "'read_noise' gives electrons (mosaic, with read noise)"),
-        ([{"op": "sensor.dark_current", "name": "late", "after": "shot_noise"}], "'shot_noise' gives electrons (mosaic, with shot noise)"),
+        (
+            [{"op": "sensor.shot_noise", "name": "again", "after": "shot_noise"}],
+            "'shot_noise' gives electrons (mosaic, with shot noise)",
+        ),
+        (
+            [{"op": "sensor.shot_noise", "name": "late", "after": "read_noise"}],
+            "'read_noise' gives electrons (mosaic, with read noise)",
+        ),
+        (
+            [{"op": "sensor.dark_current", "name": "late", "after": "shot_noise"}],
+            "'shot_noise' gives electrons (mosaic, with shot noise)",
+        ),
         ([{"op": "sensor.prnu", "name": "late", "after": "dsnu"}], "'dsnu' gives electrons (mosaic, with read noise)"),
-        ([{"op": "sensor.full_well", "name": "late", "after": "read_noise"}], "'read_noise' gives electrons (mosaic, with read noise)"),
-        ([{"op": "isp.denoise", "after": "white_balance"}], "'white_balance' gives linear_rgb (mosaic, white-balanced)"),
-        ([{"op": "isp.denoise", "after": "lens_shading"}], "'lens_shading' gives linear_rgb (mosaic, shading corrected)"),
-        ([{"op": "isp.white_balance", "name": "again", "after": "white_balance"}], "'white_balance' gives linear_rgb (mosaic, white-balanced)"),
+        (
+            [{"op": "sensor.full_well", "name": "late", "after": "read_noise"}],
+            "'read_noise' gives electrons (mosaic, with read noise)",
+        ),
+        (
+            [{"op": "isp.denoise", "after": "white_balance"}],
+            "'white_balance' gives linear_rgb (mosaic, white-balanced)",
+        ),
+        (
+            [{"op": "isp.denoise", "after": "lens_shading"}],
+            "'lens_shading' gives linear_rgb (mosaic, shading corrected)",
+        ),
+        (
+            [{"op": "isp.white_balance", "name": "again", "after": "white_balance"}],
+            "'white_balance' gives linear_rgb (mosaic, white-balanced)",
+        ),
         ([{"name": "adc", "bits": 8}], "white_level_dn 1023 <= 255, the most of 8 bits, does not hold"),
     ],
 )
@@ -215,8 +276,17 @@ def test_a_value_that_does_not_fit_another_is_refused_before_the_run():
 
 
 def test_taking_a_node_away_leaves_the_next_one_on_its_branch():
-    """The node behind the first of a branch stood on that branch by its place alone; it goes on there, and a replaced one too."""
-    graph = make_graph(camera.OPS, extends="automotive_hdr", nodes=[{"name": "read_noise_low", "remove": True}], outputs={})
+    """The node behind the first of a branch stood on that branch by its place alone; it goes on there, and a replaced
+    one too.
+    """
+    graph = make_graph(
+        camera.OPS, extends="automotive_hdr", nodes=[{"name": "read_noise_low", "remove": True}], outputs={}
+    )
     assert graph.nodes["gain_low"].inputs == ("dsnu",)
-    graph = make_graph(camera.OPS, extends="automotive_hdr", nodes=[{"name": "read_noise_low", "op": "sensor.read_noise", "sigma_e": 3}], outputs={})
+    graph = make_graph(
+        camera.OPS,
+        extends="automotive_hdr",
+        nodes=[{"name": "read_noise_low", "op": "sensor.read_noise", "sigma_e": 3}],
+        outputs={},
+    )
     assert graph.nodes["read_noise_low"].inputs == ("dsnu",)

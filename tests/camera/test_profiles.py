@@ -20,7 +20,9 @@ IMX363 = (resources.folder("assets") / "sensors" / "imx363.yaml").read_text()
 def test_every_shipped_sensor_loads_with_a_source_for_each_value(name):
     sensor = load_sensor(name)
     assert sensor.name == name
-    assert {key for key, _ in sensor.sources} >= {"qe", "full_well_e", "read_noise_e", "bits"} and all(len(text) > 5 for _, text in sensor.sources)
+    assert {key for key, _ in sensor.sources} >= {"qe", "full_well_e", "read_noise_e", "bits"} and all(
+        len(text) > 5 for _, text in sensor.sources
+    )
 
 
 @pytest.mark.parametrize("name", shipped("lenses"))
@@ -38,35 +40,84 @@ def test_the_phone_sensor_has_the_public_figures():
 
 # (what is replaced; by what, ^ standing before the instance that is wrong; the message or its start)
 FAULTS = [
-    ("{value: 6000,   source: isetcam}", "{value: ^many, source: isetcam}", "full_well_e is 'many'; it takes a number from 100 to 1e+07"),
+    (
+        "{value: 6000,   source: isetcam}",
+        "{value: ^many, source: isetcam}",
+        "full_well_e is 'many'; it takes a number from 100 to 1e+07",
+    ),
     ("{value: 6000,   source: isetcam}", "{value: ^-5, source: isetcam}", "full_well_e is -5; it takes"),
     ("{value: 6000,   source: isetcam}", "{value: ^.nan, source: isetcam}", "full_well_e is nan; it takes"),
     ("{value: 6000,   source: isetcam}", "^6000", "full_well_e is 6000; it takes {value: ..., source: ...}"),
-    ("{value: 6000,   source: isetcam}", "^{value: 6000}", "full_well_e has no source; write {value: ..., source: ...}"),
+    (
+        "{value: 6000,   source: isetcam}",
+        "^{value: 6000}",
+        "full_well_e has no source; write {value: ..., source: ...}",
+    ),
     (
         "{value: 6000,   source: isetcam}",
         "{value: 6000, source: ^isetcm}",
         "full_well_e has source 'isetcm', which is not under 'sources' "
         "(isetcam, isetcam_gain, noise_split, borrowed_qe, estimate_dark, phone_program). Did you mean 'isetcam'?",
     ),
-    ("{value: 10,     source: isetcam}", "{value: ^10.5, source: isetcam}", "bits is 10.5; it takes a whole number from 8 to 16"),
+    (
+        "{value: 10,     source: isetcam}",
+        "{value: ^10.5, source: isetcam}",
+        "bits is 10.5; it takes a whole number from 8 to 16",
+    ),
     ("full_well_e: ", "^ful_well_e: ", "a profile has no 'ful_well_e'; it takes synfog, name,"),
-    ("{value: 64,     source: isetcam}", "^{value: 1023, source: isetcam}", "black_level_dn 1023 is not below white_level_dn 1023"),
-    ("{value: 1023,   source: isetcam}", "^{value: 1024, source: isetcam}", "white_level_dn 1024 is above 1023, the most of 10 bits"),
+    (
+        "{value: 64,     source: isetcam}",
+        "^{value: 1023, source: isetcam}",
+        "black_level_dn 1023 is not below white_level_dn 1023",
+    ),
+    (
+        "{value: 1023,   source: isetcam}",
+        "^{value: 1024, source: isetcam}",
+        "white_level_dn 1024 is above 1023, the most of 10 bits",
+    ),
     (
         "camera: Nikon 5100 (NPL)",
         "camera: ^Nikon 5200",
-        "camera 'Nikon 5200' is not known; it can be Nikon 5100 (NPL), Sigma SDMerill (NPL). Did you mean 'Nikon 5100 (NPL)'?",
+        "camera 'Nikon 5200' is not known; it can be Nikon 5100 (NPL), Sigma SDMerill (NPL). Did you mean 'Nikon 5100 "
+        "(NPL)'?",
     ),
     ("peak: 0.6", "peak: ^1.6", "peak is 1.6; it takes a number from 0.01 to 1"),
-    ("cfa: RGGB", "cfa: ^RGBG", "cfa is 'RGBG'; it can be RGGB, GRBG, GBRG, BGGR, RCCB, RCCC, RGIB, MONO. Did you mean 'RGIB'?"),
-    ("{camera: Nikon 5100 (NPL), peak: 0.6, source: borrowed_qe}", "^{camera: Nikon 5100 (NPL), source: borrowed_qe}", "qe takes {camera: ..., peak: ..."),
-    ("camera: Nikon 5100 (NPL), peak: 0.6", "observer: ^cie2015, peak: 0.6", "observer 'cie2015' is not known; it can be cie1931."),
+    (
+        "cfa: RGGB",
+        "cfa: ^RGBG",
+        "cfa is 'RGBG'; it can be RGGB, GRBG, GBRG, BGGR, RCCB, RCCC, RGIB, MONO. Did you mean 'RGIB'?",
+    ),
+    (
+        "{camera: Nikon 5100 (NPL), peak: 0.6, source: borrowed_qe}",
+        "^{camera: Nikon 5100 (NPL), source: borrowed_qe}",
+        "qe takes {camera: ..., peak: ...",
+    ),
+    (
+        "camera: Nikon 5100 (NPL), peak: 0.6",
+        "observer: ^cie2015, peak: 0.6",
+        "observer 'cie2015' is not known; it can be cie1931.",
+    ),
     ("camera: Nikon 5100 (NPL), peak: 0.6", "product: ^{filters: {}}", "product takes sensor: a curve"),
-    ("camera: Nikon 5100 (NPL), peak: 0.6", "product: {sensor: {flat: 0.5}, filters: ^{R: {flat: 1}}}", "filters takes a curve for each of R, G, B"),
-    ("camera: Nikon 5100 (NPL), peak: 0.6", "product: {sensor: ^{flut: 0.5}}", "sensor is {'flut': 0.5}; it takes {csv: file}, {gaussian:"),
-    ("camera: Nikon 5100 (NPL), peak: 0.6", "product: {sensor: {gaussian: ^[500, 80]}}", "sensor has 2 numbers for gaussian; it takes"),
-    ("camera: Nikon 5100 (NPL), peak: 0.6", "product: {sensor: {gaussian: [500, 80, ^1.5]}}", "gaussian of sensor is 1.5; it takes a number from 0 to 1"),
+    (
+        "camera: Nikon 5100 (NPL), peak: 0.6",
+        "product: {sensor: {flat: 0.5}, filters: ^{R: {flat: 1}}}",
+        "filters takes a curve for each of R, G, B",
+    ),
+    (
+        "camera: Nikon 5100 (NPL), peak: 0.6",
+        "product: {sensor: ^{flut: 0.5}}",
+        "sensor is {'flut': 0.5}; it takes {csv: file}, {gaussian:",
+    ),
+    (
+        "camera: Nikon 5100 (NPL), peak: 0.6",
+        "product: {sensor: {gaussian: ^[500, 80]}}",
+        "sensor has 2 numbers for gaussian; it takes",
+    ),
+    (
+        "camera: Nikon 5100 (NPL), peak: 0.6",
+        "product: {sensor: {gaussian: [500, 80, ^1.5]}}",
+        "gaussian of sensor is 1.5; it takes a number from 0 to 1",
+    ),
     ("sensor/1", "^lens/1", "synfog is lens/1; this program reads 'sensor/1'"),
     ("serial: imx363-0001", "serial: ^[1]", "serial is [1]; it takes a text"),
 ]
@@ -86,13 +137,18 @@ def test_a_fault_is_named_with_its_place(tmp_path, old, new, message):
 
 def test_a_measured_camera_has_no_clear_pixels(tmp_path):
     (tmp_path / "own.yaml").write_text(IMX363.replace("cfa: RGGB", "cfa: RCCB"))
-    with pytest.raises(ParameterError, match=r"own\.yaml:\d+:5: camera has curves for R, G and B; pattern RCCB has R, B, C; give a csv or a product"):
+    with pytest.raises(
+        ParameterError,
+        match=r"own\.yaml:\d+:5: camera has curves for R, G and B; pattern RCCB has R, B, C; give a csv or a product",
+    ):
         load_sensor("own.yaml", tmp_path)
 
 
 def test_patterns_of_rows_and_columns_may_be_left_out(tmp_path):
     assert (load_sensor("imx363").row_noise_dn, load_sensor("imx363").column_noise_dn) == (0.0, 0.0)
-    (tmp_path / "own.yaml").write_text(IMX363.replace("bits: ", "row_noise_dn: {value: 0.4, source: isetcam}\nbits: ", 1))
+    (tmp_path / "own.yaml").write_text(
+        IMX363.replace("bits: ", "row_noise_dn: {value: 0.4, source: isetcam}\nbits: ", 1)
+    )
     assert load_sensor("own.yaml", tmp_path).row_noise_dn == 0.4
 
 
@@ -104,7 +160,9 @@ def test_a_value_that_is_missing_is_named(tmp_path):
 
 
 def test_an_unknown_name_lists_what_there_is():
-    with pytest.raises(ParameterError, match=r"no such profile; there are ar0132at, ideal, imx363, .* Did you mean 'imx363'\?"):
+    with pytest.raises(
+        ParameterError, match=r"no such profile; there are ar0132at, ideal, imx363, .* Did you mean 'imx363'\?"
+    ):
         load_sensor("imx364")
 
 
@@ -118,18 +176,31 @@ def test_own_curves_are_read_and_interpolated(tmp_path):
 
 
 def test_the_header_of_a_curve_names_its_columns(tmp_path):
-    (tmp_path / "own.yaml").write_text(IMX363.replace("camera: Nikon 5100 (NPL), peak: 0.6", "csv: qe.csv").replace("cfa: RGGB", "cfa: RGIB"))
+    (tmp_path / "own.yaml").write_text(
+        IMX363.replace("camera: Nikon 5100 (NPL), peak: 0.6", "csv: qe.csv").replace("cfa: RGGB", "cfa: RGIB")
+    )
     (tmp_path / "qe.csv").write_text("wavelength_nm, I, B, G, R\n400,0.1,0.2,0.3,0.4\n700,0.1,0.2,0.3,0.4\n")
-    np.testing.assert_allclose(response.quantum_efficiency(load_sensor("own.yaml", tmp_path))[:, 100], [0.4, 0.3, 0.2, 0.1], rtol=1e-12)
+    np.testing.assert_allclose(
+        response.quantum_efficiency(load_sensor("own.yaml", tmp_path))[:, 100], [0.4, 0.3, 0.2, 0.1], rtol=1e-12
+    )
     (tmp_path / "qe.csv").write_text("wavelength_nm,R,G,B\n400,0.1,0.2,0.3\n700,0.1,0.2,0.3\n")
-    with pytest.raises(ParameterError, match=r"qe\.csv:1: the columns are wavelength_nm, R, G, B; they have to be wavelength_nm, R, G, B, I, in any order"):
+    with pytest.raises(
+        ParameterError,
+        match=(
+            r"qe\.csv:1: the columns are wavelength_nm, R, G, B; they have to be wavelength_nm, R, G, B, I, in any "
+            r"order"
+        ),
+    ):
         load_sensor("own.yaml", tmp_path)
 
 
 def test_a_product_is_sensor_times_infra_red_cut_times_filter(tmp_path):
-    """At three wavelengths, by hand: a Gaussian halves at half its width, an edge is at 10 %, 50 % and 90 % over its width."""
+    """At three wavelengths, by hand: a Gaussian halves at half its width, an edge is at 10 %, 50 % and 90 % over its
+    width.
+    """
     product = (
-        "{sensor: {csv: silicon.csv}, ir_filter: {short_pass: [650, 40]}, filters: {R: {long_pass: [600, 50]}, G: {gaussian: [550, 100, 0.8]}, B: {flat: 0.5}}}"
+        "{sensor: {csv: silicon.csv}, ir_filter: {short_pass: [650, 40]}, filters: {R: {long_pass: [600, 50]}, G: "
+        "{gaussian: [550, 100, 0.8]}, B: {flat: 0.5}}}"
     )
     (tmp_path / "own.yaml").write_text(IMX363.replace("camera: Nikon 5100 (NPL), peak: 0.6", f"product: {product}"))
     (tmp_path / "silicon.csv").write_text("400,0.6\n700,0.3\n")
@@ -143,23 +214,38 @@ def test_a_product_is_sensor_times_infra_red_cut_times_filter(tmp_path):
 
 
 def test_a_filter_that_sees_no_light_is_refused():
-    blind = replace(load_sensor("imx363"), qe=QuantumEfficiency(table=((800.0, 0.1, 0.4, 0.2), (900.0, 0.1, 0.4, 0.2))), content_hash="blind")
-    with pytest.raises(ParameterError, match=r"sensor 'imx363': its quantum efficiency behind filter R is 0 from 380 to 780 nm"):
+    blind = replace(
+        load_sensor("imx363"),
+        qe=QuantumEfficiency(table=((800.0, 0.1, 0.4, 0.2), (900.0, 0.1, 0.4, 0.2))),
+        content_hash="blind",
+    )
+    with pytest.raises(
+        ParameterError, match=r"sensor 'imx363': its quantum efficiency behind filter R is 0 from 380 to 780 nm"
+    ):
         response.quantum_efficiency(blind)
 
 
 @pytest.mark.parametrize("light", photometry.ILLUMINANTS)
 def test_the_ideal_sensor_sees_the_colours_of_the_observer(light):
-    """Its filters are the observer's functions, so a matrix makes every colour right, under every light; its RAW matrix is diagonal."""
+    """Its filters are the observer's functions, so a matrix makes every colour right, under every light; its RAW matrix
+    is diagonal.
+    """
     chip = load_sensor("ideal")
     assert response.colour_matrix(chip, light).max_de00 < 0.01
     matrix = response.xyz_to_camera(chip, light)
-    np.testing.assert_allclose(matrix / np.abs(matrix).max(), np.diag(np.diag(matrix)) / np.abs(matrix).max(), atol=2e-3)
+    np.testing.assert_allclose(
+        matrix / np.abs(matrix).max(), np.diag(np.diag(matrix)) / np.abs(matrix).max(), atol=2e-3
+    )
 
 
 def test_lights_have_the_colours_that_the_cie_gives_them():
     """Chromaticities x, y of CIE 015:2018, tables 5 and 10.2; four digits, 5 nm tables."""
-    for name, xy in {"D65": (0.3127, 0.3290), "A": (0.4476, 0.4075), "HPS": (0.533, 0.415), "LED": (0.3756, 0.3723)}.items():
+    for name, xy in {
+        "D65": (0.3127, 0.3290),
+        "A": (0.4476, 0.4075),
+        "HPS": (0.533, 0.415),
+        "LED": (0.3756, 0.3723),
+    }.items():
         xyz = photometry.observer() @ photometry.illuminant(name)
         np.testing.assert_allclose(xyz[:2] / xyz.sum(), xy, atol=1e-3)
     with pytest.raises(ParameterError, match=r"illuminant 'HP' is not known; it can be D65, A, HPS, LED"):
@@ -167,13 +253,18 @@ def test_lights_have_the_colours_that_the_cie_gives_them():
 
 
 def test_four_filters_have_a_matrix_too():
-    """RGB-IR: white stays white, and the RAW matrix sends D65 to the neutral; the fit is no worse than that of its R, G and B alone."""
+    """RGB-IR: white stays white, and the RAW matrix sends D65 to the neutral; the fit is no worse than that of its R, G
+    and B alone.
+    """
     curves = {"R": (600.0, 80.0, 0.5), "G": (540.0, 80.0, 0.5), "B": (460.0, 80.0, 0.5), "I": (720.0, 60.0, 0.4)}
     chips = [
         replace(
             load_sensor("imx363"),
             cfa=pattern,
-            qe=QuantumEfficiency(common=(Curve("flat", (1.0,)),), filters=tuple(Curve("gaussian", curves[letter]) for letter in cfa.filters(pattern))),
+            qe=QuantumEfficiency(
+                common=(Curve("flat", (1.0,)),),
+                filters=tuple(Curve("gaussian", curves[letter]) for letter in cfa.filters(pattern)),
+            ),
             content_hash=pattern,
         )
         for pattern in ("RGIB", "RGGB")
@@ -181,21 +272,27 @@ def test_four_filters_have_a_matrix_too():
     four, three = (response.colour_matrix(chip, "D65") for chip in chips)
     assert np.shape(four.rows) == (3, 4) and four.mean_de00 < three.mean_de00 + 0.05
     np.testing.assert_allclose(np.sum(four.rows, axis=1), 1.0, rtol=1e-9)
-    np.testing.assert_allclose(response.xyz_to_camera(chips[0]) @ (0.9505, 1.0, 1.0890), response.neutral(chips[0], "D65"), atol=1e-3)
+    np.testing.assert_allclose(
+        response.xyz_to_camera(chips[0]) @ (0.9505, 1.0, 1.0890), response.neutral(chips[0], "D65"), atol=1e-3
+    )
     with pytest.raises(ParameterError, match="sees no colours: pattern MONO has the filters C only"):
         response.colour_matrix(load_sensor("mt9v024"), "D65")
 
 
 @pytest.mark.parametrize("name", sorted(set(shipped("sensors")) - {"ideal"}))
 def test_the_noise_of_a_shipped_sensor_can_be_measured(name):
-    """EMVA 1288: at base gain at least half a DN of dark noise, or rounding hides it, and six of it below the black level, or it is cut."""
+    """EMVA 1288: at base gain at least half a DN of dark noise, or rounding hides it, and six of it below the black
+    level, or it is cut.
+    """
     chip = load_sensor(name)
     dark_dn = math.hypot(chip.read_noise_e * chip.gain_dn_e, chip.adc_noise_dn)
     assert dark_dn >= 0.5 and chip.black_level_dn >= 6 * dark_dn
 
 
 def test_the_automotive_sensors_readings_have_the_public_figures():
-    """Split of the noise: 0.83 e- at the high gain, and 3.05 and 2.96 e- with what the graph puts before the low one."""
+    """Split of the noise: 0.83 e- at the high gain, and 3.05 and 2.96 e- with what the graph puts before the low
+    one.
+    """
     chip = load_sensor("imx490_like")
     assert math.hypot(chip.read_noise_e, chip.adc_noise_dn / chip.gain_dn_e) == pytest.approx(0.83, rel=2e-3)
     for sigma_e, total_e in ((2.55, 3.05), (2.44, 2.96)):

@@ -25,7 +25,9 @@ def scene(folder, *, fog="mor150", size=(32, 18), **more):
 
 @pytest.mark.parametrize("meters_per_unit, up", UNITS)
 def test_a_wall_at_50_m_in_mor_150_dims_by_beer_and_lambert(tmp_path, meters_per_unit, up):
-    """A wall of 1 nit in absorbing fog arrives as exp(-2.996 / 150 * 50), whatever the stage's units; 1 % is resolved."""
+    """A wall of 1 nit in absorbing fog arrives as exp(-2.996 / 150 * 50), whatever the stage's units; 1 % is
+    resolved.
+    """
     world = scene(tmp_path, meters_per_unit=meters_per_unit, up=up, albedo=0.0, emission=1.0, sky=0.0, fov_x_deg=1.0)
     assert_mean(
         pictures(world, 16, samples=512), 0.05 ** (50.0 / 150.0), resolves=0.01, truth_within=4e-5
@@ -36,9 +38,13 @@ def test_a_wall_at_50_m_in_mor_150_dims_by_beer_and_lambert(tmp_path, meters_per
 
 
 def test_the_same_world_in_other_units_gives_the_same_radiance(tmp_path):
-    """Metres and centimetres, Z up and Y up: same picture with the same random numbers, and none differs by more than rounding can."""
+    """Metres and centimetres, Z up and Y up: same picture with the same random numbers, and none differs by more than
+    rounding can.
+    """
     pictures = [
-        render(scene(tmp_path, meters_per_unit=unit, up=up, lamp=True), samples=64, seed=1).radiance.pixels.astype(np.float64).mean(axis=2)
+        render(scene(tmp_path, meters_per_unit=unit, up=up, lamp=True), samples=64, seed=1)
+        .radiance.pixels.astype(np.float64)
+        .mean(axis=2)
         for unit, up in UNITS
     ]
     for other in pictures[1:]:
@@ -67,7 +73,10 @@ def test_fog_thickens_with_distance_and_with_density(tmp_path):
     The estimate above ignores what scatters in before the wall and the wall's shadow in the
     fog beside it, which nearly cancel in thin fog; a third is allowed for them.
     """
-    wall = [render(scene(tmp_path, fog=fog, fov_x_deg=5.0), samples=256).radiance.pixels.mean() for fog in ("clear", "mor600", "mor150")]
+    wall = [
+        render(scene(tmp_path, fog=fog, fov_x_deg=5.0), samples=256).radiance.pixels.mean()
+        for fog in ("clear", "mor600", "mor150")
+    ]
     assert wall[0] < 0.001  # the specular lobe at an index of 1 leaves 1e-7
     np.testing.assert_allclose(wall[1], 1000 * airlight_before_the_wall(600.0), rtol=0.33)
     np.testing.assert_allclose(wall[2], 1000 * airlight_before_the_wall(150.0), rtol=0.33)

@@ -19,7 +19,11 @@ OUTPUTS = {"radiance.exr", "layers.exr", "instances.json", "raw.dng", "srgb.png"
 
 
 def hashes(folder):
-    return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 def arguments(stage, out):
@@ -44,7 +48,9 @@ def unbroken(stage, tmp_path_factory):
 
 
 def test_every_lighting_and_fog_has_its_files(unbroken):
-    """Six shots with five files each, labels and a contact sheet; the manifest lists them with their hashes and nothing else is there."""
+    """Six shots with five files each, labels and a contact sheet; the manifest lists them with their hashes and nothing
+    else is there.
+    """
     out, printed = unbroken
     manifest = json.loads((out / "bake.json").read_text())
     assert {f"{row['lighting']}/{row['fog']}" for row in manifest["shots"]} == set(SHOTS)
@@ -62,7 +68,10 @@ def test_exposure_is_locked_to_the_clear_frame(unbroken):
     """All fogs of a lighting share one exposure; the dim lighting has a longer or more sensitive one."""
     out, _ = unbroken
     rows = json.loads((out / "bake.json").read_text())["shots"]
-    light = {name: {row["exposure"]["exposure_s"] * row["exposure"]["iso"] for row in rows if row["lighting"] == name} for name in ("sky", "active")}
+    light = {
+        name: {row["exposure"]["exposure_s"] * row["exposure"]["iso"] for row in rows if row["lighting"] == name}
+        for name in ("sky", "active")
+    }
     assert len(light["sky"]) == len(light["active"]) == 1
     assert min(light["active"]) > 4 * max(light["sky"])
 
@@ -92,7 +101,9 @@ def wait_for_shots(out, count, child, timeout_s=120.0):
 
 @pytest.mark.parametrize("finished", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_bake_that_was_killed_goes_on_and_ends_with_the_same_bytes(unbroken, stage, tmp_path, finished):
-    """kill -9 in the middle, then the same command: finished shots are kept, and every file equals that of an unbroken run."""
+    """kill -9 in the middle, then the same command: finished shots are kept, and every file equals that of an unbroken
+    run.
+    """
     whole, _ = unbroken
     out = tmp_path / "out"
     child = subprocess.Popen(command(*arguments(stage, out)), stderr=subprocess.DEVNULL)
@@ -169,7 +180,9 @@ def test_a_missing_stage_is_refused(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("content", [b'#usda 1.0\ndef Xform "World" {', b"PXR-USDC" + bytes(200), b"not usd at all", b""])
+@pytest.mark.parametrize(
+    "content", [b'#usda 1.0\ndef Xform "World" {', b"PXR-USDC" + bytes(200), b"not usd at all", b""]
+)
 def test_a_damaged_stage_is_refused(tmp_path, content):
     path = tmp_path / ("broken.usdc" if content.startswith(b"PXR") else "broken.usda")
     path.write_bytes(content)
@@ -179,7 +192,9 @@ def test_a_damaged_stage_is_refused(tmp_path, content):
 
 def test_a_stage_without_a_camera_is_refused(tmp_path):
     path = tmp_path / "blind.usda"
-    path.write_text('#usda 1.0\n(\n    defaultPrim = "World"\n)\ndef Xform "World"\n{\n    def Cube "Box"\n    {\n    }\n}\n')
+    path.write_text(
+        '#usda 1.0\n(\n    defaultPrim = "World"\n)\ndef Xform "World"\n{\n    def Cube "Box"\n    {\n    }\n}\n'
+    )
     refused(run("bake", path, "-o", tmp_path / "out"), "blind.usda", "camera")
 
 
@@ -191,17 +206,29 @@ def test_a_stage_without_fog_bakes_clear_air_and_says_so(tmp_path):
     """And a bake that is not told where to writes to out/ and the stage's name."""
     path = tmp_path / "clear.usda"
     text = street()
-    path.write_text(text.replace('prepend apiSchemas = ["SynFogMediumAPI"]', "").replace('uniform token purpose = "guide"\n        double size', "double size"))
+    path.write_text(
+        text.replace('prepend apiSchemas = ["SynFogMediumAPI"]', "").replace(
+            'uniform token purpose = "guide"\n        double size', "double size"
+        )
+    )
     text = path.read_text()
-    path.write_text(text.replace("float synfog:fog:albedo = 1.0", 'token visibility = "invisible"').replace("float synfog:fog:mor", "float unrelated"))
-    done = run("bake", path, "--resolution", "32x18", "--samples", "4", "--lighting", "sky", "--fog", "mor600", cwd=tmp_path)
+    path.write_text(
+        text.replace("float synfog:fog:albedo = 1.0", 'token visibility = "invisible"').replace(
+            "float synfog:fog:mor", "float unrelated"
+        )
+    )
+    done = run(
+        "bake", path, "--resolution", "32x18", "--samples", "4", "--lighting", "sky", "--fog", "mor600", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     assert "no fog prim" in done.stderr
     assert {entry.name for entry in tmp_path.iterdir()} == {"clear.usda", "out"}
     assert json.loads((tmp_path / "out" / "clear" / "bake.json").read_text())["shots"][0]["mor_m"] is None
 
 
-@pytest.mark.parametrize("option, value, words", [("--fog", "mor15O", ["mor15O", "mor150"]), ("--lighting", "aktive", ["aktive", "active"])])
+@pytest.mark.parametrize(
+    "option, value, words", [("--fog", "mor15O", ["mor15O", "mor150"]), ("--lighting", "aktive", ["aktive", "active"])]
+)
 def test_a_variant_that_does_not_exist_is_refused(stage, tmp_path, option, value, words):
     refused(run("bake", stage, "-o", tmp_path / "out", option, value), *words)
 
@@ -248,7 +275,20 @@ def test_strict_stops_at_what_is_not_understood(tmp_path):
     """A prim that cannot be drawn is a warning; under --strict it is the end, with exit code 1."""
     path = tmp_path / "odd.usda"
     path.write_text(street().replace('def Camera "Ego"', 'def Volume "Smoke"\n    {\n    }\n    def Camera "Ego"'))
-    loose = run("bake", path, "-o", tmp_path / "a", "--fog", "clear", "--lighting", "sky", "--resolution", "32x18", "--samples", "4")
+    loose = run(
+        "bake",
+        path,
+        "-o",
+        tmp_path / "a",
+        "--fog",
+        "clear",
+        "--lighting",
+        "sky",
+        "--resolution",
+        "32x18",
+        "--samples",
+        "4",
+    )
     assert loose.returncode == 0 and "/World/Smoke" in loose.stderr
     refused(run("bake", path, "-o", tmp_path / "b", "--strict"), "/World/Smoke", code=1)
     assert not (tmp_path / "b").exists()
@@ -288,19 +328,35 @@ def test_two_bakes_do_not_write_into_one_folder(unbroken, stage):
 
 
 @pytest.mark.parametrize(
-    "arguments, word", [(["--resolution", "640"], "640"), (["--samples", "1"], "--samples"), (["--model", "volpth"], "volpath"), (["--variant", "gpu"], "gpu")]
+    "arguments, word",
+    [
+        (["--resolution", "640"], "640"),
+        (["--samples", "1"], "--samples"),
+        (["--model", "volpth"], "volpath"),
+        (["--variant", "gpu"], "gpu"),
+    ],
 )
 def test_options_out_of_range_are_refused(stage, tmp_path, arguments, word):
     refused(run("bake", stage, "-o", tmp_path / "out", *arguments), word)
 
 
-@pytest.mark.parametrize("option, value, words", [
-    ("--samples", "0", "--samples 0: outside 2 to 1048576"), ("--samples", "1", "--samples 1: outside 2"), ("--bands", "5", "--bands 5: it takes 3"),
-    ("--time-limit", "-1", "--time-limit -1: not above 0 s"), ("--time-limit", "nan", "--time-limit nan"), ("--frame", "nan", "--frame nan"),
-    ("--target-error", "0", "--target-error 0: outside 0 to 1"), ("--light-scale", "0", "--light-scale 0: outside 0 to"),
-    ("--sun-lux", "-4", "--sun-lux -4: outside"), ("--fog", "mor0.01", "--fog mor0.01: a visibility below 0.03 m"),
-    ("--resolution", "1000000000x2", "--resolution 1000000000x2"), ("-o", "", "--out '': no name of a folder"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "option, value, words",
+    [
+        ("--samples", "0", "--samples 0: outside 2 to 1048576"),
+        ("--samples", "1", "--samples 1: outside 2"),
+        ("--bands", "5", "--bands 5: it takes 3"),
+        ("--time-limit", "-1", "--time-limit -1: not above 0 s"),
+        ("--time-limit", "nan", "--time-limit nan"),
+        ("--frame", "nan", "--frame nan"),
+        ("--target-error", "0", "--target-error 0: outside 0 to 1"),
+        ("--light-scale", "0", "--light-scale 0: outside 0 to"),
+        ("--sun-lux", "-4", "--sun-lux -4: outside"),
+        ("--fog", "mor0.01", "--fog mor0.01: a visibility below 0.03 m"),
+        ("--resolution", "1000000000x2", "--resolution 1000000000x2"),
+        ("-o", "", "--out '': no name of a folder"),
+    ],
+)
 def test_numbers_are_refused_in_the_words_that_were_typed_and_before_anything_is_done(tmp_path, option, value, words):
     """The stage, which does not even exist, is not asked for, and nothing is written."""
     done = run("bake", "none.usda", "-o", "out", option, value, cwd=tmp_path)
@@ -313,7 +369,8 @@ def test_what_is_refused_at_once_loads_no_library():
     script = (
         "import sys\nfrom synfog_usd.cli import main\n"
         "try:\n    main.main(['bake', 'none.usda', '--samples', '0'])\n"
-        "except SystemExit as end:\n    print(end.code, [name for name in ('numpy', 'pxr', 'mitsuba') if name in sys.modules])\n"
+        "except SystemExit as end:\n    print(end.code, [name for name in ('numpy', 'pxr', 'mitsuba') if name in "
+        "sys.modules])\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout == "2 []\n" and done.stderr.startswith("synfog-usd: --samples 0: ")

@@ -48,11 +48,18 @@ CROSSING = ('def Mesh "Wall"', f'{BANK}def Mesh "Wall"')
 BLIND = ('def Camera "Ego"', 'def Xform "Ego"')
 
 
-@pytest.mark.parametrize("changes, strict, code, rules", [
-    ((), False, 0, {}), ((SMALL_CAR,), False, 0, {"units": "/World/Wall"}), ((SMALL_CAR,), True, 1, {"units": "/World/Wall"}),
-    ((CLOSE,), False, 2, {"fog-cut": "/World/Fog"}), ((CROSSING,), False, 2, {"fog-crosses": "/World/Fog"}), ((BLIND,), False, 2, {"no-camera": ""}),
-    ((("float synfog:fog:albedo = 1.0", "float synfog:fog:albedo = 7"),), False, 2, {"refused": ""}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "changes, strict, code, rules",
+    [
+        ((), False, 0, {}),
+        ((SMALL_CAR,), False, 0, {"units": "/World/Wall"}),
+        ((SMALL_CAR,), True, 1, {"units": "/World/Wall"}),
+        ((CLOSE,), False, 2, {"fog-cut": "/World/Fog"}),
+        ((CROSSING,), False, 2, {"fog-crosses": "/World/Fog"}),
+        ((BLIND,), False, 2, {"no-camera": ""}),
+        ((("float synfog:fog:albedo = 1.0", "float synfog:fog:albedo = 7"),), False, 2, {"refused": ""}),
+    ],
+)
 def test_the_exit_code_is_that_of_the_gravest(stage, changes, strict, code, rules):
     """0 where a bake goes through, 1 for warnings under --strict, 2 where a bake would stop; JSON says the same."""
     found, notes, _ = verb.look(stage(*changes))
@@ -97,10 +104,16 @@ def test_the_extension_is_packed_whole_and_alike(tmp_path):
         assert run("plugin-path", "--blender", tmp_path / name).returncode == 0
     assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
-        manifest = dict(re.findall(r"""^(\w+) = "(.*)"$""", archive.read("blender_manifest.toml").decode(), re.MULTILINE))
+        manifest = dict(
+            re.findall(r"""^(\w+) = "(.*)"$""", archive.read("blender_manifest.toml").decode(), re.MULTILINE)
+        )
         compile(archive.read("__init__.py"), "__init__.py", "exec")
     assert {one.date_time for one in archive.infolist()} == {(2026, 1, 1, 0, 0, 0)}  # not when it was packed
-    assert (manifest["id"], manifest["type"], manifest["schema_version"]) == ("synfog_fog", "add-on", "1.0.0") and manifest["blender_version_min"] == "4.2.0"
+    assert (manifest["id"], manifest["type"], manifest["schema_version"]) == (
+        "synfog_fog",
+        "add-on",
+        "1.0.0",
+    ) and manifest["blender_version_min"] == "4.2.0"
     wrong = run("plugin-path", "--blender", tmp_path / "a.py")
     assert wrong.returncode == 2 and wrong.stderr.count("\n") == 1
 
@@ -113,7 +126,9 @@ def test_other_programs_learn_the_schema_by_the_printed_path():
         "print(found and found.GetAttributeFallbackValue('synfog:fog:mor'))"
     )
     known = [
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **more}).stdout.strip()
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **more}
+        ).stdout.strip()
         for more in ({"PXR_PLUGINPATH_NAME": folder}, {})
     ]
     assert known == ["300.0", "None"]
@@ -126,7 +141,9 @@ def test_other_programs_learn_the_schema_by_the_printed_path():
 
 
 def test_every_variant_is_looked_at_and_clear_air_is_no_fault(stage):
-    """Clear air is the chosen variant, so that the stage as it stands has no fog; a lamp that only 'active' has is far too bright."""
+    """Clear air is the chosen variant, so that the stage as it stands has no fog; a lamp that only 'active' has is far
+    too bright.
+    """
     lamp = """over "Sky"
             {
                 float inputs:exposure = -5
@@ -144,9 +161,14 @@ def test_every_variant_is_looked_at_and_clear_air_is_no_fault(stage):
 
 
 def test_a_camera_outside_of_its_fog_is_found_whatever_variant_is_chosen(stage):
-    """The camera far behind the box, with clear air chosen; with a bank ahead of it and a box around both, nothing is found."""
+    """The camera far behind the box, with clear air chosen; with a bank ahead of it and a box around both, nothing is
+    found.
+    """
     clear = ('string fog = "mor150"', 'string fog = "clear"')
-    away = ("float xformOp:rotateX = 90\n", "float xformOp:rotateX = 90\n        double3 xformOp:translate = (0, -900, 0)\n")
+    away = (
+        "float xformOp:rotateX = 90\n",
+        "float xformOp:rotateX = 90\n        double3 xformOp:translate = (0, -900, 0)\n",
+    )
     order = ('["xformOp:rotateX"]', '["xformOp:translate", "xformOp:rotateX"]')
     found, *_ = verb.look(stage(clear, away, order))
     assert {(one.rule, one.path) for one in found} == {("camera-outside-fog", "/World/Ego")}
@@ -157,9 +179,16 @@ def test_a_camera_outside_of_its_fog_is_found_whatever_variant_is_chosen(stage):
 def test_what_stands_in_a_prototype_is_told_at_an_instance(tmp_path):
     """USD numbers its prototypes as it likes; an author knows the instances only."""
     path = tmp_path / "kit.usda"
-    placed = "".join(f'def Xform "{name}" (\n    instanceable = true\n    references = </Kit>\n)\n{{\n}}\n' for name in ("Zoe", "Ann"))
+    placed = "".join(
+        f'def Xform "{name}" (\n    instanceable = true\n    references = </Kit>\n)\n{{\n}}\n'
+        for name in ("Zoe", "Ann")
+    )
     head = '#usda 1.0\n(\n    defaultPrim = "Kit"\n    upAxis = "Z"\n    metersPerUnit = 1\n)\ndef Camera "Ego"\n{\n}\n'
-    path.write_text(head + 'class "Kit"\n{\n    def Mesh "Empty"\n    {\n    }\n    def NurbsPatch "Patch"\n    {\n    }\n}\n' + placed)
+    path.write_text(
+        head
+        + 'class "Kit"\n{\n    def Mesh "Empty"\n    {\n    }\n    def NurbsPatch "Patch"\n    {\n    }\n}\n'
+        + placed
+    )
     found, notes, _ = verb.look(path)
     assert {one.path for one in found if one.rule == "unlabelled"} == {"/Ann/Empty"}
     assert "/Ann/Patch" in {note.path for note in notes} and not [note for note in notes if "Prototype" in note.path]
@@ -167,7 +196,14 @@ def test_what_stands_in_a_prototype_is_told_at_an_instance(tmp_path):
 
 def test_a_missing_file_is_told_once_where_it_is_named(stage):
     """A texture at its attribute, a reference as what does not compose; and not once more by USD's validators."""
-    found, *_ = verb.look(stage(("float inputs:intensity = 1000.0", "float inputs:intensity = 1000.0\n        asset inputs:texture:file = @./gone.exr@")))
+    found, *_ = verb.look(
+        stage(
+            (
+                "float inputs:intensity = 1000.0",
+                "float inputs:intensity = 1000.0\n        asset inputs:texture:file = @./gone.exr@",
+            )
+        )
+    )
     told = [one for one in found if "gone.exr" in one.text]
     assert [(one.path, one.severity) for one in told] == [("/World/Sky.inputs:texture:file", "warning")]
     found, *_ = verb.look(stage(('def Mesh "Wall" (\n', 'def Mesh "Wall" (\n        references = @./gone.usda@\n')))
@@ -175,5 +211,9 @@ def test_a_missing_file_is_told_once_where_it_is_named(stage):
 
 
 def test_names_of_a_million_letters_do_not_fill_the_screen():
-    text = verb.as_text(Path("s.usda"), [finding("label-unknown", "/" + "a" * 10**6, "b" * 10**6)], [Note("info", "/" + "c" * 10**6, "d" * 10**6)])
+    text = verb.as_text(
+        Path("s.usda"),
+        [finding("label-unknown", "/" + "a" * 10**6, "b" * 10**6)],
+        [Note("info", "/" + "c" * 10**6, "d" * 10**6)],
+    )
     assert len(text) < 10_000

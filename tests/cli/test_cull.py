@@ -31,7 +31,21 @@ def stones(path, y):
 
 
 def bake(stage, out, *more):
-    arguments = ["bake", stage, "-o", out, "--resolution", "32x18", "--samples", "4", "--lighting", "sky", "--fog", "mor50", *more]
+    arguments = [
+        "bake",
+        stage,
+        "-o",
+        out,
+        "--resolution",
+        "32x18",
+        "--samples",
+        "4",
+        "--lighting",
+        "sky",
+        "--fog",
+        "mor50",
+        *more,
+    ]
     done = run(*arguments)
     assert done.returncode == 0, done.stderr
     return done.stderr, json.loads((out / "bake.json").read_text())
@@ -43,11 +57,17 @@ def baked(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cull")
     stage = folder / "street.usda"
     stage.write_text(street().replace('    def DomeLight "Sky"', stones("Stones", 150) + '    def DomeLight "Sky"'))
-    return {name: (folder / name, *bake(stage, folder / name, *more)) for name, more in (("reduced", ()), ("whole", ("--no-cull",)))}
+    return {
+        name: (folder / name, *bake(stage, folder / name, *more))
+        for name, more in (("reduced", ()), ("whole", ("--no-cull",)))
+    }
 
 
 def instances(folder, fog):
-    return {instance["path"]: instance for instance in json.loads((folder / "sky" / fog / "instances.json").read_text())["instances"]}
+    return {
+        instance["path"]: instance
+        for instance in json.loads((folder / "sky" / fog / "instances.json").read_text())["instances"]
+    }
 
 
 def test_a_bake_tells_what_lies_behind_fog(baked):
@@ -72,11 +92,16 @@ def test_things_are_listed_with_the_transmittance_before_them(baked):
 
 
 def test_labels_and_the_layer_of_transmittance_are_of_the_whole_scene(baked):
-    """Labels have the same bytes, with pixels of what is hidden, and so has the transmittance; radiance, which has less in it, differs."""
+    """Labels have the same bytes, with pixels of what is hidden, and so has the transmittance; radiance, which has less
+    in it, differs.
+    """
     reduced, whole = baked["reduced"][0], baked["whole"][0]
     for name in ("labels.exr", "labels.json"):
         assert (reduced / name).read_bytes() == (whole / name).read_bytes()
-    seen = {instance["path"]: instance["pixels"] for instance in json.loads((reduced / "labels.json").read_text())["instances"]}
+    seen = {
+        instance["path"]: instance["pixels"]
+        for instance in json.loads((reduced / "labels.json").read_text())["instances"]
+    }
     assert seen["/World/Stones"] > 0
     layers = [OpenImageIO.ImageBuf(str(folder / "sky" / "mor50" / "layers.exr")) for folder in (reduced, whole)]
     channel = list(layers[0].spec().channelnames).index("transmittance.Y")

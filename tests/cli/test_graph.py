@@ -31,7 +31,9 @@ def cache(tmp_path, monkeypatch):
 def radiance(tmp_path):
     """A ramp of 100 to 2000 nits, as the bake writes it."""
     pixels = np.repeat(np.linspace(100, 2000, 64, dtype=np.float32)[None, :, None], 36, axis=0).repeat(3, axis=2)
-    writers.write_exr(tmp_path / "in.exr", Image(pixels, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 50.0}))
+    writers.write_exr(
+        tmp_path / "in.exr", Image(pixels, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 50.0})
+    )
     return tmp_path / "in.exr"
 
 
@@ -54,7 +56,9 @@ def foreign(path, pixels) -> Path:
 
 
 def test_a_foreign_picture_needs_no_more_than_the_command_says(tmp_path):
-    """Without a field of view it is that of lens and pixels, and the RAW file's focal length the lens's; with --fov the one that such a view needs."""
+    """Without a field of view it is that of lens and pixels, and the RAW file's focal length the lens's; with --fov the
+    one that such a view needs.
+    """
     picture = foreign(tmp_path / "shot.exr", np.full((64, 96, 3), 300.0))
     own = 2 * np.degrees(np.arctan(96 * 1.4e-3 / 2 / 4.38))
     for name, more, focal_mm, told in (
@@ -71,7 +75,9 @@ def test_a_foreign_picture_needs_no_more_than_the_command_says(tmp_path):
 
 
 def test_what_was_metered_and_where_values_are_from_is_told(radiance, tmp_path):
-    """By name of a shipped graph: the exposure in words, and in the table as the run's; profile, default and --set behind other values."""
+    """By name of a shipped graph: the exposure in words, and in the table as the run's; profile, default and --set
+    behind other values.
+    """
     done = run("run", "phone", "--in", radiance, "-o", tmp_path, "--no-cache", "--set", "full_well.blooming=0.5")
     assert done.returncode == 0, done.stderr
     assert re.search(r"^exposure: 1/\d+(\.\d+)? s, ISO 55$", done.stderr, re.MULTILINE)
@@ -88,8 +94,18 @@ def test_what_was_metered_and_where_values_are_from_is_told(radiance, tmp_path):
 
 def test_a_declared_input_is_read_as_that(tmp_path):
     """Linear pictures of another program go through the second half of the camera."""
-    (tmp_path / "g.yaml").write_text("synfog: graph/1\ninputs: {photo: linear_rgb}\nnodes: [{op: isp.tone}, {op: isp.gamma}]\noutputs: {out.png: gamma}\n")
-    done = run("run", tmp_path / "g.yaml", "--in", f"photo={foreign(tmp_path / 'shot.exr', np.full((8, 8, 3), 0.2))}", "-o", tmp_path)
+    (tmp_path / "g.yaml").write_text(
+        "synfog: graph/1\ninputs: {photo: linear_rgb}\nnodes: [{op: isp.tone}, {op: isp.gamma}]\noutputs: {out.png: "
+        "gamma}\n"
+    )
+    done = run(
+        "run",
+        tmp_path / "g.yaml",
+        "--in",
+        f"photo={foreign(tmp_path / 'shot.exr', np.full((8, 8, 3), 0.2))}",
+        "-o",
+        tmp_path,
+    )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out.png").is_file()
 
@@ -99,11 +115,18 @@ def test_light_that_cannot_be_is_refused_or_mended(radiance, tmp_path):
     pixels = writers.read_exr(radiance).pixels.copy()
     pixels[7, 9, 1] = np.nan
     writers.write_exr(
-        tmp_path / "bad.exr", Image(pixels, ("R", "G", "B"), Quantity.DATA, provenance={"fov_x_deg": 50.0}), attributes={"synfog:quantity": "radiance"}
+        tmp_path / "bad.exr",
+        Image(pixels, ("R", "G", "B"), Quantity.DATA, provenance={"fov_x_deg": 50.0}),
+        attributes={"synfog:quantity": "radiance"},
     )
     arguments = ("run", PIPELINE, "--in", tmp_path / "bad.exr", "-o", tmp_path / "out", "--until", "irradiance")
     done = run(*arguments)
-    assert done.returncode == 2 and "x=9, y=7, channel 'G' is not a number" in done.stderr and "--repair" in done.stderr and not (tmp_path / "out").exists()
+    assert (
+        done.returncode == 2
+        and "x=9, y=7, channel 'G' is not a number" in done.stderr
+        and "--repair" in done.stderr
+        and not (tmp_path / "out").exists()
+    )
     done = run(*arguments, "--repair")
     assert done.returncode == 0 and "1 values that light cannot have were mended" in done.stderr
     assert np.isfinite(writers.read_exr(tmp_path / "out" / "irradiance.exr").pixels).all()
@@ -113,7 +136,18 @@ def test_until_writes_that_node_and_set_changes_it(radiance, tmp_path):
     """Twice the exposure time gives twice the electrons, within the noise of 2304 pixels."""
     means = []
     for name, time_s in (("a", "0.001"), ("b", "0.002")):
-        done = run("run", PIPELINE, "--in", radiance, "-o", tmp_path / name, "--until", "shot_noise", "--set", f"expose.exposure_s={time_s}")
+        done = run(
+            "run",
+            PIPELINE,
+            "--in",
+            radiance,
+            "-o",
+            tmp_path / name,
+            "--until",
+            "shot_noise",
+            "--set",
+            f"expose.exposure_s={time_s}",
+        )
         assert done.returncode == 0, done.stderr
         means.append(writers.read_exr(tmp_path / name / "shot_noise.exr").pixels.mean())
     assert abs(means[1] / means[0] - 2.0) < 0.02
@@ -128,8 +162,16 @@ def test_outputs_are_written_as_the_graph_says(radiance, tmp_path):
     assert "writes raw.dng from adc (compression=lossless)" in done.stderr
     with tifffile.TiffFile(tmp_path / "all" / "raw.dng") as file:
         assert file.pages[0].compression == tifffile.COMPRESSION.JPEG
-    assert tifffile.imread(tmp_path / "all" / "srgb.tif").dtype == np.uint16 and not (tmp_path / "all" / "srgb.png").exists()
-    assert run("run", tmp_path / "g.yaml", "--in", radiance, "-o", tmp_path / "one", "--until", "raw", "--no-cache").returncode == 0
+    assert (
+        tifffile.imread(tmp_path / "all" / "srgb.tif").dtype == np.uint16
+        and not (tmp_path / "all" / "srgb.png").exists()
+    )
+    assert (
+        run(
+            "run", tmp_path / "g.yaml", "--in", radiance, "-o", tmp_path / "one", "--until", "raw", "--no-cache"
+        ).returncode
+        == 0
+    )
     assert [path.name for path in (tmp_path / "one").iterdir()] == ["raw.dng"]
     assert (tmp_path / "one" / "raw.dng").read_bytes() == (tmp_path / "all" / "raw.dng").read_bytes()
 
@@ -174,7 +216,11 @@ def test_a_change_runs_what_follows_and_writes_the_bytes_of_a_run_without_cache(
     assert len(ran(run(*arguments, "-o", tmp_path / "a"))) == 21 == len(list(cache.iterdir()))
     assert ran(run(*arguments, "-o", tmp_path / "a", "--set", "tone.shoulder=0.3")) == ["tone", "srgb"]
     assert len(ran(run(*arguments, "-o", tmp_path / "b", "--set", "tone.shoulder=0.3", "--no-cache"))) == 21
-    assert len(ran(run(*arguments, "-o", tmp_path / "c", "--cache", tmp_path / "own"))) == 21 == len(list((tmp_path / "own").iterdir()))
+    assert (
+        len(ran(run(*arguments, "-o", tmp_path / "c", "--cache", tmp_path / "own")))
+        == 21
+        == len(list((tmp_path / "own").iterdir()))
+    )
     for name in ("raw.dng", "srgb.png"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert len(list(cache.iterdir())) == 23
@@ -217,7 +263,9 @@ def test_explain_prints_a_page_a_list_or_all():
 
 
 def test_check_tells_every_error_of_a_graph_that_extends_the_phone(tmp_path):
-    (tmp_path / "mine.yaml").write_text("synfog: graph/1\nextends: phone\nnodes:\n  - {name: gain, iso: high}\n  - {name: tone, shouldr: 0.1}\n")
+    (tmp_path / "mine.yaml").write_text(
+        "synfog: graph/1\nextends: phone\nnodes:\n  - {name: gain, iso: high}\n  - {name: tone, shouldr: 0.1}\n"
+    )
     done = run("check", tmp_path / "mine.yaml")
     lines = done.stderr.replace(f"{tmp_path}/", "").splitlines()
     assert done.returncode == 2 and lines[0] == "synfog-usd: mine.yaml: 2 errors"

@@ -22,6 +22,10 @@ def test_every_option_says_what_it_means():
     """An option without a line of help is a hole in the page."""
     mute = []
     for name, command in reference._commands(typer.main.get_command(app), "synfog-usd"):
-        mute += [f"{name} {parameter.name}" for parameter in command.params if parameter.name != "help" and not parameter.help]
+        mute += [
+            f"{name} {parameter.name}"
+            for parameter in command.params
+            if parameter.name != "help" and not parameter.help
+        ]
         assert command.help, name
     assert not mute

@@ -10,7 +10,12 @@ from PIL import Image
 from synfog_usd.dataset import contact
 from synfog_usd.dataset.plan import BakePlan, shots
 
-COLOURS = {"sky/clear": (250, 0, 0), "sky/mor150": (0, 250, 0), "active/clear": (0, 0, 250), "active/mor150": (250, 250, 0)}
+COLOURS = {
+    "sky/clear": (250, 0, 0),
+    "sky/mor150": (0, 250, 0),
+    "active/clear": (0, 0, 250),
+    "active/mor150": (250, 250, 0),
+}
 PLAN = shots(BakePlan(Path("street.usda"), Path("out")), {"fog": ("clear", "mor150"), "lighting": ("sky", "active")})
 
 
@@ -40,9 +45,13 @@ def sheet_of(out, size=(64, 36), **more):
         return np.array(picture)
 
 
-@pytest.mark.parametrize("size, tile", [((64, 36), (480, 270)), ((1280, 720), (480, 270)), ((100, 100), (480, 480)), ((33, 16), (480, 233))])
+@pytest.mark.parametrize(
+    "size, tile", [((64, 36), (480, 270)), ((1280, 720), (480, 270)), ((100, 100), (480, 480)), ((33, 16), (480, 233))]
+)
 def test_lightings_go_down_and_fogs_across(tmp_path, size, tile):
-    """Tiles 480 px wide in the pictures' proportions, 8 px apart, a caption of 26 px below each; between them background."""
+    """Tiles 480 px wide in the pictures' proportions, 8 px apart, a caption of 26 px below each; between them
+    background.
+    """
     sheet = sheet_of(tmp_path, size)
     width, height = tile
     assert sheet.shape == (8 + 2 * (height + 26 + 8), 8 + 2 * (width + 8), 3)
@@ -62,7 +71,9 @@ def test_every_tile_has_a_caption_that_fits_under_it(tmp_path):
         assert inked.sum() > 200 and not inked[:, -4:].any() and not inked[-1].any()
 
 
-@pytest.mark.parametrize("time_s, text", [(1 / 250, "1/250 s   ISO 100"), (0.25, "1/4 s"), (2.0, "2.0 s"), (None, "mor150   MOR 150 m")])
+@pytest.mark.parametrize(
+    "time_s, text", [(1 / 250, "1/250 s   ISO 100"), (0.25, "1/4 s"), (2.0, "2.0 s"), (None, "mor150   MOR 150 m")]
+)
 def test_a_caption_says_shot_visibility_and_exposure(time_s, text):
     """Short times as fractions, long ones in seconds, none where the graph has no exposure."""
     clear, foggy = PLAN[0], PLAN[1]
@@ -105,7 +116,9 @@ def test_the_same_pictures_give_the_same_bytes(tmp_path):
 
 
 def test_what_is_missing_stands_over_the_pictures(tmp_path):
-    """One line each for six, the number of the rest, no line wider than the sheet; the pictures follow below as they were."""
+    """One line each for six, the number of the rest, no line wider than the sheet; the pictures follow below as they
+    were.
+    """
     plain = sheet_of(tmp_path)
     told = [f"/World/Prop{n}: its reference ./{'far/' * (40 * n)}gone{n}.usda is missing" for n in range(9)]
     rows = {shot.folder: row(shot) for shot in PLAN}

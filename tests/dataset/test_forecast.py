@@ -6,12 +6,32 @@ import pytest
 
 from synfog_usd.dataset.forecast import SET_UP, Forecast, kinds
 
-CROSSING = [(lighting, fog != "clear") for lighting in ("sky", "active") for fog in ("clear", "mor600", "mor300", "mor150")]
+CROSSING = [
+    (lighting, fog != "clear") for lighting in ("sky", "active") for fog in ("clear", "mor600", "mor300", "mor150")
+]
 
 SECONDS = {
-    "cold": [(12, 2), (11, 5), (1, 5), (1, 6), (11, 3), (13, 7), (1, 7), (1, 7)],  # kernels compiled for each lighting; dusk costs more
+    "cold": [
+        (12, 2),
+        (11, 5),
+        (1, 5),
+        (1, 6),
+        (11, 3),
+        (13, 7),
+        (1, 7),
+        (1, 7),
+    ],  # kernels compiled for each lighting; dusk costs more
     "warm": [(6, 2), (2, 5), (1, 5), (1, 6), (5, 3), (2, 8), (1, 7), (1, 8)],
-    "long": [(14, 50), (12, 150), (1, 155), (1, 160), (11, 65), (14, 190), (1, 195), (1, 200)],  # samples are what counts
+    "long": [
+        (14, 50),
+        (12, 150),
+        (1, 155),
+        (1, 160),
+        (11, 65),
+        (14, 190),
+        (1, 195),
+        (1, 200),
+    ],  # samples are what counts
 }
 """Seconds of setting up and of rendering each shot."""
 

@@ -15,7 +15,12 @@ from synfog_usd.image import Image, Quantity
 from synfog_usd.render.film.aovs import Aovs
 from synfog_usd.scene import Camera, Instance, SceneDict
 
-THINGS = (Instance(1, "/World/Road", "road"), Instance(2, "/World/Car", "car"), Instance(3, "/World/Behind", "person"), Instance(4, "/World/Blob", "unlabeled"))
+THINGS = (
+    Instance(1, "/World/Road", "road"),
+    Instance(2, "/World/Car", "car"),
+    Instance(3, "/World/Behind", "person"),
+    Instance(4, "/World/Blob", "unlabeled"),
+)
 
 IDS = np.array(
     [
@@ -34,7 +39,13 @@ def layers():
     normal = np.zeros((4, 5, 3))
     normal[IDS == 1] = (0.0, 0.0, 1.0)
     normal[IDS == 2] = (0.0, -1.0, 0.0)
-    return Aovs(distance_m=depth + 0.5, depth_m=depth, normal=normal, instance_id=IDS, transmittance=np.exp(-np.where(np.isfinite(depth), depth, 1e3) / 100))
+    return Aovs(
+        distance_m=depth + 0.5,
+        depth_m=depth,
+        normal=normal,
+        instance_id=IDS,
+        transmittance=np.exp(-np.where(np.isfinite(depth), depth, 1e3) / 100),
+    )
 
 
 def plane(image, name):
@@ -46,8 +57,9 @@ def bits(value):
     return f"{struct.unpack('<I', struct.pack('<f', value))[0]:08x}"
 
 
-# "bunny" and "default" with their ids, and 3.36000126251e-27 for the first: the example of Cryptomatte's specification 1.2.0
-# and the tests that its authors publish; the other four: the table of 32-bit values with seed 0 in Wikipedia's "MurmurHash".
+# "bunny" and "default" with their ids, and 3.36000126251e-27 for the first: the example of Cryptomatte's specification
+# 1.2.0 and the tests that its authors publish; the other four: the table of 32-bit values with seed 0 in Wikipedia's
+# "MurmurHash".
 @pytest.mark.parametrize(
     "text, value",
     [
@@ -70,7 +82,9 @@ def test_an_id_is_the_hash_read_as_a_float():
 
 
 def test_no_id_is_infinite_nan_or_denormal():
-    """Where the exponent's 8 bits are all 0 or all 1, the lowest of them is turned over and nothing else; 1 name in 128."""
+    """Where the exponent's 8 bits are all 0 or all 1, the lowest of them is turned over and nothing else; 1 name in
+    128.
+    """
     odd = 0
     for name in (f"/World/Car_{index}" for index in range(4096)):
         raw, value = labels._murmur(name), labels._crypto_float(name)
@@ -84,12 +98,18 @@ def test_no_id_is_infinite_nan_or_denormal():
 def test_the_picture_has_every_layer_and_says_what_it_means(layers):
     """Depth and distance in metres and infinite at the sky, ids as they are, Cityscapes' own class numbers."""
     image = labels.label_image(layers, THINGS)
-    assert image.pixels.dtype == np.float32 and image.pixels.shape == (4, 5, len(labels.CHANNELS)) and image.channels == labels.CHANNELS
+    assert (
+        image.pixels.dtype == np.float32
+        and image.pixels.shape == (4, 5, len(labels.CHANNELS))
+        and image.channels == labels.CHANNELS
+    )
     np.testing.assert_array_equal(plane(image, "depth.Z"), layers.depth_m.astype(np.float32))
     np.testing.assert_array_equal(plane(image, "distance.Z"), layers.distance_m.astype(np.float32))
     np.testing.assert_array_equal(np.stack([plane(image, f"N.{axis}") for axis in "XYZ"], axis=2), layers.normal)
     np.testing.assert_array_equal(plane(image, "instance.ID"), IDS)
-    class_of = np.array([23, 7, 26, 24, 0])  # sky, road, car, person and unlabeled in the table of the Cityscapes authors
+    class_of = np.array(
+        [23, 7, 26, 24, 0]
+    )  # sky, road, car, person and unlabeled in the table of the Cityscapes authors
     np.testing.assert_array_equal(plane(image, "semantic.ID"), class_of[IDS])
 
 
@@ -103,7 +123,9 @@ def test_a_surface_without_a_thing_is_unlabeled_and_not_sky(layers):
 
 
 def test_the_matte_has_one_rank_that_its_manifest_names(layers):
-    """Id in R and coverage in G of rank 0; the ids' bits are in the manifest, also of what is hidden; no second rank."""
+    """Id in R and coverage in G of rank 0; the ids' bits are in the manifest, also of what is hidden; no second
+    rank.
+    """
     image = labels.label_image(layers, THINGS)
     manifest = json.loads(image.provenance["cryptomatte/f834d0a/manifest"])
     assert list(manifest) == [instance.path for instance in THINGS] and len(set(manifest.values())) == len(THINGS)
@@ -118,14 +140,23 @@ def test_the_matte_has_one_rank_that_its_manifest_names(layers):
 
 def test_the_matte_can_be_found_by_other_programs(layers):
     """Key: the first seven digits of the layer name's hash; the name is that of the channels without the rank."""
-    facts = {name: value for name, value in labels.label_image(layers, THINGS).provenance.items() if name.startswith("cryptomatte/")}
+    facts = {
+        name: value
+        for name, value in labels.label_image(layers, THINGS).provenance.items()
+        if name.startswith("cryptomatte/")
+    }
     assert facts.keys() == {f"cryptomatte/f834d0a/{name}" for name in ("name", "hash", "conversion", "manifest")}
     assert facts["cryptomatte/f834d0a/name"] == "crypto_object"
-    assert (facts["cryptomatte/f834d0a/hash"], facts["cryptomatte/f834d0a/conversion"]) == ("MurmurHash3_32", "uint32_to_float32")
+    assert (facts["cryptomatte/f834d0a/hash"], facts["cryptomatte/f834d0a/conversion"]) == (
+        "MurmurHash3_32",
+        "uint32_to_float32",
+    )
 
 
 def test_another_program_finds_the_mattes_in_the_file(layers, tmp_path):
-    """As Cryptomatte's readers do: header attributes cryptomatte/<key>/name, the channels <name>00.R and .G, names from the manifest."""
+    """As Cryptomatte's readers do: header attributes cryptomatte/<key>/name, the channels <name>00.R and .G, names from
+    the manifest.
+    """
     import OpenImageIO
 
     bake._write_labels(layers, SceneDict({}, None, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path))
@@ -149,9 +180,25 @@ def test_the_list_has_a_box_around_what_is_seen(layers):
     assert (listed["schema"], listed["taxonomy"]) == ("synfog-usd/labels", "cityscapes")
     road, car, behind, blob = listed["instances"]
     assert road == {
-        "id": 1, "path": "/World/Road", "label": "road", "semantic_id": 7, "train_id": 0, "pixels": 9, "box_px": [0, 2, 5, 2], "distance_m": 20.5
-    }  # fmt: skip
-    assert car == {"id": 2, "path": "/World/Car", "label": "car", "semantic_id": 26, "train_id": 13, "pixels": 3, "box_px": [1, 1, 2, 2], "distance_m": 16.5}
+        "id": 1,
+        "path": "/World/Road",
+        "label": "road",
+        "semantic_id": 7,
+        "train_id": 0,
+        "pixels": 9,
+        "box_px": [0, 2, 5, 2],
+        "distance_m": 20.5,
+    }
+    assert car == {
+        "id": 2,
+        "path": "/World/Car",
+        "label": "car",
+        "semantic_id": 26,
+        "train_id": 13,
+        "pixels": 3,
+        "box_px": [1, 1, 2, 2],
+        "distance_m": 16.5,
+    }
     assert (blob["label"], blob["semantic_id"], blob["train_id"], blob["box_px"]) == ("unlabeled", 0, 255, [3, 1, 1, 1])
     assert behind["pixels"] == 0 and "box_px" not in behind and "distance_m" not in behind
     assert json.loads(json.dumps(listed, allow_nan=False)) == listed
@@ -162,7 +209,9 @@ def test_an_empty_stage_has_labels_too():
     nothing = np.full((2, 3), np.inf)
     sky = Aovs(nothing, nothing, np.zeros((2, 3, 3)), np.zeros((2, 3), dtype=np.int64), np.ones((2, 3)))
     image = labels.label_image(sky, ())
-    assert (plane(image, "semantic.ID") == 23).all() and json.loads(image.provenance["cryptomatte/f834d0a/manifest"]) == {}
+    assert (plane(image, "semantic.ID") == 23).all() and json.loads(
+        image.provenance["cryptomatte/f834d0a/manifest"]
+    ) == {}
     assert labels.label_list(sky, ())["instances"] == []
 
 
@@ -180,7 +229,9 @@ outputs: {a.exr: bend}
 
 @pytest.fixture
 def baked(tmp_path, monkeypatch):
-    """A wall with a post, wide enough that the lens bends both; labels as a bake writes them, and what the picture shows of the same ids."""
+    """A wall with a post, wide enough that the lens bends both; labels as a bake writes them, and what the picture
+    shows of the same ids.
+    """
     ids = np.ones((60, 90), dtype=np.int64)
     ids[:12], ids[5:50, 8:14], ids[50:, 70:] = 0, 2, 4
     depth = np.where(ids > 0, 10.0 * ids + np.arange(90) / 100.0, np.inf)
@@ -190,13 +241,25 @@ def baked(tmp_path, monkeypatch):
     graph = camera.load_graph(tmp_path / "g.yaml")
     view = Camera("/Camera", np.eye(4), 90, 60, 70.0)
     bake._write_labels(seen, SceneDict({}, view, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path), graph)
-    radiance = Image(np.repeat(ids[..., None], 3, axis=2).astype(np.float32) + 10.0, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 70.0})
+    radiance = Image(
+        np.repeat(ids[..., None], 3, axis=2).astype(np.float32) + 10.0,
+        ("R", "G", "B"),
+        Quantity.RADIANCE,
+        provenance={"fov_x_deg": 70.0},
+    )
     picture = graph.run({"radiance": radiance}, seed=0)["bend"].pixels[..., 1] - 10.0
-    return writers.read_exr(tmp_path / "labels.exr", quantity=Quantity.DATA), json.loads((tmp_path / "labels.json").read_bytes()), picture, seen
+    return (
+        writers.read_exr(tmp_path / "labels.exr", quantity=Quantity.DATA),
+        json.loads((tmp_path / "labels.json").read_bytes()),
+        picture,
+        seen,
+    )
 
 
 def test_labels_are_bent_as_the_picture_is(baked):
-    """The picture of the ids is nearer to a pixel's id than to its neighbours', but for a spline's ripple of a tenth; 2 in 1,000, at corners, may differ."""
+    """The picture of the ids is nearer to a pixel's id than to its neighbours', but for a spline's ripple of a tenth; 2
+    in 1,000, at corners, may differ.
+    """
     image, _, picture, seen = baked
     ids = plane(image, "instance.ID")
     step, wide = (maximum_filter(ids, size) - minimum_filter(ids, size) for size in (3, 9))

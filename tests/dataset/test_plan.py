@@ -18,8 +18,17 @@ def planned(variants=OFFERED, **asked):
 def test_all_lightings_in_all_fogs_unless_asked():
     """Lightings outside, fogs inside, in the stage's order; a variant is selected and brings its own visibility."""
     found = planned()
-    assert [shot.folder for shot in found] == ["sky/clear", "sky/mor600", "sky/mor150", "active/clear", "active/mor600", "active/mor150"]
-    assert all((shot.lighting_variant, shot.fog_variant, shot.mor_m) == (shot.lighting, shot.fog, None) for shot in found)
+    assert [shot.folder for shot in found] == [
+        "sky/clear",
+        "sky/mor600",
+        "sky/mor150",
+        "active/clear",
+        "active/mor600",
+        "active/mor150",
+    ]
+    assert all(
+        (shot.lighting_variant, shot.fog_variant, shot.mor_m) == (shot.lighting, shot.fog, None) for shot in found
+    )
 
 
 def test_a_stage_without_variants_is_one_shot_as_authored():
@@ -34,7 +43,9 @@ def test_what_is_asked_for_comes_once_and_in_the_asked_order():
 
 @pytest.mark.parametrize("name, metres", [("mor200", 200.0), ("mor75.5", 75.5), ("mor0.5", 0.5), ("mor600", None)])
 def test_any_visibility_can_be_asked_for_by_its_metres(name, metres):
-    """A name that the stage has is its variant; another mor<metres> replaces the visibility and leaves the stage's own fog selected."""
+    """A name that the stage has is its variant; another mor<metres> replaces the visibility and leaves the stage's own
+    fog selected.
+    """
     (shot,) = planned(lighting=("sky",), fog=(name,))
     assert (shot.fog, shot.fog_variant, shot.mor_m) == (name, name if metres is None else None, metres)
 
@@ -47,7 +58,9 @@ def test_clear_air_needs_no_variant():
     assert variant.fog_variant == "clear" and variant.mor_m is None
 
 
-@pytest.mark.parametrize("name", ["mor0", "mor-5", "mor", "mor1e3", "mor15O", "MOR150", "fog", " mor150", "mor150m", "morinf"])
+@pytest.mark.parametrize(
+    "name", ["mor0", "mor-5", "mor", "mor1e3", "mor15O", "MOR150", "fog", " mor150", "mor150m", "morinf"]
+)
 def test_a_fog_that_nobody_knows_is_refused(name):
     """The message names it, what the stage offers, and what any stage takes."""
     with pytest.raises(ParameterError) as refusal:

@@ -33,7 +33,9 @@ def scenes(tmp_path, text, graph=None, **plan):
 
 
 def test_a_lighting_is_translated_once(tmp_path, translations):
-    """Six shots of two lightings, one of them in a visibility that the stage does not offer: two translations, also when each is asked for again."""
+    """Six shots of two lightings, one of them in a visibility that the stage does not offer: two translations, also
+    when each is asked for again.
+    """
     made, todo = scenes(tmp_path, street(lamp=True), fog=("clear", "mor600", "mor75"))
     made.survey(todo)
     found = [made.of(shot) for shot in todo]
@@ -52,7 +54,9 @@ def test_a_fog_that_touches_more_is_translated_anew(tmp_path, translations):
 
 
 def test_a_visibility_counts_in_the_variant_that_was_authored(tmp_path, translations):
-    """mor75 replaces the visibility of the fog that the stage chooses itself, also after clear air, in which that fog is switched off."""
+    """mor75 replaces the visibility of the fog that the stage chooses itself, also after clear air, in which that fog
+    is switched off.
+    """
     alone, (shot,) = scenes(tmp_path, street(), fog=("mor75",), lighting=("sky",))
     only = alone.of(shot)
     after, todo = scenes(tmp_path, street(), fog=("clear", "mor75"), lighting=("sky",))
@@ -61,7 +65,9 @@ def test_a_visibility_counts_in_the_variant_that_was_authored(tmp_path, translat
 
 
 def test_a_lens_that_distorts_is_rendered_for_wider_and_denser(tmp_path):
-    """More than twice the pixels each way and a wider view; one world for all fogs still, and what the sensor takes is the stage's own."""
+    """More than twice the pixels each way and a wider view; one world for all fogs still, and what the sensor takes is
+    the stage's own.
+    """
     made, todo = scenes(tmp_path, street(lamp=True), camera.load_graph(Path("dashcam")), fog=("clear", "mor600"))
     plain, _ = scenes(tmp_path, street(lamp=True), camera.load_graph(Path("phone")), fog=("clear", "mor600"))
     wide, narrow = made.of(todo[0]).camera, plain.of(todo[0]).camera

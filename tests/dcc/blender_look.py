@@ -1,4 +1,6 @@
-"""Run by Blender's Python: what it finds in a USD file, as JSON on the last line.  Arguments: the file, names of fog boxes."""
+"""Run by Blender's Python: what it finds in a USD file, as JSON on the last line.  Arguments: the file, names of fog
+boxes.
+"""
 
 import json
 import sys
@@ -22,7 +24,9 @@ def look(file, *fogs):
             corners = [list(thing.matrix_world @ vertex.co) for vertex in thing.data.vertices]
             found["fog"][thing.name] = [[min(axis), max(axis)] for axis in zip(*corners, strict=True)]
         found["meshes"] += thing.type == "MESH"
-    found["lights"] = [list(one.matrix_world.translation) for one in shown.object_instances if one.object.type == "LIGHT"]
+    found["lights"] = [
+        list(one.matrix_world.translation) for one in shown.object_instances if one.object.type == "LIGHT"
+    ]
     print("\n" + json.dumps(found))
 
 

@@ -1,4 +1,6 @@
-"""Run by Blender's Python: a street with fog by the add-on, exported to USD.  Arguments: the add-on's folder, the file to write, fogs or ''."""
+"""Run by Blender's Python: a street with fog by the add-on, exported to USD.  Arguments: the add-on's folder, the file
+to write, fogs or ''.
+"""
 
 import math
 import sys
@@ -31,7 +33,10 @@ def street(add_on, file, fogs):
     bpy.context.scene.world = world
     background = world.node_tree.nodes["Background"] if world.node_tree else None
     if background is not None:
-        background.inputs["Color"].default_value, background.inputs["Strength"].default_value = (1.0, 1.0, 1.0, 1.0), 1000.0
+        background.inputs["Color"].default_value, background.inputs["Strength"].default_value = (
+            (1.0, 1.0, 1.0, 1.0),
+            1000.0,
+        )
     bpy.ops.synfog.add_fog(mor=150.0)
     if fogs:
         bpy.ops.synfog.variants(names=fogs)

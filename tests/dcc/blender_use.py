@@ -1,4 +1,6 @@
-"""Run by Blender's Python: the extension is installed and used as an artist would; what came of it, as JSON on the last line.  Argument: its .zip."""
+"""Run by Blender's Python: the extension is installed and used as an artist would; what came of it, as JSON on the last
+line.  Argument: its .zip.
+"""
 
 import importlib
 import json

@@ -29,10 +29,14 @@ def main(path):
         if "SynFogMediumAPI" in schemas:
             half = UsdGeom.Cube(prim).GetSizeAttr().Get() / 2.0
             matrix = cache.GetLocalToWorldTransform(prim)
-            corners = [matrix.Transform(Gf.Vec3d(x, y, z)) for x in (-half, half) for y in (-half, half) for z in (-half, half)]
+            corners = [
+                matrix.Transform(Gf.Vec3d(x, y, z)) for x in (-half, half) for y in (-half, half) for z in (-half, half)
+            ]
             found["fog"][prim.GetName()] = [[min(axis), max(axis)] for axis in zip(*corners, strict=True)]
             found["fog_attributes"][prim.GetName()] = {
-                name: prim.GetAttribute(name).Get() for name in prim.GetAuthoredPropertyNames() if name.startswith("synfog:fog:") and prim.GetAttribute(name)
+                name: prim.GetAttribute(name).Get()
+                for name in prim.GetAuthoredPropertyNames()
+                if name.startswith("synfog:fog:") and prim.GetAttribute(name)
             }
     found["errors"] = [str(error) for error in stage.GetCompositionErrors()]
     found["ours"] = [name for name in sys.modules if name.startswith("synfog")] + [

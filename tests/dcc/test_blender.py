@@ -21,7 +21,8 @@ BPY = os.environ.get("SYNFOG_BPY", "")
 pytestmark = pytest.mark.skipif(not BPY, reason="SYNFOG_BPY names no Python that has bpy")
 ROOT = Path(__file__).resolve().parents[2]
 
-# By hand: the box reaches 20 m beyond what there is and 1 m below it; x -10..10, y -20..100, z -1..5 (the lamp).  The sky is 1000 nits.
+# By hand: the box reaches 20 m beyond what there is and 1 m below it; x -10..10, y -20..100, z -1..5 (the lamp).  The
+# sky is 1000 nits.
 BY_HAND = """#usda 1.0
 (
     defaultPrim = "World"
@@ -84,7 +85,12 @@ def exported(folder, fogs):
     folder.mkdir()
     path = folder / "street.usda"
     script = Path(__file__).with_name("blender_street.py")
-    done = subprocess.run([BPY, str(script), str(ROOT / "integrations" / "blender"), str(path), fogs], capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [BPY, str(script), str(ROOT / "integrations" / "blender"), str(path), fogs],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0 and path.is_file(), done.stdout + done.stderr
     return path
 
@@ -107,10 +113,17 @@ def test_what_blender_exports_is_proper_usd(plain, varied):
     (fog,) = [prim for prim in stage.Traverse() if "SynFogMediumAPI" in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
     assert fog.GetAttribute("purpose").Get() == "guide" and fog.GetAttribute("synfog:fog:mor").Get() == 150.0
     labels = {
-        prim.GetName(): prim.GetAttribute("semantics:labels:cityscapes").Get() for prim in stage.Traverse() if prim.GetAttribute("semantics:labels:cityscapes")
+        prim.GetName(): prim.GetAttribute("semantics:labels:cityscapes").Get()
+        for prim in stage.Traverse()
+        if prim.GetAttribute("semantics:labels:cityscapes")
     }
     assert {name: list(words) for name, words in labels.items()} == {"Car": ["car"], "Road": ["road"]}
-    assert not [prop.GetName() for prim in stage.Traverse() for prop in prim.GetAuthoredProperties() if "userProperties:synfog" in prop.GetName()]
+    assert not [
+        prop.GetName()
+        for prim in stage.Traverse()
+        for prop in prim.GetAuthoredProperties()
+        if "userProperties:synfog" in prop.GetName()
+    ]
 
 
 def test_the_scene_is_that_which_was_written_by_hand(plain, tmp_path):
@@ -119,11 +132,20 @@ def test_the_scene_is_that_which_was_written_by_hand(plain, tmp_path):
     theirs, ours = translate(open_stage(plain)), translate(open_stage(tmp_path / "hand.usda"))
     (fog,), (wanted,) = theirs.fog, ours.fog
     assert fog.boundary.kind == wanted.boundary.kind == "box"
-    corners = [np.sort(volume.boundary.surface_points(), axis=0)[[0, -1]] + np.array(scene.origin_m) for scene, volume in ((theirs, fog), (ours, wanted))]
+    corners = [
+        np.sort(volume.boundary.surface_points(), axis=0)[[0, -1]] + np.array(scene.origin_m)
+        for scene, volume in ((theirs, fog), (ours, wanted))
+    ]
     np.testing.assert_allclose(corners[0], corners[1], atol=1e-4)
     np.testing.assert_allclose(fog.medium.sigma_t_per_m, wanted.medium.sigma_t_per_m, rtol=1e-6)
-    np.testing.assert_allclose([theirs.camera.fov_x_deg, *theirs.origin_m], [ours.camera.fov_x_deg, *ours.origin_m], atol=1e-4)
-    assert {instance.label for instance in theirs.instances} == {instance.label for instance in ours.instances} == {"car", "road"}
+    np.testing.assert_allclose(
+        [theirs.camera.fov_x_deg, *theirs.origin_m], [ours.camera.fov_x_deg, *ours.origin_m], atol=1e-4
+    )
+    assert (
+        {instance.label for instance in theirs.instances}
+        == {instance.label for instance in ours.instances}
+        == {"car", "road"}
+    )
 
 
 def test_variants_are_shots(varied):
@@ -135,19 +157,50 @@ def test_variants_are_shots(varied):
         np.testing.assert_allclose([volume.medium.visibility_m for volume in translate(stage).fog], wanted, rtol=1e-6)
     for name, lamps in (("active", 1), ("sky", 0)):
         select(stage, lighting=name)
-        assert sum("emitter" in part or part["type"] == "point" for part in translate(stage).world.values() if isinstance(part, dict)) == lamps
+        assert (
+            sum(
+                "emitter" in part or part["type"] == "point"
+                for part in translate(stage).world.values()
+                if isinstance(part, dict)
+            )
+            == lamps
+        )
 
 
 def test_the_picture_is_that_of_the_street_written_by_hand(varied, tmp_path):
-    """Without the lamp the two bake to the same light: 64 x 36 pixels to 2 % each, so that blocks of 48 differ by some 0.4 %."""
+    """Without the lamp the two bake to the same light: 64 x 36 pixels to 2 % each, so that blocks of 48 differ by some
+    0.4 %.
+    """
     (tmp_path / "hand.usda").write_text(BY_HAND, encoding="utf-8")
     means = []
-    for name, path, more in (("blender", varied, ["--lighting", "sky", "--fog", "mor150"]), ("hand", tmp_path / "hand.usda", [])):
-        words = ["bake", path, "-o", tmp_path / name, "--resolution", "64x36", "--samples", "1024", "--target-error", "0.02", "--json", *more]
-        done = subprocess.run([sys.executable, "-m", "synfog_usd.cli.main", *map(str, words)], capture_output=True, text=True, timeout=300)
+    for name, path, more in (
+        ("blender", varied, ["--lighting", "sky", "--fog", "mor150"]),
+        ("hand", tmp_path / "hand.usda", []),
+    ):
+        words = [
+            "bake",
+            path,
+            "-o",
+            tmp_path / name,
+            "--resolution",
+            "64x36",
+            "--samples",
+            "1024",
+            "--target-error",
+            "0.02",
+            "--json",
+            *more,
+        ]
+        done = subprocess.run(
+            [sys.executable, "-m", "synfog_usd.cli.main", *map(str, words)], capture_output=True, text=True, timeout=300
+        )
         assert done.returncode == 0, done.stderr
         (row,) = json.loads(done.stdout)["shots"]
-        means.append(read_exr(tmp_path / name / row["lighting"] / row["fog"] / "radiance.exr").pixels.reshape(6, 6, 8, 8, 3).mean(axis=(1, 3)))
+        means.append(
+            read_exr(tmp_path / name / row["lighting"] / row["fog"] / "radiance.exr")
+            .pixels.reshape(6, 6, 8, 8, 3)
+            .mean(axis=(1, 3))
+        )
     np.testing.assert_allclose(means[0], means[1], rtol=0.02)
     np.testing.assert_allclose(means[0].mean(), means[1].mean(), rtol=0.003)
 
@@ -160,7 +213,9 @@ def used(tmp_path_factory):
     subprocess.run(words, check=True, capture_output=True, timeout=60)
     script = Path(__file__).with_name("blender_use.py")
     fresh = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / "user")}
-    done = subprocess.run([BPY, str(script), str(folder / "synfog_fog.zip")], capture_output=True, text=True, env=fresh, timeout=300)
+    done = subprocess.run(
+        [BPY, str(script), str(folder / "synfog_fog.zip")], capture_output=True, text=True, env=fresh, timeout=300
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -172,7 +227,9 @@ def test_the_extension_installs_from_its_file(used):
 def test_the_box_shows_its_fog_in_blender_and_follows_its_visibility(used):
     """A cube of 2 m with 20 m around it and 1 m below; density is -ln(0.05) / visibility, 1/m."""
     assert used["size"] == used["again"] == [42.0, 42.0, 23.0]
-    np.testing.assert_allclose(used["density"], -np.log(0.05) / np.array([120.0, 60.0]), rtol=2e-4)  # 2.996 is -ln 0.05 to 1e-4
+    np.testing.assert_allclose(
+        used["density"], -np.log(0.05) / np.array([120.0, 60.0]), rtol=2e-4
+    )  # 2.996 is -ln 0.05 to 1e-4
 
 
 def test_what_the_extension_does_can_be_undone(used):

@@ -46,13 +46,22 @@ def road(tmp_path_factory):
     path = folder / "night.usda"
     path.write_text(BY_NIGHT, encoding="utf-8")
     plain = {name: value for name, value in os.environ.items() if name not in FOLDED}
-    done = subprocess.run([sys.executable, str(HERE / "plain_look.py"), str(path)], capture_output=True, text=True, env=plain, cwd=folder, timeout=300)
+    done = subprocess.run(
+        [sys.executable, str(HERE / "plain_look.py"), str(path)],
+        capture_output=True,
+        text=True,
+        env=plain,
+        cwd=folder,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     return path, json.loads(done.stdout), done.stderr
 
 
 def test_usd_without_our_plugin_reads_all_of_a_world(road):
-    """Nothing of ours is loaded, nothing fails to compose, nothing is said; the fog's numbers are there under their names."""
+    """Nothing of ours is loaded, nothing fails to compose, nothing is said; the fog's numbers are there under their
+    names.
+    """
     _, told, words = road
     assert told["ours"] == [] and told["errors"] == [] and words == ""
     (fog,) = told["fog_attributes"].values()
@@ -66,7 +75,9 @@ def opened(road):
     if not BPY:
         pytest.skip("SYNFOG_BPY names no Python that has bpy")
     path = road[0]
-    done = subprocess.run([BPY, str(HERE / "blender_look.py"), str(path), *road[1]["fog"]], capture_output=True, text=True, timeout=600)
+    done = subprocess.run(
+        [BPY, str(HERE / "blender_look.py"), str(path), *road[1]["fog"]], capture_output=True, text=True, timeout=600
+    )
     assert done.returncode == 0, f"{done.stdout[-2000:]}{done.stderr[-2000:]}"
     return json.loads(done.stdout.splitlines()[-1]), done.stdout + done.stderr
 
@@ -84,8 +95,13 @@ def test_blender_finds_no_mesh_to_repair(opened):
 
 
 def test_blenders_cameras_stand_and_look_as_authored(road, opened):
-    """To 1 mm, 1e-3 of a turn's matrix and 1e-3 degrees.  Blender numbers a name that something else, such as a car's back, has already."""
-    wanted, found = road[1]["cameras"], {name.partition(".")[0]: camera for name, camera in opened[0]["cameras"].items()}
+    """To 1 mm, 1e-3 of a turn's matrix and 1e-3 degrees.  Blender numbers a name that something else, such as a car's
+    back, has already.
+    """
+    wanted, found = (
+        road[1]["cameras"],
+        {name.partition(".")[0]: camera for name, camera in opened[0]["cameras"].items()},
+    )
     assert len(found) == len(opened[0]["cameras"])
     assert set(found) == set(wanted)
     for name, camera in wanted.items():

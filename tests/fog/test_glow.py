@@ -28,7 +28,9 @@ def sphere(nodes=240):
 
 @pytest.mark.parametrize("tau", [0.02, 0.3, 2.0, 10.0])
 def test_isotropic_single_scattering_away_from_the_lamp_is_an_exponential_integral(tau):
-    """Looking away, L1 = integral of exp(-tau - 2 s) / (4 pi (tau + s)^2) = exp(tau) E_2(2 tau) / (4 pi tau); the table's 5e-4 between nodes."""
+    """Looking away, L1 = integral of exp(-tau - 2 s) / (4 pi (tau + s)^2) = exp(tau) E_2(2 tau) / (4 pi tau); the
+    table's 5e-4 between nodes.
+    """
     truth = np.exp(tau) * special.expn(2, 2.0 * tau) / (4.0 * np.pi * tau)
     np.testing.assert_allclose(glow_table(HenyeyGreenstein(0.0)).radiance_single(tau, np.pi), truth, rtol=5e-4)
 
@@ -36,22 +38,30 @@ def test_isotropic_single_scattering_away_from_the_lamp_is_an_exponential_integr
 @pytest.mark.parametrize("phase", PHASES, ids=str)
 @pytest.mark.parametrize("tau, theta", [(0.05, 0.3), (0.5, 1.2), (2.0, 0.1), (3.0, 2.0), (12.0, 0.7), (25.0, 0.05)])
 def test_single_scattering_is_the_integral_along_the_ray(phase, tau, theta):
-    """By adaptive quadrature over the distance, not over the angle as in the code; 0.5 % off the nodes of 0.06 in log tau and of 6e-3 rad at 0.1 rad."""
+    """By adaptive quadrature over the distance, not over the angle as in the code; 0.5 % off the nodes of 0.06 in log
+    tau and of 6e-3 rad at 0.1 rad.
+    """
 
     def scattered(s):
         away = np.sqrt(tau**2 + s * s - 2.0 * tau * s * np.cos(theta))
         return np.exp(-s - away) * phase.value((tau * np.cos(theta) - s) / away) / away**2
 
     middle = max(tau * np.cos(theta), 0.0)
-    ends = np.unique([0.0, *np.clip(middle + tau * np.sin(theta) * np.array([-30, -3, -0.3, 0, 0.3, 3, 30]), 0.0, None), 50.0 + tau])
-    truth = sum(integrate.quad(scattered, a, b, epsabs=0.0, epsrel=1e-8, limit=200)[0] for a, b in itertools.pairwise(ends))
+    ends = np.unique(
+        [0.0, *np.clip(middle + tau * np.sin(theta) * np.array([-30, -3, -0.3, 0, 0.3, 3, 30]), 0.0, None), 50.0 + tau]
+    )
+    truth = sum(
+        integrate.quad(scattered, a, b, epsabs=0.0, epsrel=1e-8, limit=200)[0] for a, b in itertools.pairwise(ends)
+    )
     np.testing.assert_allclose(glow_table(phase).radiance_single(tau, theta), truth, rtol=5e-3)
 
 
 @pytest.mark.parametrize("albedo", [1.0, 0.9, 0.5])
 @pytest.mark.parametrize("tau", DISTANCES[:6])
 def test_isotropic_scalar_irradiance_is_cases(albedo, tau):
-    """Case, de Hoffmann and Placzek (1953): tau^-1 (A exp(-k tau) + integral of g(mu) exp(-tau / mu) / mu^2), the lamp's own light in it."""
+    """Case, de Hoffmann and Placzek (1953): tau^-1 (A exp(-k tau) + integral of g(mu) exp(-tau / mu) / mu^2), the
+    lamp's own light in it.
+    """
     c = albedo
     k = 0.0 if c == 1.0 else integrate_root(c)
     pole = 3.0 if c == 1.0 else 2.0 * k * k * (1.0 - k * k) / (c * (k * k - 1.0 + c))
@@ -87,7 +97,9 @@ def test_no_light_is_lost(phase, tau):
 
 @pytest.mark.parametrize("albedo", [0.99, 0.7])
 def test_what_the_fog_absorbs_is_missing_from_the_flux(albedo):
-    """The divergence of the net flux is -(1 - albedo) times the scalar irradiance; integrated from 0.05 to 8, bound 1 % of the loss at 0.7."""
+    """The divergence of the net flux is -(1 - albedo) times the scalar irradiance; integrated from 0.05 to 8, bound 1 %
+    of the loss at 0.7.
+    """
     table, tau = glow_table(HenyeyGreenstein(0.87), albedo), np.geomspace(0.05, 8.0, 400)
     theta, weight = sphere()
     flux = (table.radiance(tau[:, None], theta) * np.cos(theta)) @ weight * tau**2 + np.exp(-tau)
@@ -104,7 +116,9 @@ def test_far_away_it_diffuses(phase):
     table, theta = glow_table(phase), np.linspace(0.5, 3.0, 6)
     tau, spread = 90.0, 3.0 * (1.0 - phase.mean_cosine)
     np.testing.assert_allclose(table.irradiance(tau), spread / tau, rtol=1e-3)
-    np.testing.assert_allclose(table.radiance(tau, theta), (spread / tau + 3.0 * np.cos(theta) / tau**2) / (4.0 * np.pi), rtol=1e-2)
+    np.testing.assert_allclose(
+        table.radiance(tau, theta), (spread / tau + 3.0 * np.cos(theta) / tau**2) / (4.0 * np.pi), rtol=1e-2
+    )
 
 
 @pytest.mark.parametrize("tau", [0.1, 1.0, 6.0])
@@ -124,9 +138,11 @@ def test_irradiance_is_the_integral_over_a_hemisphere(tau, cosine):
 @pytest.mark.physics
 @pytest.mark.parametrize("g", [0.87, 0.0])
 def test_a_random_walk_from_the_lamp_crosses_spheres_as_the_table_says(g):
-    """Albedo 0.9, 60,000 walks, light scattered twice or more in nine bands of angle at tau 2: within five standard errors of counts, and 10 % in sum.
+    """Albedo 0.9, 60,000 walks, light scattered twice or more in nine bands of angle at tau 2: within five standard
+    errors of counts, and 10 % in sum.
 
-    It shares no formula with the code: free flights, turns by the closed inverse, crossings of a sphere weighted by 1 / |cos|.
+    It shares no formula with the code: free flights, turns by the closed inverse, crossings of a sphere
+    weighted by 1 / |cos|.
     """
     rng, count, tau, albedo = np.random.default_rng(1), 60_000, 2.0, 0.9
     edges = np.radians(np.linspace(0.0, 180.0, 10))
@@ -154,7 +170,14 @@ def test_a_random_walk_from_the_lamp_crosses_spheres_as_the_table_says(g):
         direction = mu[:, None] * direction + np.sqrt(np.maximum(1.0 - mu * mu, 0.0))[:, None] * turned
     table = glow_table(HenyeyGreenstein(g), albedo)
     theta = np.stack([np.linspace(a, b, 401)[:-1] + (b - a) / 800.0 for a, b in itertools.pairwise(edges)])
-    wanted = (table.radiance_multiple(tau, theta) * np.sin(theta)).mean(axis=1) * np.diff(edges) * 2.0 * np.pi * tau**2 * count
+    wanted = (
+        (table.radiance_multiple(tau, theta) * np.sin(theta)).mean(axis=1)
+        * np.diff(edges)
+        * 2.0
+        * np.pi
+        * tau**2
+        * count
+    )
     error = np.sqrt(squares) * 2.0  # a walk crosses more than once: its crossings are not independent
     assert np.all(np.abs(found - wanted) < 5.0 * error + 0.01 * wanted), (found, wanted, error)
     np.testing.assert_allclose(found.sum(), wanted.sum(), rtol=0.1)
@@ -186,10 +209,14 @@ def test_a_table_of_a_closed_form_gives_its_glow():
     """Henyey-Greenstein as a table of cosines: the same radiance to the table's 0.05 %, times four."""
     g = HenyeyGreenstein(0.87)
     tau, theta = np.array([0.1, 1.0, 8.0])[:, None], np.array([0.1, 0.7, 2.0])
-    np.testing.assert_allclose(glow_table(Tabulated(*g.table(), "test")).radiance(tau, theta), glow_table(g).radiance(tau, theta), rtol=2e-3)
+    np.testing.assert_allclose(
+        glow_table(Tabulated(*g.table(), "test")).radiance(tau, theta), glow_table(g).radiance(tau, theta), rtol=2e-3
+    )
 
 
-@pytest.mark.parametrize("phase, albedo, words", [(HenyeyGreenstein(0.5), 1.1, "albedo"), (HenyeyGreenstein(0.999), 1.0, "too peaked")])
+@pytest.mark.parametrize(
+    "phase, albedo, words", [(HenyeyGreenstein(0.5), 1.1, "albedo"), (HenyeyGreenstein(0.999), 1.0, "too peaked")]
+)
 def test_what_has_no_table_is_refused(phase, albedo, words):
     """One clear line each."""
     with pytest.raises(ParameterError, match=words):

@@ -36,33 +36,48 @@ def test_the_mean_along_a_line_is_that_of_many_points_on_it():
 
     steps = (np.arange(200_000) + 0.5)[:, None] / 200_000
     wanted = [density(a + steps * (b - a)).mean() for a, b in zip(begin, end, strict=True)]
-    np.testing.assert_allclose(DensityGrid(values).mean(begin, end), wanted, rtol=1e-7)  # voxels in single precision: 6e-8
+    np.testing.assert_allclose(
+        DensityGrid(values).mean(begin, end), wanted, rtol=1e-7
+    )  # voxels in single precision: 6e-8
 
 
 def test_equal_voxels_are_uniform_fog():
     """In a turned and stretched box, from inside and outside, seen from 50 random places."""
     matrix = np.eye(4)
-    matrix[:3, :3] = trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.5, 0.9]))[:3, :3] @ np.diag([30.0, 5.0, 12.0])
+    matrix[:3, :3] = trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.5, 0.9]))[:3, :3] @ np.diag(
+        [30.0, 5.0, 12.0]
+    )
     draw = np.random.default_rng(1)
     origin, direction = draw.uniform(-12, 12, (50, 3)), draw.normal(size=(50, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     uniform = FogVolume("/Fog", Boundary("box", matrix), FogMedium(0.05))
     wanted = optical_depth([uniform], origin, direction, np.full(50, np.inf))
     assert np.count_nonzero(wanted) > 10
-    found = optical_depth([cloud(Boundary("box", matrix), np.full((3, 2, 4), 0.5))], origin, direction, np.full(50, np.inf))
+    found = optical_depth(
+        [cloud(Boundary("box", matrix), np.full((3, 2, 4), 0.5))], origin, direction, np.full(50, np.inf)
+    )
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
 
 
 def test_two_half_grids_are_the_whole():
-    """The left half and the right half, side by side, dim as the one grid does; voxels doubled where they meet keep it linear there."""
+    """The left half and the right half, side by side, dim as the one grid does; voxels doubled where they meet keep it
+    linear there.
+    """
     values = np.repeat(np.random.default_rng(2).random((3, 3, 4)), 2, axis=2)
     values[:, :, 3] = values[:, :, 4] = 0.5
     whole = cloud(box((8.0, 4.0, 2.0)), values)
-    halves = [cloud(box((4.0, 4.0, 2.0), (x, 0, 0)), half) for x, half in ((-4.0, values[:, :, :4]), (4.0, values[:, :, 4:]))]
-    origin, direction = np.array([[-10.0, 1.0, 0.5], [-10.0, -3.0, -1.0]]), np.array([[1.0, 0.0, 0.0], [0.98, 0.19, 0.06]])
+    halves = [
+        cloud(box((4.0, 4.0, 2.0), (x, 0, 0)), half) for x, half in ((-4.0, values[:, :, :4]), (4.0, values[:, :, 4:]))
+    ]
+    origin, direction = (
+        np.array([[-10.0, 1.0, 0.5], [-10.0, -3.0, -1.0]]),
+        np.array([[1.0, 0.0, 0.0], [0.98, 0.19, 0.06]]),
+    )
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     np.testing.assert_allclose(
-        optical_depth(halves, origin, direction, np.full(2, 50.0)), optical_depth([whole], origin, direction, np.full(2, 50.0)), rtol=1e-9
+        optical_depth(halves, origin, direction, np.full(2, 50.0)),
+        optical_depth([whole], origin, direction, np.full(2, 50.0)),
+        rtol=1e-9,
     )
 
 
@@ -73,13 +88,21 @@ def test_axes_are_z_y_x():
     grid = DensityGrid(values)
     at = np.array([[0.0, -2 / 3, 0.5]])
     assert grid.mean(at, at) == 1.0
-    assert grid.mean(at * [[1, -1, 1]], at * [[1, -1, 1]]) == 0.0 and grid.mean(at * [[1, 1, -1]], at * [[1, 1, -1]]) == 0.0
+    assert (
+        grid.mean(at * [[1, -1, 1]], at * [[1, -1, 1]]) == 0.0
+        and grid.mean(at * [[1, 1, -1]], at * [[1, 1, -1]]) == 0.0
+    )
 
 
 def test_a_bank_with_a_grid_takes_the_place_of_the_fog_around_it():
     """0.02 per metre outside, 0.1 x 0.5 inside for 10 m of 30."""
     around = FogVolume("/Fog", box(100.0), FogMedium(0.02))
-    bank = FogVolume("/Bank", box(5.0, (0, 15, 0)), FogMedium(0.1, profile="grid", grid=DensityGrid(np.full((2, 2, 2), 0.5))), parent=0)
+    bank = FogVolume(
+        "/Bank",
+        box(5.0, (0, 15, 0)),
+        FogMedium(0.1, profile="grid", grid=DensityGrid(np.full((2, 2, 2), 0.5))),
+        parent=0,
+    )
     found = optical_depth([around, bank], np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]]), np.array([30.0]))
     np.testing.assert_allclose(found, 0.02 * 20 + 0.05 * 10, rtol=1e-9)
 
@@ -89,16 +112,26 @@ def test_a_grid_is_no_function_of_height():
         cloud(box(1.0), np.ones((1, 1, 1))).medium.optical_depth(0.0, 1.0, 1.0)
 
 
-@pytest.mark.parametrize("values, words", [
-    (np.full((2, 2, 2), np.nan), r"nan at \(0, 0, 0\)"), (-np.ones((2, 2, 2)), "outside 0 to 1"), (np.full((2, 2, 2), 1.5), "divide by the largest"),
-    (np.ones((2, 2)), "three axes"), (np.ones((0, 2, 2)), "1 to"), (np.full((1, 1, 1), "a"), "real numbers"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "values, words",
+    [
+        (np.full((2, 2, 2), np.nan), r"nan at \(0, 0, 0\)"),
+        (-np.ones((2, 2, 2)), "outside 0 to 1"),
+        (np.full((2, 2, 2), 1.5), "divide by the largest"),
+        (np.ones((2, 2)), "three axes"),
+        (np.ones((0, 2, 2)), "1 to"),
+        (np.full((1, 1, 1), "a"), "real numbers"),
+    ],
+)
 def test_impossible_grids_are_refused(values, words):
     with pytest.raises(ParameterError, match=words):
         DensityGrid(values)
 
 
-@pytest.mark.parametrize("parts", [{"profile": "grid"}, {"grid": DensityGrid(np.ones((1, 1, 1)))}, {"angstrom": 9.0}, {"angstrom": float("nan")}])
+@pytest.mark.parametrize(
+    "parts",
+    [{"profile": "grid"}, {"grid": DensityGrid(np.ones((1, 1, 1)))}, {"angstrom": 9.0}, {"angstrom": float("nan")}],
+)
 def test_a_grid_belongs_to_its_profile(parts):
     with pytest.raises(ParameterError):
         FogMedium(0.1, **parts)

@@ -14,7 +14,9 @@ from synfog_usd.fog.phase import Droplets, HenyeyGreenstein, Tabulated
 EPS64 = np.finfo(np.float64).eps
 needs_mie = pytest.mark.skipif(importlib.util.find_spec("miepython") is None, reason="needs miepython")
 
-CLOSED = [HenyeyGreenstein(g) for g in (-0.99, -0.3, 0.0, 1e-4, 0.87, 0.99)] + [Droplets(d) for d in (5.01, 8.0, 20.0, 49.9)]
+CLOSED = [HenyeyGreenstein(g) for g in (-0.99, -0.3, 0.0, 1e-4, 0.87, 0.99)] + [
+    Droplets(d) for d in (5.01, 8.0, 20.0, 49.9)
+]
 
 
 def ramp():
@@ -23,7 +25,9 @@ def ramp():
 
 
 def integral(record, factor=lambda mu: 1.0):
-    """2 pi times the integral of value * factor over the cosine, by adaptive quadrature on the logarithm of the distance from each end."""
+    """2 pi times the integral of value * factor over the cosine, by adaptive quadrature on the logarithm of the
+    distance from each end.
+    """
 
     def half(side):
         def at(s):
@@ -43,7 +47,9 @@ def test_all_light_goes_somewhere(record):
 
 @pytest.mark.parametrize("record", CLOSED, ids=str)
 def test_moments_are_integrals_of_legendre_polynomials(record):
-    """The closed forms of chi_0 .. chi_7 equal adaptive quadrature with scipy's polynomials, to its 1e-8; the mean cosine is chi_1."""
+    """The closed forms of chi_0 .. chi_7 equal adaptive quadrature with scipy's polynomials, to its 1e-8; the mean
+    cosine is chi_1.
+    """
     wanted = [integral(record, lambda mu, order=order: special.eval_legendre(order, mu)) for order in range(8)]
     np.testing.assert_allclose(record.moments(8), wanted, atol=1e-8)
     assert record.mean_cosine == pytest.approx(wanted[1], abs=1e-8)
@@ -55,7 +61,9 @@ def test_moments_of_henyey_and_greenstein_are_powers_of_g():
 
 @pytest.mark.parametrize("diameter", [5.01, 10.0, 49.9])
 def test_the_mean_cosine_of_droplets_is_draines(diameter):
-    """Draine (2003), eq. 6: g (1 + alpha (3 + 2 g^2) / 5) / (1 + alpha (1 + 2 g^2) / 3), mixed with g of Henyey-Greenstein."""
+    """Draine (2003), eq. 6: g (1 + alpha (3 + 2 g^2) / 5) / (1 + alpha (1 + 2 g^2) / 3), mixed with g of
+    Henyey-Greenstein.
+    """
     peak, g, alpha, share = Droplets(diameter).parameters()
     draine = g * (1 + alpha * (3 + 2 * g * g) / 5) / (1 + alpha * (1 + 2 * g * g) / 3)
     np.testing.assert_allclose(Droplets(diameter).mean_cosine, (1 - share) * peak + share * draine, rtol=20 * EPS64)
@@ -63,7 +71,9 @@ def test_the_mean_cosine_of_droplets_is_draines(diameter):
 
 @pytest.mark.parametrize("record", CLOSED, ids=str)
 def test_tables_are_fine_enough_to_be_linear(record):
-    """Between the rows a straight line errs by less than 0.06 %: (step)^2 / 8 times the relative curvature; measured 0.051 % at 49.9 um."""
+    """Between the rows a straight line errs by less than 0.06 %: (step)^2 / 8 times the relative curvature; measured
+    0.051 % at 49.9 um.
+    """
     cosines, values = record.table()
     assert cosines[0] == -1.0 and cosines[-1] == 1.0 and np.all(np.diff(cosines) > 0.0)
     between = np.concatenate([cosines[:-1] + share * np.diff(cosines) for share in (0.25, 0.5, 0.75)])
@@ -72,7 +82,9 @@ def test_tables_are_fine_enough_to_be_linear(record):
 
 def test_a_table_of_a_closed_form_has_its_moments():
     """Tabulated Henyey-Greenstein has moments g^l within the 0.05 % of its table."""
-    np.testing.assert_allclose(Tabulated(*HenyeyGreenstein(0.87).table(), "test").moments(64), 0.87 ** np.arange(64), atol=5e-4)
+    np.testing.assert_allclose(
+        Tabulated(*HenyeyGreenstein(0.87).table(), "test").moments(64), 0.87 ** np.arange(64), atol=5e-4
+    )
 
 
 def test_moments_of_a_ramp_are_exact():
@@ -83,19 +95,25 @@ def test_moments_of_a_ramp_are_exact():
 
 @needs_mie
 def test_one_droplet_scatters_as_miepython_says():
-    """Our sums over the series, weighed by one size, against its own intensities: the same curve up to a factor, to rounding of 60 terms."""
+    """Our sums over the series, weighed by one size, against its own intensities: the same curve up to a factor, to
+    rounding of 60 terms.
+    """
     import miepython
 
     ours = Tabulated.mie(5.0, spread=1.0)
     theirs = miepython.i_unpolarized(1.333, np.pi * 5.0 / 0.55, ours.cosines, norm="one")
     ratio = ours.values / theirs
     np.testing.assert_allclose(ratio, ratio.mean(), rtol=1e-9)
-    np.testing.assert_allclose(ratio.mean(), 1.0, rtol=1e-3)  # rows even in angle carry the spikes of one size to 0.07 %
+    np.testing.assert_allclose(
+        ratio.mean(), 1.0, rtol=1e-3
+    )  # rows even in angle carry the spikes of one size to 0.07 %
 
 
 @needs_mie
 def test_a_spread_of_sizes_has_the_mean_cosine_of_its_efficiencies():
-    """g = sum n Q_sca x^2 g / sum n Q_sca x^2 with Q and g from miepython's series, which never form the curve; measured 0.005 %."""
+    """g = sum n Q_sca x^2 g / sum n Q_sca x^2 with Q and g from miepython's series, which never form the curve;
+    measured 0.005 %.
+    """
     import miepython
 
     steps = np.linspace(-3, 3, 2000)
@@ -108,7 +126,8 @@ def test_a_spread_of_sizes_has_the_mean_cosine_of_its_efficiencies():
 @needs_mie
 @pytest.mark.parametrize("diameter", [5.01, 8.0, 15.0, 30.0, 49.9])
 def test_the_droplet_mixture_follows_lorenz_and_mie(diameter):
-    """The share of light beyond any angle from 5 to 180 degrees is within 0.025 of the exact curve's, the mean cosine within 0.02.
+    """The share of light beyond any angle from 5 to 180 degrees is within 0.025 of the exact curve's, the mean cosine
+    within 0.02.
 
     The authors claim the shape of 95 % of it.  Measured 0.022 and 0.015; within 5
     degrees the mixture has a cusp where diffraction has a dome, at the same light.

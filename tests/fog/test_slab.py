@@ -23,7 +23,9 @@ OVERCAST = ((1.0 + 2.0 * RINGS) / 3.0)[:, None]
 
 def layer(fog, *, ground=0.15, sky=OVERCAST, **more):
     """A 60 m layer with one channel."""
-    return solve(fog, bottom_m=0.0, top_m=TOP, ground=[ground], sky_up=RINGS if len(sky) > 1 else [1.0], sky=sky, **more)
+    return solve(
+        fog, bottom_m=0.0, top_m=TOP, ground=[ground], sky_up=RINGS if len(sky) > 1 else [1.0], sky=sky, **more
+    )
 
 
 def anywhere(count, seed=0):
@@ -127,14 +129,18 @@ def test_radiance_and_source_satisfy_the_transfer_equation(profile, g):
 @pytest.mark.parametrize("sky", [OVERCAST, np.where(RINGS < 0.3, 2.0, 0.2)[:, None]], ids=["overcast", "jump"])
 @pytest.mark.parametrize("g", [0.0, 0.87, -0.5])
 def test_source_is_the_integral_of_phase_and_radiance(g, sky):
-    """J = integral of p L over the sphere, with HG itself (no Legendre series) and other nodes; the target of a control variate."""
+    """J = integral of p L over the sphere, with HG itself (no Legendre series) and other nodes; the target of a control
+    variate.
+    """
     slab = layer(FogMedium(0.02, g=g), sky=sky)
     node, weight = directions()
     phi = (np.arange(400) + 0.5) * np.pi / 400.0
     for height in (0.0, 1e-3, 0.5, 20.0, 59.9, 59.999, 60.0):
         L = slab.radiance(np.full(node.size, height), node)[:, 0]
         up = np.array([-1.0, -0.6, -0.03, 0.0, 0.01, 0.3, 0.97])
-        cosine = up[:, None, None] * node[:, None] + np.sqrt((1.0 - up**2)[:, None, None] * (1.0 - node**2)[:, None]) * np.cos(phi)
+        cosine = up[:, None, None] * node[:, None] + np.sqrt(
+            (1.0 - up**2)[:, None, None] * (1.0 - node**2)[:, None]
+        ) * np.cos(phi)
         phase = (0.5 * (1.0 - g * g) / (1.0 + g * g - 2.0 * g * cosine) ** 1.5).mean(axis=-1)
         # Subtract and add L at `up` itself where the peak is sharp: the phase integrates to 1.
         own = slab.radiance(np.full(up.size, height), up)
@@ -144,7 +150,9 @@ def test_source_is_the_integral_of_phase_and_radiance(g, sky):
 
 @pytest.mark.parametrize("depth", [0.1, 1.2, 1000.0])
 def test_nothing_is_lost_without_absorption(depth):
-    """Albedo 1: the net flux is the same at every height; with ground 1 it is zero.  Bound: the irradiance's quadrature, 1e-6."""
+    """Albedo 1: the net flux is the same at every height; with ground 1 it is zero.  Bound: the irradiance's
+    quadrature, 1e-6.
+    """
     height = np.array([0.0, 0.01, 5.0, 30.0, 59.0, 60.0])
     for ground in (0.0, 0.15, 1.0):
         slab = layer(FogMedium(depth / TOP), ground=ground)
@@ -168,20 +176,26 @@ def test_clear_air_shows_sky_and_ground():
     slab = layer(FogMedium(0.0))
     height, up = anywhere(200)
     truth = np.where(up >= 0.0, np.interp(np.abs(up), RINGS, OVERCAST[:, 0]), 0.15 * 7.0 / 9.0)
-    np.testing.assert_allclose(slab.radiance(height, up)[:, 0], truth, rtol=1e-5)  # the sky is flat below its lowest ring
+    np.testing.assert_allclose(
+        slab.radiance(height, up)[:, 0], truth, rtol=1e-5
+    )  # the sky is flat below its lowest ring
     assert slab.optical_depth == 0.0 and np.all(np.isfinite(slab.table(8, 8)))
 
 
 @pytest.mark.parametrize("sigma_t", [0.005, 0.02, 0.1])
 def test_tables_hold_the_radiance(sigma_t):
-    """Bilinear lookup at the default size: median error < 1e-4, 99th percentile < 1e-3, at random heights and directions."""
+    """Bilinear lookup at the default size: median error < 1e-4, 99th percentile < 1e-3, at random heights and
+    directions.
+    """
     slab = layer(FogMedium(sigma_t))
     rng = np.random.default_rng(2)
     height, up = rng.uniform(0.0, TOP, 8000), rng.uniform(-1.0, 1.0, 8000)
     error = np.abs(slab.lookup(slab.table(), height, up) / slab.radiance(height, up) - 1.0)
     assert np.median(error) < 1e-4 and np.quantile(error, 0.99) < 1e-3, (np.median(error), np.quantile(error, 0.99))
     height, normal = height[:1000], up[:1000]
-    error = np.abs(slab.lookup_irradiance(slab.irradiance_table(), height, normal) / slab.irradiance(height, normal) - 1.0)
+    error = np.abs(
+        slab.lookup_irradiance(slab.irradiance_table(), height, normal) / slab.irradiance(height, normal) - 1.0
+    )
     assert np.median(error) < 1e-4 and np.quantile(error, 0.99) < 1e-3, (np.median(error), np.quantile(error, 0.99))
 
 
@@ -209,7 +223,9 @@ def test_irradiance_is_the_integral_over_a_hemisphere():
 
 
 def test_only_optical_depth_matters():
-    """An exponential fog gives what a uniform one gives at the same share of depth; the top and the ends are clamped."""
+    """An exponential fog gives what a uniform one gives at the same share of depth; the top and the ends are
+    clamped.
+    """
     thinning = FogMedium(0.04, profile="exponential", scale_height_m=25.0)
     one = layer(thinning)
     two = layer(FogMedium(one.optical_depth / TOP))
@@ -229,7 +245,9 @@ def test_channels_are_apart_and_light_is_additive():
     height, up = anywhere(100)
     for c in range(3):
         np.testing.assert_allclose(
-            together.radiance(height, up)[:, c], layer(fog, ground=ground[c], sky=sky[:, c : c + 1]).radiance(height, up)[:, 0], rtol=1e-8
+            together.radiance(height, up)[:, c],
+            layer(fog, ground=ground[c], sky=sky[:, c : c + 1]).radiance(height, up)[:, 0],
+            rtol=1e-8,
         )
     twice = layer(fog, sky=2.0 * OVERCAST)
     np.testing.assert_allclose(twice.radiance(height, up), 2.0 * layer(fog).radiance(height, up), rtol=1e-9)

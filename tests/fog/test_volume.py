@@ -41,14 +41,21 @@ def view(near, *, tan=0.5, turn=None):
 
 @pytest.mark.parametrize("distance, meets", [(0.05, True), (0.0999, True), (0.1001, False), (-0.05, False)])
 def test_a_boundary_before_the_near_plane_is_found(distance, meets):
-    """A wall of fog 5 cm ahead cuts a near plane at 10 cm, one 11 cm ahead or behind does not; the camera is outside."""
+    """A wall of fog 5 cm ahead cuts a near plane at 10 cm, one 11 cm ahead or behind does not; the camera is
+    outside.
+    """
     size = 1000.0
-    assert box((size, size, size), (0, 0, -distance - size if distance > 0 else -distance + size)).meets(view(0.1)) == meets
+    assert (
+        box((size, size, size), (0, 0, -distance - size if distance > 0 else -distance + size)).meets(view(0.1))
+        == meets
+    )
 
 
 @pytest.mark.parametrize("shift, meets", [(0.0, False), (0.94, False), (0.96, True), (1.02, True), (1.06, False)])
 def test_a_camera_inside_may_look_out_only_behind_its_near_plane(shift, meets):
-    """A box of half size 1 m, the near plane 0.1 m wide: a corner leaves it where the camera is closer than 5 cm to the side."""
+    """A box of half size 1 m, the near plane 0.1 m wide: a corner leaves it where the camera is closer than 5 cm to the
+    side.
+    """
     assert box(1.0, (-shift, 0, 0)).meets(view(0.1)) == meets
     assert Boundary("mesh", np.eye(4), *_box_mesh(-shift)).meets(view(0.1)) == meets
 
@@ -101,13 +108,17 @@ def planes_of(pyramid):
 
 
 def test_boxes_and_meshes_meet_what_clipping_their_faces_leaves():
-    """300 random boxes, 3 mm to 10 km, beside random views: the same answer as cutting each triangle with each plane."""
+    """300 random boxes, 3 mm to 10 km, beside random views: the same answer as cutting each triangle with each
+    plane.
+    """
     draw = np.random.default_rng(3)
     solid = trimesh.creation.box(extents=(2, 2, 2))
     answers = []
     for _ in range(300):
         near = 10 ** draw.uniform(-2, 0)
-        pyramid = view(near, tan=draw.uniform(0.1, 2), turn=trimesh.transformations.random_rotation_matrix(draw.random(3))[:3, :3])
+        pyramid = view(
+            near, tan=draw.uniform(0.1, 2), turn=trimesh.transformations.random_rotation_matrix(draw.random(3))[:3, :3]
+        )
         matrix = trimesh.transformations.random_rotation_matrix(draw.random(3))
         matrix[:3, :3] *= near * 10 ** draw.uniform(-0.5, 4, 3)
         on_face = draw.uniform(-1, 1, 3)

@@ -33,10 +33,22 @@ ALL = ["lens", "side", "expose", "noise", "adc", "show"]
 
 @pytest.fixture
 def run(tmp_path, registry, radiance):
-    """Runs the graph with a cache, checks each picture against a run without one, and gives the names of the nodes that ran."""
+    """Runs the graph with a cache, checks each picture against a run without one, and gives the names of the nodes that
+    ran.
+    """
     (tmp_path / "g.yaml").write_text(GRAPH)
 
-    def go(text: str | None = None, *, image: Image = radiance, seed=1, time_s=3.0, keep=None, ops=registry, store=None, **arguments):
+    def go(
+        text: str | None = None,
+        *,
+        image: Image = radiance,
+        seed=1,
+        time_s=3.0,
+        keep=None,
+        ops=registry,
+        store=None,
+        **arguments,
+    ):
         if text is not None:
             (tmp_path / "g.yaml").write_text(text)
         arguments |= {"seed": seed, "settings": {"time_s": time_s}, "keep": keep}
@@ -66,7 +78,10 @@ def test_nothing_runs_twice(run):
         ({"text": GRAPH.replace("op: chip.adc", "op: chip.adc, bits: 8")}, ["adc", "show"]),
         ({"text": GRAPH.replace("op: screen.show", "op: screen.show, tint: [1, 0, 0]")}, ["show"]),
         ({"text": GRAPH.replace("chip: good", "chip: other.yaml")}, ["noise", "adc", "show"]),
-        ({"text": GRAPH.replace("  - {name: adc", "  - {name: more, op: chip.noise, sigma_e: 0}\n  - {name: adc")}, ["adc", "show"]),
+        (
+            {"text": GRAPH.replace("  - {name: adc", "  - {name: more, op: chip.noise, sigma_e: 0}\n  - {name: adc")},
+            ["adc", "show"],
+        ),
         ({"text": GRAPH.replace("name: noise", "name: hiss")}, ["adc", "show"]),
         ({"text": GRAPH.replace("name: expose", "name: shutter")}, []),
         ({"text": GRAPH.replace("raw.dng", "other.dng") + "# a comment\n"}, []),
@@ -100,7 +115,9 @@ def test_auto_that_is_found_in_the_provenance_follows_it(tmp_path, registry, rad
     (tmp_path / "g.yaml").write_text(GRAPH)
     graph, store = load_graph(tmp_path / "g.yaml", registry), Cache(tmp_path / "cache")
     for time_s in (1.0, 2.0, 1.0):
-        exposed = graph.run({"radiance": radiance.with_metadata(time_s=time_s)}, seed=0, until="expose", cache=store)["expose"]
+        exposed = graph.run({"radiance": radiance.with_metadata(time_s=time_s)}, seed=0, until="expose", cache=store)[
+            "expose"
+        ]
         np.testing.assert_array_equal(exposed.pixels, radiance.pixels[..., :1] * 2 * np.float32(time_s))
 
 
@@ -118,7 +135,9 @@ def registry_of(folder: Path, source: str) -> Registry:
 
 def test_an_op_that_was_rewritten_runs_again(tmp_path, radiance):
     """Its name and parameters stay; its source does not."""
-    (tmp_path / "g.yaml").write_text("synfog: graph/1\ninputs: [radiance]\nnodes: [{op: own.op}]\noutputs: {a.exr: op}\n")
+    (tmp_path / "g.yaml").write_text(
+        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: own.op}]\noutputs: {a.exr: op}\n"
+    )
     source = "def own(image: Image) -> Image:\n    return image.with_pixels(image.pixels * {})"
     peaks = []
     for factor in (2, 2, 3):
@@ -130,7 +149,9 @@ def test_an_op_that_was_rewritten_runs_again(tmp_path, radiance):
 
 def test_an_op_that_holds_variables_of_the_function_around_it_is_never_kept(tmp_path, radiance):
     """Two ops of one source that differ in what they hold; the second must not get the first's result."""
-    (tmp_path / "g.yaml").write_text("synfog: graph/1\ninputs: [radiance]\nnodes: [{op: own.op}]\noutputs: {a.exr: op}\n")
+    (tmp_path / "g.yaml").write_text(
+        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: own.op}]\noutputs: {a.exr: op}\n"
+    )
 
     def scaled(factor: float) -> Registry:
         ops = Registry()
@@ -151,7 +172,9 @@ def test_an_op_that_holds_variables_of_the_function_around_it_is_never_kept(tmp_
 def test_what_json_would_change_is_not_kept(tmp_path, radiance):
     """A tuple in the provenance would come back as a list."""
     store = Cache(tmp_path / "cache")
-    for number, (value, kept) in enumerate([((1, 2), False), ([1, 2], True), (float("nan"), False), (np.float32(1), False), ({"a": None}, True)]):
+    for number, (value, kept) in enumerate(
+        [((1, 2), False), ([1, 2], True), (float("nan"), False), (np.float32(1), False), ({"a": None}, True)]
+    ):
         key = f"{number:064d}"
         store.put(key, radiance.with_metadata(fact=value))
         store.flush()
@@ -181,7 +204,16 @@ def test_a_broken_file_is_as_good_as_none(tmp_path, run, harm):
             path.mkdir()
         else:
             flipped = bytes([*data[:-9], data[-9] ^ 1, *data[-8:]])
-            path.write_bytes({"empty": b"", "short": data[:-1], "flipped": flipped, "head": data[5:], "other": other, "text": b"x y z\n\xff"}[harm])
+            path.write_bytes(
+                {
+                    "empty": b"",
+                    "short": data[:-1],
+                    "flipped": flipped,
+                    "head": data[5:],
+                    "other": other,
+                    "text": b"x y z\n\xff",
+                }[harm]
+            )
         run()
         if harm == "folder":
             path.rmdir()
@@ -206,7 +238,9 @@ def test_the_folder_stays_within_its_limit_and_the_oldest_go_first(tmp_path):
     for number in range(40):
         store.put(f"{number:064x}", image)
         store.flush()
-        os.utime(tmp_path / f"{number:064x}.node", ns=(number, number))  # the clock may be too coarse to tell them apart
+        os.utime(
+            tmp_path / f"{number:064x}.node", ns=(number, number)
+        )  # the clock may be too coarse to tell them apart
         if number == 3:
             assert store.get(old) is not None
         assert sum(path.stat().st_size for path in tmp_path.iterdir()) <= 14_000
@@ -226,7 +260,11 @@ def test_a_folder_over_the_limit_is_tidied_when_it_is_opened_and_only_of_its_own
         os.utime(tmp_path / f"{TEMPORARY_PREFIX}{name}.node", (time.time() - age_s,) * 2)
     Cache(tmp_path, limit_bytes=8_000)
     names = {path.name for path in tmp_path.iterdir()}
-    assert "notes.txt" in names and f"{TEMPORARY_PREFIX}running.node" in names and f"{TEMPORARY_PREFIX}killed.node" not in names
+    assert (
+        "notes.txt" in names
+        and f"{TEMPORARY_PREFIX}running.node" in names
+        and f"{TEMPORARY_PREFIX}killed.node" not in names
+    )
     assert sum(path.stat().st_size for path in tmp_path.glob("*.node")) <= 8_000
 
 
@@ -247,13 +285,20 @@ def test_a_folder_that_cannot_be_written_changes_no_picture(tmp_path, run):
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match=r"file/cache: results cannot be kept there \(Not a directory\); name another folder, or keep none"):
+    with pytest.raises(
+        OutputError,
+        match=r"file/cache: results cannot be kept there \(Not a directory\); name another folder, or keep none",
+    ):
         Cache(tmp_path / "file" / "cache")
 
 
 def test_the_usual_folder_is_the_desktop_s(monkeypatch, tmp_path):
     """XDG base directory specification: a relative $XDG_CACHE_HOME is ignored."""
     monkeypatch.setenv("HOME", str(tmp_path))
-    for value, expected in ((str(tmp_path / "x"), tmp_path / "x"), ("", tmp_path / ".cache"), ("x", tmp_path / ".cache")):
+    for value, expected in (
+        (str(tmp_path / "x"), tmp_path / "x"),
+        ("", tmp_path / ".cache"),
+        ("x", tmp_path / ".cache"),
+    ):
         monkeypatch.setenv("XDG_CACHE_HOME", value)
         assert cache.default_folder() == expected / "synfog-usd"

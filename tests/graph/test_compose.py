@@ -79,15 +79,27 @@ outputs: {raw.dng: adc, again.png: again}
 def test_outputs_of_both_are_written_and_how_they_are_can_be_changed(tmp_path, registry):
     """Without 'node' the base's words stay and the own ones go before them; a name, or a 'node', begins anew."""
     base = BASE.replace(
-        "{raw.dng: adc, srgb.png: show}", "{raw.dng: adc, all.exr: {node: noise, half: true, compression: piz}, srgb.png: {node: show, bits: 16}, a.tif: show}"
+        "{raw.dng: adc, srgb.png: show}",
+        "{raw.dng: adc, all.exr: {node: noise, half: true, compression: piz}, srgb.png: {node: show, bits: 16}, "
+        "a.tif: show}",
     )
-    outputs = "outputs: {raw.dng: {compression: lossless}, all.exr: {compression: rle}, srgb.png: show, a.tif: {node: adc}, b.tif: {node: show, bits: 8}}\n"
+    outputs = (
+        "outputs: {raw.dng: {compression: lossless}, all.exr: {compression: rle}, srgb.png: show, a.tif: {node: adc}, "
+        "b.tif: {node: show, bits: 8}}\n"
+    )
     graph = load(tmp_path, registry, g=own(rest=outputs), base=base)
     assert graph.outputs == {"raw.dng": "adc", "all.exr": "noise", "srgb.png": "show", "a.tif": "adc", "b.tif": "show"}
-    assert graph.output_options == {"raw.dng": {"compression": "lossless"}, "all.exr": {"half": True, "compression": "rle"}, "b.tif": {"bits": 8}}
-    fault = refusal(tmp_path, registry, g=own(rest="outputs: {raw.dng: {compression: lossles}, new.exr: {half: true}}\n"), base=BASE)
+    assert graph.output_options == {
+        "raw.dng": {"compression": "lossless"},
+        "all.exr": {"half": True, "compression": "rle"},
+        "b.tif": {"bits": 8},
+    }
+    fault = refusal(
+        tmp_path, registry, g=own(rest="outputs: {raw.dng: {compression: lossles}, new.exr: {half: true}}\n"), base=BASE
+    )
     assert fault.splitlines()[1:] == [
-        "g.yaml:3:34: output 'raw.dng': compression is 'lossles'; it takes one of none, lossless. Did you mean 'lossless'?",
+        "g.yaml:3:34: output 'raw.dng': compression is 'lossles'; it takes one of none, lossless. Did you mean "
+        "'lossless'?",
         "g.yaml:3:53: output 'new.exr' has no 'node'; name the node that it is made of, beside what it has",
     ]
 
@@ -95,16 +107,23 @@ def test_outputs_of_both_are_written_and_how_they_are_can_be_changed(tmp_path, r
 def test_a_chain_of_graphs_is_followed_and_profiles_stay_in_their_folders(tmp_path, registry):
     (tmp_path / "more").mkdir()
     (tmp_path / "more" / "chip.yaml").write_text("7.0")
-    (tmp_path / "more" / "mid.yaml").write_text(own("  - {name: lens, scale: 4}\n", "chip: chip.yaml\n", "../base.yaml"))
+    (tmp_path / "more" / "mid.yaml").write_text(
+        own("  - {name: lens, scale: 4}\n", "chip: chip.yaml\n", "../base.yaml")
+    )
     graph = load(tmp_path, registry, g=own("  - {name: adc, bits: 12}\n", extends="more/mid.yaml"))
-    values = [graph.nodes[node].params[name].value for node, name in (("lens", "scale"), ("adc", "bits"), ("noise", "sigma_e"))]
+    values = [
+        graph.nodes[node].params[name].value
+        for node, name in (("lens", "scale"), ("adc", "bits"), ("noise", "sigma_e"))
+    ]
     assert values == [4.0, 12, 7.0]
 
 
 def test_included_nodes_stand_where_the_line_stood(tmp_path, registry):
     part = "synfog: graph/1\nnodes:\n  - {name: expose, op: chip.expose, time_s: 1/4}\n  - include: parts/noise.yaml\n"
     (tmp_path / "parts").mkdir()
-    (tmp_path / "parts" / "noise.yaml").write_text("synfog: graph/1\ntitle: noise\nnodes:\n  - {name: noise, op: chip.noise}\n")
+    (tmp_path / "parts" / "noise.yaml").write_text(
+        "synfog: graph/1\ntitle: noise\nnodes:\n  - {name: noise, op: chip.noise}\n"
+    )
     lines = BASE.splitlines(keepends=True)
     graph = load(tmp_path, registry, g="".join([*lines[:5], "  - include: part.yaml\n", *lines[7:]]), part=part)
     assert graph.hash == load_graph(tmp_path / "base.yaml", registry).hash
@@ -113,7 +132,10 @@ def test_included_nodes_stand_where_the_line_stood(tmp_path, registry):
 def test_a_shipped_graph_is_extended_by_its_name(tmp_path):
     """One number is changed, from another folder; the rest is the phone's, sensor and all."""
     (tmp_path / "mine.yaml").write_text(own("  - {name: gain, iso: 400}\n", extends="phone"))
-    graph, phone = camera.load_graph(tmp_path / "mine.yaml"), camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+    graph, phone = (
+        camera.load_graph(tmp_path / "mine.yaml"),
+        camera.load_graph(resources.folder("pipeline") / "phone.yaml"),
+    )
     assert graph.hash == phone.with_overrides({"gain.iso": 400}).hash != phone.hash
 
 
@@ -121,18 +143,40 @@ def test_a_shipped_graph_is_extended_by_its_name(tmp_path):
     ("nodes", "message"),
     [
         ("  - {name: lens, scale: 11}\n", "g.yaml:4:25: node 'lens' (lens.pass): scale is 11;"),
-        ("  - {name: lns, scale: 1}\n", "g.yaml:4:5: node 'lns' has no 'op', and there is none of that name to change. Did you mean 'lens'?"),
-        ("  - {name: nois, remove: true}\n", "g.yaml:4:5: no node 'nois' to take away; there are lens, expose, noise, adc, show. Did you mean 'noise'?"),
-        ("  - {name: noise, remove: false}\n", "g.yaml:4:5: node 'noise': 'remove: true' takes the node away; only its 'name' stands beside it"),
-        ("  - {name: noise, sigma_e: 1, after: adc}\n", "g.yaml:4:31: node 'noise' is one of the graph that is extended and keeps its place;"),
-        ("  - {name: n, op: chip.noise, after: expos}\n", "g.yaml:4:38: node 'n': no node 'expos' to stand after. Did you mean 'expose'?"),
-        ("  - {name: n, op: chip.noise, after: lens, before: adc}\n", "g.yaml:4:52: node 'n': 'before' and 'after' exclude each other."),
+        (
+            "  - {name: lns, scale: 1}\n",
+            "g.yaml:4:5: node 'lns' has no 'op', and there is none of that name to change. Did you mean 'lens'?",
+        ),
+        (
+            "  - {name: nois, remove: true}\n",
+            "g.yaml:4:5: no node 'nois' to take away; there are lens, expose, noise, adc, show. Did you mean 'noise'?",
+        ),
+        (
+            "  - {name: noise, remove: false}\n",
+            "g.yaml:4:5: node 'noise': 'remove: true' takes the node away; only its 'name' stands beside it",
+        ),
+        (
+            "  - {name: noise, sigma_e: 1, after: adc}\n",
+            "g.yaml:4:31: node 'noise' is one of the graph that is extended and keeps its place;",
+        ),
+        (
+            "  - {name: n, op: chip.noise, after: expos}\n",
+            "g.yaml:4:38: node 'n': no node 'expos' to stand after. Did you mean 'expose'?",
+        ),
+        (
+            "  - {name: n, op: chip.noise, after: lens, before: adc}\n",
+            "g.yaml:4:52: node 'n': 'before' and 'after' exclude each other.",
+        ),
         ("  - {name: lens, scale: 1}\n  - {name: lens, scale: 2}\n", "g.yaml:5:5: node 'lens' stands already at "),
         (
             "  - {name: expose, remove: true}\n",
-            "base.yaml:7:5: node 'noise' (chip.noise) takes electrons; 'lens' gives irradiance. What gives electrons: chip.expose",
+            "base.yaml:7:5: node 'noise' (chip.noise) takes electrons; 'lens' gives irradiance. What gives electrons: "
+            "chip.expose",
         ),
-        ("  - {name: noise, in: lens}\n", "g.yaml:4:23: node 'noise' (chip.noise) takes electrons; 'lens' gives irradiance."),
+        (
+            "  - {name: noise, in: lens}\n",
+            "g.yaml:4:23: node 'noise' (chip.noise) takes electrons; 'lens' gives irradiance.",
+        ),
         ("  - {name: show, remove: true}\n", "base.yaml:10:35: output 'srgb.png' is 'show', which is no node;"),
     ],
 )
@@ -148,7 +192,9 @@ def test_faults_of_several_files_are_told_together_the_graph_s_own_first(tmp_pat
 
 @pytest.mark.parametrize("word", ["after: lens", "before: lens", "remove: true"])
 def test_words_for_editing_need_something_to_edit(tmp_path, registry, word):
-    told = refusal(tmp_path, registry, g=BASE.replace("{name: noise, op: chip.noise}", f"{{name: noise, op: chip.noise, {word}}}"))
+    told = refusal(
+        tmp_path, registry, g=BASE.replace("{name: noise, op: chip.noise}", f"{{name: noise, op: chip.noise, {word}}}")
+    )
     assert told.startswith(f"g.yaml:7:35: '{word.partition(':')[0]}' is for a graph that builds on another")
 
 
@@ -162,7 +208,10 @@ def test_words_for_editing_need_something_to_edit(tmp_path, registry, word):
         ("none.yaml", "'none.yaml' cannot be used: none.yaml: cannot be read (No such file or directory)"),
         ("folder.yaml", "'folder.yaml' cannot be used: folder.yaml: cannot be read (it is no regular file)"),
         ('"a\\0.yaml"', "no shipped graph 'a\\x00.yaml'; there are"),
-        ("phon", f"no shipped graph 'phon'; there are {SHIPPED}, or give a path that ends in .yaml. Did you mean 'phone'?"),
+        (
+            "phon",
+            f"no shipped graph 'phon'; there are {SHIPPED}, or give a path that ends in .yaml. Did you mean 'phone'?",
+        ),
         ("[base.yaml]", "no shipped graph ['base.yaml']; there are"),
         ("3", "no shipped graph 3; there are"),
         ("broken.yaml", "'broken.yaml' cannot be used: broken.yaml:1:4: not valid YAML:"),
@@ -176,13 +225,20 @@ def test_files_come_from_the_graph_s_folder_or_the_shipped_ones_only(tmp_path, r
     (home / "link.yaml").symlink_to(tmp_path / "outside.yaml")
     (home / "round.yaml").symlink_to(home / "round.yaml")
     (home / "broken.yaml").write_text("a: }\n")
-    text = own(extends=reference) if way == "extends" else BASE.replace("  - {name: noise, op: chip.noise}", f"  - include: {reference}")
+    text = (
+        own(extends=reference)
+        if way == "extends"
+        else BASE.replace("  - {name: noise, op: chip.noise}", f"  - include: {reference}")
+    )
     place = "g.yaml:2:10" if way == "extends" else "g.yaml:7:14"
     assert refusal(home, registry, g=text).startswith(f"{place}: {message}")
 
 
 def test_circles_of_files_are_refused(tmp_path, registry):
-    assert refusal(tmp_path, registry, g=own(extends="g.yaml")) == "g.yaml:2:10: files build on each other in a circle: g.yaml -> g.yaml"
+    assert (
+        refusal(tmp_path, registry, g=own(extends="g.yaml"))
+        == "g.yaml:2:10: files build on each other in a circle: g.yaml -> g.yaml"
+    )
     told = refusal(tmp_path, registry, g=own(extends="a.yaml"), a=own(extends="b.yaml"), b=own(extends="a.yaml"))
     assert told == "b.yaml:2:10: files build on each other in a circle: a.yaml -> b.yaml -> a.yaml"
     part = "synfog: graph/1\nnodes:\n  - include: part.yaml\n"
@@ -206,8 +262,14 @@ def test_files_that_multiply_into_a_bomb_are_refused(tmp_path, registry):
         ("- a\n", "part.yaml:1:1: a graph is a mapping that begins with 'synfog: graph/1'"),
         ("nodes: []\n", "part.yaml:1:1: the first line must be 'synfog: graph/1'"),
         ("synfog: graph/2\nnodes: []\n", "part.yaml:1:9: synfog is 'graph/2'; this program reads 'graph/1'"),
-        ("synfog: graph/1\nnodes: []\nchip: good\n", "part.yaml:3:1: 'chip' cannot stand in a file that is included; it holds nodes only"),
-        ("synfog: graph/1\nnodes:\n  - {op: chip.noise, sigma: 1}\n", "part.yaml:3:22: node 'noise' (chip.noise) has no parameter 'sigma'; it takes sigma_e."),
+        (
+            "synfog: graph/1\nnodes: []\nchip: good\n",
+            "part.yaml:3:1: 'chip' cannot stand in a file that is included; it holds nodes only",
+        ),
+        (
+            "synfog: graph/1\nnodes:\n  - {op: chip.noise, sigma: 1}\n",
+            "part.yaml:3:22: node 'noise' (chip.noise) has no parameter 'sigma'; it takes sigma_e.",
+        ),
     ],
 )
 def test_a_fault_in_an_included_file_is_placed_there(tmp_path, registry, part, message):
@@ -217,5 +279,10 @@ def test_a_fault_in_an_included_file_is_placed_there(tmp_path, registry, part, m
 
 def test_nothing_stands_beside_include(tmp_path, registry):
     part = "synfog: graph/1\nnodes:\n  - {op: chip.noise}\n"
-    told = refusal(tmp_path, registry, g=BASE.replace("{name: noise, op: chip.noise}", "{include: part.yaml, sigma_e: 3}"), part=part)
+    told = refusal(
+        tmp_path,
+        registry,
+        g=BASE.replace("{name: noise, op: chip.noise}", "{include: part.yaml, sigma_e: 3}"),
+        part=part,
+    )
     assert told == "g.yaml:7:26: 'sigma_e' cannot stand beside 'include'; give it an entry of its own"

@@ -22,7 +22,7 @@ nodes:
   - {name: end, op: lens.pass, in: again, scale: 2}
   - {name: late, op: chip.expose, in: a_node_with_a_name_that_is_much_too_long_for_its_box, time_s: 1}
 outputs: {a.exr: both, b.exr: both, c.exr: both, d.exr: both, e.exr: both, long_name_of_a_file_with_many_letters_in_it_indeed.exr: end}
-"""
+"""  # noqa: E501
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -32,13 +32,21 @@ def branches(tmp_path: Path, registry):
 
 
 def texts(root):
-    """(left, top, right, bottom, text) of every text, from the widths of DejaVu Sans Bold, a wide font: 0.69 em on average."""
+    """(left, top, right, bottom, text) of every text, from the widths of DejaVu Sans Bold, a wide font: 0.69 em on
+    average.
+    """
     for item in root.iter(f"{SVG}text"):
         if item.get("stroke"):
             continue  # the halo of the text that follows
         x, y, size, text = float(item.get("x")), float(item.get("y")), float(item.get("font-size")), item.text
         wide = (0.69 if item.get("font-weight") == "bold" else 0.6) * size * len(text)
-        yield (x - wide if item.get("text-anchor") == "end" else x, y - 0.76 * size, x if item.get("text-anchor") == "end" else x + wide, y + 0.24 * size, text)
+        yield (
+            x - wide if item.get("text-anchor") == "end" else x,
+            y - 0.76 * size,
+            x if item.get("text-anchor") == "end" else x + wide,
+            y + 0.24 * size,
+            text,
+        )
 
 
 def boxes(root):
@@ -54,7 +62,11 @@ def overlap(one, two):
 
 @pytest.fixture(params=["branches", *sorted(path.stem for path in resources.folder("pipeline").glob("*.yaml"))])
 def graph(request, tmp_path, registry):
-    return branches(tmp_path, registry) if request.param == "branches" else camera.load_graph(resources.folder("pipeline") / f"{request.param}.yaml")
+    return (
+        branches(tmp_path, registry)
+        if request.param == "branches"
+        else camera.load_graph(resources.folder("pipeline") / f"{request.param}.yaml")
+    )
 
 
 def test_no_text_or_box_lies_on_another_or_outside_the_drawing(graph):
@@ -74,7 +86,9 @@ def test_no_text_or_box_lies_on_another_or_outside_the_drawing(graph):
 
 
 def test_edges_pass_no_box(graph):
-    """Straight pieces pass beside boxes; curves, which stay between the heights of their ends, have those between two rows."""
+    """Straight pieces pass beside boxes; curves, which stay between the heights of their ends, have those between two
+    rows.
+    """
     root = ET.fromstring(drawing.svg(graph))
     frames = list(boxes(root))
     for path in root.iter(f"{SVG}path"):
@@ -82,7 +96,9 @@ def test_edges_pass_no_box(graph):
             continue  # the tick before a file's name
         points = [
             tuple(map(float, pair))
-            for pair in re.findall(r"(-?[\d.]+) (-?[\d.]+)(?= |$)", re.sub(r"C \S+ \S+ \S+ \S+", "L", path.get("d")).replace("V", "V 0"))
+            for pair in re.findall(
+                r"(-?[\d.]+) (-?[\d.]+)(?= |$)", re.sub(r"C \S+ \S+ \S+ \S+", "L", path.get("d")).replace("V", "V 0")
+            )
         ]
         x, y = points[0]
         for to_x, to_y in points[1:]:
@@ -100,15 +116,21 @@ def test_every_node_input_and_file_is_named_with_its_milliseconds(tmp_path, regi
     found = [text for *_, text in texts(root)]
     for name in ("both", "again", "end", "sky", "lamps", "headlights", "a.exr", "e.exr"):
         assert name in found
-    assert [text for text in found if text.endswith(" ms") and ":" not in text] == [f"{run.milliseconds[name]:.1f} ms" for name in graph.nodes]
+    assert [text for text in found if text.endswith(" ms") and ":" not in text] == [
+        f"{run.milliseconds[name]:.1f} ms" for name in graph.nodes
+    ]
     assert f"g: {sum(run.milliseconds.values()):.0f} ms" in found
-    assert "a_node_with_a_name_that_is_much_too_long_for_its_box: lens.pass" in [(item.text or "").strip() for item in root.iter(f"{SVG}title")]
+    assert "a_node_with_a_name_that_is_much_too_long_for_its_box: lens.pass" in [
+        (item.text or "").strip() for item in root.iter(f"{SVG}title")
+    ]
     bars = sorted(float(item.get("width")) for item in root.iter(f"{SVG}rect") if item.get("height") == "4")
     assert bars[-1] == drawing.BOX_W - 6 and len(bars) == 5
 
 
 def test_hostile_text_stays_text(tmp_path, registry):
-    (tmp_path / "<g>&'.yaml").write_text('synfog: graph/1\ninputs: [radiance]\nnodes: [{op: text.note, says: "<script>&\\"]"}]\noutputs: {a.exr: note}\n')
+    (tmp_path / "<g>&'.yaml").write_text(
+        'synfog: graph/1\ninputs: [radiance]\nnodes: [{op: text.note, says: "<script>&\\"]"}]\noutputs: {a.exr: note}\n'
+    )
     ops = type(registry)(registry)
 
     @ops.op("text.note", takes=None, gives=None)
@@ -125,5 +147,7 @@ def test_mermaid_gets_no_word_of_its_own_as_a_name(tmp_path, registry, radiance)
     """`end` closes a block in Mermaid and would break the chart."""
     graph = branches(tmp_path, registry)
     chart = drawing.mermaid(graph, graph.run(dict.fromkeys(graph.inputs, radiance), seed=0))
-    assert 'end_["end<br/>lens.pass<br/>' in chart and "again -- radiance --> end_" in chart and "end_ --> file5[" in chart
+    assert (
+        'end_["end<br/>lens.pass<br/>' in chart and "again -- radiance --> end_" in chart and "end_ --> file5[" in chart
+    )
     assert len(re.findall(r"<br/>[\d.]+ ms\"\]", chart)) == 5

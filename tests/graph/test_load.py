@@ -49,7 +49,10 @@ def test_a_good_graph_loads_with_its_values_and_their_sources(tmp_path, registry
     graph = load(tmp_path, GOOD, registry)
     assert list(graph.nodes) == ["lens", "expose", "noise", "adc", "show"]
     assert graph.nodes["expose"].params["time_s"].value == 0.25
-    assert (graph.nodes["noise"].params["sigma_e"].value, graph.nodes["noise"].params["sigma_e"].source) == (2.0, "chip.noise_e")
+    assert (graph.nodes["noise"].params["sigma_e"].value, graph.nodes["noise"].params["sigma_e"].source) == (
+        2.0,
+        "chip.noise_e",
+    )
     assert graph.nodes["lens"].params["shape"].source == "default"
     assert graph.outputs == {"raw.dng": "adc", "srgb.png": "show"}
 
@@ -65,10 +68,19 @@ def test_outputs_may_say_how_they_are_written(tmp_path, registry):
     assert graph.outputs == {"raw.dng": "adc", "srgb.tif": "show", "raw.tif": "adc"}
     assert graph.output_options == {"raw.dng": {"compression": "lossless"}, "srgb.tif": {"bits": 16}}
     assert (
-        len({load(tmp_path, text, registry).hash for text in (said, said.replace("bits: 16", "bits: 8"), said.replace("{node: show, bits: 16}", "show"))}) == 3
+        len(
+            {
+                load(tmp_path, text, registry).hash
+                for text in (said, said.replace("bits: 16", "bits: 8"), said.replace("{node: show, bits: 16}", "show"))
+            }
+        )
+        == 3
     )
     assert load(tmp_path, GOOD.replace("raw.dng: adc", "raw.dng: {node: adc}"), registry).hash == plain.hash
-    assert "writes raw.dng from adc (compression=lossless)\nwrites srgb.tif from show (bits=16)\nwrites raw.tif from adc" in drawing.table(graph)
+    assert (
+        "writes raw.dng from adc (compression=lossless)\nwrites srgb.tif from show (bits=16)\nwrites raw.tif from adc"
+        in drawing.table(graph)
+    )
 
 
 # (what is replaced; by what, ^ standing before the thing that is wrong; the message or its start)
@@ -88,12 +100,21 @@ FAULTS = [
     ("scale: 2", "scale: ^[1]", "node 'lens' (lens.pass): scale is [1]; it takes"),
     ("scale: 2", "scale: ^null", "node 'lens' (lens.pass): scale is empty; it takes"),
     ("scale: 2", "scale: ^auto", "node 'lens' (lens.pass): scale is 'auto'; it takes"),
-    ("scale: 2", "shape: ^rond", "node 'lens' (lens.pass): shape is 'rond'; it takes one of 'round', 'square'. Did you mean 'round'?"),
-    ("time_s: 1/4", "time_s: ^1/0", "node 'expose' (chip.expose): time_s is '1/0', a division by zero; it takes a number above 0 [s] or auto."),
+    (
+        "scale: 2",
+        "shape: ^rond",
+        "node 'lens' (lens.pass): shape is 'rond'; it takes one of 'round', 'square'. Did you mean 'round'?",
+    ),
+    (
+        "time_s: 1/4",
+        "time_s: ^1/0",
+        "node 'expose' (chip.expose): time_s is '1/0', a division by zero; it takes a number above 0 [s] or auto.",
+    ),
     (
         "time_s: 1/4",
         "time_s: ^250 ms",
-        "node 'expose' (chip.expose): time_s is '250 ms'; it takes a number above 0 [s] or auto. Write the number alone, in s",
+        "node 'expose' (chip.expose): time_s is '250 ms'; it takes a number above 0 [s] or auto. Write the number "
+        "alone, in s",
     ),
     (
         "time_s: 1/4",
@@ -102,56 +123,128 @@ FAULTS = [
     ),
     ("bits: 8", "bits: ^8.5", "node 'adc' (chip.adc): bits is 8.5; it takes a whole number from 8 to 16."),
     ("bits: 8", "invert: ^1", "node 'adc' (chip.adc): invert is 1; it takes true or false."),
-    ("op: screen.show", "op: screen.show, tint: ^[1, 2]", "node 'show' (screen.show): tint is [1, 2]; it takes a list of 3 numbers."),
+    (
+        "op: screen.show",
+        "op: screen.show, tint: ^[1, 2]",
+        "node 'show' (screen.show): tint is [1, 2]; it takes a list of 3 numbers.",
+    ),
     (
         "op: chip.expose, time_s: 1/4",
         "op: chip.adc",
-        "g.yaml:6:5: node 'expose' (chip.adc) takes electrons (mosaic); 'lens' gives irradiance. What gives electrons (mosaic): chip.expose",
+        "g.yaml:6:5: node 'expose' (chip.adc) takes electrons (mosaic); 'lens' gives irradiance. What gives electrons "
+        "(mosaic): chip.expose",
     ),
     (
         "op: chip.noise}",
         "op: chip.noise, in: ^expos}",
         "node 'noise' (chip.noise) reads 'expos', which is no node or input. Did you mean 'expose'?",
     ),
-    ("op: chip.noise}", "op: chip.noise, in: ^3}", "node 'noise' (chip.noise) has in: 3; it takes the name of a node or input"),
-    ("op: chip.noise}", "op: chip.noise, in: ^[expose, lens]}", "node 'noise' (chip.noise) reads 1 image; 'in' names 2"),
-    ("op: lens.pass", "op: light.difference", "g.yaml:5:5: node 'lens' (light.difference) reads 2 images; 'in' names 1"),
-    ("op: lens.pass, scale: 2", "op: light.sum, in: ^[]", "node 'lens' (light.sum) reads at least 1 image; 'in' names 0"),
-    ("op: chip.noise}", "op: chip.noise, in: noise}", "g.yaml:7:5: nodes read each other in a circle: noise -> noise; change one 'in'"),
-    ("op: chip.expose,", "op: chip.expose, in: noise,", "g.yaml:6:5: nodes read each other in a circle: expose -> noise -> expose; change one 'in'"),
+    (
+        "op: chip.noise}",
+        "op: chip.noise, in: ^3}",
+        "node 'noise' (chip.noise) has in: 3; it takes the name of a node or input",
+    ),
+    (
+        "op: chip.noise}",
+        "op: chip.noise, in: ^[expose, lens]}",
+        "node 'noise' (chip.noise) reads 1 image; 'in' names 2",
+    ),
+    (
+        "op: lens.pass",
+        "op: light.difference",
+        "g.yaml:5:5: node 'lens' (light.difference) reads 2 images; 'in' names 1",
+    ),
+    (
+        "op: lens.pass, scale: 2",
+        "op: light.sum, in: ^[]",
+        "node 'lens' (light.sum) reads at least 1 image; 'in' names 0",
+    ),
+    (
+        "op: chip.noise}",
+        "op: chip.noise, in: noise}",
+        "g.yaml:7:5: nodes read each other in a circle: noise -> noise; change one 'in'",
+    ),
+    (
+        "op: chip.expose,",
+        "op: chip.expose, in: noise,",
+        "g.yaml:6:5: nodes read each other in a circle: expose -> noise -> expose; change one 'in'",
+    ),
     ("name: noise", "name: lens", "g.yaml:7:5: node 'lens' stands already at line 5; give one of them another name"),
     ("name: noise", "name: radiance", "g.yaml:7:5: node 'radiance' has the name of an input; give it another name"),
-    ("name: noise", "name: Noise 1", "g.yaml:7:12: node name 'Noise 1' is not a name; use lower-case letters, digits and _"),
+    (
+        "name: noise",
+        "name: Noise 1",
+        "g.yaml:7:12: node name 'Noise 1' is not a name; use lower-case letters, digits and _",
+    ),
     ("{name: noise, op: chip.noise}", "{name: noise}", "g.yaml:7:5: node 3 has no 'op'"),
     ("{name: noise, op: chip.noise}", "noise", "g.yaml:7:5: node 3 is 'noise'; it takes a mapping with an 'op'"),
-    ("{name: noise, op: chip.noise}", "{name: noise, op: chip.noise, op: chip.adc}", "g.yaml:7:35: key 'op' stands here twice"),
+    (
+        "{name: noise, op: chip.noise}",
+        "{name: noise, op: chip.noise, op: chip.adc}",
+        "g.yaml:7:35: key 'op' stands here twice",
+    ),
     (
         "chip: good\n",
         "",
-        "g.yaml:6:5: node 'noise' (chip.noise) takes sigma_e from the chip profile; name one at the top with 'chip: ...', or give sigma_e here",
+        "g.yaml:6:5: node 'noise' (chip.noise) takes sigma_e from the chip profile; name one at the top with 'chip: "
+        "...', or give sigma_e here",
     ),
     ("chip: good", "chip: 3", "g.yaml:3:7: chip is 3; it takes the name of a profile, or a path that ends in .yaml"),
-    ("chip: good", "chop: good", "g.yaml:3:1: a graph has no 'chop'; it takes synfog, title, extends, inputs, chip, nodes, outputs. Did you mean 'chip'?"),
+    (
+        "chip: good",
+        "chop: good",
+        "g.yaml:3:1: a graph has no 'chop'; it takes synfog, title, extends, inputs, chip, nodes, outputs. Did you "
+        "mean 'chip'?",
+    ),
     ("graph/1", "graph/2", "g.yaml:1:9: synfog is 'graph/2'; this program reads 'graph/1'"),
     ("synfog: graph/1\n", "", "g.yaml:1:1: the first line must be 'synfog: graph/1'"),
     ("inputs: [radiance]\n", "", "g.yaml:1:1: the graph has no 'inputs'"),
     ("[radiance]", "[]", "g.yaml:2:9: inputs is []; it takes a list of names"),
     ("[radiance]", "[radiance, radiance]", "g.yaml:2:20: input 'radiance' stands here twice"),
-    ("[radiance]", "[radiance, lamps]", "g.yaml:5:5: node 'lens' (lens.pass) has no 'in', and the graph has several inputs to choose from"),
+    (
+        "[radiance]",
+        "[radiance, lamps]",
+        "g.yaml:5:5: node 'lens' (lens.pass) has no 'in', and the graph has several inputs to choose from",
+    ),
     ("[radiance]", "{radiance: radance}", "g.yaml:2:20: input 'radiance' is 'radance'; it takes one of radiance,"),
-    ("srgb.png: show", "srgb.jpg: show", "g.yaml:12:3: output 'srgb.jpg': its format '.jpg' is not known; it can be .dng, .exr, .png"),
+    (
+        "srgb.png: show",
+        "srgb.jpg: show",
+        "g.yaml:12:3: output 'srgb.jpg': its format '.jpg' is not known; it can be .dng, .exr, .png",
+    ),
     ("srgb.png: show", "../srgb.png: show", "g.yaml:12:3: output '../srgb.png': it is not a plain file name"),
     ("srgb.png: show", "/tmp/srgb.png: show", "g.yaml:12:3: output '/tmp/srgb.png': it is not a plain file name"),
-    ("srgb.png: show", "RAW.dng: adc", "g.yaml:12:3: output 'RAW.dng': some systems cannot tell it from another output's name"),
-    ("srgb.png: show", "radiance.exr: show", "g.yaml:12:3: output 'radiance.exr': a bake writes a file of that name itself"),
+    (
+        "srgb.png: show",
+        "RAW.dng: adc",
+        "g.yaml:12:3: output 'RAW.dng': some systems cannot tell it from another output's name",
+    ),
+    (
+        "srgb.png: show",
+        "radiance.exr: show",
+        "g.yaml:12:3: output 'radiance.exr': a bake writes a file of that name itself",
+    ),
     (
         "srgb.png: show",
         "srgb.png: shw",
-        "g.yaml:12:13: output 'srgb.png' is 'shw', which is no node; there are lens, expose, noise, adc, show. Did you mean 'show'?",
+        "g.yaml:12:13: output 'srgb.png' is 'shw', which is no node; there are lens, expose, noise, adc, show. Did "
+        "you mean 'show'?",
     ),
-    ("srgb.png: show", "srgb.png: adc", "g.yaml:12:13: output 'srgb.png' takes display_rgb; node 'adc' gives dn (mosaic); what fits: show"),
-    ("raw.dng: adc", "raw.dng: show", "g.yaml:11:12: output 'raw.dng' takes dn (mosaic); node 'show' gives display_rgb (rgb); what fits: adc"),
-    ("raw.dng: adc", "raw.dng: {compression: lossless}", "g.yaml:11:12: output 'raw.dng' has no 'node'; name the node that it is made of"),
+    (
+        "srgb.png: show",
+        "srgb.png: adc",
+        "g.yaml:12:13: output 'srgb.png' takes display_rgb; node 'adc' gives dn (mosaic); what fits: show",
+    ),
+    (
+        "raw.dng: adc",
+        "raw.dng: show",
+        "g.yaml:11:12: output 'raw.dng' takes dn (mosaic); node 'show' gives display_rgb (rgb); what fits: adc",
+    ),
+    (
+        "raw.dng: adc",
+        "raw.dng: {compression: lossless}",
+        "g.yaml:11:12: output 'raw.dng' has no 'node'; name the node that it is made of",
+    ),
     (
         "raw.dng: adc",
         "raw.dng: {node: adc, compresion: lossless}",
@@ -162,7 +255,11 @@ FAULTS = [
         "raw.dng: {node: adc, compression: ^losless}",
         "output 'raw.dng': compression is 'losless'; it takes one of none, lossless. Did you mean 'lossless'?",
     ),
-    ("raw.dng: adc", "raw.dng: {node: ^ad, compression: none}", "output 'raw.dng' is 'ad', which is no node; there are lens, expose, noise, adc, show."),
+    (
+        "raw.dng: adc",
+        "raw.dng: {node: ^ad, compression: none}",
+        "output 'raw.dng' is 'ad', which is no node; there are lens, expose, noise, adc, show.",
+    ),
     ("raw.dng: adc", "raw.dng: {node: ^[adc]}", "output 'raw.dng' is ['adc'], which is no node;"),
     (
         "raw.dng: adc",
@@ -170,15 +267,43 @@ FAULTS = [
         "output 'raw.dng' takes dn (mosaic); node 'show' gives display_rgb (rgb); what fits: adc",
     ),
     ("raw.dng: adc", "raw.exr: {node: adc, half: ^1}", "output 'raw.exr': half is 1; it takes true or false"),
-    ("raw.dng: adc", "raw.exr: {node: adc, compression: ^dwaa}", "output 'raw.exr': compression is 'dwaa'; it takes one of zip, zips, piz, rle, none"),
-    ("raw.dng: adc", "raw.exr: {node: adc, compression: ^null}", "output 'raw.exr': compression is None; it takes one of"),
+    (
+        "raw.dng: adc",
+        "raw.exr: {node: adc, compression: ^dwaa}",
+        "output 'raw.exr': compression is 'dwaa'; it takes one of zip, zips, piz, rle, none",
+    ),
+    (
+        "raw.dng: adc",
+        "raw.exr: {node: adc, compression: ^null}",
+        "output 'raw.exr': compression is None; it takes one of",
+    ),
     ("srgb.png: show", "srgb.png: {node: show, bits: ^16.0}", "output 'srgb.png': bits is 16.0; it takes one of 8, 16"),
     ("srgb.png: show", "srgb.png: {node: show, bits: ^12}", "output 'srgb.png': bits is 12; it takes one of 8, 16"),
-    ("srgb.png: show", "raw.tif: {node: ^adc, bits: 16}", "output 'raw.tif' with bits: 16 takes display_rgb; node 'adc' gives dn (mosaic); what fits: show"),
-    ("srgb.png: show", "raw.jxl: {node: ^adc, bits: 16}", "output 'raw.jxl' takes display_rgb; node 'adc' gives dn (mosaic); what fits: show"),
-    ("srgb.png: show", "srgb.jxl: {node: show, lossless: ^[true]}", "output 'srgb.jxl': lossless is [True]; it takes true or false"),
-    ("outputs:\n  raw.dng: adc\n  srgb.png: show\n", "outputs: all\n", "g.yaml:10:10: outputs is 'all'; it takes a mapping of file names to nodes"),
-    ("bits: 8", "bits: ^!!python/object/apply:os.system ['true']", "tag 'tag:yaml.org,2002:python/object/apply:os.system' is not allowed"),
+    (
+        "srgb.png: show",
+        "raw.tif: {node: ^adc, bits: 16}",
+        "output 'raw.tif' with bits: 16 takes display_rgb; node 'adc' gives dn (mosaic); what fits: show",
+    ),
+    (
+        "srgb.png: show",
+        "raw.jxl: {node: ^adc, bits: 16}",
+        "output 'raw.jxl' takes display_rgb; node 'adc' gives dn (mosaic); what fits: show",
+    ),
+    (
+        "srgb.png: show",
+        "srgb.jxl: {node: show, lossless: ^[true]}",
+        "output 'srgb.jxl': lossless is [True]; it takes true or false",
+    ),
+    (
+        "outputs:\n  raw.dng: adc\n  srgb.png: show\n",
+        "outputs: all\n",
+        "g.yaml:10:10: outputs is 'all'; it takes a mapping of file names to nodes",
+    ),
+    (
+        "bits: 8",
+        "bits: ^!!python/object/apply:os.system ['true']",
+        "tag 'tag:yaml.org,2002:python/object/apply:os.system' is not allowed",
+    ),
     ("bits: 8}", "bits: 8", "g.yaml:9:5: not valid YAML: expected ',' or '}', but got '{'"),
 ]
 
@@ -194,7 +319,9 @@ def test_a_fault_is_named_with_its_place(tmp_path, registry, old, new, message):
         text = before + after
     told = lines(refusal(tmp_path, text, registry))
     assert told[0][: len(message)] == message
-    assert len(told) == (2 if "light.difference" in new else 1), "what follows from a fault is no fault of its own"  # it takes no 'scale' either
+    assert len(told) == (2 if "light.difference" in new else 1), (
+        "what follows from a fault is no fault of its own"
+    )  # it takes no 'scale' either
 
 
 def test_all_faults_of_a_file_are_told_at_once_in_its_order(tmp_path, registry):
@@ -238,7 +365,9 @@ outputs:
 
 def test_very_many_faults_are_counted_not_all_told(tmp_path, registry):
     nodes = "".join(f"  - {{name: n{index}, op: lens.pass, in: radiance, scale: -1}}\n" for index in range(200))
-    told = refusal(tmp_path, f"synfog: graph/1\ninputs: [radiance]\nnodes:\n{nodes}outputs: {{a.exr: n0}}\n", registry).splitlines()
+    told = refusal(
+        tmp_path, f"synfog: graph/1\ninputs: [radiance]\nnodes:\n{nodes}outputs: {{a.exr: n0}}\n", registry
+    ).splitlines()
     assert told[0] == "g.yaml: 200 errors" and told[-1] == "... and 150 more" and len(told) == 52
 
 
@@ -254,11 +383,19 @@ def test_a_profile_path_starts_from_the_folder_of_the_graph(tmp_path, registry):
 
 
 def test_a_value_in_the_node_goes_before_the_profile(tmp_path, registry):
-    graph = load(tmp_path, GOOD.replace("op: chip.noise}", "op: chip.noise, sigma_e: 7}").replace("chip: good\n", ""), registry)
-    assert (graph.nodes["noise"].params["sigma_e"].value, graph.nodes["noise"].params["sigma_e"].source) == (7.0, "file")
+    graph = load(
+        tmp_path, GOOD.replace("op: chip.noise}", "op: chip.noise, sigma_e: 7}").replace("chip: good\n", ""), registry
+    )
+    assert (graph.nodes["noise"].params["sigma_e"].value, graph.nodes["noise"].params["sigma_e"].source) == (
+        7.0,
+        "file",
+    )
 
 
-@pytest.mark.parametrize(("written", "value"), [("1/60", 1 / 60), ("1e-3", 0.001), ("2.5e-1", 0.25), ("3", 3.0), ("'4'", 4.0), ("1 / 2.0", 0.5)])
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [("1/60", 1 / 60), ("1e-3", 0.001), ("2.5e-1", 0.25), ("3", 3.0), ("'4'", 4.0), ("1 / 2.0", 0.5)],
+)
 def test_times_may_be_written_as_photographers_and_programs_do(tmp_path, registry, written, value):
     """YAML 1.1 takes 1e-3 for text, and 1/60 is one."""
     graph = load(tmp_path, GOOD.replace("time_s: 1/4", f"time_s: {written}"), registry)
@@ -290,7 +427,8 @@ def test_a_node_without_a_name_is_called_by_its_verb(tmp_path, registry):
         "",
         "- a\n- b\n",
         "{" * 5000,
-        "a: &a [x, x]\nb: &b [*a, *a, *a, *a]\n" + "\n".join(f"c{i}: &c{i} [{', '.join(['*b' if i == 0 else f'*c{i - 1}'] * 9)}]" for i in range(9)),
+        "a: &a [x, x]\nb: &b [*a, *a, *a, *a]\n"
+        + "\n".join(f"c{i}: &c{i} [{', '.join(['*b' if i == 0 else f'*c{i - 1}'] * 9)}]" for i in range(9)),
         "synfog: &x [*x]\n",
         "\x00",
         "synfog: graph/1\n? [a]\n: b\n",
@@ -299,9 +437,12 @@ def test_a_node_without_a_name_is_called_by_its_verb(tmp_path, registry):
         "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: [lens.pass]}]\noutputs: {}\n",
         "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, name: [a]}]\noutputs: {}\n",
         "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, in: {a: b}}]\noutputs: {}\n",
-        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, scale: 1" + "0" * 400 + "}]\noutputs: {a.exr: pass}\n",
+        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, scale: 1"
+        + "0" * 400
+        + "}]\noutputs: {a.exr: pass}\n",
         "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: [pass]}\n",
-        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: {}, b.exr: {node: {a: b}}, c.exr: {node: pass, half: {a: b}}}\n",
+        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: {}, b.exr: {node: {a: b}}, "
+        "c.exr: {node: pass, half: {a: b}}}\n",
         "synfog: graph/1\ntitle: [1]\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: pass}\n",
     ],
 )

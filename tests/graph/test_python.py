@@ -43,7 +43,10 @@ def scene() -> Image:
 
 def written(graph, scene, folder):
     run = graph.run({"radiance": scene}, seed=SEED, settings=SETTINGS)
-    return {name: writers.write_output(name, run[node], folder, options=graph.options_of(name)).read_bytes() for name, node in graph.outputs.items()}
+    return {
+        name: writers.write_output(name, run[node], folder, options=graph.options_of(name)).read_bytes()
+        for name, node in graph.outputs.items()
+    }
 
 
 def test_a_graph_from_python_writes_the_bytes_of_the_yaml(tmp_path, scene):
@@ -55,39 +58,67 @@ def test_a_graph_from_python_writes_the_bytes_of_the_yaml(tmp_path, scene):
 
 
 def test_python_says_in_the_same_words_how_a_file_is_written(tmp_path, scene):
-    text = "synfog: graph/1\nextends: synfog\noutputs: {raw.dng: {compression: lossless}, srgb.png: {bits: 16}, dn.exr: {node: adc, half: true}}\n"
+    text = (
+        "synfog: graph/1\nextends: synfog\noutputs: {raw.dng: {compression: lossless}, srgb.png: {bits: 16}, dn.exr: "
+        "{node: adc, half: true}}\n"
+    )
     (tmp_path / "g.yaml").write_text(text)
     yaml = camera.load_graph(tmp_path / "g.yaml")
-    outputs = {"raw.dng": {"compression": "lossless"}, "srgb.png": {"bits": 16}, "dn.exr": {"node": "adc", "half": True}}
+    outputs = {
+        "raw.dng": {"compression": "lossless"},
+        "srgb.png": {"bits": 16},
+        "dn.exr": {"node": "adc", "half": True},
+    }
     python = make_graph(camera.OPS, name="g", extends="synfog", nodes=[], outputs=outputs)
     assert python.hash == yaml.hash and yaml.output_options["raw.dng"] == {"compression": "lossless"}
     assert written(python, scene, tmp_path / "python") == written(yaml, scene, tmp_path / "yaml")
-    with pytest.raises(GraphError, match=r"^outputs\.raw\.dng\.compression: output 'raw\.dng': compression is 'jpeg'; it takes one of none, lossless$"):
+    with pytest.raises(
+        GraphError,
+        match=(
+            r"^outputs\.raw\.dng\.compression: output 'raw\.dng': compression is 'jpeg'; it takes one of none, "
+            r"lossless$"
+        ),
+    ):
         make_graph(camera.OPS, extends="synfog", nodes=[], outputs={"raw.dng": {"compression": "jpeg"}})
 
 
 def test_the_ops_called_one_by_one_give_the_bytes_of_the_graph(scene):
     """No engine in between: plain functions, the profile's numbers, and the streams that the nodes' names name."""
     chip, lens = camera.load_sensor("imx363"), camera.load_lens("pixel4a")
-    image = optics.irradiance(scene, f_number=lens.f_number, transmission=lens.transmission, falloff="none", focal_length_mm=lens.focal_length_mm)
-    image = sensor.expose(image, exposure_s=1 / 250, pixel_pitch_um=chip.pixel_pitch_um, fill_factor=chip.fill_factor, sensor=chip)
+    image = optics.irradiance(
+        scene,
+        f_number=lens.f_number,
+        transmission=lens.transmission,
+        falloff="none",
+        focal_length_mm=lens.focal_length_mm,
+    )
+    image = sensor.expose(
+        image, exposure_s=1 / 250, pixel_pitch_um=chip.pixel_pitch_um, fill_factor=chip.fill_factor, sensor=chip
+    )
     image = sensor.shot_noise(image, rng=seeds.stream(SEED, "node", "shot_noise"))
     image = sensor.full_well(image, full_well_e=chip.full_well_e)
     image = sensor.read_noise(image, rng=seeds.stream(SEED, "node", "read_noise"), sigma_e=chip.read_noise_e)
     image = sensor.gain(image, iso=200.0, iso_base=chip.iso_base, gain_dn_e=chip.gain_dn_e)
     image = sensor.adc_noise(image, rng=seeds.stream(SEED, "node", "adc_noise"), sigma_dn=chip.adc_noise_dn)
-    raw = sensor.adc(image, bits=chip.bits, black_level_dn=chip.black_level_dn, white_level_dn=chip.white_level_dn, sensor=chip)
+    raw = sensor.adc(
+        image, bits=chip.bits, black_level_dn=chip.black_level_dn, white_level_dn=chip.white_level_dn, sensor=chip
+    )
     image = isp.black_level(raw, black_level_dn=chip.black_level_dn, white_level_dn=chip.white_level_dn)
     image = demosaic.demosaic(isp.white_balance(image, sensor=chip))
     picture = isp.gamma(isp.colour_correct(image, sensor=chip))
-    run = camera.load_graph(resources.folder("pipeline") / "synfog.yaml").run({"radiance": scene}, seed=SEED, settings=SETTINGS)
+    run = camera.load_graph(resources.folder("pipeline") / "synfog.yaml").run(
+        {"radiance": scene}, seed=SEED, settings=SETTINGS
+    )
     assert run["adc"].pixels.tobytes() == raw.pixels.tobytes()
     assert run["srgb"].pixels.tobytes() == picture.pixels.tobytes()
 
 
 def test_a_graph_from_python_may_extend_a_shipped_one(scene):
     python = make_graph(camera.OPS, extends="synfog", nodes=[{"name": "gain", "iso": 400}], outputs={})
-    assert python.hash == camera.load_graph(resources.folder("pipeline") / "synfog.yaml").with_overrides({"gain.iso": 400}).hash
+    assert (
+        python.hash
+        == camera.load_graph(resources.folder("pipeline") / "synfog.yaml").with_overrides({"gain.iso": 400}).hash
+    )
 
 
 def test_the_how_to_runs_as_it_stands(tmp_path, scene):
@@ -109,7 +140,12 @@ def test_the_how_to_runs_as_it_stands(tmp_path, scene):
 
 def test_faults_in_python_name_the_entry(registry):
     with pytest.raises(GraphError) as caught:
-        make_graph(registry, chip="bad", nodes=[{"op": "lens.pass", "scale": -1}, {"op": "chip.expos"}, 3], outputs={"a.png": "pass"})
+        make_graph(
+            registry,
+            chip="bad",
+            nodes=[{"op": "lens.pass", "scale": -1}, {"op": "chip.expos"}, 3],
+            outputs={"a.png": "pass"},
+        )
     starts = [
         "graph: 5 errors",
         "chip: chip 'bad': no such chip",
@@ -124,11 +160,17 @@ def test_faults_in_python_name_the_entry(registry):
 
 def test_python_and_yaml_agree_on_graphs_with_several_inputs(tmp_path, registry, radiance):
     (tmp_path / "g.yaml").write_text(
-        "synfog: graph/1\ninputs: {sky: , lamps: radiance}\nnodes: [{op: light.sum, in: [sky, lamps, lamps]}, {op: light.sum, name: two, in: [sum, lamps]}]\n"
+        "synfog: graph/1\ninputs: {sky: , lamps: radiance}\nnodes: [{op: light.sum, in: [sky, lamps, lamps]}, {op: "
+        "light.sum, name: two, in: [sum, lamps]}]\n"
         "outputs: {a.exr: two}\n"
     )
-    nodes = [{"op": "light.sum", "in": ("sky", "lamps", "lamps")}, {"op": "light.sum", "name": "two", "in": ["sum", "lamps"]}]
-    python = make_graph(registry, inputs={"sky": "radiance", "lamps": "radiance"}, nodes=nodes, outputs={"a.exr": "two"})
+    nodes = [
+        {"op": "light.sum", "in": ("sky", "lamps", "lamps")},
+        {"op": "light.sum", "name": "two", "in": ["sum", "lamps"]},
+    ]
+    python = make_graph(
+        registry, inputs={"sky": "radiance", "lamps": "radiance"}, nodes=nodes, outputs={"a.exr": "two"}
+    )
     assert python.hash == load_graph(tmp_path / "g.yaml", registry).hash
     run = python.run({"sky": radiance, "lamps": radiance}, seed=0)
     np.testing.assert_array_equal(run["two"].pixels, 4 * radiance.pixels)
@@ -136,4 +178,8 @@ def test_python_and_yaml_agree_on_graphs_with_several_inputs(tmp_path, registry,
 
 def test_a_graph_that_extends_another_needs_nothing_of_its_own():
     phone = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
-    assert make_graph(camera.OPS, extends="phone", name="phone").hash == phone.hash == camera.load_graph(Path("phone")).hash
+    assert (
+        make_graph(camera.OPS, extends="phone", name="phone").hash
+        == phone.hash
+        == camera.load_graph(Path("phone")).hash
+    )

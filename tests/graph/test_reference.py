@@ -23,18 +23,28 @@ def test_the_pages_and_the_schema_are_fresh():
     """Made again by `synfog-usd graph explain --all` and `synfog-usd graph schema`."""
     made = {"docs/reference/ops.md": reference.pages(camera.OPS), "pipeline/graph.schema.json": schema_text()}
     stale = [name for name, text in made.items() if (ROOT / name).read_text(encoding="utf-8") != text]
-    assert not stale, "run: synfog-usd graph explain --all > docs/reference/ops.md; synfog-usd graph schema > pipeline/graph.schema.json"
+    assert not stale, (
+        "run: synfog-usd graph explain --all > docs/reference/ops.md; synfog-usd graph schema > "
+        "pipeline/graph.schema.json"
+    )
 
 
 def test_a_page_tells_units_ranges_defaults_and_meanings():
     page = reference.page(camera.OPS, "sensor.dark_current")
-    assert page.startswith("## sensor.dark_current\n\nElectrons that heat frees during the exposure, before shot noise.\n")
+    assert page.startswith(
+        "## sensor.dark_current\n\nElectrons that heat frees during the exposure, before shot noise.\n"
+    )
     assert "Takes electrons (mosaic, mean); gives electrons (mosaic, mean)." in page
     assert "| `temperature_c` | a number from -60 to 150 [degrees C] | `25` | T of the sensor [degrees C]. |" in page
-    assert "| `dark_current_e_s` | a number from 0 to 1e+07 [e-/s] | `sensor.dark_current_e_s` of the profile | I, at 25 degrees C [e-/s]. |" in page
+    assert (
+        "| `dark_current_e_s` | a number from 0 to 1e+07 [e-/s] | `sensor.dark_current_e_s` of the profile | I, at 25 "
+        "degrees C [e-/s]. |" in page
+    )
     assert "Source: EMVA 1288 release 4.0, section 7." in page and "Args" not in page
     assert "Draws random numbers" in reference.page(camera.OPS, "sensor.shot_noise") and "Draws" not in page
-    with pytest.raises(GraphError, match=r"no op 'sensor.dark_curent'; there are .* Did you mean 'sensor.dark_current'\?"):
+    with pytest.raises(
+        GraphError, match=r"no op 'sensor.dark_curent'; there are .* Did you mean 'sensor.dark_current'\?"
+    ):
         reference.page(camera.OPS, "sensor.dark_curent")
 
 
@@ -46,7 +56,12 @@ def test_all_pages_have_every_op_once_as_light_meets_them():
 
 def test_every_parameter_of_the_camera_has_a_meaning_or_is_the_op_s_own_subject():
     """What a docstring leaves out is told by its first line: 'No pixel holds more than its full well'."""
-    silent = {f"{op.name}.{item.name}" for op in camera.OPS for item in op.parameters.values() if item.can_be_set and not item.help}
+    silent = {
+        f"{op.name}.{item.name}"
+        for op in camera.OPS
+        for item in op.parameters.values()
+        if item.can_be_set and not item.help
+    }
     assert silent <= {"sensor.full_well.full_well_e"}
 
 
@@ -89,7 +104,11 @@ def test_the_schema_holds_ranges_choices_and_defaults():
     assert parameter("isp.demosaic", "algorithm")["enum"] == ["directional", "linear", "mhc", "menon"]
     assert parameter("isp.demosaic", "algorithm")["default"] == "directional"
     number, written, auto = parameter("sensor.expose", "exposure_s")["anyOf"]
-    assert number == {"type": "number", "exclusiveMinimum": 0.0, "maximum": 3600.0} and auto["const"] == "auto" and written["type"] == "string"
+    assert (
+        number == {"type": "number", "exclusiveMinimum": 0.0, "maximum": 3600.0}
+        and auto["const"] == "auto"
+        and written["type"] == "string"
+    )
     assert parameter("sensor.adc", "bits")["anyOf"][0] == {"type": "integer", "minimum": 8, "maximum": 16}
     assert parameter("isp.white_balance", "clip")["type"] == "boolean"
 
@@ -146,7 +165,10 @@ def test_the_schema_accepts_the_shipped_graphs(valid, path):
 )
 def test_schema_and_loader_agree_on_a_node(tmp_path, registry, valid, node):
     """Names, types and ranges: what the one refuses the other refuses."""
-    text = f"synfog: graph/1\ninputs: [radiance]\nnodes:\n  - {{{node}}}\noutputs: {{a.exr: {'lens_1' if 'Lens' in node else 'pass'}}}\n"
+    text = (
+        f"synfog: graph/1\ninputs: [radiance]\nnodes:\n  - {{{node}}}\noutputs: {{a.exr: "
+        f"{'lens_1' if 'Lens' in node else 'pass'}}}\n"
+    )
     (tmp_path / "g.yaml").write_text(text)
     try:
         loads = bool(load_graph(tmp_path / "g.yaml", registry))
@@ -173,7 +195,10 @@ def test_schema_and_loader_agree_on_a_node(tmp_path, registry, valid, node):
     ],
 )
 def test_schema_and_loader_agree_on_an_output(tmp_path, registry, valid, output):
-    text = f"synfog: graph/1\ninputs: [radiance]\nnodes: [{{op: lens.pass}}, {{op: chip.expose}}, {{op: chip.adc}}]\noutputs: {{{output}}}\n"
+    text = (
+        f"synfog: graph/1\ninputs: [radiance]\nnodes: [{{op: lens.pass}}, {{op: chip.expose}}, {{op: "
+        f"chip.adc}}]\noutputs: {{{output}}}\n"
+    )
     (tmp_path / "g.yaml").write_text(text)
     try:
         loads = bool(load_graph(tmp_path / "g.yaml", registry))

@@ -38,7 +38,9 @@ def test_values_flow_through_the_nodes_in_order(tmp_path, registry, radiance):
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(tmp_path, registry, radiance):
     graph = load(tmp_path, registry)
-    one, again, other = (graph.run({"radiance": radiance}, seed=seed, settings={"time_s": 3.0})["noise"].pixels for seed in (1, 1, 2))
+    one, again, other = (
+        graph.run({"radiance": radiance}, seed=seed, settings={"time_s": 3.0})["noise"].pixels for seed in (1, 1, 2)
+    )
     assert one.tobytes() == again.tobytes()
     assert (one != other).all()
 
@@ -57,11 +59,20 @@ def test_auto_is_found_in_the_settings_before_the_provenance(tmp_path, registry,
     assert graph.settings_needed == ("time_s",)
     noted = radiance.with_metadata(time_s=2.0)
     assert graph.run({"radiance": noted}, seed=0, until="expose")["expose"].pixels[0, 1, 0] == 3 * 2 * 2
-    assert graph.run({"radiance": noted}, seed=0, until="expose", settings={"time_s": 5.0})["expose"].pixels[0, 1, 0] == 3 * 2 * 5
+    assert (
+        graph.run({"radiance": noted}, seed=0, until="expose", settings={"time_s": 5.0})["expose"].pixels[0, 1, 0]
+        == 3 * 2 * 5
+    )
 
 
 def test_auto_that_nobody_answers_is_an_error_that_says_what_to_do(tmp_path, registry, radiance):
-    with pytest.raises(GraphError, match=r"g\.yaml:6:5: node 'expose' \(chip.expose\) has time_s: auto, but nothing says time_s: .* Give time_s a number"):
+    with pytest.raises(
+        GraphError,
+        match=(
+            r"g\.yaml:6:5: node 'expose' \(chip.expose\) has time_s: auto, but nothing says time_s: .* Give time_s a "
+            r"number"
+        ),
+    ):
         load(tmp_path, registry).run({"radiance": radiance}, seed=0)
 
 
@@ -91,9 +102,17 @@ def test_overrides_change_a_run_and_its_hash_but_not_the_graph(tmp_path, registr
     ],
 )
 def test_an_override_may_name_a_node_an_op_a_family_or_a_value_of_a_profile(tmp_path, registry, key, value, changed):
-    graph = load(tmp_path, registry, GRAPH.replace("  - {name: adc", "  - {name: more, op: chip.noise}\n  - {name: adc"))
-    before = {f"{node.name}.{name}": bound.value for node in graph.nodes.values() for name, bound in node.params.items()}
-    after = {f"{node.name}.{name}": bound.value for node in graph.with_overrides({key: value}).nodes.values() for name, bound in node.params.items()}
+    graph = load(
+        tmp_path, registry, GRAPH.replace("  - {name: adc", "  - {name: more, op: chip.noise}\n  - {name: adc")
+    )
+    before = {
+        f"{node.name}.{name}": bound.value for node in graph.nodes.values() for name, bound in node.params.items()
+    }
+    after = {
+        f"{node.name}.{name}": bound.value
+        for node in graph.with_overrides({key: value}).nodes.values()
+        for name, bound in node.params.items()
+    }
     assert {name: after[name] for name in after if after[name] != before[name]} == changed
 
 
@@ -114,8 +133,15 @@ def test_until_takes_the_name_of_an_output(tmp_path, registry, radiance):
     ("overrides", "message"),
     [
         ({"chip.nois_e": 1}, r"override 'chip.nois_e': no node 'chip'; write node.parameter. Did you mean"),
-        ({"chip.noise_e": -1}, r"override 'chip.noise_e': node 'noise' \(chip.noise\): sigma_e is -1; it takes a number >= 0 \[e-\]"),
-        ({"lens.scal": 1}, r"override 'lens.scal': node 'lens' \(lens.pass\) has no parameter 'scal'; it takes scale, shape. Did you mean 'scale'\?"),
+        (
+            {"chip.noise_e": -1},
+            r"override 'chip.noise_e': node 'noise' \(chip.noise\): sigma_e is -1; it takes a number >= 0 \[e-\]",
+        ),
+        (
+            {"lens.scal": 1},
+            r"override 'lens.scal': node 'lens' \(lens.pass\) has no parameter 'scal'; it takes scale, shape. Did you "
+            r"mean 'scale'\?",
+        ),
         ({"lns.scale": 1}, r"override 'lns.scale': no node 'lns'; write node.parameter. Did you mean 'lens.scale'\?"),
         ({"scale": 1}, r"override 'scale': no node 'scale'; write node.parameter"),
         ({"lens.scale": 99}, r"scale is 99; it takes a number above 0, up to 10"),
@@ -163,7 +189,9 @@ nodes:
   - {name: rest, op: light.difference, in: [both, sky]}
 outputs: {rest.exr: rest}
 """
-    run = load(tmp_path, registry, text).run({"sky": radiance, "lamps": radiance.with_pixels(radiance.pixels + 1)}, seed=0)
+    run = load(tmp_path, registry, text).run(
+        {"sky": radiance, "lamps": radiance.with_pixels(radiance.pixels + 1)}, seed=0
+    )
     np.testing.assert_array_equal(run["rest"].pixels, 2 * radiance.pixels + 2)
 
 
@@ -183,13 +211,19 @@ def test_an_error_inside_an_op_gets_the_place_of_its_node(tmp_path, radiance):
     def fails(image: Image) -> Image:
         raise ParameterError("it is too dark")
 
-    graph = load(tmp_path, ops, "synfog: graph/1\ninputs: [radiance]\nnodes:\n  - op: a.fails\noutputs: {a.exr: fails}\n")
+    graph = load(
+        tmp_path, ops, "synfog: graph/1\ninputs: [radiance]\nnodes:\n  - op: a.fails\noutputs: {a.exr: fails}\n"
+    )
     with pytest.raises(ParameterError, match=r"g\.yaml:4:5: node 'fails' \(a.fails\): it is too dark"):
         graph.run({"radiance": radiance}, seed=0)
 
 
 def test_the_hash_follows_meaning_not_spelling(tmp_path, registry):
-    same = GRAPH.replace("scale: 2", "scale: 2.0  ").replace("nodes:", "# a comment\nnodes:").replace("outputs: {raw.dng: adc}", "outputs:\n  raw.dng: adc")
+    same = (
+        GRAPH.replace("scale: 2", "scale: 2.0  ")
+        .replace("nodes:", "# a comment\nnodes:")
+        .replace("outputs: {raw.dng: adc}", "outputs:\n  raw.dng: adc")
+    )
     changed = [
         GRAPH.replace("scale: 2", "scale: 2.5"),
         GRAPH.replace("raw.dng", "x.dng"),
@@ -210,14 +244,21 @@ def test_a_table_and_a_chart_name_every_node_and_file(tmp_path, registry, radian
     table, chart = drawing.table(graph, run), drawing.mermaid(graph, run)
     lines = table.splitlines()
     assert lines[0].split() == ["node", "op", "reads", "gives", "parameters", "ms"]
-    assert lines[4].split()[:5] == ["noise", "chip.noise", "expose", "electrons", "(mosaic)"] and "sigma_e=2" in lines[4]
+    assert (
+        lines[4].split()[:5] == ["noise", "chip.noise", "expose", "electrons", "(mosaic)"] and "sigma_e=2" in lines[4]
+    )
     assert "writes raw.dng from adc" in lines
     assert "expose -- electrons --> noise" in chart and "adc --> file0[/raw.dng/]" in chart
 
 
 def test_progress_is_told_every_node_and_the_end(tmp_path, registry, radiance):
     told = []
-    load(tmp_path, registry).run({"radiance": radiance}, seed=0, settings={"time_s": 1.0}, progress=lambda what, fraction: told.append((what, fraction)))
+    load(tmp_path, registry).run(
+        {"radiance": radiance},
+        seed=0,
+        settings={"time_s": 1.0},
+        progress=lambda what, fraction: told.append((what, fraction)),
+    )
     assert told == [("lens", 0.0), ("expose", 0.25), ("noise", 0.5), ("adc", 0.75), ("done", 1.0)]
 
 

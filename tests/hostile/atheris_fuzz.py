@@ -34,9 +34,16 @@ def text_of(data):
         return bytes(data[1:])
     take = FuzzedDataProvider(data[1:])
     if data[0] % 4 == 1:
-        return at.replaced({take.ConsumeIntInRange(0, len(at.VALUES) - 1): _value(take, None) for _ in range(take.ConsumeIntInRange(1, 5))})
+        return at.replaced(
+            {
+                take.ConsumeIntInRange(0, len(at.VALUES) - 1): _value(take, None)
+                for _ in range(take.ConsumeIntInRange(1, 5))
+            }
+        )
     if data[0] % 4 == 2:
-        return at.retyped(take.ConsumeIntInRange(0, len(at.VALUES) - 1), at.TYPES[take.ConsumeIntInRange(0, len(at.TYPES) - 1)])
+        return at.retyped(
+            take.ConsumeIntInRange(0, len(at.VALUES) - 1), at.TYPES[take.ConsumeIntInRange(0, len(at.TYPES) - 1)]
+        )
     text = at.TEXT
     for _ in range(take.ConsumeIntInRange(1, 5)):
         begin = take.ConsumeIntInRange(0, max(len(text) - 1, 0))
@@ -76,7 +83,9 @@ def drive(arguments):
 
 
 def hunt(seconds, out):
-    """Run the loop again and again until the time is over; (cases, deaths of the library that the command line tells in one line, findings)."""
+    """Run the loop again and again until the time is over; (cases, deaths of the library that the command line tells in
+    one line, findings).
+    """
     from support import hostile
 
     corpus, artefacts = out / "corpus", out / "artefacts"
@@ -84,18 +93,43 @@ def hunt(seconds, out):
         folder.mkdir(parents=True, exist_ok=True)
     (corpus / "sound").write_bytes(b"\0" + hostile.TEXT.encode())
     for number in range(64):
-        (corpus / f"seed{number}").write_bytes(bytes([1 + number % 3]) + bytes((number * 37 + 11 * k) % 256 for k in range(96)))
+        (corpus / f"seed{number}").write_bytes(
+            bytes([1 + number % 3]) + bytes((number * 37 + 11 * k) % 256 for k in range(96))
+        )
     words = out / "words.dict"
-    words.write_text("".join(f'"{word}"\n' for word in hostile.WORDS if re.fullmatch(r"[\w:.]{2,}", word)), encoding="ascii")
+    words.write_text(
+        "".join(f'"{word}"\n' for word in hostile.WORDS if re.fullmatch(r"[\w:.]{2,}", word)), encoding="ascii"
+    )
     cases, deaths, findings, end, turn = 0, 0, [], time.monotonic() + seconds, 0
     while (left := end - time.monotonic()) > 3:
         turn += 1
-        options = (f"-max_total_time={int(left)}", f"-seed={turn}", f"-timeout={SLOWEST_S}", f"-rss_limit_mb={MEMORY_MB}", "-max_len=32768", "-len_control=0")
-        command = [sys.executable, __file__, "--drive", *options, f"-dict={words}", f"-artifact_prefix={artefacts}/", "-print_final_stats=1", corpus]
-        together = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}  # traces come on the one, figures on the other
+        options = (
+            f"-max_total_time={int(left)}",
+            f"-seed={turn}",
+            f"-timeout={SLOWEST_S}",
+            f"-rss_limit_mb={MEMORY_MB}",
+            "-max_len=32768",
+            "-len_control=0",
+        )
+        command = [
+            sys.executable,
+            __file__,
+            "--drive",
+            *options,
+            f"-dict={words}",
+            f"-artifact_prefix={artefacts}/",
+            "-print_final_stats=1",
+            corpus,
+        ]
+        together = {
+            "stdout": subprocess.PIPE,
+            "stderr": subprocess.STDOUT,
+        }  # traces come on the one, figures on the other
         done = subprocess.run([*map(str, command)], **together, text=True, errors="replace", env=_environment())
         told = done.stdout
-        counted = re.findall(r"stat::number_of_executed_units:\s+(\d+)", told) or re.findall(r"^#(\d+)", told, re.MULTILINE)
+        counted = re.findall(r"stat::number_of_executed_units:\s+(\d+)", told) or re.findall(
+            r"^#(\d+)", told, re.MULTILINE
+        )
         cases += int(counted[-1]) if counted else 0
         if done.returncode == 0:
             continue

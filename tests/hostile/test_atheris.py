@@ -1,4 +1,5 @@
-"""The coverage-guided search, for some seconds: that it runs, that it finds what is put in its way, and that it finds nothing else.
+"""The coverage-guided search, for some seconds: that it runs, that it finds what is put in its way, and that it finds
+nothing else.
 
 Needs atheris, which is no dependency (its wheels are for some Pythons and Linux only): `pip install atheris`, then
 SYNFOG_FUZZ_SECONDS=900 for a long search.
@@ -17,7 +18,9 @@ SCRIPT = Path(__file__).with_name("atheris_fuzz.py")
 SECONDS = os.environ.get("SYNFOG_FUZZ_SECONDS", "20")
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed; pip install atheris"),
+    pytest.mark.skipif(
+        importlib.util.find_spec("atheris") is None, reason="atheris is not installed; pip install atheris"
+    ),
 ]
 
 
@@ -39,5 +42,9 @@ def test_a_fault_in_the_code_is_found(tmp_path):
         "    labels.official_name = lambda label: 1 // 0\n"
     )
     words = [sys.executable, str(SCRIPT), "--seconds", "15", "--out", str(tmp_path / "out")]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300, env={**os.environ, "PYTHONPATH": str(tmp_path)})
-    assert done.returncode == 1 and "ZeroDivisionError" in (tmp_path / "out" / "finding0.txt").read_text(), done.stdout + done.stderr
+    done = subprocess.run(
+        words, capture_output=True, text=True, timeout=300, env={**os.environ, "PYTHONPATH": str(tmp_path)}
+    )
+    assert done.returncode == 1 and "ZeroDivisionError" in (tmp_path / "out" / "finding0.txt").read_text(), (
+        done.stdout + done.stderr
+    )

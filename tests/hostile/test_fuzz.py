@@ -96,7 +96,10 @@ def test_any_damaged_text_ends_in_a_scene_or_an_error(damage):
     read(text)
 
 
-@pytest.mark.parametrize("name", ["points", "faceVertexCounts", "faceVertexIndices", "positions", "protoIndices", "curveVertexCounts", "widths"])
+@pytest.mark.parametrize(
+    "name",
+    ["points", "faceVertexCounts", "faceVertexIndices", "positions", "protoIndices", "curveVertexCounts", "widths"],
+)
 def test_topology_that_makes_no_sense_is_left_out_or_refused(name):
     """Indices beyond the points, negative counts, numbers that are none, in each array of topology."""
     for value in ("[-1]", "[2147483647, -5]", "[]", "[nan]", "[(nan, inf, 0)]", "[(0, 0, 0)]", "[3, 3]"):
@@ -105,18 +108,30 @@ def test_topology_that_makes_no_sense_is_left_out_or_refused(name):
         read(text)
 
 
-@pytest.mark.parametrize("old, new", [
-    ("float inputs:colorTemperature = 4000", "float inputs:colorTemperature = nan"),  # UsdLux.BlackbodyTemperatureAsRgb(nan) ends the process
-    ("float inputs:width = 1", "nothing inputs:width"),  # and so does a type that USD does not know, when asked for its default
-    ("float inputs:exposure = 1", "float inputs:exposure = 1e9"),
-    ("float inputs:angle = 0.53", "float inputs:angle = inf"),
-    ("float inputs:angle = 0.53", "float inputs:angle = </Nowhere>"),  # the parser takes a path for a value of any type
-    ("float inputs:length = 1", "float inputs:length = inf"),
-    ("float inputs:radius = 0.02", "float inputs:radius = 1e308"),
-    ("float inputs:length = 1", "float inputs:length = nan"),
-    ("double size = 2", "double size = 1e308"),
-    ('token[] semantics:labels:cityscapes = ["pole"]', "custom nothing semantics:labels:cityscapes"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        (
+            "float inputs:colorTemperature = 4000",
+            "float inputs:colorTemperature = nan",
+        ),  # UsdLux.BlackbodyTemperatureAsRgb(nan) ends the process
+        (
+            "float inputs:width = 1",
+            "nothing inputs:width",
+        ),  # and so does a type that USD does not know, when asked for its default
+        ("float inputs:exposure = 1", "float inputs:exposure = 1e9"),
+        ("float inputs:angle = 0.53", "float inputs:angle = inf"),
+        (
+            "float inputs:angle = 0.53",
+            "float inputs:angle = </Nowhere>",
+        ),  # the parser takes a path for a value of any type
+        ("float inputs:length = 1", "float inputs:length = inf"),
+        ("float inputs:radius = 0.02", "float inputs:radius = 1e308"),
+        ("float inputs:length = 1", "float inputs:length = nan"),
+        ("double size = 2", "double size = 1e308"),
+        ('token[] semantics:labels:cityscapes = ["pole"]', "custom nothing semantics:labels:cityscapes"),
+    ],
+)
 def test_what_was_found(old, new):
     """Damage that once took the process down or ended in a trace."""
     assert old in TEXT
@@ -145,9 +160,14 @@ for path in sys.argv[1:]:
 
 @pytest.mark.slow
 @fuzzed(2)
-@given(st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.integers(0, 255)), min_size=30, max_size=30), st.integers(1, 3))
+@given(
+    st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.integers(0, 255)), min_size=30, max_size=30),
+    st.integers(1, 3),
+)
 def test_any_bytes_of_a_binary_file_end_in_a_scene_or_an_error_or_one_line(tmp_path_factory, changes, many):
-    """Some bytes of a .usdc changed, in ten files at a time.  What takes the library down, the command line tells in a line; none ends in a trace."""
+    """Some bytes of a .usdc changed, in ten files at a time.  What takes the library down, the command line tells in a
+    line; none ends in a trace.
+    """
     folder = tmp_path_factory.mktemp("crate")
     environment = {**os.environ, "PYTHONPATH": str(TESTS)}
     subprocess.run([sys.executable, "-c", CRATE, str(folder)], check=True, env=environment, timeout=60)
@@ -159,11 +179,24 @@ def test_any_bytes_of_a_binary_file_end_in_a_scene_or_an_error_or_one_line(tmp_p
         left.append(folder / f"{number}.usdc")
         left[-1].write_bytes(data)
     while left:
-        done = subprocess.run([sys.executable, "-c", READER, *map(str, left)], capture_output=True, text=True, env=environment, timeout=120)
+        done = subprocess.run(
+            [sys.executable, "-c", READER, *map(str, left)],
+            capture_output=True,
+            text=True,
+            env=environment,
+            timeout=120,
+        )
         if done.returncode >= 0:
             assert done.returncode == 0, done.stderr
             break
         died = left[len(done.stdout.splitlines())]
-        check = subprocess.run([sys.executable, "-m", "synfog_usd.cli.main", "check", str(died)], capture_output=True, text=True, timeout=120)
-        assert check.returncode in (0, 1, 2) and check.stderr.count("\n") <= 1 and "Traceback" not in check.stderr, check.stderr
+        check = subprocess.run(
+            [sys.executable, "-m", "synfog_usd.cli.main", "check", str(died)],
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        assert check.returncode in (0, 1, 2) and check.stderr.count("\n") <= 1 and "Traceback" not in check.stderr, (
+            check.stderr
+        )
         left = left[left.index(died) + 1 :]

@@ -42,7 +42,10 @@ def bomb(levels, *, instanceable, arc="references"):
     for level in range(1, levels + 1):
         text += f'def Xform "L{level}"\n{{\n'
         for name in "ab":
-            text += f'    def Xform "{name}" (\n        instanceable = {str(instanceable).lower()}\n        {arc} = </L{level - 1}>\n    )\n    {{\n    }}\n'
+            text += (
+                f'    def Xform "{name}" (\n        instanceable = {str(instanceable).lower()}\n        {arc} = '
+                f"</L{level - 1}>\n    )\n    {{\n    }}\n"
+            )
         text += "}\n"
     return text
 
@@ -58,15 +61,22 @@ def uncomposed(monkeypatch):
 def test_a_bomb_of_arcs_is_counted_and_not_composed(tmp_path, arc):
     """2^30 prims from 3 kB: refused with the number that they unfold to."""
     path = written(tmp_path / "bomb.usda", bomb(30, instanceable=False, arc=arc))
-    with pytest.raises(StageError, match=r"bomb.usda: unfolds to \d+ \d\d\d \d\d\d \d\d\d prims and references; at most 2000000") as caught:
+    with pytest.raises(
+        StageError, match=r"bomb.usda: unfolds to \d+ \d\d\d \d\d\d \d\d\d prims and references; at most 2000000"
+    ) as caught:
         open_stage(path)
     assert "\n" not in str(caught.value)
 
 
 def test_a_bomb_over_many_files_is_counted_too(tmp_path):
     for level in range(1, 31):
-        below = "\n".join(f'    def Xform "{name}" (\n        references = @./l{level - 1}.usda@\n    )\n    {{\n    }}' for name in "ab")
-        written(tmp_path / f"l{level}.usda", f'#usda 1.0\n(\n    defaultPrim = "R"\n)\ndef Xform "R"\n{{\n{below}\n}}\n')
+        below = "\n".join(
+            f'    def Xform "{name}" (\n        references = @./l{level - 1}.usda@\n    )\n    {{\n    }}'
+            for name in "ab"
+        )
+        written(
+            tmp_path / f"l{level}.usda", f'#usda 1.0\n(\n    defaultPrim = "R"\n)\ndef Xform "R"\n{{\n{below}\n}}\n'
+        )
     written(tmp_path / "l0.usda", '#usda 1.0\n(\n    defaultPrim = "R"\n)\ndef Cube "R"\n{\n}\n')
     with pytest.raises(StageError, match=r"l30.usda: unfolds to"):
         open_stage(tmp_path / "l30.usda")
@@ -87,15 +97,24 @@ def test_the_count_is_that_of_usd(tmp_path):
 def test_an_asset_that_makes_itself_an_instance_counts_once(tmp_path):
     """4 000 references to a tree of 600 prims that says it is instanceable are 4 601 prims, not 2.4 million."""
     twigs = "".join(f'    def Xform "t{n}"\n    {{\n    }}\n' for n in range(600))
-    written(tmp_path / "tree.usda", f'#usda 1.0\n(\n    defaultPrim = "Tree"\n)\ndef Xform "Tree" (\n    instanceable = true\n)\n{{\n{twigs}}}\n')
-    trees = "".join(f'    def "t{n}" (\n        references = @./tree.usda@\n    )\n    {{\n    }}\n' for n in range(4000))
+    written(
+        tmp_path / "tree.usda",
+        f'#usda 1.0\n(\n    defaultPrim = "Tree"\n)\ndef Xform "Tree" (\n    instanceable = true\n)\n{{\n{twigs}}}\n',
+    )
+    trees = "".join(
+        f'    def "t{n}" (\n        references = @./tree.usda@\n    )\n    {{\n    }}\n' for n in range(4000)
+    )
     stage = open_stage(written(tmp_path / "forest.usda", HEAD + f'def Xform "Forest"\n{{\n{trees}}}\n'))
     assert len(stage.GetPrototypes()) == 1
 
 
 def test_one_prim_with_doubling_references_is_counted(tmp_path):
     """No prim has children, but each refers to two that refer to the same two: 2^30 references for one prim."""
-    text = HEAD + "".join(f'def "{name}{n}" (\n    references = [</a{n + 1}>, </b{n + 1}>]\n)\n{{\n}}\n' for n in range(30) for name in "ab")
+    text = HEAD + "".join(
+        f'def "{name}{n}" (\n    references = [</a{n + 1}>, </b{n + 1}>]\n)\n{{\n}}\n'
+        for n in range(30)
+        for name in "ab"
+    )
     with pytest.raises(StageError, match="unfolds to"):
         open_stage(written(tmp_path / "stage.usda", text))
 
@@ -117,7 +136,13 @@ def test_proxies_of_instances_are_counted_and_not_visited(tmp_path, levels, refu
     if refused:
         done = cli.run("check", path)
         told = done.stderr
-        assert done.returncode == 2 and told.count("\n") == 1 and f"/L{levels}/a" in told and "unfold to" in told and "at most 1500000" in told
+        assert (
+            done.returncode == 2
+            and told.count("\n") == 1
+            and f"/L{levels}/a" in told
+            and "unfold to" in told
+            and "at most 1500000" in told
+        )
     else:
         size = budget.check_stage(open_stage(path))
         assert size.shapes == sum(2**level for level in range(levels + 1))  # each /Ln is drawn itself too
@@ -152,7 +177,10 @@ def test_triangles_are_counted_before_they_are_made(monkeypatch):
         budget.check_stage(stage)
 
 
-@pytest.mark.parametrize("levels, words", [(300, "nested deeper than 256"), (5000, "nested deeper than 256"), (100_000, "braces nested deeper than 10000")])
+@pytest.mark.parametrize(
+    "levels, words",
+    [(300, "nested deeper than 256"), (5000, "nested deeper than 256"), (100_000, "braces nested deeper than 10000")],
+)
 def test_a_tower_is_refused_in_one_line(tmp_path, levels, words):
     path = written(tmp_path / "deep.usda", "#usda 1.0\n" + 'def Xform "d" {\n' * levels + "}\n" * levels)
     with pytest.raises(StageError, match=words) as caught:
@@ -161,7 +189,11 @@ def test_a_tower_is_refused_in_one_line(tmp_path, levels, words):
 
 
 def test_a_long_chain_of_references_is_refused(tmp_path):
-    text = HEAD + "".join(f'def "A{n}" (\n    references = </A{n + 1}>\n)\n{{\n}}\n' for n in range(3000)) + 'def "A3000"\n{\n}\n'
+    text = (
+        HEAD
+        + "".join(f'def "A{n}" (\n    references = </A{n + 1}>\n)\n{{\n}}\n' for n in range(3000))
+        + 'def "A3000"\n{\n}\n'
+    )
     with pytest.raises(StageError, match="follow one another more than 200 deep"):
         open_stage(written(tmp_path / "chain.usda", text))
 
@@ -185,7 +217,9 @@ def test_references_that_lead_nowhere_or_elsewhere_are_one_line(tmp_path, text, 
 
 def test_sublayers_that_hold_each_other_are_one_line(tmp_path):
     for name, other in (("a", "b"), ("b", "a")):
-        written(tmp_path / f"{name}.usda", f'#usda 1.0\n(\n    subLayers = [@./{other}.usda@]\n)\ndef "{name}"\n{{\n}}\n')
+        written(
+            tmp_path / f"{name}.usda", f'#usda 1.0\n(\n    subLayers = [@./{other}.usda@]\n)\ndef "{name}"\n{{\n}}\n'
+        )
     with pytest.raises(StageError, match="ycle"):
         open_stage(tmp_path / "a.usda", whole=True)
 
@@ -198,7 +232,10 @@ def two_folders(tmp_path):
     """A stage's folder, and beside it one with a car and a picture."""
     (tmp_path / "stage").mkdir()
     (tmp_path / "kit").mkdir()
-    written(tmp_path / "kit" / "car.usda", '#usda 1.0\n(\n    defaultPrim = "Car"\n)\ndef Xform "Car"\n{\n    def Cube "Body"\n    {\n    }\n}\n')
+    written(
+        tmp_path / "kit" / "car.usda",
+        '#usda 1.0\n(\n    defaultPrim = "Car"\n)\ndef Xform "Car"\n{\n    def Cube "Body"\n    {\n    }\n}\n',
+    )
     (tmp_path / "kit" / "sky.png").write_bytes(png(2, 2))
     return tmp_path / "stage", tmp_path / "kit"
 
@@ -211,9 +248,13 @@ WAYS = {
     "linked texture": 'def DomeLight "Sky"\n{\n    asset inputs:texture:file = @./link.png@\n}\n',
     "variant": 'def "Car" (\n    variants = {\n        string v = "a"\n    }\n    prepend variantSets = "v"\n)\n{\n'
     '    variantSet "v" = {\n        "a" {\n        }\n        "b" {\n'
-    '            def "x" (\n                references = @../kit/car.usda@\n            )\n            {\n            }\n        }\n    }\n}\n',
-    "samples": 'def DomeLight "Sky"\n{\n    asset inputs:texture:file.timeSamples = {\n        0: @../kit/sky.png@,\n    }\n}\n',
-}  # fmt: skip
+    '            def "x" (\n                references = @../kit/car.usda@\n            )\n            {\n            '
+    "}\n        }\n    }\n}\n",
+    "samples": (
+        'def DomeLight "Sky"\n{\n    asset inputs:texture:file.timeSamples = {\n        0: @../kit/sky.png@,\n    '
+        "}\n}\n"
+    ),
+}
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -251,7 +292,10 @@ def test_an_allowed_folder_must_be_there(two_folders):
 
 def test_a_pipe_that_nobody_writes_to_does_not_hang(tmp_path):
     os.mkfifo(tmp_path / "sky.png")
-    path = written(tmp_path / "stage.usda", HEAD + CAMERA + 'def DomeLight "Sky"\n{\n    asset inputs:texture:file = @./sky.png@\n}\n')
+    path = written(
+        tmp_path / "stage.usda",
+        HEAD + CAMERA + 'def DomeLight "Sky"\n{\n    asset inputs:texture:file = @./sky.png@\n}\n',
+    )
     with pytest.raises(StageError, match=r"/Sky.*sky\.png is no regular file"):
         open_stage(path)
 
@@ -259,10 +303,18 @@ def test_a_pipe_that_nobody_writes_to_does_not_hang(tmp_path):
 def test_other_peoples_plugins_are_not_loaded(tmp_path):
     """PXR_PLUGINPATH_NAME with a plugin that USD complains about when it reads it: the child never does."""
     (tmp_path / "plugin").mkdir()
-    written(tmp_path / "plugin" / "plugInfo.json", '{"Plugins": [{"Type": "library", "Name": "evil", "LibraryPath": "evil.so", "Root": ".", "Info": 7}]}')
+    written(
+        tmp_path / "plugin" / "plugInfo.json",
+        '{"Plugins": [{"Type": "library", "Name": "evil", "LibraryPath": "evil.so", "Root": ".", "Info": 7}]}',
+    )
     path = written(tmp_path / "stage.usda", HEAD + CAMERA)
     environment = {**os.environ, "PXR_PLUGINPATH_NAME": str(tmp_path / "plugin")}
-    plain = subprocess.run([sys.executable, "-c", "from pxr import Plug; Plug.Registry().GetAllPlugins()"], capture_output=True, text=True, env=environment)
+    plain = subprocess.run(
+        [sys.executable, "-c", "from pxr import Plug; Plug.Registry().GetAllPlugins()"],
+        capture_output=True,
+        text=True,
+        env=environment,
+    )
     assert "plugInfo.json" in plain.stderr  # so the test could have failed
     assert "plugInfo.json" not in cli.process("check", path, env=environment).stderr
 
@@ -282,17 +334,25 @@ def painted(tmp_path):
         mesh.CreatePointsAttr([(-1, 5, -1), (1, 5, -1), (1, 5, 1), (-1, 5, 1)])
         mesh.CreateFaceVertexCountsAttr([4])
         mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
-        UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex").Set([(0, 0), (1, 0), (1, 1), (0, 1)])
+        UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex").Set(
+            [(0, 0), (1, 0), (1, 1), (0, 1)]
+        )
         material = UsdShade.Material.Define(stage, "/Paint")
-        surface, texture, reader = (UsdShade.Shader.Define(stage, f"/Paint/{part}") for part in ("Surface", "Texture", "Reader"))
+        surface, texture, reader = (
+            UsdShade.Shader.Define(stage, f"/Paint/{part}") for part in ("Surface", "Texture", "Reader")
+        )
         surface.CreateIdAttr("UsdPreviewSurface")
         texture.CreateIdAttr("UsdUVTexture")
         reader.CreateIdAttr("UsdPrimvarReader_float2")
         reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
         texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(name)
         texture.CreateInput("fallback", Sdf.ValueTypeNames.Float4).Set((0.25, 0.5, 0.75, 1))
-        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float2))
-        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(
+            reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        )
+        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(
+            texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+        )
         material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
         stage.Save()
@@ -346,9 +406,11 @@ for path in sys.argv[1:]:
 
 
 def library(files):
-    """What becomes of each file when it is opened, checked and translated: {name: 'opened', 'refused ...' or 'crashed'}.
+    """What becomes of each file when it is opened, checked and translated: {name: 'opened', 'refused ...' or
+    'crashed'}.
 
-    In children: one that a file takes down is followed by one that goes on behind that file, after the command line has shown its line.
+    In children: one that a file takes down is followed by one that goes on behind that file, after the command line has
+    shown its line.
     """
     left, became = [str(file) for file in files], {}
     while left:
@@ -361,20 +423,28 @@ def library(files):
         crashed = left[len(told)]
         done = cli.process("check", crashed)
         words = done.stderr
-        assert done.returncode == 2 and f"{crashed}: the process that read it died of signal" in words and "Traceback" not in words
+        assert (
+            done.returncode == 2
+            and f"{crashed}: the process that read it died of signal" in words
+            and "Traceback" not in words
+        )
         became[Path(crashed).name] = "crashed"
         left = left[len(told) + 1 :]
     return became
 
 
 def test_packages_with_odd_members(tmp_path):
-    """A .usdz opens where its first member is a good layer and nothing is compressed; what else it holds is never opened or unpacked."""
+    """A .usdz opens where its first member is a good layer and nothing is compressed; what else it holds is never
+    opened or unpacked.
+    """
     outside = 'def "A" (\n    references = @../outside.usda@\n)\n{\n}\n'
     written(tmp_path / "outside.usda", HEAD)
     (tmp_path / "in").mkdir()
 
     def package(name, first, *, packed=False):
-        with zipfile.ZipFile(tmp_path / "in" / name, "w", zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED) as archive:
+        with zipfile.ZipFile(
+            tmp_path / "in" / name, "w", zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED
+        ) as archive:
             archive.writestr(*first)
             archive.writestr("../../escape.usda", HEAD)
             archive.writestr("run.py", "raise SystemExit")
@@ -390,22 +460,31 @@ def test_packages_with_odd_members(tmp_path):
     ]
     files[-1].write_bytes(files[-1].read_bytes()[:100])
     whole = files[0].read_bytes()
-    for name, changes in {"secret.usdz": [(b"PK\3\4", 6, 1), (b"PK\1\2", 8, 1)], "sizes.usdz": [(b"PK\3\4", 18, 255), (b"PK\1\2", 20, 255)]}.items():
+    for name, changes in {
+        "secret.usdz": [(b"PK\3\4", 6, 1), (b"PK\1\2", 8, 1)],
+        "sizes.usdz": [(b"PK\3\4", 18, 255), (b"PK\1\2", 20, 255)],
+    }.items():
         changed = bytearray(whole)  # encrypted by its flags; of a size that it does not have
         for mark, at, value in changes:
             changed[changed.index(mark) + at] = value
         files.append(tmp_path / "in" / name)
         files[-1].write_bytes(changed)
     for name, inner in {"nested.usdz": "b.usdz", "climbs.usdz": "../../escape.usda", "self.usdz": "scene.usda"}.items():
-        files.append(package(name, ("scene.usda", HEAD + CAMERA + f'def "A" (\n    references = @{inner}@\n)\n{{\n}}\n')))
+        files.append(
+            package(name, ("scene.usda", HEAD + CAMERA + f'def "A" (\n    references = @{inner}@\n)\n{{\n}}\n'))
+        )
     became = library(files)
     assert became.pop("odd.usdz") == "opened", became
-    assert set(became) == {file.name for file in files[1:]} and all(line.startswith("refused") for line in became.values()), became
+    assert set(became) == {file.name for file in files[1:]} and all(
+        line.startswith("refused") for line in became.values()
+    ), became
     assert not list(tmp_path.parent.rglob("escape.usda"))
 
 
 def test_damaged_binary_files_end_in_one_line(tmp_path):
-    """A .usdc cut short at twelve places is refused; with bytes changed at twelve, it opens, is refused, or takes its child down and is one line."""
+    """A .usdc cut short at twelve places is refused; with bytes changed at twelve, it opens, is refused, or takes its
+    child down and is one line.
+    """
     stage = Usd.Stage.CreateNew(str(tmp_path / "whole.usdc"))
     for n in range(40):
         UsdGeom.Mesh.Define(stage, f"/World/M{n}").CreatePointsAttr([(n, 0, 0)] * (n + 3))
@@ -433,16 +512,22 @@ def at_start(tmp_path, code):
 
 @pytest.mark.parametrize("small", [True, False])
 def test_memory_beyond_the_limit_is_one_line(tmp_path, small):
-    """2^23 equal numbers pack into a small file and unfold to 32 MiB, and more where they are counted; on a machine of 24 MiB that is a line, and no trace."""
+    """2^23 equal numbers pack into a small file and unfold to 32 MiB, and more where they are counted; on a machine of
+    24 MiB that is a line, and no trace.
+    """
     layer = Sdf.Layer.CreateNew(str(tmp_path / "big.usdc"))
     prim = Sdf.CreatePrimInLayer(layer, "/Mesh")
     prim.specifier, prim.typeName = Sdf.SpecifierDef, "Mesh"
-    Sdf.AttributeSpec(prim, "faceVertexCounts", Sdf.ValueTypeNames.IntArray).default = Vt.IntArray.FromNumpy(np.full(1 << 23, 3, np.int32))
+    Sdf.AttributeSpec(prim, "faceVertexCounts", Sdf.ValueTypeNames.IntArray).default = Vt.IntArray.FromNumpy(
+        np.full(1 << 23, 3, np.int32)
+    )
     layer.Save()
     del layer
     assert (tmp_path / "big.usdc").stat().st_size < 1 << 20
     pages = (24 << 20) // resource.getpagesize()
-    shrunk = at_start(tmp_path, f"before = os.sysconf\nos.sysconf = lambda name: {pages} if name == 'SC_PHYS_PAGES' else before(name)")
+    shrunk = at_start(
+        tmp_path, f"before = os.sysconf\nos.sysconf = lambda name: {pages} if name == 'SC_PHYS_PAGES' else before(name)"
+    )
     done = cli.process("check", tmp_path / "big.usdc", env=shrunk if small else os.environ)
     told = done.stderr
     assert "Traceback" not in told
@@ -455,7 +540,9 @@ def test_a_crash_of_the_library_is_one_line(tmp_path):
     unguarded = at_start(tmp_path, "from synfog_usd.stage import budget\nbudget.MAX_BRACES = 10**9")
     done = cli.process("check", path, env=unguarded)
     told = done.stderr
-    assert done.returncode == 2 and told.count("\n") == 1 and "died of signal 11: the USD library could not cope" in told
+    assert (
+        done.returncode == 2 and told.count("\n") == 1 and "died of signal 11: the USD library could not cope" in told
+    )
 
 
 def test_the_limits_of_reading_end_with_it():
@@ -466,7 +553,9 @@ def test_the_limits_of_reading_end_with_it():
     before = [resource.getrlimit(kind) for kind in kinds]
     with worker.reading_limits():
         inside = [resource.getrlimit(kind)[0] for kind in kinds]
-        assert os.sysconf("SC_PHYS_PAGES") * resource.getpagesize() < inside[0] < resource.RLIM_INFINITY or inside[0] > 0
+        assert (
+            os.sysconf("SC_PHYS_PAGES") * resource.getpagesize() < inside[0] < resource.RLIM_INFINITY or inside[0] > 0
+        )
         assert worker.READ_CPU_S <= inside[1] < worker.READ_CPU_S + 3600 and inside[2] == 0
     assert [resource.getrlimit(kind) for kind in kinds] == before
 
@@ -474,7 +563,9 @@ def test_the_limits_of_reading_end_with_it():
 def test_a_stage_that_takes_too_long_to_read_ends_in_one_line(tmp_path):
     """With a second of processor time instead of ten minutes."""
     path = written(tmp_path / "slow.usda", bomb(15, instanceable=False))
-    done = cli.process("check", path, env=at_start(tmp_path, "from synfog_usd.cli import worker\nworker.READ_CPU_S = 1"))
+    done = cli.process(
+        "check", path, env=at_start(tmp_path, "from synfog_usd.cli import worker\nworker.READ_CPU_S = 1")
+    )
     told = done.stderr
     assert done.returncode == 2 and told.count("\n") == 1 and "s of processor time" in told
 
@@ -521,15 +612,21 @@ LISTED = """def Xform "A" (
 """
 
 
-@pytest.mark.parametrize("text, words", [
-    (clip("./c.###.usda", 0, "1e9", "1e-3"), r"/A: its clips from 0 to 1e\+09 by 0.001 are 1e\+12 files; at most 100000"),
-    (clip("./c.###.usda", 0, "inf", "1"), r"/A: its clips .* are inf files"),
-    (clip("./c.###.usda", 0, 5, 0), r"/A: its clips .* are inf files"),
-    (clip("../kit/c.###.usda", 0, 5, 1), "/A: value clip .* lies outside of the stage's folder"),
-    (clip("./l.###.usda", 0, 5, 1), r"/A: value clip .*l\.001\.usda \(a link to .* lies outside"),
-    (clip("./c.###.usda", 0, 5, 1, manifest="../kit/car.usda"), "/A: value clip .* lies outside"),
-    (LISTED, "/A: value clip .*car.usda lies outside"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (
+            clip("./c.###.usda", 0, "1e9", "1e-3"),
+            r"/A: its clips from 0 to 1e\+09 by 0.001 are 1e\+12 files; at most 100000",
+        ),
+        (clip("./c.###.usda", 0, "inf", "1"), r"/A: its clips .* are inf files"),
+        (clip("./c.###.usda", 0, 5, 0), r"/A: its clips .* are inf files"),
+        (clip("../kit/c.###.usda", 0, 5, 1), "/A: value clip .* lies outside of the stage's folder"),
+        (clip("./l.###.usda", 0, 5, 1), r"/A: value clip .*l\.001\.usda \(a link to .* lies outside"),
+        (clip("./c.###.usda", 0, 5, 1, manifest="../kit/car.usda"), "/A: value clip .* lies outside"),
+        (LISTED, "/A: value clip .*car.usda lies outside"),
+    ],
+)
 def test_value_clips_are_few_and_lie_within_the_fence(two_folders, text, words):
     """USD lists the files of a template when it opens a stage: 10^12 of them for ever.  None is opened to say so."""
     folder, kit = two_folders
@@ -542,14 +639,18 @@ def test_value_clips_are_few_and_lie_within_the_fence(two_folders, text, words):
 def test_sound_value_clips_are_read(tmp_path):
     """x is 7 in the clip at frame 1."""
     written(tmp_path / "manifest.usda", '#usda 1.0\ndef Xform "A"\n{\n    double x\n}\n')
-    written(tmp_path / "c.001.usda", '#usda 1.0\ndef Xform "A"\n{\n    double x.timeSamples = {\n        1: 7,\n    }\n}\n')
+    written(
+        tmp_path / "c.001.usda", '#usda 1.0\ndef Xform "A"\n{\n    double x.timeSamples = {\n        1: 7,\n    }\n}\n'
+    )
     stage = open_stage(written(tmp_path / "stage.usda", HEAD + CAMERA + clip("./c.###.usda", 1, 3, 1)))
     assert stage.GetPrimAtPath("/A").GetAttribute("x").Get(1.0) == 7.0
 
 
 def expressed(levels):
     """The bomb of references, each by way of an expression."""
-    text = '#usda 1.0\n(\n    expressionVariables = {\n        string FILE = "stage"\n    }\n)\n' + bomb(levels, instanceable=False).removeprefix(HEAD)
+    text = '#usda 1.0\n(\n    expressionVariables = {\n        string FILE = "stage"\n    }\n)\n' + bomb(
+        levels, instanceable=False
+    ).removeprefix(HEAD)
     return text.replace("references = <", 'references = @`"./${FILE}.usda"`@<')
 
 
@@ -585,7 +686,11 @@ def test_a_variable_set_above_leads_no_texture_out_of_the_fence(two_folders):
         ("tiles", "../kit/sky.<UDIM>.png", CAMERA + 'def "R" (\n    references = @./leaf.usda@\n)\n{\n}\n'),
         ("well", "sky.png", CAMERA + 'def "R" (\n    references = @./leaf.usda@\n)\n{\n}\n'),
     ):
-        written(folder / f"{name}.usda", f'#usda 1.0\n(\n    expressionVariables = {{\n        string F = "{target}"\n    }}\n    defaultPrim = "R"\n)\n{body}')
+        written(
+            folder / f"{name}.usda",
+            f'#usda 1.0\n(\n    expressionVariables = {{\n        string F = "{target}"\n    }}\n    defaultPrim = '
+            f'"R"\n)\n{body}',
+        )
     open_stage(folder / "well.usda")
     for name in ("above", "tiles"):
         with pytest.raises(StageError, match=r"/R\.inputs:texture:file: .* lies outside"):
@@ -596,17 +701,39 @@ def test_a_variable_set_above_leads_no_texture_out_of_the_fence(two_folders):
 COLLECTIONS = [f'"CollectionAPI:c{n}"' for n in range(1001)]
 
 
-@pytest.mark.parametrize("text, words", [
-    (f'def "W" (\n    prepend apiSchemas = [{", ".join(COLLECTIONS)}]\n)\n{{\n}}\n', "/W: 1001 applied schemas; at most 1000"),
-    ('def "A"\n{\n    float3 x = ' + "(" * 100_000 + ")" * 100_000 + "\n}\n", "nested deeper than 10000"),
-    ('def "A"\n{\n    float[] x = ' + "[" * 100_000 + "]" * 100_000 + "\n}\n", "nested deeper than 10000"),
-    ('def "A" (\n    payload = </B>\n)\n{\n}\ndef "B" (\n    payload = </A>\n)\n{\n}\n', "/A.*Cycle"),
-    ('def "A" (\n    specializes = </B>\n)\n{\n}\ndef "B" (\n    specializes = </A>\n)\n{\n}\n', "/A.*Cycle"),
-    ('def "A" (\n    inherits = </A/B>\n)\n{\n    def "B" (\n        inherits = </A>\n    )\n    {\n    }\n}\n', "/A.*Cycle"),
-    ('def "A" (\n    references = @././../../../../../../../../etc/hostname@\n)\n{\n}\n', "/A: /etc/hostname lies outside"),
-    *((f'def "A" (\n    references = @{name}@\n)\n{{\n}}\n', "/A: its reference .* is missing") for name in
-      ("http://example.com/a.usda", r"\\server\share\a.usda", "file:///etc/a.usda", "~/a.usda", "${HOME}/a.usda", "kit/a.usda", "./a.usdz[../x.usda]")),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (
+            f'def "W" (\n    prepend apiSchemas = [{", ".join(COLLECTIONS)}]\n)\n{{\n}}\n',
+            "/W: 1001 applied schemas; at most 1000",
+        ),
+        ('def "A"\n{\n    float3 x = ' + "(" * 100_000 + ")" * 100_000 + "\n}\n", "nested deeper than 10000"),
+        ('def "A"\n{\n    float[] x = ' + "[" * 100_000 + "]" * 100_000 + "\n}\n", "nested deeper than 10000"),
+        ('def "A" (\n    payload = </B>\n)\n{\n}\ndef "B" (\n    payload = </A>\n)\n{\n}\n', "/A.*Cycle"),
+        ('def "A" (\n    specializes = </B>\n)\n{\n}\ndef "B" (\n    specializes = </A>\n)\n{\n}\n', "/A.*Cycle"),
+        (
+            'def "A" (\n    inherits = </A/B>\n)\n{\n    def "B" (\n        inherits = </A>\n    )\n    {\n    }\n}\n',
+            "/A.*Cycle",
+        ),
+        (
+            'def "A" (\n    references = @././../../../../../../../../etc/hostname@\n)\n{\n}\n',
+            "/A: /etc/hostname lies outside",
+        ),
+        *(
+            (f'def "A" (\n    references = @{name}@\n)\n{{\n}}\n', "/A: its reference .* is missing")
+            for name in (
+                "http://example.com/a.usda",
+                r"\\server\share\a.usda",
+                "file:///etc/a.usda",
+                "~/a.usda",
+                "${HOME}/a.usda",
+                "kit/a.usda",
+                "./a.usdz[../x.usda]",
+            )
+        ),
+    ],
+)
 def test_more_that_is_refused(tmp_path, text, words):
     with pytest.raises(StageError, match=words) as caught:
         open_stage(written(tmp_path / "stage.usda", HEAD + CAMERA + text), whole=True)
@@ -624,7 +751,9 @@ def packed(path, kind, name, many, prim="Mesh"):
 
 
 def test_millions_of_indices_in_a_small_file_are_counted_by_their_number(tmp_path, monkeypatch):
-    """Their numbers alone would fill the memory where they were made int64 first: the limits are asked of their count."""
+    """Their numbers alone would fill the memory where they were made int64 first: the limits are asked of their
+    count.
+    """
     kind = Sdf.ValueTypeNames.IntArray
     points = packed(tmp_path / "points.usdc", kind, "protoIndices", 1 << 20, prim="PointInstancer")
     layer = Sdf.Layer.FindOrOpen(str(points))
@@ -655,7 +784,9 @@ POINTS = "point3f[] points = [(0, 5, 0), (1, 5, 0), (0, 5, 1)]"
 
 
 def placed(matrix):
-    return f'matrix4d xformOp:transform = {matrix}\n    uniform token[] xformOpOrder = ["xformOp:transform"]\n    {POINTS}'
+    return (
+        f'matrix4d xformOp:transform = {matrix}\n    uniform token[] xformOpOrder = ["xformOp:transform"]\n    {POINTS}'
+    )
 
 
 @pytest.mark.parametrize("new, words", [
@@ -673,9 +804,14 @@ def test_a_shape_beyond_every_street_is_left_out_with_a_note(tmp_path, new, word
     assert sum(key.startswith("shape_") for key in scene.world) == (words is None)
 
 
-@pytest.mark.parametrize("unit, fits", [("1e300", False), ("0", False), ("-1", False), ("nan", False), ("1e-9", False), ("0.0254", True), ("1000", True)])
+@pytest.mark.parametrize(
+    "unit, fits",
+    [("1e300", False), ("0", False), ("-1", False), ("nan", False), ("1e-9", False), ("0.0254", True), ("1000", True)],
+)
 def test_a_unit_that_no_stage_is_in_is_refused(tmp_path, unit, fits):
-    stage = open_stage(written(tmp_path / "stage.usda", HEAD.replace("metersPerUnit = 1", f"metersPerUnit = {unit}") + CAMERA))
+    stage = open_stage(
+        written(tmp_path / "stage.usda", HEAD.replace("metersPerUnit = 1", f"metersPerUnit = {unit}") + CAMERA)
+    )
     if fits:
         translate(stage)
     else:
@@ -697,9 +833,16 @@ def openexr(width, height, channels):
 
     listed = b"".join(name.encode() + b"\0" + struct.pack("<iB3xii", 2, 0, 1, 1) for name in channels) + b"\0"
     box = struct.pack("<iiii", 0, 0, width - 1, height - 1)
-    parts = (("channels", "chlist", listed), ("compression", "compression", b"\0"), ("dataWindow", "box2i", box), ("displayWindow", "box2i", box),
-             ("lineOrder", "lineOrder", b"\0"), ("pixelAspectRatio", "float", struct.pack("<f", 1)), ("screenWindowCenter", "v2f", bytes(8)),
-             ("screenWindowWidth", "float", struct.pack("<f", 1)))  # fmt: skip
+    parts = (
+        ("channels", "chlist", listed),
+        ("compression", "compression", b"\0"),
+        ("dataWindow", "box2i", box),
+        ("displayWindow", "box2i", box),
+        ("lineOrder", "lineOrder", b"\0"),
+        ("pixelAspectRatio", "float", struct.pack("<f", 1)),
+        ("screenWindowCenter", "v2f", bytes(8)),
+        ("screenWindowWidth", "float", struct.pack("<f", 1)),
+    )
     return b"\x76\x2f\x31\x01" + struct.pack("<I", 2) + b"".join(attribute(*part) for part in parts) + b"\0"
 
 
@@ -734,19 +877,37 @@ def test_a_model_that_refers_elsewhere_is_not_imported(two_folders):
         import_asset(path, "car", out=folder / "lib")
 
 
-WALL = 'def Cube "Wall"\n{\n    double3 xformOp:translate = (0, 0, -9)\n    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+WALL = (
+    'def Cube "Wall"\n{\n    double3 xformOp:translate = (0, 0, -9)\n    uniform token[] xformOpOrder = '
+    '["xformOp:translate"]\n}\n'
+)
 
 
-@pytest.mark.parametrize("camera, light, told", [
-    ("", 'SphereLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 1e.30 .*at most 1e.16 can be counted"),
-    ("", 'SphereLight "L"\n{\n    float inputs:exposure = 1000\n', "/L: gives .*lower its intensity or exposure"),
-    ("", 'DomeLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 1e.30"),
-    ("", 'DistantLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 6.72e.25"),
-    ("float horizontalAperture = 1e30", 'DomeLight "L"\n{\n', "/Ego: an aperture of 1e.30 .*angle of view of 180 degrees; 0.001 to 179 can be drawn"),
-    ("float focalLength = 1e-30", 'DomeLight "L"\n{\n', "/Ego: .*angle of view of 180 degrees"),
-    ("float focalLength = 1e30", 'DomeLight "L"\n{\n', "/Ego: .*angle of view of 1.2e-27 degrees"),
-    ("float horizontalApertureOffset = 1e30", 'DomeLight "L"\n{\n', "/Ego: its aperture offset is .* times the aperture; at most 10"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "camera, light, told",
+    [
+        (
+            "",
+            'SphereLight "L"\n{\n    float inputs:intensity = 1e30\n',
+            "/L: gives 1e.30 .*at most 1e.16 can be counted",
+        ),
+        ("", 'SphereLight "L"\n{\n    float inputs:exposure = 1000\n', "/L: gives .*lower its intensity or exposure"),
+        ("", 'DomeLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 1e.30"),
+        ("", 'DistantLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 6.72e.25"),
+        (
+            "float horizontalAperture = 1e30",
+            'DomeLight "L"\n{\n',
+            "/Ego: an aperture of 1e.30 .*angle of view of 180 degrees; 0.001 to 179 can be drawn",
+        ),
+        ("float focalLength = 1e-30", 'DomeLight "L"\n{\n', "/Ego: .*angle of view of 180 degrees"),
+        ("float focalLength = 1e30", 'DomeLight "L"\n{\n', "/Ego: .*angle of view of 1.2e-27 degrees"),
+        (
+            "float horizontalApertureOffset = 1e30",
+            'DomeLight "L"\n{\n',
+            "/Ego: its aperture offset is .* times the aperture; at most 10",
+        ),
+    ],
+)
 def test_numbers_that_no_renderer_can_count_are_refused_by_check_and_by_translation(tmp_path, camera, light, told):
     """They ended in a renderer's traceback, or as infinity in bake.json, after `check` had found nothing."""
     path = written(tmp_path / "a.usda", HEAD + f'def Camera "Ego"\n{{\n    {camera}\n}}\ndef {light}}}\n' + WALL)
@@ -775,7 +936,9 @@ def test_a_stack_that_repeats_its_layers_is_refused_by_their_number(tmp_path):
     for level in range(12):
         below = f"(\n    subLayers = [@./l{level + 1}.usda@, @./l{level + 1}.usda@]\n)\n" if level < 11 else ""
         written(tmp_path / f"l{level}.usda", f"#usda 1.0\n{below}")
-    with pytest.raises(StageError, match="its sublayers unfold to 4 095 layers; at most 2000 are composed: list each once"):
+    with pytest.raises(
+        StageError, match="its sublayers unfold to 4 095 layers; at most 2000 are composed: list each once"
+    ):
         open_stage(tmp_path / "l0.usda")
 
 

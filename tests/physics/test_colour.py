@@ -34,7 +34,10 @@ MEDIAN_DE00 = {"d65": 0.73, "a": 1.06, "hps": 1.26, "led": 0.70}
 
 OWN = {
     "RCCB": "{R: {gaussian: [600, 80, 0.9]}, B: {gaussian: [460, 80, 0.9]}}",
-    "RGIB": "{R: {gaussian: [600, 80, 0.9]}, G: {gaussian: [540, 80, 0.9]}, B: {gaussian: [460, 80, 0.9]}, I: {long_pass: [650, 20]}}",
+    "RGIB": (
+        "{R: {gaussian: [600, 80, 0.9]}, G: {gaussian: [540, 80, 0.9]}, B: {gaussian: [460, 80, 0.9]}, I: {long_pass: "
+        "[650, 20]}}"
+    ),
 }
 """Patterns that no shipped sensor has, with filters of our own."""
 
@@ -44,7 +47,9 @@ def on_bands(table) -> np.ndarray:
 
 
 def developed(sensor: str, light: str, reflectances: np.ndarray, folder: Path = Path()) -> np.ndarray:
-    """(N, 3) linear Rec.709 of N surfaces of (N, 401) reflectance under a light, white at 0.8 of saturation; to any scale."""
+    """(N, 3) linear Rec.709 of N surfaces of (N, 401) reflectance under a light, white at 0.8 of saturation; to any
+    scale.
+    """
     chip = load_sensor(sensor, folder)
     span = 65535 - chip.black_level_dn
     graph = make_graph(
@@ -64,8 +69,15 @@ def developed(sensor: str, light: str, reflectances: np.ndarray, folder: Path = 
 
     def shot(rows: np.ndarray, exposure_s: float, node: str) -> Image:
         lit = rows * on_bands(colour.SDS_ILLUMINANTS[LIGHTS[light]])
-        blocks = np.repeat(np.repeat(lit[None].astype(np.float32), 8, axis=0), 8, axis=1)  # a strip of blocks of 8 x 8 pixels
-        return graph.run({"radiance": Image(blocks, names, Quantity.RADIANCE)}, seed=0, settings={"exposure_s": exposure_s}, until=node)[node]
+        blocks = np.repeat(
+            np.repeat(lit[None].astype(np.float32), 8, axis=0), 8, axis=1
+        )  # a strip of blocks of 8 x 8 pixels
+        return graph.run(
+            {"radiance": Image(blocks, names, Quantity.RADIANCE)},
+            seed=0,
+            settings={"exposure_s": exposure_s},
+            until=node,
+        )[node]
 
     brightest = float(shot(np.ones((1, BANDS_NM.size)), 1e-6, "expose").pixels.max())
     picture = shot(reflectances, 0.8e-6 * chip.full_well_e / brightest, "colour")
@@ -78,13 +90,17 @@ def differences(sensor: str, light: str) -> np.ndarray:
     chart = colour.SDS_COLOURCHECKERS["ISO 17321-1"]
     source = colour.SDS_ILLUMINANTS[LIGHTS[light]]
     found = developed(sensor, light, np.array([on_bands(patch) for patch in chart.values()])) @ SRGB.matrix_RGB_to_XYZ.T
-    with colour.utilities.suppress_warnings(colour_runtime_warnings=True):  # it says that it interpolates its own tables
+    with colour.utilities.suppress_warnings(
+        colour_runtime_warnings=True
+    ):  # it says that it interpolates its own tables
         expected = np.array([colour.sd_to_XYZ(patch, illuminant=source) for patch in chart.values()]) / 100
         white = colour.sd_to_XYZ(colour.sd_ones(), illuminant=source) / 100
     d65 = SRGB.matrix_RGB_to_XYZ.sum(axis=1)
     expected = expected @ colour.adaptation.matrix_chromatic_adaptation_VonKries(white, d65, transform="Bradford").T
     found *= expected[:, 1].sum() / found[:, 1].sum()
-    return colour.delta_E(colour.XYZ_to_Lab(expected, SRGB.whitepoint), colour.XYZ_to_Lab(found, SRGB.whitepoint), method="CIE 2000")
+    return colour.delta_E(
+        colour.XYZ_to_Lab(expected, SRGB.whitepoint), colour.XYZ_to_Lab(found, SRGB.whitepoint), method="CIE 2000"
+    )
 
 
 @pytest.mark.parametrize("light", LIGHTS)
@@ -122,10 +138,18 @@ def test_neutrals_are_neutral_behind_other_patterns(pattern, light, tmp_path):
     """The same for a clear-filter and an infra-red pattern: 3 x F matrices, and balance of every filter."""
     text = (resources.folder("assets") / "sensors" / "imx363.yaml").read_text()
     text = re.sub(r"(?m)^cfa:.*$", f"cfa: {pattern}", text)
-    text = re.sub(r"(?m)^qe:.*$", f"qe: {{product: {{sensor: {{flat: 0.6}}, filters: {OWN[pattern]}}}, source: borrowed_qe}}", text)
+    text = re.sub(
+        r"(?m)^qe:.*$",
+        f"qe: {{product: {{sensor: {{flat: 0.6}}, filters: {OWN[pattern]}}}, source: borrowed_qe}}",
+        text,
+    )
     (tmp_path / "own.yaml").write_text(text)
     levels = np.array([0.05, 0.2, 0.7])
-    found = developed("./own.yaml", light, levels[:, None] * np.ones(BANDS_NM.size), tmp_path) @ SRGB.matrix_RGB_to_XYZ.T
-    assert np.hypot(*(colour.xy_to_Luv_uv(colour.XYZ_to_xy(found)) - colour.xy_to_Luv_uv(SRGB.whitepoint)).T).max() < 0.002
+    found = (
+        developed("./own.yaml", light, levels[:, None] * np.ones(BANDS_NM.size), tmp_path) @ SRGB.matrix_RGB_to_XYZ.T
+    )
+    assert (
+        np.hypot(*(colour.xy_to_Luv_uv(colour.XYZ_to_xy(found)) - colour.xy_to_Luv_uv(SRGB.whitepoint)).T).max() < 0.002
+    )
     blue = developed("./own.yaml", light, np.where(BANDS_NM < 500, 0.9, 0.1)[None], tmp_path)[0]
     assert blue[2] > 1.5 * max(blue[0], blue[1])  # colour is seen, not only greys

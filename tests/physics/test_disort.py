@@ -30,7 +30,10 @@ CASES = [(visibility_m, ground) for visibility_m in (600.0, 300.0, 150.0) for gr
 def bands(world, model, samples):
     """(SEEDS, BANDS) radiance over truth."""
     truth = world.truth.reshape(BANDS, -1).mean(axis=1)
-    runs = [run.radiance.pixels.mean(axis=2, dtype=np.float64) for run in by_seed(world.scene, range(SEEDS), model=model, samples=samples)]
+    runs = [
+        run.radiance.pixels.mean(axis=2, dtype=np.float64)
+        for run in by_seed(world.scene, range(SEEDS), model=model, samples=samples)
+    ]
     return np.array([run.reshape(BANDS, -1).mean(axis=1) for run in runs]) / truth
 
 
@@ -58,7 +61,9 @@ def test_the_fog_may_end_on_the_ground_or_under_it(sunk_m, model):
 @pytest.mark.physics
 @pytest.mark.parametrize("ground", [0.0, 0.5])
 def test_fog_that_absorbs_is_that_of_the_library(ground):
-    """PythonicDISORT, albedo 0.9, 64 streams: `path` within 0.25 %, five of its standard errors, on four of the nodes and half a degree around."""
+    """PythonicDISORT, albedo 0.9, 64 streams: `path` within 0.25 %, five of its standard errors, on four of the nodes
+    and half a degree around.
+    """
     pydisort = pytest.importorskip("PythonicDISORT").pydisort
     medium = FogMedium(0.02, albedo=0.9)
     streams, top, eye = 64, 60.0, 1.5

@@ -30,9 +30,19 @@ READINGS = readings()
 LIGHT_NM = {"R": 600.0, "G": 540.0, "B": 460.0, "C": 560.0}
 """Where each filter is tested; colour-science has values there, so none is interpolated."""
 
-BARS = {"gain": 0.01, "QE": 0.01, "dark noise": 0.03, "DSNU": 0.05, "PRNU": 0.05, "clipping": 0.01, "saturation": 0.02, "linearity": 0.001, "SNR": 0.01}
-"""Largest relative error that passes.  Clipping is the full well, or the white level, in electrons; what the standard calls
-saturation is the flat top of the variance, and is found to about one level, 1.9 % at worst."""
+BARS = {
+    "gain": 0.01,
+    "QE": 0.01,
+    "dark noise": 0.03,
+    "DSNU": 0.05,
+    "PRNU": 0.05,
+    "clipping": 0.01,
+    "saturation": 0.02,
+    "linearity": 0.001,
+    "SNR": 0.01,
+}
+"""Largest relative error that passes.  Clipping is the full well, or the white level, in electrons; what the standard
+calls saturation is the flat top of the variance, and is found to about one level, 1.9 % at worst."""
 
 SIGMAS = 4.5
 """A right sensor misses by more than this in 7 of a million draws."""
@@ -47,10 +57,16 @@ def quantum_efficiency(reading: Reading, letter: str) -> float:
         for curve in curves:
             assert curve.kind in ("gaussian", "flat"), "a new kind of curve: write its formula here"
             behind *= (
-                curve.numbers[0] if curve.kind == "flat" else curve.numbers[2] * math.exp(-4 * math.log(2) * ((nm - curve.numbers[0]) / curve.numbers[1]) ** 2)
+                curve.numbers[0]
+                if curve.kind == "flat"
+                else curve.numbers[2] * math.exp(-4 * math.log(2) * ((nm - curve.numbers[0]) / curve.numbers[1]) ** 2)
             )
     else:
-        table = colour.MSDS_CAMERA_SENSITIVITIES[chip.qe.camera] if chip.qe.camera else colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+        table = (
+            colour.MSDS_CAMERA_SENSITIVITIES[chip.qe.camera]
+            if chip.qe.camera
+            else colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+        )
         table = table.copy().align(colour.SpectralShape(380, 780, table.shape.interval))
         per_photon = table.values / table.wavelengths[:, None]
         behind = chip.qe.peak * per_photon[table.wavelengths == nm, "RGB".index(letter)].item() / per_photon.max()
@@ -60,7 +76,9 @@ def quantum_efficiency(reading: Reading, letter: str) -> float:
 def sites(reading: Reading, letter: str) -> tuple[list[tuple[int, int]], int]:
     """Row and column of the sites behind a filter, and the size of the pattern."""
     rows = cfa.PATTERNS[reading.sensor.cfa]
-    return [(row, column) for row, line in enumerate(rows) for column, found in enumerate(line) if found == letter], len(rows)
+    return [
+        (row, column) for row, line in enumerate(rows) for column, found in enumerate(line) if found == letter
+    ], len(rows)
 
 
 def on_bench(reading: Reading, letter: str, *, site_px=(320, 240), **options) -> SensorBench:
@@ -102,8 +120,11 @@ def failed(missed: dict[str, float]) -> set[str]:
     return {name for name, miss in missed.items() if not abs(miss) <= BARS[name]}
 
 
-def third_cumulant(bench_: SensorBench, folder, electrons: float, efficiency: float, letter: str, frames: int) -> tuple[float, float]:
-    """Third cumulant of the temporal noise over the mean, both in electrons, and its standard error: 1 for Poisson, 0 for Gauss.
+def third_cumulant(
+    bench_: SensorBench, folder, electrons: float, efficiency: float, letter: str, frames: int
+) -> tuple[float, float]:
+    """Third cumulant of the temporal noise over the mean, both in electrons, and its standard error: 1 for Poisson, 0
+    for Gauss.
 
     Of each pixel's deviations from its own mean over L frames, which has (1 - 1/L)(1 - 2/L) of the cumulant.
     """
@@ -116,13 +137,18 @@ def third_cumulant(bench_: SensorBench, folder, electrons: float, efficiency: fl
     return float(np.mean(away**3)) / scale, math.sqrt(6 * np.mean(away**2) ** 3 / away.size) / scale
 
 
-CASES = [(name, "C" if reading.sensor.cfa == "MONO" else "G") for name, reading in READINGS.items()] + [("imx363", "R"), ("imx363", "B")]
+CASES = [(name, "C" if reading.sensor.cfa == "MONO" else "G") for name, reading in READINGS.items()] + [
+    ("imx363", "R"),
+    ("imx363", "B"),
+]
 
 
 ISO_CASES = [
     (name, letter, iso)
     for name, letter in CASES[: len(READINGS)]
-    for iso in sorted({READINGS[name].sensor.iso_base * READINGS[name].sensor.analog_gain_max, READINGS[name].sensor.iso_max})
+    for iso in sorted(
+        {READINGS[name].sensor.iso_base * READINGS[name].sensor.analog_gain_max, READINGS[name].sensor.iso_max}
+    )
     if iso > READINGS[name].sensor.iso_base and READINGS[name].at(iso).saturation_e > 100.0
 ]
 """The ISO speed up to which amplifiers go, and the highest; theory here is good from 100 electrons on."""
@@ -135,7 +161,8 @@ def test_every_shipped_sensor_is_on_the_bench():
 @pytest.mark.physics
 @pytest.mark.parametrize("name, letter", CASES)
 def test_raw_files_give_back_the_profile(name, letter, tmp_path):
-    """Gain, QE, clipping and SNR within 1 %, linearity 0.1 %, noise 3 %, patterns 5 %; and the variance at every level is that of theory.
+    """Gain, QE, clipping and SNR within 1 %, linearity 0.1 %, noise 3 %, patterns 5 %; and the variance at every level
+    is that of theory.
 
     Each site behind the filter is judged by itself.  Without noise in the dark (ideal) the
     program's lower bound of 0.24 DN^2 stands for it, so the frames themselves are asked:
@@ -145,14 +172,22 @@ def test_raw_files_give_back_the_profile(name, letter, tmp_path):
     reading = READINGS[name]
     efficiency = quantum_efficiency(reading, letter)
     on = on_bench(reading, letter)
-    assert on.photons(1.0) == pytest.approx((reading.sensor.pixel_pitch_um * 1e-6) ** 2 * on.exposure_s * LIGHT_NM[letter] * 1e-9 / (constants.h * constants.c))
+    assert on.photons(1.0) == pytest.approx(
+        (reading.sensor.pixel_pitch_um * 1e-6) ** 2
+        * on.exposure_s
+        * LIGHT_NM[letter]
+        * 1e-9
+        / (constants.h * constants.c)
+    )
     groups = emva.series(on, tmp_path, photons_at_saturation=reading.saturation_e / efficiency)
     _, expected = transfer(reading, np.array(emva.LEVELS) * reading.saturation_e)
     where, step = sites(reading, letter)
     for site in where:
         found = emva.judged(groups, site=site, step=step)
         missed = misses(found, reading, efficiency)
-        print(f"\n{name}, {letter} at {site}: " + ", ".join(f"{key} {100 * miss:+.2f} %" for key, miss in missed.items()))
+        print(
+            f"\n{name}, {letter} at {site}: " + ", ".join(f"{key} {100 * miss:+.2f} %" for key, miss in missed.items())
+        )
         assert not failed(missed), f"{missed}"
         below = np.array(emva.LEVELS) <= 1.0
         assert np.abs(found.temporal["s2_y"] / expected - 1)[below].max() < SIGMAS * math.sqrt(2 / (320 * 240))
@@ -173,7 +208,9 @@ def test_raw_files_give_back_the_profile_at_every_iso(name, letter, iso, tmp_pat
     groups = emva.series(on_bench(reading, letter), tmp_path, photons_at_saturation=reading.saturation_e / efficiency)
     where, step = sites(reading, letter)
     missed = misses(emva.judged(groups, site=where[0], step=step), reading, efficiency)
-    print(f"\n{name} at ISO {iso:g}, {letter}: " + ", ".join(f"{key} {100 * miss:+.2f} %" for key, miss in missed.items()))
+    print(
+        f"\n{name} at ISO {iso:g}, {letter}: " + ", ".join(f"{key} {100 * miss:+.2f} %" for key, miss in missed.items())
+    )
     wider = {"saturation": 0.05, "SNR": 0.015}
     assert not {key for key in failed(missed) if abs(missed[key]) > wider.get(key, 0.0)}, f"{missed}"
     for path in tmp_path.glob("*.dng"):
@@ -184,7 +221,12 @@ def test_raw_files_give_back_the_profile_at_every_iso(name, letter, iso, tmp_pat
 def test_the_ideal_sensor_has_no_noise_but_that_of_light(tmp_path):
     """Dark frames are black to the last pixel; PRNU is 0 within what 32 frames can see, 0.004 %."""
     reading = READINGS["ideal"]
-    groups = emva.series(on_bench(reading, "G"), tmp_path, photons_at_saturation=reading.saturation_e / quantum_efficiency(reading, "G"), dark_stack=4)
+    groups = emva.series(
+        on_bench(reading, "G"),
+        tmp_path,
+        photons_at_saturation=reading.saturation_e / quantum_efficiency(reading, "G"),
+        dark_stack=4,
+    )
     for path in (*groups[0].files, *groups[-2].files):
         assert not emva.numbers(path, site=(0, 0), step=1).any()
     found = emva.judged(groups, site=(0, 1))
@@ -195,13 +237,22 @@ def test_the_ideal_sensor_has_no_noise_but_that_of_light(tmp_path):
 
 
 @pytest.mark.physics
-@pytest.mark.parametrize("name", [name for name, reading in READINGS.items() if reading.sensor.dark_current_e_s > 0.0 and "small" not in name])
+@pytest.mark.parametrize(
+    "name",
+    [name for name, reading in READINGS.items() if reading.sensor.dark_current_e_s > 0.0 and "small" not in name],
+)
 def test_dark_current_is_found_again(name, tmp_path):
-    """Before the black clamp: from the mean of dark frames of six exposure times within 1 %, from their variance within 4 % (one standard error: 0.9 %)."""
+    """Before the black clamp: from the mean of dark frames of six exposure times within 1 %, from their variance within
+    4 % (one standard error: 0.9 %).
+    """
     reading = READINGS[name]
     letter = "C" if reading.sensor.cfa == "MONO" else "G"
     longest_s = 0.25 * reading.saturation_e / reading.sensor.dark_current_e_s
-    clamps = [{"name": name, "remove": True} for name in on_bench(reading, letter).graph.nodes if name.startswith("black_clamp")]
+    clamps = [
+        {"name": name, "remove": True}
+        for name in on_bench(reading, letter).graph.nodes
+        if name.startswith("black_clamp")
+    ]
     groups = emva.dark_series(
         on_bench(reading, letter, nodes=clamps),  # which would take it off the mean
         tmp_path,
@@ -211,7 +262,10 @@ def test_dark_current_is_found_again(name, tmp_path):
     where, step = sites(reading, letter)
     found = emva.judged(groups, site=where[0], step=step)
     from_mean, from_variance = (float(value) / reading.gain_dn_e for value in (found.u_I_mean_DN, found.u_I_var_DN))
-    print(f"\n{name}: from the mean {from_mean:.4g}, from the variance {from_variance:.4g}, profile {reading.sensor.dark_current_e_s:.4g} e-/s")
+    print(
+        f"\n{name}: from the mean {from_mean:.4g}, from the variance {from_variance:.4g}, profile "
+        f"{reading.sensor.dark_current_e_s:.4g} e-/s"
+    )
     assert from_mean == pytest.approx(reading.sensor.dark_current_e_s, rel=0.01)
     assert from_variance == pytest.approx(reading.sensor.dark_current_e_s, rel=0.04)
 
@@ -247,7 +301,9 @@ def gauss(image, *, rng: np.random.Generator):
         image: mean electrons.
         rng: the node's stream.
     """
-    return image.with_pixels(image.pixels + np.sqrt(image.pixels) * rng.standard_normal(image.pixels.shape, dtype=np.float32))
+    return image.with_pixels(
+        image.pixels + np.sqrt(image.pixels) * rng.standard_normal(image.pixels.shape, dtype=np.float32)
+    )
 
 
 @dataclass(frozen=True)

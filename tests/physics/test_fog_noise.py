@@ -29,7 +29,10 @@ def seen():
 @pytest.fixture(scope="module")
 def brought(seen):
     """The same with their contrast stretched, by the map of the scene without noise."""
-    return {visibility_m: stretched(frames, frames_in_fog(visibility_m, count=1, quiet=True)[0]) for visibility_m, frames in seen.items()}
+    return {
+        visibility_m: stretched(frames, frames_in_fog(visibility_m, count=1, quiet=True)[0])
+        for visibility_m, frames in seen.items()
+    }
 
 
 def resolved(pairs) -> float:
@@ -40,7 +43,14 @@ def resolved(pairs) -> float:
 def test_noise_grows_with_the_fog_once_contrast_is_stretched(brought):
     """From clear to MOR 600, 300 and 150 m it grows by more than half each time; a growth of 2 % would be seen."""
     pairs = [noise(frames) for frames in brought.values()]
-    print("\nstretched:", ", ".join(f"MOR {visibility_m:g} m: {255 * found.mean():.1f}" for visibility_m, found in zip(brought, pairs, strict=True)), "of 255")
+    print(
+        "\nstretched:",
+        ", ".join(
+            f"MOR {visibility_m:g} m: {255 * found.mean():.1f}"
+            for visibility_m, found in zip(brought, pairs, strict=True)
+        ),
+        "of 255",
+    )
     for thin, thick in itertools.pairwise(pairs):
         error = math.hypot(resolved(thin) / thin.mean(), resolved(thick) / thick.mean())
         assert 5 * error < 0.02, f"cannot see 2 %: error {error:.2%}"
@@ -48,14 +58,18 @@ def test_noise_grows_with_the_fog_once_contrast_is_stretched(brought):
 
 
 def test_it_grows_as_photons_and_transmittance_say(brought):
-    """sqrt(electrons + dark noise^2) / transmittance, within 20 %: tone curve and gamma stretch noise and contrast alike, where they are straight."""
+    """sqrt(electrons + dark noise^2) / transmittance, within 20 %: tone curve and gamma stretch noise and contrast
+    alike, where they are straight.
+    """
     graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
     settings = camera.meter(wall_in_fog(math.inf), graph).settings
     chip = load_sensor("imx363")
     dark_e = math.hypot(chip.read_noise_e, chip.adc_noise_dn / chip.gain_dn_e)
 
     def expected(visibility_m):
-        electrons = graph.run({"radiance": wall_in_fog(visibility_m)}, seed=0, settings=settings, until="expose")["expose"].pixels
+        electrons = graph.run({"radiance": wall_in_fog(visibility_m)}, seed=0, settings=settings, until="expose")[
+            "expose"
+        ].pixels
         return math.sqrt(electrons.mean() + dark_e**2) * 20.0 ** (WALL_M / visibility_m)
 
     clear = noise(brought[math.inf]).mean() / expected(math.inf)
@@ -66,7 +80,9 @@ def test_it_grows_as_photons_and_transmittance_say(brought):
 
 
 def test_before_it_is_stretched_the_noise_does_not_grow(seen):
-    """It is the lost contrast that shows it: as taken, the bright fog has less noise than the wall, since gamma is flat there."""
+    """It is the lost contrast that shows it: as taken, the bright fog has less noise than the wall, since gamma is flat
+    there.
+    """
     taken = [noise(frames).mean() for frames in seen.values()]
     assert all(thick < thin for thin, thick in itertools.pairwise(taken))
 
@@ -78,7 +94,9 @@ def test_a_camera_without_temporal_noise_has_none_in_any_fog():
 
 
 def test_the_stretch_brings_every_region_to_the_same_contrast():
-    """At a pixel: (x - mean) / deviation of the luma of the 61 x 61 pixels around it, written out; to the rounding of running sums."""
+    """At a pixel: (x - mean) / deviation of the luma of the 61 x 61 pixels around it, written out; to the rounding of
+    running sums.
+    """
     quiet = frames_in_fog(150.0, count=1, quiet=True)
     found, luma = stretched(quiet, quiet[0])[0], quiet[0] @ LUMINANCE
     for row, column in itertools.product((60, 160, 260), (60, 240, 420)):

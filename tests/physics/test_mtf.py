@@ -52,7 +52,9 @@ def transfer(f, q):
 
 
 def theory(q) -> np.ndarray:
-    """2 + 2 / pi integral of transfer(f) sin(2 pi f x) / f at every pixel's distance x, by Gauss and Legendre in 40 pieces up to 1 / q, or to 8."""
+    """2 + 2 / pi integral of transfer(f) sin(2 pi f x) / f at every pixel's distance x, by Gauss and Legendre in 40
+    pieces up to 1 / q, or to 8.
+    """
     top = min(1.0 / q, 8.0)
     node, weight = np.polynomial.legendre.leggauss(32)
     pieces = np.linspace(0.0, top, 41)
@@ -64,7 +66,9 @@ def theory(q) -> np.ndarray:
 
 
 def read(picture) -> tuple[np.ndarray, np.ndarray]:
-    """Frequency [cycles/pixel] and contrast, as ISO 12233 finds them, the derivative's own loss and the bins' put right."""
+    """Frequency [cycles/pixel] and contrast, as ISO 12233 finds them, the derivative's own loss and the bins' put
+    right.
+    """
     slope = np.diff(picture, axis=1) * np.hanning(WIDTH + 1)[1:-1]
     centres = (slope * (np.arange(WIDTH - 1) + 0.5)).sum(axis=1) / slope.sum(axis=1)
     b, a = np.polyfit(np.arange(HEIGHT), centres, 1)

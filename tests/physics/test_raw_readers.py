@@ -57,7 +57,10 @@ def hdr() -> Image:
 def files(tmp_path_factory) -> dict[str, tuple[Path, Image]]:
     """Name -> file and what it was made of."""
     folder = tmp_path_factory.mktemp("raws")
-    images = {pattern: raws.scene(pattern, wall()) for pattern in PATTERNS} | {"HDR": hdr(), "ODD": raws.scene("GBRG", wall(481, 721))}
+    images = {pattern: raws.scene(pattern, wall()) for pattern in PATTERNS} | {
+        "HDR": hdr(),
+        "ODD": raws.scene("GBRG", wall(481, 721)),
+    }
     made = {}
     for name in FILES:
         kind, compression = name.split("-")
@@ -89,7 +92,11 @@ def assert_wall(picture: np.ndarray, *, grey: bool = True) -> None:
     picture = picture.astype(float).reshape(*picture.shape[:2], -1)
     height, width = picture.shape[:2]
     assert abs(height - 480) <= 32 and abs(width - 720) <= 32, "turned or cropped too much"
-    corners = [picture[row, column].mean() for row in (slice(20, 50), slice(-50, -20)) for column in (slice(20, 80), slice(-80, -20))]
+    corners = [
+        picture[row, column].mean()
+        for row in (slice(20, 50), slice(-50, -20))
+        for column in (slice(20, 80), slice(-80, -20))
+    ]
     assert corners[0] > 1.5 * max(corners[1:]), f"the bright corner is not at the top left: {corners}"
     channels = picture[150:-50, 150:-50].mean(axis=(0, 1))
     assert not grey or np.ptp(channels) < GREY_TOLERANCE * channels.mean(), f"grey came out as {channels}"
@@ -105,13 +112,19 @@ def pnm(data: bytes) -> np.ndarray:
 @pytest.mark.parametrize("name", FILES)
 def test_exiftool_finds_nothing_to_complain_of(files, tmp_path, name):
     done = run("exiftool", "-validate", "-warning", "-error", "-a", files[name][0], cwd=tmp_path)
-    assert re.fullmatch(r"Validate\s*: OK\s*", done.stdout.decode()) and not done.stderr, done.stdout.decode() + done.stderr.decode()
+    assert re.fullmatch(r"Validate\s*: OK\s*", done.stdout.decode()) and not done.stderr, (
+        done.stdout.decode() + done.stderr.decode()
+    )
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_exiv2_reads_the_tags(files, tmp_path, name):
     done = run("exiv2", "-pa", files[name][0], cwd=tmp_path)
-    assert done.returncode == 0 and not done.stderr and b"Exif.Photo.ExposureTime                      Rational    1  1/60 s" in done.stdout
+    assert (
+        done.returncode == 0
+        and not done.stderr
+        and b"Exif.Photo.ExposureTime                      Rational    1  1/60 s" in done.stdout
+    )
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -165,7 +178,14 @@ def darktable_home(tmp_path_factory) -> Path:
 @pytest.mark.parametrize("name", FILES)
 def test_darktable_renders_it_upright_and_neutral(files, tmp_path, darktable_home, name):
     """With the camera's white balance and no look: linear Rec.709."""
-    look = ["--conf", "plugins/imageio/format/tiff/bpp=16", "--conf", "plugins/darkroom/workflow=none", "--conf", "write_sidecar_files=never"]
+    look = [
+        "--conf",
+        "plugins/imageio/format/tiff/bpp=16",
+        "--conf",
+        "plugins/darkroom/workflow=none",
+        "--conf",
+        "write_sidecar_files=never",
+    ]
     core = ["--core", "--configdir", darktable_home, "--library", ":memory:", *look]
     done = run(
         "darktable-cli",
@@ -186,17 +206,28 @@ def test_darktable_renders_it_upright_and_neutral(files, tmp_path, darktable_hom
 
 @pytest.mark.parametrize("name", FILES)
 def test_rawtherapee_renders_it_upright_and_neutral(files, tmp_path, name):
-    """With its neutral profile.  It knows no mosaic of four colours: RGIB opens with wrong colours, which is said in docs/raw.md."""
-    done = run("rawtherapee-cli", "-q", "-Y", "-o", tmp_path / "a.tif", "-t", "-b16", "-c", files[name][0], cwd=tmp_path)
+    """With its neutral profile.  It knows no mosaic of four colours: RGIB opens with wrong colours, which is said in
+    docs/raw.md.
+    """
+    done = run(
+        "rawtherapee-cli", "-q", "-Y", "-o", tmp_path / "a.tif", "-t", "-b16", "-c", files[name][0], cwd=tmp_path
+    )
     assert done.returncode == 0 and b"Error" not in done.stdout + done.stderr, (done.stdout + done.stderr).decode()
     assert_wall(tifffile.imread(tmp_path / "a.tif"), grey=not name.startswith("RGIB"))
 
 
 @pytest.mark.parametrize("pattern", ["RGGB", "RCCB"])
 def test_a_colour_comes_out_as_the_d65_matrix_says_in_all_of_them(tmp_path, pattern):
-    """The file also holds a matrix for illuminant A that would turn it green; linear Rec.709 worked out from XYZ, to 1.5 % of the largest channel."""
+    """The file also holds a matrix for illuminant A that would turn it green; linear Rec.709 worked out from XYZ, to
+    1.5 % of the largest channel.
+    """
     xyz = np.array([0.50, 0.42, 0.25])
-    wanted = np.linalg.inv([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]) @ xyz
+    wanted = (
+        np.linalg.inv(
+            [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+        )
+        @ xyz
+    )
     rows = raws.ROWS_A | {"R": (0.9, 0.1, 0.2), "G": (-0.1, 1.2, 0.1), "B": (0.1, 0.3, 0.9), "C": (0.2, 1.9, 0.3)}
     wrong = [list(rows[letter]) for letter in raws.filters(pattern)]
     write_dng(tmp_path / "a.dng", raws.scene(pattern, 0.8 * wall() / 0.18 / 2, xyz=xyz, xyz_to_camera_a=wrong))
@@ -211,16 +242,24 @@ def test_a_colour_comes_out_as_the_d65_matrix_says_in_all_of_them(tmp_path, patt
         seen["libraw"] = tifffile.imread(tmp_path / "e.tif")
     for name, picture in seen.items():
         found = picture[150:-50, 150:-50].mean(axis=(0, 1), dtype=float)
-        np.testing.assert_allclose(found / found.sum(), wanted / wanted.sum(), atol=0.015 * wanted.max() / wanted.sum(), err_msg=name)
+        np.testing.assert_allclose(
+            found / found.sum(), wanted / wanted.sum(), atol=0.015 * wanted.max() / wanted.sum(), err_msg=name
+        )
 
 
-GRAPHS = [path for path in sorted(resources.folder("pipeline").glob("*.yaml")) if any(name.endswith(".dng") for name in camera.load_graph(path).outputs)]
+GRAPHS = [
+    path
+    for path in sorted(resources.folder("pipeline").glob("*.yaml"))
+    if any(name.endswith(".dng") for name in camera.load_graph(path).outputs)
+]
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 @pytest.mark.parametrize("path", GRAPHS, ids=lambda path: path.stem)
 def test_the_raw_file_of_every_shipped_graph_is_exact_and_clean(tmp_path, path, compression):
-    """A street-like picture of 320 x 240 from the graph; rawpy has the numbers, exiftool no complaint, and a grey is grey."""
+    """A street-like picture of 320 x 240 from the graph; rawpy has the numbers, exiftool no complaint, and a grey is
+    grey.
+    """
     graph = camera.load_graph(path)
     pixels = np.full((240, 320, 3), 400.0, np.float32)
     pixels[:60, :80] = 1500.0
@@ -234,11 +273,18 @@ def test_the_raw_file_of_every_shipped_graph_is_exact_and_clean(tmp_path, path, 
         np.testing.assert_array_equal(raw.raw_image_visible, table[image.pixels[..., 0].astype(int)])
         picture = raw.postprocess(gamma=(1, 1), no_auto_bright=True, use_camera_wb=True, output_bps=16).astype(float)
     channels = picture[100:220, 40:260].mean(axis=(0, 1))
-    spread = picture[100:220, 40:260].std(axis=(0, 1)).max() / np.sqrt(120 * 220 / 4)  # of a mean over the pixels of one colour
+    spread = picture[100:220, 40:260].std(axis=(0, 1)).max() / np.sqrt(
+        120 * 220 / 4
+    )  # of a mean over the pixels of one colour
     facts = image.provenance
     if spread == 0.0:  # without noise every pixel of a colour is rounded alike, by up to half a DN before white balance
-        spread = 0.2 * 65535 / (facts["white_level_dn"] - facts["black_level_dn"]) / min(facts.get("as_shot_neutral", [1.0]))
-    assert picture[10:40, 10:60].mean() > 1.5 * channels.mean() and np.ptp(channels) < GREY_TOLERANCE * channels.mean() + 5 * spread
+        spread = (
+            0.2 * 65535 / (facts["white_level_dn"] - facts["black_level_dn"]) / min(facts.get("as_shot_neutral", [1.0]))
+        )
+    assert (
+        picture[10:40, 10:60].mean() > 1.5 * channels.mean()
+        and np.ptp(channels) < GREY_TOLERANCE * channels.mean() + 5 * spread
+    )
     if shutil.which("exiftool"):
         test = run("exiftool", "-validate", "-warning", "-error", "-a", tmp_path / name, cwd=tmp_path)
         assert re.fullmatch(r"Validate\s*: OK\s*", test.stdout.decode()), test.stdout.decode()

@@ -28,7 +28,9 @@ def alone(path):
 
 
 def diffuse(prim):
-    """diffuseColor of the material bound to a prim: as authored, or the lower left texel of its picture (all of the kit's are of one colour)."""
+    """diffuseColor of the material bound to a prim: as authored, or the lower left texel of its picture (all of the
+    kit's are of one colour).
+    """
     material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
     shader = material.ComputeSurfaceSource()[0]
     source = shader.GetInput("diffuseColor").GetValueProducingAttributes()[0]
@@ -41,14 +43,18 @@ def diffuse(prim):
 
 
 def read(stage):
-    """Triangles by diffuse colour, and the corners of the box around all meshes (Z up), by pxr and schoolbook arithmetic."""
+    """Triangles by diffuse colour, and the corners of the box around all meshes (Z up), by pxr and schoolbook
+    arithmetic.
+    """
     by_color, low, high = {}, np.full(3, np.inf), np.full(3, -np.inf)
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         if not prim.IsA(UsdGeom.Mesh):
             continue
         mesh = UsdGeom.Mesh(prim)
         matrix = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(0.0))
-        world = np.c_[np.array(mesh.GetPointsAttr().Get(), dtype=float), np.ones(len(mesh.GetPointsAttr().Get()))] @ matrix
+        world = (
+            np.c_[np.array(mesh.GetPointsAttr().Get(), dtype=float), np.ones(len(mesh.GetPointsAttr().Get()))] @ matrix
+        )
         used = world[np.unique(mesh.GetFaceVertexIndicesAttr().Get()), :3]
         turned = np.stack([used[:, 0], -used[:, 2], used[:, 1]], axis=1)
         low, high = np.minimum(low, turned.min(axis=0)), np.maximum(high, turned.max(axis=0))
@@ -129,10 +135,14 @@ def street():
 
 
 def test_blenders_lamps_shine_with_their_watts(street):
-    """In the .blend: 100 W (2 x 0.5 m, and a disk of 0.5 m), 1000 W (a tinted ball of 0.1 m), a spot of 500 W; P / (pi A), and P / (4 pi) in candela."""
+    """In the .blend: 100 W (2 x 0.5 m, and a disk of 0.5 m), 1000 W (a tinted ball of 0.1 m), a spot of 500 W; P / (pi
+    A), and P / (4 pi) in candela.
+    """
     shapes = [part for key, part in street.world.items() if key.startswith("shape_") and "emitter" in part]
     found = {part["type"]: part["emitter"]["radiance"]["value"] for part in shapes}
-    np.testing.assert_allclose(found["sphere"], 1000 / (math.pi * 4 * math.pi * 0.1**2) * np.array([1, 0.8, 0.5]), rtol=0.02)
+    np.testing.assert_allclose(
+        found["sphere"], 1000 / (math.pi * 4 * math.pi * 0.1**2) * np.array([1, 0.8, 0.5]), rtol=0.02
+    )
     np.testing.assert_allclose(found["rectangle"], 100 / (math.pi * 2 * 0.5), rtol=0.02)
     np.testing.assert_allclose(found["disk"], 100 / (math.pi * math.pi * 0.5**2), rtol=0.02)
     spot = next(part for part in street.world.values() if part != "scene" and part["type"] == "photometric")
@@ -153,7 +163,11 @@ def test_blenders_camera_has_its_angle(street):
 def test_blenders_subdivided_monkey_is_smooth(street):
     """Suzanne's cage of 500 faces becomes 4^2 quads each; its limit surface lies within the box of its cage."""
     stage = Usd.Stage.Open(str(BLENDER))
-    mesh = next(prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh) and UsdGeom.Mesh(prim).GetSubdivisionSchemeAttr().Get() == "catmullClark")
+    mesh = next(
+        prim
+        for prim in stage.Traverse()
+        if prim.IsA(UsdGeom.Mesh) and UsdGeom.Mesh(prim).GetSubdivisionSchemeAttr().Get() == "catmullClark"
+    )
     cage = np.array(UsdGeom.Mesh(mesh).GetPointsAttr().Get(), dtype=float)
     matrix = np.array(UsdGeom.Xformable(mesh).ComputeLocalToWorldTransform(0.0))
     world = (np.c_[cage, np.ones(len(cage))] @ matrix)[:, :3]
@@ -162,5 +176,7 @@ def test_blenders_subdivided_monkey_is_smooth(street):
     shape = street.world[next(key for key, number in street.instance_of.items() if number == instance.id)[0]]
     assert len(shape["faces"]) == 2 * 4 * corners  # one quad for each corner, then four for each quad
     points = shape["positions"] + street.origin_m
-    assert (points.min(axis=0) >= world.min(axis=0) - 1e-6).all() and (points.max(axis=0) <= world.max(axis=0) + 1e-6).all()
+    assert (points.min(axis=0) >= world.min(axis=0) - 1e-6).all() and (
+        points.max(axis=0) <= world.max(axis=0) + 1e-6
+    ).all()
     assert (np.ptp(points, axis=0) > 0.9 * np.ptp(world, axis=0)).all()

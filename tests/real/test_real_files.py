@@ -96,9 +96,21 @@ PLACES = (
     ("Formula", "formula/asset/formulaFullAsset.usda", "car", 7.0, 24.0, 90, 0.231, ""),
     ("Flatbed", "truckFlat/asset/truckFlatFullAsset.usda", "truck", 16.0, 35.0, 0, 0.551, ""),
     ("Tractor", "vehicleVariants.usda", "truck", -11.0, 38.0, 60, 0.784, ""),
-    ("Chosen", "vehicleVariants.usda", "car", 4.0, 45.0, 180, 0.551, 'variants = {\n            string wheels = "sedan"\n        }'),
+    (
+        "Chosen",
+        "vehicleVariants.usda",
+        "car",
+        4.0,
+        45.0,
+        180,
+        0.551,
+        'variants = {\n            string wheels = "sedan"\n        }',
+    ),
 )
-WALKERS = (("Cesium", "CesiumMan/CesiumMan.usdz", -1.2, 7.0, 0.012), ("Rigged", "RiggedFigure/RiggedFigure.usdz", 1.2, 8.0, 0.022))
+WALKERS = (
+    ("Cesium", "CesiumMan/CesiumMan.usdz", -1.2, 7.0, 0.012),
+    ("Rigged", "RiggedFigure/RiggedFigure.usdz", 1.2, 8.0, 0.022),
+)
 
 
 def bake(stage, out, *more, size="160x90", samples=8):
@@ -146,12 +158,20 @@ def warnings_of(printed):
 def assert_whole(out, shot):
     """The files of a shot are there and its radiance is light."""
     radiance = read_exr(out / shot / "radiance.exr").pixels
-    assert {path.name for path in (out / shot).iterdir()} == {"radiance.exr", "layers.exr", "instances.json", "raw.dng", "srgb.png"}
+    assert {path.name for path in (out / shot).iterdir()} == {
+        "radiance.exr",
+        "layers.exr",
+        "instances.json",
+        "raw.dng",
+        "srgb.png",
+    }
     assert np.isfinite(radiance).all() and (radiance >= 0).all() and radiance.mean() > 0
 
 
 def rays(shape, half, *, shift=(0.0, 0.0), pitch_deg=0.0):
-    """Directions (H, W, 3), y = 1 along the axis, of a camera that looks north: from the tangents of half the angles of view and of the shift."""
+    """Directions (H, W, 3), y = 1 along the axis, of a camera that looks north: from the tangents of half the angles of
+    view and of the shift.
+    """
     height, width = shape
     x = ((np.arange(width) + 0.5) / width * 2 - 1) * half[0] + shift[0]
     z = (1 - (np.arange(height) + 0.5) / height * 2) * half[1] + shift[1]
@@ -169,7 +189,8 @@ def length_in(low, high, eye, direction, distance):
     return np.maximum(np.minimum(leave, distance) - np.maximum(enter, 0.0), 0.0)
 
 
-# The centres' rays and Mitsuba's distances are float32, and so are EXR's numbers: 1e-6 of a way of up to 200 m, times its extinction.
+# The centres' rays and Mitsuba's distances are float32, and so are EXR's numbers: 1e-6 of a way of up to 200 m, times
+# its extinction.
 TRANSMITTANCE = {"rtol": 1e-4, "atol": 1e-7}
 
 
@@ -188,9 +209,15 @@ def parked_stage():
     """The stage's text: models by reference, in metres, turned from Y up to Z up."""
     parts = [HEAD]
     for name, asset, label, x, y, turn, z, variants in PLACES:
-        parts.append(PLACED.format(name=name, asset=VEHICLES / asset, label=label, x=x, y=y, z=z, turn=turn, scale=0.01, variants=variants))
+        parts.append(
+            PLACED.format(
+                name=name, asset=VEHICLES / asset, label=label, x=x, y=y, z=z, turn=turn, scale=0.01, variants=variants
+            )
+        )
     for name, asset, x, y, z in WALKERS:
-        parts.append(PLACED.format(name=name, asset=PEOPLE / asset, label="person", x=x, y=y, z=z, turn=0, scale=1, variants=""))
+        parts.append(
+            PLACED.format(name=name, asset=PEOPLE / asset, label="person", x=x, y=y, z=z, turn=0, scale=1, variants="")
+        )
     return "".join(parts) + "}\n"
 
 
@@ -205,7 +232,11 @@ def test_every_model_is_one_thing_of_its_class(parked):
     """Wheels, glass and lamps of a car carry the id of the prim that was labelled, and all ten are seen."""
     out, _ = parked
     instances = {row["path"]: row for row in json.loads((out / "labels.json").read_text())["instances"]}
-    wanted = {f"/World/{place[0]}": place[2] for place in PLACES} | {f"/World/{walker[0]}": "person" for walker in WALKERS} | {"/World/Ground": "road"}
+    wanted = (
+        {f"/World/{place[0]}": place[2] for place in PLACES}
+        | {f"/World/{walker[0]}": "person" for walker in WALKERS}
+        | {"/World/Ground": "road"}
+    )
     assert {path: row["label"] for path, row in instances.items()} == wanted
     assert not [path for path, row in instances.items() if row["pixels"] < 20]
     layers = layers_of(out, "authored/authored")
@@ -216,13 +247,23 @@ def test_every_model_is_one_thing_of_its_class(parked):
 
 
 def test_models_have_the_size_of_cars_and_people(parked):
-    """Boxes in metres at the instance's distance, from a focal length of 0.35 / 0.36 of the picture's width; posed people do not spread their arms."""
+    """Boxes in metres at the instance's distance, from a focal length of 0.35 / 0.36 of the picture's width; posed
+    people do not spread their arms.
+    """
     out, _ = parked
-    instances = {row["path"].rpartition("/")[2]: row for row in json.loads((out / "labels.json").read_text())["instances"]}
+    instances = {
+        row["path"].rpartition("/")[2]: row for row in json.loads((out / "labels.json").read_text())["instances"]
+    }
     focal_px = 160 * 0.35 / 0.36
-    size = {name: [side * row["distance_m"] / focal_px for side in row["box_px"][2:]] for name, row in instances.items()}
-    assert 1.65 < size["Van"][0] < 2.3 and 2.2 < size["Van"][1] < 2.8  # 2.11 x 2.58 m in its file, widest up to 4 m behind its nearest point; a pixel is 0.13 m
-    assert 1.35 < size["Cesium"][1] < 1.6 and 1.35 < size["Rigged"][1] < 1.6  # 1.46 and 1.48 m in their first frames; a pixel is 0.05 m
+    size = {
+        name: [side * row["distance_m"] / focal_px for side in row["box_px"][2:]] for name, row in instances.items()
+    }
+    assert (
+        1.65 < size["Van"][0] < 2.3 and 2.2 < size["Van"][1] < 2.8
+    )  # 2.11 x 2.58 m in its file, widest up to 4 m behind its nearest point; a pixel is 0.13 m
+    assert (
+        1.35 < size["Cesium"][1] < 1.6 and 1.35 < size["Rigged"][1] < 1.6
+    )  # 1.46 and 1.48 m in their first frames; a pixel is 0.05 m
     assert size["Cesium"][0] < 0.6  # 0.50 m in a walk, 1.14 m with its arms spread
     assert 15.0 < instances["Van"]["distance_m"] - 4.6 / 2 < 22.0 and 6.0 < instances["Cesium"]["distance_m"] < 7.5
 
@@ -231,22 +272,35 @@ def test_transmittance_among_them_is_the_closed_form(parked):
     """exp(-2.996 d / 150 m) to every surface, and through what is left of the box behind which there is sky."""
     out, _ = parked
     layers = layers_of(out, "authored/authored")
-    way = length_in((-60, -40, -10), (60, 160, 50), (0, 0, 1.5), rays((90, 160), (0.18 / 0.35, 0.10125 / 0.35), pitch_deg=-2.0), layers["distance.Z"])
+    way = length_in(
+        (-60, -40, -10),
+        (60, 160, 50),
+        (0, 0, 1.5),
+        rays((90, 160), (0.18 / 0.35, 0.10125 / 0.35), pitch_deg=-2.0),
+        layers["distance.Z"],
+    )
     np.testing.assert_allclose(layers["transmittance.Y"], 0.05 ** (way / 150.0), **TRANSMITTANCE)
     surface = np.isfinite(layers["distance.Z"])
     np.testing.assert_allclose(way[surface], layers["distance.Z"][surface], rtol=1e-6)  # all of it stands in the fog
 
 
 def test_the_picture_of_them_is_right_way_up_and_not_brighter_than_the_sky(parked):
-    """Sky in the top rows and road in the bottom rows; nothing shines but a sky of 1000 nits, so nothing is brighter, and fog veils the distance."""
+    """Sky in the top rows and road in the bottom rows; nothing shines but a sky of 1000 nits, so nothing is brighter,
+    and fog veils the distance.
+    """
     out, _ = parked
     layers, light = layers_of(out, "authored/authored"), luminance(out, "authored/authored")
     assert (layers["semantic.ID"][:20] == SKY).all() and (layers["semantic.ID"][-15:] == ROAD).all()
     blocks = light.reshape(9, 10, 16, 10).mean(axis=(1, 3))
     assert blocks.max() < 1200.0  # 8 samples of 100 pixels resolve some 5 %
     road = layers["semantic.ID"] == ROAD
-    near, far = (light[road & (layers["distance.Z"] > low) & (layers["distance.Z"] < high)].mean() for low, high in ((0.0, 8.0), (60.0, 140.0)))
-    assert near < 250.0 and 1.5 * near < far < light[:20].mean()  # albedo 0.12: less than a quarter of the sky even with its gloss
+    near, far = (
+        light[road & (layers["distance.Z"] > low) & (layers["distance.Z"] < high)].mean()
+        for low, high in ((0.0, 8.0), (60.0, 140.0))
+    )
+    assert (
+        near < 250.0 and 1.5 * near < far < light[:20].mean()
+    )  # albedo 0.12: less than a quarter of the sky even with its gloss
 
 
 @pytest.mark.parametrize(
@@ -262,7 +316,9 @@ def test_the_picture_of_them_is_right_way_up_and_not_brighter_than_the_sky(parke
     ],
 )
 def test_people_are_posed_at_any_frame(name, frame):
-    """The corners of the drawn body are those that USD's own skinning gives, also between two keys of the animation and before its first."""
+    """The corners of the drawn body are those that USD's own skinning gives, also between two keys of the animation and
+    before its first.
+    """
     from pxr import Gf, Usd, UsdGeom, UsdSkel
 
     from synfog_usd.translate import translate
@@ -286,10 +342,15 @@ def test_people_are_posed_at_any_frame(name, frame):
                 assert target.ComputeSkinnedPoints(skeleton.ComputeSkinningTransforms(frame), points, frame)
                 wanted += [tuple(to_world.Transform(Gf.Vec3d(*map(float, point)))) for point in points]
     scene = translate(stage, frame=frame)
-    drawn = np.concatenate([part["positions"] for key, part in scene.world.items() if key.startswith("shape_")]) + scene.origin_m
+    drawn = (
+        np.concatenate([part["positions"] for key, part in scene.world.items() if key.startswith("shape_")])
+        + scene.origin_m
+    )
     x, y, z = np.array(wanted).T
     turned = np.stack([x, -z, y], axis=1)  # Y up to Z up
-    np.testing.assert_allclose([drawn.min(axis=0), drawn.max(axis=0)], [turned.min(axis=0), turned.max(axis=0)], atol=1e-4)  # float32 matrices
+    np.testing.assert_allclose(
+        [drawn.min(axis=0), drawn.max(axis=0)], [turned.min(axis=0), turned.max(axis=0)], atol=1e-4
+    )  # float32 matrices
 
 
 @pytest.fixture(scope="module")
@@ -311,7 +372,9 @@ def test_the_example_street_bakes_without_a_warning(example):
 
 
 def test_the_example_streets_car_is_where_its_numbers_say(example):
-    """A car of 1.8 x 1.5 m whose back is at 37.9 m, seen from 1.4 m above the road with 35.15 degrees to each side: rows 39.7 to 44.2, columns 77.3 to 82.7."""
+    """A car of 1.8 x 1.5 m whose back is at 37.9 m, seen from 1.4 m above the road with 35.15 degrees to each side:
+    rows 39.7 to 44.2, columns 77.3 to 82.7.
+    """
     out, _ = example
     (car,) = json.loads((out / "labels.json").read_text())["instances"]
     assert (car["path"], car["label"], car["box_px"], car["pixels"]) == ("/World/Car", "car", [77, 40, 6, 4], 24)
@@ -329,8 +392,9 @@ def test_a_bank_in_the_example_streets_fog_adds_its_part(example):
     beside = bank == 0.0
     assert bank.max() > 15.0
     np.testing.assert_allclose(layers["transmittance.Y"][beside], closed[beside], **TRANSMITTANCE)
-    # Behind a boundary the ray goes on some 5 mm beside itself (Mitsuba's offset against meeting it again, 9e-5 of the coordinates), which shifts
-    # where it leaves by 5 mm over the slope to that face: 4 cm where the bank's floor is grazed.  Measured 1.6e-3.
+    # Behind a boundary the ray goes on some 5 mm beside itself (Mitsuba's offset against meeting it again, 9e-5 of the
+    # coordinates), which shifts where it leaves by 5 mm over the slope to that face: 4 cm where the bank's floor is
+    # grazed.  Measured 1.6e-3.
     np.testing.assert_allclose(layers["transmittance.Y"], closed, rtol=2e-3)
 
 
@@ -345,7 +409,9 @@ def test_the_example_streets_car_is_veiled(example):
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """A street as Blender 5.0.1 exported it: a fog box by custom property, every kind of lamp, a shifted lens: (folder, what was printed)."""
+    """A street as Blender 5.0.1 exported it: a fog box by custom property, every kind of lamp, a shifted lens: (folder,
+    what was printed).
+    """
     stage = REAL / "blender501" / "street_zup.usda"
     if not stage.is_file():
         pytest.skip(f"no {stage}")
@@ -390,7 +456,10 @@ def test_blenders_street_is_right_way_up_through_a_shifted_lens(exported):
     instances = {row["path"].split("/")[2]: row for row in json.loads((out / "labels.json").read_text())["instances"]}
     left, top, width, height = instances["Pedestrian"]["box_px"]
     x, z = direction[0, :, 0], direction[:, 0, 2]
-    columns, rows = np.flatnonzero((x > -2.25 / 24.85) & (x < -1.75 / 25.15)), np.flatnonzero((z < 0.35 / 24.85) & (z > -1.4 / 24.85))
+    columns, rows = (
+        np.flatnonzero((x > -2.25 / 24.85) & (x < -1.75 / 25.15)),
+        np.flatnonzero((z < 0.35 / 24.85) & (z > -1.4 / 24.85)),
+    )
     assert [left, width] == [columns[0], len(columns)] and [top, height] == [rows[0], len(rows)]
 
 

@@ -8,7 +8,14 @@ from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.render import models
 from synfog_usd.render.film import aovs
-from synfog_usd.render.integrators.asm import PATCH_PX, asm_refuses, dark_channel, estimated_airlight, make_asm, physical_airlight
+from synfog_usd.render.integrators.asm import (
+    PATCH_PX,
+    asm_refuses,
+    dark_channel,
+    estimated_airlight,
+    make_asm,
+    physical_airlight,
+)
 from synfog_usd.render.shot import load
 from synfog_usd.testing import black, box, scene, uniform_fog, wall
 
@@ -31,7 +38,9 @@ def ground(albedo=0.15, size=1400.0):
 
 
 def test_a_wall_in_absorbing_fog_dims_by_beer_and_lambert_along_each_ray():
-    """No noise and no airlight: a wall of radiance 1 at 50 m shows exp(-sigma * 50 / cos), 1.15 times farther at 30 degrees; float32 distances, 1e-5."""
+    """No noise and no airlight: a wall of radiance 1 at 50 m shows exp(-sigma * 50 / cos), 1.15 times farther at 30
+    degrees; float32 distances, 1e-5.
+    """
     fog = uniform_fog(visibility_m=150.0, albedo=0.0)
     world = scene({"shape_wall": wall(50.0, **black(1.0))}, [fog], fov_x_deg=60.0)
     x, y = np.meshgrid((np.arange(16) + 0.5) / 8.0 - 1.0, ((np.arange(9) + 0.5) - 4.5) / 8.0)
@@ -40,16 +49,24 @@ def test_a_wall_in_absorbing_fog_dims_by_beer_and_lambert_along_each_ray():
 
 
 def test_under_an_even_sky_a_white_world_stays_white():
-    """J = 1 and A = 1 (white furnace of the layer, albedo 1 and white ground): every pixel is 1, to float32's 1e-5 and the noise of J, which is 0."""
+    """J = 1 and A = 1 (white furnace of the layer, albedo 1 and white ground): every pixel is 1, to float32's 1e-5 and
+    the noise of J, which is 0.
+    """
     fog = FogVolume("/Fog", box((500.0, 500.0, 60.0)), FogMedium(0.02))
-    world = scene({**SKY, "shape_wall": wall(30.0, 5.0, **black(1.0)), "shape_ground": ground(1.0)}, [fog], fov_x_deg=60.0)
+    world = scene(
+        {**SKY, "shape_wall": wall(30.0, 5.0, **black(1.0)), "shape_ground": ground(1.0)}, [fog], fov_x_deg=60.0
+    )
     loaded = load(world, boundaries=False)
-    np.testing.assert_allclose(physical_airlight(loaded), 1.0, atol=2e-3)  # the probes of the ground see its edge and the wall
+    np.testing.assert_allclose(
+        physical_airlight(loaded), 1.0, atol=2e-3
+    )  # the probes of the ground see its edge and the wall
     assert np.abs(np.median(picture(world)) - 1.0) < 2e-3
 
 
 def test_towards_the_horizon_of_an_overcast_layer_it_is_what_path_sees():
-    """Fog 60 m deep, sigma_t 0.02, ground 0.15: along the horizon nothing but airlight is left, and A is exact; `path` resolves 2 %."""
+    """Fog 60 m deep, sigma_t 0.02, ground 0.15: along the horizon nothing but airlight is left, and A is exact; `path`
+    resolves 2 %.
+    """
     fog = FogVolume("/Fog", box((1400.0, 1400.0, 30.0), (0.0, 0.0, 28.5)), FogMedium(0.02))
     world = scene({**BLUE_SKY, "shape_ground": ground()}, [fog], fov_x_deg=0.2)
     truth = picture(world).mean(axis=(0, 1))
@@ -61,8 +78,16 @@ def test_towards_the_horizon_of_an_overcast_layer_it_is_what_path_sees():
 
 
 def test_a_lamp_by_night_has_no_glow():
-    """The known failure: a bulb in fog, seen from 30 m against the dark; `path` shows its glow, the model nothing but the lamp's dimmed surroundings."""
-    bulb = {"light_bulb": {"type": "point", "position": [0.0, 30.0, 0.0], "intensity": {"type": "rgb", "value": [100.0] * 3}}}
+    """The known failure: a bulb in fog, seen from 30 m against the dark; `path` shows its glow, the model nothing but
+    the lamp's dimmed surroundings.
+    """
+    bulb = {
+        "light_bulb": {
+            "type": "point",
+            "position": [0.0, 30.0, 0.0],
+            "intensity": {"type": "rgb", "value": [100.0] * 3},
+        }
+    }
     world = scene(bulb, [uniform_fog(visibility_m=150.0)], fov_x_deg=60.0)
     loaded = load(world, boundaries=False)
     path = models.MODELS["path"].make(loaded).accumulate(samples=64, seed=0).mean()
@@ -73,14 +98,20 @@ def test_a_lamp_by_night_has_no_glow():
 def test_layers_and_variance_are_those_of_the_sum():
     """surface + airlight is the picture; its variance is t^2 that of clear air, to rounding."""
     fog = FogVolume("/Fog", box((500.0, 500.0, 60.0)), FogMedium(0.02))
-    world = scene({**BLUE_SKY, "shape_wall": wall(30.0, 5.0, bsdf={"type": "diffuse"}), "shape_ground": ground()}, [fog], fov_x_deg=60.0)
+    world = scene(
+        {**BLUE_SKY, "shape_wall": wall(30.0, 5.0, bsdf={"type": "diffuse"}), "shape_ground": ground()},
+        [fog],
+        fov_x_deg=60.0,
+    )
     loaded = load(world, boundaries=False)
     model = make_asm(loaded)
     foggy = model.accumulate(samples=16, seed=1)
     clear = model.path.accumulate(samples=16, seed=1)
     t = aovs.measure(loaded).transmittance.reshape(-1, 1)
     np.testing.assert_allclose(foggy.aov("surface"), t * clear.mean(), rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(foggy.aov("surface") + foggy.aov("airlight_single") + foggy.aov("airlight_multiple"), foggy.mean(), rtol=1e-12)
+    np.testing.assert_allclose(
+        foggy.aov("surface") + foggy.aov("airlight_single") + foggy.aov("airlight_multiple"), foggy.mean(), rtol=1e-12
+    )
     np.testing.assert_allclose(foggy.mean(), t * clear.mean() + (1.0 - t) * physical_airlight(loaded), rtol=1e-12)
     np.testing.assert_allclose(foggy.variance(), t * t * clear.variance(), rtol=1e-6, atol=1e-12)
 
@@ -112,7 +143,9 @@ def test_the_dark_channel_is_the_least_of_a_square():
 
 def test_the_same_seed_gives_the_same_bytes():
     """And the estimated airlight differs from the physical one."""
-    world = scene({**BLUE_SKY, "shape_wall": wall(50.0, 20.0, bsdf={"type": "diffuse"})}, [uniform_fog()], fov_x_deg=60.0)
+    world = scene(
+        {**BLUE_SKY, "shape_wall": wall(50.0, 20.0, bsdf={"type": "diffuse"})}, [uniform_fog()], fov_x_deg=60.0
+    )
     assert picture(world, seed=3).tobytes() == picture(world, seed=3).tobytes()
     assert not np.array_equal(picture(world, seed=3), picture(world, seed=3, airlight="estimated"))
 
@@ -121,5 +154,10 @@ def test_what_it_cannot_take_is_refused():
     """An airlight that is not known; fog in a mesh is named."""
     with pytest.raises(ParameterError, match="estimated"):
         make_asm(load(scene(SKY, [uniform_fog()]), boundaries=False), "guessed")
-    corners, faces = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9.0]]), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    assert "/Bank" in asm_refuses(scene(SKY, [FogVolume("/Bank", Boundary("mesh", np.eye(4), corners, faces), FogMedium(0.02))]))
+    corners, faces = (
+        np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9.0]]),
+        np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+    )
+    assert "/Bank" in asm_refuses(
+        scene(SKY, [FogVolume("/Bank", Boundary("mesh", np.eye(4), corners, faces), FogMedium(0.02))])
+    )

@@ -33,7 +33,9 @@ def install(packages, name="libLLVM.so.23.1"):
 
 
 def test_the_compiler_of_the_package_index_is_found(no_llvm):
-    """Without one on the system: that of the package, by its record; files that are not there, or other libraries, do not count."""
+    """Without one on the system: that of the package, by its record; files that are not there, or other libraries, do
+    not count.
+    """
     assert backend.find_llvm() == ([], [])
     library = install(no_llvm)
     assert backend.find_llvm() == ([(23, library.resolve())], [])
@@ -56,6 +58,9 @@ def test_the_package_renders_where_the_system_has_no_compiler():
     """A process of its own that looks for libLLVM nowhere else; skipped where the extra is not installed."""
     if not backend._of_package():
         pytest.skip("the extra llvm is not installed")
-    code = "from synfog_usd.render import backend as b; b.LLVM_FOLDERS = (); found = b.choose('llvm'); print(found.name, found.llvm_library)"
+    code = (
+        "from synfog_usd.render import backend as b; b.LLVM_FOLDERS = (); found = b.choose('llvm'); print(found.name, "
+        "found.llvm_library)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     assert done.stdout.split() == ["llvm", str(backend._of_package()[0])], done.stderr

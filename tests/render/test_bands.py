@@ -27,7 +27,11 @@ def rgb(*value):
 
 def shining(*value, distance_m=50.0):
     """A black wall that shines."""
-    return wall(distance_m, bsdf={"type": "diffuse", "reflectance": rgb(0.0, 0.0, 0.0)}, emitter={"type": "area", "radiance": rgb(*value)})
+    return wall(
+        distance_m,
+        bsdf={"type": "diffuse", "reflectance": rgb(0.0, 0.0, 0.0)},
+        emitter={"type": "area", "radiance": rgb(*value)},
+    )
 
 
 def haze(angstrom, *, sigma_t=0.02, albedo=1.0, half_size=200.0):
@@ -36,18 +40,26 @@ def haze(angstrom, *, sigma_t=0.02, albedo=1.0, half_size=200.0):
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_light_in_bands_is_the_light_that_was_authored(count):
-    """A wall of a colour, seen by the CIE observer from its bands, has that colour; to 5, 1 and 0.5 % of its luminance."""
+    """A wall of a colour, seen by the CIE observer from its bands, has that colour; to 5, 1 and 0.5 % of its
+    luminance.
+    """
     seen = render(scene({"shape_wall": shining(0.9, 0.5, 0.2)}), samples=2, bands=count).radiance
     assert seen.channels == bands.names(count)
-    np.testing.assert_allclose(bands.to_rgb(seen.pixels, count)[4, 8], (0.9, 0.5, 0.2), atol=0.56 * {8: 0.05, 16: 0.01, 31: 0.005}[count])
+    np.testing.assert_allclose(
+        bands.to_rgb(seen.pixels, count)[4, 8], (0.9, 0.5, 0.2), atol=0.56 * {8: 0.05, 16: 0.01, 31: 0.005}[count]
+    )
     assert photometry.luminance(seen)[4, 8] == pytest.approx(0.9 * 0.2126 + 0.5 * 0.7152 + 0.2 * 0.0722, rel=0.01)
 
 
 def test_a_coloured_lamp_on_a_coloured_wall_is_a_product_of_spectra():
-    """Orange light on a blue wall: band by band the product of what colour-science makes of both, which is not that of R, G and B."""
+    """Orange light on a blue wall: band by band the product of what colour-science makes of both, which is not that of
+    R, G and B.
+    """
     world = {
         "light_sky": {"type": "constant", "radiance": rgb(1.0, 0.45, 0.05)},
-        "shape_wall": wall(5.0, bsdf={"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": rgb(0.1, 0.2, 0.7)}}),
+        "shape_wall": wall(
+            5.0, bsdf={"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": rgb(0.1, 0.2, 0.7)}}
+        ),
     }
     seen = render(scene(world), samples=256, bands=31).radiance.pixels.mean(axis=(0, 1))
     centres = np.array(bands.CENTRES_NM[31])
@@ -56,7 +68,9 @@ def test_a_coloured_lamp_on_a_coloured_wall_is_a_product_of_spectra():
     d65 = np.interp(centres, colour.SDS_ILLUMINANTS["D65"].wavelengths, colour.SDS_ILLUMINANTS["D65"].values)
     expected = (np.array([1.0, 0.45, 0.05]) @ shapes) * (np.array([0.1, 0.2, 0.7]) @ shapes) * d65
     inside = (centres > 420) & (centres < 690)
-    np.testing.assert_allclose((seen / seen.sum())[inside], (expected / expected.sum())[inside], rtol=0.05)  # a band of 10 nm against its centre
+    np.testing.assert_allclose(
+        (seen / seen.sum())[inside], (expected / expected.sum())[inside], rtol=0.05
+    )  # a band of 10 nm against its centre
     assert abs(bands.to_rgb(seen, 31)[1] / (0.45 * 0.2) - 1.0) > 0.05
 
 
@@ -65,7 +79,15 @@ def test_haze_dims_each_band_by_its_own_extinction(angstrom):
     """Beer and Lambert with Angstrom's law: exp(-0.02 * 50 * (lambda / 550)^-a), rays within a degree of the axis."""
     world = scene({"shape_wall": shining(1.0, 1.0, 1.0)}, [haze(angstrom, albedo=0.0)], fov_x_deg=1.0)
     clear = render(replace(world, fog=()), samples=2, bands=8).radiance.pixels[4, 8]
-    means = np.array([run.radiance.pixels.mean(axis=(0, 1), dtype=np.float64) for run in by_seed(world, range(4), samples=64, bands=8)]) / clear
+    means = (
+        np.array(
+            [
+                run.radiance.pixels.mean(axis=(0, 1), dtype=np.float64)
+                for run in by_seed(world, range(4), samples=64, bands=8)
+            ]
+        )
+        / clear
+    )
     wanted = np.exp(-((np.array(bands.CENTRES_NM[8]) / 550.0) ** -angstrom))
     np.testing.assert_allclose(means.mean(axis=0), wanted, rtol=1e-3)
 
@@ -75,7 +97,15 @@ def test_haze_that_absorbs_nothing_is_invisible_in_every_band(angstrom):
     """White furnace: whatever the extinction of a band, each is as bright as the sky."""
     world = scene(SKY, [haze(angstrom, half_size=60.0)], fov_x_deg=60.0)
     sky = render(replace(world, fog=()), samples=2, bands=8).radiance.pixels[4, 8].astype(np.float64)
-    means = np.array([run.radiance.pixels.mean(axis=(0, 1), dtype=np.float64) for run in by_seed(world, range(12), samples=1024, bands=8)]) / sky
+    means = (
+        np.array(
+            [
+                run.radiance.pixels.mean(axis=(0, 1), dtype=np.float64)
+                for run in by_seed(world, range(12), samples=1024, bands=8)
+            ]
+        )
+        / sky
+    )
     for band in range(8):
         assert_mean(means[:, band], 1.0, resolves=0.02)
 
@@ -83,7 +113,9 @@ def test_haze_that_absorbs_nothing_is_invisible_in_every_band(angstrom):
 def test_the_lamps_light_in_haze_is_that_of_haze_as_dense_as_the_band():
     """A spot seen from the side, scattered once: each band agrees with grey fog of its own extinction."""
     aim = np.array([[0, 0, 1.0, -10], [1, 0, 0, 20], [0, 1, 0, 0], [0, 0, 0, 1]])
-    lamp = {"light_spot": {"type": "spot", "to_world": aim, "cutoff_angle": 20.0, "intensity": rgb(100.0, 100.0, 100.0)}}
+    lamp = {
+        "light_spot": {"type": "spot", "to_world": aim, "cutoff_angle": 20.0, "intensity": rgb(100.0, 100.0, 100.0)}
+    }
     hazy = render(scene(lamp, [haze(2.0)], fov_x_deg=40.0), samples=512, bands=8)
     white = bands.matrices(8)[0].sum(axis=0)
     for band in (0, 3, 7):
@@ -96,7 +128,9 @@ def test_the_lamps_light_in_haze_is_that_of_haze_as_dense_as_the_band():
 
 @pytest.mark.parametrize("model", ["path", "path+slab", "slab"])
 def test_bands_change_nothing_where_all_is_grey(model):
-    """White light on a grey ground in grey fog: every band is the white spectrum times what R, G and B see, path by path."""
+    """White light on a grey ground in grey fog: every band is the white spectrum times what R, G and B see, path by
+    path.
+    """
     ground = {
         "type": "mesh",
         "positions": np.array([[-150, -150, -2], [150, -150, -2], [150, 150, -2], [-150, 150, -2.0]]),
@@ -106,21 +140,37 @@ def test_bands_change_nothing_where_all_is_grey(model):
     world = scene({**SKY, "shape_ground": ground}, [haze(0.0)], fov_x_deg=60.0)
     plain, banded = (render(world, model=model, samples=32, bands=count) for count in (3, 16))
     white = bands.matrices(16)[0].sum(axis=0)
-    np.testing.assert_allclose(banded.radiance.pixels / white, np.repeat(plain.radiance.pixels[..., :1], 16, axis=2), rtol=2e-3)
+    np.testing.assert_allclose(
+        banded.radiance.pixels / white, np.repeat(plain.radiance.pixels[..., :1], 16, axis=2), rtol=2e-3
+    )
     for part, pixels in plain.components.items():
-        np.testing.assert_allclose(banded.components[part].mean(axis=(0, 1)) / white, pixels.mean(), rtol=2e-3, atol=1e-6)
-    assert banded.relative_error == pytest.approx(plain.relative_error, rel=0.1)  # of 3e-4 in `slab`: float32, in which bands are summed, leaves no more
+        np.testing.assert_allclose(
+            banded.components[part].mean(axis=(0, 1)) / white, pixels.mean(), rtol=2e-3, atol=1e-6
+        )
+    assert banded.relative_error == pytest.approx(
+        plain.relative_error, rel=0.1
+    )  # of 3e-4 in `slab`: float32, in which bands are summed, leaves no more
 
 
 def test_the_planner_takes_bands_where_r_g_and_b_would_be_wrong():
     """Grey fog on grey needs no bands; orange light on a blue wall, and haze with an Angstrom exponent, do."""
     grey = scene({**SKY, "shape_wall": wall(20.0, bsdf={"type": "diffuse"})}, [haze(0.0)], fov_x_deg=40.0)
     blue = wall(5.0, bsdf={"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": rgb(0.1, 0.2, 0.7)}})
-    orange = scene({"light_sky": {"type": "constant", "radiance": rgb(1.0, 0.45, 0.05)}, "shape_wall": blue}, [haze(0.0)], fov_x_deg=40.0)
-    hazy = scene({**SKY, "shape_wall": wall(20.0, bsdf={"type": "diffuse", "reflectance": rgb(0.0, 0.0, 0.0)})}, [haze(1.3, albedo=0.9)], fov_x_deg=40.0)
+    orange = scene(
+        {"light_sky": {"type": "constant", "radiance": rgb(1.0, 0.45, 0.05)}, "shape_wall": blue},
+        [haze(0.0)],
+        fov_x_deg=40.0,
+    )
+    hazy = scene(
+        {**SKY, "shape_wall": wall(20.0, bsdf={"type": "diffuse", "reflectance": rgb(0.0, 0.0, 0.0)})},
+        [haze(1.3, albedo=0.9)],
+        fov_x_deg=40.0,
+    )
     taken = {}
     for name, world in (("grey", grey), ("orange", orange), ("hazy", hazy)):
-        count, why, figures = planner.choose_bands(load(world, boundaries=False), "path", target=adaptive.Target(relative=0.01), seed=0)
+        count, why, figures = planner.choose_bands(
+            load(world, boundaries=False), "path", target=adaptive.Target(relative=0.01), seed=0
+        )
         taken[name] = count
         assert "%" in why and figures["3"] >= 0.0
     assert taken["grey"] == 3 and taken["orange"] > 3 and taken["hazy"] > 3

@@ -28,7 +28,14 @@ def parallel(world, fog=(), *, width_px=16, height_px=8, **more):
 
 def half_plane(edge_m, distance_m, radiance=1.0):
     """A black sheet that shines, at x above `edge_m`, 20 m high."""
-    corners = np.array([[edge_m, distance_m, -10], [edge_m + 50, distance_m, -10], [edge_m + 50, distance_m, 10], [edge_m, distance_m, 10.0]])
+    corners = np.array(
+        [
+            [edge_m, distance_m, -10],
+            [edge_m + 50, distance_m, -10],
+            [edge_m + 50, distance_m, 10],
+            [edge_m, distance_m, 10.0],
+        ]
+    )
     return {"type": "mesh", "positions": corners, "faces": np.array([[0, 1, 2], [0, 2, 3]]), **black(radiance)}
 
 
@@ -36,7 +43,9 @@ def half_plane(edge_m, distance_m, radiance=1.0):
 @pytest.mark.parametrize("model", ["path", "volpath"])
 def test_size_does_not_fall_with_distance(model, distance_m):
     """A sheet from x = 0.75 m on: pixels of 0.5 m are dark up to column 9, half lit in it, lit from 10 on."""
-    seen = render(parallel({"shape_sheet": half_plane(0.75, distance_m)}), samples=256, model=model).radiance.pixels[:, :, 1]
+    seen = render(parallel({"shape_sheet": half_plane(0.75, distance_m)}), samples=256, model=model).radiance.pixels[
+        :, :, 1
+    ]
     np.testing.assert_array_equal(seen[:, :9], 0.0)
     np.testing.assert_allclose(seen[:, 10:], 1.0, rtol=1e-5)
     np.testing.assert_allclose(seen[:, 9].mean(), 0.5, atol=5 * 0.5 / np.sqrt(256 * 8))
@@ -45,7 +54,9 @@ def test_size_does_not_fall_with_distance(model, distance_m):
 @pytest.mark.parametrize("shift, column", [((0.25, 0.0), 5), ((-0.125, 0.0), 11)])
 def test_an_offset_moves_the_window(shift, column):
     """A quarter of 8 m to the right: what began at column 9 begins at 5; and an eighth to the left, at 11."""
-    seen = render(parallel({"shape_sheet": half_plane(0.5, 20.0)}, shift=shift), samples=16, model="path").radiance.pixels[4, :, 1]
+    seen = render(
+        parallel({"shape_sheet": half_plane(0.5, 20.0)}, shift=shift), samples=16, model="path"
+    ).radiance.pixels[4, :, 1]
     np.testing.assert_array_equal(np.nonzero(seen)[0], np.arange(column, 16))
 
 
@@ -59,7 +70,9 @@ def test_every_ray_goes_equally_far_through_fog(model):
 
 @pytest.mark.physics
 def test_a_furnace_is_invisible_from_everywhere_on_the_lens():
-    """White fog in a white sky is white: airlight and surface add up in the models that know the fog, and in volpath."""
+    """White fog in a white sky is white: airlight and surface add up in the models that know the fog, and in
+    volpath.
+    """
     lit = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
     world = parallel(lit, [uniform_fog(visibility_m=50.0, half_size=60.0)])
     for model in ("path", "volpath"):
@@ -68,9 +81,16 @@ def test_a_furnace_is_invisible_from_everywhere_on_the_lens():
 
 @pytest.mark.parametrize("boundaries", [False, True])
 def test_labels_are_those_of_parallel_rays(boundaries):
-    """A sheet that leans away: depth rises by 1 m a metre to the right; distance is depth, and fog dims by it from the lens on."""
+    """A sheet that leans away: depth rises by 1 m a metre to the right; distance is depth, and fog dims by it from the
+    lens on.
+    """
     leaning = np.array([[-9, 11, -9], [9, 29, -9], [9, 29, 9], [-9, 11, 9.0]])
-    sheet = {"type": "mesh", "positions": leaning, "faces": np.array([[0, 1, 2], [0, 2, 3]]), "bsdf": {"type": "diffuse"}}
+    sheet = {
+        "type": "mesh",
+        "positions": leaning,
+        "faces": np.array([[0, 1, 2], [0, 2, 3]]),
+        "bsdf": {"type": "diffuse"},
+    }
     found = measure(load(parallel({"shape_sheet": sheet}, [uniform_fog()]), boundaries=boundaries))
     wanted = np.broadcast_to(20.0 + (np.arange(16) - 7.5) * 0.5, (8, 16))
     np.testing.assert_allclose(found.depth_m, wanted, rtol=1e-5)
@@ -92,18 +112,31 @@ def test_a_lens_across_the_edge_of_fog_is_refused_by_what_cannot_tell():
 
 @pytest.mark.parametrize("model", ["path", "volpath"])
 def test_a_camera_that_drifts_smears_an_edge_over_its_way(model):
-    """2 m to the right in an exposure: each pixel is the mean of an edge seen from -1 to 1 m, a ramp four pixels wide."""
+    """2 m to the right in an exposure: each pixel is the mean of an edge seen from -1 to 1 m, a ramp four pixels
+    wide.
+    """
     world = parallel({"shape_sheet": half_plane(0.0, 20.0)}, drift_m=(2.0, 0.0, 0.0))
-    means = np.array([run.radiance.pixels[:, :, 1].mean(axis=0, dtype=np.float64) for run in renders.by_seed(world, range(8), samples=128, model=model)])
+    means = np.array(
+        [
+            run.radiance.pixels[:, :, 1].mean(axis=0, dtype=np.float64)
+            for run in renders.by_seed(world, range(8), samples=128, model=model)
+        ]
+    )
     left = (np.arange(16) - 8) * 0.5
     x = left[:, None] + (np.arange(1000) + 0.5) / 1000 * 0.5
-    wanted = np.clip((x + 1.0) / 2.0, 0.0, 1.0).mean(axis=1)  # share of the exposure in which x + drift lies beyond the edge
+    wanted = np.clip((x + 1.0) / 2.0, 0.0, 1.0).mean(
+        axis=1
+    )  # share of the exposure in which x + drift lies beyond the edge
     np.testing.assert_allclose(means.mean(axis=0), wanted, atol=5 * 0.5 / np.sqrt(8 * 8 * 128))
-    assert render(replace(world, camera=replace(world.camera, drift_m=(0.0, 0.0, 0.0))), samples=16).radiance.pixels[0, 8, 1] == pytest.approx(1.0)
+    assert render(replace(world, camera=replace(world.camera, drift_m=(0.0, 0.0, 0.0))), samples=16).radiance.pixels[
+        0, 8, 1
+    ] == pytest.approx(1.0)
 
 
 def test_a_camera_that_turns_turns_its_rays_about_its_place():
-    """At the end of the exposure origin and direction are turned by half of the rotation, as SciPy turns them, and half of the way gone."""
+    """At the end of the exposure origin and direction are turned by half of the rotation, as SciPy turns them, and half
+    of the way gone.
+    """
     backend.start("auto")
     mi = backend.mitsuba()
     draw = np.random.default_rng(2)
@@ -116,4 +149,6 @@ def test_a_camera_that_turns_turns_its_rays_about_its_place():
         found = moved(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), camera, mi.Float(share))
         half = Rotation.from_rotvec(turn * (share - 0.5))
         np.testing.assert_allclose(np.array(found.d), half.apply(d.T).T, atol=2e-6)
-        np.testing.assert_allclose(np.array(found.o), half.apply((o - eye[:, None]).T).T + (eye + drift * (share - 0.5))[:, None], atol=2e-6)
+        np.testing.assert_allclose(
+            np.array(found.o), half.apply((o - eye[:, None]).T).T + (eye + drift * (share - 0.5))[:, None], atol=2e-6
+        )

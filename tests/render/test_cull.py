@@ -28,7 +28,13 @@ SUN = {"light_sun": {"type": "directional", "irradiance": {"type": "rgb", "value
 
 def ball(distance_m, *, radius_m=2.0, subdivisions=4, **more):
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius_m).apply_translation((0, distance_m, 0))
-    return {"type": "mesh", "positions": np.asarray(mesh.vertices), "faces": np.asarray(mesh.faces), "bsdf": {"type": "ref", "id": "mat_a"}, **more}
+    return {
+        "type": "mesh",
+        "positions": np.asarray(mesh.vertices),
+        "faces": np.asarray(mesh.faces),
+        "bsdf": {"type": "ref", "id": "mat_a"},
+        **more,
+    }
 
 
 def avenue(*distances_m, light=SKY, fog=(FOG,), **more):
@@ -47,7 +53,9 @@ def avenue(*distances_m, light=SKY, fog=(FOG,), **more):
     }
     instance_of = {(key,): number for number, key in enumerate(balls, 1)} | {("instance_0", "skin"): len(balls) + 1}
     instances = tuple(Instance(number, f"/World/{key[0]}", "car") for key, number in instance_of.items())
-    return replace(scene(world, list(fog), width_px=16, height_px=9, fov_x_deg=40.0), instances=instances, instance_of=instance_of)
+    return replace(
+        scene(world, list(fog), width_px=16, height_px=9, fov_x_deg=40.0), instances=instances, instance_of=instance_of
+    )
 
 
 def hide(source, clear=CLEAR):
@@ -62,13 +70,19 @@ def test_transmittance_is_of_the_nearest_point_of_a_box():
 
 
 def test_transmittance_finds_the_thinnest_way_to_a_tower_that_rises_out_of_the_fog():
-    """Of a mast that stands 200 m off in fog 10 m deep, the top is seen through 10 m / sin of it: as steep as it is high."""
-    shallow = replace(FOG, boundary=Boundary("box", np.array([[500, 0, 0, 0], [0, 500, 0, 0], [0, 0, 10, 0], [0, 0, 0, 1.0]])))
+    """Of a mast that stands 200 m off in fog 10 m deep, the top is seen through 10 m / sin of it: as steep as it is
+    high.
+    """
+    shallow = replace(
+        FOG, boundary=Boundary("box", np.array([[500, 0, 0, 0], [0, 500, 0, 0], [0, 0, 10, 0], [0, 0, 0, 1.0]]))
+    )
     mast = ball(200.0)
     mast["positions"] = np.array([[0, 200, 0], [1, 200, 0], [0, 200, 400], [1, 200, 400.0]])
     mast["faces"] = np.array([[0, 1, 2], [1, 3, 2]])
     hidden = hide(avenue(50.0, fog=(shallow,), shape_mast=mast))
-    assert hidden.transmittance["shape_mast"] == pytest.approx(np.exp(-SIGMA * 10.0 * np.hypot(200, 400) / 400.0), rel=1e-6)
+    assert hidden.transmittance["shape_mast"] == pytest.approx(
+        np.exp(-SIGMA * 10.0 * np.hypot(200, 400) / 400.0), rel=1e-6
+    )
 
 
 def test_a_grid_of_density_hides_as_much_as_even_fog_does():
@@ -100,7 +114,13 @@ def test_only_what_is_small_and_far_is_left_out():
     "light",
     [
         SUN,
-        {"light_sky": {"type": "envmap", "bitmap": np.where(np.arange(512).reshape(16, 32, 1) == 100, 1e6, 1e3) * np.ones(3), "to_world": np.eye(4)}},
+        {
+            "light_sky": {
+                "type": "envmap",
+                "bitmap": np.where(np.arange(512).reshape(16, 32, 1) == 100, 1e6, 1e3) * np.ones(3),
+                "to_world": np.eye(4),
+            }
+        },
     ],
 )
 def test_under_a_sun_nothing_is_left_out_wholly(light):
@@ -110,11 +130,19 @@ def test_under_a_sun_nothing_is_left_out_wholly(light):
 
 
 def lamp(distance_m, intensity, x=0.0):
-    return {"light_lamp": {"type": "point", "position": [x, distance_m, 0.0], "intensity": {"type": "rgb", "value": [intensity] * 3}}}
+    return {
+        "light_lamp": {
+            "type": "point",
+            "position": [x, distance_m, 0.0],
+            "intensity": {"type": "rgb", "value": [intensity] * 3},
+        }
+    }
 
 
 def test_what_a_lamp_lights_up_is_not_hidden():
-    """A ball 2 m from 10^7 cd sends 10^6 cd m-2, of which a thousandth is seen; the same lamp far away changes nothing."""
+    """A ball 2 m from 10^7 cd sends 10^6 cd m-2, of which a thousandth is seen; the same lamp far away changes
+    nothing.
+    """
     source = avenue(115.0, 120.0, 200.0)
     lit = replace(source, world={**source.world, **lamp(118.0, 1e7, x=-6.0)})
     assert hide(lit).simplified == {"shape_200", "instance_0"}
@@ -123,7 +151,9 @@ def test_what_a_lamp_lights_up_is_not_hidden():
 
 
 def test_what_stands_before_a_lamp_that_would_be_seen_stays():
-    """10^11 cd at 300 m are 8 cd m-2 in a pixel, of which 3 are seen: balls before them stay, the one beside does not."""
+    """10^11 cd at 300 m are 8 cd m-2 in a pixel, of which 3 are seen: balls before them stay, the one beside does
+    not.
+    """
     source = avenue(120.0, 125.0, 200.0)
     hidden = hide(replace(source, world={**source.world, **lamp(300.0, 1e11)}))
     assert "shape_120" not in hidden.simplified and "instance_0" in hidden.simplified
@@ -149,7 +179,9 @@ def test_where_nothing_is_hidden_it_says_why(fog, why):
 
 
 def test_a_simplified_mesh_keeps_its_area_with_a_tenth_of_its_faces():
-    """Area is kept on average: over 20 draws to 1 %, with 2048 of 20 480 even faces, whose sum scatters by 2 % a draw."""
+    """Area is kept on average: over 20 draws to 1 %, with 2048 of 20 480 even faces, whose sum scatters by 2 % a
+    draw.
+    """
     whole = ball(0.0, subdivisions=5)
     areas, counts = [], []
     for draw in range(20):
@@ -166,7 +198,9 @@ def test_thinning_keeps_a_wall_and_thins_its_ivy():
     ivy = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
     both = trimesh.util.concatenate([wall, ivy])
     thin = cull.simplified({"type": "mesh", "positions": both.vertices, "faces": both.faces}, "wall")
-    np.testing.assert_allclose(np.sort(trimesh.Trimesh(thin["positions"], thin["faces"], process=False).area_faces)[-2:], 40.0)
+    np.testing.assert_allclose(
+        np.sort(trimesh.Trimesh(thin["positions"], thin["faces"], process=False).area_faces)[-2:], 40.0
+    )
     assert len(thin["faces"]) == pytest.approx(512, rel=0.15)
 
 
@@ -183,9 +217,15 @@ def test_corners_keep_their_texture_and_normals():
 
 
 def test_the_reduced_scene_has_what_its_record_says_and_nothing_unused():
-    """Triangles, materials and instances agree with the record; the renderer takes it; each instance is still listed."""
+    """Triangles, materials and instances agree with the record; the renderer takes it; each instance is still
+    listed.
+    """
     source = avenue(20.0, 350.0, shape_wide=ball(160.0, radius_m=40.0))
-    source = replace(source, instance_of={**source.instance_of, ("shape_wide",): 4}, instances=(*source.instances, Instance(4, "/World/Wide", "car")))
+    source = replace(
+        source,
+        instance_of={**source.instance_of, ("shape_wide",): 4},
+        instances=(*source.instances, Instance(4, "/World/Wide", "car")),
+    )
     hidden = hide(source)
     small = cull.reduced(source, hidden)
     assert hidden.left_out == {"shape_350", "instance_0"} and hidden.simplified == {"shape_wide"}
@@ -195,7 +235,9 @@ def test_the_reduced_scene_has_what_its_record_says_and_nothing_unused():
     assert load(small, boundaries=False).shapes
     found = hidden.instances(source)
     assert [state for _, state in found.values()] == ["whole", "left out", "left out", "simplified"]
-    assert found[2][0] == pytest.approx(np.exp(-SIGMA * 348.0)) and hidden.sentence(source).startswith("3 of 4 instances lie behind fog (T < 0.0016)")
+    assert found[2][0] == pytest.approx(np.exp(-SIGMA * 348.0)) and hidden.sentence(source).startswith(
+        "3 of 4 instances lie behind fog (T < 0.0016)"
+    )
     assert small.instances == source.instances
 
 
@@ -204,12 +246,21 @@ def test_instances_of_one_prototype_share_their_simplified_one():
     source = avenue(120.0, light={**SKY, **SUN})
     near, beside = np.eye(4), np.eye(4)
     near[:3, 3], beside[:3, 3] = (5.0, 20.0, 0.0), (-10.0, 125.0, 0.0)
-    more = {f"instance_{name}": {**source.world["instance_0"], "to_world": matrix} for name, matrix in (("near", near), ("beside", beside))}
+    more = {
+        f"instance_{name}": {**source.world["instance_0"], "to_world": matrix}
+        for name, matrix in (("near", near), ("beside", beside))
+    }
     source = replace(source, world={**source.world, **more})
     small = cull.reduced(source, hide(source))
     refers = {key: small.world[key]["group"]["id"] for key in ("instance_0", "instance_near", "instance_beside")}
-    assert refers == {"instance_0": "group_ball_simplified", "instance_near": "group_ball", "instance_beside": "group_ball_simplified"}
-    assert len(small.world["group_ball_simplified"]["skin"]["faces"]) < 0.2 * len(small.world["group_ball"]["skin"]["faces"])
+    assert refers == {
+        "instance_0": "group_ball_simplified",
+        "instance_near": "group_ball",
+        "instance_beside": "group_ball_simplified",
+    }
+    assert len(small.world["group_ball_simplified"]["skin"]["faces"]) < 0.2 * len(
+        small.world["group_ball"]["skin"]["faces"]
+    )
 
 
 def test_the_transmittance_layer_is_that_of_the_whole_scene():

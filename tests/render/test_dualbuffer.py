@@ -17,7 +17,12 @@ SHAPE = (120, 160)
 def truth():
     """Fields and edges, 0.2 to 2.2."""
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] / 20.0
-    fields = 1.0 + 0.5 * np.sin(3.0 * x) * np.cos(2.0 * y) + np.where(x + y > 7.0, 0.7, 0.0) - np.where((x % 2 < 0.3), 0.3, 0.0)
+    fields = (
+        1.0
+        + 0.5 * np.sin(3.0 * x) * np.cos(2.0 * y)
+        + np.where(x + y > 7.0, 0.7, 0.0)
+        - np.where((x % 2 < 0.3), 0.3, 0.0)
+    )
     return np.repeat(fields[..., None], 3, axis=2).astype(np.float32)
 
 
@@ -47,7 +52,9 @@ def rms(values):
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("noise", [0.1, 0.4])
 def test_the_error_that_is_told_is_the_error_that_is_there(name, noise):
-    """Relative RMS over the picture, five seeds pooled: within 15 % (measured 6 %); noise of 19 200 pixels leaves 4 %."""
+    """Relative RMS over the picture, five seeds pooled: within 15 % (measured 6 %); noise of 19 200 pixels leaves 4
+    %.
+    """
     told, there = [], []
     for seed in range(5):
         noisy = halves(noise, seed)
@@ -74,7 +81,9 @@ def test_what_differs_between_two_seeds_is_told_apart_from_what_does_not():
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("noise", [0.01, 0.03, 0.1, 0.4, 1.0])
 def test_going_back_to_the_samples_never_costs_much_and_ends_at_the_truth(name, noise):
-    """Never over 1.15 times the error of the better of samples and filter: of the samples where those are good, of the filter where they are not."""
+    """Never over 1.15 times the error of the better of samples and filter: of the samples where those are good, of the
+    filter where they are not.
+    """
     before, samples, after = [], [], []
     for seed in range(3):
         noisy = halves(noise, seed)
@@ -86,7 +95,9 @@ def test_going_back_to_the_samples_never_costs_much_and_ends_at_the_truth(name, 
 
 
 def test_light_that_the_filter_lost_comes_back():
-    """A tenth is lost; the mean is that of the samples, to rounding, and blocks of 40 pixels are within 1.5 % of the truth."""
+    """A tenth is lost; the mean is that of the samples, to rounding, and blocks of 40 pixels are within 1.5 % of the
+    truth.
+    """
     noisy = halves(0.2, 0)
     clean = np.stack([FILTERS["loses a tenth"](half) for half in noisy])
     done = towards_truth(noisy, clean, GREY).mean(axis=0)
@@ -118,4 +129,6 @@ def test_blurs_by_way_of_larger_pixels_keep_the_mean_and_the_size():
     spread = dualbuffer._spread(dualbuffer._binned(image, 16), 16, image.shape[:2])
     assert spread.shape == image.shape
     assert spread.mean() == pytest.approx(image.mean(), rel=0.01)
-    np.testing.assert_allclose(dualbuffer._spread(dualbuffer._binned(0 * image + 0.7, 4), 4, image.shape[:2]), 0.7, rtol=1e-5)
+    np.testing.assert_allclose(
+        dualbuffer._spread(dualbuffer._binned(0 * image + 0.7, 4), 4, image.shape[:2]), 0.7, rtol=1e-5
+    )

@@ -11,8 +11,12 @@ from synfog_usd.render.shot import load, render
 from synfog_usd.testing import box, scene, uniform_fog, wall
 
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
-GREY = {"bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.4, 0.4, 0.4]}}}}
-LAMP = {"light_lamp": {"type": "point", "position": [5.0, 25.0, 4.0], "intensity": {"type": "rgb", "value": [100.0] * 3}}}
+GREY = {
+    "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.4, 0.4, 0.4]}}}
+}
+LAMP = {
+    "light_lamp": {"type": "point", "position": [5.0, 25.0, 4.0], "intensity": {"type": "rgb", "value": [100.0] * 3}}
+}
 GROUND = {
     "type": "mesh",
     "positions": np.array([[-100, -100, -2], [100, -100, -2], [100, 100, -2], [-100, 100, -2.0]]),
@@ -44,7 +48,10 @@ def test_the_white_furnace_stays_white():
 )
 def test_the_mean_is_that_of_path(world, model, samples, resolves):
     """Beside a lamp and under a sky, with an object in front: within five standard errors of both."""
-    ours, theirs = means(view(world), 12, model=model, samples=samples), means(view(world), 12, model="path", samples=2 * samples)
+    ours, theirs = (
+        means(view(world), 12, model=model, samples=samples),
+        means(view(world), 12, model="path", samples=2 * samples),
+    )
     error = np.hypot(ours.std(ddof=1), theirs.std(ddof=1)) / np.sqrt(12)
     assert 10 * error < resolves * theirs.mean(), f"cannot see {resolves:.0%}"
     assert abs(ours.mean() - theirs.mean()) < 5 * error
@@ -52,12 +59,17 @@ def test_the_mean_is_that_of_path(world, model, samples, resolves):
 
 @pytest.mark.slow
 def test_pixels_are_right_one_by_one_and_quieter_than_those_of_path():
-    """RMS error over the pixels beside a lamp: at the same cost in paths under two thirds of `path`'s, the reference's own left in both."""
+    """RMS error over the pixels beside a lamp: at the same cost in paths under two thirds of `path`'s, the reference's
+    own left in both.
+    """
     world = view({**STREET, **LAMP}, width_px=160)
     right = render(world, model="path", samples=4096, seed=99).radiance.pixels.mean(axis=2)
     scale = np.maximum(right, 0.05 * right.mean())
     error = {
-        model: np.sqrt(np.median(((render(world, model=model, samples=64).radiance.pixels.mean(axis=2) - right) / scale) ** 2)) for model in ("field", "path")
+        model: np.sqrt(
+            np.median(((render(world, model=model, samples=64).radiance.pixels.mean(axis=2) - right) / scale) ** 2)
+        )
+        for model in ("field", "path")
     }
     assert error["field"] < 0.67 * error["path"]
 
@@ -65,7 +77,14 @@ def test_pixels_are_right_one_by_one_and_quieter_than_those_of_path():
 def test_layers_and_groups_add_up():
     """As in `path`: three layers, and the groups of lamps, each sum to all light."""
     world = view({**SKY, **STREET, **LAMP})
-    world = type(world)(world.world, world.camera, world.fog, world.instances, world.instance_of, group_of={"light_lamp": "headlights", "light_sky": "sky"})
+    world = type(world)(
+        world.world,
+        world.camera,
+        world.fog,
+        world.instances,
+        world.instance_of,
+        group_of={"light_lamp": "headlights", "light_sky": "sky"},
+    )
     done = render(world, model="field", samples=64)
     np.testing.assert_allclose(sum(done.components.values()), done.radiance.pixels, rtol=1e-3, atol=1e-5)
     assert set(done.groups) == {"headlights", "sky"}
@@ -73,7 +92,9 @@ def test_layers_and_groups_add_up():
 
 
 def test_the_stated_variance_is_near_that_of_the_mean():
-    """Neighbours share noise, but each pixel's own scatter between seeds is what is stated, to a factor of two on the median."""
+    """Neighbours share noise, but each pixel's own scatter between seeds is what is stated, to a factor of two on the
+    median.
+    """
     world = view({**STREET, **LAMP})
     seen = [run.radiance for run in by_seed(world, range(24), model="field", samples=64)]
     scatter = np.var([image.pixels.mean(axis=2) for image in seen], axis=0, ddof=1)
@@ -101,7 +122,10 @@ def test_clear_air_has_no_grid():
     world = scene({**SKY, "shape_wall": wall(20.0, **GREY)})
     loaded = load(world, boundaries=False)
     assert models.make("field", loaded).radiance_cache() is None
-    np.testing.assert_array_equal(render(world, model="field", samples=16).radiance.pixels, render(world, model="path", samples=16).radiance.pixels)
+    np.testing.assert_array_equal(
+        render(world, model="field", samples=16).radiance.pixels,
+        render(world, model="path", samples=16).radiance.pixels,
+    )
 
 
 def test_bands_go_through_the_grid():
@@ -109,5 +133,7 @@ def test_bands_go_through_the_grid():
     from synfog_usd.render.spectra import bands
 
     world = view({**SKY, **STREET})
-    plain, banded = (render(world, model="field", samples=32, bands=count).radiance.pixels.mean(axis=(0, 1)) for count in (3, 8))
+    plain, banded = (
+        render(world, model="field", samples=32, bands=count).radiance.pixels.mean(axis=(0, 1)) for count in (3, 8)
+    )
     np.testing.assert_allclose(banded / bands.matrices(8)[0].sum(axis=0), plain.mean(), rtol=0.005)

@@ -12,7 +12,13 @@ from synfog_usd.testing import scene
 
 
 def part(mesh, material, **more):
-    return {"type": "mesh", "positions": np.asarray(mesh.vertices), "faces": np.asarray(mesh.faces), "bsdf": {"type": "ref", "id": material}, **more}
+    return {
+        "type": "mesh",
+        "positions": np.asarray(mesh.vertices),
+        "faces": np.asarray(mesh.faces),
+        "bsdf": {"type": "ref", "id": material},
+        **more,
+    }
 
 
 def village():
@@ -25,12 +31,20 @@ def village():
         "dome": part(ball.copy().apply_translation((0, 0, 1)), "mat_b", normals=np.asarray(ball.vertex_normals)),
     }
     turn = trimesh.transformations.rotation_matrix
-    places = [turn(0.4, (0, 0, 1)) @ np.diag([1, 1, 1, 1.0]), np.diag([-1, 1, 1, 1.0]) @ turn(0.9, (1, 1, 0)), np.diag([0.5, 1.5, 2.0, 1])]
+    places = [
+        turn(0.4, (0, 0, 1)) @ np.diag([1, 1, 1, 1.0]),
+        np.diag([-1, 1, 1, 1.0]) @ turn(0.9, (1, 1, 0)),
+        np.diag([0.5, 1.5, 2.0, 1]),
+    ]
     instance_of = {}
     for index, matrix in enumerate(places):
         matrix = matrix.copy()
         matrix[:3, 3] = (-6 + 6 * index, 30, 0)
-        world[f"instance_{index}"] = {"type": "instance", "group": {"type": "ref", "id": "group_house"}, "to_world": matrix}
+        world[f"instance_{index}"] = {
+            "type": "instance",
+            "group": {"type": "ref", "id": "group_house"},
+            "to_world": matrix,
+        }
         instance_of |= {(f"instance_{index}", "walls"): 10 + index, (f"instance_{index}", "dome"): 20 + index}
     world["shape_loose"] = part(trimesh.creation.box(extents=(40, 1, 1)).apply_translation((0, 40, -2)), "mat_a")
     instance_of[("shape_loose",)] = 7
@@ -51,13 +65,17 @@ def test_joined_instances_look_like_the_renderer_s_own(monkeypatch):
 
 
 def test_what_does_not_fit_stays_instances_of_the_largest_prototypes(monkeypatch):
-    """Of three houses of 332 triangles and five posts of 12 beside a mesh of 12, 700 triangles hold all posts and one house.
+    """Of three houses of 332 triangles and five posts of 12 beside a mesh of 12, 700 triangles hold all posts and one
+    house.
 
     All instances stayed what they are as soon as one was too many, and each costs a kernel's time.
     """
     source = village()
     post = {"type": "shapegroup", "post": part(trimesh.creation.box(), "mat_a")}
-    more = {f"instance_p{n}": {"type": "instance", "group": {"type": "ref", "id": "group_post"}, "to_world": np.eye(4)} for n in range(5)}
+    more = {
+        f"instance_p{n}": {"type": "instance", "group": {"type": "ref", "id": "group_post"}, "to_world": np.eye(4)}
+        for n in range(5)
+    }
     source = replace(source, world={**source.world, "group_post": post, **more})
     monkeypatch.setattr(flatten, "MAX_TRIANGLES", 12 + 5 * 12 + 332 + 100)
     flat, instances = flatten.flatten(source)
@@ -71,16 +89,34 @@ def test_joining_leaves_one_mesh_a_material_and_keeps_every_face():
     flat, instances = flatten.flatten(village())
     meshes = {key: value for key, value in flat.world.items() if key.startswith("shape_")}
     assert len(meshes) == 2 and not [key for key in flat.world if key.startswith(("instance_", "group_"))]
-    assert {key: len(value["faces"]) for key, value in meshes.items()} == {key: len(ids) for key, ids in instances.items()}
+    assert {key: len(value["faces"]) for key, value in meshes.items()} == {
+        key: len(ids) for key, ids in instances.items()
+    }
     assert sum(len(ids) for ids in instances.values()) == 4 * 12 + 3 * 320
     counts = np.unique(np.concatenate(list(instances.values())), return_counts=True)
-    assert dict(zip(*(column.tolist() for column in counts), strict=True)) == {7: 12, 10: 12, 11: 12, 12: 12, 20: 320, 21: 320, 22: 320}
+    assert dict(zip(*(column.tolist() for column in counts), strict=True)) == {
+        7: 12,
+        10: 12,
+        11: 12,
+        12: 12,
+        20: 320,
+        21: 320,
+        22: 320,
+    }
 
 
 def test_what_cannot_be_joined_stays():
     """A ball of the renderer's own, a lamp, and a mesh with a material of its own are left as they are."""
-    lamp = {**part(trimesh.creation.box(), "mat_a"), "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
+    lamp = {
+        **part(trimesh.creation.box(), "mat_a"),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}},
+    }
     own = {**part(trimesh.creation.box(), "mat_a"), "bsdf": {"type": "diffuse"}}
-    world = {"mat_a": {"type": "diffuse"}, "shape_ball": {"type": "sphere", "bsdf": {"type": "ref", "id": "mat_a"}}, "shape_lamp": lamp, "shape_own": own}
+    world = {
+        "mat_a": {"type": "diffuse"},
+        "shape_ball": {"type": "sphere", "bsdf": {"type": "ref", "id": "mat_a"}},
+        "shape_lamp": lamp,
+        "shape_own": own,
+    }
     flat, instances = flatten.flatten(scene(world))
     assert flat.world == {"type": "scene", **world} and not instances

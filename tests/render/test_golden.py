@@ -27,9 +27,20 @@ def world(lit):
     down = np.diag([1.0, -1.0, -1.0, 1.0])
     down[:3, 3] = -2.0, 9.0, 4.0
     lamps = {
-        "light_spot": {"type": "spot", "to_world": down, "intensity": {"type": "rgb", "value": [500.0, 400.0, 300.0]}, "cutoff_angle": 60.0},
-        "light_bulb": {"type": "point", "position": [3.0, 14.0, 1.0], "intensity": {"type": "rgb", "value": [50.0] * 3}},
-        "shape_lamp": wall(12.0, 0.3, bsdf=GREY, emitter={"type": "area", "radiance": {"type": "rgb", "value": [900.0, 900.0, 700.0]}}),
+        "light_spot": {
+            "type": "spot",
+            "to_world": down,
+            "intensity": {"type": "rgb", "value": [500.0, 400.0, 300.0]},
+            "cutoff_angle": 60.0,
+        },
+        "light_bulb": {
+            "type": "point",
+            "position": [3.0, 14.0, 1.0],
+            "intensity": {"type": "rgb", "value": [50.0] * 3},
+        },
+        "shape_lamp": wall(
+            12.0, 0.3, bsdf=GREY, emitter={"type": "area", "radiance": {"type": "rgb", "value": [900.0, 900.0, 700.0]}}
+        ),
     }
     ground = np.array([[-side, -side, -1.5], [side, -side, -1.5], [side, side, -1.5], [-side, side, -1.5]])
     parts = {
@@ -76,5 +87,8 @@ def test_another_seed_gives_another_picture():
 
 if __name__ == "__main__":
     rows = {name: picture(name).astype(float) for name in CASES}
-    lines = [f" {json.dumps(name)}: {json.dumps([[[float(f'{v:.7g}') for v in p] for p in row] for row in pixels])}" for name, pixels in rows.items()]
+    lines = [
+        f" {json.dumps(name)}: {json.dumps([[[float(f'{v:.7g}') for v in p] for p in row] for row in pixels])}"
+        for name, pixels in rows.items()
+    ]
     FILE.write_text("{\n" + ",\n".join(lines) + "\n}\n")

@@ -1,4 +1,6 @@
-"""Lights drawn by what they matter: the weights know where a light shines, the draws follow them, and the estimate stays that of all lights."""
+"""Lights drawn by what they matter: the weights know where a light shines, the draws follow them, and the estimate
+stays that of all lights.
+"""
 
 import drjit as dr
 import numpy as np
@@ -28,7 +30,9 @@ def mi():
 
 def lopsided(polar, around):
     """A beam of 20 degrees and a bump at 60 degrees on one side, as a share of its peak."""
-    return np.exp(-0.5 * (polar / 0.35) ** 2) + 0.4 * np.exp(-0.5 * ((polar - 1.05) / 0.3) ** 2) * (0.5 + 0.5 * np.cos(around - 0.6))
+    return np.exp(-0.5 * (polar / 0.35) ** 2) + 0.4 * np.exp(-0.5 * ((polar - 1.05) / 0.3) ** 2) * (
+        0.5 + 0.5 * np.cos(around - 0.6)
+    )
 
 
 def world(count=COUNT):
@@ -51,7 +55,11 @@ def world(count=COUNT):
         else:
             corners = place + 0.2 * np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]) @ turn.T
             mesh = {"type": "mesh", "positions": corners, "faces": np.array([(0, 1, 2), (0, 2, 3)])}
-            parts[f"shape_{number}"] = {**mesh, "emitter": {"type": "area", "radiance": colour}, "bsdf": {"type": "diffuse"}}
+            parts[f"shape_{number}"] = {
+                **mesh,
+                "emitter": {"type": "area", "radiance": colour},
+                "bsdf": {"type": "diffuse"},
+            }
     return parts
 
 
@@ -68,11 +76,17 @@ def rays(mi, count, seed=11):
     begin = draw.uniform(0.0, 20.0, count)
     origin = draw.normal(size=(3, count)) * 10.0
     arrays = (origin, way / np.linalg.norm(way, axis=0), begin, begin + 10.0 ** draw.uniform(-2, 2, count))
-    return mi.Point3f(arrays[0].astype(np.float32)), mi.Vector3f(arrays[1].astype(np.float32)), *(mi.Float(a.astype(np.float32)) for a in arrays[2:])
+    return (
+        mi.Point3f(arrays[0].astype(np.float32)),
+        mi.Vector3f(arrays[1].astype(np.float32)),
+        *(mi.Float(a.astype(np.float32)) for a in arrays[2:]),
+    )
 
 
 def test_tables_know_where_each_light_shines(mi, both):
-    """The octahedral tables against `LightSampler.sent`, which is tested against the record: texels of 5 degrees blur a beam's edge, nothing is mirrored."""
+    """The octahedral tables against `LightSampler.sent`, which is tested against the record: texels of 5 degrees blur a
+    beam's edge, nothing is mirrored.
+    """
     lights, _, importance = both
     way = np.random.default_rng(1).normal(size=(3, 20_000))
     way = mi.Vector3f((way / np.linalg.norm(way, axis=0)).astype(np.float32))
@@ -81,7 +95,11 @@ def test_tables_know_where_each_light_shines(mi, both):
         _, _, axis, table, x = importance._row(mi.UInt32(number))
         known = np.array(importance._sent(importance.sent, axis, x, table, way))
         true = np.array(lights.sent(lights.columns.at(mi.UInt32(int(row))), way))
-        assert np.abs(known - true).mean() < 0.02 and np.corrcoef(known, true)[0, 1] > 0.97 if true.std() > 0 else np.allclose(known, true)
+        assert (
+            np.abs(known - true).mean() < 0.02 and np.corrcoef(known, true)[0, 1] > 0.97
+            if true.std() > 0
+            else np.allclose(known, true)
+        )
 
 
 def test_no_light_is_left_out_anywhere(mi, both):
@@ -94,11 +112,16 @@ def test_no_light_is_left_out_anywhere(mi, both):
 
 
 def test_draws_follow_the_weights(mi, both):
-    """2^18 draws for one stretch and one point: chi-square of each pick against the stated chances, alpha 1e-4; picks are independent of each other."""
+    """2^18 draws for one stretch and one point: chi-square of each pick against the stated chances, alpha 1e-4; picks
+    are independent of each other.
+    """
     _, _, importance = both
     count = 1 << 18
     origin, direction, begin, end = rays(mi, 1, seed=5)
-    for weigh in (lambda i: importance.along(i, origin, direction, begin, end), lambda i: importance.at(i, origin, lambda way: dr.abs(way.z) + 0.05)):
+    for weigh in (
+        lambda i: importance.along(i, origin, direction, begin, end),
+        lambda i: importance.at(i, origin, lambda way: dr.abs(way.z) + 0.05),
+    ):
         weights = np.array([float(weigh(mi.UInt32(number))[0]) for number in range(COUNT)])
         chance = weights / weights.sum()
         picks = importance.draw(weigh, Sobol(9, dr.arange(mi.UInt32, count), mi.UInt32(0)), mi.Bool(True))
@@ -108,7 +131,11 @@ def test_draws_follow_the_weights(mi, both):
             np.testing.assert_allclose(np.array(picks.at(mi.UInt32(k))[1]), chance[found], rtol=1e-3)
             seen = np.bincount(found, minlength=COUNT)
             assert (
-                stats.chisquare(np.r_[seen[usual], seen[~usual].sum() + 1e-9], np.r_[chance[usual], chance[~usual].sum() + 1e-9 / count] * count).pvalue > 1e-4
+                stats.chisquare(
+                    np.r_[seen[usual], seen[~usual].sum() + 1e-9],
+                    np.r_[chance[usual], chance[~usual].sum() + 1e-9 / count] * count,
+                ).pvalue
+                > 1e-4
             )
         table = np.histogram2d(numbers[0], numbers[1], bins=[np.arange(COUNT + 1)] * 2)[0]
         table = table[table.sum(axis=1) > 3000][:, table.sum(axis=0) > 3000]
@@ -117,7 +144,9 @@ def test_draws_follow_the_weights(mi, both):
 
 @pytest.mark.parametrize("kind", ["along", "at"])
 def test_many_lights_drawn_are_all_lights_asked(mi, both, kind):
-    """The mean over 2^20 draws of four against the sum over lights asked one by one, each a sampler of its own; within five standard errors, 2 % resolved."""
+    """The mean over 2^20 draws of four against the sum over lights asked one by one, each a sampler of its own; within
+    five standard errors, 2 % resolved.
+    """
     lights, medium, importance = both
     count = 1 << 20
     sampler = Sobol(21, dr.arange(mi.UInt32, count), mi.UInt32(0))
@@ -128,7 +157,16 @@ def test_many_lights_drawn_are_all_lights_asked(mi, both, kind):
 
     def mean(these, known):
         if kind == "along":
-            _, _, colour, _ = these.along(origin, direction, begin, end, medium, sampler, mi.Bool(True) & (dr.arange(mi.UInt32, count) < count), known)
+            _, _, colour, _ = these.along(
+                origin,
+                direction,
+                begin,
+                end,
+                medium,
+                sampler,
+                mi.Bool(True) & (dr.arange(mi.UInt32, count) < count),
+                known,
+            )
         else:
             _, colour, _, _ = these.at(origin, response, sampler, dr.arange(mi.UInt32, count) < count, known)
         value = np.array(colour, dtype=np.float64).sum(axis=0)
@@ -149,7 +187,15 @@ def test_many_lights_drawn_are_all_lights_asked(mi, both, kind):
 def hall(roughness):
     """A glossy floor and a grey wall under 16 panes lit from below, each 0.3 m wide, in clear air."""
     grey = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.4] * 3}}}
-    glossy = {"type": "twosided", "bsdf": {"type": "principled", "base_color": {"type": "rgb", "value": [0.2] * 3}, "roughness": roughness, "specular": 0.8}}
+    glossy = {
+        "type": "twosided",
+        "bsdf": {
+            "type": "principled",
+            "base_color": {"type": "rgb", "value": [0.2] * 3},
+            "roughness": roughness,
+            "specular": 0.8,
+        },
+    }
     floor = np.array([[-8, 0, -1.5], [8, 0, -1.5], [8, 20, -1.5], [-8, 20, -1.5]])
     parts = {
         "shape_floor": {"type": "mesh", "positions": floor, "faces": np.array([[0, 1, 2], [0, 2, 3]]), "bsdf": glossy},
@@ -157,19 +203,32 @@ def hall(roughness):
     }
     for number in range(16):
         place = np.array([-4.0 + 2.6 * (number % 4), 4.0 + 3.4 * (number // 4), -0.9 + 0.3 * (number % 3)])
-        corners = place + 0.3 * np.array([(0, 0, 0), (0, 1, 0), (1, 1, 0), (1, 0, 0)])  # facing down: the eye sees them in the floor alone
+        corners = place + 0.3 * np.array(
+            [(0, 0, 0), (0, 1, 0), (1, 1, 0), (1, 0, 0)]
+        )  # facing down: the eye sees them in the floor alone
         colour = {"type": "rgb", "value": [20.0 + 5.0 * number, 40.0, 10.0]}
         mesh = {"type": "mesh", "positions": corners, "faces": np.array([(0, 1, 2), (0, 2, 3)])}
-        parts[f"shape_pane_{number}"] = {**mesh, "emitter": {"type": "area", "radiance": colour}, "bsdf": {"type": "diffuse"}}
+        parts[f"shape_pane_{number}"] = {
+            **mesh,
+            "emitter": {"type": "area", "radiance": colour},
+            "bsdf": {"type": "diffuse"},
+        }
     return scene(parts, (), fov_x_deg=60.0)
 
 
 @pytest.mark.parametrize("roughness", [0.15, 0.3])
 def test_lit_faces_in_a_glossy_floor_agree_with_volpath(roughness):
-    """Faces met by chance and faces drawn share the light between them: the same mean within five standard errors, 5 % resolved."""
+    """Faces met by chance and faces drawn share the light between them: the same mean within five standard errors, 5 %
+    resolved.
+    """
     means = {}
     for model, samples in (("path", 256), ("volpath", 4096)):
-        means[model] = np.array([render(hall(roughness), samples=samples, seed=seed, model=model).radiance.pixels.mean(dtype=np.float64) for seed in range(8)])
+        means[model] = np.array(
+            [
+                render(hall(roughness), samples=samples, seed=seed, model=model).radiance.pixels.mean(dtype=np.float64)
+                for seed in range(8)
+            ]
+        )
     ours, theirs = means["path"], means["volpath"]
     error = np.hypot(ours.std(ddof=1), theirs.std(ddof=1)) / np.sqrt(8)
     assert 5 * error < 0.05 * theirs.mean(), f"cannot see 5 %: error is {error / theirs.mean():.2%}"

@@ -41,9 +41,13 @@ print(json.dumps([[str(name), place, count, new] for (name, place), (count, new)
 
 
 def kernels(folder: Path, out: str, *, width: int, height: int, samples: int) -> list[list]:
-    """[hash, lighting, operations, whether it was compiled] of each kernel of a bake in a process of its own, with the kernel cache of `folder`."""
+    """[hash, lighting, operations, whether it was compiled] of each kernel of a bake in a process of its own, with the
+    kernel cache of `folder`.
+    """
     arguments = [sys.executable, "-c", BAKE, str(folder), out, *map(str, (width, height, samples))]
-    done = subprocess.run(arguments, capture_output=True, text=True, env={**os.environ, "HOME": str(folder)}, timeout=500)
+    done = subprocess.run(
+        arguments, capture_output=True, text=True, env={**os.environ, "HOME": str(folder)}, timeout=500
+    )
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     if found is None:

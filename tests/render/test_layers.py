@@ -48,7 +48,9 @@ def test_depth_is_planar_and_distance_is_along_the_ray(measured):
 def test_transmittance_of_a_wall_at_50_m(visibility_m, measured):
     """exp(-2.996 / MOR * 50 m) on the axis, and with the ray's length off it."""
     seen = measured({"shape_wall": wall(50.0)}, [uniform_fog(visibility_m=visibility_m)], fov_x_deg=60.0)
-    np.testing.assert_allclose(seen.transmittance, np.exp(np.log(0.05) / visibility_m * 50.0 / rays(fov_x_deg=60.0)[:, :, 1]), rtol=FLOAT32)
+    np.testing.assert_allclose(
+        seen.transmittance, np.exp(np.log(0.05) / visibility_m * 50.0 / rays(fov_x_deg=60.0)[:, :, 1]), rtol=FLOAT32
+    )
 
 
 def test_fog_counts_only_between_the_camera_and_the_surface(measured):
@@ -63,7 +65,9 @@ def test_a_dense_bank_inside_thin_fog_adds_up_by_parts(measured):
     thin = FogVolume("/Thin", box(200.0), FogMedium(0.01))
     bank = FogVolume("/Bank", box((50, 5, 50), (0, 20, 0)), FogMedium(0.3), priority=1, parent=0)
     seen = measured({"shape_wall": wall(60.0)}, [thin, bank], fov_x_deg=2.0)
-    np.testing.assert_allclose(seen.transmittance, np.exp(-(0.01 * 50 + 0.3 * 10) / rays(fov_x_deg=2.0)[:, :, 1]), rtol=8 * FLOAT32)
+    np.testing.assert_allclose(
+        seen.transmittance, np.exp(-(0.01 * 50 + 0.3 * 10) / rays(fov_x_deg=2.0)[:, :, 1]), rtol=8 * FLOAT32
+    )
 
 
 @pytest.mark.parametrize("kind", ["sphere", "mesh"])
@@ -73,7 +77,11 @@ def test_round_boundaries_end_the_fog_at_their_surface(kind, measured):
         boundary, radius, rtol = Boundary("sphere", np.diag([80.0, 80.0, 80.0, 1.0])), 80.0, FLOAT32
     else:
         ball = trimesh.creation.icosphere(subdivisions=5, radius=80.0)
-        boundary, radius, rtol = Boundary("mesh", np.eye(4), ball.vertices, ball.faces), 80.0, 1e-3  # chords of an icosphere: sagitta 0.05 %
+        boundary, radius, rtol = (
+            Boundary("mesh", np.eye(4), ball.vertices, ball.faces),
+            80.0,
+            1e-3,
+        )  # chords of an icosphere: sagitta 0.05 %
     seen = measured({}, [FogVolume("/Fog", boundary, FogMedium(0.02))])
     assert (seen.instance_id == 0).all() and np.isinf(seen.depth_m).all()
     np.testing.assert_allclose(seen.transmittance, np.exp(-0.02 * radius), rtol=rtol)
@@ -83,7 +91,9 @@ def test_exponential_fog_thins_with_height(measured):
     """Looking up out of an exponential layer, tau is the closed-form column over cos."""
     up = np.eye(4)
     up[:3, :3] = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
-    fog = FogVolume("/Fog", box(100.0), FogMedium(0.05, profile="exponential", base_height_m=-100.0, scale_height_m=40.0))
+    fog = FogVolume(
+        "/Fog", box(100.0), FogMedium(0.05, profile="exponential", base_height_m=-100.0, scale_height_m=40.0)
+    )
     seen = measured({}, [fog], to_world=up, width_px=9, height_px=9)
     column = 0.05 * 40.0 * (np.exp(-100.0 / 40.0) - np.exp(-200.0 / 40.0))
     half = np.tan(np.radians(5.0))
@@ -117,7 +127,10 @@ def test_instances_of_one_prototype_are_different_things():
     ball = {"type": "sphere", "bsdf": {"type": "diffuse"}}
     places = [np.array([[1, 0, 0, x], [0, 1, 0, 20], [0, 0, 1, 0], [0, 0, 0, 1.0]]) for x in (-2.0, 2.0)]
     world = {"group_ball": {"type": "shapegroup", "ball": ball}}
-    world |= {f"instance_{i}": {"type": "instance", "group": {"type": "ref", "id": "group_ball"}, "to_world": place} for i, place in enumerate(places)}
+    world |= {
+        f"instance_{i}": {"type": "instance", "group": {"type": "ref", "id": "group_ball"}, "to_world": place}
+        for i, place in enumerate(places)
+    }
     whole = scene(world, fov_x_deg=30.0)
     seen = aovs.measure(load(replace(whole, instance_of={("instance_0", "ball"): 5, ("instance_1", "ball"): 6})))
     assert set(np.unique(seen.instance_id)) == {0, 5, 6}
@@ -126,7 +139,9 @@ def test_instances_of_one_prototype_are_different_things():
 
 @pytest.mark.parametrize("f_number", [0.0, 2.8])
 def test_a_shifted_camera_sees_to_the_side_it_is_shifted_to(f_number):
-    """An axis shifted by (0.25, 0.1) of the picture puts the point straight ahead that far left of and below the centre."""
+    """An axis shifted by (0.25, 0.1) of the picture puts the point straight ahead that far left of and below the
+    centre.
+    """
     whole = scene({"shape_dot": wall(50.0, 0.5)}, width_px=80, height_px=40, fov_x_deg=40.0)
     camera = replace(whole.camera, shift=(0.25, 0.1), f_number=f_number, focal_length_m=0.035, focus_m=50.0)
     y, x = np.nonzero(aovs.measure(load(replace(whole, camera=camera))).instance_id)

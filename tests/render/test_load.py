@@ -9,7 +9,9 @@ from synfog_usd.testing import black, scene, sky, wall
 
 
 def test_lights_are_chosen_by_the_root_of_their_flux_and_the_sky_keeps_its_share():
-    """Lamps of 1 : 9 in flux are chosen 1 : 3, all of them together as often as the sky; of lamps without flux each as often as the other."""
+    """Lamps of 1 : 9 in flux are chosen 1 : 3, all of them together as often as the sky; of lamps without flux each as
+    often as the other.
+    """
     world = {**sky(), "shape_one": wall(10.0, 1.0, **black(1.0)), "shape_other": wall(20.0, 1.0, **black(9.0))}
 
     def weights(**flux):

@@ -74,10 +74,18 @@ PLACES = {
 
 @pytest.mark.parametrize("name", PLACES)
 def test_a_lamp_scatters_once_what_its_table_says(name):
-    """Thin fog (tau 0.12 over 60 m) before a black wall, one pixel of 0.1 degrees, against midpoints over the ray; 1.5 % is resolved."""
+    """Thin fog (tau 0.12 over 60 m) before a black wall, one pixel of 0.1 degrees, against midpoints over the ray; 1.5
+    % is resolved.
+    """
     matrix = PLACES[name]
     fog = FogVolume("/Fog", box(200.0), FogMedium(SIGMA_T, albedo=1.0, g=G))
-    world = scene({"light_lamp": lamp(matrix), "shape_wall": wall(60.0, 30.0, **black(0.0))}, [fog], width_px=2, height_px=2, fov_x_deg=0.1)
+    world = scene(
+        {"light_lamp": lamp(matrix), "shape_wall": wall(60.0, 30.0, **black(0.0))},
+        [fog],
+        width_px=2,
+        height_px=2,
+        fov_x_deg=0.1,
+    )
     integrator, means = models.make("path", load(world, boundaries=False)), []
     for seed in range(8):
         accumulated = new_accumulator(integrator, 4)
@@ -103,7 +111,9 @@ def test_the_emitter_and_the_table_agree_in_all_directions():
     it.p = mi.Point3f((matrix[:3, 3] + 3.0 * way).T)
     _, found = mi.load_dict(parts).sample_direction(it, mi.Point2f(0.5), True)
     wanted = sent(matrix, way)
-    np.testing.assert_allclose(np.array(found), np.array([[1.0], [2.0], [0.5]]) * wanted / 9.0, rtol=2e-3)  # linear between nodes 0.25 and 0.5 degrees apart
+    np.testing.assert_allclose(
+        np.array(found), np.array([[1.0], [2.0], [0.5]]) * wanted / 9.0, rtol=2e-3
+    )  # linear between nodes 0.25 and 0.5 degrees apart
     lamps = LightSampler({"light_lamp": part}, {})
     ours = lamps.rows[0]["colour"][0, 0] * np.array(lamps.sent(lamps.columns.at(mi.UInt32(0)), mi.Vector3f(way.T)))
     np.testing.assert_allclose(ours.ravel(), wanted, rtol=2e-3)
@@ -116,12 +126,20 @@ def test_three_channels_of_a_table_keep_their_colours():
     table = np.stack([part["bitmap"], part["bitmap"][::-1], 0.0 * part["bitmap"]], axis=2)
     lamps = LightSampler({"light_lamp": {**part, "bitmap": table}}, {})
     rows = lamps.rows[0]
-    assert len(rows) == 2 and rows["colour"][0, 0] > 0 and rows["colour"][0, 1] == 0 and rows["colour"][1, 1] > 0 and rows["colour"][1, 0] == 0
+    assert (
+        len(rows) == 2
+        and rows["colour"][0, 0] > 0
+        and rows["colour"][0, 1] == 0
+        and rows["colour"][1, 1] > 0
+        and rows["colour"][1, 0] == 0
+    )
     assert len({int(number) for number in rows["table"]}) == 2
 
 
 def test_chances_by_place_are_what_is_drawn():
-    """Two rows of three lamps: shares of 10^6 draws are the stated chances within five standard errors, and none is below its floor."""
+    """Two rows of three lamps: shares of 10^6 draws are the stated chances within five standard errors, and none is
+    below its floor.
+    """
     backend.start("auto")
     mi = backend.mitsuba()
     choice = LightDistribution(np.array([[1.0, 0.0, 3.0], [0.0, 0.0, 0.0]]), np.array([0.2, 0.3, 0.5]))
@@ -135,7 +153,9 @@ def test_chances_by_place_are_what_is_drawn():
 
 
 def street_at_night(count):
-    """A ground, a wall and `count` lamps along both sides, 1.5 m above a layer of fog: beside a lamp in fog `volpath` has no finite variance."""
+    """A ground, a wall and `count` lamps along both sides, 1.5 m above a layer of fog: beside a lamp in fog `volpath`
+    has no finite variance.
+    """
     draw = np.random.default_rng(1)
     world = {}
     for number in range(count):
@@ -144,7 +164,12 @@ def street_at_night(count):
         world[f"light_{number}"] = lamp(frame((5.0 * side, along, 3.0), axis, (1, 0.1, 0)), columns=36, rows=181)
     flat = np.array([[-40, -5, -1.5], [40, -5, -1.5], [40, 75, -1.5], [-40, 75, -1.5]])
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.3] * 3}}
-    world["shape_ground"] = {"type": "mesh", "positions": flat, "faces": np.array([[0, 1, 2], [0, 2, 3]]), "bsdf": {"type": "twosided", "bsdf": grey}}
+    world["shape_ground"] = {
+        "type": "mesh",
+        "positions": flat,
+        "faces": np.array([[0, 1, 2], [0, 2, 3]]),
+        "bsdf": {"type": "twosided", "bsdf": grey},
+    }
     world["shape_wall"] = wall(50.0, 10.0, bsdf=grey)
     fog = FogVolume("/Fog", box((30.0, 40.0, 2.5), (0, 30, -1.0)), FogMedium(0.03, albedo=0.95, g=0.8))
     return scene(world, [fog], fov_x_deg=60.0)
@@ -153,9 +178,16 @@ def street_at_night(count):
 @pytest.mark.physics
 @pytest.mark.parametrize("count", [4, 20])
 def test_path_agrees_with_volpath_among_lamps_with_tables(count):
-    """A few lamps, which are all asked, and many, of which some are drawn by place: the same mean within five standard errors, 3 % resolved."""
-    runs = {model: by_seed(street_at_night(count), range(12), samples=samples, model=model) for model, samples in (("path", 400), ("volpath", 2000))}
-    ours, theirs = (np.array([run.radiance.pixels.mean(dtype=np.float64) for run in runs[model]]) for model in ("path", "volpath"))
+    """A few lamps, which are all asked, and many, of which some are drawn by place: the same mean within five standard
+    errors, 3 % resolved.
+    """
+    runs = {
+        model: by_seed(street_at_night(count), range(12), samples=samples, model=model)
+        for model, samples in (("path", 400), ("volpath", 2000))
+    }
+    ours, theirs = (
+        np.array([run.radiance.pixels.mean(dtype=np.float64) for run in runs[model]]) for model in ("path", "volpath")
+    )
     error = np.hypot(ours.std(ddof=1), theirs.std(ddof=1)) / np.sqrt(12)
     assert 2 * 5 * error < 0.03 * ours.mean(), f"cannot see 3 %: error is {error / ours.mean():.2%}"
     assert abs(ours.mean() - theirs.mean()) < 5 * error

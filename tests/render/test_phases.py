@@ -36,7 +36,9 @@ def mi():
 
 
 def sampled(mi, record, count, seed):
-    """(cosines (N,), turns about the direction before in 0 to 1 (N,), densities (N,)) of drawn directions, in double precision."""
+    """(cosines (N,), turns about the direction before in 0 to 1 (N,), densities (N,)) of drawn directions, in double
+    precision.
+    """
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, count)
     direction, density = kernel_phase(record).sample(mi.Vector3f(*FORWARD), sampler.next_2d())
@@ -60,14 +62,17 @@ def cumulated(record, rows=200_001):
 @every
 def test_values_are_those_of_the_record(mi, record):
     """At cosines as single precision has them, down to the last beside the peak: within 0.1 %."""
-    cosines = np.concatenate([np.linspace(-1, 1, 4001), 1 - np.geomspace(1e-7, 1, 400), np.geomspace(1e-7, 1, 400) - 1]).astype(np.float32)
+    cosines = np.concatenate(
+        [np.linspace(-1, 1, 4001), 1 - np.geomspace(1e-7, 1, 400), np.geomspace(1e-7, 1, 400) - 1]
+    ).astype(np.float32)
     found = np.array(kernel_phase(record).value(mi.Float(cosines)))
     np.testing.assert_allclose(found, record.value(cosines.astype(np.float64)), rtol=1e-3, atol=1e-7)
 
 
 @every
 def test_directions_are_drawn_in_proportion_to_the_record(mi, record):
-    """Chi-squared over 40 x 10 cells of equal probability (angle to the forward direction, turn about it), 400 000 draws, alpha 1e-4.
+    """Chi-squared over 40 x 10 cells of equal probability (angle to the forward direction, turn about it), 400 000
+    draws, alpha 1e-4.
 
     A thousand draws a cell: a density wrong by 1 % over half of the sphere gives a
     chi-squared of 40 more on 399 +- 28, one wrong by 2 % is found 19 times in 20.
@@ -83,7 +88,9 @@ def test_directions_are_drawn_in_proportion_to_the_record(mi, record):
 
 
 def test_the_chi_squared_test_sees_two_percent(mi):
-    """Directions of a density that is 2 % higher over one half of the light and lower over the other are told from the record's, 9 times in 10."""
+    """Directions of a density that is 2 % higher over one half of the light and lower over the other are told from the
+    record's, 9 times in 10.
+    """
     steps = 0
     for seed in range(20):
         cosine, _, _ = sampled(mi, HenyeyGreenstein(0.87), 400_000, seed)
@@ -97,13 +104,17 @@ def test_the_chi_squared_test_sees_two_percent(mi):
 
 @every
 def test_a_draw_comes_with_the_value_of_its_direction(mi, record):
-    """value(cosine) of a drawn direction is the density that came with it, to what single precision makes of a dot product.
+    """value(cosine) of a drawn direction is the density that came with it, to what single precision makes of a dot
+    product.
 
     The product is off by 2.5e-7 at most, and the logarithm of p goes no faster than
     3 g / (1 - g)^2 with the cosine.
     """
     cosine, _, density = sampled(mi, record, 100_000, 3)
-    slope = {HenyeyGreenstein: lambda: 3 * abs(record.g) / (1 - abs(record.g)) ** 2, Droplets: lambda: 3 / (1 - record.parameters()[0]) ** 2}
+    slope = {
+        HenyeyGreenstein: lambda: 3 * abs(record.g) / (1 - abs(record.g)) ** 2,
+        Droplets: lambda: 3 / (1 - record.parameters()[0]) ** 2,
+    }
     steepest = slope.get(type(record), lambda: 1e3)()
     np.testing.assert_allclose(density, record.value(cosine), rtol=1e-3 + 2.5e-7 * steepest, atol=1e-6)
 
@@ -115,7 +126,9 @@ def test_the_density_integrates_to_one_and_has_the_mean_cosine(mi, record):
     values = np.array(kernel_phase(record).value(mi.Float(mu)), dtype=np.float64)
     assert np.trapezoid(values, mu) * 2 * np.pi == pytest.approx(1.0, abs=1e-3)
     cosine, _, _ = sampled(mi, record, 400_000, 5)
-    assert abs(cosine.mean() - record.mean_cosine) < 4 * cosine.std() / np.sqrt(cosine.size) + 1e-4  # what the table is from linear
+    assert (
+        abs(cosine.mean() - record.mean_cosine) < 4 * cosine.std() / np.sqrt(cosine.size) + 1e-4
+    )  # what the table is from linear
 
 
 @pytest.mark.parametrize("g", [-0.99, -0.3, 1e-2, 0.5, 0.87, 0.99])
@@ -174,7 +187,12 @@ def means(fog, integrator="volpath", samples=256, seeds=12):
     mi = backend.mitsuba()
     loaded = to_mitsuba(scene(WORLD, fog, fov_x_deg=60.0))
     tracer = mi.load_dict({"type": integrator, "max_depth": -1, "rr_depth": 8})
-    return np.array([np.array(tracer.render(loaded.scene, loaded.sensor, seed, samples), dtype=np.float64).mean() for seed in range(seeds)])
+    return np.array(
+        [
+            np.array(tracer.render(loaded.scene, loaded.sensor, seed, samples), dtype=np.float64).mean()
+            for seed in range(seeds)
+        ]
+    )
 
 
 def assert_same_mean(one, other, resolves):
@@ -212,20 +230,31 @@ def test_a_tabulated_phase_draws_the_picture_of_its_closed_form(mi):
 
 def test_volpath_and_volpathmis_agree_on_droplets(mi):
     """The plugin in both, in a grid; 2 % is resolved."""
-    fog = [FogVolume("/Fog", ROOM, FogMedium(0.05, albedo=0.9, phase=Droplets(10.0), profile="grid", grid=DensityGrid(np.ones((2, 2, 2)))))]
+    fog = [
+        FogVolume(
+            "/Fog",
+            ROOM,
+            FogMedium(0.05, albedo=0.9, phase=Droplets(10.0), profile="grid", grid=DensityGrid(np.ones((2, 2, 2)))),
+        )
+    ]
     assert_same_mean(means(fog), means(fog, "volpathmis"), 0.02)
 
 
 def test_an_empty_grid_is_clear_air(mi):
     """No density anywhere, or no extinction where there is density: the picture of clear air, and no division by 0."""
-    pictures = [means([fog], seeds=2) for fog in (gridded(ROOM, np.zeros((2, 2, 2))), gridded(ROOM, np.ones((2, 2, 2)), sigma_t=0.0))]
+    pictures = [
+        means([fog], seeds=2)
+        for fog in (gridded(ROOM, np.zeros((2, 2, 2))), gridded(ROOM, np.ones((2, 2, 2)), sigma_t=0.0))
+    ]
     clear = means([], seeds=8)
     for picture in pictures:
         assert np.isfinite(picture).all() and abs(picture.mean() - clear.mean()) < 5 * clear.std(ddof=1)
 
 
 def test_the_scalar_variant_draws_the_same():
-    """In a child with Mitsuba's scalar variant: value, draw and plugin give the numbers of the record and a finite picture."""
+    """In a child with Mitsuba's scalar variant: value, draw and plugin give the numbers of the record and a finite
+    picture.
+    """
     import subprocess
     import sys
 
@@ -251,6 +280,6 @@ loaded = to_mitsuba(world)
 picture = np.array(mi.load_dict({"type": "volpath", "max_depth": -1, "rr_depth": 8}).render(loaded.scene, loaded.sensor, 0, 4))
 assert abs(picture.mean() - 1.0) < 0.02  # white furnace
 print("same")
-"""
+"""  # noqa: E501
     child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert child.stdout.strip() == "same", child.stderr

@@ -32,7 +32,9 @@ def test_samples_are_the_other_stop():
 
 def test_an_adaptive_render_repeats_byte_for_byte():
     """Rounds depend on what was measured, not on the clock."""
-    one, other = (render(FOGGY, model="path", samples=512, target_error=0.05, seed=3).radiance.pixels.tobytes() for _ in range(2))
+    one, other = (
+        render(FOGGY, model="path", samples=512, target_error=0.05, seed=3).radiance.pixels.tobytes() for _ in range(2)
+    )
     assert one == other
 
 
@@ -49,14 +51,23 @@ def test_the_sensors_target_is_a_third_of_its_noise():
 
 def test_biased_models_are_taken_only_where_their_error_was_seen_to_be_small():
     """In fog that scatters half of the light `asm` misses some of it; the pilot measures that and passes it over."""
-    still = scene({**SKY, "shape_wall": wall(50.0, 5.0, **black(1.0))}, [FogVolume("/Fog", box(200.0), FogMedium(0.02, albedo=0.5))], fov_x_deg=40.0)
+    still = scene(
+        {**SKY, "shape_wall": wall(50.0, 5.0, **black(1.0))},
+        [FogVolume("/Fog", box(200.0), FogMedium(0.02, albedo=0.5))],
+        fov_x_deg=40.0,
+    )
     choice = planner.choose(load(still, boundaries=False), target=adaptive.Target(relative=0.1), seed=0)
     assert choice.best == "path" and choice.model in ("path", "field")
     assert choice.figures["asm"]["bias"] > 0.1
 
 
 @pytest.mark.parametrize(
-    "wrong, words", [({"target_error": 0.0}, "--target-error"), ({"target_error": 2.0}, "--target-error"), ({"time_limit_s": 0.0}, "--time-limit")]
+    "wrong, words",
+    [
+        ({"target_error": 0.0}, "--target-error"),
+        ({"target_error": 2.0}, "--target-error"),
+        ({"time_limit_s": 0.0}, "--time-limit"),
+    ],
 )
 def test_a_target_out_of_range_is_refused(wrong, words):
     """With the option's name."""
@@ -66,17 +77,32 @@ def test_a_target_out_of_range_is_refused(wrong, words):
 
 def test_a_picture_of_a_few_rows_is_judged_too():
     """640 x 20: the pilot has two rows, fewer than a square over which a grid's error is measured is high."""
-    wide = scene({**SKY, "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})}, [uniform_fog()], width_px=640, height_px=20, fov_x_deg=40.0)
-    figures = planner.choose_by_pilots(load(wide, boundaries=False), target=adaptive.Target(relative=0.05), seed=0).figures
+    wide = scene(
+        {**SKY, "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})},
+        [uniform_fog()],
+        width_px=640,
+        height_px=20,
+        fov_x_deg=40.0,
+    )
+    figures = planner.choose_by_pilots(
+        load(wide, boundaries=False), target=adaptive.Target(relative=0.05), seed=0
+    ).figures
     assert np.isfinite(figures["field"]["bias"])
-    smoothed = planner.choose_by_pilots(load(wide, boundaries=False), target=adaptive.Target(relative=0.05), seed=0, denoised=True)
+    smoothed = planner.choose_by_pilots(
+        load(wide, boundaries=False), target=adaptive.Target(relative=0.05), seed=0, denoised=True
+    )
     assert smoothed.model == "path" and "field" not in smoothed.figures  # a denoiser does what the grid would
 
 
 def square(corners):
     """A grey quadrangle."""
     faces = np.array([[0, 1, 2], [0, 2, 3]])
-    return {"type": "mesh", "positions": np.array(corners, dtype=float), "faces": faces, "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse"}}}
+    return {
+        "type": "mesh",
+        "positions": np.array(corners, dtype=float),
+        "faces": faces,
+        "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse"}},
+    }
 
 
 def test_an_open_view_takes_the_slab_and_a_closed_one_does_not():
@@ -89,8 +115,13 @@ def test_an_open_view_takes_the_slab_and_a_closed_one_does_not():
     for loaded, model in ((plain, "path+slab"), (street, "path")):
         choice = planner.choose(loaded, target=adaptive.Target(samples=4096), seed=0)
         assert choice.model == choice.best == model
-        assert planner.choose(loaded, target=adaptive.Target(samples=16), seed=0).model == {"path": "field", "path+slab": "field+slab"}[model]
-        assert planner.choose(loaded, target=adaptive.Target(samples=16), seed=0, denoised=True).model == model  # a denoiser does what a cache would
+        assert (
+            planner.choose(loaded, target=adaptive.Target(samples=16), seed=0).model
+            == {"path": "field", "path+slab": "field+slab"}[model]
+        )
+        assert (
+            planner.choose(loaded, target=adaptive.Target(samples=16), seed=0, denoised=True).model == model
+        )  # a denoiser does what a cache would
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pyoidn") is None, reason="pyoidn has no wheel here")

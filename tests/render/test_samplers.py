@@ -1,7 +1,7 @@
 """Every sampler of ours against the density that it states: chi-squared over cells.
 
-Phase functions are in `test_phases`, BSDFs are Mitsuba's.  Expected numbers are integrals of the stated density, or a closed form
-that shares no code with the sampler; `test_support` shows that two percent would be seen.
+Phase functions are in `test_phases`, BSDFs are Mitsuba's.  Expected numbers are integrals of the stated density, or a
+closed form that shares no code with the sampler; `test_support` shows that two percent would be seen.
 """
 
 from typing import ClassVar
@@ -51,9 +51,23 @@ def street():
     table = np.outer(np.cos(np.linspace(0.0, np.pi, 19)).clip(0.05), np.linspace(0.4, 1.0, 8)).astype(np.float32)
     grey = {"type": "rgb", "value": [0.0, 0.0, 0.0]}
     return {
-        "light_spot": {"type": "spot", "to_world": down(-4.0, 12.0, 6.0), "intensity": {"type": "rgb", "value": [400.0] * 3}, "cutoff_angle": 60.0},
-        "light_bulb": {"type": "point", "position": [3.0, 20.0, 2.0], "intensity": {"type": "rgb", "value": [60.0, 50.0, 40.0]}},
-        "light_table": {"type": "photometric", "to_world": down(4.0, 8.0, 5.0), "intensity": {"type": "rgb", "value": [300.0] * 3}, "bitmap": table},
+        "light_spot": {
+            "type": "spot",
+            "to_world": down(-4.0, 12.0, 6.0),
+            "intensity": {"type": "rgb", "value": [400.0] * 3},
+            "cutoff_angle": 60.0,
+        },
+        "light_bulb": {
+            "type": "point",
+            "position": [3.0, 20.0, 2.0],
+            "intensity": {"type": "rgb", "value": [60.0, 50.0, 40.0]},
+        },
+        "light_table": {
+            "type": "photometric",
+            "to_world": down(4.0, 8.0, 5.0),
+            "intensity": {"type": "rgb", "value": [300.0] * 3},
+            "bitmap": table,
+        },
         "shape_face": {
             "type": "mesh",
             "positions": np.array([[-2.0, 15.0, 0.0], [-1.0, 15.0, 0.0], [-1.0, 15.0, 1.0]]),
@@ -83,7 +97,9 @@ def test_distances_are_guided_as_their_density_says(mi, guide, way):
     places = np.linspace(begin, end, 400_001)
     width = len(places)
     lane = dr.zeros(mi.Float, width)
-    density = guide.distance_density(origin, direction, lane + begin, lane + end, lane + sigma, mi.Float(places.astype(np.float32)))
+    density = guide.distance_density(
+        origin, direction, lane + begin, lane + end, lane + sigma, mi.Float(places.astype(np.float32))
+    )
     density = np.array(density, dtype=np.float64)
     below = np.r_[0.0, np.cumsum((density[1:] + density[:-1]) / 2.0 * np.diff(places))]
     assert below[-1] == pytest.approx(1.0, abs=2e-4)
@@ -92,9 +108,13 @@ def test_distances_are_guided_as_their_density_says(mi, guide, way):
     assert_draws(np.histogram(np.array(drawn, dtype=np.float64), edges)[0], np.ones(200))
 
 
-@pytest.mark.parametrize("place", [(0.0, 10.0, 1.0), (3.0, 18.0, 2.0), (0.0, -60.0, 1.0)], ids=["amid", "beside the bulb", "far off"])
+@pytest.mark.parametrize(
+    "place", [(0.0, 10.0, 1.0), (3.0, 18.0, 2.0), (0.0, -60.0, 1.0)], ids=["amid", "beside the bulb", "far off"]
+)
 def test_directions_are_guided_as_their_density_says(mi, guide, place):
-    """20 x 40 cells of the sphere; their chances by midpoints in rings about each lamp; the density integrates to 1 within 0.1 %."""
+    """20 x 40 cells of the sphere; their chances by midpoints in rings about each lamp; the density integrates to 1
+    within 0.1 %.
+    """
     sigma = 0.0375
     lane = dr.zeros(mi.Float, COUNT)
     here = mi.Point3f(lane + place[0], lane + place[1], lane + place[2])
@@ -105,7 +125,9 @@ def test_directions_are_guided_as_their_density_says(mi, guide, place):
     ways, solid_angles = around(lamps)
     lane = dr.zeros(mi.Float, ways.shape[1])
     here = mi.Point3f(lane + place[0], lane + place[1], lane + place[2])
-    density = np.array(guide.direction_density(here, lane + sigma, mi.Vector3f(ways.astype(np.float32))), dtype=np.float64)
+    density = np.array(
+        guide.direction_density(here, lane + sigma, mi.Vector3f(ways.astype(np.float32))), dtype=np.float64
+    )
     assert density @ solid_angles == pytest.approx(1.0, abs=1e-3)
 
     def cells(ways, weights=None):
@@ -116,7 +138,9 @@ def test_directions_are_guided_as_their_density_says(mi, guide, place):
 
 
 def around(axes, rings=1500, sectors=700):
-    """Directions (3, M) all over the sphere and the solid angle (M,) of each, in rings about the nearest of axes (K, 3): there the density has no end."""
+    """Directions (3, M) all over the sphere and the solid angle (M,) of each, in rings about the nearest of axes (K,
+    3): there the density has no end.
+    """
     theta, phi = (np.arange(rings) + 0.5) / rings * np.pi, (np.arange(sectors) + 0.5) / sectors * 2.0 * np.pi
     sine = np.sin(theta)[:, None]
     local = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)[:, None] + 0.0 * phi]).reshape(3, -1)
@@ -133,7 +157,9 @@ def around(axes, rings=1500, sectors=700):
 
 
 def test_a_lamp_is_chosen_by_place_as_its_chance_says(mi):
-    """17 lamps in three rows, one of which knows nothing: as often as the mixture of knowledge and of what knows no place."""
+    """17 lamps in three rows, one of which knows nothing: as often as the mixture of knowledge and of what knows no
+    place.
+    """
     draw = np.random.default_rng(6)
     weights, even = draw.exponential(size=(3, 17)) ** 3, draw.exponential(size=17)
     weights[2], even = 0.0, even / even.sum()
@@ -164,16 +190,27 @@ class Draws:
 
 
 def test_resampling_keeps_a_lamp_in_proportion_to_what_it_sends(mi):
-    """Four bulbs before a surface: the one that is kept is drawn in proportion to I cos / r^2, and its estimate is the sum of all I / r^2 in the mean."""
-    places, intensity = np.array([[-4.0, 6.0, 3.0], [0.0, 9.0, 5.0], [5.0, 4.0, 1.0], [2.0, -7.0, 4.0]]), np.array([10.0, 80.0, 5.0, 40.0])
+    """Four bulbs before a surface: the one that is kept is drawn in proportion to I cos / r^2, and its estimate is the
+    sum of all I / r^2 in the mean.
+    """
+    places, intensity = (
+        np.array([[-4.0, 6.0, 3.0], [0.0, 9.0, 5.0], [5.0, 4.0, 1.0], [2.0, -7.0, 4.0]]),
+        np.array([10.0, 80.0, 5.0, 40.0]),
+    )
     bulbs = {
-        f"light_{index}": {"type": "point", "position": place.tolist(), "intensity": {"type": "rgb", "value": [power] * 3}}
+        f"light_{index}": {
+            "type": "point",
+            "position": place.tolist(),
+            "intensity": {"type": "rgb", "value": [power] * 3},
+        }
         for index, (place, power) in enumerate(zip(places, intensity, strict=True))
     }
     here, normal = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.6, 0.8])
     lane = dr.zeros(mi.Float, COUNT)
     place, facing = mi.Point3f(lane + here[0], lane + here[1], lane + here[2]), mi.Normal3f(normal.tolist())
-    found = LightSampler(bulbs, {}).at(place, lambda way: dr.abs(dr.dot(facing, way)) + 1e-3, Draws(11), dr.full(mi.Bool, True, COUNT))
+    found = LightSampler(bulbs, {}).at(
+        place, lambda way: dr.abs(dr.dot(facing, way)) + 1e-3, Draws(11), dr.full(mi.Bool, True, COUNT)
+    )
     between = places - here
     sent = intensity / (between**2).sum(axis=1)
     target = sent * (np.abs(between @ normal) / np.linalg.norm(between, axis=1) + 1e-3)
@@ -188,7 +225,9 @@ def test_angles_are_drawn_as_the_forward_peak_says(mi, width):
     """Between 0.1 and 2.5 rad: 200 cells, by the inverse of the peak's integral, which another formula gives."""
     low, high = 0.1, 2.5
     share = [light_sampler._peak_share(mi.Float(angle), width) for angle in (low, high)]
-    drawn = np.array(light_sampler._of_peak_share(dr.lerp(share[0], share[1], uniform(mi, 12)), width), dtype=np.float64)
+    drawn = np.array(
+        light_sampler._of_peak_share(dr.lerp(share[0], share[1], uniform(mi, 12)), width), dtype=np.float64
+    )
     edges = np.tan(np.linspace(np.arctan(low / width), np.arctan(high / width), 201)) * width
     expected = np.diff(np.sin(np.arctan(edges / width)))  # of (w^2 + a^2)^-1.5
     edges[0], edges[-1] = 0.0, np.pi
@@ -196,9 +235,15 @@ def test_angles_are_drawn_as_the_forward_peak_says(mi, width):
 
 
 def test_flights_end_as_transmittance_says(mi):
-    """A bank in fog that thins with height: 200 cells of the same chance, by the optical depth of `fog.volume`, which is numpy's."""
+    """A bank in fog that thins with height: 200 cells of the same chance, by the optical depth of `fog.volume`, which
+    is numpy's.
+    """
     fog = [
-        FogVolume("/Fog", box((300.0, 300.0, 40.0), (0.0, 0.0, 20.0)), FogMedium(0.03, profile="exponential", base_height_m=2.0, scale_height_m=9.0)),
+        FogVolume(
+            "/Fog",
+            box((300.0, 300.0, 40.0), (0.0, 0.0, 20.0)),
+            FogMedium(0.03, profile="exponential", base_height_m=2.0, scale_height_m=9.0),
+        ),
         FogVolume("/Bank", box((50.0, 8.0, 3.0), (0.0, 30.0, 3.0)), FogMedium(0.15), priority=1, parent=0),
     ]
     medium = Medium(fog)

@@ -1,4 +1,6 @@
-"""Sobol's points by hash: even where theory says so, uniform to a chi-square, and scramblings that know nothing of each other."""
+"""Sobol's points by hash: even where theory says so, uniform to a chi-square, and scramblings that know nothing of each
+other.
+"""
 
 import drjit as dr
 import numpy as np
@@ -27,16 +29,22 @@ def points(mi, count, key, first=0):
 
 def boxes(x, rows, columns):
     """(rows * columns,) points in each of equal boxes."""
-    return np.bincount((x[:, 0] * rows).astype(int) * columns + (x[:, 1] * columns).astype(int), minlength=rows * columns)
+    return np.bincount(
+        (x[:, 0] * rows).astype(int) * columns + (x[:, 1] * columns).astype(int), minlength=rows * columns
+    )
 
 
 def test_unscrambled_points_are_those_of_scipy(mi):
-    """The first two dimensions of Sobol's sequence; scipy's order is Gray's, which keeps the first 2^m points together."""
+    """The first two dimensions of Sobol's sequence; scipy's order is Gray's, which keeps the first 2^m points
+    together.
+    """
     index = dr.arange(mi.UInt32, 256)
     ours = np.stack([np.array(dr.brev(index)), np.array(second(index))], axis=1) / 2.0**32
     theirs = qmc.Sobol(2, scramble=False, bits=30).random(256)
     for count in (2, 16, 256):
-        np.testing.assert_array_equal(np.sort(ours[:count].view("f8,f8").ravel()), np.sort(theirs[:count].view("f8,f8").ravel()))
+        np.testing.assert_array_equal(
+            np.sort(ours[:count].view("f8,f8").ravel()), np.sort(theirs[:count].view("f8,f8").ravel())
+        )
 
 
 @pytest.mark.parametrize("key", [0, 1, 0xDEADBEEF])
@@ -51,7 +59,9 @@ def test_every_run_of_a_power_of_two_fills_every_box_once(mi, key, power):
 
 
 def test_each_sample_alone_is_uniform_over_scramblings(mi):
-    """A point of fixed number over 2^18 keys: chi-square of 32 x 32 boxes, and of each margin in 256; alpha 1e-4 each."""
+    """A point of fixed number over 2^18 keys: chi-square of 32 x 32 boxes, and of each margin in 256; alpha 1e-4
+    each.
+    """
     for number in (0, 1, 7, RUN - 1):
         x = points_over_keys(mi, 1 << 18, number)
         assert stats.chisquare(boxes(x, 32, 32)).pvalue > ALPHA
@@ -69,7 +79,9 @@ def points_over_keys(mi, count, number, dimension=1):
 
 @pytest.mark.parametrize("pair", ["dimensions", "runs", "pixels", "seeds"])
 def test_what_should_be_independent_is(mi, pair):
-    """Pairs of coordinates in 24 x 24 boxes over 2^18 pixels against independence; it sees a correlation of 0.01 (z = 5)."""
+    """Pairs of coordinates in 24 x 24 boxes over 2^18 pixels against independence; it sees a correlation of 0.01 (z =
+    5).
+    """
     count = 1 << 18
     pixel = dr.arange(mi.UInt32, count)
     one = np.array(Sobol(7, pixel, mi.UInt32(3)).next_2d(), dtype=np.float64).T
@@ -99,7 +111,9 @@ def test_numbers_do_not_depend_on_what_else_is_in_flight(mi):
 
 
 def test_a_run_knows_a_smooth_integral_better_than_independent_points(mi):
-    """Variance of the mean of a run over that of independent points, f = x y: (7 / 144) / RUN for those; Owen's net has a hundredth of it at 16 points."""
+    """Variance of the mean of a run over that of independent points, f = x y: (7 / 144) / RUN for those; Owen's net has
+    a hundredth of it at 16 points.
+    """
     pixel = dr.arange(mi.UInt32, 1 << 14)
     total = np.zeros(1 << 14)
     for number in range(RUN):

@@ -1,4 +1,6 @@
-"""Lamps and surfaces with spectra of their own: against closed forms from the tables, and against R, G and B where all is grey."""
+"""Lamps and surfaces with spectra of their own: against closed forms from the tables, and against R, G and B where all
+is grey.
+"""
 
 from dataclasses import replace
 
@@ -60,26 +62,42 @@ def card(curve, reflected, *, lamp="HP1", candela=(180.0, 100.0, 10.0), count=31
 def closed_form(curve, power, count=31):
     """Lambert, the inverse square and Beer's law, band by band; `power` is the lamp's intensity."""
     square = 8.0**2 + 1.0
-    return in_bands(curve, count) * in_bands(power, count) / np.pi * 8.0 / square**1.5 * np.exp(-0.03 * (8.0 + np.sqrt(square)))
+    return (
+        in_bands(curve, count)
+        * in_bands(power, count)
+        / np.pi
+        * 8.0
+        / square**1.5
+        * np.exp(-0.03 * (8.0 + np.sqrt(square)))
+    )
 
 
 def bright(curve, reflected):
     """A curve, as bright under D65 as a colour of linear Rec.709."""
     white = illuminant("D65")
-    eye = np.interp(WAVELENGTHS, *(lambda t: (t.wavelengths, t.values[:, 1]))(colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]))
+    eye = np.interp(
+        WAVELENGTHS,
+        *(lambda t: (t.wavelengths, t.values[:, 1]))(colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]),
+    )
     return curve * (np.asarray(reflected) @ LUMINANCE) * (white * eye).sum() / (curve * white * eye).sum()
 
 
 @pytest.mark.parametrize("count", [8, 31])
 def test_a_card_under_sodium_light_in_fog_is_what_the_tables_say(count):
-    """Leaf x HP1 x geometry x fog, each band within 0.1 %: one point of a lamp, one surface, nothing left to chance but the place within a pixel."""
+    """Leaf x HP1 x geometry x fog, each band within 0.1 %: one point of a lamp, one surface, nothing left to chance but
+    the place within a pixel.
+    """
     leaf, colour_of_it, candela = spectra.reflectance("leaf"), (0.1, 0.2, 0.05), np.array([180.0, 100.0, 10.0])
     power = illuminant("HP1") * (candela @ LUMINANCE)
-    np.testing.assert_allclose(card(leaf, colour_of_it, count=count), closed_form(bright(leaf, colour_of_it), power, count), rtol=1e-3)
+    np.testing.assert_allclose(
+        card(leaf, colour_of_it, count=count), closed_form(bright(leaf, colour_of_it), power, count), rtol=1e-3
+    )
 
 
 def test_the_red_edge_of_a_leaf_is_in_its_bands_and_not_in_its_colour():
-    """From 670 to 700 nm a leaf's reflectance grows 2.5 times and more; what bands make of R, G and B stays the same within a tenth."""
+    """From 670 to 700 nm a leaf's reflectance grows 2.5 times and more; what bands make of R, G and B stays the same
+    within a tenth.
+    """
     leaf, reflected = spectra.reflectance("leaf"), (0.1, 0.2, 0.05)
     seen = card(leaf, reflected, lamp="D65") / in_bands(illuminant("D65"), 31)
     guessed = np.array(reflected) @ bands.matrices(31)[1]
@@ -90,7 +108,9 @@ def test_the_red_edge_of_a_leaf_is_in_its_bands_and_not_in_its_colour():
 
 @pytest.mark.parametrize("reflected, off", [(BLUE, 0.1), (RED, 1.0)])
 def test_sodium_light_on_paint_is_off_from_r_g_and_b_by_what_the_tables_say(reflected, off):
-    """How bright paint is under HP1 against white: the integral of both spectra; R, G and B give blue 11 % too dark and red twice too bright."""
+    """How bright paint is under HP1 against white: the integral of both spectra; R, G and B give blue 11 % too dark and
+    red twice too bright.
+    """
     paint, candela = spectra.smooth(reflected), np.array([2.5589, 0.6373, 0.0])
     weights = np.array([photometry.luminance_of(curve) for curve in photometry.channel_spectra(bands.names(31))])
     seen = card(paint, reflected, candela=candela) @ weights
@@ -105,16 +125,33 @@ def test_sodium_light_on_paint_is_off_from_r_g_and_b_by_what_the_tables_say(refl
 GROUND = np.array([[-150, -150, -2], [150, -150, -2], [150, 150, -2], [-150, 150, -2.0]])
 
 
-@pytest.mark.parametrize("model", ["path", pytest.param("path+slab", marks=pytest.mark.physics), pytest.param("field", marks=pytest.mark.physics)])
+@pytest.mark.parametrize(
+    "model",
+    ["path", pytest.param("path+slab", marks=pytest.mark.physics), pytest.param("field", marks=pytest.mark.physics)],
+)
 def test_gloss_stays_white_and_each_band_is_that_of_a_grey_surface(model):
-    """A glossy, lacquered ground with a leaf's spectrum: each band is what R, G and B make of a ground as grey as the leaf is in it, path by path."""
+    """A glossy, lacquered ground with a leaf's spectrum: each band is what R, G and B make of a ground as grey as the
+    leaf is in it, path by path.
+    """
     leaf, reflected = spectra.reflectance("leaf"), (0.05, 0.1, 0.02)
 
     def source(colour_of_it, own):
-        material = {"type": "principled", "base_color": rgb(*colour_of_it), "roughness": 0.3, "clearcoat": 0.8, "clearcoat_gloss": 0.9, "eta": 1.5}
+        material = {
+            "type": "principled",
+            "base_color": rgb(*colour_of_it),
+            "roughness": 0.3,
+            "clearcoat": 0.8,
+            "clearcoat_gloss": 0.9,
+            "eta": 1.5,
+        }
         world = {
             "mat_ground": {"type": "twosided", "bsdf": material},
-            "shape_ground": {"type": "mesh", "positions": GROUND, "faces": np.array([[0, 1, 2], [0, 2, 3]]), "bsdf": {"type": "ref", "id": "mat_ground"}},
+            "shape_ground": {
+                "type": "mesh",
+                "positions": GROUND,
+                "faces": np.array([[0, 1, 2], [0, 2, 3]]),
+                "bsdf": {"type": "ref", "id": "mat_ground"},
+            },
             "light_sky": {"type": "constant", "radiance": rgb(1.0, 1.0, 1.0)},
         }
         fog = FogVolume("/Fog", box(200.0), FogMedium(0.02, g=0.6))
@@ -130,11 +167,18 @@ def test_gloss_stays_white_and_each_band_is_that_of_a_grey_surface(model):
 
 
 def test_each_lamp_has_its_own_spectrum_and_its_light_group():
-    """A sodium lamp, an amber LED and a lamp of a colour light one card: each group has its lamp's spectrum, and they add up."""
+    """A sodium lamp, an amber LED and a lamp of a colour light one card: each group has its lamp's spectrum, and they
+    add up.
+    """
     lamps = {"light_0": ("HP1", "street"), "light_1": ("LED 592 nm", "indicators"), "light_2": (None, "other")}
-    world = {"mat_card": {"type": "diffuse", "reflectance": rgb(0.5, 0.5, 0.5)}, "shape_card": wall(8.0, bsdf={"type": "ref", "id": "mat_card"})}
+    world = {
+        "mat_card": {"type": "diffuse", "reflectance": rgb(0.5, 0.5, 0.5)},
+        "shape_card": wall(8.0, bsdf={"type": "ref", "id": "mat_card"}),
+    }
     world |= {key: {"type": "point", "position": [0.0, 0.0, 1.0], "intensity": rgb(100.0, 60.0, 5.0)} for key in lamps}
-    world["shape_lit"] = wall(9.0, bsdf={"type": "ref", "id": "mat_card"}, emitter={"type": "area", "radiance": rgb(1.0, 1.0, 1.0)})  # behind the card
+    world["shape_lit"] = wall(
+        9.0, bsdf={"type": "ref", "id": "mat_card"}, emitter={"type": "area", "radiance": rgb(1.0, 1.0, 1.0)}
+    )  # behind the card
     source = replace(
         scene(world, fov_x_deg=1.0),
         group_of={key: group for key, (_, group) in lamps.items()} | {"shape_lit": "street"},
@@ -143,7 +187,10 @@ def test_each_lamp_has_its_own_spectrum_and_its_light_group():
     made = render(source, samples=2048, bands=31)
     seen = {name: pixels.mean(axis=(0, 1), dtype=np.float64) for name, pixels in made.groups.items()}
     np.testing.assert_allclose(sum(seen.values()), made.radiance.pixels.mean(axis=(0, 1)), rtol=1e-5)
-    sodium, led = in_bands(illuminant("HP1"), 31), in_bands(colour.sd_single_led(592.0, colour.SpectralShape(380, 780, 1), half_spectral_width=15.0).values, 31)
+    sodium, led = (
+        in_bands(illuminant("HP1"), 31),
+        in_bands(colour.sd_single_led(592.0, colour.SpectralShape(380, 780, 1), half_spectral_width=15.0).values, 31),
+    )
     np.testing.assert_allclose(seen["street"] / seen["street"].sum(), sodium / sodium.sum(), rtol=2e-4)
     np.testing.assert_allclose(seen["indicators"] / seen["indicators"].sum(), led / led.sum(), rtol=2e-4, atol=1e-7)
     mixed = np.array([100.0, 60.0, 5.0]) @ bands.matrices(31)[0]
@@ -155,13 +202,27 @@ def test_each_lamp_has_its_own_spectrum_and_its_light_group():
 @pytest.mark.physics
 def test_a_sky_with_a_spectrum_lights_the_layer_too():
     """A furnace of illuminant A: white fog over white ground is the sky in every band, in `path+slab`."""
-    world = {"light_sky": {"type": "constant", "radiance": rgb(1.0, 0.7, 0.3)}, "mat_g": {"type": "diffuse", "reflectance": rgb(1.0, 1.0, 1.0)}}
-    world["shape_g"] = {"type": "mesh", "positions": GROUND, "faces": np.array([[0, 1, 2], [0, 2, 3]]), "bsdf": {"type": "ref", "id": "mat_g"}}
+    world = {
+        "light_sky": {"type": "constant", "radiance": rgb(1.0, 0.7, 0.3)},
+        "mat_g": {"type": "diffuse", "reflectance": rgb(1.0, 1.0, 1.0)},
+    }
+    world["shape_g"] = {
+        "type": "mesh",
+        "positions": GROUND,
+        "faces": np.array([[0, 1, 2], [0, 2, 3]]),
+        "bsdf": {"type": "ref", "id": "mat_g"},
+    }
     source = replace(
-        scene(world, [FogVolume("/Fog", box((150.0, 150.0, 30.0)), FogMedium(0.02, g=0.6))], fov_x_deg=40.0), emission_of={"light_sky": spectra.emission("A")}
+        scene(world, [FogVolume("/Fog", box((150.0, 150.0, 30.0)), FogMedium(0.02, g=0.6))], fov_x_deg=40.0),
+        emission_of={"light_sky": spectra.emission("A")},
     )
     wanted = in_bands(illuminant("A"), 8) * (np.array([1.0, 0.7, 0.3]) @ LUMINANCE)
-    means = np.array([run.radiance.pixels.mean(axis=(0, 1), dtype=np.float64) for run in by_seed(source, range(6), model="path+slab", samples=64, bands=8)])
+    means = np.array(
+        [
+            run.radiance.pixels.mean(axis=(0, 1), dtype=np.float64)
+            for run in by_seed(source, range(6), model="path+slab", samples=64, bands=8)
+        ]
+    )
     for band in range(8):
         assert_mean(means[:, band], wanted[band], resolves=0.01)
 
@@ -219,6 +280,10 @@ def test_r_g_and_b_do_not_see_spectra():
         "light_sky": {"type": "constant", "radiance": rgb(1.0, 0.9, 0.7)},
     }
     source = scene(world, [FogVolume("/Fog", box(100.0), FogMedium(0.03, g=0.6))])
-    spectral = replace(source, reflectance_of={"mat_card": spectra.reflectance("leaf")}, emission_of={"light_sky": spectra.emission("A")})
+    spectral = replace(
+        source,
+        reflectance_of={"mat_card": spectra.reflectance("leaf")},
+        emission_of={"light_sky": spectra.emission("A")},
+    )
     plain, other = (render(one, samples=16).radiance.pixels.tobytes() for one in (source, spectral))
     assert plain == other

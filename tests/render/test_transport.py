@@ -27,7 +27,9 @@ def test_a_wall_in_absorbing_fog_dims_by_beer_and_lambert(visibility_m, resolves
     """With nothing scattered, a wall of radiance 1 at 50 m reaches the camera as exp(-2.996 / MOR * 50)."""
     fog = uniform_fog(visibility_m=visibility_m, albedo=0.0)
     world = scene({"shape_wall": wall(50.0, **black(1.0))}, [fog], fov_x_deg=1.0)
-    assert_mean(pictures(world, samples=2048, model=model), 0.05 ** (50.0 / visibility_m), resolves=resolves, truth_within=8e-5)  # rays off the axis
+    assert_mean(
+        pictures(world, samples=2048, model=model), 0.05 ** (50.0 / visibility_m), resolves=resolves, truth_within=8e-5
+    )  # rays off the axis
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -40,7 +42,12 @@ def test_scattering_fog_in_a_uniform_sky_is_invisible(model):
 def lamps_in_fog(g, boundary):
     """A grey ground, a grey ball, a sky, and lamps of four kinds (spot, bulb, panel, bright ball), all in fog."""
     aim = np.array([[0, 0, -1.0, 6], [1, 0, 0, 15], [0, -1, 0, 2], [0, 0, 0, 1]])
-    grey = {"bsdf": {"type": "twosided", "bsdf": {"type": "principled", "base_color": {"type": "rgb", "value": [0.4, 0.4, 0.4]}, "roughness": 0.4}}}
+    grey = {
+        "bsdf": {
+            "type": "twosided",
+            "bsdf": {"type": "principled", "base_color": {"type": "rgb", "value": [0.4, 0.4, 0.4]}, "roughness": 0.4},
+        }
+    }
     ground = {
         "type": "mesh",
         "positions": np.array([[-40, -5, -2], [40, -5, -2], [40, 75, -2], [-40, 75, -2.0]]),
@@ -63,15 +70,26 @@ def lamps_in_fog(g, boundary):
             "faces": np.array([[0, 1, 2], [0, 2, 3]]),
             **black(30.0),
         },
-        "light_bulb": {"type": "point", "position": [0.0, 30.0, 6.0], "intensity": {"type": "rgb", "value": [25.0] * 3}},
-        "light_spot": {"type": "spot", "to_world": aim, "cutoff_angle": 40.0, "intensity": {"type": "rgb", "value": [60.0] * 3}},
+        "light_bulb": {
+            "type": "point",
+            "position": [0.0, 30.0, 6.0],
+            "intensity": {"type": "rgb", "value": [25.0] * 3},
+        },
+        "light_spot": {
+            "type": "spot",
+            "to_world": aim,
+            "cutoff_angle": 40.0,
+            "intensity": {"type": "rgb", "value": [60.0] * 3},
+        },
     }
     fog = FogVolume("/Fog", boundary, FogMedium(0.05, albedo=0.9, g=g))
     return scene(world, [fog], fov_x_deg=70.0)
 
 
 def assert_models_agree(world, *, samples, resolves):
-    """`path` and `volpath` have the same mean within five standard errors, and could be seen to differ by `resolves`."""
+    """`path` and `volpath` have the same mean within five standard errors, and could be seen to differ by
+    `resolves`.
+    """
     ours, theirs = (renders.means(world, 12, samples=samples, model=model) for model in MODELS)
     error = np.hypot(ours.std(ddof=1), theirs.std(ddof=1)) / np.sqrt(12)
     assert 2 * 5 * error < resolves * ours.mean(), f"cannot see {resolves:.0%}"
@@ -124,7 +142,13 @@ def test_path_refuses_fog_that_it_does_not_know_and_auto_does_not(fog, words):
 
 
 NESTED = [uniform_fog(), FogVolume("/Bank", box((30, 6, 30), (0, 15, 0)), FogMedium(0.1), priority=1, parent=0)]
-LAYERED = [FogVolume("/Fog", box((200.0, 200.0, 60.0), (0, 0, 40)), FogMedium(0.03, profile="exponential", base_height_m=-20.0, scale_height_m=15.0))]
+LAYERED = [
+    FogVolume(
+        "/Fog",
+        box((200.0, 200.0, 60.0), (0, 0, 40)),
+        FogMedium(0.03, profile="exponential", base_height_m=-20.0, scale_height_m=15.0),
+    )
+]
 
 
 @pytest.mark.parametrize("fog", [NESTED, LAYERED], ids=["nested", "exponential"])
@@ -144,7 +168,10 @@ def street(sky=SKY):
         "faces": np.array([[0, 1, 2], [0, 2, 3]]),
         "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.15] * 3}},
     }
-    grey = {"type": "twosided", "bsdf": {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.1]}, "roughness": 0.3}}
+    grey = {
+        "type": "twosided",
+        "bsdf": {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.1]}, "roughness": 0.3},
+    }
     world = {
         **sky,
         "shape_ground": ground,
@@ -156,8 +183,12 @@ def street(sky=SKY):
 
 
 def test_what_is_known_of_a_layer_leaves_the_mean_as_it_is():
-    """`path+slab` and `path` have the same mean within five standard errors, 1 % resolved, and the difference is far less noisy."""
-    plain, known = (by_seed(street(), range(12), samples=count, model=model) for model, count in (("path", 256), ("path+slab", 64)))
+    """`path+slab` and `path` have the same mean within five standard errors, 1 % resolved, and the difference is far
+    less noisy.
+    """
+    plain, known = (
+        by_seed(street(), range(12), samples=count, model=model) for model, count in (("path", 256), ("path+slab", 64))
+    )
     ours, theirs = (np.array([run.radiance.pixels.mean(dtype=np.float64) for run in runs]) for runs in (plain, known))
     error = np.hypot(ours.std(ddof=1), theirs.std(ddof=1)) / np.sqrt(12)
     assert 2 * 5 * error < 0.01 * ours.mean()
@@ -167,7 +198,9 @@ def test_what_is_known_of_a_layer_leaves_the_mean_as_it_is():
 
 @pytest.mark.parametrize("model", ["path", "path+slab"])
 def test_the_layers_add_up_and_the_surface_is_dimmed_by_the_transmittance(model):
-    """surface + airlight_single + airlight_multiple is the radiance; before a black wall surface is T times its glow."""
+    """surface + airlight_single + airlight_multiple is the radiance; before a black wall surface is T times its
+    glow.
+    """
     done = render(street(), samples=64, model=model)
     np.testing.assert_allclose(sum(done.components.values()), done.radiance.pixels, rtol=1e-4)
     world = scene({**SKY, "shape_wall": wall(50.0, **black(1.0))}, [uniform_fog()], fov_x_deg=1.0)
@@ -178,8 +211,14 @@ def test_the_layers_add_up_and_the_surface_is_dimmed_by_the_transmittance(model)
 def test_fog_of_no_density_is_clear_air():
     """sigma_t 0 gives the numbers of the scene without fog, within rounding."""
     world = {**SKY, "shape_ground": wall(30.0, 5.0, bsdf={"type": "diffuse"})}
-    clear, empty = render(scene(world), samples=64), render(scene(world, [FogVolume("/Fog", box(100.0), FogMedium(0.0))]), samples=64)
-    sigma = np.sqrt(clear.radiance.variance.mean() / clear.radiance.pixels.size + empty.radiance.variance.mean() / empty.radiance.pixels.size)
+    clear, empty = (
+        render(scene(world), samples=64),
+        render(scene(world, [FogVolume("/Fog", box(100.0), FogMedium(0.0))]), samples=64),
+    )
+    sigma = np.sqrt(
+        clear.radiance.variance.mean() / clear.radiance.pixels.size
+        + empty.radiance.variance.mean() / empty.radiance.pixels.size
+    )
     assert abs(clear.radiance.pixels.mean() - empty.radiance.pixels.mean()) < 5 * sigma + 1e-6
 
 
@@ -194,7 +233,11 @@ def test_a_bank_inside_fog_dims_with_both():
 @pytest.mark.parametrize("model", [*MODELS, "path+slab"])
 def test_the_same_seed_gives_the_same_bytes(model):
     """And another seed does not."""
-    world = street() if model == "path+slab" else scene({**SKY, "shape_wall": wall(50.0, bsdf={"type": "diffuse"})}, [uniform_fog()])
+    world = (
+        street()
+        if model == "path+slab"
+        else scene({**SKY, "shape_wall": wall(50.0, bsdf={"type": "diffuse"})}, [uniform_fog()])
+    )
     first, again, other = by_seed(world, (1, 1, 2), samples=32, model=model)
     assert first.radiance.pixels.tobytes() == again.radiance.pixels.tobytes()
     assert first.radiance.variance.tobytes() == again.radiance.variance.tobytes()
@@ -213,12 +256,16 @@ def test_bytes_do_not_depend_on_how_much_is_in_flight(monkeypatch):
 
 @pytest.mark.parametrize("model", MODELS)
 def test_the_variance_is_that_of_the_mean(model):
-    """The stated variance equals the scatter over seeds: ratio 1 within 5 sigma of a chi-squared of 24 renders x 144 pixels."""
+    """The stated variance equals the scatter over seeds: ratio 1 within 5 sigma of a chi-squared of 24 renders x 144
+    pixels.
+    """
     world = scene({**SKY, "shape_wall": wall(50.0)}, [uniform_fog()])
     runs = [run.radiance for run in by_seed(world, range(24), samples=32, model=model)]
     scatter = np.var([run.pixels[:, :, 0] for run in runs], axis=0, ddof=1, dtype=np.float64).mean()
     stated = np.mean([run.variance[:, :, 0] for run in runs], dtype=np.float64)
-    assert abs(scatter / stated - 1.0) < 5 * np.sqrt(2 / (23 * 144)) * 1.5  # 1.5: the tails of path tracing are heavier than a normal's
+    assert (
+        abs(scatter / stated - 1.0) < 5 * np.sqrt(2 / (23 * 144)) * 1.5
+    )  # 1.5: the tails of path tracing are heavier than a normal's
 
 
 def test_an_unknown_model_is_refused_with_the_known_ones():

@@ -7,7 +7,16 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from synfog_usd.errors import StageError
-from synfog_usd.stage import cameras, composition_notes, dependencies, open_stage, override, select, stage_hash, variants
+from synfog_usd.stage import (
+    cameras,
+    composition_notes,
+    dependencies,
+    open_stage,
+    override,
+    select,
+    stage_hash,
+    variants,
+)
 from synfog_usd.stage.open import unit_notes
 from synfog_usd.translate import translate
 
@@ -80,7 +89,10 @@ def test_choosing_a_variant_writes_nothing_to_the_input(street):
 
 def test_unknown_variants_are_refused_with_what_there_is(street):
     stage = open_stage(street)
-    with pytest.raises(StageError, match=r"/World: variant set 'fog' has no 'mor15'; it has clear, mor150, mor300. Did you mean 'mor150'"):
+    with pytest.raises(
+        StageError,
+        match=r"/World: variant set 'fog' has no 'mor15'; it has clear, mor150, mor300. Did you mean 'mor150'",
+    ):
         select(stage, fog="mor15")
     plain = Usd.Stage.CreateInMemory()
     assert variants(plain) == {}
@@ -140,13 +152,20 @@ def test_what_cannot_be_opened_says_why_in_one_line(tmp_path, name, text, messag
 WITHOUT = '#usda 1.0\n(\n    subLayers = [@./light.usda@]\n)\ndef Camera "Ego" { }\ndef Cube "Wall" { }\n'
 
 
-@pytest.mark.parametrize("text, path, told", [
-    ('def "A" (references = @./props/gone.usda@</A>) { }', "/A", "its reference ./props/gone.usda is missing; drawn without it"),
-    ('def "A" (payload = @./gone.usdc@) { }', "/A", "its payload ./gone.usdc is missing; drawn without it"),
-    ("", "/", "its sublayer ./light.usda is missing; drawn without it"),
-    ('def "A" (references = </A>) { }', "/A", "Cycle detected"),
-    ('def "A" (references = </B>) { }', "/A", "Unresolved"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text, path, told",
+    [
+        (
+            'def "A" (references = @./props/gone.usda@</A>) { }',
+            "/A",
+            "its reference ./props/gone.usda is missing; drawn without it",
+        ),
+        ('def "A" (payload = @./gone.usdc@) { }', "/A", "its payload ./gone.usdc is missing; drawn without it"),
+        ("", "/", "its sublayer ./light.usda is missing; drawn without it"),
+        ('def "A" (references = </A>) { }', "/A", "Cycle detected"),
+        ('def "A" (references = </B>) { }', "/A", "Unresolved"),
+    ],
+)
 def test_a_stage_is_drawn_without_what_is_missing(tmp_path, text, path, told):
     """The rest is drawn, each missing file is told with the prim that wanted it, and `whole` refuses."""
     if text:
@@ -164,21 +183,35 @@ def test_a_stage_is_drawn_without_what_is_missing(tmp_path, text, path, told):
 
 def test_a_camera_in_a_missing_sublayer_is_refused_by_that_layers_name(tmp_path):
     (tmp_path / "a.usda").write_text('#usda 1.0\n(\n    subLayers = [@./shot.usda@]\n)\ndef Cube "Wall" { }\n')
-    with pytest.raises(StageError, match=r"no camera; /: its sublayer ./shot.usda is missing; put that file in its place"):
+    with pytest.raises(
+        StageError, match=r"no camera; /: its sublayer ./shot.usda is missing; put that file in its place"
+    ):
         translate(open_stage(tmp_path / "a.usda"))
 
 
-@pytest.mark.parametrize("asset, scale, warned", [(0.01, 1.0, True), (0.01, 0.01, False), (1.0, 1.0, False), (0.01, 0.02, False), (None, 1.0, False)])
+@pytest.mark.parametrize(
+    "asset, scale, warned",
+    [(0.01, 1.0, True), (0.01, 0.01, False), (1.0, 1.0, False), (0.01, 0.02, False), (None, 1.0, False)],
+)
 def test_a_reference_in_other_units_wants_a_scale(tmp_path, asset, scale, warned):
     """USD converts nothing: a car in centimetres is drawn 450 m long, unless the reference is scaled by 0.01."""
     units = f"    metersPerUnit = {asset}\n" if asset else ""
     (tmp_path / "car.usda").write_text(f'#usda 1.0\n(\n    defaultPrim = "Car"\n{units})\ndef Cube "Car" {{ }}\n')
-    placed = f'    double3 xformOp:scale = ({scale}, {scale}, {scale})\n    uniform token[] xformOpOrder = ["xformOp:scale"]\n'
-    text = f'def Camera "Ego" {{ }}\ndef Xform "World"\n{{\n{placed}    def "Car" (\n        references = @./car.usda@\n    )\n    {{\n    }}\n}}\n'
+    placed = (
+        f"    double3 xformOp:scale = ({scale}, {scale}, {scale})\n    uniform token[] xformOpOrder = "
+        f'["xformOp:scale"]\n'
+    )
+    text = (
+        f'def Camera "Ego" {{ }}\ndef Xform "World"\n{{\n{placed}    def "Car" (\n        references = @./car.usda@\n '
+        f"   )\n    {{\n    }}\n}}\n"
+    )
     (tmp_path / "a.usda").write_text("#usda 1.0\n(\n    metersPerUnit = 1\n)\n" + text)
     notes = unit_notes(open_stage(tmp_path / "a.usda"))
     assert [note.path for note in notes] == (["/World/Car"] if warned else [])
-    assert all("car.usda, which is in units of 0.01 m and the stage of 1 m" in note.text and "scale it by 0.01" in note.text for note in notes)
+    assert all(
+        "car.usda, which is in units of 0.01 m and the stage of 1 m" in note.text and "scale it by 0.01" in note.text
+        for note in notes
+    )
 
 
 PAINTED = """#usda 1.0
@@ -205,13 +238,22 @@ def test_any_variant_is_chosen_by_its_prim_and_set(tmp_path):
     stage = open_stage(tmp_path / "a.usda")
     override(stage, choices=["/Car:paint=red"])
     assert stage.GetPrimAtPath("/Car/Red") and not stage.GetPrimAtPath("/Car/Blue")
-    assert stage.GetRootLayer().ExportToString() == Usd.Stage.Open(str(tmp_path / "a.usda")).GetRootLayer().ExportToString()
+    assert (
+        stage.GetRootLayer().ExportToString()
+        == Usd.Stage.Open(str(tmp_path / "a.usda")).GetRootLayer().ExportToString()
+    )
 
 
-@pytest.mark.parametrize("choice, told", [
-    ("/Cra:paint=red", r"no prim /Cra; variants are on /Car. Did you mean '/Car'"), ("/Car:pain=red", r"/Car has paint. Did you mean 'paint'"),
-    ("/Car:paint=rad", r"has blue, red. Did you mean 'red'"), ("/Car=red", "not PRIM:SET=VARIANT"), ("Car:paint=red", "not PRIM:SET=VARIANT"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "choice, told",
+    [
+        ("/Cra:paint=red", r"no prim /Cra; variants are on /Car. Did you mean '/Car'"),
+        ("/Car:pain=red", r"/Car has paint. Did you mean 'paint'"),
+        ("/Car:paint=rad", r"has blue, red. Did you mean 'red'"),
+        ("/Car=red", "not PRIM:SET=VARIANT"),
+        ("Car:paint=red", "not PRIM:SET=VARIANT"),
+    ],
+)
 def test_variants_that_are_not_there_are_refused_with_those_that_are(tmp_path, choice, told):
     (tmp_path / "a.usda").write_text(PAINTED)
     with pytest.raises(StageError, match=told):
@@ -235,5 +277,10 @@ def test_a_tower_of_prims_is_refused_when_opened(tmp_path):
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the real files beside the project")
 def test_real_stages_open():
-    assert variants(open_stage(SHARED / "example_street.usda")) == {"fog": ["clear", "mor150", "mor300", "mor600"], "lighting": ["active", "sky"]}
-    assert dependencies(open_stage(SHARED / "people" / "CesiumMan" / "CesiumMan.usdz")) == [SHARED / "people" / "CesiumMan" / "CesiumMan.usdz"]
+    assert variants(open_stage(SHARED / "example_street.usda")) == {
+        "fog": ["clear", "mor150", "mor300", "mor600"],
+        "lighting": ["active", "sky"],
+    }
+    assert dependencies(open_stage(SHARED / "people" / "CesiumMan" / "CesiumMan.usdz")) == [
+        SHARED / "people" / "CesiumMan" / "CesiumMan.usdz"
+    ]

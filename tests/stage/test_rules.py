@@ -58,7 +58,11 @@ def test_a_car_of_another_unit_is_found(sound, wrong, factor):
     stage = sound(0.01)
     UsdGeom.SetStageMetersPerUnit(stage, wrong)
     (one,) = [one for one in check(stage) if one.rule == "units"]
-    assert one.path == "/World/Car" and f"is {4.2 * factor:.3g} m long" in one.text and f"a car {SIZES_M['car'][0]:g} to {SIZES_M['car'][1]:g} m" in one.text
+    assert (
+        one.path == "/World/Car"
+        and f"is {4.2 * factor:.3g} m long" in one.text
+        and f"a car {SIZES_M['car'][0]:g} to {SIZES_M['car'][1]:g} m" in one.text
+    )
     assert ("times 0.01 it would be 4.2 m" in one.text) == (wrong == 1.0)
 
 
@@ -72,10 +76,17 @@ def test_a_scale_counts_as_much_as_a_unit(sound):
 
 @pytest.mark.parametrize(
     "name, size, rule",
-    [("Sedan_03", 4.2, "road-user-unlabelled"), ("redCar", 4.2, "road-user-unlabelled"), ("CarPark", 40.0, None), ("Carpet", 3.0, None),
-     ("Sedan", 420.0, "units"),
-     ("pedestrian", 1.8, "road-user-unlabelled"), ("Cars", 40.0, None), ("House", 9.0, None)],
-)  # fmt: skip
+    [
+        ("Sedan_03", 4.2, "road-user-unlabelled"),
+        ("redCar", 4.2, "road-user-unlabelled"),
+        ("CarPark", 40.0, None),
+        ("Carpet", 3.0, None),
+        ("Sedan", 420.0, "units"),
+        ("pedestrian", 1.8, "road-user-unlabelled"),
+        ("Cars", 40.0, None),
+        ("House", 9.0, None),
+    ],
+)
 def test_road_users_without_a_label_are_found_by_name_and_size(sound, name, size, rule):
     stage = sound()
     UsdGeom.Cube.Define(stage, f"/World/{name}").GetSizeAttr().Set(size)
@@ -142,7 +153,11 @@ def test_lamps_that_no_lamp_is_are_found(sound, kind, values, bright, metres_per
     prim = stage.DefinePrim("/World/Lamp", kind)
     for name, value in values.items():
         in_units = value / metres_per_unit if name in ("radius", "width", "height", "length") else value
-        in_units = in_units / metres_per_unit**2 if name == "intensity" and values.get("normalize") and kind == "SphereLight" else in_units
+        in_units = (
+            in_units / metres_per_unit**2
+            if name == "intensity" and values.get("normalize") and kind == "SphereLight"
+            else in_units
+        )
         prim.GetAttribute(f"inputs:{name}").Set(in_units)
     assert found(stage) == ({("light-bright", "/World/Lamp")} if bright else set())
 
@@ -168,11 +183,20 @@ def test_a_stage_lit_by_less_than_the_moon_is_found(sound):
     assert found(stage) == set()
 
 
-@pytest.mark.parametrize("kind, up, pole, turn, found_it", [
-    ("DomeLight", "Z", None, 0, True), ("DomeLight", "Z", None, 90, False), ("DomeLight", "Y", None, 0, False), ("DomeLight", "Y", None, 90, True),
-    ("DomeLight_1", "Z", None, 0, False), ("DomeLight_1", "Z", "Y", 0, True), ("DomeLight_1", "Y", "Z", 0, True), ("DomeLight_1", "Z", "Z", 3, False),
-    ("DomeLight_1", "Z", "Z", 8, True),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "kind, up, pole, turn, found_it",
+    [
+        ("DomeLight", "Z", None, 0, True),
+        ("DomeLight", "Z", None, 90, False),
+        ("DomeLight", "Y", None, 0, False),
+        ("DomeLight", "Y", None, 90, True),
+        ("DomeLight_1", "Z", None, 0, False),
+        ("DomeLight_1", "Z", "Y", 0, True),
+        ("DomeLight_1", "Y", "Z", 0, True),
+        ("DomeLight_1", "Z", "Z", 3, False),
+        ("DomeLight_1", "Z", "Z", 8, True),
+    ],
+)
 def test_a_sky_map_that_stands_on_edge_is_found(sound, kind, up, pole, turn, found_it):
     """The map's top is local +Y, or poleAxis; a plain colour has no top."""
     stage = sound()
@@ -232,5 +256,9 @@ def test_every_rule_says_how_to_mend_it_in_every_tool_and_stands_in_the_guide():
     for name, rule in RULES.items():
         assert tuple(rule.mend) == TOOLS and all(rule.mend.values())
         row = next(line for line in page.splitlines() if line.startswith(f"| `{name}` |"))
-        assert f"| {rule.severity} |" in row and rule.meaning in row and all(advice in row for advice in rule.mend.values())
+        assert (
+            f"| {rule.severity} |" in row
+            and rule.meaning in row
+            and all(advice in row for advice in rule.mend.values())
+        )
     assert sum(line.startswith("| `") for line in page.splitlines()) == len(RULES)

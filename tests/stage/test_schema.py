@@ -24,8 +24,13 @@ def test_the_plugin_is_known_and_its_fallbacks_are_those_in_python():
 
 def test_the_source_and_the_generated_schema_agree():
     """`python -m pxr.Usd.usdGenSchema schema.usda .` in the plugin's folder remakes the generated one."""
-    source, generated = (Sdf.Layer.OpenAsAnonymous(str(PLUGIN_FOLDER / name)) for name in ("schema.usda", "generatedSchema.usda"))
-    specs = [{p.name: (p.default, p.typeName, p.variability) for p in layer.GetPrimAtPath(f"/{API_NAME}").properties} for layer in (source, generated)]
+    source, generated = (
+        Sdf.Layer.OpenAsAnonymous(str(PLUGIN_FOLDER / name)) for name in ("schema.usda", "generatedSchema.usda")
+    )
+    specs = [
+        {p.name: (p.default, p.typeName, p.variability) for p in layer.GetPrimAtPath(f"/{API_NAME}").properties}
+        for layer in (source, generated)
+    ]
     assert specs[0] == specs[1]
 
 
@@ -58,11 +63,16 @@ def test_check_finds_what_a_render_would_miss():
     UsdGeom.SetStageUpAxis(stage, "Z")
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.Cube.Define(stage, "/World/A")
-    UsdGeom.Cube.Define(stage, "/World/B").GetPrim().CreateAttribute("userProperties:cityscapes", Sdf.ValueTypeNames.String).Set("ufo")
+    UsdGeom.Cube.Define(stage, "/World/B").GetPrim().CreateAttribute(
+        "userProperties:cityscapes", Sdf.ValueTypeNames.String
+    ).Set("ufo")
     assert findings(stage) == {
-        ("", "the stage has no camera"), ("", "the stage has no fog"), ("", "the stage has no light and no emissive material"),
-        ("/World/B", "label 'ufo' is not a Cityscapes name"), ("/World/A", "1 prims have no label (semantics"),
-    }  # fmt: skip
+        ("", "the stage has no camera"),
+        ("", "the stage has no fog"),
+        ("", "the stage has no light and no emissive material"),
+        ("/World/B", "label 'ufo' is not a Cityscapes name"),
+        ("/World/A", "1 prims have no label (semantics"),
+    }
 
 
 def test_check_finds_a_camera_outside_of_its_fog():

@@ -44,7 +44,8 @@ def scaled(picture):
 
 @pytest.mark.parametrize("own", [0.02, 0.05, 0.1])
 def test_known_noise_is_recovered_whatever_the_reference_has_of_its_own(own):
-    """Relative RMS of noise 0.2, against references with 0.02 to 0.1: the variance that is taken off is the reference's.
+    """Relative RMS of noise 0.2, against references with 0.02 to 0.1: the variance that is taken off is the
+    reference's.
 
     A mean square over N pixels has a relative error of sqrt(2 / N) of (0.2^2 + own^2), and the
     variance taken off one of sqrt(2 / (7 N)) of own^2; five of both, halved by the root, about
@@ -59,20 +60,29 @@ def test_known_noise_is_recovered_whatever_the_reference_has_of_its_own(own):
 
 
 def test_without_taking_off_the_references_noise_the_error_would_be_too_large():
-    """Half as much noise in the reference as in the render makes the plain difference sqrt(1.25) of it: the test above can fail."""
+    """Half as much noise in the reference as in the render makes the plain difference sqrt(1.25) of it: the test above
+    can fail.
+    """
     known = reference(NOISE / 2)
     plain = np.sqrt((((noisy(NOISE, "render") - known.luminance) / known.scale) ** 2).mean())
     assert plain > 1.1 * NOISE * scaled(truth())
 
 
 def test_a_bias_is_seen_at_its_standard_error_and_none_is_seen_where_there_is_none():
-    """1 % too bright is 1 % within five standard errors and far from none; 200 unbiased triples scatter by what they say."""
+    """1 % too bright is 1 % within five standard errors and far from none; 200 unbiased triples scatter by what they
+    say.
+    """
     known = reference(0.01)
     found = compare([1.01 * noisy(0.1, "bright", run) for run in range(3)], known)
     assert found.bias == pytest.approx(0.01, abs=5 * found.bias_error)
     assert found.bias > 5 * found.bias_error
     exact = combine([truth(), truth()], [1, 1], "path")
-    scores = np.array([(lambda e: e.bias / e.bias_error)(compare([noisy(0.1, "fair", trial, run) for run in range(3)], exact)) for trial in range(200)])
+    scores = np.array(
+        [
+            (lambda e: e.bias / e.bias_error)(compare([noisy(0.1, "fair", trial, run) for run in range(3)], exact))
+            for trial in range(200)
+        ]
+    )
     assert scores.std() == pytest.approx(1.0, abs=5 / np.sqrt(400))
     assert abs(scores.mean()) < 5 / np.sqrt(200)
 
@@ -87,8 +97,14 @@ def test_noise_and_bias_come_apart(bias, runs):
     """
     flat = np.full(SHAPE, 10.0)
     pattern = np.where(np.add.outer(np.arange(SHAPE[0]) // 8, np.arange(SHAPE[1]) // 8) % 2, bias, -bias)
-    known = combine([flat * (1 + 0.03 * np.sqrt(8) * stream(0, "apart", part).standard_normal(SHAPE)) for part in range(8)], [1] * 8, "path")
-    pictures = [flat * (1 + pattern + NOISE * stream(0, "apart", "run", run).standard_normal(SHAPE)) for run in range(runs)]
+    known = combine(
+        [flat * (1 + 0.03 * np.sqrt(8) * stream(0, "apart", part).standard_normal(SHAPE)) for part in range(8)],
+        [1] * 8,
+        "path",
+    )
+    pictures = [
+        flat * (1 + pattern + NOISE * stream(0, "apart", "run", run).standard_normal(SHAPE)) for run in range(runs)
+    ]
     found = compare(pictures, known)
     second = 1 + 3 * 0.03**2  # mean of 1 / reference^2
     assert found.noise_rms == pytest.approx(NOISE, rel=5 / np.sqrt(2 * (runs - 1) * PIXELS) + second - 1)
@@ -100,7 +116,9 @@ def test_noise_and_bias_come_apart(bias, runs):
 
 
 def test_the_error_of_a_bias_is_calibrated():
-    """Of 300 unbiased triples the squared bias scatters about 0 as its standard error says (5 standard errors of a scatter of 300)."""
+    """Of 300 unbiased triples the squared bias scatters about 0 as its standard error says (5 standard errors of a
+    scatter of 300).
+    """
     exact = combine([truth(), truth()], [1, 1], "path")
     found = [compare([noisy(0.1, "none", trial, run) for run in range(3)], exact) for trial in range(300)]
     scores = np.array([errors.bias_mse / errors.bias_mse_error for errors in found])
@@ -109,7 +127,8 @@ def test_the_error_of_a_bias_is_calibrated():
 
 
 def test_smoothed_noise_does_not_pass_for_certainty():
-    """Noise that a denoiser has spread over 3 x 3 pixels makes the mean no better known: the scatter of 200 triples is that of the stated error.
+    """Noise that a denoiser has spread over 3 x 3 pixels makes the mean no better known: the scatter of 200 triples is
+    that of the stated error.
 
     Blocks of 8 share a little noise with their neighbours, which makes the stated error up to a third too small.
     """
@@ -119,7 +138,12 @@ def test_smoothed_noise_does_not_pass_for_certainty():
         noise = stream(0, "smooth", *names).standard_normal(SHAPE)
         return 1.0 + 0.1 * sum(np.roll(noise, (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)) / 9
 
-    scores = np.array([(lambda e: e.bias / e.bias_error)(compare([smooth(trial, run) for run in range(3)], exact)) for trial in range(200)])
+    scores = np.array(
+        [
+            (lambda e: e.bias / e.bias_error)(compare([smooth(trial, run) for run in range(3)], exact))
+            for trial in range(200)
+        ]
+    )
     assert scores.std() < 1.33 + 5 / np.sqrt(400)
 
 
@@ -142,12 +166,16 @@ def test_flip_is_none_between_equal_pictures_and_grows_with_the_error():
 
 
 def test_unequal_parts_weigh_by_their_samples():
-    """Parts of 1, 2 and 5 samples: the mean is that of the samples, and the variance is unbiased (4,000 trials, 5 standard errors)."""
+    """Parts of 1, 2 and 5 samples: the mean is that of the samples, and the variance is unbiased (4,000 trials, 5
+    standard errors).
+    """
     samples = [1, 2, 5]
     rng = stream(0, "parts")
     parts = [rng.standard_normal((40, 100)) / np.sqrt(n) for n in samples]
     known = combine(parts, samples, "path")
-    np.testing.assert_allclose(known.luminance, sum(n * part for n, part in zip(samples, parts, strict=True)) / 8, atol=1e-15)
+    np.testing.assert_allclose(
+        known.luminance, sum(n * part for n, part in zip(samples, parts, strict=True)) / 8, atol=1e-15
+    )
     assert known.variance.mean() == pytest.approx(1 / 8, rel=5 * np.sqrt(2 / (2 * 4000)))
 
 
@@ -155,16 +183,42 @@ def point(model, samples, seconds, error, *, bias=0.0, reference_rms=0.01, **mor
     """One row; noise is `error`."""
     total = float(np.hypot(error, bias))
     row = dict(line=model, model=model, scatterings=None, bands=0, denoise=False, unbiased=bias == 0, samples=samples)
-    row |= dict(seconds=seconds, first_call_s=2 * seconds, relative_mse=total**2, relative_rms=total, noise_rms=error, bias_rms=bias)
-    row |= dict(bias_limit=bias or 0.002, bias_is_seen=bias > 0, p95=2 * total, flip=0.1 * total, bias=-bias, bias_error=0.01, mean_nits=500.0)
-    row |= dict(on_front=False, planned=False, reference_rms=reference_rms, reference_flip=0.01, reference_model="path", reference_samples=256)
+    row |= dict(
+        seconds=seconds,
+        first_call_s=2 * seconds,
+        relative_mse=total**2,
+        relative_rms=total,
+        noise_rms=error,
+        bias_rms=bias,
+    )
+    row |= dict(
+        bias_limit=bias or 0.002,
+        bias_is_seen=bias > 0,
+        p95=2 * total,
+        flip=0.1 * total,
+        bias=-bias,
+        bias_error=0.01,
+        mean_nits=500.0,
+    )
+    row |= dict(
+        on_front=False,
+        planned=False,
+        reference_rms=reference_rms,
+        reference_flip=0.01,
+        reference_model="path",
+        reference_samples=256,
+    )
     return Point(**{**row, "width": 160, "height": 90, "variant": "llvm_ad_rgb", "machine": "x86_64, 2 cores", **more})
 
 
 def points():
     """Three models, one of them with bias and one without an error of its own."""
     rows = [("path", 4, 0.5, 0.1), ("path", 16, 1.1, 0.05), ("volpath", 4, 2.0, 0.08), ("volpath", 16, 7.0, 0.0)]
-    return [*(point(*row) for row in rows), point("slab", 4, 0.3, 0.02, bias=0.2), point("slab", 16, 0.5, 0.01, bias=0.2)]
+    return [
+        *(point(*row) for row in rows),
+        point("slab", 4, 0.3, 0.02, bias=0.2),
+        point("slab", 16, 0.5, 0.01, bias=0.2),
+    ]
 
 
 def test_front_holds_what_nothing_beats_in_both():
@@ -192,7 +246,9 @@ def test_price_of_an_error_follows_the_square_root_and_ends_at_the_bias():
 
 
 def test_a_bias_that_was_not_looked_for_is_not_taken_for_none():
-    """A model that leaves something out, with no bias seen: what two standard errors leave room for is held against it."""
+    """A model that leaves something out, with no bias seen: what two standard errors leave room for is held against
+    it.
+    """
     line = [point("slab", 4, 0.3, 0.001, unbiased=False, bias_limit=0.05)]
     assert price(line, 0.03) is None and price(line, 0.06) is not None
 
@@ -201,7 +257,11 @@ def test_ring_is_where_the_planner_would_stop():
     """At its samples where it names them; else at the fewest that reach the target, or at the most where none do."""
     rows = points()
     assert ring(rows, ("path", 4), 0.03) == 0 and ring(rows, ("path", 5), 0.03) is None
-    assert ring(rows, ("path", None), 0.06) == 1 and ring(rows, ("path", None), 0.2) == 0 and ring(rows, ("path", None), 0.001) == 1
+    assert (
+        ring(rows, ("path", None), 0.06) == 1
+        and ring(rows, ("path", None), 0.2) == 0
+        and ring(rows, ("path", None), 0.001) == 1
+    )
     assert ring(rows, ("glow", None), 0.1) is None
 
 
@@ -222,7 +282,11 @@ def test_drawings_are_the_same_bytes_each_time():
 def test_table_can_be_read_back():
     """Five digits of every number, and nothing lost of what is no number."""
     rows = list(csv.DictReader(table(points()).splitlines()))
-    assert [(row["model"], row["samples"], row["seconds"]) for row in rows][:3] == [("path", "4", "0.5"), ("path", "16", "1.1"), ("volpath", "4", "2")]
+    assert [(row["model"], row["samples"], row["seconds"]) for row in rows][:3] == [
+        ("path", "4", "0.5"),
+        ("path", "16", "1.1"),
+        ("volpath", "4", "2"),
+    ]
     again = read(table(points()))
     assert [replace(one, relative_mse=0, relative_rms=0, p95=0, flip=0) for one in again] == [
         replace(one, relative_mse=0, relative_rms=0, p95=0, flip=0) for one in points()
@@ -267,7 +331,14 @@ def test_page_asks_nobody_for_anything():
     rgb = np.repeat(truth()[::5, ::5, None], 3, axis=2)
     known = combine([rgb, 1.1 * rgb], [8, 8], "path")
     by_line = {"path": points()[:2], "slab": points()[4:]}
-    text = page.page("a <stage>", draw(points(), title="a")[0].decode(), by_line, known, {"path": (16, rgb), "slab": (16, rgb * 0.8)}, ["x & y"])
+    text = page.page(
+        "a <stage>",
+        draw(points(), title="a")[0].decode(),
+        by_line,
+        known,
+        {"path": (16, rgb), "slab": (16, rgb * 0.8)},
+        ["x & y"],
+    )
     found = parsed(text)
     assert all(reference.startswith(("data:image/png;base64,", "#")) for reference in found.found)
     assert sum(reference.startswith("data:") for reference in found.found) == 3
@@ -311,7 +382,9 @@ FEW = ("--resolution", "32x18", "--depth", "none", "--no-denoise", "--fog", "mor
 
 
 def test_a_small_chart_writes_its_four_files(stage, tmp_path):
-    """Both models see the same fog: more samples have a smaller error, and neither is biased by more than five standard errors."""
+    """Both models see the same fog: more samples have a smaller error, and neither is biased by more than five standard
+    errors.
+    """
     done = run(stage, "-o", tmp_path, *FEW, "--samples", "4,64", "--models", "path,volpath")
     assert done.returncode == 0, done.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["chart.csv", "chart.html", "chart.png", "chart.svg"]
@@ -319,7 +392,12 @@ def test_a_small_chart_writes_its_four_files(stage, tmp_path):
     assert b"</svg>" in (tmp_path / "chart.svg").read_bytes()
     parsed((tmp_path / "chart.html").read_text())
     rows = list(csv.DictReader((tmp_path / "chart.csv").read_text().splitlines()))
-    assert [(row["model"], row["samples"]) for row in rows] == [("path", "4"), ("path", "64"), ("volpath", "4"), ("volpath", "64")]
+    assert [(row["model"], row["samples"]) for row in rows] == [
+        ("path", "4"),
+        ("path", "64"),
+        ("volpath", "4"),
+        ("volpath", "64"),
+    ]
     for few, many in (rows[:2], rows[2:]):
         assert 2.5 < float(few["relative_rms"]) / float(many["relative_rms"]) < 6.5  # 4 by the square root of samples
         assert float(few["flip"]) > float(many["flip"]) > 0
@@ -331,16 +409,27 @@ def test_a_small_chart_writes_its_four_files(stage, tmp_path):
 
 
 def test_a_folder_is_charted_stage_by_stage(stage, tmp_path):
-    """Each stage into a folder of its name, with a page and a table over both; every link is to a file that is there."""
+    """Each stage into a folder of its name, with a page and a table over both; every link is to a file that is
+    there.
+    """
     folder, out = tmp_path / "stages", tmp_path / "out"
     folder.mkdir()
     for name in ("one", "two"):
         (folder / f"{name}.usda").write_text(street())
     done = run(folder, "-o", out, *FEW, "--samples", "4", "--models", "path", "--reference", "64")
     assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in out.iterdir()) == ["index.html", "one", "suite.png", "suite.svg", "summary.csv", "two"]
+    assert sorted(path.name for path in out.iterdir()) == [
+        "index.html",
+        "one",
+        "suite.png",
+        "suite.svg",
+        "summary.csv",
+        "two",
+    ]
     rows = list(csv.DictReader((out / "summary.csv").read_text().splitlines()))
-    assert [(row["stage"], row["target"]) for row in rows] == [(name, target) for name in ("one", "two") for target in ("0.01", "0.03", "0.1")]
+    assert [(row["stage"], row["target"]) for row in rows] == [
+        (name, target) for name in ("one", "two") for target in ("0.01", "0.03", "0.1")
+    ]
     assert all(row["best"] == "path" for row in rows)
     links = parsed((out / "index.html").read_text()).found
     assert links and all((out / link).is_file() for link in links)

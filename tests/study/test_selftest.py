@@ -30,7 +30,9 @@ def constant(value, lost=0, *, peer=False):
     def make(loaded):
         camera = loaded.source.camera
         shape = (camera.width_px * camera.height_px, 3)
-        exposure = SimpleNamespace(mean=lambda: np.full(shape, value), variance=lambda: np.full(shape, 1e-12), lost=lost)
+        exposure = SimpleNamespace(
+            mean=lambda: np.full(shape, value), variance=lambda: np.full(shape, 1e-12), lost=lost
+        )
         return SimpleNamespace(accumulate=lambda **how: exposure)
 
     return models.Model(make=make, peer=peer)
@@ -51,12 +53,16 @@ def test_the_names_fit_and_differ():
 def test_every_known_answer_is_met_on_this_machine():
     """All cases, all models: nothing is missed."""
     rows = list(selftest.run())
-    assert not [result for row in rows for result in row if result.failed], selftest.table(rows) + "\n" + selftest.summary(rows)
+    assert not [result for row in rows for result in row if result.failed], (
+        selftest.table(rows) + "\n" + selftest.summary(rows)
+    )
 
 
 def test_the_quick_ones_are_met_as_a_user_runs_them(monkeypatch):
     """`selftest --quick --json` ends with 0, on our models; what is counted resolves 10 % or better."""
-    monkeypatch.setattr(models, "MODELS", {name: model for name, model in models.MODELS.items() if name in ("path", "slab", "single")})
+    monkeypatch.setattr(
+        models, "MODELS", {name: model for name, model in models.MODELS.items() if name in ("path", "slab", "single")}
+    )
     done = CliRunner().invoke(app, ["selftest", "--quick", "--json"])
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)["cases"]
@@ -76,11 +82,16 @@ def test_a_wrong_truth_is_missed(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "value, lost, verdict, cell", [(np.nan, 0, "not finite", "!NaN 576"), (1.0, 3, "not finite", "!NaN 12"), (-1.0, 0, "negative", "!neg. 144 px")]
+    "value, lost, verdict, cell",
+    [(np.nan, 0, "not finite", "!NaN 576"), (1.0, 3, "not finite", "!NaN 12"), (-1.0, 0, "negative", "!neg. 144 px")],
 )
 def test_nan_and_negative_radiance_fail_in_any_domain(monkeypatch, value, lost, verdict, cell):
-    """A model of ours that has no stated domain yet, and gives what no model may; a peer's NaN is shown and not counted."""
-    monkeypatch.setattr(models, "MODELS", {"new": constant(value, lost), "volpathmis": constant(value, lost, peer=True)})
+    """A model of ours that has no stated domain yet, and gives what no model may; a peer's NaN is shown and not
+    counted.
+    """
+    monkeypatch.setattr(
+        models, "MODELS", {"new": constant(value, lost), "volpathmis": constant(value, lost, peer=True)}
+    )
     ((ours, theirs),) = selftest.run([only(WALL)])
     assert (ours.verdict, ours.failed, ours.cell()) == (verdict, True, cell)
     assert (theirs.verdict, theirs.failed, theirs.cell()) == (verdict, False, cell[1:])

@@ -21,7 +21,22 @@ import numpy as np
 from synfog_usd.study.bench import SensorBench
 from synfog_usd.writers import write_dng
 
-LEVELS = (0.01, 0.02, 0.035, *np.linspace(0.05, 0.85, 13).tolist(), 0.9, 0.92, 0.94, 0.955, 0.97, 0.98, 0.99, 1.0, 1.1, 1.2)
+LEVELS = (
+    0.01,
+    0.02,
+    0.035,
+    *np.linspace(0.05, 0.85, 13).tolist(),
+    0.9,
+    0.92,
+    0.94,
+    0.955,
+    0.97,
+    0.98,
+    0.99,
+    1.0,
+    1.1,
+    1.2,
+)
 """Light of the frames [part of saturation]: 26 levels, close together where the variance has its peak.
 
 No more than two beyond: on a long row of full frames the program takes another peak.
@@ -54,15 +69,26 @@ def shoot(bench: SensorBench, folder: Path, photons: float, count: int) -> Group
 
 
 def series(
-    bench: SensorBench, folder: Path, *, photons_at_saturation: float, levels: Sequence[float] = LEVELS, stack: int = 32, dark_stack: int = 64, lit: float = 0.5
+    bench: SensorBench,
+    folder: Path,
+    *,
+    photons_at_saturation: float,
+    levels: Sequence[float] = LEVELS,
+    stack: int = 32,
+    dark_stack: int = 64,
+    lit: float = 0.5,
 ) -> list[Group]:
     """Two frames in the dark and at each level [part of saturation]; a stack in the dark and one at the level `lit`."""
     temporal = [shoot(bench, folder, level * photons_at_saturation, 2) for level in (0.0, *levels)]
     return [*temporal, shoot(bench, folder, 0.0, dark_stack), shoot(bench, folder, lit * photons_at_saturation, stack)]
 
 
-def dark_series(bench: SensorBench, folder: Path, *, photons_at_saturation: float, exposures_s: Sequence[float]) -> list[Group]:
-    """Two frames in the dark and two in ever more light at each exposure time; and the stacks of three that the program wants."""
+def dark_series(
+    bench: SensorBench, folder: Path, *, photons_at_saturation: float, exposures_s: Sequence[float]
+) -> list[Group]:
+    """Two frames in the dark and two in ever more light at each exposure time; and the stacks of three that the program
+    wants.
+    """
     groups = []
     for number, exposure_s in enumerate(exposures_s):
         at = replace(bench, exposure_s=exposure_s)
@@ -87,7 +113,9 @@ def judged(groups: Sequence[Group], *, site: tuple[int, int] = (0, 0), step: int
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)  # the program leaves the descriptor open
         parsed = process.ParseEmvaDescriptorFile(str(descriptor), loglevel=level)
-    loaded = process.LoadImageData(parsed.images, loglevel=level, fload=functools.partial(numbers, site=site, step=step))
+    loaded = process.LoadImageData(
+        parsed.images, loglevel=level, fload=functools.partial(numbers, site=site, step=step)
+    )
     return process.Results1288(process.Data1288(loaded.data, loglevel=level).data, loglevel=level)
 
 
@@ -101,7 +129,9 @@ def program() -> Any:
 
 
 def _lines(groups: Sequence[Group]) -> list[str]:
-    """The program's descriptor: what kind of light, exposure time [ns] and photons, and the files; bits and size are not used."""
+    """The program's descriptor: what kind of light, exposure time [ns] and photons, and the files; bits and size are
+    not used.
+    """
     lines = ["v 4.0", "n 16 0 0"]
     for group in groups:
         nanoseconds = 1e9 * group.exposure_s

@@ -311,14 +311,29 @@ def Xform "More" (
         }
     }
 }
-"""
+"""  # noqa: E501
 TEXT = street(lamp=True) + EXTRA
 VALUE = re.compile(r"^(\s*(?:uniform |custom )?[\w\[\]]+ [\w:]+) = (.*)$", re.MULTILINE)
 VALUES = list(VALUE.finditer(TEXT))
 WORDS = sorted(set(re.findall(r'[A-Za-z_:]+|[0-9.]+|[(){}\[\]=@<>",#]|\s+', TEXT)))
 """Tokens of the text, for damage that still looks like USD."""
 
-TYPES = ("int", "float", "double3", "string", "token[]", "asset", "bool", "color3f[]", "matrix4d", "int[]", "quatf", "timecode", "nothing", "opaque")
+TYPES = (
+    "int",
+    "float",
+    "double3",
+    "string",
+    "token[]",
+    "asset",
+    "bool",
+    "color3f[]",
+    "matrix4d",
+    "int[]",
+    "quatf",
+    "timecode",
+    "nothing",
+    "opaque",
+)
 ONE_OF_TYPE = {
     "string": '"x"',
     "token[]": '["x"]',
@@ -335,7 +350,17 @@ ONE_OF_TYPE = {
 NUMBERS = ("0", "-1", "1", "1e-45", "1e38", "-1e38", "1e308", "inf", "-inf", "nan", "0.5", "1e9", "100000")
 WHOLE = ("0", "-1", "1", "2", "7", "2147483647", "-2147483648")
 STRINGS = ('""', '"inherited"', '"invisible"', '"X"', '"none"', '"bilinear"', '"\u00e9\\n"', '"a b"', '"./x"')
-ASSETS = ("@@", "@./gone.png@", "@/etc/hostname@", "@.@", "@./stage.usda@", "@<UDIM>.png@", "@./picture.png@", "@./grid.npz@", "@./lamp.ies@")
+ASSETS = (
+    "@@",
+    "@./gone.png@",
+    "@/etc/hostname@",
+    "@.@",
+    "@./stage.usda@",
+    "@<UDIM>.png@",
+    "@./picture.png@",
+    "@./grid.npz@",
+    "@./lamp.ies@",
+)
 _BY_TYPE = {
     "string": STRINGS,
     "token": STRINGS,
@@ -348,7 +373,8 @@ _BY_TYPE = {
 
 
 def parts_of(kind):
-    """What a value of a USD type is made of: (one word of it is one of these, sizes of the tuples around it from the outside).
+    """What a value of a USD type is made of: (one word of it is one of these, sizes of the tuples around it from the
+    outside).
 
     >>> parts_of("color3f")[1], parts_of("matrix4d")[1], parts_of("token")[1]
     ((3,), (4, 4), ())
@@ -392,7 +418,12 @@ def png(width, height, data=None, *, bits=8):
         return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
     rows = zlib.compress((b"\0" + bytes(3 * width * bits // 8)) * height if data is None else data)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, 2, 0, 0, 0)) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, 2, 0, 0, 0))
+        + chunk(b"IDAT", rows)
+        + chunk(b"IEND", b"")
+    )
 
 
 IES = """IESNA:LM-63-2002

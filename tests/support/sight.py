@@ -1,8 +1,8 @@
 """Who is seen from a camera, by another way than the composer's: plan views in shapely, heights along them.
 
-Shares nothing with `synfog_usd.world.roads.rules`: sizes and labels are read from the models' stages, a line of sight is
-cut with footprints in the plane (GEOS), and what is left of it is compared with heights.  Silhouettes are sampled by 64
-points where the composer takes six.
+Shares nothing with `synfog_usd.world.roads.rules`: sizes and labels are read from the models' stages, a line of sight
+is cut with footprints in the plane (GEOS), and what is left of it is compared with heights.  Silhouettes are sampled by
+64 points where the composer takes six.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ USERS = {"person", "rider", "car", "truck", "bus", "motorcycle", "bicycle"}
 OPAQUE = USERS | {"building", "wall"}
 SIDE = 8
 SEEN = 0.1
-"""The composer promises 30 % by six rays, three of which end at nine tenths of the height: of a car whose roof alone shows that is half, in truth an eighth."""
+"""The composer promises 30 % by six rays, three of which end at nine tenths of the height: of a car whose roof alone
+shows that is half, in truth an eighth.
+"""
 NARROW_M = 0.3
 """Half of what somebody on foot is taken to hide: arms and legs leave gaps."""
 
@@ -31,8 +33,14 @@ def model(asset: str) -> tuple[np.ndarray, np.ndarray, str]:
     """Low and high corner [m] and Cityscapes class of a model, from its stage."""
     stage = Usd.Stage.Open(str(ROOT / "assets" / "models" / asset / f"{asset}.usda"))
     prim = stage.GetDefaultPrim()
-    bound = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"]).ComputeWorldBound(prim).ComputeAlignedRange()
-    return np.array(bound.GetMin()), np.array(bound.GetMax()), next(iter(prim.GetAttribute("semantics:labels:cityscapes").Get()))
+    bound = (
+        UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"]).ComputeWorldBound(prim).ComputeAlignedRange()
+    )
+    return (
+        np.array(bound.GetMin()),
+        np.array(bound.GetMax()),
+        next(iter(prim.GetAttribute("semantics:labels:cityscapes").Get())),
+    )
 
 
 def on_the_ground(p) -> shapely.Polygon:
@@ -45,14 +53,22 @@ def on_the_ground(p) -> shapely.Polygon:
 
 
 def shares(world, *, within_m: float, enough: int | None = None) -> dict[str, float]:
-    """Share of each road user in the picture that opaque things and the ground leave free, by name; ends when `enough` are SEEN, the nearest first."""
+    """Share of each road user in the picture that opaque things and the ground leave free, by name; ends when `enough`
+    are SEEN, the nearest first.
+    """
     eye = np.array([world.view.x, world.view.y, world.view.z])
     half_view = math.atan(0.36 / 2 / world.view.focal_length)
-    near = [p for p in world.placed if math.hypot(p.x - eye[0], p.y - eye[1]) < within_m + 60.0 and model(p.asset)[2] in OPAQUE]
+    near = [
+        p
+        for p in world.placed
+        if math.hypot(p.x - eye[0], p.y - eye[1]) < within_m + 60.0 and model(p.asset)[2] in OPAQUE
+    ]
     prints = [on_the_ground(p) for p in near]
     tree = shapely.STRtree(prints)
     found = {}
-    for p, outline in sorted(zip(near, prints, strict=True), key=lambda pair: math.hypot(pair[0].x - eye[0], pair[0].y - eye[1])):
+    for p, outline in sorted(
+        zip(near, prints, strict=True), key=lambda pair: math.hypot(pair[0].x - eye[0], pair[0].y - eye[1])
+    ):
         dx, dy = p.x - eye[0], p.y - eye[1]
         away, bearing = math.hypot(dx, dy), math.atan2(-dx, dy)  # counter-clockwise from +Y
         off = (bearing - math.radians(world.view.heading) + math.pi) % (2 * math.pi) - math.pi
@@ -75,7 +91,9 @@ def shares(world, *, within_m: float, enough: int | None = None) -> dict[str, fl
                     continue
                 at = np.array([line.project(shapely.Point(c)) for c in cut.coords]) / line.length
                 z = eye[2] + at[:, None] * (tops - eye[2])
-                free[column] &= (z.max(axis=0) < other.z) | (z.min(axis=0) > other.z + model(other.asset)[1][2] * other.size)
+                free[column] &= (z.max(axis=0) < other.z) | (
+                    z.min(axis=0) > other.z + model(other.asset)[1][2] * other.size
+                )
         path = np.linspace(0.03, 0.95, 40)
         x, y = (eye[k] + path[:, None] * (ends[:, k] - eye[k]) for k in (0, 1))
         ground = np.asarray(world.road.height(x, y))  # (along, column)

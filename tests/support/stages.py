@@ -110,7 +110,14 @@ def Xform "World" (
 
 
 def street(
-    *, meters_per_unit: float = 1.0, up: str = "Z", albedo: float = 1.0, emission: float = 0.0, sky: float = 1000.0, lamp: bool = False, fov_x_deg: float = 40.0
+    *,
+    meters_per_unit: float = 1.0,
+    up: str = "Z",
+    albedo: float = 1.0,
+    emission: float = 0.0,
+    sky: float = 1000.0,
+    lamp: bool = False,
+    fov_x_deg: float = 40.0,
 ) -> str:
     """A camera in a box of fog looks north at a wall 50 m away, under a uniform sky.
 

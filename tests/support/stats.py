@@ -1,4 +1,6 @@
-"""Tests of means and of draws against truths: they say what they can resolve, and leave what they saw when they fail."""
+"""Tests of means and of draws against truths: they say what they can resolve, and leave what they saw when they
+fail.
+"""
 
 from __future__ import annotations
 
@@ -28,13 +30,23 @@ def assert_mean(means, truth, *, resolves, alpha=1e-4, truth_within=5e-6):
     if 2 * limit * sem <= resolves * abs(truth) and abs(distance) <= limit:
         return
     spread = pictures.std(axis=0, ddof=1) / np.sqrt(len(pictures))
-    left = leave(pictures.mean(axis=0), wanted, (pictures.mean(axis=0) - wanted) / np.where(spread > 0.0, spread, np.inf), runs=pictures)
-    assert 2 * limit * sem <= resolves * abs(truth), f"cannot see {resolves:.1%}: error is {sem / truth:.2%}; add seeds or samples; {left}"
-    assert abs(distance) <= limit, f"mean {means.mean():.6g}, truth {truth:.6g}: {distance:+.1f} standard errors (limit {limit:.1f}); {left}"
+    left = leave(
+        pictures.mean(axis=0),
+        wanted,
+        (pictures.mean(axis=0) - wanted) / np.where(spread > 0.0, spread, np.inf),
+        runs=pictures,
+    )
+    assert 2 * limit * sem <= resolves * abs(truth), (
+        f"cannot see {resolves:.1%}: error is {sem / truth:.2%}; add seeds or samples; {left}"
+    )
+    assert abs(distance) <= limit, (
+        f"mean {means.mean():.6g}, truth {truth:.6g}: {distance:+.1f} standard errors (limit {limit:.1f}); {left}"
+    )
 
 
 def assert_draws(counts, expected, *, alpha=1e-4, fewest=10.0):
-    """Fail unless draws are spread as they should be: chi-squared over the cells, those of less than `fewest` expected draws as one.
+    """Fail unless draws are spread as they should be: chi-squared over the cells, those of less than `fewest` expected
+    draws as one.
 
     counts: draws in each cell, any shape; what lies in no cell is no draw.
     expected: of each cell, the same shape, in any unit.
@@ -49,7 +61,9 @@ def assert_draws(counts, expected, *, alpha=1e-4, fewest=10.0):
     chance = stats.chi2.sf(squared, len(seen) - 1)
     if chance <= alpha:
         left = leave(counts, expected, (counts - expected) / np.sqrt(np.maximum(expected, 1e-30)))
-        raise AssertionError(f"chi-squared {squared:.0f} on {len(seen) - 1}: chance {chance:.2g}, allowed {alpha:g}; {left}")
+        raise AssertionError(
+            f"chi-squared {squared:.0f} on {len(seen) - 1}: chance {chance:.2g}, allowed {alpha:g}; {left}"
+        )
 
 
 def leave(image, reference, error, **more):
@@ -64,11 +78,17 @@ def leave(image, reference, error, **more):
     folder = FAILED / name
     folder.mkdir(parents=True, exist_ok=True)
     image = np.asarray(image, dtype=np.float64)
-    found = {"image": image, "reference": np.broadcast_to(reference, image.shape), "error": np.broadcast_to(error, image.shape)}
+    found = {
+        "image": image,
+        "reference": np.broadcast_to(reference, image.shape),
+        "error": np.broadcast_to(error, image.shape),
+    }
     np.savez(folder / "evidence.npz", **found, **more)
     for what, values in found.items():
         if values.ndim in (2, 3):
             pixels = values.reshape(*values.shape[:2], -1).astype(np.float32)
-            channels = ("R", "G", "B") if pixels.shape[2] == 3 else tuple(f"c{index}.Y" for index in range(pixels.shape[2]))
+            channels = (
+                ("R", "G", "B") if pixels.shape[2] == 3 else tuple(f"c{index}.Y" for index in range(pixels.shape[2]))
+            )
             write_exr(folder / f"{what}.exr", Image(pixels, channels, Quantity.DATA))
     return f"image, reference and error lie in {folder}"

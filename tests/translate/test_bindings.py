@@ -56,9 +56,13 @@ def test_purposes_of_a_binding(empty, square, only_shape, bound, wanted):
 
 
 @pytest.mark.parametrize("instanceable", [False, True])
-@pytest.mark.parametrize("strength, wanted", [("weakerThanDescendants", (GREEN, RED)), ("strongerThanDescendants", (RED, RED))])
+@pytest.mark.parametrize(
+    "strength, wanted", [("weakerThanDescendants", (GREEN, RED)), ("strongerThanDescendants", (RED, RED))]
+)
 def test_strength_of_a_binding_above(empty, square, instanceable, strength, wanted):
-    """A binding above wins over what is bound below where it says so, within instances too; what is bare takes it always."""
+    """A binding above wins over what is bound below where it says so, within instances too; what is bare takes it
+    always.
+    """
     stage = empty()
     stage.CreateClassPrim("/Car")
     bind(square(stage, "/Car/Body"), paint(stage, "/Car/Green", GREEN))
@@ -121,7 +125,9 @@ def reading(stage, reader_id, varname, **inputs):
     ("", None, [(0.25, 0.5, 0.75)] * 4),
 ])  # fmt: skip
 def test_a_reader_takes_the_primvar_that_it_names(empty, square, only_shape, interpolation, values, wanted):
-    """By point, or one for all; its fallback where the mesh has none.  displayColor, which it does not name, stays out."""
+    """By point, or one for all; its fallback where the mesh has none.  displayColor, which it does not name, stays
+    out.
+    """
     stage = empty()
     prim = square(stage, "/Mesh")
     UsdGeom.Mesh(prim).CreateDisplayColorPrimvar("vertex").Set([(0.5, 0.5, 0.5)] * 4)
@@ -135,7 +141,9 @@ def test_a_reader_takes_the_primvar_that_it_names(empty, square, only_shape, int
 
 def test_a_constant_colour_is_read_from_above(empty, square, only_shape):
     stage = empty()
-    UsdGeom.PrimvarsAPI(stage.DefinePrim("/Car", "Xform")).CreatePrimvar("tint", TYPES.Color3fArray, "constant").Set([GREEN])
+    UsdGeom.PrimvarsAPI(stage.DefinePrim("/Car", "Xform")).CreatePrimvar("tint", TYPES.Color3fArray, "constant").Set(
+        [GREEN]
+    )
     bind(square(stage, "/Car/Body"), reading(stage, "UsdPrimvarReader_float3", "tint"))
     np.testing.assert_allclose(only_shape(translate(stage))["vertex_color"], [GREEN] * 4)
 
@@ -187,7 +195,9 @@ def test_many_colours_of_an_instancer_are_their_mean_with_a_warning(empty, squar
 
 @pytest.mark.parametrize("frame, place", [(None, 10.0), (7, 15.0), (9, 20.0)])
 def test_a_stage_without_a_first_frame_is_drawn_at_its_first_sample(empty, square, only_shape, frame, place):
-    """Samples at 5 and 9 and no default: the place is the first's, not the origin; points and visibility are those of the same frame."""
+    """Samples at 5 and 9 and no default: the place is the first's, not the origin; points and visibility are those of
+    the same frame.
+    """
     stage = empty()
     above = UsdGeom.Xform.Define(stage, "/Above")
     move = above.AddTranslateOp()

@@ -18,7 +18,9 @@ def camera(stage):
     return found
 
 
-@pytest.mark.parametrize("size, width_mm", [((900, 600), 36.0), ((1200, 600), 48.0), ((600, 600), 36.0), ((300, 600), 36.0)])
+@pytest.mark.parametrize(
+    "size, width_mm", [((900, 600), 36.0), ((1200, 600), 48.0), ((600, 600), 36.0), ((300, 600), 36.0)]
+)
 def test_the_aperture_grows_to_the_picture(empty, size, width_mm):
     """expandAperture: a wider picture keeps the height and widens, a narrower one keeps the width."""
     stage = empty()
@@ -28,7 +30,10 @@ def test_the_aperture_grows_to_the_picture(empty, size, width_mm):
     np.testing.assert_allclose(found.fov_x_deg, 2 * math.degrees(math.atan(width_mm / 2 / 35.0)), rtol=1e-6)
 
 
-@pytest.mark.parametrize("policy, width_mm", [("expandAperture", 48.0), ("cropAperture", 36.0), ("adjustApertureWidth", 48.0), ("adjustApertureHeight", 36.0)])
+@pytest.mark.parametrize(
+    "policy, width_mm",
+    [("expandAperture", 48.0), ("cropAperture", 36.0), ("adjustApertureWidth", 48.0), ("adjustApertureHeight", 36.0)],
+)
 def test_other_ways_to_conform(empty, policy, width_mm):
     stage = empty()
     camera(stage)
@@ -36,7 +41,9 @@ def test_other_ways_to_conform(empty, policy, width_mm):
     settings.CreateAspectRatioConformPolicyAttr(policy)
     settings.CreateResolutionAttr(Gf.Vec2i(1200, 600))
     stage.SetMetadata("renderSettingsPrimPath", "/Render")
-    np.testing.assert_allclose(translate(stage).camera.fov_x_deg, 2 * math.degrees(math.atan(width_mm / 2 / 35.0)), rtol=1e-6)
+    np.testing.assert_allclose(
+        translate(stage).camera.fov_x_deg, 2 * math.degrees(math.atan(width_mm / 2 / 35.0)), rtol=1e-6
+    )
 
 
 def test_the_projection_is_usds_own(empty):
@@ -63,7 +70,9 @@ def test_lens_numbers_are_in_metres(empty):
     authored.CreateFocusDistanceAttr(1200.0)
     authored.CreateClippingRangeAttr(Gf.Vec2f(10.0, 1e6))
     found = translate(stage).camera
-    np.testing.assert_allclose([found.focal_length_m, found.f_number, found.focus_m, found.near_m], [0.035, 2.8, 12.0, 0.1], rtol=1e-6)
+    np.testing.assert_allclose(
+        [found.focal_length_m, found.f_number, found.focus_m, found.near_m], [0.035, 2.8, 12.0, 0.1], rtol=1e-6
+    )
     assert (found.width_px, found.height_px) == (1280, 853)
 
 
@@ -148,7 +157,9 @@ def test_a_cameras_own_exposure_is_noted(empty):
 
 @pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
 def test_an_orthographic_camera_sees_its_aperture(empty, metres_per_unit):
-    """Gf's frustum of the same camera: a window of tenths of a unit, moved by the offsets, that does not grow with distance."""
+    """Gf's frustum of the same camera: a window of tenths of a unit, moved by the offsets, that does not grow with
+    distance.
+    """
     stage = empty(metres_per_unit=metres_per_unit)
     authored = UsdGeom.Camera.Get(stage, "/Camera")
     authored.CreateProjectionAttr("orthographic")

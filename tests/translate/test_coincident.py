@@ -18,14 +18,24 @@ def square(material, *, at=(0.0, 0.0, 0.0), turned=False, size=1.0):
     """A square of side `size` [m] in the plane z = at[2], facing up, or down where `turned`."""
     corners = size * np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=np.float32) + np.float32(at)
     faces = np.array([(0, 1, 2), (0, 2, 3)], dtype=np.uint32)
-    return {"type": "mesh", "positions": corners, "faces": faces[:, ::-1] if turned else faces, "bsdf": {"type": "ref", "id": material}}
+    return {
+        "type": "mesh",
+        "positions": corners,
+        "faces": faces[:, ::-1] if turned else faces,
+        "bsdf": {"type": "ref", "id": material},
+    }
 
 
 def scene(*meshes):
     world = {f"shape_{index}": mesh for index, mesh in enumerate(meshes)}
     camera = Camera("/Eye", np.eye(4), 4, 4, 60.0)
     instances = tuple(Instance(index + 1, f"/Part{index}", "unlabeled") for index in range(len(meshes)))
-    return SceneDict({"type": "scene", **world}, camera, instances=instances, instance_of={(key,): index + 1 for index, key in enumerate(world)})
+    return SceneDict(
+        {"type": "scene", **world},
+        camera,
+        instances=instances,
+        instance_of={(key,): index + 1 for index, key in enumerate(world)},
+    )
 
 
 def test_overlapping_faces_of_two_materials_are_found_with_their_prims_and_place():
@@ -62,7 +72,9 @@ def test_neither_slant_nor_distance_hides_them(tilt, away):
 
 
 def test_instances_are_looked_at_in_their_places():
-    """Two squares of a group, mirrored onto each other by their instances: back to back as they are modelled, coincident as they stand."""
+    """Two squares of a group, mirrored onto each other by their instances: back to back as they are modelled,
+    coincident as they stand.
+    """
     mirror = np.diag([1.0, 1.0, -1.0, 1.0])
     groups = {f"group_{name}": {"type": "shapegroup", "shape": square(name)} for name in "ab"}
     places = {
@@ -75,7 +87,12 @@ def test_instances_are_looked_at_in_their_places():
     assert len(coincident(SceneDict({"type": "scene", **groups, **places}, Camera("/Eye", np.eye(4), 4, 4, 60.0)))) == 1
 
 
-@pytest.mark.parametrize("stage", [pytest.param(path, marks=[pytest.mark.slow] * (path.parent.name != "bench"), id=path.stem) for path in STAGES])
+@pytest.mark.parametrize(
+    "stage",
+    [pytest.param(path, marks=[pytest.mark.slow] * (path.parent.name != "bench"), id=path.stem) for path in STAGES],
+)
 def test_no_shipped_stage_has_coincident_faces(stage):
-    """Where there are any, coherent and incoherent rays choose differently: a block of the crossing differed by 19 %."""
+    """Where there are any, coherent and incoherent rays choose differently: a block of the crossing differed by 19
+    %.
+    """
     assert coincident(translate(usd.open_stage(stage))) == []

@@ -34,11 +34,15 @@ def define(stage, points, counts, **more):
 
 
 def test_a_straight_wire_has_its_diameter(empty, only_shape):
-    """Widths are diameters: a tube of 8 sides has 2 pi r L of side, as the circle whose outline it keeps; no end caps."""
+    """Widths are diameters: a tube of 8 sides has 2 pi r L of side, as the circle whose outline it keeps; no end
+    caps.
+    """
     stage = empty()
     define(stage, [(0, 5, 0), (3, 5, 0)], [2], type="linear")
     shape = only_shape(translate(stage))
-    np.testing.assert_allclose(np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1).sum(), 2 * np.pi * 0.1 * 3, rtol=1e-5)
+    np.testing.assert_allclose(
+        np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1).sum(), 2 * np.pi * 0.1 * 3, rtol=1e-5
+    )
     outward = shape["positions"].astype(float) - [0, 5, 0]
     outward[:, 0] = 0
     np.testing.assert_allclose(shape["normals"], outward / np.linalg.norm(outward, axis=1, keepdims=True), atol=1e-5)
@@ -74,10 +78,20 @@ def test_cubic_curves_run_along_their_splines(empty, only_shape, basis, wrap, po
 
 @pytest.mark.parametrize("basis", ["bspline", "catmullRom"])
 def test_periodic_curves_close(empty, only_shape, basis):
-    """A ring of 12 points is as many segments; its first and last ring of the tube are at one place, and none is far from the circle."""
+    """A ring of 12 points is as many segments; its first and last ring of the tube are at one place, and none is far
+    from the circle.
+    """
     stage = empty()
     angle = np.arange(12) * 2 * np.pi / 12
-    define(stage, [(float(np.cos(a)), 5.0, float(np.sin(a))) for a in angle], [12], type="cubic", basis=basis, wrap="periodic", widths=[0.02])
+    define(
+        stage,
+        [(float(np.cos(a)), 5.0, float(np.sin(a))) for a in angle],
+        [12],
+        type="cubic",
+        basis=basis,
+        wrap="periodic",
+        widths=[0.02],
+    )
     middle, _ = rings(only_shape(translate(stage)), 8)
     assert len(middle) == 12 * 6 + 1
     np.testing.assert_allclose(middle[0], middle[-1], atol=1e-6)
@@ -94,20 +108,31 @@ def test_periodic_curves_close(empty, only_shape, basis):
 ])  # fmt: skip
 def test_widths_of_every_interpolation(empty, only_shape, interpolation, widths, wanted):
     stage = empty()
-    define(stage, [(0, 5, 0), (1, 5, 0), (2, 5, 0), (0, 5, 2), (1, 5, 2)], [3, 2], type="linear", widths=widths, interpolation=interpolation)
+    define(
+        stage,
+        [(0, 5, 0), (1, 5, 0), (2, 5, 0), (0, 5, 2), (1, 5, 2)],
+        [3, 2],
+        type="linear",
+        widths=widths,
+        interpolation=interpolation,
+    )
     middle, radius = rings(only_shape(translate(stage)), 8)
     order = np.lexsort((middle[:, 0], middle[:, 2].round(3)))
     np.testing.assert_allclose(radius[order] * np.sin(np.pi / 8) / (np.pi / 8), wanted, rtol=1e-4)
 
 
 def test_points_are_balls_of_their_width(empty, only_shape):
-    """A ball of 80 faces keeps the sphere's surface pi d^2; a point without width is not drawn; colours stay with their points."""
+    """A ball of 80 faces keeps the sphere's surface pi d^2; a point without width is not drawn; colours stay with their
+    points.
+    """
     stage = empty()
     cloud = UsdGeom.Points.Define(stage, "/Points")
     cloud.CreatePointsAttr([(0, 5, 0), (2, 5, 0), (4, 5, 0)])
     cloud.CreateWidthsAttr([0.2, 0.0, 0.6])
     cloud.SetWidthsInterpolation("vertex")
-    UsdGeom.PrimvarsAPI(cloud).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "vertex").Set([(1, 0, 0), (0, 1, 0), (0, 0, 1)])
+    UsdGeom.PrimvarsAPI(cloud).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "vertex").Set(
+        [(1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    )
     shape = only_shape(translate(stage))
     left = shape["positions"][shape["faces"][:, 0], 0] < 2
     areas = np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1)
@@ -116,9 +141,16 @@ def test_points_are_balls_of_their_width(empty, only_shape):
     np.testing.assert_array_equal(shape["vertex_color"][shape["positions"][:, 0] > 2], [[0, 0, 1]] * 42)
 
 
-@pytest.mark.parametrize("change", [
-    {"curveVertexCounts": [3]}, {"curveVertexCounts": [-1, 3]}, {"widths": []}, {"points": [(0, 5, float("nan")), (1, 5, 0)]}, {"type": "cubic"},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"curveVertexCounts": [3]},
+        {"curveVertexCounts": [-1, 3]},
+        {"widths": []},
+        {"points": [(0, 5, float("nan")), (1, 5, 0)]},
+        {"type": "cubic"},
+    ],
+)
 def test_broken_curves_are_left_out_with_a_note(empty, change):
     stage = empty()
     curves = define(stage, [(0, 5, 0), (1, 5, 0)], [2], type="linear")
@@ -130,7 +162,9 @@ def test_broken_curves_are_left_out_with_a_note(empty, change):
 
 
 def test_hermite_curves_meet_their_points_with_their_tangents(empty, only_shape):
-    """Between points the curve is SciPy's cubic of the same values and slopes; widths run evenly from point to point."""
+    """Between points the curve is SciPy's cubic of the same values and slopes; widths run evenly from point to
+    point.
+    """
     stage = empty()
     tangents = np.array([(1, 0, 3), (2, 0, 0), (1, 1, -3)], dtype=float)
     points = np.array([(0, 5, 0), (1, 5, 1), (3, 5, 0)], dtype=float)
@@ -143,7 +177,9 @@ def test_hermite_curves_meet_their_points_with_their_tangents(empty, only_shape)
     middle, radius = rings(only_shape(translate(stage)), 8)
     t = np.linspace(0, 2, 13)
     np.testing.assert_allclose(middle, CubicHermiteSpline([0, 1, 2], points, tangents)(t), atol=1e-5)
-    np.testing.assert_allclose(radius / radius[6], 1 - 0.5 * np.abs(t - 1), rtol=2e-3)  # rings are measured from vertices in float32
+    np.testing.assert_allclose(
+        radius / radius[6], 1 - 0.5 * np.abs(t - 1), rtol=2e-3
+    )  # rings are measured from vertices in float32
 
 
 def test_hermite_curves_without_tangents_are_left_out_with_a_note(empty):
@@ -161,7 +197,9 @@ def test_hermite_curves_without_tangents_are_left_out_with_a_note(empty):
 @pytest.mark.parametrize("name", ["normals", "primvars:normals"])
 @pytest.mark.parametrize("facing", [(0, -1, 0), (0.8, -1, 0)])
 def test_curves_with_normals_are_flat_ribbons(empty, only_shape, name, facing):
-    """A strip of width 0.2 and length 3 has an area of 0.6 and looks along what of its normal stands at right angles to it."""
+    """A strip of width 0.2 and length 3 has an area of 0.6 and looks along what of its normal stands at right angles to
+    it.
+    """
     stage = empty()
     curves = define(stage, [(0, 5, 0), (1, 5, 0), (3, 5, 0)], [3], type="linear")
     if name == "normals":
@@ -177,9 +215,13 @@ def test_curves_with_normals_are_flat_ribbons(empty, only_shape, name, facing):
 
 
 def test_a_ribbon_turns_with_its_normals(empty, only_shape):
-    """Between two normals a quarter apart the strip stands across their mean: after a share t it has turned by atan(t / (1 - t)), and keeps its width."""
+    """Between two normals a quarter apart the strip stands across their mean: after a share t it has turned by atan(t /
+    (1 - t)), and keeps its width.
+    """
     stage = empty()
-    curves = define(stage, [(0, 5, 0), (1, 5, 0), (2, 5, 0), (3, 5, 0)], [4], type="cubic", basis="bezier", widths=[1.0])
+    curves = define(
+        stage, [(0, 5, 0), (1, 5, 0), (2, 5, 0), (3, 5, 0)], [4], type="cubic", basis="bezier", widths=[1.0]
+    )
     angle = np.radians([0.0, 90.0])
     curves.CreateNormalsAttr([(0.0, float(np.cos(a)), float(np.sin(a))) for a in angle])
     curves.SetNormalsInterpolation("varying")
@@ -189,4 +231,6 @@ def test_a_ribbon_turns_with_its_normals(empty, only_shape):
     np.testing.assert_allclose(np.linalg.norm(across, axis=1), 1.0, rtol=1e-6)
     np.testing.assert_allclose(p.mean(axis=1), np.stack([3 * t, 5 + 0 * t, 0 * t], axis=1), atol=1e-6)
     np.testing.assert_allclose(np.arctan2(np.abs(across[:, 1]), np.abs(across[:, 2])), np.arctan2(t, 1 - t), atol=1e-6)
-    np.testing.assert_allclose(np.einsum("ij,ij->i", np.cross([1, 0, 0], across), shape["normals"][::2]), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.einsum("ij,ij->i", np.cross([1, 0, 0], across), shape["normals"][::2]), 1.0, rtol=1e-6
+    )

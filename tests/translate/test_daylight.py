@@ -31,7 +31,9 @@ def told(scene, word):
 
 
 def test_illuminance_of_open_ground_is_that_of_sky_and_slanting_sun(empty):
-    """pi L of an even sky, and E cos of a sun at 60 degrees; ground of albedo 0.2 gives back E / pi of that, and fills half the view."""
+    """pi L of an even sky, and E cos of a sun at 60 degrees; ground of albedo 0.2 gives back E / pi of that, and fills
+    half the view.
+    """
     stage = empty()
     sun(stage, 50_000.0, tilt=60.0)
     sky(stage, 4000.0)
@@ -55,14 +57,24 @@ def test_a_sky_map_counts_by_the_cosine_of_its_upper_half(empty, tmp_path):
     dome.CreateTextureFileAttr(Sdf.AssetPath(str(tmp_path / "sky.exr")))
     dome.AddRotateXOp().Set(90.0)  # its top to the stage's Z
     light = outdoors(translate(stage))
-    assert light.ground_lux == pytest.approx(math.pi * 1000.0, rel=1e-3)  # 64 rows: the midpoint rule in cos sin is off by (pi / 64)^2 / 6
+    assert light.ground_lux == pytest.approx(
+        math.pi * 1000.0, rel=1e-3
+    )  # 64 rows: the midpoint rule in cos sin is off by (pi / 64)^2 / 6
     assert light.view_cd_m2 == pytest.approx((1000.0 + 0.2 * 1000.0) / 2, rel=1e-3)
 
 
-@pytest.mark.parametrize("lux, name, warned", [
-    (3.0, "Sun", True), (3.0, "Key", True), (3.0, "Moon", False), (0.2, "MoonLight", False), (400.0, "Sun", False), (80_000.0, "Sun", False),
-    (0.0, "Sun", False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "lux, name, warned",
+    [
+        (3.0, "Sun", True),
+        (3.0, "Key", True),
+        (3.0, "Moon", False),
+        (0.2, "MoonLight", False),
+        (400.0, "Sun", False),
+        (80_000.0, "Sun", False),
+        (0.0, "Sun", False),
+    ],
+)
 def test_a_day_that_would_come_out_as_night_is_told_with_the_option(empty, lux, name, warned):
     """A sun of strength 3 is 3 lux; a moon means to be one, and a light that is off is none."""
     stage = empty()
@@ -95,13 +107,22 @@ def test_all_lights_are_multiplied_alike(empty, polygon_mesh):
 
     def numbers(scene):
         found = [part.get("emitter", part) for part in scene.world.values() if isinstance(part, dict)]
-        return np.array([np.mean(part[name]["value"]) for part in found for name in ("radiance", "irradiance", "intensity") if name in part])
+        return np.array(
+            [
+                np.mean(part[name]["value"])
+                for part in found
+                for name in ("radiance", "irradiance", "intensity")
+                if name in part
+            ]
+        )
 
     plain = numbers(translate(stage))
     assert len(plain) == 5
     np.testing.assert_allclose(numbers(translate(stage, light_scale=2.5)), 2.5 * plain, rtol=1e-12)
     bright = translate(stage, sun_lux=80_000.0)
-    np.testing.assert_allclose(numbers(bright), 20_000.0 * plain, rtol=1e-6)  # the weights of R, G and B add up to 1.0000001
+    np.testing.assert_allclose(
+        numbers(bright), 20_000.0 * plain, rtol=1e-6
+    )  # the weights of R, G and B add up to 1.0000001
     assert told(bright, "night") == [] and "all lights are multiplied by 20000" in [note.text for note in bright.notes]
 
 
@@ -141,7 +162,9 @@ def test_a_camera_inside_of_a_solid_is_why_a_picture_is_black(empty, polygon_mes
         shape.AddTranslateOp().Set((0.2, 0, 0))
     elif kind == "Mesh":
         corners = [(x, y, z) for x in (-2, 2) for y in (-2, 2) for z in (-2, 2)]
-        shape = polygon_mesh(stage, path, corners, [4] * 6, [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3])
+        shape = polygon_mesh(
+            stage, path, corners, [4] * 6, [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
+        )
         shape.AddTranslateOp().Set((0.2, 0, 0))
     else:
         stage.CreateClassPrim("/Kit")

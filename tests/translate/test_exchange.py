@@ -36,10 +36,17 @@ def stage_of(text):
 def same(one, other):
     """Whether two scenes are the same in every number."""
     assert one.world.keys() == other.world.keys()
-    first, second = ([dict(scene.world), vars(scene.camera), scene.instance_of, scene.group_of] for scene in (one, other))
+    first, second = (
+        [dict(scene.world), vars(scene.camera), scene.instance_of, scene.group_of] for scene in (one, other)
+    )
     np.testing.assert_equal(first, second)
-    np.testing.assert_equal([vars(part.boundary) | vars(part.medium) for part in one.fog], [vars(part.boundary) | vars(part.medium) for part in other.fog])
-    assert [(part.path, part.parent, part.priority) for part in one.fog] == [(part.path, part.parent, part.priority) for part in other.fog]
+    np.testing.assert_equal(
+        [vars(part.boundary) | vars(part.medium) for part in one.fog],
+        [vars(part.boundary) | vars(part.medium) for part in other.fog],
+    )
+    assert [(part.path, part.parent, part.priority) for part in one.fog] == [
+        (part.path, part.parent, part.priority) for part in other.fog
+    ]
 
 
 @pytest.mark.parametrize("begin", ["clear", "mor150"])
@@ -64,7 +71,10 @@ def test_the_shipped_stages_exchange_their_fogs():
         for fog in usd.variants(stage)["fog"]:
             usd.select(stage, fog=fog)
             found = exchange.within(stage)
-            assert found is not None and len(found.fog) == (0 if fog == "clear" else 2 if "bank" in name else 1), (name, fog)
+            assert found is not None and len(found.fog) == (0 if fog == "clear" else 2 if "bank" in name else 1), (
+                name,
+                fog,
+            )
 
 
 @pytest.mark.parametrize("what", MORE)
@@ -73,7 +83,9 @@ def test_a_variant_that_says_more_is_not_exchanged(what):
     within, beside = MORE[what]
     text = street(lamp=True)
     assert THICK in text
-    text = text.replace("        uniform token purpose", within + "\n        uniform token purpose", 1)  # it goes with the fog when that is switched off
+    text = text.replace(
+        "        uniform token purpose", within + "\n        uniform token purpose", 1
+    )  # it goes with the fog when that is switched off
     text = text.replace(THICK, '        "mor150" {\n' + beside + '\n            over "Fog"\n            {', 1)
     for begin, other in (("mor150", "clear"), ("clear", "mor150")):
         stage = stage_of(text)
@@ -86,10 +98,15 @@ def test_a_variant_that_says_more_is_not_exchanged(what):
 def test_a_variant_of_a_file_that_is_referred_to_counts(tmp_path):
     """The set stands in another file, under another name: its prims are found in the stage all the same."""
     (tmp_path / "street.usda").write_text(street())
-    text = '#usda 1.0\n(\n    defaultPrim = "Town"\n    metersPerUnit = 1\n    upAxis = "Z"\n)\ndef Xform "Town" (\n    references = @street.usda@\n)\n{\n}\n'
+    text = (
+        '#usda 1.0\n(\n    defaultPrim = "Town"\n    metersPerUnit = 1\n    upAxis = "Z"\n)\ndef Xform "Town" (\n    '
+        "references = @street.usda@\n)\n{\n}\n"
+    )
     (tmp_path / "town.usda").write_text(text)
     for more, exchanged in (("", True), ('over "Sky"\n{\nfloat inputs:exposure = 1\n}\n', False)):
-        (tmp_path / "street.usda").write_text(street().replace(THICK, '        "mor150" {\n' + more + '            over "Fog"\n            {', 1))
+        (tmp_path / "street.usda").write_text(
+            street().replace(THICK, '        "mor150" {\n' + more + '            over "Fog"\n            {', 1)
+        )
         stage = usd.open_stage(tmp_path / "town.usda")
         usd.select(stage, fog="clear")
         exchange = Exchange(stage, resolution=(32, 18))

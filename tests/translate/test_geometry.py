@@ -60,7 +60,9 @@ def test_darts_are_covered_once_wherever_they_are_bent(empty, polygon_mesh, only
     square = np.array([(5, 0), (7, 0), (7, 2), (5, 2)], dtype=float)
     flat = np.concatenate([dart, *[square] * others])
     stage = empty()
-    polygon_mesh(stage, "/Dart", [(float(x), 5.0, float(z)) for x, z in flat], [4] * (1 + others), list(range(len(flat))))
+    polygon_mesh(
+        stage, "/Dart", [(float(x), 5.0, float(z)) for x, z in flat], [4] * (1 + others), list(range(len(flat)))
+    )
     shape = only_shape(translate(stage))
     signed = -area_vectors(shape["positions"], shape["faces"])[:, 1]
     assert (signed > 0).all()
@@ -80,13 +82,17 @@ def test_a_polygon_with_a_bridged_hole_keeps_its_area():
 def spiral(n):
     """A band that goes twenty times around."""
     turn = np.linspace(0.5, 40 * np.pi, n // 2)
-    return np.concatenate([radius[:, None] * np.c_[np.cos(turn), np.sin(turn)] for radius in (turn + 2, turn)])[np.r_[: n // 2, n - 1 : n // 2 - 1 : -1]]
+    return np.concatenate([radius[:, None] * np.c_[np.cos(turn), np.sin(turn)] for radius in (turn + 2, turn)])[
+        np.r_[: n // 2, n - 1 : n // 2 - 1 : -1]
+    ]
 
 
 def comb(n):
     """A spine with n / 4 teeth."""
     left = np.arange(n // 4, dtype=float)
-    teeth = np.stack([np.c_[left + x, np.full_like(left, y)] for x, y in [(0, 0.1), (0, 1), (0.5, 1), (0.5, 0.1)]], axis=1).reshape(-1, 2)
+    teeth = np.stack(
+        [np.c_[left + x, np.full_like(left, y)] for x, y in [(0, 0.1), (0, 1), (0.5, 1), (0.5, 0.1)]], axis=1
+    ).reshape(-1, 2)
     return np.r_[[(-1.0, 0.0), (n // 4 + 1.0, 0.0)], teeth[::-1]]
 
 
@@ -100,24 +106,42 @@ def dented_square(n):
     """A square with n / 4 corners along each side, one corner of a dent, and each corner twice."""
     side = np.linspace(0, 1, n // 8, endpoint=False)
     zero, one = np.zeros_like(side), np.ones_like(side)
-    return np.repeat(np.r_[np.c_[side, zero], np.c_[one, side], np.c_[1 - side, one], np.c_[zero, 1 - side], [(0.25, 0.5)]], 2, axis=0)
+    return np.repeat(
+        np.r_[np.c_[side, zero], np.c_[one, side], np.c_[1 - side, one], np.c_[zero, 1 - side], [(0.25, 0.5)]],
+        2,
+        axis=0,
+    )
 
 
 @pytest.mark.parametrize("shape", [spiral, comb, zigzag, dented_square])
 def test_long_outlines_are_covered_once(shape):
-    """An outline of 10 000 corners that no fan covers; cutting ears one by one took the cube of their number, which was hours."""
+    """An outline of 10 000 corners that no fan covers; cutting ears one by one took the cube of their number, which was
+    hours.
+    """
     flat = shape(10_000)
     points, normal = tilted(flat, np.random.default_rng(1))
     triangles, _, crossed = triangulate(points, np.array([len(flat)]), ONE, np.arange(len(flat)), np.array([True]))
     signed = area_vectors(points, triangles) @ normal
     size = np.ptp(flat, axis=0).prod()
-    assert not len(crossed) and abs(signed.sum()) == pytest.approx(shoelace(flat), abs=1e-9 * size) == pytest.approx(np.abs(signed).sum(), abs=1e-9 * size)
+    assert not len(crossed) and abs(signed.sum()) == pytest.approx(shoelace(flat), abs=1e-9 * size) == pytest.approx(
+        np.abs(signed).sum(), abs=1e-9 * size
+    )
 
 
-@pytest.mark.parametrize("turn", [np.eye(3), [[0, 1, 0], [0, 0, 1], [1, 0, 0]], [[0, 1, 0], [1, 0, 0], [0, 0, 1]], [[0, 0, 1], [0, 1, 0], [1, 0, 0]]])
+@pytest.mark.parametrize(
+    "turn",
+    [
+        np.eye(3),
+        [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+        [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
+        [[0, 0, 1], [0, 1, 0], [1, 0, 0]],
+    ],
+)
 def test_triangles_turn_the_polygons_way_from_every_side(turn):
     """An L in each coordinate plane and from either side: its triangles' normals are its own, by Newell's sum."""
-    points = np.array([(0, 0, 0), (3, 0, 0), (3, 1, 0), (1, 1, 0), (1, 2, 0), (0, 2, 0)], dtype=float) @ np.transpose(turn)
+    points = np.array([(0, 0, 0), (3, 0, 0), (3, 1, 0), (1, 1, 0), (1, 2, 0), (0, 2, 0)], dtype=float) @ np.transpose(
+        turn
+    )
     triangles, _, _ = triangulate(points, np.array([6]), ONE, np.arange(6), np.array([True]))
     newell = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0) / 2
     np.testing.assert_allclose(area_vectors(points, triangles).sum(axis=0), newell, atol=1e-12)
@@ -125,12 +149,16 @@ def test_triangles_turn_the_polygons_way_from_every_side(turn):
 
 @pytest.mark.parametrize("order", [[0, 1, 3, 2], [0, 2, 4, 1, 3], [0, 3, 1, 4, 2, 5]])
 def test_outlines_that_cross_themselves_are_told(empty, polygon_mesh, order):
-    """A bow tie, a pentagram and a tangled hexagon: drawn as well as they can be, and noted with the number of the face."""
+    """A bow tie, a pentagram and a tangled hexagon: drawn as well as they can be, and noted with the number of the
+    face.
+    """
     n = len(order)
     angle = 2 * np.pi * np.array(order) / n + 0.3
     stage = empty()
     polygon_mesh(stage, "/Bow", [(float(np.cos(a)), 5.0, float(np.sin(a))) for a in angle], [n], list(range(n)))
-    assert "1 of its faces, number 0 first, have edges that cross" in " ".join(note.text for note in translate(stage).notes)
+    assert "1 of its faces, number 0 first, have edges that cross" in " ".join(
+        note.text for note in translate(stage).notes
+    )
 
 
 def test_hole_indices_leave_faces_out(empty, polygon_mesh, only_shape):
@@ -149,7 +177,9 @@ def test_outside_stays_outside(empty, polygon_mesh, only_shape, mirror, left_han
     stage = empty()
     box = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    mesh = polygon_mesh(stage, "/Box", box, [4] * 6, [k for quad in quads for k in (quad[::-1] if left_handed else quad)])
+    mesh = polygon_mesh(
+        stage, "/Box", box, [4] * 6, [k for quad in quads for k in (quad[::-1] if left_handed else quad)]
+    )
     mesh.CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
     mesh.AddTranslateOp().Set((3, 4, 5))
     mesh.AddScaleOp().Set((-2 if mirror else 2, 3, 1))
@@ -168,7 +198,9 @@ def test_outside_stays_outside(empty, polygon_mesh, only_shape, mirror, left_han
 ])  # fmt: skip
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
 def test_implicit_shapes_hold_their_volume(empty, only_shape, name, size, volume, axis):
-    """Closed forms; 48 segments lose 2 pi^2 / (3 * 48^2) = 0.29 % of a circle's area, 24 chords of a meridian (pi / 24)^2 / 4 = 0.43 %."""
+    """Closed forms; 48 segments lose 2 pi^2 / (3 * 48^2) = 0.29 % of a circle's area, 24 chords of a meridian (pi /
+    24)^2 / 4 = 0.43 %.
+    """
     stage = empty()
     prim = stage.DefinePrim("/Shape", name)
     for key, value in size.items():
@@ -198,11 +230,15 @@ def test_implicit_shapes_hold_their_volume(empty, only_shape, name, size, volume
     ("uniform", [(0.25, 0.5), (0.75, 0.5)], None),
     ("constant", [(0.3, 0.7)], None),
 ])  # fmt: skip
-def test_texture_coordinates_stay_with_their_corners(empty, polygon_mesh, only_shape, tmp_path, interpolation, values, indices):
+def test_texture_coordinates_stay_with_their_corners(
+    empty, polygon_mesh, only_shape, tmp_path, interpolation, values, indices
+):
     """Each corner of each triangle finds the value that USD's own primvar rules give it."""
     stage = empty()
     corners = [0, 1, 4, 3, 1, 2, 5, 4]
-    mesh = polygon_mesh(stage, "/Two", [(0, 5, 0), (1, 5, 0), (2, 5, 0), (0, 5, 1), (1, 5, 1), (2, 5, 1)], [4, 4], corners)
+    mesh = polygon_mesh(
+        stage, "/Two", [(0, 5, 0), (1, 5, 0), (2, 5, 0), (0, 5, 1), (1, 5, 1), (2, 5, 1)], [4, 4], corners
+    )
     primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("uv", Sdf.ValueTypeNames.TexCoord2fArray, interpolation)
     primvar.Set(values)
     if indices:
@@ -210,7 +246,13 @@ def test_texture_coordinates_stay_with_their_corners(empty, polygon_mesh, only_s
     bind_texture(stage, mesh, tmp_path, "uv")
     shape = only_shape(translate(stage))
     flat = values if indices is None else [values[k] for k in indices]
-    index = {"faceVarying": range(8), "vertex": corners, "varying": corners, "uniform": [0] * 4 + [1] * 4, "constant": [0] * 8}[interpolation]
+    index = {
+        "faceVarying": range(8),
+        "vertex": corners,
+        "varying": corners,
+        "uniform": [0] * 4 + [1] * 4,
+        "constant": [0] * 8,
+    }[interpolation]
     wanted = {(face, corners[4 * face + k]): flat[list(index)[4 * face + k]] for face in range(2) for k in range(4)}
     for number, triangle in enumerate(shape["faces"]):
         for vertex in triangle:
@@ -238,19 +280,31 @@ def bind_texture(stage, mesh, folder, varname):
     reader = UsdShade.Shader.Define(stage, "/Material/Reader")
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(varname)
-    picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float2))
-    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(picture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+    picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(
+        reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    )
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(
+        picture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+    )
     material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
 
 
 def test_primvar_normals_win_and_face_varying_ones_split_vertices(empty, polygon_mesh, only_shape):
     stage = empty()
-    mesh = polygon_mesh(stage, "/Fold", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1), (2, 6, 0), (2, 6, 1)], [4, 4], [0, 1, 2, 3, 1, 4, 5, 2])
+    mesh = polygon_mesh(
+        stage,
+        "/Fold",
+        [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1), (2, 6, 0), (2, 6, 1)],
+        [4, 4],
+        [0, 1, 2, 3, 1, 4, 5, 2],
+    )
     mesh.CreateNormalsAttr([(0, 0, 1)] * 8)
     mesh.SetNormalsInterpolation("faceVarying")
     first, second = Gf.Vec3f(0, -1, 0), Gf.Vec3f(0.7, -0.7, 0)
-    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, "faceVarying").Set([first] * 4 + [second] * 4)
+    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, "faceVarying").Set(
+        [first] * 4 + [second] * 4
+    )
     shape = only_shape(translate(stage))
     assert shape["face_normals"] is False
     np.testing.assert_allclose(shape["normals"][shape["faces"][0]], [[0, -1, 0]] * 3, atol=1e-6)
@@ -259,7 +313,9 @@ def test_primvar_normals_win_and_face_varying_ones_split_vertices(empty, polygon
 
 @pytest.mark.parametrize("interpolation", ["vertex", "faceVarying"])
 def test_normals_without_length_are_made_from_the_faces_around(empty, polygon_mesh, only_shape, interpolation):
-    """Of a cube's corners, one has no normal: it gets the mean of its sides by area, the others keep the author's; a face's own corner gets its side's."""
+    """Of a cube's corners, one has no normal: it gets the mean of its sides by area, the others keep the author's; a
+    face's own corner gets its side's.
+    """
     stage = empty()
     mesh = polygon_mesh(stage, "/Box", [(x, y + 5, z) for x, y, z in BOX], [4] * 6, QUADS)
     authored = np.array(BOX if interpolation == "vertex" else [BOX[k] for k in QUADS], dtype=float)
@@ -271,7 +327,9 @@ def test_normals_without_length_are_made_from_the_faces_around(empty, polygon_me
     outward = (shape["positions"] - [0, 5, 0]) / 3**0.5
     turned = np.einsum("ij,ij->i", shape["normals"], outward)
     if interpolation == "vertex":
-        np.testing.assert_allclose(turned, 1.0, rtol=1e-6)  # three equal squares: the diagonal, but for how they are cut
+        np.testing.assert_allclose(
+            turned, 1.0, rtol=1e-6
+        )  # three equal squares: the diagonal, but for how they are cut
     else:
         changed = turned < 0.999
         np.testing.assert_allclose(shape["normals"][changed], [[1, 0, 0]], atol=1e-6)
@@ -292,10 +350,17 @@ def test_normals_stand_upright_under_uneven_scale(empty, polygon_mesh, only_shap
 
 
 def test_a_loop_octahedron_touches_its_limit(empty, polygon_mesh, only_shape):
-    """Its points of valence 4 keep 1 - 4 / (4 + 3 / (8 beta)) = 24 / 55 of their distance, beta = (5/8 - (3/8 + cos(90) / 4)^2) / 4 = 31 / 256."""
+    """Its points of valence 4 keep 1 - 4 / (4 + 3 / (8 beta)) = 24 / 55 of their distance, beta = (5/8 - (3/8 + cos(90)
+    / 4)^2) / 4 = 31 / 256.
+    """
     stage = empty()
     tips = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
-    sides = [(a, b, c) if np.linalg.det([tips[a], tips[b], tips[c]]) > 0 else (a, c, b) for a in (0, 1) for b in (2, 3) for c in (4, 5)]
+    sides = [
+        (a, b, c) if np.linalg.det([tips[a], tips[b], tips[c]]) > 0 else (a, c, b)
+        for a in (0, 1)
+        for b in (2, 3)
+        for c in (4, 5)
+    ]
     mesh = polygon_mesh(stage, "/Cage", tips, [3] * 8, [k for side in sides for k in side])
     mesh.GetSubdivisionSchemeAttr().Set("loop")
     mesh.AddTranslateOp().Set((0, 5, 0))
@@ -323,10 +388,14 @@ def test_loop_on_quads_is_drawn_as_its_cage_with_a_warning(empty, polygon_mesh, 
 
 
 def test_bilinear_patches_lie_on_their_saddle(empty, polygon_mesh, only_shape, tmp_path):
-    """A quad over the unit square with heights x z is the paraboloid y = x z everywhere, and its coordinates run evenly; the flat one beside it stays flat."""
+    """A quad over the unit square with heights x z is the paraboloid y = x z everywhere, and its coordinates run
+    evenly; the flat one beside it stays flat.
+    """
     stage = empty()
     flat = [(x, z) for z in (0.0, 1.0) for x in (0.0, 1.0, 2.0)]
-    mesh = polygon_mesh(stage, "/Saddle", [(x, 5.0 + min(x, 1.0) * z, z) for x, z in flat], [4, 4], [0, 1, 4, 3, 1, 2, 5, 4])
+    mesh = polygon_mesh(
+        stage, "/Saddle", [(x, 5.0 + min(x, 1.0) * z, z) for x, z in flat], [4, 4], [0, 1, 4, 3, 1, 2, 5, 4]
+    )
     mesh.GetSubdivisionSchemeAttr().Set("bilinear")
     primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("uv", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
     primvar.Set([flat[k] for k in (0, 1, 4, 3, 1, 2, 5, 4)])
@@ -346,7 +415,9 @@ def test_bilinear_faces_that_are_flat_are_not_divided(empty, polygon_mesh, only_
 
 
 def test_small_meshes_of_one_topology_are_told_apart(empty, polygon_mesh):
-    """A square, a dart and a square over the same four indices: each is covered once, though their faces are looked at together."""
+    """A square, a dart and a square over the same four indices: each is covered once, though their faces are looked at
+    together.
+    """
     stage = empty()
     square, dart = [(0, 0), (2, 0), (2, 2), (0, 2)], [(0, 0), (2, 1), (0, 4), (1, 1)]
     for number, outline in enumerate((square, dart, square)):
@@ -360,7 +431,9 @@ def test_small_meshes_of_one_topology_are_told_apart(empty, polygon_mesh):
 
 
 def test_a_subdivided_cube_touches_its_limit(empty, polygon_mesh, only_shape):
-    """Corner of valence 3: (9 v + 4 sum(e) + sum(f)) / 24 = (9 + 4 - 1) / 24; axes: 68 / 81, from one step by hand and the mask of valence 4."""
+    """Corner of valence 3: (9 v + 4 sum(e) + sum(f)) / 24 = (9 + 4 - 1) / 24; axes: 68 / 81, from one step by hand and
+    the mask of valence 4.
+    """
     stage = empty()
     mesh = polygon_mesh(stage, "/Cage", BOX, [4] * 6, QUADS)
     mesh.GetSubdivisionSchemeAttr().Set("catmullClark")
@@ -395,7 +468,9 @@ def test_corners_of_a_crease_have_a_normal_for_each_side(empty, polygon_mesh, on
 
 @pytest.mark.parametrize("interpolation", ["faceVarying", "vertex"])
 def test_coordinates_and_holes_follow_a_subdivided_mesh(empty, polygon_mesh, only_shape, tmp_path, interpolation):
-    """On a flat square the surface is the square but for its boundary rule; u runs with x and v with z, by corners or points; a hole stays one."""
+    """On a flat square the surface is the square but for its boundary rule; u runs with x and v with z, by corners or
+    points; a hole stays one.
+    """
     stage = empty()
     points = [(x, 5, z) for z in range(4) for x in range(4)]
     faces = [[4 * z + x, 4 * z + x + 1, 4 * z + x + 5, 4 * z + x + 4] for z in range(3) for x in range(3)]
@@ -408,14 +483,22 @@ def test_coordinates_and_holes_follow_a_subdivided_mesh(empty, polygon_mesh, onl
     bind_texture(stage, mesh, tmp_path, "uv")
     shape = only_shape(translate(stage))
     np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]], atol=1e-5)
-    np.testing.assert_allclose(np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1).sum(), 8.0, rtol=1e-5)
+    np.testing.assert_allclose(
+        np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1).sum(), 8.0, rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize("indexed", [False, True])
-@pytest.mark.parametrize("interpolation, at_the_point, at_a_middle", [("varying", 1.0, 0.25), ("vertex", 16 / 36, None)])
+@pytest.mark.parametrize(
+    "interpolation, at_the_point, at_a_middle", [("varying", 1.0, 0.25), ("vertex", 16 / 36, None)]
+)
 @pytest.mark.parametrize("scheme", ["catmullClark", "loop"])
-def test_varying_values_run_evenly_within_the_faces(empty, polygon_mesh, only_shape, scheme, interpolation, at_the_point, at_a_middle, indexed):
-    """A spike of 1 on one inner point: 'varying' keeps it, with a quarter at the middles of quads; 'vertex' smooths it: to 16/36, by Loop to a half."""
+def test_varying_values_run_evenly_within_the_faces(
+    empty, polygon_mesh, only_shape, scheme, interpolation, at_the_point, at_a_middle, indexed
+):
+    """A spike of 1 on one inner point: 'varying' keeps it, with a quarter at the middles of quads; 'vertex' smooths it:
+    to 16/36, by Loop to a half.
+    """
     stage = empty()
     points = [(x, 5, z) for z in range(5) for x in range(5)]
     quads = [(5 * z + x, 5 * z + x + 1, 5 * z + x + 6, 5 * z + x + 5) for z in range(4) for x in range(4)]
@@ -460,7 +543,13 @@ def test_coordinates_of_other_types_are_read(empty, polygon_mesh, only_shape, tm
 def test_subsets_split_a_mesh_by_material(empty, polygon_mesh):
     """Faces of family materialBind, or bound directly, wear their own colour; other subsets do not split."""
     stage = empty()
-    mesh = polygon_mesh(stage, "/Strip", [(x, 5, z) for z in range(2) for x in range(5)], [4] * 4, [0, 1, 6, 5, 1, 2, 7, 6, 2, 3, 8, 7, 3, 4, 9, 8])
+    mesh = polygon_mesh(
+        stage,
+        "/Strip",
+        [(x, 5, z) for z in range(2) for x in range(5)],
+        [4] * 4,
+        [0, 1, 6, 5, 1, 2, 7, 6, 2, 3, 8, 7, 3, 4, 9, 8],
+    )
     colors = {}
     for name, color in (("Red", (1, 0, 0)), ("Blue", (0, 0, 1)), ("Own", (0, 1, 0))):
         colors[name] = material = UsdShade.Material.Define(stage, f"/{name}")
@@ -481,8 +570,14 @@ def test_subsets_split_a_mesh_by_material(empty, polygon_mesh):
     found = {}
     for part in (part for key, part in scene.world.items() if key.startswith("shape_")):
         bsdf = scene.world[part["bsdf"]["id"]]
-        found[tuple(bsdf["bsdf"]["base_color"]["value"])] = float(np.linalg.norm(area_vectors(part["positions"], part["faces"]), axis=1).sum())
-    assert found == {(1.0, 0.0, 0.0): pytest.approx(1.0), (0.0, 0.0, 1.0): pytest.approx(2.0), (0.0, 1.0, 0.0): pytest.approx(1.0)}
+        found[tuple(bsdf["bsdf"]["base_color"]["value"])] = float(
+            np.linalg.norm(area_vectors(part["positions"], part["faces"]), axis=1).sum()
+        )
+    assert found == {
+        (1.0, 0.0, 0.0): pytest.approx(1.0),
+        (0.0, 0.0, 1.0): pytest.approx(2.0),
+        (0.0, 1.0, 0.0): pytest.approx(1.0),
+    }
     assert len(scene.instances) == 1
 
 
@@ -516,11 +611,17 @@ def test_a_broken_mesh_is_left_out_with_a_note(empty, polygon_mesh, points, coun
 
 @pytest.mark.parametrize("scheme", ["catmullClark", "loop"])
 def test_normals_of_what_is_divided_are_not_used(empty, polygon_mesh, only_shape, scheme):
-    """A cube that says it is divided is the same limit surface with and without normals of its own; one that says nothing is polygons."""
+    """A cube that says it is divided is the same limit surface with and without normals of its own; one that says
+    nothing is polygons.
+    """
     faces = (
         QUADS
         if scheme == "catmullClark"
-        else [corner for q in range(0, 24, 4) for corner in (QUADS[q], QUADS[q + 1], QUADS[q + 2], QUADS[q], QUADS[q + 2], QUADS[q + 3])]
+        else [
+            corner
+            for q in range(0, 24, 4)
+            for corner in (QUADS[q], QUADS[q + 1], QUADS[q + 2], QUADS[q], QUADS[q + 2], QUADS[q + 3])
+        ]
     )
     size = 4 if scheme == "catmullClark" else 3
 
@@ -545,7 +646,9 @@ def test_normals_of_what_is_divided_are_not_used(empty, polygon_mesh, only_shape
 SQUARE = [(0, 5, 0), (2, 5, 0), (2, 5, 2), (0, 5, 2)]
 
 
-@pytest.mark.parametrize("kind", ["int[]", "double[]", "float[]", "int3[]", "double3[]", "half3[]", "int64[]", "point3d[]"])
+@pytest.mark.parametrize(
+    "kind", ["int[]", "double[]", "float[]", "int3[]", "double3[]", "half3[]", "int64[]", "point3d[]"]
+)
 def test_points_of_any_numeric_type_are_points(tmp_path, only_shape, kind):
     """Threes, or plain numbers in threes."""
     values = SQUARE if "3" in kind else [number for point in SQUARE for number in point]
@@ -553,23 +656,35 @@ def test_points_of_any_numeric_type_are_points(tmp_path, only_shape, kind):
     np.testing.assert_array_equal(only_shape(scene)["positions"] + np.array(scene.origin_m), SQUARE)
 
 
-@pytest.mark.parametrize("line, name", [
-    ("float normals = 3", "normals is a float, and a normal3f[] is wanted"), ('token primvars:displayColor = "a"', "primvars:displayColor is a token"),
-    ('string[] primvars:displayOpacity = ["a"]', "primvars:displayOpacity is a string[]"), ('string[] holeIndices = ["a"]', "holeIndices is a string[]"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "line, name",
+    [
+        ("float normals = 3", "normals is a float, and a normal3f[] is wanted"),
+        ('token primvars:displayColor = "a"', "primvars:displayColor is a token"),
+        ('string[] primvars:displayOpacity = ["a"]', "primvars:displayOpacity is a string[]"),
+        ('string[] holeIndices = ["a"]', "holeIndices is a string[]"),
+    ],
+)
 def test_an_array_of_a_wrong_type_is_left_out_and_the_rest_is_drawn(tmp_path, only_shape, line, name):
-    """One such array refused the whole stage; now it is told by its prim, at each translation, and the file stays as it is."""
+    """One such array refused the whole stage; now it is told by its prim, at each translation, and the file stays as it
+    is.
+    """
     stage = opened(tmp_path, f"point3f[] points = {SQUARE}\n    {line}")
     for _ in range(2):
         scene = translate(stage)
         assert len(only_shape(scene)["faces"]) == 2
-        assert [(note.path, note.text.endswith("it is left out")) for note in scene.notes if name in note.text] == [("/M", True)]
+        assert [(note.path, note.text.endswith("it is left out")) for note in scene.notes if name in note.text] == [
+            ("/M", True)
+        ]
     assert line in stage.GetRootLayer().ExportToString() and not stage.GetRootLayer().dirty
 
 
 def opened(tmp_path, body):
     """A stage with one square of which some lines are given."""
     head = '#usda 1.0\n(\n    upAxis = "Z"\n    metersPerUnit = 1\n)\ndef Camera "Ego"\n{\n}\n'
-    mesh = 'def Mesh "M"\n{\n    int[] faceVertexCounts = [4]\n    int[] faceVertexIndices = [0, 1, 2, 3]\n    uniform token subdivisionScheme = "none"\n'
+    mesh = (
+        'def Mesh "M"\n{\n    int[] faceVertexCounts = [4]\n    int[] faceVertexIndices = [0, 1, 2, 3]\n    uniform '
+        'token subdivisionScheme = "none"\n'
+    )
     (tmp_path / "a.usda").write_text(f"{head}{mesh}    {body}\n}}\n")
     return open_stage(tmp_path / "a.usda")

@@ -32,7 +32,9 @@ def test_an_even_lamp_has_four_pi_of_flux():
 
 
 def test_a_lambertian_lamp_has_pi_of_flux():
-    """I = 100 cos v below the horizon, nothing above it, sampled each degree: pi x 100 within the error of straight lines, (pi / 180)^2 / 12."""
+    """I = 100 cos v below the horizon, nothing above it, sampled each degree: pi x 100 within the error of straight
+    lines, (pi / 180)^2 / 12.
+    """
     vertical = np.arange(0, 91)
     made = parse(file(vertical, [0], [100 * np.cos(np.radians(vertical))]), "a.ies")
     assert made.flux_lm() == pytest.approx(math.pi * 100, rel=5e-5)
@@ -46,7 +48,9 @@ def test_a_lambertian_lamp_has_pi_of_flux():
     ([90, 180, 270], lambda h: 180 - h % 360 if h % 360 < 90 else 540 - h % 360 if h % 360 > 270 else h % 360),
 ])  # fmt: skip
 def test_symmetry_fills_the_circle(horizontal, of):
-    """Candela that grow with the horizontal angle: by quadrants, by halves, about the plane of 90 to 270, or all around."""
+    """Candela that grow with the horizontal angle: by quadrants, by halves, about the plane of 90 to 270, or all
+    around.
+    """
     made = parse(file([0, 90], horizontal, [[h, h] for h in horizontal]), "a.ies")
     for h in (0.0, 10.0, 100.0, 170.0, 190.0, 260.0, 300.0, 359.0, 400.0, -30.0):
         assert made.at(45.0, h) == pytest.approx(of(h)), h
@@ -54,7 +58,9 @@ def test_symmetry_fills_the_circle(horizontal, of):
 
 def test_tilted_files_are_read():
     """TILT=INCLUDE puts angles and factors before the lamp's numbers."""
-    data = file([0, 90], [0], [[10, 20]], tilt="INCLUDE").replace(b"TILT=INCLUDE\n", b"TILT=INCLUDE\n1\n3\n0 45 90\n1.0 0.95 0.9\n")
+    data = file([0, 90], [0], [[10, 20]], tilt="INCLUDE").replace(
+        b"TILT=INCLUDE\n", b"TILT=INCLUDE\n1\n3\n0 45 90\n1.0 0.95 0.9\n"
+    )
     assert parse(data, "a.ies").at(45.0, 0.0) == pytest.approx(15.0)
 
 

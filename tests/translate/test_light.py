@@ -33,7 +33,9 @@ def strength(emitter, name="radiance"):
     ("CylinderLight", {"radius": 0.1, "length": 1.5}, 2 * math.pi * 0.1 * 1.5),
 ])  # fmt: skip
 def test_normalize_divides_by_the_area_in_stage_units(empty, kind, size, units2, metres_per_unit):
-    """L = intensity 2^exposure color / area; without 'normalize' the area does not count. Caps of a cylinder do not shine."""
+    """L = intensity 2^exposure color / area; without 'normalize' the area does not count. Caps of a cylinder do not
+    shine.
+    """
     stage = empty(metres_per_unit=metres_per_unit)
     prim = stage.DefinePrim("/Lamp", kind)
     light = UsdLux.LightAPI(prim)
@@ -59,7 +61,9 @@ def test_a_stretched_sphere_has_the_area_of_an_ellipsoid(empty):
     light.AddScaleOp().Set((1.0, 1.0, 3.0))
     emitter, _ = lamp_of(translate(stage))
     e = math.sqrt(1 - 1 / 9)
-    np.testing.assert_allclose(strength(emitter), 1 / (2 * math.pi * (1 + 3 / e * math.asin(e))), rtol=0.01)  # a mesh of 48 x 24 quads
+    np.testing.assert_allclose(
+        strength(emitter), 1 / (2 * math.pi * (1 + 3 / e * math.asin(e))), rtol=0.01
+    )  # a mesh of 48 x 24 quads
 
 
 @pytest.mark.parametrize("normalize", [False, True])
@@ -73,7 +77,9 @@ def test_distant_light_gives_irradiance(empty, normalize):
     emitter, _ = lamp_of(translate(stage))
     wanted = 90_000.0 * (1.0 if normalize else math.pi * math.sin(math.radians(0.53) / 2) ** 2)
     np.testing.assert_allclose(strength(emitter, "irradiance"), wanted, rtol=1e-6)
-    np.testing.assert_allclose(emitter["to_world"][:3, 2], [0, 0, -1], atol=1e-12)  # Mitsuba shines along +Z, USD along -Z
+    np.testing.assert_allclose(
+        emitter["to_world"][:3, 2], [0, 0, -1], atol=1e-12
+    )  # Mitsuba shines along +Z, USD along -Z
 
 
 @pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
@@ -88,11 +94,15 @@ def test_a_point_light_keeps_the_intensity_of_its_sphere(empty, metres_per_unit)
     assert shape is None and emitter["type"] == "point"
     np.testing.assert_allclose(strength(emitter, "intensity"), 80.0 * math.pi * (0.5 * metres_per_unit) ** 2, rtol=1e-6)
     light.CreateNormalizeAttr(True)
-    np.testing.assert_allclose(strength(lamp_of(translate(stage))[0], "intensity"), 20.0 * metres_per_unit**2, rtol=1e-6)
+    np.testing.assert_allclose(
+        strength(lamp_of(translate(stage))[0], "intensity"), 20.0 * metres_per_unit**2, rtol=1e-6
+    )
 
 
 def test_a_headlight_shines_along_its_minus_z(empty):
-    """Candela on the axis: normalized intensity / (4 pi r^2) times pi r^2; nothing beyond the cutoff, half of it in the middle of the smoothstep."""
+    """Candela on the axis: normalized intensity / (4 pi r^2) times pi r^2; nothing beyond the cutoff, half of it in the
+    middle of the smoothstep.
+    """
     stage = empty()
     light = UsdLux.SphereLight.Define(stage, "/Lamp")
     light.CreateRadiusAttr(0.05)
@@ -127,7 +137,9 @@ def test_flat_lights_shine_along_minus_z(empty, kind, mirror):
     xform.AddScaleOp().Set((2.0 * mirror, 1.0, 1.0))
     _, shape = lamp_of(translate(stage))
     normal = np.linalg.inv(shape["to_world"][:3, :3]).T @ [0, 0, 1]
-    np.testing.assert_allclose(normal / np.linalg.norm(normal), [0, math.sin(math.radians(30)), -math.cos(math.radians(30))], atol=1e-9)
+    np.testing.assert_allclose(
+        normal / np.linalg.norm(normal), [0, math.sin(math.radians(30)), -math.cos(math.radians(30))], atol=1e-9
+    )
 
 
 def test_a_rect_light_covers_width_and_height(empty):
@@ -228,7 +240,9 @@ def test_flux_goes_with_intensity_and_the_sky_has_no_end(empty):
     UsdLux.DomeLight.Define(stage, "/Sky")
     scene = translate(stage)
     flux = [scene.flux_of[key] for key in scene.world if key.startswith("shape_")]
-    np.testing.assert_allclose(flux, 4.0 * np.pi**2 * 0.25 * np.array([10.0, 90.0]))  # of a Lambertian sphere, pi L A; the radius is 0.5
+    np.testing.assert_allclose(
+        flux, 4.0 * np.pi**2 * 0.25 * np.array([10.0, 90.0])
+    )  # of a Lambertian sphere, pi L A; the radius is 0.5
     assert scene.flux_of["light_sky"] == np.inf
 
 
@@ -280,7 +294,9 @@ def test_lights_in_prototypes_shine_once_per_instance(empty, kind):
 
 @pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
 def test_blenders_watts_and_suns_are_read_as_it_means_them(empty, metres_per_unit):
-    """A lamp of P watts shines with P / (pi x its area in m2), a sun of strength E with E: the exporter writes P / pi, whatever the units, and E / 4."""
+    """A lamp of P watts shines with P / (pi x its area in m2), a sun of strength E with E: the exporter writes P / pi,
+    whatever the units, and E / 4.
+    """
     stage = empty(metres_per_unit=metres_per_unit)
     stage.GetRootLayer().documentation = "Blender v5.0.1"
     light = UsdLux.SphereLight.Define(stage, "/Lamp")
@@ -317,16 +333,27 @@ def test_a_blender_asset_keeps_its_convention_on_another_stage(empty, tmp_path):
     ours.CreateIntensityAttr(0.5)
     ours.CreateNormalizeAttr(True)
     world = translate(stage).world
-    assert sorted(strength(part, "irradiance")[0] for key, part in world.items() if key.startswith("light_")) == [0.5, 2.0]
+    assert sorted(strength(part, "irradiance")[0] for key, part in world.items() if key.startswith("light_")) == [
+        0.5,
+        2.0,
+    ]
 
 
-@pytest.mark.parametrize("data, lux", [
-    ({}, 3000 * math.pi * math.sin(math.radians(0.5)) ** 2),
-    ({"renderSettings": {"rtx:fog:enabled": True}}, 3000),
-    ({"renderSettings": {"rtx:fog:enabled": True, "omni:rtx:usdluxVersion": 2505}}, 3000 * math.pi * math.sin(math.radians(0.5)) ** 2),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "data, lux",
+    [
+        ({}, 3000 * math.pi * math.sin(math.radians(0.5)) ** 2),
+        ({"renderSettings": {"rtx:fog:enabled": True}}, 3000),
+        (
+            {"renderSettings": {"rtx:fog:enabled": True, "omni:rtx:usdluxVersion": 2505}},
+            3000 * math.pi * math.sin(math.radians(0.5)) ** 2,
+        ),
+    ],
+)
 def test_omniverse_suns_are_irradiance_before_2505(empty, data, lux):
-    """A light of 3000, angle 1 and no 'normalize': 0.718 lx by the specification, 3000 lx in Omniverse until it followed it."""
+    """A light of 3000, angle 1 and no 'normalize': 0.718 lx by the specification, 3000 lx in Omniverse until it
+    followed it.
+    """
     stage = empty()
     stage.GetRootLayer().customLayerData = data
     sun = UsdLux.DistantLight.Define(stage, "/Sun")
@@ -353,27 +380,45 @@ def test_an_unknown_convention_is_refused(empty):
         translate(empty(), lights="blendr")
 
 
-@pytest.mark.parametrize("change, words", [
-    (lambda prim: prim.GetAttribute("inputs:diffuse").Set(0.5), "inputs:diffuse is not drawn"),
-    (lambda prim: prim.GetAttribute("inputs:specular").Set(0.0), "inputs:specular is not drawn"),
-    (lambda prim: prim.GetRelationship("light:filters").AddTarget("/Filter"), "light filters are not drawn"),
-    (lambda prim: Usd.CollectionAPI(prim, "lightLink").CreateExcludesRel().AddTarget("/Car"), "lightLink is not drawn"),
-    (lambda prim: Usd.CollectionAPI(prim, "shadowLink").CreateIncludeRootAttr(False), "shadowLink is not drawn"),
-    (lambda prim: UsdLux.ShadowAPI.Apply(prim).CreateShadowEnableAttr(False), "without shadows"),
-    (lambda prim: UsdLux.ShadowAPI.Apply(prim).CreateShadowColorAttr((0.2, 0.0, 0.0)), "colour, reach and falloff of shadows"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda prim: prim.GetAttribute("inputs:diffuse").Set(0.5), "inputs:diffuse is not drawn"),
+        (lambda prim: prim.GetAttribute("inputs:specular").Set(0.0), "inputs:specular is not drawn"),
+        (lambda prim: prim.GetRelationship("light:filters").AddTarget("/Filter"), "light filters are not drawn"),
+        (
+            lambda prim: Usd.CollectionAPI(prim, "lightLink").CreateExcludesRel().AddTarget("/Car"),
+            "lightLink is not drawn",
+        ),
+        (lambda prim: Usd.CollectionAPI(prim, "shadowLink").CreateIncludeRootAttr(False), "shadowLink is not drawn"),
+        (lambda prim: UsdLux.ShadowAPI.Apply(prim).CreateShadowEnableAttr(False), "without shadows"),
+        (
+            lambda prim: UsdLux.ShadowAPI.Apply(prim).CreateShadowColorAttr((0.2, 0.0, 0.0)),
+            "colour, reach and falloff of shadows",
+        ),
+    ],
+)
 def test_what_is_not_physical_of_a_light_is_noted(empty, change, words):
     stage = empty()
     prim = UsdLux.SphereLight.Define(stage, "/Lamp").GetPrim()
     assert not translate(stage).notes
     change(prim)
-    assert any(note.severity == "warning" and note.path == "/Lamp" and words in note.text for note in translate(stage).notes)
+    assert any(
+        note.severity == "warning" and note.path == "/Lamp" and words in note.text for note in translate(stage).notes
+    )
 
 
-@pytest.mark.parametrize("kind, severity, words", [
-    ("PortalLight", "info", "only guides the sampling"), ("GeometryLight", "warning", "not known"), ("PluginLight", "warning", "not known"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "kind, severity, words",
+    [
+        ("PortalLight", "info", "only guides the sampling"),
+        ("GeometryLight", "warning", "not known"),
+        ("PluginLight", "warning", "not known"),
+    ],
+)
 def test_lights_that_are_none_of_ours_are_noted(empty, kind, severity, words):
     stage = empty()
     stage.DefinePrim("/Lamp", kind)
-    assert any((note.severity, note.path) == (severity, "/Lamp") and words in note.text for note in translate(stage).notes)
+    assert any(
+        (note.severity, note.path) == (severity, "/Lamp") and words in note.text for note in translate(stage).notes
+    )

@@ -14,7 +14,9 @@ RED, GREEN = 0, 1
 
 
 def irradiance(stage, position, normal, samples=1 << 18):
-    """(3,) irradiance [lx] at a point, by the emitters' own sampling; and its standard error, relative, of the largest channel."""
+    """(3,) irradiance [lx] at a point, by the emitters' own sampling; and its standard error, relative, of the largest
+    channel.
+    """
     scene = translate(stage, resolution=(8, 8))
     backend.start("auto")
     mi = backend.mitsuba()
@@ -22,19 +24,28 @@ def irradiance(stage, position, normal, samples=1 << 18):
 
     loaded = to_mitsuba(scene).scene
     si = dr.zeros(mi.SurfaceInteraction3f, samples)
-    si.p, si.n = mi.Point3f((np.asarray(position) - scene.origin_m).tolist()), mi.Normal3f(np.asarray(normal, dtype=float).tolist())
+    si.p, si.n = (
+        mi.Point3f((np.asarray(position) - scene.origin_m).tolist()),
+        mi.Normal3f(np.asarray(normal, dtype=float).tolist()),
+    )
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(7, samples)
     sent, weight = loaded.sample_emitter_direction(si, sampler.next_2d(), False)
-    light = np.array(weight * dr.maximum(dr.dot(sent.d, mi.Vector3f(np.asarray(normal, dtype=float).tolist())), 0.0)).reshape(3, -1)
+    light = np.array(
+        weight * dr.maximum(dr.dot(sent.d, mi.Vector3f(np.asarray(normal, dtype=float).tolist())), 0.0)
+    ).reshape(3, -1)
     mean = light.mean(axis=1)
-    return mean, float((light.std(axis=1) / np.maximum(mean, 1e-30)).max() / math.sqrt(samples)) if light.shape[1] > 1 else 0.0
+    return mean, float((light.std(axis=1) / np.maximum(mean, 1e-30)).max() / math.sqrt(samples)) if light.shape[
+        1
+    ] > 1 else 0.0
 
 
 def quadrant(a, b, d):
     """View factor from a small card to the corner of a parallel a x b rectangle at distance d."""
     x, y = a / d, b / d
-    return (x / math.hypot(1, x) * math.atan(y / math.hypot(1, x)) + y / math.hypot(1, y) * math.atan(x / math.hypot(1, y))) / (2 * math.pi)
+    return (
+        x / math.hypot(1, x) * math.atan(y / math.hypot(1, x)) + y / math.hypot(1, y) * math.atan(x / math.hypot(1, y))
+    ) / (2 * math.pi)
 
 
 def cylinder_side(radius, length, d):
@@ -56,7 +67,9 @@ def cylinder_side(radius, length, d):
     ("DomeLight", {}, math.pi),
 ])  # fmt: skip
 def test_a_card_under_each_light(empty, kind, size, wanted):
-    """Radiance 100 two metres above: sphere (r / d)^2, coaxial disk, parallel rectangle, a cylinder by quadrature, sun sin^2, sky 1; all times pi L."""
+    """Radiance 100 two metres above: sphere (r / d)^2, coaxial disk, parallel rectangle, a cylinder by quadrature, sun
+    sin^2, sky 1; all times pi L.
+    """
     stage = empty()
     prim = stage.DefinePrim("/Lamp", kind)
     UsdLux.LightAPI(prim).CreateIntensityAttr(100.0)
@@ -71,7 +84,9 @@ def test_a_card_under_each_light(empty, kind, size, wanted):
 
 def test_a_mesh_light_is_its_rectangle(empty, polygon_mesh):
     stage = empty()
-    mesh = polygon_mesh(stage, "/Panel", [(-0.5, 3.5, 2), (-0.5, 6.5, 2), (0.5, 6.5, 2), (0.5, 3.5, 2)], [4], [0, 1, 2, 3])
+    mesh = polygon_mesh(
+        stage, "/Panel", [(-0.5, 3.5, 2), (-0.5, 6.5, 2), (0.5, 6.5, 2), (0.5, 3.5, 2)], [4], [0, 1, 2, 3]
+    )
     UsdLux.MeshLightAPI.Apply(mesh.GetPrim())
     UsdLux.LightAPI(mesh.GetPrim()).CreateIntensityAttr(100.0)
     found, error = irradiance(stage, (0, 5, 0), (0, 0, 1), samples=1 << 21)
@@ -86,10 +101,15 @@ def around(h):
 @pytest.mark.parametrize("off_axis", [10.0, 20.0, 50.0, 70.0])
 @pytest.mark.parametrize("turn", [0.0, 90.0, 200.0])
 def test_a_luminaire_sends_what_its_file_says(empty, tmp_path, off_axis, turn):
-    """I(v, h) = (1000 - 5 v)(1 + sin(h) / 2 + cos(h) / 4) cd, axis straight down, h from +X to +Y: E = I / d^2 on a card that looks at the lamp."""
+    """I(v, h) = (1000 - 5 v)(1 + sin(h) / 2 + cos(h) / 4) cd, axis straight down, h from +X to +Y: E = I / d^2 on a
+    card that looks at the lamp.
+    """
     vertical, horizontal = np.arange(0, 91, 5), np.arange(0, 361, 10)
     rows = "\n".join(" ".join(f"{(1000 - 5 * v) * around(math.radians(h)):.3f}" for v in vertical) for h in horizontal)
-    numbers = f"1 1000 1 {len(vertical)} {len(horizontal)} 1 2 0 0 0\n1 1 50\n{' '.join(map(str, vertical))}\n{' '.join(map(str, horizontal))}\n{rows}\n"
+    numbers = (
+        f"1 1000 1 {len(vertical)} {len(horizontal)} 1 2 0 0 0\n1 1 "
+        f"50\n{' '.join(map(str, vertical))}\n{' '.join(map(str, horizontal))}\n{rows}\n"
+    )
     (tmp_path / "lamp.ies").write_text(f"IESNA:LM-63-2002\nTILT=NONE\n{numbers}")
     stage = empty()
     lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
@@ -110,7 +130,9 @@ PROFILE = "IESNA:LM-63-2002\nTILT=NONE\n1 1000 1 {v} {h} 1 2 0 0 0\n1 1 50\n{ver
 def written(file, vertical, candela):
     """An IES file that is the same all around."""
     rows = " ".join(f"{value:.4f}" for value in candela)
-    file.write_text(PROFILE.format(v=len(vertical), h=1, verticals=" ".join(map(str, vertical)), horizontals="0", rows=rows))
+    file.write_text(
+        PROFILE.format(v=len(vertical), h=1, verticals=" ".join(map(str, vertical)), horizontals="0", rows=rows)
+    )
     return str(file)
 
 
@@ -128,15 +150,19 @@ def smoothstep(low, high, x):
     return t * t * (3 - 2 * t)
 
 
-SHAPED = [(kind, shape) for kind in AREA_M2 for shape in ("cone", "focus", "ies") if (kind, shape) != ("DiskLight", "cone")]
+SHAPED = [
+    (kind, shape) for kind in AREA_M2 for shape in ("cone", "focus", "ies") if (kind, shape) != ("DiskLight", "cone")
+]
 
 
 @pytest.mark.parametrize("kind, shape", SHAPED)
 @pytest.mark.parametrize("off_axis, turn", [(5.0, 0.0), (38.0, 40.0), (52.0, 250.0), (110.0, 130.0)])
 def test_each_shape_of_light_is_shaped_as_specified(empty, tmp_path, kind, shape, off_axis, turn):
-    """E = L A S / d^2 with the area A that is seen from there, and S: 1 - smoothstep(30, 60), a tinted cos^3, or 900 - 4 v candelas to 180 degrees.
+    """E = L A S / d^2 with the area A that is seen from there, and S: 1 - smoothstep(30, 60), a tinted cos^3, or 900 -
+    4 v candelas to 180 degrees.
 
-    A disk with nothing but a cone is drawn as Mitsuba's own spot, see `light._spot`.  Sizes count for (0.1 / 12)^2 = 7e-5.
+    A disk with nothing but a cone is drawn as Mitsuba's own spot, see `light._spot`.  Sizes count for (0.1 / 12)^2 =
+    7e-5.
     """
     size, seen = AREA_M2[kind]
     stage = empty()
@@ -171,7 +197,9 @@ def test_each_shape_of_light_is_shaped_as_specified(empty, tmp_path, kind, shape
     [0, 45, 90],  # of one hemisphere, over which it is averaged
 ])  # fmt: skip
 def test_a_normalized_profile_keeps_the_energy(empty, tmp_path, vertical):
-    """Over the mean of the sphere, or of the hemisphere where the file has no more: a profile that is even changes nothing."""
+    """Over the mean of the sphere, or of the hemisphere where the file has no more: a profile that is even changes
+    nothing.
+    """
     stage = empty()
     lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
     lamp.CreateRadiusAttr(0.05)
@@ -219,7 +247,9 @@ def test_focus_is_a_power_of_the_cosine(empty):
 
 
 def test_the_picture_of_a_rect_light_is_upright_from_its_front(empty, tmp_path):
-    """Seen from the front with +Y up, +X is at the left: the picture's left column (red) lies at +X and its top row (bright) at +Y."""
+    """Seen from the front with +Y up, +X is at the left: the picture's left column (red) lies at +X and its top row
+    (bright) at +Y.
+    """
     import OpenImageIO
 
     pixels = np.zeros((2, 2, 3), dtype=np.float32)
@@ -240,13 +270,17 @@ def test_the_picture_of_a_rect_light_is_upright_from_its_front(empty, tmp_path):
 
 
 def test_two_skies_add_up_in_the_frame_of_the_larger(empty, tmp_path):
-    """A sky turned by a quarter and a finer one that is not: irradiance on four sides is the sum of what each gives alone."""
+    """A sky turned by a quarter and a finer one that is not: irradiance on four sides is the sum of what each gives
+    alone.
+    """
     import OpenImageIO
 
     rng = np.random.default_rng(4)
     for name, height in (("a", 32), ("b", 64)):
         v, u = np.mgrid[:height, : 2 * height] / height * math.pi
-        pixels = np.stack([1.5 + np.sin(u + p) * np.sin(v) + 0.4 * np.cos(v) for p in rng.uniform(0, 6, 3)], axis=-1).astype(np.float32)
+        pixels = np.stack(
+            [1.5 + np.sin(u + p) * np.sin(v) + 0.4 * np.cos(v) for p in rng.uniform(0, 6, 3)], axis=-1
+        ).astype(np.float32)
         out = OpenImageIO.ImageOutput.create(str(tmp_path / f"{name}.exr"))
         out.open(str(tmp_path / f"{name}.exr"), OpenImageIO.ImageSpec(2 * height, height, 3, "float"))
         out.write_image(pixels)
@@ -283,7 +317,9 @@ def test_units_and_axes_change_no_light(empty, up, metres_per_unit):
     scene = translate(stage, lights="metric")
     shape = next(part for key, part in scene.world.items() if key.startswith("shape_"))
     np.testing.assert_allclose(np.array(shape["center"]) + scene.origin_m, [0, 5, 2], atol=1e-9)
-    np.testing.assert_allclose([shape["radius"], shape["emitter"]["radiance"]["value"][0]], [0.2, 100.0 / (4 * math.pi * 0.04)], rtol=1e-6)
+    np.testing.assert_allclose(
+        [shape["radius"], shape["emitter"]["radiance"]["value"][0]], [0.2, 100.0 / (4 * math.pi * 0.04)], rtol=1e-6
+    )
     assert scene.world["light_sky"]["radiance"]["value"] == [2.0, 2.0, 2.0]
 
 

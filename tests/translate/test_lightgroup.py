@@ -28,7 +28,9 @@ def test_a_name_that_cannot_be_a_channel_is_refused_with_its_prim(value):
         authored_group(lamp)
 
 
-@pytest.mark.parametrize("label, group", [("bus", "headlights"), ("pole", "street_lamps"), ("building", "other"), ("unlabeled", "other")])
+@pytest.mark.parametrize(
+    "label, group", [("bus", "headlights"), ("pole", "street_lamps"), ("building", "other"), ("unlabeled", "other")]
+)
 def test_a_label_tells_the_group_of_a_lamp_without_one(label, group):
     """Vehicles, poles, and the rest."""
     assert group_by_label(label) == group

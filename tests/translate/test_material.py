@@ -58,7 +58,9 @@ def textured(stage, surface, name, file, channel="rgb", *, st=True, transform=No
             source = turned.CreateOutput("result", TYPES.Float2)
         picture.CreateInput("st", TYPES.Float2).ConnectToSource(source)
     kind = TYPES.Color3f if name in ("diffuseColor", "emissiveColor") else TYPES.Float
-    surface.CreateInput(name, kind).ConnectToSource(picture.CreateOutput(channel, TYPES.Float3 if channel == "rgb" else TYPES.Float))
+    surface.CreateInput(name, kind).ConnectToSource(
+        picture.CreateOutput(channel, TYPES.Float3 if channel == "rgb" else TYPES.Float)
+    )
 
 
 def drawn(stage):
@@ -89,9 +91,13 @@ def test_unauthored_inputs_take_the_specifications_fallbacks(quad):
 def test_constants_arrive(quad):
     stage, surface = quad
     for name, kind, value in (
-        ("diffuseColor", TYPES.Color3f, (0.1, 0.2, 0.3)), ("roughness", TYPES.Float, 0.25), ("metallic", TYPES.Float, 1.0), ("ior", TYPES.Float, 1.33),
-        ("clearcoat", TYPES.Float, 0.5), ("clearcoatRoughness", TYPES.Float, 0.25),
-    ):  # fmt: skip
+        ("diffuseColor", TYPES.Color3f, (0.1, 0.2, 0.3)),
+        ("roughness", TYPES.Float, 0.25),
+        ("metallic", TYPES.Float, 1.0),
+        ("ior", TYPES.Float, 1.33),
+        ("clearcoat", TYPES.Float, 0.5),
+        ("clearcoatRoughness", TYPES.Float, 0.25),
+    ):
         surface.CreateInput(name, kind).Set(value)
     _, _, bsdf = drawn(stage)
     inner = bsdf["bsdf"]
@@ -108,7 +114,9 @@ def test_an_input_connected_to_the_materials_interface_is_followed(quad):
     assert drawn(stage)[2]["bsdf"]["roughness"] == 0.125
 
 
-@pytest.mark.parametrize("opacity, threshold, wanted", [(1.0, 0.0, None), (0.3, 0.0, 0.3), (0.3, 0.5, 0.0), (0.6, 0.5, None)])
+@pytest.mark.parametrize(
+    "opacity, threshold, wanted", [(1.0, 0.0, None), (0.3, 0.0, 0.3), (0.3, 0.5, 0.0), (0.6, 0.5, None)]
+)
 def test_opacity_masks(quad, opacity, threshold, wanted):
     stage, surface = quad
     surface.CreateInput("opacity", TYPES.Float).Set(opacity)
@@ -131,7 +139,9 @@ def test_emission_is_in_nits_and_sits_on_the_shape(quad):
 
 @pytest.mark.parametrize("space, is_srgb", [("auto", True), ("sRGB", True), ("raw", False)])
 def test_colour_space_of_an_8_bit_picture(quad, tmp_path, space, is_srgb):
-    """'auto' takes 3 channels of 8 bit for sRGB; those stay as codes, which the renderer decodes; raw ones are value / 255."""
+    """'auto' takes 3 channels of 8 bit for sRGB; those stay as codes, which the renderer decodes; raw ones are value /
+    255.
+    """
     stage, surface = quad
     write(tmp_path / "a.png", CODES[..., :3])
     textured(stage, surface, "diffuseColor", tmp_path / "a.png", sourceColorSpace=space)
@@ -207,9 +217,17 @@ def test_texture_transform_scales_turns_and_shifts_in_that_order(quad, tmp_path)
     """UsdTransform2d: in * scale, rotated counter-clockwise, + translation."""
     stage, surface = quad
     write(tmp_path / "a.png", CODES[..., :3])
-    textured(stage, surface, "diffuseColor", tmp_path / "a.png", transform={"scale": (2, 3), "rotation": 90.0, "translation": (0.25, 0.5)})
+    textured(
+        stage,
+        surface,
+        "diffuseColor",
+        tmp_path / "a.png",
+        transform={"scale": (2, 3), "rotation": 90.0, "translation": (0.25, 0.5)},
+    )
     _, shape, _ = drawn(stage)
-    by_corner = {tuple(np.round(p[[0, 2]]).astype(int)): uv for p, uv in zip(shape["positions"], shape["texcoords"], strict=True)}
+    by_corner = {
+        tuple(np.round(p[[0, 2]]).astype(int)): uv for p, uv in zip(shape["positions"], shape["texcoords"], strict=True)
+    }
     for (u, v), found in by_corner.items():
         np.testing.assert_allclose(found, [-3 * v + 0.25, 2 * u + 0.5], atol=1e-6)
 
@@ -249,7 +267,9 @@ def test_shapes_without_a_material_take_display_colour_or_grey(empty):
     stage = empty()
     UsdGeom.Cube.Define(stage, "/Plain")
     UsdGeom.Xform.Define(stage, "/Group")
-    UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Group")).CreatePrimvar("displayColor", TYPES.Color3fArray, "constant").Set([(0.25, 0.5, 0.75)])
+    UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Group")).CreatePrimvar(
+        "displayColor", TYPES.Color3fArray, "constant"
+    ).Set([(0.25, 0.5, 0.75)])
     for name in "AB":
         UsdGeom.Cube.Define(stage, f"/Group/{name}")
     scene = translate(stage)
@@ -272,7 +292,9 @@ def test_a_shining_picture_is_radiance_times_its_scale(quad, tmp_path):
     write(tmp_path / "a.png", CODES[..., :3])
     textured(stage, surface, "emissiveColor", tmp_path / "a.png", scale=(200.0, 100.0, 50.0, 1.0))
     _, shape, _ = drawn(stage)
-    np.testing.assert_allclose(shape["emitter"]["radiance"]["bitmap"], np.vectorize(srgb)(CODES[..., :3]) * [200, 100, 50], rtol=1e-5)
+    np.testing.assert_allclose(
+        shape["emitter"]["radiance"]["bitmap"], np.vectorize(srgb)(CODES[..., :3]) * [200, 100, 50], rtol=1e-5
+    )
     assert "texcoords" in shape
 
 
@@ -290,12 +312,23 @@ def test_equal_materials_are_one(empty, polygon_mesh):
     assert sum(key.startswith("mat_") for key in translate(stage).world) == 1
 
 
-@pytest.mark.parametrize("scale, bias, slope", [
-    ((2, 2, 2), (-1, -1, -1), (1, 1)), ((2, -2, 2), (-1, 1, -1), (1, -1)), ((1, -1, 1), (0, 1, 0), (1, -1)), ((-2, 2, 2), (1, -1, -1), (-1, 1)),
-    ((1, 1, 2), (-0.5, -0.5, -1), (0.5, 0.5)), ((2, -2, 2), (-1, -1, -1), None), ((2, 2, -2), (-1, -1, 1), None), ((3, 1, 2), (0, 0, 0), None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "scale, bias, slope",
+    [
+        ((2, 2, 2), (-1, -1, -1), (1, 1)),
+        ((2, -2, 2), (-1, 1, -1), (1, -1)),
+        ((1, -1, 1), (0, 1, 0), (1, -1)),
+        ((-2, 2, 2), (1, -1, -1), (-1, 1)),
+        ((1, 1, 2), (-0.5, -0.5, -1), (0.5, 0.5)),
+        ((2, -2, 2), (-1, -1, -1), None),
+        ((2, 2, -2), (-1, -1, 1), None),
+        ((3, 1, 2), (0, 0, 0), None),
+    ],
+)
 def test_normal_maps_are_drawn_as_their_scale_and_bias_turn_them(quad, tmp_path, scale, bias, slope):
-    """Green turned is DirectX's handedness; half the scale, half the slope; what puts a flat map askew or inside out is left out with a note."""
+    """Green turned is DirectX's handedness; half the scale, half the slope; what puts a flat map askew or inside out is
+    left out with a note.
+    """
     stage, surface = quad
     codes = np.array([[(128, 128, 255), (180, 90, 220), (60, 200, 230)]], dtype=np.uint8)
     write(tmp_path / "bumps.png", codes)
@@ -305,5 +338,10 @@ def test_normal_maps_are_drawn_as_their_scale_and_bias_turn_them(quad, tmp_path,
     assert (bsdf["type"] == "normalmap") == (slope is not None)
     assert any("normal map" in note.text and "left out" in note.text for note in scene.notes) == (slope is None)
     if slope is not None:
-        own, seen = codes / 255 * 2.0 - 1.0, np.asarray(bsdf["normalmap"]["bitmap"], dtype=np.float64)[..., :3] * 2.0 - 1.0
-        np.testing.assert_allclose(seen[..., :2] / seen[..., 2:], own[..., :2] / own[..., 2:] * slope, rtol=1e-5, atol=1e-6)
+        own, seen = (
+            codes / 255 * 2.0 - 1.0,
+            np.asarray(bsdf["normalmap"]["bitmap"], dtype=np.float64)[..., :3] * 2.0 - 1.0,
+        )
+        np.testing.assert_allclose(
+            seen[..., :2] / seen[..., 2:], own[..., :2] / own[..., 2:] * slope, rtol=1e-5, atol=1e-6
+        )

@@ -68,21 +68,33 @@ def image(shader, name, file, kind="ND_image_color3", output="out", space="srgb_
 
 
 def test_standard_surface_weighs_its_picture(quad, tmp_path):
-    """base x base_color, decoded from sRGB as its colour space says; roughness, metalness, coat, opacity and emission x weight as numbers."""
+    """base x base_color, decoded from sRGB as its colour space says; roughness, metalness, coat, opacity and emission x
+    weight as numbers.
+    """
     stage, shader = quad
     write(tmp_path / "a.png", CODES)
     shader(
-        "Surface", "ND_standard_surface_surfaceshader", "mtlx",
-        base=(TYPES.Float, 0.5), base_color=(TYPES.Color3f, image(shader, "Picture", tmp_path / "a.png")),
-        specular_roughness=(TYPES.Float, 0.3), metalness=(TYPES.Float, 0.25), specular_IOR=(TYPES.Float, 1.4), coat=(TYPES.Float, 0.75),
-        emission=(TYPES.Float, 10.0), emission_color=(TYPES.Color3f, (1, 0.5, 0.25)), opacity=(TYPES.Color3f, (0.5, 0.5, 0.5)),
-    )  # fmt: skip
+        "Surface",
+        "ND_standard_surface_surfaceshader",
+        "mtlx",
+        base=(TYPES.Float, 0.5),
+        base_color=(TYPES.Color3f, image(shader, "Picture", tmp_path / "a.png")),
+        specular_roughness=(TYPES.Float, 0.3),
+        metalness=(TYPES.Float, 0.25),
+        specular_IOR=(TYPES.Float, 1.4),
+        coat=(TYPES.Float, 0.75),
+        emission=(TYPES.Float, 10.0),
+        emission_color=(TYPES.Color3f, (1, 0.5, 0.25)),
+        opacity=(TYPES.Color3f, (0.5, 0.5, 0.5)),
+    )
     _, shape, bsdf = drawn(stage)
     assert (bsdf["type"], bsdf["opacity"]) == ("mask", 0.5)
     inner = bsdf["bsdf"]["bsdf"]
     np.testing.assert_allclose(inner["base_color"]["bitmap"], 0.5 * linear(CODES), rtol=1e-5)
     np.testing.assert_allclose(
-        [inner[name] for name in ("roughness", "metallic", "eta", "clearcoat", "clearcoat_gloss")], [0.3, 0.25, 1.4, 0.75, 0.9], rtol=1e-6
+        [inner[name] for name in ("roughness", "metallic", "eta", "clearcoat", "clearcoat_gloss")],
+        [0.3, 0.25, 1.4, 0.75, 0.9],
+        rtol=1e-6,
     )
     assert shape["emitter"]["radiance"]["value"] == [10.0, 5.0, 2.5]
     np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]], atol=1e-6)
@@ -100,18 +112,29 @@ def test_unauthored_standard_surface_takes_its_own_defaults(quad):
 def test_open_pbr_shines_in_nits(quad):
     stage, shader = quad
     shader(
-        "Surface", "ND_open_pbr_surface_surfaceshader", "mtlx", base_color=(TYPES.Color3f, (0.1, 0.2, 0.3)), base_metalness=(TYPES.Float, 1.0),
-        emission_luminance=(TYPES.Float, 1000.0), emission_color=(TYPES.Color3f, (1, 1, 0.5)), transmission_weight=(TYPES.Float, 0.5),
-    )  # fmt: skip
+        "Surface",
+        "ND_open_pbr_surface_surfaceshader",
+        "mtlx",
+        base_color=(TYPES.Color3f, (0.1, 0.2, 0.3)),
+        base_metalness=(TYPES.Float, 1.0),
+        emission_luminance=(TYPES.Float, 1000.0),
+        emission_color=(TYPES.Color3f, (1, 1, 0.5)),
+        transmission_weight=(TYPES.Float, 0.5),
+    )
     scene, shape, bsdf = drawn(stage)
     np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["value"], [0.1, 0.2, 0.3], rtol=1e-6)
     assert (bsdf["bsdf"]["metallic"], shape["emitter"]["radiance"]["value"]) == (1.0, [1000.0, 1000.0, 500.0])
     assert any("transmission_weight is not drawn" in note.text and note.severity == "warning" for note in scene.notes)
 
 
-@pytest.mark.parametrize("kind, output, more, index", [
-    ("ND_separate3_color3", "outg", {}, 1), ("ND_separate3_color3", "outb", {}, 2), ("ND_extract_color3", "out", {"index": (TYPES.Int, 2)}, 2),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "kind, output, more, index",
+    [
+        ("ND_separate3_color3", "outg", {}, 1),
+        ("ND_separate3_color3", "outb", {}, 2),
+        ("ND_extract_color3", "out", {"index": (TYPES.Int, 2)}, 2),
+    ],
+)
 def test_channels_are_taken_apart(quad, tmp_path, kind, output, more, index):
     stage, shader = quad
     write(tmp_path / "orm.png", CODES)
@@ -126,8 +149,15 @@ def test_nodes_on_the_way_are_passed_with_a_note(quad, tmp_path):
     """A contrast node between picture and colour is left out, which is better than a grey car."""
     stage, shader = quad
     write(tmp_path / "a.png", CODES)
-    contrast = shader("More", "ND_contrast_color3", **{"in": (TYPES.Color3f, image(shader, "Picture", tmp_path / "a.png"))})
-    shader("Surface", "ND_standard_surface_surfaceshader", "mtlx", base_color=(TYPES.Color3f, contrast.CreateOutput("out", TYPES.Color3f)))
+    contrast = shader(
+        "More", "ND_contrast_color3", **{"in": (TYPES.Color3f, image(shader, "Picture", tmp_path / "a.png"))}
+    )
+    shader(
+        "Surface",
+        "ND_standard_surface_surfaceshader",
+        "mtlx",
+        base_color=(TYPES.Color3f, contrast.CreateOutput("out", TYPES.Color3f)),
+    )
     scene, _, bsdf = drawn(stage)
     np.testing.assert_array_equal(bsdf["bsdf"]["base_color"]["bitmap"], CODES)
     assert any("ND_contrast_color3" in note.text and note.severity == "warning" for note in scene.notes)
@@ -168,10 +198,15 @@ def test_omnipbr_constants_count_where_they_are_switched_on(quad, on):
     """Opacity and emission wait for their switches; intensity times colour is the radiance."""
     stage, shader = quad
     omni(
-        shader, diffuse_color_constant=(TYPES.Color3f, (0.1, 0.2, 0.3)), reflection_roughness_constant=(TYPES.Float, 0.7),
-        opacity_constant=(TYPES.Float, 0.25), enable_opacity=(TYPES.Bool, on), emissive_color=(TYPES.Color3f, (1, 0.5, 0)),
-        emissive_intensity=(TYPES.Float, 200.0), enable_emission=(TYPES.Bool, on),
-    )  # fmt: skip
+        shader,
+        diffuse_color_constant=(TYPES.Color3f, (0.1, 0.2, 0.3)),
+        reflection_roughness_constant=(TYPES.Float, 0.7),
+        opacity_constant=(TYPES.Float, 0.25),
+        enable_opacity=(TYPES.Bool, on),
+        emissive_color=(TYPES.Color3f, (1, 0.5, 0)),
+        emissive_intensity=(TYPES.Float, 200.0),
+        enable_emission=(TYPES.Bool, on),
+    )
     _, shape, bsdf = drawn(stage)
     assert bsdf["type"] == ("mask" if on else "twosided") and ("emitter" in shape) is on
     inner = bsdf["bsdf"]["bsdf"] if on else bsdf["bsdf"]
@@ -186,9 +221,13 @@ def test_omnipbr_pictures_are_read(quad, tmp_path):
     write(tmp_path / "a.png", CODES)
     write(tmp_path / "orm.png", CODES[::-1].copy())
     omni(
-        shader, diffuse_texture=(TYPES.Asset, str(tmp_path / "a.png")), diffuse_tint=(TYPES.Color3f, (0.5, 1, 1)),
-        ORM_texture=(TYPES.Asset, str(tmp_path / "orm.png")), enable_ORM_texture=(TYPES.Bool, True), texture_scale=(TYPES.Float2, (2, 2)),
-    )  # fmt: skip
+        shader,
+        diffuse_texture=(TYPES.Asset, str(tmp_path / "a.png")),
+        diffuse_tint=(TYPES.Color3f, (0.5, 1, 1)),
+        ORM_texture=(TYPES.Asset, str(tmp_path / "orm.png")),
+        enable_ORM_texture=(TYPES.Bool, True),
+        texture_scale=(TYPES.Float2, (2, 2)),
+    )
     _, shape, bsdf = drawn(stage)
     np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["bitmap"], linear(CODES) * [0.5, 1, 1], rtol=1e-5)
     np.testing.assert_allclose(bsdf["bsdf"]["roughness"]["bitmap"][..., 0], CODES[::-1, :, 1] / 255, rtol=1e-6)
@@ -200,10 +239,12 @@ def test_a_native_material_goes_through_as_it_is(quad, tmp_path):
     stage, shader = quad
     write(tmp_path / "a.png", CODES)
     shader("Usual", "UsdPreviewSurface", "universal", diffuseColor=(TYPES.Color3f, (1, 0, 0)))
-    picture = shader("Picture", "mitsuba_bitmap", filename=(TYPES.Asset, str(tmp_path / "a.png"))).CreateOutput("rgb", TYPES.Color3f)
-    inner = shader("Inner", "mitsuba_roughplastic", diffuse_reflectance=(TYPES.Color3f, picture), alpha=(TYPES.Float, 0.25)).CreateOutput(
-        "surface", TYPES.Token
+    picture = shader("Picture", "mitsuba_bitmap", filename=(TYPES.Asset, str(tmp_path / "a.png"))).CreateOutput(
+        "rgb", TYPES.Color3f
     )
+    inner = shader(
+        "Inner", "mitsuba_roughplastic", diffuse_reflectance=(TYPES.Color3f, picture), alpha=(TYPES.Float, 0.25)
+    ).CreateOutput("surface", TYPES.Token)
     shader("Own", "mitsuba_twosided", "mitsuba", bsdf=(TYPES.Token, inner))
     _, shape, bsdf = drawn(stage)
     assert (bsdf["type"], bsdf["bsdf"]["type"], bsdf["bsdf"]["alpha"]) == ("twosided", "roughplastic", 0.25)
@@ -223,36 +264,56 @@ def test_a_native_material_that_is_none_is_refused(quad, kind):
 
 
 def reader_of(shader, name, **transform):
-    reader = shader(f"{name}Reader", "UsdPrimvarReader_float2", varname=(TYPES.String, "st")).CreateOutput("result", TYPES.Float2)
+    reader = shader(f"{name}Reader", "UsdPrimvarReader_float2", varname=(TYPES.String, "st")).CreateOutput(
+        "result", TYPES.Float2
+    )
     if not transform:
         return reader
     kinds = {"rotation": TYPES.Float, "scale": TYPES.Float2, "translation": TYPES.Float2}
     inputs = {key: (kinds[key], value) for key, value in transform.items()}
-    return shader(f"{name}Turn", "UsdTransform2d", **{"in": (TYPES.Float2, reader)}, **inputs).CreateOutput("result", TYPES.Float2)
+    return shader(f"{name}Turn", "UsdTransform2d", **{"in": (TYPES.Float2, reader)}, **inputs).CreateOutput(
+        "result", TYPES.Float2
+    )
 
 
 def test_tiles_lie_side_by_side(quad, tmp_path):
-    """1001 and 1002 in the lower row, 1012 above the second; a quad over 2 x 2 tiles finds each where its number says."""
+    """1001 and 1002 in the lower row, 1012 above the second; a quad over 2 x 2 tiles finds each where its number
+    says.
+    """
     stage, shader = quad
     tiles = {1001: CODES, 1002: CODES[::-1].copy(), 1012: CODES[:2, :2].copy()}
     for number, pixels in tiles.items():
         write(tmp_path / f"paint.{number}.png", pixels)
     stage.GetRootLayer().Export(str(tmp_path / "stage.usda"))
     coordinates = reader_of(shader, "Picture", scale=(2, 2))
-    picture = shader("Picture", "UsdUVTexture", file=(TYPES.Asset, str(tmp_path / "paint.<UDIM>.png")), st=(TYPES.Float2, coordinates))
-    shader("Surface", "UsdPreviewSurface", "universal", diffuseColor=(TYPES.Color3f, picture.CreateOutput("rgb", TYPES.Float3)))
+    picture = shader(
+        "Picture",
+        "UsdUVTexture",
+        file=(TYPES.Asset, str(tmp_path / "paint.<UDIM>.png")),
+        st=(TYPES.Float2, coordinates),
+    )
+    shader(
+        "Surface",
+        "UsdPreviewSurface",
+        "universal",
+        diffuseColor=(TYPES.Color3f, picture.CreateOutput("rgb", TYPES.Float3)),
+    )
     _, shape, bsdf = drawn(stage)
     pixels = bsdf["bsdf"]["base_color"]["bitmap"]
     assert pixels.shape == (8, 8, 3)
     np.testing.assert_array_equal(pixels[4:, :4], tiles[1001])
     np.testing.assert_array_equal(pixels[4:, 4:], tiles[1002])
     assert not pixels[:4, :4].any()
-    np.testing.assert_allclose(pixels[:4, 4:].mean(axis=(0, 1)), tiles[1012].mean(axis=(0, 1)), atol=6)  # grown to the others' size, filtered
+    np.testing.assert_allclose(
+        pixels[:4, 4:].mean(axis=(0, 1)), tiles[1012].mean(axis=(0, 1)), atol=6
+    )  # grown to the others' size, filtered
     np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]], atol=1e-6)
 
 
 def test_each_texture_is_looked_up_by_its_own_transform(quad, tmp_path):
-    """Roughness is read at M st and colour at N st: the renderer finds in both the texel that the specification asks for."""
+    """Roughness is read at M st and colour at N st: the renderer finds in both the texel that the specification asks
+    for.
+    """
     stage, shader = quad
     write(tmp_path / "a.png", CODES)
     write(tmp_path / "b.png", CODES[:, ::-1].copy())
@@ -260,9 +321,14 @@ def test_each_texture_is_looked_up_by_its_own_transform(quad, tmp_path):
     inputs = {}
     for name, key, output in (("A", "diffuseColor", "rgb"), ("B", "roughness", "g")):
         picture = shader(
-            f"Picture{name}", "UsdUVTexture", file=(TYPES.Asset, str(tmp_path / f"{name.lower()}.png")), sourceColorSpace=(TYPES.Token, "raw"),
-            st=(TYPES.Float2, reader_of(shader, name, **turns[name])), wrapS=(TYPES.Token, "repeat"), wrapT=(TYPES.Token, "repeat"),
-        )  # fmt: skip
+            f"Picture{name}",
+            "UsdUVTexture",
+            file=(TYPES.Asset, str(tmp_path / f"{name.lower()}.png")),
+            sourceColorSpace=(TYPES.Token, "raw"),
+            st=(TYPES.Float2, reader_of(shader, name, **turns[name])),
+            wrapS=(TYPES.Token, "repeat"),
+            wrapT=(TYPES.Token, "repeat"),
+        )
         inputs[key] = (TYPES.Color3f if output == "rgb" else TYPES.Float, picture.CreateOutput(output, TYPES.Float3))
     shader("Surface", "UsdPreviewSurface", "universal", **inputs)
     scene, shape, bsdf = drawn(stage)
@@ -292,7 +358,9 @@ def looked_up(scene, shape, bitmap):
     backend.start("auto")
     mi = backend.mitsuba()
     key = shape["bsdf"]["id"]
-    shown = replace(scene, world={**scene.world, key: {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": bitmap}}})
+    shown = replace(
+        scene, world={**scene.world, key: {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": bitmap}}}
+    )
     loaded = to_mitsuba(shown).scene
 
     def at(st):

@@ -93,7 +93,9 @@ def patch(stage, points, shape, orders, knots, weights=None):
 
 @pytest.mark.parametrize("left_handed", [False, True])
 def test_a_weighted_patch_is_a_cylinder(empty, only_shape, left_handed):
-    """Points 1 away from the axis, normals straight away from it, and a prism's area between 32 of them: 2 * 32 sin(pi / 32) to 2e-2."""
+    """Points 1 away from the axis, normals straight away from it, and a prism's area between 32 of them: 2 * 32 sin(pi
+    / 32) to 2e-2.
+    """
     stage = empty()
     points = [(x, 5 + y, z) for z in (0.0, 1.0) for x, y in CIRCLE]
     prim = patch(stage, points, (9, 2), (3, 2), (KNOTS, [0, 0, 1, 1]), np.tile(WEIGHTS, 2))
@@ -107,7 +109,9 @@ def test_a_weighted_patch_is_a_cylinder(empty, only_shape, left_handed):
     np.testing.assert_allclose(shape["normals"], sign * away, atol=1e-5)
     areas = area_vectors(shape)
     assert (sign * np.einsum("ij,ij->i", areas, away[shape["faces"][:, 0]]) > 0).all()
-    np.testing.assert_allclose(np.linalg.norm(areas, axis=1).sum(), 2 * np.pi, rtol=2e-3)  # (pi / 32)^2 / 6, unevenly spaced
+    np.testing.assert_allclose(
+        np.linalg.norm(areas, axis=1).sum(), 2 * np.pi, rtol=2e-3
+    )  # (pi / 32)^2 / 6, unevenly spaced
 
 
 def test_a_cubic_patch_is_bernsteins(empty, only_shape):
@@ -126,25 +130,39 @@ def test_a_cubic_patch_is_bernsteins(empty, only_shape):
 
 @pytest.mark.parametrize("authored", [False, True])
 def test_a_patch_wears_pictures_by_its_parameters_or_its_own_coordinates(empty, only_shape, tmp_path, authored):
-    """On a flat patch evenly spaced points make u and v even: coordinates are the place, or twice that where each point has them."""
+    """On a flat patch evenly spaced points make u and v even: coordinates are the place, or twice that where each point
+    has them.
+    """
     stage = empty()
     places = [(x, z) for z in (0.0, 1.0) for x in (0.0, 1.0)]
     prim = patch(stage, [(x, 5, z) for x, z in places], (2, 2), (2, 2), ([0, 0, 1, 1],) * 2)
     if authored:
-        UsdGeom.PrimvarsAPI(prim).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex").Set([(2 * x, 2 * z) for x, z in places])
+        UsdGeom.PrimvarsAPI(prim).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex").Set(
+            [(2 * x, 2 * z) for x, z in places]
+        )
     picture = OpenImageIO.ImageBuf(OpenImageIO.ImageSpec(2, 2, 3, "uint8"))
     picture.setpixel(0, 0, (1.0, 0.0, 0.0))
     assert picture.write(str(tmp_path / "a.png"))
     material = UsdShade.Material.Define(stage, "/Material")
-    surface, texture, reader = (UsdShade.Shader.Define(stage, f"/Material/{name}") for name in ("Surface", "Texture", "Reader"))
-    for shader, kind in ((surface, "UsdPreviewSurface"), (texture, "UsdUVTexture"), (reader, "UsdPrimvarReader_float2")):
+    surface, texture, reader = (
+        UsdShade.Shader.Define(stage, f"/Material/{name}") for name in ("Surface", "Texture", "Reader")
+    )
+    for shader, kind in (
+        (surface, "UsdPreviewSurface"),
+        (texture, "UsdUVTexture"),
+        (reader, "UsdPrimvarReader_float2"),
+    ):
         shader.CreateIdAttr(kind)
     texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(str(tmp_path / "a.png"))
     for name in ("wrapS", "wrapT"):
         texture.CreateInput(name, Sdf.ValueTypeNames.Token).Set("repeat")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
-    texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float2))
-    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+    texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(
+        reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    )
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(
+        texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+    )
     material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
     UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
     scene = translate(stage)
@@ -168,13 +186,18 @@ def test_a_patch_that_does_not_fit_or_is_trimmed_is_told(empty):
 @pytest.mark.parametrize("authored", [False, True])
 @pytest.mark.parametrize("orientation", ["rightHanded", "leftHanded"])
 def test_tetrahedra_are_drawn_by_their_outside(empty, only_shape, authored, orientation):
-    """A unit cube of five tetrahedra, one of them inside: twelve faces, volume 1 by the divergence theorem; colours of points stay."""
+    """A unit cube of five tetrahedra, one of them inside: twelve faces, volume 1 by the divergence theorem; colours of
+    points stay.
+    """
     stage = empty()
     mesh = UsdGeom.TetMesh.Define(stage, "/Tets")
     corners = [(x, 5 + y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
     mesh.CreatePointsAttr(corners)
     cells = [(0, 1, 2, 4), (3, 2, 1, 7), (5, 4, 7, 1), (6, 7, 4, 2), (1, 2, 4, 7)]
-    cells = [c if np.linalg.det(np.array([corners[k] for k in c[1:]]) - corners[c[0]]) > 0 else (c[0], c[2], c[1], c[3]) for c in cells]
+    cells = [
+        c if np.linalg.det(np.array([corners[k] for k in c[1:]]) - corners[c[0]]) > 0 else (c[0], c[2], c[1], c[3])
+        for c in cells
+    ]
     if orientation == "leftHanded":
         cells = [(a, c, b, d) for a, b, c, d in cells]
     mesh.CreateTetVertexIndicesAttr(cells)
@@ -194,7 +217,9 @@ def test_values_of_tetrahedra_are_told(empty):
     mesh = UsdGeom.TetMesh.Define(stage, "/Tets")
     mesh.CreatePointsAttr([(0, 5, 0), (1, 5, 0), (0, 6, 0), (0, 5, 1)])
     mesh.CreateTetVertexIndicesAttr([(0, 1, 2, 3)])
-    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "uniform").Set([(1, 0, 0)] * 4)
+    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "uniform").Set(
+        [(1, 0, 0)] * 4
+    )
     scene = translate(stage)
     assert len(scene.world["shape_0"]["faces"]) == 4
     assert any("tetrahedra" in note.text for note in scene.notes)

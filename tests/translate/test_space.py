@@ -39,7 +39,9 @@ def street(up, metres_per_unit, far=0.0):
     fog = UsdGeom.Cube.Define(stage, "/Fog")
     fog.GetPrim().AddAppliedSchema("SynFogMediumAPI")
     fog.AddTranslateOp().Set(vector(0, 10, 24))
-    fog.AddScaleOp().Set(Gf.Vec3f(50 * one, 50 * one, 25 * one) if up == "Z" else Gf.Vec3f(50 * one, 25 * one, 50 * one))
+    fog.AddScaleOp().Set(
+        Gf.Vec3f(50 * one, 50 * one, 25 * one) if up == "Z" else Gf.Vec3f(50 * one, 25 * one, 50 * one)
+    )
     camera = UsdGeom.Camera.Define(stage, "/Camera")
     camera.CreateFocalLengthAttr(0.35 * one)
     camera.CreateHorizontalApertureAttr(0.36 * one)
@@ -71,7 +73,9 @@ def test_units_and_up_axis_do_not_change_the_scene(up, metres_per_unit):
     compare(vars(found.camera) | {"path": ""}, vars(wanted.camera) | {"path": ""})
     for one, other in zip(found.fog, wanted.fog, strict=True):
         unit = np.abs(other.boundary.to_world[:3, :3]).sum(axis=1)
-        np.testing.assert_allclose(np.abs(one.boundary.to_world[:3, :3]).sum(axis=1), unit, rtol=2e-6)  # a cube may be turned by its symmetry
+        np.testing.assert_allclose(
+            np.abs(one.boundary.to_world[:3, :3]).sum(axis=1), unit, rtol=2e-6
+        )  # a cube may be turned by its symmetry
         compare(one.boundary.to_world[:3, 3], other.boundary.to_world[:3, 3])
         compare(vars(one.medium), vars(other.medium))
     compare(found.origin_m, wanted.origin_m)
@@ -99,7 +103,9 @@ def test_a_stage_with_x_up_is_drawn_with_x_up(empty, only_shape):
     scene = translate(stage)
     np.testing.assert_allclose(np.add(scene.camera.to_world[:3, 3], scene.origin_m), (2, 3, 1))
     assert np.linalg.det(scene.camera.to_world[:3, :3]) == pytest.approx(1.0)
-    assert [note.text for note in scene.notes if note.severity == "warning"] == ["upAxis is 'X', and USD knows Y and Z alone; drawn with X up"]
+    assert [note.text for note in scene.notes if note.severity == "warning"] == [
+        "upAxis is 'X', and USD knows Y and Z alone; drawn with X up"
+    ]
 
 
 def test_an_up_axis_of_nonsense_is_told(empty):
@@ -110,5 +116,8 @@ def test_an_up_axis_of_nonsense_is_told(empty):
     look = findings(stage)
     assert all(one.severity != "error" for one in look)
     override(stage, up="Z", metres_per_unit=0.01)
-    assert not any("upAxis" in note.text for note in translate(stage).notes) and UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+    assert (
+        not any("upAxis" in note.text for note in translate(stage).notes)
+        and UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+    )
     assert stage.GetRootLayer().GetPrimAtPath("/").GetInfo("upAxis") == "W"

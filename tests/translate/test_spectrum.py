@@ -40,7 +40,13 @@ PAIRS = [Gf.Vec2f(400, 0.1), Gf.Vec2f(550, 0.4), Gf.Vec2f(700, 0.2)]
 
 
 @pytest.mark.parametrize(
-    "value, kind", [("leaf", TYPES.Token), ("leaf", TYPES.String), (PAIRS, TYPES.Float2Array), ([Gf.Vec2d(p) for p in PAIRS], TYPES.Double2Array)]
+    "value, kind",
+    [
+        ("leaf", TYPES.Token),
+        ("leaf", TYPES.String),
+        (PAIRS, TYPES.Float2Array),
+        ([Gf.Vec2d(p) for p in PAIRS], TYPES.Double2Array),
+    ],
 )
 def test_a_material_has_the_spectrum_that_stands_on_it(made, value, kind):
     """By name or as pairs, of either type; the drawn surface is the same as without."""
@@ -114,7 +120,9 @@ def test_what_is_no_spectrum_is_one_warning_with_its_prim_and_the_colour_counts(
 
 def test_a_spectrum_on_a_surface_that_takes_its_colour_from_vertices_is_one_warning(made):
     stage, material, surface = made
-    UsdGeom.Mesh(stage.GetPrimAtPath("/Quad")).CreateDisplayColorPrimvar("vertex").Set([(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)])
+    UsdGeom.Mesh(stage.GetPrimAtPath("/Quad")).CreateDisplayColorPrimvar("vertex").Set(
+        [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)]
+    )
     reader = UsdShade.Shader.Define(stage, "/Material/Reader")
     reader.CreateIdAttr("UsdPrimvarReader_float3")
     reader.CreateInput("varname", TYPES.String).Set("displayColor")

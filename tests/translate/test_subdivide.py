@@ -21,7 +21,11 @@ def sheet(size, heights):
     y, x = np.mgrid[:size, :size]
     points = np.stack([x.ravel(), y.ravel(), heights.ravel()], axis=1).astype(float)
     first = (np.arange(size - 1)[:, None] * size + np.arange(size - 1)).ravel()
-    return points, np.full(len(first), 4), np.stack([first, first + 1, first + size + 1, first + size], axis=1).reshape(-1)
+    return (
+        points,
+        np.full(len(first), 4),
+        np.stack([first, first + 1, first + size + 1, first + size], axis=1).reshape(-1),
+    )
 
 
 def spline(values):
@@ -51,7 +55,11 @@ def test_boundaries_and_creases_are_cubic_splines(level, where):
     row = 0 if where == "boundary" else 4
     chain = np.arange(9) + 9 * row
     pairs = np.stack([chain[:-1], chain[1:]], axis=1)
-    cage = Cage(counts, indices, creases=pairs, crease_sharpness=np.full(8, 10.0)) if where == "crease" else Cage(counts, indices)
+    cage = (
+        Cage(counts, indices, creases=pairs, crease_sharpness=np.full(8, 10.0))
+        if where == "crease"
+        else Cage(counts, indices)
+    )
     fine = subdivided(points, cage, level).points
     x, _, z = fine[(np.abs(fine[:, 1] - row) < 1e-12) & (fine[:, 0] > 1.99) & (fine[:, 0] < 6.01)].T
     assert len(z) == 4 * 2**level + 1
@@ -61,7 +69,9 @@ def test_boundaries_and_creases_are_cubic_splines(level, where):
 @pytest.mark.parametrize("level", [1, 2, 4])
 @pytest.mark.parametrize("sharpness, corner", [(0.0, 12 / 24), (0.5, 15 / 24), (1.0, 18 / 24), (10.0, 1.0)])
 def test_corners_of_a_cube_by_sharpness(level, sharpness, corner):
-    """Smooth: (9 + 4 - 1) / 24.  Sharpness 1: after one hard step v = 1, sum(e) = 2, sum(f) = 1, so (9 + 8 + 1) / 24; a half lies midway."""
+    """Smooth: (9 + 4 - 1) / 24.  Sharpness 1: after one hard step v = 1, sum(e) = 2, sum(f) = 1, so (9 + 8 + 1) / 24; a
+    half lies midway.
+    """
     fine = subdivided(BOX, cube(creases=EDGES, crease_sharpness=np.full(12, sharpness)), level)
     np.testing.assert_allclose(fine.points[:8], BOX * corner, rtol=1e-12)
 
@@ -99,7 +109,9 @@ def test_levels_shrink_with_faces():
 
 
 def triangles(size, heights):
-    """A size x size grid of points, each square of it cut from its lower left to its upper right: six edges at every inner point."""
+    """A size x size grid of points, each square of it cut from its lower left to its upper right: six edges at every
+    inner point.
+    """
     points, counts, indices = sheet(size, heights)
     a, b, c, d = indices.reshape(-1, 4).T
     return points, np.full(2 * len(counts), 3), np.stack([a, b, c, a, c, d], axis=1).reshape(-1)
@@ -107,7 +119,9 @@ def triangles(size, heights):
 
 @pytest.mark.parametrize("level", [1, 2, 3])
 def test_a_regular_loop_sheet_keeps_a_parabola(level):
-    """Where six triangles meet, heights x^2 become x^2 + 1/3: half of a point and a twelfth of each neighbour, four of which lie 1 aside."""
+    """Where six triangles meet, heights x^2 become x^2 + 1/3: half of a point and a twelfth of each neighbour, four of
+    which lie 1 aside.
+    """
     points, counts, indices = triangles(8, np.broadcast_to(np.arange(8.0) ** 2, (8, 8)))
     fine = loop.subdivided(points, Cage(counts, indices), level).points
     x, _, z = fine[((fine[:, :2] > 1.99) & (fine[:, :2] < 5.01)).all(axis=1)].T
@@ -120,7 +134,10 @@ def test_a_loop_point_has_one_limit_at_every_level(valence):
     """The limit mask of the cage's own point gives what it gives after four divisions, for any number of neighbours."""
     angle = 2 * np.pi * np.arange(valence) / valence
     inner, outer = (np.stack([r * np.cos(angle), r * np.sin(angle), np.zeros(valence)], axis=1) for r in (1.0, 2.0))
-    points = np.concatenate([[[0, 0, 0]], inner, outer]) + np.random.default_rng(valence).normal(size=(2 * valence + 1, 3)) * 0.2
+    points = (
+        np.concatenate([[[0, 0, 0]], inner, outer])
+        + np.random.default_rng(valence).normal(size=(2 * valence + 1, 3)) * 0.2
+    )
     k = np.arange(valence)
     following = (k + 1) % valence
     faces = np.concatenate(
@@ -145,7 +162,11 @@ def test_boundaries_and_creases_of_loop_are_cubic_splines(level, where):
     row = 0 if where == "boundary" else 4
     chain = np.arange(9) + 9 * row
     pairs = np.stack([chain[:-1], chain[1:]], axis=1)
-    cage = Cage(counts, indices, creases=pairs, crease_sharpness=np.full(8, 10.0)) if where == "crease" else Cage(counts, indices)
+    cage = (
+        Cage(counts, indices, creases=pairs, crease_sharpness=np.full(8, 10.0))
+        if where == "crease"
+        else Cage(counts, indices)
+    )
     fine = loop.subdivided(points, cage, level).points
     x, _, z = fine[(np.abs(fine[:, 1] - row) < 1e-12) & (fine[:, 0] > 1.99) & (fine[:, 0] < 6.01)].T
     assert len(z) == 4 * 2**level + 1
@@ -162,7 +183,8 @@ def test_a_half_sharp_loop_corner_lies_between(sharpness):
         cage = Cage(np.full(8, 3), sides.reshape(-1), corners=np.array([2]), corner_sharpness=np.array([s]))
         return loop.subdivided(tips, cage, 4).points[2, 2]
 
-    # one hard step leaves the tip at 1 and its neighbours at (3/8)(1 + 0) + (1/8)(0 + 0), summed 4 x 3/8: 24/55 + (31/55)(3/8)
+    # one hard step leaves the tip at 1 and its neighbours at (3/8)(1 + 0) + (1/8)(0 + 0), summed 4 x 3/8: 24/55 +
+    # (31/55)(3/8)
     hard = 24 / 55 + 31 / 55 * 3 / 8
     wanted = {0.5: (24 / 55 + hard) / 2, 1.0: hard}
     if sharpness in wanted:

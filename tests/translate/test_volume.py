@@ -42,11 +42,29 @@ def fog_box(stage, path, centre=(0, 0, 0), half=10.0, **attributes):
 def test_the_schema_is_read_whole(empty):
     """Visibility, contrast and profile in metres; the base is the lowest point of the boundary."""
     stage = empty(metres_per_unit=0.01)
-    fog_box(stage, "/Fog", (0, 0, 500), 1000.0, mor=80.0, contrast=0.02, albedo=0.99, g=0.8, profile="exponential", scaleHeight=25.0, priority=3.0)
+    fog_box(
+        stage,
+        "/Fog",
+        (0, 0, 500),
+        1000.0,
+        mor=80.0,
+        contrast=0.02,
+        albedo=0.99,
+        g=0.8,
+        profile="exponential",
+        scaleHeight=25.0,
+        priority=3.0,
+    )
     (volume,) = translate(stage).fog
     np.testing.assert_allclose(volume.medium.sigma_t_per_m, 3.912023 / 80.0, rtol=1e-6)  # -ln 0.02
     np.testing.assert_allclose(volume.medium.visibility_m, 80.0)
-    assert (volume.medium.albedo, volume.medium.g, volume.medium.profile, volume.medium.scale_height_m, volume.priority) == (0.99, 0.8, "exponential", 25.0, 3)
+    assert (
+        volume.medium.albedo,
+        volume.medium.g,
+        volume.medium.profile,
+        volume.medium.scale_height_m,
+        volume.priority,
+    ) == (0.99, 0.8, "exponential", 25.0, 3)
     np.testing.assert_allclose(volume.medium.base_height_m, -5.0)
     np.testing.assert_allclose(volume.boundary.to_world, [[10, 0, 0, 0], [0, 10, 0, 0], [0, 0, 10, 5], [0, 0, 0, 1]])
 
@@ -68,7 +86,10 @@ def test_any_numeric_type_will_do(empty, kind):
     np.testing.assert_allclose(translate(stage).fog[0].medium.visibility_m, 200.0)
 
 
-@pytest.mark.parametrize("name", ["synfog:fog:mor", "userProperties:synfog_fog_mor", "userProperties:synfog_mor", "userProperties:synfog:fog:mor"])
+@pytest.mark.parametrize(
+    "name",
+    ["synfog:fog:mor", "userProperties:synfog_fog_mor", "userProperties:synfog_mor", "userProperties:synfog:fog:mor"],
+)
 @pytest.mark.parametrize("on_parent", [False, True])
 def test_custom_properties_count_also_on_the_parent(empty, polygon_mesh, name, on_parent):
     """Blender puts custom properties on the object's Xform, not on its mesh, and applies no schema."""
@@ -99,11 +120,34 @@ def test_fog_can_be_switched_off(empty, how):
     assert scene.fog == () and not any(key.startswith("shape_") for key in scene.world)
 
 
-@pytest.mark.parametrize("name, value", [
-    ("mor", 0.0), ("mor", -5.0), ("mor", math.nan), ("mor", math.inf), ("mor", 1e-4), ("sigma_t", -0.1), ("sigma_t", math.nan), ("sigma_t", 1e4),
-    ("contrast", 0.0), ("contrast", 1.0), ("albedo", -0.1), ("albedo", 1.5), ("albedo", math.nan), ("g", 1.0), ("g", -1.0), ("g", math.nan),
-    ("scaleHeight", 0.0), ("scaleHeight", -1.0), ("angstrom", 9.0), ("angstrom", math.nan), ("phase", "rayleigh"), ("profile", "linear"), ("morr", 100.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        ("mor", 0.0),
+        ("mor", -5.0),
+        ("mor", math.nan),
+        ("mor", math.inf),
+        ("mor", 1e-4),
+        ("sigma_t", -0.1),
+        ("sigma_t", math.nan),
+        ("sigma_t", 1e4),
+        ("contrast", 0.0),
+        ("contrast", 1.0),
+        ("albedo", -0.1),
+        ("albedo", 1.5),
+        ("albedo", math.nan),
+        ("g", 1.0),
+        ("g", -1.0),
+        ("g", math.nan),
+        ("scaleHeight", 0.0),
+        ("scaleHeight", -1.0),
+        ("angstrom", 9.0),
+        ("angstrom", math.nan),
+        ("phase", "rayleigh"),
+        ("profile", "linear"),
+        ("morr", 100.0),
+    ],
+)
 def test_bad_values_are_refused_with_prim_and_attribute(empty, name, value):
     stage = empty()
     fog_box(stage, "/World_Fog", **{name: value})
@@ -111,7 +155,10 @@ def test_bad_values_are_refused_with_prim_and_attribute(empty, name, value):
         translate(stage)
 
 
-@pytest.mark.parametrize("phase, diameter", [("droplets", 5.0), ("droplets", 60.0), ("droplets", None), ("mie", 0.0), ("mie", 1e4), ("mie", None)])
+@pytest.mark.parametrize(
+    "phase, diameter",
+    [("droplets", 5.0), ("droplets", 60.0), ("droplets", None), ("mie", 0.0), ("mie", 1e4), ("mie", None)],
+)
 def test_droplets_of_no_size_are_refused(empty, phase, diameter):
     """A phase function that is made from the diameter needs one, within the range of its fit or series."""
     stage = empty()
@@ -222,7 +269,9 @@ def _zipped(path, content):
 
 @pytest.mark.parametrize("name", GRIDS)
 def test_a_grid_that_makes_no_sense_is_refused_with_prim_and_attribute(saved, name):
-    """Bad values, other shapes and formats, pickled objects, and headers that claim more than there is or than we take."""
+    """Bad values, other shapes and formats, pickled objects, and headers that claim more than there is or than we
+    take.
+    """
     stage, folder = saved("./" + name)
     GRIDS[name](folder / name)
     with pytest.raises(StageError, match=rf"/Fog: synfog:fog:densityGrid = './{name}'; "):
@@ -233,20 +282,34 @@ def test_a_grid_that_makes_no_sense_is_refused_with_prim_and_attribute(saved, na
 def test_a_grid_lies_below_the_stage(saved, empty, tmp_path, how):
     """No file, a file elsewhere, a link to elsewhere, and a stage that lies nowhere."""
     np.save(tmp_path / "grid.npy", np.ones((1, 1, 1)))
-    stage, folder = saved({"none": None, "missing": "./grid.npy", "outside": "../grid.npy", "link": "./link.npy", "memory": None}[how])
+    stage, folder = saved(
+        {"none": None, "missing": "./grid.npy", "outside": "../grid.npy", "link": "./link.npy", "memory": None}[how]
+    )
     (folder / "link.npy").symlink_to(tmp_path / "grid.npy")
     if how == "memory":
         stage = empty()
-        fog_box(stage, "/Fog", profile="grid").GetPrim().CreateAttribute("synfog:fog:densityGrid", TYPES.Asset).Set(str(tmp_path / "grid.npy"))
+        fog_box(stage, "/Fog", profile="grid").GetPrim().CreateAttribute("synfog:fog:densityGrid", TYPES.Asset).Set(
+            str(tmp_path / "grid.npy")
+        )
     with pytest.raises(StageError, match="/Fog: synfog:fog:densityGrid"):
         translate(stage)
 
 
 @pytest.mark.parametrize(
-    "near, y, refused", [(0.1, 10.05, True), (0.01, 10.05, False), (0.1, 10.2, False), (0.1, -10.05, False), (0.1, -9.95, True), (0.1, 9.95, False)]
+    "near, y, refused",
+    [
+        (0.1, 10.05, True),
+        (0.01, 10.05, False),
+        (0.1, 10.2, False),
+        (0.1, -10.05, False),
+        (0.1, -9.95, True),
+        (0.1, 9.95, False),
+    ],
 )
 def test_fog_that_the_near_plane_cuts_is_refused(empty, near, y, refused):
-    """A camera that looks along +Y with a near plane at 10 cm: a box that begins or ends 5 cm ahead; not one farther, behind, or around both."""
+    """A camera that looks along +Y with a near plane at 10 cm: a box that begins or ends 5 cm ahead; not one farther,
+    behind, or around both.
+    """
     stage = empty()
     UsdGeom.Camera(stage.GetPrimAtPath("/Camera")).CreateClippingRangeAttr().Set((near, 1000.0))
     fog_box(stage, "/Bank", (0, y, 0))
@@ -301,7 +364,9 @@ def test_an_open_mesh_cannot_hold_fog(empty, polygon_mesh):
         translate(stage)
 
 
-@pytest.mark.parametrize("kind, radius, height, volume", [("Cylinder", 3.0, 4.0, 36 * math.pi), ("Cone", 3.0, 4.0, 12 * math.pi)])
+@pytest.mark.parametrize(
+    "kind, radius, height, volume", [("Cylinder", 3.0, 4.0, 36 * math.pi), ("Cone", 3.0, 4.0, 12 * math.pi)]
+)
 def test_round_boundaries_become_closed_meshes(empty, kind, radius, height, volume):
     stage = empty()
     prim = stage.DefinePrim("/Fog", kind)
@@ -369,7 +434,9 @@ def test_a_stage_without_fog_gets_a_layer_when_asked(empty):
     assert any("no fog" in note.text for note in scene.notes)
 
 
-@pytest.mark.parametrize("doc, name, is_fog", [("Blender v5.0.1", "Box", True), ("", "FogBox", True), ("", "Car", False)])
+@pytest.mark.parametrize(
+    "doc, name, is_fog", [("Blender v5.0.1", "Box", True), ("", "FogBox", True), ("", "Car", False)]
+)
 def test_a_box_with_an_empty_material_is_fog_only_where_that_is_meant(empty, polygon_mesh, doc, name, is_fog):
     """Blender writes a volume material without outputs; elsewhere a lost material must not become fog."""
     stage = empty()
@@ -388,9 +455,13 @@ def test_a_box_with_an_empty_material_is_fog_only_where_that_is_meant(empty, pol
 @pytest.mark.parametrize("closed", [True, False])
 @pytest.mark.parametrize("named", [True, False])
 def test_a_volume_material_makes_fog_and_never_a_solid(empty, polygon_mesh, named, closed):
-    """A material with an output for volumes and none for surfaces, whatever the mesh is called; one that is not closed is left out with advice."""
+    """A material with an output for volumes and none for surfaces, whatever the mesh is called; one that is not closed
+    is left out with advice.
+    """
     stage = empty()
-    mesh = polygon_mesh(stage, "/Haze" if named else "/Room", BOX, [4] * (6 if closed else 5), QUADS[: 24 if closed else 20])
+    mesh = polygon_mesh(
+        stage, "/Haze" if named else "/Room", BOX, [4] * (6 if closed else 5), QUADS[: 24 if closed else 20]
+    )
     mesh.AddScaleOp().Set((40.0, 40.0, 20.0))
     material = UsdShade.Material.Define(stage, "/Air")
     shader = UsdShade.Shader.Define(stage, "/Air/Volume")
@@ -400,7 +471,11 @@ def test_a_volume_material_makes_fog_and_never_a_solid(empty, polygon_mesh, name
     scene = translate(stage)
     assert not any(key.startswith("shape_") for key in scene.world)
     assert len(scene.fog) == closed
-    assert any(("taken as fog" if closed else "left out: close it") in note.text for note in scene.notes if note.severity == "warning")
+    assert any(
+        ("taken as fog" if closed else "left out: close it") in note.text
+        for note in scene.notes
+        if note.severity == "warning"
+    )
 
 
 OMNIVERSE = {"rtx:fog:enabled": True, "rtx:fog:fogStartDist": 0.0, "rtx:fog:fogEndDist": 25000.0}
@@ -422,7 +497,11 @@ def test_omniverses_fog_is_refused_with_a_visibility_to_try(empty, where, enable
     told = [note for note in scene.notes if "rtx:fog" in note.text]
     assert scene.fog == () and len(told) == enabled
     if enabled:
-        assert told[0].severity == "warning" and "--fog mor250," in told[0].text and told[0].path == ("" if where == "layer" else "/Render/Settings")
+        assert (
+            told[0].severity == "warning"
+            and "--fog mor250," in told[0].text
+            and told[0].path == ("" if where == "layer" else "/Render/Settings")
+        )
 
 
 def vdb_stage(folder, **arrays):
@@ -448,11 +527,18 @@ def vdb_stage(folder, **arrays):
 def vdb_arrays():
     density = np.zeros((2, 3, 4), np.float32)
     density[1, 2, 3] = 1.0
-    return {"density": density, "low": np.array([-100.0, -200.0, 0.0]), "high": np.array([300.0, 100.0, 400.0]), "largest": np.float64(2.5)}
+    return {
+        "density": density,
+        "low": np.array([-100.0, -200.0, 0.0]),
+        "high": np.array([300.0, 100.0, 400.0]),
+        "largest": np.float64(2.5),
+    }
 
 
 def test_an_openvdb_volume_is_fog_where_its_npz_stands_beside_it(tmp_path):
-    """Box and densities from the file, moved with the prim; extinction is that of the fog attributes times the density."""
+    """Box and densities from the file, moved with the prim; extinction is that of the fog attributes times the
+    density.
+    """
     stage = vdb_stage(tmp_path / "a", **vdb_arrays())
     (found,) = translate(stage).fog
     np.testing.assert_allclose(found.boundary.to_world, [[2, 0, 0, 1], [0, 1.5, 0, 49.5], [0, 0, 2, 2], [0, 0, 0, 1]])
@@ -472,7 +558,14 @@ def test_an_openvdb_volume_without_its_npz_is_told_what_to_run(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", [{"density": np.full((1, 1, 1), 2.0)}, {"low": np.zeros(2)}, {"high": np.full(3, -1e9)}, {"largest": np.nan}, {"largest": None}]
+    "change",
+    [
+        {"density": np.full((1, 1, 1), 2.0)},
+        {"low": np.zeros(2)},
+        {"high": np.full(3, -1e9)},
+        {"largest": np.nan},
+        {"largest": None},
+    ],
 )
 def test_a_damaged_npz_of_a_volume_is_refused(tmp_path, change):
     arrays = {name: value for name, value in (vdb_arrays() | change).items() if value is not None}
@@ -495,7 +588,9 @@ def test_a_grid_in_an_allowed_folder_is_read(tmp_path):
     np.save(tmp_path / "clouds" / "grid.npy", np.ones((1, 1, 1), np.float32))
     stage = Usd.Stage.CreateNew(str(tmp_path / "stage" / "fog.usda"))
     UsdGeom.Camera.Define(stage, "/Camera")
-    fog_box(stage, "/Fog", profile="grid").GetPrim().CreateAttribute("synfog:fog:densityGrid", TYPES.Asset).Set("../clouds/grid.npy")
+    fog_box(stage, "/Fog", profile="grid").GetPrim().CreateAttribute("synfog:fog:densityGrid", TYPES.Asset).Set(
+        "../clouds/grid.npy"
+    )
     stage.Save()
     del stage
     assert len(translate(open_stage(tmp_path / "stage" / "fog.usda", allow=[tmp_path / "clouds"])).fog) == 1
@@ -507,14 +602,18 @@ BPY = os.environ.get("SYNFOG_BPY", "")
 @pytest.mark.skipif(not BPY, reason="SYNFOG_BPY names no Python that has bpy")
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the real files beside the project")
 def test_vdb2npz_reads_blenders_volume(tmp_path):
-    """The file that Blender wrote: its box is the extent that Blender authored; the densities, a ball's, stay within 0 to 1."""
+    """The file that Blender wrote: its box is the extent that Blender authored; the densities, a ball's, stay within 0
+    to 1.
+    """
     (tmp_path / "fogbank.vdb").write_bytes((SHARED / "blender501" / "volumes" / "fogbank.vdb").read_bytes())
     tool = Path(__file__).resolve().parents[2] / "integrations" / "vdb2npz.py"
     subprocess.run([BPY, str(tool), str(tmp_path / "fogbank.vdb")], check=True, capture_output=True)
     with np.load(tmp_path / "fogbank.npz") as made:
         np.testing.assert_allclose([made["low"], made["high"]], [[-0.25] * 3, [15.75] * 3])
         assert made["density"].shape == (32, 32, 32) and made["density"].max() == 1.0 and made["density"].min() == 0.0
-    subprocess.run([BPY, str(tool), str(tmp_path / "fogbank.vdb"), "--max-voxels", "10"], check=True, capture_output=True)
+    subprocess.run(
+        [BPY, str(tool), str(tmp_path / "fogbank.vdb"), "--max-voxels", "10"], check=True, capture_output=True
+    )
     with np.load(tmp_path / "fogbank.npz") as small:
         assert small["density"].shape == (8, 8, 8)
         np.testing.assert_allclose([small["low"], small["high"]], [[-0.25] * 3, [15.75] * 3])
@@ -550,12 +649,18 @@ def test_the_exported_fog_box_is_fog():
     np.testing.assert_allclose(volume.medium.visibility_m, 300.0)
     np.testing.assert_allclose(np.ptp(volume.boundary.surface_points(), axis=0), [40, 140, 20], rtol=1e-6)
     assert volume.boundary.contains(scene.camera.to_world[:3, 3])[0]
-    kinds = sorted(part["emitter"]["type"] if "emitter" in part else part["type"] for key, part in scene.world.items() if key.startswith(("shape_", "light_")))
+    kinds = sorted(
+        part["emitter"]["type"] if "emitter" in part else part["type"]
+        for key, part in scene.world.items()
+        if key.startswith(("shape_", "light_"))
+    )
     assert kinds == ["area"] * 4 + ["constant", "directional"] + ["mesh"] * 5 + ["photometric"]
 
 
 def test_a_mesh_that_is_a_box_becomes_one():
-    """Turned, stretched and moved boxes are told from their eight corners, with their volume; a bent one is not mistaken for one."""
+    """Turned, stretched and moved boxes are told from their eight corners, with their volume; a bent one is not
+    mistaken for one.
+    """
     import trimesh
 
     from synfog_usd.translate.volume import _mesh_boundary
@@ -563,7 +668,9 @@ def test_a_mesh_that_is_a_box_becomes_one():
     draw = np.random.default_rng(3)
     for _ in range(50):
         edges = draw.uniform(0.5, 40.0, 3)
-        solid = trimesh.creation.box(extents=edges, transform=trimesh.transformations.random_rotation_matrix(draw.random(3)))
+        solid = trimesh.creation.box(
+            extents=edges, transform=trimesh.transformations.random_rotation_matrix(draw.random(3))
+        )
         solid.apply_translation(draw.uniform(-50, 50, 3))
         found = _mesh_boundary(np.asarray(solid.vertices), np.asarray(solid.faces), "/Fog")
         assert found.kind == "box"
@@ -588,10 +695,14 @@ def test_nested_apart_and_crossing_fogs_are_told_apart():
 
 
 def test_many_banks_are_looked_at_by_what_they_touch(monkeypatch):
-    """400 banks in one layer: each asks about its points in those that it meets, all at once; by pairs it was 160 000 questions."""
+    """400 banks in one layer: each asks about its points in those that it meets, all at once; by pairs it was 160 000
+    questions.
+    """
     asked = []
     contains = Boundary.contains
-    monkeypatch.setattr(Boundary, "contains", lambda self, points: (asked.append(len(points)), contains(self, points))[1])
+    monkeypatch.setattr(
+        Boundary, "contains", lambda self, points: (asked.append(len(points)), contains(self, points))[1]
+    )
     banks = [FogVolume(f"/B{n}", box(1.0, (4.0 * (n % 20), 4.0 * (n // 20), 0.0)), FogMedium(0.01)) for n in range(400)]
     made = volume.nested([FogVolume("/Layer", box(200.0), FogMedium(0.001)), *banks])
     assert [one.parent for one in made] == [None, *[0] * 400]

@@ -46,8 +46,13 @@ def test_the_nearest_label_names_a_thing(empty):
     UsdGeom.Cube.Define(stage, "/Bench/Leg")
     UsdGeom.Cube.Define(stage, "/Stone")
     assert list(named(translate(stage)).values()) == [
-        ("/Car", "car"), ("/Car", "car"), ("/Car/Plate", "license plate"), ("/Bench", "unlabeled"), ("/Bench", "unlabeled"), ("/Stone", "unlabeled"),
-    ]  # fmt: skip
+        ("/Car", "car"),
+        ("/Car", "car"),
+        ("/Car/Plate", "license plate"),
+        ("/Bench", "unlabeled"),
+        ("/Bench", "unlabeled"),
+        ("/Stone", "unlabeled"),
+    ]
 
 
 @pytest.mark.parametrize("name, kind, value", [
@@ -79,11 +84,15 @@ def copies(stage, root, count, parent=""):
 
 def world_points(scene):
     """(N, 3) all vertices as drawn, instances placed."""
-    points = [part["positions"] for key, part in scene.world.items() if key.startswith("shape_") and "positions" in part]
+    points = [
+        part["positions"] for key, part in scene.world.items() if key.startswith("shape_") and "positions" in part
+    ]
     for part in (part for key, part in scene.world.items() if key.startswith("instance_")):
         for name, shape in scene.world[part["shapegroup"]["id"]].items():
             if name != "type":
-                points.append((part["to_world"] @ np.c_[shape["positions"], np.ones(len(shape["positions"]))].T).T[:, :3])
+                points.append(
+                    (part["to_world"] @ np.c_[shape["positions"], np.ones(len(shape["positions"]))].T).T[:, :3]
+                )
     return np.concatenate(points)
 
 
@@ -103,7 +112,9 @@ def in_order(points):
 
 
 def test_instances_share_their_prototype_and_have_ids_of_their_own(empty, polygon_mesh):
-    """Three copies of two meshes: one group of two shapes, three instances, each with an id; vertices fall where USD puts them."""
+    """Three copies of two meshes: one group of two shapes, three instances, each with an id; vertices fall where USD
+    puts them.
+    """
     stage = empty()
     stage.CreateClassPrim("/Proto")
     label(stage.GetPrimAtPath("/Proto"), "car")
@@ -154,13 +165,19 @@ def test_point_instances_are_things_with_their_numbers(empty, polygon_mesh):
     points.AddTranslateOp().Set((0, 10, 0))
     label(points.GetPrim(), "vegetation")
     for name in ("Oak", "Elm"):
-        polygon_mesh(stage, f"/Trees/{name}", [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [3], [0, 1, 2]).AddScaleOp().Set((2, 2, 2))
+        polygon_mesh(stage, f"/Trees/{name}", [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [3], [0, 1, 2]).AddScaleOp().Set(
+            (2, 2, 2)
+        )
         points.CreatePrototypesRel().AddTarget(f"/Trees/{name}")
     points.CreateProtoIndicesAttr([0, 1, 0, 1])
     points.CreatePositionsAttr([(0, 0, 0), (5, 0, 0), (10, 0, 0), (15, 0, 0)])
     points.DeactivateId(2)
     scene = translate(stage)
-    assert sorted(named(scene).values()) == [("/Trees[0]", "vegetation"), ("/Trees[1]", "vegetation"), ("/Trees[3]", "vegetation")]
+    assert sorted(named(scene).values()) == [
+        ("/Trees[0]", "vegetation"),
+        ("/Trees[1]", "vegetation"),
+        ("/Trees[3]", "vegetation"),
+    ]
     shift = np.array([[0, 10, 0], [5, 10, 0], [15, 10, 0]])
     wanted = np.concatenate([np.array([(0, 0, 0), (2, 0, 0), (2, 2, 0)]) + s for s in shift])
     np.testing.assert_allclose(in_order(world_points(scene)), in_order(wanted), atol=1e-6)
@@ -181,7 +198,12 @@ def test_nested_instances_are_flattened(empty, polygon_mesh):
         xform.AddTranslateOp().Set((0.0, 0.0, 7.0 * number))
         xform.AddRotateZOp().Set(25.0 * number)
     scene = translate(stage)
-    assert not any(isinstance(part, dict) and part["type"] == "instance" for group in scene.world.values() if group != "scene" for part in group.values())
+    assert not any(
+        isinstance(part, dict) and part["type"] == "instance"
+        for group in scene.world.values()
+        if group != "scene"
+        for part in group.values()
+    )
     np.testing.assert_allclose(in_order(world_points(scene)), in_order(flat_points(stage, scene)), atol=1e-5)
     assert {path for path, _ in named(scene).values()} == {"/Place0", "/Place1", "/Place2"}
 
@@ -259,7 +281,9 @@ def test_the_stage_is_not_written_to(empty, polygon_mesh):
 
 
 def test_prototypes_under_an_over_are_drawn_and_masked(empty, polygon_mesh):
-    """An `over` hides prototypes from everything but their instancer; ids 11 and 13 are masked, one for good and one for now."""
+    """An `over` hides prototypes from everything but their instancer; ids 11 and 13 are masked, one for good and one
+    for now.
+    """
     stage = empty()
     mesh = polygon_mesh(stage, "/Hidden/Leaf", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
     stage.GetPrimAtPath("/Hidden").SetSpecifier(Sdf.SpecifierOver)
@@ -289,14 +313,18 @@ def test_display_opacity_counts_without_a_material(empty):
     """Also from a parent; it lets the rest straight through."""
     stage = empty()
     UsdGeom.Cube.Define(stage, "/Group/Box")
-    UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Group")).CreatePrimvar("displayOpacity", Sdf.ValueTypeNames.FloatArray, "constant").Set([0.25])
+    UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Group")).CreatePrimvar(
+        "displayOpacity", Sdf.ValueTypeNames.FloatArray, "constant"
+    ).Set([0.25])
     world = translate(stage).world
     bsdf = world[world["shape_0"]["bsdf"]["id"]]
     assert (bsdf["type"], bsdf["opacity"], bsdf["bsdf"]["type"]) == ("mask", 0.25, "twosided")
 
 
 def test_a_note_on_an_instance_names_what_somebody_authored(empty):
-    """Prototypes are numbered anew each time a stage is opened: their names would make two bakes of one stage differ."""
+    """Prototypes are numbered anew each time a stage is opened: their names would make two bakes of one stage
+    differ.
+    """
     stage = empty()
     stage.CreateClassPrim("/Kind")
     UsdGeom.Mesh.Define(stage, "/Kind/Torn").CreateFaceVertexCountsAttr([3])

@@ -17,7 +17,9 @@ OUTSIDE = np.array([0.05], dtype=np.float32)
 
 
 def texel(pixels, u, v, wraps):
-    """The texel of a picture (row 0 at the top) nearest to (u, v), by the words of the specification; None where it is black."""
+    """The texel of a picture (row 0 at the top) nearest to (u, v), by the words of the specification; None where it is
+    black.
+    """
     found = []
     for place, size, wrap in zip((u, v), pixels.shape[1::-1], wraps, strict=True):
         number = int(np.floor(place * size))
@@ -57,7 +59,9 @@ def stage_with(empty, polygon_mesh, file, **inputs):
     """A quad whose coordinates run from -1 to 2, with a picture."""
     stage = empty()
     mesh = polygon_mesh(stage, "/Quad", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
-    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, "vertex").Set([(-1, -1), (2, -1), (2, 2), (-1, 2)])
+    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, "vertex").Set(
+        [(-1, -1), (2, -1), (2, 2), (-1, 2)]
+    )
     material = UsdShade.Material.Define(stage, "/Material")
     surface = UsdShade.Shader.Define(stage, "/Material/Surface")
     surface.CreateIdAttr("UsdPreviewSurface")
@@ -90,7 +94,9 @@ def write(path, modes=""):
 
 @pytest.mark.parametrize("modes, mode", [("periodic,periodic", "repeat"), ("mirror,mirror", "mirror"), ("", "clamp")])
 def test_modes_that_nobody_authored_are_the_files_or_black(empty, polygon_mesh, tmp_path, modes, mode):
-    """An EXR's own wrap modes hold; without them the picture has a black rim, two texels wide, and a warning tells that coordinates reach it."""
+    """An EXR's own wrap modes hold; without them the picture has a black rim, two texels wide, and a warning tells that
+    coordinates reach it.
+    """
     write(tmp_path / "a.exr", modes)
     scene = translate(stage_with(empty, polygon_mesh, tmp_path / "a.exr"))
     made = scene.world[scene.world["shape_0"]["bsdf"]["id"]]["bsdf"]["base_color"]
@@ -115,4 +121,9 @@ def test_mitsuba_shows_it_so(empty, polygon_mesh, tmp_path, wraps):
         si = mi.SurfaceInteraction3f()
         si.uv = mi.Point2f(u, 1.0 - v)  # its v runs down
         wanted = texel(pixels, u, v, wraps)
-        np.testing.assert_allclose(np.array(texture.eval_3(si)).reshape(-1), 0.0 if wanted is None else wanted, atol=1e-3, err_msg=f"{column}, {row}")
+        np.testing.assert_allclose(
+            np.array(texture.eval_3(si)).reshape(-1),
+            0.0 if wanted is None else wanted,
+            atol=1e-3,
+            err_msg=f"{column}, {row}",
+        )

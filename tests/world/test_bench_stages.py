@@ -64,9 +64,16 @@ def test_every_light_has_a_group(name: str):
 
 @pytest.mark.parametrize(
     "name, fog, mor_m",
-    [("overcast_street", None, {150.0}), ("canyon", "mor600", {600.0}), ("dense_mor50", None, {50.0}), ("dense_mor50", "mor300", {300.0}),
-     ("haze_mor2000", None, {2000.0}), ("fog_bank", None, {400.0, 40.0}), ("fog_bank", "clear", set())],
-)  # fmt: skip
+    [
+        ("overcast_street", None, {150.0}),
+        ("canyon", "mor600", {600.0}),
+        ("dense_mor50", None, {50.0}),
+        ("dense_mor50", "mor300", {300.0}),
+        ("haze_mor2000", None, {2000.0}),
+        ("fog_bank", None, {400.0, 40.0}),
+        ("fog_bank", "clear", set()),
+    ],
+)
 def test_a_variant_sets_the_visibility(name: str, fog: str | None, mor_m: set[float]):
     stage = opened(name)
     select(stage, fog=fog)
@@ -76,12 +83,16 @@ def test_a_variant_sets_the_visibility(name: str, fog: str | None, mor_m: set[fl
 
 @pytest.mark.parametrize("name", STAGES)
 def test_nothing_hangs_in_the_air_or_stands_in_the_camera(name: str):
-    """Whatever has a label starts within 0.12 m of the ground or above an open street, and keeps 0.4 m from the lens."""
+    """Whatever has a label starts within 0.12 m of the ground or above an open street, and keeps 0.4 m from the
+    lens.
+    """
     stage = opened(name)
     cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"])
     eye = np.array(bench_stages.EYE_M)
     for group in ("Vehicles", "People", "Furniture", "Plants", "Buildings"):
-        for prim in stage.GetPrimAtPath(f"/World/{group}").GetChildren() if stage.GetPrimAtPath(f"/World/{group}") else ():
+        for prim in (
+            stage.GetPrimAtPath(f"/World/{group}").GetChildren() if stage.GetPrimAtPath(f"/World/{group}") else ()
+        ):
             box = cache.ComputeWorldBound(prim).ComputeAlignedRange()
             low, high = np.array(box.GetMin()), np.array(box.GetMax())
             assert -0.12 <= low[2] <= 0.12, prim.GetPath()
@@ -94,5 +105,7 @@ def test_the_sky_depends_on_elevation_only():
     pixels = OpenImageIO.ImageInput.open(str(FOLDER / bench_stages.SKY_FILE)).read_image("float")
     np.testing.assert_array_equal(pixels, np.broadcast_to(pixels[:, :1, :1], pixels.shape))
     half = pixels.shape[0] // 2
-    np.testing.assert_allclose(pixels[0, 0], 1.0, atol=2e-5)  # half a row from the zenith: 1 - 2/3 (1 - cos(pi / 512)) = 1 - 1.3e-5
+    np.testing.assert_allclose(
+        pixels[0, 0], 1.0, atol=2e-5
+    )  # half a row from the zenith: 1 - 2/3 (1 - cos(pi / 512)) = 1 - 1.3e-5
     np.testing.assert_allclose(pixels[half:], 1 / 3, rtol=1e-6)

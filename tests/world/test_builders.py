@@ -21,16 +21,26 @@ def test_no_module_of_the_package_imports_the_workshop():
     """Read from the source, functions too."""
     for path in sorted((ROOT / "synfog_usd").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names = (
+                [alias.name for alias in node.names]
+                if isinstance(node, ast.Import)
+                else [node.module or ""]
+                if isinstance(node, ast.ImportFrom)
+                else []
+            )
             assert not [name for name in names if name.split(".")[0] == "assets"], path
 
 
 def test_composing_loads_no_builder(tmp_path):
-    """A process that has composed a crossing, a road and a roundabout has loaded no module of the workshop; one that has loaded it would be seen."""
+    """A process that has composed a crossing, a road and a roundabout has loaded no module of the workshop; one that
+    has loaded it would be seen.
+    """
     code = (
         "import sys; from pathlib import Path; from synfog_usd.world.compose import compose; "
-        f"[compose(Path({str(ROOT / 'stages' / 'recipes')!r}) / f'{{name}}.yaml', Path({str(tmp_path)!r}) / f'{{name}}.usda', seed=1) for name in {WORLDS}]; "
-        "loaded = lambda: [name for name in sys.modules if name.split('.')[0] == 'assets']; assert loaded() == [], loaded(); "
+        f"[compose(Path({str(ROOT / 'stages' / 'recipes')!r}) / f'{{name}}.yaml', Path({str(tmp_path)!r}) / "
+        f"f'{{name}}.usda', seed=1) for name in {WORLDS}]; "
+        "loaded = lambda: [name for name in sys.modules if name.split('.')[0] == 'assets']; assert loaded() == [], "
+        "loaded(); "
         "import assets.builders; assert loaded()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, cwd=ROOT)
@@ -47,7 +57,11 @@ def made(what, folder):
     """Relative name -> bytes of what the workshop writes."""
     (folder / "docs" / "images").mkdir(parents=True)
     assert builders.main([what, "--out", str(folder)]) == 0
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted((folder / "assets").rglob("*")) if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted((folder / "assets").rglob("*"))
+        if path.is_file()
+    }
 
 
 def numbers(path):
@@ -62,8 +76,14 @@ def numbers(path):
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["textures", "lamps", "models", "skies"])
 def test_every_asset_is_what_the_code_writes(what, tmp_path):
-    """All of them byte for byte, meshes but for the sign of zeros; nothing else of their kind lies there. Thumbnails are renders and not meant."""
-    shipped = {path.relative_to(ROOT).as_posix(): path for path in (ROOT / "assets" / what).rglob("*") if path.is_file() and path.suffix != ".png"}
+    """All of them byte for byte, meshes but for the sign of zeros; nothing else of their kind lies there. Thumbnails
+    are renders and not meant.
+    """
+    shipped = {
+        path.relative_to(ROOT).as_posix(): path
+        for path in (ROOT / "assets" / what).rglob("*")
+        if path.is_file() and path.suffix != ".png"
+    }
     if what == "textures":
         shipped = {path.relative_to(ROOT).as_posix(): path for path in (ROOT / "assets" / what).rglob("*")}
     found = made(what, tmp_path)

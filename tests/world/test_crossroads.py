@@ -18,9 +18,29 @@ from synfog_usd.world.components import write_component
 ROOT = Path(__file__).resolve().parents[2]
 STAGE = ROOT / "stages" / "crossroads.usda"
 CITYSCAPES = {
-    "road", "sidewalk", "building", "wall", "fence", "pole", "traffic light", "traffic sign", "vegetation", "terrain", "sky", "person", "rider", "car", "truck",
-    "bus", "train", "motorcycle", "bicycle", "static", "dynamic", "ground",
-}  # fmt: skip
+    "road",
+    "sidewalk",
+    "building",
+    "wall",
+    "fence",
+    "pole",
+    "traffic light",
+    "traffic sign",
+    "vegetation",
+    "terrain",
+    "sky",
+    "person",
+    "rider",
+    "car",
+    "truck",
+    "bus",
+    "train",
+    "motorcycle",
+    "bicycle",
+    "static",
+    "dynamic",
+    "ground",
+}
 
 
 def opened(fog: str = "clear", lighting: str = "sky") -> Usd.Stage:
@@ -56,7 +76,12 @@ def footprint(prim: Usd.Prim) -> np.ndarray:
     bound = cache.ComputeUntransformedBound(prim).ComputeAlignedRange()
     low, high = bound.GetMin(), bound.GetMax()
     place = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
-    return np.array([tuple(place.Transform(Gf.Vec3d(x, y, 0)))[:2] for x, y in ((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]))])
+    return np.array(
+        [
+            tuple(place.Transform(Gf.Vec3d(x, y, 0)))[:2]
+            for x, y in ((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]))
+        ]
+    )
 
 
 def apart(a: np.ndarray, b: np.ndarray) -> float:
@@ -77,7 +102,9 @@ def ground_triangles(stage: Usd.Stage) -> np.ndarray:
         for prim in Usd.PrimRange(stage.GetPrimAtPath(f"/World/Ground/{name}")):
             if prim.IsA(UsdGeom.Mesh):
                 mesh = UsdGeom.Mesh(prim)
-                found.append(np.array(mesh.GetPointsAttr().Get())[np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)])
+                found.append(
+                    np.array(mesh.GetPointsAttr().Get())[np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)]
+                )
     return np.concatenate(found).astype(np.float64)
 
 
@@ -126,13 +153,23 @@ def test_a_rider_and_the_bicycle_below_are_two_things(day):
 
 def test_sizes_are_those_of_real_things(day):
     """Length, width, height of vehicles and height of people [m]."""
-    real = {"hatchback": (4.05, 1.9, 1.47), "saloon": (4.65, 2.0, 1.44), "estate": (4.7, 2.0, 1.52), "offroader": (4.45, 2.0, 1.66), "van": (5.3, 2.2, 2.3),
-        "bus": (12.0, 2.8, 3.05), "lorry": (7.2, 2.5, 3.15), "bicycle": (1.8, 0.6, 1.05)}  # fmt: skip
+    real = {
+        "hatchback": (4.05, 1.9, 1.47),
+        "saloon": (4.65, 2.0, 1.44),
+        "estate": (4.7, 2.0, 1.52),
+        "offroader": (4.45, 2.0, 1.66),
+        "van": (5.3, 2.2, 2.3),
+        "bus": (12.0, 2.8, 3.05),
+        "lorry": (7.2, 2.5, 3.15),
+        "bicycle": (1.8, 0.6, 1.05),
+    }
     cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"])
     for prim in of_group(day, "Vehicles"):
         name = prim.GetMetadata("references").prependedItems[0].assetPath.split("/")[-2]
         size = cache.ComputeUntransformedBound(prim).ComputeAlignedRange().GetSize()
-        np.testing.assert_allclose((size[1], size[0], size[2]), real[name], rtol=0.15, err_msg=str(prim.GetPath()))  # mirrors fold, aerials vary
+        np.testing.assert_allclose(
+            (size[1], size[0], size[2]), real[name], rtol=0.15, err_msg=str(prim.GetPath())
+        )  # mirrors fold, aerials vary
     for prim in of_group(day, "People"):
         height = cache.ComputeUntransformedBound(prim).ComputeAlignedRange().GetSize()[2]
         assert 1.2 < height < 1.95, prim.GetPath()
@@ -162,7 +199,9 @@ def test_vehicles_do_not_overlap(day):
 
 def test_nobody_stands_in_a_vehicle_or_a_wall(day):
     solid = [(footprint(p), 0.0) for p in of_group(day, "Vehicles") if "Bicycle" not in p.GetName()]
-    solid += [(footprint(p), -1.35) for p in of_group(day, "Buildings")]  # awnings and balconies reach over the pavement
+    solid += [
+        (footprint(p), -1.35) for p in of_group(day, "Buildings")
+    ]  # awnings and balconies reach over the pavement
     for prim in of_group(day, "People"):
         x, y, _ = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default()).ExtractTranslation()
         body = np.array([(x - 0.2, y - 0.2), (x + 0.2, y - 0.2), (x + 0.2, y + 0.2), (x - 0.2, y + 0.2)])
@@ -184,9 +223,15 @@ def test_clear_variant_has_no_fog(day):
 
 
 def test_fog_holds_the_camera_and_ends_far_off_or_below_ground(dusk):
-    place = UsdGeom.Xformable(dusk.GetPrimAtPath("/World/Fog/Global")).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+    place = UsdGeom.Xformable(dusk.GetPrimAtPath("/World/Fog/Global")).ComputeLocalToWorldTransform(
+        Usd.TimeCode.Default()
+    )
     low, high = np.array(place.Transform(Gf.Vec3d(-1))), np.array(place.Transform(Gf.Vec3d(1)))
-    eye = np.array(UsdGeom.Xformable(dusk.GetPrimAtPath("/World/Ego")).ComputeLocalToWorldTransform(Usd.TimeCode.Default()).ExtractTranslation())
+    eye = np.array(
+        UsdGeom.Xformable(dusk.GetPrimAtPath("/World/Ego"))
+        .ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+        .ExtractTranslation()
+    )
     assert low[2] < -1 and 80 <= high[2] <= 120
     assert (eye - low)[:2].min() > 500 and (high - eye)[:2].min() > 500  # tau > 2.5 even in MOR 600
 
@@ -232,7 +277,11 @@ def test_repeated_things_are_instances(day):
 
 
 def test_every_file_says_where_it_is_from_and_how_it_may_be_used():
-    for path in [STAGE, *sorted((ROOT / "assets" / "models").glob("*/*.usda")), *sorted((ROOT / "assets" / "models").glob("*/*.usdc"))]:
+    for path in [
+        STAGE,
+        *sorted((ROOT / "assets" / "models").glob("*/*.usda")),
+        *sorted((ROOT / "assets" / "models").glob("*/*.usdc")),
+    ]:
         data = Sdf.Layer.FindOrOpen(str(path)).customLayerData
         assert data == {"source": "made by synfog_usd.world", "licence": "CC0-1.0"}, path
 
@@ -288,8 +337,17 @@ def test_a_cut_keeps_the_area_of_a_surface():
 
 
 def test_a_surface_lies_where_its_distance_is_zero():
-    """Vertices of a ball of radius 1 from a grid of 0.1 m, after thinning to 400 triangles: four Newton steps leave under 0.1 mm."""
-    part = solids.surface(lambda x, y, z: np.sqrt(x * x + y * y + z * z) - 1.0, (-1.2,) * 3, (1.2,) * 3, step=0.1, triangles=400, material="paint")
+    """Vertices of a ball of radius 1 from a grid of 0.1 m, after thinning to 400 triangles: four Newton steps leave
+    under 0.1 mm.
+    """
+    part = solids.surface(
+        lambda x, y, z: np.sqrt(x * x + y * y + z * z) - 1.0,
+        (-1.2,) * 3,
+        (1.2,) * 3,
+        step=0.1,
+        triangles=400,
+        material="paint",
+    )
     radius = np.linalg.norm(part.points, axis=1)
     assert len(part.faces) <= 420
     np.testing.assert_allclose(radius, 1.0, atol=1e-4)

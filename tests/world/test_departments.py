@@ -36,7 +36,10 @@ def held(stage):
             prim.IsInstance(),
             prim.GetVariantSets().GetAllVariantSelections(),
             {key: str(value) for key, value in prim.GetAllMetadata().items()},
-            {prop.GetName(): str(prop.Get() if isinstance(prop, Usd.Attribute) else prop.GetTargets()) for prop in prim.GetProperties()},
+            {
+                prop.GetName(): str(prop.Get() if isinstance(prop, Usd.Attribute) else prop.GetTargets())
+                for prop in prim.GetProperties()
+            },
         )
         for prim in stage.TraverseAll()
     }
@@ -67,7 +70,10 @@ def test_each_department_has_its_own(both):
     for name, gone in (("traffic", {"Vehicles", "People"}), ("fog", {"Fog"}), ("lights", {"Lights", "Sky"})):
         layer = str(both[1].with_name(f"many.{name}.usda"))
         stage.MuteLayer(layer)
-        assert whole - {child.GetName() for child in stage.GetPrimAtPath("/World").GetAllChildren() if child.IsDefined()} == gone
+        assert (
+            whole - {child.GetName() for child in stage.GetPrimAtPath("/World").GetAllChildren() if child.IsDefined()}
+            == gone
+        )
         stage.UnmuteLayer(layer)
 
 
@@ -84,7 +90,9 @@ def test_the_root_layer_comes_last(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("place", ["/proc/s.usda", "full"])
 def test_a_place_that_takes_no_stage_is_one_line(tmp_path, place):
-    """An unwritable folder, and a disk that is full: of the stage that was there before, every layer stays as it was."""
+    """An unwritable folder, and a disk that is full: of the stage that was there before, every layer stays as it
+    was.
+    """
     compose(RECIPE, tmp_path / "s.usda", seed=2)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     out = tmp_path / "s.usda" if place == "full" else Path(place)

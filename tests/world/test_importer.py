@@ -44,7 +44,9 @@ def turned(mesh: trimesh.Trimesh, up: str, front: str, factor: float, offset=(3.
 
 def points_of(path: Path) -> np.ndarray:
     stage = Usd.Stage.Open(str(path))
-    return np.concatenate([np.array(UsdGeom.Mesh(p).GetPointsAttr().Get()) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)])
+    return np.concatenate(
+        [np.array(UsdGeom.Mesh(p).GetPointsAttr().Get()) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)]
+    )
 
 
 def as_usd(mesh: trimesh.Trimesh, path: Path, *, up: str, metres: float) -> Path:
@@ -90,12 +92,20 @@ def test_unit_up_and_front_are_found_and_the_model_stands_at_the_origin(tmp_path
     roof = points[points[:, 2] > HEIGHT - 0.01]
     assert roof[:, 1].mean() == pytest.approx(-0.35, abs=1e-3)
     assert abs(roof[:, 0].mean()) < 1e-3
-    assert [n.split(":")[0] for n in made.notes if n.split(":")[0] in ("unit", "up", "front")] == ["unit", "up", "front"]
+    assert [n.split(":")[0] for n in made.notes if n.split(":")[0] in ("unit", "up", "front")] == [
+        "unit",
+        "up",
+        "front",
+    ]
     assert dict(library(tmp_path / "lib")).keys() == {"my_car"}
     assert sorted(f.name for f in model.path.parent.iterdir()) == ["my_car.geo.usdc", "my_car.mtl.usda", "my_car.usda"]
     stage = Usd.Stage.Open(str(model.path))
-    assert UsdMedia.AssetPreviewsAPI(stage.GetDefaultPrim()).GetDefaultThumbnails() is None  # nobody has taken its picture
-    errors = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(stage)
+    assert (
+        UsdMedia.AssetPreviewsAPI(stage.GetDefaultPrim()).GetDefaultThumbnails() is None
+    )  # nobody has taken its picture
+    errors = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(
+        stage
+    )
     assert [e.GetMessage() for e in errors] == []
 
 
@@ -117,7 +127,9 @@ def test_picture_and_factor_of_gltf_are_kept_and_colours_of_obj_become_linear(tm
     box = turned(car(), "+Y", "+Z", 1.0)
     picture = Image.new("RGB", (8, 4), (200, 30, 40))
     uv = np.random.default_rng(1).random((len(box.vertices), 2))
-    look = trimesh.visual.material.PBRMaterial(name="paint", baseColorTexture=picture, roughnessFactor=0.25, metallicFactor=0.5)
+    look = trimesh.visual.material.PBRMaterial(
+        name="paint", baseColorTexture=picture, roughnessFactor=0.25, metallicFactor=0.5
+    )
     box.visual = trimesh.visual.TextureVisuals(uv=uv, material=look)
     box.export(tmp_path / "car.glb")
     model = import_asset(tmp_path / "car.glb", "car", out=tmp_path / "lib").model
@@ -139,7 +151,9 @@ def test_picture_and_factor_of_gltf_are_kept_and_colours_of_obj_become_linear(tm
 
     (tmp_path / "kd.mtl").write_text("newmtl red\nKd 0.5 0.1 0.05\n")
     text = trimesh.exchange.obj.export_obj(car(), include_normals=False)
-    (tmp_path / "kd.obj").write_text("mtllib kd.mtl\nusemtl red\n" + "\n".join(line for line in text.splitlines() if line[:2] in ("v ", "f ")) + "\n")
+    (tmp_path / "kd.obj").write_text(
+        "mtllib kd.mtl\nusemtl red\n" + "\n".join(line for line in text.splitlines() if line[:2] in ("v ", "f ")) + "\n"
+    )
     model = import_asset(tmp_path / "kd.obj", "car", out=tmp_path / "lib").model
     stage = Usd.Stage.Open(str(model.path))
     shaders = [UsdShade.Shader(p) for p in stage.Traverse() if p.IsA(UsdShade.Shader)]
@@ -171,13 +185,20 @@ def glb(scene: dict, binary: bytes = b"") -> bytes:
     """A GLB of a JSON scene and its buffer (glTF 2.0, section 4.4)."""
     text = json.dumps(scene).encode()
     text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + (struct.pack("<I4s", len(binary), b"BIN\0") + binary if binary else b"")
+    chunks = (
+        struct.pack("<I4s", len(text), b"JSON")
+        + text
+        + (struct.pack("<I4s", len(binary), b"BIN\0") + binary if binary else b"")
+    )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 def many(count: int, nodes: int) -> bytes:
     mesh = {"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}
-    accessors = [{"count": 3, "componentType": 5126, "type": "VEC3"}, {"count": 3 * count, "componentType": 5125, "type": "SCALAR"}]
+    accessors = [
+        {"count": 3, "componentType": 5126, "type": "VEC3"},
+        {"count": 3 * count, "componentType": 5125, "type": "SCALAR"},
+    ]
     return glb({"asset": {"version": "2.0"}, "meshes": [mesh], "accessors": accessors, "nodes": [{"mesh": 0}] * nodes})
 
 
@@ -186,7 +207,10 @@ def test_fifty_million_triangles_are_refused_before_they_are_read(tmp_path):
     (tmp_path / "one.glb").write_bytes(many(50_000_001, 1))
     (tmp_path / "placed.glb").write_bytes(many(1_000_000, 60))
     ply = tmp_path / "hole.ply"
-    ply.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 8\nproperty float x\nelement face 60000000\nproperty list uchar int v\nend_header\n")
+    ply.write_bytes(
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 8\nproperty float x\nelement face 60000000\nproperty "
+        b"list uchar int v\nend_header\n"
+    )
     with ply.open("r+b") as handle:
         handle.truncate(800_000_000)
     for name, count in (("one.glb", "50,000,001"), ("placed.glb", "60,000,000"), ("hole.ply", "60,000,000")):
@@ -218,10 +242,23 @@ def test_triangles_of_obj_and_usd_are_counted_too(tmp_path, monkeypatch):
         ("text.gltf", b"{not json", "damaged"),
         ("cut.glb", many(10, 1)[:-20], "damaged|cannot be read"),
         ("no_buffer.glb", many(10, 1), "cannot be read"),
-        ("ring.glb", glb({"asset": {"version": "2.0"}, "nodes": [{"children": [0]}], "scenes": [{"nodes": [0]}], "scene": 0}), "cannot be read|no triangles"),
-        ("away.gltf", b'{"asset": {"version": "2.0"}, "buffers": [{"uri": "../../secret.bin", "byteLength": 4}]}', "outside its own folder"),
+        (
+            "ring.glb",
+            glb({"asset": {"version": "2.0"}, "nodes": [{"children": [0]}], "scenes": [{"nodes": [0]}], "scene": 0}),
+            "cannot be read|no triangles",
+        ),
+        (
+            "away.gltf",
+            b'{"asset": {"version": "2.0"}, "buffers": [{"uri": "../../secret.bin", "byteLength": 4}]}',
+            "outside its own folder",
+        ),
         ("claims.ply", b"ply\nformat ascii 1.0\nelement vertex 99999999\nproperty float x\nend_header\n", "damaged"),
-        ("points.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n", "no triangles"),
+        (
+            "points.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float "
+            b"z\nend_header\n0 0 0\n",
+            "no triangles",
+        ),
         ("index.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot be read"),
         ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite|cannot be read"),
         ("flat.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "without area|no triangles"),
@@ -229,7 +266,8 @@ def test_triangles_of_obj_and_usd_are_counted_too(tmp_path, monkeypatch):
         ("text.usda", b"#usda 1.0\ndef Xform 'A' {", "not a USD file|cannot be read"),
         (
             "index.usda",
-            b'#usda 1.0\ndef Mesh "A" {\npoint3f[] points = [(0,0,0)]\nint[] faceVertexCounts = [3]\nint[] faceVertexIndices = [0, 1, 2]\n}\n',
+            b'#usda 1.0\ndef Mesh "A" {\npoint3f[] points = [(0,0,0)]\nint[] faceVertexCounts = [3]\nint[] '
+            b"faceVertexIndices = [0, 1, 2]\n}\n",
             "do not fit",
         ),
         ("none.usda", b'#usda 1.0\ndef Xform "A" {}', "no triangles"),
@@ -251,7 +289,9 @@ def test_a_damaged_or_huge_picture_is_one_line(tmp_path, monkeypatch):
     from PIL import Image
 
     mesh = turned(car(), "+Y", "+Z", 1.0)
-    look = trimesh.visual.material.PBRMaterial(name="paint", baseColorTexture=Image.effect_noise((64, 64), 80).convert("RGB"))
+    look = trimesh.visual.material.PBRMaterial(
+        name="paint", baseColorTexture=Image.effect_noise((64, 64), 80).convert("RGB")
+    )
     mesh.visual = trimesh.visual.TextureVisuals(uv=np.zeros((len(mesh.vertices), 2)), material=look)
     data = trimesh.exchange.gltf.export_glb(trimesh.Scene(mesh))
     at = data.index(b"IDAT") + 40
@@ -326,12 +366,21 @@ def test_the_command_says_what_it_made_and_one_line_of_error(tmp_path):
 
 
 def test_the_command_reads_no_layer_from_elsewhere(tmp_path):
-    """A car that refers to a file beside its folder is refused, and so is one that would unfold to 2^30 prims; nothing is written."""
+    """A car that refers to a file beside its folder is refused, and so is one that would unfold to 2^30 prims; nothing
+    is written.
+    """
     (tmp_path / "secret.usda").write_text('#usda 1.0\n(defaultPrim = "A")\ndef Mesh "A" {}\n')
     (tmp_path / "in").mkdir()
-    (tmp_path / "in" / "reach.usda").write_text('#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" (references = @../secret.usda@) {}\n')
-    levels = "".join(f'class "L{n}" {{\ndef "a" (references = </L{n + 1}>) {{\n}}\ndef "b" (references = </L{n + 1}>) {{\n}}\n}}\n' for n in range(30))
-    (tmp_path / "in" / "bomb.usda").write_text(f'#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" (references = </L0>) {{}}\n{levels}class "L30" {{}}\n')
+    (tmp_path / "in" / "reach.usda").write_text(
+        '#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" (references = @../secret.usda@) {}\n'
+    )
+    levels = "".join(
+        f'class "L{n}" {{\ndef "a" (references = </L{n + 1}>) {{\n}}\ndef "b" (references = </L{n + 1}>) {{\n}}\n}}\n'
+        for n in range(30)
+    )
+    (tmp_path / "in" / "bomb.usda").write_text(
+        f'#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" (references = </L0>) {{}}\n{levels}class "L30" {{}}\n'
+    )
     for name, said in (("reach", "secret.usda"), ("bomb", "prims")):
         done = cli.run("asset", "import", tmp_path / "in" / f"{name}.usda", "-o", tmp_path / "lib", "--class", "car")
         assert done.returncode == 2 and said in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr

@@ -49,7 +49,9 @@ def sampler(path):
     if len(h) == 1:
         h, table = np.array([0.0, 360.0]), np.concatenate([table, table])
     look = RegularGridInterpolator((h, v), table)
-    return lambda vertical, horizontal: look(np.stack(np.broadcast_arrays(np.mod(horizontal, 360.0), vertical), axis=-1))
+    return lambda vertical, horizontal: look(
+        np.stack(np.broadcast_arrays(np.mod(horizontal, 360.0), vertical), axis=-1)
+    )
 
 
 def ahead(path):
@@ -65,7 +67,11 @@ def ahead(path):
 
 
 def test_every_lamp_with_a_file_has_a_beam_and_no_other():
-    assert list(beams.BEAMS) == BEAMS == [path.stem for path in sorted(SHIPPED.glob("*.ies"), key=lambda path: BEAMS.index(path.stem))]
+    assert (
+        list(beams.BEAMS)
+        == BEAMS
+        == [path.stem for path in sorted(SHIPPED.glob("*.ies"), key=lambda path: BEAMS.index(path.stem))]
+    )
 
 
 @pytest.mark.parametrize("name", BEAMS)
@@ -125,7 +131,9 @@ def test_a_low_beam_keeps_to_the_points_of_the_regulation(name):
 
 @pytest.mark.parametrize("name", LOW)
 def test_the_cut_off_is_level_and_then_rises_at_fifteen_degrees(name):
-    """It lies where lg I falls fastest: R112's gradient G = lg I(b) - lg I(b + 0.1), 0.13 to 0.40 at 2.5 degrees left."""
+    """It lies where lg I falls fastest: R112's gradient G = lg I(b) - lg I(b + 0.1), 0.13 to 0.40 at 2.5 degrees
+    left.
+    """
     at = ahead(SHIPPED / f"{name}.ies")
     up = np.arange(-1.5, 2.6, 0.02)
 
@@ -143,7 +151,9 @@ def test_the_cut_off_is_level_and_then_rises_at_fifteen_degrees(name):
 
 @pytest.mark.parametrize("name", [n for n in BEAMS if n.startswith("high_beam")])
 def test_a_high_beam_is_brightest_ahead(name):
-    """UN Regulation 112, class B: 40 500 to 215 000 cd, HV within 80 % of the greatest, 20 250 cd at 2.6 and 5 100 at 5.2 degrees aside."""
+    """UN Regulation 112, class B: 40 500 to 215 000 cd, HV within 80 % of the greatest, 20 250 cd at 2.6 and 5 100 at
+    5.2 degrees aside.
+    """
     at = ahead(SHIPPED / f"{name}.ies")
     greatest = at(*np.meshgrid(np.linspace(-5, 5, 41), np.linspace(-4, 4, 33))).max()
     assert 40_500 <= greatest <= 215_000
@@ -151,9 +161,13 @@ def test_a_high_beam_is_brightest_ahead(name):
     assert min(at(-2.6, 0), at(2.6, 0)) >= 20_250 and min(at(-5.2, 0), at(5.2, 0)) >= 5_100
 
 
-@pytest.mark.parametrize(("name", "least", "greatest"), [("street_sodium_150w", 1.0, 1.75), ("street_led_60w", 1.75, 2.75)])
+@pytest.mark.parametrize(
+    ("name", "least", "greatest"), [("street_sodium_150w", 1.0, 1.75), ("street_led_60w", 1.75, 2.75)]
+)
 def test_street_lanterns_are_of_the_type_they_state(name, least, greatest):
-    """IES types II and III, medium: the peak lands 2.25 to 3.75 mounting heights along the road, its half-peak trace 1 to 1.75 or to 2.75 across."""
+    """IES types II and III, medium: the peak lands 2.25 to 3.75 mounting heights along the road, its half-peak trace 1
+    to 1.75 or to 2.75 across.
+    """
     look = sampler(SHIPPED / f"{name}.ies")
     across, along = np.meshgrid(np.arange(-3, 5, 0.02), np.arange(0, 8, 0.02), indexing="ij")
     grid = look(np.degrees(np.arctan(np.hypot(across, along))), np.degrees(np.arctan2(along, across)))
@@ -166,7 +180,10 @@ def test_street_lanterns_are_of_the_type_they_state(name, least, greatest):
 def test_lanterns_shine_little_where_they_should_not():
     """Of 1000 lm of the lamp: full cut-off none at 90 degrees and 100 cd from 80; cut-off 25 and 100 cd (IES RP-8)."""
     h = np.arange(0.0, 360.0, 2.0)
-    full, cut, around = (sampler(SHIPPED / f"{name}.ies") for name in ("street_led_60w", "street_sodium_150w", "street_metal_halide_100w"))
+    full, cut, around = (
+        sampler(SHIPPED / f"{name}.ies")
+        for name in ("street_led_60w", "street_sodium_150w", "street_metal_halide_100w")
+    )
     assert full(90.0, h).max() == 0 and full(80.0, h).max() <= 100 * 8.0
     assert cut(90.0, h).max() <= 25 * 17.5 and cut(80.0, h).max() <= 100 * 17.5
     assert around(90.0, h).max() == 0 and around(80.0, h).max() <= 100 * 9.0
@@ -210,8 +227,12 @@ def test_tints_have_the_luminance_and_the_colour_of_their_spectra():
     assert 0.1 < amber[1] / amber[0] < 0.3 and amber[2] == 0
     sodium = lamps.tint("street_sodium_150w")
     assert sodium[0] > 2 * sodium[1] > 10 * sodium[2]
-    temperatures = [colour.temperature.xy_to_CCT(colour.XYZ_to_xy(colour.RGB_to_XYZ(np.array(lamps.tint(n)), "ITU-R BT.709")), method="McCamy 1992")
-                    for n in ("low_beam_halogen", "street_metal_halide_100w", "low_beam_led")]  # fmt: skip
+    temperatures = [
+        colour.temperature.xy_to_CCT(
+            colour.XYZ_to_xy(colour.RGB_to_XYZ(np.array(lamps.tint(n)), "ITU-R BT.709")), method="McCamy 1992"
+        )
+        for n in ("low_beam_halogen", "street_metal_halide_100w", "low_beam_led")
+    ]
     np.testing.assert_allclose(temperatures, [2856, 4002, 5109], rtol=0.02)  # CIE 015:2018, table 8
 
 

@@ -1,4 +1,6 @@
-"""The model library: every model opens, stands on the ground, has the size of what it is, and looks as its variants say."""
+"""The model library: every model opens, stands on the ground, has the size of what it is, and looks as its variants
+say.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +79,9 @@ def meshes(stage: Usd.Stage) -> dict[str, Part]:
         if prim.IsA(UsdGeom.Mesh):
             mesh = UsdGeom.Mesh(prim)
             points = np.array(mesh.GetPointsAttr().Get(), dtype=np.float64)
-            found[prim.GetName()] = Part(points, np.array(mesh.GetFaceVertexIndicesAttr().Get(), dtype=np.int64).reshape(-1, 3), prim.GetName())
+            found[prim.GetName()] = Part(
+                points, np.array(mesh.GetFaceVertexIndicesAttr().Get(), dtype=np.int64).reshape(-1, 3), prim.GetName()
+            )
     return found
 
 
@@ -149,7 +153,9 @@ def kinds_in(layer: Sdf.Layer) -> set[str]:
 
 @pytest.mark.parametrize("name", sorted(library()))
 def test_a_model_is_divided_as_the_working_group_advises(name):
-    """Meshes in payloads, materials in a layer of their own, neither in the interface; unloaded, a model has all its variants and no mesh."""
+    """Meshes in payloads, materials in a layer of their own, neither in the interface; unloaded, a model has all its
+    variants and no mesh.
+    """
     path = library()[name].path
     interface, materials = Sdf.Layer.FindOrOpen(str(path)), Sdf.Layer.FindOrOpen(str(path.with_suffix(".mtl.usda")))
     assert kinds_in(interface).isdisjoint({"Mesh", "Material", "Shader"})
@@ -164,18 +170,24 @@ def test_a_model_is_divided_as_the_working_group_advises(name):
     assert missing == []
     unloaded = Usd.Stage.Open(str(path), Usd.Stage.LoadNone)
     sets = unloaded.GetDefaultPrim().GetVariantSets()
-    assert {key: tuple(sets.GetVariantSet(key).GetVariantNames()) for key in sets.GetNames()} == library()[name].variants
+    assert {key: tuple(sets.GetVariantSet(key).GetVariantNames()) for key in sets.GetNames()} == library()[
+        name
+    ].variants
     assert not meshes(unloaded)
     unloaded.Load()
     assert meshes(unloaded)
 
 
 def test_every_model_has_a_small_picture_of_itself():
-    """128 x 128 pixels of at most 64 colours, named in the model, unlike any other, with source and licence; all together under 1 MB."""
+    """128 x 128 pixels of at most 64 colours, named in the model, unlike any other, with source and licence; all
+    together under 1 MB.
+    """
     seen, size = set(), 0
     for name, m in library().items():
         stage = Usd.Stage.Open(str(m.path), Usd.Stage.LoadNone)
-        picture = Path(UsdMedia.AssetPreviewsAPI(stage.GetDefaultPrim()).GetDefaultThumbnails().defaultImage.resolvedPath)
+        picture = Path(
+            UsdMedia.AssetPreviewsAPI(stage.GetDefaultPrim()).GetDefaultThumbnails().defaultImage.resolvedPath
+        )
         assert picture == m.path.parent / "thumbnails" / f"{name}.png"
         with Image.open(picture) as image:
             assert image.size == (128, 128)
@@ -202,9 +214,17 @@ def test_every_variant_composes_and_every_mesh_wears_a_material(name):
                 if prim.IsA(UsdGeom.Mesh):
                     material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
                     assert material, f"{prim.GetPath()} wears nothing"
-                    worn.append((prim.GetName(), material.GetPrim().GetName(), len(UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get())))
+                    worn.append(
+                        (
+                            prim.GetName(),
+                            material.GetPrim().GetName(),
+                            len(UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get()),
+                        )
+                    )
                 if prim.IsA(UsdShade.Shader):
-                    worn += [(str(prim.GetPath()), i.GetBaseName(), str(i.Get())) for i in UsdShade.Shader(prim).GetInputs()]
+                    worn += [
+                        (str(prim.GetPath()), i.GetBaseName(), str(i.Get())) for i in UsdShade.Shader(prim).GetInputs()
+                    ]
                 if prim.HasAPI(UsdLux.LightAPI):
                     worn.append((prim.GetName(), "light", 0))
             assert worn
@@ -221,7 +241,10 @@ def test_low_level_has_fewer_triangles_and_the_same_silhouette(name):
     assert sum(len(p.faces) for p in low.values()) < 0.75 * sum(len(p.faces) for p in full.values())
     for key in low:
         if key.startswith(lod.LEAVES):
-            area = [0.5 * np.linalg.norm(np.cross(*np.diff(p.points[p.faces], axis=1).swapaxes(0, 1)), axis=1).sum() for p in (full[key], low[key])]
+            area = [
+                0.5 * np.linalg.norm(np.cross(*np.diff(p.points[p.faces], axis=1).swapaxes(0, 1)), axis=1).sum()
+                for p in (full[key], low[key])
+            ]
             assert area[1] == pytest.approx(area[0], rel=0.05)
         else:
             assert lod.distance(full[key], low[key], samples=2000) <= 0.02 + 1e-4  # files keep five decimals
@@ -238,7 +261,9 @@ def test_a_model_without_triangles_to_spare_has_one_level():
     assert lod.with_low(Component("crate", "static", (box((0, 0, 0), (1, 1, 1), "timber"),), "A crate.")).low == ()
 
 
-@pytest.mark.parametrize("name", [m.name for m in library().values() if "lamps" in m.variants and "on" in m.variants["lamps"]])
+@pytest.mark.parametrize(
+    "name", [m.name for m in library().values() if "lamps" in m.variants and "on" in m.variants["lamps"]]
+)
 def test_lamps_shine_out_of_their_model(name):
     """From each light along its axis nothing of the model stands in the way; no lamp lies inside a mesh."""
     stage = shown(name, lamps="on")
@@ -248,7 +273,9 @@ def test_lamps_shine_out_of_their_model(name):
     assert lights or "traffic_light" in name
     for light in lights:
         matrix = np.array(UsdGeom.Xformable(light).ComputeLocalToWorldTransform(Usd.TimeCode.Default()))
-        assert first_hit(matrix[3, :3], -matrix[2, :3], triangles) == np.inf, f"{light.GetPath()} shines on its own model"
+        assert first_hit(matrix[3, :3], -matrix[2, :3], triangles) == np.inf, (
+            f"{light.GetPath()} shines on its own model"
+        )
         assert UsdLux.LightAPI(light).GetIntensityAttr().Get() > 0
 
 
@@ -268,10 +295,14 @@ def lens_candela(stage: Usd.Stage, mesh: str, towards: np.ndarray) -> float:
 
 @pytest.mark.parametrize("name", POWERED)
 def test_tail_lamps_are_as_bright_as_the_regulation_has_them(name):
-    """Straight back, UN Regulation 7: position lamps 4 to 12 cd, stop lamps 60 to 185 cd, a centre stop lamp 25 to 80 cd."""
+    """Straight back, UN Regulation 7: position lamps 4 to 12 cd, stop lamps 60 to 185 cd, a centre stop lamp 25 to 80
+    cd.
+    """
     assert set(library()[name].variants["lamps"]) == {"off", "glow", "on", "brake"}
     back = np.array([0.0, -1.0, 0.0])
-    off, glow, on, brake = (lens_candela(shown(name, lamps=state), "tail_lens", back) for state in ("off", "glow", "on", "brake"))
+    off, glow, on, brake = (
+        lens_candela(shown(name, lamps=state), "tail_lens", back) for state in ("off", "glow", "on", "brake")
+    )
     assert off == 0
     assert 4 <= glow == on <= 12
     assert 60 <= brake <= 185
@@ -283,9 +314,11 @@ def test_tail_lamps_are_as_bright_as_the_regulation_has_them(name):
 
 @pytest.mark.parametrize("name", POWERED)
 def test_headlights_do_not_blind_who_comes_towards_them(name):
-    """UN Regulation 112: at most 625 cd above the cut-off and 350 cd at B50L; at least 5 100 cd on the road 50 m ahead (50V).
+    """UN Regulation 112: at most 625 cd above the cut-off and 350 cd at B50L; at least 5 100 cd on the road 50 m ahead
+    (50V).
 
-    Beam and lens together, seen by a driver 40 m ahead, 3.5 m aside, eyes at 1.15 m; the regulation's 75 cm of mounting are brought to each lamp's height.
+    Beam and lens together, seen by a driver 40 m ahead, 3.5 m aside, eyes at 1.15 m; the regulation's 75 cm of mounting
+    are brought to each lamp's height.
     """
     stage = shown(name, lamps="on")
     lights = [p for p in stage.Traverse() if p.HasAPI(UsdLux.LightAPI)]
@@ -303,8 +336,13 @@ def test_headlights_do_not_blind_who_comes_towards_them(name):
 
         x, _, z = matrix[3, :3]
         driver = np.array([-3.5 - x, 40.0, max(1.15 - z, 0.1)])
-        assert candela(driver[0], driver[2], 40.0) + lens_candela(stage, "headlamp_lens", driver / np.linalg.norm(driver)) <= 625
-        assert candela(-3.0, 0.5, 50.0) + lens_candela(stage, "headlamp_lens", np.array([0.0, 1.0, 0.0])) <= 350  # B50L: 3.43 degrees left, 0.57 up
+        assert (
+            candela(driver[0], driver[2], 40.0) + lens_candela(stage, "headlamp_lens", driver / np.linalg.norm(driver))
+            <= 625
+        )
+        assert (
+            candela(-3.0, 0.5, 50.0) + lens_candela(stage, "headlamp_lens", np.array([0.0, 1.0, 0.0])) <= 350
+        )  # B50L: 3.43 degrees left, 0.57 up
         assert candela(0.0, -0.75, 50.0) >= 5_100  # 50V: 0.86 degrees down
 
 
@@ -316,12 +354,16 @@ def test_a_car_has_at_most_15000_triangles(name):
     assert sum(len(p.faces) for p in low.values()) < 0.65 * sum(len(p.faces) for p in full.values())
     stage = shown(name, lod="low")
     glass = stage.GetPrimAtPath("/Model/Geometry/glass_clear")
-    assert UsdShade.MaterialBindingAPI(glass).ComputeBoundMaterial()[0].GetPrim().GetName() == "glass_car"  # dark, with nothing behind it
+    assert (
+        UsdShade.MaterialBindingAPI(glass).ComputeBoundMaterial()[0].GetPrim().GetName() == "glass_car"
+    )  # dark, with nothing behind it
 
 
 @pytest.mark.parametrize("name", [n for n in POWERED if n != "motorcyclist"])
 def test_the_driver_is_seen_through_the_windscreen(name):
-    """From ahead, at the height of the head, a ray meets glass, then the driver, and nothing opaque before; without a driver it goes on."""
+    """From ahead, at the height of the head, a ray meets glass, then the driver, and nothing opaque before; without a
+    driver it goes on.
+    """
     on, none = meshes(shown(name, driver="on")), meshes(shown(name))
     assert set(on) - set(none) == {"driver_skin", "driver_hair", "driver_coat"}
     head = on["driver_hair"].points.mean(axis=0) - [0, 0, 0.05]
@@ -338,7 +380,9 @@ def test_the_driver_is_seen_through_the_windscreen(name):
 
 
 def test_clear_panes_reflect_as_glass_and_let_most_light_through():
-    """A renderer that scales the reflection by the opacity gives back ((n - 1) / (n + 1))^2 of 1.52, as a pane does along its normal."""
+    """A renderer that scales the reflection by the opacity gives back ((n - 1) / (n + 1))^2 of 1.52, as a pane does
+    along its normal.
+    """
     stage = shown("saloon")
     shader = UsdShade.Shader(stage.GetPrimAtPath("/Model/Materials/glass_clear/Surface"))
     opacity, index = (shader.GetInput(key).Get() for key in ("opacity", "ior"))
@@ -348,7 +392,9 @@ def test_clear_panes_reflect_as_glass_and_let_most_light_through():
 
 @pytest.mark.parametrize("name", ["lime_tree", "maple_tree", "bare_tree", "park_tree"])
 def test_individuals_of_a_tree_differ_in_shape(name):
-    """Crown breadth over height spans 15 % at least and is no one's twice; same materials; none has more triangles than the first."""
+    """Crown breadth over height spans 15 % at least and is no one's twice; same materials; none has more triangles than
+    the first.
+    """
     shapes, counts = [], []
     for which in library()[name].variants["individual"]:
         parts = meshes(shown(name, individual=which))
@@ -364,9 +410,13 @@ def test_individuals_of_a_tree_differ_in_shape(name):
     assert max(counts) <= 1.02 * counts[0]
 
 
-@pytest.mark.parametrize("name", [m.name for m in (*of_group("person"), *of_group("rider")) if m.name != "motorcyclist"])
+@pytest.mark.parametrize(
+    "name", [m.name for m in (*of_group("person"), *of_group("rider")) if m.name != "motorcyclist"]
+)
 def test_eyes_look_out_of_the_face(name):
-    """Eyes lie at 91 to 96 % of the height of who stands, in front of the head's middle, to both sides of the nose by half of 60 mm or so."""
+    """Eyes lie at 91 to 96 % of the height of who stands, in front of the head's middle, to both sides of the nose by
+    half of 60 mm or so.
+    """
     parts = meshes(shown(name))
     eyes, head = parts["eye_white"].points, parts["hair"].points
     aside = eyes - eyes.mean(axis=0)
@@ -375,14 +425,20 @@ def test_eyes_look_out_of_the_face(name):
     assert eyes[:, 1].mean() > head[:, 1].mean() + 0.04
     skin = np.concatenate([parts[k].points[parts[k].faces] for k in ("skin", "hair")])
     for eye in np.split(eyes, 2):
-        assert first_hit(eye.mean(axis=0) + np.array([0, 0.5, 0]), np.array([0.0, -1.0, 0.0]), skin) > 0.5 - 0.006  # not under the skin
+        assert (
+            first_hit(eye.mean(axis=0) + np.array([0, 0.5, 0]), np.array([0.0, -1.0, 0.0]), skin) > 0.5 - 0.006
+        )  # not under the skin
     if name in ("man_walking", "woman_walking", "student", "woman_phone"):
         assert 0.91 <= eyes[:, 2].mean() / max(p.points[:, 2].max() for p in parts.values()) <= 0.96
 
 
 def test_riders_and_what_they_ride_have_their_own_labels():
     stage = shown("motorcyclist")
-    labels = {p.GetName(): p.GetAttribute("semantics:labels:cityscapes").Get() for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)}
+    labels = {
+        p.GetName(): p.GetAttribute("semantics:labels:cityscapes").Get()
+        for p in stage.Traverse()
+        if p.IsA(UsdGeom.Mesh)
+    }
     assert list(labels["tyre"]) == list(labels["paint"]) == ["motorcycle"]
     assert labels["coat"] is None  # of the model: rider
     assert library()["motorcyclist"].label == "rider"
@@ -395,12 +451,16 @@ def test_stock_is_the_same_bytes_each_time(tmp_path):
     for component in made:
         path = write_component(lod.with_low(component), tmp_path)
         for file in path.parent.iterdir():
-            assert file.read_bytes() == (ROOT / "assets" / "models" / component.name / file.name).read_bytes(), file.name
+            assert file.read_bytes() == (ROOT / "assets" / "models" / component.name / file.name).read_bytes(), (
+                file.name
+            )
     assert len(made) == 4
 
 
 def test_a_skin_is_the_same_whatever_was_thinned_before_it():
-    """pymeshlab remembers what its last call was told; a surface made before and after another kind of thinning has the same points."""
+    """pymeshlab remembers what its last call was told; a surface made before and after another kind of thinning has the
+    same points.
+    """
 
     def slab(x, y, z):
         return np.maximum(np.maximum(np.abs(x) - 1.03, np.abs(y) - 0.63), np.abs(z + 0.2 * x) - 0.4)
@@ -428,7 +488,10 @@ def test_pieces_of_a_row_join_end_to_end():
 def test_unknown_models_and_files_that_are_none_are_told(tmp_path):
     with pytest.raises(StageError, match=r"no model 'taksi'\. Did you mean 'taxi'"):
         model("taksi")
-    for text, said in (("#usda 1.0\n", "default prim"), ('#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" {}\n', "0 Cityscapes labels")):
+    for text, said in (
+        ("#usda 1.0\n", "default prim"),
+        ('#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" {}\n', "0 Cityscapes labels"),
+    ):
         path = tmp_path / f"{len(text)}.usda"
         path.write_text(text)
         with pytest.raises(StageError, match=said):
@@ -446,8 +509,12 @@ def test_unknown_models_and_files_that_are_none_are_told(tmp_path):
 
 @pytest.mark.parametrize("views_deg, cell_px", [(sheet.VIEWS_DEG, sheet.CELL_PX), (sheet.VIEWS_DEG[:1], (128, 128))])
 def test_on_the_sheet_every_view_of_a_model_lies_in_its_own_cell(tmp_path, views_deg, cell_px):
-    """Points of the meshes, seen by the sheet's camera: no view leaves its cell, and each fills at least a third of its height or width."""
-    models = sheet.ordered([model(name) for name in ("bus", "jogger", "lamp_mast_double", "warehouse", "guard_rail", "taxi")])
+    """Points of the meshes, seen by the sheet's camera: no view leaves its cell, and each fills at least a third of its
+    height or width.
+    """
+    models = sheet.ordered(
+        [model(name) for name in ("bus", "jogger", "lamp_mast_double", "warehouse", "guard_rail", "taxi")]
+    )
     width, height = sheet.write_stage(tmp_path / "sheet.usda", models, columns=2, views_deg=views_deg, cell_px=cell_px)
     stage = Usd.Stage.Open(str(tmp_path / "sheet.usda"))
     frustum = UsdGeom.Camera(stage.GetPrimAtPath("/World/Camera")).GetCamera().frustum
@@ -455,7 +522,11 @@ def test_on_the_sheet_every_view_of_a_model_lies_in_its_own_cell(tmp_path, views
     for k, m in enumerate(models):
         row, column = divmod(k, 2)
         for view in range(len(views_deg)):
-            place = np.array(UsdGeom.Xformable(stage.GetPrimAtPath(f"/World/{m.name}_{view}")).ComputeLocalToWorldTransform(Usd.TimeCode.Default()))
+            place = np.array(
+                UsdGeom.Xformable(stage.GetPrimAtPath(f"/World/{m.name}_{view}")).ComputeLocalToWorldTransform(
+                    Usd.TimeCode.Default()
+                )
+            )
             points = np.concatenate([p.points for p in meshes(shown(m.name)).values()])
             clip = np.c_[points, np.ones(len(points))] @ place @ project
             x, y = (clip[:, 0] / clip[:, 3] + 1) / 2 * width, (1 - clip[:, 1] / clip[:, 3]) / 2 * height

@@ -47,7 +47,11 @@ def read(text):
 def outline(asset):
     """(low, high) of a component on the ground in its own axes [m]."""
     stage = Usd.Stage.Open(str(ROOT / "assets" / "models" / asset / f"{asset}.usda"))
-    bound = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"]).ComputeWorldBound(stage.GetDefaultPrim()).ComputeAlignedRange()
+    bound = (
+        UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"])
+        .ComputeWorldBound(stage.GetDefaultPrim())
+        .ComputeAlignedRange()
+    )
     return np.array(bound.GetMin())[:2], np.array(bound.GetMax())[:2]
 
 
@@ -100,7 +104,11 @@ def test_nobody_stands_in_a_vehicle_a_wall_a_thing_or_another(seed, text):
     """A body is 40 cm wide; walls begin at WALL_X, and who is not on the pavement is on a zebra."""
     world = spec(seed, text)
     people = [p for p in group(world, "People") if p.asset != "rider"]
-    solid = [(p, footprint(p)) for p in [*group(world, "Vehicles"), *group(world, "Furniture")] if p.asset != "street_lamp" and "traffic_light" not in p.asset]
+    solid = [
+        (p, footprint(p))
+        for p in [*group(world, "Vehicles"), *group(world, "Furniture")]
+        if p.asset != "street_lamp" and "traffic_light" not in p.asset
+    ]
     for p in people:
         body = np.array([(p.x + a, p.y + b) for a, b in ((-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2))])
         for other, print_ in solid:
@@ -115,12 +123,18 @@ def test_camera_sees_down_its_own_lane():
     """No car within the lane ahead before the crossing, whatever the seed."""
     for seed in SEEDS:
         world = spec(seed)
-        ahead = [p for p in group(world, "Vehicles") if abs(p.x - world.view.x) < 2.0 and -42.0 < p.y < -12.0 and p.asset != "bicycle"]
+        ahead = [
+            p
+            for p in group(world, "Vehicles")
+            if abs(p.x - world.view.x) < 2.0 and -42.0 < p.y < -12.0 and p.asset != "bicycle"
+        ]
         assert ahead == []
 
 
 def test_signals_crossers_and_traffic_agree():
-    """Where the main street waits its signals are red and its zebras are walked on; where it goes, the side street's."""
+    """Where the main street waits its signals are red and its zebras are walked on; where it goes, the side
+    street's.
+    """
     phases = set()
     for seed in SEEDS:
         world = spec(seed)
@@ -140,9 +154,15 @@ def test_what_is_drawn_lies_where_the_recipe_says():
         domes = [getattr(spec(seed), name) for seed in SEEDS]
         assert len({dome.sky for dome in domes}) > 3
         assert all(dome.gain == 1.0 for dome in domes if dome.sky != own)
-        values = [getattr(spec(seed, f"synfog: recipe/1\nsky: {{{own}_nits: {{uniform: [{low}, {high}]}}}}\n"), name).gain for seed in SEEDS]
+        values = [
+            getattr(spec(seed, f"synfog: recipe/1\nsky: {{{own}_nits: {{uniform: [{low}, {high}]}}}}\n"), name).gain
+            for seed in SEEDS
+        ]
         assert all(low <= value <= high for value in values) and len(set(values)) == len(values)
-    assert all(list(spec(seed).fog)[:3] == ["clear", "mor600", "mor300"] and 100 <= list(spec(seed).fog.values())[3] <= 200 for seed in SEEDS)
+    assert all(
+        list(spec(seed).fog)[:3] == ["clear", "mor600", "mor300"] and 100 <= list(spec(seed).fog.values())[3] <= 200
+        for seed in SEEDS
+    )
     assert {sum(p.asset == "rider" for p in spec(seed).placed) for seed in SEEDS} == {0, 1}
 
 
@@ -157,7 +177,9 @@ def test_weights_are_kept():
 
 def test_one_parameter_leaves_the_others_as_they_were():
     """More people move no car, and another sky moves nobody."""
-    one, two = (spec(3, f"synfog: recipe/1\npeople: {{count: {count}}}\nsky: {{dusk_nits: {count}}}\n") for count in (10, 20))
+    one, two = (
+        spec(3, f"synfog: recipe/1\npeople: {{count: {count}}}\nsky: {{dusk_nits: {count}}}\n") for count in (10, 20)
+    )
     assert group(one, "Vehicles") == group(two, "Vehicles")
     assert group(one, "People")[:10] == group(two, "People")[:10]
 
@@ -179,7 +201,13 @@ def test_the_same_seed_gives_the_same_bytes_and_another_gives_others(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "folder, found", [("/tree/stages/drawn", "../../assets"), ("/tree", "./assets"), ("/elsewhere", "/tree/assets"), ("/treehouse", "/tree/assets")]
+    "folder, found",
+    [
+        ("/tree/stages/drawn", "../../assets"),
+        ("/tree", "./assets"),
+        ("/elsewhere", "/tree/assets"),
+        ("/treehouse", "/tree/assets"),
+    ],
 )
 def test_references_are_relative_within_the_tree_and_absolute_elsewhere(folder, found):
     """The folder that holds the assets can move as a whole; a stage outside of it still opens."""
@@ -245,7 +273,9 @@ def test_the_command_writes_a_stage_and_tells_what_stands_where(tmp_path):
     assert printed == json.loads(json.dumps(spec(5).plain()))
     stage = Usd.Stage.Open(str(tmp_path / "s.usda"))
     for name in ("Vehicles", "People"):
-        assert len(stage.GetPrimAtPath(f"/World/{name}").GetChildren()) == sum(p["group"] == name for p in printed["placed"])
+        assert len(stage.GetPrimAtPath(f"/World/{name}").GetChildren()) == sum(
+            p["group"] == name for p in printed["placed"]
+        )
 
 
 @pytest.mark.parametrize("path, out, words", [("none.yaml", "s.usda", "none.yaml"), (SHIPPED, "s.txt", "s.txt")])

@@ -28,7 +28,11 @@ def validator():
 
 def test_the_page_and_the_schema_are_fresh():
     """Made again by `python -m synfog_usd.world.reference`."""
-    stale = [name for name, text in reference.files().items() if (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8") != text]
+    stale = [
+        name
+        for name, text in reference.files().items()
+        if (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8") != text
+    ]
     assert not stale, "run: python -m synfog_usd.world.reference"
 
 

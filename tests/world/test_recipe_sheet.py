@@ -31,14 +31,28 @@ def test_other_seeds_are_refused(text):
 def test_a_folder_gives_its_recipes_by_name_and_an_empty_one_is_refused(tmp_path):
     """All that ship, in order."""
     found = [path.stem for path in sheet.recipes_of(RECIPES)]
-    assert found == sorted(found) and {"crossroads", "residential", "rural", "motorway", "arterial", "bridge", "tunnel", "car_park"} <= set(found)
+    assert found == sorted(found) and {
+        "crossroads",
+        "residential",
+        "rural",
+        "motorway",
+        "arterial",
+        "bridge",
+        "tunnel",
+        "car_park",
+    } <= set(found)
     with pytest.raises(ParameterError, match="no recipe"):
         sheet.recipes_of(tmp_path)
 
 
 @pytest.mark.parametrize(
     "options, words",
-    [(["--seeds", "x"], "--seeds x"), (["-o", "sheet.jpg"], ".png"), (["--lighting", "night"], "sky and active"), (["--set", "a=1"], "SECTION.KEY=VALUE")],
+    [
+        (["--seeds", "x"], "--seeds x"),
+        (["-o", "sheet.jpg"], ".png"),
+        (["--lighting", "night"], "sky and active"),
+        (["--set", "a=1"], "SECTION.KEY=VALUE"),
+    ],
 )
 def test_the_command_refuses_in_one_line(tmp_path, options, words):
     """Exit code 2, and nothing written."""
@@ -58,5 +72,7 @@ def test_fog_takes_contrast_from_a_preview(tmp_path):
     assert done.returncode == 0, done.stderr
     with Image.open(out) as picture:
         assert picture.size == (2 * sheet.GAP_PX + 192, 54 + sheet.CAPTION_PX + 2 * sheet.GAP_PX)
-        pixels = np.asarray(picture.convert("L"), dtype=np.float64)[sheet.GAP_PX : sheet.GAP_PX + 54, sheet.GAP_PX : sheet.GAP_PX + 192]
+        pixels = np.asarray(picture.convert("L"), dtype=np.float64)[
+            sheet.GAP_PX : sheet.GAP_PX + 54, sheet.GAP_PX : sheet.GAP_PX + 192
+        ]
     assert pixels[:, 96:].std() < 0.8 * pixels[:, :96].std()

@@ -36,7 +36,9 @@ def drawn(name, seed, *changes):
 
 
 def street(hill=None):
-    return Road(ReferenceLine(400.0, bends([(40.0, 150.0, 40.0)], length=400.0)), LaneSection.from_widths(TOWN), Land(hill=hill))
+    return Road(
+        ReferenceLine(400.0, bends([(40.0, 150.0, 40.0)], length=400.0)), LaneSection.from_widths(TOWN), Land(hill=hill)
+    )
 
 
 # -- wet
@@ -53,7 +55,9 @@ def _fresnel(cosine, n1, n2):
 
 @pytest.mark.parametrize("dry", [0.05, 0.09, 0.25, 0.56])
 def test_a_wet_surface_is_as_dark_as_light_bounced_under_a_film_says(dry):
-    """Bounce by bounce, with Fresnel's reflectance integrated over the hemisphere: within 0.5 %, the error of the fit that the code takes."""
+    """Bounce by bounce, with Fresnel's reflectance integrated over the hemisphere: within 0.5 %, the error of the fit
+    that the code takes.
+    """
     cosine = (np.arange(20_000) + 0.5) / 20_000
     turned_back = float(np.mean(2 * cosine * _fresnel(cosine, 1.333, 1.0)))
     light, left = 1.0 - ((1.333 - 1) / (1.333 + 1)) ** 2, 0.0
@@ -66,7 +70,9 @@ def test_a_wet_surface_is_as_dark_as_light_bounced_under_a_film_says(dry):
 
 
 def test_water_darkens_asphalt_more_than_paint_and_smooths_both():
-    """About half of asphalt's albedo goes and less of the paint's; damp lies between; dry worn asphalt is what the crossing has."""
+    """About half of asphalt's albedo goes and less of the paint's; damp lies between; dry worn asphalt is what the
+    crossing has.
+    """
     dry, damp, wet = (asphalt.looks(asphalt.Asphalt("worn", name), {}) for name in asphalt.WETNESS)
     assert dry["asphalt_lane"] == PALETTE["asphalt_lane"] and dry["marking"] == PALETTE["marking"]
     assert 0.45 < wet["asphalt_lane"].colour[0] < 0.6 < wet["marking"].colour[0] < 0.8
@@ -88,7 +94,9 @@ def test_four_asphalts_are_of_four_tones():
 
 
 def test_puddles_lie_in_wheel_tracks_and_at_kerbs_and_not_in_the_tunnel():
-    """One millimetre above the carriageway, within it, none beyond the portal; none on a dry road, more on a wet one than on a damp one."""
+    """One millimetre above the carriageway, within it, none beyond the portal; none on a dry road, more on a wet one
+    than on a damp one.
+    """
     road = street(hill=(200.0, 14.0))
     paved = [lane for lane in road.lane_section.lanes if lane.kind in ("lane", "parking")]
     count = {}
@@ -104,14 +112,22 @@ def test_puddles_lie_in_wheel_tracks_and_at_kerbs_and_not_in_the_tunnel():
 
 @pytest.mark.parametrize("kind", ["worn", "new"])
 def test_no_two_roads_show_the_same_piece_of_asphalt(kind):
-    """Texture coordinates of the lanes at the road's beginning, modulo the tile: ten seeds, ten places; and metres stay metres."""
+    """Texture coordinates of the lanes at the road's beginning, modulo the tile: ten seeds, ten places; and metres stay
+    metres.
+    """
     starts = []
     for seed in range(10):
-        part = next(p for p in surface.surface(street(), seed=seed, asphalt=asphalt.Asphalt(kind))["road"] if p.material == asphalt.Asphalt(kind).lane)
+        part = next(
+            p
+            for p in surface.surface(street(), seed=seed, asphalt=asphalt.Asphalt(kind))["road"]
+            if p.material == asphalt.Asphalt(kind).lane
+        )
         starts.append(part.uv[0] % 1.0)
         if kind == "new":
             one, other = part.points[0], part.points[1]
-            assert np.linalg.norm(part.uv[1] - part.uv[0]) * surface.ASPHALT_TILE_M == pytest.approx(np.linalg.norm(other - one), rel=1e-3)
+            assert np.linalg.norm(part.uv[1] - part.uv[0]) * surface.ASPHALT_TILE_M == pytest.approx(
+                np.linalg.norm(other - one), rel=1e-3
+            )
     apart = [np.abs((a - b + 0.5) % 1.0 - 0.5).max() for a, b in itertools.combinations(starts, 2)]
     assert min(apart) > 1e-3
 
@@ -126,7 +142,9 @@ def test_rain_does_not_fall_on_a_dry_road():
 
 
 def test_people_walk_in_company():
-    """With company, most walkers have another beside them who goes the same way; without, few happen to; the number stays what was asked for."""
+    """With company, most walkers have another beside them who goes the same way; without, few happen to; the number
+    stays what was asked for.
+    """
 
     def share(company):
         together = alone = 0
@@ -136,7 +154,9 @@ def test_people_walk_in_company():
             assert len(people) == 24
             for p in (p for p in people if p.asset in parameters.WALKERS):
                 beside = any(
-                    q is not p and math.hypot(p.x - q.x, p.y - q.y) < 1.15 and math.cos(math.radians(p.heading - q.heading)) > math.cos(math.radians(9))
+                    q is not p
+                    and math.hypot(p.x - q.x, p.y - q.y) < 1.15
+                    and math.cos(math.radians(p.heading - q.heading)) > math.cos(math.radians(9))
                     for q in people
                 )
                 together, alone = together + beside, alone + (not beside)
@@ -168,14 +188,27 @@ def test_works_stand_beside_the_lanes_and_hold_their_workers(name):
         points = np.concatenate([part.points for part in works.built(world.road, site).parts])
         s, t = world.road.reference_line.nearest(points[:, 0], points[:, 1])
         height = points[:, 2] - world.road.ground(s, t)
-        assert height.max() == pytest.approx(1.0, abs=0.12) and height.min() > -0.7  # the heap and the verge's fall go below
+        assert (
+            height.max() == pytest.approx(1.0, abs=0.12) and height.min() > -0.7
+        )  # the heap and the verge's fall go below
     assert found >= 1
 
 
 def test_every_model_of_the_library_stands_in_some_recipe():
     """Named in a recipe, a default, or what the composer places; what belongs to the crossing alone is listed here."""
-    crossing = {"bicycle", "rider", "corner_brick", "corner_cream", "corner_green", "fallen_leaf", "street_land", "street_pavement", "street_road",
-                "traffic_light", "traffic_light_mast"}  # fmt: skip
+    crossing = {
+        "bicycle",
+        "rider",
+        "corner_brick",
+        "corner_cream",
+        "corner_green",
+        "fallen_leaf",
+        "street_land",
+        "street_pavement",
+        "street_road",
+        "traffic_light",
+        "traffic_light_mast",
+    }
     own = {"guard_rail", "sign_no_entry"}  # roads build their rails along the line, and none is one-way
     text = "".join(path.read_text() for path in RECIPES.glob("*.yaml"))
     text += "".join(path.read_text() for path in (ROOT / "synfog_usd" / "world").rglob("*.py"))
@@ -188,8 +221,15 @@ def test_a_rider_and_what_is_ridden_both_count():
     place = {"x": 0.0, "y": 0.0}
     assert worlds.labels(Placement("Vehicles", "a", "cyclist", **place)) == ("rider", "bicycle")
     assert worlds.labels(Placement("Vehicles", "a", "saloon", **place)) == ("car",)
-    who = [worlds.who(Placement(group, "a", asset, **place, lit=lit)) for group, asset, lit in
-           (("Vehicles", "cyclist", {}), ("Vehicles", "saloon", {"lamps": "glow"}), ("Vehicles", "saloon", {}), ("People", "child", {}))]  # fmt: skip
+    who = [
+        worlds.who(Placement(group, "a", asset, **place, lit=lit))
+        for group, asset, lit in (
+            ("Vehicles", "cyclist", {}),
+            ("Vehicles", "saloon", {"lamps": "glow"}),
+            ("Vehicles", "saloon", {}),
+            ("People", "child", {}),
+        )
+    ]
     assert who == ["under way", "under way", "parked", "on foot"]
 
 
@@ -212,7 +252,13 @@ def test_the_recipes_draw_all_sixteen_skies():
 def rigs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rigs")
     for rig in ("single", "stereo", "surround"):
-        changes = [f"camera.rig={rig}", "camera.baseline_m=0.4", "sky.day=storm_front", "sky.heading_deg=70", "camera.headlights=low_beam_led"]
+        changes = [
+            f"camera.rig={rig}",
+            "camera.baseline_m=0.4",
+            "sky.day=storm_front",
+            "sky.heading_deg=70",
+            "camera.headlights=low_beam_led",
+        ]
         compose(RECIPES / "motorway.yaml", folder / f"{rig}.usda", seed=2, changes=changes)
     return {path.stem: Usd.Stage.Open(str(path)) for path in folder.iterdir()}
 
@@ -220,7 +266,10 @@ def rigs(tmp_path_factory):
 def test_a_sky_has_its_nits_and_heading(rigs):
     """The drawn picture at intensity 1, turned clockwise by its heading, with its pole up."""
     dome = UsdLux.DomeLight(rigs["single"].GetPrimAtPath("/World/Sky/Day"))
-    assert Path(dome.GetTextureFileAttr().Get().path).name == "storm_front.exr" and Path(dome.GetTextureFileAttr().Get().resolvedPath).is_file()
+    assert (
+        Path(dome.GetTextureFileAttr().Get().path).name == "storm_front.exr"
+        and Path(dome.GetTextureFileAttr().Get().resolvedPath).is_file()
+    )
     assert dome.GetIntensityAttr().Get() == 1.0
     turned = UsdGeom.XformCache().GetLocalToWorldTransform(dome.GetPrim())
     np.testing.assert_allclose(turned.TransformDir((0, 1, 0)), (0, 0, 1), atol=1e-6)
@@ -245,7 +294,10 @@ def test_the_cars_own_lamps_are_dipped_beams_that_look_ahead(rigs):
 def test_a_stereo_pair_looks_one_way_a_baseline_apart(rigs):
     """The right eye stands 0.4 m to the right of the ego's own, square to where both look."""
     cache = UsdGeom.XformCache()
-    left, right = (cache.GetLocalToWorldTransform(rigs["stereo"].GetPrimAtPath(path)) for path in ("/World/Ego", "/World/Rig/Right"))
+    left, right = (
+        cache.GetLocalToWorldTransform(rigs["stereo"].GetPrimAtPath(path))
+        for path in ("/World/Ego", "/World/Rig/Right")
+    )
     between = right.ExtractTranslation() - left.ExtractTranslation()
     np.testing.assert_allclose(between, 0.4 * np.array(left.TransformDir((1, 0, 0))), atol=2e-5)
     np.testing.assert_allclose(right.TransformDir((0, 0, -1)), left.TransformDir((0, 0, -1)), atol=2e-6)

@@ -1,4 +1,6 @@
-"""Roads: clothoids are clothoids, nothing overlaps, floats or drives against its lane, and every mistake has its place."""
+"""Roads: clothoids are clothoids, nothing overlaps, floats or drives against its lane, and every mistake has its
+place.
+"""
 
 from __future__ import annotations
 
@@ -54,8 +56,14 @@ def shape(asset):
     """Low and high corner [m] and label of a component, from its stage."""
     stage = Usd.Stage.Open(str(ROOT / "assets" / "models" / asset / f"{asset}.usda"))
     prim = stage.GetDefaultPrim()
-    bound = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"]).ComputeWorldBound(prim).ComputeAlignedRange()
-    return np.array(bound.GetMin()), np.array(bound.GetMax()), next(iter(prim.GetAttribute("semantics:labels:cityscapes").Get()))
+    bound = (
+        UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"]).ComputeWorldBound(prim).ComputeAlignedRange()
+    )
+    return (
+        np.array(bound.GetMin()),
+        np.array(bound.GetMax()),
+        next(iter(prim.GetAttribute("semantics:labels:cityscapes").Get())),
+    )
 
 
 def outline(p, half=None):
@@ -85,7 +93,10 @@ def solid(world):
         _, high, label = shape(p.asset)
         if p.asset == "rider":
             continue  # sits on the bicycle
-        if label in ("car", "truck", "bus", "bicycle", "rider", "building") or p.asset in ("woman_pram", "wheelchair_user"):
+        if label in ("car", "truck", "bus", "bicycle", "rider", "building") or p.asset in (
+            "woman_pram",
+            "wheelchair_user",
+        ):
             found.append((p, outline(p)))
         elif label == "person":
             found.append((p, outline(p, 0.2)))
@@ -111,7 +122,10 @@ def check(name, seed):
             assert apart(prints, bodies[j][1]) > 0.0, (name, seed, p, bodies[j][0])
     users = [p for p in world.placed if shape(p.asset)[2] in USERS]
     assert len(users) >= 5
-    assert sum(share >= sight.SEEN for share in sight.shares(world, within_m=100.0, enough=3).values()) >= 3, (name, seed)
+    assert sum(share >= sight.SEEN for share in sight.shares(world, within_m=100.0, enough=3).values()) >= 3, (
+        name,
+        seed,
+    )
     for p in world.placed:
         s, t = (float(v) for v in road.reference_line.nearest(p.x, p.y))
         if p.group in ("Vehicles", "People"):
@@ -130,7 +144,9 @@ def check(name, seed):
 def mesh_triangles(road, seed=0, beside=False):
     """(N, 3, 3) triangles of the ground of a road, and of the land beside it."""
     parts = [*itertools.chain(*surface.surface(road, seed=seed).values()), *(land.land(road) if beside else ())]
-    return np.concatenate([p.points[p.faces] for p in parts if p.material not in ("tar", "iron", "asphalt_patch", "asphalt_old", "kerb")])
+    return np.concatenate(
+        [p.points[p.faces] for p in parts if p.material not in ("tar", "iron", "asphalt_patch", "asphalt_old", "kerb")]
+    )
 
 
 def height_below(triangles, x, y):
@@ -150,21 +166,31 @@ def height_below(triangles, x, y):
 
 
 def test_a_clothoid_ends_where_fresnel_says():
-    """Curvature from 0 to 1/60 over 80 m: x and y of the Euler spiral by Fresnel's integrals, within a tenth of a millimetre."""
+    """Curvature from 0 to 1/60 over 80 m: x and y of the Euler spiral by Fresnel's integrals, within a tenth of a
+    millimetre.
+    """
     length, radius = 80.0, 60.0
     line = ReferenceLine(length, ((0.0, 0.0), (length, 1.0 / radius)))
     scale = math.sqrt(math.pi * radius * length)  # heading = s^2 / (2 R L) = (pi / 2) (s / scale)^2
     s = np.linspace(0, length, 41)
     across, along = special.fresnel(s / scale)
     x, y = line.place(s, 0.0)
-    np.testing.assert_allclose(y, scale * along, atol=1e-4)  # Simpson's rule over 0.25 m; measured 1e-9, plus chords of 0.13 mm between
+    np.testing.assert_allclose(
+        y, scale * along, atol=1e-4
+    )  # Simpson's rule over 0.25 m; measured 1e-9, plus chords of 0.13 mm between
     np.testing.assert_allclose(x, -scale * across, atol=2e-4)
     np.testing.assert_allclose(line.heading(s), s * s / (2 * radius * length), atol=1e-5)
 
 
 def test_a_bend_turns_by_its_angle_and_slopes_make_parabolas():
-    """Three bends end in the sum of their angles, and a slope that grows linearly lifts by half of it times the length."""
-    line = ReferenceLine(900.0, bends([(30.0, 200.0, 40.0), (20.0, 120.0, -70.0), (10.0, 300.0, 12.0)], length=900.0), ((0.0, 0.0), (200.0, 0.06)))
+    """Three bends end in the sum of their angles, and a slope that grows linearly lifts by half of it times the
+    length.
+    """
+    line = ReferenceLine(
+        900.0,
+        bends([(30.0, 200.0, 40.0), (20.0, 120.0, -70.0), (10.0, 300.0, 12.0)], length=900.0),
+        ((0.0, 0.0), (200.0, 0.06)),
+    )
     assert math.degrees(float(line.heading(900.0))) == pytest.approx(-18.0, abs=1e-3)
     s = np.array([0.0, 50.0, 125.0, 200.0, 300.0])
     np.testing.assert_allclose(line.height(s), np.where(s <= 200, 0.06 / 400 * s**2, 6.0 + 0.06 * (s - 200)), atol=1e-5)
@@ -181,18 +207,28 @@ def test_nearest_finds_what_place_placed():
 
 
 def test_the_meshes_are_where_the_ground_is_said_to_be():
-    """On a road with bends, crests, kerbs and hills: the highest triangle at 300 places is the ground within 5 mm, on the land within 8 cm."""
+    """On a road with bends, crests, kerbs and hills: the highest triangle at 300 places is the ground within 5 mm, on
+    the land within 8 cm.
+    """
     bands = [("verge", 2.0, 0), ("lane", 3.2, -1), ("lane", 3.2, 1), ("parking", 2.0, 0), ("pavement", 2.5, 0)]
-    line = ReferenceLine(300.0, bends([(20.0, 160.0, 50.0), (10.0, 200.0, -40.0)], length=300.0), ((0.0, 0.0), (60.0, 0.05), (180.0, -0.05), (300.0, 0.02)))
+    line = ReferenceLine(
+        300.0,
+        bends([(20.0, 160.0, 50.0), (10.0, 200.0, -40.0)], length=300.0),
+        ((0.0, 0.0), (60.0, 0.05), (180.0, -0.05), (300.0, 0.02)),
+    )
     road = Road(line, LaneSection.from_widths(bands), land=Land(6.0, 3))
     triangles = mesh_triangles(road, beside=True)
     rng = np.random.Generator(np.random.PCG64(1))
-    for s, t in zip(rng.uniform(5, 295, 300), rng.uniform(road.lane_section.low - 8, road.lane_section.high + 8, 300), strict=True):
+    for s, t in zip(
+        rng.uniform(5, 295, 300), rng.uniform(road.lane_section.low - 8, road.lane_section.high + 8, 300), strict=True
+    ):
         if any(abs(t - kerb) < 0.2 for kerb, _ in road.lane_section.kerbs()):
             continue
         x, y = (float(v) for v in line.place(s, t))
         on_road = road.lane_section.low <= t <= road.lane_section.high
-        assert height_below(triangles, x, y) == pytest.approx(float(road.ground(s, t)), abs=0.005 if on_road else 0.08), (s, t)
+        assert height_below(triangles, x, y) == pytest.approx(
+            float(road.ground(s, t)), abs=0.005 if on_road else 0.08
+        ), (s, t)
     assert float(road.ground(100.0, road.lane_section.high - 1.0) - line.height(100.0)) == pytest.approx(KERB_M)
 
 
@@ -206,7 +242,9 @@ def test_markings_lie_above_the_asphalt_and_within_the_carriageway():
     for x, y, z in chosen:
         s, t = (float(v) for v in world.road.reference_line.nearest(x, y))
         assert low - 0.01 <= t <= high + 0.01
-        if 1.0 < s < world.road.reference_line.length - 1.0 and all(abs(t - kerb) > 0.2 for kerb, _ in world.road.lane_section.kerbs()):
+        if 1.0 < s < world.road.reference_line.length - 1.0 and all(
+            abs(t - kerb) > 0.2 for kerb, _ in world.road.lane_section.kerbs()
+        ):
             assert 0.001 < z - height_below(triangles, x, y) < 0.004
 
 
@@ -270,7 +308,10 @@ def test_wheels_touch_the_road_on_slopes(name):
             for side in (0.0,) if two_wheels else (-0.75, 0.75):
                 x = p.x + side * math.cos(h) - ahead * math.cos(pitch) * math.sin(h)
                 y = p.y + side * math.sin(h) + ahead * math.cos(pitch) * math.cos(h)
-                assert p.z + ahead * math.sin(pitch) == pytest.approx(height_below(triangles, x, y), abs=0.02), (p, ahead)
+                assert p.z + ahead * math.sin(pitch) == pytest.approx(height_below(triangles, x, y), abs=0.02), (
+                    p,
+                    ahead,
+                )
         checked += 1
     assert checked >= 4
 
@@ -288,7 +329,9 @@ def test_vehicles_keep_the_distance_in_which_they_can_stop():
 
 
 def test_a_bus_hides_a_car_and_a_crest_hides_both():
-    """Straight ahead a car is seen whole; with a bus before it, not at all; nor over a crest, nor out of the picture."""
+    """Straight ahead a car is seen whole; with a bus before it, not at all; nor over a crest, nor out of the
+    picture.
+    """
     flat = Road(ReferenceLine(300.0), LaneSection.from_widths([("lane", 3.5, -1), ("lane", 3.5, 1)]))
     view = View(0.0, 0.0, 1.45, 90.0, 0.0)
 
@@ -301,21 +344,28 @@ def test_a_bus_hides_a_car_and_a_crest_hides_both():
     assert seen([car, bus])["Car"] == 0.0 and seen([car, bus])["Bus"] == 1.0
     assert seen([Placement("Vehicles", "Far", "saloon", 0.0, 120.0, 0.0, z=0.0)]) == {}
     assert seen([Placement("Vehicles", "Aside", "saloon", 40.0, 50.0, 0.0, z=0.0)]) == {}
-    crest = Road(ReferenceLine(300.0, slope=((0.0, 0.0), (10.0, 0.12), (30.0, 0.12), (50.0, -0.12), (120.0, -0.12))), flat.lane_section)
+    crest = Road(
+        ReferenceLine(300.0, slope=((0.0, 0.0), (10.0, 0.12), (30.0, 0.12), (50.0, -0.12), (120.0, -0.12))),
+        flat.lane_section,
+    )
     low = Placement("Vehicles", "Car", "saloon", 0.0, 90.0, 0.0, z=float(crest.reference_line.height(90.0)))
     assert seen([low], crest)["Car"] == 0.0
 
 
 @pytest.mark.parametrize("name, seed", [("arterial", 0), ("residential", 1), ("rural", 1)])
 def test_who_is_seen_is_seen_in_shapely_too(name, seed):
-    """Six rays against 64 through footprints cut by GEOS: the same users in the picture, shares alike to 1/8 on average and to 0.45 each.
+    """Six rays against 64 through footprints cut by GEOS: the same users in the picture, shares alike to 1/8 on average
+    and to 0.45 each.
 
     Six rays know a share to 0.2 (standard deviation at one half); over 16 worlds the mean difference was -0.02, its
     mean size 0.07 and its greatest 0.39.
     """
     world = spec(name, seed)
     fov = math.degrees(2 * math.atan(0.36 / 2 / world.view.focal_length))
-    rays, cut = rules.visible(world.view, fov, world.placed, world.road, within_m=100.0), sight.shares(world, within_m=100.0)
+    rays, cut = (
+        rules.visible(world.view, fov, world.placed, world.road, within_m=100.0),
+        sight.shares(world, within_m=100.0),
+    )
     assert set(rays) == set(cut) and len(cut) >= 5
     off = np.array([rays[name] - cut[name] for name in cut])
     assert np.abs(off).mean() < 1 / 8 and np.abs(off).max() < 0.45
@@ -362,11 +412,15 @@ def test_hours_are_interpolated_round_midnight():
 
 
 def test_more_traffic_by_day_than_by_night():
-    """40 seeds of the arterial road at 8 h and at 3 h: the mean number of vehicles on the lanes grows by at least half."""
+    """40 seeds of the arterial road at 8 h and at 3 h: the mean number of vehicles on the lanes grows by at least
+    half.
+    """
 
     def mean(hour):
         found = load(RECIPES / "arterial.yaml", [f"traffic.hour={hour}", "rules.in_view=0"])
-        return np.mean([sum(bool(p.lit) and p.group == "Vehicles" for p in draw(found, seed=seed).placed) for seed in range(6)])
+        return np.mean(
+            [sum(bool(p.lit) and p.group == "Vehicles" for p in draw(found, seed=seed).placed) for seed in range(6)]
+        )
 
     assert mean(8) > 1.5 * mean(3)
 
@@ -394,7 +448,11 @@ MISTAKES = [
     (HEAD + "lane_section: [{lane: 300, way: 1}]", "3:23", "outside 0.3 to 30"),
     (HEAD + LANES + "road: {length_m: 10000}", "4:18", "outside 150 to 1500"),
     (HEAD + LANES + "road: {turn_deg: {normal: {mean: 0, deviation: 1, low: 5}}}", "4:27", "lacks high"),
-    (HEAD + LANES + "road: {turn_deg: {normal: {mean: 0, deviation: 1, low: 50, high: 60}}}", "4:27", "has nothing from 50 to 60"),
+    (
+        HEAD + LANES + "road: {turn_deg: {normal: {mean: 0, deviation: 1, low: 50, high: 60}}}",
+        "4:27",
+        "has nothing from 50 to 60",
+    ),
     (HEAD + LANES + "traffic: {per_hour: {by_hour: [[25, 3]]}}", "4:33", "outside 0 to 24"),
     (HEAD + LANES + "traffic: {bodies: tank}", "4:19", "takes"),
     (HEAD + LANES + "rows: [{models: lime_tre}]", "4:17", "Did you mean 'lime_tree'"),
@@ -446,13 +504,19 @@ def stages(tmp_path_factory):
 
 @pytest.mark.parametrize("name", ROADS)
 def test_a_stage_is_whole_labelled_and_valid(stages, name):
-    """Plain USD without a composition error or a missing file, under 10 MiB, every component labelled, every validator content."""
+    """Plain USD without a composition error or a missing file, under 10 MiB, every component labelled, every validator
+    content.
+    """
     path = stages / f"{name}.usda"
     assert sum(layer.stat().st_size for layer in stages.glob(f"{name}.*")) < 10 << 20
     stage = Usd.Stage.Open(str(path))
     assert stage.GetCompositionErrors() == []
     assert UsdUtils.ComputeAllDependencies(str(path))[2] == []
-    components = [prim for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()) if Usd.ModelAPI(prim).GetKind() == "component"]
+    components = [
+        prim
+        for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+        if Usd.ModelAPI(prim).GetKind() == "component"
+    ]
     assert len(components) > 20
     for prim in components:
         assert next(iter(prim.GetAttribute("semantics:labels:cityscapes").Get())) in LABELS, prim.GetPath()
@@ -470,7 +534,10 @@ def test_the_same_seed_gives_the_same_bytes(stages, tmp_path):
     """Two goes at one seed, and another seed; all layers."""
     for seed in (4, 5):
         compose(RECIPES / "bridge.yaml", tmp_path / str(seed) / "bridge.usda", seed=seed)
-    first, again, other = ({layer.name: layer.read_bytes() for layer in folder.glob("bridge.*")} for folder in (stages, tmp_path / "4", tmp_path / "5"))
+    first, again, other = (
+        {layer.name: layer.read_bytes() for layer in folder.glob("bridge.*")}
+        for folder in (stages, tmp_path / "4", tmp_path / "5")
+    )
     assert len(first) == 6
     assert first == again
     assert first != other

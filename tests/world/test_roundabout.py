@@ -1,4 +1,6 @@
-"""Roundabouts: arcs touch line and circle, the ground is where it is said to be, nothing overlaps or goes the wrong way round, mistakes have their place."""
+"""Roundabouts: arcs touch line and circle, the ground is where it is said to be, nothing overlaps or goes the wrong way
+round, mistakes have their place.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,17 @@ def spec(seed):
 def plain(radius=18.0, corner_m=15.0, headings=(180.0, 250.0, 5.0, 95.0), apron=1.5, hills=0.0):
     lines = [ReferenceLine(160.0, origin=(0.0, 0.0, heading)) for heading in headings]
     return roundabout(
-        lines, radius=radius, ring_m=6.0, apron=apron, mound=1.0, lane_m=3.4, half_island=1.6, pavement=2.5, zebra_m=8.0, corner_m=corner_m, land=Land(hills, 1)
+        lines,
+        radius=radius,
+        ring_m=6.0,
+        apron=apron,
+        mound=1.0,
+        lane_m=3.4,
+        half_island=1.6,
+        pavement=2.5,
+        zebra_m=8.0,
+        corner_m=corner_m,
+        land=Land(hills, 1),
     )
 
 
@@ -67,14 +79,22 @@ def shape(asset):
     """Low and high corner [m] and label of a component, from its stage."""
     stage = Usd.Stage.Open(str(ROOT / "assets" / "models" / asset / f"{asset}.usda"))
     prim = stage.GetDefaultPrim()
-    bound = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"]).ComputeWorldBound(prim).ComputeAlignedRange()
-    return np.array(bound.GetMin()), np.array(bound.GetMax()), next(iter(prim.GetAttribute("semantics:labels:cityscapes").Get()))
+    bound = (
+        UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"]).ComputeWorldBound(prim).ComputeAlignedRange()
+    )
+    return (
+        np.array(bound.GetMin()),
+        np.array(bound.GetMax()),
+        next(iter(prim.GetAttribute("semantics:labels:cityscapes").Get())),
+    )
 
 
 def outline(p):
     """(4, 2) corners of a placement's body on the ground; of poles, people and trees those of the foot."""
     low, high, label = shape(p.asset)
-    half = {"person": 0.2, "pole": 0.08, "traffic sign": 0.08}.get(label, 0.25 if label == "vegetation" and high[2] > 3 else None)
+    half = {"person": 0.2, "pole": 0.08, "traffic sign": 0.08}.get(
+        label, 0.25 if label == "vegetation" and high[2] > 3 else None
+    )
     (x0, y0), (x1, y1) = (low[:2] * p.size, high[:2] * p.size) if half is None else ((-half, -half), (half, half))
     c, s = math.cos(math.radians(p.heading)), math.sin(math.radians(p.heading))
     return np.array([(p.x + c * x - s * y, p.y + s * x + c * y) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))])
@@ -97,7 +117,9 @@ def apart(a, b):
 
 @pytest.mark.parametrize("corner_m", (10.0, 15.0, 25.0))
 def test_entry_arcs_touch_the_circle_and_the_arms_edge(corner_m):
-    """Through every three neighbouring samples of a kerb goes a straight line, the circle or an arc of the wished radius; it never has a corner."""
+    """Through every three neighbouring samples of a kerb goes a straight line, the circle or an arc of the wished
+    radius; it never has a corner.
+    """
     junction = plain(corner_m=corner_m, headings=(180.0, 270.0, 0.0, 90.0))
     line = junction.outline
     p = line.points[line.span(0)]
@@ -115,17 +137,23 @@ def test_entry_arcs_touch_the_circle_and_the_arms_edge(corner_m):
 
 
 def test_arms_that_stand_close_get_the_arc_that_just_fits():
-    """Between arms 70 degrees apart both arcs of the greatest radius meet on the line that halves the angle, within the half degree kept free."""
+    """Between arms 70 degrees apart both arcs of the greatest radius meet on the line that halves the angle, within the
+    half degree kept free.
+    """
     junction = plain(corner_m=25.0, headings=(180.0, 250.0, 5.0, 95.0))
     r = junction.corners[0]
     assert r < 25.0
-    touch = math.degrees(math.atan2(junction.half_island + junction.lane_width + r, junction.tangent(r)))  # of the arc's centre, seen from the middle
+    touch = math.degrees(
+        math.atan2(junction.half_island + junction.lane_width + r, junction.tangent(r))
+    )  # of the arc's centre, seen from the middle
     assert 35.0 - 1.5 < touch < 35.0
 
 
 @pytest.mark.parametrize("radius, apron, hills", [(14.0, 0.0, 0.0), (18.0, 1.5, 4.0), (22.5, 2.5, 0.0)])
 def test_the_meshes_are_where_the_ground_is_said_to_be(radius, apron, hills):
-    """The highest triangle at 250 places from the mound to the land is `height` within 6 mm, on grass within 3 cm, and there is one everywhere."""
+    """The highest triangle at 250 places from the mound to the land is `height` within 6 mm, on grass within 3 cm, and
+    there is one everywhere.
+    """
     junction = plain(radius=radius, apron=apron, hills=hills, headings=(180.0, 262.0, 5.0, 95.0))
     triangles = ground_triangles(junction)
     rng = np.random.Generator(np.random.PCG64(1))
@@ -134,7 +162,12 @@ def test_the_meshes_are_where_the_ground_is_said_to_be(radius, apron, hills):
     u, _ = junction.across(x, y)
     height, land = junction.height(x, y), u > junction.pavement
     for i in range(250):
-        if -0.02 < u[i] < 0.16 or abs(r[i] - junction.island) < 0.17 or abs(r[i] - junction.inner) < 0.05 or abs(u[i] - junction.pavement) < 0.02:
+        if (
+            -0.02 < u[i] < 0.16
+            or abs(r[i] - junction.island) < 0.17
+            or abs(r[i] - junction.inner) < 0.05
+            or abs(u[i] - junction.pavement) < 0.02
+        ):
             continue  # kerbs
         if any(abs(abs(t) - w) < 0.2 or abs(s - e) < 0.2 for t, s, w, e in _island_edges(junction, x[i], y[i])):
             continue
@@ -182,13 +215,21 @@ def test_lanes_join_where_the_disc_ends():
     road = roundabout_surface.surface(junction)["road"]
     disc = {tuple(p) for p in np.round(next(part for part in road if part.material == "asphalt").points[:, :2], 4)}
     far = junction.radius + 16.0
-    first = [p for part in road if part.material == "asphalt_lane" for p in part.points[:, :2] if abs(np.hypot(*p) - far) < 1e-6]
+    first = [
+        p
+        for part in road
+        if part.material == "asphalt_lane"
+        for p in part.points[:, :2]
+        if abs(np.hypot(*p) - far) < 1e-6
+    ]
     assert len(first) == 4 * len(junction.arms)
     assert all(tuple(p) in disc for p in np.round(first, 4))
 
 
 def test_markings_lie_on_the_carriageway():
-    """Every corner of paint is 3 mm over asphalt, between the kerbs and off the islands, and patches, seams and covers are below it, for four draws."""
+    """Every corner of paint is 3 mm over asphalt, between the kerbs and off the islands, and patches, seams and covers
+    are below it, for four draws.
+    """
     for seed in range(4):
         junction = spec(seed).road
         for kind in roundabout_markings.GIVE_WAY:
@@ -205,7 +246,9 @@ def test_markings_lie_on_the_carriageway():
 
 
 def test_kerbs_are_low_where_people_cross():
-    """At both ends of every zebra the kerb is 2 to 3 cm high, elsewhere 12 cm; the pavement rises behind it at less than 1 in 8."""
+    """At both ends of every zebra the kerb is 2 to 3 cm high, elsewhere 12 cm; the pavement rises behind it at less
+    than 1 in 8.
+    """
     junction = plain()
     line = junction.outline
     for arm, road in enumerate(junction.arms):
@@ -297,12 +340,16 @@ def test_the_camera_looks_at_the_circle_from_its_lane():
         world = spec(seed)
         away = math.hypot(world.view.x, world.view.y) - world.road.radius
         assert 14.9 < away < 45.5
-        assert world.view.x > 1.0 and world.view.y < 0.0  # on the arm towards -Y, whose entry is on the right of who goes to +Y
+        assert (
+            world.view.x > 1.0 and world.view.y < 0.0
+        )  # on the arm towards -Y, whose entry is on the right of who goes to +Y
         assert abs(world.view.heading) < 8.0
 
 
 def test_every_arm_has_its_signs_facing_who_arrives():
-    """Give way within 5 m of the circle and chevrons on the island, both turned to the arm, give way to the right of the lane."""
+    """Give way within 5 m of the circle and chevrons on the island, both turned to the arm, give way to the right of
+    the lane.
+    """
     for seed in QUICK:
         world = spec(seed)
         for road in world.road.arms:
@@ -326,7 +373,9 @@ def test_lamps_do_not_hang_in_trees():
 
 
 def test_some_walk_in_company():
-    """Where all who can walk in company do, somebody has a neighbour within a metre who looks the same way; where nobody does, fewer have."""
+    """Where all who can walk in company do, somebody has a neighbour within a metre who looks the same way; where
+    nobody does, fewer have.
+    """
 
     def pairs(company):
         found = load(RECIPE, [f"people.company={company}", "people.count=14", "people.crossing_share=0"])
@@ -413,19 +462,27 @@ def stages(tmp_path_factory):
 
 def test_the_same_seed_gives_the_same_bytes(stages):
     """And another seed another layout."""
-    first, again = ({layer.name: layer.read_bytes() for layer in (stages / name).iterdir()} for name in ("first", "again"))
+    first, again = (
+        {layer.name: layer.read_bytes() for layer in (stages / name).iterdir()} for name in ("first", "again")
+    )
     assert first == again
     assert len({tuple((p.asset, p.x, p.y) for p in spec(seed).placed) for seed in QUICK}) == len(QUICK)
 
 
 def test_a_stage_is_whole_labelled_and_valid(stages):
-    """Plain USD without a composition error or a missing file, under 10 MiB, every component labelled, every validator content."""
+    """Plain USD without a composition error or a missing file, under 10 MiB, every component labelled, every validator
+    content.
+    """
     path = stages / "first" / "stage.usda"
     assert sum(layer.stat().st_size for layer in path.parent.iterdir()) < 10 << 20
     stage = Usd.Stage.Open(str(path))
     assert stage.GetCompositionErrors() == []
     assert UsdUtils.ComputeAllDependencies(str(path))[2] == []
-    components = [prim for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()) if Usd.ModelAPI(prim).GetKind() == "component"]
+    components = [
+        prim
+        for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+        if Usd.ModelAPI(prim).GetKind() == "component"
+    ]
     assert len(components) > 50
     for prim in components:
         assert next(iter(prim.GetAttribute("semantics:labels:cityscapes").Get())) in LABELS, prim.GetPath()

@@ -74,7 +74,14 @@ def test_standard_skies_follow_the_standard(kind):
         assert float(mine) == pytest.approx(standard(kind, height, azimuth, sun), rel=1e-9)
     x, w = np.polynomial.legendre.leggauss(40)
     total = sum(
-        wi * math.pi / 4 * wj * math.pi * standard(kind, (xi + 1) * math.pi / 4, (xj + 1) * math.pi, sun) * math.sin((xi + 1) * math.pi / 2) / 2
+        wi
+        * math.pi
+        / 4
+        * wj
+        * math.pi
+        * standard(kind, (xi + 1) * math.pi / 4, (xj + 1) * math.pi, sun)
+        * math.sin((xi + 1) * math.pi / 2)
+        / 2
         for xi, wi in zip(x, w, strict=True)
         for xj, wj in zip(x, w, strict=True)
     )
@@ -82,7 +89,9 @@ def test_standard_skies_follow_the_standard(kind):
 
 
 def test_the_overcast_sky_is_three_times_as_bright_overhead():
-    """Type 1 stands for L = Lz (1 + 2 sin h) / 3 (Moon and Spencer 1942): 3 : 1, E = 7 pi / 9 Lz; a uniform sky gives pi Lz."""
+    """Type 1 stands for L = Lz (1 + 2 sin h) / 3 (Moon and Spencer 1942): 3 : 1, E = 7 pi / 9 Lz; a uniform sky gives
+    pi Lz.
+    """
     horizon = daylight.relative_luminance(1, math.pi / 2, math.pi / 2, math.pi / 4)
     assert 1 / float(horizon) == pytest.approx(3.0, rel=0.01)
     for height in (30.0, 45.0, 60.0, 80.0):
@@ -119,11 +128,20 @@ def test_a_picture_that_says_nothing_of_itself_is_no_sky_in_nits(tmp_path):
 
 
 def test_the_table_holds_sixteen_plausible_skies():
-    """From noon to night; an overcast noon gives 5 to 20 klx, dusk 10 to 400 lx, a town's sky some tenths (Kyba et al. 2011)."""
+    """From noon to night; an overcast noon gives 5 to 20 klx, dusk 10 to 400 lx, a town's sky some tenths (Kyba et al.
+    2011).
+    """
     assert len(sky.SKIES) == 16
     for name, one in sky.SKIES.items():
-        low, high = (0.05, 0.5) if one.lamps_k else (1, 10) if one.sun_height_deg < -4 else (10, 400) if one.sun_height_deg <= 0 else (
-            (500, 9_000) if one.sun_height_deg < 20 else (1_000, 30_000))  # fmt: skip
+        low, high = (
+            (0.05, 0.5)
+            if one.lamps_k
+            else (1, 10)
+            if one.sun_height_deg < -4
+            else (10, 400)
+            if one.sun_height_deg <= 0
+            else ((500, 9_000) if one.sun_height_deg < 20 else (1_000, 30_000))
+        )
         assert low <= one.illuminance_lx <= high, name
         assert 2_500 <= one.cct_k <= 15_000, name
     assert 5_000 <= sky.SKIES["overcast_noon"].illuminance_lx <= 20_000
@@ -133,7 +151,9 @@ def test_the_table_holds_sixteen_plausible_skies():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_sky_gives_the_tabulated_light(name):
-    """Illuminance to 1 % (steps of 0.4 %, half floats); CCT to 3 %, by another method than it was made with; zenith to 12 %: clouds pass there."""
+    """Illuminance to 1 % (steps of 0.4 %, half floats); CCT to 3 %, by another method than it was made with; zenith to
+    12 %: clouds pass there.
+    """
     one = sky.SKIES[name]
     pixels, spec = picture(name)
     assert (spec.height, spec.width, spec.nchannels, str(spec.format)) == (256, 512, 3, "half")
@@ -151,7 +171,9 @@ def test_a_shipped_sky_gives_the_tabulated_light(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_sky_is_the_standard_sky_on_average(name):
-    """Octants of the sky between 25 and 65 degrees, away from the sun, against the formula: the clouds come and go about it."""
+    """Octants of the sky between 25 and 65 degrees, away from the sun, against the formula: the clouds come and go
+    about it.
+    """
     one = sky.SKIES[name]
     pixels, _ = picture(name)
     heights, azimuths = directions(256)
@@ -159,7 +181,9 @@ def test_a_shipped_sky_is_the_standard_sky_on_average(name):
     rows = np.flatnonzero((heights > math.radians(25)) & (heights < math.radians(65)))
     for octant in range(8):
         columns = np.arange(octant * 64, octant * 64 + 64)
-        want = np.array([[standard(one.cie, heights[r], azimuths[c] - sun, low) for c in columns[::8]] for r in rows[::4]])
+        want = np.array(
+            [[standard(one.cie, heights[r], azimuths[c] - sun, low) for c in columns[::8]] for r in rows[::4]]
+        )
         near = min(abs((azimuths[columns[32]] - sun + math.pi) % (2 * math.pi) - math.pi), math.pi)
         if near < math.radians(50):
             continue
@@ -169,7 +193,9 @@ def test_a_shipped_sky_is_the_standard_sky_on_average(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_sky_has_no_seam_no_pinch_and_no_sun(name):
-    """Left and right edge meet as neighbours do; the pole is one place; nothing is nearly as bright as the sun (1.6e9 cd m-2)."""
+    """Left and right edge meet as neighbours do; the pole is one place; nothing is nearly as bright as the sun (1.6e9
+    cd m-2).
+    """
     pixels, _ = picture(name)
     Y = pixels[:128] @ REC709
     inside = np.abs(np.diff(Y, axis=1)).mean(axis=0)
@@ -200,11 +226,22 @@ def test_files_say_what_they_are(name):
     one, (_, spec) = sky.SKIES[name], picture(name)
     assert spec.getattribute("ImageDescription") == ORIGIN
     assert spec.getattribute("whiteLuminance") == 1.0
-    facts = {"zenithNits": one.zenith_nits, "illuminanceLux": one.illuminance_lx, "cctKelvin": one.cct_k, "sunHeightDeg": one.sun_height_deg, "cieSky": one.cie}
+    facts = {
+        "zenithNits": one.zenith_nits,
+        "illuminanceLux": one.illuminance_lx,
+        "cctKelvin": one.cct_k,
+        "sunHeightDeg": one.sun_height_deg,
+        "cieSky": one.cie,
+    }
     for key, value in facts.items():
         assert spec.getattribute(f"synfog:{key}") == pytest.approx(value, rel=1e-3), key
     read = skies.sky_of(name)
-    assert (read.about, read.cie, read.illuminance_lx, read.cct_k) == (one.about, one.cie, one.illuminance_lx, one.cct_k)
+    assert (read.about, read.cie, read.illuminance_lx, read.cct_k) == (
+        one.about,
+        one.cie,
+        one.illuminance_lx,
+        one.cct_k,
+    )
     assert (read.sun_height_deg, read.sun_azimuth_deg) == (one.sun_height_deg, one.sun_azimuth_deg)
 
 
@@ -225,7 +262,9 @@ def test_painting_repeats_and_names_differ():
 
 @pytest.mark.parametrize("heading", [0.0, 120.0])
 def test_a_dome_shows_the_bright_side_where_the_sun_is(heading):
-    """The picture's place on the sphere as UsdLux has it (centre +Z, a quarter from the left +X, top +Y), moved by the light's own matrix."""
+    """The picture's place on the sphere as UsdLux has it (centre +Z, a quarter from the left +X, top +Y), moved by the
+    light's own matrix.
+    """
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     one = sky.SKIES["bright_overcast"]
@@ -265,10 +304,16 @@ def test_the_sheet_shows_all_of_them(tmp_path):
 
 def test_the_documented_tables_are_the_codes():
     text = (ROOT / "docs" / "worlds.md").read_text(encoding="utf-8")
-    rows = {line.split("`")[1]: [cell.strip() for cell in line.split("|")[2:-1]] for line in text.splitlines() if line.startswith("| `")}
+    rows = {
+        line.split("`")[1]: [cell.strip() for cell in line.split("|")[2:-1]]
+        for line in text.splitlines()
+        if line.startswith("| `")
+    }
     for name, one in sky.SKIES.items():
         height, cie, lux, nits, kelvin = (float(cell.replace(",", "")) for cell in rows[name][1:])
         assert (height, cie, lux, kelvin) == (one.sun_height_deg, one.cie, one.illuminance_lx, one.cct_k)
         assert nits == pytest.approx(one.zenith_nits, rel=0.02)
     for name, lamp in lamps.LAMPS.items():
-        assert [float(rows[name][i].replace(",", "")) for i in (-7, -5)] == pytest.approx([lamp.candela, lamp.flux_lm], rel=0.02), name
+        assert [float(rows[name][i].replace(",", "")) for i in (-7, -5)] == pytest.approx(
+            [lamp.candela, lamp.flux_lm], rel=0.02
+        ), name

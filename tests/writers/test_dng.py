@@ -37,7 +37,10 @@ def exif_of(path) -> dict[int, tuple]:
 
     def ifd(start):
         (count,) = struct.unpack_from("<H", data, start)
-        return {entry[0]: entry[1:] for entry in (struct.unpack_from("<HHI4s", data, start + 2 + 12 * index) for index in range(count))}
+        return {
+            entry[0]: entry[1:]
+            for entry in (struct.unpack_from("<HHI4s", data, start + 2 + 12 * index) for index in range(count))
+        }
 
     first = ifd(struct.unpack_from("<I", data, 4)[0])
     assert list(first) == sorted(first), "TIFF wants tags in rising order"
@@ -62,21 +65,34 @@ def test_libraw_reads_the_exact_numbers_and_what_they_mean(mosaic, tmp_path):
         np.testing.assert_array_equal(raw.raw_pattern, [[0, 1], [3, 2]])  # LibRaw calls the second green 3
         assert raw.color_desc == b"RGBG"
         balance = np.array(raw.camera_whitebalance[:3])
-        np.testing.assert_allclose(balance / balance[1], mosaic.provenance["as_shot_neutral"][1] / np.array(mosaic.provenance["as_shot_neutral"]), rtol=1e-5)
+        np.testing.assert_allclose(
+            balance / balance[1],
+            mosaic.provenance["as_shot_neutral"][1] / np.array(mosaic.provenance["as_shot_neutral"]),
+            rtol=1e-5,
+        )
 
 
 def test_libraw_renders_grey_neutral_and_colours_as_our_own_processor(tmp_path):
-    """An even grey and an even red field: LibRaw's linear rendering with our tags against our white balance and matrix."""
+    """An even grey and an even red field: LibRaw's linear rendering with our tags against our white balance and
+    matrix.
+    """
     graph = camera.load_graph(resources.folder("pipeline") / "linear_exr.yaml")
     for rgb in ([900.0, 900.0, 900.0], [900.0, 300.0, 200.0], [200.0, 400.0, 900.0]):
-        radiance = Image(np.broadcast_to(np.array(rgb, np.float32), (128, 128, 3)).copy(), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 5.0})
+        radiance = Image(
+            np.broadcast_to(np.array(rgb, np.float32), (128, 128, 3)).copy(),
+            ("R", "G", "B"),
+            Quantity.RADIANCE,
+            provenance={"fov_x_deg": 5.0},
+        )
         run = graph.run({"radiance": radiance}, seed=1, settings={"exposure_s": 1 / 500, "iso": 55})
         write_dng(tmp_path / "a.dng", run["adc"])
         with rawpy.imread(str(tmp_path / "a.dng")) as raw:
             out = raw.postprocess(gamma=(1, 1), no_auto_bright=True, use_camera_wb=True, output_bps=16)
         theirs = out[16:-16, 16:-16].mean(axis=(0, 1)) / 65535
         ours = run["colour"].pixels[16:-16, 16:-16].mean(axis=(0, 1), dtype=np.float64)
-        np.testing.assert_allclose(theirs / theirs.sum(), ours / ours.sum(), atol=0.004)  # 0.07 CIEDE2000 is usual between them
+        np.testing.assert_allclose(
+            theirs / theirs.sum(), ours / ours.sum(), atol=0.004
+        )  # 0.07 CIEDE2000 is usual between them
         if rgb[0] == rgb[2]:
             assert np.ptp(theirs) < 0.004 * theirs.mean() + 1e-3
 
@@ -89,11 +105,18 @@ def test_every_tag_that_readers_need_is_there(mosaic, tmp_path):
         tags = {tag.code: tag.value for tag in page.tags}
     assert (tags[254], tags[258], tags[259], tags[262], tags[277]) == (0, 16, 1, 32803, 1)
     assert tags[33421] == (2, 2) and bytes(tags[33422]) == b"\0\1\1\2"
-    assert bytes(tags[50706]) == b"\1\4\0\0" and tags[50713] == (2, 2) and tags[50714] == (64, 1) * 4 and tags[50717] == 1023
+    assert (
+        bytes(tags[50706]) == b"\1\4\0\0"
+        and tags[50713] == (2, 2)
+        and tags[50714] == (64, 1) * 4
+        and tags[50717] == 1023
+    )
     assert tags[50829] == (0, 0, 96, 128) and tags[50719] == (8, 8) and tags[50720] == (112, 80)
     assert (tags[50778], tags[50779]) == (A, D65)
     matrix = np.array(tags[50722]).reshape(9, 2)
-    np.testing.assert_allclose((matrix[:, 0] / matrix[:, 1]).reshape(3, 3), mosaic.provenance["xyz_to_camera"], atol=1e-4)
+    np.testing.assert_allclose(
+        (matrix[:, 0] / matrix[:, 1]).reshape(3, 3), mosaic.provenance["xyz_to_camera"], atol=1e-4
+    )
     np.testing.assert_allclose(tags[51041], mosaic.provenance["noise_profile"] * 3, rtol=1e-12)
 
 
@@ -101,7 +124,9 @@ def test_exif_says_how_it_was_taken(mosaic, tmp_path):
     write_dng(tmp_path / "a.dng", mosaic)
     exif = exif_of(tmp_path / "a.dng")
     assert (exif[33434], exif[33437], exif[34855]) == ((1, 800), (173, 100), (110,))
-    fits_mm = mosaic.width_px * 1.4e-3 / 2 / np.tan(np.radians(mosaic.provenance["fov_x_deg"]) / 2)  # the view on so many pixels of 1.4 um
+    fits_mm = (
+        mosaic.width_px * 1.4e-3 / 2 / np.tan(np.radians(mosaic.provenance["fov_x_deg"]) / 2)
+    )  # the view on so many pixels of 1.4 um
     assert exif[37386][0] / exif[37386][1] == pytest.approx(fits_mm, rel=1e-6)
     assert exif[36864] == b"0231"
 
@@ -159,7 +184,9 @@ def test_pictures_of_odd_size_are_exact(tmp_path, shape, compression):
 
 def test_lossless_compression_makes_a_picture_smaller(tmp_path):
     """A smooth ramp of four colours with noise of 2 DN needs some 4 bits a pixel of the 16."""
-    ramp = np.repeat(np.linspace(0.1, 0.8, 512)[None], 256, axis=0) + seeds.stream(0, "ramp").normal(0, 2 / 4095, (256, 512))
+    ramp = np.repeat(np.linspace(0.1, 0.8, 512)[None], 256, axis=0) + seeds.stream(0, "ramp").normal(
+        0, 2 / 4095, (256, 512)
+    )
     for name in ("none", "lossless"):
         write_dng(tmp_path / f"{name}.dng", raws.scene("RGGB", ramp), compression=name)
     assert (tmp_path / "lossless.dng").stat().st_size < 0.35 * (tmp_path / "none.dng").stat().st_size
@@ -183,7 +210,9 @@ def ratios(values) -> np.ndarray:
     ],
 )
 def test_colour_planes_and_their_matrices_stand_in_one_order(tmp_path, pattern, codes, planes, rows):
-    """CFAPlaneColor says which filter a row of the matrices and a number of the neutral belong to; D65 stands last, where dcraw looks."""
+    """CFAPlaneColor says which filter a row of the matrices and a number of the neutral belong to; D65 stands last,
+    where dcraw looks.
+    """
     write_dng(tmp_path / "a.dng", raws.noise(pattern))
     tags = tags_of(tmp_path / "a.dng")
     assert (tuple(tags[33422]), tuple(tags[50710]), tags[50711], tags[33421]) == (codes, planes, 1, (2, 2))
@@ -191,7 +220,9 @@ def test_colour_planes_and_their_matrices_stand_in_one_order(tmp_path, pattern, 
         assert tags[illuminant] == light
         np.testing.assert_allclose(ratios(tags[number]).reshape(-1, 3), [table[letter] for letter in rows], atol=1e-4)
     told = raws.filters(pattern)
-    np.testing.assert_allclose(ratios(tags[50728]), [raws.neutral(pattern)[told.index(letter)] for letter in rows], atol=1e-6)
+    np.testing.assert_allclose(
+        ratios(tags[50728]), [raws.neutral(pattern)[told.index(letter)] for letter in rows], atol=1e-6
+    )
     assert tags[51041] == (2e-4, 3e-7) * len(rows)
 
 
@@ -200,7 +231,13 @@ def test_colour_planes_and_their_matrices_stand_in_one_order(tmp_path, pattern, 
 def test_what_has_no_colour_is_linear_raw_of_one_sample_and_names_its_pattern(tmp_path, pattern, compression):
     write_dng(tmp_path / "a.dng", raws.noise(pattern), compression=compression)
     tags = tags_of(tmp_path / "a.dng")
-    assert (tags[262], tags[277], tags[50713], tags[50714], tags[270]) == (34892, 1, (1, 1), (64, 1), f"colour filter array {pattern}")
+    assert (tags[262], tags[277], tags[50713], tags[50714], tags[270]) == (
+        34892,
+        1,
+        (1, 1),
+        (64, 1),
+        f"colour filter array {pattern}",
+    )
     assert not {33421, 33422, 50710, 50721, 50728} & set(tags) and tags[51041] == (2e-4, 3e-7)
 
 
@@ -213,8 +250,14 @@ def test_the_date_is_fixed_and_the_camera_is_named(tmp_path):
 
 
 def test_without_a_second_matrix_the_file_has_one(tmp_path, mosaic):
-    facts = {key: value for key, value in raws.facts("RGGB").items() if key not in ("xyz_to_camera_a", "lens_title", "sensor_serial", "focal_length_mm")}
-    write_dng(tmp_path / "a.dng", Image(np.full((32, 32, 1), 64.0, np.float32), ("CFA",), Quantity.DN, provenance=facts))
+    facts = {
+        key: value
+        for key, value in raws.facts("RGGB").items()
+        if key not in ("xyz_to_camera_a", "lens_title", "sensor_serial", "focal_length_mm")
+    }
+    write_dng(
+        tmp_path / "a.dng", Image(np.full((32, 32, 1), 64.0, np.float32), ("CFA",), Quantity.DN, provenance=facts)
+    )
     assert (
         tags_of(tmp_path / "a.dng")[50778] == D65
         and not {50722, 50779, 50735} & set(tags_of(tmp_path / "a.dng"))
@@ -233,11 +276,15 @@ def companded(numbers: np.ndarray) -> Image:
 
 @pytest.mark.parametrize("compression", ["none", "lossless"])
 def test_companded_codes_are_kept_and_a_reader_makes_linear_numbers_of_them(tmp_path, compression):
-    """The file holds the codes; LibRaw shows what the table makes of them: the linear numbers over 16, to half a number."""
+    """The file holds the codes; LibRaw shows what the table makes of them: the linear numbers over 16, to half a
+    number.
+    """
     codes = np.arange(4096).reshape(64, 64)
     write_dng(tmp_path / "a.dng", companded(codes), compression=compression)
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.dng").reshape(64, 64), codes)
-    linear = np.concatenate([np.arange(1265), 1264 + 16 * np.arange(1, 1025), 17648 + np.arange(1, 1808) * (1048575 - 17648) / 1807])
+    linear = np.concatenate(
+        [np.arange(1265), 1264 + 16 * np.arange(1, 1025), 17648 + np.arange(1, 1808) * (1048575 - 17648) / 1807]
+    )
     with rawpy.imread(str(tmp_path / "a.dng")) as raw:
         np.testing.assert_allclose(raw.raw_image_visible.ravel(), linear * 65535 / 1048575, atol=0.501)
         assert raw.white_level == 65535 and raw.black_level_per_channel == [15] * 4
@@ -245,17 +292,32 @@ def test_companded_codes_are_kept_and_a_reader_makes_linear_numbers_of_them(tmp_
 
 def test_what_fits_16_bits_is_not_scaled(tmp_path):
     """14 bits in 10: each linear number that has a code of its own comes back as it was."""
-    facts = raws.facts("RGGB", bits=10, companding=[[64, 64], [512, 512], [16383, 1023]], black_level_dn=64, linear_black_dn=64, linear_white_dn=16383)
+    facts = raws.facts(
+        "RGGB",
+        bits=10,
+        companding=[[64, 64], [512, 512], [16383, 1023]],
+        black_level_dn=64,
+        linear_black_dn=64,
+        linear_white_dn=16383,
+    )
     image = Image(np.arange(1024, dtype=np.float32).reshape(32, 32, 1), ("CFA",), Quantity.DN, provenance=facts)
     write_dng(tmp_path / "a.dng", image)
     with rawpy.imread(str(tmp_path / "a.dng")) as raw:
         np.testing.assert_array_equal(raw.raw_image_visible.ravel()[:513], np.arange(513))
-        assert raw.white_level == 16383 and raw.raw_image_visible.max() == 16383 and raw.black_level_per_channel == [64] * 4
+        assert (
+            raw.white_level == 16383
+            and raw.raw_image_visible.max() == 16383
+            and raw.black_level_per_channel == [64] * 4
+        )
 
 
 def test_hdr_numbers_that_are_not_companded_are_refused_with_advice(tmp_path):
-    image = Image(np.full((32, 32, 1), 1e6, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts("RGGB", bits=20, black=240))
-    with pytest.raises(ImageError, match=r"at most 16 bits; white_level_dn is 1048575\. Put sensor\.compand before it, or write an EXR"):
+    image = Image(
+        np.full((32, 32, 1), 1e6, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts("RGGB", bits=20, black=240)
+    )
+    with pytest.raises(
+        ImageError, match=r"at most 16 bits; white_level_dn is 1048575\. Put sensor\.compand before it, or write an EXR"
+    ):
         write_dng(tmp_path / "a.dng", image)
     assert not list(tmp_path.iterdir())
 
@@ -291,9 +353,11 @@ def test_what_is_no_raw_picture_is_refused(mosaic, tmp_path):
 
 @pytest.mark.parametrize("light", ["d65", "a", "hps", "led"])
 def test_libraw_gives_our_colours_under_every_light(light, tmp_path):
-    """Patches of camera colours, by LibRaw with the camera's white balance and by white balance and matrix of ours: within 1.5 % of white.
+    """Patches of camera colours, by LibRaw with the camera's white balance and by white balance and matrix of ours:
+    within 1.5 % of white.
 
-    The largest of the four was 20 units of CIEDE2000 for sodium while files held daylight's and tungsten's matrices alone.
+    The largest of the four was 20 units of CIEDE2000 for sodium while files held daylight's and tungsten's matrices
+    alone.
     """
     chip = load_sensor("imx363")
     signal = np.array(response.neutral(chip, light.upper()))
@@ -308,8 +372,17 @@ def test_libraw_gives_our_colours_under_every_light(light, tmp_path):
     raw = sensor.adc(analog, bits=10, black_level_dn=64, white_level_dn=1023, illuminant=light, sensor=chip)
     write_dng(tmp_path / "a.dng", raw)
     with rawpy.imread(str(tmp_path / "a.dng")) as file:
-        theirs = file.postprocess(gamma=(1, 1), no_auto_bright=True, use_camera_wb=True, output_bps=16, user_flip=0).astype(np.float64) / 65535
-    ours = isp.colour_correct(Image((patches / signal).astype(np.float32), ("R", "G", "B"), Quantity.LINEAR_RGB), illuminant=light, sensor=chip).pixels
+        theirs = (
+            file.postprocess(gamma=(1, 1), no_auto_bright=True, use_camera_wb=True, output_bps=16, user_flip=0).astype(
+                np.float64
+            )
+            / 65535
+        )
+    ours = isp.colour_correct(
+        Image((patches / signal).astype(np.float32), ("R", "G", "B"), Quantity.LINEAR_RGB),
+        illuminant=light,
+        sensor=chip,
+    ).pixels
     found = np.array([theirs[8:24, column : column + 12].mean(axis=(0, 1)) for column in (10, 42, 74, 106)])
     expected = np.array([ours[16, column] for column in (16, 48, 80, 112)])
     scale = found[0].mean() / expected[0].mean()  # LibRaw's white is the largest signal, ours that of the white patch
@@ -325,9 +398,16 @@ def test_a_camera_without_noise_has_no_noise_profile(mosaic, tmp_path):
 
 def test_black_of_24_bits_is_whole():
     """0.68 of 65535 becomes 1, and so does every dark code: grey stays neutral."""
-    facts = {"companding": [[168, 168], [4096, 1792], [16_000_000, 4095]], "white_level_dn": 4095, "linear_black_dn": 168, "linear_white_dn": 16_000_000}
+    facts = {
+        "companding": [[168, 168], [4096, 1792], [16_000_000, 4095]],
+        "white_level_dn": 4095,
+        "linear_black_dn": 168,
+        "linear_white_dn": 16_000_000,
+    }
     table, black, white = dng.linearisation(facts)
     assert (black, white, int(table[168]), int(table[-1])) == (1, 65535, 1, 65535)
     middle = 8_000_000.0
     code = np.interp(middle, [4096, 16_000_000], [1792, 4095])
-    assert (int(table[round(code)]) - black) / (white - black) == pytest.approx((middle - 168) / (16_000_000 - 168), rel=1e-3)
+    assert (int(table[round(code)]) - black) / (white - black) == pytest.approx(
+        (middle - 168) / (16_000_000 - 168), rel=1e-3
+    )

@@ -76,7 +76,9 @@ def test_other_programs_find_the_standard_attributes(tmp_path):
 
 
 def test_several_images_share_a_file_and_can_be_asked_for(tmp_path):
-    surface, airlight = (image(tuple(f"{layer}.{c}" for c in "RGB"), Quantity.RADIANCE) for layer in ("surface", "airlight"))
+    surface, airlight = (
+        image(tuple(f"{layer}.{c}" for c in "RGB"), Quantity.RADIANCE) for layer in ("surface", "airlight")
+    )
     write_exr(tmp_path / "layers.exr", [surface, airlight])
     read = read_exr(tmp_path / "layers.exr", channels=airlight.channels)
     np.testing.assert_array_equal(read.pixels, airlight.pixels)
@@ -91,7 +93,9 @@ def test_several_images_share_a_file_and_can_be_asked_for(tmp_path):
 def test_half_floats_are_written_on_demand_and_refused_where_they_overflow(tmp_path):
     small = image().with_pixels(image().pixels * np.float32(1e-3))
     write_exr(tmp_path / "half.exr", small, half=True)
-    np.testing.assert_array_equal(read_exr(tmp_path / "half.exr").pixels, small.pixels.astype(np.float16).astype(np.float32))
+    np.testing.assert_array_equal(
+        read_exr(tmp_path / "half.exr").pixels, small.pixels.astype(np.float16).astype(np.float32)
+    )
     with pytest.raises(ImageError, match="does not fit 16-bit floats"):
         write_exr(tmp_path / "x.exr", image(), half=True)
 
@@ -113,7 +117,9 @@ def test_radiance_from_elsewhere_is_read_by_its_channels(tmp_path):
         read_exr(tmp_path / "data.exr", channels=["Q"])
 
 
-@pytest.mark.parametrize(("value", "words"), [(np.nan, "not a number"), (np.inf, "infinite"), (-0.5, r"negative \(-0.5\)")])
+@pytest.mark.parametrize(
+    ("value", "words"), [(np.nan, "not a number"), (np.inf, "infinite"), (-0.5, r"negative \(-0.5\)")]
+)
 def test_light_that_cannot_be_is_refused_with_its_pixel(tmp_path, value, words):
     pixels = np.ones((4, 6, 3), np.float32)
     pixels[3, 5, 2] = pixels[2, 4, 1] = value
@@ -123,7 +129,9 @@ def test_light_that_cannot_be_is_refused_with_its_pixel(tmp_path, value, words):
 
 
 def test_light_that_cannot_be_is_mended_where_that_is_asked_for(tmp_path):
-    """A pixel in the corner takes the median of its three neighbours, one without neighbours 0; what is right stays as it is."""
+    """A pixel in the corner takes the median of its three neighbours, one without neighbours 0; what is right stays as
+    it is.
+    """
     pixels = np.ones((4, 6, 3), np.float32)
     pixels[0, 0, 0], pixels[0, 1, 0], pixels[1, 0, 0], pixels[1, 1, 0] = np.nan, 4.0, 5.0, 9.0
     pixels[2, 4, 1] = -3.0
@@ -173,7 +181,9 @@ def test_light_that_is_no_number_is_not_written(tmp_path):
     for value in (np.nan, np.inf):
         bad = image(quantity=Quantity.ELECTRONS)
         bad.pixels[5, 7, 1] = value
-        with pytest.raises(ImageError, match=rf"a\.exr: electrons at x=7, y=5, channel 'G' is {value}; it must be finite"):
+        with pytest.raises(
+            ImageError, match=rf"a\.exr: electrons at x=7, y=5, channel 'G' is {value}; it must be finite"
+        ):
             write_exr(tmp_path / "a.exr", [image(("Y",)), bad])
     assert not list(tmp_path.iterdir())
 
@@ -196,11 +206,15 @@ def test_the_camera_of_a_foreign_file_tells_the_field_of_view(tmp_path):
         ("one", {"nominalFocalLength": 50.0}, None),
     ):
         foreign(tmp_path / f"{name}.exr", pixels, ("R", "G", "B"), **attributes)
-        assert read_exr(tmp_path / f"{name}.exr").provenance.get("fov_x_deg") == (expected and pytest.approx(expected, abs=1e-3))
+        assert read_exr(tmp_path / f"{name}.exr").provenance.get("fov_x_deg") == (
+            expected and pytest.approx(expected, abs=1e-3)
+        )
 
 
 def test_other_primaries_become_rec709(tmp_path):
-    """ACEScg as colour-science converts it (Bradford); white stays; what is out of the gamut is cut at 0, and counted."""
+    """ACEScg as colour-science converts it (Bradford); white stays; what is out of the gamut is cut at 0, and
+    counted.
+    """
     import colour
 
     ap1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
@@ -211,7 +225,12 @@ def test_other_primaries_become_rec709(tmp_path):
     np.testing.assert_allclose(read.pixels[0, :2], expected, atol=2e-4)
     np.testing.assert_allclose(read.pixels[0, 0], 1.0, atol=1e-5)
     assert read.pixels[0, 2].min() == 0.0 and read.provenance["out_of_gamut_values"] == 2
-    foreign(tmp_path / "709.exr", pixels, ("R", "G", "B"), chromaticities=(0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290))
+    foreign(
+        tmp_path / "709.exr",
+        pixels,
+        ("R", "G", "B"),
+        chromaticities=(0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290),
+    )
     np.testing.assert_array_equal(read_exr(tmp_path / "709.exr").pixels, pixels)
 
 

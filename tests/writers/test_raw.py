@@ -23,7 +23,12 @@ def shot():
     pixels = gaussian_filter(seeds.stream(0, "raw").random((96, 128, 3), dtype=np.float32), (4, 4, 0)) * np.float32(900)
     radiance = Image(pixels, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
     graph = camera.load_graph(Path("phone"))
-    return graph.run({"radiance": radiance}, seed=1, settings=camera.meter(radiance, graph).settings, overrides={"lens_shading.strength": 0})
+    return graph.run(
+        {"radiance": radiance},
+        seed=1,
+        settings=camera.meter(radiance, graph).settings,
+        overrides={"lens_shading.strength": 0},
+    )
 
 
 @pytest.mark.parametrize("compression", ["none", "lossless"])
@@ -41,7 +46,9 @@ def test_a_dng_comes_back_as_it_was(shot, tmp_path, compression):
 
 
 def test_the_second_half_alone_makes_the_same_picture(shot, tmp_path):
-    """By the command line, from the DNG: within one of 255 of the picture that the whole camera made (its matrix has four digits in the file)."""
+    """By the command line, from the DNG: within one of 255 of the picture that the whole camera made (its matrix has
+    four digits in the file).
+    """
     writers.write_output("a.dng", shot["adc"], tmp_path)
     done = cli.run("graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path, "--no-cache")
     assert done.returncode == 0, done.stderr
@@ -53,7 +60,9 @@ def test_the_second_half_alone_makes_the_same_picture(shot, tmp_path):
 @pytest.mark.parametrize("pattern", cfa.BAYER)
 def test_patterns_and_blacks_of_each_filter_are_read(pattern, tmp_path):
     path = tmp_path / "a.dng"
-    writers.write_dng(path, Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts(pattern)))
+    writers.write_dng(
+        path, Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts(pattern))
+    )
     read = writers.read_raw(path)
     with rawpy.imread(str(path)) as raw:
         assert read.provenance["black_level_dn"] == raw.black_level_per_channel[0]
@@ -74,8 +83,15 @@ def test_what_is_no_mosaic_is_refused_in_one_line(tmp_path):
 
 def test_a_raw_file_is_no_light(tmp_path):
     """A graph that begins with radiance says so, and the one for RAW files needs no sensor but the file."""
-    writers.write_dng(tmp_path / "a.dng", Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts("RGGB")))
+    writers.write_dng(
+        tmp_path / "a.dng",
+        Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts("RGGB")),
+    )
     done = cli.run("graph", "run", "phone", "--in", tmp_path / "a.dng", "-o", tmp_path / "out")
-    assert done.returncode == 2 and "input 'radiance' of graph 'phone' takes radiance; the image holds dn" in done.stderr
-    done = cli.run("graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path / "out", "--set", "colour.illuminant=a")
+    assert (
+        done.returncode == 2 and "input 'radiance' of graph 'phone' takes radiance; the image holds dn" in done.stderr
+    )
+    done = cli.run(
+        "graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path / "out", "--set", "colour.illuminant=a"
+    )
     assert done.returncode == 2 and "name one at the top with 'sensor: ...', or set illuminant: as_shot" in done.stderr

@@ -1,4 +1,6 @@
-"""PNG, TIFF and JPEG XL as other programs read them: OpenImageIO, tifffile, imagecodecs, pillow; and what writes any file."""
+"""PNG, TIFF and JPEG XL as other programs read them: OpenImageIO, tifffile, imagecodecs, pillow; and what writes any
+file.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def picture(channels=("R", "G", "B"), quantity=Quantity.DISPLAY_RGB, shape=(37, 
 
 
 def whole(image: Image, bits: int) -> np.ndarray:
-    """Rounded in double precision; a float32 may lie so near a half that it is rounded the other way, so compare within 1 of 65535."""
+    """Rounded in double precision; a float32 may lie so near a half that it is rounded the other way, so compare within
+    1 of 65535.
+    """
     return np.floor(image.pixels.astype(np.float64) * (2**bits - 1) + 0.5)
 
 
@@ -36,7 +40,9 @@ def test_a_png_holds_the_rounded_values(tmp_path):
     write_png(tmp_path / "a.png", image)
     buf = OpenImageIO.ImageBuf(str(tmp_path / "a.png"))
     assert buf.spec().format == OpenImageIO.UINT8
-    np.testing.assert_array_equal(np.asarray(buf.get_pixels(OpenImageIO.UINT8))[..., 1].ravel(), [0, 255, 128, 127, 255, 0, 100, 101])
+    np.testing.assert_array_equal(
+        np.asarray(buf.get_pixels(OpenImageIO.UINT8))[..., 1].ravel(), [0, 255, 128, 127, 255, 0, 100, 101]
+    )
     write_png(tmp_path / "b.png", image)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
@@ -88,7 +94,11 @@ def test_a_tiff_of_floats_is_exact_and_says_what_it_holds(tmp_path, channels, qu
         page = file.pages[0]
         assert page.tags[306].value == "2000:01:01 00:00:00" and page.compression == tifffile.COMPRESSION.ADOBE_DEFLATE
         told = json.loads(page.description)
-    assert told == {"quantity": quantity.value, "channels": list(channels), "provenance": {"exposure_s": 0.01, "sensor": "grün"}}
+    assert told == {
+        "quantity": quantity.value,
+        "channels": list(channels),
+        "provenance": {"exposure_s": 0.01, "sensor": "grün"},
+    }
 
 
 def test_a_tiff_is_16_bits_for_a_screen_and_floats_else_unless_it_is_told(tmp_path):
@@ -117,7 +127,9 @@ def test_a_jpeg_xl_with_loss_is_smaller_and_near(tmp_path):
     """A smooth picture with grain of 1 %: most of its bits go, and what is lost is about the grain."""
     y, x = np.mgrid[0:128, 0:192] / 192
     smooth = Image(np.stack([x, y, (x + y) / 2], axis=2).astype(np.float32), ("R", "G", "B"), Quantity.DISPLAY_RGB)
-    smooth = smooth.with_pixels(smooth.pixels + seeds.stream(0, "grain").normal(0, 0.01, smooth.pixels.shape).astype(np.float32))
+    smooth = smooth.with_pixels(
+        smooth.pixels + seeds.stream(0, "grain").normal(0, 0.01, smooth.pixels.shape).astype(np.float32)
+    )
     sizes = []
     for lossless in (True, False):
         write_jxl(tmp_path / "a.jxl", smooth, lossless=lossless)
@@ -128,7 +140,14 @@ def test_a_jpeg_xl_with_loss_is_smaller_and_near(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "options"), [("a.tif", {"bits": 16}), ("a.tiff", {"bits": 32}), ("a.jxl", {}), ("a.jxl", {"lossless": False}), ("a.png", {"bits": 16})]
+    ("name", "options"),
+    [
+        ("a.tif", {"bits": 16}),
+        ("a.tiff", {"bits": 32}),
+        ("a.jxl", {}),
+        ("a.jxl", {"lossless": False}),
+        ("a.png", {"bits": 16}),
+    ],
 )
 def test_the_same_picture_gives_the_same_bytes_whenever_it_is_written(tmp_path, name, options):
     """OpenImageIO would write the second of the clock into a TIFF."""
@@ -163,9 +182,21 @@ def test_what_does_not_fit_leaves_no_file(tmp_path, name):
         ("a.png", Quantity.DISPLAY_RGB, {"bits": 32}, OutputError, "bits is 32; a PNG takes 8 or 16"),
         ("a.jxl", Quantity.LINEAR_RGB, {}, ImageError, "a JPEG XL takes display_rgb; this image is linear_rgb"),
         ("a.jxl", Quantity.DISPLAY_RGB, {"lossless": 1}, OutputError, "lossless is 1; it takes true or false"),
-        ("a.exr", Quantity.LINEAR_RGB, {"compression": "dwaa"}, OutputError, "compression is 'dwaa'; an EXR takes zip, zips, piz, rle, none"),
+        (
+            "a.exr",
+            Quantity.LINEAR_RGB,
+            {"compression": "dwaa"},
+            OutputError,
+            "compression is 'dwaa'; an EXR takes zip, zips, piz, rle, none",
+        ),
         ("a.exr", Quantity.LINEAR_RGB, {"half": "yes"}, OutputError, "half is 'yes'; it takes true or false"),
-        ("a.png", Quantity.DISPLAY_RGB, {"bit": 8}, OutputError, "output 'a.png' has no 'bit'; it takes bits. Did you mean 'bits'?"),
+        (
+            "a.png",
+            Quantity.DISPLAY_RGB,
+            {"bit": 8},
+            OutputError,
+            "output 'a.png' has no 'bit'; it takes bits. Did you mean 'bits'?",
+        ),
     ],
 )
 def test_options_that_a_format_does_not_have_are_refused(tmp_path, name, quantity, options, error, words):
@@ -177,7 +208,10 @@ def test_options_that_a_format_does_not_have_are_refused(tmp_path, name, quantit
 def test_an_exr_of_the_mosaic_stands_beside_the_raw_file(tmp_path):
     """Electrons and DN as they are: float32 holds every whole number of 24 bits, and half those to 2048."""
     dn = raws.noise("RGGB", bits=16)
-    for name, image in (("mosaic.exr", dn), ("electrons.exr", dn.with_pixels(dn.pixels * np.float32(1.37), quantity=Quantity.ELECTRONS))):
+    for name, image in (
+        ("mosaic.exr", dn),
+        ("electrons.exr", dn.with_pixels(dn.pixels * np.float32(1.37), quantity=Quantity.ELECTRONS)),
+    ):
         read = read_exr(write_output(name, image, tmp_path))
         np.testing.assert_array_equal(read.pixels, image.pixels)
         assert (read.quantity, read.channels, read.provenance["cfa_pattern"]) == (image.quantity, ("CFA",), "RGGB")

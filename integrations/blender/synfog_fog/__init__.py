@@ -19,12 +19,49 @@ import bpy
 from mathutils import Vector
 
 API = "SynFogMediumAPI"
-FOG = {"mor": "float", "sigma_t": "float", "contrast": "float", "albedo": "float", "g": "float", "scaleHeight": "float", "dropletDiameter": "float",
-       "angstrom": "float", "priority": "int", "enabled": "bool", "phase": "token", "profile": "token"}  # fmt: skip
+FOG = {
+    "mor": "float",
+    "sigma_t": "float",
+    "contrast": "float",
+    "albedo": "float",
+    "g": "float",
+    "scaleHeight": "float",
+    "dropletDiameter": "float",
+    "angstrom": "float",
+    "priority": "int",
+    "enabled": "bool",
+    "phase": "token",
+    "profile": "token",
+}
 """Attributes of the schema and their USD types; custom properties are called synfog_<name>."""
 
-LABELS = ("road", "sidewalk", "building", "wall", "fence", "guard rail", "bridge", "tunnel", "pole", "traffic light", "traffic sign", "vegetation", "terrain",
-          "sky", "person", "rider", "car", "truck", "bus", "caravan", "trailer", "train", "motorcycle", "bicycle", "license plate")  # fmt: skip
+LABELS = (
+    "road",
+    "sidewalk",
+    "building",
+    "wall",
+    "fence",
+    "guard rail",
+    "bridge",
+    "tunnel",
+    "pole",
+    "traffic light",
+    "traffic sign",
+    "vegetation",
+    "terrain",
+    "sky",
+    "person",
+    "rider",
+    "car",
+    "truck",
+    "bus",
+    "caravan",
+    "trailer",
+    "train",
+    "motorcycle",
+    "bicycle",
+    "license plate",
+)
 VARIANTS = "synfog_variants"
 """Custom property of the scene: names of fogs, as 'clear,mor600,mor300,mor150'; empty for none."""
 
@@ -81,7 +118,12 @@ def author_fog(stage, prim):
         return None
     (shape,) = shapes
     shape.AddAppliedSchema(API)
-    types = {"float": Sdf.ValueTypeNames.Float, "int": Sdf.ValueTypeNames.Int, "bool": Sdf.ValueTypeNames.Bool, "token": Sdf.ValueTypeNames.Token}
+    types = {
+        "float": Sdf.ValueTypeNames.Float,
+        "int": Sdf.ValueTypeNames.Int,
+        "bool": Sdf.ValueTypeNames.Bool,
+        "token": Sdf.ValueTypeNames.Token,
+    }
     for name, value in found.items():
         uniform = Sdf.VariabilityUniform if FOG[name] == "token" else Sdf.VariabilityVarying
         kind = {"float": float, "int": int, "bool": bool, "token": str}[FOG[name]]
@@ -105,7 +147,9 @@ def author_label(prim):
         return
     prim.RemoveProperty("userProperties:cityscapes")
     prim.AddAppliedSchema("SemanticsLabelsAPI:cityscapes")
-    prim.CreateAttribute("semantics:labels:cityscapes", Sdf.ValueTypeNames.TokenArray, False).Set(Vt.TokenArray([label]))
+    prim.CreateAttribute("semantics:labels:cityscapes", Sdf.ValueTypeNames.TokenArray, False).Set(
+        Vt.TokenArray([label])
+    )
 
 
 def fog_names(text):
@@ -115,25 +159,36 @@ def fog_names(text):
 
 def no_fogs(names):
     """Those of some names that say no fog."""
-    return [name for name in names if name != "clear" and not (name.startswith("mor") and name[3:].isdecimal() and int(name[3:]) > 0)]
+    return [
+        name
+        for name in names
+        if name != "clear" and not (name.startswith("mor") and name[3:].isdecimal() and int(name[3:]) > 0)
+    ]
 
 
 def author_variants(stage, fogs, names):
-    """Variant sets 'fog' (visibilities of the fog) and 'lighting' ('sky' without lamps, 'active' with them) on the default prim."""
+    """Variant sets 'fog' (visibilities of the fog) and 'lighting' ('sky' without lamps, 'active' with them) on the
+    default prim.
+    """
     from pxr import Sdf, UsdLux
 
     root = stage.GetDefaultPrim()
     if not names:
         return
     if not root:
-        print("Synfog: no variants were written, because the file has no default prim; give the export a Root Prim, as /root")
+        print(
+            "Synfog: no variants were written, because the file has no default prim; give the export a Root Prim, as "
+            "/root"
+        )
         return
     if wrong := no_fogs(names):
         print(f"Synfog: {', '.join(wrong)} are no fogs; write clear, or mor and metres, as mor150")
         return
     if fogs:
         for path in fogs:
-            stage.GetPrimAtPath(path).RemoveProperty("synfog:fog:mor")  # a value on the prim itself would beat those of the variants
+            stage.GetPrimAtPath(path).RemoveProperty(
+                "synfog:fog:mor"
+            )  # a value on the prim itself would beat those of the variants
             stage.GetPrimAtPath(path).RemoveProperty("synfog:fog:sigma_t")
         chosen = root.GetVariantSets().AddVariantSet("fog")
         for name in names:
@@ -144,9 +199,15 @@ def author_variants(stage, fogs, names):
                     if name == "clear":
                         stage.OverridePrim(path).SetActive(False)
                     else:
-                        stage.OverridePrim(path).CreateAttribute("synfog:fog:mor", Sdf.ValueTypeNames.Float, False).Set(float(name[3:]))
+                        stage.OverridePrim(path).CreateAttribute("synfog:fog:mor", Sdf.ValueTypeNames.Float, False).Set(
+                            float(name[3:])
+                        )
         chosen.SetVariantSelection(names[-1])
-    lamps = [prim.GetPath() for prim in stage.Traverse() if prim.HasAPI(UsdLux.LightAPI) and prim.GetTypeName() not in ("DomeLight", "DistantLight")]
+    lamps = [
+        prim.GetPath()
+        for prim in stage.Traverse()
+        if prim.HasAPI(UsdLux.LightAPI) and prim.GetTypeName() not in ("DomeLight", "DistantLight")
+    ]
     for path in lamps:
         stage.GetPrimAtPath(path).ClearActive()
     if lamps:
@@ -183,7 +244,9 @@ def cube():
 
 
 def fog_material(box, unit):
-    """A volume as dense as the box's visibility says, now and when that is changed; without it a render shows a solid box."""
+    """A volume as dense as the box's visibility says, now and when that is changed; without it a render shows a solid
+    box.
+    """
     material = bpy.data.materials.new("Fog")
     if material.node_tree is None:
         material.use_nodes = True
@@ -221,12 +284,16 @@ class SYNFOG_OT_add_fog(bpy.types.Operator):
             self.report({"WARNING"}, "The scene is empty: add what shall stand in the fog first")
             return {"CANCELLED"}
         margin = MARGIN_M / unit
-        low = Vector([min(corner[axis] for corner in corners) - (margin if axis < 2 else 1.0 / unit) for axis in range(3)])
+        low = Vector(
+            [min(corner[axis] for corner in corners) - (margin if axis < 2 else 1.0 / unit) for axis in range(3)]
+        )
         high = Vector([max(corner[axis] for corner in corners) + margin for axis in range(3)])
         box = bpy.data.objects.new("Fog", cube())
         box.location, box.scale, box.display_type = (low + high) / 2.0, high - low, "BOUNDS"
         box["synfog_mor"] = self.mor
-        box.id_properties_ui("synfog_mor").update(min=1.0, soft_max=10000.0, description="Visibility (meteorological optical range) in metres")
+        box.id_properties_ui("synfog_mor").update(
+            min=1.0, soft_max=10000.0, description="Visibility (meteorological optical range) in metres"
+        )
         box.data.materials.append(fog_material(box, unit))
         context.scene.collection.objects.link(box)
         for thing in context.selected_objects:
@@ -307,7 +374,9 @@ CLASSES = (SynfogHook, SYNFOG_OT_add_fog, SYNFOG_OT_label, SYNFOG_OT_variants, S
 
 
 def find_pxr():
-    """Let Python find the USD library that Blender has with it; `import bpy` without Blender leaves it off the path, and hooks then end the process."""
+    """Let Python find the USD library that Blender has with it; `import bpy` without Blender leaves it off the path,
+    and hooks then end the process.
+    """
     packages = Path(bpy.utils.system_resource("SCRIPTS")).parent / "python" / "lib"
     sys.path += [str(folder) for folder in packages.glob("python3*/site-packages") if str(folder) not in sys.path]
 

@@ -41,7 +41,8 @@ ALL = "all"
 """The one estimator and AOV of an integrator that tells none apart."""
 
 SURFACE, LAMPS, INSCATTERED = "surface", "lamps", "air"
-"""The three estimators of what the eye sees: surfaces through the fog; lamps, scattered once into the line of sight; all other in-scattered
+"""The three estimators of what the eye sees: surfaces through the fog; lamps, scattered once into the line of sight;
+all other in-scattered
 radiance.  Their words seed streams of random numbers: another word would be another picture."""
 
 SINGLE, MULTIPLE = "airlight_single", "airlight_multiple"
@@ -53,8 +54,8 @@ AOVS = {SURFACE: (SURFACE,), LAMPS: (SINGLE,), INSCATTERED: (SINGLE, MULTIPLE)}
 """Which AOVs each estimator adds to."""
 
 ESTIMATOR_COST = {SURFACE: 1.0, LAMPS: 0.2, INSCATTERED: 1.3}
-"""Seconds of a path of each estimator, relative; measured on bench stages and the crossing within a factor of 1.7, and fixed, so that the same seed gives
-the same bytes."""
+"""Seconds of a path of each estimator, relative; measured on bench stages and the crossing within a factor of 1.7, and
+fixed, so that the same seed gives the same bytes."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,9 @@ class Traces(Integrator, Protocol):
     bands: Any
 
     def trace(self, estimator: str, pixel: Any, first: Any, count: int, seed: int) -> Moments:
-        """`count` paths of an estimator in each lane; (N,) `pixel`, and (N,) `first` the number of a lane's first path."""
+        """`count` paths of an estimator in each lane; (N,) `pixel`, and (N,) `first` the number of a lane's first
+        path.
+        """
 
     def radiance_cache(self) -> Any:
         """The cache from which INSCATTERED is looked up, or None."""
@@ -114,7 +117,8 @@ class Estimator:
         squares: (P, C) sum of their squares.
         groups: G sums (P, C) by light group.
         counts: (H, P) samples of each half of each pixel.
-        lane_squares: (P, C) sum over lanes of the square of their sum, over their samples; None where samples are independent one by one.
+        lane_squares: (P, C) sum over lanes of the square of their sum, over their samples; None where samples are
+            independent one by one.
         lanes: (P,) of each pixel.
     """
 
@@ -140,11 +144,17 @@ class Estimator:
     def variance(self) -> Array:
         """(P, C) variance of the mean; infinite with fewer than two samples.
 
-        Samples of a lane keep apart from each other (`sampling.sobol`), so their scatter is too large; that of lanes, which are independent of
-        each other, is right.  There are few: of four, the median pixel's error is told 11 % too small, as a chi-squared of 3 has it.
+        Samples of a lane keep apart from each other (`sampling.sobol`), so their scatter is too large; that of lanes,
+        which are independent of
+        each other, is right.  There are few: of four, the median pixel's error is told 11 % too small, as a chi-squared
+        of 3 has it.
         """
         number, square = self.number(), self.mean() ** 2
-        draws, squares = (number, self.squares) if self.lane_squares is None or self.lanes is None else (self.lanes[:, None], self.lane_squares)
+        draws, squares = (
+            (number, self.squares)
+            if self.lane_squares is None or self.lanes is None
+            else (self.lanes[:, None], self.lane_squares)
+        )
         spread = squares / number
         spread -= square
         np.maximum(spread, 0.0, out=spread)
@@ -161,8 +171,8 @@ class Accumulator:
         estimators: name -> sums; estimators are independent of each other.
         lost: samples that were not finite and count as zero.
         weights: (C,) of the channels in a pixel's luminance [cd m-2]; R, G and B count alike.
-        radiance_cache: froxels from which the estimator INSCATTERED is looked up, or None where it is sampled pixel by pixel.
-            Its `counts` are then of paths in each froxel.
+        radiance_cache: froxels from which the estimator INSCATTERED is looked up, or None where it is sampled pixel by
+            pixel. Its `counts` are then of paths in each froxel.
     """
 
     estimators: dict[str, Estimator]
@@ -188,7 +198,11 @@ class Accumulator:
 
     def aov(self, name: str) -> Array | None:
         """(P, C) mean of an AOV, or None where the integrator does not tell it apart."""
-        found = [estimator.total(name) / estimator.number() for estimator in self.estimators.values() if name in estimator.aovs]
+        found = [
+            estimator.total(name) / estimator.number()
+            for estimator in self.estimators.values()
+            if name in estimator.aovs
+        ]
         if found:
             return sum(found)
         return None if ALL in self.estimators else np.zeros((self.pixels, len(self.weights)))
@@ -225,26 +239,42 @@ class Accumulator:
     @property
     def samples(self) -> int:
         """Of all estimators and pixels, and of cells."""
-        own = sum(estimator.counts.sum() for name, estimator in self.estimators.items() if self.radiance_cache is None or name != INSCATTERED)
+        own = sum(
+            estimator.counts.sum()
+            for name, estimator in self.estimators.items()
+            if self.radiance_cache is None or name != INSCATTERED
+        )
         return int(own + (self.radiance_cache.paths if self.radiance_cache is not None else 0))
 
     @property
     def samples_per_pixel(self) -> float:
-        """Mean over the estimators that sample pixels, weighted by what a sample costs: a picture of so many samples of each of them costs the same."""
+        """Mean over the estimators that sample pixels, weighted by what a sample costs: a picture of so many samples of
+        each of them costs the same.
+        """
         cached = self.radiance_cache is not None
-        spent = {name: part.counts.sum(axis=0).mean() for name, part in self.estimators.items() if not (cached and name == INSCATTERED)}
+        spent = {
+            name: part.counts.sum(axis=0).mean()
+            for name, part in self.estimators.items()
+            if not (cached and name == INSCATTERED)
+        }
         cost = {name: ESTIMATOR_COST.get(name, 1.0) for name in spent}
         return float(sum(cost[name] * count for name, count in spent.items()) / sum(cost.values()))
 
     def cost(self, name: str) -> float:
         """Seconds of one more sample of an estimator, relative."""
-        return self.radiance_cache.cost if self.radiance_cache is not None and name == INSCATTERED else ESTIMATOR_COST[name]
+        return (
+            self.radiance_cache.cost
+            if self.radiance_cache is not None and name == INSCATTERED
+            else ESTIMATOR_COST[name]
+        )
 
     def even(self, samples: int) -> dict[str, int]:
         """As many samples of each estimator; in the cells what costs the same, four times as many at most."""
         found = dict.fromkeys(self.estimators, samples)
         if self.radiance_cache is not None:
-            found[INSCATTERED] = max(2, min(round(samples * ESTIMATOR_COST[INSCATTERED] / self.radiance_cache.cost), 4 * samples))
+            found[INSCATTERED] = max(
+                2, min(round(samples * ESTIMATOR_COST[INSCATTERED] / self.radiance_cache.cost), 4 * samples)
+            )
         return found
 
 
@@ -264,15 +294,34 @@ def accumulate_by_estimator(integrator: Traces, *, samples: int, seed: int, prog
         add_samples(accumulated, integrator, everywhere, accumulated.even(samples), seed, progress)
         return accumulated
     first = accumulated.even(CHUNK)
-    add_samples(accumulated, integrator, everywhere, first, seed, lambda what, fraction: progress(what, fraction * CHUNK / samples))
-    more = {estimator: max(count - first[estimator], 0) for estimator, count in neyman_allocation(accumulated, samples).items()}
-    add_samples(accumulated, integrator, everywhere, more, seed, lambda what, fraction: progress(what, (CHUNK + fraction * (samples - CHUNK)) / samples))
+    add_samples(
+        accumulated,
+        integrator,
+        everywhere,
+        first,
+        seed,
+        lambda what, fraction: progress(what, fraction * CHUNK / samples),
+    )
+    more = {
+        estimator: max(count - first[estimator], 0)
+        for estimator, count in neyman_allocation(accumulated, samples).items()
+    }
+    add_samples(
+        accumulated,
+        integrator,
+        everywhere,
+        more,
+        seed,
+        lambda what, fraction: progress(what, (CHUNK + fraction * (samples - CHUNK)) / samples),
+    )
     return accumulated
 
 
 def undivided(total: Array, squares: Array, samples: int, lost: int = 0) -> Accumulator:
     """An image of one estimator alone, from sums over its samples."""
-    return Accumulator({ALL: Estimator({ALL: total[None]}, squares, [], np.full((1, len(total)), samples, dtype=np.int64))}, lost)
+    return Accumulator(
+        {ALL: Estimator({ALL: total[None]}, squares, [], np.full((1, len(total)), samples, dtype=np.int64))}, lost
+    )
 
 
 def neyman_allocation(accumulated: Accumulator, samples: int) -> dict[str, int]:
@@ -286,18 +335,28 @@ def neyman_allocation(accumulated: Accumulator, samples: int) -> dict[str, int]:
     scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
     noise = {}
     for name, estimator in accumulated.estimators.items():
-        relative = estimator.variance() @ accumulated.weights * accumulated.weights.sum() * estimator.counts.sum(axis=0) / scale**2
+        relative = (
+            estimator.variance()
+            @ accumulated.weights
+            * accumulated.weights.sum()
+            * estimator.counts.sum(axis=0)
+            / scale**2
+        )
         noise[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
     weight = {name: max(np.sqrt(value / accumulated.cost(name)), 1e-6) for name, value in noise.items()}
-    unit = samples * sum(ESTIMATOR_COST[name] for name in weight) / sum(accumulated.cost(name) * value for name, value in weight.items())
+    unit = (
+        samples
+        * sum(ESTIMATOR_COST[name] for name in weight)
+        / sum(accumulated.cost(name) * value for name, value in weight.items())
+    )
     return {name: max(CHUNK, round(unit * value / CHUNK) * CHUNK) for name, value in weight.items()}
 
 
 def new_accumulator(integrator: Traces, pixels: int) -> Accumulator:
     """An image of no samples yet.
 
-    Sums of the halves and over many bands are in float32, which holds 10^4 chunks to 1e-5 in half the memory; squares of R, G and B are not,
-    since a mean's square is taken off them.
+    Sums of the halves and over many bands are in float32, which holds 10^4 chunks to 1e-5 in half the memory; squares
+    of R, G and B are not, since a mean's square is taken off them.
     """
     groups, bands = integrator.groups if integrator.groups > 1 else 0, integrator.bands
     shape, kind = (pixels, bands.count), np.float64 if bands.is_rgb else np.float32
@@ -306,12 +365,30 @@ def new_accumulator(integrator: Traces, pixels: int) -> Accumulator:
         aovs = {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]}
         counts = np.zeros((HALVES, pixels), dtype=np.int64)
         squares, lane_squares = np.zeros(shape, dtype=kind), np.zeros(shape, dtype=kind)
-        return Estimator(aovs, squares, [np.zeros(shape, dtype=kind) for _ in range(groups)], counts, lane_squares, np.zeros(pixels, dtype=np.int64))
+        return Estimator(
+            aovs,
+            squares,
+            [np.zeros(shape, dtype=kind) for _ in range(groups)],
+            counts,
+            lane_squares,
+            np.zeros(pixels, dtype=np.int64),
+        )
 
-    return Accumulator({estimator: empty(estimator) for estimator in integrator.estimators}, weights=bands.weights, radiance_cache=integrator.radiance_cache())
+    return Accumulator(
+        {estimator: empty(estimator) for estimator in integrator.estimators},
+        weights=bands.weights,
+        radiance_cache=integrator.radiance_cache(),
+    )
 
 
-def add_samples(accumulated: Accumulator, integrator: Traces, pixels: Indices, samples: Mapping[str, int], seed: int, progress: Progress = silent) -> None:
+def add_samples(
+    accumulated: Accumulator,
+    integrator: Traces,
+    pixels: Indices,
+    samples: Mapping[str, int],
+    seed: int,
+    progress: Progress = silent,
+) -> None:
     """Add samples to each of some pixels.
 
     Args:
@@ -321,8 +398,12 @@ def add_samples(accumulated: Accumulator, integrator: Traces, pixels: Indices, s
     if accumulated.radiance_cache is not None and samples.get(INSCATTERED, 0) > 0:
         own = {name: count for name, count in samples.items() if name != INSCATTERED}
         if own:
-            add_samples(accumulated, integrator, pixels, own, seed, lambda what, fraction: progress(what, 0.6 * fraction))
-        _read_cache(accumulated, samples[INSCATTERED], seed, lambda what, fraction: progress(what, 0.6 + 0.4 * fraction))
+            add_samples(
+                accumulated, integrator, pixels, own, seed, lambda what, fraction: progress(what, 0.6 * fraction)
+            )
+        _read_cache(
+            accumulated, samples[INSCATTERED], seed, lambda what, fraction: progress(what, 0.6 + 0.4 * fraction)
+        )
         return
     rows = max(1, CHUNKED_LANES // max(len(pixels), 1))  # chunks of all the pixels at once
     all_of_it, done = max(len(pixels) * sum(samples.values()), 1), 0
@@ -332,18 +413,33 @@ def add_samples(accumulated: Accumulator, integrator: Traces, pixels: Indices, s
             for low in range(0, len(pixels), CHUNKED_LANES):
                 some = slice(low, low + CHUNKED_LANES)
                 first = np.concatenate([started[half, some] + (half * HALF_STRIDE + offset) for half, offset in chunks])
-                _add(accumulated, integrator, name, pixels[some], first, length, [half for half, _ in chunks], estimator_seed)
+                _add(
+                    accumulated,
+                    integrator,
+                    name,
+                    pixels[some],
+                    first,
+                    length,
+                    [half for half, _ in chunks],
+                    estimator_seed,
+                )
                 done += len(pixels[some]) * length * len(chunks)
                 progress("rendering", done / all_of_it)
 
 
 def _chunks(count: int, rows: int) -> list[tuple[int, list[tuple[int, int]]]]:
-    """How `count` paths of a pixel are traced: (paths a lane, [(half, paths of this call before), ...] of `rows` lanes at most)."""
+    """How `count` paths of a pixel are traced: (paths a lane, [(half, paths of this call before), ...] of `rows` lanes
+    at most).
+    """
     by_length: dict[int, list[tuple[int, int]]] = {}
     for half in range(HALVES):
         for offset in range(0, own := (count + 1 - half) // HALVES, CHUNK):
             by_length.setdefault(min(CHUNK, own - offset), []).append((half, offset))
-    return [(length, chunks[low : low + rows]) for length, chunks in by_length.items() for low in range(0, len(chunks), rows)]
+    return [
+        (length, chunks[low : low + rows])
+        for length, chunks in by_length.items()
+        for low in range(0, len(chunks), rows)
+    ]
 
 
 def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progress) -> None:
@@ -352,18 +448,33 @@ def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progr
     before = cache.lost
     cache.add_samples(count, seed32(seed, INSCATTERED), progress)
     accumulated.lost += cache.lost - before
-    rays = math.isqrt(int(np.median(accumulated.estimators[SURFACE].counts.sum(axis=0)))) if SURFACE in accumulated.estimators else 1
+    rays = (
+        math.isqrt(int(np.median(accumulated.estimators[SURFACE].counts.sum(axis=0))))
+        if SURFACE in accumulated.estimators
+        else 1
+    )
     aovs, groups, noise = cache.airlight(rays, seed32(seed, "rays"))
     number = HALVES * max(cache.count // HALVES, 1)
     estimator.lane_squares = estimator.lanes = None
     estimator.squares = (noise * (number - 1) + sum(aovs) ** 2) * number
-    halved = [np.broadcast_to((aov * (number / HALVES)).astype(np.float32), (HALVES, *aov.shape)) for aov in aovs]  # what is smooth counts as known
+    halved = [
+        np.broadcast_to((aov * (number / HALVES)).astype(np.float32), (HALVES, *aov.shape)) for aov in aovs
+    ]  # what is smooth counts as known
     estimator.aovs = dict(zip(estimator.aovs, halved, strict=True))
     estimator.groups = [group * number for group in groups]
     estimator.counts = np.full_like(estimator.counts, number // HALVES)
 
 
-def _add(accumulated: Accumulator, integrator: Traces, name: str, pixels: Indices, first: Indices, count: int, halves: Sequence[int], seed: int) -> None:
+def _add(
+    accumulated: Accumulator,
+    integrator: Traces,
+    name: str,
+    pixels: Indices,
+    first: Indices,
+    count: int,
+    halves: Sequence[int],
+    seed: int,
+) -> None:
     import drjit as dr
 
     moments = integrator.trace(name, backend.numbers(np.tile(pixels, len(halves))), backend.numbers(first), count, seed)
@@ -374,7 +485,9 @@ def _add(accumulated: Accumulator, integrator: Traces, name: str, pixels: Indice
         return backend.rows(colour, kind).reshape(len(halves), len(pixels), -1)
 
     for target, aov in zip(estimator.aovs.values(), moments.aovs, strict=True):
-        for half, lane in zip(halves, lanes(aov, target.dtype), strict=True):  # chunk by chunk: the order of the sum is fixed
+        for half, lane in zip(
+            halves, lanes(aov, target.dtype), strict=True
+        ):  # chunk by chunk: the order of the sum is fixed
             target[half, pixels] += lane
     for target, colour in zip((estimator.squares, *estimator.groups), (moments.squares, *moments.groups), strict=True):
         for lane in lanes(colour, target.dtype):

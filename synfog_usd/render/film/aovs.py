@@ -97,7 +97,9 @@ def measure(loaded: MitsubaScene) -> Aovs:
             break
         hits = tracer.trace(origin[alive], direction[alive])
         leaked = ~hits.valid & (medium[alive] >= 0)
-        if leaked.any():  # the ray slipped through an edge between two triangles of a boundary: it must leave the fog somewhere
+        if (
+            leaked.any()
+        ):  # the ray slipped through an edge between two triangles of a boundary: it must leave the fog somewhere
             _replace_rows(hits, leaked, tracer.trace(origin[alive[leaked]], direction[alive[leaked]] + NUDGE))
         alive, hits = alive[hits.valid], _rows(hits, hits.valid)
         for index, volume in enumerate(fog):
@@ -117,9 +119,17 @@ def measure(loaded: MitsubaScene) -> Aovs:
 
     if fog and not loaded.boundaries:
         tau = optical_depth(fog, eye, direction, distance)
-    depth = np.where(np.isfinite(distance), np.where(np.isfinite(distance), distance, 0.0) * (direction @ forward), np.inf)
+    depth = np.where(
+        np.isfinite(distance), np.where(np.isfinite(distance), distance, 0.0) * (direction @ forward), np.inf
+    )
     shape = (height, width)
-    return Aovs(distance.reshape(shape), depth.reshape(shape), normal.reshape(height, width, 3), instance.reshape(shape), np.exp(-tau).reshape(shape))
+    return Aovs(
+        distance.reshape(shape),
+        depth.reshape(shape),
+        normal.reshape(height, width, 3),
+        instance.reshape(shape),
+        np.exp(-tau).reshape(shape),
+    )
 
 
 def centre_rays(loaded: MitsubaScene) -> tuple[Array, Array]:
@@ -208,11 +218,16 @@ class _Tracer:
         y, x = np.divmod(np.arange(width * height), width)
         u, v = (x + 0.5) / width + self.loaded.offset[0], (y + 0.5) / height + self.loaded.offset[1]
         if not self.scalar:
-            ray, _ = self.loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(backend.floats(u), backend.floats(v)), mi.Point2f(0.5))
+            ray, _ = self.loaded.sensor.sample_ray(
+                0.0, 0.5, mi.Point2f(backend.floats(u), backend.floats(v)), mi.Point2f(0.5)
+            )
             self.dr.eval(ray)
             origin = backend.rows(ray.o)
             return origin, np.array(np.broadcast_to(backend.rows(ray.d), origin.shape))  # parallel rays come as one
-        rays = [self.loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(a, b), mi.Point2f(0.5))[0] for a, b in zip(u, v, strict=True)]
+        rays = [
+            self.loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(a, b), mi.Point2f(0.5))[0]
+            for a, b in zip(u, v, strict=True)
+        ]
         return np.array([ray.o for ray in rays], dtype=np.float64), np.array([ray.d for ray in rays], dtype=np.float64)
 
     def trace(self, origin: Array, direction: Array) -> Hits:
@@ -234,10 +249,20 @@ class _Tracer:
         passing = dr.mean(mi.Color3f(si.bsdf().eval_null_transmission(si, valid)))
         shape, instance = dr.reinterpret_array(mi.UInt32, si.shape), dr.reinterpret_array(mi.UInt32, si.instance)
         front, vectors = dr.dot(si.n, ray.d) < 0.0, (si.p, si.spawn_ray(ray.d).o, si.sh_frame.n)
-        dr.eval(valid, passing, shape, instance, front, vectors, si.prim_index)  # all at once: else each would trace the rays again
+        dr.eval(
+            valid, passing, shape, instance, front, vectors, si.prim_index
+        )  # all at once: else each would trace the rays again
         rank, placed = self.lookup[np.array(shape)], self.lookup[np.array(instance)]
         face = np.array(si.prim_index, dtype=np.int64)
-        return np.array(valid), *(backend.rows(item) for item in vectors), np.array(front), rank, placed, face, np.array(passing, dtype=np.float64)
+        return (
+            np.array(valid),
+            *(backend.rows(item) for item in vectors),
+            np.array(front),
+            rank,
+            placed,
+            face,
+            np.array(passing, dtype=np.float64),
+        )
 
     def _trace_scalar(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
         mi, rows = self.mi, []
@@ -247,8 +272,23 @@ class _Tracer:
                 rows.append((False, o, o, d, False, 0, 0, 0, 0.0))
                 continue
             passing = float(np.mean(np.array(si.bsdf().eval_null_transmission(si, True))))
-            rank, placed = self.rank.get(id(si.shape), 0), self.rank.get(id(si.instance), 0) if si.instance is not None else 0
+            rank, placed = (
+                self.rank.get(id(si.shape), 0),
+                self.rank.get(id(si.instance), 0) if si.instance is not None else 0,
+            )
             facing = float(np.dot(np.array(si.n), d)) < 0.0
             onward = np.array(si.spawn_ray(mi.Vector3f(d)).o)
-            rows.append((True, np.array(si.p), onward, np.array(si.sh_frame.n), facing, rank, placed, int(si.prim_index), passing))
+            rows.append(
+                (
+                    True,
+                    np.array(si.p),
+                    onward,
+                    np.array(si.sh_frame.n),
+                    facing,
+                    rank,
+                    placed,
+                    int(si.prim_index),
+                    passing,
+                )
+            )
         return tuple(np.array([row[index] for row in rows]) for index in range(9))

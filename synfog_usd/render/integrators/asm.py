@@ -120,7 +120,9 @@ class Asm:
 
 
 def physical_airlight(loaded: MitsubaScene) -> Array:
-    """(3,) radiance towards the horizon at the eye's height; of the slab, or where none fits the mean of the sky's upper half."""
+    """(3,) radiance towards the horizon at the eye's height; of the slab, or where none fits the mean of the sky's
+    upper half.
+    """
     eye = loaded.source.camera.to_world[:3, 3]
     if not unsupported_fog(loaded.source.fog):
         control, _ = make_control_variate(loaded, Medium(loaded.source.fog))

@@ -1,4 +1,5 @@
-"""Airlight from a froxel grid, a radiance cache: what fog scatters towards the camera is smooth, and need not be sampled anew for each pixel.
+"""Airlight from a froxel grid, a radiance cache: what fog scatters towards the camera is smooth, and need not be
+sampled anew for each pixel.
 
 The view is cut into cells, columns of a few degrees and slices of equal share of the
 fog's own opacity (Wronski 2014, "froxels").  In each cell paths begin where nothing hides
@@ -36,10 +37,14 @@ COLUMNS_PARALLEL = 40
 
 SLICES = 12
 SIDE = 8
-"""Most rays along each side of a pixel whose ends are looked up in the grid; jittered, their noise falls by their number to the power 1.5 (Mitchell 1996)."""
+"""Most rays along each side of a pixel whose ends are looked up in the grid; jittered, their noise falls by their
+number to the power 1.5 (Mitchell 1996).
+"""
 
 CELL_COST = 1.6
-"""Seconds of a path that begins in a cell, over one that begins at a surface; measured, and fixed so that the same seed gives the same bytes."""
+"""Seconds of a path that begins in a cell, over one that begins at a surface; measured, and fixed so that the same seed
+gives the same bytes.
+"""
 
 BETWEEN = 4.0 / 9.0
 """What is left of the variance of cells between four of them, in the mean over all places."""
@@ -72,7 +77,9 @@ class FroxelPath(FogPath):
         camera = self.loaded.source.camera
         wanted = COLUMNS_PARALLEL if camera.width_m > 0.0 else round(camera.fov_x_deg / COLUMN_DEG)
         columns = max(2, min(wanted, camera.width_px))
-        return FroxelGrid(columns, max(2, min(round(columns * camera.height_px / camera.width_px), camera.height_px)), SLICES)
+        return FroxelGrid(
+            columns, max(2, min(round(columns * camera.height_px / camera.width_px), camera.height_px)), SLICES
+        )
 
     def radiance_cache(self) -> RadianceCache | None:
         """A cache without paths yet; None where the air is clear."""
@@ -110,9 +117,13 @@ class RadianceCache:
         work = [(LENGTH, min(rows, full - low)) for low in range(0, full, rows)] + ([(rest, 1)] if rest else [])
         for length, chunks in work:
             first = np.repeat(self.count + np.arange(chunks) * length, cells.count)
-            sums = self.field.trace_froxels(cells, backend.numbers(np.tile(everywhere, chunks)), backend.numbers(first), length, seed)
+            sums = self.field.trace_froxels(
+                cells, backend.numbers(np.tile(everywhere, chunks)), backend.numbers(first), length, seed
+            )
             dr.eval(sums.aovs, sums.squares, sums.groups, sums.lost, sums.seen)
-            for target, light in zip((*self.aovs, self.squares, *self.groups), (*sums.aovs, sums.squares, *sums.groups), strict=True):
+            for target, light in zip(
+                (*self.aovs, self.squares, *self.groups), (*sums.aovs, sums.squares, *sums.groups), strict=True
+            ):
                 target += backend.rows(light).reshape(chunks, *target.shape).sum(axis=0)
             self.seen += np.array(sums.seen, dtype=np.int64).reshape(chunks, -1).sum(axis=0)
             self.lost += int(np.array(sums.lost).sum())
@@ -133,7 +144,12 @@ class RadianceCache:
         bands, camera = self.field.bands, self.field.loaded.source.camera
         side = max(1, min(side, SIDE))
         seen = np.maximum(self.seen, 1)[:, None]
-        spread = np.maximum(self.squares / seen - (sum(self.aovs) / seen) ** 2, 0.0) / np.maximum(seen - 1, 1) * BETWEEN / self.cells.slices
+        spread = (
+            np.maximum(self.squares / seen - (sum(self.aovs) / seen) ** 2, 0.0)
+            / np.maximum(seen - 1, 1)
+            * BETWEEN
+            / self.cells.slices
+        )
         kept = self._kept(spread)
         values = [*(self._shared(sums / seen, kept) for sums in (*self.aovs, *self.groups)), spread * kept**2]
         table = _texture(np.concatenate([self._summed(value) for value in values], axis=3))
@@ -150,7 +166,9 @@ class RadianceCache:
         return aovs, groups, noise
 
     def _kept(self, spread: Array) -> Array:
-        """(cells, 1) part of its light that a cell keeps: 1, but where chance made it far brighter than its neighbours."""
+        """(cells, 1) part of its light that a cell keeps: 1, but where chance made it far brighter than its
+        neighbours.
+        """
         from scipy import ndimage
 
         shape = (self.cells.slices, self.cells.rows, self.cells.columns)
@@ -158,7 +176,9 @@ class RadianceCache:
         error = np.sqrt(spread / BETWEEN * self.cells.slices) @ self.field.bands.weights
         around = ndimage.median_filter(np.abs(light).reshape(shape), size=(3, 3, 3), mode="nearest").ravel()
         most = np.maximum(OUTLYING * around, 1e-30)
-        return np.where((error > LOUD * np.abs(light)) & (np.abs(light) > most), most / np.maximum(np.abs(light), 1e-30), 1.0)[:, None]
+        return np.where(
+            (error > LOUD * np.abs(light)) & (np.abs(light) > most), most / np.maximum(np.abs(light), 1e-30), 1.0
+        )[:, None]
 
     def _shared(self, values: Array, kept: Array) -> Array:
         """(cells, C) values, of which each cell gives its neighbours what it does not keep."""
@@ -184,7 +204,9 @@ class RadianceCache:
             si = field.loaded.scene.ray_intersect_preliminary(ray, False)
             end = dr.select(si.is_valid(), si.t, dr.inf)
             near, far = field.medium.intersect(ray.o, ray.d)
-            opaque = transmittance(field.medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(end, far), near)))[1]
+            opaque = transmittance(
+                field.medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(end, far), near))
+            )[1]
             values = table.eval(mi.Point3f(place.x, place.y, (opaque * slices + 0.5) / (slices + 1.0)))
             if dr.hint(field.control is not None, mode="scalar"):
                 known = field.control.airlight(ray, end, field.medium, mi.Bool(True))
@@ -196,7 +218,9 @@ class RadianceCache:
         return sums
 
     def _summed(self, values: Array) -> Array:
-        """(slices + 1, rows, columns, C): sums of values (cells, C) over the slices before; a cell that is never seen is as the nearest that is."""
+        """(slices + 1, rows, columns, C): sums of values (cells, C) over the slices before; a cell that is never seen
+        is as the nearest that is.
+        """
         from scipy import ndimage
 
         shape = (self.cells.slices, self.cells.rows, self.cells.columns)
@@ -205,14 +229,20 @@ class RadianceCache:
         if unseen.all():
             volume = np.zeros_like(volume)
         elif unseen.any():
-            nearest = ndimage.distance_transform_edt(unseen, sampling=(2.0, 1.0, 1.0), return_distances=False, return_indices=True)
+            nearest = ndimage.distance_transform_edt(
+                unseen, sampling=(2.0, 1.0, 1.0), return_distances=False, return_indices=True
+            )
             volume = volume[tuple(nearest)]
         summed = np.cumsum(volume, axis=0) / self.cells.slices
         return np.concatenate([np.zeros_like(summed[:1]), summed])
 
 
 def _with(values: list[Any], known: Any, begin: int) -> list[Any]:
-    return [*values[:begin], *(values[begin + index] + light for index, light in enumerate(known)), *values[begin + len(known) :]]
+    return [
+        *values[:begin],
+        *(values[begin + index] + light for index, light in enumerate(known)),
+        *values[begin + len(known) :],
+    ]
 
 
 def _added(sums: list[Any], values: list[Any], count: int, aovs: int) -> list[Any]:
@@ -223,4 +253,8 @@ def _added(sums: list[Any], values: list[Any], count: int, aovs: int) -> list[An
 
 def _texture(volume: Array) -> Any:
     mi = backend.mitsuba()
-    return mi.Texture3f(mi.TensorXf(np.ascontiguousarray(volume, dtype=np.float32)), filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp)
+    return mi.Texture3f(
+        mi.TensorXf(np.ascontiguousarray(volume, dtype=np.float32)),
+        filter_mode=dr.FilterMode.Linear,
+        wrap_mode=dr.WrapMode.Clamp,
+    )

@@ -53,7 +53,9 @@ RAYS = 16
 """Most rays a pixel through which the table is read; it is smooth, and only edges and lamps need more than one."""
 
 SKY_SHARE = 0.05
-"""Most light of a sky, as a share of the lamps' mean radiance at the eye: what a sky adds to the airlight is left out."""
+"""Most light of a sky, as a share of the lamps' mean radiance at the eye: what a sky adds to the airlight is left
+out.
+"""
 
 SKIES = ("constant", "envmap")
 SOLIDS = ("sphere", "rectangle", "disk")
@@ -63,10 +65,14 @@ BEAM_ANGLES = 129
 """Nodes of a lamp's blurred intensity, even in the angle off its axis."""
 
 SHARPEST = 1e-3
-"""Half the least angle [sin] under which light scattered once is seen beside a lamp; nearer, it is the lamp itself that one sees."""
+"""Half the least angle [sin] under which light scattered once is seen beside a lamp; nearer, it is the lamp itself that
+one sees.
+"""
 
 _HEADER = 10
-"""Numbers of a lamp before its blurred intensity: position, axis, colour, whether its light scattered once is from the table."""
+"""Numbers of a lamp before its blurred intensity: position, axis, colour, whether its light scattered once is from the
+table.
+"""
 
 _STRIDE = _HEADER + BEAM_ANGLES
 
@@ -86,7 +92,11 @@ def glow_refuses(scene: SceneDict) -> str:
         return "the camera is outside of the fog"
     lamps = []
     for key, part in scene.world.items():
-        if isinstance(part, Mapping) and ("emitter" in part or part.get("type") in LIGHTS) and part.get("type") not in SKIES:
+        if (
+            isinstance(part, Mapping)
+            and ("emitter" in part or part.get("type") in LIGHTS)
+            and part.get("type") not in SKIES
+        ):
             if not _is_lamp(part):
                 return f"the light {key} ({part.get('type')}) is no lamp that it knows"
             lamps.append(_AxialLight(part, 1))
@@ -97,7 +107,10 @@ def glow_refuses(scene: SceneDict) -> str:
         medium, eye = fog[0].medium, scene.camera.to_world[:3, 3]
         share = sky / max(sum(_mean_radiance(lamp, eye, medium) for lamp in lamps), 1e-300)
         if share > SKY_SHARE:
-            return f"the sky gives {share:.2g} of the lamps' light, and more than {SKY_SHARE:g} of it is too much to leave out of the airlight"
+            return (
+                f"the sky gives {share:.2g} of the lamps' light, and more than {SKY_SHARE:g} of it is too much to "
+                f"leave out of the airlight"
+            )
     return ""
 
 
@@ -132,14 +145,24 @@ class Glow:
         lights = LightSampler(world, {})
         sky = loaded.scene.environment() is not None
         others = len(loaded.scene.emitters()) - sky - sum(is_sampled_light(part) for part in world.values())
-        self.path = FogPath(loaded, Medium(loaded.source.fog), lights=lights, others=others, method=Method(scatterings=1 if self.traced else 0))
+        self.path = FogPath(
+            loaded,
+            Medium(loaded.source.fog),
+            lights=lights,
+            others=others,
+            method=Method(scatterings=1 if self.traced else 0),
+        )
         table = glow_table(medium.phase_function, medium.albedo)
         chi = medium.phase_function.moments(BEAM_ORDERS)
         found = [_AxialLight(part, BEAM_ORDERS) for part in world.values() if _is_lamp(part)]
-        rows = [np.r_[lamp.position, lamp.axis, lamp.colour, float(not self.traced), lamp.blurred(chi)] for lamp in found]
+        rows = [
+            np.r_[lamp.position, lamp.axis, lamp.colour, float(not self.traced), lamp.blurred(chi)] for lamp in found
+        ]
         self.count = len(rows)
         self.lamps = mi.Float(np.concatenate(rows).astype(np.float32))
-        self.once = mi.Float(np.log(np.maximum(table.single * max(medium.albedo, 1e-30), 1e-30)).astype(np.float32).ravel())
+        self.once = mi.Float(
+            np.log(np.maximum(table.single * max(medium.albedo, 1e-30), 1e-30)).astype(np.float32).ravel()
+        )
         self.more = mi.Float(np.log(np.maximum(table.multiple, 1e-30)).astype(np.float32).ravel())
         lit = table.more if self.traced else table.once + table.more
         self.lit = mi.Float(np.maximum(lit, 0.0).astype(np.float32).ravel())
@@ -164,7 +187,9 @@ class Glow:
 
     @dr.syntax
     def _trace(self, pixel: Any, rays: int, seed: int) -> tuple[Any, Any, Any, Any]:
-        """Sums over `rays` rays of the lamps' scattered light: on surfaces, once and more often in the air, and the squares of all."""
+        """Sums over `rays` rays of the lamps' scattered light: on surfaces, once and more often in the air, and the
+        squares of all.
+        """
         mi, path = backend.mitsuba(), self.path
         wanted, image_seed = dr.opaque(mi.UInt32, rays), dr.opaque(mi.UInt32, seed)
         corner = path.corner(pixel)
@@ -187,7 +212,9 @@ class Glow:
                 row = [dr.gather(mi.Float, self.lamps, index * _STRIDE + item) for item in range(_HEADER)]
                 colour = mi.Color3f(*row[6:9])
                 here, there = self._at(row, index, begin), self._at(row, index, end)
-                once += colour * (row[9] * dr.maximum(self._once(here, ray.d) - through * self._once(there, ray.d), 0.0))
+                once += colour * (
+                    row[9] * dr.maximum(self._once(here, ray.d) - through * self._once(there, ray.d), 0.0)
+                )
                 more += colour * dr.maximum(self._more(here, ray.d) - through * self._more(there, ray.d), 0.0)
                 light += colour * self._irradiance(there, normal)
                 index += 1
@@ -195,7 +222,12 @@ class Glow:
             light = dr.select(lit, weight * light * matte * (through * square * dr.inv_pi), mi.Color3f(0.0))
             once, more = weight * once * square, weight * more * square
             whole = light + once + more
-            surface, single, multiple, squares = surface + light, single + once, multiple + more, squares + whole * whole
+            surface, single, multiple, squares = (
+                surface + light,
+                single + once,
+                multiple + more,
+                squares + whole * whole,
+            )
             begun += 1
         return surface, single, multiple, squares
 
@@ -233,7 +265,9 @@ class Glow:
 
 
 class _AxialLight:
-    """A light as a point with light around an axis: position (3,), axis (3,), colour (3,) and Legendre moments of the intensity (L,)."""
+    """A light as a point with light around an axis: position (3,), axis (3,), colour (3,) and Legendre moments of the
+    intensity (L,).
+    """
 
     def __init__(self, part: Mapping[str, Any], orders: int) -> None:
         if is_sampled_light(part):
@@ -248,7 +282,9 @@ class _AxialLight:
             if part["type"] == photometric.TYPE:
                 self.moments = _tabled(part, orders)
             elif part["type"] == "mesh":
-                self.moments = _clamped_cosine(orders) * (share @ np.polynomial.legendre.legvander(np.clip(rows["axis"] @ self.axis, -1.0, 1.0), orders - 1))
+                self.moments = _clamped_cosine(orders) * (
+                    share @ np.polynomial.legendre.legvander(np.clip(rows["axis"] @ self.axis, -1.0, 1.0), orders - 1)
+                )
             else:
                 self.moments = _beam(rows["cutoff"][0], rows["slope"][0], orders)
             return
@@ -256,7 +292,9 @@ class _AxialLight:
         matrix = np.asarray(part.get("to_world", np.eye(4)), dtype=np.float64)
         self.axis = np.array([0.0, 0.0, 1.0])
         if part["type"] == "sphere":
-            self.position = matrix[:3, :3] @ np.asarray(part.get("center", (0.0, 0.0, 0.0)), dtype=np.float64) + matrix[:3, 3]
+            self.position = (
+                matrix[:3, :3] @ np.asarray(part.get("center", (0.0, 0.0, 0.0)), dtype=np.float64) + matrix[:3, 3]
+            )
             radius = float(part.get("radius", 1.0)) * abs(np.linalg.det(matrix[:3, :3])) ** (1.0 / 3.0)
             self.colour, self.moments = radiance * math.pi * radius**2, np.r_[4.0 * math.pi, np.zeros(orders - 1)]
             return
@@ -294,7 +332,12 @@ def _beam(cutoff: float, slope: float, orders: int) -> Array:
     node, weight = np.polynomial.legendre.leggauss(512)
     angle = (node + 1.0) / 2.0 * cutoff
     value = np.clip((cutoff - angle) * slope, 0.0, 1.0) if slope < 1e8 and cutoff < math.pi else np.ones_like(angle)
-    return math.pi * cutoff * (value * np.sin(angle) * weight) @ np.polynomial.legendre.legvander(np.cos(angle), orders - 1)
+    return (
+        math.pi
+        * cutoff
+        * (value * np.sin(angle) * weight)
+        @ np.polynomial.legendre.legvander(np.cos(angle), orders - 1)
+    )
 
 
 def _tabled(light: Mapping[str, Any], orders: int) -> Array:
@@ -304,14 +347,20 @@ def _tabled(light: Mapping[str, Any], orders: int) -> Array:
     rings = (table @ weight if table.shape[2] == 3 else table[:, :, 0] * weight.sum()).mean(axis=1)
     peak = float(table.max(axis=(0, 1)) @ weight if table.shape[2] == 3 else table.max() * weight.sum())
     cosines = np.cos(np.linspace(0.0, math.pi, len(table)))
-    return np.asarray((rings * photometric.ring_weights(len(table))) @ np.polynomial.legendre.legvander(cosines, orders - 1) / max(peak, 1e-30))
+    return np.asarray(
+        (rings * photometric.ring_weights(len(table)))
+        @ np.polynomial.legendre.legvander(cosines, orders - 1)
+        / max(peak, 1e-30)
+    )
 
 
 def _mean_radiance(lamp: _AxialLight, eye: Array, medium: Any) -> float:
     """Mean luminance over the sphere at the eye: the lamp's own light and the diffusion limit, added."""
     tau = medium.sigma_t_per_m * max(float(np.linalg.norm(lamp.position - eye)), 0.1)
     absorbed = math.sqrt(3.0 * (1.0 - medium.albedo) * (1.0 - medium.albedo * medium.g))
-    scalar = math.exp(-tau) / tau**2 + medium.albedo * 3.0 * (1.0 - medium.albedo * medium.g) / tau * math.exp(-absorbed * tau)
+    scalar = math.exp(-tau) / tau**2 + medium.albedo * 3.0 * (1.0 - medium.albedo * medium.g) / tau * math.exp(
+        -absorbed * tau
+    )
     return float(LUMINANCE @ lamp.colour) * lamp.moments[0] / (4.0 * math.pi) ** 2 * medium.sigma_t_per_m**2 * scalar
 
 

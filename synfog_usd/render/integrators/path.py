@@ -30,7 +30,15 @@ import numpy as np
 
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
-from synfog_usd.render.film.accumulator import AOVS, INSCATTERED, LAMPS, SURFACE, Accumulator, Moments, accumulate_by_estimator
+from synfog_usd.render.film.accumulator import (
+    AOVS,
+    INSCATTERED,
+    LAMPS,
+    SURFACE,
+    Accumulator,
+    Moments,
+    accumulate_by_estimator,
+)
 from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.lights.grid import TILES, LightGrid
 from synfog_usd.render.lights.guiding import GUIDE_PROBABILITY, LightGuide
@@ -44,15 +52,18 @@ from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.render.spectra.bands import Bands
 
 RR_DEPTH = 8
-"""Events before Russian roulette, Mitsuba's too.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8 and 16 alike,
+"""Events before Russian roulette, Mitsuba's too.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8
+and 16 alike,
 2 and 40 up to a quarter worse."""
 
 FAINT = 0.5
-"""Share of its throughput after the first vertex below which a path is played for at once: what is seen of a dark surface is as noisy as of a bright one."""
+"""Share of its throughput after the first vertex below which a path is played for at once: what is seen of a dark
+surface is as noisy as of a bright one.
+"""
 
 GROWN, GUIDE_PROBABILITY_GROWN = 1.5, 0.15
-"""Growth of the throughput from the first vertex on beyond which a path is guided no more often than that: what guiding misses weighs up to
-twice as much at every scattering."""
+"""Growth of the throughput from the first vertex on beyond which a path is guided no more often than that: what guiding
+misses weighs up to twice as much at every scattering."""
 
 DIFFERENCE_SURVIVES = 0.8
 """Chance of a path to live on after each scattering but the first, where only a difference is sampled."""
@@ -110,7 +121,8 @@ class FogPath:
             own sample finds a sky better.
         control: light of the slab that is known already, or None.
         method: what to leave out.
-        groups: names of the light groups; `group_of_emitter` (E,) tells the number of the scene's own emitters by their index, `lamps` of the
+        groups: names of the light groups; `group_of_emitter` (E,) tells the number of the scene's own emitters by their
+            index, `lamps` of the
             others: that of the group times `bands.kinds`, plus the kind of light.
         bands: what a path carries; R, G and B unless told otherwise.
     """
@@ -133,18 +145,28 @@ class FogPath:
         self.raster, self.near = Raster(camera), dr.opaque(mi.Float, camera.near_m)
         self.ahead = mi.Vector3f(*(-camera.to_world[:3, 2]).tolist())
         dr.make_opaque(self.ahead)
-        self.loaded, self.medium, self.lights, self.control, self.method = loaded, medium, lights, control, method or Method()
+        self.loaded, self.medium, self.lights, self.control, self.method = (
+            loaded,
+            medium,
+            lights,
+            control,
+            method or Method(),
+        )
         sky = loaded.scene.environment() is not None
         self.foggy, self.use_nee_medium = medium.foggy, others > 0
         self.use_nee = others > 0 or (sky and control is None)
         self.group_names, self.groups, self.group_of_emitter = groups, len(groups), group_of_emitter
         self.sky_group = groups.index("sky") if "sky" in groups else 0
-        self.importance = Importance(lights, medium) if lights.count and lights.many and lights.count <= MOST_WEIGHED else None
+        self.importance = (
+            Importance(lights, medium) if lights.count and lights.many and lights.count <= MOST_WEIGHED else None
+        )
         self.lit_faces = LitFaces.of(loaded, lights) if self.importance is not None else None
         self.light_grid, self.view_lights = None, None
         if lights.count and lights.many and lights.photometric:
             sigma_t = medium.volumes[0].medium.sigma_t_per_m if medium.foggy else 0.0
-            self.light_grid = LightGrid(lights, sigma_t, loaded.source.camera.to_world[:3, 3].copy(), near=self.importance is None)
+            self.light_grid = LightGrid(
+                lights, sigma_t, loaded.source.camera.to_world[:3, 3].copy(), near=self.importance is None
+            )
             self.view_lights = self.light_grid.seen(self, medium) if medium.foggy else None
         self.guide = LightGuide(lights, medium, loaded.source.camera.to_world[:3, 3])
         self.rr_prob = dr.opaque(backend.mitsuba().Float, _rr_prob(medium))
@@ -181,7 +203,8 @@ class FogPath:
         return self.trace_paths(estimator == INSCATTERED, pixel, first, count, seed)
 
     def trace_froxels(self, cells: FroxelGrid, cell: Any, first: Any, count: int, seed: int) -> Moments:
-        """Light that the fog in each cell scatters towards the camera, per share of the ray; but lamps' that it scatters once.
+        """Light that the fog in each cell scatters towards the camera, per share of the ray; but lamps' that it
+        scatters once.
 
         Args:
             cells: how the view is cut.
@@ -222,7 +245,9 @@ class FogPath:
     def known_along(self, ray: Any, near: Any, stop: Any, sampler: Any, active: Any) -> Any:
         """Which lamps to ask about a segment, where there are too many to ask them all."""
         if self.importance is not None:
-            return self.importance.draw(lambda index: self.importance.along(index, ray.o, ray.d, near, stop), sampler, active)
+            return self.importance.draw(
+                lambda index: self.importance.along(index, ray.o, ray.d, near, stop), sampler, active
+            )
         if self.light_grid is None:
             return None
         tau = dr.minimum(-dr.log(1.0 - sampler.next_1d(active)), 3.0)
@@ -235,29 +260,48 @@ class FogPath:
     def tile(self, pixel: Any) -> Any:
         """Number of the tile of the view in which pixels lie."""
         raster = self.raster
-        return pixel % raster.width * TILES[0] // raster.width + TILES[0] * (pixel // raster.width * TILES[1] // raster.height)
+        return pixel % raster.width * TILES[0] // raster.width + TILES[0] * (
+            pixel // raster.width * TILES[1] // raster.height
+        )
 
     def froxel(self, cell: Any, cells: FroxelGrid) -> tuple[Any, Any, Any]:
-        """(u, v) of the top left corners of cells, in pixels; the width and height of one, in pixels; the slices that they are in."""
+        """(u, v) of the top left corners of cells, in pixels; the width and height of one, in pixels; the slices that
+        they are in.
+        """
         mi = backend.mitsuba()
         columns, column_count = dr.opaque(mi.UInt32, cells.columns), dr.opaque(mi.UInt32, cells.columns * cells.rows)
         size = self.raster.size / mi.Point2f(dr.opaque(mi.Float, cells.columns), dr.opaque(mi.Float, cells.rows))
         column = cell % column_count
-        return mi.Point2f(mi.Float(column % columns), mi.Float(column // columns)) * size, size, mi.Float(cell // column_count)
+        return (
+            mi.Point2f(mi.Float(column % columns), mi.Float(column // columns)) * size,
+            size,
+            mi.Float(cell // column_count),
+        )
 
     @dr.syntax
-    def trace_paths(self, inscattered: bool, pixel: Any, first: Any, count: int, seed: int, cells: FroxelGrid | None = None) -> Moments:
-        """Paths whose first segment meets a surface, or (`inscattered`) is scattered, anywhere or within `cells`; other arguments as in `trace`.
+    def trace_paths(
+        self, inscattered: bool, pixel: Any, first: Any, count: int, seed: int, cells: FroxelGrid | None = None
+    ) -> Moments:
+        """Paths whose first segment meets a surface, or (`inscattered`) is scattered, anywhere or within `cells`; other
+        arguments as in `trace`.
 
         A lane whose path has ended begins its next one at once: vector units work on
         16 lanes in step, and would otherwise wait for the longest path of the 16.
         """
         mi = backend.mitsuba()
-        scene, context, medium, bands, black = self.loaded.scene, mi.BSDFContext(), self.medium, self.bands, self.bands.black()
+        scene, context, medium, bands, black = (
+            self.loaded.scene,
+            mi.BSDFContext(),
+            self.medium,
+            self.bands,
+            self.bands.black(),
+        )
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
         in_froxels = cells is not None
         slices = float(cells.slices if in_froxels else 1)
-        corner, size, nearest = self.froxel(pixel, cells) if in_froxels else (self.raster.corner(pixel), mi.Point2f(1.0), mi.Float(0.0))
+        corner, size, nearest = (
+            self.froxel(pixel, cells) if in_froxels else (self.raster.corner(pixel), mi.Point2f(1.0), mi.Float(0.0))
+        )
 
         # ---- Sums over the paths of a lane
         aovs = [bands.black() for _ in AOVS[INSCATTERED if inscattered else SURFACE]]  # light by AOV
@@ -271,14 +315,22 @@ class FogPath:
         sampler = Sobol(image_seed, pixel, first)  # its random numbers
         ray, view_weight = self.camera_ray(sampler, corner, mi.Bool(True), size)  # the segment that comes next
         throughput = bands.even(view_weight)  # beta: what its light counts
-        scale = mi.Float(1.0)  # throughput after the first vertex, until then that which the camera segment left; roulette measures against it
+        scale = mi.Float(
+            1.0
+        )  # after the first vertex; until then what the camera segment left; roulette measures against it
         path = bands.black()  # the whole path's light
         depth = mi.UInt32(0)  # vertices so far; 0 on the camera's segment
         scattered, bounces = mi.UInt32(0), mi.UInt32(0)  # of them in the fog, and on surfaces
-        prev_p, prev_pdf = mi.Point3f(ray.o), mi.Float(1.0)  # the last vertex, and the density [1/sr] with which it chose its direction
+        prev_p, prev_pdf = (
+            mi.Point3f(ray.o),
+            mi.Float(1.0),
+        )  # the last vertex, and the density [1/sr] with which it chose its direction
         prev_delta = mi.Bool(True)  # it could choose no other: the eye, a mirror
         prev_without_nee = mi.Bool(False)  # it sent no shadow ray
-        prev_gloss, prev_weighed = Gloss(), mi.Float(0.0)  # how it answers lamps, and the sum of all their weights there; 0 where none was drawn
+        prev_gloss, prev_weighed = (
+            Gloss(),
+            mi.Float(0.0),
+        )  # how it answers lamps, and the sum of all their weights there; 0 where none was drawn
         active = mi.Bool(True)  # this lane still has paths
 
         while active:
@@ -295,13 +347,16 @@ class FogPath:
             segment = mi.Ray3f(ray)
             if dr.hint(self.lights.count == 0, mode="scalar"):  # lamps are asked all along the ray
                 segment.maxt = dr.minimum(flight, segment.maxt)
-            si = scene.ray_intersect(segment, mi.RayFlags.All, False, active)  # not coherent: a lane's neighbours are at other depths
+            si = scene.ray_intersect(
+                segment, mi.RayFlags.All, False, active
+            )  # not coherent: a lane's neighbours are at other depths
             stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)  # where the fog before the surface ends
             medium_scattered = active & dr.isfinite(flight) & (flight < dr.select(si.is_valid(), si.t, dr.inf))
             surface_hit = active & si.is_valid() & ~medium_scattered
             end = dr.select(surface_hit, si.t, dr.inf)
 
-            # ==== 3. Control variate: at the eye the airlight between two ends, later a jump wherever its domain is entered or left
+            # ==== 3. Control variate: at the eye the airlight between two ends, later a jump wherever its domain is
+            # entered or left
             if dr.hint(self.control is not None, mode="scalar"):
                 jump = throughput * self.control_jump(ray, flight, end, active, at_eye, surface_hit, may_scatter)
                 if dr.hint(not inscattered or in_froxels, mode="scalar"):
@@ -313,7 +368,9 @@ class FogPath:
             if dr.hint(self.foggy, mode="scalar"):
                 tau = medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(end, far), near))
                 if dr.hint(self.limited, mode="scalar"):
-                    throughput = dr.select(active & ~at_eye & ~may_scatter, throughput * transmittance(tau)[0], throughput)
+                    throughput = dr.select(
+                        active & ~at_eye & ~may_scatter, throughput * transmittance(tau)[0], throughput
+                    )
                 if dr.hint(not in_froxels, mode="scalar"):
                     throughput, scale = self.split_camera_segment(inscattered, tau, throughput, scale, sampler, at_eye)
             if dr.hint(inscattered, mode="scalar"):
@@ -322,21 +379,28 @@ class FogPath:
                     some, place = self.sample_froxel(nearest, slices, ray, near, stop, tau, u_flight, at_eye)
                     seen += dr.select(some, mi.UInt32(1), mi.UInt32(0))
                 else:
-                    some, place, throughput = self.sample_camera_segment(ray, near, stop, tau, u_flight, throughput, sampler, at_eye)
+                    some, place, throughput = self.sample_camera_segment(
+                        ray, near, stop, tau, u_flight, throughput, sampler, at_eye
+                    )
                 flight = dr.select(some, place, flight)
                 medium_scattered |= some
 
-            # ==== 5. Next-event estimation along the segment: lamps, scattered once; the camera segment's are the estimator LAMPS
+            # ==== 5. Next-event estimation along the segment: lamps, scattered once; the camera segment's are the
+            # estimator LAMPS
             if dr.hint(self.foggy and self.lights.count > 0 and self.method.scatterings > 0, mode="scalar"):
                 lit = active & ~at_eye & (stop > near)
                 if dr.hint(self.limited, mode="scalar"):
                     lit &= scattered < self.method.scatterings
-                light, group = self.nee_along(ray, near, stop, throughput, sampler, lit, self.known_along(ray, near, stop, sampler, lit))
+                light, group = self.nee_along(
+                    ray, near, stop, throughput, sampler, lit, self.known_along(ray, near, stop, sampler, lit)
+                )
                 path, aovs, sums = self.add_light(path, aovs, sums, light, scattered + 1, group)
 
             # ==== 6. What the clearest band, in which flights are drawn, keeps and the others lose
             if dr.hint(bands.coloured, mode="scalar"):
-                tau_to_end = medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(dr.minimum(flight, end), far), near))
+                tau_to_end = medium.optical_depth_inside(
+                    ray.o, ray.d, near, dr.maximum(dr.minimum(dr.minimum(flight, end), far), near)
+                )
                 throughput *= bands.fade(tau_to_end)
                 throughput = dr.select(medium_scattered, throughput * bands.scattered(), throughput)
             ended = active & ~medium_scattered
@@ -344,7 +408,18 @@ class FogPath:
                 ended &= ~at_eye
 
             # ==== 7. Emission at the segment's end, weighed against the shadow ray of the vertex before
-            light, group = self.emitted(si, ended, surface_hit, throughput, prev_p, prev_pdf, prev_delta, prev_without_nee, prev_gloss, prev_weighed)
+            light, group = self.emitted(
+                si,
+                ended,
+                surface_hit,
+                throughput,
+                prev_p,
+                prev_pdf,
+                prev_delta,
+                prev_without_nee,
+                prev_gloss,
+                prev_weighed,
+            )
             path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
 
             # ==== 8. The vertex: in the fog or on a surface
@@ -360,10 +435,16 @@ class FogPath:
             alive = surface_hit | medium_scattered
             smooth = surface_hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
 
-            # ==== 9. Next-event estimation at the vertex: the scene's own choice of lights (one call gives the BSDF's value and its next direction)
+            # ==== 9. Next-event estimation at the vertex: the scene's own choice of lights (one call gives the BSDF's
+            # value and its next direction)
             lit, sent, power = self.sample_emitter(vertex, smooth, medium_scattered, sampler)
             reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(
-                context, si, si.to_local(sent.d), sampler.next_1d(surface_hit), sampler.next_2d(surface_hit), surface_hit
+                context,
+                si,
+                si.to_local(sent.d),
+                sampler.next_1d(surface_hit),
+                sampler.next_2d(surface_hit),
+                surface_hit,
             )
             value, gain = bands.reflectance(reflected, reading), bands.reflectance(kept, reading)
             if dr.hint(self.foggy, mode="scalar"):
@@ -387,15 +468,27 @@ class FogPath:
             next_delta = surface_hit & mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
             onward = dr.select(surface_hit, throughput * gain, throughput)
             if dr.hint(self.control is not None, mode="scalar"):
-                light = self.control_reflected(si, bsdf, reading, bounce, vertex.p, direction, throughput, onward, surface_hit, smooth, next_delta)
+                light = self.control_reflected(
+                    si, bsdf, reading, bounce, vertex.p, direction, throughput, onward, surface_hit, smooth, next_delta
+                )
                 path, aovs, sums = self.add_light(path, aovs, sums, light, mi.UInt32(2), mi.UInt32(0))
             throughput = onward
             if dr.hint(self.lit_faces is not None, mode="scalar"):
                 prev_gloss, prev_weighed = gloss, dr.select(smooth, weighed, 0.0)
-            prev_p, prev_pdf, prev_delta, prev_without_nee = mi.Point3f(vertex.p), mi.Float(next_pdf), mi.Bool(next_delta), mi.Bool(False)
+            prev_p, prev_pdf, prev_delta, prev_without_nee = (
+                mi.Point3f(vertex.p),
+                mi.Float(next_pdf),
+                mi.Bool(next_delta),
+                mi.Bool(False),
+            )
             if dr.hint(self.foggy, mode="scalar"):
-                wo, phase_pdf, throughput = self.sample_phase(ray.d, vertex.p, throughput, scale, sampler, medium_scattered)
-                direction, prev_pdf = dr.select(medium_scattered, wo, direction), dr.select(medium_scattered, phase_pdf, prev_pdf)
+                wo, phase_pdf, throughput = self.sample_phase(
+                    ray.d, vertex.p, throughput, scale, sampler, medium_scattered
+                )
+                direction, prev_pdf = (
+                    dr.select(medium_scattered, wo, direction),
+                    dr.select(medium_scattered, phase_pdf, prev_pdf),
+                )
                 prev_without_nee = medium_scattered & mi.Bool(not self.use_nee_medium)
             ray = vertex.spawn_ray(direction)
             depth += 1
@@ -421,14 +514,20 @@ class FogPath:
             path = dr.select(over, black, path)
             depth = dr.select(again, mi.UInt32(0), depth)
             scattered, bounces = dr.select(again, mi.UInt32(0), scattered), dr.select(again, mi.UInt32(0), bounces)
-            prev_p, prev_delta, prev_without_nee = dr.select(again, view.o, prev_p), prev_delta | again, prev_without_nee & ~again
+            prev_p, prev_delta, prev_without_nee = (
+                dr.select(again, view.o, prev_p),
+                prev_delta | again,
+                prev_without_nee & ~again,
+            )
             active = alive | again
         return Moments(tuple(aovs), squares, tuple(sums), lost, seen)
 
     # The steps of `trace_paths`, by its numbers: traced functions, in which `if` is Python's own.
 
     def sample_flight(self, ray: Any, u: Any, may_scatter: Any) -> tuple[Any, Any, Any]:
-        """(1) Where the ray is in fog, from and to [m], and where the fog scatters it, infinite where it does not: density in proportion to transmittance."""
+        """(1) Where the ray is in fog, from and to [m], and where the fog scatters it, infinite where it does not:
+        density in proportion to transmittance.
+        """
         mi = backend.mitsuba()
         if not self.foggy:
             return mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf)
@@ -436,8 +535,12 @@ class FogPath:
         reach = self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u), near, far)
         return near, far, dr.select(may_scatter & (reach < far), reach, dr.inf)
 
-    def control_jump(self, ray: Any, flight: Any, end: Any, active: Any, at_eye: Any, surface_hit: Any, may_scatter: Any) -> Any:
-        """(3) The control variate's radiance where a segment enters its domain, less that where it leaves it or meets a surface."""
+    def control_jump(
+        self, ray: Any, flight: Any, end: Any, active: Any, at_eye: Any, surface_hit: Any, may_scatter: Any
+    ) -> Any:
+        """(3) The control variate's radiance where a segment enters its domain, less that where it leaves it or meets a
+        surface.
+        """
         control, black = self.control, self.bands.black()
         begin_in, end_in = control.intersect(ray.o, ray.d)
         inside = active & (end_in > begin_in) & (begin_in < dr.minimum(end, flight))
@@ -452,21 +555,35 @@ class FogPath:
         dim_here = dr.select(dimmed, transmittance(self.medium.optical_depth(ray.o, ray.d, 0.0, until))[0], 1.0)
         return dr.select(into, there * dim_there, black) - dr.select(counted, here * dim_here, black)
 
-    def split_camera_segment(self, inscattered: bool, tau: Any, throughput: Any, scale: Any, sampler: Any, at_eye: Any) -> tuple[Any, Any]:
-        """(4) Throughput of the side of the camera's segment that is followed, T or 1 - T; a faint one is played for, and its weight is the new scale."""
+    def split_camera_segment(
+        self, inscattered: bool, tau: Any, throughput: Any, scale: Any, sampler: Any, at_eye: Any
+    ) -> tuple[Any, Any]:
+        """(4) Throughput of the side of the camera's segment that is followed, T or 1 - T; a faint one is played for,
+        and its weight is the new scale.
+        """
         through, opaque = transmittance(tau)
         share = opaque if inscattered else through
         chance = dr.minimum(4.0 * share, 1.0)
         share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
         return dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
 
-    def sample_froxel(self, nearest: Any, slices: float, ray: Any, near: Any, stop: Any, tau: Any, u: Any, at_eye: Any) -> tuple[Any, Any]:
-        """(4) Whether a path begins in its froxel, unhidden, and the distance [m] at which it does: even in the share of the ray that is scattered."""
+    def sample_froxel(
+        self, nearest: Any, slices: float, ray: Any, near: Any, stop: Any, tau: Any, u: Any, at_eye: Any
+    ) -> tuple[Any, Any]:
+        """(4) Whether a path begins in its froxel, unhidden, and the distance [m] at which it does: even in the share
+        of the ray that is scattered.
+        """
         share = (nearest + u) / slices
-        return at_eye & (share < transmittance(tau)[1]), self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - share), near, stop)
+        return at_eye & (share < transmittance(tau)[1]), self.medium.sample_distance(
+            ray.o, ray.d, -dr.log(1.0 - share), near, stop
+        )
 
-    def sample_camera_segment(self, ray: Any, near: Any, stop: Any, tau: Any, u: Any, throughput: Any, sampler: Any, at_eye: Any) -> tuple[Any, Any, Any]:
-        """(4) Where the fog scatters the camera's segment, which it does for certain: in proportion to transmittance x extinction, or guided to a lamp."""
+    def sample_camera_segment(
+        self, ray: Any, near: Any, stop: Any, tau: Any, u: Any, throughput: Any, sampler: Any, at_eye: Any
+    ) -> tuple[Any, Any, Any]:
+        """(4) Where the fog scatters the camera's segment, which it does for certain: in proportion to transmittance x
+        extinction, or guided to a lamp.
+        """
         medium, opaque = self.medium, transmittance(tau)[1]
         some = at_eye & (opaque > 0.0)
         if self.method.scatterings == 0:
@@ -476,18 +593,29 @@ class FogPath:
             sigma = tau / dr.maximum(stop - near, 1e-6)
             guided = self.guide.distance(ray.o, ray.d, near, stop, sigma, sampler.next_1d(some), sampler.next_1d(some))
             place = dr.select(sampler.next_1d(some) < GUIDE_PROBABILITY, guided, place)
-            plain = dr.exp(-medium.optical_depth_inside(ray.o, ray.d, near, place)) * medium.extinction(ray(place)) / opaque
-            mixed = GUIDE_PROBABILITY * self.guide.distance_density(ray.o, ray.d, near, stop, sigma, place) + (1.0 - GUIDE_PROBABILITY) * plain
+            plain = (
+                dr.exp(-medium.optical_depth_inside(ray.o, ray.d, near, place)) * medium.extinction(ray(place)) / opaque
+            )
+            mixed = (
+                GUIDE_PROBABILITY * self.guide.distance_density(ray.o, ray.d, near, stop, sigma, place)
+                + (1.0 - GUIDE_PROBABILITY) * plain
+            )
             throughput = dr.select(some, throughput * plain / dr.maximum(mixed, 1e-30), throughput)
         return some, place, throughput
 
-    def nee_along(self, ray: Any, near: Any, stop: Any, throughput: Any, sampler: Any, active: Any, known: Any) -> tuple[Any, Any]:
+    def nee_along(
+        self, ray: Any, near: Any, stop: Any, throughput: Any, sampler: Any, active: Any, known: Any
+    ) -> tuple[Any, Any]:
         """(5) A lamp's light that the fog scatters once into a segment, and the lamp's group."""
         where, lamp, colour, group = self.lights.along(ray.o, ray.d, near, stop, self.medium, sampler, active, known)
-        free, reach_lamp = self.shadow_transmittance(where, backend.mitsuba().Normal3f(0.0), lamp, active & (dr.max(colour) > 0.0))
+        free, reach_lamp = self.shadow_transmittance(
+            where, backend.mitsuba().Normal3f(0.0), lamp, active & (dr.max(colour) > 0.0)
+        )
         light = dr.select(free, throughput * self.light(colour, group) * reach_lamp, self.bands.black())
         if self.bands.coloured:
-            light *= self.bands.scattered() * self.bands.fade(self.medium.optical_depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o)))
+            light *= self.bands.scattered() * self.bands.fade(
+                self.medium.optical_depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o))
+            )
         return light, group
 
     def emitted(
@@ -509,19 +637,32 @@ class FogPath:
         previous.p = prev_p
         light_pdf = mi.Float(0.0)
         if self.use_nee:
-            light_pdf = scene.pdf_emitter_direction(previous, mi.DirectionSample3f(scene, si, previous), ended & ~prev_delta)
-        weight = dr.select(prev_without_nee & (light_pdf > 0.0), 1.0, dr.select(light_pdf > 0.0, mis_weight(prev_pdf, light_pdf), 0.0))
+            light_pdf = scene.pdf_emitter_direction(
+                previous, mi.DirectionSample3f(scene, si, previous), ended & ~prev_delta
+            )
+        weight = dr.select(
+            prev_without_nee & (light_pdf > 0.0), 1.0, dr.select(light_pdf > 0.0, mis_weight(prev_pdf, light_pdf), 0.0)
+        )
         if self.control is not None:  # no shadow ray looks for the sky
             weight = dr.select(surface_hit, weight, 1.0)
         emitter = si.emitter(scene, ended)
         if self.lit_faces is not None:
-            area_pdf, lamp = self.lit_faces.of_emitter(emitter, ended & surface_hit & ~prev_delta & (prev_weighed > 0.0))
+            area_pdf, lamp = self.lit_faces.of_emitter(
+                emitter, ended & surface_hit & ~prev_delta & (prev_weighed > 0.0)
+            )
             chance = PICKS * self.importance.at(lamp, prev_p, prev_gloss) / dr.maximum(prev_weighed, 1e-30)
-            lamp_pdf = chance * area_pdf * dr.squared_norm(si.p - prev_p) / dr.maximum(dr.abs(dr.dot(si.n, si.to_world(si.wi))), 1e-6)
+            lamp_pdf = (
+                chance
+                * area_pdf
+                * dr.squared_norm(si.p - prev_p)
+                / dr.maximum(dr.abs(dr.dot(si.n, si.to_world(si.wi))), 1e-6)
+            )
             weight = dr.select(area_pdf > 0.0, mis_weight(prev_pdf, lamp_pdf), weight)
         weight = dr.select(prev_delta, 1.0, weight)  # else a lamp's face counts here only for the eye and for mirrors
         group = self.group(emitter, ended)
-        return dr.select(ended, throughput * weight * self.light(emitter.eval(si, ended), group), self.bands.black()), group
+        return dr.select(
+            ended, throughput * weight * self.light(emitter.eval(si, ended), group), self.bands.black()
+        ), group
 
     def sample_emitter(self, vertex: Any, smooth: Any, medium_scattered: Any, sampler: Any) -> tuple[Any, Any, Any]:
         """(9) Whether a light is chosen, its direction, and its radiance over the density of the choice."""
@@ -534,14 +675,29 @@ class FogPath:
                 lit &= sent.emitter != mi.EmitterPtr(self.loaded.scene.environment())
         return lit & (sent.pdf > 0.0), sent, power
 
-    def nee_surface(self, si: Any, bsdf: Any, reading: Any, throughput: Any, sampler: Any, smooth: Any) -> tuple[Any, Any, Any, Any]:
-        """(10) A lamp's light on a surface as it is reflected, the lamp's group, how the surface answers lamps, and the sum of their weights."""
+    def nee_surface(
+        self, si: Any, bsdf: Any, reading: Any, throughput: Any, sampler: Any, smooth: Any
+    ) -> tuple[Any, Any, Any, Any]:
+        """(10) A lamp's light on a surface as it is reflected, the lamp's group, how the surface answers lamps, and the
+        sum of their weights.
+        """
         context, black = backend.mitsuba().BSDFContext(), self.bands.black()
         if self.importance is None:
-            lamp, colour, group, _ = self.lights.at(si.p, lambda way: dr.abs(dr.dot(si.n, way)) + 1e-3, sampler, smooth, self.known_near(si.p))
+            lamp, colour, group, _ = self.lights.at(
+                si.p, lambda way: dr.abs(dr.dot(si.n, way)) + 1e-3, sampler, smooth, self.known_near(si.p)
+            )
             free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
             reflected = bsdf.eval(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
-            return dr.select(free, throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp, black), group, None, None
+            return (
+                dr.select(
+                    free,
+                    throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp,
+                    black,
+                ),
+                group,
+                None,
+                None,
+            )
         gloss = Gloss.of(si, bsdf, smooth)
         picks = self.importance.draw(lambda index: self.importance.at(index, si.p, gloss), sampler, smooth)
         lamp, colour, group, lamp_pdf = self.lights.at(si.p, gloss, sampler, smooth, picks)
@@ -549,7 +705,11 @@ class FogPath:
         reflected, pdf = bsdf.eval_pdf(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
         if self.lit_faces is not None:
             reach_lamp = reach_lamp * dr.select(lamp_pdf > 0.0, mis_weight(lamp_pdf, pdf), 1.0)
-        light = dr.select(free, throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp, black)
+        light = dr.select(
+            free,
+            throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp,
+            black,
+        )
         return light, group, gloss, picks.total
 
     def control_reflected(
@@ -566,7 +726,9 @@ class FogPath:
         smooth: Any,
         next_delta: Any,
     ) -> Any:
-        """(11) The control variate's light that a surface reflects: a matte part of it in closed form, the rest along the direction that is taken."""
+        """(11) The control variate's light that a surface reflects: a matte part of it in closed form, the rest along
+        the direction that is taken.
+        """
         control, black = self.control, self.bands.black()
         known = surface_hit & control.holds(place)
         matte, normal = self.matte(si, bsdf, reading, known & smooth)
@@ -577,29 +739,41 @@ class FogPath:
         light = irradiance + rest * control.radiance(place, direction, known)
         return dr.select(known & (bounce.pdf > 0.0), light, dr.select(known, irradiance, black))
 
-    def sample_phase(self, forward: Any, place: Any, throughput: Any, scale: Any, sampler: Any, medium_scattered: Any) -> tuple[Any, Any, Any]:
-        """(11) A direction after a scattering, from the phase function or guided to a lamp, and the phase function's density of it [1/sr]."""
+    def sample_phase(
+        self, forward: Any, place: Any, throughput: Any, scale: Any, sampler: Any, medium_scattered: Any
+    ) -> tuple[Any, Any, Any]:
+        """(11) A direction after a scattering, from the phase function or guided to a lamp, and the phase function's
+        density of it [1/sr].
+        """
         medium = self.medium
         wo, phase_pdf = medium.phase.sample(forward, sampler.next_2d(medium_scattered))
         if self.guide.count > 0:
             sigma = medium.media[0].sigma_t
-            guided = self.guide.direction(place, sigma, sampler.next_1d(medium_scattered), sampler.next_2d(medium_scattered))
+            guided = self.guide.direction(
+                place, sigma, sampler.next_1d(medium_scattered), sampler.next_2d(medium_scattered)
+            )
             guiding = dr.select(dr.max(throughput) < GROWN * scale, GUIDE_PROBABILITY, GUIDE_PROBABILITY_GROWN)
             wo = dr.select(sampler.next_1d(medium_scattered) < guiding, guided, wo)
-            phase_pdf = medium.phase.value(dr.dot(forward, wo))  # also what it is weighed by against shadow rays, on both sides
+            phase_pdf = medium.phase.value(
+                dr.dot(forward, wo)
+            )  # also what it is weighed by against shadow rays, on both sides
             mixed = guiding * self.guide.direction_density(place, sigma, wo) + (1.0 - guiding) * phase_pdf
             throughput = dr.select(medium_scattered, throughput * phase_pdf / dr.maximum(mixed, 1e-30), throughput)
         return wo, phase_pdf, throughput
 
     def survival(self, throughput: Any, scale: Any, depth: Any, scattered: Any, medium_scattered: Any) -> Any:
-        """(12) Chance of a path to go on: rr_prob after RR_DEPTH vertices, less where it carries little or only a difference."""
+        """(12) Chance of a path to go on: rr_prob after RR_DEPTH vertices, less where it carries little or only a
+        difference.
+        """
         survive = dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(dr.max(throughput) / (FAINT * scale), 1.0)
         if self.control is not None:
             survive *= dr.select(medium_scattered & (scattered > 1), DIFFERENCE_SURVIVES, 1.0)
         return survive
 
     def add_light(self, path: Any, aovs: list[Any], sums: list[Any], light: Any, scattered: Any, group: Any) -> Any:
-        """Add light to the path, its AOV and its group; light that is not finite is left out of both and spoils the path's square, which counts it."""
+        """Add light to the path, its AOV and its group; light that is not finite is left out of both and spoils the
+        path's square, which counts it.
+        """
         finite = dr.all(dr.isfinite(light))
         clean = dr.select(finite, light, 0.0)
         path = path + dr.select(finite, light, dr.nan)
@@ -637,10 +811,14 @@ class FogPath:
         back = mi.Vector3f(si.wi.x / flat * 0.8660254, si.wi.y / flat * 0.8660254, 0.5 * facing)
         value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, back, active)
         fits = active & (pdf > 0.1 * dr.inv_pi)  # a fifth of the cosine's density at 60 degrees
-        return self.bands.reflectance(dr.select(fits, dr.minimum(value * (2.0 * dr.pi), 1.0), 0.0), reading), mi.Vector3f(si.sh_frame.n) * facing
+        return self.bands.reflectance(
+            dr.select(fits, dr.minimum(value * (2.0 * dr.pi), 1.0), 0.0), reading
+        ), mi.Vector3f(si.sh_frame.n) * facing
 
     def shadow_transmittance(self, place: Any, normal: Any, light: Any, active: Any) -> tuple[Any, Any]:
-        """(whether nothing stands between a point and a light, transmittance of the fog between: one for all bands, or one each)."""
+        """(whether nothing stands between a point and a light, transmittance of the fog between: one for all bands, or
+        one each).
+        """
         mi = backend.mitsuba()
         start = dr.zeros(mi.Interaction3f)
         start.p, start.n = place, normal
@@ -665,8 +843,12 @@ class FogPath:
         """A ray through a point (u, v) of the picture, 0 to 1 from the top left, and its weight."""
         mi = backend.mitsuba()
         camera = self.loaded.source.camera
-        ray, weight = self.loaded.sensor.sample_ray(0.0, 0.5, place + mi.Point2f(*self.loaded.offset), mi.Point2f(sampler.next_2d(active)), active)
-        if camera.near_m <= LENS_M:  # nothing stands before the near plane: begin at the lens, so that no fog is left out
+        ray, weight = self.loaded.sensor.sample_ray(
+            0.0, 0.5, place + mi.Point2f(*self.loaded.offset), mi.Point2f(sampler.next_2d(active)), active
+        )
+        if (
+            camera.near_m <= LENS_M
+        ):  # nothing stands before the near plane: begin at the lens, so that no fog is left out
             ray.o = ray.o - ray.d * (self.near / dr.dot(ray.d, self.ahead))
         if camera.moves:
             ray = moved(ray, camera, sampler.next_1d(active))

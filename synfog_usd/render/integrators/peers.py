@@ -1,6 +1,7 @@
 """Mitsuba's own volumetric path tracers: the peers that ours are measured against, and what holds where ours do not.
 
-Rays are made here and summed in a fixed order: Mitsuba's film adds with atomics, in an order that changes from run to run.
+Rays are made here and summed in a fixed order: Mitsuba's film adds with atomics, in an order that changes from run to
+run.
 Source: Mitsuba 3, src/integrators/volpath.cpp and volpathmis.cpp.
 """
 
@@ -86,17 +87,25 @@ def _side_by_side(loaded: MitsubaScene, integrator: Any, count: int, seed: int) 
     return np.array(summed, dtype=np.float64).T, np.array(squared, dtype=np.float64).T, int(lost[0])
 
 
-def _accumulate_scalar(loaded: MitsubaScene, integrator: Any, samples: int, seed: int, progress: Progress) -> Accumulator:
+def _accumulate_scalar(
+    loaded: MitsubaScene, integrator: Any, samples: int, seed: int, progress: Progress
+) -> Accumulator:
     """Whole renders with seeds of their own; their scatter gives the variance.
 
     A thin lens off its axis is drawn as a pinhole: here Mitsuba makes the rays.
     """
-    sensor = loaded.sensor if loaded.offset == (0.0, 0.0) else make_sensor(loaded.source.camera, loaded.camera_medium, pinhole=True)
+    sensor = (
+        loaded.sensor
+        if loaded.offset == (0.0, 0.0)
+        else make_sensor(loaded.source.camera, loaded.camera_medium, pinhole=True)
+    )
     passes = min(SCALAR_PASSES, samples)
     counts = [samples // passes + (index < samples % passes) for index in range(passes)]
     images, broken = [], 0
     for index, count in enumerate(counts):
-        image = np.array(integrator.render(loaded.scene, sensor, seed32(seed, "pass", index), count), dtype=np.float64)[:, :, :3]
+        image = np.array(integrator.render(loaded.scene, sensor, seed32(seed, "pass", index), count), dtype=np.float64)[
+            :, :, :3
+        ]
         broken += int(np.count_nonzero(~np.isfinite(image).all(axis=2)))
         images.append(np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).reshape(-1, 3))
         progress("rendering", (index + 1) / passes)

@@ -26,7 +26,13 @@ OTHER = "other"
 
 
 def make_tracer(
-    loaded: MitsubaScene, *, with_slab: bool = False, in_froxels: bool = False, scatterings: int | None = None, bounces: int | None = None, bands: int = RGB
+    loaded: MitsubaScene,
+    *,
+    with_slab: bool = False,
+    in_froxels: bool = False,
+    scatterings: int | None = None,
+    bounces: int | None = None,
+    bands: int = RGB,
 ) -> FogPath:
     """Path tracing with the fog's edge in closed form.
 
@@ -58,7 +64,17 @@ def make_tracer(
     lights = LightSampler(world, numbers, g)
     kind = FroxelPath if in_froxels else FogPath
     cut = Method(**limits)
-    return kind(loaded, medium, lights=lights, others=others, control=control, method=cut, groups=names, group_of_emitter=of_emitter, bands=carried)
+    return kind(
+        loaded,
+        medium,
+        lights=lights,
+        others=others,
+        control=control,
+        method=cut,
+        groups=names,
+        group_of_emitter=of_emitter,
+        bands=carried,
+    )
 
 
 def make_slab(loaded: MitsubaScene, *, bands: int = RGB) -> FogPath:
@@ -83,9 +99,14 @@ def slab_refuses(scene: SceneDict) -> str:
     if len(scene.fog) != 1:
         return f"it takes one fog volume, and there are {len(scene.fog)}"
     matrix = scene.fog[0].boundary.to_world
-    if scene.fog[0].boundary.kind != "box" or max(abs(matrix[2, :2]).max(), abs(matrix[:2, 2]).max()) > 1e-5 * abs(matrix[:3, :3]).max():
+    if (
+        scene.fog[0].boundary.kind != "box"
+        or max(abs(matrix[2, :2]).max(), abs(matrix[:2, 2]).max()) > 1e-5 * abs(matrix[:3, :3]).max()
+    ):
         return f"the fog {scene.fog[0].path} is no box with a level top"
-    if not any(isinstance(part, dict) and part.get("type") in ("constant", "envmap", "sunsky") for part in scene.world.values()):
+    if not any(
+        isinstance(part, dict) and part.get("type") in ("constant", "envmap", "sunsky") for part in scene.world.values()
+    ):
         return "there is no sky"
     return ""
 
@@ -103,15 +124,32 @@ def _emissions(loaded: MitsubaScene, bands: int) -> tuple[list[Any], dict[str, i
     return spectra, kind_of
 
 
-def _groups(loaded: MitsubaScene, kinds: int, kind_of: Mapping[str, int]) -> tuple[tuple[str, ...], dict[str, int], Any]:
-    """Names of the light groups that are there; key of a lamp -> its number, group x kinds of light + kind; and the same by the renderer's own index."""
+def _groups(
+    loaded: MitsubaScene, kinds: int, kind_of: Mapping[str, int]
+) -> tuple[tuple[str, ...], dict[str, int], Any]:
+    """Names of the light groups that are there; key of a lamp -> its number, group x kinds of light + kind; and the
+    same by the renderer's own index.
+    """
     source = loaded.source
-    shining = [key for key, part in source.world.items() if isinstance(part, dict) and ("emitter" in part or key.startswith("light_"))]
+    shining = [
+        key
+        for key, part in source.world.items()
+        if isinstance(part, dict) and ("emitter" in part or key.startswith("light_"))
+    ]
     names = tuple(sorted({source.group_of.get(key, OTHER) for key in shining})) or (OTHER,)
     numbers = {key: names.index(source.group_of.get(key, OTHER)) * kinds + kind_of.get(key, 0) for key in shining}
-    index_of = {key: emitter_index(loaded.shapes[(key,)].emitter() if (key,) in loaded.shapes else loaded.parts[key]) for key in shining}
-    others = [emitter_index(emitter) for emitter in loaded.scene.emitters()]  # a scene made by hand may name its lights otherwise: the sky's
-    table = np.full(max([*index_of.values(), *others], default=0) + 1, kinds * (names.index("sky") if "sky" in names else 0), dtype=np.uint32)
+    index_of = {
+        key: emitter_index(loaded.shapes[(key,)].emitter() if (key,) in loaded.shapes else loaded.parts[key])
+        for key in shining
+    }
+    others = [
+        emitter_index(emitter) for emitter in loaded.scene.emitters()
+    ]  # a scene made by hand may name its lights otherwise: the sky's
+    table = np.full(
+        max([*index_of.values(), *others], default=0) + 1,
+        kinds * (names.index("sky") if "sky" in names else 0),
+        dtype=np.uint32,
+    )
     for key, index in index_of.items():
         table[index] = numbers[key]
     return names, numbers, backend.numbers(table)

@@ -94,7 +94,10 @@ class LightGrid:
         places = np.array([row["position"] for row in rows])
         self.columns = Columns(np.array(rows, dtype=LAMP), tabled=lights.photometric)
         low, high = eye - REACH_M, eye + REACH_M
-        low[:2], high[:2] = np.maximum(low[:2], places[:, :2].min(axis=0) - 20.0), np.minimum(high[:2], places[:, :2].max(axis=0) + 20.0)
+        low[:2], high[:2] = (
+            np.maximum(low[:2], places[:, :2].min(axis=0) - 20.0),
+            np.minimum(high[:2], places[:, :2].max(axis=0) + 20.0),
+        )
         low[2], high[2] = places[:, 2].min() - CELL_M, places[:, 2].max() + CELL_M
         high = np.maximum(high, low + CELL_M)
         height = max(CELL_M, (high[2] - low[2]) / 8.0)
@@ -119,7 +122,10 @@ class LightGrid:
         mi = backend.mitsuba()
         count = int(np.prod(self.shape))
         index = np.arange(count)
-        corner = np.stack([index % self.shape[0], index // self.shape[0] % self.shape[1], index // (self.shape[0] * self.shape[1])], axis=1)
+        corner = np.stack(
+            [index % self.shape[0], index // self.shape[0] % self.shape[1], index // (self.shape[0] * self.shape[1])],
+            axis=1,
+        )
         bits = np.arange(POINTS)[:, None] >> np.arange(3) & 1
         within = 0.25 + 0.5 * bits  # of the cell's eighths, the middle
         points = self.low + (corner[:, None] + within[None]) * self.size
@@ -138,7 +144,9 @@ class LightGrid:
         square = dr.maximum(dr.squared_norm(between), NEAR_M**2)
         away = dr.sqrt(square)
         light = mi.luminance(row.colour)
-        return light * self.lights.sent(row, between / away) * dr.exp(-dr.opaque(mi.Float, self.sigma_t) * away) / square
+        return (
+            light * self.lights.sent(row, between / away) * dr.exp(-dr.opaque(mi.Float, self.sigma_t) * away) / square
+        )
 
     def seen(self, tracer: Any, medium: Any) -> LightDistribution:
         """Chances by tile of the view: what each lamp sends along rays through it, scattered once.
@@ -181,7 +189,9 @@ class LightGrid:
             place = ray.o + ray.d * distance
             towards = dr.normalize(place - lamp)
             jacobian = (height * height + dr.square(distance - nearest)) / height
-            dimmed = dr.exp(-medium.optical_depth_inside(ray.o, ray.d, begin, distance)) * medium.phase.value(-dr.dot(towards, ray.d))
+            dimmed = dr.exp(-medium.optical_depth_inside(ray.o, ray.d, begin, distance)) * medium.phase.value(
+                -dr.dot(towards, ray.d)
+            )
             total += self._sent(number, place) * dimmed * jacobian
             step += 1
         return total * (high - low)
@@ -208,7 +218,12 @@ def _representative(block: np.ndarray) -> np.ndarray:
     axis = share @ block["axis"]
     lean = float(np.linalg.norm(axis))
     if lean < 0.5:  # it shines all around
-        row["axis"], row["colour"], row["cutoff"], row["slope"], row["is_beam"] = (0.0, 0.0, 1.0), row["colour"] / 4.0, *EVERYWHERE, 1.0
+        row["axis"], row["colour"], row["cutoff"], row["slope"], row["is_beam"] = (
+            (0.0, 0.0, 1.0),
+            row["colour"] / 4.0,
+            *EVERYWHERE,
+            1.0,
+        )
     else:
         row["axis"] = axis / lean
     return row

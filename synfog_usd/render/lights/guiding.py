@@ -71,7 +71,9 @@ class LightGuide:
         steps = 0.5 * (value[1:] + value[:-1]) * np.diff(nodes)
         beyond = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
         beyond = np.maximum(beyond, 1e-3 * beyond[0])
-        self.around = mi.IrregularContinuousDistribution(mi.Float(nodes.astype(np.float32)), mi.Float(beyond.astype(np.float32)))
+        self.around = mi.IrregularContinuousDistribution(
+            mi.Float(nodes.astype(np.float32)), mi.Float(beyond.astype(np.float32))
+        )
         self.tabled = lights.photometric and bool((rows[:, 10] >= 0.0).any())
         if self.tabled:
             used = np.unique(rows[rows[:, 10] >= 0.0, 10]).astype(int)
@@ -87,7 +89,9 @@ class LightGuide:
         return [dr.gather(mi.Float, column, index) for column in self.table]
 
     def _sent(self, row: list[Any], towards: Any) -> Any:
-        """Peak of a lamp times its share in a direction away from it, and beside its beam what the fog scatters out of it."""
+        """Peak of a lamp times its share in a direction away from it, and beside its beam what the fog scatters out of
+        it.
+        """
         mi = backend.mitsuba()
         cosine = dr.dot(mi.Vector3f(*row[3:6]), towards)
         beside = dr.acos(dr.clip(cosine, -1.0, 1.0)) - row[7]
@@ -102,7 +106,9 @@ class LightGuide:
         return row[6] * (FLOOR + sent)
 
     @dr.syntax
-    def distance(self, origin: Any, direction: Any, begin: Any, end: Any, sigma: Any, u_which: Any, u_along: Any) -> Any:
+    def distance(
+        self, origin: Any, direction: Any, begin: Any, end: Any, sigma: Any, u_which: Any, u_along: Any
+    ) -> Any:
         """A distance [m] on a stretch, drawn towards a lamp."""
         mi = backend.mitsuba()
         even, u = _evenly(u_which)
@@ -110,11 +116,17 @@ class LightGuide:
         while index < self.number:
             row = self._row(index)
             nearest, height, low, high = _angles(mi.Point3f(*row[0:3]), origin, direction, begin, end)
-            weight = dr.select(even, 1.0, self._along(row, origin, direction, nearest, height, low, high, begin, end, sigma))
+            weight = dr.select(
+                even, 1.0, self._along(row, origin, direction, nearest, height, low, high, begin, end, sigma)
+            )
             total += weight
             share = weight / dr.maximum(total, 1e-30)
             taken = u < share
-            u = dr.clip(dr.select(taken, u / dr.maximum(share, 1e-30), (u - share) / dr.maximum(1.0 - share, 1e-30)), 0.0, 0.9999999)
+            u = dr.clip(
+                dr.select(taken, u / dr.maximum(share, 1e-30), (u - share) / dr.maximum(1.0 - share, 1e-30)),
+                0.0,
+                0.9999999,
+            )
             kept = dr.select(taken, nearest + height * dr.tan(dr.lerp(low, high, u_along)), kept)
             index += 1
         return dr.clip(kept, begin, end)
@@ -136,13 +148,30 @@ class LightGuide:
             index += 1
         return (1.0 - EVENLY) * density / dr.maximum(total, 1e-30) + EVENLY * alike / self.number
 
-    def _along(self, row: list[Any], origin: Any, direction: Any, nearest: Any, height: Any, low: Any, high: Any, begin: Any, end: Any, sigma: Any) -> Any:
+    def _along(
+        self,
+        row: list[Any],
+        origin: Any,
+        direction: Any,
+        nearest: Any,
+        height: Any,
+        low: Any,
+        high: Any,
+        begin: Any,
+        end: Any,
+        sigma: Any,
+    ) -> Any:
         """How much a lamp matters on a stretch: its light at the nearest point, times the stretch's angle."""
         mi = backend.mitsuba()
         place = origin + direction * dr.clip(nearest, begin, end)
         between = place - mi.Point3f(*row[0:3])
         away = dr.maximum(dr.norm(between), NEAR_M)
-        return self._sent(row, between / away) * (high - low) / height * dr.exp(-sigma * (away + dr.clip(nearest, begin, end) - begin))
+        return (
+            self._sent(row, between / away)
+            * (high - low)
+            / height
+            * dr.exp(-sigma * (away + dr.clip(nearest, begin, end) - begin))
+        )
 
     @dr.syntax
     def direction(self, place: Any, sigma: Any, u_which: Any, u: Any) -> Any:
@@ -157,7 +186,11 @@ class LightGuide:
             total += weight
             share = weight / dr.maximum(total, 1e-30)
             taken = v < share
-            v = dr.clip(dr.select(taken, v / dr.maximum(share, 1e-30), (v - share) / dr.maximum(1.0 - share, 1e-30)), 0.0, 0.9999999)
+            v = dr.clip(
+                dr.select(taken, v / dr.maximum(share, 1e-30), (v - share) / dr.maximum(1.0 - share, 1e-30)),
+                0.0,
+                0.9999999,
+            )
             axis = dr.select(taken, towards, axis)
             index += 1
         angle = self.around.sample(u.x)
@@ -206,7 +239,8 @@ def _angles(lamp: Any, origin: Any, direction: Any, begin: Any, end: Any) -> tup
 def summary(rows: np.ndarray) -> np.ndarray:
     """One row of a lamp's many.
 
-    0-2 position, 3-5 axis, 6 luminous peak, 7 cutoff, 8 1 / transition, 9 whether it is a beam, 10 its table or -1, 11-13 the table's +X.
+    0-2 position, 3-5 axis, 6 luminous peak, 7 cutoff, 8 1 / transition, 9 whether it is a beam, 10 its table or -1,
+    11-13 the table's +X.
     """
     light = luminous_peak(rows)
     if rows["is_beam"][0] > 0.5:  # of a lamp with three tables the brightest stands for all
@@ -228,12 +262,16 @@ def _between_nodes() -> np.ndarray:
     """(N, N) angles [rad] between the directions of all nodes of a table."""
     rows, columns = NODES
     polar, around = np.arange(rows)[:, None] * np.pi / (rows - 1), np.arange(columns)[None] * 2.0 * np.pi / columns
-    way = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar) + 0.0 * around], axis=-1).reshape(-1, 3)
+    way = np.stack(
+        [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar) + 0.0 * around], axis=-1
+    ).reshape(-1, 3)
     return np.arccos(np.clip(way @ way.T, -1.0, 1.0))
 
 
 def _spread(table: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """A table at `NODES`: the most that it has up to the next nodes, or (N, N) `share` of what it has elsewhere, whichever is more."""
+    """A table at `NODES`: the most that it has up to the next nodes, or (N, N) `share` of what it has elsewhere,
+    whichever is more.
+    """
     rows, columns = NODES
     high = np.empty(NODES)
     polar, around = np.linspace(0.0, rows - 1.0, table.shape[0]), np.arange(table.shape[1]) * columns / table.shape[1]

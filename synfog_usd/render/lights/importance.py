@@ -2,8 +2,8 @@
 
 A light is a place, a peak and an octahedral table of what it sends where, or of what the fog turns out of its brightest
 parts, whichever is more.  To a stretch of a ray in fog it matters as the phase function's peak over the angles by which
-its light must turn, over its distance from the ray; to a point as the inverse square, times what a surface there makes of
-it.  All lights are asked in one loop, two gathers and an exponential each, and `PICKS` of them are drawn (weighted
+its light must turn, over its distance from the ray; to a point as the inverse square, times what a surface there makes
+of it.  All lights are asked in one loop, two gathers and an exponential each, and `PICKS` of them are drawn (weighted
 reservoirs, Chao 1982).  Shadows are not known to it, and no weight is 0, so what it has wrong is noise and no bias.
 
 Drawn from the cell of one random point of the stretch instead, as `grid` does it, a light near another part of the
@@ -87,7 +87,9 @@ class Importance:
         packed[:, 8:11] = [_across(one, x) for one, x in zip(axis, rows[:, 11:14], strict=True)]
         self.data = backend.floats(packed.ravel())
         spread = _turned_by_fog(sent, angle, turned)
-        self.sent, self.spread = (backend.floats(np.concatenate([table.ravel() for table in tables])) for tables in (sent, spread))
+        self.sent, self.spread = (
+            backend.floats(np.concatenate([table.ravel() for table in tables])) for tables in (sent, spread)
+        )
         self.count = dr.opaque(mi.UInt32, len(rows))
         self.sigma_t = medium.media[0].sigma_t if medium.foggy else dr.opaque(mi.Float, 0.0)
         self.width = lights.width
@@ -116,7 +118,9 @@ class Importance:
         return peak * inverse * share * (self._sent(self.spread, axis, x, table, towards) + FLOOR) * dimmed
 
     def at(self, index: Any, place: Any, response: Callable[[Any], Any]) -> Any:
-        """Weight of a light for a point; `response` tells what a surface there makes of light from a direction towards it."""
+        """Weight of a light for a point; `response` tells what a surface there makes of light from a direction towards
+        it.
+        """
         light, peak, axis, table, x = self._row(index)
         between = place - light
         true = dr.maximum(dr.squared_norm(between), 1e-8)
@@ -130,7 +134,9 @@ class Importance:
         """`PICKS` lights, independently, each in proportion to its weight `weigh(index)` >= 0."""
         mi = backend.mitsuba()
         picks, index = Picks(), mi.UInt32(0)
-        picks.u = mi.Vector4f(sampler.next_1d(active), sampler.next_1d(active), sampler.next_1d(active), sampler.next_1d(active))
+        picks.u = mi.Vector4f(
+            sampler.next_1d(active), sampler.next_1d(active), sampler.next_1d(active), sampler.next_1d(active)
+        )
         while active & (index < self.count):
             picks = picks.update(index, dr.maximum(weigh(index), 0.0))
             index += 1
@@ -139,7 +145,13 @@ class Importance:
     def _row(self, index: Any) -> tuple[Any, ...]:
         mi = backend.mitsuba()
         one, two, three = (dr.gather(mi.Vector4f, self.data, index * (ROW // 4) + part) for part in range(3))
-        return mi.Point3f(one[0], one[1], one[2]), one[3], mi.Vector3f(two[0], two[1], two[2]), mi.UInt32(two[3]), mi.Vector3f(three[0], three[1], three[2])
+        return (
+            mi.Point3f(one[0], one[1], one[2]),
+            one[3],
+            mi.Vector3f(two[0], two[1], two[2]),
+            mi.UInt32(two[3]),
+            mi.Vector3f(three[0], three[1], three[2]),
+        )
 
     def _sent(self, tables: Any, axis: Any, x: Any, begin: Any, direction: Any) -> Any:
         """Share of its peak that a light sends in a direction, from its texel of the octahedron."""
@@ -155,7 +167,8 @@ class Importance:
 
 
 class Gloss:
-    """What a surface makes of light, in short: a matte share, and a GGX lobe as high as the BSDF is in the mirror's direction.
+    """What a surface makes of light, in short: a matte share, and a GGX lobe as high as the BSDF is in the mirror's
+    direction.
 
     Attributes:
         normal: of the surface.
@@ -227,7 +240,9 @@ class LitFaces:
         """(one over the area of an emitter's faces [1/m2], 0 where it is no such lamp; the lamp's number)."""
         mi = backend.mitsuba()
         index = dr.reinterpret_array(mi.UInt32, emitter)
-        return dr.select(active, dr.gather(mi.Float, self.per_area, index, active), 0.0), dr.gather(mi.UInt32, self.number, index, active)
+        return dr.select(active, dr.gather(mi.Float, self.per_area, index, active), 0.0), dr.gather(
+            mi.UInt32, self.number, index, active
+        )
 
 
 def emitter_index(emitter: Any) -> int:
@@ -260,7 +275,11 @@ class Picks:
         after.total = self.total + weight
         share = weight / dr.maximum(after.total, 1e-30)
         taken = self.u < share
-        after.u = dr.clip(dr.select(taken, self.u / dr.maximum(share, 1e-30), (self.u - share) / dr.maximum(1.0 - share, 1e-30)), 0.0, 0.9999999)
+        after.u = dr.clip(
+            dr.select(taken, self.u / dr.maximum(share, 1e-30), (self.u - share) / dr.maximum(1.0 - share, 1e-30)),
+            0.0,
+            0.9999999,
+        )
         after.number = dr.select(taken, mi.Vector4u(index), self.number)
         after.weight = dr.select(taken, mi.Vector4f(weight), self.weight)
         return after
@@ -269,14 +288,20 @@ class Picks:
         """(number of the light drawn as the `which`-th, its probability)."""
 
         def one(values: Any) -> Any:
-            return dr.select(which == 0, values[0], dr.select(which == 1, values[1], dr.select(which == 2, values[2], values[3])))
+            return dr.select(
+                which == 0, values[0], dr.select(which == 1, values[1], dr.select(which == 2, values[2], values[3]))
+            )
 
         return one(self.number), one(self.weight) / dr.maximum(self.total, 1e-30)
 
 
 def _kind(row: Array) -> tuple[Any, ...]:
     """What lights that share a table of directions have in common."""
-    return ("table", int(row[10])) if row[10] >= 0.0 else ("beam" if row[9] > 0.5 else "cosine", round(row[7], 4), round(row[8], 3))
+    return (
+        ("table", int(row[10]))
+        if row[10] >= 0.0
+        else ("beam" if row[9] > 0.5 else "cosine", round(row[7], 4), round(row[8], 3))
+    )
 
 
 def _across(axis: Array, x: Array) -> Array:
@@ -306,7 +331,9 @@ def _sent(row: Array, tables: list[Array]) -> Array:
     if row[10] >= 0.0:
         table = tables[int(row[10])]
         around = np.arctan2(ways[..., 1], ways[..., 0]) / (2.0 * np.pi) % 1.0 * table.shape[1]
-        share = table[np.round(polar / np.pi * (table.shape[0] - 1)).astype(int), np.round(around).astype(int) % table.shape[1]]
+        share = table[
+            np.round(polar / np.pi * (table.shape[0] - 1)).astype(int), np.round(around).astype(int) % table.shape[1]
+        ]
     elif row[9] > 0.5:
         share = np.clip((row[7] - polar) * row[8], 0.0, 1.0)
     else:
@@ -319,4 +346,6 @@ def _turned_by_fog(sent: list[Array], angle: Array, turned: Array) -> list[Array
     centre = _directions().mean(axis=2).reshape(-1, 3)
     centre /= np.linalg.norm(centre, axis=1, keepdims=True)
     share = np.interp(np.clip(np.arccos(np.clip(centre @ centre.T, -1.0, 1.0)), 0.05, np.pi), angle, turned)
-    return [np.maximum(table, TURNED * (table.ravel()[None] * share).max(axis=1).reshape(table.shape)) for table in sent]
+    return [
+        np.maximum(table, TURNED * (table.ravel()[None] * share).max(axis=1).reshape(table.shape)) for table in sent
+    ]

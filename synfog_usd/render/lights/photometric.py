@@ -3,7 +3,8 @@
 Mitsuba has no such emitter: its spot shows a picture, which reaches 90 degrees at
 most and is coarse at its edge.  In a `SceneDict` it is
 
-    {'type': 'photometric', 'intensity': {'type': 'rgb', 'value': (3,) [cd]}, 'bitmap': (V, H) or (V, H, 3) float32 factors,
+    {'type': 'photometric', 'intensity': {'type': 'rgb', 'value': (3,) [cd]}, 'bitmap': (V, H) or (V, H, 3) float32
+    factors,
      'to_world': (4, 4) rigid}
 
 Row i stands for the angle pi i / (V - 1) off the lamp's +Z, column j for 2 pi j / H
@@ -43,7 +44,9 @@ def table_of(part: Mapping[str, Any]) -> Array:
 
 
 def ring_weights(rows: int) -> Array:
-    """(V,) solid angle [sr] of each row, all around: the integral of the piecewise linear hat of the row times 2 pi sin."""
+    """(V,) solid angle [sr] of each row, all around: the integral of the piecewise linear hat of the row times 2 pi
+    sin.
+    """
     step = np.pi / (rows - 1)
     angle = np.arange(rows) * step
     inner = 2.0 * np.sin(angle) * (1.0 - np.cos(step)) / step
@@ -71,11 +74,17 @@ class Tables:
     def at(self, which: Any, local: Any, active: Any = True) -> Any:
         """The factor of table `which` in a direction of the lamp's own frame."""
         mi = backend.mitsuba()
-        begin, rows, columns = (dr.gather(mi.UInt32, item, which, active) for item in (self.begin, self.rows, self.columns))
+        begin, rows, columns = (
+            dr.gather(mi.UInt32, item, which, active) for item in (self.begin, self.rows, self.columns)
+        )
         row, column, y, x = _cell(mi, local, rows, columns)
         at = begin + row * (columns + 1) + column
         low = dr.lerp(dr.gather(mi.Float, self.values, at, active), dr.gather(mi.Float, self.values, at + 1, active), x)
-        high = dr.lerp(dr.gather(mi.Float, self.values, at + columns + 1, active), dr.gather(mi.Float, self.values, at + columns + 2, active), x)
+        high = dr.lerp(
+            dr.gather(mi.Float, self.values, at + columns + 1, active),
+            dr.gather(mi.Float, self.values, at + columns + 2, active),
+            x,
+        )
         return dr.lerp(low, high, y)
 
 

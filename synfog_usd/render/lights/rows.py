@@ -1,6 +1,7 @@
 """Lamps as rows of numbers: spots, points, lamps with a table of their light, and the faces of lit meshes.
 
-Takes parts of a `SceneDict`; gives records of `LAMP`, and `Columns` of them in a kernel's memory.  Knows nothing of sampling.
+Takes parts of a `SceneDict`; gives records of `LAMP`, and `Columns` of them in a kernel's memory.  Knows nothing of
+sampling.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ def is_sampled_light(part: Any) -> bool:
     if part.get("type") in ("spot", "point", photometric.TYPE):
         return "texture" not in part
     emitter = part.get("emitter")
-    return part.get("type") == "mesh" and isinstance(emitter, Mapping) and emitter.get("radiance", {}).get("type") == "rgb"
+    return (
+        part.get("type") == "mesh" and isinstance(emitter, Mapping) and emitter.get("radiance", {}).get("type") == "rgb"
+    )
 
 
 def lamp_rows(part: Mapping[str, Any]) -> np.ndarray:
@@ -100,9 +103,17 @@ class Columns:
     def at(self, index: Any, active: Any = True) -> LampRow:
         """The rows of some numbers."""
         mi = backend.mitsuba()
-        found = {name: [dr.gather(mi.Float, column, index, active) for column in columns] for name, columns in self.columns.items()}
+        found = {
+            name: [dr.gather(mi.Float, column, index, active) for column in columns]
+            for name, columns in self.columns.items()
+        }
         kinds = {"position": mi.Point3f, "colour": mi.Color3f}
-        return LampRow(**{name: values[0] if len(values) == 1 else kinds.get(name, mi.Vector3f)(*values) for name, values in found.items()})
+        return LampRow(
+            **{
+                name: values[0] if len(values) == 1 else kinds.get(name, mi.Vector3f)(*values)
+                for name, values in found.items()
+            }
+        )
 
 
 def _blank(count: int) -> np.ndarray:
@@ -151,7 +162,10 @@ def channels(light: Mapping[str, Any]) -> list[np.ndarray]:
 def _photometric(light: Mapping[str, Any]) -> np.ndarray:
     """A row for all channels alike, or one for each."""
     table = photometric.table_of(light)
-    peaks, colour = table.max(axis=(0, 1)), np.broadcast_to(np.asarray(light["intensity"]["value"], dtype=np.float64), 3)
+    peaks, colour = (
+        table.max(axis=(0, 1)),
+        np.broadcast_to(np.asarray(light["intensity"]["value"], dtype=np.float64), 3),
+    )
     rows = _blank(len(peaks))
     matrix = np.asarray(light["to_world"], dtype=np.float64)
     rows["position"] = matrix[:3, 3]

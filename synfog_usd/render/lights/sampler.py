@@ -1,10 +1,10 @@
 """The light sampler: which lamp, and where on it, a point or a segment of a path asks for light.
 
-Resampled importance sampling (Talbot et al. 2005): every lamp gives candidates, one of them is kept in proportion to what it
-would send, and only that one costs a shadow ray.  On a segment in fog a lamp gives two candidates, a scattering at a distance
-drawn evenly over the angle at the lamp (Kulla and Fajardo 2012), and one drawn by the forward peak of the phase function; their
-density is that of the mixture.  The 1/r^2 beside a lamp, transmittance, phase function and choice of the lamp are thereby out of
-the noise; what is left is shadow.  Unbiased.  Lamps are rows of numbers, see `rows`.
+Resampled importance sampling (Talbot et al. 2005): every lamp gives candidates, one of them is kept in proportion to
+what it would send, and only that one costs a shadow ray.  On a segment in fog a lamp gives two candidates, a scattering
+at a distance drawn evenly over the angle at the lamp (Kulla and Fajardo 2012), and one drawn by the forward peak of the
+phase function; their density is that of the mixture.  The 1/r^2 beside a lamp, transmittance, phase function and choice
+of the lamp are thereby out of the noise; what is left is shadow.  Unbiased.  Lamps are rows of numbers, see `rows`.
 """
 
 from __future__ import annotations
@@ -62,7 +62,9 @@ class LightSampler:
         if not self.count:
             return
         mi = backend.mitsuba()
-        self.faces = mi.DiscreteDistribution(backend.floats(np.concatenate([luminous_peak(block) / luminous_peak(block).sum() for block in rows])))
+        self.faces = mi.DiscreteDistribution(
+            backend.floats(np.concatenate([luminous_peak(block) / luminous_peak(block).sum() for block in rows]))
+        )
         self.photometric = bool(self.tables)
         self.columns = Columns(np.concatenate(rows), tabled=self.photometric)
         self.light = photometric.Tables(self.tables) if self.photometric else None
@@ -71,7 +73,9 @@ class LightSampler:
         drawn = np.array([luminous_peak(block).max() * np.sqrt(block["solid_angle"][0]) for block in rows])
         self.choice = mi.DiscreteDistribution(backend.floats(drawn))
         g = min(max(abs(mean_cosine), 0.2), 0.99)
-        self.width = dr.opaque(mi.Float, (1.0 - g) / np.sqrt(g))  # of Henyey and Greenstein's peak, 1 + g^2 - 2 g cos = (1 - g)^2 + g angle^2 + ...
+        self.width = dr.opaque(
+            mi.Float, (1.0 - g) / np.sqrt(g)
+        )  # of Henyey and Greenstein's peak, 1 + g^2 - 2 g cos = (1 - g)^2 + g angle^2 + ...
         self.even = drawn / drawn.sum()
         self.many = self.count > MOST
         self.asked = dr.opaque(mi.UInt32, DRAWN if self.many else self.count)
@@ -92,7 +96,10 @@ class LightSampler:
         if self.many:
             number, probability = self._drawn(number, sampler, active, known)
             probability = probability * self.asked
-        at = dr.gather(mi.Float, self.begin, number, active) + dr.clip(sampler.next_1d(active), 1e-5, 0.99999) * self.share
+        at = (
+            dr.gather(mi.Float, self.begin, number, active)
+            + dr.clip(sampler.next_1d(active), 1e-5, 0.99999) * self.share
+        )
         index = self.faces.sample(at, active)
         probability = probability * self.faces.eval_pmf_normalized(index, active) / self.share
         row = self.columns.at(index, active)
@@ -125,7 +132,15 @@ class LightSampler:
 
     @dr.syntax
     def along(
-        self, origin: Any, direction: Any, begin: Any, end: Any, medium: Any, sampler: Any, active: Any, known: Known = None
+        self,
+        origin: Any,
+        direction: Any,
+        begin: Any,
+        end: Any,
+        medium: Any,
+        sampler: Any,
+        active: Any,
+        known: Known = None,
     ) -> tuple[Any, Any, Any, Any]:
         """One lamp's light scattered once along a stretch of a ray.
 
@@ -133,7 +148,8 @@ class LightSampler:
             origin, direction: the ray.
             begin, end: the stretch, as distances [m].
             medium: the fog.
-            known: where there are many, those that are drawn (`Importance`), or chances and the row to take (`LightGrid`); None to draw by flux and peak.
+            known: where there are many, those that are drawn (`Importance`), or chances and the row to take
+                (`LightGrid`); None to draw by flux and peak.
 
         Returns:
             where it scatters, where the lamp is, colour such that colour x transmittance
@@ -147,22 +163,36 @@ class LightSampler:
             nearest = dr.dot(lamp - origin, direction)
             height = dr.maximum(dr.norm(lamp - (origin + direction * nearest)), 1e-4)
             # the angle by which light must turn grows along the ray from 0 to pi
-            low, high = 0.5 * dr.pi + dr.atan((begin - nearest) / height), 0.5 * dr.pi + dr.atan((end - nearest) / height)
+            low, high = (
+                0.5 * dr.pi + dr.atan((begin - nearest) / height),
+                0.5 * dr.pi + dr.atan((end - nearest) / height),
+            )
             low_share, high_share = _peak_share(low, self.width), _peak_share(high, self.width)
             for by_angle in (True, False):
                 u = sampler.next_1d(active)
-                angle = dr.lerp(low, high, u) if by_angle else _of_peak_share(dr.lerp(low_share, high_share, u), self.width)
+                angle = (
+                    dr.lerp(low, high, u) if by_angle else _of_peak_share(dr.lerp(low_share, high_share, u), self.width)
+                )
                 distance = dr.clip(nearest + height * dr.tan(angle - 0.5 * dr.pi), begin, end)
                 step = distance - nearest
                 turn = 0.5 * dr.pi + dr.atan(step / height)
-                even, peaked = 1.0 / dr.maximum(high - low, 1e-9), _peak_density(turn, self.width) / dr.maximum(high_share - low_share, 1e-12)
+                even, peaked = (
+                    1.0 / dr.maximum(high - low, 1e-9),
+                    _peak_density(turn, self.width) / dr.maximum(high_share - low_share, 1e-12),
+                )
                 density = (even + peaked) * height / (height * height + step * step)
                 place = origin + direction * distance
                 between = place - lamp
                 square = dr.maximum(dr.squared_norm(between), 1e-8)
                 towards = between * dr.rsqrt(square)
                 through = dr.exp(-medium.optical_depth_inside(origin, direction, begin, distance))
-                strength = self.sent(row, towards) * medium.phase.value(-dr.dot(towards, direction)) * through * medium.scattering(place) / square
+                strength = (
+                    self.sent(row, towards)
+                    * medium.phase.value(-dr.dot(towards, direction))
+                    * through
+                    * medium.scattering(place)
+                    / square
+                )
                 value = row.colour * strength
                 dimmed = mi.luminance(value) * dr.exp(-medium.media[0].sigma_t * dr.sqrt(square))
                 kept = kept.update(place, lamp, value, row.group, dimmed, density * probability, sampler, active)
@@ -170,7 +200,9 @@ class LightSampler:
         return kept.place, kept.lamp, kept.estimate(), mi.UInt32(kept.group)
 
     @dr.syntax
-    def at(self, place: Any, response: Callable[[Any], Any], sampler: Any, active: Any, known: Known = None) -> tuple[Any, Any, Any, Any]:
+    def at(
+        self, place: Any, response: Callable[[Any], Any], sampler: Any, active: Any, known: Known = None
+    ) -> tuple[Any, Any, Any, Any]:
         """One lamp's light on a point.
 
         Args:
@@ -192,8 +224,22 @@ class LightSampler:
             towards = between * dr.rsqrt(square)
             value = row.colour * (self.sent(row, towards) / square)
             double_area, cosine = dr.norm(dr.cross(row.edge_u, row.edge_v)), dr.dot(row.axis, towards)
-            pdf = dr.select((row.is_beam > 0.5) | (cosine <= 1e-6), 0.0, probability * 2.0 * square / dr.maximum(double_area * cosine, 1e-20))
-            kept = kept.update(place, lamp, value, row.group, mi.luminance(value) * response(-towards), probability, sampler, active, pdf)
+            pdf = dr.select(
+                (row.is_beam > 0.5) | (cosine <= 1e-6),
+                0.0,
+                probability * 2.0 * square / dr.maximum(double_area * cosine, 1e-20),
+            )
+            kept = kept.update(
+                place,
+                lamp,
+                value,
+                row.group,
+                mi.luminance(value) * response(-towards),
+                probability,
+                sampler,
+                active,
+                pdf,
+            )
             index += 1
         return kept.lamp, kept.estimate(), mi.UInt32(kept.group), kept.pdf
 

@@ -28,7 +28,9 @@ PROBE_REACH_M = 80.0
 """The ground is looked for on a grid of PROBES^2 points this far around the camera."""
 
 ROWS, COLUMNS = 256, 512
-"""Of the table: within 2e-4 of the solution but for the last metre under the top, within 1.6e-4 even near the horizon."""
+"""Of the table: within 2e-4 of the solution but for the last metre under the top, within 1.6e-4 even near the
+horizon.
+"""
 
 BIN_M = 0.05
 MARGIN_M = 0.01
@@ -73,7 +75,9 @@ def find_ground(loaded: MitsubaScene, top_m: float) -> Ground | None:
     found, count = np.unique(bins[met], return_counts=True)
     usual = found[np.argmax(count)]
     here = met & (np.abs(bins - usual) <= 1)
-    return Ground(float(np.median(height[here])), np.clip(np.nan_to_num(colour[here]).mean(axis=0), 0.0, 1.0), float(here.mean()))
+    return Ground(
+        float(np.median(height[here])), np.clip(np.nan_to_num(colour[here]).mean(axis=0), 0.0, 1.0), float(here.mean())
+    )
 
 
 def mean_sky(loaded: MitsubaScene) -> tuple[Array, Array, float]:
@@ -93,7 +97,9 @@ def mean_sky(loaded: MitsubaScene) -> tuple[Array, Array, float]:
     flat = np.sqrt(1.0 - z * z)
     si = dr.zeros(mi.SurfaceInteraction3f, len(z))
     si.wi = -mi.Vector3f(*(backend.floats(axis) for axis in (flat * np.cos(phi), flat * np.sin(phi), z)))
-    radiance = np.array(environment.eval(si) + mi.Color3f(dr.zeros(mi.Float, len(z))), dtype=np.float64).T.reshape(SKY_RINGS, SKY_SECTORS, 3)
+    radiance = np.array(environment.eval(si) + mi.Color3f(dr.zeros(mi.Float, len(z))), dtype=np.float64).T.reshape(
+        SKY_RINGS, SKY_SECTORS, 3
+    )
     mean = radiance.mean(axis=1)
     weight = np.gradient(up)
     level = float((weight[:, None] * mean).sum())
@@ -144,10 +150,14 @@ class ControlVariate:
         """What is seen from points of the domain in a direction (C,)."""
         side = dr.select(direction.z >= 0.0, backend.mitsuba().UInt32(0), self.rows * self.columns)
         column = dr.sqrt(dr.minimum(dr.abs(direction.z), 1.0)) * (self.columns - 1)
-        return self._bilinear(self.table, self._row(place) * (self.rows - 1), column, self.rows, self.columns, side, active)
+        return self._bilinear(
+            self.table, self._row(place) * (self.rows - 1), column, self.rows, self.columns, side, active
+        )
 
     def airlight(self, ray: Any, end: Any, medium: Medium, active: Any) -> Any:
-        """What the slab sends towards a ray's origin from before a distance `end`, infinite where nothing is met (C,)."""
+        """What the slab sends towards a ray's origin from before a distance `end`, infinite where nothing is met
+        (C,).
+        """
         begin, leave = self.intersect(ray.o, ray.d)
         inside = active & (leave > begin) & (begin < end)
         until = dr.minimum(end, leave)
@@ -158,14 +168,27 @@ class ControlVariate:
     def irradiance(self, place: Any, normal: Any, active: Any) -> Any:
         """Light on points of the domain with a normal (C,)."""
         column = 0.5 * (dr.clip(normal.z, -1.0, 1.0) + 1.0) * (self.lit_columns - 1)
-        return self._bilinear(self.lit, self._row(place) * (self.lit_rows - 1), column, self.lit_rows, self.lit_columns, backend.mitsuba().UInt32(0), active)
+        return self._bilinear(
+            self.lit,
+            self._row(place) * (self.lit_rows - 1),
+            column,
+            self.lit_rows,
+            self.lit_columns,
+            backend.mitsuba().UInt32(0),
+            active,
+        )
 
     def _row(self, place: Any) -> Any:
         """The table's row coordinate, 0 at the ground and 1 at the top; see `Slab.table`."""
         if self.exponential:
             height = place.z - self.bottom
             share = (
-                self.medium.optical_depth(backend.mitsuba().Point3f(0.0, 0.0, self.bottom), backend.mitsuba().Vector3f(0.0, 0.0, 1.0), 0.0, height)
+                self.medium.optical_depth(
+                    backend.mitsuba().Point3f(0.0, 0.0, self.bottom),
+                    backend.mitsuba().Vector3f(0.0, 0.0, 1.0),
+                    0.0,
+                    height,
+                )
                 * self.through
             )
         else:
@@ -178,11 +201,15 @@ class ControlVariate:
         y, x = row - i, column - j
         at = first + mi.UInt32(i) * columns + mi.UInt32(j)
         low = dr.lerp(self.bands.gather(table, at, active), self.bands.gather(table, at + 1, active), x)
-        high = dr.lerp(self.bands.gather(table, at + columns, active), self.bands.gather(table, at + columns + 1, active), x)
+        high = dr.lerp(
+            self.bands.gather(table, at + columns, active), self.bands.gather(table, at + columns + 1, active), x
+        )
         return dr.lerp(low, high, y)
 
 
-def make_control_variate(loaded: MitsubaScene, medium: Medium, bands: Bands | None = None, sky_kind: int = 0) -> tuple[ControlVariate | None, str]:
+def make_control_variate(
+    loaded: MitsubaScene, medium: Medium, bands: Bands | None = None, sky_kind: int = 0
+) -> tuple[ControlVariate | None, str]:
     """The slab that is most like a scene under a sky of this kind of light; else None and why there is none."""
     bands = bands or Bands()
     if bands.coloured:
@@ -191,7 +218,10 @@ def make_control_variate(loaded: MitsubaScene, medium: Medium, bands: Bands | No
         return None, "the slab is solved for one fog volume"
     volume = medium.volumes[0]
     matrix = volume.boundary.to_world
-    if volume.boundary.kind != "box" or np.abs(matrix[2, :2]).max() + np.abs(matrix[:2, 2]).max() > 1e-5 * np.abs(matrix[:3, :3]).max():
+    if (
+        volume.boundary.kind != "box"
+        or np.abs(matrix[2, :2]).max() + np.abs(matrix[:2, 2]).max() > 1e-5 * np.abs(matrix[:3, :3]).max()
+    ):
         return None, f"the fog {volume.path} is no box with a level top"
     if loaded.scene.environment() is None:
         return None, "there is no sky"

@@ -81,7 +81,9 @@ class Medium:
 
     def optical_depth_inside(self, origin: Any, direction: Any, begin: Any, end: Any) -> Any:
         """The same for a stretch that is known to be in fog all along: one uniform fog needs no look for its edge."""
-        return self.media[0].sigma_t * (end - begin) if self.single else self.optical_depth(origin, direction, begin, end)
+        return (
+            self.media[0].sigma_t * (end - begin) if self.single else self.optical_depth(origin, direction, begin, end)
+        )
 
     def sample_distance(self, origin: Any, direction: Any, optical_depth: Any, near: Any, far: Any) -> Any:
         """Distance [m] at which the optical depth from `near` on is `optical_depth`; at most `far`."""
@@ -98,7 +100,9 @@ class Medium:
         """Scattering coefficient [1/m] at points in fog."""
         if self.single:
             return self.media[0].sigma_t * self.media[0].albedo
-        return self._innermost(place, lambda medium: medium.extinction(place) * medium.albedo, backend.mitsuba().Float(0.0))
+        return self._innermost(
+            place, lambda medium: medium.extinction(place) * medium.albedo, backend.mitsuba().Float(0.0)
+        )
 
     def extinction(self, place: Any) -> Any:
         """Extinction [1/m] at points in fog."""
@@ -167,10 +171,16 @@ class _Volume(Domain):
         super().__init__(volume.boundary.to_world, ball=volume.boundary.kind == "sphere")
         mi = backend.mitsuba()
         medium = volume.medium
-        self.sigma_t, self.albedo = dr.opaque(mi.Float, scale * medium.sigma_t_per_m), dr.opaque(mi.Float, medium.albedo)
+        self.sigma_t, self.albedo = (
+            dr.opaque(mi.Float, scale * medium.sigma_t_per_m),
+            dr.opaque(mi.Float, medium.albedo),
+        )
         self.exponential = medium.profile == "exponential"
         if self.exponential:
-            self.base, self.scale = dr.opaque(mi.Float, medium.base_height_m), dr.opaque(mi.Float, medium.scale_height_m)
+            self.base, self.scale = (
+                dr.opaque(mi.Float, medium.base_height_m),
+                dr.opaque(mi.Float, medium.scale_height_m),
+            )
 
     def extinction(self, place: Any) -> Any:
         if not self.exponential:
@@ -193,7 +203,9 @@ def _mean_density(low: Any, climb: Any) -> Any:
     above = dr.maximum(low, 0.0)
     rise = dr.maximum(low + climb, 0.0) - above
     x = -rise
-    share = dr.select(dr.abs(x) < 1e-3, 1.0 + x * (0.5 + x / 6.0), _expm1(x) / dr.select(x == 0.0, 1.0, x))  # mean of exp over the rise
+    share = dr.select(
+        dr.abs(x) < 1e-3, 1.0 + x * (0.5 + x / 6.0), _expm1(x) / dr.select(x == 0.0, 1.0, x)
+    )  # mean of exp over the rise
     high_part = dr.exp(-above) * share
     covered = dr.select(dr.abs(climb) < 1e-7, 0.0, (below[1] - below[0]) / dr.select(climb == 0.0, 1.0, climb))
     flat = dr.select(low < 0.0, 1.0, dr.exp(-above))

@@ -37,7 +37,9 @@ class ClosedForm:
         """A direction of travel after scattering, and its density [1/sr]."""
         g = self.g
         spread = 1.0 - g + 2.0 * g * u.x
-        away = (1.0 - g) * (1.0 - u.x) * ((1.0 - g * g) / spread + 1.0 - g) / spread  # the usual inverse less 1, without its 0 / 0 at g = 0
+        away = (
+            (1.0 - g) * (1.0 - u.x) * ((1.0 - g * g) / spread + 1.0 - g) / spread
+        )  # the usual inverse less 1, without its 0 / 0 at g = 0
         return _turned(forward, away, self.side, u.y), self._at(away)
 
     def _at(self, away: Any) -> Any:

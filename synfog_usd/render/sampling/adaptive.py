@@ -28,7 +28,9 @@ from synfog_usd.render.film.accumulator import (
 from synfog_usd.render.integrators.path import FogPath
 
 DENOISER_GAIN = 10.0
-"""Raw noise over the target from which on denoising is not even tried; on the crossing it lowers what differs from seed to seed 3 to 7 times."""
+"""Raw noise over the target from which on denoising is not even tried; on the crossing it lowers what differs from seed
+to seed 3 to 7 times.
+"""
 
 SENSOR_SHARE = 1.0 / 3.0
 """Part of the sensor's own noise that may be left of a render: together they are 5 % noisier than the sensor alone."""
@@ -42,7 +44,8 @@ class Target:
         relative: standard error of a pixel's luminance over it, or None.
         sigma: luminance (P,) [cd m-2] -> standard error [cd m-2] that is good enough, or None; the sensor's noise.
         samples: most paths per pixel, on average over the image.
-        time_s: wall seconds after which no new round is begun, or None; a render that ends by it does not repeat byte for byte.
+        time_s: wall seconds after which no new round is begun, or None; a render that ends by it does not repeat byte
+            for byte.
     """
 
     relative: float | None = None
@@ -66,11 +69,15 @@ class Target:
         return limits
 
     def allowed_in_all(self, luminance: Array) -> Array:
-        """RMS error [cd m-2], bias and all, that is good enough for each pixel of a denoised picture: the relative one, or all of the sensor's noise."""
+        """RMS error [cd m-2], bias and all, that is good enough for each pixel of a denoised picture: the relative one,
+        or all of the sensor's noise.
+        """
         return self.allowed(luminance) / (SENSOR_SHARE if self.sigma is not None else 1.0)
 
     def met_by(self, luminance: Array, error: Error) -> bool:
-        """Whether a denoised picture is good enough in its median pixel: its whole error, and, for a sensor, what differs from seed to seed."""
+        """Whether a denoised picture is good enough in its median pixel: its whole error, and, for a sensor, what
+        differs from seed to seed.
+        """
         whole = float(np.median(error.rms / self.allowed_in_all(luminance)))
         return whole <= 1.0 and (self.sigma is None or float(np.median(error.scatter / self.allowed(luminance))) <= 1.0)
 
@@ -84,7 +91,9 @@ def sensor_target(noise: Callable[[Array], Array]) -> Callable[[Array], Array]:
     return lambda luminance: SENSOR_SHARE * noise(luminance)
 
 
-def accumulate_to_target(integrator: Integrator, *, target: Target, seed: int, now: Callable[[], float], progress: Progress = silent) -> Accumulator:
+def accumulate_to_target(
+    integrator: Integrator, *, target: Target, seed: int, now: Callable[[], float], progress: Progress = silent
+) -> Accumulator:
     """Sample until the target is met or the samples or the time are used up; more where the error still is.
 
     A pixel's variance is judged with its neighbours': by itself it would stop at the
@@ -100,7 +109,14 @@ def accumulate_to_target(integrator: Integrator, *, target: Target, seed: int, n
     pixels = camera.width_px * camera.height_px
     accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
     first = min(2 * CHUNK, max(2, target.samples))
-    add_samples(accumulated, integrator, everywhere, accumulated.even(first), seed, _within(progress, 0.0, first / target.samples))
+    add_samples(
+        accumulated,
+        integrator,
+        everywhere,
+        accumulated.even(first),
+        seed,
+        _within(progress, 0.0, first / target.samples),
+    )
     spent = first
     while spent < target.samples and first % CHUNK == 0 and (target.time_s is None or now() < target.time_s):
         need = _needed(accumulated, target, (camera.height_px, camera.width_px))
@@ -114,11 +130,21 @@ def accumulate_to_target(integrator: Integrator, *, target: Target, seed: int, n
         count = int(min(have, budget // len(rows)) // CHUNK * CHUNK)  # a round at most doubles what a pixel has
         if count == 0:
             break
-        scale = count * sum(ESTIMATOR_COST[part] for part in share) / sum(accumulated.cost(part) * value for part, value in share.items())
-        scales = {part: scale * (len(rows) / pixels if accumulated.radiance_cache is not None and part == INSCATTERED else 1.0) for part in share}
+        scale = (
+            count
+            * sum(ESTIMATOR_COST[part] for part in share)
+            / sum(accumulated.cost(part) * value for part, value in share.items())
+        )
+        scales = {
+            part: scale
+            * (len(rows) / pixels if accumulated.radiance_cache is not None and part == INSCATTERED else 1.0)
+            for part in share
+        }
         more = {part: max(CHUNK, round(value * scales[part] / CHUNK) * CHUNK) for part, value in share.items()}
         after = spent + count * len(rows) / pixels
-        add_samples(accumulated, integrator, rows, more, seed, _within(progress, spent / target.samples, after / target.samples))
+        add_samples(
+            accumulated, integrator, rows, more, seed, _within(progress, spent / target.samples, after / target.samples)
+        )
         spent = after
     progress("rendering", 1.0)
     return accumulated
@@ -144,7 +170,14 @@ def accumulate_denoised(
     pixels = integrator.loaded.source.camera.width_px * integrator.loaded.source.camera.height_px
     accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
     spent = min(2 * CHUNK, target.samples)
-    add_samples(accumulated, integrator, everywhere, accumulated.even(spent), seed, _within(progress, 0.0, spent / target.samples))
+    add_samples(
+        accumulated,
+        integrator,
+        everywhere,
+        accumulated.even(spent),
+        seed,
+        _within(progress, 0.0, spent / target.samples),
+    )
     while spent < target.samples and (target.time_s is None or now() < target.time_s):
         noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
         if noise < DENOISER_GAIN and (picture := denoised(accumulated)) is not None and target.met_by(*picture):
@@ -152,7 +185,14 @@ def accumulate_denoised(
         after = min(2 * spent, target.samples)
         had = {name: int(estimator.counts[:, 0].sum()) for name, estimator in accumulated.estimators.items()}
         more = {name: max(count - had[name], 0) for name, count in neyman_allocation(accumulated, after).items()}
-        add_samples(accumulated, integrator, everywhere, more, seed, _within(progress, spent / target.samples, after / target.samples))
+        add_samples(
+            accumulated,
+            integrator,
+            everywhere,
+            more,
+            seed,
+            _within(progress, spent / target.samples, after / target.samples),
+        )
         spent = after
     progress("rendering", 1.0)
     return accumulated
@@ -168,7 +208,9 @@ def _needed(accumulated: Accumulator, target: Target, shape: tuple[int, int]) ->
     from scipy import ndimage
 
     smooth = ndimage.uniform_filter(accumulated.luminance().reshape(shape), 5, mode="nearest").ravel()
-    variance = ndimage.uniform_filter(np.minimum(accumulated.luminance_variance(), 1e30).reshape(shape), 5, mode="nearest").ravel()
+    variance = ndimage.uniform_filter(
+        np.minimum(accumulated.luminance_variance(), 1e30).reshape(shape), 5, mode="nearest"
+    ).ravel()
     return variance / np.maximum(target.allowed(smooth), 1e-30) ** 2
 
 

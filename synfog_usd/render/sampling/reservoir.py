@@ -43,13 +43,28 @@ class Reservoir:
         self.place, self.lamp, self.value = mi.Point3f(0.0), mi.Point3f(0.0), mi.Color3f(0.0)
         self.target, self.sum, self.group, self.pdf = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
 
-    def update(self, place: Any, lamp: Any, value: Any, group: Any, target: Any, density: Any, sampler: Any, active: Any, pdf: Any = 0.0) -> Reservoir:
+    def update(
+        self,
+        place: Any,
+        lamp: Any,
+        value: Any,
+        group: Any,
+        target: Any,
+        density: Any,
+        sampler: Any,
+        active: Any,
+        pdf: Any = 0.0,
+    ) -> Reservoir:
         """The reservoir after one more candidate, which was drawn with `density`; `pdf` is kept beside it."""
         weight = dr.select(active & (density > 0.0) & (target > 0.0), target / density, 0.0)
         after = Reservoir()
         after.sum = self.sum + weight
         taken = sampler.next_1d(active) * after.sum < weight
-        after.place, after.lamp, after.value = dr.select(taken, place, self.place), dr.select(taken, lamp, self.lamp), dr.select(taken, value, self.value)
+        after.place, after.lamp, after.value = (
+            dr.select(taken, place, self.place),
+            dr.select(taken, lamp, self.lamp),
+            dr.select(taken, value, self.value),
+        )
         after.target, after.group = dr.select(taken, target, self.target), dr.select(taken, group, self.group)
         after.pdf = dr.select(taken, pdf, self.pdf)
         return after

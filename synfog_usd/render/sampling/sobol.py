@@ -1,8 +1,8 @@
 """Random numbers that fill the square evenly: Sobol's points, scrambled by hash.
 
 Takes the number of a sample and of what it is drawn for; gives points in [0, 1)^2.  Every pair of dimensions is
-Sobol's first two, shuffled and scrambled apart (Owen 1995, by the hash of Laine and Karras 2011 as Burley 2020 does it):
-any 2^k samples from a multiple of 2^k on fall one into each of 2^k equal boxes, of every shape that bits allow.
+Sobol's first two, shuffled and scrambled apart (Owen 1995, by the hash of Laine and Karras 2011 as Burley 2020 does
+it): any 2^k samples from a multiple of 2^k on fall one into each of 2^k equal boxes, of every shape that bits allow.
 Means over them are unbiased, and for what changes little between neighbouring points nearer than those of independent
 points.  Their scatter is no measure of the error, though: that takes scramblings that are independent of each other, so
 samples are scrambled in runs of `RUN`.
@@ -33,7 +33,10 @@ class Sobol:
 
     def __init__(self, seed: Any = None, pixel: Any = None, number: Any = None) -> None:
         mi = backend.mitsuba()
-        type(self).DRJIT_STRUCT = {"index": mi.UInt32, "key": mi.UInt32}  # what a loop carries; known only once a variant is chosen
+        type(self).DRJIT_STRUCT = {
+            "index": mi.UInt32,
+            "key": mi.UInt32,
+        }  # what a loop carries; known only once a variant is chosen
         self.index, self.key = mi.UInt32(0), mi.UInt32(0)
         if pixel is not None:
             self.index = mi.UInt32(number) & (RUN - 1)
@@ -60,7 +63,9 @@ def point(index: Any, key: Any) -> Any:
     """A point in [0, 1)^2 of the sequence that `key` scrambles and shuffles; both 32 bits."""
     mi = backend.mitsuba()
     index = _shuffled(index, hashed(key, 0))
-    return mi.Point2f(_unit(_scrambled(_radical(index), hashed(key, 1))), _unit(_scrambled(second(index), hashed(key, 2))))
+    return mi.Point2f(
+        _unit(_scrambled(_radical(index), hashed(key, 1))), _unit(_scrambled(second(index), hashed(key, 2)))
+    )
 
 
 def _radical(index: Any) -> Any:
@@ -81,7 +86,9 @@ def _scrambled(bits: Any, key: Any) -> Any:
 
 
 def _shuffled(index: Any, key: Any) -> Any:
-    """An order in which every run of 2^k, from a multiple of 2^k on, keeps its members together: Owen's scrambling of the number."""
+    """An order in which every run of 2^k, from a multiple of 2^k on, keeps its members together: Owen's scrambling of
+    the number.
+    """
     return _scrambled(index, key)
 
 

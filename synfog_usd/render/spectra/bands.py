@@ -33,7 +33,9 @@ CENTRES_NM: dict[int, tuple[float, ...]] = {
     16: tuple(400.0 + 20.0 * index for index in range(16)),
     31: tuple(400.0 + 10.0 * index for index in range(31)),
 }
-"""Number of bands -> their centres; each reaches half-way to the next.  Luminance outside of them is 1e-4 of white's."""
+"""Number of bands -> their centres; each reaches half-way to the next.  Luminance outside of them is 1e-4 of
+white's.
+"""
 
 
 @lru_cache(maxsize=8)
@@ -108,9 +110,14 @@ class Bands:
             dr.make_opaque(self._lit)
         exponents = {volume.medium.angstrom for volume in fog if volume.medium.sigma_t_per_m > 0.0}
         if len(exponents) > 1:
-            raise ParameterError(f"fogs with the Angstrom exponents {', '.join(f'{e:g}' for e in sorted(exponents))}: --bands takes one; use --bands 3")
+            raise ParameterError(
+                f"fogs with the Angstrom exponents {', '.join(f'{e:g}' for e in sorted(exponents))}: --bands takes "
+                f"one; use --bands 3"
+            )
         if exponents and exponents != {0.0}:
-            extinction = next(volume.medium for volume in fog if volume.medium.sigma_t_per_m > 0.0).extinction_at(CENTRES_NM[count])
+            extinction = next(volume.medium for volume in fog if volume.medium.sigma_t_per_m > 0.0).extinction_at(
+                CENTRES_NM[count]
+            )
             self.clearest, self.coloured = float(extinction.min()), True
             self.ratio = extinction / self.clearest
             self._more = [dr.opaque(mi.Float, value) for value in self.ratio - 1.0]
@@ -157,7 +164,9 @@ class Bands:
         if reading is None:
             return self._mixed(colour, self.reflectance_of)
         first, second, rest = colour[0] - colour[2], colour[1] - colour[2], colour[2]
-        return self._array([rest + first * a + second * b for a, b in zip(reading[: self.count], reading[self.count :], strict=True)])
+        return self._array(
+            [rest + first * a + second * b for a, b in zip(reading[: self.count], reading[self.count :], strict=True)]
+        )
 
     def fade(self, optical_depth: Any) -> Any:
         """What each band loses over an optical depth beyond the clearest band's exp(-tau)."""
@@ -172,7 +181,9 @@ class Bands:
         mi = backend.mitsuba()
         if self.is_rgb:
             return dr.gather(mi.Color3f, table, index, active)
-        return self._array([dr.gather(mi.Float, table, index * self.count + band, active) for band in range(self.count)])
+        return self._array(
+            [dr.gather(mi.Float, table, index * self.count + band, active) for band in range(self.count)]
+        )
 
     def _mixed(self, colour: Any, matrix: Array) -> Any:
         return self._array([colour[0] * float(r) + colour[1] * float(g) + colour[2] * float(b) for r, g, b in matrix.T])

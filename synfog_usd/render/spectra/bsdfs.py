@@ -1,18 +1,19 @@
 """BSDFs in wavelength bands, for materials that have a reflectance spectrum of their own.
 
-Mitsuba's RGB variants give every BSDF three colour channels.  Here a material gets a second BSDF, its spectral one, whose three
-channels are not R, G and B: each says how much of a basis spectrum a texel reflects.  Reflectance in any band then follows from
-the three numbers by a fixed matrix.
+Mitsuba's RGB variants give every BSDF three colour channels.  Here a material gets a second BSDF, its spectral one,
+whose three
+channels are not R, G and B: each says how much of a basis spectrum a texel reflects.  Reflectance in any band then
+follows from the three numbers by a fixed matrix.
 
 The basis of a material is
     1. its own spectrum, scaled to HEIGHT;
     2. what that lacks of white (reflectance 1) in the long waves;
     3. what it lacks in the short waves.
-The three add up to 1.  So a texel of the material's mean colour shows its own spectrum, other texels are made up from all three,
-gloss stays white, and no band reflects more than it gets.
+The three add up to 1.  So a texel of the material's mean colour shows its own spectrum, other texels are made up from
+all three, gloss stays white, and no band reflects more than it gets.
 
-Why three channels suffice: each BSDF of ours is A + B c in every channel c of its base colour, A the gloss and B the matte part,
-and how it is sampled does not depend on c.  Paths in R, G and B never use these BSDFs.
+Why three channels suffice: each BSDF of ours is A + B c in every channel c of its base colour, A the gloss and B the
+matte part, and how it is sampled does not depend on c.  Paths in R, G and B never use these BSDFs.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ def basis(curve: Array, rgb: npt.ArrayLike, height: float = HEIGHT) -> Array:
 def basis_weights(pixels: FloatArray, curve: Array, rgb: npt.ArrayLike) -> FloatArray:
     """How much of each spectrum of `basis` the texels have.
 
-    Under D65 a texel differs from what the material's spectrum shows by the ratio by which it differs from the mean; a hue that
-    would need a reflectance below 0 or above 1 fades towards the mean's.
+    Under D65 a texel differs from what the material's spectrum shows by the ratio by which it differs from the mean; a
+    hue that would need a reflectance below 0 or above 1 fades towards the mean's.
 
     Args:
         pixels: (H, W, 3) linear Rec.709.
@@ -85,7 +86,9 @@ def basis_weights(pixels: FloatArray, curve: Array, rgb: npt.ArrayLike) -> Float
 def _distinct(texel: FloatArray) -> tuple[FloatArray, Indices]:
     """The colours among (N, 3) texels, and which of them each is: a picture of a million has some ten thousand."""
     bits = np.ascontiguousarray(texel, dtype=np.float32).view(np.uint32).astype(np.uint64)
-    word = (bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)).sum(axis=1, dtype=np.uint64)
+    word = (bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)).sum(
+        axis=1, dtype=np.uint64
+    )
     first, where = np.unique(word, return_index=True, return_inverse=True)[1:]
     return texel[first], where.ravel()
 
@@ -104,7 +107,9 @@ class SpectralBsdfs:
 
     def __init__(self, loaded: MitsubaScene, plain: Array, boxes: Array) -> None:
         world = loaded.source.world
-        keys = [key for key in loaded.source.reflectance_of if key in loaded.parts and base_colour(world[key]) is not None]
+        keys = [
+            key for key in loaded.source.reflectance_of if key in loaded.parts and base_colour(world[key]) is not None
+        ]
         self.count = len(keys)
         if not keys:
             return
@@ -134,7 +139,9 @@ class SpectralBsdfs:
         index: Any = dr.reinterpret_array(mi.UInt32, bsdf)
         row = dr.gather(mi.UInt32, self.row, index, active & (index < self.size))
         spectral = dr.select(row > 0, dr.gather(mi.UInt32, self.spectral, index, row > 0), index)
-        return dr.reinterpret_array(mi.BSDFPtr, spectral), [dr.gather(mi.Float, self.table, row * (2 * self.bands) + k, active) for k in range(2 * self.bands)]
+        return dr.reinterpret_array(mi.BSDFPtr, spectral), [
+            dr.gather(mi.Float, self.table, row * (2 * self.bands) + k, active) for k in range(2 * self.bands)
+        ]
 
 
 def _carried(colour: Mapping[str, Any], curve: Array, mean: tuple[float, float, float]) -> dict[str, Any]:

@@ -56,7 +56,8 @@ def wall_in_fog(visibility_m: float, *, size: tuple[int, int] = (480, 320)) -> I
 
 
 def frames_in_fog(visibility_m: float, *, count: int, quiet: bool = False) -> Array:
-    """(N, H, W, 3) pictures of the wall, 8 bits as 0 to 1, by the phone; exposed for clear air, each with its own temporal noise.
+    """(N, H, W, 3) pictures of the wall, 8 bits as 0 to 1, by the phone; exposed for clear air, each with its own
+    temporal noise.
 
     Args:
         visibility_m: see `wall_in_fog`.
@@ -117,8 +118,15 @@ def slanted_edge(pipeline: str) -> tuple[Array, Array, Array]:
     down = (np.arange(height) - (height - 1) / 2)[:, None, None, None] + fine[:, None]
     edge = 1.0 + 2.0 * (across * math.cos(TILT) + down * math.sin(TILT) > 0.0).mean(axis=(2, 3))
     names = tuple(photometry.band_name(centre) for centre in (549.0, 550.0, 551.0))
-    light = Image(np.repeat(edge[..., None].astype(np.float32), 3, axis=2), names, Quantity.RADIANCE, provenance={"fov_x_deg": 1.0})
-    picture = graph.run({"radiance": light}, seed=0, overrides={"diffraction.mode": "band"}, until="diffraction")["diffraction"].pixels[..., 1]
+    light = Image(
+        np.repeat(edge[..., None].astype(np.float32), 3, axis=2),
+        names,
+        Quantity.RADIANCE,
+        provenance={"fov_x_deg": 1.0},
+    )
+    picture = graph.run({"radiance": light}, seed=0, overrides={"diffraction.mode": "band"}, until="diffraction")[
+        "diffraction"
+    ].pixels[..., 1]
     distance = across[..., 0, 0] * math.cos(TILT) + down[..., 0, 0] * math.sin(TILT)
     place = np.floor(distance * bins).astype(int) + reach * bins
     used = (place >= 0) & (place < 2 * reach * bins)
@@ -130,9 +138,19 @@ def slanted_edge(pipeline: str) -> tuple[Array, Array, Array]:
     lens, chip = graph.profiles["lens"], graph.profiles["sensor"]
     assert isinstance(lens, LensProfile) and isinstance(chip, SensorProfile)
     v = np.minimum(f * 0.550 * lens.f_number / chip.pixel_pitch_um, 1.0)
-    theory = 2 / math.pi * (np.arccos(v) - v * np.sqrt(1 - v * v)) * np.sinc(f * math.cos(TILT)) * np.sinc(f * math.sin(TILT))
+    theory = (
+        2
+        / math.pi
+        * (np.arccos(v) - v * np.sqrt(1 - v * v))
+        * np.sinc(f * math.cos(TILT))
+        * np.sinc(f * math.sin(TILT))
+    )
     wanted = f <= 0.5
-    return np.asarray(f[wanted], np.float64), np.asarray(found[wanted], np.float64), np.asarray(theory[wanted], np.float64)
+    return (
+        np.asarray(f[wanted], np.float64),
+        np.asarray(found[wanted], np.float64),
+        np.asarray(theory[wanted], np.float64),
+    )
 
 
 # ---- drawings --------------------------------------------------------------------------
@@ -161,22 +179,36 @@ def draw_transfer() -> bytes:
             smooth = np.concatenate([np.geomspace(5e-4, 0.85, 60), np.linspace(0.86, 1.12, 60)]) * reading.saturation_e
             line = transfer(reading, smooth)
             axes.loglog(*line, color=COLOURS[0], lw=1.2, label="theory, from the profile")
-            axes.loglog(mean[variance > 0], variance[variance > 0], "o", color=COLOURS[1], ms=3.5, label="measured, two frames a level")
+            axes.loglog(
+                mean[variance > 0],
+                variance[variance > 0],
+                "o",
+                color=COLOURS[1],
+                ms=3.5,
+                label="measured, two frames a level",
+            )
             dark = (reading.gain_dn_e * reading.dark_noise_e) ** 2 + (1 / 12 if reading.dark_noise_e else 0.0)
             axes.set_ylim(max(0.3 * line[1].min(), 0.1 * max(dark, 0.5)), 4 * line[1].max())
             axes.set_title(name, loc="left", fontsize=10, fontweight="bold")
-            text = f"K {reading.gain_dn_e:.3g} DN/e-\ndark {reading.dark_noise_e:.3g} e-\nfull {reading.saturation_e:,.0f} e-"
+            text = (
+                f"K {reading.gain_dn_e:.3g} DN/e-\ndark {reading.dark_noise_e:.3g} e-\nfull "
+                f"{reading.saturation_e:,.0f} e-"
+            )
             axes.annotate(text, (0.04, 0.95), xycoords="axes fraction", va="top", fontsize=8.5, color=drawing.FAINT)
         figure.supxlabel("mean above black [DN]", fontsize=10)
         figure.supylabel("temporal variance [DN²]", fontsize=10)
-        figure.legend(*grid.flat[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False, fontsize=9)
+        figure.legend(
+            *grid.flat[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False, fontsize=9
+        )
         return _png(figure)
 
 
 def draw_fog() -> bytes:
     """The wall in ever thicker fog, contrast stretched, and its noise: PNG."""
     seen = {visibility_m: frames_in_fog(visibility_m, count=8) for visibility_m in FOGS_M}
-    brought = [stretched(frames, frames_in_fog(visibility_m, count=1, quiet=True)[0]) for visibility_m, frames in seen.items()]
+    brought = [
+        stretched(frames, frames_in_fog(visibility_m, count=1, quiet=True)[0]) for visibility_m, frames in seen.items()
+    ]
     names = ["clear" if math.isinf(visibility_m) else f"MOR {visibility_m:.0f} m" for visibility_m in FOGS_M]
     with _figure(4, 3, (11.0, 8.6), height_ratios=(1.0, 1.0, 1.35)) as (figure, grid):
         for column, (name, frames) in enumerate(zip(names, seen.values(), strict=True)):
@@ -193,7 +225,9 @@ def draw_fog() -> bytes:
             ("contrast of every region stretched to the same", COLOURS[1], "o", brought),
             ("as taken", COLOURS[0], "s", list(seen.values())),
         ):
-            axes.semilogy(density, [255 * noise(frames).mean() for frames in pictures], f"-{marker}", color=colour, label=label)
+            axes.semilogy(
+                density, [255 * noise(frames).mean() for frames in pictures], f"-{marker}", color=colour, label=label
+            )
         axes.set_xticks(density, [f"{name}\n{1e3 * value:.1f}" for name, value in zip(names, density, strict=True)])
         axes.set_xlabel("extinction of the fog [1/km]")
         axes.set_ylabel("temporal noise [1/255]")
@@ -213,7 +247,15 @@ def draw_sharpness() -> bytes:
             assert isinstance(lens, LensProfile) and isinstance(chip, SensorProfile)
             f, found, theory = slanted_edge(name)
             axes.plot(f, theory, color=colour, lw=1.3)
-            axes.plot(f, found, marker, color=colour, ms=4.5, mfc="none", label=f"{name}: {chip.pixel_pitch_um:g} um, f/{lens.f_number:g}")
+            axes.plot(
+                f,
+                found,
+                marker,
+                color=colour,
+                ms=4.5,
+                mfc="none",
+                label=f"{name}: {chip.pixel_pitch_um:g} um, f/{lens.f_number:g}",
+            )
         axes.plot([], [], color=drawing.INK, lw=1.3, label="theory: disc x pixel")
         axes.set(xlabel="spatial frequency [cycles/pixel]", ylabel="contrast [1]", xlim=(0.0, 0.5), ylim=(0.0, 1.02))
         axes.set_title("Slanted edge through lens and pixels, 550 nm", loc="left", fontsize=11, fontweight="bold")
@@ -222,7 +264,9 @@ def draw_sharpness() -> bytes:
 
 
 def draw_colour() -> bytes:
-    """Mean and largest colour difference over a ColorChecker, by sensor and light; sensors of the same curves together: PNG."""
+    """Mean and largest colour difference over a ColorChecker, by sensor and light; sensors of the same curves together:
+    PNG.
+    """
     alike: dict[Any, list[SensorProfile]] = {}
     for chip in map(load_sensor, shipped("sensors")):
         if len(cfa.filters(chip.cfa)) > 2:
@@ -235,12 +279,24 @@ def draw_colour() -> bytes:
             axes.bar(places, [fit.mean_de00 for fit in fits], 0.17, color=COLOURS[index], label=name)
             axes.plot(places, [fit.max_de00 for fit in fits], "_", color=COLOURS[index], ms=22, mew=2.0)
             for place, fit in zip(places, fits, strict=True):
-                axes.annotate(f"{fit.mean_de00:.2f}", (place, fit.mean_de00), (0, 5), textcoords="offset points", ha="center", fontsize=8.5)
+                axes.annotate(
+                    f"{fit.mean_de00:.2f}",
+                    (place, fit.mean_de00),
+                    (0, 5),
+                    textcoords="offset points",
+                    ha="center",
+                    fontsize=8.5,
+                )
         axes.plot([], [], "_", color=drawing.INK, ms=14, mew=2.0, label="worst patch")
-        names = [", ".join(chip.name for chip in chips) + f"\n({chips[0].qe.camera or chips[0].qe.observer or 'own curves'})" for chips in alike.values()]
+        names = [
+            ", ".join(chip.name for chip in chips) + f"\n({chips[0].qe.camera or chips[0].qe.observer or 'own curves'})"
+            for chips in alike.values()
+        ]
         axes.set_xticks(range(len(names)), names)
         axes.set_ylabel("CIEDE2000, mean of 24 patches [1]")
-        axes.set_title("What the fitted matrix leaves of a ColorChecker's colours", loc="left", fontsize=11, fontweight="bold")
+        axes.set_title(
+            "What the fitted matrix leaves of a ColorChecker's colours", loc="left", fontsize=11, fontweight="bold"
+        )
         figure.legend(loc="outside lower center", ncols=5, frameon=False, fontsize=9)
         return _png(figure)
 

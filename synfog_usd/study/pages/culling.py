@@ -36,7 +36,9 @@ MODELS = {"sky": "path", "active": "field"}
 """What makes the pictures of each lighting."""
 
 SQUARE_PX = 4
-"""Side of the squares over which errors are averaged: a pixel's own noise, at the samples that a minute allows, is as large as what is looked for."""
+"""Side of the squares over which errors are averaged: a pixel's own noise, at the samples that a minute allows, is as
+large as what is looked for.
+"""
 
 CASES = (
     ("crossroads", "sky", 50.0),
@@ -65,7 +67,8 @@ class Saving:
         instances, of_instances: that are not drawn whole, and all.
         triangles, of_triangles: that the renderer was spared, and all.
         limit: transmittance below which instances are hidden.
-        load_s, render_s: wall time of loading and of one render, whole and reduced; the least of two renders, kernels made before.
+        load_s, render_s: wall time of loading and of one render, whole and reduced; the least of two renders, kernels
+            made before.
         error, error_max: RMS and maximum over squares of the picture of |reduced - whole| over the sensor's sigma.
         noise, noise_max: the same of what differs between seeds.
     """
@@ -84,7 +87,9 @@ class Saving:
     noise_max: float
 
 
-def saving(name: str, scene: SceneDict, *, model: str = "path", samples: int = SAMPLES, leave_out: bool = False) -> Saving | None:
+def saving(
+    name: str, scene: SceneDict, *, model: str = "path", samples: int = SAMPLES, leave_out: bool = False
+) -> Saving | None:
     """Render a foggy scene whole and reduced.
 
     Args:
@@ -92,7 +97,8 @@ def saving(name: str, scene: SceneDict, *, model: str = "path", samples: int = S
         scene: with its fog, at the size to compare at.
         model: of `render.models`; before lamps the noise of `path` hides what is looked for, and `field` has less.
         samples: paths per pixel.
-        leave_out: leave out all that is hidden, instead of simplifying what would be missed: to see what that would cost.
+        leave_out: leave out all that is hidden, instead of simplifying what would be missed: to see what that would
+            cost.
 
     Returns:
         None where the fog hides too little.
@@ -147,7 +153,9 @@ def _pictures(scene: SceneDict, model: str, samples: int) -> tuple[list[Array], 
         began = time.perf_counter()
         made = shot.render(scene, model=model, samples=samples, seed=seed, loaded=loaded).radiance
         seconds.append(time.perf_counter() - began)
-        pictures.append(photometry.luminance(made).reshape(scene.camera.height_px, scene.camera.width_px).astype(np.float64))
+        pictures.append(
+            photometry.luminance(made).reshape(scene.camera.height_px, scene.camera.width_px).astype(np.float64)
+        )
     return pictures, load_s, min(seconds)
 
 
@@ -181,7 +189,11 @@ def measured(cases: Iterable[tuple[str, str, float]] = CASES) -> list[Saving]:
                 stage = Path(folder) / f"{name}.usda"
                 if not stage.exists():
                     compose(resources.folder("stages") / "recipes" / f"{name}.yaml", stage, seed=3)
-            row = saving(f"{name}, {lighting}, MOR {visibility_m:g}", foggy(stage, lighting, visibility_m), model=MODELS[lighting])
+            row = saving(
+                f"{name}, {lighting}, MOR {visibility_m:g}",
+                foggy(stage, lighting, visibility_m),
+                model=MODELS[lighting],
+            )
             rows += [] if row is None else [row]
             print(row, file=sys.stderr, flush=True)
     return rows
@@ -191,9 +203,15 @@ def section(rows: Iterable[Saving]) -> str:
     """What stands between the marks, in Markdown."""
     from synfog_usd.study.chart import machine
 
-    text = f"{SIZE[0]} x {SIZE[1]}, {SAMPLES} samples of `path` by day and of `field` by night, {machine()}; the phone's sensor, "
+    text = (
+        f"{SIZE[0]} x {SIZE[1]}, {SAMPLES} samples of `path` by day and of `field` by night, {machine()}; the phone's "
+        f"sensor, "
+    )
     text += f"errors over squares of {SQUARE_PX} pixels.\n\n"
-    text += "| shot | hidden below T | instances hidden | triangles saved | load, s | render, s | error / sigma, RMS | largest | of it noise |\n"
+    text += (
+        "| shot | hidden below T | instances hidden | triangles saved | load, s | render, s | error / sigma, RMS | "
+        "largest | of it noise |\n"
+    )
     text += "|---|---|---|---|---|---|---|---|---|\n"
     for row in rows:
         cells: list[Any] = [

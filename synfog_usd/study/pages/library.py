@@ -49,11 +49,17 @@ def draw(target: Path, models: Sequence[LibraryModel], *, columns: int = 4, samp
         text = f"{model.name}  {model.length:.2f} x {model.width:.2f} x {model.height:.2f} m"
         corner = (column * len(VIEWS_DEG) * CELL_PX[0] + 6, (row + 1) * CELL_PX[1] - 14)
         pen.text((corner[0] * scale, corner[1] * scale), text, fill=(28, 28, 30), font=font)
-    files.write_whole(target, lambda path: sheet.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG).save(path, optimize=True))
+    files.write_whole(
+        target,
+        lambda path: sheet.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG).save(
+            path, optimize=True
+        ),
+    )
 
 
 def draw_thumbnails(folder: Path, *, columns: int = 10, samples: int = 24) -> list[Path]:
-    """Render every model of a library folder once, from its front quarter, and cut the picture up; gives the files, about 5 kB each.
+    """Render every model of a library folder once, from its front quarter, and cut the picture up; gives the files,
+    about 5 kB each.
 
     The command line above remakes those that ship.
     """
@@ -62,7 +68,12 @@ def draw_thumbnails(folder: Path, *, columns: int = 10, samples: int = 24) -> li
 
     models = list(library(folder).values())
     cell = (THUMBNAIL_PX, THUMBNAIL_PX)
-    sheet = _rendered(models, samples, 1, lambda stage: write_stage(stage, models, columns, views_deg=VIEWS_DEG[:1], cell_px=cell, varied=False))
+    sheet = _rendered(
+        models,
+        samples,
+        1,
+        lambda stage: write_stage(stage, models, columns, views_deg=VIEWS_DEG[:1], cell_px=cell, varied=False),
+    )
     made = []
     for k, model in enumerate(models):
         left, top = k % columns * THUMBNAIL_PX, k // columns * THUMBNAIL_PX
@@ -76,19 +87,31 @@ def draw_thumbnails(folder: Path, *, columns: int = 10, samples: int = 24) -> li
     return made
 
 
-def _rendered(models: Sequence[LibraryModel], samples: int, scale: int, write: Callable[[Path], tuple[int, int]]) -> Image.Image:
+def _rendered(
+    models: Sequence[LibraryModel], samples: int, scale: int, write: Callable[[Path], tuple[int, int]]
+) -> Image.Image:
     """The picture of a sheet's stage, which `write` writes."""
     with tempfile.TemporaryDirectory(prefix="synfog-library-") as folder:
         stage = Path(folder) / "sheet.usda"
         size = write(stage)
         allow = tuple(sorted({resources.folder("assets"), *(m.path.resolve().parents[2] for m in models)}))
-        plan = BakePlan(stage, Path(folder) / "out", size=(size[0] * scale, size[1] * scale), samples=samples, model="path", denoise=True, allow=allow)
+        plan = BakePlan(
+            stage,
+            Path(folder) / "out",
+            size=(size[0] * scale, size[1] * scale),
+            samples=samples,
+            model="path",
+            denoise=True,
+            allow=allow,
+        )
         bake(plan)
         return _developed(next((Path(folder) / "out").rglob("radiance.exr")))
 
 
 def _developed(radiance: Path) -> Image.Image:
-    """The picture at an exposure under which a white wall is nearly white; no lens and no sensor, whose errors would not be the models'."""
+    """The picture at an exposure under which a white wall is nearly white; no lens and no sensor, whose errors would
+    not be the models'.
+    """
     from OpenImageIO import ImageBuf
     from PIL import Image
 

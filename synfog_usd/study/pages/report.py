@@ -58,14 +58,20 @@ def section(points: Mapping[str, Sequence[Point]]) -> str:
     ]
     for name, line in points.items():
         said = "\n".join(f"- {page.sentence(row)}" for row in rows[name])
-        own = f"Reference: `{line[0].reference_model}`, {line[0].reference_samples} samples, itself known to {drawing.percent(line[0].reference_rms)}."
+        own = (
+            f"Reference: `{line[0].reference_model}`, {line[0].reference_samples} samples, itself known to "
+            f"{drawing.percent(line[0].reference_rms)}."
+        )
         parts.append(f"### {name}\n\n{said}\n- {own}\n\n![Seconds against error, {name}](images/chart_{name}.png)")
     return "\n\n".join(parts) + "\n"
 
 
 def _table(index: int, target: float, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     text = f"### To a total error of {100 * target:g} %\n\n"
-    text += "| stage | fastest | seconds | without bias | seconds | best peer | seconds | peer / fastest | peer / without bias |\n"
+    text += (
+        "| stage | fastest | seconds | without bias | seconds | best peer | seconds | peer / fastest | peer / without "
+        "bias |\n"
+    )
     text += "|---|---|---|---|---|---|---|---|---|\n"
     for name, all_targets in rows.items():
         row = all_targets[index]
@@ -85,7 +91,13 @@ def _errors(points: Mapping[str, Sequence[Point]]) -> str:
         cells = []
         for key in names:
             point = last.get(key)
-            bias = "" if point is None else drawing.percent(point.bias_rms) if point.bias_is_seen else f"< {drawing.percent(point.bias_limit)}"
+            bias = (
+                ""
+                if point is None
+                else drawing.percent(point.bias_rms)
+                if point.bias_is_seen
+                else f"< {drawing.percent(point.bias_limit)}"
+            )
             cells.append("" if point is None else f"{drawing.percent(point.noise_rms)}, {bias}")
         text += f"| {name} | {' | '.join(cells)} |\n"
     return text.rstrip()

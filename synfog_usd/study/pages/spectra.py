@@ -1,4 +1,5 @@
-"""The shipped reflectance spectra, and what they change: their curves, and cards under three lamps in R, G, B and in bands.
+"""The shipped reflectance spectra, and what they change: their curves, and cards under three lamps in R, G, B and in
+bands.
 
     python -m synfog_usd.study.pages.spectra docs/images/spectra.png
 
@@ -56,18 +57,34 @@ def light_of(name: str) -> tuple[Array, tuple[float, float, float]]:
 
 
 def cards(lamp: str, count: int) -> Array:
-    """(cards, 3) linear Rec.709 of the cards, side by side under a lamp that shines straight at them; a white one has a luminance of 1."""
+    """(cards, 3) linear Rec.709 of the cards, side by side under a lamp that shines straight at them; a white one has a
+    luminance of 1.
+    """
     power, colour = light_of(lamp)
     world: dict[str, Any] = {}
     own = {}
     for k, (name, rgb) in enumerate(CARDS.values()):
         x = np.array([k, k + 1, k + 1, k], dtype=float) - len(CARDS) / 2
         positions = np.stack([x, np.full(4, 50.0), np.array([-1.0, -1.0, 1.0, 1.0])], axis=-1)
-        world[f"mat_{k}"] = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(rgb)}}}
-        world[f"shape_{k}"] = {"type": "mesh", "positions": positions, "faces": np.array([[0, 1, 2], [0, 2, 3]]), "bsdf": {"type": "ref", "id": f"mat_{k}"}}
+        world[f"mat_{k}"] = {
+            "type": "twosided",
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(rgb)}},
+        }
+        world[f"shape_{k}"] = {
+            "type": "mesh",
+            "positions": positions,
+            "faces": np.array([[0, 1, 2], [0, 2, 3]]),
+            "bsdf": {"type": "ref", "id": f"mat_{k}"},
+        }
         own[f"mat_{k}"] = reflectance(name, rgb)
-    ahead = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # Mitsuba's lamps shine along their +Z
-    world["light_0"] = {"type": "directional", "irradiance": {"type": "rgb", "value": [np.pi * c for c in colour]}, "to_world": ahead}
+    ahead = np.array(
+        [[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
+    )  # Mitsuba's lamps shine along their +Z
+    world["light_0"] = {
+        "type": "directional",
+        "irradiance": {"type": "rgb", "value": [np.pi * c for c in colour]},
+        "to_world": ahead,
+    }
     fov = 2.0 * np.degrees(np.arctan(len(CARDS) / 2 / 50.0))
     source = scene(world, width_px=CARD_PX * len(CARDS), height_px=CARD_PX, fov_x_deg=float(fov))
     source = replace(source, reflectance_of=own, emission_of={"light_0": power})
@@ -77,7 +94,9 @@ def cards(lamp: str, count: int) -> Array:
 
 
 def draw(target: Path) -> None:
-    """Curves above, cards below: of each the left half in R, G and B, the right half in bands; the figure is the ratio of their luminances."""
+    """Curves above, cards below: of each the left half in R, G and B, the right half in bands; the figure is the ratio
+    of their luminances.
+    """
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -91,7 +110,12 @@ def draw(target: Path) -> None:
                 shown = np.clip(spectra.rgb_of(curve), 0.0, 1.0)
                 shown *= 0.45 / max(float(shown.max()), spectra.brightness(shown) / 0.6, 0.15)
                 axes.plot(
-                    photometry.WAVELENGTHS_NM, curve, color=srgb_encode(shown), ls=("-", "--", ":", "-.", (0, (5, 1)), (0, (1, 1)))[k], lw=1.8, label=name
+                    photometry.WAVELENGTHS_NM,
+                    curve,
+                    color=srgb_encode(shown),
+                    ls=("-", "--", ":", "-.", (0, (5, 1)), (0, (1, 1)))[k],
+                    lw=1.8,
+                    label=name,
                 )
             axes.set_title(title, fontsize=10)
             axes.set_xlim(400, 760)
@@ -102,12 +126,21 @@ def draw(target: Path) -> None:
         above.axes[0].set_ylabel("reflectance")
         for axes, (title, lamp) in zip(below.subplots(1, 3), LAMPS.items(), strict=True):
             pair = np.stack([cards(lamp, bands.RGB), cards(lamp, COUNT)], axis=1)
-            axes.imshow(srgb_encode(np.clip(pair * WHITE, 0.0, 1.0)), aspect="auto", extent=(0, 2, len(CARDS), 0), interpolation="nearest")
+            axes.imshow(
+                srgb_encode(np.clip(pair * WHITE, 0.0, 1.0)),
+                aspect="auto",
+                extent=(0, 2, len(CARDS), 0),
+                interpolation="nearest",
+            )
             for k in range(1, len(CARDS)):
                 axes.axhline(k, color="white", lw=3)
             luminance = pair @ LUMINANCE
             ratio = luminance[:, 0] / luminance[:, 1]
-            axes.set_yticks(np.arange(len(CARDS)) + 0.5, [f"{name}\n{share:.2f}" for name, share in zip(CARDS, ratio, strict=True)], fontsize=8)
+            axes.set_yticks(
+                np.arange(len(CARDS)) + 0.5,
+                [f"{name}\n{share:.2f}" for name, share in zip(CARDS, ratio, strict=True)],
+                fontsize=8,
+            )
             axes.set_xticks([0.5, 1.5], ["R, G, B", f"{COUNT} bands"])
             axes.set_title(title, fontsize=10)
             axes.tick_params(length=0)

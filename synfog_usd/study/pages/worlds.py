@@ -108,8 +108,10 @@ def tables(found: Survey) -> str:
     """The survey as Markdown."""
     total, near = sum(found.worlds.values()), sum(found.distances.values())
     lines = [
-        f"{total} worlds: {', '.join(f'{n} {name}' for name, n in sorted(found.worlds.items()))}; {found.layouts} different layouts.",
-        f"Road users of a world: {min(found.users)} to {max(found.users)}, median {statistics.median(found.users):g}; within {WITHIN_M:g} m and in view: "
+        f"{total} worlds: {', '.join(f'{n} {name}' for name, n in sorted(found.worlds.items()))}; {found.layouts} "
+        f"different layouts.",
+        f"Road users of a world: {min(found.users)} to {max(found.users)}, median {statistics.median(found.users):g}; "
+        f"within {WITHIN_M:g} m and in view: "
         f"{min(found.seen)} to {max(found.seen)}, median {statistics.median(found.seen):g}.",
         "",
         "| class | in all worlds | in the picture within 100 m |",
@@ -126,8 +128,13 @@ def tables(found: Survey) -> str:
     each = {name: max(sum(found.hidden[name, end] for end in SHARES), 1) for name in WHO}
     lines += ["", f"| hidden by something else | all | {' | '.join(WHO)} |", "|---|" + "---:|" * (1 + len(WHO))]
     for end in SHARES:
-        parts = [sum(found.hidden[name, end] for name in WHO) / max(near, 1), *(found.hidden[name, end] / each[name] for name in WHO)]
-        lines.append(f"| {'nothing' if end == 0.0 else f'up to {end:.0%}'} | {' | '.join(f'{part:.0%}' for part in parts)} |")
+        parts = [
+            sum(found.hidden[name, end] for name in WHO) / max(near, 1),
+            *(found.hidden[name, end] / each[name] for name in WHO),
+        ]
+        lines.append(
+            f"| {'nothing' if end == 0.0 else f'up to {end:.0%}'} | {' | '.join(f'{part:.0%}' for part in parts)} |"
+        )
     return "\n".join(lines)
 
 

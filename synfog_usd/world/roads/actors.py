@@ -21,9 +21,13 @@ from synfog_usd.world.spec import Placement, View
 
 TRIES = 60
 TRIES_ALIKE, DENSER = 5, 1.3
-"""A world whose traffic is too thin for the rules of sight is tried again with denser traffic, after every few tries."""
+"""A world whose traffic is too thin for the rules of sight is tried again with denser traffic, after every few
+tries.
+"""
 CHOICES, ENOUGH, HIDDEN_COSTS = 4, 12, 0.5
-"""Of so many draws that keep the rules, among the first ENOUGH, the one is taken that shows most road users; one that is hidden takes half of one away."""
+"""Of so many draws that keep the rules, among the first ENOUGH, the one is taken that shows most road users; one that
+is hidden takes half of one away.
+"""
 AHEAD_M = 260.0
 OWN_CAR_M = (4.5, 2.6)
 """Free lane behind and before the lens: the camera's own car."""
@@ -35,17 +39,31 @@ ABREAST_M = ((0.0, 0.0), (0.70, 0.0), (0.35, 0.95))
 """How far to the side of the first, and behind, those walk who go together."""
 ZEBRA_WALK_M = 1.2
 NEAREST_M, NEAR_SIDE = 8.0, 0.35
-"""From the camera to the first who is in the picture; how many are put on the camera's own side before the side is drawn."""
+"""From the camera to the first who is in the picture; how many are put on the camera's own side before the side is
+drawn.
+"""
 
 
 def actors_in_sight(
-    recipe: Recipe, road: Road, seed: int, own: Lane, station: float, value: Any, view: View, fov: float, fixed: list[Placement], taken: rules.CollisionSet,
+    recipe: Recipe,
+    road: Road,
+    seed: int,
+    own: Lane,
+    station: float,
+    value: Any,
+    view: View,
+    fov: float,
+    fixed: list[Placement],
+    taken: rules.CollisionSet,
     hour: float,
-) -> tuple[list[Placement] | None, str, int]:  # fmt: skip
+) -> tuple[list[Placement] | None, str, int]:
     """Traffic and people that meet the rules of sight; None with the rule that failed and the most that was reached."""
 
     def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
-        return [*_traffic(recipe, road, seed, attempt, own, station, value, room), *_people(recipe, road, seed, attempt, station, value, room)]
+        return [
+            *_traffic(recipe, road, seed, attempt, own, station, value, room),
+            *_people(recipe, road, seed, attempt, station, value, room),
+        ]
 
     return in_sight(drawn, road, value, view, fov, fixed, taken)
 
@@ -59,7 +77,9 @@ def in_sight(
     fixed: list[Placement],
     taken: rules.CollisionSet,
 ) -> tuple[list[Placement] | None, str, int]:
-    """Of the actors that attempt after attempt draws, those that meet the rules of sight best; `drawn` takes the attempt's number and what stands already."""
+    """Of the actors that attempt after attempt draws, those that meet the rules of sight best; `drawn` takes the
+    attempt's number and what stands already.
+    """
     users, in_view, within = value("rules.users"), value("rules.in_view"), value("rules.within_m")
     best = {"users": 0, "in_view": 0}
     chosen: tuple[float, list[Placement]] | None = None
@@ -93,7 +113,9 @@ def in_sight(
 def flow(value: Any, attempt: int) -> tuple[float, float]:
     """Least distance between bumpers [m] and vehicles per length of lane [1/m], denser after tries that failed."""
     speed = value("traffic.speed_kmh") / 3.6
-    return 1.5 + speed * value("traffic.headway_s"), value("traffic.per_hour") / 3600.0 / speed * DENSER ** (attempt // TRIES_ALIKE)
+    return 1.5 + speed * value("traffic.headway_s"), value("traffic.per_hour") / 3600.0 / speed * DENSER ** (
+        attempt // TRIES_ALIKE
+    )
 
 
 def add(p: Placement, room: rules.CollisionSet, placed: list[Placement], margin: float) -> bool:
@@ -105,14 +127,21 @@ def add(p: Placement, room: rules.CollisionSet, placed: list[Placement], margin:
     return True
 
 
-def _traffic(recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, station: float, value: Any, room: rules.CollisionSet) -> list[Placement]:
-    """Vehicles in their lanes: as many as the flow at that hour (more after tries that failed), no nearer to each other than they can stop."""
+def _traffic(
+    recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, station: float, value: Any, room: rules.CollisionSet
+) -> list[Placement]:
+    """Vehicles in their lanes: as many as the flow at that hour (more after tries that failed), no nearer to each other
+    than they can stop.
+    """
     least, density = flow(value, attempt)
     low, high = max(station - BEHIND_M, 4.0), min(station + AHEAD_M, road.reference_line.length - 4.0)
     total = value("traffic.count")
     lanes = road.driving_lanes
     if total is None:
-        counts = [int(stream(seed, "recipe", "traffic", attempt, "number", index).poisson(density * (high - low))) for index in range(len(lanes))]
+        counts = [
+            int(stream(seed, "recipe", "traffic", attempt, "number", index).poisson(density * (high - low)))
+            for index in range(len(lanes))
+        ]
     else:
         chosen = stream(seed, "recipe", "traffic", attempt, "number").choice(range(len(lanes)), total)
         counts = [int((chosen == index).sum()) for index in range(len(lanes))]
@@ -128,7 +157,11 @@ def _traffic(recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, sta
         for number, span in enumerate(free):
             cars = []
             for _ in range(int((share == number).sum())):
-                among = [b for b in ("bus", "taxi", "coach", "minibus") if b in rules.names()] if lane.kind == "bus" else None
+                among = (
+                    [b for b in ("bus", "taxi", "coach", "minibus") if b in rules.names()]
+                    if lane.kind == "bus"
+                    else None
+                )
                 cars.append(draw_car(recipe, "traffic", rng, among))
             places = rules.queue(rng, span, [rules.model(body).length for body, _ in cars], least)
             for (body, looks), s in zip(cars, places, strict=False):
@@ -170,7 +203,9 @@ def _cyclist(road: Road, rng: np.random.Generator, station: float, room: rules.C
 
 @dataclass(frozen=True)
 class _Spot:
-    """Where somebody stands or walks: station and offset [m], turn from the road [degrees], and the direction of walking in (s, t)."""
+    """Where somebody stands or walks: station and offset [m], turn from the road [degrees], and the direction of
+    walking in (s, t).
+    """
 
     s: float
     t: float
@@ -178,7 +213,9 @@ class _Spot:
     ahead: tuple[float, float]
 
 
-def _people(recipe: Recipe, road: Road, seed: int, attempt: int, station: float, value: Any, room: rules.CollisionSet) -> list[Placement]:
+def _people(
+    recipe: Recipe, road: Road, seed: int, attempt: int, station: float, value: Any, room: rules.CollisionSet
+) -> list[Placement]:
     """On pavements, denser near the camera, and on zebra crossings; some walk in company, side by side."""
     count, share, company = value("people.count"), value("people.crossing_share"), value("people.company")
     walks = [lane for lane in road.lane_section.of("pavement")]
@@ -205,7 +242,9 @@ def _people(recipe: Recipe, road: Road, seed: int, attempt: int, station: float,
                 placed += found
                 break
         else:
-            raise RecipeError(f"{recipe.name}: people.count {count}: no room for more than {len(placed)} after {2 * TRIES} tries")
+            raise RecipeError(
+                f"{recipe.name}: people.count {count}: no room for more than {len(placed)} after {2 * TRIES} tries"
+            )
     return placed
 
 
@@ -217,7 +256,9 @@ def _crossing(road: Road, rng: np.random.Generator) -> _Spot | None:
     return _Spot(s, float(rng.uniform(low + 0.4, high - 0.4)), 90.0 * way + float(rng.normal(0, 4)), (0.0, -way))
 
 
-def _on_pavement(road: Road, rng: np.random.Generator, station: float, walks: Sequence[Lane], walking: bool) -> _Spot | None:
+def _on_pavement(
+    road: Road, rng: np.random.Generator, station: float, walks: Sequence[Lane], walking: bool
+) -> _Spot | None:
     """On a pavement ahead of the camera, most on its own side; who does not walk looks anywhere."""
     way = int(rng.choice((-1, 1)))
     near = [lane for lane in walks if lane.middle > 0]
@@ -227,11 +268,19 @@ def _on_pavement(road: Road, rng: np.random.Generator, station: float, walks: Se
     t = float(rng.uniform(lane.low + 0.55, lane.high - 0.45))
     if s > road.reference_line.length - 3.0:
         return None
-    return _Spot(s, t, 90.0 - 90.0 * way + float(rng.normal(0, 5)) if walking else float(rng.uniform(0, 360)), (way, 0.0))
+    return _Spot(
+        s, t, 90.0 - 90.0 * way + float(rng.normal(0, 5)) if walking else float(rng.uniform(0, 360)), (way, 0.0)
+    )
 
 
 def _together(
-    road: Road, rng: np.random.Generator, spot: _Spot, names: Sequence[str], looks: Sequence[dict[str, str]], room: rules.CollisionSet, crosses: bool
+    road: Road,
+    rng: np.random.Generator,
+    spot: _Spot,
+    names: Sequence[str],
+    looks: Sequence[dict[str, str]],
+    room: rules.CollisionSet,
+    crosses: bool,
 ) -> list[Placement]:
     """One, or two or three abreast, the third behind; nobody where one of them has no room."""
     side = float(rng.choice((-1.0, 1.0)))
@@ -239,7 +288,10 @@ def _together(
     trial = room.copy() if len(names) > 1 else room
     lane = road.lane_section.at(spot.t)
     for name, looked, (across, back) in zip(names, looks, ABREAST_M, strict=False):
-        across, back = side * across * float(rng.uniform(1.0, 1.15)), back + (float(rng.uniform(-0.15, 0.15)) if found else 0.0)
+        across, back = (
+            side * across * float(rng.uniform(1.0, 1.15)),
+            back + (float(rng.uniform(-0.15, 0.15)) if found else 0.0),
+        )
         s = spot.s - back * spot.ahead[0] + across * spot.ahead[1]
         t = spot.t - back * spot.ahead[1] + across * spot.ahead[0]
         here = road.lane_section.at(t)

@@ -22,7 +22,16 @@ WETNESS = {"dry": 0.0, "damp": 0.5, "wet": 1.0}
 WATER_IOR = 1.333
 FILM_SMOOTHS = 0.62
 """Share of its roughness that a wet surface loses: the film fills the grooves between the stones."""
-ALBEDO = {"asphalt_lane": 0.08, "asphalt": 0.085, "asphalt_patch": 0.053, "asphalt_old": 0.11, "chip_seal": 0.13, "marking": 0.50, "paving": 0.25, "kerb": 0.3}
+ALBEDO = {
+    "asphalt_lane": 0.08,
+    "asphalt": 0.085,
+    "asphalt_patch": 0.053,
+    "asphalt_old": 0.11,
+    "chip_seal": 0.13,
+    "marking": 0.50,
+    "paving": 0.25,
+    "kerb": 0.3,
+}
 """Mean albedo of what rain falls on, where a texture gives it."""
 RAINED_ON = (*ALBEDO, "tar", "iron", "setts")
 TONES: Mapping[str, Mapping[str, tuple[float, float, float]]] = {
@@ -90,13 +99,23 @@ def looks(asphalt: Asphalt, known: Mapping[str, Material]) -> dict[str, Material
         if base is None:
             continue
         tone = TONES[asphalt.kind].get(name, (1.0, 1.0, 1.0))
-        colour = tuple(c * t for c, t in zip(base.colour, tone, strict=True)) if name in TONES[asphalt.kind] and base.texture else base.colour
+        colour = (
+            tuple(c * t for c, t in zip(base.colour, tone, strict=True))
+            if name in TONES[asphalt.kind] and base.texture
+            else base.colour
+        )
         albedo = ALBEDO.get(name, float(np.mean(base.colour))) * float(np.mean(tone))
         darker = 1.0 - share * (1.0 - wet_albedo(albedo) / albedo)
         smoother = 1.0 - share * FILM_SMOOTHS
         r, g, b = (round(c * darker, 4) for c in colour)
         rough = round(base.roughness * smoother, 4)
-        result[name] = replace(base, colour=(r, g, b), roughness=rough, gloss_factor=round(smoother, 4), ior=WATER_IOR if share else base.ior)
+        result[name] = replace(
+            base,
+            colour=(r, g, b),
+            roughness=rough,
+            gloss_factor=round(smoother, 4),
+            ior=WATER_IOR if share else base.ior,
+        )
     return {**LOOKS, **result}
 
 
@@ -112,13 +131,31 @@ def puddles(road: Road, asphalt: Asphalt, *, seed: int) -> list[Part]:
     for lane in road.lane_section.of(*DRIVEN):
         for _ in range(rng.poisson(share**2 * fewer * end / TRACK_STEP_M)):
             t = lane.middle + TRACK_M * float(rng.choice((-1.0, 1.0))) + float(rng.normal(0, 0.1))
-            parts.append(_puddle(rng, float(rng.uniform(2.0, end - 12.0)), t, float(rng.uniform(1.0, 7.0)), float(rng.uniform(0.08, 0.22)), 0))
+            parts.append(
+                _puddle(
+                    rng,
+                    float(rng.uniform(2.0, end - 12.0)),
+                    t,
+                    float(rng.uniform(1.0, 7.0)),
+                    float(rng.uniform(0.08, 0.22)),
+                    0,
+                )
+            )
     for kerb, side in road.lane_section.kerbs():
         beside = road.lane_section.at(kerb - 0.05 * side)
         if beside is None or beside.kind not in PAVED:
             continue
         for _ in range(rng.poisson(share * end / KERB_STEP_M)):
-            parts.append(_puddle(rng, float(rng.uniform(2.0, end - 14.0)), kerb, float(rng.uniform(1.5, 10.0)), float(rng.uniform(0.12, 0.45)), -side))
+            parts.append(
+                _puddle(
+                    rng,
+                    float(rng.uniform(2.0, end - 14.0)),
+                    kerb,
+                    float(rng.uniform(1.5, 10.0)),
+                    float(rng.uniform(0.12, 0.45)),
+                    -side,
+                )
+            )
     return parts
 
 
@@ -133,4 +170,6 @@ def _puddle(rng: np.random.Generator, s: float, t: float, long: float, wide: flo
         reach = wide * shape * np.clip(waver, 0.25, 1.9)
         edges.append(t + direction * (reach if side in (0, direction) else np.zeros(count)))
     left, right = edges
-    return strip([np.array([(a, y, PUDDLE_M), (b, y, PUDDLE_M)]) for a, b, y in zip(left, right, at, strict=True)], "puddle")
+    return strip(
+        [np.array([(a, y, PUDDLE_M), (b, y, PUDDLE_M)]) for a, b, y in zip(left, right, at, strict=True)], "puddle"
+    )

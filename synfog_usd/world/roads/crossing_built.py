@@ -44,7 +44,10 @@ def _bollards() -> Instanced:
     for sx in (-1, 1):
         for sy in (-1, 1):
             radius = CORNER - 0.45
-            points += [(sx * (MAIN_HALF + CORNER + radius * np.cos(a)), sy * (SIDE_HALF + CORNER + radius * np.sin(a)), 0.12) for a in angle]
+            points += [
+                (sx * (MAIN_HALF + CORNER + radius * np.cos(a)), sy * (SIDE_HALF + CORNER + radius * np.sin(a)), 0.12)
+                for a in angle
+            ]
         for y in (-31.0, -29.4, -27.8, 32.0, 33.6, 35.2):
             points.append((sx * 6.0, y, 0.12))
     return Instanced("/World/Furniture/Bollards", "bollard", "pole", np.array(points), np.zeros(len(points)))

@@ -37,7 +37,9 @@ def houses() -> list[Placement]:
     placed: list[Placement] = []
 
     def put(asset: str, x: float, y: float, heading: float) -> None:
-        placed.append(Placement("Buildings", f"House_{len(placed) + 1:02d}", asset, round(x, 3), round(y, 3), heading, z=base))
+        placed.append(
+            Placement("Buildings", f"House_{len(placed) + 1:02d}", asset, round(x, 3), round(y, 3), heading, z=base)
+        )
 
     ne, nw, se, sw = "corner_cream", "corner_brick", "corner_brick", "corner_green"
     put(ne, WALL_X + width[ne] / 2, WALL_Y, 180)
@@ -45,13 +47,47 @@ def houses() -> list[Placement]:
     put(se, WALL_X, -WALL_Y - width[se] / 2, 90)
     put(sw, -WALL_X - width[sw] / 2, -WALL_Y, 0)
     rows = {
-        (1, 1): ["house_ochre", "house_brick", "house_rose", "house_stone", "house_buff", "house_grey", "house_cream", "house_ochre", "house_white",
-        "house_rose", "house_brick", "house_buff", "house_cream", "house_grey", "house_stone", "house_ochre", "house_rose"],
-        (-1, 1): ["house_white", "house_buff", "house_cream", "house_grey", "house_rose", "house_brick", "house_ochre", "house_stone", "house_buff",
-        "house_cream", "house_rose", "house_white", "house_brick", "house_grey", "house_ochre", "house_buff", "house_stone"],
+        (1, 1): [
+            "house_ochre",
+            "house_brick",
+            "house_rose",
+            "house_stone",
+            "house_buff",
+            "house_grey",
+            "house_cream",
+            "house_ochre",
+            "house_white",
+            "house_rose",
+            "house_brick",
+            "house_buff",
+            "house_cream",
+            "house_grey",
+            "house_stone",
+            "house_ochre",
+            "house_rose",
+        ],
+        (-1, 1): [
+            "house_white",
+            "house_buff",
+            "house_cream",
+            "house_grey",
+            "house_rose",
+            "house_brick",
+            "house_ochre",
+            "house_stone",
+            "house_buff",
+            "house_cream",
+            "house_rose",
+            "house_white",
+            "house_brick",
+            "house_grey",
+            "house_ochre",
+            "house_buff",
+            "house_stone",
+        ],
         (1, -1): ["house_buff", "house_cream", "house_rose", "house_stone", "house_grey"],
         (-1, -1): ["house_rose", "house_brick", "house_ochre", "house_white", "house_cream"],
-    }  # fmt: skip
+    }
     first = {(1, 1): depth[ne], (-1, 1): width[nw], (1, -1): width[se], (-1, -1): depth[sw]}
     for (sx, sy), names in rows.items():
         y = WALL_Y + first[sx, sy]
@@ -61,9 +97,11 @@ def houses() -> list[Placement]:
             put(name, sx * WALL_X, sy * (y + width[name] / 2), 90 * sx)
             y += width[name]
     side = {
-        (1, 1): ["house_grey", "house_stone", "house_rose", "house_brick"], (-1, 1): ["house_cream", "house_ochre", "house_brick", "house_white"],
-        (1, -1): ["house_white", "house_ochre", "house_cream", "house_buff"], (-1, -1): ["house_buff", "house_stone", "house_grey", "house_rose"],
-    }  # fmt: skip
+        (1, 1): ["house_grey", "house_stone", "house_rose", "house_brick"],
+        (-1, 1): ["house_cream", "house_ochre", "house_brick", "house_white"],
+        (1, -1): ["house_white", "house_ochre", "house_cream", "house_buff"],
+        (-1, -1): ["house_buff", "house_stone", "house_grey", "house_rose"],
+    }
     first = {(1, 1): width[ne], (-1, 1): depth[nw], (1, -1): depth[se], (-1, -1): width[sw]}
     for (sx, sy), names in side.items():
         x = WALL_X + first[sx, sy]
@@ -76,8 +114,17 @@ def houses() -> list[Placement]:
 
 def parked_bicycles() -> list[Placement]:
     """At the walls of the houses."""
-    places = [(9.2, -26.0, 85, "red"), (9.15, -25.15, 84, "black"), (-9.1, 14.0, -95, "teal"), (-9.2, 14.9, -91, "red"), (9.1, 39.6, 92, "black")]
-    return [stood("Vehicles", f"Parked_Bicycle_{i + 1}", "bicycle", x, y, heading, {"colour": colour}) for i, (x, y, heading, colour) in enumerate(places)]
+    places = [
+        (9.2, -26.0, 85, "red"),
+        (9.15, -25.15, 84, "black"),
+        (-9.1, 14.0, -95, "teal"),
+        (-9.2, 14.9, -91, "red"),
+        (9.1, 39.6, 92, "black"),
+    ]
+    return [
+        stood("Vehicles", f"Parked_Bicycle_{i + 1}", "bicycle", x, y, heading, {"colour": colour})
+        for i, (x, y, heading, colour) in enumerate(places)
+    ]
 
 
 def furniture() -> list[Placement]:
@@ -100,7 +147,18 @@ def furniture() -> list[Placement]:
         (-1, 162.0),
     ]
     for i, (s, y) in enumerate(lamps):
-        placed.append(stood("Furniture", f"Lamp_{i + 1:02d}", "street_lamp", s * 6.05, y, 90 * s, {}, {"lamps": "on" if y < 80 else "glow"}))
+        placed.append(
+            stood(
+                "Furniture",
+                f"Lamp_{i + 1:02d}",
+                "street_lamp",
+                s * 6.05,
+                y,
+                90 * s,
+                {},
+                {"lamps": "on" if y < 80 else "glow"},
+            )
+        )
     signals = [
         ("traffic_light_mast", 6.15, -16.2, 180, "red"),
         ("traffic_light", -6.1, 15.9, 0, "red"),
@@ -111,15 +169,34 @@ def furniture() -> list[Placement]:
     for i, (asset, x, y, heading, state) in enumerate(signals):
         placed.append(stood("Furniture", f"Signal_{i + 1}", asset, x, y, heading, {"signal": state}, {"lamps": "on"}))
     others = [
-        ("sign_crossing", 6.1, -14.9, 180), ("sign_limit", 6.05, -33.2, 180), ("sign_no_stopping", 6.05, -20.4, 180), ("sign_priority", 6.05, -27.3, 180),
-        ("sign_street", 7.1, -9.0, 0), ("sign_street", -7.2, 9.1, 0),
-        ("sign_crossing", -6.1, 14.9, 0), ("sign_parking", -6.05, -20.8, 0), ("sign_no_entry", 6.1, 16.2, 180), ("sign_parking", 6.05, 20.4, 180),
-        ("sign_limit", -6.05, 41.5, 0), ("sign_ahead", 6.05, 59.0, 180), ("sign_no_stopping", 6.05, 86.0, 180),
-        ("litter_bin", 6.5, -18.0, 0), ("litter_bin", -6.5, -15.2, 0), ("litter_bin", 6.6, 16.8, 0), ("litter_bin", -6.6, 28.5, 0), ("bench", 6.75, -22.6,
-        -90), ("bench", -6.8, 24.5, 90), ("bench", 6.8, 54.0, -90),
-        ("cabinet", 9.45, -17.8, 90), ("cabinet", -9.45, 27.4, -90), ("advertising_column", -8.0, -15.5, 30),
-    ]  # fmt: skip
-    placed += [stood("Furniture", f"{asset.title()}_{i + 1:02d}", asset, x, y, heading) for i, (asset, x, y, heading) in enumerate(others)]
+        ("sign_crossing", 6.1, -14.9, 180),
+        ("sign_limit", 6.05, -33.2, 180),
+        ("sign_no_stopping", 6.05, -20.4, 180),
+        ("sign_priority", 6.05, -27.3, 180),
+        ("sign_street", 7.1, -9.0, 0),
+        ("sign_street", -7.2, 9.1, 0),
+        ("sign_crossing", -6.1, 14.9, 0),
+        ("sign_parking", -6.05, -20.8, 0),
+        ("sign_no_entry", 6.1, 16.2, 180),
+        ("sign_parking", 6.05, 20.4, 180),
+        ("sign_limit", -6.05, 41.5, 0),
+        ("sign_ahead", 6.05, 59.0, 180),
+        ("sign_no_stopping", 6.05, 86.0, 180),
+        ("litter_bin", 6.5, -18.0, 0),
+        ("litter_bin", -6.5, -15.2, 0),
+        ("litter_bin", 6.6, 16.8, 0),
+        ("litter_bin", -6.6, 28.5, 0),
+        ("bench", 6.75, -22.6, -90),
+        ("bench", -6.8, 24.5, 90),
+        ("bench", 6.8, 54.0, -90),
+        ("cabinet", 9.45, -17.8, 90),
+        ("cabinet", -9.45, 27.4, -90),
+        ("advertising_column", -8.0, -15.5, 30),
+    ]
+    placed += [
+        stood("Furniture", f"{asset.title()}_{i + 1:02d}", asset, x, y, heading)
+        for i, (asset, x, y, heading) in enumerate(others)
+    ]
     return placed
 
 
@@ -138,8 +215,52 @@ def trees() -> list[Placement]:
         else:
             placed.append(Placement("Plants", name, asset, x, y, heading, which, z=z, size=size))
 
-    for s, ys in ((1, [-53.0, -39.0, -25.2, 25.5, 37.0, 50.5, 64.0, 80.0, 93.0, 110.0, 124.0, 140.0, 156.0, 174.0, 192.0, 212.0, 235.0]), (-1, [-55.0, -41.0,
-        -28.5, 31.5, 39.0, 55.0, 66.0, 83.0, 95.0, 111.0, 126.0, 143.0, 158.0, 178.0, 196.0, 215.0, 240.0])):  # fmt: skip
+    for s, ys in (
+        (
+            1,
+            [
+                -53.0,
+                -39.0,
+                -25.2,
+                25.5,
+                37.0,
+                50.5,
+                64.0,
+                80.0,
+                93.0,
+                110.0,
+                124.0,
+                140.0,
+                156.0,
+                174.0,
+                192.0,
+                212.0,
+                235.0,
+            ],
+        ),
+        (
+            -1,
+            [
+                -55.0,
+                -41.0,
+                -28.5,
+                31.5,
+                39.0,
+                55.0,
+                66.0,
+                83.0,
+                95.0,
+                111.0,
+                126.0,
+                143.0,
+                158.0,
+                178.0,
+                196.0,
+                215.0,
+                240.0,
+            ],
+        ),
+    ):
         for y in ys:
             put(kinds[int(rng.integers(0, 4))], s * TREE_X, y)
     for k in range(26):

@@ -54,8 +54,16 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     waits = value("traffic.main_street") == "waits"
     cars = [*_parked(recipe, seed, value("parked.share")), *_traffic(recipe, seed, value("traffic.count"), waits)]
     cars = [replace(car, name=f"{car.asset.title()}_{index + 1:02d}") for index, car in enumerate(cars)]
-    fixed = [*crossing_props.ground(), *crossing_props.houses(), *_furniture(waits), *crossing_props.trees(), *crossing_props.parked_bicycles()]
-    people = _people(recipe, seed, value("people.count"), waits, [p for p in fixed if p.group not in ("Ground", "Buildings")])
+    fixed = [
+        *crossing_props.ground(),
+        *crossing_props.houses(),
+        *_furniture(waits),
+        *crossing_props.trees(),
+        *crossing_props.parked_bicycles(),
+    ]
+    people = _people(
+        recipe, seed, value("people.count"), waits, [p for p in fixed if p.group not in ("Ground", "Buildings")]
+    )
     riders = _cyclist(seed) if value("people.cyclists") else []
     fog = recipe.fog_variants(seed)
     lens = focal_length(value("camera.fov_x_deg"))
@@ -139,7 +147,11 @@ def _parked(recipe: Recipe, seed: int, share: float) -> list[Placement]:
             body, looks = draw_car(recipe, "parked", rng)
             x, y = side * PARKED_X + np.clip(rng.normal(0, 0.04), -0.08, 0.08), y + rng.uniform(-0.12, 0.12)
             if taken:
-                placed.append(stood("Vehicles", "", body, round(float(x), 3), round(float(y), 3), 180.0 if side < 0 else 0.0, looks))
+                placed.append(
+                    stood(
+                        "Vehicles", "", body, round(float(x), 3), round(float(y), 3), 180.0 if side < 0 else 0.0, looks
+                    )
+                )
     return placed
 
 
@@ -151,7 +163,11 @@ def _traffic(recipe: Recipe, seed: int, count: int, waits: bool) -> list[Placeme
     for index in range(count):
         body, looks = draw_car(recipe, "traffic", stream(seed, "recipe", "traffic", "car", index))
         car = (body, nominal()[body]["length_m"], looks)
-        fitting = [n for n, lane in enumerate(lanes) if sum(length + _GAP_M for _, length, _ in [*bound[n], car]) <= abs(lane.end - lane.start)]
+        fitting = [
+            n
+            for n, lane in enumerate(lanes)
+            if sum(length + _GAP_M for _, length, _ in [*bound[n], car]) <= abs(lane.end - lane.start)
+        ]
         if not fitting:
             raise AssertionError("the limit of traffic.count leaves room for as many buses")
         bound[choice(rng, fitting)].append(car)  # type: ignore[arg-type]
@@ -172,7 +188,9 @@ def _traffic(recipe: Recipe, seed: int, count: int, waits: bool) -> list[Placeme
             x, y = (across, middle) if lane.along == "y" else (middle, across)
             placed.append(stood("Vehicles", "", body, round(x, 3), round(y, 3), lane.heading, looks, {"lamps": "glow"}))
     view = crossing_props.VIEW
-    nearest = sorted((p for p in placed if p.y < LIT_Y), key=lambda p: (math.hypot(p.x - view.x, p.y - view.y), p.x))[:NEAREST_LIT]
+    nearest = sorted((p for p in placed if p.y < LIT_Y), key=lambda p: (math.hypot(p.x - view.x, p.y - view.y), p.x))[
+        :NEAREST_LIT
+    ]
     return [replace(p, lit={"lamps": "on"}) if p in nearest else p for p in placed]
 
 
@@ -213,9 +231,17 @@ def _crossing(rng: np.random.Generator, waits: bool) -> tuple[float, float, floa
     side, way = (int(sign) for sign in rng.choice((-1, 1), 2))
     turn = float(rng.normal(0, 3))
     if waits:
-        x, y, heading = rng.uniform(-MAIN_HALF + 0.8, MAIN_HALF - 0.8), side * rng.uniform(ZEBRA + 0.4, ZEBRA + ZEBRA_DEPTH - 0.4), 90.0 * way
+        x, y, heading = (
+            rng.uniform(-MAIN_HALF + 0.8, MAIN_HALF - 0.8),
+            side * rng.uniform(ZEBRA + 0.4, ZEBRA + ZEBRA_DEPTH - 0.4),
+            90.0 * way,
+        )
     else:
-        x, y, heading = side * rng.uniform(ZEBRA_SIDE + 0.4, ZEBRA_SIDE + ZEBRA_DEPTH - 0.4), rng.uniform(-3.6, 3.6), 90.0 * (1 - way)
+        x, y, heading = (
+            side * rng.uniform(ZEBRA_SIDE + 0.4, ZEBRA_SIDE + ZEBRA_DEPTH - 0.4),
+            rng.uniform(-3.6, 3.6),
+            90.0 * (1 - way),
+        )
     return round(float(x), 3), round(float(y), 3), round(heading + turn, 1)
 
 
@@ -233,7 +259,11 @@ def _on_pavement(rng: np.random.Generator, kind: str) -> tuple[float, float, flo
 def _cyclist(seed: int) -> list[Placement]:
     """One ahead of the camera, at the kerb side of its lane."""
     rng = stream(seed, "recipe", "cyclist")
-    x, y, heading = round(float(rng.uniform(2.5, 2.8)), 3), round(float(rng.uniform(-27.0, -18.5)), 3), round(float(rng.normal(0, 1)), 1)
+    x, y, heading = (
+        round(float(rng.uniform(2.5, 2.8)), 3),
+        round(float(rng.uniform(-27.0, -18.5)), 3),
+        round(float(rng.normal(0, 1)), 1),
+    )
     outfit, colour = "ab"[int(rng.integers(2))], ("teal", "black", "red")[int(rng.integers(3))]
     return [
         stood("People", "Rider_1", "rider", x, y, heading, {"outfit": outfit}),

@@ -128,7 +128,14 @@ def wood(road: Road, *, seed: int, count: int, nearest_m: float) -> Scatter:
         for i in np.flatnonzero(clear):
             points.append((float(cx + dx[i]), float(cy + dy[i]), float(height[i]) - 0.1))
             sizes.append(float(big[i]))
-    return Scatter("Wood", "vegetation", distant_tree(), np.array(points).reshape(-1, 3), rng.uniform(0, 360, len(points)), np.array(sizes))
+    return Scatter(
+        "Wood",
+        "vegetation",
+        distant_tree(),
+        np.array(points).reshape(-1, 3),
+        rng.uniform(0, 360, len(points)),
+        np.array(sizes),
+    )
 
 
 def distant_tree() -> tuple[Part, ...]:
@@ -140,7 +147,9 @@ def distant_tree() -> tuple[Part, ...]:
         away = rng.uniform(0.3, 2.3) * (1.0 - abs(high - 5.6) / 6.5)
         size = rng.uniform(1.3, 2.1) * (1.0 if high < 7.5 else 0.75)
         leaves = lump(rng, ("leaf_green", "hedge", "leaf_olive")[k % 3])
-        parts.append(leaves.moved(shift(away * np.cos(angle), away * np.sin(angle), high) @ scaled(size, size, 0.8 * size)))
+        parts.append(
+            leaves.moved(shift(away * np.cos(angle), away * np.sin(angle), high) @ scaled(size, size, 0.8 * size))
+        )
     return tuple(by_material(parts).values())
 
 
@@ -152,7 +161,9 @@ def lump(rng: np.random.Generator, material: str) -> Part:
         a = -np.pi / 2 + np.pi * i / (rows - 1)
         r = np.cos(a) * (1 + 0.28 * rng.standard_normal(columns)).clip(0.55, 1.5)
         b = np.linspace(0, 2 * np.pi, columns, endpoint=False) + rng.normal(0, 0.15, columns)
-        loops.append(np.c_[r * np.cos(b), r * np.sin(b), np.sin(a) + 0.12 * rng.standard_normal(columns) * (0 < i < rows - 1)])
+        loops.append(
+            np.c_[r * np.cos(b), r * np.sin(b), np.sin(a) + 0.12 * rng.standard_normal(columns) * (0 < i < rows - 1)]
+        )
     return strip(loops, material, closed=True)
 
 
@@ -180,7 +191,9 @@ def tufts(road: Road, *, seed: int, low: float, high: float, per_m2: float = 1.2
     if not points:
         return None
     every = np.concatenate(points)
-    return Scatter("Grass", "terrain", tuft(), every, rng.uniform(0, 360, len(every)), rng.uniform(0.5, 1.25, len(every)))
+    return Scatter(
+        "Grass", "terrain", tuft(), every, rng.uniform(0, 360, len(every)), rng.uniform(0.5, 1.25, len(every))
+    )
 
 
 def tuft() -> tuple[Part, ...]:
@@ -192,7 +205,11 @@ def tuft() -> tuple[Part, ...]:
         for k in range(n):
             x, y, angle = rng.normal(0, 0.11), rng.normal(0, 0.11), rng.uniform(0, np.pi)
             dx, dy, w, h = rng.normal(0, 0.07), rng.normal(0, 0.07), rng.uniform(0.004, 0.009), rng.uniform(0.10, 0.30)
-            points += [(x - w * np.cos(angle), y - w * np.sin(angle), 0.0), (x + w * np.cos(angle), y + w * np.sin(angle), 0.0), (x + dx, y + dy, h)]
+            points += [
+                (x - w * np.cos(angle), y - w * np.sin(angle), 0.0),
+                (x + w * np.cos(angle), y + w * np.sin(angle), 0.0),
+                (x + dx, y + dy, h),
+            ]
             faces.append((3 * k, 3 * k + 1, 3 * k + 2))
         parts.append(Part(np.array(points), np.array(faces), material))
     return tuple(parts)

@@ -56,7 +56,9 @@ def bay_length(lane: Lane) -> float:
     return BAY_ACROSS_M if lane.width > DEEP_M else BAY_M
 
 
-def painted_line(t: float, low: float, high: float, width: float, dash: tuple[float, float] | None = None) -> list[Part]:
+def painted_line(
+    t: float, low: float, high: float, width: float, dash: tuple[float, float] | None = None
+) -> list[Part]:
     """A line along the road, dashed or not."""
     pieces = [(low, high)] if dash is None else [(s, min(s + dash[0], high)) for s in np.arange(low, high, sum(dash))]
     parts = []
@@ -69,7 +71,11 @@ def painted_line(t: float, low: float, high: float, width: float, dash: tuple[fl
 
 def _free(road: Road) -> list[tuple[float, float]]:
     """Stretches between zebras, where lines run."""
-    cuts = [0.0, *(s + sign * (ZEBRA_DEPTH_M / 2 + 0.6) for s in sorted(road.zebras) for sign in (-1, 1)), road.reference_line.length]
+    cuts = [
+        0.0,
+        *(s + sign * (ZEBRA_DEPTH_M / 2 + 0.6) for s in sorted(road.zebras) for sign in (-1, 1)),
+        road.reference_line.length,
+    ]
     return list(zip(cuts[::2], cuts[1::2], strict=True))
 
 
@@ -110,7 +116,13 @@ def _bays(road: Road) -> list[Part]:
         for low, high in _free(road):
             for s in np.arange(low + 5.0, high - 5.0, bay_length(lane)):
                 a, b = sorted((inner, inner + 0.8 * (outer - inner)))
-                parts.append(fan([(a, s, THICK_M), (b, s, THICK_M), (b, s + 0.1, THICK_M), (a, s + 0.1, THICK_M)], "marking", tile_m=TILE_M))
+                parts.append(
+                    fan(
+                        [(a, s, THICK_M), (b, s, THICK_M), (b, s + 0.1, THICK_M), (a, s + 0.1, THICK_M)],
+                        "marking",
+                        tile_m=TILE_M,
+                    )
+                )
                 if bay_length(lane) == BAY_M:
                     parts += painted_line(inner, s, s + 1.0, 0.1)
     return parts
@@ -139,7 +151,10 @@ def arrow(lane: Lane, s: float) -> list[Part]:
         [(-0.08, 0), (0.08, 0), (0.08, 3.2), (-0.08, 3.2)],
         [(-0.38, 3.2), (0.38, 3.2), (0, 5.0)],
     )
-    return [fan([(lane.middle + lane.way * u, s + lane.way * v, THICK_M) for u, v in outline], "marking", tile_m=TILE_M) for outline in outlines]
+    return [
+        fan([(lane.middle + lane.way * u, s + lane.way * v, THICK_M) for u, v in outline], "marking", tile_m=TILE_M)
+        for outline in outlines
+    ]
 
 
 def _letters(lane: Lane, s: float) -> list[Part]:
@@ -148,7 +163,9 @@ def _letters(lane: Lane, s: float) -> list[Part]:
     for place, strokes in enumerate(LETTERS.values()):
         left = lane.middle + lane.way * (-1.15 + 0.85 * place)
         for stroke in strokes.split():
-            grid = np.array([(int(a), int(b)) for a, b in zip(stroke[::2], stroke[1::2], strict=True)], dtype=np.float64)
+            grid = np.array(
+                [(int(a), int(b)) for a, b in zip(stroke[::2], stroke[1::2], strict=True)], dtype=np.float64
+            )
             points = np.c_[left + lane.way * grid[:, 0] * 0.15, s + lane.way * grid[:, 1] * 0.42]
             part = ribbon(points, 0.13, THICK_M, "marking")
             parts.append(Part(part.points, part.faces, "marking", part.points[:, :2] / TILE_M))
@@ -164,10 +181,18 @@ def _zebra(road: Road, s: float) -> list[Part]:
         if any(lane.low - 0.1 < t + 0.25 < lane.high + 0.1 for lane in islands):
             continue
         a, b = s - ZEBRA_DEPTH_M / 2, s + ZEBRA_DEPTH_M / 2
-        parts.append(fan([(t, a, THICK_M), (t + 0.5, a, THICK_M), (t + 0.5, b, THICK_M), (t, b, THICK_M)], "marking", tile_m=TILE_M))
+        parts.append(
+            fan(
+                [(t, a, THICK_M), (t + 0.5, a, THICK_M), (t + 0.5, b, THICK_M), (t, b, THICK_M)],
+                "marking",
+                tile_m=TILE_M,
+            )
+        )
     for lane in road.driving_lanes:
         at = s - lane.way * (ZEBRA_DEPTH_M / 2 + 1.2)
         t0, t1 = lane.middle - lane.width / 2 + 0.1, lane.middle + lane.width / 2 - 0.1
         y0, y1 = sorted((at, at - lane.way * 0.4))
-        parts.append(fan([(t0, y0, THICK_M), (t1, y0, THICK_M), (t1, y1, THICK_M), (t0, y1, THICK_M)], "marking", tile_m=TILE_M))
+        parts.append(
+            fan([(t0, y0, THICK_M), (t1, y0, THICK_M), (t1, y1, THICK_M), (t0, y1, THICK_M)], "marking", tile_m=TILE_M)
+        )
     return parts

@@ -24,7 +24,9 @@ WAVES = 9
 BEHIND_WALL_M = 0.35
 CUTTING_M = 8.5
 AT_PORTAL = 0.55
-"""A hill stands behind the wall of its portal, at this share of its height; before it the road lies in a cutting with slopes so wide."""
+"""A hill stands behind the wall of its portal, at this share of its height; before it the road lies in a cutting with
+slopes so wide.
+"""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,13 @@ class Road:
         x, y = self.reference_line.place(s, t)
         heading = math.degrees(float(self.reference_line.heading(s))) + (180.0 if way < 0 else 0.0)
         pitch = math.degrees(math.atan(float(self.reference_line.grade(s)))) * way
-        return round(float(x), 3), round(float(y), 3), round(float(self.ground(s, t)), 4), round((heading + 180.0) % 360.0 - 180.0, 3), round(pitch, 3)
+        return (
+            round(float(x), 3),
+            round(float(y), 3),
+            round(float(self.ground(s, t)), 4),
+            round((heading + 180.0) % 360.0 - 180.0, 3),
+            round(pitch, 3),
+        )
 
     def ground(self, s: npt.ArrayLike, t: npt.ArrayLike) -> Array:
         """Height of the ground [m] at stations and offsets, broadcast."""
@@ -105,7 +113,9 @@ class Road:
         if self.land.hill:
             begin, high = self.land.hill[0] + BEHIND_WALL_M, self.land.hill[1]
             cutting = np.clip(out / CUTTING_M, 0.0, 1.0) * np.clip((s - begin + 70.0) / 70.0, 0.0, 1.0)
-            result = result + high * np.where(s < begin, AT_PORTAL * cutting, np.clip(AT_PORTAL + (s - begin) / 90.0, 0.0, 1.0))
+            result = result + high * np.where(
+                s < begin, AT_PORTAL * cutting, np.clip(AT_PORTAL + (s - begin) / 90.0, 0.0, 1.0)
+            )
         return result
 
     def hills(self, x: Array, y: Array) -> Array:
@@ -116,5 +126,7 @@ class Road:
         total = np.zeros(np.shape(x))
         for _ in range(WAVES):
             length, angle, phase = rng.uniform(110, 600), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
-            total = total + (length / 600) * np.sin((x * np.cos(angle) + y * np.sin(angle)) * 2 * np.pi / length + phase)
+            total = total + (length / 600) * np.sin(
+                (x * np.cos(angle) + y * np.sin(angle)) * 2 * np.pi / length + phase
+            )
         return self.land.hills_m * (total / 2.2 + 0.35)

@@ -61,10 +61,14 @@ def rows_placed(recipe: Recipe, road: Road, seed: int, station: float, taken: ru
                     continue
                 t = _reference(road, row.distributions["from"](rng), sign) + sign * out
                 angle = _turn(turned, sign, random_turn)
-                for nudge in range(NUDGES if step is None else 1):  # rows that stand end to end need more room inside a bend
+                for nudge in range(
+                    NUDGES if step is None else 1
+                ):  # rows that stand end to end need more room inside a bend
                     at = middle + NUDGE_M * nudge
                     p = _stood(road, asset, at, t, angle, looks, size)
-                    if p is not None and taken.free(p, 0.02 if found.group == "building" else 0.1 if step is not None else JOINT_M):
+                    if p is not None and taken.free(
+                        p, 0.02 if found.group == "building" else 0.1 if step is not None else JOINT_M
+                    ):
                         taken.add(p)
                         placed.append(p)
                         s += NUDGE_M * nudge if step is None else 0.0
@@ -79,7 +83,16 @@ def _at_zebras(road: Road, row: Row, rng: np.random.Generator, sign: int, taken:
         asset = row.distributions["models"](rng)
         t = _reference(road, row.distributions["from"](rng), sign) + sign * float(row.distributions["out_m"](rng))
         looks = look(rng, rules.model(asset))
-        p = _stood(road, asset, zebra - sign * BESIDE_ZEBRA_M, t, _turn(row.distributions["turn"](rng), sign, 0.0), looks, 1.0, at_zebra=True)
+        p = _stood(
+            road,
+            asset,
+            zebra - sign * BESIDE_ZEBRA_M,
+            t,
+            _turn(row.distributions["turn"](rng), sign, 0.0),
+            looks,
+            1.0,
+            at_zebra=True,
+        )
         if p is not None and taken.free(p):
             taken.add(p)
             placed.append(p)
@@ -88,14 +101,35 @@ def _at_zebras(road: Road, row: Row, rng: np.random.Generator, sign: int, taken:
 
 def _turn(name: str, sign: int, other: float) -> float:
     """Degrees from the road's direction at which a thing stands on one side of it."""
-    return {"road": 90.0 * sign, "back": -90.0 * sign, "traffic": 180.0 if sign > 0 else 0.0, "along": 0.0 if sign > 0 else 180.0}.get(name, other)
+    return {
+        "road": 90.0 * sign,
+        "back": -90.0 * sign,
+        "traffic": 180.0 if sign > 0 else 0.0,
+        "along": 0.0 if sign > 0 else 180.0,
+    }.get(name, other)
 
 
-def _stood(road: Road, asset: str, s: float, t: float, angle: float, looks: dict[str, str], size: float, *, at_zebra: bool = False) -> Placement | None:
+def _stood(
+    road: Road,
+    asset: str,
+    s: float,
+    t: float,
+    angle: float,
+    looks: dict[str, str],
+    size: float,
+    *,
+    at_zebra: bool = False,
+) -> Placement | None:
     """A thing beside the road, or None where the road has no place for it."""
     found = rules.model(asset)
-    near_kerb = not at_zebra and found.group != "building" and road.lane_section.low - 3.0 < t < road.lane_section.high + 3.0
-    if s > road.reference_line.length or in_structure(road, s, t) or (near_kerb and any(abs(s - zebra) < 4.5 for zebra in road.zebras)):
+    near_kerb = (
+        not at_zebra and found.group != "building" and road.lane_section.low - 3.0 < t < road.lane_section.high + 3.0
+    )
+    if (
+        s > road.reference_line.length
+        or in_structure(road, s, t)
+        or (near_kerb and any(abs(s - zebra) < 4.5 for zebra in road.zebras))
+    ):
         return None
     x, y, z, heading, _ = road.pose(s, t)
     if found.group == "building":  # stands as high as the ground before it, or in the slope
@@ -106,7 +140,17 @@ def _stood(road: Road, asset: str, s: float, t: float, angle: float, looks: dict
             if np.ptp(ground) > DUG_IN_M:
                 return None
             z = round(float(np.min(ground)), 4) - 0.005
-    return Placement(rules.prim_group(found), "", asset, x, y, round((heading + angle + 180.0) % 360.0 - 180.0, 2), looks, z=z, size=size)
+    return Placement(
+        rules.prim_group(found),
+        "",
+        asset,
+        x,
+        y,
+        round((heading + angle + 180.0) % 360.0 - 180.0, 2),
+        looks,
+        z=z,
+        size=size,
+    )
 
 
 def _reference(road: Road, where: str, sign: int) -> float:
@@ -132,10 +176,16 @@ UNDRAWN = ("lamps", "signal", "lod", "driver")
 
 def look(rng: np.random.Generator, found: Any) -> dict[str, str]:
     """A choice of each variant set but those of lamps, signals, detail and drivers, whom traffic has."""
-    return {name: choices[int(rng.integers(len(choices)))] for name, choices in sorted(found.variants.items()) if name not in UNDRAWN}
+    return {
+        name: choices[int(rng.integers(len(choices)))]
+        for name, choices in sorted(found.variants.items())
+        if name not in UNDRAWN
+    }
 
 
-def draw_car(recipe: Recipe, section: str, rng: np.random.Generator, among: Sequence[str] | None = None) -> tuple[str, dict[str, str]]:
+def draw_car(
+    recipe: Recipe, section: str, rng: np.random.Generator, among: Sequence[str] | None = None
+) -> tuple[str, dict[str, str]]:
     """A vehicle and its paint, of what a section of the recipe chooses among."""
     body = recipe.distributions[f"{section}.bodies"](rng, among)
     paints = rules.model(body).variants.get("paint", ())
@@ -143,7 +193,9 @@ def draw_car(recipe: Recipe, section: str, rng: np.random.Generator, among: Sequ
     return body, ({"paint": paint} if paint else {})
 
 
-def parked(recipe: Recipe, road: Road, seed: int, station: float, share: float, taken: rules.CollisionSet) -> list[Placement]:
+def parked(
+    recipe: Recipe, road: Road, seed: int, station: float, share: float, taken: rules.CollisionSet
+) -> list[Placement]:
     """One car to a bay, looking the way of the lane beside."""
     placed = []
     for number, (lane, middle) in enumerate(bays(road)):
@@ -160,7 +212,9 @@ def parked(recipe: Recipe, road: Road, seed: int, station: float, share: float, 
         x, y, z, heading, pitch = road.pose(s, t, way=way)
         if across:
             heading, pitch = heading + (-90.0 if nose_in else 90.0), 0.0
-        p = Placement("Vehicles", "", body, x, y, round(heading + float(rng.normal(0, 0.5)), 3), looks, z=z, pitch=pitch)
+        p = Placement(
+            "Vehicles", "", body, x, y, round(heading + float(rng.normal(0, 0.5)), 3), looks, z=z, pitch=pitch
+        )
         if taken.free(p):
             taken.add(p)
             placed.append(p)

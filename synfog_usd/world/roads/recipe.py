@@ -39,7 +39,9 @@ SURROUND = (
     ("Back_Right", 0.50, -0.69, -110.0, 70.0),
     ("Back", 0.0, -1.67, 180.0, 110.0),
 )
-"""Cameras beside the front one: right and ahead of it [m], degrees to the left, width of view [degrees].  Source: rig of nuScenes (Caesar et al. 2020)."""
+"""Cameras beside the front one: right and ahead of it [m], degrees to the left, width of view [degrees].  Source: rig
+of nuScenes (Caesar et al. 2020).
+"""
 
 
 def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
@@ -56,7 +58,10 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     station = round(value("camera.station_m"), 2)
     road, built = _road(recipe, seed, station, value)
     if station + 60.0 > road.reference_line.length:
-        raise RecipeError(f"{recipe.name}: camera.station_m {station:g} leaves less than 60 m of the road's {road.reference_line.length:g} m ahead")
+        raise RecipeError(
+            f"{recipe.name}: camera.station_m {station:g} leaves less than 60 m of the road's "
+            f"{road.reference_line.length:g} m ahead"
+        )
     own = _own_lane(recipe, road, value("camera.lane"))
     fov = value("camera.fov_x_deg")
     view = _view(road, own, station, value("camera.height_m"), fov)
@@ -70,10 +75,14 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
             f"{recipe.name}: rules.{least} cannot be met: {TRIES} tries gave at most {seen}; "
             "ask for less, or raise traffic.per_hour, traffic.count, people.count or parked.share"
         )
-    return assembled(recipe, seed, value, road, view, [*fixed, *actors], {**built, "station": station, "works": digging})
+    return assembled(
+        recipe, seed, value, road, view, [*fixed, *actors], {**built, "station": station, "works": digging}
+    )
 
 
-def assembled(recipe: Recipe, seed: int, value: Any, road: Road, view: View, things: Sequence[Placement], built: Mapping[str, Any]) -> WorldSpec:
+def assembled(
+    recipe: Recipe, seed: int, value: Any, road: Road, view: View, things: Sequence[Placement], built: Mapping[str, Any]
+) -> WorldSpec:
     """The world of a road and what stands at it, with sky, fog and the lamps that are lights."""
     heading = round(value("sky.heading_deg"), 1)
     placed = [_coarser(p, view) for p in _lit(things, view)]
@@ -114,22 +123,37 @@ def _road(recipe: Recipe, seed: int, station: float, value: Any) -> tuple[Road, 
     length = round(value("road.length_m"), 1)
     pieces = []
     for i in range(40):
-        parts = [recipe.distributions[f"road.{key}"](stream(seed, "recipe", f"road.{key}", i)) for key in ("straight_m", "radius_m", "turn_deg")]
+        parts = [
+            recipe.distributions[f"road.{key}"](stream(seed, "recipe", f"road.{key}", i))
+            for key in ("straight_m", "radius_m", "turn_deg")
+        ]
         pieces.append((float(parts[0]), float(parts[1]), float(parts[2])))
     pieces[0] = (pieces[0][0] + station * 0.6, *pieces[0][1:])
     slopes = [(0.0, 0.0), (0.75 * station, 0.0)]
     every, i = value("road.slope_every_m"), 0
     while slopes[-1][0] < length:
-        slopes.append((round(slopes[-1][0] + every, 3), round(float(recipe.distributions["road.slope"](stream(seed, "recipe", "road.slope", i))), 6)))
+        slopes.append(
+            (
+                round(slopes[-1][0] + every, 3),
+                round(float(recipe.distributions["road.slope"](stream(seed, "recipe", "road.slope", i))), 6),
+            )
+        )
         i += 1
     flat = all(grade == 0.0 for _, grade in slopes)
     line = ReferenceLine(length, bends(pieces, length=length), ((0.0, 0.0),) if flat else tuple(slopes))
-    widths = tuple((kind, round(float(w(stream(seed, "recipe", "section", i))), 3), way) for i, (kind, w, way) in enumerate(recipe.lanes))
+    widths = tuple(
+        (kind, round(float(w(stream(seed, "recipe", "section", i))), 3), way)
+        for i, (kind, w, way) in enumerate(recipe.lanes)
+    )
     built: dict[str, Any] = {"rails": value("rails.where"), "delineators": value("rails.delineators"), "gantries": []}
     valley = hill = None
     if value("bridge.length_m"):
         begin = station + value("bridge.ahead_m")
-        valley = (round(begin, 2), round(min(begin + value("bridge.length_m"), length - 10.0), 2), round(value("bridge.depth_m"), 2))
+        valley = (
+            round(begin, 2),
+            round(min(begin + value("bridge.length_m"), length - 10.0), 2),
+            round(value("bridge.depth_m"), 2),
+        )
     if value("tunnel.ahead_m") is not None:
         hill = (round(station + value("tunnel.ahead_m"), 2), round(value("tunnel.height_m"), 2))
     if value("rails.gantry_ahead_m") is not None:
@@ -141,13 +165,23 @@ def _road(recipe: Recipe, seed: int, station: float, value: Any) -> tuple[Road, 
         zebras.append(round(at, 2))
     land = Land(round(value("land.hills_m"), 2), seed32(seed, "recipe", "land"), valley, hill)
     dash = (value("road.dash_m"), value("road.dash_gap_m"))
-    return Road(line, LaneSection.from_widths(widths), land, tuple(s for s in zebras if s < length - 10.0), value("road.centre"), dash), built
+    return Road(
+        line,
+        LaneSection.from_widths(widths),
+        land,
+        tuple(s for s in zebras if s < length - 10.0),
+        value("road.centre"),
+        dash,
+    ), built
 
 
 def _own_lane(recipe: Recipe, road: Road, number: int) -> Lane:
     lanes = [lane for lane in road.driving_lanes if lane.way > 0 and lane.kind == "lane"]
     if number >= len(lanes):
-        raise RecipeError(f"{recipe.name}: camera.lane {number}: the road has {len(lanes)} lanes that go its way; lanes count from 0 at the right")
+        raise RecipeError(
+            f"{recipe.name}: camera.lane {number}: the road has {len(lanes)} lanes that go its way; lanes count from 0 "
+            f"at the right"
+        )
     return lanes[-1 - number]
 
 
@@ -157,7 +191,14 @@ def _view(road: Road, own: Lane, station: float, height_m: float, fov_x_deg: flo
     heading = math.degrees(float(road.reference_line.heading(station)))
     pitch = math.degrees(math.atan(float(road.reference_line.grade(station))))
     z = float(road.ground(station, t)) + height_m
-    return View(round(float(x), 3), round(float(y), 3), round(z, 3), round(90.6 + pitch, 3), round(heading + 0.8, 3), focal_length(fov_x_deg))
+    return View(
+        round(float(x), 3),
+        round(float(y), 3),
+        round(z, 3),
+        round(90.6 + pitch, 3),
+        round(heading + 0.8, 3),
+        focal_length(fov_x_deg),
+    )
 
 
 def _lit(placed: Sequence[Placement], view: View) -> list[Placement]:
@@ -173,7 +214,11 @@ def _lit(placed: Sequence[Placement], view: View) -> list[Placement]:
     for p in placed:
         choices = rules.model(p.asset).variants.get("lamps", ())
         if (rules.model(p.asset).group == "lamp" or p.lit) and choices:
-            state = ("brake" if p.lit.get("lamps") == "brake" else "on") if id(p) in near or "glow" not in choices else "glow"
+            state = (
+                ("brake" if p.lit.get("lamps") == "brake" else "on")
+                if id(p) in near or "glow" not in choices
+                else "glow"
+            )
             p = replace(p, lit={"lamps": state})
         elif p.lit:
             p = replace(p, lit={})

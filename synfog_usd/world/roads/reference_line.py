@@ -106,7 +106,9 @@ class ReferenceLine:
         Returns:
             s within the line, and t: its size is the distance, beyond the ends too.
         """
-        points = np.stack(np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)), axis=-1)
+        points = np.stack(
+            np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)), axis=-1
+        )
         _, index = self._tree.query(points)
         s = self._table[0][index]
         knots, curvature = np.array(self.curvature).T
@@ -114,8 +116,12 @@ class ReferenceLine:
             heading = self.heading(s)
             fx, fy = self.place(s, 0.0)
             dx, dy = points[..., 0] - fx, points[..., 1] - fy
-            stretch = np.maximum(1.0 + np.interp(s, knots, curvature) * (dx * np.cos(heading) + dy * np.sin(heading)), 0.2)
-            s = np.clip(s + np.clip((dy * np.cos(heading) - dx * np.sin(heading)) / stretch, -STEP_M, STEP_M), 0.0, self.length)
+            stretch = np.maximum(
+                1.0 + np.interp(s, knots, curvature) * (dx * np.cos(heading) + dy * np.sin(heading)), 0.2
+            )
+            s = np.clip(
+                s + np.clip((dy * np.cos(heading) - dx * np.sin(heading)) / stretch, -STEP_M, STEP_M), 0.0, self.length
+            )
         heading = self.heading(s)
         fx, fy = self.place(s, 0.0)
         dx, dy = points[..., 0] - fx, points[..., 1] - fy

@@ -60,7 +60,9 @@ def _soft(road: Road, side: int) -> float:
 
 def scatters(spec: WorldSpec, road: Road) -> Sequence[land.Scatter | None]:
     """Woods far away, and tall grass where the camera is near."""
-    found: list[land.Scatter | None] = [land.wood(road, seed=spec.scatter, count=spec.built["trees"], nearest_m=spec.built["trees_from_m"])]
+    found: list[land.Scatter | None] = [
+        land.wood(road, seed=spec.scatter, count=spec.built["trees"], nearest_m=spec.built["trees_from_m"])
+    ]
     station = spec.built["station"]
     if spec.built["grass"] == "tufts":
         found.append(land.tufts(road, seed=spec.scatter, low=station, high=station + TUFTS_M))

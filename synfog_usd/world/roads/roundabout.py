@@ -28,7 +28,9 @@ HOLD_M = 16.0
 """Beyond the circle, within which an arm keeps its full width; every entry arc of up to RADIUS_M ends before it."""
 TAPER_M = 22.0
 RADIUS_M = (7.0, 25.0)
-"""Entry and exit arcs: the least that a lorry can follow with its neighbour arm beside it, and the greatest that still slows cars."""
+"""Entry and exit arcs: the least that a lorry can follow with its neighbour arm beside it, and the greatest that still
+slows cars.
+"""
 STRAIGHT_M = 62.0
 NEAR_M = 48.0
 FINE_M, COARSE_M = 0.5, 2.0
@@ -120,13 +122,19 @@ class Roundabout(Road):
         return self.half_island * u * u * (3 - 2 * u)
 
     def lane_pose(self, arm: int, s: float, way: int, aside: float = 0.0) -> tuple[float, float, float, float]:
-        """x, y, z [m] and heading [degrees] of what drives in an arm's lane, outwards (1) or inwards (-1), `aside` [m] to the right of its middle."""
+        """x, y, z [m] and heading [degrees] of what drives in an arm's lane, outwards (1) or inwards (-1), `aside` [m]
+        to the right of its middle.
+        """
         road = self.arms[arm]
         e = 0.05
         a, b = (way * (self.spread(s + d) + self.lane_width / 2 + aside) for d in (-e, e))
         t = way * (float(self.spread(s)) + self.lane_width / 2 + aside)
         x, y, z = self.stand(*road.reference_line.place(s, t))
-        turned = math.degrees(float(road.reference_line.heading(s))) - math.degrees(math.atan2(float(b - a), 2 * e)) + (180.0 if way < 0 else 0.0)
+        turned = (
+            math.degrees(float(road.reference_line.heading(s)))
+            - math.degrees(math.atan2(float(b - a), 2 * e))
+            + (180.0 if way < 0 else 0.0)
+        )
         return x, y, z, round((turned + 180.0) % 360.0 - 180.0, 3)
 
     def ring_pose(self, s: float, t: float) -> tuple[float, float, float, float]:
@@ -141,7 +149,9 @@ class Roundabout(Road):
         return x, y, round(float(self.height(x, y)), 4)
 
     def edge(self, arm: int, side: int, s: npt.ArrayLike) -> Array:
-        """Distance of the kerb from an arm's line [m] at stations, right (1) or left (-1) of it; it widens in the arcs."""
+        """Distance of the kerb from an arm's line [m] at stations, right (1) or left (-1) of it; it widens in the
+        arcs.
+        """
         s = np.asarray(s, dtype=np.float64)
         r = self.corners[arm if side < 0 else arm - 1]
         over = np.clip(self.tangent(r) - s, 0.0, r)
@@ -191,20 +201,33 @@ class Roundabout(Road):
         def along(road: Road, side: int) -> tuple[Array, Array]:
             """From the arc outwards."""
             near = np.linspace(foot, self.radius + NEAR_M, int((self.radius + NEAR_M - foot) / FINE_M) + 1)
-            far = np.linspace(near[-1], road.reference_line.length, max(2, int((road.reference_line.length - near[-1]) / COARSE_M)) + 1)
+            far = np.linspace(
+                near[-1],
+                road.reference_line.length,
+                max(2, int((road.reference_line.length - near[-1]) / COARSE_M)) + 1,
+            )
             s = np.r_[near, far[1:]]
             return np.stack(road.reference_line.place(s, side * (self.spread(s) + self.lane_width)), axis=1), s
 
         angle = math.atan2(foot, e + r)
         turn = np.linspace(0.0, angle, max(4, int(angle * r / FINE_M)) + 1)
         t, s = -(e + r) + r * np.cos(turn), foot - r * np.sin(turn)
-        into, out = np.stack(a.reference_line.place(s, t), axis=1), np.stack(b.reference_line.place(s, -t), axis=1)[::-1]
+        into, out = (
+            np.stack(a.reference_line.place(s, t), axis=1),
+            np.stack(b.reference_line.place(s, -t), axis=1)[::-1],
+        )
         begin, end = math.atan2(into[-1, 1], into[-1, 0]), math.atan2(out[0, 1], out[0, 0])
         end = begin + (end - begin) % (2 * math.pi)
         arc = np.linspace(begin, end, max(2, int(self.radius * (end - begin) / FINE_M)) + 1)
         circle = self.radius * np.c_[np.cos(arc), np.sin(arc)]
         (pa, sa), (pb, sb) = along(a, -1), along(b, 1)
-        pieces = [(pa[:0:-1], i, sa[:0:-1]), (into, i, s), (circle[1:-1], -1, None), (out, j, s[::-1]), (pb[1:], j, sb[1:])]
+        pieces = [
+            (pa[:0:-1], i, sa[:0:-1]),
+            (into, i, s),
+            (circle[1:-1], -1, None),
+            (out, j, s[::-1]),
+            (pb[1:], j, sb[1:]),
+        ]
         points = np.concatenate([p for p, _, _ in pieces])
         arm = np.concatenate([np.full(len(p), k) for p, k, _ in pieces])
         station = np.concatenate([np.full(len(p), np.nan) if at is None else at for p, _, at in pieces])
@@ -231,16 +254,24 @@ class Roundabout(Road):
             x, y: [m], equal shapes.
 
         Returns:
-            Distance to the nearest kerb line [m], below 0 on the carriageway, and the height of the kerb there.  Beyond the
-            arms' ends the distance is to the end, with the pavement's width added: land.
+            Distance to the nearest kerb line [m], below 0 on the carriageway, and the height of the kerb there.  Beyond
+            the arms' ends the distance is to the end, with the pavement's width added: land.
         """
-        points = np.stack(np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)), axis=-1)
+        points = np.stack(
+            np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)), axis=-1
+        )
         line = self.outline
         index = np.asarray(self._tree.query(points)[1])
         best, kerb, over = np.full(index.shape, np.inf), np.zeros(index.shape), np.zeros(index.shape, dtype=bool)
         first, last = self._ends
         for step in (-1, 0):  # the pieces before and after the nearest sample
-            a = np.clip(np.where(first[index] & (step < 0), index, np.where(last[index] & (step == 0), index - 1, index + step)), 0, len(line.points) - 2)
+            a = np.clip(
+                np.where(
+                    first[index] & (step < 0), index, np.where(last[index] & (step == 0), index - 1, index + step)
+                ),
+                0,
+                len(line.points) - 2,
+            )
             p, d = line.points[a], line.points[a + 1] - line.points[a]
             free = ((points - p) * d).sum(axis=-1) / (d * d).sum(axis=-1)
             share = np.clip(free, 0.0, 1.0)
@@ -278,7 +309,9 @@ class Roundabout(Road):
         r = np.asarray(r, dtype=np.float64)
         apron = APRON_LIP_M + (APRON_TOP_M - APRON_LIP_M) * np.clip((self.inner - r) / max(self.apron, 1e-9), 0.0, 1.0)
         u = np.clip((self.island - 1.0 - r) / (0.8 * self.island), 0.0, 1.0)
-        return np.where(r < self.island, self.island_base + KERB_M + self.mound * u * u * (3 - 2 * u), apron if self.apron else 0.0)
+        return np.where(
+            r < self.island, self.island_base + KERB_M + self.mound * u * u * (3 - 2 * u), apron if self.apron else 0.0
+        )
 
     @property
     def island_base(self) -> float:
@@ -312,9 +345,19 @@ class Roundabout(Road):
 
 
 def roundabout(
-    lines: Sequence[ReferenceLine], *, radius: float, ring_m: float, apron: float, mound: float, lane_m: float, half_island: float, pavement: float,
-    zebra_m: float, corner_m: float, land: Land,
-) -> Roundabout:  # fmt: skip
+    lines: Sequence[ReferenceLine],
+    *,
+    radius: float,
+    ring_m: float,
+    apron: float,
+    mound: float,
+    lane_m: float,
+    half_island: float,
+    pavement: float,
+    zebra_m: float,
+    corner_m: float,
+    land: Land,
+) -> Roundabout:
     """A roundabout from its sizes [m].
 
     Args:
@@ -327,24 +370,44 @@ def roundabout(
     """
     if radius - ring_m - apron < 3.0:
         raise RecipeError(
-            f"circle.diameter_m {2 * radius:.3g} leaves no middle island of 3 m radius inside a ring of {ring_m:.3g} m and an apron of {apron:.3g} m; "
+            f"circle.diameter_m {2 * radius:.3g} leaves no middle island of 3 m radius inside a ring of {ring_m:.3g} m "
+            f"and an apron of {apron:.3g} m; "
             "draw a larger circle.diameter_m, or a narrower circle.ring_m or circle.apron_m"
         )
     edge, corners = half_island + lane_m, []
     for one, other in zip(lines, [*lines[1:], lines[0]], strict=True):
         sector = math.radians((other.origin[2] - one.origin[2]) % 360.0)
         sine = math.sin(min(sector / 2 - 0.02, math.pi / 2))
-        most = math.inf if sine > 1 - 1e-9 else (radius * sine - edge) / (1 - sine)  # of the arc that touches circle and edge within its half of the sector
+        most = (
+            math.inf if sine > 1 - 1e-9 else (radius * sine - edge) / (1 - sine)
+        )  # of the arc that touches circle and edge within its half of the sector
         if most < max(RADIUS_M[0], pavement + 1.0):
             raise RecipeError(
-                f"arms.apart_deg: two arms {math.degrees(sector):.3g} degrees apart leave no arc of {max(RADIUS_M[0], pavement + 1.0):.3g} m between them; "
+                f"arms.apart_deg: two arms {math.degrees(sector):.3g} degrees apart leave no arc of "
+                f"{max(RADIUS_M[0], pavement + 1.0):.3g} m between them; "
                 "draw a larger circle.diameter_m, fewer arms.count or a larger arms.apart_deg"
             )
         corners.append(round(min(corner_m, most), 3))
-    across = LaneSection.from_widths([("pavement", pavement, 0), ("lane", lane_m, -1), ("lane", lane_m, 1), ("pavement", pavement, 0)])
+    across = LaneSection.from_widths(
+        [("pavement", pavement, 0), ("lane", lane_m, -1), ("lane", lane_m, 1), ("pavement", pavement, 0)]
+    )
     arms = tuple(Road(line, across, land, (round(radius + zebra_m, 3),)) for line in lines)
     inner = radius - ring_m
-    ring = Road(ReferenceLine(round(2 * math.pi * inner, 6), ((0.0, 1.0 / inner),), origin=(inner, 0.0, 0.0)), LaneSection.from_widths([("lane", ring_m, 1)]))
+    ring = Road(
+        ReferenceLine(round(2 * math.pi * inner, 6), ((0.0, 1.0 / inner),), origin=(inner, 0.0, 0.0)),
+        LaneSection.from_widths([("lane", ring_m, 1)]),
+    )
     first = arms[0]
-    return Roundabout(first.reference_line, across, land, first.zebras, arms=arms, ring=ring, radius=radius, apron=apron, mound=mound, half_island=half_island,
-                      corners=tuple(corners))  # fmt: skip
+    return Roundabout(
+        first.reference_line,
+        across,
+        land,
+        first.zebras,
+        arms=arms,
+        ring=ring,
+        radius=radius,
+        apron=apron,
+        mound=mound,
+        half_island=half_island,
+        corners=tuple(corners),
+    )

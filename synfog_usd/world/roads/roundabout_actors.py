@@ -36,17 +36,30 @@ ABREAST_M = 0.75
 
 
 def in_sight(
-    recipe: Recipe, junction: Roundabout, seed: int, before: float, value: Any, view: View, fov: float, fixed: list[Placement], taken: rules.CollisionSet
+    recipe: Recipe,
+    junction: Roundabout,
+    seed: int,
+    before: float,
+    value: Any,
+    view: View,
+    fov: float,
+    fixed: list[Placement],
+    taken: rules.CollisionSet,
 ) -> tuple[list[Placement] | None, str, int]:
     """Traffic and people that meet the rules of sight; None with the rule that failed and the most that was reached."""
 
     def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
-        return [*_traffic(recipe, junction, seed, attempt, before, value, room), *_people(recipe, junction, seed, attempt, view, value, room)]
+        return [
+            *_traffic(recipe, junction, seed, attempt, before, value, room),
+            *_people(recipe, junction, seed, attempt, view, value, room),
+        ]
 
     return roads.in_sight(drawn, junction, value, view, fov, fixed, taken)
 
 
-def _traffic(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, before: float, value: Any, room: rules.CollisionSet) -> list[Placement]:
+def _traffic(
+    recipe: Recipe, junction: Roundabout, seed: int, attempt: int, before: float, value: Any, room: rules.CollisionSet
+) -> list[Placement]:
     """Vehicles round the circle, waiting at its entries, and on the arms as many as the flow at that hour."""
     least, density = roads.flow(value, attempt)
     placed: list[Placement] = []
@@ -60,7 +73,9 @@ def _traffic(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, befo
         rng = stream(seed, "recipe", "traffic", attempt, "arm", arm, way + 1)
         road = junction.arms[arm]
         low, high = junction.radius + 1.0, min(junction.radius + AHEAD_M, road.reference_line.length - 6.0)
-        own = [(before - OWN_CAR_M[1] - max(least, 4.0), before + OWN_CAR_M[0] + least)] if (arm, way) == (0, -1) else []
+        own = (
+            [(before - OWN_CAR_M[1] - max(least, 4.0), before + OWN_CAR_M[0] + least)] if (arm, way) == (0, -1) else []
+        )
         count = int((chosen == index).sum()) if total is not None else int(rng.poisson(density * (high - low)))
         places: list[tuple[str, dict[str, str], float]] = []
         waits = rng.random() < WAITS
@@ -80,7 +95,12 @@ def _traffic(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, befo
             sway = min(0.2, max(0.0, (junction.lane_width - rules.model(name).width) / 2 - 0.15))
             x, y, z, heading = junction.lane_pose(arm, s, way, float(np.clip(rng.normal(0, 0.08), -sway, sway)))
             slows = (way < 0 and s < road.zebras[0] + BRAKING_M) or rng.random() < BRAKING
-            roads.add(Placement("Vehicles", "", name, x, y, heading, paint, {"lamps": "brake" if slows else "glow"}, z=z), room, placed, 0.15)
+            roads.add(
+                Placement("Vehicles", "", name, x, y, heading, paint, {"lamps": "brake" if slows else "glow"}, z=z),
+                room,
+                placed,
+                0.15,
+            )
     return placed
 
 
@@ -97,12 +117,19 @@ def fits_ring(junction: Roundabout, p: Placement) -> bool:
     return outer < junction.radius - 0.15 and float(np.hypot(*sides.T).min()) > junction.inner + 0.1
 
 
-def _ring(recipe: Recipe, junction: Roundabout, rng: np.random.Generator, count: int, room: rules.CollisionSet) -> list[Placement]:
+def _ring(
+    recipe: Recipe, junction: Roundabout, rng: np.random.Generator, count: int, room: rules.CollisionSet
+) -> list[Placement]:
     """Vehicles that go round, at random with a car's nose between them; bodies too long for the circle stay away."""
     width, length = junction.radius - junction.inner, junction.ring.reference_line.length
     cars = [draw_car(recipe, "traffic", rng) for _ in range(count)]
     stretch = junction.inner / (junction.inner + width / 2)  # stations are counted along the inner edge
-    places = rules.queue(rng, (0.0, length - RING_LEAST_M), [rules.model(name).length * 1.1 * stretch for name, _ in cars], RING_LEAST_M * stretch)
+    places = rules.queue(
+        rng,
+        (0.0, length - RING_LEAST_M),
+        [rules.model(name).length * 1.1 * stretch for name, _ in cars],
+        RING_LEAST_M * stretch,
+    )
     begin = float(rng.uniform(0.0, length))
     placed: list[Placement] = []
     for (name, paint), s in zip(cars, places, strict=False):
@@ -114,14 +141,18 @@ def _ring(recipe: Recipe, junction: Roundabout, rng: np.random.Generator, count:
     return placed
 
 
-def _cyclist(junction: Roundabout, rng: np.random.Generator, before: float, room: rules.CollisionSet) -> list[Placement]:
+def _cyclist(
+    junction: Roundabout, rng: np.random.Generator, before: float, room: rules.CollisionSet
+) -> list[Placement]:
     """At the right edge of an arm's lane, or on the ring's outer side."""
     placed: list[Placement] = []
     looks = look(rng, rules.model("cyclist"))
     for _ in range(20):
         where, arm, way = rng.random(), int(rng.integers(len(junction.arms))), int(rng.choice((-1, 1)))
         if where < 0.35:
-            x, y, z, heading = junction.ring_pose(float(rng.uniform(0, junction.ring.reference_line.length)), junction.radius - junction.inner - 1.0)
+            x, y, z, heading = junction.ring_pose(
+                float(rng.uniform(0, junction.ring.reference_line.length)), junction.radius - junction.inner - 1.0
+            )
         else:
             arm = 0 if where < 0.75 else arm
             zebra = junction.arms[arm].zebras[0]
@@ -137,7 +168,9 @@ def _cyclist(junction: Roundabout, rng: np.random.Generator, before: float, room
     return placed
 
 
-def _people(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, view: View, value: Any, room: rules.CollisionSet) -> list[Placement]:
+def _people(
+    recipe: Recipe, junction: Roundabout, seed: int, attempt: int, view: View, value: Any, room: rules.CollisionSet
+) -> list[Placement]:
     """On pavements, denser near the camera, and on the zebras; some walk in company, side by side."""
     count, share, company = value("people.count"), value("people.crossing_share"), value("people.company")
     line = junction.outline
@@ -164,7 +197,9 @@ def _people(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, view:
                 arm = int(rng.choice(len(junction.arms), p=near / near.sum()))
                 road, side = junction.arms[arm], int(rng.choice((-1, 1)))
                 s = road.zebras[0] + float(rng.uniform(-1.1, 1.1))
-                x, y = road.reference_line.place(s, side * float(rng.uniform(0.3, float(junction.edge(arm, side, s)) - 0.4)))
+                x, y = road.reference_line.place(
+                    s, side * float(rng.uniform(0.3, float(junction.edge(arm, side, s)) - 0.4))
+                )
                 facing = road.reference_line.origin[2] + 90.0 * way + float(rng.normal(0, 4))
             else:
                 k = int(rng.choice(len(weight), p=weight / weight.sum()))
@@ -178,12 +213,16 @@ def _people(recipe: Recipe, junction: Roundabout, seed: int, attempt: int, view:
                 placed += found
                 break
         else:
-            raise RecipeError(f"{recipe.name}: people.count {count}: no room for more than {len(placed)} after {2 * TRIES} tries")
+            raise RecipeError(
+                f"{recipe.name}: people.count {count}: no room for more than {len(placed)} after {2 * TRIES} tries"
+            )
     return placed
 
 
 def may_stand(junction: Roundabout, x: float, y: float) -> bool:
-    """Whether people may be at a place: on a pavement, off what is lowered for the zebras, or on a zebra between the kerbs."""
+    """Whether people may be at a place: on a pavement, off what is lowered for the zebras, or on a zebra between the
+    kerbs.
+    """
     u, kerb = junction.across(x, y)
     if u > 0.0:
         return bool(FROM_EDGE_M < u < junction.pavement - FROM_EDGE_M and kerb > FULL_M)
@@ -195,7 +234,13 @@ def may_stand(junction: Roundabout, x: float, y: float) -> bool:
 
 
 def _together(
-    junction: Roundabout, rng: np.random.Generator, x: float, y: float, facing: float, names: Sequence[str], room: rules.CollisionSet
+    junction: Roundabout,
+    rng: np.random.Generator,
+    x: float,
+    y: float,
+    facing: float,
+    names: Sequence[str],
+    room: rules.CollisionSet,
 ) -> list[Placement]:
     """One, or two abreast; nobody where one of them has no room."""
     found: list[Placement] = []

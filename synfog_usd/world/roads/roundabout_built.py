@@ -17,8 +17,14 @@ TUFTS_PER_M2, TUFTS_M = 2.0, 32.0
 
 def built(spec: WorldSpec, junction: Roundabout) -> list[Built]:
     """Parts by name, each with its Cityscapes label."""
-    made = [Built(NAMES[label], label, tuple(parts)) for label, parts in roundabout_surface.surface(junction, spec.built["asphalt"], seed=spec.scatter).items()]
-    painted = [*roundabout_markings.drawn(junction, give_way=spec.built["give_way"]), *roundabout_markings.worn(junction, seed=spec.scatter)]
+    made = [
+        Built(NAMES[label], label, tuple(parts))
+        for label, parts in roundabout_surface.surface(junction, spec.built["asphalt"], seed=spec.scatter).items()
+    ]
+    painted = [
+        *roundabout_markings.drawn(junction, give_way=spec.built["give_way"]),
+        *roundabout_markings.worn(junction, seed=spec.scatter),
+    ]
     made.append(Built("Markings", "road", tuple(painted)))
     made.append(Built("Land", "terrain", (roundabout_surface.ground(junction),)))
     return [*made, *roundabout_markings.signs(junction)]

@@ -49,7 +49,9 @@ def entry(junction: Roundabout, arm: int, beyond: float) -> tuple[float, float]:
 
 
 def _give_way(junction: Roundabout, arm: int, kind: str) -> list[Part]:
-    """Along the circle from the kerb to the splitter island: triangles that point at who must wait, or a broken line."""
+    """Along the circle from the kerb to the splitter island: triangles that point at who must wait, or a broken
+    line.
+    """
     r, long = junction.radius + GIVE_WAY_M, TOOTH_M if kind == "teeth" else 0.3
     low, high = entry(junction, arm, GIVE_WAY_M + long)  # where the far ends of the marks keep off the kerb
     a, b = np.arcsin(max(low, -0.75 * r) / (r + long)), np.arcsin(high / r)
@@ -61,7 +63,12 @@ def _give_way(junction: Roundabout, arm: int, kind: str) -> list[Part]:
         if kind == "teeth":
             outline = [foot - 0.25 * across, foot + 0.25 * across, foot + long * out]
         else:
-            outline = [foot - 0.3 * across, foot + 0.3 * across, foot + 0.3 * across + long * out, foot - 0.3 * across + long * out]
+            outline = [
+                foot - 0.3 * across,
+                foot + 0.3 * across,
+                foot + 0.3 * across + long * out,
+                foot - 0.3 * across + long * out,
+            ]
         parts.append(fan([(t, s, THICK_M) for t, s in outline], "marking", tile_m=TILE_M))
     return parts
 
@@ -76,7 +83,13 @@ def _zebra(junction: Roundabout, arm: int) -> list[Part]:
         edge = float(min(junction.edge(arm, side, low), junction.edge(arm, side, high)))
         for t in side * np.arange(inner + 0.35, edge - 0.55, 1.0):
             a, b = sorted((t, t + side * 0.5))
-            parts.append(fan([(a, low, THICK_M), (b, low, THICK_M), (b, high, THICK_M), (a, high, THICK_M)], "marking", tile_m=TILE_M))
+            parts.append(
+                fan(
+                    [(a, low, THICK_M), (b, low, THICK_M), (b, high, THICK_M), (a, high, THICK_M)],
+                    "marking",
+                    tile_m=TILE_M,
+                )
+            )
     return parts
 
 
@@ -101,7 +114,9 @@ def _paint(part: Part) -> Part:
 
 
 def worn(junction: Roundabout, *, seed: int) -> list[Part]:
-    """Seams where the ring's asphalt meets the arms', sealed cracks, covers and gullies, 1.5 to 2.6 mm above the asphalt."""
+    """Seams where the ring's asphalt meets the arms', sealed cracks, covers and gullies, 1.5 to 2.6 mm above the
+    asphalt.
+    """
     rng = stream(seed, "roundabout", "worn")
     parts: list[Part] = []
     far = junction.radius + HOLD_M
@@ -112,9 +127,21 @@ def worn(junction: Roundabout, *, seed: int) -> list[Part]:
             parts.append(bend(ribbon(np.c_[t, np.sqrt(far**2 - t * t)], 0.04, 0.0016, "tar"), road))
             for s in np.arange(far + rng.uniform(2, 10), road.reference_line.length - 1.0, 24.0):
                 x = side * (float(junction.spread(s)) + junction.lane_width - 0.22)
-                corners = [(x - 0.18, s - 0.25, 0.0026), (x + 0.18, s - 0.25, 0.0026), (x + 0.18, s + 0.25, 0.0026), (x - 0.18, s + 0.25, 0.0026)]
+                corners = [
+                    (x - 0.18, s - 0.25, 0.0026),
+                    (x + 0.18, s - 0.25, 0.0026),
+                    (x + 0.18, s + 0.25, 0.0026),
+                    (x - 0.18, s + 0.25, 0.0026),
+                ]
                 grate = bend(fan(corners, "iron"), road)
-                parts.append(Part(grate.points, grate.faces, "iron", np.array([(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)])))
+                parts.append(
+                    Part(
+                        grate.points,
+                        grate.faces,
+                        "iron",
+                        np.array([(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)]),
+                    )
+                )
         for s in np.arange(far + rng.uniform(4, 12), road.reference_line.length - 5, 31.0):
             t = rng.choice((-1, 1)) * (float(junction.spread(s)) + junction.lane_width / 2)
             parts += [bend(part, road) for part in _cover(t, s)]
@@ -142,7 +169,10 @@ def _mended(junction: Roundabout, rng: np.random.Generator, height: float) -> li
     rims = [np.c_[r * np.cos(angle), r * np.sin(angle)] for r in radius]
     patch = strip([np.c_[rim, np.full(len(angle), height)] for rim in rims[::-1]], "asphalt_patch")
     seams = [*rims, np.array([rims[0][0], rims[1][0]]), np.array([rims[0][-1], rims[1][-1]])]
-    return [Part(patch.points, patch.faces, patch.material, patch.points[:, :2] / ASPHALT_TILE_M), *(ribbon(seam, 0.035, 0.0016, "tar") for seam in seams)]
+    return [
+        Part(patch.points, patch.faces, patch.material, patch.points[:, :2] / ASPHALT_TILE_M),
+        *(ribbon(seam, 0.035, 0.0016, "tar") for seam in seams),
+    ]
 
 
 def _cover(x: float, y: float) -> list[Part]:
@@ -153,14 +183,22 @@ def _cover(x: float, y: float) -> list[Part]:
 
 
 def signs(junction: Roundabout) -> list[Built]:
-    """On each splitter island the sign of the roundabout before the circle, and low at its tip 'keep right'; both face who arrives."""
+    """On each splitter island the sign of the roundabout before the circle, and low at its tip 'keep right'; both face
+    who arrives.
+    """
     made = []
     for arm, road in enumerate(junction.arms):
         (low, _), (_, tip) = junction.islands(arm)
-        for name, s, high, face in (("Roundabout", low + 1.1, 2.35, _round_arrows()), ("Keep_Right", tip - 0.9, 0.95, _keep_right())):
+        for name, s, high, face in (
+            ("Roundabout", low + 1.1, 2.35, _round_arrows()),
+            ("Keep_Right", tip - 0.9, 0.95, _keep_right()),
+        ):
             place = shift(*junction.stand(*road.reference_line.place(s, 0.0))) @ turn(road.reference_line.origin[2])
             pole = tube([(0, 0, -0.2), (0, 0, high + SIGN_M)], 0.03, "galvanised", sides=10)
-            parts = [Part(pole.points, pole.faces, pole.material, None, pole.normals), *(part.moved(shift(0, 0, high)) for part in face)]
+            parts = [
+                Part(pole.points, pole.faces, pole.material, None, pole.normals),
+                *(part.moved(shift(0, 0, high)) for part in face),
+            ]
             made.append(Built(f"Sign_{name}_{arm + 1}", "traffic sign", tuple(part.moved(place) for part in parts)))
     return made
 
@@ -176,7 +214,11 @@ def _plate() -> list[Part]:
     angle = np.linspace(0, 2 * np.pi, 33)[:-1]
     circle = SIGN_M * np.c_[np.cos(angle), np.sin(angle)]
     back = _front(circle, 0.035, "sign_back")
-    return [Part(back.points, back.faces[:, ::-1], back.material), _front(circle, 0.05, "sign_white"), _front(0.93 * circle, 0.053, "sign_blue")]
+    return [
+        Part(back.points, back.faces[:, ::-1], back.material),
+        _front(circle, 0.05, "sign_white"),
+        _front(0.93 * circle, 0.053, "sign_blue"),
+    ]
 
 
 def _round_arrows() -> list[Part]:
@@ -187,13 +229,24 @@ def _round_arrows() -> list[Part]:
         rim = [np.c_[r * np.cos(a), r * np.sin(a)] for r in (0.14, 0.195)]
         parts.append(strip([np.c_[-p[:, 0], np.full(9, 0.056), p[:, 1]] for p in rim[::-1]], "sign_white"))
         tip, end = a[-1] + np.radians(34.0), a[-1]
-        parts.append(_front([(r * np.cos(b), r * np.sin(b)) for r, b in ((0.245, end), (0.168, tip), (0.09, end))], 0.056, "sign_white"))
+        parts.append(
+            _front(
+                [(r * np.cos(b), r * np.sin(b)) for r, b in ((0.245, end), (0.168, tip), (0.09, end))],
+                0.056,
+                "sign_white",
+            )
+        )
     return parts
 
 
 def _keep_right() -> list[Part]:
     """A white arrow down to the right."""
     along, side = np.array([np.sqrt(0.5), -np.sqrt(0.5)]), np.array([np.sqrt(0.5), np.sqrt(0.5)])
-    shaft = [-0.2 * along - 0.035 * side, 0.06 * along - 0.035 * side, 0.06 * along + 0.035 * side, -0.2 * along + 0.035 * side]
+    shaft = [
+        -0.2 * along - 0.035 * side,
+        0.06 * along - 0.035 * side,
+        0.06 * along + 0.035 * side,
+        -0.2 * along + 0.035 * side,
+    ]
     head = [0.06 * along - 0.12 * side, 0.22 * along, 0.06 * along + 0.12 * side]
     return [*_plate(), _front(shaft, 0.056, "sign_white"), _front(head, 0.056, "sign_white")]

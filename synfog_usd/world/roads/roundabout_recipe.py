@@ -44,13 +44,18 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     before = round(junction.radius + value("camera.before_m"), 2)
     if before + 30.0 > junction.reference_line.length:
         raise RecipeError(
-            f"{recipe.name}: camera.before_m leaves less than 30 m of the arm's {junction.reference_line.length:g} m behind the camera; raise arms.length_m"
+            f"{recipe.name}: camera.before_m leaves less than 30 m of the arm's {junction.reference_line.length:g} m "
+            f"behind the camera; raise arms.length_m"
         )
     fov = value("camera.fov_x_deg")
     x, y, z, heading = junction.lane_pose(0, before, -1, -0.15)
     view = View(x, y, round(z + value("camera.height_m"), 3), 90.6, round(heading + 0.8, 3), focal_length(fov))
     taken = rules.CollisionSet()
-    fixed = [*_island(recipe, junction, seed, value("circle.trees"), taken), *_signs(junction, taken), *_rows(recipe, junction, seed, taken)]
+    fixed = [
+        *_island(recipe, junction, seed, value("circle.trees"), taken),
+        *_signs(junction, taken),
+        *_rows(recipe, junction, seed, taken),
+    ]
     moving, least, seen = actors.in_sight(recipe, junction, seed, before, value, view, fov, fixed, taken)
     if moving is None:
         raise RecipeError(
@@ -72,15 +77,23 @@ def _junction(recipe: Recipe, seed: int) -> Roundabout:
         count, apart = value("arms.count"), value("arms.apart_deg")
         spare = 360.0 - count * apart
         if spare < 0:
-            failed = RecipeError(f"arms.apart_deg {apart:.3g}: {count} arms do not find it in a circle; draw a smaller one or fewer arms.count")
+            failed = RecipeError(
+                f"arms.apart_deg {apart:.3g}: {count} arms do not find it in a circle; draw a smaller one or fewer "
+                f"arms.count"
+            )
             continue
         gaps = apart + spare * stream(seed, "recipe", "arms", "angles", attempt).dirichlet(np.full(count, 4.0))
         headings = 180.0 + np.r_[0.0, np.cumsum(gaps)[:-1]]
         length = round(value("arms.length_m"), 1)
         lines = []
         for arm, heading in enumerate(headings):
-            pieces = [(STRAIGHT_M if i == 0 else 15.0, value("arms.radius_m", arm, i), value("arms.turn_deg", arm, i)) for i in range(5)]
-            lines.append(ReferenceLine(length, bends(pieces, length=length), origin=(0.0, 0.0, round(float(heading), 3))))
+            pieces = [
+                (STRAIGHT_M if i == 0 else 15.0, value("arms.radius_m", arm, i), value("arms.turn_deg", arm, i))
+                for i in range(5)
+            ]
+            lines.append(
+                ReferenceLine(length, bends(pieces, length=length), origin=(0.0, 0.0, round(float(heading), 3)))
+            )
         try:
             return roundabout(
                 lines,
@@ -100,11 +113,29 @@ def _junction(recipe: Recipe, seed: int) -> Roundabout:
     raise RecipeError(f"{recipe.name}: {failed}; {TRIES} tries")
 
 
-def _stood(junction: Roundabout, asset: str, x: float, y: float, heading: float, looks: dict[str, str] | None = None, size: float = 1.0) -> Placement:
+def _stood(
+    junction: Roundabout,
+    asset: str,
+    x: float,
+    y: float,
+    heading: float,
+    looks: dict[str, str] | None = None,
+    size: float = 1.0,
+) -> Placement:
     """A thing on the ground at a place."""
     found = rules.model(asset)
     x, y, z = junction.stand(x, y)
-    return Placement(rules.prim_group(found), "", asset, x, y, round((heading + 180.0) % 360.0 - 180.0, 2), looks or {}, z=z, size=size)
+    return Placement(
+        rules.prim_group(found),
+        "",
+        asset,
+        x,
+        y,
+        round((heading + 180.0) % 360.0 - 180.0, 2),
+        looks or {},
+        z=z,
+        size=size,
+    )
 
 
 def _kept(found: list[Placement], taken: rules.CollisionSet, margin: float = 0.1) -> list[Placement]:
@@ -129,7 +160,17 @@ def _island(recipe: Recipe, junction: Roundabout, seed: int, trees: int, taken: 
         asset = recipe.distributions["circle.tree_models"](rng)
         r, a = 0.45 * junction.island * math.sqrt(rng.random()), rng.uniform(0, 2 * math.pi)
         size = min(1.0, 0.1 + junction.island / 12.0) * float(rng.uniform(0.55, 0.8))
-        found.append(_stood(junction, asset, r * math.cos(a), r * math.sin(a), float(rng.uniform(0, 360)), look(rng, rules.model(asset)), round(size, 3)))
+        found.append(
+            _stood(
+                junction,
+                asset,
+                r * math.cos(a),
+                r * math.sin(a),
+                float(rng.uniform(0, 360)),
+                look(rng, rules.model(asset)),
+                round(size, 3),
+            )
+        )
     return _kept(found, taken, 0.3)
 
 
@@ -157,11 +198,16 @@ def _rows(recipe: Recipe, junction: Roundabout, seed: int, taken: rules.Collisio
     return placed
 
 
-def _row(junction: Roundabout, corner: int, distributions: Any, rng: np.random.Generator, taken: rules.CollisionSet) -> list[Placement]:
+def _row(
+    junction: Roundabout, corner: int, distributions: Any, rng: np.random.Generator, taken: rules.CollisionSet
+) -> list[Placement]:
     line, span = junction.outline, junction.outline.span(corner)
     base, normals = line.points[span], line.normals[span]
     where, start = distributions["from"](rng), None
-    beyond, until = junction.radius + float(distributions["beyond_m"](rng)), junction.radius + float(distributions["until_m"](rng))
+    beyond, until = (
+        junction.radius + float(distributions["beyond_m"](rng)),
+        junction.radius + float(distributions["until_m"](rng)),
+    )
     placed: list[Placement] = []
     out = (junction.pavement if where == "edge" else 0.0) + float(distributions["out_m"](rng))
     front = base + out * normals  # what stands end to end is measured where its front is
@@ -185,9 +231,24 @@ def _row(junction: Roundabout, corner: int, distributions: Any, rng: np.random.G
             (nx, ny), (x, y) = normals[k], front[k] + more * normals[k]
             if not beyond <= math.hypot(*base[k]) <= until:
                 break
-            angle = {"road": math.atan2(nx, -ny), "back": math.atan2(-nx, ny), "traffic": math.atan2(-ny, -nx), "along": math.atan2(ny, nx)}
+            angle = {
+                "road": math.atan2(nx, -ny),
+                "back": math.atan2(-nx, ny),
+                "traffic": math.atan2(-ny, -nx),
+                "along": math.atan2(ny, nx),
+            }
             facing = round((math.degrees(angle[turned]) if turned in angle else any_way), 2)
-            p = Placement(rules.prim_group(found), "", asset, round(float(x), 3), round(float(y), 3), facing, looks, z=0.0, size=size)
+            p = Placement(
+                rules.prim_group(found),
+                "",
+                asset,
+                round(float(x), 3),
+                round(float(y), 3),
+                facing,
+                looks,
+                z=0.0,
+                size=size,
+            )
             if taken.free(p, 0.02 if found.group == "building" else 0.1) and _beside(junction, p, out + more):
                 taken.add(p)
                 placed.append(replace(p, z=junction.stand(p.x, p.y)[2]))
@@ -197,7 +258,9 @@ def _row(junction: Roundabout, corner: int, distributions: Any, rng: np.random.G
 
 
 def _beside(junction: Roundabout, p: Placement, out: float) -> bool:
-    """Whether a thing keeps off the carriageways, off the pavements where it stands behind them, and off what is lowered for who crosses."""
+    """Whether a thing keeps off the carriageways, off the pavements where it stands behind them, and off what is
+    lowered for who crosses.
+    """
     corners = rules.footprint(p)
     edges = np.concatenate([corners, (corners + np.roll(corners, 1, axis=0)) / 2])
     u, kerb = junction.across(edges[:, 0], edges[:, 1])

@@ -48,7 +48,11 @@ GRID_M, GRID_FROM_M = 18.0, 60.0
 
 def surface(junction: Roundabout, asphalt: Asphalt = WORN, *, seed: int = 0) -> dict[str, list[Part]]:
     """Cityscapes label -> parts of everything between the pavements' outer edges, markings apart."""
-    found: dict[str, list[Part]] = {"road": [_disc(junction, asphalt), *_water(junction, asphalt, seed)], "sidewalk": [], "terrain": []}
+    found: dict[str, list[Part]] = {
+        "road": [_disc(junction, asphalt), *_water(junction, asphalt, seed)],
+        "sidewalk": [],
+        "terrain": [],
+    }
     for arm in range(len(junction.arms)):
         found["road"] += _arm(junction, arm, asphalt)
         for low, high in junction.islands(arm):
@@ -62,8 +66,12 @@ def surface(junction: Roundabout, asphalt: Asphalt = WORN, *, seed: int = 0) -> 
     return found
 
 
-def swept(points: Array, normals: Array, across: npt.ArrayLike, heights: npt.ArrayLike, material: str, *, tile_m: float) -> Part:
-    """A profile drawn along a line of the plane: (N, 2) points and unit normals to the right; (K,) offsets to the right, (N, K) or (K,) heights."""
+def swept(
+    points: Array, normals: Array, across: npt.ArrayLike, heights: npt.ArrayLike, material: str, *, tile_m: float
+) -> Part:
+    """A profile drawn along a line of the plane: (N, 2) points and unit normals to the right; (K,) offsets to the
+    right, (N, K) or (K,) heights.
+    """
     u = np.asarray(across, dtype=np.float64)
     h = np.broadcast_to(np.asarray(heights, dtype=np.float64), (len(points), len(u)))
     along = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))] / tile_m
@@ -109,17 +117,24 @@ def _disc(junction: Roundabout, asphalt: Asphalt) -> Part:
         angle = np.r_[angle, (np.radians(arm.reference_line.origin[2]) + np.pi / 2 - seams) % (2 * np.pi)]
     angle = np.unique(np.round(angle, 9))
     angle = angle[np.r_[True, np.diff(angle) > 1e-7]]
-    radius = np.r_[np.linspace(junction.inner, junction.radius, 6), np.linspace(junction.radius, far, round(HOLD_M) + 1)[1:]]
+    radius = np.r_[
+        np.linspace(junction.inner, junction.radius, 6), np.linspace(junction.radius, far, round(HOLD_M) + 1)[1:]
+    ]
     loops = [np.c_[np.cos(angle) * r, np.sin(angle) * r, np.zeros(len(angle))] for r in radius]
     sheet = strip(loops[::-1], asphalt.lane if asphalt.lane != "asphalt_lane" else "asphalt", closed=True)
     u, _ = junction.across(sheet.points[:, 0], sheet.points[:, 1])
-    return _flat(Part(sheet.points, sheet.faces[(u[sheet.faces] < 3 * UNDER_M).any(axis=1)], sheet.material), ASPHALT_TILE_M)
+    return _flat(
+        Part(sheet.points, sheet.faces[(u[sheet.faces] < 3 * UNDER_M).any(axis=1)], sheet.material), ASPHALT_TILE_M
+    )
 
 
 def _stations(junction: Roundabout, road: Road) -> Array:
     """Of an arm's rows, after the disc."""
     near = np.linspace(junction.radius + HOLD_M + 1.0, junction.radius + HOLD_M + TAPER_M, 22)
-    return np.r_[near, np.linspace(near[-1], road.reference_line.length, int((road.reference_line.length - near[-1]) / 2.0) + 2)[1:]]
+    return np.r_[
+        near,
+        np.linspace(near[-1], road.reference_line.length, int((road.reference_line.length - near[-1]) / 2.0) + 2)[1:],
+    ]
 
 
 def _arm(junction: Roundabout, arm: int, asphalt: Asphalt) -> list[Part]:
@@ -141,7 +156,9 @@ def _arm(junction: Roundabout, arm: int, asphalt: Asphalt) -> list[Part]:
 
 def _water(junction: Roundabout, asphalt: Asphalt, seed: int) -> list[Part]:
     """Puddles round the ring and on the arms, where their lanes have come together."""
-    parts = [bend(part, junction.ring) for part in puddles(junction.ring, asphalt, seed=seed32(seed, "roundabout", "ring"))]
+    parts = [
+        bend(part, junction.ring) for part in puddles(junction.ring, asphalt, seed=seed32(seed, "roundabout", "ring"))
+    ]
     for number, road in enumerate(junction.arms):
         for part in puddles(road, asphalt, seed=seed32(seed, "roundabout", "arm", number)):
             t, s, h = part.points.T
@@ -160,7 +177,9 @@ def _corner(junction: Roundabout, corner: int) -> list[Part]:
     wide = junction.pavement
     full = np.full_like(kerb, KERB_M)
     u = (BEHIND_KERB_M, BEHIND_KERB_M + RAMP_M, wide, wide)
-    top = swept(points, normals, u, np.concatenate([kerb, full, full, full - 0.08], axis=1), "paving", tile_m=PAVING_TILE_M)
+    top = swept(
+        points, normals, u, np.concatenate([kerb, full, full, full - 0.08], axis=1), "paving", tile_m=PAVING_TILE_M
+    )
     return [_kerb(points, normals, kerb[:, 0]), top, *_tactile(junction, span)]
 
 
@@ -206,7 +225,9 @@ def _splitter(junction: Roundabout, arm: int, low: float, high: float) -> list[P
 
 def _middle(junction: Roundabout) -> tuple[list[Part], Part, Part]:
     """Apron with its lip, kerb, and the island's grass."""
-    angle = np.linspace(2 * np.pi, 0.0, round(2 * np.pi * junction.inner / FINE_M) + 1)  # clockwise: the island lies to the right
+    angle = np.linspace(
+        2 * np.pi, 0.0, round(2 * np.pi * junction.inner / FINE_M) + 1
+    )  # clockwise: the island lies to the right
     round_ = np.c_[np.cos(angle), np.sin(angle)]
     apron = []
     if junction.apron:
@@ -224,7 +245,9 @@ def _middle(junction: Roundabout) -> tuple[list[Part], Part, Part]:
 
 
 def _behind(junction: Roundabout, out: float, step: float) -> Array:
-    """(N, 2) places `out` [m] behind every pavement about `step` [m] from each other; those that another kerb is nearer to are left out."""
+    """(N, 2) places `out` [m] behind every pavement about `step` [m] from each other; those that another kerb is nearer
+    to are left out.
+    """
     line, found = junction.outline, []
     for corner in range(len(junction.arms)):
         span = line.span(corner)
@@ -255,7 +278,9 @@ def ground(junction: Roundabout) -> Part:
     reach = max(float(np.hypot(*junction.outline.points.T).max()), 150.0) + GRID_FROM_M
     axis = np.arange(-reach, reach + GRID_M, GRID_M)
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    grid = grid + np.random.Generator(np.random.PCG64(0)).uniform(-0.3, 0.3, grid.shape) * GRID_M  # no rows that an eye would find
+    grid = (
+        grid + np.random.Generator(np.random.PCG64(0)).uniform(-0.3, 0.3, grid.shape) * GRID_M
+    )  # no rows that an eye would find
     u, _ = junction.across(grid[:, 0], grid[:, 1])
     grid = grid[u > junction.pavement + GRID_FROM_M]
     far = []
@@ -282,9 +307,28 @@ def ground(junction: Roundabout) -> Part:
 # -- plants that are sown
 
 
-def sown(junction: Roundabout, *, seed: int, trees: int, trees_from_m: float, shrubs: int, tufts_per_m2: float, within_m: float) -> list[Scatter]:
-    """Woods far from the road, shrubs on the middle island, tall grass on the land near the circle and on the island."""
-    return [s for s in (_wood(junction, seed, trees, trees_from_m), _shrubs(junction, seed, shrubs), _tufts(junction, seed, tufts_per_m2, within_m)) if s]
+def sown(
+    junction: Roundabout,
+    *,
+    seed: int,
+    trees: int,
+    trees_from_m: float,
+    shrubs: int,
+    tufts_per_m2: float,
+    within_m: float,
+) -> list[Scatter]:
+    """Woods far from the road, shrubs on the middle island, tall grass on the land near the circle and on the
+    island.
+    """
+    return [
+        s
+        for s in (
+            _wood(junction, seed, trees, trees_from_m),
+            _shrubs(junction, seed, shrubs),
+            _tufts(junction, seed, tufts_per_m2, within_m),
+        )
+        if s
+    ]
 
 
 def _wood(junction: Roundabout, seed: int, count: int, nearest_m: float) -> Scatter | None:
@@ -302,7 +346,14 @@ def _wood(junction: Roundabout, seed: int, count: int, nearest_m: float) -> Scat
     if not len(points):
         return None
     z = junction.height(points[:, 0], points[:, 1]) - 0.25
-    return Scatter("Wood", "vegetation", land.distant_tree(), np.c_[points, z], rng.uniform(0, 360, len(points)), rng.uniform(0.75, 1.35, len(points)))
+    return Scatter(
+        "Wood",
+        "vegetation",
+        land.distant_tree(),
+        np.c_[points, z],
+        rng.uniform(0, 360, len(points)),
+        rng.uniform(0.75, 1.35, len(points)),
+    )
 
 
 def _shrubs(junction: Roundabout, seed: int, count: int) -> Scatter | None:
@@ -317,8 +368,16 @@ def _shrubs(junction: Roundabout, seed: int, count: int) -> Scatter | None:
     parts = []
     for k, material in enumerate(("hedge", "leaf_green", "leaf_olive")):
         lump = land.lump(shapes, material)
-        parts.append(Part(lump.points * (0.42, 0.42, 0.4) + (0.26 * np.cos(2.1 * k), 0.26 * np.sin(2.1 * k), 0.24), lump.faces, material))
-    return Scatter("Shrubs", "vegetation", tuple(parts), points, rng.uniform(0, 360, count), rng.uniform(0.8, 1.5, count))
+        parts.append(
+            Part(
+                lump.points * (0.42, 0.42, 0.4) + (0.26 * np.cos(2.1 * k), 0.26 * np.sin(2.1 * k), 0.24),
+                lump.faces,
+                material,
+            )
+        )
+    return Scatter(
+        "Shrubs", "vegetation", tuple(parts), points, rng.uniform(0, 360, count), rng.uniform(0.8, 1.5, count)
+    )
 
 
 def _tufts(junction: Roundabout, seed: int, per_m2: float, within_m: float) -> Scatter | None:
@@ -336,4 +395,6 @@ def _tufts(junction: Roundabout, seed: int, per_m2: float, within_m: float) -> S
     if not len(p):
         return None
     z = junction.height(p[:, 0], p[:, 1]) - 0.01
-    return Scatter("Grass", "terrain", land.tuft(), np.c_[p, z], rng.uniform(0, 360, len(p)), rng.uniform(0.5, 1.2, len(p)))
+    return Scatter(
+        "Grass", "terrain", land.tuft(), np.c_[p, z], rng.uniform(0, 360, len(p)), rng.uniform(0.5, 1.2, len(p))
+    )

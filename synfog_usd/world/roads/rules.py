@@ -40,7 +40,13 @@ RAYS = ((-0.4, 0.5), (0.0, 0.5), (0.4, 0.5), (-0.4, 0.9), (0.0, 0.9), (0.4, 0.9)
 @functools.cache
 def names() -> tuple[str, ...]:
     """Models of the library."""
-    return tuple(sorted(path.name for path in (resources.folder("assets") / "models").iterdir() if (path / f"{path.name}.usda").exists()))
+    return tuple(
+        sorted(
+            path.name
+            for path in (resources.folder("assets") / "models").iterdir()
+            if (path / f"{path.name}.usda").exists()
+        )
+    )
 
 
 @functools.cache
@@ -93,13 +99,18 @@ class CollisionSet:
         found = model(p.asset)
         if found.group == "lamp" and any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in self.trunks):
             return False
-        if found.group == "plant" and found.high[2] > TREE_HEIGHT_M and any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in self.lamps):
+        if (
+            found.group == "plant"
+            and found.high[2] > TREE_HEIGHT_M
+            and any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in self.lamps)
+        ):
             return False
         return self.free_outline(footprint(p), margin)
 
     def free_outline(self, corners: Array, margin: float) -> bool:
         """Whether a rectangle of (4, 2) corners keeps `margin` [m] from all others."""
-        # all of them at a time: a set that grows by one would build its STRtree anew for each question, which costs as much
+        # all of them at a time: a set that grows by one would build its STRtree anew for each question, which costs as
+        # much
         return not bool(shapely.dwithin(shapely.Polygon(corners), self.prints, margin).any())
 
     def add(self, p: Placement) -> None:
@@ -155,7 +166,9 @@ def spans(road: Road, low: float, high: float, blocked: Iterable[tuple[float, fl
 # -- sight
 
 
-def visible(view: View, fov_x_deg: float, placed: Sequence[Placement], road: Road, *, within_m: float) -> dict[str, float]:
+def visible(
+    view: View, fov_x_deg: float, placed: Sequence[Placement], road: Road, *, within_m: float
+) -> dict[str, float]:
     """Share of each road user in view that nothing stands before.
 
     Rays from the camera to a few places of each; buildings, vehicles, people and the
@@ -187,7 +200,12 @@ def visible(view: View, fov_x_deg: float, placed: Sequence[Placement], road: Roa
         across = np.array([-(p.y - eye[1]), p.x - eye[0]]) / distance
         corners = footprint(p) - (p.x, p.y)
         half = float(np.abs(corners @ across).max())
-        ends = np.array([(p.x + u * half * across[0], p.y + u * half * across[1], p.z + v * found.high[2] * p.size) for u, v in RAYS])
+        ends = np.array(
+            [
+                (p.x + u * half * across[0], p.y + u * half * across[1], p.z + v * found.high[2] * p.size)
+                for u, v in RAYS
+            ]
+        )
         clear = np.ones(len(ends), dtype=bool)
         sight = np.array([p.x - eye[0], p.y - eye[1]]) / distance
         beside = np.abs(middles @ np.array([-sight[1], sight[0]])) < radii + half + 0.1

@@ -1,4 +1,5 @@
-"""A `WorldSpec` as a USD stage, whatever road or junction it stands at: meshes of the road and its land, references, lights, fog, variants.
+"""A `WorldSpec` as a USD stage, whatever road or junction it stands at: meshes of the road and its land, references,
+lights, fog, variants.
 
 A scope for each kind of thing: /World/Road, Buildings, Plants and Furniture, Vehicles and
 People, Lights and Sky, Fog, Ego and Rig; `departments.py` makes layers of them.  It opens in
@@ -69,7 +70,9 @@ def author(path: Path, spec: WorldSpec, *, assets: str) -> Sdf.Layer:
     for many in kind.instanced(spec, spec.road):
         authoring.author_instancer(stage, many.path, many.asset, many.label, many.points, many.turns, assets)
     _author_lights(stage, spec, assets)
-    authoring.author_variants(stage, spec)  # early, because each choice of a variant composes what stands there by then again
+    authoring.author_variants(
+        stage, spec
+    )  # early, because each choice of a variant composes what stands there by then again
     _author_built(stage, spec, assets)
     authoring.author_render(stage)
     if spec.products:
@@ -114,7 +117,13 @@ def _author_built(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
 
 def _small(part: Part) -> Part:
     """Coordinates to the millimetre, texture coordinates to a thousandth: less to store."""
-    return Part(np.round(part.points, 4), part.faces, part.material, None if part.uv is None else np.round(part.uv, 3), part.normals)
+    return Part(
+        np.round(part.points, 4),
+        part.faces,
+        part.material,
+        None if part.uv is None else np.round(part.uv, 3),
+        part.normals,
+    )
 
 
 def _author_scatter(stage: Usd.Stage, scatter: land.Scatter, bind: object) -> None:
@@ -130,8 +139,12 @@ def _author_scatter(stage: Usd.Stage, scatter: land.Scatter, bind: object) -> No
     instancer.CreateProtoIndicesAttr(Vt.IntArray([0] * n))
     instancer.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(np.round(scatter.points, 3).astype(np.float32)))
     half = np.deg2rad(scatter.turns) / 2
-    instancer.CreateOrientationsAttr(Vt.QuathArray([Gf.Quath(float(c), 0, 0, float(s)) for c, s in zip(np.cos(half), np.sin(half), strict=True)]))
-    instancer.CreateScalesAttr(Vt.Vec3fArray.FromNumpy(np.repeat(np.round(scatter.sizes, 3)[:, None], 3, axis=1).astype(np.float32)))
+    instancer.CreateOrientationsAttr(
+        Vt.QuathArray([Gf.Quath(float(c), 0, 0, float(s)) for c, s in zip(np.cos(half), np.sin(half), strict=True)])
+    )
+    instancer.CreateScalesAttr(
+        Vt.Vec3fArray.FromNumpy(np.repeat(np.round(scatter.sizes, 3)[:, None], 3, axis=1).astype(np.float32))
+    )
     instancer.CreateExtentAttr(instancer.ComputeExtentAtTime(Usd.TimeCode.Default(), Usd.TimeCode.Default()))
     Usd.ModelAPI(instancer.GetPrim()).SetKind(Kind.Tokens.component)
     label(instancer.GetPrim(), scatter.label)
@@ -158,7 +171,10 @@ def panes(asset: str) -> Mapping[str, tuple[Array, Array]]:
         mesh = layer.GetPrimAtPath(f"/Geometry/{name}")
         if not mesh or "points" not in mesh.attributes or "primvars:st" not in mesh.attributes:
             continue
-        points, st = np.array(mesh.attributes["points"].default, dtype=np.float64), np.array(mesh.attributes["primvars:st"].default, dtype=np.float64)
+        points, st = (
+            np.array(mesh.attributes["points"].default, dtype=np.float64),
+            np.array(mesh.attributes["primvars:st"].default, dtype=np.float64),
+        )
         if len(points) % 4 == 0:
             found[name] = (points.reshape(-1, 4, 3), st.reshape(-1, 4, 2))
     return found
@@ -170,7 +186,9 @@ def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     UsdGeom.Scope.Define(stage, "/World/Lights/Headlights")
     ground = float(spec.road.height(spec.view.x, spec.view.y))
     for name, place in headlights(spec.view, ground):
-        lamps.author_lamp(stage, f"/World/Lights/Headlights/{name}", spec.built["headlights"], place, lamps=f"{assets}/lamps")
+        lamps.author_lamp(
+            stage, f"/World/Lights/Headlights/{name}", spec.built["headlights"], place, lamps=f"{assets}/lamps"
+        )
     lit = KINDS[type(spec.road)].PANES
     rng = stream(spec.scatter, lit.name, "lit")
     fronts: dict[str, list[tuple[Array, Array]]] = {name: [] for name in LIT_LOOK}

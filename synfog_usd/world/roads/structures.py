@@ -68,14 +68,25 @@ class LitPanes:
 
 def guard_rail(road: Road, t: float, side: int, low: float, high: float, name: str) -> Built:
     """A W-beam on posts at offset t whose traffic lies to the right if `side` is 1, else to the left."""
-    waves = [(0.0, 0.44), (0.08, 0.48), (0.08, 0.535), (0.02, 0.575), (0.02, 0.615), (0.08, 0.655), (0.08, 0.71), (0.0, RAIL_TOP_M)]
+    waves = [
+        (0.0, 0.44),
+        (0.08, 0.48),
+        (0.08, 0.535),
+        (0.02, 0.575),
+        (0.02, 0.615),
+        (0.08, 0.655),
+        (0.08, 0.71),
+        (0.0, RAIL_TOP_M),
+    ]
     profile = [(t + side * u, h) for u, h in waves]
     base = float(road.lane_section.height(t))
     profile = [(u, h + base) for u, h in profile]
     parts = [sweep(road, profile if side > 0 else profile[::-1], "galvanised", tile_m=1.0, low=low, high=high)]
     for s in np.arange(low + 1.0, high, POST_M):
         a, b = sorted((t - side * 0.02, t - side * 0.12))
-        parts.append(bend(box((a, s - 0.05, base - 0.15), (b, s + 0.05, base + 0.70), "galvanised", bottom=False), road))
+        parts.append(
+            bend(box((a, s - 0.05, base - 0.15), (b, s + 0.05, base + 0.70), "galvanised", bottom=False), road)
+        )
     return Built(name, "guard rail", tuple(_plain(part) for part in parts))
 
 
@@ -91,9 +102,27 @@ def delineators(road: Road, low: float, high: float) -> list[Built]:
         for t in edges:
             base = float(road.lane_section.height(t))
             parts += [
-                bend(soft_box((t - 0.06, s - 0.05, base - 0.2), (t + 0.06, s + 0.05, base + 0.72), "post_white", radius=0.03), road),
-                bend(soft_box((t - 0.061, s - 0.051, base + 0.72), (t + 0.061, s + 0.051, base + 0.90), "gloss_black", radius=0.03), road),
-                bend(soft_box((t - 0.06, s - 0.05, base + 0.90), (t + 0.06, s + 0.05, base + 1.02), "post_white", radius=0.03), road),
+                bend(
+                    soft_box(
+                        (t - 0.06, s - 0.05, base - 0.2), (t + 0.06, s + 0.05, base + 0.72), "post_white", radius=0.03
+                    ),
+                    road,
+                ),
+                bend(
+                    soft_box(
+                        (t - 0.061, s - 0.051, base + 0.72),
+                        (t + 0.061, s + 0.051, base + 0.90),
+                        "gloss_black",
+                        radius=0.03,
+                    ),
+                    road,
+                ),
+                bend(
+                    soft_box(
+                        (t - 0.06, s - 0.05, base + 0.90), (t + 0.06, s + 0.05, base + 1.02), "post_white", radius=0.03
+                    ),
+                    road,
+                ),
                 bend(box((t - 0.025, s - 0.056, base + 0.74), (t + 0.025, s - 0.052, base + 0.88), "reflective"), road),
             ]
     made.append(Built("Delineators", "pole", tuple(_plain(part) for part in parts)))
@@ -106,29 +135,50 @@ def bridge(road: Road) -> list[Built]:
     low, high, depth = road.land.valley
     left, right = road.lane_section.low, road.lane_section.high
     a, b = float(road.lane_section.height(left)), float(road.lane_section.height(right))
-    profile = [(left, a), (left, a + 0.22), (left - 0.35, a + 0.22), (left - 0.35, a - 0.75), (left + 1.2, -1.9), (right - 1.2, -1.9), (right + 0.35, b - 0.75),
-               (right + 0.35, b + 0.22), (right, b + 0.22), (right, b)]  # fmt: skip
+    profile = [
+        (left, a),
+        (left, a + 0.22),
+        (left - 0.35, a + 0.22),
+        (left - 0.35, a - 0.75),
+        (left + 1.2, -1.9),
+        (right - 1.2, -1.9),
+        (right + 0.35, b - 0.75),
+        (right + 0.35, b + 0.22),
+        (right, b + 0.22),
+        (right, b),
+    ]
     deck: list[Part] = [sweep(road, profile[::-1], "concrete", tile_m=3.0, low=low - 4.0, high=high + 4.0)]
     for s in np.linspace(low, high, max(3, round((high - low) / 28.0)) + 1)[1:-1]:
-        deck.append(bend(soft_box((left + 2.0, s - 0.7, -depth - 2.0), (right - 2.0, s + 0.7, -1.85), "concrete", radius=0.4), road))
+        deck.append(
+            bend(
+                soft_box((left + 2.0, s - 0.7, -depth - 2.0), (right - 2.0, s + 0.7, -1.85), "concrete", radius=0.4),
+                road,
+            )
+        )
     rails: list[Part] = []
     for t, base in ((left - 0.17, a + 0.22), (right + 0.17, b + 0.22)):
         for h, r in ((1.02, 0.035), (0.78, 0.014), (0.56, 0.014), (0.34, 0.014), (0.14, 0.014)):
             rails.append(_bar(road, t, base + h, r, low - 4.0, high + 4.0))
         for s in np.arange(low - 4.0, high + 4.0, 2.0):
-            rails.append(bend(box((t - 0.03, s - 0.03, base), (t + 0.03, s + 0.03, base + 1.0), "railing", bottom=False), road))
+            rails.append(
+                bend(box((t - 0.03, s - 0.03, base), (t + 0.03, s + 0.03, base + 1.0), "railing", bottom=False), road)
+            )
     return [Built("Deck", "bridge", tuple(deck)), Built("Railing", "fence", tuple(_plain(part) for part in rails))]
 
 
 def _bar(road: Road, t: float, h: float, radius: float, low: float, high: float) -> Part:
     ring = np.linspace(0, 2 * np.pi, 7)
-    return sweep(road, np.c_[t + radius * np.cos(ring), h + radius * np.sin(ring)], "railing", tile_m=1.0, low=low, high=high)
+    return sweep(
+        road, np.c_[t + radius * np.cos(ring), h + radius * np.sin(ring)], "railing", tile_m=1.0, low=low, high=high
+    )
 
 
 def arch(half: float, *, grown: float = 0.0, sides: int = 24) -> Array:
     """(K, 2) offsets and heights of the tunnel's lining from the left foot over the apex to the right foot."""
     angle = np.linspace(np.pi, 0.0, sides + 1)
-    crown = np.c_[(half + grown) * np.cos(angle), TUNNEL_WALL_M + (TUNNEL_APEX_M - TUNNEL_WALL_M + grown) * np.sin(angle)]
+    crown = np.c_[
+        (half + grown) * np.cos(angle), TUNNEL_WALL_M + (TUNNEL_APEX_M - TUNNEL_WALL_M + grown) * np.sin(angle)
+    ]
     return np.vstack([[(-(half + grown), -0.3)], crown, [(half + grown, -0.3)]])
 
 
@@ -150,7 +200,12 @@ def tunnel(road: Road) -> list[Built]:
     top[0], top[-1] = (-wide, top_m), (wide, top_m)
     frame = np.vstack([[(-wide, -0.6)], top, [(wide, -0.6)]])
     face.append(_ring(road, outer, frame, middle, begin, "stone_dark"))
-    coping = box((middle - wide - 0.2, begin - 0.25, top_m), (middle + wide + 0.2, begin + 0.7, top_m + 0.35), "concrete", tile_m=3.0)
+    coping = box(
+        (middle - wide - 0.2, begin - 0.25, top_m),
+        (middle + wide + 0.2, begin + 0.7, top_m + 0.35),
+        "concrete",
+        tile_m=3.0,
+    )
     face.append(bend(coping, road))
     for side in (-1, 1):
         x = middle + side * wide
@@ -161,9 +216,15 @@ def tunnel(road: Road) -> list[Built]:
     lamps: list[Part] = []
     for s in np.arange(begin + 3.0, end - 2.0, LAMP_M):
         for t in (-0.32 * half, 0.32 * half):
-            lamps.append(bend(box((middle + t - 0.12, s - 0.75, 5.55), (middle + t + 0.12, s + 0.75, 5.62), "tunnel_lamp"), road))
+            lamps.append(
+                bend(box((middle + t - 0.12, s - 0.75, 5.55), (middle + t + 0.12, s + 0.75, 5.62), "tunnel_lamp"), road)
+            )
     marks = [
-        Built("Lining", "tunnel", tuple(_plain(p) if p.material == "tunnel_dark" else p for p in (inside, collar, bend(closed, road)))),
+        Built(
+            "Lining",
+            "tunnel",
+            tuple(_plain(p) if p.material == "tunnel_dark" else p for p in (inside, collar, bend(closed, road))),
+        ),
         Built("Portal", "wall", tuple(face)),
         Built("Tunnel_Lamps", "static", tuple(_plain(part) for part in lamps)),
     ]
@@ -191,7 +252,9 @@ def gantry(road: Road, s: float, number: int) -> Built:
     for k, t in enumerate(np.arange(left, right - 1.0, 1.2)):
         for y in (s - 0.35, s + 0.35):
             ends = [(t, y, 6.3), (min(t + 1.2, right), y, 7.5)]
-            parts.append(tube(ends if k % 2 else [(ends[0][0], y, 7.5), (ends[1][0], y, 6.3)], 0.035, "galvanised", sides=5))
+            parts.append(
+                tube(ends if k % 2 else [(ends[0][0], y, 7.5), (ends[1][0], y, 6.3)], 0.035, "galvanised", sides=5)
+            )
     for lane in lanes:
         t = lane.middle
         back = soft_box((t - 1.55, s - 0.52, 5.75), (t + 1.55, s - 0.42, 7.95), "sign_back", radius=0.06)

@@ -40,8 +40,12 @@ def stations(road: Road, low: float = 0.0, high: float | None = None) -> Array:
     return np.linspace(low, high, max(2, int(np.ceil((high - low) / step)) + 1))
 
 
-def sweep(road: Road, profile: npt.ArrayLike, material: str, *, tile_m: float, low: float = 0.0, high: float | None = None) -> Part:
-    """A profile of (t, h) [m] from left to right, drawn along the road; it faces up, or outwards of what it goes round."""
+def sweep(
+    road: Road, profile: npt.ArrayLike, material: str, *, tile_m: float, low: float = 0.0, high: float | None = None
+) -> Part:
+    """A profile of (t, h) [m] from left to right, drawn along the road; it faces up, or outwards of what it goes
+    round.
+    """
     s = stations(road, low, high)
     p = np.asarray(profile, dtype=np.float64)
     across = np.r_[0.0, np.cumsum(np.hypot(*np.diff(p, axis=0).T))]
@@ -69,7 +73,9 @@ def surface(road: Road, *, seed: int, asphalt: Asphalt = WORN) -> dict[str, list
         else:
             found["terrain"].append(_flat(road, lane, "grass", GRASS_TILE_M, shift=0.37 * index))
     found["sidewalk"] += [_kerb(road, t, side) for t, side in road.lane_section.kerbs()]
-    found["road"] += [bend(part, road) for part in (*_repairs(road, seed, REPAIRS[asphalt.kind]), *puddles(road, asphalt, seed=seed))]
+    found["road"] += [
+        bend(part, road) for part in (*_repairs(road, seed, REPAIRS[asphalt.kind]), *puddles(road, asphalt, seed=seed))
+    ]
     return {label: parts for label, parts in found.items() if parts}
 
 
@@ -82,13 +88,26 @@ def _turned(road: Road, lane: Lane, material: str, angle: float, begin: Array) -
 
 
 def _lane(road: Road, lane: Lane, index: int, begin: float, flipped: bool) -> Part:
-    """A lane with its wheel tracks; lanes begin at different places of the texture, and roads run through it either way."""
+    """A lane with its wheel tracks; lanes begin at different places of the texture, and roads run through it either
+    way.
+    """
     s = stations(road)
     way = -1.0 if flipped else 1.0
-    u0, u1 = LANE_TEXTURE_HALF_M / (2 * LANE_TEXTURE_HALF_M), (LANE_TEXTURE_HALF_M + LANE_TEXTURE_LANE_M) / (2 * LANE_TEXTURE_HALF_M)
+    u0, u1 = (
+        LANE_TEXTURE_HALF_M / (2 * LANE_TEXTURE_HALF_M),
+        (LANE_TEXTURE_HALF_M + LANE_TEXTURE_LANE_M) / (2 * LANE_TEXTURE_HALF_M),
+    )
     if lane.way < 0:
         u0, u1 = u1, u0
-    uv = [np.array([(u0, way * at / LANE_TEXTURE_LENGTH_M + 0.41 * index + begin), (u1, way * at / LANE_TEXTURE_LENGTH_M + 0.41 * index + begin)]) for at in s]
+    uv = [
+        np.array(
+            [
+                (u0, way * at / LANE_TEXTURE_LENGTH_M + 0.41 * index + begin),
+                (u1, way * at / LANE_TEXTURE_LENGTH_M + 0.41 * index + begin),
+            ]
+        )
+        for at in s
+    ]
     return bend(strip([np.array([(lane.low, at, 0.0), (lane.high, at, 0.0)]) for at in s], "asphalt_lane", uv=uv), road)
 
 
@@ -139,11 +158,18 @@ def _repairs(road: Road, seed: int, often: float = 1.0) -> list[Part]:
             parts.append(part)
     for _ in range(int(often * length / 9)):
         lane = driven[int(rng.integers(len(driven)))]
-        t, s, heading = rng.uniform(lane.low, lane.high), rng.uniform(5, length - 10), rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.25)
+        t, s, heading = (
+            rng.uniform(lane.low, lane.high),
+            rng.uniform(5, length - 10),
+            rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.25),
+        )
         points = [(t, s)]
         for _ in range(int(rng.integers(6, 26))):
             heading += rng.normal(0, 0.22)
-            t, s = float(np.clip(t + 0.22 * np.cos(heading), driven[0].low, driven[-1].high)), s + 0.22 * np.sin(heading)
+            t, s = (
+                float(np.clip(t + 0.22 * np.cos(heading), driven[0].low, driven[-1].high)),
+                s + 0.22 * np.sin(heading),
+            )
             points.append((t, s))
         path = np.array(points)
         if not any(road.lane_section.at(float(p)).kind in RAISED for p in path[:, 0]):  # type: ignore[union-attr]
@@ -152,11 +178,19 @@ def _repairs(road: Road, seed: int, often: float = 1.0) -> list[Part]:
         for s in np.arange(rng.uniform(5, 20), length - 5, 27.0):
             lane = driven[int(rng.integers(len(driven)))]
             t, at = lane.middle + rng.uniform(-0.9, 0.9), s + rng.uniform(-6, 6)
-            parts += [disc((t, at, 0.0022), 0.43, "asphalt_patch", sides=24), disc((t, at, 0.0026), 0.33, "iron", sides=24)]
+            parts += [
+                disc((t, at, 0.0022), 0.43, "asphalt_patch", sides=24),
+                disc((t, at, 0.0026), 0.33, "iron", sides=24),
+            ]
         for t, side in road.lane_section.kerbs():
             for s in np.arange(rng.uniform(4, 18), length, 24.0):
                 x = t - side * 0.22
-                corners = [(x - 0.18, s - 0.25, 0.0026), (x + 0.18, s - 0.25, 0.0026), (x + 0.18, s + 0.25, 0.0026), (x - 0.18, s + 0.25, 0.0026)]
+                corners = [
+                    (x - 0.18, s - 0.25, 0.0026),
+                    (x + 0.18, s - 0.25, 0.0026),
+                    (x + 0.18, s + 0.25, 0.0026),
+                    (x - 0.18, s + 0.25, 0.0026),
+                ]
                 part = fan(corners, "iron")
                 parts.append(replace(part, uv=np.array([(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)])))
     return parts
@@ -166,8 +200,15 @@ def _patch(t: float, s: float, width: float, long: float, material: str) -> list
     """A mended trench, and the tar along its seams; cut every metre, so that it follows a bend."""
     at = np.linspace(s, s + long, max(2, int(long) + 1))
     left, right = np.full(len(at), t), np.full(len(at), t + width)
-    parts = [strip([np.array([(a, y, 0.0012), (b, y, 0.0012)]) for a, b, y in zip(left, right, at, strict=True)], material)]
+    parts = [
+        strip([np.array([(a, y, 0.0012), (b, y, 0.0012)]) for a, b, y in zip(left, right, at, strict=True)], material)
+    ]
     parts[0] = replace(parts[0], uv=parts[0].points[:, :2] / ASPHALT_TILE_M)
-    for edge in (np.c_[left, at], np.c_[right, at], np.array([(t, s), (t + width, s)]), np.array([(t, s + long), (t + width, s + long)])):
+    for edge in (
+        np.c_[left, at],
+        np.c_[right, at],
+        np.array([(t, s), (t + width, s)]),
+        np.array([(t, s + long), (t + width, s + long)]),
+    ):
         parts.append(ribbon(edge, 0.035, 0.0016, "tar"))
     return parts

@@ -41,10 +41,16 @@ class Works:
     side: int
 
 
-def site(road: Road, seed: int, station: float, value: Any, taken: rules.CollisionSet) -> tuple[Works | None, list[Placement]]:
+def site(
+    road: Road, seed: int, station: float, value: Any, taken: rules.CollisionSet
+) -> tuple[Works | None, list[Placement]]:
     """Works on the side that the recipe names, with workers; none where no strip is wide enough, or has no room."""
     where = value("works.where")
-    strips = [lane for lane in road.lane_section.of("shoulder", "pavement", "verge") if lane.width >= WIDE_M + FROM_LANE_M + 0.15]
+    strips = [
+        lane
+        for lane in road.lane_section.of("shoulder", "pavement", "verge")
+        if lane.width >= WIDE_M + FROM_LANE_M + 0.15
+    ]
     strips = [lane for lane in strips if (lane.middle > 0) == (where == "right")]
     if where == "none" or not strips:
         return None, []
@@ -56,12 +62,17 @@ def site(road: Road, seed: int, station: float, value: Any, taken: rules.Collisi
     for attempt in range(TRIES):
         works = Works(round(begin + 2.0 * attempt, 3), round(length, 3), round(low, 3), round(high, 3), side)
         end = works.s + length
-        if end > road.reference_line.length - 5.0 or any(works.s - CLEAR_ZEBRA_M < zebra < end + CLEAR_ZEBRA_M for zebra in road.zebras):
+        if end > road.reference_line.length - 5.0 or any(
+            works.s - CLEAR_ZEBRA_M < zebra < end + CLEAR_ZEBRA_M for zebra in road.zebras
+        ):
             continue
         if in_structure(road, works.s, works.low) or in_structure(road, end, works.high):
             continue
         corners = np.stack(
-            road.reference_line.place([works.s - 0.4, works.s - 0.4, end + 0.4, end + 0.4], [low - 0.1, high + 0.1, high + 0.1, low - 0.1]), axis=-1
+            road.reference_line.place(
+                [works.s - 0.4, works.s - 0.4, end + 0.4, end + 0.4], [low - 0.1, high + 0.1, high + 0.1, low - 0.1]
+            ),
+            axis=-1,
         )
         if not taken.free_outline(corners, 0.1):
             continue
@@ -70,7 +81,9 @@ def site(road: Road, seed: int, station: float, value: Any, taken: rules.Collisi
             at, t = works.s + (0.2 + 0.3 * int(place)) * length, (low + high) / 2 + side * 0.35
             x, y, z, heading, _ = road.pose(at, t)
             turn = (heading + float(rng.uniform(0, 360)) + 180.0) % 360.0 - 180.0
-            workers.append(Placement("People", "", "worker", x, y, round(turn, 2), look(rng, rules.model("worker")), z=z))
+            workers.append(
+                Placement("People", "", "worker", x, y, round(turn, 2), look(rng, rules.model("worker")), z=z)
+            )
         taken.add_outline(corners)
         return works, workers
     return None, []
@@ -86,9 +99,18 @@ def built(road: Road, works: Works) -> Built:
         for s in np.arange(a + 0.15, b - 2.0, 2.2):
             parts += _board(t, float(s), 2.0, base, across=False)
     hole = np.array([(0.62, 0.3), (0.72, 0.9), (1.3, 1.0), (1.35, 0.35)])
-    outline = [(inner + works.side * u * 0.9 - works.side * 0.35, a + v * works.length * 0.5, base + 0.006) for u, v in hole]
+    outline = [
+        (inner + works.side * u * 0.9 - works.side * 0.35, a + v * works.length * 0.5, base + 0.006) for u, v in hole
+    ]
     parts.append(fan(outline if works.side > 0 else outline[::-1], "soil"))
-    parts.append(ball(((low + high) / 2 - works.side * 0.2, a + works.length * 0.72, base - 0.06), (0.45, 0.7, 0.46), "soil", sides=16))
+    parts.append(
+        ball(
+            ((low + high) / 2 - works.side * 0.2, a + works.length * 0.72, base - 0.06),
+            (0.45, 0.7, 0.46),
+            "soil",
+            sides=16,
+        )
+    )
     for s in np.linspace(a - 0.25, b + 0.25, 4):
         parts += _cone(inner - works.side * 0.22, float(s), float(road.lane_section.height(inner - works.side * 0.22)))
     return Built("Works", "static", tuple(_plain(bend(part, road)) for part in parts))
@@ -99,12 +121,23 @@ def _board(t: float, s: float, long: float, base: float, *, across: bool) -> lis
     parts = []
 
     def put(begin: float, end: float, half: float, z0: float, z1: float, material: str) -> None:
-        low, high = ((t + begin, s - half, z0), (t + end, s + half, z1)) if across else ((t - half, s + begin, z0), (t + half, s + end, z1))
+        low, high = (
+            ((t + begin, s - half, z0), (t + end, s + half, z1))
+            if across
+            else ((t - half, s + begin, z0), (t + half, s + end, z1))
+        )
         parts.append(box(low, high, material))
 
     fields = max(2, round(long / BOARD_M))
     for k in range(fields):
-        put(long * k / fields, long * (k + 1) / fields, 0.012, base + 0.75, base + 1.0, "sign_red" if k % 2 == 0 else "sign_white")
+        put(
+            long * k / fields,
+            long * (k + 1) / fields,
+            0.012,
+            base + 0.75,
+            base + 1.0,
+            "sign_red" if k % 2 == 0 else "sign_white",
+        )
     for at in (0.2, long - 0.2):
         put(at - 0.02, at + 0.02, 0.02, base + 0.03, base + 0.75, "galvanised")
         put(at - 0.1, at + 0.1, 0.13, base, base + 0.06, "black_plastic")
@@ -116,7 +149,9 @@ def _cone(t: float, s: float, base: float) -> list[Part]:
     radii = {0.03: 0.125, 0.20: 0.085, 0.34: 0.055, 0.50: 0.02}
     heights = list(radii)
     parts = [box((t - 0.16, s - 0.16, base), (t + 0.16, s + 0.16, base + 0.03), "black_plastic")]
-    for low, high, material in zip(heights[:-1], heights[1:], ("hi_vis_orange", "sign_white", "hi_vis_orange"), strict=True):
+    for low, high, material in zip(
+        heights[:-1], heights[1:], ("hi_vis_orange", "sign_white", "hi_vis_orange"), strict=True
+    ):
         parts.append(tube([(t, s, base + low), (t, s, base + high)], [radii[low], radii[high]], material, sides=12))
     return parts
 
