@@ -10,3 +10,8 @@ Progress = Callable[[str, float], None]
 
 def silent(what: str, fraction: float) -> None:
     """Tell nobody."""
+
+
+def within(progress: Progress, low: float, high: float) -> Progress:
+    """Progress of a part that goes from one fraction of the whole to another."""
+    return lambda what, fraction: progress(what, low + (high - low) * fraction)

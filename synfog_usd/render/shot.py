@@ -12,7 +12,7 @@ import numpy as np
 
 from synfog_usd import numbers
 from synfog_usd.image import Image, Quantity
-from synfog_usd.progress import Progress, silent
+from synfog_usd.progress import Progress, silent, within
 from synfog_usd.render import denoise as denoising
 from synfog_usd.render import dualbuffer, models, planner
 from synfog_usd.render.film import aovs
@@ -33,6 +33,10 @@ WORTH_A_BANDS_PILOT = 1 << 23
 
 LARGE_ERROR = 0.25
 """Error of the median pixel after denoising from which on a warning is given."""
+
+
+CHOOSING = 0.02, 0.1
+"""Parts of the progress that choosing a model and choosing bands are given."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +172,10 @@ def render(
         and planner.candidates(scene)
     ):
         loaded = loaded or load(scene, size=size, boundaries=False)
-        choice = planner.choose(loaded, target=target, seed=seed, denoised=denoise, progress=progress)
+        choice = planner.choose(
+            loaded, target=target, seed=seed, denoised=denoise, progress=within(progress, 0.0, CHOOSING[0])
+        )
+        progress = within(progress, CHOOSING[0], 1.0)
         model, why, figures = choice.model, choice.why, dict(choice.figures)
     else:
         model, why = models.choose(model, scene)
@@ -177,8 +184,9 @@ def render(
         bands = numbers.RGB
         if models.MODELS[model].bands and pixels * samples >= WORTH_A_BANDS_PILOT:
             bands, because, figures["bands"] = planner.choose_bands(
-                loaded, model, target=target, seed=seed, progress=progress
+                loaded, model, target=target, seed=seed, progress=within(progress, 0.0, CHOOSING[1])
             )
+            progress = within(progress, CHOOSING[1], 1.0)
             why += f"; {bands} bands: {because}"
     integrator = models.make(model, loaded, scatterings=settings.scatterings, bounces=settings.bounces, bands=bands)
     camera = loaded.source.camera

@@ -7,7 +7,7 @@ import pytest
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogMedium, FogVolume
-from synfog_usd.render import planner
+from synfog_usd.render import planner, shot
 from synfog_usd.render.sampling import adaptive
 from synfog_usd.render.shot import load, render
 from synfog_usd.testing import black, box, scene, uniform_fog, wall
@@ -137,3 +137,20 @@ def test_where_a_denoised_picture_is_good_enough_no_bias_is_tried():
 def test_the_samples_that_are_told_are_those_that_were_asked_for(model):
     """However many estimators a picture has, and whether the fog's light is sampled pixel by pixel."""
     assert render(FOGGY, model=model, samples=20).samples == 20
+
+
+def test_choosing_bands_is_a_part_of_the_progress(monkeypatch):
+    """What is tried small before the picture takes the first tenth; the whole never falls and ends at 1."""
+    monkeypatch.setattr(shot, "WORTH_A_BANDS_PILOT", 0)
+    told = []
+    render(
+        FOGGY,
+        model="path",
+        samples=16,
+        bands=None,
+        size=(16, 8),
+        progress=lambda what, share: told.append((what, share)),
+    )
+    shares = [share for _, share in told]
+    assert max(share for what, share in told if what == "trying bands") <= shot.CHOOSING[1]
+    assert shares == sorted(shares) and shares[-1] == 1.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from synfog_usd.arrays import Array
-from synfog_usd.progress import Progress, silent
+from synfog_usd.progress import Progress, silent, within
 from synfog_usd.render.dualbuffer import Error
 from synfog_usd.render.film.accumulator import (
     CHUNK,
@@ -115,7 +115,7 @@ def accumulate_to_target(
         everywhere,
         accumulated.even(first),
         seed,
-        _within(progress, 0.0, first / target.samples),
+        within(progress, 0.0, first / target.samples),
     )
     spent = first
     while spent < target.samples and first % CHUNK == 0 and (target.time_s is None or now() < target.time_s):
@@ -143,7 +143,7 @@ def accumulate_to_target(
         more = {part: max(CHUNK, round(value * scales[part] / CHUNK) * CHUNK) for part, value in share.items()}
         after = spent + count * len(rows) / pixels
         add_samples(
-            accumulated, integrator, rows, more, seed, _within(progress, spent / target.samples, after / target.samples)
+            accumulated, integrator, rows, more, seed, within(progress, spent / target.samples, after / target.samples)
         )
         spent = after
     progress("rendering", 1.0)
@@ -176,7 +176,7 @@ def accumulate_denoised(
         everywhere,
         accumulated.even(spent),
         seed,
-        _within(progress, 0.0, spent / target.samples),
+        within(progress, 0.0, spent / target.samples),
     )
     while spent < target.samples and (target.time_s is None or now() < target.time_s):
         noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
@@ -191,7 +191,7 @@ def accumulate_denoised(
             everywhere,
             more,
             seed,
-            _within(progress, spent / target.samples, after / target.samples),
+            within(progress, spent / target.samples, after / target.samples),
         )
         spent = after
     progress("rendering", 1.0)
@@ -212,8 +212,3 @@ def _needed(accumulated: Accumulator, target: Target, shape: tuple[int, int]) ->
         np.minimum(accumulated.luminance_variance(), 1e30).reshape(shape), 5, mode="nearest"
     ).ravel()
     return variance / np.maximum(target.allowed(smooth), 1e-30) ** 2
-
-
-def _within(progress: Progress, low: float, high: float) -> Progress:
-    """Progress of a part that goes from one fraction of the whole to another."""
-    return lambda what, fraction: progress(what, low + (high - low) * fraction)
