@@ -52,7 +52,7 @@ def test_a_bulb_in_fog_without_end_glows_as_in_path(name, resolves):
     """
     world = scene({"light_bulb": bulb(-16.0, 12.0, 0.0)}, [ball()], width_px=12, height_px=12, fov_x_deg=60.0)
     ours = layer_means(world, lambda loaded: make_glow(loaded, single="table"), samples=4, seeds=2, name=name)
-    theirs = layer_means(world, models.MODELS["path"].make, samples=256, seeds=10, name=name)
+    theirs = layer_means(world, models.MODELS["path"].make, samples=512, seeds=10, name=name)
     assert_same(ours, theirs, resolves=resolves)
 
 

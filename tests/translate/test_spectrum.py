@@ -150,7 +150,7 @@ def test_lights_have_the_spectra_that_stand_on_them(empty):
     kinds = {scene.world[key].get("type"): curve for key, curve in scene.emission_of.items()}
     for kind, name in (("sphere", "HP1"), ("directional", "A"), ("constant", "D65"), ("point", "LED 592 nm")):
         np.testing.assert_array_equal(kinds[kind], spectra.emission(name))
-    assert not warnings(scene)
+    assert [warning for warning in warnings(scene) if "on open ground" not in warning] == []  # the sun is dim
 
 
 def test_a_shining_material_and_a_mesh_light_may_have_spectra(made):

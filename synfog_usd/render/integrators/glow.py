@@ -181,8 +181,8 @@ class Glow:
             light = self._trace(backend.numbers(index), rays, seed32(seed, PART))
             for total, part in zip(sums, light, strict=True):
                 total[index] = np.array(part, dtype=np.float64).T
-        components = dict(zip((SURFACE, SINGLE, MULTIPLE), sums, strict=False))
-        accumulated.estimators[PART] = Estimator(components, sums[3], [], np.full(pixels, rays, dtype=np.int64))
+        components = {name: total[None] for name, total in zip((SURFACE, SINGLE, MULTIPLE), sums, strict=False)}
+        accumulated.estimators[PART] = Estimator(components, sums[3], [], np.full((1, pixels), rays, dtype=np.int64))
         return accumulated
 
     @dr.syntax
@@ -192,7 +192,7 @@ class Glow:
         """
         mi, path = backend.mitsuba(), self.path
         wanted, image_seed = dr.opaque(mi.UInt32, rays), dr.opaque(mi.UInt32, seed)
-        corner = path.corner(pixel)
+        corner = path.raster.corner(pixel)
         surface, single, multiple, squares = mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0)
         begun = mi.UInt32(0)
         while begun < wanted:
