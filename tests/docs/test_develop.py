@@ -1,4 +1,4 @@
-"""The developer's page: its example runs, and the files that it names exist."""
+"""The developer's page: its example runs."""
 
 from __future__ import annotations
 
@@ -29,14 +29,3 @@ def test_the_example_of_an_op_runs():
     grey = Image(np.full((2, 3, 3), 5.0, dtype=np.float32), ("R", "G", "B"), Quantity.RADIANCE)
     np.testing.assert_allclose(names["grey_filter"](grey, density=1.0).pixels, 0.5, rtol=1e-6)
     assert str(registry.ops["optics.filter"].parameters["density"]) == "a number from 0 to 6"
-
-
-def test_the_files_that_it_names_exist():
-    named = re.findall(
-        r"\]\(([\w/]+\.md)\)|`((?:docs|pipeline|tests|stages|camera|render|study|cli|graph)/[\w/.]*)`", PAGE
-    )
-    places = [Path("docs") / link if link else Path(path) for link, path in named]
-    missing = [
-        str(place) for place in places if not ((ROOT / place).exists() or (ROOT / "synfog_usd" / place).exists())
-    ]
-    assert len(places) > 10 and not missing

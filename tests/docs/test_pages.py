@@ -1,0 +1,189 @@
+"""The pages say what is there: links, images, paths, modules, commands with their options, make targets, imports, and
+the table of rooms.
+"""
+
+from __future__ import annotations
+
+import ast
+import fnmatch
+import importlib
+import re
+import shlex
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer
+from test_layers import FILES, HEAVY, PACKAGE, SEES, imports
+
+from synfog_usd.cli.main import app
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TREE = [
+    path.relative_to(ROOT).as_posix()
+    for top in ("synfog_usd", "assets", "docs", "integrations", "pipeline", "stages", "tests")
+    for path in (ROOT / top).rglob("*")
+    if "__pycache__" not in path.parts
+] + [path.name for path in ROOT.iterdir()]
+
+OF_OTHERS = {"--background", "--find-links"}
+"""Options in the pages that belong to other programs."""
+
+EXAMPLES = ("out/", "OUT/", "models/tractor", ".venv", "~/", "./", "../", "cloud.", "mine.", "base.", "night.", "my_")
+"""How names begin that a reader makes, or a bake."""
+
+everywhere = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def spans(text: str) -> list[str]:
+    """What stands in backticks within a line, blocks of code left out."""
+    return re.findall(r"`([^`\n]+)`", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    heads = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", head.lower()).strip().replace(" ", "-") for head in heads}
+
+
+def commands(text: str) -> Iterator[list[str]]:
+    """The words of each `synfog-usd` command line, in blocks and within lines; comments and redirections cut off."""
+    lines = [line for block in (*blocks(text, "sh"), *blocks(text, "")) for line in block.splitlines()] + spans(text)
+    for line in lines:
+        if match := re.match(r"(?:\S*/)?synfog-usd (.*)", line.strip()):
+            yield re.split(r" [>|&]", " ".join(shlex.split(match[1], comments=True)))[0].split()
+
+
+def fault(words: list[str]) -> str | None:
+    """What is wrong with a command line, or None: a verb or an option that is not there."""
+    command = typer.main.get_command(app)
+    while words and hasattr(command, "commands"):
+        if words[0].startswith("-"):
+            break
+        if words[0] not in command.commands:
+            return f"no command {words[0]!r}"
+        command, words = command.commands[words[0]], words[1:]
+    known = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
+    for word in words:
+        option = word.strip("[],").split("=")[0]
+        if re.match(r"-{1,2}[a-z]", option) and option not in known | {"--help"}:
+            return f"no option {option!r}"
+    return None
+
+
+def exists(name: str) -> bool:
+    """Whether a path of the pages is in the tree: whole, or the end of one; <name> stands for anything."""
+    pattern = re.sub(r"<[^>]*>", "*", name.rstrip("/"))
+    return any(fnmatch.fnmatchcase(path, pattern) or fnmatch.fnmatchcase(path, f"*/{pattern}") for path in TREE)
+
+
+@everywhere
+def test_links_lead_somewhere(page):
+    """Every relative link and image exists, and the heading that it names."""
+    broken = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if re.match(r"[a-z]+:", link):
+            continue
+        path, _, heading = link.partition("#")
+        place = (page.parent / path).resolve() if path else page
+        if not place.exists() or (heading and heading not in anchors(place)):
+            broken.append(link)
+    assert not broken
+
+
+@everywhere
+def test_commands_can_be_typed(page):
+    """Every command has the verbs and options with which the page calls it, and so has every option named alone."""
+    text = page.read_text(encoding="utf-8")
+    wrong = {" ".join(words): why for words in commands(text) if (why := fault(words))}
+    assert not wrong
+    known = set(re.findall(r"--[a-z][a-z-]+", (ROOT / "docs/reference/cli.md").read_text(encoding="utf-8")))
+    builders = (ROOT / "assets/builders/__main__.py").read_text(encoding="utf-8")
+    alone = {match[0] for span in spans(text) if (match := re.match(r"--[a-z][a-z-]+", span))}
+    assert {option for option in alone - known - OF_OTHERS if f'"{option}"' not in builders} == set()
+
+
+@everywhere
+def test_make_targets_and_modules_exist(page):
+    """`make X` is a target, and `python -m X` a module of ours that can be run."""
+    text = page.read_text(encoding="utf-8")
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE))
+    lines = [line for block in blocks(text, "sh") for line in block.splitlines()] + spans(text)
+    assert {match[1] for line in lines if (match := re.match(r"make ([a-z-]+)", line))} <= targets
+    for module in {*re.findall(r"python -m ((?:synfog_usd|assets)[\w.]*\w)", text)}:
+        path = ROOT / module.replace(".", "/")
+        file = path / "__main__.py" if path.is_dir() else path.with_suffix(".py")
+        assert file.exists(), module
+        assert path.is_dir() or "__main__" in file.read_text(encoding="utf-8"), f"{module} cannot be run"
+
+
+@everywhere
+def test_paths_in_backticks_exist(page):
+    """A name with a folder, or of a Python file, is a file or folder of the tree, or one that its reader makes."""
+    named = set()
+    for span in spans(page.read_text(encoding="utf-8")):
+        for word in span.split():
+            if re.fullmatch(r"[\w.<>-]+(?:/[\w.<>-]+)*(?:/|\.(?:py|md|yaml|usda|json|exr|png|ies))", word) and (
+                "/" in word or word.endswith(".py")
+            ):
+                named.add(word)
+    assert {name for name in named if not name.startswith(EXAMPLES) and not exists(name)} == set()
+
+
+@everywhere
+def test_python_in_the_pages_imports_what_is_there(page):
+    """What an example imports of the package, and what a line names of it, exists."""
+    text = page.read_text(encoding="utf-8")
+    for block in blocks(text, "python"):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("synfog_usd"):
+                module = importlib.import_module(node.module)
+                for alias in node.names:
+                    assert hasattr(module, alias.name) or is_module([*node.module.split("."), alias.name]), alias.name
+    for name in {*re.findall(r"`(synfog_usd(?:\.\w+)+)", text)}:
+        parts = name.split(".")
+        depth = max(k for k in range(1, len(parts) + 1) if is_module(parts[:k]))
+        folder = ROOT.joinpath(*parts[:depth])
+        source = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
+        assert depth == len(parts) or re.search(rf"\b{parts[depth]}\b", source.read_text(encoding="utf-8")), name
+
+
+def is_module(parts: list[str]) -> bool:
+    path = ROOT.joinpath(*parts)
+    return path.is_dir() or path.with_suffix(".py").exists()
+
+
+def rooms() -> dict[str, tuple[str, str]]:
+    """The table of rooms in architecture.md: room -> (what it may import, its heavy libraries)."""
+    text = (ROOT / "docs/architecture.md").read_text(encoding="utf-8").split("## The rooms")[1].split("##")[0]
+    found = {}
+    for row in re.findall(r"^\| (.*) \|$", text, flags=re.MULTILINE):
+        first, _, sees, heavy = (cell.strip() for cell in row.split("|"))
+        for room in re.findall(r"`(\w+)(?:/|\.py)`", first) or [first.split(" ")[0]]:
+            found[room] = sees, heavy
+    return {room: cells for room, cells in found.items() if not room.startswith(("-", "room"))}
+
+
+def test_the_table_of_rooms_is_what_the_layer_test_keeps():
+    """Each room has a row, with the rooms that it may import."""
+    table = rooms()
+    assert set(table) == {"base", *SEES, "dataset", "study", "cli"}
+    for room, sees in SEES.items():
+        assert {*re.findall(r"\w+", table[room][0])} - {room} == {"base", *sees} - {room}, room
+
+
+def test_the_table_of_rooms_names_the_heavy_libraries():
+    """A library stands in the rows of the rooms that import it, and in no others."""
+    users = defaultdict(set)
+    for path in FILES:
+        for module, _ in imports(path):
+            users[module.split(".")[0]].add(path.relative_to(PACKAGE).parts[0])
+    for library in HEAVY:
+        named = {room for room, (_, heavy) in rooms().items() if library.replace("_", "-") in heavy}
+        assert named == users[library], library
