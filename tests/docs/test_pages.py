@@ -1,5 +1,5 @@
-"""The pages say what is there: links, images, paths, modules, commands with their options, make targets, imports, and
-the table of rooms.
+"""The pages say what is there: links, images, paths, modules, commands with their options, make targets, imports, the
+table of rooms, limits, attributes and ops.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import fnmatch
 import importlib
 import re
 import shlex
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,7 +17,10 @@ import pytest
 import typer
 from test_layers import FILES, HEAVY, PACKAGE, SEES, imports
 
+from synfog_usd.camera import OPS
 from synfog_usd.cli.main import app
+from synfog_usd.stage import budget, schema
+from synfog_usd.translate import texture
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -187,3 +190,26 @@ def test_the_table_of_rooms_names_the_heavy_libraries():
     for library in HEAVY:
         named = {room for room, (_, heavy) in rooms().items() if library.replace("_", "-") in heavy}
         assert named == users[library], library
+
+
+def test_the_limits_of_a_stage_are_those_that_are_kept():
+    """Every budget of `stage/budget.py` stands in the table of check.md, and beside them that of textures alone."""
+    text = (ROOT / "docs/check.md").read_text(encoding="utf-8").split("## What a stage may ask for")[1]
+    cells = re.findall(r"^\| [^|]+ \| ([\d. ]+)(million)? \|", text, flags=re.MULTILINE)
+    told = Counter(round(float(number.replace(" ", "")) * (1_000_000 if million else 1)) for number, million in cells)
+    kept = Counter(value for name, value in vars(budget).items() if name.startswith("MAX_"))
+    assert kept <= told
+    assert set(told - kept) == {round(texture.MAX_PIXELS / 1e6) * 1_000_000}
+
+
+def test_every_attribute_of_fog_is_told_to_artists():
+    """The table of artists.md has each attribute of the schema."""
+    text = (ROOT / "docs/artists.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| `synfog:fog:(\w+)` \|", text, flags=re.MULTILINE)) == set(schema.DEFAULTS)
+
+
+def test_every_op_is_told_to_camera_engineers():
+    """The table of camera.md names each op, with its family or without."""
+    text = (ROOT / "docs/camera.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`([\w.]+)`", text))
+    assert {name for name in OPS.ops if not {name, name.split(".")[1]} & named} == set()
