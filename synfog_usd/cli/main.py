@@ -90,8 +90,8 @@ def bake(
         str,
         typer.Option(
             help=(
-                "How light is transported: slab, single, field, path, volpath ...; auto tries them small and takes "
-                "the cheapest that holds."
+                "How light is transported: slab, single, field, path, volpath ...; auto chooses by how much of the sky "
+                "the view sees, and for a loose --target-error by small trials."
             )
         ),
     ] = "auto",
@@ -119,7 +119,7 @@ def bake(
         ),
     ] = True,
     cull: Annotated[
-        bool, typer.Option(help="Thin or leave out what fog hides from the sensor; --no-cull draws it whole.")
+        bool, typer.Option(help="Simplify or leave out what fog hides from the sensor; --no-cull draws it whole.")
     ] = True,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",

@@ -21,6 +21,7 @@ from synfog_usd.camera import OPS
 from synfog_usd.cli.main import app
 from synfog_usd.stage import budget, schema
 from synfog_usd.translate import texture
+from synfog_usd.world import compose
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -206,6 +207,16 @@ def test_every_attribute_of_fog_is_told_to_artists():
     """The table of artists.md has each attribute of the schema."""
     text = (ROOT / "docs/artists.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `synfog:fog:(\w+)` \|", text, flags=re.MULTILINE)) == set(schema.DEFAULTS)
+
+
+def test_the_recipe_of_the_page_can_be_drawn(tmp_path):
+    """The recipe of worlds.md keeps its rules; the table has each shipped recipe."""
+    text = (ROOT / "docs/worlds.md").read_text(encoding="utf-8")
+    (tmp_path / "recipe.yaml").write_text(blocks(text, "yaml")[0], encoding="utf-8")
+    compose.draw(compose.load(tmp_path / "recipe.yaml"), seed=1)
+    assert {path.stem for path in (ROOT / "stages/recipes").glob("*.yaml")} <= set(
+        re.findall(r"^\| `(\w+)` \|", text, flags=re.MULTILINE)
+    )
 
 
 def test_every_op_is_told_to_camera_engineers():
