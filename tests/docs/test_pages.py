@@ -224,3 +224,14 @@ def test_every_op_is_told_to_camera_engineers():
     text = (ROOT / "docs/camera.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`([\w.]+)`", text))
     assert {name for name in OPS.ops if not {name, name.split(".")[1]} & named} == set()
+
+
+def test_every_variant_set_of_the_library_is_told():
+    """The table of artists.md names each variant set of the shipped models, and no other."""
+    text = (ROOT / "docs/artists.md").read_text(encoding="utf-8").split("| variant set |")[1].split("\n\n")[0]
+    shipped = {
+        name
+        for path in (ROOT / "assets/models").glob("*/*.usda")
+        for name in re.findall(r'variantSet "(\w+)"', path.read_text(encoding="utf-8"))
+    }
+    assert set(re.findall(r"^\| `(\w+)` \|", text, flags=re.MULTILINE)) == shipped
