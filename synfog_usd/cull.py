@@ -184,8 +184,8 @@ def hide(scene: SceneDict, noise: Callable[[Array], Array], clear_cd_m2: Array, 
         & ~_before_lamps(scene, parts, float(share[0]))
     )
     g = min(max(scene.fog[0].medium.phase_function.mean_cosine, 0.0), 0.99)
-    turned = g ** -np.log(np.maximum(clear, 1e-300))
-    density = 3.0 * (1.0 + turned) / (4.0 * np.pi * (1.0 - turned) ** 2 + 1e-300)
+    spread = g ** -np.log(np.maximum(clear, 1e-300))
+    density = 3.0 * (1.0 + spread) / (4.0 * np.pi * (1.0 - spread) ** 2 + 1e-300)
     kept_from_fog = np.where(behind, clear ** (1.0 - g) * np.minimum(_size(eye, parts) * density, 1.0), np.inf)
     order = np.argsort(kept_from_fog, kind="stable")
     gone = np.zeros(len(order), dtype=bool)
@@ -374,8 +374,8 @@ def _transmittance(fog: tuple[FogVolume, ...], eye: Array, low: Array, high: Arr
     grid = np.stack(np.meshgrid(*[[0.0, 0.5, 1.0]] * 3), axis=-1).reshape(-1, 3)
     places = np.concatenate([low[:, None] + grid * (high - low)[:, None], np.clip(eye, low, high)[:, None]], axis=1)
     offsets = (places - eye).reshape(-1, 3)
-    depth = optical_depth(fog, np.broadcast_to(eye, offsets.shape), *_rays(offsets)) * _clearest(fog)
-    return np.asarray(np.exp(-depth.reshape(len(low), -1).min(axis=1)))
+    tau = optical_depth(fog, np.broadcast_to(eye, offsets.shape), *_rays(offsets)) * _clearest(fog)
+    return np.asarray(np.exp(-tau.reshape(len(low), -1).min(axis=1)))
 
 
 def _rays(offsets: Array) -> tuple[Array, Array]:
@@ -453,10 +453,10 @@ def _lit(scene: SceneDict, parts: _Parts) -> Array:
     for centre, radius, intensity in _lamps(scene.world):
         offsets = np.clip(centre, parts.low, parts.high) - centre
         directions, length = _rays(offsets)
-        depth = optical_depth(scene.fog, np.broadcast_to(centre, offsets.shape), directions, length) * _clearest(
+        tau = optical_depth(scene.fog, np.broadcast_to(centre, offsets.shape), directions, length) * _clearest(
             scene.fog
         )
-        total += intensity * np.exp(-depth) / (np.pi * np.maximum(length - radius, 0.1) ** 2)
+        total += intensity * np.exp(-tau) / (np.pi * np.maximum(length - radius, 0.1) ** 2)
     return total
 
 
@@ -466,10 +466,8 @@ def _before_lamps(scene: SceneDict, parts: _Parts, budget: float) -> Flags:
     eye = camera.to_world[:3, 3]
     for centre, radius, intensity in _lamps(scene.world):
         (direction,), (length,) = _rays((centre - eye)[None])
-        depth = float(optical_depth(scene.fog, eye[None], direction[None], np.array([length]))[0]) * _clearest(
-            scene.fog
-        )
-        if intensity * np.exp(-depth) > budget * max(length, 0.1) ** 2 * _pixel(camera):
+        tau = float(optical_depth(scene.fog, eye[None], direction[None], np.array([length]))[0]) * _clearest(scene.fog)
+        if intensity * np.exp(-tau) > budget * max(length, 0.1) ** 2 * _pixel(camera):
             with np.errstate(divide="ignore", invalid="ignore"):
                 one, other = (parts.low - radius - eye) / direction, (parts.high + radius - eye) / direction
             near, far = np.nanmax(np.minimum(one, other), axis=1), np.nanmin(np.maximum(one, other), axis=1)

@@ -1,7 +1,7 @@
 """Small worlds with known answers, for tests of ours and of yours.
 
 `scene` makes a `SceneDict` of a few Mitsuba dictionaries; `black`, `wall`, `sky`, `box` and `uniform_fog` are what most
-worlds are made of.  Truths are closed forms (`lamp_in_endless_fog`) or discrete ordinates (`empty_layer`), which share
+worlds are made of.  Truths are closed forms (`lamp_in_endless_fog`) or discrete ordinates (`empty_slab`), which share
 no code with any renderer.  `synfog-usd selftest` runs the same worlds on a user's machine.  Knows nothing of Mitsuba.
 
 >>> source = scene({"shape_wall": wall(50.0, **black(1.0))}, [uniform_fog(200.0, visibility_m=150.0)], fov_x_deg=0.1)
@@ -107,13 +107,13 @@ def pixel_rays(source: SceneDict, nodes: int = 6) -> tuple[npt.NDArray[np.float6
 def lamp_in_endless_fog(
     medium: FogMedium, lamp_m: npt.ArrayLike, directions: npt.NDArray[np.float64], intensity: float = 1.0
 ) -> npt.NDArray[np.float64]:
-    """Light of a point lamp that endless fog turned once, seen from the origin.
+    """Light of a point lamp that endless fog scattered once, seen from the origin.
 
     With h the distance of the ray from the lamp and t = D cos(theta) + h tan(eta) along it, dt / r^2 = d(eta) / h, and
     L = albedo sigma I / (4 pi h) * integral of exp(-sigma (t + h / cos(eta))) over eta from theta - pi/2 to pi/2.
 
     Args:
-        medium: uniform, and turning light to every side alike (g = 0).
+        medium: uniform, and scattering light to every side alike (g = 0).
         lamp_m: (3,) [m].
         directions: (..., 3) unit vectors that do not meet the lamp.
         intensity: of the lamp, W/sr or whatever `radiance` is to be in, times m^2.
@@ -125,13 +125,13 @@ def lamp_in_endless_fog(
     node, weight = np.polynomial.legendre.leggauss(96)
     half = (np.pi / 2 - low) / 2
     eta = low[..., None] + half[..., None] * (node + 1)
-    depth = sigma * (along[..., None] + beside[..., None] * (np.tan(eta) + 1 / np.cos(eta)))
-    return medium.albedo * sigma * intensity / (4 * np.pi * beside) * half * (np.exp(-depth) @ weight)
+    tau = sigma * (along[..., None] + beside[..., None] * (np.tan(eta) + 1 / np.cos(eta)))
+    return medium.albedo * sigma * intensity / (4 * np.pi * beside) * half * (np.exp(-tau) @ weight)
 
 
 @dataclass(frozen=True)
-class EmptyLayer:
-    """A layer of fog over Lambertian ground under a sky of radiance 1, seen from within.
+class EmptySlab:
+    """A slab of fog over Lambertian ground under a sky of radiance 1, seen from within.
 
     Attributes:
         scene: what is rendered.
@@ -144,7 +144,7 @@ class EmptyLayer:
     zenith_deg: npt.NDArray[np.float64]
 
 
-def empty_layer(
+def empty_slab(
     medium: FogMedium,
     ground: float,
     *,
@@ -155,11 +155,11 @@ def empty_layer(
     zenith_deg: tuple[float, float] = (0.0, 87.0),
     width_px: int = 4,
     height_px: int = 64,
-) -> EmptyLayer:
-    """An empty layer and the strip of it between two zenith angles.
+) -> EmptySlab:
+    """An empty slab and the strip of it between two zenith angles.
 
     The sides do not matter: what comes from them has crossed sigma_t * half_width_m
-    of fog, exp(-25) in MOR 600, or left a layer 60 m high at 89.3 degrees.
+    of fog, exp(-25) in MOR 600, or left a slab 60 m high at 89.3 degrees.
 
     Args:
         sunk_m: how far the fog's box reaches below the ground; 0 puts its floor on the ground.
@@ -183,4 +183,4 @@ def empty_layer(
     slab = solve(medium, bottom_m=bottom, top_m=top, ground=[ground], sky_up=[1.0], sky=[[1.0]])
     seen = slab.radiance(np.zeros(up.size), up.ravel())[:, 0].reshape(up.shape)
     middle = np.degrees(np.arccos((up @ weights).mean(axis=1)))
-    return EmptyLayer(world_scene, seen @ weights, middle)
+    return EmptySlab(world_scene, seen @ weights, middle)

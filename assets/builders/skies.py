@@ -358,7 +358,7 @@ def _smooth(light: Array, height: Array, azimuth: Array) -> Array:
 
 def _write_nits(path: Path, name: str) -> Path:
     sky = sky_of(name)
-    facts: dict[str, object] = {
+    metadata: dict[str, object] = {
         "synfog:sky": name,
         "synfog:about": sky.about,
         "synfog:cieSky": sky.cie,
@@ -369,7 +369,7 @@ def _write_nits(path: Path, name: str) -> Path:
         "synfog:sunAzimuthDeg": sky.sun_azimuth_deg,
         "synfog:spectrum": "linear Rec.709 in cd m-2, (1, 1, 1) is 1 nit of D65",
     }
-    return _write_pixels(path, _shorter(paint(name)), facts)
+    return _write_pixels(path, _shorter(paint(name)), metadata)
 
 
 def _shorter(pixels: Array) -> Array:
@@ -433,7 +433,7 @@ def _write(path: Path, picture: Array) -> Path:
     return _write_pixels(path, np.round(picture * 512) / 512, {})  # fewer bits to store; 0.2 % of the zenith
 
 
-def _write_pixels(path: Path, picture: Array, facts: Mapping[str, object]) -> Path:
+def _write_pixels(path: Path, picture: Array, metadata: Mapping[str, object]) -> Path:
     pixels = np.ascontiguousarray(picture.astype(np.float16))
 
     def put(target: Path) -> None:
@@ -442,7 +442,7 @@ def _write_pixels(path: Path, picture: Array, facts: Mapping[str, object]) -> Pa
         spec.attribute("whiteLuminance", 1.0)
         spec.attribute("ImageDescription", ORIGIN)
         spec.attribute("DateTime", "2000:01:01 00:00:00")  # else the hour of writing would change the bytes
-        for key, value in facts.items():
+        for key, value in metadata.items():
             spec.attribute(key, value)
         output = OpenImageIO.ImageOutput.create(str(target))
         if output is None or not output.open(str(target), spec) or not output.write_image(pixels) or not output.close():

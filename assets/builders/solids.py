@@ -75,7 +75,7 @@ def surface(
 ) -> Part:
     """The zero surface of a signed distance as about `triangles` smooth triangles.
 
-    Surface nets on a grid of `step` [m], thinned by quadric edge collapse, then
+    Surface nets on a grid of `step` [m], simplified by quadric edge collapse, then
     every vertex is pulled back onto the surface and takes its normal from the
     gradient there.
     """
@@ -84,7 +84,7 @@ def surface(
     values = field(x, y, z)
     points, faces = _surface_nets(values, np.asarray(low, dtype=np.float64), step)
     if len(faces) > triangles:
-        points, faces = _thinned(points, faces, triangles)
+        points, faces = _simplified(points, faces, triangles)
     for _ in range(4):
         g = _gradient(field, points)
         f = field(*points.T)
@@ -217,7 +217,7 @@ def _surface_nets(values: Array, low: Array, step: float) -> tuple[Array, Index]
     return points, np.concatenate(faces)
 
 
-def _thinned(points: Array, faces: Index, triangles: int) -> tuple[Array, Index]:
+def _simplified(points: Array, faces: Index, triangles: int) -> tuple[Array, Index]:
     import pymeshlab
 
     meshes = pymeshlab.MeshSet(verbose=False)

@@ -83,13 +83,13 @@ def diffraction(
     chosen = _chosen(image, mode, float(wavelengths_nm.max() * per_nm), measured)
     if chosen == "broadband":
         wavelengths_nm = np.full_like(wavelengths_nm, wavelengths_nm.mean())
-    facts = {"diffraction_mode": chosen, "diffraction_error": float(f"{measured.error(chosen):.3g}")}
+    metadata = {"diffraction_mode": chosen, "diffraction_error": float(f"{measured.error(chosen):.3g}")}
     if chosen == "none":
-        return image.with_metadata(**facts)
+        return image.with_metadata(**metadata)
     scale = max(1, math.ceil(float(wavelengths_nm.max()) * per_nm))
     blurs = [spread.aperture(float(wavelength_nm * per_nm), scale) for wavelength_nm in wavelengths_nm]
     return image.with_pixels(spread.blurred(image.pixels, blurs)).with_metadata(
-        mean_wavelengths_nm=[round(float(nm), 3) for nm in wavelengths_nm], **facts
+        mean_wavelengths_nm=[round(float(nm), 3) for nm in wavelengths_nm], **metadata
     )
 
 
@@ -143,9 +143,9 @@ def defocus(
 
     corner = np.array([math.sqrt(0.5)], dtype=np.float32)
     change = float(1.0 - transfer(corner)[0])
-    facts = {"defocus_px": float(f"{disc_px:.4g}"), "defocus_change": float(f"{change:.3g}")}
+    metadata = {"defocus_px": float(f"{disc_px:.4g}"), "defocus_change": float(f"{change:.3g}")}
     if change < UNSEEN:
-        return image.with_metadata(**facts)
+        return image.with_metadata(**metadata)
     if disc_px > DISC_MAX_PX:
         raise ImageError(
             f"the blur disc is {disc_px:.0f} pixels wide; the widest is {DISC_MAX_PX:.0f}: bring focus_m nearer to "
@@ -153,7 +153,7 @@ def defocus(
         )
     return image.with_pixels(
         spread.blurred(image.pixels, [spread.Blur(transfer, spread.disc(disc_px))] * len(image.channels))
-    ).with_metadata(**facts)
+    ).with_metadata(**metadata)
 
 
 def blur_disc_um(focus_m: float, distance_m: float | None, *, f_number: float, focal_length_mm: float) -> float:

@@ -112,14 +112,14 @@ def distortion(
     rendered = Pinhole(image.height_px, image.width_px, fov_x_deg, (shift_x, shift_y))
     taken = Pinhole(int(view[0]), int(view[1]), view[2], (view[3], view[4])) if view else None
     warp = warp_of(rendered, tuple(coefficients), fit, taken)
-    facts: dict[str, Any] = {
+    metadata: dict[str, Any] = {
         "distortion_coefficients": list(coefficients),
         "distortion_fit": fit,
         "camera_matrix_px": warp.camera_matrix(),
     }
     if taken is not None:
-        facts |= {"distortion_source": [image.height_px, image.width_px, fov_x_deg, shift_x, shift_y], "view": None}
-        facts |= {"fov_x_deg": taken.fov_x_deg, "shift_x": taken.shift[0], "shift_y": taken.shift[1]}
+        metadata |= {"distortion_source": [image.height_px, image.width_px, fov_x_deg, shift_x, shift_y], "view": None}
+        metadata |= {"fov_x_deg": taken.fov_x_deg, "shift_x": taken.shift[0], "shift_y": taken.shift[1]}
     pixels = _resampled(image.pixels, warp.row, warp.column)
     if warp.taps:
         pixels = sum(
@@ -127,7 +127,7 @@ def distortion(
             np.zeros_like(pixels),
         )
         pixels *= np.float32(1.0 / len(warp.taps))
-    return image.with_pixels(pixels).with_metadata(**facts)
+    return image.with_pixels(pixels).with_metadata(**metadata)
 
 
 class Pinhole(NamedTuple):
@@ -182,30 +182,30 @@ class Warp:
         return np.rint(self.row).astype(np.intp), np.rint(self.column).astype(np.intp)
 
 
-def source_of(facts: Mapping[str, Any], taken: Pinhole) -> Pinhole:
-    """The picture that was rendered for one that was `taken`: the same, unless the provenance `facts` tell of a wider
+def source_of(metadata: Mapping[str, Any], taken: Pinhole) -> Pinhole:
+    """The picture that was rendered for one that was `taken`: the same, unless the `metadata` tells of a wider
     one.
     """
-    if "distortion_source" not in facts:
+    if "distortion_source" not in metadata:
         return taken
-    height, width, fov_x_deg, *shift = facts["distortion_source"]
+    height, width, fov_x_deg, *shift = metadata["distortion_source"]
     return Pinhole(height, width, fov_x_deg, (shift[0], shift[1]))
 
 
-def warped_like(plane: FloatArray, facts: Mapping[str, Any], taken: Pinhole) -> FloatArray:
-    """A smooth plane of the rendered picture, such as the falloff, where the provenance `facts` say that the one
+def warped_like(plane: FloatArray, metadata: Mapping[str, Any], taken: Pinhole) -> FloatArray:
+    """A smooth plane of the rendered picture, such as the falloff, where the `metadata` says that the one
     `taken` was warped.
     """
-    if "distortion_coefficients" not in facts:
+    if "distortion_coefficients" not in metadata:
         return plane
     from scipy.ndimage import map_coordinates
 
-    source = source_of(facts, taken)
+    source = source_of(metadata, taken)
     warp = warp_of(
         source,
-        tuple(facts["distortion_coefficients"]),
-        facts["distortion_fit"],
-        taken if "distortion_source" in facts else None,
+        tuple(metadata["distortion_coefficients"]),
+        metadata["distortion_fit"],
+        taken if "distortion_source" in metadata else None,
     )
     return np.asarray(map_coordinates(plane, [warp.row, warp.column], order=1, mode="nearest"))
 

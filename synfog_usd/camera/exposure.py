@@ -154,9 +154,9 @@ def sensitivity(radiance: Image, graph: NodeGraph, exposure: Exposure) -> tuple[
         {inputs[0]: grey}, seed=0, settings=exposure.settings, until=nodes[0].name, keep=[*exposes, nodes[0].name]
     )
     signal_e = max(float(run[name].pixels[8:-8, 12:-12].mean(dtype=np.float64)) for name in exposes if name in run)
-    facts, nits = run[nodes[0].name].provenance, float(photometry.luminance(grey).mean())
+    metadata, nits = run[nodes[0].name].provenance, float(photometry.luminance(grey).mean())
     return (
-        (signal_e / nits, float(facts["total_dark_noise_dn"]) / float(facts["system_gain_dn_e"]))
+        (signal_e / nits, float(metadata["total_dark_noise_dn"]) / float(metadata["system_gain_dn_e"]))
         if signal_e > 0.0
         else None
     )
@@ -207,9 +207,9 @@ def _saturation_e(graph: NodeGraph, name: str, radiance: Image, sensor: SensorPr
     gathered = max(float(image.provenance["gathered_um2_s"]) for image in readings)
 
     def full_e(image: Image) -> float:
-        facts = image.provenance
-        signal_dn = float(np.median(image.pixels)) - float(facts["black_level_dn"])
-        return signal_dn / float(facts["system_gain_dn_e"]) * gathered / float(facts["gathered_um2_s"])
+        metadata = image.provenance
+        signal_dn = float(np.median(image.pixels)) - float(metadata["black_level_dn"])
+        return signal_dn / float(metadata["system_gain_dn_e"]) * gathered / float(metadata["gathered_um2_s"])
 
     own = max(full_e(image) for image in readings if image.provenance["gathered_um2_s"] == gathered)
     return own, full_e(run[merges[-1].name])

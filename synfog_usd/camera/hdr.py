@@ -72,8 +72,8 @@ def merge_hdr(
         signal -= merged
         signal *= trust
         merged += signal
-    facts = first.provenance
-    black = int(facts["black_level_dn"])
+    metadata = first.provenance
+    black = int(metadata["black_level_dn"])
     white = black + round(tops[-1] * ratios[-1])
     if white.bit_length() > MAX_BITS:
         raise ImageError(
@@ -81,8 +81,8 @@ def merge_hdr(
         )
     merged += np.float32(black)
     np.clip(np.rint(merged, out=merged), 0.0, np.float32(white), out=merged)
-    shrunk = (float(facts["white_level_dn"]) - black) / (white - black)
-    slope, offset = facts["noise_profile"]
+    shrunk = (float(metadata["white_level_dn"]) - black) / (white - black)
+    slope, offset = metadata["noise_profile"]
     return first.with_pixels(merged).with_metadata(
         bits=white.bit_length(),
         white_level_dn=white,
@@ -116,10 +116,10 @@ def compand(
         ImageError: lists of unlike length, points that do not rise, a piece steeper
             than 1, companded numbers, or a black level whose code is no whole number.
     """
-    facts = image.provenance
-    if "companding" in facts:
+    metadata = image.provenance
+    if "companding" in metadata:
         raise ImageError("the numbers are companded already")
-    black, white, highest = int(facts["black_level_dn"]), int(facts["white_level_dn"]), 2**bits - 1
+    black, white, highest = int(metadata["black_level_dn"]), int(metadata["white_level_dn"]), 2**bits - 1
     if len(linear_dn) != len(code_dn):
         raise ImageError(
             f"linear_dn has {len(linear_dn)} numbers and code_dn {len(code_dn)}; a knee point is one of each"
@@ -164,14 +164,14 @@ def _dn_per_light(image: Image) -> float:
 
 def _top_dn(image: Image) -> float:
     """Signal above black at which a reading is full [DN]."""
-    facts = image.provenance
-    span = float(facts["white_level_dn"]) - float(facts["black_level_dn"])
-    return min(span, float(facts.get("full_well_e", np.inf)) * float(facts["system_gain_dn_e"]))
+    metadata = image.provenance
+    span = float(metadata["white_level_dn"]) - float(metadata["black_level_dn"])
+    return min(span, float(metadata.get("full_well_e", np.inf)) * float(metadata["system_gain_dn_e"]))
 
 
 def _signal(image: Image) -> np.ndarray:
-    facts = image.provenance
-    return image.pixels - np.float32(facts["black_level_dn"] + facts.get("dark_signal_dn", 0.0))
+    metadata = image.provenance
+    return image.pixels - np.float32(metadata["black_level_dn"] + metadata.get("dark_signal_dn", 0.0))
 
 
 def _what(image: Image) -> str:

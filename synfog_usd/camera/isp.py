@@ -62,12 +62,12 @@ def decompand(image: Image) -> Image:
             above 65535.
     """
     _mosaic(image)
-    facts = dict(image.provenance)
-    if not {"companding", "linear_black_dn", "linear_white_dn"} <= facts.keys():
+    metadata = dict(image.provenance)
+    if not {"companding", "linear_black_dn", "linear_white_dn"} <= metadata.keys():
         raise ImageError(
             "the image does not say how it was companded; put sensor.compand before this node, or leave this node out"
         )
-    knees = np.array(facts.pop("companding"), dtype=np.float64)
+    knees = np.array(metadata.pop("companding"), dtype=np.float64)
     if knees.ndim != 2 or knees.shape[1] != 2 or len(knees) < 2 or not (np.diff(knees, axis=0) > 0.0).all():
         raise ImageError(f"companding is {knees.tolist()}; it takes two or more pairs [linear DN, code], both rising")
     highest = float(image.pixels.max())
@@ -78,11 +78,11 @@ def decompand(image: Image) -> Image:
     below = linear[0] + (every - codes[0]) * (linear[1] - linear[0]) / (codes[1] - codes[0])
     table = np.where(every < codes[0], below, np.interp(every, codes, linear)).astype(np.float32)
     pixels = np.take(table, np.rint(image.pixels).astype(np.int32), mode="clip")
-    black_dn, white_dn = facts.pop("linear_black_dn"), facts.pop("linear_white_dn")
+    black_dn, white_dn = metadata.pop("linear_black_dn"), metadata.pop("linear_white_dn")
     return image.with_pixels(
         pixels,
         provenance={
-            **facts,
+            **metadata,
             "black_level_dn": black_dn,
             "white_level_dn": white_dn,
             "bits": int(white_dn).bit_length(),
@@ -184,20 +184,20 @@ def lens_shading(
     _mosaic(image)
     if "falloff" not in image.provenance:
         raise ImageError("the image does not say its falloff; optics.irradiance notes it")
-    facts, shift = image.provenance, (shift_x, shift_y)
-    table = facts.get("relative_illumination", ((), ()))
+    metadata, shift = image.provenance, (shift_x, shift_y)
+    table = metadata.get("relative_illumination", ((), ()))
     taken = Pinhole(image.height_px, image.width_px, fov_x_deg, shift)
-    height, width, fov_deg, source_shift = source_of(facts, taken)
+    height, width, fov_deg, source_shift = source_of(metadata, taken)
     fade = falloff_map(
         height,
         width,
-        kind=facts["falloff"],
-        f_number=facts["f_number"],
+        kind=metadata["falloff"],
+        f_number=metadata["f_number"],
         fov_x_deg=fov_deg,
         shift=source_shift,
         table=table,
     )
-    fade = warped_like(fade, facts, taken)
+    fade = warped_like(fade, metadata, taken)
     return image.with_pixels(image.pixels / fade[..., None] ** np.float32(strength)).with_metadata(
         lens_shading=strength
     )

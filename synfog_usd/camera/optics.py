@@ -112,7 +112,7 @@ def irradiance(
         cone = min(1.0, cone / (1.0 - cone))  # sin^2 of the angle whose tangent the disc has, as its sine
     pixels = image.pixels * np.float32(transmission * math.pi * cone)
     table = (tuple(field_deg or ()), tuple(relative_illumination or ()))
-    facts: dict[str, Any] = {"f_number": f_number, "falloff": falloff}
+    metadata: dict[str, Any] = {"f_number": f_number, "falloff": falloff}
     if falloff != "none":
         if fov_x_deg is None:
             raise ImageError(
@@ -130,12 +130,12 @@ def irradiance(
         )
         pixels *= fade[..., None]
         if falloff == "table":
-            facts["relative_illumination"] = [list(column) for column in table]
+            metadata["relative_illumination"] = [list(column) for column in table]
     if fov_x_deg is not None:
-        facts["fov_x_deg"] = fov_x_deg
+        metadata["fov_x_deg"] = fov_x_deg
     if focal_length_mm is not None:
-        facts["focal_length_mm"] = focal_length_mm
-    return image.with_pixels(pixels, quantity=Quantity.IRRADIANCE).with_metadata(**facts)
+        metadata["focal_length_mm"] = focal_length_mm
+    return image.with_pixels(pixels, quantity=Quantity.IRRADIANCE).with_metadata(**metadata)
 
 
 def falloff_map(

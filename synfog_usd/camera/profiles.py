@@ -379,7 +379,7 @@ class _Reader:
             values[key], source = self.number(key)
             sources.append((key, source))
         name, title = self.text("name"), self.text("title")
-        facts = {
+        hashed = {
             "name": name,
             **values,
             **{
@@ -387,7 +387,7 @@ class _Reader:
                 for key, value in more.items()
             },
         }  # type: ignore[arg-type]
-        digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+        digest = hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
         return record(name=name, title=title, **values, **more, sources=tuple(sources), content_hash=digest)  # type: ignore[arg-type]
 
     def pattern(self) -> str:

@@ -331,11 +331,11 @@ def black_clamp(
         rng: the node's stream.
         optical_black_rows: how many rows are averaged.
     """
-    facts = image.provenance
-    dark_dn, variance = _dark_signal(facts)
+    metadata = image.provenance
+    dark_dn, variance = _dark_signal(metadata)
     variance = (
         variance / (optical_black_rows * image.width_px)
-        + facts.get("temporal_row_noise_dn", 0.0) ** 2 / optical_black_rows
+        + metadata.get("temporal_row_noise_dn", 0.0) ** 2 / optical_black_rows
     )
     found_dn = dark_dn + math.sqrt(variance) * rng.standard_normal()
     return image.with_pixels(image.pixels - np.float32(found_dn)).with_metadata(dark_signal_dn=0.0)
@@ -381,50 +381,50 @@ def adc(
         raise ImageError(fault)
     numbers = image.pixels + np.float32(black_level_dn)
     np.clip(np.rint(numbers, out=numbers), 0.0, np.float32(white_level_dn), out=numbers)
-    facts = image.provenance
+    metadata = image.provenance
     gain_dn_e = _fact(image, "system_gain_dn_e", "sensor.gain")
     span = white_level_dn - black_level_dn
-    dark_dn, dark_variance = _dark_signal(facts)
-    dark_variance += facts.get("temporal_row_noise_dn", 0.0) ** 2 + 1.0 / 12.0
+    dark_dn, dark_variance = _dark_signal(metadata)
+    dark_variance += metadata.get("temporal_row_noise_dn", 0.0) ** 2 + 1.0 / 12.0
     return image.with_pixels(numbers).with_metadata(
         bits=bits,
         black_level_dn=black_level_dn,
         white_level_dn=white_level_dn,
-        dark_signal_dn=facts.get("dark_signal_dn", dark_dn),
-        noise_profile=[gain_dn_e / span if facts.get("shot_noise") else 0.0, dark_variance / span**2],
+        dark_signal_dn=metadata.get("dark_signal_dn", dark_dn),
+        noise_profile=[gain_dn_e / span if metadata.get("shot_noise") else 0.0, dark_variance / span**2],
         total_dark_noise_dn=math.sqrt(dark_variance),
         cfa_pattern=sensor.cfa,
         sensor_title=sensor.title,
         sensor_serial=sensor.serial,
-        **_colour_facts(sensor, illuminant.upper()),
+        **_colour_metadata(sensor, illuminant.upper()),
     )
 
 
-def _dark_signal(facts: Mapping[str, Any]) -> tuple[float, float]:
+def _dark_signal(metadata: Mapping[str, Any]) -> tuple[float, float]:
     """Mean [DN] and variance [DN^2] of what a pixel without light gives, but for noise of whole rows."""
-    if "system_gain_dn_e" not in facts:
+    if "system_gain_dn_e" not in metadata:
         raise ImageError(
             "the image does not say its system_gain_dn_e; put sensor.gain before this node, or add it to the image's "
             "provenance"
         )
-    gain_dn_e, dark_e = float(facts["system_gain_dn_e"]), float(facts.get("dark_e", 0.0))
-    counted_e = dark_e if facts.get("shot_noise") else 0.0
-    return gain_dn_e * dark_e, gain_dn_e**2 * (facts.get("read_noise_e", 0.0) ** 2 + counted_e) + facts.get(
+    gain_dn_e, dark_e = float(metadata["system_gain_dn_e"]), float(metadata.get("dark_e", 0.0))
+    counted_e = dark_e if metadata.get("shot_noise") else 0.0
+    return gain_dn_e * dark_e, gain_dn_e**2 * (metadata.get("read_noise_e", 0.0) ** 2 + counted_e) + metadata.get(
         "adc_noise_dn", 0.0
     ) ** 2
 
 
-def _colour_facts(sensor: SensorProfile, illuminant: str) -> dict[str, list[float] | list[list[float]]]:
+def _colour_metadata(sensor: SensorProfile, illuminant: str) -> dict[str, list[float] | list[list[float]]]:
     """What a RAW file says of colour; nothing for a sensor of fewer than three filters."""
     if len(cfa.filters(sensor.cfa)) < 3:
         return {}
-    facts = {"as_shot_neutral": list(response.neutral(sensor, illuminant))}
+    metadata = {"as_shot_neutral": list(response.neutral(sensor, illuminant))}
     if illuminant != "D65":  # readers know daylight and tungsten at best, and few look which of them it was
-        return {"xyz_to_camera": response.xyz_to_camera(sensor, illuminant, as_daylight=True).tolist(), **facts}
+        return {"xyz_to_camera": response.xyz_to_camera(sensor, illuminant, as_daylight=True).tolist(), **metadata}
     return {
         "xyz_to_camera": response.xyz_to_camera(sensor, "D65").tolist(),
         "xyz_to_camera_a": response.xyz_to_camera(sensor, "A").tolist(),
-        **facts,
+        **metadata,
     }
 
 

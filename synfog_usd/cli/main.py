@@ -588,7 +588,7 @@ def asset_import(
             "width_m": round(model.width, 4),
             "height_m": round(model.height, 4),
         }
-        facts = {
+        numbers = {
             "name": model.name,
             "class": model.label,
             "path": str(model.path),
@@ -596,7 +596,7 @@ def asset_import(
             "triangles": full,
             "triangles_low": low,
         }
-        print(json.dumps({**facts, "notes": list(made.notes)}, indent=2))
+        print(json.dumps({**numbers, "notes": list(made.notes)}, indent=2))
         return
     for note in made.notes:
         print(note)

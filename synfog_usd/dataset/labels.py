@@ -34,21 +34,21 @@ CHANNELS = (
 )
 
 
-def warped(layers: Aovs, nearest: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]) -> Aovs:
-    """The layers of a distorted picture.
+def warped(aovs: Aovs, nearest: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]) -> Aovs:
+    """The AOVs of a distorted picture.
 
     All of them come from the same pixel, so that ids, depth and normals agree: no
     mixture of a car's depth with the sky's.  Up to 0.7 pixels off the true ray.
 
     Args:
-        layers: of the pinhole picture.
+        aovs: of the pinhole picture.
         nearest: (H, W) row and column of the pinhole picture that each pixel shows.
     """
-    return Aovs(**{name: plane[nearest] for name, plane in vars(layers).items()})
+    return Aovs(**{name: plane[nearest] for name, plane in vars(aovs).items()})
 
 
-def label_image(layers: Aovs, instances: tuple[Instance, ...]) -> Image:
-    """All label layers as one float32 image.
+def label_image(aovs: Aovs, instances: tuple[Instance, ...]) -> Image:
+    """All label AOVs as one float32 image.
 
     Depth and distance are in metres and infinite at the sky; N is the world normal
     (Z up) turned to the camera; ids are whole numbers, 0 where there is no instance;
@@ -56,12 +56,12 @@ def label_image(layers: Aovs, instances: tuple[Instance, ...]) -> Image:
     """
     semantic = np.array([0, *(cityscapes.label(instance.label).id for instance in instances)], dtype=np.float32)
     crypto = np.array([0.0, *(_crypto_float(instance.path) for instance in instances)], dtype=np.float32)
-    sky = ~np.isfinite(layers.depth_m)
-    ids = layers.instance_id
+    sky = ~np.isfinite(aovs.depth_m)
+    ids = aovs.instance_id
     planes = [
-        layers.depth_m,
-        layers.distance_m,
-        *np.moveaxis(layers.normal, 2, 0),
+        aovs.depth_m,
+        aovs.distance_m,
+        *np.moveaxis(aovs.normal, 2, 0),
         ids,
         np.where(sky, cityscapes.LABELS["sky"].id, semantic[ids]),
         crypto[ids],
@@ -84,7 +84,7 @@ def label_image(layers: Aovs, instances: tuple[Instance, ...]) -> Image:
     return Image(np.stack(planes, axis=2).astype(np.float32), CHANNELS, Quantity.DATA, provenance=metadata)
 
 
-def label_list(layers: Aovs, instances: tuple[Instance, ...]) -> dict[str, Any]:
+def label_list(aovs: Aovs, instances: tuple[Instance, ...]) -> dict[str, Any]:
     """What labels.json holds: every instance, and where it is seen.
 
     `box_px` is [x, y, width, height] of its visible pixels; `distance_m` is that of
@@ -100,12 +100,12 @@ def label_list(layers: Aovs, instances: tuple[Instance, ...]) -> dict[str, Any]:
             "semantic_id": kind.id,
             "train_id": kind.train_id,
         }
-        seen = layers.instance_id == instance.id
+        seen = aovs.instance_id == instance.id
         row["pixels"] = int(seen.sum())
         if row["pixels"]:
             y, x = np.nonzero(seen)
             row["box_px"] = [int(x.min()), int(y.min()), int(np.ptp(x)) + 1, int(np.ptp(y)) + 1]
-            row["distance_m"] = round(float(layers.distance_m[seen].min()), 3)
+            row["distance_m"] = round(float(aovs.distance_m[seen].min()), 3)
         rows.append(row)
     return {"schema": "synfog-usd/labels", "version": 1, "taxonomy": "cityscapes", "instances": rows}
 

@@ -1,6 +1,6 @@
-"""Radiance in a horizontally uniform fog layer, in closed form once solved.
+"""Radiance in a horizontally uniform slab of fog, in closed form once solved.
 
-Takes a fog, the layer's heights, the ground's albedo and a sky that depends on
+Takes a fog, the slab's heights, the ground's albedo and a sky that depends on
 zenith angle only; gives radiance, source and irradiance at any height and
 direction, and small tables of them for a GPU kernel.  Knows nothing of USD,
 Mitsuba or files.
@@ -9,7 +9,7 @@ Directions are named by `up`, the z component of the direction the eye looks
 into; light travels the other way.  With tau the optical depth from a point to
 the boundary that the eye looks at, radiance obeys |up| dL/dtau = -(L - J):
 
-    looking up at the top of the layer      L = sky(up)
+    looking up at the top of the slab       L = sky(up)
     looking down at its bottom              L = ground / pi * irradiance from above
     inside                                  J(tau, up) = albedo * integral of p(w . w') L(w') dw'
 
@@ -56,7 +56,7 @@ def solve(
     moments: npt.ArrayLike | None = None,
     streams: int = 128,
 ) -> Slab:
-    """Solve a fog layer between Lambertian ground and a sky of rings.
+    """Solve a slab of fog between Lambertian ground and a sky of rings.
 
     The method of discrete ordinates with delta-M scaling.  The eigenvalue
     problem is made symmetric, and the mode that turns from exponential to linear
@@ -67,7 +67,7 @@ def solve(
 
     Args:
         medium: the fog; either profile, for only optical depth matters.
-        bottom_m, top_m: heights [m] of the ground and of the layer's top, bottom below top.
+        bottom_m, top_m: heights [m] of the ground and of the slab's top, bottom below top.
         ground: (C,) albedo of the ground per channel, 0 to 1.
         sky_up: (K,) ascending in (0, 1]; z component of the direction to each ring.
         sky: (K, C) radiance of the rings, >= 0, any unit; linear in `up` between, constant beyond the ends.
@@ -76,7 +76,7 @@ def solve(
         streams: directions of the solution, even, 4 to 512.
 
     Returns:
-        The layer; its radiance has the unit of `sky`.
+        The slab; its radiance has the unit of `sky`.
 
     Raises:
         ParameterError: a value outside the ranges above, or a phase function
@@ -94,7 +94,7 @@ def solve(
     ring_up = np.atleast_1d(np.asarray(sky_up, dtype=np.float64))
     ring = np.asarray(sky, dtype=np.float64)
     if not (math.isfinite(bottom_m) and math.isfinite(top_m) and bottom_m < top_m):
-        raise ParameterError(f"layer from {bottom_m} m to {top_m} m: both must be finite, and the bottom below the top")
+        raise ParameterError(f"slab from {bottom_m} m to {top_m} m: both must be finite, and the bottom below the top")
     if rho.ndim != 1 or rho.size == 0 or not np.all((rho >= 0.0) & (rho <= 1.0)):
         raise ParameterError(f"ground albedo {ground!r} is not one value from 0 to 1 per channel")
     if (
@@ -118,8 +118,8 @@ def solve(
     # Delta-M: the share `peak` of all scattering goes on straight, as if it had not happened.
     remaining = 1.0 - medium.albedo * peak
     albedo = min(medium.albedo * (1.0 - peak) / remaining, 1.0)
-    depth = float(medium.optical_depth(bottom_m, top_m, top_m - bottom_m))
-    thick = depth * remaining
+    tau = float(medium.optical_depth(bottom_m, top_m, top_m - bottom_m))
+    thick = tau * remaining
 
     node, weight = np.polynomial.legendre.leggauss(streams // 2)
     mu, root = (node + 1.0) / 2.0, np.sqrt(weight / 2.0)
@@ -143,10 +143,10 @@ def solve(
     k = np.sqrt(np.maximum(k2, (1e-6 / max(thick, 1.0)) ** 2))
     D = np.linalg.solve(R.T, y)
 
-    # Per pair an even and an odd function of depth, 1 at the bottom and +-1 at the top; then exp(-k t), exp(-k (T -
+    # Per pair an even and an odd function of tau, 1 at the bottom and +-1 at the top; then exp(-k t), exp(-k (T -
     # t)).
     slope = np.tanh(k * thick / 2.0)
-    tiny = max(thick, 1e-12)  # a layer this thin is clear; keeps the odd functions finite
+    tiny = max(thick, 1e-12)  # a slab this thin is clear; keeps the odd functions finite
     flat, steep = D * k * slope, D * np.where(slope > 0.0, k / np.where(slope > 0.0, slope, 1.0), 2.0 / tiny)
     down_top = np.hstack([S + flat, -S - steep]) / 2.0
     down_bottom = np.hstack([S - flat, S - steep]) / 2.0
@@ -169,7 +169,7 @@ def solve(
         medium=medium,
         bottom_m=float(bottom_m),
         top_m=float(top_m),
-        optical_depth=depth,
+        optical_depth=tau,
         ground_radiance=left,
         sky_up=ring_up,
         sky=ring,
@@ -182,12 +182,12 @@ def solve(
 
 @dataclass(frozen=True, eq=False)
 class Slab:
-    """A solved fog layer.
+    """A solved slab of fog.
 
     Attributes:
         medium: the fog.
-        bottom_m, top_m: heights [m] of the ground and of the layer's top.
-        optical_depth: of the whole layer, straight up [1].
+        bottom_m, top_m: heights [m] of the ground and of the slab's top.
+        optical_depth: of the whole slab, straight up [1].
         ground_radiance: (C,) radiance that the ground sends out, in the unit of the sky.
         sky_up, sky: (K,), (K, C) the sky as it was given.
 
@@ -225,7 +225,7 @@ class Slab:
         """Radiance that the eye at a height sees in a direction.
 
         Args:
-            height_m: (N,) heights [m]; those outside the layer count as its nearest boundary.
+            height_m: (N,) heights [m]; those outside the slab count as its nearest boundary.
             up: (N,) z component of the direction looked into, -1 to 1; 0 counts as looking up.
 
         Returns:
@@ -246,10 +246,10 @@ class Slab:
         )
 
     def irradiance(self, height_m: npt.ArrayLike, normal_up: npt.ArrayLike) -> Array:
-        """Irradiance on a surface in the layer: radiance times cosine over the hemisphere around its normal.
+        """Irradiance on a surface in the slab: radiance times cosine over the hemisphere around its normal.
 
         Args:
-            height_m: (N,) heights [m], clamped to the layer.
+            height_m: (N,) heights [m], clamped to the slab.
             normal_up: (N,) z component of the unit normal, -1 to 1; 1 faces the sky.
 
         Returns:
@@ -282,9 +282,9 @@ class Slab:
         6e-4) is near the horizon close to a boundary, where radiance turns within the cell.  At optical depth 1000 the
         99th percentile is 1.5e-3; a sky that jumps between rings is smeared over a column.
         """
-        depth = self._scaled_depth * _fraction_ahead(np.linspace(0.0, 1.0, rows))
+        tau = self._scaled_tau * _fraction_ahead(np.linspace(0.0, 1.0, rows))
         v = np.linspace(0.0, 1.0, columns) ** 2
-        return np.stack([self._grid(depth[side], v, side) for side in (0, 1)]).astype(np.float32)
+        return np.stack([self._grid(tau[side], v, side) for side in (0, 1)]).astype(np.float32)
 
     def irradiance_table(self, rows: int = 64, columns: int = 64) -> FloatArray:
         """Irradiance on a grid that `lookup_irradiance` reads.
@@ -295,16 +295,16 @@ class Slab:
         Relative error, as in `table`: 32 x 32 median 1e-4, 99th percentile 1e-3; 64 x 64 3e-5, 3e-4; 128 x 128 7e-6,
         6e-5.
         """
-        depth = self._scaled_depth * _fraction_ahead(np.linspace(0.0, 1.0, rows))
+        tau = self._scaled_tau * _fraction_ahead(np.linspace(0.0, 1.0, rows))
         v, weight = _hemisphere(np.linspace(-1.0, 1.0, columns))
         total = np.zeros((rows, columns, self.ground_radiance.size))
         for side in (0, 1):
             for j in range(columns):
-                total[:, j] += np.einsum("q,rqc->rc", weight[side, j], self._grid(depth[side], v[j], side))
+                total[:, j] += np.einsum("q,rqc->rc", weight[side, j], self._grid(tau[side], v[j], side))
         return total.astype(np.float32)
 
     def row_coordinate(self, height_m: npt.ArrayLike) -> Array:
-        """y = 2 / pi * asin(sqrt(x)), x the share of the layer's optical depth below `height_m`: 0 at the bottom, 1 at
+        """y = 2 / pi * asin(sqrt(x)), x the share of the slab's optical depth below `height_m`: 0 at the bottom, 1 at
         the top, fine at both.
         """
         height = np.clip(np.asarray(height_m, dtype=np.float64), self.bottom_m, self.top_m)
@@ -333,15 +333,15 @@ class Slab:
         )
 
     @property
-    def _scaled_depth(self) -> float:
+    def _scaled_tau(self) -> float:
         return self.optical_depth * (1.0 - self._peak)
 
     def _ahead(self, height: Array, side: int) -> Array:
         """Scaled optical depth (N,) straight to the boundary that side 0 (up) or 1 (down) looks at."""
         inside = np.clip(height, self.bottom_m, self.top_m)
         end = np.full(inside.shape, self.top_m if side == 0 else self.bottom_m)
-        depth = self.medium.optical_depth(inside, end, np.abs(end - inside))
-        return np.minimum(depth, self.optical_depth) * (1.0 - self._peak)
+        tau = self.medium.optical_depth(inside, end, np.abs(end - inside))
+        return np.minimum(tau, self.optical_depth) * (1.0 - self._peak)
 
     def _at(self, height_m: npt.ArrayLike, up: npt.ArrayLike, quantity: Callable[[Array, Array, int], Array]) -> Array:
         height, direction = np.broadcast_arrays(
@@ -376,29 +376,27 @@ class Slab:
         for i in range(0, v.size, _CHUNK):
             part = slice(i, i + _CHUNK)
             falling, growing = self._modes(v[part])
-            depth = x[part, None]
-            out[part] = (falling * np.exp(-k * depth)) @ near + (
-                growing * np.exp(-k * (self._scaled_depth - depth))
-            ) @ far
+            tau = x[part, None]
+            out[part] = (falling * np.exp(-k * tau)) @ near + (growing * np.exp(-k * (self._scaled_tau - tau))) @ far
         return out
 
     def _ray(self, x: Array, v: Array, side: int) -> Array:
-        """Radiance (N, C) at scaled depth x from the boundary ahead, looking at it along v = |up|."""
-        k, near, far, T = self._rates, self._amplitudes[side], self._amplitudes[1 - side], self._scaled_depth
+        """Radiance (N, C) at scaled optical depth x from the boundary ahead, looking at it along v = |up|."""
+        k, near, far, T = self._rates, self._amplitudes[side], self._amplitudes[1 - side], self._scaled_tau
         out = np.empty((v.size, near.shape[1]))
         for i in range(0, v.size, _CHUNK):
             part = slice(i, i + _CHUNK)
-            cosine, depth = _off_resonance(v[part], k), x[part, None]
+            cosine, tau = _off_resonance(v[part], k), x[part, None]
             falling, growing = self._modes(cosine)
-            through = np.exp(-depth / cosine[:, None])
-            falling *= (np.exp(-k * depth) - through) / (1.0 - k * cosine[:, None])
-            growing *= (np.exp(-k * (T - depth)) - np.exp(-k * T) * through) / (1.0 + k * cosine[:, None])
+            through = np.exp(-tau / cosine[:, None])
+            falling *= (np.exp(-k * tau) - through) / (1.0 - k * cosine[:, None])
+            growing *= (np.exp(-k * (T - tau)) - np.exp(-k * T) * through) / (1.0 + k * cosine[:, None])
             out[part] = self._boundary(v[part], side) * through + falling @ near + growing @ far
         return out
 
     def _grid(self, x: Array, v: Array, side: int) -> Array:
-        """`_ray` for every depth x (R,) and direction v (D,): (R, D, C)."""
-        k, near, far, T = self._rates, self._amplitudes[side], self._amplitudes[1 - side], self._scaled_depth
+        """`_ray` for every scaled optical depth x (R,) and direction v (D,): (R, D, C)."""
+        k, near, far, T = self._rates, self._amplitudes[side], self._amplitudes[1 - side], self._scaled_tau
         cosine = _off_resonance(v, k)
         falling, growing = self._modes(cosine)
         falling /= 1.0 - k * cosine[:, None]
@@ -474,7 +472,7 @@ def _off_resonance(v: Array, k: Array) -> Array:
 
 
 def _fraction_ahead(y: Array) -> Array:
-    """(2, R) share of the layer's optical depth between row y and its top, and its bottom; exactly 0 at each."""
+    """(2, R) share of the slab's optical depth between row y and its top, and its bottom; exactly 0 at each."""
     up, down = np.cos(math.pi / 2.0 * y) ** 2, np.sin(math.pi / 2.0 * y) ** 2
     return np.stack([np.where(y >= 1.0, 0.0, up), down])
 

@@ -148,10 +148,10 @@ class Cache:
         with contextlib.suppress(OSError), os.scandir(self.folder) as items:
             for item in items:
                 with contextlib.suppress(OSError):
-                    facts = item.stat(follow_symlinks=False)
+                    status = item.stat(follow_symlinks=False)
                     if _ENTRY.fullmatch(item.name):
-                        entries.append((facts.st_mtime_ns, facts.st_size, item.path))
-                    elif item.name.startswith(TEMPORARY_PREFIX) and time.time() - facts.st_mtime > LEFTOVER_S:
+                        entries.append((status.st_mtime_ns, status.st_size, item.path))
+                    elif item.name.startswith(TEMPORARY_PREFIX) and time.time() - status.st_mtime > LEFTOVER_S:
                         Path(item.path).unlink()
         size, count = sum(entry[1] for entry in entries), len(entries)
         over = size > self.limit_bytes or count > MOST_FILES
@@ -171,7 +171,7 @@ def image_key(image: Image, unsaid: Iterable[str] = ()) -> str | None:
         image: any.
         unsaid: keys of the provenance that do not count.
     """
-    head = _facts(
+    head = _metadata(
         image.with_pixels(
             image.pixels,
             variance=image.variance,
@@ -249,10 +249,10 @@ def _bytes_of(image: Image) -> int:
     return image.pixels.nbytes * (1 if image.variance is None else 2)
 
 
-def _facts(image: Image) -> str | None:
+def _metadata(image: Image) -> str | None:
     """Everything of an image but its numbers, as JSON; None where JSON would change it."""
     provenance = dict(image.provenance)
-    facts = {
+    metadata = {
         "shape": list(image.pixels.shape),
         "channels": list(image.channels),
         "quantity": image.quantity.value,
@@ -260,18 +260,18 @@ def _facts(image: Image) -> str | None:
         "provenance": provenance,
     }
     try:
-        text = json.dumps(facts)
+        text = json.dumps(metadata)
         return text if json.loads(text)["provenance"] == provenance else None
     except (TypeError, ValueError):
         return None
 
 
 def _head(key: str, image: Image) -> bytes | None:
-    """First line: format, key and hash of the rest; second line: facts as JSON."""
-    facts = _facts(image)
-    if facts is None:
+    """First line: format, key and hash of the rest; second line: metadata as JSON."""
+    metadata = _metadata(image)
+    if metadata is None:
         return None
-    body = f"{facts}\n".encode()
+    body = f"{metadata}\n".encode()
     digest = hashlib.sha256(body)
     for plane in _planes(image):
         digest.update(plane.data)
@@ -292,13 +292,13 @@ def _read(path: Path, key: str) -> Image:
     checked.update(numbers.data)
     if (label, name, digest) != (FORMAT, key, checked.hexdigest()):
         raise ValueError("not what was written")
-    facts = json.loads(body)
-    shape = tuple(facts["shape"])
-    planes = numbers.reshape((2 if facts["variance"] else 1, *shape))
+    metadata = json.loads(body)
+    shape = tuple(metadata["shape"])
+    planes = numbers.reshape((2 if metadata["variance"] else 1, *shape))
     return Image(
         planes[0],
-        tuple(facts["channels"]),
-        Quantity(facts["quantity"]),
-        planes[1] if facts["variance"] else None,
-        facts["provenance"],
+        tuple(metadata["channels"]),
+        Quantity(metadata["quantity"]),
+        planes[1] if metadata["variance"] else None,
+        metadata["provenance"],
     )

@@ -59,12 +59,12 @@ def table(graph: NodeGraph, run: GraphRun | None = None, settings: Mapping[str, 
     from_run = settings or {}
     rows = [("node", "op", "reads", "gives", "parameters", "ms")]
     for node in graph.nodes.values():
-        facts = ", ".join(
+        parameters = ", ".join(
             f"{key}={_sourced(bound, from_run.get(node.op.parameters[key].auto_key))}"
             for key, bound in node.params.items()
             if node.op.parameters[key].can_be_set
         )
-        rows.append((node.name, node.op.name, ", ".join(node.inputs), str(node.gives), facts, _time(node, run)))
+        rows.append((node.name, node.op.name, ", ".join(node.inputs), str(node.gives), parameters, _time(node, run)))
     shown = [row if run is not None else row[:-1] for row in rows]
     widths = [max(len(row[column]) for row in shown) for column in range(len(shown[0]))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in shown]
@@ -128,10 +128,12 @@ def svg(graph: NodeGraph, run: GraphRun | None = None) -> str:
     for node in graph.nodes.values():
         x, y = layout.corner(node.name)
         high = layout.height_of(node.name)
-        facts = ", ".join(f"{key}={_shown(bound)}" for key, bound in node.params.items() if bound.source in CHANGED)
+        parameters = ", ".join(
+            f"{key}={_shown(bound)}" for key, bound in node.params.items() if bound.source in CHANGED
+        )
         time = _with_unit(_time(node, run))
         room = BOX_W - 26 - (len(time) + 1) * 12 * CHAR_W
-        parts.append(f"<g><title>{escape(f'{node.name}: {node.op.name} {facts}')}</title>")
+        parts.append(f"<g><title>{escape(f'{node.name}: {node.op.name} {parameters}')}</title>")
         parts.append(f'<rect x="{x}" y="{y}" width="{BOX_W}" height="{high}" fill="#fafafa" stroke="#888888"/>')
         parts.append(f'<rect x="{x}" y="{y}" width="6" height="{high}" fill="{palette[node.op.family]}"/>')
         if longest and node.name in spent:
@@ -141,7 +143,9 @@ def svg(graph: NodeGraph, run: GraphRun | None = None) -> str:
             )
         parts.append(_text(x + 14, y + 18, _cut(node.name, room), weight="bold"))
         parts.append(
-            _text(x + 14, y + 36, _cut(f"{node.op.name}  {facts}".rstrip(), BOX_W - 22, 11), size=11, fill="#444444")
+            _text(
+                x + 14, y + 36, _cut(f"{node.op.name}  {parameters}".rstrip(), BOX_W - 22, 11), size=11, fill="#444444"
+            )
         )
         if time:
             parts.append(_text(x + BOX_W - 8, y + 18, time, size=12, anchor="end"))

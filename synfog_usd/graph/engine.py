@@ -128,7 +128,7 @@ class NodeGraph:
 
         Comments, file names and the order of independent nodes do not count.
         """
-        facts = {
+        hashed = {
             "schema": SCHEMA,
             "version": __version__,
             "inputs": {name: str(port) for name, port in self.inputs.items()},
@@ -139,7 +139,7 @@ class NodeGraph:
             "outputs": {name: [node, dict(self.options_of(name))] for name, node in self.outputs.items()},
             "profiles": {kind: profile.content_hash for kind, profile in self.profiles.items()},
         }
-        return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
 
     @property
     def settings_needed(self) -> tuple[str, ...]:
@@ -438,10 +438,10 @@ class NodeGraph:
     def _looked_up(self, node: Node, name: str, bound: Bound, image: Image, settings: Mapping[str, Any]) -> Any:
         parameter = node.op.parameters[name]
         key = parameter.auto_key
-        for where, facts in (("settings", settings), ("provenance", image.provenance)):
-            if key in facts:
+        for where, values in (("settings", settings), ("provenance", image.provenance)):
+            if key in values:
                 try:
-                    return parameter.read(facts[key])
+                    return parameter.read(values[key])
                 except ValueError as problem:
                     raise GraphError(
                         f"{node.place}: {node}: {key!r} in the {where} {problem}; it takes {parameter}"

@@ -147,18 +147,20 @@ def open_to_sky(loaded: MitsubaScene) -> float:
     seen = aovs.measure(small)
     origin, direction = aovs.centre_rays(small)
     distance = seen.distance_m.ravel()
-    met = np.isfinite(distance)
-    if not met.any():
+    surface_hit = np.isfinite(distance)
+    if not surface_hit.any():
         return 1.0
-    normal = seen.normal.reshape(-1, 3)[met]
-    place = np.repeat((origin + direction * distance[:, None])[met] + NUDGE_M * normal, SKY_RAYS, axis=0)
+    normal = seen.normal.reshape(-1, 3)[surface_hit]
+    place = np.repeat((origin + direction * distance[:, None])[surface_hit] + NUDGE_M * normal, SKY_RAYS, axis=0)
     number = np.arange(len(place)) + 0.5
     up, turn = (number / SKY_RAYS) % 1.0, 2.0 * np.pi * (number * GOLDEN % 1.0)
     flat = np.sqrt(1.0 - up * up)
     way = np.stack([flat * np.cos(turn), flat * np.sin(turn), up], axis=1)
     ray = mi.Ray3f(backend.points(place), mi.Vector3f(backend.points(way)))
     free = ~np.array(small.scene.ray_test(ray), dtype=bool)
-    return float(np.average(free.reshape(-1, SKY_RAYS).mean(axis=1), weights=np.exp(-distance[met] / NEAR_M) + 1e-9))
+    return float(
+        np.average(free.reshape(-1, SKY_RAYS).mean(axis=1), weights=np.exp(-distance[surface_hit] / NEAR_M) + 1e-9)
+    )
 
 
 def _can_be_made(name: str, loaded: MitsubaScene) -> bool:

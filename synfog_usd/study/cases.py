@@ -20,10 +20,10 @@ from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.fog.medium import extinction_from_visibility
 from synfog_usd.scene import SceneDict
 from synfog_usd.testing import (
-    EmptyLayer,
+    EmptySlab,
     black,
     box,
-    empty_layer,
+    empty_slab,
     lamp_in_endless_fog,
     pixel_rays,
     scene,
@@ -36,7 +36,7 @@ from synfog_usd.testing import (
 FULL = ("field", "path", "path+slab")
 """Ours that leave nothing out where the airlight is smooth; what they cannot do they refuse."""
 
-LAYER = ("slab", "path", "path+slab")
+SLAB = ("slab", "path", "path+slab")
 ONCE = ("single", "field", "path", "path+slab")
 """Where the fog turns no light, or as good as never twice."""
 
@@ -72,7 +72,7 @@ class Case:
         samples: paths a pixel and seed; `peer_samples` for models that are not ours.
         bands: groups of rows that are compared apart; the worst one counts.
         skip: models that would take minutes.
-        layer: the transmittance layer is measured, and no radiance.
+        aov: the transmittance AOV is measured, and no radiance.
         quick: whether `--quick` runs it.
     """
 
@@ -85,7 +85,7 @@ class Case:
     peer_samples: int = 256
     bands: int = 1
     skip: tuple[str, ...] = ()
-    layer: bool = False
+    aov: bool = False
     quick: bool = False
 
 
@@ -151,21 +151,21 @@ def inside_three() -> Known:
     )
 
 
-def known(layer: EmptyLayer) -> Known:
-    """The layer as a case has it."""
-    return Known(layer.scene, layer.truth)
+def known(slab: EmptySlab) -> Known:
+    """The slab as a case has it."""
+    return Known(slab.scene, slab.truth)
 
 
-def layer(ground: float, *, mor_m: float = 150.0, **how: Any) -> Known:
-    """An empty layer of fog that only scatters, 60 m high."""
+def slab(ground: float, *, mor_m: float = 150.0, **how: Any) -> Known:
+    """An empty slab of fog that only scatters, 60 m high."""
     return known(
-        empty_layer(FogMedium(float(extinction_from_visibility(mor_m))), ground, width_px=8, height_px=12, **how)
+        empty_slab(FogMedium(float(extinction_from_visibility(mor_m))), ground, width_px=8, height_px=12, **how)
     )
 
 
 def halves() -> Known:
-    """The empty layer's fog as two boxes that touch."""
-    whole = layer(0.15)
+    """The empty slab's fog as two boxes that touch."""
+    whole = slab(0.15)
     volume = whole.scene.fog[0]
     matrix, middle, half = volume.boundary.to_world, volume.boundary.to_world[2, 3], volume.boundary.to_world[2, 2]
     sizes = (matrix[0, 0], matrix[1, 1], half / 2)
@@ -197,8 +197,8 @@ def thin(sigma_t: float) -> Known:
 
 
 def lamp(distance_m: float, sigma_t: float) -> Known:
-    """A bare bulb 40 degrees beside the axis, in a ball of fog 20 optical depths in radius that turns one flight in a
-    thousand.
+    """A bare bulb 40 degrees beside the axis, in a ball of fog 20 optical depths in radius that scatters one flight
+    in a thousand.
     """
     medium = FogMedium(sigma_t, albedo=1e-3, g=0.0)
     place = distance_m * np.array([np.sin(np.radians(40.0)), np.cos(np.radians(40.0)), 0.0])
@@ -270,11 +270,11 @@ def Xform "World" {{
 
 
 def staged(*, metres_per_unit: float = 1.0, up: str = "Z", offset_m: float = 0.0) -> SceneDict:
-    """An empty layer over grey ground as a USD file."""
+    """An empty slab over grey ground as a USD file."""
     from synfog_usd.stage.open import open_stage
     from synfog_usd.translate import translate
 
-    source = empty_layer(FogMedium(0.02), 0.15, width_px=8, height_px=12, zenith_deg=(70.0, 110.0)).scene
+    source = empty_slab(FogMedium(0.02), 0.15, width_px=8, height_px=12, zenith_deg=(70.0, 110.0)).scene
     unit = 1.0 / metres_per_unit
     root = np.eye(4) if up == "Z" else np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     root[:3, 3] = root[:3, :3] @ (offset_m, offset_m, 0.0)
@@ -299,7 +299,7 @@ def staged(*, metres_per_unit: float = 1.0, up: str = "Z", offset_m: float = 0.0
         fog=written(source.fog[0].boundary.to_world, unit),
     )
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "layer.usda"
+        path = Path(folder) / "slab.usda"
         path.write_text(text)
         return translate(open_stage(path), resolution=(8, 12))
 
@@ -314,7 +314,7 @@ def transmittance() -> Known:
 
 
 TABLE = 1.5e-3
-"""What the layer's table of `slab` and `path+slab` may leave, with 0.05 % stated for the mean, in a band of rows."""
+"""What the slab's table of `slab` and `path+slab` may leave, with 0.05 % stated for the mean, in a band of rows."""
 
 
 def every() -> list[Case]:
@@ -343,7 +343,7 @@ def every() -> list[Case]:
         Case("the same fog as a grid", exponential_grid, ONCE, 1e-3, peer_samples=1024),
         Case("bank of 0.3/m inside fog of 0.03/m", bank, ONCE, peer_samples=2048, quick=True),
         Case("camera in a bank in a bank in fog", inside_three, ONCE, peer_samples=1024),
-        Case("transmittance layer of a wall, MOR 150", transmittance, ("path",), layer=True, quick=True),
+        Case("transmittance AOV of a wall, MOR 150", transmittance, ("path",), aov=True, quick=True),
         Case("white furnace, MOR 50", lambda: furnace(sigma[50.0]), FULL, samples=512, quick=True),
         Case("white furnace, optical depth 30", lambda: furnace(0.5), FULL, samples=96, resolves=0.05, peer_samples=32),
         Case(
@@ -360,43 +360,43 @@ def every() -> list[Case]:
         ),
         *(
             Case(
-                f"empty layer, MOR 150, ground {ground:g}, zenith 0-87",
-                lambda ground=ground: layer(ground),
-                LAYER,
+                f"empty slab, MOR 150, ground {ground:g}, zenith 0-87",
+                lambda ground=ground: slab(ground),
+                SLAB,
                 TABLE,
                 bands=3,
             )
             for ground in (0.0, 0.15, 0.5)
         ),
         Case(
-            "empty layer, its floor exactly on the ground",
-            lambda: layer(0.5, sunk_m=0.0),
-            LAYER,
+            "empty slab, its floor exactly on the ground",
+            lambda: slab(0.5, sunk_m=0.0),
+            SLAB,
             TABLE,
             bands=3,
             quick=True,
         ),
         Case(
-            "camera exactly on the layer's top, zenith 100-160",
-            lambda: layer(0.5, eye_m=60.0, zenith_deg=(100.0, 160.0)),
-            LAYER,
+            "camera exactly on the slab's top, zenith 100-160",
+            lambda: slab(0.5, eye_m=60.0, zenith_deg=(100.0, 160.0)),
+            SLAB,
             TABLE,
             bands=3,
         ),
         Case(
-            "layer of optical depth 1000, 50 cm under its top",
+            "slab of optical depth 1000, 50 cm under its top",
             deep,
-            LAYER,
+            SLAB,
             TABLE,
             bands=2,
             samples=128,
             peer_samples=64,
         ),
-        Case("two half layers stacked are one", halves, LAYER, TABLE, bands=3),
+        Case("two half slabs stacked are one", halves, SLAB, TABLE, bands=3),
         Case("1 cm inside the fog's box = 1 cm outside", threshold, ALIKE, 1e-3, resolves=0.03),
         Case("fog of extinction 0 = clear air", lambda: thin(0.0), ALIKE, quick=True),
         Case("fog of extinction 1e-7 = clear air", lambda: thin(1e-7), ALIKE, 1e-4),
-        Case("point lamp at 20 m in endless fog, turned once", lambda: lamp(20.0, 0.05), ONCE, 2e-3, quick=True),
+        Case("point lamp at 20 m in endless fog, scattered once", lambda: lamp(20.0, 0.05), ONCE, 2e-3, quick=True),
         Case("point lamp 1 cm from the camera", lambda: lamp(0.01, 0.05), ONCE, 2e-3),
         Case("spot in fog: finite", spot, ("single", *FULL), samples=64, peer_samples=64),
         *(
@@ -422,7 +422,7 @@ def every() -> list[Case]:
 def deep() -> Known:
     """60 m of 16.7 per metre that absorbs a hundredth."""
     return known(
-        empty_layer(
+        empty_slab(
             FogMedium(1000.0 / 60.0, albedo=0.99), 0.15, eye_m=59.5, zenith_deg=(0.0, 60.0), width_px=8, height_px=12
         )
     )

@@ -114,9 +114,9 @@ def measure(case: Case, known: Known, model: str) -> Result:
     """One model in one case."""
     ours = not models.MODELS[model].peer
     counted = ours and model in case.holds
-    if model in case.skip or (case.layer and not counted):
+    if model in case.skip or (case.aov and not counted):
         return Result(case.name, model, SKIPPED, counted)
-    if case.layer:
+    if case.aov:
         assert known.truth is not None
         seen = aovs.measure(load(known.scene)).transmittance.astype(np.float64)
         return _judge(
@@ -134,7 +134,7 @@ def measure(case: Case, known: Known, model: str) -> Result:
             return Result(case.name, model, REFUSED, counted, why=problem)
         first = _render(known.scene, model, samples, case.bands, 0)
         second = None
-        if known.other is not None:  # clear air is beyond a model that wants a layer: `path` is exact there
+        if known.other is not None:  # clear air is beyond a model that wants a slab: `path` is exact there
             judge = "path" if not known.other.fog and models.MODELS[model].refuses(known.other) else model
             second = _render(known.other, judge, samples, case.bands, SEEDS)
     except SynfogError as error:
@@ -216,12 +216,12 @@ def _render(world: SceneDict, model: str, samples: int, bands: int, seed: int) -
     shape = (world.camera.height_px, world.camera.width_px)
     images, variances, broken = [], [], 0
     for index in range(seed, seed + SEEDS):
-        exposure = integrator.accumulate(samples=samples, seed=index)
-        image = np.asarray(exposure.mean(), dtype=np.float64).mean(axis=1).reshape(shape)
-        broken += exposure.lost + int(np.count_nonzero(~np.isfinite(image)))
+        accumulated = integrator.accumulate(samples=samples, seed=index)
+        image = np.asarray(accumulated.mean(), dtype=np.float64).mean(axis=1).reshape(shape)
+        broken += accumulated.lost + int(np.count_nonzero(~np.isfinite(image)))
         images.append(image)
         variances.append(
-            np.asarray(exposure.variance(), dtype=np.float64).mean(axis=1).reshape(shape)
+            np.asarray(accumulated.variance(), dtype=np.float64).mean(axis=1).reshape(shape)
         )  # grey worlds: the channels are one
     pooled, variance = np.mean(images, axis=0), np.mean(variances, axis=0) / SEEDS
     means = np.array([_bands(image, bands) for image in images])

@@ -248,7 +248,7 @@ def _overridden(
 ) -> tuple[FogVolume, ...]:
     if fog or mor_m == 0.0 or math.isinf(mor_m):
         return volume.with_visibility(fog, mor_m)
-    made = volume.layer(mor_m, bounds_m[0], bounds_m[1], eye)
+    made = volume.slab_around(mor_m, bounds_m[0], bounds_m[1], eye)
     size = 2.0 * np.diag(made.boundary.to_world)[:3]
     notes.warn(
         "",

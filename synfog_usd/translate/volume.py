@@ -37,8 +37,8 @@ DEFAULT_MOR_M = float(DEFAULTS["mor"])
 _SLACK = 1e-5
 """Relative shrinking before containment is asked, so that faces that lie in one plane do not count as crossing."""
 
-LAYER_TOP_M = 100.0
-LAYER_HALF_WIDTH_M = 2000.0
+SLAB_TOP_M = 100.0
+SLAB_HALF_WIDTH_M = 2000.0
 """Size of the fog that is made for a stage that has none."""
 
 PHASES = ("hg", "droplets", "mie")
@@ -194,16 +194,16 @@ def with_visibility(volumes: tuple[FogVolume, ...], mor_m: float) -> tuple[FogVo
     )
 
 
-def layer(mor_m: float, low: Array, high: Array, eye: Array) -> FogVolume:
-    """A fog layer around everything, for a stage that has no fog of its own.
+def slab_around(mor_m: float, low: Array, high: Array, eye: Array) -> FogVolume:
+    """A slab of fog around everything, for a stage that has no fog of its own.
 
     Args:
         low, high: (3,) corners [m] of what is drawn.
         eye: (3,) camera position [m].
     """
     bottom = min(float(low[2]), float(eye[2])) - 1.0
-    top = bottom + max(LAYER_TOP_M, 2.0 * (float(eye[2]) - bottom))
-    half = max(LAYER_HALF_WIDTH_M, float(np.abs(np.stack([low - eye, high - eye])[:, :2]).max()) * 1.01)
+    top = bottom + max(SLAB_TOP_M, 2.0 * (float(eye[2]) - bottom))
+    half = max(SLAB_HALF_WIDTH_M, float(np.abs(np.stack([low - eye, high - eye])[:, :2]).max()) * 1.01)
     to_world = scaled(half, half, (top - bottom) / 2.0)
     to_world[:3, 3] = eye[0], eye[1], (top + bottom) / 2.0
     return FogVolume("", Boundary("box", to_world), replace(FogMedium.from_visibility(mor_m), base_height_m=bottom))

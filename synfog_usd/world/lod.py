@@ -1,6 +1,6 @@
 """Fewer triangles for models that stand far away, as like the full ones as was asked for.
 
-Solid parts are thinned by quadric edge collapse (pymeshlab) until no point of
+Solid parts are simplified by quadric edge collapse (pymeshlab) until no point of
 either surface lies farther than a limit from the other; so no silhouette moves
 by more.  Leaves and needles, which do not touch, become fewer and larger.
 """
@@ -48,7 +48,7 @@ def with_low(component: Component, limit_m: float = LIMIT_M) -> Component:
     if component.triangles() < WORTH:
         return component
     outside = [part for part in component.parts if part.material not in INSIDE]
-    low = thinned(outside, limit_m, {**PALETTE, **component.materials})
+    low = simplified(outside, limit_m, {**PALETTE, **component.materials})
     dark = DARK_GLASS if len(outside) < len(component.parts) else {}
     return (
         replace(component, low=low, low_bindings=dark)
@@ -57,12 +57,12 @@ def with_low(component: Component, limit_m: float = LIMIT_M) -> Component:
     )
 
 
-def thinned(
+def simplified(
     parts: Sequence[Part], limit_m: float = LIMIT_M, materials: Mapping[str, Material] = PALETTE
 ) -> tuple[Part, ...]:
     """The parts, one for each material, with as few triangles as `limit_m` [m] allows; what wears a texture stays."""
     return tuple(
-        _thinned(part, limit_m, materials.get(part.material, Material())) for part in by_material(parts).values()
+        _simplified(part, limit_m, materials.get(part.material, Material())) for part in by_material(parts).values()
     )
 
 
@@ -145,7 +145,7 @@ def _welded(part: Part) -> tuple[Array, Index]:
     return points, faces[solid]
 
 
-def _thinned(part: Part, limit_m: float, look: Material) -> Part:
+def _simplified(part: Part, limit_m: float, look: Material) -> Part:
     if part.material.startswith(LEAVES):
         return _fewer_leaves(part)
     if look.texture or look.gloss or len(part.faces) < 150:

@@ -95,7 +95,7 @@ def write_dng(path: Path, image: Image, *, compression: Literal["none", "lossles
 
     Source: Adobe, Digital Negative Specification 1.7.1; TIFF 6.0; CIPA DC-008 (Exif).
     """
-    facts = image.provenance
+    metadata = image.provenance
     if compression not in ("none", "lossless"):
         raise OutputError(f"{path}: compression is {compression!r}; a DNG takes none, lossless")
     if image.quantity is not Quantity.DN or len(image.channels) != 1:
@@ -103,8 +103,8 @@ def write_dng(path: Path, image: Image, *, compression: Literal["none", "lossles
             f"{path}: a DNG takes a DN mosaic of one channel; this image is {image.quantity.value} with "
             f"{', '.join(image.channels)}"
         )
-    _check_facts(path, facts)
-    white = facts["white_level_dn"]
+    _check_metadata(path, metadata)
+    white = metadata["white_level_dn"]
     if white > MAX_DN:  # DNG has floats too, but dcraw and LibRaw 0.20 refuse them, and darktable 4.2 shows white
         raise ImageError(
             f"{path}: a DNG takes whole numbers of at most 16 bits; white_level_dn is {white}. Put sensor.compand "
@@ -119,17 +119,17 @@ def write_dng(path: Path, image: Image, *, compression: Literal["none", "lossles
     ):
         raise ImageError(f"{path}: the pixels are not whole numbers from 0 to {white}")
     raw = numbers.astype(np.uint16)
-    write_whole(path, lambda temporary: _write(temporary, raw, facts, lossless=compression == "lossless"))
+    write_whole(path, lambda temporary: _write(temporary, raw, metadata, lossless=compression == "lossless"))
 
 
-def _check_facts(path: Path, facts: Mapping[str, Any]) -> None:
-    pattern = facts.get("cfa_pattern")
+def _check_metadata(path: Path, metadata: Mapping[str, Any]) -> None:
+    pattern = metadata.get("cfa_pattern")
     needed = [
         *NEEDED,
         *(NEEDED_OF_COLOUR if len(_planes(pattern)) > 2 else ()),
-        *(NEEDED_OF_HDR if "companding" in facts else ()),
+        *(NEEDED_OF_HDR if "companding" in metadata else ()),
     ]
-    if missing := [key for key in needed if key not in facts]:
+    if missing := [key for key in needed if key not in metadata]:
         raise ImageError(
             f"{path}: a DNG needs {', '.join(missing)} in the image's provenance; sensor.adc puts it there"
         )
@@ -146,20 +146,20 @@ def _planes(pattern: Any) -> str:
     return "C" if pattern in _GREY else "".join(letter for letter in _PLANES if letter in str(pattern))
 
 
-def _write(temporary: Path, raw: npt.NDArray[np.uint16], facts: Mapping[str, Any], *, lossless: bool) -> None:
+def _write(temporary: Path, raw: npt.NDArray[np.uint16], metadata: Mapping[str, Any], *, lossless: bool) -> None:
     import tifffile
 
-    grey = facts["cfa_pattern"] in _GREY
+    grey = metadata["cfa_pattern"] in _GREY
     packed: dict[str, Any] = {}
     data: Any = raw
     if lossless:
-        data = iter([_lossless_jpeg(raw, int(facts["white_level_dn"]), pairs=not grey)])
+        data = iter([_lossless_jpeg(raw, int(metadata["white_level_dn"]), pairs=not grey)])
         packed = {"shape": raw.shape, "dtype": raw.dtype, "compression": _LOSSLESS_JPEG, "bitspersample": 16}
     tags = [
-        *_common_tags(raw.shape, facts),
-        *_level_tags(facts),
-        *([] if grey else _filter_tags(facts["cfa_pattern"])),
-        *_colour_tags(facts),
+        *_common_tags(raw.shape, metadata),
+        *_level_tags(metadata),
+        *([] if grey else _filter_tags(metadata["cfa_pattern"])),
+        *_colour_tags(metadata),
     ]
     tifffile.imwrite(
         temporary,
@@ -173,7 +173,7 @@ def _write(temporary: Path, raw: npt.NDArray[np.uint16], facts: Mapping[str, Any
         extratags=[(code, kind, count, value, True) for code, kind, count, value in tags],
         **packed,
     )
-    _finish(temporary, _exif(facts), photometric=_LINEAR_RAW if grey else None)
+    _finish(temporary, _exif(metadata), photometric=_LINEAR_RAW if grey else None)
 
 
 def _lossless_jpeg(raw: npt.NDArray[np.uint16], white: int, *, pairs: bool) -> bytes:
@@ -189,12 +189,12 @@ def _lossless_jpeg(raw: npt.NDArray[np.uint16], white: int, *, pairs: bool) -> b
     return bytes(imagecodecs.jpeg_encode(rows, lossless=True, predictor=1, bitspersample=max(9, white.bit_length())))
 
 
-def _common_tags(shape: tuple[int, int], facts: Mapping[str, Any]) -> list[Tag]:
+def _common_tags(shape: tuple[int, int], metadata: Mapping[str, Any]) -> list[Tag]:
     height, width = shape
     inset = CROP_INSET_PX if min(height, width) >= 4 * CROP_INSET_PX else 0
-    title = _ascii(facts["sensor_title"])
+    title = _ascii(metadata["sensor_title"])
     tags: list[Tag] = [
-        (270, _ASCII, 0, f"colour filter array {facts['cfa_pattern']}"),
+        (270, _ASCII, 0, f"colour filter array {metadata['cfa_pattern']}"),
         (271, _ASCII, 0, "synfog-usd"),
         (272, _ASCII, 0, title),
         (274, _SHORT, 1, 1),
@@ -210,26 +210,29 @@ def _common_tags(shape: tuple[int, int], facts: Mapping[str, Any]) -> list[Tag]:
             50730,
             _SRATIONAL,
             1,
-            _rationals([math.log2(facts.get("digital_gain", 1.0))], 10_000),
+            _rationals([math.log2(metadata.get("digital_gain", 1.0))], 10_000),
         ),  # BaselineExposure [EV]
         (50731, _RATIONAL, 1, (1, 1)),
         (50732, _RATIONAL, 1, (1, 1)),
         (50734, _RATIONAL, 1, (1, 1)),
         (50829, _LONG, 4, (0, 0, height, width)),
     ]
-    if "sensor_serial" in facts:
-        tags.append((50735, _ASCII, 0, _ascii(facts["sensor_serial"])))
+    if "sensor_serial" in metadata:
+        tags.append((50735, _ASCII, 0, _ascii(metadata["sensor_serial"])))
     return tags
 
 
-def _level_tags(facts: Mapping[str, Any]) -> list[Tag]:
+def _level_tags(metadata: Mapping[str, Any]) -> list[Tag]:
     """Black and white; of companded numbers those behind the LinearizationTable, and the table."""
-    black, white = round(facts["black_level_dn"] + facts.get("dark_signal_dn", 0.0)), int(facts["white_level_dn"])
+    black, white = (
+        round(metadata["black_level_dn"] + metadata.get("dark_signal_dn", 0.0)),
+        int(metadata["white_level_dn"]),
+    )
     tags: list[Tag] = []
-    if "companding" in facts:
-        table, black, white = linearisation(facts)
+    if "companding" in metadata:
+        table, black, white = linearisation(metadata)
         tags.append((50712, _SHORT, table.size, table))
-    repeat = 1 if facts["cfa_pattern"] in _GREY else 2
+    repeat = 1 if metadata["cfa_pattern"] in _GREY else 2
     return [
         *tags,
         (50713, _SHORT, 2, (repeat, repeat)),
@@ -238,11 +241,11 @@ def _level_tags(facts: Mapping[str, Any]) -> list[Tag]:
     ]
 
 
-def linearisation(facts: Mapping[str, Any]) -> tuple[npt.NDArray[np.uint16], int, int]:
+def linearisation(metadata: Mapping[str, Any]) -> tuple[npt.NDArray[np.uint16], int, int]:
     """How readers make linear numbers of companded ones.
 
     Args:
-        facts: provenance with companding, white_level_dn, linear_black_dn and
+        metadata: provenance with companding, white_level_dn, linear_black_dn and
             linear_white_dn.
 
     Returns:
@@ -251,12 +254,12 @@ def linearisation(facts: Mapping[str, Any]) -> tuple[npt.NDArray[np.uint16], int
         65535: the table has 16 bits.  Black stays a whole number, which readers
         take it for: the table is moved by what rounding it takes.  Below black the first piece goes on.
     """
-    linear, codes = np.array(facts["companding"], dtype=np.float64).T
-    dark, bright = facts["linear_black_dn"] + facts.get("dark_signal_dn", 0.0), facts["linear_white_dn"]
+    linear, codes = np.array(metadata["companding"], dtype=np.float64).T
+    dark, bright = metadata["linear_black_dn"] + metadata.get("dark_signal_dn", 0.0), metadata["linear_white_dn"]
     black = round(dark * min(1.0, MAX_DN / bright))
     black = max(black, 1) if bright > MAX_DN and dark > 0.0 else black
     scale = min(1.0, (MAX_DN - black) / (bright - dark))
-    every = np.arange(int(facts["white_level_dn"]) + 1)
+    every = np.arange(int(metadata["white_level_dn"]) + 1)
     table = np.interp(every, codes, linear)
     below = every < codes[0]
     table[below] = linear[0] + (every[below] - codes[0]) * (linear[1] - linear[0]) / (codes[1] - codes[0])
@@ -274,11 +277,11 @@ def _filter_tags(pattern: str) -> list[Tag]:
     ]
 
 
-def _colour_tags(facts: Mapping[str, Any]) -> list[Tag]:
+def _colour_tags(metadata: Mapping[str, Any]) -> list[Tag]:
     """Noise of every plane; matrices and neutral where there are planes enough for colour."""
-    planes = _planes(facts["cfa_pattern"])
+    planes = _planes(metadata["cfa_pattern"])
     count = len(planes)
-    noise = tuple(float(value) for value in facts["noise_profile"])
+    noise = tuple(float(value) for value in metadata["noise_profile"])
     tags: list[Tag] = (
         [(51041, _DOUBLE, 2 * count, noise * count)] if noise[0] > 0.0 else []
     )  # a slope of 0 is no legal profile
@@ -288,34 +291,34 @@ def _colour_tags(facts: Mapping[str, Any]) -> list[Tag]:
     order = [told.index(letter) for letter in planes]
 
     def matrix(key: str) -> tuple[int, ...]:
-        return _rationals([value for index in order for value in facts[key][index]], 10_000)
+        return _rationals([value for index in order for value in metadata[key][index]], 10_000)
 
     d65, a = ("xyz_to_camera", 21), ("xyz_to_camera_a", 17)
     for slot, (key, illuminant) in enumerate(
-        (a, d65) if a[0] in facts else (d65,)
+        (a, d65) if a[0] in metadata else (d65,)
     ):  # dcraw takes the last, the others that for D65
         tags += [(50721 + slot, _SRATIONAL, 3 * count, matrix(key)), (50778 + slot, _SHORT, 1, illuminant)]
     return [
         *tags,
         (50727, _RATIONAL, count, (1, 1) * count),
-        (50728, _RATIONAL, count, _rationals([facts["as_shot_neutral"][index] for index in order], 1_000_000)),
+        (50728, _RATIONAL, count, _rationals([metadata["as_shot_neutral"][index] for index in order], 1_000_000)),
     ]
 
 
-def _exif(facts: Mapping[str, Any]) -> list[tuple[int, int, int, bytes]]:
+def _exif(metadata: Mapping[str, Any]) -> list[tuple[int, int, int, bytes]]:
     entries = [
-        (33434, _RATIONAL, 1, _rational(facts["exposure_s"])),
-        (33437, _RATIONAL, 1, _rational(facts["f_number"])),
-        (34855, _SHORT, 1, struct.pack("<H", min(MAX_DN, round(facts["iso"])))),
+        (33434, _RATIONAL, 1, _rational(metadata["exposure_s"])),
+        (33437, _RATIONAL, 1, _rational(metadata["f_number"])),
+        (34855, _SHORT, 1, struct.pack("<H", min(MAX_DN, round(metadata["iso"])))),
         (36864, _UNDEFINED, 4, b"0231"),
         (36867, *_text(FIXED_DATE)),
     ]
-    if "focal_length_mm" in facts:
-        entries.append((37386, _RATIONAL, 1, _rational(facts["focal_length_mm"])))
-    if "sensor_serial" in facts:
-        entries.append((42033, *_text(_ascii(facts["sensor_serial"]))))
-    if "lens_title" in facts:
-        entries.append((42036, *_text(_ascii(facts["lens_title"]))))
+    if "focal_length_mm" in metadata:
+        entries.append((37386, _RATIONAL, 1, _rational(metadata["focal_length_mm"])))
+    if "sensor_serial" in metadata:
+        entries.append((42033, *_text(_ascii(metadata["sensor_serial"]))))
+    if "lens_title" in metadata:
+        entries.append((42036, *_text(_ascii(metadata["lens_title"]))))
     return entries
 
 

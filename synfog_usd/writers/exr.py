@@ -85,7 +85,7 @@ def write_exr(
         raise ImageError(
             f"{path}: a value of {peak:g} does not fit 16-bit floats, which end at {HALF_MAX:g}; write 32 bits"
         )
-    facts: dict[str, Any] = {
+    metadata: dict[str, Any] = {
         "compression": compression,
         "DateTime": FIXED_DATE,
         "Software": f"synfog-usd {__version__}",
@@ -94,19 +94,19 @@ def write_exr(
         "synfog:provenance": json.dumps(dict(first.provenance), sort_keys=True, ensure_ascii=False, default=str),
     }
     if "exposure_s" in first.provenance:
-        facts["expTime"] = float(first.provenance["exposure_s"])
+        metadata["expTime"] = float(first.provenance["exposure_s"])
     if "iso" in first.provenance:
-        facts["isoSpeed"] = float(first.provenance["iso"])
+        metadata["isoSpeed"] = float(first.provenance["iso"])
     if first.channels == ("R", "G", "B") and first.quantity is Quantity.RADIANCE:
-        facts["whiteLuminance"] = 1.0
+        metadata["whiteLuminance"] = 1.0
     if any(band_centre_nm(name) is not None for name in first.channels):
-        facts |= {"spectralLayoutVersion": "1.0", "emissiveUnits": "W.m^-2.sr^-1.nm^-1"}
-    facts |= attributes or {}
-    write_whole(path, lambda temporary: _write(temporary, path, pixels, names, facts, half))
+        metadata |= {"spectralLayoutVersion": "1.0", "emissiveUnits": "W.m^-2.sr^-1.nm^-1"}
+    metadata |= attributes or {}
+    write_whole(path, lambda temporary: _write(temporary, path, pixels, names, metadata, half))
 
 
 def _write(
-    temporary: Path, path: Path, pixels: FloatArray, names: list[str], facts: Mapping[str, Any], half: bool
+    temporary: Path, path: Path, pixels: FloatArray, names: list[str], metadata: Mapping[str, Any], half: bool
 ) -> None:
     import OpenImageIO
 
@@ -114,7 +114,7 @@ def _write(
         pixels.shape[1], pixels.shape[0], pixels.shape[2], OpenImageIO.HALF if half else OpenImageIO.FLOAT
     )
     spec.channelnames = tuple(names)
-    for name, value in facts.items():
+    for name, value in metadata.items():
         spec.attribute(name, value)
     if names[:3] == ["R", "G", "B"]:
         spec.attribute("chromaticities", OpenImageIO.TypeDesc("float[8]"), REC709)
@@ -168,17 +168,17 @@ def read_exr(
 
     Source: attributes: OpenEXR, "Standard Attributes" (version 3.2).
     """
-    pixels, names, facts = _read(path)
-    said = facts.get("synfog:quantity")
+    pixels, names, metadata = _read(path)
+    said = metadata.get("synfog:quantity")
     if quantity is None:
         quantity = next((item for item in Quantity if item.value == said), declared or Quantity.RADIANCE)
     if channels is None:
-        channels = _default_channels(path, names, facts, quantity)
+        channels = _default_channels(path, names, metadata, quantity)
     missing = [name for name in channels if name not in names]
     if missing:
         raise ImageError(f"{path}: no channel {', '.join(missing)}; it has {', '.join(names)}")
-    known = _provenance(facts)
-    if "fov_x_deg" not in known and (fov_deg := _fov_x_deg(facts)) is not None:
+    known = _provenance(metadata)
+    if "fov_x_deg" not in known and (fov_deg := _fov_x_deg(metadata)) is not None:
         known["fov_x_deg"] = fov_deg
     image = Image(
         np.ascontiguousarray(pixels[..., [names.index(name) for name in channels]]),
@@ -187,7 +187,7 @@ def read_exr(
         provenance=known,
     )
     if image.channels == ("R", "G", "B") and quantity is not Quantity.DATA:
-        image = _rec709(image, facts.get("chromaticities"))
+        image = _rec709(image, metadata.get("chromaticities"))
     if quantity is Quantity.RADIANCE:
         if repair:
             image = repaired(image)
@@ -245,13 +245,17 @@ def check_finite(image: Image, where: str) -> None:
         )
 
 
-def _fov_x_deg(facts: Mapping[str, Any]) -> float | None:
+def _fov_x_deg(metadata: Mapping[str, Any]) -> float | None:
     """Horizontal field of view [degrees] by the camera's attributes [mm], or None."""
     focal_mm = next(
-        (facts[name] for name in ("pinholeFocalLength", "effectiveFocalLength", "nominalFocalLength") if name in facts),
+        (
+            metadata[name]
+            for name in ("pinholeFocalLength", "effectiveFocalLength", "nominalFocalLength")
+            if name in metadata
+        ),
         None,
     )
-    size_mm = facts.get("sensorOverallDimensions")
+    size_mm = metadata.get("sensorOverallDimensions")
     width_mm = size_mm[0] if isinstance(size_mm, tuple) else None
     if not isinstance(focal_mm, float) or not isinstance(width_mm, float) or not (focal_mm > 0.0 and width_mm > 0.0):
         return None
@@ -272,9 +276,9 @@ def _rec709(image: Image, chromaticities: Any) -> Image:
     pixels = image.pixels @ (from_xyz @ adapted @ to_xyz).T.astype(np.float32)
     outside = (pixels < 0.0) & (image.pixels.min(axis=2, keepdims=True) >= 0.0)
     pixels[outside] = 0.0
-    facts: dict[str, Any] = {"primaries": [float(value) for value in chromaticities]}
+    metadata: dict[str, Any] = {"primaries": [float(value) for value in chromaticities]}
     return image.with_pixels(pixels).with_metadata(
-        **facts, **({"out_of_gamut_values": int(outside.sum())} if outside.any() else {})
+        **metadata, **({"out_of_gamut_values": int(outside.sum())} if outside.any() else {})
     )
 
 
@@ -307,9 +311,9 @@ def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:
         pixels = source.read_image(part, 0, 0, spec.nchannels, OpenImageIO.FLOAT)
         if pixels is None:
             raise ImageError(f"{path}: cannot be read whole ({source.geterror()})")
-        facts = {item.name: item.value for item in spec.extra_attribs}
+        metadata = {item.name: item.value for item in spec.extra_attribs}
         whole = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
-        return _displayed(path, whole, spec), list(spec.channelnames), facts
+        return _displayed(path, whole, spec), list(spec.channelnames), metadata
     finally:
         source.close()
 
@@ -356,8 +360,8 @@ def _displayed(path: Path, pixels: FloatArray, spec: Any) -> FloatArray:
     return whole
 
 
-def _default_channels(path: Path, names: list[str], facts: Mapping[str, Any], quantity: Quantity) -> list[str]:
-    ours = _json(facts.get("synfog:channels"))
+def _default_channels(path: Path, names: list[str], metadata: Mapping[str, Any], quantity: Quantity) -> list[str]:
+    ours = _json(metadata.get("synfog:channels"))
     if isinstance(ours, list) and sorted(map(str, ours)) == sorted(names):
         return ours
     if quantity is not Quantity.DATA and {"R", "G", "B"} <= set(names):
@@ -370,8 +374,8 @@ def _default_channels(path: Path, names: list[str], facts: Mapping[str, Any], qu
     raise ImageError(f"{path}: neither R, G, B nor bands such as S0.550,000000nm; it has {', '.join(names)}")
 
 
-def _provenance(facts: Mapping[str, Any]) -> dict[str, Any]:
-    kept = _json(facts.get("synfog:provenance"))
+def _provenance(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    kept = _json(metadata.get("synfog:provenance"))
     return kept if isinstance(kept, dict) else {}
 
 

@@ -43,17 +43,17 @@ def read_raw(path: Path) -> Image:
         with rawpy.imread(str(path)) as raw:
             if raw.raw_type is not rawpy.RawType.Flat or raw.raw_image_visible is None:
                 raise ImageError(f"{path}: holds no mosaic of one number a pixel")
-            facts, offsets = _facts(path, raw)
+            metadata, offsets = _metadata(path, raw)
             pixels = raw.raw_image_visible.astype(np.float32) - offsets[raw.raw_colors_visible]
     except rawpy.LibRawError as error:
         reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else error
         raise ImageError(
             f"{path}: cannot be read as RAW ({reason}); an EXR, a DNG or another camera's RAW file is needed"
         ) from error
-    return Image(pixels[..., None], ("CFA",), Quantity.DN, provenance=facts | _noise(path))
+    return Image(pixels[..., None], ("CFA",), Quantity.DN, provenance=metadata | _noise(path))
 
 
-def _facts(path: Path, raw: Any) -> tuple[dict[str, Any], np.ndarray]:
+def _metadata(path: Path, raw: Any) -> tuple[dict[str, Any], np.ndarray]:
     """Provenance, and by how much each filter's black lies above their mean [DN]."""
     letters = raw.color_desc.decode()
     corner = raw.raw_colors_visible[:2, :2]
@@ -75,7 +75,7 @@ def _facts(path: Path, raw: Any) -> tuple[dict[str, Any], np.ndarray]:
     if gains is None:
         raise ImageError(f"{path}: neither the file nor LibRaw says its white balance")
     neutral = 1.0 / np.array(gains[:3], dtype=np.float64)
-    facts: dict[str, Any] = {
+    metadata: dict[str, Any] = {
         "cfa_pattern": pattern,
         "black_level_dn": black,
         "white_level_dn": float(raw.white_level),
@@ -84,19 +84,19 @@ def _facts(path: Path, raw: Any) -> tuple[dict[str, Any], np.ndarray]:
     }
     matrix = np.array(raw.color_matrix, dtype=np.float64)[:, :3]
     if np.allclose(matrix.sum(axis=1), 1.0, atol=1e-3):
-        facts["camera_to_rec709"] = matrix.tolist()
+        metadata["camera_to_rec709"] = matrix.tolist()
     taken = {
         "exposure_s": "shutter_speed",
         "iso": "iso_speed",
         "f_number": "aperture",
         "focal_length_mm": "focal_length",
     }
-    facts |= {
+    metadata |= {
         name: float(value)
         for name, key in taken.items()
         if (value := getattr(getattr(raw, "other", None), key, 0.0)) and value > 0.0
     }
-    return facts, blacks - black
+    return metadata, blacks - black
 
 
 def _noise(path: Path) -> dict[str, Any]:

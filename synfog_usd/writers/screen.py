@@ -82,7 +82,7 @@ def write_tiff(path: Path, image: Image, *, bits: Literal[8, 16, 32] | None = No
     """
     screen = image.quantity is Quantity.DISPLAY_RGB
     bits = bits if bits is not None else 16 if screen else 32
-    facts = {
+    metadata = {
         "compression": "zip",
         "DateTime": FIXED_DATE,  # OpenImageIO writes the clock's unless one is given
         "Software": f"synfog-usd {__version__}",
@@ -93,12 +93,12 @@ def write_tiff(path: Path, image: Image, *, bits: Literal[8, 16, 32] | None = No
         ),
     }
     if screen:
-        facts["oiio:ColorSpace"] = "sRGB"
+        metadata["oiio:ColorSpace"] = "sRGB"
     if bits == 32:
         check_finite(image, str(path))
-        _write(path, image.pixels, facts)
+        _write(path, image.pixels, metadata)
     elif screen or bits not in (8, 16):
-        _write(path, _coded(path, "TIFF", image, bits), facts)
+        _write(path, _coded(path, "TIFF", image, bits), metadata)
     else:
         raise ImageError(
             f"{path}: a TIFF of {bits} bits takes display_rgb; this image is {image.quantity.value}. Write 32 bits, or "
@@ -123,16 +123,16 @@ def _coded(path: Path, kind: str, image: Image, bits: int) -> np.ndarray:
     )
 
 
-def _write(path: Path, numbers: np.ndarray, facts: Mapping[str, Any]) -> None:
-    write_whole(path, lambda temporary: _put(temporary, path, numbers, facts))
+def _write(path: Path, numbers: np.ndarray, metadata: Mapping[str, Any]) -> None:
+    write_whole(path, lambda temporary: _put(temporary, path, numbers, metadata))
 
 
-def _put(temporary: Path, path: Path, numbers: np.ndarray, facts: Mapping[str, Any]) -> None:
+def _put(temporary: Path, path: Path, numbers: np.ndarray, metadata: Mapping[str, Any]) -> None:
     import OpenImageIO
 
     spec = OpenImageIO.ImageSpec(
         numbers.shape[1], numbers.shape[0], numbers.shape[2], numbers.dtype.name.replace("float32", "float")
     )
-    for name, value in facts.items():
+    for name, value in metadata.items():
         spec.attribute(name, value)
     save(temporary, path, spec, numbers)

@@ -45,14 +45,14 @@ def test_the_merged_number_is_linear_up_to_white():
     readings = [reading(full, HIGH), reading(full, LOW)]
     merged, swapped = hdr.merge_hdr(*readings), hdr.merge_hdr(*readings[::-1])
     np.testing.assert_array_equal(merged.pixels, swapped.pixels)
-    facts, out = merged.provenance, merged.pixels[0, :, 0] - 168.0
+    metadata, out = merged.provenance, merged.pixels[0, :, 0] - 168.0
     top = 4.0 * min(3927.0, 22_000 * CHIP.gain_dn_e * LOW)
-    assert (facts["black_level_dn"], facts["white_level_dn"], facts["bits"]) == (168, 168 + round(top), 14)
+    assert (metadata["black_level_dn"], metadata["white_level_dn"], metadata["bits"]) == (168, 168 + round(top), 14)
     by_high, unfull = level * CHIP.gain_dn_e < 0.85 * 3927.0, level * CHIP.gain_dn_e < top - 2.0
     np.testing.assert_allclose(out[by_high], (level * CHIP.gain_dn_e)[by_high], atol=0.502)
     np.testing.assert_allclose(out[unfull], (level * CHIP.gain_dn_e)[unfull], atol=4 * 0.5 + 0.502)
-    assert (out[level > 22_001.0] == facts["white_level_dn"] - 168).all()
-    assert facts["hdr_knees_dn"] == pytest.approx([168 + 0.9 * 3927.0])
+    assert (out[level > 22_001.0] == metadata["white_level_dn"] - 168).all()
+    assert metadata["hdr_knees_dn"] == pytest.approx([168 + 0.9 * 3927.0])
 
 
 def test_a_well_that_is_full_before_the_converter_hands_over_before_it():
@@ -149,8 +149,8 @@ def test_readings_that_do_not_belong_together_are_refused():
     with pytest.raises(ImageError, match="needs 25 bits"):
         hdr.merge_hdr(image, reading(electrons(10.0, (4, 4), gathered_um2_s=1.2e-4), HIGH))
     with pytest.raises(ImageError, match=r"does not say its gathered_um2_s; sensor\.expose notes it"):
-        facts = {key: value for key, value in image.provenance.items() if key != "gathered_um2_s"}
-        hdr.merge_hdr(image, image.with_pixels(image.pixels, provenance=facts))
+        metadata = {key: value for key, value in image.provenance.items() if key != "gathered_um2_s"}
+        hdr.merge_hdr(image, image.with_pixels(image.pixels, provenance=metadata))
 
 
 def linear(values) -> Image:
@@ -170,14 +170,19 @@ def test_companding_is_undone_but_for_half_a_step():
     """Every number of 16 bits, those below black too: back to within half the DN that a code stands for, rounded."""
     values = np.arange(57_701)
     coded = hdr.compand(linear(values), bits=12, **KNEES)
-    facts = coded.provenance
-    assert (facts["black_level_dn"], facts["white_level_dn"], facts["linear_black_dn"], facts["linear_white_dn"]) == (
+    metadata = coded.provenance
+    assert (
+        metadata["black_level_dn"],
+        metadata["white_level_dn"],
+        metadata["linear_black_dn"],
+        metadata["linear_white_dn"],
+    ) == (
         168,
         4095,
         168,
         57_700,
     )
-    assert facts["companding"][0] == [168, 168] and facts["companding"][-1] == [57_700.0, 4095.0]
+    assert metadata["companding"][0] == [168, 168] and metadata["companding"][-1] == [57_700.0, 4095.0]
     assert (
         (coded.pixels == np.rint(coded.pixels)).all()
         and (np.diff(coded.pixels[0, :, 0]) >= 0).all()

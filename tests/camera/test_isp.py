@@ -40,14 +40,14 @@ outputs: {linear.exr: colour_correct}
 """
 
 
-def mosaic(pixels, quantity=Quantity.LINEAR_RGB, pattern="RGGB", **facts) -> Image:
+def mosaic(pixels, quantity=Quantity.LINEAR_RGB, pattern="RGGB", **metadata) -> Image:
     return Image(
-        np.asarray(pixels, np.float32)[..., None], ("CFA",), quantity, provenance={"cfa_pattern": pattern, **facts}
+        np.asarray(pixels, np.float32)[..., None], ("CFA",), quantity, provenance={"cfa_pattern": pattern, **metadata}
     )
 
 
-def numbers(pixels, **facts) -> Image:
-    return mosaic(pixels, Quantity.DN, **facts)
+def numbers(pixels, **metadata) -> Image:
+    return mosaic(pixels, Quantity.DN, **metadata)
 
 
 def grey(values) -> Image:
@@ -449,9 +449,9 @@ def test_coring_makes_black_of_noise_and_leaves_light_alone():
     does a lamp of one pixel.
     """
     noise = seeds.stream(1, "coring").standard_normal((256, 256)).astype(np.float32) * 5
-    facts = {"black_level_dn": 64, "white_level_dn": 1023, "noise_profile": [0.0, (5 / 959) ** 2]}
+    metadata = {"black_level_dn": 64, "white_level_dn": 1023, "noise_profile": [0.0, (5 / 959) ** 2]}
     for level, kept in ((0.0, 1e-3), (4.0, 1.0)):
-        raw = numbers(noise + 64 + level, **facts)
+        raw = numbers(noise + 64 + level, **metadata)
         cored, whole = (isp.black_level(raw, coring=coring).pixels for coring in (4.0, 0.0))
         share = np.count_nonzero(cored == whole) / cored.size
         assert share == 1.0 if level else np.count_nonzero(cored) / cored.size <= kept

@@ -71,11 +71,11 @@ def test_an_unlit_picture_is_black(path):
         if name.endswith(".png"):
             assert run[node].pixels.mean(axis=(0, 1)).max() < 1 / 255
     for node in graph.nodes_with("sensor.adc"):
-        facts, numbers = run[node.name].provenance, run[node.name].pixels
+        metadata, numbers = run[node.name].provenance, run[node.name].pixels
         limit = (
-            5 * facts["total_dark_noise_dn"] * np.sqrt(1 / (16 * 128) + 1 / numbers.size) + 0.15
+            5 * metadata["total_dark_noise_dn"] * np.sqrt(1 / (16 * 128) + 1 / numbers.size) + 0.15
         )  # of rows and columns, where they are
-        assert abs(float(numbers.mean(dtype=np.float64)) - facts["black_level_dn"]) < limit
+        assert abs(float(numbers.mean(dtype=np.float64)) - metadata["black_level_dn"]) < limit
         assert numbers.min() > 0
 
 

@@ -24,9 +24,12 @@ def electrons(level: float, shape=(600, 600)) -> Image:
     return Image(np.full((*shape, 1), level, np.float32), ("CFA",), Quantity.ELECTRONS, provenance={"exposure_s": 0.01})
 
 
-def analog(level: float, shape=(64, 64), **facts) -> Image:
+def analog(level: float, shape=(64, 64), **metadata) -> Image:
     return Image(
-        np.full((*shape, 1), level, np.float32), ("CFA",), Quantity.DN, provenance={"system_gain_dn_e": 0.1705, **facts}
+        np.full((*shape, 1), level, np.float32),
+        ("CFA",),
+        Quantity.DN,
+        provenance={"system_gain_dn_e": 0.1705, **metadata},
     )
 
 
@@ -299,9 +302,9 @@ def test_numbers_are_rounded_and_stay_in_range(level, number):
 
 def test_the_noise_profile_of_the_raw_file_is_the_noise_that_is_there():
     """S = K / (W - B); O = dark variance / (W - B)^2, the last with 1/12 of the rounding."""
-    facts = digital(analog(0.0, shot_noise=True, read_noise_e=2.5, dark_e=0.3, adc_noise_dn=0.738)).provenance
+    metadata = digital(analog(0.0, shot_noise=True, read_noise_e=2.5, dark_e=0.3, adc_noise_dn=0.738)).provenance
     variance = 0.1705**2 * (2.5**2 + 0.3) + 0.738**2 + 1 / 12
-    np.testing.assert_allclose(facts["noise_profile"], [0.1705 / 959, variance / 959**2], rtol=1e-12)
+    np.testing.assert_allclose(metadata["noise_profile"], [0.1705 / 959, variance / 959**2], rtol=1e-12)
     np.testing.assert_allclose(
         digital(analog(0.0)).provenance["noise_profile"], [0.0, 1 / 12 / 959**2], rtol=1e-12
     )  # a graph without noise rounds
@@ -412,8 +415,8 @@ def test_rows_in_the_dark_take_dark_current_off():
 
     N = 4 rows of 64: sqrt((K^2 (2.5^2 + 50) + 0.7^2) / 256) = 0.096 DN a frame at K = 0.2, which 64 draws know to 9 %.
     """
-    facts = {"dark_e": 50.0, "shot_noise": True, "read_noise_e": 2.5, "adc_noise_dn": 0.7}
-    frame = analog(10.0, **facts | {"system_gain_dn_e": 0.2})
+    metadata = {"dark_e": 50.0, "shot_noise": True, "read_noise_e": 2.5, "adc_noise_dn": 0.7}
+    frame = analog(10.0, **metadata | {"system_gain_dn_e": 0.2})
     left = [
         sensor.black_clamp(frame, rng=seeds.stream(seed, "clamp"), optical_black_rows=4).pixels for seed in range(64)
     ]

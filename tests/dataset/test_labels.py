@@ -15,7 +15,7 @@ from synfog_usd.image import Image, Quantity
 from synfog_usd.render.film.aovs import Aovs
 from synfog_usd.scene import Camera, Instance, SceneDict
 
-THINGS = (
+INSTANCES = (
     Instance(1, "/World/Road", "road"),
     Instance(2, "/World/Car", "car"),
     Instance(3, "/World/Behind", "person"),
@@ -33,7 +33,7 @@ IDS = np.array(
 
 
 @pytest.fixture
-def layers():
+def aovs():
     """Four rows of five: sky, a car in an L, a road, one instance that is hidden."""
     depth = np.where(IDS > 0, 10.0 + np.arange(20).reshape(4, 5), np.inf)
     normal = np.zeros((4, 5, 3))
@@ -95,17 +95,17 @@ def test_no_id_is_infinite_nan_or_denormal():
     assert 0 < odd < 100  # 32 are expected, with a standard deviation of 5.6
 
 
-def test_the_picture_has_every_layer_and_says_what_it_means(layers):
+def test_the_picture_has_every_aov_and_says_what_it_means(aovs):
     """Depth and distance in metres and infinite at the sky, ids as they are, Cityscapes' own class numbers."""
-    image = labels.label_image(layers, THINGS)
+    image = labels.label_image(aovs, INSTANCES)
     assert (
         image.pixels.dtype == np.float32
         and image.pixels.shape == (4, 5, len(labels.CHANNELS))
         and image.channels == labels.CHANNELS
     )
-    np.testing.assert_array_equal(plane(image, "depth.Z"), layers.depth_m.astype(np.float32))
-    np.testing.assert_array_equal(plane(image, "distance.Z"), layers.distance_m.astype(np.float32))
-    np.testing.assert_array_equal(np.stack([plane(image, f"N.{axis}") for axis in "XYZ"], axis=2), layers.normal)
+    np.testing.assert_array_equal(plane(image, "depth.Z"), aovs.depth_m.astype(np.float32))
+    np.testing.assert_array_equal(plane(image, "distance.Z"), aovs.distance_m.astype(np.float32))
+    np.testing.assert_array_equal(np.stack([plane(image, f"N.{axis}") for axis in "XYZ"], axis=2), aovs.normal)
     np.testing.assert_array_equal(plane(image, "instance.ID"), IDS)
     class_of = np.array(
         [23, 7, 26, 24, 0]
@@ -113,53 +113,53 @@ def test_the_picture_has_every_layer_and_says_what_it_means(layers):
     np.testing.assert_array_equal(plane(image, "semantic.ID"), class_of[IDS])
 
 
-def test_a_surface_without_a_thing_is_unlabeled_and_not_sky(layers):
+def test_a_surface_without_an_instance_is_unlabeled_and_not_sky(aovs):
     """What is drawn but has no label id has class 0 and no matte; sky is where the ray meets nothing."""
-    depth = layers.depth_m.copy()
+    depth = aovs.depth_m.copy()
     depth[0, 0] = 5.0
-    image = labels.label_image(Aovs(depth, depth, layers.normal, IDS, layers.transmittance), THINGS)
+    image = labels.label_image(Aovs(depth, depth, aovs.normal, IDS, aovs.transmittance), INSTANCES)
     assert plane(image, "semantic.ID")[0, :2].tolist() == [0, 23]
     assert plane(image, "crypto_object00.G")[0, 0] == 0
 
 
-def test_the_matte_has_one_rank_that_its_manifest_names(layers):
+def test_the_matte_has_one_rank_that_its_manifest_names(aovs):
     """Id in R and coverage in G of rank 0; the ids' bits are in the manifest, also of what is hidden; no second
     rank.
     """
-    image = labels.label_image(layers, THINGS)
+    image = labels.label_image(aovs, INSTANCES)
     manifest = json.loads(image.provenance["cryptomatte/f834d0a/manifest"])
-    assert list(manifest) == [instance.path for instance in THINGS] and len(set(manifest.values())) == len(THINGS)
+    assert list(manifest) == [instance.path for instance in INSTANCES] and len(set(manifest.values())) == len(INSTANCES)
     names = {int(digits, 16): path for path, digits in manifest.items()}
     ids, coverage = plane(image, "crypto_object00.R"), plane(image, "crypto_object00.G")
     for row, column in np.ndindex(IDS.shape):
         at = IDS[row, column]
         assert coverage[row, column] == (at > 0)
-        assert (names[int(bits(ids[row, column]), 16)] == THINGS[at - 1].path) if at else ids[row, column] == 0
+        assert (names[int(bits(ids[row, column]), 16)] == INSTANCES[at - 1].path) if at else ids[row, column] == 0
     assert not plane(image, "crypto_object00.B").any() and not plane(image, "crypto_object00.A").any()
 
 
-def test_the_matte_can_be_found_by_other_programs(layers):
+def test_the_matte_can_be_found_by_other_programs(aovs):
     """Key: the first seven digits of the layer name's hash; the name is that of the channels without the rank."""
-    facts = {
+    metadata = {
         name: value
-        for name, value in labels.label_image(layers, THINGS).provenance.items()
+        for name, value in labels.label_image(aovs, INSTANCES).provenance.items()
         if name.startswith("cryptomatte/")
     }
-    assert facts.keys() == {f"cryptomatte/f834d0a/{name}" for name in ("name", "hash", "conversion", "manifest")}
-    assert facts["cryptomatte/f834d0a/name"] == "crypto_object"
-    assert (facts["cryptomatte/f834d0a/hash"], facts["cryptomatte/f834d0a/conversion"]) == (
+    assert metadata.keys() == {f"cryptomatte/f834d0a/{name}" for name in ("name", "hash", "conversion", "manifest")}
+    assert metadata["cryptomatte/f834d0a/name"] == "crypto_object"
+    assert (metadata["cryptomatte/f834d0a/hash"], metadata["cryptomatte/f834d0a/conversion"]) == (
         "MurmurHash3_32",
         "uint32_to_float32",
     )
 
 
-def test_another_program_finds_the_mattes_in_the_file(layers, tmp_path):
+def test_another_program_finds_the_mattes_in_the_file(aovs, tmp_path):
     """As Cryptomatte's readers do: header attributes cryptomatte/<key>/name, the channels <name>00.R and .G, names from
     the manifest.
     """
     import OpenImageIO
 
-    bake._write_labels(layers, SceneDict({}, None, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path))
+    bake._write_labels(aovs, SceneDict({}, None, instances=INSTANCES), BakePlan(tmp_path / "street.usda", tmp_path))
     source = OpenImageIO.ImageInput.open(str(tmp_path / "labels.exr"))
     header = {item.name: item.value for item in source.spec().extra_attribs}
     channels = list(source.spec().channelnames)
@@ -169,14 +169,14 @@ def test_another_program_finds_the_mattes_in_the_file(layers, tmp_path):
     name = header[f"{key}/name"]
     ids, coverage = (pixels[:, :, channels.index(f"{name}00.{part}")] for part in "RG")
     manifest = json.loads(header[f"{key}/manifest"])
-    for instance in THINGS:
+    for instance in INSTANCES:
         matte = np.where(ids.view(np.uint32) == int(manifest[instance.path], 16), coverage, 0.0)
         np.testing.assert_array_equal(matte, instance.id == IDS)
 
 
-def test_the_list_has_a_box_around_what_is_seen(layers):
+def test_the_list_has_a_box_around_what_is_seen(aovs):
     """x, y, width and height of the visible pixels, the nearest distance, and both numbers of the class."""
-    listed = labels.label_list(layers, THINGS)
+    listed = labels.label_list(aovs, INSTANCES)
     assert (listed["schema"], listed["taxonomy"]) == ("synfog-usd/labels", "cityscapes")
     road, car, behind, blob = listed["instances"]
     assert road == {
@@ -240,7 +240,9 @@ def baked(tmp_path, monkeypatch):
     (tmp_path / "g.yaml").write_text(DISTORTED)
     graph = camera.load_graph(tmp_path / "g.yaml")
     view = Camera("/Camera", np.eye(4), 90, 60, 70.0)
-    bake._write_labels(seen, SceneDict({}, view, instances=THINGS), BakePlan(tmp_path / "street.usda", tmp_path), graph)
+    bake._write_labels(
+        seen, SceneDict({}, view, instances=INSTANCES), BakePlan(tmp_path / "street.usda", tmp_path), graph
+    )
     radiance = Image(
         np.repeat(ids[..., None], 3, axis=2).astype(np.float32) + 10.0,
         ("R", "G", "B"),
@@ -268,7 +270,7 @@ def test_labels_are_bent_as_the_picture_is(baked):
     assert (ids != seen.instance_id).mean() > 0.02
 
 
-def test_bent_layers_still_agree_with_each_other(baked):
+def test_bent_aovs_still_agree_with_each_other(baked):
     """Id, depth, distance, normal and matte of a pixel are those of one ray: no depth between a post and the wall."""
     image, _, _, seen = baked
     ids, depth = plane(image, "instance.ID"), plane(image, "depth.Z")

@@ -21,8 +21,8 @@ RINGS = np.linspace(1e-12, 1.0, 90)
 OVERCAST = ((1.0 + 2.0 * RINGS) / 3.0)[:, None]
 
 
-def layer(fog, *, ground=0.15, sky=OVERCAST, **more):
-    """A 60 m layer with one channel."""
+def solved(fog, *, ground=0.15, sky=OVERCAST, **more):
+    """A 60 m slab with one channel."""
     return solve(
         fog, bottom_m=0.0, top_m=TOP, ground=[ground], sky_up=RINGS if len(sky) > 1 else [1.0], sky=sky, **more
     )
@@ -52,7 +52,7 @@ def directions():
 @pytest.mark.parametrize("depth", [0.0, 1e-9, 1e-3, 1.2, 30.0, 1000.0])
 def test_white_furnace_is_white(depth, g):
     """Sky 1, ground 1, albedo 1: radiance is 1 everywhere.  Measured 6e-11; irradiance 3e-9 (its quadrature)."""
-    slab = layer(FogMedium(depth / TOP, g=g), ground=1.0, sky=[[1.0]])
+    slab = solved(FogMedium(depth / TOP, g=g), ground=1.0, sky=[[1.0]])
     height, up = anywhere(600)
     np.testing.assert_allclose(slab.radiance(height, up), 1.0, atol=1e-9)
     np.testing.assert_allclose(slab.source(height, up), 1.0, atol=1e-9)
@@ -61,8 +61,8 @@ def test_white_furnace_is_white(depth, g):
 
 
 def test_path_traced_radiance_from_the_ground():
-    """Path tracing of an empty layer, physics notes section 2; its noise is below 0.1 %."""
-    slab = layer(FogMedium(0.02), sky=[[1.0]])
+    """Path tracing of an empty slab, physics notes section 2; its noise is below 0.1 %."""
+    slab = solved(FogMedium(0.02), sky=[[1.0]])
     seen = slab.radiance(np.zeros(5), np.cos(np.radians([0.0, 30.0, 60.0, 75.0, 85.0])))[:, 0]
     np.testing.assert_allclose(seen, [0.96190, 0.94773, 0.85108, 0.68555, 0.50335], rtol=1e-3)
 
@@ -105,7 +105,7 @@ def disort(depth, albedo, ground, height, streams=64):
 def test_library_of_discrete_ordinates_agrees(visibility_m, ground, albedo, library_albedo, streams, rtol):
     """PythonicDISORT at its 64 nodes, six heights."""
     fog = FogMedium(float(extinction_from_visibility(visibility_m)), albedo=albedo)
-    slab = layer(fog, ground=ground, streams=streams)
+    slab = solved(fog, ground=ground, streams=streams)
     height = np.array([59.99, 59.0, 30.0, 10.0, 1.0, 0.001])
     truth, up = disort(slab.optical_depth, library_albedo, ground, height)
     seen = slab.radiance(np.tile(height, up.size), np.repeat(up, height.size))[:, 0].reshape(up.size, height.size)
@@ -116,7 +116,7 @@ def test_library_of_discrete_ordinates_agrees(visibility_m, ground, albedo, libr
 @pytest.mark.parametrize("g", [0.0, 0.87, 0.99])
 def test_radiance_and_source_satisfy_the_transfer_equation(profile, g):
     """dL/ds = sigma_t (L - J) along the direction looked into, by central differences: 1e-9 of L, their own error."""
-    slab = layer(FogMedium(0.02, g=g, profile=profile, scale_height_m=30.0))
+    slab = solved(FogMedium(0.02, g=g, profile=profile, scale_height_m=30.0))
     rng = np.random.default_rng(1)
     height, up = rng.uniform(1.0, TOP - 1.0, 400), rng.choice([-1.0, 1.0], 400) * 10.0 ** rng.uniform(-3.0, 0.0, 400)
     step = 0.01
@@ -132,7 +132,7 @@ def test_source_is_the_integral_of_phase_and_radiance(g, sky):
     """J = integral of p L over the sphere, with HG itself (no Legendre series) and other nodes; the target of a control
     variate.
     """
-    slab = layer(FogMedium(0.02, g=g), sky=sky)
+    slab = solved(FogMedium(0.02, g=g), sky=sky)
     node, weight = directions()
     phi = (np.arange(400) + 0.5) * np.pi / 400.0
     for height in (0.0, 1e-3, 0.5, 20.0, 59.9, 59.999, 60.0):
@@ -155,7 +155,7 @@ def test_nothing_is_lost_without_absorption(depth):
     """
     height = np.array([0.0, 0.01, 5.0, 30.0, 59.0, 60.0])
     for ground in (0.0, 0.15, 1.0):
-        slab = layer(FogMedium(depth / TOP), ground=ground)
+        slab = solved(FogMedium(depth / TOP), ground=ground)
         down, up = slab.irradiance(height, np.ones(6))[:, 0], slab.irradiance(height, -np.ones(6))[:, 0]
         np.testing.assert_allclose(down - up, (down - up)[0] if ground < 1.0 else 0.0, atol=3e-5 * down.max())
         np.testing.assert_allclose(up[0], ground * down[0], rtol=1e-4, atol=1e-12)
@@ -163,7 +163,7 @@ def test_nothing_is_lost_without_absorption(depth):
 
 def test_fog_that_only_absorbs_obeys_beer_lambert():
     """Albedo 0: L = exp(-tau / |up|) times the boundary."""
-    slab = layer(FogMedium(0.02, albedo=0.0), ground=0.5)
+    slab = solved(FogMedium(0.02, albedo=0.0), ground=0.5)
     height, up = anywhere(1000)
     tau = 0.02 * np.where(up >= 0.0, TOP - height, height)
     edge = np.where(up >= 0.0, np.interp(np.abs(up), RINGS, OVERCAST[:, 0]), slab.ground_radiance)
@@ -173,7 +173,7 @@ def test_fog_that_only_absorbs_obeys_beer_lambert():
 
 def test_clear_air_shows_sky_and_ground():
     """No fog: the sky above, and ground lit by it, 0.15 / pi times the irradiance 7 pi / 9 of an overcast sky."""
-    slab = layer(FogMedium(0.0))
+    slab = solved(FogMedium(0.0))
     height, up = anywhere(200)
     truth = np.where(up >= 0.0, np.interp(np.abs(up), RINGS, OVERCAST[:, 0]), 0.15 * 7.0 / 9.0)
     np.testing.assert_allclose(
@@ -187,7 +187,7 @@ def test_tables_hold_the_radiance(sigma_t):
     """Bilinear lookup at the default size: median error < 1e-4, 99th percentile < 1e-3, at random heights and
     directions.
     """
-    slab = layer(FogMedium(sigma_t))
+    slab = solved(FogMedium(sigma_t))
     rng = np.random.default_rng(2)
     height, up = rng.uniform(0.0, TOP, 8000), rng.uniform(-1.0, 1.0, 8000)
     error = np.abs(slab.lookup(slab.table(), height, up) / slab.radiance(height, up) - 1.0)
@@ -201,7 +201,7 @@ def test_tables_hold_the_radiance(sigma_t):
 
 def test_table_nodes_are_the_radiance_itself():
     """Node by node, exact to float32, with the limit from each side at the horizon."""
-    slab = layer(FogMedium(0.02))
+    slab = solved(FogMedium(0.02))
     table = slab.table(9, 7)
     x = np.sin(np.linspace(0.0, np.pi / 2.0, 9)) ** 2  # uniform fog: the share of depth is the share of height
     up = np.linspace(0.0, 1.0, 7) ** 2
@@ -212,7 +212,7 @@ def test_table_nodes_are_the_radiance_itself():
 
 def test_irradiance_is_the_integral_over_a_hemisphere():
     """Midpoints over the whole sphere, 2000 x 2000 in angle: good to 1e-4 near the kinks."""
-    slab = layer(FogMedium(0.02))
+    slab = solved(FogMedium(0.02))
     theta = (np.arange(2000) + 0.5) * np.pi / 2000.0
     phi = (np.arange(2000) + 0.5) * np.pi / 2000.0
     for height, normal in ((0.3, 1.0), (10.0, 0.2), (30.0, 0.0), (59.0, -0.7), (60.0, -1.0)):
@@ -227,8 +227,8 @@ def test_only_optical_depth_matters():
     clamped.
     """
     thinning = FogMedium(0.04, profile="exponential", scale_height_m=25.0)
-    one = layer(thinning)
-    two = layer(FogMedium(one.optical_depth / TOP))
+    one = solved(thinning)
+    two = solved(FogMedium(one.optical_depth / TOP))
     height, up = anywhere(500)
     share = thinning.optical_depth(np.zeros(500), height, height) / one.optical_depth
     keep = np.abs(up) > 1e-3  # nearer to the horizon the rounding of `share` shows
@@ -246,18 +246,18 @@ def test_channels_are_apart_and_light_is_additive():
     for c in range(3):
         np.testing.assert_allclose(
             together.radiance(height, up)[:, c],
-            layer(fog, ground=ground[c], sky=sky[:, c : c + 1]).radiance(height, up)[:, 0],
+            solved(fog, ground=ground[c], sky=sky[:, c : c + 1]).radiance(height, up)[:, 0],
             rtol=1e-8,
         )
-    twice = layer(fog, sky=2.0 * OVERCAST)
-    np.testing.assert_allclose(twice.radiance(height, up), 2.0 * layer(fog).radiance(height, up), rtol=1e-9)
+    twice = solved(fog, sky=2.0 * OVERCAST)
+    np.testing.assert_allclose(twice.radiance(height, up), 2.0 * solved(fog).radiance(height, up), rtol=1e-9)
 
 
-def test_moments_of_the_same_phase_give_the_same_layer():
-    """Henyey-Greenstein's moments handed over, shorter ones padded: the default's layer."""
+def test_moments_of_the_same_phase_give_the_same_slab():
+    """Henyey-Greenstein's moments handed over, shorter ones padded: the default's slab."""
     height, up = anywhere(100)
-    one = layer(FogMedium(0.02, g=0.5))
-    two = layer(FogMedium(0.02, g=0.0), moments=0.5 ** np.arange(60))
+    one = solved(FogMedium(0.02, g=0.5))
+    two = solved(FogMedium(0.02, g=0.0), moments=0.5 ** np.arange(60))
     np.testing.assert_allclose(two.radiance(height, up), one.radiance(height, up), rtol=1e-12)
 
 
@@ -278,7 +278,7 @@ def test_moments_of_the_same_phase_give_the_same_layer():
         ({"moments": [[1.0, 0.5]]}, "moments"),
     ],
 )
-def test_what_no_layer_can_be_is_refused(change, words):
+def test_what_no_slab_can_be_is_refused(change, words):
     """One clear line each."""
     given = {"bottom_m": 0.0, "top_m": TOP, "ground": [0.15], "sky_up": [0.5, 1.0], "sky": [[1.0], [1.0]]} | change
     with pytest.raises(ParameterError, match=words):

@@ -1,4 +1,4 @@
-"""An empty layer of fog against discrete ordinates, from the ground, zenith 0 to 87 degrees.
+"""An empty slab of fog against discrete ordinates, from the ground, zenith 0 to 87 degrees.
 
 Rationale: `fog.slab.solve` shares no code with path tracing, and is itself tested
 against PythonicDISORT, which wants an albedo below 1: compared here directly where it
@@ -15,7 +15,7 @@ from support.renders import by_seed
 from support.stats import assert_mean
 
 from synfog_usd.fog.medium import FogMedium, extinction_from_visibility
-from synfog_usd.testing import empty_layer
+from synfog_usd.testing import empty_slab
 
 SEEDS = 12
 BANDS = 4
@@ -40,9 +40,9 @@ def bands(world, model, samples):
 @pytest.mark.physics
 @pytest.mark.parametrize("model", sorted(SAMPLES))
 @pytest.mark.parametrize("visibility_m, ground", CASES)
-def test_an_empty_layer_is_that_of_discrete_ordinates(visibility_m, ground, model):
+def test_an_empty_slab_is_that_of_discrete_ordinates(visibility_m, ground, model):
     """Each quarter of the sky's arc is within 0.1 %, and five standard errors are less than that."""
-    world = empty_layer(FogMedium(float(extinction_from_visibility(visibility_m))), ground)
+    world = empty_slab(FogMedium(float(extinction_from_visibility(visibility_m))), ground)
     ratio = bands(world, model, SAMPLES[model])
     error = ratio.std(axis=0, ddof=1) / np.sqrt(SEEDS)
     assert np.all(5 * error < 1e-3), f"cannot see 0.1 %: {error}"
@@ -54,7 +54,7 @@ def test_an_empty_layer_is_that_of_discrete_ordinates(visibility_m, ground, mode
 @pytest.mark.parametrize("sunk_m", [0.0, 1.0], ids=["floor on the ground", "floor under the ground"])
 def test_the_fog_may_end_on_the_ground_or_under_it(sunk_m, model):
     """A box of fog whose floor is the ground itself, as artists draw it, gives the same light; 1 % is resolved."""
-    world = empty_layer(FogMedium(0.02), 0.5, sunk_m=sunk_m)
+    world = empty_slab(FogMedium(0.02), 0.5, sunk_m=sunk_m)
     assert_mean(bands(world, model, 128).mean(axis=1), 1.0, resolves=0.01)
 
 
@@ -89,7 +89,7 @@ def test_fog_that_absorbs_is_that_of_the_library(ground):
     upward = upward[np.argsort(-mu[upward])]
     for index in upward[[6, 12, 20, 28]]:
         zenith = np.degrees(np.arccos(-mu[index]))
-        world = empty_layer(medium, ground, zenith_deg=(zenith - 0.5, zenith + 0.5), width_px=8, height_px=8)
+        world = empty_slab(medium, ground, zenith_deg=(zenith - 0.5, zenith + 0.5), width_px=8, height_px=8)
         np.testing.assert_allclose(world.truth.mean(), seen[index], rtol=1e-3)
         means = renders.means(world.scene, SEEDS, model="path", samples=8192)
         assert np.std(means, ddof=1) / np.sqrt(SEEDS) < 5e-4 * seen[index]

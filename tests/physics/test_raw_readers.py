@@ -50,7 +50,7 @@ def hdr() -> Image:
     level = wall()
     linear = raws.scene("RGGB", level, bits=20, black=240).pixels[..., 0]
     codes = np.rint(np.interp(linear, *np.array(KNEES, dtype=float).T))
-    return Image(codes[..., None].astype(np.float32), ("CFA",), Quantity.DN, provenance=raws.facts("RGGB", **HDR))
+    return Image(codes[..., None].astype(np.float32), ("CFA",), Quantity.DN, provenance=raws.metadata("RGGB", **HDR))
 
 
 @pytest.fixture(scope="module")
@@ -276,10 +276,13 @@ def test_the_raw_file_of_every_shipped_graph_is_exact_and_clean(tmp_path, path, 
     spread = picture[100:220, 40:260].std(axis=(0, 1)).max() / np.sqrt(
         120 * 220 / 4
     )  # of a mean over the pixels of one colour
-    facts = image.provenance
+    metadata = image.provenance
     if spread == 0.0:  # without noise every pixel of a colour is rounded alike, by up to half a DN before white balance
         spread = (
-            0.2 * 65535 / (facts["white_level_dn"] - facts["black_level_dn"]) / min(facts.get("as_shot_neutral", [1.0]))
+            0.2
+            * 65535
+            / (metadata["white_level_dn"] - metadata["black_level_dn"])
+            / min(metadata.get("as_shot_neutral", [1.0]))
         )
     assert (
         picture[10:40, 10:60].mean() > 1.5 * channels.mean()

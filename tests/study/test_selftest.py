@@ -30,10 +30,10 @@ def constant(value, lost=0, *, peer=False):
     def make(loaded):
         camera = loaded.source.camera
         shape = (camera.width_px * camera.height_px, 3)
-        exposure = SimpleNamespace(
+        accumulated = SimpleNamespace(
             mean=lambda: np.full(shape, value), variance=lambda: np.full(shape, 1e-12), lost=lost
         )
-        return SimpleNamespace(accumulate=lambda **how: exposure)
+        return SimpleNamespace(accumulate=lambda **how: accumulated)
 
     return models.Model(make=make, peer=peer)
 

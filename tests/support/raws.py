@@ -47,7 +47,7 @@ def neutral(pattern: str) -> np.ndarray:
     return signal / signal.max()
 
 
-def facts(pattern: str, *, bits: int = 12, black: int | None = None, **more: Any) -> dict[str, Any]:
+def metadata(pattern: str, *, bits: int = 12, black: int | None = None, **more: Any) -> dict[str, Any]:
     """Provenance of a frame of 1/60 s at f/2 and ISO 200."""
     black = 2 ** (bits - 6) if black is None else black
     found: dict[str, Any] = {
@@ -74,7 +74,7 @@ def facts(pattern: str, *, bits: int = 12, black: int | None = None, **more: Any
 
 def noise(pattern: str, *, bits: int = 12, shape: tuple[int, int] = (96, 128), white: int | None = None) -> Image:
     """Every number from 0 to white level, at random, the ends among them."""
-    told = facts(pattern, bits=bits)
+    told = metadata(pattern, bits=bits)
     white = told["white_level_dn"] if white is None else white
     numbers = seeds.stream(0, "raw", pattern, bits).integers(0, white + 1, shape)
     numbers[0, :2] = 0, white
@@ -88,9 +88,9 @@ def scene(pattern: str, level: np.ndarray, xyz: np.ndarray = D65_XYZ, **more: An
         pattern: of the filters.
         level: (H, W) brightness, 1 being where a white surface in D65 saturates.
         xyz: its colour; D65's own is a grey card.
-        more: for `facts`.
+        more: for `metadata`.
     """
-    told = facts(pattern, **more)
+    told = metadata(pattern, **more)
     top = max(np.dot(ROWS[letter], D65_XYZ) for letter in filters(pattern))
     signal = {letter: np.dot(ROWS[letter], xyz) / top for letter in filters(pattern)}
     black, white = told["black_level_dn"], told["white_level_dn"]

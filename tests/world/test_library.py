@@ -457,7 +457,7 @@ def test_stock_is_the_same_bytes_each_time(tmp_path):
     assert len(made) == 4
 
 
-def test_a_skin_is_the_same_whatever_was_thinned_before_it():
+def test_a_skin_is_the_same_whatever_was_simplified_before_it():
     """pymeshlab remembers what its last call was told; a surface made before and after another kind of thinning has the
     same points.
     """

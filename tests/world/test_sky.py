@@ -226,14 +226,14 @@ def test_files_say_what_they_are(name):
     one, (_, spec) = sky.SKIES[name], picture(name)
     assert spec.getattribute("ImageDescription") == ORIGIN
     assert spec.getattribute("whiteLuminance") == 1.0
-    facts = {
+    metadata = {
         "zenithNits": one.zenith_nits,
         "illuminanceLux": one.illuminance_lx,
         "cctKelvin": one.cct_k,
         "sunHeightDeg": one.sun_height_deg,
         "cieSky": one.cie,
     }
-    for key, value in facts.items():
+    for key, value in metadata.items():
         assert spec.getattribute(f"synfog:{key}") == pytest.approx(value, rel=1e-3), key
     read = skies.sky_of(name)
     assert (read.about, read.cie, read.illuminance_lx, read.cct_k) == (

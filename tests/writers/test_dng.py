@@ -250,13 +250,13 @@ def test_the_date_is_fixed_and_the_camera_is_named(tmp_path):
 
 
 def test_without_a_second_matrix_the_file_has_one(tmp_path, mosaic):
-    facts = {
+    metadata = {
         key: value
-        for key, value in raws.facts("RGGB").items()
+        for key, value in raws.metadata("RGGB").items()
         if key not in ("xyz_to_camera_a", "lens_title", "sensor_serial", "focal_length_mm")
     }
     write_dng(
-        tmp_path / "a.dng", Image(np.full((32, 32, 1), 64.0, np.float32), ("CFA",), Quantity.DN, provenance=facts)
+        tmp_path / "a.dng", Image(np.full((32, 32, 1), 64.0, np.float32), ("CFA",), Quantity.DN, provenance=metadata)
     )
     assert (
         tags_of(tmp_path / "a.dng")[50778] == D65
@@ -270,8 +270,8 @@ KNEES = [[240, 240], [1264, 1264], [17648, 2288], [1048575, 4095]]
 
 
 def companded(numbers: np.ndarray) -> Image:
-    facts = raws.facts("RGGB", companding=KNEES, black_level_dn=240, linear_black_dn=240, linear_white_dn=1048575)
-    return Image(numbers[..., None].astype(np.float32), ("CFA",), Quantity.DN, provenance=facts)
+    metadata = raws.metadata("RGGB", companding=KNEES, black_level_dn=240, linear_black_dn=240, linear_white_dn=1048575)
+    return Image(numbers[..., None].astype(np.float32), ("CFA",), Quantity.DN, provenance=metadata)
 
 
 @pytest.mark.parametrize("compression", ["none", "lossless"])
@@ -292,7 +292,7 @@ def test_companded_codes_are_kept_and_a_reader_makes_linear_numbers_of_them(tmp_
 
 def test_what_fits_16_bits_is_not_scaled(tmp_path):
     """14 bits in 10: each linear number that has a code of its own comes back as it was."""
-    facts = raws.facts(
+    metadata = raws.metadata(
         "RGGB",
         bits=10,
         companding=[[64, 64], [512, 512], [16383, 1023]],
@@ -300,7 +300,7 @@ def test_what_fits_16_bits_is_not_scaled(tmp_path):
         linear_black_dn=64,
         linear_white_dn=16383,
     )
-    image = Image(np.arange(1024, dtype=np.float32).reshape(32, 32, 1), ("CFA",), Quantity.DN, provenance=facts)
+    image = Image(np.arange(1024, dtype=np.float32).reshape(32, 32, 1), ("CFA",), Quantity.DN, provenance=metadata)
     write_dng(tmp_path / "a.dng", image)
     with rawpy.imread(str(tmp_path / "a.dng")) as raw:
         np.testing.assert_array_equal(raw.raw_image_visible.ravel()[:513], np.arange(513))
@@ -313,7 +313,10 @@ def test_what_fits_16_bits_is_not_scaled(tmp_path):
 
 def test_hdr_numbers_that_are_not_companded_are_refused_with_advice(tmp_path):
     image = Image(
-        np.full((32, 32, 1), 1e6, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts("RGGB", bits=20, black=240)
+        np.full((32, 32, 1), 1e6, np.float32),
+        ("CFA",),
+        Quantity.DN,
+        provenance=raws.metadata("RGGB", bits=20, black=240),
     )
     with pytest.raises(
         ImageError, match=r"at most 16 bits; white_level_dn is 1048575\. Put sensor\.compand before it, or write an EXR"
@@ -329,9 +332,9 @@ def test_facts_that_are_missing_or_wrong_are_named(tmp_path):
         ("RGGB", {"cfa_pattern": "XTRANS"}, "pattern 'XTRANS' cannot be written; it takes RGGB,"),
         ("RGGB", {"companding": KNEES}, "needs linear_black_dn, linear_white_dn in"),
     ]:
-        facts = {key: value for key, value in (raws.facts(pattern) | change).items() if value is not None}
+        metadata = {key: value for key, value in (raws.metadata(pattern) | change).items() if value is not None}
         with pytest.raises(ImageError, match=words):
-            write_dng(tmp_path / "a.dng", Image(numbers, ("CFA",), Quantity.DN, provenance=facts))
+            write_dng(tmp_path / "a.dng", Image(numbers, ("CFA",), Quantity.DN, provenance=metadata))
     with pytest.raises(OutputError, match="compression is 'zip'; a DNG takes none, lossless"):
         write_dng(tmp_path / "a.dng", raws.noise("RGGB"), compression="zip")
     assert not list(tmp_path.iterdir())
@@ -398,13 +401,13 @@ def test_a_camera_without_noise_has_no_noise_profile(mosaic, tmp_path):
 
 def test_black_of_24_bits_is_whole():
     """0.68 of 65535 becomes 1, and so does every dark code: grey stays neutral."""
-    facts = {
+    metadata = {
         "companding": [[168, 168], [4096, 1792], [16_000_000, 4095]],
         "white_level_dn": 4095,
         "linear_black_dn": 168,
         "linear_white_dn": 16_000_000,
     }
-    table, black, white = dng.linearisation(facts)
+    table, black, white = dng.linearisation(metadata)
     assert (black, white, int(table[168]), int(table[-1])) == (1, 65535, 1, 65535)
     middle = 8_000_000.0
     code = np.interp(middle, [4096, 16_000_000], [1792, 4095])

@@ -65,10 +65,10 @@ def test_the_same_image_gives_the_same_bytes_whenever_it_is_written(tmp_path):
 def test_other_programs_find_the_standard_attributes(tmp_path):
     write_exr(tmp_path / "a.exr", image(exposure_s=0.02, iso=100.0), attributes={"synfog:mor_m": 150.0})
     source = OpenImageIO.ImageInput.open(str(tmp_path / "a.exr"))
-    facts = {item.name: item.value for item in source.spec().extra_attribs}
+    metadata = {item.name: item.value for item in source.spec().extra_attribs}
     source.close()
-    assert facts["whiteLuminance"] == 1.0 and facts["synfog:mor_m"] == 150.0 and facts["isoSpeed"] == 100.0
-    assert facts["chromaticities"][:2] == pytest.approx((0.64, 0.33))
+    assert metadata["whiteLuminance"] == 1.0 and metadata["synfog:mor_m"] == 150.0 and metadata["isoSpeed"] == 100.0
+    assert metadata["chromaticities"][:2] == pytest.approx((0.64, 0.33))
     write_exr(tmp_path / "b.exr", image(("S0.450,000000nm", "S0.550,000000nm")))
     source = OpenImageIO.ImageInput.open(str(tmp_path / "b.exr"))
     assert source.spec().getattribute("emissiveUnits") == "W.m^-2.sr^-1.nm^-1"

@@ -37,12 +37,12 @@ def test_a_dng_comes_back_as_it_was(shot, tmp_path, compression):
     writers.write_output("a.dng", adc, tmp_path, options={"compression": compression})
     read = writers.read_raw(tmp_path / "a.dng")
     np.testing.assert_array_equal(read.pixels, adc.pixels)
-    facts, ours = read.provenance, adc.provenance
-    assert (facts["cfa_pattern"], facts["black_level_dn"], facts["white_level_dn"]) == ("RGGB", 64.0, 1023.0)
-    np.testing.assert_allclose(facts["as_shot_neutral"], ours["as_shot_neutral"], rtol=1e-5)
-    np.testing.assert_allclose(facts["noise_profile"], ours["noise_profile"], rtol=1e-9)
-    np.testing.assert_allclose(facts["camera_to_rec709"], shot["colour"].provenance["colour_matrix"], atol=5e-4)
-    assert facts["exposure_s"] == pytest.approx(ours["exposure_s"], rel=1e-4) and facts["iso"] == 55
+    metadata, ours = read.provenance, adc.provenance
+    assert (metadata["cfa_pattern"], metadata["black_level_dn"], metadata["white_level_dn"]) == ("RGGB", 64.0, 1023.0)
+    np.testing.assert_allclose(metadata["as_shot_neutral"], ours["as_shot_neutral"], rtol=1e-5)
+    np.testing.assert_allclose(metadata["noise_profile"], ours["noise_profile"], rtol=1e-9)
+    np.testing.assert_allclose(metadata["camera_to_rec709"], shot["colour"].provenance["colour_matrix"], atol=5e-4)
+    assert metadata["exposure_s"] == pytest.approx(ours["exposure_s"], rel=1e-4) and metadata["iso"] == 55
 
 
 def test_the_second_half_alone_makes_the_same_picture(shot, tmp_path):
@@ -61,7 +61,7 @@ def test_the_second_half_alone_makes_the_same_picture(shot, tmp_path):
 def test_patterns_and_blacks_of_each_filter_are_read(pattern, tmp_path):
     path = tmp_path / "a.dng"
     writers.write_dng(
-        path, Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts(pattern))
+        path, Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.metadata(pattern))
     )
     read = writers.read_raw(path)
     with rawpy.imread(str(path)) as raw:
@@ -75,7 +75,7 @@ def test_what_is_no_mosaic_is_refused_in_one_line(tmp_path):
         writers.read_raw(tmp_path / "no.dng")
     with pytest.raises(ImageError, match="no such file"):
         writers.read_raw(tmp_path / "none.nef")
-    grey = Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts("MONO"))
+    grey = Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.metadata("MONO"))
     writers.write_dng(tmp_path / "grey.dng", grey)
     with pytest.raises(ImageError, match=r"grey\.dng: "):
         writers.read_raw(tmp_path / "grey.dng")
@@ -85,7 +85,7 @@ def test_a_raw_file_is_no_light(tmp_path):
     """A graph that begins with radiance says so, and the one for RAW files needs no sensor but the file."""
     writers.write_dng(
         tmp_path / "a.dng",
-        Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.facts("RGGB")),
+        Image(np.full((32, 40, 1), 100.0, np.float32), ("CFA",), Quantity.DN, provenance=raws.metadata("RGGB")),
     )
     done = cli.run("graph", "run", "phone", "--in", tmp_path / "a.dng", "-o", tmp_path / "out")
     assert (

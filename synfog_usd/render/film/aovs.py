@@ -52,7 +52,7 @@ class Hits:
 
 @dataclass(frozen=True)
 class Aovs:
-    """Per-pixel facts, all (H, W) or (H, W, 3).
+    """What each pixel sees, all (H, W) or (H, W, 3).
 
     Attributes:
         distance_m: along the ray from the camera, inf at the sky.

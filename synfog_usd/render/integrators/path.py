@@ -65,7 +65,7 @@ GROWN, GUIDE_PROBABILITY_GROWN = 1.5, 0.15
 """Growth of the throughput from the first vertex on beyond which a path is guided no more often than that: what guiding
 misses weighs up to twice as much at every scattering."""
 
-DIFFERENCE_SURVIVES = 0.8
+DIFFERENCE_RR_PROB = 0.8
 """Chance of a path to live on after each scattering but the first, where only a difference is sampled."""
 
 UNLIMITED = 1 << 20
@@ -495,10 +495,10 @@ class FogPath:
 
             # ==== 12. Roulette
             scale = dr.select(depth == 1, dr.maximum(dr.max(throughput), 1e-30), scale)
-            survive = self.survival(throughput, scale, depth, scattered, medium_scattered)
-            alive &= (dr.max(throughput) > 0.0) & (sampler.next_1d(alive) < survive)
+            rr_prob = self.roulette(throughput, scale, depth, scattered, medium_scattered)
+            alive &= (dr.max(throughput) > 0.0) & (sampler.next_1d(alive) < rr_prob)
             alive &= medium_scattered | (bounces < self.method.bounces)
-            throughput /= dr.maximum(survive, 1e-8)
+            throughput /= dr.maximum(rr_prob, 1e-8)
 
             # ==== 13. The lane's next path where this one has ended
             over = active & ~alive
@@ -532,8 +532,8 @@ class FogPath:
         if not self.foggy:
             return mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf)
         near, far = self.medium.intersect(ray.o, ray.d)
-        reach = self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u), near, far)
-        return near, far, dr.select(may_scatter & (reach < far), reach, dr.inf)
+        distance = self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u), near, far)
+        return near, far, dr.select(may_scatter & (distance < far), distance, dr.inf)
 
     def control_jump(
         self, ray: Any, flight: Any, end: Any, active: Any, at_eye: Any, surface_hit: Any, may_scatter: Any
@@ -761,14 +761,14 @@ class FogPath:
             throughput = dr.select(medium_scattered, throughput * phase_pdf / dr.maximum(mixed, 1e-30), throughput)
         return wo, phase_pdf, throughput
 
-    def survival(self, throughput: Any, scale: Any, depth: Any, scattered: Any, medium_scattered: Any) -> Any:
+    def roulette(self, throughput: Any, scale: Any, depth: Any, scattered: Any, medium_scattered: Any) -> Any:
         """(12) Chance of a path to go on: rr_prob after RR_DEPTH vertices, less where it carries little or only a
         difference.
         """
-        survive = dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(dr.max(throughput) / (FAINT * scale), 1.0)
+        rr_prob = dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(dr.max(throughput) / (FAINT * scale), 1.0)
         if self.control is not None:
-            survive *= dr.select(medium_scattered & (scattered > 1), DIFFERENCE_SURVIVES, 1.0)
-        return survive
+            rr_prob *= dr.select(medium_scattered & (scattered > 1), DIFFERENCE_RR_PROB, 1.0)
+        return rr_prob
 
     def add_light(self, path: Any, aovs: list[Any], sums: list[Any], light: Any, scattered: Any, group: Any) -> Any:
         """Add light to the path, its AOV and its group; light that is not finite is left out of both and spoils the

@@ -18,7 +18,7 @@ import numpy as np
 
 from synfog_usd.arrays import Array
 from synfog_usd.render import backend
-from synfog_usd.render.lights.rows import EVERYWHERE, LAMP, Columns
+from synfog_usd.render.lights.rows import EVERYWHERE, LAMP, Columns, LampRow
 
 FLOOR = 0.15
 """Share of the draws that do not know the place."""
@@ -92,7 +92,7 @@ class LightGrid:
         self.lights, self.sigma_t, self.eye = lights, sigma_t, eye
         rows = [_representative(block) for block in lights.rows]
         places = np.array([row["position"] for row in rows])
-        self.columns = Columns(np.array(rows, dtype=LAMP), tabled=lights.photometric)
+        self.columns = Columns(np.array(rows, dtype=LAMP), LampRow, tabled=lights.photometric)
         low, high = eye - REACH_M, eye + REACH_M
         low[:2], high[:2] = (
             np.maximum(low[:2], places[:, :2].min(axis=0) - 20.0),

@@ -20,7 +20,7 @@ import numpy as np
 
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
-from synfog_usd.render.lights.rows import EVERYWHERE, luminous_peak
+from synfog_usd.render.lights.rows import Columns, SummaryRow, summaries
 from synfog_usd.render.media.medium import Medium
 
 if TYPE_CHECKING:
@@ -57,10 +57,10 @@ class LightGuide:
     """
 
     def __init__(self, lights: LightSampler, medium: Medium, eye: np.ndarray) -> None:
-        rows = np.array([summary(rows) for rows in lights.rows] or np.zeros((0, 14)))
-        rows = rows[rows[:, 6] > 0.0]
-        apart = ((rows[:, 0:3] - eye) ** 2).sum(axis=1) + 25.0
-        rows = rows[np.argsort(-rows[:, 6] / apart, kind="stable")[:MOST]]
+        rows = summaries(lights.rows)
+        rows = rows[rows["peak"] > 0.0]
+        apart = ((rows["position"] - eye) ** 2).sum(axis=1) + 25.0
+        rows = rows[np.argsort(-rows["peak"] / apart, kind="stable")[:MOST]]
         self.count = len(rows) if medium.foggy else 0
         if not self.count:
             return
@@ -74,36 +74,33 @@ class LightGuide:
         self.around = mi.IrregularContinuousDistribution(
             mi.Float(nodes.astype(np.float32)), mi.Float(beyond.astype(np.float32))
         )
-        self.tabled = lights.photometric and bool((rows[:, 10] >= 0.0).any())
+        has_table = rows["table"] >= 0.0
+        self.tabled = lights.photometric and bool(has_table.any())
         if self.tabled:
-            used = np.unique(rows[rows[:, 10] >= 0.0, 10]).astype(int)
+            used = np.unique(rows["table"][has_table]).astype(int)
             share = np.interp(np.clip(_between_nodes(), 0.05, np.pi), nodes, beyond) / np.interp(0.05, nodes, beyond)
             self.light = photometric.Tables([_spread(lights.tables[number], share) for number in used])
-            rows[rows[:, 10] >= 0.0, 10] = np.searchsorted(used, rows[rows[:, 10] >= 0.0, 10])
-        self.table = [backend.floats(column) for column in rows.T[: 14 if self.tabled else 10]]
+            rows["table"][has_table] = np.searchsorted(used, rows["table"][has_table])
+        self.lamps = Columns(rows, SummaryRow, tabled=self.tabled)
         self.scattered_scale = 1.0 / self.around.eval_pdf_normalized(mi.Float(0.05))
-        dr.make_opaque(self.table, self.scattered_scale)
+        dr.make_opaque(self.scattered_scale)
 
-    def _row(self, index: Any) -> list[Any]:
-        mi = backend.mitsuba()
-        return [dr.gather(mi.Float, column, index) for column in self.table]
-
-    def _sent(self, row: list[Any], towards: Any) -> Any:
+    def _sent(self, lamp: SummaryRow, towards: Any) -> Any:
         """Peak of a lamp times its share in a direction away from it, and beside its beam what the fog scatters out of
         it.
         """
         mi = backend.mitsuba()
-        cosine = dr.dot(mi.Vector3f(*row[3:6]), towards)
-        beside = dr.acos(dr.clip(cosine, -1.0, 1.0)) - row[7]
-        beam = dr.clip(-beside * row[8], 0.0, 1.0)
+        cosine = dr.dot(lamp.axis, towards)
+        beside = dr.acos(dr.clip(cosine, -1.0, 1.0)) - lamp.cutoff
+        beam = dr.clip(-beside * lamp.slope, 0.0, 1.0)
         scattered = self.around.eval_pdf_normalized(dr.clip(beside, 0.05, dr.pi)) * self.scattered_scale
-        sent = dr.select(row[9] > 0.5, dr.maximum(beam, scattered), dr.maximum(cosine, 0.05))
+        sent = dr.select(lamp.is_beam > 0.5, dr.maximum(beam, scattered), dr.maximum(cosine, 0.05))
         if self.tabled:
-            axis, x = mi.Vector3f(*row[3:6]), mi.Vector3f(*row[11:14])
+            axis, x = lamp.axis, lamp.table_x
             local = mi.Vector3f(dr.dot(x, towards), dr.dot(dr.cross(axis, x), towards), cosine)
-            known = row[10] >= 0.0
-            sent = dr.select(known, self.light.at(mi.UInt32(dr.maximum(row[10], 0.0)), local, known), sent)
-        return row[6] * (FLOOR + sent)
+            known = lamp.table >= 0.0
+            sent = dr.select(known, self.light.at(mi.UInt32(dr.maximum(lamp.table, 0.0)), local, known), sent)
+        return lamp.peak * (FLOOR + sent)
 
     @dr.syntax
     def distance(
@@ -114,10 +111,10 @@ class LightGuide:
         even, u = _evenly(u_which)
         index, total, kept = mi.UInt32(0), mi.Float(0.0), mi.Float(0.0)
         while index < self.number:
-            row = self._row(index)
-            nearest, height, low, high = _angles(mi.Point3f(*row[0:3]), origin, direction, begin, end)
+            lamp = self.lamps.at(index)
+            nearest, height, low, high = _angles(lamp.position, origin, direction, begin, end)
             weight = dr.select(
-                even, 1.0, self._along(row, origin, direction, nearest, height, low, high, begin, end, sigma)
+                even, 1.0, self._along(lamp, origin, direction, nearest, height, low, high, begin, end, sigma)
             )
             total += weight
             share = weight / dr.maximum(total, 1e-30)
@@ -137,9 +134,9 @@ class LightGuide:
         mi = backend.mitsuba()
         index, total, density, alike = mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
         while index < self.number:
-            row = self._row(index)
-            nearest, height, low, high = _angles(mi.Point3f(*row[0:3]), origin, direction, begin, end)
-            weight = self._along(row, origin, direction, nearest, height, low, high, begin, end, sigma)
+            lamp = self.lamps.at(index)
+            nearest, height, low, high = _angles(lamp.position, origin, direction, begin, end)
+            weight = self._along(lamp, origin, direction, nearest, height, low, high, begin, end, sigma)
             total += weight
             step = distance - nearest
             one = height / (dr.maximum(high - low, 1e-9) * (height * height + step * step))
@@ -150,7 +147,7 @@ class LightGuide:
 
     def _along(
         self,
-        row: list[Any],
+        lamp: SummaryRow,
         origin: Any,
         direction: Any,
         nearest: Any,
@@ -162,12 +159,11 @@ class LightGuide:
         sigma: Any,
     ) -> Any:
         """How much a lamp matters on a stretch: its light at the nearest point, times the stretch's angle."""
-        mi = backend.mitsuba()
         place = origin + direction * dr.clip(nearest, begin, end)
-        between = place - mi.Point3f(*row[0:3])
+        between = place - lamp.position
         away = dr.maximum(dr.norm(between), NEAR_M)
         return (
-            self._sent(row, between / away)
+            self._sent(lamp, between / away)
             * (high - low)
             / height
             * dr.exp(-sigma * (away + dr.clip(nearest, begin, end) - begin))
@@ -181,7 +177,7 @@ class LightGuide:
         index, total = mi.UInt32(0), mi.Float(0.0)
         axis = mi.Vector3f(0.0, 0.0, 1.0)
         while index < self.number:
-            weight, towards = self._seen(self._row(index), place, sigma)
+            weight, towards = self._seen(self.lamps.at(index), place, sigma)
             weight = dr.select(even, 1.0, weight)
             total += weight
             share = weight / dr.maximum(total, 1e-30)
@@ -204,7 +200,7 @@ class LightGuide:
         mi = backend.mitsuba()
         index, total, density, alike = mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
         while index < self.number:
-            weight, towards = self._seen(self._row(index), place, sigma)
+            weight, towards = self._seen(self.lamps.at(index), place, sigma)
             total += weight
             sine = dr.norm(dr.cross(towards, direction))
             angle = dr.atan2(sine, dr.dot(towards, direction))
@@ -214,13 +210,12 @@ class LightGuide:
             index += 1
         return (1.0 - EVENLY) * density / dr.maximum(total, 1e-30) + EVENLY * alike / self.number
 
-    def _seen(self, row: list[Any], place: Any, sigma: Any) -> tuple[Any, Any]:
-        mi = backend.mitsuba()
-        between = mi.Point3f(*row[0:3]) - place
+    def _seen(self, lamp: SummaryRow, place: Any, sigma: Any) -> tuple[Any, Any]:
+        between = lamp.position - place
         away = dr.maximum(dr.norm(between), 1e-4)
         towards = between / away
         far = dr.maximum(away, NEAR_M)
-        return self._sent(row, -towards) * dr.exp(-sigma * far) / (far * far), towards
+        return self._sent(lamp, -towards) * dr.exp(-sigma * far) / (far * far), towards
 
 
 def _evenly(u: Any) -> tuple[Any, Any]:
@@ -234,28 +229,6 @@ def _angles(lamp: Any, origin: Any, direction: Any, begin: Any, end: Any) -> tup
     nearest = dr.dot(lamp - origin, direction)
     height = dr.maximum(dr.norm(lamp - (origin + direction * nearest)), 1e-3)
     return nearest, height, dr.atan((begin - nearest) / height), dr.atan((end - nearest) / height)
-
-
-def summary(rows: np.ndarray) -> np.ndarray:
-    """One row of a lamp's many.
-
-    0-2 position, 3-5 axis, 6 luminous peak, 7 cutoff, 8 1 / transition, 9 whether it is a beam, 10 its table or -1,
-    11-13 the table's +X.
-    """
-    light = luminous_peak(rows)
-    if rows["is_beam"][0] > 0.5:  # of a lamp with three tables the brightest stands for all
-        first = rows[int(np.argmax(light))]
-        shape = [first["cutoff"], first["slope"], first["is_beam"], first["table"]]
-        return np.concatenate([first["position"], first["axis"], [light.sum()], shape, first["table_x"]])
-    centre = np.average(rows["position"] + (rows["edge_u"] + rows["edge_v"]) / 3.0, axis=0, weights=light + 1e-30)
-    axis = np.average(rows["axis"], axis=0, weights=light + 1e-30)
-    lean = np.linalg.norm(axis)
-    if lean < 0.5:  # it shines all around
-        return np.concatenate([centre, [0.0, 0.0, 1.0], [light.sum() / 4.0], [*EVERYWHERE, 1.0], _NO_TABLE])
-    return np.concatenate([centre, axis / lean, [light.sum()], [0.0, 1.0, 0.0], _NO_TABLE])
-
-
-_NO_TABLE = [-1.0, 0.0, 0.0, 0.0]
 
 
 def _between_nodes() -> np.ndarray:

@@ -1,10 +1,11 @@
 """How much each of many lights matters to a stretch of a ray or to a point, in short, and a draw of a few by it.
 
-A light is a place, a peak and an octahedral table of what it sends where, or of what the fog turns out of its brightest
-parts, whichever is more.  To a stretch of a ray in fog it matters as the phase function's peak over the angles by which
-its light must turn, over its distance from the ray; to a point as the inverse square, times what a surface there makes
-of it.  All lights are asked in one loop, two gathers and an exponential each, and `PICKS` of them are drawn (weighted
-reservoirs, Chao 1982).  Shadows are not known to it, and no weight is 0, so what it has wrong is noise and no bias.
+A light is a place, a peak and an octahedral table of what it sends where, or of what the fog scatters out of its
+brightest parts, whichever is more.  To a stretch of a ray in fog it matters as the phase function's peak over the
+angles by which its light must turn, over its distance from the ray; to a point as the inverse square, times what a
+surface there makes of it.  All lights are asked in one loop, two gathers and an exponential each, and `PICKS` of them
+are drawn (weighted reservoirs, Chao 1982).  Shadows are not known to it, and no weight is 0, so what it has wrong is
+noise and no bias.
 
 Drawn from the cell of one random point of the stretch instead, as `grid` does it, a light near another part of the
 stretch has hardly any chance: at dusk in fog that was 86 % of all variance.
@@ -20,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.render import backend
-from synfog_usd.render.lights.guiding import summary
+from synfog_usd.render.lights.rows import summaries
 from synfog_usd.render.media.medium import Medium
 
 if TYPE_CHECKING:
@@ -44,8 +45,8 @@ FLOOR_M = 2.0
 NEAR_M = 0.1
 """Lights are taken to be this far at least from a point."""
 
-TURNED = 0.5
-"""Of what the fog turns out of a light's brightest parts, the share that counts."""
+SCATTERED = 0.5
+"""Of what the fog scatters out of a light's brightest parts, the share that counts."""
 
 ALWAYS = 1e-6
 """What is added to the share of the peak, so that rounding leaves no light out."""
@@ -67,26 +68,26 @@ class Importance:
 
     def __init__(self, lights: LightSampler, medium: Medium) -> None:
         mi = backend.mitsuba()
-        rows = np.array([summary(block) for block in lights.rows])
+        rows = summaries(lights.rows)
         angle = np.linspace(0.0, np.pi, 721)
         value = np.full_like(angle, 1.0 / (4.0 * np.pi))
         if medium.foggy:
             value = np.array(medium.phase.value(mi.Float(np.cos(angle).astype(np.float32))), dtype=np.float64)
         beyond = np.r_[np.cumsum((0.5 * (value[1:] + value[:-1]) * np.diff(angle))[::-1])[::-1], 0.0]
-        turned = np.maximum(beyond, 1e-3 * beyond[0]) / np.interp(0.05, angle, beyond)
+        scattered = np.maximum(beyond, 1e-3 * beyond[0]) / np.interp(0.05, angle, beyond)
         kinds: dict[tuple[Any, ...], int] = {}
         sent: list[Array] = []
         for row in rows:
             if (kind := _kind(row)) not in kinds:
                 kinds[kind] = len(sent)
                 sent.append(_sent(row, lights.tables))
-        axis = rows[:, 3:6] / np.linalg.norm(rows[:, 3:6], axis=1, keepdims=True)
+        axis = rows["axis"] / np.linalg.norm(rows["axis"], axis=1, keepdims=True)
         begin = np.array([kinds[_kind(row)] * SIDE**2 for row in rows], dtype=np.float64)
         packed = np.zeros((len(rows), ROW))
-        packed[:, 0:3], packed[:, 3], packed[:, 4:7], packed[:, 7] = rows[:, 0:3], rows[:, 6], axis, begin
-        packed[:, 8:11] = [_across(one, x) for one, x in zip(axis, rows[:, 11:14], strict=True)]
+        packed[:, 0:3], packed[:, 3], packed[:, 4:7], packed[:, 7] = rows["position"], rows["peak"], axis, begin
+        packed[:, 8:11] = [_across(one, x) for one, x in zip(axis, rows["table_x"], strict=True)]
         self.data = backend.floats(packed.ravel())
-        spread = _turned_by_fog(sent, angle, turned)
+        spread = _scattered_by_fog(sent, angle, scattered)
         self.sent, self.spread = (
             backend.floats(np.concatenate([table.ravel() for table in tables])) for tables in (sent, spread)
         )
@@ -295,13 +296,11 @@ class Picks:
         return one(self.number), one(self.weight) / dr.maximum(self.total, 1e-30)
 
 
-def _kind(row: Array) -> tuple[Any, ...]:
+def _kind(row: np.void) -> tuple[Any, ...]:
     """What lights that share a table of directions have in common."""
-    return (
-        ("table", int(row[10]))
-        if row[10] >= 0.0
-        else ("beam" if row[9] > 0.5 else "cosine", round(row[7], 4), round(row[8], 3))
-    )
+    if row["table"] >= 0.0:
+        return "table", int(row["table"])
+    return "beam" if row["is_beam"] > 0.5 else "cosine", round(row["cutoff"], 4), round(row["slope"], 3)
 
 
 def _across(axis: Array, x: Array) -> Array:
@@ -324,28 +323,28 @@ def _directions() -> Array:
     return ways.reshape(SIDE, sub, SIDE, sub, 3).transpose(0, 2, 1, 3, 4).reshape(SIDE, SIDE, sub * sub, 3)
 
 
-def _sent(row: Array, tables: list[Array]) -> Array:
+def _sent(row: np.void, tables: list[Array]) -> Array:
     """(SIDE, SIDE) mean share of its peak that a light sends through each texel of its own frame."""
     ways = _directions()
     polar = np.arccos(np.clip(ways[..., 2], -1.0, 1.0))
-    if row[10] >= 0.0:
-        table = tables[int(row[10])]
+    if row["table"] >= 0.0:
+        table = tables[int(row["table"])]
         around = np.arctan2(ways[..., 1], ways[..., 0]) / (2.0 * np.pi) % 1.0 * table.shape[1]
         share = table[
             np.round(polar / np.pi * (table.shape[0] - 1)).astype(int), np.round(around).astype(int) % table.shape[1]
         ]
-    elif row[9] > 0.5:
-        share = np.clip((row[7] - polar) * row[8], 0.0, 1.0)
+    elif row["is_beam"] > 0.5:
+        share = np.clip((row["cutoff"] - polar) * row["slope"], 0.0, 1.0)
     else:
         share = np.maximum(np.cos(polar), 0.0)
     return np.asarray(share.mean(axis=-1))
 
 
-def _turned_by_fog(sent: list[Array], angle: Array, turned: Array) -> list[Array]:
-    """The same tables, or `turned` at `angle` [rad] of their brightest parts, whichever is more."""
+def _scattered_by_fog(sent: list[Array], angle: Array, scattered: Array) -> list[Array]:
+    """The same tables, or `scattered` at `angle` [rad] of their brightest parts, whichever is more."""
     centre = _directions().mean(axis=2).reshape(-1, 3)
     centre /= np.linalg.norm(centre, axis=1, keepdims=True)
-    share = np.interp(np.clip(np.arccos(np.clip(centre @ centre.T, -1.0, 1.0)), 0.05, np.pi), angle, turned)
+    share = np.interp(np.clip(np.arccos(np.clip(centre @ centre.T, -1.0, 1.0)), 0.05, np.pi), angle, scattered)
     return [
-        np.maximum(table, TURNED * (table.ravel()[None] * share).max(axis=1).reshape(table.shape)) for table in sent
+        np.maximum(table, SCATTERED * (table.ravel()[None] * share).max(axis=1).reshape(table.shape)) for table in sent
     ]

@@ -1,14 +1,14 @@
 """Lamps as rows of numbers: spots, points, lamps with a table of their light, and the faces of lit meshes.
 
-Takes parts of a `SceneDict`; gives records of `LAMP`, and `Columns` of them in a kernel's memory.  Knows nothing of
-sampling.
+Takes parts of a `SceneDict`; gives records of `LAMP`, a `SUMMARY` of each lamp's, and `Columns` of both in a kernel's
+memory.  Knows nothing of sampling.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Generic, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -35,6 +35,20 @@ LAMP = np.dtype(
     ]
 )
 """One row of a lamp."""
+
+SUMMARY = np.dtype(
+    [
+        ("position", "f8", 3),  # of the lamp, or the middle of its faces [m]
+        ("axis", "f8", 3),  # of its beam, or the mean normal of its faces
+        ("peak", "f8"),  # luminous, of all rows together [cd]
+        ("cutoff", "f8"),  # these five as in `LAMP`, of its brightest row
+        ("slope", "f8"),
+        ("is_beam", "f8"),
+        ("table", "f8"),
+        ("table_x", "f8", 3),
+    ]
+)
+"""A whole lamp in short: one row for all of its own."""
 
 TABLE_FIELDS = ("table", "table_x")
 """What a kernel needs only where there are tables."""
@@ -70,6 +84,35 @@ def luminous_peak(rows: np.ndarray) -> Array:
     return np.maximum(rows["colour"] @ LUMINANCE, 0.0)
 
 
+def summaries(lamps: Sequence[np.ndarray]) -> np.ndarray:
+    """(N,) of `SUMMARY`, one for each lamp's rows (M,) of `LAMP`."""
+    found = np.zeros(len(lamps), dtype=SUMMARY)
+    found["table"] = -1.0
+    for number, rows in enumerate(lamps):
+        _summarize(found[number : number + 1], rows)
+    return found
+
+
+def _summarize(one: np.ndarray, rows: np.ndarray) -> None:
+    """Fill in the summary (1,) of one lamp."""
+    light = luminous_peak(rows)
+    one["peak"] = light.sum()
+    if rows["is_beam"][0] > 0.5:  # of a lamp with three tables the brightest stands for all
+        brightest = rows[int(np.argmax(light))]
+        for name in ("position", "axis", "cutoff", "slope", "is_beam", "table", "table_x"):
+            one[name] = brightest[name]
+        return
+    weights = light + 1e-30
+    one["position"] = np.average(rows["position"] + (rows["edge_u"] + rows["edge_v"]) / 3.0, axis=0, weights=weights)
+    axis = np.average(rows["axis"], axis=0, weights=weights)
+    lean = np.linalg.norm(axis)
+    if lean < 0.5:  # it shines all around
+        one["axis"], one["peak"], one["is_beam"] = (0.0, 0.0, 1.0), light.sum() / 4.0, 1.0
+        one["cutoff"], one["slope"] = EVERYWHERE
+    else:
+        one["axis"], one["slope"] = axis / lean, 1.0
+
+
 @dataclass
 class LampRow:
     """One row of each lane, in a kernel; fields as in `LAMP`."""
@@ -87,20 +130,39 @@ class LampRow:
     table_x: Any = None
 
 
-class Columns:
-    """Rows in a kernel's memory: all fields but the solid angle, and those of tables only where there are any.
+@dataclass
+class SummaryRow:
+    """One lamp in short of each lane, in a kernel; fields as in `SUMMARY`."""
+
+    position: Any
+    axis: Any
+    peak: Any
+    cutoff: Any
+    slope: Any
+    is_beam: Any
+    table: Any = None
+    table_x: Any = None
+
+
+Row = TypeVar("Row", LampRow, SummaryRow)
+
+
+class Columns(Generic[Row]):
+    """Rows in a kernel's memory: the fields that `row` has, and those of tables only where there are any.
 
     Args:
-        rows: (N,) of `LAMP`.
+        rows: (N,) of `LAMP` or `SUMMARY`.
+        row: what `at` gives: `LampRow` or `SummaryRow`.
         tabled: whether there are tables.
     """
 
-    def __init__(self, rows: np.ndarray, *, tabled: bool) -> None:
-        names = [name for name in LAMP.names or () if name != "solid_angle" and (tabled or name not in TABLE_FIELDS)]
+    def __init__(self, rows: np.ndarray, row: type[Row], *, tabled: bool) -> None:
+        self.row: type[Row] = row
+        names = [field.name for field in fields(row) if tabled or field.name not in TABLE_FIELDS]
         self.columns = {name: [backend.floats(column) for column in np.atleast_2d(rows[name].T)] for name in names}
         dr.make_opaque(self.columns)
 
-    def at(self, index: Any, active: Any = True) -> LampRow:
+    def at(self, index: Any, active: Any = True) -> Row:
         """The rows of some numbers."""
         mi = backend.mitsuba()
         found = {
@@ -108,7 +170,7 @@ class Columns:
             for name, columns in self.columns.items()
         }
         kinds = {"position": mi.Point3f, "colour": mi.Color3f}
-        return LampRow(
+        return self.row(
             **{
                 name: values[0] if len(values) == 1 else kinds.get(name, mi.Vector3f)(*values)
                 for name, values in found.items()

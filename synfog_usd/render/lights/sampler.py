@@ -66,7 +66,7 @@ class LightSampler:
             backend.floats(np.concatenate([luminous_peak(block) / luminous_peak(block).sum() for block in rows]))
         )
         self.photometric = bool(self.tables)
-        self.columns = Columns(np.concatenate(rows), tabled=self.photometric)
+        self.columns = Columns(np.concatenate(rows), LampRow, tabled=self.photometric)
         self.light = photometric.Tables(self.tables) if self.photometric else None
         self.begin = backend.floats(np.arange(self.count) / self.count)  # each lamp's share of the faces' distribution
         self.share = dr.opaque(mi.Float, 1.0 / self.count)

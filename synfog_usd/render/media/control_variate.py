@@ -67,14 +67,14 @@ def find_ground(loaded: MitsubaScene, top_m: float) -> Ground | None:
     ray = mi.Ray3f(mi.Point3f(backend.floats(x), backend.floats(y), backend.floats(start)), mi.Vector3f(0.0, 0.0, -1.0))
     si = loaded.scene.ray_intersect(ray)
     albedo = si.bsdf().eval_diffuse_reflectance(si, si.is_valid())
-    met = np.array(si.is_valid())
-    if not met.any():
+    surface_hit = np.array(si.is_valid())
+    if not surface_hit.any():
         return None
     height, colour = np.array(si.p.z, dtype=np.float64), np.array(albedo, dtype=np.float64).T
     bins = np.round(height / BIN_M)
-    found, count = np.unique(bins[met], return_counts=True)
+    found, count = np.unique(bins[surface_hit], return_counts=True)
     usual = found[np.argmax(count)]
-    here = met & (np.abs(bins - usual) <= 1)
+    here = surface_hit & (np.abs(bins - usual) <= 1)
     return Ground(
         float(np.median(height[here])), np.clip(np.nan_to_num(colour[here]).mean(axis=0), 0.0, 1.0), float(here.mean())
     )

@@ -124,11 +124,11 @@ def saving(
     sigma = _squares(noise(np.mean(whole, axis=0)))
     one, other = (_squares(b - a) / sigma for a, b in zip(whole, reduced, strict=True))
     mean, half = 0.5 * (one + other), 0.5 * (one - other)
-    facts = hidden.metadata(scene)
+    metadata = hidden.metadata(scene)
     return Saving(
         name,
-        facts["simplified"] + facts["left_out"],
-        facts["instances"],
+        metadata["simplified"] + metadata["left_out"],
+        metadata["instances"],
         hidden.triangles,
         hidden.of_triangles,
         hidden.limit,

@@ -62,7 +62,7 @@ def road_recipes(folder: Path | None = None) -> list[Path]:
     return [path for path in sorted(folder.glob("*.yaml")) if parameters.WORLDS[compose.load(path).world].row]
 
 
-def survey(count: int, *, tell: Callable[[int], None] = lambda done: None) -> Survey:
+def survey(count: int, *, progress: Callable[[int], None] = lambda done: None) -> Survey:
     """Draw `count` worlds, recipe by recipe and seed by seed, and count what is in them."""
     found = Survey()
     recipes = [compose.load(path) for path in road_recipes()]
@@ -86,7 +86,7 @@ def survey(count: int, *, tell: Callable[[int], None] = lambda done: None) -> Su
             found.near.update(labels(p))
             found.distances[next(end for end in DISTANCES_M if away <= end)] += 1
             found.hidden[who(p), next(end for end in SHARES if 1.0 - share <= end + 1e-9)] += 1
-        tell(index + 1)
+        progress(index + 1)
     found.layouts = len(layouts)
     return found
 
@@ -140,6 +140,8 @@ def tables(found: Survey) -> str:
 
 if __name__ == "__main__":
     wanted = int(sys.argv[1]) if len(sys.argv) > 1 else 500
-    made = survey(wanted, tell=lambda done: print(f"{done} of {wanted}", file=sys.stderr) if done % 50 == 0 else None)
+    made = survey(
+        wanted, progress=lambda done: print(f"{done} of {wanted}", file=sys.stderr) if done % 50 == 0 else None
+    )
     print(tables(made))
     print(f"\n{statistics.median(made.seconds):.2f} s of processor time each at the median.", file=sys.stderr)

@@ -205,10 +205,10 @@ def _furniture(waits: bool) -> list[Placement]:
     return placed
 
 
-def _people(recipe: Recipe, seed: int, count: int, waits: bool, things: Sequence[Placement]) -> list[Placement]:
+def _people(recipe: Recipe, seed: int, count: int, waits: bool, props: Sequence[Placement]) -> list[Placement]:
     kinds = recipe.distributions["people.kinds"]
     walkers = [kind for kind in kinds.values if kind in WALKERS]
-    keep = [(p.x, p.y, ROOM_M.get(p.asset, ROOM_ELSE_M)) for p in things]
+    keep = [(p.x, p.y, ROOM_M.get(p.asset, ROOM_ELSE_M)) for p in props]
     placed: list[Placement] = []
     for index in range(count):
         rng = stream(seed, "recipe", "person", index)

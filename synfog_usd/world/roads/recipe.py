@@ -81,11 +81,17 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
 
 
 def assembled(
-    recipe: Recipe, seed: int, value: Any, road: Road, view: View, things: Sequence[Placement], built: Mapping[str, Any]
+    recipe: Recipe,
+    seed: int,
+    value: Any,
+    road: Road,
+    view: View,
+    placements: Sequence[Placement],
+    built: Mapping[str, Any],
 ) -> WorldSpec:
     """The world of a road and what stands at it, with sky, fog and the lamps that are lights."""
     heading = round(value("sky.heading_deg"), 1)
-    placed = [_coarser(p, view) for p in _lit(things, view)]
+    placed = [_coarser(p, view) for p in _lit(placements, view)]
     fogs = recipe.fog_variants(seed)
     return WorldSpec(
         about=f"{recipe.about} Drawn from {recipe.name} with seed {seed}.",
