@@ -548,7 +548,7 @@ def _points(
 def _write(made: Chart, out: Path) -> None:
     from synfog_usd.study import drawing, page
 
-    svg, png = drawing.draw(made.points, title=made.title)
+    svg, png = drawing.draw_chart(made.points, title=made.title)
     text = page.page(made.title, svg.decode(), lines(made.points), made.reference, made.pictures, made.notes)
     for name, data in zip(NAMES, (table(made.points).encode(), svg, png, text.encode()), strict=True):
         files.write_bytes(out / name, data)

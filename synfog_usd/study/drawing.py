@@ -61,7 +61,7 @@ def look(model: str) -> tuple[str, str]:
     return LOOKS.get(model) or OTHER[sum(model.encode()) % len(OTHER)]
 
 
-def draw(points: Sequence[Point], *, title: str) -> tuple[bytes, bytes]:
+def draw_chart(points: Sequence[Point], *, title: str) -> tuple[bytes, bytes]:
     """Seconds against total error, and beside it noise and bias of each line at its most samples: (SVG, PNG)."""
     pyplot = _pyplot()
     by_line = {name: [point for point in line if point.relative_rms > 0.0] for name, line in lines(points).items()}

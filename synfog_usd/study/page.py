@@ -48,7 +48,7 @@ def page(
 
     Args:
         title: stage, lighting, fog and size.
-        svg: as `drawing.draw` gives it.
+        svg: as `drawing.draw_chart` gives it.
         by_line: points of each line.
         reference: with its colours.
         pictures: line -> (samples, (H, W, 3)) of one run at its most samples.

@@ -13,7 +13,7 @@ from synfog_usd.seeds import stream
 from synfog_usd.study import page
 from synfog_usd.study.accuracy import combine, compare, flip
 from synfog_usd.study.chart import ring
-from synfog_usd.study.drawing import draw, draw_suite, themed
+from synfog_usd.study.drawing import draw_chart, draw_suite, themed
 from synfog_usd.study.pages.report import BEGIN, END, report
 from synfog_usd.study.points import Point, front, price, read, summary, table
 
@@ -275,7 +275,7 @@ def test_summary_names_the_fastest_and_the_best_peer():
 
 def test_drawings_are_the_same_bytes_each_time():
     """No hour and no random name goes into them."""
-    assert draw(points(), title="a stage") == draw(points(), title="a stage")
+    assert draw_chart(points(), title="a stage") == draw_chart(points(), title="a stage")
     assert draw_suite({"a": points(), "b": points()}) == draw_suite({"a": points(), "b": points()})
 
 
@@ -333,7 +333,7 @@ def test_page_asks_nobody_for_anything():
     by_line = {"path": points()[:2], "slab": points()[4:]}
     text = page.page(
         "a <stage>",
-        draw(points(), title="a")[0].decode(),
+        draw_chart(points(), title="a")[0].decode(),
         by_line,
         known,
         {"path": (16, rgb), "slab": (16, rgb * 0.8)},
@@ -343,7 +343,7 @@ def test_page_asks_nobody_for_anything():
     assert all(reference.startswith(("data:image/png;base64,", "#")) for reference in found.found)
     assert sum(reference.startswith("data:") for reference in found.found) == 3
     assert "a <stage>" in found.text and "path, 16 samples: 1.1 s" in found.text and "prefers-color-scheme:dark" in text
-    assert "#22262a" not in themed(draw(points(), title="a")[0].decode())
+    assert "#22262a" not in themed(draw_chart(points(), title="a")[0].decode())
 
 
 def test_error_map_is_blue_below_and_brown_above():

@@ -336,7 +336,7 @@ def test_a_bus_hides_a_car_and_a_crest_hides_both():
     view = View(0.0, 0.0, 1.45, 90.0, 0.0)
 
     def seen(placed, road=flat):
-        return rules.visible(view, 55.0, placed, road, within_m=100.0)
+        return rules.visible_shares(view, 55.0, placed, road, within_m=100.0)
 
     car = Placement("Vehicles", "Car", "saloon", 0.0, 60.0, 0.0, z=0.0)
     bus = Placement("Vehicles", "Bus", "bus", 0.0, 30.0, 0.0, z=0.0)
@@ -363,7 +363,7 @@ def test_who_is_seen_is_seen_in_shapely_too(name, seed):
     world = spec(name, seed)
     fov = math.degrees(2 * math.atan(0.36 / 2 / world.view.focal_length))
     rays, cut = (
-        rules.visible(world.view, fov, world.placed, world.road, within_m=100.0),
+        rules.visible_shares(world.view, fov, world.placed, world.road, within_m=100.0),
         sight.shares(world, within_m=100.0),
     )
     assert set(rays) == set(cut) and len(cut) >= 5

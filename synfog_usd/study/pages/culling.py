@@ -226,7 +226,7 @@ def section(rows: Iterable[Saving]) -> str:
     return text
 
 
-def report(document: Path, rows: Iterable[Saving]) -> None:
+def write_culling_table(document: Path, rows: Iterable[Saving]) -> None:
     """Bring a page up to what was measured.
 
     Raises:
@@ -242,4 +242,4 @@ def report(document: Path, rows: Iterable[Saving]) -> None:
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit("usage: python -m synfog_usd.study.pages.culling docs/speed-accuracy.md")
-    report(Path(sys.argv[1]), measured())
+    write_culling_table(Path(sys.argv[1]), measured())

@@ -41,7 +41,7 @@ def report(out: Path, document: Path) -> None:
     files.write_bytes(images / "chart_suite.png", (out / "suite.png").read_bytes())
     for name, line in points.items():
         title = f"{name}, {line[0].width} x {line[0].height}"
-        files.write_bytes(images / f"chart_{name}.png", drawing.draw(line, title=title)[1])
+        files.write_bytes(images / f"chart_{name}.png", drawing.draw_chart(line, title=title)[1])
     text = f"{before}{BEGIN}\n\n{section(points)}\n{END}{after}"
     files.write_bytes(document, text.encode())
 

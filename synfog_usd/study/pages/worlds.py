@@ -78,7 +78,7 @@ def survey(count: int, *, progress: Callable[[int], None] = lambda done: None) -
         found.users.append(len(users))
         found.classes.update(label for p in users.values() for label in labels(p))
         fov = math.degrees(2 * math.atan(APERTURE / 2 / world.view.focal_length))
-        shares = rules.visible(world.view, fov, world.placed, world.road, within_m=WITHIN_M)
+        shares = rules.visible_shares(world.view, fov, world.placed, world.road, within_m=WITHIN_M)
         found.seen.append(sum(share >= rules.SHARE_SEEN for share in shares.values()))
         for name, share in shares.items():
             p = users[name]

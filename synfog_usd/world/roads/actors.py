@@ -92,7 +92,7 @@ def in_sight(
         best["users"] = max(best["users"], count)
         if count < users:
             continue
-        shares = rules.visible(view, fov, every, road, within_m=within).values()
+        shares = rules.visible_shares(view, fov, every, road, within_m=within).values()
         seen = sum(share >= rules.SHARE_SEEN for share in shares)
         best["in_view"] = max(best["in_view"], seen)
         if seen >= in_view:

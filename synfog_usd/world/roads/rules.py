@@ -166,7 +166,7 @@ def spans(road: Road, low: float, high: float, blocked: Iterable[tuple[float, fl
 # -- sight
 
 
-def visible(
+def visible_shares(
     view: View, fov_x_deg: float, placed: Sequence[Placement], road: Road, *, within_m: float
 ) -> dict[str, float]:
     """Share of each road user in view that nothing stands before.
