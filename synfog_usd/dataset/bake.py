@@ -109,7 +109,7 @@ def bake(
         raise StrictError(
             "\n".join(f"{note.path or plan.stage}: {note.text}" for note in notes if note.severity == "warning")
         )
-    if all(shot.mor_m is None for shot in todo) and not foggy:
+    if all(shot.mor_m is None for shot in todo) and not foggy and plan.fog != (CLEAR,):
         log(
             f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog "
             f"(see docs/artists.md)."

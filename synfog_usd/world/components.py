@@ -178,31 +178,34 @@ def author_material(stage: Usd.Stage, path: Sdf.Path, material: Material, *, tex
     put("ior", Sdf.ValueTypeNames.Float, material.ior)
     if material.opacity < 1.0:
         put("opacity", Sdf.ValueTypeNames.Float, material.opacity)
+        put("opacityMode", Sdf.ValueTypeNames.Token, "presence")
     if material.spectrum:
         result.GetPrim().CreateAttribute(REFLECTANCE, Sdf.ValueTypeNames.Token).Set(material.spectrum)
     return result
 
 
 def author_mesh(stage: Usd.Stage, path: Sdf.Path, part: Part) -> UsdGeom.Mesh:
-    """The part as a polygon mesh with extent, and normals and st where it has them."""
+    """The part as a polygon mesh with extent, and normals and st where it has them; points of no face are left out."""
     mesh = UsdGeom.Mesh.Define(stage, path)
-    points = np.round(part.points, 5).astype(np.float32)
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
     faces = part.faces[
         (part.faces != np.roll(part.faces, 1, axis=1)).all(axis=1)
     ]  # a corner that stands twice makes Blender 5 repair the mesh, or crash
+    used, faces = np.unique(faces, return_inverse=True)  # what only such faces had has no direction to face
+    faces = faces.reshape(-1, 3)
+    points = np.round(part.points[used], 5).astype(np.float32)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
     mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)])))
     if part.normals is not None:
-        normals = np.round(part.normals, 3).astype(np.float32)
+        normals = np.round(part.normals[used], 3).astype(np.float32)
         mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     if part.uv is not None:
         st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
-        st.Set(Vt.Vec2fArray.FromNumpy(np.round(part.uv, 4).astype(np.float32)))
+        st.Set(Vt.Vec2fArray.FromNumpy(np.round(part.uv[used], 4).astype(np.float32)))
     return mesh
 
 

@@ -30,7 +30,8 @@ class Material:
         ior: index of refraction.
         emission: radiance [cd m-2], linear, or a factor on `emission_texture`.
         emission_texture: file name, or ''.
-        opacity: below 1 it lets light through straight, see `glass_clear`.
+        opacity: the share of light that meets it, as UsdPreviewSurface's opacityMode 'presence' says; the rest goes
+            straight on, see `glass_clear`.
         spectrum: name in `spectra.TABLE`, 'paint', or ''; counts where paths carry wavelength bands.
     """
 

@@ -290,6 +290,7 @@ def test_strict_stops_at_what_is_not_understood(tmp_path):
         "4",
     )
     assert loose.returncode == 0 and "/World/Smoke" in loose.stderr
+    assert "no fog prim" not in loose.stderr  # clear air is what was asked for
     refused(run("bake", path, "-o", tmp_path / "b", "--strict"), "/World/Smoke", code=1)
     assert not (tmp_path / "b").exists()
 
@@ -302,6 +303,7 @@ def test_what_only_another_lighting_holds_is_reported_too(tmp_path):
     small = ["--fog", "clear", "--resolution", "32x18", "--samples", "4"]
     loose = run("bake", path, "-o", tmp_path / "a", *small)
     assert loose.returncode == 0 and "/World/Smoke" in loose.stderr
+    assert "no fog prim" not in loose.stderr  # clear air is what was asked for
     assert "/World/Smoke" in [note["path"] for note in json.loads((tmp_path / "a" / "bake.json").read_text())["notes"]]
     refused(run("bake", path, "-o", tmp_path / "b", "--strict", *small), "/World/Smoke", code=1)
 
