@@ -1,4 +1,4 @@
-"""Fog: how strongly, and where to, it turns light; where it begins and ends."""
+"""Fog: how strongly, and where to, it scatters light; where it begins and ends."""
 
 from synfog_usd.fog.medium import FogMedium, extinction_from_visibility
 from synfog_usd.fog.volume import Boundary, FogVolume

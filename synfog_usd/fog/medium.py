@@ -1,4 +1,4 @@
-"""Fog as a participating medium: how strongly, and where to, it turns light.
+"""Fog as a participating medium: how strongly, and where to, it scatters light.
 
 Takes a visibility or an extinction; gives sigma_t(height), albedo and phase, and
 the optical depth along rays in closed form.  What varies sideways too is a

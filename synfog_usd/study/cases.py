@@ -38,7 +38,7 @@ FULL = ("field", "path", "path+slab")
 
 SLAB = ("slab", "path", "path+slab")
 ONCE = ("single", "field", "path", "path+slab")
-"""Where the fog turns no light, or as good as never twice."""
+"""Where the fog scatters no light, or as good as never twice."""
 
 ALIKE = ("single", "slab", "field", "field+slab", "path", "path+slab", "asm", "asm_estimated", "glow")
 """Where one world is told in two ways: the same answer, right or wrong."""

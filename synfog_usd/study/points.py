@@ -25,7 +25,7 @@ class Setting:
     """What a model may be told beside its number of samples.
 
     Attributes:
-        scatterings: how often the fog may turn a path; None is without end.
+        scatterings: how often the fog may scatter a path; None is without end.
         bands: light that a path carries: 3 for R, G and B, or a number of wavelength bands.
         denoise: whether the picture is denoised, and the time that takes counted.
     """

@@ -204,7 +204,7 @@ def test_memory_of_a_large_frame():
     assert peak < 4.0
 
 
-def test_layers_hold_the_same_light_as_their_sum():
+def test_aovs_hold_the_same_light_as_their_sum():
     """What the benches time is what the tests test: the layers add up in a bench stage too."""
     done = shot.render(replace(scene("headlights")), model="path", samples=32)
     np.testing.assert_allclose(sum(done.components.values()), done.radiance.pixels, rtol=1e-3, atol=1e-5)

@@ -49,10 +49,10 @@ def directions():
 
 
 @pytest.mark.parametrize("g", [0.0, 0.87, 0.99, -0.5])
-@pytest.mark.parametrize("depth", [0.0, 1e-9, 1e-3, 1.2, 30.0, 1000.0])
-def test_white_furnace_is_white(depth, g):
+@pytest.mark.parametrize("tau", [0.0, 1e-9, 1e-3, 1.2, 30.0, 1000.0])
+def test_white_furnace_is_white(tau, g):
     """Sky 1, ground 1, albedo 1: radiance is 1 everywhere.  Measured 6e-11; irradiance 3e-9 (its quadrature)."""
-    slab = solved(FogMedium(depth / TOP, g=g), ground=1.0, sky=[[1.0]])
+    slab = solved(FogMedium(tau / TOP, g=g), ground=1.0, sky=[[1.0]])
     height, up = anywhere(600)
     np.testing.assert_allclose(slab.radiance(height, up), 1.0, atol=1e-9)
     np.testing.assert_allclose(slab.source(height, up), 1.0, atol=1e-9)
@@ -67,7 +67,7 @@ def test_path_traced_radiance_from_the_ground():
     np.testing.assert_allclose(seen, [0.96190, 0.94773, 0.85108, 0.68555, 0.50335], rtol=1e-3)
 
 
-def disort(depth, albedo, ground, height, streams=64):
+def disort(tau, albedo, ground, height, streams=64):
     """u (directions, heights) of PythonicDISORT and the `up` of its directions."""
     from PythonicDISORT import pydisort
 
@@ -75,7 +75,7 @@ def disort(depth, albedo, ground, height, streams=64):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # an albedo near 1
         mu, _, _, u0 = pydisort(
-            np.array([depth]),
+            np.array([tau]),
             np.array([albedo]),
             streams,
             0.87 ** np.arange(streams + 1)[None],
@@ -89,7 +89,7 @@ def disort(depth, albedo, ground, height, streams=64):
             BDRF_Fourier_modes=[ground] if ground else [],
             only_flux=True,
         )
-        return u0(depth * (1.0 - height / TOP)), -mu
+        return u0(tau * (1.0 - height / TOP)), -mu
 
 
 @pytest.mark.parametrize("ground", [0.0, 0.15, 0.5])
@@ -148,14 +148,14 @@ def test_source_is_the_integral_of_phase_and_radiance(g, sky):
         np.testing.assert_allclose(slab.source(np.full(up.size, height), up)[:, 0], truth, rtol=2e-4)
 
 
-@pytest.mark.parametrize("depth", [0.1, 1.2, 1000.0])
-def test_nothing_is_lost_without_absorption(depth):
+@pytest.mark.parametrize("tau", [0.1, 1.2, 1000.0])
+def test_nothing_is_lost_without_absorption(tau):
     """Albedo 1: the net flux is the same at every height; with ground 1 it is zero.  Bound: the irradiance's
     quadrature, 1e-6.
     """
     height = np.array([0.0, 0.01, 5.0, 30.0, 59.0, 60.0])
     for ground in (0.0, 0.15, 1.0):
-        slab = solved(FogMedium(depth / TOP), ground=ground)
+        slab = solved(FogMedium(tau / TOP), ground=ground)
         down, up = slab.irradiance(height, np.ones(6))[:, 0], slab.irradiance(height, -np.ones(6))[:, 0]
         np.testing.assert_allclose(down - up, (down - up)[0] if ground < 1.0 else 0.0, atol=3e-5 * down.max())
         np.testing.assert_allclose(up[0], ground * down[0], rtol=1e-4, atol=1e-12)

@@ -49,7 +49,7 @@ def test_a_wall_in_absorbing_fog_dims_by_beer_and_lambert_along_each_ray():
 
 
 def test_under_an_even_sky_a_white_world_stays_white():
-    """J = 1 and A = 1 (white furnace of the layer, albedo 1 and white ground): every pixel is 1, to float32's 1e-5 and
+    """J = 1 and A = 1 (white furnace of the slab, albedo 1 and white ground): every pixel is 1, to float32's 1e-5 and
     the noise of J, which is 0.
     """
     fog = FogVolume("/Fog", box((500.0, 500.0, 60.0)), FogMedium(0.02))
@@ -95,7 +95,7 @@ def test_a_lamp_by_night_has_no_glow():
     np.testing.assert_array_equal(picture(world), 0.0)
 
 
-def test_layers_and_variance_are_those_of_the_sum():
+def test_aovs_and_variance_are_those_of_the_sum():
     """surface + airlight is the picture; its variance is t^2 that of clear air, to rounding."""
     fog = FogVolume("/Fog", box((500.0, 500.0, 60.0)), FogMedium(0.02))
     world = scene(

@@ -26,7 +26,7 @@ SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0
 def vectorised():
     backend.mitsuba()
     if backend.is_scalar():
-        pytest.skip("layers need LLVM or CUDA")
+        pytest.skip("AOVs need LLVM or CUDA")
 
 
 def matte(*reflectance):
@@ -136,7 +136,7 @@ def rms(values):
 
 @needs_oidn
 def test_what_the_fog_hides_is_not_painted_back(hidden):
-    """A chequered wall at 1.5 MOR (T = 0.011) shows steps of 1.1 %; clean layers show no more, and clear-air guides
+    """A chequered wall at 1.5 MOR (T = 0.011) shows steps of 1.1 %; clean AOVs show no more, and clear-air guides
     show steps of noise.
 
     Tolerance 0.5 % of the mean: a quarter of the threshold of contrast.  Measured: truth 1.1 +- 0.1 %, here 0.9 %, with
@@ -176,7 +176,7 @@ def test_a_street_in_fog_gets_better_by_a_factor_of_three(seen):
 @pytest.mark.physics
 def test_the_mean_stays(seen):
     """Against the same noisy pixels, whose mean has no bias: the denoiser moves the image's mean by less than 1 %, the
-    layers' by less than 2 %.
+    AOVs' by less than 2 %.
 
     Four seeds together; measured 0.02 %.
     """
@@ -185,13 +185,13 @@ def test_the_mean_stays(seen):
     for seed in range(4):
         noisy = sampled(source, 64, seed)
         clean = denoise.denoise({"surface": noisy[0], "airlight": noisy[1]}, found).values()
-        pairs.append([[layer.mean(dtype=np.float64) for layer in (*layers, sum(layers))] for layers in (noisy, clean)])
+        pairs.append([[aov.mean(dtype=np.float64) for aov in (*aovs, sum(aovs))] for aovs in (noisy, clean)])
     before, after = np.mean(pairs, axis=0)
     assert np.all(np.abs(after / before - 1.0) < (0.02, 0.02, 0.01)), after / before - 1.0
 
 
 def made_up(shape, channels=3, seed=0):
-    """Noisy layers, a transmittance with both ends in it, and guides."""
+    """Noisy AOVs, a transmittance with both ends in it, and guides."""
     random = np.random.default_rng(seed)
     through = random.random(shape).astype(np.float32)
     through[: shape[0] // 3], through[-(shape[0] // 3) :] = 0.0, 1.0
@@ -206,8 +206,8 @@ def made_up(shape, channels=3, seed=0):
 @pytest.mark.parametrize("channels", [1, 3, 8])
 def test_odd_images_come_out_finite_and_not_negative(shape, channels):
     """Full and no transmittance side by side, odd sizes, bands in any number."""
-    layers, found = made_up(shape, channels)
-    for before, after in zip(layers.values(), denoise.denoise(layers, found).values(), strict=True):
+    aovs, found = made_up(shape, channels)
+    for before, after in zip(aovs.values(), denoise.denoise(aovs, found).values(), strict=True):
         assert after.shape == before.shape and after.dtype == np.float32
         assert np.isfinite(after).all() and after.min() >= 0.0
 
@@ -235,19 +235,19 @@ def test_what_is_not_there_stays_away(shape):
 @needs_oidn
 def test_noise_below_zero_counts_as_nothing():
     """A control variate's noise may be negative; nothing negative comes out."""
-    layers, found = made_up((24, 24))
-    cleaned = denoise.denoise({name: layer - 0.5 for name, layer in layers.items()}, found)
-    assert min(layer.min() for layer in cleaned.values()) >= 0.0
+    aovs, found = made_up((24, 24))
+    cleaned = denoise.denoise({name: aov - 0.5 for name, aov in aovs.items()}, found)
+    assert min(aov.min() for aov in cleaned.values()) >= 0.0
 
 
 @needs_oidn
 def test_the_unit_of_light_does_not_matter():
     """Times 2^20, or by it: the same picture, bit for bit."""
-    layers, found = made_up((24, 24))
+    aovs, found = made_up((24, 24))
     for scale in (2.0**20, 2.0**-20):
-        scaled = {name: layer * scale for name, layer in layers.items()}
+        scaled = {name: aov * scale for name, aov in aovs.items()}
         for one, other in zip(
-            denoise.denoise(layers, found).values(), denoise.denoise(scaled, found).values(), strict=True
+            denoise.denoise(aovs, found).values(), denoise.denoise(scaled, found).values(), strict=True
         ):
             np.testing.assert_array_equal(one * np.float32(scale), other)
 
@@ -269,10 +269,10 @@ def test_a_lamp_that_is_seen_keeps_its_light():
 @needs_oidn
 def test_the_same_input_gives_the_same_bytes():
     """Nothing depends on the run, nor on what was cleaned between."""
-    layers, found = made_up((40, 56))
-    first = [layer.tobytes() for layer in denoise.denoise(layers, found).values()]
+    aovs, found = made_up((40, 56))
+    first = [aov.tobytes() for aov in denoise.denoise(aovs, found).values()]
     denoise.denoise_plain(made_up((16, 16), seed=1)[0]["surface"])
-    assert [layer.tobytes() for layer in denoise.denoise(layers, found).values()] == first
+    assert [aov.tobytes() for aov in denoise.denoise(aovs, found).values()] == first
 
 
 @needs_oidn
@@ -386,9 +386,9 @@ def test_arrays_that_do_not_fit_are_named(change, message):
         "albedo": np.ones((4, 4, 3)),
     }
     given = {**fits, "normal": np.zeros((4, 4, 3)), **change}
-    layers, found = {name: given.pop(name) for name in ("surface", "airlight")}, denoise.Guides(**given)
+    aovs, found = {name: given.pop(name) for name in ("surface", "airlight")}, denoise.Guides(**given)
     with pytest.raises(ParameterError, match=message):
-        denoise.denoise(layers, found)
+        denoise.denoise(aovs, found)
 
 
 def lamp_in_a_room():

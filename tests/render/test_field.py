@@ -74,8 +74,8 @@ def test_pixels_are_right_one_by_one_and_quieter_than_those_of_path():
     assert error["field"] < 0.67 * error["path"]
 
 
-def test_layers_and_groups_add_up():
-    """As in `path`: three layers, and the groups of lamps, each sum to all light."""
+def test_aovs_and_groups_add_up():
+    """As in `path`: three AOVs, and the groups of lamps, each sum to all light."""
     world = view({**SKY, **STREET, **LAMP})
     world = type(world)(
         world.world,

@@ -27,8 +27,8 @@ def ball(albedo=0.9, g=0.87):
     )
 
 
-def layer_means(world, make, *, samples, seeds, name):
-    """(K,) pooled red of a layer, one per seed."""
+def aov_means(world, make, *, samples, seeds, name):
+    """(K,) pooled red of an AOV, one per seed."""
     loaded = load(world, boundaries=False)
     integrator = make(loaded)
     return np.array([integrator.accumulate(samples=samples, seed=seed).aov(name)[:, 0].mean() for seed in range(seeds)])
@@ -51,8 +51,8 @@ def test_a_bulb_in_fog_without_end_glows_as_in_path(name, resolves):
     The lamp itself is not in the picture, so that `path` has few fireflies.
     """
     world = scene({"light_bulb": bulb(-16.0, 12.0, 0.0)}, [ball()], width_px=12, height_px=12, fov_x_deg=60.0)
-    ours = layer_means(world, lambda loaded: make_glow(loaded, single="table"), samples=4, seeds=2, name=name)
-    theirs = layer_means(world, models.MODELS["path"].make, samples=512, seeds=10, name=name)
+    ours = aov_means(world, lambda loaded: make_glow(loaded, single="table"), samples=4, seeds=2, name=name)
+    theirs = aov_means(world, models.MODELS["path"].make, samples=512, seeds=10, name=name)
     assert_same(ours, theirs, resolves=resolves)
 
 
@@ -65,10 +65,10 @@ def test_a_bulb_in_fog_without_end_glows_as_in_path_closely(g, tau):
     world = scene(
         {"light_bulb": bulb(-0.8 * away, 0.6 * away, 0.0)}, [ball(g=g)], width_px=16, height_px=16, fov_x_deg=60.0
     )
-    ours = layer_means(
+    ours = aov_means(
         world, lambda loaded: make_glow(loaded, single="table"), samples=4, seeds=2, name="airlight_multiple"
     )
-    theirs = layer_means(world, models.MODELS["path"].make, samples=2000, seeds=12, name="airlight_multiple")
+    theirs = aov_means(world, models.MODELS["path"].make, samples=2000, seeds=12, name="airlight_multiple")
     assert_same(ours, theirs, resolves=0.15)
 
 
@@ -85,10 +85,10 @@ def test_what_lies_behind_a_wall_is_not_seen():
         height_px=12,
         fov_x_deg=40.0,
     )
-    ours = layer_means(
+    ours = aov_means(
         world, lambda loaded: make_glow(loaded, single="table"), samples=16, seeds=2, name="airlight_single"
     )
-    theirs = layer_means(world, models.MODELS["path"].make, samples=128, seeds=8, name="airlight_single")
+    theirs = aov_means(world, models.MODELS["path"].make, samples=128, seeds=8, name="airlight_single")
     assert_same(ours, theirs, resolves=0.03)
 
 
@@ -104,7 +104,7 @@ def test_a_grey_wall_receives_the_scattered_light():
         fov_x_deg=40.0,
     )
     makers = (make_glow, models.MODELS["path"].make, models.MODELS["single"].make)
-    glow, path, single = (layer_means(world, make, samples=64, seeds=4, name="surface").mean() for make in makers)
+    glow, path, single = (aov_means(world, make, samples=64, seeds=4, name="surface").mean() for make in makers)
     assert single < 0.7 * path
     assert abs(glow - path) < 0.3 * (path - single), (glow / path, single / path)
 

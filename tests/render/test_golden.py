@@ -22,7 +22,7 @@ GLOSS = {"type": "principled", "base_color": {"type": "rgb", "value": [0.3, 0.4,
 
 
 def world(lit):
-    """A street's ground, a block and a layer of fog; a sky, and lamps of three kinds."""
+    """A street's ground, a block and a slab of fog; a sky, and lamps of three kinds."""
     side = 150.0
     down = np.diag([1.0, -1.0, -1.0, 1.0])
     down[:3, 3] = -2.0, 9.0, 4.0

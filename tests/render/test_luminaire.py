@@ -153,7 +153,7 @@ def test_chances_by_place_are_what_is_drawn():
 
 
 def street_at_night(count):
-    """A ground, a wall and `count` lamps along both sides, 1.5 m above a layer of fog: beside a lamp in fog `volpath`
+    """A ground, a wall and `count` lamps along both sides, 1.5 m above a slab of fog: beside a lamp in fog `volpath`
     has no finite variance.
     """
     draw = np.random.default_rng(1)

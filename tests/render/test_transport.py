@@ -160,7 +160,7 @@ def test_path_agrees_with_volpath_in_fog_that_is_not_even(fog):
 
 
 def street(sky=SKY):
-    """A wide ground, a wall and a ball under a level layer of fog."""
+    """A wide ground, a wall and a ball under a level slab of fog."""
     flat = np.array([[-800, -800, -1.5], [800, -800, -1.5], [800, 800, -1.5], [-800, 800, -1.5]])
     ground = {
         "type": "mesh",
@@ -178,8 +178,8 @@ def street(sky=SKY):
         "shape_wall": wall(30.0, 3.0, bsdf=grey),
         "shape_ball": {"type": "sphere", "center": [3.0, 12.0, 0.0], "radius": 1.5, "bsdf": grey},
     }
-    layer = FogVolume("/Fog", box((800.0, 800.0, 31.0), (0, 0, 29.0)), FogMedium(0.02))
-    return scene(world, [layer], fov_x_deg=60.0, width_px=32, height_px=18)
+    slab = FogVolume("/Fog", box((800.0, 800.0, 31.0), (0, 0, 29.0)), FogMedium(0.02))
+    return scene(world, [slab], fov_x_deg=60.0, width_px=32, height_px=18)
 
 
 def test_what_is_known_of_a_layer_leaves_the_mean_as_it_is():

@@ -88,7 +88,7 @@ def test_round_boundaries_end_the_fog_at_their_surface(kind, measured):
 
 
 def test_exponential_fog_thins_with_height(measured):
-    """Looking up out of an exponential layer, tau is the closed-form column over cos."""
+    """Looking up out of an exponential slab, tau is the closed-form column over cos."""
     up = np.eye(4)
     up[:3, :3] = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
     fog = FogVolume(
