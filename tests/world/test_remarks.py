@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom
 
 from synfog_usd.stage import open_stage, select, variants
 from synfog_usd.translate import translate
+from synfog_usd.world.components import author_mesh
 from synfog_usd.world.compose import compose
+from synfog_usd.world.shapes import Part
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = ("motorway", "rural")
@@ -50,3 +52,10 @@ def test_every_point_of_a_model_is_of_a_face_and_every_normal_has_a_length():
             assert len(np.unique(np.asarray(faces))) == len(points), place
             normals = mesh.GetNormalsAttr().Get()
             assert normals is None or np.asarray(normals).any(axis=1).all(), place
+
+
+def test_a_part_of_which_no_face_is_left_is_a_mesh_without_points():
+    """Parts smaller than a tenth of a millimetre become that when they are thinned."""
+    part = Part(np.zeros((2, 3)), np.array([[0, 0, 1]]), "paint", normals=np.zeros((2, 3)))
+    mesh = author_mesh(Usd.Stage.CreateInMemory(), Sdf.Path("/Dot"), part)
+    assert len(mesh.GetPointsAttr().Get()) == len(mesh.GetFaceVertexCountsAttr().Get()) == 0
