@@ -57,5 +57,6 @@ def test_every_point_of_a_model_is_of_a_face_and_every_normal_has_a_length():
 def test_a_part_of_which_no_face_is_left_is_a_mesh_without_points():
     """Parts smaller than a tenth of a millimetre become that when they are thinned."""
     part = Part(np.zeros((2, 3)), np.array([[0, 0, 1]]), "paint", normals=np.zeros((2, 3)))
-    mesh = author_mesh(Usd.Stage.CreateInMemory(), Sdf.Path("/Dot"), part)
+    stage = Usd.Stage.CreateInMemory()
+    mesh = author_mesh(stage, Sdf.Path("/Dot"), part)
     assert len(mesh.GetPointsAttr().Get()) == len(mesh.GetFaceVertexCountsAttr().Get()) == 0
