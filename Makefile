@@ -51,7 +51,7 @@ $(VENV)/.done: pyproject.toml constraints.txt
 	 || { rm -rf $(VENV); [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && echo "installing python3-venv" \
 	      && apt-get update -qq && apt-get install -y -qq python3-venv >/dev/null && $(PYTHON) -m venv $(VENV); } \
 	 || { echo "$(PYTHON) cannot make a virtual environment: install python3-venv (Debian, Ubuntu: apt install python3-venv) and try again"; exit 2; }
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[dev,sets]"
 	@touch $@
 
 # What the wheels of Dr.Jit (libatomic) and PyMeshLab (libGL, libOpenGL) expect of the system; a Debian without a desktop has none of it.
@@ -73,7 +73,7 @@ llvm: libs
 	 || $(BIN)/python -c "from synfog_usd.render import backend as b; print('no libLLVM 16 or newer:', b.SCALAR_COST)"
 
 lock:
-	uv pip compile pyproject.toml --universal --extra dev --extra llvm --python-version 3.10 --no-header --no-annotate -o constraints.txt
+	uv pip compile pyproject.toml --universal --extra dev --extra llvm --extra sets --python-version 3.10 --no-header --no-annotate -o constraints.txt
 
 wheel: setup
 	$(BIN)/python -m build --wheel

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from synfog_usd import __version__
-from synfog_usd.cli import worker
+from synfog_usd.cli import dataset, worker
 from synfog_usd.errors import ParameterError, SynfogError
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
@@ -25,6 +25,7 @@ graph_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Node 
 app.add_typer(graph_app, name="graph")
 asset_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The library of models.")
 app.add_typer(asset_app, name="asset")
+app.add_typer(dataset.app, name="dataset")
 
 
 def _folder(text: str) -> Path:
