@@ -113,9 +113,7 @@ def prnu(
 
     Source: EMVA 1288 release 4.0, section 4.
     """
-    gain = np.float32(1.0) + np.float32(prnu_percent / 100.0) * _pattern(
-        serial, "prnu", image.height_px, image.width_px
-    )
+    gain = np.float32(1.0) + np.float32(prnu_percent / 100.0) * pattern(serial, "prnu", image.height_px, image.width_px)
     return image.with_pixels(np.maximum(image.pixels * gain, 0.0))
 
 
@@ -215,7 +213,7 @@ def dsnu(
         serial: which specimen.
     """
     return image.with_pixels(
-        image.pixels + np.float32(dsnu_e) * _pattern(serial, "dsnu", image.height_px, image.width_px)
+        image.pixels + np.float32(dsnu_e) * pattern(serial, "dsnu", image.height_px, image.width_px)
     )
 
 
@@ -306,10 +304,10 @@ def row_column(
     Source: EMVA 1288 release 4.0, section 4 (row and column spatial nonuniformity).
     """
     height, width = image.height_px, image.width_px
-    rows = np.float32(row_noise_dn) * _pattern(serial, "row", height, 1)
+    rows = np.float32(row_noise_dn) * pattern(serial, "row", height, 1)
     rows = rows + np.float32(temporal_row_noise_dn) * rng.standard_normal((height, 1, 1), dtype=np.float32)
     pixels = image.pixels + rows
-    pixels += np.float32(column_noise_dn) * _pattern(serial, "column", 1, width)
+    pixels += np.float32(column_noise_dn) * pattern(serial, "column", 1, width)
     return image.with_pixels(pixels).with_metadata(temporal_row_noise_dn=temporal_row_noise_dn)
 
 
@@ -454,18 +452,18 @@ def _with_noise(pixels: FloatArray, sigma: float, rng: np.random.Generator) -> F
 
 
 @functools.lru_cache(maxsize=6)
-def _pattern(serial: str, kind: str, height: int, width: int) -> FloatArray:
+def pattern(serial: str, kind: str, height: int, width: int) -> FloatArray:
     """(H, W, 1) standard normal numbers that belong to the pixels of a specimen, counted from its upper left corner;
     read-only.
 
     Drawn in tiles, each with a stream of its own, so that a smaller picture is a part of a larger one.
     """
-    pattern = np.empty((height, width, 1), dtype=np.float32)
+    drawn = np.empty((height, width, 1), dtype=np.float32)
     for down in range(0, height, TILE_PX):
         for right in range(0, width, TILE_PX):
             stream = seeds.stream(0, "sensor", serial, kind, down, right)
-            part = pattern[down : down + TILE_PX, right : right + TILE_PX]
+            part = drawn[down : down + TILE_PX, right : right + TILE_PX]
             size = (TILE_PX if height > 1 else 1, TILE_PX if width > 1 else 1, 1)
             part[...] = stream.standard_normal(size, dtype=np.float32)[: part.shape[0], : part.shape[1]]
-    pattern.flags.writeable = False
-    return pattern
+    drawn.flags.writeable = False
+    return drawn

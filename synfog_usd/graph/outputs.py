@@ -7,7 +7,7 @@ before it runs.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,10 +28,12 @@ class Option:
         help: what it does.
     """
 
-    choices: tuple[Value, ...]
+    choices: Sequence[Value]
     help: str
 
     def __str__(self) -> str:
+        if isinstance(self.choices, range):
+            return f"a whole number from {self.choices[0]} to {self.choices[-1]}"
         if self.choices[0] in (True, False):
             return "true or false"
         return "one of " + ", ".join(str(choice) for choice in self.choices)
@@ -43,13 +45,19 @@ class Option:
 
 SCREEN = Port(Quantity.DISPLAY_RGB)
 
+_MOSAIC = Port(Quantity.DN, "mosaic")
+
 FORMATS = {
-    ".dng": Port(Quantity.DN, "mosaic"),
+    ".dng": _MOSAIC,
     ".exr": Port(),
     ".png": SCREEN,
     ".tif": Port(),
     ".tiff": Port(),
     ".jxl": SCREEN,
+    ".jpg": SCREEN,
+    ".raw10": _MOSAIC,
+    ".raw12": _MOSAIC,
+    ".raw14": _MOSAIC,
 }
 """File suffix -> what it can hold."""
 
@@ -60,6 +68,8 @@ _TIFF = {
         "32 otherwise.",
     )
 }
+
+_MIPI = {"embedded_lines": Option((0, 1, 2), "Lines of MIPI CCS data before the picture.")}
 
 OPTIONS: dict[str, dict[str, Option]] = {
     ".dng": {
@@ -79,6 +89,13 @@ OPTIONS: dict[str, dict[str, Option]] = {
         "bits": Option((8, 16), "Bits a channel."),
         "lossless": Option((True, False), "false: loss that an eye does not see (a butteraugli distance of 1)."),
     },
+    ".jpg": {
+        "quality": Option(range(1, 101), "libjpeg's; if left out 95."),
+        "subsampling": Option(("4:2:0", "4:2:2", "4:4:4"), "Of colour."),
+    },
+    ".raw10": _MIPI,
+    ".raw12": _MIPI,
+    ".raw14": _MIPI,
 }
 """File suffix -> the words that may stand beside 'node', by name: those of the writer of that format."""
 
@@ -95,8 +112,8 @@ def fault(file_name: str) -> str:
     ''
     >>> fault("../srgb.png")
     'it is not a plain file name; use letters, digits, . _ - only'
-    >>> fault("srgb.jpg")
-    "its format '.jpg' is not known; it can be .dng, .exr, .png, .tif, .tiff, .jxl"
+    >>> fault("srgb.gif")
+    "its format '.gif' is not known; it can be .dng, .exr, .png, .tif, .tiff, .jxl, .jpg, .raw10, .raw12, .raw14"
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", file_name):
         return "it is not a plain file name; use letters, digits, . _ - only"

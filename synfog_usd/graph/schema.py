@@ -83,6 +83,12 @@ def schema(
     }
 
 
+def _choices(option: Option) -> dict[str, Any]:
+    if isinstance(option.choices, range):
+        return {"type": "integer", "minimum": option.choices[0], "maximum": option.choices[-1]}
+    return {"enum": list(option.choices)}
+
+
 def _output(options: Mapping[str, Option]) -> dict[str, Any]:
     """An output with 'node' and options; a graph that extends another may leave 'node' out."""
     return {
@@ -90,7 +96,7 @@ def _output(options: Mapping[str, Option]) -> dict[str, Any]:
         "minProperties": 1,
         "properties": {
             NODE: {"type": "string", "description": "The node that it is made of."},
-            **{name: {"enum": list(option.choices), "description": option.help} for name, option in options.items()},
+            **{name: {**_choices(option), "description": option.help} for name, option in options.items()},
         },
         "additionalProperties": False,
     }

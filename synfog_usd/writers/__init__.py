@@ -14,8 +14,9 @@ from synfog_usd.errors import OutputError, did_you_mean
 from synfog_usd.image import Image
 from synfog_usd.writers.dng import write_dng
 from synfog_usd.writers.exr import check_radiance, read_exr, write_exr
+from synfog_usd.writers.mipi import write_mipi
 from synfog_usd.writers.raw import read_raw
-from synfog_usd.writers.screen import write_jxl, write_png, write_tiff
+from synfog_usd.writers.screen import write_jpeg, write_jxl, write_png, write_tiff
 
 WRITERS: dict[str, Callable[..., None]] = {
     ".dng": write_dng,
@@ -24,6 +25,10 @@ WRITERS: dict[str, Callable[..., None]] = {
     ".tif": write_tiff,
     ".tiff": write_tiff,
     ".jxl": write_jxl,
+    ".jpg": write_jpeg,
+    ".raw10": write_mipi,
+    ".raw12": write_mipi,
+    ".raw14": write_mipi,
 }
 """File suffix -> what writes it: f(path, image, *, options)."""
 
@@ -72,7 +77,9 @@ __all__ = [
     "read_raw",
     "write_dng",
     "write_exr",
+    "write_jpeg",
     "write_jxl",
+    "write_mipi",
     "write_output",
     "write_png",
     "write_tiff",

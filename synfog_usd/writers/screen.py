@@ -1,4 +1,4 @@
-"""PNG, JPEG XL and TIFF: pictures for screens and print, and floats where no EXR is wanted.
+"""PNG, JPEG, JPEG XL and TIFF: pictures for screens and print, and floats where no EXR is wanted.
 
 The same bytes for the same image.  OpenImageIO is imported on first use.
 """
@@ -62,6 +62,36 @@ def write_jxl(path: Path, image: Image, *, bits: Literal[8, 16] = 8, lossless: b
         path,
         numbers,
         {"oiio:ColorSpace": "sRGB", "jpegxl:distance": 0.0 if lossless else 1.0, "jpegxl:effort": JXL_EFFORT},
+    )
+
+
+def write_jpeg(
+    path: Path, image: Image, *, quality: int = 95, subsampling: Literal["4:2:0", "4:2:2", "4:4:4"] = "4:2:0"
+) -> None:
+    """Write a picture for a screen as JPEG, with the loss that files of real cameras have.
+
+    Args:
+        path: where to.
+        image: DISPLAY_RGB with one or three channels, already coded as sRGB.
+        quality: libjpeg's, 1 to 100; cameras write 90 to 98, recordings of data sets often 75.
+        subsampling: of colour; 4:2:0 keeps one value for four pixels.
+
+    Raises:
+        ImageError: another quantity, or NaN.
+        OutputError: it cannot be written, or the option does not fit.
+    """
+    if type(quality) is not int or not 1 <= quality <= 100:
+        raise OutputError(f"{path}: quality is {quality!r}; it takes a whole number from 1 to 100")
+    if subsampling not in ("4:2:0", "4:2:2", "4:4:4"):
+        raise OutputError(f"{path}: subsampling is {subsampling!r}; it takes 4:2:0, 4:2:2 or 4:4:4")
+    _write(
+        path,
+        _coded(path, "JPEG", image, 8),
+        {
+            "oiio:ColorSpace": "sRGB",
+            "Compression": f"jpeg:{quality}",
+            "jpeg:subsampling": subsampling,
+        },
     )
 
 

@@ -152,7 +152,7 @@ def test_fixed_patterns_stay_and_belong_to_a_specimen():
     """
     lit = electrons(1000.0)
     one = sensor.prnu(lit, prnu_percent=0.7, serial="a").pixels
-    sensor._pattern.cache_clear()  # as in another process
+    sensor.pattern.cache_clear()  # as in another process
     again = sensor.prnu(lit, prnu_percent=0.7, serial="a").pixels
     other = sensor.prnu(lit, prnu_percent=0.7, serial="b").pixels
     np.testing.assert_array_equal(one, again)

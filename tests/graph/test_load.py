@@ -209,8 +209,8 @@ FAULTS = [
     ("[radiance]", "{radiance: radance}", "g.yaml:2:20: input 'radiance' is 'radance'; it takes one of radiance,"),
     (
         "srgb.png: show",
-        "srgb.jpg: show",
-        "g.yaml:12:3: output 'srgb.jpg': its format '.jpg' is not known; it can be .dng, .exr, .png",
+        "srgb.gif: show",
+        "g.yaml:12:3: output 'srgb.gif': its format '.gif' is not known; it can be .dng, .exr, .png",
     ),
     ("srgb.png: show", "../srgb.png: show", "g.yaml:12:3: output '../srgb.png': it is not a plain file name"),
     ("srgb.png: show", "/tmp/srgb.png: show", "g.yaml:12:3: output '/tmp/srgb.png': it is not a plain file name"),
@@ -341,7 +341,7 @@ nodes:
   - {name: one, op: chip.noise, in: two, sigma_e: 1}
   - {name: two, op: chip.noise, in: one, sigma_e: 1}
 outputs:
-  raw.jpg: adc
+  raw.gif: adc
   srgb.png: shw
 """
     starts = [
@@ -356,7 +356,7 @@ outputs:
         "g.yaml:10:5: node 'adc' stands already at line 9; give one of them another name",
         "g.yaml:11:39: node 'late' (screen.show) takes dn; 'expose' gives electrons (mosaic). What gives dn: chip.adc",
         "g.yaml:12:5: nodes read each other in a circle: one -> two -> one; change one 'in'",
-        "g.yaml:15:3: output 'raw.jpg': its format '.jpg' is not known",
+        "g.yaml:15:3: output 'raw.gif': its format '.gif' is not known",
         "g.yaml:16:13: output 'srgb.png' is 'shw', which is no node;",
     ]
     told = lines(refusal(tmp_path, text, registry))

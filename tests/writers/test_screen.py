@@ -146,6 +146,7 @@ def test_a_jpeg_xl_with_loss_is_smaller_and_near(tmp_path):
         ("a.tiff", {"bits": 32}),
         ("a.jxl", {}),
         ("a.jxl", {"lossless": False}),
+        ("a.jpg", {"quality": 75}),
         ("a.png", {"bits": 16}),
     ],
 )
@@ -158,7 +159,7 @@ def test_the_same_picture_gives_the_same_bytes_whenever_it_is_written(tmp_path, 
     assert write_output(name, image, tmp_path / "two", options=options).read_bytes() == first
 
 
-@pytest.mark.parametrize("name", ["a.tif", "a.jxl", "a.png", "a.exr", "a.dng"])
+@pytest.mark.parametrize("name", ["a.tif", "a.jxl", "a.png", "a.jpg", "a.exr", "a.dng"])
 def test_what_does_not_fit_leaves_no_file(tmp_path, name):
     bad = picture()
     bad.pixels[3, 4, 1] = np.nan
@@ -189,6 +190,8 @@ def test_what_does_not_fit_leaves_no_file(tmp_path, name):
             OutputError,
             "compression is 'dwaa'; an EXR takes zip, zips, piz, rle, none",
         ),
+        ("a.jpg", Quantity.DISPLAY_RGB, {"quality": 0}, OutputError, "quality is 0; it takes a whole number from 1 to"),
+        ("a.jpg", Quantity.DISPLAY_RGB, {"subsampling": "4:1:1"}, OutputError, "it takes 4:2:0, 4:2:2 or 4:4:4"),
         ("a.exr", Quantity.LINEAR_RGB, {"half": "yes"}, OutputError, "half is 'yes'; it takes true or false"),
         (
             "a.png",
@@ -220,7 +223,7 @@ def test_an_exr_of_the_mosaic_stands_beside_the_raw_file(tmp_path):
     np.testing.assert_array_equal(read_exr(tmp_path / "half.exr").pixels, small.pixels)
 
 
-@pytest.mark.parametrize("name", ["../a.png", "/tmp/a.png", "a/b.png", "..", "", "a\\b.png", "a.jpg", "a"])
+@pytest.mark.parametrize("name", ["../a.png", "/tmp/a.png", "a/b.png", "..", "", "a\\b.png", "a.gif", "a"])
 def test_outputs_have_plain_names_and_known_formats(tmp_path, name):
     with pytest.raises(OutputError, match="output"):
         write_output(name, Image(np.zeros((2, 2, 3), np.float32), ("R", "G", "B"), Quantity.DISPLAY_RGB), tmp_path)
@@ -232,3 +235,29 @@ def test_write_output_picks_the_format_and_makes_the_folder(tmp_path):
     for name in ("raw.dng", "RAW2.DNG", "electrons.exr"):
         path = write_output(name, mosaic, tmp_path / "new" / "folder")
         assert path == tmp_path / "new" / "folder" / name and path.stat().st_size > 1000
+
+
+def test_a_jpeg_is_close_and_loses_more_at_a_lower_quality(tmp_path):
+    """Smooth colours, read by Pillow: at 95 within 3 of 255 RMS, at 30 worse and smaller; grey stays one channel."""
+    down, right = np.mgrid[0:64, 0:96] / 96
+    smooth = picture().with_pixels(np.stack([down, right, 1.0 - down], axis=-1).astype(np.float32))
+    errors, sizes = [], []
+    for quality in (30, 95):
+        path = write_output("a.jpg", smooth, tmp_path, options={"quality": quality, "subsampling": "4:4:4"})
+        with Pillow.open(path) as file:
+            read = np.asarray(file.convert("RGB")).astype(float)
+        errors.append(np.sqrt(np.mean((read - 255.0 * smooth.pixels) ** 2)))
+        sizes.append(path.stat().st_size)
+    assert errors[1] < 3.0 and errors[0] > 1.5 * errors[1] and sizes[0] < sizes[1]
+    with Pillow.open(write_output("grey.jpg", picture(("Y",)), tmp_path)) as file:
+        assert file.mode == "L"
+
+
+def test_a_jpegs_colour_is_subsampled_as_asked(tmp_path):
+    """Libjpeg's own tables, as Pillow tells them: the luminance is sampled twice, once, in each direction."""
+    found = []
+    for subsampling in ("4:4:4", "4:2:2", "4:2:0"):
+        path = write_output("a.jpg", picture(), tmp_path, options={"subsampling": subsampling})
+        with Pillow.open(path) as image:
+            found.append(tuple(image.layer[0][1:3]))
+    assert found == [(1, 1), (2, 1), (2, 2)]
