@@ -171,6 +171,81 @@ def bake(
 
 
 @app.command()
+def preview(
+    stage: Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz).")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            parser=_folder,
+            help="Folder for the pictures and contact.png; out/preview/<name of the stage> if left out.",
+            show_default=False,
+        ),
+    ] = None,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Draw again on each save of a file that STAGE is made of, until Ctrl-C.")
+    ] = False,
+    terminal: Annotated[
+        str, typer.Option(help="Pictures in the terminal: sixel, colours, 256 or none; auto asks the terminal.")
+    ] = "auto",
+    pipeline: Annotated[Path | None, typer.Option(help="YAML node graph; the shipped phone if left out.")] = None,
+    lighting: Annotated[
+        str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")
+    ] = None,
+    fog: Annotated[
+        str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")
+    ] = None,
+    camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
+    frame: Annotated[float | None, typer.Option(help="Time code.")] = None,
+    choices: Annotated[
+        list[str] | None, typer.Option("--set", help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.")
+    ] = None,
+    light_scale: Annotated[float, typer.Option(help="Multiply all lights by this.")] = 1.0,
+    sun_lux: Annotated[
+        float | None,
+        typer.Option(help="Multiply all lights so that the sun gives this illuminance, as 80000 for a clear noon."),
+    ] = None,
+    resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "320x180",
+    samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 4,
+    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
+    allow: Annotated[
+        list[Path] | None,
+        typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again."),
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+) -> None:
+    """Draw STAGE small and clean, every lighting in every fog, in the terminal and as a bake's files."""
+    from synfog_usd.cli import preview as verb
+    from synfog_usd.cli.terminal import KINDS
+
+    if terminal not in ("auto", *KINDS):
+        raise ParameterError(f"--terminal {terminal}: takes auto, {', '.join(KINDS)}")
+    verb.run(
+        dict(
+            stage=stage,
+            out=out or Path("out") / "preview" / stage.stem,
+            pipeline=pipeline,
+            lighting=_names(lighting, "--lighting"),
+            fog=_names(fog, "--fog"),
+            camera=camera,
+            frame=frame,
+            choices=tuple(choices or ()),
+            light_scale=light_scale,
+            sun_lux=sun_lux,
+            size=_size(resolution),
+            samples=samples,
+            bands=3,
+            variant=variant,
+            allow=tuple(allow or ()),
+        ),
+        watch=watch,
+        how=None if terminal == "auto" else terminal,  # type: ignore[arg-type]
+        quiet=quiet,
+    )
+
+
+@app.command()
 def check(
     stage: Annotated[Path, typer.Argument(help="USD file.")],
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,

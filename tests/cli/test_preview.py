@@ -1,0 +1,230 @@
+"""`synfog-usd preview`: what it leaves, what it shows in which terminal, and that it draws again on each save."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import threading
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.cli import command, run
+from support.stages import street
+
+from synfog_usd.cli import preview, terminal
+
+RAMP = np.stack(np.meshgrid(np.arange(0, 250, 10), np.arange(0, 130, 10)), axis=-1)
+PICTURE = Image.fromarray(np.concatenate([RAMP, 255 - RAMP[..., :1]], axis=-1).astype(np.uint8))  # 25 x 13
+
+
+def of_sixels(text):
+    """(H, W, 3) percent of a sixel picture, by the VT340's manual; NaN where nothing is drawn."""
+    assert text.startswith("\x1bP") and text.endswith("\x1b\\")
+    width, height, rest = re.fullmatch(r'\x1bP[\d;]*q"1;1;(\d+);(\d+)(.*)\x1b\\', text, re.DOTALL).groups()
+    shown = np.full((6 * -(-int(height) // 6), int(width), 3), np.nan)
+    table, colour, x, top = {}, 0, 0, 0
+    for number, values, count, sign, move in re.findall(r"#(\d+)(?:;2;([\d;]+))?|(?:!(\d+))?([?-~])|([$-])", rest):
+        if number:
+            colour = int(number)
+            if values:
+                table[colour] = [int(value) for value in values.split(";")]
+        elif sign:
+            for _ in range(int(count or 1)):
+                for bit in range(6):
+                    if (ord(sign) - 63) >> bit & 1:
+                        assert np.isnan(shown[top + bit, x]).all()  # no pixel twice
+                        shown[top + bit, x] = table[colour]
+                x += 1
+        else:
+            x, top = 0, top + 6 * (move == "-")
+    assert np.isnan(shown[int(height) :]).all()
+    return shown[: int(height)]
+
+
+def test_sixels_are_the_picture():
+    """Read back by the terminal's manual, each of 25 x 13 pixels is drawn once, in its colour to 2 % (256 of 325)."""
+    shown = of_sixels(terminal.sixels(PICTURE))
+    assert shown.shape == (13, 25, 3)
+    assert (
+        np.abs(shown - np.asarray(PICTURE) / 2.55).max() <= 4 and np.abs(shown - np.asarray(PICTURE) / 2.55).mean() < 1
+    )
+
+
+def test_half_blocks_are_the_picture():
+    """A line is two rows of pixels: the letter's colour is the upper one's, its ground the lower one's."""
+    grey = Image.fromarray(np.arange(0, 240, 20, dtype=np.uint8).reshape(4, 3)).convert("RGB")
+    lines = terminal.blocks(grey, 80).splitlines()
+    found = [re.findall(r"38;2;(\d+);\1;\1;48;2;(\d+);\2;\2m▀", line) for line in lines]
+    rows = [[int(cell[side]) for cell in line] for line in found for side in (0, 1)]
+    assert rows == np.asarray(grey)[..., 0].tolist() and all(line.endswith("\x1b[0m") for line in lines)
+    assert [len(re.findall("▀", line)) for line in terminal.blocks(PICTURE, 10).splitlines()] == [
+        10
+    ] * 3  # 5.2 rows of pixels
+
+
+def test_of_256_colours_the_nearest_is_taken():
+    """As by trying all of xterm's 240 fixed colours."""
+    levels = [0, 95, 135, 175, 215, 255]
+    table = [(r, g, b) for r in levels for g in levels for b in levels] + [(8 + 10 * n,) * 3 for n in range(24)]
+    for colour in np.random.default_rng(1).integers(0, 256, (200, 3)):
+        number = int(terminal._nearest(colour).removeprefix("5;")) - 16
+        far = np.square(np.array(table) - colour).sum(axis=1)
+        assert far[number] == far.min()
+
+
+@pytest.mark.parametrize(
+    "answer, environment, found",
+    [
+        (b"\x1b[?62;4;22c", {"TERM": "xterm"}, "sixel"),
+        (b"\x1b[?62;22c", {"TERM": "xterm-256color", "COLORTERM": "truecolor"}, "colours"),
+        (b"\x1b[?4c", {"TERM": "screen-256color"}, "256"),  # 4 as the class, not as an attribute
+        (b"", {"TERM": "xterm"}, "none"),
+        (b"\x1b[?62;4c", {"TERM": "xterm", "NO_COLOR": "1"}, "none"),
+        (b"\x1b[?62;4c", {"TERM": "dumb"}, "none"),
+    ],
+)
+def test_the_terminal_is_asked_what_it_can(answer, environment, found):
+    """By a terminal of our own that answers primary device attributes; its settings are as before afterwards."""
+    termios = pytest.importorskip("termios")
+    ours, theirs = os.openpty()
+    settings = termios.tcgetattr(theirs)
+
+    def reply():
+        asked = b""
+        while b"\x1b[c" not in asked and answer:
+            asked += os.read(ours, 64)
+        os.write(ours, answer)
+
+    asked = "NO_COLOR" not in environment and environment["TERM"] != "dumb"
+    thread = threading.Thread(target=reply, daemon=True)
+    if asked:
+        thread.start()
+    try:
+        assert terminal.kind(environment, source=theirs, target=theirs) == found
+        if asked:
+            thread.join(5)
+        assert termios.tcgetattr(theirs) == settings
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_what_is_no_terminal_gets_no_picture(tmp_path):
+    """A pipe and a file are `none`, whatever the environment says."""
+    with (tmp_path / "file").open("wb") as file:
+        assert terminal.kind({"TERM": "xterm", "COLORTERM": "truecolor"}, target=file.fileno()) == "none"
+    assert terminal.drawn(PICTURE, "none", 80) == ""
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    path = tmp_path_factory.mktemp("stage") / "street.usda"
+    path.write_text(street(lamp=True), encoding="utf-8")
+    return path
+
+
+def small(stage, out, *more):
+    """One shot, tiny."""
+    arguments = ("--resolution", "32x18", "--samples", "2", "--lighting", "sky", "--fog", "mor150")
+    return ["preview", stage, "-o", out, *arguments, *more]
+
+
+def test_a_preview_is_a_small_denoised_bake(stage, tmp_path):
+    """The picture has the size that was asked for, it is denoised, and the terminal gets it where that is asked for."""
+    done = run(*small(stage, tmp_path / "out", "--terminal", "colours"))
+    assert done.returncode == 0, done.stderr
+    row = json.loads((tmp_path / "out" / "bake.json").read_text())["shots"][0]
+    with Image.open(tmp_path / "out" / "sky" / "mor150" / "srgb.png") as picture:
+        assert picture.size == (32, 18) and row["denoised"]
+        assert terminal.blocks(picture.convert("RGB"), 80) in done.stdout
+    assert "1 pictures in" in done.stdout and (tmp_path / "out" / "contact.png").is_file()
+
+
+def test_a_pipe_gets_no_picture(stage, tmp_path):
+    """One line of what lies where, without control sequences."""
+    done = run(*small(stage, tmp_path / "out"))
+    assert done.returncode == 0 and "\x1b" not in done.stdout and done.stdout.count("\n") == 1
+
+
+def test_wrong_words_are_refused(stage, tmp_path):
+    """Before anything is written."""
+    done = run(*small(stage, tmp_path / "out", "--terminal", "braille"))
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("how", ["in place", "renamed", "removed and made"])
+def test_a_save_is_seen_however_an_editor_does_it(tmp_path, how):
+    """Written in place, renamed over, and removed for a while; what has not changed is not told."""
+    layers = [tmp_path / name for name in ("a.usda", "b.usda")]
+    for layer in layers:
+        layer.write_text("#usda 1.0\n")
+    before = preview._state([*layers, tmp_path / "missing.usda"])
+
+    def save():
+        time.sleep(0.2)
+        if how == "in place":
+            layers[0].write_text("#usda 1.0\n\n")
+        else:
+            (tmp_path / "new").write_text("#usda 1.0\n")
+            if how == "removed and made":
+                layers[0].unlink()
+                time.sleep(0.1)
+            (tmp_path / "new").replace(layers[0])
+
+    thread = threading.Thread(target=save)
+    thread.start()
+    assert preview._next_save(before) == layers[:1]
+    thread.join()
+
+
+@pytest.mark.slow
+def test_each_save_of_any_layer_is_drawn_and_errors_are_shown(tmp_path):
+    """A sublayer changes, breaks and is mended: two pictures differ, the fault is one line, and the third is as the
+    first; Ctrl-C ends it.
+    """
+    (tmp_path / "base.usda").write_text(street(lamp=True), encoding="utf-8")
+    (tmp_path / "top.usda").write_text(
+        '#usda 1.0\n(\n    defaultPrim = "World"\n    metersPerUnit = 1\n    upAxis = "Z"\n'
+        "    subLayers = [@./over.usda@, @./base.usda@]\n)\n"
+    )
+    over, good = tmp_path / "over.usda", "#usda 1.0\n"
+    over.write_text(good)
+    out = tmp_path / "out"
+    child = subprocess.Popen(
+        command(*small(tmp_path / "top.usda", out, "--watch")),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    told: list[str] = []
+
+    def until(word):
+        for line in child.stdout:
+            told.append(line)
+            if word in line:
+                return (out / "sky" / "mor150" / "srgb.png").read_bytes()
+        raise AssertionError("".join(told))
+
+    try:
+        pictures = [until("1 pictures in")]
+        over.write_text(
+            '#usda 1.0\nover "World"\n{\n    over "Wall"\n    {\n        token visibility = "invisible"\n    }\n}\n'
+        )
+        pictures.append(until("1 pictures in"))
+        assert "over.usda saved\n" in told
+        (tmp_path / "top.usda").rename(tmp_path / "away")
+        until("synfog-usd: ")
+        (tmp_path / "away").rename(tmp_path / "top.usda")
+        over.write_text(good)
+        pictures.append(until("1 pictures in"))
+        assert pictures[0] == pictures[2] != pictures[1]
+        assert "Traceback" not in "".join(told)
+        child.send_signal(signal.SIGINT)
+        assert child.wait(20) == 130
+    finally:
+        child.kill()
+        child.wait()
+        child.stdout.close()
