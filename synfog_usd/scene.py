@@ -31,7 +31,7 @@ class Camera:
     Attributes:
         path: prim path.
         to_world: (4, 4) float64, orthonormal, metres; looks down its local -Z with +Y up; in the middle of the
-            exposure.
+            exposure of the middle row.
         width_px, height_px: image size.
         fov_x_deg: full horizontal angle of view [deg] of the whole image.
         shift: (x, y) offset of the optical axis from the image centre in image
@@ -41,8 +41,11 @@ class Camera:
         f_number: authored f-number, 0 for a pinhole.
         focus_m: distance of sharp focus [m]; used where f_number > 0.
         width_m: width [m] of what an orthographic camera sees; 0 for any other.  Its `fov_x_deg` is `PARALLEL_DEG`.
-        drift_m: (x, y, z) way [m] that it goes while it exposes, evenly, in the scene's axes.
+        drift_m: (x, y, z) way [m] that it goes while it exposes, evenly, in the scene's axes: from the moment at which
+            the first row begins to that at which the last one ends.
         turn_rad: (x, y, z) rotation vector [rad] by which it turns meanwhile about its own place, in the scene's axes.
+        rolling: part of that time which lies between the beginnings of the top row and of the bottom row, 0 to 1; 0
+            for a global shutter, under which all rows expose together.
     """
 
     path: str
@@ -58,6 +61,7 @@ class Camera:
     width_m: float = 0.0
     drift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rolling: float = 0.0
 
     @property
     def moves(self) -> bool:

@@ -275,11 +275,11 @@ class _Eye:
     def look(self, corner: Any, number: Any) -> tuple[Any, Any, Any]:
         """Albedo, normal and transmittance of what ray `number` of each pixel meets."""
         mi, camera = backend.mitsuba(), self.loaded.source.camera
-        film = (corner + mi.Point2f(_place(number, 0), _place(number, 1))) / self.raster.size + mi.Point2f(
-            *self.loaded.offset
+        film = (corner + mi.Point2f(_place(number, 0), _place(number, 1))) / self.raster.size
+        ray, _ = self.loaded.sensor.sample_ray(
+            0.0, 0.5, film + mi.Point2f(*self.loaded.offset), mi.Point2f(_place(number, 2), _place(number, 3))
         )
-        ray, _ = self.loaded.sensor.sample_ray(0.0, 0.5, film, mi.Point2f(_place(number, 2), _place(number, 3)))
-        ray = moved(ray, camera, _place(number, 4)) if camera.moves else ray
+        ray = moved(ray, camera, film.y, _place(number, 4)) if camera.moves else ray
         albedo, normal, distance = _meet(self.loaded.scene, ray)
         tau = self.medium.optical_depth(ray.o, ray.d, 0.0, distance) if self.medium.foggy else mi.Float(0.0)
         return albedo, normal, dr.exp(-tau)

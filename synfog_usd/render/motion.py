@@ -15,12 +15,15 @@ from synfog_usd.render import backend
 from synfog_usd.scene import Camera
 
 
-def moved(ray: Any, camera: Camera, u: Any) -> Any:
-    """A ray of a camera that moves while it exposes, at the share `u` of the exposure (Cook, Porter and Carpenter
-    1984).
+def moved(ray: Any, camera: Camera, down: Any, u: Any) -> Any:
+    """A ray of a camera that moves while it exposes, at the share `u` of its row's exposure (Cook, Porter and
+    Carpenter 1984).
+
+    Under a rolling shutter rows begin one after the other, from the top: `down` is the ray's place in the picture, 0
+    at the top and 1 at the bottom.
     """
     mi = backend.mitsuba()
-    since = u - 0.5
+    since = down * camera.rolling + u * (1.0 - camera.rolling) - 0.5 if camera.rolling else u - 0.5
     eye, drift = mi.Point3f(camera.to_world[:3, 3].tolist()), mi.Vector3f(list(camera.drift_m))
     angle = float(np.linalg.norm(camera.turn_rad))
     ray = mi.Ray3f(ray)

@@ -18,6 +18,9 @@ from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.space import Space, columns
 
 DEFAULT_WIDTH_PX = 1280
+READOUT = "synfog:shutter:readout"
+"""Attribute of a camera: seconds between the beginnings of the top and the bottom row's exposure."""
+
 NEAR_M = 0.01
 """Near plane where none is authored; USD's own fallback of one unit would cut off a bonnet."""
 
@@ -117,7 +120,21 @@ def read_camera(
         width_m=conformed_width * 0.1 * space.metres_per_unit if parallel else 0.0,
         drift_m=drift,
         turn_rad=turn,
+        rolling=_rolling(prim, time, notes),
     )
+
+
+def _rolling(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> float:
+    """Part of the whole exposure that lies between the beginnings of the top and the bottom row."""
+    readout = _readout(prim, time)
+    if prim.HasAttribute(READOUT) and not readout and prim.GetAttribute(READOUT).Get(time) != 0.0:
+        notes.warn(
+            prim.GetPath(),
+            f"{READOUT} is {prim.GetAttribute(READOUT).Get(time)!r}, which is no time in seconds; all rows expose "
+            f"together",
+        )
+    opens, closes = _shutter(prim, time)
+    return readout / (closes - opens) if closes > opens else 0.0
 
 
 def _near(camera: UsdGeom.Camera, lens: Gf.Camera, space: Space, notes: Diagnostics) -> float:
@@ -132,10 +149,10 @@ def _near(camera: UsdGeom.Camera, lens: Gf.Camera, space: Space, notes: Diagnost
 
 
 def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics, *, path: str | None) -> Usd.TimeCode:
-    """The moment at which a frame is half exposed: all of the scene is drawn as it is then.
+    """The moment at which a frame's middle row is half exposed: all of the scene is drawn as it is then.
 
-    USD's shutter times count in frames from the frame's own time.  Without an authored shutter, or
-    one that is open for no time, it is the frame's time itself.
+    USD's shutter times count in frames from the frame's own time; under a rolling shutter they are those of the top
+    row.  Without an authored shutter, or one that is open for no time, it is the frame's time itself.
 
     Args:
         path: of the camera, as in `read_camera`.
@@ -173,10 +190,23 @@ def _might_move(prim: Usd.Prim) -> bool:
 
 
 def _shutter(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[float, float]:
-    """When the shutter opens and closes, in frames from the frame's time; (0, 0) where nothing sensible is authored."""
+    """When the top row begins to expose and the bottom row ends, in frames from the frame's time; (0, 0) where nothing
+    sensible is authored.
+    """
     camera = UsdGeom.Camera(prim)
-    times = float(camera.GetShutterOpenAttr().Get(time) or 0.0), float(camera.GetShutterCloseAttr().Get(time) or 0.0)
-    return times if all(map(math.isfinite, times)) else (0.0, 0.0)
+    opens, closes = (
+        float(attribute.Get(time) or 0.0) for attribute in (camera.GetShutterOpenAttr(), camera.GetShutterCloseAttr())
+    )
+    closes += _readout(prim, time)
+    return (opens, closes) if math.isfinite(opens) and math.isfinite(closes) else (0.0, 0.0)
+
+
+def _readout(prim: Usd.Prim, time: Usd.TimeCode) -> float:
+    """Time between the beginnings of the top and the bottom row, in frames; 0 for a global shutter."""
+    value = prim.GetAttribute(READOUT).Get(time) if prim.HasAttribute(READOUT) else None
+    seconds = float(value) if isinstance(value, (int, float)) else 0.0
+    rate = prim.GetStage().GetTimeCodesPerSecond()
+    return seconds * rate if 0.0 < seconds < math.inf and 0.0 < rate < math.inf else 0.0
 
 
 def _place(prim: Usd.Prim, space: Space, time: Usd.TimeCode) -> np.ndarray:

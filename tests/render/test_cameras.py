@@ -146,9 +146,33 @@ def test_a_camera_that_turns_turns_its_rays_about_its_place():
     camera = replace(scene({}).camera, to_world=place, drift_m=tuple(drift.tolist()), turn_rad=tuple(turn.tolist()))
     o, d = draw.normal(size=(3, 5)), draw.normal(size=(3, 5))
     for share in (0.0, 0.5, 1.0):
-        found = moved(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), camera, mi.Float(share))
+        found = moved(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), camera, mi.Float(0.3), mi.Float(share))
         half = Rotation.from_rotvec(turn * (share - 0.5))
         np.testing.assert_allclose(np.array(found.d), half.apply(d.T).T, atol=2e-6)
         np.testing.assert_allclose(
             np.array(found.o), half.apply((o - eye[:, None]).T).T + (eye + drift * (share - 0.5))[:, None], atol=2e-6
         )
+
+
+@pytest.mark.parametrize("model", ["path", "volpath"])
+def test_a_bar_leans_under_a_rolling_shutter_as_far_as_the_camera_went(model):
+    """An edge seen by a camera that goes 3 m to the right, three quarters of which between the rows' beginnings.
+
+    A row at the height v of the picture, 0 at the top, is exposed about the moment 0.75 v + 0.125: the edge lies at
+    -3 (0.75 v + 0.125 - 0.5) m, so it leans by 2.25 m over the picture's height, and each row smears it over 0.75 m.
+    """
+    world = parallel({"shape_sheet": half_plane(0.0, 20.0)}, width_px=32, drift_m=(3.0, 0.0, 0.0), rolling=0.75)
+    seeds = 8
+    rows = np.array(
+        [
+            run.radiance.pixels[:, :, 1].sum(axis=1, dtype=np.float64)
+            for run in renders.by_seed(world, range(seeds), samples=256, model=model)
+        ]
+    )
+    edges_m = WIDTH_M / 2 - rows * (WIDTH_M / 32)  # where a sharp edge would stand to leave as much light in the row
+    down = (np.arange(8) + 0.5) / 8
+    slant, middle = np.polyfit(down - 0.5, edges_m.mean(axis=0), 1)
+    spread = np.polyfit(down - 0.5, edges_m.T, 1)[0].std(ddof=1) / np.sqrt(seeds)
+    assert 5 * spread < 0.01 * 2.25, "the test must see one in a hundred"
+    assert slant == pytest.approx(-2.25, rel=0.01)
+    assert middle == pytest.approx(0.0, abs=0.02)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from pxr import Gf, UsdGeom, UsdRender
+from pxr import Gf, Sdf, UsdGeom, UsdRender
 
 from synfog_usd.errors import StageError
 from synfog_usd.translate import translate
@@ -222,3 +222,31 @@ def test_exposure_attributes_multiply_as_usd_says(empty):
         authored.GetPrim().GetAttribute(f"exposure:{name}").Set(value)
     wanted = 1 / 60 * 4.0 / 2.0**2 * 2.0 * 1.5
     assert any(f"a factor of {wanted:.4g})" in note.text for note in translate(stage).notes)
+
+
+def test_a_rolling_shutter_is_open_until_the_last_row_ends(empty):
+    """10 m in 24 frames at 24 frames a second; each row exposes for a quarter of a frame, the last begins 1/32 s (3/4
+    of a frame) after the first: from the first row's beginning to the last one's end one frame, 3/4 of it to begin.
+    """
+    stage = empty()
+    authored = UsdGeom.Camera.Get(stage, "/Camera")
+    authored.ClearXformOpOrder()
+    move = authored.AddTranslateOp()
+    for frame in (0, 24):
+        move.Set((0.0, frame / 2.4, 1.5), frame)
+    authored.CreateShutterCloseAttr(0.25)
+    readout = authored.GetPrim().CreateAttribute("synfog:shutter:readout", Sdf.ValueTypeNames.Float)
+    readout.Set(1 / 32)
+    stage.SetTimeCodesPerSecond(24)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(24)
+    scene = translate(stage, frame=6)
+    assert scene.camera.rolling == pytest.approx(0.75)
+    np.testing.assert_allclose(scene.camera.drift_m, [0.0, 1 / 2.4, 0.0], atol=1e-6)
+    np.testing.assert_allclose(scene.camera.to_world[:3, 3] + scene.origin_m, [0.0, 6.5 / 2.4, 1.5], atol=1e-6)
+    readout.Set(0.0)
+    assert translate(stage, frame=6).camera.rolling == 0.0
+    readout.Set(float("nan"))
+    broken = translate(stage, frame=6)
+    assert broken.camera.rolling == 0.0
+    assert any("synfog:shutter:readout is nan, which is no time" in note.text for note in broken.notes)

@@ -851,7 +851,7 @@ class FogPath:
         ):  # nothing stands before the near plane: begin at the lens, so that no fog is left out
             ray.o = ray.o - ray.d * (self.near / dr.dot(ray.d, self.ahead))
         if camera.moves:
-            ray = moved(ray, camera, sampler.next_1d(active))
+            ray = moved(ray, camera, place.y, sampler.next_1d(active))
         return ray, weight
 
 

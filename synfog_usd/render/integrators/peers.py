@@ -72,10 +72,12 @@ def _side_by_side(loaded: MitsubaScene, integrator: Any, count: int, seed: int) 
     sampler.seed(dr.opaque(mi.UInt32, seed), lanes)  # opaque: a literal would compile a kernel per seed
     index = dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, count)
     raster = Raster(camera)
-    place = (raster.corner(index) + mi.Point2f(sampler.next_2d())) / raster.size + mi.Point2f(*loaded.offset)
-    ray, weight = loaded.sensor.sample_ray_differential(0.0, 0.5, place, mi.Point2f(sampler.next_2d()))
+    place = (raster.corner(index) + mi.Point2f(sampler.next_2d())) / raster.size
+    ray, weight = loaded.sensor.sample_ray_differential(
+        0.0, 0.5, place + mi.Point2f(*loaded.offset), mi.Point2f(sampler.next_2d())
+    )
     if camera.moves:
-        ray = moved(ray, camera, sampler.next_1d())
+        ray = moved(ray, camera, place.y, sampler.next_1d())
     radiance, _, _ = integrator.sample(loaded.scene, sampler, ray, loaded.camera_medium, True)
     radiance = mi.Color3f(radiance * weight)
     finite = dr.all(dr.isfinite(radiance))
