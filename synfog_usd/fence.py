@@ -17,9 +17,6 @@ from synfog_usd.errors import StageError
 LAYERS = (".usd", ".usda", ".usdc", ".usdz")
 """Ends of the names of files that are read as scene description."""
 
-UNREAD_LAYERS = (".mtlx",)
-"""Known formats that the library cannot read: they are passed over, and noted."""
-
 
 @dataclass(frozen=True)
 class Fence:

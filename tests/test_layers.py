@@ -49,6 +49,7 @@ BASE = {
 
 HEAVY = {
     "pxr": {"stage", "translate", "world"},
+    "MaterialX": {"stage/materialx.py"},
     "mitsuba": {"render"},
     "drjit": {"render"},
     "OpenImageIO": {"graph", "camera", "writers", "study", "translate/texture.py", "world"},

@@ -20,7 +20,7 @@ from synfog_usd.errors import StageError, SynfogError, did_you_mean
 from synfog_usd.fence import LAYERS, Fence
 from synfog_usd.files import sha256_of
 from synfog_usd.scene import Note
-from synfog_usd.stage import budget
+from synfog_usd.stage import budget, materialx
 from synfog_usd.stage.budget import MAX_DEPTH
 from synfog_usd.stage.schema import FOG_VARIANT_SET, LIGHTING_VARIANT_SET
 from synfog_usd.stage.survey import read_layers
@@ -33,8 +33,6 @@ _FOLDERS = "synfogFolders"
 
 _LEFT_OUT = "synfogLeftOut"
 """Where it keeps which attributes of a wrong type are blocked: lines of prim and text."""
-
-_UNREADABLE = ".mtlx"
 
 
 def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: bool = False) -> Usd.Stage:
@@ -83,7 +81,7 @@ def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: boo
     check_size(stage)
     _check_files(stage, fence)
     _check_expressions(stage, fence)
-    if whole and (broken := [note for note in composition_notes(stage) if MATERIALX not in note.text]):
+    if whole and (broken := composition_notes(stage)):
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
         raise StageError(
             f"{path}: {broken[0].path}: {broken[0].text}{more}; put the missing file in its place or remove the "
@@ -267,8 +265,6 @@ def _named_in(file: str, layers: Iterable[Sdf.Layer]) -> str:
     return found[0] if found else ""
 
 
-MATERIALX = "MaterialX files are not read, so its materials are missing"
-
 MISSING = "is missing; drawn without it"
 """How a note about a reference, payload or sublayer ends whose file is not there."""
 
@@ -283,8 +279,9 @@ def composition_notes(stage: Usd.Stage) -> list[Note]:
         text = re.sub(r",@anon:[^@]*@", "", " ".join(str(error).split()))  # the session layer's name differs each time
         text = text.replace(f"@{folder}/", "@./")
         asset = re.match(r"Could not (?:open asset|load sublayer) @([^@]+)@ (?:for (\w+)|of layer)", text)
-        if asset and asset[1].endswith(_UNREADABLE):
-            text = f"refers to {asset[1]}; {MATERIALX}"
+        fault = materialx.fault_of(str(Path(folder, asset[1]))) if asset and materialx.is_materialx(asset[1]) else ""
+        if asset and fault:
+            text = f"refers to {asset[1]}, which is not read ({fault}); its materials are missing"
         elif asset:
             text = f"its {asset[2] or 'sublayer'} {asset[1]} {MISSING}"
         notes.append(Note("warning", path, text))
@@ -482,7 +479,7 @@ def dependencies(stage: Usd.Stage) -> list[Path]:
     root = stage.GetRootLayer()
     for layer in stage.GetUsedLayers():
         if layer.realPath:
-            files.add(_package(layer.realPath))
+            files.add(_package(materialx.file_of(layer.realPath)))
     if root.realPath:
         layers, assets = _all_files(stage)
         files.update(_package(layer.realPath) for layer in layers if layer.realPath)
@@ -510,9 +507,12 @@ def stage_hash(stage: Usd.Stage) -> str:
 def _all_files(stage: Usd.Stage) -> tuple[list[Sdf.Layer], list[str]]:
     """Layers and other files over all variants; what is missing is told by `composition_notes` and the translation."""
     quiet = UsdUtils.CoalescingDiagnosticDelegate()
-    layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(stage.GetRootLayer().identifier))
+    layers, assets, missing = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(stage.GetRootLayer().identifier))
     del quiet
-    return list(layers), list(assets)
+    files = list(assets)
+    for name in dict.fromkeys(materialx.file_of(path) for path in missing if materialx.is_materialx(path)):
+        files += [name, *materialx.pictures(name)]
+    return list(layers), files
 
 
 def variant_prim(stage: Usd.Stage, name: str) -> Usd.Prim | None:

@@ -20,8 +20,8 @@ import numpy as np
 from pxr import Ar, Sdf
 
 from synfog_usd.errors import StageError
-from synfog_usd.fence import LAYERS, UNREAD_LAYERS, Fence
-from synfog_usd.stage import budget
+from synfog_usd.fence import LAYERS, Fence
+from synfog_usd.stage import budget, materialx
 
 _MATTER = frozenset({"references", "payload", "inheritPaths", "specializes", "instanceable", "clips", "apiSchemas"})
 """Fields of a prim that decide how much it unfolds to."""
@@ -101,6 +101,7 @@ class _Survey:
         self.shared: dict[tuple[str, str], None] = {}
         self.variables: dict[str, Any] = {}  # of the root layer, which win everywhere
         self.relied: dict[str, Any] = {}  # of other layers, where a path depended on them
+        self.lead: dict[str, list[str]] = {}  # layer -> its prims that refer to .mtlx files by name
 
     def add(self, file: str, who: str) -> str | None:
         """Note a layer for reading; its identifier, or None where it is not there or is no layer of ours.
@@ -109,6 +110,7 @@ class _Survey:
             StageError: it lies outside the fence or is of another format.
         """
         identifier = Sdf.Layer.SplitIdentifier(file)[0]
+        identifier = materialx.file_of(identifier)
         resolved = str(Ar.GetResolver().Resolve(identifier))
         if not resolved:
             return None
@@ -118,12 +120,18 @@ class _Survey:
         suffix = Path(
             Ar.SplitPackageRelativePathInner(resolved)[1] if Ar.IsPackageRelativePath(resolved) else resolved
         ).suffix.lower()
-        if suffix in UNREAD_LAYERS:
-            return None
+        if suffix == ".mtlx" and who:
+            made = materialx.layer_of(resolved, self.fence)
+            if made is None:
+                return None
+            if made.identifier not in self.open:
+                self.open[made.identifier] = made
+                self.waiting.append(made.identifier)
+            return str(made.identifier)
         if suffix not in LAYERS:
             raise StageError(
                 f"{who}: refers to {identifier}, which is not USD by its name; a reference leads to one of "
-                f"{', '.join(LAYERS)}"
+                f"{', '.join((*LAYERS, '.mtlx'))}"
             )
         if resolved not in self.open:
             if len(self.open) >= budget.MAX_LAYERS:
@@ -235,6 +243,7 @@ class _Survey:
             arcs.extend(self.arcs_of(name, layer, str(path), spec, shared=shared))
 
         _traverse(layer, visit)
+        _lead_to_memory(layer, self.lead.pop(name, []))
         prims.sort()
         arcs.sort(key=lambda arc: arc.path)
         below = [self.add(file, str(name)) for path in layer.subLayerPaths if (file := self.file(layer, str(path)))]
@@ -257,6 +266,8 @@ class _Survey:
                     if found is None:
                         continue
                     target = found
+                    if item.assetPath.lower().endswith(".mtlx"):
+                        self.lead.setdefault(name, []).append(path)
                 yield _Arc(path, target, str(item.primPath), shared)
         if spec.HasInfo("inheritPaths") or spec.HasInfo("specializes"):
             for item in [*_items(spec.inheritPathList), *_items(spec.specializesList)]:
@@ -364,6 +375,40 @@ def _check_braces(path: Path) -> None:
                         f"{path}: braces nested deeper than {budget.MAX_BRACES} levels; flatten the hierarchy"
                     )
                 level = int(levels[-1])
+
+
+def _lead_to_memory(layer: Any, paths: list[str]) -> None:
+    """Let references to .mtlx files lead to the layers that were made of them; in memory only, so that the layer can be
+    saved no more.
+    """
+    if not paths:
+        return
+    editable = layer.permissionToEdit
+    layer.SetPermissionToEdit(True)
+    layer.SetPermissionToSave(False)
+    with Sdf.ChangeBlock():
+        for path in dict.fromkeys(paths):
+            spec = layer.GetPrimAtPath(path)
+            for field, kind, made in (
+                ("references", Sdf.ReferenceListOp, Sdf.Reference),
+                ("payload", Sdf.PayloadListOp, Sdf.Payload),
+            ):
+                if not spec.HasInfo(field):
+                    continue
+                old, new = spec.GetInfo(field), kind()
+                for items in ("explicitItems", "prependedItems", "appendedItems", "addedItems", "deletedItems"):
+                    listed = [_led(item, made) for item in getattr(old, items)]
+                    if listed or (items == "explicitItems" and old.isExplicit):
+                        setattr(new, items, listed)
+                spec.SetInfo(field, new)
+    layer.SetPermissionToEdit(editable)
+
+
+def _led(item: Any, made: Any) -> Any:
+    if not item.assetPath.lower().endswith(".mtlx"):
+        return item
+    more = (item.customData,) if made is Sdf.Reference else ()
+    return made(materialx.name_of(item.assetPath), item.primPath, item.layerOffset, *more)
 
 
 def _items(edits: Any) -> Iterable[Any]:

@@ -15,7 +15,7 @@ from synfog_usd.scene import SceneDict
 from synfog_usd.translate.geometry import cross
 
 _ALL_AROUND = ("constant", "envmap")
-_SEEN_THROUGH = ("mask", "thindielectric", "dielectric", "roughdielectric", "null")
+_SEEN_THROUGH = ("mask", "thindielectric", "dielectric", "roughdielectric", "blendbsdf", "null")
 _CUBE = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]), axis=-1).reshape(-1, 3)
 
 

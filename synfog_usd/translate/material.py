@@ -167,8 +167,8 @@ class Materials:
         if kind.startswith(("ND_standard_surface", "ND_open_pbr")):
             self.notes.info(
                 path,
-                f"{kind} is drawn as a preview surface: base, roughness, metalness, coat, emission, opacity and "
-                f"normal map",
+                f"{kind} is drawn by its base, roughness, metalness, specular, transmission, subsurface, coat, "
+                f"emission, opacity and normal map",
             )
             return self._surface(shader, _OPEN_PBR if kind.startswith("ND_open_pbr") else _STANDARD_SURFACE, path)
         mdl = shader.GetPrim().GetAttribute("info:mdl:sourceAsset:subIdentifier")
@@ -180,21 +180,28 @@ class Materials:
             )
             return self._surface(shader, _OMNI_PBR, path)
         if mdl and str(mdl.Get()).startswith("OmniGlass"):
-            self.notes.warn(
-                path,
-                "OmniGlass is drawn as a thin pane: it reflects and lets light through straight, without refraction",
-            )
-            return self._glass(shader)
+            return self._glass(shader, path)
         self.notes.warn(
             path, f"shader {kind or (mdl and mdl.Get()) or 'of an unknown type'} is not known; the material is grey"
         )
         return self.colored(GREY)
 
-    def _glass(self, shader: UsdShade.Shader) -> Finish:
-        """A thin pane of an OmniGlass shader's index and colour."""
-        ior = max(float(value_of(shader, "glass_ior", self.time, 1.491)), _MIN_IOR)
-        tint = [min(max(float(c), 0.0), 1.0) for c in value_of(shader, "glass_color", self.time, (1.0, 1.0, 1.0))]
-        return Finish(self._add({"type": "thindielectric", "int_ior": ior, "specular_transmittance": _rgb(tint)}))
+    def _glass(self, shader: UsdShade.Shader, path: object) -> Finish:
+        """The glass of an OmniGlass shader: its index, colour, frosting and cutout."""
+
+        def number(name: str, default: float) -> float:
+            return float(value_of(shader, name, self.time, default))
+
+        tint = tuple(float(c) for c in value_of(shader, "glass_color", self.time, (1.0, 1.0, 1.0)))
+        thin = bool(value_of(shader, "thin_walled", self.time, False))
+        made = _clear(number("glass_ior", 1.491), number("frosting_roughness", 0.0), tint, thin=thin)
+        for name in ("glass_color_texture", "roughness_texture", "normal_map_texture", "cutout_opacity_texture"):
+            if getattr(value_of(shader, name, self.time), "path", ""):
+                self.notes.warn(path, f"{name} of OmniGlass is not drawn; its constant is")
+        if value_of(shader, "enable_opacity", self.time, False) and (opacity := number("cutout_opacity", 1.0)) < 1.0:
+            made = {"type": "mask", "opacity": max(opacity, 0.0), "bsdf": made}
+        self.notes.info(path, f"OmniGlass is drawn as {'a thin pane' if thin else 'a solid that refracts'}")
+        return Finish(self._add(made))
 
     def _surface(self, shader: UsdShade.Shader, names: _Names, path: object) -> Finish:
         inputs = _ShaderInputs(self, shader, names)
@@ -213,13 +220,19 @@ class Materials:
             )
         elif metallic != 0.0:
             bsdf["metallic"] = metallic
-        bsdf["eta"] = max(float(ior), _MIN_IOR)
+        solid = max(float(ior), _MIN_IOR)
+        bsdf["eta"] = max(_reflecting(solid, self._specular(inputs, path)), _MIN_IOR)
+        self._subsurface(bsdf, inputs, path)
         clearcoat = inputs.number("clearcoat", 0.0)
         if clearcoat != 0.0:
             gloss = 1.0 - float(inputs.constant("clearcoatRoughness", names.coat_roughness))
             bsdf |= {"clearcoat": clearcoat, "clearcoat_gloss": min(max(gloss, 0.0), 1.0)}
-        bsdf = self._bumped(bsdf, inputs, path)
-        bsdf = {"type": "twosided", "bsdf": bsdf}
+        clear = self._transmitting(bsdf, inputs, solid, path)
+        bsdf = {"type": "twosided", "bsdf": self._bumped(bsdf, inputs, path)}
+        if clear is not None:
+            share, glass = clear
+            glass = self._bumped(glass, inputs, path)
+            bsdf = glass if share == 1.0 else {"type": "blendbsdf", "weight": share, "bsdf_0": bsdf, "bsdf_1": glass}
         opacity = inputs.opacity()
         if opacity is not None:
             bsdf = {"type": "mask", "opacity": opacity, "bsdf": bsdf}
@@ -235,11 +248,63 @@ class Materials:
         for name in names.left_out:
             if value_of(shader, name, self.time, 0.0) or producer(shader, name) is not None:
                 self.notes.warn(path, f"{name} is not drawn")
+        for name in names.white:
+            value = value_of(shader, name, self.time, (1.0, 1.0, 1.0))
+            if any(float(c) != 1.0 for c in value) or producer(shader, name) is not None:
+                self.notes.warn(path, f"{name} is drawn as white")
         key = self._add(bsdf)
         plain = self._add(_without_textures(bsdf)) if inputs.uv is not None else None
         return Finish(
             key, emission, nits, inputs.uv, plain, inputs.vertex_color, inputs.reads, inputs.fallback, inputs.unsaid
         )
+
+    def _specular(self, inputs: _ShaderInputs, path: object) -> float:
+        """By what the reflection at normal incidence is multiplied; a tint by its luminance."""
+        tint = inputs.constant_color("specularTint", (1.0, 1.0, 1.0))
+        if max(tint) - min(tint) > 1e-4:
+            self.notes.warn(path, "the tint of its specular reflection is drawn as grey of the same luminance")
+        grey = float(LUMINANCE @ tint) / float(LUMINANCE.sum())
+        return max(float(inputs.constant("specularWeight", 1.0)) * (tint[0] if min(tint) == max(tint) else grey), 0.0)
+
+    def _subsurface(self, bsdf: dict[str, Any], inputs: _ShaderInputs, path: object) -> None:
+        """Light that goes below the surface as a matte share of its own colour."""
+        share = min(max(float(inputs.constant("subsurface", 0.0)), 0.0), 1.0)
+        if not share:
+            return
+        base = bsdf["base_color"]
+        if base["type"] != "rgb":
+            self.notes.warn(path, "subsurface scattering is drawn as the base colour, which is a picture")
+            return
+        below = inputs.constant_color("subsurfaceColor", inputs.names.below)
+        bsdf["base_color"] = _rgb(
+            [min(max((1.0 - share) * a + share * b, 0.0), 1.0) for a, b in zip(base["value"], below, strict=True)]
+        )
+        self.notes.info(path, "subsurface scattering is drawn as a matte surface of its colour")
+
+    def _transmitting(
+        self, bsdf: dict[str, Any], inputs: _ShaderInputs, ior: float, path: object
+    ) -> tuple[Any, dict[str, Any]] | None:
+        """The clear share of a surface and its glass, or None where it is opaque; metal lets nothing through."""
+        share, metal = inputs.number("transmission", 0.0), bsdf.get("metallic", 0.0)
+        if share == 0.0:
+            return None
+        if isinstance(metal, dict):
+            self.notes.warn(path, "a picture of metalness is not drawn where the surface is transparent too")
+        elif not isinstance(share, dict):
+            share *= 1.0 - metal
+            if share == 0.0:
+                return None
+        roughness = bsdf["roughness"]
+        if isinstance(roughness, dict):
+            self.notes.warn(path, "a picture of roughness is drawn as its mean where the surface is transparent")
+            roughness = float(roughness["bitmap"].mean())
+        tint = inputs.constant_color("transmissionColor", (1.0, 1.0, 1.0))
+        if float(inputs.constant("transmissionDepth", 0.0)) > 0.0:
+            self.notes.info(path, "transmission_depth is not drawn: what passes two faces has the transmission colour")
+            tint = tuple(max(float(c), 0.0) ** 0.5 for c in tint)
+        thin = bool(inputs.constant("thin", False))
+        self.notes.info(path, f"transmission is drawn as {'a thin pane' if thin else 'a solid that refracts'}")
+        return share, _clear(ior, roughness, tint, thin=thin)
 
     def _bumped(self, bsdf: dict[str, Any], inputs: _ShaderInputs, path: object) -> dict[str, Any]:
         node = inputs.texture("normal")
@@ -281,7 +346,9 @@ class _Names:
         of: name of each input; '' where there is no such input.  Empty for a preview surface itself.
         weights: input by which another one is multiplied, and its default.
         color, roughness, coat_roughness: defaults.
+        below: default of the subsurface colour.
         left_out: inputs that are noted where they are not 0.
+        white: colours that are noted where they are not white.
         omni: whether textures are named on the shader itself.
     """
 
@@ -290,7 +357,9 @@ class _Names:
     color: tuple[float, float, float] = GREY
     roughness: float = 0.5
     coat_roughness: float = 0.01
+    below: tuple[float, float, float] = (1.0, 1.0, 1.0)
     left_out: tuple[str, ...] = ()
+    white: tuple[str, ...] = ()
     omni: bool = False
 
     def __getitem__(self, name: str) -> str:
@@ -309,12 +378,28 @@ _STANDARD_SURFACE = _Names(  # Autodesk Standard Surface 1.0.1 in MaterialX 1.38
         "clearcoat": "coat",
         "clearcoatRoughness": "coat_roughness",
         "normal": "normal",
+        "specularWeight": "specular",
+        "specularTint": "specular_color",
+        "transmission": "transmission",
+        "transmissionColor": "transmission_color",
+        "transmissionDepth": "transmission_depth",
+        "thin": "thin_walled",
+        "subsurface": "subsurface",
+        "subsurfaceColor": "subsurface_color",
     },
     weights={"diffuseColor": ("base", 1.0), "emissiveColor": ("emission", 0.0)},
     color=(0.8, 0.8, 0.8),
     roughness=0.2,
     coat_roughness=0.1,
-    left_out=("transmission", "subsurface", "sheen", "thin_film_thickness"),
+    left_out=(
+        "diffuse_roughness",
+        "specular_anisotropy",
+        "transmission_dispersion",
+        "transmission_extra_roughness",
+        "sheen",
+        "thin_film_thickness",
+    ),
+    white=("coat_color",),
 )
 _OPEN_PBR = _Names(  # OpenPBR Surface 1.1; emission_luminance is in nits
     {
@@ -327,12 +412,29 @@ _OPEN_PBR = _Names(  # OpenPBR Surface 1.1; emission_luminance is in nits
         "clearcoat": "coat_weight",
         "clearcoatRoughness": "coat_roughness",
         "normal": "geometry_normal",
+        "specularWeight": "specular_weight",
+        "specularTint": "specular_color",
+        "transmission": "transmission_weight",
+        "transmissionColor": "transmission_color",
+        "transmissionDepth": "transmission_depth",
+        "thin": "geometry_thin_walled",
+        "subsurface": "subsurface_weight",
+        "subsurfaceColor": "subsurface_color",
     },
     weights={"diffuseColor": ("base_weight", 1.0), "emissiveColor": ("emission_luminance", 0.0)},
     color=(0.8, 0.8, 0.8),
     roughness=0.3,
     coat_roughness=0.0,
-    left_out=("transmission_weight", "subsurface_weight", "fuzz_weight", "thin_film_weight"),
+    below=(0.8, 0.8, 0.8),
+    left_out=(
+        "base_diffuse_roughness",
+        "specular_roughness_anisotropy",
+        "coat_roughness_anisotropy",
+        "transmission_dispersion_scale",
+        "fuzz_weight",
+        "thin_film_weight",
+    ),
+    white=("coat_color",),
 )
 _OMNI_PBR = _Names(  # OmniPBR.mdl
     {
@@ -414,7 +516,7 @@ class _ShaderInputs:
         output = self.producer(name)
         if output is None:
             return None
-        node = fed_by(output, name, self.time, self.notes, self.shader.GetPath())
+        node = fed_by(output, name, self.time, self.notes, self.shader.GetPath(), self.images)
         weight = self.weight(name) if node is not None else 1.0
         if node is not None and weight != 1.0:
             scale, bias = (tuple(c * weight for c in values[:3]) for values in (node.scale, node.bias))
@@ -531,6 +633,31 @@ class _ShaderInputs:
         if not decoded.any():
             return None, 0.0
         return self.bitmap(decoded, node, raw=True), float(LUMINANCE @ decoded.mean(axis=(0, 1)))
+
+
+def _reflecting(ior: float, times: float) -> float:
+    """The index of refraction whose reflection at normal incidence is `times` that of `ior`.
+
+    >>> _reflecting(1.5, 1.0), _reflecting(1.5, 0.0)
+    (1.5, 1.0)
+    """
+    if times == 1.0:
+        return ior
+    f0 = min(times * ((ior - 1.0) / (ior + 1.0)) ** 2, 0.99)
+    return (1.0 + f0**0.5) / (1.0 - f0**0.5)
+
+
+_SMOOTH = 0.03
+"""Roughness below which glass is drawn as quite smooth; its lobe is less than a tenth of a degree wide."""
+
+
+def _clear(ior: float, roughness: float, tint: tuple[float, ...], *, thin: bool) -> dict[str, Any]:
+    """Glass of one kind: a solid's face, or a pane without thickness, which is smooth whatever its roughness."""
+    color = [min(max(float(c), 0.0), 1.0) for c in tint]
+    made: dict[str, Any] = {"type": "thindielectric" if thin else "dielectric", "int_ior": max(float(ior), _MIN_IOR)}
+    if not thin and roughness > _SMOOTH:
+        made |= {"type": "roughdielectric", "distribution": "ggx", "alpha": min(roughness, 1.0) ** 2}
+    return made if min(color) == 1.0 else made | {"specular_transmittance": _rgb(color)}
 
 
 def _limited(pixels: Any) -> Any:

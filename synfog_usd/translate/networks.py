@@ -1,7 +1,7 @@
 """Shader networks of other dialects: MaterialX images, OmniPBR's own textures, Mitsuba's plugins.
 
-Takes shader prims; gives texture nodes, and native BSDFs.  MaterialX nodes that
-change a colour on its way are passed through with a note.
+Takes shader prims; gives texture nodes, and native BSDFs.  What MaterialX nodes make
+of a picture on its way is worked out in `nodes`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,19 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdShade
 
+from synfog_usd.arrays import Array
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.texture import ImageReader, TextureNode, UvSource, producer, shader_id, texture_node, value_of
+from synfog_usd.translate.nodes import Graph, UnknownNodeError
+from synfog_usd.translate.texture import (
+    ImageReader,
+    TextureNode,
+    UvSource,
+    producer,
+    shader_id,
+    texture_node,
+    tiled,
+    value_of,
+)
 
 _IMAGES = ("ND_image_", "ND_tiledimage_")
 _ADDRESS = {"periodic": "repeat", "clamp": "clamp", "mirror": "mirror", "constant": "black"}
@@ -30,41 +41,112 @@ PLUGINS = frozenset(
 
 
 def fed_by(
-    output: Usd.Attribute, name: str, time: Usd.TimeCode, notes: Diagnostics, shader: Sdf.Path
+    output: Usd.Attribute, name: str, time: Usd.TimeCode, notes: Diagnostics, shader: Sdf.Path, images: ImageReader
 ) -> TextureNode | None:
-    """The picture behind a shader output, or None with a note where there is none that is known."""
-    channel, decoded, passed = "", False, ""
+    """The picture or constant behind a shader output, or None with a note where there is none that is known.
+
+    A picture that comes straight, or by its channels alone, stays as its file has it;
+    one that other nodes change is worked out.
+    """
+    channel, strength = "", None
+    start = output
     for _ in range(_STEPS):
         prim, kind = output.GetPrim(), shader_id(output.GetPrim())
         node = UsdShade.Shader(prim)
-        if kind in ("UsdUVTexture",) or kind.startswith("ND_UsdUVTexture"):
-            found: TextureNode | None = texture_node(output, time, notes)
-        elif kind.startswith(_IMAGES):
-            found = _image(output, kind, time, notes)
-        else:
-            found = None
+        found = _picture(output, kind, time, notes)
         if found is not None:
-            if passed:
-                notes.warn(shader, f"{name} is fed through {passed}, which is left out")
-            found = replace(found, channel=channel) if channel else found
-            return replace(found, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0)) if decoded else found
+            return _decoded(replace(found, channel=channel) if channel else found, strength)
         if kind.startswith("ND_separate"):
             channel = _CHANNELS.get(output.GetBaseName(), "r")
         elif kind.startswith("ND_extract"):
             channel = "rgba"[min(max(int(value_of(node, "index", time, 0)), 0), 3)]
         elif kind.startswith("ND_normalmap"):
-            decoded = True
+            strength = value_of(node, "scale", time, 1.0)
         elif not kind.startswith(("ND_convert", "ND_dot")):
-            passed = kind or "an unknown node"
+            break
+        following = producer(node, "in")
+        if following is None:
+            break
+        output = following
+        if strength is not None and kind.startswith("ND_normalmap"):
+            start = output
+    return _worked_out(start, name, time, notes, shader, images, strength)
+
+
+def _picture(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> TextureNode | None:
+    if kind == "UsdUVTexture" or kind.startswith("ND_UsdUVTexture"):
+        return texture_node(output, time, notes)
+    return _image(output, kind, time, notes) if kind.startswith(_IMAGES) else None
+
+
+def _decoded(node: TextureNode, strength: Any) -> TextureNode:
+    """A picture of normals as directions, their slopes times `strength`; any other where that is None."""
+    if strength is None:
+        return node
+    u, v = (float(s) for s in strength) if hasattr(strength, "__len__") else (float(strength),) * 2
+    return replace(node, scale=(2.0 * u, 2.0 * v, 2.0, 1.0), bias=(-u, -v, -1.0, 0.0))
+
+
+def _worked_out(
+    output: Usd.Attribute,
+    name: str,
+    time: Usd.TimeCode,
+    notes: Diagnostics,
+    shader: Sdf.Path,
+    images: ImageReader,
+    strength: Any,
+) -> TextureNode | None:
+    """What nodes make of pictures and constants; where one of them is not known, the first picture behind them."""
+    graph = Graph(time, images, lambda one, kind: _picture(one, kind, time, notes))
+    try:
+        value = graph.value(output)
+    except UnknownNodeError as unknown:
+        return _passed_through(output, name, time, notes, shader, str(unknown), strength)
+    if value.means:
+        notes.warn(shader, f"{name} is fed by {', '.join(sorted(value.means))}, which is drawn as its mean")
+    if value.others:
+        notes.warn(shader, f"{name} is fed by pictures with different coordinates; all but the first are their mean")
+    pixels = value.pixels
+    if value.picture is None or pixels.shape[:2] == (1, 1):
+        mean = [float(c) for c in pixels.mean(axis=(0, 1))]
+        four = mean[:4] if len(mean) == 4 else [*(mean * 3 if len(mean) == 1 else [*mean, 0.0, 0.0])[:3], 1.0]
+        return TextureNode(str(shader), "", "", "rgb", "raw", "repeat", _ONES, _ZEROS, tuple(four), None)
+    key = f"{output.GetPath()} of {output.GetPrim().GetStage().GetRootLayer().identifier}"
+    spread: Any = np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
+    images.keep(key, np.ascontiguousarray(spread))
+    made = replace(
+        value.picture, file=key, authored=key, channel="rgb", color_space="raw", scale=_ONES, bias=_ZEROS, tiles=()
+    )
+    return _decoded(made, strength)
+
+
+_ONES, _ZEROS = (1.0,) * 4, (0.0,) * 4
+
+
+def _passed_through(
+    output: Usd.Attribute,
+    name: str,
+    time: Usd.TimeCode,
+    notes: Diagnostics,
+    shader: Sdf.Path,
+    passed: str,
+    strength: Any,
+) -> TextureNode | None:
+    """The first picture behind nodes that are not known, which are left out."""
+    for _ in range(_STEPS):
+        found = _picture(output, shader_id(output.GetPrim()), time, notes)
+        if found is not None:
+            notes.warn(shader, f"{name} is fed through {passed}, which is left out")
+            return _decoded(found, strength)
+        node = UsdShade.Shader(output.GetPrim())
         following = next(
             (upstream for source in node.GetInputs() if (upstream := producer(node, source.GetBaseName())) is not None),
             None,
         )
         if following is None:
-            notes.warn(shader, f"{name} is fed by {kind or 'an unknown node'}, which is not known; its default is used")
-            return None
+            break
         output = following
-    notes.warn(shader, f"{name} is fed through more than {_STEPS} nodes; its default is used")
+    notes.warn(shader, f"{name} is fed by {passed}, which is not known; its default is used")
     return None
 
 
@@ -78,9 +160,11 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnost
     space = next((attribute.GetColorSpace() for attribute in producers if attribute.HasColorSpace()), "")
     fallback = value_of(shader, "default", time, 0.0)
     values = [float(c) for c in (fallback if hasattr(fallback, "__len__") else (fallback,) * 3)]
+    single = kind.endswith("_float")
+    uv: UvSource | None = _coordinates(shader, time, notes, is_tiled=kind.startswith("ND_tiledimage"))
+    tiles, file, uv = tiled(shader, authored, file, uv)
     if not file:
         notes.warn(path, f"texture {authored or '(no file)'} is not found; its default is used")
-    single = kind.endswith("_float")
     return TextureNode(
         path=path,
         file=file,
@@ -89,13 +173,14 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnost
         color_space="raw"
         if kind.endswith(("_float", "_vector2", "_vector3", "_vector4")) and space in ("", "auto")
         else _space(space),
-        wrap=_ADDRESS.get(str(value_of(shader, "uaddressmode", time, "periodic")), "repeat"),
-        wrap_v=_ADDRESS.get(str(value_of(shader, "vaddressmode", time, "periodic")), "repeat"),
+        wrap="clamp" if tiles else _ADDRESS.get(str(value_of(shader, "uaddressmode", time, "periodic")), "repeat"),
+        wrap_v="clamp" if tiles else _ADDRESS.get(str(value_of(shader, "vaddressmode", time, "periodic")), "repeat"),
         outside=(*(values + [0.0] * 3)[:3], 1.0),
         scale=(1.0,) * 4,
         bias=(0.0,) * 4,
         fallback=(*(values + [0.0] * 3)[:3], 1.0),
-        uv=_coordinates(shader, time, notes, tiled=kind.startswith("ND_tiledimage")),
+        uv=uv,
+        tiles=tiles,
     )
 
 
@@ -105,23 +190,79 @@ def _space(name: str) -> str:
     return "sRGB" if "srgb" in name.lower() and not name.lower().startswith("lin") else "raw"
 
 
-def _coordinates(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Diagnostics, *, tiled: bool) -> UvSource:
+def _coordinates(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Diagnostics, *, is_tiled: bool) -> UvSource:
+    """The primvar behind an image's texcoord, and the transforms by constants between."""
+    matrix = np.eye(3)
+    if is_tiled:
+        tiling, offset = value_of(shader, "uvtiling", time, (1.0, 1.0)), value_of(shader, "uvoffset", time, (0.0, 0.0))
+        matrix = _affine((float(tiling[0]), float(tiling[1])), shift=(-float(offset[0]), -float(offset[1])))
     output, primvar = producer(shader, "texcoord"), "st"
-    if output is not None:
+    for _ in range(_STEPS):
+        if output is None:
+            break
         node, kind = UsdShade.Shader(output.GetPrim()), shader_id(output.GetPrim())
         if kind.startswith("ND_geompropvalue"):
             primvar = str(value_of(node, "geomprop", time, "st"))
-        elif kind.startswith("UsdPrimvarReader") or kind.startswith("ND_UsdPrimvarReader"):
+            break
+        if kind.startswith(("UsdPrimvarReader", "ND_UsdPrimvarReader")):
             primvar = str(value_of(node, "varname", time, "st"))
-        elif not kind.startswith("ND_texcoord"):
+            break
+        if kind.startswith("ND_texcoord"):
+            break
+        step, following = _step(node, kind, time)
+        if step is None:
             notes.warn(
                 node.GetPath(),
                 f"texture coordinates through {kind or 'an unknown node'} are drawn as primvar 'st' without it",
             )
-    if not tiled:
-        return UvSource(primvar)
-    tiling, offset = value_of(shader, "uvtiling", time, (1.0, 1.0)), value_of(shader, "uvoffset", time, (0.0, 0.0))
-    return UvSource(primvar, ((float(tiling[0]), 0.0, -float(offset[0])), (0.0, float(tiling[1]), -float(offset[1]))))
+            break
+        matrix, output = matrix @ step, producer(node, following)
+    (a, b, c), (d, e, f) = matrix[:2].tolist()
+    return UvSource(primvar, ((a, b, c), (d, e, f)))
+
+
+def _affine(scale: tuple[float, float], *, shift: tuple[float, float] = (0.0, 0.0), degrees: float = 0.0) -> Array:
+    """(3, 3) that scales, then turns clockwise as MaterialX's rotate2d does, then shifts."""
+    angle = np.radians(degrees)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    made = np.eye(3)
+    made[:2, :2], made[:2, 2] = turn @ np.diag(scale), shift
+    return made
+
+
+def _step(node: UsdShade.Shader, kind: str, time: Usd.TimeCode) -> tuple[Array | None, str]:
+    """What a node does to texture coordinates, and the input that they come by; None where it is not known."""
+
+    def pair(name: str, default: float) -> tuple[float, float]:
+        value = value_of(node, name, time, default)
+        return (float(value[0]), float(value[1])) if hasattr(value, "__len__") else (float(value), float(value))
+
+    if kind.startswith("ND_place2d"):  # MaterialX: about the pivot, divided by the scale, turned, less the offset
+        (px, py), (sx, sy), (ox, oy) = pair("pivot", 0.0), pair("scale", 1.0), pair("offset", 0.0)
+        turn = _affine((1.0, 1.0), degrees=float(value_of(node, "rotate", time, 0.0)))
+        scale = _affine((1.0 / sx if sx else 0.0, 1.0 / sy if sy else 0.0))
+        back, away = _affine((1.0, 1.0), shift=(px, py)), _affine((1.0, 1.0), shift=(-px, -py))
+        less = _affine((1.0, 1.0), shift=(-ox, -oy))
+        inner = scale @ turn @ less if int(value_of(node, "operationorder", time, 0)) else less @ turn @ scale
+        return back @ inner @ away, "texcoord"
+    if kind.startswith("ND_rotate2d"):
+        return _affine((1.0, 1.0), degrees=float(value_of(node, "amount", time, 0.0))), "in"
+    category = kind.removeprefix("ND_").split("_")[0]
+    if category in ("add", "subtract", "multiply", "divide") and kind.split("_")[-1].startswith("vector2"):
+        first = "in1" if producer(node, "in1") is not None else "in2"
+        if first == "in2" and category in ("subtract", "divide"):
+            return None, ""
+        other = "in2" if first == "in1" else "in1"
+        if producer(node, other) is not None:
+            return None, ""
+        x, y = pair(other, 1.0 if category in ("multiply", "divide") else 0.0)
+        if category == "multiply":
+            return _affine((x, y)), first
+        if category == "divide":
+            return (_affine((1.0 / x, 1.0 / y)) if x and y else None), first
+        sign = 1.0 if category == "add" else -1.0
+        return _affine((1.0, 1.0), shift=(sign * x, sign * y)), first
+    return None, ""
 
 
 # -- OmniPBR -------------------------------------------------------------------------------------------------------

@@ -125,6 +125,10 @@ class ImageReader:
             self._images[node.file] = self._joined(node)
         return self._images[node.file]
 
+    def keep(self, name: str, pixels: Pixels) -> None:
+        """Let a picture that no file holds be read by a name of its own."""
+        self._images[name] = pixels
+
     def wraps(self, node: TextureNode) -> tuple[str, str]:
         """Modes along u and v, with those of the file where the node leaves it to it; black where nobody says."""
         in_file = self._modes.get(node.file, ("black", "black"))
@@ -293,17 +297,9 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Diagnostics) 
     authored = getattr(asset, "path", "") or ""
     file = getattr(asset, "resolvedPath", "") or ""
     uv = _uv_source(shader, time, notes)
-    tiles: tuple[tuple[int, str], ...] = ()
-    if "<UDIM>" in authored:
-        tiles = _tiles(shader, authored, file)
-        file = (file or authored) if tiles else ""
-        if tiles and uv is not None:
-            left, bottom, columns, rows = tile_range(tiles)
-            onto = np.array([[1.0 / columns, 0.0, -left / columns], [0.0, 1.0 / rows, -bottom / rows]]) @ np.vstack(
-                [np.array(uv.matrix), [0.0, 0.0, 1.0]]
-            )
-            (a, b, c), (d, e, f) = onto.tolist()
-            uv, wraps = UvSource(uv.primvar, ((a, b, c), (d, e, f))), ["clamp", "clamp"]
+    tiles, file, uv = tiled(shader, authored, file, uv)
+    if tiles and uv is not None:
+        wraps = ["clamp", "clamp"]
     if not file:
         notes.warn(path, f"texture {authored or '(no file)'} is not found; its fallback {fallback[:3]} is used")
     return TextureNode(
@@ -320,6 +316,25 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Diagnostics) 
         tiles=tiles,
         wrap_v=wraps[1],
     )
+
+
+def tiled(
+    shader: UsdShade.Shader, authored: str, file: str, uv: UvSource | None
+) -> tuple[tuple[tuple[int, str], ...], str, UvSource | None]:
+    """Tiles of a texture with <UDIM> in its name, the name that stands for them together, and its coordinates on them
+    all; () and what was given for any other.
+    """
+    if "<UDIM>" not in authored:
+        return (), file, uv
+    tiles = _tiles(shader, authored, file)
+    if not tiles or uv is None:
+        return tiles, (file or authored) if tiles else "", uv
+    left, bottom, columns, rows = tile_range(tiles)
+    onto = np.array([[1.0 / columns, 0.0, -left / columns], [0.0, 1.0 / rows, -bottom / rows]]) @ np.vstack(
+        [np.array(uv.matrix), [0.0, 0.0, 1.0]]
+    )
+    (a, b, c), (d, e, f) = onto.tolist()
+    return tiles, file or authored, UvSource(uv.primvar, ((a, b, c), (d, e, f)))
 
 
 def _tiles(shader: UsdShade.Shader, authored: str, file: str) -> tuple[tuple[int, str], ...]:
@@ -443,6 +458,34 @@ def _sampled(node: TextureNode, images: ImageReader, channels: int) -> Pixels | 
     scale, bias = np.array(node.scale, dtype=np.float32), np.array(node.bias, dtype=np.float32)
     picked = _picked(_four(linear(pixels, srgb=srgb)) * scale + bias, node, channels)
     return tuple(float(x) for x in picked.reshape(-1)) if picked.shape[:2] == (1, 1) else picked
+
+
+def as_measured(node: TextureNode, images: ImageReader, most: int) -> npt.NDArray[np.float32]:
+    """(H, W, 4) linear values of a texture with its scale and bias, (1, 1, 4) of its fallback where it has no file.
+
+    It is halved until it has at most `most` pixels.
+    """
+    pixels = images.of(node)
+    if pixels is None:
+        return np.array(node.fallback, dtype=np.float32).reshape(1, 1, 4)
+    if node.uv is None:
+        pixels = pixels[-1:, :1]
+    srgb = is_srgb(node, pixels)
+    height, width = pixels.shape[:2]
+    made = linear(pixels, srgb=srgb)
+    while height * width > most:
+        height, width = max(height // 2, 1), max(width // 2, 1)
+    if (height, width) != made.shape[:2]:
+        made = resized(made, (height, width))
+    return _four(made) * np.array(node.scale, dtype=np.float32) + np.array(node.bias, dtype=np.float32)
+
+
+def resized(pixels: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArray[np.float32]:
+    """A float picture of another (height, width)."""
+    source = OpenImageIO.ImageBuf(np.ascontiguousarray(pixels, dtype=np.float32))
+    region = OpenImageIO.ROI(0, size[1], 0, size[0], 0, 1, 0, pixels.shape[2])
+    made = OpenImageIO.ImageBufAlgo.resize(source, roi=region).get_pixels("float")
+    return np.asarray(made, dtype=np.float32).reshape(*size, pixels.shape[2])
 
 
 def _fallback(node: TextureNode, channels: int) -> tuple[float, ...]:

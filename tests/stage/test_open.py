@@ -260,15 +260,6 @@ def test_variants_that_are_not_there_are_refused_with_those_that_are(tmp_path, c
         override(open_stage(tmp_path / "a.usda"), choices=[choice])
 
 
-def test_materialx_references_are_noted_but_open(tmp_path):
-    """The pip wheel cannot read .mtlx files; the rest of the stage is worth a picture."""
-    (tmp_path / "look.mtlx").write_text("<materialx/>", encoding="utf-8")
-    path = tmp_path / "a.usda"
-    path.write_text('#usda 1.0\ndef "A" (references = @./look.mtlx@</MaterialX>) { }\n', encoding="utf-8")
-    (note,) = composition_notes(open_stage(path))
-    assert (note.severity, note.path) == ("warning", "/A") and "look.mtlx" in note.text
-
-
 def test_a_tower_of_prims_is_refused_when_opened(tmp_path):
     (tmp_path / "deep.usda").write_text("#usda 1.0\n" + 'def Xform "d" {\n' * 5000 + "}\n" * 5000, encoding="utf-8")
     with pytest.raises(StageError, match="nested deeper than 256"):

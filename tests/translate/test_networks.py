@@ -117,14 +117,14 @@ def test_open_pbr_shines_in_nits(quad):
         "mtlx",
         base_color=(TYPES.Color3f, (0.1, 0.2, 0.3)),
         base_metalness=(TYPES.Float, 1.0),
+        fuzz_weight=(TYPES.Float, 0.5),
         emission_luminance=(TYPES.Float, 1000.0),
         emission_color=(TYPES.Color3f, (1, 1, 0.5)),
-        transmission_weight=(TYPES.Float, 0.5),
     )
     scene, shape, bsdf = drawn(stage)
     np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["value"], [0.1, 0.2, 0.3], rtol=1e-6)
     assert (bsdf["bsdf"]["metallic"], shape["emitter"]["radiance"]["value"]) == (1.0, [1000.0, 1000.0, 500.0])
-    assert any("transmission_weight is not drawn" in note.text and note.severity == "warning" for note in scene.notes)
+    assert any("fuzz_weight is not drawn" in note.text and note.severity == "warning" for note in scene.notes)
 
 
 @pytest.mark.parametrize(
@@ -146,12 +146,10 @@ def test_channels_are_taken_apart(quad, tmp_path, kind, output, more, index):
 
 
 def test_nodes_on_the_way_are_passed_with_a_note(quad, tmp_path):
-    """A contrast node between picture and colour is left out, which is better than a grey car."""
+    """A blur between picture and colour is left out, which is better than a grey car."""
     stage, shader = quad
     write(tmp_path / "a.png", CODES)
-    contrast = shader(
-        "More", "ND_contrast_color3", **{"in": (TYPES.Color3f, image(shader, "Picture", tmp_path / "a.png"))}
-    )
+    contrast = shader("More", "ND_blur_color3", **{"in": (TYPES.Color3f, image(shader, "Picture", tmp_path / "a.png"))})
     shader(
         "Surface",
         "ND_standard_surface_surfaceshader",
@@ -160,7 +158,7 @@ def test_nodes_on_the_way_are_passed_with_a_note(quad, tmp_path):
     )
     scene, _, bsdf = drawn(stage)
     np.testing.assert_array_equal(bsdf["bsdf"]["base_color"]["bitmap"], CODES)
-    assert any("ND_contrast_color3" in note.text and note.severity == "warning" for note in scene.notes)
+    assert any("ND_blur_color3" in note.text and note.severity == "warning" for note in scene.notes)
 
 
 def test_materialx_normal_maps_are_decoded(quad, tmp_path):
