@@ -74,6 +74,13 @@ def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], lis
     return sorted(found, key=lambda one: GRAVEST_FIRST.index(one.severity)), kept, light
 
 
+def mended(stage: Path, out: Path, found: Sequence[Finding], *, allow: Sequence[Path] = ()) -> list[str]:
+    """Write a layer over the stage with what can be mended without a choice; a line for each fix, see `stage.mend`."""
+    from synfog_usd.stage import mend
+
+    return mend.write(usd.open_stage(stage, allow=allow), found, out, allow=allow)
+
+
 _OF_ALL_FOGS = frozenset({"no-fog", "camera-outside-fog"})
 """Rules that a stage breaks only if it does so in every variant of its fog: 'clear' has none, or leaves a bank
 ahead.
@@ -104,12 +111,20 @@ def exit_code(found: Sequence[Finding], notes: Sequence[Note], *, strict: bool) 
 
 
 def as_json(
-    stage: Path, found: Sequence[Finding], notes: Sequence[Note], code: int, light: Mapping[str, str] = NOTHING
+    stage: Path,
+    found: Sequence[Finding],
+    notes: Sequence[Note],
+    code: int,
+    light: Mapping[str, str] = NOTHING,
+    fixes: Sequence[str] | None = None,
 ) -> str:
-    """One object: 'stage', 'exit_code', 'counts', 'light', 'findings', 'translation'."""
+    """One object: 'stage', 'fixes' where any were asked for, 'exit_code', 'counts', 'light', 'findings',
+    'translation'.
+    """
     return json.dumps(
         {
             "stage": str(stage),
+            **({} if fixes is None else {"fixes": list(fixes)}),
             "exit_code": code,
             "counts": {severity: sum(one.severity == severity for one in found) for severity in GRAVEST_FIRST},
             "light": dict(light),

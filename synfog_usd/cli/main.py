@@ -253,6 +253,13 @@ def check(
         list[Path] | None,
         typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again."),
     ] = None,
+    fix: Annotated[
+        Path | None,
+        typer.Option(
+            help="Layer to write over STAGE with what can be mended without a choice; that is then checked.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
     """Tell what in STAGE is wrong or unusual, how to mend it, and what a bake makes simpler; exit code 2 where a bake
@@ -265,8 +272,18 @@ def check(
 
     with worker.reading_limits():
         found, notes, light = verb.look(stage, allow=allow or [])
+        fixes = None
+        if fix is not None:
+            fixes = verb.mended(stage, fix, found, allow=allow or [])
+            stage = fix
+            found, notes, light = verb.look(stage, allow=allow or [])
     code = verb.exit_code(found, notes, strict=strict)
-    print(verb.as_json(stage, found, notes, code, light) if as_json else verb.as_text(stage, found, notes, light))
+    if as_json:
+        print(verb.as_json(stage, found, notes, code, light, fixes))
+    else:
+        for line in fixes or []:
+            print(f"mended: {line}")
+        print(verb.as_text(stage, found, notes, light))
     raise typer.Exit(code)
 
 

@@ -10,7 +10,7 @@ import functools
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar, cast
 
@@ -33,6 +33,9 @@ _FOLDERS = "synfogFolders"
 
 _LEFT_OUT = "synfogLeftOut"
 """Where it keeps which attributes of a wrong type are blocked: lines of prim and text."""
+
+MENDED_UNITS = "synfogMendedUnits"
+"""Where a layer that mends another's units keeps what that one says [m]."""
 
 
 def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: bool = False) -> Usd.Stage:
@@ -298,19 +301,7 @@ def unit_notes(stage: Usd.Stage) -> list[Note]:
     """Layers in other units than the stage's, where neither the reference nor what is around it is scaled; USD itself
     converts nothing.
     """
-    own, root = UsdGeom.GetStageMetersPerUnit(stage), stage.GetRootLayer()
-    metres = {
-        layer.identifier: layer.pseudoRoot.GetInfo("metersPerUnit")
-        for layer in stage.GetUsedLayers()
-        if layer.pseudoRoot.HasInfo("metersPerUnit")
-    }
-    other = {
-        name: value / own
-        for name, value in metres.items()
-        if name != root.identifier and value > 0.0 and not 0.999 < value / own < 1.001
-    }
-    if not other:
-        return []
+    own, other = UsdGeom.GetStageMetersPerUnit(stage), _other_units(stage)
     notes = []
     for layer in stage.GetLayerStack(includeSessionLayers=False):
         if layer.identifier in other:
@@ -318,10 +309,25 @@ def unit_notes(stage: Usd.Stage) -> list[Note]:
                 Note(
                     "warning",
                     "/",
-                    f"sublayer {Path(layer.realPath).name} is in units of {metres[layer.identifier]:g} m and the "
+                    f"sublayer {Path(layer.realPath).name} is in units of {other[layer.identifier]:g} m and the "
                     f"stage of {own:g} m; {_NO_SCALE}",
                 )
             )
+    for prim, layer in unscaled_references(stage):
+        metres = other[layer.identifier]
+        what = (
+            f"refers to {Path(layer.realPath).name}, which is in units of {metres:g} m and "
+            f"the stage of {own:g} m; {_NO_SCALE}"
+        )
+        notes.append(Note("warning", str(prim.GetPath()), f"{what}: scale it by {metres / own:g}"))
+    return notes
+
+
+def unscaled_references(stage: Usd.Stage) -> Iterator[tuple[Usd.Prim, Sdf.Layer]]:
+    """Prims that refer to a layer in other units than the stage's, with that layer, where nothing is scaled."""
+    other = _other_units(stage)
+    if not other:
+        return
     references = Usd.PrimCompositionQuery.Filter()
     references.arcTypeFilter = Usd.PrimCompositionQuery.ArcTypeFilter.ReferenceOrPayload
     references.dependencyTypeFilter = Usd.PrimCompositionQuery.DependencyTypeFilter.Direct
@@ -331,15 +337,27 @@ def unit_notes(stage: Usd.Stage) -> list[Note]:
             continue
         for arc in Usd.PrimCompositionQuery(prim, references).GetCompositionArcs():
             layer = arc.GetTargetLayer()
-            ratio = other.get(layer.identifier)
             scale = abs(transforms.GetLocalToWorldTransform(prim).GetDeterminant3()) ** (1.0 / 3.0)
-            if ratio is not None and 0.99 < scale < 1.01:  # any other scale is an author's own answer
-                what = (
-                    f"refers to {Path(layer.realPath).name}, which is in units of {metres[layer.identifier]:g} m and "
-                    f"the stage of {own:g} m; {_NO_SCALE}"
-                )
-                notes.append(Note("warning", str(prim.GetPath()), f"{what}: scale it by {ratio:g}"))
-    return notes
+            if layer.identifier in other and 0.99 < scale < 1.01:  # any other scale is an author's own answer
+                yield prim, layer
+
+
+def _other_units(stage: Usd.Stage) -> dict[str, float]:
+    """Layers that say they are in other units than the stage's, with what they say [m]; but for those that say what a
+    layer over them mended.
+    """
+    own, root = UsdGeom.GetStageMetersPerUnit(stage), stage.GetRootLayer()
+    wrong = root.customLayerData.get(MENDED_UNITS)
+    metres = {
+        layer.identifier: layer.pseudoRoot.GetInfo("metersPerUnit")
+        for layer in stage.GetUsedLayers()
+        if layer.identifier != root.identifier and layer.pseudoRoot.HasInfo("metersPerUnit")
+    }
+    return {
+        name: value
+        for name, value in metres.items()
+        if value > 0.0 and not 0.999 < value / own < 1.001 and value != wrong
+    }
 
 
 _NO_SCALE = "nothing is scaled, so it is drawn at another size than it was made"

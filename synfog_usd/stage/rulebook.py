@@ -43,6 +43,8 @@ class Finding:
         text: what was found and what to do.
         rule: the rule's name; 'usd:...' for USD's own validators.
         mend: tool -> what to do there; empty where the text says it all.
+        fix: what `stage.mend` writes, where that takes no choice: ('label', class), ('purpose', 'guide') or
+            ('dark', '').
     """
 
     severity: Severity
@@ -50,6 +52,7 @@ class Finding:
     text: str
     rule: str = ""
     mend: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}), compare=False)
+    fix: tuple[str, str] | None = field(default=None, compare=False)
 
 
 def _rule(name: str, severity: Severity, meaning: str, *mend: str) -> Rule:
@@ -218,7 +221,7 @@ RULES: Mapping[str, Rule] = MappingProxyType(
 """Every rule by name, gravest first."""
 
 
-def finding(name: str, path: str, text: str) -> Finding:
+def finding(name: str, path: str, text: str, fix: tuple[str, str] | None = None) -> Finding:
     """A finding of a rule of ours."""
     rule = RULES[name]
-    return Finding(rule.severity, path, text, name, rule.mend)
+    return Finding(rule.severity, path, text, name, rule.mend, fix)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import PurePosixPath
 from types import MappingProxyType
 from typing import Any
@@ -35,6 +36,9 @@ SIZES_M: Mapping[str, tuple[float, float]] = MappingProxyType(
     }
 )
 """Longest edge [m] of road users, children's and articulated ones included."""
+
+UNIT_FACTORS = (0.01, 100.0, 0.0254, 1 / 0.0254, 0.001, 1000.0, 1e-4, 1e4, 0.3048, 1 / 0.3048)
+"""Units that are taken for others: centimetres, inches, millimetres or feet, or one of them twice."""
 
 _NAMES = {
     "car": "car", "sedan": "car", "suv": "car", "hatchback": "car", "taxi": "car", "van": "car", "vehicle": "car",
@@ -116,6 +120,7 @@ def _camera_and_fog(context: _Context) -> Iterator[Finding]:
                 "fog-solid",
                 str(prim.GetPath()),
                 "other renderers draw this fog boundary as a solid; set its purpose to guide",
+                ("purpose", "guide"),
             )
 
 
@@ -128,7 +133,9 @@ def _lights(context: _Context) -> Iterator[Finding]:
         path, kind = str(prim.GetPath()), str(prim.GetTypeName())
         nits = _emitted(prim, context.time)
         if not math.isfinite(nits):
-            yield finding("light-bright", path, f"its intensity is {nits}, which is no number; it stays dark")
+            yield finding(
+                "light-bright", path, f"its intensity is {nits}, which is no number; it stays dark", ("dark", "")
+            )
         elif kind in ("DomeLight", "DomeLight_1"):
             textured = bool(getattr(_input(prim, "texture:file", context.time, None), "path", ""))
             unknown |= textured
@@ -235,8 +242,34 @@ def _dome_pole(context: _Context) -> Iterator[Finding]:
             yield finding("dome-pole", str(prim.GetPath()), text)
 
 
-def _road_users(context: _Context) -> Iterator[Finding]:
-    """Sizes of labelled things, and names that speak of things without a label."""
+@dataclass(frozen=True)
+class RoadUser:
+    """A prim that is a road user by its label, or, without one, by its name.
+
+    Attributes:
+        prim: on which label or name stands.
+        label: as written, or None.
+        kind: name of `SIZES_M`.
+        longest: edge [m], as the stage is read.
+    """
+
+    prim: Usd.Prim
+    label: str | None
+    kind: str
+    longest: float
+
+    def fits(self, factor: float = 1.0) -> bool:
+        """Whether such a thing is as long as this times a factor."""
+        low, high = SIZES_M[self.kind]
+        return low <= self.longest * factor <= high
+
+
+def road_users(stage: Usd.Stage) -> Iterator[RoadUser]:
+    """All that can be measured, outermost prims only."""
+    return _measured(_Context(stage))
+
+
+def _measured(context: _Context) -> Iterator[RoadUser]:
     skipped = Sdf.Path()
     for prim in context.prims:
         path = prim.GetPath()
@@ -245,45 +278,35 @@ def _road_users(context: _Context) -> Iterator[Finding]:
         label = direct_label(prim, context.time)
         known = official_name(label) if label is not None else None
         kind = known if label is not None else _class_by_name(prim)
-        if label is None and kind is None:
-            continue
-        if _is_many(prim):
+        if (label is None and kind is None) or _is_many(prim):
             continue
         skipped = path
-        if kind is None or kind not in SIZES_M:
-            continue
-        longest = context.longest_m(prim)
-        if longest == 0.0:
-            continue
+        if kind is not None and kind in SIZES_M and (longest := context.longest_m(prim)) > 0.0:
+            yield RoadUser(prim, label, kind, longest)
+
+
+def _road_users(context: _Context) -> Iterator[Finding]:
+    """Sizes of labelled things, and names that speak of things without a label."""
+    for user in _measured(context):
+        path, kind = str(user.prim.GetPath()), user.kind
         low, high = SIZES_M[kind]
-        what = f"this {kind}" if label is not None else f"this prim, a {kind} by its name,"
-        if low <= longest <= high:
-            if label is None:
+        factor = next((factor for factor in UNIT_FACTORS if user.fits(factor)), None)
+        if user.fits():
+            if user.label is None:
                 yield finding(
                     "road-user-unlabelled",
-                    str(path),
+                    path,
                     f"a {kind} by its name and size, and without a label (semantics:labels:cityscapes)",
+                    ("label", kind),
                 )
-        elif label is not None or _factor(longest, low, high):
-            factor = _factor(longest, low, high)
-            advice = f"; times {factor:g} it would be {longest * factor:.3g} m" if factor else ""
+        elif user.label is not None or factor:
+            what = f"this {kind}" if user.label is not None else f"this prim, a {kind} by its name,"
+            advice = f"; times {factor:g} it would be {user.longest * factor:.3g} m" if factor else ""
             text = (
-                f"{what} is {longest:.3g} m long, and a {kind} {low:g} to {high:g} m{advice} (metersPerUnit is "
+                f"{what} is {user.longest:.3g} m long, and a {kind} {low:g} to {high:g} m{advice} (metersPerUnit is "
                 f"{context.metres:g}, as the stage is read)"
             )
-            yield finding("units", str(path), text)
-
-
-def _factor(longest: float, low: float, high: float) -> float | None:
-    """The unit that was probably meant: centimetres, inches, millimetres or feet, or one of them twice."""
-    return next(
-        (
-            factor
-            for factor in (0.01, 100.0, 0.0254, 1 / 0.0254, 0.001, 1000.0, 1e-4, 1e4, 0.3048, 1 / 0.3048)
-            if low <= longest * factor <= high
-        ),
-        None,
-    )
+            yield finding("units", path, text)
 
 
 def _class_by_name(prim: Usd.Prim) -> str | None:
@@ -307,10 +330,12 @@ def _labels(context: _Context) -> Iterator[Finding]:
     for prim, label in _unlabelled(context):
         if label is not None:
             if official_name(label) is None:
+                meant = _NAMES.get(label.lower())
                 yield finding(
                     "label-unknown",
                     str(prim.GetPath()),
                     f"label {label!r} is not a Cityscapes name; it counts as unlabeled",
+                    ("label", meant) if meant else None,
                 )
         elif prim.IsA(UsdGeom.Gprim) and not has_fog_attributes(prim) and not has_fog_attributes(prim.GetParent()):
             unlabelled.append(str(prim.GetPath()))
