@@ -44,6 +44,9 @@ BLURS = ("optics.diffraction", "optics.defocus", "optics.glare", "optics.flare")
 
 METER_WIDTH_PX = 320
 
+LIGHTGROUP = "lightgroup_"
+"""How inputs begin that take the light of one group of lamps alone, as `layers.exr` names it."""
+
 BLINDING_CD_M2 = 1e12
 """Light in which every pixel is full, whatever the exposure."""
 
@@ -93,8 +96,7 @@ def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) ->
     """
     nodes = graph.nodes_with("sensor.expose")
     sensor = graph.profiles.get("sensor")
-    inputs = [name for name, port in graph.inputs.items() if port.quantity is Quantity.RADIANCE]
-    if not nodes or not isinstance(sensor, SensorProfile) or len(inputs) != 1:
+    if not nodes or not isinstance(sensor, SensorProfile) or not _view_input(graph):
         raise GraphError(
             f"graph {graph.name!r} cannot be metered: it needs a sensor.expose node, a sensor and one radiance input; "
             f"give exposure_s a number"
@@ -103,16 +105,17 @@ def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) ->
         np.repeat(block_means(radiance.pixels, max(1, -(-radiance.width_px // METER_WIDTH_PX))), 2, axis=0), 2, axis=1
     )
     frame = radiance.with_pixels(small)
+    lit = _steady(graph, frame)
     sharp = graph.without([node.name for op in BLURS for node in graph.nodes_with(op)])
     a_second = {f"{node.name}.exposure_s": 1.0 for node in nodes}
     seen = {
-        node.name: sharp.run({inputs[0]: frame}, seed=0, overrides=a_second, until=node.name, keep=[node.name])[
-            node.name
-        ]
+        node.name: sharp.run(
+            lit, seed=0, settings={"exposure_s": 1.0}, overrides=a_second, until=node.name, keep=[node.name]
+        )[node.name]
         for node in nodes
     }
     chosen = max(nodes, key=lambda node: float(seen[node.name].pixels.mean(dtype=np.float64)))
-    own_e, merged_e = _saturation_e(sharp, inputs[0], radiance, sensor)
+    own_e, merged_e = _saturation_e(sharp, radiance, sensor)
     sites = _sites(seen[chosen.name])
     green = sites["G" if "G" in sites else "C"] / own_e
     strongest = np.max(list(sites.values()), axis=0) / merged_e
@@ -145,13 +148,12 @@ def sensitivity(radiance: Image, graph: NodeGraph, exposure: Exposure) -> tuple[
     """
     nodes = graph.nodes_with("sensor.merge_hdr")[-1:] or graph.nodes_with("sensor.adc")
     exposes = [node.name for node in graph.nodes_with("sensor.expose")]
-    inputs = [name for name, port in graph.inputs.items() if port.quantity is Quantity.RADIANCE]
-    if len(nodes) != 1 or len(inputs) != 1 or not exposes or not exposure.mean_cd_m2 > 0.0:
+    if len(nodes) != 1 or not _view_input(graph) or not exposes or not exposure.mean_cd_m2 > 0.0:
         return None
     level = np.float32(0.3 * exposure.mean_cd_m2)
     grey = radiance.with_pixels(np.full((32, 48, len(radiance.channels)), level, dtype=np.float32))
     run = graph.run(
-        {inputs[0]: grey}, seed=0, settings=exposure.settings, until=nodes[0].name, keep=[*exposes, nodes[0].name]
+        _steady(graph, grey), seed=0, settings=exposure.settings, until=nodes[0].name, keep=[*exposes, nodes[0].name]
     )
     signal_e = max(float(run[name].pixels[8:-8, 12:-12].mean(dtype=np.float64)) for name in exposes if name in run)
     metadata, nits = run[nodes[0].name].provenance, float(photometry.luminance(grey).mean())
@@ -185,6 +187,22 @@ def noise_floor(
     return np.asarray(np.sqrt(signal_e + dark_noise_e**2) / max(electrons_per_cd_m2, 1e-30))
 
 
+def _view_input(graph: NodeGraph) -> str:
+    """The input that takes the radiance of the whole view, or ''; others take that of groups of lamps."""
+    found = [
+        name
+        for name, port in graph.inputs.items()
+        if port.quantity is Quantity.RADIANCE and not name.startswith(LIGHTGROUP)
+    ]
+    return found[0] if len(found) == 1 else ""
+
+
+def _steady(graph: NodeGraph, frame: Image) -> dict[str, Image]:
+    """What to run a graph on so that no lamp of its flickers: their own light is 0, beside that of the whole view."""
+    dark = frame.with_pixels(np.zeros_like(frame.pixels))
+    return {name: frame if name == _view_input(graph) else dark for name in graph.inputs}
+
+
 def _sites(mosaic: Image) -> dict[str, npt.NDArray[np.float64]]:
     """The pixels behind each filter of a mosaic that is even over 2 x 2 pixels, one of each two by two."""
     rows = cfa.PATTERNS[mosaic.provenance["cfa_pattern"]]
@@ -195,14 +213,14 @@ def _sites(mosaic: Image) -> dict[str, npt.NDArray[np.float64]]:
     }
 
 
-def _saturation_e(graph: NodeGraph, name: str, radiance: Image, sensor: SensorProfile) -> tuple[float, float]:
+def _saturation_e(graph: NodeGraph, radiance: Image, sensor: SensorProfile) -> tuple[float, float]:
     """Electrons of the most sensitive exposure, at base ISO, at which it is full, and at which the merged range is."""
     merges = graph.nodes_with("sensor.merge_hdr")
     if not merges:
         return sensor.saturation_e, sensor.saturation_e
     blinding = radiance.with_pixels(np.full((16, 16, len(radiance.channels)), BLINDING_CD_M2, dtype=np.float32))
     settings = {"exposure_s": sensor.longest_exposure_s, "iso": sensor.iso_base}
-    run: GraphRun = graph.run({name: blinding}, seed=0, settings=settings, until=merges[-1].name)
+    run: GraphRun = graph.run(_steady(graph, blinding), seed=0, settings=settings, until=merges[-1].name)
     readings = [image for node, image in run.items() if graph.nodes[node].op.name == "sensor.adc"]
     gathered = max(float(image.provenance["gathered_um2_s"]) for image in readings)
 

@@ -333,6 +333,22 @@ def _loaded(scene: SceneDict, renderer: _Renderer, model: str) -> MitsubaScene:
     return load(scene)
 
 
+def _groups_for(graph: Any, rendered: Rendered) -> dict[str, Image]:
+    """The light of groups of lamps alone, for inputs that ask for it by name; 0 where no such lamp is lit."""
+    import numpy as np
+
+    from synfog_usd.camera.exposure import LIGHTGROUP
+
+    radiance = rendered.radiance
+    return {
+        name: radiance.with_pixels(
+            rendered.groups.get(name.removeprefix(LIGHTGROUP), np.zeros_like(radiance.pixels)).astype(np.float32)
+        )
+        for name in graph.inputs
+        if name.startswith(LIGHTGROUP)
+    }
+
+
 def _meter(scene: SceneDict, renderer: _Renderer, plan: BakePlan, graph: Any) -> _View:
     """A scene without fog, metered on a small frame."""
     from synfog_usd import camera, photometry
@@ -498,7 +514,11 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
     exposure = view.exposure if view else None
     seed = seed32(plan.seed, shot.lighting, shot.fog)
     results = camera.develop(
-        graph, {"radiance": radiance}, seed=seed, exposure=exposure, keep=list(graph.outputs.values())
+        graph,
+        {"radiance": radiance, **_groups_for(graph, rendered)},
+        seed=seed,
+        exposure=exposure,
+        keep=list(graph.outputs.values()),
     )
     for name, node in graph.outputs.items():
         writers.write_output(name, results[node], folder, options=graph.options_of(name))
