@@ -33,6 +33,10 @@ class RecipeError(SynfogError):
     """A recipe that does not load, or asks for what the world has no room for."""
 
 
+class SetError(SynfogError):
+    """A data set whose file does not load, or whose folder is not what it is taken for."""
+
+
 class ImageError(SynfogError):
     """An image file that cannot be read, or holds what no camera can see."""
 

@@ -7,6 +7,7 @@ refused.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,39 @@ def load_text(text: str, *, name: str = "<text>", error: type[SynfogError] = Gra
     if root is None:
         raise error(f"{name}: the file is empty")
     return _Builder(name, error).build(root)
+
+
+def from_python(value: Any, *, name: str) -> Located:
+    """Plain data of Python's with places such as 'nodes[3].shoulder'; `name` is what errors call the whole."""
+    return _PythonPlaces(name).located(value, "")
+
+
+@dataclass(frozen=True)
+class _PythonPlace(Place):
+    """A place in Python's data; `line` counts the values that stand before it."""
+
+    label: str = ""
+
+    def __str__(self) -> str:
+        return self.label
+
+
+class _PythonPlaces:
+    """Gives every value of plain data a place."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.count = name, 0
+
+    def located(self, value: Any, label: str) -> Located:
+        self.count += 1
+        spot = _PythonPlace(self.name, self.count, 0, label or self.name)
+        if isinstance(value, Mapping):
+            value = {
+                str(key): self.located(item, f"{label}.{key}" if label else str(key)) for key, item in value.items()
+            }
+        elif isinstance(value, list | tuple):
+            value = [self.located(item, f"{label}[{index}]") for index, item in enumerate(value)]
+        return Located(value, spot, spot)
 
 
 class _Builder:

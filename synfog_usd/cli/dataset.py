@@ -2,8 +2,104 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
 app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Sets of shots: planned, made, checked and exported."
 )
+Folder = Annotated[Path, typer.Argument(help="Folder of a set.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print as JSON on standard output.")]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="Units at a time on this machine; what its memory allows if left out.")
+]
+Scheduler = Annotated[str | None, typer.Option(help="Address of a running Dask scheduler, as tcp://host:8786.")]
+Cluster = Annotated[Path | None, typer.Option(help="YAML of a batch system (Slurm, PBS, LSF), whose jobs are workers.")]
+Limit = Annotated[
+    float | None,
+    typer.Option(min=1.0, help="Seconds after which a unit is ended; ten times what others took if left out."),
+]
+Variant = Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")]
+
+
+@app.command()
+def run(
+    file: Annotated[Path, typer.Argument(metavar="SET", help="YAML of a set, or the name of one that ships, as mini.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the set.")],
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    cluster: Cluster = None,
+    only: Annotated[str | None, typer.Option(help="Scenes by number, as in 17,40-60.")] = None,
+    budget_gb: Annotated[float | None, typer.Option(min=0.0, help="Size at which no more is begun [GB].")] = None,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Look at every file, and make again what was changed.")
+    ] = False,
+    limit: Limit = None,
+    variant: Variant = "auto",
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Make the SET, or go on with it: what is finished is kept."""
+    from synfog_usd.cli import sets as verb
+
+    verb.run(
+        file,
+        out,
+        only=only,
+        quiet=quiet,
+        as_json=as_json,
+        workers=workers,
+        scheduler=scheduler,
+        batch=cluster,
+        budget_gb=budget_gb,
+        repair=repair,
+        limit_s=limit,
+        variant=variant,
+    )
+
+
+@app.command()
+def retry(
+    out: Folder,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    cluster: Cluster = None,
+    limit: Limit = None,
+    variant: Variant = "auto",
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Take up what was set aside after three tries, and whatever else is missing."""
+    from synfog_usd.cli import sets as verb
+
+    verb.run(
+        None,
+        out,
+        only=None,
+        quiet=quiet,
+        as_json=as_json,
+        workers=workers,
+        scheduler=scheduler,
+        batch=cluster,
+        limit_s=limit,
+        retry=True,
+        variant=variant,
+    )
+
+
+@app.command()
+def unit(
+    out: Folder,
+    number: Annotated[int, typer.Argument(min=0, help="Of the scene.")],
+    lighting: Annotated[str, typer.Argument(help="Name of the lighting.")],
+    camera: Annotated[str, typer.Option(help="Prim path; the stage's own if left out.")] = "",
+    repair: Annotated[bool, typer.Option("--repair", help="Look at every file first.")] = False,
+    variant: Variant = "auto",
+) -> None:
+    """Make one scene in one lighting of a set that was begun, as the workers of run do, and print what it took."""
+    from synfog_usd.cli import sets as verb
+
+    verb.unit(out, number, lighting, camera, repair=repair, variant=variant)

@@ -622,8 +622,8 @@ def _write_labels(
     return {name: files.sha256_of(plan.out / name) for name in ("labels.exr", "labels.json")}
 
 
-def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> dict[str, Any]:
-    """Everything that the pixels depend on; its hash tells whether a finished shot is still the right one."""
+def library_versions(*, denoise: bool) -> dict[str, str]:
+    """This program's version, and those of all libraries that the bytes of a bake depend on."""
     libraries = (
         "mitsuba",
         "drjit",
@@ -637,9 +637,14 @@ def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) ->
         "imagecodecs",
     )
     versions = {name: importlib.metadata.version(name) for name in libraries}
-    if plan.denoise:
+    if denoise:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             versions["pyoidn"] = importlib.metadata.version("pyoidn")
+    return {"synfog-usd": __version__, **versions}
+
+
+def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> dict[str, Any]:
+    """Everything that the pixels depend on; its hash tells whether a finished shot is still the right one."""
     return {
         "stage": {"name": plan.stage.name, "sha256": stage_hash},
         "pipeline": {"name": plan.pipeline.name if plan.pipeline else "phone.yaml", "sha256": graph_hash},
@@ -663,7 +668,7 @@ def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) ->
             "up": plan.up,
             "variant": variant,
         },
-        "versions": {"synfog-usd": __version__, **versions},
+        "versions": library_versions(denoise=plan.denoise),
     }
 
 

@@ -19,7 +19,7 @@ from synfog_usd.graph.engine import Bound, Node, NodeGraph, bind, fault_of, know
 from synfog_usd.graph.faults import Faults
 from synfog_usd.graph.op import MISSING, Op, Parameter, Port, Profile, Registry
 from synfog_usd.image import Quantity
-from synfog_usd.yamlio import Located, Place, load_file
+from synfog_usd.yamlio import Located, Place, from_python, load_file
 
 UNSURE = ""
 """Stands for a node of which a fault is told already."""
@@ -83,35 +83,7 @@ def make_graph(
         **header,
         **{key: value for key, value in sections.items() if value or (alone and value is not None)},
     }
-    return _Loader(_PythonPlaces(name).located(plain, ""), name, folder, registry).load()
-
-
-@dataclass(frozen=True)
-class _PythonPlace(Place):
-    """A place in Python's data; `line` counts the values that stand before it."""
-
-    label: str = ""
-
-    def __str__(self) -> str:
-        return self.label
-
-
-class _PythonPlaces:
-    """Gives every value of plain data a place."""
-
-    def __init__(self, name: str) -> None:
-        self.name, self.count = name, 0
-
-    def located(self, value: Any, label: str) -> Located:
-        self.count += 1
-        spot = _PythonPlace(self.name, self.count, 0, label or self.name)
-        if isinstance(value, Mapping):
-            value = {
-                str(key): self.located(item, f"{label}.{key}" if label else str(key)) for key, item in value.items()
-            }
-        elif isinstance(value, list | tuple):
-            value = [self.located(item, f"{label}[{index}]") for index, item in enumerate(value)]
-        return Located(value, spot, spot)
+    return _Loader(from_python(plain, name=name), name, folder, registry).load()
 
 
 @dataclass

@@ -1,0 +1,204 @@
+"""Workers: of this machine, of a scheduler that runs already, or of a batch system, all by Dask.
+
+Dask is imported here and in `run` alone, when a set is made.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from synfog_usd.errors import SetError, did_you_mean
+from synfog_usd.yamlio import load_file
+
+SETTINGS = {
+    "distributed.scheduler.allowed-failures": 0,  # a worker that dies is a try of its unit, and of no other
+    "distributed.scheduler.worker-saturation": 1.0,  # so no worker has a second unit in waiting
+    "distributed.scheduler.worker-ttl": "2 minutes",
+    "distributed.scheduler.work-stealing": False,
+    "distributed.admin.large-graph-warning-threshold": "100MB",
+    "distributed.worker.daemon": False,
+}
+SYSTEMS = {
+    "slurm": "SLURMCluster",
+    "pbs": "PBSCluster",
+    "lsf": "LSFCluster",
+    "sge": "SGECluster",
+    "moab": "MoabCluster",
+    "oar": "OARCluster",
+    "htcondor": "HTCondorCluster",
+}
+JOBS = 10
+PEAK_MB = 3000.0
+"""Memory of a unit where none was measured: of a drawn street at 1280 x 720."""
+SHARE = 0.8
+"""Of the free memory that units may take."""
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Workers at hand.
+
+    Attributes:
+        client: Dask's.
+        count: of units at a time.
+        cores: of each worker's child, 0 where it has all.
+        dashboard: its address, or ''.
+    """
+
+    client: Any
+    count: int
+    cores: int
+    dashboard: str
+
+
+def fitting(peak_mb: float | None) -> int:
+    """How many units fit this machine at a time.
+
+    Args:
+        peak_mb: the most memory that a unit was seen to take.
+    """
+    return max(1, min(cores(), int(SHARE * free_mb() // (peak_mb or PEAK_MB))))
+
+
+def cores() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def free_mb() -> float:
+    """Memory that is free or can be freed."""
+    import psutil
+
+    return float(psutil.virtual_memory().available) / 2**20
+
+
+@contextlib.contextmanager
+def local(count: int) -> Iterator[Workers]:
+    """Workers of this machine, each with its share of the cores; one a GPU where there are GPUs and LLVM is not asked
+    for.
+    """
+    dask, distributed = _dask()
+    with dask.config.set(SETTINGS), _deaf_to_ctrl_c():
+        cluster = distributed.LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            memory_limit=0,
+            processes=True,
+            dashboard_address=":0" if _has_dashboard() else None,
+            silence_logs=logging.CRITICAL,
+            local_directory=None,
+        )
+    with cluster, distributed.Client(cluster) as client:
+        yield Workers(client, count, max(1, cores() // count), _dashboard(client))
+
+
+@contextlib.contextmanager
+def joined(address: str) -> Iterator[Workers]:
+    """The workers of a scheduler that runs already.
+
+    Raises:
+        SetError: nobody answers, or it has no worker.
+    """
+    dask, distributed = _dask()
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    with dask.config.set(SETTINGS):
+        try:
+            client = distributed.Client(address, timeout=10)
+        except (OSError, ValueError, TypeError) as error:
+            raise SetError(f"--scheduler {address}: no Dask scheduler answers ({error})") from error
+        with client:
+            threads = sum(client.nthreads().values())
+            if not threads:
+                raise SetError(
+                    f"--scheduler {address}: it has no workers; start some with dask worker {address} --nthreads 1"
+                )
+            yield Workers(client, threads, 0, _dashboard(client))
+
+
+@contextlib.contextmanager
+def batch(path: Path) -> Iterator[Workers]:
+    """Workers that a batch system starts as jobs.
+
+    Raises:
+        SetError: the file is not right, with its place.
+    """
+    _, distributed = _dask()
+    with batch_cluster(path) as (cluster, jobs):
+        cluster.scale(jobs=jobs)
+        with distributed.Client(cluster) as client:
+            yield Workers(client, jobs, 0, _dashboard(client))
+
+
+@contextlib.contextmanager
+def batch_cluster(path: Path) -> Iterator[tuple[Any, int]]:
+    """The cluster of a file, with how many jobs it is to have; none is started yet.
+
+    Raises:
+        SetError: the file is not right, with its place.
+    """
+    dask, _ = _dask()
+    try:
+        import dask_jobqueue
+    except ImportError as error:
+        raise SetError("--cluster needs dask-jobqueue: pip install 'synfog-usd[sets]'") from error
+    root = load_file(path, error=SetError)
+    items = root.value
+    if not isinstance(items, dict) or "system" not in items:
+        raise SetError(f"{root.place}: a cluster has a 'system': one of {', '.join(SYSTEMS)}")
+    said: Mapping[str, Any] = root.plain()
+    if said["system"] not in SYSTEMS:
+        raise SetError(
+            f"{items['system'].place}: system is {said['system']!r}; it takes one of "
+            f"{', '.join(SYSTEMS)}.{did_you_mean(str(said['system']), SYSTEMS)}"
+        )
+    jobs = said.get("jobs", JOBS)
+    if not isinstance(jobs, int) or isinstance(jobs, bool) or not 1 <= jobs <= 100_000:
+        raise SetError(f"{items['jobs'].place}: jobs is {jobs!r}; it takes a whole number from 1 to 100000")
+    options = {key: value for key, value in said.items() if key not in ("system", "jobs")}
+    with dask.config.set(SETTINGS):
+        try:
+            cluster = getattr(dask_jobqueue, SYSTEMS[said["system"]])(**{"processes": 1, **options})
+        except (TypeError, ValueError) as error:
+            raise SetError(f"{path}: {SYSTEMS[said['system']]} of dask-jobqueue does not take that: {error}") from error
+        with cluster:
+            yield cluster, jobs
+
+
+@contextlib.contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    """What is started within does not hear Ctrl-C: the client does, and ends it."""
+    try:
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except ValueError:  # not the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _dask() -> tuple[Any, Any]:
+    try:
+        import dask
+        import distributed
+    except ImportError as error:
+        raise SetError("data sets are made by Dask: pip install 'synfog-usd[sets]'") from error
+    return dask, distributed
+
+
+def _has_dashboard() -> bool:
+    from importlib.util import find_spec
+
+    return find_spec("bokeh") is not None
+
+
+def _dashboard(client: Any) -> str:
+    return str(client.dashboard_link) if _has_dashboard() else ""

@@ -1,0 +1,142 @@
+"""What a worker does: one unit in a child process with a time limit.
+
+The child is the command line itself, so that what kills it (memory, a damaged stage, a kernel) kills nothing else.  It
+dies with the worker, and the worker tells how it ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from synfog_usd.sets.scenes import Unit
+
+TOLD = 2000
+"""Characters of a child's last words that are kept."""
+
+
+@dataclass(frozen=True)
+class Child:
+    """How a child is begun.
+
+    Attributes:
+        words: of its command line after Python's own, before what to make.
+        mark: environment variable that tells it its parent.
+        without: environment variables that it does not see.
+    """
+
+    words: tuple[str, ...]
+    mark: str
+    without: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Job:
+    """A unit to be made.
+
+    Attributes:
+        out: folder of the set.
+        unit: which.
+        limit_s: seconds after which it is ended.
+        variant: of the renderer.
+        repair: whether the files of a finished unit are looked at.
+        cores: on which its worker's child may run at a time; 0 is all.
+    """
+
+    out: Path
+    unit: Unit
+    limit_s: float
+    variant: str
+    repair: bool = False
+    cores: int = 0
+
+
+def do(job: Job, child: Child) -> dict[str, Any]:
+    """Make a unit in a child and wait for it.
+
+    Returns:
+        `ok`; where it is true what the child told (`bytes`, `peak_mb`, `cpu_s`), else `error` and `kind`, the class of
+        the exception or 'killed', 'limit'.  `seconds` either way.
+    """
+    words = [*child.words, str(job.out), str(job.unit.number), job.unit.lighting, "--variant", job.variant]
+    words += ["--camera", job.unit.camera] if job.unit.camera else []
+    words += ["--repair"] if job.repair else []
+    environment = {name: value for name, value in os.environ.items() if name not in child.without}
+    began = time.monotonic()
+    with tempfile.TemporaryFile() as told, tempfile.TemporaryFile() as wrong:
+        process = subprocess.Popen(
+            [sys.executable, *words],
+            env={**environment, child.mark: str(os.getpid())},
+            stdin=subprocess.DEVNULL,
+            stdout=told,
+            stderr=wrong,
+            start_new_session=True,
+        )
+        try:
+            _pin(process.pid, job.cores)
+            code = process.wait(timeout=job.limit_s)
+        except subprocess.TimeoutExpired:
+            return _failed("limit", f"took longer than its limit of {job.limit_s:.0f} s", began)
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+        told.seek(0)
+        wrong.seek(max(0, wrong.seek(0, os.SEEK_END) - TOLD))
+        words_of_child = wrong.read().decode(errors="replace").strip()
+        with contextlib.suppress(ValueError):
+            result = json.loads(told.read().decode(errors="replace").strip().rpartition("\n")[2])
+            return {**result, "seconds": time.monotonic() - began}
+    if code < 0:
+        name = signal.Signals(-code).name
+        return _failed("killed", f"its process died of {name}; most often memory ran out", began)
+    return _failed("crash", words_of_child or f"its process ended with exit code {code}", began)
+
+
+def told(made: Callable[[], dict[str, Any]]) -> tuple[dict[str, Any], int]:
+    """In the child: what to print of a unit, and the exit code."""
+    from synfog_usd.errors import SynfogError
+
+    try:
+        found = made()
+    except SynfogError as error:
+        return {"ok": False, "error": str(error), "kind": type(error).__name__}, error.exit_code
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return {
+        "ok": True,
+        "bytes": sum(size for size, _ in found["files"].values()),
+        "shots": len(found["shots"]),
+        "peak_mb": round(used.ru_maxrss / 1024 if sys.platform == "linux" else used.ru_maxrss / 2**20),
+        "cpu_s": round(used.ru_utime + used.ru_stime, 2),
+    }, 0
+
+
+def _failed(kind: str, error: str, began: float) -> dict[str, Any]:
+    return {"ok": False, "kind": kind, "error": error, "seconds": time.monotonic() - began}
+
+
+def _pin(process: int, cores: int) -> None:
+    """Keep the child of a local worker to its share of the cores; libraries then begin as many threads."""
+    if not cores or not hasattr(os, "sched_setaffinity"):
+        return
+    from distributed import get_worker
+
+    try:
+        place = int(get_worker().name)
+    except (TypeError, ValueError):
+        return
+    mine = sorted(os.sched_getaffinity(0))
+    first = place * cores % len(mine)
+    with contextlib.suppress(OSError):
+        os.sched_setaffinity(process, (mine + mine)[first : first + cores])

@@ -1,0 +1,131 @@
+"""What a set's file may say, and what its mistakes are told as."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+from support.stages import street
+
+from synfog_usd.errors import SynfogError
+from synfog_usd.sets.definition import load_set, make_set, shipped
+from synfog_usd.sets.scenes import scenes
+
+SMALL = """\
+synfog: set/1
+scenes: 4
+recipes: [tunnel]
+fogs: [clear, 600]
+"""
+
+
+def written(folder, text, name="own.yaml"):
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_shipped_set_loads(name):
+    """And its words make the same scenes in Python."""
+    found = load_set(Path(name))
+    again = make_set(found.name, folder=found.folder, **found.words)
+    assert list(scenes(again, range(6))) == list(scenes(found, range(6)))
+    assert again.words == found.words and found.about
+
+
+def test_the_set_of_the_paper_has_its_numbers():
+    """500 scenes in two lightings and four fogs, 450 and 50: 1350 pairs of clear air and fog for training, a lighting."""
+    found = list(scenes(load_set(Path("synfog"))))
+    assert len(found) == 500 and sum(one.shots for one in found) == 4000
+    train = [one for one in found if one.split.name == "train"]
+    assert len(train) == 450 and sum(len(one.fogs) - 1 for one in train) == 1350
+    assert all(one.fogs == ("clear", "mor600", "mor300", "mor150") for one in found)
+    assert all(one.lightings == ("sky", "active") for one in found)
+
+
+def test_a_set_extends_another_section_by_section(tmp_path):
+    written(tmp_path, SMALL + "splits: {train: 3, test: 1}\n", "base.yaml")
+    found = load_set(written(tmp_path, "synfog: set/1\nextends: base.yaml\nscenes: 8\nfogs: [150]\n"))
+    assert found.scenes == 8 and [split.share for split in found.splits] == [Fraction(3), Fraction(1)]
+    assert [one.fogs for one in scenes(found, [0])] == [("mor150",)]
+
+
+def test_paths_start_from_the_file_that_names_them(tmp_path):
+    """Also where that file is extended by one elsewhere, and where its words are used again from another folder."""
+    (tmp_path / "base" / "worlds").mkdir(parents=True)
+    for number in range(3):
+        (tmp_path / "base" / "worlds" / f"{number}.usda").write_text(street())
+    written(tmp_path / "base", "synfog: set/1\nscenes: 3\nstages: [worlds/*.usda]\n")
+    (tmp_path / "other").mkdir()
+    found = load_set(written(tmp_path / "other", "synfog: set/1\nextends: ../base/own.yaml\n"))
+    again = make_set(found.name, folder=found.folder, **found.words)
+    expected = [(tmp_path / "base" / "worlds" / f"{number}.usda").resolve() for number in range(3)]
+    assert [one.stage for one in scenes(found)] == [one.stage for one in scenes(again)] == expected
+
+
+@pytest.mark.parametrize(
+    "text, told",
+    [
+        ("recipes: [tunnel]", r"own.yaml:2:1|own.yaml:1:1: the set has no 'scenes'"),
+        ("scenes: 4", r"own.yaml:1:1: the set has neither 'recipes' nor 'stages'"),
+        ("scenes: 0\nrecipes: [tunnel]", r"own.yaml:2:9: scenes 0 is outside 1 to 1e\+06"),
+        ("scenes: {integer: [1, 5]}\nrecipes: [tunnel]", r"own.yaml:2:9: scenes is .*; it takes one whole number"),
+        ("scenes: 4\nrecipes: [tunel]", r"own.yaml:3:11: recipes has no 'tunel'.* Did you mean 'tunnel'\?"),
+        ("scenes: 4\nrecipes: {tunnel: 0}", r"own.yaml:3:19: recipes: the share of 'tunnel' is 0; it takes"),
+        ("scenes: 4\nrecipes: {tunnel: .nan}", r"own.yaml:3:19: recipes: the share of 'tunnel' is nan"),
+        ("scenes: 4\nstages: ['none/*.usda']", r"own.yaml:3:10: stages: 'none/\*.usda' matches no USD file"),
+        ("scenes: 4\nrecipes: [tunnel]\nfogs: [5]", r"own.yaml:4:8: fogs 5 is outside 10 to 20000"),
+        ("scenes: 4\nrecipes: [tunnel]\nfogs: [clear, '600']", r"own.yaml:4:15: fogs: '600' is no name"),
+        ("scenes: 4\nrecipes: [tunnel]\nlightings: [nigt]", r"own.yaml:4:13: lightings has no 'nigt'"),
+        ("scenes: 4\nrecipes: [tunnel]\ncamera: x", r"own.yaml:4:1: a set has no 'camera'.* Did you mean 'cameras'\?"),
+        ("scenes: 4\nrecipes: [tunnel]\ncameras: [Left]", r"own.yaml:4:11: cameras has 'Left'; it takes prim paths"),
+        ("scenes: 4\nrecipes: [tunnel]\npipelines: [fone]", r"own.yaml:4:13: pipelines has no 'fone'.*phone"),
+        ("scenes: 4\nrecipes: [tunnel]\npipelines: [raw]", r"own.yaml:4:13: pipelines: raw does not take radiance"),
+        (
+            "scenes: 4\nrecipes: [tunnel]\npipelines: [phone, dashcam]",
+            r"own.yaml:4:20: pipelines: the lens of dashcam distorts otherwise than that of phone",
+        ),
+        (
+            "scenes: 4\nrecipes: [tunnel]\nfogs: [300]\npipelines: [phone, noise_free]",
+            r"own.yaml:5:12: pipelines after the first are metered on the clear frame",
+        ),
+        ("scenes: 4\nrecipes: [tunnel]\nsize: [320]", r"own.yaml:4:7: size is \[320\]; it takes \[width, height\]"),
+        ("scenes: 4\nrecipes: [tunnel]\nquality: {samples: 0}", r"own.yaml:4:20: quality.samples: samples 0: outside"),
+        ("scenes: 4\nrecipes: [tunnel]\nquality: {model: pth}", r"own.yaml:4:18: quality.model: .*pth"),
+        ("scenes: 4\nrecipes: [tunnel]\nsplits: {test: {models: [bus]}}", r"own.yaml:4:16: splits: test has no 'share'"),
+        (
+            "scenes: 4\nrecipes: [tunnel]\nsplits: {a: 1, b: {share: 1, models: [bos]}}",
+            r"own.yaml:4:9: splits: b: no model 'bos' ships. Did you mean 'bus'\?",
+        ),
+        (
+            "scenes: 4\nrecipes: [tunnel]\nsplits: {a: 1, b: {share: 1, recipes: [rural]}}",
+            r"own.yaml:4:9: splits: b: no recipe 'rural' in this set",
+        ),
+        (
+            "scenes: 4\nrecipes: [tunnel]\nsplits: {a: 1, b: {share: 1, recipes: [tunnel]}}",
+            r"every recipe and stage is held out of the split 'a'",
+        ),
+        ("scenes: 4\nrecipes: [tunnel]\nchanges: {traffic.cont: 3}", r"traffic has no 'cont'"),
+        ("extends: own.yaml", r"own.yaml:2:10: more than 8 files extend each other"),
+    ],
+)
+def test_a_mistake_is_one_line_with_its_place(tmp_path, text, told):
+    with pytest.raises(SynfogError, match=told) as problem:
+        load_set(written(tmp_path, f"synfog: set/1\n{text}\n"))
+    assert "\n" not in str(problem.value) and problem.value.exit_code == 2
+
+
+def test_python_says_the_same_of_the_same_mistake():
+    with pytest.raises(SynfogError, match=r"^fogs\[1\]: fogs 5 is outside 10 to 20000"):
+        make_set(scenes=4, recipes=["tunnel"], fogs=["clear", 5])
+
+
+def test_a_stage_is_no_two_scenes(tmp_path):
+    """More scenes than stages is refused, counted split by split."""
+    for number in range(4):
+        (tmp_path / f"{number}.usda").write_text(street())
+    text = "synfog: set/1\nscenes: {}\nstages: ['*.usda']\nsplits: {{train: 3, test: 1}}\n"
+    found = list(scenes(load_set(written(tmp_path, text.format(4)))))
+    assert len({one.stage for one in found}) == 4
+    with pytest.raises(SynfogError, match="4 scenes of the split 'train' are to come from .* which has 3 stages"):
+        load_set(written(tmp_path, text.format(5)))
