@@ -136,7 +136,7 @@ def load_set(path: Path) -> SetDefinition:
         SetError, RecipeError: with file, line and column of what is wrong.
     """
     path = _shipped(path)
-    return _Reader(path.stem, path.parent).read(load_file(path, error=SetError))
+    return _SetReader(path.stem, path.parent).read(load_file(path, error=SetError))
 
 
 def make_set(name: str = "set", *, folder: Path = Path(), **words: Any) -> SetDefinition:
@@ -155,7 +155,7 @@ def make_set(name: str = "set", *, folder: Path = Path(), **words: Any) -> SetDe
     ...
     synfog_usd.errors.RecipeError: scenes: scenes 0 is outside 1 to 1e+06
     """
-    return _Reader(name, folder).read(from_python({"synfog": SCHEMA, **words}, name=name))
+    return _SetReader(name, folder).read(from_python({"synfog": SCHEMA, **words}, name=name))
 
 
 def shipped() -> dict[str, Path]:
@@ -167,7 +167,7 @@ def _shipped(path: Path) -> Path:
     return path if path.suffix or path.exists() else shipped().get(str(path), path)
 
 
-class _Reader:
+class _SetReader:
     def __init__(self, name: str, folder: Path) -> None:
         self.name, self.folder = name, folder.resolve()
 
