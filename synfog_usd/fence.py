@@ -52,7 +52,7 @@ class Fence:
         real = Path(
             os.path.realpath(path)
         )  # where resolve() fails on a link to itself, which is a file that is not there
-        if not any(real.is_relative_to(folder) for folder in self.folders):
+        if not any(_inside(real, folder) for folder in self.folders):
             link = f" (a link to {real})" if real != Path(os.path.abspath(path)) else ""  # noqa: PTH100 - without following links
             return (
                 f"{path}{link} lies outside of the stage's folder {self.folders[0]}; copy it there, or allow its "
@@ -66,5 +66,22 @@ class Fence:
         """The folder to allow: what the stage and the file have in common where that is near, as an asset library's
         root is.
         """
-        common = Path(os.path.commonpath([real, self.folders[0]]))
+        try:
+            common = Path(os.path.commonpath([real, self.folders[0]]))
+        except ValueError:  # on another drive
+            return real.parent
         return common if len(self.folders[0].relative_to(common).parts) <= 3 and len(common.parts) > 3 else real.parent
+
+
+def _inside(real: Path, folder: Path) -> bool:
+    """Whether a path lies in a folder or below it, by name or, where case does not count, by the folders themselves."""
+    if real.is_relative_to(folder):
+        return True
+    return any(_same(above, folder) for above in real.parents if above.name.casefold() == folder.name.casefold())
+
+
+def _same(one: Path, other: Path) -> bool:
+    try:
+        return one.samefile(other)
+    except OSError:
+        return False

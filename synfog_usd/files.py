@@ -33,7 +33,7 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.touch()  # libraries that write say less well than the system why they cannot
         write(temporary)
-        with temporary.open("rb") as handle:
+        with temporary.open("r+b") as handle:  # Windows writes through only what may be written
             os.fsync(handle.fileno())
         temporary.replace(path)
     except OSError as error:

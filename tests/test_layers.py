@@ -145,5 +145,5 @@ def test_help_imports_nothing_heavy():
     assert len(loaded) == 7
     ours = {name for name in loaded[-1] if name.split(".")[0] == "synfog_usd"}
     line = {f"synfog_usd.cli.{name}" for name in ("main", "worker", "dataset")}
-    assert ours == {"synfog_usd", "synfog_usd.errors", "synfog_usd.cli"} | line
+    assert ours == {"synfog_usd", "synfog_usd.errors", "synfog_usd.system", "synfog_usd.cli"} | line
     assert not loaded[-1] & {*HEAVY, "numpy", "scipy", "colour", "trimesh", "pymeshlab", "PIL", "yaml", "rich"}

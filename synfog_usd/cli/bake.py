@@ -63,8 +63,4 @@ def _tidy(out: Path, code: int, stage: Path) -> None:
     if code == worker.INTERRUPTED:
         print(f"synfog-usd: stopped. {kept}", file=sys.stderr)
     else:
-        print(
-            f"synfog-usd: {stage}: the process that read and rendered it died of signal {-code}: "
-            f"{worker.cause(code)}. {kept}",
-            file=sys.stderr,
-        )
+        print(f"{worker.crash_line(code, stage, 'read and rendered it')}. {kept}", file=sys.stderr)

@@ -700,10 +700,7 @@ def asset_import(
 def _crash_line(code: int, stage: Path) -> int:
     """The exit code for the user, after a line for a child that died."""
     if code < 0:
-        print(
-            f"synfog-usd: {stage}: the process that read it died of signal {-code}: {worker.cause(code)}",
-            file=sys.stderr,
-        )
+        print(worker.crash_line(code, stage, "read it"), file=sys.stderr)
         return 2
     return code
 

@@ -89,10 +89,7 @@ def _waited_for(plan: BakePlan, watch: bool) -> int:
                 files.remove_leftovers(plan.out)
         if code >= 0:
             return code
-        print(
-            f"synfog-usd: {plan.stage}: the process that drew it died of signal {-code}: {worker.cause(code)}",
-            file=sys.stderr,
-        )
+        print(worker.crash_line(code, plan.stage, "drew it"), file=sys.stderr)
         if not watch:
             return 2
         _next_save(before)

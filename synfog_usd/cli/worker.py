@@ -8,9 +8,7 @@ ends the child at once, and it turns a child's death by signal into a message.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -19,9 +17,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
+from synfog_usd import system
+
 MARK = "SYNFOG_USD_WORKER"
 INTERRUPTED = 130
-PR_SET_PDEATHSIG = 1
 
 READ_CPU_S = 600
 """Processor time for reading and translating a stage; 2 million prims, the most that are composed, take 40 s to
@@ -43,11 +42,8 @@ def is_worker() -> bool:
 
 
 def follow_parent() -> None:
-    """In the child: end when the parent ends, however it ends (Linux; elsewhere the output lock tells)."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != int(os.environ[MARK]):
-            os._exit(INTERRUPTED)
+    """In the child: end when the parent ends, however it ends."""
+    system.follow(int(os.environ[MARK]), INTERRUPTED)
 
 
 @contextlib.contextmanager
@@ -55,57 +51,37 @@ def reading_limits() -> Iterator[None]:
     """In the child, while a stage is read or translated: memory of this machine, and bounded time; as before
     afterwards, because rendering may take long.
 
-    Beyond them the process dies of a signal or raises MemoryError, and the parent says so.
+    Beyond them the process dies or raises MemoryError, and the parent says so.
     """
-    spent = resource.getrusage(resource.RUSAGE_SELF)
-    cpu_s = int(spent.ru_utime + spent.ru_stime) + READ_CPU_S
-    page = resource.getpagesize()
-    memory = os.sysconf("SC_PHYS_PAGES") * page
-    with contextlib.suppress(
-        OSError
-    ):  # address space that is only reserved counts too: some 1.5 GB for libraries and threads' stacks
-        memory += int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * page
-    before = {}
-    for kind, wanted in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CPU, cpu_s), (resource.RLIMIT_CORE, 0)):
-        soft, hard = before[kind] = resource.getrlimit(kind)
-        lower = [limit for limit in (wanted, soft, hard) if limit != resource.RLIM_INFINITY]
-        resource.setrlimit(kind, (min(lower), hard))
-    signal.alarm(READ_WALL_S)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", RuntimeWarning
-            )  # numbers that overflow in numpy: what comes of them is told as notes
-            yield
-    finally:
-        signal.alarm(0)
-        for kind, limits in before.items():
-            resource.setrlimit(kind, limits)
+    with system.limits(cpu_s=READ_CPU_S, wall_s=READ_WALL_S), warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", RuntimeWarning
+        )  # numbers that overflow in numpy: what comes of them is told as notes
+        yield
 
 
-def cause(code: int) -> str:
-    """Why a child died, from minus its signal, in words for the user."""
-    words = {
-        signal.SIGKILL: "it was killed, most often because memory ran out",
-        signal.SIGSEGV: "the USD library could not cope with the file: it is damaged, or too deep",
-        signal.SIGABRT: "it ran out of memory, or a library gave up",
-        signal.SIGBUS: "a file became shorter while it was read",
-        signal.SIGXCPU: f"reading took more than {READ_CPU_S} s of processor time",
-        signal.SIGALRM: f"reading took more than {READ_WALL_S} s",
-    }
-    return words.get(signal.Signals(-code), "it was ended from outside")
+def crash_line(code: int, stage: Path, what: str) -> str:
+    """Why a child died, in one line for the user.
+
+    Args:
+        code: negative, of `run`.
+        stage: what it worked on.
+        what: it did, as 'read it'.
+    """
+    of, why = system.cause(code)
+    return f"synfog-usd: {stage}: the process that {what} died of {of}: {why}"
 
 
 def run(arguments: Sequence[str]) -> int:
     """Run this command line again in a child process.
 
     Returns:
-        its exit code, INTERRUPTED after Ctrl-C or SIGTERM, or minus the signal that it died of.
+        its exit code, INTERRUPTED after Ctrl-C or SIGTERM, or what is negative where it died, see `system.died`.
     """
     child = subprocess.Popen(
         [sys.executable, "-m", "synfog_usd.cli.main", *arguments],
         env={**{name: value for name, value in os.environ.items() if name not in FOREIGN}, MARK: str(os.getpid())},
-        start_new_session=True,  # Ctrl-C reaches the parent alone
+        **system.apart(),
     )
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -113,7 +89,9 @@ def run(arguments: Sequence[str]) -> int:
 
     before = signal.signal(signal.SIGTERM, stop)
     try:
-        return child.wait()
+        while True:  # on Windows Ctrl-C is not heard during a wait without an end
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                return system.died(child.wait(timeout=None if sys.platform != "win32" else 0.2))
     except KeyboardInterrupt:
         return INTERRUPTED
     finally:

@@ -9,22 +9,20 @@ from __future__ import annotations
 
 import concurrent.futures
 import contextlib
-import fcntl
 import functools
 import importlib.metadata
 import json
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd import __version__, files, resources
+from synfog_usd import __version__, files, resources, system
 from synfog_usd.dataset import contact, labels
 from synfog_usd.dataset.forecast import Forecast, kinds
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
-from synfog_usd.errors import OutputError, StageError
+from synfog_usd.errors import StageError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent
 from synfog_usd.seeds import seed32
@@ -118,7 +116,7 @@ def bake(
     metered = bool(camera.exposure_left_open(graph))
     metadata = _metadata(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
 
-    with _only_writer(plan.out):
+    with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
         ledger, renderer = _Ledger(plan.out, metadata, notes), _Renderer()
         if not ledger.labels_done():
@@ -727,21 +725,3 @@ class _Ledger:
             "contact": self.contact,
             "shots": ordered,
         }
-
-
-@contextlib.contextmanager
-def _only_writer(out: Path) -> Iterator[None]:
-    """Hold the output folder for this process; a lock that a killed process cannot leave behind."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        handle = os.open(out, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be used as output folder ({error.strerror})") from error
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise OutputError(f"{out}: another bake is writing here; wait for it or choose another folder") from error
-        yield
-    finally:
-        os.close(handle)

@@ -118,6 +118,13 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
             offered = fog in variants.get("fog", ())
             mor = None if fog is None or offered else _visibility(fog)
             found.append(Shot(lighting or AS_AUTHORED, fog or AS_AUTHORED, lighting, fog if offered else None, mor))
+    folders: dict[str, str] = {}
+    for shot in found:
+        if folders.setdefault(shot.folder.casefold(), shot.folder) != shot.folder:
+            raise ParameterError(
+                f"{plan.stage}: {folders[shot.folder.casefold()]} and {shot.folder} differ by case alone, and on some "
+                f"systems lie in one folder; rename a variant, or bake them apart by --fog and --lighting"
+            )
     return tuple(found)
 
 

@@ -87,6 +87,9 @@ def find_llvm() -> tuple[list[tuple[int, Path]], list[tuple[int, Path]]]:
         found[Path(named)] = _llvm_major(Path(named)) or MIN_LLVM
     for library in _of_package():
         found[library] = _llvm_major(library) or MIN_LLVM
+    official = Path(os.environ.get("PROGRAMFILES", "")) / "LLVM" / "bin" / "LLVM-C.dll"  # Windows; names no version
+    if sys.platform == "win32" and official.is_file():
+        found[official] = MIN_LLVM
     for pattern in LLVM_FOLDERS:
         root, _, rest = pattern.partition("*")
         folders = (
@@ -123,7 +126,8 @@ def _llvm_major(path: Path) -> int | None:
 
 def has_cuda_driver() -> bool:
     """Whether an NVIDIA driver is installed; a device is proved later."""
-    return ctypes.util.find_library("cuda") is not None or Path("/usr/lib/x86_64-linux-gnu/libcuda.so.1").exists()
+    name = "nvcuda" if sys.platform == "win32" else "cuda"
+    return ctypes.util.find_library(name) is not None or Path("/usr/lib/x86_64-linux-gnu/libcuda.so.1").exists()
 
 
 def _prove(variant: str, llvm_library: str = "") -> str:

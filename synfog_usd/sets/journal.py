@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import socket
@@ -15,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from synfog_usd import files
+from synfog_usd import files, system
 from synfog_usd.errors import OutputError, SetError
 from synfog_usd.sets import layout
 from synfog_usd.sets.definition import SetDefinition, make_set
@@ -116,15 +115,16 @@ def held(out: Path) -> Iterator[None]:
         raise OutputError(f"{out}: cannot be used as folder of a set ({error.strerror})") from error
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            system.lock(handle)
         except OSError as error:
-            holder = os.pread(handle, 200, 0).decode(errors="replace").strip()
+            holder = path.read_bytes()[:200].decode(errors="replace").strip()
             raise SetError(
                 f"{out}: another run works here ({holder or 'just begun'}); wait for it, or look with "
                 f"synfog-usd dataset status {out}"
             ) from error
         os.ftruncate(handle, 0)
-        os.pwrite(handle, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
+        os.lseek(handle, 0, os.SEEK_SET)
+        os.write(handle, f"process {os.getpid()} on {socket.gethostname()}".encode())
         yield
     finally:
         os.close(handle)
@@ -137,7 +137,7 @@ def under_way(out: Path) -> bool:
     except OSError:
         return False
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        system.lock(handle)
         return False
     except OSError:
         return True

@@ -7,7 +7,6 @@ finished, without it the same call goes on where the last one stopped.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import shutil
@@ -16,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from synfog_usd import files, resources
+from synfog_usd import files, resources, system
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.errors import OutputError, SetError
 from synfog_usd.progress import Progress, silent
@@ -147,7 +146,7 @@ def _alone(out: Path, unit: Unit) -> Iterator[None]:
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
+        system.lock(handle, wait=True)
         yield
     finally:
         os.close(handle)

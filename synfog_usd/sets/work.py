@@ -9,8 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import resource
-import signal
 import subprocess
 import sys
 import tempfile
@@ -20,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from synfog_usd import system
 from synfog_usd.sets.scenes import Unit
 
 TOLD = 2000
@@ -81,11 +80,11 @@ def do(job: Job, child: Child) -> dict[str, Any]:
             stdin=subprocess.DEVNULL,
             stdout=told,
             stderr=wrong,
-            start_new_session=True,
+            **system.apart(),
         )
         try:
             _pin(process.pid, job.cores)
-            code = process.wait(timeout=job.limit_s)
+            code = system.died(process.wait(timeout=job.limit_s))
         except subprocess.TimeoutExpired:
             return _failed("limit", f"took longer than its limit of {job.limit_s:.0f} s", began)
         finally:
@@ -99,8 +98,7 @@ def do(job: Job, child: Child) -> dict[str, Any]:
             result = json.loads(told.read().decode(errors="replace").strip().rpartition("\n")[2])
             return {**result, "seconds": time.monotonic() - began}
     if code < 0:
-        name = signal.Signals(-code).name
-        return _failed("killed", f"its process died of {name}; most often memory ran out", began)
+        return _failed("killed", f"its process died of {system.cause(code)[0]}; most often memory ran out", began)
     return _failed("crash", words_of_child or f"its process ended with exit code {code}", began)
 
 
@@ -112,13 +110,13 @@ def told(made: Callable[[], dict[str, Any]]) -> tuple[dict[str, Any], int]:
         found = made()
     except SynfogError as error:
         return {"ok": False, "error": str(error), "kind": type(error).__name__}, error.exit_code
-    used = resource.getrusage(resource.RUSAGE_SELF)
+    cpu_s, peak_mb = system.used()
     return {
         "ok": True,
         "bytes": sum(size for size, _ in found["files"].values()),
         "shots": len(found["shots"]),
-        "peak_mb": round(used.ru_maxrss / 1024 if sys.platform == "linux" else used.ru_maxrss / 2**20),
-        "cpu_s": round(used.ru_utime + used.ru_stime, 2),
+        "peak_mb": round(peak_mb),
+        "cpu_s": round(cpu_s, 2),
     }, 0
 
 

@@ -11,7 +11,7 @@ import hashlib
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Concatenate, ParamSpec, TypeVar, cast
 
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
@@ -228,7 +228,9 @@ def _check_expressions(stage: Usd.Stage, fence: Fence) -> None:
                 value = attribute.Get(time)
                 for asset in [value] if isinstance(value, Sdf.AssetPath) else value or ():
                     tiles = "<UDIM>" in asset.evaluatedPath and (
-                        asset.evaluatedPath.startswith("/") or ".." in asset.evaluatedPath
+                        PurePosixPath(asset.evaluatedPath).is_absolute()
+                        or PureWindowsPath(asset.evaluatedPath).drive
+                        or ".." in asset.evaluatedPath
                     )
                     found = (
                         str(_package(asset.resolvedPath))
@@ -275,7 +277,7 @@ MISSING = "is missing; drawn without it"
 def composition_notes(stage: Usd.Stage) -> list[Note]:
     """What USD could not put together, layers that are missing first; files as they lie relative to the stage's own."""
     notes = []
-    folder = str(Path(_name(stage)).parent)
+    folder = Path(_name(stage)).parent.as_posix()
     for error in stage.GetCompositionErrors():
         site = str(error.rootSite)
         path = site[site.rfind("<") + 1 : -1] if site.endswith(">") else ""

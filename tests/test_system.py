@@ -1,0 +1,199 @@
+"""What differs between systems: the package without what Windows has not, and paths as it writes them.
+
+A child hides `fcntl`, `resource`, `termios` and the signals and functions of `os` that Windows lacks.  Its `msvcrt` is
+one of our own that locks as the documentation of `msvcrt.locking` says, so that this way is walked; Windows itself is
+not asked here.
+"""
+
+import ntpath
+import os
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path, PureWindowsPath
+
+import pytest
+from support.stages import street
+
+from synfog_usd import fence, system
+from synfog_usd.dataset.plan import BakePlan, shots
+from synfog_usd.errors import OutputError, ParameterError
+
+HIDDEN = """
+    import errno, fcntl, os, signal, subprocess, sys, threading, types
+    import tempfile, shutil, multiprocessing, concurrent.futures, ctypes, platform  # these ask the same
+
+    held = fcntl
+    msvcrt = types.ModuleType("msvcrt")
+    msvcrt.LK_NBLCK = 2
+
+    def locking(handle, mode, count):
+        assert mode == 2 and count == 1
+        held.lockf(handle, held.LOCK_EX | held.LOCK_NB, count)
+
+    msvcrt.locking = locking
+    sys.modules["msvcrt"] = msvcrt
+    for name in ("fcntl", "resource", "termios", "tty", "pty", "grp", "pwd"):
+        sys.modules[name] = None
+    for name in ("SIGALRM", "SIGKILL", "SIGXCPU", "SIGBUS", "alarm", "setitimer"):
+        delattr(signal, name)
+    for name in ("O_DIRECTORY", "sysconf", "getuid", "fork", "getpgid", "killpg", "setsid"):
+        delattr(os, name)
+"""
+
+
+def child(code, *arguments):
+    """A program in such a Python, to its end."""
+    text = textwrap.dedent(HIDDEN) + textwrap.dedent(code)
+    return subprocess.run(
+        [sys.executable, "-c", text, *map(str, arguments)], capture_output=True, text=True, timeout=120
+    )
+
+
+def test_every_module_is_imported_without_what_windows_has_not():
+    """All modules of the package; none asks for fcntl and the like before it is called."""
+    done = child(
+        """
+        import importlib, pkgutil, synfog_usd
+        names = [one.name for one in pkgutil.walk_packages(synfog_usd.__path__, "synfog_usd.")]
+        for name in names:
+            importlib.import_module(name)
+        print(len(names))
+        """
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 150
+
+
+def test_a_stage_is_checked_and_a_folder_held_without_them(tmp_path):
+    """Opening, limits, translation, findings, terminal and the output folder's lock; a second writer is refused, and
+    nothing is left behind.
+    """
+    path, out = tmp_path / "street.usda", tmp_path / "out"
+    path.write_text(street(lamp=True), encoding="utf-8")
+    done = child(
+        """
+        from pathlib import Path
+        from synfog_usd import system
+        from synfog_usd.cli import check, terminal, worker
+        from synfog_usd.errors import OutputError
+
+        stage, out = map(Path, sys.argv[1:])
+        with worker.reading_limits():
+            found, notes, light = check.look(stage)
+        assert light and not [one for one in found if one.severity == "error"]
+        assert terminal.kind() == "none"
+        with system.only_writer(out):
+            # a lock of lockf is a process's: another one must be refused
+            code = "import fcntl, sys; fcntl.lockf(open(sys.argv[1], 'r+b'), fcntl.LOCK_EX | fcntl.LOCK_NB, 1)"
+            other = subprocess.run([sys.executable, "-c", code, out / system.LOCK], capture_output=True, text=True)
+            assert other.returncode == 1 and "BlockingIOError" in other.stderr
+        assert list(out.iterdir()) == []
+        print("done")
+        """,
+        path,
+        out,
+    )
+    assert done.stdout == "done\n", done.stderr
+
+
+@pytest.mark.slow
+def test_a_bake_goes_through_without_them(tmp_path):
+    """One shot to its last file, by the function that the command line calls."""
+    path, out = tmp_path / "street.usda", tmp_path / "out"
+    path.write_text(street(lamp=True), encoding="utf-8")
+    done = child(
+        """
+        from pathlib import Path
+        from synfog_usd.cli import worker
+        from synfog_usd.dataset import bake, plan
+
+        choice = dict(size=(32, 18), samples=2, fog=("mor150",), lighting=("sky",))
+        bake.bake(plan.BakePlan(Path(sys.argv[1]), Path(sys.argv[2]), **choice), reading=worker.reading_limits)
+        """,
+        path,
+        out,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (out / "sky" / "mor150" / "srgb.png").is_file() and not (out / system.LOCK).exists()
+
+
+@pytest.mark.parametrize("what, code", [("cpu_s", system.OVER_CPU), ("wall_s", system.OVER_WALL)])
+def test_without_signals_a_thread_ends_what_takes_too_long(what, code):
+    """A loop that ends never is ended by its limit of processor or of wall time, and by no other."""
+    done = child(
+        f"""
+        from synfog_usd import system
+        with system.limits(**{{"cpu_s": 60.0, "wall_s": 60.0, "{what}": 0.2}}):
+            while True:
+                pass
+        """
+    )
+    assert done.returncode == code & 0xFF  # of which Linux keeps eight bits, and Windows all
+
+
+def test_limits_leave_nothing_behind():
+    """A second after the limits are left, the process still lives, with and without signals."""
+    code = "import time; from synfog_usd import system\nwith system.limits(cpu_s=600, wall_s=1): pass\ntime.sleep(1.2)"
+    assert child(code.replace("wall_s=1", "wall_s=0.3")).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_a_child_sees_that_its_parent_is_gone(monkeypatch):
+    """macOS's way: the number of the parent is another one."""
+    parents = [7, 7, 1]
+    monkeypatch.setattr(os, "getppid", lambda: parents.pop(0))
+    monkeypatch.setattr(system, "LOOK_EVERY_S", 0.01)
+    began = time.monotonic()
+    system._looks_for(7)
+    assert not parents and time.monotonic() > began
+
+
+def test_codes_of_windows_are_told_as_causes():
+    """An access violation as `subprocess` gives it there is a death with a cause; 2 and 130 are exit codes."""
+    assert [system.died(code) for code in (0, 2, 130, -11)] == [0, 2, 130, -11]
+    assert system.died(0xC0000005) < 0
+    assert system.cause(system.died(0xC0000005)) == ("status 0xC0000005", system.cause(-11)[1])
+    assert "processor time" in system.cause(system.OVER_CPU)[1] == system.cause(-24)[1]
+    assert system.died(system.OVER_WALL & 0xFFFFFFFF) == system.OVER_WALL
+
+
+def test_a_folder_is_held_once(tmp_path):
+    """Here and in another process; free again afterwards."""
+    code = (
+        "import sys, pathlib; from synfog_usd import system; system.only_writer(pathlib.Path(sys.argv[1])).__enter__()"
+    )
+    with system.only_writer(tmp_path):
+        with pytest.raises(OutputError, match="another bake"), system.only_writer(tmp_path):
+            pass
+        other = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True)
+        assert "another bake" in other.stderr
+    with system.only_writer(tmp_path):
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_on_another_drive_is_refused_in_one_line(monkeypatch):
+    """By the functions that `os.path` has on Windows: no folder is common to C: and D:."""
+    monkeypatch.setattr(fence.os.path, "commonpath", ntpath.commonpath)
+    inside = fence.Fence((PureWindowsPath("C:/stages/town"),))
+    assert inside._shared(PureWindowsPath("D:/textures/wall.png")) == PureWindowsPath("D:/textures")
+    assert fence._inside(PureWindowsPath("c:/STAGES/Town/wall.png"), PureWindowsPath("C:/stages/town"))
+    assert not fence._inside(PureWindowsPath("C:/stages/townhall/wall.png"), PureWindowsPath("C:/stages/town"))
+
+
+def test_a_folder_by_another_name_is_the_same_folder(tmp_path):
+    """Where case does not count, two spellings are one folder; here a link stands for the other spelling."""
+    (tmp_path / "Town").mkdir()
+    (tmp_path / "town").symlink_to(tmp_path / "Town")
+    (tmp_path / "Town" / "wall.png").touch()
+    assert fence._inside(tmp_path / "town" / "wall.png", tmp_path / "Town")
+    assert not fence._inside(tmp_path / "elsewhere" / "town" / "wall.png", tmp_path / "Town")
+
+
+def test_variants_that_differ_by_case_alone_are_refused():
+    """They would lie in one folder; one of them alone is baked."""
+    plan = BakePlan(Path("street.usda"), Path("out"))
+    with pytest.raises(ParameterError, match=r"authored/Dense and authored/dense differ by case"):
+        shots(plan, {"fog": ["Dense", "dense"]})
+    assert len(shots(BakePlan(Path("a.usda"), Path("out"), fog=("dense",)), {"fog": ["Dense", "dense"]})) == 1
