@@ -34,7 +34,7 @@ class Camera:
             exposure of the middle row.
         width_px, height_px: image size.
         fov_x_deg: full horizontal angle of view [deg] of the whole image.
-        shift: (x, y) offset of the optical axis from the image centre in image
+        shift: (x, y) offset of the image's centre from the optical axis in image
             widths and heights, + right and + up (USD's aperture offset / aperture).
         near_m: authored near plane [m]; what lies before it is not drawn.
         focal_length_m: authored focal length [m].
@@ -64,6 +64,11 @@ class Camera:
     rolling: float = 0.0
 
     @property
+    def axis_shift(self) -> tuple[float, float]:
+        """Offset of the optical axis from the image's centre, as the camera's ops take it: right and up."""
+        return 0.0 - self.shift[0], 0.0 - self.shift[1]
+
+    @property
     def moves(self) -> bool:
         """Whether it is elsewhere, or looks elsewhere, at the end of its exposure."""
         return any(self.drift_m) or any(self.turn_rad)
@@ -77,11 +82,15 @@ class Instance:
         id: instance id, >= 1; 0 is none.
         path: prim path (of the instance, with [n] behind a point instancer's).
         label: Cityscapes name, or 'unlabeled'.
+        frame: (4, 4) float64 from the prim's own axes to the scene's; may scale and mirror.
+        velocity_m_s: (3,) of the prim's origin in the scene's axes [m/s], or None where the stage tells none.
     """
 
     id: int
     path: str
     label: str
+    frame: Array = field(default_factory=lambda: np.eye(4), compare=False, repr=False)
+    velocity_m_s: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)

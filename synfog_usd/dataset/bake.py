@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd import __version__, files, resources, system
-from synfog_usd.dataset import contact, labels
+from synfog_usd.dataset import contact, labels, objects, visibility
 from synfog_usd.dataset.forecast import Forecast, kinds
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
 from synfog_usd.errors import StageError
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from synfog_usd.camera.distortion import Pinhole
+    from synfog_usd.cull import Hidden
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.render.shot import Rendered
@@ -123,9 +124,9 @@ def bake(
             progress("labels", 0.0)
             with reading():
                 first = scenes.of(todo[0])
-            ledger.add_labels(
-                _write_labels(aovs.measure(renderer.within(replace(first, fog=()))), first, plan, graph, scenes.taken)
-            )
+            loaded = renderer.within(replace(first, fog=()))
+            pierced = aovs.pierced(loaded)
+            ledger.add_labels(_write_labels(aovs.measure(loaded), first, plan, graph, scenes.taken, pierced))
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
         if kept:
@@ -138,7 +139,8 @@ def bake(
             row = _finish(made, graph, plan)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
-            for line in (*([made.hidden] if made.hidden else []), *row["warnings"]):
+            told = made.hidden.sentence(made.scene)
+            for line in (*([told] if told else []), *row["warnings"]):
                 log(f"{shot.folder}: {line}")
 
         with _Behind() as behind:  # a shot is developed and written while the next is rendered
@@ -224,13 +226,7 @@ class _Scenes:
         self.taken = _pinhole(scene.camera)
         return replace(
             scene,
-            camera=replace(
-                scene.camera,
-                height_px=wider.height_px,
-                width_px=wider.width_px,
-                fov_x_deg=wider.fov_x_deg,
-                shift=wider.shift,
-            ),
+            camera=replace(scene.camera, **_size_of(wider)),
         )
 
     def survey(self, todo: Sequence[Shot]) -> tuple[tuple[Note, ...], bool]:
@@ -252,10 +248,20 @@ class _Scenes:
         return tuple(notes), foggy
 
 
+def _size_of(taken: Pinhole) -> dict[str, Any]:
+    """What of a camera a pinhole says."""
+    return {
+        "height_px": taken.height_px,
+        "width_px": taken.width_px,
+        "fov_x_deg": taken.fov_x_deg,
+        "shift": (0.0 - taken.shift[0], 0.0 - taken.shift[1]),
+    }
+
+
 def _pinhole(view: Camera) -> Pinhole:
     from synfog_usd.camera.distortion import Pinhole
 
-    return Pinhole(view.height_px, view.width_px, view.fov_x_deg, view.shift)
+    return Pinhole(view.height_px, view.width_px, view.fov_x_deg, view.axis_shift)
 
 
 class _Renderer:
@@ -311,13 +317,7 @@ class _View:
     @property
     def noise(self) -> Callable[[np.ndarray], np.ndarray] | None:
         """Luminance -> standard deviation of what a pixel reads [cd m-2]."""
-        from synfog_usd import camera
-
-        return (
-            functools.partial(camera.noise_floor, electrons_per_cd_m2=self.pixel[0], dark_noise_e=self.pixel[1])
-            if self.pixel
-            else None
-        )
+        return _noise(self.pixel) if self.pixel else None
 
 
 def _loaded(scene: SceneDict, renderer: _Renderer, model: str) -> MitsubaScene:
@@ -377,8 +377,8 @@ class _Shot:
     Attributes:
         shot, scene, view, taken, rendered: what it is of, how it was exposed, what the sensor takes of it, and what
             came of it.
-        behind_fog, instances: what the manifest and `instances.json` tell of what the fog hides.
-        hidden: the same for a user, or ''.
+        noise: luminance -> standard deviation of what a pixel of it reads [cd m-2], or None.
+        hidden: what the fog hides.
     """
 
     shot: Shot
@@ -386,9 +386,8 @@ class _Shot:
     view: _View | None
     taken: Pinhole | None
     rendered: Rendered
-    behind_fog: dict[str, Any]
-    instances: dict[str, Any]
-    hidden: str
+    noise: Callable[[np.ndarray], np.ndarray] | None
+    hidden: Hidden
 
 
 class _Behind:
@@ -464,16 +463,7 @@ def _render(
         clear=view.seen if view and (hidden.triangles or same) else None,
         progress=lambda what, fraction: progress(what, 0.02 + 0.98 * fraction),
     )
-    return _Shot(
-        shot,
-        scene,
-        view,
-        taken,
-        rendered,
-        hidden.metadata(scene),
-        labels.instance_list(hidden, scene),
-        hidden.sentence(scene),
-    )
+    return _Shot(shot, scene, view, taken, rendered, floor, hidden)
 
 
 def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
@@ -507,7 +497,7 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
     if rendered.error is not None:
         found.append(Image(rendered.error[:, :, None], ("error.Y",), Quantity.DATA))
     writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
-    files.write_json(folder / "instances.json", made.instances)
+    files.write_json(folder / "instances.json", labels.instance_list(made.hidden, scene, _left(made, graph)))
     names = ["radiance.exr", "layers.exr", "instances.json"]
     exposure = view.exposure if view else None
     seed = seed32(plan.seed, shot.lighting, shot.fog)
@@ -545,10 +535,34 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
         }
         if exposure
         else None,
-        "behind_fog": made.behind_fog,
+        "behind_fog": made.hidden.metadata(scene),
         "warnings": [*rendered.warnings, *([why] if (why := _why_black(radiance, scene)) else [])],
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
     }
+
+
+def _left(made: _Shot, graph: Any) -> dict[int, dict[str, Any]]:
+    """What the fog leaves of each instance that is seen, by label id."""
+    from synfog_usd import camera, photometry
+
+    radiance, seen, noise = made.rendered.radiance, made.rendered.aovs, made.noise
+    luminance = photometry.luminance(radiance)
+    if noise is None and made.view is None and (luminance > 0.0).any():  # the graph says itself how it exposes
+        exposure = camera.Exposure(1.0, 1.0, float(luminance.mean()))
+        pixel = camera.sensitivity(radiance, graph, exposure)
+        if pixel:
+            density = _pinhole(made.scene.camera).focal_px / made.taken.focal_px if made.taken else 1.0
+            noise = _shared(_noise(pixel), density)
+    surface = made.rendered.components.get("surface")
+    unscattered = None if surface is None else photometry.luminance(radiance.with_pixels(surface))
+    return visibility.rows(seen.instance_id, seen.transmittance, luminance, unscattered, noise)
+
+
+def _noise(pixel: tuple[float, float]) -> Callable[[np.ndarray], np.ndarray]:
+    """Luminance -> standard deviation of what a pixel reads [cd m-2], by what `camera.sensitivity` gives."""
+    from synfog_usd import camera
+
+    return functools.partial(camera.noise_floor, electrons_per_cd_m2=pixel[0], dark_noise_e=pixel[1])
 
 
 def _shared(noise: Callable[[np.ndarray], np.ndarray], density: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -593,19 +607,28 @@ def _target(plan: BakePlan, pixel: tuple[float, float] | None, rendered: Rendere
 
 
 def _write_labels(
-    seen: Aovs, scene: SceneDict, plan: BakePlan, graph: Any = None, taken: Pinhole | None = None
+    seen: Aovs,
+    scene: SceneDict,
+    plan: BakePlan,
+    graph: Any = None,
+    taken: Pinhole | None = None,
+    pierced: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> dict[str, str]:
     """Write what is seen where in clear air, bent as the graph's lens bends the picture; radiance.exr and layers.exr
     stay those of a pinhole.
+
+    `pierced` tells what stands behind, see `aovs.pierced`.
     """
     from synfog_usd import writers
     from synfog_usd.camera import distortion
 
-    metadata = {}
+    metadata: dict[str, Any] = {}
+    nearest = None
     bent = graph and distortion.of_graph(graph, _pinhole(scene.camera), taken)
     if bent:
         node, warp = bent
-        seen = labels.warped(seen, warp.nearest())
+        nearest = warp.nearest()
+        seen = labels.warped(seen, nearest)
         metadata = {
             "warped": f"distortion of node {node!r}; radiance.exr and layers.exr are not",
             "camera_matrix_px": warp.camera_matrix(),
@@ -616,7 +639,19 @@ def _write_labels(
         name: str(value) for name, value in image.provenance.items() if name.startswith("cryptomatte/")
     }  # where Cryptomatte's readers look
     writers.write_exr(plan.out / "labels.exr", image.with_metadata(**metadata), attributes=header)
-    files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.instances) | metadata)
+    more = {}
+    if pierced is not None:
+        view = objects.View.of(scene.camera if taken is None else replace(scene.camera, **_size_of(taken)))
+        more = objects.rows(scene, pierced, view, nearest)
+        eye = view.metadata(scene.origin_m)
+        if bent:
+            eye |= {
+                "model": "opencv",
+                "camera_matrix_px": metadata["camera_matrix_px"],
+                "distortion_coefficients": metadata["distortion_coefficients"],
+            }
+        metadata = {"camera": eye} | metadata
+    files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.instances, more) | metadata)
     return {name: files.sha256_of(plan.out / name) for name in ("labels.exr", "labels.json")}
 
 

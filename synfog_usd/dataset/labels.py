@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import find_objects
 
 from synfog_usd import cityscapes
 from synfog_usd.cull import Hidden
+from synfog_usd.dataset import visibility
 from synfog_usd.image import Image, Quantity
 from synfog_usd.render.film.aovs import Aovs
 from synfog_usd.scene import Instance, SceneDict
@@ -84,12 +87,20 @@ def label_image(aovs: Aovs, instances: tuple[Instance, ...]) -> Image:
     return Image(np.stack(planes, axis=2).astype(np.float32), CHANNELS, Quantity.DATA, provenance=metadata)
 
 
-def label_list(aovs: Aovs, instances: tuple[Instance, ...]) -> dict[str, Any]:
+def label_list(
+    aovs: Aovs, instances: tuple[Instance, ...], whole: Mapping[int, Mapping[str, Any]] | None = None
+) -> dict[str, Any]:
     """What labels.json holds: every instance, and where it is seen.
 
     `box_px` is [x, y, width, height] of its visible pixels; `distance_m` is that of
-    its nearest visible one.
+    its nearest visible one.  `visible_share` is that of the pixels that it would have alone.
+
+    Args:
+        aovs: what each pixel sees.
+        instances: of the scene.
+        whole: label id -> what is known of an instance besides, see `objects.rows`.
     """
+    boxes = find_objects(aovs.instance_id)
     rows = []
     for instance in instances:
         kind = cityscapes.label(instance.label)
@@ -100,22 +111,33 @@ def label_list(aovs: Aovs, instances: tuple[Instance, ...]) -> dict[str, Any]:
             "semantic_id": kind.id,
             "train_id": kind.train_id,
         }
-        seen = aovs.instance_id == instance.id
-        row["pixels"] = int(seen.sum())
-        if row["pixels"]:
-            y, x = np.nonzero(seen)
-            row["box_px"] = [int(x.min()), int(y.min()), int(np.ptp(x)) + 1, int(np.ptp(y)) + 1]
-            row["distance_m"] = round(float(aovs.distance_m[seen].min()), 3)
-        rows.append(row)
-    return {"schema": "synfog-usd/labels", "version": 1, "taxonomy": "cityscapes", "instances": rows}
+        window = boxes[instance.id - 1] if instance.id <= len(boxes) else None
+        row["pixels"] = 0
+        if window is not None:
+            seen = aovs.instance_id[window] == instance.id
+            row["pixels"] = int(seen.sum())
+            row["box_px"] = [window[1].start, window[0].start, seen.shape[1], seen.shape[0]]
+            row["distance_m"] = round(float(aovs.distance_m[window][seen].min()), 3)
+        more = (whole or {}).get(instance.id, {})
+        if more.get("amodal_pixels"):
+            row["visible_share"] = round(min(1.0, row["pixels"] / more["amodal_pixels"]), 4)
+        rows.append(row | more)
+    return {"schema": "synfog-usd/labels", "version": 2, "taxonomy": "cityscapes", "instances": rows}
 
 
-def instance_list(hidden: Hidden, scene: SceneDict) -> dict[str, Any]:
+def instance_list(
+    hidden: Hidden, scene: SceneDict, seen: Mapping[int, Mapping[str, Any]] | None = None
+) -> dict[str, Any]:
     """What instances.json holds: how much fog stands before every instance of one shot, and whether the picture has it
     whole.
 
     `transmittance` is the largest over the boxes of its parts, null where the fog has no closed form; `drawn` is
     'whole', 'simplified' or 'left out'.  Labels have every instance either way.
+
+    Args:
+        hidden: what lies behind the fog.
+        scene: of the shot.
+        seen: label id -> what the fog leaves of an instance, see `visibility.rows`.
     """
     found = hidden.instances(scene)
     rows = []
@@ -127,9 +149,15 @@ def instance_list(hidden: Hidden, scene: SceneDict) -> dict[str, Any]:
                 "path": instance.path,
                 "transmittance": None if clear is None else float(f"{clear:.4g}"),
                 "drawn": drawn,
+                **(seen or {}).get(instance.id, {}),
             }
         )
-    return {"schema": "synfog-usd/instances", "version": 1, "instances": rows}
+    return {
+        "schema": "synfog-usd/instances",
+        "version": 2,
+        "thresholds": visibility.thresholds(),
+        "instances": rows,
+    }
 
 
 def _murmur(text: str) -> int:

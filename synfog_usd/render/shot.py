@@ -246,8 +246,8 @@ def render(
         variance=variance,
         provenance={
             "fov_x_deg": camera.fov_x_deg,
-            "shift_x": camera.shift[0],
-            "shift_y": camera.shift[1],
+            "shift_x": camera.axis_shift[0],
+            "shift_y": camera.axis_shift[1],
             "model": model,
             "samples": samples,
             "seed": seed,

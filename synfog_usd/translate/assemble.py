@@ -32,6 +32,7 @@ from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group, group_by_label
 from synfog_usd.translate.material import Materials
+from synfog_usd.translate.pose import Poser
 from synfog_usd.translate.shapes import Shapes
 from synfog_usd.translate.skel import has_skeletons, posed
 from synfog_usd.translate.space import Space, stage_space
@@ -277,6 +278,7 @@ class _Assembler:
         self.domes: list[light.Dome] = []
         self.fog: list[FogVolume] = []
         self.instances: list[Instance] = []
+        self.poser = Poser(stage, space, time)
         self.instance_of: dict[tuple[str, ...], int] = {}
         self.instance_ids: dict[str, int] = {}
         self.group_of: dict[str, str] = {}
@@ -540,18 +542,19 @@ class _Assembler:
         """Label id of a leaf; a new one where its owner was not met before."""
         if placement is None:
             owner = leaf.owner or Owner(leaf.model or leaf.path, UNLABELED)
-            return self.instance_id(owner.path, owner.label)
+            return self.instance_id(owner.path, owner.label, placement)
         root = self.roots[placement.group]
         if leaf.owner is not None:
-            return self.instance_id(placement.path + leaf.owner.path.removeprefix(root), leaf.owner.label)
+            return self.instance_id(placement.path + leaf.owner.path.removeprefix(root), leaf.owner.label, placement)
         if placement.owner is not None:
-            return self.instance_id(placement.owner.path, placement.owner.label)
+            return self.instance_id(placement.owner.path, placement.owner.label, placement)
         path = placement.model if leaf.model is None else placement.path + leaf.model.removeprefix(root)
-        return self.instance_id(path, UNLABELED)
+        return self.instance_id(path, UNLABELED, placement)
 
-    def instance_id(self, path: str, label: str) -> int:
+    def instance_id(self, path: str, label: str, placement: GroupInstance | None) -> int:
         if path not in self.instance_ids:
-            self.instances.append(Instance(len(self.instances) + 1, path, label))
+            frame, velocity = self.poser.pose(path, None if placement is None else placement.matrix)
+            self.instances.append(Instance(len(self.instances) + 1, path, label, frame, velocity))
             self.instance_ids[path] = len(self.instances)
         return self.instance_ids[path]
 

@@ -64,6 +64,24 @@ def test_every_lighting_and_fog_has_its_files(unbroken):
     assert set(printed["seconds"]) == set(SHOTS) and all(value > 0 for value in printed["seconds"].values())
 
 
+def test_labels_tell_of_the_whole_wall_and_of_what_the_fog_leaves_of_it(unbroken):
+    """The only instance, a wall: its camera, place and outline, and per fog a transmittance that falls from 1."""
+    out, _ = unbroken
+    listed = json.loads((out / "labels.json").read_text())
+    (wall,) = [row for row in listed["instances"] if row["label"] == "wall"]
+    assert listed["camera"]["size_px"] == [64, 36] and listed["camera"]["distortion_coefficients"] == []
+    assert wall["visible_share"] > 0.99 and wall["amodal_box_px"] == wall["box_px"] and 0 <= wall["truncation"] < 1
+    assert wall["pose"]["camera_m"][2] > 0.0
+    left = []
+    for fog in ("clear", "mor600", "mor150"):
+        told = json.loads((out / "sky" / fog / "instances.json").read_text())
+        (row,) = [row for row in told["instances"] if row["id"] == wall["id"]]
+        assert row["transmittance"] >= 0.999 * row["mean_transmittance"]
+        left.append(row["mean_transmittance"])
+        assert row["visibility"] in (None, *told["thresholds"])
+    assert left[0] == 1.0 > left[1] > left[2] > 0.0
+
+
 def test_exposure_is_locked_to_the_clear_frame(unbroken):
     """All fogs of a lighting share one exposure; the dim lighting has a longer or more sensitive one."""
     out, _ = unbroken

@@ -21,6 +21,9 @@ from synfog_usd.render.load import MitsubaScene, camera_fog
 
 MAX_CROSSINGS = 256
 
+MAX_PIERCED = 1024
+"""Surfaces that a ray goes through when all instances on its way are asked for."""
+
 NUDGE = (1.3e-5, -0.7e-5, 0.9e-5)
 """Change of direction [1] that takes a ray off an edge; 1 mm at 60 m."""
 
@@ -130,6 +133,40 @@ def measure(loaded: MitsubaScene) -> Aovs:
         instance.reshape(shape),
         np.exp(-tau).reshape(shape),
     )
+
+
+def pierced(loaded: MitsubaScene, *, batch: int = 1 << 18) -> tuple[Indices, Indices]:
+    """Every instance that the ray through each pixel's centre meets, whatever stands in front of it.
+
+    The rays of `measure` go on behind each surface until they leave the scene, or after `MAX_PIERCED` surfaces.  So one
+    pass gives the amodal masks of all instances.
+
+    Args:
+        loaded: the scene.
+        batch: rays that are followed at once; memory goes with it, the result does not.
+
+    Returns:
+        instance ids and pixels (row by row from the top left), both (M,), sorted by id, then by pixel; each pair once.
+    """
+    camera = loaded.source.camera
+    count = camera.width_px * camera.height_px
+    tracer = _Tracer(loaded)
+    all_origins, directions = tracer.centre_rays(camera.width_px, camera.height_px)
+    found = []
+    for first in range(0, count, batch):
+        pixels = np.arange(first, min(first + batch, count))
+        origin = all_origins[pixels]
+        codes = [np.zeros(0, dtype=np.int64)]
+        for _ in range(MAX_PIERCED):
+            hits = tracer.trace(origin, directions[pixels])
+            met = hits.valid & (hits.fog < 0) & (hits.see_through < 0.5) & (hits.instance_id > 0)
+            codes.append(hits.instance_id[met] * count + pixels[met])
+            pixels, origin = pixels[hits.valid], hits.onward[hits.valid]
+            if not pixels.size:
+                break
+        found.append(np.unique(np.concatenate(codes)))
+    ids, pixels = np.divmod(np.sort(np.concatenate(found)), count)
+    return ids, pixels
 
 
 def centre_rays(loaded: MitsubaScene) -> tuple[Array, Array]:

@@ -1,0 +1,279 @@
+"""What is known of each instance besides its visible pixels: its whole outline, its box in space, its pose.
+
+Takes a scene and what the rays through its pixels' centres pierce; gives rows for `labels.json`.  The camera's axes are
+OpenCV's here: x right, y down, z forward.  Pictures have their corner at (0, 0), so the centre of the first pixel is at
+(0.5, 0.5); a camera matrix has it at (0, 0), as OpenCV does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.arrays import Array, Indices
+from synfog_usd.dataset import masks
+from synfog_usd.scene import Camera, SceneDict
+
+TO_OPENCV = np.diag([1.0, -1.0, -1.0])
+"""USD's camera looks down its -Z with +Y up."""
+
+
+@dataclass(frozen=True)
+class Solid:
+    """Points whose convex hull is that of an instance's geometry, and the edges between them.
+
+    Attributes:
+        points: (N, 3) in the scene [m].
+        edges: (M, 2) rows of `points`.
+    """
+
+    points: Array
+    edges: Indices
+
+
+def solids(scene: SceneDict) -> dict[int, Solid]:
+    """The geometry of each instance, by label id; of meshes and spheres."""
+    prototypes: dict[tuple[str, str], Solid] = {}
+    found: dict[int, list[Solid]] = {}
+    for (key, *inner), instance in scene.instance_of.items():
+        part = scene.world.get(key)
+        if part is None:
+            continue
+        if not inner:
+            solid = _solid(part)
+        else:
+            (group,) = (value["id"] for value in part.values() if isinstance(value, Mapping))
+            known = prototypes.get((group, inner[0]))
+            if known is None:
+                known = prototypes[group, inner[0]] = _hull(_solid(scene.world[group][inner[0]]))
+            matrix = np.asarray(part["to_world"], dtype=np.float64)
+            solid = Solid(known.points @ matrix[:3, :3].T + matrix[:3, 3], known.edges)
+        if len(solid.points):
+            found.setdefault(instance, []).append(solid)
+    return {instance: _together(parts) for instance, parts in found.items()}
+
+
+def _solid(shape: Mapping[str, Any]) -> Solid:
+    if shape["type"] == "mesh":
+        faces = np.asarray(shape["faces"], dtype=np.int64)
+        used, renumbered = np.unique(faces, return_inverse=True)  # points of no face are not drawn
+        faces = renumbered.reshape(-1, 3)
+        edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+        return Solid(np.asarray(shape["positions"], dtype=np.float64)[used], edges)
+    if shape["type"] == "sphere":
+        import trimesh
+
+        ball = trimesh.creation.icosphere(subdivisions=4)  # 0.1 % of its radius within
+        matrix = np.asarray(shape.get("to_world", np.eye(4)), dtype=np.float64)
+        local = np.asarray(shape.get("center", (0.0, 0.0, 0.0))) + float(shape.get("radius", 1.0)) * ball.vertices
+        return Solid(local @ matrix[:3, :3].T + matrix[:3, 3], np.asarray(ball.edges_unique, dtype=np.int64))
+    return Solid(np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64))
+
+
+def _hull(solid: Solid) -> Solid:
+    """The corners of its convex hull; the solid itself where it is flat, or small."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(solid.points) < 64:
+        return solid
+    try:
+        hull = ConvexHull(solid.points)
+    except QhullError:
+        return solid
+    number = np.zeros(len(solid.points), dtype=np.int64)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    faces = number[hull.simplices]
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return Solid(solid.points[hull.vertices], edges)
+
+
+def _together(parts: list[Solid]) -> Solid:
+    starts = np.cumsum([0, *(len(part.points) for part in parts[:-1])])
+    return Solid(
+        np.concatenate([part.points for part in parts]),
+        np.concatenate([part.edges + start for part, start in zip(parts, starts, strict=True)]),
+    )
+
+
+@dataclass(frozen=True)
+class View:
+    """Where a camera without distortion puts points.
+
+    Attributes:
+        camera: whose place and kind count.
+        width_px, height_px: of the picture.
+        scale_px: focal length [px]; of an orthographic camera pixels a metre.
+        axis_px: column and row at which the axis meets the picture, from its corner [px].
+    """
+
+    camera: Camera
+    width_px: int
+    height_px: int
+    scale_px: float
+    axis_px: tuple[float, float]
+
+    @classmethod
+    def of(cls, camera: Camera) -> View:
+        """The view of a camera in its own picture."""
+        width, height, (right, up) = camera.width_px, camera.height_px, camera.axis_shift
+        axis_px = (0.5 + right) * width, (0.5 - up) * height
+        if camera.width_m > 0.0:
+            return cls(camera, width, height, width / camera.width_m, axis_px)
+        return cls(camera, width, height, float(0.5 * width / np.tan(np.radians(camera.fov_x_deg) / 2.0)), axis_px)
+
+    @property
+    def rotation(self) -> Array:
+        """(3, 3) from the scene's axes to the camera's."""
+        return np.asarray(TO_OPENCV @ self.camera.to_world[:3, :3].T)
+
+    def local(self, points: Array) -> Array:
+        """(N, 3) points of the scene in the camera's axes [m]."""
+        return np.asarray((points - self.camera.to_world[:3, 3]) @ self.rotation.T)
+
+    def box_px(self, solid: Solid) -> tuple[float, float, float, float] | None:
+        """Left, top, right and bottom [px] of all that lies before the camera, beyond the picture's border too; None
+        where nothing does.
+        """
+        points, near = self.local(solid.points), max(self.camera.near_m, 1e-3)
+        before = points[:, 2] >= near
+        if not before.all():
+            one, other = points[solid.edges[:, 0]], points[solid.edges[:, 1]]
+            cut = before[solid.edges[:, 0]] != before[solid.edges[:, 1]]
+            one, other = one[cut], other[cut]
+            share = (near - one[:, 2]) / (other[:, 2] - one[:, 2])
+            points = np.concatenate([points[before], one + share[:, None] * (other - one)])
+        if not len(points):
+            return None
+        depth = 1.0 if self.camera.width_m > 0.0 else np.maximum(points[:, 2], near)
+        x = self.axis_px[0] + self.scale_px * points[:, 0] / depth
+        y = self.axis_px[1] + self.scale_px * points[:, 1] / depth
+        return float(x.min()), float(y.min()), float(x.max()), float(y.max())
+
+    def truncation(self, box: tuple[float, float, float, float]) -> float:
+        """Share of a box that lies outside of the picture [1]."""
+        left, top, right, bottom = box
+        inside = max(0.0, min(right, self.width_px) - max(left, 0.0)) * max(
+            0.0, min(bottom, self.height_px) - max(top, 0.0)
+        )
+        area = (right - left) * (bottom - top)
+        return float(1.0 - inside / area) if area > 0.0 else 0.0
+
+    def metadata(self, origin_m: tuple[float, float, float]) -> dict[str, Any]:
+        """What `labels.json` tells of the camera."""
+        pose = np.eye(4)
+        pose[:3, :3] = self.rotation.T
+        pose[:3, 3] = self.camera.to_world[:3, 3] + np.asarray(origin_m)
+        centre = [self.axis_px[0] - 0.5, self.axis_px[1] - 0.5]
+        orthographic = self.camera.width_m > 0.0
+        return {
+            "path": self.camera.path,
+            "model": "orthographic" if orthographic else "pinhole",
+            "size_px": [self.width_px, self.height_px],
+            **(
+                {"px_per_m": round(self.scale_px, 6), "axis_px": _rounded(centre, 6)}
+                if orthographic
+                else {"camera_matrix_px": _matrix(self.scale_px, centre)}
+            ),
+            "distortion_coefficients": [],
+            "camera_to_world": [_rounded(row, 9) for row in pose.tolist()],
+            "axes": "camera: x right, y down, z forward; world: the stage in metres, Z up; pixels: the first one's "
+            "centre is (0, 0)",
+            "moves": self.camera.moves,
+        }
+
+
+def _matrix(focal_px: float, centre: list[float]) -> list[list[float]]:
+    return [
+        [round(focal_px, 6), 0.0, round(centre[0], 6)],
+        [0.0, round(focal_px, 6), round(centre[1], 6)],
+        [0.0, 0.0, 1.0],
+    ]
+
+
+def rows(
+    scene: SceneDict,
+    pierced: tuple[Indices, Indices],
+    view: View,
+    nearest: tuple[Indices, Indices] | None = None,
+) -> dict[int, dict[str, Any]]:
+    """What is known of each instance besides what can be seen of it, by label id.
+
+    Args:
+        scene: what was looked at.
+        pierced: ids and pixels of `render.film.aovs.pierced`, of the scene's own camera.
+        view: the camera without distortion in whose picture truncation is measured.
+        nearest: (H, W) row and column of the scene's picture that each pixel shows, where the lens distorts.
+    """
+    ids, pixels = pierced
+    shape = (scene.camera.height_px, scene.camera.width_px)
+    place, found = solids(scene), {}
+    for instance in scene.instances:
+        first, last = np.searchsorted(ids, [instance.id, instance.id + 1])
+        row = _outline(pixels[first:last], shape, nearest)
+        solid = place.get(instance.id)
+        if solid is not None:
+            row |= _in_space(solid, instance.frame, view, scene.origin_m)
+            box = view.box_px(solid)
+            if box is not None and row["amodal_pixels"]:
+                row["truncation"] = round(view.truncation(box), 4)
+                row["projected_box_px"] = _rounded(box, 2)
+        if instance.velocity_m_s is not None:
+            row["velocity_m_s"] = _rounded(instance.velocity_m_s, 4)
+            row["speed_m_s"] = round(float(np.linalg.norm(instance.velocity_m_s)), 4)
+        found[instance.id] = row
+    return found
+
+
+def _outline(pixels: Indices, shape: tuple[int, int], nearest: tuple[Indices, Indices] | None) -> dict[str, Any]:
+    """The amodal mask of an instance within the picture."""
+    if nearest is not None and len(pixels):
+        plane = np.zeros(shape, dtype=bool)
+        plane.ravel()[pixels] = True
+        shown = plane[nearest]
+        pixels, shape = np.flatnonzero(shown), shown.shape
+    if not len(pixels):
+        return {"amodal_pixels": 0}
+    y, x = np.divmod(pixels, shape[1])
+    return {
+        "amodal_pixels": len(pixels),
+        "amodal_box_px": [int(x.min()), int(y.min()), int(np.ptp(x)) + 1, int(np.ptp(y)) + 1],
+        "amodal_rle": masks.encode(pixels, *shape),
+    }
+
+
+def _in_space(solid: Solid, frame: Array, view: View, origin_m: tuple[float, float, float]) -> dict[str, Any]:
+    """Pose of an instance, and the box around it along the axes of its prim."""
+    from scipy.spatial.transform import Rotation
+
+    left, _, right = np.linalg.svd(frame[:3, :3])  # the rotation nearest to the prim's axes
+    turn = left @ right
+    if np.linalg.det(turn) < 0.0:
+        turn[:, 0] *= -1.0  # a mirrored prim: what was left is right
+    local = (solid.points - frame[:3, 3]) @ turn
+    low, high = local.min(axis=0), local.max(axis=0)
+    places = np.stack([frame[:3, 3], frame[:3, 3] + turn @ ((low + high) / 2.0)])
+    seen, world = view.local(places), places + np.asarray(origin_m)
+    to_world, to_camera = (
+        Rotation.from_matrix(matrix).as_quat(canonical=True, scalar_first=True)
+        for matrix in (turn, view.rotation @ turn)
+    )
+    return {
+        "pose": {
+            "world_m": _rounded(world[0], 4),
+            "world_wxyz": _rounded(to_world, 6),
+            "camera_m": _rounded(seen[0], 4),
+            "camera_wxyz": _rounded(to_camera, 6),
+        },
+        "box_3d": {
+            "size_m": _rounded(high - low, 4),
+            "centre_world_m": _rounded(world[1], 4),
+            "centre_camera_m": _rounded(seen[1], 4),
+        },
+    }
+
+
+def _rounded(values: Any, digits: int) -> list[float]:
+    return [round(float(value), digits) + 0.0 for value in values]

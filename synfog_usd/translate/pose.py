@@ -1,0 +1,67 @@
+"""Where a labelled prim stands and how fast it goes, as the stage tells it."""
+
+from __future__ import annotations
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom
+
+from synfog_usd.arrays import Array
+from synfog_usd.translate.space import Space, columns
+
+VELOCITY = "physics:velocity"
+"""UsdPhysicsRigidBodyAPI's attribute, in stage units per second and the axes of the prim's parent."""
+
+
+class Poser:
+    """Frames and velocities of prims at one moment.
+
+    Args:
+        stage: with its variants chosen.
+        space: of the scene.
+        time: the moment.
+    """
+
+    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode) -> None:
+        self._stage, self._space, self._now = stage, space, UsdGeom.XformCache(time)
+        self._around: tuple[UsdGeom.XformCache, UsdGeom.XformCache] | None = None
+        self._seconds = 0.0
+        begin, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+        if not time.IsDefault() and stage.HasAuthoredTimeCodeRange() and begin < end:
+            first, last = max(begin, time.GetValue() - 0.5), min(end, time.GetValue() + 0.5)
+            if first < last:
+                self._around = UsdGeom.XformCache(first), UsdGeom.XformCache(last)
+                self._seconds = (last - first) / stage.GetTimeCodesPerSecond()
+
+    def pose(self, path: str, placed: Array | None) -> tuple[Array, tuple[float, float, float] | None]:
+        """Frame and velocity of an instance.
+
+        Args:
+            path: of the prim, with [n] behind a point instancer's.
+            placed: (4, 4) to stage coordinates, of the instance that it is part of, where `path` is of no prim.
+
+        Returns:
+            (4, 4) from the prim's own axes to the scene's; and its velocity [m/s] in the scene's axes, from
+            `physics:velocity`, else from how it moves about this moment, None on a stage where nothing moves.
+        """
+        prim = self._stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
+        if not prim:
+            return self._space.matrix @ (np.eye(4) if placed is None else placed), None
+        frame = self._space.matrix @ columns(self._now.GetLocalToWorldTransform(prim))
+        return frame, self._velocity(prim)
+
+    def _velocity(self, prim: Usd.Prim) -> tuple[float, float, float] | None:
+        authored = prim.GetAttribute(VELOCITY)
+        told = authored.Get(self._now.GetTime()) if authored and authored.HasAuthoredValue() else None
+        if told is not None:
+            turn = columns(self._now.GetParentToWorldTransform(prim))[:3, :3]
+            return self._finite(self._space.matrix[:3, :3] @ turn @ np.array(told, dtype=np.float64))
+        if self._around is None:
+            return None
+        before, after = (columns(cache.GetLocalToWorldTransform(prim))[:3, 3] for cache in self._around)
+        return self._finite(self._space.matrix[:3, :3] @ (after - before) / self._seconds)
+
+    @staticmethod
+    def _finite(velocity: Array) -> tuple[float, float, float] | None:
+        if not np.isfinite(velocity).all():
+            return None
+        return float(velocity[0]), float(velocity[1]), float(velocity[2])
