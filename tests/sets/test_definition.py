@@ -34,7 +34,7 @@ def test_every_shipped_set_loads(name):
 
 
 def test_the_set_of_the_paper_has_its_numbers():
-    """500 scenes in two lightings and four fogs, 450 and 50: 1350 pairs of clear air and fog for training, a lighting."""
+    """500 scenes in two lightings and four fogs, 450 and 50; 1350 pairs a lighting for training."""
     found = list(scenes(load_set(Path("synfog"))))
     assert len(found) == 500 and sum(one.shots for one in found) == 4000
     train = [one for one in found if one.split.name == "train"]
@@ -130,5 +130,5 @@ def test_a_stage_is_no_two_scenes(tmp_path):
     text = "synfog: set/1\nscenes: {}\nstages: ['*.usda']\nsplits: {{train: 3, test: 1}}\n"
     found = list(scenes(load_set(written(tmp_path, text.format(4)))))
     assert len({one.stage for one in found}) == 4
-    with pytest.raises(SynfogError, match="4 scenes of the split 'train' are to come from .* which has 3 stages"):
+    with pytest.raises(SynfogError, match=r"4 scenes of the split 'train' are to come from .* which has 3 stages"):
         load_set(written(tmp_path, text.format(5)))
