@@ -641,7 +641,7 @@ def _write_labels(
     writers.write_exr(plan.out / "labels.exr", image.with_metadata(**metadata), attributes=header)
     more = {}
     if pierced is not None:
-        view = objects.View.of(scene.camera if taken is None else replace(scene.camera, **_size_of(taken)))
+        view = objects.Projection.of(scene.camera if taken is None else replace(scene.camera, **_size_of(taken)))
         more = objects.rows(scene, pierced, view, nearest)
         eye = view.metadata(scene.origin_m)
         if bent:

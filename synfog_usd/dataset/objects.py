@@ -99,7 +99,7 @@ def _together(parts: list[Solid]) -> Solid:
 
 
 @dataclass(frozen=True)
-class View:
+class Projection:
     """Where a camera without distortion puts points.
 
     Attributes:
@@ -116,7 +116,7 @@ class View:
     axis_px: tuple[float, float]
 
     @classmethod
-    def of(cls, camera: Camera) -> View:
+    def of(cls, camera: Camera) -> Projection:
         """The view of a camera in its own picture."""
         width, height, (right, up) = camera.width_px, camera.height_px, camera.axis_shift
         axis_px = (0.5 + right) * width, (0.5 - up) * height
@@ -196,7 +196,7 @@ def _matrix(focal_px: float, centre: list[float]) -> list[list[float]]:
 def rows(
     scene: SceneDict,
     pierced: tuple[Indices, Indices],
-    view: View,
+    view: Projection,
     nearest: tuple[Indices, Indices] | None = None,
 ) -> dict[int, dict[str, Any]]:
     """What is known of each instance besides what can be seen of it, by label id.
@@ -244,7 +244,7 @@ def _outline(pixels: Indices, shape: tuple[int, int], nearest: tuple[Indices, In
     }
 
 
-def _in_space(solid: Solid, frame: Array, view: View, origin_m: tuple[float, float, float]) -> dict[str, Any]:
+def _in_space(solid: Solid, frame: Array, view: Projection, origin_m: tuple[float, float, float]) -> dict[str, Any]:
     """Pose of an instance, and the box around it along the axes of its prim."""
     from scipy.spatial.transform import Rotation
 

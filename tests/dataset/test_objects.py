@@ -75,7 +75,7 @@ def test_amodal_masks_are_those_of_each_object_alone(crowd):
     are seen.
     """
     loaded = to_mitsuba(crowd, boundaries=False)
-    rows = objects.rows(crowd, aovs.pierced(loaded), objects.View.of(crowd.camera))
+    rows = objects.rows(crowd, aovs.pierced(loaded), objects.Projection.of(crowd.camera))
     seen = aovs.measure(loaded).instance_id
     hidden = 0
     for instance in crowd.instances:
@@ -118,7 +118,7 @@ def test_fog_boundaries_are_no_objects(crowd):
 def test_the_projected_box_is_that_of_the_mask_within_a_pixel(crowd, change):
     """The hull's projection, cut by the border, against pixels; also where a thing begins behind the near plane."""
     source = replace(crowd, camera=replace(crowd.camera, **change))
-    view = objects.View.of(source.camera)
+    view = objects.Projection.of(source.camera)
     rows = objects.rows(source, aovs.pierced(to_mitsuba(source, boundaries=False)), view)
     compared = 0
     for row in rows.values():
@@ -138,7 +138,7 @@ def test_the_axis_is_where_all_parts_of_the_camera_say_it_is(shift):
     source = replace(source, camera=replace(source.camera, shift=shift))
     y, x = np.nonzero(aovs.measure(to_mitsuba(source)).instance_id)
     middle = x.mean(), y.mean()
-    np.testing.assert_allclose(objects.View.of(source.camera).axis_px, np.add(middle, 0.5), atol=0.51)
+    np.testing.assert_allclose(objects.Projection.of(source.camera).axis_px, np.add(middle, 0.5), atol=0.51)
     pinhole = bake._pinhole(source.camera)
     np.testing.assert_allclose(pinhole.axis_px, middle, atol=0.51)
     again = replace(source.camera, **bake._size_of(pinhole))
@@ -152,7 +152,7 @@ def test_truncation_is_the_part_of_the_box_beyond_the_border():
     x = half - 3.0
     corners = np.array([[x, 20.0, 0.0], [x + 4.0, 20.0, 0.0], [x + 4.0, 20.0, 4.0], [x, 20.0, 4.0]])
     source = scene({"shape_square": {**square, "positions": corners}}, **SIZE)
-    row = objects.rows(source, aovs.pierced(to_mitsuba(source)), objects.View.of(source.camera))[1]
+    row = objects.rows(source, aovs.pierced(to_mitsuba(source)), objects.Projection.of(source.camera))[1]
     assert row["truncation"] == pytest.approx(0.25, abs=1e-3)
 
 
@@ -164,7 +164,7 @@ def test_the_box_in_space_and_the_camera_are_what_opencv_takes():
     size = np.array([1.9, 4.4, 1.5])
     source = scene({"shape_car": mesh(trimesh.creation.box(size), frame.copy())}, **SIZE, to_world=tilted(80.0))
     source = replace(source, instances=(Instance(1, "/shape_car", "car", frame),), origin_m=(1000.0, 2000.0, 30.0))
-    view = objects.View.of(source.camera)
+    view = objects.Projection.of(source.camera)
     row = objects.rows(source, aovs.pierced(to_mitsuba(source)), view)[1]
     told = view.metadata(source.origin_m)
     np.testing.assert_allclose(row["box_3d"]["size_m"], size, atol=1e-3)
@@ -189,14 +189,14 @@ def test_a_mirrored_prim_has_a_rotation_all_the_same():
     frame = placed(0.0, 12.0, 0.0) @ np.diag([-2.0, 2.0, 2.0, 1.0])
     source = scene({"shape_car": mesh(trimesh.creation.box((1, 2, 3)), placed(0.0, 12.0, 0.0))}, **SIZE)
     source = replace(source, instances=(Instance(1, "/shape_car", "car", frame),))
-    row = objects.rows(source, aovs.pierced(to_mitsuba(source)), objects.View.of(source.camera))[1]
+    row = objects.rows(source, aovs.pierced(to_mitsuba(source)), objects.Projection.of(source.camera))[1]
     np.testing.assert_allclose(row["box_3d"]["size_m"], [1, 2, 3], atol=1e-3)
     assert np.isclose(np.linalg.norm(row["pose"]["world_wxyz"]), 1.0, atol=1e-5)
 
 
 def test_behind_the_camera_there_is_no_box():
     source = scene({"shape_car": mesh(trimesh.creation.box((1, 2, 3)), placed(0.0, -12.0, 0.0))}, **SIZE)
-    row = objects.rows(source, aovs.pierced(to_mitsuba(source)), objects.View.of(source.camera))[1]
+    row = objects.rows(source, aovs.pierced(to_mitsuba(source)), objects.Projection.of(source.camera))[1]
     assert row["amodal_pixels"] == 0 and "truncation" not in row and "amodal_box_px" not in row
     assert row["box_3d"]["centre_camera_m"][2] == pytest.approx(-12.0)
 
@@ -217,7 +217,7 @@ def test_ids_beyond_255_and_65535_stay_what_they_are():
 def test_speed_is_told_where_it_is_known():
     source = scene({"shape_car": mesh(trimesh.creation.box((1, 2, 3)), placed(0.0, 12.0, 0.0))}, **SIZE)
     car = Instance(1, "/shape_car", "car", velocity_m_s=(3.0, -4.0, 0.0))
-    pierced, view = aovs.pierced(to_mitsuba(source)), objects.View.of(source.camera)
+    pierced, view = aovs.pierced(to_mitsuba(source)), objects.Projection.of(source.camera)
     assert "speed_m_s" not in objects.rows(source, pierced, view)[1]
     row = objects.rows(replace(source, instances=(car,)), pierced, view)[1]
     assert (row["speed_m_s"], row["velocity_m_s"]) == (5.0, [3.0, -4.0, 0.0])
@@ -225,6 +225,6 @@ def test_speed_is_told_where_it_is_known():
 
 
 def test_the_camera_looks_along_its_third_axis():
-    told = objects.View.of(scene({}, **SIZE, to_world=LOOK_NORTH).camera).metadata((0.0, 0.0, 0.0))
+    told = objects.Projection.of(scene({}, **SIZE, to_world=LOOK_NORTH).camera).metadata((0.0, 0.0, 0.0))
     np.testing.assert_allclose(np.array(told["camera_to_world"])[:3, :3], np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]))
     assert told["camera_matrix_px"][0][2] == 79.5 and told["camera_matrix_px"][1][2] == 44.5
