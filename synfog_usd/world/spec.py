@@ -83,7 +83,7 @@ class SkyDome:
     Attributes:
         sky: its picture's name in `assets/skies`.
         gain: on the picture: 1 for one of `skies.skies()`, which are in nits; luminance at the zenith
-            [cd m-2] for the crossing's two.
+            [cd m-2] for a sky whose picture is relative to it.
         heading_deg: turns it clockwise seen from above.
     """
 

@@ -17,7 +17,7 @@ from synfog_usd.cli.main import main
 from synfog_usd.errors import RecipeError
 from synfog_usd.world.compose import asset_folder, compose, draw, load
 from synfog_usd.world.language import Distribution
-from synfog_usd.world.roads import crossing_recipe
+from synfog_usd.world.roads import crossing_actors
 from synfog_usd.world.roads.crossing import MAIN_HALF, WALL_X, ground_height
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -260,7 +260,7 @@ def test_the_largest_traffic_fits_and_too_dense_a_crowd_is_refused(monkeypatch):
     for way in ("waits", "goes"):
         full = spec(0, f"synfog: recipe/1\ntraffic: {{count: 24, bodies: bus, main_street: {way}}}\n")
         assert sum(p.asset == "bus" for p in full.placed) == 24
-    monkeypatch.setattr(crossing_recipe, "ROOM_ELSE_M", 20.0)
+    monkeypatch.setattr(crossing_actors, "ROOM_ELSE_M", 20.0)
     with pytest.raises(RecipeError, match=r"crossroads.yaml: people.count \d+: no room for more than \d+"):
         draw(load(SHIPPED), seed=0)
 

@@ -19,7 +19,7 @@ from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import RecipeError
 from synfog_usd.world import language
 from synfog_usd.world.compose import compose, draw, load
-from synfog_usd.world.roads import land, markings, rules, surface
+from synfog_usd.world.roads import land, markings, rules, surface, traffic
 from synfog_usd.world.roads.lane_section import KERB_M, LaneSection
 from synfog_usd.world.roads.network import Land, Road
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
@@ -322,7 +322,7 @@ def test_vehicles_keep_the_distance_in_which_they_can_stop():
     rng = np.random.Generator(np.random.PCG64(3))
     for _ in range(200):
         lengths = list(rng.uniform(3.5, 12.0, int(rng.integers(0, 14))))
-        places = rules.queue(rng, (20.0, 220.0), lengths, least)
+        places = list(traffic.queue(rng, (20.0, 220.0), lengths, least))
         for (a, length_a), (b, length_b) in itertools.pairwise(zip(places, lengths, strict=False)):
             assert b - a - (length_a + length_b) / 2 >= least - 1e-9
         assert all(20.0 + n / 2 - 1e-9 <= at <= 220.0 - n / 2 + 1e-9 for at, n in zip(places, lengths, strict=False))

@@ -18,13 +18,11 @@ from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
 from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Recipe
-from synfog_usd.world.roads import rules, works
-from synfog_usd.world.roads.actors import TRIES as TRIES
-from synfog_usd.world.roads.actors import actors_in_sight
+from synfog_usd.world.roads import road_actors, road_props, rules, works
 from synfog_usd.world.roads.asphalt import Asphalt
 from synfog_usd.world.roads.lane_section import Lane, LaneSection
 from synfog_usd.world.roads.network import Land, Road
-from synfog_usd.world.roads.props import numbered, parked, rows_placed
+from synfog_usd.world.roads.props import numbered
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
 from synfog_usd.world.spec import Placement, RigCamera, SkyDome, View, WorldSpec
 
@@ -48,7 +46,7 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     """One world of a recipe; the same seed gives the same.
 
     Raises:
-        RecipeError: a rule cannot be met; says which, after TRIES tries.
+        RecipeError: a rule cannot be met; says which.
     """
     hour = float(recipe.distributions["traffic.hour"](stream(seed, "recipe", "traffic.hour")))
 
@@ -67,16 +65,11 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     view = _view(road, own, station, value("camera.height_m"), fov)
     taken = rules.CollisionSet()
     digging, workers = works.site(road, seed, station, value, taken)
-    fixed = [*workers, *rows_placed(recipe, road, seed, station, taken)]
-    fixed += parked(recipe, road, seed, station, value("parked.share"), taken)
-    actors, least, seen = actors_in_sight(recipe, road, seed, own, station, value, view, fov, fixed, taken, hour)
-    if actors is None:
-        raise RecipeError(
-            f"{recipe.name}: rules.{least} cannot be met: {TRIES} tries gave at most {seen}; "
-            "ask for less, or raise traffic.per_hour, traffic.count, people.count or parked.share"
-        )
+    fixed = [*workers, *road_props.rows(recipe, road, seed, station, taken)]
+    fixed += road_actors.parked(recipe, road, seed, station, value("parked.share"), taken)
+    moving = road_actors.in_sight(recipe, road, seed, own, station, value, view, fov, fixed, taken)
     return assembled(
-        recipe, seed, value, road, view, [*fixed, *actors], {**built, "station": station, "works": digging}
+        recipe, seed, value, road, view, [*fixed, *moving], {**built, "station": station, "works": digging}
     )
 
 

@@ -1,22 +1,18 @@
-"""Who moves at a roundabout: traffic on the arms and round the circle, cyclists, people on pavements and zebras."""
+"""Where traffic and people may be at a roundabout: its arms, the ring, pavements and zebras."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import stream
 from synfog_usd.world.language import Recipe
-from synfog_usd.world.parameters import WALKERS
-from synfog_usd.world.roads import actors as roads
-from synfog_usd.world.roads import rules
-from synfog_usd.world.roads.actors import BRAKING, BRAKING_M, COMPANY, OWN_CAR_M, TRIES
+from synfog_usd.world.library import LibraryModel
+from synfog_usd.world.roads import actors, people, rules, traffic
 from synfog_usd.world.roads.lane_section import KERB_M
-from synfog_usd.world.roads.props import draw_car, look
 from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, Roundabout
 from synfog_usd.world.spec import Placement, View
 
@@ -25,7 +21,9 @@ WAITS = 0.45
 """Chance that a car waits at a give-way line."""
 WAIT_M = 0.7
 """Between its bumper and the circle."""
-RING_LEAST_M = 4.0
+RING_LEAST_M, RING_APART_M = 4.0, 0.4
+RING_ACROSS = (0.5, 0.58, 0.64)
+"""Shares of the ring's width at which a vehicle is tried."""
 NEAR_M = 26.0
 """People are e times rarer this much farther from the camera."""
 BEHIND_M = 6.0
@@ -33,6 +31,7 @@ FROM_EDGE_M = 0.4
 FULL_M = KERB_M - 1e-3
 ABREAST_M = 0.75
 """Between two who walk side by side."""
+ABREAST = 2
 
 
 def in_sight(
@@ -45,8 +44,12 @@ def in_sight(
     fov: float,
     fixed: list[Placement],
     taken: rules.CollisionSet,
-) -> tuple[list[Placement] | None, str, int]:
-    """Traffic and people that meet the rules of sight; None with the rule that failed and the most that was reached."""
+) -> list[Placement]:
+    """Traffic and people that meet the rules of sight.
+
+    Raises:
+        RecipeError: none do after many tries, or there is no room for so many people.
+    """
 
     def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
         return [
@@ -54,54 +57,50 @@ def in_sight(
             *_people(recipe, junction, seed, attempt, view, value, room),
         ]
 
-    return roads.in_sight(drawn, junction, value, view, fov, fixed, taken)
+    return actors.in_sight(recipe, drawn, junction, value, view, fov, fixed, taken)
 
 
 def _traffic(
     recipe: Recipe, junction: Roundabout, seed: int, attempt: int, before: float, value: Any, room: rules.CollisionSet
 ) -> list[Placement]:
     """Vehicles round the circle, waiting at its entries, and on the arms as many as the flow at that hour."""
-    least, density = roads.flow(value, attempt)
-    placed: list[Placement] = []
-    placed += _ring(recipe, junction, stream(seed, "recipe", "traffic", attempt, "ring"), value("traffic.ring"), room)
-    total = value("traffic.count")
-    lanes = [(arm, way) for arm in range(len(junction.arms)) for way in (-1, 1)]
+    least, density = traffic.flow(value, attempt)
+    placed = _ring(recipe, junction, stream(seed, "recipe", "traffic", attempt, "ring"), value("traffic.ring"), room)
     for number in range(value("traffic.cyclists")):
         placed += _cyclist(junction, stream(seed, "recipe", "cyclist", attempt, number), before, room)
+    total = value("traffic.count")
+    lanes = [(arm, way) for arm in range(len(junction.arms)) for way in (-1, 1)]
     chosen = stream(seed, "recipe", "traffic", attempt, "number").integers(len(lanes), size=total or 0)
+    own_behind, own_before = traffic.OWN_CAR_M
     for index, (arm, way) in enumerate(lanes):
         rng = stream(seed, "recipe", "traffic", attempt, "arm", arm, way + 1)
         road = junction.arms[arm]
         low, high = junction.radius + 1.0, min(junction.radius + AHEAD_M, road.reference_line.length - 6.0)
-        own = (
-            [(before - OWN_CAR_M[1] - max(least, 4.0), before + OWN_CAR_M[0] + least)] if (arm, way) == (0, -1) else []
-        )
+        own = [(before - own_before - max(least, 4.0), before + own_behind + least)] if (arm, way) == (0, -1) else []
         count = int((chosen == index).sum()) if total is not None else int(rng.poisson(density * (high - low)))
-        places: list[tuple[str, dict[str, str], float]] = []
+        vehicles: list[traffic.Vehicle] = []
         waits = rng.random() < WAITS
-        body, looks = draw_car(recipe, "traffic", rng)
+        body, looks = traffic.draw_car(recipe, "traffic", rng)
         if waits and way < 0 and count and _waits(junction, arm, body) and not (own and own[0][0] < road.zebras[0]):
-            places.append((body, looks, junction.radius + WAIT_M + rules.model(body).length / 2))
+            vehicles.append((body, looks, junction.radius + WAIT_M + rules.model(body).length / 2))
             count -= 1
-        free = rules.spans(road, road.zebras[0] + ZEBRA_HALF_M, high, own)
-        long = np.array([b - a for a, b in free])
-        if len(long) and count:
-            share = rng.choice(len(free), count, p=long / long.sum())
-            for number, span in enumerate(free):
-                cars = [draw_car(recipe, "traffic", rng) for _ in range(int((share == number).sum()))]
-                at = rules.queue(rng, span, [rules.model(name).length for name, _ in cars], least)
-                places += [(name, paint, s) for (name, paint), s in zip(cars, at, strict=False)]
-        for name, paint, s in places:
-            sway = min(0.2, max(0.0, (junction.lane_width - rules.model(name).width) / 2 - 0.15))
-            x, y, z, heading = junction.lane_pose(arm, s, way, float(np.clip(rng.normal(0, 0.08), -sway, sway)))
-            slows = (way < 0 and s < road.zebras[0] + BRAKING_M) or rng.random() < BRAKING
-            roads.add(
-                Placement("Vehicles", "", name, x, y, heading, paint, {"lamps": "brake" if slows else "glow"}, z=z),
-                room,
-                placed,
-                0.15,
-            )
+        free = traffic.spans(road, road.zebras[0] + ZEBRA_HALF_M, high, own)
+        vehicles += traffic.flowing(recipe, rng, free, count, least)
+        placed += traffic.fill(_lane(junction, arm, way), vehicles, rng, room)
     return placed
+
+
+def _lane(junction: Roundabout, arm: int, way: int) -> traffic.TrafficLane:
+    """The lane of an arm, outwards (1) or inwards (-1); before the zebra and the circle who comes in brakes."""
+
+    def pose(s: float, aside: float) -> traffic.Pose:
+        return *junction.lane_pose(arm, s, way, aside), 0.0
+
+    def brakes(rng: np.random.Generator, s: float) -> bool:
+        arrives = way < 0 and s < junction.arms[arm].zebras[0] + traffic.BRAKING_M
+        return arrives or rng.random() < traffic.BRAKING
+
+    return traffic.TrafficLane(pose, traffic.sway(junction.lane_width), brakes)
 
 
 def _waits(junction: Roundabout, arm: int, body: str) -> bool:
@@ -122,101 +121,85 @@ def _ring(
 ) -> list[Placement]:
     """Vehicles that go round, at random with a car's nose between them; bodies too long for the circle stay away."""
     width, length = junction.radius - junction.inner, junction.ring.reference_line.length
-    cars = [draw_car(recipe, "traffic", rng) for _ in range(count)]
     stretch = junction.inner / (junction.inner + width / 2)  # stations are counted along the inner edge
-    places = rules.queue(
-        rng,
-        (0.0, length - RING_LEAST_M),
-        [rules.model(name).length * 1.1 * stretch for name, _ in cars],
-        RING_LEAST_M * stretch,
-    )
+    cars = [traffic.draw_car(recipe, "traffic", rng) for _ in range(count)]
+    lengths = [rules.model(body).length * 1.1 * stretch for body, _ in cars]
+    places = list(traffic.queue(rng, (0.0, length - RING_LEAST_M), lengths, RING_LEAST_M * stretch))
     begin = float(rng.uniform(0.0, length))
-    placed: list[Placement] = []
-    for (name, paint), s in zip(cars, places, strict=False):
-        for aside in (0.5, 0.58, 0.64):
-            x, y, z, heading = junction.ring_pose(begin + s, aside * width + float(rng.normal(0, 0.1)))
-            p = Placement("Vehicles", "", name, x, y, heading, paint, {"lamps": "glow"}, z=z)
-            if fits_ring(junction, p) and roads.add(p, room, placed, 0.4):
-                break
-    return placed
+
+    def pose(s: float, aside: float) -> traffic.Pose:
+        return *junction.ring_pose(begin + s, aside), 0.0
+
+    def across(rng: np.random.Generator, found: LibraryModel) -> Iterator[float]:
+        for share in RING_ACROSS:
+            yield share * width + float(rng.normal(0, 0.1))
+
+    lane = traffic.TrafficLane(pose, across, fits=lambda p: fits_ring(junction, p), margin=RING_APART_M)
+    vehicles = [(body, looks, s) for (body, looks), s in zip(cars, places, strict=False)]
+    return traffic.fill(lane, vehicles, rng, room)
 
 
 def _cyclist(
     junction: Roundabout, rng: np.random.Generator, before: float, room: rules.CollisionSet
 ) -> list[Placement]:
     """At the right edge of an arm's lane, or on the ring's outer side."""
-    placed: list[Placement] = []
-    looks = look(rng, rules.model("cyclist"))
-    for _ in range(20):
+    ahead = before - traffic.OWN_CAR_M[1]
+
+    def place(rng: np.random.Generator) -> traffic.Pose | None:
         where, arm, way = rng.random(), int(rng.integers(len(junction.arms))), int(rng.choice((-1, 1)))
         if where < 0.35:
-            x, y, z, heading = junction.ring_pose(
-                float(rng.uniform(0, junction.ring.reference_line.length)), junction.radius - junction.inner - 1.0
-            )
-        else:
-            arm = 0 if where < 0.75 else arm
-            zebra = junction.arms[arm].zebras[0]
-            s = float(rng.uniform(zebra + 3.5, zebra + 30.0))
-            if arm == 0 and way < 0:
-                s = float(rng.uniform(zebra + 3.5, max(before - OWN_CAR_M[1] - 3.0, zebra + 4.0)))
-                if s > before - OWN_CAR_M[1] - 2.0:
-                    continue
-            x, y, z, heading = junction.lane_pose(arm, s, way, junction.lane_width / 2 - 0.65)
-        p = Placement("Vehicles", "", "cyclist", x, y, heading, looks, z=z)
-        if roads.add(p, room, placed, 0.4):
-            break
-    return placed
+            s = float(rng.uniform(0, junction.ring.reference_line.length))
+            return *junction.ring_pose(s, junction.radius - junction.inner - 1.0), 0.0
+        arm = 0 if where < 0.75 else arm
+        zebra = junction.arms[arm].zebras[0]
+        s = float(rng.uniform(zebra + 3.5, zebra + 30.0))
+        if arm == 0 and way < 0:
+            s = float(rng.uniform(zebra + 3.5, max(ahead - 3.0, zebra + 4.0)))
+            if s > ahead - 2.0:
+                return None
+        return *junction.lane_pose(arm, s, way, junction.lane_width / 2 - 0.65), 0.0
+
+    return traffic.cyclist(rng, place, room)
 
 
 def _people(
     recipe: Recipe, junction: Roundabout, seed: int, attempt: int, view: View, value: Any, room: rules.CollisionSet
 ) -> list[Placement]:
-    """On pavements, denser near the camera, and on the zebras; some walk in company, side by side."""
-    count, share, company = value("people.count"), value("people.crossing_share"), value("people.company")
-    line = junction.outline
+    """On pavements, denser near the camera, and on the zebras."""
     forward = math.radians(view.heading)
+    line = junction.outline
     away = line.points - (view.x, view.y)
     ahead = away @ np.array([-math.sin(forward), math.cos(forward)])
     weight = np.where(ahead > -BEHIND_M, np.exp(-np.hypot(*away.T) / NEAR_M), 0.0) * (line.kerb > FULL_M)
     zebras = np.array([road.reference_line.place(road.zebras[0], 0.0) for road in junction.arms]) - (view.x, view.y)
     near = np.exp(-np.hypot(*zebras.T) / NEAR_M)
-    kinds = recipe.distributions["people.kinds"]
-    walkers = [name for name in WALKERS if name in kinds.values]
-    placed: list[Placement] = []
-    number = 0
-    while len(placed) < count:
-        rng = stream(seed, "recipe", "person", attempt, number)
-        number += 1
-        crosses = rng.random() < share
-        names = [kinds(rng, walkers or None) if crosses else kinds(rng)]
-        if names[0] in COMPANY and rng.random() < company and len(placed) + 1 < count:
-            names.append(kinds(rng, [name for name in walkers if name in COMPANY]))
-        for turn in range(2 * TRIES):
-            way = int(rng.choice((-1, 1)))
-            if crosses:
-                arm = int(rng.choice(len(junction.arms), p=near / near.sum()))
-                road, side = junction.arms[arm], int(rng.choice((-1, 1)))
-                s = road.zebras[0] + float(rng.uniform(-1.1, 1.1))
-                x, y = road.reference_line.place(
-                    s, side * float(rng.uniform(0.3, float(junction.edge(arm, side, s)) - 0.4))
-                )
-                facing = road.reference_line.origin[2] + 90.0 * way + float(rng.normal(0, 4))
-            else:
-                k = int(rng.choice(len(weight), p=weight / weight.sum()))
-                (nx, ny), u = line.normals[k], float(rng.uniform(0.55, junction.pavement - 0.5))
-                x, y = line.points[k] + u * line.normals[k]
-                along = math.degrees(math.atan2(ny, nx)) + (180.0 if way < 0 else 0.0)
-                facing = along + float(rng.normal(0, 5)) if names[0] in WALKERS else float(rng.uniform(0, 360))
-            group = names if turn < TRIES else names[:1]  # where two find no room, one walks alone
-            found = _together(junction, rng, float(x), float(y), facing, group, room)
-            if found:
-                placed += found
-                break
+
+    def places(rng: np.random.Generator, crosses: bool, walks_on: bool) -> people.Places:
+        way = int(rng.choice((-1, 1)))
+        if crosses:
+            arm = int(rng.choice(len(junction.arms), p=near / near.sum()))
+            road, side = junction.arms[arm], int(rng.choice((-1, 1)))
+            s = road.zebras[0] + float(rng.uniform(-1.1, 1.1))
+            t = side * float(rng.uniform(0.3, float(junction.edge(arm, side, s)) - 0.4))
+            x, y = road.reference_line.place(s, t)
+            heading = road.reference_line.origin[2] + 90.0 * way + float(rng.normal(0, 4))
         else:
-            raise RecipeError(
-                f"{recipe.name}: people.count {count}: no room for more than {len(placed)} after {2 * TRIES} tries"
-            )
-    return placed
+            k = int(rng.choice(len(weight), p=weight / weight.sum()))
+            (nx, ny), u = line.normals[k], float(rng.uniform(0.55, junction.pavement - 0.5))
+            x, y = line.points[k] + u * line.normals[k]
+            along = math.degrees(math.atan2(ny, nx)) + (180.0 if way < 0 else 0.0)
+            heading = along + float(rng.normal(0, 5)) if walks_on else float(rng.uniform(0, 360))
+        return _abreast(junction, rng, float(x), float(y), heading)
+
+    return people.walking(
+        recipe,
+        people.Footways(places, most=ABREAST, redressed=True),
+        lambda number: stream(seed, "recipe", "person", attempt, number),
+        room,
+        count=value("people.count"),
+        crossing_share=value("people.crossing_share"),
+        company=value("people.company"),
+    )
 
 
 def may_stand(junction: Roundabout, x: float, y: float) -> bool:
@@ -233,30 +216,12 @@ def may_stand(junction: Roundabout, x: float, y: float) -> bool:
     return False
 
 
-def _together(
-    junction: Roundabout,
-    rng: np.random.Generator,
-    x: float,
-    y: float,
-    facing: float,
-    names: Sequence[str],
-    room: rules.CollisionSet,
-) -> list[Placement]:
-    """One, or two abreast; nobody where one of them has no room."""
-    found: list[Placement] = []
-    trial = room.copy() if len(names) > 1 else room
+def _abreast(junction: Roundabout, rng: np.random.Generator, x: float, y: float, heading: float) -> people.Places:
+    """Places of two side by side."""
     side, back = float(rng.choice((-1.0, 1.0))) * ABREAST_M, float(rng.uniform(-0.15, 0.15))
-    for name in names:
-        looks, h = look(rng, rules.model(name)), math.radians(facing)
+    for _ in range(ABREAST):
         px, py, z = junction.stand(x, y)
-        p = Placement("People", "", name, px, py, round((facing + 180.0) % 360.0 - 180.0, 2), looks, z=z)
-        if not may_stand(junction, px, py) or not trial.free(p, 0.03 if found else 0.12):
-            return []
-        trial.add(p)
-        found.append(p)
+        yield (px, py, z, rules.facing(heading)) if may_stand(junction, px, py) else None
+        h = math.radians(heading)
         x, y = x + side * math.cos(h) + back * math.sin(h), y + side * math.sin(h) - back * math.cos(h)
-        facing += float(rng.normal(0, 2))
-    if trial is not room:
-        for p in found:
-            room.add(p)
-    return found
+        heading += float(rng.normal(0, 2))

@@ -6,7 +6,7 @@ Rows stand along the kerbs: in along one arm, round the circle, out along the ne
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,11 @@ import numpy as np
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
 from synfog_usd.world.authoring import focal_length
-from synfog_usd.world.language import Recipe
+from synfog_usd.world.language import Distribution, Recipe
+from synfog_usd.world.roads import props, rules
 from synfog_usd.world.roads import recipe as roads
 from synfog_usd.world.roads import roundabout_actors as actors
-from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.network import Land
-from synfog_usd.world.roads.props import NUDGE_M, NUDGES, look
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
 from synfog_usd.world.roads.roundabout import STRAIGHT_M, Roundabout, roundabout
 from synfog_usd.world.spec import Placement, View, WorldSpec
@@ -33,7 +32,7 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     """One world of a recipe; the same seed gives the same.
 
     Raises:
-        RecipeError: a rule cannot be met, or the arms find no room at the circle; says which, after TRIES tries.
+        RecipeError: a rule cannot be met, or the arms find no room at the circle; says which.
     """
     hour = float(recipe.distributions["traffic.hour"](stream(seed, "recipe", "traffic.hour")))
 
@@ -56,12 +55,7 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
         *_signs(junction, taken),
         *_rows(recipe, junction, seed, taken),
     ]
-    moving, least, seen = actors.in_sight(recipe, junction, seed, before, value, view, fov, fixed, taken)
-    if moving is None:
-        raise RecipeError(
-            f"{recipe.name}: rules.{least} cannot be met: {TRIES} tries gave at most {seen}; "
-            "ask for less, or raise traffic.per_hour, traffic.count, traffic.ring or people.count"
-        )
+    moving = actors.in_sight(recipe, junction, seed, before, value, view, fov, fixed, taken)
     built = {"station": before, "give_way": value("circle.give_way"), "shrubs": value("circle.shrubs")}
     return roads.assembled(recipe, seed, value, junction, view, [*fixed, *moving], built)
 
@@ -113,65 +107,29 @@ def _junction(recipe: Recipe, seed: int) -> Roundabout:
     raise RecipeError(f"{recipe.name}: {failed}; {TRIES} tries")
 
 
-def _stood(
-    junction: Roundabout,
-    asset: str,
-    x: float,
-    y: float,
-    heading: float,
-    looks: dict[str, str] | None = None,
-    size: float = 1.0,
-) -> Placement:
-    """A thing on the ground at a place."""
-    found = rules.model(asset)
-    x, y, z = junction.stand(x, y)
-    return Placement(
-        rules.prim_group(found),
-        "",
-        asset,
-        x,
-        y,
-        round((heading + 180.0) % 360.0 - 180.0, 2),
-        looks or {},
-        z=z,
-        size=size,
-    )
-
-
-def _kept(found: list[Placement], taken: rules.CollisionSet, margin: float = 0.1) -> list[Placement]:
-    """Those that have room, in their order."""
-    kept = []
-    for p in found:
-        if taken.free(p, margin):
-            taken.add(p)
-            kept.append(p)
-    return kept
-
-
 def _island(recipe: Recipe, junction: Roundabout, seed: int, trees: int, taken: rules.CollisionSet) -> list[Placement]:
     """Chevron boards on the middle island that face each arm, and trees on its top."""
     found = []
     for arm in junction.arms:
-        h = math.radians(arm.reference_line.origin[2])
-        r = junction.island - 0.75
-        found.append(_stood(junction, "sign_chevron", -r * math.sin(h), r * math.cos(h), arm.reference_line.origin[2]))
+        heading, r = arm.reference_line.origin[2], junction.island - 0.75
+        h = math.radians(heading)
+        place = junction.stand(-r * math.sin(h), r * math.cos(h))
+        found.append(props.stood("sign_chevron", place, rules.facing(heading), {}))
     for number in range(trees):
         rng = stream(seed, "recipe", "circle.tree", number)
         asset = recipe.distributions["circle.tree_models"](rng)
         r, a = 0.45 * junction.island * math.sqrt(rng.random()), rng.uniform(0, 2 * math.pi)
         size = min(1.0, 0.1 + junction.island / 12.0) * float(rng.uniform(0.55, 0.8))
         found.append(
-            _stood(
-                junction,
+            props.stood(
                 asset,
-                r * math.cos(a),
-                r * math.sin(a),
-                float(rng.uniform(0, 360)),
-                look(rng, rules.model(asset)),
+                junction.stand(r * math.cos(a), r * math.sin(a)),
+                rules.facing(float(rng.uniform(0, 360))),
+                props.look(rng, rules.model(asset)),
                 round(size, 3),
             )
         )
-    return _kept(found, taken, 0.3)
+    return [p for p in found if taken.take(p, 0.3)]
 
 
 def _signs(junction: Roundabout, taken: rules.CollisionSet) -> list[Placement]:
@@ -184,8 +142,8 @@ def _signs(junction: Roundabout, taken: rules.CollisionSet) -> list[Placement]:
             u, _ = junction.across(x, y)
             shift = 0.55 - float(u)  # the arc comes in at a slant
             x, y = road.reference_line.place(s, t - shift)
-            found.append(_stood(junction, asset, float(x), float(y), road.reference_line.origin[2]))
-    return _kept(found, taken)
+            found.append(props.stood(asset, junction.stand(x, y), rules.facing(road.reference_line.origin[2]), {}))
+    return [p for p in found if taken.take(p)]
 
 
 def _rows(recipe: Recipe, junction: Roundabout, seed: int, taken: rules.CollisionSet) -> list[Placement]:
@@ -199,62 +157,40 @@ def _rows(recipe: Recipe, junction: Roundabout, seed: int, taken: rules.Collisio
 
 
 def _row(
-    junction: Roundabout, corner: int, distributions: Any, rng: np.random.Generator, taken: rules.CollisionSet
+    junction: Roundabout,
+    corner: int,
+    distributions: Mapping[str, Distribution],
+    rng: np.random.Generator,
+    taken: rules.CollisionSet,
 ) -> list[Placement]:
     line, span = junction.outline, junction.outline.span(corner)
     base, normals = line.points[span], line.normals[span]
-    where, start = distributions["from"](rng), None
-    beyond, until = (
-        junction.radius + float(distributions["beyond_m"](rng)),
-        junction.radius + float(distributions["until_m"](rng)),
-    )
-    placed: list[Placement] = []
-    out = (junction.pavement if where == "edge" else 0.0) + float(distributions["out_m"](rng))
+    behind = junction.pavement if distributions["from"](rng) == "edge" else 0.0
+    beyond = junction.radius + float(distributions["beyond_m"](rng))
+    until = junction.radius + float(distributions["until_m"](rng))
+    out = behind + float(distributions["out_m"](rng))
     front = base + out * normals  # what stands end to end is measured where its front is
     at = np.r_[0.0, np.cumsum(np.hypot(*np.diff(front, axis=0).T))]
-    while start is None or start < at[-1]:
-        asset, turned = distributions["models"](rng), distributions["turn"](rng)
-        found, size = rules.model(asset), round(float(distributions["size"](rng)), 3)
-        extent = (found.width if turned in ("road", "back") else found.length) * size
-        step, gap = distributions["step_m"](rng), float(distributions["gap_m"](rng))
-        start = float(rng.random()) * (step or extent) if start is None else start
-        middle = start if step is not None else start + extent / 2
-        start += float(step) if step is not None else extent + gap
-        there, any_way, looks = rng.random() < distributions["share"](rng), float(rng.uniform(0, 360)), look(rng, found)
-        more = float(distributions["out_m"](rng)) + (junction.pavement if where == "edge" else 0.0) - out
-        if not there:
-            continue
-        for nudge in range(NUDGES if step is None else 1):
-            k = int(np.searchsorted(at, middle + NUDGE_M * nudge))
-            if k >= len(at):
-                break
-            (nx, ny), (x, y) = normals[k], front[k] + more * normals[k]
-            if not beyond <= math.hypot(*base[k]) <= until:
-                break
+
+    def places(prop: props.Prop, stations: Sequence[float]) -> Iterator[tuple[float, Placement]]:
+        for s in stations:
+            k = int(np.searchsorted(at, s))
+            if k >= len(at) or not beyond <= math.hypot(*base[k]) <= until:
+                return
+            nx, ny = normals[k]
+            x, y, z = junction.stand(*(base[k] + (behind + prop.out) * normals[k]))
             angle = {
                 "road": math.atan2(nx, -ny),
                 "back": math.atan2(-nx, ny),
                 "traffic": math.atan2(-ny, -nx),
                 "along": math.atan2(ny, nx),
             }
-            facing = round((math.degrees(angle[turned]) if turned in angle else any_way), 2)
-            p = Placement(
-                rules.prim_group(found),
-                "",
-                asset,
-                round(float(x), 3),
-                round(float(y), 3),
-                facing,
-                looks,
-                z=0.0,
-                size=size,
-            )
-            if taken.free(p, 0.02 if found.group == "building" else 0.1) and _beside(junction, p, out + more):
-                taken.add(p)
-                placed.append(replace(p, z=junction.stand(p.x, p.y)[2]))
-                start += NUDGE_M * nudge if step is None else 0.0
-                break
-    return placed
+            heading = math.degrees(angle[prop.turned]) if prop.turned in angle else prop.any_way
+            p = props.stood(prop.asset, (x, y, z), round(heading, 2), prop.looks, prop.size)
+            if _beside(junction, p, behind + prop.out):
+                yield s, p
+
+    return props.row(distributions, props.Line(places, float(at[-1])), rng, taken)
 
 
 def _beside(junction: Roundabout, p: Placement, out: float) -> bool:

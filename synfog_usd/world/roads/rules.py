@@ -1,4 +1,4 @@
-"""Where things may stand at a road: footprints, lanes and gaps, and what the camera sees.
+"""Where things may stand at a road: footprints, what stands already, and what the camera sees.
 
 Knows the sizes of models, nothing of recipes.
 """
@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +33,6 @@ TRUNK_M, TREE_HEIGHT_M = 0.4, 3.0
 LAMP_CLEAR_M = 4.6
 """Between a lamp and the trunk of a tree: no lamp hangs in a crown."""
 SHARE_SEEN = 0.3
-ZEBRA_FREE_M = 3.6
 RAYS = ((-0.4, 0.5), (0.0, 0.5), (0.4, 0.5), (-0.4, 0.9), (0.0, 0.9), (0.4, 0.9))
 """Across the width and up the height of a thing, as shares of both."""
 
@@ -66,6 +66,11 @@ def prim_group(found: library.LibraryModel) -> str:
     return GROUPS.get(found.group, "Furniture")
 
 
+def facing(heading: float) -> float:
+    """A heading within half a turn [degrees], to a hundredth."""
+    return round((heading + 180.0) % 360.0 - 180.0, 2)
+
+
 @functools.cache
 def foot(name: str) -> tuple[float, float, float, float]:
     """Box that a model takes up on the ground in its own axes: low x, low y, high x, high y [m]."""
@@ -84,6 +89,19 @@ def footprint(p: Placement) -> Array:
     corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
     c, s = math.cos(math.radians(p.heading)), math.sin(math.radians(p.heading))
     return corners @ np.array([[c, s], [-s, c]]) + (p.x, p.y)
+
+
+class Room(Protocol):
+    """What stands already, as those ask who come to stand beside it."""
+
+    def take(self, p: Placement, margin: float = 0.1) -> bool:
+        """Take the place of a placement, where it keeps `margin` [m] from all others."""
+
+    def add(self, p: Placement) -> None:
+        """Take the place of a placement, whatever stands there."""
+
+    def copy(self) -> Room:
+        """Another that goes on from here."""
 
 
 @dataclass
@@ -113,8 +131,15 @@ class CollisionSet:
         # much
         return not bool(shapely.dwithin(shapely.Polygon(corners), self.prints, margin).any())
 
+    def take(self, p: Placement, margin: float = 0.1) -> bool:
+        """Take the place of a placement, where it keeps `margin` [m] from all others."""
+        if not self.free(p, margin):
+            return False
+        self.add(p)
+        return True
+
     def add(self, p: Placement) -> None:
-        """Take the place of a placement."""
+        """Take the place of a placement, whatever stands there."""
         self.add_outline(footprint(p))
         found = model(p.asset)
         if found.group == "lamp":
@@ -129,38 +154,6 @@ class CollisionSet:
     def copy(self) -> CollisionSet:
         """Another that goes on from here."""
         return CollisionSet(list(self.prints), list(self.lamps), list(self.trunks))
-
-
-# -- lanes
-
-
-def queue(rng: np.random.Generator, span: tuple[float, float], lengths: Sequence[float], least: float) -> list[float]:
-    """Middles of vehicles in a stretch of lane, in order, with at least `least` [m] between them.
-
-    Uniform among all ways to stand there: gaps beyond the least are the spacings of
-    uniform points, as in free traffic.  Vehicles that do not fit are left out.
-    """
-    lengths = list(lengths)
-    while lengths and sum(lengths) + least * (len(lengths) - 1) > span[1] - span[0]:
-        lengths.pop()
-    spare = span[1] - span[0] - sum(lengths) - least * max(len(lengths) - 1, 0)
-    slack = np.sort(rng.uniform(0.0, max(spare, 0.0), len(lengths)))
-    places, at = [], span[0]
-    for length, before in zip(lengths, slack, strict=True):
-        places.append(float(at + before + length / 2))
-        at += length + least
-    return places
-
-
-def spans(road: Road, low: float, high: float, blocked: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Stretches of a lane between two stations that are free of zebras and of what is blocked."""
-    cuts = sorted([*blocked, *((s - ZEBRA_FREE_M, s + ZEBRA_FREE_M) for s in road.zebras)])
-    found, at = [], low
-    for a, b in cuts:
-        if a > at:
-            found.append((at, min(a, high)))
-        at = max(at, b)
-    return [(a, b) for a, b in [*found, (at, high)] if b - a > 3.0]
 
 
 # -- sight

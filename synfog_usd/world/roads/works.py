@@ -10,7 +10,8 @@ import numpy as np
 from synfog_usd.seeds import stream
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.network import Road
-from synfog_usd.world.roads.props import in_structure, look
+from synfog_usd.world.roads.props import look
+from synfog_usd.world.roads.road_props import in_structure
 from synfog_usd.world.roads.structures import Built
 from synfog_usd.world.roads.surface import bend
 from synfog_usd.world.shapes import Part, ball, box, fan, tube

@@ -1,0 +1,217 @@
+"""Where traffic, parked cars and people may be at a road: its lanes, bays, pavements and zebras."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.errors import RecipeError
+from synfog_usd.seeds import stream
+from synfog_usd.world.language import Recipe
+from synfog_usd.world.roads import actors, people, rules, traffic
+from synfog_usd.world.roads.lane_section import RAISED, Lane
+from synfog_usd.world.roads.markings import BAY_M, bay_length, bays, zebra_span
+from synfog_usd.world.roads.network import Road
+from synfog_usd.world.roads.road_props import BEHIND_M, in_structure
+from synfog_usd.world.spec import Placement, View
+
+AHEAD_M = 260.0
+ON_A_BUS_LANE = ("bus", "taxi", "coach", "minibus")
+ABREAST_M = ((0.0, 0.0), (0.70, 0.0), (0.35, 0.95))
+"""How far to the side of the first, and behind, those walk who go together."""
+ZEBRA_WALK_M = 1.2
+NEAREST_M, NEAR_SIDE = 8.0, 0.35
+"""From the camera to the first who is in the picture; how many are put on the camera's own side before the side is
+drawn.
+"""
+
+
+def in_sight(
+    recipe: Recipe,
+    road: Road,
+    seed: int,
+    own: Lane,
+    station: float,
+    value: Any,
+    view: View,
+    fov: float,
+    fixed: list[Placement],
+    taken: rules.CollisionSet,
+) -> list[Placement]:
+    """Traffic and people that meet the rules of sight.
+
+    Raises:
+        RecipeError: none do after many tries, or there is no room for so many people.
+    """
+
+    def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
+        return [
+            *_traffic(recipe, road, seed, attempt, own, station, value, room),
+            *_people(recipe, road, seed, attempt, station, value, room),
+        ]
+
+    return actors.in_sight(recipe, drawn, road, value, view, fov, fixed, taken)
+
+
+def _traffic(
+    recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, station: float, value: Any, room: rules.CollisionSet
+) -> list[Placement]:
+    """Vehicles in their lanes: as many as the flow at that hour, no nearer to each other than they can stop."""
+    least, density = traffic.flow(value, attempt)
+    low, high = max(station - BEHIND_M, 4.0), min(station + AHEAD_M, road.reference_line.length - 4.0)
+    total = value("traffic.count")
+    lanes = road.driving_lanes
+    if total is None:
+        counts = [
+            int(stream(seed, "recipe", "traffic", attempt, "number", index).poisson(density * (high - low)))
+            for index in range(len(lanes))
+        ]
+    else:
+        chosen = stream(seed, "recipe", "traffic", attempt, "number").choice(range(len(lanes)), total)
+        counts = [int((chosen == index).sum()) for index in range(len(lanes))]
+    behind, before = traffic.OWN_CAR_M
+    placed: list[Placement] = []
+    for index, lane in enumerate(lanes):
+        rng = stream(seed, "recipe", "traffic", attempt, "lane", index)
+        blocked = [(station - behind - least, station + before + max(least, 4.0))] if lane is own else []
+        free = traffic.spans(road, low, high, blocked)
+        among = [name for name in ON_A_BUS_LANE if name in rules.names()] if lane.kind == "bus" else None
+        vehicles = traffic.flowing(recipe, rng, free, counts[index], least, among)
+        placed += traffic.fill(_lane(road, lane), vehicles, rng, room)
+    for number in range(value("traffic.cyclists")):
+        placed += _cyclist(road, stream(seed, "recipe", "cyclist", attempt, number), station, room)
+    return placed
+
+
+def _lane(road: Road, lane: Lane) -> traffic.TrafficLane:
+    def pose(s: float, aside: float) -> traffic.Pose:
+        return road.pose(s, lane.middle + aside, way=lane.way)
+
+    def brakes(rng: np.random.Generator, s: float) -> bool:
+        before_zebra = any(0.0 < (zebra - s) * lane.way < traffic.BRAKING_M for zebra in road.zebras)
+        return before_zebra or rng.random() < traffic.BRAKING
+
+    return traffic.TrafficLane(pose, traffic.sway(lane.width), brakes)
+
+
+def _cyclist(road: Road, rng: np.random.Generator, station: float, room: rules.CollisionSet) -> list[Placement]:
+    """At the right edge of the rightmost lane of its way, or on the cycle lane."""
+    way = 1 if rng.random() < 0.6 else -1
+    lanes = [lane for lane in road.driving_lanes if lane.way == way]
+    if not lanes:
+        return []
+    outer = lanes[-1] if way > 0 else lanes[0]
+    cycle = [lane for lane in road.lane_section.of("cycle") if lane.middle * way > 0]
+    t = cycle[0].middle if cycle else outer.middle + way * (outer.width / 2 - 0.65)
+
+    def place(rng: np.random.Generator) -> traffic.Pose | None:
+        s = station + float(rng.uniform(12.0, 80.0))
+        if s > road.reference_line.length - 5.0 or any(abs(s - zebra) < 4.0 for zebra in road.zebras):
+            return None
+        return road.pose(s, t, way=way)
+
+    return traffic.cyclist(rng, place, room)
+
+
+def parked(
+    recipe: Recipe, road: Road, seed: int, station: float, share: float, taken: rules.CollisionSet
+) -> list[Placement]:
+    """One car to a bay, looking the way of the lane beside."""
+    numbered = enumerate(bays(road))
+    return traffic.park(
+        recipe,
+        ((_bay(road, lane, middle, station), stream(seed, "recipe", "parked", i)) for i, (lane, middle) in numbered),
+        share,
+        taken,
+    )
+
+
+def _bay(road: Road, lane: Lane, middle: float, station: float) -> traffic.Bay:
+    crosswise = bay_length(lane) != BAY_M
+
+    def pose(along: float, aside: float) -> traffic.Pose | None:
+        s, t = middle + along, lane.middle + aside
+        if s < station - BEHIND_M or in_structure(road, s, t):
+            return None
+        return road.pose(s, t, way=1 if lane.middle > 0 else -1)
+
+    return traffic.Bay(pose, lane.width - 0.15 if crosswise else BAY_M - 0.3, crosswise)
+
+
+def _people(
+    recipe: Recipe, road: Road, seed: int, attempt: int, station: float, value: Any, room: rules.CollisionSet
+) -> list[Placement]:
+    """On pavements, denser near the camera, and on zebra crossings."""
+    count = value("people.count")
+    walks = list(road.lane_section.of("pavement"))
+    if count and not walks:
+        raise RecipeError(f"{recipe.name}: people.count {count}: the lane section has no pavement for them")
+
+    def places(rng: np.random.Generator, crosses: bool, walks_on: bool) -> people.Places:
+        if crosses:
+            return _on_zebra(road, rng)
+        return _on_pavement(road, rng, station, walks, walks_on)
+
+    return people.walking(
+        recipe,
+        people.Footways(places, zebras=bool(road.zebras)),
+        lambda number: stream(seed, "recipe", "person", attempt, number),
+        room,
+        count=count,
+        crossing_share=value("people.crossing_share"),
+        company=value("people.company"),
+    )
+
+
+def _on_zebra(road: Road, rng: np.random.Generator) -> people.Places:
+    """Somewhere on a zebra, to the left or to the right."""
+    way = int(rng.choice((-1, 1)))
+    low, high = zebra_span(road)
+    s = road.zebras[int(rng.integers(len(road.zebras)))] + float(rng.uniform(-ZEBRA_WALK_M, ZEBRA_WALK_M))
+    middle = float(rng.uniform(low + 0.4, high - 0.4))
+    turn = 90.0 * way + float(rng.normal(0, 4))
+    for at, t, deviation in _abreast(rng, s, middle, (0.0, -way)):
+        here = road.lane_section.at(t)
+        near = min(abs(at - zebra) for zebra in road.zebras) <= ZEBRA_WALK_M + 0.2
+        stands = here is not None and here.kind not in RAISED and near
+        yield _stands(road, rng, at, t, turn, deviation) if stands else None
+
+
+def _on_pavement(
+    road: Road, rng: np.random.Generator, station: float, walks: Sequence[Lane], walks_on: bool
+) -> people.Places:
+    """On a pavement ahead of the camera, most on its own side; who does not walk looks anywhere."""
+    way = int(rng.choice((-1, 1)))
+    near = [lane for lane in walks if lane.middle > 0]
+    chosen = near if near and rng.random() < NEAR_SIDE else list(walks)
+    lane = chosen[int(rng.integers(len(chosen)))]
+    s = station + NEAREST_M + (road.reference_line.length - station) * 0.5 * float(rng.random()) ** 1.8
+    middle = float(rng.uniform(lane.low + 0.55, lane.high - 0.45))
+    if s > road.reference_line.length - 3.0:
+        return
+    turn = 90.0 - 90.0 * way + float(rng.normal(0, 5)) if walks_on else float(rng.uniform(0, 360))
+    for at, t, deviation in _abreast(rng, s, middle, (way, 0.0)):
+        stands = road.lane_section.at(t) is lane and lane.low + 0.45 <= t <= lane.high - 0.4
+        yield _stands(road, rng, at, t, turn, deviation) if stands else None
+
+
+def _abreast(
+    rng: np.random.Generator, s: float, t: float, ahead: tuple[float, float]
+) -> Iterator[tuple[float, float, float]]:
+    """Stations, offsets [m] and deviations of the heading [degrees] of two or three side by side, the third behind."""
+    side = float(rng.choice((-1.0, 1.0)))
+    for number, (across, back) in enumerate(ABREAST_M):
+        across = side * across * float(rng.uniform(1.0, 1.15))
+        back += float(rng.uniform(-0.15, 0.15)) if number else 0.0
+        yield s - back * ahead[0] + across * ahead[1], t - back * ahead[1] + across * ahead[0], 2.0 if number else 0.0
+
+
+def _stands(
+    road: Road, rng: np.random.Generator, s: float, t: float, turn: float, deviation: float
+) -> tuple[float, float, float, float] | None:
+    if not 0.0 < s < road.reference_line.length - 3.0:
+        return None
+    x, y, z, heading, _ = road.pose(s, t)
+    return x, y, z, rules.facing(heading + turn + (float(rng.normal(0, deviation)) if deviation else 0.0))

@@ -1,0 +1,137 @@
+"""Where things may stand along a road: beside its lanes and zebras, not on a bridge or in a tunnel's hill."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from synfog_usd.seeds import stream
+from synfog_usd.world.language import Recipe, Row
+from synfog_usd.world.roads import props, rules
+from synfog_usd.world.roads.lane_section import PAVED
+from synfog_usd.world.roads.network import Road
+from synfog_usd.world.spec import Placement
+
+BEHIND_M = 70.0
+JOINT_M = 0.005
+BESIDE_ZEBRA_M = 2.3
+FRONT_GARDEN_M = 3.0
+"""Buildings farther off than this stand on the land, not at the height of the road's edge."""
+DUG_IN_M = 1.5
+"""Nobody builds where a house would stand deeper in the slope."""
+DRAWN = ("out", "any_way", "looks")
+
+
+def rows(recipe: Recipe, road: Road, seed: int, station: float, taken: rules.CollisionSet) -> list[Placement]:
+    """Rows in their order, on the sides that they name."""
+    placed: list[Placement] = []
+    length = road.reference_line.length
+    for number, row in enumerate(recipe.rows):
+        side = row.distributions["side"](stream(seed, "recipe", "rows", number, "side"))
+        for sign in {"left": (-1,), "right": (1,)}.get(side, (-1, 1)):
+            rng = stream(seed, "recipe", "rows", number, sign)
+            step = row.distributions["step_m"](rng)
+            start = float(row.distributions["start_m"](rng)) + station
+            if side == "alternate" and sign > 0 and step:
+                start += step / 2
+            end = row.distributions["end_m"](rng)
+            end = length if end is None else min(float(end) + station, length)
+            if row.distributions["at"](rng) == "zebras":
+                placed += _at_zebras(road, row, rng, sign, taken)
+                continue
+            line = props.Line(_places(road, row, rng, sign), end, start, JOINT_M, DRAWN)
+            placed += props.row(row.distributions, line, rng, taken)
+    return placed
+
+
+def _places(road: Road, row: Row, rng: np.random.Generator, sign: int) -> props.Places:
+    """Along an offset on one side of the road."""
+
+    def places(prop: props.Prop, stations: Sequence[float]) -> Iterator[tuple[float, Placement]]:
+        if not 0.0 <= stations[0] <= road.reference_line.length:
+            return
+        t = _counted_from(road, row.distributions["from"](rng), sign) + sign * prop.out
+        angle = _turn(prop.turned, sign, prop.any_way)
+        for s in stations:
+            p = _stood(road, prop.asset, s, t, angle, prop.looks, prop.size)
+            if p is not None:
+                yield s, p
+
+    return places
+
+
+def _at_zebras(road: Road, row: Row, rng: np.random.Generator, sign: int, taken: rules.CollisionSet) -> list[Placement]:
+    """A thing beside each zebra, where the traffic of that side comes to it."""
+    placed = []
+    for zebra in road.zebras:
+        asset = row.distributions["models"](rng)
+        t = _counted_from(road, row.distributions["from"](rng), sign) + sign * float(row.distributions["out_m"](rng))
+        looks = props.look(rng, rules.model(asset))
+        angle = _turn(row.distributions["turn"](rng), sign, 0.0)
+        p = _stood(road, asset, zebra - sign * BESIDE_ZEBRA_M, t, angle, looks, 1.0, at_zebra=True)
+        if p is not None and taken.take(p):
+            placed.append(p)
+    return placed
+
+
+def _turn(name: str, sign: int, other: float) -> float:
+    """Degrees from the road's direction at which a thing stands on one side of it."""
+    return {
+        "road": 90.0 * sign,
+        "back": -90.0 * sign,
+        "traffic": 180.0 if sign > 0 else 0.0,
+        "along": 0.0 if sign > 0 else 180.0,
+    }.get(name, other)
+
+
+def _stood(
+    road: Road,
+    asset: str,
+    s: float,
+    t: float,
+    angle: float,
+    looks: dict[str, str],
+    size: float,
+    *,
+    at_zebra: bool = False,
+) -> Placement | None:
+    """A thing beside the road, or None where the road has no place for it."""
+    found = rules.model(asset)
+    near_kerb = (
+        not at_zebra and found.group != "building" and road.lane_section.low - 3.0 < t < road.lane_section.high + 3.0
+    )
+    if (
+        s > road.reference_line.length
+        or in_structure(road, s, t)
+        or (near_kerb and any(abs(s - zebra) < 4.5 for zebra in road.zebras))
+    ):
+        return None
+    x, y, z, heading, _ = road.pose(s, t)
+    if found.group == "building":  # stands as high as the ground before it, or in the slope
+        z = round(float(road.ground(s, road.lane_section.high if t > 0 else road.lane_section.low)), 4) - 0.005
+        if max(t - road.lane_section.high, road.lane_section.low - t) - found.length / 2 > FRONT_GARDEN_M:
+            corners = rules.footprint(Placement("", "", asset, x, y, heading + angle, size=size))
+            ground = road.height(corners[:, 0], corners[:, 1])
+            if np.ptp(ground) > DUG_IN_M:
+                return None
+            z = round(float(np.min(ground)), 4) - 0.005
+    return props.stood(asset, (x, y, z), rules.facing(heading + angle), looks, size)
+
+
+def _counted_from(road: Road, where: str, sign: int) -> float:
+    """Offset that a row counts outwards from."""
+    if where == "line":
+        return 0.0
+    if where == "edge":
+        return road.lane_section.high if sign > 0 else road.lane_section.low
+    paved = [lane for lane in road.lane_section.lanes if lane.kind in PAVED]
+    return paved[-1].high if sign > 0 else paved[0].low
+
+
+def in_structure(road: Road, s: float, t: float) -> bool:
+    """Whether a place beside the road is off a bridge, or in a tunnel's hill."""
+    outside = t > road.lane_section.high or t < road.lane_section.low
+    if road.land.valley and outside and road.land.valley[0] - 6.0 < s < road.land.valley[1] + 6.0:
+        return True
+    return bool(road.land.hill and s > road.land.hill[0] - (10.0 if outside else 2.0))
