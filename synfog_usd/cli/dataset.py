@@ -10,6 +10,7 @@ import typer
 app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Sets of shots: planned, made, checked and exported."
 )
+Set = Annotated[Path, typer.Argument(metavar="SET", help="YAML of a set, or the name of one that ships, as mini.")]
 Folder = Annotated[Path, typer.Argument(help="Folder of a set.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print as JSON on standard output.")]
@@ -26,8 +27,25 @@ Variant = Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")]
 
 
 @app.command()
+def plan(
+    file: Set,
+    workers: Workers = None,
+    probe: Annotated[
+        bool, typer.Option(help="Make three small units, to tell hours and gigabytes; --no-probe only counts.")
+    ] = True,
+    variant: Variant = "auto",
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Tell what the SET holds, and what it takes on this machine, before anything is made."""
+    from synfog_usd.cli import sets as verb
+
+    verb.plan(file, workers=workers, probe=probe, variant=variant, quiet=quiet, as_json=as_json)
+
+
+@app.command()
 def run(
-    file: Annotated[Path, typer.Argument(metavar="SET", help="YAML of a set, or the name of one that ships, as mini.")],
+    file: Set,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the set.")],
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -59,6 +77,28 @@ def run(
         limit_s=limit,
         variant=variant,
     )
+
+
+@app.command()
+def status(
+    out: Folder,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Tell again whenever something is new, until the run ends.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Tell how far a set is, what it takes, and what was set aside."""
+    from synfog_usd.cli import sets as verb
+
+    verb.status(out, watch=watch, as_json=as_json)
+
+
+@app.command()
+def verify(out: Folder, quiet: Quiet = False, as_json: AsJson = False) -> None:
+    """Look at every file of a set: its hash, and labels against pictures; exit code 1 where something is wrong."""
+    from synfog_usd.cli import sets as verb
+
+    verb.verify(out, quiet=quiet, as_json=as_json)
 
 
 @app.command()

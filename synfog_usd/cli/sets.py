@@ -6,9 +6,10 @@ import dataclasses
 import json
 import signal
 import sys
+import time
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -21,7 +22,43 @@ from synfog_usd.sets.run import run as make
 from synfog_usd.sets.scenes import Unit
 from synfog_usd.sets.work import Child, told
 
+if TYPE_CHECKING:
+    from synfog_usd.sets.status import Status
+
+WATCH_S = 2.0
 CHILD = Child(("-m", "synfog_usd.cli.main", "dataset", "unit"), worker.MARK, worker.FOREIGN)
+
+
+def plan(file: Path, *, workers: int | None, probe: bool, variant: str, quiet: bool, as_json: bool) -> None:
+    """Print what a set holds and takes."""
+    from synfog_usd.sets import cost
+
+    found = load_set(file)
+    counted, expected = cost.count(found), None
+    with shown(quiet) as (progress, _):
+        if probe:
+            expected = cost.estimate(found, counted, CHILD, workers=workers, variant=variant, progress=progress)
+    if as_json:
+        plain = dataclasses.asdict(counted) | ({"estimate": dataclasses.asdict(expected)} if expected else {})
+        print(json.dumps(plain, indent=2))
+        return
+    units = ", ".join(f"{number} in {lighting}" for lighting, number in counted.units.items())
+    print(f"{found.name}: {found.about}")
+    print(f"  scenes    {counted.scenes} ({', '.join(f'{number} {name}' for name, number in counted.splits.items())})")
+    print(f"  drawn of  {', '.join(f'{number} {name}' for name, number in counted.sources.items())}")
+    print(f"  units     {sum(counted.units.values())} of a scene and lighting: {units}")
+    print(f"  shots     {counted.shots}, as {counted.pictures} pictures in {counted.files} files")
+    if expected:
+        print(f"  disk      {expected.gigabytes:.3g} GB")
+        print(
+            f"  time      {_hours(expected.hours)} with {expected.workers} units at a time; "
+            f"{_hours(expected.cpu_h)} of processor time"
+        )
+        print(f"  memory    {expected.peak_mb / 1000:.2g} GB a unit")
+
+
+def _hours(hours: float) -> str:
+    return f"{hours:.3g} h" if hours >= 1.0 else f"{hours * 60:.2g} min"
 
 
 def run(file: Path | None, out: Path, *, only: str | None, quiet: bool, as_json: bool, **more: Any) -> None:
@@ -59,6 +96,61 @@ def _report(outcome: Outcome, out: Path, *, quiet: bool, as_json: bool) -> None:
         raise typer.Exit(1)
 
 
+def status(out: Path, *, watch: bool, as_json: bool) -> None:
+    """Print how far a set is; under `watch` again whenever it is further."""
+    from synfog_usd.sets.status import status as look
+
+    shown_last = None
+    while True:
+        found = look(out)
+        told_now = json.dumps(dataclasses.asdict(found), indent=2) if as_json else _in_words(out, found)
+        if told_now != shown_last:
+            print(told_now, flush=True)
+            shown_last = told_now
+        if not watch or not found.running:
+            return
+        time.sleep(WATCH_S)
+
+
+def _in_words(out: Path, found: Status) -> str:
+    share = f"{found.made} of {found.units} units ({found.made / found.units:.0%})"
+    parts = [share, f"{found.bytes / 1e9:.2f} GB"]
+    if found.left_s and found.made < found.units:
+        parts.append(f"{found.left_s / 3600:.2g} h of processor time left")
+    parts.append(
+        "a run works on it" if found.running else "complete" if found.made == found.units else "no run works on it"
+    )
+    lines = [f"{out}: {found.name}, {found.scenes} scenes, {found.shots} shots: {', '.join(parts)}"]
+    lines += [f"  {name} (seed {line['seed']}) is set aside: {line['error']}" for name, line in found.aside.items()]
+    return "\n".join(lines)
+
+
+def verify(out: Path, *, quiet: bool, as_json: bool) -> None:
+    """Look at every file in a child, because a damaged file may take a library down; exit code 1 with findings."""
+    if not worker.is_worker():
+        code = worker.run(sys.argv[1:])
+        if code < 0:
+            print(f"synfog-usd: {out}: the process that read it died of signal {-code}", file=sys.stderr)
+        raise typer.Exit(2 if code < 0 else code)
+    worker.follow_parent()
+    from synfog_usd.sets.verify import verify as look
+
+    with shown(quiet) as (progress, log):
+        found = []
+        for one in look(out, progress=progress):
+            found.append(one)
+            if not as_json:
+                log(f"{out}: {one.unit}{': ' if one.unit else ''}{one.text}")
+    wrong = [one for one in found if not one.missing]
+    if as_json:
+        print(json.dumps([dataclasses.asdict(one) for one in found], indent=2))
+    elif not quiet:
+        missing = len(found) - len(wrong)
+        end = f", {missing} units are not made" if missing else ""
+        print(f"{out}: {len(wrong) or 'nothing'} wrong{end}" + ("; run --repair mends it" if wrong else ""))
+    raise typer.Exit(1 if wrong else 0)
+
+
 def unit(out: Path, number: int, lighting: str, camera: str, *, repair: bool, variant: str) -> None:
     """Make one unit; in a worker's child, the child itself."""
     if not worker.is_worker():
@@ -69,7 +161,7 @@ def unit(out: Path, number: int, lighting: str, camera: str, *, repair: bool, va
     from synfog_usd.sets import identity
     from synfog_usd.sets.unit import make as make_unit
 
-    def made() -> dict[str, Any]:
+    def made() -> tuple[dict[str, Any], bool]:
         found = journal.kept_definition(out)
         identity.check(out, identity.identity(found, backend.choose(variant).variant))  # type: ignore[arg-type]
         which = Unit(number, lighting, camera)

@@ -18,10 +18,8 @@ from synfog_usd.errors import SetError, did_you_mean
 from synfog_usd.yamlio import load_file
 
 SETTINGS = {
-    "distributed.scheduler.allowed-failures": 0,  # a worker that dies is a try of its unit, and of no other
-    "distributed.scheduler.worker-saturation": 1.0,  # so no worker has a second unit in waiting
+    "distributed.scheduler.allowed-failures": 0,  # a worker that dies is a try of its unit; `run` counts them
     "distributed.scheduler.worker-ttl": "2 minutes",
-    "distributed.scheduler.work-stealing": False,
     "distributed.admin.large-graph-warning-threshold": "100MB",
     "distributed.worker.daemon": False,
 }

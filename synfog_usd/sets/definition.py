@@ -164,7 +164,14 @@ def shipped() -> dict[str, Path]:
 
 
 def _shipped(path: Path) -> Path:
-    return path if path.suffix or path.exists() else shipped().get(str(path), path)
+    if path.suffix or path.exists():
+        return path
+    if str(path) not in shipped():
+        raise SetError(
+            f"{path}: no such file, and no set of this name ships; there are "
+            f"{', '.join(shipped())}.{did_you_mean(str(path), shipped())}"
+        )
+    return shipped()[str(path)]
 
 
 class _SetReader:

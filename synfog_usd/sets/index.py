@@ -150,17 +150,24 @@ def write_part(out: Path, part: int, rows: Iterable[Mapping[str, Any]]) -> None:
     files.write_whole(path, lambda temporary: parquet.write_table(table, temporary, compression="zstd"))
 
 
-def _of_part(out: Path, path: Path, scene: int | None = None) -> Iterator[Picture]:
+def rows_of_part(path: Path) -> Iterator[dict[str, Any]]:
+    """The rows of one file, as `write_part` took them.
+
+    Raises:
+        OutputError: it cannot be read.
+    """
     try:
         with _parquet().ParquetFile(path) as file:
             for batch in file.iter_batches(batch_size=1000):
-                for row in batch.to_pylist():
-                    if scene is None or row["scene"] == scene:
-                        yield _picture(out, row)
+                yield from batch.to_pylist()
     except (OSError, ValueError, KeyError) as error:  # pyarrow's own errors are ValueErrors
         raise OutputError(
             f"{path}: cannot be read as part of an index ({error}); the same dataset run writes it again"
         ) from error
+
+
+def _of_part(out: Path, path: Path, scene: int | None = None) -> Iterator[Picture]:
+    return (_picture(out, row) for row in rows_of_part(path) if scene is None or row["scene"] == scene)
 
 
 def _picture(out: Path, row: Mapping[str, Any]) -> Picture:

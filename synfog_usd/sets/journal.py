@@ -49,6 +49,8 @@ class Tally:
             self.aside[line["unit"]] = dict(line)
         elif line.get("ok"):
             self.aside.pop(line["unit"], None)
+            if not line["made"]:
+                return
             self.units += 1
             self.shots += line["shots"]
             self.bytes += line["bytes"]

@@ -26,8 +26,6 @@ from synfog_usd.sets.unit import record, rows
 from synfog_usd.sets.work import Child, Job, do
 
 TRIES = 3
-AHEAD = 2
-"""Units that a worker finds waiting beside the one that it makes."""
 LOOK_S = 1.0
 """How often it is looked whether the scheduler is still there."""
 SPARE_BYTES = 200 * 2**20
@@ -167,7 +165,7 @@ class _Maker:
         self.ended: queue.SimpleQueue[tuple[Unit, Any]] = queue.SimpleQueue()
         self.under_way: dict[str, Any] = {}
         self.used_bytes = self.tally.bytes
-        self.total = 0
+        self.total = self.done = 0
 
     def make(self) -> None:
         todo = self.todo()
@@ -209,10 +207,10 @@ class _Maker:
 
     def feed(self, workers: cluster.Workers, todo: Iterator[Unit]) -> None:
         """Keep the workers busy until nothing is left."""
-        most, waiting = (1 + AHEAD) * workers.count, list[Unit]()
+        waiting = list[Unit]()
         try:
             while True:
-                while len(self.under_way) < most and not self.outcome.stopped:
+                while len(self.under_way) < workers.count and not self.outcome.stopped:
                     unit = waiting.pop() if waiting else next(todo, None)
                     if unit is None or self.too_much():
                         break
@@ -228,7 +226,8 @@ class _Maker:
                 self.under_way.pop(unit.name)
                 if again := self.take(unit, future):
                     waiting.append(again)
-                self.tell()
+                else:
+                    self.tell()
         finally:
             with contextlib.suppress(Exception):  # the scheduler may be gone; what is under way ends with the workers
                 workers.client.cancel(list(self.under_way.values()), force=True)
@@ -261,6 +260,9 @@ class _Maker:
             del self.tries[unit.name]
             journal.write(self.plan.out, line)
             self.tally.add(line)
+            if not result["made"]:
+                self.outcome.kept += 1
+                return None
             self.outcome.made += 1
             self.outcome.cpu_s += result["cpu_s"]
             self.used_bytes += result["bytes"]
@@ -324,11 +326,11 @@ class _Maker:
         return bool(self.outcome.stopped)
 
     def tell(self) -> None:
-        done = self.outcome.made + len(self.outcome.aside)
-        parts = [f"{done} of {self.total} units", f"{self.used_bytes / 1e9:.2f} GB"]
+        self.done += 1
+        parts = [f"{self.done} of {self.total} units", f"{self.used_bytes / 1e9:.2f} GB"]
         if self.outcome.aside:
             parts.append(f"{len(self.outcome.aside)} set aside")
-        self.progress(", ".join(parts), done / max(1, self.total))
+        self.progress(", ".join(parts), self.done / max(1, self.total))
 
 
 def _chain(first: Unit, rest: Iterable[Unit]) -> Iterator[Unit]:

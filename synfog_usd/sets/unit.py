@@ -38,7 +38,7 @@ def make(
     progress: Progress = silent,
     log: Callable[[str], None] = lambda text: None,
     reading: Reading = contextlib.nullcontext,
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], bool]:
     """Make one unit of a set, or look that it is made.
 
     Args:
@@ -50,7 +50,7 @@ def make(
         progress, log, reading: see `dataset.bake.bake`.
 
     Returns:
-        what `unit.json` holds.
+        what `unit.json` holds, and whether it was made now.
 
     Raises:
         SetError: the set has no such unit, or a rule of hold-outs cannot be met.
@@ -66,7 +66,7 @@ def make(
     with _alone(out, unit):
         done = None if repair and not _whole(folder) else record(out, unit)
         if done is not None:
-            return done
+            return done, False
         (folder / layout.UNIT).unlink(missing_ok=True)
         with _drawn(found, planned, out, unit, reading) as (stage, shown):
             from synfog_usd.dataset.bake import bake
@@ -88,7 +88,7 @@ def make(
         more = {path.stem: _developed(path, folder, baked.manifest["shots"], planned) for path in found.pipelines[1:]}
         written = _record(found, planned, unit, folder, baked.manifest, more, shown)
         files.write_json(folder / layout.UNIT, written)
-    return written
+    return written, True
 
 
 def record(out: Path, unit: Unit) -> dict[str, Any] | None:

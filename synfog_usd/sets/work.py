@@ -65,8 +65,8 @@ def do(job: Job, child: Child) -> dict[str, Any]:
     """Make a unit in a child and wait for it.
 
     Returns:
-        `ok`; where it is true what the child told (`bytes`, `peak_mb`, `cpu_s`), else `error` and `kind`, the class of
-        the exception or 'killed', 'limit'.  `seconds` either way.
+        `ok`; where it is true what the child told (`made`, `bytes`, `peak_mb`, `cpu_s`), else `error` and `kind`, the
+        class of the exception or 'killed', 'limit'.  `seconds` either way.
     """
     words = [*child.words, str(job.out), str(job.unit.number), job.unit.lighting, "--variant", job.variant]
     words += ["--camera", job.unit.camera] if job.unit.camera else []
@@ -102,17 +102,18 @@ def do(job: Job, child: Child) -> dict[str, Any]:
     return _failed("crash", words_of_child or f"its process ended with exit code {code}", began)
 
 
-def told(made: Callable[[], dict[str, Any]]) -> tuple[dict[str, Any], int]:
+def told(made: Callable[[], tuple[dict[str, Any], bool]]) -> tuple[dict[str, Any], int]:
     """In the child: what to print of a unit, and the exit code."""
     from synfog_usd.errors import SynfogError
 
     try:
-        found = made()
+        found, fresh = made()
     except SynfogError as error:
         return {"ok": False, "error": str(error), "kind": type(error).__name__}, error.exit_code
     cpu_s, peak_mb = system.used()
     return {
         "ok": True,
+        "made": fresh,
         "bytes": sum(size for size, _ in found["files"].values()),
         "shots": len(found["shots"]),
         "peak_mb": round(peak_mb),
@@ -128,12 +129,10 @@ def _pin(process: int, cores: int) -> None:
     """Keep the child of a local worker to its share of the cores; libraries then begin as many threads."""
     if not cores or not hasattr(os, "sched_setaffinity"):
         return
-    from distributed import get_worker
-
-    try:
-        place = int(get_worker().name)
-    except (TypeError, ValueError):
-        return
+    place = 0
+    if "distributed" in sys.modules:
+        with contextlib.suppress(TypeError, ValueError):  # a probe is made outside of any worker
+            place = int(sys.modules["distributed"].get_worker().name)
     mine = sorted(os.sched_getaffinity(0))
     first = place * cores % len(mine)
     with contextlib.suppress(OSError):

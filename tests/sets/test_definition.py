@@ -34,7 +34,7 @@ def test_every_shipped_set_loads(name):
 
 
 def test_the_set_of_the_paper_has_its_numbers():
-    """500 scenes in two lightings and four fogs, 450 and 50; 1350 pairs a lighting for training."""
+    """500 scenes in two lightings and four fogs, 450 and 50: 1350 training pairs a lighting."""
     found = list(scenes(load_set(Path("synfog"))))
     assert len(found) == 500 and sum(one.shots for one in found) == 4000
     train = [one for one in found if one.split.name == "train"]

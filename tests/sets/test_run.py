@@ -1,0 +1,397 @@
+"""Sets as users make them: begun, killed, gone on with, refused, repaired; always to the same bytes."""
+
+import contextlib
+import hashlib
+import json
+import os
+import random
+import signal
+import subprocess
+import time
+from collections import Counter
+
+import pytest
+from support.cli import command, process, run
+from support.stages import street
+
+from synfog_usd.sets import index
+
+pytest.importorskip("distributed")
+pytest.importorskip("pyarrow")
+
+SET = """\
+synfog: set/1
+about: Two tiny streets.
+scenes: 2
+stages: ["*.usda"]
+fogs: [clear, {integer: [80, 300]}]
+pipelines: [synfog, noise_free]
+size: [24, 14]
+quality: {samples: 2, model: single, denoise: false}
+"""
+OUTPUTS = {"raw.dng", "srgb.png"}
+
+
+def written(folder, text=SET, stages=2):
+    for number in range(stages):
+        (folder / f"{number}.usda").write_text(street(lamp=True, sky=1.0 + number))
+    path = folder / "tiny.yaml"
+    path.write_text(text)
+    return path
+
+
+def made(file, out, *more):
+    return process("dataset", "run", file, "-o", out, "--workers", "2", *more)
+
+
+def hashes(out):
+    """Every file of a set; `.run` is no part of it."""
+    return {
+        path.relative_to(out).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(out.rglob("*"))
+        if path.is_file() and path.relative_to(out).parts[0] != ".run"
+    }
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    return written(tmp_path_factory.mktemp("tiny"))
+
+
+@pytest.fixture(scope="module")
+def whole(tiny, tmp_path_factory):
+    """The set from start to finish: (folder, hashes, what was printed)."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    done = made(tiny, out, "--json")
+    assert done.returncode == 0, done.stderr
+    return out, hashes(out), json.loads(done.stdout)
+
+
+@pytest.mark.slow
+def test_every_picture_is_in_the_index_and_every_file_in_a_unit(whole):
+    """Two scenes, two lightings, two fogs, two pipelines: 16 pictures; nothing else lies in the folder."""
+    out, found, printed = whole
+    assert printed["made"] == 4 and printed["kept"] == 0 and printed["aside"] == {}
+    pictures = list(index.pictures(out))
+    assert len(pictures) == index.count(out) == 16
+    assert Counter(one.pipeline for one in pictures) == {"synfog": 8, "noise_free": 8}
+    assert {one.fog for one in pictures} > {"clear"} and len({one.seed for one in pictures}) == 2
+    for one in pictures:
+        assert set(one.files) >= OUTPUTS and all(path.is_file() for path in one.files.values())
+    listed = {"set.json", "index/part-00000.parquet"}
+    for folder in {one.bake for one in pictures}:
+        inside = folder.relative_to(out).as_posix()
+        for name, (size, digest) in json.loads((folder / "unit.json").read_text())["files"].items():
+            assert found[f"{inside}/{name}"] == digest and (folder / name).stat().st_size == size
+            listed.add(f"{inside}/{name}")
+        listed.add(f"{inside}/unit.json")
+    assert listed == set(found)
+
+
+@pytest.mark.slow
+def test_nothing_is_made_twice_and_a_scene_alone_is_the_same(whole, tiny, tmp_path):
+    """The same command again makes nothing; scenes made in two goes by one worker have the bytes of one go by two."""
+    out, found, _ = whole
+    again = made(tiny, out, "--json")
+    assert json.loads(again.stdout)["made"] == 0 and json.loads(again.stdout)["kept"] == 4
+    assert hashes(out) == found
+    for only in ("1", "0-1"):
+        assert process("dataset", "run", tiny, "-o", tmp_path / "out", "--workers", "1", "--only", only).returncode == 0
+    assert hashes(tmp_path / "out") == found
+
+
+@pytest.mark.slow
+def test_the_pictures_of_a_further_pipeline_are_what_it_makes_of_the_radiance(whole, tmp_path):
+    """`graph run` on the radiance, metered on the clear frame, gives the same bytes but for seeds: none in a pipeline
+    without noise.
+    """
+    out, _, _ = whole
+    foggy, clear = (
+        next(
+            one
+            for one in index.pictures(out)
+            if one.pipeline == "noise_free" and (one.fog == "clear") == is_clear and one.lighting == "sky"
+        )
+        for is_clear in (False, True)
+    )
+    done = run(
+        *(
+            "graph",
+            "run",
+            "pipeline/noise_free.yaml",
+            "--in",
+            foggy.files["radiance.exr"],
+            "-o",
+            tmp_path,
+            "--no-cache",
+        ),
+        *("--meter", clear.files["radiance.exr"]),
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "srgb.png").read_bytes() == foggy.files["srgb.png"].read_bytes()
+
+
+@pytest.mark.slow
+def test_verify_finds_what_was_changed_and_repair_makes_it_again(whole, tiny, tmp_path):
+    """A byte more, a file less, a file too many, an index of something else: each is told, then mended."""
+    import shutil
+
+    out, found, _ = whole
+    copy = tmp_path / "out"
+    shutil.copytree(out, copy)
+    told = run("dataset", "verify", copy)
+    assert told.returncode == 0 and "nothing wrong" in told.stdout
+    paths = [path for path in found if path.endswith(("srgb.png", "labels.json"))]
+    (copy / paths[0]).write_bytes(b"damaged")
+    (copy / paths[-1]).unlink()
+    (copy / "scenes/000/000001/sky/more.txt").write_text("more")
+    (copy / "index/part-00000.parquet").write_bytes(b"PAR1")
+    told = run("dataset", "verify", copy, "--json")
+    findings = json.loads(told.stdout)
+    assert told.returncode == 1
+    assert {(one["unit"], one["text"].split(":")[0]) for one in findings if one["unit"]} == {
+        (unit_of(paths[0]), paths[0].split("/", 4)[4]),
+        (unit_of(paths[-1]), paths[-1].split("/", 4)[4]),
+        ("000001/sky", "more.txt"),
+    }
+    assert any("part-00000.parquet" in one["text"] for one in findings)
+    (copy / "scenes/000/000001/sky/more.txt").unlink()
+    mended = made(tiny, copy, "--repair", "--json")
+    assert mended.returncode == 0, mended.stderr
+    assert hashes(copy) == found
+
+
+def unit_of(path):
+    return "/".join(path.split("/")[2:4])
+
+
+@pytest.mark.slow
+def test_labels_that_do_not_fit_their_picture_are_told(whole, tmp_path):
+    """Also where every hash is right: somebody wrote other labels, and their hash."""
+    import shutil
+
+    out, _, _ = whole
+    copy = tmp_path / "out"
+    shutil.copytree(out, copy)
+    folder = copy / "scenes/000/000000/sky"
+    labels = json.loads((folder / "labels.json").read_text())
+    seen = next(row for row in labels["instances"] if row["pixels"])
+    seen["pixels"] += 1
+    (folder / "labels.json").write_text(json.dumps(labels))
+    unit = json.loads((folder / "unit.json").read_text())
+    data = (folder / "labels.json").read_bytes()
+    unit["files"]["labels.json"] = [len(data), hashlib.sha256(data).hexdigest()]
+    (folder / "unit.json").write_text(json.dumps(unit))
+    findings = json.loads(run("dataset", "verify", copy, "--json").stdout)
+    assert [one["unit"] for one in findings] == ["000000/sky"]
+    assert f"instance {seen['id']} {seen['pixels']} pixels, labels.exr {seen['pixels'] - 1}" in findings[0]["text"]
+
+
+@pytest.mark.slow
+def test_another_program_or_another_asset_does_not_go_on_with_a_set(whole, tiny, tmp_path):
+    """It says in what they differ, and touches nothing."""
+    import shutil
+
+    out, _, _ = whole
+    copy = tmp_path / "out"
+    shutil.copytree(out, copy)
+    said = json.loads((copy / "set.json").read_text())
+    said["made_of"]["versions"]["synfog-usd"] = "0.0.9"
+    (copy / "set.json").write_text(json.dumps(said))
+    before = hashes(copy)
+    done = made(tiny, copy)
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+    assert "another folder" in done.stderr and 'versions.synfog-usd (there "0.0.9", here' in done.stderr
+    assert hashes(copy) == before
+    other = written(tmp_path, SET.replace("samples: 2", "samples: 4"))
+    done = made(other, out)
+    assert done.returncode == 2 and "definition.quality.samples (there 2, here 4)" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_unit_that_fails_three_times_is_set_aside_and_taken_up_again(tiny, whole, tmp_path):
+    """All take longer than a second: they are ended, set aside with their seeds, left alone by another run, and made by
+    retry.
+    """
+    out = tmp_path / "out"
+    done = made(tiny, out, "--only", "1", "--limit", "1", "--json")
+    assert done.returncode == 1
+    aside = json.loads(done.stdout)["aside"]
+    assert set(aside) == {"000001/sky", "000001/active"}
+    assert all(line["kind"] == "limit" and line["try"] == 3 and line["seed"] > 0 for line in aside.values())
+    assert done.stderr.count("is tried again") == 4 and f"dataset retry {out}" in done.stderr
+    done = made(tiny, out, "--json")
+    assert done.returncode == 1
+    assert json.loads(done.stdout)["made"] == 2 and set(json.loads(done.stdout)["aside"]) == set(aside)
+    told = json.loads(run("dataset", "status", out, "--json").stdout)
+    assert (told["units"], told["made"], set(told["aside"])) == (4, 2, set(aside)) and not told["running"]
+    assert process("dataset", "retry", out, "--workers", "2").returncode == 0
+    assert hashes(out) == whole[1]
+
+
+@pytest.mark.slow
+def test_a_budget_ends_a_run_and_a_larger_one_goes_on(tiny, whole, tmp_path):
+    out = tmp_path / "out"
+    done = process("dataset", "run", tiny, "-o", out, "--workers", "1", "--budget-gb", "0.0002", "--json")
+    printed = json.loads(done.stdout)
+    assert done.returncode == 1 and 0 < printed["made"] < 4 and "budget of 0.0002 GB" in printed["stopped"]
+    assert made(tiny, out, "--budget-gb", "1").returncode == 0
+    assert hashes(out) == whole[1]
+
+
+def begun(file, out, *more, **options):
+    """A run in a process group of its own, as in a terminal."""
+    words = command("dataset", "run", file, "-o", out, "--workers", "2", *more)
+    return subprocess.Popen(words, stderr=subprocess.PIPE, text=True, process_group=0, **options)
+
+
+def offspring(pid):
+    """Processes below one, by what they are: Dask's workers and their children."""
+    import psutil
+
+    try:
+        every = psutil.Process(pid).children(recursive=True)
+    except psutil.NoSuchProcess:
+        return [], []
+    units, workers = [], []
+    for one in every:
+        try:
+            line = one.cmdline()
+        except (psutil.NoSuchProcess, psutil.ZombieProcess):
+            continue
+        if "unit" in line:
+            units.append(one.pid)
+        elif "spawn_main" in " ".join(line) or "--multiprocessing-fork" in line:
+            workers.append(one.pid)
+    return workers, units
+
+
+def wait_for(condition, child, timeout_s=120.0):
+    ends = time.monotonic() + timeout_s
+    while time.monotonic() < ends:
+        if condition():
+            return
+        assert child.poll() is None, child.stderr.read()
+        time.sleep(0.02)
+    raise AssertionError("it did not come in time")
+
+
+def gone(pids, timeout_s=30.0):
+    """Whether processes end by themselves."""
+    import psutil
+
+    ends = time.monotonic() + timeout_s
+    while time.monotonic() < ends:
+        if not any(psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE for pid in pids):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def obeying_ctrl_c():
+    """A shell starts background jobs with SIGINT ignored, and children inherit that; a user's terminal does not."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_everything_and_says_how_to_go_on(tiny, whole, tmp_path):
+    """Exit code 130, one line, no process left; what is finished is in the index."""
+    out = tmp_path / "out"
+    child = begun(tiny, out, preexec_fn=obeying_ctrl_c)
+    wait_for(lambda: len(offspring(child.pid)[1]) == 2, child)
+    workers, units = offspring(child.pid)
+    os.killpg(child.pid, signal.SIGINT)  # as the terminal does: the whole group
+    _, told = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert f"dataset run {tiny} -o {out} goes on from there" in told and "Traceback" not in told
+    assert gone([*workers, *units])
+    assert made(tiny, out).returncode == 0
+    assert hashes(out) == whole[1]
+
+
+@pytest.mark.slow
+def test_a_second_run_on_a_folder_is_told(tiny, tmp_path):
+    """Which process has it; the first goes on."""
+    out = tmp_path / "out"
+    child = begun(tiny, out)
+    try:
+        wait_for(lambda: offspring(child.pid)[1], child)
+        second = made(tiny, out)
+        assert second.returncode == 2
+        assert f"another run works here (process {child.pid} on" in second.stderr and second.stderr.count("\n") == 1
+        assert json.loads(run("dataset", "status", out, "--json").stdout)["running"]
+    finally:
+        _, told = child.communicate(timeout=300)
+    assert child.returncode == 0, told
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_costs_a_try_and_nothing_else(tiny, whole, tmp_path):
+    """kill -9 of a worker, then of a unit's own process: both are told, both units are tried again."""
+    out = tmp_path / "out"
+    child = begun(tiny, out)
+    wait_for(lambda: len(offspring(child.pid)[1]) == 2, child)
+    os.kill(offspring(child.pid)[0][0], signal.SIGKILL)
+    time.sleep(1.0)
+    wait_for(lambda: offspring(child.pid)[1], child)
+    os.kill(offspring(child.pid)[1][0], signal.SIGKILL)
+    _, told = child.communicate(timeout=300)
+    assert child.returncode == 0, told
+    assert told.count("it is tried again") == 2 and "died of SIGKILL" in told and "its worker died" in told
+    assert hashes(out) == whole[1]
+
+
+@pytest.mark.slow
+def test_a_unit_that_runs_twice_is_made_once(tiny, whole, tmp_path):
+    """Two workers that were both given a scene: the second waits for the first, and finds it made."""
+    out = tmp_path / "out"
+    assert made(tiny, out, "--only", "1").returncode == 0
+    words = command("dataset", "unit", out, "0", "sky", "--variant", "auto")
+    both = [subprocess.Popen(words, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    results = [json.loads(one.communicate(timeout=300)[0]) for one in both]
+    assert sorted(result["made"] for result in results) == [False, True]
+    assert made(tiny, out).returncode == 0
+    assert hashes(out) == whole[1]
+
+
+@pytest.mark.slow
+def test_a_folder_that_cannot_be_written_ends_the_run_in_one_line(tiny, whole, tmp_path):
+    """A file stands where scenes are to lie; nothing is tried again, and the run goes on once it is gone."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "scenes").write_text("in the way")
+    done = made(tiny, out)
+    assert done.returncode == 2 and "cannot be" in done.stderr and "tried again" not in done.stderr
+    assert "goes on from there" in done.stderr and "Traceback" not in done.stderr
+    (out / "scenes").unlink()
+    assert made(tiny, out).returncode == 0
+    assert hashes(out) == whole[1]
+
+
+def killed_at_random(tiny, out, whole, seed):
+    """A run whose client, a worker, a unit or all at once is killed at a random moment, then the same command."""
+    rng = random.Random(seed)
+    child = begun(tiny, out, stdout=subprocess.DEVNULL)
+    time.sleep(rng.uniform(0.5, 14.0))
+    workers, units = offspring(child.pid)
+    victims = {"client": [child.pid], "worker": workers[:1], "unit": units[:1], "all": [child.pid, *workers, *units]}
+    for pid in victims[rng.choice(sorted(victims))]:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    child.communicate(timeout=600)
+    assert gone([*workers, *units]), seed
+    done = made(tiny, out)
+    assert done.returncode == 0, (seed, done.stderr)
+    assert hashes(out) == whole[1], seed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_killed_at_any_moment_goes_on_to_the_same_bytes(tiny, whole, tmp_path, seed):
+    killed_at_random(tiny, tmp_path / "out", whole, seed)
+
+
+@pytest.mark.physics
+@pytest.mark.parametrize("seed", range(100, 150))
+def test_fifty_kills_end_with_the_same_bytes(tiny, whole, tmp_path, seed):
+    killed_at_random(tiny, tmp_path / "out", whole, seed)
