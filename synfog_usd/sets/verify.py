@@ -27,8 +27,8 @@ AHEAD = 4
 
 
 @dataclass(frozen=True)
-class Finding:
-    """One thing that is not as it should be.
+class Fault:
+    """One thing of a set that is not as it should be.
 
     Attributes:
         unit: name, or '' for the set itself.
@@ -41,7 +41,7 @@ class Finding:
     missing: bool = False
 
 
-def verify(out: Path, *, progress: Progress = silent) -> Iterator[Finding]:
+def verify(out: Path, *, progress: Progress = silent) -> Iterator[Fault]:
     """Look at every file of a set.
 
     Args:
@@ -53,10 +53,10 @@ def verify(out: Path, *, progress: Progress = silent) -> Iterator[Finding]:
     """
     identity.read(out)
     found = journal.kept_definition(out)
-    looked, waiting = 0, deque[tuple[Unit, concurrent.futures.Future[list[Finding]]]]()
+    looked, waiting = 0, deque[tuple[Unit, concurrent.futures.Future[list[Fault]]]]()
     rows_of: dict[int, list[dict[str, Any]]] = {}
 
-    def ended() -> Iterator[Finding]:
+    def ended() -> Iterator[Fault]:
         nonlocal looked
         unit, future = waiting.popleft()
         yield from future.result()
@@ -70,7 +70,7 @@ def verify(out: Path, *, progress: Progress = silent) -> Iterator[Finding]:
                 yield from _index(out, part - 1, rows_of.pop(part - 1, []))
             for unit in planned.units:
                 if not (out / unit.folder / layout.UNIT).exists():
-                    yield Finding(unit.name, "is not made", missing=True)
+                    yield Fault(unit.name, "is not made", missing=True)
                     continue
                 made = _made(out, unit)
                 rows_of.setdefault(part, []).extend(rows(made, unit) if made else ())
@@ -91,25 +91,25 @@ def _made(out: Path, unit: Unit) -> dict[str, Any] | None:
         return None  # told with its files
 
 
-def _index(out: Path, part: int, expected: list[dict[str, Any]]) -> Iterator[Finding]:
+def _index(out: Path, part: int, expected: list[dict[str, Any]]) -> Iterator[Fault]:
     if part < 0:
         return
     path = layout.part_path(out, part)
     try:
         there = list(index.rows_of_part(path)) if path.exists() else []
     except SynfogError as error:
-        yield Finding("", str(error))
+        yield Fault("", str(error))
         return
     if there != expected:
-        yield Finding(
+        yield Fault(
             "", f"{path}: {len(there)} rows, which are not the {len(expected)} of what is made; run writes it"
         )
 
 
-def _of_unit(out: Path, unit: Unit) -> list[Finding]:
+def _of_unit(out: Path, unit: Unit) -> list[Fault]:
     folder = out / unit.folder
-    wrong = [Finding(unit.name, text) for text in changed(folder)]
-    return wrong or [Finding(unit.name, text) for text in disagreements(folder)]
+    wrong = [Fault(unit.name, text) for text in changed(folder)]
+    return wrong or [Fault(unit.name, text) for text in disagreements(folder)]
 
 
 def disagreements(folder: Path) -> Iterator[str]:
