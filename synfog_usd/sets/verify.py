@@ -101,9 +101,7 @@ def _index(out: Path, part: int, expected: list[dict[str, Any]]) -> Iterator[Fau
         yield Fault("", str(error))
         return
     if there != expected:
-        yield Fault(
-            "", f"{path}: {len(there)} rows, which are not the {len(expected)} of what is made; run writes it"
-        )
+        yield Fault("", f"{path}: {len(there)} rows, which are not the {len(expected)} of what is made; run writes it")
 
 
 def _of_unit(out: Path, unit: Unit) -> list[Fault]:
