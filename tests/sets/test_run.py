@@ -242,7 +242,7 @@ def test_a_budget_ends_a_run_and_a_larger_one_goes_on(tiny, whole, tmp_path):
 def begun(file, out, *more, **options):
     """A run in a process group of its own, as in a terminal."""
     words = command("dataset", "run", file, "-o", out, "--workers", "2", *more)
-    return subprocess.Popen(words, stderr=subprocess.PIPE, text=True, process_group=0, **options)
+    return subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True, **options)
 
 
 def offspring(pid):
