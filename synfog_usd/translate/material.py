@@ -175,8 +175,8 @@ class Materials:
         if mdl and str(mdl.Get()).startswith("OmniPBR"):
             self.notes.info(
                 path,
-                "OmniPBR is drawn as a preview surface: constants and textures of its base, roughness, metalness, "
-                "opacity and normals",
+                "OmniPBR is drawn by constants and textures of its base, roughness, metalness, specular level, "
+                "opacity, emission and normals",
             )
             return self._surface(shader, _OMNI_PBR, path)
         if mdl and str(mdl.Get()).startswith("OmniGlass"):
@@ -264,7 +264,8 @@ class Materials:
         if max(tint) - min(tint) > 1e-4:
             self.notes.warn(path, "the tint of its specular reflection is drawn as grey of the same luminance")
         grey = float(LUMINANCE @ tint) / float(LUMINANCE.sum())
-        return max(float(inputs.constant("specularWeight", 1.0)) * (tint[0] if min(tint) == max(tint) else grey), 0.0)
+        weight = float(inputs.constant("specularWeight", inputs.names.specular)) / inputs.names.specular
+        return max(weight * (tint[0] if min(tint) == max(tint) else grey), 0.0)
 
     def _subsurface(self, bsdf: dict[str, Any], inputs: _ShaderInputs, path: object) -> None:
         """Light that goes below the surface as a matte share of its own colour."""
@@ -346,6 +347,9 @@ class _Names:
         of: name of each input; '' where there is no such input.  Empty for a preview surface itself.
         weights: input by which another one is multiplied, and its default.
         color, roughness, coat_roughness: defaults.
+        tints: input by whose colour another constant is multiplied.
+        glow: default of the emitted colour.
+        specular: weight of the reflection at which the index of refraction alone says.
         below: default of the subsurface colour.
         left_out: inputs that are noted where they are not 0.
         white: colours that are noted where they are not white.
@@ -357,6 +361,9 @@ class _Names:
     color: tuple[float, float, float] = GREY
     roughness: float = 0.5
     coat_roughness: float = 0.01
+    tints: Mapping[str, str] = field(default_factory=dict)
+    glow: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    specular: float = 1.0
     below: tuple[float, float, float] = (1.0, 1.0, 1.0)
     left_out: tuple[str, ...] = ()
     white: tuple[str, ...] = ()
@@ -442,11 +449,16 @@ _OMNI_PBR = _Names(  # OmniPBR.mdl
         "roughness": "reflection_roughness_constant",
         "metallic": "metallic_constant",
         "opacity": "opacity_constant",
+        "opacityThreshold": "opacity_threshold",
         "emissiveColor": "emissive_color",
         "normal": "normalmap_texture",
+        "specularWeight": "specular_level",
     },
     weights={"emissiveColor": ("emissive_intensity", 40.0)},
     color=(0.2, 0.2, 0.2),
+    tints={"diffuseColor": "diffuse_tint"},
+    glow=(1.0, 0.1, 0.1),
+    specular=0.5,  # of a reflectivity of 8 percent
     omni=True,
 )
 _SWITCHES = {"opacity": "enable_opacity", "emissiveColor": "enable_emission"}
@@ -508,11 +520,12 @@ class _ShaderInputs:
             )
         value = value_of(self.shader, self.names[name], self.time, default) if self.has(name) else default
         weight = self.weight(name)
-        return tuple(float(c) * weight for c in value)
+        tint = value_of(self.shader, self.names.tints.get(name, ""), self.time, (1.0, 1.0, 1.0))
+        return tuple(float(c) * float(t) * weight for c, t in zip(value, tint, strict=True))
 
     def texture(self, name: str) -> TextureNode | None:
         if self.names.omni:
-            return omni_texture(self.shader, name, self.time, self.notes)
+            return omni_texture(self.shader, name, self.time, self.notes, self.images)
         output = self.producer(name)
         if output is None:
             return None
@@ -621,7 +634,7 @@ class _ShaderInputs:
         if not self.has("emissiveColor"):
             return None, 0.0
         node = self.texture("emissiveColor")
-        dark = (1.0, 1.0, 1.0) if self.names.weights else (0.0, 0.0, 0.0)  # where a weight switches it on
+        dark = self.names.glow if self.names.weights else (0.0, 0.0, 0.0)  # where a weight switches it on
         value: Any = (
             self.constant_color("emissiveColor", dark) if node is None else sampled(node, self.images, channels=3)
         )

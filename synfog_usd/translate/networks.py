@@ -13,12 +13,14 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdShade
 
 from synfog_usd.arrays import Array
+from synfog_usd.colour import LUMINANCE
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.nodes import Graph, UnknownNodeError
+from synfog_usd.translate.nodes import MOST_PIXELS, Graph, UnknownNodeError
 from synfog_usd.translate.texture import (
     ImageReader,
     TextureNode,
     UvSource,
+    as_measured,
     producer,
     shader_id,
     texture_node,
@@ -268,7 +270,9 @@ def _step(node: UsdShade.Shader, kind: str, time: Usd.TimeCode) -> tuple[Array |
 # -- OmniPBR -------------------------------------------------------------------------------------------------------
 
 
-def omni_texture(shader: UsdShade.Shader, name: str, time: Usd.TimeCode, notes: Diagnostics) -> TextureNode | None:
+def omni_texture(
+    shader: UsdShade.Shader, name: str, time: Usd.TimeCode, notes: Diagnostics, images: ImageReader
+) -> TextureNode | None:
     """The picture that an OmniPBR shader names for one of a preview surface's inputs, or None."""
 
     def asset(word: str) -> Any:
@@ -279,47 +283,71 @@ def omni_texture(shader: UsdShade.Shader, name: str, time: Usd.TimeCode, notes: 
         return float(value_of(shader, word, time, default))
 
     orm = asset("ORM_texture") if number("enable_ORM_texture", 0.0) else None
-    found, channel, space, scale = None, "rgb", "auto", (1.0, 1.0, 1.0)
+    found, channel, space, scale, bias = None, "rgb", "auto", _ONES, _ZEROS
     if name == "diffuseColor":
         found = asset("diffuse_texture")
-        tint = value_of(shader, "diffuse_tint", time, Gf.Vec3f(1, 1, 1))
-        scale = (float(tint[0]), float(tint[1]), float(tint[2]))
-    elif name == "roughness":
-        separate = (
-            asset("reflectionroughness_texture")
-            if number("reflection_roughness_texture_influence", 0.0) > 0.0
-            else None
-        )
-        found, channel, space = (orm, "g", "raw") if orm else (separate, "r", "raw")
-    elif name == "metallic":
-        separate = asset("metallic_texture") if number("metallic_texture_influence", 0.0) > 0.0 else None
-        found, channel, space = (orm, "b", "raw") if orm else (separate, "r", "raw")
+        tint = [float(c) for c in value_of(shader, "diffuse_tint", time, Gf.Vec3f(1, 1, 1))]
+        times, more = number("albedo_brightness", 1.0), number("albedo_add", 0.0)
+        scale, bias = (*(times * c for c in tint), 1.0), (*(more * c for c in tint), 0.0)
+    elif name in ("roughness", "metallic"):
+        word, constant, default, orm_channel = {
+            "roughness": ("reflection_roughness", "reflection_roughness_constant", 0.5, "g"),
+            "metallic": ("metallic", "metallic_constant", 0.0, "b"),
+        }[name]
+        own = asset("reflectionroughness_texture" if name == "roughness" else "metallic_texture")
+        weight = number(f"{word}_texture_influence", 1.0 if orm else 0.0)
+        found, channel, space = (orm, orm_channel, "raw") if orm else (own, "r", "raw")
+        if weight <= 0.0:
+            return None
+        scale, bias = (weight,) * 4, ((1.0 - weight) * number(constant, default),) * 4
     elif name == "opacity" and number("enable_opacity", 0.0) and number("enable_opacity_texture", 0.0):
         found, channel, space = asset("opacity_texture"), "r", "raw"
+    elif name == "emissiveColor":
+        found = asset("emissive_mask_texture")
+        light = value_of(shader, "emissive_color", time, Gf.Vec3f(1.0, 0.1, 0.1))
+        scale = (*(number("emissive_intensity", 40.0) * float(c) for c in light), 1.0)
     elif name == "normal":
         found, space = asset("normalmap_texture"), "raw"
+        slope = number("bump_factor", 1.0)
+        scale, bias = (2.0 * slope, 2.0 * slope, 2.0, 1.0), (-slope, -slope, -1.0, 0.0)
     if found is None:
         return None
     if not found.resolvedPath:
         notes.warn(shader.GetPath(), f"texture {found.path} is not found; the constant is used")
         return None
+    if number("texture_rotate", 0.0):
+        notes.warn(shader.GetPath(), "texture_rotate is not drawn")
     stretch, shift = (
         value_of(shader, "texture_scale", time, (1.0, 1.0)),
         value_of(shader, "texture_translate", time, (0.0, 0.0)),
     )
-    usual = name == "normal"
-    return TextureNode(
+    node = TextureNode(
         path=str(shader.GetPath()),
         file=found.resolvedPath,
         authored=found.path,
         channel=channel,
         color_space=space,
         wrap="repeat",
-        scale=(2.0, 2.0, 2.0, 1.0) if usual else (*scale, 1.0),
-        bias=(-1.0, -1.0, -1.0, 0.0) if usual else (0.0,) * 4,
+        scale=scale,
+        bias=bias,
         fallback=(0.0, 0.0, 0.0, 1.0),
         uv=UvSource("st", ((float(stretch[0]), 0.0, float(shift[0])), (0.0, float(stretch[1]), float(shift[1])))),
     )
+    grey = number("albedo_desaturation", 0.0) if name == "diffuseColor" else 0.0
+    return _desaturated(node, grey, [float(c) for c in tint], images) if grey else node
+
+
+def _desaturated(node: TextureNode, share: float, tint: list[float], images: ImageReader) -> TextureNode:
+    """A picture of which a share is grey of the same luminance, before its tint."""
+    pixels = as_measured(replace(node, scale=_ONES, bias=_ZEROS), images, MOST_PIXELS)[..., :3]
+    ratio = [node.scale[k] / tint[k] if tint[k] else 0.0 for k in range(3)]
+    more = [node.bias[k] / tint[k] if tint[k] else 0.0 for k in range(3)]
+    bright = pixels * np.array(ratio, dtype=np.float32) + np.array(more, dtype=np.float32)
+    grey = (bright @ LUMINANCE.astype(np.float32))[..., None]
+    made = (bright + np.float32(share) * (grey - bright)) * np.array(tint, dtype=np.float32)
+    key = f"{node.file} for {node.path}"
+    images.keep(key, np.ascontiguousarray(made, dtype=np.float32))
+    return replace(node, file=key, color_space="raw", scale=_ONES, bias=_ZEROS)
 
 
 # -- Mitsuba's own --------------------------------------------------------------------------------------------------

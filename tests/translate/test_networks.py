@@ -233,6 +233,79 @@ def test_omnipbr_pictures_are_read(quad, tmp_path):
     np.testing.assert_allclose(shape["texcoords"], 2 * shape["positions"][:, [0, 2]], atol=1e-6)
 
 
+def test_omnipbr_changes_its_pictures_as_its_formulas_say(quad, tmp_path):
+    """Brightness and addition before the tint, a share of grey of Rec.709 luminance; roughness between its constant
+    and its map; light behind a mask; a reflectivity of 8 percent times the specular level; slopes by the bump factor.
+    """
+    stage, shader = quad
+    write(tmp_path / "a.png", CODES)
+    file = (TYPES.Asset, str(tmp_path / "a.png"))
+    omni(
+        shader,
+        diffuse_texture=file,
+        albedo_brightness=(TYPES.Float, 0.5),
+        albedo_add=(TYPES.Float, 0.1),
+        albedo_desaturation=(TYPES.Float, 0.25),
+        diffuse_tint=(TYPES.Color3f, (0.5, 1, 1)),
+        reflectionroughness_texture=file,
+        reflection_roughness_texture_influence=(TYPES.Float, 0.75),
+        reflection_roughness_constant=(TYPES.Float, 0.4),
+        specular_level=(TYPES.Float, 0.25),
+        enable_emission=(TYPES.Bool, True),
+        emissive_mask_texture=file,
+        emissive_color=(TYPES.Color3f, (1, 0.5, 0)),
+        emissive_intensity=(TYPES.Float, 10.0),
+        normalmap_texture=file,
+        bump_factor=(TYPES.Float, 0.5),
+    )
+    _, shape, bsdf = drawn(stage)
+    normals, bsdf = bsdf["bsdf"]["normalmap"]["bitmap"], bsdf["bsdf"]["bsdf"]
+    bright = linear(CODES) * 0.5 + 0.1
+    grey = (bright @ [0.2126729, 0.7151522, 0.0721750])[..., None]
+    np.testing.assert_allclose(bsdf["base_color"]["bitmap"], (0.75 * bright + 0.25 * grey) * [0.5, 1, 1], rtol=1e-4)
+    np.testing.assert_allclose(bsdf["roughness"]["bitmap"][..., 0], 0.75 * CODES[..., 0] / 255 + 0.1, rtol=1e-5)
+    assert ((bsdf["eta"] - 1) / (bsdf["eta"] + 1)) ** 2 == pytest.approx(0.02)
+    np.testing.assert_allclose(shape["emitter"]["radiance"]["bitmap"], linear(CODES) * [10, 5, 0], rtol=1e-4)
+    slopes = (CODES / 127.5 - 1) * [0.5, 0.5, 1]
+    np.testing.assert_allclose(2 * normals - 1, slopes / np.linalg.norm(slopes, axis=2, keepdims=True), atol=1e-5)
+
+
+def test_omnipbr_tints_a_constant_too(quad):
+    stage, shader = quad
+    omni(shader, diffuse_color_constant=(TYPES.Color3f, (0.4, 0.4, 0.4)), diffuse_tint=(TYPES.Color3f, (1, 0.5, 0)))
+    np.testing.assert_allclose(drawn(stage)[2]["bsdf"]["base_color"]["value"], [0.4, 0.2, 0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "inputs, expected",
+    [
+        ({}, {"type": "dielectric", "int_ior": 1.491}),
+        (
+            {"glass_ior": (TYPES.Float, 1.6), "thin_walled": (TYPES.Bool, True)},
+            {"type": "thindielectric", "int_ior": 1.6},
+        ),
+        (
+            {"frosting_roughness": (TYPES.Float, 0.5)},
+            {"type": "roughdielectric", "int_ior": 1.491, "distribution": "ggx", "alpha": 0.25},
+        ),
+    ],
+)
+def test_omniglass_refracts(quad, inputs, expected):
+    """A solid's face unless it is thin; frosting by the square of its roughness; cutout as a mask."""
+    stage, shader = quad
+    made = shader("Surface", "", "mdl", **inputs)
+    made.GetPrim().CreateAttribute("info:mdl:sourceAsset", TYPES.Asset).Set("OmniGlass.mdl")
+    made.GetPrim().CreateAttribute("info:mdl:sourceAsset:subIdentifier", TYPES.Token).Set("OmniGlass")
+    bsdf = drawn(stage)[2]
+    assert {key: pytest.approx(value) if isinstance(value, float) else value for key, value in bsdf.items()} == expected
+    made.CreateInput("enable_opacity", TYPES.Bool).Set(True)
+    made.CreateInput("cutout_opacity", TYPES.Float).Set(0.5)
+    made.CreateInput("glass_color", TYPES.Color3f).Set((0.5, 1, 1))
+    bsdf = drawn(stage)[2]
+    assert (bsdf["type"], bsdf["opacity"], bsdf["bsdf"]["type"]) == ("mask", 0.5, expected["type"])
+    assert bsdf["bsdf"]["specular_transmittance"]["value"] == [0.5, 1.0, 1.0]
+
+
 def test_a_native_material_goes_through_as_it_is(quad, tmp_path):
     stage, shader = quad
     write(tmp_path / "a.png", CODES)
