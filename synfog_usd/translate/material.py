@@ -36,6 +36,8 @@ DISPLAY = "displayColor"
 """The primvar of a shape's own colours."""
 
 _MIN_IOR = 1.001
+_CUT_OUT = 0.1
+"""Alpha of a card's picture below which nothing is drawn.  Source: OpenUSD's imaging of draw modes."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,26 @@ class Materials:
                 bsdf if opacity >= 1.0 else {"type": "mask", "opacity": opacity, "bsdf": bsdf}
             )
         return Finish(self._by_color[key])
+
+    def card(self, picture: str, path: str, color: tuple[float, float, float]) -> Finish:
+        """A matte finish with a picture, cut out where its alpha is below a tenth; of one colour where it has none."""
+        if not picture:
+            return self.colored(color)
+        node = TextureNode(
+            path, picture, picture, "rgb", "auto", "clamp", (1.0,) * 4, (0.0,) * 4, (*color, 1.0), UvSource("st")
+        )
+        seen = sampled(node, self.images, channels=3)
+        cut = sampled(replace(node, channel="a"), self.images, channels=1)
+        if isinstance(seen, tuple):
+            reflectance = _rgb([min(max(float(c), 0.0), 1.0) for c in seen])
+        else:
+            reflectance = {"type": "bitmap", "bitmap": _limited(seen), "raw": False, "wrap_mode": "clamp"}
+        bsdf: dict[str, Any] = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
+        if not isinstance(cut, tuple) and (cut < _CUT_OUT).any():
+            shape = (cut >= _CUT_OUT).astype(np.float32)
+            opacity = {"type": "bitmap", "bitmap": shape, "raw": True, "wrap_mode": "clamp"}
+            bsdf = {"type": "mask", "opacity": opacity, "bsdf": bsdf}
+        return Finish(self._add(bsdf), uv=None if isinstance(seen, tuple) and isinstance(cut, tuple) else node.uv)
 
     def black(self) -> Finish:
         """A finish that reflects nothing, for the faces of lamps."""

@@ -14,7 +14,7 @@ from pxr import Usd
 
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
-from synfog_usd.translate import curves, geometry, light
+from synfog_usd.translate import curves, drawmode, geometry, light
 from synfog_usd.translate.bindings import Bindings, varies
 from synfog_usd.translate.convention import Chooser
 from synfog_usd.translate.diagnostics import Diagnostics
@@ -59,9 +59,24 @@ class Shapes:
             self.notes.warn(leaf.path, "a shape scaled to nothing is left out")
             return []
         kind = leaf.kind
+        if kind in drawmode.MODES:
+            return self._stand_in(leaf, kind, matrix)
         if kind not in MESHES:
             return self._implicit(leaf, kind, matrix)
         return self._mesh(leaf, matrix)
+
+    def _stand_in(self, leaf: Leaf, mode: str, matrix: Array) -> list[Part]:
+        self.notes.info(leaf.path, f"draw mode {mode!r} stands for the model")
+        made: list[Part] = []
+        for part in drawmode.stand_ins(leaf.prim, mode, self.time, self.notes):
+            finish = self.materials.card(part.picture, leaf.path, part.color)
+            triangles = geometry.placed(part.triangles, matrix)
+            if not geometry.area(triangles) > 0.0:
+                continue
+            textured = finish.uv is not None
+            triangles = triangles if textured else replace(triangles, texcoords=None)
+            made.append((geometry.mesh_shape(triangles, finish.key, textured=textured, colored=False), None, 0.0))
+        return made
 
     def _implicit(self, leaf: Leaf, kind: str, matrix: Array) -> list[Part]:
         finish = self.bindings.finish_of(leaf, leaf.path, varying_color=False)

@@ -18,6 +18,7 @@ from synfog_usd.stage.budget import MAX_DEPTH
 from synfog_usd.stage.labels import LABEL_SOURCES, UNLABELED, direct_label, official_name
 from synfog_usd.stage.schema import PREFIX, has_fog_attributes
 from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.drawmode import MODES, replaces
 from synfog_usd.translate.space import FAR, columns
 from synfog_usd.translate.volume import vdb_fault
 
@@ -85,7 +86,7 @@ class Leaf:
     Attributes:
         prim: the prim, of the stage or of a prototype.
         path: its path.
-        kind: name of its type.
+        kind: name of its type, or the draw mode by which it stands for a model.
         authored: names of its authored properties.
         schemas: names of the API schemas applied to it.
         matrix: (4, 4) float64, to stage coordinates or to the group's frame.
@@ -168,6 +169,7 @@ class _State:
     fog: Usd.Prim | None = None
     material: str | None = None
     stronger: bool = False
+    mode: str = ""
 
 
 def walk(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics) -> Walk:
@@ -224,7 +226,11 @@ class _Walker:
                 iterator.PruneChildren()
                 continue
             stack.append(state)
-            if kind not in DRAWN and prim.IsInstance():
+            if state.mode in MODES and not prim.IsPrototype() and replaces(prim, state.mode):
+                if state.drawn:
+                    self.leaf(prim, path, state.mode, state, stack[-2], group, frame)
+                iterator.PruneChildren()
+            elif kind not in DRAWN and prim.IsInstance():
                 self.instance(prim, state, group, frame)
                 iterator.PruneChildren()
             elif kind == "PointInstancer":
@@ -272,13 +278,13 @@ class _Walker:
             color = self.constant_color(prim, color)
         if says and "primvars:displayOpacity" in authored:
             self.result.sheer = True
+        mode = above.mode
         if says and "model:drawMode" in authored:
-            mode = prim.GetAttribute("model:drawMode").Get(self.time)
-            if mode in ("bounds", "cards", "origin"):
-                self.notes.info(at, f"draw mode {mode!r} stands for the model in viewports; the model itself is drawn")
+            own_mode = str(prim.GetAttribute("model:drawMode").Get(self.time) or "inherited")
+            mode = mode if own_mode == "inherited" else own_mode
         if (says or schemas) and has_fog_attributes(prim, tuple(authored)):
             fog = prim
-        return _State(depth, drawn, authored, schemas, owner, model, color, fog, above.material, above.stronger)
+        return _State(depth, drawn, authored, schemas, owner, model, color, fog, above.material, above.stronger, mode)
 
     def constant_color(
         self, prim: Usd.Prim, inherited: tuple[float, float, float] | None
@@ -334,7 +340,7 @@ class _Walker:
                     )
         if fog is None and kind == "Volume" and state.drawn and vdb_fault(prim) is None:
             fog = prim
-        if fog is None and not is_light and kind not in DRAWN:
+        if fog is None and not is_light and kind not in DRAWN and kind not in MODES:
             self.unknown(prim, kind, state)
             return
         if fog is None and not state.drawn:
@@ -482,7 +488,7 @@ class _Walker:
     ) -> int:
         """Index of the group of a prototype, walked at its first use."""
         root = str(prototype.GetPath())
-        key = (root, color, bound, state.drawn)
+        key = (root, color, bound, state.drawn, state.mode)
         known = self.group_index.get(key)
         if known is not None:
             return known
@@ -495,7 +501,7 @@ class _Walker:
         depth = prototype.GetPath().pathElementCount
         self.into(
             prototype,
-            _State(depth - 1, state.drawn, color=color, material=bound[0], stronger=bound[1]),
+            _State(depth - 1, state.drawn, color=color, material=bound[0], stronger=bound[1], mode=state.mode),
             group,
             prototype,
         )

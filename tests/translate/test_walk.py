@@ -300,15 +300,6 @@ def test_prototypes_under_an_over_are_drawn_and_masked(empty, polygon_mesh):
     assert summary(translate(stage))["triangles"] == 2
 
 
-def test_draw_modes_are_noted_and_the_model_is_drawn(empty):
-    stage = empty()
-    UsdGeom.Cube.Define(stage, "/Car/Box")
-    UsdGeom.ModelAPI.Apply(stage.GetPrimAtPath("/Car")).CreateModelDrawModeAttr("cards")
-    scene = translate(stage)
-    assert summary(scene)["shapes"] == 1
-    assert [note.severity for note in scene.notes if note.path == "/Car" and "'cards'" in note.text] == ["info"]
-
-
 def test_display_opacity_counts_without_a_material(empty):
     """Also from a parent; it lets the rest straight through."""
     stage = empty()
