@@ -121,7 +121,7 @@ _ACROSS = {  # axis, sign -> model axes of the picture's right and up, seen from
 def _cards(
     prim: Usd.Prim, low: Array, high: Array, color: tuple[float, float, float], *, is_box: bool
 ) -> list[StandIn]:
-    """Quads across the model, or on the faces of its box; an axis without a picture is left out where others have one."""
+    """Quads across the model, or on the faces of its box; axes without a picture are left out where others have one."""
     pictures = {}
     for axis, name in enumerate("XYZ"):
         for sign, word in ((1, "Pos"), (-1, "Neg")):
