@@ -21,7 +21,7 @@ from synfog_usd.translate.geometry import Attribute, Polygons, cross
 from synfog_usd.translate.polygons import SMALL, Topology, are_easy, topology, triangulate, triangulate_small
 from synfog_usd.translate.primvars import PrimvarReader, value_at
 from synfog_usd.translate.space import FAR_POINT
-from synfog_usd.translate.subdivide import INFINITE, Cage, bilinear, boundary_faces, levels, subdivided
+from synfog_usd.translate.subdivide import INFINITE, Cage, bilinear, boundary_faces, cut_apart, levels, subdivided
 from synfog_usd.translate.texture import UvSource
 
 
@@ -288,7 +288,8 @@ def _subdivided(
     corners = np.flatnonzero(np.repeat(whole, counts))
     cage = Cage(counts[whole], indices[corners], **_sharp(mesh, time, len(points), notes))
     rule = mesh.GetInterpolateBoundaryAttr().Get()
-    cage = replace(cage, sharp_ends=rule == UsdGeom.Tokens.edgeAndCorner)
+    smooth_triangles = mesh.GetTriangleSubdivisionRuleAttr().Get() == UsdGeom.Tokens.smooth
+    cage = replace(cage, sharp_ends=rule == UsdGeom.Tokens.edgeAndCorner, smooth_triangles=smooth_triangles)
     drawn = np.ones(int(whole.sum()), dtype=bool) if keep is None else keep[whole]
     if rule == UsdGeom.Tokens.none and scheme != UsdGeom.Tokens.bilinear:
         drawn = drawn & ~boundary_faces(cage, len(points))
@@ -300,7 +301,8 @@ def _subdivided(
     )
     if left_handed:
         triangles = triangles[:, ::-1]
-    islands = mesh.GetFaceVaryingLinearInterpolationAttr().Get() == UsdGeom.Tokens.all
+    seams = str(mesh.GetFaceVaryingLinearInterpolationAttr().Get())
+    islands = seams == UsdGeom.Tokens.all
     spread: dict[str, Attribute] = {}
     for name, attribute in attributes.items():
         if attribute.corner is None:
@@ -309,9 +311,9 @@ def _subdivided(
             )
             continue
         values = attribute.values[attribute.corner[corners]]
-        with_point = np.column_stack([np.arange(len(corners)) if islands else cage.indices, values])
+        with_point = np.column_stack([cage.indices, np.arange(len(corners)) if islands else 0 * cage.indices, values])
         _, unique, index = np.unique(with_point, axis=0, return_index=True, return_inverse=True)
-        cut = Cage(cage.counts, index.reshape(-1))
+        cut = cut_apart(cage, index.reshape(-1), seams)
         own = divide(values[unique], _unbent(cut) if attribute.linear else cut, level)
         spread[name] = Attribute(own.points, own.indices)
     if scheme == UsdGeom.Tokens.bilinear:

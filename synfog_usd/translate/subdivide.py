@@ -9,7 +9,7 @@ DeRose (1993).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,8 @@ class Cage:
         corner_sharpness: (C,) >= 0.
         sharp_ends: whether a boundary point of a single face is a corner
             (interpolateBoundary 'edgeAndCorner').
+        smooth_triangles: whether edges of triangles lean more on their faces
+            (triangleSubdivisionRule 'smooth').
     """
 
     counts: Indices
@@ -49,6 +51,7 @@ class Cage:
     corners: Indices = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     corner_sharpness: Array = field(default_factory=lambda: np.empty(0))
     sharp_ends: bool = True
+    smooth_triangles: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,10 @@ class Fine:
     indices: Indices
     face_of: Indices
     smooth_of: Indices
+
+
+_TRIANGLE = 0.47
+"""Weight of a triangle's centre in its edges' points by the rule 'smooth'; OpenSubdiv's own."""
 
 
 def levels(face_count: int) -> int:
@@ -198,7 +205,11 @@ def _divided(
     )
     hard = np.minimum(sharp, 1.0)
     face_points, middles = to_face @ values, to_middle @ values
-    soft = 0.5 * middles + 0.25 * (beside @ face_points)
+    lean = np.full((count, 1), 0.25)
+    if cage.smooth_triangles:
+        weight = np.where(cage.counts == 3, _TRIANGLE, 0.25)
+        lean[edges.faces_around == 2] = (0.5 * (beside @ weight))[edges.faces_around == 2, None]
+    soft = (1.0 - 2.0 * lean) * middles + lean * (beside @ face_points)
     edge_points = hard[:, None] * middles + (1.0 - hard)[:, None] * soft
 
     ends, degree = edges.ends, np.bincount(edges.ends.reshape(-1), minlength=points)
@@ -335,6 +346,57 @@ def _on_limit(values: Array, cage: Cage, edges: Edges, sharp: Array, corner_shar
     half_sharp |= (corner_sharpness > 0.0) & (corner_sharpness < INFINITE)
     free = (rule == 0) & (degree > 0) & ~half_sharp
     return np.where(free[:, None], smooth, np.where(((rule == 1) & ~half_sharp)[:, None], crease, values))
+
+
+def cut_apart(cage: Cage, values: Indices, rule: str) -> Cage:
+    """The cage of a face-varying primvar: seams are its boundaries, and what is sharp on the mesh is sharp on it.
+
+    Args:
+        cage: of the points.
+        values: number of each corner's value; two points have none in common.
+        rule: UsdGeom's faceVaryingLinearInterpolation: which values stay where they are.  'none' none; 'cornersOnly'
+            those of one face; 'cornersPlus1' also where three regions meet; 'cornersPlus2' also ends of seams, and
+            the other side of a corner; 'boundaries' all at seams.
+    """
+    edges = Edges(cage)
+    sharp = edges.sharpness(cage)[edges.of_corner]
+    inner = np.flatnonzero((sharp > 0.0) & (edges.faces_around == 2)[edges.of_corner])
+    count = int(values.max()) + 1
+    at_point = np.zeros(edges.size)
+    known = cage.corners[cage.corners < edges.size]
+    np.maximum.at(at_point, known, cage.corner_sharpness[cage.corners < edges.size])
+    point_of = np.zeros(count, dtype=np.int64)
+    point_of[values] = cage.indices
+    pinned = at_point[point_of]
+    made = Cage(
+        cage.counts,
+        values,
+        np.stack([values[inner], values[edges.following[inner]]], axis=1),
+        sharp[inner],
+        sharp_ends=rule != "none",
+        smooth_triangles=cage.smooth_triangles,
+    )
+    own = Edges(made)
+    at_seam = np.zeros(count, dtype=bool)
+    at_seam[own.ends[own.faces_around == 1]] = True
+    regions = np.bincount(point_of, minlength=edges.size)[point_of]
+    if rule == "boundaries":
+        pinned[at_seam] = INFINITE
+    elif rule in ("cornersPlus1", "cornersPlus2"):
+        pinned[regions >= 3] = INFINITE
+    if rule == "cornersPlus2":
+        single = np.bincount(values, minlength=count) == 1
+        beside_corner = np.zeros(edges.size, dtype=bool)
+        beside_corner[point_of[single]] = True
+        pinned[(regions == 2) & beside_corner[point_of]] = INFINITE
+        torn = np.bincount(edges.of_corner, minlength=len(edges.keys)) == 2
+        lone = own.faces_around[own.of_corner] == 1
+        ends = np.flatnonzero(torn[edges.of_corner] & lone)
+        dart = np.zeros(count, dtype=bool)
+        dart[values[ends]] = dart[values[edges.following[ends]]] = True
+        pinned[dart & (regions == 1)] = INFINITE
+    hard = np.flatnonzero(pinned > 0.0)
+    return replace(made, corners=hard, corner_sharpness=pinned[hard])
 
 
 def smooth_patches(cage: Cage, edges: Edges, sharp: Array) -> Indices:

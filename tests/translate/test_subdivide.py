@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from synfog_usd.translate import loop
-from synfog_usd.translate.subdivide import Cage, boundary_faces, levels, subdivided
+from synfog_usd.translate import loop, subdivide
+from synfog_usd.translate.subdivide import Cage, boundary_faces, cut_apart, levels, subdivided
 
 BOX = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -191,3 +191,143 @@ def test_a_half_sharp_loop_corner_lies_between(sharpness):
         np.testing.assert_allclose(limit(sharpness), wanted[sharpness], rtol=1e-12)
     else:
         assert hard < limit(sharpness) < 1.0
+
+
+ROOF = np.vstack(
+    [
+        [(-1, -1, -1), (-1, -1, 1.2), (-1.1, 1, -1), (-1, 1.3, 1), (1, -1, -1.4), (1.2, -1, 1)],
+        [(1, 1.1, -1), (1, 1, 1), (0.1, 0, 2)],
+    ]
+)
+ROOF_QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4]]
+ROOF_FACES = [*ROOF_QUADS, [1, 5, 8], [5, 7, 8], [7, 3, 8], [3, 1, 8]]
+OPENSUBDIV = [
+    [-0.518056, -0.493519, -0.542593],
+    [-0.563314, -0.561686, 0.899219],
+    [-0.547454, 0.575926, -0.51713],
+    [-0.594727, 0.745475, 0.83431],
+    [0.538657, -0.492593, -0.654167],
+    [0.70651, -0.593913, 0.791341],
+    [0.500463, 0.559259, -0.575926],
+    [0.629395, 0.641764, 0.801432],
+    [0.07526, 0.037109, 1.529948],
+]
+"""Where OpenSubdiv 3.5 puts the points of this house of quads and triangles after two levels (float32)."""
+
+
+def divided(points, cage, level):
+    """Points and cage after some levels, not on the limit."""
+    corner = np.zeros(len(points))
+    np.maximum.at(corner, cage.corners, cage.corner_sharpness)
+    face_of = np.arange(len(cage.counts))
+    for _ in range(level):
+        points, cage, corner, face_of = subdivide._divided(points, cage, corner, face_of)
+    return points, cage
+
+
+def test_two_levels_are_opensubdivs():
+    cage = Cage(np.array([len(face) for face in ROOF_FACES]), np.concatenate(ROOF_FACES))
+    points, finer = divided(ROOF, cage, 2)
+    assert len(points) == 130 and len(finer.counts) == 128
+    np.testing.assert_allclose(points[:9], OPENSUBDIV, rtol=0, atol=2e-6)
+
+
+def test_edges_of_triangles_lean_on_their_faces():
+    """By the rule 'smooth' a triangle's centre weighs 0.47, a quad's 0.25; an edge's points weigh what is left."""
+    cage = Cage(np.array([len(face) for face in ROOF_FACES]), np.concatenate(ROOF_FACES), smooth_triangles=True)
+    points, _ = divided(ROOF, cage, 1)
+    edges = subdivide.Edges(cage)
+    centers = {tuple(sorted(face)): ROOF[face].mean(axis=0) for face in ROOF_FACES}
+
+    def edge_point(a, b, *faces):
+        weight = np.mean([0.47 if len(face) == 3 else 0.25 for face in faces])
+        return (0.5 - weight) * (ROOF[a] + ROOF[b]) + weight * sum(centers[tuple(sorted(face))] for face in faces)
+
+    for (a, b), faces in (
+        ((5, 8), ([1, 5, 8], [5, 7, 8])),
+        ((1, 5), ([1, 5, 8], [0, 4, 5, 1])),
+        ((0, 1), ([0, 1, 3, 2], [0, 4, 5, 1])),
+    ):
+        place = 9 + int(np.flatnonzero((edges.ends == sorted((a, b))).all(axis=1))[0])
+        np.testing.assert_allclose(points[place], edge_point(a, b, *faces), atol=1e-12)
+    plain, _ = divided(ROOF, subdivide.replace(cage, smooth_triangles=False), 2)
+    assert not np.allclose(divided(ROOF, cage, 2)[0], plain)
+
+
+def torn(size, where):
+    """A sheet's cage and values of its corners: those of faces in different regions differ; `where` gives a face's."""
+    points, counts, indices = sheet(size, np.zeros((size, size)))
+    face = np.arange(len(counts))
+    region = where(face % (size - 1), face // (size - 1))
+    keys = indices + len(points) * np.repeat(region, 4)
+    _, first, values = np.unique(keys, return_index=True, return_inverse=True)
+    return Cage(counts, indices), values.reshape(-1), points[indices[first]] ** 2, indices[first]
+
+
+HALVES = (5, lambda x, y: (x >= 2).astype(int))
+TEE = (5, lambda x, y: (y >= 2) * (1 + (x >= 2)))
+
+
+@pytest.mark.parametrize(
+    "rule, pinned",
+    [("none", False), ("cornersOnly", False), ("cornersPlus1", False), ("cornersPlus2", False), ("boundaries", True)],
+)
+def test_a_seam_is_a_curve_or_stays_piecewise_straight(rule, pinned):
+    """In the middle of a seam values follow the cubic B-spline along it, (a + 4 b + c) / 6, or stay where they are."""
+    cage, values, st, point = torn(*HALVES)
+    fine = subdivided(st, cut_apart(cage, values, rule), 2).points[: len(st)]
+    for value in np.flatnonzero(point == 12):  # of the middle point, on both sides
+        along = [float(st[np.flatnonzero(point == other)[0], 1]) for other in (7, 12, 17)]
+        wanted = along[1] if pinned else np.dot(along, [1, 4, 1]) / 6
+        assert fine[value, 1] == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(
+    "rule, pinned", [("none", False), ("cornersOnly", False), ("cornersPlus1", True), ("cornersPlus2", True)]
+)
+def test_junctions_of_three_regions_and_more_stay_from_plus_one_on(rule, pinned):
+    cage, values, st, point = torn(*TEE)
+    fine = subdivided(st, cut_apart(cage, values, rule), 2).points[: len(st)]
+    (value,) = np.flatnonzero((point == 12) & (np.bincount(values) == 2))  # of the region that goes straight through
+    assert np.allclose(fine[value], st[value]) == pinned
+
+
+@pytest.mark.parametrize("rule, pinned", [("none", False), ("cornersOnly", True), ("cornersPlus1", True)])
+def test_values_of_a_single_face_stay_but_by_none(rule, pinned):
+    cage, values, st, point = torn(*HALVES)
+    fine = subdivided(st, cut_apart(cage, values, rule), 2).points[: len(st)]
+    assert np.allclose(fine[np.flatnonzero(point == 0)], st[point == 0]) == pinned
+
+
+@pytest.mark.parametrize("rule, pinned", [("cornersPlus1", False), ("cornersPlus2", True)])
+def test_the_other_side_of_a_corner_stays_from_plus_two_on(rule, pinned):
+    """A region of one face in the middle of a sheet: its corners stay anyway, what is around them from plus two on."""
+    cage, values, st, point = torn(5, lambda x, y: ((x == 1) & (y == 1)).astype(int))
+    fine = subdivided(st, cut_apart(cage, values, rule), 2).points[: len(st)]
+    single = np.bincount(values) == 1
+    inner = np.isin(point, point[single & np.isin(point, (6, 7, 11, 12))])
+    np.testing.assert_allclose(fine[single & inner], st[single & inner])
+    assert np.allclose(fine[~single & inner], st[~single & inner]) == pinned
+
+
+def test_the_end_of_a_seam_stays_by_plus_two():
+    """Two faces whose values differ along one edge only at its outer end: the seam ends within the sheet."""
+    cage, values, st, point = torn(5, lambda x, y: np.zeros_like(x))
+    lower_right = np.flatnonzero((cage.indices == 2) & (np.repeat(np.arange(16), 4) == 2))
+    values = values.copy()
+    values[lower_right] = len(st)
+    st, point = np.vstack([st, [9.0, 9.0, 0.0]]), np.append(point, 2)
+    for rule, pinned in (("cornersPlus1", False), ("cornersPlus2", True)):
+        fine = subdivided(st, cut_apart(cage, values, rule), 2).points[: len(st)]
+        assert np.allclose(fine[point == 7], st[point == 7]) == pinned
+
+
+def test_what_is_sharp_on_the_mesh_is_sharp_on_its_values():
+    """A crease through the values of one region makes them its spline."""
+    cage, values, st, point = torn(5, lambda x, y: np.zeros_like(x))
+    creased = subdivide.replace(
+        cage, creases=np.array([[2, 7], [7, 12], [12, 17], [17, 22]]), crease_sharpness=np.full(4, 10.0)
+    )
+    fine = subdivided(st, cut_apart(creased, values, "cornersOnly"), 2).points[: len(st)]
+    same = subdivided(st[np.argsort(point)], creased, 2).points
+    np.testing.assert_allclose(fine[np.argsort(point)], same[: len(st)], atol=1e-12)
