@@ -6,6 +6,7 @@ Dask is imported here and in `run` alone, when a set is made.
 from __future__ import annotations
 
 import contextlib
+import inspect
 import logging
 import os
 import signal
@@ -128,15 +129,15 @@ def batch(path: Path) -> Iterator[Workers]:
         SetError: the file is not right, with its place.
     """
     _, distributed = _dask()
-    with batch_cluster(path) as (cluster, jobs):
-        cluster.scale(jobs=jobs)
+    with batch_cluster(path) as (cluster, count):
+        cluster.scale(n=count)
         with distributed.Client(cluster) as client:
-            yield Workers(client, jobs, 0, _dashboard(client))
+            yield Workers(client, count, 0, _dashboard(client))
 
 
 @contextlib.contextmanager
 def batch_cluster(path: Path) -> Iterator[tuple[Any, int]]:
-    """The cluster of a file, with how many jobs it is to have; none is started yet.
+    """The cluster of a file, with how many workers it is to have, one unit at a time each; none is started yet.
 
     Raises:
         SetError: the file is not right, with its place.
@@ -159,14 +160,37 @@ def batch_cluster(path: Path) -> Iterator[tuple[Any, int]]:
     jobs = said.get("jobs", JOBS)
     if not isinstance(jobs, int) or isinstance(jobs, bool) or not 1 <= jobs <= 100_000:
         raise SetError(f"{items['jobs'].place}: jobs is {jobs!r}; it takes a whole number from 1 to 100000")
-    options = {key: value for key, value in said.items() if key not in ("system", "jobs")}
+    options = {"processes": 1, **{key: value for key, value in said.items() if key not in ("system", "jobs")}}
+    options["worker_extra_args"] = [*options.get("worker_extra_args", []), "--nthreads", "1"]  # of units, not of a unit
+    kind = getattr(dask_jobqueue, SYSTEMS[said["system"]])
+    known = _options(kind)
+    for key in options:
+        if key not in known:
+            raise SetError(
+                f"{items[key].key_place}: a cluster of {said['system']} has no {key!r}; it takes "
+                f"{', '.join(known)}.{did_you_mean(key, known)}"
+            )
     with dask.config.set(SETTINGS):
         try:
-            cluster = getattr(dask_jobqueue, SYSTEMS[said["system"]])(**{"processes": 1, **options})
+            cluster = kind(**options)
         except (TypeError, ValueError) as error:
             raise SetError(f"{path}: {SYSTEMS[said['system']]} of dask-jobqueue does not take that: {error}") from error
         with cluster:
-            yield cluster, jobs
+            yield cluster, jobs * options["processes"]
+
+
+def _options(kind: Any) -> list[str]:
+    """What a cluster of dask-jobqueue and its jobs can be told, `processes` and `worker_extra_args` among it."""
+    makers = [kind.__init__, *(maker.__init__ for maker in (*kind.__mro__, *kind.job_cls.__mro__))]
+    names = {
+        name
+        for maker in makers
+        for name, parameter in inspect.signature(maker).parameters.items()
+        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+    }
+    return sorted(
+        names - {"self", "n_workers", "job_cls", "loop", "asynchronous", "scheduler", "name", "workers", "worker"}
+    )
 
 
 @contextlib.contextmanager

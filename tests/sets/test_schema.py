@@ -1,0 +1,63 @@
+"""The schema of a set's file: fresh, and of one mind with the reader."""
+
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from synfog_usd.errors import SynfogError
+from synfog_usd.sets import schema
+from synfog_usd.sets.definition import make_set, shipped
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def validator():
+    found = schema.schema()
+    jsonschema.Draft7Validator.check_schema(found)
+    return jsonschema.Draft7Validator(found)
+
+
+def test_the_schema_is_fresh():
+    stale = (ROOT / "docs/reference/set.schema.json").read_text(encoding="utf-8") != schema.text()
+    assert not stale, "run: python -m synfog_usd.sets.schema > docs/reference/set.schema.json"
+
+
+@pytest.mark.parametrize("name, path", shipped().items())
+def test_shipped_sets_are_valid(validator, name, path):
+    said = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert [error.message for error in validator.iter_errors(said)] == []
+
+
+@pytest.mark.parametrize(
+    "words, good",
+    [
+        ({}, True),
+        ({"recipes": {"tunnel": 2}, "fogs": ["clear", {"integer": [50, 100]}]}, True),
+        ({"fogs": [{"normal": {"mean": 200, "deviation": 50, "low": 100, "high": 400}}]}, True),
+        ({"lightings": [{"choice": {"sky": 1, "active": 2}}]}, True),
+        ({"splits": {"train": 9, "test": {"share": 1, "models": ["bus"]}}}, True),
+        ({"quality": {"samples": 8, "model": "single", "denoise": False}}, True),
+        ({"recipes": ["tunel"]}, False),
+        ({"recipes": {"tunnel": 0}}, False),
+        ({"fogs": []}, False),
+        ({"fogs": [5]}, False),
+        ({"size": [320]}, False),
+        ({"quality": {"samples": 0}}, False),
+        ({"quality": {"time": 3}}, False),
+        ({"splits": {"train": {"models": ["bus"]}}}, False),
+        ({"more": 1}, False),
+        ({"scenes": 0}, False),
+    ],
+)
+def test_schema_and_reader_agree(validator, words, good):
+    said = {"synfog": "set/1", "scenes": 3, "recipes": ["tunnel"], **words}
+    assert validator.is_valid(said) == good
+    try:
+        make_set(**{key: value for key, value in said.items() if key != "synfog"})
+        read = True
+    except SynfogError:
+        read = False
+    assert read == good
