@@ -101,6 +101,10 @@ class QuantumEfficiency:
     filters: tuple[Curve, ...] = ()
 
 
+_NOT_IN_PICTURES = frozenset({"width_px", "height_px"})
+"""Values that change no pixel, and so no hash."""
+
+
 @dataclass(frozen=True)
 class SensorProfile:
     """A sensor.
@@ -127,6 +131,8 @@ class SensorProfile:
         analog_gain_max: the most that the sensor's own amplifiers do; ISO speeds above
             `iso_base` times this are made of numbers.
         optical_black_rows: rows that no light reaches, by which black is held.
+        width_px, height_px: pixels of a picture, for cameras of other programs; no op reads them, and 0 stands where
+            the file leaves them out.
         shortest_exposure_s, longest_exposure_s: what automatic exposure may use [s].
         qe: quantum efficiency of each filter.
         sources: name of a value -> where it is from.
@@ -157,6 +163,8 @@ class SensorProfile:
     optical_black_rows: int = _value(1, 1024, whole=True, default=16.0)
     shortest_exposure_s: float = _value(1e-7, 1.0)
     longest_exposure_s: float = _value(1e-6, 60.0)
+    width_px: int = _value(1, 65535, whole=True, default=0)
+    height_px: int = _value(1, 65535, whole=True, default=0)
     qe: QuantumEfficiency = dataclasses.field(default_factory=QuantumEfficiency)
     sources: tuple[tuple[str, str], ...] = ()
     content_hash: str = ""
@@ -381,7 +389,7 @@ class _Reader:
         name, title = self.text("name"), self.text("title")
         hashed = {
             "name": name,
-            **values,
+            **{key: value for key, value in values.items() if key not in _NOT_IN_PICTURES},
             **{
                 key: dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
                 for key, value in more.items()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from pathlib import Path
+from typing import Any
 
 from synfog_usd import resources
 from synfog_usd.errors import OutputError
@@ -47,9 +49,42 @@ def pack_extension(path: Path) -> None:
         raise OutputError(f"--blender {path}: Blender installs a .zip; name the file synfog_fog.zip")
     folder = resources.folder("integrations") / "blender" / "synfog_fog"
 
+    def put(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
+        archive.writestr(zipfile.ZipInfo(name, (2026, 1, 1, 0, 0, 0)), data)
+
     def pack(place: Path) -> None:
         with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name in ("__init__.py", "blender_manifest.toml"):
-                archive.writestr(zipfile.ZipInfo(name, (2026, 1, 1, 0, 0, 0)), (folder / name).read_bytes())
+            for file in sorted([*folder.glob("*.py"), folder / "blender_manifest.toml"]):
+                put(archive, file.name, file.read_bytes())
+            put(archive, "sensors.json", (json.dumps(camera_presets(), indent=2) + "\n").encode())
 
     write_whole(path, pack)
+
+
+def camera_presets() -> dict[str, dict[str, Any]]:
+    """Every shipped sensor with the lens that a shipped graph gives it, else that of its own name.
+
+    Returns:
+        name -> 'title', 'about', 'sensor_width_mm', 'sensor_height_mm', 'focal_length_mm', 'f_number', 'width_px',
+            'height_px'.
+    """
+    from synfog_usd.camera.profiles import load_lens, load_sensor, shipped
+    from synfog_usd.yamlio import load_file
+
+    graphs = [load_file(path).value for path in sorted(resources.folder("pipeline").glob("*.yaml"))]
+    lens_of = {graph["sensor"].value: graph["lens"].value for graph in graphs if {"sensor", "lens"} <= graph.keys()}
+    found = {}
+    for name in shipped("sensors"):
+        sensor, lens = load_sensor(name), load_lens(lens_of.get(name, name))
+        size = [round(pixels * sensor.pixel_pitch_um / 1000.0, 6) for pixels in (sensor.width_px, sensor.height_px)]
+        found[name] = {
+            "title": sensor.title.partition(",")[0],
+            "about": f"{sensor.title}: {size[0]:.2f} x {size[1]:.2f} mm, {lens.title}",
+            "sensor_width_mm": size[0],
+            "sensor_height_mm": size[1],
+            "focal_length_mm": lens.focal_length_mm,
+            "f_number": lens.f_number,
+            "width_px": sensor.width_px,
+            "height_px": sensor.height_px,
+        }
+    return found

@@ -57,7 +57,8 @@ FAULTS = [
         "{value: 6000,   source: isetcam}",
         "{value: 6000, source: ^isetcm}",
         "full_well_e has source 'isetcm', which is not under 'sources' "
-        "(isetcam, isetcam_gain, noise_split, borrowed_qe, estimate_dark, phone_program). Did you mean 'isetcam'?",
+        "(isetcam, isetcam_gain, noise_split, borrowed_qe, estimate_dark, phone_program, pictures). Did you mean "
+        "'isetcam'?",
     ),
     (
         "{value: 10,     source: isetcam}",

@@ -12,6 +12,7 @@ import pytest
 from support.cli import process, run
 from support.stages import street
 
+from synfog_usd.camera.profiles import shipped
 from synfog_usd.cli import check as verb
 from synfog_usd.scene import Note
 from synfog_usd.stage.rulebook import finding
@@ -107,7 +108,18 @@ def test_the_extension_is_packed_whole_and_alike(tmp_path):
         manifest = dict(
             re.findall(r"""^(\w+) = "(.*)"$""", archive.read("blender_manifest.toml").decode(), re.MULTILINE)
         )
-        compile(archive.read("__init__.py"), "__init__.py", "exec")
+        for name in archive.namelist():
+            if name.endswith(".py"):
+                compile(archive.read(name), name, "exec")
+        sensors = json.loads(archive.read("sensors.json"))
+    phone = sensors["imx363"]  # 4032 x 3024 pixels of 1.4 um behind 4.38 mm and f/1.73
+    assert [phone[name] for name in ("sensor_width_mm", "sensor_height_mm", "focal_length_mm", "f_number")] == [
+        5.6448,
+        4.2336,
+        4.38,
+        1.73,
+    ]
+    assert set(sensors) == set(shipped("sensors")) and all(one["width_px"] > 0 for one in sensors.values())
     assert {one.date_time for one in archive.infolist()} == {(2026, 1, 1, 0, 0, 0)}  # not when it was packed
     assert (manifest["id"], manifest["type"], manifest["schema_version"]) == (
         "synfog_fog",

@@ -2,7 +2,8 @@
 
 `synfog-usd plugin-path --blender synfog_fog.zip` packs this folder; install the file under
 Edit > Preferences > Get Extensions > Install from Disk.  A tab "Synfog" in the 3D view's sidebar (N)
-puts a box of fog around the scene, gives it a visibility, and gives objects their Cityscapes label.
+puts a box of fog around the scene, gives it a visibility, gives objects their Cityscapes label, sets light and
+camera by presets, and checks and bakes the scene.
 File > Export > Universal Scene Description then writes them as synfog-usd and other USD programs
 expect: an API schema on a guide prim, semantic labels, variant sets.
 
@@ -12,11 +13,14 @@ keeps them without the extension.  The box wears a volume of the same density, s
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from pathlib import Path
 
 import bpy
 from mathutils import Vector
+
+from . import baking, presets
 
 API = "SynFogMediumAPI"
 FOG = {
@@ -362,6 +366,14 @@ class SYNFOG_PT_panel(bpy.types.Panel):
         layout.operator("synfog.add_fog", icon="OUTLINER_OB_VOLUME")
         layout.operator("synfog.label", icon="BOOKMARKS")
         layout.operator("synfog.variants", icon="RENDERLAYERS")
+        layout.operator_menu_enum("synfog.light", "preset", icon="LIGHT_SUN")
+        if presets.sensors():
+            layout.operator_menu_enum("synfog.camera", "sensor", icon="CAMERA_DATA")
+        row = layout.row(align=True)
+        row.operator("synfog.check", icon="CHECKMARK")
+        row.operator("synfog.bake", icon="RENDER_STILL")
+        for line in context.window_manager.synfog_told.splitlines():
+            layout.label(text=line, icon="ERROR")
         if thing is not None:
             for name in thing.keys():
                 if name.startswith("synfog_") or name == "cityscapes":
@@ -370,25 +382,38 @@ class SYNFOG_PT_panel(bpy.types.Panel):
             layout.prop(context.scene, f'["{VARIANTS}"]', text="fogs")
 
 
-CLASSES = (SynfogHook, SYNFOG_OT_add_fog, SYNFOG_OT_label, SYNFOG_OT_variants, SYNFOG_PT_panel)
+CLASSES = (
+    SynfogHook,
+    SYNFOG_OT_add_fog,
+    SYNFOG_OT_label,
+    SYNFOG_OT_variants,
+    *presets.CLASSES,
+    *baking.CLASSES,
+    SYNFOG_PT_panel,
+)
+_registered = []
 
 
 def find_pxr():
     """Let Python find the USD library that Blender has with it; `import bpy` without Blender leaves it off the path,
-    and hooks then end the process.
+    and hooks then end the process.  Whether it is there.
     """
     packages = Path(bpy.utils.system_resource("SCRIPTS")).parent / "python" / "lib"
     sys.path += [str(folder) for folder in packages.glob("python3*/site-packages") if str(folder) not in sys.path]
+    return importlib.util.find_spec("pxr") is not None
 
 
 def register():
     """Called by Blender when the add-on is switched on."""
-    find_pxr()
-    for one in CLASSES:
+    hooked = find_pxr()  # `import bpy` 4.2 brings none; files then keep custom properties, which a bake reads too
+    for one in CLASSES if hooked else CLASSES[1:]:
         bpy.utils.register_class(one)
+        _registered.append(one)
+    bpy.types.WindowManager.synfog_told = bpy.props.StringProperty(name="What the last check or bake told")
 
 
 def unregister():
     """Called by Blender when the add-on is switched off."""
-    for one in reversed(CLASSES):
-        bpy.utils.unregister_class(one)
+    del bpy.types.WindowManager.synfog_told
+    while _registered:
+        bpy.utils.unregister_class(_registered.pop())
