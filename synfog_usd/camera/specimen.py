@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from synfog_usd.arrays import FloatArray
 from synfog_usd.camera.registry import OPS
@@ -174,6 +173,8 @@ def _chosen(normal: FloatArray, ppm: float) -> tuple[np.ndarray, FloatArray]:
     """Mask (H, W, 1) of the pixels above the quantile that leaves `ppm` of a million, and for each of them an
     exponential number of mean 1, which follows from how far above it lies.
     """
+    from scipy.special import ndtr, ndtri  # a third of a second, for graphs that have such pixels only
+
     if ppm <= 0.0:
         return np.zeros(normal.shape, dtype=bool), np.empty(0, dtype=np.float32)
     part = ppm * PPM
