@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from synfog_usd import __version__
-from synfog_usd.cli import dataset, worker
+from synfog_usd.cli import benchmark, dataset, worker
 from synfog_usd.errors import ParameterError, SynfogError
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
@@ -26,6 +26,7 @@ app.add_typer(graph_app, name="graph")
 asset_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The library of models.")
 app.add_typer(asset_app, name="asset")
 app.add_typer(dataset.app, name="dataset")
+app.add_typer(benchmark.app, name="benchmark")
 
 
 def _folder(text: str) -> Path:

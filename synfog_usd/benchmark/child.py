@@ -1,0 +1,129 @@
+"""The child in which a method works: `python -m synfog_usd.benchmark.child`.
+
+The first line on standard input is the method as JSON; each further line names a picture and where the answer goes.
+Each is answered by a line of JSON: {"seconds": processor seconds} or {"error": one line}.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.benchmark.classics import CLASSICS
+from synfog_usd.benchmark.methods import Defogger
+
+Restore = Callable[[np.ndarray], np.ndarray]
+
+
+def main() -> None:
+    """Answer until standard input ends."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what libraries print does not stand among the answers
+    said = json.loads(sys.stdin.readline())
+    method = Defogger(**{**said, "command": tuple(said["command"]), "range": tuple(said["range"])})
+    with contextlib.suppress(ImportError):  # Windows has no such limit
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (int(method.memory_gb * 1e9),) * 2)
+    restore: Restore | None = None
+    for line in sys.stdin:
+        task = json.loads(line)
+        began = time.process_time()
+        try:
+            if method.kind == "command":
+                _run(method, task)
+            else:
+                if restore is None:
+                    restore = _loaded(method)
+                _write(Path(task["out"]), restore(read(Path(task["in"]))))
+            answer: dict[str, Any] = {"seconds": time.process_time() - began}
+        except Exception as error:
+            answer = {"error": " ".join(f"{type(error).__name__}: {error}".split())[:300]}
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+def read(path: Path) -> np.ndarray:
+    """(H, W, 3) uint8 of a picture."""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def _write(path: Path, picture: np.ndarray) -> None:
+    from PIL import Image
+
+    if not np.isfinite(picture).all():
+        raise ValueError("the answer holds NaN or infinity")
+    Image.fromarray(np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)).save(path)
+
+
+def _loaded(method: Defogger) -> Restore:
+    if method.kind == "onnx":
+        return _network(method)
+    classic = CLASSICS[method.target]
+    return lambda picture: classic(picture.astype(np.float64) / 255.0)
+
+
+def _network(method: Defogger) -> Restore:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.intra_op_num_threads = max(1, os.cpu_count() or 1)
+    session = onnxruntime.InferenceSession(method.target, options, providers=["CPUExecutionProvider"])
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    shape = inputs[0].shape
+    if len(inputs) != 1 or len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != 3):
+        raise ValueError(
+            f"the network takes {', '.join(f'{i.name} {i.shape}' for i in inputs)}; it must take one picture "
+            f"(1, 3, H, W)"
+        )
+    low, high = method.range
+
+    def restore(picture: np.ndarray) -> np.ndarray:
+        height, width = picture.shape[:2]
+        down, right = (-height) % method.multiple, (-width) % method.multiple
+        padded = np.pad(picture, ((0, down), (0, right), (0, 0)), mode="symmetric")
+        for wanted, found in zip(shape[2:], padded.shape[:2], strict=True):
+            if isinstance(wanted, int) and wanted != found:
+                raise ValueError(
+                    f"the network wants pictures of {shape[3]} x {shape[2]}, and this one has {width} x {height}; "
+                    f"export it with free height and width"
+                )
+        batch = (padded.astype(np.float32) / 255.0 * (high - low) + low).transpose(2, 0, 1)[None]
+        answer = np.asarray(session.run([outputs[0].name], {inputs[0].name: batch})[0], dtype=np.float64)
+        if answer.shape != batch.shape:
+            raise ValueError(f"the network gave {answer.shape} for {batch.shape}")
+        return (answer[0].transpose(1, 2, 0)[:height, :width] - low) / (high - low)
+
+    return restore
+
+
+def _run(method: Defogger, task: dict[str, str]) -> None:
+    words = [word.replace("{in}", task["in"]).replace("{out}", task["out"]) for word in method.command]
+    done = subprocess.run(words, cwd=method.target, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode != 0:
+        told = (done.stderr or done.stdout).strip().splitlines()
+        raise RuntimeError(f"ended with {done.returncode}: {told[-1] if told else 'it said nothing'}")
+    if not Path(task["out"]).is_file():
+        raise RuntimeError("it wrote no picture")
+
+
+def as_line(method: Defogger) -> str:
+    """The method as the child's first line."""
+    return json.dumps(dataclasses.asdict(method)) + "\n"
+
+
+if __name__ == "__main__":
+    main()

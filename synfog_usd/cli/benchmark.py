@@ -1,0 +1,44 @@
+"""`synfog-usd benchmark`: what methods make of foggy pictures.  Parses; the work is in modules that a verb imports."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="How well methods see through fog.")
+
+
+@app.command()
+def defog(
+    source: Annotated[
+        Path, typer.Argument(help="Folder of a set, of a bake, or with pictures in hazy/ and gt/ (RESIDE, O-HAZE).")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results, tables and pictures.")],
+    methods: Annotated[
+        str, typer.Option(help="Names (none, dcp, cap, fvr) and YAML files of own methods, with commas.")
+    ] = "none,dcp,cap,fvr",
+    picture: Annotated[str, typer.Option(help="Which output of a set or bake is compared.")] = "srgb.png",
+    clear: Annotated[str, typer.Option(help="The fog that counts as none.")] = "clear",
+    split: Annotated[str, typer.Option(help="Split of a set; all if left out.")] = "",
+    limit: Annotated[int | None, typer.Option(min=1, help="At most so many pairs, spread over all.")] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Take up what failed, too.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the means as JSON on standard output.")] = False,
+) -> None:
+    """Compare what METHODS make of foggy pictures with the same views in clear air."""
+    from synfog_usd.cli import benches
+
+    benches.defog(
+        source,
+        out,
+        words=[word.strip() for word in methods.split(",") if word.strip()],
+        picture=picture,
+        clear=clear,
+        split=split,
+        limit=limit,
+        retry=retry,
+        quiet=quiet,
+        as_json=as_json,
+    )

@@ -1,0 +1,101 @@
+"""Metrics against definitions written out, their papers' published values and the reference implementations."""
+
+from __future__ import annotations
+
+import colour
+import flip_evaluator
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from synfog_usd import seeds
+from synfog_usd.benchmark import metrics
+from synfog_usd.errors import ParameterError
+
+
+def pictures(noise: int = 20) -> tuple[np.ndarray, np.ndarray]:
+    """A smooth picture of 48 x 64 and the same with uniform noise of some levels."""
+    rng = seeds.stream(4, "metrics")
+    truth = ndimage.gaussian_filter(rng.integers(0, 256, (48, 64, 3)).astype(float), (3, 3, 0))
+    truth = np.interp(truth, (truth.min(), truth.max()), (20, 230))
+    other = truth + rng.integers(-noise, noise + 1, truth.shape)
+    return np.rint(np.clip(other, 0, 255)).astype(np.uint8), np.rint(truth).astype(np.uint8)
+
+
+def test_psnr_is_its_definition():
+    """Equal pictures have the highest value that is told; one level everywhere has 20 log10 255."""
+    truth = np.full((4, 5, 3), 100, np.uint8)
+    assert metrics.psnr(truth, truth) == 100.0
+    assert metrics.psnr(truth + np.uint8(1), truth) == pytest.approx(20 * np.log10(255), abs=1e-4)
+    picture, truth = pictures()
+    error = sum((int(a) - int(b)) ** 2 for a, b in zip(picture.ravel(), truth.ravel(), strict=True)) / truth.size
+    assert metrics.psnr(picture, truth) == pytest.approx(10 * np.log10(255**2 / error), abs=1e-4)
+
+
+def test_ssim_is_the_papers_formula():
+    """Equation 13 of the paper with Gaussian windows of 11 x 11, sigma 1.5, K 0.01 and 0.03, away from the edges."""
+    picture, truth = (image.astype(np.float64) for image in pictures())
+    reach = np.arange(-5, 6)
+    kernel = np.exp(-(reach**2) / (2 * 1.5**2))
+    kernel /= kernel.sum()
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return ndimage.convolve1d(ndimage.convolve1d(values, kernel, axis=0), kernel, axis=1)[5:-5, 5:-5]
+
+    channels = []
+    for x, y in zip(np.moveaxis(picture, 2, 0), np.moveaxis(truth, 2, 0), strict=True):
+        mx, my = mean(x), mean(y)
+        vx, vy, both = mean(x * x) - mx**2, mean(y * y) - my**2, mean(x * y) - mx * my
+        c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+        channels.append(((2 * mx * my + c1) * (2 * both + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))).mean())
+    found = metrics.ssim(picture.astype(np.uint8), truth.astype(np.uint8))
+    assert found == pytest.approx(np.mean(channels), abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [
+        ((50.0, 2.6772, -79.7751), (50.0, 0.0, -82.7485), 2.0425),
+        ((50.0, -1.3802, -84.2814), (50.0, 0.0, -82.7485), 1.0),
+        ((22.7233, 20.0904, -46.6940), (23.0331, 14.9730, -42.5619), 2.0373),
+        ((90.9257, -0.5406, -0.9208), (88.6381, -0.8985, -0.7239), 1.5381),
+    ],
+)
+def test_the_colour_difference_has_its_papers_values(first, second, expected):
+    """Four of the 34 pairs of Sharma, Wu and Dalal 2005, table 1, through the library that the metric calls."""
+    assert colour.delta_E(np.array(first), np.array(second), method="CIE 2000") == pytest.approx(expected, abs=1e-4)
+
+
+def test_the_colour_difference_of_greys_is_that_of_their_lightness():
+    """Levels 119 and 118: L* by IEC 61966-2-1 and CIE 15, their difference over S_L of CIE 142."""
+    lightness = []
+    for level in (119, 118):
+        y = ((level / 255 + 0.055) / 1.055) ** 2.4
+        lightness.append(116 * y ** (1 / 3) - 16)
+    middle = np.mean(lightness)
+    wanted = (lightness[0] - lightness[1]) / (1 + 0.015 * (middle - 50) ** 2 / np.sqrt(20 + (middle - 50) ** 2))
+    grey = np.full((3, 3, 3), 119, np.uint8)
+    assert metrics.delta_e(grey, np.full_like(grey, 118)) == pytest.approx(wanted, abs=1e-3)
+
+
+def test_flip_is_the_reference_implementations_mean_and_knows_which_is_the_truth():
+    picture, truth = pictures()
+    assert metrics.flip(truth, truth) == 0.0
+    ours = metrics.flip(picture, truth)
+    theirs = flip_evaluator.evaluate(truth.astype(np.float32) / 255, picture.astype(np.float32) / 255, "LDR")[1]
+    assert ours == pytest.approx(theirs, abs=1e-6) and 0.02 < ours < 0.5
+    black, white = np.zeros((32, 32, 3), np.uint8), np.full((32, 32, 3), 255, np.uint8)
+    assert metrics.flip(white, black) > 0.95
+
+
+def test_more_noise_is_worse_by_every_metric():
+    (little, truth), (much, _) = pictures(5), pictures(60)
+    for name in metrics.usable():
+        metric = metrics.METRICS[name]
+        assert (metric.measure(little, truth) > metric.measure(much, truth)) == metric.higher, name
+    assert metrics.usable() == tuple(metrics.METRICS)
+
+
+def test_another_size_is_refused():
+    with pytest.raises(ParameterError, match="64 x 48 cannot be compared with one of 64 x 47"):
+        metrics.measure(pictures()[0], pictures()[1][:47])
