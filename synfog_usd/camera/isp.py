@@ -90,6 +90,13 @@ def decompand(image: Image) -> Image:
     )
 
 
+SHADES_POWER = 6
+"""Of the Minkowski mean by which shades of grey guesses a light; the paper's best."""
+
+SATURATED = 0.98
+"""From here on a pixel says nothing of the light's colour."""
+
+
 @OPS.op("isp.black_level", takes=NUMBERS, gives=SENSED)
 def black_level(
     image: Image,
@@ -207,7 +214,7 @@ def lens_shading(
 def white_balance(
     image: Image,
     *,
-    illuminant: Literal["d65", "a", "hps", "led", "grey_world", "as_shot", "none"] = "d65",
+    illuminant: Literal["d65", "a", "hps", "led", "grey_world", "shades_of_grey", "as_shot", "none"] = "d65",
     clip: bool = True,
     sensor: Annotated[SensorProfile | None, FromProfile("sensor")] = None,
 ) -> Image:
@@ -220,14 +227,17 @@ def white_balance(
         image: mosaic, black 0 and saturation 1.
         illuminant: the light whose white becomes neutral: daylight (d65), tungsten
             (a), high-pressure sodium (hps), a white LED (led), or the neutral in the
-            image's provenance (as_shot).  A known one by default: grey_world takes
-            the airlight's tint for a tint of the light.
+            image's provenance (as_shot).  As a camera left to itself guesses it: grey_world from the means of the
+            filters, shades_of_grey from their means of the sixth power, saturated pixels left out.  A known one by
+            default: both take the airlight's tint for a tint of the light.
         clip: cut at 1 afterwards, so that saturated pixels are white, not tinted.
-        sensor: its neutral is used, but for as_shot and grey_world.
+        sensor: its neutral is used, but for as_shot, grey_world and shades_of_grey.
 
     Raises:
         ImageError: a filter without signal (grey_world on a black picture), as_shot
             without a neutral, or one for other filters.
+
+    Source: shades of grey: Finlayson and Trezzi, "Shades of gray and colour constancy" (2004).
     """
     _mosaic(image)
     pattern = pattern_of(image, sensor)
@@ -378,6 +388,60 @@ def tone_hdr(image: Image, *, range_ev: Annotated[float, Range(1.0, 24.0)] = 12.
     return image.with_pixels(image.pixels * factor)
 
 
+@OPS.op("isp.tone_local", takes=PICTURE, gives=PICTURE)
+def tone_local(
+    image: Image,
+    *,
+    compression: Annotated[float, Range(0.1, 1.0)] = 0.5,
+    detail: Annotated[float, Range(0.0, 4.0)] = 1.0,
+    radius_percent: Annotated[float, Range(0.1, 50.0)] = 4.0,
+    edge_ev: Annotated[float, Range(0.05, 8.0)] = 1.0,
+    key: Annotated[float, Range(0.01, 1.0)] = 0.18,
+) -> Image:
+    """Large differences of light are made smaller, small ones are kept: shadows and lamps in one picture.
+
+    log2 Y is split into a base, by a guided filter that keeps edges, and the detail over it;
+    log2 Y' = compression * (base - its mean) + detail * rest + log2 key.  Colours keep R : G : B;
+    one that would need more than 1 of a channel is darkened.
+
+    Args:
+        image: linear Rec.709 or Y.
+        compression: part of the base's range that stays, in stops [1]; 1 for all of it.
+        detail: how much of the detail stays [1].
+        radius_percent: of the filter, of the picture's width [%].
+        edge_ev: differences well above it are edges and stay out of the detail [EV].
+        key: where the base's mean goes [1].
+
+    Raises:
+        ImageError: the channels are not R, G, B or Y.
+
+    Source: base and detail: Durand and Dorsey, "Fast bilateral filtering for the display of high-dynamic-range
+    images" (2002); the filter: He, Sun and Tang, "Guided image filtering" (2013), the picture as its own guide.
+    """
+    _picture(image)
+    bright = np.maximum(luminance_of(image.pixels), np.float32(2.0**-20))
+    stops = np.log2(bright[..., 0])
+    base = _edges_kept(stops, max(1, round(radius_percent / 100.0 * image.width_px)), edge_ev)
+    wanted = compression * (base - base.mean(dtype=np.float64)) + detail * (stops - base) + math.log2(key)
+    factor = np.exp2(wanted - stops).astype(np.float32)[..., None]
+    top = image.pixels.max(axis=2, keepdims=True) * factor
+    return image.with_pixels(image.pixels * (factor / np.maximum(top, np.float32(1.0))))
+
+
+def _edges_kept(stops: FloatArray, radius_px: int, edge_ev: float) -> FloatArray:
+    """A smooth copy that keeps edges of more than `edge_ev`: the guided filter with the picture as its own guide."""
+    from scipy.ndimage import uniform_filter
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(uniform_filter(values, 2 * radius_px + 1, mode="nearest"))
+
+    picture = stops.astype(np.float64)
+    middle = mean(picture)
+    spread = np.maximum(mean(picture * picture) - middle * middle, 0.0)
+    slope = spread / (spread + edge_ev**2)
+    return np.asarray(mean(slope) * picture + mean((1.0 - slope) * middle))
+
+
 @OPS.op("isp.gamma", takes=PICTURE, gives=DISPLAY)
 def gamma(image: Image) -> Image:
     """Linear Rec.709, or Y, to sRGB, cut to 0 to 1.
@@ -429,14 +493,17 @@ def _white(image: Image, pattern: str, illuminant: str, sensor: SensorProfile | 
                 "illuminant: d65"
             )
         return np.array(image.provenance["as_shot_neutral"], dtype=np.float64)
-    if illuminant != "grey_world":
+    if illuminant not in ("grey_world", "shades_of_grey"):
         return np.array(response.neutral(_named(sensor, illuminant), illuminant.upper()))
+    power = SHADES_POWER if illuminant == "shades_of_grey" else 1
     sums, counts = np.zeros(len(cfa.filters(pattern))), np.zeros(len(cfa.filters(pattern)))
     for where, number in cfa.sites(pattern):
-        site = image.pixels[where]
-        sums[number] += site.sum(dtype=np.float64)
+        site = image.pixels[where].astype(np.float64)
+        if power > 1:
+            site = site[(site > 0.0) & (site < SATURATED)] ** power
+        sums[number] += site.sum()
         counts[number] += site.size
-    return sums / np.maximum(counts, 1.0)
+    return np.asarray((sums / np.maximum(counts, 1.0)) ** (1.0 / power))
 
 
 def _level(image: Image, name: str, given: float | None, sensor: SensorProfile | None) -> float:

@@ -458,3 +458,44 @@ def test_coring_makes_black_of_noise_and_leaves_light_alone():
     raw.pixels[...] = 64.0
     raw.pixels[100, 100] = 64.0 + 30.0
     assert isp.black_level(raw).pixels[100, 100, 0] == pytest.approx(30 / 959)
+
+
+def test_shades_of_grey_is_the_sixth_mean_and_leaves_saturated_pixels_out():
+    """Worked from the definition on a mosaic in warm light, a sixth of it a lamp that fills all pixels."""
+    light = np.array([[1.0, 0.7], [0.7, 0.4]])  # R, G / G, B
+    reflectance = seeds.stream(8, "shades").random((60, 60)) * 0.8 + 0.05
+    pixels = reflectance * np.tile(light, (30, 30))
+    expected = [np.mean((pixels[0::2, 0::2]) ** 6.0) ** (1 / 6), np.mean((pixels[1::2, 1::2]) ** 6.0) ** (1 / 6)]
+    greens = np.concatenate([pixels[0::2, 1::2].ravel(), pixels[1::2, 0::2].ravel()])
+    expected.insert(1, np.mean(greens**6.0) ** (1 / 6))
+    lit = np.vstack([pixels, np.ones((12, 60))])
+    gains = isp.white_balance(mosaic(lit), illuminant="shades_of_grey").provenance["wb_gains"]
+    np.testing.assert_allclose(gains, np.max(expected) / np.array(expected), rtol=1e-5)
+    naive = isp.white_balance(mosaic(lit), illuminant="grey_world").provenance["wb_gains"]
+    true = 1.0 / np.array([1.0, 0.7, 0.4])
+    assert np.abs(np.array(gains) / true - 1).max() < 0.1 < np.abs(np.array(naive) / true - 1).max()
+
+
+def test_local_tone_mapping_halves_the_stops_of_a_step_and_keeps_its_texture():
+    """A step of 8 stops with chequers of 0.1 stops: far from it 4 stops are left, and the chequers are as they were."""
+    height, width = 80, 240
+    texture = 0.1 * ((np.arange(height)[:, None] + np.arange(width)) % 2)
+    stops = np.where(np.arange(width) < width // 2, -8.0, 0.0) + texture - 0.05
+    tint = np.array([0.5, 0.3, 0.2])
+    linear = (2.0**stops)[..., None] * tint / (tint @ isp.LUMINANCE)
+    out = isp.tone_local(picture(linear), compression=0.5, radius_percent=3.0, edge_ev=1.0, key=0.05).pixels
+    np.testing.assert_allclose(out / out[..., :1], linear / linear[..., :1], rtol=1e-4)
+    found = np.log2(out.astype(np.float64) @ isp.LUMINANCE)
+    dark, bright = found[20:60, 20:90], found[20:60, 150:220]
+    assert bright.mean() - dark.mean() == pytest.approx(4.0, abs=0.05)
+    assert (bright.mean() + dark.mean()) / 2 == pytest.approx(np.log2(0.05), abs=0.05)
+    for part in (dark, bright):
+        assert part.std() == pytest.approx(0.05, rel=0.03)
+
+
+def test_local_tone_mapping_of_nothing_and_of_lamps_is_finite_and_at_most_1():
+    pixels = np.zeros((20, 30, 3))
+    pixels[5, 7] = 1e6
+    out = isp.tone_local(picture(pixels)).pixels
+    assert np.isfinite(out).all() and out.min() >= 0.0 and out.max() <= 1.0
+    np.testing.assert_array_equal(isp.tone_local(picture(np.zeros((4, 5, 3)))).pixels, 0.0)
