@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -22,14 +24,18 @@ def advice() -> str:
 The schema SynFogMediumAPI is codeless: a program that is told of its folder shows the fog attributes with their
 defaults and documentation. Without it files keep their fog all the same.
 
-usdview, usdcat and other USD tools, before they start:
-  export PXR_PLUGINPATH_NAME={SCHEMA}:$PXR_PLUGINPATH_NAME
+usdcat and other USD tools, and Omniverse (Kit), before they start:
+  {_setting("PXR_PLUGINPATH_NAME", SCHEMA)}
+
+usdview, which then has a menu "Synfog" too (bake or preview this camera, show boxes of fog):
+  {_setting("PXR_PLUGINPATH_NAME", SCHEMA, tools / "usdview")}
+  {_setting("PYTHONPATH", tools / "usdview")}
 
 Houdini, a line in houdini.env:
   PXR_PLUGINPATH_NAME = "{SCHEMA};&"
 
-Omniverse (Kit), before it starts; on Windows with ';' in place of ':':
-  export PXR_PLUGINPATH_NAME={SCHEMA}:$PXR_PLUGINPATH_NAME
+Houdini's Python Script LOP and Omniverse's Script Editor make a box of fog of what stands in this file:
+  {tools / "fog_box.py"}
 
 Blender (4.2 and newer) does not read USD schemas; pack its extension, and install the file under
 Preferences > Get Extensions > Install from Disk:
@@ -37,6 +43,12 @@ Preferences > Get Extensions > Install from Disk:
 
 OpenVDB volumes of any of them become fog by way of
   blender --background --python {tools / "vdb2npz.py"} -- FILE.vdb"""
+
+
+def _setting(name: str, *folders: Path) -> str:
+    """The line by which this system's shell puts folders before those that a variable names."""
+    joined = os.pathsep.join(map(str, folders))
+    return f"set {name}={joined};%{name}%" if sys.platform == "win32" else f"export {name}={joined}:${name}"
 
 
 def pack_extension(path: Path) -> None:
