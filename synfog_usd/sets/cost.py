@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from synfog_usd.errors import SetError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.sets import cluster, identity, journal
-from synfog_usd.sets.definition import SetDefinition, make_set
+from synfog_usd.sets.definition import CLEAR, SetDefinition, make_set
 from synfog_usd.sets.journal import Tally
 from synfog_usd.sets.scenes import PlannedScene, Unit, scene, scenes
 from synfog_usd.sets.work import Child, Job, do
@@ -71,7 +71,7 @@ class Count:
     """How much a set holds.
 
     Attributes:
-        scenes, shots, files: in all; pictures: shots times pipelines.
+        scenes, shots, files: in all; pictures: those that pipelines make of them.
         units: by lighting; splits: scenes by split; sources: scenes by recipe or glob.
     """
 
@@ -110,7 +110,8 @@ def count(found: SetDefinition) -> Count:
     outputs = [camera.load_graph(path).outputs for path in found.pipelines]
     a_view = len(OF_VIEW) + any(name.endswith(PICTURES) for name in outputs[0])
     a_shot = OF_SHOT + sum(map(len, outputs))
-    shots = files = 0
+    guessed = [len(own) for path, own in zip(found.pipelines, outputs, strict=True) if path.stem in found.asm_estimated]
+    shots = files = pictures = 0
     units: dict[str, int] = {}
     splits = {split.name: 0 for split in found.splits}
     sources = {source.name: 0 for source in found.sources}
@@ -118,10 +119,12 @@ def count(found: SetDefinition) -> Count:
         splits[one.split.name] += 1
         sources[one.source.name] += 1
         shots += one.shots
-        files += one.shots * a_shot + len(one.units) * a_view
+        foggy = len(one.units) * sum(fog != CLEAR for fog in one.fogs)
+        pictures += one.shots * len(found.pipelines) + foggy * len(guessed)
+        files += one.shots * a_shot + foggy * sum(guessed) + len(one.units) * a_view
         for lighting in one.lightings:
             units[lighting] = units.get(lighting, 0) + len(one.cameras)
-    return Count(found.scenes, shots, shots * len(found.pipelines), files, units, splits, sources)
+    return Count(found.scenes, shots, pictures, files, units, splits, sources)
 
 
 def estimate(

@@ -41,6 +41,7 @@ SECTIONS = (
     "fogs",
     "cameras",
     "pipelines",
+    "asm_estimated",
     "size",
     "quality",
     "splits",
@@ -103,6 +104,7 @@ class SetDefinition:
         fogs: one for each; drawn as a visibility [m], or a name.
         cameras: prim paths, '' for the stage's own.
         pipelines: files of node graphs; radiance is rendered for the first.
+        asm_estimated: names of those that also develop the clear frame in a guessed fog, see `unit`.
         size: (width, height) [px], or None for the stage's own.
         quality: options of `BakePlan`.
         folder: where relative paths in `words` start from.
@@ -120,6 +122,7 @@ class SetDefinition:
     fogs: tuple[Distribution, ...]
     cameras: tuple[str, ...]
     pipelines: tuple[Path, ...]
+    asm_estimated: tuple[str, ...]
     size: tuple[int, int] | None
     quality: Mapping[str, Any]
     folder: Path
@@ -207,6 +210,7 @@ class _SetReader:
             fogs=of("fogs", self.fogs, tuple(fixed(name) for name in (CLEAR, 600, 300, 150))),
             cameras=of("cameras", self.cameras, ("",)),
             pipelines=of("pipelines", self.pipelines, (resources.folder("pipeline") / "synfog.yaml",)),
+            asm_estimated=of("asm_estimated", self.asm_estimated, ()),
             size=of("size", self.size, None),
             quality=of("quality", self.quality, {}),
             folder=self.folder,
@@ -330,6 +334,10 @@ class _SetReader:
             raise SetError(f"{item.place}: pipelines: two have the same name; their folders would be one")
         return tuple(found)
 
+    def asm_estimated(self, item: Located) -> tuple[str, ...]:
+        listed = entries(item, "asm_estimated") if item.value != [] else []
+        return tuple(dict.fromkeys(text(entry, "asm_estimated") for entry in listed))
+
     def size(self, item: Located) -> tuple[int, int]:
         listed = entries(item, "size", "[width, height] in pixels")
         if len(listed) != 2:
@@ -427,6 +435,16 @@ class _SetReader:
                 f"among the fogs"
             )
         self.check_cameras(found, items)
+        known = {path.stem for path in found.pipelines}
+        for index, name in enumerate(found.asm_estimated):
+            entry = items["asm_estimated"].value[index]
+            if name not in known:
+                raise SetError(
+                    f"{entry.place}: asm_estimated has {name!r}; it takes those that stand under pipelines: "
+                    f"{', '.join(sorted(known))}"
+                )
+            if fixed(CLEAR) not in found.fogs:
+                raise SetError(f"{entry.place}: asm_estimated fogs the clear frame; put {CLEAR} among the fogs")
 
     def check_cameras(self, found: SetDefinition, items: Mapping[str, Located]) -> None:
         """Whether every pipeline can develop the radiance that is rendered for the first."""

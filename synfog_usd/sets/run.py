@@ -71,7 +71,7 @@ class Outcome:
         aside: unit -> what it failed of.
         stopped: why it ended before all was made, or ''.
         seconds: wall time.
-        own_cpu_s: processor time of the client and scheduler; cpu_s: of the units.
+        own_cpu_s: processor time of client, scheduler and workers; cpu_s: of the units.
     """
 
     made: int = 0
@@ -146,7 +146,7 @@ def run(
             maker.make()
         finally:
             maker.outcome.seconds = time.monotonic() - began
-            maker.outcome.own_cpu_s = time.process_time() - own
+            maker.outcome.own_cpu_s += time.process_time() - own
             _write_index(out, found, log)
     return maker.outcome
 
@@ -254,6 +254,7 @@ class _Maker:
     def take(self, unit: Unit, future: Any) -> Unit | None:
         """Write down how a unit ended; the unit itself where it is to be tried again."""
         result = self.result(future)
+        self.outcome.own_cpu_s += result.get("own_cpu_s", 0.0)
         number = self.tries[unit.name] = self.tries.pop(unit.name, 0) + 1
         line = {"unit": unit.name, "try": number, **result}
         if result["ok"]:
@@ -294,7 +295,7 @@ class _Maker:
         except Exception as problem:
             raise self.gone() from problem
         if isinstance(error, KilledWorker):
-            return {"ok": False, "kind": "killed", "error": "its worker died", "seconds": 0.0}
+            return {"ok": False, "kind": "killed", "error": "its worker died"}
         if isinstance(error, OSError):
             raise OutputError(f"a worker cannot work: {error}")
         raise error

@@ -77,6 +77,11 @@ def _sections() -> dict[str, Any]:
             "items": _name(pipelines),
             "description": "Cameras that develop the same radiance; it is rendered for the first.",
         },
+        "asm_estimated": {
+            "type": "array",
+            "items": {"type": "string"},
+            "description": "Pipelines that also develop the clear frame in fog by the atmospheric scattering model.",
+        },
         "size": {
             "type": "array",
             "items": {"type": "integer", "minimum": 1, "maximum": 16384},

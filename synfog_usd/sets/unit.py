@@ -13,16 +13,19 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from synfog_usd import files, resources, system
-from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.dataset.plan import CLEAR, BakePlan
 from synfog_usd.errors import OutputError, SetError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.seeds import seed32
 from synfog_usd.sets import layout
 from synfog_usd.sets.definition import SetDefinition
 from synfog_usd.sets.scenes import PlannedScene, Unit, held_out, scene
+
+if TYPE_CHECKING:
+    from synfog_usd.image import Image
 
 SCHEMA = {"schema": "synfog-usd/unit", "version": 1}
 Reading = Callable[[], contextlib.AbstractContextManager[None]]
@@ -85,7 +88,7 @@ def make(
                 **found.quality,
             )
             baked = bake(plan, progress=progress, log=log, reading=reading)
-        more = {path.stem: _developed(path, folder, baked.manifest["shots"], planned) for path in found.pipelines[1:]}
+        more = _developments(found, folder, baked.manifest["shots"], planned)
         written = _record(found, planned, unit, folder, baked.manifest, more, shown)
         files.write_json(folder / layout.UNIT, written)
     return written, True
@@ -205,28 +208,68 @@ def _check_held_out(found: SetDefinition, planned: PlannedScene, shown: Mapping[
             )
 
 
-def _developed(pipeline: Path, folder: Path, shots: list[dict[str, Any]], planned: PlannedScene) -> dict[str, Any]:
-    """What a further pipeline makes of the radiance of all shots, metered on the clear one: shot -> outputs."""
+def _developments(
+    found: SetDefinition, folder: Path, shots: list[dict[str, Any]], planned: PlannedScene
+) -> dict[str, dict[str, Any]]:
+    """What else is made of the radiance: name -> shot -> exposure and outputs.
+
+    By each pipeline after the first; and by those that are named so of the clear frame in fog by the atmospheric
+    scattering model, L = J t + A (1 - t), with the exact transmittance t and an airlight A that is guessed from the
+    picture, see `render.integrators.asm`.
+    """
+    made = {}
+    for path in found.pipelines:
+        if path is not found.pipelines[0]:
+            made[path.stem] = _developed(path, path.stem, folder, shots, planned, _radiance)
+        if path.stem in found.asm_estimated:
+            name = f"asm_estimated.{path.stem}"
+            foggy = [row for row in shots if row["fog"] != CLEAR]
+            made[name] = _developed(path, name, folder, foggy, planned, _guessed)
+    return made
+
+
+def _radiance(folder: Path, lighting: str, fog: str) -> Image:
+    from synfog_usd import writers
+
+    return writers.read_exr(folder / lighting / fog / "radiance.exr")
+
+
+def _guessed(folder: Path, lighting: str, fog: str) -> Image:
+    """The clear frame in a fog whose airlight is guessed."""
+    from synfog_usd import writers
+    from synfog_usd.image import Quantity
+    from synfog_usd.render.integrators.asm import estimated_airlight
+
+    clear = _radiance(folder, lighting, CLEAR)
+    layers = folder / lighting / fog / "layers.exr"
+    t = writers.read_exr(layers, quantity=Quantity.DATA, channels=["transmittance.Y"]).pixels
+    airlight = estimated_airlight(clear.pixels, t)
+    return clear.with_pixels((clear.pixels * t + airlight * (1.0 - t)).astype(clear.pixels.dtype))
+
+
+def _developed(
+    pipeline: Path,
+    name: str,
+    folder: Path,
+    shots: list[dict[str, Any]],
+    planned: PlannedScene,
+    radiance: Callable[[Path, str, str], Image],
+) -> dict[str, Any]:
+    """What a pipeline makes of shots, metered on the clear one: shot -> exposure and outputs."""
     from synfog_usd import camera, writers
-    from synfog_usd.dataset.plan import CLEAR
 
     graph = camera.load_graph(pipeline)
-    (name,) = graph.inputs
-
-    def radiance(row: Mapping[str, Any]) -> Any:
-        return writers.read_exr(folder / row["lighting"] / row["fog"] / "radiance.exr")
-
-    clear = next(row for row in shots if row["fog"] == CLEAR)
-    exposure = camera.metered(graph, {name: radiance(clear)})
+    (wanted,) = graph.inputs
+    exposure = camera.metered(graph, {wanted: _radiance(folder, shots[0]["lighting"], CLEAR)}) if shots else None
     found = {}
     for row in shots:
-        place = folder / row["lighting"] / row["fog"] / pipeline.stem
-        seed = seed32(planned.seed, row["lighting"], row["fog"])
-        kept = list(graph.outputs.values())
-        results = camera.develop(graph, {name: radiance(row)}, seed=seed, exposure=exposure, keep=kept)
+        shot = f"{row['lighting']}/{row['fog']}"
+        picture = {wanted: radiance(folder, row["lighting"], row["fog"])}
+        seed, kept = seed32(planned.seed, row["lighting"], row["fog"]), list(graph.outputs.values())
+        results = camera.develop(graph, picture, seed=seed, exposure=exposure, keep=kept)
         for output, node in graph.outputs.items():
-            writers.write_output(output, results[node], place, options=graph.options_of(output))
-        found[f"{row['lighting']}/{row['fog']}"] = {
+            writers.write_output(output, results[node], folder / shot / name, options=graph.options_of(output))
+        found[shot] = {
             "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso} if exposure else None,
             "outputs": sorted(graph.outputs),
         }
@@ -257,7 +300,11 @@ def _record(
                 "folder": place,
                 "pictures": {
                     first.stem: {"folder": place, "outputs": outputs, "exposure": row["exposure"]},
-                    **{name: {"folder": f"{place}/{name}", **made[place]} for name, made in more.items()},
+                    **{
+                        name: {"folder": f"{place}/{name}", **made[place]}
+                        for name, made in more.items()
+                        if place in made
+                    },
                 },
             }
         )

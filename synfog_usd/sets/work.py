@@ -24,6 +24,8 @@ from synfog_usd.sets.scenes import Unit
 TOLD = 2000
 """Characters of a child's last words that are kept."""
 
+_told_cpu_s = 0.0
+
 
 @dataclass(frozen=True)
 class Child:
@@ -66,13 +68,21 @@ def do(job: Job, child: Child) -> dict[str, Any]:
 
     Returns:
         `ok`; where it is true what the child told (`made`, `bytes`, `peak_mb`, `cpu_s`), else `error` and `kind`, the
-        class of the exception or 'killed', 'limit'.  `seconds` either way.
+        class of the exception or 'killed', 'limit', 'crash'.  Either way `seconds`, and `own_cpu_s`, what the worker
+        itself took of the processor since it told last.
     """
+    global _told_cpu_s
+    began = time.monotonic()
+    result = _made(job, child)
+    before, _told_cpu_s = _told_cpu_s, time.process_time()
+    return {**result, "seconds": round(time.monotonic() - began, 3), "own_cpu_s": round(_told_cpu_s - before, 3)}
+
+
+def _made(job: Job, child: Child) -> dict[str, Any]:
     words = [*child.words, str(job.out), str(job.unit.number), job.unit.lighting, "--variant", job.variant]
     words += ["--camera", job.unit.camera] if job.unit.camera else []
     words += ["--repair"] if job.repair else []
     environment = {name: value for name, value in os.environ.items() if name not in child.without}
-    began = time.monotonic()
     with tempfile.TemporaryFile() as told, tempfile.TemporaryFile() as wrong:
         process = subprocess.Popen(
             [sys.executable, *words],
@@ -86,20 +96,19 @@ def do(job: Job, child: Child) -> dict[str, Any]:
             _pin(process.pid, job.cores)
             code = system.died(process.wait(timeout=job.limit_s))
         except subprocess.TimeoutExpired:
-            return _failed("limit", f"took longer than its limit of {job.limit_s:.0f} s", began)
+            return _failed("limit", f"took longer than its limit of {job.limit_s:.0f} s")
         finally:
             if process.poll() is None:
                 process.kill()
                 process.wait()
         told.seek(0)
         wrong.seek(max(0, wrong.seek(0, os.SEEK_END) - TOLD))
-        words_of_child = wrong.read().decode(errors="replace").strip()
+        last_words = wrong.read().decode(errors="replace").strip()
         with contextlib.suppress(ValueError):
-            result = json.loads(told.read().decode(errors="replace").strip().rpartition("\n")[2])
-            return {**result, "seconds": time.monotonic() - began}
+            return dict(json.loads(told.read().decode(errors="replace").strip().rpartition("\n")[2]))
     if code < 0:
-        return _failed("killed", f"its process died of {system.cause(code)[0]}; most often memory ran out", began)
-    return _failed("crash", words_of_child or f"its process ended with exit code {code}", began)
+        return _failed("killed", "its process died of {}: {}".format(*system.cause(code)))
+    return _failed("crash", last_words or f"its process ended with exit code {code}")
 
 
 def told(made: Callable[[], tuple[dict[str, Any], bool]]) -> tuple[dict[str, Any], int]:
@@ -121,8 +130,8 @@ def told(made: Callable[[], tuple[dict[str, Any], bool]]) -> tuple[dict[str, Any
     }, 0
 
 
-def _failed(kind: str, error: str, began: float) -> dict[str, Any]:
-    return {"ok": False, "kind": kind, "error": error, "seconds": time.monotonic() - began}
+def _failed(kind: str, error: str) -> dict[str, Any]:
+    return {"ok": False, "kind": kind, "error": error}
 
 
 def _pin(process: int, cores: int) -> None:

@@ -14,11 +14,13 @@ from synfog_usd.sets.journal import Tally
 
 
 def test_the_set_of_the_paper_is_counted():
-    """500 scenes x 2 x 4 shots through 2 cameras; 3 files of a shot, 2 of each camera, 5 of a scene in a lighting."""
+    """500 scenes x 2 x 4 shots through 2 cameras, the foggy ones by a third; 3 files of a shot, 2 of each camera, 5 of
+    a scene in a lighting.
+    """
     found = count(load_set(Path("synfog")))
-    assert (found.scenes, found.shots, found.pictures) == (500, 4000, 8000)
+    assert (found.scenes, found.shots, found.pictures) == (500, 4000, 11_000)
     assert found.units == {"sky": 500, "active": 500} and found.splits == {"train": 450, "test": 50}
-    assert found.files == 4000 * (3 + 2 * 2) + 1000 * 5
+    assert found.files == 4000 * (3 + 2 * 2) + 3000 * 2 + 1000 * 5
     assert sum(found.sources.values()) == 500
 
 

@@ -89,6 +89,10 @@ def test_paths_start_from_the_file_that_names_them(tmp_path):
             "scenes: 4\nrecipes: [tunnel]\nfogs: [300]\npipelines: [phone, noise_free]",
             r"own.yaml:5:12: pipelines after the first are metered on the clear frame",
         ),
+        (
+            "scenes: 4\nrecipes: [tunnel]\npipelines: [phone]\nasm_estimated: [noise_free]",
+            r"own.yaml:5:17: asm_estimated has 'noise_free'; it takes those that stand under pipelines: phone",
+        ),
         ("scenes: 4\nrecipes: [tunnel]\nsize: [320]", r"own.yaml:4:7: size is \[320\]; it takes \[width, height\]"),
         ("scenes: 4\nrecipes: [tunnel]\nquality: {samples: 0}", r"own.yaml:4:20: quality.samples: samples 0: outside"),
         ("scenes: 4\nrecipes: [tunnel]\nquality: {model: pth}", r"own.yaml:4:18: quality.model: .*pth"),
