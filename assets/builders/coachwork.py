@@ -22,8 +22,8 @@ from synfog_usd.world.shapes import (
     lathe,
     quad,
     scale,
-    shaded,
     shift,
+    smooth_normals,
     soft_box,
     strip,
     turn,
@@ -241,7 +241,7 @@ def wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
         sides = [[low[k], low[(k + 1) % 4], top[(k + 1) % 4], top[k]] for k in (0, 2)]
         bars.append(join([quad(top, "rim"), *(quad(s, "rim") for s in sides)]).moved(turn(360 / spokes * i)))
     brake = disc((0, 0, w * 0.15), bead * 0.93, "brake", sides=16)
-    return tyre, join([dish, hub, *(shaded(b, 20) for b in bars)]), brake
+    return tyre, join([dish, hub, *(smooth_normals(b, 20) for b in bars)]), brake
 
 
 def lens_disc(

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from assets.builders.lettering import letters
 from synfog_usd.world.components import Component, Look, MountedLamp
-from synfog_usd.world.shapes import Part, box, disc, lathe, quad, shaded, shift, soft_box, strip, tube, turn
+from synfog_usd.world.shapes import Part, box, disc, lathe, quad, shift, smooth_normals, soft_box, strip, tube, turn
 
 MAST_CD = 3200.0  # 13 000 lm a head into a cone of 70 degrees
 MAST_TINT = (1.05, 0.99, 0.87)  # light-emitting diodes of 4 000 K
@@ -119,7 +119,7 @@ def _guard_rail() -> Component:
     half = np.array(RAIL)
     profile = np.vstack([half, (half * [1, -1] + [0, 2 * half[-1, 1]])[-2::-1]])
     loops = [np.c_[np.full(len(profile), x), profile[:, 0], profile[:, 1]] for x in (2.0, -2.0)]
-    parts = [shaded(strip(loops, "galvanised"), 60)]
+    parts = [smooth_normals(strip(loops, "galvanised"), 60)]
     for x in (-1.0, 1.0):
         open_post = [(-0.05, -0.02), (-0.05, -0.145), (0.05, -0.145), (0.05, -0.02)]
         ends = [np.c_[np.array(open_post) + [x, 0], np.full(4, z)] for z in (0.0, 0.72)]

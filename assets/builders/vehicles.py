@@ -42,7 +42,7 @@ from assets.builders.solids import Field, outline_distance, rounded, soft_max, s
 from synfog_usd.world.components import Component
 from synfog_usd.world.lod import cleaned
 from synfog_usd.world.materials import PAINTS
-from synfog_usd.world.shapes import Array, Part, box, quad, shaded, shift, soft_box, strip, tube
+from synfog_usd.world.shapes import Array, Part, box, quad, shift, smooth_normals, soft_box, strip, tube
 
 
 @dataclass(frozen=True)
@@ -761,7 +761,7 @@ def build_car(body: Body) -> Component:
             rail[0, 2] -= 0.03
             rail[-1, 2] -= 0.03
             parts.append(
-                shaded(
+                smooth_normals(
                     strip(
                         [
                             rail + [dx, 0, dz]

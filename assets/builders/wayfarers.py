@@ -17,7 +17,20 @@ from assets.builders.people import Person, build_bicycle, cut_by_role, dressed, 
 from assets.builders.solids import split
 from synfog_usd.world.components import Component, Look, MountedLamp
 from synfog_usd.world.materials import PAINTS, PALETTE, Material
-from synfog_usd.world.shapes import Part, ball, box, disc, lathe, scale, shaded, shift, soft_box, strip, tube, turn
+from synfog_usd.world.shapes import (
+    Part,
+    ball,
+    box,
+    disc,
+    lathe,
+    scale,
+    shift,
+    smooth_normals,
+    soft_box,
+    strip,
+    tube,
+    turn,
+)
 
 Joints = dict[str, object]
 
@@ -178,7 +191,7 @@ def _pram(gap: float) -> list[Part]:
                 np.full(16, z),
             ]
         )
-    parts.append(shaded(strip(loops, "pram", closed=True), 50))
+    parts.append(smooth_normals(strip(loops, "pram", closed=True), 50))
     parts.append(soft_box((-0.19, gap + 0.06, 0.70), (0.19, gap + 0.60, 0.82), "cloth_white", radius=0.07))
     rise = np.linspace(0, np.pi * 0.62, 9)
     hood = [
@@ -189,7 +202,7 @@ def _pram(gap: float) -> list[Part]:
         ]
         for a in rise
     ]
-    parts.append(shaded(strip(hood, "pram"), 60))
+    parts.append(smooth_normals(strip(hood, "pram"), 60))
     return parts
 
 
@@ -312,7 +325,7 @@ def _motorcyclist() -> Component:
         for z in (head[2] - 0.015, head[2] + 0.065)
         for a in (np.linspace(-1.15, 1.15, 9),)
     ]
-    parts.append(shaded(strip(visor, "gloss_black"), 60))
+    parts.append(smooth_normals(strip(visor, "gloss_black"), 60))
     parts += _motorcycle()
     lens = (0.0, 0.735, 0.84)
     lamp = MountedLamp("Head", shift(lens[0], lens[1] + 0.05, lens[2]) @ turn(90, "x"), beam="low_beam_halogen")
@@ -363,7 +376,7 @@ def _motorcycle() -> list[Part]:
             np.c_[np.full(9, x), y + (r + 0.03) * np.cos(guard), r + (r + 0.03) * np.sin(guard) - (0.02 if x else 0)]
             for x in (-0.075, 0.0, 0.075)
         ]
-        parts.append(shaded(strip(loops, "paint" if y > 0 else "black_plastic"), 60))
+        parts.append(smooth_normals(strip(loops, "paint" if y > 0 else "black_plastic"), 60))
     for s in (-1, 1):
         parts += [
             tube(

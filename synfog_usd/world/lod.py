@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from synfog_usd.world.components import Component
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.shapes import COLLAPSE, Array, Index, Part, by_material, face_normals, join, shaded
+from synfog_usd.world.shapes import COLLAPSE, Array, Index, Part, by_material, face_normals, join, smooth_normals
 
 LIMIT_M = 0.0195  # 2 cm, less half a millimetre that samples of a surface and five decimals can miss
 WORTH = 3000
@@ -154,7 +154,7 @@ def _simplified(part: Part, limit_m: float, look: Material) -> Part:
     for share in SHARES:
         fewer = Part(*collapsed(points, faces, int(share * len(faces))), part.material)
         if len(fewer.faces) and distance(part, fewer) <= limit_m:
-            return fewer if part.normals is None else shaded(fewer, 45)
+            return fewer if part.normals is None else smooth_normals(fewer, 45)
     return part
 
 

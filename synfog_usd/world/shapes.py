@@ -126,7 +126,7 @@ def face_normals(part: Part) -> Array:
     return n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-15)
 
 
-def shaded(part: Part, crease_deg: float = 40.0) -> Part:
+def smooth_normals(part: Part, crease_deg: float = 40.0) -> Part:
     """The part with smooth normals, but for edges sharper than `crease_deg`."""
     n = face_normals(part)
     _, vertex = np.unique(np.round(part.points, 5), axis=0, return_inverse=True)
@@ -209,7 +209,7 @@ def soft_box(low: Sequence[float], high: Sequence[float], material: str, *, radi
         np.array([(i, (i + 1) % len(angle), len(angle)) for i in range(len(angle))]),
         material,
     )
-    return shaded(join([skin, top]), 50).moved(shift(*middle))
+    return smooth_normals(join([skin, top]), 50).moved(shift(*middle))
 
 
 def strip(loops: Sequence[Array], material: str, *, closed: bool = False, uv: Sequence[Array] | None = None) -> Part:
@@ -230,7 +230,7 @@ def lathe(profile: Sequence[tuple[float, float]], material: str, *, sides: int =
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     loops = [np.c_[r * np.cos(angle), r * np.sin(angle), np.full(sides, z)] for r, z in profile]
     part = _without_slivers(strip(loops, material, closed=True))
-    return shaded(part, crease_deg)
+    return smooth_normals(part, crease_deg)
 
 
 def tube(

@@ -57,8 +57,8 @@ Places = Callable[[Prop, Sequence[float]], Iterator[tuple[float, Placement]]]
 
 
 @dataclass(frozen=True)
-class Line:
-    """Along which a row stands.
+class Front:
+    """The line along which a row stands.
 
     Attributes:
         places: where on it a thing may be.
@@ -76,7 +76,7 @@ class Line:
 
 
 def row(
-    distributions: Mapping[str, Distribution], line: Line, rng: np.random.Generator, room: rules.Room
+    distributions: Mapping[str, Distribution], front: Front, rng: np.random.Generator, room: rules.Room
 ) -> list[Placement]:
     """Things one after the other, each a step or its own length and a gap on; what has no room is left out."""
     draw: Mapping[str, Callable[[LibraryModel], Any]] = {
@@ -85,8 +85,8 @@ def row(
         "looks": lambda found: look(rng, found),
     }
     placed: list[Placement] = []
-    s = line.start
-    while s is None or s < line.end:
+    s = front.start
+    while s is None or s < front.end:
         asset, turned = distributions["models"](rng), distributions["turn"](rng)
         found, size = rules.model(asset), round(float(distributions["size"](rng)), 3)
         extent = (found.width if turned in ("road", "back") else found.length) * size
@@ -96,12 +96,12 @@ def row(
         middle = s if step is not None else s + extent / 2
         s += float(step) if step is not None else extent + gap
         there = rng.random() < distributions["share"](rng)
-        drawn = {name: draw[name](found) for name in line.drawn}
+        drawn = {name: draw[name](found) for name in front.drawn}
         if not there:
             continue
-        margin = WALL_M if found.group == "building" else APART_M if step is not None else line.joint
+        margin = WALL_M if found.group == "building" else APART_M if step is not None else front.joint
         tried = [middle + NUDGE_M * nudge for nudge in range(NUDGES if step is None else 1)]
-        for at, p in line.places(Prop(asset, size, turned, **drawn), tried):
+        for at, p in front.places(Prop(asset, size, turned, **drawn), tried):
             if room.take(p, margin):
                 placed.append(p)
                 s += at - middle if step is None else 0.0

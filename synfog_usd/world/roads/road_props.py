@@ -40,8 +40,8 @@ def rows(recipe: Recipe, road: Road, seed: int, station: float, taken: rules.Col
             if row.distributions["at"](rng) == "zebras":
                 placed += _at_zebras(road, row, rng, sign, taken)
                 continue
-            line = props.Line(_places(road, row, rng, sign), end, start, JOINT_M, DRAWN)
-            placed += props.row(row.distributions, line, rng, taken)
+            front = props.Front(_places(road, row, rng, sign), end, start, JOINT_M, DRAWN)
+            placed += props.row(row.distributions, front, rng, taken)
     return placed
 
 

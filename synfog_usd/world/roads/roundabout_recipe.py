@@ -190,7 +190,7 @@ def _row(
             if _beside(junction, p, behind + prop.out):
                 yield s, p
 
-    return props.row(distributions, props.Line(places, float(at[-1])), rng, taken)
+    return props.row(distributions, props.Front(places, float(at[-1])), rng, taken)
 
 
 def _beside(junction: Roundabout, p: Placement, out: float) -> bool:
