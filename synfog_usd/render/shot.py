@@ -35,6 +35,9 @@ LARGE_ERROR = 0.25
 """Error of the median pixel after denoising from which on a warning is given."""
 
 
+DENOISING = 5.0
+"""Samples of a pixel that take as long as to denoise it, about: 2 before lamps, 8 by day on the crossing."""
+
 CHOOSING = 0.02, 0.1
 """Parts of the progress that choosing a model and choosing bands are given."""
 
@@ -270,17 +273,23 @@ def _denoised(
 ) -> tuple[Accumulator, denoising.Denoised | None, str]:
     """Samples, the picture without their noise where there is one, and what went wrong with it, or ''."""
     height, width = loaded.source.camera.height_px, loaded.source.camera.width_px
-    guides = functools.cache(lambda: denoising.guides(loaded))
+    few = target.samples < denoising.FEW
+    guides = functools.cache(lambda: denoising.guides(loaded, rays=denoising.FEW_RAYS if few else denoising.GUIDE_RAYS))
     done: dict[int, denoising.Denoised | None] = {}  # by the number of samples, the last one only
     problem = ""
 
-    def picture(accumulated: Accumulator) -> denoising.Denoised | None:
+    share = target.samples / (target.samples + DENOISING)
+
+    def picture(accumulated: Accumulator, progress: Progress = silent) -> denoising.Denoised | None:
         nonlocal problem
         if accumulated.samples not in done and (halves := accumulated.component_halves(height, width)):
             done.clear()
             problem = ""
             try:
-                done[accumulated.samples] = denoising.denoise_halves(halves, guides(), accumulated.weights)
+                progress("denoising", 0.0)
+                done[accumulated.samples] = denoising.denoise_halves(
+                    halves, guides(), accumulated.weights, balanced=few, progress=within(progress, 0.3, 1.0)
+                )
             except (denoising.DenoiserError, MemoryError) as error:
                 done[accumulated.samples] = None
                 problem = f"not denoised, so it takes many more samples: {str(error) or 'not enough memory'}"
@@ -290,8 +299,10 @@ def _denoised(
         found = picture(accumulated)
         return None if found is None else (found.luminance(accumulated.weights), found.error)
 
-    accumulated = accumulate_denoised(integrator, target=target, seed=seed, now=now, denoised=judged, progress=progress)
-    found = picture(accumulated)
+    accumulated = accumulate_denoised(
+        integrator, target=target, seed=seed, now=now, denoised=judged, progress=within(progress, 0.0, share)
+    )
+    found = picture(accumulated, within(progress, share, 1.0))
     return accumulated, found, problem
 
 

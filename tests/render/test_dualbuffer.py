@@ -132,3 +132,32 @@ def test_blurs_by_way_of_larger_pixels_keep_the_mean_and_the_size():
     np.testing.assert_allclose(
         dualbuffer._spread(dualbuffer._binned(0 * image + 0.7, 4), 4, image.shape[:2]), 0.7, rtol=1e-5
     )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_bright_samples_that_meet_in_a_pixel_hardly_come_back(seed):
+    """By chance both halves hold a sample of 30 and 50 times the light in the same pixel, as among 10^5 pixels it
+    happens with few samples.
+
+    Its neighbours say how noisy it is here: of 36 that come back where each pixel counts for itself, 5 to 11 do, and
+    the picture around it stays.
+    """
+    noisy, place = halves(0.4, seed), (60, 80)
+    noisy[0][place], noisy[1][place] = 30.0, 50.0
+    clean = np.stack([blurred(np.minimum(half, 4.0)) for half in noisy])
+    picture, before = towards_truth(noisy, clean, GREY).mean(axis=0), clean.mean(axis=0)
+    apart = np.abs(np.subtract(place, np.stack(np.mgrid[: SHAPE[0], : SHAPE[1]], axis=-1))).max(axis=-1)
+    around = (apart > 0) & (apart <= 3)
+    assert picture[place].mean() < 15.0
+    assert picture[around].mean() == pytest.approx(before[around].mean(), rel=0.25)
+
+
+def test_a_small_lamp_that_the_denoiser_lost_comes_back():
+    """Five by five pixels of ten times the light, blurred away: many samples give three quarters of it back."""
+    lamp = (slice(60, 65), slice(80, 85))
+    noisy = halves(0.05, 3)
+    noisy[:, lamp[0], lamp[1]] *= 10.0
+    clean = np.stack([blurred(half) for half in noisy])
+    picture = towards_truth(noisy, clean, GREY).mean(axis=0)
+    assert clean[0][lamp].mean() < 0.75 * noisy[0][lamp].mean()
+    assert picture[lamp].mean() == pytest.approx(noisy.mean(axis=0)[lamp].mean(), rel=0.15)

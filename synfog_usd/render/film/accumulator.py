@@ -406,10 +406,12 @@ def add_samples(
         )
         return
     rows = max(1, CHUNKED_LANES // max(len(pixels), 1))  # chunks of all the pixels at once
-    all_of_it, done = max(len(pixels) * sum(samples.values()), 1), 0
+    all_of_it = max(len(pixels) * sum(count * accumulated.cost(name) for name, count in samples.items()), 1.0)
+    done = 0.0
     for name, count in samples.items():
         started, estimator_seed = accumulated.estimators[name].counts[:, pixels].copy(), seed32(seed, name)
-        for length, chunks in _chunks(count, rows):
+        begun = [int(half[0]) % CHUNK for half in started] if started.size else [0] * HALVES
+        for length, chunks in _chunks(count, rows, begun):
             for low in range(0, len(pixels), CHUNKED_LANES):
                 some = slice(low, low + CHUNKED_LANES)
                 first = np.concatenate([started[half, some] + (half * HALF_STRIDE + offset) for half, offset in chunks])
@@ -423,18 +425,21 @@ def add_samples(
                     [half for half, _ in chunks],
                     estimator_seed,
                 )
-                done += len(pixels[some]) * length * len(chunks)
-                progress("rendering", done / all_of_it)
+                done += len(pixels[some]) * length * len(chunks) * accumulated.cost(name)
+                progress("rendering", min(done / all_of_it, 1.0))
 
 
-def _chunks(count: int, rows: int) -> list[tuple[int, list[tuple[int, int]]]]:
+def _chunks(count: int, rows: int, begun: Sequence[int]) -> list[tuple[int, list[tuple[int, int]]]]:
     """How `count` paths of a pixel are traced: (paths a lane, [(half, paths of this call before), ...] of `rows` lanes
-    at most).
+    at most).  A run of which each half has `begun` so many paths is ended first, so that no lane lies in two.
     """
     by_length: dict[int, list[tuple[int, int]]] = {}
     for half in range(HALVES):
-        for offset in range(0, own := (count + 1 - half) // HALVES, CHUNK):
-            by_length.setdefault(min(CHUNK, own - offset), []).append((half, offset))
+        own, offset = (count + 1 - half) // HALVES, 0
+        while offset < own:
+            length = min(CHUNK - (begun[half] + offset) % CHUNK, own - offset)
+            by_length.setdefault(length, []).append((half, offset))
+            offset += length
     return [
         (length, chunks[low : low + rows])
         for length, chunks in by_length.items()

@@ -6,6 +6,7 @@ never in seconds, so that the same seed gives the same bytes on any machine; onl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -31,6 +32,19 @@ DENOISER_GAIN = 10.0
 """Raw noise over the target from which on denoising is not even tried; on the crossing it lowers what differs from seed
 to seed 3 to 7 times.
 """
+
+FIRST = 8
+"""Samples of the first round of a picture that is to be denoised: four in each half.
+
+With eight, the error is told 0.81 to 1.22 times the true one on the bench stages; with four 0.6 times in haze, and they
+cost nearly the same.
+"""
+
+FALL = 0.4
+"""A denoised picture's error falls as this power of its samples, about: 0.3 to 0.5 on the crossing from 4 to 16."""
+
+LONGEST_STRIDE = 4.0
+"""Times the samples that it has which a picture is given at most once its own error has been looked at."""
 
 SENSOR_SHARE = 1.0 / 3.0
 """Part of the sensor's own noise that may be left of a render: together they are 5 % noisier than the sensor alone."""
@@ -74,12 +88,12 @@ class Target:
         """
         return self.allowed(luminance) / (SENSOR_SHARE if self.sigma is not None else 1.0)
 
-    def met_by(self, luminance: Array, error: Error) -> bool:
-        """Whether a denoised picture is good enough in its median pixel: its whole error, and, for a sensor, what
-        differs from seed to seed.
+    def excess(self, luminance: Array, error: Error) -> float:
+        """Error of a denoised picture's median pixel over what is allowed, 1 where it is just good enough: of its whole
+        error, or, for a sensor, of what differs from seed to seed where that is more.
         """
         whole = float(np.median(error.rms / self.allowed_in_all(luminance)))
-        return whole <= 1.0 and (self.sigma is None or float(np.median(error.scatter / self.allowed(luminance))) <= 1.0)
+        return whole if self.sigma is None else max(whole, float(np.median(error.scatter / self.allowed(luminance))))
 
 
 def sensor_target(noise: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -169,7 +183,7 @@ def accumulate_denoised(
         return integrator.accumulate(samples=target.samples, seed=seed, progress=progress)
     pixels = integrator.loaded.source.camera.width_px * integrator.loaded.source.camera.height_px
     accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
-    spent = min(2 * CHUNK, target.samples)
+    spent = min(FIRST, target.samples)
     add_samples(
         accumulated,
         integrator,
@@ -180,11 +194,18 @@ def accumulate_denoised(
     )
     while spent < target.samples and (target.time_s is None or now() < target.time_s):
         noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
-        if noise < DENOISER_GAIN and (picture := denoised(accumulated)) is not None and target.met_by(*picture):
-            break
-        after = min(2 * spent, target.samples)
+        needed = float(noise / DENOISER_GAIN) ** 2  # times the samples that there are, until denoising is worth a try
+        if needed < 1.0 and (picture := denoised(accumulated)) is not None:
+            excess = target.excess(*picture)
+            if excess <= 1.0:
+                break
+            needed = min(excess ** (1.0 / FALL), LONGEST_STRIDE)
+        after = min(max(2, math.ceil(min(needed, target.samples))) * spent, target.samples)
         had = {name: int(estimator.counts[:, 0].sum()) for name, estimator in accumulated.estimators.items()}
-        more = {name: max(count - had[name], 0) for name, count in neyman_allocation(accumulated, after).items()}
+        wanted = (
+            neyman_allocation(accumulated, after) if after >= 2 * CHUNK else accumulated.even(after)
+        )  # which gives whole runs
+        more = {name: max(count - had[name], 0) for name, count in wanted.items()}
         add_samples(
             accumulated,
             integrator,
