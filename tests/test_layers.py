@@ -56,7 +56,7 @@ HEAVY = {
     "matplotlib": {"study"},
     "pyoidn": {"render"},
     "tifffile": {"writers"},
-    "imagecodecs": {"writers"},
+    "imagecodecs": {"writers", "stage/crate.py"},
     "rawpy": {"writers"},
     "colour_demosaicing": {"camera"},
     "pyarrow": {"sets"},

@@ -37,6 +37,13 @@ for 16 000.
 MAX_TRIANGLES = 100_000_000
 """Triangles to store, instances not counted: some 10 GB in memory."""
 
+MAX_PACKED = 20_000_000
+"""Numbers to which the packed arrays of a binary layer may unpack, and `PACKED_PER_BYTE` more for each of its bytes: a
+mesh with points of its own has less than two.  They unpack four thousand to one.
+"""
+
+PACKED_PER_BYTE = 20
+
 MAX_BRACES = 10_000
 """Levels of braces, brackets and parentheses in a text file; USD's parser calls itself for each and runs out of stack
 between 20 000 and 100 000.

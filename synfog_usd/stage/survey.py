@@ -22,6 +22,7 @@ from pxr import Ar, Sdf
 from synfog_usd.errors import StageError
 from synfog_usd.fence import LAYERS, Fence
 from synfog_usd.stage import budget, materialx
+from synfog_usd.stage.crate import array_sizes
 
 _MATTER = frozenset({"references", "payload", "inheritPaths", "specializes", "instanceable", "clips", "apiSchemas"})
 """Fields of a prim that decide how much it unfolds to."""
@@ -101,6 +102,7 @@ class _Survey:
         self.shared: dict[tuple[str, str], None] = {}
         self.variables: dict[str, Any] = {}  # of the root layer, which win everywhere
         self.relied: dict[str, Any] = {}  # of other layers, where a path depended on them
+        self.counted_files: set[str] = set()
         self.lead: dict[str, list[str]] = {}  # layer -> its prims that refer to .mtlx files by name
 
     def add(self, file: str, who: str) -> str | None:
@@ -138,6 +140,9 @@ class _Survey:
                 raise StageError(f"{who}: more than {budget.MAX_LAYERS} layers; merge some")
             if outer == resolved:
                 _check_braces(Path(resolved))
+            if outer not in self.counted_files:
+                self.counted_files.add(outer)
+                _check_arrays(Path(outer))
             layer = Sdf.Layer.FindOrOpen(resolved)
             if layer is None:
                 return None
@@ -375,6 +380,20 @@ def _check_braces(path: Path) -> None:
                         f"{path}: braces nested deeper than {budget.MAX_BRACES} levels; flatten the hierarchy"
                     )
                 level = int(levels[-1])
+
+
+def _check_arrays(path: Path) -> None:
+    """Refuse a binary layer whose arrays unpack to far more than its size has reason for.
+
+    Raises:
+        StageError: with the file, its size and the limit.
+    """
+    most = budget.MAX_PACKED + budget.PACKED_PER_BYTE * path.stat().st_size
+    if (many := sum(array_sizes(path))) > most:
+        raise StageError(
+            f"{path}: {path.stat().st_size} bytes whose arrays unpack to {budget.amount(many)} numbers; at most "
+            f"{budget.amount(most)} are read of a file of this size"
+        )
 
 
 def _lead_to_memory(layer: Any, paths: list[str]) -> None:

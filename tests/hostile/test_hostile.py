@@ -25,6 +25,7 @@ from synfog_usd.cli.check import look
 from synfog_usd.errors import StageError
 from synfog_usd.fence import Fence
 from synfog_usd.stage import budget, check, open_stage, survey
+from synfog_usd.stage.crate import array_sizes
 from synfog_usd.translate import translate
 
 HEAD = '#usda 1.0\n(\n    upAxis = "Z"\n    metersPerUnit = 1\n)\n'
@@ -770,6 +771,62 @@ def test_millions_of_indices_in_a_small_file_are_counted_by_their_number(tmp_pat
         open_stage(points)
     with pytest.raises(StageError, match=r"/P: 1 048 576 triangles"):
         open_stage(faces)
+
+
+@pytest.mark.parametrize("how", ["plain", "time", "package"])
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused_by_its_number(tmp_path, how):
+    """Thirty million equal indices in some 30 kB: told from the file's own counts, before any is unpacked; also among
+    time samples and within a package.
+    """
+    stage = Usd.Stage.CreateNew(str(tmp_path / "bomb.usdc"))
+    attribute = UsdGeom.Mesh.Define(stage, "/M").CreateFaceVertexIndicesAttr()
+    attribute.Set(Vt.IntArray.FromNumpy(np.zeros(30_000_000, np.int32)), *([4.0] if how == "time" else []))
+    stage.Save()
+    del stage, attribute
+    path = tmp_path / "bomb.usdc"
+    assert path.stat().st_size < 100_000
+    assert list(array_sizes(path)) == [30_000_000]
+    if how == "package":
+        writer = Sdf.ZipFileWriter.CreateNew(str(tmp_path / "bomb.usdz"))
+        writer.AddFile(str(path), "bomb.usdc")
+        writer.Save()
+        path = tmp_path / "bomb.usdz"
+    with pytest.raises(StageError, match="unpack to 30 000 000 numbers"):
+        open_stage(path)
+
+
+def test_array_sizes_are_those_of_usd(tmp_path):
+    """Packed ones: of 16 whole numbers and more."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usdc"))
+    mesh = UsdGeom.Mesh.Define(stage, "/M")
+    mesh.CreatePointsAttr([(0, 0, 0)] * 500)
+    mesh.CreateFaceVertexCountsAttr(list(range(40)))
+    for time in range(3):
+        mesh.CreateFaceVertexIndicesAttr().Set(list(range(100 + time)), time)
+    stage.Save()
+    assert sorted(array_sizes(tmp_path / "a.usdc")) == [40, 100, 101, 102]
+
+
+@pytest.mark.parametrize(
+    "text", [b"", b"PXR-USDC", b"PXR-USDC" + bytes(100), b"#usda 1.0", b"PXR-USDC" + b"\xff" * 300]
+)
+def test_sizes_of_what_is_no_binary_layer_are_none(tmp_path, text):
+    (tmp_path / "a.usdc").write_bytes(text)
+    assert list(array_sizes(tmp_path / "a.usdc")) == []
+
+
+def test_sizes_of_a_damaged_file_end(tmp_path):
+    """Every cut and many flips of a sound file."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usdc"))
+    UsdGeom.Mesh.Define(stage, "/M").CreateFaceVertexCountsAttr(list(range(40)))
+    stage.Save()
+    data, draws = (tmp_path / "a.usdc").read_bytes(), np.random.default_rng(3)
+    for number in range(200):
+        changed = bytearray(data[: draws.integers(1, len(data))] if number % 2 else data)
+        for place in draws.integers(0, len(changed), 8):
+            changed[place] = draws.integers(0, 256)
+        (tmp_path / "b.usdc").write_bytes(changed)
+        list(array_sizes(tmp_path / "b.usdc"))
 
 
 MESH = """def Mesh "Quad"
