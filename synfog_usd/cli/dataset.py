@@ -143,3 +143,29 @@ def unit(
     from synfog_usd.cli import sets as verb
 
     verb.unit(out, number, lighting, camera, repair=repair, variant=variant)
+
+
+@app.command()
+def export(
+    out: Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")],
+    form: Annotated[
+        str,
+        typer.Option(
+            "--as",
+            help="coco, kitti, yolo, cityscapes, foggy-cityscapes, vkitti2, reside, webdataset or huggingface.",
+        ),
+    ],
+    to: Annotated[
+        str | None, typer.Option(help="Folder to fill, or a URL of fsspec for webdataset; OUT-<format> if left out.")
+    ] = None,
+    drop: Annotated[
+        str, typer.Option(help="Things that get no box: none, invisible, or faint (and invisible) ones.")
+    ] = "invisible",
+    licence: Annotated[str, typer.Option(help="Licence of the pictures, as an SPDX name or URL.")] = "not stated",
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a set for other people's loaders, with a data card and a Croissant record."""
+    from synfog_usd.cli import exports as verb
+
+    verb.export(out, form, to, drop=drop, licence=licence, quiet=quiet, as_json=as_json)

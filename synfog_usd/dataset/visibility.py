@@ -134,7 +134,10 @@ def _judged(
     most = np.maximum(unscattered, mean(transmittance[own]) * level)
     signal = np.clip(mean(light) - level, -most, most)
     rms = float(np.sqrt((count * signal**2).sum() / count.sum()) / behind.mean())
-    cnr = None if noise is None else float(np.sqrt((count * (signal / noise(level)) ** 2).sum()))
+    cnr = None
+    if noise is not None:
+        sigma = np.maximum(noise(level), 1e-9 * behind.mean())  # the least that a ratio is told by
+        cnr = float(np.sqrt((count * (signal / sigma) ** 2).sum()))
     return {
         "contrast": _digits(float((count * signal).sum() / count.sum() / behind.mean())),
         "contrast_rms": _digits(rms),

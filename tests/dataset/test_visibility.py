@@ -82,6 +82,16 @@ def test_the_three_words_are_those_of_the_thresholds():
     assert of_one(np.where(IDS == 1, 103.0, 100.0), noise=camera_noise())["visibility"] == "faint"
 
 
+def test_a_thing_with_a_hole_and_a_sensor_without_noise_give_finite_numbers():
+    """No pixel in the middle of its box; a noise of 0."""
+    ids = IDS.copy()
+    ids[26:34, 40:50] = 0
+    luminance = np.where(ids == 1, 110.0, 100.0)
+    for noise in (lambda light: 0.02 * light, lambda light: 0.0 * light):
+        row = visibility.rows(ids, np.ones(ids.shape), luminance, noise=noise)[1]
+        assert np.isfinite(row["cnr"]) and row["visibility"] == "visible"
+
+
 def test_nothing_is_said_where_there_is_nothing_to_compare():
     """A thing that fills the picture, and one in the dark."""
     whole = visibility.rows(np.ones((5, 5), dtype=np.int64), np.ones((5, 5)), np.ones((5, 5)))[1]

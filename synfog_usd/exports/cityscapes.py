@@ -1,0 +1,106 @@
+"""Cityscapes: label ids and instance ids of every picture, as cityscapesscripts evaluates them.
+
+A city is a source in one lighting and fog; the sequence is the scene, the frame the camera and pipeline.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.cityscapes import LABELS
+from synfog_usd.exports.folder import ExportFolder, quantised
+from synfog_usd.exports.frames import LabelledPicture, Labels, plain
+from synfog_usd.exports.record import Drop
+
+BY_ID = {kind.id: kind for kind in LABELS.values()}
+MOST = 1000
+"""Instances of a class in a picture: ids are label id * 1000 + number."""
+
+STEPS_PER_M = 256.0
+
+
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, drop: Drop) -> list[str]:
+    """Write `leftImg8bit`, `gtFine`, `depth` and `camera`."""
+    names = Names()
+    for picture in pictures():
+        city = f"{plain(picture.source)}-{plain(picture.lighting)}-{plain(picture.fog)}".replace("_", "")
+        stem = names.stem(picture, city)
+        folder.place(picture.screen, f"leftImg8bit/{stem}_leftImg8bit{picture.screen.suffix}")
+        write_ground_truth(folder, stem, picture.labels)
+    return TOLD
+
+
+TOLD = [
+    "gtFine has labelIds, instanceIds and color; no polygons.  Instances beyond the 1000th of a class have their class "
+    "alone.",
+    "depth is planar, uint16 / 256 m; 0 is the sky, and what lies beyond 255.99 m is 65535.",
+    "camera has intrinsics in pixels, and extrinsics x, y, z of the camera in the stage [m] with yaw, pitch and roll "
+    "[rad]; baseline is 0: there is one camera.",
+]
+
+
+class Names:
+    """File names `split/city/city_sequence_frame`, each once."""
+
+    def __init__(self) -> None:
+        self._frames: dict[tuple[str, str], int] = {}
+
+    def stem(self, picture: LabelledPicture, city: str, frame_of: tuple[str, str] | None = None) -> str:
+        """The name of a picture; pictures of the same camera and pipeline have the same frame."""
+        key = frame_of or (picture.camera, picture.pipeline)
+        frame = self._frames.setdefault(key, len(self._frames))
+        return f"{picture.split}/{city}/{city}_{picture.scene:06}_{frame:06}"
+
+
+def write_ground_truth(folder: ExportFolder, stem: str, labels: Labels) -> None:
+    """The ids, depth and camera of a picture."""
+    semantic = labels.semantic
+    folder.png(f"gtFine/{stem}_gtFine_labelIds.png", semantic.astype(np.uint8))
+    folder.png(f"gtFine/{stem}_gtFine_instanceIds.png", instance_ids(labels))
+    colours = np.zeros((256, 3), dtype=np.uint8)
+    for kind in LABELS.values():
+        if kind.id >= 0:
+            colours[kind.id] = kind.colour
+    folder.png(f"gtFine/{stem}_gtFine_color.png", colours[semantic])
+    folder.png(f"depth/{stem}_depth.png", quantised(labels.depth_m, STEPS_PER_M))
+    folder.json(f"camera/{stem}_camera.json", _camera(labels.camera))
+
+
+def instance_ids(labels: Labels) -> np.ndarray:
+    """(H, W) uint16: label id * 1000 + number for what is counted, else the label id."""
+    found = labels.semantic.copy()
+    met: dict[int, int] = {}
+    for row in labels.instances:
+        kind = BY_ID[row["semantic_id"]]
+        number = met.get(kind.id, 0)
+        if not kind.has_instances or not row["pixels"] or number >= MOST:
+            continue
+        found[labels.mask(row["id"])] = kind.id * 1000 + number
+        met[kind.id] = number + 1
+    return found.astype(np.uint16)
+
+
+def _camera(camera: Any) -> dict[str, Any]:
+    matrix = camera.get("camera_matrix_px", [[0.0] * 3] * 3)
+    pose = np.array(camera["camera_to_world"])
+    right, _, forward = pose[:3, 0], pose[:3, 1], pose[:3, 2]
+    yaw = math.atan2(forward[1], forward[0])
+    pitch = -math.asin(max(-1.0, min(1.0, forward[2])))
+    level = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
+    roll = math.atan2(float(right @ np.cross(forward, level)), float(right @ level))
+    return {
+        "extrinsic": {
+            "baseline": 0.0,
+            "pitch": pitch,
+            "roll": roll,
+            "x": pose[0, 3],
+            "y": pose[1, 3],
+            "yaw": yaw,
+            "z": pose[2, 3],
+        },
+        "intrinsic": {"fx": matrix[0][0], "fy": matrix[1][1], "u0": matrix[0][2], "v0": matrix[1][2]},
+    }

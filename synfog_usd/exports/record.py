@@ -1,0 +1,93 @@
+"""What an export is: one record for each format, which the command line, the pages and the tests read."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from synfog_usd.errors import ParameterError, did_you_mean
+from synfog_usd.exports.folder import ExportFolder
+from synfog_usd.exports.frames import LabelledPicture
+
+Drop = tuple[str, ...]
+"""Words of `visibility` whose instances get no box."""
+
+
+@dataclass(frozen=True)
+class Exporter:
+    """One format.
+
+    Attributes:
+        name: as `--as` takes it.
+        what: what is written, in a sentence.
+        reader: the library or program that reads it.
+        depth: what its depth means, or ''.
+    """
+
+    name: str
+    what: str
+    reader: str
+    depth: str
+
+    @property
+    def module(self) -> str:
+        """Of its `write`."""
+        return f"synfog_usd.exports.{self.name.replace('-', '_')}"
+
+    def write(self, pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, drop: Drop) -> list[str]:
+        """Write all pictures.
+
+        Args:
+            pictures: begins anew at each call.
+            folder: to be filled.
+            drop: instances that get no box.
+
+        Returns:
+            what a reader of the data card must know besides, in sentences.
+        """
+        return list(importlib.import_module(self.module).write(pictures, folder, drop))
+
+
+EXPORTERS = {
+    one.name: one
+    for one in (
+        Exporter(
+            "coco",
+            "Boxes and masks of things, with amodal ones and what fog leaves of them under the key `synfog`.",
+            "pycocotools",
+            "",
+        ),
+        Exporter(
+            "kitti", "Object labels, calibration and depth in the columns of the devkit.", "KITTI's devkit", "planar"
+        ),
+        Exporter("yolo", "Boxes as text beside the pictures.", "ultralytics", ""),
+        Exporter("cityscapes", "Label and instance ids of every picture.", "cityscapesscripts", "planar"),
+        Exporter(
+            "foggy-cityscapes",
+            "Clear pictures, foggy ones by their extinction (`_beta_`), transmittance, label and instance ids.",
+            "cityscapesscripts",
+            "planar; transmittance is along the ray",
+        ),
+        Exporter(
+            "vkitti2",
+            "Virtual KITTI 2's tree: pictures, depth, classes, instances, poses, boxes.",
+            "its published loaders",
+            "planar",
+        ),
+        Exporter("reside", "Clear and hazy pairs with transmittance (ITS).", "loaders of RESIDE", "along the ray"),
+        Exporter("webdataset", "Tar shards, to a folder or any URL of fsspec.", "webdataset", "planar"),
+        Exporter("huggingface", "An image folder with metadata.jsonl.", "datasets", "planar"),
+    )
+}
+
+
+def exporter(name: str) -> Exporter:
+    """The format of that name.
+
+    Raises:
+        ParameterError: there is none.
+    """
+    if name not in EXPORTERS:
+        raise ParameterError(f"--as {name}: one of {', '.join(EXPORTERS)}.{did_you_mean(name, EXPORTERS)}")
+    return EXPORTERS[name]
