@@ -22,7 +22,6 @@ from synfog_usd.exports.frames import pictures
 from synfog_usd.exports.record import EXPORTERS, exporter
 from synfog_usd.exports.run import export
 
-
 pytestmark = pytest.mark.filterwarnings(
     "ignore::DeprecationWarning",
     "ignore::PendingDeprecationWarning",
@@ -75,6 +74,7 @@ def test_coco_reads_boxes_masks_and_what_fog_leaves(baked, exported):
             np.testing.assert_array_equal(whole.astype(bool), masks.decode(row["amodal_rle"], 108, 192))
 
 
+@pytest.mark.slow
 def test_coco_can_be_evaluated(baked, exported):
     """COCOeval with the annotations themselves as detections: average precision 1 for boxes and masks."""
     coco, evaluation = library("pycocotools.coco"), library("pycocotools.cocoeval")
@@ -287,6 +287,7 @@ def test_shards_go_to_a_url_of_fsspec_and_repeat(baked, exported, tmp_path):
         assert all(one.extractfile(a).read() == other.extractfile(b).read() for a, b in zip(one, other, strict=True))
 
 
+@pytest.mark.slow
 def test_hugging_face_loads_the_image_folder(baked, exported, tmp_path, monkeypatch):
     """datasets.load_dataset("imagefolder"): pictures with their boxes and what fog leaves."""
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
