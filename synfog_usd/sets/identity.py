@@ -21,6 +21,10 @@ FREE = ("about", "scenes")
 """Sections by which a set may grow: they change nothing of the scenes that are there."""
 
 
+class MismatchError(SetError):
+    """What is here would make another set than the one that lies there."""
+
+
 def identity(found: SetDefinition, variant: str) -> dict[str, Any]:
     """What `set.json` says of what a set is made from.
 
@@ -91,11 +95,11 @@ def check(out: Path, made_of: Mapping[str, Any]) -> None:
     """Refuse to go on with a set that something else made.
 
     Raises:
-        SetError: with the points in which they differ.
+        MismatchError: with the points in which they differ.
     """
     differences = list(mismatch(read(out)["made_of"], json.loads(json.dumps(made_of))))
     if differences:
-        raise SetError(
+        raise MismatchError(
             f"{out}: holds a set that was made of something else; another folder keeps the two apart. It differs in "
             + "; ".join(differences)
         )

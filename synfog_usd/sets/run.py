@@ -123,7 +123,8 @@ def run(
         log: given one line for whatever a user wants to know on the way.
 
     Raises:
-        SetError: the folder holds another set, another run works there, or the scheduler went away.
+        SetError: the folder holds another set, or became one on the way; another run works there, or the scheduler
+            went away.
         OutputError: the folder cannot be written, or the disk is full.
         KeyboardInterrupt: after all is ended and the index is written.
     """
@@ -269,8 +270,9 @@ class _Maker:
             self.used_bytes += result["bytes"]
             self.cost = self.cost.seen(unit.lighting, result["seconds"])
             return None
-        if result["kind"] == OutputError.__name__:
-            raise OutputError(f"{result['error']}. Finished units are kept; the same command goes on from there")
+        for place in (OutputError, identity.MismatchError):  # no fault of the unit: all others would fail too
+            if result["kind"] == place.__name__:
+                raise place(f"{result['error']}. Finished units are kept; the same command goes on from there")
         if number < TRIES:
             journal.write(self.plan.out, line)
             self.log(f"{unit.name}: {result['error']}; it is tried again")

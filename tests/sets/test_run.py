@@ -240,6 +240,20 @@ def test_another_program_or_another_asset_does_not_go_on_with_a_set(whole, tiny,
 
 
 @pytest.mark.slow
+def test_what_changes_under_a_run_ends_it(tmp_path):
+    """A stage is edited while its set is made: the next unit is refused, and what differs is told."""
+    file, out = written(tmp_path), tmp_path / "out"
+    child = begun(file, out)
+    wait_for(lambda: list(out.glob("scenes/000/*/*/labels.json")), child)
+    (tmp_path / "1.usda").write_text(street(lamp=True, sky=9.0))
+    _, told = child.communicate(timeout=300)
+    assert child.returncode == 2 and "It differs in stages." in told and "tried again" not in told
+    assert "Traceback" not in told
+    done = made(file, out)
+    assert done.returncode == 2 and "It differs in stages." in done.stderr
+
+
+@pytest.mark.slow
 def test_a_unit_that_fails_three_times_is_set_aside_and_taken_up_again(tiny, whole, tmp_path):
     """All take longer than a second: they are ended, set aside with their seeds, left alone by another run, and made by
     retry.
@@ -395,6 +409,35 @@ def test_a_folder_that_cannot_be_written_ends_the_run_in_one_line(tiny, whole, t
     assert done.returncode == 2 and "cannot be" in done.stderr and "tried again" not in done.stderr
     assert "goes on from there" in done.stderr and "Traceback" not in done.stderr
     (out / "scenes").unlink()
+    assert made(tiny, out).returncode == 0
+    assert hashes(out) == whole[1]
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of its own with little more than what a run asks to be free."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    made_disk = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=215m", "tmpfs", place], capture_output=True)
+    if made_disk.returncode:
+        pytest.skip("mounting takes root")
+    yield place
+    subprocess.run(["umount", "-l", place], check=True)
+
+
+@pytest.mark.slow
+def test_a_disk_that_fills_ends_the_run_and_room_lets_it_go_on(tiny, whole, small_disk):
+    """Somebody fills the disk while a unit is made: one line, nothing is set aside; later the same bytes."""
+    out, filler = small_disk / "out", small_disk / "filler"
+    child = begun(tiny, out)
+    wait_for(lambda: offspring(child.pid)[1], child)
+    with contextlib.suppress(OSError), filler.open("wb", buffering=0) as file:
+        while True:
+            file.write(bytes(1 << 20))
+    _, told = child.communicate(timeout=300)
+    assert child.returncode == 2 and "set aside" not in told and "Traceback" not in told
+    assert "goes on from there" in told and ("No space left" in told or "are free on this disk" in told)
+    filler.unlink()
     assert made(tiny, out).returncode == 0
     assert hashes(out) == whole[1]
 
