@@ -76,7 +76,8 @@ OPTIONS: dict[str, dict[str, Option]] = {
         "compression": Option(
             ("none", "lossless"),
             "none: 16 bits a pixel, which every reader takes; lossless: lossless JPEG, about 40 % of the size.",
-        )
+        ),
+        "corrections": Option((True, False), "Say how readers may straighten lines and brighten corners."),
     },
     ".exr": {
         "compression": Option(("zip", "zips", "piz", "rle", "none"), "All of them lossless."),
@@ -130,7 +131,7 @@ def option_fault(file_name: str, word: str, value: Any) -> tuple[bool, str]:
     nothing is.
 
     >>> option_fault("raw.dng", "compresion", "lossless")
-    (True, "has no 'compresion'; it takes node, compression. Did you mean 'compression'?")
+    (True, "has no 'compresion'; it takes node, compression, corrections. Did you mean 'compression'?")
     >>> option_fault("raw.dng", "compression", "zip")
     (False, "compression is 'zip'; it takes one of none, lossless")
     """

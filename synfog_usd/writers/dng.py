@@ -22,6 +22,7 @@ from synfog_usd import __version__
 from synfog_usd.errors import ImageError, OutputError
 from synfog_usd.files import write_whole
 from synfog_usd.image import Image, Quantity
+from synfog_usd.writers.opcodes import opcode_list
 
 FIXED_DATE = "2000:01:01 00:00:00"
 """A simulated picture was taken at no time; a clock's would change the bytes."""
@@ -78,7 +79,9 @@ Tag = tuple[int, int, int, Any]
 """Number, type, count and value, as tifffile takes them."""
 
 
-def write_dng(path: Path, image: Image, *, compression: Literal["none", "lossless"] = "none") -> None:
+def write_dng(
+    path: Path, image: Image, *, compression: Literal["none", "lossless"] = "none", corrections: bool = True
+) -> None:
     """Write a mosaic of DN as DNG 1.4.
 
     Args:
@@ -88,6 +91,8 @@ def write_dng(path: Path, image: Image, *, compression: Literal["none", "lossles
             and `lens_title` if known. With `companding` ([[linear_dn, code], ...]) the numbers are codes, and
             a LinearizationTable makes linear ones of them.
         compression: 'lossless' is lossless JPEG.
+        corrections: say how readers may straighten the lens's lines and brighten its corners (OpcodeList3), as far
+            as the provenance knows them.
 
     Raises:
         ImageError: another quantity, numbers that are not DN, or a fact missing.
@@ -98,6 +103,8 @@ def write_dng(path: Path, image: Image, *, compression: Literal["none", "lossles
     metadata = image.provenance
     if compression not in ("none", "lossless"):
         raise OutputError(f"{path}: compression is {compression!r}; a DNG takes none, lossless")
+    if not isinstance(corrections, bool):
+        raise OutputError(f"{path}: corrections is {corrections!r}; it takes true or false")
     if image.quantity is not Quantity.DN or len(image.channels) != 1:
         raise ImageError(
             f"{path}: a DNG takes a DN mosaic of one channel; this image is {image.quantity.value} with "
@@ -119,7 +126,8 @@ def write_dng(path: Path, image: Image, *, compression: Literal["none", "lossles
     ):
         raise ImageError(f"{path}: the pixels are not whole numbers from 0 to {white}")
     raw = numbers.astype(np.uint16)
-    write_whole(path, lambda temporary: _write(temporary, raw, metadata, lossless=compression == "lossless"))
+    opcodes = opcode_list(*raw.shape, metadata) if corrections else b""
+    write_whole(path, lambda temporary: _write(temporary, raw, metadata, opcodes, lossless=compression == "lossless"))
 
 
 def _check_metadata(path: Path, metadata: Mapping[str, Any]) -> None:
@@ -146,7 +154,9 @@ def _planes(pattern: Any) -> str:
     return "C" if pattern in _GREY else "".join(letter for letter in _PLANES if letter in str(pattern))
 
 
-def _write(temporary: Path, raw: npt.NDArray[np.uint16], metadata: Mapping[str, Any], *, lossless: bool) -> None:
+def _write(
+    temporary: Path, raw: npt.NDArray[np.uint16], metadata: Mapping[str, Any], opcodes: bytes, *, lossless: bool
+) -> None:
     import tifffile
 
     grey = metadata["cfa_pattern"] in _GREY
@@ -160,6 +170,7 @@ def _write(temporary: Path, raw: npt.NDArray[np.uint16], metadata: Mapping[str, 
         *_level_tags(metadata),
         *([] if grey else _filter_tags(metadata["cfa_pattern"])),
         *_colour_tags(metadata),
+        *([(51022, _UNDEFINED, len(opcodes), opcodes)] if opcodes else []),
     ]
     tifffile.imwrite(
         temporary,

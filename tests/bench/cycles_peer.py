@@ -7,7 +7,7 @@ render, its samples, its seed, wall and processor seconds, and Cycles' settings.
     BLENDER_ENV/bin/python tests/bench/cycles_peer.py out/canyon out/canyon_cycles.npz --samples 64,256 --seeds 4
     --threads 2
 
-Everything that trades bias for noise is off: clamping, denoising, adaptive sampling,
+Everything that trades bias for noise is off, unless `--denoise` asks for its denoiser: clamping, adaptive sampling,
 light threshold, caustic filter, path guiding.  `BOUNCES` is far beyond what matters:
 with albedo 1 a path scatters until it leaves, some tens of times in MOR 50.
 """
@@ -268,9 +268,15 @@ def main() -> None:
     parser.add_argument("--samples", default="16,64", help="comma-separated; seconds a sample come from the slope")
     parser.add_argument("--seeds", type=int, default=4, help="renders of each, with seeds 1, 2, …")
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--denoise", action="store_true", help="Cycles' own OpenImageDenoise, with albedo and normal")
     arguments = parser.parse_args()
     build(arguments.stem)
     scene = bpy.context.scene
+    if arguments.denoise:
+        scene.cycles.use_denoising = True
+        scene.cycles.denoiser = "OPENIMAGEDENOISE"
+        scene.cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
+        scene.cycles.denoising_prefilter = "ACCURATE"
     scene.render.threads_mode, scene.render.threads = "FIXED", arguments.threads
     counts = [int(n) for n in arguments.samples.split(",")]
     draw(samples=1, seed=999)  # builds the search tree

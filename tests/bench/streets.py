@@ -7,10 +7,15 @@ Processor seconds bear other work on the machine; ratios in one run are what cou
     python tests/bench/streets.py volpath                       # the streets as they are
     python tests/bench/streets.py cycles --bpy BLENDER_ENV/bin/python -o out/streets    # the same streets, matt
     python tests/bench/streets.py volpath --only crossing --samples 64
+    python tests/bench/streets.py denoised --bpy BLENDER_ENV/bin/python --size 192x108 --samples 16 --only crossroads
 
 Cycles gets what `cycles_scene.py` exports: the same triangles, lamps, sky, fog and
 camera, each material's mean colour without gloss, masks or texture; lamps with a table
 of their light become spots of the same flux that shine down.  Ours draws that too.
+
+`denoised` asks how many processor seconds Cycles and its denoiser take for the error that ours leaves at so many
+samples, denoised.  Each is judged by its own renderer's mean of many samples, so that what the two mean by a scene
+does not count.
 
 Variance is measured between renders of several seeds and pooled over blocks of 4 x 4
 pixels, since that of one pixel from six seeds is hardly known; 'all' leaves the worst
@@ -164,15 +169,81 @@ def cycles(scene: SceneDict, python: Path, stem: Path, samples: int, seeds: int)
     return found["images"][counts == samples].astype(np.float64).mean(axis=3), float(slope)
 
 
+def left_over(picture: Array, truth: Array) -> float:
+    """Relative RMS error over the lit pixels, without the worst hundredth."""
+    lit = truth > 1e-3 * truth.mean()
+    relative = np.sort(np.abs(picture[lit] / truth[lit] - 1.0))
+    return float(np.sqrt(np.mean(relative[: int(0.99 * relative.size)] ** 2)))
+
+
+def denoised(
+    street: Street, scene: SceneDict, python: Path, folder: Path, *, samples: int, seeds: int, truth: int
+) -> dict[str, float]:
+    """Processor seconds and error of ours at `samples`, of Cycles at the count that leaves as much, and their ratio.
+
+    Args:
+        street: for names of files.
+        scene: matt.
+        python: has bpy.
+        folder: for what is exchanged.
+        samples: a pixel of ours.
+        seeds: renders of each count.
+        truth: samples a pixel of each renderer's own reference.
+    """
+    stem = folder / street.name.replace(" ", "_")
+    integrator = models.make("path", shot.load(scene))
+    shape = scene.camera.height_px, scene.camera.width_px
+    own = integrator.accumulate(samples=truth, seed=1234).mean().mean(axis=1).reshape(shape)
+    loaded = shot.load(scene)
+    shot.render(scene, samples=samples, seed=99, model="path", denoise=True, loaded=loaded)  # kernels are made
+    errors, spent = [], []
+    for seed in range(seeds):
+        begin = time.process_time()
+        found = shot.render(scene, samples=samples, seed=seed, model="path", denoise=True, loaded=loaded)
+        spent.append(time.process_time() - begin)
+        errors.append(left_over(found.radiance.pixels.astype(np.float64).mean(axis=2), own))
+    error, seconds = float(np.mean(errors)), float(np.median(spent))
+
+    export(scene, stem)
+    command = [str(python), str(Path(__file__).parent / "cycles_peer.py"), str(stem)]
+
+    def drawn(name: str, counts: str, *words: str) -> Any:
+        result = folder / f"{stem.name}_{name}.npz"
+        subprocess.run([*command, str(result), "--samples", counts, *words], check=True, capture_output=True)
+        return np.load(result)
+
+    other = drawn("truth", str(truth), "--seeds", "1")["images"][0].astype(np.float64).mean(axis=2)
+    counts = [4 * 2**power for power in range(6)]
+    found = drawn("denoised", ",".join(map(str, counts)), "--seeds", str(seeds), "--denoise")
+    theirs, cost_s = [], []
+    for count in counts:
+        pictures = found["images"][found["samples"] == count].astype(np.float64).mean(axis=3)
+        theirs.append(float(np.mean([left_over(picture, other) for picture in pictures])))
+        cost_s.append(float(np.median(found["processor_s"][found["samples"] == count])))
+    falls = np.minimum.accumulate(theirs)[::-1]
+    reached = falls[0] <= error
+    needed = float(np.exp(np.interp(np.log(error), np.log(falls), np.log(cost_s[::-1])))) if reached else cost_s[-1]
+    return {
+        "error": error,
+        "seconds": seconds,
+        "cycles_seconds": needed,
+        "ratio": needed / seconds,
+        "cycles_reached": float(reached),
+        "cycles_errors": theirs,  # type: ignore[dict-item]
+        "cycles_costs": cost_s,  # type: ignore[dict-item]
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("peer", choices=("volpath", "cycles"))
+    parser.add_argument("peer", choices=("volpath", "cycles", "denoised"))
     parser.add_argument("--bpy", type=Path, help="a Python that has bpy 5.0.1")
     parser.add_argument("--only", default="", help="part of the streets' names")
     parser.add_argument("--models", default="path,field")
     parser.add_argument("--size", default="96x54")
     parser.add_argument("--samples", type=int, default=64)
     parser.add_argument("--seeds", type=int, default=6)
+    parser.add_argument("--truth", type=int, default=1024, help="samples of the references of `denoised`")
     parser.add_argument("-o", "--out", type=Path)
     arguments = parser.parse_args()
     from synfog_usd.render import backend
@@ -182,6 +253,28 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = arguments.out or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
+        if arguments.peer == "denoised":
+            print("| street | error left | ours [s] | Cycles [s] | Cycles over ours |")
+            for street in STREETS:
+                if arguments.only in street.name:
+                    row = denoised(
+                        street,
+                        matt(scene_of(street, (width, height), folder)),
+                        arguments.bpy,
+                        folder,
+                        samples=arguments.samples,
+                        seeds=arguments.seeds,
+                        truth=arguments.truth,
+                    )
+                    more = "" if row["cycles_reached"] else "over "
+                    print(
+                        f"| {street.name} | {row['error']:.2%} | {row['seconds']:.2f} | {more}"
+                        f"{row['cycles_seconds']:.2f} | {more}{row['ratio']:.1f} |",
+                        flush=True,
+                    )
+                    name = f"{street.name.replace(' ', '_')}_denoised.json"
+                    (folder / name).write_text(json.dumps(row, indent=1))
+            return
         heads = " | ".join(f"{model} over {arguments.peer}, median / all" for model in arguments.models.split(","))
         print(f"| street | {heads} | mean of the picture, ours over theirs |")
         for street in STREETS:
