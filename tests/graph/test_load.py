@@ -248,7 +248,8 @@ FAULTS = [
     (
         "raw.dng: adc",
         "raw.dng: {node: adc, compresion: lossless}",
-        "g.yaml:11:24: output 'raw.dng' has no 'compresion'; it takes node, compression. Did you mean 'compression'?",
+        "g.yaml:11:24: output 'raw.dng' has no 'compresion'; it takes node, compression, corrections. Did you mean "
+        "'compression'?",
     ),
     (
         "raw.dng: adc",
