@@ -1,12 +1,11 @@
 """Stages and models that were made elsewhere, from the file to radiance and labels."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support import cli
 
 from synfog_usd.writers.exr import read_exr
 
@@ -115,24 +114,8 @@ WALKERS = (
 
 def bake(stage, out, *more, size="160x90", samples=8):
     """Bake through the command line; gives the manifest that it prints."""
-    words = [
-        sys.executable,
-        "-m",
-        "synfog_usd.cli.main",
-        "bake",
-        stage,
-        "-o",
-        out,
-        "--resolution",
-        size,
-        "--samples",
-        samples,
-        "--json",
-        "--allow",
-        REAL,
-        *more,
-    ]
-    done = subprocess.run(list(map(str, words)), capture_output=True, text=True, timeout=600)
+    words = ["bake", stage, "-o", out, "--resolution", size, "--samples", samples, "--json", "--allow", REAL, *more]
+    done = cli.run(*words)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

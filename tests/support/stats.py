@@ -44,6 +44,37 @@ def assert_mean(means, truth, *, resolves, alpha=1e-4, truth_within=5e-6):
     )
 
 
+def assert_agree(ours, theirs, *, resolves, sigmas=5.0, systematic=0.0):
+    """Fail unless two estimators have the same mean within `sigmas` standard errors of the difference.
+
+    ours, theirs: (K, ...) and (L, ...), one number or picture per independent seed.
+    resolves: relative difference that must be seen, twice the limit; too noisy is a failure.
+    systematic: relative difference that is allowed beside noise.
+    """
+    pictures = [np.asarray(runs, dtype=np.float64) for runs in (ours, theirs)]
+    (mine, mine_error), (other, other_error) = (
+        (means.mean(), means.std(ddof=1) / np.sqrt(len(means)))
+        for means in (runs.reshape(len(runs), -1).mean(axis=1) for runs in pictures)
+    )
+    error, distance = np.hypot(mine_error, other_error), abs(mine - other)
+    limit = sigmas * error + systematic * abs(other)
+    if 2 * sigmas * error < resolves * abs(other) and distance < limit:
+        return
+    image, reference = (runs.mean(axis=0) for runs in pictures)
+    spread = np.hypot(*(runs.std(axis=0, ddof=1) / np.sqrt(len(runs)) for runs in pictures))
+    left = leave(
+        image,
+        reference,
+        (image - reference) / np.where(spread > 0.0, spread, np.inf),
+        runs=pictures[0],
+        reference_runs=pictures[1],
+    )
+    assert 2 * sigmas * error < resolves * abs(other), (
+        f"cannot see {resolves:.1%}: {2 * sigmas * error / other:.2%}; add seeds or samples; {left}"
+    )
+    assert distance < limit, f"{mine:.6g} against {other:.6g}: {distance / error:.1f} standard errors; {left}"
+
+
 def assert_draws(counts, expected, *, alpha=1e-4, fewest=10.0):
     """Fail unless draws are spread as they should be: chi-squared over the cells, those of less than `fewest` expected
     draws as one.

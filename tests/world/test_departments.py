@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import resource
 from pathlib import Path
 
@@ -97,7 +98,8 @@ def test_a_place_that_takes_no_stage_is_one_line(tmp_path, place):
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     out = tmp_path / "s.usda" if place == "full" else Path(place)
     limits = (lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))) if place == "full" else None
-    done = cli.process("compose", RECIPE, "--seed", "1", "-o", out, preexec_fn=limits)
+    run = functools.partial(cli.process, preexec_fn=limits) if limits else cli.run
+    done = run("compose", RECIPE, "--seed", "1", "-o", out)
     assert done.returncode == 2, done.stderr
     assert done.stderr.count("\n") == 1
     assert "cannot be written" in done.stderr
