@@ -169,3 +169,15 @@ def export(
     from synfog_usd.cli import exports as verb
 
     verb.export(out, form, to, drop=drop, licence=licence, quiet=quiet, as_json=as_json)
+
+
+@app.command()
+def gallery(
+    out: Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")],
+    to: Annotated[Path | None, typer.Option(help="Folder to fill; OUT-gallery if left out.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write pages that show a set; they open from disk, offline."""
+    from synfog_usd.cli import exports as verb
+
+    verb.gallery(out, to, quiet=quiet)

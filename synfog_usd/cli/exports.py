@@ -30,3 +30,14 @@ def export(out: Path, form: str, to: str | None, *, drop: str, licence: str, qui
             f"{target}: {census.pictures} pictures, {census.things} boxes, {census.dropped} things without one; see "
             f"README.md there"
         )
+
+
+def gallery(out: Path, to: Path | None, *, quiet: bool) -> None:
+    """Write pages that show a set."""
+    from synfog_usd.exports.gallery import build
+
+    target = to or out.resolve().with_name(f"{out.resolve().name}-gallery")
+    with shown(quiet) as (progress, _):
+        count = build(out, target, progress=progress)
+    if not quiet:
+        print(f"{count} pictures: open {(target / 'index.html').resolve().as_uri()} in a browser")

@@ -213,8 +213,8 @@ def pictures(out: Path) -> Iterator[LabelledPicture]:
 def _of_bake(out: Path) -> Iterator[LabelledPicture]:
     manifest = _json(out / "bake.json")
     try:
-        source = manifest["stage"]["name"].rpartition(".")[0]
-        pipeline = manifest["pipeline"]["name"].rpartition(".")[0]
+        source = Path(manifest["stage"]["name"]).stem
+        pipeline = Path(manifest["pipeline"]["name"]).stem
         for row in manifest["shots"]:
             folder = out / row["lighting"] / row["fog"]
             found = {name: folder / name for name in row["files"]}

@@ -1,0 +1,231 @@
+"""The gallery as a browser shows it: opened from disk, clicked, typed at, narrow, and with ten thousand pictures."""
+
+import json
+import shutil
+import urllib.parse
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image as Picture
+from support.browser import Tab, chromium
+
+from synfog_usd import camera, files, resources, writers
+from synfog_usd.exports import gallery
+from synfog_usd.exports.folder import ExportFolder
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def shown(baked, tmp_path_factory):
+    """(gallery, set): the street with RAW files, and its gallery in a folder beside it with a blank in its name."""
+    folder = tmp_path_factory.mktemp("gallery")
+    out = folder / "set of one"
+    shutil.copytree(baked.folder, out)
+    graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+    manifest = json.loads((out / "bake.json").read_text())
+    radiance = {row["fog"]: writers.read_exr(out / "sky" / row["fog"] / "radiance.exr") for row in manifest["shots"]}
+    exposure = camera.metered(graph, {"radiance": radiance["clear"]})
+    for row in manifest["shots"]:
+        place = out / "sky" / row["fog"]
+        node = graph.outputs["raw.dng"]
+        made = camera.develop(graph, {"radiance": radiance[row["fog"]]}, seed=1, exposure=exposure, keep=[node])
+        writers.write_output("raw.dng", made[node], place, options=graph.options_of("raw.dng"))
+        row["files"]["raw.dng"] = files.sha256_of(place / "raw.dng")
+    files.write_json(out / "bake.json", manifest)
+    gallery.build(out, folder / "a gallery")
+    return folder / "a gallery", out
+
+
+def many(folder, count):
+    """A gallery of `count` made-up pictures, drawn small; no picture has a page."""
+    made = ExportFolder(folder)
+    recipes = ["residential", "rural", "motorway", "bridge", "tunnel"]
+
+    def rows():
+        for number in range(count):
+            fog = ("clear", "mor600", "mor300", "mor150")[number % 4]
+            yield {
+                "name": f"{number // 8:06}-{('sky', 'active')[number // 4 % 2]}-{fog}-synfog",
+                "scene": number // 8,
+                "split": "test" if number // 8 % 10 == 9 else "train",
+                "source": recipes[number // 8 % 5],
+                "lighting": ("sky", "active")[number // 4 % 2],
+                "fog": fog,
+                "pipeline": "synfog",
+                "camera": "",
+                "mor_m": None if fog == "clear" else float(fog[3:]),
+                "classes": ["car", *(["person"] if number // 8 % 3 == 0 else [])],
+                "view": number // 4,
+            }
+            if number % 1000 == 0:
+                (folder / "thumbs" / f"{number // 1000:03}").mkdir(parents=True)
+            shade = np.full((90, 160, 3), [40 + number * 7 % 180, 40 + number * 13 % 180, 90], dtype=np.uint8)
+            Picture.fromarray(shade).save(folder / "thumbs" / f"{number // 1000:03}" / f"{number}.jpg")
+
+    gallery.write_index(made, rows(), title=f"{count} pictures")
+    for name in gallery.PAGE:
+        shutil.copyfile(gallery.__file__.replace("gallery.py", f"page/{name}"), folder / name)
+    return folder
+
+
+def count(page):
+    return page.locator("#count").inner_text()
+
+
+def test_the_grid_filters_by_each_key_and_says_how_many(shown, browser):
+    with Tab(browser, shown[0] / "index.html") as page:
+        assert count(page) == "3 of 3 pictures" and page.locator(".card").count() == 3
+        page.select_option("#filter-fog", label="mor150")
+        assert count(page) == "1 of 3 pictures" and "fog=mor150" in page.url
+        page.select_option("#filter-fog", label="all")
+        page.select_option("#filter-class", label="bus")
+        assert count(page) == "3 of 3 pictures"
+        images = page.evaluate("[...document.querySelectorAll('.card img')].map((i) => i.complete && i.naturalWidth)")
+        assert images == [192, 192, 192]
+
+
+def opened(page, fog):
+    page.locator(".card", has_text=fog).first.click()
+    page.wait_for_selector("body[data-ready]")
+
+
+def at_pixel(page, x, y, size=(192, 108)):
+    """Point at the middle of a pixel and read what the page says."""
+    area = page.locator("#marks").bounding_box()
+    page.mouse.move(area["x"] + (x + 0.5) / size[0] * area["width"], area["y"] + (y + 0.5) / size[1] * area["height"])
+    return page.locator("#pointer").inner_text()
+
+
+def test_the_pointer_reads_depth_transmittance_and_raw(shown, baked, browser):
+    """At a car, the sky and the ground: the numbers of labels.exr, layers.exr and raw.dng."""
+    with Tab(browser, shown[0] / "index.html") as page:
+        opened(page, "mor150")
+        seen, raw = baked.seen, writers.read_raw(shown[1] / "sky" / "mor150" / "raw.dng").pixels[..., 0]
+        cars = [row for row in baked.listed["instances"] if row["label"] == "car" and row["pixels"]]
+        y, x = np.argwhere(seen.instance_id == cars[0]["id"])[0]
+        for column, row in ((x, y), (96, 3), (30, 100)):
+            told = at_pixel(page, column, row)
+            depth = seen.depth_m[row, column]
+            assert f"x {column} y {row} " in told
+            assert ("planar depth sky" in told) == (not np.isfinite(depth))
+            if np.isfinite(depth):
+                assert abs(float(told.split("planar depth ")[1].split(" m")[0]) - depth) < 0.02
+                clear = np.exp(np.log(0.05) / 150.0 * seen.distance_m[row, column])
+                assert abs(float(told.split(" T ")[1].split()[0]) - clear) < 0.005 * clear + 1e-4
+            block = raw[row // 2 * 2 : row // 2 * 2 + 2, column // 2 * 2 : column // 2 * 2 + 2].ravel()
+            assert " ".join(str(int(value)) for value in np.rint(block)) in told
+        assert cars[0]["path"] in at_pixel(page, x, y)
+
+
+def test_the_slider_goes_from_clear_to_fog(shown, baked, browser):
+    """Between two fogs both pictures are there; the words of things become those of the fog."""
+    with Tab(browser, shown[0] / "index.html") as page:
+        opened(page, "clear")
+        assert page.locator("#fogname").inner_text() == "clear"
+        hidden = page.locator("td.invisible").count()
+        page.evaluate("const s = document.getElementById('slider'); s.value = 0.5; s.dispatchEvent(new Event('input'))")
+        assert page.locator("#fogname").inner_text() == "clear → mor150"
+        assert page.evaluate("document.getElementById('over').style.opacity") == "0.5"
+        page.evaluate("const s = document.getElementById('slider'); s.value = 2; s.dispatchEvent(new Event('input'))")
+        assert page.locator("#fogname").inner_text() == "mor50 (50 m)"
+        left = {row["id"]: row.get("visibility") for row in baked.left["mor50"]["instances"]}
+        things = [
+            row for row in baked.listed["instances"] if row["pixels"] and row["label"] in ("car", "person", "bus")
+        ]
+        expected = sum(left[row["id"]] == "invisible" for row in things)
+        assert page.locator("td.invisible").count() == expected > hidden
+
+
+@pytest.mark.parametrize("name", ["masks", "classes", "depth", "transmittance"])
+def test_an_overlay_is_drawn_and_taken_away(shown, browser, name):
+    painted = """(() => {
+        const c = document.getElementById("plane");
+        return c.getContext("2d").getImageData(0, 0, c.width, c.height).data.some((v) => v);
+    })()"""
+    with Tab(browser, shown[0] / "index.html") as page:
+        opened(page, "mor150")
+        assert not page.evaluate(painted)
+        page.check(f"#overlay-{name}")
+        assert page.evaluate(painted)
+        page.uncheck(f"#overlay-{name}")
+        assert not page.evaluate(painted)
+
+
+def test_keys_are_enough(shown, browser):
+    """Arrows in the grid, Enter, arrows from picture to picture, digits for overlays, + for fog, Escape back."""
+    with Tab(browser, shown[0] / "index.html") as page:
+        page.locator("#grid").focus()
+        page.keyboard.press("ArrowDown")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("body[data-ready]")
+        first = page.locator("#name").inner_text()
+        page.keyboard.press("ArrowRight")
+        page.wait_for_function("(name) => document.body.dataset.ready !== name", arg=first)
+        page.keyboard.press("5")
+        assert page.is_checked("#overlay-depth")
+        page.keyboard.press("+")
+        assert "mor50" in page.locator("#fogname").inner_text()
+        page.keyboard.press("Escape")
+        page.wait_for_selector("#grid:not([hidden])")
+        assert page.evaluate("document.activeElement.className") == "card"
+
+
+def test_files_can_be_had(shown, browser):
+    """Each link leads to a file of the set; a blank in a folder's name is no trouble."""
+    with Tab(browser, shown[0] / "index.html") as page:
+        opened(page, "mor150")
+        links = page.evaluate("[...document.querySelectorAll('#files a')].map((a) => [a.textContent, a.href])")
+        assert {name for name, _ in links} >= {"raw.dng", "radiance.exr", "layers.exr", "labels.exr", "labels.json"}
+        for _, url in links:
+            path = Path(urllib.parse.unquote(urllib.parse.urlparse(url).path))
+            assert path.is_file() and path.is_relative_to(shown[1])
+
+
+@pytest.mark.parametrize("page_of", ["grid", "shot"])
+def test_a_narrow_screen_scrolls_one_way_only(shown, browser, page_of):
+    """360 pixels wide: nothing is wider than the screen."""
+    with Tab(browser, shown[0] / "index.html", width=360, height=720) as page:
+        if page_of == "shot":
+            opened(page, "mor150")
+        wide = "['shot', 'grid'].map((n) => document.getElementById(n).scrollWidth)"
+        assert max([*page.evaluate(wide), page.evaluate("document.documentElement.scrollWidth")]) <= 360
+
+
+def test_ten_thousand_pictures_are_a_screenful_of_elements(tmp_path, browser):
+    """What exists is what is seen, at the top and at the end; filters count all; the tab stays below 60 MB."""
+    folder = many(tmp_path / "many", 10_000)
+    with Tab(browser, folder / "index.html") as page:
+        assert count(page) == "10,000 of 10,000 pictures"
+        assert 0 < page.locator(".card").count() < 80
+        page.evaluate("const g = document.getElementById('grid'); g.scrollTop = g.scrollHeight")
+        page.wait_for_function("[...document.querySelectorAll('.card')].some((c) => c.title.startsWith('001249'))")
+        assert page.locator(".card").count() < 80
+        page.select_option("#filter-split", label="test")
+        page.select_option("#filter-class", label="person")
+        expected = sum(scene % 10 == 9 and scene % 3 == 0 for scene in range(1250)) * 8
+        assert count(page) == f"{expected:,} of 10,000 pictures"
+        assert page.evaluate("performance.memory.usedJSHeapSize") < 60e6
+
+
+def test_nothing_that_a_set_says_becomes_a_script(tmp_path, browser):
+    """Names are shown as they are."""
+    evil = "</script><script>window.hurt = 1</script><img src=x onerror='window.hurt = 1'>"
+    row = {name: evil for name in gallery.OF_TEXT} | {"name": evil, "scene": 0, "mor_m": None, "classes": [], "view": 0}
+    folder = ExportFolder(tmp_path)
+    gallery.write_index(folder, [row, {**row, "fog": "clear"}], title=evil)
+    for name in gallery.PAGE:
+        shutil.copyfile(gallery.__file__.replace("gallery.py", f"page/{name}"), tmp_path / name)
+    (tmp_path / "thumbs" / "000").mkdir(parents=True)
+    for number in (0, 1):
+        Picture.new("RGB", (16, 9)).save(tmp_path / "thumbs" / "000" / f"{number}.jpg")
+    with Tab(browser, tmp_path / "index.html") as page:
+        assert page.locator("#title").inner_text() == evil
+        assert page.evaluate("window.hurt") is None
