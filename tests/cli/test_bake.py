@@ -158,7 +158,7 @@ def obeying_ctrl_c():
 
 def interrupted(stage, out):
     """A bake that gets SIGINT while it renders its second shot: (exit code, what it told, seconds to its end)."""
-    many = (*arguments(stage, out)[:-4], "--samples", "4096", "--no-denoise")
+    many = (*arguments(stage, out)[:-4], "--samples", "2048", "--no-denoise")
     child = subprocess.Popen(command(*many), stderr=subprocess.PIPE, text=True, preexec_fn=obeying_ctrl_c)
     wait_for_shots(out, 1, child)
     time.sleep(0.3)
