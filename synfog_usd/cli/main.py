@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from synfog_usd import __version__
-from synfog_usd.cli import benchmark, dataset, worker
+from synfog_usd.cli import benchmark, dataset, study, worker
 from synfog_usd.errors import ParameterError, SynfogError
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
@@ -27,6 +27,7 @@ asset_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The l
 app.add_typer(asset_app, name="asset")
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(benchmark.app, name="benchmark")
+app.add_typer(study.app, name="study")
 
 
 def _folder(text: str) -> Path:

@@ -1,0 +1,100 @@
+"""The study of the scattering model on shots whose light is written down, so that the answer is known."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from support import cli
+
+from synfog_usd import seeds
+from synfog_usd.errors import ParameterError
+from synfog_usd.image import Image, Quantity
+from synfog_usd.study.scattering_model import DEPTHS, crossing, models, study
+from synfog_usd.writers import write_exr
+
+AIRLIGHT = np.array([90.0, 100.0, 110.0])
+HEIGHT, WIDTH = 60, 80
+ELECTRONS, DARK_E = 50.0, 3.0
+
+
+def frames(*, glow: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Clear frame, transmittance and foggy frame of the model itself, and beyond optical depth 1 a glow besides."""
+    rng = seeds.stream(3, "study")
+    clear = rng.uniform(5.0, 60.0, (HEIGHT, WIDTH, 3))
+    clear[10, 10] = 1e5
+    depth = np.geomspace(0.05, 9.0, HEIGHT)[:, None] * np.ones(WIDTH)
+    t = np.exp(-depth)
+    foggy = clear * t[..., None] + AIRLIGHT * (1.0 - t[..., None])
+    return clear, t, foggy + glow * (depth > 1.0)[..., None]
+
+
+def bake(folder, *, glow: float = 0.0) -> None:
+    clear, t, foggy = frames(glow=glow)
+    for fog, pixels in (("clear", clear), ("mor150", foggy)):
+        image = Image(pixels.astype(np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
+        write_exr(folder / "active" / fog / "radiance.exr", image)
+        layers = [
+            Image(t.astype(np.float32)[..., None], ("transmittance.Y",), Quantity.DATA),
+            Image(np.full((HEIGHT, WIDTH, 1), 0.01, np.float32), ("error.Y",), Quantity.DATA),
+        ]
+        write_exr(folder / "active" / fog / "layers.exr", layers)
+    sensor = {"electrons_per_cd_m2": ELECTRONS, "dark_noise_e": DARK_E}
+    shots = [
+        {"lighting": "active", "fog": "clear", "mor_m": None, "target": {"sensor": sensor}},
+        {"lighting": "active", "fog": "mor150", "mor_m": 150.0, "target": {"sensor": sensor}},
+    ]
+    (folder / "bake.json").write_text(json.dumps({"shots": shots}), encoding="utf-8")
+
+
+def test_light_that_is_the_models_has_no_error():
+    clear, t, foggy = frames()
+    found = models(foggy, clear, t)
+    np.testing.assert_allclose(found["fitted"], foggy, rtol=1e-9)
+    np.testing.assert_allclose(found["horizon"], foggy, rtol=0.02)
+    np.testing.assert_allclose(found["dark_channel"], foggy, rtol=1e-3)
+    near = models(foggy[:30], clear[:30], t[:30])  # nothing of optical depth 1 is in view: no pixel shows the airlight
+    assert "horizon" not in near and np.abs(near["dark_channel"] - foggy[:30]).max() > 1.0
+
+
+def test_the_noise_is_the_sensors_and_the_place_of_the_error_is_found(tmp_path):
+    """A glow of 20 nits beyond optical depth 1: sigma there is sqrt(50 L + 9) / 50, about 1.5 nits, and what the best
+    airlight cannot make up for shows in the bins beyond 1 and before it; without the glow nothing shows anywhere.
+    """
+    bake(tmp_path / "plain")
+    plain = study(tmp_path / "plain")
+    assert plain.shots == 1 and crossing(plain, "fitted", "active", "depth") == "nowhere"
+    bake(tmp_path / "glow", glow=20.0)
+    found = study(tmp_path / "glow")
+    clear, t, foggy = frames(glow=20.0)
+    miss = np.abs((models(foggy, clear, t)["fitted"] - foggy) @ np.array([0.2126729, 0.7151522, 0.0721750]))
+    bright = foggy @ np.array([0.2126729, 0.7151522, 0.0721750])
+    units = miss / (np.sqrt(bright * ELECTRONS + DARK_E**2) / ELECTRONS)
+    depth = -np.log(t)
+    for place in range(len(DEPTHS) - 1):
+        inside = (depth >= DEPTHS[place]) & (depth < DEPTHS[place + 1])
+        wanted = np.median(units[inside])
+        assert found.errors.median(("fitted", "active", "depth", place)) == pytest.approx(wanted, rel=0.08), place
+    assert found.floor.median(("active", "depth", 6)) == pytest.approx(0.01 / 1.5, rel=0.3)
+
+
+def test_the_command_writes_tables_and_a_drawing(tmp_path):
+    bake(tmp_path / "bake", glow=20.0)
+    done = cli.run("study", "asm", tmp_path / "bake", "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "| fitted |" in done.stdout and "degrees from the nearest lamp" in done.stdout
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"findings.md", "findings.csv", "findings.png"}
+    again = cli.run("study", "asm", tmp_path / "bake", "-o", tmp_path / "again", "--quiet")
+    assert again.returncode == 0 and again.stdout == ""
+    for name in ("findings.md", "findings.csv", "findings.png"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+@pytest.mark.parametrize("text", [None, "{", '{"shots": [{"lighting": "a", "fog": "x", "mor_m": 100.0}]}'])
+def test_what_cannot_be_compared_is_one_line(tmp_path, text):
+    if text is not None:
+        (tmp_path / "bake.json").write_text(text, encoding="utf-8")
+    with pytest.raises(ParameterError, match=r"neither a set|no foggy shot with a clear frame") as found:
+        study(tmp_path)
+    assert "\n" not in str(found.value)
