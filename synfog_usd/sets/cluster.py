@@ -130,7 +130,7 @@ def batch(path: Path) -> Iterator[Workers]:
     """
     _, distributed = _dask()
     with batch_cluster(path) as (cluster, count):
-        cluster.scale(n=count)
+        cluster.adapt(minimum=count, maximum=count, interval="5s")  # a job that ends is begun again
         with distributed.Client(cluster) as client:
             yield Workers(client, count, 0, _dashboard(client))
 
