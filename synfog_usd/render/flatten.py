@@ -3,7 +3,8 @@
 Mitsuba's just-in-time variants trace every shape and every instance on their own:
 an instance costs 20 ms and 0.6 MB of every kernel, which no street of a thousand
 parts can pay.  One big mesh a material costs nothing of the kind, and memory only
-by the triangle; what is above `MAX_TRIANGLES` stays instances, those of the largest prototypes.
+by the triangle.  Where there are more than `MAX_TRIANGLES`, instances that are far away have their vertices merged
+below half a pixel, and what is still above stays instances, those of the largest prototypes.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from synfog_usd.arrays import Array, Indices
+from synfog_usd.render import detail
 from synfog_usd.scene import SceneDict
 
 MAX_TRIANGLES = 30_000_000
@@ -41,13 +43,14 @@ def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
             (mesh, matrix, instance)
         )
 
-    expanded = _expanded(world)
+    finer = _Detail(source)
+    expanded = _expanded(world, finer)
     for key, value in world.items():
         if key.startswith("shape_") and _plain(value):
             take(value, None, source.instance_of.get((key,), 0))
             taken.add(key)
         elif key in expanded:
-            for name, shape in _prototype(world, value).items():
+            for name, shape in finer.prototype(key, value).items():
                 take(shape, np.asarray(value["to_world"], dtype=np.float64), source.instance_of.get((key, name), 0))
             taken.add(key)
     left = {_group_id(value) for key, value in world.items() if key.startswith("instance_") and key not in taken}
@@ -92,26 +95,72 @@ def _prototype(world: Mapping[str, Any], instance: Mapping[str, Any]) -> dict[st
     return {name: shape for name, shape in world[_group_id(instance)].items() if name != "type"}
 
 
-def _expanded(world: Mapping[str, Any]) -> set[str]:
+class _Detail:
+    """The prototypes of instances as their distance wants them, where there is no room for all in full."""
+
+    def __init__(self, source: SceneDict) -> None:
+        self.world = source.world
+        self.level: dict[str, int] = {}
+        self.made: dict[tuple[str, int], dict[str, Mapping[str, Any]]] = {}
+        placed: dict[str, list[str]] = {}
+        for key, value in source.world.items():
+            if key.startswith("instance_"):
+                placed.setdefault(_group_id(value), []).append(key)
+        prototypes = {group: _prototype(self.world, self.world[keys[0]]) for group, keys in placed.items()}
+        plain = {
+            group: shapes for group, shapes in prototypes.items() if all(_plain(shape) for shape in shapes.values())
+        }
+        total = _direct(self.world) + sum(len(placed[group]) * _faces(shapes) for group, shapes in plain.items())
+        if total <= MAX_TRIANGLES:
+            return
+        for group, shapes in plain.items():
+            points = [np.asarray(shape["positions"]) for shape in shapes.values() if len(shape["positions"])]
+            if not points or _faces(shapes) <= detail.FEWEST:
+                continue
+            low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
+            matrices = np.array([self.world[key]["to_world"] for key in placed[group]], dtype=np.float64)
+            found = detail.levels(source.camera, matrices, low.astype(np.float64), high.astype(np.float64))
+            self.level |= dict(zip(placed[group], found.tolist(), strict=True))
+
+    def prototype(self, key: str, instance: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+        """The shapes of an instance's prototype, as it is drawn."""
+        if key not in self.level:
+            return _prototype(self.world, instance)
+        place = _group_id(instance), self.level[key]
+        if place not in self.made:
+            self.made[place] = {
+                name: detail.merged(shape, place[1]) for name, shape in _prototype(self.world, instance).items()
+            }
+        return self.made[place]
+
+
+def _faces(shapes: Mapping[str, Mapping[str, Any]]) -> int:
+    return sum(len(shape["faces"]) for shape in shapes.values())
+
+
+def _direct(world: Mapping[str, Any]) -> int:
+    """Triangles of the meshes that are no instances."""
+    return sum(
+        len(value["faces"]) for key, value in world.items() if key.startswith("shape_") and value.get("type") == "mesh"
+    )
+
+
+def _expanded(world: Mapping[str, Any], finer: _Detail) -> set[str]:
     """Keys of the instances that are written out: those of the smallest prototypes first, as many as go into
     `MAX_TRIANGLES`.
 
     Each instance that is left costs the same, whatever it holds: so as few as can be are left.
     """
-    room = MAX_TRIANGLES - sum(
-        len(value["faces"]) for key, value in world.items() if key.startswith("shape_") and value.get("type") == "mesh"
-    )
-    sizes: dict[str, int | None] = {}
+    room = MAX_TRIANGLES - _direct(world)
+    sizes: dict[tuple[str, int | None], int | None] = {}
     placed: list[tuple[int, str]] = []
     for key, value in world.items():
         if key.startswith("instance_"):
-            group = _group_id(value)
-            if group not in sizes:
-                inner = list(_prototype(world, value).values())
-                sizes[group] = (
-                    sum(len(shape["faces"]) for shape in inner) if all(_plain(shape) for shape in inner) else None
-                )
-            size = sizes[group]
+            which = _group_id(value), finer.level.get(key)
+            if which not in sizes:
+                inner = finer.prototype(key, value)
+                sizes[which] = _faces(inner) if all(_plain(shape) for shape in inner.values()) else None
+            size = sizes[which]
             if size is not None:
                 placed.append((size, key))
     found: set[str] = set()
