@@ -28,9 +28,6 @@ MAX_LEAVES = 5_000_000
 MAX_COLORS = 16
 """Colours that the points of one instancer may have: each takes a copy of the prototypes."""
 
-MAX_NESTED = 200_000
-"""Leaves that nested instances may list again."""
-
 MESHES = frozenset({"Mesh", "TetMesh"})
 CURVES = frozenset({"BasisCurves", "HermiteCurves", "NurbsCurves"})
 DRAWN = (
@@ -119,10 +116,14 @@ class Group:
     Attributes:
         root: path of the prototype, a prefix of its leaves' paths.
         leaves: what is drawn or shines.
+        inner: instances within it, in its own frame.
+        total: leaves and instances that placing it once makes.
     """
 
     root: str
     leaves: list[Leaf] = field(default_factory=list)
+    inner: list[GroupInstance] = field(default_factory=list)
+    total: int = 0
 
 
 @dataclass(slots=True)
@@ -194,7 +195,6 @@ class _Walker:
         self.group_index: dict[tuple[object, ...], int] = {}
         self.open_groups: list[str] = []
         self.count = 0
-        self.nested = 0
 
     def run(self) -> Walk:
         self.into(self.stage.GetPseudoRoot(), _State(-1, drawn=True), None, None)
@@ -506,6 +506,7 @@ class _Walker:
             prototype,
         )
         self.open_groups.pop()
+        group.total = len(group.leaves) + 1 + sum(self.result.groups[one.group].total for one in group.inner)
         self.group_index[key] = len(self.result.groups)
         self.result.groups.append(group)
         return self.group_index[key]
@@ -523,16 +524,25 @@ class _Walker:
         owner = state.owner
         if owner is not None and own_instance:
             owner = Owner(path, owner.label)
-        inner = self.result.groups[index]
-        if group is None:
-            self.count += len(inner.leaves)
-            self.limit()
-            self.result.placements.append(GroupInstance(index, matrix, path, owner, state.model or path))
+        if group is not None:
+            group.inner.append(GroupInstance(index, matrix, path, owner, state.model or path))
             return
-        self.nested += len(inner.leaves)  # Mitsuba knows one level of instances, so the inner leaves are listed again
-        if self.nested > MAX_NESTED:
-            raise StageError(f"{path}: nested instances draw more than {MAX_NESTED} prims; nest them less")
-        for leaf in inner.leaves:
-            below = str(leaf.owner.path).removeprefix(inner.root) if leaf.owner is not None else ""
-            nested = Owner(f"{path}{below}", leaf.owner.label) if leaf.owner is not None else owner
-            group.leaves.append(replace(leaf, matrix=matrix @ leaf.matrix, owner=nested, model=leaf.model and path))
+        waiting = [GroupInstance(index, matrix, path, owner, state.model or path)]
+        self.count += self.result.groups[index].total
+        self.limit()
+        while waiting:  # Mitsuba knows one level of instances: those within this one are placed themselves
+            placed = waiting.pop()
+            found = self.result.groups[placed.group]
+            if found.leaves:
+                self.result.placements.append(placed)
+            waiting += [_within(placed, inner, found.root) for inner in reversed(found.inner)]
+
+
+def _within(outer: GroupInstance, inner: GroupInstance, root: str) -> GroupInstance:
+    """An instance of a prototype as it stands on the stage by an instance of that prototype."""
+    owner = outer.owner
+    if inner.owner is not None:
+        owner = replace(inner.owner, path=outer.path + inner.owner.path.removeprefix(root))
+    path = outer.path + inner.path.removeprefix(root)
+    model = outer.model if inner.model == inner.path else outer.path + inner.model.removeprefix(root)
+    return GroupInstance(inner.group, outer.matrix @ inner.matrix, path, owner, model)
