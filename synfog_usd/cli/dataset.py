@@ -181,3 +181,16 @@ def gallery(
     from synfog_usd.cli import exports as verb
 
     verb.gallery(out, to, quiet=quiet)
+
+
+@app.command()
+def stats(
+    out: Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")],
+    to: Annotated[Path | None, typer.Option(help="HTML to write; OUT-stats.html if left out.")] = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write one page of figures of a set, beside published ones."""
+    from synfog_usd.cli import exports as verb
+
+    verb.stats(out, to, quiet=quiet, as_json=as_json)

@@ -41,3 +41,17 @@ def gallery(out: Path, to: Path | None, *, quiet: bool) -> None:
         count = build(out, target, progress=progress)
     if not quiet:
         print(f"{count} pictures: open {(target / 'index.html').resolve().as_uri()} in a browser")
+
+
+def stats(out: Path, to: Path | None, *, quiet: bool, as_json: bool) -> None:
+    """Write one page of figures."""
+    from synfog_usd.exports import stats as figures
+
+    target = to or out.resolve().with_name(f"{out.resolve().name}-stats.html")
+    with shown(quiet) as (progress, _):
+        found = figures.gather(out, progress=progress)
+    figures.write(found, target, title=out.resolve().name)
+    if as_json:
+        print(json.dumps(found.metadata(), indent=2))
+    elif not quiet:
+        print(f"{target}: {found.pictures} pictures of {len(found.scenes)} scenes")

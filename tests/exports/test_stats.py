@@ -1,0 +1,58 @@
+"""The page of figures, against counts made another way."""
+
+import json
+
+import numpy as np
+from support.cli import run
+
+from synfog_usd.exports import stats
+
+
+def test_counts_are_those_of_the_labels(baked):
+    """By class, fog, distance and share, counted from the label planes and files; three pictures share a scene."""
+    figures = stats.gather(baked.folder)
+    assert (figures.pictures, len(figures.scenes)) == (3, 1)
+    seen = [row for row in baked.listed["instances"] if row["pixels"] and row["label"] in ("car", "person", "bus")]
+    assert {name: sum(found.values()) for name, found in figures.things.items()} == {
+        name: 3 * sum(row["label"] == name for row in seen) for name in ("car", "person", "bus")
+    }
+    near = {row["id"] for row in seen if baked.seen.distance_m[baked.seen.instance_id == row["id"]].min() <= 20.0}
+    counted = sum(sum(figures.distances[name].values()) for name in ("to 10 m", "to 20 m"))
+    assert counted == 3 * len(near) > 0
+    hidden = sum(row["pixels"] <= 0.2 * row["amodal_pixels"] for row in seen)
+    assert sum(figures.shares["to 20%"].values()) == 3 * hidden > 0
+    left = {row["id"]: row.get("visibility") for row in baked.left["mor50"]["instances"]}
+    assert figures.fogs["mor50"]["invisible"] == sum(left[row["id"]] == "invisible" for row in seen) > 0
+    assert figures.fog_m == {"clear": None, "mor150": 150.0, "mor50": 50.0}
+    assert figures.a_picture(stats.HUMANS) == 3.0
+
+
+def test_bytes_are_counted_once(baked):
+    """Labels are of all three pictures; the sum is that of the folder."""
+    figures = stats.gather(baked.folder)
+    assert sum(figures.bytes.values()) == sum(path.stat().st_size for path in baked.folder.rglob("*") if path.is_file())
+
+
+def test_fog_is_brighter_than_the_dark_street(baked):
+    """Fog of 300 cd/m2 before a street of 20 to 120: the darkest percent rises with it, up to 300."""
+    told = stats.gather(baked.folder).metadata()["luminance_cd_m2"]
+    low = [told[f"sky/{fog}"]["p1"] for fog in ("clear", "mor150", "mor50")]
+    assert low == sorted(low) and told["sky/mor50"]["p99"] <= 301.0
+
+
+def test_the_page_is_made_by_the_verb_and_names_its_sources(baked, tmp_path):
+    done = run("dataset", "stats", baked.folder, "--to", tmp_path / "figures.html")
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "figures.html").read_text()
+    for word in ("Cityscapes (fine)", "11.8", "KITTI (objects)", "7481 + 7518", "SynFog", "Cordts et al. (2016)"):
+        assert word in text
+    assert "<script" not in text and ">nan" not in text
+    told = run("dataset", "stats", baked.folder, "--to", tmp_path / "figures.html", "--json")
+    assert json.loads(told.stdout)["pictures"] == 3
+
+
+def test_names_are_escaped(baked):
+    figures = stats.gather(baked.folder)
+    figures.fogs["<b>"] = figures.fogs.pop("mor50")
+    assert "<b>" not in stats.page(figures, "<b>")
+    assert np.isfinite(figures.a_picture(stats.VEHICLES))
