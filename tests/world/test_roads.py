@@ -11,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom, UsdUtils, UsdValidation
+from pxr import Usd, UsdUtils, UsdValidation
 from scipy import special, stats
 from support import sight
+from support.outlines import apart, outline
+from support.sight import model as shape
 
 from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import RecipeError
@@ -49,41 +51,6 @@ def from_text(tmp_path, text):
     path = tmp_path / "mine.yaml"
     path.write_text(text)
     return load(path)
-
-
-@functools.cache
-def shape(asset):
-    """Low and high corner [m] and label of a component, from its stage."""
-    stage = Usd.Stage.Open(str(ROOT / "assets" / "models" / asset / f"{asset}.usda"))
-    prim = stage.GetDefaultPrim()
-    bound = (
-        UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"]).ComputeWorldBound(prim).ComputeAlignedRange()
-    )
-    return (
-        np.array(bound.GetMin()),
-        np.array(bound.GetMax()),
-        next(iter(prim.GetAttribute("semantics:labels:cityscapes").Get())),
-    )
-
-
-def outline(p, half=None):
-    """(4, 2) corners of a placement on the ground; of a thing on a foot those of the foot."""
-    low, high, _ = shape(p.asset)
-    (x0, y0), (x1, y1) = (low[:2] * p.size, high[:2] * p.size) if half is None else ((-half, -half), (half, half))
-    c, s = math.cos(math.radians(p.heading)), math.sin(math.radians(p.heading))
-    return np.array([(p.x + c * x - s * y, p.y + s * x + c * y) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))])
-
-
-def apart(a, b):
-    """Largest gap [m] between two convex outlines along the normals of their sides; negative where they overlap."""
-    gaps = []
-    for corners in (a, b):
-        for k in range(4):
-            edge = corners[(k + 1) % 4] - corners[k]
-            normal = np.array([edge[1], -edge[0]]) / np.linalg.norm(edge)
-            gaps.append((b @ normal).min() - (a @ normal).max())
-            gaps.append((a @ normal).min() - (b @ normal).max())
-    return max(gaps)
 
 
 def solid(world):

@@ -18,7 +18,7 @@ from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
 from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Recipe
-from synfog_usd.world.roads import road_actors, road_props, rules, works
+from synfog_usd.world.roads import actors, road_actors, road_props, rules, works
 from synfog_usd.world.roads.asphalt import Asphalt
 from synfog_usd.world.roads.lane_section import Lane, LaneSection
 from synfog_usd.world.roads.network import Land, Road
@@ -67,7 +67,11 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     digging, workers = works.site(road, seed, station, value, taken)
     fixed = [*workers, *road_props.rows(recipe, road, seed, station, taken)]
     fixed += road_actors.parked(recipe, road, seed, station, value("parked.share"), taken)
-    moving = road_actors.in_sight(recipe, road, seed, own, station, value, view, fov, fixed, taken)
+
+    def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
+        return road_actors.drawn(recipe, road, seed, attempt, own, station, value, room)
+
+    moving = actors.in_sight(recipe, drawn, road, value, view, fov, fixed, taken)
     return assembled(
         recipe, seed, value, road, view, [*fixed, *moving], {**built, "station": station, "works": digging}
     )

@@ -10,12 +10,12 @@ import numpy as np
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import stream
 from synfog_usd.world.language import Recipe
-from synfog_usd.world.roads import actors, people, rules, traffic
+from synfog_usd.world.roads import people, rules, traffic
 from synfog_usd.world.roads.lane_section import RAISED, Lane
 from synfog_usd.world.roads.markings import BAY_M, bay_length, bays, zebra_span
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.road_props import BEHIND_M, in_structure
-from synfog_usd.world.spec import Placement, View
+from synfog_usd.world.spec import Placement
 
 AHEAD_M = 260.0
 ON_A_BUS_LANE = ("bus", "taxi", "coach", "minibus")
@@ -28,31 +28,18 @@ drawn.
 """
 
 
-def in_sight(
-    recipe: Recipe,
-    road: Road,
-    seed: int,
-    own: Lane,
-    station: float,
-    value: Any,
-    view: View,
-    fov: float,
-    fixed: list[Placement],
-    taken: rules.CollisionSet,
+def drawn(
+    recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, station: float, value: Any, room: rules.CollisionSet
 ) -> list[Placement]:
-    """Traffic and people that meet the rules of sight.
+    """Traffic and people of an attempt.
 
     Raises:
-        RecipeError: none do after many tries, or there is no room for so many people.
+        RecipeError: there is no room for so many people.
     """
-
-    def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
-        return [
-            *_traffic(recipe, road, seed, attempt, own, station, value, room),
-            *_people(recipe, road, seed, attempt, station, value, room),
-        ]
-
-    return actors.in_sight(recipe, drawn, road, value, view, fov, fixed, taken)
+    return [
+        *_traffic(recipe, road, seed, attempt, own, station, value, room),
+        *_people(recipe, road, seed, attempt, station, value, room),
+    ]
 
 
 def _traffic(

@@ -11,7 +11,7 @@ import numpy as np
 from synfog_usd.seeds import stream
 from synfog_usd.world.language import Recipe
 from synfog_usd.world.library import LibraryModel
-from synfog_usd.world.roads import actors, people, rules, traffic
+from synfog_usd.world.roads import people, rules, traffic
 from synfog_usd.world.roads.lane_section import KERB_M
 from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, Roundabout
 from synfog_usd.world.spec import Placement, View
@@ -34,30 +34,25 @@ ABREAST_M = 0.75
 ABREAST = 2
 
 
-def in_sight(
+def drawn(
     recipe: Recipe,
     junction: Roundabout,
     seed: int,
+    attempt: int,
     before: float,
     value: Any,
     view: View,
-    fov: float,
-    fixed: list[Placement],
-    taken: rules.CollisionSet,
+    room: rules.CollisionSet,
 ) -> list[Placement]:
-    """Traffic and people that meet the rules of sight.
+    """Traffic and people of an attempt.
 
     Raises:
-        RecipeError: none do after many tries, or there is no room for so many people.
+        RecipeError: there is no room for so many people.
     """
-
-    def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
-        return [
-            *_traffic(recipe, junction, seed, attempt, before, value, room),
-            *_people(recipe, junction, seed, attempt, view, value, room),
-        ]
-
-    return actors.in_sight(recipe, drawn, junction, value, view, fov, fixed, taken)
+    return [
+        *_traffic(recipe, junction, seed, attempt, before, value, room),
+        *_people(recipe, junction, seed, attempt, view, value, room),
+    ]
 
 
 def _traffic(

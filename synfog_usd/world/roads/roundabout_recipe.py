@@ -15,9 +15,8 @@ from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
 from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Distribution, Recipe
-from synfog_usd.world.roads import props, rules
+from synfog_usd.world.roads import actors, props, roundabout_actors, rules
 from synfog_usd.world.roads import recipe as roads
-from synfog_usd.world.roads import roundabout_actors as actors
 from synfog_usd.world.roads.network import Land
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
 from synfog_usd.world.roads.roundabout import STRAIGHT_M, Roundabout, roundabout
@@ -55,7 +54,11 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
         *_signs(junction, taken),
         *_rows(recipe, junction, seed, taken),
     ]
-    moving = actors.in_sight(recipe, junction, seed, before, value, view, fov, fixed, taken)
+
+    def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
+        return roundabout_actors.drawn(recipe, junction, seed, attempt, before, value, view, room)
+
+    moving = actors.in_sight(recipe, drawn, junction, value, view, fov, fixed, taken)
     built = {"station": before, "give_way": value("circle.give_way"), "shrubs": value("circle.shrubs")}
     return roads.assembled(recipe, seed, value, junction, view, [*fixed, *moving], built)
 
