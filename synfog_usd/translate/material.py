@@ -39,6 +39,9 @@ _MIN_IOR = 1.001
 _CUT_OUT = 0.1
 """Alpha of a card's picture below which nothing is drawn.  Source: OpenUSD's imaging of draw modes."""
 
+_OF_EVERY_SURFACE = frozenset({"type", "base_color", "roughness", "eta"})
+"""What a surface has that is neither metal nor coated; where it reflects nothing, it is Lambert's."""
+
 
 @dataclass(frozen=True)
 class Finish:
@@ -250,6 +253,8 @@ class Materials:
             gloss = 1.0 - float(inputs.constant("clearcoatRoughness", names.coat_roughness))
             bsdf |= {"clearcoat": clearcoat, "clearcoat_gloss": min(max(gloss, 0.0), 1.0)}
         clear = self._transmitting(bsdf, inputs, solid, path)
+        if clear is None and bsdf["eta"] <= _MIN_IOR and not bsdf.keys() - _OF_EVERY_SURFACE:
+            bsdf = {"type": "diffuse", "reflectance": bsdf["base_color"]}  # without Disney's glow at grazing angles
         bsdf = {"type": "twosided", "bsdf": self._bumped(bsdf, inputs, path)}
         if clear is not None:
             share, glass = clear

@@ -137,6 +137,28 @@ def test_emission_is_in_nits_and_sits_on_the_shape(quad):
     np.testing.assert_allclose(shape["emitter"]["radiance"]["value"], [50, 5, 0])
 
 
+@pytest.mark.parametrize("roughness", [0.2, 1.0])
+def test_without_a_reflection_a_surface_is_lambertian_at_every_angle(quad, roughness):
+    """An index of 1: the BSDF times the cosine is albedo / pi times the cosine, from the normal to 85 degrees; Disney's
+    diffuse part, which glows at grazing angles, does not follow from the specification.
+    """
+    from synfog_usd.render.load import to_mitsuba
+
+    stage, surface = quad
+    surface.CreateInput("diffuseColor", TYPES.Color3f).Set(Gf.Vec3f(0.2, 0.4, 0.6))
+    surface.CreateInput("ior", TYPES.Float).Set(1.0)
+    surface.CreateInput("roughness", TYPES.Float).Set(roughness)
+    import mitsuba as mi
+
+    bsdf = to_mitsuba(translate(stage)).scene.shapes()[0].bsdf()
+    for degrees in (0.0, 45.0, 85.0):
+        cosine = float(np.cos(np.radians(degrees)))
+        met = mi.SurfaceInteraction3f()
+        met.wi = mi.Vector3f(float(np.sin(np.radians(85.0))), 0.0, float(np.cos(np.radians(85.0))))
+        value = bsdf.eval(mi.BSDFContext(), met, mi.Vector3f(float(np.sin(np.radians(degrees))), 0.0, cosine))
+        np.testing.assert_allclose(np.array(value).ravel(), np.array([0.2, 0.4, 0.6]) / np.pi * cosine, rtol=1e-5)
+
+
 @pytest.mark.parametrize("space, is_srgb", [("auto", True), ("sRGB", True), ("raw", False)])
 def test_colour_space_of_an_8_bit_picture(quad, tmp_path, space, is_srgb):
     """'auto' takes 3 channels of 8 bit for sRGB; those stay as codes, which the renderer decodes; raw ones are value /
