@@ -66,6 +66,15 @@ def fitting(peak_mb: float | None) -> int:
     return max(1, min(cores(), int(SHARE * free_mb() // (peak_mb or PEAK_MB))))
 
 
+def gpus() -> tuple[str, ...]:
+    """Numbers of this machine's CUDA devices, as CUDA_VISIBLE_DEVICES names them."""
+    said = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if said is not None:
+        return tuple(name.strip() for name in said.split(",") if name.strip())
+    listed = Path("/proc/driver/nvidia/gpus")
+    return tuple(str(number) for number in range(len(list(listed.iterdir())))) if listed.is_dir() else ()
+
+
 def cores() -> int:
     """How many this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -80,9 +89,7 @@ def free_mb() -> float:
 
 @contextlib.contextmanager
 def local(count: int) -> Iterator[Workers]:
-    """Workers of this machine, each with its share of the cores; one a GPU where there are GPUs and LLVM is not asked
-    for.
-    """
+    """Workers of this machine, each with its share of the cores."""
     dask, distributed = _dask()
     with dask.config.set(SETTINGS), _deaf_to_ctrl_c():
         cluster = distributed.LocalCluster(

@@ -38,7 +38,7 @@ class RunPlan:
     Attributes:
         out: folder of the set.
         child: how a unit's process is begun.
-        workers: of this machine; by its memory where None.
+        workers: of this machine; one a GPU, or by its memory, where None.
         scheduler: address of a running one, or None.
         batch: file of a batch system, or None.
         only: numbers of scenes, or None for all.
@@ -167,6 +167,7 @@ class _Maker:
         self.under_way: dict[str, Any] = {}
         self.used_bytes = self.tally.bytes
         self.total = self.done = 0
+        self.gpus: tuple[str, ...] = ()
 
     def make(self) -> None:
         todo = self.todo()
@@ -203,7 +204,8 @@ class _Maker:
             with cluster.batch(plan.batch) as found:
                 yield found
         else:
-            with cluster.local(plan.workers or cluster.fitting(self.tally.peak_mb or None)) as found:
+            self.gpus = cluster.gpus() if self.variant == "cuda" else ()
+            with cluster.local(plan.workers or len(self.gpus) or cluster.fitting(self.tally.peak_mb or None)) as found:
                 yield found
 
     def feed(self, workers: cluster.Workers, todo: Iterator[Unit]) -> None:
@@ -242,6 +244,7 @@ class _Maker:
             self.variant,
             self.plan.repair,
             workers.cores,
+            self.gpus,
         )
         try:
             future = workers.client.submit(

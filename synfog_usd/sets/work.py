@@ -53,6 +53,7 @@ class Job:
         variant: of the renderer.
         repair: whether the files of a finished unit are looked at.
         cores: on which its worker's child may run at a time; 0 is all.
+        gpus: of the machine, which its workers share out; () is all.
     """
 
     out: Path
@@ -61,6 +62,7 @@ class Job:
     variant: str
     repair: bool = False
     cores: int = 0
+    gpus: tuple[str, ...] = ()
 
 
 def do(job: Job, child: Child) -> dict[str, Any]:
@@ -83,6 +85,9 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
     words += ["--camera", job.unit.camera] if job.unit.camera else []
     words += ["--repair"] if job.repair else []
     environment = {name: value for name, value in os.environ.items() if name not in child.without}
+    place = _place()
+    if job.gpus:
+        environment["CUDA_VISIBLE_DEVICES"] = job.gpus[place % len(job.gpus)]
     with tempfile.TemporaryFile() as told, tempfile.TemporaryFile() as wrong:
         process = subprocess.Popen(
             [sys.executable, *words],
@@ -93,7 +98,7 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
             **system.apart(),
         )
         try:
-            _pin(process.pid, job.cores)
+            _pin(process.pid, job.cores, place)
             code = system.died(process.wait(timeout=job.limit_s))
         except subprocess.TimeoutExpired:
             return _failed("limit", f"took longer than its limit of {job.limit_s:.0f} s")
@@ -134,14 +139,18 @@ def _failed(kind: str, error: str) -> dict[str, Any]:
     return {"ok": False, "kind": kind, "error": error}
 
 
-def _pin(process: int, cores: int) -> None:
+def _place() -> int:
+    """Number of this worker among those of its machine, 0 outside of any."""
+    if "distributed" in sys.modules:
+        with contextlib.suppress(TypeError, ValueError):
+            return int(sys.modules["distributed"].get_worker().name)
+    return 0
+
+
+def _pin(process: int, cores: int, place: int) -> None:
     """Keep the child of a local worker to its share of the cores; libraries then begin as many threads."""
     if not cores or not hasattr(os, "sched_setaffinity"):
         return
-    place = 0
-    if "distributed" in sys.modules:
-        with contextlib.suppress(TypeError, ValueError):  # a probe is made outside of any worker
-            place = int(sys.modules["distributed"].get_worker().name)
     mine = sorted(os.sched_getaffinity(0))
     first = place * cores % len(mine)
     with contextlib.suppress(OSError):

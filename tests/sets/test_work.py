@@ -1,0 +1,76 @@
+"""What a worker does with its child."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from synfog_usd.sets import cluster, work
+from synfog_usd.sets.scenes import Unit
+from synfog_usd.sets.work import Child, Job, do
+
+TELL = "import json, os; print(json.dumps({}))"
+
+
+def child(expression, *without):
+    return Child(("-c", TELL.format(expression)), "MARK_OF_TEST", without)
+
+
+def job(**more):
+    return Job(Path("out"), Unit(3, "sky", "/World/Rig/Left"), 60.0, "llvm", **more)
+
+
+def test_a_child_is_told_its_unit_and_its_parent(monkeypatch):
+    """Folder, scene, lighting, camera; the parent's number under the mark; nothing of what it is not to see."""
+    monkeypatch.setenv("HIDDEN", "1")
+    seen = "{'ok': True, 'words': __import__('sys').argv[1:], 'env': dict(os.environ)}"
+    result = do(job(repair=True), child(seen, "HIDDEN"))
+    words = "out 3 sky --variant llvm --camera /World/Rig/Left --repair"
+    assert result["ok"] and result["words"] == words.split()
+    assert result["env"]["MARK_OF_TEST"] == str(os.getpid()) and "HIDDEN" not in result["env"]
+    assert result["seconds"] > 0.0 and result["own_cpu_s"] >= 0.0
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no such call")
+@pytest.mark.parametrize("place", [0, 1, 2, 5])
+def test_workers_share_out_cores_and_gpus(monkeypatch, place):
+    """Each child has one core and one GPU, the next worker's the next; beyond the last they begin again."""
+    monkeypatch.setattr(work, "_place", lambda: place)
+    seen = "{'cores': sorted(os.sched_getaffinity(0)), 'gpu': os.environ['CUDA_VISIBLE_DEVICES']}"
+    waits = f"(__import__('time').sleep(0.3), {seen})[1]"
+    result = do(job(cores=1, gpus=("4", "6")), child(waits))
+    mine = sorted(os.sched_getaffinity(0))
+    assert result["cores"] == [mine[place % len(mine)]]
+    assert result["gpu"] == ("4", "6")[place % 2]
+
+
+@pytest.mark.parametrize(
+    "words, kind, told",
+    [
+        ("import os; os.kill(os.getpid(), 9)", "killed", "died of signal 9: it was killed"),
+        ("raise SystemExit('no such thing')", "crash", "no such thing"),
+        ("raise SystemExit(3)", "crash", "exit code 3"),
+        ("import time; time.sleep(60)", "limit", "longer than its limit of 1 s"),
+        ("import sys; sys.stderr.write('x' * 10**6); raise SystemExit(1)", "crash", "xxx"),
+    ],
+)
+def test_how_a_child_ends_is_told(words, kind, told):
+    """Its signal, its last words, its exit code, or that it took too long; never more than a few lines."""
+    limited = Job(Path("out"), Unit(3, "sky"), 1.0 if kind == "limit" else 60.0, "llvm")
+    result = do(limited, Child(("-c", words), "MARK_OF_TEST"))
+    assert not result["ok"] and result["kind"] == kind and told in result["error"]
+    assert len(result["error"]) <= work.TOLD
+
+
+def test_gpus_are_those_that_are_visible(monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "2, 5")
+    assert cluster.gpus() == ("2", "5")
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+    assert cluster.gpus() == ()
+
+
+def test_workers_are_what_memory_and_cores_allow(monkeypatch):
+    monkeypatch.setattr(cluster, "cores", lambda: 8)
+    monkeypatch.setattr(cluster, "free_mb", lambda: 10_000.0)
+    assert cluster.fitting(2_000.0) == 4 and cluster.fitting(500.0) == 8 and cluster.fitting(50_000.0) == 1
+    assert cluster.fitting(None) == int(0.8 * 10_000 // cluster.PEAK_MB)
