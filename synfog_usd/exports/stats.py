@@ -174,7 +174,7 @@ def page(figures: Figures, title: str) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<style>{STYLE}</style></head><body>",
         f"<h1>{html.escape(title)}</h1>",
-        f"<p>{figures.pictures} pictures of {len(figures.scenes)} scenes "
+        f"<p>{figures.pictures} pictures of {len(figures.scenes)} scene{'' if len(figures.scenes) == 1 else 's'} "
         f"({', '.join(f'{html.escape(name)} {n}' for name, n in figures.splits.items())}); {things} things in them, "
         f"counted in every picture; {_size(sum(figures.bytes.values()))} on disk.</p>",
         "<h2>Beside published sets</h2>",

@@ -243,7 +243,7 @@ def test_vkitti2_has_depth_in_centimetres_and_ids_plus_one(baked, exported):
     np.testing.assert_allclose(depth[near] / 100.0, baked.seen.depth_m[near], atol=0.0051)
     ids = np.array(Picture.open(frames / "instanceSegmentation" / "Camera_0" / "instancegt_00000.png"))
     np.testing.assert_array_equal(ids, baked.seen.instance_id)
-    boxes = list(csv.DictReader((tree / "bbox.txt").open(), delimiter=" "))
+    boxes = list(csv.DictReader((tree / "bbox.txt").read_text().splitlines(), delimiter=" "))
     rows = {row["id"] - 1: row for row, _ in kept(baked, "clear")}
     assert {int(line["trackID"]) for line in boxes} == rows.keys()
     for line in boxes:
@@ -310,7 +310,7 @@ def test_hugging_face_loads_the_image_folder(baked, exported, tmp_path, monkeypa
 def test_every_export_has_a_card_a_table_and_a_valid_croissant(baked, exported, name):
     """mlcroissant accepts the record and reads the table through it; the card has the counts."""
     out = exported(name, licence="https://creativecommons.org/licenses/by/4.0/")
-    rows = list(csv.DictReader((out / "pictures.csv").open()))
+    rows = list(csv.DictReader((out / "pictures.csv").read_text().splitlines()))
     boxes = sum(len(kept(baked, fog)) for fog in baked.left)
     assert len(rows) == 3 and sum(int(row["things"]) for row in rows) == boxes
     card = (out / "README.md").read_text()
