@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
 from synfog_usd.science import colour_science
 
-Array = npt.NDArray[np.float64]
 LUMINANCE: Array = np.array([0.2126390058715104, 0.7151686787677559, 0.0721923153607337])  # of linear Rec.709
 
 

@@ -7,13 +7,11 @@ Albedos in linear light with roughness beside, computed from named random stream
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
 from assets.builders.noise import noise
+from synfog_usd.arrays import Array
 from synfog_usd.seeds import stream
-
-Array = npt.NDArray[np.float64]
 
 
 def asphalt_lane() -> tuple[Array, Array]:

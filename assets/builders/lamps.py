@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
 from synfog_usd.files import write_bytes
 from synfog_usd.world.lamps import STREET, lamp_of
 
-Array = npt.NDArray[np.float64]
 Beam = Callable[[Array, Array], Array]
 """Relative intensity by (vertical, horizontal) angle [rad]."""
 

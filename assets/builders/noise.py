@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.seeds import stream
-
-Array = npt.NDArray[np.float64]
 
 
 def noise(

@@ -23,11 +23,11 @@ from scipy import ndimage, optimize
 from assets.builders.clouds import CELLS, CloudLayer, CloudLight, clouded
 from assets.builders.daylight import LUMINANCE, colour_temperature, illuminance_per_zenith, relative_luminance, tint
 from assets.builders.textures import ORIGIN, noise
+from synfog_usd.arrays import Array
 from synfog_usd.errors import OutputError, ParameterError, did_you_mean
 from synfog_usd.files import write_whole
 from synfog_usd.science import colour_science
 
-Array = npt.NDArray[np.float64]
 SIZE = (512, 1024)
 
 

@@ -11,16 +11,15 @@ import itertools
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import OpenImageIO
 
 from assets.builders.ground import asphalt, asphalt_lane, chip_seal, marking, paving
 from assets.builders.noise import noise as noise
+from synfog_usd.arrays import Array
 from synfog_usd.errors import OutputError
 from synfog_usd.files import write_whole
 from synfog_usd.seeds import stream
 
-Array = npt.NDArray[np.float64]
 ORIGIN = "made by synfog_usd.world, licence CC0-1.0"
 ATLAS = 4  # windows: cells per side
 SHOPS = 4  # shop windows: cells, one above the other

@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
-Array = npt.NDArray[np.float64]
+from synfog_usd.arrays import Array
 
 
 def none(picture: Array) -> Array:

@@ -20,11 +20,10 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from synfog_usd import camera, files, photometry
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ImageError, ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.writers import read_exr
-
-Array = npt.NDArray[np.float64]
 
 DEPTHS = (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, math.inf)
 """Edges of the bins of optical depth, -ln t."""

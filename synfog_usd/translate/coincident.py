@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.scene import SceneDict
-
-Array = npt.NDArray[np.float64]
 
 APART_M = 5e-5
 """Faces nearer than this are one for a ray in single precision 100 m away."""

@@ -18,12 +18,11 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.photometry import observer
 from synfog_usd.science import colour_science
 from synfog_usd.spectra import EMISSION, emission
-
-Array = npt.NDArray[np.float64]
 
 STREET, VEHICLE = "street_lamps", "headlights"
 GROUP_ATTRIBUTE = "synfog:lightGroup"

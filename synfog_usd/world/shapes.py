@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int64]
+from synfog_usd.arrays import Array
+from synfog_usd.arrays import Indices as Index
 
 COLLAPSE = {
     "targetperc": 0.0,

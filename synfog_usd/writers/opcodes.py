@@ -12,9 +12,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-
-Array = npt.NDArray[np.float64]
 
 WARP_RECTILINEAR, FIX_VIGNETTE_RADIAL = 1, 3
 SINCE = 0x01030000

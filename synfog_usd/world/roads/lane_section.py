@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from synfog_usd.arrays import Array
+
 KERB_M = 0.12
 PAVED = ("lane", "bus", "parking", "shoulder", "cycle")
 RAISED = ("pavement", "garden", "island")

@@ -13,11 +13,11 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.seeds import stream
 from synfog_usd.world.roads.lane_section import DRIVEN, Lane, LaneSection
 from synfog_usd.world.roads.reference_line import ReferenceLine
 
-Array = npt.NDArray[np.float64]
 BLEND_M = 55.0
 """Over which the land leaves the height of the road."""
 WAVES = 9

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import spatial
 
-Array = npt.NDArray[np.float64]
+from synfog_usd.arrays import Array
+
 STEP_M = 0.25
 
 

@@ -18,12 +18,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import spatial
 
+from synfog_usd.arrays import Array
 from synfog_usd.errors import RecipeError
 from synfog_usd.world.roads.lane_section import KERB_M, LaneSection
 from synfog_usd.world.roads.network import BLEND_M, Land, Road
 from synfog_usd.world.roads.reference_line import ReferenceLine
 
-Array = npt.NDArray[np.float64]
 HOLD_M = 16.0
 """Beyond the circle, within which an arm keeps its full width; every entry arc of up to RADIUS_M ends before it."""
 TAPER_M = 22.0

@@ -16,12 +16,12 @@ import numpy.typing as npt
 import shapely
 
 from synfog_usd import resources
+from synfog_usd.arrays import Array
 from synfog_usd.errors import RecipeError, did_you_mean
 from synfog_usd.world import library
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.spec import Placement, View
 
-Array = npt.NDArray[np.float64]
 USERS = ("person", "rider", "car", "truck", "bus", "motorcycle", "bicycle")
 GROUPS = {"vehicle": "Vehicles", "person": "People", "rider": "People", "building": "Buildings", "plant": "Plants"}
 """Group of the library -> group prim; all others are furniture."""
