@@ -10,6 +10,7 @@ from pathlib import Path
 
 from assets.builders import bench_stages, crossing, lamps, skies
 from assets.builders.cars import build_more_cars
+from assets.builders.coachwork import plated
 from assets.builders.homesteads import build_homesteads
 from assets.builders.plants import build_country_trees
 from assets.builders.roadside import build_roadside
@@ -35,8 +36,8 @@ WHAT = ("textures", "lamps", "models", "stages", "skies")
 
 def components() -> Iterator[Component]:
     """Every model; those with many triangles in two levels of detail."""
-    yield from crossing.components()
-    yield from (with_low(component) for build in BUILDERS for component in build())
+    for component in (*crossing.components(), *(with_low(one) for build in BUILDERS for one in build())):
+        yield plated(component)
 
 
 def write(what: str, folder: Path, only: Sequence[str] = ()) -> Iterator[Path]:

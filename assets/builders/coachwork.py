@@ -8,11 +8,13 @@ in metres; the front looks along +Y, the wheels stand on z = 0.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from assets.builders.solids import Field, carve, prism
-from synfog_usd.world.components import Look, MountedLamp
+from assets.builders.textures import PLATE_COLUMNS as COLUMNS
+from synfog_usd.world.components import Component, Look, MountedLamp
 from synfog_usd.world.shapes import (
     Array,
     Part,
@@ -29,6 +31,7 @@ from synfog_usd.world.shapes import (
     turn,
 )
 
+PLATES = 24
 HEADLIGHT_CD = 9000.0  # dipped beam, hot spot
 HEADLIGHT_TINT = (1.02, 0.995, 0.95)
 HEADLIGHT_LENS_NITS = (
@@ -270,6 +273,17 @@ def mirror(sign: int) -> Part:
     shell = soft_box((0.03, -0.055, 0.01), (0.225, 0.055, 0.165), "paint", radius=0.045)
     both = join([arm, shell])
     return both if sign > 0 else both.moved(scale(-1, 1, 1))
+
+
+def plated(component: Component) -> Component:
+    """A vehicle with a variant set `plate`: PLATES of the numbers in the picture; any other thing as it is."""
+    if not any(part.material == "plate" for part in component.parts):
+        return component
+    looks = {
+        f"p{k:02d}": Look(shifts={"plate": (round(k * 5 % COLUMNS / COLUMNS, 4), round(k // COLUMNS * 3 % 8 / 8, 4))})
+        for k in range(PLATES)
+    }
+    return replace(component, variants={**component.variants, "plate": looks})
 
 
 def plate(centre: tuple[float, float, float], row: int, *, front: bool) -> Part:

@@ -50,8 +50,8 @@ TREES = (
         10.5,
         3.0,
         0.17,
-        8500,
-        0.20,
+        24000,
+        0.12,
         ("leaf_olive", "leaf_green", "leaf_gold"),
         0.34,
     ),
@@ -61,8 +61,8 @@ TREES = (
         8.5,
         2.6,
         0.14,
-        7000,
-        0.20,
+        20000,
+        0.12,
         ("leaf_gold", "leaf_olive", "leaf_rust"),
         0.38,
     ),
@@ -72,13 +72,13 @@ TREES = (
         11.0,
         3.2,
         0.19,
-        500,
-        0.17,
+        900,
+        0.13,
         ("leaf_rust", "leaf_gold"),
         0.36,
         32.0,
     ),
-    Tree("park_tree", "A large tree of the park.", 15.0, 2.4, 0.32, 9000, 0.34, ("leaf_green", "leaf_olive"), 0.42),
+    Tree("park_tree", "A large tree of the park.", 15.0, 2.4, 0.32, 30000, 0.185, ("leaf_green", "leaf_olive"), 0.42),
 )
 
 
@@ -221,7 +221,7 @@ def _birch(height: float) -> Component:
             parts.append(tube(twig, [0.006, 0.004, 0.003], "twig", sides=3, capped=False))
             twigs.append(twig)
     along = np.array(twigs)
-    count = 5200
+    count = 19000
     which, s = rng.integers(0, len(along), count), rng.uniform(0.15, 1.0, count) * 2
     k = np.minimum(s.astype(int), 1)
     places = (
@@ -229,7 +229,7 @@ def _birch(height: float) -> Component:
     )
     tone = rng.choice(3, count, p=[0.6, 0.28, 0.12])
     parts += [
-        _leaves(places[tone == i], 0.23, material, rng)
+        _leaves(places[tone == i], 0.12, material, rng)
         for i, material in enumerate(("leaf_green", "leaf_olive", "leaf_gold"))
     ]
     return Component("birch_tree", "vegetation", tuple(parts), f"A birch, {height:.0f} m high.")
@@ -245,7 +245,7 @@ def _conifer(height: float) -> Component:
     z = 0.9
     while z < height - 0.25:
         reach = 0.21 * (height - z) ** 0.92 + 0.16
-        count = 8 if reach > 0.8 else 5
+        count = 9 if reach > 0.8 else 6
         for k in range(count):
             a = 2 * np.pi * (k + rng.uniform(-0.3, 0.3)) / count + z
             length = reach * rng.uniform(0.78, 1.10)
@@ -255,7 +255,7 @@ def _conifer(height: float) -> Component:
             start = np.array([0, 0, z + rng.uniform(-0.1, 0.1)])
             path = start + out * length * t + np.array([0, 0, length]) * (-0.34 * t + 0.16 * t**2)
             parts.append(tube(path, np.linspace(0.030, 0.008, 4) * min(1.0, reach), "twig", sides=3, capped=False))
-            steps = np.arange(0.12, 1.0, 0.17 / max(length, 0.2))
+            steps = np.arange(0.12, 1.0, 0.11 / max(length, 0.2))
             for s in steps:
                 at = start + out * length * s + np.array([0, 0, length * (-0.34 * s + 0.16 * s**2)])
                 for turn_side in (-1, 1):
@@ -270,7 +270,7 @@ def _conifer(height: float) -> Component:
     places, along, size = (np.array(column) for column in zip(*sprays, strict=True))
     young = rng.random(len(places)) < 0.25
     for material, chosen in (("needle", ~young), ("needle_young", young)):
-        parts.append(_diamonds(places[chosen], along[chosen], size[chosen, None], 0.21, material, rng))
+        parts.append(_diamonds(places[chosen], along[chosen], size[chosen, None], 0.13, material, rng))
     return Component("conifer", "vegetation", tuple(parts), f"A spruce, {height:.0f} m high.")
 
 

@@ -26,6 +26,8 @@ SHOPS = 4  # shop windows: cells, one above the other
 FASCIAS = ("BÄCKEREI", "CAFÉ LUMEN", "APOTHEKE", "BOOKS", "BISTRO 23", "OPTIK", "BLUMEN", "RADHAUS")
 PLATES = ("SF 260 N", "KA 418 E", "LU 73 RT", "MO 550 R", "HG 87 AC", "FOG 15 V", "EX 121 Q", "TR 94 PH")
 
+PLATE_COLUMNS = 8
+
 GLYPHS = {  # strokes on a grid of 4 by 6, points as digit pairs
     "A": "002640 1232",
     "B": "00062635443303 3342413000",
@@ -223,38 +225,63 @@ def bark() -> Array:
     return tone[..., None] * np.array([1.0, 0.88, 0.72])
 
 
+CURTAINS = (
+    (0.62, 0.60, 0.55),
+    (0.42, 0.30, 0.20),
+    (0.25, 0.30, 0.36),
+    (0.66, 0.65, 0.62),
+    (0.40, 0.12, 0.10),
+    (0.30, 0.36, 0.24),
+)
+DRESSES = (
+    *("aside", "net", "down", "half", "room", "aside", "slats", "net"),
+    *("empty", "aside", "half", "slats", "aside", "net", "lit", "down"),
+)
+"""How each of the sixteen windows is dressed."""
+
+
 def window_atlas() -> tuple[Array, Array]:
     """Sixteen rooms behind glass, by day (albedo) and lit from inside (emission, 1 = brightest)."""
     size = 160
     day, lit = np.zeros((ATLAS * size, ATLAS * size, 3)), np.zeros((ATLAS * size, ATLAS * size, 3))
     v, u = np.meshgrid(np.linspace(1, 0, size), np.linspace(0, 1, size), indexing="ij")
-    for cell in range(ATLAS**2):
+    for cell, dress in enumerate(DRESSES):
         rng = stream(0, "texture", "window", cell)
-        room = 0.018 + 0.018 * v[..., None] * np.ones(3)
+        room = 0.014 + 0.030 * (1 - v[..., None]) ** 2 * np.ones(3)  # light that enters falls on the floor
         warmth = np.array([1.0, 0.66, 0.34]) if rng.random() < 0.75 else np.array([1.0, 0.88, 0.72])
         glow = 0.30 + 0.70 * np.exp(
             -(((u - rng.uniform(0.2, 0.8)) / 0.5) ** 2) - ((v - rng.uniform(0.5, 0.9)) / 0.45) ** 2
         )
         light = glow[..., None] * warmth
+        if dress == "lit":  # a lamp burns by day too
+            room = room + 0.16 * glow[..., None] * warmth
         if rng.random() < 0.6:  # something stands in the room
             shelf = (np.abs(u - rng.uniform(0.1, 0.9)) < 0.14) & (v < rng.uniform(0.35, 0.75))
             light = np.where(shelf[..., None], 0.25 * light, light)
-            room = np.where(shelf[..., None], 0.03, room)
-        kind = int(rng.integers(0, 4))
-        cloth = np.array(
-            [[0.42, 0.40, 0.36], [0.30, 0.22, 0.15], [0.20, 0.23, 0.26], [0.46, 0.45, 0.43]][int(rng.integers(0, 4))]
-        )
-        folds = 0.75 + 0.25 * np.sin(u * 75 + 2 * np.sin(3 * v))
-        if kind in (0, 1):  # curtains drawn aside
-            width = rng.uniform(0.16, 0.30) + 0.05 * (1 - v)
-            cover = (u < width) | (u > 1 - width)
-        elif kind == 2:  # a blind part way down
-            cover = v > rng.uniform(0.45, 0.8)
-            folds = 0.85 + 0.15 * np.sign(np.sin(v * 140))
-        else:  # net curtain in the lower half
-            cover = v < 0.5
-        room = np.where(cover[..., None], 0.45 * cloth * folds[..., None], room)
-        light = np.where(cover[..., None], light * cloth * folds[..., None] * 1.5, light)
+            room = np.where(shelf[..., None], 0.035 * np.array([1.2, 0.9, 0.7]), room)
+        cloth = np.array(CURTAINS[int(rng.integers(len(CURTAINS)))])
+        waves = np.sin(u * rng.uniform(50, 80) + 2 * np.sin(3 * v))
+        folds, dense = 0.72 + 0.28 * waves, 0.62
+        cover = np.zeros_like(u, dtype=bool)
+        if dress == "aside":
+            width = rng.uniform(0.14, 0.30) + 0.06 * (1 - v) * np.sin(np.pi * v)
+            cover = (u < width) | (u > 1 - width * rng.uniform(0.6, 1.2))
+        elif dress in ("down", "half"):  # a blind
+            cover = v > (0.04 if dress == "down" else rng.uniform(0.40, 0.75))
+            cloth, folds, dense = np.array(CURTAINS[0 if dress == "half" else 3]), 0.93 + 0.05 * v, 0.75
+        elif dress == "slats":
+            cover = v > rng.uniform(0.0, 0.35)
+            cloth, dense = np.array([0.55, 0.55, 0.54]), 0.70
+            folds = np.where((v * 26) % 1 < 0.62, 0.95 - 0.25 * ((v * 26) % 1), 0.10)
+        elif dress == "net":
+            cover = v < rng.uniform(0.55, 1.1)
+            cloth, folds, dense = np.array(CURTAINS[3]), 0.80 + 0.20 * waves, 0.42
+        room = np.where(cover[..., None], (1 - dense) * room + dense * cloth * folds[..., None], room)
+        light = np.where(cover[..., None], light * cloth * folds[..., None] * 1.4, light)
+        if dress in ("aside", "empty", "room"):  # flowers on the sill
+            for at in rng.uniform(0.15, 0.85, 2):
+                plant = np.hypot((u - at) / 0.07, (v - 0.10) / 0.11) + 0.3 * np.sin(40 * u) * np.sin(35 * v) < 1
+                room = np.where(plant[..., None], np.array([0.06, 0.09, 0.03]), room)
         i, j = divmod(cell, ATLAS)
         day[i * size : (i + 1) * size, j * size : (j + 1) * size] = room
         lit[i * size : (i + 1) * size, j * size : (j + 1) * size] = light
@@ -327,17 +354,35 @@ def fascias() -> Array:
 
 
 def plates() -> Array:
-    """Number plates, eight of 0.52 m by 0.11 m, one above the other."""
+    """Number plates of 0.52 m by 0.11 m, PLATE_COLUMNS side by side of eight one above the other."""
+    return np.concatenate([np.concatenate([_plate(word) for word in column]) for column in plate_words()], axis=1)
+
+
+def plate_words() -> list[list[str]]:
+    """What stands on them; no two are the same."""
+    rng = stream(0, "texture", "plates")
+    columns, known = [list(PLATES)], set(PLATES)
+    letters = np.array(list("ABCDEFGHJKLMNPRSTUVWXYZ"))
+    while len(columns) < PLATE_COLUMNS:
+        column: list[str] = []
+        while len(column) < 8:
+            place, serial = ("".join(rng.choice(letters, int(n))) for n in (rng.integers(1, 4), rng.integers(1, 3)))
+            word = f"{place} {serial} {int(rng.integers(1, 1000))}"
+            if len(word) <= 9 and word not in known and serial not in ("HJ", "KZ", "NS", "SA", "SS"):  # not issued
+                known.add(word)
+                column.append(word)
+        columns.append(column)
+    return columns
+
+
+def _plate(word: str) -> Array:
     h, w = 56, 256
-    rows = []
-    for word in PLATES:
-        mask = _lettering(word, (h, w), height=0.62, weight=0.10, left=0.12)[..., None]
-        plate = np.full((h, w, 3), 0.70) * (1 - mask) + 0.015 * mask
-        plate[:, : int(0.09 * w)] = (0.015, 0.04, 0.25)
-        plate[:3] = plate[-3:] = 0.02
-        plate[:, :3] = plate[:, -3:] = 0.02
-        rows.append(plate)
-    return np.concatenate(rows)
+    mask = _lettering(word, (h, w), height=0.62, weight=0.10, left=0.12)[..., None]
+    plate = np.full((h, w, 3), 0.70) * (1 - mask) + 0.015 * mask
+    plate[:, : int(0.09 * w)] = (0.015, 0.04, 0.25)
+    plate[:3] = plate[-3:] = 0.02
+    plate[:, :3] = plate[:, -3:] = 0.02
+    return plate
 
 
 def banners() -> Array:

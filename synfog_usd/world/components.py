@@ -5,8 +5,8 @@ advises (github.com/usd-wg/assets, asset-structure-guidelines.md):
 
 - `<name>.usda`, the interface: label, variants, lamps, thumbnail; it refers to the rest;
 - `<name>.mtl.usda`: materials, and which mesh wears which;
-- `<name>.geo.usdc`, a payload: the meshes; `<name>.low.geo.usdc` where there are fewer
-  triangles to choose, `<name>.<individual>.geo.usdc` of each further individual.
+- `<name>.geo.usdc`, a payload: the meshes; `<name>.low.geo.usdc`, `.far` and `.distant`
+  where there are fewer triangles to choose, `<name>.<individual>.geo.usdc` of each further individual.
 
 The payload leads straight to the meshes, so that variants can be chosen while they are
 not loaded.  The component stands on the ground at the origin and looks along +Y, in
@@ -66,12 +66,14 @@ class Look:
         bindings: mesh (by the material of its parts) -> material that it wears.
         lamps: lights that exist in this variant only.
         without: meshes that this variant leaves out.
+        shifts: material with `columns` -> (u, v) by which its texture is moved.
     """
 
     materials: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     bindings: Mapping[str, str] = field(default_factory=dict)
     lamps: tuple[MountedLamp, ...] = ()
     without: tuple[str, ...] = ()
+    shifts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,7 @@ class Component:
         materials: what differs from the palette, or is not in it.
         labels: Cityscapes names of meshes (by material) that differ from `label`.
         low: the same thing in fewer triangles, of the same materials; with it comes a variant set `lod` (full, low).
+        afar: the same plant in so few triangles that hundreds of it stand in a wood: further variants of `lod`.
         low_bindings: mesh -> material that it wears in fewer triangles; meshes that nothing shows may be missing there.
         individuals: others of its kind, of the same materials, by name; with them comes a variant set `individual`,
             whose 'a' is the thing itself.
@@ -103,6 +106,7 @@ class Component:
     materials: Mapping[str, Material] = field(default_factory=dict)
     labels: Mapping[str, str] = field(default_factory=dict)
     low: tuple[Part, ...] = ()
+    afar: Mapping[str, tuple[Part, ...]] = field(default_factory=dict)
     low_bindings: Mapping[str, str] = field(default_factory=dict)
     individuals: Mapping[str, Component] = field(default_factory=dict)
     textures: str = "../../textures/"
@@ -120,7 +124,7 @@ def write_component(component: Component, models: Path) -> Path:
     meshes = by_material(component.parts)
     for individual, one in (("", component), *component.individuals.items()):
         for level, file in _geometry_files(component.name, one, individual).items():
-            parts = by_material(one.low if level == "low" else one.parts)
+            parts = by_material({"full": one.parts, "low": one.low, **one.afar}[level])
             if not set(parts) <= set(meshes):
                 raise ValueError(f"{component.name}: {file} has other materials than the rest")
             write_whole(folder / file, functools.partial(_write_geometry, component, parts))
@@ -133,7 +137,8 @@ def write_component(component: Component, models: Path) -> Path:
 def _geometry_files(name: str, component: Component, individual: str = "") -> dict[str, str]:
     """Level of detail -> file of meshes."""
     stem = f"{name}.{individual}" if individual else name
-    return {"full": f"{stem}.geo.usdc"} | ({"low": f"{stem}.low.geo.usdc"} if component.low else {})
+    levels = (*(("low",) if component.low else ()), *component.afar)
+    return {"full": f"{stem}.geo.usdc"} | {level: f"{stem}.{level}.geo.usdc" for level in levels}
 
 
 def thumbnail_file(name: str) -> str:
@@ -156,7 +161,9 @@ def author_material(stage: Usd.Stage, path: Sdf.Path, material: Material, *, tex
         shader.CreateInput(name, kind).Set(value)
 
     if material.texture:
-        image = _author_image(stage, path, "Colour", textures + material.texture, "sRGB", material.colour)
+        image = _author_image(
+            stage, path, "Colour", textures + material.texture, "sRGB", material.colour, material.columns
+        )
         shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(image, "rgb")
     else:
         put("diffuseColor", Sdf.ValueTypeNames.Color3f, Gf.Vec3f(*material.colour))
@@ -353,6 +360,9 @@ def _author_look(stage: Usd.Stage, prim: Usd.Prim, look: Look) -> None:
         for key, value in inputs.items():
             kind = Sdf.ValueTypeNames.Color3f if isinstance(value, tuple) else Sdf.ValueTypeNames.Float
             shader.CreateInput(key, kind).Set(Gf.Vec3f(*value) if isinstance(value, tuple) else value)
+    for name, (u, v) in look.shifts.items():
+        place = UsdShade.Shader(stage.OverridePrim(materials.AppendChild(name).AppendChild("Place")))
+        place.CreateInput("translation", Sdf.ValueTypeNames.Float2).Set(Gf.Vec2f(u, v))
     for mesh, material in look.bindings.items():
         _bind(stage, prim, mesh, material)
     for mesh in look.without:
@@ -369,7 +379,7 @@ def _bind(stage: Usd.Stage, prim: Usd.Prim, mesh: str, material: str) -> None:
 
 
 def _author_image(
-    stage: Usd.Stage, material: Sdf.Path, name: str, file: str, space: str, factor: Colour
+    stage: Usd.Stage, material: Sdf.Path, name: str, file: str, space: str, factor: Colour, columns: int = 1
 ) -> UsdShade.ConnectableAPI:
     reader = UsdShade.Shader.Define(stage, material.AppendChild("Coordinates"))
     reader.CreateIdAttr("UsdPrimvarReader_float2")
@@ -381,7 +391,16 @@ def _author_image(
     image.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set(space)
     image.CreateInput("wrapS", Sdf.ValueTypeNames.Token).Set("repeat")
     image.CreateInput("wrapT", Sdf.ValueTypeNames.Token).Set("repeat")
-    image.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+    source = reader.ConnectableAPI()
+    if columns > 1:
+        place = UsdShade.Shader.Define(stage, material.AppendChild("Place"))
+        place.CreateIdAttr("UsdTransform2d")
+        place.CreateInput("in", Sdf.ValueTypeNames.Float2).ConnectToSource(source, "result")
+        place.CreateInput("scale", Sdf.ValueTypeNames.Float2).Set(Gf.Vec2f(1.0 / columns, 1.0))
+        place.CreateInput("translation", Sdf.ValueTypeNames.Float2).Set(Gf.Vec2f(0.0, 0.0))
+        place.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        source = place.ConnectableAPI()
+    image.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(source, "result")
     if factor != (1.0, 1.0, 1.0):
         image.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*factor, 1.0))
     image.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)

@@ -22,7 +22,6 @@ WORTH = 3000
 """Triangles above which a model comes in two levels of detail."""
 SLIVER_M2 = 1e-9
 SHARES = (0.15, 0.25, 0.4, 0.6)
-LEAVES = ("leaf_", "needle")
 INSIDE = ("cabin_dark", "cabin_grey", "seat_cloth", "driver_skin", "driver_hair", "driver_coat")
 """What is seen through glass only; far away the glass is dark and nothing is behind it, which saves rays as well."""
 DARK_GLASS = {"glass_clear": "glass_car"}
@@ -33,8 +32,11 @@ CLEANED = ("paint", "gloss_black", "black_plastic", "seam", "cabin_dark", "cabin
 """What is cut out of skins, all of it without pictures; wheels, seats and glass are not."""
 SKEW = 0.6
 """Cosine between a face and a normal below which there is a crease."""
-KEPT_LEAVES = 3
-"""One leaf in so many is kept, and larger, so that the crown covers as much."""
+KEPT = {"leaf_": (4, 12, 40), "needle": (3, 6, 14)}
+"""One leaf in so many is kept at the levels `low`, `far` and `distant`, and larger, so that as much is covered."""
+LEAVES = tuple(KEPT)
+FINE = ("twig",)
+"""What is thinner than a tenth of a pixel beyond 60 m, among leaves: the levels `far` and `distant` have none of it."""
 
 
 def with_low(component: Component, limit_m: float = LIMIT_M) -> Component:
@@ -51,7 +53,7 @@ def with_low(component: Component, limit_m: float = LIMIT_M) -> Component:
     low = simplified(outside, limit_m, {**PALETTE, **component.materials})
     dark = DARK_GLASS if len(outside) < len(component.parts) else {}
     return (
-        replace(component, low=low, low_bindings=dark)
+        replace(component, low=low, low_bindings=dark, afar=_afar(component, low))
         if sum(len(p.faces) for p in low) < 0.75 * component.triangles()
         else component
     )
@@ -147,7 +149,7 @@ def _welded(part: Part) -> tuple[Array, Index]:
 
 def _simplified(part: Part, limit_m: float, look: Material) -> Part:
     if part.material.startswith(LEAVES):
-        return _fewer_leaves(part)
+        return _fewer_leaves(part, _kept(part)[0])
     if look.texture or look.gloss or len(part.faces) < 150:
         return part  # pictures stay where they are
     points, faces = _welded(part)
@@ -158,10 +160,29 @@ def _simplified(part: Part, limit_m: float, look: Material) -> Part:
     return part
 
 
-def _fewer_leaves(part: Part) -> Part:
-    corners = part.points[part.faces.reshape(-1, 6)[:, [0, 1, 2, 5]]][::KEPT_LEAVES]
+def _afar(component: Component, low: Sequence[Part]) -> dict[str, tuple[Part, ...]]:
+    """A plant for woods of hundreds: stem and boughs of its level `low`, and few large leaves; nothing for other
+    things.
+    """
+    leaves = [part for part in by_material(component.parts).values() if part.material.startswith(LEAVES)]
+    if component.label != "vegetation" or not leaves:
+        return {}
+    stem = [part for part in low if not part.material.startswith(LEAVES) and part.material not in FINE]
+    return {
+        level: (*stem, *(_fewer_leaves(part, _kept(part)[number]) for part in leaves))
+        for number, level in enumerate(("far", "distant"), 1)
+    }
+
+
+def _kept(part: Part) -> tuple[int, ...]:
+    return next(kept for begin, kept in KEPT.items() if part.material.startswith(begin))
+
+
+def _fewer_leaves(part: Part, kept: int) -> Part:
+    """One leaf in `kept`, larger by its root: so it covers as much."""
+    corners = part.points[part.faces.reshape(-1, 6)[:, [0, 1, 2, 5]]][::kept]
     middle = corners.mean(axis=1, keepdims=True)
-    larger = middle + (corners - middle) * np.sqrt(KEPT_LEAVES)
+    larger = middle + (corners - middle) * np.sqrt(kept)
     first = 4 * np.arange(len(larger))[:, None]
     faces = (first + np.array([0, 1, 2, 0, 2, 3])).reshape(-1, 3)
     return join([Part(larger.reshape(-1, 3), faces, part.material)])

@@ -32,6 +32,8 @@ class Material:
         emission_texture: file name, or ''.
         opacity: the share of light that meets it, as UsdPreviewSurface's opacityMode 'presence' says; the rest goes
             straight on, see `glass_clear`.
+        columns: of a texture that lies side by side, of which a mesh with u from 0 to 1 shows one; a variant may choose
+            another.
         spectrum: name in `spectra.TABLE`, 'paint', or ''; counts where paths carry wavelength bands.
     """
 
@@ -47,6 +49,7 @@ class Material:
     opacity: float = 1.0
     gloss_factor: float = 1.0
     spectrum: str = ""
+    columns: int = 1
 
 
 WHITE = (1.0, 1.0, 1.0)
@@ -74,14 +77,16 @@ PALETTE: dict[str, Material] = {
     "tyre": Material((0.018, 0.018, 0.019), 0.75),
     "rim": Material((0.55, 0.56, 0.58), 0.28, 1.0),
     "brake": Material((0.2, 0.19, 0.18), 0.45, 1.0),
-    "paint": Material((0.3, 0.3, 0.3), 0.38, clearcoat=1.0),
+    # the lacquer: one smooth surface over a diffuse ground mirrors sky and houses as a clear coat does
+    "paint": Material((0.3, 0.3, 0.3), 0.12),
     "black_plastic": Material((0.02, 0.02, 0.021), 0.55),
     "gloss_black": Material((0.012, 0.012, 0.013), 0.08),
     "seam": Material((0.008, 0.008, 0.008), 0.7),
-    "glass_car": Material((0.012, 0.014, 0.015), 0.03, ior=1.52),
-    # clear panes: an opacity takes its share of the reflection too, so the index is raised until 4.3 % come back along
-    # the normal as from glass
-    "glass_clear": Material((0.012, 0.015, 0.015), 0.03, ior=2.08, opacity=0.35),
+    # panes have two faces, and double glazing four: their index is that of one surface that sends back as much, 8 and
+    # 15 % along the normal
+    "glass_car": Material((0.012, 0.014, 0.015), 0.03, ior=1.80),
+    # clear panes: an opacity takes its share of the reflection too, so the index is raised further
+    "glass_clear": Material((0.012, 0.015, 0.015), 0.03, ior=2.83, opacity=0.35),
     "cabin_dark": Material((0.035, 0.036, 0.038), 0.8),
     "cabin_grey": Material((0.11, 0.11, 0.112), 0.9),
     "seat_cloth": Material((0.055, 0.057, 0.062), 0.95),
@@ -99,7 +104,7 @@ PALETTE: dict[str, Material] = {
     "taxi_sign": Material((0.62, 0.42, 0.04), 0.3),
     "plate_blank": Material((0.62, 0.62, 0.60), 0.35),
     "engine": Material((0.10, 0.10, 0.105), 0.4, 0.6),
-    "plate": Material(WHITE, texture="plates.png", roughness=0.35),
+    "plate": Material(WHITE, texture="plates.png", roughness=0.35, columns=8),
     "banner": Material(WHITE, texture="banners.png", roughness=0.4),
     # metal and street furniture
     "pole": Material((0.09, 0.10, 0.10), 0.42),
@@ -143,8 +148,8 @@ PALETTE: dict[str, Material] = {
     "zinc": Material((0.22, 0.24, 0.26), 0.4, 0.4),
     "pot": Material((0.26, 0.11, 0.065), 0.8),
     "roof_flat": Material((0.13, 0.13, 0.13), 0.9),
-    "window": Material(WHITE, texture="windows.jpg", roughness=0.035, ior=1.52),
-    "shop_glass": Material(WHITE, texture="shops.jpg", roughness=0.03, ior=1.52),
+    "window": Material(WHITE, texture="windows.jpg", roughness=0.035, ior=2.26),
+    "shop_glass": Material(WHITE, texture="shops.jpg", roughness=0.03, ior=1.80),
     "frame_white": Material((0.66, 0.66, 0.63), 0.4),
     "frame_dark": Material((0.035, 0.036, 0.038), 0.4),
     "frame_green": Material((0.03, 0.07, 0.05), 0.4),
@@ -163,12 +168,13 @@ PALETTE: dict[str, Material] = {
     # plants
     "bark": Material(WHITE, texture="bark.jpg", roughness=0.9),
     "twig": Material((0.055, 0.042, 0.032), 0.9),
-    "leaf_green": Material((0.055, 0.10, 0.022), 0.6),
-    "leaf_olive": Material((0.12, 0.125, 0.025), 0.6),
+    # leaves and needles are opaque here: what a real crown lets through as well as sends back is in these
+    "leaf_green": Material((0.080, 0.145, 0.030), 0.6),
+    "leaf_olive": Material((0.150, 0.160, 0.033), 0.6),
     "leaf_gold": Material((0.33, 0.20, 0.025), 0.65),
     "leaf_rust": Material((0.22, 0.075, 0.02), 0.7),
-    "needle": Material((0.020, 0.045, 0.020), 0.65),
-    "needle_young": Material((0.040, 0.075, 0.028), 0.65),
+    "needle": Material((0.028, 0.062, 0.026), 0.65),
+    "needle_young": Material((0.052, 0.098, 0.036), 0.65),
     "bark_birch": Material((3.4, 3.35, 3.2), texture="bark.jpg", roughness=0.8),
     "hedge": Material((0.032, 0.06, 0.018), 0.7),
     # people

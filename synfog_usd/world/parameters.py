@@ -28,6 +28,7 @@ from synfog_usd.world.language import (
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.asphalt import KINDS as KINDS_OF_ASPHALT
 from synfog_usd.world.roads.asphalt import WETNESS
+from synfog_usd.world.roads.horizon import KINDS as HORIZONS
 from synfog_usd.world.roads.lane_section import DRIVEN, KINDS
 from synfog_usd.world.roads.roundabout_markings import GIVE_WAY
 from synfog_usd.world.skies import skies
@@ -98,6 +99,9 @@ LAND: dict[str, Parameter] = {
     "land.hills_m": Continuous(0.0, 40.0, 0.0, "height of the hills around [m]"),
     "land.trees": Continuous(0, 600, 120, "distant trees", whole=True),
     "land.trees_from_m": Continuous(20.0, 200.0, 60.0, "least distance of distant trees from the road [m]"),
+    "land.horizon": Categorical(
+        HORIZONS, "country", "what closes the view: fields, woods and villages, or a town; and a skyline by seed"
+    ),
     "land.grass": Categorical(("tufts", "none"), "tufts", "tall grass where the camera is near"),
 }
 SURFACE: dict[str, Parameter] = {

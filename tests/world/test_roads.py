@@ -21,7 +21,7 @@ from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import RecipeError
 from synfog_usd.world import language
 from synfog_usd.world.compose import compose, draw, load
-from synfog_usd.world.roads import land, markings, rules, surface, traffic
+from synfog_usd.world.roads import horizon, land, markings, rules, surface, traffic
 from synfog_usd.world.roads.lane_section import KERB_M, LaneSection
 from synfog_usd.world.roads.network import Land, Road
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
@@ -108,9 +108,17 @@ def check(name, seed):
     return tuple((p.asset, p.x, p.y) for p in world.placed), road.reference_line.curvature, road.lane_section
 
 
+def beyond(road):
+    """Its horizon."""
+    return horizon.Horizon(3, "country", road.height, functools.partial(land.away, road))
+
+
 def mesh_triangles(road, seed=0, beside=False):
     """(N, 3, 3) triangles of the ground of a road, and of the land beside it."""
-    parts = [*itertools.chain(*surface.surface(road, seed=seed).values()), *(land.land(road) if beside else ())]
+    parts = [
+        *itertools.chain(*surface.surface(road, seed=seed).values()),
+        *(land.land(road, beyond(road)) if beside else ()),
+    ]
     return np.concatenate(
         [p.points[p.faces] for p in parts if p.material not in ("tar", "iron", "asphalt_patch", "asphalt_old", "kerb")]
     )

@@ -19,7 +19,7 @@ from support.sight import model as shape
 from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import RecipeError
 from synfog_usd.world.compose import compose, draw, load
-from synfog_usd.world.roads import roundabout_markings, roundabout_surface
+from synfog_usd.world.roads import horizon, roundabout_markings, roundabout_surface
 from synfog_usd.world.roads.lane_section import KERB_M
 from synfog_usd.world.roads.network import Land
 from synfog_usd.world.roads.reference_line import ReferenceLine
@@ -60,7 +60,9 @@ def plain(radius=18.0, corner_m=15.0, headings=(180.0, 250.0, 5.0, 95.0), apron=
 def ground_triangles(junction, beside=True):
     """(N, 3, 3) triangles of a roundabout's ground."""
     parts = itertools.chain(*roundabout_surface.surface(junction).values())
-    parts = [part for part in parts if part.material in NEW] + ([roundabout_surface.ground(junction)] if beside else [])
+    beyond = horizon.Horizon(3, "country", junction.height, lambda x, y: junction.across(x, y)[0])
+    land = roundabout_surface.ground(junction, beyond) if beside else []
+    parts = [*(part for part in parts if part.material in NEW), *land]
     return np.concatenate([part.points[part.faces] for part in parts])
 
 

@@ -6,38 +6,22 @@ each other where they overlap.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from synfog_usd.seeds import stream
-from synfog_usd.world.roads.network import BEHIND_WALL_M, Road
+from synfog_usd.world.roads.horizon import LAND_M, Horizon, Scatter, mixture
+from synfog_usd.world.roads.network import BEHIND_WALL_M, RIVER, Road
 from synfog_usd.world.roads.surface import GRASS_TILE_M, stations
-from synfog_usd.world.shapes import Array, Part, by_material, shift, strip, tube
-from synfog_usd.world.shapes import scale as scaled
+from synfog_usd.world.shapes import Array, Part, strip
 
-FAR_M = 1600.0
 NEAR_M = 60.0
 OUT_M = (0.0, 0.7, 1.6, 3.5, 7.0, 12.0, 20.0, 32.0, 45.0, 60.0)
 SUNK_M = 0.6
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """Many of the same: one prototype, and where it stands.
-
-    Attributes:
-        name, label: of the prim.
-        parts: of the prototype.
-        points: (N, 3) [m]; turns: (N,) degrees; sizes: (N,) scale.
-    """
-
-    name: str
-    label: str
-    parts: tuple[Part, ...]
-    points: Array
-    turns: Array
-    sizes: Array
+RIVER_M, WATER_M = 420.0, 0.3
+GROWTH = 1.12
+"""Of the open land's cells, one to the next."""
 
 
 def reach(road: Road) -> float:
@@ -45,9 +29,15 @@ def reach(road: Road) -> float:
     return min(NEAR_M, 0.75 * road.reference_line.tightest - max(road.lane_section.high, -road.lane_section.low))
 
 
-def land(road: Road) -> list[Part]:
+def land(road: Road, horizon: Horizon) -> list[Part]:
     """Strips on both sides, and the open land."""
-    return [*_beside(road), _open(road)]
+    return [*_beside(road), *_open(road, horizon)]
+
+
+def away(road: Road, x: Array, y: Array) -> Array:
+    """How far places are from the road's edges, or beyond its ends [m]."""
+    _, t = road.reference_line.nearest(x, y)
+    return np.maximum(t - road.lane_section.high, road.lane_section.low - t)
 
 
 def _along(road: Road) -> Array:
@@ -81,37 +71,56 @@ def _beside(road: Road) -> list[Part]:
     return parts
 
 
-def _open(road: Road) -> Part:
+def _open(road: Road, horizon: Horizon) -> list[Part]:
     """A net that is finer near the road; without the cells that the strips cover."""
     s = np.linspace(0, road.reference_line.length, 200)
     x, y = road.reference_line.place(s, 0.0)
     axes = []
-    for values in (x, y):
+    for number, values in enumerate((x, y)):
         low, high = float(values.min()) - 90.0, float(values.max()) + 90.0
         middle = np.linspace(low, high, int((high - low) / 15.0) + 2)
-        steps = np.cumsum(18.0 * 1.35 ** np.arange(24))
-        steps = steps[steps < FAR_M]
-        axes.append(np.concatenate([low - steps[::-1], middle, high + steps]))
+        steps = np.cumsum(18.0 * GROWTH ** np.arange(60))
+        steps = steps[steps < LAND_M]
+        axes.append(horizon.snapped(np.concatenate([low - steps[::-1], middle, high + steps]), number))
     gx, gy = np.meshgrid(*axes)
     at, t = road.reference_line.nearest(gx, gy)
-    z = road.ground(at, t)
     beside = (at > 0.5) & (at < road.reference_line.length - 0.5)
-    away = np.maximum(t - road.lane_section.high, road.lane_section.low - t)
-    z = z - SUNK_M * np.clip((reach(road) + 30.0 - away) / 30.0, 0.0, 1.0)
-    covered = beside & (away < reach(road) - 1.0)
+    out = np.maximum(t - road.lane_section.high, road.lane_section.low - t)
+    z = road.ground(at, t) + horizon.relief(gx, gy, out)
+    z = z - SUNK_M * np.clip((reach(road) + 30.0 - out) / 30.0, 0.0, 1.0)
+    covered = beside & (out < reach(road) - 1.0)
     points = np.stack([gx, gy, z], axis=-1)
     part = strip(list(points), "grass", uv=list(points[..., :2] / GRASS_TILE_M))
-    keep = ~covered.ravel()[part.faces].all(axis=1)
-    used, faces = np.unique(part.faces[keep], return_inverse=True)
-    assert part.uv is not None
-    return Part(part.points[used], faces.reshape(-1, 3), "grass", part.uv[used])
+    along, across = np.gradient(z, axes[1], axes[0])
+    normals = np.stack([-across, -along, np.ones_like(z)], axis=-1).reshape(-1, 3)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return horizon.sown(part, normals, ~covered.ravel()[part.faces].all(axis=1))
+
+
+def river(road: Road, horizon: Horizon) -> Part:
+    """The water at the bottom of the valley, as far as one sees along it."""
+    assert road.land.valley is not None
+    a, b, _ = road.land.valley
+    t = np.linspace(-RIVER_M, RIVER_M, 41)
+    middle = (a + b) / 2 + 0.06 * (b - a) * np.sin(t / 55.0)
+    half = 0.5 * RIVER * (b - a) * (1 + 0.12 * np.sin(t / 17.0))
+    loops = []
+    for side in (-1, 1):
+        x, y = road.reference_line.place(middle + side * half, t)
+        z = road.valley_floor + WATER_M + horizon.relief(x, y, away(road, x, y))
+        loops.append(np.c_[x, y, z])
+    part = strip(loops, "water")
+    up = np.cross(*(part.points[part.faces[0, 1:]] - part.points[part.faces[0, 0]]))[2] > 0
+    return part if up else replace(part, faces=part.faces[:, ::-1])
 
 
 def wood(road: Road, *, seed: int, count: int, nearest_m: float) -> Scatter:
-    """Trees in the distance, in groups: crowns of lumps, seen from beyond 60 m."""
+    """Trees in the distance, in groups of mostly one kind."""
     rng = stream(seed, "land", "wood")
     points: list[tuple[float, float, float]] = []
     sizes: list[float] = []
+    which: list[int] = []
+    models = mixture(seed)
     for _ in range(60):
         if len(points) >= count:
             break
@@ -123,34 +132,24 @@ def wood(road: Road, *, seed: int, count: int, nearest_m: float) -> Scatter:
         dx, dy = rng.normal(0, 14, n), rng.normal(0, 14, n)
         at, t = road.reference_line.nearest(cx + dx, cy + dy)
         clear = np.maximum(t - road.lane_section.high, road.lane_section.low - t) > nearest_m * 0.8
+        clear &= ~road.flooded(cx + dx, cy + dy)
         height = road.ground(at, t)
-        big = rng.uniform(0.75, 1.35, n)
+        big = rng.uniform(0.6, 1.15, n)
+        kind = np.where(rng.random(n) < 0.6, rng.integers(len(models)), rng.integers(len(models), size=n))
         for i in np.flatnonzero(clear):
             points.append((float(cx + dx[i]), float(cy + dy[i]), float(height[i]) - 0.1))
             sizes.append(float(big[i]))
+            which.append(int(kind[i]))
     return Scatter(
         "Wood",
         "vegetation",
-        distant_tree(),
+        (),
         np.array(points).reshape(-1, 3),
         rng.uniform(0, 360, len(points)),
         np.array(sizes),
+        models,
+        np.array(which, dtype=np.int64),
     )
-
-
-def distant_tree() -> tuple[Part, ...]:
-    """A trunk and lumps of leaves in three greens, about 800 triangles."""
-    rng = stream(0, "land", "tree")
-    parts: list[Part] = [tube([(0, 0, -0.3), (0.1, 0, 2.5), (0, 0.1, 6.0)], [0.28, 0.22, 0.1], "bark", sides=6)]
-    for k in range(11):
-        angle, high = rng.uniform(0, 2 * np.pi), rng.uniform(3.6, 9.0)
-        away = rng.uniform(0.3, 2.3) * (1.0 - abs(high - 5.6) / 6.5)
-        size = rng.uniform(1.3, 2.1) * (1.0 if high < 7.5 else 0.75)
-        leaves = lump(rng, ("leaf_green", "hedge", "leaf_olive")[k % 3])
-        parts.append(
-            leaves.moved(shift(away * np.cos(angle), away * np.sin(angle), high) @ scaled(size, size, 0.8 * size))
-        )
-    return tuple(by_material(parts).values())
 
 
 def lump(rng: np.random.Generator, material: str) -> Part:

@@ -21,6 +21,8 @@ from synfog_usd.world.roads.reference_line import ReferenceLine
 BLEND_M = 55.0
 """Over which the land leaves the height of the road."""
 WAVES = 9
+VALLEY_SIDE_M, VALLEY_SIDES, RIVER = 14.0, 0.3, 0.22
+"""A valley's slopes are so long at least, or this share of its length; its river is so broad a share."""
 BEHIND_WALL_M = 0.35
 CUTTING_M = 8.5
 AT_PORTAL = 0.55
@@ -106,10 +108,10 @@ class Road:
         share = share * share * (3 - 2 * share)
         result = edge + share * (self.hills(x, y) - edge)
         if self.land.valley:
-            a, b, depth = self.land.valley
-            inside = np.clip(np.minimum(s - a, b - s) / 14.0, 0.0, 1.0)
-            across = np.clip(out / 1.5, 0.0, 1.0)
-            result = result - depth * inside * inside * (3 - 2 * inside) * across
+            a, b, _ = self.land.valley
+            inside = np.clip(np.minimum(s - a, b - s) / max(VALLEY_SIDE_M, VALLEY_SIDES * (b - a)), 0.0, 1.0)
+            share = inside * inside * (3 - 2 * inside) * np.clip(out / 1.5, 0.0, 1.0)
+            result = result + share * (self.valley_floor - result)
         if self.land.hill:
             begin, high = self.land.hill[0] + BEHIND_WALL_M, self.land.hill[1]
             cutting = np.clip(out / CUTTING_M, 0.0, 1.0) * np.clip((s - begin + 70.0) / 70.0, 0.0, 1.0)
@@ -117,6 +119,21 @@ class Road:
                 s < begin, AT_PORTAL * cutting, np.clip(AT_PORTAL + (s - begin) / 90.0, 0.0, 1.0)
             )
         return result
+
+    @cached_property
+    def valley_floor(self) -> float:
+        """Height of the level bottom of the valley that the road bridges [m]."""
+        assert self.land.valley is not None
+        a, b, depth = self.land.valley
+        return float(self.reference_line.height((a + b) / 2)) - depth
+
+    def flooded(self, x: Array, y: Array) -> npt.NDArray[np.bool_]:
+        """Whether places lie in the river at the bottom of the valley, or a few steps from it."""
+        if self.land.valley is None:
+            return np.zeros(np.shape(x), dtype=bool)
+        a, b, _ = self.land.valley
+        s, _ = self.reference_line.nearest(x, y)
+        return np.asarray(np.abs(s - (a + b) / 2) < 0.7 * RIVER * (b - a))
 
     def hills(self, x: Array, y: Array) -> Array:
         """Height of the open land [m]: a few long waves."""

@@ -88,11 +88,11 @@ def assembled(
 ) -> WorldSpec:
     """The world of a road and what stands at it, with sky, fog and the lamps that are lights."""
     heading = round(value("sky.heading_deg"), 1)
-    placed = [_coarser(p, view) for p in _lit(placements, view)]
+    placed = plated(numbered([_coarser(p, view) for p in _lit(placements, view)]), seed)
     fogs = recipe.fog_variants(seed)
     return WorldSpec(
         about=f"{recipe.about} Drawn from {recipe.name} with seed {seed}.",
-        placed=tuple(numbered(placed)),
+        placed=tuple(placed),
         view=view,
         fog=fogs,
         fog_selected=list(fogs)[len(fogs) // 2],
@@ -107,10 +107,23 @@ def assembled(
             "trees": value("land.trees"),
             "trees_from_m": value("land.trees_from_m"),
             "grass": value("land.grass"),
+            "horizon": value("land.horizon"),
             "headlights": value("camera.headlights"),
             "asphalt": Asphalt(value("road.asphalt"), "wet" if value("sky.day") == "rain" else value("road.wet")),
         },
     )
+
+
+def plated(placed: Sequence[Placement], seed: int) -> list[Placement]:
+    """With a number plate for each vehicle that has one."""
+    rng = stream(seed, "recipe", "plates")
+    result = []
+    for p in placed:
+        choices = rules.model(p.asset).variants.get("plate", ())
+        if choices:
+            p = replace(p, variants={**p.variants, "plate": choices[int(rng.integers(len(choices)))]})
+        result.append(p)
+    return result
 
 
 def _rig(kind: str, baseline_m: float, view: View) -> tuple[RigCamera, ...]:

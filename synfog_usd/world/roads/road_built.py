@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 
-from synfog_usd.world.roads import land, markings, structures, surface, works
+from synfog_usd.world.roads import horizon, land, markings, structures, surface, works
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.structures import Built, Instanced, LitPanes
 from synfog_usd.world.spec import Placement, View, WorldSpec
@@ -28,7 +29,7 @@ def built(spec: WorldSpec, road: Road) -> list[Built]:
     names = {"road": "Carriageway", "sidewalk": "Pavement", "terrain": "Verges"}
     made = [Built(names[key], key, tuple(found)) for key, found in parts.items()]
     made.append(Built("Markings", "road", tuple(markings.markings(road))))
-    made.append(Built("Land", "terrain", tuple(land.land(road))))
+    made.append(Built("Land", "terrain", tuple(land.land(road, _horizon(spec, road)))))
     rails = spec.built.get("rails", "none")
     end = road.reference_line.length if road.land.hill is None else road.land.hill[0] - 0.3
     if rails in ("outer", "all"):
@@ -45,9 +46,21 @@ def built(spec: WorldSpec, road: Road) -> list[Built]:
         made.append(works.built(road, spec.built["works"]))
     if road.land.valley:
         made += structures.bridge(road)
+        made.append(Built("River", "terrain", (land.river(road, _horizon(spec, road)),)))
     if road.land.hill:
         made += structures.tunnel(road)
     return made
+
+
+def _horizon(spec: WorldSpec, road: Road) -> horizon.Horizon:
+    return horizon.Horizon(
+        spec.scatter,
+        spec.built["horizon"],
+        road.height,
+        functools.partial(land.away, road),
+        (spec.view.x, spec.view.y, spec.view.heading),
+        road.flooded,
+    )
 
 
 def _soft(road: Road, side: int) -> float:
@@ -58,10 +71,11 @@ def _soft(road: Road, side: int) -> float:
     return verges[-1].low + 0.6 if side > 0 else verges[0].high - 0.6
 
 
-def scatters(spec: WorldSpec, road: Road) -> Sequence[land.Scatter | None]:
-    """Woods far away, and tall grass where the camera is near."""
-    found: list[land.Scatter | None] = [
-        land.wood(road, seed=spec.scatter, count=spec.built["trees"], nearest_m=spec.built["trees_from_m"])
+def scatters(spec: WorldSpec, road: Road) -> Sequence[horizon.Scatter | None]:
+    """Woods, what stands at the horizon, and tall grass where the camera is near."""
+    found: list[horizon.Scatter | None] = [
+        land.wood(road, seed=spec.scatter, count=spec.built["trees"], nearest_m=spec.built["trees_from_m"]),
+        *_horizon(spec, road).scatters(),
     ]
     station = spec.built["station"]
     if spec.built["grass"] == "tufts":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from synfog_usd.world.roads import roundabout_markings, roundabout_surface
-from synfog_usd.world.roads.land import Scatter
+from synfog_usd.world.roads.horizon import Horizon, Scatter
 from synfog_usd.world.roads.road_built import PANES as PANES
 from synfog_usd.world.roads.road_built import instanced as instanced
 from synfog_usd.world.roads.roundabout import Roundabout
@@ -26,13 +26,24 @@ def built(spec: WorldSpec, junction: Roundabout) -> list[Built]:
         *roundabout_markings.worn(junction, seed=spec.scatter),
     ]
     made.append(Built("Markings", "road", tuple(painted)))
-    made.append(Built("Land", "terrain", (roundabout_surface.ground(junction),)))
+    made.append(Built("Land", "terrain", tuple(roundabout_surface.ground(junction, _horizon(spec, junction)))))
     return [*made, *roundabout_markings.signs(junction)]
 
 
+def _horizon(spec: WorldSpec, junction: Roundabout) -> Horizon:
+    view = spec.view
+    return Horizon(
+        spec.scatter,
+        spec.built["horizon"],
+        junction.height,
+        lambda x, y: junction.across(x, y)[0],
+        (view.x, view.y, view.heading),
+    )
+
+
 def scatters(spec: WorldSpec, junction: Roundabout) -> list[Scatter]:
-    """Woods, shrubs and tall grass."""
-    return roundabout_surface.sown(
+    """Woods, what stands at the horizon, shrubs and tall grass."""
+    sown = roundabout_surface.sown(
         junction,
         seed=spec.scatter,
         trees=spec.built["trees"],
@@ -41,3 +52,4 @@ def scatters(spec: WorldSpec, junction: Roundabout) -> list[Scatter]:
         tufts_per_m2=TUFTS_PER_M2 if spec.built["grass"] == "tufts" else 0.0,
         within_m=TUFTS_M,
     )
+    return [*sown, *_horizon(spec, junction).scatters()]

@@ -17,7 +17,8 @@ from synfog_usd.seeds import seed32, stream
 from synfog_usd.world.materials import LANE_TEXTURE_HALF_M, LANE_TEXTURE_LANE_M, LANE_TEXTURE_LENGTH_M, Material
 from synfog_usd.world.roads import land
 from synfog_usd.world.roads.asphalt import Asphalt, puddles
-from synfog_usd.world.roads.land import FAR_M, Scatter
+from synfog_usd.world.roads.horizon import LAND_M as FAR_M
+from synfog_usd.world.roads.horizon import Horizon, Scatter, mixture
 from synfog_usd.world.roads.lane_section import KERB_M
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.roundabout import (
@@ -260,7 +261,7 @@ def _behind(junction: Roundabout, out: float, step: float) -> Array:
     return points[u > junction.pavement + 0.93 * out]
 
 
-def ground(junction: Roundabout) -> Part:
+def ground(junction: Roundabout, horizon: Horizon) -> list[Part]:
     """Grass from the pavements to the horizon: triangles between points that lie closer together near the road."""
     line = junction.outline
     seam = []
@@ -285,10 +286,10 @@ def ground(junction: Roundabout) -> Part:
     grid = grid[u > junction.pavement + GRID_FROM_M]
     far = []
     radius = 1.45 * reach
-    while radius < FAR_M * 1.2:
-        angle = np.linspace(0, 2 * np.pi, 56, endpoint=False) + radius
+    while radius < FAR_M * 1.1:
+        angle = np.linspace(0, 2 * np.pi, 80, endpoint=False) + radius
         far.append(radius * np.c_[np.cos(angle), np.sin(angle)])
-        radius *= 1.3
+        radius *= 1.15
     points = np.concatenate([*seam, *ends, *rows, grid, *far])
     fixed = sum(len(p) for p in seam)
     faces = spatial.Delaunay(points).simplices.astype(np.int64)
@@ -299,9 +300,9 @@ def ground(junction: Roundabout) -> Part:
     u, _ = junction.across(middle[:, 0], middle[:, 1])
     faces = faces[(u > junction.pavement) & (np.abs(area) > 1e-6)]
     u, _ = junction.across(points[:, 0], points[:, 1])
-    z = junction.open_land(points[:, 0], points[:, 1], u)
+    z = junction.open_land(points[:, 0], points[:, 1], u) + horizon.relief(points[:, 0], points[:, 1], u)
     z[:fixed] = LAND_M
-    return _flat(Part(np.c_[points, z], faces, "grass"), GRASS_TILE_M)
+    return horizon.sown(_flat(Part(np.c_[points, z], faces, "grass"), GRASS_TILE_M))
 
 
 # -- plants that are sown
@@ -346,13 +347,16 @@ def _wood(junction: Roundabout, seed: int, count: int, nearest_m: float) -> Scat
     if not len(points):
         return None
     z = junction.height(points[:, 0], points[:, 1]) - 0.25
+    models = mixture(seed)
     return Scatter(
         "Wood",
         "vegetation",
-        land.distant_tree(),
+        (),
         np.c_[points, z],
         rng.uniform(0, 360, len(points)),
-        rng.uniform(0.75, 1.35, len(points)),
+        rng.uniform(0.6, 1.15, len(points)),
+        models,
+        rng.integers(len(models), size=len(points)),
     )
 
 

@@ -21,7 +21,7 @@ from synfog_usd.world import authoring, lamps
 from synfog_usd.world.components import author_material, author_mesh, label, new_stage
 from synfog_usd.world.library import nominal
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.roads import asphalt, crossing_built, land, road_built, roundabout_built
+from synfog_usd.world.roads import asphalt, crossing_built, horizon, road_built, roundabout_built
 from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.roundabout import Roundabout
@@ -39,6 +39,7 @@ LOOKS: dict[str, Material] = {
     "board_white": Material((0.75, 0.75, 0.74), 0.4),
     **roundabout_built.LOOKS,
     **asphalt.LOOKS,
+    **horizon.LOOKS,
 }
 """Materials of what only roads have; tunnel lamps of 9 000 cd m-2, as LED luminaires of tunnels have."""
 LIT_LOOK = {"window": ("Windows", "windows_lit.jpg", 55.0), "shop_glass": ("Shops", "shops_lit.jpg", 160.0)}
@@ -112,7 +113,7 @@ def _author_built(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
         for name, part in by_material(thing.parts).items():
             bind(author_mesh(stage, prim.GetPath().AppendChild(name), _small(part)).GetPrim(), name)
     for scatter in sown:
-        _author_scatter(stage, scatter, bind)
+        _author_scatter(stage, scatter, bind, assets)
 
 
 def _small(part: Part) -> Part:
@@ -126,17 +127,27 @@ def _small(part: Part) -> Part:
     )
 
 
-def _author_scatter(stage: Usd.Stage, scatter: land.Scatter, bind: object) -> None:
+def _author_scatter(stage: Usd.Stage, scatter: horizon.Scatter, bind: object, assets: str) -> None:
     path = f"/World/Road/{scatter.name}"
     instancer = UsdGeom.PointInstancer.Define(stage, path)
     UsdGeom.Scope.Define(stage, f"{path}/Prototypes")
-    prototype = UsdGeom.Xform.Define(stage, f"{path}/Prototypes/One")
-    for part in scatter.parts:
-        mesh = author_mesh(stage, prototype.GetPath().AppendChild(part.material), part)
-        bind(mesh.GetPrim(), part.material)  # type: ignore[operator]
-    instancer.CreatePrototypesRel().SetTargets([prototype.GetPath()])
     n = len(scatter.points)
-    instancer.CreateProtoIndicesAttr(Vt.IntArray([0] * n))
+    which = np.zeros(n, dtype=np.int64) if scatter.which is None else scatter.which
+    targets = []
+    if scatter.parts:
+        prototype = UsdGeom.Xform.Define(stage, f"{path}/Prototypes/One")
+        for part in scatter.parts:
+            mesh = author_mesh(stage, prototype.GetPath().AppendChild(part.material), part)
+            bind(mesh.GetPrim(), part.material)  # type: ignore[operator]
+        targets.append(prototype.GetPath())
+    for number, (asset, variants) in enumerate(scatter.models, 1):
+        prim = stage.DefinePrim(f"{path}/Prototypes/{asset.title()}_{number}", "Xform")
+        for name, choice in variants.items():
+            prim.GetVariantSets().GetVariantSet(name).SetVariantSelection(choice)
+        prim.GetReferences().AddReference(f"{assets}/models/{asset}/{asset}.usda")
+        targets.append(prim.GetPath())
+    instancer.CreatePrototypesRel().SetTargets(targets)
+    instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(which.astype(np.int32)))
     instancer.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(np.round(scatter.points, 3).astype(np.float32)))
     half = np.deg2rad(scatter.turns) / 2
     instancer.CreateOrientationsAttr(

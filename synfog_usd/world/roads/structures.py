@@ -151,7 +151,7 @@ def bridge(road: Road) -> list[Built]:
     for s in np.linspace(low, high, max(3, round((high - low) / 28.0)) + 1)[1:-1]:
         deck.append(
             bend(
-                soft_box((left + 2.0, s - 0.7, -depth - 2.0), (right - 2.0, s + 0.7, -1.85), "concrete", radius=0.4),
+                soft_box((left + 2.0, s - 0.7, -depth - 7.0), (right - 2.0, s + 0.7, -1.85), "concrete", radius=0.4),
                 road,
             )
         )

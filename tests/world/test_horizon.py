@@ -1,0 +1,106 @@
+"""What closes the view of drawn worlds: hills, fields, woods, houses and a skyline; a river under the bridge; plates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from synfog_usd.world.compose import draw, load
+from synfog_usd.world.roads import horizon, road_built, roundabout_built
+from synfog_usd.world.roads.network import Road
+
+RECIPES = Path(__file__).resolve().parents[2] / "stages" / "recipes"
+KINDS = {"country": "rural", "town": "residential"}
+
+
+def world(name, seed):
+    spec = draw(load(RECIPES / f"{name}.yaml"), seed=seed)
+    kind = road_built if isinstance(spec.road, Road) else roundabout_built
+    return spec, kind._horizon(spec, spec.road)
+
+
+@pytest.mark.parametrize("name", ["rural", "residential", "roundabout", "bridge"])
+def test_what_closes_the_view_stands_on_its_ground_away_from_the_road(name):
+    """Three seeds: no foot is nearer than NEAR_M, above the ground, more than 2 m in it, or in the river."""
+    for seed in range(3):
+        spec, beyond = world(name, seed)
+        for many in beyond.scatters():
+            x, y, z = many.points.T
+            assert beyond.away(x, y).min() > horizon.NEAR_M, many.name
+            deep = beyond.ground(x, y) - z
+            assert deep.min() > -1e-6 and deep.max() < 2.0, many.name
+            if name == "bridge":
+                assert not spec.road.flooded(x, y).any(), many.name
+
+
+@pytest.mark.parametrize("kind", horizon.KINDS)
+def test_towns_have_houses_all_round_and_the_country_has_fields(kind):
+    """Over eight seeds: a town has 300 houses or more, the country 9 to 120; fields are of four kinds or more, and
+    beyond 900 m land rises by 8 m or more in some direction.
+    """
+    for seed in range(8):
+        beyond = horizon.Horizon(seed, kind, lambda x, y: 0 * x, lambda x, y: np.abs(x))
+        found = beyond.scatters()
+        houses = sum(len(one.points) for one in found if one.name.startswith("Far_Houses"))
+        assert houses >= 300 if kind == "town" else 5 <= houses <= 120
+        trees = next(one for one in found if one.name == "Far_Trees")
+        assert 150 <= len(trees.points) <= 1400
+        x, y = np.meshgrid(np.linspace(-900, 900, 61), np.linspace(-900, 900, 61))
+        assert len(np.unique(beyond.crop(x, y))) >= 4
+        angle = np.linspace(0, 2 * np.pi, 72)
+        far = 2000.0 * np.cos(angle), 2000.0 * np.sin(angle)
+        assert np.max(beyond.ground(*far)) > 8.0
+        assert not beyond.relief(x, y, np.full_like(x, 100.0)).any()
+
+
+def test_the_horizon_follows_its_seed():
+    """Two of one seed are the same; of eight seeds no two have the same skyline and hills."""
+    one, same = (world("rural", 5)[1].scatters() for _ in range(2))
+    assert [m.name for m in one] == [m.name for m in same]
+    for a, b in zip(one, same, strict=True):
+        np.testing.assert_array_equal(a.points, b.points)
+    seen = set()
+    for seed in range(8):
+        beyond = horizon.Horizon(seed, "country", lambda x, y: 0 * x, lambda x, y: np.abs(x))
+        seen.add(float(beyond.ground(np.array([1500.0]), np.array([0.0]))[0]))
+    assert len(seen) == 8
+
+
+def test_the_river_is_level_with_its_valley_and_far_below_the_bridge():
+    """Water lies above the ground on its middle line, by less than half a metre where the strips are; the deck clears
+    it by the bridge's depth.
+    """
+    for seed in range(3):
+        spec, beyond = world("bridge", seed)
+        road = spec.road
+        water = road_built.land.river(road, beyond)
+        normal = np.cross(*np.diff(water.points[water.faces], axis=1).swapaxes(0, 1))
+        assert (normal[:, 2] > 0).all()
+        low, high, depth = road.land.valley
+        middle = (low + high) / 2
+        t = road.lane_section.high + np.array([8.0, 20.0, 35.0])
+        ground = road.ground(np.full(3, middle), t)
+        np.testing.assert_allclose(ground, road.valley_floor, atol=1e-6)
+        near = water.points[np.abs(beyond.away(*water.points[:, :2].T)) < 60.0]
+        assert (near[:, 2] > ground[0]).all() and (near[:, 2] < ground[0] + 0.5).all()
+        assert float(road.reference_line.height(middle)) - near[:, 2].max() > depth - 0.5
+
+
+@pytest.mark.parametrize("name", ["car_park", "roundabout", "crossroads"])
+def test_cars_of_a_kind_have_plates_of_their_own(name):
+    """Of all pairs of one model that stand in a world fewer than a tenth share a plate: by chance 1 in 24 do."""
+    pairs = equal = 0
+    for seed in range(4):
+        spec = draw(load(RECIPES / f"{name}.yaml"), seed=seed)
+        plates: dict[str, list[str]] = {}
+        for p in spec.placed:
+            if "plate" in p.variants:
+                plates.setdefault(p.asset, []).append(p.variants["plate"])
+        for found in plates.values():
+            for i, one in enumerate(found):
+                pairs += len(found) - i - 1
+                equal += found[i + 1 :].count(one)
+    assert pairs > 30
+    assert equal < 0.1 * pairs
