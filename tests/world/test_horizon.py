@@ -1,4 +1,4 @@
-"""What closes the view of drawn worlds: hills, fields, woods, houses and a skyline; a river under the bridge; plates."""
+"""What closes the view of drawn worlds: hills, fields, woods, houses, a skyline; a river under the bridge; plates."""
 
 from __future__ import annotations
 
