@@ -133,7 +133,9 @@ def bake(
             log(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
         seconds: dict[str, float] = {}
         views: dict[str, _View] = {}  # by lighting
-        forecast = Forecast(kinds([(shot.lighting, shot.fog != CLEAR) for shot in unfinished]))
+        forecast = Forecast(
+            kinds([(shot.lighting, shot.fog != CLEAR, scenes.have_lamps(shot.lighting)) for shot in unfinished])
+        )
 
         def finish(shot: Shot, made: _Shot, began: float) -> None:
             row = _finish(made, graph, plan)
@@ -209,6 +211,11 @@ class _Scenes:
             return self.seen(translate(self.stage, **choices, fog_mor_m=shot.mor_m))
         self.known[shot] = self.seen(scene)
         return self.known[shot]
+
+    def have_lamps(self, lighting: str) -> bool:
+        """Whether a lighting that was surveyed has lamps."""
+        world = self.lightings[lighting].scene.world
+        return any("intensity" in part for name, part in world.items() if name.startswith("light_"))
 
     def seen(self, scene: SceneDict) -> SceneDict:
         """The scene through a wider and denser camera, where the graph's lens distorts and every pixel has to be found

@@ -1,25 +1,32 @@
 """How much of a bake is done, as a share of its time.
 
-A shot is set up and then rendered.  The first of a lighting is translated, loaded and
-metered, and the first in fog may compile kernels; fog costs more than clear air.  What
-earlier shots took tells what the next will take: those of the same kind, else all, by
-rough weights.
+A shot is set up and then rendered.  The first of a lighting is translated, loaded and metered, and the first in fog may
+compile kernels; fog costs more than clear air, and lamps more than a sky.  What earlier shots took tells what the next
+will take: those of the same kind, else all, by rough weights.  How far a shot's own fraction runs ahead of its time, or
+behind, is learned from them too.
 """
 
 from __future__ import annotations
 
+import bisect
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 SET_UP = 0.03
 """Fraction of a shot up to which it is set up; rendering reports from there on."""
 
-FOGGY = 2.5
-"""Seconds of a foggy shot's rendering over those of a clear one's, about."""
+FOGGY = 2.0
+"""Seconds of a foggy shot's rendering over those of a clear one's, about: 1.5 to 2.5 on the crossing."""
 
-FIRST_OF_LIGHTING, FIRST_FOGGY, ANY = 3.0, 2.5, 0.3
+LAMPS = 3.0
+"""Seconds of rendering before lamps over those under a sky alone, about: 3 to 3.5 on the crossing."""
+
+FIRST_OF_LIGHTING, FIRST_FOGGY, ANY = 3.0, 1.0, 0.3
 """Seconds of setting up, relative."""
+
+WRITING = 0.05
+"""Of a shot's rendering, for developing and writing the last one, when nothing is rendered any more."""
 
 
 @dataclass(frozen=True)
@@ -30,26 +37,47 @@ class Kind:
         first: of its lighting.
         foggy: whether there is fog.
         first_foggy: of its lighting.
+        lamps: whether there are lamps.
     """
 
     first: bool
     foggy: bool
     first_foggy: bool
+    lamps: bool = False
 
     @property
     def weights(self) -> tuple[float, float]:
         """Of setting it up and of rendering it."""
-        return ANY + FIRST_OF_LIGHTING * self.first + FIRST_FOGGY * self.first_foggy, FOGGY if self.foggy else 1.0
+        setting_up = ANY + FIRST_OF_LIGHTING * self.first + FIRST_FOGGY * self.first_foggy
+        return setting_up, (FOGGY if self.foggy else 1.0) * (LAMPS if self.lamps else 1.0)
 
 
-def kinds(shots: Sequence[tuple[str, bool]]) -> list[Kind]:
-    """The kind of each shot of a bake, in order, from its lighting and whether it is foggy."""
+def kinds(shots: Sequence[tuple[str, bool, bool]]) -> list[Kind]:
+    """The kind of each shot of a bake, in order, from its lighting and whether there are fog and lamps."""
     found, seen = [], set[tuple[str, bool]]()
-    for lighting, foggy in shots:
+    for lighting, foggy, lamps in shots:
         first = not {(lighting, True), (lighting, False)} & seen
-        found.append(Kind(first, foggy, foggy and (lighting, True) not in seen))
+        found.append(Kind(first, foggy, foggy and (lighting, True) not in seen, lamps))
         seen.add((lighting, foggy))
     return found
+
+
+@dataclass
+class _Taken:
+    """What a shot took: seconds of setting up and of rendering, and when its rendering said which fraction."""
+
+    kind: Kind
+    setting_up: float = 0.0
+    rendering: float = 0.0
+    said: list[tuple[float, float]] = field(default_factory=list)
+
+    def share(self, fraction: float) -> float:
+        """Share of the time of rendering at which it was done by a fraction."""
+        index = bisect.bisect_right(self.said, (fraction, float("inf")))
+        low = self.said[index - 1] if index else (0.0, 0.0)
+        high = self.said[index] if index < len(self.said) else (1.0, self.rendering)
+        part = (fraction - low[0]) / (high[0] - low[0]) if high[0] > low[0] else 1.0
+        return (low[1] + part * (high[1] - low[1])) / self.rendering if self.rendering > 0.0 else fraction
 
 
 class Forecast:
@@ -64,7 +92,8 @@ class Forecast:
         self._shots, self._now = list(shots), now
         self._began = self._shot_began = now()
         self._rendering: float | None = None
-        self._seen: list[tuple[Kind, float, float]] = []
+        self._seen: list[_Taken] = []
+        self._said: list[tuple[float, float]] = []
         self._shown = 0.0
 
     def at(self, index: int, fraction: float) -> float:
@@ -72,36 +101,51 @@ class Forecast:
         now = self._now()
         while len(self._seen) < index:
             begun = now if self._rendering is None else self._rendering
-            self._seen.append((self._shots[len(self._seen)], begun - self._shot_began, now - begun))
-            self._shot_began, self._rendering = now, None
-        if fraction > SET_UP and self._rendering is None:
-            self._rendering = now
-        rest = self._own(index, fraction, now) + sum(
-            sum(self._expected(kind, now)) for kind in self._shots[index + 1 :]
-        )
+            kind = self._shots[len(self._seen)]
+            self._seen.append(_Taken(kind, begun - self._shot_began, now - begun, self._said))
+            self._shot_began, self._rendering, self._said = now, None, []
+        if fraction > SET_UP:
+            self._rendering = now if self._rendering is None else self._rendering
+            self._said.append((_rendered(fraction), now - self._rendering))
+        after = self._shots[index + 1 :]
+        rest = self._own(index, fraction, now) + sum(sum(self._expected(kind, now)) for kind in after)
+        rest += WRITING * self._expected(self._shots[-1], now)[1]
         elapsed = now - self._began
         self._shown = max(self._shown, elapsed / (elapsed + rest) if elapsed + rest > 0.0 else 0.0)
         return self._shown
 
     def _own(self, index: int, fraction: float, now: float) -> float:
-        """Seconds that the shot under way still takes."""
-        if fraction >= 1.0:
-            return 0.0
+        """Seconds that the shot under way still takes: by what is expected of it at first, and the more it has done the
+        more by its own pace.
+        """
         setting_up, rendering = self._expected(self._shots[index], now)
         if self._rendering is None:
             return max(setting_up - (now - self._shot_began), 0.0) + rendering
-        done = (fraction - SET_UP) / (1.0 - SET_UP)
+        alike = self._alike(self._shots[index])
+        done = alike[-1].share(_rendered(fraction)) if alike else _rendered(fraction)
         spent = now - self._rendering
-        return spent * (1.0 - done) / done if done > 0.1 else max(rendering - spent, 0.0)
+        paced = spent * (1.0 - done) / done if done > 0.0 else rendering
+        return done * paced + (1.0 - done) * max(rendering - spent, (1.0 - done) * rendering)
+
+    def _alike(self, kind: Kind) -> list[_Taken]:
+        return [taken for taken in self._seen if taken.kind == kind] or [
+            taken for taken in self._seen if (taken.kind.foggy, taken.kind.lamps) == (kind.foggy, kind.lamps)
+        ]
 
     def _expected(self, kind: Kind, now: float) -> tuple[float, float]:
         """Seconds of setting up and of rendering a shot: the means of its kind, else by the weights of all that were
         seen.
         """
-        alike = [(setting_up, rendering) for other, setting_up, rendering in self._seen if other == kind]
-        if alike:
-            return sum(one for one, _ in alike) / len(alike), sum(two for _, two in alike) / len(alike)
-        seen = self._seen or [(self._shots[0], now - self._shot_began, 0.3 * (now - self._shot_began))]
-        set_up = sum(one for _, one, _ in seen) / sum(other.weights[0] for other, _, _ in seen)
-        render = sum(two for _, _, two in seen) / sum(other.weights[1] for other, _, _ in seen)
+        own = now - self._shot_began
+        seen = self._seen or [_Taken(self._shots[0], 0.5 * own, 0.5 * own)]
+        same = [taken for taken in self._seen if taken.kind == kind]
+        setting = same or seen
+        rendered = self._alike(kind) or seen
+        set_up = sum(taken.setting_up for taken in setting) / sum(taken.kind.weights[0] for taken in setting)
+        render = sum(taken.rendering for taken in rendered) / sum(taken.kind.weights[1] for taken in rendered)
         return kind.weights[0] * set_up, kind.weights[1] * render
+
+
+def _rendered(fraction: float) -> float:
+    """Fraction of the rendering where a shot is done by a fraction."""
+    return (fraction - SET_UP) / (1.0 - SET_UP)

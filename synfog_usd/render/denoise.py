@@ -16,7 +16,7 @@ to another.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -131,7 +131,7 @@ class Denoised:
 
 
 def denoise_halves(
-    halves: Mapping[str, Array],
+    halves: Mapping[str, Callable[[], Array]],
     guides: Guides,
     weights: npt.ArrayLike,
     *,
@@ -141,7 +141,7 @@ def denoise_halves(
     """Clean a picture from two independent halves of its samples, and tell what is left.
 
     Args:
-        halves: component -> (2, H, W, C), see `denoise`.
+        halves: component -> what makes its (2, H, W, C), see `denoise`; they are made one after the other.
         weights: (C,) of the channels in luminance.
         balanced: with Open Image Denoise's smaller network.
         progress: told after each component.
@@ -152,9 +152,9 @@ def denoise_halves(
     weights = np.asarray(weights, dtype=np.float32)
     components = {}
     noisy = done = np.zeros((HALVES, *guides.transmittance.shape), dtype=np.float32)
-    for index, (name, pair) in enumerate(halves.items()):  # one after the other: a large frame's fill memory
+    for index, (name, make) in enumerate(halves.items()):
         progress("denoising", index / len(halves))
-        finished = pair
+        finished = pair = make()
         if name not in NOISELESS:
             finished = dualbuffer.towards_truth(
                 pair, np.stack([denoise({name: half}, guides, balanced=balanced)[name] for half in pair]), weights

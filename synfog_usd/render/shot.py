@@ -198,39 +198,40 @@ def render(
     def now() -> float:
         return time.perf_counter() - began
 
-    denoised = None
+    cleaning = None
     if denoise:
-        accumulated, denoised, problem = _denoised(loaded, integrator, target, seed, now, progress)
-        warnings += [problem] if problem else []
-        why += "" if denoised or problem else "; not denoised, since it tells no components apart"
+        accumulated, cleaning = _sampled(loaded, integrator, target, seed, now, progress)
     else:
         accumulated = accumulate_to_target(integrator, target=target, seed=seed, now=now, progress=progress)
-    if denoised is None:
-        met = None if target.open else reached(accumulated, target, shape[:2])
-        luminance, error = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
-    else:
+    met = None if target.open else reached(accumulated, target, shape[:2])
+    luminance, error = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
+    variance = accumulated.variance().reshape(shape).astype(np.float32)
+    for estimator in accumulated.estimators.values():  # a large frame fills memory: each sum is let go once it is read
+        estimator.squares, estimator.lane_squares = np.zeros((0, 0), dtype=estimator.squares.dtype), None
+    denoised = None
+    if cleaning:
+        denoised, problem = cleaning()
+        warnings += [problem] if problem else []
+        why += "" if denoised or problem else "; not denoised, since it tells no components apart"
+    if denoised:
         luminance, error = denoised.luminance(accumulated.weights).ravel(), denoised.error.rms.ravel()
         met = None if target.open else float((error <= target.allowed_in_all(luminance)).mean())
     lit = luminance > 0.0
     relative_error = float(np.median(error[lit] / luminance[lit])) if lit.any() else 0.0
     if denoised and relative_error > LARGE_ERROR:
-        warnings.append(f"after denoising the median pixel still errs by {relative_error:.0%}; more samples mend it")
+        much = f"{relative_error:.0%}" if relative_error < 1.0 else "more than its own light"
+        warnings.append(f"after denoising the median pixel still errs by {much}; more samples mend it")
     del luminance, error
-    mean, variance = (
-        accumulated.mean().reshape(shape).astype(np.float32),
-        accumulated.variance().reshape(shape).astype(np.float32),
-    )
-    for estimator in (
-        accumulated.estimators.values()
-    ):  # a large frame in many bands fills memory: each sum is let go once it is read
-        estimator.squares, estimator.lane_squares = np.zeros((0, 0)), None
     if accumulated.lost:
         warnings.append(f"{accumulated.lost} of {accumulated.samples} samples were not finite and count as black")
     spent = accumulated.samples_per_pixel
     if denoised:
         components = dict(denoised.components)
         mean = np.asarray(sum(components.values()))
+        for estimator in accumulated.estimators.values():
+            estimator.aovs.clear()
     else:
+        mean = accumulated.mean().reshape(shape).astype(np.float32)
         components = {
             name: aov.reshape(shape).astype(np.float32)
             for name in COMPONENTS
@@ -268,16 +269,17 @@ def render(
     )
 
 
-def _denoised(
+def _sampled(
     loaded: MitsubaScene, integrator: Any, target: Target, seed: int, now: Callable[[], float], progress: Progress
-) -> tuple[Accumulator, denoising.Denoised | None, str]:
-    """Samples, the picture without their noise where there is one, and what went wrong with it, or ''."""
+) -> tuple[Accumulator, Callable[[], tuple[denoising.Denoised | None, str]]]:
+    """Samples, and what makes the picture without their noise of them: None where there is none, and what went wrong,
+    or ''.
+    """
     height, width = loaded.source.camera.height_px, loaded.source.camera.width_px
     few = target.samples < denoising.FEW
     guides = functools.cache(lambda: denoising.guides(loaded, rays=denoising.FEW_RAYS if few else denoising.GUIDE_RAYS))
     done: dict[int, denoising.Denoised | None] = {}  # by the number of samples, the last one only
     problem = ""
-
     share = target.samples / (target.samples + DENOISING)
 
     def picture(accumulated: Accumulator, progress: Progress = silent) -> denoising.Denoised | None:
@@ -302,8 +304,12 @@ def _denoised(
     accumulated = accumulate_denoised(
         integrator, target=target, seed=seed, now=now, denoised=judged, progress=within(progress, 0.0, share)
     )
-    found = picture(accumulated, within(progress, share, 1.0))
-    return accumulated, found, problem
+
+    def finished() -> tuple[denoising.Denoised | None, str]:
+        found = picture(accumulated, within(progress, share, 1.0))
+        return found, problem
+
+    return accumulated, finished
 
 
 def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:

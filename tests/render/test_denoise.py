@@ -8,6 +8,7 @@ import itertools
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -437,6 +438,46 @@ def test_a_closed_room_with_mirror_pane_and_one_lamp_gives_a_picture(size, sampl
     np.testing.assert_allclose(sum(done.components.values()), done.radiance.pixels, rtol=1e-5, atol=1e-6)
     assert np.isfinite(done.error).all() and done.error.shape == (size[1], size[0])
     assert done.samples == pytest.approx(samples) and done.radiance.provenance["denoised"]
+    assert any("still errs by" in line for line in done.warnings) == (done.relative_error > shot.LARGE_ERROR)
+
+
+def inside_a_car():
+    """A car's body of 2 m around the camera, open only at a windscreen of clear glass; a lamp outside, and no sky.
+
+    A bonnet stands before the near plane.
+    """
+    shell = [
+        [middle + a * one + b * other for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        for axis, side in ((0, -1), (0, 1), (1, -1), (2, -1), (2, 1))
+        for one, other, middle in [(np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3], side * np.eye(3)[axis])]
+    ]
+    lamp = {
+        "type": "spot",
+        "to_world": np.array([[-1.0, 0, 0, 0], [0, 0, -1, 20], [0, -1, 0, 1], [0, 0, 0, 1]]),
+        "intensity": {"type": "rgb", "value": [3000.0] * 3},
+        "cutoff_angle": 30.0,
+    }
+    parts = {
+        "shape_body": squares(shell, **matte(0.2, 0.2, 0.2)),
+        "shape_pane": squares([upright(-1.0, 1.0, 1.0, -1.0, 1.0)], bsdf={"type": "thindielectric"}),
+        "shape_bonnet": squares(
+            [[[-1, 0.05, -0.04], [1, 0.05, -0.04], [1, 0.9, -0.3], [-1, 0.9, -0.3]]], **matte(0.5, 0.0, 0.0)
+        ),
+        "shape_wall": squares([upright(-9, 9, 15.0, -9, 9)], **matte(0.5, 0.5, 0.5)),
+        "light_lamp": lamp,
+    }
+    made = scene(parts, [uniform_fog(half_size=30.0)], width_px=32, height_px=18, fov_x_deg=70.0)
+    return replace(made, camera=replace(made.camera, near_m=0.2))
+
+
+@needs_oidn
+@pytest.mark.parametrize("samples", [2, 17])
+def test_a_camera_inside_a_car_sees_through_the_windscreen(samples):
+    """Light comes in, no pixel is odd, what stands before the near plane is not seen, and the error is told."""
+    done = shot.render(inside_a_car(), model="path", samples=samples, denoise=True)
+    assert np.isfinite(done.radiance.pixels).all() and done.radiance.pixels.min() >= 0.0
+    assert done.radiance.pixels[2:7].mean() > 0.0 and np.isfinite(done.error).all()
+    assert done.aovs.depth_m.min() >= 0.2
     assert any("still errs by" in line for line in done.warnings) == (done.relative_error > shot.LARGE_ERROR)
 
 

@@ -13,7 +13,7 @@ nothing of each other, from which `dualbuffer` tells what denoising leaves.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -215,10 +215,15 @@ class Accumulator:
                 halves += estimator.aovs[name] / np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
         return halves
 
-    def component_halves(self, height: int, width: int) -> dict[str, FloatArray]:
-        """(2, H, W, C) of each of `COMPONENTS`; empty where halves are not kept apart."""
-        pairs = {} if ALL in self.estimators else {name: self.halves(name) for name in COMPONENTS}
-        return {name: pair.reshape(HALVES, height, width, -1) for name, pair in pairs.items()}
+    def component_halves(self, height: int, width: int) -> dict[str, Callable[[], FloatArray]]:
+        """What makes (2, H, W, C) of each of `COMPONENTS`, one by one, since a large frame's fill memory; empty where
+        halves are not kept apart.
+        """
+
+        def made(name: str) -> Callable[[], FloatArray]:
+            return lambda: self.halves(name).reshape(HALVES, height, width, -1)
+
+        return {} if ALL in self.estimators else {name: made(name) for name in COMPONENTS}
 
     @property
     def pixels(self) -> int:
