@@ -446,7 +446,9 @@ def killed_at_random(tiny, out, whole, seed):
     """A run whose client, a worker, a unit or all at once is killed at a random moment, then the same command."""
     rng = random.Random(seed)
     child = begun(tiny, out, stdout=subprocess.DEVNULL)
-    time.sleep(rng.uniform(0.5, 14.0))
+    if rng.random() < 0.8:  # else while it begins
+        wait_for(lambda: offspring(child.pid)[1] or child.poll() is not None, child)
+    time.sleep(rng.uniform(0.2, 12.0))
     workers, units = offspring(child.pid)
     victims = {"client": [child.pid], "worker": workers[:1], "unit": units[:1], "all": [child.pid, *workers, *units]}
     for pid in victims[rng.choice(sorted(victims))]:
