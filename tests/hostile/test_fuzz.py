@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from support.hostile import TEXT, TYPES, VALUES, WORDS, parts_of, read, replaced, retyped, type_of
+from support.hostile import TEXT, TYPES, VALUES, WORDS, furnish, parts_of, read, read_file, replaced, retyped, type_of
 
 TESTS = Path(__file__).resolve().parents[1]
 EXAMPLES = int(os.environ.get("SYNFOG_FUZZ", "0"))
@@ -200,3 +200,75 @@ def test_any_bytes_of_a_binary_file_end_in_a_scene_or_an_error_or_one_line(tmp_p
             check.stderr
         )
         left = left[left.index(died) + 1 :]
+
+
+MTLX = """<?xml version="1.0"?>
+<materialx version="1.38" colorspace="acescg" fileprefix="./">
+  <nodegraph name="NG">
+    <input name="tint" type="color3" value="1, 0.5, 0.2"/>
+    <image name="picture" type="color3">
+      <input name="file" type="filename" value="picture.png" colorspace="srgb_texture"/>
+      <input name="texcoord" type="vector2" nodename="place"/>
+    </image>
+    <place2d name="place" type="vector2">
+      <input name="scale" type="vector2" value="2, 3"/>
+      <input name="rotate" type="float" value="30"/>
+    </place2d>
+    <multiply name="tinted" type="color3">
+      <input name="in1" type="color3" nodename="picture"/>
+      <input name="in2" type="color3" interfacename="tint"/>
+    </multiply>
+    <noise3d name="noise" type="float"><input name="amplitude" type="float" value="0.2"/></noise3d>
+    <range name="rough" type="float">
+      <input name="in" type="float" nodename="noise"/>
+      <input name="gamma" type="float" value="2"/>
+    </range>
+    <separate3 name="apart" type="multioutput"><input name="in" type="color3" nodename="picture"/></separate3>
+    <output name="color" type="color3" nodename="tinted"/>
+    <output name="rough" type="float" nodename="rough"/>
+    <output name="metal" type="float" nodename="apart" output="outg"/>
+  </nodegraph>
+  <standard_surface name="shine" type="surfaceshader">
+    <input name="base_color" type="color3" nodegraph="NG" output="color"/>
+    <input name="specular_roughness" type="float" nodegraph="NG" output="rough"/>
+    <input name="metalness" type="float" nodegraph="NG" output="metal"/>
+    <input name="transmission" type="float" value="0.5"/>
+    <input name="thin_walled" type="boolean" value="true"/>
+  </standard_surface>
+  <surfacematerial name="Car" type="material">
+    <input name="surfaceshader" type="surfaceshader" nodename="shine"/>
+  </surfacematerial>
+</materialx>
+"""
+MTLX_WORDS = (
+    *("nan", "inf", "-1", "1e38", "", "place", "NG", "shine", "color4", "vector2", "float", "<", "/>", "&amp;", "&#0;"),
+    *("../../etc/passwd", "<UDIM>", "output", "nodename", "interfacename", "multiply", "mix", "surfacematerial", "1,2"),
+)
+
+
+@fuzzed(30)
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(HOW), st.integers(0, len(MTLX) - 1), st.integers(1, 60), st.sampled_from(MTLX_WORDS)),
+        min_size=1,
+        max_size=4,
+    )
+)
+@example([])
+def test_any_damaged_materialx_ends_in_a_scene_or_an_error(tmp_path_factory, damage):
+    """Its text cut, doubled, turned about and with words put in."""
+    text = MTLX
+    for what, at, length, word in damage:
+        at %= max(len(text), 1)
+        piece = text[at : at + length]
+        put = {"cut": "", "twice": piece + piece, "word": word, "swap": piece[::-1], "noise": word * 3}[what]
+        text = text[:at] + put + text[at + length :]
+    folder = tmp_path_factory.mktemp("look")
+    furnish(folder)
+    (folder / "car.mtlx").write_text(text, encoding="utf-8")
+    look = 'def Material "Look" (references = @./car.mtlx@</MaterialX/Materials/Car>) {}'
+    stage = TEXT.replace('def Xform "More" (', f'{look}\ndef Xform "More" (', 1)
+    stage = stage.replace("rel material:binding = </More/Tiles>", "rel material:binding = </Look>")
+    assert stage.count("Look") == 2
+    (folder / "a.usda").write_text(stage, encoding="utf-8")
+    assert read_file(folder / "a.usda") or damage
