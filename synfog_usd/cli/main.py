@@ -83,6 +83,10 @@ def bake(
     up: Annotated[
         str | None, typer.Option(help="Axis of the stage that points up: X, Y or Z, instead of its own.")
     ] = None,
+    max_distance: Annotated[
+        float | None,
+        typer.Option(help="Leave models unloaded that are farther from the camera than this many metres."),
+    ] = None,
     light_scale: Annotated[float, typer.Option(help="Multiply all lights by this.")] = 1.0,
     sun_lux: Annotated[
         float | None,
@@ -154,6 +158,7 @@ def bake(
             choices=tuple(choices or ()),
             metres_per_unit=metres_per_unit,
             up=up,
+            max_distance_m=max_distance,
             size=_size(resolution),
             model=model,
             samples=samples,

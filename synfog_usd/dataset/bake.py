@@ -100,6 +100,8 @@ def bake(
         stage = usd.open_stage(plan.stage, allow=plan.allow)
         if plan.choices or plan.metres_per_unit is not None or plan.up is not None:
             usd.override(stage, choices=plan.choices, metres_per_unit=plan.metres_per_unit, up=plan.up)
+        if plan.max_distance_m is not None:
+            usd.keep_near(stage, plan.max_distance_m, camera=plan.camera, frame=plan.frame)
         todo = shots(plan, usd.variants(stage))
         scenes = _Scenes(stage, plan, graph)
         notes, foggy = scenes.survey(todo)
@@ -706,6 +708,7 @@ def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) ->
             "choices": list(plan.choices),
             "metres_per_unit": plan.metres_per_unit,
             "up": plan.up,
+            "max_distance_m": plan.max_distance_m,
             "variant": variant,
         },
         "versions": library_versions(denoise=plan.denoise),

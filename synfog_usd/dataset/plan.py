@@ -35,6 +35,7 @@ class BakePlan:
         strict: whether a warning of the translation stops the bake.
         lights: how the stage's intensities are meant, see `translate.translate`.
         light_scale, sun_lux: what all lights are multiplied by, see `translate.translate`.
+        max_distance_m: beyond which models are left unloaded, see `stage.keep_near`.
         choices, metres_per_unit, up: how the stage is read otherwise than it says of itself, see `stage.override`.
         allow: folders outside the stage's own in which its files may lie.
     """
@@ -63,6 +64,7 @@ class BakePlan:
     choices: tuple[str, ...] = ()
     metres_per_unit: float | None = None
     up: str | None = None
+    max_distance_m: float | None = None
     allow: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
@@ -71,6 +73,7 @@ class BakePlan:
         numbers.check_light(scale=self.light_scale, sun_lux=self.sun_lux)
         numbers.check_frame(self.frame)
         numbers.check_space(metres_per_unit=self.metres_per_unit, up=self.up)
+        numbers.check_distance(self.max_distance_m)
         if self.bands is not None:
             numbers.check_bands(self.bands)
         for name in self.fog or ():

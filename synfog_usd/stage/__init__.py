@@ -1,5 +1,6 @@
 """USD stages: the fog schema, opening, choosing variants, checking.  Writes to no input layer."""
 
+from synfog_usd.stage.near import keep_near
 from synfog_usd.stage.open import (
     MISSING,
     authored_path,
@@ -27,6 +28,7 @@ __all__ = [
     "check",
     "composition_notes",
     "dependencies",
+    "keep_near",
     "open_stage",
     "override",
     "register",

@@ -1,0 +1,60 @@
+"""What is far from the camera is left unloaded; everything else stays as it is."""
+
+import pytest
+from pxr import Usd, UsdGeom, UsdLux
+
+from synfog_usd.errors import StageError
+from synfog_usd.stage import keep_near, open_stage
+from synfog_usd.translate import summary, translate
+
+
+@pytest.fixture
+def town(tmp_path):
+    """Houses by payload, 10 m apart along +Y in centimetres, a sun that is a component, and points 10 m apart."""
+    house = Usd.Stage.CreateNew(str(tmp_path / "house.usda"))
+    house.SetDefaultPrim(UsdGeom.Xform.Define(house, "/House").GetPrim())
+    UsdGeom.Cube.Define(house, "/House/Body").CreateSizeAttr(200.0)
+    house.Save()
+    stage = Usd.Stage.CreateNew(str(tmp_path / "town.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    camera = UsdGeom.Camera.Define(stage, "/Camera")
+    UsdGeom.XformCommonAPI(camera).SetRotate((90, 0, 0))
+    for number in range(10):
+        prim = UsdGeom.Xform.Define(stage, f"/House{number}").GetPrim()
+        UsdGeom.XformCommonAPI(prim).SetTranslate((0, 1000.0 * (number + 1), 0))
+        prim.GetPayloads().AddPayload("./house.usda")
+    sun = UsdGeom.Xform.Define(stage, "/Far")
+    UsdGeom.XformCommonAPI(sun).SetTranslate((0, 1e6, 0))
+    Usd.ModelAPI(sun.GetPrim()).SetKind("component")
+    UsdLux.DistantLight.Define(stage, "/Far/Sun")
+    many = UsdGeom.PointInstancer.Define(stage, "/Many")
+    UsdGeom.Sphere.Define(stage, "/Many/Ball")
+    many.CreatePrototypesRel().SetTargets(["/Many/Ball"])
+    many.CreateProtoIndicesAttr([0] * 10)
+    many.CreatePositionsAttr([(500.0, 1000.0 * (number + 1), 0.0) for number in range(10)])
+    stage.Save()
+    del stage, house
+    return open_stage(tmp_path / "town.usda")
+
+
+def test_models_whose_box_is_beyond_the_distance_are_not_loaded(town):
+    """The near face of house n stands at 10 n - 1 m: of 45 m four are left, and of the points those of 10 to 40 m."""
+    before = summary(translate(town))
+    assert (before["shapes"], before["instances"]) == (11, 10)  # and the ball itself
+    assert keep_near(town, 45.0) == 6 + 6
+    after = summary(translate(town))
+    assert (after["shapes"], after["instances"]) == (5, 4)
+    assert not town.GetPrimAtPath("/House9").IsActive() and not town.GetPrimAtPath("/House9/Body")
+    assert town.GetPrimAtPath("/Far/Sun") and after["lights"] == before["lights"]
+    assert town.GetRootLayer().dirty is False
+
+
+def test_the_house_at_the_edge_counts_by_its_near_face(town):
+    keep_near(town, 49.5)
+    assert town.GetPrimAtPath("/House4").IsActive() and not town.GetPrimAtPath("/House5").IsActive()
+
+
+def test_a_stage_without_a_camera_is_refused(town):
+    with pytest.raises(StageError, match="no camera /House0"):
+        keep_near(town, 10.0, camera="/House0")
