@@ -15,7 +15,7 @@ from synfog_usd.errors import ParameterError, SynfogError
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
 app = typer.Typer(
-    add_completion=False,
+    add_completion=True,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -34,6 +34,19 @@ def _folder(text: str) -> Path:
     if not text.strip():
         raise ParameterError(f"--out {text!r}: no name of a folder; . is this one")
     return Path(text)
+
+
+def _variants_of_stage(ctx: typer.Context, incomplete: str) -> list[str]:
+    """What --set takes for the stage that is typed before it, for a shell to complete; nothing for one that fails."""
+    from synfog_usd import stage as usd
+
+    try:
+        # A line that is not whole is not parsed: its first word without a dash is among the rest.
+        typed = ctx.params.get("stage") or next(word for word in ctx.args if not word.startswith("-"))
+        choices = usd.variant_choices(usd.open_stage(typed))
+    except (SynfogError, StopIteration):
+        return []
+    return [choice for choice in choices if choice.startswith(incomplete)]
 
 
 @app.callback(invoke_without_command=True)
@@ -74,7 +87,12 @@ def bake(
         ),
     ] = "auto",
     choices: Annotated[
-        list[str] | None, typer.Option("--set", help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.")
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.",
+            autocompletion=_variants_of_stage,
+        ),
     ] = None,
     metres_per_unit: Annotated[
         float | None,
@@ -206,7 +224,12 @@ def preview(
     camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
     frame: Annotated[float | None, typer.Option(help="Time code.")] = None,
     choices: Annotated[
-        list[str] | None, typer.Option("--set", help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.")
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.",
+            autocompletion=_variants_of_stage,
+        ),
     ] = None,
     light_scale: Annotated[float, typer.Option(help="Multiply all lights by this.")] = 1.0,
     sun_lux: Annotated[

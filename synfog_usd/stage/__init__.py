@@ -12,6 +12,7 @@ from synfog_usd.stage.open import (
     select,
     selected,
     stage_hash,
+    variant_choices,
     variants,
 )
 from synfog_usd.stage.rulebook import Finding
@@ -35,5 +36,6 @@ __all__ = [
     "select",
     "selected",
     "stage_hash",
+    "variant_choices",
     "variants",
 ]

@@ -479,6 +479,17 @@ def override(
     _check_expressions(stage, fence_of(stage))
 
 
+def variant_choices(stage: Usd.Stage) -> list[str]:
+    """Every variant of every prim as `override` takes it, /World/Car:paint=red, in the stage's order."""
+    return [
+        f"{prim.GetPath()}:{name}={variant}"
+        for prim in stage.Traverse()
+        if prim.HasVariantSets()
+        for name in prim.GetVariantSets().GetNames()
+        for variant in prim.GetVariantSet(name).GetVariantNames()
+    ]
+
+
 def _variant_named(choice: str) -> tuple[str, str, str]:
     """(prim, set, variant) of /World/Car:paint=red."""
     place, equals, variant = choice.partition("=")

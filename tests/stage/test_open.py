@@ -1,6 +1,10 @@
 """Opening, variants and what a stage is made of."""
 
+import os
+import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -275,3 +279,24 @@ def test_real_stages_open():
     assert dependencies(open_stage(SHARED / "people" / "CesiumMan" / "CesiumMan.usdz")) == [
         SHARED / "people" / "CesiumMan" / "CesiumMan.usdz"
     ]
+
+
+def test_a_shell_completes_variants_from_the_stage(tmp_path):
+    """As zsh asks for them: all, those that begin so, and none of a stage that cannot be read."""
+    (tmp_path / "a.usda").write_text(PAINTED)
+
+    def asked(file, begun):
+        code = "from synfog_usd.cli.main import app; app(prog_name='synfog-usd')"
+        words = f"synfog-usd bake {tmp_path / file} --set {begun}"
+        more = {"_SYNFOG_USD_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": words}
+        done = subprocess.run(
+            [sys.executable, "-c", code], env={**os.environ, **more}, capture_output=True, text=True, timeout=60
+        )
+        return re.findall(r"/[\w/]+:\w+=\w+", done.stdout.replace("\\", ""))
+
+    found = asked("a.usda", "")
+    assert found
+    for choice in found:
+        override(open_stage(tmp_path / "a.usda"), choices=[choice])
+    assert asked("a.usda", found[-1][:-1]) == [choice for choice in found if choice.startswith(found[-1][:-1])]
+    assert asked("none.usda", "") == []
