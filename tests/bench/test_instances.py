@@ -1,0 +1,88 @@
+"""What instances cost: seconds of the processor and memory, by their number and the size of their mesh.
+
+`pytest -m bench tests/bench/test_instances.py -s` prints the table and writes out/instances.csv.
+"""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom, UsdLux, Vt
+
+pytestmark = pytest.mark.bench
+
+CHILD = """
+import json, resource, sys, time
+from synfog_usd.errors import StageError
+from synfog_usd.render.load import to_mitsuba
+from synfog_usd.stage import open_stage
+from synfog_usd.translate import translate
+begin = time.process_time()
+try:
+    scene = translate(open_stage(sys.argv[1]), resolution=(320, 180))
+    translated = time.process_time() - begin
+    to_mitsuba(scene)
+    said = "drawn"
+except StageError as error:
+    translated, said = time.process_time() - begin, str(error)
+memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+print(json.dumps([said, translated, time.process_time() - begin, memory]))
+"""
+
+
+def crowd(path, instances, triangles):
+    """Bumpy sheets of a metre, 1.3 m apart, around a camera."""
+    side = max(int((triangles / 2) ** 0.5), 1)
+    y, x = np.mgrid[: side + 1, : side + 1] / side
+    points = np.stack([x - 0.5, y - 0.5, 0.1 * np.sin(9 * x) * np.cos(7 * y)], axis=-1).reshape(-1, 3)
+    first = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
+    quads = np.stack([first, first + 1, first + side + 2, first + side + 1], axis=1)
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    camera = UsdGeom.XformCommonAPI(UsdGeom.Camera.Define(stage, "/Camera"))
+    camera.SetTranslate((0, -5, 2))
+    camera.SetRotate((85, 0, 0))
+    UsdLux.DomeLight.Define(stage, "/Sky").CreateIntensityAttr(1000.0)
+    many = UsdGeom.PointInstancer.Define(stage, "/Many")
+    mesh = UsdGeom.Mesh.Define(stage, "/Many/Sheet")
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(quads), 4, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(quads.ravel().astype(np.int32)))
+    mesh.CreateSubdivisionSchemeAttr("none")
+    many.CreatePrototypesRel().SetTargets(["/Many/Sheet"])
+    many.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(np.zeros(instances, np.int32)))
+    row = int(np.ceil(instances**0.5))
+    number = np.arange(instances)
+    places = np.stack([(number % row - row / 2) * 1.3, (number // row) * 1.3, 0 * number], axis=1)
+    many.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(places.astype(np.float32)))
+    stage.Save()
+
+
+def test_cost_goes_with_prototypes_and_instances(tmp_path):
+    """No step: a hundred times the triangles never take a hundred times as long, and four million points are refused by
+    their number within 3 GB.
+    """
+    rows = ["instances,triangles of one,said,translated s,loaded s,peak MB"]
+    took = {}
+    for triangles in (12, 10_000, 1_000_000):
+        for instances in (10, 1_000, 10_000, 100_000, 4_000_000):
+            crowd(tmp_path / "a.usdc", instances, triangles)
+            done = subprocess.run(
+                [sys.executable, "-c", CHILD, str(tmp_path / "a.usdc")], capture_output=True, text=True, check=True
+            )
+            said, translated, loaded, memory = json.loads(done.stdout.splitlines()[-1])
+            (tmp_path / "a.usdc").unlink()
+            word = said if said == "drawn" else "refused"
+            rows.append(f"{instances},{triangles},{word},{translated:.1f},{loaded:.1f},{memory:.0f}")
+            print(rows[-1], flush=True)
+            took[instances, triangles] = loaded
+            if instances == 4_000_000:
+                assert word == "refused" and memory < 3000.0
+    Path("out").mkdir(exist_ok=True)
+    Path("out/instances.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    for instances in (1_000, 10_000):
+        assert took[instances, 1_000_000] < 100.0 * max(took[instances, 10_000], 1.0)
