@@ -94,7 +94,7 @@ def test_tables_know_where_each_light_shines(mi, both):
     first = np.cumsum([0, *(len(rows) for rows in lights.rows)])[:-1]
     for number, row in enumerate(first):
         _, _, axis, table, x = importance._row(mi.UInt32(number))
-        known = np.array(importance._sent(importance.sent, axis, x, table, way))
+        known = np.array(importance._sent(axis, x, table, way))
         true = np.array(lights.sent(lights.columns.at(mi.UInt32(int(row))), way))
         assert (
             np.abs(known - true).mean() < 0.02 and np.corrcoef(known, true)[0, 1] > 0.97

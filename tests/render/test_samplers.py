@@ -17,6 +17,7 @@ from synfog_usd.render import backend
 from synfog_usd.render.lights import sampler as light_sampler
 from synfog_usd.render.lights.grid import FLOOR, LightDistribution
 from synfog_usd.render.lights.guiding import LightGuide
+from synfog_usd.render.lights.importance import Importance
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.media.medium import Medium
 from synfog_usd.testing import box, uniform_fog
@@ -81,7 +82,7 @@ def street():
 @pytest.fixture
 def guide(mi):
     medium = Medium([uniform_fog(100.0, visibility_m=80.0)])
-    return LightGuide(LightSampler(street(), {}), medium, EYE)
+    return LightGuide(Importance(LightSampler(street(), {}), medium), medium)
 
 
 WAYS = {"past all lamps": (0.1, 0.97, 0.12), "away from them": (0.3, -0.9, 0.1), "through the cone": (-0.3, 0.9, -0.05)}
@@ -90,16 +91,14 @@ WAYS = {"past all lamps": (0.1, 0.97, 0.12), "away from them": (0.3, -0.9, 0.1),
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 def test_distances_are_guided_as_their_density_says(mi, guide, way):
     """200 cells of the same chance between 0.5 and 40 m; the density integrates to 1 within 0.02 %."""
-    sigma, begin, end = 0.0375, 0.5, 40.0
+    begin, end = 0.5, 40.0
     origin, direction = mi.Point3f(EYE.tolist()), dr.normalize(mi.Vector3f(*way))
     lane = dr.zeros(mi.Float, COUNT)
-    drawn = guide.distance(origin, direction, lane + begin, lane + end, lane + sigma, uniform(mi, 1), uniform(mi, 2))
+    drawn = guide.distance(origin, direction, lane + begin, lane + end, uniform(mi, 1), uniform(mi, 2))
     places = np.linspace(begin, end, 400_001)
     width = len(places)
     lane = dr.zeros(mi.Float, width)
-    density = guide.distance_density(
-        origin, direction, lane + begin, lane + end, lane + sigma, mi.Float(places.astype(np.float32))
-    )
+    density = guide.distance_density(origin, direction, lane + begin, lane + end, mi.Float(places.astype(np.float32)))
     density = np.array(density, dtype=np.float64)
     below = np.r_[0.0, np.cumsum((density[1:] + density[:-1]) / 2.0 * np.diff(places))]
     assert below[-1] == pytest.approx(1.0, abs=2e-4)
@@ -115,19 +114,16 @@ def test_directions_are_guided_as_their_density_says(mi, guide, place):
     """20 x 40 cells of the sphere; their chances by midpoints in rings about each lamp; the density integrates to 1
     within 0.1 %.
     """
-    sigma = 0.0375
     lane = dr.zeros(mi.Float, COUNT)
     here = mi.Point3f(lane + place[0], lane + place[1], lane + place[2])
-    drawn = np.array(guide.direction(here, lane + sigma, uniform(mi, 3), uniform(mi, 4, 2)), dtype=np.float64)
+    drawn = np.array(guide.direction(here, uniform(mi, 3), uniform(mi, 4, 2)), dtype=np.float64)
     np.testing.assert_allclose(np.linalg.norm(drawn, axis=0), 1.0, rtol=1e-5)
     lamps = np.array([[-4.0, 12.0, 6.0], [3.0, 20.0, 2.0], [4.0, 8.0, 5.0], [-4.0 / 3.0, 15.0, 1.0 / 3.0]]) - place
     lamps /= np.linalg.norm(lamps, axis=1, keepdims=True)
     ways, solid_angles = around(lamps)
     lane = dr.zeros(mi.Float, ways.shape[1])
     here = mi.Point3f(lane + place[0], lane + place[1], lane + place[2])
-    density = np.array(
-        guide.direction_density(here, lane + sigma, mi.Vector3f(ways.astype(np.float32))), dtype=np.float64
-    )
+    density = np.array(guide.direction_density(here, mi.Vector3f(ways.astype(np.float32))), dtype=np.float64)
     assert density @ solid_angles == pytest.approx(1.0, abs=1e-3)
 
     def cells(ways, weights=None):

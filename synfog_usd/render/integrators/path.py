@@ -22,7 +22,7 @@ emitter sampling by the power heuristic (Veach and Guibas 1995), lamps by resamp
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import drjit as dr
@@ -41,8 +41,8 @@ from synfog_usd.render.film.accumulator import (
 )
 from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.lights.grid import TILES, LightGrid
-from synfog_usd.render.lights.guiding import GUIDE_PROBABILITY, LightGuide
-from synfog_usd.render.lights.importance import PICKS, Gloss, Importance, LitFaces
+from synfog_usd.render.lights.guiding import GUIDE_DIRECTIONS, GUIDE_PROBABILITY, MOST_GUIDED, LightGuide
+from synfog_usd.render.lights.importance import PICKS, Gloss, Importance, LitFaces, Picks
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.control_variate import ControlVariate
@@ -61,10 +61,6 @@ FAINT = 0.5
 surface is as noisy as of a bright one.
 """
 
-GROWN, GUIDE_PROBABILITY_GROWN = 1.5, 0.15
-"""Growth of the throughput from the first vertex on beyond which a path is guided no more often than that: what guiding
-misses weighs up to twice as much at every scattering."""
-
 DIFFERENCE_RR_PROB = 0.8
 """Chance of a path to live on after each scattering but the first, where only a difference is sampled."""
 
@@ -72,6 +68,10 @@ UNLIMITED = 1 << 20
 
 MOST_WEIGHED = 160
 """Lamps that are all weighed for each stretch and point; of more, those are asked that matter in the place's cell."""
+
+LEAST_CHANCE = 0.15
+"""Of a lamp and of the scene's own choice to be asked, where both shine: what a surface makes of them is known in short
+only."""
 
 LENS_M = 1e-3
 """Near plane [m] up to which a ray is begun at the lens itself."""
@@ -88,6 +88,33 @@ class Method:
 
     scatterings: int = UNLIMITED
     bounces: int = UNLIMITED
+
+
+@dataclass
+class Chosen:
+    """A light that a vertex asks.
+
+    Attributes:
+        asked: whether there is one.
+        place, direction: where it is, and the unit direction towards it.
+        power: its radiance over the density of the choice.
+        group: number of its light group.
+        pdf: the density [1/sr] with which its direction is weighed against one that the surface draws.
+        alone: no other way finds it.
+    """
+
+    asked: Any
+    place: Any
+    direction: Any
+    power: Any
+    group: Any
+    pdf: Any
+    alone: Any
+
+    def where(self, mask: Any, other: Chosen) -> Chosen:
+        """This one where `mask`, else another."""
+        pairs = ((getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
+        return Chosen(*(dr.select(mask, one, two) for one, two in pairs))
 
 
 @dataclass(frozen=True)
@@ -157,18 +184,19 @@ class FogPath:
         self.use_nee = others > 0 or (sky and control is None)
         self.group_names, self.groups, self.group_of_emitter = groups, len(groups), group_of_emitter
         self.sky_group = groups.index("sky") if "sky" in groups else 0
+        eye = loaded.source.camera.to_world[:3, 3].copy()
         self.importance = (
             Importance(lights, medium) if lights.count and lights.many and lights.count <= MOST_WEIGHED else None
+        )
+        self.guide = (
+            LightGuide(Importance(lights, medium, MOST_GUIDED, eye), medium) if lights.count and medium.foggy else None
         )
         self.lit_faces = LitFaces.of(loaded, lights) if self.importance is not None else None
         self.light_grid, self.view_lights = None, None
         if lights.count and lights.many and lights.photometric:
             sigma_t = medium.volumes[0].medium.sigma_t_per_m if medium.foggy else 0.0
-            self.light_grid = LightGrid(
-                lights, sigma_t, loaded.source.camera.to_world[:3, 3].copy(), near=self.importance is None
-            )
+            self.light_grid = LightGrid(lights, sigma_t, eye, near=self.importance is None)
             self.view_lights = self.light_grid.seen(self, medium) if medium.foggy else None
-        self.guide = LightGuide(lights, medium, loaded.source.camera.to_world[:3, 3])
         self.rr_prob = dr.opaque(backend.mitsuba().Float, _rr_prob(medium))
         self.limited = self.method.scatterings < UNLIMITED
         self.estimators = (
@@ -252,6 +280,10 @@ class FogPath:
             return None
         tau = dr.minimum(-dr.log(1.0 - sampler.next_1d(active)), 3.0)
         return self.known_near(ray(self.medium.sample_distance(ray.o, ray.d, tau, near, stop)))
+
+    def known_at(self, place: Any, gloss: Gloss, sampler: Any, active: Any) -> Picks:
+        """Which lamps to ask about a point of a surface."""
+        return self.importance.draw(lambda index: self.importance.at(index, place, gloss), sampler, active)
 
     def known_near(self, place: Any) -> Any:
         """Chances of the lamps at points, from their cells."""
@@ -435,32 +467,37 @@ class FogPath:
             alive = surface_hit | medium_scattered
             smooth = surface_hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
 
-            # ==== 9. Next-event estimation at the vertex: the scene's own choice of lights (one call gives the BSDF's
-            # value and its next direction)
-            lit, sent, power = self.sample_emitter(vertex, smooth, medium_scattered, sampler)
+            # ==== 9. Next-event estimation at the vertex: the scene's own choice of lights, or a lamp of many (one call
+            # gives the BSDF's value and its next direction)
+            chosen = self.sample_emitter(vertex, smooth, medium_scattered, sampler)
+            asked_about = si.to_local(chosen.direction)
+            if dr.hint(self.importance is not None, mode="scalar"):
+                asked_about = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)  # the mirror's, for its gloss
             reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(
-                context,
-                si,
-                si.to_local(sent.d),
-                sampler.next_1d(surface_hit),
-                sampler.next_2d(surface_hit),
-                surface_hit,
+                context, si, asked_about, sampler.next_1d(surface_hit), sampler.next_2d(surface_hit), surface_hit
             )
+            gloss, picks = Gloss(), None
+            if dr.hint(self.importance is not None, mode="scalar"):
+                gloss = Gloss.of(si, reflected, pdf, smooth)
+                picks = self.known_at(si.p, gloss, sampler, smooth)
+                chosen = self.choose_light(vertex, chosen, gloss, picks, smooth, sampler)
+                reflected, pdf = bsdf.eval_pdf(context, si, si.to_local(chosen.direction), chosen.asked & smooth)
             value, gain = bands.reflectance(reflected, reading), bands.reflectance(kept, reading)
             if dr.hint(self.foggy, mode="scalar"):
-                phase_value = medium.phase.value(dr.dot(ray.d, sent.d))
+                phase_value = medium.phase.value(dr.dot(ray.d, chosen.direction))
                 value = dr.select(medium_scattered, bands.even(mi.Color3f(phase_value)), value)
                 pdf = dr.select(medium_scattered, phase_value, pdf)
-            if dr.hint(self.use_nee, mode="scalar"):
-                free, reach_light = self.shadow_transmittance(vertex.p, vertex.n, sent.p, lit)
-                weight = dr.select(sent.delta, 1.0, mis_weight(sent.pdf, pdf))
-                group = self.group(sent.emitter, free)
-                light = dr.select(free, throughput * value * self.light(power, group) * (weight * reach_light), black)
-                path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
+            if dr.hint(self.use_nee or self.importance is not None, mode="scalar"):
+                free, reach_light = self.shadow_transmittance(vertex.p, vertex.n, chosen.place, chosen.asked)
+                weight = dr.select(chosen.alone, 1.0, mis_weight(chosen.pdf, pdf))
+                light = dr.select(
+                    free, throughput * value * self.light(chosen.power, chosen.group) * (weight * reach_light), black
+                )
+                path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, chosen.group)
 
-            # ==== 10. Next-event estimation at a surface: one lamp of the light sampler
-            if dr.hint(self.lights.count > 0, mode="scalar"):
-                light, group, gloss, weighed = self.nee_surface(si, bsdf, reading, throughput, sampler, smooth)
+            # ==== 10. Next-event estimation at a surface: one lamp of few, or of very many
+            if dr.hint(self.lights.count > 0 and self.importance is None, mode="scalar"):
+                light, group = self.nee_surface(si, bsdf, reading, throughput, sampler, smooth)
                 path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
 
             # ==== 11. The next direction: from the BSDF, or from the phase function and light guiding
@@ -474,7 +511,7 @@ class FogPath:
                 path, aovs, sums = self.add_light(path, aovs, sums, light, mi.UInt32(2), mi.UInt32(0))
             throughput = onward
             if dr.hint(self.lit_faces is not None, mode="scalar"):
-                prev_gloss, prev_weighed = gloss, dr.select(smooth, weighed, 0.0)
+                prev_gloss, prev_weighed = gloss, dr.select(smooth, picks.total, 0.0)
             prev_p, prev_pdf, prev_delta, prev_without_nee = (
                 mi.Point3f(vertex.p),
                 mi.Float(next_pdf),
@@ -482,9 +519,7 @@ class FogPath:
                 mi.Bool(False),
             )
             if dr.hint(self.foggy, mode="scalar"):
-                wo, phase_pdf, throughput = self.sample_phase(
-                    ray.d, vertex.p, throughput, scale, sampler, medium_scattered
-                )
+                wo, phase_pdf, throughput = self.sample_phase(ray.d, vertex.p, throughput, sampler, medium_scattered)
                 direction, prev_pdf = (
                     dr.select(medium_scattered, wo, direction),
                     dr.select(medium_scattered, phase_pdf, prev_pdf),
@@ -589,15 +624,14 @@ class FogPath:
         if self.method.scatterings == 0:
             some &= False
         place = medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u * opaque), near, stop)
-        if self.guide.count > 0:
-            sigma = tau / dr.maximum(stop - near, 1e-6)
-            guided = self.guide.distance(ray.o, ray.d, near, stop, sigma, sampler.next_1d(some), sampler.next_1d(some))
+        if self.guide is not None:
+            guided = self.guide.distance(ray.o, ray.d, near, stop, sampler.next_1d(some), sampler.next_1d(some))
             place = dr.select(sampler.next_1d(some) < GUIDE_PROBABILITY, guided, place)
             plain = (
                 dr.exp(-medium.optical_depth_inside(ray.o, ray.d, near, place)) * medium.extinction(ray(place)) / opaque
             )
             mixed = (
-                GUIDE_PROBABILITY * self.guide.distance_density(ray.o, ray.d, near, stop, sigma, place)
+                GUIDE_PROBABILITY * self.guide.distance_density(ray.o, ray.d, near, stop, place)
                 + (1.0 - GUIDE_PROBABILITY) * plain
             )
             throughput = dr.select(some, throughput * plain / dr.maximum(mixed, 1e-30), throughput)
@@ -664,53 +698,45 @@ class FogPath:
             ended, throughput * weight * self.light(emitter.eval(si, ended), group), self.bands.black()
         ), group
 
-    def sample_emitter(self, vertex: Any, smooth: Any, medium_scattered: Any, sampler: Any) -> tuple[Any, Any, Any]:
-        """(9) Whether a light is chosen, its direction, and its radiance over the density of the choice."""
+    def sample_emitter(self, vertex: Any, smooth: Any, medium_scattered: Any, sampler: Any) -> Chosen:
+        """(9) A light by the scene's own choice."""
         mi = backend.mitsuba()
         lit = smooth | medium_scattered if self.use_nee_medium else mi.Bool(smooth)
-        sent, power = dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0)
+        sent, power, group = dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0), mi.UInt32(0)
         if self.use_nee:
             sent, power = self.loaded.scene.sample_emitter_direction(vertex, sampler.next_2d(lit), False, lit)
             if self.control is not None:
                 lit &= sent.emitter != mi.EmitterPtr(self.loaded.scene.environment())
-        return lit & (sent.pdf > 0.0), sent, power
+            group = self.group(sent.emitter, lit)
+        return Chosen(lit & (sent.pdf > 0.0), sent.p, sent.d, power, group, sent.pdf, sent.delta)
+
+    def choose_light(self, vertex: Any, own: Chosen, gloss: Gloss, picks: Picks, smooth: Any, sampler: Any) -> Chosen:
+        """(9) That one, or one of the lamps that matter to a surface, by what it would make of them."""
+        mi = backend.mitsuba()
+        lamp, colour, group, pdf = self.lights.at(vertex.p, gloss, sampler, smooth, picks)
+        towards = dr.normalize(lamp - vertex.p)
+        from_lamp = dr.select(smooth, mi.luminance(colour) * gloss(towards), 0.0)
+        from_own = dr.select(own.asked, mi.luminance(own.power) * gloss(own.direction), 0.0)
+        share = dr.select(from_own > 0.0, from_own / dr.maximum(from_own + from_lamp, 1e-30), 0.0)
+        share = dr.select((from_own > 0.0) & (from_lamp > 0.0), dr.clip(share, LEAST_CHANCE, 1.0 - LEAST_CHANCE), share)
+        own.power = own.power / dr.maximum(share, 1e-30)
+        colour = colour / dr.maximum(1.0 - share, 1e-30)
+        alone = (pdf <= 0.0) | mi.Bool(self.lit_faces is None)
+        lamps = Chosen(from_lamp > 0.0, lamp, towards, colour, group, pdf, alone)
+        return own.where(sampler.next_1d(own.asked | smooth) < share, lamps)
 
     def nee_surface(
         self, si: Any, bsdf: Any, reading: Any, throughput: Any, sampler: Any, smooth: Any
-    ) -> tuple[Any, Any, Any, Any]:
-        """(10) A lamp's light on a surface as it is reflected, the lamp's group, how the surface answers lamps, and the
-        sum of their weights.
-        """
+    ) -> tuple[Any, Any]:
+        """(10) A lamp's light on a surface as it is reflected, and the lamp's group."""
         context, black = backend.mitsuba().BSDFContext(), self.bands.black()
-        if self.importance is None:
-            lamp, colour, group, _ = self.lights.at(
-                si.p, lambda way: dr.abs(dr.dot(si.n, way)) + 1e-3, sampler, smooth, self.known_near(si.p)
-            )
-            free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
-            reflected = bsdf.eval(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
-            return (
-                dr.select(
-                    free,
-                    throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp,
-                    black,
-                ),
-                group,
-                None,
-                None,
-            )
-        gloss = Gloss.of(si, bsdf, smooth)
-        picks = self.importance.draw(lambda index: self.importance.at(index, si.p, gloss), sampler, smooth)
-        lamp, colour, group, lamp_pdf = self.lights.at(si.p, gloss, sampler, smooth, picks)
-        free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
-        reflected, pdf = bsdf.eval_pdf(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
-        if self.lit_faces is not None:
-            reach_lamp = reach_lamp * dr.select(lamp_pdf > 0.0, mis_weight(lamp_pdf, pdf), 1.0)
-        light = dr.select(
-            free,
-            throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp,
-            black,
+        lamp, colour, group, _ = self.lights.at(
+            si.p, lambda way: dr.abs(dr.dot(si.n, way)) + 1e-3, sampler, smooth, self.known_near(si.p)
         )
-        return light, group, gloss, picks.total
+        free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
+        reflected = bsdf.eval(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
+        light = throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp
+        return dr.select(free, light, black), group
 
     def control_reflected(
         self,
@@ -740,24 +766,20 @@ class FogPath:
         return dr.select(known & (bounce.pdf > 0.0), light, dr.select(known, irradiance, black))
 
     def sample_phase(
-        self, forward: Any, place: Any, throughput: Any, scale: Any, sampler: Any, medium_scattered: Any
+        self, forward: Any, place: Any, throughput: Any, sampler: Any, medium_scattered: Any
     ) -> tuple[Any, Any, Any]:
         """(11) A direction after a scattering, from the phase function or guided to a lamp, and the phase function's
         density of it [1/sr].
         """
         medium = self.medium
         wo, phase_pdf = medium.phase.sample(forward, sampler.next_2d(medium_scattered))
-        if self.guide.count > 0:
-            sigma = medium.media[0].sigma_t
-            guided = self.guide.direction(
-                place, sigma, sampler.next_1d(medium_scattered), sampler.next_2d(medium_scattered)
-            )
-            guiding = dr.select(dr.max(throughput) < GROWN * scale, GUIDE_PROBABILITY, GUIDE_PROBABILITY_GROWN)
-            wo = dr.select(sampler.next_1d(medium_scattered) < guiding, guided, wo)
+        if self.guide is not None:
+            guided = self.guide.direction(place, sampler.next_1d(medium_scattered), sampler.next_2d(medium_scattered))
+            wo = dr.select(sampler.next_1d(medium_scattered) < GUIDE_DIRECTIONS, guided, wo)
             phase_pdf = medium.phase.value(
                 dr.dot(forward, wo)
             )  # also what it is weighed by against shadow rays, on both sides
-            mixed = guiding * self.guide.direction_density(place, sigma, wo) + (1.0 - guiding) * phase_pdf
+            mixed = GUIDE_DIRECTIONS * self.guide.direction_density(place, wo) + (1.0 - GUIDE_DIRECTIONS) * phase_pdf
             throughput = dr.select(medium_scattered, throughput * phase_pdf / dr.maximum(mixed, 1e-30), throughput)
         return wo, phase_pdf, throughput
 

@@ -59,16 +59,21 @@ ROW = 16
 
 
 class Importance:
-    """All lights of a scene, a row each.
+    """All lights of a scene, a row each, or those alone that are brightest as seen from a place.
 
     Args:
         lights: the scene's.
         medium: the fog.
+        most: how many lights; all of them unless told.
+        eye: (3,) the place [m].
     """
 
-    def __init__(self, lights: LightSampler, medium: Medium) -> None:
+    def __init__(self, lights: LightSampler, medium: Medium, most: int | None = None, eye: Array | None = None) -> None:
         mi = backend.mitsuba()
         rows = summaries(lights.rows)
+        if most is not None and eye is not None and len(rows) > most:
+            apart = ((rows["position"] - eye) ** 2).sum(axis=1) + 25.0
+            rows = rows[np.sort(np.argsort(-rows["peak"] / apart, kind="stable")[:most])]
         angle = np.linspace(0.0, np.pi, 721)
         value = np.full_like(angle, 1.0 / (4.0 * np.pi))
         if medium.foggy:
@@ -88,9 +93,8 @@ class Importance:
         packed[:, 8:11] = [_across(one, x) for one, x in zip(axis, rows["table_x"], strict=True)]
         self.data = backend.floats(packed.ravel())
         spread = _scattered_by_fog(sent, angle, scattered)
-        self.sent, self.spread = (
-            backend.floats(np.concatenate([table.ravel() for table in tables])) for tables in (sent, spread)
-        )
+        self.tables = backend.floats(np.concatenate([table.ravel() for table in (*sent, *spread)]))
+        self.spread = dr.opaque(mi.UInt32, SIDE**2 * len(sent))
         self.count = dr.opaque(mi.UInt32, len(rows))
         self.sigma_t = medium.media[0].sigma_t if medium.foggy else dr.opaque(mi.Float, 0.0)
         self.width = lights.width
@@ -116,18 +120,18 @@ class Importance:
         along = dr.maximum(nearest - cosine * away - begin, 0.0)
         share = dr.maximum(b - a, 0.0) + 0.05 * dr.maximum(dr.sqrt(high2) - dr.sqrt(low2), 0.0) + ALWAYS
         dimmed = dr.exp(-self.sigma_t * dr.minimum(away + along, 1e4))
-        return peak * inverse * share * (self._sent(self.spread, axis, x, table, towards) + FLOOR) * dimmed
+        return peak * inverse * share * (self._sent(axis, x, table + self.spread, towards) + FLOOR) * dimmed
 
-    def at(self, index: Any, place: Any, response: Callable[[Any], Any]) -> Any:
+    def at(self, index: Any, place: Any, response: Callable[[Any], Any], in_fog: Any = False) -> Any:
         """Weight of a light for a point; `response` tells what a surface there makes of light from a direction towards
-        it.
+        it.  With `in_fog` what the fog scatters out of the light's brightest parts counts too.
         """
         light, peak, axis, table, x = self._row(index)
         between = place - light
         true = dr.maximum(dr.squared_norm(between), 1e-8)
         square, floored = dr.maximum(true, NEAR_M**2), dr.maximum(true, FLOOR_M**2)
         away = between * dr.rsqrt(true)
-        sent = self._sent(self.sent, axis, x, table, away)
+        sent = self._sent(axis, x, table + dr.select(in_fog, self.spread, 0), away)
         return peak * dr.exp(-self.sigma_t * dr.sqrt(square)) * (sent / square + FLOOR / floored) * response(-away)
 
     @dr.syntax
@@ -143,6 +147,11 @@ class Importance:
             index += 1
         return picks
 
+    def place(self, index: Any) -> Any:
+        """Where lights are [m]."""
+        one = dr.gather(backend.mitsuba().Vector4f, self.data, index * (ROW // 4))
+        return backend.mitsuba().Point3f(one[0], one[1], one[2])
+
     def _row(self, index: Any) -> tuple[Any, ...]:
         mi = backend.mitsuba()
         one, two, three = (dr.gather(mi.Vector4f, self.data, index * (ROW // 4) + part) for part in range(3))
@@ -154,7 +163,7 @@ class Importance:
             mi.Vector3f(three[0], three[1], three[2]),
         )
 
-    def _sent(self, tables: Any, axis: Any, x: Any, begin: Any, direction: Any) -> Any:
+    def _sent(self, axis: Any, x: Any, begin: Any, direction: Any) -> Any:
         """Share of its peak that a light sends in a direction, from its texel of the octahedron."""
         mi = backend.mitsuba()
         z = dr.dot(axis, direction)
@@ -164,7 +173,7 @@ class Importance:
         folded_u, folded_v = dr.copysign(1.0 - dr.abs(v), u), dr.copysign(1.0 - dr.abs(u), v)
         u, v = dr.select(z < 0.0, folded_u, u), dr.select(z < 0.0, folded_v, v)
         column, row = (dr.clip(mi.UInt32(dr.maximum((w * 0.5 + 0.5) * SIDE, 0.0)), 0, SIDE - 1) for w in (u, v))
-        return dr.gather(mi.Float, tables, begin + row * SIDE + column)
+        return dr.gather(mi.Float, self.tables, begin + row * SIDE + column)
 
 
 class Gloss:
@@ -186,13 +195,16 @@ class Gloss:
         self.normal, self.wi, self.peak, self.alpha2 = mi.Normal3f(0.0), mi.Vector3f(0.0), mi.Float(0.0), mi.Float(1.0)
 
     @classmethod
-    def of(cls, si: Any, bsdf: Any, active: Any) -> Gloss:
-        """A surface's."""
+    def of(cls, si: Any, value: Any, pdf: Any, active: Any) -> Gloss:
+        """A surface's, from value x cosine and density [1/sr] of its BSDF in the mirror's direction; where not `active`
+        it answers all light alike.
+        """
         mi = backend.mitsuba()
-        value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z), active)
         gloss = cls()
-        gloss.normal, gloss.wi, gloss.peak = mi.Normal3f(si.sh_frame.n), si.to_world(si.wi), mi.luminance(value)
-        gloss.alpha2 = 1.0 / dr.maximum(4.0 * dr.pi * pdf * dr.abs(si.wi.z), 1.0)
+        gloss.normal = dr.select(active, mi.Normal3f(si.sh_frame.n), mi.Normal3f(0.0))
+        gloss.wi = dr.select(active, si.to_world(si.wi), mi.Vector3f(0.0))
+        gloss.peak = dr.select(active, mi.luminance(value), 0.0)
+        gloss.alpha2 = dr.select(active, 1.0 / dr.maximum(4.0 * dr.pi * pdf * dr.abs(si.wi.z), 1.0), 1.0)
         return gloss
 
     def __call__(self, way: Any) -> Any:
