@@ -27,7 +27,7 @@ import numpy.typing as npt
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend, dualbuffer
-from synfog_usd.render.film.accumulator import HALVES
+from synfog_usd.render.film.accumulator import DIRECT, HALVES
 from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Medium, unsupported_fog
@@ -38,7 +38,7 @@ INSTALL = "pip install pyoidn"
 SURFACE = "surface"
 """The component with guides; every other is taken for airlight."""
 
-NOISELESS = ("lamps_direct",)
+NOISELESS = (DIRECT,)
 """Components that are added as they are."""
 
 FAINT_SURFACE = 0.02

@@ -49,8 +49,9 @@ class Rendered:
     Attributes:
         radiance: (H, W, C) with the variance of its mean; linear Rec.709 in cd m-2, or bands in W m-2 sr-1 nm-1.
         aovs: what the pixel-centre rays met.
-        components: 'surface', 'airlight_single', 'airlight_multiple' -> (H, W, C) float32 radiance, which add up to
-            all of it and may be below 0 by noise, but where they were denoised; empty where the model tells none apart.
+        components: 'surface', 'airlight_single', 'airlight_multiple', and 'lamps_direct' where lamps are seen -> (H, W,
+            C) float32 radiance, which add up to all of it and may be below 0 by noise, but where they were denoised;
+            empty where the model tells none apart.
         error: (H, W) expected RMS error of each pixel's luminance [cd m-2] after denoising; None where nothing was
             denoised.
         groups: light group -> (H, W, C) float32 radiance; empty where there is only one.

@@ -31,9 +31,6 @@ MOST_GUIDED = 16
 GUIDE_PROBABILITY = 0.5
 """Share of distances on the eye's segment that are drawn towards lamps."""
 
-GUIDE_DIRECTIONS = 0.15
-"""Share of directions."""
-
 EVENLY = 0.3
 """Share of the draws towards lamps that take any lamp alike: whatever hides or dims the favourite."""
 

@@ -1,0 +1,170 @@
+"""Lamps that the eye sees: their faces clipped to the pixels.
+
+A lamp's face is a hundred times as bright as the street and, far away, smaller than a pixel: whether one of a
+pixel's rays meets it is luck, and the brightest points of a night came and went with the seed.  Here each face is cut
+at the pixels' edges (Sutherland and Hodgman 1974), and every piece is asked for certain, by a ray through a random
+point of it.  What is left to chance is what hides it.
+
+Takes a loaded scene with a pinhole; gives `VisibleFaces`.  Lamps that cover many pixels, or reach behind the near
+plane, are left to chance, as all are where the camera has a lens or moves.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from synfog_usd.arrays import Array, Indices
+from synfog_usd.render import backend
+from synfog_usd.render.lights.importance import emitter_index
+from synfog_usd.render.lights.rows import is_sampled_light
+from synfog_usd.render.load import MitsubaScene, is_thin_lens
+
+MOST_PX, MOST_SHARE = 256.0, 1.0 / 16.0
+"""Pixels of its box in the picture, and their share of it, beyond which a lamp is large enough for chance."""
+
+MOST_FACES = 2048
+"""Faces of a lamp from which on it is left to chance: cutting them would take longer than they are worth."""
+
+LEAST_PX = 1e-9
+"""Area of a piece [pixels] below which it is dropped: rounding."""
+
+Point = tuple[float, float]
+
+
+class VisibleFaces:
+    """Pieces of lamps' faces, each within one pixel.
+
+    Args:
+        begin: (P + 1,) number of each pixel's first piece.
+        corners: (N, 3, 2) of each piece, a triangle [pixels].
+        area: (N,) [pixels].
+        owner: (N, 2) its emitter's index and its face's number.
+        emitters: (E,) whether each emitter's faces are all in.
+
+    Attributes:
+        count: how many pieces there are.
+    """
+
+    def __init__(self, begin: Indices, corners: Array, area: Array, owner: Indices, emitters: Indices) -> None:
+        self.count = len(area)
+        if not self.count:
+            corners, area, owner = np.zeros((1, 3, 2)), np.zeros(1), np.zeros((1, 2))
+        self.begin, self.emitters = backend.numbers(begin), backend.numbers(emitters)
+        self.corners = [backend.floats(column) for column in corners.reshape(-1, 6).T]
+        self.area, self.owner = backend.floats(area), [backend.numbers(column) for column in owner.T]
+
+    @classmethod
+    def of(cls, loaded: MitsubaScene) -> VisibleFaces | None:
+        """A scene's; None where it has no lit faces, or its camera is no pinhole that stands still."""
+        camera = loaded.source.camera
+        if camera.moves or camera.width_m > 0.0 or is_thin_lens(camera):
+            return None
+        found: list[tuple[int, tuple[Point, Point, Point], float, int, int]] = []
+        inside: list[int] = []
+        lit = False
+        for key, part in loaded.source.world.items():
+            if not (is_sampled_light(part) and part["type"] == "mesh" and (key,) in loaded.shapes):
+                continue
+            lit = True
+            corners = np.asarray(part["positions"], dtype=np.float64)[np.asarray(part["faces"], dtype=np.int64)]
+            emitter = loaded.shapes[(key,)].emitter()
+            if emitter is None or len(corners) > MOST_FACES or (placed := _in_picture(corners, camera)) is None:
+                continue
+            if "normals" in part:  # its shading decides which side shines
+                placed[1][:] = True
+            inside.append(index := emitter_index(emitter))
+            for number in np.flatnonzero(placed[1]):
+                for pixel, triangle, area in _cut(placed[0][number], camera.width_px, camera.height_px):
+                    found.append((pixel, triangle, area, index, int(number)))
+        if not lit:
+            return None
+        found.sort(key=lambda piece: piece[0])
+        pixels = camera.width_px * camera.height_px
+        flags = np.zeros(max([*inside, *(emitter_index(one) for one in loaded.scene.emitters())]) + 1, dtype=np.uint32)
+        flags[inside] = 1
+        return cls(
+            np.searchsorted([piece[0] for piece in found], np.arange(pixels + 1)),
+            np.array([piece[1] for piece in found]),
+            np.array([piece[2] for piece in found]),
+            np.array([piece[3:] for piece in found], dtype=np.int64),
+            flags,
+        )
+
+    def pieces(self, pixel: Any) -> tuple[Any, Any]:
+        """Numbers of pixels' first pieces, and of those after their last."""
+        mi = backend.mitsuba()
+        return dr.gather(mi.UInt32, self.begin, pixel), dr.gather(mi.UInt32, self.begin, pixel + 1)
+
+    def point(self, piece: Any, u: Any) -> tuple[Any, Any, Any, Any]:
+        """A point in a piece [pixels], its area, its emitter's index and its face's number."""
+        mi = backend.mitsuba()
+        ax, ay, bx, by, cx, cy = (dr.gather(mi.Float, column, piece) for column in self.corners)
+        root = dr.sqrt(u.x)
+        one, two, three = 1.0 - root, root * (1.0 - u.y), root * u.y
+        place = mi.Point2f(ax * one + bx * two + cx * three, ay * one + by * two + cy * three)
+        owner, face = (dr.gather(mi.UInt32, column, piece) for column in self.owner)
+        return place, dr.gather(mi.Float, self.area, piece), owner, face
+
+    def holds(self, emitter: Any, active: Any) -> Any:
+        """Whether an emitter's faces are all in, so that no path must count them where the eye sees them."""
+        mi = backend.mitsuba()
+        return active & (dr.gather(mi.UInt32, self.emitters, dr.reinterpret_array(mi.UInt32, emitter), active) > 0)
+
+
+def _in_picture(corners: Array, camera: Any) -> tuple[Array, Array] | None:
+    """(F, 3, 2) corners of faces [pixels] and which of them face the eye; None where they are left to chance."""
+    eye, turn = camera.to_world[:3, 3], camera.to_world[:3, :3]
+    local = (corners - eye) @ turn
+    front = (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * (eye - corners[:, 0])).sum(
+        1
+    ) > 0.0
+    if not front.any() or (-local[..., 2]).min() <= max(camera.near_m, 1e-3):
+        return None
+    width = 2.0 * np.tan(np.radians(camera.fov_x_deg) / 2.0)
+    plane = local[..., :2] / -local[..., 2:] / width
+    x = (0.5 + plane[..., 0] - camera.shift[0]) * camera.width_px
+    y = (0.5 + camera.shift[1]) * camera.height_px - plane[..., 1] * camera.width_px
+    low, pixels = np.maximum([x.min(), y.min()], 0.0), camera.width_px * camera.height_px
+    high = np.minimum([x.max(), y.max()], [camera.width_px, camera.height_px])
+    if (high <= low).any() or np.prod(np.ceil(high) - np.floor(low)) > min(MOST_PX, MOST_SHARE * pixels):
+        return None
+    return np.stack([x, y], axis=-1), front
+
+
+def _cut(triangle: Array, width: int, height: int) -> list[tuple[int, tuple[Point, Point, Point], float]]:
+    """(pixel, triangle, area) of the pieces of a triangle in each pixel."""
+    corners: list[Point] = [(float(x), float(y)) for x, y in triangle]
+    rows = range(max(int(np.floor(triangle[:, 1].min())), 0), min(int(np.ceil(triangle[:, 1].max())), height))
+    columns = range(max(int(np.floor(triangle[:, 0].min())), 0), min(int(np.ceil(triangle[:, 0].max())), width))
+    found = []
+    for row in rows:
+        strip = _clipped(_clipped(corners, 1, row, 1.0), 1, row + 1, -1.0)
+        for column in columns:
+            outline = _clipped(_clipped(strip, 0, column, 1.0), 0, column + 1, -1.0)
+            for two, three in itertools.pairwise(outline[1:]):
+                piece = (outline[0], two, three)
+                if (area := _area(piece)) > LEAST_PX:
+                    found.append((row * width + column, piece, area))
+    return found
+
+
+def _clipped(outline: list[Point], axis: int, at: float, side: float) -> list[Point]:
+    """The part of a convex outline where side x (coordinate - at) >= 0."""
+    found: list[Point] = []
+    for one, two in zip(outline, outline[1:] + outline[:1], strict=True):
+        here, there = side * (one[axis] - at), side * (two[axis] - at)
+        if here >= 0.0:
+            found.append(one)
+        if (here >= 0.0) != (there >= 0.0):
+            share = here / (here - there)
+            found.append((one[0] + (two[0] - one[0]) * share, one[1] + (two[1] - one[1]) * share))
+    return found
+
+
+def _area(piece: tuple[Point, Point, Point]) -> float:
+    (ax, ay), (bx, by), (cx, cy) = piece
+    return 0.5 * abs((bx - ax) * (cy - ay) - (cx - ax) * (by - ay))
