@@ -95,6 +95,31 @@ def test_amodal_masks_are_those_of_each_object_alone(crowd):
     assert hidden >= 8
 
 
+@pytest.mark.slow
+def test_behind_a_hundred_leaves_a_ray_is_still_the_same():
+    """Cards that the rays graze, then a fence of thin bars at 60 m: its mask is that of the fence alone, pixel by
+    pixel.
+    """
+    rng = np.random.default_rng(2)
+    bars = trimesh.util.concatenate(
+        [trimesh.creation.box((0.06, 0.06, 30.0), placed(x, 60.0, 0.0)) for x in np.arange(-30.0, 30.0, 0.4)]
+    )
+    world = {"shape_fence": mesh(bars)}
+    alone_there = scene(world, **SIZE)
+    cards = []
+    for number in range(100):
+        card = trimesh.creation.box((40.0, 0.01, 40.0))
+        turn = trimesh.transformations.rotation_matrix(np.radians(rng.uniform(60, 85)), [0.0, rng.uniform(-1, 1), 1.0])
+        turn[:3, 3] = 0.0, 5.0 + 0.45 * number, 0.0
+        cards.append(card.apply_transform(turn))
+    world["shape_cards"] = mesh(trimesh.util.concatenate(cards))
+    crowded = scene(world, **SIZE)
+    ids, pixels = aovs.pierced(to_mitsuba(crowded, boundaries=False))
+    brute = aovs.measure(to_mitsuba(alone_there, boundaries=False)).instance_id.ravel()
+    differ = np.setxor1d(pixels[ids == 1], np.flatnonzero(brute == 1))
+    assert len(differ) <= 0.01 * (brute == 1).sum()
+
+
 def test_batches_change_nothing(crowd):
     loaded = to_mitsuba(crowd, boundaries=False)
     for one, other in zip(aovs.pierced(loaded), aovs.pierced(loaded, batch=1000), strict=True):
