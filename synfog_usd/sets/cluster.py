@@ -97,7 +97,7 @@ def local(count: int) -> Iterator[Workers]:
             threads_per_worker=1,
             memory_limit=0,
             processes=True,
-            dashboard_address=":0" if _has_dashboard() else None,
+            dashboard_address=":0",  # another run may have the usual port
             silence_logs=logging.CRITICAL,
             local_directory=None,
         )

@@ -103,7 +103,7 @@ def record(out: Path, unit: Unit) -> dict[str, Any] | None:
     path = out / unit.folder / layout.UNIT
     try:
         found = json.loads(path.read_bytes())
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
         raise OutputError(f"{path}: cannot be read ({error}); run --repair makes it again") from error
