@@ -113,15 +113,20 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
             return dict(json.loads(told.read().decode(errors="replace").strip().rpartition("\n")[2]))
     if code < 0:
         return _failed("killed", "its process died of {}: {}".format(*system.cause(code)))
+    if last_words.startswith("Traceback") or "\n  File " in last_words:
+        last_words = last_words.splitlines()[-1]
     return _failed("crash", last_words or f"its process ended with exit code {code}")
 
 
 def told(made: Callable[[], tuple[dict[str, Any], bool]]) -> tuple[dict[str, Any], int]:
     """In the child: what to print of a unit, and the exit code."""
-    from synfog_usd.errors import SynfogError
+    from synfog_usd.errors import OutputError, SynfogError
 
     try:
         found, fresh = made()
+    except OSError as error:  # of the place, not of the unit: a disk that is read-only, a file in the way
+        place = f"{error.filename}: cannot be used ({error.strerror})"
+        return {"ok": False, "error": place, "kind": OutputError.__name__}, OutputError.exit_code
     except SynfogError as error:
         return {"ok": False, "error": str(error), "kind": type(error).__name__}, error.exit_code
     cpu_s, peak_mb = system.used()
