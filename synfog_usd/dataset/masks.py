@@ -22,8 +22,8 @@ def encode(pixels: Indices, height: int, width: int) -> str:
         pixels: (N,) numbers of its pixels, row by row from the top left, each once.
         height, width: of the picture [px].
 
-    >>> encode(np.array([0, 1, 3]), 2, 2)  # 1 1 above 0 1, so 0, 1, 1 and 2 down the columns
-    '0112'
+    >>> encode(np.array([0, 1, 3]), 2, 2)  # 1 1 above 0 1: runs of 0, 1, 1, 2 down the columns; told 2 - 1
+    '0111'
     """
     y, x = np.divmod(np.asarray(pixels, dtype=np.int64), width)
     order = np.sort(x * height + y)

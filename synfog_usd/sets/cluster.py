@@ -113,7 +113,13 @@ def joined(address: str) -> Iterator[Workers]:
         SetError: nobody answers, or it has no worker.
     """
     dask, distributed = _dask()
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("asyncio", "tornado", *logging.root.manager.loggerDict):
+        if name.split(".")[0] in (
+            "asyncio",
+            "tornado",
+            "distributed",
+        ):  # what they log of a lost scheduler is told by us
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(SETTINGS):
         try:
             client = distributed.Client(address, timeout=10)

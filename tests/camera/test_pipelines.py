@@ -209,7 +209,11 @@ def test_what_a_graph_may_write_and_what_writers_can_write_are_the_same():
     for suffix, options in outputs.OPTIONS.items():
         words = inspect.signature(WRITERS[suffix]).parameters
         assert set(options) == {name for name, word in words.items() if word.kind is word.KEYWORD_ONLY} - {"attributes"}
-        assert all(words[name].default in (option.choices[0], None) for name, option in options.items())
+        assert all(
+            words[name].default in (option.choices[0], None)
+            or (isinstance(option.choices, range) and f"if left out {words[name].default}" in option.help)
+            for name, option in options.items()
+        )
 
 
 def test_wrong_order_in_the_phone_is_refused_when_it_is_loaded(tmp_path):

@@ -71,7 +71,7 @@ def test_labels_tell_of_the_whole_wall_and_of_what_the_fog_leaves_of_it(unbroken
     (wall,) = [row for row in listed["instances"] if row["label"] == "wall"]
     assert listed["camera"]["size_px"] == [64, 36] and listed["camera"]["distortion_coefficients"] == []
     assert wall["visible_share"] > 0.99 and wall["amodal_box_px"] == wall["box_px"] and 0 <= wall["truncation"] < 1
-    assert wall["pose"]["camera_m"][2] > 0.0
+    assert wall["box_3d"]["centre_camera_m"][2] > 0.0
     left = []
     for fog in ("clear", "mor600", "mor150"):
         told = json.loads((out / "sky" / fog / "instances.json").read_text())

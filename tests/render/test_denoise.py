@@ -442,7 +442,8 @@ def test_a_closed_room_with_mirror_pane_and_one_lamp_gives_a_picture(size, sampl
 
 
 def inside_a_car():
-    """A car's body of 2 m around the camera, open only at a windscreen of clear glass; a lamp outside, and no sky.
+    """A car's body of 2 m around the camera, open only at a windscreen of clear glass; a lamp outside lights a wall,
+    and there is no sky.
 
     A bonnet stands before the near plane.
     """
@@ -453,7 +454,7 @@ def inside_a_car():
     ]
     lamp = {
         "type": "spot",
-        "to_world": np.array([[-1.0, 0, 0, 0], [0, 0, -1, 20], [0, -1, 0, 1], [0, 0, 0, 1]]),
+        "to_world": np.array([[-1.0, 0, 0, 0], [0, 0, 1, 8], [0, 1, 0, 1], [0, 0, 0, 1]]),
         "intensity": {"type": "rgb", "value": [3000.0] * 3},
         "cutoff_angle": 30.0,
     }
