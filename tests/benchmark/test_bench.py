@@ -123,6 +123,7 @@ def test_the_bench_measures_and_goes_on_and_gives_the_same_numbers(tmp_path, fol
         assert sheet.width > 3 * 300
 
 
+@pytest.mark.slow
 def test_methods_that_fail_cost_their_own_row_only(tmp_path, folder):
     """One dies, one hangs, one answers NaN, one another size, one wants another size; the rest is measured."""
     dies = [sys.executable, "-c", "import os, sys; os.kill(os.getpid(), 9)", "{in}", "{out}"]

@@ -278,6 +278,7 @@ def test_an_output_that_cannot_be_written_is_refused(stage, tmp_path):
     refused(run("bake", stage, "-o", tmp_path / "file" / "out", "--resolution", "32x18"), str(tmp_path / "file"))
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_one_line_and_leaves_no_half_file(stage, tmp_path):
     """A limit on file size stands in for a full disk: writing fails in the middle of a file."""
     out = tmp_path / "out"

@@ -120,6 +120,7 @@ def test_behind_a_hundred_leaves_a_ray_is_still_the_same():
     assert len(differ) <= 0.01 * (brute == 1).sum()
 
 
+@pytest.mark.slow
 def test_batches_change_nothing(crowd):
     loaded = to_mitsuba(crowd, boundaries=False)
     for one, other in zip(aovs.pierced(loaded), aovs.pierced(loaded, batch=1000), strict=True):

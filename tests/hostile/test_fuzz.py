@@ -55,6 +55,7 @@ def test_the_stage_that_is_damaged_is_sound():
     assert read(TEXT)
 
 
+@pytest.mark.slow
 @fuzzed(30)
 @given(st.lists(changes(), min_size=1, max_size=3))
 def test_any_value_of_any_attribute_ends_in_a_scene_or_an_error(found):
@@ -246,6 +247,7 @@ MTLX_WORDS = (
 )
 
 
+@pytest.mark.slow
 @fuzzed(30)
 @given(
     st.lists(

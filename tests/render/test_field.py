@@ -87,6 +87,7 @@ def test_aovs_and_groups_add_up():
     np.testing.assert_allclose(sum(done.groups.values()), done.radiance.pixels, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_stated_variance_is_near_that_of_the_mean():
     """Neighbours share noise, but each pixel's own scatter between seeds is what is stated, to a factor of two on the
     median.

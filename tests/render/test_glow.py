@@ -63,6 +63,7 @@ def test_a_bulb_in_fog_without_end_glows_as_in_path_closely(g, tau):
     assert_agree(ours, theirs, systematic=2e-3, resolves=0.15)
 
 
+@pytest.mark.slow
 def test_what_lies_behind_a_wall_is_not_seen():
     """A black wall 15 m away cuts the ray off: the table at the eye less the table at the wall is what `path` traces,
     to 3 %.

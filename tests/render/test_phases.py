@@ -88,6 +88,7 @@ def test_directions_are_drawn_in_proportion_to_the_record(mi, record):
     assert chance > 1e-4, f"chi-squared says {chance:.2g}"
 
 
+@pytest.mark.slow
 def test_the_chi_squared_test_sees_two_percent(mi):
     """Directions of a density that is 2 % higher over one half of the light and lower over the other are told from the
     record's, 9 times in 10.

@@ -80,6 +80,7 @@ def test_what_stands_before_a_lamp_hides_it():
     np.testing.assert_allclose(found, expected([(20.0, 0.08, 0.025)]), rtol=0.05)
 
 
+@pytest.mark.slow
 def test_the_split_leaves_the_mean(monkeypatch):
     """With and without the estimator, a lamp of five pixels: the same light in all of the picture, within five standard
     errors of 6 seeds, 5 % resolved; what it is for is seen beside it.

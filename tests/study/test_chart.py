@@ -408,6 +408,7 @@ def test_a_small_chart_writes_its_four_files(stage, tmp_path):
         assert row["reference_model"] in ("path", "path+slab") and row["reference_samples"] == "1024"
 
 
+@pytest.mark.slow
 def test_a_folder_is_charted_stage_by_stage(stage, tmp_path):
     """Each stage into a folder of its name, with a page and a table over both; every link is to a file that is
     there.

@@ -89,6 +89,7 @@ def test_the_root_layer_comes_last(tmp_path, monkeypatch):
     assert len(Sdf.Layer.FindOrOpen(str(tmp_path / "s.usda")).GetPrimAtPath("/World").nameChildren) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["/proc/s.usda", "full"])
 def test_a_place_that_takes_no_stage_is_one_line(tmp_path, place):
     """An unwritable folder, and a disk that is full: of the stage that was there before, every layer stays as it

@@ -21,6 +21,7 @@ def world(name, seed):
     return spec, kind._horizon(spec, spec.road)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rural", "residential", "roundabout", "bridge"])
 def test_what_closes_the_view_stands_on_its_ground_away_from_the_road(name):
     """Three seeds: no foot is nearer than NEAR_M, above the ground, more than 2 m in it, or in the river."""

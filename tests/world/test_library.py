@@ -250,6 +250,7 @@ def test_low_level_has_fewer_triangles_and_the_same_silhouette(name):
             assert lod.distance(full[key], low[key], samples=2000) <= 0.02 + 1e-4  # files keep five decimals
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in NAMES if "far" in library()[n].variants.get("lod", ())])
 def test_far_level_of_a_tree_covers_as_much_as_the_near_one(name):
     """Seen from four sides on a grid of 10 cm: the leaves' mean share of covered cells within 15 %, no wider and no
