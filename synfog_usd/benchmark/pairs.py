@@ -94,20 +94,14 @@ def _of_set(source: Path, picture: str, clear: str, split: str) -> Iterator[Pair
 def _of_bake(source: Path, picture: str, clear: str) -> Iterator[Pair]:
     try:
         rows = json.loads((source / "bake.json").read_text(encoding="utf-8"))["shots"]
-        shots = [(str(row["lighting"]), str(row["fog"]), sorted(row["files"])) for row in rows]
+        shots = [(str(row["lighting"]), str(row["fog"]), source / row["folder"], sorted(row["files"])) for row in rows]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ParameterError(f"{source / 'bake.json'}: is no manifest of a bake ({error})") from error
-    for lighting, fog, names in shots:
-        if fog != clear and picture in names and (source / lighting / clear / picture).is_file():
-            folder = source / lighting / fog
-            yield Pair(
-                f"{lighting}_{fog}",
-                lighting,
-                fog,
-                source / lighting / clear / picture,
-                folder / picture,
-                {name: folder / name for name in names},
-            )
+    of_clear = {lighting: folder / picture for lighting, fog, folder, _ in shots if fog == clear}
+    for lighting, fog, folder, names in shots:
+        if fog != clear and picture in names and lighting in of_clear and of_clear[lighting].is_file():
+            files = {name: folder / name for name in names}
+            yield Pair(f"{lighting}_{fog}", lighting, fog, of_clear[lighting], folder / picture, files)
 
 
 def _of_folders(source: Path) -> Iterator[Pair]:

@@ -66,7 +66,7 @@ def _once(plan: BakePlan, how: terminal.Kind, quiet: bool) -> None:
     with shown(quiet) as (progress, log):
         baked = bake(plan, progress=progress, log=log, reading=worker.reading_limits)
     for shot in baked.manifest["shots"] if how != "none" else ():
-        folder = plan.out / shot["lighting"] / shot["fog"]
+        folder = plan.out / shot["folder"]
         for name in [name for name in shot["files"] if name.endswith(".png")][:1]:
             with Image.open(folder / name) as picture:
                 print(f"{shot['lighting']} / {shot['fog']}\n{terminal.drawn(picture, how, terminal.columns())}", end="")

@@ -523,6 +523,7 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
     return {
         "lighting": shot.lighting,
         "fog": shot.fog,
+        "folder": shot.folder,
         "mor_m": round(mor[0], 6) if mor else None,
         "camera": scene.camera.path,
         "size_px": [taken.width_px, taken.height_px] if taken else [scene.camera.width_px, scene.camera.height_px],
@@ -727,7 +728,7 @@ class _Ledger:
         try:
             before = json.loads((out / MANIFEST).read_bytes())
             same = {key: before[key] for key in metadata} == json.loads(json.dumps(self.metadata))
-            rows = {f"{row['lighting']}/{row['fog']}": row for row in before["shots"]} if same else {}
+            rows = {row["folder"]: row for row in before["shots"]} if same else {}
             self.labels = before["labels"] if same else {}
         except (OSError, ValueError, KeyError, TypeError):
             return  # no manifest, or none that we wrote: everything is made anew

@@ -38,6 +38,7 @@ class BakePlan:
         max_distance_m: beyond which models are left unloaded, see `stage.keep_near`.
         choices, metres_per_unit, up: how the stage is read otherwise than it says of itself, see `stage.override`.
         allow: folders outside the stage's own in which its files may lie.
+        by_lighting: whether each lighting has a folder for its fogs; without, fogs lie in `out` itself.
     """
 
     stage: Path
@@ -66,6 +67,7 @@ class BakePlan:
     up: str | None = None
     max_distance_m: float | None = None
     allow: tuple[Path, ...] = ()
+    by_lighting: bool = True
 
     def __post_init__(self) -> None:
         numbers.check_samples(self.samples)
@@ -89,6 +91,7 @@ class Shot:
         lighting, fog: variant names, or AS_AUTHORED.
         lighting_variant, fog_variant: the stage's variants to select, or None.
         mor_m: visibility [m] that replaces the stage's, inf for clear air, or None.
+        by_lighting: see `BakePlan`.
     """
 
     lighting: str
@@ -96,11 +99,12 @@ class Shot:
     lighting_variant: str | None
     fog_variant: str | None
     mor_m: float | None = None
+    by_lighting: bool = True
 
     @property
     def folder(self) -> str:
         """Where its files lie, relative to the output folder."""
-        return f"{self.lighting}/{self.fog}"
+        return f"{self.lighting}/{self.fog}" if self.by_lighting else self.fog
 
 
 def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, ...]:
@@ -111,16 +115,19 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
         variants: names that the stage offers, by set ('fog', 'lighting').
 
     Raises:
-        ParameterError: a name that neither the stage nor the tool knows.
+        ParameterError: a name that neither the stage nor the tool knows, or several lightings in one folder.
     """
     lights: list[str | None] = [*_chosen("lighting", plan.lighting, variants.get("lighting", ()))]
+    if len(lights) > 1 and not plan.by_lighting:
+        raise ParameterError(f"{plan.out}: {len(lights)} lightings need folders of their own")
     fogs = _chosen("fog", plan.fog, variants.get("fog", ()))
     found = []
     for lighting in lights:
         for fog in fogs:
             offered = fog in variants.get("fog", ())
             mor = None if fog is None or offered else _visibility(fog)
-            found.append(Shot(lighting or AS_AUTHORED, fog or AS_AUTHORED, lighting, fog if offered else None, mor))
+            names = lighting or AS_AUTHORED, fog or AS_AUTHORED, lighting, fog if offered else None
+            found.append(Shot(*names, mor, plan.by_lighting))
     folders: dict[str, str] = {}
     for shot in found:
         if folders.setdefault(shot.folder.casefold(), shot.folder) != shot.folder:

@@ -98,7 +98,7 @@ def write(plan: SheetPlan, *, progress: Progress = silent, log: Callable[[str], 
             corner = (GAP_PX + step[0] * (index % across), GAP_PX + step[1] * (index // across))
             for k, shot in enumerate(baked.manifest["shots"]):
                 names = [name for name in shot["files"] if name.endswith(".png")]
-                with Image.open(folder / shot["lighting"] / shot["fog"] / names[0]) as picture:
+                with Image.open(folder / shot["folder"] / names[0]) as picture:
                     sheet.paste(picture.convert("RGB"), (corner[0] + k * plan.size[0], corner[1]))
             pen.text(
                 (corner[0] + 2, corner[1] + plan.size[1] + 1),

@@ -216,7 +216,7 @@ def _of_bake(out: Path) -> Iterator[LabelledPicture]:
         source = Path(manifest["stage"]["name"]).stem
         pipeline = Path(manifest["pipeline"]["name"]).stem
         for row in manifest["shots"]:
-            folder = out / row["lighting"] / row["fog"]
+            folder = out / row["folder"]
             found = {name: folder / name for name in row["files"]}
             found |= {name: out / name for name in ("labels.exr", "labels.json", "bake.json")}
             mor = row["mor_m"]

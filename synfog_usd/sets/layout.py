@@ -3,8 +3,8 @@
     OUT/set.json                          what the set is, and what it was made by
     OUT/index/part-00000.parquet          a row for each picture; a part for a thousand scenes
     OUT/scenes/000/000017/sky/            one scene in one lighting: a folder as `bake` leaves it
-        bake.json  labels.exr  labels.json  contact.png  sky/mor600/radiance.exr ...
-        sky/mor600/<pipeline>/srgb.png    what further cameras made of the same radiance
+        bake.json  labels.exr  labels.json  contact.png  mor600/radiance.exr ...
+        mor600/<pipeline>/srgb.png    what further cameras made of the same radiance
         unit.json                         what it is of, with the hash of every file; written last
     OUT/.run/                             how the set was made: journal, lock, errors; no part of it
 

@@ -85,6 +85,7 @@ def make(
                 seed=planned.seed,
                 variant=variant,
                 allow=(resources.folder("assets"),),
+                by_lighting=False,
                 **found.quality,
             )
             baked = bake(plan, progress=progress, log=log, reading=reading)
@@ -228,20 +229,20 @@ def _developments(
     return made
 
 
-def _radiance(folder: Path, lighting: str, fog: str) -> Image:
+def _radiance(folder: Path, shot: str) -> Image:
     from synfog_usd import writers
 
-    return writers.read_exr(folder / lighting / fog / "radiance.exr")
+    return writers.read_exr(folder / shot / "radiance.exr")
 
 
-def _guessed(folder: Path, lighting: str, fog: str) -> Image:
+def _guessed(folder: Path, shot: str) -> Image:
     """The clear frame in a fog whose airlight is guessed."""
     from synfog_usd import writers
     from synfog_usd.image import Quantity
     from synfog_usd.render.integrators.asm import estimated_airlight
 
-    clear = _radiance(folder, lighting, CLEAR)
-    layers = folder / lighting / fog / "layers.exr"
+    clear = _radiance(folder, CLEAR)
+    layers = folder / shot / "layers.exr"
     t = writers.read_exr(layers, quantity=Quantity.DATA, channels=["transmittance.Y"]).pixels
     airlight = estimated_airlight(clear.pixels, t)
     return clear.with_pixels((clear.pixels * t + airlight * (1.0 - t)).astype(clear.pixels.dtype))
@@ -253,18 +254,18 @@ def _developed(
     folder: Path,
     shots: list[dict[str, Any]],
     planned: PlannedScene,
-    radiance: Callable[[Path, str, str], Image],
+    radiance: Callable[[Path, str], Image],
 ) -> dict[str, Any]:
     """What a pipeline makes of shots, metered on the clear one: shot -> exposure and outputs."""
     from synfog_usd import camera, writers
 
     graph = camera.load_graph(pipeline)
     (wanted,) = graph.inputs
-    exposure = camera.metered(graph, {wanted: _radiance(folder, shots[0]["lighting"], CLEAR)}) if shots else None
+    exposure = camera.metered(graph, {wanted: _radiance(folder, CLEAR)}) if shots else None
     found = {}
     for row in shots:
-        shot = f"{row['lighting']}/{row['fog']}"
-        picture = {wanted: radiance(folder, row["lighting"], row["fog"])}
+        shot = row["folder"]
+        picture = {wanted: radiance(folder, shot)}
         seed, kept = seed32(planned.seed, row["lighting"], row["fog"]), list(graph.outputs.values())
         results = camera.develop(graph, picture, seed=seed, exposure=exposure, keep=kept)
         for output, node in graph.outputs.items():
@@ -291,7 +292,7 @@ def _record(
     outputs = sorted(camera.load_graph(first).outputs)
     shots = []
     for row in manifest["shots"]:
-        place = f"{row['lighting']}/{row['fog']}"
+        place = row["folder"]
         shots.append(
             {
                 "fog": row["fog"],

@@ -130,7 +130,7 @@ def pairs(source: Path) -> Iterator[FogPair | str]:
             for row in rows:
                 if row["mor_m"] is None:
                     continue
-                name = f"{folder.name}/{row['lighting']}/{row['fog']}"
+                name = f"{folder.name}/{row['folder']}"
                 sensor = ((row.get("target") or {}).get("sensor")) or {}
                 if row["lighting"] not in clear:
                     yield f"{name}: no clear frame beside it"
@@ -144,8 +144,8 @@ def pairs(source: Path) -> Iterator[FogPair | str]:
                         name,
                         light,
                         row["fog"],
-                        folder / light / row["fog"],
-                        folder / light / clear[light]["fog"],
+                        folder / row["folder"],
+                        folder / clear[light]["folder"],
                         float(sensor["electrons_per_cd_m2"]),
                         float(sensor["dark_noise_e"]),
                     )

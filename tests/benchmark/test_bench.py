@@ -77,7 +77,7 @@ def test_pairs_of_reside_and_ohaze_find_each_other(tmp_path, folder):
 
 def test_pairs_of_a_bake_are_its_fogs_against_its_clear_air(tmp_path):
     rows = [
-        {"lighting": light, "fog": fog, "files": ["srgb.png", "raw.dng"]}
+        {"lighting": light, "fog": fog, "folder": f"{light}/{fog}", "files": ["srgb.png", "raw.dng"]}
         for light in "ab"
         for fog in ("clear", "mor150")
     ]

@@ -95,6 +95,7 @@ def bake(folder: Path, source=None) -> Baked:
             {
                 "lighting": "sky",
                 "fog": fog,
+                "folder": f"sky/{fog}",
                 "mor_m": mor,
                 "size_px": [source.camera.width_px, source.camera.height_px],
                 "files": {name: files.sha256_of(place / name) for name in names},

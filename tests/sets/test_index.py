@@ -10,7 +10,7 @@ pytest.importorskip("pyarrow")
 
 def row(scene, pipeline="synfog", **more):
     bake = layout.unit_folder(scene, "sky")
-    shot = f"{bake}/sky/mor600"
+    shot = f"{bake}/mor600"
     named = {"scene": scene, "split": "train", "source": "residential", "seed": 2**32 - 1 - scene, "lighting": "sky"}
     named |= {"camera": "", "fog": "mor600", "mor_m": 600.0, "pipeline": pipeline, "width_px": 320, "height_px": 180}
     return named | {"bake": bake, "shot": shot, "developed": shot, "outputs": ["raw.dng", "srgb.png"]} | more
@@ -18,14 +18,14 @@ def row(scene, pipeline="synfog", **more):
 
 def test_rows_come_back_in_order_with_the_paths_of_their_files(tmp_path):
     """Radiance, labels and outputs of a picture are named relative to the set, and found below it."""
-    index.write_part(tmp_path, 0, [row(0), row(0, "raw", developed="scenes/000/000000/sky/sky/mor600/raw"), row(17)])
+    index.write_part(tmp_path, 0, [row(0), row(0, "raw", developed="scenes/000/000000/sky/mor600/raw"), row(17)])
     index.write_part(tmp_path, 1, [row(1000, fog="clear", mor_m=None)])
     found = list(index.pictures(tmp_path))
     assert [(one.scene, one.pipeline) for one in found] == [(0, "synfog"), (0, "raw"), (17, "synfog"), (1000, "synfog")]
     folder = tmp_path / "scenes/000/000000/sky"
-    assert found[0].files["srgb.png"] == folder / "sky/mor600/srgb.png"
-    assert found[1].files["srgb.png"] == folder / "sky/mor600/raw/srgb.png"
-    assert found[0].files["radiance.exr"] == found[1].files["radiance.exr"] == folder / "sky/mor600/radiance.exr"
+    assert found[0].files["srgb.png"] == folder / "mor600/srgb.png"
+    assert found[1].files["srgb.png"] == folder / "mor600/raw/srgb.png"
+    assert found[0].files["radiance.exr"] == found[1].files["radiance.exr"] == folder / "mor600/radiance.exr"
     assert found[0].files["labels.json"] == found[0].bake / "labels.json" == folder / "labels.json"
     assert found[0].seed == 2**32 - 1 and found[0].mor_m == 600.0 and found[3].mor_m is None
     assert index.count(tmp_path) == 4

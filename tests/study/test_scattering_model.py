@@ -42,8 +42,8 @@ def bake(folder, *, glow: float = 0.0) -> None:
         write_exr(folder / "active" / fog / "layers.exr", layers)
     sensor = {"electrons_per_cd_m2": ELECTRONS, "dark_noise_e": DARK_E}
     shots = [
-        {"lighting": "active", "fog": "clear", "mor_m": None, "target": {"sensor": sensor}},
-        {"lighting": "active", "fog": "mor150", "mor_m": 150.0, "target": {"sensor": sensor}},
+        {"lighting": "active", "fog": fog, "folder": f"active/{fog}", "mor_m": mor_m, "target": {"sensor": sensor}}
+        for fog, mor_m in (("clear", None), ("mor150", 150.0))
     ]
     (folder / "bake.json").write_text(json.dumps({"shots": shots}), encoding="utf-8")
 
@@ -91,7 +91,10 @@ def test_the_command_writes_tables_and_a_drawing(tmp_path):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
-@pytest.mark.parametrize("text", [None, "{", '{"shots": [{"lighting": "a", "fog": "x", "mor_m": 100.0}]}'])
+ONE_FOGGY = '{"shots": [{"lighting": "a", "fog": "x", "folder": "a/x", "mor_m": 100.0}]}'
+
+
+@pytest.mark.parametrize("text", [None, "{", ONE_FOGGY])
 def test_what_cannot_be_compared_is_one_line(tmp_path, text):
     if text is not None:
         (tmp_path / "bake.json").write_text(text, encoding="utf-8")
