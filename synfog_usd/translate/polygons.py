@@ -12,6 +12,7 @@ from typing import Any
 import mapbox_earcut
 import numpy as np
 import numpy.typing as npt
+import pythoncdt
 
 from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate.geometry import cross
@@ -72,6 +73,9 @@ def triangulate(
     order = np.argsort(face_of, kind="stable")
     return triangles[order], face_of[order], crossed
 
+
+LONG = 4096
+"""Corners of an outline up to which its ears are cut: their time may go with the square of the corners."""
 
 SMALL = 512
 """Corners of a mesh up to which its topology is remembered: props come in many copies."""
@@ -192,23 +196,13 @@ def _balanced(polygons: Array) -> npt.NDArray[np.bool_]:
 
 
 def _ears(polygon: Array) -> tuple[Indices, bool]:
-    """Ear clipping of one polygon (n, 3): (M, 3) corner numbers that turn its way, and whether they have just its area.
-
-    Source: mapbox earcut, which looks for what lies in an ear along a z-order curve.
-    """
+    """Triangles of one polygon (n, 3): (M, 3) corner numbers that turn its way, and whether they have just its area."""
     arms = polygon - polygon[0]
     normal = cross(arms[1:-1], arms[2:]).sum(axis=0)
     axis = int(np.argmax(np.abs(normal)))
     flat = np.delete(arms, axis, axis=1)
     flip = (normal[axis] < 0) != (axis == 1)
-    # Powers of two, so exact: edges as long across as along, or the curve finds nothing apart on a fine comb.
-    steps = np.abs(np.roll(flat, -1, axis=0) - flat).mean(axis=0)
-    wide = flat * np.exp2(-np.round(np.log2(np.where(steps > 0.0, steps, 1.0))))
-    ears = (
-        mapbox_earcut.triangulate_float64(np.ascontiguousarray(wide), np.array([len(wide)], dtype=np.uint32))
-        .astype(np.int64)
-        .reshape(-1, 3)
-    )
+    ears = _cut(flat) if len(flat) <= LONG else _constrained(flat)
     a, b, c = (flat[ears[:, k]] for k in range(3))
     areas = _cross2(b - a, c - a)
     if (areas.sum() < 0.0) != flip:
@@ -216,6 +210,37 @@ def _ears(polygon: Array) -> tuple[Indices, bool]:
     own = abs(_cross2(flat, np.roll(flat, -1, axis=0)).sum())
     rounding = 1e-15 * len(flat) * np.abs(flat).max() ** 2
     return ears, bool(abs(np.abs(areas).sum() - own) <= 1e-9 * own + rounding)
+
+
+def _cut(flat: Array) -> Indices:
+    """Ears of an outline (n, 2), (M, 3).
+
+    Source: mapbox earcut, which looks for what lies in an ear along a z-order curve.
+    """
+    # Powers of two, so exact: edges as long across as along, or the curve finds nothing apart on a fine comb.
+    steps = np.abs(np.roll(flat, -1, axis=0) - flat).mean(axis=0)
+    wide = flat * np.exp2(-np.round(np.log2(np.where(steps > 0.0, steps, 1.0))))
+    ears = mapbox_earcut.triangulate_float64(np.ascontiguousarray(wide), np.array([len(wide)], dtype=np.uint32))
+    return ears.astype(np.int64).reshape(-1, 3)
+
+
+def _constrained(flat: Array) -> Indices:
+    """Delaunay triangles within an outline (n, 2), (M, 3), in n log n; those of a fan where its edges cross."""
+    places, first, place = np.unique(flat, axis=0, return_index=True, return_inverse=True)
+    edges = np.sort(np.stack([place.ravel(), np.roll(place.ravel(), -1)], axis=1), axis=1)
+    edges, times = np.unique(edges, axis=0, return_counts=True)
+    bounds = edges[(times % 2 == 1) & (edges[:, 0] != edges[:, 1])]  # there and back, as to a hole, bounds nothing
+    mesh = pythoncdt.Triangulation(
+        pythoncdt.VertexInsertionOrder.AUTO, pythoncdt.IntersectingConstraintEdges.NOT_ALLOWED, 0.0
+    )
+    try:
+        mesh.insert_vertices(np.ascontiguousarray(places))
+        mesh.insert_edges(np.ascontiguousarray(bounds.astype(np.uintc)))
+    except RuntimeError:
+        fan = np.arange(1, len(flat) - 1)
+        return np.stack([np.zeros_like(fan), fan, fan + 1], axis=1)
+    mesh.erase_outer_triangles_and_holes()
+    return np.asarray(first[mesh.triangles_array()["vertices"]])
 
 
 def _cross2(u: Array, v: Array) -> Any:
