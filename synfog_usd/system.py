@@ -32,6 +32,14 @@ SYNCHRONIZE, INFINITE = 0x00100000, 0xFFFFFFFF
 LOOK_EVERY_S = 1.0
 """Between two looks of a watcher at what no signal tells."""
 
+READ_CPU_S = 600
+"""Processor time for reading and translating a stage; 2 million prims, the most that are composed, take 40 s to
+open.
+"""
+
+READ_WALL_S = 3600
+"""Wall time for the same, against a file system that does not answer."""
+
 OVER_CPU, OVER_WALL = -0x1FFFFFFF, -0x1FFFFFFE
 """Codes with which a watcher ends its process: NTSTATUS of severity error, made by a customer."""
 
@@ -240,13 +248,13 @@ def cause(code: int) -> tuple[str, str]:
     killed = "it was killed, most often because memory ran out"
     damaged = "the USD library could not cope with the file: it is damaged, or too deep"
     gave_up = "it ran out of memory, or a library gave up"
-    slow = "reading took too long"
+    slow = f"reading took more than {READ_WALL_S} s"
     signals = {
         "SIGKILL": killed,
         "SIGSEGV": damaged,
         "SIGABRT": gave_up,
         "SIGBUS": "a file became shorter while it was read",
-        "SIGXCPU": "reading took too much processor time",
+        "SIGXCPU": f"reading took more than {READ_CPU_S} s of processor time",
         "SIGALRM": slow,
     }
     statuses = {

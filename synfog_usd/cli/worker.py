@@ -22,14 +22,6 @@ from synfog_usd import system
 MARK = "SYNFOG_USD_WORKER"
 INTERRUPTED = 130
 
-READ_CPU_S = 600
-"""Processor time for reading and translating a stage; 2 million prims, the most that are composed, take 40 s to
-open.
-"""
-
-READ_WALL_S = 3600
-"""Wall time for the same, against a file system that does not answer."""
-
 FOREIGN = ("PXR_PLUGINPATH_NAME", "PXR_AR_DEFAULT_SEARCH_PATH")
 """Variables by which USD would load other people's plugins and look for files elsewhere; the child does not see
 them.
@@ -53,7 +45,7 @@ def reading_limits() -> Iterator[None]:
 
     Beyond them the process dies or raises MemoryError, and the parent says so.
     """
-    with system.limits(cpu_s=READ_CPU_S, wall_s=READ_WALL_S), warnings.catch_warnings():
+    with system.limits(cpu_s=system.READ_CPU_S, wall_s=system.READ_WALL_S), warnings.catch_warnings():
         warnings.simplefilter(
             "ignore", RuntimeWarning
         )  # numbers that overflow in numpy: what comes of them is told as notes

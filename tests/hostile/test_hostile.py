@@ -21,6 +21,7 @@ from support import cli
 from support.hostile import png
 from support.memory import at_peak
 
+from synfog_usd import system
 from synfog_usd.cli.check import look
 from synfog_usd.errors import StageError
 from synfog_usd.fence import Fence
@@ -508,7 +509,10 @@ def at_start(tmp_path, code):
     """An environment in which every Python runs `code` first, in the child that reads the stage only."""
     body = "".join(f"    {line}\n" for line in code.splitlines())
     written(tmp_path / "sitecustomize.py", f"import os\nif 'SYNFOG_USD_WORKER' in os.environ:\n{body}")
-    return {**os.environ, "PYTHONPATH": str(tmp_path)}
+    return {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]),
+    }
 
 
 @pytest.mark.parametrize("small", [True, False])
@@ -557,18 +561,16 @@ def test_the_limits_of_reading_end_with_it():
         assert (
             os.sysconf("SC_PHYS_PAGES") * resource.getpagesize() < inside[0] < resource.RLIM_INFINITY or inside[0] > 0
         )
-        assert worker.READ_CPU_S <= inside[1] < worker.READ_CPU_S + 3600 and inside[2] == 0
+        assert system.READ_CPU_S <= inside[1] < system.READ_CPU_S + 3600 and inside[2] == 0
     assert [resource.getrlimit(kind) for kind in kinds] == before
 
 
 def test_a_stage_that_takes_too_long_to_read_ends_in_one_line(tmp_path):
     """With a second of processor time instead of ten minutes."""
     path = written(tmp_path / "slow.usda", bomb(15, instanceable=False))
-    done = cli.process(
-        "check", path, env=at_start(tmp_path, "from synfog_usd.cli import worker\nworker.READ_CPU_S = 1")
-    )
+    done = cli.process("check", path, env=at_start(tmp_path, "from synfog_usd import system\nsystem.READ_CPU_S = 1"))
     told = done.stderr
-    assert done.returncode == 2 and told.count("\n") == 1 and "too much processor time" in told
+    assert done.returncode == 2 and told.count("\n") == 1 and "reading took more than 600 s of processor time" in told
 
 
 def test_what_ships_passes_its_own_check():
