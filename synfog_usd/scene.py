@@ -46,6 +46,8 @@ class Camera:
         turn_rad: (x, y, z) rotation vector [rad] by which it turns meanwhile about its own place, in the scene's axes.
         rolling: part of that time which lies between the beginnings of the top row and of the bottom row, 0 to 1; 0
             for a global shutter, under which all rows expose together.
+        during: begin and end of the part of that time in which it looks, 0 to 1; all of it but where a picture is drawn
+            moment by moment.
     """
 
     path: str
@@ -62,6 +64,7 @@ class Camera:
     drift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rolling: float = 0.0
+    during: tuple[float, float] = (0.0, 1.0)
 
     @property
     def axis_shift(self) -> tuple[float, float]:
@@ -135,6 +138,10 @@ class SceneDict:
             luminance stays.
         group_of: key of a lamp in `world` -> its light group: 'sky', 'headlights' (all lamps of vehicles),
             'street_lamps', 'other', or an author's own.
+        motion_of: key in `world` of what moves while the camera exposes -> (M, K, 4, 4): M ways to move, each as K
+            matrices at even steps from the moment at which the first row begins to that at which the last one ends,
+            from the place in `world` to the place then.  Which way a vertex of a mesh goes stands in its 'motion' (N,);
+            without it M is 1.
         bounds_m: (2, 3) corners of the box around the camera and all that is drawn.
         flux_of: key of a lamp in `world` -> its luminous flux [lm]; inf for a sky or a sun.
         origin_m: what was subtracted from every stage position, in metres, Z up, float64.
@@ -150,6 +157,7 @@ class SceneDict:
     flux_of: Mapping[str, float] = field(default_factory=dict)
     reflectance_of: Mapping[str, Array] = field(default_factory=dict)
     emission_of: Mapping[str, Array] = field(default_factory=dict)
+    motion_of: Mapping[str, Array] = field(default_factory=dict)
     bounds_m: Array = field(default_factory=lambda: np.zeros((2, 3)))
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[Note, ...] = ()

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,23 +35,25 @@ def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
         of every face.  Shapes that are not joined keep their place in `instance_of`.
     """
     world, taken = source.world, set[str]()
-    parts: dict[tuple[Any, ...], list[tuple[Mapping[str, Any], Array | None, int]]] = {}
+    parts: dict[tuple[Any, ...], list[_Member]] = {}
 
-    def take(mesh: Mapping[str, Any], matrix: Array | None, instance: int) -> None:
-        smooth = tuple(name in mesh for name in ARRAYS)
-        parts.setdefault((mesh["bsdf"]["id"], *smooth, bool(mesh.get("face_normals", False))), []).append(
-            (mesh, matrix, instance)
-        )
+    def take(mesh: Mapping[str, Any], matrix: Array | None, instance: int, key: str) -> None:
+        smooth, motion = tuple(name in mesh for name in ARRAYS), source.motion_of.get(key)
+        parts.setdefault(
+            (mesh["bsdf"]["id"], *smooth, bool(mesh.get("face_normals", False)), motion is not None), []
+        ).append(_Member(mesh, matrix, instance, motion))
 
     finer = _Detail(source)
     expanded = _expanded(world, finer)
     for key, value in world.items():
         if key.startswith("shape_") and _plain(value):
-            take(value, None, source.instance_of.get((key,), 0))
+            take(value, None, source.instance_of.get((key,), 0), key)
             taken.add(key)
         elif key in expanded:
             for name, shape in finer.prototype(key, value).items():
-                take(shape, np.asarray(value["to_world"], dtype=np.float64), source.instance_of.get((key, name), 0))
+                take(
+                    shape, np.asarray(value["to_world"], dtype=np.float64), source.instance_of.get((key, name), 0), key
+                )
             taken.add(key)
     left = {_group_id(value) for key, value in world.items() if key.startswith("instance_") and key not in taken}
     taken |= {
@@ -61,18 +63,45 @@ def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
     }
 
     joined, instances = {}, {}
-    for index, ((material, *_), members) in enumerate(parts.items()):
+    motions = {key: ways for key, ways in source.motion_of.items() if key not in taken}
+    for index, ((material, *_, moving), members) in enumerate(parts.items()):
         key = f"shape_joined_{index}"
         joined[key] = _joined(material, members)
         instances[key] = np.concatenate(
-            [np.full(len(mesh["faces"]), instance, dtype=np.int64) for mesh, _, instance in members]
+            [np.full(len(one.mesh["faces"]), one.instance, dtype=np.int64) for one in members]
         )
+        if moving:
+            joined[key]["motion"], motions[key] = _ways(members)
     rest = {key: value for key, value in world.items() if key not in taken}
     return replace(
         source,
         world={**rest, **joined},
         instance_of={key: instance for key, instance in source.instance_of.items() if key[0] not in taken},
+        motion_of=motions,
     ), instances
+
+
+class _Member(NamedTuple):
+    """A mesh that is joined with others, where it stands, whose it is, and how it moves, as `SceneDict.motion_of`."""
+
+    mesh: Mapping[str, Any]
+    matrix: Array | None
+    instance: int
+    motion: Array | None
+
+
+def _ways(members: list[_Member]) -> tuple[Indices, Array]:
+    """(N,) way in which each vertex of joined meshes moves, and the ways (M, K, 4, 4): parts of one thing share one."""
+    known: dict[bytes, int] = {}
+    ways: list[Array] = []
+    numbers = []
+    for one in members:
+        assert one.motion is not None
+        number = known.setdefault(one.motion.tobytes(), len(ways))
+        if number == len(ways):
+            ways.append(one.motion[0])
+        numbers.append(np.full(len(one.mesh["positions"]), number, dtype=np.int64))
+    return np.concatenate(numbers), np.stack(ways)
 
 
 def _plain(shape: Mapping[str, Any]) -> bool:
@@ -172,9 +201,9 @@ def _expanded(world: Mapping[str, Any], finer: _Detail) -> set[str]:
     return found
 
 
-def _joined(material: str, members: list[tuple[Mapping[str, Any], Array | None, int]]) -> dict[str, Any]:
-    positions, faces, more, start = [], [], {name: [] for name in ARRAYS if name in members[0][0]}, 0
-    for mesh, matrix, _ in members:
+def _joined(material: str, members: list[_Member]) -> dict[str, Any]:
+    positions, faces, more, start = [], [], {name: [] for name in ARRAYS if name in members[0].mesh}, 0
+    for mesh, matrix, *_ in members:
         points, corners = np.asarray(mesh["positions"]), np.asarray(mesh["faces"], dtype=np.uint32)
         if matrix is not None:
             points = points @ matrix[:3, :3].T + matrix[:3, 3]
@@ -191,7 +220,7 @@ def _joined(material: str, members: list[tuple[Mapping[str, Any], Array | None, 
             arrays.append(array.astype(np.float32))
         start += len(points)
     arrays = {"positions": positions, "faces": faces, **more}
-    first = members[0][0]
+    first = members[0].mesh
     kept = {"face_normals": first["face_normals"]} if "face_normals" in first else {}
     return {
         "type": "mesh",

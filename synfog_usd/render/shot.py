@@ -14,7 +14,7 @@ from synfog_usd import numbers
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent, within
 from synfog_usd.render import denoise as denoising
-from synfog_usd.render import dualbuffer, models, planner
+from synfog_usd.render import dualbuffer, models, moments, planner
 from synfog_usd.render.film import aovs
 from synfog_usd.render.film.accumulator import COMPONENTS, Accumulator
 from synfog_usd.render.integrators.path import LENS_M
@@ -40,6 +40,10 @@ DENOISING = 5.0
 
 CHOOSING = 0.02, 0.1
 """Parts of the progress that choosing a model and choosing bands are given."""
+
+
+Judge = Callable[[Accumulator], tuple[np.ndarray, dualbuffer.Error] | None]
+"""What the samples so far give: luminance and its error, both (H, W); None where that fails."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +196,10 @@ def render(
             )
             progress = within(progress, CHOOSING[1], 1.0)
             why += f"; {bands} bands: {because}"
-    integrator = models.make(model, loaded, scatterings=settings.scatterings, bounces=settings.bounces, bands=bands)
+    make = functools.partial(
+        models.make, model, scatterings=settings.scatterings, bounces=settings.bounces, bands=bands
+    )
+    integrator = make(loaded)
     camera = loaded.source.camera
     shape = (camera.height_px, camera.width_px, -1)
 
@@ -200,10 +207,25 @@ def render(
         return time.perf_counter() - began
 
     cleaning = None
-    if denoise:
-        accumulated, cleaning = _sampled(loaded, integrator, target, seed, now, progress)
+    if parts := moments.cut(loaded.source, samples):
+        why += f"; {len(parts.parts)} moments of the exposure, {parts.samples} samples in each"
+        warnings += [said] if (said := parts.said()) else []
+        movables = moments.Movables(loaded)
+        look = functools.partial(moments.mean_guides, movables, parts)
     else:
-        accumulated = accumulate_to_target(integrator, target=target, seed=seed, now=now, progress=progress)
+        look = functools.partial(denoising.guides, loaded)
+
+    def sampled(judged: Judge | None, told: Progress) -> Accumulator:
+        if parts:
+            return moments.accumulate(movables, parts, make, seed=seed, progress=told)
+        if judged is None:
+            return accumulate_to_target(integrator, target=target, seed=seed, now=now, progress=told)
+        return accumulate_denoised(integrator, target=target, seed=seed, now=now, denoised=judged, progress=told)
+
+    if denoise:
+        accumulated, cleaning = _sampled(sampled, look, shape[:2], target, progress)
+    else:
+        accumulated = sampled(None, progress)
     met = None if target.open else reached(accumulated, target, shape[:2])
     luminance, error = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
     variance = accumulated.variance().reshape(shape).astype(np.float32)
@@ -271,14 +293,25 @@ def render(
 
 
 def _sampled(
-    loaded: MitsubaScene, integrator: Any, target: Target, seed: int, now: Callable[[], float], progress: Progress
+    sampled: Callable[[Judge, Progress], Accumulator],
+    look: Callable[..., denoising.Guides],
+    shape: tuple[int, int],
+    target: Target,
+    progress: Progress,
 ) -> tuple[Accumulator, Callable[[], tuple[denoising.Denoised | None, str]]]:
     """Samples, and what makes the picture without their noise of them: None where there is none, and what went wrong,
     or ''.
+
+    Args:
+        sampled: takes them; given what judges those that there are.
+        look: gives the guides of so many `rays` a pixel.
+        shape: (H, W).
+        target: what is good enough.
+        progress: told on the way.
     """
-    height, width = loaded.source.camera.height_px, loaded.source.camera.width_px
+    height, width = shape
     few = target.samples < denoising.FEW
-    guides = functools.cache(lambda: denoising.guides(loaded, rays=denoising.FEW_RAYS if few else denoising.GUIDE_RAYS))
+    guides = functools.cache(lambda: look(rays=denoising.FEW_RAYS if few else denoising.GUIDE_RAYS))
     done: dict[int, denoising.Denoised | None] = {}  # by the number of samples, the last one only
     problem = ""
     share = target.samples / (target.samples + DENOISING)
@@ -302,9 +335,7 @@ def _sampled(
         found = picture(accumulated)
         return None if found is None else (found.luminance(accumulated.weights), found.error)
 
-    accumulated = accumulate_denoised(
-        integrator, target=target, seed=seed, now=now, denoised=judged, progress=within(progress, 0.0, share)
-    )
+    accumulated = sampled(judged, within(progress, 0.0, share))
 
     def finished() -> tuple[denoising.Denoised | None, str]:
         found = picture(accumulated, within(progress, share, 1.0))

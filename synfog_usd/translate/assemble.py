@@ -26,12 +26,13 @@ from synfog_usd.stage.open import authored_path, check_depth, composition_notes,
 from synfog_usd.stage.schema import LIGHTING_VARIANT_SET, PREFIX
 from synfog_usd.translate import daylight, geometry, light, spectrum, volume
 from synfog_usd.translate.bindings import Bindings
-from synfog_usd.translate.camera import at_mid_exposure, read_camera
+from synfog_usd.translate.camera import at_mid_exposure, half_exposure, read_camera
 from synfog_usd.translate.convention import Chooser
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group, group_by_label
 from synfog_usd.translate.material import Materials
+from synfog_usd.translate.motion import Mover
 from synfog_usd.translate.pose import Poser
 from synfog_usd.translate.shapes import Shapes
 from synfog_usd.translate.skel import has_skeletons, posed
@@ -108,9 +109,11 @@ def with_boundaries(
     notes = Diagnostics()
     notes.extend([*composition_notes(stage), *unit_notes(stage)])
     stage, time, space, eye = looked_from(stage, camera, frame, resolution, notes)
-    scene = _Assembler(stage, space, time, notes, Chooser(stage, lights))
+    mover = Mover(stage, space, time, half_exposure(stage, time, eye.path))
+    scene = _Assembler(stage, space, time, notes, Chooser(stage, lights), mover)
     with _uncollected():
         scene.build(walk(stage, time, notes))
+    scene.tell_motion()
     scene.chooser.report(notes)
     volume.rtx_fog(stage, notes)
     bounds = scene.bounds(eye.to_world[:3, 3])
@@ -131,6 +134,7 @@ def with_boundaries(
         flux_of={name: times * lumen for name, lumen in scene.flux_of.items()},
         reflectance_of=scene.materials.reflectance_of,
         emission_of=scene.emission_of,
+        motion_of=scene.motion_of,
         bounds_m=bounds,
         origin_m=(float(space.origin_m[0]), float(space.origin_m[1]), float(space.origin_m[2])),
         notes=notes.closed(lambda path: authored_path(stage, path)),  # USD numbers its prototypes anew each time
@@ -263,7 +267,7 @@ class _Assembler:
     """Shapes, materials, lights, fog and labels of one scene, as they come."""
 
     def __init__(
-        self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagnostics, chooser: Chooser
+        self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagnostics, chooser: Chooser, mover: Mover
     ) -> None:
         self.stage, self.space, self.time, self.notes, self.chooser = stage, space, time, notes, chooser
         self.images = ImageReader(notes)
@@ -278,7 +282,9 @@ class _Assembler:
         self.domes: list[light.Dome] = []
         self.fog: list[FogVolume] = []
         self.instances: list[Instance] = []
-        self.poser = Poser(stage, space, time)
+        self.poser, self.mover = Poser(stage, space, time), mover
+        self.motion_of: dict[str, Array] = {}
+        self.deforming: list[str] = []
         self.instance_of: dict[tuple[str, ...], int] = {}
         self.instance_ids: dict[str, int] = {}
         self.group_of: dict[str, str] = {}
@@ -405,11 +411,13 @@ class _Assembler:
         group = SKY if kind == "DistantLight" else self.light_group(leaf, placement)
         if lamp.shape is None:
             self.note_emission(f"light_{len(self.lights)}", leaf.prim)
+            self.note_motion(f"light_{len(self.lights)}", leaf, placement)
             self.group_of[f"light_{len(self.lights)}"] = group
             self.flux_of[f"light_{len(self.lights)}"] = lamp.flux_lm
             self.lights[f"light_{len(self.lights)}"] = lamp.emitter
             return
         self.note_emission(f"shape_{len(self.shapes)}", leaf.prim)
+        self.note_motion(f"shape_{len(self.shapes)}", leaf, placement)
         self.group_of[f"shape_{len(self.shapes)}"] = group
         self.flux_of[f"shape_{len(self.shapes)}"] = lamp.flux_lm
         black = {"type": "ref", "id": self.materials.black().key}
@@ -437,6 +445,30 @@ class _Assembler:
         elif found:
             self.emission_of[key] = found[0][1]
 
+    def note_motion(self, key: str, leaf: Leaf, placement: GroupInstance | None) -> None:
+        """How a shape or lamp moves while the shutter is open, if it does; what deforms is only told."""
+        if not self.mover.open or leaf.kind == "DistantLight":
+            return
+        path = leaf.path
+        if placement is not None:
+            path = placement.path + leaf.path.removeprefix(self.roots[placement.group])
+        if (motion := self.mover.of(path)) is not None:
+            self.motion_of[key] = motion
+        if leaf.kind == "Mesh" and leaf.prim.GetAttribute("points").ValueMightBeTimeVarying():
+            self.deforming.append(path)
+
+    def tell_motion(self) -> None:
+        """What moves, or should, while the shutter is open."""
+        if self.motion_of:
+            first = next(iter(self.mover.moving))
+            self.notes.info(first, f"{len(self.mover.moving)} prims move while the shutter is open, as rigid bodies")
+        if self.deforming:
+            self.notes.info(
+                self.deforming[0],
+                f"{len(self.deforming)} meshes may change their shape while the shutter is open; they are drawn in the "
+                f"shape of mid-exposure",
+            )
+
     def light_group(self, leaf: Leaf, placement: GroupInstance | None) -> str:
         """Light group of a lamp: as authored on it or above it, else by what it is part of."""
         above = self.stage.GetPrimAtPath(placement.path) if placement is not None else None
@@ -456,6 +488,7 @@ class _Assembler:
         placement: GroupInstance | None,
     ) -> None:
         instance = self.instance(leaf, placement)
+        self.note_motion(f"shape_{len(self.shapes)}", leaf, placement)
         if emission is not None:
             material = self.bindings.bound.get(str(leaf.prim.GetPath()))
             self.note_emission(
@@ -514,6 +547,8 @@ class _Assembler:
             instance = f"instance_{len(self.placed)}"
             matrix = to_scene @ place.matrix
             self.placed[instance] = {"type": "instance", "to_world": matrix, "shapegroup": {"type": "ref", "id": key}}
+            if (motion := self.mover.of(place.path)) is not None:
+                self.motion_of[instance] = motion
             for name, (leaf, _) in zip(names, shared, strict=True):
                 self.instance_of[(instance, name)] = self.instance(leaf, place)
             if corners is not None:

@@ -149,7 +149,7 @@ def _near(camera: UsdGeom.Camera, lens: Gf.Camera, space: Space, notes: Diagnost
 
 
 def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics, *, path: str | None) -> Usd.TimeCode:
-    """The moment at which a frame's middle row is half exposed: all of the scene is drawn as it is then.
+    """The moment at which a frame's middle row is half exposed: what a scene says without its motion is of then.
 
     USD's shutter times count in frames from the frame's own time; under a rolling shutter they are those of the top
     row.  Without an authored shutter, or one that is open for no time, it is the frame's time itself.
@@ -161,20 +161,7 @@ def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics, *,
         return time
     prim = _chosen(stage, UsdRender.Settings.GetStageRenderSettings(stage), path, Diagnostics())
     opens, closes = _shutter(prim, time)
-    if not closes > opens:
-        return time
-    above = {prim.GetPath(), *prim.GetPath().GetAncestorsRange()}
-    moving = [
-        one.GetPath()
-        for one in stage.Traverse()
-        if one.GetPath() not in above and one.IsA(UsdGeom.Xformable) and _might_move(one)
-    ]
-    if moving:
-        notes.info(
-            moving[0],
-            f"{len(moving)} prims may move while the shutter is open; only the camera's own motion blurs the picture",
-        )
-    if opens + closes == 0.0:
+    if not closes > opens or opens + closes == 0.0:
         return time
     middle = Usd.TimeCode(time.GetValue() + 0.5 * (opens + closes))
     notes.info(
@@ -185,8 +172,14 @@ def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics, *,
     return middle
 
 
-def _might_move(prim: Usd.Prim) -> bool:
-    return bool(UsdGeom.Xformable(prim).TransformMightBeTimeVarying())
+def half_exposure(stage: Usd.Stage, time: Usd.TimeCode, path: str) -> float:
+    """Frames from mid-exposure to the end of the bottom row's exposure; 0 where no shutter is open for any time.
+
+    Args:
+        path: of the camera that looks.
+    """
+    opens, closes = _shutter(stage.GetPrimAtPath(path), time)
+    return 0.0 if time.IsDefault() or not closes > opens else 0.5 * (closes - opens)
 
 
 def _shutter(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[float, float]:
@@ -220,10 +213,9 @@ def _motion(
     it stands.
     """
     still = (0.0, 0.0, 0.0)
-    opens, closes = _shutter(prim, time)
-    if time.IsDefault() or not closes > opens:
+    half = half_exposure(prim.GetStage(), time, str(prim.GetPath()))
+    if not half:
         return still, still
-    half = 0.5 * (closes - opens)
     first, last = (_place(prim, space, Usd.TimeCode(time.GetValue() + side * half)) for side in (-1.0, 1.0))
     way = last[:3, 3] - first[:3, 3]
     vector = Rotation.from_matrix(last[:3, :3] @ first[:3, :3].T).as_rotvec()

@@ -106,19 +106,23 @@ def _plugin(mi: Any) -> type:
             super().__init__(properties)
             table = np.array(properties["bitmap"], dtype=np.float64)
             table = table if table.ndim == 3 else table[:, :, None]
-            matrix = np.array(properties["to_world"].matrix, dtype=np.float64).reshape(4, 4)
             colour = np.array(properties["intensity"], dtype=np.float64).ravel()
-            self.place = mi.Point3f(matrix[:3, 3].tolist())
-            self.axes = [mi.Vector3f((matrix[:3, k] / np.linalg.norm(matrix[:3, k])).tolist()) for k in range(3)]
             self.colour = mi.Color3f(np.broadcast_to(colour, 3).tolist())
             self.scalar = backend.is_scalar()
             self.tables = [np.concatenate([table[:, :, c], table[:, :1, c]], axis=1) for c in range(table.shape[2])]
             self.kernel = None if self.scalar else Tables([table[:, :, c] for c in range(table.shape[2])])
             self.channels, self.shape = table.shape[2], table.shape[:2]
             if not self.scalar:
-                dr.make_opaque(self.place, self.axes, self.colour)
+                dr.make_opaque(self.colour)
+            self.stand(np.array(properties["to_world"].matrix, dtype=np.float64).reshape(4, 4))
             self.m_flags = mi.EmitterFlags.DeltaPosition
             self.m_needs_sample_2 = False
+
+        def stand(self, matrix: Any) -> None:
+            self.place = mi.Point3f(matrix[:3, 3].tolist())
+            self.axes = [mi.Vector3f((matrix[:3, k] / np.linalg.norm(matrix[:3, k])).tolist()) for k in range(3)]
+            if not self.scalar:
+                dr.make_opaque(self.place, self.axes)
 
         def factor(self, direction: Any, active: Any) -> Any:
             local = mi.Vector3f(*(dr.dot(axis, direction) for axis in self.axes))

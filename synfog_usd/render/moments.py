@@ -1,0 +1,343 @@
+"""A picture of things that move while the camera exposes, moment by moment.
+
+Mitsuba's shapes stand still (3.9).  So the exposure is cut into even parts, and the scene is drawn as it stands in the
+middle of each: by rows that expose then, with samples of their own, and with all that moves put to its place in the
+scene that is loaded.  The mean over the parts, each by its share of a row's exposure, is the picture.  The camera's own
+motion goes on within a part (see `motion`).  Each part costs a search tree, guides of the denoiser and an integrator.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.arrays import Array
+from synfog_usd.progress import Progress, silent, within
+from synfog_usd.render import backend
+from synfog_usd.render.denoise import Guides, guides
+from synfog_usd.render.film.accumulator import (
+    INSCATTERED,
+    Accumulator,
+    Estimator,
+    Integrator,
+    add_samples,
+    new_accumulator,
+)
+from synfog_usd.render.integrators.path import FogPath
+from synfog_usd.render.lights import photometric
+from synfog_usd.render.load import MitsubaScene
+from synfog_usd.scene import Camera, SceneDict
+from synfog_usd.seeds import seed32
+
+STEP_PX = 1.0
+"""Way of what moves fastest in the picture from one part of the exposure to the next, where samples allow."""
+
+STILL_PX = 0.05
+"""Way in the whole exposure below which nothing is seen of it."""
+
+MOST = 256
+"""Parts of an exposure."""
+
+LEAST = 2
+"""Samples of a pixel in a part, one for each half."""
+
+SAID_PX = 3.0
+"""Way from part to part from which on a warning is given."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A part of the exposure.
+
+    Attributes:
+        begin, end: of the time from the first row's beginning to the last row's end, 0 to 1.
+        share: (H,) of each row's exposure that lies in it.
+    """
+
+    begin: float
+    end: float
+    share: Array
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """How an exposure is cut.
+
+    Attributes:
+        parts: in order.
+        samples: of a pixel in each part that its row exposes in.
+        way_px: what moves fastest goes in the whole exposure [px].
+    """
+
+    parts: tuple[Interval, ...]
+    samples: int
+    way_px: float
+
+    def said(self) -> str:
+        """What a user should know, or ''."""
+        step = self.way_px / len(self.parts)
+        if step <= SAID_PX:
+            return ""
+        return (
+            f"things move by up to {step:.1f} pixels from one of {len(self.parts)} moments of the exposure to the "
+            f"next; more samples give more moments"
+        )
+
+
+def cut(source: SceneDict, samples: int) -> Intervals | None:
+    """The parts of a scene's exposure, or None where nothing is seen to move.
+
+    Args:
+        source: what is drawn.
+        samples: of a pixel, in all parts together; a few more where they are fewer than two for each part.
+    """
+    way = _way_px(source)
+    if way < STILL_PX:
+        return None
+    camera = source.camera
+    open_for = max(1.0 - camera.rolling, 1e-9)
+    most = samples // LEAST if not camera.rolling else math.floor((samples // LEAST - 2) / open_for)
+    count = max(2, min(math.ceil(way / STEP_PX), most, MOST))
+    begins = (np.arange(camera.height_px) + 0.5) / camera.height_px * camera.rolling
+    found = []
+    for number in range(count):
+        begin, end = number / count, (number + 1) / count
+        share = np.minimum(begins + open_for, end) - np.maximum(begins, begin)
+        found.append(Interval(begin, end, np.maximum(share, 0.0) / open_for))
+    busiest = int(sum((part.share > 0.0).astype(int) for part in found).max())
+    return Intervals(tuple(found), max(LEAST, samples // busiest // LEAST * LEAST), way)
+
+
+def _way_px(source: SceneDict) -> float:
+    """The longest way in the picture [px] of a corner of a box around what moves, as long as it is seen."""
+    longest = 0.0
+    for key, ways in source.motion_of.items():
+        part = source.world.get(key)
+        if part is None:
+            continue
+        for way, corners in zip(ways, _boxes(part, len(ways)), strict=True):
+            if corners is None:
+                continue
+            there = np.einsum("kij,cj->kci", way, np.c_[corners, np.ones(len(corners))])[..., :3]
+            place, seen = _projected(there, source.camera)
+            steps = np.linalg.norm(np.diff(place, axis=0), axis=2) * (seen[1:] & seen[:-1])
+            longest = max(longest, float(steps.sum(axis=0).max()))
+    return longest
+
+
+def _boxes(part: Mapping[str, Any], ways: int) -> list[Array | None]:
+    """(8, 3) corners of the box around what goes each way; a point where the part has no more of a place."""
+    if "positions" not in part:
+        if "center" in part:
+            centre, reach = np.asarray(part["center"], dtype=np.float64), float(part["radius"])
+            return [_corners(centre - reach, centre + reach)]
+        if "to_world" not in part:
+            return [np.asarray(part["position"], dtype=np.float64)[None]] if "position" in part else [None]
+        matrix = np.asarray(part["to_world"], dtype=np.float64)
+        reach = np.abs(matrix[:3, :3]).sum(axis=1)
+        return [_corners(matrix[:3, 3] - reach, matrix[:3, 3] + reach)]
+    positions = np.asarray(part["positions"], dtype=np.float64)
+    which = part.get("motion")
+    found: list[Array | None] = []
+    for number in range(ways):
+        own = positions if which is None else positions[np.asarray(which) == number]
+        found.append(_corners(own.min(axis=0), own.max(axis=0)) if len(own) else None)
+    return found
+
+
+def _corners(low: Array, high: Array) -> Array:
+    return np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
+
+
+def _projected(points: Array, camera: Camera) -> tuple[Array, Array]:
+    """(..., 2) place in the picture [px], brought to its edge, and whether points are before the camera."""
+    local = (points - camera.to_world[:3, 3]) @ camera.to_world[:3, :3]
+    depth = -local[..., 2]
+    seen = depth > camera.near_m
+    if camera.width_m > 0.0:
+        scale: Any = camera.width_px / camera.width_m
+    else:
+        focal_px = 0.5 * camera.width_px / math.tan(math.radians(camera.fov_x_deg) / 2.0)
+        scale = focal_px / np.where(seen, depth, 1.0)[..., None]
+    place = local[..., :2] * (1.0, -1.0) * scale
+    half = 0.5 * np.array([camera.width_px, camera.height_px])
+    middle = np.array(camera.shift) * (1.0, -1.0) * 2.0 * half
+    return np.clip(place - middle, -half, half), seen
+
+
+class Movables:
+    """What moves in a loaded scene, put to where it stands at a moment.
+
+    Args:
+        loaded: as it stands in mid-exposure; it is changed by `at` and given back by `back`.
+    """
+
+    def __init__(self, loaded: MitsubaScene) -> None:
+        self.loaded = loaded
+        self._ways = {key: ways for key, ways in loaded.source.motion_of.items() if key in loaded.parts}
+        self._began: dict[str, Array] = {}
+
+    def at(self, moment: float) -> MitsubaScene:
+        """The scene at a moment, 0 to 1 of the exposure."""
+        return self._stand({key: _between(ways, moment) for key, ways in self._ways.items()})
+
+    def back(self) -> None:
+        """Put all to where it stands in mid-exposure."""
+        self._stand({key: np.broadcast_to(np.eye(4), (ways.shape[0], 4, 4)) for key, ways in self._ways.items()})
+
+    def _stand(self, places: Mapping[str, Array]) -> MitsubaScene:
+        mi, world = backend.mitsuba(), dict(self.loaded.source.world)
+        for key, matrices in places.items():
+            part, there = world[key], self.loaded.parts[key]
+            world[key] = _placed(part, matrices)
+            if part["type"] == photometric.TYPE:
+                there.stand(np.asarray(world[key]["to_world"]))
+                continue
+            parameters = mi.traverse(there)
+            if part["type"] == "mesh":
+                parameters["vertex_positions"] = world[key]["positions"].astype(np.float32).ravel()
+                if "normals" in part:
+                    parameters["vertex_normals"] = world[key]["normals"].astype(np.float32).ravel()
+            elif "to_world" in parameters:
+                kind = type(parameters["to_world"])
+                if key not in self._began:
+                    self._began[key] = np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+                parameters["to_world"] = kind(matrices[0] @ self._began[key])
+            elif "position" in parameters:
+                place = world[key]["position"] if "position" in part else world[key]["to_world"][:3, 3].tolist()
+                parameters["position"] = type(parameters["position"])(place)
+            parameters.update()
+        self.loaded.scene.parameters_changed()
+        return replace(self.loaded, source=replace(self.loaded.source, world=world))
+
+
+def _between(ways: Array, moment: float) -> Array:
+    """(M, 4, 4) at a moment, of (M, K, 4, 4)."""
+    step = moment * (ways.shape[1] - 1)
+    first = min(int(step), ways.shape[1] - 2)
+    return ways[:, first] + (step - first) * (ways[:, first + 1] - ways[:, first])
+
+
+def _placed(part: Mapping[str, Any], matrices: Array) -> dict[str, Any]:
+    """A part of a scene moved by (M, 4, 4)."""
+    found = dict(part)
+    if "positions" in part:
+        which = np.asarray(part["motion"]) if "motion" in part else np.zeros(len(part["positions"]), dtype=np.int64)
+        points = np.asarray(part["positions"], dtype=np.float64)
+        found["positions"] = np.einsum("nij,nj->ni", matrices[which, :3, :3], points) + matrices[which, :3, 3]
+        if "normals" in part:
+            turn = np.linalg.inv(matrices[:, :3, :3])
+            found["normals"] = np.einsum("nji,nj->ni", turn[which], np.asarray(part["normals"], dtype=np.float64))
+    for name in ("center", "position"):
+        if name in part:
+            found[name] = (matrices[0] @ [*part[name], 1.0])[:3].tolist()
+    if "to_world" in part:
+        found["to_world"] = matrices[0] @ np.asarray(part["to_world"], dtype=np.float64)
+    return found
+
+
+def accumulate(
+    movables: Movables,
+    parts: Intervals,
+    make: Callable[[MitsubaScene], Integrator],
+    *,
+    seed: int,
+    progress: Progress = silent,
+) -> Accumulator:
+    """The picture of all parts.
+
+    Args:
+        movables: what moves; it is put back in the end.
+        parts: of the exposure.
+        make: an integrator of a scene.
+        seed: of the image.
+        progress: told after each part.
+    """
+    camera, merged = movables.loaded.source.camera, _Merged()
+    pixels = camera.width_px * camera.height_px
+    try:
+        for number, part in enumerate(parts.parts):
+            loaded = movables.at(0.5 * (part.begin + part.end))
+            eye = replace(loaded.source.camera, during=(part.begin, part.end))
+            integrator = make(replace(loaded, source=replace(loaded.source, camera=eye)))
+            told = within(progress, number / len(parts.parts), (number + 1) / len(parts.parts))
+            if isinstance(integrator, FogPath):
+                begun = number * parts.samples // 2  # numbers of paths go on from part to part, and so does their order
+                found = new_accumulator(integrator, pixels)
+                own = [name for name in found.estimators if found.radiance_cache is None or name != INSCATTERED]
+                for name in own:
+                    found.estimators[name].counts += begun
+                rows = np.flatnonzero(np.repeat(part.share > 0.0, camera.width_px))
+                own_seed = seed if found.radiance_cache is None else seed32(seed, "moment", number)
+                add_samples(found, integrator, rows, found.even(parts.samples), own_seed, told)
+                for name in own:
+                    found.estimators[name].counts -= begun
+            else:
+                found = integrator.accumulate(samples=parts.samples, seed=seed32(seed, "moment", number), progress=told)
+            merged.add(found, np.repeat(part.share, camera.width_px))
+    finally:
+        movables.back()
+    return merged.all()
+
+
+class _Merged:
+    """The mean of accumulators by each one's share, and its variance."""
+
+    def __init__(self) -> None:
+        self.means: dict[str, dict[str, Array]] = {}
+        self.variance: dict[str, Array] = {}
+        self.groups: dict[str, list[Array]] = {}
+        self.counts: dict[str, Array] = {}
+        self.lost, self.weights = 0, np.zeros(0)
+
+    def add(self, found: Accumulator, share: Array) -> None:
+        """One with a share (P,) of each pixel."""
+        seen, by_pixel = share > 0.0, share[:, None]
+        self.lost, self.weights = self.lost + found.lost, found.weights
+        for name, one in found.estimators.items():
+            own = np.maximum(one.counts, 1)[:, :, None]
+            means = self.means.setdefault(name, {})
+            for aov, sums in one.aovs.items():
+                mean = (by_pixel * (sums / own)).astype(np.float32)
+                means[aov] = means[aov] + mean if aov in means else mean
+            spread = np.where(seen[:, None], one.variance(), 0.0) * by_pixel**2
+            groups = [by_pixel * (group / one.number()) for group in one.groups]
+            counts = one.counts * seen
+            if name in self.variance:
+                spread, counts = spread + self.variance[name], counts + self.counts[name]
+                groups = [before + now for before, now in zip(self.groups[name], groups, strict=True)]
+            self.variance[name], self.groups[name], self.counts[name] = spread, groups, counts
+
+    def all(self) -> Accumulator:
+        """Sums that have this mean and this variance."""
+        estimators = {}
+        for name, means in self.means.items():
+            counts = self.counts[name]
+            aovs = {aov: (mean * counts[:, :, None]).astype(np.float32) for aov, mean in means.items()}
+            number = np.maximum(counts.sum(axis=0), 1)[:, None]
+            mean = sum(sums.sum(axis=0, dtype=np.float64) for sums in aovs.values()) / number
+            squares = (self.variance[name] * np.maximum(number - 1.0, 1.0) + mean**2) * number
+            estimators[name] = Estimator(aovs, squares, [group * number for group in self.groups[name]], counts)
+        return Accumulator(estimators, self.lost, self.weights)
+
+
+def mean_guides(movables: Movables, parts: Intervals, *, rays: int) -> Guides:
+    """What a denoiser may know of all parts together; `rays` of a pixel in all."""
+    each = max(LEAST, rays // len(parts.parts))
+    sums: Sequence[Array] | None = None
+    try:
+        for part in parts.parts:
+            loaded = movables.at(0.5 * (part.begin + part.end))
+            eye = replace(loaded.source.camera, during=(part.begin, part.end))
+            found = guides(replace(loaded, source=replace(loaded.source, camera=eye)), rays=each)
+            share = part.share.astype(np.float32)[:, None]
+            own = [found.albedo * share[..., None], found.normal * share[..., None], found.transmittance * share]
+            sums = own if sums is None else [before + now for before, now in zip(sums, own, strict=True)]
+    finally:
+        movables.back()
+    assert sums is not None
+    return Guides(*sums)

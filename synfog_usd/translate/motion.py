@@ -1,0 +1,125 @@
+"""How prims move while the camera exposes, as rigid bodies.
+
+Takes prims by path; gives matrices in the scene's axes at even steps of the exposure.  Knows nothing of shapes.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom
+
+from synfog_usd.arrays import Array
+from synfog_usd.translate.space import FAR, Space, columns
+
+MOMENTS = 33
+"""Places of a moving prim that are kept; between two of them it goes straight.  A wheel that turns once in the exposure
+leaves its circle by 0.5 % of its radius.
+"""
+
+STILL_M = 1e-6
+"""Way of a metre's corner below which a prim counts as standing."""
+
+_POINT = re.compile(r"([^\[]+)\[(\d+)\]")
+_MOVING = ("positions", "orientations", "orientationsf", "scales", "velocities", "angularVelocities")
+
+
+class Mover:
+    """Where prims stand while the shutter is open.
+
+    Args:
+        stage: with its skeletons posed.
+        space: of the scene.
+        time: the middle of the exposure.
+        half: frames from there to its end; 0 where nothing is to move.
+
+    Attributes:
+        moving: paths that move, as they were asked for.
+    """
+
+    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, half: float) -> None:
+        self._stage, self._space, self.open = stage, space, half > 0.0
+        self.moving: dict[str, None] = {}
+        if not self.open:
+            return
+        self._middle = time
+        self._times = [Usd.TimeCode(time.GetValue() + half * way) for way in np.linspace(-1.0, 1.0, MOMENTS)]
+        self._caches = [UsdGeom.XformCache(one) for one in (time, *self._times)]
+        self._varies: dict[Sdf.Path, bool] = {}
+        self._points: dict[str, Array | None] = {}
+        self._known: dict[str, Array | None] = {}
+
+    def of(self, path: str) -> Array | None:
+        """(1, MOMENTS, 4, 4) from the place in mid-exposure to those of the exposure's even steps, or None.
+
+        Args:
+            path: of a prim of the stage, of one within an instance, or with [n] behind a point instancer's.
+        """
+        if not self.open:
+            return None
+        point = _POINT.match(path)
+        key = point.group(0) if point else path
+        if key not in self._known:
+            places = self._placed(point.group(1), int(point.group(2))) if point else self._standing(path)
+            self._known[key] = None if places is None else self._relative(places)
+        if self._known[key] is not None:
+            self.moving[path] = None
+        return self._known[key]
+
+    def _prim(self, path: str) -> Usd.Prim | None:
+        prim = self._stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
+        return prim or None
+
+    def _standing(self, path: str) -> Array | None:
+        """(1 + MOMENTS, 4, 4) to the stage, in mid-exposure and at each step; None where nothing varies."""
+        prim = self._prim(path)
+        if prim is None or not self._vary(prim):
+            return None
+        return np.stack([columns(cache.GetLocalToWorldTransform(prim)) for cache in self._caches])
+
+    def _placed(self, path: str, number: int) -> Array | None:
+        """The same of a point of an instancer."""
+        if path not in self._points:
+            self._points[path] = self._of_points(path)
+        found = self._points[path]
+        return None if found is None or number >= found.shape[1] else found[:, number]
+
+    def _of_points(self, path: str) -> Array | None:
+        prim = self._prim(path)
+        if prim is None:
+            return None
+        instancer = UsdGeom.PointInstancer(prim)
+        attributes = [prim.GetAttribute(name) for name in _MOVING]
+        alive = any(
+            one and (one.ValueMightBeTimeVarying() or ("elocities" in one.GetName() and one.HasAuthoredValue()))
+            for one in attributes
+        )
+        if not alive and not self._vary(prim):
+            return None
+        found = []
+        for cache, time in zip(self._caches, (self._middle, *self._times), strict=True):
+            inner = instancer.ComputeInstanceTransformsAtTime(
+                time, self._middle, UsdGeom.PointInstancer.IncludeProtoXform, UsdGeom.PointInstancer.IgnoreMask
+            )
+            matrices = np.array(inner, dtype=np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
+            found.append(columns(cache.GetLocalToWorldTransform(prim)) @ matrices)
+        return np.stack(found) if len({len(one) for one in found}) == 1 else None
+
+    def _vary(self, prim: Usd.Prim) -> bool:
+        """Whether a prim or one above it has a transform that may vary."""
+        path = prim.GetPath()
+        if path not in self._varies:
+            parent = prim.GetParent()
+            own = bool(UsdGeom.Xformable(prim) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying())
+            self._varies[path] = own or bool(parent and not parent.IsPseudoRoot() and self._vary(parent))
+        return self._varies[path]
+
+    def _relative(self, places: Array) -> Array | None:
+        if not np.abs(places).max() <= FAR or not abs(np.linalg.det(places[0, :3, :3])) > 1e-300:
+            return None
+        in_scene = self._space.matrix @ places
+        ways = in_scene[1:] @ np.linalg.inv(in_scene[0])
+        corner = in_scene[0][:3, 3] + 1.0
+        went = ways[:, :3, :3] @ corner + ways[:, :3, 3] - corner
+        return ways[None] if np.abs(went).max() > STILL_M else None

@@ -1,0 +1,171 @@
+"""Things that move while the camera exposes: closed forms of blur, of a rolling shutter and of moving lamps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support import renders
+
+from synfog_usd.render import moments
+from synfog_usd.render.denoise import available
+from synfog_usd.render.shot import load, render
+from synfog_usd.scene import PARALLEL_DEG
+from synfog_usd.testing import black, scene, wall
+
+STEPS = 33
+WIDTH_M = 8.0
+
+
+def parallel(world, *, width_px=16, height_px=8, **more):
+    """A scene seen by an orthographic camera at the origin, 8 m wide, which looks north."""
+    made = scene(world, width_px=width_px, height_px=height_px)
+    return replace(made, camera=replace(made.camera, fov_x_deg=PARALLEL_DEG, width_m=WIDTH_M, **more))
+
+
+def going(way_m, *, turn_rad=0.0):
+    """A thing that goes (x, y, z) [m] evenly in the exposure, and turns about the line of sight."""
+    share = np.linspace(-0.5, 0.5, STEPS)
+    found = np.tile(np.eye(4), (1, STEPS, 1, 1))
+    found[0, :, :3, 3] = share[:, None] * np.asarray(way_m)
+    cosine, sine = np.cos(share * turn_rad), np.sin(share * turn_rad)
+    found[0, :, 0, 0], found[0, :, 2, 2], found[0, :, 0, 2], found[0, :, 2, 0] = cosine, cosine, sine, -sine
+    return found
+
+
+def edges_m(picture):
+    """(H,) where a sharp edge would stand to leave as much light in each row."""
+    return WIDTH_M / 2 - picture.sum(axis=1, dtype=np.float64) * (WIDTH_M / picture.shape[1])
+
+
+def bar(left_m, right_m, distance_m=20.0):
+    """A shining bar, 20 m high."""
+    corners = [[left_m, -10], [right_m, -10], [right_m, 10], [left_m, 10]]
+    positions = np.array([[x, distance_m, z] for x, z in corners], dtype=float)
+    return {"type": "mesh", "positions": positions, "faces": np.array([[0, 1, 2], [0, 2, 3]]), **black(1.0)}
+
+
+def half_plane(edge_m):
+    """A shining sheet from an edge on to the right."""
+    return bar(edge_m, edge_m + 50.0)
+
+
+def test_a_bar_that_moves_is_blurred_to_the_trapezium_of_its_way():
+    """A bar 1 m wide that goes 2 m: light rises over 1 m to 1/2, stays for 1 m and falls over 1 m, by pixels of 1/8 m.
+
+    Parts of the exposure are a pixel long at most, so each pixel errs by less than 1 / 16 / 4 of the slope's pixel.
+    """
+    world = parallel({"shape_bar": bar(-0.5, 0.5)}, width_px=64)
+    world = replace(world, motion_of={"shape_bar": going((2.0, 0.0, 0.0))})
+    runs = renders.by_seed(world, range(2), samples=64, model="path")
+    seen = np.mean([run.radiance.pixels[:, :, 1].mean(axis=0, dtype=np.float64) for run in runs], axis=0)
+    x = (np.arange(64)[:, None] - 32 + (np.arange(200) + 0.5) / 200) / 8.0
+    wanted = np.clip((1.5 - np.abs(x)) / 2.0, 0.0, 0.5).mean(axis=1)
+    np.testing.assert_allclose(seen, wanted, atol=0.02)
+    assert seen.sum() / 8.0 == pytest.approx(1.0, rel=0.002), "all of the bar's light"
+    assert np.abs(seen - np.clip(wanted * 1.03, 0, 0.5)).max() > 0.005, "the test sees three in a hundred"
+
+
+@pytest.mark.parametrize("model", ["path", pytest.param("volpath", marks=pytest.mark.slow)])
+def test_a_moving_bar_leans_under_a_rolling_shutter_as_far_as_it_went(model):
+    """An edge that goes 3 m to the left, three quarters of it between the rows' beginnings, leans by 2.25 m."""
+    world = parallel({"shape_sheet": half_plane(0.0)}, width_px=32, rolling=0.75)
+    world = replace(world, motion_of={"shape_sheet": going((-3.0, 0.0, 0.0))})
+    seeds = 4
+    runs = renders.by_seed(world, range(seeds), samples=128, model=model)
+    edges = np.array([edges_m(run.radiance.pixels[:, :, 1]) for run in runs])
+    down = (np.arange(8) + 0.5) / 8
+    slant, middle = np.polyfit(down - 0.5, edges.mean(axis=0), 1)
+    spread = np.polyfit(down - 0.5, edges.T, 1)[0].std(ddof=1) / np.sqrt(seeds)
+    assert 5 * spread < 0.01 * 2.25, "the test must see one in a hundred"
+    assert slant == pytest.approx(-2.25, rel=0.01)
+    assert middle == pytest.approx(0.0, abs=0.02)
+
+
+def test_what_moves_as_the_camera_does_stays_sharp():
+    """An edge and a camera that go 3 m together: within a part of the exposure they part by a pixel's width at most,
+    under both shutters; alone each would smear the edge over twelve pixels.
+    """
+    for rolling in (0.0, 0.75):
+        world = parallel({"shape_sheet": half_plane(0.0)}, width_px=32, rolling=rolling, drift_m=(3.0, 0.0, 0.0))
+        world = replace(world, motion_of={"shape_sheet": going((3.0, 0.0, 0.0))})
+        seen = render(world, samples=64, model="path").radiance.pixels[:, :, 1]
+        np.testing.assert_array_equal(seen[:, :15], 0.0)
+        np.testing.assert_allclose(seen[:, 17:], 1.0, rtol=1e-5)
+
+
+def test_a_lamp_that_moves_lights_as_the_mean_of_its_places():
+    """A point lamp of 100 cd that goes 6 m along a wall 4 m before it: I h / r^3 / pi, averaged over its way."""
+    light = {"type": "point", "to_world": np.eye(4), "intensity": {"type": "rgb", "value": [100.0] * 3}}
+    light["to_world"][:3, 3] = (0.0, 6.0, 0.0)
+    white = {"bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [1.0] * 3}}}
+    world = scene(
+        {"shape_wall": wall(10.0, 50.0, **white), "light_lamp": light}, width_px=16, height_px=8, fov_x_deg=60.0
+    )
+    world = replace(world, motion_of={"light_lamp": going((6.0, 0.0, 0.0))}, group_of={"light_lamp": "other"})
+    seen = np.mean([run.radiance.pixels[:, :, 1] for run in renders.by_seed(world, range(4), samples=64)], axis=0)
+    focal = 8.0 / np.tan(np.radians(30.0))
+    u, v = np.meshgrid((np.arange(160) + 0.5) / 10 - 8.0, (np.arange(80) + 0.5) / 10 - 4.0)
+    lamp_x = ((np.arange(200) + 0.5) / 200 - 0.5) * 6.0
+    across = (u[..., None] / focal * 10.0 - lamp_x) ** 2 + (v[..., None] / focal * 10.0) ** 2
+    wanted = (100.0 * 4.0 / (across + 16.0) ** 1.5 / np.pi).mean(axis=-1).reshape(8, 10, 16, 10).mean(axis=(1, 3))
+    np.testing.assert_allclose(seen, wanted, rtol=0.01)
+    still = np.abs(100.0 * 4.0 / ((u**2 + v**2) / focal**2 * 100.0 + 16.0) ** 1.5 / np.pi).max()
+    assert abs(seen.max() / still - 1.0) > 0.1, "the test would see a lamp that stands"
+
+
+def test_the_scene_stands_as_it_stood_once_it_is_drawn_and_turning_things_turn():
+    """A sheet that turns by 90 degrees about the line of sight: half of the picture's centre line is lit at any moment
+    whatever the angle; afterwards the scene that was loaded shows the moment of mid-exposure again.
+    """
+    world = parallel({"shape_sheet": half_plane(0.0)}, width_px=32)
+    loaded = load(world, boundaries=False)
+    before = render(world, samples=16, model="path", loaded=loaded).radiance.pixels
+    moving = replace(world, motion_of={"shape_sheet": going((0.0, 0.0, 0.0), turn_rad=np.pi / 2)})
+    other = replace(loaded, source=moving)
+    turned = render(moving, samples=64, model="path", loaded=other).radiance.pixels[:, :, 1]
+    x, z = np.meshgrid((np.arange(640) + 0.5) / 80 - 4.0, (np.arange(160) + 0.5) / 80 - 1.0)
+    beyond = np.clip(np.degrees(np.arctan2(x, np.abs(z))) / 90.0 + 0.5, 0.0, 1.0)  # share of the time
+    wanted = beyond.reshape(8, 20, 32, 20).mean(axis=(1, 3))
+    np.testing.assert_allclose(turned, wanted, atol=0.08)  # 1 / 32 is a moment, and 0.05 noise of 64 samples
+    assert np.abs(turned - wanted).mean() < 0.01
+    np.testing.assert_array_equal(render(world, samples=16, model="path", loaded=loaded).radiance.pixels, before)
+
+
+def test_its_variance_is_that_of_its_pictures():
+    """The variance that a picture of moments tells is the scatter of pictures of many seeds, within a third."""
+    world = parallel({"shape_bar": bar(-0.5, 0.5)})
+    world = replace(world, motion_of={"shape_bar": going((2.0, 0.0, 0.0))})
+    runs = [run.radiance for run in renders.by_seed(world, range(10), samples=8, model="volpath")]
+    scatter = np.var([run.pixels[:, :, 1] for run in runs], axis=0, ddof=1).mean()
+    told = np.mean([run.variance[:, :, 1] for run in runs])
+    assert told == pytest.approx(scatter, rel=0.33)
+
+
+def test_a_still_scene_is_not_cut():
+    """Nothing that moves, or only by less than is seen, and the scene is drawn as ever."""
+    world = parallel({"shape_bar": bar(-0.5, 0.5)})
+    assert moments.cut(world, 64) is None
+    assert moments.cut(replace(world, motion_of={"shape_bar": going((0.0, 1.0, 0.0))}), 64) is None, "along the rays"
+    parts = moments.cut(replace(world, motion_of={"shape_bar": going((2.0, 0.0, 0.0))}), 64)
+    assert len(parts.parts) == 4 and parts.samples == 16 and parts.said() == ""
+    np.testing.assert_allclose(sum(part.share for part in parts.parts), 1.0)
+
+
+def test_few_samples_for_a_long_way_are_told():
+    """80 m in the exposure is the picture's 16 pixels; four samples have two moments."""
+    world = parallel({"shape_bar": bar(-0.5, 0.5)})
+    parts = moments.cut(replace(world, motion_of={"shape_bar": going((80.0, 0.0, 0.0))}), 4)
+    assert len(parts.parts) == 2
+    assert "move by up to 8" in parts.said() and "more samples" in parts.said()
+
+
+@pytest.mark.skipif(bool(available()), reason="no denoiser here")
+def test_a_denoised_picture_of_moments_has_the_blur():
+    """The trapezium of the first test, denoised: its light and its half-height width of 2 m."""
+    world = parallel({"shape_bar": bar(-0.5, 0.5)}, width_px=64, height_px=32)
+    world = replace(world, motion_of={"shape_bar": going((2.0, 0.0, 0.0))})
+    made = render(world, samples=32, model="path", denoise=True)
+    row = made.radiance.pixels[:, :, 1].mean(axis=0, dtype=np.float64)
+    assert made.error is not None and "16 moments" in made.why
+    assert row.sum() / 8.0 == pytest.approx(1.0, rel=0.02)
+    assert (row > 0.25).sum() / 8.0 == pytest.approx(2.0, abs=0.13)
