@@ -17,9 +17,11 @@ demo: setup llvm
 	$(BIN)/synfog-usd info
 	$(BIN)/synfog-usd bake stages/crossroads.usda -o $(OUT) --resolution 640x360 --samples 4
 
-# Six scenes in two lightings and four fogs, 320 x 180: what a data set is like, in minutes.
+# Six scenes in two lightings and four fogs, 320 x 180, with a gallery and as COCO: what a data set is like, in minutes.
 dataset: setup llvm
 	$(BIN)/synfog-usd dataset run mini -o $(SET_OUT)
+	$(BIN)/synfog-usd dataset gallery $(SET_OUT)
+	$(BIN)/synfog-usd dataset export $(SET_OUT) --as coco
 
 test: setup llvm
 	$(TESTS)

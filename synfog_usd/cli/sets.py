@@ -17,9 +17,9 @@ from synfog_usd.cli import worker
 from synfog_usd.cli.progress import shown
 from synfog_usd.sets import journal
 from synfog_usd.sets.definition import load_set
+from synfog_usd.sets.layout import Unit
 from synfog_usd.sets.run import Outcome, RunPlan, numbers_of
 from synfog_usd.sets.run import run as make
-from synfog_usd.sets.scenes import Unit
 from synfog_usd.sets.work import Child, told
 
 if TYPE_CHECKING:

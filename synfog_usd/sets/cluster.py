@@ -23,6 +23,10 @@ SETTINGS = {
     "distributed.scheduler.worker-ttl": "2 minutes",
     "distributed.admin.large-graph-warning-threshold": "100MB",
     "distributed.worker.daemon": False,
+    # a unit takes minutes: what Dask looks at 100 and 50 times a second takes more of a core than all else that it does
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
 }
 SYSTEMS = {
     "slurm": "SLURMCluster",

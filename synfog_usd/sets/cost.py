@@ -18,7 +18,8 @@ from synfog_usd.progress import Progress, silent
 from synfog_usd.sets import cluster, identity, journal
 from synfog_usd.sets.definition import CLEAR, SetDefinition, make_set
 from synfog_usd.sets.journal import Tally
-from synfog_usd.sets.scenes import PlannedScene, Unit, scene, scenes
+from synfog_usd.sets.layout import Unit
+from synfog_usd.sets.scenes import PlannedScene, scene, scenes
 from synfog_usd.sets.work import Child, Job, do
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ With a camera of a rig the folder is called `sky-Left`.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 SET = "set.json"
@@ -27,6 +28,30 @@ def unit_folder(number: int, lighting: str, camera: str = "") -> str:
     """Folder of one scene in one lighting, seen by one camera, relative to the set's; '' is the stage's own camera."""
     view = f"{lighting}-{camera.rsplit('/', 1)[-1]}" if camera else lighting
     return f"scenes/{number // A_FOLDER:03}/{number:06}/{view}"
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One scene in one lighting through one camera: what is made at a time.
+
+    Attributes:
+        number: of the scene.
+        lighting: name; camera: prim path, or '' for the stage's own.
+    """
+
+    number: int
+    lighting: str
+    camera: str = ""
+
+    @property
+    def folder(self) -> str:
+        """Relative to the set's."""
+        return unit_folder(self.number, self.lighting, self.camera)
+
+    @property
+    def name(self) -> str:
+        """As errors and journals have it, '000017/sky'."""
+        return "/".join(self.folder.split("/")[-2:])
 
 
 def part_path(out: Path, part: int) -> Path:

@@ -21,7 +21,8 @@ from synfog_usd.progress import Progress, silent
 from synfog_usd.sets import cluster, identity, index, journal, layout
 from synfog_usd.sets.cost import Cost
 from synfog_usd.sets.definition import SetDefinition
-from synfog_usd.sets.scenes import PlannedScene, Unit, scenes
+from synfog_usd.sets.layout import Unit
+from synfog_usd.sets.scenes import PlannedScene, scenes
 from synfog_usd.sets.unit import record, rows
 from synfog_usd.sets.work import Child, Job, do
 

@@ -13,33 +13,9 @@ from pathlib import Path
 
 from synfog_usd.errors import SetError
 from synfog_usd.seeds import seed32, stream
-from synfog_usd.sets import layout
 from synfog_usd.sets.definition import SetDefinition, Source, Split
+from synfog_usd.sets.layout import Unit
 from synfog_usd.world.language import Distribution, Recipe
-
-
-@dataclass(frozen=True)
-class Unit:
-    """One scene in one lighting through one camera: what is made at a time.
-
-    Attributes:
-        number: of the scene.
-        lighting: name; camera: prim path, or '' for the stage's own.
-    """
-
-    number: int
-    lighting: str
-    camera: str = ""
-
-    @property
-    def folder(self) -> str:
-        """Relative to the set's."""
-        return layout.unit_folder(self.number, self.lighting, self.camera)
-
-    @property
-    def name(self) -> str:
-        """As errors and journals have it, '000017/sky'."""
-        return "/".join(self.folder.split("/")[-2:])
 
 
 @dataclass(frozen=True)

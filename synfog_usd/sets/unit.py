@@ -22,7 +22,8 @@ from synfog_usd.progress import Progress, silent
 from synfog_usd.seeds import seed32
 from synfog_usd.sets import layout
 from synfog_usd.sets.definition import SetDefinition
-from synfog_usd.sets.scenes import PlannedScene, Unit, held_out, scene
+from synfog_usd.sets.layout import Unit
+from synfog_usd.sets.scenes import PlannedScene, held_out, scene
 
 if TYPE_CHECKING:
     from synfog_usd.image import Image

@@ -20,7 +20,8 @@ from synfog_usd.errors import SynfogError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.sets import identity, index, journal, layout
 from synfog_usd.sets.cluster import cores
-from synfog_usd.sets.scenes import Unit, scenes
+from synfog_usd.sets.layout import Unit
+from synfog_usd.sets.scenes import scenes
 from synfog_usd.sets.unit import changed, record, rows
 
 AHEAD = 4

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from synfog_usd import system
-from synfog_usd.sets.scenes import Unit
+from synfog_usd.sets.layout import Unit
 
 TOLD = 2000
 """Characters of a child's last words that are kept."""

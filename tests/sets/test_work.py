@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from synfog_usd.sets import cluster, work
-from synfog_usd.sets.scenes import Unit
+from synfog_usd.sets.layout import Unit
 from synfog_usd.sets.work import Child, Job, do
 
 TELL = "import json, os; print(json.dumps({}))"
