@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ from typing import Any
 from synfog_usd.errors import OutputError
 
 TEMPORARY_PREFIX = ".synfog-part-"
+
+_FICLONE = 0x40049409
+"""Linux's request for a reflink: two files that share their blocks until one is changed."""
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
@@ -55,6 +59,31 @@ def write_json(path: Path, value: Any) -> None:
     write_bytes(path, (json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
 
 
+def place(source: Path, target: Path) -> bool:
+    """A file under another name: a hard link, else a reflink, else a copy; tells whether it is a hard link.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.exists() and target.samefile(source):
+            return True
+        target.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            os.link(source, target)
+            return True
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written ({error.strerror})") from error
+
+    def copy(temporary: Path) -> None:
+        if not _cloned(source, temporary):
+            shutil.copyfile(source, temporary)
+
+    write_whole(target, copy)
+    return False
+
+
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as handle:
@@ -74,3 +103,16 @@ def remove_leftovers(folder: Path) -> None:
 def _put(path: Path, data: bytes) -> None:
     with path.open("wb") as handle:
         handle.write(data)
+
+
+def _cloned(source: Path, target: Path) -> bool:
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return False
+    try:
+        with source.open("rb") as one, target.open("wb") as other:
+            fcntl.ioctl(other.fileno(), _FICLONE, one.fileno())
+    except OSError:
+        return False
+    return True

@@ -133,6 +133,47 @@ def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) ->
     )
 
 
+def adapted(
+    metered: Exposure,
+    before: tuple[float, float],
+    graph: NodeGraph,
+    *,
+    elapsed_s: float,
+    constant_s: float,
+) -> Exposure:
+    """The exposure of a frame whose camera follows what it meters with a time constant.
+
+    The logarithm of time x ISO goes to the metered one as 1 - exp(-t / tau), as auto exposure loops are tuned;
+    what the graph gives as a number stays.
+
+    Args:
+        metered: what this frame asks for.
+        before: exposure time [s] and ISO of the frame before.
+        graph: that was metered.
+        elapsed_s: between the two frames.
+        constant_s: tau; 0 follows at once.
+    """
+    sensor = graph.profiles.get("sensor")
+    if constant_s <= 0.0 or not isinstance(sensor, SensorProfile):
+        return metered
+    old, new = np.log(before[0] * before[1]), np.log(metered.exposure_s * metered.iso)
+    product = float(np.exp(new + (old - new) * np.exp(-elapsed_s / constant_s)))
+    open_nodes = [
+        node
+        for op, name in (("sensor.expose", "exposure_s"), ("sensor.gain", "iso"))
+        for node in graph.nodes_with(op)
+        if node.params[name].is_auto
+    ]
+    auto = {node.op.name for node in open_nodes}
+    exposure_s, iso = metered.exposure_s, metered.iso
+    if "sensor.expose" in auto:
+        base = sensor.iso_base if "sensor.gain" in auto else iso
+        exposure_s = min(max(product / base, sensor.shortest_exposure_s), sensor.longest_exposure_s)
+    if "sensor.gain" in auto:
+        iso = min(max(product / exposure_s, sensor.iso_base), sensor.iso_max)
+    return Exposure(exposure_s, iso, metered.mean_cd_m2, metered.limit)
+
+
 def sensitivity(radiance: Image, graph: NodeGraph, exposure: Exposure) -> tuple[float, float] | None:
     """What a pixel makes of light, by running the graph on an even grey frame.
 

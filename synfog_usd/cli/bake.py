@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,7 +14,8 @@ import typer
 
 from synfog_usd.cli import worker
 from synfog_usd.cli.progress import shown
-from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.dataset.plan import BakePlan, frame_codes
+from synfog_usd.errors import ParameterError
 
 if TYPE_CHECKING:
     from synfog_usd.scene import Note
@@ -22,15 +24,23 @@ REMARKS = 5
 """How many remarks are printed; warnings all are."""
 
 
-def run(plan: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
+def run(plan: dict[str, Any], *, frames: str | None, adaptation_s: float, quiet: bool, as_json: bool) -> None:
     """Bake as the command line asked for; raises `typer.Exit` where the code is not 0."""
     asked = BakePlan(**plan)  # numbers that make no sense are refused before a process is begun or anything is written
+    codes = None if frames is None else frame_codes(frames)
+    if codes is not None and asked.frame is not None:
+        raise ParameterError("--frame and --frames: either one time code or several; leave one out")
+    if not 0.0 <= adaptation_s < math.inf:
+        raise ParameterError(f"--adaptation {adaptation_s:g}: it takes seconds, 0 and more")
     if not worker.is_worker():
         code = worker.run(sys.argv[1:])
         if code == worker.INTERRUPTED or code < 0:
-            _tidy(plan["out"], code, plan["stage"])
+            _tidy(plan["out"], code, plan["stage"], frames=codes is not None)
         raise typer.Exit(2 if code < 0 else code)
     worker.follow_parent()
+    if codes is not None:
+        _sequence(asked, codes, adaptation_s, quiet=quiet, as_json=as_json)
+        return
     from synfog_usd.dataset.bake import bake
 
     with shown(quiet) as (progress, log):
@@ -43,6 +53,21 @@ def run(plan: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
         print(f"{len(baked.manifest['shots'])} shots in {plan['out']}: look at {plan['out'] / 'contact.png'}")
 
 
+def _sequence(plan: BakePlan, codes: Sequence[float], adaptation_s: float, *, quiet: bool, as_json: bool) -> None:
+    from synfog_usd.dataset.sequence import bake_sequence
+
+    with shown(quiet) as (progress, log):
+        found, first = bake_sequence(
+            plan, codes, adaptation_s=adaptation_s, progress=progress, log=log, reading=worker.reading_limits
+        )
+        if not quiet:
+            _report(first.notes, plan.stage, log)
+    if as_json:
+        print(json.dumps(found, indent=2))
+    elif not quiet:
+        print(f"{len(codes)} frames in {plan.out}: {', '.join(found['clips'])}")
+
+
 def _report(notes: Sequence[Note], stage: Path, log: Callable[[str], None]) -> None:
     """Every warning, and the first few remarks; all of them stand in `bake.json`."""
     remarks = [note for note in notes if note.severity != "warning"]
@@ -52,14 +77,16 @@ def _report(notes: Sequence[Note], stage: Path, log: Callable[[str], None]) -> N
         log(f"and {len(remarks) - REMARKS} more remarks, see 'notes' in bake.json")
 
 
-def _tidy(out: Path, code: int, stage: Path) -> None:
+def _tidy(out: Path, code: int, stage: Path, *, frames: bool) -> None:
     from synfog_usd import files
 
-    finished = 0
+    kinds, finished = "shots", 0
     with contextlib.suppress(OSError, ValueError, KeyError):
         files.remove_leftovers(out)
         finished = len(json.loads((out / "bake.json").read_bytes())["shots"])
-    kept = f"{finished} finished shots are kept in {out}; the same command goes on from there"
+    if frames:
+        kinds, finished = "frames", sum(1 for _ in out.glob("[0-9]*/bake.json"))
+    kept = f"{finished} finished {kinds} are kept in {out}; the same command goes on from there"
     if code == worker.INTERRUPTED:
         print(f"synfog-usd: stopped. {kept}", file=sys.stderr)
     else:

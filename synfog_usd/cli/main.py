@@ -78,6 +78,15 @@ def bake(
     ] = None,
     camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
     frame: Annotated[float | None, typer.Option(help="Time code.")] = None,
+    frames: Annotated[
+        str | None,
+        typer.Option(
+            help="Time codes FIRST:LAST or FIRST:LASTxSTEP, as 0:90x2: a folder for each, and clips in OUT/clips."
+        ),
+    ] = None,
+    adaptation: Annotated[
+        float, typer.Option(help="Seconds in which the automatic exposure of --frames goes 63 % of the way.")
+    ] = 0.3,
     lights: Annotated[
         str,
         typer.Option(
@@ -190,6 +199,8 @@ def bake(
             allow=tuple(allow or ()),
             strict=strict,
         ),
+        frames=frames,
+        adaptation_s=adaptation,
         quiet=quiet,
         as_json=as_json,
     )

@@ -14,7 +14,7 @@ import importlib.metadata
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -163,7 +163,7 @@ def bake(
                 if clear is not None:
                     step("metering", 0.01)
                     behind.wait()  # the graph runs here too
-                    view = views[shot.lighting] = _meter(replace(clear, fog=()), renderer, plan, graph)
+                    view = views[shot.lighting] = _meter(shot.lighting, replace(clear, fog=()), renderer, plan, graph)
                     log(
                         f"{shot.lighting}: {outdoors(scene)}; this view has {float(view.luminance.mean()):.3g} cd/m2 "
                         f"in clear air"
@@ -356,7 +356,7 @@ def _groups_for(graph: Any, rendered: Rendered) -> dict[str, Image]:
     }
 
 
-def _meter(scene: SceneDict, renderer: _Renderer, plan: BakePlan, graph: Any) -> _View:
+def _meter(lighting: str, scene: SceneDict, renderer: _Renderer, plan: BakePlan, graph: Any) -> _View:
     """A scene without fog, metered on a small frame."""
     from synfog_usd import camera, photometry
     from synfog_usd.render import models
@@ -370,6 +370,10 @@ def _meter(scene: SceneDict, renderer: _Renderer, plan: BakePlan, graph: Any) ->
         scene, samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=size, loaded=resized(loaded, size)
     ).radiance
     exposure = camera.meter(frame, graph)
+    if plan.clip and (before := plan.clip.before.get(lighting)):
+        exposure = camera.adapted(
+            exposure, before, graph, elapsed_s=1.0 / plan.clip.per_s, constant_s=plan.clip.adaptation_s
+        )
     return _View(
         exposure,
         camera.sensitivity(frame, graph, exposure),
@@ -491,6 +495,8 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
     radiance, variance = rendered.radiance, rendered.radiance.variance
     if taken is not None:
         radiance = radiance.with_metadata(view=[*taken[:3], *taken.shift])
+    if plan.clip is not None:
+        radiance = radiance.with_metadata(frame_number=plan.clip.number, frames_per_s=plan.clip.per_s)
     assert variance is not None
     transmittance = rendered.aovs.transmittance_image()
     writers.write_exr(folder / "radiance.exr", radiance, attributes=marks)
@@ -711,6 +717,7 @@ def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) ->
             "up": plan.up,
             "max_distance_m": plan.max_distance_m,
             "variant": variant,
+            **({"clip": asdict(plan.clip)} if plan.clip else {}),
         },
         "versions": library_versions(denoise=plan.denoise),
     }

@@ -16,6 +16,51 @@ AS_AUTHORED = "authored"
 CLEAR = "clear"
 
 
+MOST_FRAMES = 100_000
+"""Of a sequence."""
+
+
+@dataclass(frozen=True)
+class ClipFrame:
+    """A frame of a sequence.
+
+    Attributes:
+        number: of the frame, from 0 on.
+        per_s: frames a second.
+        adaptation_s: time constant of the automatic exposure [s]; 0 for one that follows at once.
+        before: lighting -> (exposure time [s], ISO) of the frame before; empty for the first.
+    """
+
+    number: int
+    per_s: float
+    adaptation_s: float
+    before: Mapping[str, tuple[float, float]]
+
+
+def frame_codes(text: str) -> tuple[float, ...]:
+    """Time codes of FIRST:LAST or FIRST:LASTxSTEP, both ends included, as usdrecord takes them.
+
+    Raises:
+        ParameterError: no such thing, or more than `MOST_FRAMES`.
+
+    >>> frame_codes("0:3"), frame_codes("10:11x0.5"), frame_codes("2:0x-1")
+    ((0.0, 1.0, 2.0, 3.0), (10.0, 10.5, 11.0), (2.0, 1.0, 0.0))
+    """
+    number = r"(-?\d+(?:\.\d+)?)"
+    match = re.fullmatch(f"{number}:{number}(?:x{number})?", text.strip())
+    if match is None:
+        raise ParameterError(f"--frames {text}: it takes FIRST:LAST or FIRST:LASTxSTEP, as in 0:90 or 0:90x2")
+    first, last, step = (
+        float(match[1]),
+        float(match[2]),
+        float(match[3] or (1 if float(match[2]) >= float(match[1]) else -1)),
+    )
+    count = int((last - first) / step + 1e-9) + 1 if step else 0
+    if not 1 <= count <= MOST_FRAMES or (last - first) * step < 0.0:
+        raise ParameterError(f"--frames {text}: this is no frame, or more than {MOST_FRAMES}")
+    return tuple(first + step * index for index in range(count))
+
+
 @dataclass(frozen=True)
 class BakePlan:
     """Everything that decides what a bake writes; its numbers are checked when it is made.
@@ -38,6 +83,7 @@ class BakePlan:
         max_distance_m: beyond which models are left unloaded, see `stage.keep_near`.
         choices, metres_per_unit, up: how the stage is read otherwise than it says of itself, see `stage.override`.
         allow: folders outside the stage's own in which its files may lie.
+        clip: what frame of a sequence it is, or None.
         by_lighting: whether each lighting has a folder for its fogs; without, fogs lie in `out` itself.
     """
 
@@ -67,6 +113,7 @@ class BakePlan:
     up: str | None = None
     max_distance_m: float | None = None
     allow: tuple[Path, ...] = ()
+    clip: ClipFrame | None = None
     by_lighting: bool = True
 
     def __post_init__(self) -> None:

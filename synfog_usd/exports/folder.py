@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 import json
-import os
-import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,10 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import files
-from synfog_usd.errors import OutputError
-
-_FICLONE = 0x40049409
-"""Linux's request for a reflink: two files that share their blocks until one is changed."""
 
 
 class ExportFolder:
@@ -40,27 +33,11 @@ class ExportFolder:
         Raises:
             OutputError: it cannot be written.
         """
-        target = self.root / name
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            if target.exists() and target.samefile(source):
-                self.linked += 1
-                return target
-            target.unlink(missing_ok=True)
-            with contextlib.suppress(OSError):
-                os.link(source, target)
-                self.linked += 1
-                return target
-        except OSError as error:
-            raise OutputError(f"{target}: cannot be written ({error.strerror})") from error
-
-        def copy(temporary: Path) -> None:
-            if not _cloned(source, temporary):
-                shutil.copyfile(source, temporary)
-
-        files.write_whole(target, copy)
-        self.copied += 1
-        return target
+        if files.place(source, self.root / name):
+            self.linked += 1
+        else:
+            self.copied += 1
+        return self.root / name
 
     def text(self, name: str, text: str) -> Path:
         """Write a text."""
@@ -124,16 +101,3 @@ def quantised(values: npt.NDArray[Any], steps_per_unit: float) -> npt.NDArray[np
     finite = np.isfinite(values)
     steps = np.rint(np.where(finite, values, 0.0) * steps_per_unit)
     return np.clip(np.where(finite, np.maximum(steps, 1.0), 0.0), 0.0, 65535.0).astype(np.uint16)
-
-
-def _cloned(source: Path, target: Path) -> bool:
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        return False
-    try:
-        with source.open("rb") as one, target.open("wb") as other:
-            fcntl.ioctl(other.fileno(), _FICLONE, one.fileno())
-    except OSError:
-        return False
-    return True

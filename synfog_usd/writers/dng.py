@@ -228,8 +228,22 @@ def _common_tags(shape: tuple[int, int], metadata: Mapping[str, Any]) -> list[Ta
         (50734, _RATIONAL, 1, (1, 1)),
         (50829, _LONG, 4, (0, 0, height, width)),
     ]
+    if "frame_number" in metadata:
+        tags += _clip_tags(int(metadata["frame_number"]), float(metadata["frames_per_s"]))
     if "sensor_serial" in metadata:
         tags.append((50735, _ASCII, 0, _ascii(metadata["sensor_serial"])))
+    return tags
+
+
+def _clip_tags(number: int, per_s: float) -> list[Tag]:
+    """CinemaDNG's FrameRate, and TimeCodes (SMPTE 12M, no frames dropped) up to its 40 frames a second."""
+    rate = Fraction(per_s).limit_denominator(1001)
+    tags: list[Tag] = [(51044, _SRATIONAL, 1, (rate.numerator, rate.denominator))]
+    whole = max(1, round(per_s))
+    if whole < 40:
+        seconds, frames = divmod(number, whole)
+        address = (frames, seconds % 60, seconds // 60 % 60, seconds // 3600 % 24)
+        tags.append((51043, _BYTE, 8, bytes([part // 10 << 4 | part % 10 for part in address]) + bytes(4)))
     return tags
 
 

@@ -1,0 +1,126 @@
+"""Frames of a stage one after the other, as a video camera takes them.
+
+Each frame is a bake of its own in a folder of its own, with new noise; the sensor's fixed patterns stay, and the
+automatic exposure follows what it meters with a time constant.  Then the frames are gathered as clips: RAW under
+CinemaDNG's names, and a video to look at.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from synfog_usd import files, system
+from synfog_usd.dataset.bake import Baked, bake
+from synfog_usd.dataset.plan import BakePlan, ClipFrame
+from synfog_usd.progress import Progress, silent, within
+from synfog_usd.seeds import seed32
+
+SEQUENCE = "sequence.json"
+
+SHOWN = (".png", ".jpg")
+"""Outputs that a video is made of."""
+
+
+def bake_sequence(
+    plan: BakePlan,
+    codes: Sequence[float],
+    *,
+    adaptation_s: float = 0.0,
+    progress: Progress = silent,
+    log: Callable[[str], None] = lambda text: None,
+    reading: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
+) -> tuple[dict[str, Any], Baked]:
+    """Bake frames of a stage and gather them; goes on where it stopped, as each bake does.
+
+    Args:
+        plan: of the frames; its `frame` is not used, and its `seed` gives each frame one.
+        codes: time codes of the frames, at even steps.
+        adaptation_s: time constant of the automatic exposure [s]; 0 follows at once.
+        progress, log, reading: as `bake` takes them.
+
+    Returns:
+        what `sequence.json` holds, and what the first frame left behind.
+
+    Raises:
+        SynfogError: with place and fix; finished frames stay.
+    """
+    from synfog_usd import stage as usd
+
+    with reading():
+        rate = float(usd.open_stage(plan.stage, allow=plan.allow).GetTimeCodesPerSecond())
+    step = abs(codes[1] - codes[0]) if len(codes) > 1 else 1.0
+    per_s = rate / step
+    before: dict[str, tuple[float, float]] = {}
+    rows: list[dict[str, Any]] = []
+    bakes: list[Baked] = []
+    with system.only_writer(plan.out):
+        for number, code in enumerate(codes):
+            folder, seed = f"{number:06d}", seed32(plan.seed, "frame", number)
+            one = replace(
+                plan,
+                frame=code,
+                seed=seed,
+                out=plan.out / folder,
+                clip=ClipFrame(number, per_s, adaptation_s, dict(before)),
+            )
+            told = within(progress, number / len(codes), (number + 1) / len(codes))
+
+            def said(what: str, fraction: float, number: int = number, told: Progress = told) -> None:
+                told(f"frame {number + 1} of {len(codes)}: {what}", fraction)
+
+            def line(text: str, code: float = code) -> None:
+                log(f"frame {code:g}: {text}")
+
+            baked = bake(one, progress=said, log=line, reading=reading)
+            bakes.append(baked)
+            exposures = {
+                row["lighting"]: (row["exposure"]["exposure_s"], row["exposure"]["iso"])
+                for row in baked.manifest["shots"]
+                if row["exposure"]
+            }
+            before |= exposures
+            rows.append({"number": number, "time_code": code, "folder": folder, "seed": seed, "exposures": exposures})
+        clips = _gather(plan.out, rows, bakes[0].manifest, per_s, log)
+        found = {
+            "schema": "synfog-usd/sequence",
+            "version": 1,
+            "stage": plan.stage.name,
+            "frames_per_s": per_s,
+            "adaptation_s": adaptation_s,
+            "frames": rows,
+            "clips": clips,
+        }
+        files.write_json(plan.out / SEQUENCE, found)
+    progress("done", 1.0)
+    return found, bakes[0]
+
+
+def _gather(
+    out: Path, rows: Sequence[Mapping[str, Any]], first: Mapping[str, Any], per_s: float, log: Callable[[str], None]
+) -> list[str]:
+    """RAW files as links under CinemaDNG's names, NAME_000000.dng in a folder of their own, and videos: where."""
+    from synfog_usd.writers import video
+
+    clips: list[str] = []
+    problem = video.available()
+    for shot in first["shots"]:
+        folders = [out / row["folder"] / shot["folder"] for row in rows]
+        clip = Path("clips") / shot["folder"].replace("/", "_")
+        for name in sorted(shot["files"]):
+            stem, suffix = Path(name).stem, Path(name).suffix.lower()
+            if suffix == ".dng":
+                for row, folder in zip(rows, folders, strict=True):
+                    files.place(folder / name, out / clip / stem / f"{stem}_{row['number']:06d}.dng")
+                clips.append((clip / stem).as_posix())
+            elif suffix in SHOWN and not problem:
+                video.write_clip(
+                    out / clip / f"{stem}.mp4", video.pictures(folder / name for folder in folders), per_s=per_s
+                )
+                clips.append((clip / f"{stem}.mp4").as_posix())
+    if problem:
+        log(f"no video is made: {problem}")
+    return clips
