@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from assets.builders import bench_stages, crossing, lamps, skies
+from assets.builders import bench_stages, chambers, crossing, lamps, skies
 from assets.builders.cars import build_more_cars
 from assets.builders.coachwork import plated
 from assets.builders.homesteads import build_homesteads
@@ -55,6 +55,7 @@ def write(what: str, folder: Path, only: Sequence[str] = ()) -> Iterator[Path]:
     elif what == "stages":
         yield crossing.write_stage(folder / "stages" / "crossroads.usda")
         yield from bench_stages.write(folder / "stages" / "bench")
+        yield from chambers.write(folder / "stages")
     else:
         yield from skies.write_skies(assets / "skies")
         yield from skies.write_cloudy(assets / "skies", only)

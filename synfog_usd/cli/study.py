@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from synfog_usd.cli import worker
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="What sets and bakes show of fog and its models.")
 
@@ -31,3 +34,39 @@ def asm(
     scattering_model.write(found, out)
     if not quiet:
         print(scattering_model.markdown(found))
+
+
+@app.command()
+def chamber(
+    stage: Annotated[
+        Path | None, typer.Argument(help="USD file of a fog chamber; the shipped stages/chamber.usda if left out.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the findings.")] = ...,  # type: ignore[assignment]
+    error: Annotated[
+        float, typer.Option(min=1e-4, max=1.0, help="Relative error to which each patch of the chart is rendered.")
+    ] = 0.01,
+    laser_error: Annotated[
+        float, typer.Option(min=1e-5, max=1.0, help="Relative error to which the laser's extinction is drawn.")
+    ] = 0.001,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+) -> None:
+    """Measure a fog chamber: a laser's extinction, what falls into its meter, and a chart by every model."""
+    if stage is None:
+        from synfog_usd.resources import folder
+
+        stage = folder("stages") / "chamber.usda"
+    if not worker.is_worker():
+        code = worker.run(sys.argv[1:])
+        if code < 0:
+            print(worker.crash_line(code, stage, "read and rendered it"), file=sys.stderr)
+        raise typer.Exit(2 if code < 0 else code)
+    worker.follow_parent()
+    from synfog_usd.cli.progress import shown
+    from synfog_usd.study import chamber as room
+    from synfog_usd.study import chamber_page
+
+    with shown(quiet) as (progress, _):
+        found = room.study(stage, error=error, laser_error=laser_error, progress=progress)
+    chamber_page.write(found, out)
+    if not quiet:
+        print(chamber_page.markdown(found))

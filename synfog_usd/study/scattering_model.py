@@ -98,7 +98,8 @@ class ScatteringStudy:
         shots: how many were compared.
         left_out: why others were not.
         errors: median of |model - truth| over the sensor's noise, by (model, lighting, axis, bin).
-        floor: of the truth's own error, as denoising tells it, over the same noise, by (lighting, axis, bin).
+        floor: of the error that truth and clear frame have themselves, as denoising tells it, over the same noise, by
+            (lighting, axis, bin).
         lightings: names, in order.
     """
 
@@ -211,9 +212,13 @@ def _compare(pair: FogPair, errors: Medians, floor: Medians) -> None:
             for place in np.unique(where):
                 errors.add((name, pair.lighting, axis, int(place)), miss[where == place])
     try:
-        left = read_exr(pair.foggy / "layers.exr", channels=["error.Y"]).pixels[..., 0].astype(np.float64) / noise
+        of_truth, of_clear = (
+            read_exr(folder / "layers.exr", channels=["error.Y"]).pixels[..., 0].astype(np.float64)
+            for folder in (pair.foggy, pair.clear)
+        )
     except ImageError:
         return
+    left = np.hypot(of_truth, t * of_clear) / noise
     for axis, where in bins.items():
         for place in np.unique(where):
             floor.add((pair.lighting, axis, int(place)), left[where == place])
@@ -265,6 +270,8 @@ def crossing(found: ScatteringStudy, model: str, lighting: str, axis: str) -> st
     ]
     if not over:
         return "nowhere"
+    if edges[min(over)] == 0.0 and (axis == "depth" or edges[max(over) + 1] == math.inf):
+        return "everywhere"
     return reach.format(f"{edges[min(over)]:g}" if axis == "depth" else f"{edges[max(over) + 1]:g}")
 
 
@@ -274,8 +281,8 @@ def markdown(found: ScatteringStudy) -> str:
         "# Where the scattering model fails",
         "",
         f"{found.shots} foggy shots. Medians of |J t + A (1 - t) - truth| over the noise of the sensor in that "
-        "pixel: above 1 a camera sees the difference. The last row is the error of the truth itself: what is not well "
-        "above it is not resolved.",
+        "pixel: above 1 a camera sees the difference. The last row is the error that rendering left in truth and "
+        "clear frame: what is not well above it is not resolved.",
     ]
     titles = {"depth": ("optical depth", DEPTHS), "lamp": ("degrees from the nearest lamp", FROM_LAMP_DEG)}
     for lighting in found.lightings:
@@ -295,7 +302,7 @@ def markdown(found: ScatteringStudy) -> str:
                 cells = [_cell(found.errors.median((model, lighting, axis, p))) for p in places]
                 lines.append(f"| {model} | {' | '.join(cells)} | {crossing(found, model, lighting, axis)} |")
             cells = [_cell(found.floor.median((lighting, axis, p))) for p in places]
-            lines.append(f"| error of the truth | {' | '.join(cells)} | |")
+            lines.append(f"| error of the renders | {' | '.join(cells)} | |")
     for line in found.left_out[:5]:
         lines += ["", f"Left out: {line}"]
     if len(found.left_out) > 5:
@@ -336,7 +343,7 @@ def _drawn(found: ScatteringStudy) -> bytes:
             medians = [found.errors.median((model, lighting, "depth", p)) or math.nan for p in places]
             axes.plot(places, medians, "o-", color=colours[model], label=model.replace("_", " "))
         own = [found.floor.median((lighting, "depth", p)) or math.nan for p in places]
-        axes.plot(places, own, "--", color="#666b70", label="error of the truth")
+        axes.plot(places, own, "--", color="#666b70", label="error of the renders")
         axes.axhline(1.0, color="#22262a", linewidth=0.8)
         axes.set_yscale("log")
         axes.set_xticks(list(places), [_span(DEPTHS[p], DEPTHS[p + 1]) for p in places], rotation=45, ha="right")

@@ -1,0 +1,515 @@
+"""A fog chamber, measured as in a laboratory: a laser on a power meter, and a chart of patches before a camera.
+
+Takes a stage with cameras named 'Laser' and 'Meter', fog variants, and patches below a prim 'Chart'; gives what the
+renderer's own transport makes of them.
+
+**The laser** is a pencil: rays of a camera a thousandth of a degree wide, followed by `path` as a laser's photons go,
+to a disc that counts what falls on it from any side.  Where less than half of the light is left, roulette decides who
+arrives: there the law ln(P0 / P) = sigma u is drawn at random and not read off.
+
+**The chart** is what the camera sees of the patches by `path`, by `single`, and by J t + A (1 - t) with two airlights:
+the truth's own (what the fog between camera and chart sends out at this density, which only a simulation knows) and
+the one guessed from the picture by its dark channel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage, stats
+
+from synfog_usd.arrays import Array, Flags
+from synfog_usd.errors import StageError
+from synfog_usd.fog.medium import FogMedium
+from synfog_usd.fog.phase import Phase
+from synfog_usd.progress import Progress, silent, within
+from synfog_usd.render import models
+from synfog_usd.render.film import aovs
+from synfog_usd.render.integrators.asm import estimated_airlight
+from synfog_usd.render.shot import Rendered, load, render
+from synfog_usd.scene import Camera, Instance, SceneDict
+from synfog_usd.stage.open import cameras, open_stage, override, select, variant_choices, variants
+from synfog_usd.translate import translate
+
+PENCIL_DEG = 1e-3
+"""Across the laser's rays."""
+
+PENCIL_PX = 128
+SEEDS = 8
+CORNERS = 255
+"""Of the polygon, of the same area, that is the meter's disc; odd, so that its middle lies within a triangle: on an
+edge one ray in 2000 would slip through."""
+
+FIRST_PATHS = 32
+"""Paths a pixel and seed of the first look at how noisy the law is."""
+
+METER_PATHS = 8
+"""Paths a pixel and seed where all light is followed: a million together."""
+
+FIRST_SAMPLES = 64
+"""Paths a pixel of the first look at how noisy the chart is."""
+
+OPENINGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
+"""Times the opening of the stage's own meter."""
+
+WALL_SET = "walls"
+MODELS = ("single", "asm_true", "asm_dark_channel")
+"""Compared with `path`."""
+
+
+@dataclass(frozen=True)
+class MeterReading:
+    """A relative power P / P0, and the 95 % interval of its mean over seeds.
+
+    Attributes:
+        power, error: mean and half of the interval [1].
+        once, often: shares of it that the fog scattered once and more often, 0 where they were not followed.
+    """
+
+    power: float
+    error: float
+    once: float = 0.0
+    often: float = 0.0
+
+    def extinction(self, way_m: float) -> tuple[float, float]:
+        """ln(P0 / P) / u and half of its interval [1/m]; inf where nothing arrived."""
+        if self.power <= 0.0:
+            return math.inf, math.inf
+        return -math.log(self.power) / way_m, self.error / self.power / way_m
+
+
+@dataclass(frozen=True)
+class LaserRow:
+    """One fog: what was authored, and what the meter says.
+
+    Attributes:
+        fog: variant.
+        sigma_per_m: authored extinction [1/m].
+        law: light that the fog did not turn aside.
+        meters: by variant of the walls, all light that falls on the stage's own meter.
+    """
+
+    fog: str
+    sigma_per_m: float
+    law: MeterReading
+    meters: dict[str, MeterReading]
+
+
+@dataclass(frozen=True)
+class ApertureRow:
+    """One opening of the meter in one fog.
+
+    Attributes:
+        fog: variant.
+        sigma_per_m: authored extinction [1/m].
+        half_angle_deg: of the opening seen from the laser.
+        reading: what the meter says.
+        single: what falls on it unscattered and scattered once, in closed form.
+    """
+
+    fog: str
+    sigma_per_m: float
+    half_angle_deg: float
+    reading: MeterReading
+    single: float
+
+
+@dataclass(frozen=True)
+class PatchRow:
+    """One patch in one fog.
+
+    Attributes:
+        walls, fog: variants.
+        tau: optical depth between camera and patch.
+        patch: name.
+        truth, error: (3,) radiance by `path` [cd m-2], and half of its 95 % interval.
+        models: (3,) radiance by each of `MODELS`.
+    """
+
+    walls: str
+    fog: str
+    tau: float
+    patch: str
+    truth: Array
+    error: Array
+    models: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class ChamberStudy:
+    """What came of it.
+
+    Attributes:
+        stage: its name.
+        way_m: from the laser to the meter.
+        radius_m: of the stage's meter.
+        laser, apertures, patches: rows.
+    """
+
+    stage: str
+    way_m: float
+    radius_m: float
+    laser: tuple[LaserRow, ...]
+    apertures: tuple[ApertureRow, ...]
+    patches: tuple[PatchRow, ...]
+
+
+@dataclass
+class Chamber:
+    """An opened stage, and what the study needs of it."""
+
+    stage: Any
+    name: str
+    laser: str
+    meter: str
+    walls: dict[str, str]
+    fogs: tuple[str, ...]
+
+    def scene(self, fog: str, walls: str, camera: str | None = None) -> SceneDict:
+        """The stage in a fog between walls, seen by a camera."""
+        select(self.stage, fog=fog)
+        if walls in self.walls:
+            override(self.stage, choices=[self.walls[walls]])
+        return translate(self.stage, camera=camera)
+
+
+def chamber(file: Path) -> Chamber:
+    """Open a stage and look for laser, meter, fogs and walls.
+
+    Raises:
+        StageError: what is missing.
+    """
+    stage = open_stage(file)
+    found = {path.rpartition("/")[2]: path for path in cameras(stage)}
+    for name, what in (("Laser", "where the laser stands, looking the way it shines"), ("Meter", "the power meter")):
+        if name not in found:
+            raise StageError(f"{file}: no camera is named {name!r}, {what}; see stages/chamber.usda")
+    fogs = tuple(name for name in variants(stage).get("fog", []) if name != "clear")
+    if not fogs or "clear" not in variants(stage)["fog"]:
+        raise StageError(
+            f"{file}: needs a variant set 'fog' with 'clear' and at least one fog; see stages/chamber.usda"
+        )
+    walls = {choice.rpartition("=")[2]: choice for choice in variant_choices(stage) if f":{WALL_SET}=" in choice}
+    return Chamber(stage, file.stem, found["Laser"], found["Meter"], walls or {"as authored": ""}, fogs)
+
+
+def study(
+    file: Path,
+    *,
+    error: float = 0.01,
+    laser_error: float = 1e-3,
+    most_paths: float = 1e9,
+    most_samples: int = 4096,
+    progress: Progress = silent,
+) -> ChamberStudy:
+    """All of it.
+
+    Args:
+        file: stage.
+        error: half of the 95 % interval of each patch's R, G and B by `path`, relative, that is asked for.
+        laser_error: the same of the extinction by the laser.
+        most_paths: of the law in one fog.
+        most_samples: paths a pixel of the chart.
+        progress: whom to tell.
+
+    Raises:
+        StageError: the stage lacks something, or the laser does not reach the meter.
+    """
+    room = chamber(file)
+    bench = LaserBench(room)
+    laser, count = [], len(room.fogs)
+    names = list(room.walls)
+    for number, fog in enumerate(room.fogs):
+        told = within(progress, 0.3 * number / count, 0.3 * (number + 1) / count)
+        told(f"laser in {fog}", 0.0)
+        law = bench.law(fog, names[0], error=laser_error, most=most_paths)
+        meters = {wall: bench.reading(fog, wall, bench.radius_m) for wall in names}
+        laser.append(LaserRow(fog, bench.sigma_per_m(fog), law, meters))
+    apertures = []
+    chosen = [room.fogs[number * (count - 1) // 2] for number in range(3)] if count > 2 else list(room.fogs)
+    for number, fog in enumerate(chosen):
+        for times in OPENINGS:
+            progress(f"meters in {fog}", 0.3 + 0.1 * number / len(chosen))
+            radius = times * bench.radius_m
+            medium = bench.medium(fog)
+            once = single_into_disc(medium.sigma_t_per_m, bench.way_m, radius, medium.phase_function, medium.albedo)
+            row = ApertureRow(
+                fog,
+                medium.sigma_t_per_m,
+                math.degrees(math.atan2(radius, bench.way_m)),
+                bench.reading(fog, names[0], radius),
+                math.exp(-medium.sigma_t_per_m * bench.way_m) + once,
+            )
+            apertures.append(row)
+    rows: list[PatchRow] = []
+    for number, wall in enumerate(names):
+        told = within(progress, 0.4 + 0.6 * number / len(names), 0.4 + 0.6 * (number + 1) / len(names))
+        rows += patches(room, wall, error=error, most_samples=most_samples, progress=told)
+    return ChamberStudy(room.name, bench.way_m, bench.radius_m, tuple(laser), tuple(apertures), tuple(rows))
+
+
+class LaserBench:
+    """Laser and meter of a chamber.
+
+    Attributes:
+        way_m: between them.
+        radius_m: of the meter's opening.
+
+    Raises:
+        StageError: they do not look at each other.
+    """
+
+    def __init__(self, room: Chamber) -> None:
+        self.room = room
+        wall = next(iter(room.walls))
+        laser, meter = (room.scene("clear", wall, camera) for camera in (room.laser, room.meter))
+        self.radius_m = meter.camera.focal_length_m / meter.camera.f_number / 2.0 if meter.camera.f_number > 0 else 0.0
+        if self.radius_m <= 0.0:
+            raise StageError(
+                f"{room.meter}: has no fStop or no focusDistance; focal length over f-number is its opening's width"
+            )
+        self._meter = meter.camera.to_world.copy()
+        self._meter[:3, 3] += np.subtract(meter.origin_m, laser.origin_m)
+        way = self._meter[:3, 3] - laser.camera.to_world[:3, 3]
+        self.way_m = float(np.linalg.norm(way))
+        along = float(-laser.camera.to_world[:3, 2] @ way)
+        aside = math.sqrt(max(self.way_m**2 - along**2, 0.0))
+        facing = float(laser.camera.to_world[:3, 2] @ self._meter[:3, 2])
+        if along <= 0.0 or aside > 0.5 * self.radius_m or facing > -0.9:
+            raise StageError(
+                f"{room.laser}: does not shine on the middle of {room.meter}, facing it: it passes at {aside:.3g} m; "
+                "the laser looks along its -Z, as cameras do"
+            )
+        self._seen("clear", wall)
+
+    def _seen(self, fog: str, wall: str) -> None:
+        loaded = load(self._scene(fog, wall, self.radius_m), boundaries=False)
+        seen = aovs.measure(loaded)
+        met = int(seen.instance_id[PENCIL_PX // 2, PENCIL_PX // 2])
+        path = loaded.source.instances[met - 1].path if met else "nothing"
+        if path != self.room.meter:
+            raise StageError(
+                f"{self.room.laser}: meets {path} before {self.room.meter}; move it, or what stands between"
+            )
+
+    def medium(self, fog: str) -> FogMedium:
+        """Fog around the laser.
+
+        Raises:
+            StageError: not the one uniform fog that the law is about.
+        """
+        scene = self.room.scene(fog, next(iter(self.room.walls)), self.room.laser)
+        if len(scene.fog) != 1 or scene.fog[0].medium.profile != "uniform":
+            raise StageError(f"{self.room.name}, fog {fog}: the laser's law is about one uniform fog")
+        return scene.fog[0].medium
+
+    def sigma_per_m(self, fog: str) -> float:
+        """Authored extinction [1/m]."""
+        return self.medium(fog).sigma_t_per_m
+
+    def _scene(self, fog: str, wall: str, radius_m: float) -> SceneDict:
+        """The laser's rays, in the dark but for the meter, which shines with 1 on them."""
+        scene = self.room.scene(fog, wall, self.room.laser)
+        turn = np.arange(CORNERS) * (2.0 * np.pi / CORNERS)
+        reach = radius_m / math.sqrt(float(np.sinc(2.0 / CORNERS)))
+        local = np.c_[reach * np.cos(turn), reach * np.sin(turn), np.zeros(CORNERS)]
+        faces = np.array([[0, k + 1, k] for k in range(1, CORNERS - 1)])  # it faces -Z
+        disc = {
+            "type": "mesh",
+            "positions": local @ self._meter[:3, :3].T + self._meter[:3, 3],
+            "faces": faces,
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0] * 3}},
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [1.0] * 3}},
+        }
+        number = len(scene.instances) + 1
+        pencil = Camera(
+            scene.camera.path, scene.camera.to_world, PENCIL_PX, PENCIL_PX, PENCIL_DEG, near_m=scene.camera.near_m
+        )
+        return replace(
+            scene,
+            world={**_dark(scene.world), "shape_meter": disc},
+            camera=pencil,
+            instances=(*scene.instances, Instance(number, self.room.meter, "unlabeled")),
+            instance_of={**scene.instance_of, ("shape_meter",): number},
+            group_of={},
+            flux_of={},
+            emission_of={},
+        )
+
+    def law(self, fog: str, wall: str, *, error: float, most: float) -> MeterReading:
+        """Light that arrives without having been scattered, to a relative error of the extinction.
+
+        Args:
+            error: half of the 95 % interval that is asked for.
+            most: paths.
+        """
+        loaded = load(self._scene(fog, wall, self.radius_m), boundaries=False)
+        integrator = models.make("path", loaded, scatterings=0)
+        tau = loaded.source.fog[0].medium.sigma_t_per_m * self.way_m
+        paths = FIRST_PATHS
+        first = 0
+        while True:
+            runs = [
+                integrator.accumulate(samples=paths, seed=seed).mean().mean(dtype=np.float64)
+                for seed in range(first, first + SEEDS)
+            ]
+            found = _reading(np.array(runs))
+            reached = found.error / max(found.power, 1e-30) / tau
+            room = most / (PENCIL_PX**2 * SEEDS * paths)
+            if (found.power > 0.0 and reached <= error) or room < 2.0:
+                return found
+            more = 16.0 if found.power <= 0.0 else 1.3 * (reached / error) ** 2
+            paths, first = max(2 * paths, math.ceil(paths * min(more, room))), first + SEEDS
+
+    def reading(self, fog: str, wall: str, radius_m: float) -> MeterReading:
+        """All light that falls on a meter of a given opening."""
+        scene = self._scene(fog, wall, radius_m)
+        loaded = load(scene, boundaries=False)
+        runs, once, often = [], [], []
+        for seed in range(SEEDS):
+            made = render(scene, model="path", samples=METER_PATHS, seed=seed, loaded=loaded)
+            runs.append(made.radiance.pixels.mean(dtype=np.float64))
+            once.append(made.components["airlight_single"].mean(dtype=np.float64))
+            often.append(made.components["airlight_multiple"].mean(dtype=np.float64))
+        return replace(_reading(np.array(runs)), once=float(np.mean(once)), often=float(np.mean(often)))
+
+
+def _reading(runs: Array) -> MeterReading:
+    half = float(stats.t.ppf(0.975, len(runs) - 1)) * float(runs.std(ddof=1)) / math.sqrt(len(runs))
+    return MeterReading(float(runs.mean()), half)
+
+
+def _dark(world: Any) -> dict[str, Any]:
+    """The world without its lights."""
+    return {
+        key: {name: value for name, value in part.items() if name != "emitter"} if isinstance(part, dict) else part
+        for key, part in world.items()
+        if not key.startswith("light_")
+    }
+
+
+def single_into_disc(sigma_per_m: float, way_m: float, radius_m: float, phase: Phase, albedo: float = 1.0) -> float:
+    """Share of a laser's power that uniform fog scatters once onto a disc across its way, in closed form.
+
+    At a distance s before the disc, on its axis, light that turns by less than psi = atan(a / s) meets it, after
+    u - s + s / cos psi of fog; with p the phase function it is
+
+        albedo sigma * integral over s of the integral over psi of 2 pi p sin psi exp(-sigma (u - s + s / cos psi)),
+
+    by Gauss and Legendre, in ln s, since much comes from close to the disc.
+
+    Args:
+        sigma_per_m: extinction [1/m].
+        way_m: u, from the laser to the disc.
+        radius_m: a.
+    """
+    node, weight = np.polynomial.legendre.leggauss(128)
+    deep = 25.0  # below exp(-25) of the way nothing is left
+    s = way_m * np.exp(-deep * (node + 1.0) / 2.0)
+    ds = weight * deep / 2.0 * s
+    most = np.arctan2(radius_m, s)
+    psi = (node[:, None] + 1.0) / 2.0 * most
+    turned = 2.0 * np.pi * phase.value(np.cos(psi)) * np.sin(psi) * np.exp(-sigma_per_m * (way_m - s + s / np.cos(psi)))
+    return float(albedo * sigma_per_m * (((turned * weight[:, None]).sum(axis=0) * most / 2.0) @ ds))
+
+
+# -- the chart
+
+
+def patches(
+    room: Chamber, wall: str, *, error: float, most_samples: int, progress: Progress = silent
+) -> list[PatchRow]:
+    """The chart in every fog between one kind of walls.
+
+    Args:
+        error, most_samples: see `study`.
+
+    Raises:
+        StageError: the camera sees no patches.
+    """
+    clear_scene = room.scene("clear", wall)
+    clear, places = _converged(clear_scene, room.name, error, most_samples)
+    J = clear.radiance.pixels.astype(np.float64)
+    rows = [
+        PatchRow(wall, "clear", 0.0, name, *_mean(clear.radiance, where), dict.fromkeys(MODELS, _over(J, where)))
+        for name, where in places.items()
+    ]
+    chart = np.any(list(places.values()), axis=0)
+    for number, fog in enumerate(room.fogs):
+        progress(f"chart in {fog}, walls {wall}", (number + 1) / (len(room.fogs) + 1))
+        scene = room.scene(fog, wall)
+        truth, _ = _converged(scene, room.name, error, most_samples)
+        few = max(2, truth.radiance.provenance["samples"] // 4)
+        single = render(scene, model="single", samples=few).radiance.pixels.astype(np.float64)
+        t = truth.aovs.transmittance[..., None]
+        lit = truth.components["airlight_single"] + truth.components["airlight_multiple"]
+        airlights = {
+            "asm_true": _over(lit, chart) / (1.0 - _over(t, chart)),
+            "asm_dark_channel": estimated_airlight(J, t),
+        }
+        for name, where in places.items():
+            made = {"single": _over(single, where)} | {
+                model: _over(J * t + A * (1.0 - t), where) for model, A in airlights.items()
+            }
+            tau = float(-np.log(_over(t, where)[0]))
+            rows.append(PatchRow(wall, fog, tau, name, *_mean(truth.radiance, where), made))
+    return rows
+
+
+def _converged(scene: SceneDict, name: str, error: float, most_samples: int) -> tuple[Rendered, dict[str, Flags]]:
+    """The picture by `path`, with as many paths as its worst patch needs, and where the patches are."""
+    loaded = load(scene, boundaries=False)
+    samples = min(FIRST_SAMPLES, most_samples)
+    made = render(scene, model="path", samples=samples, loaded=loaded)
+    places = _places(scene, made.aovs.instance_id, name)
+    means = [_mean(made.radiance, where) for where in places.values()]
+    worst = max(float(np.max(half / np.maximum(mean, 1e-30))) for mean, half in means)
+    if worst > error and samples < most_samples:
+        samples = min(most_samples, math.ceil(1.2 * samples * (worst / error) ** 2))
+        made = render(scene, model="path", samples=samples, seed=1, loaded=loaded)
+    return made, places
+
+
+def _places(scene: SceneDict, instance_id: Array, name: str) -> dict[str, Flags]:
+    """Name of a patch -> (H, W) its pixels, without its edge."""
+    found = {}
+    for one in scene.instances:
+        parts = one.path.split("/")
+        if len(parts) > 2 and parts[-2] == "Chart" and parts[-1].startswith("Patch"):
+            inside = ndimage.binary_erosion(instance_id == one.id, np.ones((3, 3)))
+            if inside.any():
+                found[parts[-1]] = inside
+    if not found:
+        raise StageError(
+            f"{name}: its camera sees no prims Chart/Patch* of at least 3 x 3 pixels; see stages/chamber.usda"
+        )
+    return found
+
+
+def _over(pixels: Array, where: Flags) -> Array:
+    return np.asarray(pixels[where].mean(axis=0, dtype=np.float64))
+
+
+def _mean(radiance: Any, where: Flags) -> tuple[Array, Array]:
+    """(3,) mean, and half of its 95 % interval by the pixels' own variances."""
+    error = np.sqrt(radiance.variance[where].sum(axis=0, dtype=np.float64)) / where.sum()
+    return _over(radiance.pixels, where), 1.96 * error
+
+
+def departures(rows: Sequence[PatchRow], walls: str, model: str) -> tuple[Array, Array, Array]:
+    """Optical depths (F,), and the median and the largest relative error (F,) of a model over patches and channels."""
+    kept = [row for row in rows if row.walls == walls and row.fog != "clear"]
+    fogs = list(dict.fromkeys(row.fog for row in kept))
+    taus, medians, worst = [], [], []
+    for fog in fogs:
+        some = [row for row in kept if row.fog == fog]
+        off = np.abs(np.array([row.models[model] / row.truth - 1.0 for row in some]))
+        taus.append(np.mean([row.tau for row in some]))
+        medians.append(np.median(off))
+        worst.append(off.max())
+    return np.array(taus), np.array(medians), np.array(worst)

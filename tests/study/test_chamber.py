@@ -1,0 +1,186 @@
+"""The fog chamber: laser, meter and chart against closed forms; what a stage lacks is one line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd
+from support import cli
+
+from assets.builders import chambers
+from synfog_usd import resources
+from synfog_usd.errors import StageError
+from synfog_usd.fog.phase import Droplets, HenyeyGreenstein
+from synfog_usd.stage import check, open_stage
+from synfog_usd.study import chamber as study
+from synfog_usd.study.chamber import ChamberStudy, LaserRow, MeterReading, PatchRow, departures, single_into_disc
+from synfog_usd.study.chamber_page import law_error, write
+
+STAGES = resources.folder("stages")
+NAMES = ("chamber", "chambers/cerema_tunnel", "chambers/jari_hall")
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return study.LaserBench(study.chamber(STAGES / "chamber.usda"))
+
+
+# ---- the closed form
+
+
+@pytest.mark.parametrize("radius_m", [0.002, 0.05, 0.5])
+def test_thin_isotropic_fog_sends_the_solid_angle_of_the_disc(radius_m):
+    """sigma -> 0, g = 0: sigma / (4 pi) times the integral of 2 pi (1 - s / sqrt(s^2 + a^2)) over the way, which is
+    sigma / 2 (u + a - sqrt(u^2 + a^2)); exp(-sigma u) of it is left out, 1.5e-6.
+    """
+    sigma, way = 1e-6, 1.5
+    wanted = sigma / 2.0 * (way + radius_m - np.hypot(way, radius_m))
+    assert single_into_disc(sigma, way, radius_m, HenyeyGreenstein(0.0)) == pytest.approx(wanted, rel=1e-5)
+
+
+@pytest.mark.parametrize("phase", [HenyeyGreenstein(0.87), Droplets(10.0)], ids=["hg", "droplets"])
+def test_a_disc_without_end_takes_all_that_goes_forward(phase):
+    """Thin fog and a disc of 1 km: the share of the phase function within 90 degrees, here by the trapezoid rule."""
+    cosine = 1.0 - np.geomspace(1e-9, 1.0, 200_001)
+    forward = 2.0 * np.pi * np.trapezoid(phase.value(cosine)[::-1], cosine[::-1])
+    found = single_into_disc(1e-9, 1.0, 1e3, phase)
+    assert found == pytest.approx(1e-9 * forward, rel=3e-3)  # 1 km is not endless: s / a is 1e-3
+
+
+# ---- transport
+
+
+def test_the_laser_reads_what_is_authored(bench):
+    """Visibility 8.7 m: half of the light is left and none is drawn; 0.97 m: a hundredth, drawn."""
+    for fog, draws in (("fog02", False), ("fog07", True)):
+        authored = -np.log(0.05) / mor(fog)
+        found = bench.law(fog, "black", error=5e-3, most=1e8)
+        measured, half = found.extinction(1.48)
+        assert (found.error > 1e-6) == draws
+        assert half <= 5e-3 * authored
+        assert measured == pytest.approx(authored, abs=2.0 * half + 2e-5 * authored)  # float32 tells 1e-7 of the places
+
+
+def mor(fog):
+    """The visibility [m] of a variant, by USD alone."""
+    stage = Usd.Stage.Open(str(STAGES / "chamber.usda"))
+    stage.GetPrimAtPath("/World").GetVariantSet("fog").SetVariantSelection(fog)
+    return stage.GetPrimAtPath("/World/Fog/Global").GetAttribute("synfog:fog:mor").Get()
+
+
+@pytest.mark.slow
+def test_what_is_scattered_once_into_the_meter_is_the_closed_form(bench):
+    """50 mm, P / P0 0.01: light scattered once, as transport follows it, between walls that give 4 % back."""
+    radius = 0.05
+    sigma = bench.sigma_per_m("fog07")
+    found = bench.reading("fog07", "black", radius)
+    assert found.once == pytest.approx(single_into_disc(sigma, bench.way_m, radius, HenyeyGreenstein(0.87)), rel=0.01)
+    assert found.often > 0.3 * found.once
+    measured, half = found.extinction(bench.way_m)
+    assert measured + half < 0.95 * sigma
+
+
+def test_the_chart_is_dimmed_and_lit_and_models_miss_it():
+    """Walls black, optical depth 0.7: what the patches send is dimmed; once-scattered light is too little."""
+    room = study.chamber(STAGES / "chamber.usda")
+    room.fogs = ("fog04",)
+    rows = study.patches(room, "black", error=0.2, most_samples=16)
+    clear, foggy = rows[:24], rows[24:]
+    assert len(rows) == 48 and {row.fog for row in rows} == {"clear", "fog04"}
+    sigma = -np.log(0.05) / mor("fog04")
+    assert all(row.tau == pytest.approx(1.3 * sigma, rel=0.01) for row in foggy)
+    reflectance = np.array([rgb for _, rgb in chambers.patches()])
+    bright, dark = reflectance.mean(axis=1).argmax(), reflectance.mean(axis=1).argmin()
+    assert clear[bright].truth.mean() > 10 * clear[dark].truth.mean()
+    assert foggy[bright].truth.mean() < clear[bright].truth.mean()
+    assert foggy[dark].truth.mean() > clear[dark].truth.mean()
+    _, single, _ = departures(rows, "black", "single")
+    assert 0.02 < single[0] < 1.0
+
+
+# ---- what is told
+
+
+def made_up() -> ChamberStudy:
+    """A laser that reads 1 % high in one of two fogs, and a chart of one patch whose models are 10 % off."""
+    fogs = []
+    for name, sigma, times in (("thin", 0.1, 1.0), ("dense", 3.0, 1.01)):
+        power = float(np.exp(-sigma * times * 1.5))
+        fogs.append(LaserRow(name, sigma, MeterReading(power, 1e-6), {"black": MeterReading(1.1 * power, 1e-6)}))
+    truth, error = np.full(3, 10.0), np.full(3, 0.05)
+    patches = [
+        PatchRow("black", fog, tau, "Patch_01_Grey", truth, error, dict.fromkeys(study.MODELS, truth * times))
+        for fog, tau, times in (("clear", 0.0, 1.0), ("thin", 0.1, 1.01), ("dense", 3.0, 1.10))
+    ]
+    return ChamberStudy("made up", 1.5, 0.005, tuple(fogs), (), tuple(patches))
+
+
+def test_errors_are_told_where_they_are(tmp_path):
+    found = made_up()
+    assert law_error(found, found.laser[0])[0] == pytest.approx(0.0, abs=1e-12)
+    assert law_error(found, found.laser[1])[0] == pytest.approx(0.01)
+    taus, medians, worst = departures(found.patches, "black", "single")
+    np.testing.assert_allclose(taus, [0.1, 3.0])
+    np.testing.assert_allclose(medians, [0.01, 0.10])
+    np.testing.assert_allclose(worst, medians)
+    write(found, tmp_path)
+    text = (tmp_path / "findings.md").read_text()
+    assert "within 1.000% of the authored extinction" in text
+    assert "scattered once from optical depth 3 on (at most 10%)" in text
+    assert "known to 0.50%" in text
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "findings.md",
+        "laser.csv",
+        "apertures.csv",
+        "patches.csv",
+        "laser.png",
+        "patches.png",
+    }
+    assert len((tmp_path / "patches.csv").read_text().splitlines()) == 4
+
+
+# ---- the stages that ship, and stages that lack something
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_chamber_is_sound_and_its_laser_meets_its_meter(name):
+    stage = open_stage(STAGES / f"{name}.usda")
+    assert [note for note in check(stage) if note.severity == "warning"] == []
+    room = study.chamber(STAGES / f"{name}.usda")
+    assert list(room.walls) == ["black", "white"] and len(room.fogs) == 10
+    there = {made.name: made for made in chambers.chambers()}[name]
+    found = study.LaserBench(room)
+    assert found.way_m == pytest.approx(there.laser_m, rel=1e-6) and found.radius_m == pytest.approx(4.75e-3, rel=1e-5)
+
+
+def test_the_committed_chambers_are_what_write_makes(tmp_path: Path):
+    for path in chambers.write(tmp_path):
+        assert path.read_bytes() == (STAGES / path.relative_to(tmp_path)).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("Meter", "Metre"), "no camera is named 'Meter'"),
+        (('"clear" {', '"none" {'), "a variant set 'fog' with 'clear'"),
+        (("fStop = 10.526316", "fStop = 0"), "has no fStop"),
+        (("(90, 0, 180)", "(90, 0, 90)"), "does not shine on the middle"),
+        (("(0, 1.49, 0.075)", "(0, 1.6, 0.075)"), "meets /World/Room/Walls before /World/Meter"),
+        (("Patch_", "Square_"), "sees no prims Chart/Patch"),
+    ],
+)
+def test_what_a_stage_lacks_is_one_line(tmp_path, change, told):
+    text = (STAGES / "chamber.usda").read_text(encoding="utf-8")
+    assert change[0] in text
+    (tmp_path / "mine.usda").write_text(text.replace(*change), encoding="utf-8")
+    with pytest.raises(StageError) as found:
+        room = study.chamber(tmp_path / "mine.usda")
+        study.LaserBench(room)
+        study.patches(room, "black", error=1.0, most_samples=2)
+    assert told in str(found.value) and "\n" not in str(found.value)
+
+
+def test_the_command_says_what_is_wrong(tmp_path):
+    done = cli.run("study", "chamber", tmp_path / "none.usda", "-o", tmp_path / "out")
+    assert done.returncode == 2 and "none.usda" in done.stderr and done.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
