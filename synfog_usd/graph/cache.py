@@ -227,9 +227,18 @@ def _source_hash(file: Path) -> str:
     package = Path(__file__).resolve().parents[1]
     folders = (package, package / "graph", file.parent) if file.resolve().is_relative_to(package) else ()
     digest = hashlib.sha256(f"{__version__} {sys.version} {_library_versions()}".encode())
-    for path in sorted({file, *(path for folder in folders for path in folder.glob("*.py"))}):
-        digest.update(path.read_bytes())
+    for folder in folders:
+        digest.update(_folder_hash(folder))
+    digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+@functools.cache
+def _folder_hash(folder: Path) -> bytes:
+    digest = hashlib.sha256()
+    for path in sorted(folder.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.digest()
 
 
 @functools.cache
@@ -237,7 +246,8 @@ def _library_versions() -> str:
     found = []
     for name in _LIBRARIES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found.append(f"{name} {importlib.metadata.version(name)}")
+            text = importlib.metadata.distribution(name).read_text("METADATA") or ""  # `version` parses it as a mail
+            found.append(f"{name} {next((line for line in text.splitlines() if line.startswith('Version:')), '')}")
     return ", ".join(found)
 
 

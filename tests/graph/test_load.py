@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
+from synfog_usd import resources, yamlio
 from synfog_usd.errors import GraphError, ParameterError
 from synfog_usd.graph import drawing, load_graph
 
@@ -428,6 +430,8 @@ def test_a_node_without_a_name_is_called_by_its_verb(tmp_path, registry):
         "",
         "- a\n- b\n",
         "{" * 5000,
+        "[" * 300_000,
+        "- " * 300_000,
         "a: &a [x, x]\nb: &b [*a, *a, *a, *a]\n"
         + "\n".join(f"c{i}: &c{i} [{', '.join(['*b' if i == 0 else f'*c{i - 1}'] * 9)}]" for i in range(9)),
         "synfog: &x [*x]\n",
@@ -458,3 +462,12 @@ def test_a_file_that_is_not_text_or_not_there_is_refused(tmp_path, registry):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(GraphError, match="not UTF-8"):
         load_graph(path, registry)
+
+
+@pytest.mark.parametrize("name", ["phone", "dashcam", "automotive_hdr"])
+def test_libyaml_reads_what_python_reads_in_the_same_places(name, monkeypatch):
+    """Values and places of a shipped graph by PyYAML's own parser, and by the C library."""
+    text = (resources.folder("pipeline") / f"{name}.yaml").read_text()
+    quick = yamlio.load_text(text, name=name)
+    monkeypatch.delattr(yaml, "CSafeLoader", raising=False)
+    assert yamlio.load_text(text, name=name) == quick
