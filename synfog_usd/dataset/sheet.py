@@ -108,7 +108,7 @@ def write(plan: SheetPlan, *, progress: Progress = silent, log: Callable[[str], 
             )
             log(f"seed {seed} of {recipe.stem} is done")
     data = io.BytesIO()
-    sheet.save(data, format="PNG", optimize=True)
+    sheet.save(data, format="PNG")
     files.write_bytes(plan.out, data.getvalue())
     return plan.out
 
