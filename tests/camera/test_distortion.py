@@ -249,7 +249,7 @@ BENT = (-0.35, 0.15, 0.0, 0.0)
 """Coefficients of the one shipped lens that distorts, automotive_6mm."""
 
 
-@pytest.mark.parametrize("fov_x_deg", [50.0, 100.0])
+@pytest.mark.parametrize("fov_x_deg", [50.0, pytest.param(100.0, marks=pytest.mark.slow)])
 def test_a_picture_rendered_for_the_lens_is_as_sharp_as_its_pixels(fov_x_deg, tmp_path):
     """Contrast of waves up to 0.5 cycles a pixel at centre, half field and corner, across and down: sinc(f) within
     0.01.

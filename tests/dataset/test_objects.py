@@ -70,15 +70,16 @@ def alone(source: SceneDict, number):
     return replace(source, world=world, instance_of={key: number for key in kept})
 
 
-def test_amodal_masks_are_those_of_each_object_alone(crowd):
-    """IoU 0.99 and boxes within a pixel, for all twenty in one pass; and what stands behind really has more pixels than
-    are seen.
+@pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.slow)])
+def test_amodal_masks_are_those_of_each_object_alone(crowd, every):
+    """IoU 0.99 and boxes within a pixel, of all twenty in one pass; and what stands behind really has more pixels than
+    are seen.  Each that is looked at is loaded alone, so that is every third but in the slow test.
     """
     loaded = to_mitsuba(crowd, boundaries=False)
     rows = objects.rows(crowd, aovs.pierced(loaded), objects.Projection.of(crowd.camera))
     seen = aovs.measure(loaded).instance_id
     hidden = 0
-    for instance in crowd.instances:
+    for instance in crowd.instances[::every]:
         row = rows[instance.id]
         brute = aovs.measure(to_mitsuba(alone(crowd, instance.id), boundaries=False)).instance_id == instance.id
         assert row["amodal_pixels"] == (masks.decode(row["amodal_rle"], 90, 160).sum() if brute.any() else 0)
@@ -92,7 +93,7 @@ def test_amodal_masks_are_those_of_each_object_alone(crowd):
         np.testing.assert_allclose(row["amodal_box_px"], box, atol=1)
         assert not (~mine & (seen == instance.id)).any()
         hidden += row["amodal_pixels"] > 1.2 * (seen == instance.id).sum()
-    assert hidden >= 8
+    assert hidden >= 8 // every
 
 
 @pytest.mark.slow

@@ -18,6 +18,8 @@ from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.testing import box, scene, wall
 
 COUNT = 30
+FEW = 12
+"""Lights where each is asked by a kernel of its own: three of each kind, three times as many as are drawn."""
 FOG = FogVolume("/Fog", box((200.0, 200.0, 200.0)), FogMedium(0.02, albedo=0.95, g=0.8))
 
 
@@ -66,7 +68,12 @@ def world(count=COUNT):
 
 @pytest.fixture
 def both(mi):
-    lights, medium = LightSampler(world(), {}, 0.8), Medium((FOG,))
+    return among(COUNT)
+
+
+def among(count):
+    """`count` lights, the fog, and the weights of the lights in it."""
+    lights, medium = LightSampler(world(count), {}, 0.8), Medium((FOG,))
     return lights, medium, Importance(lights, medium)
 
 
@@ -144,11 +151,11 @@ def test_draws_follow_the_weights(mi, both):
 
 
 @pytest.mark.parametrize("kind", ["along", "at"])
-def test_many_lights_drawn_are_all_lights_asked(mi, both, kind):
+def test_many_lights_drawn_are_all_lights_asked(mi, kind):
     """The mean over 2^20 draws of four against the sum over lights asked one by one, each a sampler of its own; within
     five standard errors, 2 % resolved.
     """
-    lights, medium, importance = both
+    lights, medium, importance = among(FEW)
     count = 1 << 20
     sampler = Sobol(21, dr.arange(mi.UInt32, count), mi.UInt32(0))
     origin, direction, begin, end = rays(mi, 1, seed=8)
@@ -178,7 +185,7 @@ def test_many_lights_drawn_are_all_lights_asked(mi, both, kind):
     else:
         picks = importance.draw(lambda i: importance.at(i, origin, response), sampler, mi.Bool(True))
     ours, error = mean(lights, picks)
-    one_by_one = [mean(LightSampler({key: part}, {}, 0.8), None) for key, part in world().items()]
+    one_by_one = [mean(LightSampler({key: part}, {}, 0.8), None) for key, part in world(FEW).items()]
     truth = sum(value for value, _ in one_by_one)
     error = np.hypot(error, np.sqrt(sum(e**2 for _, e in one_by_one)))
     assert 5 * error < 0.02 * truth, f"cannot see 2 %: error is {error / truth:.2%}"

@@ -229,6 +229,7 @@ def test_a_tabulated_phase_draws_the_picture_of_its_closed_form(uniform):
     assert_agree(uniform, pictures([tabulated]), sigmas=4.5, resolves=0.02)
 
 
+@pytest.mark.slow
 def test_volpath_and_volpathmis_agree_on_droplets(mi):
     """The plugin in both, in a grid; 2 % is resolved."""
     fog = [

@@ -149,8 +149,8 @@ def test_path_refuses_fog_that_it_does_not_know_and_auto_does_not(fog, words):
     """Mesh boundaries and mixed phase functions are named as the reason; auto takes volpath and says why."""
     with pytest.raises(ParameterError, match=words):
         render(scene(SKY, fog), model="path", samples=2)
-    done = render(scene(SKY, fog), samples=2)
-    assert done.model == "volpath" and "not path" in done.why
+    model, why = models.choose(models.AUTO, scene(SKY, fog))
+    assert model == "volpath" and "not path" in why
 
 
 NESTED = [uniform_fog(), FogVolume("/Bank", box((30, 6, 30), (0, 15, 0)), FogMedium(0.1), priority=1, parent=0)]
@@ -164,7 +164,10 @@ LAYERED = [
 
 
 @pytest.mark.parametrize("samples, resolves", [(64, 0.08), pytest.param(256, 0.04, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("fog", [NESTED, LAYERED], ids=["nested", "exponential"])
+@pytest.mark.parametrize(
+    "fog",
+    [pytest.param(NESTED, id="nested"), pytest.param(LAYERED, id="exponential", marks=pytest.mark.slow)],
+)
 def test_path_agrees_with_volpath_in_fog_that_is_not_even(fog, samples, resolves):
     """A bank in fog, and fog that thins with height, over a grey ground."""
     flat = np.array([[-90, -90, -1.5], [90, -90, -1.5], [90, 90, -1.5], [-90, 90, -1.5]])
@@ -280,7 +283,7 @@ def test_samples_that_are_added_in_parts_are_those_of_all_at_once():
         assert (estimator.counts == 32).all() and (estimator.lanes == 2 * 4).all()  # a half: 4, 10, 2, then 16
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", ["path", pytest.param("volpath", marks=pytest.mark.slow)])
 def test_the_variance_is_that_of_the_mean(model):
     """The stated variance equals the scatter over seeds: ratio 1 within 5 sigma of a chi-squared of 24 renders x 144
     pixels.

@@ -1,15 +1,13 @@
 """Opening, variants and what a stage is made of."""
 
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from pxr import Usd, UsdGeom
 
+from synfog_usd.cli.main import app
 from synfog_usd.errors import StageError
 from synfog_usd.stage import (
     cameras,
@@ -281,18 +279,16 @@ def test_real_stages_open():
     ]
 
 
-def test_a_shell_completes_variants_from_the_stage(tmp_path):
+def test_a_shell_completes_variants_from_the_stage(tmp_path, monkeypatch, capsys):
     """As zsh asks for them: all, those that begin so, and none of a stage that cannot be read."""
     (tmp_path / "a.usda").write_text(PAINTED)
 
     def asked(file, begun):
-        code = "from synfog_usd.cli.main import app; app(prog_name='synfog-usd')"
-        words = f"synfog-usd bake {tmp_path / file} --set {begun}"
-        more = {"_SYNFOG_USD_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": words}
-        done = subprocess.run(
-            [sys.executable, "-c", code], env={**os.environ, **more}, capture_output=True, text=True, timeout=60
-        )
-        return re.findall(r"/[\w/]+:\w+=\w+", done.stdout.replace("\\", ""))
+        monkeypatch.setenv("_SYNFOG_USD_COMPLETE", "complete_zsh")
+        monkeypatch.setenv("_TYPER_COMPLETE_ARGS", f"synfog-usd bake {tmp_path / file} --set {begun}")
+        with pytest.raises(SystemExit):
+            app(prog_name="synfog-usd")
+        return re.findall(r"/[\w/]+:\w+=\w+", capsys.readouterr().out.replace("\\", ""))
 
     found = asked("a.usda", "")
     assert found

@@ -63,18 +63,15 @@ def test_each_fog_is_as_if_it_were_translated(begin, mor_m):
         same(found, translate(stage, resolution=(32, 18), fog_mor_m=mor_m))
 
 
-def test_the_shipped_stages_exchange_their_fogs():
+@pytest.mark.parametrize("name", [pytest.param("crossroads", marks=pytest.mark.slow), "bench/fog_bank"])
+def test_the_shipped_stages_exchange_their_fogs(name):
     """The crossing and the bank of fog, whose second volume no variant names."""
-    for name in ("crossroads", "bench/fog_bank"):
-        stage = usd.open_stage(resources.folder("stages") / f"{name}.usda")
-        exchange = Exchange(stage, resolution=(32, 18))
-        for fog in usd.variants(stage)["fog"]:
-            usd.select(stage, fog=fog)
-            found = exchange.within(stage)
-            assert found is not None and len(found.fog) == (0 if fog == "clear" else 2 if "bank" in name else 1), (
-                name,
-                fog,
-            )
+    stage = usd.open_stage(resources.folder("stages") / f"{name}.usda")
+    exchange = Exchange(stage, resolution=(32, 18))
+    for fog in usd.variants(stage)["fog"]:
+        usd.select(stage, fog=fog)
+        found = exchange.within(stage)
+        assert found is not None and len(found.fog) == (0 if fog == "clear" else 2 if "bank" in name else 1), fog
 
 
 @pytest.mark.parametrize("what", MORE)

@@ -252,7 +252,7 @@ GRIDS = {
     "grid.vdb": lambda path: path.write_bytes(b"vdb"),
     "claims.npy": lambda path: path.write_bytes(_header((1 << 13,) * 3)),
     "claims.npz": lambda path: _zipped(path, _header((1 << 13,) * 3)),
-    "bomb.npz": lambda path: _zipped(path, _header((1 << 7, 1 << 10, 1 << 10)) + bytes(1 << 29) + bytes(1 << 13)),
+    "bomb.npz": lambda path: _zipped(path, _header((1 << 7, 1 << 7, 1 << 7)) + bytes(1 << 23) + bytes(1 << 13)),
 }
 
 
@@ -268,10 +268,11 @@ def _zipped(path, content):
 
 
 @pytest.mark.parametrize("name", GRIDS)
-def test_a_grid_that_makes_no_sense_is_refused_with_prim_and_attribute(saved, name):
+def test_a_grid_that_makes_no_sense_is_refused_with_prim_and_attribute(saved, name, monkeypatch):
     """Bad values, other shapes and formats, pickled objects, and headers that claim more than there is or than we
-    take.
+    take, which here is 8 MiB.
     """
+    monkeypatch.setattr(volume, "_MAX_BYTES", (1 << 23) + 4096)
     stage, folder = saved("./" + name)
     GRIDS[name](folder / name)
     with pytest.raises(StageError, match=rf"/Fog: synfog:fog:densityGrid = './{name}'; "):

@@ -15,7 +15,7 @@ from synfog_usd.world.compose import compose
 from synfog_usd.world.shapes import Part
 
 ROOT = Path(__file__).resolve().parents[2]
-QUICK = ("motorway", "rural")
+QUICK = ("motorway",)
 RECIPES = sorted(path.stem for path in (ROOT / "stages" / "recipes").glob("*.yaml"))
 
 

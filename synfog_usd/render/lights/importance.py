@@ -13,13 +13,14 @@ stretch has hardly any chance: at dusk in fog that was 86 % of all variance.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
-import numpy.typing as npt
 
+from synfog_usd.arrays import Array
 from synfog_usd.render import backend
 from synfog_usd.render.lights.rows import summaries
 from synfog_usd.render.media.medium import Medium
@@ -27,8 +28,6 @@ from synfog_usd.render.media.medium import Medium
 if TYPE_CHECKING:
     from synfog_usd.render.lights.sampler import LightSampler
     from synfog_usd.render.load import MitsubaScene
-
-Array = npt.NDArray[np.float64]
 
 PICKS = 4
 """Lights that are drawn."""
@@ -354,9 +353,18 @@ def _sent(row: np.void, tables: list[Array]) -> Array:
 
 def _scattered_by_fog(sent: list[Array], angle: Array, scattered: Array) -> list[Array]:
     """The same tables, or `scattered` at `angle` [rad] of their brightest parts, whichever is more."""
-    centre = _directions().mean(axis=2).reshape(-1, 3)
-    centre /= np.linalg.norm(centre, axis=1, keepdims=True)
-    share = np.interp(np.clip(np.arccos(np.clip(centre @ centre.T, -1.0, 1.0)), 0.05, np.pi), angle, scattered)
+    apart, which = _apart()
+    share = np.interp(apart, angle, scattered)[which]
     return [
         np.maximum(table, SCATTERED * (table.ravel()[None] * share).max(axis=1).reshape(table.shape)) for table in sent
     ]
+
+
+@functools.lru_cache(maxsize=1)
+def _apart() -> tuple[Array, Array]:
+    """Angles between the middles of texels [rad], each once, and (N, N) which of them lies between two texels."""
+    centre = _directions().mean(axis=2).reshape(-1, 3)
+    centre /= np.linalg.norm(centre, axis=1, keepdims=True)
+    angles = np.clip(np.arccos(np.clip(centre @ centre.T, -1.0, 1.0)), 0.05, np.pi)
+    apart, which = np.unique(angles, return_inverse=True)
+    return apart, which.reshape(angles.shape).astype(np.int32)
