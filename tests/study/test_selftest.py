@@ -59,17 +59,20 @@ def test_every_known_answer_is_met_on_this_machine():
 
 
 @pytest.mark.parametrize(
-    "names, fewest", [(("single",), 2), pytest.param(("path", "slab", "single"), 10, marks=pytest.mark.slow)]
+    "names, word, fewest",
+    [(("single",), "bank of", 1), pytest.param(("path", "slab", "single"), "", 10, marks=pytest.mark.slow)],
 )
-def test_the_quick_ones_are_met_as_a_user_runs_them(monkeypatch, names, fewest):
+def test_the_quick_ones_are_met_as_a_user_runs_them(monkeypatch, names, word, fewest):
     """`selftest --quick --json` ends with 0, on our models; what is counted resolves 10 % or better."""
+    chosen = [case for case in cases.every() if word in case.name]
+    monkeypatch.setattr(selftest, "every", lambda: chosen)
     monkeypatch.setattr(models, "MODELS", {name: model for name, model in models.MODELS.items() if name in names})
     done = CliRunner().invoke(app, ["selftest", "--quick", "--json"])
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)["cases"]
     met = [result for result in found if result["counted"] and result["verdict"] == "met"]
     assert len(met) >= fewest and all(result["resolves"] <= 0.1 for result in met)
-    assert len({result["case"] for result in found}) == len(selftest.select(quick=True))
+    assert len({result["case"] for result in found}) == len([case for case in chosen if case.quick]) > 0
 
 
 def test_a_wrong_truth_is_missed(monkeypatch):

@@ -15,7 +15,6 @@ from synfog_usd.world.compose import compose
 from synfog_usd.world.shapes import Part
 
 ROOT = Path(__file__).resolve().parents[2]
-QUICK = ("motorway",)
 RECIPES = sorted(path.stem for path in (ROOT / "stages" / "recipes").glob("*.yaml"))
 
 
@@ -31,7 +30,8 @@ def test_the_crossing_is_translated_without_a_remark():
     assert told(ROOT / "stages" / "crossroads.usda", "mor150") == set()
 
 
-@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in RECIPES])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RECIPES)
 def test_a_world_of_a_shipped_recipe_is_translated_without_a_remark(name, tmp_path):
     """In its thickest fog, as `synfog-usd compose stages/recipes/NAME.yaml --seed 5` draws it."""
     path = tmp_path / f"{name}.usda"
