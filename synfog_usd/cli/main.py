@@ -114,6 +114,12 @@ def bake(
         float | None,
         typer.Option(help="Leave models unloaded that are farther from the camera than this many metres."),
     ] = None,
+    mask: Annotated[
+        str | None,
+        typer.Option(
+            help="Prims of which alone the stage is made, with cameras, lights and fog, as /World/Street,/World/Cars."
+        ),
+    ] = None,
     light_scale: Annotated[float, typer.Option(help="Multiply all lights by this.")] = 1.0,
     sun_lux: Annotated[
         float | None,
@@ -186,6 +192,7 @@ def bake(
             metres_per_unit=metres_per_unit,
             up=up,
             max_distance_m=max_distance,
+            mask=_names(mask, "--mask") or (),
             size=_size(resolution),
             model=model,
             samples=samples,

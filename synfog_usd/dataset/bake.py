@@ -97,7 +97,7 @@ def bake(
     models.check_name(plan.model)
     graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
     with reading():
-        stage = usd.open_stage(plan.stage, allow=plan.allow)
+        stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
         if plan.choices or plan.metres_per_unit is not None or plan.up is not None:
             usd.override(stage, choices=plan.choices, metres_per_unit=plan.metres_per_unit, up=plan.up)
         if plan.max_distance_m is not None:
@@ -716,6 +716,7 @@ def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) ->
             "metres_per_unit": plan.metres_per_unit,
             "up": plan.up,
             "max_distance_m": plan.max_distance_m,
+            "mask": list(plan.mask),
             "variant": variant,
             **({"clip": asdict(plan.clip)} if plan.clip else {}),
         },

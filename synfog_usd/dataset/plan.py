@@ -81,6 +81,7 @@ class BakePlan:
         lights: how the stage's intensities are meant, see `translate.translate`.
         light_scale, sun_lux: what all lights are multiplied by, see `translate.translate`.
         max_distance_m: beyond which models are left unloaded, see `stage.keep_near`.
+        mask: prims of which alone the stage is made, with what sees and lights them, see `stage.open_stage`.
         choices, metres_per_unit, up: how the stage is read otherwise than it says of itself, see `stage.override`.
         allow: folders outside the stage's own in which its files may lie.
         clip: what frame of a sequence it is, or None.
@@ -112,6 +113,7 @@ class BakePlan:
     metres_per_unit: float | None = None
     up: str | None = None
     max_distance_m: float | None = None
+    mask: tuple[str, ...] = ()
     allow: tuple[Path, ...] = ()
     clip: ClipFrame | None = None
     by_lighting: bool = True

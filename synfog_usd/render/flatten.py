@@ -14,17 +14,18 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from synfog_usd.arrays import Array, Indices
 from synfog_usd.render import detail
 from synfog_usd.scene import SceneDict
 
-MAX_TRIANGLES = 30_000_000
-"""About 5 GB with Mitsuba's copy and its search tree, by the 180 bytes a triangle that the shipped crossing takes."""
+MAX_TRIANGLES = 28_000_000
+"""3.8 GB at most, while Mitsuba builds its search tree, where meshes have positions alone."""
 
 ARRAYS = ("normals", "texcoords", "vertex_color")
 
-FaceInstances = Mapping[str, Indices]
+FaceInstances = Mapping[str, npt.NDArray[np.int32]]
 
 
 def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
@@ -68,7 +69,7 @@ def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
         key = f"shape_joined_{index}"
         joined[key] = _joined(material, members)
         instances[key] = np.concatenate(
-            [np.full(len(one.mesh["faces"]), one.instance, dtype=np.int64) for one in members]
+            [np.full(len(one.mesh["faces"]), one.instance, dtype=np.int32) for one in members]
         )
         if moving:
             joined[key]["motion"], motions[key] = _ways(members)

@@ -10,11 +10,11 @@ import functools
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Concatenate, ParamSpec, TypeVar, cast
 
-from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdUtils, Vt
 
 from synfog_usd.errors import StageError, SynfogError, did_you_mean
 from synfog_usd.fence import LAYERS, Fence
@@ -22,7 +22,7 @@ from synfog_usd.files import sha256_of
 from synfog_usd.scene import Note
 from synfog_usd.stage import budget, materialx
 from synfog_usd.stage.budget import MAX_DEPTH
-from synfog_usd.stage.schema import FOG_VARIANT_SET, LIGHTING_VARIANT_SET
+from synfog_usd.stage.schema import FOG_VARIANT_SET, LIGHTING_VARIANT_SET, has_fog_attributes
 from synfog_usd.stage.survey import read_layers
 from synfog_usd.stage.types import mistyped
 
@@ -38,7 +38,9 @@ MENDED_UNITS = "synfogMendedUnits"
 """Where a layer that mends another's units keeps what that one says [m]."""
 
 
-def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: bool = False) -> Usd.Stage:
+def open_stage(
+    path: str | Path, *, allow: Iterable[str | Path] = (), whole: bool = False, mask: Iterable[str] = ()
+) -> Usd.Stage:
     """Open a USD file with all payloads.
 
     What it would unfold to is counted first, and no file is read that lies neither
@@ -49,10 +51,12 @@ def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: boo
         path: a .usd, .usda, .usdc or .usdz file.
         allow: further folders in which its layers, textures and volumes may lie.
         whole: refuse a stage of which anything does not compose.
+        mask: prims of which alone the stage is to be made, with what they refer to, and with all cameras, lights, fogs
+            and render settings that do not lie in payloads; empty for all.
 
     Raises:
         StageError: missing, not USD, beyond a budget of `synfog_usd.stage.budget`,
-            with a file outside of the folders, or not `whole`.
+            with a file outside of the folders, not `whole`, or without a prim of the mask.
     """
     path = Path(path)
     if any(sign < " " or sign == "\x7f" for sign in os.fspath(path)):
@@ -70,7 +74,7 @@ def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: boo
         quiet = (
             UsdUtils.CoalescingDiagnosticDelegate()
         )  # what cannot be put together is told as notes, not on the terminal
-        stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
+        stage = _masked(path, list(mask)) if mask else Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
         del held, quiet
     except Tf.ErrorException as problem:
         raise StageError(
@@ -91,6 +95,38 @@ def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: boo
             f"reference"
         )
     return stage
+
+
+def _masked(path: Path, mask: Sequence[str]) -> Usd.Stage:
+    """A stage of nothing but some prims, and what sees and lights them; payloads elsewhere are not read."""
+    for name in mask:
+        place = Sdf.Path(name) if Sdf.Path.IsValidPathString(name) else Sdf.Path.emptyPath
+        if not (place.IsAbsolutePath() and place.IsPrimPath()):
+            raise StageError(f"{path}: --mask {name}: not the path of a prim, as /World/Car")
+    whole = Usd.Stage.Open(str(path), Usd.Stage.LoadNone)
+    found = {str(prim.GetPath()) for prim in whole.TraverseAll() if _sees_or_lights(prim)}
+    for name, choices in variants(whole).items():
+        for choice in choices:
+            select(whole, **{name: choice})
+            found |= {str(prim.GetPath()) for prim in whole.TraverseAll() if _sees_or_lights(prim)}
+    stage = Usd.Stage.OpenMasked(
+        whole.GetRootLayer(), Usd.StagePopulationMask([*mask, *sorted(found)]), Usd.Stage.LoadAll
+    )
+    stage.ExpandPopulationMask()
+    for name in mask:
+        if not stage.GetPrimAtPath(name):
+            raise StageError(f"{path}: --mask {name}: there is no such prim")
+    return stage
+
+
+def _sees_or_lights(prim: Usd.Prim) -> bool:
+    """Whether a picture of any part of the stage needs a prim."""
+    return (
+        prim.IsA(UsdGeom.Camera)
+        or prim.HasAPI(UsdLux.LightAPI)
+        or prim.IsA(UsdRender.Settings)
+        or has_fog_attributes(prim)
+    )
 
 
 def fence_of(stage: Usd.Stage) -> Fence:

@@ -4,7 +4,7 @@ import pytest
 from pxr import Usd, UsdGeom, UsdLux
 
 from synfog_usd.errors import StageError
-from synfog_usd.stage import keep_near, open_stage
+from synfog_usd.stage import keep_near, open_stage, select
 from synfog_usd.translate import summary, translate
 
 
@@ -58,3 +58,75 @@ def test_the_house_at_the_edge_counts_by_its_near_face(town):
 def test_a_stage_without_a_camera_is_refused(town):
     with pytest.raises(StageError, match="no camera /House0"):
         keep_near(town, 10.0, camera="/House0")
+
+
+def test_a_mask_reads_nothing_but_its_prims_and_what_lights_them(town):
+    """Two houses of ten, by their payloads; the sun, which no one named, shines on."""
+    path = town.GetRootLayer().realPath
+    masked = open_stage(path, mask=["/House2", "/House7/Body"])
+    after = summary(translate(masked))
+    assert (after["shapes"], after["instances"]) == (2, 0) and after["lights"] == summary(translate(town))["lights"]
+    assert [str(prim.GetPath()) for prim in masked.Traverse() if prim.IsA(UsdGeom.Cube)] == [
+        "/House2/Body",
+        "/House7/Body",
+    ]
+    assert masked.GetPrimAtPath("/Camera") and masked.GetPrimAtPath("/Far/Sun") and not masked.GetPrimAtPath("/House3")
+
+
+def test_a_mask_keeps_materials_and_fog_of_every_variant(tmp_path):
+    """A material elsewhere that a masked prim is bound to, and a bank that is there in one variant only."""
+    (tmp_path / "a.usda").write_text(
+        """#usda 1.0
+(
+    defaultPrim = "World"
+)
+def Xform "World" (
+    prepend variantSets = "fog"
+    variants = {
+        string fog = "clear"
+    }
+)
+{
+    def Camera "Ego"
+    {
+    }
+    def Cube "A" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
+    {
+        rel material:binding = </Looks/Red>
+    }
+    def Cube "B"
+    {
+    }
+    variantSet "fog" = {
+        "clear" {
+        }
+        "bank" {
+            def Cube "Bank" (
+                prepend apiSchemas = ["SynFogMediumAPI"]
+            )
+            {
+                float synfog:fog:mor = 100
+            }
+        }
+    }
+}
+def Material "Looks"
+{
+    def Material "Red"
+    {
+    }
+}
+"""
+    )
+    masked = open_stage(tmp_path / "a.usda", mask=["/World/A"])
+    select(masked, fog="bank")
+    found = {str(prim.GetPath()) for prim in masked.Traverse()}
+    assert {"/World/A", "/World/Bank", "/World/Ego", "/Looks/Red"} <= found and "/World/B" not in found
+
+
+@pytest.mark.parametrize("name, words", [("/House11", "there is no such prim"), ("House1", "not the path of a prim")])
+def test_a_mask_of_nothing_is_refused(town, name, words):
+    with pytest.raises(StageError, match=f"--mask {name}: {words}"):
+        open_stage(town.GetRootLayer().realPath, mask=[name])

@@ -240,7 +240,7 @@ class _Tracer:
                 self.lookup[registry] = rank
             self.dr = dr
         self.first_face = np.full(size, -1, dtype=np.int64)
-        lists, start = [np.zeros(0, dtype=np.int64)], 0
+        lists, start = [np.zeros(0, dtype=np.int32)], 0
         for key, faces in loaded.face_instances.items():
             self.first_face[self.rank[self.identity(loaded.shapes[(key,)])]] = start
             lists.append(faces)
