@@ -97,6 +97,22 @@ class Instance:
 
 
 @dataclass(frozen=True)
+class Lanelet:
+    """A lane of a road, as Lanelet2 has it.
+
+    Attributes:
+        path: prim path.
+        type: as OpenDRIVE has it: 'driving', 'bus', 'parking', 'shoulder', 'biking' ...
+        left, right: (N, 3) and (M, 3) edges in the scene [m], in the order and from the seat of who drives there.
+    """
+
+    path: str
+    type: str
+    left: Array = field(compare=False, repr=False)
+    right: Array = field(compare=False, repr=False)
+
+
+@dataclass(frozen=True)
 class Note:
     """Something that the translation left out or made simpler.
 
@@ -144,6 +160,7 @@ class SceneDict:
             without it M is 1.
         bounds_m: (2, 3) corners of the box around the camera and all that is drawn.
         flux_of: key of a lamp in `world` -> its luminous flux [lm]; inf for a sky or a sun.
+        lanes: of the roads, where the stage tells of them.
         origin_m: what was subtracted from every stage position, in metres, Z up, float64.
         notes: what was left out or made simpler.
     """
@@ -159,6 +176,7 @@ class SceneDict:
     emission_of: Mapping[str, Array] = field(default_factory=dict)
     motion_of: Mapping[str, Array] = field(default_factory=dict)
     bounds_m: Array = field(default_factory=lambda: np.zeros((2, 3)))
+    lanes: tuple[Lanelet, ...] = ()
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[Note, ...] = ()
 

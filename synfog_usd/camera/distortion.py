@@ -177,6 +177,12 @@ class Warp:
         """3 x 3, as OpenCV takes it."""
         return [[self.focal_px, 0.0, self.centre_px[0]], [0.0, self.focal_px, self.centre_px[1]], [0.0, 0.0, 1.0]]
 
+    def bent(self, rendered: Pinhole, places: Array) -> Array:
+        """(N, 2) places in the rendered picture, from its corner [px], as places in the distorted one."""
+        x, y = ((places - 0.5 - np.array(rendered.axis_px)) / rendered.focal_px).T
+        moved_x, moved_y, *_ = _distorted(x, y, self.coefficients)
+        return np.stack([moved_x, moved_y], axis=1) * self.focal_px + np.array(self.centre_px) + 0.5
+
     def nearest(self) -> tuple[Indices, Indices]:
         """(H, W) whole rows and columns of the pinhole picture: `plane[warp.nearest()]` is warped."""
         return np.rint(self.row).astype(np.intp), np.rint(self.column).astype(np.intp)

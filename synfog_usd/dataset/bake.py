@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd import __version__, files, resources, system
-from synfog_usd.dataset import contact, labels, objects, visibility
+from synfog_usd.dataset import contact, labels, lanes, objects, visibility
 from synfog_usd.dataset.forecast import Forecast, kinds
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
 from synfog_usd.errors import StageError
@@ -641,16 +641,18 @@ def _write_labels(
     metadata: dict[str, Any] = {}
     nearest = None
     bent = graph and distortion.of_graph(graph, _pinhole(scene.camera), taken)
+    area, bend = (lanes.ids(seen, scene) if scene.lanes else None), None
     if bent:
         node, warp = bent
-        nearest = warp.nearest()
+        nearest, bend = warp.nearest(), functools.partial(warp.bent, _pinhole(scene.camera))
+        area = None if area is None else area[nearest]
         seen = labels.warped(seen, nearest)
         metadata = {
             "warped": f"distortion of node {node!r}; radiance.exr and layers.exr are not",
             "camera_matrix_px": warp.camera_matrix(),
             "distortion_coefficients": list(warp.coefficients),
         }
-    image = labels.label_image(seen, scene.instances)
+    image = labels.label_image(seen, scene.instances, area)
     header = {
         name: str(value) for name, value in image.provenance.items() if name.startswith("cryptomatte/")
     }  # where Cryptomatte's readers look
@@ -667,6 +669,8 @@ def _write_labels(
                 "distortion_coefficients": metadata["distortion_coefficients"],
             }
         metadata = {"camera": eye} | metadata
+    if area is not None:
+        metadata |= {"lanes": lanes.rows(area, scene, bend)}
     files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.instances, more) | metadata)
     return {name: files.sha256_of(plan.out / name) for name in ("labels.exr", "labels.json")}
 

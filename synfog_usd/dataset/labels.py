@@ -50,12 +50,17 @@ def warped(aovs: Aovs, nearest: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]
     return Aovs(**{name: plane[nearest] for name, plane in vars(aovs).items()})
 
 
-def label_image(aovs: Aovs, instances: tuple[Instance, ...]) -> Image:
+def label_image(aovs: Aovs, instances: tuple[Instance, ...], lane: npt.NDArray[np.int64] | None = None) -> Image:
     """All label AOVs as one float32 image.
 
     Depth and distance are in metres and infinite at the sky; N is the world normal
     (Z up) turned to the camera; ids are whole numbers, 0 where there is no instance;
     the Cryptomatte layer holds one rank with full coverage.
+
+    Args:
+        aovs: what each pixel sees.
+        instances: of the scene.
+        lane: (H, W) numbers of lanes, which become a channel `lane.ID`; None where the scene tells of none.
     """
     semantic = np.array([0, *(cityscapes.label(instance.label).id for instance in instances)], dtype=np.float32)
     crypto = np.array([0.0, *(_crypto_float(instance.path) for instance in instances)], dtype=np.float32)
@@ -84,7 +89,10 @@ def label_image(aovs: Aovs, instances: tuple[Instance, ...]) -> Image:
         f"{key}/conversion": "uint32_to_float32",
         f"{key}/manifest": manifest,
     }
-    return Image(np.stack(planes, axis=2).astype(np.float32), CHANNELS, Quantity.DATA, provenance=metadata)
+    channels = CHANNELS
+    if lane is not None:
+        planes, channels = [*planes, lane], (*CHANNELS, "lane.ID")
+    return Image(np.stack(planes, axis=2).astype(np.float32), channels, Quantity.DATA, provenance=metadata)
 
 
 def label_list(

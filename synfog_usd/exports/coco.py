@@ -28,6 +28,7 @@ EXTRAS = (
     "pose",
     "box_3d",
     "velocity_m_s",
+    "speed_m_s",
     "mean_transmittance",
     "contrast",
     "contrast_rms",
@@ -70,7 +71,7 @@ def _write_split(
                     "file_name": name,
                     "width": labels.size_px[0],
                     "height": labels.size_px[1],
-                    "synfog": {**picture.metadata(), "camera": dict(labels.camera)},
+                    "synfog": {**picture.metadata(), "camera": dict(labels.camera), "lanes": labels.lanes},
                 }
             )
             for row in taxonomy.things(picture, drop):

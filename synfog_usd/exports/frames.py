@@ -158,6 +158,14 @@ class Labels:
         """Width and height."""
         return self.instance.shape[1], self.instance.shape[0]
 
+    @property
+    def lanes(self) -> list[dict[str, Any]]:
+        """What is known of each lane in the picture; without its edges in the world."""
+        return [
+            {name: value for name, value in row.items() if not name.endswith("_world_m")}
+            for row in self.metadata.get("lanes", ())
+        ]
+
     def mask(self, instance: int) -> npt.NDArray[np.bool_]:
         """(H, W) the visible pixels of an instance."""
         return self.instance == instance

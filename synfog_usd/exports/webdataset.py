@@ -77,10 +77,10 @@ def _fill(tar: tarfile.TarFile, shard: list[LabelledPicture], drop: Drop) -> Non
     for picture in shard:
         labels = picture.labels
         keep = ("id", "path", "label", "semantic_id", "pixels", "box_px", "distance_m", "amodal_box_px", "amodal_rle")
-        keep += ("visible_share", "truncation", "pose", "box_3d", "velocity_m_s", "mean_transmittance", "contrast")
-        keep += ("contrast_rms", "cnr", "visibility")
+        keep += ("visible_share", "truncation", "pose", "box_3d", "velocity_m_s", "speed_m_s", "mean_transmittance")
+        keep += ("contrast", "contrast_rms", "cnr", "visibility")
         things = [{name: row[name] for name in keep if name in row} for row in taxonomy.things(picture, drop)]
-        told = {**picture.metadata(), "camera": dict(labels.camera), "instances": things}
+        told = {**picture.metadata(), "camera": dict(labels.camera), "lanes": labels.lanes, "instances": things}
         name = picture.name.replace(".", "_")
         ids = np.where(labels.instance < 65536, labels.instance, 0).astype(np.uint16)
         for ending, data in (

@@ -30,6 +30,7 @@ from synfog_usd.translate.camera import at_mid_exposure, half_exposure, read_cam
 from synfog_usd.translate.convention import Chooser
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
+from synfog_usd.translate.lanes import lanes
 from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group, group_by_label
 from synfog_usd.translate.material import Materials
 from synfog_usd.translate.motion import Mover
@@ -112,7 +113,8 @@ def with_boundaries(
     mover = Mover(stage, space, time, half_exposure(stage, time, eye.path))
     scene = _Assembler(stage, space, time, notes, Chooser(stage, lights), mover)
     with _uncollected():
-        scene.build(walk(stage, time, notes))
+        found = walk(stage, time, notes)
+        scene.build(found)
     scene.tell_motion()
     scene.chooser.report(notes)
     volume.rtx_fog(stage, notes)
@@ -136,6 +138,7 @@ def with_boundaries(
         emission_of=scene.emission_of,
         motion_of=scene.motion_of,
         bounds_m=bounds,
+        lanes=lanes(found.lanes, space, time, notes),
         origin_m=(float(space.origin_m[0]), float(space.origin_m[1]), float(space.origin_m[2])),
         notes=notes.closed(lambda path: authored_path(stage, path)),  # USD numbers its prototypes anew each time
     )

@@ -19,6 +19,7 @@ from synfog_usd.stage.labels import LABEL_SOURCES, UNLABELED, direct_label, offi
 from synfog_usd.stage.schema import PREFIX, has_fog_attributes
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.drawmode import MODES, replaces
+from synfog_usd.translate.lanes import TYPE as LANE_TYPE
 from synfog_usd.translate.space import FAR, columns
 from synfog_usd.translate.volume import vdb_fault
 
@@ -152,6 +153,8 @@ class Walk:
     leaves: list[Leaf] = field(default_factory=list)
     groups: list[Group] = field(default_factory=list)
     placements: list[GroupInstance] = field(default_factory=list)
+    lanes: list[tuple[Usd.Prim, Array]] = field(default_factory=list)
+    """Curves that are lanes, with their matrices to stage coordinates; outside of instances alone."""
     sheer: bool = False
     """Whether any prim has a displayOpacity."""
 
@@ -236,6 +239,8 @@ class _Walker:
             elif kind == "PointInstancer":
                 self.point_instancer(prim, state, group, frame)
                 iterator.PruneChildren()
+            elif kind == "BasisCurves" and group is None and LANE_TYPE in state.authored:
+                self.result.lanes.append((prim, self.matrix(prim, frame)))
             elif kind not in _PASSED:
                 self.leaf(prim, path, kind, state, stack[-2], group, frame)
 

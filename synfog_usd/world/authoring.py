@@ -19,6 +19,8 @@ from synfog_usd.world.spec import Placement, SkyDome, View, WorldSpec
 
 APERTURE = 0.36  # tenths of a metre
 EGO, RIG = "/World/Ego", "/World/Rig"
+VELOCITY = "physics:velocity"
+"""In metres per second; UsdPhysics' name, without its rigid body, which would fall."""
 VARS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
     "Radiance": ("radiance.exr", {"Radiance": ("color3f", "RGB")}),
     "Labels": (
@@ -142,6 +144,11 @@ def _author_placement(layer: Sdf.Layer, p: Placement, assets: str) -> None:
         ops.append(("xformOp:scale", kinds.Float3, Gf.Vec3f(p.size)))
     for name, kind, value in ops:
         Sdf.AttributeSpec(prim, name, kind).default = value
+    if p.speed_m_s is not None:
+        h, up = math.radians(p.heading), math.radians(p.pitch)
+        ahead = (-math.sin(h) * math.cos(up), math.cos(h) * math.cos(up), math.sin(up))
+        velocity = Gf.Vec3f(*(round(p.speed_m_s * part, 3) + 0.0 for part in ahead))
+        Sdf.AttributeSpec(prim, VELOCITY, kinds.Vector3f, declaresCustom=True).default = velocity
     order = Sdf.AttributeSpec(prim, "xformOpOrder", kinds.TokenArray, Sdf.VariabilityUniform)
     order.default = Vt.TokenArray([name for name, _, _ in ops])
 

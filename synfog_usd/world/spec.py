@@ -22,6 +22,7 @@ class Placement:
         z: height of its origin [m].
         size: uniform scale.
         pitch: degrees, nose up.
+        speed_m_s: with which it goes where it looks, or None where nothing says.
     """
 
     group: str
@@ -35,6 +36,7 @@ class Placement:
     z: float = 0.0
     size: float = 1.0
     pitch: float = 0.0
+    speed_m_s: float | None = None
 
 
 @dataclass(frozen=True)

@@ -62,13 +62,17 @@ def street():
     return replace(made, instances=tuple(instances))
 
 
+LANE = {"id": 1, "type": "driving", "drivable": True, "pixels": 0, "left_px": [[[1.0, 2.0], [3.0, 4.0]]]}
+LANE |= {"left_world_m": [[0.0, 0.0, 0.0]]}
+
+
 def bake(folder: Path, source=None) -> Baked:
     source = source or street()
     loaded = to_mitsuba(source, boundaries=False)
     seen = aovs.measure(loaded)
     projection = objects.Projection.of(source.camera)
     listed = labels.label_list(seen, source.instances, objects.rows(source, aovs.pierced(loaded), projection))
-    listed |= {"camera": projection.metadata(source.origin_m)}
+    listed |= {"camera": projection.metadata(source.origin_m), "lanes": [LANE]}
     writers.write_exr(folder / "labels.exr", labels.label_image(seen, source.instances))
     files.write_json(folder / "labels.json", listed)
     rng = np.random.default_rng(3)

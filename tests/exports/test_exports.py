@@ -75,6 +75,19 @@ def test_coco_reads_boxes_masks_and_what_fog_leaves(baked, exported):
 
 
 @pytest.mark.slow
+def test_coco_and_webdataset_carry_lanes(baked, exported):
+    """As labels.json has them, without their edges in the world."""
+    (lane,) = baked.listed["lanes"]
+    wanted = [{name: value for name, value in lane.items() if name != "left_world_m"}]
+    assert wanted != [lane]
+    told = json.loads((exported("coco") / "annotations" / "instances_all.json").read_text())
+    assert [image["synfog"]["lanes"] for image in told["images"]] == 3 * [wanted]
+    (shard,) = exported("webdataset").rglob("*.tar")
+    with tarfile.open(shard) as tar:
+        rows = [json.load(tar.extractfile(one)) for one in tar if one.name.endswith(".json")]
+    assert [row["lanes"] for row in rows] == 3 * [wanted]
+
+
 def test_coco_can_be_evaluated(baked, exported):
     """COCOeval with the annotations themselves as detections: average precision 1 for boxes and masks."""
     coco, evaluation = library("pycocotools.coco"), library("pycocotools.cocoeval")

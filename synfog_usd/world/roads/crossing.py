@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-MAIN_HALF = 5.6  # lane 3.4 and parking 2.2
+LANE_M = 3.4  # of the main street
+MAIN_HALF = 5.6  # lane and parking 2.2
 SIDE_HALF = 4.4
 CORNER = 6.5  # radius of the kerb
 KERB_M = 0.12
@@ -19,6 +20,7 @@ ZEBRA = 11.3  # near edge of the crossings of the main street, from the middle
 ZEBRA_DEPTH = 3.2
 ZEBRA_SIDE = 12.5
 TREE_X = 6.85
+BAY_M, BAYS_Y = 5.8, ((-60.6, -20.0), (20.0, 240.4))  # of the main street: length, and from where to where they are
 
 
 def ground_height(x: float, y: float) -> float:

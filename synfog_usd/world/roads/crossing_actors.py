@@ -15,13 +15,12 @@ from synfog_usd.seeds import stream
 from synfog_usd.world.language import Distribution, Recipe
 from synfog_usd.world.library import LibraryModel, nominal
 from synfog_usd.world.roads import crossing_props, people, rules, traffic
-from synfog_usd.world.roads.crossing import MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE, ground_height
+from synfog_usd.world.roads.crossing import BAY_M, MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE, ground_height
 from synfog_usd.world.roads.crossing_props import stood
 from synfog_usd.world.spec import Placement
 
 WIDE = ("bus", "lorry")
 """Bodies that keep nearer to the middle of the street, away from parked cars' mirrors."""
-BAY_M = 5.8
 PARKED_X = 4.5
 CARE = traffic.Care(across=0.04, most=0.08, along=0.12, turn=0.0)
 NEAREST_LIT = 8

@@ -8,7 +8,21 @@ import numpy as np
 
 from synfog_usd.seeds import stream
 from synfog_usd.world.library import nominal
-from synfog_usd.world.roads.crossing import CORNER, MAIN_HALF, SIDE_HALF, TREE_X, WALL_X, Crossing, ground_height
+from synfog_usd.world.roads import lanes
+from synfog_usd.world.roads.crossing import (
+    BAYS_Y,
+    CORNER,
+    LANE_M,
+    MAIN_HALF,
+    NORTH,
+    SIDE,
+    SIDE_HALF,
+    SOUTH,
+    TREE_X,
+    WALL_X,
+    Crossing,
+    ground_height,
+)
 from synfog_usd.world.roads.land import Scatter
 from synfog_usd.world.roads.structures import Built, Instanced, LitPanes
 from synfog_usd.world.spec import Placement, View, WorldSpec
@@ -30,6 +44,26 @@ def built(spec: WorldSpec, crossing: Crossing) -> list[Built]:
 def scatters(spec: WorldSpec, crossing: Crossing) -> Sequence[Scatter | None]:
     """Nothing is sown."""
     return ()
+
+
+def edged_lanes(crossing: Crossing) -> list[lanes.EdgedLane]:
+    """The lanes of both streets, through the crossing, and the bays of the main street."""
+    north, west = np.array([0.0, 1.0]), np.array([-1.0, 0.0])
+    found = []
+    for ahead, begin, end, inner, outer, kind in (
+        (north, -SOUTH, NORTH, 0.0, LANE_M, "lane"),
+        (-north, -NORTH, SOUTH, 0.0, LANE_M, "lane"),
+        (west, -SIDE, SIDE, 0.0, SIDE_HALF, "lane"),
+        (-west, -SIDE, SIDE, 0.0, SIDE_HALF, "lane"),
+        *((north, low, high, LANE_M, MAIN_HALF, "parking") for low, high in BAYS_Y),
+        *((-north, -high, -low, LANE_M, MAIN_HALF, "parking") for low, high in BAYS_Y),
+    ):
+        right = np.array([ahead[1], -ahead[0]])
+        left_edge, right_edge = (
+            np.array([(*(s * ahead + aside * right), 0.0) for s in (begin, end)]) for aside in (inner, outer)
+        )
+        found.append(lanes.EdgedLane(lanes.TYPES[kind], left_edge, right_edge))
+    return found
 
 
 def instanced(spec: WorldSpec, crossing: Crossing) -> list[Instanced]:

@@ -66,13 +66,13 @@ def _traffic(
         free = traffic.spans(road, low, high, blocked)
         among = [name for name in ON_A_BUS_LANE if name in rules.names()] if lane.kind == "bus" else None
         vehicles = traffic.flowing(recipe, rng, free, counts[index], least, among)
-        placed += traffic.fill(_lane(road, lane), vehicles, rng, room)
+        placed += traffic.fill(_lane(road, lane, traffic.speed_m_s(value)), vehicles, rng, room)
     for number in range(value("traffic.cyclists")):
         placed += _cyclist(road, stream(seed, "recipe", "cyclist", attempt, number), station, room)
     return placed
 
 
-def _lane(road: Road, lane: Lane) -> traffic.TrafficLane:
+def _lane(road: Road, lane: Lane, speed_m_s: float) -> traffic.TrafficLane:
     def pose(s: float, aside: float) -> traffic.Pose:
         return road.pose(s, lane.middle + aside, way=lane.way)
 
@@ -80,7 +80,7 @@ def _lane(road: Road, lane: Lane) -> traffic.TrafficLane:
         before_zebra = any(0.0 < (zebra - s) * lane.way < traffic.BRAKING_M for zebra in road.zebras)
         return before_zebra or rng.random() < traffic.BRAKING
 
-    return traffic.TrafficLane(pose, traffic.sway(lane.width), brakes)
+    return traffic.TrafficLane(pose, traffic.sway(lane.width), brakes, speed_m_s=speed_m_s)
 
 
 def _cyclist(road: Road, rng: np.random.Generator, station: float, room: rules.CollisionSet) -> list[Placement]:

@@ -6,7 +6,7 @@ import functools
 import math
 from collections.abc import Sequence
 
-from synfog_usd.world.roads import horizon, land, markings, structures, surface, works
+from synfog_usd.world.roads import horizon, land, lanes, markings, structures, surface, works
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.structures import Built, Instanced, LitPanes
 from synfog_usd.world.spec import Placement, View, WorldSpec
@@ -81,6 +81,11 @@ def scatters(spec: WorldSpec, road: Road) -> Sequence[horizon.Scatter | None]:
     if spec.built["grass"] == "tufts":
         found.append(land.tufts(road, seed=spec.scatter, low=station, high=station + TUFTS_M))
     return found
+
+
+def edged_lanes(road: Road) -> list[lanes.EdgedLane]:
+    """Its lanes, bays and shoulders."""
+    return lanes.of_road(road)
 
 
 def instanced(spec: WorldSpec, road: Road) -> list[Instanced]:

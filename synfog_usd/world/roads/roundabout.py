@@ -137,6 +137,27 @@ class Roundabout(Road):
         )
         return x, y, z, round((turned + 180.0) % 360.0 - 180.0, 3)
 
+    def lane_edges(self, arm: int, way: int) -> tuple[Array, Array]:
+        """(N, 3) left and (M, 3) right edge [m] of an arm's lane as it is driven, outwards (1) or inwards (-1); on the
+        circle the right one begins where the arc of the kerb does.
+        """
+        road, r = self.arms[arm], self.corners[arm if way < 0 else arm - 1]
+        e, foot = self.half_island + self.lane_width, self.tangent(r)
+        begins = math.sqrt(self.radius**2 - self.half_island**2), foot - r * math.sin(math.atan2(foot, e + r))
+        near, length = self.radius + HOLD_M + TAPER_M, road.reference_line.length
+        edges = []
+        for begin, offset in zip(begins, (self.spread, lambda s: self.edge(arm, way, s)), strict=True):
+            s = np.r_[np.arange(begin, near, COARSE_M / 2), np.arange(near, length, COARSE_M), length]
+            x, y = road.reference_line.place(s, way * offset(s))
+            edges.append(np.c_[x, y, np.zeros(len(s))][::way])
+        return edges[0], edges[1]
+
+    def ring_edges(self) -> tuple[Array, Array]:
+        """(N, 3) left and right edge [m] of the lane that goes round; the last point is the first."""
+        turn = np.linspace(0.0, 2.0 * math.pi, max(24, int(2.0 * math.pi * self.radius / COARSE_M)) + 1)
+        unit = np.c_[np.cos(turn), np.sin(turn), np.zeros(len(turn))]
+        return self.inner * unit, self.radius * unit
+
     def ring_pose(self, s: float, t: float) -> tuple[float, float, float, float]:
         """x, y, z [m] and heading [degrees] of what goes round, at a station and offset of the ring."""
         x, y = self.ring.reference_line.place(s % self.ring.reference_line.length, t)

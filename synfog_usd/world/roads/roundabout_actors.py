@@ -81,11 +81,11 @@ def _traffic(
             count -= 1
         free = traffic.spans(road, road.zebras[0] + ZEBRA_HALF_M, high, own)
         vehicles += traffic.flowing(recipe, rng, free, count, least)
-        placed += traffic.fill(_lane(junction, arm, way), vehicles, rng, room)
+        placed += traffic.fill(_lane(junction, arm, way, traffic.speed_m_s(value)), vehicles, rng, room)
     return placed
 
 
-def _lane(junction: Roundabout, arm: int, way: int) -> traffic.TrafficLane:
+def _lane(junction: Roundabout, arm: int, way: int, speed_m_s: float) -> traffic.TrafficLane:
     """The lane of an arm, outwards (1) or inwards (-1); before the zebra and the circle who comes in brakes."""
 
     def pose(s: float, aside: float) -> traffic.Pose:
@@ -95,7 +95,7 @@ def _lane(junction: Roundabout, arm: int, way: int) -> traffic.TrafficLane:
         arrives = way < 0 and s < junction.arms[arm].zebras[0] + traffic.BRAKING_M
         return arrives or rng.random() < traffic.BRAKING
 
-    return traffic.TrafficLane(pose, traffic.sway(junction.lane_width), brakes)
+    return traffic.TrafficLane(pose, traffic.sway(junction.lane_width), brakes, speed_m_s=speed_m_s)
 
 
 def _waits(junction: Roundabout, arm: int, body: str) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from synfog_usd.world.roads import roundabout_markings, roundabout_surface
+from synfog_usd.world.roads import lanes, roundabout_markings, roundabout_surface
 from synfog_usd.world.roads.horizon import Horizon, Scatter
 from synfog_usd.world.roads.road_built import PANES as PANES
 from synfog_usd.world.roads.road_built import instanced as instanced
@@ -53,3 +53,17 @@ def scatters(spec: WorldSpec, junction: Roundabout) -> list[Scatter]:
         within_m=TUFTS_M,
     )
     return [*sown, *_horizon(spec, junction).scatters()]
+
+
+def edged_lanes(junction: Roundabout) -> list[lanes.EdgedLane]:
+    """The lane that goes round, closed, and both lanes of every arm from the circle on; they widen where they meet
+    it.
+    """
+    return [
+        lanes.EdgedLane(lanes.TYPES["lane"], *junction.ring_edges()),
+        *(
+            lanes.EdgedLane(lanes.TYPES["lane"], *junction.lane_edges(arm, way))
+            for arm in range(len(junction.arms))
+            for way in (-1, 1)
+        ),
+    ]

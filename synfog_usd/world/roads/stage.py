@@ -45,6 +45,7 @@ LOOKS: dict[str, Material] = {
 LIT_LOOK = {"window": ("Windows", "windows_lit.jpg", 55.0), "shop_glass": ("Shops", "shops_lit.jpg", 160.0)}
 KINDS: Mapping[type, Any] = {Road: road_built, Roundabout: roundabout_built, Crossing: crossing_built}
 """What a road or junction is -> the module that says what is made for it alone."""
+LANES, LANE_TYPE = "/World/Lanes", "synfog:lane:type"
 
 
 def author(path: Path, spec: WorldSpec, *, assets: str) -> Sdf.Layer:
@@ -74,6 +75,7 @@ def author(path: Path, spec: WorldSpec, *, assets: str) -> Sdf.Layer:
     authoring.author_variants(
         stage, spec
     )  # early, because each choice of a variant composes what stands there by then again
+    author_lanes(stage, spec)
     _author_built(stage, spec, assets)
     authoring.author_render(stage)
     if spec.products:
@@ -114,6 +116,25 @@ def _author_built(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
             bind(author_mesh(stage, prim.GetPath().AppendChild(name), _small(part)).GetPrim(), name)
     for scatter in sown:
         _author_scatter(stage, scatter, bind, assets)
+
+
+def author_lanes(stage: Usd.Stage, spec: WorldSpec) -> None:
+    """Every lane as two guide curves, its left edge and its right one, along the way that is driven."""
+    UsdGeom.Scope.Define(stage, LANES)
+    for number, lane in enumerate(KINDS[type(spec.road)].edged_lanes(spec.road), 1):
+        curves = UsdGeom.BasisCurves.Define(stage, f"{LANES}/Lane_{number:02d}")
+        points = np.round(np.concatenate([lane.left, lane.right]), 3).astype(np.float32)
+        curves.CreateTypeAttr(UsdGeom.Tokens.linear)
+        curves.CreateCurveVertexCountsAttr([len(lane.left), len(lane.right)])
+        curves.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+        curves.CreateWidthsAttr([0.1])
+        curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
+        curves.CreateExtentAttr(
+            Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0) - 0.05, points.max(axis=0) + 0.05]))
+        )
+        curves.CreatePurposeAttr(UsdGeom.Tokens.guide)
+        kind = curves.GetPrim().CreateAttribute(LANE_TYPE, Sdf.ValueTypeNames.Token, True, Sdf.VariabilityUniform)
+        kind.Set(lane.type)
 
 
 def _small(part: Part) -> Part:

@@ -52,9 +52,14 @@ def draw_car(
 # -- how many, and where along a lane
 
 
+def speed_m_s(value: Any) -> float:
+    """Of traffic that neither waits nor brakes."""
+    return float(value("traffic.speed_kmh")) / 3.6
+
+
 def flow(value: Any, attempt: int) -> tuple[float, float]:
     """Least distance between bumpers [m] and vehicles per length of lane [1/m], denser after tries that failed."""
-    speed = value("traffic.speed_kmh") / 3.6
+    speed = speed_m_s(value)
     return 1.5 + speed * value("traffic.headway_s"), value("traffic.per_hour") / 3600.0 / speed * DENSER ** (
         attempt // TRIES_ALIKE
     )
@@ -136,6 +141,7 @@ class TrafficLane:
         brakes: (numbers, station) -> whether who is there brakes.
         fits: whether a vehicle keeps within it; what is straight needs no question.
         margin: room on all sides [m].
+        speed_m_s: of who does not brake, or None where nothing says.
     """
 
     pose: Callable[[float, float], Pose]
@@ -143,6 +149,7 @@ class TrafficLane:
     brakes: Callable[[np.random.Generator, float], bool] = lambda rng, s: False
     fits: Callable[[Placement], bool] = lambda p: True
     margin: float = APART_M
+    speed_m_s: float | None = None
 
 
 def sway(width: float) -> Callable[[np.random.Generator, LibraryModel], Iterator[float]]:
@@ -164,7 +171,8 @@ def fill(lane: TrafficLane, vehicles: Iterable[Vehicle], rng: np.random.Generato
         for aside in lane.across(rng, found):
             x, y, z, heading, pitch = lane.pose(s, aside)
             lit = "brake" if lane.brakes(rng, s) and "brake" in found.variants.get("lamps", ()) else "glow"
-            p = Placement("Vehicles", "", body, x, y, heading, looks, {"lamps": lit}, z=z, pitch=pitch)
+            speed = None if lit == "brake" else lane.speed_m_s
+            p = Placement("Vehicles", "", body, x, y, heading, looks, {"lamps": lit}, z=z, pitch=pitch, speed_m_s=speed)
             if lane.fits(p) and room.take(p, lane.margin):
                 placed.append(p)
                 break
@@ -237,7 +245,7 @@ def park(
         if bay.crosswise:
             heading, pitch = heading + (-90.0 if nose_in else 90.0), 0.0
         turned = round(heading + float(rng.normal(0, care.turn)), 3)
-        p = Placement("Vehicles", "", body, x, y, turned, looks, z=z, pitch=pitch)
+        p = Placement("Vehicles", "", body, x, y, turned, looks, z=z, pitch=pitch, speed_m_s=0.0)
         if room.take(p):
             placed.append(p)
     return placed

@@ -1,0 +1,137 @@
+"""Lanes in a camera's view: which lane each pixel of the ground lies in, and where the edges run in the picture.
+
+Of the ray through a pixel's centre, as all labels.  The ground is what is labelled road, parking or ground and lies at
+the height of a lane.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+
+from synfog_usd.arrays import Array, Indices
+from synfog_usd.dataset import masks
+from synfog_usd.dataset.objects import Projection
+from synfog_usd.render.film.aovs import Aovs
+from synfog_usd.scene import Lanelet, SceneDict
+
+GROUND = ("road", "parking", "ground")
+DRIVABLE = ("driving", "bus")
+"""Types of lanes that are the drivable area."""
+OFF_M = 0.3
+"""Height over a lane within which ground counts as its own; a bridge over it is farther."""
+STEP_M = 1.0
+"""Between points of an edge that are bent by a lens, or asked for their height."""
+
+Bend = Callable[[Array], Array]
+"""(N, 2) places in the rendered picture -> places in the picture, both from its corner [px]."""
+
+
+def ids(seen: Aovs, scene: SceneDict) -> Indices:
+    """(H, W) number of the lane that a pixel lies in, 1 for the first of `scene.lanes`; 0 for none.  Where lanes cross,
+    the first has it.
+
+    Args:
+        seen: through the scene's own camera.
+        scene: with lanes.
+    """
+    found = np.zeros(seen.instance_id.shape, dtype=np.int64)
+    ground = np.array([False, *(one.label in GROUND for one in scene.instances)])[seen.instance_id]
+    ground &= np.isfinite(seen.depth_m)
+    places, of = _places(seen, scene, ground), np.zeros(int(ground.sum()), dtype=np.int64)
+    for number, lane in enumerate(scene.lanes, 1):
+        free = np.flatnonzero(of == 0)
+        inside = free[shapely.contains_xy(_area(lane), *places[free, :2].T)]
+        if len(inside):
+            edges = np.concatenate([_fine(lane.left), _fine(lane.right)])
+            near = edges[cKDTree(edges[:, :2]).query(places[inside, :2])[1], 2]
+            of[inside[np.abs(places[inside, 2] - near) < OFF_M]] = number
+    found[ground] = of
+    return found
+
+
+def rows(plane: Indices, scene: SceneDict, bend: Bend | None = None) -> list[dict[str, Any]]:
+    """What labels.json says of each lane: edges in the stage [m] and in the picture [px], pixels of it that are seen.
+
+    Args:
+        plane: of `ids`, in the picture's own pixels.
+        scene: with lanes.
+        bend: from the scene's own picture to that one, where a lens distorts.
+    """
+    view = Projection.of(scene.camera)
+    eye, origin = shapely.Point(scene.camera.to_world[:2, 3]), np.asarray(scene.origin_m)
+    found = []
+    for number, lane in enumerate(scene.lanes, 1):
+        row: dict[str, Any] = {"id": number, "path": lane.path, "type": lane.type, "drivable": lane.type in DRIVABLE}
+        row["ego"] = bool(_area(lane).contains(eye))
+        pixels = np.flatnonzero(plane == number)
+        row["pixels"] = len(pixels)
+        if len(pixels):
+            row["rle"] = masks.encode(pixels, *plane.shape)
+        for side, points in (("left", lane.left), ("right", lane.right)):
+            row[f"{side}_world_m"] = np.round(points + origin, 3).tolist()
+            row[f"{side}_px"] = [np.round(piece, 2).tolist() for piece in _drawn(points, view, plane.shape[::-1], bend)]
+        found.append(row)
+    return found
+
+
+def _area(lane: Lanelet) -> shapely.Polygon:
+    area = shapely.Polygon(np.concatenate([lane.left, lane.right[::-1]])[:, :2])
+    return area if area.is_valid else area.buffer(0.0)
+
+
+def _places(seen: Aovs, scene: SceneDict, where: Any) -> Array:
+    """(N, 3) what some pixels see, in the scene [m]."""
+    view = Projection.of(scene.camera)
+    row, column = np.nonzero(where)
+    depth = seen.depth_m[where].astype(np.float64)
+    across = (np.c_[column, row] + 0.5 - np.array(view.axis_px)) / view.scale_px
+    if not scene.camera.width_m:
+        across = across * depth[:, None]
+    return np.asarray(np.c_[across, depth] @ view.rotation + scene.camera.to_world[:3, 3])
+
+
+def _drawn(points: Array, view: Projection, size_px: tuple[int, ...], bend: Bend | None) -> list[Array]:
+    """Pieces of an edge within the picture, each (N, 2)."""
+    seen = _projected(_fine(points) if bend else points, view)
+    pieces = [piece for line in seen for piece in _clipped(line, (view.width_px, view.height_px))]
+    if bend is None:
+        return pieces
+    return [piece for line in pieces for piece in _clipped(bend(line), size_px)]
+
+
+def _projected(points: Array, view: Projection) -> list[Array]:
+    """Lines of a polyline that lie before the camera, each (N, 2) [px]."""
+    local, near = view.local(points), max(view.camera.near_m, 0.05)
+    lines: list[list[Array]] = [[]]
+    for one, other in itertools.pairwise(local):
+        if max(one[2], other[2]) <= near:
+            continue
+        begin, end = one, other
+        if min(one[2], other[2]) < near:
+            cut = one + (near - one[2]) / (other[2] - one[2]) * (other - one)
+            begin, end = (cut, other) if one[2] < near else (one, cut)
+        if not lines[-1] or not np.array_equal(lines[-1][-1], begin):
+            lines.append([begin])
+        lines[-1].append(end)
+    found = [np.array(line) for line in lines if line]
+    flat = view.camera.width_m > 0.0
+    return [view.scale_px * line[:, :2] / (1.0 if flat else line[:, 2:]) + np.array(view.axis_px) for line in found]
+
+
+def _clipped(line: Array, size_px: tuple[int, ...]) -> list[Array]:
+    cut = shapely.intersection(shapely.LineString(line), shapely.box(0.0, 0.0, *size_px))
+    parts = shapely.get_parts(cut)
+    return [shapely.get_coordinates(part) for part in parts if part.geom_type == "LineString" and not part.is_empty]
+
+
+def _fine(points: Array) -> Array:
+    """A polyline with points every STEP_M and at its corners."""
+    at = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
+    s = np.union1d(at, np.arange(0.0, at[-1], STEP_M))
+    return np.stack([np.interp(s, at, axis) for axis in points.T], axis=1)
