@@ -6,6 +6,7 @@ Take and give pictures (H, W, 3) float, 0 to 1, coded as sRGB, as the papers do:
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -18,27 +19,31 @@ def none(picture: Array) -> Array:
     return picture
 
 
-def dark_channel(
-    picture: Array,
-    *,
-    patch_px: int = 15,
-    keep: float = 0.95,
-    t_min: float = 0.1,
-    radius_px: int = 60,
-    smooth: float = 1e-3,
-) -> Array:
+def dark_channel(picture: Array, **options: Any) -> Array:
     """Dark channel prior: in haze-free patches some channel of some pixel is nearly black.
 
     t = 1 - keep * min over the patch and channels of I / A; A is the brightest pixel among the 0.1 % with the
     brightest dark channel; t is refined by a guided filter; J = (I - A) / max(t, t_min) + A.
 
     Source: He, Sun and Tang, "Single image haze removal using dark channel prior", TPAMI 2011; the filter: He, Sun and
-    Tang, "Guided image filtering", TPAMI 2013, with the picture's grey as guide.
+    Tang, "Guided image filtering", TPAMI 2013, with the picture's grey as guide.  Options: of `dark_channel_fog`.
     """
+    airlight, t = dark_channel_fog(picture, **options)
+    return _recovered(picture, airlight, t)
+
+
+def dark_channel_fog(
+    picture: Array,
+    patch_px: int = 15,
+    keep: float = 0.95,
+    t_min: float = 0.1,
+    radius_px: int = 60,
+    smooth: float = 1e-3,
+) -> tuple[Array, Array]:
+    """(3,) A and (H, W) t, `t_min` to 1, that `dark_channel` sees in a picture."""
     airlight = _airlight(picture, _dark(picture, patch_px))
     rough = 1.0 - keep * _dark(picture / airlight, patch_px)
-    t = guided(picture.mean(axis=2), rough, radius_px, smooth)
-    return _recovered(picture, airlight, np.clip(t, t_min, 1.0))
+    return airlight, np.clip(guided(picture.mean(axis=2), rough, radius_px, smooth), t_min, 1.0)
 
 
 def colour_attenuation(

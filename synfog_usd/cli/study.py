@@ -22,7 +22,7 @@ def studies() -> None:
 def asm(
     source: Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the findings.")],
-    limit: Annotated[int | None, typer.Option(min=1, help="At most so many shots, spread over all.")] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="At most so many shots, drawn from all.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
 ) -> None:
     """Map where the atmospheric scattering model errs by more than the sensor's noise."""
@@ -34,6 +34,28 @@ def asm(
     scattering_model.write(found, out)
     if not quiet:
         print(scattering_model.markdown(found))
+
+
+@app.command()
+def noise(
+    source: Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the findings.")],
+    cameras: Annotated[
+        str, typer.Option(help="Shipped graphs or YAML files, comma-separated.")
+    ] = "synfog,phone,dashcam",
+    limit: Annotated[int | None, typer.Option(min=1, help="At most so many foggy shots, drawn from all.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+) -> None:
+    """Measure noise against fog: of RAW, of developed pictures, and after defogging."""
+    from synfog_usd.cli.progress import shown
+    from synfog_usd.study import noise as measured
+
+    names = [name.strip() for name in cameras.split(",") if name.strip()]
+    with shown(quiet) as (progress, _):
+        found = measured.study(source, cameras=names or measured.CAMERAS, limit=limit, progress=progress)
+    measured.write(found, out)
+    if not quiet:
+        print(measured.markdown(found))
 
 
 @app.command()

@@ -23,6 +23,7 @@ from synfog_usd import camera, files, photometry
 from synfog_usd.arrays import Array
 from synfog_usd.errors import ImageError, ParameterError
 from synfog_usd.progress import Progress, silent
+from synfog_usd.seeds import stream
 from synfog_usd.writers import read_exr
 
 DEPTHS = (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, math.inf)
@@ -77,6 +78,7 @@ class FogPair:
     Attributes:
         name: for people.
         lighting, fog: names.
+        mor_m: visibility [m].
         foggy, clear: folders with radiance.exr; `foggy` has layers.exr, too.
         electrons_per_cd_m2, dark_noise_e: of the sensor, see `camera.noise_floor`.
     """
@@ -84,6 +86,7 @@ class FogPair:
     name: str
     lighting: str
     fog: str
+    mor_m: float
     foggy: Path
     clear: Path
     electrons_per_cd_m2: float
@@ -125,13 +128,14 @@ def pairs(source: Path) -> Iterator[FogPair | str]:
     else:
         raise ParameterError(f"{source}: neither a set (index/) nor a bake (bake.json)")
     for folder in bakes:
+        place = folder.relative_to(source).as_posix() if source in folder.parents else folder.name
         try:
             rows = json.loads((folder / "bake.json").read_text(encoding="utf-8"))["shots"]
             clear = {row["lighting"]: row for row in rows if row["mor_m"] is None}
             for row in rows:
                 if row["mor_m"] is None:
                     continue
-                name = f"{folder.name}/{row['folder']}"
+                name = f"{place}/{row['folder']}"
                 sensor = ((row.get("target") or {}).get("sensor")) or {}
                 if row["lighting"] not in clear:
                     yield f"{name}: no clear frame beside it"
@@ -145,6 +149,7 @@ def pairs(source: Path) -> Iterator[FogPair | str]:
                         name,
                         light,
                         row["fog"],
+                        float(row["mor_m"]),
                         folder / row["folder"],
                         folder / clear[light]["folder"],
                         float(sensor["electrons_per_cd_m2"]),
@@ -154,12 +159,19 @@ def pairs(source: Path) -> Iterator[FogPair | str]:
             yield f"{folder}: bake.json cannot be used ({error})"
 
 
+def some(found: list[FogPair], limit: int | None) -> list[FogPair]:
+    """At most so many, drawn from all; the same each time."""
+    if limit is None or limit >= len(found):
+        return found
+    return [found[place] for place in sorted(stream(0, "study", "some").permutation(len(found))[:limit])]
+
+
 def study(source: Path, *, limit: int | None = None, progress: Progress = silent) -> ScatteringStudy:
     """Compare the model with the truth over a set or a bake.
 
     Args:
         source: folder.
-        limit: at most so many shots, spread over all.
+        limit: at most so many shots, drawn from all.
         progress: whom to tell.
 
     Raises:
@@ -167,9 +179,7 @@ def study(source: Path, *, limit: int | None = None, progress: Progress = silent
     """
     found = list(pairs(source))
     left_out = [one for one in found if isinstance(one, str)]
-    usable = [one for one in found if isinstance(one, FogPair)]
-    if limit is not None and limit < len(usable):
-        usable = [usable[number * len(usable) // limit] for number in range(limit)]
+    usable = some([one for one in found if isinstance(one, FogPair)], limit)
     errors, floor, shots = Medians(), Medians(), 0
     for number, pair in enumerate(usable):
         progress(pair.name, number / len(usable))

@@ -1,0 +1,411 @@
+"""Noise against fog: of RAW, of developed pictures and after defogging, from the radiance of real shots.
+
+Takes the shots of a set or a bake; develops each several times, with temporal noise of its own, by several cameras.
+Temporal noise is what differs between frames of one scene: the spread over `FRAMES` of them, pixel by pixel.  What one
+picture shows is told beside it by Immerkaer's estimate, with the sensor's noise and without (as in SynFog-alpha): it
+cannot tell texture from noise, and neither can who trains on such pictures.
+
+The defogger is the dark channel prior: J = (I - A) / t + A, so noise should grow by 1/t of its own t.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage, stats
+
+from synfog_usd import camera, files
+from synfog_usd.arrays import Array
+from synfog_usd.benchmark.classics import dark_channel_fog
+from synfog_usd.errors import ParameterError, SynfogError
+from synfog_usd.graph import NodeGraph
+from synfog_usd.image import Image
+from synfog_usd.progress import Progress, silent
+from synfog_usd.study.bench import readings
+from synfog_usd.study.scattering_model import FogPair, pairs, some
+from synfog_usd.writers import read_exr
+
+FRAMES = 8
+CAMERAS = ("synfog", "phone", "dashcam")
+TEMPORAL = ("sensor.shot_noise", "sensor.read_noise", "sensor.adc_noise", "sensor.black_clamp")
+"""Ops that differ from frame to frame."""
+
+SIGNAL_DN = np.geomspace(1.0, 4096.0, 25)
+"""Edges of the bins of the RAW signal above black."""
+
+GROWTH = (1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.01)
+"""Edges of the bins of 1 / t."""
+
+CLEAR = "clear"
+UNCLIPPED = 0.02, 0.98
+"""Of a picture, 0 to 1: pixels nearer to its ends lose noise there and are left out."""
+
+
+@dataclass
+class BinnedMeans:
+    """Sums by bin.
+
+    Attributes:
+        x, y, number: sums of what is on the axis and of the variance, and how many.
+    """
+
+    bins: int
+    x: Array = field(init=False)
+    y: Array = field(init=False)
+    number: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.x, self.y, self.number = (np.zeros(self.bins) for _ in range(3))
+
+    def add(self, where: Array, x: Array, y: Array) -> None:
+        """Count pixels into bins; those outside of all are left out."""
+        inside = (where >= 0) & (where < self.bins)
+        for sums, values in ((self.x, x), (self.y, y), (self.number, np.ones_like(x))):
+            sums += np.bincount(where[inside], values[inside], self.bins)
+
+    def means(self, fewest: int = 500) -> tuple[Array, Array]:
+        """Mean x and y of the bins that have at least so many pixels."""
+        kept = self.number >= fewest
+        return self.x[kept] / self.number[kept], self.y[kept] / self.number[kept]
+
+
+@dataclass(frozen=True)
+class ShotNoise:
+    """One shot by one camera.
+
+    Attributes:
+        camera, name, lighting, fog: which.
+        raw_dn: temporal noise of RAW [DN], RMS over pixels.
+        raw_ratio: its variance over that of photons, read-out and rounding.
+        neighbours_raw, neighbours: correlation of the noise of a pixel with that of the next one of its colour in RAW,
+            and with the next one in the green of the picture.
+        picture: temporal noise of the picture [8-bit numbers], RMS over pixels and channels.
+        defogged: the same after the dark channel prior.
+        growth, expected: `defogged` over `picture` where nothing is clipped, and the RMS of 1 / t there.
+        shown, shown_quiet: Immerkaer's estimate of one picture [8-bit numbers] with and without the sensor's noise.
+        shown_defogged, shown_defogged_quiet: the same after defogging.
+    """
+
+    camera: str
+    name: str
+    lighting: str
+    fog: str
+    raw_dn: float
+    raw_ratio: float
+    neighbours_raw: float
+    neighbours: float
+    picture: float
+    defogged: float
+    growth: float
+    expected: float
+    shown: float
+    shown_quiet: float
+    shown_defogged: float
+    shown_defogged_quiet: float
+
+
+NUMBERS = tuple(ShotNoise.__dataclass_fields__)[4:]
+
+
+@dataclass(frozen=True)
+class NoiseStudy:
+    """What came of it.
+
+    Attributes:
+        rows: by shot and camera.
+        transfer: camera -> RAW variance [DN^2] by signal [DN], and the closed form at the same places.
+        growth: camera -> growth by 1 / t.
+        fogs: names, clear first, as the shots have them.
+        left_out: lines on shots that could not be used.
+    """
+
+    rows: tuple[ShotNoise, ...]
+    transfer: dict[str, tuple[Array, Array, Array]]
+    growth: dict[str, tuple[Array, Array]]
+    fogs: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+def study(
+    source: Path, *, cameras: Sequence[str] = CAMERAS, limit: int | None = None, progress: Progress = silent
+) -> NoiseStudy:
+    """Measure the shots of a set or a bake.
+
+    Args:
+        source: folder.
+        cameras: shipped graphs or YAML files with a RAW mosaic (`sensor.adc`) and a node 'srgb'.
+        limit: at most so many foggy shots, drawn from all; clear frames come with theirs.
+        progress: whom to tell.
+
+    Raises:
+        ParameterError: nothing in it that can be measured.
+        GraphError: a camera that is none.
+    """
+    graphs = {name: _camera(name) for name in cameras}
+    found = list(pairs(source))
+    left_out = [one for one in found if isinstance(one, str)]
+    usable = some([one for one in found if isinstance(one, FogPair)], limit)
+    shots: dict[Path, tuple[FogPair, str]] = {}
+    for pair in usable:
+        shots.setdefault(pair.clear, (pair, CLEAR))
+        shots[pair.foggy] = (pair, pair.fog)
+    transfer = {name: BinnedMeans(len(SIGNAL_DN) - 1) for name in graphs}
+    expected = {name: BinnedMeans(len(SIGNAL_DN) - 1) for name in graphs}
+    grown = {name: BinnedMeans(len(GROWTH) - 1) for name in graphs}
+    before = {name: BinnedMeans(len(GROWTH) - 1) for name in graphs}
+    rows = []
+    for number, (folder, (pair, fog)) in enumerate(shots.items()):
+        progress(f"{pair.name.rpartition('/')[0]}/{fog}", number / len(shots))
+        try:
+            clear, radiance = read_exr(pair.clear / "radiance.exr"), read_exr(folder / "radiance.exr")
+            for name, graph in graphs.items():
+                sums = transfer[name], expected[name], grown[name], before[name]
+                rows.append(_shot(name, graph, clear, radiance, pair, fog, sums))
+        except SynfogError as error:
+            left_out.append(f"{pair.name}: {error}")
+    if not rows:
+        raise ParameterError(
+            f"{source}: no foggy shot with a clear frame that can be developed; "
+            f"{left_out[0] if left_out else 'it is empty'}"
+        )
+    curves = {name: (*transfer[name].means(), expected[name].means()[1]) for name in graphs}
+    growth = {
+        name: (grown[name].means()[0], np.sqrt(grown[name].means()[1] / before[name].means()[1])) for name in graphs
+    }
+    fogs = dict.fromkeys([CLEAR, *sorted({pair.fog for pair in usable}, key=_thinnest(usable))])
+    return NoiseStudy(tuple(rows), curves, growth, tuple(fogs), tuple(left_out))
+
+
+def _thinnest(usable: Sequence[FogPair]) -> Any:
+    """Key that sorts fogs by visibility, thin ones first."""
+    seen = {pair.fog: pair.mor_m for pair in usable}
+    return lambda fog: (-seen[fog], fog)
+
+
+def _camera(name: str) -> NodeGraph:
+    graph = camera.load_graph(Path(name))
+    if not graph.nodes_with("sensor.adc") or "srgb" not in graph.nodes:
+        raise ParameterError(f"camera {name}: needs a node of sensor.adc and one named 'srgb'")
+    if getattr(graph.profiles.get("sensor"), "name", "") not in readings():
+        raise ParameterError(f"camera {name}: its sensor is none of those that ship: {', '.join(readings())}")
+    return graph
+
+
+def _shot(
+    name: str,
+    graph: NodeGraph,
+    clear: Image,
+    radiance: Image,
+    pair: FogPair,
+    fog: str,
+    sums: tuple[BinnedMeans, BinnedMeans, BinnedMeans, BinnedMeans],
+) -> ShotNoise:
+    exposure = camera.meter(camera.field_of_view(clear, graph), graph)
+    adc = graph.nodes_with("sensor.adc")[0].name
+
+    def developed(graph: NodeGraph, seed: int) -> tuple[Array, Array]:
+        run = camera.develop(
+            graph, {"radiance": radiance}, seed=seed, exposure=exposure, until="srgb", keep=[adc, "srgb"]
+        )
+        return run[adc].pixels[..., 0].astype(np.float64), np.rint(255.0 * run["srgb"].pixels.astype(np.float64)) / 255
+
+    frames = [developed(graph, seed) for seed in range(FRAMES)]
+    quiet = graph.without([node.name for node in graph.nodes.values() if node.op.name in TEMPORAL])
+    still = developed(quiet, 0)[1]
+    raw, pictures = np.array([one[0] for one in frames]), np.array([one[1] for one in frames])
+
+    chip: Any = graph.profiles["sensor"]
+    reading = readings()[chip.name].at(exposure.iso)
+    signal, variance = raw.mean(axis=0) - chip.black_level_dn, raw.var(axis=0, ddof=1)
+    gain = reading.gain_dn_e
+    closed = gain * np.maximum(signal, 0.0) + (gain * reading.dark_noise_e) ** 2 + 1.0 / 12.0
+    good = (raw.max(axis=0) < 0.95 * chip.white_level_dn) & (raw.min(axis=0) > 0)
+    where = np.digitize(signal[good], SIGNAL_DN) - 1
+    sums[0].add(where, signal[good], variance[good])
+    sums[1].add(where, signal[good], closed[good])
+
+    _, t = dark_channel_fog(pictures.mean(axis=0))
+    seen = np.array([_through(picture) for picture in pictures])
+    before, after = pictures.var(axis=0, ddof=1).mean(axis=-1), seen.var(axis=0, ddof=1).mean(axis=-1)
+    low, high = UNCLIPPED
+    whole = np.all((pictures > low) & (pictures < high) & (seen > low) & (seen < high), axis=(0, 3)) & (before > 0)
+    sums[2].add(np.digitize(1.0 / t[whole], GROWTH) - 1, 1.0 / t[whole], after[whole])
+    sums[3].add(np.digitize(1.0 / t[whole], GROWTH) - 1, 1.0 / t[whole], before[whole])
+    kept = before[whole].sum()
+    return ShotNoise(
+        name,
+        pair.name,
+        pair.lighting,
+        fog,
+        float(np.sqrt(variance[good].mean())),
+        float(variance[good].mean() / closed[good].mean()),
+        _beside(raw, 2),
+        _beside(pictures[..., 1], 1),
+        255.0 * float(np.sqrt(before.mean())),
+        255.0 * float(np.sqrt(after.mean())),
+        float(np.sqrt(after[whole].sum() / kept)) if kept > 0 else math.nan,
+        float(np.sqrt((before[whole] / t[whole] ** 2).sum() / kept)) if kept > 0 else math.nan,
+        immerkaer(pictures[0]),
+        immerkaer(still),
+        immerkaer(seen[0]),
+        immerkaer(_through(still)),
+    )
+
+
+def _through(picture: Array) -> Array:
+    airlight, t = dark_channel_fog(picture)
+    return np.clip((picture - airlight) / t[..., None] + airlight, 0.0, 1.0)
+
+
+def _beside(frames: Array, step: int) -> float:
+    """Correlation of the temporal noise of pixels `step` apart, along rows and columns."""
+    rest = frames - frames.mean(axis=0)
+    across, down = (rest[:, :, step:] * rest[:, :, :-step]).mean(), (rest[:, step:] * rest[:, :-step]).mean()
+    return float((across + down) / 2.0 / max((rest**2).mean(), 1e-30))
+
+
+def immerkaer(picture: Array) -> float:
+    """Noise that a single picture (H, W, 3), 0 to 1, seems to have [8-bit numbers], mean of its channels.
+
+    sqrt(pi / 2) times the mean |N * I| / 6, with N = (1 -2 1; -2 4 -2; 1 -2 1), which sees no plane and no parabola.
+    Right for independent normal noise; noise that demosaicing smoothed it takes for less, and texture for noise.
+
+    Source: Immerkaer, "Fast noise variance estimation", Computer Vision and Image Understanding 64 (1996).
+    """
+    mask = np.outer((1.0, -2.0, 1.0), (1.0, -2.0, 1.0))[..., None]
+    seen = np.abs(ndimage.convolve(np.asarray(picture, dtype=np.float64), mask))[1:-1, 1:-1]
+    return 255.0 * math.sqrt(math.pi / 2.0) / 6.0 * float(seen.mean())
+
+
+# -- page
+
+
+def interval(numbers: Sequence[float]) -> tuple[float, float]:
+    """Mean over shots and half of its 95 % interval; nan for one shot."""
+    values = np.array([number for number in numbers if math.isfinite(number)])
+    if len(values) < 2:
+        return (float(values.mean()) if len(values) else math.nan), math.nan
+    half = float(stats.t.ppf(0.975, len(values) - 1)) * float(values.std(ddof=1)) / math.sqrt(len(values))
+    return float(values.mean()), half
+
+
+def _of(found: NoiseStudy, name: str, fog: str, what: str) -> tuple[float, float]:
+    return interval([getattr(row, what) for row in found.rows if row.camera == name and row.fog == fog])
+
+
+def markdown(found: NoiseStudy) -> str:
+    """Findings and tables."""
+    shots = len(found.rows) // max(len(found.transfer), 1)
+    lines = [
+        "# Noise and fog",
+        "",
+        f"{shots} shots, {FRAMES} frames each. Means over shots; ± is half of the interval at 95 %. Pictures in 8-bit "
+        "numbers.",
+        "",
+    ]
+    for name, (_, measured, closed) in found.transfer.items():
+        if not measured.size:
+            continue
+        off = np.abs(measured / closed - 1.0).max()
+        some = [row for row in found.rows if row.camera == name and math.isfinite(row.growth)]
+        growth, half = interval([row.growth / row.expected for row in some])
+        beside = [
+            interval([getattr(row, what) for row in found.rows if row.camera == name])[0]
+            for what in ("neighbours_raw", "neighbours")
+        ]
+        lines.append(
+            f"- **{name}.** RAW: variance within {off:.1%} of photons, read-out and rounding at every signal. "
+            f"Neighbours in RAW correlate by {beside[0]:+.3f}, after demosaicing by {beside[1]:+.2f}. "
+            f"The dark channel prior lets noise grow by {growth:.2f} ± {half:.2f} times its own 1/t."
+        )
+    for name in found.transfer:
+        lines += [
+            "",
+            f"## {name}",
+            "",
+            "| fog | RAW [DN] | picture | defogged | growth | 1/t | one picture shows | without noise | defogged | "
+            "without noise |",
+            "|---|---|---|---|---|---|---|---|---|---|",
+        ]
+        for fog in found.fogs:
+            cells = [
+                "{:.2f} ± {:.2f}".format(*_of(found, name, fog, what)).replace(" ± nan", "")
+                for what in (
+                    "raw_dn",
+                    "picture",
+                    "defogged",
+                    "growth",
+                    "expected",
+                    "shown",
+                    "shown_quiet",
+                    "shown_defogged",
+                    "shown_defogged_quiet",
+                )
+            ]
+            lines.append(f"| {fog} | {' | '.join(cells)} |")
+    for line in found.left_out[:5]:
+        lines += ["", f"Left out: {line}"]
+    return "\n".join([*lines, ""])
+
+
+def write(found: NoiseStudy, out: Path) -> None:
+    """Write findings.md, noise.csv, transfer.csv and noise.png.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    files.write_bytes(out / "findings.md", markdown(found).encode())
+    rows = [f"camera,shot,lighting,fog,{','.join(NUMBERS)}"]
+    for row in found.rows:
+        numbers = ",".join(f"{getattr(row, name):.5g}" for name in NUMBERS)
+        rows.append(f"{row.camera},{row.name},{row.lighting},{row.fog},{numbers}")
+    files.write_bytes(out / "noise.csv", "\n".join([*rows, ""]).encode())
+    rows = ["camera,signal_dn,variance_dn2,closed_form_dn2"]
+    for name, columns in found.transfer.items():
+        rows += [f"{name}," + ",".join(f"{value:.6g}" for value in row) for row in zip(*columns, strict=True)]
+    files.write_bytes(out / "transfer.csv", "\n".join([*rows, ""]).encode())
+    files.write_bytes(out / "noise.png", _drawn(found))
+
+
+def _drawn(found: NoiseStudy) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15.0, 4.4), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    transfer, fogs, growth = figure.subplots(1, 3)
+    for name, colour in zip(found.transfer, ("#0b5fa5", "#c1440e", "#12805c", "#7a4fa3", "#8a6d00"), strict=False):
+        signal, measured, closed = found.transfer[name]
+        transfer.plot(signal, measured, "o", ms=4, color=colour, label=name)
+        transfer.plot(signal, closed, "-", lw=1.0, color=colour)
+        places = np.arange(len(found.fogs))
+        for what, style in (("picture", "o-"), ("defogged", "s--")):
+            middle, half = np.array([_of(found, name, fog, what) for fog in found.fogs]).T
+            text = f"{name}, {'developed' if what == 'picture' else 'defogged'}"
+            fogs.errorbar(places, middle, half, fmt=style, ms=4, color=colour, capsize=2, label=text)
+        growth.plot(*found.growth[name], "o", ms=5, color=colour, label=name)
+    transfer.plot([], [], "-", lw=1.0, color="#22262a", label="photons, read-out, rounding")
+    transfer.set(
+        xscale="log", yscale="log", xlabel="RAW above black [DN]", ylabel="temporal variance [DN^2]", title="RAW"
+    )
+    fogs.set_xticks(np.arange(len(found.fogs)), found.fogs)
+    fogs.set(ylabel="temporal noise [8-bit numbers]", title="Pictures")
+    growth.plot([1, 10], [1, 10], "-", lw=1.0, color="#22262a", label="1 / t")
+    growth.set(
+        xscale="log",
+        yscale="log",
+        xlabel="1 / t of the dark channel prior",
+        ylabel="noise defogged / developed",
+        title="What defogging makes of it",
+    )
+    for axes in (transfer, fogs, growth):
+        axes.legend(frameon=False, fontsize=8)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", metadata={"Software": None})
+    return stream.getvalue()
