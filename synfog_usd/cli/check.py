@@ -43,13 +43,14 @@ def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], lis
     """
     opened = usd.open_stage(stage, allow=allow)
     notes: dict[Note, None] = {}
-    found = dict.fromkeys(_placed(opened, usd.check(opened)))
+    first = _placed(opened, usd.check(opened))
+    found = dict.fromkeys(first)
     light: dict[str, str] = {}
     overlaps: list[Overlap] | None = None
     in_fog: list[set[Finding]] = []  # what is found where there is fog, by variant
     try:
         for lighting in _variants(opened):
-            more = _placed(opened, rules.findings(opened))
+            more = _placed(opened, rules.findings(opened)) if usd.variants(opened) else first
             found |= dict.fromkeys(more)
             if not any(one.rule == "no-fog" for one in more):
                 in_fog.append(set(more))

@@ -284,6 +284,7 @@ def preview(
             size=_size(resolution),
             samples=samples,
             bands=3,
+            draft=True,
             variant=variant,
             allow=tuple(allow or ()),
         ),

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 MANIFEST = "bake.json"
 METER_WIDTH_PX = 160
-METER_SAMPLES = 64
+METER_SAMPLES, DRAFT_METER_SAMPLES = 64, 8
 
 ANOTHER_LOAD = 0.5
 """Share of a scene's triangles that its fog must hide: what is left is loaded once more, with kernels of its own, where
@@ -122,7 +122,7 @@ def bake(
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
         ledger, renderer = _Ledger(plan.out, metadata, notes), _Renderer()
-        if not ledger.labels_done():
+        if not plan.draft and not ledger.labels_done():
             progress("labels", 0.0)
             with reading():
                 first = scenes.of(todo[0])
@@ -366,8 +366,9 @@ def _meter(lighting: str, scene: SceneDict, renderer: _Renderer, plan: BakePlan,
 
     loaded = _loaded(scene, renderer, models.AUTO)
     size = METER_WIDTH_PX, max(1, round(METER_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
+    samples = DRAFT_METER_SAMPLES if plan.draft else METER_SAMPLES
     frame = render(
-        scene, samples=METER_SAMPLES, seed=seed32(plan.seed, "meter"), size=size, loaded=resized(loaded, size)
+        scene, samples=samples, seed=seed32(plan.seed, "meter"), size=size, loaded=resized(loaded, size)
     ).radiance
     exposure = camera.meter(frame, graph)
     if plan.clip and (before := plan.clip.before.get(lighting)):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from pxr import Sdf, Sdr, Usd, UsdShade
+from pxr import Sdf, Sdr, Tf, Usd, UsdShade
 
 from synfog_usd.stage.schema import API_NAME
 
@@ -88,9 +88,7 @@ def _shader_inputs(prim: Usd.Prim) -> dict[str, Any]:
 
 def _shape(kind: Any) -> tuple[bool, str]:
     """Array or not, and what one value is: numbers of any precision are alike, and vectors of any meaning."""
-    if not kind or not str(
-        kind.scalarType
-    ):  # asking a type that USD does not know for its default takes the process down
+    if not kind or kind.type == Tf.Type.Unknown:  # asked for its default, such a type takes the process down
         return False, "unknown"
     one = type(kind.scalarType.defaultValue).__name__
     if one in ("bool", "int", "float"):

@@ -141,6 +141,7 @@ def test_a_preview_is_a_small_denoised_bake(stage, tmp_path):
         assert picture.size == (32, 18) and row["denoised"]
         assert terminal.blocks(picture.convert("RGB"), 80) in done.stdout
     assert "1 pictures in" in done.stdout and (tmp_path / "out" / "contact.png").is_file()
+    assert not list((tmp_path / "out").glob("labels*"))
 
 
 def test_a_pipe_gets_no_picture(stage, tmp_path):

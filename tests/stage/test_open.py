@@ -20,6 +20,7 @@ from synfog_usd.stage import (
     variants,
 )
 from synfog_usd.stage.open import unit_notes
+from synfog_usd.stage.types import mistyped
 from synfog_usd.translate import translate
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "usd"
@@ -296,3 +297,11 @@ def test_a_shell_completes_variants_from_the_stage(tmp_path, monkeypatch, capsys
         override(open_stage(tmp_path / "a.usda"), choices=[choice])
     assert asked("a.usda", found[-1][:-1]) == [choice for choice in found if choice.startswith(found[-1][:-1])]
     assert asked("none.usda", "") == []
+
+
+def test_a_type_that_usd_does_not_know_is_told_though_it_has_a_value():
+    """`uble height = 0.7`, of which a letter was lost: asked for its type's default, the library died."""
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().ImportFromString('#usda 1.0\ndef Cone "A"\n{\n    uble height = 0.7\n}\n')
+    ((attribute, text),) = mistyped(stage)
+    assert attribute.GetName() == "height" and "a type that USD does not know" in text
