@@ -268,3 +268,8 @@ def rows(vectors: Any, kind: Any = None) -> Any:
 def is_scalar() -> bool:
     """Whether the variant in force works on single numbers."""
     return str(mitsuba().variant()).startswith("scalar")
+
+
+def is_cuda() -> bool:
+    """Whether the variant in force runs on a graphics processor."""
+    return str(mitsuba().variant()).startswith("cuda")

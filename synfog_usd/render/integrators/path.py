@@ -22,6 +22,7 @@ emitter sampling by the power heuristic (Veach and Guibas 1995), lamps by resamp
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -41,6 +42,7 @@ from synfog_usd.render.film.accumulator import (
     accumulate_by_estimator,
 )
 from synfog_usd.render.film.raster import Raster
+from synfog_usd.render.integrators.tasks import Tasks
 from synfog_usd.render.lights.grid import TILES, LightGrid
 from synfog_usd.render.lights.guiding import GUIDE_PROBABILITY, MOST_GUIDED, LightGuide
 from synfog_usd.render.lights.importance import PICKS, Gloss, Importance, LitFaces, Picks
@@ -360,6 +362,13 @@ class FogPath:
             mi.Float(cell // column_count),
         )
 
+    def region(self, cells: FroxelGrid | None, pixel: Any) -> tuple[Any, Any, Any]:
+        """Top left corner of pixels, or of cells, and the size of one, both in pixels; and the slices of the cells."""
+        mi = backend.mitsuba()
+        if cells is not None:
+            return self.froxel(pixel, cells)
+        return self.raster.corner(pixel), mi.Point2f(1.0), mi.Float(0.0)
+
     @dr.syntax
     def trace_paths(
         self, inscattered: bool, pixel: Any, first: Any, count: int, seed: int, cells: FroxelGrid | None = None
@@ -367,8 +376,8 @@ class FogPath:
         """Paths whose first segment meets a surface, or (`inscattered`) is scattered, anywhere or within `cells`; other
         arguments as in `trace`.
 
-        A lane whose path has ended begins its next one at once: vector units work on
-        16 lanes in step, and would otherwise wait for the longest path of the 16.
+        A lane whose path has ended begins its next one at once, and goes on with another pixel where one has all its
+        paths: vector units work on 16 lanes in step, and would otherwise wait for the longest path of the 16.
         """
         mi = backend.mitsuba()
         scene, context, medium, bands, black = (
@@ -381,17 +390,22 @@ class FogPath:
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
         in_froxels = cells is not None
         slices = float(cells.slices if in_froxels else 1)
-        corner, size, nearest = (
-            self.froxel(pixel, cells) if in_froxels else (self.raster.corner(pixel), mi.Point2f(1.0), mi.Float(0.0))
-        )
 
-        # ---- Sums over the paths of a lane
-        aovs = [bands.black() for _ in AOVS[INSCATTERED if inscattered else SURFACE]]  # light by AOV
-        sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []  # light by light group
+        # ---- Tasks: each is some paths of one pixel, and a lane does one after the other
+        parts = len(AOVS[INSCATTERED if inscattered else SURFACE])
+        lit_groups = self.groups if self.groups > 1 else 0
+        tasks = Tasks(pixel, first, count, bands.count * (parts + 1 + lit_groups), 2)
+        task, region = tasks.begun(), functools.partial(self.region, cells)
+        pixel, first = tasks.of(task, mi.Bool(True))
+        corner, size, nearest = region(pixel)
+
+        # ---- Sums over the paths of a task
+        aovs = [bands.black() for _ in range(parts)]  # light by AOV
+        sums = [bands.black() for _ in range(lit_groups)]  # light by light group
         squares = bands.black()  # of each path's light
         lost = mi.UInt32(0)  # paths that were not finite
         seen = mi.UInt32(0)  # paths of a froxel that nothing hid
-        begun = mi.UInt32(0)  # paths that have ended
+        begun = mi.UInt32(0)  # paths of the task that have ended
 
         # ---- State of the path that is under way
         sampler = Sobol(image_seed, pixel, first)  # its random numbers
@@ -417,6 +431,7 @@ class FogPath:
 
         while active:
             at_eye = active & (depth == 0)
+            corner, size, nearest = region(pixel)
 
             # ==== 1. Free flight: where the fog would scatter the path, if nothing stands before
             may_scatter = active & ~at_eye
@@ -588,14 +603,23 @@ class FogPath:
             alive &= medium_scattered | (bounces < self.method.bounces)
             throughput /= dr.maximum(rr_prob, 1e-8)
 
-            # ==== 13. The lane's next path where this one has ended
+            # ==== 13. The lane's next path where this one has ended, of its next task where this one has all of them
             over = active & ~alive
             finite = dr.all(dr.isfinite(path))
             squares += dr.select(over & finite, path * path, black)
             lost += dr.select(over & ~finite, mi.UInt32(1), mi.UInt32(0))
             begun += dr.select(over, mi.UInt32(1), mi.UInt32(0))
-            again = over & (begun < wanted)
+            done = over & (begun >= wanted)
+            tasks.deliver(task, done, [part for light in (*aovs, squares, *sums) for part in light], [lost, seen])
+            aovs, sums = [dr.select(done, black, aov) for aov in aovs], [dr.select(done, black, total) for total in sums]
+            squares, lost = dr.select(done, black, squares), dr.select(done, mi.UInt32(0), lost)
+            seen, begun = dr.select(done, mi.UInt32(0), seen), dr.select(done, mi.UInt32(0), begun)
+            task = dr.select(done, tasks.after(task), task)
+            again = over & tasks.there(task)
+            next_pixel, next_first = tasks.of(task, done & again)
+            pixel, first = dr.select(done, next_pixel, pixel), dr.select(done, next_first, first)
             sampler = sampler.restarted(again, Sobol(image_seed, pixel, first + begun))
+            corner, size, nearest = region(pixel)
             view, view_weight = self.camera_ray(sampler, corner, again, size)
             ray = dr.select(again, view, ray)
             throughput, scale = dr.select(again, bands.even(view_weight), throughput), dr.select(again, 1.0, scale)
@@ -608,7 +632,8 @@ class FogPath:
                 prev_without_nee & ~again,
             )
             active = alive | again
-        return Moments(tuple(aovs), squares, tuple(sums), lost, seen)
+        colours = [bands.of(tasks.floats[low : low + bands.count]) for low in range(0, len(tasks.floats), bands.count)]
+        return Moments(tuple(colours[:parts]), colours[parts], tuple(colours[parts + 1 :]), *tasks.counts)
 
     # The steps of `trace_paths`, by its numbers: traced functions, in which `if` is Python's own.
 

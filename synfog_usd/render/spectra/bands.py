@@ -127,6 +127,10 @@ class Bands:
         mi = backend.mitsuba()
         return mi.Color3f(0.0) if self.is_rgb else self._array([mi.Float(0.0)] * self.count)
 
+    def of(self, parts: Sequence[Any]) -> Any:
+        """Light, of its numbers in all bands."""
+        return backend.mitsuba().Color3f(*parts) if self.is_rgb else self._array(list(parts))
+
     def even(self, value: Any) -> Any:
         """A throughput that is the same in all bands."""
         mi = backend.mitsuba()
