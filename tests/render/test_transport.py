@@ -8,8 +8,9 @@ from support.stats import assert_agree, assert_mean
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
-from synfog_usd.render import models
+from synfog_usd.render import backend, models
 from synfog_usd.render.film import accumulator
+from synfog_usd.render.integrators import path, tasks
 from synfog_usd.render.shot import load, render
 from synfog_usd.testing import black, box, scene, uniform_fog, wall
 
@@ -265,6 +266,29 @@ def test_bytes_do_not_depend_on_how_much_is_in_flight(monkeypatch):
     again = render(world, samples=64, model="path")
     assert first.radiance.pixels.tobytes() == again.radiance.pixels.tobytes()
     assert first.radiance.variance.tobytes() == again.radiance.variance.tobytes()
+
+
+def test_bytes_do_not_depend_on_how_many_pixels_a_lane_takes(monkeypatch):
+    """A lane for each, one lane for all, or seven that share them unevenly: the same bytes."""
+    world = lamps_in_fog(0.87, BOX)
+    pictures = []
+    for paths, lanes in ((1, 1), (1 << 20, 1), (1 << 20, 7)):
+        monkeypatch.setattr(tasks, "PATHS", paths)
+        monkeypatch.setattr(tasks, "LEAST_LANES", lanes)
+        pictures.append(render(world, samples=4, model="path"))
+    for other in pictures[1:]:
+        assert other.radiance.pixels.tobytes() == pictures[0].radiance.pixels.tobytes()
+        assert other.radiance.variance.tobytes() == pictures[0].radiance.variance.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("pdf", "other", "weight"),
+    [(3.0, 4.0, 9 / 25), (0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (np.inf, 1.0, 1.0), (1.0, np.inf, 0.0), (1e25, 1e25, 0.5)],
+)
+def test_the_power_heuristic_is_a_number_for_every_density(pdf, other, weight):
+    """p^2 / (p^2 + q^2), of densities whose squares float32 does not hold too."""
+    mi = backend.mitsuba()
+    assert path.mis_weight(mi.Float(pdf), mi.Float(other))[0] == pytest.approx(weight, rel=1e-6)
 
 
 def test_samples_that_are_added_in_parts_are_those_of_all_at_once():

@@ -611,7 +611,10 @@ class FogPath:
             begun += dr.select(over, mi.UInt32(1), mi.UInt32(0))
             done = over & (begun >= wanted)
             tasks.deliver(task, done, [part for light in (*aovs, squares, *sums) for part in light], [lost, seen])
-            aovs, sums = [dr.select(done, black, aov) for aov in aovs], [dr.select(done, black, total) for total in sums]
+            aovs, sums = (
+                [dr.select(done, black, aov) for aov in aovs],
+                [dr.select(done, black, total) for total in sums],
+            )
             squares, lost = dr.select(done, black, squares), dr.select(done, mi.UInt32(0), lost)
             seen, begun = dr.select(done, mi.UInt32(0), seen), dr.select(done, mi.UInt32(0), begun)
             task = dr.select(done, tasks.after(task), task)
@@ -979,6 +982,8 @@ def _to_group(sums: list[Any], light: Any, group: Any) -> list[Any]:
 
 
 def mis_weight(pdf: Any, other: Any) -> Any:
-    """Weight of a sample by the power heuristic, 0 where its density is 0."""
-    square = pdf * pdf
-    return dr.select(pdf > 0.0, square / (square + other * other), 0.0)
+    """Weight of a sample by the power heuristic, 0 where its density is 0; a number for every density, since a lamp's
+    face that is seen edge-on has an infinite one.
+    """
+    ratio = other / pdf
+    return dr.select((pdf > 0.0) & ~dr.isnan(ratio), dr.rcp(1.0 + ratio * ratio), 0.0)
