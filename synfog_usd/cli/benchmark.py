@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from synfog_usd.cli import options
+
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="How well methods see through fog.")
 
 
@@ -24,7 +26,7 @@ def defog(
     split: Annotated[str, typer.Option(help="Split of a set; all if left out.")] = "",
     limit: Annotated[int | None, typer.Option(min=1, help="At most so many pairs, spread over all.")] = None,
     retry: Annotated[bool, typer.Option("--retry", help="Take up what failed, too.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    quiet: options.Quiet = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the means as JSON on standard output.")] = False,
 ) -> None:
     """Compare what METHODS make of foggy pictures with the same views in clear air."""

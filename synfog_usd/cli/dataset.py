@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from synfog_usd.cli import options
+
 app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Sets of shots: planned, made, checked and exported."
 )
@@ -147,7 +149,7 @@ def unit(
 
 @app.command()
 def export(
-    out: Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")],
+    out: options.SetOrBake,
     form: Annotated[
         str,
         typer.Option(
@@ -173,7 +175,7 @@ def export(
 
 @app.command()
 def gallery(
-    out: Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")],
+    out: options.SetOrBake,
     to: Annotated[Path | None, typer.Option(help="Folder to fill; OUT-gallery if left out.")] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -185,7 +187,7 @@ def gallery(
 
 @app.command()
 def stats(
-    out: Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")],
+    out: options.SetOrBake,
     to: Annotated[Path | None, typer.Option(help="HTML to write; OUT-stats.html if left out.")] = None,
     quiet: Quiet = False,
     as_json: AsJson = False,

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from synfog_usd import __version__
-from synfog_usd.cli import benchmark, dataset, study, worker
+from synfog_usd.cli import benchmark, dataset, options, study, worker
 from synfog_usd.errors import ParameterError, SynfogError
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
@@ -36,19 +36,6 @@ def _folder(text: str) -> Path:
     return Path(text)
 
 
-def _variants_of_stage(ctx: typer.Context, incomplete: str) -> list[str]:
-    """What --set takes for the stage that is typed before it, for a shell to complete; nothing for one that fails."""
-    from synfog_usd import stage as usd
-
-    try:
-        # A line that is not whole is not parsed: its first word without a dash is among the rest.
-        typed = ctx.params.get("stage") or next(word for word in ctx.args if not word.startswith("-"))
-        choices = usd.variant_choices(usd.open_stage(typed))
-    except (SynfogError, StopIteration):
-        return []
-    return [choice for choice in choices if choice.startswith(incomplete)]
-
-
 @app.callback(invoke_without_command=True)
 def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
     if version:
@@ -58,7 +45,7 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
 @app.command()
 def bake(
-    stage: Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz).")],
+    stage: options.Stage,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -69,15 +56,11 @@ def bake(
             show_default=False,
         ),
     ] = None,
-    pipeline: Annotated[Path | None, typer.Option(help="YAML node graph; the shipped phone if left out.")] = None,
-    lighting: Annotated[
-        str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")
-    ] = None,
-    fog: Annotated[
-        str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")
-    ] = None,
-    camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
-    frame: Annotated[float | None, typer.Option(help="Time code.")] = None,
+    pipeline: options.Pipeline = None,
+    lighting: options.Lightings = None,
+    fog: options.Fogs = None,
+    camera: options.Camera = None,
+    frame: options.Frame = None,
     frames: Annotated[
         str | None,
         typer.Option(
@@ -95,14 +78,7 @@ def bake(
             )
         ),
     ] = "auto",
-    choices: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.",
-            autocompletion=_variants_of_stage,
-        ),
-    ] = None,
+    choices: options.Choices = None,
     metres_per_unit: Annotated[
         float | None,
         typer.Option("--meters-per-unit", help="Length in metres of the stage's unit, instead of its own."),
@@ -120,11 +96,8 @@ def bake(
             help="Prims of which alone the stage is made, with cameras, lights and fog, as /World/Street,/World/Cars."
         ),
     ] = None,
-    light_scale: Annotated[float, typer.Option(help="Multiply all lights by this.")] = 1.0,
-    sun_lux: Annotated[
-        float | None,
-        typer.Option(help="Multiply all lights so that the sun gives this illuminance, as 80000 for a clear noon."),
-    ] = None,
+    light_scale: options.LightScale = 1.0,
+    sun_lux: options.SunLux = None,
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None,
     model: Annotated[
         str,
@@ -135,7 +108,7 @@ def bake(
             )
         ),
     ] = "auto",
-    samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 64,
+    samples: options.Samples = 64,
     target_error: Annotated[
         float | None,
         typer.Option(help="Relative error of a pixel to stop at, as 0.01; the sensor's noise if left out."),
@@ -162,15 +135,12 @@ def bake(
         bool, typer.Option(help="Simplify or leave out what fog hides from the sensor; --no-cull draws it whole.")
     ] = True,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
-    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
-    allow: Annotated[
-        list[Path] | None,
-        typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again."),
-    ] = None,
+    variant: options.Variant = "auto",
+    allow: options.Allow = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop, with exit code 1, at whatever is not understood.")
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    quiet: options.Quiet = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON on standard output.")] = False,
 ) -> None:
     """Bake STAGE: every lighting in every fog, to radiance, RAW and sRGB."""
@@ -215,7 +185,7 @@ def bake(
 
 @app.command()
 def preview(
-    stage: Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz).")],
+    stage: options.Stage,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -232,36 +202,19 @@ def preview(
     terminal: Annotated[
         str, typer.Option(help="Pictures in the terminal: sixel, colours, 256 or none; auto asks the terminal.")
     ] = "auto",
-    pipeline: Annotated[Path | None, typer.Option(help="YAML node graph; the shipped phone if left out.")] = None,
-    lighting: Annotated[
-        str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")
-    ] = None,
-    fog: Annotated[
-        str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")
-    ] = None,
-    camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
-    frame: Annotated[float | None, typer.Option(help="Time code.")] = None,
-    choices: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.",
-            autocompletion=_variants_of_stage,
-        ),
-    ] = None,
-    light_scale: Annotated[float, typer.Option(help="Multiply all lights by this.")] = 1.0,
-    sun_lux: Annotated[
-        float | None,
-        typer.Option(help="Multiply all lights so that the sun gives this illuminance, as 80000 for a clear noon."),
-    ] = None,
-    resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "320x180",
-    samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 4,
-    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
-    allow: Annotated[
-        list[Path] | None,
-        typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again."),
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    pipeline: options.Pipeline = None,
+    lighting: options.Lightings = None,
+    fog: options.Fogs = None,
+    camera: options.Camera = None,
+    frame: options.Frame = None,
+    choices: options.Choices = None,
+    light_scale: options.LightScale = 1.0,
+    sun_lux: options.SunLux = None,
+    resolution: options.Resolution = "320x180",
+    samples: options.Samples = 4,
+    variant: options.Variant = "auto",
+    allow: options.Allow = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Draw STAGE small and clean, every lighting in every fog, in the terminal and as a bake's files."""
     from synfog_usd.cli import preview as verb
@@ -298,10 +251,7 @@ def preview(
 def check(
     stage: Annotated[Path, typer.Argument(help="USD file.")],
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
-    allow: Annotated[
-        list[Path] | None,
-        typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again."),
-    ] = None,
+    allow: options.Allow = None,
     fix: Annotated[
         Path | None,
         typer.Option(
@@ -353,8 +303,8 @@ def chart(
         typer.Option(help="One fog: a variant of the stage, clear, or mor<metres>; as the stage has it if left out."),
     ] = None,
     lighting: Annotated[str | None, typer.Option(help="One lighting; as the stage has it if left out.")] = None,
-    camera: Annotated[str | None, typer.Option(help="Prim path of the camera.")] = None,
-    resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "160x90",
+    camera: options.Camera = None,
+    resolution: options.Resolution = "160x90",
     samples: Annotated[
         str | None,
         typer.Option(help="Paths per pixel to try, comma-separated; 8,32,128,512 and for peers 8,32,128 if left out."),
@@ -385,12 +335,9 @@ def chart(
         float, typer.Option(help="Total error for which the planner is asked; its choice is ringed.")
     ] = 0.03,
     seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0,
-    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
-    allow: Annotated[
-        list[Path] | None,
-        typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again."),
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    variant: options.Variant = "auto",
+    allow: options.Allow = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Chart what accuracy costs: seconds against error of every model on one shot of STAGE, or on every stage of a
     folder.
@@ -465,13 +412,13 @@ def contact(
     ] = "clear,mor300",
     resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT of one preview in pixels.")] = "320x180",
     columns: Annotated[int, typer.Option(help="Seeds side by side; 0 makes the sheet about square.")] = 0,
-    samples: Annotated[int, typer.Option(help="Most paths per pixel, on average.")] = 16,
+    samples: options.Samples = 16,
     model: Annotated[str, typer.Option(help="How light is transported; see bake.")] = "auto",
-    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
+    variant: options.Variant = "auto",
     change: Annotated[
         list[str] | None, typer.Option("--set", help="SECTION.KEY=VALUE over what the recipes say.")
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Show small previews of the stages that RECIPE draws, for choosing seeds."""
     if not worker.is_worker():
@@ -502,7 +449,7 @@ def contact(
 
 @app.command()
 def info(
-    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
+    variant: options.Variant = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """Tell which backend renders here and why, and the versions of what it stands on."""
@@ -566,7 +513,7 @@ def plugin_path(
 
 @app.command()
 def selftest(
-    variant: Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")] = "auto",
+    variant: options.Variant = "auto",
     quick: Annotated[bool, typer.Option("--quick", help="A few of the cases; under 40 s.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON on standard output.")] = False,
 ) -> None:
@@ -595,7 +542,7 @@ def selftest(
 
 
 @graph_app.command("check")
-def graph_check(pipeline: Annotated[Path, typer.Argument(help="YAML node graph.")]) -> None:
+def graph_check(pipeline: options.Graph) -> None:
     """Check a graph as a whole: nodes, parameters, units, quantities."""
     from synfog_usd import camera
 
@@ -605,7 +552,7 @@ def graph_check(pipeline: Annotated[Path, typer.Argument(help="YAML node graph."
 
 @graph_app.command("show")
 def graph_show(
-    pipeline: Annotated[Path, typer.Argument(help="YAML node graph.")],
+    pipeline: options.Graph,
     mermaid: Annotated[bool, typer.Option("--mermaid", help="As Mermaid text, for a drawing.")] = False,
     svg: Annotated[Path | None, typer.Option("--svg", help="Write an SVG drawing to this file.")] = None,
     source: Annotated[
@@ -625,7 +572,7 @@ def graph_show(
 
 @graph_app.command("run")
 def graph_run(
-    pipeline: Annotated[Path, typer.Argument(help="YAML node graph.")],
+    pipeline: options.Graph,
     source: Annotated[list[str], typer.Option("--in", help="NAME=FILE.exr, or FILE.exr for a graph with one input.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the graph's outputs.")] = Path(),
     meter: Annotated[Path | None, typer.Option(help="EXR to meter on; the input itself if left out.")] = None,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from synfog_usd.cli import worker
+from synfog_usd.cli import options, worker
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="What sets and bakes show of fog and its models.")
 
@@ -20,10 +20,10 @@ def studies() -> None:
 
 @app.command()
 def asm(
-    source: Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the findings.")],
+    source: options.Source,
+    out: options.Findings,
     limit: Annotated[int | None, typer.Option(min=1, help="At most so many shots, drawn from all.")] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Map where the atmospheric scattering model errs by more than the sensor's noise."""
     from synfog_usd.cli.progress import shown
@@ -38,13 +38,13 @@ def asm(
 
 @app.command()
 def noise(
-    source: Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the findings.")],
+    source: options.Source,
+    out: options.Findings,
     cameras: Annotated[
         str, typer.Option(help="Shipped graphs or YAML files, comma-separated.")
     ] = "synfog,phone,dashcam",
     limit: Annotated[int | None, typer.Option(min=1, help="At most so many foggy shots, drawn from all.")] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Measure noise against fog: of RAW, of developed pictures, and after defogging."""
     from synfog_usd.cli.progress import shown
@@ -63,14 +63,14 @@ def chamber(
     stage: Annotated[
         Path | None, typer.Argument(help="USD file of a fog chamber; the shipped stages/chamber.usda if left out.")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the findings.")] = ...,  # type: ignore[assignment]
+    out: options.Findings = ...,  # type: ignore[assignment]
     error: Annotated[
         float, typer.Option(min=1e-4, max=1.0, help="Relative error to which each patch of the chart is rendered.")
     ] = 0.01,
     laser_error: Annotated[
         float, typer.Option(min=1e-5, max=1.0, help="Relative error to which the laser's extinction is drawn.")
     ] = 0.001,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Measure a fog chamber: a laser's extinction, what falls into its meter, and a chart by every model."""
     if stage is None:

@@ -1,0 +1,56 @@
+"""Options and arguments that more than one verb takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from synfog_usd.errors import SynfogError
+
+
+def _variants_of_stage(ctx: typer.Context, incomplete: str) -> list[str]:
+    """What --set takes for the stage that is typed before it, for a shell to complete; nothing for one that fails."""
+    from synfog_usd import stage as usd
+
+    try:
+        # A line that is not whole is not parsed: its first word without a dash is among the rest.
+        typed = ctx.params.get("stage") or next(word for word in ctx.args if not word.startswith("-"))
+        choices = usd.variant_choices(usd.open_stage(typed))
+    except (SynfogError, StopIteration):
+        return []
+    return [choice for choice in choices if choice.startswith(incomplete)]
+
+
+Stage = Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz).")]
+Pipeline = Annotated[Path | None, typer.Option(help="YAML node graph; the shipped phone if left out.")]
+Lightings = Annotated[str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")]
+Fogs = Annotated[str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")]
+Camera = Annotated[str | None, typer.Option(help="Prim path of the camera.")]
+Frame = Annotated[float | None, typer.Option(help="Time code.")]
+Choices = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.",
+        autocompletion=_variants_of_stage,
+    ),
+]
+LightScale = Annotated[float, typer.Option(help="Multiply all lights by this.")]
+SunLux = Annotated[
+    float | None,
+    typer.Option(help="Multiply all lights so that the sun gives this illuminance, as 80000 for a clear noon."),
+]
+Samples = Annotated[int, typer.Option(help="Most paths per pixel, on average.")]
+Variant = Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")]
+Allow = Annotated[
+    list[Path] | None,
+    typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again."),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
+Resolution = Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")]
+Graph = Annotated[Path, typer.Argument(help="YAML node graph.")]
+SetOrBake = Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")]
+Source = Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")]
+Findings = Annotated[Path, typer.Option("--out", "-o", help="Folder for the findings.")]
