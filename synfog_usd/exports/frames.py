@@ -19,6 +19,8 @@ import numpy.typing as npt
 
 from synfog_usd.arrays import Array
 from synfog_usd.errors import OutputError, ParameterError
+from synfog_usd.sets import index
+from synfog_usd.sets.index import PictureKey
 
 LABELS_VERSION = 2
 SCREEN = (".png", ".jpg")
@@ -27,25 +29,14 @@ ALL = "all"
 
 
 @dataclass(frozen=True)
-class LabelledPicture:
+class LabelledPicture(PictureKey):
     """One shot as one pipeline shows it.
 
     Attributes:
-        scene, split, source, seed: of the scene.
-        lighting, camera, fog, mor_m, pipeline: of the picture; mor_m is None in clear air.
         files: name -> path; labels.exr, labels.json, instances.json, radiance.exr, layers.exr, and
             what the pipeline puts out.
     """
 
-    scene: int
-    split: str
-    source: str
-    seed: int
-    lighting: str
-    camera: str
-    fog: str
-    mor_m: float | None
-    pipeline: str
     files: Mapping[str, Path] = field(repr=False)
 
     @property
@@ -201,8 +192,6 @@ def pictures(out: Path) -> Iterator[LabelledPicture]:
     if (out / "bake.json").is_file():
         yield from _of_bake(out)
         return
-    from synfog_usd.sets import index
-
     for one in index.pictures(out):
         yield LabelledPicture(
             one.scene,

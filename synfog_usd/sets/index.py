@@ -57,16 +57,13 @@ radiance, and of the files that `outputs` names.
 
 
 @dataclass(frozen=True)
-class Picture:
-    """One shot as one pipeline shows it; see the head of this module.
+class PictureKey:
+    """Which shot of which scene it is, and by which pipeline it is shown.
 
     Attributes:
         scene: number, from 0; split: name; source: recipe or stage; seed: of the scene.
         lighting, camera, fog: as the bake has them; mor_m: visibility [m], None in clear air.
         pipeline: name of the node graph.
-        width_px, height_px: of the picture.
-        bake, shot: folders of bake.json and of radiance.exr.
-        files: name -> path.
     """
 
     scene: int
@@ -78,6 +75,18 @@ class Picture:
     fog: str
     mor_m: float | None
     pipeline: str
+
+
+@dataclass(frozen=True)
+class Picture(PictureKey):
+    """One shot as one pipeline shows it; see the head of this module.
+
+    Attributes:
+        width_px, height_px: of the picture.
+        bake, shot: folders of bake.json and of radiance.exr.
+        files: name -> path.
+    """
+
     width_px: int
     height_px: int
     bake: Path
