@@ -35,7 +35,7 @@ from synfog_usd.fog.glow import NORMAL_COLUMNS, TAU, TAU_ROWS, THETA_COLUMNS, gl
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import CHUNKED_LANES, MULTIPLE, SINGLE, SURFACE, Accumulator, Estimator
-from synfog_usd.render.integrators.path import FogPath, Method
+from synfog_usd.render.integrators.path import FogPath, Truncation
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.rows import is_sampled_light, lamp_rows
 from synfog_usd.render.lights.sampler import LightSampler
@@ -150,7 +150,7 @@ class Glow:
             Medium(loaded.source.fog),
             lights=lights,
             others=others,
-            method=Method(scatterings=1 if self.traced else 0),
+            truncation=Truncation(scatterings=1 if self.traced else 0),
         )
         table = glow_table(medium.phase_function, medium.albedo)
         chi = medium.phase_function.moments(BEAM_ORDERS)

@@ -89,8 +89,8 @@ LENS_M = 1e-3
 
 
 @dataclass(frozen=True)
-class Method:
-    """What a `FogPath` leaves out; nothing by default.
+class Truncation:
+    """Where a `FogPath` cuts its paths; nowhere by default.
 
     Attributes:
         scatterings: how often the fog may scatter a path; what would be scattered more often is lost.
@@ -158,7 +158,7 @@ class FogPath:
             none, a scattering in the fog sends them no shadow ray: the phase function's
             own sample finds a sky better.
         control: light of the slab that is known already, or None.
-        method: what to leave out.
+        truncation: where paths are cut.
         groups: names of the light groups; `group_of_emitter` (E,) tells the number of the scene's own emitters by their
             index, `lamps` of the
             others: that of the group times `bands.kinds`, plus the kind of light.
@@ -173,7 +173,7 @@ class FogPath:
         lights: LightSampler,
         others: int,
         control: ControlVariate | None = None,
-        method: Method | None = None,
+        truncation: Truncation | None = None,
         groups: tuple[str, ...] = ("other",),
         group_of_emitter: Any = None,
         bands: Bands | None = None,
@@ -183,12 +183,12 @@ class FogPath:
         self.raster, self.near = Raster(camera), dr.opaque(mi.Float, camera.near_m)
         self.ahead = mi.Vector3f(*(-camera.to_world[:3, 2]).tolist())
         dr.make_opaque(self.ahead)
-        self.loaded, self.medium, self.lights, self.control, self.method = (
+        self.loaded, self.medium, self.lights, self.control, self.truncation = (
             loaded,
             medium,
             lights,
             control,
-            method or Method(),
+            truncation or Truncation(),
         )
         sky = loaded.scene.environment() is not None
         self.foggy, self.use_nee_medium = medium.foggy, others > 0
@@ -210,16 +210,16 @@ class FogPath:
             self.light_grid = LightGrid(lights, sigma_t, eye, near=self.importance is None)
             self.view_lights = self.light_grid.seen(self, medium) if medium.foggy else None
         self.rr_prob = dr.opaque(backend.mitsuba().Float, _rr_prob(medium))
-        self.limited = self.method.scatterings < UNLIMITED
+        self.limited = self.truncation.scatterings < UNLIMITED
         self.estimators = (
             SURFACE,
-            *((LAMPS,) if medium.foggy and lights.count and self.method.scatterings > 0 else ()),
+            *((LAMPS,) if medium.foggy and lights.count and self.truncation.scatterings > 0 else ()),
             *((INSCATTERED,) if self._has_inscattering() else ()),
             *((DIRECT,) if self.visible is not None and self.visible.count else ()),
         )
 
     def _has_inscattering(self) -> bool:
-        return self.foggy and (self.method.scatterings > 0 or self.control is not None)
+        return self.foggy and (self.truncation.scatterings > 0 or self.control is not None)
 
     def accumulate(self, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
         """An image, see `Integrator`."""
@@ -436,7 +436,7 @@ class FogPath:
             # ==== 1. Free flight: where the fog would scatter the path, if nothing stands before
             may_scatter = active & ~at_eye
             if dr.hint(self.limited, mode="scalar"):
-                may_scatter &= scattered < self.method.scatterings
+                may_scatter &= scattered < self.truncation.scatterings
             u_flight = sampler.next_1d(active)
             near, far, flight = self.sample_flight(ray, u_flight, may_scatter)
 
@@ -484,10 +484,10 @@ class FogPath:
 
             # ==== 5. Next-event estimation along the segment: lamps, scattered once; the camera segment's are the
             # estimator LAMPS
-            if dr.hint(self.foggy and self.lights.count > 0 and self.method.scatterings > 0, mode="scalar"):
+            if dr.hint(self.foggy and self.lights.count > 0 and self.truncation.scatterings > 0, mode="scalar"):
                 lit = active & ~at_eye & (stop > near)
                 if dr.hint(self.limited, mode="scalar"):
-                    lit &= scattered < self.method.scatterings
+                    lit &= scattered < self.truncation.scatterings
                 light, group = self.nee_along(
                     ray, near, stop, throughput, sampler, lit, self.known_along(ray, near, stop, sampler, lit)
                 )
@@ -600,7 +600,7 @@ class FogPath:
             scale = dr.select(depth == 1, dr.maximum(dr.max(throughput), 1e-30), scale)
             rr_prob = self.roulette(throughput, scale, depth, scattered, medium_scattered)
             alive &= (dr.max(throughput) > 0.0) & (sampler.next_1d(alive) < rr_prob)
-            alive &= medium_scattered | (bounces < self.method.bounces)
+            alive &= medium_scattered | (bounces < self.truncation.bounces)
             throughput /= dr.maximum(rr_prob, 1e-8)
 
             # ==== 13. The lane's next path where this one has ended, of its next task where this one has all of them
@@ -702,7 +702,7 @@ class FogPath:
         """
         medium, opaque = self.medium, transmittance(tau)[1]
         some = at_eye & (opaque > 0.0)
-        if self.method.scatterings == 0:
+        if self.truncation.scatterings == 0:
             some &= False
         place = medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u * opaque), near, stop)
         if self.guide is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from synfog_usd.errors import ParameterError
 from synfog_usd.render import backend
 from synfog_usd.render.integrators.froxels import FroxelPath
-from synfog_usd.render.integrators.path import FogPath, Method
+from synfog_usd.render.integrators.path import FogPath, Truncation
 from synfog_usd.render.lights.importance import emitter_index
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.lights.sampler import LightSampler
@@ -39,7 +39,7 @@ def make_tracer(
     Args:
         with_slab: sample only what differs from a plane-parallel slab, see `media.control_variate`.
         in_froxels: take the airlight from a radiance cache, see `integrators.froxels`.
-        scatterings, bounces: see `Method`; None is no limit.
+        scatterings, bounces: see `Truncation`; None is no limit.
         bands: what a path carries, see `spectra.bands`.
 
     Raises:
@@ -63,14 +63,14 @@ def make_tracer(
     g = loaded.source.fog[0].medium.phase_function.mean_cosine if loaded.source.fog else 0.0
     lights = LightSampler(world, numbers, g)
     kind = FroxelPath if in_froxels else FogPath
-    cut = Method(**limits)
+    cut = Truncation(**limits)
     return kind(
         loaded,
         medium,
         lights=lights,
         others=others,
         control=control,
-        method=cut,
+        truncation=cut,
         groups=names,
         group_of_emitter=of_emitter,
         bands=carried,
