@@ -59,7 +59,7 @@ def write_json(path: Path, value: Any) -> None:
     write_bytes(path, (json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
 
 
-def place(source: Path, target: Path) -> bool:
+def place_file(source: Path, target: Path) -> bool:
     """A file under another name: a hard link, else a reflink, else a copy; tells whether it is a hard link.
 
     Raises:

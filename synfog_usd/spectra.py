@@ -385,7 +385,7 @@ def emission(name: str) -> Array:
     return np.interp(WAVELENGTHS_NM, tables[name].wavelengths, tables[name].values)
 
 
-def sampled(pairs: npt.ArrayLike, *, most: float = np.inf) -> Array:
+def spectrum_of_pairs(pairs: npt.ArrayLike, *, most: float = np.inf) -> Array:
     """(401,) spectrum through (N, 2) pairs of wavelength [nm] and value, straight between them.
 
     Args:

@@ -139,7 +139,7 @@ def test_lights_are_those_of_the_cie(name, table):
 
 
 def test_authored_pairs_are_joined_by_straight_lines_and_go_on_as_they_end():
-    curve = spectra.sampled([(400, 0.1), (500, 0.3), (700, 0.2)], most=1.0)
+    curve = spectra.spectrum_of_pairs([(400, 0.1), (500, 0.3), (700, 0.2)], most=1.0)
     assert [at(curve, nm) for nm in (380, 450, 600, 780)] == pytest.approx([0.1, 0.2, 0.25, 0.2])
 
 
@@ -159,7 +159,7 @@ def test_authored_pairs_are_joined_by_straight_lines_and_go_on_as_they_end():
 )
 def test_what_is_no_spectrum_is_refused(pairs, words):
     with pytest.raises(ParameterError, match=words):
-        spectra.sampled(pairs, most=1.0)
+        spectra.spectrum_of_pairs(pairs, most=1.0)
 
 
 def test_unknown_names_are_refused_with_the_nearest():

@@ -114,7 +114,7 @@ def _gather(
             stem, suffix = Path(name).stem, Path(name).suffix.lower()
             if suffix == ".dng":
                 for row, folder in zip(rows, folders, strict=True):
-                    files.place(folder / name, out / clip / stem / f"{stem}_{row['number']:06d}.dng")
+                    files.place_file(folder / name, out / clip / stem / f"{stem}_{row['number']:06d}.dng")
                 clips.append((clip / stem).as_posix())
             elif suffix in SHOWN and not problem:
                 video.write_clip(

@@ -33,7 +33,7 @@ class ExportFolder:
         Raises:
             OutputError: it cannot be written.
         """
-        if files.place(source, self.root / name):
+        if files.place_file(source, self.root / name):
             self.linked += 1
         else:
             self.copied += 1

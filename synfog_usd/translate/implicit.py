@@ -26,7 +26,7 @@ def read_implicit(prim: Usd.Prim, kind: str, time: Usd.TimeCode) -> Triangles:
     if kind == "Cube":
         return cube(number("size", 2.0) / 2.0)
     if kind == "Sphere":
-        return ball(number("radius", 1.0))
+        return sphere_mesh(number("radius", 1.0))
     axis = prim.GetAttribute("axis").Get() if prim.HasAttribute("axis") else "Z"
     if kind == "Plane":
         width, length = number("width", 2.0), number("length", 2.0)
@@ -65,7 +65,7 @@ def cube(half: float) -> Triangles:
     return Triangles(corners, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
 
 
-def ball(radius: float) -> Triangles:
+def sphere_mesh(radius: float) -> Triangles:
     """A sphere of revolution about Z with exact normals."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, ROUND // 2 + 1)
     made = _revolved(np.cos(angles), np.sin(angles), np.cos(angles), np.sin(angles))

@@ -22,7 +22,7 @@ from synfog_usd.errors import StageError
 from synfog_usd.translate.convention import USD, Convention
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles, area, placed
-from synfog_usd.translate.implicit import ROUND, ball, frustum
+from synfog_usd.translate.implicit import ROUND, frustum, sphere_mesh
 from synfog_usd.translate.shaping import Shaping, as_ball, as_card, as_tube, luminous_flux, read_shaping, table_of
 from synfog_usd.translate.space import FAR, is_similarity, rotation_of, scaled
 from synfog_usd.translate.texture import ImageReader, TextureNode, is_srgb, linear
@@ -385,7 +385,7 @@ def _sphere(
         surface = 4.0 * math.pi * (radius * mean_scale) ** 2
         shape: Any = {"type": "sphere", "center": [float(x) for x in matrix[:3, 3]], "radius": radius * mean_scale}
     else:
-        shape = placed(ball(radius), matrix)
+        shape = placed(sphere_mesh(radius), matrix)
         surface = area(shape)
     L = radiance * per_area / surface if per_area else radiance
     if shaping is not None:

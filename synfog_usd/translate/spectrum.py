@@ -81,7 +81,7 @@ def _authored(
             return named(value)
         if value.dtype.kind not in "fiu":
             raise ParameterError(f"{str(value)[:40]} is neither a name nor numbers")
-        return spectra.sampled(value, most=most)
+        return spectra.spectrum_of_pairs(value, most=most)
     except ParameterError as error:
         notes.warn(
             prim.GetPath(),

@@ -80,7 +80,7 @@ def _lane(road: Road, lane: Lane, speed_m_s: float) -> traffic.TrafficLane:
         before_zebra = any(0.0 < (zebra - s) * lane.way < traffic.BRAKING_M for zebra in road.zebras)
         return before_zebra or rng.random() < traffic.BRAKING
 
-    return traffic.TrafficLane(pose, traffic.sway(lane.width), brakes, speed_m_s=speed_m_s)
+    return traffic.TrafficLane(pose, traffic.offsets_in_lane(lane.width), brakes, speed_m_s=speed_m_s)
 
 
 def _cyclist(road: Road, rng: np.random.Generator, station: float, room: rules.CollisionSet) -> list[Placement]:

@@ -95,7 +95,7 @@ def _lane(junction: Roundabout, arm: int, way: int, speed_m_s: float) -> traffic
         arrives = way < 0 and s < junction.arms[arm].zebras[0] + traffic.BRAKING_M
         return arrives or rng.random() < traffic.BRAKING
 
-    return traffic.TrafficLane(pose, traffic.sway(junction.lane_width), brakes, speed_m_s=speed_m_s)
+    return traffic.TrafficLane(pose, traffic.offsets_in_lane(junction.lane_width), brakes, speed_m_s=speed_m_s)
 
 
 def _waits(junction: Roundabout, arm: int, body: str) -> bool:

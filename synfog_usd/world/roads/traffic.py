@@ -152,7 +152,7 @@ class TrafficLane:
     speed_m_s: float | None = None
 
 
-def sway(width: float) -> Callable[[np.random.Generator, LibraryModel], Iterator[float]]:
+def offsets_in_lane(width: float) -> Callable[[np.random.Generator, LibraryModel], Iterator[float]]:
     """Offsets from the middle of a lane of a width [m]; who is narrow rides anywhere within it."""
 
     def across(rng: np.random.Generator, found: LibraryModel) -> Iterator[float]:
