@@ -96,13 +96,7 @@ def _moved(
     """
     points = len(values)
     degree = np.bincount(edges.ends.reshape(-1), minlength=points)
-    rule = rules(
-        edges.ends,
-        sharp,
-        corner_sharpness,
-        np.bincount(cage.indices, minlength=points) == 1,
-        sharp_ends=cage.sharp_ends,
-    )
+    rule = rules(cage, edges, sharp, corner_sharpness)
     around = neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values)
     smooth = (1.0 - degree * weight)[:, None] * values + weight[:, None] * around
     crease = (1.0 - 2.0 * along) * values + along * neighbours(edges.ends, sharp > 0.0, values)

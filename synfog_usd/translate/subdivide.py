@@ -213,12 +213,11 @@ def _divided(
     edge_points = hard[:, None] * middles + (1.0 - hard)[:, None] * soft
 
     ends, degree = edges.ends, np.bincount(edges.ends.reshape(-1), minlength=points)
-    single = np.bincount(cage.indices, minlength=points) == 1
-    now = _vertex_points(values, cage, edges, sharp, corner_sharpness, face_points, degree, single)
+    now = _vertex_points(values, cage, edges, sharp, corner_sharpness, face_points, degree)
     later_sharp, later_corner = softened(sharp), softened(corner_sharpness)
     vertex_points = now.values
     if is_fractional(sharp, corner_sharpness):
-        after = _vertex_points(values, cage, edges, later_sharp, later_corner, face_points, degree, single)
+        after = _vertex_points(values, cage, edges, later_sharp, later_corner, face_points, degree)
         vertex_points = between(now, after, ends, sharp, corner_sharpness)
 
     corners = np.arange(len(cage.indices))
@@ -278,14 +277,13 @@ def between(now: Moved, after: Moved, ends: Indices, sharp: Array, corner_sharpn
     return np.asarray(share * now.values + (1.0 - share) * after.values)
 
 
-def rules(
-    ends: Indices, sharp: Array, corner_sharpness: Array, single: npt.NDArray[np.bool_], *, sharp_ends: bool
-) -> Indices:
+def rules(cage: Cage, edges: Edges, sharp: Array, corner_sharpness: Array) -> Indices:
     """(N,) how each point moves: 0 smooth, 1 along its crease, 2 not at all."""
-    hard = np.bincount(ends[sharp > 0.0].reshape(-1), minlength=len(corner_sharpness))
+    points = len(corner_sharpness)
+    hard = np.bincount(edges.ends[sharp > 0.0].reshape(-1), minlength=points)
     rule = np.where((hard > 2) | (corner_sharpness > 0.0), 2, np.where(hard == 2, 1, 0))
-    if sharp_ends:
-        rule[single] = 2
+    if cage.sharp_ends:
+        rule[np.bincount(cage.indices, minlength=points) == 1] = 2
     return rule
 
 
@@ -307,9 +305,8 @@ def _vertex_points(
     corner_sharpness: Array,
     face_points: Array,
     degree: Indices,
-    single: npt.NDArray[np.bool_],
 ) -> Moved:
-    rule = rules(edges.ends, sharp, corner_sharpness, single, sharp_ends=cage.sharp_ends)
+    rule = rules(cage, edges, sharp, corner_sharpness)
     n = np.maximum(degree, 1)[:, None].astype(np.float64)
     around = neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values)
     ones = np.ones(len(cage.indices))
@@ -326,13 +323,7 @@ def _vertex_points(
 def _on_limit(values: Array, cage: Cage, edges: Edges, sharp: Array, corner_sharpness: Array) -> Array:
     points = len(values)
     degree = np.bincount(edges.ends.reshape(-1), minlength=points)
-    rule = rules(
-        edges.ends,
-        sharp,
-        corner_sharpness,
-        np.bincount(cage.indices, minlength=points) == 1,
-        sharp_ends=cage.sharp_ends,
-    )
+    rule = rules(cage, edges, sharp, corner_sharpness)
     n = np.maximum(degree, 1)[:, None].astype(np.float64)
     across = cage.indices[edges.following[edges.following]]
     ones = np.ones(len(across))

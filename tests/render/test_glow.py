@@ -91,6 +91,7 @@ def test_what_lies_behind_a_wall_is_not_seen():
     assert_agree(ours, theirs, systematic=2e-3, resolves=0.03)
 
 
+@pytest.mark.slow
 def test_a_grey_wall_receives_the_scattered_light():
     """A white diffuse wall lit through three optical depths: `path` finds there what model 'single' lacks; glow comes
     to within 30 % of the difference.

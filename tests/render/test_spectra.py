@@ -82,7 +82,7 @@ def bright(curve, reflected):
     return curve * (np.asarray(reflected) @ LUMINANCE) * (white * eye).sum() / (curve * white * eye).sum()
 
 
-@pytest.mark.parametrize("count", [8, 31])
+@pytest.mark.parametrize("count", [8, pytest.param(31, marks=pytest.mark.slow)])
 def test_a_card_under_sodium_light_in_fog_is_what_the_tables_say(count):
     """Leaf x HP1 x geometry x fog, each band within 0.1 %: one point of a lamp, one surface, nothing left to chance but
     the place within a pixel.
