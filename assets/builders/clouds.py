@@ -11,15 +11,14 @@ Knows nothing of files, nits or USD.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft, ndimage
 
+from synfog_usd.arrays import FloatArray
 from synfog_usd.seeds import stream
 
-Array = npt.NDArray[Any]
 EARTH_M = 6_371_000.0
 CELLS, LEVELS = 768, 28  # of the layer's box, sideways and upwards
 ASYMMETRY = 0.85  # of cloud droplets in the visible
@@ -79,8 +78,8 @@ class CloudLight:
 
 
 def clouded(
-    layer: CloudLayer, light: CloudLight, azimuth: Array, height: Array, name: str, *, cells: int = CELLS
-) -> tuple[Array, Array]:
+    layer: CloudLayer, light: CloudLight, azimuth: FloatArray, height: FloatArray, name: str, *, cells: int = CELLS
+) -> tuple[FloatArray, FloatArray]:
     """Relative light from each direction, and how much of its contrast the air leaves.
 
     Args:
@@ -125,11 +124,11 @@ def clouded(
     return (glow + clear[..., None] * air).astype(np.float32), np.exp(-seen / layer.haze_m).astype(np.float32)
 
 
-def _at(field: Array, where: list[Array]) -> Array:
+def _at(field: FloatArray, where: list[FloatArray]) -> FloatArray:
     return np.asarray(ndimage.map_coordinates(field, where, order=1, mode="grid-wrap", output=np.float32))
 
 
-def _density(layer: CloudLayer, cell: float, cells: int, name: str) -> Array:
+def _density(layer: CloudLayer, cell: float, cells: int, name: str) -> FloatArray:
     """(LEVELS, cells, cells) density, 0 to 1; the first axis goes up."""
     field = _noise(layer, cell, cells, name, 0, low=0.35)
     if layer.billow:
@@ -144,7 +143,7 @@ def _density(layer: CloudLayer, cell: float, cells: int, name: str) -> Array:
     return np.asarray(np.clip((field - edge) / np.float32(layer.edge), 0, 1) * rim, dtype=np.float32)
 
 
-def _noise(layer: CloudLayer, cell: float, cells: int, name: str, index: int, *, low: float) -> Array:
+def _noise(layer: CloudLayer, cell: float, cells: int, name: str, index: int, *, low: float) -> FloatArray:
     """Noise that tiles sideways, deviation 1: a spectrum f^-11/3 from `low` cycles per feature."""
     rng = stream(0, "sky", name, index)
     turn = np.deg2rad(layer.turn_deg)
@@ -161,7 +160,7 @@ def _noise(layer: CloudLayer, cell: float, cells: int, name: str, index: int, *,
     return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
 
 
-def _towards_sun(tau: Array, light: CloudLight, rise: float, cell: float) -> Array:
+def _towards_sun(tau: FloatArray, light: CloudLight, rise: float, cell: float) -> FloatArray:
     """Optical depth from the middle of each cell to the sun; a sun at the horizon shines up from below the layer."""
     upwards = light.sun_height_deg > 2.0
     slope = np.deg2rad(max(light.sun_height_deg, 7.0) if upwards else 8.0)
@@ -178,7 +177,7 @@ def _towards_sun(tau: Array, light: CloudLight, rise: float, cell: float) -> Arr
     return result
 
 
-def _rolled(field: Array, shift: npt.NDArray[np.float64]) -> Array:
+def _rolled(field: FloatArray, shift: npt.NDArray[np.float64]) -> FloatArray:
     """field(x + shift), wrapped, linear between cells."""
     for axis in (0, 1):
         whole = int(np.floor(shift[axis]))
@@ -187,12 +186,12 @@ def _rolled(field: Array, shift: npt.NDArray[np.float64]) -> Array:
     return field
 
 
-def _two_stream(tau: Array) -> Array:
+def _two_stream(tau: FloatArray) -> FloatArray:
     """Share of diffuse light that comes through droplets that absorb nothing."""
     return np.asarray(1.0 / (1.0 + 0.75 * (1 - ASYMMETRY) * tau), dtype=np.float32)
 
 
-def _sunlit(tau: Array, toward: tuple[Array, ...]) -> Array:
+def _sunlit(tau: FloatArray, toward: tuple[FloatArray, ...]) -> FloatArray:
     """Sunlight turned towards the eye: once, and in orders that forget where they came from (Wrenninge et al. 2013)."""
     result = 0.35 * _two_stream(tau)
     for order, phase in enumerate(toward):
@@ -200,14 +199,14 @@ def _sunlit(tau: Array, toward: tuple[Array, ...]) -> Array:
     return np.asarray(result, dtype=np.float32)
 
 
-def _phase_angle(light: CloudLight, azimuth: Array, height: Array) -> tuple[Array, ...]:
+def _phase_angle(light: CloudLight, azimuth: FloatArray, height: FloatArray) -> tuple[FloatArray, ...]:
     """Phase function over that of even scattering, for three orders, each flatter."""
     sun = np.deg2rad(light.sun_height_deg)
     cosine = np.sin(height) * np.sin(sun) + np.cos(height) * np.cos(sun) * np.cos(
         azimuth - np.deg2rad(light.sun_azimuth_deg)
     )
 
-    def lobe(g: float) -> Array:
+    def lobe(g: float) -> FloatArray:
         return np.asarray((1 - g * g) / (1 + g * g - 2 * g * cosine) ** 1.5, dtype=np.float32)
 
     return tuple(
@@ -215,7 +214,7 @@ def _phase_angle(light: CloudLight, azimuth: Array, height: Array) -> tuple[Arra
     )
 
 
-def _distance(height: Array, level_m: float) -> Array:
+def _distance(height: FloatArray, level_m: float) -> FloatArray:
     """How far off a ray meets a level of the air [m], over a round earth."""
     rise = EARTH_M * np.sin(height)
     return np.asarray(np.sqrt(rise * rise + 2 * EARTH_M * level_m + level_m * level_m) - rise, dtype=np.float32)

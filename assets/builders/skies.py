@@ -24,6 +24,7 @@ from assets.builders.clouds import CELLS, CloudLayer, CloudLight, clouded
 from assets.builders.daylight import LUMINANCE, colour_temperature, illuminance_per_zenith, relative_luminance, tint
 from assets.builders.textures import ORIGIN, noise
 from synfog_usd.arrays import Array
+from synfog_usd.colour import srgb_encode
 from synfog_usd.errors import OutputError, ParameterError, did_you_mean
 from synfog_usd.files import write_whole
 from synfog_usd.science import colour_science
@@ -509,9 +510,7 @@ def _exposed(pixels: Array) -> npt.NDArray[np.uint8]:
     """8-bit sRGB with the mean of the upper half at middle grey and the highlights rolled off."""
     light = 0.5 * pixels / (pixels[: len(pixels) // 2] @ LUMINANCE).mean()
     light = light * (1 + light / 9.0) / (1 + light)  # Reinhard et al. (2002), white at 3 times the mean
-    light = np.clip(light * 1.15, 0, 1)
-    shown = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-6) ** (1 / 2.4) - 0.055)
-    return np.asarray(np.round(shown * 255), dtype=np.uint8)
+    return np.asarray(np.round(srgb_encode(light * 1.15) * 255), dtype=np.uint8)
 
 
 def _looking_up(shown: npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8]:

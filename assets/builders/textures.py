@@ -16,6 +16,7 @@ import OpenImageIO
 from assets.builders.ground import asphalt, asphalt_lane, chip_seal, marking, paving
 from assets.builders.noise import noise as noise
 from synfog_usd.arrays import Array
+from synfog_usd.colour import srgb_encode
 from synfog_usd.errors import OutputError
 from synfog_usd.files import write_whole
 from synfog_usd.seeds import stream
@@ -105,7 +106,7 @@ def write_textures(folder: Path) -> list[Path]:
         "banners.png": banners(),
     }
     for name, albedo in pictures.items():
-        written.append(_write(folder / name, _to_srgb(albedo)))
+        written.append(_write(folder / name, srgb_encode(albedo)))
     rough = {"asphalt_lane": lane_gloss, "asphalt": plain_gloss, "chip_seal": chips_gloss, "paving": slabs_gloss}
     for name, raw in rough.items():
         written.append(_write(folder / f"{name}_gloss.jpg", raw))
@@ -493,11 +494,6 @@ def _edges(shade: Array, width: int, factor: float) -> Array:
     out[:width] *= factor
     out[:, :width] *= factor
     return out
-
-
-def _to_srgb(linear: Array) -> Array:
-    x = np.clip(linear, 0, 1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
 def _write(path: Path, encoded: Array) -> Path:

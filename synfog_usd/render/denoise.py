@@ -24,6 +24,7 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.arrays import FloatArray
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend, dualbuffer
@@ -86,8 +87,6 @@ LANES = 1 << 21
 CROSSINGS = 64
 """Leaves and fog boundaries that a guide ray goes through at most."""
 
-Array = npt.NDArray[np.float32]
-
 
 @dataclass(frozen=True)
 class Guides:
@@ -99,9 +98,9 @@ class Guides:
         transmittance: (H, W) of the fog before the surfaces.
     """
 
-    albedo: Array
-    normal: Array
-    transmittance: Array
+    albedo: FloatArray
+    normal: FloatArray
+    transmittance: FloatArray
 
 
 def available() -> str:
@@ -122,16 +121,16 @@ class Denoised:
         error: of the picture's luminance.
     """
 
-    components: dict[str, Array]
+    components: dict[str, FloatArray]
     error: dualbuffer.Error
 
-    def luminance(self, weights: npt.ArrayLike) -> Array:
+    def luminance(self, weights: npt.ArrayLike) -> FloatArray:
         """(H, W) of the picture, for (C,) weights of the channels in it."""
         return np.asarray(sum(self.components.values())) @ np.asarray(weights, dtype=np.float32)
 
 
 def denoise_halves(
-    halves: Mapping[str, Callable[[], Array]],
+    halves: Mapping[str, Callable[[], FloatArray]],
     guides: Guides,
     weights: npt.ArrayLike,
     *,
@@ -164,7 +163,9 @@ def denoise_halves(
     return Denoised(components, dualbuffer.error_of(noisy, done))
 
 
-def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, balanced: bool = False) -> dict[str, Array]:
+def denoise(
+    components: Mapping[str, npt.ArrayLike], guides: Guides, *, balanced: bool = False
+) -> dict[str, FloatArray]:
     """Clean the components of a foggy image.
 
     Args:
@@ -209,7 +210,7 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, balanced
     trusted = through / (through + HALF_GUIDED)
     nothing = np.zeros_like(albedo)  # guides that say that there is no edge: measured 2 to 15 % below no guides at all
 
-    def clean(name: str, image: Array) -> Array:
+    def clean(name: str, image: FloatArray) -> FloatArray:
         if name in NOISELESS:
             return np.maximum(image, 0.0)
         if name != SURFACE:
@@ -226,7 +227,7 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, balanced
 
 def denoise_plain(
     image: npt.ArrayLike, albedo: npt.ArrayLike | None = None, normal: npt.ArrayLike | None = None
-) -> Array:
+) -> FloatArray:
     """Clean a whole image at once, as other renderers do; with clear-air guides it paints back what the fog hides.
 
     Args:
@@ -366,7 +367,7 @@ def _oidn() -> Any:
     return pyoidn
 
 
-def _image(name: str, values: npt.ArrayLike) -> Array:
+def _image(name: str, values: npt.ArrayLike) -> FloatArray:
     image = np.asarray(values, dtype=np.float32)
     if image.ndim != 3 or 0 in image.shape:
         raise ParameterError(f"denoise: {name} is {image.shape}; it must be height, width and channels")
@@ -375,13 +376,15 @@ def _image(name: str, values: npt.ArrayLike) -> Array:
     return image
 
 
-def _typical(light: Array) -> float:
+def _typical(light: FloatArray) -> float:
     """Geometric mean of what is lit."""
     lit = light[light > 0.0]
     return float(np.exp(np.log(lit.astype(np.float64)).mean())) if lit.size else 0.0
 
 
-def _clean(image: Array, albedo: Array | None = None, normal: Array | None = None, *, balanced: bool = False) -> Array:
+def _clean(
+    image: FloatArray, albedo: FloatArray | None = None, normal: FloatArray | None = None, *, balanced: bool = False
+) -> FloatArray:
     """One pass of Open Image Denoise for each three channels; guides are taken as free of noise."""
     oidn = _oidn()
     image = np.maximum(image, 0.0)
@@ -407,7 +410,7 @@ def _clean(image: Array, albedo: Array | None = None, normal: Array | None = Non
     return np.maximum(result, 0.0) / scale
 
 
-def _filtered(oidn: Any, images: Mapping[str, Array], balanced: bool = False) -> Array:
+def _filtered(oidn: Any, images: Mapping[str, FloatArray], balanced: bool = False) -> FloatArray:
     """Open Image Denoise's own result for images (H, W, 3); guides are taken as free of noise."""
     result = np.empty_like(images["color"])
     with oidn.Device() as device:
@@ -428,7 +431,7 @@ def _filtered(oidn: Any, images: Mapping[str, Array], balanced: bool = False) ->
     return result
 
 
-def _framed(image: Array) -> Array:
+def _framed(image: FloatArray) -> FloatArray:
     return np.ascontiguousarray(
         np.pad(image, ((BORDER_PX, BORDER_PX), (BORDER_PX, BORDER_PX), (0, 0)), mode="symmetric"), dtype=np.float32
     )

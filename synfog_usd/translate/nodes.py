@@ -11,10 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Usd, UsdShade
 
-from synfog_usd.arrays import Array
+from synfog_usd.arrays import Array, FloatArray
 from synfog_usd.translate.texture import ImageReader, TextureNode, as_measured, producer, resized, shader_id, value_of
 
 MOST_NODES = 2000
@@ -23,7 +22,6 @@ MOST_NODES = 2000
 MOST_PIXELS = 1 << 24
 """Pixels of a picture that nodes change; larger ones are halved."""
 
-Floats = npt.NDArray[np.float32]
 ImageOf = Callable[[Usd.Attribute, str], TextureNode | None]
 
 
@@ -42,7 +40,7 @@ class Value:
         others: whether pictures with other coordinates went in too.
     """
 
-    pixels: Floats
+    pixels: FloatArray
     picture: TextureNode | None = None
     means: set[str] = field(default_factory=set)
     others: bool = False
@@ -163,7 +161,7 @@ class Graph:
         return Value(pixels, node if varies else None)
 
 
-def replaced(value: Value, pixels: Floats) -> Value:
+def replaced(value: Value, pixels: FloatArray) -> Value:
     """The same picture with other pixels."""
     return Value(pixels, value.picture, set(value.means), value.others)
 
@@ -197,8 +195,8 @@ def _combined(values: list[Value], worked: Callable[..., Array], *, together: bo
 
 
 def _chosen(
-    pixels: Floats, category: str, kind: str, shader: UsdShade.Shader, output: Usd.Attribute, time: Usd.TimeCode
-) -> Floats:
+    pixels: FloatArray, category: str, kind: str, shader: UsdShade.Shader, output: Usd.Attribute, time: Usd.TimeCode
+) -> FloatArray:
     """Channels of a value, by the node that takes it apart or converts it."""
     count = pixels.shape[2]
     if category.startswith("separate"):

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import OpenImageIO
 from pxr import Ar, Gf, Usd, UsdShade
 
+from synfog_usd.arrays import Pixels
 from synfog_usd.colour import SRGB_TO_LINEAR, srgb_decode, srgb_encode
 from synfog_usd.errors import StageError
 from synfog_usd.translate.diagnostics import Diagnostics
@@ -57,8 +58,6 @@ videos and raw photographs too.
 _CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}
 _IN_FILES = {"periodic": "repeat", "mirror": "mirror", "clamp": "clamp", "black": "black"}
 """OpenImageIO's words for wrap modes in a file."""
-
-Pixels = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)

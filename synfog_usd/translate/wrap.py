@@ -11,12 +11,10 @@ Source of the modes: UsdPreviewSurface specification, UsdUVTexture, inputs wrapS
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Pixels = npt.NDArray[Any]
+from synfog_usd.arrays import Pixels
 
 MODES = ("repeat", "mirror", "clamp", "black")
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils
 
+from synfog_usd.colour import srgb_decode
 from synfog_usd.errors import StageError, SynfogError
 from synfog_usd.fence import Fence
 from synfog_usd.world.materials import Material
@@ -226,8 +227,7 @@ def _take(found: Found, mesh: Any) -> None:
 
 def _linear(srgb: Array) -> tuple[float, float, float]:
     """sRGB (IEC 61966-2-1) as linear light."""
-    c = np.asarray(srgb, dtype=np.float64)
-    r, g, b = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    r, g, b = srgb_decode(np.asarray(srgb, dtype=np.float64))
     return float(r), float(g), float(b)
 
 
