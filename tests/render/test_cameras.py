@@ -115,7 +115,7 @@ def test_a_lens_across_the_edge_of_fog_is_refused_by_what_cannot_tell():
     np.testing.assert_allclose(seen[:, 8:], np.exp(-1.0), rtol=1e-4)
 
 
-@pytest.mark.parametrize("model", ["path", "volpath"])
+@pytest.mark.parametrize("model", ["path", pytest.param("volpath", marks=pytest.mark.slow)])
 def test_a_camera_that_drifts_smears_an_edge_over_its_way(model):
     """2 m to the right in an exposure: each pixel is the mean of an edge seen from -1 to 1 m, a ramp four pixels
     wide.

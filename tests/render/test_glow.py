@@ -41,6 +41,7 @@ def aov_means(world, make, *, samples, seeds, name):
     return all_aov_means(world, make, samples=samples, seeds=seeds, names=[name])[0]
 
 
+@pytest.mark.slow
 def test_a_bulb_in_fog_without_end_glows_as_in_path():
     """One point lamp beside the view at optical distance 1; of light scattered once 8 % is resolved, of the rest 25 %.
 

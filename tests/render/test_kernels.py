@@ -73,6 +73,7 @@ def test_a_lighting_has_three_large_kernels(first):
     assert any(new for *_, new in found)  # the cache was empty
 
 
+@pytest.mark.slow
 def test_a_second_process_compiles_nothing(first):
     """The same bake again, in another process with the same cache: every kernel is found."""
     again = kernels(first[0], "b", *SIZE)

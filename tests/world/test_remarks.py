@@ -40,6 +40,7 @@ def test_a_world_of_a_shipped_recipe_is_translated_without_a_remark(name, tmp_pa
     assert told(path, min(fogs, key=lambda fog: float(fog.removeprefix("mor")))) == set()
 
 
+@pytest.mark.slow
 def test_every_point_of_a_model_is_of_a_face_and_every_normal_has_a_length():
     """All levels of detail, all individuals: also those that no recipe happens to place."""
     files = sorted((ROOT / "assets" / "models").rglob("*.geo.usdc"))
