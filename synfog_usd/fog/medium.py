@@ -153,7 +153,7 @@ class FogMedium:
         Raises:
             ParameterError: a grid, which is no function of height.
         """
-        self._must_be_layered()
+        self._must_depend_on_height_alone()
         height = np.asarray(height_m, dtype=np.float64)
         if self.profile == "uniform":
             return np.full(height.shape, self.sigma_t_per_m)
@@ -174,7 +174,7 @@ class FogMedium:
         Raises:
             ParameterError: a grid, which is no function of height; `FogVolume.optical_depth` takes any.
         """
-        self._must_be_layered()
+        self._must_depend_on_height_alone()
         length = np.asarray(length_m, dtype=np.float64)
         if self.profile == "uniform":
             return self.sigma_t_per_m * length
@@ -184,12 +184,13 @@ class FogMedium:
         steep = np.abs(climb) > 1e-9 * self.scale_height_m
         mean = np.where(
             steep,
-            (_column(h1, self.scale_height_m) - _column(h0, self.scale_height_m)) / np.where(steep, climb, 1.0),
+            (_density_integral(h1, self.scale_height_m) - _density_integral(h0, self.scale_height_m))
+            / np.where(steep, climb, 1.0),
             np.exp(-np.maximum(h0, 0.0) / self.scale_height_m),
         )
         return self.sigma_t_per_m * length * mean
 
-    def _must_be_layered(self) -> None:
+    def _must_depend_on_height_alone(self) -> None:
         if self.grid is not None:
             raise ParameterError(
                 "the density of a grid is no function of height alone; ask the FogVolume, which knows where the grid "
@@ -197,6 +198,6 @@ class FogMedium:
             )
 
 
-def _column(height: Array, scale: float) -> Array:
+def _density_integral(height: Array, scale: float) -> Array:
     """Integral from 0 to `height` of exp(-max(h, 0)/scale): -expm1 above 0, linear below."""
     return np.where(height > 0.0, -scale * np.expm1(-np.maximum(height, 0.0) / scale), height)

@@ -125,12 +125,12 @@ def test_denoised(name):
 
     def clean(samples):
         done, seen = ours.render(samples, 1), denoising.guides(ours.loaded)
-        layer = {
+        aovs = {
             part: np.maximum(done.aov(part), 0.0).reshape(shape).astype(np.float32)
             for part in ("surface", "airlight_single", "airlight_multiple")
         }
-        airlight = layer["airlight_single"] + layer["airlight_multiple"]
-        return sum(denoising.denoise({"surface": layer["surface"], "airlight": airlight}, seen).values())
+        airlight = aovs["airlight_single"] + aovs["airlight_multiple"]
+        return sum(denoising.denoise({"surface": aovs["surface"], "airlight": airlight}, seen).values())
 
     clean(16)  # kernels made and the network loaded
     guides = denoising.guides(ours.loaded, clear=True)
@@ -182,7 +182,7 @@ def test_slab_in_overcast_scenes():
 
 
 def test_memory_of_a_large_frame():
-    """1920x1080 with all layers, four light groups and 16 bands: under 4 GiB at its peak, in a process of its own."""
+    """1920x1080 with all AOVs, four light groups and 16 bands: under 4 GiB at its peak, in a process of its own."""
     import subprocess
     import sys
 
@@ -205,7 +205,7 @@ def test_memory_of_a_large_frame():
 
 
 def test_aovs_hold_the_same_light_as_their_sum():
-    """What the benches time is what the tests test: the layers add up in a bench stage too."""
+    """What the benches time is what the tests test: the AOVs add up in a bench stage too."""
     done = shot.render(replace(scene("headlights")), model="path", samples=32)
     np.testing.assert_allclose(sum(done.components.values()), done.radiance.pixels, rtol=1e-3, atol=1e-5)
     assert aovs.measure(shot.load(scene("headlights"), boundaries=False)).transmittance.max() <= 1.0

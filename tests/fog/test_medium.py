@@ -29,7 +29,7 @@ def test_contrast_at_the_visibility_is_the_threshold():
     "start, end", [(0.0, 30.0), (30.0, 0.0), (-8.0, 12.0), (5.0, 5.0), (-3.0, -1.0), (5.0, 5.0 + 1e-6)]
 )
 def test_optical_depth_is_the_integral_of_extinction(start, end):
-    """The closed form of an exponential layer equals adaptive quadrature, above, below and across its base."""
+    """The closed form of an exponential fog equals adaptive quadrature, above, below and across its base."""
     fog = FogMedium(0.02, profile="exponential", base_height_m=1.0, scale_height_m=12.0)
     length = 40.0
     wanted, _ = integrate.quad(

@@ -63,7 +63,7 @@ def test_under_an_even_sky_a_white_world_stays_white():
     assert np.abs(np.median(picture(world)) - 1.0) < 2e-3
 
 
-def test_towards_the_horizon_of_an_overcast_layer_it_is_what_path_sees():
+def test_towards_the_horizon_of_an_overcast_slab_it_is_what_path_sees():
     """Fog 60 m deep, sigma_t 0.02, ground 0.15: along the horizon nothing but airlight is left, and A is exact; `path`
     resolves 2 %.
     """
@@ -116,7 +116,7 @@ def test_aovs_and_variance_are_those_of_the_sum():
     np.testing.assert_allclose(foggy.variance(), t * t * clear.variance(), rtol=1e-6, atol=1e-12)
 
 
-def test_where_no_layer_fits_the_airlight_is_the_skys_mean():
+def test_where_no_slab_fits_the_airlight_is_the_skys_mean():
     """A ball of fog under a sky of one colour."""
     world = scene(BLUE_SKY, [FogVolume("/Fog", Boundary("sphere", np.diag([50.0, 50.0, 50.0, 1.0])), FogMedium(0.02))])
     np.testing.assert_allclose(physical_airlight(load(world, boundaries=False)), [0.5, 0.8, 1.2], rtol=1e-5)

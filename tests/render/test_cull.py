@@ -263,7 +263,7 @@ def test_instances_of_one_prototype_share_their_simplified_one():
     )
 
 
-def test_the_transmittance_layer_is_that_of_the_whole_scene():
+def test_the_transmittance_aov_is_that_of_the_whole_scene():
     """What was left out still stands in the AOV: it equals that of a scene with everything in it."""
     source = avenue(20.0, 130.0, 140.0)
     hidden = hide(source)

@@ -45,7 +45,7 @@ def test_the_white_furnace_stays_white():
         pytest.param({**SKY, **STREET}, "field", 6, 128, 0.01, marks=pytest.mark.slow),
         pytest.param({**SKY, **STREET}, "field+slab", 6, 128, 0.01, marks=pytest.mark.slow),
     ],
-    ids=["lamp", "sky", "sky closely", "layer"],
+    ids=["lamp", "sky", "sky closely", "slab"],
 )
 def test_the_mean_is_that_of_path(world, model, seeds, samples, resolves):
     """Beside a lamp and under a sky, with an object in front: within five standard errors of both."""

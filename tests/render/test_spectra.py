@@ -200,7 +200,7 @@ def test_each_lamp_has_its_own_spectrum_and_its_light_group():
 
 
 @pytest.mark.physics
-def test_a_sky_with_a_spectrum_lights_the_layer_too():
+def test_a_sky_with_a_spectrum_lights_the_slab_too():
     """A furnace of illuminant A: white fog over white ground is the sky in every band, in `path+slab`."""
     world = {
         "light_sky": {"type": "constant", "radiance": rgb(1.0, 0.7, 0.3)},

@@ -155,7 +155,7 @@ def test_path_refuses_fog_that_it_does_not_know_and_auto_does_not(fog, words):
 
 
 NESTED = [uniform_fog(), FogVolume("/Bank", box((30, 6, 30), (0, 15, 0)), FogMedium(0.1), priority=1, parent=0)]
-LAYERED = [
+THINNING = [
     FogVolume(
         "/Fog",
         box((200.0, 200.0, 60.0), (0, 0, 40)),
@@ -167,7 +167,7 @@ LAYERED = [
 @pytest.mark.parametrize("samples, resolves", [(64, 0.08), pytest.param(256, 0.04, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "fog",
-    [pytest.param(NESTED, id="nested"), pytest.param(LAYERED, id="exponential", marks=pytest.mark.slow)],
+    [pytest.param(NESTED, id="nested"), pytest.param(THINNING, id="exponential", marks=pytest.mark.slow)],
 )
 def test_path_agrees_with_volpath_in_fog_that_is_not_even(fog, samples, resolves):
     """A bank in fog, and fog that thins with height, over a grey ground."""
@@ -200,7 +200,7 @@ def street(sky=SKY):
 
 
 @pytest.mark.parametrize("samples, resolves", [(16, 0.03), pytest.param(128, 0.01, marks=pytest.mark.slow)])
-def test_what_is_known_of_a_layer_leaves_the_mean_as_it_is(samples, resolves):
+def test_what_is_known_of_a_slab_leaves_the_mean_as_it_is(samples, resolves):
     """`path+slab` and `path` have the same mean within five standard errors, and the difference is far less noisy."""
     plain, known = (
         by_seed(street(), range(6), samples=count, model=model)
@@ -211,7 +211,7 @@ def test_what_is_known_of_a_layer_leaves_the_mean_as_it_is(samples, resolves):
 
 
 @pytest.mark.parametrize("model", ["path", "path+slab"])
-def test_the_layers_add_up_and_the_surface_is_dimmed_by_the_transmittance(model):
+def test_the_aovs_add_up_and_the_surface_is_dimmed_by_the_transmittance(model):
     """surface + airlight_single + airlight_multiple is the radiance; before a black wall surface is T times its
     glow.
     """
