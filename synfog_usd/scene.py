@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.arrays import Array
-from synfog_usd.colour import SRGB_TO_LINEAR
+from synfog_usd.colour import LUMINANCE, SRGB_TO_LINEAR
 from synfog_usd.fog.volume import FogVolume
 
 PARALLEL_DEG = 1e-3
@@ -142,14 +142,15 @@ class SceneDict:
             {'type': 'mesh', 'positions' (N, 3), 'faces' (M, 3), 'normals' (N, 3) or absent,
             'texcoords' (N, 2) or absent (v up), 'vertex_color' (N, 3) or absent,
             'face_normals': bool, 'bsdf': {...}, 'emitter': {...} or absent}
-            is a mesh in memory.
+            is a mesh in memory; a 'preview_surface' is the BSDF of `render.surface`.
             Radiance of emitters is RGB, linear Rec.709, in cd m-2.
         camera: the camera that looks.
         fog: fog volumes; the innermost one that contains the camera surrounds it.
         instances: what the label ids mean, ids 1..K in order.
         instance_of: (shape key,) or (instance key, key in its group) -> label id.
         reflectance_of: key of a material in `world` -> (401,) reflectance on `photometry.WAVELENGTHS_NM`, 0 to 1, that
-            it has instead of the one that its colour suggests; the colour says how bright it is, see `render.surfaces`.
+            it has instead of the one that its colour suggests; the colour says how bright it is, see
+            `render.spectra.bsdfs`.
         emission_of: key of a lamp in `world` -> (401,) relative power that it has instead of its colour's; the
             luminance stays.
         group_of: key of a lamp in `world` -> its light group: 'sky', 'headlights' (all lamps of vehicles),
@@ -194,9 +195,12 @@ def base_colour(bsdf: Mapping[str, Any]) -> Mapping[str, Any] | None:
 
 
 def recoloured(bsdf: Mapping[str, Any], colour: Mapping[str, Any]) -> dict[str, Any]:
-    """The same surface with another colour of its matte part."""
+    """The same surface with another colour of its matte part, and a reflection that is grey."""
     if any(name in bsdf for name in _COLOURS):
-        return {name: colour if name in _COLOURS else part for name, part in bsdf.items()}
+        made = {name: colour if name in _COLOURS else part for name, part in bsdf.items()}
+        if "specular" in made:
+            made["specular"] = {"type": "rgb", "value": [float(LUMINANCE @ mean_colour(made["specular"]))] * 3}
+        return made
     return {**bsdf, "bsdf": recoloured(bsdf["bsdf"], colour)}
 
 

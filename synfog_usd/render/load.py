@@ -18,7 +18,7 @@ import numpy as np
 from synfog_usd.errors import StageError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.phase import HenyeyGreenstein
-from synfog_usd.render import backend
+from synfog_usd.render import backend, surface
 from synfog_usd.render.flatten import FaceInstances, flatten
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.rows import is_sampled_light
@@ -87,6 +87,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     """
     mi = backend.mitsuba()
     photometric.register()
+    surface.register()
     gc.collect()  # a scene before this one must give its ids back, else every kernel is compiled anew
     if size is not None:
         source = replace(source, camera=replace(source.camera, width_px=size[0], height_px=size[1]))
@@ -115,6 +116,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
                 return made[value["id"]]
             if value.get("type") == "mesh":
                 return _mesh(mi, value, key, convert)
+            value = surface.drawn(value)
             return {
                 name: _leaf(mi, name, item) if not isinstance(item, Mapping) else convert(item, f"{key}.{name}")
                 for name, item in value.items()
@@ -175,7 +177,8 @@ def make_bsdf(part: Mapping[str, Any]) -> Any:
 
     def convert(value: Any) -> dict[str, Any]:
         return {
-            name: convert(item) if isinstance(item, Mapping) else _leaf(mi, name, item) for name, item in value.items()
+            name: convert(item) if isinstance(item, Mapping) else _leaf(mi, name, item)
+            for name, item in surface.drawn(value).items()
         }
 
     return mi.load_dict(convert(part))

@@ -233,16 +233,9 @@ class Materials:
         color = inputs.color("diffuseColor", names.color)
         roughness, metallic = inputs.number("roughness", names.roughness), inputs.number("metallic", 0.0)
         ior = inputs.constant("ior", 1.5)
-        bsdf: dict[str, Any] = {"type": "principled", "base_color": color, "roughness": roughness}
+        bsdf: dict[str, Any] = {"type": "preview_surface", "base_color": color, "roughness": roughness}
         if inputs.constant("useSpecularWorkflow", 0.0):
-            specular = inputs.constant_color("specularColor", (0.0, 0.0, 0.0))
-            f0 = min(float(np.mean(specular)), 0.99)
-            ior = (1.0 + f0**0.5) / (1.0 - f0**0.5)
-            self.notes.info(
-                path,
-                f"specular workflow is drawn with an index of refraction of {ior:.2f} for the mean of its "
-                f"specularColor",
-            )
+            bsdf["specular"] = inputs.color("specularColor", (0.0, 0.0, 0.0))
         elif metallic != 0.0:
             bsdf["metallic"] = metallic
         solid = max(float(ior), _MIN_IOR)
@@ -250,11 +243,11 @@ class Materials:
         self._subsurface(bsdf, inputs, path)
         clearcoat = inputs.number("clearcoat", 0.0)
         if clearcoat != 0.0:
-            gloss = 1.0 - float(inputs.constant("clearcoatRoughness", names.coat_roughness))
-            bsdf |= {"clearcoat": clearcoat, "clearcoat_gloss": min(max(gloss, 0.0), 1.0)}
+            coat_roughness = inputs.number("clearcoatRoughness", names.coat_roughness)
+            bsdf |= {"clearcoat": clearcoat, "clearcoat_roughness": coat_roughness}
         clear = self._transmitting(bsdf, inputs, solid, path)
         if clear is None and bsdf["eta"] <= _MIN_IOR and not bsdf.keys() - _OF_EVERY_SURFACE:
-            bsdf = {"type": "diffuse", "reflectance": bsdf["base_color"]}  # without Disney's glow at grazing angles
+            bsdf = {"type": "diffuse", "reflectance": bsdf["base_color"]}
         bsdf = {"type": "twosided", "bsdf": self._bumped(bsdf, inputs, path)}
         if clear is not None:
             share, glass = clear
@@ -593,7 +586,7 @@ class _ShaderInputs:
     def color(self, name: str, default: tuple[float, ...]) -> dict[str, Any]:
         output = self.producer(name)
         kind = shader_id(output.GetPrim()) if output is not None else ""
-        if output is not None and kind.startswith(READERS):
+        if output is not None and kind.startswith(READERS) and name == "diffuseColor":
             self.reads, self.fallback = self.primvar(output, kind)
             self.vertex_color = True
             return dict(_VERTEX_COLOR)

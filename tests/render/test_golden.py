@@ -18,7 +18,7 @@ from synfog_usd.testing import box, scene, sky, wall
 FILE = Path(__file__).with_name("golden.json")
 
 GREY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.4, 0.3, 0.2]}}
-GLOSS = {"type": "principled", "base_color": {"type": "rgb", "value": [0.3, 0.4, 0.5]}, "roughness": 0.3}
+GLOSS = {"type": "preview_surface", "base_color": {"type": "rgb", "value": [0.3, 0.4, 0.5]}, "roughness": 0.3}
 
 
 def world(lit):

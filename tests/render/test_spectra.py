@@ -137,11 +137,11 @@ def test_gloss_stays_white_and_each_band_is_that_of_a_grey_surface(model):
 
     def source(colour_of_it, own):
         material = {
-            "type": "principled",
+            "type": "preview_surface",
             "base_color": rgb(*colour_of_it),
             "roughness": 0.3,
             "clearcoat": 0.8,
-            "clearcoat_gloss": 0.9,
+            "clearcoat_roughness": 0.1,
             "eta": 1.5,
         }
         world = {

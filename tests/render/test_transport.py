@@ -59,7 +59,11 @@ def lamps_in_fog(g, boundary):
     grey = {
         "bsdf": {
             "type": "twosided",
-            "bsdf": {"type": "principled", "base_color": {"type": "rgb", "value": [0.4, 0.4, 0.4]}, "roughness": 0.4},
+            "bsdf": {
+                "type": "preview_surface",
+                "base_color": {"type": "rgb", "value": [0.4, 0.4, 0.4]},
+                "roughness": 0.4,
+            },
         }
     }
     ground = {
@@ -187,7 +191,7 @@ def street(sky=SKY):
     }
     grey = {
         "type": "twosided",
-        "bsdf": {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.1]}, "roughness": 0.3},
+        "bsdf": {"type": "preview_surface", "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.1]}, "roughness": 0.3},
     }
     world = {
         **sky,

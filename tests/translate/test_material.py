@@ -57,7 +57,7 @@ def textured(stage, surface, name, file, channel="rgb", *, st=True, transform=No
                 turned.CreateInput(key, TYPES.Float if key == "rotation" else TYPES.Float2).Set(value)
             source = turned.CreateOutput("result", TYPES.Float2)
         picture.CreateInput("st", TYPES.Float2).ConnectToSource(source)
-    kind = TYPES.Color3f if name in ("diffuseColor", "emissiveColor") else TYPES.Float
+    kind = TYPES.Color3f if name in ("diffuseColor", "emissiveColor", "specularColor") else TYPES.Float
     surface.CreateInput(name, kind).ConnectToSource(
         picture.CreateOutput(channel, TYPES.Float3 if channel == "rgb" else TYPES.Float)
     )
@@ -85,7 +85,7 @@ def test_unauthored_inputs_take_the_specifications_fallbacks(quad):
     _, _, bsdf = drawn(quad[0])
     assert bsdf["type"] == "twosided"
     np.testing.assert_allclose(bsdf["bsdf"].pop("base_color")["value"], 0.18, rtol=1e-6)
-    assert bsdf["bsdf"] == {"type": "principled", "roughness": 0.5, "eta": 1.5}
+    assert bsdf["bsdf"] == {"type": "preview_surface", "roughness": 0.5, "eta": 1.5}
 
 
 def test_constants_arrive(quad):
@@ -102,8 +102,8 @@ def test_constants_arrive(quad):
     _, _, bsdf = drawn(stage)
     inner = bsdf["bsdf"]
     np.testing.assert_allclose(inner["base_color"]["value"], [0.1, 0.2, 0.3], rtol=1e-6)
-    found = [inner[key] for key in ("roughness", "metallic", "eta", "clearcoat", "clearcoat_gloss")]
-    np.testing.assert_allclose(found, [0.25, 1.0, 1.33, 0.5, 0.75], rtol=1e-6)
+    found = [inner[key] for key in ("roughness", "metallic", "eta", "clearcoat", "clearcoat_roughness")]
+    np.testing.assert_allclose(found, [0.25, 1.0, 1.33, 0.5, 0.25], rtol=1e-6)
 
 
 def test_an_input_connected_to_the_materials_interface_is_followed(quad):
@@ -367,3 +367,19 @@ def test_normal_maps_are_drawn_as_their_scale_and_bias_turn_them(quad, tmp_path,
         np.testing.assert_allclose(
             seen[..., :2] / seen[..., 2:], own[..., :2] / own[..., 2:] * slope, rtol=1e-5, atol=1e-6
         )
+
+
+def test_the_specular_workflow_is_its_colour_and_its_picture(quad, tmp_path):
+    """specularColor is the reflection at normal incidence; metallic is not asked, and ior is the coat's alone."""
+    stage, surface = quad
+    surface.CreateInput("useSpecularWorkflow", TYPES.Int).Set(1)
+    surface.CreateInput("metallic", TYPES.Float).Set(1.0)
+    colour = surface.CreateInput("specularColor", TYPES.Color3f)
+    colour.Set((0.5, 0.25, 0.125))
+    inner = drawn(stage)[2]["bsdf"]
+    assert inner["type"] == "preview_surface" and "metallic" not in inner
+    np.testing.assert_allclose(inner["specular"]["value"], [0.5, 0.25, 0.125])
+    write(tmp_path / "a.png", CODES[..., :3])
+    textured(stage, surface, "specularColor", tmp_path / "a.png")
+    made = drawn(stage)[2]["bsdf"]["specular"]
+    np.testing.assert_array_equal(made["bitmap"], CODES[..., :3])

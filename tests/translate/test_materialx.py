@@ -329,7 +329,7 @@ def surface(folder, **inputs):
 def test_specular_weighs_the_reflection_at_normal_incidence(tmp_path, weight, tint, f0):
     """An index of 1.5 reflects 4 percent; weight and tint multiply it."""
     bsdf, _ = surface(tmp_path, specular=weight, specular_color=(tint, tint, tint), specular_IOR=1.5)
-    assert bsdf["bsdf"]["type"] == ("principled" if f0 else "diffuse")  # without a reflection it is Lambert's
+    assert bsdf["bsdf"]["type"] == ("preview_surface" if f0 else "diffuse")  # without a reflection it is Lambert's
     eta = bsdf["bsdf"].get("eta", 1.0)
     assert ((eta - 1) / (eta + 1)) ** 2 == pytest.approx(f0, abs=1e-6)
 
@@ -344,7 +344,7 @@ def test_transmission_is_glass(tmp_path):
     assert surface(tmp_path, transmission=1.0, thin_walled=True)[0]["type"] == "thindielectric"
     bsdf, _ = surface(tmp_path, transmission=0.5, metalness=0.5)
     assert (bsdf["type"], bsdf["weight"]) == ("blendbsdf", 0.25)
-    assert (bsdf["bsdf_0"]["bsdf"]["type"], bsdf["bsdf_1"]["type"]) == ("principled", "roughdielectric")
+    assert (bsdf["bsdf_0"]["bsdf"]["type"], bsdf["bsdf_1"]["type"]) == ("preview_surface", "roughdielectric")
     assert surface(tmp_path, transmission=1.0, metalness=1.0)[0]["type"] == "twosided"
 
 

@@ -92,8 +92,8 @@ def test_standard_surface_weighs_its_picture(quad, tmp_path):
     inner = bsdf["bsdf"]["bsdf"]
     np.testing.assert_allclose(inner["base_color"]["bitmap"], 0.5 * linear(CODES), rtol=1e-5)
     np.testing.assert_allclose(
-        [inner[name] for name in ("roughness", "metallic", "eta", "clearcoat", "clearcoat_gloss")],
-        [0.3, 0.25, 1.4, 0.75, 0.9],
+        [inner[name] for name in ("roughness", "metallic", "eta", "clearcoat", "clearcoat_roughness")],
+        [0.3, 0.25, 1.4, 0.75, 0.1],
         rtol=1e-6,
     )
     assert shape["emitter"]["radiance"]["value"] == [10.0, 5.0, 2.5]

@@ -1,0 +1,275 @@
+"""UsdPreviewSurface as a BSDF of Mitsuba's: Lambert's matte under a dielectric reflection, metal, and a clear coat.
+
+Mitsuba's own `principled` has Disney's matte part, which glows where a rough surface is seen or lit flat.  In a
+`SceneDict` it is
+
+    {'type': 'preview_surface', 'base_color': colour, 'roughness': 0 to 1, 'eta': index of refraction,
+     'specular': colour at normal incidence, in the place of what eta says,
+     'metallic': 0 to 1, 'clearcoat': 0 to 1, 'clearcoat_roughness': 0 to 1}
+
+with numbers, or textures in their place; eta is a number, 1.5 where nothing is said.  A surface need not have more
+than the first two; a coat has both of its inputs.  With c the coat, m
+the metal, rho the base colour, G a GGX lobe of alpha = roughness^2 and Schlick's reflection, and E what the lobe
+reflects in all of a direction v:
+
+    f = c G_coat + (1 - c E_coat(v)) (m rho G_metal + (1 - m) (G_dielectric + (1 - E_dielectric(v)) rho / pi))
+
+So are the parts put together in MaterialX's definition of UsdPreviewSurface (bxdf/usd_preview_surface.mtlx).  Storm's
+previewSurface.glslfx has 1 - F(v . h) for 1 - E(v), by which white surfaces give back more than they get.
+Both sides of a face look alike.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from synfog_usd.arrays import Array
+from synfog_usd.render import backend
+from synfog_usd.scene import mean_colour, texels
+
+TYPE = "preview_surface"
+
+MIN_ALPHA = 1e-3
+"""Width of the sharpest lobe: single precision holds nothing sharper."""
+
+MATTE = 0.2
+"""Reflectance that a matte part is taken to have where a lobe is chosen: colours must not change how paths go on, see
+`spectra.bsdfs`.
+"""
+
+NODES = 32
+"""Rows of `lobe_albedo`'s table by the cosine, and by the roughness."""
+
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+
+_known: set[str] = set()
+
+
+def register() -> None:
+    """Tell Mitsuba about the BSDF, once for each variant; the scalar one draws `stand_in` in its place."""
+    mi = backend.mitsuba()
+    if mi.variant() not in _known and not backend.is_scalar():
+        _known.add(mi.variant())
+        bsdf = _plugin(mi)
+        mi.register_bsdf(TYPE, lambda properties: bsdf(properties))
+
+
+@functools.lru_cache(maxsize=1)
+def lobe_albedo(points: int = 610) -> Array:
+    """(2, NODES, NODES) what a GGX lobe reflects of light from one direction, by the root of its cosine and by its
+    roughness, both evenly from 0 to 1.
+
+    The first is that of Schlick's weight 1 - (1 - v . h)^5 and the second of (1 - v . h)^5: a lobe of reflection r0 at
+    normal incidence and r90 at grazing has r0 first + r90 second.  Mean of `points` visible normals (Heitz 2018)
+    each, evenly spread: the weight of one is G2 / G1.
+    """
+    root, roughness = (axis[..., None] for axis in np.meshgrid(*2 * [np.linspace(0.0, 1.0, NODES)], indexing="ij"))
+    cosine, alpha = np.maximum(root**2, 1e-4), np.maximum(roughness**2, MIN_ALPHA)
+    v = (np.arange(points) + 0.5) / points
+    u = np.modf(np.arange(points) * GOLDEN)[0]
+    sine = np.sqrt(1.0 - cosine**2)
+    stretched = np.stack([alpha * sine + 0.0 * u, 0.0 * (alpha * sine + u), cosine + 0.0 * u])
+    stretched /= np.linalg.norm(stretched, axis=0)
+    z = (1.0 - v) * (1.0 + stretched[2]) - stretched[2]
+    ring = np.sqrt(np.maximum(1.0 - z**2, 0.0))
+    h = np.stack([ring * np.cos(2.0 * np.pi * u), ring * np.sin(2.0 * np.pi * u), z]) + stretched
+    h *= np.stack([alpha, alpha, 1.0 + 0.0 * alpha])
+    h /= np.linalg.norm(h, axis=0)
+    between = sine * h[0] + cosine * h[2]
+    out = 2.0 * between * h[2] - cosine
+
+    def stretch(c: Array) -> Array:
+        return 0.5 * (np.sqrt(1.0 + alpha**2 * (1.0 / np.maximum(c, 1e-6) ** 2 - 1.0)) - 1.0)
+
+    shadowed = np.where(out > 0.0, (1.0 + stretch(cosine)) / (1.0 + stretch(cosine) + stretch(out)), 0.0)
+    grazing = (1.0 - np.clip(between, 0.0, 1.0)) ** 5
+    return np.stack([(shadowed * (1.0 - grazing)).mean(axis=-1), (shadowed * grazing).mean(axis=-1)])
+
+
+def drawn(part: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What Mitsuba is told of a part of a scene: the BSDF without `twosided`, which would have it in a kernel twice, or
+    its stand-in; any other as it is.
+    """
+    if backend.is_scalar():
+        return stand_in(part) if part.get("type") == TYPE else part
+    inside = part.get("bsdf")
+    return inside if part.get("type") == "twosided" and isinstance(inside, Mapping) and inside["type"] == TYPE else part
+
+
+def stand_in(part: Mapping[str, Any]) -> dict[str, Any]:
+    """Mitsuba's `principled`, for the variant that would ask Python for each ray: with Disney's glow, a quarter of the
+    coat, and grey reflections.
+    """
+    made = {name: value for name, value in part.items() if name not in ("specular", "clearcoat_roughness")}
+    if "specular" in part:
+        f0 = min(float(np.mean(mean_colour(part["specular"]))), 0.99)
+        made["eta"] = max((1.0 + f0**0.5) / (1.0 - f0**0.5), 1.001)
+    if "clearcoat" in part:
+        rough = part["clearcoat_roughness"]
+        made["clearcoat_gloss"] = 1.0 - (float(np.mean(texels(rough))) if isinstance(rough, Mapping) else rough)
+    return made | {"type": "principled"}
+
+
+def _plugin(mi: Any) -> Any:
+    table = mi.Float(lobe_albedo().transpose(1, 2, 0).astype(np.float32).ravel())
+    dr.make_opaque(table)
+
+    class PreviewSurface(mi.BSDF):  # type: ignore[misc, name-defined]
+        """See the head of this file."""
+
+        def __init__(self, properties: Any) -> None:
+            mi.BSDF.__init__(self, properties)
+
+            def texture(name: str) -> Any:
+                return properties.get_texture(name) if name in properties else None
+
+            self.base_color, self.roughness = properties.get_texture("base_color"), properties.get_texture("roughness")
+            self.metallic, self.specular = texture("metallic"), texture("specular")
+            self.coat, self.coat_roughness = texture("clearcoat"), texture("clearcoat_roughness")
+            eta = float(properties.get("eta", 1.5))
+            self.f0 = dr.opaque(mi.Float, ((eta - 1.0) / (eta + 1.0)) ** 2)
+            self.m_components = [
+                mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide,
+                mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide,
+            ]
+            self.m_flags = self.m_components[0] | self.m_components[1]
+
+        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+            return self._sampled(_Response(self, si, active), si, sample1, sample2, active)
+
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            return _Response(self, si, active).reflected(wo, active)[0]
+
+        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            return _Response(self, si, active).reflected(wo, active)[1]
+
+        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            return _Response(self, si, active).reflected(wo, active)
+
+        def eval_pdf_sample(self, ctx: Any, si: Any, wo: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+            parts = _Response(self, si, active)
+            return *parts.reflected(wo, active), *self._sampled(parts, si, sample1, sample2, active)
+
+        def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
+            return self.base_color.eval(si, active)
+
+        def _sampled(self, parts: Any, si: Any, sample1: Any, sample2: Any, active: Any) -> Any:
+            wo = parts.drawn(sample1, sample2)
+            value, pdf = parts.reflected(wo, active)
+            sampled = dr.zeros(mi.BSDFSample3f)
+            sampled.wo, sampled.pdf, sampled.eta = wo, pdf, 1.0
+            sampled.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
+            sampled.sampled_component = mi.UInt32(1)
+            good = active & (pdf > 0.0)
+            return sampled, dr.select(good, value / pdf, 0.0)
+
+        def traverse(self, callback: Any) -> None:
+            for name in ("base_color", "roughness", "metallic", "coat", "coat_roughness", "specular"):
+                if getattr(self, name) is not None:
+                    callback.put(name, getattr(self, name), mi.ParamFlags.Differentiable)
+
+        def to_string(self) -> str:
+            return f"PreviewSurface[{self.base_color}]"
+
+    class _Response:
+        """What a surface does to light that goes to `si.wi`, mirrored to the upper side."""
+
+        def __init__(self, bsdf: PreviewSurface, si: Any, active: Any) -> None:
+            self.below = si.wi.z < 0.0
+            self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+            self.base = bsdf.base_color.eval(si, active)
+            self.alpha, albedo = self.lobe(bsdf.roughness.eval_1(si, active))
+            self.f0 = mi.Color3f(bsdf.f0) if bsdf.specular is None else mi.Color3f(bsdf.specular.eval(si, active))
+            reflects = self.f0 * albedo.x + albedo.y
+            self.matte, self.gloss, self.metal, self.coat = 1.0 - reflects, mi.Float(1.0), None, None
+            lobes = dr.mean(reflects) if bsdf.specular is not None else reflects.x
+            under = (1.0 - lobes) * MATTE
+            if bsdf.metallic is not None:
+                self.metal = bsdf.metallic.eval_1(si, active)
+                self.gloss = 1.0 - self.metal
+                self.matte *= self.gloss
+                lobes = lobes * self.gloss + self.metal * (albedo.x + albedo.y)
+                under *= self.gloss
+            self.chance_matte = under / dr.maximum(under + lobes, 1e-8)
+            if bsdf.coat is not None:
+                self.coat = bsdf.coat.eval_1(si, active)
+                self.coat_alpha, coated = self.lobe(bsdf.coat_roughness.eval_1(si, active))
+                self.coat_f0 = bsdf.f0
+                reflected = self.coat * (self.coat_f0 * coated.x + coated.y)
+                self.left = 1.0 - reflected
+                self.chance_coat = reflected / dr.maximum(reflected + self.left * (under + lobes), 1e-8)
+
+        def lobe(self, roughness: Any) -> tuple[Any, Any]:
+            """Width of a lobe, and the two shares of `lobe_albedo`."""
+            x = dr.clip(dr.sqrt(self.wi.z), 0.0, 1.0) * (NODES - 1)
+            y = dr.clip(roughness, 0.0, 1.0) * (NODES - 1)
+            row, column = dr.minimum(mi.UInt32(x), NODES - 2), dr.minimum(mi.UInt32(y), NODES - 2)
+            begin, x, y = row * NODES + column, x - mi.Float(row), y - mi.Float(column)
+            near, next_ = (
+                dr.lerp(dr.gather(mi.Vector2f, table, begin + n), dr.gather(mi.Vector2f, table, begin + n + 1), y)
+                for n in (0, NODES)
+            )
+            return dr.maximum(roughness * roughness, MIN_ALPHA), dr.lerp(near, next_, x)
+
+        def reflected(self, wo: Any, active: Any) -> tuple[Any, Any]:
+            """Value of the BSDF times the cosine, and the density with which `drawn` draws the direction."""
+            wi, wo = self.wi, mi.Vector3f(wo.x, wo.y, dr.select(self.below, -wo.z, wo.z))
+            good = active & (wi.z > 0.0) & (wo.z > 0.0)
+            h = dr.normalize(wi + wo)
+            grazing = dr.power(dr.maximum(1.0 - dr.dot(wi, h), 0.0), 5)
+            matte = dr.maximum(wo.z, 0.0) * dr.inv_pi
+            gloss, density = _ggx(wi, wo, h, self.alpha)
+            value = (self.f0 + (1.0 - self.f0) * grazing) * (gloss * self.gloss) + self.matte * self.base * matte
+            if self.metal is not None:
+                value += self.metal * self.base * gloss
+            pdf = dr.lerp(density, matte, self.chance_matte)
+            if self.coat is not None:
+                shine, sharp = _ggx(wi, wo, h, self.coat_alpha)
+                value = value * self.left + self.coat * (self.coat_f0 + (1.0 - self.coat_f0) * grazing) * shine
+                pdf = dr.lerp(pdf, sharp, self.chance_coat)
+            return dr.select(good, value, 0.0), dr.select(good, pdf, 0.0)
+
+        def drawn(self, sample1: Any, sample2: Any) -> Any:
+            """A direction by the matte part or by one of the lobes."""
+            alpha = self.alpha
+            if self.coat is not None:
+                coated = sample1 < self.chance_coat
+                alpha = dr.select(coated, self.coat_alpha, alpha)
+                sample1 = (sample1 - self.chance_coat) / dr.maximum(1.0 - self.chance_coat, 1e-8)
+                matte = ~coated & (sample1 < self.chance_matte)
+            else:
+                matte = sample1 < self.chance_matte
+            wo = dr.select(matte, mi.warp.square_to_cosine_hemisphere(sample2), _mirrored(self.wi, alpha, sample2))
+            return mi.Vector3f(wo.x, wo.y, dr.select(self.below, -wo.z, wo.z))
+
+    return PreviewSurface
+
+
+def _ggx(wi: Any, wo: Any, h: Any, alpha: Any) -> tuple[Any, Any]:
+    """A lobe that reflects all, times the cosine, and the density with which `_mirrored` draws it.
+
+    Walter et al. 2007; masking and shadowing by height (Heitz 2014).
+    """
+    squared = alpha * alpha
+    spread = h.z * h.z * (squared - 1.0) + 1.0
+    normals = squared / (dr.pi * spread * spread)
+    hidden_in, hidden_out = (0.5 * (dr.sqrt(1.0 + squared * (dr.rcp(w.z * w.z) - 1.0)) - 1.0) for w in (wi, wo))
+    even = normals / (4.0 * wi.z)
+    return even / (1.0 + hidden_in + hidden_out), even / (1.0 + hidden_in)
+
+
+def _mirrored(wi: Any, alpha: Any, sample: Any) -> Any:
+    """`wi` mirrored at a visible normal of GGX (Dupuy and Benyoub 2023, spherical caps)."""
+    mi = backend.mitsuba()
+    stretched = dr.normalize(mi.Vector3f(alpha * wi.x, alpha * wi.y, wi.z))
+    sin_phi, cos_phi = dr.sincos(2.0 * dr.pi * sample.x)
+    z = (1.0 - sample.y) * (1.0 + stretched.z) - stretched.z
+    ring = dr.safe_sqrt(1.0 - z * z)
+    cap = mi.Vector3f(ring * cos_phi, ring * sin_phi, z) + stretched
+    h = dr.normalize(mi.Vector3f(alpha * cap.x, alpha * cap.y, cap.z))
+    return 2.0 * dr.dot(wi, h) * h - wi

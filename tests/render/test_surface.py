@@ -1,0 +1,209 @@
+"""UsdPreviewSurface's BSDF against its formula, written here once more, and against what no surface may do."""
+
+import drjit as dr
+import numpy as np
+import pytest
+from support.stats import assert_draws
+
+from synfog_usd.render import backend, surface
+from synfog_usd.render.load import make_bsdf
+
+PARTS = {
+    "plain": {"roughness": 0.5},
+    "rough": {"roughness": 1.0, "eta": 1.33},
+    "glossy": {"roughness": 0.25, "eta": 1.8},
+    "metal": {"roughness": 0.4, "metallic": 1.0},
+    "half metal": {"roughness": 0.5, "metallic": 0.4},
+    "coated": {"roughness": 0.6, "clearcoat": 0.8, "clearcoat_roughness": 0.3},
+    "tinted": {"roughness": 0.5, "specular": {"type": "rgb", "value": [0.5, 0.2, 0.1]}},
+}
+BASE = np.array([0.6, 0.3, 0.1])
+
+
+def _slow(name, quick):
+    return pytest.param(name, marks=() if name in quick else pytest.mark.slow)
+
+
+@pytest.fixture(autouse=True)
+def mi():
+    module = backend.mitsuba()
+    if backend.is_scalar():
+        pytest.skip("the scalar variant draws a stand-in")
+    surface.register()
+    return module
+
+
+def made(base=BASE, **part):
+    return make_bsdf({"type": surface.TYPE, "base_color": {"type": "rgb", "value": list(base)}, **part})
+
+
+def seen_from(cosine, count, turn=0.7, side=1.0):
+    """Interactions whose eye is at this cosine."""
+    mi, sine = backend.mitsuba(), np.sqrt(1.0 - cosine**2)
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.wi = mi.Vector3f(*(float(c) for c in (sine * np.cos(turn), sine * np.sin(turn), side * cosine)))
+    return si
+
+
+def along(*axes):
+    return backend.mitsuba().Vector3f(*(np.asarray(axis, dtype=np.float32) for axis in axes))
+
+
+def grid(rows, columns):
+    """(3, rows x columns) directions of the upper side, even in the square of the sine and in the angle, and the share
+    of the projected hemisphere, pi, that each has.
+    """
+    squared, around = np.meshgrid((np.arange(rows) + 0.5) / rows, (np.arange(columns) + 0.5) / columns * 2.0 * np.pi)
+    squared, around = squared.ravel(), around.ravel()
+    sine = np.sqrt(squared)
+    return np.stack([sine * np.cos(around), sine * np.sin(around), np.sqrt(1.0 - squared)]), np.pi / squared.size
+
+
+def lobe(v, light, alpha, f0):
+    """(..., N) GGX of Walter et al. 2007 by tangents, with Smith's masking of height-correlated slopes and Schlick's
+    reflection [1/sr].
+    """
+    h = v[:, None] + light
+    h /= np.linalg.norm(h, axis=0)
+    tangent2 = (1.0 - h[2] ** 2) / h[2] ** 2
+    normals = 1.0 / (np.pi * alpha**2 * h[2] ** 4 * (1.0 + tangent2 / alpha**2) ** 2)
+
+    def smith(w):
+        tangent = np.sqrt(1.0 - w[2] ** 2) / w[2]
+        return (-1.0 + np.sqrt(1.0 + (alpha * tangent) ** 2)) / 2.0
+
+    masked = 1.0 / (1.0 + smith(v[:, None]) + smith(light))
+    fresnel = f0[:, None] + (1.0 - f0[:, None]) * (1.0 - (v[:, None] * h).sum(axis=0)) ** 5
+    return fresnel * normals * masked / (4.0 * v[2] * light[2])
+
+
+def formula(part, v, light, base=BASE):
+    """(3, N) the BSDF [1/sr]; what the lobes reflect in all is summed over a grid of directions."""
+    everywhere, share = grid(600, 400)
+    grey = np.full(3, ((part.get("eta", 1.5) - 1.0) / (part.get("eta", 1.5) + 1.0)) ** 2)
+    f0 = np.array(part["specular"]["value"]) if "specular" in part else grey
+    alpha, metal, coat = part["roughness"] ** 2, part.get("metallic", 0.0), part.get("clearcoat", 0.0)
+    under = 1.0 - lobe(v, everywhere, alpha, f0).sum(axis=1) * share
+    dielectric = lobe(v, light, alpha, f0) + (under * base / np.pi)[:, None]
+    value = metal * base[:, None] * lobe(v, light, alpha, np.ones(3)) + (1.0 - metal) * dielectric
+    if coat:
+        sharp = part["clearcoat_roughness"] ** 2
+        value *= 1.0 - coat * (lobe(v, everywhere, sharp, grey).sum(axis=1) * share)[:, None]
+        value += coat * lobe(v, light, sharp, grey)
+    return value
+
+
+@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("cosine", [0.95, 0.5, 0.15])
+def test_the_value_is_the_formulas(mi, name, cosine):
+    """Lambert under a lobe that keeps E from it, metal beside it, a coat over both: to 0.5 % of the largest channel,
+    which the table of E allows.
+    """
+    v = np.array([np.sqrt(1.0 - cosine**2), 0.0, cosine])
+    light, _ = grid(12, 9)
+    for side in (1.0, -1.0):
+        si = seen_from(cosine, light.shape[1], turn=0.0, side=side)
+        value = np.array(made(**PARTS[name]).eval(mi.BSDFContext(), si, along(*light[:2], side * light[2])))
+        wanted = formula(PARTS[name], v, light) * light[2]
+        np.testing.assert_allclose(value, wanted, rtol=5e-3, atol=5e-3 * wanted.max(axis=1).mean() / 10.0)
+        through = made(**PARTS[name]).eval(mi.BSDFContext(), si, along(*light[:2], -side * light[2]))
+        assert not np.array(through).any()
+
+
+def test_a_rough_road_seen_flat_has_no_glow(mi):
+    """A road in a sun at 45 degrees, seen at 3 degrees: its matte part is Lambert's 0.1 / pi less what the reflection
+    keeps, where Disney's is twice as bright.
+    """
+    flat, sun = np.radians([3.0, 45.0])
+    v, light = np.array([np.cos(flat), 0.0, np.sin(flat)]), np.array([[-np.cos(sun)], [0.0], [np.sin(sun)]])
+    white, black = (
+        np.array(made([base] * 3, roughness=1.0).eval(mi.BSDFContext(), seen_from(v[2], 1, 0.0), along(*light)))[0]
+        for base in (0.1, 0.0)
+    )
+    matte = (white - black) / light[2]
+    assert 0.75 * 0.1 / np.pi < float(matte[0]) < 0.1 / np.pi
+
+
+@pytest.mark.parametrize("name", [_slow(name, {"plain", "half metal", "coated"}) for name in PARTS])
+def test_draws_are_spread_as_their_density_says(mi, name):
+    """Chi-squared over 12 x 16 cells of the upper side, and the share of draws that end above the surface."""
+    count, rows, columns, inner = 1 << 17, 12, 16, 32
+    draw = np.random.default_rng(5)
+    for cosine in (0.9, 0.2):
+        bsdf, si = made(**PARTS[name]), seen_from(cosine, count)
+        u = [mi.Float(draw.random(count).astype(np.float32)) for _ in range(3)]
+        drawn, weight = bsdf.sample(mi.BSDFContext(), si, u[0], mi.Point2f(u[1], u[2]))
+        wo, density = np.array(drawn.wo), np.array(drawn.pdf)
+        up = density > 0.0
+        assert (wo[2][up] > 0.0).all() and not np.array(weight)[:, ~up].any()
+        squared, around = 1.0 - wo[2][up] ** 2, np.mod(np.arctan2(wo[1], wo[0])[up], 2.0 * np.pi)
+        counts, _, _ = np.histogram2d(squared, around, [rows, columns], [(0.0, 1.0), (0.0, 2.0 * np.pi)])
+        light, share = grid(rows * inner, columns * inner)
+        pdf = np.array(bsdf.pdf(mi.BSDFContext(), seen_from(cosine, light.shape[1]), along(*light))) / light[2]
+        mass = (pdf * share).reshape(columns * inner, rows * inner)  # meshgrid: angle first
+        cells = mass.reshape(columns, inner, rows, inner).sum(axis=(1, 3)).T
+        assert up.mean() == pytest.approx(cells.sum(), abs=0.01)
+        assert_draws(counts, cells)
+        both = bsdf.eval_pdf_sample(mi.BSDFContext(), si, drawn.wo, u[0], mi.Point2f(u[1], u[2]))
+        np.testing.assert_allclose(np.array(both[1]), density, rtol=1e-5)
+        np.testing.assert_allclose(
+            (np.array(both[0]) / np.maximum(density, 1e-20))[:, up], np.array(weight)[:, up], rtol=1e-4
+        )
+        np.testing.assert_array_equal(np.array(both[2].wo), wo)
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_no_surface_gives_back_more_than_it_gets(mi, name):
+    """A white one in light from everywhere, by 2^17 draws of its own: never above 1.003, and a white matte under a
+    reflection gives back all of it.
+    """
+    count = 1 << 17
+    draw = np.random.default_rng(6)
+    for cosine in (1.0, 0.6, 0.2, 0.03):
+        u = [mi.Float(draw.random(count).astype(np.float32)) for _ in range(3)]
+        si = seen_from(cosine, count)
+        weight = np.array(made([1.0] * 3, **PARTS[name]).sample(mi.BSDFContext(), si, u[0], mi.Point2f(u[1], u[2]))[1])
+        assert weight.mean(axis=1).max() < 1.003
+        if not PARTS[name].get("metallic"):
+            np.testing.assert_allclose(weight.mean(axis=1), 1.0, atol=4e-3)
+
+
+def test_a_coat_of_one_reflects_what_its_index_says(mi):
+    """4 % of light that falls straight on, at an index of 1.5, where Disney's coat has a quarter of it."""
+    count = 1 << 17
+    draw = np.random.default_rng(7)
+    u = [mi.Float(draw.random(count).astype(np.float32)) for _ in range(3)]
+
+    def total(**part):
+        bsdf = made([0.0] * 3, roughness=0.5, metallic=1.0, **part)
+        return np.array(bsdf.sample(mi.BSDFContext(), seen_from(1.0, count), u[0], mi.Point2f(u[1], u[2]))[1])[0].mean()
+
+    assert total() == 0.0
+    assert total(clearcoat=1.0, clearcoat_roughness=0.05) == pytest.approx(0.04, rel=0.05)
+    assert total(clearcoat=0.5, clearcoat_roughness=0.05) == pytest.approx(0.02, rel=0.05)
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_channels_are_straight_lines_of_their_colour_and_draws_do_not_see_it(mi, name):
+    """What `spectra.bsdfs` asks of every BSDF, so that three channels can carry a material's spectrum."""
+    light, _ = grid(8, 8)
+    si, wo = seen_from(0.6, light.shape[1]), along(*light)
+    found = [made([base] * 3, **PARTS[name]).eval_pdf(mi.BSDFContext(), si, wo) for base in (0.0, 0.35, 1.0)]
+    low, middle, high = (np.array(value) for value, _ in found)
+    np.testing.assert_allclose(middle, 0.65 * low + 0.35 * high, rtol=1e-5, atol=1e-7)
+    assert (np.array(found[0][1]) == np.array(found[2][1])).all()
+
+
+@pytest.mark.parametrize("name", [name for name in PARTS if name != "tinted"])
+def test_the_scalar_variants_stand_in_gives_back_about_as_much(mi, name):
+    """Mitsuba's `principled`, for the variant that has no kernels, in light from everywhere: to 0.1."""
+    count = 1 << 14
+    draw = np.random.default_rng(8)
+    u = [mi.Float(draw.random(count).astype(np.float32)) for _ in range(3)]
+    part = {"type": surface.TYPE, "base_color": {"type": "rgb", "value": BASE.tolist()}, **PARTS[name]}
+    for cosine in (0.9, 0.4):
+        ours, stand_in = (
+            np.array(make_bsdf(one).sample(mi.BSDFContext(), seen_from(cosine, count), u[0], mi.Point2f(u[1], u[2]))[1])
+            for one in (part, surface.stand_in(part))
+        )
+        np.testing.assert_allclose(stand_in.mean(axis=1), ours.mean(axis=1), atol=0.1)
