@@ -9,12 +9,14 @@ Mitsuba's own `principled` has Disney's matte part, which glows where a rough su
 
 with numbers, or textures in their place; eta is a number, 1.5 where nothing is said.  A surface need not have more
 than the first two; a coat has both of its inputs.  With c the coat, m
-the metal, rho the base colour, G a GGX lobe of alpha = roughness^2 and Schlick's reflection, and E what the lobe
-reflects in all of a direction v:
+the metal, rho the base colour, G a GGX lobe of alpha = roughness^2, and E what the lobe reflects in all of a direction
+v:
 
     f = c G_coat + (1 - c E_coat(v)) (m rho G_metal + (1 - m) (G_dielectric + (1 - E_dielectric(v)) rho / pi))
 
-So are the parts put together in MaterialX's definition of UsdPreviewSurface (bxdf/usd_preview_surface.mtlx).  Storm's
+A lobe reflects as Fresnel's equations say of the index, or by Schlick's rule from `specular` to white; metal reflects
+rho at any angle.  So are the parts put together in MaterialX's definition of UsdPreviewSurface
+(bxdf/usd_preview_surface.mtlx), and in Cycles, which has Fresnel's curve too where MaterialX has Schlick's.  Storm's
 previewSurface.glslfx has 1 - F(v . h) for 1 - E(v), by which white surfaces give back more than they get.
 Both sides of a face look alike.
 """
@@ -45,6 +47,9 @@ MATTE = 0.2
 NODES = 32
 """Rows of `lobe_albedo`'s table by the cosine, and by the roughness."""
 
+STEPS, MOST = 20, 0.995
+"""Tables of `lobe_albedo` by the amplitude that a dielectric reflects, from 0 to 1, and the largest amplitude."""
+
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 _known: set[str] = set()
@@ -59,14 +64,15 @@ def register() -> None:
         mi.register_bsdf(TYPE, lambda properties: bsdf(properties))
 
 
-@functools.lru_cache(maxsize=1)
-def lobe_albedo(points: int = 610) -> Array:
-    """(2, NODES, NODES) what a GGX lobe reflects of light from one direction, by the root of its cosine and by its
+@functools.lru_cache(maxsize=STEPS + 1)
+def lobe_albedo(step: int, points: int = 610) -> Array:
+    """(3, NODES, NODES) what a GGX lobe reflects of light from one direction, by the root of its cosine and by its
     roughness, both evenly from 0 to 1.
 
-    The first is that of Schlick's weight 1 - (1 - v . h)^5 and the second of (1 - v . h)^5: a lobe of reflection r0 at
-    normal incidence and r90 at grazing has r0 first + r90 second.  Mean of `points` visible normals (Heitz 2018)
-    each, evenly spread: the weight of one is G2 / G1.
+    The first two are of Schlick's weights 1 - (1 - v . h)^5 and (1 - v . h)^5: a lobe of reflection r0 at normal
+    incidence and r90 at grazing has r0 first + r90 second.  The third is of a dielectric's whose amplitude at normal
+    incidence, (n - 1) / (n + 1), is `step` / STEPS.  Mean of `points` visible normals (Heitz 2018) each, evenly spread:
+    the weight of one is G2 / G1.
     """
     root, roughness = (axis[..., None] for axis in np.meshgrid(*2 * [np.linspace(0.0, 1.0, NODES)], indexing="ij"))
     cosine, alpha = np.maximum(root**2, 1e-4), np.maximum(roughness**2, MIN_ALPHA)
@@ -80,15 +86,29 @@ def lobe_albedo(points: int = 610) -> Array:
     h = np.stack([ring * np.cos(2.0 * np.pi * u), ring * np.sin(2.0 * np.pi * u), z]) + stretched
     h *= np.stack([alpha, alpha, 1.0 + 0.0 * alpha])
     h /= np.linalg.norm(h, axis=0)
-    between = sine * h[0] + cosine * h[2]
+    between = np.clip(sine * h[0] + cosine * h[2], 0.0, 1.0)
     out = 2.0 * between * h[2] - cosine
 
     def stretch(c: Array) -> Array:
         return 0.5 * (np.sqrt(1.0 + alpha**2 * (1.0 / np.maximum(c, 1e-6) ** 2 - 1.0)) - 1.0)
 
     shadowed = np.where(out > 0.0, (1.0 + stretch(cosine)) / (1.0 + stretch(cosine) + stretch(out)), 0.0)
-    grazing = (1.0 - np.clip(between, 0.0, 1.0)) ** 5
-    return np.stack([(shadowed * (1.0 - grazing)).mean(axis=-1), (shadowed * grazing).mean(axis=-1)])
+    grazing, amplitude = (1.0 - between) ** 5, min(step / STEPS, MOST)
+    index = (1.0 + amplitude) / (1.0 - amplitude)
+    refracted = np.sqrt(index**2 - 1.0 + between**2)
+    across = (refracted - between) / np.maximum(refracted + between, 1e-9)
+    along = (between * (refracted + between) - 1.0) / (between * (refracted - between) + 1.0)
+    dielectric = 0.5 * across**2 * (1.0 + along**2)
+    return np.stack([(shadowed * part).mean(axis=-1) for part in (1.0 - grazing, grazing, dielectric)])
+
+
+def albedo_of(eta: float) -> Array:
+    """(NODES, NODES, 4) `lobe_albedo` of an index of refraction, between those of its steps, and 0."""
+    place = min((eta - 1.0) / (eta + 1.0), MOST) * STEPS
+    step = min(int(place), STEPS - 1)
+    low, high = lobe_albedo(step), lobe_albedo(step + 1)
+    made = low + (place - step) * (high - low)
+    return np.concatenate([made, 0.0 * made[:1]]).transpose(1, 2, 0)
 
 
 def drawn(part: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -116,8 +136,12 @@ def stand_in(part: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _plugin(mi: Any) -> Any:
-    table = mi.Float(lobe_albedo().transpose(1, 2, 0).astype(np.float32).ravel())
-    dr.make_opaque(table)
+
+    @functools.lru_cache(maxsize=64)
+    def table(eta: float) -> Any:
+        made = backend.floats(albedo_of(eta).ravel())
+        dr.make_opaque(made)
+        return made
 
     class PreviewSurface(mi.BSDF):  # type: ignore[misc, name-defined]
         """See the head of this file."""
@@ -132,7 +156,7 @@ def _plugin(mi: Any) -> Any:
             self.metallic, self.specular = texture("metallic"), texture("specular")
             self.coat, self.coat_roughness = texture("clearcoat"), texture("clearcoat_roughness")
             eta = float(properties.get("eta", 1.5))
-            self.f0 = dr.opaque(mi.Float, ((eta - 1.0) / (eta + 1.0)) ** 2)
+            self.eta, self.table = dr.opaque(mi.Float, eta), table(eta)
             self.m_components = [
                 mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide,
                 mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide,
@@ -183,11 +207,14 @@ def _plugin(mi: Any) -> Any:
             self.below = si.wi.z < 0.0
             self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
             self.base = bsdf.base_color.eval(si, active)
+            self.eta, self.table = bsdf.eta, bsdf.table
             self.alpha, albedo = self.lobe(bsdf.roughness.eval_1(si, active))
-            self.f0 = mi.Color3f(bsdf.f0) if bsdf.specular is None else mi.Color3f(bsdf.specular.eval(si, active))
-            reflects = self.f0 * albedo.x + albedo.y
+            self.specular, reflects = None, mi.Color3f(albedo.z)
+            if bsdf.specular is not None:
+                self.specular = mi.Color3f(bsdf.specular.eval(si, active))
+                reflects = self.specular * albedo.x + albedo.y
             self.matte, self.gloss, self.metal, self.coat = 1.0 - reflects, mi.Float(1.0), None, None
-            lobes = dr.mean(reflects) if bsdf.specular is not None else reflects.x
+            lobes = reflects.x if bsdf.specular is None else dr.mean(reflects)
             under = (1.0 - lobes) * MATTE
             if bsdf.metallic is not None:
                 self.metal = bsdf.metallic.eval_1(si, active)
@@ -199,8 +226,7 @@ def _plugin(mi: Any) -> Any:
             if bsdf.coat is not None:
                 self.coat = bsdf.coat.eval_1(si, active)
                 self.coat_alpha, coated = self.lobe(bsdf.coat_roughness.eval_1(si, active))
-                self.coat_f0 = bsdf.f0
-                reflected = self.coat * (self.coat_f0 * coated.x + coated.y)
+                reflected = self.coat * coated.z
                 self.left = 1.0 - reflected
                 self.chance_coat = reflected / dr.maximum(reflected + self.left * (under + lobes), 1e-8)
 
@@ -211,8 +237,7 @@ def _plugin(mi: Any) -> Any:
             row, column = dr.minimum(mi.UInt32(x), NODES - 2), dr.minimum(mi.UInt32(y), NODES - 2)
             begin, x, y = row * NODES + column, x - mi.Float(row), y - mi.Float(column)
             near, next_ = (
-                dr.lerp(dr.gather(mi.Vector2f, table, begin + n), dr.gather(mi.Vector2f, table, begin + n + 1), y)
-                for n in (0, NODES)
+                dr.lerp(*(dr.gather(mi.Vector4f, self.table, begin + n + m) for m in (0, 1)), y) for n in (0, NODES)
             )
             return dr.maximum(roughness * roughness, MIN_ALPHA), dr.lerp(near, next_, x)
 
@@ -221,16 +246,20 @@ def _plugin(mi: Any) -> Any:
             wi, wo = self.wi, mi.Vector3f(wo.x, wo.y, dr.select(self.below, -wo.z, wo.z))
             good = active & (wi.z > 0.0) & (wo.z > 0.0)
             h = dr.normalize(wi + wo)
-            grazing = dr.power(dr.maximum(1.0 - dr.dot(wi, h), 0.0), 5)
+            dielectric = mi.fresnel(dr.dot(wi, h), self.eta)[0]
+            tint = mi.Color3f(dielectric)
+            if self.specular is not None:
+                grazing = dr.power(dr.maximum(1.0 - dr.dot(wi, h), 0.0), 5)
+                tint = self.specular + (1.0 - self.specular) * grazing
             matte = dr.maximum(wo.z, 0.0) * dr.inv_pi
             gloss, density = _ggx(wi, wo, h, self.alpha)
-            value = (self.f0 + (1.0 - self.f0) * grazing) * (gloss * self.gloss) + self.matte * self.base * matte
+            value = tint * (gloss * self.gloss) + self.matte * self.base * matte
             if self.metal is not None:
                 value += self.metal * self.base * gloss
             pdf = dr.lerp(density, matte, self.chance_matte)
             if self.coat is not None:
                 shine, sharp = _ggx(wi, wo, h, self.coat_alpha)
-                value = value * self.left + self.coat * (self.coat_f0 + (1.0 - self.coat_f0) * grazing) * shine
+                value = value * self.left + self.coat * dielectric * shine
                 pdf = dr.lerp(pdf, sharp, self.chance_coat)
             return dr.select(good, value, 0.0), dr.select(good, pdf, 0.0)
 

@@ -59,10 +59,8 @@ def grid(rows, columns):
     return np.stack([sine * np.cos(around), sine * np.sin(around), np.sqrt(1.0 - squared)]), np.pi / squared.size
 
 
-def lobe(v, light, alpha, f0):
-    """(..., N) GGX of Walter et al. 2007 by tangents, with Smith's masking of height-correlated slopes and Schlick's
-    reflection [1/sr].
-    """
+def lobe(v, light, alpha, reflection):
+    """(3, N) GGX of Walter et al. 2007 by tangents, with Smith's masking of height-correlated slopes [1/sr]."""
     h = v[:, None] + light
     h /= np.linalg.norm(h, axis=0)
     tangent2 = (1.0 - h[2] ** 2) / h[2] ** 2
@@ -73,23 +71,39 @@ def lobe(v, light, alpha, f0):
         return (-1.0 + np.sqrt(1.0 + (alpha * tangent) ** 2)) / 2.0
 
     masked = 1.0 / (1.0 + smith(v[:, None]) + smith(light))
-    fresnel = f0[:, None] + (1.0 - f0[:, None]) * (1.0 - (v[:, None] * h).sum(axis=0)) ** 5
-    return fresnel * normals * masked / (4.0 * v[2] * light[2])
+    return reflection((v[:, None] * h).sum(axis=0)) * normals * masked / (4.0 * v[2] * light[2])
+
+
+def fresnel(eta):
+    """Of light that is not polarised, by the angles on both sides of the face."""
+
+    def reflection(cosine):
+        outside = np.arccos(np.clip(cosine, 0.0, 1.0))
+        inside = np.arcsin(np.sin(outside) / eta)
+        across = (np.cos(outside) - eta * np.cos(inside)) / (np.cos(outside) + eta * np.cos(inside))
+        along = (eta * np.cos(outside) - np.cos(inside)) / (eta * np.cos(outside) + np.cos(inside))
+        return np.broadcast_to((across**2 + along**2) / 2.0, (3, *np.shape(cosine)))
+
+    return reflection
+
+
+def schlick(colour):
+    return lambda cosine: colour[:, None] + (1.0 - colour[:, None]) * (1.0 - cosine) ** 5
 
 
 def formula(part, v, light, base=BASE):
     """(3, N) the BSDF [1/sr]; what the lobes reflect in all is summed over a grid of directions."""
     everywhere, share = grid(600, 400)
-    grey = np.full(3, ((part.get("eta", 1.5) - 1.0) / (part.get("eta", 1.5) + 1.0)) ** 2)
-    f0 = np.array(part["specular"]["value"]) if "specular" in part else grey
+    glass = fresnel(part.get("eta", 1.5))
+    gloss = schlick(np.array(part["specular"]["value"])) if "specular" in part else glass
     alpha, metal, coat = part["roughness"] ** 2, part.get("metallic", 0.0), part.get("clearcoat", 0.0)
-    under = 1.0 - lobe(v, everywhere, alpha, f0).sum(axis=1) * share
-    dielectric = lobe(v, light, alpha, f0) + (under * base / np.pi)[:, None]
-    value = metal * base[:, None] * lobe(v, light, alpha, np.ones(3)) + (1.0 - metal) * dielectric
+    under = 1.0 - lobe(v, everywhere, alpha, gloss).sum(axis=1) * share
+    dielectric = lobe(v, light, alpha, gloss) + (under * base / np.pi)[:, None]
+    value = metal * base[:, None] * lobe(v, light, alpha, schlick(np.ones(3))) + (1.0 - metal) * dielectric
     if coat:
         sharp = part["clearcoat_roughness"] ** 2
-        value *= 1.0 - coat * (lobe(v, everywhere, sharp, grey).sum(axis=1) * share)[:, None]
-        value += coat * lobe(v, light, sharp, grey)
+        value *= 1.0 - coat * (lobe(v, everywhere, sharp, glass).sum(axis=1) * share)[:, None]
+        value += coat * lobe(v, light, sharp, glass)
     return value
 
 
