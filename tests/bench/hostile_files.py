@@ -284,8 +284,8 @@ def instancer_4000000(folder):
 
 
 @stage
-def instancer_1400000(folder):
-    _instancer(folder, 1_400_000)
+def instancer_750000(folder):
+    _instancer(folder, 750_000)
 
 
 @stage
