@@ -182,7 +182,7 @@ def test_clear_air_shows_sky_and_ground():
     assert slab.optical_depth == 0.0 and np.all(np.isfinite(slab.table(8, 8)))
 
 
-@pytest.mark.parametrize("sigma_t", [0.005, 0.02, 0.1])
+@pytest.mark.parametrize("sigma_t", [0.02, *(pytest.param(value, marks=pytest.mark.slow) for value in (0.005, 0.1))])
 def test_tables_hold_the_radiance(sigma_t):
     """Bilinear lookup at the default size: median error < 1e-4, 99th percentile < 1e-3, at random heights and
     directions.

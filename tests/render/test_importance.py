@@ -100,9 +100,9 @@ def test_tables_know_where_each_light_shines(mi, both):
     way = mi.Vector3f((way / np.linalg.norm(way, axis=0)).astype(np.float32))
     first = np.cumsum([0, *(len(rows) for rows in lights.rows)])[:-1]
     for number, row in enumerate(first):
-        _, _, axis, table, x = importance._row(mi.UInt32(number))
+        _, _, axis, table, x = importance._row(dr.opaque(mi.UInt32, number))
         known = np.array(importance._sent(axis, x, table, way))
-        true = np.array(lights.sent(lights.columns.at(mi.UInt32(int(row))), way))
+        true = np.array(lights.sent(lights.columns.at(dr.opaque(mi.UInt32, int(row))), way))
         assert (
             np.abs(known - true).mean() < 0.02 and np.corrcoef(known, true)[0, 1] > 0.97
             if true.std() > 0
@@ -115,8 +115,8 @@ def test_no_light_is_left_out_anywhere(mi, both):
     _, _, importance = both
     origin, direction, begin, end = rays(mi, 100_000)
     for number in range(COUNT):
-        assert np.array(importance.along(mi.UInt32(number), origin, direction, begin, end)).min() > 0.0
-        assert np.array(importance.at(mi.UInt32(number), origin, lambda way: mi.Float(1.0))).min() > 0.0
+        assert np.array(importance.along(dr.opaque(mi.UInt32, number), origin, direction, begin, end)).min() > 0.0
+        assert np.array(importance.at(dr.opaque(mi.UInt32, number), origin, lambda way: mi.Float(1.0))).min() > 0.0
 
 
 def test_draws_follow_the_weights(mi, both):
@@ -130,7 +130,7 @@ def test_draws_follow_the_weights(mi, both):
         lambda i: importance.along(i, origin, direction, begin, end),
         lambda i: importance.at(i, origin, lambda way: dr.abs(way.z) + 0.05),
     ):
-        weights = np.array([float(weigh(mi.UInt32(number))[0]) for number in range(COUNT)])
+        weights = np.array([float(weigh(dr.opaque(mi.UInt32, number))[0]) for number in range(COUNT)])
         chance = weights / weights.sum()
         picks = importance.draw(weigh, Sobol(9, dr.arange(mi.UInt32, count), mi.UInt32(0)), mi.Bool(True))
         numbers = [np.array(picks.at(mi.UInt32(k))[0]) for k in range(PICKS)]

@@ -37,6 +37,7 @@ def irradiance_of(loaded, position, normal, samples=1 << 18):
         mi.Point3f((np.asarray(position) - scene.origin_m).tolist()),
         mi.Normal3f(np.asarray(normal, dtype=float).tolist()),
     )
+    dr.make_opaque(si.p, si.n)  # else each place would have a kernel of its own
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(7, samples)
     sent, weight = loaded.sample_emitter_direction(si, sampler.next_2d(), False)
