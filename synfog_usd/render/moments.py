@@ -9,7 +9,7 @@ motion goes on within a part (see `motion`).  Each part costs a search tree, gui
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from synfog_usd.progress import Progress, silent, within
 from synfog_usd.render import backend
 from synfog_usd.render.denoise import Guides, guides
 from synfog_usd.render.film.accumulator import (
+    ALL,
     INSCATTERED,
     Accumulator,
     Estimator,
@@ -246,24 +247,27 @@ def accumulate(
     make: Callable[[MitsubaScene], Integrator],
     *,
     seed: int,
+    rays: int = 0,
     progress: Progress = silent,
-) -> Accumulator:
-    """The picture of all parts.
+) -> tuple[Accumulator, Guides | None]:
+    """The picture of all parts, and what a denoiser may know of them.
 
     Args:
         movables: what moves; it is put back in the end.
         parts: of the exposure.
         make: an integrator of a scene.
         seed: of the image.
+        rays: of a pixel for the guides, in all; 0 makes none, and so does a model that tells no components apart.
         progress: told after each part.
     """
-    camera, merged = movables.loaded.source.camera, _Merged()
+    camera, merged, looked = movables.loaded.source.camera, _Merged(), _MeanGuides()
     pixels = camera.width_px * camera.height_px
     try:
         for number, part in enumerate(parts.parts):
             loaded = movables.at(0.5 * (part.begin + part.end))
             eye = replace(loaded.source.camera, during=(part.begin, part.end))
-            integrator = make(replace(loaded, source=replace(loaded.source, camera=eye)))
+            seen = replace(loaded, source=replace(loaded.source, camera=eye))
+            integrator = make(seen)
             told = within(progress, number / len(parts.parts), (number + 1) / len(parts.parts))
             if isinstance(integrator, FogPath):
                 begun = number * parts.samples // 2  # numbers of paths go on from part to part, and so does their order
@@ -279,9 +283,11 @@ def accumulate(
             else:
                 found = integrator.accumulate(samples=parts.samples, seed=seed32(seed, "moment", number), progress=told)
             merged.add(found, np.repeat(part.share, camera.width_px))
+            if rays and ALL not in found.estimators:
+                looked.add(guides(seen, rays=max(LEAST, rays // len(parts.parts))), part.share)
     finally:
         movables.back()
-    return merged.all()
+    return merged.all(), looked.all()
 
 
 class _Merged:
@@ -325,19 +331,18 @@ class _Merged:
         return Accumulator(estimators, self.lost, self.weights)
 
 
-def mean_guides(movables: Movables, parts: Intervals, *, rays: int) -> Guides:
-    """What a denoiser may know of all parts together; `rays` of a pixel in all."""
-    each = max(LEAST, rays // len(parts.parts))
-    sums: Sequence[Array] | None = None
-    try:
-        for part in parts.parts:
-            loaded = movables.at(0.5 * (part.begin + part.end))
-            eye = replace(loaded.source.camera, during=(part.begin, part.end))
-            found = guides(replace(loaded, source=replace(loaded.source, camera=eye)), rays=each)
-            share = part.share.astype(np.float32)[:, None]
-            own = [found.albedo * share[..., None], found.normal * share[..., None], found.transmittance * share]
-            sums = own if sums is None else [before + now for before, now in zip(sums, own, strict=True)]
-    finally:
-        movables.back()
-    assert sums is not None
-    return Guides(*sums)
+class _MeanGuides:
+    """The mean of guides by each one's share of the rows."""
+
+    def __init__(self) -> None:
+        self.sums: list[Array] | None = None
+
+    def add(self, found: Guides, share: Array) -> None:
+        """One with a share (H,) of each row."""
+        rows = share.astype(np.float32)[:, None]
+        own = [found.albedo * rows[..., None], found.normal * rows[..., None], found.transmittance * rows]
+        self.sums = own if self.sums is None else [before + now for before, now in zip(self.sums, own, strict=True)]
+
+    def all(self) -> Guides | None:
+        """None where there were none."""
+        return None if self.sums is None else Guides(*self.sums)

@@ -21,7 +21,7 @@ from synfog_usd.render.integrators.path import LENS_M
 from synfog_usd.render.load import MitsubaScene, to_mitsuba
 from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached
 from synfog_usd.render.spectra import bands as banding
-from synfog_usd.scene import SceneDict
+from synfog_usd.scene import Camera, SceneDict
 
 PROBE_PX = (64, 36)
 
@@ -40,10 +40,6 @@ DENOISING = 5.0
 
 CHOOSING = 0.02, 0.1
 """Parts of the progress that choosing a model and choosing bands are given."""
-
-
-Judge = Callable[[Accumulator], tuple[np.ndarray, dualbuffer.Error] | None]
-"""What the samples so far give: luminance and its error, both (H, W); None where that fails."""
 
 
 @dataclass(frozen=True)
@@ -210,22 +206,15 @@ def render(
     if parts := moments.cut(loaded.source, samples):
         why += f"; {len(parts.parts)} moments of the exposure, {parts.samples} samples in each"
         warnings += [said] if (said := parts.said()) else []
+        rays = _guide_rays(target) if denoise else 0
         movables = moments.Movables(loaded)
-        look = functools.partial(moments.mean_guides, movables, parts)
+        accumulated, known = moments.accumulate(movables, parts, make, seed=seed, rays=rays, progress=progress)
+        if denoise:
+            cleaning = functools.partial(_denoised, accumulated, lambda: known, camera, target)
+    elif denoise:
+        accumulated, cleaning = _sampled(loaded, integrator, target, seed, now, progress)
     else:
-        look = functools.partial(denoising.guides, loaded)
-
-    def sampled(judged: Judge | None, told: Progress) -> Accumulator:
-        if parts:
-            return moments.accumulate(movables, parts, make, seed=seed, progress=told)
-        if judged is None:
-            return accumulate_to_target(integrator, target=target, seed=seed, now=now, progress=told)
-        return accumulate_denoised(integrator, target=target, seed=seed, now=now, denoised=judged, progress=told)
-
-    if denoise:
-        accumulated, cleaning = _sampled(sampled, look, shape[:2], target, progress)
-    else:
-        accumulated = sampled(None, progress)
+        accumulated = accumulate_to_target(integrator, target=target, seed=seed, now=now, progress=progress)
     met = None if target.open else reached(accumulated, target, shape[:2])
     luminance, error = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
     variance = accumulated.variance().reshape(shape).astype(np.float32)
@@ -293,55 +282,55 @@ def render(
 
 
 def _sampled(
-    sampled: Callable[[Judge, Progress], Accumulator],
-    look: Callable[..., denoising.Guides],
-    shape: tuple[int, int],
-    target: Target,
-    progress: Progress,
+    loaded: MitsubaScene, integrator: Any, target: Target, seed: int, now: Callable[[], float], progress: Progress
 ) -> tuple[Accumulator, Callable[[], tuple[denoising.Denoised | None, str]]]:
     """Samples, and what makes the picture without their noise of them: None where there is none, and what went wrong,
     or ''.
-
-    Args:
-        sampled: takes them; given what judges those that there are.
-        look: gives the guides of so many `rays` a pixel.
-        shape: (H, W).
-        target: what is good enough.
-        progress: told on the way.
     """
-    height, width = shape
-    few = target.samples < denoising.FEW
-    guides = functools.cache(lambda: look(rays=denoising.FEW_RAYS if few else denoising.GUIDE_RAYS))
-    done: dict[int, denoising.Denoised | None] = {}  # by the number of samples, the last one only
-    problem = ""
+    guides = functools.cache(lambda: denoising.guides(loaded, rays=_guide_rays(target)))
+    done: dict[int, tuple[denoising.Denoised | None, str]] = {}  # by the number of samples, the last one only
     share = target.samples / (target.samples + DENOISING)
 
-    def picture(accumulated: Accumulator, progress: Progress = silent) -> denoising.Denoised | None:
-        nonlocal problem
-        if accumulated.samples not in done and (halves := accumulated.component_halves(height, width)):
+    def picture(accumulated: Accumulator, progress: Progress = silent) -> tuple[denoising.Denoised | None, str]:
+        if accumulated.samples not in done:
             done.clear()
-            problem = ""
-            try:
-                progress("denoising", 0.0)
-                done[accumulated.samples] = denoising.denoise_halves(
-                    halves, guides(), accumulated.weights, balanced=few, progress=within(progress, 0.3, 1.0)
-                )
-            except (denoising.DenoiserError, MemoryError) as error:
-                done[accumulated.samples] = None
-                problem = f"not denoised, so it takes many more samples: {str(error) or 'not enough memory'}"
-        return done.get(accumulated.samples)
+            done[accumulated.samples] = _denoised(accumulated, guides, loaded.source.camera, target, progress)
+        return done[accumulated.samples]
 
     def judged(accumulated: Accumulator) -> tuple[np.ndarray, dualbuffer.Error] | None:
-        found = picture(accumulated)
+        found, _ = picture(accumulated)
         return None if found is None else (found.luminance(accumulated.weights), found.error)
 
-    accumulated = sampled(judged, within(progress, 0.0, share))
+    accumulated = accumulate_denoised(
+        integrator, target=target, seed=seed, now=now, denoised=judged, progress=within(progress, 0.0, share)
+    )
+    return accumulated, lambda: picture(accumulated, within(progress, share, 1.0))
 
-    def finished() -> tuple[denoising.Denoised | None, str]:
-        found = picture(accumulated, within(progress, share, 1.0))
-        return found, problem
 
-    return accumulated, finished
+def _guide_rays(target: Target) -> int:
+    """Rays of a pixel for the guides of a picture of so many samples."""
+    return denoising.FEW_RAYS if target.samples < denoising.FEW else denoising.GUIDE_RAYS
+
+
+def _denoised(
+    accumulated: Accumulator,
+    guides: Callable[[], denoising.Guides],
+    camera: Camera,
+    target: Target,
+    progress: Progress = silent,
+) -> tuple[denoising.Denoised | None, str]:
+    """The picture without noise, None where no components are told apart or it failed; and what went wrong, or ''."""
+    halves = accumulated.component_halves(camera.height_px, camera.width_px)
+    if not halves:
+        return None, ""
+    try:
+        progress("denoising", 0.0)
+        few = target.samples < denoising.FEW
+        return denoising.denoise_halves(
+            halves, guides(), accumulated.weights, balanced=few, progress=within(progress, 0.3, 1.0)
+        ), ""
+    except (denoising.DenoiserError, MemoryError) as error:
+        return None, f"not denoised, so it takes many more samples: {str(error) or 'not enough memory'}"
 
 
 def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:
