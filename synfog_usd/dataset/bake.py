@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 
 from synfog_usd import __version__, files, resources, system
 from synfog_usd.dataset import contact, labels, lanes, objects, visibility
-from synfog_usd.dataset.forecast import Forecast, kinds
+from synfog_usd.dataset.forecast import SET_UP, Forecast, Kind, kinds
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
 from synfog_usd.errors import StageError
 from synfog_usd.image import Image, Quantity
-from synfog_usd.progress import Progress, silent
+from synfog_usd.progress import Progress, silent, within
 from synfog_usd.seeds import seed32
 
 if TYPE_CHECKING:
@@ -39,7 +39,11 @@ if TYPE_CHECKING:
 
 MANIFEST = "bake.json"
 METER_WIDTH_PX = 160
-METER_SAMPLES, DRAFT_METER_SAMPLES = 64, 8
+METER_SAMPLES, METER_SAMPLES_RAW, DRAFT_METER_SAMPLES = 16, 64, 8
+"""Of a pixel of the frame that is metered: where it can be denoised, else, and of a draft, whose frame is not."""
+
+ALONE_PX = 1 << 20
+"""Pixels of a picture beyond which it is denoised before the next is sampled: the sums of both would fill memory."""
 
 ANOTHER_LOAD = 0.5
 """Share of a scene's triangles that its fog must hide: what is left is loaded once more, with kernels of its own, where
@@ -92,8 +96,10 @@ def bake(
     from synfog_usd import stage as usd
     from synfog_usd.render import backend, models
     from synfog_usd.render.film import aovs
+    from synfog_usd.render.shot import Settings, sampling_share
     from synfog_usd.translate import outdoors
 
+    bake_began = time.monotonic()
     models.check_name(plan.model)
     graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
     with reading():
@@ -104,13 +110,15 @@ def bake(
             usd.keep_near(stage, plan.max_distance_m, camera=plan.camera, frame=plan.frame)
         todo = shots(plan, usd.variants(stage))
         scenes = _Scenes(stage, plan, graph)
-        notes, foggy = scenes.survey(todo)
+        scenes.survey(todo if plan.strict else [shot for shot in todo if shot.lighting == todo[0].lighting])
 
-    if plan.strict and any(note.severity == "warning" for note in notes):
+    if plan.strict and any(note.severity == "warning" for note in scenes.notes(todo)):
         raise StrictError(
-            "\n".join(f"{note.path or plan.stage}: {note.text}" for note in notes if note.severity == "warning")
+            "\n".join(
+                f"{note.path or plan.stage}: {note.text}" for note in scenes.notes(todo) if note.severity == "warning"
+            )
         )
-    if all(shot.mor_m is None for shot in todo) and not foggy and plan.fog != (CLEAR,):
+    if all(shot.mor_m is None for shot in todo) and not scenes.foggy and plan.fog != (CLEAR,):
         log(
             f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog "
             f"(see docs/artists.md)."
@@ -121,7 +129,7 @@ def bake(
 
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
-        ledger, renderer = _Ledger(plan.out, metadata, notes), _Renderer()
+        ledger, renderer = _Ledger(plan.out, metadata, scenes.notes(todo)), _Renderer()
         if not plan.draft and not ledger.labels_done():
             progress("labels", 0.0)
             with reading():
@@ -135,19 +143,25 @@ def bake(
             log(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
         seconds: dict[str, float] = {}
         views: dict[str, _View] = {}  # by lighting
-        forecast = Forecast(
-            kinds([(shot.lighting, shot.fog != CLEAR, scenes.have_lamps(shot.lighting)) for shot in unfinished])
-        )
 
-        def finish(shot: Shot, made: _Shot, began: float) -> None:
+        def expected() -> list[Kind]:
+            facts = [(shot.lighting, shot.fog != CLEAR, scenes.have_lamps(shot.lighting)) for shot in unfinished]
+            return kinds(facts, plan.samples)
+
+        forecast = Forecast(expected(), began=bake_began)
+
+        def finish(shot: Shot, picture: _Picture, began: float) -> None:
+            sampled = time.perf_counter()
+            made = picture(silent)
             row = _finish(made, graph, plan)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
+            forecast.made(time.perf_counter() - sampled)
             told = made.hidden.sentence(made.scene)
             for line in (*([told] if told else []), *row["warnings"]):
                 log(f"{shot.folder}: {line}")
 
-        with _Behind() as behind:  # a shot is developed and written while the next is rendered
+        with _Behind() as behind:  # a shot is denoised, developed and written while the next is sampled
             for index, shot in enumerate(unfinished):
                 began = time.perf_counter()
 
@@ -162,14 +176,29 @@ def bake(
                     )
                 if clear is not None:
                     step("metering", 0.01)
-                    behind.wait()  # the graph runs here too
-                    view = views[shot.lighting] = _meter(shot.lighting, replace(clear, fog=()), renderer, plan, graph)
+                    view = views[shot.lighting] = _meter(
+                        shot.lighting, replace(clear, fog=()), renderer, plan, graph, behind.wait
+                    )
                     log(
                         f"{shot.lighting}: {outdoors(scene)}; this view has {float(view.luminance.mean()):.3g} cd/m2 "
                         f"in clear air"
                     )
-                made = _render(shot, scene, renderer, views.get(shot.lighting), plan, scenes.taken, step)
-                behind.do(functools.partial(finish, shot, made, began))
+                alone = scene.camera.width_px * scene.camera.height_px > ALONE_PX
+                share = sampling_share(Settings(samples=plan.samples, denoise=plan.denoise)) if alone else 1.0
+                sampled = SET_UP + (1.0 - SET_UP) * share
+                told = within(step, SET_UP, sampled)
+                step("rendering", SET_UP)
+                picture = _render(shot, scene, renderer, views.get(shot.lighting), plan, scenes.taken, told)
+                if alone:
+                    picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
+                behind.do(functools.partial(finish, shot, picture, began))
+                if index == 0:
+                    with reading():
+                        scenes.survey(todo)
+                    forecast.expect(expected())
+        with reading():
+            scenes.survey(todo)
+        notes = ledger.notes = scenes.notes(todo)
         missing = [f"{note.path}: {note.text}" for note in notes if usd.MISSING in note.text]
         ledger.finish(todo, contact.write(plan.out, todo, ledger.rows, told=missing))
     progress("done", 1.0)
@@ -187,6 +216,8 @@ class _Scenes:
         self.stage, self.plan, self.graph, self.authored = stage, plan, graph, usd.selected(stage)
         self.lightings: dict[str, Any] = {}
         self.taken: Pinhole | None = None  # what the sensor takes, where a wider picture is rendered
+        self.told: dict[Shot, tuple[Note, ...]] = {}  # what the shots that were surveyed had to report
+        self.foggy = False  # whether one of them has fog
         self.known: dict[Shot, SceneDict] = {}
 
     def of(self, shot: Shot) -> SceneDict:
@@ -215,7 +246,9 @@ class _Scenes:
         return self.known[shot]
 
     def have_lamps(self, lighting: str) -> bool:
-        """Whether a lighting that was surveyed has lamps."""
+        """Whether a lighting has lamps; one that was not surveyed yet may have."""
+        if lighting not in self.lightings:
+            return True
         world = self.lightings[lighting].scene.world
         return any("intensity" in part for name, part in world.items() if name.startswith("light_"))
 
@@ -238,23 +271,28 @@ class _Scenes:
             camera=replace(scene.camera, **_size_of(wider)),
         )
 
-    def survey(self, todo: Sequence[Shot]) -> tuple[tuple[Note, ...], bool]:
-        """Read every lighting once and every fog once, before anything is rendered.
+    def survey(self, todo: Sequence[Shot]) -> None:
+        """Read every lighting once and every fog once, that were not read yet."""
+        for shot in _each_once(todo):
+            if shot not in self.told:
+                scene = self.of(shot)
+                self.told[shot] = tuple(scene.notes)
+                self.foggy |= bool(scene.fog)
 
-        Returns:
-            what any of them had to report, and whether one has fog.
-        """
-        notes, foggy = dict[Any, None](), False
-        lightings, fogs = set[str](), set[str]()
-        for shot in todo:
-            if shot.lighting in lightings and shot.fog in fogs:
-                continue
+    def notes(self, todo: Sequence[Shot]) -> tuple[Note, ...]:
+        """What the lightings and fogs of some shots had to report, as far as they were surveyed."""
+        return tuple(dict.fromkeys(note for shot in _each_once(todo) for note in self.told.get(shot, ())))
+
+
+def _each_once(todo: Sequence[Shot]) -> list[Shot]:
+    """The first shots of every lighting and of every fog."""
+    found, lightings, fogs = list[Shot](), set[str](), set[str]()
+    for shot in todo:
+        if shot.lighting not in lightings or shot.fog not in fogs:
+            found.append(shot)
             lightings.add(shot.lighting)
             fogs.add(shot.fog)
-            scene = self.of(shot)
-            notes |= dict.fromkeys(scene.notes)
-            foggy |= bool(scene.fog)
-        return tuple(notes), foggy
+    return found
 
 
 def _size_of(taken: Pinhole) -> dict[str, Any]:
@@ -356,20 +394,33 @@ def _groups_for(graph: Any, rendered: Rendered) -> dict[str, Image]:
     }
 
 
-def _meter(lighting: str, scene: SceneDict, renderer: _Renderer, plan: BakePlan, graph: Any) -> _View:
-    """A scene without fog, metered on a small frame."""
+def _meter(
+    lighting: str,
+    scene: SceneDict,
+    renderer: _Renderer,
+    plan: BakePlan,
+    graph: Any,
+    ready: Callable[[], None] = lambda: None,
+) -> _View:
+    """A scene without fog, metered on a small frame; the graph runs after `ready`."""
     from synfog_usd import camera, photometry
-    from synfog_usd.render import models
+    from synfog_usd.render import backend, denoise, models
     from synfog_usd.render.film import aovs
     from synfog_usd.render.load import resized
     from synfog_usd.render.shot import render
 
     loaded = _loaded(scene, renderer, models.AUTO)
     size = METER_WIDTH_PX, max(1, round(METER_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
-    samples = DRAFT_METER_SAMPLES if plan.draft else METER_SAMPLES
+    clean = not plan.draft and not backend.is_scalar() and not denoise.available()
     frame = render(
-        scene, samples=samples, seed=seed32(plan.seed, "meter"), size=size, loaded=resized(loaded, size)
+        scene,
+        samples=DRAFT_METER_SAMPLES if plan.draft else METER_SAMPLES if clean else METER_SAMPLES_RAW,
+        seed=seed32(plan.seed, "meter"),
+        size=size,
+        denoise=clean,
+        loaded=resized(loaded, size),
     ).radiance
+    ready()
     exposure = camera.meter(frame, graph)
     if plan.clip and (before := plan.clip.before.get(lighting)):
         exposure = camera.adapted(
@@ -402,6 +453,15 @@ class _Shot:
     rendered: Rendered
     noise: Callable[[np.ndarray], np.ndarray] | None
     hidden: Hidden
+
+
+_Picture = Callable[[Progress], _Shot]
+"""Makes the picture of a shot that was sampled."""
+
+
+def _same(made: _Shot, progress: Progress) -> _Shot:
+    """A picture that is made."""
+    return made
 
 
 class _Behind:
@@ -439,11 +499,11 @@ def _render(
     plan: BakePlan,
     taken: Pinhole | None,
     progress: Progress,
-) -> _Shot:
-    """Render one shot."""
+) -> _Picture:
+    """Sample one shot; what is returned makes its picture."""
     from synfog_usd import cull
     from synfog_usd.render.sampling.adaptive import sensor_target
-    from synfog_usd.render.shot import render
+    from synfog_usd.render.shot import sample
 
     density = _pinhole(scene.camera).focal_px / taken.focal_px if taken else 1.0
     floor = _shared(view.noise, density) if view and view.noise else None
@@ -463,7 +523,7 @@ def _render(
         and not loaded.boundaries
         and not scene.camera.width_m
     )
-    rendered = render(
+    rendered = sample(
         drawn,
         model=plan.model,
         samples=max(2, round(plan.samples / density**2)),
@@ -475,9 +535,13 @@ def _render(
         denoise=plan.denoise,
         loaded=loaded,
         clear=view.seen if view and (hidden.triangles or same) else None,
-        progress=lambda what, fraction: progress(what, 0.02 + 0.98 * fraction),
+        progress=progress,
     )
-    return _Shot(shot, scene, view, taken, rendered, floor, hidden)
+
+    def picture(progress: Progress) -> _Shot:
+        return _Shot(shot, scene, view, taken, rendered(progress), floor, hidden)
+
+    return picture
 
 
 def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
@@ -733,8 +797,7 @@ class _Ledger:
     """What is finished in an output folder, kept in `bake.json` after every shot."""
 
     def __init__(self, out: Path, metadata: Mapping[str, Any], notes: Sequence[Note]) -> None:
-        self.out, self.metadata = out, dict(metadata)
-        self.notes = [{"severity": note.severity, "path": note.path, "text": note.text} for note in notes]
+        self.out, self.metadata, self.notes = out, dict(metadata), notes
         self.rows: dict[str, dict[str, Any]] = {}
         self.labels: dict[str, str] = {}
         self.contact: dict[str, str] = {}
@@ -779,7 +842,7 @@ class _Ledger:
             "schema": "synfog-usd/bake",
             "version": 1,
             **self.metadata,
-            "notes": self.notes,
+            "notes": [{"severity": note.severity, "path": note.path, "text": note.text} for note in self.notes],
             "labels": self.labels,
             "contact": self.contact,
             "shots": ordered,

@@ -1,9 +1,10 @@
 """How much of a bake is done, as a share of its time.
 
-A shot is set up and then rendered.  The first of a lighting is translated, loaded and metered, and the first in fog may
-compile kernels; fog costs more than clear air, and lamps more than a sky.  What earlier shots took tells what the next
-will take: those of the same kind, else all, by rough weights.  How far a shot's own fraction runs ahead of its time, or
-behind, is learned from them too.
+A shot is set up and then sampled, and its picture is made while the next is sampled.  The first of a lighting is
+translated, loaded and metered, and the first in fog may compile kernels; a sample costs more in fog than in clear air,
+and more before lamps than under a sky, and making the picture costs what it costs.  What earlier shots took tells what
+the next will take: those of the same kind, else all, by rough weights.  How far a shot's own fraction runs ahead of its
+time, or behind, is learned from them too.
 """
 
 from __future__ import annotations
@@ -16,17 +17,17 @@ from dataclasses import dataclass, field
 SET_UP = 0.03
 """Fraction of a shot up to which it is set up; rendering reports from there on."""
 
-FOGGY = 2.0
-"""Seconds of a foggy shot's rendering over those of a clear one's, about: 1.5 to 2.5 on the crossing."""
+FOGGY, LAMPS, LAMPS_IN_FOG = 3.5, 2.5, 21.0
+"""Seconds of a sample over those of one in clear air under a sky alone, about, as on the crossing with its 67 lamps."""
 
-LAMPS = 3.0
-"""Seconds of rendering before lamps over those under a sky alone, about: 3 to 3.5 on the crossing."""
+MAKING = 24.0
+"""Such samples that take as long as what every picture needs: guides, denoising, developing and writing."""
 
 FIRST_OF_LIGHTING, FIRST_FOGGY, ANY = 3.0, 1.0, 0.3
 """Seconds of setting up, relative."""
 
-WRITING = 0.05
-"""Of a shot's rendering, for developing and writing the last one, when nothing is rendered any more."""
+LAST = 0.3
+"""Of a shot's rendering, for making the last picture, when nothing is sampled any more; until others were made."""
 
 
 @dataclass(frozen=True)
@@ -38,26 +39,29 @@ class Kind:
         foggy: whether there is fog.
         first_foggy: of its lighting.
         lamps: whether there are lamps.
+        samples: most paths of a pixel.
     """
 
     first: bool
     foggy: bool
     first_foggy: bool
     lamps: bool = False
+    samples: int = 64
 
     @property
     def weights(self) -> tuple[float, float]:
         """Of setting it up and of rendering it."""
         setting_up = ANY + FIRST_OF_LIGHTING * self.first + FIRST_FOGGY * self.first_foggy
-        return setting_up, (FOGGY if self.foggy else 1.0) * (LAMPS if self.lamps else 1.0)
+        each = {(False, False): 1.0, (True, False): FOGGY, (False, True): LAMPS, (True, True): LAMPS_IN_FOG}
+        return setting_up, self.samples * each[self.foggy, self.lamps] + MAKING
 
 
-def kinds(shots: Sequence[tuple[str, bool, bool]]) -> list[Kind]:
+def kinds(shots: Sequence[tuple[str, bool, bool]], samples: int = 64) -> list[Kind]:
     """The kind of each shot of a bake, in order, from its lighting and whether there are fog and lamps."""
     found, seen = [], set[tuple[str, bool]]()
     for lighting, foggy, lamps in shots:
         first = not {(lighting, True), (lighting, False)} & seen
-        found.append(Kind(first, foggy, foggy and (lighting, True) not in seen, lamps))
+        found.append(Kind(first, foggy, foggy and (lighting, True) not in seen, lamps, samples))
         seen.add((lighting, foggy))
     return found
 
@@ -86,15 +90,28 @@ class Forecast:
     Args:
         shots: kinds, in order.
         now: seconds on any clock.
+        began: when on it the bake began; what was done before the first shot counts as done.
     """
 
-    def __init__(self, shots: Sequence[Kind], now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, shots: Sequence[Kind], now: Callable[[], float] = time.monotonic, began: float | None = None
+    ) -> None:
         self._shots, self._now = list(shots), now
-        self._began = self._shot_began = now()
+        self._shot_began = now()
+        self._began = self._shot_began if began is None else began
         self._rendering: float | None = None
         self._seen: list[_Taken] = []
         self._said: list[tuple[float, float]] = []
         self._shown = 0.0
+        self._made: list[float] = []
+
+    def expect(self, shots: Sequence[Kind]) -> None:
+        """What the shots are after all."""
+        self._shots = list(shots)
+
+    def made(self, seconds: float) -> None:
+        """The picture of a shot took so long beside the sampling of the next."""
+        self._made.append(seconds)
 
     def at(self, index: int, fraction: float) -> float:
         """Share that is done where shot `index` is done by a fraction, 0 to 1."""
@@ -104,12 +121,12 @@ class Forecast:
             kind = self._shots[len(self._seen)]
             self._seen.append(_Taken(kind, begun - self._shot_began, now - begun, self._said))
             self._shot_began, self._rendering, self._said = now, None, []
-        if fraction > SET_UP:
+        if fraction >= SET_UP:
             self._rendering = now if self._rendering is None else self._rendering
             self._said.append((_rendered(fraction), now - self._rendering))
         after = self._shots[index + 1 :]
         rest = self._own(index, fraction, now) + sum(sum(self._expected(kind, now)) for kind in after)
-        rest += WRITING * self._expected(self._shots[-1], now)[1]
+        rest += sum(self._made) / len(self._made) if self._made else LAST * self._expected(self._shots[-1], now)[1]
         elapsed = now - self._began
         self._shown = max(self._shown, elapsed / (elapsed + rest) if elapsed + rest > 0.0 else 0.0)
         return self._shown
@@ -134,9 +151,9 @@ class Forecast:
 
     def _expected(self, kind: Kind, now: float) -> tuple[float, float]:
         """Seconds of setting up and of rendering a shot: the means of its kind, else by the weights of all that were
-        seen.
+        seen; before any was, the first one's parts are taken to be half of what has passed.
         """
-        own = now - self._shot_began
+        own = now - self._began
         seen = self._seen or [_Taken(self._shots[0], 0.5 * own, 0.5 * own)]
         same = [taken for taken in self._seen if taken.kind == kind]
         setting = same or seen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import time
 from collections.abc import Callable, Mapping
@@ -21,7 +22,7 @@ from synfog_usd.render.integrators.path import LENS_M
 from synfog_usd.render.load import MitsubaScene, to_mitsuba
 from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached
 from synfog_usd.render.spectra import bands as banding
-from synfog_usd.scene import Camera, SceneDict
+from synfog_usd.scene import SceneDict
 
 PROBE_PX = (64, 36)
 
@@ -153,6 +154,32 @@ def render(
         StageError: the renderer refuses a part of the scene.
     """
     settings = replace(settings or Settings(), **changes)
+    share = sampling_share(settings)
+    picture = sample(scene, settings, loaded=loaded, clear=clear, progress=within(progress, 0.0, share))
+    return picture(within(progress, share, 1.0))
+
+
+def sampling_share(settings: Settings) -> float:
+    """The part of the progress of a render that is sampling, about; the rest makes the picture."""
+    return settings.samples / (settings.samples + DENOISING) if settings.denoise else 1.0
+
+
+def sample(
+    scene: SceneDict,
+    settings: Settings | None = None,
+    *,
+    loaded: MitsubaScene | None = None,
+    clear: aovs.Aovs | None = None,
+    progress: Progress = silent,
+    **changes: Any,
+) -> Callable[[Progress], Rendered]:
+    """The part of `render` that asks the renderer; arguments as there.
+
+    Returns:
+        what makes the picture of the samples, once, and is told about on the way; it holds nothing of the renderer, so
+        that another thread may do it while the next scene is sampled.
+    """
+    settings = replace(settings or Settings(), **changes)
     model, samples, seed, size, bands, denoise = (
         settings.model,
         settings.samples,
@@ -165,7 +192,7 @@ def render(
     width, height = size or (scene.camera.width_px, scene.camera.height_px)
     figures: dict[str, dict[str, float]] = {}
     pixels = width * height
-    warnings = []
+    warnings = list[str]()
     if denoise and (problem := denoising.available()):
         warnings.append(f"not denoised, so it takes many more samples: {problem}")
         denoise = False
@@ -202,135 +229,160 @@ def render(
     def now() -> float:
         return time.perf_counter() - began
 
-    cleaning = None
+    cleaning: _Cleaning | None = None
     if parts := moments.cut(loaded.source, samples):
         why += f"; {len(parts.parts)} moments of the exposure, {parts.samples} samples in each"
         warnings += [said] if (said := parts.said()) else []
-        rays = _guide_rays(target) if denoise else 0
         movables = moments.Movables(loaded)
+        rays = _guide_rays(samples) if denoise else 0
         accumulated, known = moments.accumulate(movables, parts, make, seed=seed, rays=rays, progress=progress)
         if denoise:
-            cleaning = functools.partial(_denoised, accumulated, lambda: known, camera, target)
+            cleaning = _Cleaning(lambda: known, shape[:2], few=samples < denoising.FEW)
     elif denoise:
-        accumulated, cleaning = _sampled(loaded, integrator, target, seed, now, progress)
+        look = functools.partial(denoising.guides, loaded, rays=_guide_rays(samples))
+        cleaning = _Cleaning(look, shape[:2], few=samples < denoising.FEW)
+        accumulated = accumulate_denoised(
+            integrator, target=target, seed=seed, now=now, denoised=cleaning.judged, progress=progress
+        )
     else:
         accumulated = accumulate_to_target(integrator, target=target, seed=seed, now=now, progress=progress)
-    met = None if target.open else reached(accumulated, target, shape[:2])
-    luminance, error = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
-    variance = accumulated.variance().reshape(shape).astype(np.float32)
-    for estimator in accumulated.estimators.values():  # a large frame fills memory: each sum is let go once it is read
-        estimator.squares, estimator.lane_squares = np.zeros((0, 0), dtype=estimator.squares.dtype), None
-    denoised = None
     if cleaning:
-        denoised, problem = cleaning()
-        warnings += [problem] if problem else []
-        why += "" if denoised or problem else "; not denoised, since it tells no components apart"
-    if denoised:
-        luminance, error = denoised.luminance(accumulated.weights).ravel(), denoised.error.rms.ravel()
-        met = None if target.open else float((error <= target.allowed_in_all(luminance)).mean())
-    lit = luminance > 0.0
-    relative_error = float(np.median(error[lit] / luminance[lit])) if lit.any() else 0.0
-    if denoised and relative_error > LARGE_ERROR:
-        much = f"{relative_error:.0%}" if relative_error < 1.0 else "more than its own light"
-        warnings.append(f"after denoising the median pixel still errs by {much}; more samples mend it")
-    del luminance, error
-    if accumulated.lost:
-        warnings.append(f"{accumulated.lost} of {accumulated.samples} samples were not finite and count as black")
-    spent = accumulated.samples_per_pixel
-    if denoised:
-        components = dict(denoised.components)
-        mean = np.asarray(sum(components.values()))
-        for estimator in accumulated.estimators.values():
-            estimator.aovs.clear()
-    else:
-        mean = accumulated.mean().reshape(shape).astype(np.float32)
-        components = {
-            name: aov.reshape(shape).astype(np.float32)
-            for name in COMPONENTS
-            if (aov := accumulated.take_aov(name)) is not None
-        }
-    if mean.min() < 0.0:
-        below = int((mean < 0.0).any(axis=2).sum())
-        warnings.append(
-            f"{below} pixels came out below 0, noise of a difference, and count as black; more samples mend it"
-        )
-        mean = np.maximum(mean, 0.0)
-    radiance = Image(
-        mean,
-        banding.names(bands),
-        Quantity.RADIANCE,
-        variance=variance,
-        provenance={
-            "fov_x_deg": camera.fov_x_deg,
-            "shift_x": camera.axis_shift[0],
-            "shift_y": camera.axis_shift[1],
-            "model": model,
-            "samples": samples,
-            "seed": seed,
-        }
-        | ({"denoised": True} if denoised else {}),
-    )
-    names = getattr(integrator, "group_names", ())
-    groups = (
-        {name: accumulated.take_group().reshape(shape).astype(np.float32) for name in names} if len(names) > 1 else {}
-    )
+        cleaning.see(accumulated)
     seen = aovs.measure(loaded) if clear is None else aovs.seen_through(loaded, clear)
-    rms = denoised.error.rms if denoised else None
-    return Rendered(
-        radiance, seen, relative_error, components, rms, groups, model, why, tuple(warnings), figures, spent, met
-    )
+    number, spent = accumulated.samples, accumulated.samples_per_pixel
+    accumulated.radiance_cache = None  # which holds the scene
+    names = tuple(getattr(integrator, "group_names", ()))
+
+    def picture(progress: Progress = silent) -> Rendered:
+        nonlocal why
+        met = None if target.open else reached(accumulated, target, shape[:2])
+        luminance, error = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
+        variance = accumulated.variance().reshape(shape).astype(np.float32)
+        for estimator in accumulated.estimators.values():  # a large frame fills memory: a sum is let go once it is read
+            estimator.squares, estimator.lane_squares = np.zeros((0, 0), dtype=estimator.squares.dtype), None
+        denoised = None
+        if cleaning:
+            denoised, problem = cleaning.picture(accumulated, number, progress), cleaning.problem
+            warnings.extend([problem] if problem else [])
+            why += "" if denoised or problem else "; not denoised, since it tells no components apart"
+        if denoised:
+            luminance, error = denoised.luminance(accumulated.weights).ravel(), denoised.error.rms.ravel()
+            met = None if target.open else float((error <= target.allowed_in_all(luminance)).mean())
+        lit = luminance > 0.0
+        relative_error = float(np.median(error[lit] / luminance[lit])) if lit.any() else 0.0
+        if denoised and relative_error > LARGE_ERROR:
+            much = f"{relative_error:.0%}" if relative_error < 1.0 else "more than its own light"
+            warnings.append(f"after denoising the median pixel still errs by {much}; more samples mend it")
+        del luminance, error
+        if accumulated.lost:
+            warnings.append(f"{accumulated.lost} of {number} samples were not finite and count as black")
+        if denoised:
+            components = dict(denoised.components)
+            mean = np.asarray(sum(components.values()))
+            for estimator in accumulated.estimators.values():
+                estimator.aovs.clear()
+        else:
+            mean = accumulated.mean().reshape(shape).astype(np.float32)
+            components = {
+                name: aov.reshape(shape).astype(np.float32)
+                for name in COMPONENTS
+                if (aov := accumulated.take_aov(name)) is not None
+            }
+        if mean.min() < 0.0:
+            below = int((mean < 0.0).any(axis=2).sum())
+            warnings.append(
+                f"{below} pixels came out below 0, noise of a difference, and count as black; more samples mend it"
+            )
+            mean = np.maximum(mean, 0.0)
+        radiance = Image(
+            mean,
+            banding.names(bands),
+            Quantity.RADIANCE,
+            variance=variance,
+            provenance={
+                "fov_x_deg": camera.fov_x_deg,
+                "shift_x": camera.axis_shift[0],
+                "shift_y": camera.axis_shift[1],
+                "model": model,
+                "samples": samples,
+                "seed": seed,
+            }
+            | ({"denoised": True} if denoised else {}),
+        )
+        groups = (
+            {name: accumulated.take_group().reshape(shape).astype(np.float32) for name in names}
+            if len(names) > 1
+            else {}
+        )
+        rms = denoised.error.rms if denoised else None
+        return Rendered(
+            radiance, seen, relative_error, components, rms, groups, model, why, tuple(warnings), figures, spent, met
+        )
+
+    return picture
 
 
-def _sampled(
-    loaded: MitsubaScene, integrator: Any, target: Target, seed: int, now: Callable[[], float], progress: Progress
-) -> tuple[Accumulator, Callable[[], tuple[denoising.Denoised | None, str]]]:
-    """Samples, and what makes the picture without their noise of them: None where there is none, and what went wrong,
-    or ''.
+def _guide_rays(samples: int) -> int:
+    """Rays of a pixel for the guides of a picture of so many samples."""
+    return denoising.FEW_RAYS if samples < denoising.FEW else denoising.GUIDE_RAYS
+
+
+class _Cleaning:
+    """Makes pictures without noise of samples.
+
+    Args:
+        look: gives the guides.
+        shape: (H, W).
+        few: whether there are but few samples of a pixel.
+
+    Attributes:
+        problem: what went wrong with the last one, or ''.
     """
-    guides = functools.cache(lambda: denoising.guides(loaded, rays=_guide_rays(target)))
-    done: dict[int, tuple[denoising.Denoised | None, str]] = {}  # by the number of samples, the last one only
-    share = target.samples / (target.samples + DENOISING)
 
-    def picture(accumulated: Accumulator, progress: Progress = silent) -> tuple[denoising.Denoised | None, str]:
-        if accumulated.samples not in done:
-            done.clear()
-            done[accumulated.samples] = _denoised(accumulated, guides, loaded.source.camera, target, progress)
-        return done[accumulated.samples]
+    def __init__(self, look: Callable[[], denoising.Guides | None], shape: tuple[int, int], *, few: bool) -> None:
+        self.problem = ""
+        self._look: Callable[[], denoising.Guides | None] | None = look
+        self._shape, self._few = shape, few
+        self._guides: denoising.Guides | None = None
+        self._done: dict[int, denoising.Denoised | None] = {}  # by the number of samples, the last one only
 
-    def judged(accumulated: Accumulator) -> tuple[np.ndarray, dualbuffer.Error] | None:
-        found, _ = picture(accumulated)
+    def picture(self, accumulated: Accumulator, number: int, progress: Progress = silent) -> denoising.Denoised | None:
+        """Of so many samples; None where no components are told apart, or something goes wrong."""
+        if number not in self._done and (halves := accumulated.component_halves(*self._shape)):
+            self._done.clear()
+            self.problem = ""
+            try:
+                progress("denoising", 0.0)
+                self._done[number] = denoising.denoise_halves(
+                    halves,
+                    self._seen(),
+                    accumulated.weights,
+                    balanced=self._few,
+                    progress=within(progress, 0.3, 1.0),
+                )
+            except (denoising.DenoiserError, MemoryError) as error:
+                self._done[number] = None
+                self.problem = f"not denoised, so it takes many more samples: {str(error) or 'not enough memory'}"
+        return self._done.get(number)
+
+    def judged(self, accumulated: Accumulator) -> tuple[np.ndarray, dualbuffer.Error] | None:
+        """What the samples so far give."""
+        found = self.picture(accumulated, accumulated.samples)
         return None if found is None else (found.luminance(accumulated.weights), found.error)
 
-    accumulated = accumulate_denoised(
-        integrator, target=target, seed=seed, now=now, denoised=judged, progress=within(progress, 0.0, share)
-    )
-    return accumulated, lambda: picture(accumulated, within(progress, share, 1.0))
+    def see(self, accumulated: Accumulator) -> None:
+        """Look at the scene, where pictures will be made of these samples, and let it go."""
+        if accumulated.component_halves(*self._shape):
+            with contextlib.suppress(MemoryError):  # told when the picture is made
+                self._seen()
+        self._look = None
 
-
-def _guide_rays(target: Target) -> int:
-    """Rays of a pixel for the guides of a picture of so many samples."""
-    return denoising.FEW_RAYS if target.samples < denoising.FEW else denoising.GUIDE_RAYS
-
-
-def _denoised(
-    accumulated: Accumulator,
-    guides: Callable[[], denoising.Guides],
-    camera: Camera,
-    target: Target,
-    progress: Progress = silent,
-) -> tuple[denoising.Denoised | None, str]:
-    """The picture without noise, None where no components are told apart or it failed; and what went wrong, or ''."""
-    halves = accumulated.component_halves(camera.height_px, camera.width_px)
-    if not halves:
-        return None, ""
-    try:
-        progress("denoising", 0.0)
-        few = target.samples < denoising.FEW
-        return denoising.denoise_halves(
-            halves, guides(), accumulated.weights, balanced=few, progress=within(progress, 0.3, 1.0)
-        ), ""
-    except (denoising.DenoiserError, MemoryError) as error:
-        return None, f"not denoised, so it takes many more samples: {str(error) or 'not enough memory'}"
+    def _seen(self) -> denoising.Guides:
+        if self._guides is None and self._look is not None:
+            self._guides = self._look()
+        if self._guides is None:
+            raise MemoryError
+        return self._guides
 
 
 def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:
