@@ -13,10 +13,15 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from support import cli
 from support.hostile import TEXT, TYPES, VALUES, WORDS, furnish, parts_of, read, read_file, replaced, retyped, type_of
+
+from synfog_usd.camera import load_graph
+from synfog_usd.errors import SynfogError
 
 TESTS = Path(__file__).resolve().parents[1]
 EXAMPLES = int(os.environ.get("SYNFOG_FUZZ", "0"))
+pytestmark = [pytest.mark.timeout(0)] if EXAMPLES else []
 
 
 def fuzzed(examples):
@@ -274,3 +279,95 @@ def test_any_damaged_materialx_ends_in_a_scene_or_an_error(tmp_path_factory, dam
     assert stage.count("Look") == 2
     (folder / "a.usda").write_text(stage, encoding="utf-8")
     assert read_file(folder / "a.usda") or damage
+
+
+GRAPH = (TESTS.parent / "pipeline/phone.yaml").read_text(encoding="utf-8")
+GRAPH_WORDS = (
+    *(
+        "nan",
+        ".inf",
+        "-1",
+        "1e308",
+        "0",
+        "''",
+        "[]",
+        "{}",
+        "null",
+        "auto",
+        "*a",
+        "&a",
+        "? ",
+        ": ",
+        "- ",
+        "\t",
+        "\u0000",
+    ),
+    *("op:", "in:", "nodes:", "extends: ./a.yaml", "sensor.expose", "radiance", "../../etc/passwd", "1/0", "true"),
+)
+
+
+@pytest.mark.slow
+@fuzzed(30)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(HOW), st.integers(0, len(GRAPH) - 1), st.integers(1, 60), st.sampled_from(GRAPH_WORDS)
+        ),
+        min_size=1,
+        max_size=4,
+    )
+)
+@example([])
+def test_any_damaged_graph_is_loaded_or_told(tmp_path_factory, damage):
+    """Its text cut, doubled, turned about and with words put in: a graph, or an error that names the file."""
+    text = GRAPH
+    for what, at, length, word in damage:
+        at %= max(len(text), 1)
+        piece = text[at : at + length]
+        put = {"cut": "", "twice": piece + piece, "word": word, "swap": piece[::-1], "noise": word * 3}[what]
+        text = text[:at] + put + text[at + length :]
+    path = tmp_path_factory.getbasetemp() / "graph.yaml"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    try:
+        assert load_graph(path).outputs or damage
+    except SynfogError as error:
+        assert damage and "graph.yaml" in str(error)
+
+
+OPTIONS = (
+    *("--resolution", "--samples", "--time-limit", "--target-error", "--bands", "--frame", "--fog", "--lighting"),
+    *("--camera", "--set", "--sun-lux", "--light-scale", "--meters-per-unit", "--up", "--max-distance", "--mask", "-o"),
+    *("--model", "--seed", "--variant", "--lights", "--pipeline", "--allow", "--no-such", "--", "-q"),
+)
+ODD = (
+    "",
+    " ",
+    "0",
+    "-1",
+    "nan",
+    "inf",
+    "1e999",
+    "10x10",
+    "1000000000x1",
+    "a,b",
+    ",",
+    "/",
+    "..",
+    "\u00e9",
+    "\n",
+    "mor0",
+)
+
+
+@pytest.mark.slow
+@fuzzed(30)
+@given(
+    st.sampled_from(("bake", "preview", "check")),
+    st.lists(st.tuples(st.sampled_from(OPTIONS), st.sampled_from(ODD)), max_size=4),
+)
+def test_any_command_line_of_a_stage_that_is_missing_is_told(tmp_path_factory, verb, words):
+    """Exit code 2 and no trace, whatever the options; nothing is written."""
+    folder = tmp_path_factory.mktemp("empty")
+    done = cli.run(verb, "missing.usda", *(word for pair in words for word in pair), cwd=folder)
+    assert done.returncode == 2 and "Traceback" not in done.stdout + done.stderr
+    assert not list(folder.iterdir())
