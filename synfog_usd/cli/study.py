@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from synfog_usd.cli import options, worker
+from synfog_usd.errors import OutputError
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="What sets and bakes show of fog and its models.")
 
@@ -16,6 +17,13 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="What sets a
 @app.callback()
 def studies() -> None:
     """What sets and bakes show of fog and its models."""
+
+
+def _can_hold(out: Path) -> None:
+    """Refuse what can be no folder before minutes of work."""
+    there = next((place for place in (out, *out.parents) if place.exists()), None)
+    if there is not None and not there.is_dir():
+        raise OutputError(f"--out {out}: {there} is a file; give a folder")
 
 
 @app.command()
@@ -26,6 +34,7 @@ def asm(
     quiet: options.Quiet = False,
 ) -> None:
     """Map where the atmospheric scattering model errs by more than the sensor's noise."""
+    _can_hold(out)
     from synfog_usd.cli.progress import shown
     from synfog_usd.study import scattering_model
 
@@ -47,6 +56,7 @@ def noise(
     quiet: options.Quiet = False,
 ) -> None:
     """Measure noise against fog: of RAW, of developed pictures, and after defogging."""
+    _can_hold(out)
     from synfog_usd.cli.progress import shown
     from synfog_usd.study import noise as measured
 
@@ -73,6 +83,7 @@ def chamber(
     quiet: options.Quiet = False,
 ) -> None:
     """Measure a fog chamber: a laser's extinction, what falls into its meter, and a chart by every model."""
+    _can_hold(out)
     if stage is None:
         from synfog_usd.resources import folder
 

@@ -391,11 +391,11 @@ def _drawn(found: NoiseStudy) -> bytes:
             fogs.errorbar(places, middle, half, fmt=style, ms=4, color=colour, capsize=2, label=text)
         growth.plot(*found.growth[name], "o", ms=5, color=colour, label=name)
     transfer.plot([], [], "-", lw=1.0, color="#22262a", label="photons, read-out, rounding")
-    transfer.set(
-        xscale="log", yscale="log", xlabel="RAW above black [DN]", ylabel="temporal variance [DN^2]", title="RAW"
-    )
+    transfer.set(xscale="log", yscale="log", title="RAW, each shot at its own ISO speed")
+    transfer.set(xlabel="RAW above black [DN]", ylabel="temporal variance [DN^2]")
     fogs.set_xticks(np.arange(len(found.fogs)), found.fogs)
     fogs.set(ylabel="temporal noise [8-bit numbers]", title="Pictures")
+    fogs.set_ylim(0.0, 1.4 * fogs.get_ylim()[1])
     growth.plot([1, 10], [1, 10], "-", lw=1.0, color="#22262a", label="1 / t")
     growth.set(
         xscale="log",
@@ -404,8 +404,8 @@ def _drawn(found: NoiseStudy) -> bytes:
         ylabel="noise defogged / developed",
         title="What defogging makes of it",
     )
-    for axes in (transfer, fogs, growth):
-        axes.legend(frameon=False, fontsize=8)
+    for axes, columns in ((transfer, 1), (fogs, 2), (growth, 1)):
+        axes.legend(frameon=False, fontsize=8, ncols=columns)
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()

@@ -184,3 +184,6 @@ def test_the_command_says_what_is_wrong(tmp_path):
     done = cli.run("study", "chamber", tmp_path / "none.usda", "-o", tmp_path / "out")
     assert done.returncode == 2 and "none.usda" in done.stderr and done.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
+    (tmp_path / "file").write_text("")
+    done = cli.run("study", "chamber", "-o", tmp_path / "file" / "out")
+    assert done.returncode == 2 and "is a file; give a folder" in done.stderr and done.stderr.count("\n") == 1
