@@ -2,7 +2,7 @@
 
     python tests/dcc/pairs.py out/pairs --blender .venv-bpy/bin/python [--public ../shared/usd] [--only sky,sun]
 
-Eight stages are written by Blender's own exporter; two are public models with a camera and a sky in a layer over them.
+Nine stages are written by Blender's own exporter; two are public models with a camera and a sky in a layer over them.
 Cycles draws what Blender's own import makes of the file, and we what our translation makes of it.  Prints the table of
 docs/translate.md and leaves `pairs.png`: ours on the left, Cycles' on the right.
 """
@@ -27,7 +27,7 @@ from synfog_usd.translate import translate
 
 SIZE = (160, 90)
 SCRIPT = Path(__file__).with_name("pairs_blender.py")
-BLENDERS = ("sky", "sun", "point", "area", "spot", "smooth", "textured", "gloss")
+BLENDERS = ("sky", "sun", "point", "area", "spot", "smooth", "textured", "gloss", "rough")
 PUBLIC = {
     "sedan": (
         "vehicles/USD_Mini_Car_Kit/assets/vehicles/sedan/asset/sedanFullAsset.usda",

@@ -30,6 +30,7 @@ def write(folder, samples):
         "smooth": lambda: (world(500.0), head()),
         "textured": lambda: (world(500.0), board(folder)),
         "gloss": lambda: (world(500.0), head(roughness=0.3, ior=1.45)),
+        "rough": lambda: (world(500.0), rough()),
     }  # fmt: skip
     for name, make in scenes.items():
         fresh()
@@ -69,6 +70,13 @@ def matt(colour, *, roughness=1.0, ior=1.0):
     shader.inputs["Base Color"].default_value = (*COLOURS[colour], 1.0)
     shader.inputs["Roughness"].default_value, shader.inputs["IOR"].default_value = roughness, ior
     return made
+
+
+def rough():
+    """Everything as rough as asphalt, with the index that a file means which says none."""
+    for made in bpy.data.materials:
+        shader = next(node for node in made.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+        shader.inputs["Roughness"].default_value, shader.inputs["IOR"].default_value = 0.9, 1.5
 
 
 def head(**finish):
