@@ -573,8 +573,8 @@ def _itself(path):
 def _twice(path):
     for level in range(31):
         below = f"include: [./b{level + 1}.yaml, ./b{level + 1}.yaml]\n" if level < 30 else ""
-        (path.parent / f"b{level}.yaml").write_text(below + "nodes: {}\n")
-    path.write_text("include: [./b0.yaml, ./b0.yaml]\nnodes: {}\n")
+        (path.parent / f"b{level}.yaml").write_text(below + "nodes: []\n")
+    path.write_text("include: [./b0.yaml, ./b0.yaml]\nnodes: []\n")
 
 
 @graph("nodes_3000")
@@ -625,7 +625,7 @@ def commands(folder, file, kind):
         yield "graph run", [*me, "graph", "run", file, "--in", file, "-o", str(folder / "out")]
         yield "bake --pipeline", [*me, "bake", str(folder / "plain.usda"), "--pipeline", file, *small]
     if kind == "recipe":
-        yield "compose", [*me, "compose", file, "--seed", "1", "-o", str(folder / "out")]
+        yield "compose", [*me, "compose", file, "--seed", "1", "-o", str(folder / "out.usda")]
         yield "contact", [*me, "contact", file, "--seeds", "0-1", "-o", str(folder / "sheet.png")]
         yield "dataset run", [*me, "dataset", "run", file, "-o", str(folder / "set")]
 
