@@ -337,7 +337,12 @@ def _labels(context: _Context) -> Iterator[Finding]:
                     f"label {label!r} is not a Cityscapes name; it counts as unlabeled",
                     ("label", meant) if meant else None,
                 )
-        elif prim.IsA(UsdGeom.Gprim) and not has_fog_attributes(prim) and not has_fog_attributes(prim.GetParent()):
+        elif (
+            prim.IsA(UsdGeom.Gprim)
+            and not has_fog_attributes(prim)
+            and not has_fog_attributes(prim.GetParent())
+            and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide  # as a lane's curve: never drawn
+        ):
             unlabelled.append(str(prim.GetPath()))
     if unlabelled:
         yield finding(
