@@ -23,7 +23,7 @@ from synfog_usd.translate.implicit import read_implicit
 from synfog_usd.translate.material import DISPLAY, Finish, Materials
 from synfog_usd.translate.mesh import Arrays, look_at_quads, read_arrays, read_mesh
 from synfog_usd.translate.nurbs import read_patch
-from synfog_usd.translate.space import is_similarity
+from synfog_usd.translate.space import FAR_POINT, is_similarity
 from synfog_usd.translate.walk import CURVES, MESHES, Leaf
 
 Part: TypeAlias = tuple[dict[str, Any], dict[str, Any] | None, float]
@@ -93,8 +93,8 @@ class Shapes:
             radius = float(leaf.prim.GetAttribute("radius").Get(self.time)) * abs(np.linalg.det(matrix[:3, :3])) ** (
                 1.0 / 3.0
             )
-            if not radius > 0.0:
-                self.notes.warn(leaf.path, "a Sphere without radius is left out")
+            if not 0.0 < radius <= FAR_POINT:
+                self.notes.warn(leaf.path, "a Sphere without radius, or with one of more than 12 digits, is left out")
                 return []
             shape = {
                 "type": "sphere",
@@ -112,6 +112,11 @@ class Shapes:
                 key = finish.key
         else:
             own = read_implicit(leaf.prim, kind, self.time)
+            if not np.abs(own.positions).max() <= FAR_POINT:
+                self.notes.warn(
+                    leaf.path, f"a {kind} whose size is no finite number, or one of more than 12 digits, is left out"
+                )
+                return []
         if textured and finish.uv is not None and own.texcoords is not None:
             onto = np.array(finish.uv.matrix)
             own = replace(own, texcoords=own.texcoords @ onto[:, :2].T + onto[:, 2])

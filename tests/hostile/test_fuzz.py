@@ -60,6 +60,12 @@ def test_the_stage_that_is_damaged_is_sound():
     assert read(TEXT)
 
 
+@pytest.mark.parametrize("height", ["1e308", "-1e13", "nan", "inf"])
+def test_a_shape_of_a_size_beyond_all_bounds_is_left_out(height):
+    assert "double height = 2" in TEXT
+    read(TEXT.replace("double height = 2", f"double height = {height}"))
+
+
 @pytest.mark.slow
 @fuzzed(30)
 @given(st.lists(changes(), min_size=1, max_size=3))
