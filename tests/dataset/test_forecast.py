@@ -19,8 +19,8 @@ of it, as `bake` reported them, and of seconds and how long the picture took tha
 def test_the_time_left_is_right_within_a_third_from_a_quarter_on(path):
     """Of the time left as the command tells it, or where that is less, of a tenth of the whole; progress never falls.
 
-    The demo's own bake, 640x360, no kernel compiled before: wrong by 24 % at most.  The rough weights follow an
-    earlier recording.
+    The demo's own bake, 640x360, no kernel compiled before: wrong by 24 % at most.  The rough weights were
+    chosen by an earlier recording and by this one: it shows that they fit, not that they foretell.
     """
     record = json.loads(path.read_text())
     clock, total, shown = [record["events"][0][0]], record["seconds"], 0.0
