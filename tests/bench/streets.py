@@ -157,15 +157,18 @@ def ours(scene: SceneDict, model: str, samples: int, seeds: int) -> tuple[Array,
 
 
 def cycles(scene: SceneDict, python: Path, stem: Path, samples: int, seeds: int) -> tuple[Array, float]:
-    """The same of Cycles; seconds are the slope between few samples and many."""
+    """The same of Cycles; seconds are the slope from these samples to eight times as many.
+
+    Before its first sample it spends seconds on a picture, so a slope between few samples errs by up to two times.
+    """
     export(scene, stem)
-    few = max(1, samples // 4)
+    many = 8 * samples
     result = stem.with_suffix(".cycles.npz")
     command = [str(python), str(Path(__file__).parent / "cycles_peer.py"), str(stem), str(result)]
-    subprocess.run([*command, "--samples", f"{few},{samples}", "--seeds", str(seeds)], check=True, capture_output=True)
+    subprocess.run([*command, "--samples", f"{samples},{many}", "--seeds", str(seeds)], check=True, capture_output=True)
     found = np.load(result)
     counts, spent = found["samples"], found["processor_s"]
-    slope = (np.median(spent[counts == samples]) - np.median(spent[counts == few])) / (samples - few)
+    slope = (np.median(spent[counts == many]) - np.median(spent[counts == samples])) / (many - samples)
     return found["images"][counts == samples].astype(np.float64).mean(axis=3), float(slope)
 
 
