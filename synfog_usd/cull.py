@@ -477,7 +477,7 @@ def _before_lamps(scene: SceneDict, parts: _Parts, budget: float) -> Flags:
 
 def _pixel(camera: Camera) -> float:
     """Solid angle of the picture's middle pixel [sr]."""
-    return float((2.0 * np.tan(np.radians(camera.fov_x_deg) / 2.0) / camera.width_px) ** 2)
+    return camera.pixel_rad**2
 
 
 def _size(eye: Array, parts: _Parts) -> Array:

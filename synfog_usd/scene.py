@@ -7,6 +7,7 @@ and tested without a renderer.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -16,6 +17,7 @@ import numpy.typing as npt
 
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE, SRGB_TO_LINEAR
+from synfog_usd.fisheye import Fisheye
 from synfog_usd.fog.volume import FogVolume
 
 PARALLEL_DEG = 1e-3
@@ -26,14 +28,14 @@ to dim.
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole, thin-lens or orthographic camera, which may move while it exposes.
+    """A pinhole, thin-lens, orthographic or fisheye camera, which may move while it exposes.
 
     Attributes:
         path: prim path.
         to_world: (4, 4) float64, orthonormal, metres; looks down its local -Z with +Y up; in the middle of the
             exposure of the middle row.
         width_px, height_px: image size.
-        fov_x_deg: full horizontal angle of view [deg] of the whole image.
+        fov_x_deg: full horizontal angle of view [deg] of the whole image; of a fisheye up to 360.
         shift: (x, y) offset of the image's centre from the optical axis in image
             widths and heights, + right and + up (USD's aperture offset / aperture).
         near_m: authored near plane [m]; what lies before it is not drawn.
@@ -48,6 +50,8 @@ class Camera:
             for a global shutter, under which all rows expose together.
         during: begin and end of the part of that time in which it looks, 0 to 1; all of it but where a picture is drawn
             moment by moment.
+        fisheye: the lens of a fisheye, whose angle of view is `fov_x_deg`; None for any other camera.  All is sharp
+            behind it.
     """
 
     path: str
@@ -65,6 +69,33 @@ class Camera:
     turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rolling: float = 0.0
     during: tuple[float, float] = (0.0, 1.0)
+    fisheye: Fisheye | None = None
+
+    @property
+    def plane(self) -> bool:
+        """Whether its picture is that of a pinhole, with or without a blur."""
+        return self.fisheye is None and not self.width_m > 0.0
+
+    @property
+    def pixel_rad(self) -> float:
+        """Angle that the pixel on the axis spans [rad]; of a pinhole or a fisheye."""
+        if self.fisheye is not None:
+            return 1.0 / (float(self.fisheye.slope(np.zeros(()))) * self.width_px)
+        return 2.0 * math.tan(math.radians(self.fov_x_deg) / 2.0) / self.width_px
+
+    def directions(self, places: Array) -> Array:
+        """(..., 3) unit directions in the scene of places (..., 2) in a pinhole's or fisheye's picture, 0 to 1 from its
+        upper left corner.
+        """
+        tall = self.height_px / self.width_px
+        across = (places - 0.5 + np.array(self.shift) * (1.0, -1.0)) * (1.0, tall)
+        if self.fisheye is not None:
+            local = self.fisheye.directions(across)
+        else:
+            across = across * 2.0 * math.tan(math.radians(self.fov_x_deg) / 2.0)
+            local = np.concatenate([across, np.ones((*across.shape[:-1], 1))], axis=-1)
+            local /= np.linalg.norm(local, axis=-1, keepdims=True)
+        return np.asarray((local * (1.0, -1.0, -1.0)) @ self.to_world[:3, :3].T)
 
     @property
     def axis_shift(self) -> tuple[float, float]:

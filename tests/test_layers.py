@@ -35,6 +35,7 @@ BASE = {
     "errors",
     "fence",
     "files",
+    "fisheye",
     "image",
     "numbers",
     "photometry",

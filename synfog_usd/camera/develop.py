@@ -10,6 +10,7 @@ from typing import Any
 from synfog_usd import graph as engine
 from synfog_usd import resources
 from synfog_usd.camera import blur, cleanup, demosaic, distortion, flare, flicker, hdr, isp, optics, sensor, specimen  # noqa: F401  (their ops register themselves)
+from synfog_usd.camera import fisheye as fisheyes
 from synfog_usd.camera import windscreen as windscreens  # noqa: F401
 from synfog_usd.camera.exposure import Exposure, meter
 from synfog_usd.camera.profiles import LensProfile, SensorProfile
@@ -48,14 +49,22 @@ def field_of_view(image: Image, graph: NodeGraph, *, fov_x_deg: float | None = N
         fov_x_deg: what counts instead [degrees].
 
     Raises:
-        ImageError: an angle that no plane picture has.
+        ImageError: an angle that no plane picture has, or one for a fisheye.
     """
+    curved = "fisheye_coefficients" in image.provenance or bool(graph.nodes_with(fisheyes.OP))
     if fov_x_deg is not None:
+        if curved:
+            raise ImageError("a field of view is a pinhole's; a fisheye has its own, which its lens tells")
         if not 0.0 < fov_x_deg <= 179.0:
             raise ImageError(f"a field of view of {fov_x_deg:g} degrees is not above 0 and at most 179")
         return image.with_metadata(fov_x_deg=fov_x_deg)
     lens, chip = graph.profiles.get("lens"), graph.profiles.get("sensor")
-    if "fov_x_deg" in image.provenance or not isinstance(lens, LensProfile) or not isinstance(chip, SensorProfile):
+    if (
+        curved
+        or "fov_x_deg" in image.provenance
+        or not isinstance(lens, LensProfile)
+        or not isinstance(chip, SensorProfile)
+    ):
         return image
     return image.with_metadata(
         fov_x_deg=lens_fov_deg(lens, chip, image.width_px),

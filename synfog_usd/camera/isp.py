@@ -17,6 +17,7 @@ import numpy.typing as npt
 from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.distortion import Pinhole, source_of, warped_like
+from synfog_usd.camera.fisheye import of_picture
 from synfog_usd.camera.optics import FOV, falloff_map
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -171,7 +172,7 @@ def lens_shading(
     image: Image,
     *,
     strength: Annotated[float, Range(0.0, 1.0)] = 1.0,
-    fov_x_deg: Annotated[float, Range(0.0, 179.0, above=True), FOV],
+    fov_x_deg: Annotated[float | None, Range(0.0, 179.0, above=True), FOV] = None,
     shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
     shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
 ) -> Image:
@@ -186,23 +187,27 @@ def lens_shading(
         fov_x_deg, shift_x, shift_y: see `optics.irradiance`.
 
     Raises:
-        ImageError: the provenance names no falloff.
+        ImageError: the provenance names no falloff, or no angle of view is known.
     """
     _mosaic(image)
     if "falloff" not in image.provenance:
         raise ImageError("the image does not say its falloff; optics.irradiance notes it")
     metadata, shift = image.provenance, (shift_x, shift_y)
     table = metadata.get("relative_illumination", ((), ()))
-    taken = Pinhole(image.height_px, image.width_px, fov_x_deg, shift)
+    lens, kind = of_picture(metadata), metadata["falloff"]
+    if fov_x_deg is None and lens is None and kind != "none":
+        raise ImageError(f"the falloff needs the angle of view: give fov_x_deg a number, or {FOV.hint}")
+    taken = Pinhole(image.height_px, image.width_px, fov_x_deg or 0.0, shift)  # of a fisheye its size alone counts
     height, width, fov_deg, source_shift = source_of(metadata, taken)
     fade = falloff_map(
         height,
         width,
-        kind=metadata["falloff"],
+        kind=kind,
         f_number=metadata["f_number"],
         fov_x_deg=fov_deg,
         shift=source_shift,
         table=table,
+        lens=lens,
     )
     fade = warped_like(fade, metadata, taken)
     return image.with_pixels(image.pixels / fade[..., None] ** np.float32(strength)).with_metadata(

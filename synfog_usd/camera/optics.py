@@ -14,15 +14,17 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.arrays import FloatArray
+from synfog_usd.camera.fisheye import angles_rad, of_picture
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
+from synfog_usd.fisheye import Fisheye
 from synfog_usd.graph import Auto, FromProfile, Range
 from synfog_usd.image import Image, Quantity
 
 FOV = Auto(hint="say the picture's field of view: --fov DEGREES, or the camera's attributes in the EXR")
 """A field of view that the image says, or the run."""
 
-Falloff = Literal["cos4", "foote", "table", "none"]
+Falloff = Literal["cos4", "foote", "table", "projection", "none"]
 
 Aperture = Literal["disc", "sine"]
 
@@ -69,7 +71,7 @@ def irradiance(
     shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
     shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
     focal_length_mm: Annotated[float | None, Range(0.0, above=True), FromProfile("lens.focal_length_mm")] = None,
-    field_deg: Annotated[tuple[float, ...] | None, Range(0.0, 89.0), FromProfile("lens.field_deg")] = None,
+    field_deg: Annotated[tuple[float, ...] | None, Range(0.0, 180.0), FromProfile("lens.field_deg")] = None,
     relative_illumination: Annotated[
         tuple[float, ...] | None, Range(0.0, 2.0), FromProfile("lens.relative_illumination")
     ] = None,
@@ -86,12 +88,13 @@ def irradiance(
         transmission: tau [1].
         magnification: m [1], <= 0 (the picture is upside down); 0 for a far scene.
         falloff: how light fades towards the corners; table is what the lens was
-            measured to do, vignetting included.
+            measured to do, vignetting included; projection is the solid angle that a pixel sees, which is all
+            that is left of a lens whose pupil turns towards the light: a fisheye's, where cos4 and foote do not hold.
         aperture: what the f-number means.  disc: a flat pupil of diameter f / N, seen from the distance f, as in
             ISETCam
             and the SynFog paper.  sine: N = 1 / (2 sin), which a lens corrected for coma has, and from which
             ISO 12232 has H = 0.65 L t / N^2; brighter by 1 / (4 N^2), 6 % at f/2.
-        fov_x_deg: horizontal angle of view [degrees]; needed unless falloff is none.
+        fov_x_deg: horizontal angle of view [degrees]; needed unless falloff is none, or the picture a fisheye's.
         shift_x, shift_y: offset of the axis from the centre, in image widths and
             heights, right and up.
         focal_length_mm: noted for the RAW file where no field of view is known; else
@@ -102,7 +105,7 @@ def irradiance(
 
     Raises:
         ImageError: falloff without an angle of view; no table, or one that does not
-            rise from 0 or ends before the corner.
+            rise from 0 or ends before the corner; cos4 or foote behind a fisheye.
 
     Source: ISO 12232; Foote, "Illumination from a radiating disk", Scientific
     Papers of the Bureau of Standards 12 (1915).
@@ -113,8 +116,9 @@ def irradiance(
     pixels = image.pixels * np.float32(transmission * math.pi * cone)
     table = (tuple(field_deg or ()), tuple(relative_illumination or ()))
     metadata: dict[str, Any] = {"f_number": f_number, "falloff": falloff}
+    lens = of_picture(image.provenance)
     if falloff != "none":
-        if fov_x_deg is None:
+        if fov_x_deg is None and lens is None:
             raise ImageError(
                 f"falloff needs the angle of view: give fov_x_deg a number, or {FOV.hint}, or set falloff: none"
             )
@@ -127,6 +131,7 @@ def irradiance(
             shift=(shift_x, shift_y),
             magnification=magnification,
             table=table,
+            lens=lens,
         )
         pixels *= fade[..., None]
         if falloff == "table":
@@ -144,19 +149,32 @@ def falloff_map(
     *,
     kind: Falloff,
     f_number: float,
-    fov_x_deg: float,
+    fov_x_deg: float | None,
     shift: tuple[float, float] = (0.0, 0.0),
     magnification: float = 0.0,
     table: Table = ((), ()),
+    lens: Fisheye | None = None,
 ) -> FloatArray:
-    """(H, W) light of a pixel relative to one on the axis; arguments and errors as in `optics.irradiance`."""
+    """(H, W) light of a pixel relative to one on the axis; arguments and errors as in `optics.irradiance`, `lens` of a
+    fisheye's picture.
+    """
     if kind == "none":
         return np.ones((height, width), dtype=np.float32)
+    if lens is not None:
+        if kind not in ("table", "projection"):
+            raise ImageError(
+                f"falloff {kind} is a pinhole's, and the picture a fisheye's; set falloff: projection or table"
+            )
+        angles = angles_rad(lens, height, width, shift)
+        return _tabled(angles, table) if kind == "table" else lens.solid_angle(angles).astype(np.float32)
+    assert fov_x_deg is not None
     tan2 = _tan2_of_field(height, width, fov_x_deg, *shift)
     if kind == "cos4":
         return np.asarray(1.0 / (1.0 + tan2) ** 2, dtype=np.float32)
+    if kind == "projection":
+        return np.asarray((1.0 + tan2) ** -1.5, dtype=np.float32)
     if kind == "table":
-        return _tabled(tan2, table)
+        return _tabled(np.arctan(np.sqrt(tan2)), table)
     cone = _cone(f_number, magnification)
     return np.asarray(_foote(tan2, cone) / cone, dtype=np.float32)
 
@@ -166,7 +184,7 @@ def _cone(f_number: float, magnification: float) -> float:
     return 1.0 / (1.0 + 4.0 * (f_number * (1.0 + abs(magnification))) ** 2)
 
 
-def _tabled(tan2_field: npt.NDArray[np.float64], table: Table) -> FloatArray:
+def _tabled(field_rad: npt.NDArray[np.float64], table: Table) -> FloatArray:
     field_deg, values = table
     if not field_deg:
         raise ImageError(
@@ -178,7 +196,7 @@ def _tabled(tan2_field: npt.NDArray[np.float64], table: Table) -> FloatArray:
             f"a table of {len(field_deg)} field_deg and {len(values)} relative_illumination: it takes two or more of "
             f"each, field_deg rising from 0"
         )
-    angles = np.degrees(np.arctan(np.sqrt(tan2_field)))
+    angles = np.degrees(field_rad)
     if (corner := float(angles.max())) > field_deg[-1]:
         raise ImageError(
             f"relative_illumination ends at {field_deg[-1]:g} degrees, but the picture goes out to {corner:.1f}; "

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 from synfog_usd import resources, tables
 from synfog_usd.camera import cfa
 from synfog_usd.errors import ParameterError, did_you_mean
+from synfog_usd.fisheye import Fisheye
 from synfog_usd.yamlio import Located, load_file
 
 CAMERAS_MEASURED = tuple(tables.CAMERAS)
@@ -188,6 +189,8 @@ class LensProfile:
         glare_fraction: part of the light that surfaces, dust and edges scatter over the picture [1].
         blades: straight edges of the aperture; 0 for a round one.
         distortion: OpenCV's k1, k2, p1, p2, then k3, then k4, k5, k6; () for none.
+        fisheye: c1, c2 ... of the angle to the axis, as in `optics.fisheye`; () for a lens that is none.
+        fisheye_fov_x_deg: horizontal angle of view that a fisheye has on its sensor [degrees]; 0 for none.
         field_deg, relative_illumination: angles to the axis [degrees], rising from 0, and
             the light there [1]; () for none.
         ghost_fractions: part of a lamp's light that goes into each ghost [1]; () for none.
@@ -202,7 +205,9 @@ class LensProfile:
     transmission: float = _value(0.01, 1.0)
     glare_fraction: float = _value(0.0, 0.5)
     blades: int = _value(0, 32, whole=True, default=0)
+    fisheye_fov_x_deg: float = _value(0.0, 360.0, default=0.0)
     distortion: tuple[float, ...] = ()
+    fisheye: tuple[float, ...] = ()
     field_deg: tuple[float, ...] = ()
     relative_illumination: tuple[float, ...] = ()
     ghost_fractions: tuple[float, ...] = ()
@@ -239,19 +244,20 @@ def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
 
 
 def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
-    """A lens; see `load_sensor`.  `blades`, `distortion`, `relative_illumination` and `ghost_fractions` may be left
-    out.
+    """A lens; see `load_sensor`.  `blades`, `distortion`, `fisheye`, `relative_illumination` and `ghost_fractions` may
+    be left out.
     """
     reader = _Reader(
         _find(reference, folder, "lenses"),
         "lens/1",
-        ("distortion", "relative_illumination", "ghost_fractions"),
+        ("distortion", "fisheye", "relative_illumination", "ghost_fractions"),
         LensProfile,
     )
     more: dict[str, Any] = {}
     sources: list[tuple[str, str]] = []
     for key, limits, counts in (
         ("distortion", Limits(-1000.0, 1000.0), (4, 5, 8)),
+        ("fisheye", Limits(-1e6, 1e6), tuple(range(1, 10))),
         ("ghost_fractions", Limits(0.0, 0.05), (1, 2, 3, 4)),
     ):
         if key in reader.fields:
@@ -259,7 +265,7 @@ def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
             sources.append((key, source))
     if "relative_illumination" in reader.fields:
         columns, source = reader.numbers(
-            "relative_illumination", {"field_deg": Limits(0.0, 89.0), "value": Limits(0.0, 2.0)}
+            "relative_illumination", {"field_deg": Limits(0.0, 180.0), "value": Limits(0.0, 2.0)}
         )
         more["field_deg"], more["relative_illumination"] = columns
         angles = columns[0]
@@ -269,6 +275,11 @@ def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
             )
         sources.append(("relative_illumination", source))
     profile = reader.profile(LensProfile, **more)
+    if profile.fisheye:
+        try:
+            Fisheye(profile.fisheye, profile.fisheye_fov_x_deg)
+        except ValueError as problem:
+            raise ParameterError(f"{reader.place('fisheye')}: fisheye: {problem}") from problem
     return dataclasses.replace(profile, sources=(*profile.sources, *sources))
 
 

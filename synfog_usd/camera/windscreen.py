@@ -62,6 +62,10 @@ def windscreen(
     apart = second_image_rad(rake_deg, wedge_mrad * 1e-3, index)
     ghost = image.pixels * (straight * second).astype(np.float32)
     if apart:
+        if "fisheye_coefficients" in image.provenance:
+            raise ImageError(
+                "the second image is a pinhole's; before a fisheye set wedge_mrad: 0, rake_deg: 0 or no screen"
+            )
         if fov_x_deg is None:
             raise ImageError(f"the second image needs the angle of view: {FOV.hint}, or set wedge_mrad: 0")
         ghost = _lowered(ghost, apart, fov_x_deg, shift_y)

@@ -147,7 +147,7 @@ def _even(graph: NodeGraph, size: tuple[int, int]) -> dict[str, Image]:
         np.full((height, width, 3), GREY_CD_M2, dtype=np.float32),
         ("R", "G", "B"),
         Quantity.RADIANCE,
-        provenance={"fov_x_deg": 60.0},
+        provenance={} if graph.nodes_with("optics.fisheye") else {"fov_x_deg": 60.0},
     )
     return dict.fromkeys(graph.inputs, grey)
 

@@ -22,7 +22,7 @@ from synfog_usd import __version__, files, resources, system
 from synfog_usd.dataset import contact, labels, lanes, objects, visibility
 from synfog_usd.dataset.forecast import SET_UP, Forecast, Kind, kinds
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
-from synfog_usd.errors import StageError
+from synfog_usd.errors import ImageError, StageError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent, within
 from synfog_usd.seeds import seed32
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from synfog_usd.camera.distortion import Pinhole
     from synfog_usd.cull import Hidden
+    from synfog_usd.fisheye import Fisheye
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.render.shot import Rendered
@@ -253,10 +254,16 @@ class _Scenes:
         return any("intensity" in part for name, part in world.items() if name.startswith("light_"))
 
     def seen(self, scene: SceneDict) -> SceneDict:
-        """The scene through a wider and denser camera, where the graph's lens distorts and every pixel has to be found
-        in the picture.
+        """The scene through the graph's fisheye; or through a wider and denser camera, where its lens distorts and
+        every pixel has to be found in the picture.
+
+        Raises:
+            StageError: a fisheye before an orthographic camera, or one whose picture ends before its corners.
         """
-        from synfog_usd.camera import distortion
+        from synfog_usd.camera import distortion, fisheye
+
+        if self.graph is not None and (lens := fisheye.of_graph(self.graph)) is not None:
+            return _through(scene, lens)
 
         wider = (
             None
@@ -293,6 +300,21 @@ def _each_once(todo: Sequence[Shot]) -> list[Shot]:
             lightings.add(shot.lighting)
             fogs.add(shot.fog)
     return found
+
+
+def _through(scene: SceneDict, lens: Fisheye) -> SceneDict:
+    from synfog_usd.camera import fisheye
+    from synfog_usd.translate.volume import refuse_cut
+
+    view = replace(scene.camera, fisheye=lens, fov_x_deg=lens.fov_x_deg)
+    if scene.camera.width_m > 0.0:
+        raise StageError(f"{view.path}: an orthographic camera has no fisheye before it; name another with --camera")
+    try:
+        fisheye.angles_rad(lens, view.height_px, view.width_px, view.axis_shift)
+    except ImageError as problem:
+        raise StageError(f"{view.path}: a picture of {view.width_px} x {view.height_px}: {problem}") from problem
+    refuse_cut(scene.fog, view)
+    return replace(scene, camera=view)
 
 
 def _size_of(taken: Pinhole) -> dict[str, Any]:

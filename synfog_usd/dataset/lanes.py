@@ -89,6 +89,10 @@ def _places(seen: Aovs, scene: SceneDict, where: Any) -> Array:
     """(N, 3) what some pixels see, in the scene [m]."""
     view = Projection.of(scene.camera)
     row, column = np.nonzero(where)
+    if scene.camera.fisheye is not None:
+        size = np.array([view.width_px, view.height_px])
+        ways = scene.camera.directions((np.c_[column, row] + 0.5) / size)
+        return np.asarray(ways * seen.distance_m[where][:, None] + scene.camera.to_world[:3, 3])
     depth = seen.depth_m[where].astype(np.float64)
     across = (np.c_[column, row] + 0.5 - np.array(view.axis_px)) / view.scale_px
     if not scene.camera.width_m:
@@ -98,7 +102,8 @@ def _places(seen: Aovs, scene: SceneDict, where: Any) -> Array:
 
 def _drawn(points: Array, view: Projection, size_px: tuple[int, ...], bend: Bend | None) -> list[Array]:
     """Pieces of an edge within the picture, each (N, 2)."""
-    seen = _projected(_fine(points) if bend else points, view)
+    straight = bend is None and view.camera.fisheye is None
+    seen = _projected(points if straight else _fine(points), view)
     pieces = [piece for line in seen for piece in _clipped(line, (view.width_px, view.height_px))]
     if bend is None:
         return pieces
@@ -108,6 +113,10 @@ def _drawn(points: Array, view: Projection, size_px: tuple[int, ...], bend: Bend
 def _projected(points: Array, view: Projection) -> list[Array]:
     """Lines of a polyline that lie before the camera, each (N, 2) [px]."""
     local, near = view.local(points), max(view.camera.near_m, 0.05)
+    if view.camera.fisheye is not None:
+        shown = np.arctan2(np.hypot(local[:, 0], local[:, 1]), local[:, 2]) <= view.camera.fisheye.reach_rad
+        runs = np.split(np.arange(len(local)), np.flatnonzero(np.diff(shown)) + 1)
+        return [view.places_px(local[run]) for run in runs if shown[run[0]] and len(run) > 1]
     lines: list[list[Array]] = [[]]
     for one, other in itertools.pairwise(local):
         if max(one[2], other[2]) <= near:
@@ -120,8 +129,7 @@ def _projected(points: Array, view: Projection) -> list[Array]:
             lines.append([begin])
         lines[-1].append(end)
     found = [np.array(line) for line in lines if line]
-    flat = view.camera.width_m > 0.0
-    return [view.scale_px * line[:, :2] / (1.0 if flat else line[:, 2:]) + np.array(view.axis_px) for line in found]
+    return [view.places_px(line) for line in found]
 
 
 def _clipped(line: Array, size_px: tuple[int, ...]) -> list[Array]:

@@ -21,6 +21,10 @@ TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 """USD's camera looks down its -Z with +Y up."""
 
 
+EDGE_STEP_RAD, EDGE_STEPS = 0.02, 32
+"""Edges that a fisheye sees under a larger angle are followed in so many steps."""
+
+
 @dataclass(frozen=True)
 class Solid:
     """Points whose convex hull is that of an instance's geometry, and the edges between them.
@@ -100,12 +104,12 @@ def _together(parts: list[Solid]) -> Solid:
 
 @dataclass(frozen=True)
 class Projection:
-    """Where a camera without distortion puts points.
+    """Where a camera without distortion, or a fisheye, puts points.
 
     Attributes:
         camera: whose place and kind count.
         width_px, height_px: of the picture.
-        scale_px: focal length [px]; of an orthographic camera pixels a metre.
+        scale_px: focal length [px]; of an orthographic camera pixels a metre, of a fisheye pixels a radian at its axis.
         axis_px: column and row at which the axis meets the picture, from its corner [px].
     """
 
@@ -122,7 +126,7 @@ class Projection:
         axis_px = (0.5 + right) * width, (0.5 - up) * height
         if camera.width_m > 0.0:
             return cls(camera, width, height, width / camera.width_m, axis_px)
-        return cls(camera, width, height, float(0.5 * width / np.tan(np.radians(camera.fov_x_deg) / 2.0)), axis_px)
+        return cls(camera, width, height, 1.0 / camera.pixel_rad, axis_px)
 
     @property
     def rotation(self) -> Array:
@@ -133,11 +137,22 @@ class Projection:
         """(N, 3) points of the scene in the camera's axes [m]."""
         return np.asarray((points - self.camera.to_world[:3, 3]) @ self.rotation.T)
 
+    def places_px(self, local: Array) -> Array:
+        """(N, 2) places [px] from the picture's corner of points (N, 3) in the camera's axes, before it unless it is a
+        fisheye.
+        """
+        if self.camera.fisheye is not None:
+            return np.asarray(self.camera.fisheye.places(local) * self.width_px + np.array(self.axis_px))
+        depth = 1.0 if self.camera.width_m > 0.0 else local[:, 2:]
+        return np.asarray(self.scale_px * local[:, :2] / depth + np.array(self.axis_px))
+
     def box_px(self, solid: Solid) -> tuple[float, float, float, float] | None:
         """Left, top, right and bottom [px] of all that lies before the camera, beyond the picture's border too; None
         where nothing does.
         """
         points, near = self.local(solid.points), max(self.camera.near_m, 1e-3)
+        if self.camera.fisheye is not None:
+            return self._curved_box_px(points, solid.edges)
         before = points[:, 2] >= near
         if not before.all():
             one, other = points[solid.edges[:, 0]], points[solid.edges[:, 1]]
@@ -147,9 +162,25 @@ class Projection:
             points = np.concatenate([points[before], one + share[:, None] * (other - one)])
         if not len(points):
             return None
-        depth = 1.0 if self.camera.width_m > 0.0 else np.maximum(points[:, 2], near)
-        x = self.axis_px[0] + self.scale_px * points[:, 0] / depth
-        y = self.axis_px[1] + self.scale_px * points[:, 1] / depth
+        if not self.camera.width_m > 0.0:
+            points[:, 2] = np.maximum(points[:, 2], near)
+        x, y = self.places_px(points).T
+        return float(x.min()), float(y.min()), float(x.max()), float(y.max())
+
+    def _curved_box_px(self, points: Array, edges: Indices) -> tuple[float, float, float, float] | None:
+        """As `box_px`, for a fisheye: straight edges are curves in its picture, and are followed in small steps."""
+        assert self.camera.fisheye is not None
+        ways = points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-12)
+        apart = np.linalg.norm(ways[edges[:, 0]] - ways[edges[:, 1]], axis=1)
+        long = edges[apart > EDGE_STEP_RAD]
+        share = np.linspace(0.0, 1.0, EDGE_STEPS + 1)[1:-1, None, None]
+        between = points[long[:, 0]] * (1.0 - share) + points[long[:, 1]] * share
+        points = np.concatenate([points, between.reshape(-1, 3)])
+        angle = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
+        points = points[angle <= self.camera.fisheye.reach_rad]
+        if not len(points):
+            return None
+        x, y = self.places_px(points).T
         return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
     def truncation(self, box: tuple[float, float, float, float]) -> float:
@@ -167,16 +198,17 @@ class Projection:
         pose[:3, :3] = self.rotation.T
         pose[:3, 3] = self.camera.to_world[:3, 3] + np.asarray(origin_m)
         centre = [self.axis_px[0] - 0.5, self.axis_px[1] - 0.5]
-        orthographic = self.camera.width_m > 0.0
+        model, told = "pinhole", dict[str, Any]({"camera_matrix_px": _matrix(self.scale_px, centre)})
+        if self.camera.width_m > 0.0:
+            model, told = "orthographic", {"px_per_m": round(self.scale_px, 6), "axis_px": _rounded(centre, 6)}
+        elif self.camera.fisheye is not None:
+            polynomial = self.camera.fisheye.polynomial(self.width_px)
+            model, told = "fisheye", {"radius_px": _rounded(polynomial, 6), "axis_px": _rounded(centre, 6)}
         return {
             "path": self.camera.path,
-            "model": "orthographic" if orthographic else "pinhole",
+            "model": model,
             "size_px": [self.width_px, self.height_px],
-            **(
-                {"px_per_m": round(self.scale_px, 6), "axis_px": _rounded(centre, 6)}
-                if orthographic
-                else {"camera_matrix_px": _matrix(self.scale_px, centre)}
-            ),
+            **told,
             "distortion_coefficients": [],
             "camera_to_world": [_rounded(row, 9) for row in pose.tolist()],
             "axes": "camera: x right, y down, z forward; world: the stage in metres, Z up; pixels: the first one's "
@@ -204,7 +236,7 @@ def rows(
     Args:
         scene: what was looked at.
         pierced: ids and pixels of `render.film.aovs.pierced`, of the scene's own camera.
-        view: the camera without distortion in whose picture truncation is measured.
+        view: the camera without distortion, or the fisheye, in whose picture truncation is measured.
         nearest: (H, W) row and column of the scene's picture that each pixel shows, where the lens distorts.
     """
     ids, pixels = pierced

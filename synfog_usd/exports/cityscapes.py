@@ -58,6 +58,7 @@ class Names:
 
 def write_ground_truth(folder: ExportFolder, stem: str, labels: Labels) -> None:
     """The ids, depth and camera of a picture."""
+    labels.refuse_fisheye("Cityscapes")
     semantic = labels.semantic
     folder.png(f"gtFine/{stem}_gtFine_labelIds.png", semantic.astype(np.uint8))
     folder.png(f"gtFine/{stem}_gtFine_instanceIds.png", instance_ids(labels))

@@ -97,7 +97,9 @@ def jsonl(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def quantised(values: npt.NDArray[Any], steps_per_unit: float) -> npt.NDArray[np.uint16]:
-    """Numbers as uint16, `steps_per_unit` a unit; 0 where they are not finite, 65535 where they are too large."""
-    finite = np.isfinite(values)
+    """Numbers as uint16, `steps_per_unit` a unit; 0 where they are not finite or below 0 (a depth behind a fisheye's
+    plane), 65535 where they are too large.
+    """
+    finite = np.isfinite(values) & (values >= 0.0)
     steps = np.rint(np.where(finite, values, 0.0) * steps_per_unit)
     return np.clip(np.where(finite, np.maximum(steps, 1.0), 0.0), 0.0, 65535.0).astype(np.uint16)

@@ -157,6 +157,18 @@ class Labels:
             for row in self.metadata.get("lanes", ())
         ]
 
+    def refuse_fisheye(self, layout: str) -> None:
+        """Refuse a picture whose camera a layout cannot tell.
+
+        Raises:
+            ParameterError: it is a fisheye's.
+        """
+        if self.camera.get("model") == "fisheye":
+            raise ParameterError(
+                f"{self.camera.get('path')}: {layout} knows pinholes alone, and this camera is a fisheye; export to "
+                f"coco, webdataset or huggingface, whose records say how it projects, or bake with a pinhole's pipeline"
+            )
+
     def mask(self, instance: int) -> npt.NDArray[np.bool_]:
         """(H, W) the visible pixels of an instance."""
         return self.instance == instance

@@ -39,6 +39,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
         stem = f"{len(listed):06}"
         listed.append(f"{stem} {picture.name}\n")
         labels = picture.labels
+        labels.refuse_fisheye("KITTI")
         folder.place(picture.screen, f"{picture.split}/image_2/{stem}{picture.screen.suffix}")
         rows = [
             _row(row, MISC if row.get("visibility") not in drop else "DontCare") for row in taxonomy.things(picture)

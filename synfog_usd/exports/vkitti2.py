@@ -56,6 +56,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
         tree = f"Scene{picture.scene:02}/{plain(picture.lighting)}-{plain(picture.fog)}"
         frame = int(names.stem(picture, "").rpartition("_")[2])
         labels = picture.labels
+        labels.refuse_fisheye("Virtual KITTI 2")
         base = f"{tree}/frames"
         folder.jpeg(f"{base}/rgb/Camera_0/rgb_{frame:05}.jpg", picture.screen)
         folder.png(f"{base}/depth/Camera_0/depth_{frame:05}.png", quantised(labels.depth_m, STEPS_PER_M))

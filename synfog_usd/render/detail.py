@@ -47,16 +47,26 @@ def levels(camera: Camera, matrices: Array, low: Array, high: Array) -> Array:
     center = matrices[:, :3, :3] @ middle + matrices[:, :3, 3]
     away = np.maximum(np.linalg.norm(center - eye, axis=1), 1e-6)
     distance = np.maximum(away - scale * radius, 1e-6)
-    across = camera.width_m or distance * 2.0 * math.tan(math.radians(camera.fov_x_deg) / 2.0)
-    cell = MOVED_PX * across / camera.width_px / math.sqrt(3.0) / np.maximum(scale, 1e-12)
+    corner, pixel_rad = _view(camera)
+    across = camera.width_m / camera.width_px or distance * pixel_rad
+    cell = MOVED_PX * across / math.sqrt(3.0) / np.maximum(scale, 1e-12)
     if not camera.width_m:
-        height = math.tan(math.radians(camera.fov_x_deg) / 2.0) * camera.height_px / camera.width_px
-        corner = 1.2 * math.atan(math.hypot(math.tan(math.radians(camera.fov_x_deg) / 2.0), height)) + 0.05
         ahead = np.clip((center - eye) @ -camera.to_world[:3, 2] / away, -1.0, 1.0)
         wide = np.arcsin(np.minimum(scale * radius / away, 1.0))
         cell = np.where(np.arccos(ahead) > corner + wide, _UNSEEN * cell, cell)
     cell = np.minimum(cell, float((high - low).max(initial=1e-6)) / _FEWEST_CELLS)
     return np.clip(np.floor(np.log2(cell)), -_FINEST, _FINEST).astype(np.int64)
+
+
+def _view(camera: Camera) -> tuple[float, float]:
+    """Angle to the axis [rad] beyond which nothing is seen, with a margin, and the smallest angle of a pixel."""
+    tall = 0.5 * camera.height_px / camera.width_px
+    if camera.fisheye is not None:
+        far = math.hypot(0.5 + abs(camera.shift[0]), tall + abs(camera.shift[1]) * 2.0 * tall)
+        corner = float(camera.fisheye.angle(np.minimum(far, camera.fisheye.table[1])))
+        return 1.05 * corner + 0.05, camera.fisheye.finest_rad(far) / camera.width_px
+    wide = 2.0 * math.tan(math.radians(camera.fov_x_deg) / 2.0)
+    return 1.2 * math.atan(wide * math.hypot(0.5, tall)) + 0.05, camera.pixel_rad
 
 
 def merged(mesh: Mapping[str, Any], level: int) -> Mapping[str, Any]:

@@ -366,12 +366,66 @@ def _boundary_mesh(mi: Any, vertices: Any, faces: Any, parts: Mapping[str, Any])
 
 def is_thin_lens(camera: Camera) -> bool:
     """Whether the camera blurs what is out of focus."""
-    return camera.f_number > 0.0 and camera.focus_m > 0.0 and camera.focal_length_m > 0.0 and not camera.width_m > 0.0
+    return camera.f_number > 0.0 and camera.focus_m > 0.0 and camera.focal_length_m > 0.0 and camera.plane
+
+
+class FisheyeRays:
+    """The rays of a fisheye, asked for as Mitsuba's sensors are.
+
+    The angle to the axis is read from a table, so that a kernel holds no lens.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        assert camera.fisheye is not None
+        mi = backend.mitsuba()
+        self.camera = camera
+        if backend.is_scalar():
+            return
+        import drjit as dr
+
+        angles, most = camera.fisheye.table
+        self.angles, rows = backend.floats(angles), len(angles) - 1
+        self.rows, self.a_width = dr.opaque(mi.UInt32, rows), dr.opaque(mi.Float, rows / most)
+        self.at_axis = dr.opaque(mi.Float, 1.0 / float(camera.fisheye.slope(np.zeros(()))))
+        self.middle = mi.Point2f(0.5 - camera.shift[0], 0.5 + camera.shift[1])
+        self.tall = dr.opaque(mi.Float, camera.height_px / camera.width_px)
+        self.near, self.eye = dr.opaque(mi.Float, camera.near_m), mi.Point3f(*camera.to_world[:3, 3].tolist())
+        self.axes = [mi.Vector3f(*(camera.to_world[:3, k] * sign).tolist()) for k, sign in enumerate((1.0, -1.0, -1.0))]
+        dr.make_opaque(self.middle, self.eye, self.axes)
+
+    def sample_ray(self, _time: float, _wavelength: float, place: Any, _aperture: Any, _active: Any = True) -> Any:
+        """A ray through (u, v) of the picture, 0 to 1 from the top left, from the near plane on, which is a ball here;
+        and its weight.
+        """
+        mi = backend.mitsuba()
+        if backend.is_scalar():
+            way = self.camera.directions(np.array([place.x, place.y]))
+            start = self.camera.to_world[:3, 3] + self.camera.near_m * way
+            return mi.Ray3f(mi.Point3f(start), mi.Vector3f(way)), mi.Color3f(1.0)
+        import drjit as dr
+
+        x, y = place.x - self.middle.x, (place.y - self.middle.y) * self.tall
+        radius = dr.sqrt(x * x + y * y)
+        at = radius * self.a_width
+        row = dr.minimum(mi.UInt32(at), self.rows - 1)
+        low, high = dr.gather(mi.Float, self.angles, row), dr.gather(mi.Float, self.angles, row + 1)
+        sine, cosine = dr.sincos(dr.fma(at - mi.Float(row), high - low, low))
+        scale = dr.select(radius > 1e-6, sine / radius, self.at_axis)
+        right, down, ahead = self.axes
+        way = dr.normalize(right * (x * scale) + down * (y * scale) + ahead * cosine)
+        return mi.Ray3f(self.eye + way * self.near, way), mi.Color3f(1.0)
+
+    def sample_ray_differential(self, *given: Any) -> Any:
+        """As `sample_ray`."""
+        ray, weight = self.sample_ray(*given)
+        return backend.mitsuba().RayDifferential3f(ray), weight
 
 
 def make_sensor(camera: Camera, medium: Any, *, pinhole: bool = False) -> Any:
-    """Mitsuba's sensor for a camera inside `medium` (None in clear air)."""
+    """Mitsuba's sensor for a camera inside `medium` (None in clear air); of a fisheye what makes its rays alone."""
     mi = backend.mitsuba()
+    if camera.fisheye is not None:
+        return FisheyeRays(camera)
     turn = np.diag([-1.0, 1.0, -1.0, 1.0])  # Mitsuba looks along +Z with +X to the left
     least = (
         1 if backend.is_scalar() else math.gcd(camera.width_px, camera.height_px)

@@ -159,11 +159,14 @@ def _projected(points: Array, camera: Camera) -> tuple[Array, Array]:
     local = (points - camera.to_world[:3, 3]) @ camera.to_world[:3, :3]
     depth = -local[..., 2]
     seen = depth > camera.near_m
-    if camera.width_m > 0.0:
-        scale: Any = camera.width_px / camera.width_m
+    scale: Any
+    if camera.fisheye is not None:
+        local, seen = local * (1.0, -1.0, -1.0), np.ones_like(seen)
+        local, scale = camera.fisheye.places(local) * (1.0, -1.0), camera.width_px
+    elif camera.width_m > 0.0:
+        scale = camera.width_px / camera.width_m
     else:
-        focal_px = 0.5 * camera.width_px / math.tan(math.radians(camera.fov_x_deg) / 2.0)
-        scale = focal_px / np.where(seen, depth, 1.0)[..., None]
+        scale = 1.0 / (camera.pixel_rad * np.where(seen, depth, 1.0)[..., None])
     place = local[..., :2] * (1.0, -1.0) * scale
     half = 0.5 * np.array([camera.width_px, camera.height_px])
     middle = np.array(camera.shift) * (1.0, -1.0) * 2.0 * half

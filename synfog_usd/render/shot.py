@@ -300,7 +300,11 @@ def sample(
             Quantity.RADIANCE,
             variance=variance,
             provenance={
-                "fov_x_deg": camera.fov_x_deg,
+                **(
+                    {"fisheye_coefficients": list(camera.fisheye.coefficients), "fisheye_fov_x_deg": camera.fov_x_deg}
+                    if camera.fisheye
+                    else {"fov_x_deg": camera.fov_x_deg}
+                ),
                 "shift_x": camera.axis_shift[0],
                 "shift_y": camera.axis_shift[1],
                 "model": model,
@@ -399,6 +403,7 @@ def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: b
     probe = replace(
         loaded, source=replace(loaded.source, camera=replace(close, width_px=PROBE_PX[0], height_px=PROBE_PX[1]))
     )
-    if not np.any(aovs.measure(probe).depth_m < scene.camera.near_m):
+    seen = aovs.measure(probe)
+    if not np.any((seen.distance_m if scene.camera.fisheye else seen.depth_m) < scene.camera.near_m):
         return loaded
     return to_mitsuba(scene, size=size, boundaries=boundaries)

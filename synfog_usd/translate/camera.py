@@ -21,6 +21,9 @@ DEFAULT_WIDTH_PX = 1280
 READOUT = "synfog:shutter:readout"
 """Attribute of a camera: seconds between the beginnings of the top and the bottom row's exposure."""
 
+OMNIVERSE = "cameraProjectionType"
+"""Omniverse's attribute of cameras that are no pinholes."""
+
 NEAR_M = 0.01
 """Near plane where none is authored; USD's own fallback of one unit would cut off a bonnet."""
 
@@ -86,6 +89,12 @@ def read_camera(
         )
         notes.warn(prim.GetPath(), f"{what}; the lens is drawn as a pinhole")
         f_number = 0.0
+    if (projection := prim.GetAttribute(OMNIVERSE)) and str(projection.Get(time) or "pinhole") != "pinhole":
+        notes.warn(
+            prim.GetPath(),
+            f"{OMNIVERSE} {projection.Get(time)!r} is not read, and a pinhole drawn; a pipeline with a fisheye, as "
+            f"'surround', draws one",
+        )
     scale = camera.ComputeLinearExposureScale(time)
     if scale != 1.0 and any(prim.GetAttribute(name).HasAuthoredValue() for name in _EXPOSURE):
         notes.info(

@@ -68,10 +68,8 @@ def measured(world: Mapping[str, Any], camera: Camera) -> Outdoors:
             ground += lux * max(0.0, -float(light["to_world"][2, 2]))
         elif light["type"] in ("constant", "envmap"):
             sky = light
-    x, y = np.meshgrid(np.linspace(-1, 1, 33)[:-1] + 1 / 32, np.linspace(-1, 1, 33)[:-1] + 1 / 32)
-    wide = math.tan(math.radians(camera.fov_x_deg) / 2.0)
-    rays = np.stack([x * wide, y * wide * camera.height_px / camera.width_px, -np.ones_like(x)], axis=-1).reshape(-1, 3)
-    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True) @ camera.to_world[:3, :3].T
+    across = np.linspace(0.0, 1.0, 33)[:-1] + 1 / 64
+    rays = camera.directions(np.stack(np.meshgrid(across, across), axis=-1)).reshape(-1, 3)
     seen = np.zeros(len(rays))
     if sky is not None and sky["type"] == "constant":
         nits = float(LUMINANCE @ np.broadcast_to(np.asarray(sky["radiance"]["value"], dtype=np.float64), 3))

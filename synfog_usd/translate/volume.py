@@ -218,13 +218,22 @@ def refuse_cut(fog: tuple[FogVolume, ...], camera: Camera) -> None:
     Raises:
         FogError: with the boundary's prim path and the camera's.
     """
-    half = camera.near_m * math.tan(math.radians(camera.fov_x_deg) / 2.0)
-    tall = half * camera.height_px / camera.width_px
-    corners = [
-        ((x + 2.0 * camera.shift[0]) * half, (y + 2.0 * camera.shift[1]) * tall, -camera.near_m)
-        for x in (-1.0, 1.0)
-        for y in (-1.0, 1.0)
-    ]
+    if camera.fisheye is not None:  # rays begin on a ball
+        angles = np.linspace(0.0, np.pi, 13)
+        ring = np.stack([np.cos(2.0 * angles[:-1]), np.sin(2.0 * angles[:-1])], axis=1)
+        corners = [
+            (camera.near_m * math.sin(t) * x, camera.near_m * math.sin(t) * y, -camera.near_m * math.cos(t))
+            for t in angles[angles <= math.radians(camera.fov_x_deg) / 2.0 + angles[1]]
+            for x, y in ring
+        ]
+    else:
+        half = camera.near_m * math.tan(math.radians(camera.fov_x_deg) / 2.0)
+        tall = half * camera.height_px / camera.width_px
+        corners = [
+            ((x + 2.0 * camera.shift[0]) * half, (y + 2.0 * camera.shift[1]) * tall, -camera.near_m)
+            for x in (-1.0, 1.0)
+            for y in (-1.0, 1.0)
+        ]
     pyramid = apply(camera.to_world, np.array([(0.0, 0.0, 0.0), *corners]))
     for volume in fog:
         if volume.boundary.meets(pyramid):

@@ -956,7 +956,7 @@ class FogPath:
         if (
             camera.near_m <= LENS_M
         ):  # nothing stands before the near plane: begin at the lens, so that no fog is left out
-            ray.o = ray.o - ray.d * (self.near / dr.dot(ray.d, self.ahead))
+            ray.o = ray.o - ray.d * (self.near if camera.fisheye else self.near / dr.dot(ray.d, self.ahead))
         if camera.moves:
             ray = moved(ray, camera, place.y, sampler.next_1d(active))
         return ray, weight

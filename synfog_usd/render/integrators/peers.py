@@ -13,6 +13,7 @@ import drjit as dr
 import numpy as np
 
 from synfog_usd.arrays import Array
+from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import Accumulator, undivided
@@ -95,7 +96,15 @@ def _accumulate_scalar(
     """Whole renders with seeds of their own; their scatter gives the variance.
 
     A thin lens off its axis is drawn as a pinhole: here Mitsuba makes the rays.
+
+    Raises:
+        ParameterError: a fisheye, of whose rays Mitsuba knows nothing.
     """
+    if loaded.source.camera.fisheye is not None:
+        raise ParameterError(
+            f"{loaded.source.camera.path}: Mitsuba's own models draw no fisheye with its scalar backend; "
+            f"use --model path"
+        )
     sensor = (
         loaded.sensor
         if loaded.offset == (0.0, 0.0)

@@ -6,7 +6,7 @@ at the pixels' edges (Sutherland and Hodgman 1974), and every piece is asked for
 point of it.  What is left to chance is what hides it.
 
 Takes a loaded scene with a pinhole; gives `VisibleFaces`.  Lamps that cover many pixels, or reach behind the near
-plane, are left to chance, as all are where the camera has a lens or moves.
+plane, are left to chance, as all are where the camera has a lens, is a fisheye or moves.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class VisibleFaces:
     def of(cls, loaded: MitsubaScene) -> VisibleFaces | None:
         """A scene's; None where it has no lit faces, or its camera is no pinhole that stands still."""
         camera = loaded.source.camera
-        if camera.moves or camera.width_m > 0.0 or is_thin_lens(camera):
+        if camera.moves or not camera.plane or is_thin_lens(camera):
             return None
         found: list[tuple[int, tuple[Point, Point, Point], float, int, int]] = []
         inside: list[int] = []
