@@ -16,7 +16,7 @@ to another.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,6 +38,9 @@ INSTALL = "pip install pyoidn"
 
 SURFACE = "surface"
 """The component with guides; every other is taken for airlight."""
+
+AIRLIGHT = "airlight"
+"""All that fog scatters, where light is divided by group."""
 
 NOISELESS = (DIRECT,)
 """Components that are added as they are."""
@@ -79,6 +82,11 @@ FEW_RAYS = 16
 MEMORY_MB = 700
 """What Open Image Denoise may take: it works in tiles, to the same bytes.  At 1920x1080 0.6 instead of 1.4 GB, for 1.4
 times the time.
+"""
+
+SHARE_PX = 2
+"""Side of the squares in which light groups are denoised: crossing at dusk, MOR 150, 320x180, 4 samples: the same error
+to 3 % for a third of the time; raw groups err 2.3 times as much.
 """
 
 LANES = 1 << 21
@@ -223,6 +231,63 @@ def denoise(
         return seen * (_clean(light - excess, *guiding, balanced=balanced) + excess)
 
     return {name: clean(name, image) for name, image in images.items()}
+
+
+def divide(
+    components: Mapping[str, FloatArray],
+    groups: Iterable[tuple[str, Mapping[str, npt.NDArray[Any]]]],
+    guides: Guides,
+    *,
+    balanced: bool = False,
+) -> dict[str, FloatArray]:
+    """Share a denoised picture out to light groups: of its surfaces, its airlight and its lamps' faces each group gets
+    the share that it has of the light of all groups, each cleaned by itself in pixels of `SHARE_PX`.
+
+    Args:
+        components: of the picture, as `denoise_halves` gives them.
+        groups: name of each and (H, W, C) of what the samples found of it, by component or estimator.
+        guides: see `guides`.
+        balanced: with Open Image Denoise's smaller network.
+
+    Returns:
+        name -> (H, W, C), not negative; they add up to the picture.
+
+    Raises:
+        DenoiserError: Open Image Denoise fails.
+    """
+
+    def by_part(lights: Mapping[str, npt.NDArray[Any]]) -> dict[str, FloatArray]:
+        found: dict[str, FloatArray] = {}
+        for name, light in lights.items():
+            part = name if name == SURFACE or name in NOISELESS else AIRLIGHT
+            found[part] = np.asarray(found[part] + light if part in found else light, dtype=np.float32)
+        return found
+
+    coarse = Guides(
+        dualbuffer.binned(guides.albedo, SHARE_PX),
+        dualbuffer.binned(guides.normal, SHARE_PX),
+        dualbuffer.binned(guides.transmittance[..., None], SHARE_PX)[..., 0],
+    )
+
+    def clean(part: str, light: FloatArray) -> FloatArray:
+        if part not in NOISELESS:
+            light = denoise({part: dualbuffer.binned(light, SHARE_PX)}, coarse, balanced=balanced)[part]
+        trace = np.float32(1e-6) * light.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
+        return light + trace  # where no sample of any group was lit, groups share as in the whole picture
+
+    parts: dict[str, dict[str, FloatArray]] = {}
+    found = {}
+    for group, lights in groups:
+        found[group] = np.zeros_like(next(iter(components.values())))
+        for part, light in by_part(lights).items():
+            parts.setdefault(part, {})[group] = clean(part, light)
+    for part, light in by_part(components).items():
+        own = parts.pop(part, {})
+        whole = np.maximum(sum(own.values()), np.finfo(np.float32).tiny)
+        for group, lit in own.items():
+            share = lit / whole
+            found[group] += light * (share if part in NOISELESS else dualbuffer.spread(share, SHARE_PX, light.shape))
+    return found
 
 
 def denoise_plain(

@@ -111,8 +111,8 @@ def _correct(noisy: Array, done: Array, weights: Array, floor: Array, scale: int
     """Change `done` by what is left of the difference to `noisy` under one blur, as far as noise lets it be known."""
     step = max(1, scale // 4)
     wide, fine = (
-        [_blurred(_binned(picture, step), scale / step) for picture in noisy],
-        [_blurred(_binned(picture, step), scale / step) for picture in done],
+        [_blurred(binned(picture, step), scale / step) for picture in noisy],
+        [_blurred(binned(picture, step), scale / step) for picture in done],
     )
     level = np.maximum(0.5 * (fine[0] + fine[1]) @ weights, float(floor @ weights))
     left = 0.5 * ((wide[0] + wide[1]) - (fine[0] + fine[1])) @ weights / level
@@ -132,7 +132,7 @@ def _correct(noisy: Array, done: Array, weights: Array, floor: Array, scale: int
         share = share * _agreed((wide[0] - fine[0]) @ weights, (wide[1] - fine[1]) @ weights)[..., None]
     for half in range(2):
         gain = share * (wide[half] - fine[half]) / np.maximum(fine[half] + floor, 1e-30)
-        done[half] += (done[half] + floor) * _spread(gain, step, done.shape[1:3])
+        done[half] += (done[half] + floor) * spread(gain, step, done.shape[1:3])
     np.maximum(done, 0.0, out=done)  # noise may be below 0, light is not
 
 
@@ -176,14 +176,14 @@ def _ratio(square: Array, scatter: Array) -> np.float32:
     whole = float(scatter.mean(dtype=np.float64))
     if whole == 0.0:
         return np.float32(USUAL_RATIO)
-    blocks = _binned(square[..., None], BLOCK_PX).astype(np.float64).ravel() / whole
+    blocks = binned(square[..., None], BLOCK_PX).astype(np.float64).ravel() / whole
     found = max(float(square.mean(dtype=np.float64)) / whole, 0.0)
     spread = blocks.std() / np.sqrt(len(blocks)) if len(blocks) > 1 else np.inf
     trust = found**2 / (found**2 + (DOUBT * spread) ** 2) if found > 0.0 else 0.0
     return np.float32(max(USUAL_RATIO + trust * (found - USUAL_RATIO), 1.0))
 
 
-def _binned(image: Array, step: int) -> Array:
+def binned(image: Array, step: int) -> Array:
     """(h, w, C) means over squares of `step` pixels; the border is repeated."""
     if step == 1:
         return image
@@ -192,7 +192,7 @@ def _binned(image: Array, step: int) -> Array:
     return padded.reshape(height // step, step, width // step, step, -1).mean(axis=(1, 3), dtype=np.float32)
 
 
-def _spread(coarse: Array, step: int, shape: tuple[int, ...]) -> Array:
+def spread(coarse: Array, step: int, shape: tuple[int, ...]) -> Array:
     """(H, W, C) of what was binned, linear between the squares' centres."""
     from scipy import ndimage
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -55,7 +55,8 @@ class Rendered:
             empty where the model tells none apart.
         error: (H, W) expected RMS error of each pixel's luminance [cd m-2] after denoising; None where nothing was
             denoised.
-        groups: light group -> (H, W, C) float32 radiance; empty where there is only one.
+        groups: light group -> (H, W, C) float32 radiance; empty where there is only one. They add up to the radiance
+            where that was denoised.
         model, why: which model it was, and why that one.
         relative_error: median over the pixels of `error`, or else standard error, over luminance.
         warnings: what went wrong on the way, in words.
@@ -313,17 +314,26 @@ def sample(
             }
             | ({"denoised": True} if denoised else {}),
         )
-        groups = (
-            {name: accumulated.take_group().reshape(shape).astype(np.float32) for name in names}
-            if len(names) > 1
-            else {}
-        )
+        groups = dict[str, np.ndarray]()
+        if len(names) > 1:
+            apart = [
+                (name, {of: light.reshape(shape).astype(np.float32) for of, light in accumulated.take_group().items()})
+                for name in names
+            ]
+            divided = cleaning.divided(denoised, apart) if cleaning and denoised else None
+            if cleaning and denoised and divided is None:
+                warnings.append(f"light groups are {cleaning.problem}")
+            groups = divided or {name: np.asarray(sum(lights.values())) for name, lights in apart}
         rms = denoised.error.rms if denoised else None
         return Rendered(
             radiance, seen, relative_error, components, rms, groups, model, why, tuple(warnings), figures, spent, met
         )
 
     return picture
+
+
+def _not_denoised(error: Exception) -> str:
+    return f"not denoised, so it takes many more samples: {str(error) or 'not enough memory'}"
 
 
 def _guide_rays(samples: int) -> int:
@@ -366,8 +376,18 @@ class _Cleaning:
                 )
             except (denoising.DenoiserError, MemoryError) as error:
                 self._done[number] = None
-                self.problem = f"not denoised, so it takes many more samples: {str(error) or 'not enough memory'}"
+                self.problem = _not_denoised(error)
         return self._done.get(number)
+
+    def divided(
+        self, denoised: denoising.Denoised, groups: Iterable[tuple[str, Mapping[str, np.ndarray]]]
+    ) -> dict[str, np.ndarray] | None:
+        """The picture by light group, see `denoise.divide`; None where something goes wrong."""
+        try:
+            return denoising.divide(denoised.components, groups, self._seen(), balanced=self._few)
+        except (denoising.DenoiserError, MemoryError) as error:
+            self.problem = _not_denoised(error)
+            return None
 
     def judged(self, accumulated: Accumulator) -> tuple[np.ndarray, dualbuffer.Error] | None:
         """What the samples so far give."""

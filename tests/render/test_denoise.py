@@ -636,3 +636,26 @@ def translated(name):
     from synfog_usd.translate import translate
 
     return translate(usd.open_stage(resources.folder("stages") / "bench" / f"{name}.usda"), resolution=(64, 36))
+
+
+@needs_oidn
+def test_light_groups_lose_their_noise_too_and_add_up_to_the_picture():
+    """The sky and a lamp over a foggy street, each a group, 8 samples: relative RMS errors against 128 samples fall
+    below half (measured 0.2 and 0.27), and the sum is the denoised picture.
+    """
+    bulb = {"type": "point", "position": [0.0, 20.0, 3.0], "intensity": {"type": "rgb", "value": [60.0, 40.0, 20.0]}}
+    plain = street()
+    source = replace(
+        plain, world={**plain.world, "light_bulb": bulb}, group_of={"light_bulb": "street_lamps", "light_sky": "sky"}
+    )
+    loaded = shot.load(source, size=(48, 27), boundaries=False)
+    truth, raw, clean = (
+        shot.render(source, model="path", samples=samples, seed=seed, size=(48, 27), loaded=loaded, denoise=denoised)
+        for samples, seed, denoised in ((128, 9, False), (8, 1, False), (8, 1, True))
+    )
+    assert set(clean.groups) == {"sky", "street_lamps"}
+    np.testing.assert_allclose(sum(clean.groups.values()), clean.radiance.pixels, rtol=1e-4)
+    for name, right in truth.groups.items():
+        level = np.maximum(right, 0.05 * right.mean())
+        assert rms((clean.groups[name] - right) / level) < 0.5 * rms((raw.groups[name] - right) / level), name
+        assert clean.groups[name].mean() == pytest.approx(right.mean(), rel=0.05), name

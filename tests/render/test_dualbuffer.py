@@ -126,11 +126,11 @@ def test_odd_pictures_stay_finite(shape, light):
 def test_blurs_by_way_of_larger_pixels_keep_the_mean_and_the_size():
     """What was binned and spread again is the picture, smoother; a size that the step does not divide is no matter."""
     image = truth()[:118, :157]
-    spread = dualbuffer._spread(dualbuffer._binned(image, 16), 16, image.shape[:2])
+    spread = dualbuffer.spread(dualbuffer.binned(image, 16), 16, image.shape[:2])
     assert spread.shape == image.shape
     assert spread.mean() == pytest.approx(image.mean(), rel=0.01)
     np.testing.assert_allclose(
-        dualbuffer._spread(dualbuffer._binned(0 * image + 0.7, 4), 4, image.shape[:2]), 0.7, rtol=1e-5
+        dualbuffer.spread(dualbuffer.binned(0 * image + 0.7, 4), 4, image.shape[:2]), 0.7, rtol=1e-5
     )
 
 

@@ -241,9 +241,9 @@ class Accumulator:
             estimator.aovs.pop(name, None)
         return mean
 
-    def take_group(self) -> Array:
-        """(P, C) mean of the first light group that is left; its sums are let go."""
-        return sum(estimator.groups.pop(0) / estimator.number() for estimator in self.estimators.values())
+    def take_group(self) -> dict[str, Array]:
+        """(P, C) mean of the first light group that is left, by estimator; its sums are let go."""
+        return {name: estimator.groups.pop(0) / estimator.number() for name, estimator in self.estimators.items()}
 
     @property
     def samples(self) -> int:
