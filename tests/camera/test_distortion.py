@@ -249,8 +249,11 @@ BENT = (-0.35, 0.15, 0.0, 0.0)
 """Coefficients of the one shipped lens that distorts, automotive_6mm."""
 
 
-@pytest.mark.parametrize("fov_x_deg", [50.0, pytest.param(100.0, marks=pytest.mark.slow)])
-def test_a_picture_rendered_for_the_lens_is_as_sharp_as_its_pixels(fov_x_deg, tmp_path):
+@pytest.mark.parametrize(
+    "fov_x_deg, frequencies",
+    [(50.0, (0.25, 0.5)), *(pytest.param(fov, (0.1, 0.25, 0.4, 0.5), marks=pytest.mark.slow) for fov in (50.0, 100.0))],
+)
+def test_a_picture_rendered_for_the_lens_is_as_sharp_as_its_pixels(fov_x_deg, frequencies, tmp_path):
     """Contrast of waves up to 0.5 cycles a pixel at centre, half field and corner, across and down: sinc(f) within
     0.01.
 
@@ -262,7 +265,7 @@ def test_a_picture_rendered_for_the_lens_is_as_sharp_as_its_pixels(fov_x_deg, tm
     assert shown.profiles["lens"].distortion == BENT
     view = (taken.height_px, taken.width_px, taken.fov_x_deg, *taken.shift)
     patches = {"centre": (48, 64), "half field": (24, 32), "corner": (12, 12)}
-    for cycles in (0.1, 0.25, 0.4, 0.5):
+    for cycles in frequencies:
         for down in (False, True):
             wave = np.repeat(bent_wave(rendered, taken, cycles, down)[..., None], 3, axis=2)
             out = distortion.distortion(

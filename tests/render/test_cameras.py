@@ -159,7 +159,7 @@ def test_a_camera_that_turns_turns_its_rays_about_its_place():
         )
 
 
-@pytest.mark.parametrize("model", ["path", "volpath"])
+@pytest.mark.parametrize("model", ["path", pytest.param("volpath", marks=pytest.mark.slow)])
 def test_a_bar_leans_under_a_rolling_shutter_as_far_as_the_camera_went(model):
     """An edge seen by a camera that goes 3 m to the right, three quarters of which between the rows' beginnings.
 

@@ -90,8 +90,8 @@ def street():
     return scene(world, [uniform_fog(visibility_m=100.0, half_size=150.0)], width_px=96, height_px=54, fov_x_deg=50.0)
 
 
-def sampled(source, samples, seed):
-    parts = shot.render(source, model="path", samples=samples, seed=seed).components
+def sampled(source, samples, seed, loaded=None):
+    parts = shot.render(source, model="path", samples=samples, seed=seed, loaded=loaded).components
     return parts["surface"], parts["airlight_single"] + parts["airlight_multiple"]
 
 
@@ -145,10 +145,12 @@ def test_what_the_fog_hides_is_not_painted_back(hidden):
     clear-air guides 5 %.
     """
     source, found, clear = hidden
-    truth = steps(sum(sampled(source, 128, 100)), clear.albedo).mean()  # signed, so that its noise averages out: 0.2 %
+    loaded = shot.load(source, boundaries=False)
+    many = sum(sampled(source, 128, 100, loaded))
+    truth = steps(many, clear.albedo).mean()  # signed, so that its noise averages out: 0.2 %
     assert 0.006 < truth < 0.02, "the wall is not the faint one that this test is about"
     for seed in range(2):
-        surface, airlight = sampled(source, 16, seed)
+        surface, airlight = sampled(source, 16, seed, loaded)
         cleaned = sum(denoise.denoise({"surface": surface, "airlight": airlight}, found).values())
         assert abs(rms(steps(cleaned, clear.albedo)) - truth) < 0.005
         painted = denoise.denoise_plain(surface + airlight, clear.albedo, clear.normal)
@@ -426,7 +428,15 @@ def plane(axis, side):
 @needs_oidn
 @pytest.mark.parametrize(
     "size, samples",
-    [((32, 18), 2), ((32, 18), 17), ((1, 1), 2), ((1, 1), 17), ((3, 2), 2), ((3, 2), 17), ((1024, 16), 2)],
+    [
+        ((32, 18), 2),
+        ((1, 1), 17),
+        ((3, 2), 2),
+        *(
+            pytest.param(size, samples, marks=pytest.mark.slow)
+            for size, samples in (((32, 18), 17), ((1, 1), 2), ((3, 2), 17), ((1024, 16), 2))
+        ),
+    ],
 )
 def test_a_closed_room_with_mirror_pane_and_one_lamp_gives_a_picture(size, samples):
     """No sky, a lamp behind glass, any size, two samples: finite, components that add up, an error for every pixel, and
@@ -472,7 +482,7 @@ def inside_a_car():
 
 
 @needs_oidn
-@pytest.mark.parametrize("samples", [2, 17])
+@pytest.mark.parametrize("samples", [2, pytest.param(17, marks=pytest.mark.slow)])
 def test_a_camera_inside_a_car_sees_through_the_windscreen(samples):
     """Light comes in, no pixel is odd, what stands before the near plane is not seen, and the error is told."""
     done = shot.render(inside_a_car(), model="path", samples=samples, denoise=True)
@@ -544,7 +554,7 @@ def test_a_denoised_render_repeats_byte_for_byte():
 
 
 @needs_oidn
-@pytest.mark.parametrize("bands", [3, 8])
+@pytest.mark.parametrize("bands", [3, pytest.param(8, marks=pytest.mark.slow)])
 def test_bands_are_denoised_as_well_as_three_channels(bands):
     """Error of the luminance at 16 samples against 128, whose own is left in: under half of the raw one in either
     (measured: a fifth).

@@ -24,18 +24,23 @@ def pictures(world_scene, *, samples=128, seeds=8, model="auto"):
     return renders.pictures(world_scene, seeds, samples=samples, model=model)
 
 
-@pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize(
-    "visibility_m, seeds, samples, resolves",
+    "model, visibility_m, seeds, samples, resolves",
     [
-        (150.0, 8, 512, 0.03),
-        pytest.param(600.0, 16, 2048, 0.01, marks=pytest.mark.slow),
-        pytest.param(150.0, 16, 2048, 0.01, marks=pytest.mark.slow),
-        pytest.param(50.0, 16, 2048, 0.03, marks=pytest.mark.slow),
+        ("path", 150.0, 8, 64, 0.03),
+        ("volpath", 150.0, 8, 512, 0.03),
+        *(
+            pytest.param(model, visibility_m, 16, 2048, resolves, marks=pytest.mark.slow)
+            for model in MODELS
+            for visibility_m, resolves in ((600.0, 0.01), (150.0, 0.01), (50.0, 0.03))
+        ),
     ],
 )
-def test_a_wall_in_absorbing_fog_dims_by_beer_and_lambert(visibility_m, seeds, samples, resolves, model):
-    """With nothing scattered, a wall of radiance 1 at 50 m reaches the camera as exp(-2.996 / MOR * 50)."""
+def test_a_wall_in_absorbing_fog_dims_by_beer_and_lambert(model, visibility_m, seeds, samples, resolves):
+    """With nothing scattered, a wall of radiance 1 at 50 m reaches the camera as exp(-2.996 / MOR * 50).
+
+    `path` has the transmittance in closed form, so few samples show as much.
+    """
     fog = uniform_fog(visibility_m=visibility_m, albedo=0.0)
     world = scene({"shape_wall": wall(50.0, **black(1.0))}, [fog], fov_x_deg=1.0)
     assert_mean(
@@ -118,7 +123,7 @@ def assert_models_agree(world, *, samples, resolves):
 BOX, BALL = box((30.0, 30.0, 12.0), (2, 20, 3)), Boundary("sphere", np.diag([40.0, 30.0, 20.0, 1.0]))
 
 
-@pytest.mark.parametrize("samples, resolves", [(128, 0.12), pytest.param(400, 0.06, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("samples, resolves", [(64, 0.17), pytest.param(400, 0.06, marks=pytest.mark.slow)])
 def test_path_agrees_with_volpath_beside_lamps(samples, resolves):
     """Surfaces, sky and lamps in fog whose edge is in view.
 
@@ -171,11 +176,9 @@ THINNING = [
 ]
 
 
-@pytest.mark.parametrize("samples, resolves", [(64, 0.08), pytest.param(256, 0.04, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(
-    "fog",
-    [pytest.param(NESTED, id="nested"), pytest.param(THINNING, id="exponential", marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("samples, resolves", [(256, 0.04)])
+@pytest.mark.parametrize("fog", [NESTED, THINNING], ids=["nested", "exponential"])
 def test_path_agrees_with_volpath_in_fog_that_is_not_even(fog, samples, resolves):
     """A bank in fog, and fog that thins with height, over a grey ground."""
     flat = np.array([[-90, -90, -1.5], [90, -90, -1.5], [90, 90, -1.5], [-90, 90, -1.5]])
@@ -283,7 +286,7 @@ def test_bytes_do_not_depend_on_how_many_pixels_a_lane_takes(monkeypatch):
     for paths, lanes in ((1, 1), (1 << 20, 1), (1 << 20, 7)):
         monkeypatch.setattr(tasks, "PATHS", paths)
         monkeypatch.setattr(tasks, "LEAST_LANES", lanes)
-        pictures.append(render(world, samples=4, model="path"))
+        pictures.append(render(world, samples=2, model="path"))
     for other in pictures[1:]:
         assert other.radiance.pixels.tobytes() == pictures[0].radiance.pixels.tobytes()
         assert other.radiance.variance.tobytes() == pictures[0].radiance.variance.tobytes()

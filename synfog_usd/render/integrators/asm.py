@@ -39,7 +39,7 @@ from synfog_usd.render.integrators.path import FogPath
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
-from synfog_usd.render.media.control_variate import make_control_variate, mean_sky
+from synfog_usd.render.media.control_variate import find_slab, mean_sky
 from synfog_usd.render.media.medium import Medium, unsupported_fog
 from synfog_usd.scene import SceneDict
 
@@ -125,9 +125,9 @@ def physical_airlight(loaded: MitsubaScene) -> Array:
     """
     eye = loaded.source.camera.to_world[:3, 3]
     if not unsupported_fog(loaded.source.fog):
-        control, _ = make_control_variate(loaded, Medium(loaded.source.fog))
-        if control is not None:
-            return control.slab.radiance([eye[2]], [0.0])[0]
+        found, _ = find_slab(loaded, Medium(loaded.source.fog))
+        if found is not None:
+            return found[0].radiance([eye[2]], [0.0])[0]
     up, sky, _ = mean_sky(loaded)
     edges = np.r_[0.0, (up[1:] + up[:-1]) / 2.0, 1.0]
     return np.diff(edges) @ sky

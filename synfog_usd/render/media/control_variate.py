@@ -10,13 +10,15 @@ counts the jump.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from synfog_usd.arrays import Array
+from synfog_usd.arrays import Array, FloatArray
+from synfog_usd.fog import FogMedium
 from synfog_usd.fog.slab import Slab, solve
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
@@ -127,10 +129,9 @@ class ControlVariate:
         matrix[2, 3] = 0.5 * (slab.top_m + floor_m)
         self.domain = Domain(matrix)
         self.bottom, self.top = dr.opaque(mi.Float, slab.bottom_m), dr.opaque(mi.Float, slab.top_m)
-        table = slab.table(ROWS, COLUMNS)
+        table, lit = _tables(slab)
         self.rows, self.columns = table.shape[1:3]
         self.table = mi.Float(np.ascontiguousarray(table, dtype=np.float32).ravel())
-        lit = slab.irradiance_table()
         self.lit_rows, self.lit_columns = lit.shape[:2]
         self.lit = mi.Float(np.ascontiguousarray(lit, dtype=np.float32).ravel())
         self.exponential = medium.media[0].exponential
@@ -212,6 +213,15 @@ def make_control_variate(
 ) -> tuple[ControlVariate | None, str]:
     """The slab that is most like a scene under a sky of this kind of light; else None and why there is none."""
     bands = bands or Bands()
+    found, why = find_slab(loaded, medium, bands, sky_kind)
+    return (ControlVariate(found[0], medium, found[1], bands), "") if found else (None, why)
+
+
+def find_slab(
+    loaded: MitsubaScene, medium: Medium, bands: Bands | None = None, sky_kind: int = 0
+) -> tuple[tuple[Slab, float] | None, str]:
+    """The solution of that slab, and the height [m] of the domain's floor; else None and why there is none."""
+    bands = bands or Bands()
     if bands.coloured:
         return None, "the slab is solved for fog that is grey, and this one has an Angstrom exponent"
     if not medium.foggy or len(medium.volumes) != 1:
@@ -236,5 +246,19 @@ def make_control_variate(
     up, sky, _ = mean_sky(loaded)
     if not bands.is_rgb:
         albedo, sky = np.clip(albedo @ bands.reflectance_of, 0.0, 1.0), np.maximum(bands.light_in(sky, sky_kind), 0.0)
-    slab = solve(volume.medium, bottom_m=height, top_m=top, ground=albedo, sky_up=up, sky=sky)
-    return ControlVariate(slab, medium, floor, bands), ""
+    rings = np.asarray(sky, dtype=np.float64).tobytes()
+    slab = _solved(volume.medium, height, top, tuple(albedo.tolist()), up.tobytes(), rings)
+    return (slab, floor), ""
+
+
+@functools.lru_cache(maxsize=4)  # a picture's pilots and the picture ask for one and the same
+def _solved(medium: FogMedium, bottom_m: float, top_m: float, ground: tuple[float, ...], up: bytes, sky: bytes) -> Slab:
+    """`solve`, of arrays of float64 as bytes."""
+    rings = np.frombuffer(sky).reshape(-1, len(ground))
+    return solve(medium, bottom_m=bottom_m, top_m=top_m, ground=ground, sky_up=np.frombuffer(up), sky=rings)
+
+
+@functools.lru_cache(maxsize=4)  # 3 MB each in R, G and B
+def _tables(slab: Slab) -> tuple[FloatArray, FloatArray]:
+    """Its radiance and irradiance."""
+    return slab.table(ROWS, COLUMNS), slab.irradiance_table()
