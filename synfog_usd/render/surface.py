@@ -204,7 +204,8 @@ def _plugin(mi: Any) -> Any:
         """What a surface does to light that goes to `si.wi`, mirrored to the upper side."""
 
         def __init__(self, bsdf: PreviewSurface, si: Any, active: Any) -> None:
-            self.below = si.wi.z < 0.0
+            normal = si.to_local(si.n)
+            self.below = dr.dot(si.wi, normal) * normal.z < 0.0
             self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
             self.base = bsdf.base_color.eval(si, active)
             self.eta, self.table = bsdf.eta, bsdf.table

@@ -6,7 +6,7 @@ all its layers stay as they are: the pose goes to a copy of the session layer.
 
 from __future__ import annotations
 
-from pxr import Gf, Sdf, Usd, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from synfog_usd.errors import StageError
 from synfog_usd.translate.diagnostics import Diagnostics
@@ -36,6 +36,8 @@ def posed(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics) -> Usd.Stage
         for prim in Usd.PrimRange(copy.GetPseudoRoot()):
             if prim.IsA(UsdSkel.Animation):
                 _give_key(prim, moment)
+            elif prim.IsA(UsdGeom.Mesh) and prim.HasAPI(UsdSkel.BindingAPI):
+                _give_normals(UsdGeom.Mesh(prim), time)
         if not UsdSkel.BakeSkinning(Usd.PrimRange(copy.GetPseudoRoot()), Gf.Interval(moment, moment)):
             for root in roots:
                 notes.warn(root.GetPath(), "the pose cannot be computed; the character stands as it was modelled")
@@ -50,6 +52,18 @@ def _give_key(animation: Usd.Prim, moment: float) -> None:
         value = attribute.Get(moment) if attribute.GetNumTimeSamples() else None
         if value is not None:
             attribute.Set(value, moment)
+
+
+def _give_normals(mesh: UsdGeom.Mesh, time: Usd.TimeCode) -> None:
+    """Move `primvars:normals` to `normals`: BakeSkinning turns only these with the bones."""
+    primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
+    if primvar and primvar.HasValue():
+        normals, interpolation = primvar.ComputeFlattened(time), primvar.GetInterpolation()
+        primvar.GetAttr().Block()
+        mesh.GetNormalsAttr().Clear()
+        if normals is not None and interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.faceVarying):
+            mesh.CreateNormalsAttr(normals)
+            mesh.SetNormalsInterpolation(interpolation)
 
 
 def has_skeletons(stage: Usd.Stage) -> bool:

@@ -41,6 +41,8 @@ def seen_from(cosine, count, turn=0.7, side=1.0):
     """Interactions whose eye is at this cosine."""
     mi, sine = backend.mitsuba(), np.sqrt(1.0 - cosine**2)
     si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.n = mi.Normal3f(0.0, 0.0, 1.0)
+    si.sh_frame = mi.Frame3f(si.n)
     si.wi = mi.Vector3f(*(float(c) for c in (sine * np.cos(turn), sine * np.sin(turn), side * cosine)))
     return si
 
@@ -164,6 +166,22 @@ def test_draws_are_spread_as_their_density_says(mi, name):
             (np.array(both[0]) / np.maximum(density, 1e-20))[:, up], np.array(weight)[:, up], rtol=1e-4
         )
         np.testing.assert_array_equal(np.array(both[2].wo), wo)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_face_says_which_side_is_seen_and_not_its_smooth_normal(mi, side):
+    """The smooth normal leans 60 degrees from the face's, so an eye 45 degrees over the face is below its horizon."""
+    smooth = np.array([np.sin(np.radians(60.0)), 0.0, np.cos(np.radians(60.0))])
+    eye = side * np.array([-np.sin(np.radians(45.0)), 0.0, np.cos(np.radians(45.0))])
+    light = side * np.stack([smooth, -smooth], axis=-1)
+    assert np.dot(eye, smooth) * side < 0.0
+    si = seen_from(1.0, 2)
+    si.sh_frame = mi.Frame3f(along(*smooth))
+    si.wi = si.to_local(along(*eye))
+    bsdf = made(np.full(3, 0.5), roughness=1.0, eta=1.000001)
+    value = np.array(bsdf.eval(mi.BSDFContext(), si, si.to_local(along(*light))))
+    np.testing.assert_allclose(value[:, 0], 0.5 / np.pi, rtol=1e-3)
+    assert np.all(value[:, 1] == 0.0)
 
 
 @pytest.mark.parametrize("name", PARTS)

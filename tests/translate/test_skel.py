@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from synfog_usd.translate import translate
 
@@ -57,6 +57,29 @@ def test_a_pose_is_that_of_the_frame(empty):
     np.testing.assert_allclose(drawn(stage, frame=1), [(0, 0, 0), (0.1, 0, 0), (0.1, 0, 2), (0, 0, 2)], atol=1e-6)
     np.testing.assert_allclose(drawn(stage, frame=2), WAVED, atol=1e-6)
     assert layers == [layer.ExportToString() for layer in (stage.GetRootLayer(), stage.GetSessionLayer())]
+
+
+@pytest.mark.parametrize("interpolation", ["vertex", "faceVarying"])
+@pytest.mark.parametrize("name", ["normals", "primvars:normals", "primvars:normals:indices"])
+def test_normals_turn_with_the_bones(empty, name, interpolation):
+    """However they are authored; by hand, (x, z) -> (z, -x) for what hangs on the elbow."""
+    stage = empty()
+    arm(stage, "/Arm")
+    mesh = UsdGeom.Mesh.Get(stage, "/Arm/Mesh")
+    told = [(0.6, -0.8, 0)]
+    if name == "normals":
+        mesh.CreateNormalsAttr(told * 4)
+        mesh.SetNormalsInterpolation(interpolation)
+    else:
+        primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, interpolation)
+        primvar.Set(told if name.endswith("indices") else told * 4)
+        if name.endswith("indices"):
+            primvar.SetIndices(Vt.IntArray([0] * 4))
+    (part,) = [part for key, part in translate(stage, frame=2).world.items() if key.startswith("shape_")]
+    below = np.isclose(part["positions"][:, 2], 0.0)
+    np.testing.assert_allclose(part["normals"][below], [(0.6, -0.8, 0)] * below.sum(), atol=1e-6)
+    np.testing.assert_allclose(part["normals"][~below], [(0, -0.8, -0.6)] * (~below).sum(), atol=1e-6)
+    assert below.sum() >= 2 and (~below).sum() >= 2
 
 
 def test_characters_in_instances_are_posed_too(empty):
