@@ -50,6 +50,8 @@ class Camera:
             for a global shutter, under which all rows expose together.
         during: begin and end of the part of that time in which it looks, 0 to 1; all of it but where a picture is drawn
             moment by moment.
+        exposes: begin and end of the part of a row's own exposure that counts, 0 to 1: of a sensor that exposes a row
+            several times, one after the other.
         fisheye: the lens of a fisheye, whose angle of view is `fov_x_deg`; None for any other camera.  All is sharp
             behind it.
     """
@@ -69,6 +71,7 @@ class Camera:
     turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rolling: float = 0.0
     during: tuple[float, float] = (0.0, 1.0)
+    exposes: tuple[float, float] = (0.0, 1.0)
     fisheye: Fisheye | None = None
 
     @property

@@ -8,6 +8,7 @@ pixel makes of light, and how much its noise hides.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -46,6 +47,11 @@ METER_WIDTH_PX = 320
 
 LIGHTGROUP = "lightgroup_"
 """How inputs begin that take the light of one group of lamps alone, as `layers.exr` names it."""
+
+EXPOSURE = re.compile(r"exposure_(\d{1,3})_(\d{1,3})")
+"""Inputs that take the view as it is in a part of the time in which a row is exposed, from so many per cent of it to so
+many.
+"""
 
 BLINDING_CD_M2 = 1e12
 """Light in which every pixel is full, whatever the exposure."""
@@ -228,20 +234,50 @@ def noise_floor(
     return np.asarray(np.sqrt(signal_e + dark_noise_e**2) / max(electrons_per_cd_m2, 1e-30))
 
 
+def moments_of(graph: NodeGraph) -> dict[str, tuple[float, float]]:
+    """The inputs that take the view in a part of a row's exposure, and the begin and end of that part, 0 to 1.
+
+    Raises:
+        GraphError: a part that does not begin before it ends, or ends after the exposure; an output of its name.
+    """
+    found = {}
+    for name in graph.inputs:
+        if match := EXPOSURE.fullmatch(name):
+            begin, end = (int(part) / 100.0 for part in match.groups())
+            if not begin < end <= 1.0:
+                raise GraphError(
+                    f"graph {graph.name!r}: the input {name!r} is the view from {begin:.0%} to {end:.0%} of an "
+                    f"exposure; the first is below the second, and that at most 100"
+                )
+            if f"{name}.exr" in graph.outputs:
+                raise GraphError(
+                    f"graph {graph.name!r}: the output {name}.exr is where a bake writes the input {name!r}"
+                )
+            found[name] = begin, end
+    return found
+
+
 def _view_input(graph: NodeGraph) -> str:
-    """The input that takes the radiance of the whole view, or ''; others take that of groups of lamps."""
+    """The input that takes the radiance of the whole view, or that of the longest exposure, or ''; others take that of
+    groups of lamps.
+    """
+    parts = moments_of(graph)
     found = [
         name
         for name, port in graph.inputs.items()
-        if port.quantity is Quantity.RADIANCE and not name.startswith(LIGHTGROUP)
+        if port.quantity is Quantity.RADIANCE and not name.startswith(LIGHTGROUP) and name not in parts
     ]
+    if not found and parts:
+        return max(parts, key=lambda name: parts[name][1] - parts[name][0])
     return found[0] if len(found) == 1 else ""
 
 
 def _steady(graph: NodeGraph, frame: Image) -> dict[str, Image]:
-    """What to run a graph on so that no lamp of its flickers: their own light is 0, beside that of the whole view."""
+    """What to run a graph on so that nothing moves and no lamp of its flickers: their own light is 0, beside that of
+    the whole view.
+    """
     dark = frame.with_pixels(np.zeros_like(frame.pixels))
-    return {name: frame if name == _view_input(graph) else dark for name in graph.inputs}
+    return {name: dark if name.startswith(LIGHTGROUP) else frame for name in graph.inputs}
 
 
 def _sites(mosaic: Image) -> dict[str, npt.NDArray[np.float64]]:

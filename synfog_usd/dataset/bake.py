@@ -95,6 +95,7 @@ def bake(
     """
     from synfog_usd import camera
     from synfog_usd import stage as usd
+    from synfog_usd.camera.exposure import moments_of
     from synfog_usd.render import backend, models
     from synfog_usd.render.film import aovs
     from synfog_usd.render.shot import Settings, sampling_share
@@ -189,7 +190,8 @@ def bake(
                 sampled = SET_UP + (1.0 - SET_UP) * share
                 told = within(step, SET_UP, sampled)
                 step("rendering", SET_UP)
-                picture = _render(shot, scene, renderer, views.get(shot.lighting), plan, scenes.taken, told)
+                view = views.get(shot.lighting)
+                picture = _render(shot, scene, renderer, view, plan, scenes.taken, moments_of(graph), told)
                 if alone:
                     picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
                 behind.do(functools.partial(finish, shot, picture, began))
@@ -466,6 +468,7 @@ class _Shot:
             came of it.
         noise: luminance -> standard deviation of what a pixel of it reads [cd m-2], or None.
         hidden: what the fog hides.
+        exposures: inputs of the graph that see a part of the exposure -> their radiance.
     """
 
     shot: Shot
@@ -475,6 +478,7 @@ class _Shot:
     rendered: Rendered
     noise: Callable[[np.ndarray], np.ndarray] | None
     hidden: Hidden
+    exposures: Mapping[str, Image]
 
 
 _Picture = Callable[[Progress], _Shot]
@@ -520,12 +524,15 @@ def _render(
     view: _View | None,
     plan: BakePlan,
     taken: Pinhole | None,
+    exposures: Mapping[str, tuple[float, float]],
     progress: Progress,
 ) -> _Picture:
-    """Sample one shot; what is returned makes its picture."""
+    """Sample one shot, and once more for each part of its exposure that is asked for by itself where things move; what
+    is returned makes its pictures.
+    """
     from synfog_usd import cull
     from synfog_usd.render.sampling.adaptive import sensor_target
-    from synfog_usd.render.shot import sample
+    from synfog_usd.render.shot import Settings, sample
 
     density = _pinhole(scene.camera).focal_px / taken.focal_px if taken else 1.0
     floor = _shared(view.noise, density) if view and view.noise else None
@@ -545,8 +552,8 @@ def _render(
         and not loaded.boundaries
         and not scene.camera.width_m
     )
-    rendered = sample(
-        drawn,
+    moving = exposures if scene.camera.moves or scene.motion_of else {}
+    settings = Settings(
         model=plan.model,
         samples=max(2, round(plan.samples / density**2)),
         seed=seed32(plan.seed, shot.lighting, shot.fog),
@@ -555,13 +562,30 @@ def _render(
         time_limit_s=plan.time_limit_s,
         bands=plan.bands,
         denoise=plan.denoise,
-        loaded=loaded,
-        clear=view.seen if view and (hidden.triangles or same) else None,
-        progress=progress,
     )
+    clear = view.seen if view and (hidden.triangles or same) else None
+    share = 1.0 / (1 + len(moving))
+    rendered = sample(drawn, settings, loaded=loaded, clear=clear, progress=within(progress, 0.0, share))
+    parts = {}
+    for number, (name, part) in enumerate(moving.items(), 1):
+        eye = replace(drawn.camera, exposes=part)
+        known = loaded.source if loaded else drawn
+        parts[name] = sample(
+            replace(drawn, camera=eye),
+            replace(settings, seed=seed32(settings.seed, name)),
+            loaded=loaded and replace(loaded, source=replace(known, camera=replace(known.camera, exposes=part))),
+            clear=clear,
+            progress=within(progress, number * share, (number + 1) * share),
+        )
 
     def picture(progress: Progress) -> _Shot:
-        return _Shot(shot, scene, view, taken, rendered(progress), floor, hidden)
+        whole = rendered(within(progress, 0.0, share))
+        seen = {
+            name: part(within(progress, number * share, (number + 1) * share)).radiance
+            for number, (name, part) in enumerate(parts.items(), 1)
+        }
+        seen = seen or dict.fromkeys(exposures, whole.radiance)
+        return _Shot(shot, scene, view, taken, whole, floor, hidden, seen)
 
     return picture
 
@@ -579,11 +603,14 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
         "synfog:mor_m": mor[0] if mor else 0.0,
         "synfog:model": rendered.model,
     }
-    radiance, variance = rendered.radiance, rendered.radiance.variance
+    variance = rendered.radiance.variance
+    more: dict[str, Any] = {}
     if taken is not None:
-        radiance = radiance.with_metadata(view=[*taken[:3], *taken.shift])
+        more["view"] = [*taken[:3], *taken.shift]
     if plan.clip is not None:
-        radiance = radiance.with_metadata(frame_number=plan.clip.number, frames_per_s=plan.clip.per_s)
+        more |= {"frame_number": plan.clip.number, "frames_per_s": plan.clip.per_s}
+    radiance = rendered.radiance.with_metadata(**more)
+    exposures = {name: part.with_metadata(**more) for name, part in made.exposures.items()}
     assert variance is not None
     transmittance = rendered.aovs.transmittance_image()
     writers.write_exr(folder / "radiance.exr", radiance, attributes=marks)
@@ -601,11 +628,15 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
     writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
     files.write_json(folder / "instances.json", labels.instance_list(made.hidden, scene, _left(made, graph)))
     names = ["radiance.exr", "layers.exr", "instances.json"]
+    for name, part in exposures.items():
+        names.append(f"{name}.exr")
+        writers.write_exr(folder / names[-1], part, attributes=marks)
     exposure = view.exposure if view else None
     seed = seed32(plan.seed, shot.lighting, shot.fog)
+    whole = {} if exposures and "radiance" not in graph.inputs else {"radiance": radiance}
     results = camera.develop(
         graph,
-        {"radiance": radiance, **_groups_for(graph, rendered)},
+        {**whole, **exposures, **_groups_for(graph, rendered)},
         seed=seed,
         exposure=exposure,
         keep=list(graph.outputs.values()),

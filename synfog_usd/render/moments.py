@@ -100,13 +100,15 @@ def cut(source: SceneDict, samples: int) -> Intervals | None:
     if way < STILL_PX:
         return None
     camera = source.camera
-    open_for = max(1.0 - camera.rolling, 1e-9)
-    most = samples // LEAST if not camera.rolling else math.floor((samples // LEAST - 2) / open_for)
+    first, last = (part * max(1.0 - camera.rolling, 1e-9) for part in camera.exposes)
+    open_for, whole = last - first, camera.rolling + last - first  # of a row, and of all of them
+    way *= whole
+    most = samples // LEAST if not camera.rolling else math.floor((samples // LEAST - 2) * whole / open_for)
     count = max(2, min(math.ceil(way / STEP_PX), most, MOST))
-    begins = (np.arange(camera.height_px) + 0.5) / camera.height_px * camera.rolling
+    begins = (np.arange(camera.height_px) + 0.5) / camera.height_px * camera.rolling + first
     found = []
     for number in range(count):
-        begin, end = number / count, (number + 1) / count
+        begin, end = (first + whole * edge / count for edge in (number, number + 1))
         share = np.minimum(begins + open_for, end) - np.maximum(begins, begin)
         found.append(Interval(begin, end, np.maximum(share, 0.0) / open_for))
     busiest = int(sum((part.share > 0.0).astype(int) for part in found).max())
@@ -348,4 +350,7 @@ class _MeanGuides:
 
     def all(self) -> Guides | None:
         """None where there were none."""
-        return None if self.sums is None else Guides(*self.sums)
+        if self.sums is None:
+            return None
+        albedo, normal, transmittance = self.sums
+        return Guides(albedo, normal, np.minimum(transmittance, np.float32(1.0)))  # shares add up to 1 but for rounding

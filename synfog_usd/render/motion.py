@@ -23,12 +23,13 @@ def moved(ray: Any, camera: Camera, down: Any, u: Any) -> Any:
     at the top and 1 at the bottom.
     """
     mi = backend.mitsuba()
-    if camera.during == (0.0, 1.0):
+    if camera.during == camera.exposes == (0.0, 1.0):
         since = down * camera.rolling + u * (1.0 - camera.rolling) - 0.5 if camera.rolling else u - 0.5
     else:
         begin, end = (dr.opaque(mi.Float, moment) for moment in camera.during)
-        begin = dr.maximum(begin, down * camera.rolling)
-        end = dr.minimum(end, down * camera.rolling + (1.0 - camera.rolling))
+        first, last = (dr.opaque(mi.Float, part * (1.0 - camera.rolling)) for part in camera.exposes)
+        begin = dr.maximum(begin, down * camera.rolling + first)
+        end = dr.minimum(end, down * camera.rolling + last)
         since = begin + u * dr.maximum(end - begin, 0.0) - 0.5
     eye, drift = mi.Point3f(camera.to_world[:3, 3].tolist()), mi.Vector3f(list(camera.drift_m))
     angle = float(np.linalg.norm(camera.turn_rad))

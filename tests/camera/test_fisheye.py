@@ -308,10 +308,10 @@ def test_a_bake_is_of_the_fisheye_throughout(tmp_path):
     """Labels of a baked stage are of the lens, and as large as the picture."""
     import json
 
-    from support.cli import run
+    from support import cli
 
     stage = Path(__file__).parents[2] / "stages" / "crossroads.usda"
-    run(
+    done = cli.run(
         "bake",
         stage,
         "-o",
@@ -325,6 +325,7 @@ def test_a_bake_is_of_the_fisheye_throughout(tmp_path):
         "--fog",
         "clear",
     )
+    assert done.returncode == 0, done.stderr
     told = json.loads((tmp_path / "labels.json").read_text())
     assert told["camera"]["model"] == "fisheye" and told["camera"]["size_px"] == [64, 48]
     assert any(row["pixels"] for row in told["instances"])

@@ -6,12 +6,15 @@ import math
 
 import numpy as np
 import pytest
+from support import cli
 
 from synfog_usd import camera, resources, seeds
-from synfog_usd.camera import hdr, isp, sensor
+from synfog_usd.camera import exposure, hdr, isp, sensor
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.errors import ImageError
+from synfog_usd.errors import GraphError, ImageError
+from synfog_usd.graph import make_graph
 from synfog_usd.image import Image, Quantity
+from synfog_usd.writers import read_exr
 
 CHIP = load_sensor("imx490_like")
 HIGH, LOW = 1.0, 0.25
@@ -241,3 +244,95 @@ def test_the_automotive_camera_is_linear_over_its_three_readings():
         ].pixels
         >= 4090
     ).all()
+
+
+def test_inputs_name_the_part_of_an_exposure_that_they_see():
+    graph = camera.load_graph(resources.folder("pipeline") / "staggered_hdr.yaml")
+    assert exposure.moments_of(graph) == {"exposure_0_94": (0.0, 0.94), "exposure_94_100": (0.94, 1.0)}
+    assert not exposure.moments_of(camera.load_graph(resources.folder("pipeline") / "automotive_hdr.yaml"))
+    node = {"name": "dim", "op": "light.mix", "weights": [1.0]}
+    for name, why in (("exposure_50_50", "the first is below the second"), ("exposure_0_110", "at most 100")):
+        wrong = make_graph(camera.OPS, inputs=[name], nodes=[{**node, "in": name}], outputs={"a.exr": "dim"})
+        with pytest.raises(GraphError, match=why):
+            exposure.moments_of(wrong)
+    taken = make_graph(
+        camera.OPS,
+        inputs=["exposure_0_9"],
+        nodes=[{**node, "in": "exposure_0_9"}],
+        outputs={"exposure_0_9.exr": "dim"},
+    )
+    with pytest.raises(GraphError, match="a bake writes the input"):
+        exposure.moments_of(taken)
+
+
+def test_a_bar_that_moves_between_two_exposures_is_in_each_where_it_was():
+    """A bright bar on grey, 8 pixels further on in the short exposure: where the long one is full the short one tells,
+    so the merged bar is bright where it was in both, and grey where it was in one of them alone.
+    """
+    graph = camera.load_graph(resources.folder("pipeline") / "staggered_hdr.yaml")
+    rows, columns = 32, 64
+    grey, bright = 100.0, 2e4
+    frames = {}
+    for name, left in (("exposure_0_94", 20), ("exposure_94_100", 28)):
+        pixels = np.full((rows, columns, 3), grey, np.float32)
+        pixels[:, left : left + 16] = bright
+        frames[name] = Image(pixels, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 20.0})
+    graph = graph.without(["glare", "glare_short", "diffraction", "diffraction_short"])
+    at = camera.Exposure(2e-3, 100.0)
+    run = graph.run(frames, seed=1, settings=at.settings, until="merge", keep=["adc", "adc_short", "merge"])
+    green = run["merge"].pixels[0::2, 1::2, 0].mean(axis=0)  # of columns 1, 3, 5 ...
+    left, both, right, floor = green[11:13].mean(), green[15:17].mean(), green[19:21].mean(), green[2:6].mean()
+    top = run["adc"].provenance["white_level_dn"]
+    assert run["adc"].pixels[:, 21:35].max() >= top and run["adc_short"].pixels.max() < top
+    black = run["merge"].provenance["black_level_dn"]
+    short = 16.0 * (run["adc_short"].pixels[0::2, 29:43:2, 0].mean() - black)
+    assert both - black == pytest.approx(short, rel=0.02)
+    assert left - black == pytest.approx(16.0 * (run["adc_short"].pixels[0::2, 23:27:2, 0].mean() - black), rel=0.02)
+    assert right == pytest.approx(floor, rel=0.1), "the long exposure is not full there, and sees grey"
+
+
+@pytest.mark.slow
+def test_a_bake_draws_each_exposure_at_its_own_time(tmp_path):
+    """A shining square that goes 2 m to the right, 10 m away, in the time that the shutter is open: the centres of the
+    two exposures' light lie 0.94 / 2 + 0.06 / 2 of that way apart; radiance.exr has the mean of both.
+    """
+    (tmp_path / "stage.usda").write_text(
+        """#usda 1.0
+        (
+            endTimeCode = 1
+            metersPerUnit = 1
+            startTimeCode = 0
+            timeCodesPerSecond = 24
+            upAxis = "Y"
+        )
+        def Camera "Eye" {
+            float focalLength = 20.955
+            float horizontalAperture = 20.955
+            double shutter:open = 0
+            double shutter:close = 1
+        }
+        def RectLight "Bar" {
+            float inputs:intensity = 100
+            float inputs:width = 1
+            float inputs:height = 1
+            double3 xformOp:rotateXYZ = (0, 180, 0)
+            double3 xformOp:translate.timeSamples = {0: (-1, 0, -10), 1: (1, 0, -10)}
+            uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
+        }
+        """
+    )
+    small = ("--resolution", "64x36", "--samples", "64", "--frame", "0", "--model", "path")
+    done = cli.run("bake", tmp_path / "stage.usda", "-o", tmp_path / "out", "--pipeline", "staggered_hdr", *small)
+    assert done.returncode == 0, done.stderr
+    (folder,) = {path.parent for path in (tmp_path / "out").rglob("radiance.exr")}
+    centres, light = {}, {}
+    for name in ("radiance", "exposure_0_94", "exposure_94_100"):
+        image = read_exr(folder / f"{name}.exr")
+        focal = image.width_px / 2 / math.tan(math.radians(image.provenance["fov_x_deg"]) / 2)
+        plane = image.pixels[..., 1].astype(np.float64)
+        across = (np.arange(image.width_px) + 0.5 - image.width_px / 2) / focal * 10.0
+        centres[name], light[name] = (plane.sum(axis=0) * across).sum() / plane.sum(), plane.sum()
+    assert centres["exposure_0_94"] == pytest.approx(-0.06, abs=0.03)
+    assert centres["exposure_94_100"] == pytest.approx(0.94, abs=0.03)
+    assert centres["radiance"] == pytest.approx(0.0, abs=0.03)
+    assert light["exposure_94_100"] == pytest.approx(light["exposure_0_94"], rel=0.05)

@@ -37,7 +37,7 @@ def test_a_shipped_graph_runs_and_repeats_itself(path, tmp_path):
     exposure = camera.meter(radiance, graph)
     files = {}
     for folder in ("one", "two"):
-        run = graph.run({"radiance": radiance}, seed=7, settings=exposure.settings)
+        run = graph.run(dict.fromkeys(graph.inputs, radiance), seed=7, settings=exposure.settings)
         for name, node in graph.outputs.items():
             files.setdefault(name, []).append(write_output(name, run[node], tmp_path / folder).read_bytes())
         for node in graph.nodes_with("sensor.adc"):
@@ -68,7 +68,7 @@ def test_an_unlit_picture_is_black(path):
     black = scene(graph=graph).with_pixels(np.zeros((96, 128, 3), np.float32))
     exposure = camera.meter(black, graph)
     assert exposure.iso == graph.profiles["sensor"].iso_max
-    run = graph.run({"radiance": black}, seed=3, settings=exposure.settings)
+    run = graph.run(dict.fromkeys(graph.inputs, black), seed=3, settings=exposure.settings)
     for name, node in graph.outputs.items():
         if name.endswith(".png"):
             assert run[node].pixels.mean(axis=(0, 1)).max() < 1 / 255
