@@ -203,6 +203,7 @@ CROSSROADS: dict[str, Parameter] = {
     "traffic.count": Continuous(0, 24, 10, "vehicles in all", whole=True),
     "traffic.bodies": Categorical((*CARS, "bus", "lorry"), {**CAR, "bus": 1, "lorry": 1}, "models that drive"),
     "traffic.paints": replace(TRAFFIC["traffic.paints"], default=dict.fromkeys(PAINTS[:6], 1)),
+    "traffic.speed_kmh": Continuous(5.0, 130.0, 50.0, "speed of who neither waits nor brakes [km/h]"),
     "traffic.main_street": Categorical(
         ("waits", "goes"), {"waits": 1, "goes": 1}, "signals, who drives and who crosses follow"
     ),

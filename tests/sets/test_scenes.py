@@ -79,3 +79,8 @@ def test_the_shipped_set_for_detectors_keeps_its_promise_by_recipe():
     by_split = {split.name: {one.source.name for one in scenes(found) if one.split is split} for split in found.splits}
     assert "roundabout" in by_split["test"]
     assert "roundabout" not in by_split["train"] | by_split["val"]
+
+
+def test_the_small_set_shows_each_of_its_recipes_once():
+    found = load_set(Path("mini"))
+    assert sorted(one.source.name for one in scenes(found)) == sorted(source.name for source in found.sources)

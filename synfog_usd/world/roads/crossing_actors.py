@@ -6,7 +6,7 @@ Every lane and pavement is straight and level, so places are coordinates.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,9 +62,8 @@ class _Stretch:
         """[m]."""
         return abs(self.end - self.start)
 
-    @property
-    def lane(self) -> traffic.TrafficLane:
-        """As traffic fills it, stations counted from `start`."""
+    def lane(self, speed_m_s: Callable[[float], float]) -> traffic.TrafficLane:
+        """As traffic fills it, stations counted from `start`, by which speeds are told."""
         way = math.copysign(1.0, self.end - self.start)
 
         def pose(s: float, across: float) -> traffic.Pose:
@@ -76,7 +75,7 @@ class _Stretch:
             near, sway = (0.9, 0.04) if found.name in WIDE else (1.0, 0.1)
             yield near * self.across + float(rng.uniform(-sway, sway))
 
-        return traffic.TrafficLane(pose, across)
+        return traffic.TrafficLane(pose, across, speed_m_s=lambda s, length, brakes: speed_m_s(s))
 
 
 STOP = ZEBRA + ZEBRA_DEPTH + 1.9
@@ -125,8 +124,11 @@ def parked(recipe: Recipe, seed: int, share: float, room: rules.Room) -> list[Pl
     )
 
 
-def driving(recipe: Recipe, seed: int, count: int, waits: bool, room: rules.Room) -> list[Placement]:
-    """So many vehicles in the lanes of the phase; the nearest have their lamps on."""
+def driving(recipe: Recipe, seed: int, count: int, waits: bool, speed_m_s: float, room: rules.Room) -> list[Placement]:
+    """So many vehicles in the lanes of the phase; the nearest have their lamps on.
+
+    Who comes to a queue brakes to its end, which is where all before stand nose to tail.
+    """
     stretches = LANES["waits" if waits else "goes"]
     choice = Distribution("choice", tuple(range(len(stretches))), tuple(one.weight for one in stretches))
     rng = stream(seed, "recipe", "traffic", "lanes")
@@ -148,11 +150,29 @@ def driving(recipe: Recipe, seed: int, count: int, waits: bool, room: rules.Room
         free = (0.0, one.length - GAP_M) if one.waits else (GAP_M, one.length)
         lengths = [length for _, length, _ in cars]
         stations = traffic.queue(rng, free, lengths, GAP_M, close=QUEUE if one.waits else 0)
-        vehicles = ((body, looks, s) for (body, _, looks), s in zip(cars, stations, strict=True))
-        placed += traffic.fill(one.lane, vehicles, rng, room)
+        speeds: dict[float, float] = {}
+        vehicles = _bound(one, cars, stations, speed_m_s, speeds)
+        placed += traffic.fill(one.lane(speeds.__getitem__), vehicles, rng, room)
     view = crossing_props.VIEW
     near = sorted((p for p in placed if p.y < LIT_Y), key=lambda p: (math.hypot(p.x - view.x, p.y - view.y), p.x))
     return [replace(p, lit={"lamps": "on"}) if p in near[:NEAREST_LIT] else p for p in placed]
+
+
+def _bound(
+    lane: _Stretch,
+    cars: Sequence[tuple[str, float, dict[str, str]]],
+    stations: Iterable[float],
+    speed_m_s: float,
+    speeds: dict[float, float],
+) -> Iterator[traffic.Vehicle]:
+    """The vehicles of a lane, one at a time; their speeds are left by station."""
+    end = 0.0
+    for index, ((body, length, looks), s) in enumerate(zip(cars, stations, strict=True)):
+        speeds[s] = speed_m_s
+        if lane.waits:
+            speeds[s] = 0.0 if index < QUEUE else traffic.slowed(speed_m_s, s - end, length=length)
+        end += length + sum(traffic.CLOSE_M) / 2
+        yield body, looks, s
 
 
 @dataclass

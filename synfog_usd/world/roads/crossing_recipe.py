@@ -13,7 +13,7 @@ from typing import Any
 from synfog_usd.seeds import seed32, stream
 from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Recipe
-from synfog_usd.world.roads import crossing_actors, crossing_props, rules
+from synfog_usd.world.roads import crossing_actors, crossing_props, rules, traffic
 from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.roads.recipe import plated
 from synfog_usd.world.spec import Placement, SkyDome, WorldSpec
@@ -32,7 +32,7 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     waits = value("traffic.main_street") == "waits"
     room = rules.CollisionSet()
     cars = crossing_actors.parked(recipe, seed, value("parked.share"), room)
-    cars += crossing_actors.driving(recipe, seed, value("traffic.count"), waits, room)
+    cars += crossing_actors.driving(recipe, seed, value("traffic.count"), waits, traffic.speed_m_s(value), room)
     cars = [replace(car, name=f"{car.asset.title()}_{index + 1:02d}") for index, car in enumerate(cars)]
     fixed = [
         *crossing_props.ground(),

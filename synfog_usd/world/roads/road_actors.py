@@ -73,6 +73,8 @@ def _traffic(
 
 
 def _lane(road: Road, lane: Lane, speed_m_s: float) -> traffic.TrafficLane:
+    """A lane where who comes to a zebra brakes, and some anywhere, of whose speed nothing is known."""
+
     def pose(s: float, aside: float) -> traffic.Pose:
         return road.pose(s, lane.middle + aside, way=lane.way)
 
@@ -80,7 +82,13 @@ def _lane(road: Road, lane: Lane, speed_m_s: float) -> traffic.TrafficLane:
         before_zebra = any(0.0 < (zebra - s) * lane.way < traffic.BRAKING_M for zebra in road.zebras)
         return before_zebra or rng.random() < traffic.BRAKING
 
-    return traffic.TrafficLane(pose, traffic.offsets_in_lane(lane.width), brakes, speed_m_s=speed_m_s)
+    def speed(s: float, length: float, braking: bool) -> float | None:
+        ahead = [(zebra - s) * lane.way for zebra in road.zebras if 0.0 < (zebra - s) * lane.way < traffic.BRAKING_M]
+        if ahead:
+            return traffic.slowed(speed_m_s, min(ahead) - traffic.ZEBRA_FREE_M, length=length)
+        return None if braking else speed_m_s
+
+    return traffic.TrafficLane(pose, traffic.offsets_in_lane(lane.width), brakes, speed_m_s=speed)
 
 
 def _cyclist(road: Road, rng: np.random.Generator, station: float, room: rules.CollisionSet) -> list[Placement]:

@@ -60,7 +60,9 @@ def _traffic(
 ) -> list[Placement]:
     """Vehicles round the circle, waiting at its entries, and on the arms as many as the flow at that hour."""
     least, density = traffic.flow(value, attempt)
-    placed = _ring(recipe, junction, stream(seed, "recipe", "traffic", attempt, "ring"), value("traffic.ring"), room)
+    round_it = min(traffic.speed_m_s(value), ring_speed_m_s((junction.radius + junction.inner) / 2))
+    rng = stream(seed, "recipe", "traffic", attempt, "ring")
+    placed = _ring(recipe, junction, rng, value("traffic.ring"), round_it, room)
     for number in range(value("traffic.cyclists")):
         placed += _cyclist(junction, stream(seed, "recipe", "cyclist", attempt, number), before, room)
     total = value("traffic.count")
@@ -95,7 +97,15 @@ def _lane(junction: Roundabout, arm: int, way: int, speed_m_s: float) -> traffic
         arrives = way < 0 and s < junction.arms[arm].zebras[0] + traffic.BRAKING_M
         return arrives or rng.random() < traffic.BRAKING
 
-    return traffic.TrafficLane(pose, traffic.offsets_in_lane(junction.lane_width), brakes, speed_m_s=speed_m_s)
+    def speed(s: float, length: float, braking: bool) -> float | None:
+        left = s - junction.arms[arm].zebras[0]
+        if way < 0 and left < 0.0:
+            return 0.0  # it waits at the circle
+        if way < 0 and left < traffic.BRAKING_M:
+            return traffic.slowed(speed_m_s, left - ZEBRA_HALF_M, length=length)
+        return None if braking else speed_m_s
+
+    return traffic.TrafficLane(pose, traffic.offsets_in_lane(junction.lane_width), brakes, speed_m_s=speed)
 
 
 def _waits(junction: Roundabout, arm: int, body: str) -> bool:
@@ -111,8 +121,20 @@ def fits_ring(junction: Roundabout, p: Placement) -> bool:
     return outer < junction.radius - 0.15 and float(np.hypot(*sides.T).min()) > junction.inner + 0.1
 
 
+def ring_speed_m_s(radius_m: float) -> float:
+    """What drivers go at on a circle, at 2 % of cross slope outwards; NCHRP Report 672, equation 6-2: in mph,
+    3.4614 times the radius in feet to the power 0.3673.
+    """
+    return 0.44704 * 3.4614 * (radius_m / 0.3048) ** 0.3673
+
+
 def _ring(
-    recipe: Recipe, junction: Roundabout, rng: np.random.Generator, count: int, room: rules.CollisionSet
+    recipe: Recipe,
+    junction: Roundabout,
+    rng: np.random.Generator,
+    count: int,
+    speed_m_s: float,
+    room: rules.CollisionSet,
 ) -> list[Placement]:
     """Vehicles that go round, at random with a car's nose between them; bodies too long for the circle stay away."""
     width, length = junction.radius - junction.inner, junction.ring.reference_line.length
@@ -129,7 +151,13 @@ def _ring(
         for share in RING_ACROSS:
             yield share * width + float(rng.normal(0, 0.1))
 
-    lane = traffic.TrafficLane(pose, across, fits=lambda p: fits_ring(junction, p), margin=RING_APART_M)
+    lane = traffic.TrafficLane(
+        pose,
+        across,
+        fits=lambda p: fits_ring(junction, p),
+        margin=RING_APART_M,
+        speed_m_s=lambda s, length, brakes: speed_m_s,
+    )
     vehicles = [(body, looks, s) for (body, looks), s in zip(cars, places, strict=False)]
     return traffic.fill(lane, vehicles, rng, room)
 

@@ -7,6 +7,7 @@ which a caller asks.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -49,12 +50,23 @@ def draw_car(
     return body, ({"paint": paint} if paint else {})
 
 
-# -- how many, and where along a lane
+# -- how fast, how many, and where along a lane
 
 
 def speed_m_s(value: Any) -> float:
     """Of traffic that neither waits nor brakes."""
     return float(value("traffic.speed_kmh")) / 3.6
+
+
+def slowed(speed_m_s: float, left_m: float, *, length: float) -> float:
+    """Of a vehicle that brakes evenly from its lane's speed, `BRAKING_M` before where it stops, to nothing there.
+
+    Args:
+        speed_m_s: of its lane.
+        left_m: from its middle to where its front stops.
+        length: of it [m].
+    """
+    return speed_m_s * math.sqrt(min(max(left_m - length / 2, 0.0) / BRAKING_M, 1.0))
 
 
 def flow(value: Any, attempt: int) -> tuple[float, float]:
@@ -141,7 +153,7 @@ class TrafficLane:
         brakes: (numbers, station) -> whether who is there brakes.
         fits: whether a vehicle keeps within it; what is straight needs no question.
         margin: room on all sides [m].
-        speed_m_s: of who does not brake, or None where nothing says.
+        speed_m_s: (station, length [m], whether it brakes) -> of a vehicle, or None where nothing says.
     """
 
     pose: Callable[[float, float], Pose]
@@ -149,7 +161,7 @@ class TrafficLane:
     brakes: Callable[[np.random.Generator, float], bool] = lambda rng, s: False
     fits: Callable[[Placement], bool] = lambda p: True
     margin: float = APART_M
-    speed_m_s: float | None = None
+    speed_m_s: Callable[[float, float, bool], float | None] = lambda s, length, brakes: None
 
 
 def offsets_in_lane(width: float) -> Callable[[np.random.Generator, LibraryModel], Iterator[float]]:
@@ -171,7 +183,7 @@ def fill(lane: TrafficLane, vehicles: Iterable[Vehicle], rng: np.random.Generato
         for aside in lane.across(rng, found):
             x, y, z, heading, pitch = lane.pose(s, aside)
             lit = "brake" if lane.brakes(rng, s) and "brake" in found.variants.get("lamps", ()) else "glow"
-            speed = None if lit == "brake" else lane.speed_m_s
+            speed = lane.speed_m_s(s, found.length, lit == "brake")
             p = Placement("Vehicles", "", body, x, y, heading, looks, {"lamps": lit}, z=z, pitch=pitch, speed_m_s=speed)
             if lane.fits(p) and room.take(p, lane.margin):
                 placed.append(p)
