@@ -32,6 +32,9 @@ CHUNK = RUN
 CHUNKED_LANES = 1 << 18
 """Lanes at once where each traces a chunk: 0.1 s between two progress reports, and sums of a few hundred MB."""
 
+SHORT_LANES = 2 * CHUNKED_LANES
+"""The same where each traces half a chunk at most: to have a kernel made ready costs 0.2 s, however little it does."""
+
 HALVES = 2
 
 HALF_STRIDE = 1 << 30
@@ -414,13 +417,12 @@ def add_samples(
             accumulated, samples[INSCATTERED], seed, lambda what, fraction: progress(what, 0.6 + 0.4 * fraction)
         )
         return
-    rows = max(1, CHUNKED_LANES // max(len(pixels), 1))  # chunks of all the pixels at once
     all_of_it = max(len(pixels) * sum(count * accumulated.cost(name) for name, count in samples.items()), 1.0)
     done = 0.0
     for name, count in samples.items():
         started, estimator_seed = accumulated.estimators[name].counts[:, pixels].copy(), seed32(seed, name)
         begun = [int(half[0]) % CHUNK for half in started] if started.size else [0] * HALVES
-        for length, chunks in _chunks(count, rows, begun):
+        for length, chunks in _chunks(count, len(pixels), begun):
             for low in range(0, len(pixels), CHUNKED_LANES):
                 some = slice(low, low + CHUNKED_LANES)
                 first = np.concatenate([started[half, some] + (half * HALF_STRIDE + offset) for half, offset in chunks])
@@ -438,9 +440,10 @@ def add_samples(
                 progress("rendering", min(done / all_of_it, 1.0))
 
 
-def _chunks(count: int, rows: int, begun: Sequence[int]) -> list[tuple[int, list[tuple[int, int]]]]:
-    """How `count` paths of a pixel are traced: (paths a lane, [(half, paths of this call before), ...] of `rows` lanes
-    at most).  A run of which each half has `begun` so many paths is ended first, so that no lane lies in two.
+def _chunks(count: int, pixels: int, begun: Sequence[int]) -> list[tuple[int, list[tuple[int, int]]]]:
+    """How `count` paths of each of some pixels are traced: (paths a lane, [(half, paths of this call before), ...] of a
+    pixel's lanes at once).  A run of which each half has `begun` so many paths is ended first, so that no lane lies in
+    two.
     """
     by_length: dict[int, list[tuple[int, int]]] = {}
     for half in range(HALVES):
@@ -449,11 +452,11 @@ def _chunks(count: int, rows: int, begun: Sequence[int]) -> list[tuple[int, list
             length = min(CHUNK - (begun[half] + offset) % CHUNK, own - offset)
             by_length.setdefault(length, []).append((half, offset))
             offset += length
-    return [
-        (length, chunks[low : low + rows])
-        for length, chunks in by_length.items()
-        for low in range(0, len(chunks), rows)
-    ]
+    found = []
+    for length, chunks in by_length.items():
+        rows = max(1, (SHORT_LANES if 2 * length <= CHUNK else CHUNKED_LANES) // max(pixels, 1))
+        found += [(length, chunks[low : low + rows]) for low in range(0, len(chunks), rows)]
+    return found
 
 
 def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progress) -> None:

@@ -45,8 +45,10 @@ class Tasks:
         self.counts = [dr.empty(mi.UInt32, number) for _ in range(counts)]
 
     def begun(self) -> Any:
-        """Each lane's first task."""
-        return dr.arange(backend.mitsuba().UInt32, self._lanes)
+        """Each lane's first task; kept from the compiler, which makes another kernel where every lane has but one."""
+        first = dr.arange(backend.mitsuba().UInt32, self._lanes)
+        dr.make_opaque(first)
+        return first
 
     def after(self, task: Any) -> Any:
         """The same lane's next one; neighbours stay neighbours."""
