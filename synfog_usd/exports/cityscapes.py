@@ -1,4 +1,4 @@
-"""Cityscapes: label ids and instance ids of every picture, as cityscapesscripts evaluates them.
+"""Cityscapes: labels of every picture as ids and as polygons, as cityscapesscripts reads and evaluates them.
 
 A city is a source in one lighting and fog; the sequence is the scene, the frame the camera and pipeline.
 """
@@ -14,6 +14,7 @@ import numpy as np
 from synfog_usd.cityscapes import LABELS
 from synfog_usd.exports.folder import ExportFolder, quantised
 from synfog_usd.exports.frames import LabelledPicture, Labels, plain
+from synfog_usd.exports.outlines import outlines
 from synfog_usd.exports.record import Drop
 
 BY_ID = {kind.id: kind for kind in LABELS.values()}
@@ -21,10 +22,12 @@ MOST = 1000
 """Instances of a class in a picture: ids are label id * 1000 + number."""
 
 STEPS_PER_M = 256.0
+BASELINE_M = 0.209313
+"""Of the stereo cameras of Cityscapes, by its camera files."""
 
 
 def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, drop: Drop) -> list[str]:
-    """Write `leftImg8bit`, `gtFine`, `depth` and `camera`."""
+    """Write `leftImg8bit`, `gtFine`, `depth`, `disparity` and `camera`."""
     names = Names()
     for picture in pictures():
         city = f"{plain(picture.source)}-{plain(picture.lighting)}-{plain(picture.fog)}".replace("_", "")
@@ -35,11 +38,14 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
 
 
 TOLD = [
-    "gtFine has labelIds, instanceIds and color; no polygons.  Instances beyond the 1000th of a class have their class "
-    "alone.",
+    "gtFine has labelIds, instanceIds, color and polygons.  Instances beyond the 1000th of a class have their class "
+    "alone.  Polygons are traced from the ids: painted in their order they give labelIds again.  Each part of a thing "
+    "that is seen in parts is an object with the same `instance`, its number in instanceIds.",
     "depth is planar, uint16 / 256 m; 0 is the sky, and what lies beyond 255.99 m is 65535.",
+    "disparity is uint16, (value - 1) / 256 px, 0 where there is none: baseline fx / depth of a second camera that was "
+    "not rendered; 65535 is 255.99 px and more.",
     "camera has intrinsics in pixels, and extrinsics x, y, z of the camera in the stage [m] with yaw, pitch and roll "
-    "[rad]; baseline is 0: there is one camera.",
+    "[rad]; baseline is that of the disparity, as Cityscapes has it [m].",
 ]
 
 
@@ -57,18 +63,22 @@ class Names:
 
 
 def write_ground_truth(folder: ExportFolder, stem: str, labels: Labels) -> None:
-    """The ids, depth and camera of a picture."""
+    """The ids, polygons, depth, disparity and camera of a picture."""
     labels.refuse_fisheye("Cityscapes")
     semantic = labels.semantic
     folder.png(f"gtFine/{stem}_gtFine_labelIds.png", semantic.astype(np.uint8))
-    folder.png(f"gtFine/{stem}_gtFine_instanceIds.png", instance_ids(labels))
+    ids = instance_ids(labels)
+    folder.png(f"gtFine/{stem}_gtFine_instanceIds.png", ids)
+    folder.json(f"gtFine/{stem}_gtFine_polygons.json", _polygons(ids))
     colours = np.zeros((256, 3), dtype=np.uint8)
     for kind in LABELS.values():
         if kind.id >= 0:
             colours[kind.id] = kind.colour
     folder.png(f"gtFine/{stem}_gtFine_color.png", colours[semantic])
     folder.png(f"depth/{stem}_depth.png", quantised(labels.depth_m, STEPS_PER_M))
-    folder.json(f"camera/{stem}_camera.json", _camera(labels.camera))
+    camera = _camera(labels.camera)
+    folder.png(f"disparity/{stem}_disparity.png", disparity(labels.depth_m, camera["intrinsic"]["fx"]))
+    folder.json(f"camera/{stem}_camera.json", camera)
 
 
 def instance_ids(labels: Labels) -> np.ndarray:
@@ -85,6 +95,26 @@ def instance_ids(labels: Labels) -> np.ndarray:
     return found.astype(np.uint16)
 
 
+def _polygons(ids: np.ndarray) -> dict[str, Any]:
+    """What `gtFine/*_polygons.json` holds, of `instance_ids`."""
+    objects = []
+    for outline in outlines(ids.astype(np.int64)):
+        counted = outline.value >= MOST
+        kind = BY_ID[outline.value // 1000 if counted else outline.value]
+        points = outline.points.tolist()
+        points += [points[-1]] * (3 - len(points))
+        label = kind.name if counted or not kind.has_instances else f"{kind.name}group"  # not told apart
+        objects.append({"label": label, "polygon": points, **({"instance": outline.value % 1000} if counted else {})})
+    return {"imgHeight": ids.shape[0], "imgWidth": ids.shape[1], "objects": objects}
+
+
+def disparity(depth_m: np.ndarray, fx_px: float) -> np.ndarray:
+    """(H, W) uint16 of a planar depth, infinite at the sky; 0 where it is not above 0, or the camera has no `fx_px`."""
+    seen = (depth_m > 0.0) & (fx_px > 0.0)
+    steps = 256.0 * BASELINE_M * fx_px / np.where(seen, depth_m, 1.0) + 1.0
+    return np.where(seen, np.clip(np.rint(steps), 1.0, 65535.0), 0.0).astype(np.uint16)
+
+
 def _camera(camera: Any) -> dict[str, Any]:
     matrix = camera.get("camera_matrix_px", [[0.0] * 3] * 3)
     pose = np.array(camera["camera_to_world"])
@@ -95,7 +125,7 @@ def _camera(camera: Any) -> dict[str, Any]:
     roll = math.atan2(float(right @ np.cross(forward, level)), float(right @ level))
     return {
         "extrinsic": {
-            "baseline": 0.0,
+            "baseline": BASELINE_M,
             "pitch": pitch,
             "roll": roll,
             "x": pose[0, 3],

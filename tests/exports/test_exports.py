@@ -232,6 +232,33 @@ def test_cityscapes_instances_are_ours(baked, exported):
     assert camera["extrinsic"]["yaw"] == pytest.approx(math.pi / 2) and camera["extrinsic"]["pitch"] == pytest.approx(0)
 
 
+def test_cityscapes_own_scripts_paint_the_polygons(exported):
+    """json2labelImg makes labelIds of them, pixel by pixel; things by their instance are those of instanceIds."""
+    paint = library("cityscapesscripts.preparation.json2labelImg").createLabelImage
+    annotation = library("cityscapesscripts.helpers.annotation").Annotation
+    out = exported("cityscapes")
+    for path in sorted((out / "gtFine").rglob("*_polygons.json")):
+        found = annotation()
+        found.fromJsonFile(str(path))
+        wanted = np.array(Picture.open(str(path).replace("_polygons.json", "_labelIds.png")))
+        np.testing.assert_array_equal(np.array(paint(found, "ids")), wanted)
+        ids = np.array(Picture.open(str(path).replace("_polygons.json", "_instanceIds.png"))).astype(int)
+        told = {(row["label"], row["instance"]) for row in json.loads(path.read_text())["objects"] if "instance" in row}
+        assert {kind for kind, _ in told} == {"car", "person", "bus"} and len(told) == (np.unique(ids) > 999).sum()
+
+
+def test_disparity_and_baseline_give_the_depth(baked, exported):
+    """As Cityscapes' README reads it: d = (p - 1) / 256 where p > 0, and depth = baseline fx / d; none at the sky."""
+    out = exported("cityscapes")
+    seen = np.isfinite(baked.seen.depth_m)
+    for path in sorted((out / "disparity").rglob("*.png")):
+        camera = json.loads(next((out / "camera").rglob(path.name.replace("disparity.png", "camera.json"))).read_text())
+        p = np.array(Picture.open(path)).astype(float)
+        assert (p > 0.0).all() and (p[~seen] == 1.0).all()
+        product = camera["extrinsic"]["baseline"] * camera["intrinsic"]["fx"]
+        np.testing.assert_allclose((p[seen] - 1.0) / 256.0, product / baked.seen.depth_m[seen], atol=0.5 / 256 + 1e-4)
+
+
 def test_foggy_cityscapes_pairs_go_by_their_extinction(baked, exported):
     """One clear picture, two foggy ones with beta = -ln(0.05) / MOR, transmittance exp(-beta distance) to 1/255."""
     out = exported("foggy-cityscapes")
