@@ -179,6 +179,24 @@ def falloff_map(
     return np.asarray(_foote(tan2, cone) / cone, dtype=np.float32)
 
 
+def field_angles_rad(image: Image, fov_x_deg: float | None, shift: tuple[float, float]) -> npt.NDArray[np.float64]:
+    """(H, W) angle to the axis [rad] of what each pixel of a picture sees, distorted or not, or of a fisheye.
+
+    Raises:
+        ImageError: no angle of view.
+    """
+    from synfog_usd.camera.distortion import Pinhole, source_of, warped_like
+
+    if (lens := of_picture(image.provenance)) is not None:
+        return angles_rad(lens, image.height_px, image.width_px, shift)
+    if fov_x_deg is None:
+        raise ImageError(f"the angle of view is not known: give fov_x_deg a number, or {FOV.hint}")
+    taken = Pinhole(image.height_px, image.width_px, fov_x_deg, shift)
+    height, width, fov_deg, source_shift = source_of(image.provenance, taken)
+    angles = np.arctan(np.sqrt(_tan2_of_field(height, width, fov_deg, *source_shift)))
+    return np.asarray(warped_like(angles, image.provenance, taken), dtype=np.float64)
+
+
 def _cone(f_number: float, magnification: float) -> float:
     """sin^2 of the half angle under which the pixel on the axis sees the exit pupil."""
     return 1.0 / (1.0 + 4.0 * (f_number * (1.0 + abs(magnification))) ** 2)

@@ -191,6 +191,8 @@ class LensProfile:
         distortion: OpenCV's k1, k2, p1, p2, then k3, then k4, k5, k6; () for none.
         fisheye: c1, c2 ... of the angle to the axis, as in `optics.fisheye`; () for a lens that is none.
         fisheye_fov_x_deg: horizontal angle of view that a fisheye has on its sensor [degrees]; 0 for none.
+        aberration_field_deg, tangential_um, sagittal_um, axial_450_um, axial_650_um, lateral_450_um, lateral_650_um:
+            spots by the angle to the axis, as in `optics.aberrations`; () for none.
         field_deg, relative_illumination: angles to the axis [degrees], rising from 0, and
             the light there [1]; () for none.
         ghost_fractions: part of a lamp's light that goes into each ghost [1]; () for none.
@@ -208,6 +210,13 @@ class LensProfile:
     fisheye_fov_x_deg: float = _value(0.0, 360.0, default=0.0)
     distortion: tuple[float, ...] = ()
     fisheye: tuple[float, ...] = ()
+    aberration_field_deg: tuple[float, ...] = ()
+    tangential_um: tuple[float, ...] = ()
+    sagittal_um: tuple[float, ...] = ()
+    axial_450_um: tuple[float, ...] = ()
+    axial_650_um: tuple[float, ...] = ()
+    lateral_450_um: tuple[float, ...] = ()
+    lateral_650_um: tuple[float, ...] = ()
     field_deg: tuple[float, ...] = ()
     relative_illumination: tuple[float, ...] = ()
     ghost_fractions: tuple[float, ...] = ()
@@ -244,13 +253,13 @@ def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
 
 
 def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
-    """A lens; see `load_sensor`.  `blades`, `distortion`, `fisheye`, `relative_illumination` and `ghost_fractions` may
-    be left out.
+    """A lens; see `load_sensor`.  `blades`, `distortion`, `fisheye`, `relative_illumination`, `aberrations`
+    and `ghost_fractions` may be left out.
     """
     reader = _Reader(
         _find(reference, folder, "lenses"),
         "lens/1",
-        ("distortion", "fisheye", "relative_illumination", "ghost_fractions"),
+        ("distortion", "fisheye", "relative_illumination", "aberrations", "ghost_fractions"),
         LensProfile,
     )
     more: dict[str, Any] = {}
@@ -263,17 +272,19 @@ def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
         if key in reader.fields:
             (more[key],), source = reader.numbers(key, {"value": limits}, counts)
             sources.append((key, source))
-    if "relative_illumination" in reader.fields:
-        columns, source = reader.numbers(
-            "relative_illumination", {"field_deg": Limits(0.0, 180.0), "value": Limits(0.0, 2.0)}
-        )
-        more["field_deg"], more["relative_illumination"] = columns
-        angles = columns[0]
-        if angles[0] != 0.0 or list(angles) != sorted(set(angles)):
-            raise ParameterError(
-                f"{reader.place('relative_illumination')}: field_deg is {list(angles)}; it rises from 0"
-            )
-        sources.append(("relative_illumination", source))
+    widths = dict.fromkeys(("tangential_um", "sagittal_um", "axial_450_um", "axial_650_um"), Limits(0.0, 1000.0))
+    shifts = dict.fromkeys(("lateral_450_um", "lateral_650_um"), Limits(-1000.0, 1000.0))
+    for key, others, angle in (
+        ("relative_illumination", {"value": Limits(0.0, 2.0)}, "field_deg"),
+        ("aberrations", widths | shifts, "aberration_field_deg"),
+    ):
+        if key in reader.fields:
+            (angles, *columns), source = reader.numbers(key, {"field_deg": Limits(0.0, 180.0), **others})
+            more[angle] = angles
+            more |= {key if name == "value" else name: column for name, column in zip(others, columns, strict=True)}
+            if angles[0] != 0.0 or list(angles) != sorted(set(angles)):
+                raise ParameterError(f"{reader.place(key)}: field_deg is {list(angles)}; it rises from 0")
+            sources.append((key, source))
     profile = reader.profile(LensProfile, **more)
     if profile.fisheye:
         try:

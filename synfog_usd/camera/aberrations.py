@@ -1,0 +1,219 @@
+"""Op for a lens that is not the same everywhere in its picture, nor for every colour.
+
+Irradiance in, irradiance out.  What a lens's design or measurement says of its spots by the angle to the axis becomes
+a blur of its own for each part of the picture.
+"""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from synfog_usd import photometry
+from synfog_usd.arrays import Array, FloatArray
+from synfog_usd.camera.blur import spectral_weights
+from synfog_usd.camera.distortion import Pinhole
+from synfog_usd.camera.optics import FOV, field_angles_rad
+from synfog_usd.camera.profiles import SensorProfile
+from synfog_usd.camera.registry import OPS
+from synfog_usd.camera.spread import THREADS
+from synfog_usd.errors import ImageError
+from synfog_usd.graph import Auto, FromProfile, Range
+from synfog_usd.image import Image, Quantity
+
+TILES, LEAST_TILE_PX, MOST_TILE_PX = 16, 16, 128
+"""Places along the longer side whose spots are computed, and their distance; the four nearest are mixed between."""
+
+WIDEST_PX = 64.0
+"""Largest standard deviation, and largest shift."""
+
+COLOURS_NM = (450.0, 550.0, 650.0)
+
+Numbers = tuple[float, ...] | None
+
+
+@OPS.op("optics.aberrations", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
+def aberrations(
+    image: Image,
+    *,
+    field_deg: Annotated[Numbers, Range(0.0, 180.0), FromProfile("lens.aberration_field_deg")] = None,
+    tangential_um: Annotated[Numbers, Range(0.0, 1000.0), FromProfile("lens.tangential_um")] = None,
+    sagittal_um: Annotated[Numbers, Range(0.0, 1000.0), FromProfile("lens.sagittal_um")] = None,
+    axial_450_um: Annotated[Numbers, Range(0.0, 1000.0), FromProfile("lens.axial_450_um")] = None,
+    axial_650_um: Annotated[Numbers, Range(0.0, 1000.0), FromProfile("lens.axial_650_um")] = None,
+    lateral_450_um: Annotated[Numbers, Range(-1000.0, 1000.0), FromProfile("lens.lateral_450_um")] = None,
+    lateral_650_um: Annotated[Numbers, Range(-1000.0, 1000.0), FromProfile("lens.lateral_650_um")] = None,
+    pixel_pitch_um: Annotated[float, Range(0.3, 50.0), FromProfile("sensor.pixel_pitch_um")],
+    sensor: Annotated[SensorProfile, FromProfile("sensor")],
+    fov_x_deg: Annotated[float | None, Range(0.0, 179.0, above=True), FOV] = None,
+    shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
+    shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
+) -> Image:
+    """Spots that change over the field and with the wavelength: soft corners and coloured edges.
+
+    A point becomes a Gaussian spot whose standard deviations along the radius and across it stand in a table by the
+    angle to the axis.  At 450 and 650 nm it is wider, by the root of the sum of squares (axial colour), and further
+    from the axis than at 550 nm (lateral colour); a channel takes what lies between them at its mean wavelength.
+
+    On the pixels it is Lindeberg's discrete Gaussian, of exactly these variances and never below 0, shifted by weights
+    of two pixels whose variance is taken off.  Spots are computed at sixteen places along the longer side, and every
+    128 pixels at least; what lies between is a mixture of the four nearest.  A lens without a table leaves the picture
+    as it is.
+
+    Args:
+        image: irradiance (H, W, C), as it lies on the sensor.
+        field_deg: angles to the axis [degrees], rising from 0; beyond the last the last holds.
+        tangential_um, sagittal_um: standard deviations along the radius and across it, at 550 nm [um].
+        axial_450_um, axial_650_um: standard deviations that come to them at these wavelengths [um].
+        lateral_450_um, lateral_650_um: way from where 550 nm goes, + away from the axis [um].
+        pixel_pitch_um: distance of the picture's pixels on the sensor [um].
+        sensor: weighs the wavelengths.
+        fov_x_deg, shift_x, shift_y: see `optics.irradiance`.
+
+    Raises:
+        ImageError: lists of unlike length, angles that do not rise from 0, spots wider than 64 pixels, no angle of
+            view.
+
+    Source: Lindeberg, "Scale-space for discrete signals", IEEE PAMI 12 (1990).
+    """
+    columns = (tangential_um, sagittal_um, axial_450_um, axial_650_um, lateral_450_um, lateral_650_um)
+    if not field_deg:
+        return image
+    given = [column or (0.0,) * len(field_deg) for column in columns]
+    if (
+        {len(column) for column in given} != {len(field_deg)}
+        or field_deg[0] != 0.0
+        or (np.diff(field_deg) <= 0.0).any()
+    ):
+        raise ImageError(
+            f"a table of aberrations of {len(field_deg)} field_deg: they rise from 0, and every other list is as long"
+        )
+    table = np.array(given) / pixel_pitch_um
+    if np.abs(table).max() > WIDEST_PX:
+        raise ImageError(f"an aberration of {np.abs(table).max():.0f} pixels; {WIDEST_PX:.0f} are the most")
+    angles = np.degrees(field_angles_rad(image, fov_x_deg, (shift_x, shift_y)))
+    axis = Pinhole(image.height_px, image.width_px, 0.0, (shift_x, shift_y)).axis_px
+    nm = np.clip(spectral_weights(sensor, image.channels) @ photometry.WAVELENGTHS_NM, *COLOURS_NM[::2])
+    result = np.empty_like(image.pixels)
+
+    def run(channel: int) -> None:
+        spots = _Spots(np.asarray(field_deg), _at(table, float(nm[channel])), angles, axis)
+        result[..., channel] = _spread(image.pixels[..., channel], spots)
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(run, range(len(image.channels))))
+    return image.with_pixels(result).with_metadata(aberrations_px=[float(f"{part:.4g}") for part in table.max(axis=1)])
+
+
+def _at(table: Array, nm: float) -> Array:
+    """(3, F) variances along the radius and across it, and shift, at a wavelength [px^2, px]."""
+    along, across, short, long, left, right = table
+
+    def between(low: Array, high: Array) -> Array:
+        part = (nm - COLOURS_NM[1]) / (COLOURS_NM[1] - COLOURS_NM[0])
+        return -part * low if part < 0.0 else part * high
+
+    wider = between(short**2, long**2)
+    return np.stack([along**2 + wider, across**2 + wider, between(left, right)])
+
+
+@dataclass(frozen=True)
+class _Spots:
+    """What a point becomes, by its place.
+
+    Attributes:
+        field_deg: (F,) of the columns of `table`.
+        table: (3, F), see `_at`.
+        angles: (H, W) of the picture's pixels [degrees].
+        axis: column and row of the axis [px].
+    """
+
+    field_deg: Array
+    table: Array
+    angles: Array
+    axis: tuple[float, float]
+
+    @property
+    def reach_px(self) -> int:
+        """Pixels from which on a spot has less than 1e-6 of its light."""
+        return math.ceil(6.0 * math.sqrt(float(self.table[:2].max())) + float(np.abs(self.table[2]).max())) + 4
+
+    def at(self, row: float, column: float) -> tuple[float, float, float, float, float]:
+        """Variances across columns and rows and their covariance [px^2], and shift to the right and down [px]."""
+        height, width = self.angles.shape
+        angle = self.angles[min(max(round(row), 0), height - 1), min(max(round(column), 0), width - 1)]
+        along, across, out = (float(np.interp(angle, self.field_deg, values)) for values in self.table)
+        x, y = column - self.axis[0], row - self.axis[1]
+        radius = math.hypot(x, y)
+        c, s = (x / radius, y / radius) if radius > 0.0 else (1.0, 0.0)
+        return (
+            along * c * c + across * s * s,
+            along * s * s + across * c * c,
+            (along - across) * c * s,
+            out * c,
+            out * s,
+        )
+
+
+def _spread(plane: FloatArray, spots: _Spots) -> FloatArray:
+    """A channel (H, W) through the spots of its places, tile by tile, with weights that fall to 0 at the next."""
+    from scipy import fft
+
+    (height, width), reach = plane.shape, spots.reach_px
+    step = min(max(math.ceil(max(height, width) / TILES), LEAST_TILE_PX), MOST_TILE_PX)
+    edge = step + reach  # beyond the picture, where the first and the last weights are not whole
+    padded = np.pad(plane.astype(np.float64), edge, mode="symmetric")
+    size = fft.next_fast_len(2 * step + 2 * reach, real=True)
+    weight = 1.0 - np.abs((np.arange(2 * step) + 0.5) / step - 1.0)
+    waves = _Waves.of(size)
+    tops, lefts = (range(0, length + 2 * reach + step, step) for length in (height, width))
+    total = np.zeros((tops[-1] + size, lefts[-1] + size))  # begins `reach` before the padded picture
+    for top in tops:
+        for left in lefts:
+            tile = padded[top : top + 2 * step, left : left + 2 * step]
+            lit = tile * weight[: tile.shape[0], None] * weight[None, : tile.shape[1]]
+            middle = top - edge + step - 0.5, left - edge + step - 0.5
+            spectrum = fft.rfft2(lit, s=(size, size))
+            spectrum *= waves.transfer(*spots.at(*middle))
+            found = fft.irfft2(spectrum, s=(size, size))
+            total[top : top + size, left : left + size] += np.roll(found, (reach, reach), axis=(0, 1))
+    inner = total[edge + reach :, edge + reach :][:height, :width]
+    return np.maximum(inner, 0.0).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Waves:
+    """cos - 1 of the frequencies across columns, down rows and along both diagonals, and the frequencies [rad/px]."""
+
+    x: Array
+    y: Array
+    falling: Array
+    rising: Array
+    fx: Array
+    fy: Array
+
+    @classmethod
+    def of(cls, size: int) -> _Waves:
+        """Of a real transform of size x size."""
+        fx, fy = 2.0 * np.pi * np.fft.rfftfreq(size)[None, :], 2.0 * np.pi * np.fft.fftfreq(size)[:, None]
+        x, y, falling, rising = (np.cos(wave) - 1.0 for wave in (fx, fy, fx + fy, fx - fy))
+        return cls(x, y, falling, rising, fx, fy)
+
+    def transfer(self, xx: float, yy: float, xy: float, right: float, down: float) -> Array:
+        """Of a discrete Gaussian with these variances [px^2], shifted [px].
+
+        What both axes share goes along a diagonal, and a shift between two pixels takes its own variance off.
+        """
+        shift, taken = 1.0 + 0.0j, []
+        for way, frequency in ((right, self.fx), (down, self.fy)):
+            whole = math.floor(way)
+            part = way - whole
+            taken.append(part * (1.0 - part))
+            shift = shift * np.exp(-1j * frequency * whole) * (1.0 - part + part * np.exp(-1j * frequency))
+        diagonal = self.falling if xy > 0.0 else self.rising
+        width = max(xx - abs(xy) - taken[0], 0.0), max(yy - abs(xy) - taken[1], 0.0)
+        return np.asarray(np.exp(width[0] * self.x + width[1] * self.y + abs(xy) * diagonal) * shift)
