@@ -2,7 +2,7 @@
 
 J is the clear frame, t the transmittance of each pixel's ray, and A one colour for the whole picture.  The model leaves
 out lamps' glow, shadows in the fog and light that was scattered more than once.  The error is told in units of the
-noise that the sensor has in that pixel: below 1 no camera sees it.
+noise that the sensor has in that pixel (below 1 no camera sees it), and of the whole picture as FLIP.
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ import io
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +20,9 @@ from scipy import ndimage
 
 from synfog_usd import camera, files, photometry
 from synfog_usd.arrays import Array
+from synfog_usd.benchmark import metrics, statistics
+from synfog_usd.benchmark.statistics import Mean
+from synfog_usd.colour import srgb_decode, srgb_encode
 from synfog_usd.errors import ImageError, ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.seeds import stream
@@ -36,39 +38,49 @@ LAMP_TIMES = 30.0
 """A pixel of the clear frame so many times brighter than its mean is a lamp."""
 
 PATCH_PX = 15
-STEPS = np.geomspace(1e-4, 1e5, 541)
-"""Edges of the histogram that medians are read from: 4 % a step."""
+MODELS = ("fitted", "horizon", "dark_channel", "srgb", "single", "two_percent")
+"""fitted: the A that misses this very picture least in units of noise, better than anyone could know.
 
-MODELS = ("fitted", "horizon", "dark_channel")
-"""fitted: the A that misses this very picture least, better than anyone could know.  horizon: the truth's own colour
-where nothing is seen any more (t below 0.02), as a measured airlight.  dark_channel: of the truth by He et al. 2011, as
-SynFog-beta has it.
+horizon: the truth's own colour where nothing is seen any more (t below 0.02), as a measured airlight.
+dark_channel: of the truth by He et al. 2011, as SynFog-beta has it.
+srgb: mixed in sRGB codes and not in light, as Foggy Cityscapes was (Sakaridis et al. 2018), with the A that misses the
+codes least; above the picture's white both are white.
+single: the truth without light that the fog scattered more than once on its way to the eye.
+two_percent: fitted, in the fog that has the same visibility by Koschmieder's contrast of 2 % and not the WMO's of 5 %.
 """
 
+LINEAR_WHITE_TIMES = 1.0 / 0.18
+"""White of a picture, in log-averages of the clear frame's luminance (Reinhard et al. 2002)."""
 
-@dataclass
-class Medians:
-    """Histograms of positive numbers, by key."""
+THICKER = math.log(50.0) / math.log(20.0)
+"""Extinction at a contrast of 2 % over that at 5 %, for one visibility."""
 
-    counts: dict[tuple[Any, ...], npt.NDArray[np.int64]] = field(default_factory=dict)
+LEAST_DRAWN = 0.1
+"""What is further below the sensor's noise is not in the drawing."""
 
-    def add(self, key: tuple[Any, ...], numbers: Array) -> None:
-        """Count finite numbers; what is beyond the histogram's ends counts there."""
-        found = np.clip(numbers[np.isfinite(numbers)], STEPS[0], STEPS[-1] * (1 - 1e-9))
-        counted = np.histogram(found, STEPS)[0]
-        self.counts[key] = self.counts.get(key, 0) + counted
+FEWEST_PX = 50
+"""A shot says nothing of a bin in which it has fewer pixels."""
 
-    def median(self, key: tuple[Any, ...]) -> float | None:
-        """Median within 4 %, or None where nothing was counted."""
-        counts = self.counts.get(key)
-        if counts is None or not counts.sum():
-            return None
-        place = int(np.searchsorted(np.cumsum(counts), 0.5 * counts.sum()))
-        return float(math.sqrt(STEPS[place] * STEPS[place + 1]))
 
-    def number(self, key: tuple[Any, ...]) -> int:
-        """How many were counted."""
-        return int(self.counts[key].sum()) if key in self.counts else 0
+@dataclass(frozen=True)
+class ShotErrors:
+    """What one shot says.
+
+    Attributes:
+        scene: shots of one are not independent.
+        name, lighting, fog: of the shot.
+        over_noise: median of |model - truth| over the sensor's noise, by (model, axis, bin).
+        left: the same of the error that rendering left in truth and clear frame, as denoising tells it, by (axis, bin).
+        flip: mean of FLIP against the truth, both as sRGB of one exposure, by model; empty without flip-evaluator.
+    """
+
+    scene: str
+    name: str
+    lighting: str
+    fog: str
+    over_noise: Mapping[tuple[str, str, int], float]
+    left: Mapping[tuple[str, int], float]
+    flip: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -76,6 +88,7 @@ class FogPair:
     """A foggy shot and the clear frame of the same view.
 
     Attributes:
+        scene: whose shots are not independent of each other.
         name: for people.
         lighting, fog: names.
         mor_m: visibility [m].
@@ -83,6 +96,7 @@ class FogPair:
         electrons_per_cd_m2, dark_noise_e: of the sensor, see `camera.noise_floor`.
     """
 
+    scene: str
     name: str
     lighting: str
     fog: str
@@ -98,19 +112,41 @@ class ScatteringStudy:
     """What came of it.
 
     Attributes:
-        shots: how many were compared.
+        shots: those that were compared.
         left_out: why others were not.
-        errors: median of |model - truth| over the sensor's noise, by (model, lighting, axis, bin).
-        floor: of the error that truth and clear frame have themselves, as denoising tells it, over the same noise, by
-            (lighting, axis, bin).
         lightings: names, in order.
     """
 
-    shots: int
+    shots: tuple[ShotErrors, ...]
     left_out: tuple[str, ...]
-    errors: Medians
-    floor: Medians
     lightings: tuple[str, ...]
+
+    def over_noise(self, model: str, lighting: str, axis: str, place: int) -> Mean | None:
+        """Geometric mean of the shots' medians in a bin, or None where no shot has one."""
+        key = (model, axis, place)
+        return _geometric([(one.over_noise[key], one.scene) for one in self._of(lighting) if key in one.over_noise])
+
+    def left(self, lighting: str, axis: str, place: int) -> Mean | None:
+        """The same of what rendering left."""
+        return _geometric(
+            [(one.left[axis, place], one.scene) for one in self._of(lighting) if (axis, place) in one.left]
+        )
+
+    def flip(self, model: str, lighting: str, fog: str) -> Mean | None:
+        """Mean of FLIP, or None where it was not measured."""
+        found = [(one.flip[model], one.scene) for one in self._of(lighting) if one.fog == fog and model in one.flip]
+        return statistics.mean(*zip(*found, strict=True)) if found else None
+
+    def _of(self, lighting: str) -> list[ShotErrors]:
+        return [one for one in self.shots if one.lighting == lighting]
+
+
+def _geometric(found: list[tuple[float, str]]) -> Mean | None:
+    if not found:
+        return None
+    of_logs = statistics.mean([math.log(max(value, 1e-6)) for value, _ in found], [scene for _, scene in found])
+    low, high = (None if end is None else math.exp(end) for end in (of_logs.low, of_logs.high))
+    return replace(of_logs, value=math.exp(of_logs.value), low=low, high=high)
 
 
 def pairs(source: Path) -> Iterator[FogPair | str]:
@@ -122,12 +158,12 @@ def pairs(source: Path) -> Iterator[FogPair | str]:
     if (source / "index").is_dir():
         from synfog_usd.sets import index
 
-        bakes = sorted({picture.bake for picture in index.pictures(source)})
+        bakes = dict(sorted({picture.bake: str(picture.scene) for picture in index.pictures(source)}.items()))
     elif (source / "bake.json").is_file():
-        bakes = [source]
+        bakes = {source: source.name}
     else:
         raise ParameterError(f"{source}: neither a set (index/) nor a bake (bake.json)")
-    for folder in bakes:
+    for folder, scene in bakes.items():
         place = folder.relative_to(source).as_posix() if source in folder.parents else folder.name
         try:
             rows = json.loads((folder / "bake.json").read_text(encoding="utf-8"))["shots"]
@@ -146,6 +182,7 @@ def pairs(source: Path) -> Iterator[FogPair | str]:
                 else:
                     light = row["lighting"]
                     yield FogPair(
+                        scene,
                         name,
                         light,
                         row["fog"],
@@ -180,22 +217,21 @@ def study(source: Path, *, limit: int | None = None, progress: Progress = silent
     found = list(pairs(source))
     left_out = [one for one in found if isinstance(one, str)]
     usable = some([one for one in found if isinstance(one, FogPair)], limit)
-    errors, floor, shots = Medians(), Medians(), 0
+    shots: list[ShotErrors] = []
     for number, pair in enumerate(usable):
         progress(pair.name, number / len(usable))
         try:
-            _compare(pair, errors, floor)
-            shots += 1
+            shots.append(_compare(pair))
         except ImageError as error:
             left_out.append(f"{pair.name}: {error}")
     if not shots:
         raise ParameterError(
             f"{source}: no foggy shot with a clear frame; {left_out[0] if left_out else 'it is empty'}"
         )
-    return ScatteringStudy(shots, tuple(left_out), errors, floor, tuple(dict.fromkeys(one.lighting for one in usable)))
+    return ScatteringStudy(tuple(shots), tuple(left_out), tuple(dict.fromkeys(one.lighting for one in shots)))
 
 
-def _compare(pair: FogPair, errors: Medians, floor: Medians) -> None:
+def _compare(pair: FogPair) -> ShotErrors:
     truth_image = read_exr(pair.foggy / "radiance.exr")
     truth, clear = (
         truth_image.pixels.astype(np.float64),
@@ -208,48 +244,80 @@ def _compare(pair: FogPair, errors: Medians, floor: Medians) -> None:
     def luminance(pixels: Array) -> Array:
         return photometry.luminance(truth_image.with_pixels(pixels.astype(np.float32))).astype(np.float64)
 
-    bright = luminance(truth)
+    bright, bright_clear = luminance(truth), luminance(clear)
     noise = camera.noise_floor(bright, electrons_per_cd_m2=pair.electrons_per_cd_m2, dark_noise_e=pair.dark_noise_e)
     bins = {
         "depth": np.digitize(-np.log(np.maximum(t, 1e-12)), DEPTHS[1:-1]),
-        "lamp": np.digitize(
-            _from_lamp_deg(luminance(clear), truth_image.provenance.get("fov_x_deg")), FROM_LAMP_DEG[1:-1]
-        ),
+        "lamp": np.digitize(_from_lamp_deg(bright_clear, truth_image.provenance.get("fov_x_deg")), FROM_LAMP_DEG[1:-1]),
     }
-    for name, model in models(truth, clear, t).items():
-        miss = np.abs(luminance(model) - bright) / noise
+
+    def medians(numbers: Array) -> Iterator[tuple[str, int, float]]:
         for axis, where in bins.items():
             for place in np.unique(where):
-                errors.add((name, pair.lighting, axis, int(place)), miss[where == place])
+                if (found := numbers[where == place]).size >= FEWEST_PX:
+                    yield axis, int(place), float(np.median(found))
+
+    white = LINEAR_WHITE_TIMES * float(np.exp(np.log(np.maximum(bright_clear, 1e-6)).mean()))
+    made = models(truth, clear, t, white=white, noise=noise)
+    if (scattered := _channels(pair.foggy, [f"airlight_multiple.{name}" for name in truth_image.channels])) is not None:
+        made["single"] = truth - scattered
+    over_noise = {}
+    for name, model in made.items():
+        beside = made["fitted"] if name == "two_percent" else np.minimum(truth, white) if name == "srgb" else truth
+        miss = np.abs(luminance(np.minimum(model, white) if name == "srgb" else model) - luminance(beside)) / noise
+        over_noise |= {(name, axis, place): median for axis, place, median in medians(miss)}
+    left = {}
+    of_truth, of_clear = (_channels(folder, ["error.Y"]) for folder in (pair.foggy, pair.clear))
+    if of_truth is not None and of_clear is not None:
+        renders = np.hypot(of_truth[..., 0], t * of_clear[..., 0]) / noise
+        left = {(axis, place): median for axis, place, median in medians(renders)}
+    flip = {}
+    if truth.shape[2] == 3 and "flip" in metrics.usable():
+        coded = {name: _coded(model, white) for name, model in {**made, "truth": truth}.items()}
+        flip = {name: metrics.flip(coded[name], coded["fitted" if name == "two_percent" else "truth"]) for name in made}
+    return ShotErrors(pair.scene, pair.name, pair.lighting, pair.fog, over_noise, left, flip)
+
+
+def _channels(folder: Path, names: list[str]) -> Array | None:
+    """Layers of a shot, or None where it has none of these names."""
     try:
-        of_truth, of_clear = (
-            read_exr(folder / "layers.exr", channels=["error.Y"]).pixels[..., 0].astype(np.float64)
-            for folder in (pair.foggy, pair.clear)
-        )
+        return read_exr(folder / "layers.exr", channels=names).pixels.astype(np.float64)
     except ImageError:
-        return
-    left = np.hypot(of_truth, t * of_clear) / noise
-    for axis, where in bins.items():
-        for place in np.unique(where):
-            floor.add((pair.lighting, axis, int(place)), left[where == place])
+        return None
 
 
-def models(truth: Array, clear: Array, t: Array) -> Mapping[str, Array]:
+def _coded(pixels: Array, white: float) -> npt.NDArray[np.uint8]:
+    return np.rint(255.0 * srgb_encode(np.clip(pixels / white, 0.0, 1.0))).astype(np.uint8)
+
+
+def models(truth: Array, clear: Array, t: Array, *, white: float, noise: Array) -> dict[str, Array]:
     """J t + A (1 - t) by each way to choose A; see `MODELS`.
 
     Args:
         truth, clear: (H, W, C) radiance.
         t: (H, W) transmittance.
+        white: radiance that is white in a picture.
+        noise: (H, W) of the sensor, as a luminance.
     """
     rest = 1.0 - t[..., None]
-    attenuated = clear * t[..., None]
-    away = np.maximum((rest * rest).sum(axis=(0, 1)), 1e-30)
+    fitted = _fitted(truth, clear, t, 1.0 / noise)
     airlights: dict[str, Array | None] = {
-        "fitted": ((truth - attenuated) * rest).sum(axis=(0, 1)) / away,
+        "fitted": fitted,
         "horizon": np.median(truth[t < 0.02], axis=0) if (t < 0.02).sum() >= 9 else None,
         "dark_channel": _dark_channel(truth),
     }
-    return {name: attenuated + found * rest for name, found in airlights.items() if found is not None}
+    made = {name: clear * t[..., None] + found * rest for name, found in airlights.items() if found is not None}
+    coded, coded_clear = (srgb_encode(np.clip(one / white, 0.0, 1.0)) for one in (truth, clear))
+    mixed = coded_clear * t[..., None] + _fitted(coded, coded_clear, t, np.ones_like(t)) * rest
+    thicker = (t**THICKER)[..., None]
+    return made | {"srgb": white * srgb_decode(mixed), "two_percent": clear * thicker + fitted * (1.0 - thicker)}
+
+
+def _fitted(truth: Array, clear: Array, t: Array, weight: Array) -> Array:
+    """(C,) the A with the least sum of weighted squares."""
+    rest = weight[..., None] * (1.0 - t[..., None])
+    away = np.maximum((rest * rest).sum(axis=(0, 1)), 1e-30)
+    return np.asarray(((weight[..., None] * (truth - clear * t[..., None])) * rest).sum(axis=(0, 1)) / away)
 
 
 def _dark_channel(picture: Array) -> Array:
@@ -276,7 +344,7 @@ def crossing(found: ScatteringStudy, model: str, lighting: str, axis: str) -> st
     over = [
         place
         for place in range(len(edges) - 1)
-        if (median := found.errors.median((model, lighting, axis, place))) is not None and median > 1.0
+        if (seen := found.over_noise(model, lighting, axis, place)) is not None and seen.value > 1.0
     ]
     if not over:
         return "nowhere"
@@ -290,14 +358,16 @@ def markdown(found: ScatteringStudy) -> str:
     lines = [
         "# Where the scattering model fails",
         "",
-        f"{found.shots} foggy shots. Medians of |J t + A (1 - t) - truth| over the noise of the sensor in that "
-        "pixel: above 1 a camera sees the difference. The last row is the error that rendering left in truth and "
-        "clear frame: what is not well above it is not resolved.",
+        f"{len(found.shots)} foggy shots of {len({one.scene for one in found.shots})} scenes. "
+        "|J t + A (1 - t) - truth| over the noise of the sensor in that pixel: above 1 a camera sees the difference. "
+        "Medians of each shot's pixels, their geometric mean over shots, and intervals of 95 % by bootstrap over "
+        "scenes. The last row is the error that rendering left in truth and clear frame: what is not well above it is "
+        "not resolved. `two_percent` is told beside `fitted` and not beside the truth.",
     ]
     titles = {"depth": ("optical depth", DEPTHS), "lamp": ("degrees from the nearest lamp", FROM_LAMP_DEG)}
     for lighting in found.lightings:
         for axis, (title, edges) in titles.items():
-            places = [p for p in range(len(edges) - 1) if found.errors.number((MODELS[0], lighting, axis, p))]
+            places = [p for p in range(len(edges) - 1) if found.over_noise(MODELS[0], lighting, axis, p)]
             if axis == "lamp" and places in ([], [len(edges) - 2]):
                 continue
             heads = [_span(edges[p], edges[p + 1]) for p in places]
@@ -305,14 +375,22 @@ def markdown(found: ScatteringStudy) -> str:
                 "",
                 f"## {lighting}, by {title}",
                 "",
-                f"| airlight | {' | '.join(heads)} | a camera sees it |",
+                f"| model | {' | '.join(heads)} | a camera sees it |",
                 f"|---|{'---|' * len(places)}---|",
             ]
             for model in MODELS:
-                cells = [_cell(found.errors.median((model, lighting, axis, p))) for p in places]
-                lines.append(f"| {model} | {' | '.join(cells)} | {crossing(found, model, lighting, axis)} |")
-            cells = [_cell(found.floor.median((lighting, axis, p))) for p in places]
+                cells = [_cell(found.over_noise(model, lighting, axis, p)) for p in places]
+                if any(cell != "-" for cell in cells):
+                    lines.append(f"| {model} | {' | '.join(cells)} | {crossing(found, model, lighting, axis)} |")
+            cells = [_cell(found.left(lighting, axis, p)) for p in places]
             lines.append(f"| error of the renders | {' | '.join(cells)} | |")
+        fogs = list(dict.fromkeys(one.fog for one in found.shots if one.lighting == lighting and one.flip))
+        if fogs:
+            lines += ["", f"## {lighting}, FLIP", "", f"| model | {' | '.join(fogs)} |", f"|---|{'---|' * len(fogs)}"]
+            for model in MODELS:
+                cells = [_cell(found.flip(model, lighting, fog)) for fog in fogs]
+                if any(cell != "-" for cell in cells):
+                    lines.append(f"| {model} | {' | '.join(cells)} |")
     for line in found.left_out[:5]:
         lines += ["", f"Left out: {line}"]
     if len(found.left_out) > 5:
@@ -321,20 +399,19 @@ def markdown(found: ScatteringStudy) -> str:
 
 
 def write(found: ScatteringStudy, out: Path) -> None:
-    """Write findings.md, findings.csv and findings.png.
+    """Write findings.md, findings.csv (a row for each shot, model and bin) and findings.png.
 
     Raises:
         OutputError: the folder cannot be written.
     """
     files.write_bytes(out / "findings.md", markdown(found).encode())
-    rows = ["model,lighting,axis,low,high,median_over_noise,pixels"]
-    for (model, lighting, axis, place), _ in sorted(found.errors.counts.items()):
-        edges = DEPTHS if axis == "depth" else FROM_LAMP_DEG
-        key = (model, lighting, axis, place)
-        rows.append(
-            f"{model},{lighting},{axis},{edges[place]:g},{edges[place + 1]:g},{found.errors.median(key):.4g},"
-            f"{found.errors.number(key)}"
-        )
+    rows = ["scene,shot,lighting,fog,model,axis,low,high,median_over_noise,flip"]
+    for one in found.shots:
+        name = f"{one.scene},{one.name},{one.lighting},{one.fog}"
+        for (model, axis, place), median in sorted(one.over_noise.items()):
+            edges = DEPTHS if axis == "depth" else FROM_LAMP_DEG
+            rows.append(f"{name},{model},{axis},{edges[place]:g},{edges[place + 1]:g},{median:.4g},")
+        rows += [f"{name},{model},picture,,,,{value:.4g}" for model, value in sorted(one.flip.items())]
     files.write_bytes(out / "findings.csv", "\n".join([*rows, ""]).encode())
     files.write_bytes(out / "findings.png", _drawn(found))
 
@@ -343,25 +420,34 @@ def _drawn(found: ScatteringStudy) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(5.0 * len(found.lightings), 4.0), dpi=120, layout="constrained")
+    figure = Figure(figsize=(1.5 + 4.5 * len(found.lightings), 4.0), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
-    colours = dict(zip(MODELS, ("#0b5fa5", "#12805c", "#c1440e"), strict=True))
+    colours = dict(zip(MODELS, ("#0b5fa5", "#12805c", "#c1440e", "#8a5a9e", "#b8860b", "#7a7f85"), strict=True))
     for column, lighting in enumerate(found.lightings):
         axes = figure.add_subplot(1, len(found.lightings), column + 1)
         places = range(len(DEPTHS) - 1)
         for model in MODELS:
-            medians = [found.errors.median((model, lighting, "depth", p)) or math.nan for p in places]
-            axes.plot(places, medians, "o-", color=colours[model], label=model.replace("_", " "))
-        own = [found.floor.median((lighting, "depth", p)) or math.nan for p in places]
+            cells = [found.over_noise(model, lighting, "depth", p) for p in places]
+            if not any(cells):
+                continue
+            axes.plot(places, [_value(one) for one in cells], "o-", color=colours[model], label=model.replace("_", " "))
+            ends = [
+                (_value(one) if end is None else end)
+                for one in cells
+                for end in ((one.low, one.high) if one else (None, None))
+            ]
+            axes.fill_between(places, ends[::2], ends[1::2], color=colours[model], alpha=0.15, linewidth=0)
+        own = [_value(found.left(lighting, "depth", p)) for p in places]
         axes.plot(places, own, "--", color="#666b70", label="error of the renders")
         axes.axhline(1.0, color="#22262a", linewidth=0.8)
         axes.set_yscale("log")
+        axes.set_ylim(bottom=LEAST_DRAWN)
         axes.set_xticks(list(places), [_span(DEPTHS[p], DEPTHS[p + 1]) for p in places], rotation=45, ha="right")
         axes.set_title(lighting)
         axes.set_xlabel("optical depth")
         if column == 0:
             axes.set_ylabel("error over the sensor's noise, median")
-            axes.legend(frameon=False, fontsize=8)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper", frameon=False, fontsize=8)
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()
@@ -371,5 +457,11 @@ def _span(low: float, high: float) -> str:
     return f"{low:g} to {high:g}" if math.isfinite(high) else f"over {low:g}"
 
 
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2g}"
+def _value(found: Mean | None) -> float:
+    return math.nan if found is None else found.value
+
+
+def _cell(found: Mean | None) -> str:
+    if found is None:
+        return "-"
+    return f"{found.value:.2g}" + ("" if found.low is None else f" ({found.low:.2g} to {found.high:.2g})")

@@ -6,9 +6,11 @@ import json
 
 import numpy as np
 import pytest
+from colour import cctf_decoding, cctf_encoding
 from support import cli
 
 from synfog_usd import seeds
+from synfog_usd.benchmark import metrics
 from synfog_usd.errors import ParameterError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.study.scattering_model import DEPTHS, crossing, models, study
@@ -17,6 +19,9 @@ from synfog_usd.writers import write_exr
 AIRLIGHT = np.array([90.0, 100.0, 110.0])
 HEIGHT, WIDTH = 60, 80
 ELECTRONS, DARK_E = 50.0, 3.0
+WHITE = 200.0
+MULTIPLE = np.broadcast_to(np.linspace(1.0, 9.0, 60)[:, None, None], (60, 80, 3))
+"""What the fog scattered more than once, in the made shots."""
 
 
 def frames(*, glow: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -38,6 +43,7 @@ def bake(folder, *, glow: float = 0.0) -> None:
         layers = [
             Image(t.astype(np.float32)[..., None], ("transmittance.Y",), Quantity.DATA),
             Image(np.full((HEIGHT, WIDTH, 1), 0.01, np.float32), ("error.Y",), Quantity.DATA),
+            Image(MULTIPLE.astype(np.float32), tuple(f"airlight_multiple.{c}" for c in "RGB"), Quantity.RADIANCE),
         ]
         write_exr(folder / "active" / fog / "layers.exr", layers)
     sensor = {"electrons_per_cd_m2": ELECTRONS, "dark_noise_e": DARK_E}
@@ -48,14 +54,38 @@ def bake(folder, *, glow: float = 0.0) -> None:
     (folder / "bake.json").write_text(json.dumps({"shots": shots}), encoding="utf-8")
 
 
+def by_model(foggy, clear, t):
+    return models(foggy, clear, t, white=WHITE, noise=np.sqrt(foggy.mean(axis=2)))
+
+
 def test_light_that_is_the_models_has_no_error():
     clear, t, foggy = frames()
-    found = models(foggy, clear, t)
+    found = by_model(foggy, clear, t)
     np.testing.assert_allclose(found["fitted"], foggy, rtol=1e-9)
     np.testing.assert_allclose(found["horizon"], foggy, rtol=0.02)
     np.testing.assert_allclose(found["dark_channel"], foggy, rtol=1e-3)
-    near = models(foggy[:30], clear[:30], t[:30])  # nothing of optical depth 1 is in view: no pixel shows the airlight
+    near = by_model(
+        foggy[:30], clear[:30], t[:30]
+    )  # nothing of optical depth 1 is in view: no pixel shows the airlight
     assert "horizon" not in near and np.abs(near["dark_channel"] - foggy[:30]).max() > 1.0
+
+
+def test_codes_that_were_mixed_are_found_by_the_model_that_mixes_codes():
+    clear, t, _ = frames()
+    clear = np.minimum(clear, WHITE)
+    code = cctf_encoding(clear / WHITE, function="sRGB") * t[..., None] + 0.6 * (1.0 - t[..., None])
+    truth = WHITE * cctf_decoding(code, function="sRGB")
+    found = by_model(truth, clear, t)
+    np.testing.assert_allclose(found["srgb"], truth, rtol=1e-4)
+    assert np.median(np.abs(found["fitted"] / truth - 1.0)) > 0.02
+
+
+def test_two_percent_is_the_fog_whose_contrast_at_the_visibility_is_two_percent():
+    """Where 5 % is left of a contrast by the WMO's fog, 2 % is left by the other."""
+    clear, t, foggy = frames()
+    foggy = clear * 0.05 + AIRLIGHT * 0.95
+    found = by_model(foggy, clear, np.full_like(t, 0.05))["two_percent"]
+    np.testing.assert_allclose(found, clear * 0.02 + AIRLIGHT * 0.98, rtol=1e-6)
 
 
 def test_the_noise_is_the_sensors_and_the_place_of_the_error_is_found(tmp_path):
@@ -64,19 +94,20 @@ def test_the_noise_is_the_sensors_and_the_place_of_the_error_is_found(tmp_path):
     """
     bake(tmp_path / "plain")
     plain = study(tmp_path / "plain")
-    assert plain.shots == 1 and crossing(plain, "fitted", "active", "depth") == "nowhere"
+    assert len(plain.shots) == 1 and crossing(plain, "fitted", "active", "depth") == "nowhere"
     bake(tmp_path / "glow", glow=20.0)
     found = study(tmp_path / "glow")
     clear, t, foggy = frames(glow=20.0)
-    miss = np.abs((models(foggy, clear, t)["fitted"] - foggy) @ np.array([0.2126729, 0.7151522, 0.0721750]))
-    bright = foggy @ np.array([0.2126729, 0.7151522, 0.0721750])
-    units = miss / (np.sqrt(bright * ELECTRONS + DARK_E**2) / ELECTRONS)
+    y = np.array([0.2126729, 0.7151522, 0.0721750])
+    noise = np.sqrt(foggy @ y * ELECTRONS + DARK_E**2) / ELECTRONS
+    fitted = models(foggy, clear, t, white=WHITE, noise=noise)["fitted"]
     depth = -np.log(t)
     for place in range(len(DEPTHS) - 1):
         inside = (depth >= DEPTHS[place]) & (depth < DEPTHS[place + 1])
-        wanted = np.median(units[inside])
-        assert found.errors.median(("fitted", "active", "depth", place)) == pytest.approx(wanted, rel=0.08), place
-    assert found.floor.median(("active", "depth", 6)) == pytest.approx(0.01 / 1.5, rel=0.3)
+        units, single = (np.median((np.abs(miss @ y) / noise)[inside]) for miss in (fitted - foggy, MULTIPLE))
+        assert found.over_noise("fitted", "active", "depth", place).value == pytest.approx(units, rel=1e-3), place
+        assert found.over_noise("single", "active", "depth", place).value == pytest.approx(single, rel=1e-3), place
+    assert found.left("active", "depth", 6).value == pytest.approx(0.01 / 1.5, rel=0.3)
 
 
 def test_the_command_writes_tables_and_a_drawing(tmp_path):
@@ -84,6 +115,7 @@ def test_the_command_writes_tables_and_a_drawing(tmp_path):
     done = cli.run("study", "asm", tmp_path / "bake", "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     assert "| fitted |" in done.stdout and "degrees from the nearest lamp" in done.stdout
+    assert ("FLIP" in done.stdout) == ("flip" in metrics.usable())
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"findings.md", "findings.csv", "findings.png"}
     again = cli.run("study", "asm", tmp_path / "bake", "-o", tmp_path / "again", "--quiet")
     assert again.returncode == 0 and again.stdout == ""
