@@ -89,6 +89,30 @@ def test_the_river_is_level_with_its_valley_and_far_below_the_bridge():
         assert float(road.reference_line.height(middle)) - near[:, 2].max() > depth - 0.5
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_river_is_seen_from_the_car(seed):
+    """Of places on the water ahead, within 25 degrees and 250 m, a tenth at least are in sight: the line from
+    the lens passes over the ground and over the edges of the deck, below whose railing one looks through.
+    """
+    spec, _ = world("bridge", seed)
+    road, view = spec.road, spec.view
+    heading, (low, high, _) = np.deg2rad(view.heading), road.land.valley
+    angle, far = (g.ravel() for g in np.meshgrid(np.deg2rad(np.linspace(-25, 25, 26)), np.linspace(30, 250, 45)))
+    x, y = view.x - far * np.sin(heading + angle), view.y + far * np.cos(heading + angle)
+    wet = np.abs(road.along_bridge(x, y)) < 0.3 * (high - low)
+    s, t = road.reference_line.nearest(x, y)
+    wet &= (t < road.lane_section.low - 2) | (t > road.lane_section.high + 2)
+    assert wet.sum() > 100
+    water, share = road.valley_floor + 0.3, np.linspace(0.005, 0.99, 200)[:, None]
+    px, py = view.x + share * (x[wet] - view.x), view.y + share * (y[wet] - view.y)
+    pz = view.z + share * (water - view.z)
+    s, t = road.reference_line.nearest(px, py)
+    out = np.maximum(t - road.lane_section.high, road.lane_section.low - t)
+    deck = road.reference_line.height(s) + 0.12 + 0.08  # kerb and upstand
+    covered = np.where(np.abs(out) < 0.4, pz < deck, pz < road.ground(s, t))
+    assert (~covered.any(axis=0)).mean() > 0.1
+
+
 @pytest.mark.parametrize("name", ["car_park", "roundabout", "crossroads"])
 def test_cars_of_a_kind_have_plates_of_their_own(name):
     """Of all pairs of one model that stand in a world fewer than a tenth share a plate: by chance 1 in 24 do."""

@@ -102,11 +102,15 @@ def river(road: Road, horizon: Horizon) -> Part:
     assert road.land.valley is not None
     a, b, _ = road.land.valley
     t = np.linspace(-RIVER_M, RIVER_M, 41)
-    middle = (a + b) / 2 + 0.06 * (b - a) * np.sin(t / 55.0)
+    middle = 0.06 * (b - a) * np.sin(t / 55.0)
     half = 0.5 * RIVER * (b - a) * (1 + 0.12 * np.sin(t / 17.0))
+    x0, y0 = road.reference_line.place((a + b) / 2, 0.0)
+    heading = road.reference_line.heading((a + b) / 2)
     loops = []
     for side in (-1, 1):
-        x, y = road.reference_line.place(middle + side * half, t)
+        along = middle + side * half
+        x = x0 + t * np.cos(heading) - along * np.sin(heading)
+        y = y0 + t * np.sin(heading) + along * np.cos(heading)
         z = road.valley_floor + WATER_M + horizon.relief(x, y, away(road, x, y))
         loops.append(np.c_[x, y, z])
     part = strip(loops, "water")

@@ -21,7 +21,7 @@ from synfog_usd.world.roads.reference_line import ReferenceLine
 BLEND_M = 55.0
 """Over which the land leaves the height of the road."""
 WAVES = 9
-VALLEY_SIDE_M, VALLEY_SIDES, RIVER = 14.0, 0.3, 0.22
+VALLEY_SIDE_M, VALLEY_SIDES, RIVER = 14.0, 0.13, 0.68
 """A valley's slopes are so long at least, or this share of its length; its river is so broad a share."""
 BEHIND_WALL_M = 0.35
 CUTTING_M = 8.5
@@ -108,8 +108,10 @@ class Road:
         share = share * share * (3 - 2 * share)
         result = edge + share * (self.hills(x, y) - edge)
         if self.land.valley:
-            a, b, _ = self.land.valley
-            inside = np.clip(np.minimum(s - a, b - s) / max(VALLEY_SIDE_M, VALLEY_SIDES * (b - a)), 0.0, 1.0)
+            low, high = self._banks
+            along = self.along_bridge(x, y)
+            steep = max(VALLEY_SIDE_M, VALLEY_SIDES * (high - low))
+            inside = np.clip(np.minimum(along - low, high - along) / steep, 0.0, 1.0)
             share = inside * inside * (3 - 2 * inside) * np.clip(out / 1.5, 0.0, 1.0)
             result = result + share * (self.valley_floor - result)
         if self.land.hill:
@@ -131,9 +133,25 @@ class Road:
         """Whether places lie in the river at the bottom of the valley, or a few steps from it."""
         if self.land.valley is None:
             return np.zeros(np.shape(x), dtype=bool)
-        a, b, _ = self.land.valley
-        s, _ = self.reference_line.nearest(x, y)
-        return np.asarray(np.abs(s - (a + b) / 2) < 0.7 * RIVER * (b - a))
+        low, high = self._banks
+        return np.asarray(np.abs(self.along_bridge(x, y)) < 0.7 * RIVER * (high - low))
+
+    def along_bridge(self, x: Array, y: Array) -> Array:
+        """How far places are beyond the bridge's middle [m], along the road's direction there: a valley is straight
+        where the road bends.
+        """
+        assert self.land.valley is not None
+        middle = sum(self.land.valley[:2]) / 2
+        heading = self.reference_line.heading(middle)
+        x0, y0 = self.reference_line.place(middle, 0.0)
+        return np.asarray((y - y0) * np.cos(heading) - (x - x0) * np.sin(heading))
+
+    @cached_property
+    def _banks(self) -> tuple[float, float]:
+        """Where the road leaves the land and reaches it again, as `along_bridge` counts [m]."""
+        assert self.land.valley is not None
+        low, high = self.along_bridge(*self.reference_line.place(np.array(self.land.valley[:2]), 0.0))
+        return float(low), float(high)
 
     def hills(self, x: Array, y: Array) -> Array:
         """Height of the open land [m]: a few long waves."""

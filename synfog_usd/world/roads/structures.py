@@ -20,6 +20,8 @@ POST_M = 4.0
 DELINEATOR_M = 50.0
 TUNNEL_APEX_M, TUNNEL_WALL_M = 6.4, 3.4
 PORTAL_OUT_M = 8.5
+UPSTAND_M = 0.08
+"""Of a bridge's edge over its pavement: low, so that a driver sees the water below."""
 LAMP_M = 9.0
 """Between the lamps of a tunnel."""
 
@@ -137,14 +139,14 @@ def bridge(road: Road) -> list[Built]:
     a, b = float(road.lane_section.height(left)), float(road.lane_section.height(right))
     profile = [
         (left, a),
-        (left, a + 0.22),
-        (left - 0.35, a + 0.22),
+        (left, a + UPSTAND_M),
+        (left - 0.35, a + UPSTAND_M),
         (left - 0.35, a - 0.75),
         (left + 1.2, -1.9),
         (right - 1.2, -1.9),
         (right + 0.35, b - 0.75),
-        (right + 0.35, b + 0.22),
-        (right, b + 0.22),
+        (right + 0.35, b + UPSTAND_M),
+        (right, b + UPSTAND_M),
         (right, b),
     ]
     deck: list[Part] = [sweep(road, profile[::-1], "concrete", tile_m=3.0, low=low - 4.0, high=high + 4.0)]
@@ -156,7 +158,7 @@ def bridge(road: Road) -> list[Built]:
             )
         )
     rails: list[Part] = []
-    for t, base in ((left - 0.17, a + 0.22), (right + 0.17, b + 0.22)):
+    for t, base in ((left - 0.17, a + UPSTAND_M), (right + 0.17, b + UPSTAND_M)):
         for h, r in ((1.02, 0.035), (0.78, 0.014), (0.56, 0.014), (0.34, 0.014), (0.14, 0.014)):
             rails.append(_bar(road, t, base + h, r, low - 4.0, high + 4.0))
         for s in np.arange(low - 4.0, high + 4.0, 2.0):
