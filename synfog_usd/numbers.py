@@ -121,6 +121,16 @@ def check_distance(metres: float | None) -> None:
         raise ParameterError(f"--max-distance {metres:g}: it takes metres above 0")
 
 
+def check_shutter(seconds: float | None) -> None:
+    """Refuse a time for which no shutter is open.
+
+    Raises:
+        ParameterError: with the number.
+    """
+    if seconds is not None and not 0.0 < seconds <= 60.0:
+        raise ParameterError(f"--shutter {seconds:g}: it takes seconds above 0, and 60 at most")
+
+
 def check_frame(frame: float | None) -> None:
     """Refuse a time code that is no finite number.
 

@@ -70,6 +70,13 @@ def bake(
     adaptation: Annotated[
         float, typer.Option(help="Seconds in which the automatic exposure of --frames goes 63 % of the way.")
     ] = 0.3,
+    shutter: Annotated[
+        float | None,
+        typer.Option(
+            help="Seconds for which the shutter is open, instead of the camera's own: what moves is blurred, and what "
+            "has physics:velocity."
+        ),
+    ] = None,
     lights: Annotated[
         str,
         typer.Option(
@@ -161,6 +168,7 @@ def bake(
             choices=tuple(choices or ()),
             metres_per_unit=metres_per_unit,
             up=up,
+            shutter_s=shutter,
             max_distance_m=max_distance,
             mask=_names(mask, "--mask") or (),
             size=_size(resolution),

@@ -106,8 +106,14 @@ def bake(
     graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
     with reading():
         stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
-        if plan.choices or plan.metres_per_unit is not None or plan.up is not None:
-            usd.override(stage, choices=plan.choices, metres_per_unit=plan.metres_per_unit, up=plan.up)
+        if plan.choices or any(one is not None for one in (plan.metres_per_unit, plan.up, plan.shutter_s)):
+            usd.override(
+                stage,
+                choices=plan.choices,
+                metres_per_unit=plan.metres_per_unit,
+                up=plan.up,
+                shutter_s=plan.shutter_s,
+            )
         if plan.max_distance_m is not None:
             usd.keep_near(stage, plan.max_distance_m, camera=plan.camera, frame=plan.frame)
         todo = shots(plan, usd.variants(stage))
@@ -841,6 +847,7 @@ def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) ->
             "mask": list(plan.mask),
             "variant": variant,
             **({"clip": asdict(plan.clip)} if plan.clip else {}),
+            **({"shutter_s": plan.shutter_s} if plan.shutter_s is not None else {}),
         },
         "versions": library_versions(denoise=plan.denoise),
     }

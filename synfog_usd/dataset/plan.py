@@ -80,6 +80,7 @@ class BakePlan:
         strict: whether a warning of the translation stops the bake.
         lights: how the stage's intensities are meant, see `translate.translate`.
         light_scale, sun_lux: what all lights are multiplied by, see `translate.translate`.
+        shutter_s: time [s] for which the shutter is open, about the frame's own; None is the camera's.
         max_distance_m: beyond which models are left unloaded, see `stage.keep_near`.
         mask: prims of which alone the stage is made, with what sees and lights them, see `stage.open_stage`.
         choices, metres_per_unit, up: how the stage is read otherwise than it says of itself, see `stage.override`.
@@ -113,6 +114,7 @@ class BakePlan:
     choices: tuple[str, ...] = ()
     metres_per_unit: float | None = None
     up: str | None = None
+    shutter_s: float | None = None
     max_distance_m: float | None = None
     mask: tuple[str, ...] = ()
     allow: tuple[Path, ...] = ()
@@ -127,6 +129,7 @@ class BakePlan:
         numbers.check_frame(self.frame)
         numbers.check_space(metres_per_unit=self.metres_per_unit, up=self.up)
         numbers.check_distance(self.max_distance_m)
+        numbers.check_shutter(self.shutter_s)
         if self.bands is not None:
             numbers.check_bands(self.bands)
         for name in self.fog or ():

@@ -468,7 +468,12 @@ def up_axis(stage: Usd.Stage) -> str:
 
 
 def override(
-    stage: Usd.Stage, *, choices: Iterable[str] = (), metres_per_unit: float | None = None, up: str | None = None
+    stage: Usd.Stage,
+    *,
+    choices: Iterable[str] = (),
+    metres_per_unit: float | None = None,
+    up: str | None = None,
+    shutter_s: float | None = None,
 ) -> None:
     """Read a stage otherwise than it says of itself, on the session layer only.
 
@@ -477,6 +482,7 @@ def override(
         choices: variants of any prim, as /World/Car:paint=red.
         metres_per_unit: length [m] of its unit.
         up: X, Y or Z.
+        shutter_s: time [s] for which every camera's shutter is open, half of it before the frame's time.
 
     Raises:
         StageError: no such prim, set or variant; with those that there are.
@@ -486,6 +492,14 @@ def override(
             stage.SetMetadata("metersPerUnit", float(metres_per_unit))
         if up is not None:
             stage.SetMetadata("upAxis", up)
+        if shutter_s is not None:
+            half = 0.5 * shutter_s * stage.GetTimeCodesPerSecond()
+            for path in cameras(stage):
+                camera = UsdGeom.Camera(stage.GetPrimAtPath(path))
+                camera.CreateShutterOpenAttr(-half)
+                camera.CreateShutterCloseAttr(half)
+            if not any(layer.ListAllTimeSamples() for layer in stage.GetUsedLayers()):
+                stage.SetStartTimeCode(stage.GetStartTimeCode())  # without a time nothing has one to move in
         for choice in choices:
             where, name, variant = _variant_named(choice)
             prim = stage.GetPrimAtPath(where)

@@ -15,6 +15,7 @@ from synfog_usd.errors import StageError, did_you_mean
 from synfog_usd.scene import PARALLEL_DEG, Camera
 from synfog_usd.stage.open import MISSING, cameras, composition_notes
 from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.motion import velocity_above
 from synfog_usd.translate.space import Space, columns
 
 DEFAULT_WIDTH_PX = 1280
@@ -227,6 +228,9 @@ def _motion(
         return still, still
     first, last = (_place(prim, space, Usd.TimeCode(time.GetValue() + side * half)) for side in (-1.0, 1.0))
     way = last[:3, 3] - first[:3, 3]
+    velocity = velocity_above(prim, UsdGeom.XformCache(time))
+    if velocity is not None and not way.any():
+        way = space.matrix[:3, :3] @ velocity * (2.0 * half / prim.GetStage().GetTimeCodesPerSecond())
     vector = Rotation.from_matrix(last[:3, :3] @ first[:3, :3].T).as_rotvec()
     if np.linalg.norm(way) < _STILL_M and np.linalg.norm(vector) < _STILL_RAD:
         return still, still

@@ -1,4 +1,4 @@
-"""How prims move while the camera exposes, as rigid bodies.
+"""How prims move while the camera exposes, as rigid bodies: by their time samples, else by `physics:velocity`.
 
 Takes prims by path; gives matrices in the scene's axes at even steps of the exposure.  Knows nothing of shapes.
 """
@@ -11,6 +11,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
 from synfog_usd.arrays import Array
+from synfog_usd.translate.pose import told_velocity
 from synfog_usd.translate.space import FAR, Space, columns
 
 MOMENTS = 33
@@ -23,6 +24,17 @@ STILL_M = 1e-6
 
 _POINT = re.compile(r"([^\[]+)\[(\d+)\]")
 _MOVING = ("positions", "orientations", "orientationsf", "scales", "velocities", "angularVelocities")
+
+
+def velocity_above(prim: Usd.Prim, now: UsdGeom.XformCache) -> Array | None:
+    """(3,) velocity of a prim, its own or that of the nearest above it that has one, in the stage's axes and units a
+    second; None for none, and for one that stands.
+    """
+    while prim and not prim.IsPseudoRoot():
+        if (found := told_velocity(prim, now)) is not None:
+            return found if np.isfinite(found).all() and found.any() else None
+        prim = prim.GetParent()
+    return None
 
 
 class Mover:
@@ -74,9 +86,21 @@ class Mover:
     def _standing(self, path: str) -> Array | None:
         """(1 + MOMENTS, 4, 4) to the stage, in mid-exposure and at each step; None where nothing varies."""
         prim = self._prim(path)
-        if prim is None or not self._vary(prim):
+        if prim is None:
             return None
+        if not self._vary(prim):
+            return self._going(prim)
         return np.stack([columns(cache.GetLocalToWorldTransform(prim)) for cache in self._caches])
+
+    def _going(self, prim: Usd.Prim) -> Array | None:
+        """The same of a prim that goes straight on at its velocity, or that of the nearest above it that has one."""
+        velocity = velocity_above(prim, self._caches[0])
+        if velocity is None:
+            return None
+        seconds = np.array([0.0, *(one.GetValue() - self._middle.GetValue() for one in self._times)])
+        found = np.tile(columns(self._caches[0].GetLocalToWorldTransform(prim)), (1 + MOMENTS, 1, 1))
+        found[:, :3, 3] += np.outer(seconds / self._stage.GetTimeCodesPerSecond(), velocity)
+        return found
 
     def _placed(self, path: str, number: int) -> Array | None:
         """The same of a point of an instancer."""

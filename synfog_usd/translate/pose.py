@@ -12,6 +12,15 @@ VELOCITY = "physics:velocity"
 """UsdPhysicsRigidBodyAPI's attribute, in stage units per second and the axes of the prim's parent."""
 
 
+def told_velocity(prim: Usd.Prim, now: UsdGeom.XformCache) -> Array | None:
+    """(3,) velocity by a prim's own `physics:velocity`, in the stage's axes and units a second; None for none."""
+    authored = prim.GetAttribute(VELOCITY)
+    told = authored.Get(now.GetTime()) if authored and authored.HasAuthoredValue() else None
+    if told is None:
+        return None
+    return np.asarray(columns(now.GetParentToWorldTransform(prim))[:3, :3] @ np.array(told, dtype=np.float64))
+
+
 class Poser:
     """Frames and velocities of prims at one moment.
 
@@ -50,11 +59,9 @@ class Poser:
         return frame, self._velocity(prim)
 
     def _velocity(self, prim: Usd.Prim) -> tuple[float, float, float] | None:
-        authored = prim.GetAttribute(VELOCITY)
-        told = authored.Get(self._now.GetTime()) if authored and authored.HasAuthoredValue() else None
+        told = told_velocity(prim, self._now)
         if told is not None:
-            turn = columns(self._now.GetParentToWorldTransform(prim))[:3, :3]
-            return self._finite(self._space.matrix[:3, :3] @ turn @ np.array(told, dtype=np.float64))
+            return self._finite(self._space.matrix[:3, :3] @ told)
         if self._around is None:
             return None
         before, after = (columns(cache.GetLocalToWorldTransform(prim))[:3, 3] for cache in self._around)

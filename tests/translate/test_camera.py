@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
 
-from synfog_usd.errors import StageError
+from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.errors import ParameterError, StageError
+from synfog_usd.stage.open import override
 from synfog_usd.translate import translate
 
 
@@ -220,6 +222,50 @@ def test_what_else_moves_while_the_shutter_is_open_moves_in_the_scene(empty):
     np.testing.assert_allclose(ways, wanted, atol=1e-12)
     authored.CreateShutterCloseAttr(-0.25)
     assert not translate(stage, frame=1).motion_of, "a shutter that is open for no time"
+
+
+def test_what_is_told_a_velocity_goes_at_it_while_the_shutter_is_open(empty):
+    """8 m/s along an axis of a parent that is turned by 90 degrees, for 25 ms: 0.1 m to each side of the middle along
+    Y; so does a child.  The shutter is asked for, and the stage has no frames.  A car with time samples goes by these.
+    """
+    stage = empty()
+    turned = UsdGeom.Xform.Define(stage, "/Turned")
+    turned.AddRotateZOp().Set(90.0)
+    for name in ("Car", "Animated"):
+        car = UsdGeom.Xform.Define(stage, f"/Turned/{name}")
+        car.GetPrim().CreateAttribute("physics:velocity", Sdf.ValueTypeNames.Vector3f).Set((8.0, 0.0, 0.0))
+        UsdGeom.Cube.Define(stage, f"/Turned/{name}/Body")
+    UsdGeom.Cube.Define(stage, "/Turned/Still")
+    override(stage, shutter_s=0.025)
+    scene = translate(stage)
+    assert len(scene.motion_of) == 2 and not scene.camera.moves
+    ways = next(iter(scene.motion_of.values()))
+    wanted = np.tile(np.eye(4), (1, ways.shape[1], 1, 1))
+    wanted[0, :, 1, 3] = np.linspace(-0.1, 0.1, ways.shape[1])
+    np.testing.assert_allclose(ways, wanted, atol=1e-7)
+    assert not stage.GetRootLayer().HasStartTimeCode(), "the stage's own file stays"
+    move = UsdGeom.Xform.Get(stage, "/Turned/Animated").AddTranslateOp()
+    for frame in (-1, 1):
+        move.Set((0.0, float(frame), 0.0), frame)
+    both = translate(stage, frame=0).motion_of.values()
+    reach = sorted(float(np.abs(ways[0, :, :3, 3]).max()) for ways in both)
+    np.testing.assert_allclose(reach, [0.1, 0.5 * 0.025 * stage.GetTimeCodesPerSecond()], rtol=1e-6)
+
+
+def test_a_camera_that_is_told_a_velocity_drives(empty):
+    stage = empty()
+    prim = stage.GetPrimAtPath("/Camera")
+    prim.CreateAttribute("physics:velocity", Sdf.ValueTypeNames.Vector3f).Set((0.0, 0.0, -20.0))
+    assert not translate(stage).camera.moves, "no shutter is open"
+    override(stage, shutter_s=0.01)
+    found = translate(stage).camera.drift_m
+    assert np.linalg.norm(found) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, math.nan, 61.0])
+def test_a_shutter_that_is_open_for_no_time_is_refused(seconds, tmp_path):
+    with pytest.raises(ParameterError, match=r"--shutter .*: it takes seconds above 0"):
+        BakePlan(tmp_path / "a.usda", tmp_path / "out", shutter_s=seconds)
 
 
 TURNTABLE = """#usda 1.0
