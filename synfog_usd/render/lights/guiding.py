@@ -19,7 +19,7 @@ import drjit as dr
 import numpy as np
 
 from synfog_usd.render import backend
-from synfog_usd.render.lights.importance import Importance
+from synfog_usd.render.lights.importance import ABREAST, Importance
 from synfog_usd.render.media.medium import Medium
 
 ANGLES, LEAST_RAD = 512, 1e-3
@@ -65,9 +65,10 @@ class LightGuide:
         even, u = _evenly(u_which)
         index, total, kept = mi.UInt32(0), mi.Float(0.0), mi.UInt32(0)
         while index < self.count:
-            weight = dr.select(even, 1.0, self.importance.along(index, origin, direction, begin, end))
-            total, kept, u = _drawn(index, weight, total, kept, u)
-            index += 1
+            for number, there in self.importance.abreast(index):
+                weight = dr.select(even, 1.0, self.importance.along(number, origin, direction, begin, end))
+                total, kept, u = _drawn(number, dr.select(there, weight, 0.0), total, kept, u)
+            index += ABREAST
         nearest, height, low, high = _angles(self.importance.place(kept), origin, direction, begin, end)
         return dr.clip(nearest + height * dr.tan(dr.lerp(low, high, u_along)), begin, end)
 
@@ -77,14 +78,15 @@ class LightGuide:
         mi = backend.mitsuba()
         index, total, density, alike = mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
         while index < self.count:
-            weight = self.importance.along(index, origin, direction, begin, end)
-            total += weight
-            nearest, height, low, high = _angles(self.importance.place(index), origin, direction, begin, end)
-            step = distance - nearest
-            one = height / (dr.maximum(high - low, 1e-9) * (height * height + step * step))
-            density += weight * one
-            alike += one
-            index += 1
+            for number, there in self.importance.abreast(index):
+                weight = dr.select(there, self.importance.along(number, origin, direction, begin, end), 0.0)
+                total += weight
+                nearest, height, low, high = _angles(self.importance.place(number), origin, direction, begin, end)
+                step = distance - nearest
+                one = height / (dr.maximum(high - low, 1e-9) * (height * height + step * step))
+                density += weight * one
+                alike += dr.select(there, one, 0.0)
+            index += ABREAST
         return (1.0 - EVENLY) * density / dr.maximum(total, 1e-30) + EVENLY * alike / self.count
 
     @dr.syntax
@@ -94,9 +96,10 @@ class LightGuide:
         even, v = _evenly(u_which)
         index, total, kept = mi.UInt32(0), mi.Float(0.0), mi.UInt32(0)
         while index < self.count:
-            weight = dr.select(even, 1.0, self._seen(index, place))
-            total, kept, v = _drawn(index, weight, total, kept, v)
-            index += 1
+            for number, there in self.importance.abreast(index):
+                weight = dr.select(even, 1.0, self._seen(number, place))
+                total, kept, v = _drawn(number, dr.select(there, weight, 0.0), total, kept, v)
+            index += ABREAST
         sine, cosine = dr.sincos(self.around.sample(u.x))
         sin_phi, cos_phi = dr.sincos(2.0 * dr.pi * u.y)
         towards = _towards(self.importance.place(kept), place)
@@ -108,16 +111,17 @@ class LightGuide:
         mi = backend.mitsuba()
         index, total, density, alike = mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
         while index < self.count:
-            weight = self._seen(index, place)
-            total += weight
-            half = dr.clip(0.5 * dr.norm(direction - _towards(self.importance.place(index), place)), 1e-6, 1.0)
-            angle, sine = 2.0 * dr.asin(half), 2.0 * half * dr.safe_sqrt(1.0 - half * half)
-            interval = dr.clip(mi.Int32(dr.log2(angle * (1.0 / LEAST_RAD)) * self.per_interval + 1.0), 0, ANGLES - 2)
-            line = dr.gather(mi.Vector2f, self.lines, mi.UInt32(interval))
-            one = (line.x + line.y * angle) / dr.maximum(sine, 1e-6)
-            density += weight * one
-            alike += one
-            index += 1
+            for number, there in self.importance.abreast(index):
+                weight = dr.select(there, self._seen(number, place), 0.0)
+                total += weight
+                half = dr.clip(0.5 * dr.norm(direction - _towards(self.importance.place(number), place)), 1e-6, 1.0)
+                angle, sine = 2.0 * dr.asin(half), 2.0 * half * dr.safe_sqrt(1.0 - half * half)
+                nearest = mi.Int32(dr.log2(angle * (1.0 / LEAST_RAD)) * self.per_interval + 1.0)
+                line = dr.gather(mi.Vector2f, self.lines, mi.UInt32(dr.clip(nearest, 0, ANGLES - 2)))
+                one = (line.x + line.y * angle) / dr.maximum(sine, 1e-6)
+                density += weight * one
+                alike += dr.select(there, one, 0.0)
+            index += ABREAST
         mixture = (1.0 - EVENLY) * density / dr.maximum(total, 1e-30) + EVENLY * alike / self.count
         return mixture * (0.5 * dr.inv_pi)
 

@@ -41,6 +41,12 @@ FLOOR = 0.004
 FLOOR_M = 2.0
 """Nearer than this the floor rises no more: else a light would take every draw beside its own housing."""
 
+ABREAST = 2
+"""Lights that are weighed beside each other: one alone leaves a processor waiting for its roots and quotients.
+
+Measured on the crossing's 67, AVX-512: 12 ns for both weights of a light alone, 9.7 for one of two, 9.4 of four.
+"""
+
 NEAR_M = 0.1
 """Lights are taken to be this far at least from a point."""
 
@@ -142,9 +148,15 @@ class Importance:
             sampler.next_1d(active), sampler.next_1d(active), sampler.next_1d(active), sampler.next_1d(active)
         )
         while active & (index < self.count):
-            picks = picks.update(index, dr.maximum(weigh(index), 0.0))
-            index += 1
+            for number, there in self.abreast(index):
+                picks = picks.update(number, dr.select(there, dr.maximum(weigh(number), 0.0), 0.0))
+            index += ABREAST
         return picks
+
+    def abreast(self, index: Any) -> list[tuple[Any, Any]]:
+        """Numbers of `ABREAST` lights from `index` on, and whether there are so many."""
+        numbers = [index + step for step in range(ABREAST)]
+        return [(dr.minimum(number, self.count - 1), number < self.count) for number in numbers]
 
     def place(self, index: Any) -> Any:
         """Where lights are [m]."""
