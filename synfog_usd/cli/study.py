@@ -28,7 +28,9 @@ def _can_hold(out: Path) -> None:
 
 @app.command()
 def asm(
-    source: options.Source,
+    source: Annotated[
+        Path, typer.Argument(help="Folder of a set or of a bake; or SET, a YAML file or a name, made in OUT/set first.")
+    ],
     out: options.Findings,
     limit: Annotated[int | None, typer.Option(min=1, help="At most so many shots, drawn from all.")] = None,
     quiet: options.Quiet = False,
@@ -36,8 +38,14 @@ def asm(
     """Map where the atmospheric scattering model errs by more than the sensor's noise."""
     _can_hold(out)
     from synfog_usd.cli.progress import shown
+    from synfog_usd.sets.definition import shipped
     from synfog_usd.study import scattering_model
 
+    if source.suffix == ".yaml" or (str(source) in shipped() and not source.exists()):
+        from synfog_usd.cli import sets
+
+        sets.run(source, out / "set", only=None, quiet=quiet, as_json=False)
+        source = out / "set"
     with shown(quiet) as (progress, _):
         found = scattering_model.study(source, limit=limit, progress=progress)
     scattering_model.write(found, out)

@@ -123,6 +123,21 @@ def test_the_command_writes_tables_and_a_drawing(tmp_path):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
+@pytest.mark.slow
+def test_a_set_is_made_first(tmp_path):
+    """And a second time only looked at."""
+    set_file = tmp_path / "tiny.yaml"
+    set_file.write_text(
+        "synfog: set/1\nscenes: 1\nrecipes: [crossroads]\nlightings: [sky]\nfogs: [clear, 150]\nsize: [48, 27]\n"
+        "quality: {samples: 2}\n"
+    )
+    for _ in range(2):
+        done = cli.run("study", "asm", set_file, "-o", tmp_path / "out")
+        assert done.returncode == 0, done.stderr
+        assert "1 foggy shots of 1 scenes" in done.stdout
+    assert "0 units made, 1 were there" in done.stdout
+
+
 ONE_FOGGY = '{"shots": [{"lighting": "a", "fog": "x", "folder": "a/x", "mor_m": 100.0}]}'
 
 
