@@ -39,6 +39,11 @@ TYPE = "preview_surface"
 MIN_ALPHA = 1e-3
 """Width of the sharpest lobe: single precision holds nothing sharper."""
 
+LENS_M = 0.1
+"""Radius [m] of the glass of a lamp that is a point, in surfaces that mirror it: a headlight's is 0.05 to 0.1, a street
+lamp's 0.1 to 0.2.
+"""
+
 MATTE = 0.2
 """Reflectance that a matte part is taken to have where a lobe is chosen: colours must not change how paths go on, see
 `spectra.bsdfs`.
@@ -119,6 +124,23 @@ def drawn(part: Mapping[str, Any]) -> Mapping[str, Any]:
         return stand_in(part) if part.get("type") == TYPE else part
     inside = part.get("bsdf")
     return inside if part.get("type") == "twosided" and isinstance(inside, Mapping) and inside["type"] == TYPE else part
+
+
+def lit_from(si: Any, lamp: Any, is_point: Any) -> Any:
+    """A point of a surface as it answers a lamp: its lobes are as wide at least as glass of LENS_M looks from there.
+
+    A sharp lobe shows a point at 10^4 times the luminance of any glass, where one path in 10^6 finds it: at dusk a
+    pixel of 8 samples had a third of the picture's light.
+
+    Args:
+        si: the point; it stays as it is.
+        lamp: where the lamp is.
+        is_point: whether it is one; faces are drawn as they are.
+    """
+    found = type(si)(si)
+    far = dr.maximum(dr.norm(lamp - si.p), LENS_M)
+    found.duv_dx = backend.mitsuba().Vector2f(dr.select(is_point, 0.5 * LENS_M / far, 0.0), 0.0)
+    return found
 
 
 def stand_in(part: Mapping[str, Any]) -> dict[str, Any]:
@@ -209,6 +231,7 @@ def _plugin(mi: Any) -> Any:
             self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
             self.base = bsdf.base_color.eval(si, active)
             self.eta, self.table = bsdf.eta, bsdf.table
+            self.blur = si.duv_dx.x  # half the angle over which the light is spread that is asked about, see `lit_from`
             self.alpha, albedo = self.lobe(bsdf.roughness.eval_1(si, active))
             self.specular, reflects = None, mi.Color3f(albedo.z)
             if bsdf.specular is not None:
@@ -240,7 +263,8 @@ def _plugin(mi: Any) -> Any:
             near, next_ = (
                 dr.lerp(*(dr.gather(mi.Vector4f, self.table, begin + n + m) for m in (0, 1)), y) for n in (0, NODES)
             )
-            return dr.maximum(roughness * roughness, MIN_ALPHA), dr.lerp(near, next_, x)
+            alpha = dr.maximum(roughness * roughness, MIN_ALPHA)
+            return dr.sqrt(alpha * alpha + self.blur * self.blur), dr.lerp(near, next_, x)
 
         def reflected(self, wo: Any, active: Any) -> tuple[Any, Any]:
             """Value of the BSDF times the cosine, and the density with which `drawn` draws the direction."""

@@ -7,6 +7,8 @@ from support.stats import assert_draws
 
 from synfog_usd.render import backend, surface
 from synfog_usd.render.load import make_bsdf
+from synfog_usd.render.shot import render
+from synfog_usd.testing import scene
 
 PARTS = {
     "plain": {"roughness": 0.5},
@@ -239,3 +241,35 @@ def test_the_scalar_variants_stand_in_gives_back_about_as_much(mi, name):
             for one in (part, surface.stand_in(part))
         )
         np.testing.assert_allclose(stand_in.mean(axis=1), ours.mean(axis=1), atol=0.1)
+
+
+@pytest.mark.parametrize("lamps", [1, 16])
+def test_a_lamp_that_is_a_point_is_mirrored_as_bright_as_its_glass_and_gives_all_its_light(lamps):
+    """A coat as smooth as they come on black, 3 m from the eye and 4 m from a lamp.
+
+    The light of the highlight is that of the lamp's image 7 m away times Fresnel's reflectance (a fiftieth is GGX's
+    tail, out of the picture), its luminance that of glass of LENS_M over the cosine.  Sixteen lamps at one place, each
+    a sixteenth, are drawn in another way and look alike.
+    """
+    eye, turn = np.array([0.0, -3.0, 3.0]) / np.sqrt(2.0), np.eye(4)
+    turn[:3, 1], turn[:3, 2], turn[:3, 3] = np.array([0.0, 1.0, 1.0]) / 2**0.5, np.array([0.0, -1.0, 1.0]) / 2**0.5, eye
+    place = (np.array([0.0, 4.0, 4.0]) / np.sqrt(2.0)).tolist()
+    bulb = {"type": "point", "position": place, "intensity": {"type": "rgb", "value": [160.0 / lamps] * 3}}
+    black = {"type": "rgb", "value": [0.0] * 3}
+    floor = {
+        "type": "mesh",
+        "positions": np.array([[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [9.0, 9.0, 0.0], [-9.0, 9.0, 0.0]]),
+        "faces": np.array([[0, 1, 2], [0, 2, 3]]),
+        "bsdf": {"type": surface.TYPE, "base_color": black, "roughness": 0.03, "eta": 1.5},
+    }
+    world = {"shape_floor": floor, **{f"light_{number}": bulb for number in range(lamps)}}
+    view = scene(world, width_px=32, height_px=32, fov_x_deg=12.0, to_world=turn)
+    seen = render(view, model="path", samples=16).radiance.pixels.mean(axis=2, dtype=np.float64)
+    x = (np.arange(32) + 0.5) / 16.0 - 1.0
+    edge = np.tan(np.radians(6.0))
+    solid_angle = (edge / 16.0) ** 2 / (1.0 + edge**2 * (x[:, None] ** 2 + x**2)) ** 1.5
+    cosine, inside = np.sqrt(0.5), np.sqrt(1.0 - 0.5 / 2.25)
+    across, along = (cosine - 1.5 * inside) / (cosine + 1.5 * inside), (inside - 1.5 * cosine) / (inside + 1.5 * cosine)
+    fresnel = 0.5 * (across**2 + along**2)
+    assert (seen * solid_angle).sum() == pytest.approx(fresnel * 160.0 / 7.0**2, rel=0.05)
+    assert 0.7 < seen.max() / (fresnel * 160.0 / (np.pi * surface.LENS_M**2) / cosine) < 1.05

@@ -54,6 +54,7 @@ from synfog_usd.render.media.medium import Medium, transmittance
 from synfog_usd.render.motion import moved
 from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.render.spectra.bands import Bands
+from synfog_usd.render.surface import lit_from
 
 RR_DEPTH = 8
 """Events before Russian roulette, Mitsuba's too.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8
@@ -547,7 +548,8 @@ class FogPath:
                 gloss = Gloss.of(si, reflected, pdf, smooth)
                 picks = self.known_at(si.p, gloss, sampler, smooth)
                 chosen = self.choose_light(vertex, chosen, gloss, picks, smooth, sampler)
-                reflected, pdf = bsdf.eval_pdf(context, si, si.to_local(chosen.direction), chosen.asked & smooth)
+                answering = lit_from(si, chosen.place, chosen.alone)
+                reflected, pdf = bsdf.eval_pdf(context, answering, si.to_local(chosen.direction), chosen.asked & smooth)
             value, gain = bands.reflectance(reflected, reading), bands.reflectance(kept, reading)
             if dr.hint(self.foggy, mode="scalar"):
                 phase_value = medium.phase.value(dr.dot(ray.d, chosen.direction))
@@ -814,11 +816,11 @@ class FogPath:
     ) -> tuple[Any, Any]:
         """(10) A lamp's light on a surface as it is reflected, and the lamp's group."""
         context, black = backend.mitsuba().BSDFContext(), self.bands.black()
-        lamp, colour, group, _ = self.lights.at(
+        lamp, colour, group, pdf = self.lights.at(
             si.p, lambda way: dr.abs(dr.dot(si.n, way)) + 1e-3, sampler, smooth, self.known_near(si.p)
         )
         free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
-        reflected = bsdf.eval(context, si, si.to_local(dr.normalize(lamp - si.p)), free)
+        reflected = bsdf.eval(context, lit_from(si, lamp, pdf <= 0.0), si.to_local(dr.normalize(lamp - si.p)), free)
         light = throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp
         return dr.select(free, light, black), group
 
