@@ -35,7 +35,9 @@ def srgb_encode(linear: Floats) -> Floats:
     encoded = np.power(clipped, kind(1.0 / 2.4))
     encoded *= kind(1.055)
     encoded -= kind(0.055)
-    np.copyto(encoded, clipped * kind(12.92), where=clipped <= 0.0031308)
+    dark = clipped <= 0.0031308
+    clipped *= kind(12.92)
+    np.copyto(encoded, clipped, where=dark)
     return encoded
 
 

@@ -113,16 +113,16 @@ def _directional(mosaic: FloatArray, pattern: str) -> FloatArray:
     across -= down
     across *= weight
     down += across  # w h + (1 - w) v
+    del differences, changes, across, weight, change, difference  # a large picture fills memory
     green = mosaic.copy()
     planes = [green, green, green]
     for letter, index in (("R", 0), ("B", 2)):
         (where,) = sites[letter]
-        green[where] -= down[where]
-        sparse = np.zeros_like(mosaic)
-        sparse[where] = down[where]
-        for axis in (0, 1):
-            sparse = convolve1d(sparse, (0.5, 1.0, 0.5), axis=axis, mode="mirror")
-        planes[index] = sparse
+        own = down[where]
+        green[where] -= own
+        for axis, length in enumerate(mosaic.shape):
+            own = np.moveaxis(_between(np.moveaxis(own, axis, 0), where[axis].start or 0, length), 0, axis)
+        planes[index] = own
     picture = np.empty((*mosaic.shape, 3), dtype=np.float32)
     np.copyto(picture[..., 1], green)
     for letter, index in (("R", 0), ("B", 2)):
@@ -130,6 +130,20 @@ def _directional(mosaic: FloatArray, pattern: str) -> FloatArray:
         np.add(green, planes[index], out=picture[..., index])
         picture[(*where, index)] = mosaic[where]  # but for its rounding it is that already
     return picture
+
+
+def _between(values: FloatArray, first: int, length: int) -> FloatArray:
+    """Rows known at `first`, `first` + 2 ..., and those between: means of two neighbours, at an end the only one."""
+    found = np.empty((length, *values.shape[1:]), dtype=values.dtype)
+    found[first::2] = values
+    gaps = found[first + 1 : first + 2 * len(values) - 1 : 2]
+    np.add(values[:-1], values[1:], out=gaps)
+    gaps *= np.float32(0.5)
+    if first:
+        found[0] = values[0]
+    if (length - first) % 2 == 0:
+        found[-1] = values[-1]
+    return found
 
 
 def _plane(mosaic: FloatArray, pattern: str, letter: str) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import photometry
-from synfog_usd.arrays import FloatArray
+from synfog_usd.arrays import Array, FloatArray
 from synfog_usd.camera import blur, spread
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -293,9 +293,18 @@ def _ghosts(
 def block_means(pixels: FloatArray, block: int) -> FloatArray:
     """(ceil(H / block), ceil(W / block), C) means of square blocks; the last ones are smaller."""
     rows, columns = np.arange(0, pixels.shape[0], block), np.arange(0, pixels.shape[1], block)
-    sums = np.add.reduceat(np.add.reduceat(pixels, rows, axis=0, dtype=np.float64), columns, axis=1)
+    sums = _added(_added(pixels.astype(np.float32, copy=False), block, axis=0), block, axis=1)
     heights, widths = np.diff(np.append(rows, pixels.shape[0])), np.diff(np.append(columns, pixels.shape[1]))
     return np.asarray(sums / (heights[:, None, None] * widths[None, :, None]), dtype=np.float32)
+
+
+def _added(pixels: Array, block: int, axis: int) -> Array:
+    """Sums of so many neighbours along rows or columns, in double precision; a pass over memory for each of them."""
+    total = pixels[(slice(None),) * axis + (slice(None, None, block),)].astype(np.float64)
+    for step in range(1, block):
+        more = pixels[(slice(None),) * axis + (slice(step, None, block),)]
+        total[(slice(None),) * axis + (slice(more.shape[axis]),)] += more
+    return total
 
 
 def _enlarged(coarse: FloatArray, height: int, width: int, block: int) -> FloatArray:

@@ -170,7 +170,9 @@ def falloff_map(
     assert fov_x_deg is not None
     tan2 = _tan2_of_field(height, width, fov_x_deg, *shift)
     if kind == "cos4":
-        return np.asarray(1.0 / (1.0 + tan2) ** 2, dtype=np.float32)
+        tan2 += 1.0
+        tan2 *= tan2
+        return np.divide(1.0, tan2, out=tan2).astype(np.float32)
     if kind == "projection":
         return np.asarray((1.0 + tan2) ** -1.5, dtype=np.float32)
     if kind == "table":

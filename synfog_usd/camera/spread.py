@@ -100,7 +100,8 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
         limit = highlight_limit(plane)
         points = None
         if float(plane.max()) > limit:
-            points = np.maximum(padded - limit, 0.0)
+            points = padded - limit
+            np.maximum(points, 0.0, out=points)
             np.minimum(padded, limit, out=padded)
         spectrum = fft.rfft2(padded, overwrite_x=True)
         _multiply(spectrum, transfer)
@@ -131,7 +132,7 @@ def add_spots(picture: FloatArray, points: FloatArray, spot: FloatArray) -> None
     """Add, in place, a copy of `spot` around every point, times its light; what leaves the picture is lost."""
     from scipy import fft
 
-    rows, columns = np.nonzero(points)
+    rows, columns = np.nonzero(points > 0.0)
     if rows.size * (spot.size + 4000) > COPIES:
         kernel = np.zeros(points.shape)
         reach = spot.shape[0] // 2
