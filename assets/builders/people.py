@@ -9,15 +9,15 @@ others.  They face +Y and stand on z = 0; lengths in metres.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from assets.builders.solids import blob_distance, limb_distance, soft_min, split, surface
 from synfog_usd.world.components import Component, Look
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.shapes import Array, Part, box, lathe, scale, shift, soft_box, strip, tube, turn
+from synfog_usd.world.shapes import Array, Part, box, lathe, scale, shift, smooth_normals, soft_box, strip, tube, turn
 
 Point = tuple[float, float, float]
 
@@ -33,9 +33,13 @@ class Person:
         splay: how far the arms stand off the body.
         lean: of the trunk; turn_head: to the left.
         coat: length of the coat below the hip [m]; hair: 'short', 'long', 'bun', 'cap'.
-        carries: 'backpack', 'handbag', 'phone', 'umbrella' or ''.
+        carries: 'backpack', 'handbag', 'phone', 'umbrella', 'shovel' or ''.
         wears: material by role; outfits: names of cloths for coat and trousers, one pair per variant.
         build: breadth of the trunk relative to average.
+        stride: length of the steps of who walks relative to average, 0 for who does not; others of the kind are at
+            other moments of the step (`GAIT`).
+        holds: whether the arms keep still while walking.
+        others: what differs in each other of the kind that does not walk.
     """
 
     name: str
@@ -52,8 +56,24 @@ class Person:
     hair: str = "short"
     carries: str = ""
     build: float = 1.0
+    stride: float = 0.0
+    holds: bool = False
+    others: tuple[Mapping[str, object], ...] = ()
     wears: Mapping[str, str] = field(default_factory=dict)
-    outfits: tuple[tuple[str, str], ...] = (("cloth_black", "denim"),)
+    outfits: tuple[tuple[str, ...], ...] = (("cloth_black", "denim"),)
+
+
+GAIT = (
+    (0.0, 28, 4), (0.1, 25, 15), (0.2, 17, 14), (0.3, 7, 8), (0.4, -3, 5), (0.5, -11, 9), (0.6, -8, 36),
+    (0.7, 9, 59), (0.8, 24, 52), (0.9, 31, 20), (1.0, 28, 4),
+)  # fmt: skip
+"""Share of a stride from where the heel strikes, angle of the thigh and bend of the knee [degrees]: a free walk,
+rounded from Perry, Gait Analysis (1992).
+"""
+OTHERS = ((0.12, 1.03, 0.92, 9.0), (0.31, 0.97, 1.09, -16.0), (0.72, 1.0, 1.0, 24.0))
+"""Who else walks of a kind: where in the stride, height and breadth over the first's, turn of the head."""
+SWING, HANG = 0.75, -3.0
+"""Of an arm over the thigh of the other side, and its middle [degrees]."""
 
 
 PEOPLE = (
@@ -68,7 +88,15 @@ PEOPLE = (
         lean=3,
         coat=0.26,
         wears={"hair": "hair_brown", "shoes": "leather_brown"},
-        outfits=(("cloth_navy", "denim"), ("cloth_grey", "cloth_black"), ("cloth_green", "cloth_beige")),
+        stride=1.0,
+        outfits=(
+            ("cloth_navy", "denim"),
+            ("cloth_grey", "cloth_black", "skin", "hair_dark", "leather_black"),
+            ("cloth_green", "cloth_khaki"),
+            ("cloth_black", "cloth_slate", "skin_brown", "hair_dark", "shoe_white"),
+            ("cloth_camel", "cloth_navy", "skin_pale", "hair_grey"),
+            ("cloth_slate", "denim_worn", "skin_tan", "hair_dark", "shoe_white"),
+        ),
     ),
     Person(
         "woman_walking",
@@ -84,7 +112,15 @@ PEOPLE = (
         carries="handbag",
         build=0.88,
         wears={"hair": "hair_blond", "shoes": "leather_black", "bag": "leather_brown"},
-        outfits=(("cloth_beige", "cloth_black"), ("cloth_red", "cloth_black"), ("cloth_grey", "denim")),
+        stride=0.95,
+        outfits=(
+            ("cloth_beige", "cloth_black"),
+            ("cloth_wine", "cloth_black", "skin", "hair_dark"),
+            ("cloth_grey", "denim", "skin_pale", "hair_brown"),
+            ("cloth_black", "denim_worn", "skin_brown", "hair_dark"),
+            ("cloth_camel", "cloth_slate", "skin_tan", "hair_dark"),
+            ("cloth_navy", "cloth_black", "skin_pale", "hair_grey"),
+        ),
     ),
     Person(
         "man_waiting",
@@ -98,7 +134,26 @@ PEOPLE = (
         turn_head=25,
         coat=0.10,
         wears={"hair": "hair_dark", "shoes": "shoe_white"},
-        outfits=(("cloth_teal", "denim"), ("cloth_black", "cloth_grey")),
+        others=(
+            {"height": 1.84, "build": 0.94, "thighs": (-4, 7), "knees": (2, 15), "turn_head": -35, "elbows": (38, 22)},
+            {
+                "height": 1.71,
+                "build": 1.14,
+                "thighs": (5, 0),
+                "knees": (4, 2),
+                "turn_head": 5,
+                "arms": (24, 24),
+                "elbows": (92, 96),
+                "splay": 6,
+            },
+        ),
+        outfits=(
+            ("cloth_teal", "denim"),
+            ("cloth_black", "cloth_grey"),
+            ("cloth_slate", "cloth_khaki", "skin_pale", "hair_brown"),
+            ("cloth_wine", "denim_worn", "skin_brown", "hair_dark"),
+            ("cloth_navy", "cloth_black", "skin_tan", "hair_dark", "leather_black"),
+        ),
     ),
     Person(
         "woman_phone",
@@ -114,7 +169,25 @@ PEOPLE = (
         carries="phone",
         build=0.88,
         wears={"hair": "hair_dark", "shoes": "shoe_white"},
-        outfits=(("cloth_red", "denim"), ("cloth_mustard", "cloth_black")),
+        others=(
+            {"height": 1.72, "build": 0.84, "thighs": (-3, 6), "knees": (2, 14), "turn_head": 4, "elbows": (112, 30)},
+            {
+                "height": 1.60,
+                "build": 0.97,
+                "thighs": (3, 1),
+                "knees": (5, 3),
+                "turn_head": -20,
+                "arms": (24, -6),
+                "elbows": (98, 20),
+            },
+        ),
+        outfits=(
+            ("cloth_red", "denim"),
+            ("cloth_mustard", "cloth_black"),
+            ("cloth_slate", "denim_worn", "skin_pale", "hair_blond"),
+            ("cloth_black", "cloth_black", "skin_brown", "hair_dark"),
+            ("cloth_green", "cloth_khaki", "skin_tan", "hair_brown"),
+        ),
     ),
     Person(
         "student",
@@ -128,7 +201,14 @@ PEOPLE = (
         coat=0.10,
         carries="backpack",
         wears={"skin": "skin_brown", "hair": "hair_dark", "shoes": "shoe_white", "bag": "cloth_navy"},
-        outfits=(("cloth_mustard", "denim"), ("cloth_white", "cloth_black")),
+        stride=1.05,
+        outfits=(
+            ("cloth_mustard", "denim"),
+            ("cloth_white", "cloth_black"),
+            ("cloth_slate", "denim_worn", "skin", "hair_brown"),
+            ("cloth_black", "cloth_khaki", "skin_tan", "hair_dark"),
+            ("cloth_wine", "cloth_navy", "skin_pale", "hair_blond"),
+        ),
     ),
     Person(
         "child",
@@ -143,7 +223,13 @@ PEOPLE = (
         hair="cap",
         build=0.98,
         wears={"hair": "cloth_red", "shoes": "shoe_white"},
-        outfits=(("cloth_teal", "cloth_grey"), ("cloth_yellow", "denim")),
+        stride=0.95,
+        outfits=(
+            ("cloth_teal", "cloth_grey"),
+            ("cloth_yellow", "denim"),
+            ("cloth_red", "denim_worn", "skin_brown", "cloth_navy"),
+            ("cloth_green", "cloth_khaki", "skin_tan", "cloth_mustard"),
+        ),
     ),
     Person(
         "old_man",
@@ -159,7 +245,13 @@ PEOPLE = (
         carries="umbrella",
         build=1.1,
         wears={"hair": "cloth_grey", "shoes": "leather_black", "bag": "cloth_black"},
-        outfits=(("cloth_green", "cloth_grey"), ("cloth_beige", "cloth_black")),
+        stride=0.6,
+        outfits=(
+            ("cloth_green", "cloth_grey"),
+            ("cloth_beige", "cloth_black"),
+            ("cloth_slate", "cloth_khaki", "skin_pale", "cloth_navy"),
+            ("cloth_camel", "cloth_slate", "skin_brown", "cloth_black"),
+        ),
     ),
 )
 
@@ -173,12 +265,45 @@ ROLES = {
 }
 
 
+WORN = ("coat", "trousers", "skin", "hair", "shoes")
+"""What an outfit names, in this order."""
+
+
 def build_people() -> list[Component]:
-    """Everyone in `PEOPLE`, each with outfits to choose."""
-    return [
-        dressed(person.name, "person", person.about, person_parts(person), person.wears, person.outfits)
-        for person in PEOPLE
-    ]
+    """Everyone in `PEOPLE`, each with outfits to choose, and others of the kind."""
+    return [peopled(person, person_parts) for person in PEOPLE]
+
+
+def peopled(person: Person, parts: Callable[[Person], list[Part]]) -> Component:
+    """A component of somebody in several outfits, with others of the kind as its individuals."""
+    made = [dressed(person.name, "person", one.about, parts(one), one.wears, one.outfits) for one in kind_of(person)]
+    return replace(made[0], individuals=dict(zip("bcdefg", made[1:], strict=False)))
+
+
+def kind_of(person: Person) -> list[Person]:
+    """Somebody, and others of the same kind: who walk at other moments of the step, or do what `others` says."""
+    if person.stride:
+        return [person, *(_walking(person, *other) for other in OTHERS)]
+    return [person, *(replace(person, **other) for other in person.others)]  # type: ignore[arg-type]
+
+
+def _walking(person: Person, phase: float, taller: float, broader: float, turned: float) -> Person:
+    """Somebody of the kind whose left heel struck so long ago."""
+    at, thigh, knee = np.array(GAIT).T
+    moments = (phase, (phase + 0.5) % 1.0)
+    thighs = [person.stride * float(np.interp(m, at, thigh)) for m in moments]
+    knees = [4 + person.stride * (float(np.interp(m, at, knee)) - 4) for m in moments]
+    arms = [HANG + SWING * (other - 9.0 * person.stride) for other in reversed(thighs)]
+    elbows = [14 + 0.8 * max(arm, 0.0) for arm in arms]
+    moved = replace(
+        person,
+        height=person.height * taller,
+        build=person.build * broader,
+        turn_head=turned,
+        thighs=(thighs[0], thighs[1]),
+        knees=(knees[0], knees[1]),
+    )
+    return moved if person.holds else replace(moved, arms=(arms[0], arms[1]), elbows=(elbows[0], elbows[1]))
 
 
 def build_rider() -> Component:
@@ -321,19 +446,22 @@ def dressed(
     about: str,
     parts: list[Part],
     wears: Mapping[str, str],
-    outfits: tuple[tuple[str, str], ...],
+    outfits: tuple[tuple[str, ...], ...],
     own: Mapping[str, Material] | None = None,
 ) -> Component:
-    """A component of somebody in several outfits; `own` are materials beside the roles."""
+    """A component of somebody in several outfits, each of coat and trousers, and perhaps skin, hair and shoes (`WORN`);
+    `own` are materials beside the roles.
+    """
     roles = {**ROLES, **wears}
-    looks = {}
-    for i, (coat, trousers) in enumerate(outfits):
-        looks["abc"[i]] = Look(
+    looks = {
+        "abcdefgh"[i]: Look(
             materials={
-                "coat": {"diffuseColor": PALETTE[coat].colour},
-                "trousers": {"diffuseColor": PALETTE[trousers].colour},
+                role: {"diffuseColor": PALETTE[cloth].colour}
+                for role, cloth in zip(WORN, (*outfit, *(roles[role] for role in WORN[len(outfit) :])), strict=True)
             }
         )
+        for i, outfit in enumerate(outfits)
+    }
     materials = {role: PALETTE[cloth] for role, cloth in roles.items()} | dict(own or {})
     return Component(name, label, tuple(parts), about, {"outfit": looks}, materials)
 
@@ -342,7 +470,7 @@ def person_parts(person: Person) -> list[Part]:
     """The triangles of somebody, feet on the ground, one part for each role."""
     joints = _pose(person)
     fields = fields_of(joints, person)
-    parts = [*cut_by_role(fields, (-0.62, -0.75, -0.15), (0.62, 0.75, 1.95), 5000), *face(fields, joints)]
+    parts = [*cut_by_role(fields, (-0.62, -0.75, -0.15), (0.62, 0.95, 1.95), 6400), *face(fields, joints)]
     if person.carries == "phone":
         parts.append(
             box((-0.04, -0.004, -0.075), (0.04, 0.006, 0.075), "bag").moved(
@@ -379,9 +507,35 @@ def person_parts(person: Person) -> list[Part]:
                 sides=7,
             )
         )
+    if person.carries == "shovel":
+        parts += _shovel(
+            *(np.asarray(hand) for hand in joints["hands"]), low=min(a[2] for a in joints["ankles"]) - 0.05
+        )
     low, high = _lowest(parts), max(float(p.points[:, 2].max()) for p in parts)
     factor = person.height / (high - low)
     return [p.moved(scale(factor, factor, factor) @ shift(0, 0, -low)) for p in parts]
+
+
+def _shovel(front: Array, back: Array, *, low: float) -> list[Part]:
+    """A shovel of 1.2 m held in two hands; its blade is no lower than the soles."""
+    along = (front - back) / np.linalg.norm(front - back)
+    along = along + [0.0, 0.05, -1.3]
+    along /= np.linalg.norm(along)
+    end = back - 0.12 * along
+    length = min(1.15, max((end[2] - low - 0.02) / max(-along[2], 1e-3) - 0.27, 0.5))
+    tip = end + length * along
+    side = np.cross(along, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    hollow = np.outer([0.0, -0.012, -0.018, -0.012, 0.0], np.cross(side, along))
+    loops = [
+        tip + 0.27 * share * along + np.outer(np.linspace(-half, half, 5), side) + hollow
+        for share, half in ((0.0, 0.10), (0.6, 0.11), (1.0, 0.04))
+    ]
+    return [
+        tube([end, tip + 0.05 * along], 0.016, "bag", sides=7),
+        tube([end - 0.06 * side, end + 0.06 * side], 0.015, "bag", sides=6),
+        smooth_normals(strip(loops, "bag"), 60),
+    ]
 
 
 def _pose(person: Person) -> dict:
@@ -425,6 +579,15 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
     hips, chest, neck, head = (np.asarray(joints[k]) for k in ("hips", "chest", "neck", "head"))
     up = (chest - hips) / np.linalg.norm(chest - hips)
     facing = turn(joints.get("turn", 0.0))[:3, :3] @ np.array([0.0, 1.0, 0.0])
+    across = np.array([facing[1], -facing[0], 0.0])
+
+    def creases(x: Array, y: Array, z: Array, bent: Sequence[Array], deep: float) -> Array:
+        """Cloth that hangs, and is gathered where a limb bends."""
+        d = 0.0035 * np.sin(38 * z + 14 * x + 4 * np.sin(23 * y + 9 * z)) + 0.0025 * np.sin(61 * z - 33 * y + 21 * x)
+        for k in bent:
+            near = np.exp(-((x - k[0]) ** 2 + (y - k[1]) ** 2 + (z - k[2]) ** 2) / 0.0075)
+            d = d + deep * near * np.sin(105 * (z - k[2]) + 40 * (y - k[1]) + 2 * np.sin(50 * (x - k[0])))
+        return d
 
     def skin(x: Array, y: Array, z: Array) -> Array:
         d = blob_distance(x, y, z, head + [0, 0, 0.005], (0.073, 0.092, 0.108))
@@ -436,6 +599,14 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
             ),
             0.015,
         )
+        for side in (-1, 1):  # cheekbones, jaw and ears
+            aside = side * across
+            d = soft_min(
+                d, blob_distance(x, y, z, head + 0.05 * facing + 0.038 * aside + [0, 0, -0.02], (0.03,) * 3), 0.03
+            )
+            jaw = head + 0.01 * facing + 0.052 * aside + [0, 0, -0.052]
+            d = soft_min(d, limb_distance(x, y, z, jaw, head + 0.07 * facing + [0, 0, -0.098], 0.016, 0.018), 0.035)
+            d = soft_min(d, blob_distance(x, y, z, head - 0.004 * facing + 0.081 * aside, (0.012, 0.017, 0.029)), 0.008)
         d = soft_min(d, limb_distance(x, y, z, neck - 0.06 * up, head - [0, 0.01, 0.05], 0.054, 0.05), 0.04)
         for hand, elbow in zip(joints["hands"], joints["elbows"], strict=True):
             along = (np.asarray(hand) - elbow) / np.linalg.norm(np.asarray(hand) - elbow)
@@ -487,21 +658,24 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
                 0.165 + 0.10 * max(abs(np.sin(np.deg2rad(a))) for a in person.thighs),
             )
             d = soft_min(d, np.maximum(skirt, hem[2] - z), 0.06)
+            for t, k in zip(joints["thighs"], joints["knees"], strict=True):  # no leg comes through it
+                d = soft_min(d, np.maximum(limb_distance(x, y, z, t, k, 0.100, 0.074), hem[2] - z), 0.04)
         else:
             d = soft_min(d, blob_distance(x, y, z, hips + [0, 0, 0.02], (0.162 * b, 0.122, 0.09)), 0.06)
-        fold = 0.004 * np.sin(42 * z + 9 * x + 3 * np.sin(17 * y)) + 0.003 * np.sin(60 * x + 25 * z)
-        return d + fold
+        front = np.exp(-((x - joints["chest"][0]) ** 2) / 0.00012) * (y > joints["chest"][1])  # where it closes
+        return d + creases(x, y, z, [np.asarray(e) for e in joints["elbows"]], 0.007) + 0.005 * front
 
     def trousers(x: Array, y: Array, z: Array) -> Array:
-        d = blob_distance(x, y, z, hips - [0, 0, 0.02], (0.148 * b, 0.105, 0.11))
+        d = blob_distance(x, y, z, hips - [0, 0, 0.02], (0.142 * b, 0.098, 0.11))
         for t, k, a in zip(joints["thighs"], joints["knees"], joints["ankles"], strict=True):
             leg = soft_min(
                 limb_distance(x, y, z, t, k, 0.088, 0.062),
-                limb_distance(x, y, z, k, np.asarray(a) + [0, 0, 0.0], 0.060, 0.048),
+                limb_distance(x, y, z, k, np.asarray(a) + [0, 0, 0.0], 0.060, 0.056),
                 0.04,
             )
             d = soft_min(d, leg, 0.03)
-        return d + 0.003 * np.sin(50 * z + 20 * y)
+        bent = [np.asarray(j) for j in (*joints["knees"], *joints["ankles"])]
+        return d + creases(x, y, z, bent, 0.006)
 
     def shoes(x: Array, y: Array, z: Array) -> Array:
         d = np.full(np.shape(x), 1e3)
@@ -547,7 +721,7 @@ def cut_by_role(
         assert d is not None
         return d
 
-    rest = surface(whole, low, high, step=0.019, triangles=triangles, material="coat")
+    rest = surface(whole, low, high, step=0.016, triangles=triangles, material="coat")
     parts = []
     roles = list(fields)
     for i, role in enumerate(roles[:-1]):

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from assets.builders.coachwork import lamp_states
-from assets.builders.people import Person, build_bicycle, cut_by_role, dressed, face, fields_of, person_parts
+from assets.builders.people import Person, build_bicycle, cut_by_role, dressed, face, fields_of, peopled, person_parts
 from assets.builders.solids import split
 from synfog_usd.world.components import Component, Look, MountedLamp
 from synfog_usd.world.materials import PAINTS, PALETTE, Material
@@ -49,23 +49,69 @@ WALKERS = (
         hair="bun",
         build=0.90,
         wears={"hair": "hair_brown", "shoes": "leather_brown"},
-        outfits=(("cloth_teal", "denim"), ("cloth_beige", "cloth_black")),
+        stride=0.9,
+        holds=True,
+        outfits=(
+            ("cloth_teal", "denim"),
+            ("cloth_beige", "cloth_black"),
+            ("cloth_slate", "denim_worn", "skin_tan", "hair_dark"),
+            ("cloth_black", "cloth_slate", "skin_brown", "hair_dark"),
+        ),
     ),
     Person(
         "worker",
         "A road worker in high-visibility clothing.",
         1.82,
-        thighs=(10, -9),
-        knees=(4, 8),
-        arms=(14, -12),
-        elbows=(40, 16),
-        splay=12,
-        lean=2,
+        thighs=(6, -7),
+        knees=(3, 10),
+        arms=(34, 20),
+        elbows=(52, 74),
+        splay=8,
+        lean=5,
         coat=0.16,
         hair="helmet",
         build=1.10,
         wears={"hair": "helmet_yellow", "shoes": "leather_brown"},
-        outfits=(("hi_vis_orange", "hi_vis_orange"), ("hi_vis_yellow", "cloth_navy")),
+        carries="shovel",
+        others=(
+            {
+                "height": 1.74,
+                "build": 1.2,
+                "thighs": (38, 6),
+                "knees": (48, 30),
+                "arms": (52, 30),
+                "elbows": (14, 40),
+                "lean": 42,
+                "turn_head": 4,
+            },
+            {
+                "height": 1.88,
+                "build": 1.02,
+                "thighs": (22, -16),
+                "knees": (8, 20),
+                "arms": (12, 26),
+                "elbows": (26, 62),
+                "lean": 7,
+                "turn_head": -22,
+            },
+            {
+                "height": 1.78,
+                "build": 1.12,
+                "thighs": (30, -10),
+                "knees": (34, 12),
+                "arms": (44, 24),
+                "elbows": (26, 58),
+                "lean": 24,
+                "turn_head": 18,
+            },
+        ),
+        outfits=(
+            ("hi_vis_orange", "hi_vis_orange"),
+            ("hi_vis_yellow", "cloth_navy"),
+            ("hi_vis_orange", "cloth_slate", "skin_tan", "helmet"),
+            ("hi_vis_yellow", "hi_vis_yellow", "skin_brown", "helmet_yellow"),
+            ("hi_vis_orange", "cloth_navy", "skin_pale", "helmet"),
+        ),
     ),
     Person(
         "jogger",
@@ -80,7 +126,32 @@ WALKERS = (
         coat=0.02,
         build=0.94,
         wears={"skin": "skin_brown", "shoes": "shoe_white"},
-        outfits=(("cloth_red", "cloth_black"), ("cloth_yellow", "cloth_navy")),
+        others=(
+            {
+                "height": 1.72,
+                "build": 0.9,
+                "thighs": (-28, 44),
+                "knees": (50, 34),
+                "arms": (30, -36),
+                "elbows": (84, 90),
+                "turn_head": 12,
+            },
+            {
+                "height": 1.86,
+                "build": 1.02,
+                "thighs": (16, 12),
+                "knees": (22, 96),
+                "arms": (-8, 6),
+                "elbows": (88, 88),
+                "turn_head": -8,
+            },
+        ),
+        outfits=(
+            ("cloth_red", "cloth_black"),
+            ("cloth_yellow", "cloth_navy"),
+            ("cloth_slate", "cloth_black", "skin_pale", "hair_brown"),
+            ("cloth_teal", "cloth_slate", "skin_tan", "hair_dark"),
+        ),
     ),
     Person(
         "schoolgirl",
@@ -96,23 +167,29 @@ WALKERS = (
         carries="backpack",
         build=0.86,
         wears={"hair": "hair_blond", "shoes": "shoe_white", "bag": "cloth_red"},
-        outfits=(("cloth_mustard", "denim"), ("cloth_white", "cloth_navy")),
+        stride=0.95,
+        outfits=(
+            ("cloth_mustard", "denim"),
+            ("cloth_white", "cloth_navy"),
+            ("cloth_wine", "denim_worn", "skin_brown", "hair_dark"),
+            ("cloth_slate", "cloth_black", "skin_tan", "hair_dark"),
+        ),
     ),
 )
 
 
 def build_wayfarers() -> list[Component]:
     """Everyone in this module."""
-    return [*(_walker(p) for p in WALKERS), _wheelchair_user(), _cyclist(), _motorcyclist()]
+    return [*(peopled(p, _walker) for p in WALKERS), _wheelchair_user(), _cyclist(), _motorcyclist()]
 
 
-def _walker(person: Person) -> Component:
+def _walker(person: Person) -> list[Part]:
     parts = person_parts(person)
     if person.name == "woman_pram":
         parts += _pram(0.50)
     if person.name == "worker":
         parts = _banded(parts)
-    return dressed(person.name, "person", person.about, parts, person.wears, person.outfits)
+    return parts
 
 
 def _banded(parts: Sequence[Part]) -> list[Part]:

@@ -135,6 +135,7 @@ ROAD: dict[str, Parameter] = {
     "road.dash_m": Continuous(1.0, 12.0, 3.0, "mark of a dashed line [m]"),
     "road.dash_gap_m": Continuous(1.0, 18.0, 6.0, "gap of a dashed line [m]"),
     **SURFACE,
+    "road.ditch_m": Continuous(0.0, 1.2, 0.0, "depth of a ditch beyond each edge [m]"),
     "road.zebras": Continuous(0, 3, 0, "zebra crossings", whole=True),
     "road.zebra_ahead_m": Continuous(12.0, 150.0, 30.0, "from the camera, or from one zebra, to the next [m]"),
     **LAND,

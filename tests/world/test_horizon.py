@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from synfog_usd.world.compose import draw, load
-from synfog_usd.world.roads import horizon, road_built, roundabout_built
+from synfog_usd.world.roads import horizon, road_built, roundabout_built, rules
 from synfog_usd.world.roads.network import Road
 
 RECIPES = Path(__file__).resolve().parents[2] / "stages" / "recipes"
@@ -129,3 +129,22 @@ def test_cars_of_a_kind_have_plates_of_their_own(name):
                 equal += found[i + 1 :].count(one)
     assert pairs > 30
     assert equal < 0.1 * pairs
+
+
+def test_people_of_a_kind_who_follow_each_other_are_others():
+    """Over four seeds of a street no two of one model who come one after the other are the same individual, and several
+    individuals are met; who has none gets none.
+    """
+    met: dict[str, set[str]] = {}
+    for seed in range(4):
+        last: dict[str, str] = {}
+        for p in draw(load(RECIPES / "residential.yaml"), seed=seed).placed:
+            choices = rules.model(p.asset).variants.get("individual", ())
+            if p.group != "People":
+                continue
+            assert ("individual" in p.variants) == bool(choices)
+            if choices:
+                assert p.variants["individual"] != last.get(p.asset)
+                last[p.asset] = p.variants["individual"]
+                met.setdefault(p.asset, set()).add(last[p.asset])
+    assert len(met) > 4 and max(len(found) for found in met.values()) >= 3

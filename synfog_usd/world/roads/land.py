@@ -17,7 +17,7 @@ from synfog_usd.world.roads.surface import GRASS_TILE_M, stations
 from synfog_usd.world.shapes import Array, Part, strip
 
 NEAR_M = 60.0
-OUT_M = (0.0, 0.7, 1.6, 3.5, 7.0, 12.0, 20.0, 32.0, 45.0, 60.0)
+OUT_M = (0.0, 0.4, 0.7, 1.6, 2.2, 4.2, 7.0, 12.0, 20.0, 32.0, 45.0, 60.0)
 SUNK_M = 0.6
 RIVER_M, WATER_M = 420.0, 0.3
 GROWTH = 1.12

@@ -23,6 +23,8 @@ BLEND_M = 55.0
 WAVES = 9
 VALLEY_SIDE_M, VALLEY_SIDES, RIVER = 14.0, 0.13, 0.68
 """A valley's slopes are so long at least, or this share of its length; its river is so broad a share."""
+DITCH_M = (0.4, 1.6, 2.2, 4.2)
+"""Where a ditch begins, its bottom from and to, and its end, beyond the road's edge."""
 BEHIND_WALL_M = 0.35
 CUTTING_M = 8.5
 AT_PORTAL = 0.55
@@ -40,12 +42,14 @@ class Land:
         seed: of the hills.
         valley: (from, to, depth) [m]: the road bridges a valley between two stations, or None.
         hill: (from, height) [m]: a hill begins at a station, into which the road goes, or None.
+        ditch_m: depth of the ditch beyond each edge of the road.
     """
 
     hills_m: float = 0.0
     seed: int = 0
     valley: tuple[float, float, float] | None = None
     hill: tuple[float, float] | None = None
+    ditch_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,8 @@ class Road:
         share = np.clip(out / BLEND_M, 0.0, 1.0)
         share = share * share * (3 - 2 * share)
         result = edge + share * (self.hills(x, y) - edge)
+        if self.land.ditch_m:
+            result = result - self.land.ditch_m * np.interp(out, DITCH_M, (0.0, 1.0, 1.0, 0.0))
         if self.land.valley:
             low, high = self._banks
             along = self.along_bridge(x, y)

@@ -24,11 +24,13 @@ UNDRAWN = ("lamps", "signal", "lod", "driver", "plate")
 
 
 def look(rng: np.random.Generator, found: LibraryModel) -> dict[str, str]:
-    """A choice of each variant set but those of lamps, signals, detail and drivers, whom traffic has."""
+    """A choice of each variant set but those of lamps, signals, detail and drivers, whom traffic has; and not which of
+    a kind of people it is, which is drawn last of all.
+    """
     return {
         name: choices[int(rng.integers(len(choices)))]
         for name, choices in sorted(found.variants.items())
-        if name not in UNDRAWN
+        if name not in UNDRAWN and not (name == "individual" and found.group == "person")
     }
 
 

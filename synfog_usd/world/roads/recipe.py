@@ -88,7 +88,7 @@ def assembled(
 ) -> WorldSpec:
     """The world of a road and what stands at it, with sky, fog and the lamps that are lights."""
     heading = round(value("sky.heading_deg"), 1)
-    placed = plated(numbered([_coarser(p, view) for p in _lit(placements, view)]), seed)
+    placed = posed(plated(numbered([_coarser(p, view) for p in _lit(placements, view)]), seed), seed)
     fogs = recipe.fog_variants(seed)
     return WorldSpec(
         about=f"{recipe.about} Drawn from {recipe.name} with seed {seed}.",
@@ -122,6 +122,24 @@ def plated(placed: Sequence[Placement], seed: int) -> list[Placement]:
         choices = rules.model(p.asset).variants.get("plate", ())
         if choices:
             p = replace(p, variants={**p.variants, "plate": choices[int(rng.integers(len(choices)))]})
+        result.append(p)
+    return result
+
+
+def posed(placed: Sequence[Placement], seed: int) -> list[Placement]:
+    """With one of several individuals for each person: no two of a kind who stand next to each other in the list, which
+    is who walk together or work at one place, are the same.
+    """
+    rng = stream(seed, "recipe", "individuals")
+    result: list[Placement] = []
+    last: dict[str, str] = {}
+    for p in placed:
+        found = rules.model(p.asset)
+        choices = found.variants.get("individual", ()) if found.group == "person" else ()
+        if choices:
+            others = [one for one in choices if one != last.get(p.asset)]
+            last[p.asset] = others[int(rng.integers(len(others)))]
+            p = replace(p, variants={**p.variants, "individual": last[p.asset]})
         result.append(p)
     return result
 
@@ -179,7 +197,9 @@ def _road(recipe: Recipe, seed: int, station: float, value: Any) -> tuple[Road, 
     for i in range(value("road.zebras")):
         at += float(recipe.distributions["road.zebra_ahead_m"](stream(seed, "recipe", "road.zebra_ahead_m", i)))
         zebras.append(round(at, 2))
-    land = Land(round(value("land.hills_m"), 2), seed32(seed, "recipe", "land"), valley, hill)
+    land = Land(
+        round(value("land.hills_m"), 2), seed32(seed, "recipe", "land"), valley, hill, round(value("road.ditch_m"), 3)
+    )
     dash = (value("road.dash_m"), value("road.dash_gap_m"))
     return Road(
         line,
