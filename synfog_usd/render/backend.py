@@ -247,6 +247,11 @@ def points(array: Any) -> Any:
     return mitsuba().Point3f(*(floats(column) for column in array.T))
 
 
+def channel_mean(colour: Any) -> Any:
+    """Of R, G and B; `dr.mean` writes the number of lanes into the kernel's text, so that each number has its own."""
+    return (colour[0] + colour[1] + colour[2]) / 3.0
+
+
 def rows(vectors: Any, kind: Any = None) -> Any:
     """(N, C) numbers of vectors, one row a lane.
 

@@ -403,7 +403,9 @@ def _meet(scene: Any, first: Any) -> tuple[Any, Any, Any]:
         si = scene.ray_intersect(ray, active)
         surface_hit = active & si.is_valid()
         bsdf = si.bsdf()
-        passing = dr.select(surface_hit, dr.mean(mi.Color3f(bsdf.eval_null_transmission(si, surface_hit))), 1.0)
+        passing = dr.select(
+            surface_hit, backend.channel_mean(mi.Color3f(bsdf.eval_null_transmission(si, surface_hit))), 1.0
+        )
         matte = surface_hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~si.shape.is_emitter()
         colour = dr.select(matte, dr.clip(mi.Color3f(bsdf.eval_diffuse_reflectance(si, matte)), 0.0, 1.0), 1.0)
         share = dr.select(surface_hit, left * (1.0 - passing), 0.0)

@@ -238,7 +238,7 @@ def _plugin(mi: Any) -> Any:
                 self.specular = mi.Color3f(bsdf.specular.eval(si, active))
                 reflects = self.specular * albedo.x + albedo.y
             self.matte, self.gloss, self.metal, self.coat = 1.0 - reflects, mi.Float(1.0), None, None
-            lobes = reflects.x if bsdf.specular is None else dr.mean(reflects)
+            lobes = reflects.x if bsdf.specular is None else backend.channel_mean(reflects)
             under = (1.0 - lobes) * MATTE
             if bsdf.metallic is not None:
                 self.metal = bsdf.metallic.eval_1(si, active)

@@ -4,11 +4,13 @@ import json
 from dataclasses import replace
 
 import cv2
+import drjit as dr
 import numpy as np
 import pytest
 import trimesh
 
 from synfog_usd.dataset import bake, labels, masks, objects
+from synfog_usd.render import backend
 from synfog_usd.render.film import aovs
 from synfog_usd.render.load import to_mitsuba
 from synfog_usd.scene import Instance, SceneDict
@@ -119,6 +121,19 @@ def test_behind_a_hundred_leaves_a_ray_is_still_the_same():
     brute = aovs.measure(to_mitsuba(alone_there, boundaries=False)).instance_id.ravel()
     differ = np.setxor1d(pixels[ids == 1], np.flatnonzero(brute == 1))
     assert len(differ) <= 0.01 * (brute == 1).sum()
+
+
+def test_surfaces_behind_each_other_are_traced_by_one_kernel(crowd):
+    """However many rays go on: the first, the next, and a last one alone."""
+    loaded = to_mitsuba(crowd, boundaries=False)
+    if not backend.mitsuba().variant().startswith("llvm"):
+        pytest.skip("no kernels of LLVM here")
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        aovs.pierced(loaded)
+        found = [(row["size"], row["hash"]) for row in dr.kernel_history((dr.KernelType.JIT,))]
+    sizes, kernels = (len(set(column)) for column in zip(*found, strict=True))
+    assert sizes > 8 >= kernels
 
 
 @pytest.mark.slow

@@ -294,7 +294,7 @@ class _Tracer:
         ray = mi.Ray3f(backend.points(origin), mi.Vector3f(backend.points(direction)))
         si = self.loaded.scene.ray_intersect(ray)
         valid = si.is_valid()
-        passing = dr.mean(mi.Color3f(si.bsdf().eval_null_transmission(si, valid)))
+        passing = backend.channel_mean(mi.Color3f(si.bsdf().eval_null_transmission(si, valid)))
         shape, instance = dr.reinterpret_array(mi.UInt32, si.shape), dr.reinterpret_array(mi.UInt32, si.instance)
         front, vectors = dr.dot(si.n, ray.d) < 0.0, (si.p, si.spawn_ray(ray.d).o, si.sh_frame.n)
         dr.eval(
