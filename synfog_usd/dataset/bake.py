@@ -312,6 +312,7 @@ def _each_once(todo: Sequence[Shot]) -> list[Shot]:
 
 def _through(scene: SceneDict, lens: Fisheye) -> SceneDict:
     from synfog_usd.camera import fisheye
+    from synfog_usd.scene import Note
     from synfog_usd.translate.volume import refuse_cut
 
     view = replace(scene.camera, fisheye=lens, fov_x_deg=lens.fov_x_deg)
@@ -322,7 +323,10 @@ def _through(scene: SceneDict, lens: Fisheye) -> SceneDict:
     except ImageError as problem:
         raise StageError(f"{view.path}: a picture of {view.width_px} x {view.height_px}: {problem}") from problem
     refuse_cut(scene.fog, view)
-    return replace(scene, camera=view)
+    if not scene.camera.f_number > 0.0:
+        return replace(scene, camera=view)
+    sharp = Note("info", view.path, "its fStop blurs nothing: behind a fisheye all is drawn sharp")
+    return replace(scene, camera=view, notes=(*scene.notes, sharp))
 
 
 def _size_of(taken: Pinhole) -> dict[str, Any]:

@@ -449,26 +449,28 @@ class _SetReader:
     def check_cameras(self, found: SetDefinition, items: Mapping[str, Located]) -> None:
         """Whether every pipeline can develop the radiance that is rendered for the first."""
         from synfog_usd import camera
+        from synfog_usd.camera import fisheye
         from synfog_usd.camera.distortion import Pinhole, to_render
+        from synfog_usd.camera.exposure import moments_of
 
-        wider = None
+        seen = None
         for index, path in enumerate(found.pipelines):
             place = items["pipelines"].value[index].place if "pipelines" in items else path
             try:
                 graph = camera.load_graph(path)
             except SynfogError as error:
                 raise SetError(f"{place}: pipelines: {error}") from error
-            if [str(port) for port in graph.inputs.values()] != ["radiance"]:
+            if [str(port) for port in graph.inputs.values()] != ["radiance"] or moments_of(graph):
                 raise SetError(
                     f"{place}: pipelines: {path.stem} does not take radiance alone, which is what is rendered"
                 )
-            asked = to_render(graph, Pinhole(180, 320, 60.0, (0.0, 0.0)))
-            if index and asked != wider:
+            asked = to_render(graph, Pinhole(180, 320, 60.0, (0.0, 0.0))), fisheye.of_graph(graph)
+            if index and asked != seen:
                 raise SetError(
-                    f"{place}: pipelines: the lens of {path.stem} distorts otherwise than that of "
+                    f"{place}: pipelines: the lens of {path.stem} projects otherwise than that of "
                     f"{found.pipelines[0].stem}, for which the radiance is rendered; put it into a set of its own"
                 )
-            wider = asked
+            seen = asked
 
     def words(self, found: SetDefinition, items: Mapping[str, Located]) -> dict[str, Any]:
         """The sections as plain data without `extends`; paths start from the folder of the file."""

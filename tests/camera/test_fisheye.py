@@ -255,6 +255,8 @@ def test_what_is_no_fisheye_s_is_refused(tmp_path):
     lens = of_graph(graph)
     wide = scene({}, width_px=8, height_px=6)
     assert bake._through(wide, lens).camera.fisheye == lens
+    blurred = bake._through(replace(wide, camera=replace(wide.camera, f_number=2.8)), lens)
+    assert [note.text for note in blurred.notes] == ["its fStop blurs nothing: behind a fisheye all is drawn sharp"]
     with pytest.raises(StageError, match="orthographic"):
         bake._through(replace(wide, camera=replace(wide.camera, width_m=3.0)), lens)
     with pytest.raises(StageError, match="lie beyond the picture"):

@@ -83,7 +83,15 @@ def test_paths_start_from_the_file_that_names_them(tmp_path):
         ("scenes: 4\nrecipes: [tunnel]\npipelines: [raw]", r"own.yaml:4:13: pipelines: raw does not take radiance"),
         (
             "scenes: 4\nrecipes: [tunnel]\npipelines: [phone, dashcam]",
-            r"own.yaml:4:20: pipelines: the lens of dashcam distorts otherwise than that of phone",
+            r"own.yaml:4:20: pipelines: the lens of dashcam projects otherwise than that of phone",
+        ),
+        (
+            "scenes: 4\nrecipes: [tunnel]\npipelines: [phone, surround]",
+            r"own.yaml:4:20: pipelines: the lens of surround projects otherwise than that of phone",
+        ),
+        (
+            "scenes: 4\nrecipes: [tunnel]\npipelines: [staggered_hdr]",
+            r"own.yaml:4:13: pipelines: staggered_hdr does not take radiance alone",
         ),
         (
             "scenes: 4\nrecipes: [tunnel]\nfogs: [300]\npipelines: [phone, noise_free]",
