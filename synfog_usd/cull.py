@@ -160,7 +160,8 @@ def hide(scene: SceneDict, noise: Callable[[Array], Array], clear_cd_m2: Array, 
 
     Valid for fog in boxes and balls.
     """
-    parts, seen = _parts(scene.world), through(scene)
+    parts = _parts(scene.world)
+    seen = _through(scene, parts)
     if seen.why:
         return seen
     eye = scene.camera.to_world[:3, 3]
@@ -205,7 +206,10 @@ def through(scene: SceneDict) -> Hidden:
     """The transmittance to every part of a scene, with nothing hidden; `why` where there is no fog, or none with a
     closed form.
     """
-    parts = _parts(scene.world)
+    return _through(scene, _parts(scene.world))
+
+
+def _through(scene: SceneDict, parts: _Parts) -> Hidden:
     total = int(parts.triangles.sum())
     if not scene.fog or not parts.keys:
         return Hidden(dict.fromkeys(parts.keys, 1.0), of_triangles=total, why="there is no fog")

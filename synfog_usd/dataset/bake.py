@@ -138,13 +138,6 @@ def bake(
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
         ledger, renderer = _Ledger(plan.out, metadata, scenes.notes(todo)), _Renderer()
-        if not plan.draft and not ledger.labels_done():
-            progress("labels", 0.0)
-            with reading():
-                first = scenes.of(todo[0])
-            loaded = renderer.within(replace(first, fog=()))
-            pierced = aovs.pierced(loaded)
-            ledger.add_labels(_write_labels(aovs.measure(loaded), first, plan, graph, scenes.taken, pierced))
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
         if kept:
@@ -158,6 +151,16 @@ def bake(
 
         forecast = Forecast(expected(), began=bake_began)
 
+        def label(done: float) -> None:
+            if plan.draft or ledger.labels_done():
+                return
+            progress("labels", done)
+            with reading():
+                first = scenes.of(todo[0])
+            loaded = renderer.within(replace(first, fog=()))
+            pierced = aovs.pierced(loaded)
+            ledger.add_labels(_write_labels(aovs.measure(loaded), first, plan, graph, scenes.taken, pierced))
+
         def finish(shot: Shot, picture: _Picture, began: float) -> None:
             sampled = time.perf_counter()
             made = picture(silent)
@@ -169,6 +172,8 @@ def bake(
             for line in (*([told] if told else []), *row["warnings"]):
                 log(f"{shot.folder}: {line}")
 
+        if not unfinished or unfinished[0] != todo[0] or todo[0].fog != CLEAR:
+            label(0.0)  # else the scene is there, whole, once the first shot was sampled
         with _Behind() as behind:  # a shot is denoised, developed and written while the next is sampled
             for index, shot in enumerate(unfinished):
                 began = time.perf_counter()
@@ -202,6 +207,7 @@ def bake(
                     picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
                 behind.do(functools.partial(finish, shot, picture, began))
                 if index == 0:
+                    label(forecast.at(0, 1.0))
                     with reading():
                         scenes.survey(todo)
                     forecast.expect(expected())

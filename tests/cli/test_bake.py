@@ -142,7 +142,7 @@ def test_a_bake_that_was_killed_goes_on_and_ends_with_the_same_bytes(unbroken, s
 
 def test_a_finished_bake_is_not_rendered_again_and_damaged_or_missing_shots_are(unbroken, stage):
     """The same command a second time renders nothing; a file that was changed brings its shot back, and so does a shot
-    that the manifest does not list, of which a part was written.
+    that the manifest does not list, of which a part was written; labels that are missing come back, too.
     """
     out, _ = unbroken
     before = hashes(out)
@@ -150,6 +150,7 @@ def test_a_finished_bake_is_not_rendered_again_and_damaged_or_missing_shots_are(
     assert again["seconds"] == {} and len(again["kept"]) == len(SHOTS)
     (out / "sky" / "mor600" / "raw.dng").write_bytes(b"damaged")
     (out / "sky" / "mor150" / "srgb.png").unlink()
+    (out / "labels.json").unlink()
     manifest = json.loads((out / "bake.json").read_text())
     manifest["shots"] = [row for row in manifest["shots"] if row["folder"] != "sky/mor150"]
     (out / "bake.json").write_text(json.dumps(manifest))
