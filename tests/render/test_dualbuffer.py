@@ -65,6 +65,19 @@ def test_the_error_that_is_told_is_the_error_that_is_there(name, noise):
     assert rms(told) == pytest.approx(rms(there), rel=0.15)
 
 
+def test_a_quiet_pixel_is_not_told_the_error_of_noisy_ones_beside_it():
+    """Posts of 3 pixels with eight times the noise, every 16: the median pixel's error within a factor of 1.5."""
+    noise = np.where(np.arange(SHAPE[1]) % 16 < 3, 0.8, 0.1)[:, None]
+    told, squares = [], []
+    for seed in range(12):
+        noisy = halves(noise, seed)
+        clean = np.stack([blurred(half, 0.7) for half in noisy])
+        told.append(error_of(noisy @ GREY, clean @ GREY).rms / (truth() @ GREY))
+        squares.append(((clean.mean(axis=0) - truth()) @ GREY / (truth() @ GREY)) ** 2)
+    there = np.median(np.sqrt(np.mean(squares, axis=0)))
+    assert 1 / 1.5 < np.median(told) / there < 1.5
+
+
 def test_what_differs_between_two_seeds_is_told_apart_from_what_does_not():
     """The scatter of a filter that loses light is that of its pictures over seeds; its error is larger."""
     pictures, told = [], []
