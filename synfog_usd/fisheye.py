@@ -17,6 +17,9 @@ import numpy as np
 
 from synfog_usd.arrays import Array
 
+MOST = 16
+"""Coefficients."""
+
 ROWS = 1 << 16
 """Steps of the table from radius to angle: straight lines between them err by less than 1e-9 rad."""
 
@@ -35,8 +38,8 @@ class Fisheye:
             how long c1 is.
 
     Raises:
-        ValueError: coefficients under which something within that angle is nearer to the axis than what is seen under
-            a smaller one.
+        ValueError: more than 16 coefficients, or such under which something within that angle is nearer to the axis
+            than what is seen under a smaller one.
 
     Source: Kannala and Brandt, "A generic camera model and calibration method for conventional, wide-angle, and
     fish-eye lenses" (2006), equation 6.
@@ -48,6 +51,8 @@ class Fisheye:
     def __post_init__(self) -> None:
         if not 0.0 < self.fov_x_deg <= 360.0 or not self.coefficients:
             raise ValueError(f"an angle of view of {self.fov_x_deg:g} degrees is not above 0 and at most 360")
+        if len(self.coefficients) > MOST:
+            raise ValueError(f"{len(self.coefficients)} coefficients; {MOST} are the most")
         if not self.reach_rad >= math.radians(self.fov_x_deg) / 2.0:
             raise ValueError(
                 f"the radius falls from {math.degrees(self.reach_rad):.1f} degrees to the axis on, within the angle of "

@@ -165,6 +165,7 @@ def _spread(plane: FloatArray, spots: _Spots) -> FloatArray:
 
     (height, width), reach = plane.shape, spots.reach_px
     step = min(max(math.ceil(max(height, width) / TILES), LEAST_TILE_PX), MOST_TILE_PX)
+    step = max(step, reach // 2)  # spots as wide as the tiles would make them many
     edge = step + reach  # beyond the picture, where the first and the last weights are not whole
     padded = np.pad(plane.astype(np.float64), edge, mode="symmetric")
     size = fft.next_fast_len(2 * step + 2 * reach, real=True)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from pxr import Usd
+from support import cli
 
 from synfog_usd import camera, resources
 from synfog_usd.camera import optics
@@ -27,6 +29,7 @@ from synfog_usd.render.load import to_mitsuba
 from synfog_usd.render.shot import render
 from synfog_usd.testing import scene, sky, uniform_fog
 from synfog_usd.translate import translate
+from synfog_usd.writers import read_exr
 from synfog_usd.writers.opcodes import opcode_list
 
 WOODSCAPE = (339.749, -31.988, 48.275, -7.201)
@@ -93,6 +96,8 @@ def test_a_lens_that_folds_is_refused(coefficients, fov):
     """t - 0.2 t^3 falls from sqrt(1 / 0.6) = 74 degrees on."""
     with pytest.raises(ValueError, match="angle of view"):
         Fisheye(coefficients, fov)
+    with pytest.raises(ValueError, match="17 coefficients; 16 are the most"):
+        Fisheye((1.0,) * 17, 90.0)
 
 
 def test_rays_are_those_of_the_lens():
@@ -307,27 +312,46 @@ def test_what_omniverse_calls_a_fisheye_is_told_to_be_drawn_as_a_pinhole():
 
 @pytest.mark.slow
 def test_a_bake_is_of_the_fisheye_throughout(tmp_path):
-    """Labels of a baked stage are of the lens, and as large as the picture."""
-    import json
-
-    from support import cli
-
-    stage = Path(__file__).parents[2] / "stages" / "crossroads.usda"
-    done = cli.run(
-        "bake",
-        stage,
-        "-o",
-        tmp_path,
-        "--pipeline",
-        "surround",
-        "--resolution",
-        "64x48",
-        "--samples",
-        "2",
-        "--fog",
-        "clear",
+    """A cube 90 degrees to the right, on a stage whose camera is a pinhole of 55 degrees: it is in the picture and the
+    labels where WoodScape's formula has it; radiance.exr tells the lens, and the RAW file unfolds it.
+    """
+    (tmp_path / "stage.usda").write_text(
+        """#usda 1.0
+        (
+            metersPerUnit = 1
+            upAxis = "Y"
+        )
+        def Camera "Eye" {
+        }
+        def Cube "Car" (
+            prepend apiSchemas = ["SemanticsLabelsAPI:cityscapes"]
+        ) {
+            double size = 2
+            token[] semantics:labels:cityscapes = ["car"]
+            double3 xformOp:translate = (10, 0, 0)
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+        }
+        def DomeLight "Sky" {
+            float inputs:intensity = 100
+        }
+        """
     )
+    small = ("--resolution", "128x96", "--samples", "4", "--pipeline", "surround", "--model", "path")
+    done = cli.run("bake", tmp_path / "stage.usda", "-o", tmp_path / "out", *small)
     assert done.returncode == 0, done.stderr
-    told = json.loads((tmp_path / "labels.json").read_text())
-    assert told["camera"]["model"] == "fisheye" and told["camera"]["size_px"] == [64, 48]
-    assert any(row["pixels"] for row in told["instances"])
+    told = json.loads((tmp_path / "out" / "labels.json").read_text())
+    (car,) = (row for row in told["instances"] if row["label"] == "car")
+    half = np.radians(95.0)
+    rho = [sum(k * t ** (power + 1) for power, k in enumerate(WOODSCAPE)) for t in (np.radians(90.0), half)]
+    wanted = 64.0 + 64.0 * rho[0] / rho[1]
+    x, y, width, height = car["box_px"]
+    assert told["camera"]["model"] == "fisheye" and car["pixels"] > 20
+    assert x < wanted < x + width and abs(y + height / 2 - 48.0) < 1.0
+    left, top, right, bottom = car["projected_box_px"]
+    np.testing.assert_allclose([left, top, min(right, 128.0), bottom], [x, y, x + width, y + height], atol=1.0)
+    (radiance,) = (tmp_path / "out").rglob("radiance.exr")
+    known = read_exr(radiance).provenance
+    assert known["fisheye_fov_x_deg"] == 190.0 and "fov_x_deg" not in known
+    with tifffile.TiffFile(radiance.parent / "raw.dng") as raw:
+        opcodes = raw.pages[0].tags[51022].value
+    assert struct.unpack_from(">2I", opcodes)[1] == 2, "WarpFisheye"
