@@ -75,6 +75,27 @@ def test_pixels_and_all_else_are_told_apart_by_two_sizes():
     assert cost._of(seen, found, "seconds", "dusk") == pytest.approx(1.5 * (20 + 3 * 80))
 
 
+def test_kernels_that_are_compiled_first_are_not_taken_for_pixels(monkeypatch):
+    """A machine that takes 20 s and 0.5 ms a pixel, twice that by lamps, and 15 s of a lighting's kernels the first
+    time: the same hours, to a fifth for what the lamps' kernels add to their only probe.
+    """
+    known = set()
+
+    def probe(found, planned, unit, size, child, chosen, cores):
+        first = 0.0 if unit.lighting in known else 15.0
+        known.add(unit.lighting)
+        seconds = (1 + (unit.lighting == "active")) * (20.0 + 5e-4 * size[0] * size[1]) + first
+        return {"seconds": seconds, "cpu_s": 1.5 * seconds, "bytes": 100 * size[0] * size[1], "peak_mb": 2000}
+
+    monkeypatch.setattr(cost, "_probe", probe)
+    words = {"recipes": ["tunnel"], "fogs": ["clear", 150], "lightings": ["sky", "active"]}
+    found = make_set(scenes=50, size=[640, 360], **words)
+    told = cost.estimate(found, count(found), None, workers=1)
+    real = 50 * 3 * (20.0 + 5e-4 * 640 * 360) + 2 * 15.0
+    assert told.hours * 3600.0 == pytest.approx(real, rel=0.2) and told.cpu_h == pytest.approx(1.5 * told.hours)
+    assert told.gigabytes == pytest.approx(100 * 100 * 640 * 360 / 1e9, rel=1e-6)
+
+
 def test_a_units_limit_follows_what_others_took():
     """Ten times the longest, at least ten minutes; by pixels while nothing is known."""
     found = make_set(scenes=2, recipes=["tunnel"], size=[320, 180])
