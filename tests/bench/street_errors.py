@@ -1,0 +1,245 @@
+"""The shipped crossing against references of many samples: how large is the error, raw and denoised, and where from?
+
+    python tests/bench/street_errors.py -o out/errors               # the whole table; references are kept in the folder
+    python tests/bench/street_errors.py -o out/errors --only "crossroads dusk" --table raw
+    python tests/bench/street_errors.py -o out/errors --table sensor # the RAW file's deviation over that of the sensor
+
+Figures, all of luminance (the mean of R, G and B) and of several seeds:
+
+- **raw**: relative RMS error of all pixels of the plain mean, and without the worst hundredth.  Squared errors are
+  products of the differences to two references that know nothing of each other, so their noise cancels.
+- **brightest**: the share of a million pixels' light that the worst single pixel has too much.
+- **denoised**: relative RMS error of a pixel; bias of blocks of 32 x 32 pixels (RMS).  That bias
+  is what the denoised picture has more than the mean of the very samples that it was made of, which has none; what
+  several seeds differ by is taken off.  The mean of the whole picture is beside that of the references.
+- **told**: the error that the picture tells, over the one that is there: RMS over the pixels, and in the median pixel.
+- **sensor**: standard deviation of a RAW pixel over eight seeds of renderer and sensor, over that of the sensor alone
+  with the mean of these pictures, in the median of the pixels that are not full; `bake`'s own target and 64 samples.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import functools
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from streets import STREETS, Street, scene_of
+
+from synfog_usd import camera
+from synfog_usd.arrays import Array
+from synfog_usd.image import Image
+from synfog_usd.render import denoise as denoising
+from synfog_usd.render import dualbuffer, shot
+from synfog_usd.render.load import MitsubaScene, resized
+from synfog_usd.render.sampling.adaptive import sensor_target
+from synfog_usd.scene import SceneDict
+from synfog_usd.testing import scene, sky, uniform_fog, wall
+
+BLOCK_PX = 32
+SENSOR_SEEDS = 8
+TABLES = ("raw", "denoised", "sensor")
+
+
+def grey(picture: Image) -> Array:
+    """(H, W)."""
+    return picture.pixels.mean(axis=2, dtype=np.float64)
+
+
+class Shot:
+    """A street in the renderer, with its two references.
+
+    Args:
+        street: which.
+        size: (width, height).
+        folder: where references are kept.
+        samples: of both references together.
+    """
+
+    def __init__(self, street: Street, size: tuple[int, int], folder: Path, samples: int) -> None:
+        self.name, self.scene = street.name, scene_of(street, size, folder)
+        self.loaded = shot.load(self.scene, boundaries=False)
+        kept = folder / f"{street.name.replace(' ', '_')}_{size[0]}x{size[1]}_{samples}.npy"
+        if not kept.exists():
+            np.save(kept, [self.picture(samples // 2, seed, False)[0] for seed in (1000, 1001)])
+        self.truths = np.load(kept)
+        mean = self.truths.mean(axis=0)
+        self.level = np.maximum(mean, 0.05 * mean.mean())
+
+    def picture(self, samples: int, seed: int, denoise: bool) -> tuple[Array, Array | None]:
+        """(H, W) luminance, and what error it tells."""
+        done = shot.render(self.scene, model="path", samples=samples, seed=seed, loaded=self.loaded, denoise=denoise)
+        return grey(done.radiance), done.error
+
+    def squared(self, picture: Array) -> Array:
+        """(H, W) squared relative error, right on average."""
+        return (picture - self.truths[0]) * (picture - self.truths[1]) / self.level**2
+
+
+def root(mean: float) -> float:
+    """Of what noise may have made negative."""
+    return float(np.sqrt(max(mean, 0.0)))
+
+
+def raw_row(one: Shot, samples: int, seeds: int) -> str:
+    """RMS of all pixels, without the worst hundredth, and the brightest."""
+    pictures = [one.picture(samples, seed, False)[0] for seed in range(seeds)]
+    squares = [one.squared(picture) for picture in pictures]
+    every = np.mean([root(square.mean()) for square in squares])
+    trimmed = np.mean([root(np.sort(square.ravel())[: int(0.99 * square.size)].mean()) for square in squares])
+    truth = one.truths.mean(axis=0)
+    brightest = max(float((picture - truth).max()) for picture in pictures) / truth.mean() / 1e6
+    return f"| {one.name} | {samples} | {every:.1%} | {trimmed:.1%} | {brightest:.5%} |"
+
+
+def blocks_of(picture: Array) -> Array:
+    """Means of whole blocks; the last row and column take what is left over."""
+    rows, columns = (max(1, side // BLOCK_PX) for side in picture.shape)
+    return np.array(
+        [
+            [part.mean() for part in np.array_split(row, columns, axis=1)]
+            for row in np.array_split(picture, rows, axis=0)
+        ]
+    )
+
+
+@contextlib.contextmanager
+def plain_mean() -> Iterator[list[Array]]:
+    """Keeps the luminance (H, W) of the mean of the samples that are denoised meanwhile."""
+    kept: list[Array] = []
+    told = dualbuffer.error_of
+
+    def keeping(noisy: Array, done: Array) -> dualbuffer.Error:
+        kept[:] = [noisy.mean(axis=0, dtype=np.float64)]
+        return told(noisy, done)
+
+    denoising.dualbuffer.error_of = keeping
+    try:
+        yield kept
+    finally:
+        denoising.dualbuffer.error_of = told
+
+
+def unbiased_square(values: Array) -> Array:
+    """Square of a mean over the first axis, less what its noise adds."""
+    return values.mean(axis=0) ** 2 - values.var(axis=0, ddof=1) / len(values)
+
+
+def denoised_row(one: Shot, samples: int, seeds: int) -> str:
+    """Error, bias, and how well the error is told."""
+    squares, told, more, whole = [], [], [], []
+    truth = blocks_of(one.truths.mean(axis=0))
+    for seed in range(seeds):
+        with plain_mean() as kept:
+            picture, error = one.picture(samples, seed, True)
+        plain = kept[0]
+        assert error is not None
+        squares.append(one.squared(picture))
+        told.append(error / one.level)
+        more.append((blocks_of(picture) - blocks_of(plain)) / truth)
+        whole.append(picture.mean() / one.truths.mean() - 1.0)
+    there = np.mean(squares, axis=0)
+    every, least = root(there.mean()), np.array(more)
+    ratio = root(np.mean(np.square(told))) / every
+    median = np.median(told) / np.median(np.sqrt(np.maximum(there, 0.0)))
+    known = np.std(whole, ddof=1) / len(whole) ** 0.5
+    return (
+        f"| {one.name} | {samples} | {every:.1%} | {root(unbiased_square(least).mean()):.2%} | {np.mean(whole):+.2%} ± "
+        f"{known:.2%} | {ratio:.2f} | {median:.2f} |"
+    )
+
+
+def sensor_row(name: str, source: SceneDict, clear: SceneDict, model: str) -> str:
+    """Deviation of a RAW pixel from seed to seed, over that of the sensor alone."""
+    graph = camera.load_graph(Path("phone"))
+    metered = metering(clear)
+    exposure = camera.meter(metered, graph)
+    found = camera.sensitivity(metered, graph, exposure)
+    assert found is not None
+    noise = functools.partial(camera.noise_floor, electrons_per_cd_m2=found[0], dark_noise_e=found[1])
+    loaded = shot.load(source, boundaries=False)
+    done = [
+        shot.render(source, model=model, seed=seed, loaded=loaded, denoise=True, sensor_sigma=sensor_target(noise))
+        for seed in range(SENSOR_SEEDS)
+    ]
+    mean = np.mean([one.radiance.pixels for one in done], axis=0, dtype=np.float64).astype(np.float32)
+
+    def read(radiance: Image, seed: int) -> Array:
+        run = camera.develop(graph, {"radiance": radiance}, seed=seed, exposure=exposure, until="adc", keep=["adc"])
+        return run["adc"].pixels[..., 0].astype(np.float64)
+
+    both = np.array([read(one.radiance, 100 + seed) for seed, one in enumerate(done)])
+    alone = np.array([read(done[0].radiance.with_pixels(mean), 200 + seed) for seed in range(SENSOR_SEEDS)])
+    open_ = alone.max(axis=0) < alone.max()
+    ratio = np.sqrt(np.median(both.var(axis=0, ddof=1)[open_]) / np.median(alone.var(axis=0, ddof=1)[open_]))
+    return f"| {name} | {done[0].model} | {np.mean([one.samples for one in done]):.0f} | {ratio:.3f} |"
+
+
+def metering(clear: SceneDict) -> Image:
+    """The small frame on which a bake meters."""
+    width, height = 160, max(1, round(160 * clear.camera.height_px / clear.camera.width_px))
+    loaded: MitsubaScene = shot.load(clear, boundaries=False)
+    return shot.render(
+        clear, samples=16, seed=77, size=(width, height), denoise=True, loaded=resized(loaded, (width, height))
+    ).radiance
+
+
+def grey_wall(size: tuple[int, int], *, foggy: bool) -> SceneDict:
+    """A wall of 0.4 at 30 m under an even sky of 1000 cd m-2, in clear air or at MOR 150."""
+    bsdf = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.4] * 3}}
+    fog = [uniform_fog(visibility_m=150.0)] if foggy else []
+    world = {**sky(1000.0), "shape_wall": wall(30.0, 30.0, bsdf=bsdf)}
+    return scene(world, fog, width_px=size[0], height_px=size[1], fov_x_deg=40.0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--out", type=Path, help="for the references, which are made where they are not there")
+    parser.add_argument("--table", choices=TABLES, action="append")
+    parser.add_argument("--only", default="crossroads", help="part of the streets' names")
+    parser.add_argument("--size", default="192x108")
+    parser.add_argument("--samples", default="16,64,256", help="of the plain mean")
+    parser.add_argument("--denoised", default="4,16,64", help="samples of what is denoised")
+    parser.add_argument("--reference", type=int, default=2048, help="samples of both references together")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--model", default="auto", help="of the sensor's table")
+    arguments = parser.parse_args()
+    from synfog_usd.render import backend
+
+    backend.start()
+    size = tuple(int(part) for part in arguments.size.split("x"))
+    tables, streets = arguments.table or TABLES, [street for street in STREETS if arguments.only in street.name]
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = arguments.out or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        heads = {
+            "raw": "| street | samples | RMS of all pixels | without the worst hundredth | brightest pixel of 1e6 |",
+            "denoised": "| street | samples | RMS | bias of blocks | of the mean | told over there, RMS | median |",
+            "sensor": "| street | model | samples | deviation over the sensor's |",
+        }
+        rows = {"raw": raw_row, "denoised": denoised_row}
+        counts = {"raw": arguments.samples, "denoised": arguments.denoised}
+        for table in tables:
+            print(heads[table], flush=True)
+            if table == "sensor":
+                if arguments.only in "grey wall crossroads":
+                    wall_row = sensor_row(
+                        "grey wall", grey_wall(size, foggy=True), grey_wall(size, foggy=False), "path"
+                    )
+                    print(wall_row, flush=True)
+                for street in streets:
+                    air = Street(street.source, street.lighting, None)
+                    source, clear = scene_of(street, size, folder), scene_of(air, size, folder)
+                    print(sensor_row(street.name, source, clear, arguments.model), flush=True)
+                continue
+            for street in streets:
+                one = Shot(street, size, folder, arguments.reference)
+                for samples in counts[table].split(","):
+                    print(rows[table](one, int(samples), arguments.seeds), flush=True)
+
+
+if __name__ == "__main__":
+    main()
