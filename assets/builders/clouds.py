@@ -3,14 +3,14 @@
 Takes a `Layer`, the sun and directions; gives the light of layer and clear sky
 behind it, relative to the clear zenith.  `sky` keeps only its ratio to its own
 mean over some 20 degrees, so that the large-scale luminance stays the standard
-sky's.  Noise that tiles is thresholded for cover; light reaches a droplet from the
-sun, from the sky above and from the ground, each dimmed by the cloud in between.
+sky's.  Noise that tiles is thresholded for cover, finer noise frays its edges; light reaches a
+droplet from the sun, from the sky above and from the ground, each dimmed by the cloud in between.
 Knows nothing of files, nits or USD.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,10 @@ from synfog_usd.seeds import stream
 EARTH_M = 6_371_000.0
 CELLS, LEVELS = 768, 28  # of the layer's box, sideways and upwards
 ASYMMETRY = 0.85  # of cloud droplets in the visible
+FINER, FINE, THINNED, RELIEF = 7, 0.5, 0.6, 0.35
+"""Lumps so much smaller than the box's own: how strongly they fray its edges, what they thin the rest by so that
+the cover stays, and how strongly the sun brings them out.
+"""
 
 
 @dataclass(frozen=True)
@@ -90,8 +94,14 @@ def clouded(
         (..., 3) light relative to the clear zenith, and (...,) contrast left, 0 to 1.
     """
     cell = layer.size_m / 24.0 * CELLS / cells
-    density = _density(layer, cell, cells, name)
+    body, rim = _body(layer, cell, cells, name)
+    density = np.clip(body, 0, 1) * rim
+    like = replace(layer, stretch=1.0, depth_m=layer.depth_m * FINER)  # as deep as broad, seen so much larger
+    fine = _noise(like, cell, cells, name, 2, low=0.7, high=5.0)
     rise = layer.depth_m / LEVELS
+    thick = np.float32(layer.extinction * rise)
+    sunward = _sunward(light, layer, cell)
+    pixel = float(np.pi / 2 / azimuth.shape[0])
     tau = density * np.float32(layer.extinction * rise)  # of one level, upwards
     heap = np.cumsum(tau, axis=0, dtype=np.float32)
     above, below = heap[-1] - heap + tau / 2, heap - tau / 2
@@ -105,10 +115,16 @@ def clouded(
         near, far = (_distance(height, layer.base_m + (level + part) * rise) for part in (0.0, 1.0))
         middle = (near + far) / 2
         where = [middle * np.cos(height) * np.cos(azimuth) / cell, middle * np.cos(height) * np.sin(azimuth) / cell]
-        step = _at(tau[level], where) * (far - near) / np.float32(rise)
+        blurred = 1 / (1 + (middle * pixel * FINER / (4 * cell)) ** 2)  # of lumps smaller than a ray's breadth
+        small = [w * FINER for w in where]
+        lump = _at(fine[level], small)
+        raised = (lump - _at(fine[level], [w + d for w, d in zip(small, sunward, strict=True)])) * blurred
+        frayed = np.float32(FINE / max(layer.edge, 1.0) ** 0.5) * blurred * (lump - np.float32(THINNED))
+        dense = np.clip(_at(body[level], where) + frayed, 0, 1) * rim[level]
+        step = dense * thick * (far - near) / np.float32(rise)
         weight = clear * -np.expm1(-step)
         sunny, from_above, from_below = (
-            _sunlit(_at(slanted[level], where), toward),
+            _sunlit(_at(slanted[level], where), toward) * np.clip(1 + np.float32(RELIEF) * raised, 0.3, 2.0),
             _at(cover[0][level], where),
             _at(cover[1][level], where),
         )
@@ -128,8 +144,16 @@ def _at(field: FloatArray, where: list[FloatArray]) -> FloatArray:
     return np.asarray(ndimage.map_coordinates(field, where, order=1, mode="grid-wrap", output=np.float32))
 
 
-def _density(layer: CloudLayer, cell: float, cells: int, name: str) -> FloatArray:
-    """(LEVELS, cells, cells) density, 0 to 1; the first axis goes up."""
+def _sunward(light: CloudLight, layer: CloudLayer, cell: float) -> npt.NDArray[np.float64]:
+    """A step of a few cells of the fine lumps towards the sun, in x and y [cells]."""
+    away = np.deg2rad(light.sun_azimuth_deg)
+    return np.array([np.cos(away), np.sin(away)]) * layer.size_m / cell / 10.0
+
+
+def _body(layer: CloudLayer, cell: float, cells: int, name: str) -> tuple[FloatArray, FloatArray]:
+    """(LEVELS, cells, cells) density where it is between 0 and 1, and (LEVELS, 1, 1) what the layer's own base and top
+    leave of it; the first axis goes up.
+    """
     field = _noise(layer, cell, cells, name, 0, low=0.35)
     if layer.billow:
         lumps = np.abs(_noise(layer, cell, cells, name, 1, low=1.2))
@@ -140,11 +164,13 @@ def _density(layer: CloudLayer, cell: float, cells: int, name: str) -> FloatArra
     rim = np.minimum(1, z * LEVELS / 2) * np.minimum(
         1, (1 - z) * LEVELS / 3
     )  # the layer's own base and top are no walls
-    return np.asarray(np.clip((field - edge) / np.float32(layer.edge), 0, 1) * rim, dtype=np.float32)
+    return np.asarray((field - edge) / np.float32(layer.edge), dtype=np.float32), np.asarray(rim, dtype=np.float32)
 
 
-def _noise(layer: CloudLayer, cell: float, cells: int, name: str, index: int, *, low: float) -> FloatArray:
-    """Noise that tiles sideways, deviation 1: a spectrum f^-11/3 from `low` cycles per feature."""
+def _noise(
+    layer: CloudLayer, cell: float, cells: int, name: str, index: int, *, low: float, high: float = np.inf
+) -> FloatArray:
+    """Noise that tiles sideways, deviation 1: a spectrum f^-11/3 from `low` to about `high` cycles per feature."""
     rng = stream(0, "sky", name, index)
     turn = np.deg2rad(layer.turn_deg)
     fx = (fft.fftfreq(cells, cell) * layer.size_m).astype(np.float32)[None, :, None]
@@ -153,6 +179,7 @@ def _noise(layer: CloudLayer, cell: float, cells: int, name: str, index: int, *,
     along, across = fx * np.cos(turn) + fy * np.sin(turn), fy * np.cos(turn) - fx * np.sin(turn)
     f = np.sqrt((along * layer.stretch) ** 2 + across**2 + fz**2)
     power = np.where(f > low, np.maximum(f, low) ** np.float32(-11 / 6), 0)
+    power = power * np.exp(-((f / np.float32(high)) ** 2))
     spectrum = power * (
         rng.standard_normal(f.shape, dtype=np.float32) + 1j * rng.standard_normal(f.shape, dtype=np.float32)
     )

@@ -1,8 +1,8 @@
 """Skies as lat-long pictures: sixteen cloudy ones by name, and the two of the crossing.
 
 `SKIES` is the one table: what each sky is, how much light it gives and of what
-colour.  A picture of it holds linear Rec.709 in cd m-2, 512 by 256 half floats: enough
-for clouds, and none of them shows the sun's disc.  Row 0 is the zenith; how it lies on the
+colour.  A picture of it holds linear Rec.709 in cd m-2, 1280 by 640 half floats: 0.3 degrees
+a row, and none of them shows the sun's disc.  Row 0 is the zenith; how it lies on the
 sphere says `synfog_usd.world.skies`, which reads what the files say of themselves.
 
 The crossing's two (`overcast`, `dusk`) are older: relative to the dome's intensity.
@@ -32,10 +32,11 @@ from synfog_usd.science import colour_science
 SIZE = (512, 1024)
 
 
-ROWS = 256  # of a cloudy sky, twice as many columns
-FINER = 3  # rays per row: clouds near the horizon are much flatter than a row
+ROWS = 640  # of a cloudy sky, twice as many columns
+FINER = 2  # rays per row: clouds near the horizon are much flatter than a row
 CAP_DEG = 20.0  # a sky is the standard sky on average over caps of about this radius
 AUREOLE_DEG = 15.0  # nearer to the sun the standard sky rises no more: a cloud hides it
+GLOW_DEG = 5.0  # by which the glow of a hidden sun falls to 1 / e
 HAZE_DEG = 2.0  # below the horizon the air still shines
 WARM_DEG, WARMTH = 45.0, 3.0  # sun through thin cloud shows around the sun, so much more than on average
 GROUND = 0.12  # diffuse reflectance of what lies below
@@ -55,6 +56,7 @@ class Sky:
         layers: of cloud, the highest first.
         sun: strength of the sun on the clouds over that of the sky.
         contrast: gain on the clouds' deviation from the standard sky.
+        glow: of the sun behind thin cloud, over the sky there.
         sun_azimuth_deg: clockwise from ahead.
         lamps_k: colour temperature where a town lights the clouds from below.
     """
@@ -68,6 +70,7 @@ class Sky:
     sun: float = 4.0
     through: float = 0.0
     contrast: float = 1.0
+    glow: float = 0.0
     sun_azimuth_deg: float = 35.0
     lamps_k: float | None = None
 
@@ -88,16 +91,16 @@ class Sky:
 
 
 _STRATUS = CloudLayer(
-    600, 400, 1.0, 2000, 0.03, edge=1.8, towers=1.2, billow=0.35, stretch=1.7, thinnest=0.3, haze_m=12_000
+    600, 400, 1.0, 2000, 0.03, edge=1.8, towers=1.2, billow=0.35, stretch=1.2, thinnest=0.3, haze_m=12_000
 )
-_ALTOSTRATUS = CloudLayer(3200, 900, 1.0, 5000, 0.006, edge=3.5, billow=0.0, stretch=2.5, haze_m=60_000)
-_STRATOCUMULUS = CloudLayer(1100, 450, 0.97, 1500, 0.035, edge=1.6, towers=0.6, billow=0.4, stretch=1.8, haze_m=25_000)
+_ALTOSTRATUS = CloudLayer(3200, 900, 1.0, 5000, 0.006, edge=3.5, billow=0.0, stretch=1.5, haze_m=60_000)
+_STRATOCUMULUS = CloudLayer(1100, 450, 0.97, 1500, 0.035, edge=1.2, towers=0.6, billow=0.5, stretch=1.15, haze_m=25_000)
 _CUMULUS = CloudLayer(1200, 1300, 0.5, 2400, 0.05, edge=0.35, towers=1.6, billow=0.45, haze_m=30_000)
-_ALTOCUMULUS = CloudLayer(3600, 300, 0.7, 1000, 0.02, edge=0.9, towers=0.5, billow=0.5, stretch=1.5, haze_m=32_000)
+_ALTOCUMULUS = CloudLayer(3600, 300, 0.7, 1000, 0.02, edge=0.9, towers=0.5, billow=0.5, stretch=1.1, haze_m=32_000)
 _NIMBOSTRATUS = CloudLayer(
-    900, 900, 1.0, 3000, 0.05, edge=1.7, towers=1.3, billow=0.35, stretch=1.6, thinnest=0.2, haze_m=14_000
+    900, 900, 1.0, 3000, 0.05, edge=1.7, towers=1.3, billow=0.35, stretch=1.2, thinnest=0.2, haze_m=14_000
 )
-_SCUD = CloudLayer(400, 300, 0.45, 1100, 0.03, edge=1.0, towers=0.8, billow=0.3, stretch=1.8, haze_m=8_000)
+_SCUD = CloudLayer(400, 300, 0.45, 1100, 0.03, edge=1.0, towers=0.8, billow=0.3, stretch=1.3, haze_m=8_000)
 
 
 def _like(layer: CloudLayer, **changes: float) -> CloudLayer:
@@ -111,7 +114,7 @@ SKIES: Mapping[str, Sky] = {
         45.0,
         12_000.0,
         1.0,
-        (_like(_STRATOCUMULUS, cover=1.0, edge=2.2, size_m=2300, depth_m=700),),
+        (_like(_STRATOCUMULUS, cover=1.0, edge=1.7, size_m=2300, depth_m=700),),
         contrast=0.9,
     ),
     "bright_overcast": Sky(
@@ -122,9 +125,27 @@ SKIES: Mapping[str, Sky] = {
         0.95,
         (_like(_ALTOSTRATUS, extinction=0.003),),
         through=0.15,
+        glow=1.4,
     ),
-    "stratocumulus_noon": Sky("Stratocumulus with a few gaps.", 3, 40.0, 14_000.0, 0.95, (_STRATOCUMULUS,)),
-    "stratus_winter": Sky("Low stratus over a winter noon.", 5, 14.0, 5_000.0, 1.0, (_STRATUS,), contrast=2.2),
+    "stratocumulus_noon": Sky(
+        "Stratocumulus with a few gaps.",
+        3,
+        40.0,
+        14_000.0,
+        0.95,
+        (_STRATOCUMULUS,),
+        glow=0.5,
+    ),
+    "stratus_winter": Sky(
+        "Low stratus over a winter noon.",
+        5,
+        14.0,
+        5_000.0,
+        1.0,
+        (_STRATUS,),
+        contrast=2.2,
+        glow=0.3,
+    ),
     "rain": Sky(
         "Nimbostratus with scud below it; steady rain.", 1, 30.0, 3_500.0, 1.0, (_NIMBOSTRATUS, _SCUD), contrast=2.2
     ),
@@ -135,7 +156,8 @@ SKIES: Mapping[str, Sky] = {
         1_800.0,
         1.0,
         (_like(_NIMBOSTRATUS, cover=0.995, edge=1.0, towers=1.7, depth_m=1500, thinnest=0.0),),
-        contrast=0.95,
+        contrast=0.55,
+        glow=0.4,
     ),
     "broken_noon": Sky(
         "Broken cumulus, the sun behind one of them.",
@@ -145,9 +167,27 @@ SKIES: Mapping[str, Sky] = {
         0.7,
         (_like(_CUMULUS, cover=0.62),),
         through=0.1,
+        glow=0.2,
     ),
-    "broken_afternoon": Sky("Scattered cumulus in the afternoon.", 7, 25.0, 13_000.0, 0.5, (_CUMULUS,), through=0.1),
-    "altocumulus_morning": Sky("A mackerel sky of altocumulus in the morning.", 6, 18.0, 8_000.0, 0.7, (_ALTOCUMULUS,)),
+    "broken_afternoon": Sky(
+        "Scattered cumulus in the afternoon.",
+        7,
+        25.0,
+        13_000.0,
+        0.5,
+        (_CUMULUS,),
+        through=0.1,
+        glow=0.25,
+    ),
+    "altocumulus_morning": Sky(
+        "A mackerel sky of altocumulus in the morning.",
+        6,
+        18.0,
+        8_000.0,
+        0.7,
+        (_ALTOCUMULUS,),
+        glow=0.2,
+    ),
     "morning_mist": Sky(
         "Mist and thin stratus soon after sunrise, near to white.",
         6,
@@ -156,6 +196,7 @@ SKIES: Mapping[str, Sky] = {
         0.95,
         (_like(_STRATUS, base_m=250, extinction=0.01, haze_m=4_000),),
         through=0.2,
+        glow=1.5,
     ),
     "low_sun_stratus": Sky(
         "A low sun behind stratus, a warm glow over the road.",
@@ -166,12 +207,29 @@ SKIES: Mapping[str, Sky] = {
         (_like(_STRATUS, edge=1.8, extinction=0.012),),
         through=0.25,
         contrast=1.5,
+        glow=2.2,
     ),
     "evening_cumulus": Sky(
-        "Cumulus in the last sunlight.", 7, 3.0, 1_100.0, 0.45, (_like(_CUMULUS, cover=0.45),), through=0.25, sun=3.0
+        "Cumulus in the last sunlight.",
+        7,
+        3.0,
+        1_100.0,
+        0.45,
+        (_like(_CUMULUS, cover=0.45),),
+        through=0.25,
+        sun=3.0,
+        glow=0.6,
     ),
     "sunset_altocumulus": Sky(
-        "Altocumulus lit from below at sunset.", 9, 0.0, 350.0, 0.6, (_ALTOCUMULUS,), sun=0.9, through=0.25
+        "Altocumulus lit from below at sunset.",
+        9,
+        0.0,
+        350.0,
+        0.6,
+        (_ALTOCUMULUS,),
+        sun=0.9,
+        through=0.25,
+        glow=1.0,
     ),
     "dusk_overcast": Sky(
         "Blue dusk under closed stratocumulus.", 4, -3.0, 25.0, 1.0, (_like(_STRATOCUMULUS, cover=0.995),), sun=0.0
@@ -255,6 +313,7 @@ def paint(name: str, *, rows: int = ROWS, cells: int = CELLS) -> Array:
     ratio /= (_smooth(ratio, h, a) @ LUMINANCE)[..., None]  # tempering and contrast have moved the mean
     share = np.clip(sky.through * WARMTH * np.exp(-((chi / np.deg2rad(WARM_DEG)) ** 2)), 0, 0.9)[..., None]
     upper = standard * ratio * (1 - share + share * _sunlight(sky))
+    upper *= 1 + sky.glow * np.exp(-np.rad2deg(chi) / GLOW_DEG)[..., None] * np.minimum(ratio, 1.6)
     weight = (np.sin(h) * np.cos(h))[..., None] * (np.pi / 2 / half) * (2 * np.pi / (2 * rows))
     upper *= _balance((upper * weight).sum(axis=(0, 1)), sky.cct_k)
     on_ground = (upper * weight).sum(axis=(0, 1))
