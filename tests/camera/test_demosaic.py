@@ -197,6 +197,7 @@ def test_a_mosaic_that_is_none_is_refused():
         demosaic(Image(np.zeros((4, 4, 1), np.float32), ("CFA",), Quantity.LINEAR_RGB))
 
 
+@pytest.mark.slow
 def test_menon_warns_of_nothing():
     """In a fresh interpreter in which every warning is an error."""
     code = (

@@ -176,6 +176,7 @@ def interrupted(stage, out):
     return child.returncode, told, time.monotonic() - began
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_shot_that_is_rendered_and_keeps_finished_ones(stage, tmp_path):
     """The shot is not waited for: exit code 130, no temporary file, finished shots stay."""
     code, told, _ = interrupted(stage, tmp_path / "out")

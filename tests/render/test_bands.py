@@ -110,6 +110,7 @@ def test_haze_that_absorbs_nothing_is_invisible_in_every_band(angstrom):
         assert_mean(means[:, band], 1.0, resolves=0.02)
 
 
+@pytest.mark.slow
 def test_the_lamps_light_in_haze_is_that_of_haze_as_dense_as_the_band():
     """A spot seen from the side, scattered once: each band agrees with grey fog of its own extinction."""
     aim = np.array([[0, 0, 1.0, -10], [1, 0, 0, 20], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -126,7 +127,9 @@ def test_the_lamps_light_in_haze_is_that_of_haze_as_dense_as_the_band():
             assert ours == pytest.approx(theirs, rel=0.02 if part == "airlight_single" else 0.1), (band, part)
 
 
-@pytest.mark.parametrize("model", ["path", "path+slab", pytest.param("slab", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "model", ["path", *(pytest.param(name, marks=pytest.mark.slow) for name in ("path+slab", "slab"))]
+)
 def test_bands_change_nothing_where_all_is_grey(model):
     """White light on a grey ground in grey fog: every band is the white spectrum times what R, G and B see, path by
     path.

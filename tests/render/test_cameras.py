@@ -61,7 +61,12 @@ def test_an_offset_moves_the_window(shift, column):
 
 
 @pytest.mark.parametrize(
-    "model, samples", [("path", 64), ("volpath", 640), pytest.param("field", 640, marks=pytest.mark.physics)]
+    "model, samples",
+    [
+        ("path", 64),
+        pytest.param("volpath", 640, marks=pytest.mark.slow),
+        pytest.param("field", 640, marks=pytest.mark.physics),
+    ],
 )
 def test_every_ray_goes_equally_far_through_fog(model, samples):
     """A wall of radiance 1 at 50 m behind absorbing fog of MOR 150: 0.05^(1/3), in each pixel alike.

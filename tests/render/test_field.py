@@ -126,6 +126,7 @@ def test_clear_air_has_no_grid():
     )
 
 
+@pytest.mark.slow
 def test_bands_go_through_the_grid():
     """White light in grey fog: each of 8 bands is the white spectrum times what R, G and B see."""
     from synfog_usd.render.spectra import bands

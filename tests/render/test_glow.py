@@ -141,6 +141,7 @@ def test_light_of_spots_and_panels_is_counted_whole():
     np.testing.assert_allclose(_AxialLight(globe, 4).position, [1.0, 2.0, 3.0])
 
 
+@pytest.mark.slow
 def test_the_picture_is_the_sum_of_its_aovs_and_repeats():
     """The same seed gives the same bytes; the part from the table is known almost exactly."""
     world = scene(

@@ -86,6 +86,7 @@ def test_exposures_one_after_the_other_see_a_moving_bar_where_it_is_then(what, b
     assert centre == pytest.approx(middle, abs=0.01)
 
 
+@pytest.mark.slow
 def test_exposures_one_after_the_other_lean_alike_under_a_rolling_shutter():
     """Rows begin 3/4 of the time apart, and expose for 1/4 each: the last fifth of each row's exposure is 0.9 of that
     quarter after its beginning, so an edge that goes 3 m leans by 2.25 m and stands 0.4 * 0.25 * 3 m further on.
@@ -127,6 +128,7 @@ def test_what_moves_as_the_camera_does_stays_sharp():
         np.testing.assert_allclose(seen[:, 17:], 1.0, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_lamp_that_moves_lights_as_the_mean_of_its_places():
     """A point lamp of 100 cd that goes 6 m along a wall 4 m before it: I h / r^3 / pi, averaged over its way."""
     light = {"type": "point", "to_world": np.eye(4), "intensity": {"type": "rgb", "value": [100.0] * 3}}
@@ -165,6 +167,7 @@ def test_the_scene_stands_as_it_stood_once_it_is_drawn_and_turning_things_turn()
     np.testing.assert_array_equal(render(world, samples=16, model="path", loaded=loaded).radiance.pixels, before)
 
 
+@pytest.mark.slow
 def test_its_variance_is_that_of_its_pictures():
     """The variance that a picture of moments tells is the scatter of pictures of many seeds, within a third."""
     world = parallel({"shape_bar": bar(-0.5, 0.5)})
@@ -193,6 +196,7 @@ def test_few_samples_for_a_long_way_are_told():
     assert "move by up to 8" in parts.said() and "more samples" in parts.said()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(available()), reason="no denoiser here")
 def test_a_denoised_picture_of_moments_has_the_blur():
     """The trapezium of the first test, denoised: its light and its half-height width of 2 m."""

@@ -94,6 +94,7 @@ def test_a_card_under_sodium_light_in_fog_is_what_the_tables_say(count):
     )
 
 
+@pytest.mark.slow
 def test_the_red_edge_of_a_leaf_is_in_its_bands_and_not_in_its_colour():
     """From 670 to 700 nm a leaf's reflectance grows 2.5 times and more; what bands make of R, G and B stays the same
     within a tenth.

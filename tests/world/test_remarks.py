@@ -25,6 +25,7 @@ def told(path: Path, fog: str) -> set[str]:
     return {f"{note.path}: {note.text}" for note in translate(stage).notes}
 
 
+@pytest.mark.slow
 def test_the_crossing_is_translated_without_a_remark():
     """A model that says less than what is drawn of it (a pane, a normal without length) would be told of."""
     assert told(ROOT / "stages" / "crossroads.usda", "mor150") == set()
