@@ -79,6 +79,7 @@ def numbers(path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(2400)  # sixteen skies' clouds take 14 processor minutes
 @pytest.mark.parametrize("what", ["textures", "lamps", "models", "skies"])
 def test_every_asset_is_what_the_code_writes(what, tmp_path):
     """All of them byte for byte, meshes but for the sign of zeros; nothing else of their kind lies there. Thumbnails
