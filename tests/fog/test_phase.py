@@ -124,7 +124,9 @@ def test_a_spread_of_sizes_has_the_mean_cosine_of_its_efficiencies():
 
 
 @needs_mie
-@pytest.mark.parametrize("diameter", [5.01, 8.0, 15.0, 30.0, 49.9])
+@pytest.mark.parametrize(
+    "diameter", [5.01, 15.0, *(pytest.param(d, marks=pytest.mark.slow) for d in (8.0, 30.0, 49.9))]
+)
 def test_the_droplet_mixture_follows_lorenz_and_mie(diameter):
     """The share of light beyond any angle from 5 to 180 degrees is within 0.025 of the exact curve's, the mean cosine
     within 0.02.

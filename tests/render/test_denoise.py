@@ -570,6 +570,7 @@ def test_bands_are_denoised_as_well_as_three_channels(bands):
         assert rms((clean - truth)[..., channel]) < 0.5 * rms((raw - truth)[..., channel])
 
 
+@pytest.mark.slow
 @needs_oidn
 def test_a_loose_target_stops_early_and_a_tight_one_uses_all_samples():
     """The whole error of the median pixel is asked for: 10 % is there after the first rounds, 0.1 % never."""

@@ -66,7 +66,8 @@ def first(tmp_path_factory):
     return folder, kernels(folder, "a", *SIZE)
 
 
-@pytest.mark.parametrize("lightings", [("active",), pytest.param(("sky", "active"), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("lightings", [("active",), ("sky", "active")])
 def test_a_lighting_has_three_large_kernels(tmp_path, lightings):
     """Clear air, surfaces in fog, light scattered in fog: for three fogs, the metered frame and the picture alike."""
     found = kernels(tmp_path, "a", *SIZE, lightings)

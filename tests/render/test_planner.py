@@ -124,6 +124,7 @@ def test_an_open_view_takes_the_slab_and_a_closed_one_does_not():
         )  # a denoiser does what a cache would
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("pyoidn") is None, reason="pyoidn has no wheel here")
 def test_where_a_denoised_picture_is_good_enough_no_bias_is_tried():
     """10 % are asked for: the pilot without bias, denoised, errs by less, and nothing with a bias is rendered."""

@@ -126,6 +126,7 @@ def test_sodium_light_on_paint_is_off_from_r_g_and_b_by_what_the_tables_say(refl
 GROUND = np.array([[-150, -150, -2], [150, -150, -2], [150, 150, -2], [-150, 150, -2.0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "model",
     ["path", pytest.param("path+slab", marks=pytest.mark.physics), pytest.param("field", marks=pytest.mark.physics)],

@@ -32,7 +32,7 @@ def test_a_child_is_told_its_unit_and_its_parent(monkeypatch):
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no such call")
-@pytest.mark.parametrize("place", [0, 1, 2, 5])
+@pytest.mark.parametrize("place", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 2, 5))])
 def test_workers_share_out_cores_and_gpus(monkeypatch, place):
     """Each child has one core and one GPU, the next worker's the next; beyond the last they begin again."""
     monkeypatch.setattr(work, "_place", lambda: place)

@@ -50,6 +50,7 @@ def test_a_disc_without_end_takes_all_that_goes_forward(phase):
 # ---- transport
 
 
+@pytest.mark.slow
 def test_the_laser_reads_what_is_authored(bench):
     """Visibility 8.7 m: half of the light is left and none is drawn; 0.97 m: a hundredth, drawn."""
     for fog, draws in (("fog02", False), ("fog07", True)):

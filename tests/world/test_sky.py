@@ -298,6 +298,7 @@ def test_wrong_names_and_numbers_are_answered(tmp_path, capsys):
     assert "'draw' is none of textures" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_sheet_shows_all_of_them(tmp_path):
     path = sky.sheet(tmp_path / "sheet.png", SHIPPED)
     drawn = OpenImageIO.ImageBuf(str(path)).get_pixels(OpenImageIO.FLOAT)
