@@ -64,6 +64,7 @@ HEAVY = {
     "skimage": {"benchmark"},
     "flip_evaluator": {"benchmark"},
     "onnxruntime": {"benchmark"},
+    "pycocotools": {"benchmark"},
 }
 """Library -> where it may be imported."""
 

@@ -19,10 +19,15 @@ from typing import Any
 
 import numpy as np
 
+from synfog_usd.benchmark import decode
 from synfog_usd.benchmark.classics import CLASSICS
-from synfog_usd.benchmark.methods import Defogger
+from synfog_usd.benchmark.detectors import Detector
+from synfog_usd.benchmark.methods import Defogger, Method
 
-Restore = Callable[[np.ndarray], np.ndarray]
+Work = Callable[[Path, Path], None]
+"""From the file of a picture to that of the answer."""
+
+KINDS: dict[str, type[Method]] = {kind.__name__: kind for kind in (Defogger, Detector)}
 
 
 def main() -> None:
@@ -30,12 +35,12 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print does not stand among the answers
     said = json.loads(sys.stdin.readline())
-    method = Defogger(**{**said, "command": tuple(said["command"]), "range": tuple(said["range"])})
+    method = KINDS[said.pop("does")](**said)
     with contextlib.suppress(ImportError):  # Windows has no such limit
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (int(method.memory_gb * 1e9),) * 2)
-    restore: Restore | None = None
+    work: Work | None = None
     for line in sys.stdin:
         task = json.loads(line)
         began = time.process_time()
@@ -43,9 +48,9 @@ def main() -> None:
             if method.kind == "command":
                 _run(method, task)
             else:
-                if restore is None:
-                    restore = _loaded(method)
-                _write(Path(task["out"]), restore(read(Path(task["in"]))))
+                if work is None:
+                    work = _loaded(method)
+                work(Path(task["in"]), Path(task["out"]))
             answer: dict[str, Any] = {"seconds": time.process_time() - began}
         except Exception as error:
             answer = {"error": " ".join(f"{type(error).__name__}: {error}".split())[:300]}
@@ -68,20 +73,36 @@ def _write(path: Path, picture: np.ndarray) -> None:
     Image.fromarray(np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)).save(path)
 
 
-def _loaded(method: Defogger) -> Restore:
+def _loaded(method: Method) -> Work:
+    if isinstance(method, Detector):
+        find = decode.detector(method, _session(method))
+
+        def boxes(taken: Path, out: Path) -> None:
+            out.write_text(json.dumps(find(read(taken)), allow_nan=False), encoding="utf-8")
+
+        return boxes
     if method.kind == "onnx":
-        return _network(method)
-    classic = CLASSICS[method.target]
-    return lambda picture: classic(picture.astype(np.float64) / 255.0)
+        restore = _network(method)
+    else:
+        classic = CLASSICS[method.target]
+
+        def restore(picture: np.ndarray) -> np.ndarray:
+            return classic(picture.astype(np.float64) / 255.0)
+
+    return lambda taken, out: _write(out, restore(read(taken)))
 
 
-def _network(method: Defogger) -> Restore:
+def _session(method: Method) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     options.intra_op_num_threads = max(1, os.cpu_count() or 1)
-    session = onnxruntime.InferenceSession(method.target, options, providers=["CPUExecutionProvider"])
+    return onnxruntime.InferenceSession(method.target, options, providers=["CPUExecutionProvider"])
+
+
+def _network(method: Defogger) -> Callable[[np.ndarray], np.ndarray]:
+    session = _session(method)
     inputs, outputs = session.get_inputs(), session.get_outputs()
     shape = inputs[0].shape
     if len(inputs) != 1 or len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != 3):
@@ -110,19 +131,19 @@ def _network(method: Defogger) -> Restore:
     return restore
 
 
-def _run(method: Defogger, task: dict[str, str]) -> None:
+def _run(method: Method, task: dict[str, str]) -> None:
     words = [word.replace("{in}", task["in"]).replace("{out}", task["out"]) for word in method.command]
     done = subprocess.run(words, cwd=method.target, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode != 0:
         told = (done.stderr or done.stdout).strip().splitlines()
         raise RuntimeError(f"ended with {done.returncode}: {told[-1] if told else 'it said nothing'}")
     if not Path(task["out"]).is_file():
-        raise RuntimeError("it wrote no picture")
+        raise RuntimeError(f"it wrote no {method.suffix[1:].upper()}")
 
 
-def as_line(method: Defogger) -> str:
+def as_line(method: Method) -> str:
     """The method as the child's first line."""
-    return json.dumps(dataclasses.asdict(method)) + "\n"
+    return json.dumps({"does": type(method).__name__, **dataclasses.asdict(method)}) + "\n"
 
 
 if __name__ == "__main__":

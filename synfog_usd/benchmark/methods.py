@@ -16,10 +16,10 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from synfog_usd.benchmark.classics import CLASSICS
 from synfog_usd.errors import ParameterError, did_you_mean
@@ -28,36 +28,53 @@ from synfog_usd.yamlio import Located, load_file
 SCHEMA = "benchmark/1"
 TIMEOUT_S = 60.0
 PNG = "srgb.png"
-FIELDS = ("name", "onnx", "command", "takes", "range", "multiple", "timeout_s", "memory_gb")
+OF_ALL = ("name", "onnx", "command", "takes", "timeout_s", "memory_gb")
+"""What methods of every kind are declared by."""
+
+FIELDS = (*OF_ALL, "range", "multiple")
 
 
 @dataclass(frozen=True)
-class Defogger:
-    """One way to see through fog.
+class Method:
+    """What is asked about pictures, in a child with limits.
 
     Attributes:
         name: for tables.
         kind: 'classic', 'onnx' or 'command'.
-        target: the classic's name or the network's path.
+        target: the classic's name, the network's path or the command's folder.
         command: words, with {in} and {out}.
         takes: name of the file that it is given.
-        range: smallest and largest number of a network's pictures.
-        multiple: a network's sides must be multiples of this [px]; pictures are padded by their mirror image.
         timeout_s: for one picture [s].
         memory_gb: address space that it may have [GB].
         version: hash of all that decides its answers, so that old results are not taken for new ones.
     """
+
+    suffix: ClassVar[str] = ""
+    """Of the file with its answer."""
 
     name: str
     kind: str
     target: str = ""
     command: tuple[str, ...] = ()
     takes: str = PNG
-    range: tuple[float, float] = (0.0, 1.0)
-    multiple: int = 1
     timeout_s: float = TIMEOUT_S
     memory_gb: float = 8.0
     version: str = ""
+
+
+@dataclass(frozen=True)
+class Defogger(Method):
+    """One way to see through fog; its answer is a picture.
+
+    Attributes:
+        range: smallest and largest number of a network's pictures.
+        multiple: a network's sides must be multiples of this [px]; pictures are padded by their mirror image.
+    """
+
+    suffix: ClassVar[str] = ".png"
+
+    range: tuple[float, float] = (0.0, 1.0)
+    multiple: int = 1
 
 
 def chosen(words: Sequence[str]) -> tuple[Defogger, ...]:
@@ -71,13 +88,26 @@ def chosen(words: Sequence[str]) -> tuple[Defogger, ...]:
     """
     found: list[Defogger] = []
     for word in words:
-        found += _from_file(Path(word)) if word.endswith((".yaml", ".yml")) else [_classic(word, "")]
-    names = [method.name for method in found]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise ParameterError(f"two methods are called {twice!r}; give one another name")
+        if is_file(word):
+            found += [_method(entry, Path(word).parent) for entry in listed(Path(word), "methods")]
+        else:
+            found.append(_classic(word, ""))
+    refuse_twins(found)
     if not found:
         raise ParameterError(f"no method is named; it can be {', '.join(CLASSICS)}, or a YAML file")
     return tuple(found)
+
+
+def is_file(word: str) -> bool:
+    """Whether a word names a file of methods."""
+    return word.endswith((".yaml", ".yml"))
+
+
+def refuse_twins(found: Sequence[Method]) -> None:
+    """Raise ParameterError where two have one name."""
+    names = [method.name for method in found]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise ParameterError(f"two methods are called {twice!r}; give one another name")
 
 
 def _classic(name: str, place: str) -> Defogger:
@@ -89,73 +119,102 @@ def _classic(name: str, place: str) -> Defogger:
     return Defogger(name, "classic", target=name, version=_hash("classic", name, "1"))
 
 
-def _from_file(path: Path) -> list[Defogger]:
+def listed(path: Path, kind: str) -> list[Located]:
+    """What stands under `kind`, 'methods' or 'detectors', of a file.
+
+    Raises:
+        ParameterError: it is no file of methods, or has none of them.
+    """
     root = load_file(path, error=ParameterError)
-    fields = _mapping(root, "a file of methods", ("synfog", "methods"))
+    fields = mapping(root, "a file of methods", ("synfog", "methods", "detectors"))
     if "synfog" not in fields or fields["synfog"].plain() != SCHEMA:
         raise ParameterError(f"{root.place}: a file of methods begins with 'synfog: {SCHEMA}'")
-    listed = fields.get("methods")
-    if listed is None or not isinstance(listed.value, list) or not listed.value:
-        raise ParameterError(f"{root.place}: methods is a list of names and mappings, and has at least one")
-    return [_method(entry, path.parent) for entry in listed.value]
+    found = fields.get(kind)
+    if found is None or not isinstance(found.value, list) or not found.value:
+        raise ParameterError(f"{root.place}: {kind} is a list of names and mappings, and has at least one")
+    return list(found.value)
 
 
 def _method(entry: Located, folder: Path) -> Defogger:
     if isinstance(entry.value, str):
         return _classic(entry.value, f"{entry.place}: ")
-    fields = _mapping(entry, "a method", FIELDS)
+    fields = mapping(entry, "a method", FIELDS)
+    more: dict[str, Any] = {}
+    if "multiple" in fields:
+        more["multiple"] = int(number(fields["multiple"], "multiple", 1, 4096))
+    if "range" in fields:
+        value = fields["range"].plain()
+        if value not in ([0, 1], [-1, 1]):
+            raise ParameterError(f"{fields['range'].place}: range is {value!r}; it takes [0, 1] or [-1, 1]")
+        more["range"] = (float(value[0]), float(value[1]))
+    return Defogger(**declared(entry, fields, folder, more), **more)
+
+
+def declared(entry: Located, fields: dict[str, Located], folder: Path, more: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of `Method` that an entry declares.
+
+    Args:
+        entry, fields: the entry, and what stands in it.
+        folder: to which its paths are relative.
+        more: what else decides its answers.
+
+    Raises:
+        ParameterError: a fault, with its place.
+    """
     name = fields["name"].plain() if "name" in fields else None
     if not isinstance(name, str) or not name:
         raise ParameterError(f"{entry.place}: a method needs a name")
     ways = [way for way in ("onnx", "command") if way in fields]
     if len(ways) != 1:
         raise ParameterError(f"{entry.place}: method {name!r} needs one of onnx: FILE and command: [WORDS]")
-    more: dict[str, Any] = {}
-    for key, low, high in (("timeout_s", 0.1, 86400.0), ("memory_gb", 0.1, 4096.0), ("multiple", 1, 4096)):
+    own: dict[str, Any] = {}
+    for key, low, high in (("timeout_s", 0.1, 86400.0), ("memory_gb", 0.1, 4096.0)):
         if key in fields:
-            value = fields[key].plain()
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-                raise ParameterError(f"{fields[key].place}: {key} is {value!r}; it takes a number, {low} to {high}")
-            more[key] = int(value) if key == "multiple" else float(value)
-    if "range" in fields:
-        value = fields["range"].plain()
-        if value not in ([0, 1], [-1, 1]):
-            raise ParameterError(f"{fields['range'].place}: range is {value!r}; it takes [0, 1] or [-1, 1]")
-        more["range"] = (float(value[0]), float(value[1]))
+            own[key] = float(number(fields[key], key, low, high))
     if "takes" in fields:
         value = fields["takes"].plain()
         if not isinstance(value, str) or Path(value).name != value or ways == ["onnx"]:
             raise ParameterError(
                 f"{fields['takes'].place}: takes is {value!r}; it is the plain name of an output, for a command"
             )
-        more["takes"] = value
+        own["takes"] = value
+    decides = {**own, **more}
     if ways == ["onnx"]:
         value = fields["onnx"].plain()
         path = folder / str(value)
         if not isinstance(value, str) or not path.is_file():
             raise ParameterError(f"{fields['onnx'].place}: {path}: no such file")
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        return Defogger(name, "onnx", target=str(path.resolve()), version=_hash("onnx", digest, more), **more)
+        version = _hash("onnx", digest, decides)
+        return {"name": name, "kind": "onnx", "target": str(path.resolve()), "version": version, **own}
     words = fields["command"].plain()
     place = fields["command"].place
     if not isinstance(words, list) or not words or not all(isinstance(word, str) for word in words):
         raise ParameterError(f"{place}: command is a list of words")
     if not any("{in}" in word for word in words) or not any("{out}" in word for word in words):
-        raise ParameterError(f"{place}: a command names {{in}}, the foggy picture, and {{out}}, the PNG that it writes")
+        raise ParameterError(f"{place}: a command names {{in}}, the picture, and {{out}}, the file that it writes")
     if shutil.which(words[0]) is None:
         raise ParameterError(f"{place}: {words[0]}: no such program")
-    own = [hashlib.sha256((folder / w).read_bytes()).hexdigest() for w in words if (folder / w).is_file()]
-    return Defogger(
-        name,
-        "command",
-        target=str(folder.resolve()),
-        command=tuple(words),
-        version=_hash("command", words, own, more),
-        **more,
-    )
+    hashes = [hashlib.sha256((folder / w).read_bytes()).hexdigest() for w in words if (folder / w).is_file()]
+    version = _hash("command", words, hashes, decides)
+    target = str(folder.resolve())
+    return {"name": name, "kind": "command", "target": target, "command": tuple(words), "version": version, **own}
 
 
-def _mapping(node: Located, what: str, known: Sequence[str]) -> dict[str, Located]:
+def number(node: Located, key: str, low: float, high: float) -> float:
+    """A number of an entry.
+
+    Raises:
+        ParameterError: it is none, or outside of its range.
+    """
+    value = node.plain()
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise ParameterError(f"{node.place}: {key} is {value!r}; it takes a number, {low} to {high}")
+    return value
+
+
+def mapping(node: Located, what: str, known: Sequence[str]) -> dict[str, Located]:
+    """The entries of a mapping; what is not `known` is refused."""
     if not isinstance(node.value, dict):
         raise ParameterError(f"{node.place}: {what} is a mapping")
     fields: dict[str, Located] = node.value

@@ -11,6 +11,7 @@ from typing import Any
 
 from synfog_usd import files
 from synfog_usd.benchmark import defog, metrics
+from synfog_usd.benchmark.bench import Bench
 from synfog_usd.benchmark.methods import PNG, Defogger
 from synfog_usd.benchmark.pairs import Pair
 from synfog_usd.benchmark.statistics import Mean, mean, ranks
@@ -25,8 +26,11 @@ TILE_PX, GAP_PX, CAPTION_PX = 320, 6, 22
 Row = tuple[Defogger, int, dict[str, Mean]]
 """A method, its rank, and its mean by metric."""
 
+Tile = tuple[Any, str]
+"""A picture of Pillow's, and its caption."""
 
-def write(bench: defog.DefogBench, rows: Sequence[Row], out: Path) -> None:
+
+def write(bench: Bench, rows: Sequence[Row], out: Path) -> None:
     """Write table.md, table.csv, table.tex and pictures.png.
 
     Args:
@@ -43,33 +47,33 @@ def write(bench: defog.DefogBench, rows: Sequence[Row], out: Path) -> None:
     _pictures(bench, out / "pictures.png")
 
 
-def rows(bench: defog.DefogBench) -> list[Row]:
+def rows(bench: Bench) -> list[Row]:
     """A row a method, the best first; one without an answer is left out."""
-    scenes = {pair.name: pair.scene for pair in bench.pairs}
+    scenes = {pair.name: pair.scene for pair in bench.items}
     first = metrics.usable()[0]
-    answered = {method.name: values for method in bench.methods if (values := bench.values(method, first))}
+    answered = {method.name: values for method in bench.methods if (values := defog.values(bench, method, first))}
     order = ranks(answered, scenes, higher=metrics.METRICS[first].higher)
     found_rows: list[Row] = []
     for method in bench.methods:
         if method.name in answered:
             found = {}
             for name in metrics.usable():
-                values = bench.values(method, name)
+                values = defog.values(bench, method, name)
                 found[name] = mean(list(values.values()), [scenes[pair] for pair in values])
             found_rows.append((method, order[method.name], found))
     sign = -1.0 if metrics.METRICS[first].higher else 1.0
     return sorted(found_rows, key=lambda row: (row[1], sign * row[2][first].value))
 
 
-def markdown(bench: defog.DefogBench, rows: Sequence[Row]) -> str:
+def markdown(bench: Bench, rows: Sequence[Row]) -> str:
     """The tables, and under them what they rest on."""
     names = metrics.usable()
     titles = [_title(name) for name in names]
-    scenes = len({pair.scene for pair in bench.pairs})
+    scenes = len({pair.scene for pair in bench.items})
     lines = [
         "# Defogging bench",
         "",
-        f"{len(bench.pairs)} pairs of {scenes} scenes. Means over pairs; in brackets the "
+        f"{len(bench.items)} pairs of {scenes} scenes. Means over pairs; in brackets the "
         f"interval at 95 % over scenes. Methods share a rank where the difference in {_title(names[0])} may be chance.",
         "",
         f"| rank | method | {' | '.join(titles)} | pictures |",
@@ -77,29 +81,36 @@ def markdown(bench: defog.DefogBench, rows: Sequence[Row]) -> str:
     ]
     for method, rank, found in rows:
         cells = " | ".join(_cell(name, found[name]) for name in names)
-        lines.append(f"| {rank} | {method.name} | {cells} | {found[names[0]].count} of {len(bench.pairs)} |")
-    if fogs := defog.fogs(bench.pairs):
+        lines.append(f"| {rank} | {method.name} | {cells} | {found[names[0]].count} of {len(bench.items)} |")
+    if fogs := defog.fogs(bench.items):
         title = _title(names[0])
         lines += ["", f"{title} by fog:", "", f"| method | {' | '.join(fogs)} |", f"|---|{'---|' * len(fogs)}"]
         decimals = metrics.METRICS[names[0]].decimals
         for method, _, _ in rows:
             cells = []
             for fog in fogs:
-                values = list(bench.values(method, names[0], fog).values())
+                values = list(defog.values(bench, method, names[0], fog).values())
                 cells.append(f"{sum(values) / len(values):.{decimals}f}" if values else "-")
             lines.append(f"| {method.name} | {' | '.join(cells)} |")
-    for method in bench.methods:
-        if failed := bench.failures(method):
-            name, why = next(iter(failed.items()))
-            lines += [
-                "",
-                f"`{method.name}` gave no answer for {len(failed)} of {len(bench.pairs)} pictures; {name}: {why}",
-            ]
+    lines += unanswered(bench)
     missing = [name for name in metrics.METRICS if name not in names]
     lines += ["", "Metrics: " + "; ".join(f"{_title(n)} ({metrics.METRICS[n].source})" for n in names) + "."]
     lines += [f"{', '.join(missing)}: not measured; pip install 'synfog-usd[benchmark]' brings them."] * bool(missing)
     lines += [f"{metrics.LPIPS_WANTING}.", ""]
     return "\n".join(lines)
+
+
+def unanswered(bench: Bench) -> list[str]:
+    """A line for each method that failed somewhere, with its first reason."""
+    lines = []
+    for method in bench.methods:
+        if failed := bench.failures(method):
+            name, why = next(iter(failed.items()))
+            lines += [
+                "",
+                f"`{method.name}` gave no answer for {len(failed)} of {len(bench.items)} pictures; {name}: {why}",
+            ]
+    return lines
 
 
 def _title(name: str) -> str:
@@ -132,73 +143,91 @@ def _latex(rows: Sequence[Row]) -> str:
         if rows
     }
     titles = [f"{metrics.METRICS[n].title} $\\{'up' if metrics.METRICS[n].higher else 'down'}arrow$" for n in names]
-    lines = [
-        f"\\begin{{tabular}}{{l{'r' * len(names)}}}",
-        "\\hline",
-        f"Defogger & {' & '.join(titles)} \\\\",
-        "\\hline",
-    ]
+    lines = []
     for method, _, found in rows:
         cells = []
         for name in names:
             text = f"{found[name].value:.{metrics.METRICS[name].decimals}f}"
             cells.append(f"\\textbf{{{text}}}" if found[name].value == best[name] else text)
-        lines.append(f"{_escaped(method.name)} & {' & '.join(cells)} \\\\")
-    return "\n".join([*lines, "\\hline", "\\end{tabular}", ""])
+        lines.append([escaped(method.name), *cells])
+    return latex(["Defogger", *titles], lines)
 
 
-def _escaped(text: str) -> str:
+def latex(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """A table of cells that are LaTeX already; the first column is text."""
+    body = [f"{' & '.join(cells)} \\\\" for cells in lines]
+    top = [f"\\begin{{tabular}}{{l{'r' * (len(head) - 1)}}}", "\\hline", f"{' & '.join(head)} \\\\", "\\hline"]
+    return "\n".join([*top, *body, "\\hline", "\\end{tabular}", ""])
+
+
+def escaped(text: str) -> str:
+    """Plain text as LaTeX."""
     return "".join(f"\\{letter}" if letter in "_&%$#{}" else letter for letter in text if letter not in "\\^~")
 
 
-def _pictures(bench: defog.DefogBench, path: Path) -> None:
+def _pictures(bench: Bench, path: Path) -> None:
     """A row a pair: foggy, each method's answer, clear."""
-    from PIL import Image, ImageDraw, ImageFont
-
-    step = max(1, len(bench.pairs) // SHOWN)
-    pairs = list(bench.pairs)[::step][:SHOWN]
     methods = [method for method in bench.methods if method.target != "none"]
-    font = ImageFont.load_default(size=14)
     strips = []
     with tempfile.TemporaryDirectory(prefix="synfog-usd-") as folder:
         workers = [MethodWorker(method, Path(folder)) for method in methods]
         try:
-            for pair in pairs:
-                row = [_tile(pair.foggy, pair.name)]
+            for pair in spread(bench.items):
+                row = [tile(pair.foggy, pair.name)]
                 for method, worker in zip(methods, workers, strict=True):
                     row.append(_answer(bench, pair, method, worker))
-                strips.append([*row, _tile(pair.clear, "clear")])
+                strips.append([*row, tile(pair.clear, "clear")])
         finally:
             for worker in workers:
                 worker.close()
-    wide = max(tile[0].width for row in strips for tile in row) + GAP_PX
-    high = [max(tile[0].height for tile in row) + CAPTION_PX + GAP_PX for row in strips]
-    sheet = Image.new("RGB", (GAP_PX + wide * len(strips[0]), GAP_PX + sum(high)), (24, 24, 26))
-    draw, top = ImageDraw.Draw(sheet), GAP_PX
-    for row, height in zip(strips, high, strict=True):
-        for column, (tile, caption) in enumerate(row):
-            draw.text((GAP_PX + column * wide, top), caption[:40], fill=(225, 225, 225), font=font)
-            sheet.paste(tile, (GAP_PX + column * wide, top + CAPTION_PX))
-        top += height
-    files.write_whole(path, lambda temporary: sheet.save(temporary, "PNG"))
+    sheet(strips, path)
 
 
-def _answer(bench: defog.DefogBench, pair: Pair, method: Defogger, worker: MethodWorker) -> tuple[Any, str]:
-    from PIL import Image
-
-    row = bench.rows.get((method.version, pair.name), {})
+def _answer(bench: Bench, pair: Pair, method: Defogger, worker: MethodWorker) -> Tile:
+    row = bench.row(method, pair)
     taken = pair.foggy if method.takes == PNG else pair.files.get(method.takes)
     if "error" not in row and taken is not None:
         try:
-            return _tile(worker.restore(taken), f"{method.name}  {row.get('psnr', 0.0):.1f} dB")
+            return tile(worker.ask(taken), f"{method.name}  {row.get('psnr', 0.0):.1f} dB")
         except MethodError:
             pass
-    return Image.new("RGB", (TILE_PX, TILE_PX // 2), (60, 24, 24)), f"{method.name}: no answer"
+    return no_answer(method.name)
 
 
-def _tile(path: Path, caption: str) -> tuple[Any, str]:
+def spread(items: Sequence[Any]) -> list[Any]:
+    """At most `SHOWN` of them, spread over all."""
+    count = min(SHOWN, len(items))  # one more each time, so that not every row is of one fog
+    return [items[place] for place in sorted({(n * len(items) // count + n) % len(items) for n in range(count)})]
+
+
+def tile(path: Path, caption: str) -> Tile:
+    """A picture in the sheet's width, with its caption."""
     from PIL import Image
 
     with Image.open(path) as image:
         picture = image.convert("RGB")
     return picture.resize((TILE_PX, max(1, round(TILE_PX * picture.height / picture.width)))), caption
+
+
+def no_answer(name: str) -> Tile:
+    """In the place of a picture."""
+    from PIL import Image
+
+    return Image.new("RGB", (TILE_PX, TILE_PX // 2), (60, 24, 24)), f"{name}: no answer"
+
+
+def sheet(strips: Sequence[Sequence[Tile]], path: Path) -> None:
+    """Write rows of tiles as one PNG."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    font = ImageFont.load_default(size=14)
+    wide = max(one[0].width for row in strips for one in row) + GAP_PX
+    high = [max(one[0].height for one in row) + CAPTION_PX + GAP_PX for row in strips]
+    whole = Image.new("RGB", (GAP_PX + wide * max(map(len, strips)), GAP_PX + sum(high)), (24, 24, 26))
+    draw, top = ImageDraw.Draw(whole), GAP_PX
+    for row, height in zip(strips, high, strict=True):
+        for column, (picture, caption) in enumerate(row):
+            draw.text((GAP_PX + column * wide, top), caption[:40], fill=(225, 225, 225), font=font)
+            whole.paste(picture, (GAP_PX + column * wide, top + CAPTION_PX))
+        top += height
+    files.write_whole(path, lambda temporary: whole.save(temporary, "PNG"))

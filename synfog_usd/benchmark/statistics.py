@@ -52,9 +52,14 @@ def mean(values: Sequence[float], scenes: Sequence[str], *, seed: int = 0) -> Me
     if names.size < FEWEST_SCENES:
         return Mean(float(numbers.mean()), None, None, numbers.size, names.size)
     sums, counts = np.bincount(place, numbers), np.bincount(place)
-    drawn = _drawn(names.size, seed)
-    low, high = np.quantile((drawn @ sums) / (drawn @ counts), [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
-    return Mean(float(numbers.mean()), float(low), float(high), numbers.size, names.size)
+    drawn = draws(names.size, seed)
+    return Mean(float(numbers.mean()), *interval((drawn @ sums) / (drawn @ counts)), numbers.size, names.size)
+
+
+def interval(drawn: npt.NDArray[np.float64]) -> tuple[float, float]:
+    """Ends of the interval at 95 % of a statistic's values over draws; those that are not defined are left out."""
+    low, high = np.nanquantile(drawn, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+    return float(low), float(high)
 
 
 def ranks(
@@ -84,7 +89,7 @@ def ranks(
     return {name: 1 + count for name, count in better.items()}
 
 
-def _drawn(scenes: int, seed: int) -> npt.NDArray[np.float64]:
+def draws(scenes: int, seed: int = 0) -> npt.NDArray[np.float64]:
     """(RESAMPLES, scenes) how often each scene is drawn."""
     return (
         seeds.stream(seed, "bootstrap", scenes)

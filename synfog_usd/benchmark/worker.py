@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from synfog_usd.benchmark.child import as_line
-from synfog_usd.benchmark.methods import Defogger
+from synfog_usd.benchmark.methods import Method
 from synfog_usd.errors import SynfogError
 
 
@@ -31,19 +31,19 @@ class MethodWorker:
         folder: for answers; a temporary one.
     """
 
-    def __init__(self, method: Defogger, folder: Path) -> None:
+    def __init__(self, method: Method, folder: Path) -> None:
         self.method, self.folder = method, folder
         self._child: subprocess.Popen[str] | None = None
         self._told: Any = None
         self._answers: queue.Queue[str] = queue.Queue()
 
-    def restore(self, picture: Path) -> Path:
-        """The method's answer to a picture, as a PNG.
+    def ask(self, picture: Path) -> Path:
+        """The file with the method's answer to a picture.
 
         Raises:
             MethodError: it died, took too long, or answered nothing that can be used.
         """
-        answer = self.folder / f"{self.method.version}.png"
+        answer = self.folder / f"{self.method.version}{self.method.suffix}"
         answer.unlink(missing_ok=True)
         child = self._started()
         assert child.stdin is not None

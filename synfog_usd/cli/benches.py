@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import typer
 
 from synfog_usd.benchmark import defog as bench_of
-from synfog_usd.benchmark import page
+from synfog_usd.benchmark import detect as detection
+from synfog_usd.benchmark import detect_page, detectors, page
+from synfog_usd.benchmark.bench import Bench
 from synfog_usd.benchmark.methods import chosen
 from synfog_usd.benchmark.pairs import find
 from synfog_usd.cli import worker
 from synfog_usd.cli.progress import shown
+
+Item = TypeVar("Item")
 
 
 def defog(
@@ -34,14 +41,9 @@ def defog(
     """Run the bench; the exit code is 1 where a method gave no answer at all, 130 after Ctrl-C."""
     methods = chosen(words)
     pairs = find(source, picture=picture, clear=clear, split=split)
-    if limit is not None and limit < len(pairs):
-        pairs = [pairs[number * len(pairs) // limit] for number in range(limit)]
-    try:
-        with shown(quiet) as (progress, log):
-            bench = bench_of.run(pairs, methods, out, retry=retry, progress=progress, log=log)
-    except KeyboardInterrupt:
-        print(f"synfog-usd: stopped. What was measured is kept in {out}; the same command goes on", file=sys.stderr)
-        raise typer.Exit(worker.INTERRUPTED) from None
+    pairs = _spread(pairs, limit)
+    with _kept_in(out), shown(quiet) as (progress, log):
+        bench = bench_of.run(pairs, methods, out, retry=retry, progress=progress, log=log)
     rows = page.rows(bench)
     page.write(bench, rows, out)
     if as_json:
@@ -53,7 +55,70 @@ def defog(
     elif not quiet:
         print(page.markdown(bench, rows))
         print(f"{out / 'pictures.png'} shows them side by side")
-    silent = [method.name for method in methods if len(bench.failures(method)) == len(pairs)]
+    _refuse_silence(bench, out)
+
+
+def detect(
+    source: Path,
+    out: Path,
+    *,
+    models: Sequence[str],
+    before: Sequence[str],
+    picture: str,
+    split: str,
+    limit: int | None,
+    least_px: int,
+    retry: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Run the bench; exit codes as `defog` has them."""
+    found = detectors.chosen(models)
+    defoggers = [None, *(chosen(before) if before else ())]
+    runs = [detection.DetectorRun(one, first) for one in found for first in defoggers]
+    views = _spread(detection.find(source, picture=picture, split=split), limit)
+    with _kept_in(out), shown(quiet) as (progress, log):
+        bench = detection.run(views, runs, out, retry=retry, progress=progress, log=log)
+    scored = {one.name: detection.scores(bench, one, least_px=least_px) for one in runs}
+    ranks = detection.ranks(bench, [one for one in runs if scored[one.name].pictures], least_px=least_px)
+    scored = {name: scored[name] for name in ranks}
+    detect_page.write(bench, scored, ranks, out)
+    if as_json:
+        rows = [
+            {"detector": name, "rank": ranks[name], **dataclasses.asdict(row), "value": _number(row.value)}
+            for name, scores in scored.items()
+            for row in scores.rows
+        ]
+        print(json.dumps(rows, indent=2))
+    elif not quiet:
+        print(detect_page.markdown(bench, scored, ranks))
+        print(f"{out / 'pictures.png'} shows boxes")
+    _refuse_silence(bench, out)
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _spread(items: list[Item], limit: int | None) -> list[Item]:
+    if limit is None or limit >= len(items):
+        return items
+    return [items[number * len(items) // limit] for number in range(limit)]
+
+
+@contextlib.contextmanager
+def _kept_in(out: Path) -> Iterator[None]:
+    """Say after Ctrl-C that nothing is lost."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f"synfog-usd: stopped. What was measured is kept in {out}; the same command goes on", file=sys.stderr)
+        raise typer.Exit(worker.INTERRUPTED) from None
+
+
+def _refuse_silence(bench: Bench, out: Path) -> None:
+    """Exit code 1 where a method gave no answer at all."""
+    silent = [method.name for method in bench.methods if len(bench.failures(method)) == len(bench.items)]
     if silent:
         print(f"synfog-usd: {', '.join(silent)} gave no answer at all; see {out / 'table.md'}", file=sys.stderr)
         raise typer.Exit(1)

@@ -44,3 +44,43 @@ def defog(
         quiet=quiet,
         as_json=as_json,
     )
+
+
+@app.command()
+def detect(
+    source: options.Source,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results, tables and pictures.")],
+    model: Annotated[list[str], typer.Option("--model", help="YAML file that declares detectors; once for each file.")],
+    before: Annotated[
+        str,
+        typer.Option(
+            help="Also after defoggers: names (dcp, cap, fvr) and YAML files of own methods, with commas.",
+            show_default=False,
+        ),
+    ] = "",
+    picture: Annotated[str, typer.Option(help="Which output of a set or bake is looked at.")] = "srgb.png",
+    split: Annotated[str, typer.Option(help="Split of a set; all if left out.")] = "",
+    limit: Annotated[int | None, typer.Option(min=1, help="At most so many pictures, spread over all.")] = None,
+    least_px: Annotated[
+        int, typer.Option("--least-px", min=0, help="Things of fewer visible pixels are neither found nor missed.")
+    ] = 0,
+    retry: Annotated[bool, typer.Option("--retry", help="Take up what failed, too.")] = False,
+    quiet: options.Quiet = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON on standard output.")] = False,
+) -> None:
+    """Score what detectors find in fog, with and without what no camera can see."""
+    from synfog_usd.cli import benches
+
+    benches.detect(
+        source,
+        out,
+        models=model,
+        before=[word.strip() for word in before.split(",") if word.strip()],
+        picture=picture,
+        split=split,
+        limit=limit,
+        least_px=least_px,
+        retry=retry,
+        quiet=quiet,
+        as_json=as_json,
+    )

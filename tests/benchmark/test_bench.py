@@ -16,6 +16,7 @@ from support import cli
 
 from synfog_usd import seeds
 from synfog_usd.benchmark import defog, metrics, page
+from synfog_usd.benchmark.bench import GIVE_UP
 from synfog_usd.benchmark.methods import chosen
 from synfog_usd.benchmark.pairs import find
 from synfog_usd.benchmark.statistics import mean, ranks
@@ -168,7 +169,7 @@ def test_a_method_that_fails_on_the_first_pictures_is_asked_no_more(tmp_path, fo
     words = [sys.executable, "-c", f"open({str(count)!r}, 'a').write('x'); raise SystemExit(3)", "{in}", "{out}"]
     own = methods(tmp_path, f"- {{name: bad, command: {json.dumps(words)}}}\n")
     bench = defog.run(find(folder), chosen([str(own)]), tmp_path / "out")
-    assert len(count.read_text(encoding="utf-8")) == defog.GIVE_UP
+    assert len(count.read_text(encoding="utf-8")) == GIVE_UP
     assert sum("not asked" in why for why in bench.failures(bench.methods[0]).values()) == 3
 
 
