@@ -34,14 +34,27 @@ MOST_OVERLAPS = 20
 ERRORS, WARNINGS_UNDER_STRICT, CLEAN = 2, 1, 0
 
 
-def look(stage: Path, *, allow: Sequence[Path] = ()) -> tuple[list[Finding], list[Note], dict[str, str]]:
+def look(
+    stage: Path,
+    *,
+    allow: Sequence[Path] = (),
+    choices: Sequence[str] = (),
+    metres_per_unit: float | None = None,
+    up: str | None = None,
+) -> tuple[list[Finding], list[Note], dict[str, str]]:
     """Findings on a stage, gravest first, the notes of its translation over all lightings and fogs, and how light it is
     by lighting.
 
+    Args:
+        stage: file.
+        allow: folders outside its own in which its files may lie.
+        choices, metres_per_unit, up: how it is read otherwise than it says of itself, see `stage.override`.
+
     Raises:
-        StageError: the stage cannot be opened at all.
+        StageError: the stage cannot be opened at all, or has no such choice.
     """
     opened = usd.open_stage(stage, allow=allow)
+    usd.override(opened, choices=choices, metres_per_unit=metres_per_unit, up=up)
     notes: dict[Note, None] = {}
     first = _placed(opened, usd.check(opened))
     found = dict.fromkeys(first)

@@ -86,13 +86,8 @@ def bake(
         ),
     ] = "auto",
     choices: options.Choices = None,
-    metres_per_unit: Annotated[
-        float | None,
-        typer.Option("--meters-per-unit", help="Length in metres of the stage's unit, instead of its own."),
-    ] = None,
-    up: Annotated[
-        str | None, typer.Option(help="Axis of the stage that points up: X, Y or Z, instead of its own.")
-    ] = None,
+    metres_per_unit: options.MetresPerUnit = None,
+    up: options.Up = None,
     max_distance: Annotated[
         float | None,
         typer.Option(help="Leave models unloaded that are farther from the camera than this many metres."),
@@ -216,6 +211,8 @@ def preview(
     camera: options.Camera = None,
     frame: options.Frame = None,
     choices: options.Choices = None,
+    metres_per_unit: options.MetresPerUnit = None,
+    up: options.Up = None,
     light_scale: options.LightScale = 1.0,
     sun_lux: options.SunLux = None,
     resolution: options.Resolution = "320x180",
@@ -240,6 +237,8 @@ def preview(
             camera=camera,
             frame=frame,
             choices=tuple(choices or ()),
+            metres_per_unit=metres_per_unit,
+            up=up,
             light_scale=light_scale,
             sun_lux=sun_lux,
             size=_size(resolution),
@@ -259,6 +258,9 @@ def preview(
 def check(
     stage: Annotated[Path, typer.Argument(help="USD file.")],
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
+    choices: options.Choices = None,
+    metres_per_unit: options.MetresPerUnit = None,
+    up: options.Up = None,
     allow: options.Allow = None,
     fix: Annotated[
         Path | None,
@@ -272,18 +274,22 @@ def check(
     """Tell what in STAGE is wrong or unusual, how to mend it, and what a bake makes simpler; exit code 2 where a bake
     would stop.
     """
+    from synfog_usd import numbers
+
+    numbers.check_space(metres_per_unit=metres_per_unit, up=up)
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
     worker.follow_parent()
     from synfog_usd.cli import check as verb
 
+    read = dict(allow=allow or [], choices=choices or [], metres_per_unit=metres_per_unit, up=up)
     with worker.reading_limits():
-        found, notes, light = verb.look(stage, allow=allow or [])
+        found, notes, light = verb.look(stage, **read)
         fixes = None
         if fix is not None:
             fixes = verb.mended(stage, fix, found, allow=allow or [])
             stage = fix
-            found, notes, light = verb.look(stage, allow=allow or [])
+            found, notes, light = verb.look(stage, **read)
     code = verb.exit_code(found, notes, strict=strict)
     if as_json:
         print(verb.as_json(stage, found, notes, code, light, fixes))

@@ -37,6 +37,10 @@ Choices = Annotated[
         autocompletion=_variants_of_stage,
     ),
 ]
+MetresPerUnit = Annotated[
+    float | None, typer.Option("--meters-per-unit", help="Length in metres of the stage's unit, instead of its own.")
+]
+Up = Annotated[str | None, typer.Option(help="Axis of the stage that points up: X, Y or Z, instead of its own.")]
 LightScale = Annotated[float, typer.Option(help="Multiply all lights by this.")]
 SunLux = Annotated[
     float | None,

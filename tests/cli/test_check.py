@@ -99,6 +99,21 @@ def test_check_on_the_command_line(stage):
     )
 
 
+def test_a_stage_is_checked_as_it_would_be_baked(stage):
+    """A wall labelled as a car, 20 m wide: in a tenth of the unit it is 2 m and no fault. Nonsense is refused."""
+    path = stage(SMALL_CAR)
+    assert "units" in {one.rule for one in verb.look(path)[0]}
+    assert "units" not in {one.rule for one in verb.look(path, metres_per_unit=0.1)[0]}
+    assert verb.look(path, choices=["/World:fog=clear"])  # a choice that there is
+    for words, told in (
+        (["--set", "/World:fog=none"], "variant set 'fog' of /World has"),
+        (["--up", "sideways"], "--up sideways: it takes X, Y or Z"),
+        (["--meters-per-unit", "0"], "--meters-per-unit 0: outside"),
+    ):
+        done = process("check", path, *words)
+        assert done.returncode == 2 and told in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+
+
 def test_the_extension_is_packed_whole_and_alike(tmp_path):
     """Two packings are the same bytes: the manifest with its version, and the module; another suffix is refused."""
     for name in ("a.zip", "b.zip"):
