@@ -260,7 +260,7 @@ def sample(
         luminance, error = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
         variance = accumulated.variance().reshape(shape).astype(np.float32)
         for estimator in accumulated.estimators.values():  # a large frame fills memory: a sum is let go once it is read
-            estimator.squares, estimator.lane_squares = np.zeros((0, 0), dtype=estimator.squares.dtype), None
+            estimator.squares = np.zeros((0, 0), dtype=estimator.squares.dtype)
         denoised = None
         if cleaning:
             denoised, problem = cleaning.picture(accumulated, number, progress), cleaning.problem

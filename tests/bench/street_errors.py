@@ -161,10 +161,12 @@ def sensor_row(name: str, source: SceneDict, clear: SceneDict, model: str) -> st
     assert found is not None
     noise = functools.partial(camera.noise_floor, electrons_per_cd_m2=found[0], dark_noise_e=found[1])
     loaded = shot.load(source, boundaries=False)
-    done = [
-        shot.render(source, model=model, seed=seed, loaded=loaded, denoise=True, sensor_sigma=sensor_target(noise))
-        for seed in range(SENSOR_SEEDS)
-    ]
+    done: list[shot.Rendered] = []
+    for seed in range(SENSOR_SEEDS):  # the planner chooses once, as for a shot
+        chosen = done[0].model if done else model
+        done.append(
+            shot.render(source, model=chosen, seed=seed, loaded=loaded, denoise=True, sensor_sigma=sensor_target(noise))
+        )
     mean = np.mean([one.radiance.pixels for one in done], axis=0, dtype=np.float64).astype(np.float32)
 
     def read(radiance: Image, seed: int) -> Array:

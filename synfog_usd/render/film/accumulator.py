@@ -70,17 +70,17 @@ class Moments:
 
     Attributes:
         aovs: light in all bands (R, G and B, or more) for each of the estimator's `AOVS`.
-        squares: of the whole path's light, in all bands.
         groups: light by light group; empty where there is only one.
         lost: paths that were not finite and count as zero.
         seen: paths of a cell that nothing hid; 0 for pixels.
+        squares: of the whole path's light in all bands, for cells; None for pixels.
     """
 
     aovs: tuple[Any, ...]
-    squares: Any
     groups: tuple[Any, ...]
     lost: Any
     seen: Any = 0
+    squares: Any = None
 
 
 class Integrator(Protocol):
@@ -120,19 +120,17 @@ class Estimator:
 
     Attributes:
         aovs: name -> (H, P, C) sum of the samples in each half; H is 1 where they are not kept apart.
-        squares: (P, C) sum of their squares.
+        squares: (P, C) sum over lanes of the square of their sum, over their samples; a lane is one sample where
+            samples are independent one by one.
         groups: G sums (P, C) by light group.
         counts: (H, P) samples of each half of each pixel.
-        lane_squares: (P, C) sum over lanes of the square of their sum, over their samples; None where samples are
-            independent one by one.
-        lanes: (P,) of each pixel.
+        lanes: (P,) of each pixel; None where they are as many as the samples.
     """
 
     aovs: dict[str, Array]
     squares: Array
     groups: list[Array]
     counts: Indices
-    lane_squares: Array | None = None
     lanes: Indices | None = None
 
     def number(self) -> Array:
@@ -156,12 +154,8 @@ class Estimator:
         of 3 has it.
         """
         number, square = self.number(), self.mean() ** 2
-        draws, squares = (
-            (number, self.squares)
-            if self.lane_squares is None or self.lanes is None
-            else (self.lanes[:, None], self.lane_squares)
-        )
-        spread = squares / number
+        draws = number if self.lanes is None else self.lanes[:, None]
+        spread = self.squares / number
         spread -= square
         np.maximum(spread, 0.0, out=spread)
         spread /= np.maximum(draws - 1.0, 1.0).astype(spread.dtype)
@@ -374,16 +368,12 @@ def new_accumulator(integrator: Traces, pixels: int) -> Accumulator:
     shape, kind = (pixels, bands.count), np.float64 if bands.is_rgb else np.float32
 
     def empty(estimator: str) -> Estimator:
-        aovs = {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]}
-        counts = np.zeros((HALVES, pixels), dtype=np.int64)
-        squares, lane_squares = np.zeros(shape, dtype=kind), np.zeros(shape, dtype=kind)
         return Estimator(
-            aovs,
-            squares,
+            {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]},
+            np.zeros(shape, dtype=kind),
             [np.zeros(shape, dtype=kind) for _ in range(groups)],
-            counts,
-            lane_squares,
-            np.zeros(pixels, dtype=np.int64),
+            np.zeros((HALVES, pixels), dtype=np.int32),
+            np.zeros(pixels, dtype=np.int32),
         )
 
     return Accumulator(
@@ -472,7 +462,7 @@ def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progr
     )
     aovs, groups, noise = cache.airlight(rays, seed32(seed, "rays"))
     number = HALVES * max(cache.count // HALVES, 1)
-    estimator.lane_squares = estimator.lanes = None
+    estimator.lanes = None
     estimator.squares = (noise * (number - 1) + sum(aovs) ** 2) * number
     halved = [
         np.broadcast_to((aov * (number / HALVES)).astype(np.float32), (HALVES, *aov.shape)) for aov in aovs
@@ -495,7 +485,7 @@ def _add(
     import drjit as dr
 
     moments = integrator.trace(name, backend.numbers(np.tile(pixels, len(halves))), backend.numbers(first), count, seed)
-    dr.eval(moments.aovs, moments.squares, moments.groups, moments.lost)
+    dr.eval(moments.aovs, moments.groups, moments.lost)
     estimator = accumulated.estimators[name]
 
     def lanes(colour: Any, kind: Any) -> Array:
@@ -506,12 +496,12 @@ def _add(
             halves, lanes(aov, target.dtype), strict=True
         ):  # chunk by chunk: the order of the sum is fixed
             target[half, pixels] += lane
-    for target, colour in zip((estimator.squares, *estimator.groups), (moments.squares, *moments.groups), strict=True):
+    for target, colour in zip(estimator.groups, moments.groups, strict=True):
         for lane in lanes(colour, target.dtype):
             target[pixels] += lane
-    if estimator.lane_squares is not None and estimator.lanes is not None:
-        for lane in sum(lanes(aov, estimator.lane_squares.dtype) for aov in moments.aovs):
-            estimator.lane_squares[pixels] += lane**2 / count
+    for lane in sum(lanes(aov, estimator.squares.dtype) for aov in moments.aovs):
+        estimator.squares[pixels] += lane**2 / count
+    if estimator.lanes is not None:
         estimator.lanes[pixels] += len(halves)
     for half in halves:
         estimator.counts[half, pixels] += count

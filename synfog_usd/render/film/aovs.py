@@ -21,6 +21,9 @@ from synfog_usd.render.load import MitsubaScene, camera_fog
 
 MAX_CROSSINGS = 256
 
+RAYS = 1 << 18
+"""Rays that are followed at once."""
+
 MAX_PIERCED = 1024
 """Surfaces that a ray goes through when all instances on its way are asked for."""
 
@@ -79,12 +82,32 @@ class Aovs:
         return Image(self.transmittance[:, :, None].astype(np.float32), ("transmittance.Y",), Quantity.DATA)
 
 
-def measure(loaded: MitsubaScene) -> Aovs:
-    """Trace one ray through the centre of every pixel."""
+def measure(loaded: MitsubaScene, *, batch: int = RAYS) -> Aovs:
+    """Trace one ray through the centre of every pixel.
+
+    Args:
+        loaded: the scene.
+        batch: rays that are followed at once; memory goes with it, the result does not.
+    """
+    camera, tracer = loaded.source.camera, _Tracer(loaded)
+    shape = (camera.height_px, camera.width_px)
+    count = camera.width_px * camera.height_px
+    parts = [_measured(tracer, np.arange(low, min(low + batch, count))) for low in range(0, count, batch)]
+    distance, depth, normal, instance, through = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return Aovs(
+        distance.reshape(shape),
+        depth.reshape(shape),
+        normal.reshape(*shape, 3),
+        instance.reshape(shape),
+        through.reshape(shape),
+    )
+
+
+def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, Indices, Array]:
+    """What some pixels see, as rows of `Aovs`."""
+    loaded = tracer.loaded
     camera, fog = loaded.source.camera, loaded.source.fog
-    width, height = camera.width_px, camera.height_px
-    tracer = _Tracer(loaded)
-    origin, direction = tracer.centre_rays(width, height)
+    origin, direction = tracer.centre_rays(pixels)
     forward = -camera.to_world[:3, 2]
     count = len(origin)
     eye = np.broadcast_to(camera.to_world[:3, 3], origin.shape)
@@ -128,17 +151,10 @@ def measure(loaded: MitsubaScene) -> Aovs:
     depth = np.where(
         np.isfinite(distance), np.where(np.isfinite(distance), distance, 0.0) * (direction @ forward), np.inf
     )
-    shape = (height, width)
-    return Aovs(
-        distance.reshape(shape),
-        depth.reshape(shape),
-        normal.reshape(height, width, 3),
-        instance.reshape(shape),
-        np.exp(-tau).reshape(shape),
-    )
+    return distance, depth, normal, instance, np.exp(-tau)
 
 
-def pierced(loaded: MitsubaScene, *, batch: int = 1 << 18) -> tuple[Indices, Indices]:
+def pierced(loaded: MitsubaScene, *, batch: int = RAYS) -> tuple[Indices, Indices]:
     """Every instance that the ray through each pixel's centre meets, whatever stands in front of it.
 
     The rays of `measure` go on behind each surface until they leave the scene, or after `MAX_PIERCED` surfaces.  So one
@@ -155,21 +171,21 @@ def pierced(loaded: MitsubaScene, *, batch: int = 1 << 18) -> tuple[Indices, Ind
     camera = loaded.source.camera
     count = camera.width_px * camera.height_px
     tracer = _Tracer(loaded)
-    all_origins, directions = tracer.centre_rays(camera.width_px, camera.height_px)
     found = []
     for first in range(0, count, batch):
         pixels = np.arange(first, min(first + batch, count))
-        origin, began, growth = all_origins[pixels], np.zeros(len(pixels)), np.ones(len(pixels))
+        all_origins, directions = tracer.centre_rays(pixels)
+        origin, began, growth = all_origins, np.zeros(len(pixels)), np.ones(len(pixels))
         codes = [np.zeros(0, dtype=np.int64)]
         for _ in range(MAX_PIERCED):
-            hits = tracer.trace(origin, directions[pixels])
+            hits = tracer.trace(origin, directions[pixels - first])
             met = hits.valid & (hits.fog < 0) & (hits.see_through < 0.5) & (hits.instance_id > 0)
             codes.append(hits.instance_id[met] * count + pixels[met])
             pixels, began, growth = pixels[hits.valid], began[hits.valid], growth[hits.valid]
             hits = _rows(hits, hits.valid)
             if not pixels.size:
                 break
-            eye, direction = all_origins[pixels], directions[pixels]
+            eye, direction = all_origins[pixels - first], directions[pixels - first]
             at = np.sum((hits.position - eye) * direction, axis=1)
             least = STEP * (1.0 + at)
             growth = np.where(at - began < 4.0 * growth * least, 2.0 * growth, 1.0)  # a ray within a surface leaves it
@@ -183,7 +199,7 @@ def pierced(loaded: MitsubaScene, *, batch: int = 1 << 18) -> tuple[Indices, Ind
 def centre_rays(loaded: MitsubaScene) -> tuple[Array, Array]:
     """(P, 3) origins and unit directions of the rays through the pixels' centres, row by row from the top left."""
     camera = loaded.source.camera
-    return _Tracer(loaded).centre_rays(camera.width_px, camera.height_px)
+    return _Tracer(loaded).centre_rays(np.arange(camera.width_px * camera.height_px))
 
 
 def seen_through(loaded: MitsubaScene, clear: Aovs) -> Aovs:
@@ -193,9 +209,8 @@ def seen_through(loaded: MitsubaScene, clear: Aovs) -> Aovs:
         loaded: the scene with its fog, in boxes and balls, and a camera of the size of `clear`.
         clear: what the same rays meet in clear air.
     """
-    camera = loaded.source.camera
-    _, direction = _Tracer(loaded).centre_rays(camera.width_px, camera.height_px)
-    eye = np.broadcast_to(camera.to_world[:3, 3], direction.shape)
+    _, direction = centre_rays(loaded)
+    eye = np.broadcast_to(loaded.source.camera.to_world[:3, 3], direction.shape)
     tau = optical_depth(loaded.source.fog, eye, direction, clear.distance_m.ravel())
     return replace(clear, transmittance=np.exp(-tau).reshape(clear.distance_m.shape))
 
@@ -260,10 +275,10 @@ class _Tracer:
 
         return int(dr.reinterpret_array(self.mi.UInt32, self.mi.ShapePtr(shape))[0])
 
-    def centre_rays(self, width: int, height: int) -> tuple[Array, Array]:
-        """(N, 3) origins and directions, row by row from the top left."""
-        mi = self.mi
-        y, x = np.divmod(np.arange(width * height), width)
+    def centre_rays(self, pixels: Indices) -> tuple[Array, Array]:
+        """(N, 3) origins and directions of pixels (N,), numbered row by row from the top left."""
+        mi, width, height = self.mi, self.loaded.source.camera.width_px, self.loaded.source.camera.height_px
+        y, x = np.divmod(pixels, width)
         u, v = (x + 0.5) / width + self.loaded.offset[0], (y + 0.5) / height + self.loaded.offset[1]
         if not self.scalar:
             ray, _ = self.loaded.sensor.sample_ray(

@@ -102,8 +102,6 @@ class Asm:
             whole = t * sum(estimator.total(name) for name in estimator.aovs)
             more = 2.0 * added * whole + count.sum(axis=0) * added**2
             estimator.squares = t * t * estimator.squares + more
-            if estimator.lane_squares is not None:
-                estimator.lane_squares = t * t * estimator.lane_squares + more
             estimator.groups = [t * group for group in estimator.groups]
             estimator.aovs = {name: t * aov for name, aov in estimator.aovs.items()}
             if index == 0:

@@ -267,7 +267,7 @@ class FogPath:
         mi = backend.mitsuba()
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
         corner, bands = self.raster.corner(pixel), self.bands
-        single, squares, lost = bands.black(), bands.black(), mi.UInt32(0)
+        single, lost = bands.black(), mi.UInt32(0)
         sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []
         known = None if self.view_lights is None else (self.view_lights, self.tile(pixel))
         begun = mi.UInt32(0)
@@ -280,22 +280,22 @@ class FogPath:
             light, group = self.nee_along(ray, near, stop, bands.even(weight), sampler, stop > near, known)
             finite = dr.all(dr.isfinite(light))
             light = dr.select(finite, light, 0.0)
-            single, squares = single + light, squares + light * light
+            single += light
             sums = _to_group(sums, light, self.numbered(group))
             lost += dr.select(finite, mi.UInt32(0), mi.UInt32(1))
             begun += 1
-        return Moments((single,), squares, tuple(sums), lost)
+        return Moments((single,), tuple(sums), lost)
 
     @dr.syntax
     def trace_direct(self, pixel: Any, first: Any, count: int, seed: int) -> Moments:
         """Lamps' faces that the eye sees, piece by piece; arguments as in `trace`."""
         mi, bands, scene = backend.mitsuba(), self.bands, self.loaded.scene
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
-        total, squares, lost = bands.black(), bands.black(), mi.UInt32(0)
+        total, lost = bands.black(), mi.UInt32(0)
         sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []
         begin, end = self.visible.pieces(pixel)
         begun = dr.select(begin < end, mi.UInt32(0), wanted)
-        sampler, path, piece = Sobol(image_seed, pixel, first), bands.black(), mi.UInt32(begin)
+        sampler, piece = Sobol(image_seed, pixel, first), mi.UInt32(begin)
         while begun < wanted:
             place, area, owner, face = self.visible.point(piece, sampler.next_2d())
             ray, weight = self.ray_through(place / self.raster.size, sampler, mi.Bool(True))
@@ -313,15 +313,14 @@ class FogPath:
             finite = dr.all(dr.isfinite(seen))
             seen = dr.select(finite, seen, bands.black())
             lost += dr.select(finite, mi.UInt32(0), mi.UInt32(1))
-            path += seen
+            total += seen
             sums = _to_group(sums, seen, self.numbered(group))
             piece += 1
             over = piece >= end
-            total, squares = dr.select(over, total + path, total), dr.select(over, squares + path * path, squares)
-            path, piece = dr.select(over, bands.black(), path), dr.select(over, begin, piece)
+            piece = dr.select(over, begin, piece)
             begun += dr.select(over, mi.UInt32(1), mi.UInt32(0))
             sampler = sampler.restarted(over, Sobol(image_seed, pixel, first + begun))
-        return Moments((total,), squares, tuple(sums), lost)
+        return Moments((total,), tuple(sums), lost)
 
     def known_along(self, ray: Any, near: Any, stop: Any, sampler: Any, active: Any) -> Any:
         """Which lamps to ask about a segment, where there are too many to ask them all."""
@@ -395,7 +394,8 @@ class FogPath:
         # ---- Tasks: each is some paths of one pixel, and a lane does one after the other
         parts = len(AOVS[INSCATTERED if inscattered else SURFACE])
         lit_groups = self.groups if self.groups > 1 else 0
-        tasks = Tasks(pixel, first, count, bands.count * (parts + 1 + lit_groups), 2)
+        squared = int(in_froxels)
+        tasks = Tasks(pixel, first, count, bands.count * (parts + squared + lit_groups), 2)
         task, region = tasks.begun(), functools.partial(self.region, cells)
         pixel, first = tasks.of(task, mi.Bool(True))
         corner, size, nearest = region(pixel)
@@ -403,7 +403,7 @@ class FogPath:
         # ---- Sums over the paths of a task
         aovs = [bands.black() for _ in range(parts)]  # light by AOV
         sums = [bands.black() for _ in range(lit_groups)]  # light by light group
-        squares = bands.black()  # of each path's light
+        squares = [bands.black() for _ in range(squared)]  # of each path's light
         lost = mi.UInt32(0)  # paths that were not finite
         seen = mi.UInt32(0)  # paths of a froxel that nothing hid
         begun = mi.UInt32(0)  # paths of the task that have ended
@@ -608,16 +608,15 @@ class FogPath:
             # ==== 13. The lane's next path where this one has ended, of its next task where this one has all of them
             over = active & ~alive
             finite = dr.all(dr.isfinite(path))
-            squares += dr.select(over & finite, path * path, black)
+            squares = [square + dr.select(over & finite, path * path, black) for square in squares]
             lost += dr.select(over & ~finite, mi.UInt32(1), mi.UInt32(0))
             begun += dr.select(over, mi.UInt32(1), mi.UInt32(0))
             done = over & (begun >= wanted)
-            tasks.deliver(task, done, [part for light in (*aovs, squares, *sums) for part in light], [lost, seen])
-            aovs, sums = (
-                [dr.select(done, black, aov) for aov in aovs],
-                [dr.select(done, black, total) for total in sums],
+            tasks.deliver(task, done, [part for light in (*aovs, *squares, *sums) for part in light], [lost, seen])
+            aovs, squares, sums = (
+                [dr.select(done, black, total) for total in totals] for totals in (aovs, squares, sums)
             )
-            squares, lost = dr.select(done, black, squares), dr.select(done, mi.UInt32(0), lost)
+            lost = dr.select(done, mi.UInt32(0), lost)
             seen, begun = dr.select(done, mi.UInt32(0), seen), dr.select(done, mi.UInt32(0), begun)
             task = dr.select(done, tasks.after(task), task)
             again = over & tasks.there(task)
@@ -638,7 +637,8 @@ class FogPath:
             )
             active = alive | again
         colours = [bands.of(tasks.floats[low : low + bands.count]) for low in range(0, len(tasks.floats), bands.count)]
-        return Moments(tuple(colours[:parts]), colours[parts], tuple(colours[parts + 1 :]), *tasks.counts)
+        aovs, squares, sums = colours[:parts], colours[parts : parts + squared], colours[parts + squared :]
+        return Moments(tuple(aovs), tuple(sums), *tasks.counts, *squares)
 
     # The steps of `trace_paths`, by its numbers: traced functions, in which `if` is Python's own.
 
@@ -881,7 +881,7 @@ class FogPath:
 
     def add_light(self, path: Any, aovs: list[Any], sums: list[Any], light: Any, scattered: Any, group: Any) -> Any:
         """Add light to the path, its AOV and its group; light that is not finite is left out of both and spoils the
-        path's square, which counts it.
+        path, which counts it.
         """
         finite = dr.all(dr.isfinite(light))
         clean = dr.select(finite, light, 0.0)
