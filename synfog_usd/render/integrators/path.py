@@ -424,6 +424,7 @@ class FogPath:
         )  # the last vertex, and the density [1/sr] with which it chose its direction
         prev_delta = mi.Bool(True)  # it could choose no other: the eye, a mirror
         prev_without_nee = mi.Bool(False)  # it sent no shadow ray
+        spread2 = mi.Float(0.0)  # square of the roughness of a lobe that would spread directions as all vertices did
         prev_gloss, prev_weighed = (
             Gloss(),
             mi.Float(0.0),
@@ -548,7 +549,7 @@ class FogPath:
                 gloss = Gloss.of(si, reflected, pdf, smooth)
                 picks = self.known_at(si.p, gloss, sampler, smooth)
                 chosen = self.choose_light(vertex, chosen, gloss, picks, smooth, sampler)
-                answering = lit_from(si, chosen.place, chosen.alone)
+                answering = lit_from(si, chosen.place, chosen.alone, dr.sqrt(spread2))
                 reflected, pdf = bsdf.eval_pdf(context, answering, si.to_local(chosen.direction), chosen.asked & smooth)
             value, gain = bands.reflectance(reflected, reading), bands.reflectance(kept, reading)
             if dr.hint(self.foggy, mode="scalar"):
@@ -565,7 +566,7 @@ class FogPath:
 
             # ==== 10. Next-event estimation at a surface: one lamp of few, or of very many
             if dr.hint(self.lights.count > 0 and self.importance is None, mode="scalar"):
-                light, group = self.nee_surface(si, bsdf, reading, throughput, sampler, smooth)
+                light, group = self.nee_surface(si, bsdf, reading, throughput, sampler, smooth, dr.sqrt(spread2))
                 path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
 
             # ==== 11. The next direction: from the BSDF, or from the phase function and light guiding
@@ -595,6 +596,7 @@ class FogPath:
                     dr.select(medium_scattered, phase_pdf, prev_pdf),
                 )
                 prev_without_nee = medium_scattered & mi.Bool(not self.use_nee_medium)
+            spread2 += dr.select(prev_delta, 0.0, dr.rcp(dr.maximum(4.0 * dr.pi * prev_pdf, 1e-3)))
             ray = vertex.spawn_ray(direction)
             depth += 1
 
@@ -628,7 +630,7 @@ class FogPath:
             ray = dr.select(again, view, ray)
             throughput, scale = dr.select(again, bands.even(view_weight), throughput), dr.select(again, 1.0, scale)
             path = dr.select(over, black, path)
-            depth = dr.select(again, mi.UInt32(0), depth)
+            depth, spread2 = dr.select(again, mi.UInt32(0), depth), dr.select(again, 0.0, spread2)
             scattered, bounces = dr.select(again, mi.UInt32(0), scattered), dr.select(again, mi.UInt32(0), bounces)
             prev_p, prev_delta, prev_without_nee = (
                 dr.select(again, view.o, prev_p),
@@ -812,7 +814,7 @@ class FogPath:
         return own.where(sampler.next_1d(own.asked | smooth) < share, lamps)
 
     def nee_surface(
-        self, si: Any, bsdf: Any, reading: Any, throughput: Any, sampler: Any, smooth: Any
+        self, si: Any, bsdf: Any, reading: Any, throughput: Any, sampler: Any, smooth: Any, spread: Any
     ) -> tuple[Any, Any]:
         """(10) A lamp's light on a surface as it is reflected, and the lamp's group."""
         context, black = backend.mitsuba().BSDFContext(), self.bands.black()
@@ -820,7 +822,8 @@ class FogPath:
             si.p, lambda way: dr.abs(dr.dot(si.n, way)) + 1e-3, sampler, smooth, self.known_near(si.p)
         )
         free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
-        reflected = bsdf.eval(context, lit_from(si, lamp, pdf <= 0.0), si.to_local(dr.normalize(lamp - si.p)), free)
+        answering = lit_from(si, lamp, pdf <= 0.0, spread)
+        reflected = bsdf.eval(context, answering, si.to_local(dr.normalize(lamp - si.p)), free)
         light = throughput * self.bands.reflectance(reflected, reading) * self.light(colour, group) * reach_lamp
         return dr.select(free, light, black), group
 
