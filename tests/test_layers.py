@@ -55,6 +55,7 @@ HEAVY = {
     "drjit": {"render"},
     "OpenImageIO": {"graph", "camera", "writers", "study", "translate/texture.py", "world"},
     "matplotlib": {"study"},
+    "torch": {"study"},
     "pyoidn": {"render"},
     "tifffile": {"writers"},
     "imagecodecs": {"writers", "stage/crate.py"},
@@ -151,6 +152,8 @@ def test_help_imports_nothing_heavy():
     loaded = [set(line.split()[1:]) for line in child.stdout.splitlines() if line.startswith("LOADED ")]
     assert len(loaded) == 7
     ours = {name for name in loaded[-1] if name.split(".")[0] == "synfog_usd"}
-    line = {f"synfog_usd.cli.{name}" for name in ("main", "options", "worker", "dataset", "benchmark", "study")}
+    line = {
+        f"synfog_usd.cli.{name}" for name in ("main", "options", "worker", "dataset", "benchmark", "study", "train")
+    }
     assert ours == {"synfog_usd", "synfog_usd.errors", "synfog_usd.system", "synfog_usd.cli"} | line
     assert not loaded[-1] & {*HEAVY, "numpy", "scipy", "colour", "trimesh", "pymeshlab", "PIL", "yaml", "rich"}

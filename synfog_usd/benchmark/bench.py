@@ -111,7 +111,7 @@ def run(
         OutputError: the folder cannot be written, or `results.json` there is none of ours.
     """
     bench = Bench(items, methods)
-    known = _kept(out / RESULTS)
+    known = kept(out / RESULTS)
     total, done, kept_at = len(items) * len(methods), 0, time.monotonic()
     with ThreadPoolExecutor(1) as pool, tempfile.TemporaryDirectory(prefix="synfog-usd-") as folder:
         try:
@@ -186,7 +186,12 @@ def digest(path: Path) -> str:
         return f"missing: {error.strerror}"
 
 
-def _kept(path: Path) -> dict[str, Row]:
+def kept(path: Path) -> dict[str, Row]:
+    """What an earlier run left; {} where there was none.
+
+    Raises:
+        OutputError: it is none of ours.
+    """
     if not path.exists():
         return {}
     try:

@@ -22,7 +22,8 @@ import numpy as np
 from synfog_usd.benchmark import decode
 from synfog_usd.benchmark.classics import CLASSICS
 from synfog_usd.benchmark.detectors import Detector
-from synfog_usd.benchmark.methods import Defogger, Method
+from synfog_usd.benchmark.methods import PNG, Defogger, Method
+from synfog_usd.benchmark.raw import filter_planes
 
 Work = Callable[[Path, Path], None]
 """From the file of a picture to that of the answer."""
@@ -83,13 +84,9 @@ def _loaded(method: Method) -> Work:
         return boxes
     if method.kind == "onnx":
         restore = _network(method)
-    else:
-        classic = CLASSICS[method.target]
-
-        def restore(picture: np.ndarray) -> np.ndarray:
-            return classic(picture.astype(np.float64) / 255.0)
-
-    return lambda taken, out: _write(out, restore(read(taken)))
+        return lambda taken, out: _write(out, restore(taken))
+    classic = CLASSICS[method.target]
+    return lambda taken, out: _write(out, classic(read(taken).astype(np.float64) / 255.0))
 
 
 def _session(method: Method) -> Any:
@@ -101,32 +98,37 @@ def _session(method: Method) -> Any:
     return onnxruntime.InferenceSession(method.target, options, providers=["CPUExecutionProvider"])
 
 
-def _network(method: Defogger) -> Callable[[np.ndarray], np.ndarray]:
+def _network(method: Defogger) -> Callable[[Path], np.ndarray]:
     session = _session(method)
     inputs, outputs = session.get_inputs(), session.get_outputs()
+    raw = method.takes != PNG
+    planes, scale, wanted = (
+        (4, 2, "the planes of a mosaic (1, 4, H / 2, W / 2)") if raw else (3, 1, "one picture (1, 3, H, W)")
+    )
     shape = inputs[0].shape
-    if len(inputs) != 1 or len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != 3):
-        raise ValueError(
-            f"the network takes {', '.join(f'{i.name} {i.shape}' for i in inputs)}; it must take one picture "
-            f"(1, 3, H, W)"
-        )
+    if len(inputs) != 1 or len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != planes):
+        raise ValueError(f"the network takes {', '.join(f'{i.name} {i.shape}' for i in inputs)}; it must take {wanted}")
     low, high = method.range
 
-    def restore(picture: np.ndarray) -> np.ndarray:
-        height, width = picture.shape[:2]
+    def restore(taken: Path) -> np.ndarray:
+        if raw:
+            given = filter_planes(taken)
+        else:
+            given = read(taken).transpose(2, 0, 1).astype(np.float32) / 255.0 * (high - low) + low
+        height, width = given.shape[1:]
         down, right = (-height) % method.multiple, (-width) % method.multiple
-        padded = np.pad(picture, ((0, down), (0, right), (0, 0)), mode="symmetric")
-        for wanted, found in zip(shape[2:], padded.shape[:2], strict=True):
-            if isinstance(wanted, int) and wanted != found:
+        padded = np.pad(given, ((0, 0), (0, down), (0, right)), mode="symmetric")
+        for side, found in zip(shape[2:], padded.shape[1:], strict=True):
+            if isinstance(side, int) and side != found:
                 raise ValueError(
                     f"the network wants pictures of {shape[3]} x {shape[2]}, and this one has {width} x {height}; "
                     f"export it with free height and width"
                 )
-        batch = (padded.astype(np.float32) / 255.0 * (high - low) + low).transpose(2, 0, 1)[None]
-        answer = np.asarray(session.run([outputs[0].name], {inputs[0].name: batch})[0], dtype=np.float64)
-        if answer.shape != batch.shape:
-            raise ValueError(f"the network gave {answer.shape} for {batch.shape}")
-        return (answer[0].transpose(1, 2, 0)[:height, :width] - low) / (high - low)
+        answer = np.asarray(session.run([outputs[0].name], {inputs[0].name: padded[None]})[0], dtype=np.float64)
+        expected = (1, 3, scale * padded.shape[1], scale * padded.shape[2])
+        if answer.shape != expected:
+            raise ValueError(f"the network gave {answer.shape} for {padded[None].shape}, and not {expected}")
+        return (answer[0].transpose(1, 2, 0)[: scale * height, : scale * width] - low) / (high - low)
 
     return restore
 

@@ -205,8 +205,12 @@ def tile(path: Path, caption: str) -> Tile:
     from PIL import Image
 
     with Image.open(path) as image:
-        picture = image.convert("RGB")
-    return picture.resize((TILE_PX, max(1, round(TILE_PX * picture.height / picture.width)))), caption
+        return fitted(image.convert("RGB")), caption
+
+
+def fitted(picture: Any) -> Any:
+    """A picture of Pillow's in the sheet's width."""
+    return picture.resize((TILE_PX, max(1, round(TILE_PX * picture.height / picture.width))))
 
 
 def no_answer(name: str) -> Tile:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from synfog_usd import __version__
-from synfog_usd.cli import benchmark, dataset, options, study, worker
+from synfog_usd.cli import benchmark, dataset, options, study, train, worker
 from synfog_usd.errors import ParameterError, SynfogError
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
@@ -28,6 +28,7 @@ app.add_typer(asset_app, name="asset")
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(benchmark.app, name="benchmark")
 app.add_typer(study.app, name="study")
+app.add_typer(train.app, name="train")
 
 
 def _folder(text: str) -> Path:

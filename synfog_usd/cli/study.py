@@ -111,3 +111,27 @@ def chamber(
     chamber_page.write(found, out)
     if not quiet:
         print(chamber_page.markdown(found))
+
+
+@app.command()
+def sources(
+    source: Annotated[
+        Path, typer.Argument(help="Folder of a set with pipelines synfog and noise_free, and asm_estimated.")
+    ],
+    out: options.Findings,
+    seeds: Annotated[int, typer.Option(min=1, help="Networks for each kind of fog and fold.")] = 3,
+    folds: Annotated[
+        int, typer.Option(min=2, help="Parts of the scenes; each is tested by networks of the others.")
+    ] = 3,
+    steps: Annotated[int, typer.Option(min=1, help="Of each training.")] = 400,
+    quiet: options.Quiet = False,
+) -> None:
+    """Train on four kinds of fog and test each on all: what noise and multiple scattering in training are worth."""
+    _can_hold(out)
+    from synfog_usd.cli.progress import shown
+    from synfog_usd.study import sources as work
+
+    with shown(quiet) as (progress, _):
+        found = work.study(source, out, seeds_count=seeds, folds=folds, steps=steps, progress=progress)
+    if not quiet:
+        print(work.markdown(found))

@@ -1,0 +1,289 @@
+"""What fog a network is trained on, and what it is worth on other fog: each kind of fog in turn, tested on all.
+
+The scenes of a set are parted into folds.  For each fold, kind and seed a network is trained on the kind's pictures of
+the other folds' scenes (`training`) and asked about this fold's, by every kind.  So each scene is tested by networks
+that never saw it.  All are to see one and the same clear picture, that of `target`.
+
+What differs between two kinds is one thing: noise; light scattered more than once, and a true airlight; light mixed
+instead of codes.  Its effect is the difference in PSNR, pair by pair.  Intervals are by bootstrap over scenes and seeds
+together.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synfog_usd import files, seeds
+from synfog_usd.arrays import Array
+from synfog_usd.benchmark import page, statistics
+from synfog_usd.benchmark.bench import RESULTS, digest, kept
+from synfog_usd.errors import ParameterError
+from synfog_usd.progress import Progress, silent
+from synfog_usd.study import training
+from synfog_usd.study.training import TrainingPair
+
+KINDS = ("synfog", "noise_free", "asm_estimated.noise_free", "asm_srgb.synfog")
+TARGET = "noise_free"
+EFFECTS = (
+    ("the sensor's noise", "synfog", "noise_free"),
+    ("transport instead of the scattering model", "noise_free", "asm_estimated.noise_free"),
+    ("the scattering model in light instead of codes", "asm_estimated.noise_free", "asm_srgb.synfog"),
+)
+"""What training has more, by kinds whose difference it is."""
+
+NONE = "none"
+
+
+@dataclass(frozen=True)
+class SourceStudy:
+    """What came of it.
+
+    Attributes:
+        kinds: of fog.
+        pairs: names of the views that were tested, in order; `scenes`: theirs.
+        psnr: (train kind, test kind) -> (seeds, pairs) [dB]; of 'none', the fog left on, one row.
+        steps, folds: how they were trained.
+    """
+
+    kinds: tuple[str, ...]
+    pairs: tuple[str, ...]
+    scenes: tuple[str, ...]
+    psnr: dict[tuple[str, str], Array]
+    steps: int
+    folds: int
+
+
+def study(
+    source: Path,
+    out: Path,
+    *,
+    kinds: Sequence[str] = KINDS,
+    target: str = TARGET,
+    seeds_count: int = 3,
+    folds: int = 3,
+    steps: int = 400,
+    progress: Progress = silent,
+) -> SourceStudy:
+    """Train and test; what `out` has already of the same pictures and options is kept.
+
+    Args:
+        source: a set with the pipelines that the kinds name.
+        out: folder; weights and results are kept there as they come.
+        kinds: see `training`.
+        target: pipeline whose clear picture all are to see.
+        seeds_count: networks for each kind and fold.
+        folds: parts of the scenes.
+        steps: of each training.
+        progress: whom to tell.
+
+    Raises:
+        ParameterError: pictures are missing, or scenes are fewer than folds.
+        OutputError: the folder cannot be written.
+    """
+    training.torch_library()
+    by_kind = {kind: _in_order(training.pairs(source, kind, target=target)) for kind in kinds}
+    views = [_view(pair) for pair in by_kind[kinds[0]]]
+    if any([_view(pair) for pair in found] != views for found in by_kind.values()):
+        raise ParameterError(f"{source}: its kinds of fog are not of the same views: {', '.join(kinds)}")
+    scenes = [pair.scene for pair in by_kind[kinds[0]]]
+    names = sorted(set(scenes))
+    if not 2 <= folds <= len(names):
+        raise ParameterError(f"--folds {folds}: {source} has {len(names)} scenes; it takes 2 to as many")
+    fold = np.array([names.index(scene) % folds for scene in scenes])
+    known = kept(out / RESULTS)
+    psnr = {(kind, test): np.full((seeds_count, len(views)), np.nan) for kind in kinds for test in kinds}
+    done, total = 0, len(kinds) * folds * seeds_count
+    for number in range(folds):
+        inside = np.flatnonzero(fold == number)
+        for kind in kinds:
+            learned = [pair for pair, its in zip(by_kind[kind], fold, strict=True) if its != number]
+            for seed in range(seeds_count):
+                progress(f"{kind}, fold {number}, seed {seed}", done / total)
+                done += 1
+                key = _key(learned, [by_kind[test][n] for test in kinds for n in inside], seed, steps)
+                if key not in known:
+                    trained = training.train(learned, seed=seed, steps=steps)
+                    files.write_bytes(out / "weights" / f"{key}.pt", training.as_bytes(trained))
+                    known[key] = {test: [_psnr(by_kind[test][n], trained) for n in inside] for test in kinds}
+                    files.write_json(out / RESULTS, known)
+                for test in kinds:
+                    psnr[kind, test][seed, inside] = known[key][test]
+    for test in kinds:
+        psnr[NONE, test] = np.array([[_psnr(pair, None) for pair in by_kind[test]]])
+    found = SourceStudy(tuple(kinds), tuple(views), tuple(scenes), psnr, steps, folds)
+    _write(found, out)
+    _pictures(found, by_kind, fold, known, out)
+    return found
+
+
+def _in_order(found: Sequence[TrainingPair]) -> list[TrainingPair]:
+    return sorted(found, key=_view)
+
+
+def _view(pair: TrainingPair) -> str:
+    """Name of a view in a fog, the same for all kinds."""
+    one = pair.foggy
+    return "_".join(part for part in (pair.scene, one.lighting, one.camera, one.fog) if part)
+
+
+def _key(learned: Sequence[TrainingPair], asked: Sequence[TrainingPair], seed: int, steps: int) -> str:
+    """Hash of all that decides a training and its test."""
+    rows = [
+        [pair.kind, digest(pair.foggy.screen), digest(pair.clear), digest(pair.target)]
+        + [digest(pair.foggy.files["layers.exr"])] * pair.kind.startswith(training.ASM_SRGB)
+        for pair in (*learned, *asked)
+    ]
+    text = json.dumps(
+        [rows, len(learned), seed, steps, training.WIDTH, training.SIDE_PX, training.BATCH, training.RATE]
+    )
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _psnr(pair: TrainingPair, trained: training.TrainedDefogger | None) -> float:
+    foggy = training.foggy_of(pair)
+    restored = foggy if trained is None else trained.restore(foggy)
+    return training.psnr(restored, training.shown(pair.target))
+
+
+def interval(values: Array, scenes: Sequence[str]) -> tuple[float, float | None, float | None]:
+    """Mean and its interval at 95 % over scenes and seeds, drawn together; none of fewer than three scenes.
+
+    Args:
+        values: (seeds, pairs).
+        scenes: of the pairs.
+    """
+    names, place = np.unique(list(scenes), return_inverse=True)
+    mean = float(values.mean())
+    if names.size < statistics.FEWEST_SCENES:
+        return mean, None, None
+    drawn = statistics.draws(names.size)
+    count = len(values)
+    rng = seeds.stream(0, "seeds of training", count)
+    often = rng.multinomial(count, np.full(count, 1.0 / count), size=len(drawn)) / count
+    sums = np.stack([np.bincount(place, row) for row in values])
+    pairs = np.bincount(place)
+    return mean, *statistics.interval((often @ sums * drawn).sum(axis=1) / (drawn @ pairs))
+
+
+def effects(found: SourceStudy) -> list[tuple[str, str, float, float | None, float | None]]:
+    """What is in training, tested on which kind, and how much PSNR it brings [dB] with its interval."""
+    return [
+        (what, test, *interval(found.psnr[more, test] - found.psnr[less, test], found.scenes))
+        for what, more, less in EFFECTS
+        if more in found.kinds and less in found.kinds
+        for test in found.kinds
+    ]
+
+
+# -- page
+
+
+def markdown(found: SourceStudy) -> str:
+    """Findings and tables."""
+    count = len(found.psnr[found.kinds[0], found.kinds[0]])
+    lines = [
+        "# What a network is trained on",
+        "",
+        f"{len(found.pairs)} pairs of {len(set(found.scenes))} scenes in {found.folds} folds, {count} seeds, "
+        f"{found.steps} steps. PSNR [dB]; in brackets the interval at 95 % over scenes and seeds.",
+        "",
+        f"| trained on | {' | '.join(f'tested on {test}' for test in found.kinds)} |",
+        f"|---|{'---|' * len(found.kinds)}",
+    ]
+    for kind in (NONE, *found.kinds):
+        cells = [_cell(*interval(found.psnr[kind, test], found.scenes)) for test in found.kinds]
+        lines.append(f"| {kind} | {' | '.join(cells)} |")
+    rows = effects(found)
+    lines += [
+        "",
+        f"What it brings to train with a thing rather than without it [dB]. Of {len(rows)} intervals one in twenty "
+        "leaves 0 out by chance.",
+        "",
+        f"| in training | {' | '.join(f'tested on {test}' for test in found.kinds)} |",
+        f"|---|{'---|' * len(found.kinds)}",
+    ]
+    for what in dict.fromkeys(row[0] for row in rows):
+        cells = [_effect(*row[2:]) for row in rows if row[0] == what]
+        lines.append(f"| {what} | {' | '.join(cells)} |")
+    return "\n".join([*lines, ""])
+
+
+def _cell(mean: float, low: float | None, high: float | None) -> str:
+    return f"{mean:.2f}" if low is None else f"{mean:.2f} ({low:.2f} to {high:.2f})"
+
+
+def _effect(mean: float, low: float | None, high: float | None) -> str:
+    if low is None or high is None:
+        return f"{mean:+.2f}"
+    text = f"{mean:+.2f} ({low:+.2f} to {high:+.2f})"
+    return f"**{text}**" if low > 0.0 or high < 0.0 else text
+
+
+def _write(found: SourceStudy, out: Path) -> None:
+    files.write_bytes(out / "findings.md", markdown(found).encode())
+    rows = ["trained_on,tested_on,seed,view,psnr_db"]
+    for (kind, test), values in found.psnr.items():
+        for seed, row in enumerate(values):
+            rows += [f"{kind},{test},{seed},{view},{value:.4f}" for view, value in zip(found.pairs, row, strict=True)]
+    files.write_bytes(out / "psnr.csv", "\n".join([*rows, ""]).encode())
+    files.write_bytes(out / "effects.png", _drawn(found))
+
+
+def _drawn(found: SourceStudy) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 4.2), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    rows = effects(found)
+    colours = ("#0b5fa5", "#c1440e", "#12805c")
+    for number, (what, colour) in enumerate(zip(dict.fromkeys(row[0] for row in rows), colours, strict=False)):
+        own = [row for row in rows if row[0] == what]
+        places = np.arange(len(own)) + 0.2 * (number - 1)
+        axes.plot(places, [row[2] for row in own], "o", ms=5, color=colour, label=what)
+        for place, (_, _, _, low, high) in zip(places, own, strict=True):
+            if low is not None:
+                axes.plot([place, place], [low, high], lw=1.6, color=colour)
+    axes.axhline(0.0, lw=0.8, color="#22262a")
+    axes.set_xticks(np.arange(len(found.kinds)), [f"tested on\n{kind}" for kind in found.kinds], fontsize=8)
+    axes.set(ylabel="PSNR with it less without it [dB]")
+    axes.legend(title="in training", fontsize=8)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", metadata={"Software": None})
+    return drawn.getvalue()
+
+
+def _pictures(
+    found: SourceStudy, by_kind: dict[str, list[TrainingPair]], fold: Array, known: dict[str, Any], out: Path
+) -> None:
+    """A row a view: in fog, what each training makes of it, clear."""
+    first = by_kind[found.kinds[0]]
+    strips = []
+    for place in page.spread(list(range(len(first)))):
+        number, pair = fold[place], first[place]
+        asked = [by_kind[test][n] for test in found.kinds for n in np.flatnonzero(fold == number)]
+        foggy = training.foggy_of(pair)
+        strip = [_tile(foggy, found.pairs[place])]
+        for kind in found.kinds:
+            learned = [one for one, its in zip(by_kind[kind], fold, strict=True) if its != number]
+            trained = training.load(out / "weights" / f"{_key(learned, asked, 0, found.steps)}.pt")
+            value = found.psnr[kind, found.kinds[0]][0, place]
+            strip.append(_tile(trained.restore(foggy), f"{kind}  {value:.1f} dB"))
+        strips.append([*strip, _tile(training.shown(pair.target), "clear")])
+    page.sheet(strips, out / "pictures.png")
+
+
+def _tile(picture: Any, caption: str) -> page.Tile:
+    from PIL import Image
+
+    pixels = np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8).transpose(1, 2, 0)
+    return page.fitted(Image.fromarray(pixels)), caption
