@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from assets.builders.bodywork import Body
 from assets.builders.lettering import letters
-from assets.builders.vehicles import CARS, Body, build_car
+from assets.builders.vehicles import CARS, build_car
 from synfog_usd.world.components import Component, Look
 from synfog_usd.world.shapes import Part, box, shift, soft_box, turn
 
@@ -54,6 +55,7 @@ MORE_CARS = (
         wheel=0.29,
         roof_half=0.54,
         belt=0.97,
+        outer=(0.94353, -1.7702, 1.77821, 1.47676),
         seams=[(0.86, 0.32, 0.99), (-0.32, 0.34, 1.00)],
         lamps_z=0.70,
         tail=(0.76, 1.08),
@@ -103,6 +105,7 @@ MORE_CARS = (
         wheel=0.37,
         roof_half=0.62,
         belt=1.06,
+        outer=(1.05757, -2.32689, 2.3309, 1.59846),
         seams=[(0.88, 0.42, 1.08), (-0.05, 0.42, 1.09), (-0.98, 0.58, 1.11)],
         lamps_z=0.82,
         tail=(0.88, 1.14),

@@ -7,27 +7,30 @@ in metres; the front looks along +Y, the wheels stand on z = 0.
 # ruff: noqa: RUF005 -- offsets are added to arrays, which only look like lists
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from assets.builders.solids import Field, carve, prism
+from assets.builders.solids import Field, carve, prism, split
 from assets.builders.textures import PLATE_COLUMNS as COLUMNS
 from synfog_usd.world.components import Component, Look, MountedLamp
+from synfog_usd.world.materials import FLAKES, PAINTS
 from synfog_usd.world.shapes import (
     Array,
     Part,
-    box,
+    ball,
     disc,
+    fan,
     join,
     lathe,
     quad,
     scale,
     shift,
     smooth_normals,
-    soft_box,
     strip,
+    tube,
     turn,
 )
 
@@ -44,9 +47,10 @@ BRAKE_NITS = (39200.0, 112.0, 34.0)  # 15 times as much: 80 to 150 cd; UN R7 all
 CENTRE_NITS = (47000.0, 134.0, 40.0)  # 44 cd of 240 x 18 mm; UN R7 allows 25 to 80
 
 
-def painted(colour: tuple[float, float, float]) -> Look:
-    """What a colour of the paint changes."""
-    return Look(materials={"paint": {"diffuseColor": colour}})
+def painted(name: str) -> Look:
+    """What a colour of PAINTS changes; flakes of metal are a share of the ground below the clear coat."""
+    flakes = {"metallic": FLAKES[name]} if name in FLAKES else {}
+    return Look(materials={"paint": {"diffuseColor": PAINTS[name], **flakes}})
 
 
 def lamp_states(lamps: tuple[MountedLamp, ...], *, centre: bool = False) -> dict[str, Look]:
@@ -135,6 +139,28 @@ def cut_out(
     return rest.painted(skin.material)
 
 
+def gap(
+    skin: Part,
+    parts: list[Part],
+    axes: tuple[int, int],
+    path: Sequence[tuple[float, float]],
+    along: int,
+    sign: int,
+    facing: float,
+    *,
+    width: float = 0.007,
+    beyond: float | None = None,
+) -> Part:
+    """A dark line along a path of corners, as between two panels; gives the rest.  The rest is as for `cut_out`."""
+    for a, b in itertools.pairwise(path):
+        (ax, ay), (bx, by) = a, b
+        half = 0.5 * width / np.sqrt((bx - ax) ** 2 + (by - ay) ** 2)
+        nx, ny = half * (ay - by), half * (bx - ax)
+        line = [(ax - nx, ay - ny), (bx - nx, by - ny), (bx + nx, by + ny), (ax + nx, ay + ny)]
+        skin = cut_out(skin, parts, "seam", axes, line, along, sign, facing, beyond)
+    return skin
+
+
 def screen(
     skin: Part,
     parts: list[Part],
@@ -166,24 +192,28 @@ def screen(
 
 
 def arches(skin: Part, parts: list[Part], axles: Sequence[float], radius: float, inner: float, lip: str = "") -> Part:
-    """Cut the wheel arches out and line them with dark plastic."""
-    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    """Cut the wheel arches out, round above the axle and straight below, and line them with dark plastic."""
+    arc = np.linspace(0, np.pi, 17)
+
+    def arch(y: float, r: float, foot: float) -> Array:
+        return np.vstack([(y + r, foot), np.c_[y + r * np.cos(arc), radius - 0.045 + r * np.sin(arc)], (y - r, foot)])
+
+    def planes(y: float, r: float, sign: int) -> list[Callable[[Array], Array]]:
+        first, *bends, last, _ = prism(arch(y, r, -1.0), (1, 2))
+        return [lambda q: inner - sign * q[:, 0], first, last, *bends]  # in this order few triangles are cut in vain
+
     for sign in (-1, 1):
         for y in axles:
-            circle = np.c_[y + radius * np.cos(angle), radius - 0.045 + radius * np.sin(angle)]
-            reach = [lambda q, sign=sign: inner - sign * q[:, 0]]
-            hole, skin = carve(skin, [*reach, *prism(circle, (1, 2))])
+            hole, skin = carve(skin, planes(y, radius, sign))
             outer = float(np.abs(hole.points[:, 0]).max()) if len(hole.points) else inner + 0.3
-            arc = np.linspace(-0.15, np.pi + 0.15, 20)
-            ring = np.c_[
-                np.full(20, 0.0), y + (radius + 0.004) * np.cos(arc), radius - 0.045 + (radius + 0.004) * np.sin(arc)
-            ]
+            edge = arch(y, radius + 0.004, 0.72 * radius)
+            ring = np.c_[np.zeros(len(edge)), edge]
             parts.append(strip([ring + [sign * inner, 0, 0], ring + [sign * (outer - 0.035), 0, 0]], "seam"))
             wall = np.vstack([ring, [(0, y, radius - 0.3)]]) + [sign * inner, 0, 0]
-            parts.append(Part(wall, np.array([(i, i + 1, 20) for i in range(19)]), "seam"))
+            last = len(ring)
+            parts.append(Part(wall, np.array([(i, i + 1, last) for i in range(last - 1)]), "seam"))
             if lip:
-                wide = np.c_[y + (radius + 0.055) * np.cos(angle), radius - 0.045 + (radius + 0.055) * np.sin(angle)]
-                band, skin = carve(skin, [*reach, *prism(wide, (1, 2))])
+                band, skin = carve(skin, planes(y, radius + 0.055, sign))
                 parts.append(band.painted(lip))
     return skin.painted("paint")
 
@@ -200,51 +230,55 @@ def wheels(axles: Sequence[float], radius: float, half_track: float, width: floa
 
 
 def wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
-    """Tyre, rim with spokes and brake disc about Z, outside up."""
-    r, w, bead = radius, width / 2, radius * 0.66
+    """Tyre with shoulders and a bead, rim with spokes in pairs and brake disc about Z, outside up."""
+    r, w, bead = radius, width / 2, radius * 0.68
     tyre = lathe(
         [
             (bead, -w * 0.9),
-            (r * 0.88, -w),
-            (r * 0.975, -w * 0.86),
-            (r, -w * 0.6),
-            (r, w * 0.6),
-            (r * 0.975, w * 0.86),
-            (r * 0.88, w),
-            (bead, w * 0.92),
+            (r * 0.90, -w),
+            (r, -w * 0.66),
+            (r, w * 0.66),
+            (r * 0.985, w * 0.84),
+            (r * 0.93, w * 0.97),
+            (r * 0.82, w),
+            (bead * 1.02, w * 0.86),
         ],
         "tyre",
-        sides=30,
-        crease_deg=35,
+        sides=28,
+        crease_deg=32,
     )
     dish = lathe(
         [
-            (bead * 0.93, -w * 0.5),
-            (bead * 0.93, w * 0.55),
-            (bead * 0.96, w * 0.9),
-            (bead * 1.01, w * 0.95),
-            (bead * 1.01, w * 0.8),
+            (bead * 0.92, -w * 0.5),
+            (bead * 0.94, w * 0.76),
+            (bead * 1.01, w * 0.92),
+            (bead * 1.045, w * 0.88),
+            (bead * 1.03, w * 0.76),
         ],
         "rim",
-        sides=24,
+        sides=28,
         crease_deg=35,
     )
-    hub = lathe([(0.001, w * 0.74), (bead * 0.16, w * 0.74), (bead * 0.2, w * 0.6)][::-1], "rim", sides=12)
+    hub = lathe([(bead * 0.24, w * 0.45), (bead * 0.21, w * 0.66), (0.001, w * 0.70)], "rim", sides=10)
     bars = []
-    for i in range(spokes):
-        thick = 0.55 / max(spokes, 5)
-        inner_half, outer_half = bead * thick * 0.8, bead * thick * 1.15
-        top = [
-            (bead * 0.12, -inner_half, w * 0.72),
-            (bead * 0.95, -outer_half, w * 0.80),
-            (bead * 0.95, outer_half, w * 0.80),
-            (bead * 0.12, inner_half, w * 0.72),
-        ]
-        low = [(x, y * 1.25, z - w * 0.35) for x, y, z in top]
-        sides = [[low[k], low[(k + 1) % 4], top[(k + 1) % 4], top[k]] for k in (0, 2)]
-        bars.append(join([quad(top, "rim"), *(quad(s, "rim") for s in sides)]).moved(turn(360 / spokes * i)))
-    brake = disc((0, 0, w * 0.15), bead * 0.93, "brake", sides=16)
-    return tyre, join([dish, hub, *(smooth_normals(b, 20) for b in bars)]), brake
+    pairs = spokes if spokes > 6 else 2 * spokes
+    for i in range(pairs):
+        lean = 0.0 if spokes > 6 else (0.5 - i % 2) * 0.62 * np.pi / spokes  # the feet of a pair stand together
+        a, b = 2 * np.pi * i / pairs, 2 * np.pi * i / pairs + lean
+        foot, tip = np.array([np.cos(a), np.sin(a)]), np.array([np.cos(b), np.sin(b)])
+        loops = []
+        for at, share, half, z in (
+            (foot, 0.18, 0.085, 0.62),
+            (foot, 0.40, 0.060, 0.72),
+            (tip, 0.96, 0.068, 0.84),
+        ):
+            side = np.array([-tip[1], tip[0]]) * bead * half * (1.15 if spokes > 6 else 1.0)
+            middle = at * bead * share
+            ring = [middle - 1.25 * side, middle - side, middle + side, middle + 1.25 * side]
+            loops.append(np.c_[np.array(ring), [w * (z - 0.40), w * z, w * z, w * (z - 0.40)]])
+        bars.append(smooth_normals(strip(loops, "rim"), 35))
+    brake = disc((0, 0, w * 0.15), bead * 0.80, "brake", sides=18)
+    return tyre, join([dish, hub, *bars]), brake
 
 
 def lens_disc(
@@ -254,6 +288,26 @@ def lens_disc(
     return disc((0, 0, 0), radius, material, sides=10).moved(
         shift(*centre) @ turn(yaw_deg) @ turn(90 if back else -90, "x")
     )
+
+
+def covered(
+    skin: Part, parts: list[Part], outline: Sequence[tuple[float, float]], beyond: float, deep_m: float
+) -> Part:
+    """Cut a headlamp seen from the front out of the skin: a clear cover, and its dark housing `deep_m` behind it."""
+    found: list[Part] = []
+    skin = cut_out(skin, found, "lamp_glass", (0, 2), outline, 1, 1, -9, beyond)
+    for cover in found:
+        if cover.normals is None:
+            continue
+        parts += [cover, replace(cover, points=cover.points - deep_m * cover.normals, material="headlamp")]
+    return skin
+
+
+def bowl(field_: Field, x: float, z: float, radius: float) -> Part:
+    """A reflector of a headlamp behind its cover, open to the front."""
+    y = front_at(field_, x, z, 1)
+    profile = [(radius * 0.3, -0.035), (radius * 0.75, -0.022), (radius, 0.0), (radius * 1.08, 0.0)]
+    return lathe(profile, "chrome", sides=14, crease_deg=50).moved(shift(x, y - 0.012, z) @ turn(-90, "x"))
 
 
 def lens_on(field_: Field, x: float, z: float, radius: float, material: str, *, sign: int) -> Part:
@@ -267,12 +321,31 @@ def lens_on(field_: Field, x: float, z: float, radius: float, material: str, *, 
     )
 
 
-def mirror(sign: int) -> Part:
-    """A wing mirror in the paint of the car; `sign` is its side."""
-    arm = box((0.0, -0.02, 0.0), (0.09, 0.03, 0.05), "paint")
-    shell = soft_box((0.03, -0.055, 0.01), (0.225, 0.055, 0.165), "paint", radius=0.045)
-    both = join([arm, shell])
-    return both if sign > 0 else both.moved(scale(-1, 1, 1))
+def mirror(sign: int) -> list[Part]:
+    """A wing mirror: a shell in the paint of the car over a dark foot, glass towards the back; `sign` is its side."""
+    shell = ball((0, 0, 0), (1, 1, 1), "paint", sides=12)
+    squared = shell.points * (1.35 - 0.35 * (shell.points * shell.points).max(axis=1, keepdims=True))
+    points = squared * [0.105, 0.085, 0.078] + [0.135, 0.0, 0.09]
+    points[:, 1] = np.maximum(points[:, 1] - 0.12 * np.abs(points[:, 0] - 0.135), -0.045)
+    shell = smooth_normals(Part(points, shell.faces, "paint"), 50)
+    at = shell.points - [0.135, 0.0, 0.09]
+    low, high = split(shell, at[:, 2] + 0.030)
+    rim = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    c, s = np.cos(rim), np.sin(rim)
+    bent = 1.25 - 0.25 * np.maximum(c * c, s * s)
+    glass = np.c_[0.137 + 0.082 * c * bent, np.full(12, -0.0465), 0.09 + 0.056 * s * bent]
+    parts = [
+        high,
+        low.painted("black_plastic"),
+        fan(glass, "chrome"),
+        tube(
+            [(-0.02, 0.0, -0.005), (0.05, 0.0, 0.01), (0.10, 0.0, 0.045)],
+            [0.032, 0.024, 0.026],
+            "black_plastic",
+            sides=7,
+        ),
+    ]
+    return parts if sign > 0 else [p.moved(scale(-1, 1, 1)) for p in parts]
 
 
 def plated(component: Component) -> Component:

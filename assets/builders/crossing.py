@@ -22,6 +22,7 @@ from synfog_usd.world.components import Component
 from synfog_usd.world.lod import with_low
 from synfog_usd.world.roads.crossing import TREE_X, Crossing
 from synfog_usd.world.roads.crossing_props import BUILT, VIEW, furniture, ground, houses, parked_bicycles, stood, trees
+from synfog_usd.world.roads.recipe import posed
 from synfog_usd.world.roads.stage import author
 from synfog_usd.world.spec import Placement, SkyDome, WorldSpec
 
@@ -60,8 +61,10 @@ def components() -> list[Component]:
 
 
 def placements() -> list[Placement]:
-    """Everything that stands in the streets; vehicles and people far from the camera in fewer triangles."""
-    movable = [_coarser(p) for p in (*vehicles(), *people())]
+    """Everything that stands in the streets; vehicles and people far from the camera in fewer triangles, people of a
+    kind in different poses.
+    """
+    movable = [_coarser(p) for p in (*vehicles(), *posed(people(), 0))]
     return [*ground(), *houses(), *movable, *furniture(), *trees()]
 
 

@@ -26,6 +26,19 @@ def rounded(outline: npt.ArrayLike, passes: int = 3, keep: float = 0.25) -> Arra
     return p
 
 
+def filleted(outline: npt.ArrayLike, setback: float, *, closed: bool = True, points: int = 5) -> Array:
+    """A 2-D outline whose corners are parabolas that begin `setback` [m] before them, at most half-way to the next."""
+    p = np.asarray(outline, dtype=np.float64)
+    before, after = np.roll(p, 1, axis=0) - p, np.roll(p, -1, axis=0) - p
+    begin, end = (
+        p + edge * np.minimum(0.5, setback / np.sqrt((edge * edge).sum(axis=1, keepdims=True)))
+        for edge in (before, after)
+    )
+    t = np.linspace(0, 1, points)[None, :, None]
+    bent = (1 - t) ** 2 * begin[:, None] + 2 * t * (1 - t) * p[:, None] + t**2 * end[:, None]
+    return bent.reshape(-1, 2) if closed else np.concatenate([p[:1], bent[1:-1].reshape(-1, 2), p[-1:]])
+
+
 def outline_distance(outline: Array, u: Array, v: Array) -> Array:
     """Signed distance [m] of points (u, v) to a closed outline, negative inside."""
     d = np.full(u.shape, np.inf)
@@ -71,17 +84,24 @@ def blob_distance(x: Array, y: Array, z: Array, centre: Sequence[float], radii: 
 
 
 def surface(
-    field: Field, low: Sequence[float], high: Sequence[float], *, step: float, triangles: int, material: str
+    field: Field,
+    low: Sequence[float],
+    high: Sequence[float],
+    *,
+    step: float,
+    triangles: int,
+    material: str,
+    coarse: int = 1,
 ) -> Part:
     """The zero surface of a signed distance as about `triangles` smooth triangles.
 
     Surface nets on a grid of `step` [m], simplified by quadric edge collapse, then
     every vertex is pulled back onto the surface and takes its normal from the
-    gradient there.
+    gradient there.  With `coarse` above 1 the field is asked on a grid so many times
+    wider first, and on the fine one near the surface only.
     """
     axes = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
-    x, y, z = np.meshgrid(*axes, indexing="ij")
-    values = field(x, y, z)
+    values = _sampled(field, axes, step, coarse)
     points, faces = _surface_nets(values, np.asarray(low, dtype=np.float64), step)
     if len(faces) > triangles:
         points, faces = _simplified(points, faces, triangles)
@@ -160,6 +180,20 @@ def _only(part: Part, faces: Index) -> Part:
         uv=None if part.uv is None else part.uv[used],
         normals=None if part.normals is None else part.normals[used],
     )
+
+
+def _sampled(field: Field, axes: Sequence[Array], step: float, coarse: int) -> Array:
+    """Values of a field on a grid; where a wider grid shows that the surface is far, the nearest value of that."""
+    wide = field(*np.meshgrid(*(axis[::coarse] for axis in axes), indexing="ij"))
+    if coarse == 1:
+        return wide
+    nearest = np.ix_(
+        *(np.minimum((np.arange(len(a)) + coarse // 2) // coarse, n - 1) for a, n in zip(axes, wide.shape, strict=True))
+    )
+    values = wide[nearest]
+    near = np.nonzero(np.abs(values) < 1.5 * coarse * step)
+    values[near] = field(*(axis[index] for axis, index in zip(axes, near, strict=True)))
+    return values
 
 
 def _gradient(field: Field, points: Array, e: float = 2e-3) -> Array:

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from assets.builders.bodywork import Body
 from assets.builders.cabins import DRIVERS, Point, dashboard, driver, lined, rows, seat, steering_wheel
 from assets.builders.coachwork import arches, cut_out, headlights, lamp_states, lens_disc, painted, plate, rect, wheels
 from assets.builders.solids import Field, outline_distance, rounded, soft_max, surface
-from assets.builders.vehicles import Body, build_car
+from assets.builders.vehicles import build_car
 from synfog_usd.world.components import Component, Look
 from synfog_usd.world.lod import cleaned
-from synfog_usd.world.materials import PAINTS
 from synfog_usd.world.shapes import Array, Part, box, soft_box, strip, tube
 
 Outline = Sequence[tuple[float, float]]
@@ -46,7 +46,7 @@ def _hull(
 
 
 def _looks(paints: Sequence[str], lamps: Sequence[tuple[float, float, float]]) -> dict[str, dict[str, Look]]:
-    paint = {name: painted(PAINTS[name]) for name in paints}
+    paint = {name: painted(name) for name in paints}
     return {"paint": paint, "lamps": lamp_states(headlights(lamps, "low_beam_halogen")), "driver": DRIVERS}
 
 
@@ -292,6 +292,7 @@ MINIBUS = Body(
     wheel=0.36,
     roof_half=0.82,
     belt=1.26,
+    outer=(1.15857, -2.91542, 2.91162, 2.60273),
     seams=[(1.84, 0.44, 1.26), (0.72, 0.38, 2.12), (-0.46, 0.42, 2.12)],
     lamps_z=0.94,
     tail=(0.82, 1.5),

@@ -10,18 +10,21 @@ stand on z = 0.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
+from assets.builders.bodywork import ARCH_GAP_M, SHOULDER_M, Body, car_field
 from assets.builders.cabins import DRIVERS, bulkhead, dashboard, driver, lined, lining, rows, seat, steering_wheel
 from assets.builders.coachwork import HEADLIGHT_CD as HEADLIGHT_CD
 from assets.builders.coachwork import HEADLIGHT_TINT as HEADLIGHT_TINT
 from assets.builders.coachwork import (
     arches,
+    bowl,
     convex,
+    covered,
     cut_out,
     front_at,
+    gap,
     grown,
     headlights,
     lamp_states,
@@ -38,62 +41,10 @@ from assets.builders.coachwork import (
     top_at,
     wheels,
 )
-from assets.builders.solids import Field, outline_distance, rounded, soft_max, soft_min, surface
+from assets.builders.solids import Field, carve, outline_distance, prism, rounded, soft_max, surface
 from synfog_usd.world.components import Component
 from synfog_usd.world.lod import cleaned
-from synfog_usd.world.materials import PAINTS
-from synfog_usd.world.shapes import Array, Part, box, quad, shift, smooth_normals, soft_box, strip, tube
-
-
-@dataclass(frozen=True)
-class Body:
-    """Shape of a car.  Silhouettes are corners of outlines that are rounded later.
-
-    Attributes:
-        length, width, height: outer size without mirrors [m].
-        side: (y, z) of the lower body; cabin: (y, z) of the cabin from the belt up.
-        windows: convex (y, z) outlines of the side glass.
-        screen: (y, z) foot and head of the windscreen, and of the rear window.
-        axles: y of the rear and front axle; wheel: outer radius of the tyre.
-        roof_half: half width of the roof; belt: height where the cabin begins [m].
-        seams: (y, z0, z1) of the gaps between doors.
-        spokes: number of spokes of the rims; plate: row of the picture of plates.
-        tail: lowest and highest z of the tail lamps; tail_inner: their inner edge as a share of the half width.
-        rear_plate_z: height of the plate at the back, by the tail lamps if left out.
-        upright: a flat front and doors at the back; rails: on the roof; cladding: dark wheel arches.
-        triangles: of the painted skin before anything is cut out of it.
-        beam: name of its dipped beam in `lamps.LAMPS`.
-    """
-
-    name: str
-    about: str
-    length: float
-    width: float
-    height: float
-    side: Sequence[tuple[float, float]]
-    cabin: Sequence[tuple[float, float]]
-    windows: Sequence[Sequence[tuple[float, float]]]
-    screen: tuple[tuple[float, float], tuple[float, float]]
-    rear: tuple[tuple[float, float], tuple[float, float]]
-    axles: tuple[float, float]
-    wheel: float
-    roof_half: float
-    belt: float
-    seams: Sequence[tuple[float, float, float]]
-    lamps_z: float = 0.68
-    tail: tuple[float, float] = (0.72, 0.95)
-    spokes: int = 5
-    plate: int = 0
-    paints: Sequence[str] = field(default=("white", "silver", "grey", "black", "blue", "red", "green", "sand"))
-    cladding: bool = False
-    plan_corner: float = 0.5
-    tail_inner: float = 0.72
-    rear_plate_z: float | None = None
-    upright: bool = False
-    rails: bool = False
-    triangles: int = 3600
-    beam: str = "low_beam_led"
-
+from synfog_usd.world.shapes import Array, Part, box, quad, scale, shift, smooth_normals, soft_box, strip, tube
 
 CARS = (
     Body(
@@ -136,6 +87,7 @@ CARS = (
         wheel=0.315,
         roof_half=0.57,
         belt=0.95,
+        outer=(0.99566, -1.99047, 2.00649, 1.4488),
         seams=[(0.80, 0.32, 0.97), (-0.02, 0.32, 0.98), (-0.90, 0.48, 1.0)],
         tail=(0.74, 1.06),
         plate=1,
@@ -181,6 +133,7 @@ CARS = (
         wheel=0.33,
         roof_half=0.58,
         belt=0.94,
+        outer=(1.02633, -2.29485, 2.29886, 1.41585),
         seams=[(0.82, 0.34, 0.96), (-0.04, 0.34, 0.97), (-0.98, 0.50, 1.0)],
         lamps_z=0.66,
         tail=(0.76, 0.94),
@@ -228,6 +181,7 @@ CARS = (
         wheel=0.335,
         roof_half=0.60,
         belt=0.95,
+        outer=(1.02499, -2.31488, 2.32289, 1.4732),
         seams=[(0.86, 0.34, 0.97), (-0.02, 0.34, 0.98), (-0.92, 0.50, 1.0)],
         lamps_z=0.68,
         tail=(0.78, 1.06),
@@ -275,6 +229,7 @@ CARS = (
         wheel=0.36,
         roof_half=0.62,
         belt=1.08,
+        outer=(1.04128, -2.18271, 2.19473, 1.6362),
         seams=[(0.84, 0.42, 1.10), (-0.01, 0.42, 1.11), (-0.92, 0.58, 1.13)],
         lamps_z=0.84,
         tail=(0.86, 1.16),
@@ -316,6 +271,7 @@ CARS = (
         wheel=0.35,
         roof_half=0.82,
         belt=1.24,
+        outer=(1.14362, -2.61532, 2.61125, 2.283),
         seams=[(1.52, 0.42, 1.24), (0.34, 0.36, 2.05), (-0.95, 0.40, 2.05)],
         lamps_z=0.92,
         tail=(0.80, 1.45),
@@ -466,7 +422,7 @@ def build_bus() -> Component:
     parts.append(plate((0, -6.04, 0.7), 6, front=False))
     lamps = headlights([(-0.86, 6.06, 0.74), (0.86, 6.06, 0.74)], "low_beam_halogen")
     variants = {
-        "paint": {"red": painted((0.36, 0.018, 0.02)), "yellow": painted((0.62, 0.38, 0.02))},
+        "paint": {"red": painted("bus_red"), "yellow": painted("yellow")},
         "lamps": lamp_states(lamps),
         "driver": DRIVERS,
     }
@@ -545,7 +501,7 @@ def build_lorry() -> Component:
     parts += [plate((0, 3.63, 0.55), 7, front=True), plate((0, -3.61, 0.72), 7, front=False)]
     lamps = headlights([(-0.80, 3.66, 0.77), (0.80, 3.66, 0.77)], "low_beam_halogen")
     variants = {
-        "paint": {"white": painted(PAINTS["white"]), "blue": painted(PAINTS["blue"])},
+        "paint": {name: painted(name) for name in ("white", "blue")},
         "lamps": lamp_states(lamps),
         "driver": DRIVERS,
     }
@@ -554,122 +510,27 @@ def build_lorry() -> Component:
 
 def build_car(body: Body) -> Component:
     """A body as a component with glass, wheels, lamps and plates, and paint and lamps to choose."""
-    half = body.width / 2
-    side = rounded(body.side, 3, 0.16)
-    cabin = rounded(body.cabin, 3, 0.16)
-    y0, y1 = -body.length / 2, body.length / 2
-    c = body.plan_corner
-    plan = rounded(
-        [
-            (-half * 0.80, y0),
-            (half * 0.80, y0),
-            (half * 0.97, y0 + c * 0.7),
-            (half, 0.0),
-            (half * 0.97, y1 - c * 1.1),
-            (half * 0.74, y1 - 0.05),
-            (0.25, y1 + 0.01),
-            (-0.25, y1 + 0.01),
-            (-half * 0.74, y1 - 0.05),
-            (-half * 0.97, y1 - c * 1.1),
-            (-half, 0.0),
-            (-half * 0.97, y0 + c * 0.7),
-        ],
-        3,
-        0.2,
-    )
-    sill, belt = min(z for _, z in body.side), body.belt
-    right = [
-        (half * 0.90, sill - 0.05),
-        (half * 0.985, sill + 0.12),
-        (half, 0.55 * (sill + belt)),
-        (half * 0.965, belt - 0.06),
-        (half * 0.90, belt + 0.12),
-    ]
-    front = rounded([*right, *((-x, z) for x, z in reversed(right))], 2, 0.2)
-    head = body.height
-    upright = [
-        (half * 0.93, belt - 0.25),
-        (half * 0.925, belt),
-        (body.roof_half, head - 0.06),
-        (body.roof_half * 0.75, head + 0.005),
-    ]
-    cabin_front = rounded([*upright, *((-x, z) for x, z in reversed(upright))], 3, 0.14)
-    cabin_plan = rounded(
-        [
-            (-half * 0.62, y0 + 0.05),
-            (half * 0.62, y0 + 0.05),
-            (half * 0.93, y0 + 0.75),
-            (half * 0.95, 0.2),
-            (half * 0.78, y1 - 0.55),
-            (-half * 0.78, y1 - 0.55),
-            (-half * 0.95, 0.2),
-            (-half * 0.93, y0 + 0.75),
-        ],
-        3,
-        0.2,
-    )
-    if body.upright:
-        cabin_plan = plan
-
-    def field_(x: Array, y: Array, z: Array) -> Array:
-        lower = soft_max(
-            soft_max(outline_distance(side, y, z), outline_distance(plan, x, y), 0.14),
-            outline_distance(front, x, z),
-            0.12,
-        )
-        crown = 0.035 * (x / half) ** 2  # bonnet, roof and screens are domed
-        upper = soft_max(
-            soft_max(outline_distance(cabin, y, z) + crown, outline_distance(cabin_front, x, z), 0.09),
-            outline_distance(cabin_plan, x, y),
-            0.10,
-        )
-        return soft_min(lower + 0.5 * crown, upper, 0.05)
-
+    half, y0, y1 = body.width / 2, -body.length / 2, body.length / 2
+    sill, head = min(z for _, z in body.side), body.height
+    field_ = car_field(body)
     margin = 0.12
     skin = surface(
         field_,
         (-half - margin, y0 - margin, sill - 0.2),
         (half + margin, y1 + margin, head + margin),
-        step=0.042,
+        step=0.024,
         triangles=body.triangles,
         material="paint",
+        coarse=4,
     )
-    parts: list[Part] = []
+    floor = rect(-half * 0.58, half * 0.58, y0 + 0.35, y1 - 0.35)  # of the belly, which nobody sees, two triangles
+    skin = carve(skin, [*prism(floor, (0, 1)), lambda q: q[:, 2] - sill - 0.08])[1]
+    parts: list[Part] = [quad([(x, y, sill) for x, y in floor], "black_plastic")]
     skin = arches(
-        skin, parts, body.axles, body.wheel + 0.045, half * 0.62, lip="black_plastic" if body.cladding else ""
+        skin, parts, body.axles, body.wheel + ARCH_GAP_M, half * 0.62, lip="black_plastic" if body.cladding else ""
     )
     for sign in (-1, 1):
-        for window in body.windows:
-            skin = cut_out(skin, parts, "glass_clear", (1, 2), grown(window, -0.012), 0, sign, 0.35)
-            skin = cut_out(skin, parts, "gloss_black", (1, 2), grown(window, 0.014), 0, sign, 0.35)
-        for y, z0, z1 in body.seams:
-            skin = cut_out(skin, parts, "seam", (1, 2), rect(y - 0.004, y + 0.004, z0, z1), 0, sign, 0.4)
-        first, last = body.seams[0][0], body.seams[-1][0]
-        skin = cut_out(
-            skin, parts, "seam", (1, 2), rect(last, first, body.seams[0][1], body.seams[0][1] + 0.008), 0, sign, 0.4
-        )
-        for y, _, _ in body.seams[1:]:
-            z = belt - 0.09
-            parts.append(
-                soft_box(
-                    (0, 0, 0), (0.20, 0.028, 0.022), "paint" if not body.cladding else "chrome", radius=0.01
-                ).moved(on_side(field_, sign, y + 0.06, z) @ shift(0, 0, -0.01))
-            )
-        mirror_y = body.screen[0][0] - 0.32
-        at = on_side(field_, sign, mirror_y, belt + 0.02)[:3, 3]
-        shell = mirror(sign).moved(shift(at[0] + sign * 0.005, at[1], belt + 0.03))
-        parts += [
-            shell,
-            quad(
-                [
-                    (at[0] + sign * 0.05, at[1] - 0.062, belt + 0.055),
-                    (at[0] + sign * 0.205, at[1] - 0.058, belt + 0.055),
-                    (at[0] + sign * 0.205, at[1] - 0.058, belt + 0.15),
-                    (at[0] + sign * 0.05, at[1] - 0.062, belt + 0.15),
-                ][::sign],
-                "chrome",
-            ),
-        ]
+        skin = _flank(skin, parts, body, field_, sign)
     (_fy, fz), (_hy, hz) = body.screen
     skin = screen(skin, parts, fz + 0.005, hz - 0.03, half * 0.80, body.roof_half * 0.93, 1, body.upright)
     (_ry, rz), (_sy, sz) = body.rear
@@ -679,21 +540,22 @@ def build_car(body: Body) -> Component:
         for x0, x1 in ((-0.72, -0.06), (0.06, 0.72)):
             skin = cut_out(skin, parts, "glass_car", (0, 2), rect(x0, x1, rz, sz), 1, -1, 0.5)
         skin = cut_out(skin, parts, "seam", (0, 2), rect(-0.006, 0.006, 0.45, 2.15), 1, -1, 0.5)
+    skin = _shut_lines(skin, parts, body)
     z = body.lamps_z
     lens = []
     for sign in (-1, 1):
         lamp = [
-            (sign * half * 0.56, z - 0.045),
-            (sign * half * 0.60, z - 0.075),
-            (sign * half * 0.985, z - 0.02),
-            (sign * half * 0.99, z + 0.085),
-            (sign * half * 0.80, z + 0.075),
-            (sign * half * 0.57, z + 0.03),
+            (sign * half * 0.55, z - 0.030),
+            (sign * half * 0.62, z - 0.070),
+            (sign * half * 0.985, z - 0.035),
+            (sign * half * 0.99, z + 0.095),
+            (sign * half * 0.84, z + 0.070),
+            (sign * half * 0.56, z + 0.015),
         ]
-        skin = cut_out(skin, parts, "headlamp", (0, 2), lamp if sign > 0 else lamp[::-1], 1, 1, -9, y1 - 0.46)
-        x = sign * half * 0.735
-        y = front_at(field_, x, z, 1)
-        lens.append((x, y + 0.05, z))
+        skin = covered(skin, parts, lamp if sign > 0 else lamp[::-1], y1 - 0.46, 0.045)
+        x = sign * half * 0.755
+        parts += [bowl(field_, x, z, 0.058), bowl(field_, sign * half * 0.655, z - 0.018, 0.034)]
+        lens.append((x, front_at(field_, x, z, 1) + 0.05, z))
         parts.append(lens_on(field_, x, z, 0.052, "headlamp_lens", sign=1))
         low, high = body.tail
         tail = [
@@ -720,16 +582,6 @@ def build_car(body: Body) -> Component:
         skin, parts, "black_plastic", (0, 2), rect(-half * 0.72, half * 0.72, sill + 0.07, sill + 0.22), 1, 1, 0.3
     )
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-half * 0.78, half * 0.78, sill, sill + 0.17), 1, -1, 0.3)
-    skin = cut_out(
-        skin,
-        parts,
-        "seam",
-        (0, 2),
-        rect(-half * 0.6, half * 0.6, body.tail[0] - 0.16, body.tail[0] - 0.152),
-        1,
-        -1,
-        0.3,
-    )
     skin = cut_out(
         skin,
         parts,
@@ -782,12 +634,89 @@ def build_car(body: Body) -> Component:
     parts.append(quad(third, "brake_lens"))
     parts += _cabin(body, field_)
     parts += [skin, *wheels(body.axles, body.wheel, half - 0.065, 0.205, body.spokes)]
+    found = cleaned(parts)
+    place = _drawn_to(found, body.outer)
     variants = {
-        "paint": {name: painted(PAINTS[name]) for name in body.paints},
-        "lamps": lamp_states(headlights(lens, body.beam), centre=True),
+        "paint": {name: painted(name) for name in body.paints},
+        "lamps": lamp_states(headlights([tuple((place @ [*at, 1.0])[:3]) for at in lens], body.beam), centre=True),
         "driver": DRIVERS,
     }
-    return Component(body.name, "car", cleaned(parts), body.about, variants)
+    return Component(body.name, "car", tuple(part.moved(place) for part in found), body.about, variants)
+
+
+def _drawn_to(parts: Sequence[Part], outer: tuple[float, float, float, float]) -> Array:
+    """(4, 4) matrix that stretches the parts, which stand on the ground, to `Body.outer`."""
+    points = np.concatenate([part.points for part in parts])
+    low, high = points.min(axis=0), points.max(axis=0)
+    half, rear, front, height = outer
+    along = (front - rear) / (high[1] - low[1])
+    return shift(0.0, rear - along * low[1], 0.0) @ scale(half / high[0], along, height / high[2])
+
+
+def _flank(skin: Part, parts: list[Part], body: Body, field_: Field, sign: int) -> Part:
+    """Windows in one dark band, doors with their handles, and a mirror of one side; gives the rest of the skin."""
+    belt = body.belt
+    for window in body.windows:
+        skin = cut_out(skin, parts, "glass_clear", (1, 2), grown(window, -0.012), 0, sign, 0.35)
+    bands = body.windows if body.upright else [convex([p for window in body.windows for p in window])]
+    for band in bands:
+        skin = cut_out(skin, parts, "gloss_black", (1, 2), grown(band, 0.014), 0, sign, 0.35)
+    shoulder = belt - SHOULDER_M
+    for k, (y, z0, z1) in enumerate(body.seams):
+        line = [(y, z1), (y + (0.03 if k == 0 else 0.0), 0.5 * (z0 + z1)), (y, z0)]
+        if k == 2 and not body.upright:  # round the arch
+            line = [(y, z1), (y, z0 + 0.18), (y + 0.16, z0 - 0.04), (y + 0.30, body.seams[0][1])]
+        skin = gap(skin, parts, (1, 2), line, 0, sign, 0.4)
+    first, last = body.seams[0], body.seams[-1]
+    end = last[0] + (0.30 if len(body.seams) == 3 and not body.upright else 0.0)
+    skin = gap(skin, parts, (1, 2), [(end, first[1]), (first[0], first[1])], 0, sign, 0.4)
+    if not body.upright:
+        arch, y1 = body.wheel + ARCH_GAP_M, body.length / 2
+        z = body.lamps_z - 0.06
+        skin = gap(skin, parts, (1, 2), [(body.axles[1] + 0.7 * arch, z - 0.06), (y1 - 0.30, z)], 0, sign, 0.3)
+        bumper = body.tail[0] - 0.03
+        skin = gap(
+            skin, parts, (1, 2), [(-y1 + 0.10, bumper), (body.axles[0] - 0.8 * arch, bumper - 0.08)], 0, sign, 0.3
+        )
+    if sign > 0:
+        y, z = body.axles[0] - 0.04, max(shoulder - 0.11, body.wheel * 2 + ARCH_GAP_M + 0.06)
+        flap = [
+            (y - 0.07, z - 0.06),
+            (y + 0.07, z - 0.06),
+            (y + 0.07, z + 0.06),
+            (y - 0.07, z + 0.06),
+            (y - 0.07, z - 0.06),
+        ]
+        skin = gap(skin, parts, (1, 2), flap, 0, sign, 0.4, width=0.006)
+    for y, _, _ in body.seams[1:]:
+        z = shoulder - 0.045
+        grip = rect(y + 0.075, y + 0.245, z - 0.020, z + 0.024)
+        skin = cut_out(skin, parts, "seam", (1, 2), convex([*grip, (y + 0.055, z), (y + 0.265, z)]), 0, sign, 0.4)
+        bar = soft_box((0, 0, 0), (0.215, 0.020, 0.026), "chrome" if body.cladding else "paint", radius=0.009, sides=2)
+        parts.append(bar.moved(on_side(field_, sign, y + 0.152, z) @ shift(0.0, -0.006 - 0.014 * (sign > 0), -0.010)))
+    at = on_side(field_, sign, body.screen[0][0] - 0.32, belt + 0.02)[:3, 3]
+    parts += [p.moved(shift(at[0] - sign * 0.005, at[1], belt + 0.03)) for p in mirror(sign)]
+    return skin
+
+
+def _shut_lines(skin: Part, parts: list[Part], body: Body) -> Part:
+    """The gaps round bonnet and boot, as they are seen from above, ahead and behind; gives the rest of the skin."""
+    half, y0, y1 = body.width / 2, -body.length / 2, body.length / 2
+    (fy, _), _ = body.screen
+    (ry, rz), _ = body.rear
+    nose = y1 - 0.24
+    bonnet = [(-half * 0.80, fy + 0.02), (-half * 0.70, nose), (half * 0.70, nose), (half * 0.80, fy + 0.02)]
+    skin = gap(skin, parts, (0, 1), bonnet, 2, 1, 0.3, beyond=body.lamps_z)
+    if body.upright:
+        return skin
+    if ry > y0 + 0.35:  # a boot lid
+        lid = [(-half * 0.68, ry), (-half * 0.74, y0 + 0.02)]
+        for sign in (-1, 1):
+            skin = gap(skin, parts, (0, 1), [(sign * x, y) for x, y in lid], 2, 1, 0.5, beyond=body.lamps_z)
+        rz = body.tail[1] + 0.06
+    low = body.tail[0] - 0.03
+    hatch = [(-half * 0.74, rz), (-half * 0.70, low), (half * 0.70, low), (half * 0.74, rz)]
+    return gap(skin, parts, (0, 2), hatch, 1, -1, 0.25, beyond=-y0 - 0.45)
 
 
 def _cabin(body: Body, field_: Field) -> list[Part]:
@@ -801,7 +730,11 @@ def _cabin(body: Body, field_: Field) -> list[Part]:
     )
     panels = list(lining(field_, low, high, step=0.07, triangles=500, roof_z=hz - 0.02))
     inner: list[Part] = []  # what is cut out of the lining is thrown away
+    top = 2 * body.wheel + ARCH_GAP_M
     for k, panel in enumerate(panels):
+        for y in body.axles:  # where the wheels are
+            house = prism(rect(y - 0.42, y + 0.42, 0.0, top), (1, 2))
+            panel = carve(panel, [*house, lambda q: 0.58 * half - np.abs(q[:, 0])])[1]
         for sign in (-1, 1):
             for window in body.windows:
                 panel = cut_out(panel, inner, "hole", (1, 2), grown(window, 0.004), 0, sign, 0.3)

@@ -23,7 +23,7 @@ class Material:
     Attributes:
         colour: linear reflectance, or a factor on `texture` where there is one.
         roughness: 0 (mirror) to 1.
-        metallic: 0 or 1.
+        metallic: 0 to 1.
         texture: file name of a colour texture, or ''.
         gloss: file name of a roughness texture, or ''; gloss_factor: on it.
         clearcoat: 0 to 1.
@@ -77,8 +77,8 @@ PALETTE: dict[str, Material] = {
     "tyre": Material((0.018, 0.018, 0.019), 0.75),
     "rim": Material((0.55, 0.56, 0.58), 0.28, 1.0),
     "brake": Material((0.2, 0.19, 0.18), 0.45, 1.0),
-    # the lacquer: one smooth surface over a diffuse ground mirrors sky and houses as a clear coat does
-    "paint": Material((0.3, 0.3, 0.3), 0.12),
+    # a clear coat mirrors sky and houses; flakes below it shine softly, see FLAKES
+    "paint": Material((0.3, 0.3, 0.3), 0.38, clearcoat=1.0),
     "black_plastic": Material((0.02, 0.02, 0.021), 0.55),
     "gloss_black": Material((0.012, 0.012, 0.013), 0.08),
     "seam": Material((0.008, 0.008, 0.008), 0.7),
@@ -94,11 +94,12 @@ PALETTE: dict[str, Material] = {
     "driver_hair": Material((0.03, 0.02, 0.014), 0.5),
     "driver_coat": Material((0.07, 0.08, 0.12), 0.9),
     "chrome": Material((0.75, 0.76, 0.78), 0.12, 1.0),
-    "headlamp": Material((0.42, 0.44, 0.47), 0.05, 0.6, clearcoat=1.0),
-    "headlamp_lens": Material((0.75, 0.76, 0.78), 0.05, clearcoat=1.0),
-    "tail_lamp": Material((0.28, 0.008, 0.008), 0.06, clearcoat=1.0),
-    "tail_lens": Material((0.4, 0.012, 0.01), 0.06, clearcoat=1.0),
-    "brake_lens": Material((0.4, 0.012, 0.01), 0.06, clearcoat=1.0),
+    "lamp_glass": Material((0.02, 0.02, 0.02), 0.03, ior=2.83, opacity=0.3),
+    "headlamp": Material((0.05, 0.052, 0.056), 0.3, 0.5),
+    "headlamp_lens": Material((0.34, 0.35, 0.37), 0.05, clearcoat=1.0),
+    "tail_lamp": Material((0.17, 0.006, 0.006), 0.06, clearcoat=1.0),
+    "tail_lens": Material((0.30, 0.010, 0.008), 0.06, clearcoat=1.0),
+    "brake_lens": Material((0.30, 0.010, 0.008), 0.06, clearcoat=1.0),
     "amber": Material((0.5, 0.16, 0.01), 0.08, clearcoat=1.0),
     "livery": Material((0.03, 0.10, 0.24), 0.35, clearcoat=0.8),
     "taxi_sign": Material((0.62, 0.42, 0.04), 0.3),
@@ -227,7 +228,11 @@ PAINTS: dict[str, Colour] = {
     "cream": (0.60, 0.50, 0.30),
     "yellow": (0.62, 0.38, 0.02),
     "orange": (0.55, 0.15, 0.015),
+    "bus_red": (0.36, 0.018, 0.02),
 }
+
+FLAKES: dict[str, float] = {"silver": 0.6, "grey": 0.5, "black": 0.4, "blue": 0.45, "green": 0.4, "sand": 0.5}
+"""Share of a paint's ground that is flakes of metal."""
 
 SPECTRA: dict[str, tuple[str, ...]] = {
     "asphalt": ("asphalt", "asphalt_lane"),

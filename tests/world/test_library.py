@@ -20,7 +20,7 @@ from synfog_usd.translate import ies
 from synfog_usd.world import lod, sheet
 from synfog_usd.world.components import Component, write_component
 from synfog_usd.world.library import SIZES, library, model, of_group, read
-from synfog_usd.world.shapes import Part, ball, box
+from synfog_usd.world.shapes import Part, ball, box, face_normals
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [name for name, m in library().items() if m.group != "ground"]
@@ -391,6 +391,37 @@ def test_a_car_has_at_most_15000_triangles(name):
     )  # dark, with nothing behind it
 
 
+@pytest.mark.parametrize("name", [m.name for m in of_group("vehicle") if m.label == "car"])
+def test_a_car_has_gaps_between_its_panels(name):
+    """Dark lines 7 mm wide lie on the bonnet, on both flanks and at the back, and a fuel flap on one flank alone."""
+    parts = meshes(shown(name))
+    seam, paint = parts["seam"], parts["paint"]
+    middle, normal = seam.points[seam.faces].mean(axis=1), face_normals(seam)
+    area = 0.5 * np.linalg.norm(np.cross(*np.diff(seam.points[seam.faces], axis=1).swapaxes(0, 1)), axis=1)
+
+    def metres(chosen: np.ndarray) -> float:
+        return float(area[chosen & (area < 4e-3)].sum() / 0.007)  # the lining of wheel arches is larger
+
+    m = library()[name]
+    up, side, along = np.abs(normal[:, 2]) > 0.6, np.abs(normal[:, 0]) > 0.7, np.abs(normal[:, 1]) > 0.6
+    assert metres(up & (middle[:, 1] > 0.25 * m.high[1])) > 2.0  # round the bonnet
+    assert metres(along & (middle[:, 1] < 0.8 * m.low[1])) > 1.2
+    high = side & (np.abs(middle[:, 0]) > 0.75 * np.abs(paint.points[:, 0]).max()) & (middle[:, 2] > 0.5)
+    left, right = metres(high & (middle[:, 0] < 0)), metres(high & (middle[:, 0] > 0))
+    assert left > 2.0
+    assert 0.2 < right - left < 0.8  # the flap is 14 by 12 cm
+
+
+def test_paint_is_a_clear_coat_over_a_ground_with_flakes():
+    for paint, flakes in (("white", 0.0), ("silver", 0.6)):
+        stage = shown("saloon", paint=paint)
+        shader = UsdShade.Shader(stage.GetPrimAtPath("/Model/Materials/paint/Surface"))
+        assert shader.GetInput("clearcoat").Get() == 1.0
+        assert shader.GetInput("clearcoatRoughness").Get() < 0.1 < shader.GetInput("roughness").Get()
+        metal = shader.GetInput("metallic")
+        assert (metal.Get() if metal else 0.0) == pytest.approx(flakes)
+
+
 @pytest.mark.parametrize("name", [n for n in POWERED if n != "motorcyclist"])
 def test_the_driver_is_seen_through_the_windscreen(name):
     """From ahead, at the height of the head, a ray meets glass, then the driver, and nothing opaque before; without a
@@ -506,6 +537,31 @@ def test_stock_is_the_same_bytes_each_time(tmp_path):
                 file.name
             )
     assert len(made) == 4
+
+
+def test_a_skin_is_the_same_where_the_field_is_asked_near_it_alone():
+    """A ball of 0.9 m on a grid of 5 cm, all of it or what a grid of 20 cm finds near."""
+
+    def ball_field(x, y, z):
+        return np.sqrt(x * x + y * y + z * z) - 0.9
+
+    one, other = (
+        solids.surface(ball_field, (-1.1,) * 3, (1.1,) * 3, step=0.05, triangles=10**6, material="paint", coarse=n)
+        for n in (1, 4)
+    )
+    np.testing.assert_array_equal(one.points, other.points)
+    np.testing.assert_array_equal(one.faces, other.faces)
+    assert np.linalg.norm(one.points, axis=1) == pytest.approx(0.9, abs=1e-6)
+
+
+def test_a_corner_is_filleted_by_a_parabola():
+    """Of a unit square with a setback of 0.2 the curve passes 0.2 / 4 from both sides of each corner, and an edge
+    shorter than twice the setback is bent from its middle.
+    """
+    bent = solids.filleted([(0, 0), (1, 0), (1, 1), (0, 1)], 0.2)
+    assert np.abs(bent - [0.05, 0.05]).sum(axis=1).min() == pytest.approx(0.0, abs=1e-12)
+    assert bent.min() == 0.0
+    assert np.abs(solids.filleted([(0, 0), (1, 0), (1, 0.3), (0, 0.3)], 0.2) - [1, 0.15]).sum(axis=1).min() < 1e-12
 
 
 def test_a_skin_is_the_same_whatever_was_simplified_before_it():
