@@ -6,7 +6,7 @@
 | yolov8 | (1, 4 + C, N): centre, width and height [px], and the classes (v8, v9, v11, v12) |
 | detr | logits (1, N, C + 1), the last for nothing, and boxes (1, N, 4): centre, width, height by the sides |
 | rtdetr | logits or scores (1, N, C) of classes that do not exclude each other, and such boxes (also DINO) |
-| boxes | decoded: corners (N, 4) [px], scores (N,), class numbers (N,); or all in one, (N, 6) (torchvision, YOLOv10) |
+| boxes | decoded: boxes (N, 4), scores (N,), class numbers (N,); or all in one, (N, 6) (torchvision, YOLOv10) |
 
 Pixels are those of what the network was given.  YOLO's boxes that lie on each other are thinned here.
 """
@@ -154,6 +154,14 @@ def _rtdetr(method: Detector, answers: dict[str, np.ndarray], size: tuple[int, i
 
 
 def _decoded(method: Detector, answers: dict[str, np.ndarray], size: tuple[int, int]) -> Boxes:
+    boxes, scores, labels = _listed(method, answers)
+    if method.centred:
+        boxes = _corners(boxes)
+    return boxes * np.tile(size, 2) if method.relative else boxes, scores, labels
+
+
+def _listed(method: Detector, answers: dict[str, np.ndarray]) -> Boxes:
+    """Of one output or three, as they are."""
     if len(answers) == 1:
         table = _flat(_only(method, answers), 2).astype(np.float64)
         if table.ndim != 2 or table.shape[1] != 6:
@@ -205,6 +213,9 @@ def _flat(found: np.ndarray, axes: int) -> np.ndarray:
 def _boxes_and(method: Detector, answers: dict[str, np.ndarray], size: tuple[int, int]) -> tuple[Array, Array]:
     """(N, 4) corners [px] and (N, C) numbers of classes, from shares of the sides."""
     named = dict(method.outputs)
+    if len(answers) == 1:  # both in one, as Ultralytics exports RT-DETR
+        both = _flat(_only(method, answers), 2)
+        answers, named = {"boxes": both[..., :4], "scores": both[..., 4:]}, {}
     likely = sorted(answers, key=lambda name: "box" not in name.lower())
     boxes = named.get("boxes") or next((name for name in likely if answers[name].shape[-1] == 4), "")
     scores = named.get("scores") or next((name for name in answers if name != boxes), "")

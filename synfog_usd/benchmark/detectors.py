@@ -42,6 +42,8 @@ FIELDS = (
     "order",
     "score",
     "nms",
+    "centred",
+    "relative",
     "outputs",
 )
 
@@ -75,6 +77,8 @@ class Detector(Method):
         order: 'rgb' or 'bgr'.
         score: boxes below it are left out.
         nms: of two boxes of a class whose intersection over union is larger, the better stays; YOLO's layouts alone.
+        centred, relative: boxes of the layout 'boxes' are centre, width and height, not corners; are shares of the
+            sides, not pixels.
         outputs: names of the network's outputs by what they hold, where they cannot be told by their shapes.
     """
 
@@ -90,6 +94,8 @@ class Detector(Method):
     order: str = "rgb"
     score: float = 0.001
     nms: float = 0.65
+    centred: bool = False
+    relative: bool = False
     outputs: tuple[tuple[str, str], ...] = ()
 
 
@@ -116,7 +122,8 @@ def _detector(entry: Located, folder: Path) -> Detector:
     more["classes"], more["count"] = _classes(fields["classes"])
     if "onnx" in fields and "layout" not in fields:
         raise ParameterError(f"{entry.place}: a network needs a layout, one of {', '.join(LAYOUTS)}")
-    for key, allowed in (("layout", LAYOUTS), ("order", ("rgb", "bgr")), ("letterbox", (True, False))):
+    flags = dict.fromkeys(("letterbox", "centred", "relative"), (True, False))
+    for key, allowed in {"layout": LAYOUTS, "order": ("rgb", "bgr"), **flags}.items():
         if key in fields:
             value = fields[key].plain()
             if not any(value is one or (isinstance(one, str) and value == one) for one in allowed):

@@ -143,13 +143,17 @@ LOGITS = -np.log(1 / np.maximum(SURE, 1e-9) - 1)
             {"logits": LOGITS[None], "boxes": (CENTRES / np.tile(SIDES, 2))[None]},
         ),
         ("boxes", {"labels": np.array([0, 2]), "boxes": CORNERS, "scores": np.array([0.9, 0.8])}),
+        ("rtdetr", {"out": np.concatenate([CENTRES / np.tile(SIDES, 2), SURE], axis=1)[None]}),
         ("boxes", {"out": np.c_[CORNERS, [0.9, 0.8], [0.0, 2.0]][None]}),
+        ("boxes centred relative", {"out": np.c_[CENTRES / np.tile(SIDES, 2), [0.9, 0.8], [0.0, 2.0]][None]}),
     ],
 )
 def test_every_layout_gives_the_boxes_that_it_holds(layout, answers):
     """The same two boxes, written as each family of networks does, come out in the picture's own pixels."""
+    layout, *flags = layout.split()
     session = Session(**answers)
-    found = decode.detector(detector(layout=layout, letterbox=False), session)(np.zeros((64, 96, 3), np.uint8))
+    asked = detector(layout=layout, letterbox=False, **dict.fromkeys(flags, True))
+    found = decode.detector(asked, session)(np.zeros((64, 96, 3), np.uint8))
     np.testing.assert_allclose(np.array(found), PLAIN, rtol=1e-5)
 
 
