@@ -703,19 +703,20 @@ def _shut_lines(skin: Part, parts: list[Part], body: Body) -> Part:
     """The gaps round bonnet and boot, as they are seen from above, ahead and behind; gives the rest of the skin."""
     half, y0, y1 = body.width / 2, -body.length / 2, body.length / 2
     (fy, _), _ = body.screen
-    (ry, rz), _ = body.rear
+    (ry, _), _ = body.rear
     nose = y1 - 0.24
     bonnet = [(-half * 0.80, fy + 0.02), (-half * 0.70, nose), (half * 0.70, nose), (half * 0.80, fy + 0.02)]
     skin = gap(skin, parts, (0, 1), bonnet, 2, 1, 0.3, beyond=body.lamps_z)
     if body.upright:
         return skin
+    top = body.tail[1] - 0.02
     if ry > y0 + 0.35:  # a boot lid
         lid = [(-half * 0.68, ry), (-half * 0.74, y0 + 0.02)]
         for sign in (-1, 1):
             skin = gap(skin, parts, (0, 1), [(sign * x, y) for x, y in lid], 2, 1, 0.5, beyond=body.lamps_z)
-        rz = body.tail[1] + 0.06
+        top = body.tail[1] + 0.06
     low = body.tail[0] - 0.03
-    hatch = [(-half * 0.74, rz), (-half * 0.70, low), (half * 0.70, low), (half * 0.74, rz)]
+    hatch = [(-half * 0.74, top), (-half * 0.70, low), (half * 0.70, low), (half * 0.74, top)]
     return gap(skin, parts, (0, 2), hatch, 1, -1, 0.25, beyond=-y0 - 0.45)
 
 
