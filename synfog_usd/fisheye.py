@@ -66,8 +66,8 @@ class Fisheye:
         slopes = np.polynomial.Polynomial(np.array(self.coefficients) * powers)
         if slopes(0.0) <= 0.0:
             return 0.0
-        roots = slopes.roots() if len(self.coefficients) > 1 else np.zeros(0)
-        turns = [float(root.real) for root in roots if abs(root.imag) < 1e-9 and 0.0 < root.real < math.pi]
+        roots = slopes.roots().tolist() if len(self.coefficients) > 1 else []
+        turns = [root.real for root in map(complex, roots) if abs(root.imag) < 1e-9 and 0.0 < root.real < math.pi]
         return min([*turns, math.pi])
 
     @functools.cached_property

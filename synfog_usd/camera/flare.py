@@ -1,4 +1,4 @@
-"""Ops for light that goes astray in the lens: veiling glare, starbursts and ghosts.
+"""Ops for light that goes astray in the lens: veiling glare and starbursts.
 
 Irradiance in, irradiance out; the sum of the light stays, but for what leaves the
 picture.
@@ -19,7 +19,7 @@ from synfog_usd.camera import blur, spread
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
-from synfog_usd.graph import Auto, FromProfile, Range
+from synfog_usd.graph import FromProfile, Range
 from synfog_usd.image import Image, Quantity
 
 THREADS = 2
@@ -32,10 +32,6 @@ PUPIL = 1024
 
 COLOURS = 5
 """Wavelengths of a channel, of equal weight."""
-
-GHOSTS = ((-1.0, 0.05), (-0.45, 0.12), (0.35, 0.03), (-1.6, 0.2))
-"""Where a ghost stands, times its lamp's offset from the axis, and its diameter in image widths.
-Estimates: the true ones are in the lens's drawing."""
 
 
 @OPS.op("optics.glare", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
@@ -79,7 +75,7 @@ def glare(
     scattered = np.maximum(scattered[reach_y : reach_y + height, reach_x : reach_x + width], 0.0).astype(np.float32)
     pixels = image.pixels * np.float32(1.0 - fraction)
     for channel in range(pixels.shape[2]):
-        pixels[..., channel] += _enlarged(
+        pixels[..., channel] += enlarged(
             np.float32(fraction) * scattered[..., channel], image.height_px, image.width_px, block
         )
     return image.with_pixels(pixels).with_metadata(glare_fraction=fraction)
@@ -92,22 +88,18 @@ def flare(
     blades: Annotated[int, Range(0, 32), FromProfile("lens.blades")] = 0,
     rotation_deg: Annotated[float, Range(-360.0, 360.0)] = 0.0,
     fraction: Annotated[float | None, Range(0.0, 0.5)] = None,
-    ghosts: Annotated[tuple[float, ...] | None, Range(0.0, 0.05), FromProfile("lens.ghost_fractions")] = None,
     threshold: Annotated[float, Range(1.0)] = spread.HIGHLIGHT,
     f_number: Annotated[float, Range(0.5, 64.0), FromProfile("lens.f_number")],
     pixel_pitch_um: Annotated[float, Range(0.3, 50.0), FromProfile("sensor.pixel_pitch_um")],
     sensor: Annotated[SensorProfile, FromProfile("sensor")],
-    shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
-    shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
 ) -> Image:
-    """Stars around lamps, and ghosts: their mirror images through the axis.
+    """Stars around lamps.
 
     An aperture of n straight blades diffracts light into n spikes (2 n where n is
     odd) that fall as 1 / r^2, while that of a round one falls as 1 / r^3.  The star is
     what |FFT(polygon)|^2, over five wavelengths of the channel and integrated over
     pixels, has more than the disc of a round aperture; `optics.diffraction`, before
-    this node, makes that disc.  A ghost is a defocused image of the aperture.  Only what
-    exceeds the threshold is spread.
+    this node, makes that disc.  Only what exceeds the threshold is spread.
 
     Args:
         image: irradiance (H, W, C).
@@ -115,29 +107,21 @@ def flare(
         rotation_deg: of the star, anticlockwise from a spike to the right [degrees].
         fraction: part of a lamp's light that goes into its star [1]; empty: as much
             as diffraction gives.
-        ghosts: part of a lamp's light that goes into each ghost, up to four [1];
-            places and sizes are those of `GHOSTS`.
         threshold: times the 95th percentile of the channel; what exceeds that is a lamp.
         f_number: N [1], of the round aperture of the same area.
         pixel_pitch_um: distance of the picture's pixels on the sensor [um].
         sensor: weighs the wavelengths.
-        shift_x, shift_y: offset of the axis from the centre, in image widths and
-            heights, right and up.
 
     Returns:
         Irradiance, >= 0.
 
     Raises:
-        ImageError: one or two blades, or more than four ghosts.
+        ImageError: one or two blades.
 
     Source: far-field diffraction, Goodman, "Introduction to Fourier Optics", chapter 4.
     """
-    ghosts = tuple(ghosts or ())
-    if blades in (1, 2) or len(ghosts) > len(GHOSTS):
-        raise ImageError(
-            f"{blades} blades and {len(ghosts)} ghosts; blades is 0 (round) or from 3 on, and there are up to "
-            f"{len(GHOSTS)} ghosts"
-        )
+    if blades in (1, 2):
+        raise ImageError(f"{blades} blades; it is 0 (round) or from 3 on")
     per_nm = 1e-3 * f_number / pixel_pitch_um
     wavelengths_nm = _wavelengths_nm(blur.spectral_weights(sensor, image.channels))
     pixels, given = image.pixels.copy(), []
@@ -147,23 +131,13 @@ def flare(
         lamps = np.maximum(plane - limit, 0.0)
         if not lamps.any():
             continue
-        lost = sum(ghosts)
         if blades and fraction != 0.0:
             star = _star(blades, rotation_deg, tuple(wavelengths_nm[channel] * per_nm))
             part = float(star.sum()) if fraction is None else fraction
-            lost += part
             given.append(float(f"{part:.4g}"))
             pixels[..., channel] += _starry(lamps, star * np.float32(part / star.sum()))
-        if sum(ghosts):
-            axis = (
-                (image.height_px - 1) / 2 - shift_y * image.height_px,
-                (image.width_px - 1) / 2 + shift_x * image.width_px,
-            )
-            pixels[..., channel] += _ghosts(lamps, ghosts, axis, blades, rotation_deg)
-        pixels[..., channel] -= np.float32(lost) * lamps
-    return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).with_metadata(
-        flare_fractions=given, ghost_fractions=list(ghosts)
-    )
+            pixels[..., channel] -= np.float32(part) * lamps
+    return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).with_metadata(flare_fractions=given)
 
 
 def _wavelengths_nm(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -246,50 +220,6 @@ def aperture(blades: int, rotation_deg: float, diameter: float, size: int) -> Fl
     return np.clip(inscribed - outside + 0.5, 0.0, 1.0).astype(np.float32)
 
 
-def _ghosts(
-    lamps: FloatArray, fractions: tuple[float, ...], axis: tuple[float, float], blades: int, rotation_deg: float
-) -> FloatArray:
-    """(H, W) light of the ghosts, on blocks of 1/480 of the width; `axis` is (row, column)."""
-    from scipy import fft
-
-    height, width = lamps.shape
-    block = max(1, round(width / 480))
-    light = (
-        np.add.reduceat(
-            np.add.reduceat(lamps, np.arange(0, height, block), axis=0, dtype=np.float64),
-            np.arange(0, width, block),
-            axis=1,
-        )
-        / block**2
-    )
-    rows, columns = np.nonzero(light)
-    amounts = light[rows, columns]
-    total = np.zeros(light.shape)
-    for fraction, (place, diameter) in zip(fractions, GHOSTS, strict=False):
-        disc_blocks = max(1.0, diameter * width / block)
-        edge = math.ceil(disc_blocks) + 2
-        spread = np.zeros(tuple(fft.next_fast_len(length + 2 * edge, real=True) for length in light.shape))
-        at = [
-            (index * block + (block - 1) / 2 - middle) * place + middle
-            for index, middle in zip((rows, columns), axis, strict=True)
-        ]
-        row, column = ((value - (block - 1) / 2) / block + edge for value in at)
-        low_row, low_column = np.floor(row).astype(int), np.floor(column).astype(int)
-        for next_row in (0, 1):
-            for next_column in (0, 1):
-                to_row, to_column = low_row + next_row, low_column + next_column
-                share = np.abs(1 - next_row - (row - low_row)) * np.abs(1 - next_column - (column - low_column))
-                inside = (to_row >= 0) & (to_row < spread.shape[0]) & (to_column >= 0) & (to_column < spread.shape[1])
-                np.add.at(spread, (to_row[inside], to_column[inside]), (amounts * share)[inside])
-        size = 2 * edge + 1
-        disc = np.zeros(spread.shape)
-        disc[:size, :size] = aperture(blades, rotation_deg, disc_blocks, size)
-        disc = np.roll(disc / disc.sum(), (-edge, -edge), axis=(0, 1))
-        spread = fft.irfft2(fft.rfft2(spread) * fft.rfft2(disc), s=spread.shape)
-        total += fraction * np.maximum(spread[edge : edge + light.shape[0], edge : edge + light.shape[1]], 0.0)
-    return _enlarged(total.astype(np.float32), height, width, block)
-
-
 def block_means(pixels: FloatArray, block: int) -> FloatArray:
     """(ceil(H / block), ceil(W / block), C) means of square blocks; the last ones are smaller."""
     rows, columns = np.arange(0, pixels.shape[0], block), np.arange(0, pixels.shape[1], block)
@@ -307,7 +237,7 @@ def _added(pixels: Array, block: int, axis: int) -> Array:
     return total
 
 
-def _enlarged(coarse: FloatArray, height: int, width: int, block: int) -> FloatArray:
+def enlarged(coarse: FloatArray, height: int, width: int, block: int) -> FloatArray:
     """(height, width) by straight lines between the centres of blocks."""
     low, part = _between_blocks(height, coarse.shape[0], block)
     rows = coarse[low] + part[:, None] * (coarse[np.minimum(low + 1, coarse.shape[0] - 1)] - coarse[low])

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 from synfog_usd import resources, tables
 from synfog_usd.camera import cfa
+from synfog_usd.camera.paraxial import Drawing
 from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.fisheye import Fisheye
 from synfog_usd.yamlio import Located, load_file
@@ -29,6 +30,9 @@ OBSERVERS = ("cie1931",)
 """Observers whose colour matching functions can stand for a sensor's."""
 
 MAX_CURVE_BYTES = 1 << 20
+
+DRAWN = 0.02
+"""How far the focal length of a lens's drawing may be from the one that is told."""
 
 T = TypeVar("T", "SensorProfile", "LensProfile")
 
@@ -195,7 +199,7 @@ class LensProfile:
             spots by the angle to the axis, as in `optics.aberrations`; () for none.
         field_deg, relative_illumination: angles to the axis [degrees], rising from 0, and
             the light there [1]; () for none.
-        ghost_fractions: part of a lamp's light that goes into each ghost [1]; () for none.
+        radius_mm, thickness_mm, index, clear_mm: its drawing, face by face, as in `optics.ghosts`; () for none.
         sources: name of a value -> where it is from.
         content_hash: SHA-256 of the values.
     """
@@ -219,7 +223,10 @@ class LensProfile:
     lateral_650_um: tuple[float, ...] = ()
     field_deg: tuple[float, ...] = ()
     relative_illumination: tuple[float, ...] = ()
-    ghost_fractions: tuple[float, ...] = ()
+    radius_mm: tuple[float, ...] = ()
+    thickness_mm: tuple[float, ...] = ()
+    index: tuple[float, ...] = ()
+    clear_mm: tuple[float, ...] = ()
     sources: tuple[tuple[str, str], ...] = ()
     content_hash: str = ""
 
@@ -254,12 +261,12 @@ def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
 
 def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
     """A lens; see `load_sensor`.  `blades`, `distortion`, `fisheye`, `relative_illumination`, `aberrations`
-    and `ghost_fractions` may be left out.
+    and `drawing` may be left out.
     """
     reader = _Reader(
         _find(reference, folder, "lenses"),
         "lens/1",
-        ("distortion", "fisheye", "relative_illumination", "aberrations", "ghost_fractions"),
+        ("distortion", "fisheye", "relative_illumination", "aberrations", "drawing"),
         LensProfile,
     )
     more: dict[str, Any] = {}
@@ -267,11 +274,15 @@ def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
     for key, limits, counts in (
         ("distortion", Limits(-1000.0, 1000.0), (4, 5, 8)),
         ("fisheye", Limits(-1e6, 1e6), tuple(range(1, 10))),
-        ("ghost_fractions", Limits(0.0, 0.05), (1, 2, 3, 4)),
     ):
         if key in reader.fields:
             (more[key],), source = reader.numbers(key, {"value": limits}, counts)
             sources.append((key, source))
+    if "drawing" in reader.fields:
+        faces = {"radius_mm": Limits(-1e5, 1e5), "thickness_mm": Limits(0.0, 1e4), "index": Limits(1.0, 5.0)}
+        columns, source = reader.numbers("drawing", faces | {"clear_mm": Limits(0.0, 1e4)})
+        more |= dict(zip((*faces, "clear_mm"), columns, strict=True))
+        sources.append(("drawing", source))
     widths = dict.fromkeys(("tangential_um", "sagittal_um", "axial_450_um", "axial_650_um"), Limits(0.0, 1000.0))
     shifts = dict.fromkeys(("lateral_450_um", "lateral_650_um"), Limits(-1000.0, 1000.0))
     for key, others, angle in (
@@ -286,6 +297,16 @@ def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
                 raise ParameterError(f"{reader.place(key)}: field_deg is {list(angles)}; it rises from 0")
             sources.append((key, source))
     profile = reader.profile(LensProfile, **more)
+    if profile.radius_mm:
+        try:
+            drawn_mm = Drawing(*(getattr(profile, name) for name in (*faces, "clear_mm"))).focal_length_mm
+        except ValueError as problem:
+            raise ParameterError(f"{reader.place('drawing')}: {problem}") from problem
+        if abs(drawn_mm / profile.focal_length_mm - 1.0) > DRAWN:
+            raise ParameterError(
+                f"{reader.place('drawing')}: the drawing has a focal length of {drawn_mm:.4g} mm, and "
+                f"focal_length_mm is {profile.focal_length_mm:g}"
+            )
     if profile.fisheye:
         try:
             Fisheye(profile.fisheye, profile.fisheye_fov_x_deg)
