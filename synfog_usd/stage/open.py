@@ -76,7 +76,7 @@ def open_stage(
         )  # what cannot be put together is told as notes, not on the terminal
         stage = _masked(path, list(mask)) if mask else Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
         del held, quiet
-    except Tf.ErrorException as problem:
+    except (Tf.ErrorException, UnicodeDecodeError) as problem:
         raise StageError(
             f"{path}: cannot be read as USD ({_reason(problem)}); export it again, or test it with a USD viewer"
         ) from problem
@@ -154,6 +154,10 @@ def plain_errors(work: Callable[Concatenate[Usd.Stage, P], R]) -> Callable[Conca
             return work(stage, *more, **named)
         except SynfogError:
             raise
+        except (Tf.ErrorException, UnicodeDecodeError) as problem:
+            raise StageError(
+                f"{_name(stage)}: cannot be read as USD ({_reason(problem)}); the file is damaged: export it again"
+            ) from problem
         except (TypeError, ValueError, AttributeError, IndexError) as problem:
             wrong = list(mistyped(stage))
             if not wrong:
@@ -161,10 +165,6 @@ def plain_errors(work: Callable[Concatenate[Usd.Stage, P], R]) -> Callable[Conca
             if _blocked(stage, wrong):
                 return work(stage, *more, **named)
             raise StageError(f"{wrong[0][1]}; author it with that type") from problem
-        except Tf.ErrorException as problem:
-            raise StageError(
-                f"{_name(stage)}: cannot be read as USD ({_reason(problem)}); the file is damaged: export it again"
-            ) from problem
         finally:
             del quiet
 
@@ -611,7 +611,9 @@ def _name(stage: Usd.Stage) -> str:
     return stage.GetRootLayer().realPath or stage.GetRootLayer().identifier
 
 
-def _reason(problem: Tf.ErrorException) -> str:
+def _reason(problem: Tf.ErrorException | UnicodeDecodeError) -> str:
     """The first quoted sentence of a pxr error, without its source file and line."""
+    if isinstance(problem, UnicodeDecodeError):
+        return "a name in it is not UTF-8"
     quoted = re.search(r" : '(.*?)'\s*(\n|$)", str(problem), re.DOTALL)
     return " ".join(quoted[1].split()) if quoted else "unknown reason"

@@ -13,11 +13,13 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from pxr import Sdf
 from support import cli
 from support.hostile import TEXT, TYPES, VALUES, WORDS, furnish, parts_of, read, read_file, replaced, retyped, type_of
 
 from synfog_usd.camera import load_graph
 from synfog_usd.errors import SynfogError
+from synfog_usd.stage import open_stage
 
 TESTS = Path(__file__).resolve().parents[1]
 EXAMPLES = int(os.environ.get("SYNFOG_FUZZ", "0"))
@@ -168,6 +170,19 @@ resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 for path in sys.argv[1:]:
     print(path, read_file(path), flush=True)
 """
+
+
+def test_a_name_that_is_not_utf_8_is_one_line(tmp_path):
+    """In a binary file, where names are bytes: a schema's name, which the test below found."""
+    path = tmp_path / "broken.usdc"
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString('#usda 1.0\ndef Xform "W" (\n    prepend apiSchemas = ["QuickFoxAPI"]\n)\n{\n}\n')
+    layer.Export(str(path))
+    whole = path.read_bytes()
+    assert whole.count(b"QuickFox") == 1
+    path.write_bytes(whole.replace(b"QuickFox", b"Quick\x80ox"))
+    with pytest.raises(SynfogError, match="a name in it is not UTF-8"):
+        open_stage(path)
 
 
 @pytest.mark.slow
