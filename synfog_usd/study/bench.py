@@ -68,7 +68,7 @@ class Reading:
 
 
 def readings() -> dict[str, Reading]:
-    """Every shipped sensor as its profile has it; of the HDR sensor also its two other readings in
+    """Every shipped sensor as its profile has it; of the HDR sensor also its three other readings in
     `pipeline/automotive_hdr.yaml`.
     """
     found: dict[str, Reading] = {}
@@ -80,7 +80,9 @@ def readings() -> dict[str, Reading]:
     gain = chip.gain_dn_e * 0.245
     found["imx490_like"] = Reading(chip, "adc_high", chip.gain_dn_e, chip.read_noise_e, chip.full_well_e, **hdr)
     found["imx490_like low gain"] = Reading(chip, "adc_low", gain, 2.55, chip.full_well_e, **hdr)
-    found["imx490_like small diode"] = Reading(chip, "adc_small", gain, 2.44, 7900.0, sensitivity=0.1, **hdr)
+    small: dict[str, Any] = {"full_well_e": 7900.0, "sensitivity": 0.1, **hdr}
+    found["imx490_like small diode"] = Reading(chip, "adc_small_high", chip.gain_dn_e, chip.read_noise_e, **small)
+    found["imx490_like small diode, low gain"] = Reading(chip, "adc_small_low", gain, 2.44, **small)
     return found
 
 

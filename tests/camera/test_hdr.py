@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -218,7 +219,7 @@ def test_knees_that_cannot_be_undone_are_refused(change, message):
         hdr.compand(linear([200.0]), bits=12, **{**KNEES, **change})
 
 
-def test_the_automotive_camera_is_linear_over_its_three_readings():
+def test_the_automotive_camera_is_linear_over_its_four_readings():
     """A staircase of light from dark to white through the shipped graph: the mean of each step, as linear DN, is in
     proportion.
 
@@ -226,15 +227,19 @@ def test_the_automotive_camera_is_linear_over_its_three_readings():
     sum of electrons; PRNU of 0.7 % averages out to 0.01 %.
     """
     graph = camera.load_graph(resources.folder("pipeline") / "automotive_hdr.yaml").without(["diffraction", "glare"])
-    levels = np.geomspace(20.0, 1800.0, 12)
+    levels = np.geomspace(20.0, 2300.0, 12)
     pixels = np.repeat(levels, 60)[None, :, None] * np.ones((60, 1, 3))
     scene = Image(pixels.astype(np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 1.0})
     run = graph.run({"radiance": scene}, seed=5, settings={"exposure_s": 0.01, "iso": 100.0}, until="decompand")
     gain, dark_e = run["merge"].provenance["system_gain_dn_e"], run["merge"].provenance["dark_e"]
     means = run["decompand"].pixels[..., 0].reshape(60, 12, 60).mean(axis=(0, 2), dtype=np.float64) - 168.0
     expected = (run["expose"].pixels[..., 0].reshape(60, 12, 60).mean(axis=(0, 2), dtype=np.float64) + dark_e) * gain
-    assert means[0] < 0.2 * 3927 and means[-1] > 4.1 * 3927  # from the first reading to the third
+    assert means[0] < 0.2 * 3927 and means[-1] > 10.5 * 3927  # from the first reading to the fourth
     np.testing.assert_allclose(means, expected, rtol=0.006)
+    ratios, knees = (run["merge"].provenance[name] for name in ("hdr_ratios", "hdr_knees_dn"))
+    assert ratios == pytest.approx([1.0, 200 / 49, 10.0, 10.0 * 200 / 49], rel=2e-3) and len(knees) == 3
+    for low, high in itertools.pairwise([0.0, *knees, 57_700.0]):  # every reading has a step of the staircase
+        assert ((means + 168.0 > low) & (means + 168.0 < high)).any()
     merged = run["merge"].pixels
     assert (merged == np.rint(merged)).all() and merged.max() > 4095 and run["compand"].pixels.max() <= 4095
     white = scene.with_pixels(np.full_like(scene.pixels, 1e9))
