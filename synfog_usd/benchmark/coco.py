@@ -179,7 +179,7 @@ def precision(group: Sequence[MatchedKind], weights: Array) -> Array:
     Returns:
         (R, T) by overlap; nan where nothing is there.
     """
-    return _mean_of([_precision(one, weights) for one in group], weights)
+    return mean_over_kinds([_precision(one, weights) for one in group] or [_nothing(weights)])
 
 
 def recall(group: Sequence[MatchedKind], weights: Array) -> Array:
@@ -189,30 +189,37 @@ def recall(group: Sequence[MatchedKind], weights: Array) -> Array:
         things = weights @ one.things
         with np.errstate(invalid="ignore", divide="ignore"):
             found.append((weights[:, one.picture] @ one.right.T.astype(np.float64)) / things[:, None])
-    return _mean_of(found, weights)
+    return mean_over_kinds(found or [_nothing(weights)])
 
 
-def _mean_of(values: Sequence[Array], weights: Array) -> Array:
-    if not values:
-        return np.full((len(weights), len(OVERLAPS)), np.nan)
+def mean_over_kinds(values: Sequence[Array] | Array) -> Array:
+    """Mean over the first axis of what is defined; nan where nothing is."""
     whole = np.array(values)
     there = np.isfinite(whole)
     with np.errstate(invalid="ignore"):
         return np.where(there, whole, 0.0).sum(axis=0) / there.sum(axis=0)
 
 
+def _nothing(weights: Array) -> Array:
+    return np.full((len(weights), len(OVERLAPS)), np.nan)
+
+
 def _precision(one: MatchedKind, weights: Array) -> Array:
     """(R, T), by 101 recalls as COCO has it."""
-    found = np.full((len(weights), len(OVERLAPS)), np.nan)
+    found = _nothing(weights)
     things = weights @ one.things
-    often = weights[:, one.picture]
+    draws = np.flatnonzero(things > 0.0)
+    boxes = np.flatnonzero(weights.any(axis=0)[one.picture])
+    often = weights[draws][:, one.picture[boxes]]
+    apart = 2.0 * np.arange(len(draws))[:, None]  # draws one behind the other, so that one search serves all
     for overlap in range(len(OVERLAPS)):
-        right = np.cumsum(often * one.right[overlap], axis=1)
-        wrong = np.cumsum(often * one.wrong[overlap], axis=1)
+        right = np.cumsum(often * one.right[overlap, boxes], axis=1)
+        wrong = np.cumsum(often * one.wrong[overlap, boxes], axis=1)
         share = right / np.maximum(right + wrong, 1e-12)
         highest = np.maximum.accumulate(share[:, ::-1], axis=1)[:, ::-1]
-        for draw in np.flatnonzero(things > 0.0):
-            place = np.searchsorted(right[draw] / things[draw], RECALLS, side="left")
-            inside = place < highest.shape[1]
-            found[draw, overlap] = highest[draw, place[inside]].sum() / len(RECALLS)
+        reached = (right / things[draws, None] + apart).ravel()
+        place = np.searchsorted(reached, (RECALLS + apart).ravel()).reshape(len(draws), len(RECALLS))
+        place -= boxes.size * np.arange(len(draws))[:, None]
+        padded = np.pad(highest, ((0, 0), (0, 1)))
+        found[draws, overlap] = np.take_along_axis(padded, place, axis=1).mean(axis=1)
     return found

@@ -425,7 +425,7 @@ def _lost(
             chosen = np.array([state in ("", row[2]) for row in own])
             sums = np.stack([(often * (kind == k) * chosen * lost).sum(axis=1) for k in range(len(kinds))])
             with np.errstate(invalid="ignore", divide="ignore"):
-                drawn = np.nanmean(np.where(things > 0, sums / things, np.nan), axis=0)
+                drawn = coco.mean_over_kinds(np.where(things > 0, sums / things, np.nan))
             count = np.bincount(picture[chosen], minlength=len(answers.views))
             add(ALL, f"lost in {fog or 'fog'}", state, "AR lost", drawn, count)
 
