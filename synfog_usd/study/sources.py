@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from synfog_usd import files, seeds
-from synfog_usd.arrays import Array
+from synfog_usd.arrays import Array, Indices
 from synfog_usd.benchmark import page, statistics
 from synfog_usd.benchmark.bench import RESULTS, digest, kept
 from synfog_usd.errors import ParameterError
@@ -120,7 +120,7 @@ def study(
         psnr[NONE, test] = np.array([[_psnr(pair, None) for pair in by_kind[test]]])
     found = SourceStudy(tuple(kinds), tuple(views), tuple(scenes), psnr, steps, folds)
     _write(found, out)
-    _pictures(found, by_kind, fold, known, out)
+    _pictures(found, by_kind, fold, out)
     return found
 
 
@@ -262,9 +262,7 @@ def _drawn(found: SourceStudy) -> bytes:
     return drawn.getvalue()
 
 
-def _pictures(
-    found: SourceStudy, by_kind: dict[str, list[TrainingPair]], fold: Array, known: dict[str, Any], out: Path
-) -> None:
+def _pictures(found: SourceStudy, by_kind: dict[str, list[TrainingPair]], fold: Indices, out: Path) -> None:
     """A row a view: in fog, what each training makes of it, clear."""
     first = by_kind[found.kinds[0]]
     strips = []
