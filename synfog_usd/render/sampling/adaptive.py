@@ -22,6 +22,7 @@ from synfog_usd.render.film.accumulator import (
     SURFACE,
     Accumulator,
     Integrator,
+    accumulate_by_estimator,
     add_samples,
     new_accumulator,
     neyman_allocation,
@@ -179,8 +180,10 @@ def accumulate_denoised(
         integrator, now: as `accumulate_to_target` takes them.
         denoised: what the samples so far give: luminance and its error, both (H, W); None where that fails.
     """
-    if not isinstance(integrator, FogPath) or target.open:
+    if not isinstance(integrator, FogPath):
         return integrator.accumulate(samples=target.samples, seed=seed, progress=progress)
+    if target.open:
+        return accumulate_by_estimator(integrator, samples=target.samples, seed=seed, denoised=True, progress=progress)
     pixels = integrator.loaded.source.camera.width_px * integrator.loaded.source.camera.height_px
     accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
     spent = min(FIRST, target.samples)
@@ -188,7 +191,7 @@ def accumulate_denoised(
         accumulated,
         integrator,
         everywhere,
-        accumulated.even(spent),
+        accumulated.even(spent, denoised=True),
         seed,
         within(progress, 0.0, spent / target.samples),
     )
@@ -203,7 +206,9 @@ def accumulate_denoised(
         after = min(max(2, math.ceil(min(needed, target.samples))) * spent, target.samples)
         had = {name: int(estimator.counts[:, 0].sum()) for name, estimator in accumulated.estimators.items()}
         wanted = (
-            neyman_allocation(accumulated, after) if after >= 2 * CHUNK else accumulated.even(after)
+            neyman_allocation(accumulated, after, denoised=True)
+            if after >= 2 * CHUNK
+            else accumulated.even(after, denoised=True)
         )  # which gives whole runs
         more = {name: max(count - had[name], 0) for name, count in wanted.items()}
         add_samples(
