@@ -202,6 +202,14 @@ def start(choice: VariantName = "auto") -> Backend:
     return backend
 
 
+def let_go() -> None:
+    """Give back the memory that Dr.Jit keeps for later arrays."""
+    if not is_scalar():
+        import drjit as dr
+
+        dr.flush_malloc_cache()
+
+
 def mitsuba() -> Any:
     """The `mitsuba` module with a variant set; the best one if none was chosen yet."""
     module: ModuleType = __import__("mitsuba")

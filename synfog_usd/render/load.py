@@ -162,10 +162,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     medium = None if surrounding is None else media[surrounding]
     camera = source.camera
     offset = (camera.shift[0], -camera.shift[1]) if is_thin_lens(camera) else (0.0, 0.0)
-    if not backend.is_scalar():
-        import drjit as dr
-
-        dr.flush_malloc_cache()  # what boxes of meshes took, before the search tree takes most memory of all
+    backend.let_go()  # what boxes of meshes took, before the search tree takes most memory of all
     return MitsubaScene(
         mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_instances, made
     )

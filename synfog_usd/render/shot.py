@@ -14,8 +14,8 @@ import numpy as np
 from synfog_usd import numbers
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent, within
+from synfog_usd.render import backend, dualbuffer, models, moments, planner
 from synfog_usd.render import denoise as denoising
-from synfog_usd.render import dualbuffer, models, moments, planner
 from synfog_usd.render.film import aovs
 from synfog_usd.render.film.accumulator import COMPONENTS, Accumulator
 from synfog_usd.render.integrators.path import LENS_M
@@ -252,6 +252,7 @@ def sample(
     seen = aovs.measure(loaded) if clear is None else aovs.seen_through(loaded, clear)
     number, spent = accumulated.samples, accumulated.samples_per_pixel
     accumulated.radiance_cache = None  # which holds the scene
+    backend.let_go()
     names = tuple(getattr(integrator, "group_names", ()))
 
     def picture(progress: Progress = silent) -> Rendered:

@@ -135,9 +135,9 @@ def lit_from(si: Any, lamp: Any, is_point: Any, spread: Any) -> Any:
 
     A sharp lobe shows a point at 10^4 times the luminance of any glass, where one path in 10^6 finds it: at dusk a
     pixel of 8 samples had a third of the picture's light.  What an eye sees in a mirror by way of fog or a rough
-    surface is blurred by these already, so as much again changes little, and the light stays; without it one path of
-    3 10^5 had 94 % of the variance of all surfaces at dusk in fog.  Kaplanyan and Dachsbacher 2013, "Path space
-    regularization", for lamps alone that have no size of their own.
+    surface is blurred already, so as much again changes little; without it one path of 3 10^5 had 94 % of the variance
+    of all surfaces at dusk in fog.  The widened lobe reflects as much in all.  Kaplanyan and Dachsbacher 2013, "Path
+    space regularization", for lamps alone that have no size of their own.
 
     Args:
         si: the point; it stays as it is.
@@ -198,13 +198,13 @@ def _plugin(mi: Any) -> Any:
             return self._sampled(_Response(self, si, active), si, sample1, sample2, active)
 
         def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return _Response(self, si, active).reflected(wo, active)[0]
+            return _Response(self, si, active, widened=True).reflected(wo, active)[0]
 
         def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return _Response(self, si, active).reflected(wo, active)[1]
+            return _Response(self, si, active, widened=True).reflected(wo, active)[1]
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return _Response(self, si, active).reflected(wo, active)
+            return _Response(self, si, active, widened=True).reflected(wo, active)
 
         def eval_pdf_sample(self, ctx: Any, si: Any, wo: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
             parts = _Response(self, si, active)
@@ -232,16 +232,18 @@ def _plugin(mi: Any) -> Any:
             return f"PreviewSurface[{self.base_color}]"
 
     class _Response:
-        """What a surface does to light that goes to `si.wi`, mirrored to the upper side."""
+        """What a surface does to light that goes to `si.wi`, mirrored to the upper side; `widened` as `lit_from` says,
+        with lobes that reflect as much in all as they would else.
+        """
 
-        def __init__(self, bsdf: PreviewSurface, si: Any, active: Any) -> None:
+        def __init__(self, bsdf: PreviewSurface, si: Any, active: Any, *, widened: bool = False) -> None:
             normal = si.to_local(si.n)
             self.below = dr.dot(si.wi, normal) * normal.z < 0.0
             self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
             self.base = bsdf.base_color.eval(si, active)
             self.eta, self.table = bsdf.eta, bsdf.table
-            self.blur = si.duv_dx.x  # half the angle over which the light is spread that is asked about, see `lit_from`
-            self.alpha, albedo = self.lobe(bsdf.roughness.eval_1(si, active))
+            self.blur = si.duv_dx.x if widened else None
+            self.alpha, albedo, self.kept = self.lobe(bsdf.roughness.eval_1(si, active))
             self.specular, reflects = None, mi.Color3f(albedo.z)
             if bsdf.specular is not None:
                 self.specular = mi.Color3f(bsdf.specular.eval(si, active))
@@ -258,13 +260,26 @@ def _plugin(mi: Any) -> Any:
             self.chance_matte = under / dr.maximum(under + lobes, 1e-8)
             if bsdf.coat is not None:
                 self.coat = bsdf.coat.eval_1(si, active)
-                self.coat_alpha, coated = self.lobe(bsdf.coat_roughness.eval_1(si, active))
+                self.coat_alpha, coated, self.coat_kept = self.lobe(bsdf.coat_roughness.eval_1(si, active))
                 reflected = self.coat * coated.z
                 self.left = 1.0 - reflected
                 self.chance_coat = reflected / dr.maximum(reflected + self.left * (under + lobes), 1e-8)
 
-        def lobe(self, roughness: Any) -> tuple[Any, Any]:
-            """Width of a lobe, and the two shares of `lobe_albedo`."""
+        def lobe(self, roughness: Any) -> tuple[Any, Any, tuple[Any, Any]]:
+            """Width of a lobe, the shares of `lobe_albedo`, and what it reflects over what it would at this width: as
+            metal and as a dielectric.
+            """
+            albedo, alpha = self.albedo(roughness), dr.maximum(roughness * roughness, MIN_ALPHA)
+            if self.blur is None:
+                return alpha, albedo, (1.0, 1.0)
+            wide = dr.sqrt(alpha * alpha + self.blur * self.blur)
+            all_of_it = self.albedo(dr.sqrt(wide))
+            pairs = (albedo.x + albedo.y, all_of_it.x + all_of_it.y), (albedo.z, all_of_it.z)
+            metal, dielectric = (dr.select(self.blur > 0.0, one / dr.maximum(other, 1e-6), 1.0) for one, other in pairs)
+            return wide, albedo, (metal, dielectric)
+
+        def albedo(self, roughness: Any) -> Any:
+            """`lobe_albedo` of the surface's index, for light to the eye."""
             x = dr.clip(dr.sqrt(self.wi.z), 0.0, 1.0) * (NODES - 1)
             y = dr.clip(roughness, 0.0, 1.0) * (NODES - 1)
             row, column = dr.minimum(mi.UInt32(x), NODES - 2), dr.minimum(mi.UInt32(y), NODES - 2)
@@ -272,8 +287,7 @@ def _plugin(mi: Any) -> Any:
             near, next_ = (
                 dr.lerp(*(dr.gather(mi.Vector4f, self.table, begin + n + m) for m in (0, 1)), y) for n in (0, NODES)
             )
-            alpha = dr.maximum(roughness * roughness, MIN_ALPHA)
-            return dr.sqrt(alpha * alpha + self.blur * self.blur), dr.lerp(near, next_, x)
+            return dr.lerp(near, next_, x)
 
         def reflected(self, wo: Any, active: Any) -> tuple[Any, Any]:
             """Value of the BSDF times the cosine, and the density with which `drawn` draws the direction."""
@@ -281,19 +295,19 @@ def _plugin(mi: Any) -> Any:
             good = active & (wi.z > 0.0) & (wo.z > 0.0)
             h = dr.normalize(wi + wo)
             dielectric = mi.fresnel(dr.dot(wi, h), self.eta)[0]
-            tint = mi.Color3f(dielectric)
+            tint = mi.Color3f(dielectric * self.kept[1])
             if self.specular is not None:
                 grazing = dr.power(dr.maximum(1.0 - dr.dot(wi, h), 0.0), 5)
-                tint = self.specular + (1.0 - self.specular) * grazing
+                tint = (self.specular + (1.0 - self.specular) * grazing) * self.kept[0]
             matte = dr.maximum(wo.z, 0.0) * dr.inv_pi
             gloss, density = _ggx(wi, wo, h, self.alpha)
             value = tint * (gloss * self.gloss) + self.matte * self.base * matte
             if self.metal is not None:
-                value += self.metal * self.base * gloss
+                value += self.metal * self.base * (gloss * self.kept[0])
             pdf = dr.lerp(density, matte, self.chance_matte)
             if self.coat is not None:
                 shine, sharp = _ggx(wi, wo, h, self.coat_alpha)
-                value = value * self.left + self.coat * dielectric * shine
+                value = value * self.left + self.coat * (dielectric * shine * self.coat_kept[1])
                 pdf = dr.lerp(pdf, sharp, self.chance_coat)
             return dr.select(good, value, 0.0), dr.select(good, pdf, 0.0)
 

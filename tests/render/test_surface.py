@@ -310,3 +310,24 @@ def test_what_a_rough_surface_shows_of_a_mirrored_point_has_its_light_and_no_spi
     expected = 0.5 / np.pi * 0.9 * 1000.0 * np.sqrt(0.5) / 32.0
     assert seen.mean() == pytest.approx(expected, rel=0.06)
     assert seen.std() * 64**0.5 < 12.0 * expected
+
+
+@pytest.mark.parametrize("cosine", [0.15, 0.5, 0.9])
+@pytest.mark.parametrize("name", ["dielectric", "metal", "coated"])
+def test_a_lobe_that_is_widened_reflects_as_much_in_all(mi, name, cosine):
+    """Light from everywhere, with lobes of 0.05 as they are and with 0.1 more."""
+    sharp = 0.05**0.5
+    part = {
+        "dielectric": {"roughness": sharp},
+        "metal": {"roughness": sharp, "metallic": 1.0},
+        "coated": {"roughness": 1.0, "clearcoat": 1.0, "clearcoat_roughness": sharp},
+    }[name]
+    bsdf, (ways, share) = made((0.9 if name == "metal" else 0.0,) * 3, **part), grid(400, 800)
+    si = seen_from(cosine, ways.shape[1])
+    plain, wide = (
+        np.array(bsdf.eval(mi.BSDFContext(), surface.lit_from(si, mi.Point3f(0.0, 0.0, 1e6), point, 0.1), along(*ways)))
+        for point in (False, True)
+    )
+    total = [(value[0] / ways[2]).sum() * share for value in (plain, wide)]
+    assert total[1] == pytest.approx(total[0], rel=0.01)
+    assert wide.max() < 0.5 * plain.max()

@@ -382,8 +382,8 @@ def neyman_allocation(accumulated: Accumulator, samples: int, *, denoised: bool 
 def new_accumulator(integrator: Traces, pixels: int) -> Accumulator:
     """An image of no samples yet.
 
-    Sums of the halves and over many bands are in float32, which holds 10^4 chunks to 1e-5 in half the memory; squares
-    of R, G and B are not, since a mean's square is taken off them.
+    Sums of halves, of light groups and over many bands are in float32, which holds 10^4 chunks to 1e-5 in half the
+    memory; squares of R, G and B are not, since a mean's square is taken off them.
     """
     groups, bands = integrator.groups if integrator.groups > 1 else 0, integrator.bands
     shape, kind = (pixels, bands.count), np.float64 if bands.is_rgb else np.float32
@@ -392,7 +392,7 @@ def new_accumulator(integrator: Traces, pixels: int) -> Accumulator:
         return Estimator(
             {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]},
             np.zeros(shape, dtype=kind),
-            [np.zeros(shape, dtype=kind) for _ in range(groups)],
+            [np.zeros(shape, dtype=np.float32) for _ in range(groups)],
             np.zeros((HALVES, pixels), dtype=np.int32),
             np.zeros(pixels, dtype=np.int32),
         )
