@@ -74,10 +74,7 @@ def glare(
     )
     scattered = np.maximum(scattered[reach_y : reach_y + height, reach_x : reach_x + width], 0.0).astype(np.float32)
     pixels = image.pixels * np.float32(1.0 - fraction)
-    for channel in range(pixels.shape[2]):
-        pixels[..., channel] += enlarged(
-            np.float32(fraction) * scattered[..., channel], image.height_px, image.width_px, block
-        )
+    add_enlarged(pixels, np.float32(fraction) * scattered, block)
     return image.with_pixels(pixels).with_metadata(glare_fraction=fraction)
 
 
@@ -237,16 +234,22 @@ def _added(pixels: Array, block: int, axis: int) -> Array:
     return total
 
 
-def enlarged(coarse: FloatArray, height: int, width: int, block: int) -> FloatArray:
-    """(height, width) by straight lines between the centres of blocks."""
+def add_enlarged(picture: FloatArray, coarse: FloatArray, block: int) -> None:
+    """Add to (H, W) or (H, W, C), in place, what blocks hold, by straight lines between their centres."""
+    height = picture.shape[0]
     low, part = _between_blocks(height, coarse.shape[0], block)
-    rows = coarse[low] + part[:, None] * (coarse[np.minimum(low + 1, coarse.shape[0] - 1)] - coarse[low])
-    low, part = _between_blocks(width, coarse.shape[1], block)
-    slope = np.diff(rows, axis=1, append=rows[:, -1:])
-    fine = np.take(slope, low, axis=1)
-    fine *= part
-    fine += np.take(rows, low, axis=1)
-    return np.asarray(fine)
+    high = np.minimum(low + 1, coarse.shape[0] - 1)
+    part = part.reshape(-1, *(1,) * (coarse.ndim - 1))
+    beside = np.pad(coarse, [(0, 0), (1, 1), *[(0, 0)] * (coarse.ndim - 2)], mode="edge")
+    for strip in spread.strips(height):
+        rows = beside[low[strip]] + part[strip] * (beside[high[strip]] - beside[low[strip]])
+        slope = np.diff(rows, axis=1)
+        for first in range(block):  # columns that lie alike between two blocks
+            columns = picture[strip, first::block]
+            place = (first + 0.5) / block + 0.5
+            begin, count = int(place), columns.shape[1]
+            columns += rows[:, begin : begin + count]
+            columns += np.float32(place - begin) * slope[:, begin : begin + count]
 
 
 def _between_blocks(fine: int, coarse: int, block: int) -> tuple[npt.NDArray[np.intp], FloatArray]:

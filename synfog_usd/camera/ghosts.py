@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import spread
-from synfog_usd.camera.flare import aperture, enlarged
+from synfog_usd.camera.flare import add_enlarged, aperture
 from synfog_usd.camera.paraxial import Drawing, Ghost
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
@@ -93,22 +93,23 @@ def ghosts(
         limit = np.float32(threshold / spread.HIGHLIGHT) * spread.highlight_limit(plane)
         lamps = np.maximum(plane - limit, 0.0)
         if lamps.any():
-            pixels[..., channel] += _drawn(lamps, found, axis, 1e3 / pixel_pitch_um, blades, rotation_deg)
+            _draw(pixels[..., channel], lamps, found, axis, 1e3 / pixel_pitch_um, blades, rotation_deg)
             pixels[..., channel] -= np.float32(sum(ghost.fraction for ghost in found)) * lamps
     return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).with_metadata(
         ghost_fractions=[float(f"{ghost.fraction:.3g}") for ghost in found]
     )
 
 
-def _drawn(
+def _draw(
+    plane: FloatArray,
     lamps: FloatArray,
     found: Sequence[Ghost],
     axis: tuple[float, float],
     pixels_per_mm: float,
     blades: int,
     rotation_deg: float,
-) -> FloatArray:
-    """(H, W) light of the ghosts, on blocks; `axis` is (row, column)."""
+) -> None:
+    """Add the light of the ghosts to a channel (H, W), on blocks; `axis` is (row, column)."""
     height, width = lamps.shape
     block = max(1, round(width / BLOCKS))
     light = (
@@ -131,7 +132,7 @@ def _drawn(
         total += ghost.fraction * _discs(
             light.shape, at, amounts, abs(ghost.diameter_mm) * pixels_per_mm / block, blades, turned
         )
-    return enlarged(total.astype(np.float32), height, width, block)
+    add_enlarged(plane, total.astype(np.float32), block)
 
 
 def _discs(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -19,6 +19,9 @@ import numpy.typing as npt
 from synfog_usd.arrays import Array, FloatArray
 
 THREADS = 2
+
+STRIP_ROWS = 16
+"""Rows that are worked on at a time, so that they stay in the processor's cache."""
 
 EDGE_PX = 64
 """How far a picture is mirrored beyond its edges before it is blurred; 0.3 % of a point's light goes further at q =
@@ -90,11 +93,19 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
     frequency = np.hypot(np.fft.rfftfreq(sizes[0])[:, None], np.fft.rfftfreq(sizes[1])[None, :]).astype(np.float32)
     same = blurs[0].transfer(frequency).astype(np.float32) if all(blur is blurs[0] for blur in blurs) else None
     result = np.empty_like(pixels)
+    together = 2 if count <= 4 else 4  # channels that are taken out of the frame, and put back, in one go over it
 
-    def run(channel: int) -> None:
-        from scipy import fft
+    def run(first: int) -> None:
+        channels = range(first, min(first + together, count))
+        planes = np.empty((len(channels), height, width), np.float32)
+        for rows in strips(height):
+            planes[:, rows] = pixels[rows, :, channels.start : channels.stop].transpose(2, 0, 1)
+        for plane, channel in zip(planes, channels, strict=True):
+            blur_plane(plane, blurs[channel])
+        for rows in strips(height):
+            result[rows, :, channels.start : channels.stop] = planes[:, rows].transpose(1, 2, 0)
 
-        blur, plane = blurs[channel], pixels[..., channel]
+    def blur_plane(plane: FloatArray, blur: Blur) -> None:
         transfer = blur.transfer(frequency).astype(np.float32) if same is None else same
         padded = np.pad(plane, pads, mode="symmetric")
         limit = highlight_limit(plane)
@@ -112,13 +123,18 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
         blurred = fft.irfft2(spectrum, s=sizes, overwrite_x=True)
         if points is not None:
             add_spots(blurred, points, blur.spot)
-        np.maximum(blurred[edge : edge + height, edge : edge + width], 0.0, out=result[..., channel])
+        np.maximum(blurred[edge : edge + height, edge : edge + width], 0.0, out=plane)
 
     if any(blur.tail for blur in blurs):
         _tail(*sizes, blurs[0].tail_scale)  # before the threads, so that it is made once
     with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(run, range(count)))
+        list(pool.map(run, range(0, count, together)))
     return result
+
+
+def strips(height: int) -> Iterator[slice]:
+    """Few rows at a time, which the processor's cache holds."""
+    return (slice(top, top + STRIP_ROWS) for top in range(0, height, STRIP_ROWS))
 
 
 def _multiply(spectrum: npt.NDArray[np.complex64], transfer: FloatArray) -> None:

@@ -1,6 +1,6 @@
 """The phone at 1920 x 1080 on two cores: its time node by node, and the memory of a process that runs it.
 
-Time is that of `graph.run`, the best of three, metered before.  The scene has texture
+Time is that of `graph.run`, the least of three, metered before.  The scene has texture
 and lamps, so that no blur is skipped.  The table is printed with -s.
 """
 
@@ -9,6 +9,7 @@ import platform
 import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import numpy as np
@@ -48,28 +49,39 @@ def bands(count):
     return tuple(photometry.band_name(380.0 + width_nm * (index + 0.5)) for index in range(count))
 
 
-@pytest.mark.parametrize(
-    "channels, limit_s", [(("R", "G", "B"), 1.0), (bands(3), 1.0), (bands(16), 3.0)], ids=["RGB", "3 bands", "16 bands"]
-)
-def test_the_phone_is_quick(channels, limit_s):
-    """3 bands in 1 s, 16 bands in 3 s."""
+def pass_s(frame, runs=9):
+    """Processor seconds of one pass over the frame: every number is read, multiplied and written."""
+    other, spent = np.empty_like(frame), []
+    for _ in range(runs):
+        began = time.process_time()
+        np.multiply(frame, np.float32(1.1), out=other)
+        spent.append(time.process_time() - began)
+    return min(spent)
+
+
+@pytest.mark.parametrize("channels, most", [(("R", "G", "B"), 260), (bands(16), 200)], ids=["RGB", "16 bands"])
+def test_the_phone_takes_few_passes(channels, most):
+    """Processor time of the graph, over that of one pass through the frame's memory: a measure that other work on the
+    machine and its speed change little.  Node by node by their share of the time.
+    """
     graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
     radiance = street(channels)
     settings = camera.meter(radiance, graph).settings
     outputs = tuple(graph.outputs.values())
-    tables = [
-        graph.run({"radiance": radiance}, seed=seed, settings=settings, keep=outputs).milliseconds
-        for seed in range(RUNS)
-    ]
-    totals_s = [sum(table.values()) / 1e3 for table in tables]
-    best = tables[int(np.argmin(totals_s))]
+    found = []
+    for seed in range(RUNS):
+        one, began = pass_s(radiance.pixels), time.process_time()
+        table = graph.run({"radiance": radiance}, seed=seed, settings=settings, keep=outputs).milliseconds
+        found.append(((time.process_time() - began) / one, table))
+    passes, table = min(found, key=lambda row: row[0])
     print(
-        f"\n{SIZE[0]} x {SIZE[1]}, {len(channels)} channels, {os.cpu_count()} cores, {platform.machine()}: best of "
-        f"{RUNS} runs, milliseconds per node"
+        f"\n{SIZE[0]} x {SIZE[1]}, {len(channels)} channels, {os.cpu_count()} cores, {platform.machine()}: passes over "
+        f"{radiance.pixels.nbytes / 2**20:.0f} MiB by node, least of {RUNS} runs"
     )
-    print("\n".join(f"  {name:<16} {spent:7.1f}" for name, spent in best.items()))
-    print(f"  {'all':<16} {1e3 * min(totals_s):7.1f}   (runs: {', '.join(f'{total:.2f} s' for total in totals_s)})")
-    assert min(totals_s) <= limit_s
+    whole = sum(table.values())
+    print("\n".join(f"  {name:<16} {passes * spent / whole:7.1f}" for name, spent in table.items()))
+    print(f"  {'all':<16} {passes:7.1f}   (runs: {', '.join(f'{row[0]:.0f}' for row in found)})")
+    assert passes <= most
 
 
 def test_the_memory_of_a_run_in_sixteen_bands():
