@@ -37,6 +37,9 @@ _LEFT_OUT = "synfogLeftOut"
 MENDED_UNITS = "synfogMendedUnits"
 """Where a layer that mends another's units keeps what that one says [m]."""
 
+REASON_LETTERS = 300
+"""Of what USD says of a broken file: it may name every spec of a layer."""
+
 
 def open_stage(
     path: str | Path, *, allow: Iterable[str | Path] = (), whole: bool = False, mask: Iterable[str] = ()
@@ -616,4 +619,5 @@ def _reason(problem: Tf.ErrorException | UnicodeDecodeError) -> str:
     if isinstance(problem, UnicodeDecodeError):
         return "a name in it is not UTF-8"
     quoted = re.search(r" : '(.*?)'\s*(\n|$)", str(problem), re.DOTALL)
-    return " ".join(quoted[1].split()) if quoted else "unknown reason"
+    words = " ".join(quoted[1].split()) if quoted else "unknown reason"
+    return words if len(words) <= REASON_LETTERS else words[:REASON_LETTERS] + "…"
