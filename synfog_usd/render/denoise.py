@@ -329,6 +329,11 @@ def guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS, clear: bool = False)
     Raises:
         ParameterError: the scalar variant, or fog that `Medium` cannot hold.
     """
+    return begun_guides(loaded, rays=rays, clear=clear)()
+
+
+def begun_guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS, clear: bool = False) -> Callable[[], Guides]:
+    """What waits for `guides`; the first `LANES` pixels are looked at meanwhile. Arguments as there."""
     if backend.is_scalar():
         raise ParameterError(f"denoising needs LLVM or CUDA, and this is the scalar variant; {backend.INSTALL_LLVM}")
     camera, fog = loaded.source.camera, () if clear else loaded.source.fog
@@ -336,13 +341,25 @@ def guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS, clear: bool = False)
         raise ParameterError(f"denoising through this fog is not possible: {problem}")
     mi = backend.mitsuba()
     height, width = camera.height_px, camera.width_px
-    eye, sums = _Eye(loaded, Medium(fog)), np.zeros((height * width, 8), dtype=np.float32)
-    for low in range(0, height * width, LANES):
+    eye = _Eye(loaded, Medium(fog))
+
+    def begin(low: int) -> list[Any]:
         pixel = dr.arange(mi.UInt32, min(LANES, height * width - low)) + dr.opaque(mi.UInt32, low)
         albedo, normal, weight, through = _look(eye, eye.raster.corner(pixel), dr.opaque(mi.UInt32, rays))
-        sums[low : low + LANES] = backend.rows([*albedo, *normal, weight, through], np.float32)
-    albedo, normal, weight, through = np.split(sums.reshape(height, width, 8), (3, 6, 7), axis=2)
-    return Guides(albedo / weight, normal / weight, np.minimum(through[..., 0] / rays, 1.0))
+        seen = [*albedo, *normal, weight, through]
+        dr.eval(*seen)
+        return seen
+
+    first = begin(0)
+
+    def found() -> Guides:
+        sums = np.zeros((height * width, 8), dtype=np.float32)
+        for low in range(0, height * width, LANES):
+            sums[low : low + LANES] = backend.rows(begin(low) if low else first, np.float32)
+        albedo, normal, weight, through = np.split(sums.reshape(height, width, 8), (3, 6, 7), axis=2)
+        return Guides(albedo / weight, normal / weight, np.minimum(through[..., 0] / rays, 1.0))
+
+    return found
 
 
 def _place(number: Any, axis: int) -> Any:

@@ -18,7 +18,7 @@ from synfog_usd.render import backend, dualbuffer, models, moments, planner
 from synfog_usd.render import denoise as denoising
 from synfog_usd.render.film import aovs
 from synfog_usd.render.film.accumulator import COMPONENTS, Accumulator
-from synfog_usd.render.integrators.path import LENS_M
+from synfog_usd.render.integrators.path import LENS_M, FogPath
 from synfog_usd.render.load import MitsubaScene, to_mitsuba
 from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached
 from synfog_usd.render.spectra import bands as banding
@@ -240,7 +240,11 @@ def sample(
         if denoise:
             cleaning = _Cleaning(lambda: known, shape[:2], few=samples < denoising.FEW)
     elif denoise:
-        look = functools.partial(denoising.guides, loaded, rays=_guide_rays(samples))
+        rays = _guide_rays(samples)
+        if isinstance(integrator, FogPath):  # the processor looks while the first kernel of the samples is made ready
+            look = denoising.begun_guides(loaded, rays=rays)
+        else:
+            look = functools.partial(denoising.guides, loaded, rays=rays)
         cleaning = _Cleaning(look, shape[:2], few=samples < denoising.FEW)
         accumulated = accumulate_denoised(
             integrator, target=target, seed=seed, now=now, denoised=cleaning.judged, progress=progress
