@@ -18,6 +18,7 @@ from synfog_usd import stage as usd
 from synfog_usd.render import denoise as denoising
 from synfog_usd.render import models, shot
 from synfog_usd.render.film import aovs
+from synfog_usd.render.film.accumulator import COMPONENTS
 from synfog_usd.translate import translate
 
 pytestmark = pytest.mark.bench
@@ -125,12 +126,13 @@ def test_denoised(name):
 
     def clean(samples):
         done, seen = ours.render(samples, 1), denoising.guides(ours.loaded)
-        aovs = {
-            part: np.maximum(done.aov(part), 0.0).reshape(shape).astype(np.float32)
-            for part in ("surface", "airlight_single", "airlight_multiple")
+        parts = {
+            part: np.maximum(light, 0.0).reshape(shape).astype(np.float32)
+            for part in COMPONENTS
+            if (light := done.aov(part)) is not None
         }
-        airlight = aovs["airlight_single"] + aovs["airlight_multiple"]
-        return sum(denoising.denoise({"surface": aovs["surface"], "airlight": airlight}, seen).values())
+        parts["airlight"] = parts.pop("airlight_single") + parts.pop("airlight_multiple")
+        return sum(denoising.denoise(parts, seen).values())
 
     clean(16)  # kernels made and the network loaded
     guides = denoising.guides(ours.loaded, clear=True)
