@@ -1,7 +1,7 @@
 """The model library on one sheet: every model from three sides, in clear air under an overcast sky.
 
     python -m synfog_usd.study.pages.library docs/images/library.png [name ...]
-    python -m synfog_usd.study.pages.library --thumbnails assets/models
+    python -m synfog_usd.study.pages.library --thumbnails assets/models [name ...]
 
 All models stand on one plain, seen from far away, each scaled to the same room,
 and are rendered in one picture by the project's own renderer.  The thumbnails, which
@@ -57,16 +57,16 @@ def draw(target: Path, models: Sequence[LibraryModel], *, columns: int = 4, samp
     )
 
 
-def draw_thumbnails(folder: Path, *, columns: int = 10, samples: int = 24) -> list[Path]:
-    """Render every model of a library folder once, from its front quarter, and cut the picture up; gives the files,
-    about 5 kB each.
+def draw_thumbnails(folder: Path, names: Sequence[str] = (), *, columns: int = 10, samples: int = 24) -> list[Path]:
+    """Render every model of a library folder, or those named, once, from its front quarter, and cut the picture up;
+    gives the files, about 5 kB each.
 
     The command line above remakes those that ship.
     """
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    models = list(library(folder).values())
+    models = [model for model in library(folder).values() if not names or model.name in names]
     cell = (THUMBNAIL_PX, THUMBNAIL_PX)
     sheet = _rendered(
         models,
@@ -120,9 +120,11 @@ def _developed(radiance: Path) -> Image.Image:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """`TARGET [name ...]`: all models, or those named, larger; `--thumbnails FOLDER`: a small picture beside each."""
+    """`TARGET [name ...]`: all models, or those named, larger; `--thumbnails FOLDER [name ...]`: a small picture beside
+    each.
+    """
     if arguments[0] == "--thumbnails":
-        draw_thumbnails(Path(arguments[1]))
+        draw_thumbnails(Path(arguments[1]), arguments[2:])
         return
     target, names = Path(arguments[0]), arguments[1:]
     if names:
