@@ -54,7 +54,7 @@ AGREED = 2.0
 
 ERROR_BLUR_PX = 1.0
 """Blur of the scatter.  With 4 the median pixel was told 1.3 to 3.9 times its error (crossing and bench stages, 4 to 32
-samples), since what is noisy counts for what is quiet beside it; with 1 it is told 0.9 to 1.5 times.
+samples), since what is noisy counts for what is quiet beside it; with 1 it is told 0.7 to 1.3 times.
 """
 
 NEAR = 1.5
@@ -157,8 +157,8 @@ def error_of(noisy: Array, done: Array) -> Error:
     Args:
         noisy, done: (2, H, W) luminance of the halves before and after.
 
-    Measured, told over true RMS error, nine bench stages at 64x36 and two shots of the crossing, six seeds: 0.77 to
-    1.31 at 4 samples, 0.78 to 1.24 at 8, 0.87 to 1.11 at 32; see `tests/render/test_denoise.py`.
+    Measured, told over true RMS error, nine bench stages and two shots of the crossing, 64x36, four seeds: 0.85 to
+    1.42 at 4 samples, 0.85 to 1.31 at 8, 0.88 to 1.24 at 32; see `tests/render/test_denoise.py`.
     """
     picture = done.mean(axis=0)
     mean = float(np.abs(picture).mean(dtype=np.float64))
