@@ -230,7 +230,8 @@ def test_angles_are_drawn_as_the_forward_peak_says(mi, width):
     assert_draws(np.histogram(drawn, edges)[0], expected)
 
 
-def test_flights_end_as_transmittance_says(mi):
+@pytest.mark.parametrize("banks", [1, 6], ids=["two fogs", "seven fogs"])
+def test_flights_end_as_transmittance_says(mi, banks):
     """A bank in fog that thins with height: 200 cells of the same chance, by the optical depth of `fog.volume`, which
     is numpy's.
     """
@@ -240,7 +241,12 @@ def test_flights_end_as_transmittance_says(mi):
             box((300.0, 300.0, 40.0), (0.0, 0.0, 20.0)),
             FogMedium(0.03, profile="exponential", base_height_m=2.0, scale_height_m=9.0),
         ),
-        FogVolume("/Bank", box((50.0, 8.0, 3.0), (0.0, 30.0, 3.0)), FogMedium(0.15), priority=1, parent=0),
+        *(
+            FogVolume(
+                f"/Bank{n}", box((50.0, 8.0, 3.0), (0.0, 30.0 + 20.0 * n, 3.0)), FogMedium(0.15), priority=1, parent=0
+            )
+            for n in range(banks)
+        ),
     ]
     medium = Medium(fog)
     way = np.array([0.1, 0.99, 0.06])

@@ -20,6 +20,9 @@ from synfog_usd.render.media.phases import kernel_phase
 BISECTIONS = 30
 """Halvings of a stretch until its optical depth fits: 1 km to a micrometre, below what float32 holds."""
 
+WRITTEN_OUT = 4
+"""Volumes up to which a kernel holds every halving apart, which is faster; of more it would be too long to compile."""
+
 
 def unsupported_fog(volumes: Sequence[FogVolume]) -> str:
     """Why `Medium` cannot hold these volumes, or ''."""
@@ -89,11 +92,19 @@ class Medium:
         """Distance [m] at which the optical depth from `near` on is `optical_depth`; at most `far`."""
         if self.single:
             return dr.minimum(near + optical_depth / self.media[0].sigma_t, far)
-        low, high = near, far
-        for _ in range(BISECTIONS):
+
+        def halved(step: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
             middle = 0.5 * (low + high)
             short = self.optical_depth(origin, direction, near, middle) < optical_depth
-            low, high = dr.select(short, middle, low), dr.select(short, high, middle)
+            return step + 1, dr.select(short, middle, low), dr.select(short, high, middle)
+
+        state: tuple[Any, Any, Any] = (0, near, far)
+        if len(self.media) <= WRITTEN_OUT:
+            for _ in range(BISECTIONS):
+                state = halved(*state)
+        else:
+            state = dr.while_loop((backend.mitsuba().UInt32(0), near, far), lambda step, *_: step < BISECTIONS, halved)
+        _, low, high = state
         return dr.select(self.optical_depth(origin, direction, near, far) > optical_depth, 0.5 * (low + high), far)
 
     def scattering(self, place: Any) -> Any:
