@@ -102,6 +102,7 @@ def test_a_source_without_pairs_is_refused(tmp_path):
         find(tmp_path)
 
 
+@pytest.mark.slow
 def test_the_bench_measures_and_goes_on_and_gives_the_same_numbers(tmp_path, folder):
     """PSNR is worked here from the files; the second run measures nothing and writes the same."""
     net = network(tmp_path / "half.onnx", gain=0.5)

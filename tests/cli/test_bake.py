@@ -324,6 +324,7 @@ def test_strict_stops_at_what_is_not_understood(tmp_path):
     assert not (tmp_path / "b").exists()
 
 
+@pytest.mark.slow
 def test_what_only_another_lighting_holds_is_reported_too(tmp_path):
     """A prim that exists in the second lighting alone is warned of, kept in the manifest, and stops a strict bake."""
     path = tmp_path / "odd.usda"
@@ -337,6 +338,7 @@ def test_what_only_another_lighting_holds_is_reported_too(tmp_path):
     refused(run("bake", path, "-o", tmp_path / "b", "--strict", *small), "/World/Smoke", code=1)
 
 
+@pytest.mark.slow
 def test_another_choice_of_shots_adds_to_a_folder(tmp_path, stage):
     """Baking a second lighting into the same folder keeps the first one's shot and its row."""
     small = ["-o", tmp_path / "out", "--fog", "clear", "--resolution", "32x18", "--samples", "4", "--json"]

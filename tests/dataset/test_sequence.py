@@ -38,6 +38,7 @@ def exposures(found):
     return np.array([np.prod(row["exposures"]["sky"]) for row in found["frames"]])
 
 
+@pytest.mark.slow
 def test_the_exposure_follows_with_its_time_constant(clip):
     """Light rises by 3 EV before the third frame; frames of 0.1 s, a time constant of 0.2 s: what is left of the way
     falls by exp(-1/2) from frame to frame.
@@ -49,6 +50,7 @@ def test_the_exposure_follows_with_its_time_constant(clip):
     np.testing.assert_allclose(ev, wanted, atol=0.02)  # EV; each frame is metered on 64 samples of its own
 
 
+@pytest.mark.slow
 def test_each_frame_is_a_bake_and_a_frame_of_cinemadng(clip):
     """NAME_NNNNNN.dng in a folder of its own; FrameRate and TimeCodes as tifffile reads them: 00:00:00:03 for the
     fourth; the same file as the frame's raw.dng.
@@ -65,6 +67,7 @@ def test_each_frame_is_a_bake_and_a_frame_of_cinemadng(clip):
             assert bytes(tags[51043].value) == bytes([number, 0, 0, 0, 0, 0, 0, 0])
 
 
+@pytest.mark.slow
 def test_noise_is_new_in_each_frame(clip):
     """Steps from pixel to pixel in even sky, in two frames of one light: all noise, and next to nothing in common."""
     out, found = clip
@@ -75,6 +78,7 @@ def test_noise_is_new_in_each_frame(clip):
     assert abs(np.corrcoef(*steps)[0, 1]) < 0.5  # 56 pairs: 0.13 by chance
 
 
+@pytest.mark.slow
 def test_it_goes_on_where_it_stopped(clip):
     """With its third frame lost, the same command makes that one and keeps the others, and the bytes are the same."""
     out, found = clip
@@ -117,6 +121,7 @@ def test_frames_beside_a_frame_are_refused(tmp_path):
     assert "either one time code or several" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(video.available()), reason=video.available())
 def test_a_clip_is_read_by_another_decoder(clip, tmp_path):
     """dav1d, which is not the encoder's, finds four frames at 10 a second; and colours of a clip within 6 of 255 of

@@ -515,7 +515,7 @@ def at_start(tmp_path, code):
     }
 
 
-@pytest.mark.parametrize("small", [True, False])
+@pytest.mark.parametrize("small", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_memory_beyond_the_limit_is_one_line(tmp_path, small):
     """2^23 equal numbers pack into a small file and unfold to 32 MiB, and more where they are counted; on a machine of
     24 MiB that is a line, and no trace.

@@ -279,6 +279,7 @@ def test_the_same_input_gives_the_same_bytes():
     assert [aov.tobytes() for aov in denoise.denoise(aovs, found).values()] == first
 
 
+@pytest.mark.slow
 @needs_oidn
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="asks for one processor as Linux does")
 def test_the_number_of_threads_changes_no_byte():

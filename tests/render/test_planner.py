@@ -75,6 +75,7 @@ def test_a_target_out_of_range_is_refused(wrong, words):
         render(FOGGY, **wrong)
 
 
+@pytest.mark.slow
 def test_a_picture_of_a_few_rows_is_judged_too():
     """640 x 20: the pilot has two rows, fewer than a square over which a grid's error is measured is high."""
     wide = scene(
@@ -105,6 +106,7 @@ def square(corners):
     }
 
 
+@pytest.mark.slow
 def test_an_open_view_takes_the_slab_and_a_closed_one_does_not():
     """Ground under the whole sky sees all of it, between high walls little: the share decides, without a pilot."""
     ground = square([(-150, -150, -1.5), (150, -150, -1.5), (150, 150, -1.5), (-150, 150, -1.5)])

@@ -208,7 +208,8 @@ def street(sky=SKY):
     return scene(world, [slab], fov_x_deg=60.0, width_px=32, height_px=18)
 
 
-@pytest.mark.parametrize("samples, resolves", [(16, 0.03), pytest.param(128, 0.01, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("samples, resolves", [(128, 0.01)])
 def test_what_is_known_of_a_slab_leaves_the_mean_as_it_is(samples, resolves):
     """`path+slab` and `path` have the same mean within five standard errors, and the difference is far less noisy."""
     plain, known = (

@@ -352,6 +352,7 @@ def test_error_map_is_blue_below_and_brown_above():
     assert dark[2] > dark[0] and bright[0] > bright[2] and np.ptp(same) < 1
 
 
+@pytest.mark.slow
 def test_report_replaces_what_is_between_the_marks(tmp_path):
     """And nothing else; twice is the same as once."""
     (tmp_path / "out" / "street").mkdir(parents=True)

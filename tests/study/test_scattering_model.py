@@ -110,6 +110,7 @@ def test_the_noise_is_the_sensors_and_the_place_of_the_error_is_found(tmp_path):
     assert found.left("active", "depth", 6).value == pytest.approx(0.01 / 1.5, rel=0.3)
 
 
+@pytest.mark.slow
 def test_the_command_writes_tables_and_a_drawing(tmp_path):
     bake(tmp_path / "bake", glow=20.0)
     done = cli.run("study", "asm", tmp_path / "bake", "-o", tmp_path / "out")

@@ -386,6 +386,7 @@ def test_hours_are_interpolated_round_midnight():
     assert [drawn(rng, hour=h) for h in (22.0, 0.0, 2.0, 7.0)] == pytest.approx([100.0, 200.0, 300.0, 400.0])
 
 
+@pytest.mark.slow
 def test_more_traffic_by_day_than_by_night():
     """40 seeds of the arterial road at 8 h and at 3 h: the mean number of vehicles on the lanes grows by at least
     half.
