@@ -29,7 +29,8 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
     val = next((name for name in ("val", "test") if name in splits), train)
     names = "".join(f"  {index}: {kind.name}\n" for index, kind in enumerate(taxonomy.THINGS))
     test = "test: images/test\n" if "test" in splits else ""
-    folder.text("data.yaml", f"path: .\ntrain: images/{train}\nval: images/{val}\n{test}names:\n{names}")
+    # without a path, ultralytics starts from the folder of data.yaml; from ., it starts where it was called
+    folder.text("data.yaml", f"train: images/{train}\nval: images/{val}\n{test}names:\n{names}")
     told = ["Boxes are of the visible pixels."]
     return (
         told if val != train else [*told, f"There is one split: data.yaml names {train} for training and validation."]

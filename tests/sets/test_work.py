@@ -51,6 +51,7 @@ def test_workers_share_out_cores_and_gpus(monkeypatch, place):
         ("raise SystemExit('no such thing')", "crash", "no such thing"),
         ("raise SystemExit(3)", "crash", "exit code 3"),
         ("import time; time.sleep(60)", "limit", "longer than its limit of 1 s"),
+        ("import os; os.kill(os.getpid(), 19)", "limit", "longer than its limit of 1 s"),  # stopped: it hangs
         ("import sys; sys.stderr.write('x' * 10**6); raise SystemExit(1)", "crash", "xxx"),
     ],
 )
