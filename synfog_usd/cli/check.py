@@ -41,6 +41,7 @@ def look(
     choices: Sequence[str] = (),
     metres_per_unit: float | None = None,
     up: str | None = None,
+    translated: bool = True,
 ) -> tuple[list[Finding], list[Note], dict[str, str]]:
     """Findings on a stage, gravest first, the notes of its translation over all lightings and fogs, and how light it is
     by lighting.
@@ -49,6 +50,7 @@ def look(
         stage: file.
         allow: folders outside its own in which its files may lie.
         choices, metres_per_unit, up: how it is read otherwise than it says of itself, see `stage.override`.
+        translated: whether to look at its translation, too; without it there are findings alone.
 
     Raises:
         StageError: the stage cannot be opened at all, or has no such choice.
@@ -67,7 +69,7 @@ def look(
             found |= dict.fromkeys(more)
             if not any(one.rule == "no-fog" for one in more):
                 in_fog.append(set(more))
-            if usd.cameras(opened):
+            if translated and usd.cameras(opened):
                 scene = translate(opened)
                 notes |= dict.fromkeys(scene.notes)
                 light.setdefault(lighting, str(outdoors(scene)))

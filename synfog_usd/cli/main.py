@@ -285,12 +285,12 @@ def check(
 
     read = dict(allow=allow or [], choices=choices or [], metres_per_unit=metres_per_unit, up=up)
     with worker.reading_limits():
-        found, notes, light = verb.look(stage, **read)
         fixes = None
         if fix is not None:
+            found, _, _ = verb.look(stage, translated=False, **read)
             fixes = verb.mended(stage, fix, found, allow=allow or [])
             stage = fix
-            found, notes, light = verb.look(stage, **read)
+        found, notes, light = verb.look(stage, **read)
     code = verb.exit_code(found, notes, strict=strict)
     if as_json:
         print(verb.as_json(stage, found, notes, code, light, fixes))

@@ -7,6 +7,7 @@ again.  What stands before composition is counted in `synfog_usd.stage.survey`.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +21,20 @@ MAX_DEPTH = 256
 MAX_CHAIN = 200
 """References that follow one another; composing them takes the square of their number, 0.5 s for 300."""
 
-MAX_PRIMS = 2_000_000
-"""Prims and references to compose, all variants counted; USD composes some 50 000 a second."""
+TRUSTED = "SYNFOG_USD_LARGE"
+"""Environment variable that lifts `MAX_PRIMS` and `MAX_FOGS` where it is set: the user trusts the stage and waits."""
+
+MAX_PRIMS = 100_000
+"""Prims and references to compose, all variants counted.  Each takes some 0.1 ms to compose, check and translate: 20 s
+for the dearest command; 4 to 12 kB.
+"""
+
+MAX_PRIMS_TRUSTED = 2_000_000
+
+MAX_FOGS = 200
+"""Fog volumes of one picture: a kernel looks at each of them for each stretch of a path."""
+
+MAX_FOGS_TRUSTED = 1000
 
 MAX_LAYERS = 20_000
 """Files of scene description; also in one stack of sublayers, where one may stand many times."""
@@ -74,6 +87,25 @@ class Size:
     prims: int
     shapes: int
     triangles: int
+
+
+def most_prims() -> int:
+    """Prims and references that may be composed, as the user trusts the stage."""
+    return MAX_PRIMS_TRUSTED if _trusted() else MAX_PRIMS
+
+
+def most_fogs() -> int:
+    """Fog volumes that may be drawn, as the user trusts the stage."""
+    return MAX_FOGS_TRUSTED if _trusted() else MAX_FOGS
+
+
+def trusting(limit: int) -> str:
+    """What to tell somebody whose stage is refused by one of the limits that trust lifts; '' where it is lifted."""
+    return "" if _trusted() else f", or set {TRUSTED}=1 if you trust the stage and can wait (at most {limit} then)"
+
+
+def _trusted() -> bool:
+    return os.environ.get(TRUSTED, "0") not in ("", "0")
 
 
 def check_stage(stage: Usd.Stage) -> Size:

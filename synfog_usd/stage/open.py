@@ -460,8 +460,9 @@ def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = N
             )
         with Usd.EditContext(stage, Usd.EditTarget(stage.GetSessionLayer())):
             prim.GetVariantSet(name).SetVariantSelection(choice)
-    check_size(stage)
-    _check_expressions(stage, fence_of(stage))
+    if fog is not None or lighting is not None:
+        check_size(stage)
+        _check_expressions(stage, fence_of(stage))
 
 
 def up_axis(stage: Usd.Stage) -> str:
@@ -503,7 +504,7 @@ def override(
                 camera.CreateShutterCloseAttr(half)
             if not any(layer.ListAllTimeSamples() for layer in stage.GetUsedLayers()):
                 stage.SetStartTimeCode(stage.GetStartTimeCode())  # without a time nothing has one to move in
-        for choice in choices:
+        for choice in (choices := list(choices)):
             where, name, variant = _variant_named(choice)
             prim = stage.GetPrimAtPath(where)
             if not prim:
@@ -528,8 +529,9 @@ def override(
                     f"{', '.join(names)}.{did_you_mean(variant, names)}"
                 )
             prim.GetVariantSet(name).SetVariantSelection(variant)
-    check_size(stage)
-    _check_expressions(stage, fence_of(stage))
+    if choices:
+        check_size(stage)
+        _check_expressions(stage, fence_of(stage))
 
 
 def variant_choices(stage: Usd.Stage) -> list[str]:

@@ -82,10 +82,10 @@ def read_layers(root: Path, fence: Fence) -> list[Any]:
     total = found.stack(start, "/", 0)
     for layer, target in found.prototypes():
         total += found.stack(layer, target, 0)
-    if total > budget.MAX_PRIMS:
+    if total > (most := budget.most_prims()):
         raise StageError(
-            f"{root}: unfolds to {budget.amount(total)} prims and references; at most {budget.MAX_PRIMS} are composed: "
-            f"refer to fewer things, or make what repeats instanceable"
+            f"{root}: unfolds to {budget.amount(total)} prims and references; at most {most} are composed: refer to "
+            f"fewer things, make what repeats instanceable{budget.trusting(budget.MAX_PRIMS_TRUSTED)}"
         )
     return list(found.open.values())
 

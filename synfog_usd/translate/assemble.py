@@ -242,6 +242,7 @@ def fog_around(
     found: list[FogVolume], mor_m: float | None, eye: Camera, bounds_m: Array, notes: Diagnostics
 ) -> tuple[FogVolume, ...]:
     """Fog volumes within each other and with the visibility that is asked for, where the camera may stand."""
+    volume.refuse_many(found)
     fog = volume.nested(found)
     if mor_m is not None:
         fog = _overridden(fog, mor_m, eye.to_world[:3, 3], bounds_m, notes)

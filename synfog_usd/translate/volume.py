@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
 from synfog_usd.fog.medium import ANGSTROM, WMO_CONTRAST
 from synfog_usd.fog.phase import Droplets, Phase, Tabulated
 from synfog_usd.scene import Camera
+from synfog_usd.stage import budget
 from synfog_usd.stage.open import fence_of
 from synfog_usd.stage.schema import DEFAULTS, PREFIX, FogAttributes, read_fog
 from synfog_usd.translate.diagnostics import Diagnostics
@@ -207,6 +208,20 @@ def slab_around(mor_m: float, low: Array, high: Array, eye: Array) -> FogVolume:
     to_world = scaled(half, half, (top - bottom) / 2.0)
     to_world[:3, 3] = eye[0], eye[1], (top + bottom) / 2.0
     return FogVolume("", Boundary("box", to_world), replace(FogMedium.from_visibility(mor_m), base_height_m=bottom))
+
+
+def refuse_many(fog: Sequence[FogVolume]) -> None:
+    """Refuse more fog volumes than a picture is drawn of.
+
+    Raises:
+        StageError: with their number and the limit.
+    """
+    if len(fog) > (most := budget.most_fogs()):
+        raise StageError(
+            f"{budget.amount(len(fog))} fog volumes, the first of them {fog[0].path}; a picture is drawn of at most "
+            f"{most}: make one density grid of those that are alike, leave out what the camera does not "
+            f"see{budget.trusting(budget.MAX_FOGS_TRUSTED)}",
+        )
 
 
 def refuse_cut(fog: tuple[FogVolume, ...], camera: Camera) -> None:

@@ -96,6 +96,11 @@ def fogs_apart_600(folder):
 
 
 @stage
+def fogs_under_the_limit(folder):
+    text(folder, "".join(FOG.format(n=n, mor=100, at=(3 * n, 10, 0), scale=(2, 2, 2)) for n in range(190)))
+
+
+@stage
 def fogs_that_cross_600(folder):
     text(folder, "".join(FOG.format(n=n, mor=100, at=(0.5 * n, 10, 0), scale=(2, 2, 2)) for n in range(600)))
 
@@ -162,8 +167,8 @@ def references_twice(folder):
 
 @stage
 def references_twice_under_the_limit(folder):
-    """Some 650 000 prims."""
-    text(folder, _doubled(16))
+    """82 000 prims and references."""
+    text(folder, _doubled(13))
 
 
 @stage
@@ -193,10 +198,20 @@ def references_in_a_circle(folder):
 
 @stage
 def prims_1000000(folder):
+    _rows(folder, 1000)
+
+
+@stage
+def prims_under_the_limit(folder):
+    _rows(folder, 98)
+
+
+def _rows(folder, rows):
+    """A thousand prims in each row."""
     layer = Sdf.Layer.CreateNew(str(folder / "stage.usdc"))
     with Sdf.ChangeBlock():
         Sdf.PrimSpec(layer, "Ego", Sdf.SpecifierDef, "Camera")
-        for row in range(1000):
+        for row in range(rows):
             parent = Sdf.PrimSpec(layer, f"X{row}", Sdf.SpecifierDef, "Xform")
             for n in range(1000):
                 Sdf.PrimSpec(parent, f"p{n}", Sdf.SpecifierDef, "Xform")
@@ -204,11 +219,11 @@ def prims_1000000(folder):
 
 
 @stage
-def spheres_100000(folder):
+def spheres_98000(folder):
     layer = Sdf.Layer.CreateNew(str(folder / "stage.usdc"))
     with Sdf.ChangeBlock():
         Sdf.PrimSpec(layer, "Ego", Sdf.SpecifierDef, "Camera")
-        for n in range(100_000):
+        for n in range(98_000):
             Sdf.PrimSpec(layer, f"p{n}", Sdf.SpecifierDef, "Sphere")
     layer.Save()
 

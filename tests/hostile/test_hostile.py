@@ -64,10 +64,33 @@ def test_a_bomb_of_arcs_is_counted_and_not_composed(tmp_path, arc):
     """2^30 prims from 3 kB: refused with the number that they unfold to."""
     path = written(tmp_path / "bomb.usda", bomb(30, instanceable=False, arc=arc))
     with pytest.raises(
-        StageError, match=r"bomb.usda: unfolds to \d+ \d\d\d \d\d\d \d\d\d prims and references; at most 2000000"
+        StageError,
+        match=r"bomb.usda: unfolds to \d+ \d\d\d \d\d\d \d\d\d prims .*; at most 100000 .*SYNFOG_USD_LARGE=1",
     ) as caught:
         open_stage(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("trust, refused", [("", True), ("0", True), ("1", False)])
+def test_who_trusts_a_stage_may_compose_more(tmp_path, monkeypatch, trust, refused):
+    """Sixteen prims and their references are within two million and beyond ten."""
+    monkeypatch.setattr(budget, "MAX_PRIMS", 10)
+    monkeypatch.setenv(budget.TRUSTED, trust)
+    path = written(tmp_path / "small.usda", bomb(3, instanceable=False))
+    if refused:
+        with pytest.raises(
+            StageError, match=r"at most 10 are .* set SYNFOG_USD_LARGE=1 if .* \(at most 2000000 then\)"
+        ):
+            open_stage(path)
+    else:
+        assert budget.check_stage(open_stage(path)).shapes == 1 + 2 + 4 + 8
+
+
+def test_trust_has_an_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(budget, "MAX_PRIMS_TRUSTED", 10)
+    monkeypatch.setenv(budget.TRUSTED, "1")
+    with pytest.raises(StageError, match=r"at most 10 are composed: refer to fewer things, make .* instanceable$"):
+        open_stage(written(tmp_path / "small.usda", bomb(3, instanceable=False)))
 
 
 def test_a_bomb_over_many_files_is_counted_too(tmp_path):

@@ -17,6 +17,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdVol
 from synfog_usd.errors import StageError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.phase import Droplets
+from synfog_usd.stage import budget
 from synfog_usd.stage.open import dependencies, open_stage
 from synfog_usd.testing import box
 from synfog_usd.translate import translate, volume
@@ -714,3 +715,13 @@ def test_more_pairs_of_fogs_than_can_be_looked_at_are_refused(monkeypatch):
     monkeypatch.setattr(volume, "MAX_PAIRS", 100)
     with pytest.raises(volume.FogError, match="more than 100 pairs of fog boundaries may touch"):
         volume.nested([FogVolume(f"/F{n}", box(10.0 + n), FogMedium(0.01)) for n in range(30)])
+
+
+def test_more_fogs_than_a_kernel_can_look_at_are_refused(monkeypatch):
+    """As many as the limit are drawn, one more are not; whoever trusts the stage may have more."""
+    banks = [FogVolume(f"/F{n}", box(1.0, (4.0 * n, 0, 0)), FogMedium(0.01)) for n in range(budget.MAX_FOGS + 1)]
+    volume.refuse_many(banks[1:])
+    with pytest.raises(StageError, match="201 fog volumes, the first of them /F0; a picture is drawn of at most 200"):
+        volume.refuse_many(banks)
+    monkeypatch.setenv(budget.TRUSTED, "1")
+    volume.refuse_many(banks)
