@@ -145,11 +145,17 @@ def run(
         maker = _Maker(found, plan, backend.choose(plan.variant).name, progress, log)
         own = time.process_time()
         try:
-            maker.make()
-        finally:
-            maker.outcome.seconds = time.monotonic() - began
-            maker.outcome.own_cpu_s += time.process_time() - own
+            try:
+                maker.make()
+            except BaseException:
+                with contextlib.suppress(OutputError):  # told is what ended the run, not what follows from it
+                    _write_index(out, found, log)
+                raise
             _write_index(out, found, log)
+        except OutputError as error:
+            raise OutputError(f"{error}. Finished units are kept; the same command goes on from there") from error
+        maker.outcome.seconds = time.monotonic() - began
+        maker.outcome.own_cpu_s += time.process_time() - own
     return maker.outcome
 
 
@@ -276,7 +282,7 @@ class _Maker:
             return None
         for place in (OutputError, identity.MismatchError):  # no fault of the unit: all others would fail too
             if result["kind"] == place.__name__:
-                raise place(f"{result['error']}. Finished units are kept; the same command goes on from there")
+                raise place(result["error"])
         if number < TRIES:
             journal.write(self.plan.out, line)
             self.log(f"{unit.name}: {result['error']}; it is tried again")
@@ -327,8 +333,7 @@ class _Maker:
         free = shutil.disk_usage(self.plan.out).free
         if free < SPARE_BYTES + coming:
             raise OutputError(
-                f"{self.plan.out}: {free / 1e9:.2g} GB are free on this disk, too few for another unit; free some, and "
-                f"the same command goes on from there"
+                f"{self.plan.out}: {free / 1e9:.2g} GB are free on this disk, too few for another unit; free some"
             )
         return bool(self.outcome.stopped)
 

@@ -79,6 +79,12 @@ def test_every_picture_is_in_the_index_and_every_file_in_a_unit(whole):
     assert {one.fog for one in pictures} > {"clear"} and len({one.seed for one in pictures}) == 2
     for one in pictures:
         assert set(one.files) >= OUTPUTS and all(path.is_file() for path in one.files.values())
+    exposures = {}
+    for folder in {one.bake for one in pictures}:
+        for shot in json.loads((folder / "unit.json").read_text())["shots"]:
+            for name, picture in shot["pictures"].items():
+                exposures.setdefault((folder, name), set()).add(tuple(picture["exposure"].values()))
+    assert len(exposures) == 4 * 3 and all(len(found) == 1 for found in exposures.values())  # fogs share it
     listed = {"set.json", "index/part-00000.parquet"}
     for folder in {one.bake for one in pictures}:
         inside = folder.relative_to(out).as_posix()
@@ -361,6 +367,7 @@ def test_a_second_run_on_a_folder_is_told(tiny, tmp_path):
     child = begun(tiny, out)
     try:
         wait_for(lambda: offspring(child.pid)[1], child)
+        watching = subprocess.Popen(command("dataset", "status", out, "--watch"), stdout=subprocess.PIPE, text=True)
         second = made(tiny, out)
         assert second.returncode == 2
         assert f"another run works here (process {child.pid} on" in second.stderr and second.stderr.count("\n") == 1
@@ -368,6 +375,8 @@ def test_a_second_run_on_a_folder_is_told(tiny, tmp_path):
     finally:
         _, told = child.communicate(timeout=300)
     assert child.returncode == 0, told
+    watched = watching.communicate(timeout=60)[0].splitlines()
+    assert "a run works on it" in watched[0] and "4 of 4 units" in watched[-1] and "complete" in watched[-1]
 
 
 @pytest.mark.slow
@@ -474,7 +483,7 @@ def killed_at_random(tiny, folder, whole, seed):
     rng = random.Random(seed)
     for attempt in range(10):
         out = folder / f"out{attempt}"
-        if killed := kill_once(tiny, out, rng, whole[2]["seconds"]):
+        if killed := kill_once(tiny, out, rng, 0.7 * whole[2]["seconds"]):
             break
     assert killed, seed
     done = made(tiny, out)
