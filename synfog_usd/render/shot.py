@@ -376,7 +376,7 @@ class _Cleaning:
                     halves,
                     self._seen(),
                     accumulated.weights,
-                    balanced=self._few,
+                    quick=self._few,
                     progress=within(progress, 0.3, 1.0),
                 )
             except (denoising.DenoiserError, MemoryError) as error:
@@ -389,7 +389,7 @@ class _Cleaning:
     ) -> dict[str, np.ndarray] | None:
         """The picture by light group, see `denoise.divide`; None where something goes wrong."""
         try:
-            return denoising.divide(denoised.components, groups, self._seen(), balanced=self._few)
+            return denoising.divide(denoised.components, groups, self._seen(), quick=self._few)
         except (denoising.DenoiserError, MemoryError) as error:
             self.problem = _not_denoised(error)
             return None

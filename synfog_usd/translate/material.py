@@ -16,6 +16,7 @@ from pxr import Usd, UsdShade
 
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
+from synfog_usd.scene import mean_colour
 from synfog_usd.translate import spectrum
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.networks import RefusedError, fed_by, is_textured, native, omni_texture
@@ -97,13 +98,20 @@ class Materials:
 
     def _measured(self, material: UsdShade.Material, made: Finish) -> Finish:
         """The finish with the reflectance spectrum that stands on its material, or as it is."""
-        curve = spectrum.reflectance(material.GetPrim(), self.bsdfs[made.key], self.time, self.notes)
+        curve = spectrum.reflectance(material.GetPrim(), self.bsdfs[made.key], self.time, self.notes, self._mean)
         if curve is None:
             return made
         key = self._add(self.bsdfs[made.key], curve)
         return replace(
             made, key=key, plain=self._add(self.bsdfs[made.plain], curve) if made.plain is not None else None
         )
+
+    def _mean(self, colour: Mapping[str, Any]) -> tuple[float, float, float]:
+        """`mean_colour`, of a picture once."""
+        if colour["type"] == "rgb":
+            return mean_colour(colour)
+        mean: tuple[float, float, float] = self.images.once(_mean_of, colour["bitmap"], bool(colour.get("raw", False)))
+        return mean
 
     def colored(self, color: tuple[float, ...], opacity: float = 1.0) -> Finish:
         """A matte finish of one colour, for shapes without a material."""
@@ -153,13 +161,19 @@ class Materials:
 
     def _add(self, bsdf: dict[str, Any], curve: Array | None = None) -> str:
         """Key of a BSDF and its spectrum; equal ones that are there already are used again."""
-        word = repr(_told(bsdf) if curve is None else (_told(bsdf), _told(curve)))
+        word = repr(self._told(bsdf) if curve is None else (self._told(bsdf), self._told(curve)))
         if word not in self._by_word:
             self._by_word[word] = f"mat_{len(self.bsdfs)}"
             self.bsdfs[self._by_word[word]] = bsdf
             if curve is not None:
                 self.reflectance_of[self._by_word[word]] = curve
         return self._by_word[word]
+
+    def _told(self, part: Any) -> Any:
+        """A BSDF in words, with pictures by their content: equal words, equal BSDFs."""
+        if isinstance(part, dict):
+            return {name: self._told(value) for name, value in part.items()}
+        return self.images.once(_content, part) if isinstance(part, np.ndarray) else part
 
     def _made(self, material: UsdShade.Material) -> Finish:
         path = material.GetPath()
@@ -600,7 +614,7 @@ class _ShaderInputs:
         value = sampled(node, self.images, channels=3)
         if isinstance(value, tuple):
             return _rgb([min(max(c, 0.0), 1.0) for c in value])
-        return self.bitmap(_limited(value), node, raw=False)
+        return self.bitmap(self.images.once(_limited, value), node, raw=False)
 
     def primvar(self, output: Usd.Attribute, kind: str) -> tuple[str, tuple[float, float, float] | None]:
         """The primvar that a reader names, and what it gives where there is none."""
@@ -635,7 +649,7 @@ class _ShaderInputs:
         value = sampled(node, self.images, channels=1)
         if isinstance(value, tuple):
             return min(max(value[0], 0.0), 1.0)
-        return self.bitmap(_limited(value), node, raw=True)
+        return self.bitmap(self.images.once(_limited, value), node, raw=True)
 
     def opacity(self) -> Any:
         """Opacity as a number or bitmap, or None where the surface is opaque."""
@@ -643,7 +657,7 @@ class _ShaderInputs:
         threshold = float(self.constant("opacityThreshold", 0.0))
         if isinstance(value, dict):
             if threshold > 0.0:
-                value["bitmap"] = (value["bitmap"] >= threshold).astype(np.float32)
+                value["bitmap"] = self.images.once(_cut, value["bitmap"], threshold)
             return value
         if threshold > 0.0:
             value = 1.0 if value >= threshold else 0.0
@@ -706,13 +720,18 @@ def _rgb(value: list[float]) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(c) for c in value]}
 
 
-def _told(part: Any) -> Any:
-    """A BSDF in words, with pictures by their content: equal words, equal BSDFs."""
-    if isinstance(part, dict):
-        return {name: _told(value) for name, value in part.items()}
-    if isinstance(part, np.ndarray):
-        return part.shape, str(part.dtype), hashlib.sha256(np.ascontiguousarray(part).data).hexdigest()
-    return part
+def _content(pixels: Any) -> tuple[Any, ...]:
+    """Shape, type and a hash of an array."""
+    return pixels.shape, str(pixels.dtype), hashlib.sha256(np.ascontiguousarray(pixels).data).hexdigest()
+
+
+def _mean_of(pixels: Any, raw: bool) -> tuple[float, float, float]:
+    return mean_colour({"type": "bitmap", "bitmap": pixels, "raw": raw})
+
+
+def _cut(pixels: Any, threshold: float) -> Any:
+    """1 where a picture reaches a threshold, else 0."""
+    return (pixels >= threshold).astype(np.float32)
 
 
 def _without_textures(part: dict[str, Any]) -> dict[str, Any]:

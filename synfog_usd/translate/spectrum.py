@@ -7,7 +7,7 @@ warning where what is authored is none.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from pxr import Usd
 from synfog_usd import spectra
 from synfog_usd.arrays import Array
 from synfog_usd.errors import ParameterError
-from synfog_usd.scene import base_colour, mean_colour
+from synfog_usd.scene import base_colour
 from synfog_usd.translate.diagnostics import Diagnostics
 
 
@@ -25,13 +25,20 @@ def emission(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Array | 
     return _authored(prim, spectra.EMISSION, time, notes, spectra.emission, most=np.inf)
 
 
-def reflectance(prim: Usd.Prim, bsdf: dict[str, Any], time: Usd.TimeCode, notes: Diagnostics) -> Array | None:
+def reflectance(
+    prim: Usd.Prim,
+    bsdf: dict[str, Any],
+    time: Usd.TimeCode,
+    notes: Diagnostics,
+    mean: Callable[[Mapping[str, Any]], tuple[float, float, float]],
+) -> Array | None:
     """Reflectance of a material that names its spectrum, or None: the colour counts.
 
     Args:
         prim: the material.
         bsdf: as it is drawn; a spectrum takes the place of its base colour.  One that is named gets its tint, pairs are
             taken as they are.
+        mean: `mean_colour`, or what remembers it.
     """
     if _value(prim, spectra.REFLECTANCE, time) is None:
         return None
@@ -48,7 +55,7 @@ def reflectance(prim: Usd.Prim, bsdf: dict[str, Any], time: Usd.TimeCode, notes:
         spectra.REFLECTANCE,
         time,
         notes,
-        lambda name: _named(name, tuple(float(c) for c in mean_colour(colour))),
+        lambda name: _named(name, mean(colour)),
         most=1.0,
     )
 

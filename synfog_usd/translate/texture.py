@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import os
 import tempfile
+import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -109,6 +111,7 @@ class ImageReader:
         self.sampled: dict[tuple[Any, ...], Pixels | tuple[float, ...]] = {}
         self._modes: dict[str, tuple[str, str]] = {}
         self._wrapped: dict[tuple[Any, ...], tuple[Pixels, Wrapped]] = {}
+        self._asked: dict[tuple[Any, ...], tuple[weakref.ref[Pixels], Any]] = {}
 
     def read(self, file: str, path: str) -> Pixels | None:
         """(H, W, C) uint8 or float32, row 0 at the top, alpha not multiplied in; None where it cannot be read."""
@@ -123,6 +126,13 @@ class ImageReader:
         if node.file not in self._images:
             self._images[node.file] = self._joined(node)
         return self._images[node.file]
+
+    def once(self, ask: Callable[..., Any], pixels: Pixels, *more: Any) -> Any:
+        """ask(pixels, *more), worked out once for an array as long as it lives: every instance of a model asks anew."""
+        key = (ask, id(pixels), *more)
+        if key not in self._asked or self._asked[key][0]() is not pixels:
+            self._asked[key] = weakref.ref(pixels), ask(pixels, *more)
+        return self._asked[key][1]
 
     def keep(self, name: str, pixels: Pixels) -> None:
         """Let a picture that no file holds be read by a name of its own."""

@@ -536,6 +536,19 @@ def test_when_the_denoiser_fails_the_plain_mean_is_given_with_one_line(failure, 
     assert line.startswith("not denoised, so it takes many more samples: ") and "memory" in line and "\n" not in line
 
 
+@needs_oidn
+def test_what_goes_wrong_in_the_denoiser_is_raised(monkeypatch):
+    """pyoidn's own `with` swallows it, and what is left is memory that nobody wrote."""
+    import pyoidn
+
+    def fails(work):
+        raise MemoryError
+
+    monkeypatch.setattr(pyoidn.Filter, "execute", fails)
+    with pytest.raises(MemoryError):
+        denoise.denoise_plain(np.ones((4, 6, 3)))
+
+
 def test_without_pyoidn_a_render_goes_on_with_one_line(monkeypatch):
     """The plain mean, and what to install."""
     monkeypatch.setitem(sys.modules, "pyoidn", None)
