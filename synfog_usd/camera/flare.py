@@ -30,6 +30,9 @@ STAR_PX = 256
 PUPIL = 1024
 """Most samples across the aperture; they limit a spike to PUPIL / 2 * lambda N / pitch pixels."""
 
+FEW = 4
+"""Channels up to which each is worked on by itself: numpy is slow where the innermost axis is short."""
+
 COLOURS = 5
 """Wavelengths of a channel, of equal weight."""
 
@@ -61,18 +64,14 @@ def glare(
     block = max(1, round(image.width_px / 480))
     coarse = block_means(image.pixels, block)
     height, width = coarse.shape[:2]
-    reach_y, reach_x = height // 2, width // 2
-    padded = np.pad(coarse.astype(np.float64), ((reach_y, reach_y), (reach_x, reach_x), (0, 0)), mode="symmetric")
-    y = np.fft.fftfreq(padded.shape[0]) * padded.shape[0]
-    x = np.fft.fftfreq(padded.shape[1]) * padded.shape[1]
+    y, x = (np.rint(np.fft.fftfreq(2 * length) * 2 * length) for length in (height, width))
     kernel = 1.0 / (y[:, None] ** 2 + x[None, :] ** 2 + 1.0)
-    kernel[np.abs(y) > reach_y, :] = 0.0
-    kernel[:, np.abs(x) > reach_x] = 0.0
-    transfer = fft.rfft2(kernel / kernel.sum())[..., None]
-    scattered = fft.irfft2(
-        fft.rfft2(padded, axes=(0, 1), workers=THREADS) * transfer, s=padded.shape[:2], axes=(0, 1), workers=THREADS
-    )
-    scattered = np.maximum(scattered[reach_y : reach_y + height, reach_x : reach_x + width], 0.0).astype(np.float32)
+    kernel[np.abs(y) > height // 2, :] = 0.0
+    kernel[:, np.abs(x) > width // 2] = 0.0
+    transfer = fft.rfft2(kernel / kernel.sum()).real[:height, :width, None]
+    waves = fft.dctn(coarse.astype(np.float64), axes=(0, 1), workers=THREADS)  # cosines: the mirror image is in them
+    scattered = fft.idctn(waves * transfer, axes=(0, 1), workers=THREADS, overwrite_x=True)
+    scattered = np.maximum(scattered, 0.0).astype(np.float32)
     pixels = image.pixels * np.float32(1.0 - fraction)
     add_enlarged(pixels, np.float32(fraction) * scattered, block)
     return image.with_pixels(pixels).with_metadata(glare_fraction=fraction)
@@ -243,13 +242,17 @@ def add_enlarged(picture: FloatArray, coarse: FloatArray, block: int) -> None:
     beside = np.pad(coarse, [(0, 0), (1, 1), *[(0, 0)] * (coarse.ndim - 2)], mode="edge")
     for strip in spread.strips(height):
         rows = beside[low[strip]] + part[strip] * (beside[high[strip]] - beside[low[strip]])
-        slope = np.diff(rows, axis=1)
-        for first in range(block):  # columns that lie alike between two blocks
-            columns = picture[strip, first::block]
-            place = (first + 0.5) / block + 0.5
-            begin, count = int(place), columns.shape[1]
-            columns += rows[:, begin : begin + count]
-            columns += np.float32(place - begin) * slope[:, begin : begin + count]
+        pairs = [(picture[strip], rows)]
+        if picture.ndim == 3 and picture.shape[2] <= FEW:
+            pairs = [(picture[strip, :, channel], rows[..., channel].copy()) for channel in range(picture.shape[2])]
+        for pixels, known in pairs:
+            slope = np.diff(known, axis=1)
+            for first in range(block):  # columns that lie alike between two blocks
+                columns = pixels[:, first::block]
+                place = (first + 0.5) / block + 0.5
+                begin, count = int(place), columns.shape[1]
+                columns += known[:, begin : begin + count]
+                columns += np.float32(place - begin) * slope[:, begin : begin + count]
 
 
 def _between_blocks(fine: int, coarse: int, block: int) -> tuple[npt.NDArray[np.intp], FloatArray]:

@@ -155,6 +155,8 @@ def _core(mosaic: FloatArray, limit: float) -> None:
     from scipy.ndimage import uniform_filter
 
     mean_limit = np.float32(limit / CORING_PX)
+    if float(mosaic.min()) >= 2.0 * mean_limit:  # so is every mean
+        return
     around = uniform_filter(mosaic, CORING_PX, mode="reflect")
     around /= mean_limit
     if float(around.min()) >= 2.0:

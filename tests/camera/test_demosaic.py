@@ -11,6 +11,7 @@ import pytest
 
 from synfog_usd import seeds
 from synfog_usd.camera import cfa
+from synfog_usd.camera import demosaic as ops
 from synfog_usd.camera.demosaic import demosaic
 from synfog_usd.errors import ImageError
 from synfog_usd.image import Image, Quantity
@@ -208,3 +209,15 @@ def test_menon_warns_of_nothing():
     )
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and not done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("pattern", cfa.BAYER)
+def test_strips_are_not_to_be_seen(pattern, monkeypatch):
+    """Strips of 16 rows give the bytes of one strip; a halo of a row less would not."""
+    noise = seeds.stream(0, "test", "strips").random((67, 30, 1), dtype=np.float32)
+    mosaic = Image(noise, ("RAW",), Quantity.LINEAR_RGB, provenance={"cfa": pattern})
+    whole = ops._directional(mosaic.pixels[..., 0], pattern)
+    monkeypatch.setattr(ops, "STRIP_ROWS", 16)
+    np.testing.assert_array_equal(ops._directional(mosaic.pixels[..., 0], pattern), whole)
+    monkeypatch.setattr(ops, "HALO_ROWS", 4)
+    assert np.abs(ops._directional(mosaic.pixels[..., 0], pattern) - whole).max() > 1e-4

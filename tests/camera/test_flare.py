@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import sici
 
-from synfog_usd import photometry
+from synfog_usd import photometry, seeds
 from synfog_usd.camera import flare
 from synfog_usd.camera.profiles import load_sensor
 from synfog_usd.errors import ImageError
@@ -23,6 +23,25 @@ def lamp(size=(401, 401), at=(200, 200), *, light=1e6, channels=GREEN) -> Image:
     plane = np.full(size, 1.0, dtype=np.float32)
     plane[at] += light
     return Image(np.repeat(plane[..., None], len(channels), axis=2), channels, Quantity.IRRADIANCE)
+
+
+@pytest.mark.parametrize("height, width", [(9, 12), (8, 11)])
+def test_glare_is_the_sum_over_the_mirrored_picture(height, width):
+    """Pixel by pixel with the picture's mirror images, weights 1 / (r^2 + 1) up to half the picture away."""
+    pixels = seeds.stream(0, "test", "glare").random((height, width, 1), dtype=np.float32)
+    reach_y, reach_x = height // 2, width // 2
+    mirrored = np.pad(pixels[..., 0], ((reach_y, reach_y), (reach_x, reach_x)), mode="symmetric")
+    y, x = np.mgrid[-reach_y : reach_y + 1, -reach_x : reach_x + 1]
+    weights = 1.0 / (y**2 + x**2 + 1.0)
+    truth = [
+        [
+            (mirrored[row : row + 2 * reach_y + 1, column : column + 2 * reach_x + 1] * weights).sum() / weights.sum()
+            for column in range(width)
+        ]
+        for row in range(height)
+    ]
+    found = flare.glare(Image(pixels, ("Y",), Quantity.IRRADIANCE), fraction=0.25).pixels
+    np.testing.assert_allclose(found[..., 0], 0.75 * pixels[..., 0] + 0.25 * np.array(truth), rtol=1e-6)
 
 
 def test_glare_keeps_an_even_picture_and_all_of_the_light():

@@ -161,6 +161,18 @@ def test_nothing_is_lost_without_absorption(tau):
         np.testing.assert_allclose(up[0], ground * down[0], rtol=1e-4, atol=1e-12)
 
 
+@pytest.mark.parametrize("g, tau, rtol", [(0.0, 10.0, 1e-6), (0.0, 100.0, 1e-6), (0.87, 1000.0, 1e-4)])
+def test_thick_fog_lets_through_what_diffusion_says(g, tau, rtol):
+    """Of a uniform sky over black ground (4/3) / ((1 - g) tau + 2 q), q of Milne's problem; q is 0.7104461 for g = 0
+    and changes with g, which counts for 1 % / ((1 - g) tau).
+
+    Source: van de Hulst, Multiple Light Scattering (1980).
+    """
+    slab = solved(FogMedium(tau / TOP, g=g), ground=0.0, sky=[[1.0]])
+    truth = (4.0 / 3.0) / ((1.0 - g) * tau + 2.0 * 0.7104461)
+    np.testing.assert_allclose(slab.irradiance(np.zeros(1), np.ones(1))[0, 0] / np.pi, truth, rtol=rtol)
+
+
 def test_fog_that_only_absorbs_obeys_beer_lambert():
     """Albedo 0: L = exp(-tau / |up|) times the boundary."""
     slab = solved(FogMedium(0.02, albedo=0.0), ground=0.5)
