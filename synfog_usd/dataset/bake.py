@@ -12,6 +12,7 @@ import contextlib
 import functools
 import importlib.metadata
 import json
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -98,6 +99,7 @@ def bake(
     from synfog_usd.camera.exposure import moments_of
     from synfog_usd.render import backend, models
     from synfog_usd.render.film import aovs
+    from synfog_usd.render.film.accumulator import SMOOTH
     from synfog_usd.render.shot import Settings, sampling_share
     from synfog_usd.translate import outdoors
 
@@ -147,7 +149,7 @@ def bake(
 
         def expected() -> list[Kind]:
             facts = [(shot.lighting, shot.fog != CLEAR, scenes.have_lamps(shot.lighting)) for shot in unfinished]
-            return kinds(facts, plan.samples)
+            return kinds(facts, plan.samples, math.sqrt(SMOOTH) if plan.denoise else 1.0)
 
         forecast = Forecast(expected(), began=bake_began)
 
@@ -207,7 +209,9 @@ def bake(
                     picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
                 behind.do(functools.partial(finish, shot, picture, began))
                 if index == 0:
-                    label(forecast.at(0, 1.0))
+                    done = forecast.at(0, 1.0)
+                    forecast.ended()
+                    label(done)
                     with reading():
                         scenes.survey(todo)
                     forecast.expect(expected())

@@ -17,11 +17,19 @@ from dataclasses import dataclass, field
 SET_UP = 0.03
 """Fraction of a shot up to which it is set up; rendering reports from there on."""
 
-FOGGY, LAMPS, LAMPS_IN_FOG = 3.5, 2.5, 21.0
-"""Seconds of a sample over those of one in clear air under a sky alone, about, as on the crossing with its 67 lamps."""
+FOGGY, LAMPS, LAMPS_IN_FOG = (1.6, 2.0), (2.5, 0.0), (5.5, 7.0)
+"""Seconds of a sample of the surfaces and of the air over those of one in clear air under a sky alone, about, by paths
+of the crossing with its 67 lamps, MOR 600 and 150: 1.7 us; 2.7 and 3.4; 4; 8 to 10 and 6 to 10.
+"""
 
-MAKING = 24.0
-"""Such samples that take as long as what every picture needs: guides, denoising, developing and writing."""
+GUIDING = 5.0
+"""Such samples that take as long as what every picture asks of the renderer: guides, AOVs, kernels made ready."""
+
+MAKING, MAKING_AIR = 8.0, 4.0
+"""Such samples that take as long as to denoise, develop and write a picture, and as to denoise what fog scatters.
+That is done beside the next shot's sampling; but of a bake's first beside its labels, and of a lighting's last beside
+the metering of the next.
+"""
 
 FIRST_OF_LIGHTING, FIRST_FOGGY, ANY = 3.0, 1.0, 0.3
 """Seconds of setting up, relative."""
@@ -40,6 +48,8 @@ class Kind:
         first_foggy: of its lighting.
         lamps: whether there are lamps.
         samples: most paths of a pixel.
+        air: paths in the air for each that meets surfaces.
+        beside: what the picture before takes that is made while this one is sampled, in samples.
     """
 
     first: bool
@@ -47,21 +57,27 @@ class Kind:
     first_foggy: bool
     lamps: bool = False
     samples: int = 64
+    air: float = 1.0
+    beside: float = field(default=0.0, compare=False)
 
     @property
     def weights(self) -> tuple[float, float]:
         """Of setting it up and of rendering it."""
         setting_up = ANY + FIRST_OF_LIGHTING * self.first + FIRST_FOGGY * self.first_foggy
-        each = {(False, False): 1.0, (True, False): FOGGY, (False, True): LAMPS, (True, True): LAMPS_IN_FOG}
-        return setting_up, self.samples * each[self.foggy, self.lamps] + MAKING
+        each = {(False, False): (1.0, 0.0), (True, False): FOGGY, (False, True): LAMPS, (True, True): LAMPS_IN_FOG}
+        surfaces, air = each[self.foggy, self.lamps]
+        return setting_up, self.samples * (surfaces + self.air * air) + GUIDING + self.beside
 
 
-def kinds(shots: Sequence[tuple[str, bool, bool]], samples: int = 64) -> list[Kind]:
-    """The kind of each shot of a bake, in order, from its lighting and whether there are fog and lamps."""
+def kinds(shots: Sequence[tuple[str, bool, bool]], samples: int = 64, air: float = 1.0) -> list[Kind]:
+    """The kind of each shot of a bake, in order, from its lighting and whether there are fog and lamps; samples and air
+    as in `Kind`.
+    """
     found, seen = [], set[tuple[str, bool]]()
     for lighting, foggy, lamps in shots:
         first = not {(lighting, True), (lighting, False)} & seen
-        found.append(Kind(first, foggy, foggy and (lighting, True) not in seen, lamps, samples))
+        beside = 0.0 if first or len(found) < 2 else MAKING + MAKING_AIR * found[-1].foggy
+        found.append(Kind(first, foggy, foggy and (lighting, True) not in seen, lamps, samples, air, beside))
         seen.add((lighting, foggy))
     return found
 
@@ -97,7 +113,7 @@ class Forecast:
         self, shots: Sequence[Kind], now: Callable[[], float] = time.monotonic, began: float | None = None
     ) -> None:
         self._shots, self._now = list(shots), now
-        self._shot_began = now()
+        self._shot_began: float | None = now()
         self._began = self._shot_began if began is None else began
         self._rendering: float | None = None
         self._seen: list[_Taken] = []
@@ -113,14 +129,23 @@ class Forecast:
         """The picture of a shot took so long beside the sampling of the next."""
         self._made.append(seconds)
 
+    def ended(self) -> None:
+        """The shot under way has ended; what is done until the next begins is part of neither."""
+        self._end(self._now())
+        self._shot_began = None
+
+    def _end(self, now: float) -> None:
+        begun = now if self._rendering is None else self._rendering
+        set_up = begun - (begun if self._shot_began is None else self._shot_began)
+        self._seen.append(_Taken(self._shots[len(self._seen)], set_up, now - begun, self._said))
+        self._shot_began, self._rendering, self._said = now, None, []
+
     def at(self, index: int, fraction: float) -> float:
         """Share that is done where shot `index` is done by a fraction, 0 to 1."""
         now = self._now()
         while len(self._seen) < index:
-            begun = now if self._rendering is None else self._rendering
-            kind = self._shots[len(self._seen)]
-            self._seen.append(_Taken(kind, begun - self._shot_began, now - begun, self._said))
-            self._shot_began, self._rendering, self._said = now, None, []
+            self._end(now)
+        self._shot_began = now if self._shot_began is None else self._shot_began
         if fraction >= SET_UP:
             self._rendering = now if self._rendering is None else self._rendering
             self._said.append((_rendered(fraction), now - self._rendering))
@@ -137,7 +162,7 @@ class Forecast:
         """
         setting_up, rendering = self._expected(self._shots[index], now)
         if self._rendering is None:
-            return max(setting_up - (now - self._shot_began), 0.0) + rendering
+            return max(setting_up - (now - (self._shot_began or 0.0)), 0.0) + rendering
         alike = self._alike(self._shots[index])
         done = alike[-1].share(_rendered(fraction)) if alike else _rendered(fraction)
         spent = now - self._rendering

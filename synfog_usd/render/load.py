@@ -59,6 +59,7 @@ class MitsubaScene:
         parts: key -> object, of all that `source` names but what stands inside of groups.
         spectral_bsdfs: key of a material -> the object that takes its place where paths carry bands, see
             `spectra.bsdfs`; made when it is first asked for.
+        open_to_sky: (width, height) [px] -> `planner.open_to_sky`, once it was asked for: it is the same in every fog.
     """
 
     scene: Any
@@ -71,6 +72,7 @@ class MitsubaScene:
     face_instances: FaceInstances
     parts: Mapping[str, Any] = field(default_factory=dict)
     spectral_bsdfs: dict[str, Any] = field(default_factory=dict)
+    open_to_sky: dict[tuple[int, int], float] = field(default_factory=dict)
 
 
 def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:

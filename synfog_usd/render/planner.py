@@ -143,7 +143,15 @@ def open_to_sky(loaded: MitsubaScene) -> float:
     """Share of the upper half of the sky that the surfaces of a view see; near ones count more, the same in every fog;
     1 where there are none.
     """
-    mi, small = backend.mitsuba(), _small(loaded)
+    small = _small(loaded)
+    size = small.source.camera.width_px, small.source.camera.height_px
+    if size not in loaded.open_to_sky:
+        loaded.open_to_sky[size] = _open_to_sky(small)
+    return loaded.open_to_sky[size]
+
+
+def _open_to_sky(small: MitsubaScene) -> float:
+    mi = backend.mitsuba()
     seen = aovs.measure(small)
     origin, direction = aovs.centre_rays(small)
     distance = seen.distance_m.ravel()

@@ -261,9 +261,10 @@ def sample(
 
     def picture(progress: Progress = silent) -> Rendered:
         nonlocal why
-        met = None if target.open else reached(accumulated, target, shape[:2])
-        luminance, error = accumulated.luminance(), np.sqrt(accumulated.luminance_variance())
-        variance = accumulated.variance().reshape(shape).astype(np.float32)
+        spread = accumulated.variance()
+        noise = np.asarray(spread @ accumulated.weights * accumulated.weights.sum())  # of its luminance
+        variance = spread.reshape(shape).astype(np.float32)
+        del spread
         for estimator in accumulated.estimators.values():  # a large frame fills memory: a sum is let go once it is read
             estimator.squares = np.zeros((0, 0), dtype=estimator.squares.dtype)
         denoised = None
@@ -274,12 +275,15 @@ def sample(
         if denoised:
             luminance, error = denoised.luminance(accumulated.weights).ravel(), denoised.error.rms.ravel()
             met = None if target.open else float((error <= target.allowed_in_all(luminance)).mean())
+        else:
+            luminance, error = accumulated.luminance(), np.sqrt(noise)
+            met = None if target.open else reached(luminance, noise, target, shape[:2])
         lit = luminance > 0.0
         relative_error = float(np.median(error[lit] / luminance[lit])) if lit.any() else 0.0
         if denoised and relative_error > LARGE_ERROR:
             much = f"{relative_error:.0%}" if relative_error < 1.0 else "more than its own light"
             warnings.append(f"after denoising the median pixel still errs by {much}; more samples mend it")
-        del luminance, error
+        del luminance, error, noise
         if accumulated.lost:
             warnings.append(f"{accumulated.lost} of {number} samples were not finite and count as black")
         if denoised:

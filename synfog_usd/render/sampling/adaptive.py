@@ -134,7 +134,9 @@ def accumulate_to_target(
     )
     spent = first
     while spent < target.samples and first % CHUNK == 0 and (target.time_s is None or now() < target.time_s):
-        need = _needed(accumulated, target, (camera.height_px, camera.width_px))
+        need = _needed(
+            accumulated.luminance(), accumulated.luminance_variance(), target, (camera.height_px, camera.width_px)
+        )
         short = need > 1.0
         if not short.any():
             break
@@ -224,17 +226,17 @@ def accumulate_denoised(
     return accumulated
 
 
-def reached(accumulated: Accumulator, target: Target, shape: tuple[int, int]) -> float:
-    """Share of the pixels whose standard error is under the target."""
-    return float((_needed(accumulated, target, shape) <= 1.0).mean())
+def reached(luminance: Array, variance: Array, target: Target, shape: tuple[int, int]) -> float:
+    """Share of the pixels (P,) whose standard error is under the target."""
+    return float((_needed(luminance, variance, target, shape) <= 1.0).mean())
 
 
-def _needed(accumulated: Accumulator, target: Target, shape: tuple[int, int]) -> Array:
+def _needed(luminance: Array, variance: Array, target: Target, shape: tuple[int, int]) -> Array:
     """How many times the samples it has each pixel needs."""
     from scipy import ndimage
 
-    smooth = ndimage.uniform_filter(accumulated.luminance().reshape(shape), 5, mode="nearest").ravel()
-    variance = ndimage.uniform_filter(
-        np.minimum(accumulated.luminance_variance(), 1e30).reshape(shape), 5, mode="nearest"
-    ).ravel()
-    return variance / np.maximum(target.allowed(smooth), 1e-30) ** 2
+    smooth, noise = (
+        ndimage.uniform_filter(values.reshape(shape), 5, mode="nearest").ravel()
+        for values in (luminance, np.minimum(variance, 1e30))
+    )
+    return np.asarray(noise / np.maximum(target.allowed(smooth), 1e-30) ** 2)
