@@ -189,6 +189,25 @@ def limits(*, cpu_s: float, wall_s: float) -> Iterator[None]:
             resource.setrlimit(kind, numbers)
 
 
+def free_memory() -> int:
+    """Bytes that this machine has free or can free, within the limits of a container; 0 where nobody tells."""
+    found = []
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        rows = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines())
+        found.append(1024 * int(rows.get("MemAvailable", "").split()[0]))
+    with contextlib.suppress(OSError, ValueError):  # of a container
+        most, used = (
+            int(Path("/sys/fs/cgroup", f"memory.{what}").read_text(encoding="ascii")) for what in ("max", "current")
+        )
+        found.append(max(most - used, 0))
+    if not found:
+        with contextlib.suppress(ImportError):
+            import psutil
+
+            found.append(int(psutil.virtual_memory().available))
+    return min(found, default=0)
+
+
 def _memory() -> int:
     """Bytes of address space that this process may come to: all memory, and what is only reserved by now (some 1.5 GB
     for libraries and threads' stacks); 0 where the system does not say.

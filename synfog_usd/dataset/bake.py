@@ -10,6 +10,7 @@ from __future__ import annotations
 import concurrent.futures
 import contextlib
 import functools
+import gc
 import importlib.metadata
 import json
 import math
@@ -45,7 +46,9 @@ METER_SAMPLES, METER_SAMPLES_RAW, DRAFT_METER_SAMPLES = 16, 64, 8
 """Of a pixel of the frame that is metered: where it can be denoised, else, and of a draft, whose frame is not."""
 
 ALONE_PX = 1 << 20
-"""Pixels of a picture beyond which it is denoised before the next is sampled: the sums of both would fill memory."""
+"""Pixels of a picture beyond which memory comes before time: it is made without the scene, which is loaded anew for the
+next, and written before that is sampled.  The crossing's scene has 0.8 GB.
+"""
 
 ANOTHER_LOAD = 0.5
 """Share of a scene's triangles that its fog must hide: what is left is loaded once more, with kernels of its own, where
@@ -100,7 +103,7 @@ def bake(
     from synfog_usd.render import backend, models
     from synfog_usd.render.film import aovs
     from synfog_usd.render.film.accumulator import SMOOTH
-    from synfog_usd.render.shot import Settings, sampling_share
+    from synfog_usd.render.shot import Settings, check_memory, sampling_share
     from synfog_usd.translate import outdoors
 
     bake_began = time.monotonic()
@@ -153,12 +156,18 @@ def bake(
 
         forecast = Forecast(expected(), began=bake_began)
 
+        with reading():
+            first = scenes.of(todo[0])
+        alone = first.camera.width_px * first.camera.height_px > ALONE_PX
+
+        for shot in unfinished:
+            if shot in scenes.known:
+                check_memory(scenes.known[shot], Settings(bands=plan.bands, denoise=plan.denoise))
+
         def label(done: float) -> None:
             if plan.draft or ledger.labels_done():
                 return
             progress("labels", done)
-            with reading():
-                first = scenes.of(todo[0])
             loaded = renderer.within(replace(first, fog=()))
             pierced = aovs.pierced(loaded)
             ledger.add_labels(_write_labels(aovs.measure(loaded), first, plan, graph, scenes.taken, pierced))
@@ -174,7 +183,7 @@ def bake(
             for line in (*([told] if told else []), *row["warnings"]):
                 log(f"{shot.folder}: {line}")
 
-        if not unfinished or unfinished[0] != todo[0] or todo[0].fog != CLEAR:
+        if alone or not unfinished or unfinished[0] != todo[0] or todo[0].fog != CLEAR:
             label(0.0)  # else the scene is there, whole, once the first shot was sampled
         with _Behind() as behind:  # a shot is denoised, developed and written while the next is sampled
             for index, shot in enumerate(unfinished):
@@ -198,14 +207,16 @@ def bake(
                         f"{shot.lighting}: {outdoors(scene)}; this view has {float(view.luminance.mean()):.3g} cd/m2 "
                         f"in clear air"
                     )
-                alone = scene.camera.width_px * scene.camera.height_px > ALONE_PX
                 share = sampling_share(Settings(samples=plan.samples, denoise=plan.denoise)) if alone else 1.0
                 sampled = SET_UP + (1.0 - SET_UP) * share
                 told = within(step, SET_UP, sampled)
                 step("rendering", SET_UP)
                 view = views.get(shot.lighting)
+                if alone:
+                    behind.wait()
                 picture = _render(shot, scene, renderer, view, plan, scenes.taken, moments_of(graph), told)
                 if alone:
+                    renderer.free()
                     picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
                 behind.do(functools.partial(finish, shot, picture, began))
                 if index == 0:
@@ -376,7 +387,11 @@ class _Renderer:
         """Let the scene go, before another is loaded: two at once take twice the memory, and make the renderer's tables
         and kernels larger.
         """
+        from synfog_usd.render import backend
+
         self.world = self.loaded = None
+        gc.collect()
+        backend.let_go()
 
 
 def _cleared(stage: Any, shot: Shot) -> Shot:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from synfog_usd import system
 from synfog_usd.errors import SetError, did_you_mean
 from synfog_usd.yamlio import load_file
 
@@ -67,7 +68,7 @@ def fitting(peak_mb: float | None) -> int:
     Args:
         peak_mb: the most memory that a unit was seen to take.
     """
-    return max(1, min(cores(), int(SHARE * free_mb() // (peak_mb or PEAK_MB))))
+    return max(1, min(cores(), int(SHARE * system.free_memory() / 2**20 // (peak_mb or PEAK_MB))))
 
 
 def gpus() -> tuple[str, ...]:
@@ -82,13 +83,6 @@ def gpus() -> tuple[str, ...]:
 def cores() -> int:
     """How many this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def free_mb() -> float:
-    """Memory that is free or can be freed."""
-    import psutil
-
-    return float(psutil.virtual_memory().available) / 2**20
 
 
 @contextlib.contextmanager

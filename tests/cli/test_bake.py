@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -345,6 +346,34 @@ def test_another_choice_of_shots_adds_to_a_folder(tmp_path, stage):
     assert run("bake", stage, "--lighting", "sky", *small).returncode == 0
     rows = json.loads(run("bake", stage, "--lighting", "active", *small).stdout)["shots"]
     assert [row["lighting"] for row in rows] == ["active", "sky"]
+
+
+def test_a_large_picture_is_made_without_its_scene_to_the_same_bytes(unbroken, stage, tmp_path, monkeypatch):
+    """Two fogs, for each of which the scene is loaded anew: what is not held when a picture is made does not count."""
+    from synfog_usd.dataset import bake
+
+    loads = []
+    free = bake._Renderer.free
+    monkeypatch.setattr(bake._Renderer, "free", lambda self: (loads.append(self.loaded), free(self)))
+    monkeypatch.setattr(bake, "ALONE_PX", 64 * 36 - 1)
+    fogs = ("clear", "mor150")
+    done = run(*arguments(stage, tmp_path / "out"), "--lighting", "sky", "--fog", ",".join(fogs), "--json")
+    found = {row["folder"]: row["files"] for row in json.loads(done.stdout)["shots"]}
+    wanted = {row["folder"]: row["files"] for row in unbroken[1]["shots"]}
+    assert found == {f"sky/{fog}": wanted[f"sky/{fog}"] for fog in fogs}
+    assert sum(loaded is not None for loaded in loads) == len(fogs)
+
+
+def test_a_picture_that_memory_does_not_hold_is_refused_before_it_is_begun(stage, tmp_path, monkeypatch):
+    """It is told what it would take: 10 to 16 GB, by what a picture of a sixteenth of the pixels was seen to take."""
+    from synfog_usd import system
+
+    monkeypatch.setattr(system, "free_memory", lambda: 5_000_000_000)
+    large = ["bake", stage, "-o", tmp_path / "out", "--resolution", "8192x4096", "--lighting", "sky", "--fog", "clear"]
+    done = run(*large)
+    refused(done, "8192 x 4096", "5 GB", "--resolution")
+    assert 10 <= int(re.search(r"takes about (\d+) GB", done.stderr)[1]) <= 16
+    assert not any((tmp_path / "out").iterdir())
 
 
 def test_two_bakes_do_not_write_into_one_folder(unbroken, stage):

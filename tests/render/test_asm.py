@@ -108,12 +108,13 @@ def test_aovs_and_variance_are_those_of_the_sum():
     foggy = model.accumulate(samples=16, seed=1)
     clear = model.path.accumulate(samples=16, seed=1)
     t = aovs.measure(loaded).transmittance.reshape(-1, 1)
-    np.testing.assert_allclose(foggy.aov("surface"), t * clear.mean(), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(foggy.aov("surface"), t * clear.mean(), rtol=1e-6, atol=1e-15)
     np.testing.assert_allclose(
-        foggy.aov("surface") + foggy.aov("airlight_single") + foggy.aov("airlight_multiple"), foggy.mean(), rtol=1e-12
+        foggy.aov("surface") + foggy.aov("airlight_single") + foggy.aov("airlight_multiple"), foggy.mean(), rtol=1e-6
     )
-    np.testing.assert_allclose(foggy.mean(), t * clear.mean() + (1.0 - t) * physical_airlight(loaded), rtol=1e-12)
-    np.testing.assert_allclose(foggy.variance(), t * t * clear.variance(), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(foggy.mean(), t * clear.mean() + (1.0 - t) * physical_airlight(loaded), rtol=1e-6)
+    rounding = 1e-6 * clear.mean() ** 2  # of sums in float32, whose mean's square is taken off
+    assert (abs(foggy.variance() - t * t * clear.variance()) <= 1e-6 * clear.variance() + rounding).all()
 
 
 def test_where_no_slab_fits_the_airlight_is_the_skys_mean():

@@ -1,5 +1,7 @@
 """Volumetric path tracing against exact truths."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support import renders
@@ -11,7 +13,7 @@ from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.render import backend, models
 from synfog_usd.render.film import accumulator
 from synfog_usd.render.integrators import path, tasks
-from synfog_usd.render.shot import load, render
+from synfog_usd.render.shot import Settings, load, picture_bytes, render
 from synfog_usd.testing import black, box, scene, uniform_fog, wall
 
 MODELS = ["path", "volpath"]
@@ -316,6 +318,26 @@ def test_samples_that_are_added_in_parts_are_those_of_all_at_once():
     np.testing.assert_allclose(parted.mean(), whole.mean(), rtol=1e-4, atol=1e-6 * whole.mean().mean())
     for estimator in parted.estimators.values():
         assert (estimator.counts == 32).all() and (estimator.lanes == 2 * 4).all()  # a half: 4, 10, 2, then 16
+
+
+@pytest.mark.parametrize("lit", [False, True])
+def test_what_memory_a_picture_is_said_to_take_is_more_than_what_is_kept_of_its_samples(lit):
+    """Counted in the arrays themselves, with three light groups and without; denoising and writing take as much again,
+    and not ten times as much.
+    """
+    world = lamps_in_fog(0.87, BOX) if lit else scene({**SKY, "shape_wall": wall(50.0)}, [uniform_fog()])
+    if lit:
+        shining = [key for key, part in world.world.items() if key.startswith("light_") or "emitter" in part]
+        world = replace(world, group_of=dict(zip(shining, "abc" * len(shining), strict=False)))
+    pixels = world.camera.width_px * world.camera.height_px
+    kept = accumulator.new_accumulator(models.make("path", load(world, boundaries=False)), pixels)
+    held = sum(
+        array.nbytes
+        for part in kept.estimators.values()
+        for array in (*part.aovs.values(), part.squares, *part.groups, part.counts, part.lanes)
+    )
+    said = picture_bytes(world, Settings(denoise=True))
+    assert held < said < 10 * held
 
 
 @pytest.mark.parametrize("model", ["path", pytest.param("volpath", marks=pytest.mark.slow)])

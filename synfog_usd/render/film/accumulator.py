@@ -38,6 +38,9 @@ SHORT_LANES = 2 * CHUNKED_LANES
 AHEAD = 1 << 22
 """Paths that are under way at least before any are waited for: meanwhile the next estimator's kernel is made ready."""
 
+AHEAD_LANES = 1 << 20
+"""The same in lanes, each of which takes some 80 B with four light groups."""
+
 HALVES = 2
 
 HALF_STRIDE = 1 << 30
@@ -382,16 +385,16 @@ def neyman_allocation(accumulated: Accumulator, samples: int, *, denoised: bool 
 def new_accumulator(integrator: Traces, pixels: int) -> Accumulator:
     """An image of no samples yet.
 
-    Sums of halves, of light groups and over many bands are in float32, which holds 10^4 chunks to 1e-5 in half the
-    memory; squares of R, G and B are not, since a mean's square is taken off them.
+    Sums are in float32, which holds 10^4 chunks to 1e-5 in half the memory; so a standard error below 3e-4 of the light
+    is not resolved.
     """
     groups, bands = integrator.groups if integrator.groups > 1 else 0, integrator.bands
-    shape, kind = (pixels, bands.count), np.float64 if bands.is_rgb else np.float32
+    shape = (pixels, bands.count)
 
     def empty(estimator: str) -> Estimator:
         return Estimator(
             {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]},
-            np.zeros(shape, dtype=kind),
+            np.zeros(shape, dtype=np.float32),
             [np.zeros(shape, dtype=np.float32) for _ in range(groups)],
             np.zeros((HALVES, pixels), dtype=np.int32),
             np.zeros(pixels, dtype=np.int32),
@@ -430,16 +433,15 @@ def add_samples(
         return
     all_of_it = max(len(pixels) * sum(count * accumulated.cost(name) for name, count in samples.items()), 1.0)
     under_way: list[_Launch] = []
-    ahead, done = 0, 0.0
+    done = 0.0
 
     def collect() -> None:
-        nonlocal ahead, done
+        nonlocal done
         for launch in under_way:
             _add(accumulated, launch)
             done += launch.paths * accumulated.cost(launch.name)
             progress("rendering", min(done / all_of_it, 1.0))
         under_way.clear()
-        ahead = 0
 
     for name, count in samples.items():
         started, estimator_seed = accumulated.estimators[name].counts[:, pixels].copy(), seed32(seed, name)
@@ -450,8 +452,8 @@ def add_samples(
                 first = np.concatenate([started[half, some] + (half * HALF_STRIDE + offset) for half, offset in chunks])
                 halves = [half for half, _ in chunks]
                 under_way.append(_launched(integrator, name, pixels[some], first, length, halves, estimator_seed))
-                ahead += under_way[-1].paths
-                if ahead >= AHEAD:
+                lanes = sum(launch.lanes for launch in under_way)
+                if lanes >= AHEAD_LANES or sum(launch.paths for launch in under_way) >= AHEAD:
                     collect()
     collect()
 
@@ -511,9 +513,14 @@ class _Launch:
     moments: Moments
 
     @property
+    def lanes(self) -> int:
+        """How many."""
+        return len(self.pixels) * len(self.halves)
+
+    @property
     def paths(self) -> int:
         """Of all lanes."""
-        return len(self.pixels) * len(self.halves) * self.count
+        return self.lanes * self.count
 
 
 def _launched(

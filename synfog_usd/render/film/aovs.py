@@ -209,10 +209,13 @@ def seen_through(loaded: MitsubaScene, clear: Aovs) -> Aovs:
         loaded: the scene with its fog, in boxes and balls, and a camera of the size of `clear`.
         clear: what the same rays meet in clear air.
     """
-    _, direction = centre_rays(loaded)
-    eye = np.broadcast_to(loaded.source.camera.to_world[:3, 3], direction.shape)
-    tau = optical_depth(loaded.source.fog, eye, direction, clear.distance_m.ravel())
-    return replace(clear, transmittance=np.exp(-tau).reshape(clear.distance_m.shape))
+    tracer, distance, through = _Tracer(loaded), clear.distance_m.ravel(), np.ones(clear.distance_m.size)
+    for low in range(0, len(distance) if loaded.source.fog else 0, RAYS):
+        some = slice(low, low + RAYS)
+        _, direction = tracer.centre_rays(np.arange(low, min(low + RAYS, len(distance))))
+        eye = np.broadcast_to(loaded.source.camera.to_world[:3, 3], direction.shape)
+        through[some] = np.exp(-optical_depth(loaded.source.fog, eye, direction, distance[some]))
+    return replace(clear, transmittance=through.reshape(clear.distance_m.shape))
 
 
 def _rows(hits: Hits, keep: Flags) -> Hits:
