@@ -44,6 +44,7 @@ BASE = {
     "science",
     "seeds",
     "spectra",
+    "system",
     "tables",
     "yamlio",
 }
