@@ -157,3 +157,10 @@ def test_choosing_bands_is_a_part_of_the_progress(monkeypatch):
     shares = [share for _, share in told]
     assert max(share for what, share in told if what == "trying bands") <= shot.CHOOSING[1]
     assert shares == sorted(shares) and shares[-1] == 1.0
+
+
+def test_estimators_that_are_waited_for_together_are_told_of_together():
+    """Two estimators of a small picture: one report, at its end; else the second's time would be told as nothing."""
+    told = []
+    render(FOGGY, model="path", samples=4, size=(16, 8), progress=lambda what, share: told.append(share))
+    assert set(told) <= {0.0, 1.0} and told[-1] == 1.0

@@ -440,6 +440,7 @@ def add_samples(
         for launch in under_way:
             _add(accumulated, launch)
             done += launch.paths * accumulated.cost(launch.name)
+        if under_way:  # told once, since to wait for one is to wait for all
             progress("rendering", min(done / all_of_it, 1.0))
         under_way.clear()
 
