@@ -34,6 +34,19 @@ denoised alone 10 and -8 %, with these 4.0 and -1.7 %, with all of it first 3.4 
 a sixth larger.
 """
 
+NEARBY_PX = 8
+"""Standard deviation [px] of the blur under which a picture has the light of its samples in the end, as far as
+`MOST_GIVEN` allows.
+"""
+
+MOST_GIVEN = 1.25
+"""Times that light may be more or less for it, since one bright sample of few makes a blot.
+
+Crossing at dusk, clear, 192x108, six seeds, without it and with: bias of blocks of 32 x 32 px 7.3 and 3.7 % (of 4
+samples), 2.1 and 1.0 % (32); error of the median pixel 20.0 and 18.6, 7.2 and 7.2 %; RMS error 33.4 and 34.1, 17.9 and
+18.4 %.  With 4 px and no limit 32 samples have a bias of 0.6 % and an RMS error of 19.8 %.
+"""
+
 WINDOW = 3.0
 """Moments are means under a blur this much wider than the one that is corrected, and of WINDOW_PX at least."""
 
@@ -105,9 +118,19 @@ def towards_truth(noisy: Array, denoised: Array, weights: npt.ArrayLike) -> Arra
     )  # where nothing is left to scale
     for scale in SCALES_PX:
         _correct(noisy, done, weights, floor, scale)
+    for half in range(2):
+        done[half] *= _given(noisy[half] @ weights, done[half] @ weights, float(floor @ weights))
     before, after = (picture.mean(axis=(0, 1, 2), dtype=np.float64) for picture in (noisy, done))
     done *= np.where(after > 0.0, np.clip(before / np.maximum(after, 1e-30), 0.5, 2.0), 1.0).astype(np.float32)
     return np.maximum(done, 0.0)
+
+
+def _given(noisy: Array, done: Array, floor: float) -> Array:
+    """(H, W, 1) by what each pixel's light (H, W) is multiplied to have that of the samples nearby."""
+    step = NEARBY_PX // 2
+    there, kept = (_blurred(binned(light[..., None], step), NEARBY_PX / step) + floor for light in (noisy, done))
+    gain = np.clip(there / np.maximum(kept, 1e-30), 1.0 / MOST_GIVEN, MOST_GIVEN)
+    return spread(gain, step, done.shape)
 
 
 def _correct(noisy: Array, done: Array, weights: Array, floor: Array, scale: int) -> None:

@@ -119,6 +119,23 @@ def test_light_that_the_filter_lost_comes_back():
     np.testing.assert_allclose(*blocks, rtol=0.015)
 
 
+def test_light_of_rare_bright_samples_comes_back_where_it_was_and_not_elsewhere():
+    """A tenth of the light of one side lies in one sample of 400, which the filter takes for outliers: on the mean of
+    eight seeds both sides have their light, known to 0.5 % and 0.1 %.  Lost here and given back all over the picture,
+    it would be 5 % too little and 4 % too much.
+    """
+    sides = []
+    for seed in range(8):
+        random = np.random.default_rng(seed)
+        noisy = 1.0 + 0.05 * random.standard_normal((2, 64, 128, 1)).repeat(3, axis=3)
+        noisy[:, :, :64] += 40.0 * (random.random((2, 64, 64, 1)) < 1 / 400) - 0.1
+        clean = np.ones_like(noisy)
+        clean[:, :, :64] = 0.9
+        done = towards_truth(noisy.astype(np.float32), clean.astype(np.float32), GREY).mean(axis=0)
+        sides.append([done[:, :64].mean(), done[:, 64:].mean()])
+    assert np.mean(sides, axis=0) == pytest.approx(1.0, abs=0.02)
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (16, 2048), (70, 1)])
 @pytest.mark.parametrize("light", ["none", "one pixel", "noise", "below zero"])
 def test_odd_pictures_stay_finite(shape, light):
