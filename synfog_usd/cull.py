@@ -120,7 +120,7 @@ class Hidden:
 
 
 @dataclass(frozen=True)
-class _Parts:
+class Parts:
     """The same of all meshes and instances of a scene: keys, corners of boxes (N, 3), and the rest (N,)."""
 
     keys: list[str]
@@ -131,7 +131,14 @@ class _Parts:
     passive: Flags
 
 
-def hide(scene: SceneDict, noise: Callable[[Array], Array], clear_cd_m2: Array, *, worth: int = WORTH) -> Hidden:
+def hide(
+    scene: SceneDict,
+    noise: Callable[[Array], Array],
+    clear_cd_m2: Array,
+    *,
+    parts: Parts | None = None,
+    worth: int = WORTH,
+) -> Hidden:
     """The parts of a scene that its fog hides from a sensor.
 
     An instance behind fog differs from the fog before it by no more than that fog's own light L, so
@@ -156,11 +163,12 @@ def hide(scene: SceneDict, noise: Callable[[Array], Array], clear_cd_m2: Array, 
         scene: what `translate` made.
         noise: luminance [cd m-2] -> standard deviation of what a pixel reads [cd m-2], as `camera.noise_floor`.
         clear_cd_m2: luminance of the same view in clear air [cd m-2], any shape.
+        parts: of the scene's world where they are known, see `parts_of`: they are the same in every fog.
         worth: scenes of fewer triangles are left as they are.
 
     Valid for fog in boxes and balls.
     """
-    parts = _parts(scene.world)
+    parts = parts or parts_of(scene.world)
     seen = _through(scene, parts)
     if seen.why:
         return seen
@@ -202,14 +210,14 @@ def hide(scene: SceneDict, noise: Callable[[Array], Array], clear_cd_m2: Array, 
     return replace(seen, limit=limit, simplified=simplified, left_out=left_out, triangles=saved)
 
 
-def through(scene: SceneDict) -> Hidden:
+def through(scene: SceneDict, parts: Parts | None = None) -> Hidden:
     """The transmittance to every part of a scene, with nothing hidden; `why` where there is no fog, or none with a
-    closed form.
+    closed form.  Arguments as for `hide`.
     """
-    return _through(scene, _parts(scene.world))
+    return _through(scene, parts or parts_of(scene.world))
 
 
-def _through(scene: SceneDict, parts: _Parts) -> Hidden:
+def _through(scene: SceneDict, parts: Parts) -> Hidden:
     total = int(parts.triangles.sum())
     if not scene.fog or not parts.keys:
         return Hidden(dict.fromkeys(parts.keys, 1.0), of_triangles=total, why="there is no fog")
@@ -326,7 +334,8 @@ class _Bulk:
     passive: bool
 
 
-def _parts(world: Mapping[str, Any]) -> _Parts:
+def parts_of(world: Mapping[str, Any]) -> Parts:
+    """What `hide` and `through` must know of a world's meshes and instances; it looks at every point of them."""
     found: dict[str, _Bulk] = {}
     groups: dict[str, _Bulk] = {}
     for key, part in world.items():
@@ -343,7 +352,7 @@ def _parts(world: Mapping[str, Any]) -> _Parts:
             )
             found[key] = replace(own, low=corners.min(axis=0), high=corners.max(axis=0))
     rows = found.values()
-    return _Parts(
+    return Parts(
         list(found),
         np.reshape([row.low for row in rows], (-1, 3)),
         np.reshape([row.high for row in rows], (-1, 3)),
@@ -449,7 +458,7 @@ def _lamps(world: Mapping[str, Any]) -> Iterator[tuple[Array, float, float]]:
             yield np.asarray(place, dtype=np.float64), 0.0, intensity * float(np.max(part.get("bitmap", 1.0)))
 
 
-def _lit(scene: SceneDict, parts: _Parts) -> Array:
+def _lit(scene: SceneDict, parts: Parts) -> Array:
     """(N,) radiance that lamps can give a white part [cd m-2]: the sum of I T / (pi r^2), from the nearest point of its
     box.
     """
@@ -464,7 +473,7 @@ def _lit(scene: SceneDict, parts: _Parts) -> Array:
     return total
 
 
-def _before_lamps(scene: SceneDict, parts: _Parts, budget: float) -> Flags:
+def _before_lamps(scene: SceneDict, parts: Parts, budget: float) -> Flags:
     """(N,) whether a part's box stands between the eye and a lamp that is seen through the fog."""
     camera, found = scene.camera, np.zeros(len(parts.keys), dtype=bool)
     eye = camera.to_world[:3, 3]
@@ -484,7 +493,7 @@ def _pixel(camera: Camera) -> float:
     return camera.pixel_rad**2
 
 
-def _size(eye: Array, parts: _Parts) -> Array:
+def _size(eye: Array, parts: Parts) -> Array:
     """(N,) solid angle of each box [sr], 2 pi at most: its area across the line of sight over the square of its
     distance.
     """

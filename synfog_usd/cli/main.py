@@ -217,7 +217,7 @@ def preview(
     light_scale: options.LightScale = 1.0,
     sun_lux: options.SunLux = None,
     resolution: options.Resolution = "320x180",
-    samples: options.Samples = 4,
+    samples: options.Samples = 2,
     variant: options.Variant = "auto",
     allow: options.Allow = None,
     quiet: options.Quiet = False,

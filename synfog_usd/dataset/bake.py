@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from synfog_usd.camera.distortion import Pinhole
-    from synfog_usd.cull import Hidden
+    from synfog_usd.cull import Hidden, Parts
     from synfog_usd.fisheye import Fisheye
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
@@ -412,6 +412,7 @@ class _View:
         luminance: of the small frame that was metered [cd m-2].
         seen: what the ray through each pixel's centre meets.
         world: of the scene that was looked at.
+        parts: of that world, see `cull.parts_of`.
     """
 
     exposure: Any
@@ -419,6 +420,7 @@ class _View:
     luminance: np.ndarray
     seen: Aovs
     world: Mapping[str, Any]
+    parts: Parts
 
     @property
     def noise(self) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -462,7 +464,7 @@ def _meter(
     ready: Callable[[], None] = lambda: None,
 ) -> _View:
     """A scene without fog, metered on a small frame; the graph runs after `ready`."""
-    from synfog_usd import camera, photometry
+    from synfog_usd import camera, cull, photometry
     from synfog_usd.render import backend, denoise, models
     from synfog_usd.render.film import aovs
     from synfog_usd.render.load import resized
@@ -491,6 +493,7 @@ def _meter(
         photometry.luminance(frame),
         aovs.measure(loaded),
         scene.world,
+        cull.parts_of(scene.world),
     )
 
 
@@ -571,9 +574,15 @@ def _render(
 
     density = _pinhole(scene.camera).focal_px / taken.focal_px if taken else 1.0
     floor = _shared(view.noise, density) if view and view.noise else None
-    hidden = cull.hide(scene, floor, view.luminance) if plan.cull and view and floor else cull.through(scene)
+    bulk = view.parts if view and view.world is scene.world else cull.parts_of(scene.world)
+    if plan.cull and view and floor:
+        hidden = cull.hide(scene, floor, view.luminance, parts=bulk)
+    else:
+        hidden = cull.through(scene, bulk)
     if 0 < hidden.triangles < ANOTHER_LOAD * hidden.of_triangles:
-        hidden = replace(cull.through(scene), why="too little lies behind fog to load the scene once more without it")
+        hidden = replace(
+            cull.through(scene, bulk), why="too little lies behind fog to load the scene once more without it"
+        )
     drawn = cull.reduced(scene, hidden)
     loaded = None
     if drawn is scene:
