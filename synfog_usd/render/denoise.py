@@ -233,6 +233,22 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: b
     return {name: clean(name, image) for name, image in images.items()}
 
 
+def coarse(lights: Mapping[str, npt.NDArray[Any]]) -> dict[str, FloatArray]:
+    """What the samples found of a light group, (H, W, C) by component or estimator, in squares of `SHARE_PX`, but for
+    `NOISELESS`: at full size the groups of a large frame fill memory.
+    """
+    return {name: light if name in NOISELESS else dualbuffer.binned(light, SHARE_PX) for name, light in lights.items()}
+
+
+def fine(lights: Mapping[str, FloatArray], shape: tuple[int, ...]) -> FloatArray:
+    """(H, W, C) all light of what `coarse` gave; its squares show."""
+
+    def whole(light: FloatArray) -> FloatArray:
+        return np.repeat(np.repeat(light, SHARE_PX, axis=0), SHARE_PX, axis=1)[: shape[0], : shape[1]]
+
+    return np.asarray(sum(light if name in NOISELESS else whole(light) for name, light in lights.items()))
+
+
 def divide(
     components: Mapping[str, FloatArray],
     groups: Iterable[tuple[str, Mapping[str, npt.NDArray[Any]]]],
@@ -245,7 +261,7 @@ def divide(
 
     Args:
         components: of the picture, as `denoise_halves` gives them.
-        groups: name of each and (H, W, C) of what the samples found of it, by component or estimator.
+        groups: name of each and what the samples found of it, see `coarse`.
         guides: see `guides`.
         quick: with Open Image Denoise's smaller networks, see `FEW`.
 
@@ -263,7 +279,7 @@ def divide(
             found[part] = np.asarray(found[part] + light if part in found else light, dtype=np.float32)
         return found
 
-    coarse = Guides(
+    seen = Guides(
         dualbuffer.binned(guides.albedo, SHARE_PX),
         dualbuffer.binned(guides.normal, SHARE_PX),
         dualbuffer.binned(guides.transmittance[..., None], SHARE_PX)[..., 0],
@@ -271,7 +287,7 @@ def divide(
 
     def clean(part: str, light: FloatArray) -> FloatArray:
         if part not in NOISELESS:
-            light = denoise({part: dualbuffer.binned(light, SHARE_PX)}, coarse, quick=quick)[part]
+            light = denoise({part: light}, seen, quick=quick)[part]
         trace = np.float32(1e-6) * light.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
         return light + trace  # where no sample of any group was lit, groups share as in the whole picture
 

@@ -297,13 +297,19 @@ def sample(
     else:
         accumulated = accumulate_to_target(integrator, target=target, seed=seed, now=now, progress=progress)
     backend.let_go()
+    names = tuple(getattr(integrator, "group_names", ()))
+    names = names if len(names) > 1 else ()
+    shares = list[tuple[str, dict[str, np.ndarray]]]()
+    if cleaning and accumulated.component_halves(*shape[:2]):
+        for name in names:
+            lights = {of: light.reshape(shape) for of, light in accumulated.take_group().items()}
+            shares.append((name, denoising.coarse(lights)))
     if cleaning:
         cleaning.see(accumulated)
     seen = aovs.measure(loaded) if clear is None else aovs.seen_through(loaded, clear)
     number, spent = accumulated.samples, accumulated.samples_per_pixel
     accumulated.radiance_cache = None  # which holds the scene
     backend.let_go()
-    names = tuple(getattr(integrator, "group_names", ()))
 
     def picture(progress: Progress = silent) -> Rendered:
         nonlocal why
@@ -370,15 +376,14 @@ def sample(
             | ({"denoised": True} if denoised else {}),
         )
         groups = dict[str, np.ndarray]()
-        if len(names) > 1:
-            apart = [
-                (name, {of: light.reshape(shape).astype(np.float32) for of, light in accumulated.take_group().items()})
-                for name in names
-            ]
-            divided = cleaning.divided(denoised, apart) if cleaning and denoised else None
+        if shares:
+            divided = cleaning.divided(denoised, shares) if cleaning and denoised else None
             if cleaning and denoised and divided is None:
                 warnings.append(f"light groups are {cleaning.problem}")
-            groups = divided or {name: np.asarray(sum(lights.values())) for name, lights in apart}
+            groups = divided or {name: denoising.fine(lights, mean.shape) for name, lights in shares}
+        else:
+            for name in names:
+                groups[name] = sum(accumulated.take_group().values()).reshape(shape).astype(np.float32)
         rms = denoised.error.rms if denoised else None
         return Rendered(
             radiance, seen, relative_error, components, rms, groups, model, why, tuple(warnings), figures, spent, met
