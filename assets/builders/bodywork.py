@@ -71,7 +71,7 @@ class Body:
     rear_plate_z: float | None = None
     upright: bool = False
     rails: bool = False
-    triangles: int = 3600
+    triangles: int = 2500
     beam: str = "low_beam_led"
 
 

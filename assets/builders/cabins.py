@@ -125,7 +125,7 @@ def driver(hip: Point) -> list[Part]:
     parts = [trunk, shoulders]
     skin = [
         tube([at(0, 0.01, 0.52), head - [0, 0.015, 0.03]], 0.055, "driver_skin", sides=8),
-        ball(head, (0.076, 0.098, 0.118), "driver_skin", sides=12),
+        ball(head, (0.076, 0.098, 0.118), "driver_skin", sides=10),
     ]
     skin.append(ball(head + [0, 0.10, -0.01], (0.013, 0.018, 0.024), "driver_skin", sides=6))
     for s in (-1, 1):
@@ -135,7 +135,7 @@ def driver(hip: Point) -> list[Part]:
             tube([at(s * 0.19, 0, 0.43), elbow, hand - [0, 0.05, 0.01]], [0.062, 0.052, 0.036], "driver_coat", sides=7)
         )
         skin.append(ball(hand, (0.034, 0.05, 0.04), "driver_skin", sides=6))
-    hair = ball(tuple(head + [0, -0.022, 0.036]), (0.083, 0.100, 0.103), "driver_hair", sides=12)
+    hair = ball(tuple(head + [0, -0.022, 0.036]), (0.083, 0.100, 0.103), "driver_hair", sides=10)
     return [join(parts), join(skin), hair]
 
 

@@ -63,7 +63,7 @@ MORE_CARS = (
         plate=0,
         rear_plate_z=0.60,
         paints=("white", "red", "blue", "sand", "black"),
-        triangles=3600,
+        triangles=2500,
     ),
     Body(
         "crossover",
@@ -114,7 +114,7 @@ MORE_CARS = (
         plate=4,
         paints=("silver", "black", "white", "blue", "red"),
         cladding=True,
-        triangles=3600,
+        triangles=2500,
     ),
     replace(
         CARS[1],

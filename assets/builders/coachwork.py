@@ -16,7 +16,7 @@ import numpy as np
 from assets.builders.solids import Field, carve, prism, split
 from assets.builders.textures import PLATE_COLUMNS as COLUMNS
 from synfog_usd.world.components import Component, Look, MountedLamp
-from synfog_usd.world.materials import FLAKES, PAINTS
+from synfog_usd.world.materials import DUST, DUST_COLOUR, FLAKES, PAINTS
 from synfog_usd.world.shapes import (
     Array,
     Part,
@@ -48,9 +48,42 @@ CENTRE_NITS = (47000.0, 134.0, 40.0)  # 44 cd of 240 x 18 mm; UN R7 allows 25 to
 
 
 def painted(name: str) -> Look:
-    """What a colour of PAINTS changes; flakes of metal are a share of the ground below the clear coat."""
-    flakes = {"metallic": FLAKES[name]} if name in FLAKES else {}
-    return Look(materials={"paint": {"diffuseColor": PAINTS[name], **flakes}})
+    """What a colour of PAINTS changes; flakes of metal are a share of the ground below the clear coat, and dust hides
+    a share of both.
+    """
+    looks: dict[str, dict[str, object]] = {}
+    for material, share in (("paint", 0.0), *DUST.items()):
+        mixed = (round((1 - share) * a + share * b, 4) for a, b in zip(PAINTS[name], DUST_COLOUR, strict=True))
+        flakes = {"metallic": round((1 - share) * FLAKES[name], 3)} if name in FLAKES else {}
+        looks[material] = {"diffuseColor": tuple(mixed), **flakes}
+    return Look(materials=looks)
+
+
+def dusted(skin: Part, parts: list[Part], sill: float, axles: Sequence[float]) -> Part:
+    """Cut what the road has thrown up at a skin out of it: two bands above the sill, higher behind the wheels and at
+    the back; gives what is clean.
+    """
+    x, y, z = skin.points.T
+    thrown = 0.5 * np.clip((skin.points[:, 1].min() + 0.45 - y) / 0.35, 0, 1)
+    for axle in axles:
+        behind = (axle - 0.36 - y) / 0.42
+        thrown = np.maximum(thrown, np.clip(1 - behind * behind, 0, 1))
+
+    def wave(at: Array) -> Array:
+        return np.abs(2 * (at - np.floor(at)) - 1) - 0.5
+
+    ragged = 0.030 * wave(1.1 * y + 0.4 * x) + 0.022 * wave(2.7 * y - 0.9 * x + 0.3)
+    height = (z - sill) - ragged - 0.17 * thrown
+    dusty, clean = split(skin, height - 0.24)
+    x, y, z = dusty.points.T
+    thrown = np.zeros(len(z))
+    for axle in axles:
+        behind = (axle - 0.36 - y) / 0.42
+        thrown = np.maximum(thrown, np.clip(1 - behind * behind, 0, 1))
+    ragged = 0.030 * wave(1.4 * y + 0.2) + 0.018 * wave(3.4 * y - 0.7 * x)
+    dirty, dusty = split(dusty, (z - sill) - ragged - 0.13 * thrown - 0.14)
+    parts += [part.painted(name) for part, name in ((dusty, "paint_dusty"), (dirty, "paint_dirty")) if len(part.faces)]
+    return clean
 
 
 def lamp_states(lamps: tuple[MountedLamp, ...], *, centre: bool = False) -> dict[str, Look]:
@@ -238,13 +271,12 @@ def wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
             (r * 0.90, -w),
             (r, -w * 0.66),
             (r, w * 0.66),
-            (r * 0.985, w * 0.84),
             (r * 0.93, w * 0.97),
             (r * 0.82, w),
             (bead * 1.02, w * 0.86),
         ],
         "tyre",
-        sides=28,
+        sides=26,
         crease_deg=32,
     )
     dish = lathe(
@@ -253,10 +285,9 @@ def wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
             (bead * 0.94, w * 0.76),
             (bead * 1.01, w * 0.92),
             (bead * 1.045, w * 0.88),
-            (bead * 1.03, w * 0.76),
         ],
         "rim",
-        sides=28,
+        sides=26,
         crease_deg=35,
     )
     hub = lathe([(bead * 0.24, w * 0.45), (bead * 0.21, w * 0.66), (0.001, w * 0.70)], "rim", sides=10)
@@ -304,21 +335,17 @@ def covered(
 
 
 def bowl(field_: Field, x: float, z: float, radius: float) -> Part:
-    """A reflector of a headlamp behind its cover, open to the front."""
-    y = front_at(field_, x, z, 1)
-    profile = [(radius * 0.3, -0.035), (radius * 0.75, -0.022), (radius, 0.0), (radius * 1.08, 0.0)]
-    return lathe(profile, "chrome", sides=14, crease_deg=50).moved(shift(x, y - 0.012, z) @ turn(-90, "x"))
-
-
-def lens_on(field_: Field, x: float, z: float, radius: float, material: str, *, sign: int) -> Part:
-    """A lens that lies on the front (`sign` 1) or the back of a body, turned as its skin is there."""
-    before, after = (front_at(field_, x + dx, z, sign) for dx in (-0.04, 0.04))
-    yaw = np.rad2deg(np.arctan2(after - before, 0.08))
-    normal = sign * np.array([-np.sin(np.deg2rad(yaw)), np.cos(np.deg2rad(yaw))])
-    y = front_at(field_, x, z, sign)
-    return lens_disc(
-        (x + 0.012 * normal[0], y + 0.012 * normal[1], z), radius, material, back=sign < 0, yaw_deg=float(yaw)
-    )
+    """A reflector of a headlamp behind its cover, turned as the skin is there."""
+    e = 0.5 * radius
+    across = (front_at(field_, x + e, z, 1) - front_at(field_, x - e, z, 1)) / (2 * e)
+    upwards = (front_at(field_, x, z + e, 1) - front_at(field_, x, z - e, 1)) / (2 * e)
+    ahead = np.array([-across, 1.0, -upwards]) / np.sqrt(1 + across * across + upwards * upwards)
+    side = np.array([ahead[1], -ahead[0], 0.0]) / np.sqrt(ahead[0] ** 2 + ahead[1] ** 2)
+    place = np.eye(4)
+    place[:3, :3] = np.c_[side, np.cross(ahead, side), ahead]
+    place[:3, 3] = np.array([x, front_at(field_, x, z, 1), z]) - 0.014 * ahead
+    profile = [(radius * 0.3, -0.023), (radius * 0.75, -0.014), (radius, 0.0), (radius * 1.08, 0.0)]
+    return lathe(profile, "chrome", sides=10, crease_deg=50).moved(place)
 
 
 def mirror(sign: int) -> list[Part]:
@@ -403,10 +430,10 @@ def on_side(field_, sign: int, y: float, z: float) -> Array:
 
 def front_at(field_, x: float, z: float, sign: int) -> float:
     """The foremost (`sign` 1) or rearmost y [m] of a body at x and z."""
-    y = np.linspace(0, 3.2, 800)
+    y = np.linspace(0, 6.4, 800)
     f = field_(np.full(800, x), sign * y, np.full(800, z))
-    inside = np.nonzero(f < 0)[0]
-    return float(sign * y[inside[-1]])
+    last = np.nonzero(f < 0)[0][-1]
+    return float(sign * (y[last] + (y[last + 1] - y[last]) * f[last] / (f[last] - f[last + 1])))
 
 
 def top_at(field_, x: float, y: float) -> float:

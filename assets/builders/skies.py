@@ -37,6 +37,7 @@ SIZE = (512, 1024)
 
 ROWS = 640  # of a cloudy sky, twice as many columns
 FINER = 2  # rays per row: clouds near the horizon are much flatter than a row
+CRISP = 0.5  # edge of a layer below which its outlines are sharper than a pixel
 CAP_DEG = 20.0  # a sky is the standard sky on average over caps of about this radius
 AUREOLE_DEG = 15.0  # nearer to the sun the standard sky rises no more: a cloud hides it
 GLOW_DEG = 5.0  # by which the glow of a hidden sun falls to 1 / e
@@ -305,6 +306,8 @@ def paint(name: str, *, rows: int = ROWS, cells: int = CELLS) -> Array:
         seen, left = clouded(layer, light, a.astype(np.float32), h.astype(np.float32), f"{name} {index}", cells=cells)
         light = _in_front(light, seen)
     seen, left = (x.astype(np.float64).reshape(half, FINER, *x.shape[1:]).mean(axis=1) for x in (seen, left))
+    if min(layer.edge for layer in sky.layers) < CRISP:
+        seen, left = _softened(seen), _softened(left)
     height = height.reshape(half, FINER).mean(axis=1)
     a, h = np.meshgrid(azimuth, height)
     mean = _smooth(seen, h, a)
@@ -391,6 +394,12 @@ def _in_front(light: CloudLight, seen: Array) -> CloudLight:
     """The light on a lower layer: in the shade of the upper, which stands behind it."""
     mean = seen.mean(axis=(0, 1))
     return replace(light, sun=0 * light.sun, sky=mean, ground=0.1 * mean, behind=seen, horizon=seen)
+
+
+def _softened(picture: Array) -> Array:
+    """Edges over two pixels instead of none: a camera shows a pixel of a sky six pixels wide, and its corners."""
+    rows = ndimage.convolve1d(picture, (0.25, 0.5, 0.25), axis=0, mode="nearest")
+    return ndimage.convolve1d(rows, (0.25, 0.5, 0.25), axis=1, mode="wrap")
 
 
 def _smooth(light: Array, height: Array, azimuth: Array) -> Array:

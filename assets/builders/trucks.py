@@ -12,7 +12,18 @@ import numpy as np
 
 from assets.builders.bodywork import Body
 from assets.builders.cabins import DRIVERS, Point, dashboard, driver, lined, rows, seat, steering_wheel
-from assets.builders.coachwork import arches, cut_out, headlights, lamp_states, lens_disc, painted, plate, rect, wheels
+from assets.builders.coachwork import (
+    arches,
+    cut_out,
+    dusted,
+    headlights,
+    lamp_states,
+    lens_disc,
+    painted,
+    plate,
+    rect,
+    wheels,
+)
 from assets.builders.solids import Field, outline_distance, rounded, soft_max, surface
 from assets.builders.vehicles import build_car
 from synfog_usd.world.components import Component, Look
@@ -106,6 +117,7 @@ def _box_truck() -> Component:
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-2, 2, 0.4, 0.70), 1, 1, -2)
     skin = arches(skin, parts, (3.62,), 0.55, 0.78)
     axles = (-2.75, -1.45, 3.62)
+    skin = dusted(skin, parts, 0.70, (3.62,))
     parts += [skin, *wheels(axles, 0.50, 1.12, 0.30, 10)]
     parts += [
         soft_box((-1.25, -4.60, 1.12), (1.25, 2.42, 3.72), "frame_white", radius=0.06),
@@ -238,6 +250,7 @@ def _coach() -> Component:
     skin = cut_out(skin, parts, "glass_clear", (0, 2), rear, 1, -1, 0.5)
     skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-0.7, 0.7, 0.75, 1.25), 1, -1, 0.5)
     skin = arches(skin, parts, (-3.35, 3.55), 0.55, 0.92)
+    skin = dusted(skin, parts, 0.32, (-3.35, 3.55))
     parts += [skin, *wheels((-3.35, 3.55), 0.51, 1.14, 0.30, 10)]
     parts += [
         soft_box((-0.85, -2.6, 3.56), (0.85, 0.2, 3.76), "frame_white", radius=0.12),

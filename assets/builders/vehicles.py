@@ -23,13 +23,13 @@ from assets.builders.coachwork import (
     convex,
     covered,
     cut_out,
+    dusted,
     front_at,
     gap,
     grown,
     headlights,
     lamp_states,
     lens_disc,
-    lens_on,
     mirror,
     on_side,
     painted,
@@ -41,6 +41,7 @@ from assets.builders.coachwork import (
     top_at,
     wheels,
 )
+from assets.builders.faces import centre_lamp, front, tail_lamps
 from assets.builders.solids import Field, carve, outline_distance, prism, rounded, soft_max, surface
 from synfog_usd.world.components import Component
 from synfog_usd.world.lod import cleaned
@@ -405,6 +406,7 @@ def build_bus() -> Component:
             box((sign * 1.2 - 0.12, 5.85, 2.46), (sign * 1.2 + 0.16, 5.97, 2.54), "black_plastic"),
         ]
     skin = arches(skin, parts, (-3.0, 3.2), 0.49, 0.95)
+    skin = dusted(skin, parts, 0.30, (-3.0, 3.2))
     parts += [skin, *wheels((-3.0, 3.2), 0.48, 1.12, 0.28, 8)]
     parts.append(
         picture(
@@ -477,22 +479,57 @@ def build_lorry() -> Component:
     for sign in (-1, 1):
         skin = cut_out(skin, parts, "glass_clear", (1, 2), side, 0, sign, 0.5)
         skin = cut_out(skin, parts, "seam", (1, 2), rect(2.0, 2.012, 0.7, 2.3), 0, sign, 0.5)
-        skin = cut_out(skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.62, sign * 1.0)), 0.66, 0.88), 1, 1, 0.3)
+        lamp = [(sign * 0.58, 0.70), (sign * 0.66, 0.64), (sign * 1.03, 0.68), (sign * 1.03, 0.92), (sign * 0.94, 0.94)]
+        skin = covered(skin, parts, convex(lamp), 3.0, 0.03)
+        parts += [
+            bowl(cab, sign * x, z, r) for x, z, r in ((0.80, 0.77, 0.066), (0.66, 0.72, 0.035), (0.94, 0.85, 0.04))
+        ]
         parts.append(lens_disc((sign * 0.80, 3.615, 0.77), 0.056, "headlamp_lens"))
         parts += [
             box((sign * 1.22 - 0.1, 3.32, 1.5), (sign * 1.22 + 0.1, 3.42, 2.05), "black_plastic"),
             box((sign * 1.12 - 0.1, 3.3, 1.95), (sign * 1.12 + 0.1, 3.34, 1.99), "black_plastic"),
         ]
-        parts.append(lens_disc((sign * 1.0, -3.61, 0.95), 0.07, "tail_lens", back=True))
-        parts.append(box((sign * 1.0 - 0.15, -3.62, 0.85), (sign * 1.0 + 0.15, -3.55, 1.05), "tail_lamp"))
+        parts.append(lens_disc((sign * 1.0, -3.62, 0.95), 0.07, "tail_lens", back=True))
+        parts.append(box((sign * 1.0 - 0.15, -3.612, 0.85), (sign * 1.0 + 0.15, -3.55, 1.05), "tail_lamp"))
     skin = cut_out(skin, parts, "glass_clear", (0, 2), screen, 1, 1, 0.35)
-    skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-0.55, 0.55, 0.7, 1.2), 1, 1, 0.35)
-    skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-2, 2, 0.3, 0.6), 1, 1, -2)
+    mask = [(-1.02, 1.28), (1.02, 1.28), (0.90, 2.32), (-0.90, 2.32)]
+    skin = cut_out(skin, parts, "gloss_black", (0, 2), mask, 1, 1, 0.3)
+    for z, half, tall in ((1.16, 0.80, 0.055), (1.04, 0.76, 0.055), (0.90, 0.46, 0.09), (0.72, 0.46, 0.09)):
+        slot = convex(
+            [(x, z + dz) for x in (-half, half) for dz in (-tall / 2, tall / 2)] + [(-half - 0.03, z), (half + 0.03, z)]
+        )
+        skin = cut_out(skin, parts, "seam", (0, 2), slot, 1, 1, 0.35)
+    skin = gap(skin, parts, (0, 2), [(-1.2, 0.97), (1.2, 0.97)], 1, 1, 0.3, width=0.012)
+    skin = cut_out(skin, parts, "plastic_dusty", (0, 2), rect(-2, 2, 0.3, 0.6), 1, 1, -2)
+    parts.append(lens_disc((0, front_at(cab, 0.0, 1.10, 1) + 0.01, 1.10), 0.06, "chrome"))
+    for x, lean in ((-0.62, 0.46), (0.05, 0.46)):  # wipers at rest
+        feet = [(x + u * lean, front_at(cab, x + u * lean, z, 1) + 0.015, z) for u, z in ((0, 1.37), (1, 1.45))]
+        parts.append(tube(feet, 0.011, "black_plastic", sides=4))
+    deflector = [
+        np.array([(-half, y, z), (half, y, z)])
+        for half, y, z in ((0.88, 2.75, 2.45), (0.94, 2.30, 2.78), (0.98, 1.95, 3.02))
+    ]
+    parts.append(smooth_normals(strip(deflector, "paint"), 60))
+    for x in (-1, 1):
+        ends = [[line[(x + 1) // 2], [*line[(x + 1) // 2][:2], 2.43]] for line in deflector]
+        parts.append(strip([np.array(end) for end in ends], "paint"))
     skin = arches(skin, parts, (2.65,), 0.47, 0.75)
+    skin = dusted(skin, parts, 0.60, (2.65,))
     parts += [skin, *wheels((-1.9, 2.65), 0.44, 0.98, 0.27, 8)]
     parts += [
         soft_box((-1.15, -3.6, 0.95), (1.15, 1.65, 3.15), "frame_white", radius=0.05),
         box((-0.45, -3.5, 0.55), (0.45, 2.0, 0.95), "black_plastic"),
+        soft_box((-1.152, -3.602, 0.945), (1.152, 1.652, 1.01), "galvanised", radius=0.03, sides=2),
+        soft_box((-1.152, -3.602, 3.09), (1.152, 1.652, 3.15), "galvanised", radius=0.03, sides=2),
+        box((-0.006, -3.604, 0.98), (0.006, -3.59, 3.1), "seam"),
+    ]
+    parts += [
+        tube([(x, -3.605, 1.0), (x, -3.605, 3.1)], 0.012, "galvanised", sides=5) for x in (-0.62, -0.16, 0.16, 0.62)
+    ]
+    parts += [
+        box((sign * 1.14 - 0.022, y, 0.98), (sign * 1.14 + 0.022, y + 0.05, 3.12), "galvanised")
+        for sign in (-1, 1)
+        for y in (-3.60, 1.60)
     ]
     parts += [box((-1.1, -3.55, 0.5), (1.1, -3.45, 0.65), "black_plastic")]
     for sign in (-1, 1):
@@ -541,70 +578,23 @@ def build_car(body: Body) -> Component:
             skin = cut_out(skin, parts, "glass_car", (0, 2), rect(x0, x1, rz, sz), 1, -1, 0.5)
         skin = cut_out(skin, parts, "seam", (0, 2), rect(-0.006, 0.006, 0.45, 2.15), 1, -1, 0.5)
     skin = _shut_lines(skin, parts, body)
-    z = body.lamps_z
-    lens = []
-    for sign in (-1, 1):
-        lamp = [
-            (sign * half * 0.55, z - 0.030),
-            (sign * half * 0.62, z - 0.070),
-            (sign * half * 0.985, z - 0.035),
-            (sign * half * 0.99, z + 0.095),
-            (sign * half * 0.84, z + 0.070),
-            (sign * half * 0.56, z + 0.015),
-        ]
-        skin = covered(skin, parts, lamp if sign > 0 else lamp[::-1], y1 - 0.46, 0.045)
-        x = sign * half * 0.755
-        parts += [bowl(field_, x, z, 0.058), bowl(field_, sign * half * 0.655, z - 0.018, 0.034)]
-        lens.append((x, front_at(field_, x, z, 1) + 0.05, z))
-        parts.append(lens_on(field_, x, z, 0.052, "headlamp_lens", sign=1))
-        low, high = body.tail
-        tail = [
-            (sign * half * body.tail_inner, low + 0.03),
-            (sign * half * 0.99, low),
-            (sign * half * 0.99, high - 0.03),
-            (sign * half * 0.76, high),
-            (sign * half * 0.62, high - 0.05),
-        ]
-        skin = cut_out(
-            skin, parts, "tail_lamp", (0, 2), convex(tail if sign > 0 else tail[::-1]), 1, -1, -9, -y0 - 0.27
-        )
-        parts.append(lens_on(field_, sign * half * 0.76, (low + high) / 2, 0.055, "tail_lens", sign=-1))
-    grille = [
-        (-half * 0.40, z - 0.20),
-        (half * 0.40, z - 0.20),
-        (half * 0.47, z - 0.10),
-        (half * 0.50, z + 0.005),
-        (-half * 0.50, z + 0.005),
-        (-half * 0.47, z - 0.10),
-    ]
-    skin = cut_out(skin, parts, "gloss_black", (0, 2), grille, 1, 1, 0.3)
-    skin = cut_out(
-        skin, parts, "black_plastic", (0, 2), rect(-half * 0.72, half * 0.72, sill + 0.07, sill + 0.22), 1, 1, 0.3
-    )
-    skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-half * 0.78, half * 0.78, sill, sill + 0.17), 1, -1, 0.3)
+    skin, lens = front(skin, parts, body, field_)
+    skin = tail_lamps(skin, parts, body, field_)
+    skin = cut_out(skin, parts, "plastic_dusty", (0, 2), rect(-half * 0.78, half * 0.78, sill, sill + 0.17), 1, -1, 0.3)
     skin = cut_out(
         skin,
         parts,
-        "black_plastic",
+        "plastic_dusty",
         (1, 2),
         rect(y0 - 1, y1 + 1, 0, sill + (0.14 if body.cladding else 0.055)),
         0,
         0,
         -9,
     )
-    bar = np.array([front_at(field_, x, z - 0.05, 1) for x in np.linspace(-0.35, 0.35, 7)])
-    for dz in (0.0, -0.055, -0.11):
-        rail = np.c_[np.linspace(-0.35, 0.35, 7), bar + 0.004, np.full(7, z - 0.03 + dz)]
-        parts.append(strip([rail, rail + [0, 0.0, 0.016]], "chrome" if dz == 0 else "black_plastic"))
     rear_plate = body.tail[0] - 0.02 if body.rear_plate_z is None else body.rear_plate_z
-    plate_y = front_at(field_, 0.0, sill + 0.25, 1), front_at(field_, 0.0, rear_plate, -1)
-    parts += [
-        plate((0, plate_y[0] + 0.012, sill + 0.25), body.plate, front=True),
-        plate((0, plate_y[1] - 0.012, rear_plate), body.plate, front=False),
-    ]
-    for z_badge, sign in ((z - 0.045, 1), (body.tail[0] + 0.1, -1)):
-        y = front_at(field_, 0.0, z_badge, sign)
-        parts.append(lens_disc((0, y + 0.008 * sign, z_badge), 0.042, "chrome", back=sign < 0))
+    parts.append(plate((0, front_at(field_, 0.0, rear_plate, -1) - 0.012, rear_plate), body.plate, front=False))
+    z_badge = body.tail[0] + 0.1
+    parts.append(lens_disc((0, front_at(field_, 0.0, z_badge, -1) - 0.008, z_badge), 0.042, "chrome", back=True))
     if body.rails:
         for sign in (-1, 1):
             ys = np.linspace(-1.75, 0.05, 9)
@@ -624,14 +614,8 @@ def build_car(body: Body) -> Component:
                     50,
                 )
             )
-    y = front_at(field_, 0.0, sz + 0.005, -1)
-    third = [
-        (-0.12, y - 0.006, sz - 0.004),
-        (0.12, y - 0.006, sz - 0.004),
-        (0.12, y - 0.006, sz + 0.014),
-        (-0.12, y - 0.006, sz + 0.014),
-    ]
-    parts.append(quad(third, "brake_lens"))
+    parts += centre_lamp(field_, sz)
+    skin = dusted(skin, parts, sill, body.axles)
     parts += _cabin(body, field_)
     parts += [skin, *wheels(body.axles, body.wheel, half - 0.065, 0.205, body.spokes)]
     found = cleaned(parts)
@@ -729,7 +713,7 @@ def _cabin(body: Body, field_: Field) -> list[Part]:
         (-half - 0.1, -body.length / 2 - 0.1, min(z for _, z in body.side) - 0.1),
         (half + 0.1, fy + 0.12, body.height + 0.1),
     )
-    panels = list(lining(field_, low, high, step=0.07, triangles=500, roof_z=hz - 0.02))
+    panels = list(lining(field_, low, high, step=0.07, triangles=420, roof_z=hz - 0.02))
     inner: list[Part] = []  # what is cut out of the lining is thrown away
     top = 2 * body.wheel + ARCH_GAP_M
     for k, panel in enumerate(panels):

@@ -1,7 +1,7 @@
-"""Optional ops of the image signal processor: defects, noise, sharpness.
+"""Optional ops of the image signal processor: defects, noise, false colours, sharpness.
 
 `isp.defects` and `isp.denoise` stand right behind `isp.black_level`, where the noise
-is as the sensor made it; `isp.sharpen` stands behind `isp.gamma`.
+is as the sensor made it; `isp.false_colour` stands behind `isp.demosaic`, `isp.sharpen` behind `isp.gamma`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import cfa
-from synfog_usd.camera.isp import DISPLAY, SENSED, pattern_of
+from synfog_usd.camera.isp import DISPLAY, PICTURE, SENSED, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.colour import LUMINANCE
@@ -28,6 +28,12 @@ CROSS = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 LAMP_SIGMA = 4.0
 """From how many standard deviations on the light around a pixel says that it is no defect."""
+
+REACH_PX = (1, 2)
+"""How far off the neighbours are among which `isp.false_colour` takes medians, one after the other."""
+
+STRIP_PX = 64
+"""Rows that `isp.false_colour` treats at a time, so that they stay in a cache."""
 
 SPLINE = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
 """Cubic B-spline: the smoothing step of the starlet transform."""
@@ -132,6 +138,37 @@ def denoise(
     return image.with_pixels(pixels).with_metadata(denoise=strength)
 
 
+@OPS.op("isp.false_colour", takes=PICTURE, gives=PICTURE)
+def false_colour(image: Image) -> Image:
+    """Colours that stand in a pixel or two alone give way to those around: demosaicing makes them of fine detail.
+
+    R - G and B - G become medians of three, along columns and rows, of next neighbours, then of those two pixels off.
+    Green, which carries the detail, stays, and so does an edge between two colours, since a median keeps steps.
+    Coloured things of one or two pixels lose their colour.
+
+    Args:
+        image: picture behind `isp.demosaic`; one without R, G and B stays as it is.
+
+    Source: Freeman, "Median filter for reconstructing missing color samples", US patent 4 724 395 (1988).
+    """
+    if image.channels != ("R", "G", "B"):
+        return image
+    pixels = image.pixels.copy()
+    rim = sum(REACH_PX)
+    for top in range(0, image.height_px, STRIP_PX):
+        first = max(top - rim, 0)
+        rows = image.pixels[first : top + STRIP_PX + rim]
+        own = slice(top - first, top - first + STRIP_PX)
+        green = np.ascontiguousarray(rows[..., 1])
+        for channel in (0, 2):
+            difference = rows[..., channel] - green
+            for reach in REACH_PX:
+                for plane in (difference, difference.T):
+                    _median_of_three(plane, reach)
+            pixels[top : top + STRIP_PX, :, channel] = green[own] + difference[own]
+    return image.with_pixels(pixels)
+
+
 @OPS.op("isp.sharpen", takes=DISPLAY, gives=DISPLAY)
 def sharpen(
     image: Image,
@@ -180,6 +217,16 @@ def starlet_noise(levels: int) -> list[float]:
         found.append(float(np.sqrt((padded @ padded) ** 2 + (wide @ wide) ** 2 - 2.0 * (padded @ wide) ** 2)))
         narrow = wide
     return found
+
+
+def _median_of_three(plane: FloatArray, reach: int) -> None:
+    """Each row becomes the median of itself and the rows `reach` before and behind; those at the rims stay."""
+    if len(plane) <= 2 * reach:
+        return
+    before, here, behind = plane[: -2 * reach], plane[reach:-reach], plane[2 * reach :]
+    high = np.maximum(before, here)
+    np.minimum(high, behind, out=high)
+    plane[reach:-reach] = np.maximum(high, np.minimum(before, here))
 
 
 def _dilated(level: int) -> np.ndarray:

@@ -28,7 +28,10 @@ DARK_GLASS = {"glass_clear": "glass_car"}
 CLEAN_M = 0.005
 """How far cleaning may move a surface: half a pixel of a picture 640 wide at 6 m."""
 CLEAN_SHARES = (0.5, 0.6, 0.7, 0.8)
-CLEANED = ("paint", "gloss_black", "black_plastic", "seam", "cabin_dark", "cabin_grey", "headlamp", "tail_lamp")
+CLEANED = (
+    *("paint", "paint_dusty", "paint_dirty", "plastic_dusty", "gloss_black", "black_plastic", "seam"),
+    *("cabin_dark", "cabin_grey", "headlamp", "tail_lamp"),
+)
 """What is cut out of skins, all of it without pictures; wheels, seats and glass are not."""
 SKEW = 0.6
 """Cosine between a face and a normal below which there is a crease."""

@@ -79,7 +79,11 @@ PALETTE: dict[str, Material] = {
     "brake": Material((0.2, 0.19, 0.18), 0.45, 1.0),
     # a clear coat mirrors sky and houses; flakes below it shine softly, see FLAKES
     "paint": Material((0.3, 0.3, 0.3), 0.38, clearcoat=1.0),
+    # what the road throws up at it, see DUST
+    "paint_dusty": Material((0.288, 0.284, 0.28), 0.45, clearcoat=0.7),
+    "paint_dirty": Material((0.268, 0.258, 0.247), 0.6, clearcoat=0.3),
     "black_plastic": Material((0.02, 0.02, 0.021), 0.55),
+    "plastic_dusty": Material((0.055, 0.051, 0.046), 0.75),
     "gloss_black": Material((0.012, 0.012, 0.013), 0.08),
     "seam": Material((0.008, 0.008, 0.008), 0.7),
     # panes have two faces, and double glazing four: their index is that of one surface that sends back as much, 8 and
@@ -96,7 +100,7 @@ PALETTE: dict[str, Material] = {
     "chrome": Material((0.75, 0.76, 0.78), 0.12, 1.0),
     "lamp_glass": Material((0.02, 0.02, 0.02), 0.03, ior=2.83, opacity=0.3),
     "headlamp": Material((0.05, 0.052, 0.056), 0.3, 0.5),
-    "headlamp_lens": Material((0.34, 0.35, 0.37), 0.05, clearcoat=1.0),
+    "headlamp_lens": Material((0.15, 0.155, 0.165), 0.05, clearcoat=1.0),
     "tail_lamp": Material((0.17, 0.006, 0.006), 0.06, clearcoat=1.0),
     "tail_lens": Material((0.30, 0.010, 0.008), 0.06, clearcoat=1.0),
     "brake_lens": Material((0.30, 0.010, 0.008), 0.06, clearcoat=1.0),
@@ -234,6 +238,10 @@ PAINTS: dict[str, Colour] = {
 FLAKES: dict[str, float] = {"silver": 0.6, "grey": 0.5, "black": 0.4, "blue": 0.45, "green": 0.4, "sand": 0.5}
 """Share of a paint's ground that is flakes of metal."""
 
+DUST: dict[str, float] = {"paint_dusty": 0.12, "paint_dirty": 0.32}
+"""Share of a paint that dust of the road hides, by material."""
+DUST_COLOUR: Colour = (0.20, 0.17, 0.135)
+
 SPECTRA: dict[str, tuple[str, ...]] = {
     "asphalt": ("asphalt", "asphalt_lane"),
     "asphalt_new": ("asphalt_patch", "tar"),
@@ -255,6 +263,8 @@ SPECTRA: dict[str, tuple[str, ...]] = {
     "paint": (
         *(
             "paint",
+            "paint_dusty",
+            "paint_dirty",
             "livery",
             "taxi_sign",
             "marking",

@@ -7,7 +7,8 @@ import pytest
 
 from synfog_usd import camera, seeds
 from synfog_usd.camera import cfa
-from synfog_usd.camera.cleanup import defects, denoise, sharpen, starlet_noise
+from synfog_usd.camera.cleanup import defects, denoise, false_colour, sharpen, starlet_noise
+from synfog_usd.camera.demosaic import demosaic
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import make_graph
 from synfog_usd.image import Image, Quantity
@@ -215,6 +216,54 @@ def test_a_detail_of_another_colour_is_not_mixed_in():
 def test_small_pictures_are_denoised_too():
     for shape in ((1, 1), (2, 3), (5, 4)):
         assert np.isfinite(denoise(mosaic(frame(np.full(shape, 0.3), 8)), levels=5).pixels).all()
+
+
+# ---- false colours
+
+
+def picture(pixels) -> Image:
+    return Image(np.asarray(pixels, np.float32), ("R", "G", "B"), Quantity.LINEAR_RGB)
+
+
+def test_colour_differences_become_medians_as_scipy_takes_them():
+    """Over rows of a strip and of the next; within three pixels of the rim the order of the four passes shows."""
+    from scipy.ndimage import median_filter
+
+    pixels = seeds.stream(2, "false colour").random((140, 33, 3), dtype=np.float32)
+    out = false_colour(picture(pixels)).pixels
+    np.testing.assert_array_equal(out[..., 1], pixels[..., 1])
+    for channel in (0, 2):
+        expected = pixels[..., channel] - pixels[..., 1]
+        for reach in (1, 2):
+            for shape in ((2 * reach + 1, 1), (1, 2 * reach + 1)):
+                three = np.zeros(shape, dtype=bool)
+                three.flat[::reach] = True
+                expected = median_filter(expected, footprint=three)
+        inside = (slice(6, -6), slice(6, -6))
+        np.testing.assert_array_equal(out[..., channel][inside], (pixels[..., 1] + expected)[inside])
+
+
+def test_leaves_before_a_white_sky_lose_a_third_of_the_colour_that_demosaicing_gave_them():
+    """Grey leaves of one pixel, a fifth of the view: none of the colour is theirs, and of leaves so fine more
+    neighbours have it than not."""
+    leaves = seeds.stream(3, "leaves").random((120, 120)) < 0.2
+    demosaiced = demosaic(mosaic(np.where(leaves, 0.05, 1.0)))
+    before, after = (
+        np.abs(i.pixels[..., ::2] - i.pixels[..., 1:2]).mean() for i in (demosaiced, false_colour(demosaiced))
+    )
+    assert before > 0.1
+    assert after < 0.67 * before
+
+
+def test_an_edge_between_two_colours_and_a_picture_without_colours_stay():
+    pixels = np.full((20, 20, 3), (0.5, 0.1, 0.1), np.float32)
+    pixels[:, 9:] = (0.1, 0.3, 0.6)
+    np.testing.assert_allclose(false_colour(picture(pixels)).pixels, pixels, atol=1e-7)
+    grey = Image(pixels[..., :1], ("Y",), Quantity.LINEAR_RGB)
+    assert false_colour(grey) is grey
+    for shape in ((1, 1, 3), (2, 5, 3), (4, 2, 3)):
+        small = seeds.stream(4, *shape).random(shape, dtype=np.float32)
+        assert false_colour(picture(small)).pixels.shape == shape
 
 
 # ---- sharpen

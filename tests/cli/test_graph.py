@@ -205,7 +205,7 @@ def ran(done):
     assert done.returncode == 0, done.stderr
     lines = done.stderr.splitlines()
     head = next(index for index, line in enumerate(lines) if line.startswith("node "))
-    rows = [line.split() for line in lines[head + 2 : head + 23]]
+    rows = [line.split() for line in lines[head + 2 : head + 24]]
     assert all(row[-1] == "cached" or float(row[-1]) >= 0 for row in rows)
     return [row[0] for row in rows if row[-1] != "cached"]
 
@@ -213,17 +213,17 @@ def ran(done):
 def test_a_change_runs_what_follows_and_writes_the_bytes_of_a_run_without_cache(radiance, tmp_path, cache):
     """The user's cache folder is used unless another is named, or none is wanted."""
     arguments = ("run", PIPELINE, "--in", radiance)
-    assert len(ran(run(*arguments, "-o", tmp_path / "a"))) == 21 == len(list(cache.iterdir()))
+    assert len(ran(run(*arguments, "-o", tmp_path / "a"))) == 22 == len(list(cache.iterdir()))
     assert ran(run(*arguments, "-o", tmp_path / "a", "--set", "tone.shoulder=0.3")) == ["tone", "srgb"]
-    assert len(ran(run(*arguments, "-o", tmp_path / "b", "--set", "tone.shoulder=0.3", "--no-cache"))) == 21
+    assert len(ran(run(*arguments, "-o", tmp_path / "b", "--set", "tone.shoulder=0.3", "--no-cache"))) == 22
     assert (
         len(ran(run(*arguments, "-o", tmp_path / "c", "--cache", tmp_path / "own")))
-        == 21
+        == 22
         == len(list((tmp_path / "own").iterdir()))
     )
     for name in ("raw.dng", "srgb.png"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-    assert len(list(cache.iterdir())) == 23
+    assert len(list(cache.iterdir())) == 24
 
 
 def test_a_cache_that_cannot_be_made_stops_a_run_only_if_it_was_asked_for(radiance, tmp_path):
@@ -248,10 +248,10 @@ def test_until_takes_an_output_and_set_the_words_of_the_camera(radiance, tmp_pat
 def test_show_draws_with_and_without_milliseconds(radiance, tmp_path):
     assert run("show", PIPELINE, "--svg", tmp_path / "still.svg").returncode == 0
     assert run("show", PIPELINE, "--svg", tmp_path / "timed.svg", "--in", radiance).returncode == 0
-    for name, timed in (("still.svg", 0), ("timed.svg", 21)):
+    for name, timed in (("still.svg", 0), ("timed.svg", 22)):
         words = [item.text for item in ET.parse(tmp_path / name).iter("{http://www.w3.org/2000/svg}text")]
         assert sum(word.endswith(" ms") and ":" not in word for word in words) == timed
-    assert run("show", PIPELINE, "--mermaid", "--resolution", "64x36").stdout.count(" ms") == 21
+    assert run("show", PIPELINE, "--mermaid", "--resolution", "64x36").stdout.count(" ms") == 22
 
 
 def test_explain_prints_a_page_a_list_or_all():

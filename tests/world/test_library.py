@@ -412,6 +412,61 @@ def test_a_car_has_gaps_between_its_panels(name):
     assert 0.2 < right - left < 0.8  # the flap is 14 by 12 cm
 
 
+@pytest.mark.parametrize("name", POWERED)
+def test_nothing_of_a_vehicle_stands_before_its_lenses(name):
+    """From the middle of every triangle of a lens a ray straight ahead, or straight back, meets nothing."""
+    parts = meshes(shown(name))
+    triangles = np.concatenate([p.points[p.faces] for p in parts.values()])
+    for lens, ahead in (("headlamp_lens", 1.0), ("tail_lens", -1.0), ("brake_lens", -1.0)):
+        if lens in parts:
+            middles = parts[lens].points[parts[lens].faces].mean(axis=1)
+            for at in middles[:: 1 + len(middles) // 40]:
+                assert first_hit(at, np.array([0.0, ahead, 0.0]), triangles) == np.inf, (lens, at)
+
+
+def test_no_two_cars_have_one_face():
+    """Areas of grilles and of lamps in 24 columns of the front: any two cars differ by 15 % of what either shows."""
+    cars = [m.name for m in of_group("vehicle") if m.label == "car"]
+    faces = {}
+    for name in cars:
+        parts = meshes(shown(name))
+        paint = parts["paint"].points
+        half, top = np.abs(paint[:, 0]).max(), 0.62 * paint[:, 2].max()
+        columns = np.zeros((2, 24))
+        for row, kinds in enumerate((("seam", "gloss_black", "chrome"), ("headlamp",))):
+            for part in (parts[kind] for kind in kinds):
+                corners = part.points[part.faces]
+                front = (corners[..., 1].mean(axis=1) > 0.8 * paint[:, 1].max()) & (corners[..., 2].max(axis=1) < top)
+                area = np.abs(np.cross(*np.diff(corners[front], axis=1).swapaxes(0, 1))[:, 1]) / 2
+                where = np.clip((corners[front][..., 0].mean(axis=1) / half + 1) * 12, 0, 23).astype(int)
+                columns[row] += np.bincount(where, area / (half * top), minlength=24)
+        faces[name] = columns
+    for one, other in itertools.combinations(cars, 2):
+        a, b = faces[one], faces[other]
+        assert np.abs(a - b).sum() > 0.15 * (a.sum() + b.sum()), (one, other)
+
+
+@pytest.mark.parametrize("name", [n for n in POWERED if n != "motorcyclist"])
+def test_paint_is_dusty_near_the_road(name):
+    """Dirtier is lower; of any colour dust makes black paint lighter, white paint darker, and both duller."""
+    parts = meshes(shown(name))
+    heights = [parts[mesh].points[:, 2].mean() for mesh in ("paint_dirty", "paint_dusty", "paint")]
+    assert heights == sorted(heights)
+    for paint in library()[name].variants["paint"]:
+        stage = shown(name, paint=paint)
+        inputs = [
+            UsdShade.Shader(stage.GetPrimAtPath(f"/Model/Materials/{m}/Surface"))
+            for m in ("paint", "paint_dusty", "paint_dirty")
+        ]
+        colours = [np.array(shader.GetInput("diffuseColor").Get()) for shader in inputs]
+        dust = np.array([0.20, 0.17, 0.135])
+        away = [np.abs(colour - dust).sum() for colour in colours]
+        assert away == sorted(away, reverse=True)
+        for key, rising in (("roughness", True), ("clearcoat", False)):
+            values = [shader.GetInput(key).Get() for shader in inputs]
+            assert values == sorted(values, reverse=not rising) and len(set(values)) == 3
+
+
 def test_paint_is_a_clear_coat_over_a_ground_with_flakes():
     for paint, flakes in (("white", 0.0), ("silver", 0.6)):
         stage = shown("saloon", paint=paint)

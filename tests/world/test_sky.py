@@ -206,6 +206,19 @@ def test_a_shipped_sky_has_no_seam_no_pinch_and_no_sun(name):
     assert Y.max() < 12 * Y.mean() and Y.max() < 60_000
 
 
+@pytest.mark.parametrize("name", ["broken_noon", "broken_afternoon", "evening_cumulus"])
+def test_outlines_of_cumulus_are_no_steps_of_a_pixel(name):
+    """Of a large step up or down over four pixels no more than 70 % lie between two of them, at three places of four;
+    a camera enlarges a pixel of a sky sixfold.
+    """
+    Y = picture(name)[0][60:280] @ REC709
+    rise = np.abs(Y[:, 3:] - Y[:, :-3])
+    single = np.max([np.abs(Y[:, k + 1 : Y.shape[1] - 2 + k] - Y[:, k : Y.shape[1] - 3 + k]) for k in range(3)], axis=0)
+    large = rise > 0.5 * Y.mean()
+    assert large.sum() > 500
+    assert np.percentile(single[large] / rise[large], 75) < 0.7
+
+
 def test_clouds_are_no_noise():
     """Where there are gaps, cloud and sky differ in colour; structures near the horizon are flatter than overhead."""
     pixels, _ = picture("broken_noon")
