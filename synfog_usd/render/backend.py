@@ -20,6 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
+from synfog_usd import system
 from synfog_usd.errors import BackendError
 
 VariantName = Literal["auto", "cuda", "llvm", "scalar"]
@@ -203,11 +204,12 @@ def start(choice: VariantName = "auto") -> Backend:
 
 
 def let_go() -> None:
-    """Give back the memory that Dr.Jit keeps for later arrays."""
+    """Give back the memory that Dr.Jit keeps for later arrays, and what the C library keeps."""
     if not is_scalar():
         import drjit as dr
 
         dr.flush_malloc_cache()
+    system.give_back()
 
 
 def mitsuba() -> Any:

@@ -304,7 +304,6 @@ def sample(
         )
     else:
         accumulated = accumulate_to_target(integrator, target=target, seed=seed, now=now, progress=progress)
-    backend.let_go()
     names = tuple(getattr(integrator, "group_names", ()))
     names = names if len(names) > 1 else ()
     shares = list[tuple[str, dict[str, np.ndarray]]]()
@@ -312,6 +311,8 @@ def sample(
         for name in names:
             lights = {of: light.reshape(shape) for of, light in accumulated.take_group().items()}
             shares.append((name, denoising.coarse(lights)))
+            del lights
+    backend.let_go()
     if cleaning:
         cleaning.see(accumulated)
     seen = aovs.measure(loaded) if clear is None else aovs.seen_through(loaded, clear)
