@@ -180,8 +180,8 @@ def error_of(noisy: Array, done: Array) -> Error:
     Args:
         noisy, done: (2, H, W) luminance of the halves before and after.
 
-    Measured, told over true RMS error, nine bench stages and two shots of the crossing, 64x36, four seeds: 0.85 to
-    1.42 at 4 samples, 0.85 to 1.31 at 8, 0.88 to 1.24 at 32; see `tests/render/test_denoise.py`.
+    Measured, told over true RMS error, nine bench stages and two shots of the crossing, 64x36, four seeds: 0.82 to
+    1.41 at 4 samples, 0.81 to 1.45 at 8, 0.91 to 1.32 at 32; see `tests/render/test_denoise.py`.
     """
     picture = done.mean(axis=0)
     mean = float(np.abs(picture).mean(dtype=np.float64))

@@ -37,7 +37,7 @@ to seed 3 to 7 times.
 FIRST = 8
 """Samples of the first round of a picture that is to be denoised: four in each half.
 
-With eight, the error is told 0.85 to 1.31 times the true one on bench stages and the crossing; with four, 0.85 to 1.42
+With eight, the error is told 0.81 to 1.45 times the true one on bench stages and the crossing; with four, 0.82 to 1.41
 times, and they cost nearly the same.
 """
 
