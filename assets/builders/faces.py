@@ -156,7 +156,7 @@ FACES = {
     "offroader": Face(
         openings=(
             Opening(wide(0.82, 1.06, 0.48, 0.50), -7, "chrome", rim="galvanised", corner=0.05),
-            Opening(wide(0.20, 0.44, 0.66, 0.58), 2, "black_plastic"),
+            Opening(wide(0.20, 0.44, 0.66, 0.58), 2),
             Opening(wide(0.0, 0.13, 0.42, 0.50), deep=0.0, ground="galvanised"),
             Opening([(0.74, 0.34), (0.84, 0.34), (0.84, 0.46), (0.74, 0.46)], both=True),
         ),
