@@ -201,17 +201,25 @@ def free_memory() -> int:
     with contextlib.suppress(OSError, ValueError, IndexError):
         rows = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines())
         found.append(1024 * int(rows.get("MemAvailable", "").split()[0]))
-    with contextlib.suppress(OSError, ValueError):  # of a container
-        most, used = (
-            int(Path("/sys/fs/cgroup", f"memory.{what}").read_text(encoding="ascii")) for what in ("max", "current")
-        )
-        found.append(max(most - used, 0))
+    with contextlib.suppress(OSError, ValueError):
+        found.append(_free_in_container(Path("/sys/fs/cgroup")))
     if not found:
         with contextlib.suppress(ImportError):
             import psutil
 
             found.append(int(psutil.virtual_memory().available))
     return min(found, default=0)
+
+
+def _free_in_container(folder: Path) -> int:
+    """Bytes that a control group has left; what it keeps of files counts as free, since it gives that back.
+
+    Raises:
+        OSError, ValueError: there is no limit.
+    """
+    most, used = (int((folder / f"memory.{what}").read_text(encoding="ascii")) for what in ("max", "current"))
+    rows = dict(line.split() for line in (folder / "memory.stat").read_text(encoding="ascii").splitlines())
+    return max(most - used + sum(int(rows.get(name, 0)) for name in ("active_file", "inactive_file")), 0)
 
 
 def _memory() -> int:

@@ -199,3 +199,23 @@ def test_variants_that_differ_by_case_alone_are_refused():
     with pytest.raises(ParameterError, match=r"authored/Dense and authored/dense differ by case"):
         shots(plan, {"fog": ["Dense", "dense"]})
     assert len(shots(BakePlan(Path("a.usda"), Path("out"), fog=("dense",)), {"fog": ["Dense", "dense"]})) == 1
+
+
+def test_files_that_a_container_keeps_do_not_count_as_used(tmp_path):
+    """A limit of 8 GB, 7 GB in use, 5 of them pages of files: 6 are free.  Without a limit there is no number."""
+    for name, text in (
+        ("memory.max", "8000000000\n"),
+        ("memory.current", "7000000000\n"),
+        ("memory.stat", "anon 2000000000\nfile 5500000000\nshmem 500000000\nactive_file 1000000000\n"),
+    ):
+        (tmp_path / name).write_text(text, encoding="ascii")
+    with (tmp_path / "memory.stat").open("a", encoding="ascii") as file:
+        file.write("inactive_file 4000000000\n")
+    assert system._free_in_container(tmp_path) == 6_000_000_000
+    (tmp_path / "memory.max").write_text("max\n", encoding="ascii")
+    with pytest.raises(ValueError, match="max"):
+        system._free_in_container(tmp_path)
+
+
+def test_this_machine_has_some_memory_free():
+    assert 1e7 < system.free_memory() < 1e15
