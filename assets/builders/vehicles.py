@@ -490,7 +490,7 @@ def build_lorry() -> Component:
             box((sign * 1.12 - 0.1, 3.3, 1.95), (sign * 1.12 + 0.1, 3.34, 1.99), "black_plastic"),
         ]
         parts.append(lens_disc((sign * 1.0, -3.62, 0.95), 0.07, "tail_lens", back=True))
-        parts.append(box((sign * 1.0 - 0.15, -3.612, 0.85), (sign * 1.0 + 0.15, -3.55, 1.05), "tail_lamp"))
+        parts.append(box((sign * 1.0 - 0.148, -3.612, 0.85), (sign * 1.0 + 0.148, -3.54, 1.05), "tail_lamp"))
     skin = cut_out(skin, parts, "glass_clear", (0, 2), screen, 1, 1, 0.35)
     mask = [(-1.02, 1.28), (1.02, 1.28), (0.90, 2.32), (-0.90, 2.32)]
     skin = cut_out(skin, parts, "gloss_black", (0, 2), mask, 1, 1, 0.3)
@@ -517,7 +517,7 @@ def build_lorry() -> Component:
     skin = dusted(skin, parts, 0.60, (2.65,))
     parts += [skin, *wheels((-1.9, 2.65), 0.44, 0.98, 0.27, 8)]
     parts += [
-        soft_box((-1.15, -3.6, 0.95), (1.15, 1.65, 3.15), "frame_white", radius=0.05),
+        soft_box((-1.15, -3.6, 0.952), (1.15, 1.65, 3.147), "frame_white", radius=0.05),
         box((-0.45, -3.5, 0.55), (0.45, 2.0, 0.95), "black_plastic"),
         soft_box((-1.152, -3.602, 0.945), (1.152, 1.652, 1.01), "galvanised", radius=0.03, sides=2),
         soft_box((-1.152, -3.602, 3.09), (1.152, 1.652, 3.15), "galvanised", radius=0.03, sides=2),

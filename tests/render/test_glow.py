@@ -154,7 +154,7 @@ def test_the_picture_is_the_sum_of_its_aovs_and_repeats():
     one, two, other = (model.accumulate(samples=16, seed=seed) for seed in (1, 1, 2))
     assert one.mean().tobytes() == two.mean().tobytes() != other.mean().tobytes()
     aovs = [one.aov(name) for name in ("surface", "airlight_single", "airlight_multiple")]
-    np.testing.assert_allclose(sum(aovs), one.mean(), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(sum(aovs), one.mean(), rtol=1e-6)  # sums are float32
     table = one.estimators[PART]
     assert (
         np.median(np.sqrt(table.variance()[:, 0]) / table.mean()[:, 0]) < 0.05
