@@ -13,6 +13,7 @@ from synfog_usd.exports import gallery, stats
 from synfog_usd.exports.frames import pictures
 from synfog_usd.exports.record import EXPORTERS, exporter
 from synfog_usd.exports.run import export
+from synfog_usd.study.pages import scenes
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 
@@ -114,6 +115,20 @@ def test_the_gallery_has_a_row_for_each_picture_and_a_view_for_each_scene(out, t
         with Picture.open(tmp_path / "thumbs" / "000" / f"{number}.jpg") as thumb:
             assert max(thumb.size) <= gallery.THUMB_PX
     assert np.sum([path.suffix == ".js" for path in (tmp_path / "data" / "views" / "000").iterdir()]) == 2
+
+
+def test_a_sheet_has_a_tile_for_each_scene(out, tmp_path):
+    """The last picture of both scenes side by side, made smaller."""
+    assert scenes.sheet(out, tmp_path / "sheet.jpg") == 2
+    with Picture.open(tmp_path / "sheet.jpg") as sheet:
+        found = np.asarray(sheet.convert("RGB"), float)
+    width, height = scenes.TILE_PX
+    for place, unit in enumerate(("000/000000", "001/001001")):
+        with Picture.open(out / "scenes" / unit / "sky" / "sky" / "mor50" / "srgb.png") as picture:
+            wanted = np.asarray(picture.resize(scenes.TILE_PX), float)
+        left = scenes.GAP_PX + place * (width + scenes.GAP_PX)
+        tile = found[scenes.GAP_PX :, left:][:height, :width]
+        assert abs(tile.mean() - wanted.mean()) < 1.0 and np.corrcoef(tile.ravel(), wanted.ravel())[0, 1] > 0.9
 
 
 def test_radiance_that_pipelines_share_is_read_and_counted_once(out, baked):
