@@ -220,13 +220,14 @@ def binned(image: Array, step: int) -> Array:
 
 
 def spread(coarse: Array, step: int, shape: tuple[int, ...]) -> Array:
-    """(H, W, C) of what was binned, linear between the squares' centres."""
-    from scipy import ndimage
-
-    if step == 1:
-        return coarse
-    fine = np.repeat(np.repeat(coarse, step, axis=0), step, axis=1)
-    return ndimage.uniform_filter(fine, (step, step, 1), mode="nearest")[: shape[0], : shape[1]]
+    """(H, W, C) of what was binned, linear between the squares' centres, and even beyond the last of them."""
+    for axis, length in enumerate(shape[:2] if step > 1 else ()):
+        place = np.clip((np.arange(length) + 0.5) / step - 0.5, 0.0, coarse.shape[axis] - 1.0)
+        before = place.astype(np.intp)
+        after = np.minimum(before + 1, coarse.shape[axis] - 1)
+        share = (place - before).astype(np.float32).reshape(-1, *(1,) * (coarse.ndim - 1 - axis))
+        coarse = (1.0 - share) * coarse.take(before, axis) + share * coarse.take(after, axis)
+    return coarse
 
 
 def _blurred(image: Array, sigma: float) -> Array:

@@ -164,6 +164,18 @@ def test_blurs_by_way_of_larger_pixels_keep_the_mean_and_the_size():
     )
 
 
+@pytest.mark.parametrize("step", [2, 4, 16])
+def test_what_was_binned_and_spread_lies_where_it_lay(step):
+    """A slope, 2 x + 3 y, comes back as it was but for half a square at the border and squares that lie over it: no
+    part of a pixel aside.
+    """
+    y, x = np.mgrid[:71, :93].astype(np.float32)
+    slope = (2.0 * x + 3.0 * y)[..., None]
+    inside = slice(step // 2, -(step + step // 2))
+    found = dualbuffer.spread(dualbuffer.binned(slope, step), step, slope.shape)
+    np.testing.assert_allclose(found[inside, inside], slope[inside, inside], atol=1e-3)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_two_bright_samples_that_meet_in_a_pixel_hardly_come_back(seed):
     """By chance both halves hold a sample of 30 and 50 times the light in the same pixel, as among 10^5 pixels it
