@@ -28,7 +28,7 @@ from synfog_usd.arrays import FloatArray
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend, dualbuffer
-from synfog_usd.render.film.accumulator import DIRECT, HALVES
+from synfog_usd.render.film.accumulator import DIRECT, HALVES, SHARE_PX
 from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Medium, unsupported_fog
@@ -83,11 +83,6 @@ FEW_RAYS = 16
 MEMORY_MB = 700
 """What Open Image Denoise may take: it works in tiles, to the same bytes.  At 1920x1080 0.7 instead of 1.4 GB, for 1.4
 times the time; 400 MB would take twice as long.
-"""
-
-SHARE_PX = 2
-"""Side of the squares in which light groups are denoised: crossing at dusk, MOR 150, 320x180, 4 samples: the same error
-to 3 % for a third of the time; raw groups err 2.3 times as much.
 """
 
 LANES = 1 << 19
@@ -233,15 +228,8 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: b
     return {name: clean(name, image) for name, image in images.items()}
 
 
-def coarse(lights: Mapping[str, npt.NDArray[Any]]) -> dict[str, FloatArray]:
-    """What the samples found of a light group, (H, W, C) by component or estimator, in squares of `SHARE_PX`, but for
-    `NOISELESS`: at full size the groups of a large frame fill memory.
-    """
-    return {name: light if name in NOISELESS else dualbuffer.binned(light, SHARE_PX) for name, light in lights.items()}
-
-
 def fine(lights: Mapping[str, FloatArray], shape: tuple[int, ...]) -> FloatArray:
-    """(H, W, C) all light of what `coarse` gave; its squares show."""
+    """(H, W, C) all light of a group, whose squares show; arguments as `divide` takes them."""
 
     def whole(light: FloatArray) -> FloatArray:
         return np.repeat(np.repeat(light, SHARE_PX, axis=0), SHARE_PX, axis=1)[: shape[0], : shape[1]]
@@ -261,7 +249,8 @@ def divide(
 
     Args:
         components: of the picture, as `denoise_halves` gives them.
-        groups: name of each and what the samples found of it, see `coarse`.
+        groups: name of each and what the samples found of it, (h, w, C) by component or estimator in squares of
+            `SHARE_PX`, but (H, W, C) for `NOISELESS`: at full size the groups of a large frame fill memory.
         guides: see `guides`.
         quick: with Open Image Denoise's smaller networks, see `FEW`.
 

@@ -25,8 +25,10 @@ from synfog_usd.render.film.accumulator import (
     HALVES,
     INSCATTERED,
     LAMPS,
+    SHARE_PX,
     SURFACE,
     Accumulator,
+    Squares,
 )
 from synfog_usd.render.integrators.path import LENS_M, FogPath
 from synfog_usd.render.lights.rows import is_sampled_light
@@ -156,13 +158,12 @@ def picture_bytes(scene: SceneDict, settings: Settings) -> int:
     parts, groups = sum(len(AOVS[name]) for name in estimators), len(set(scene.group_of.values()))
     groups = groups if groups > 1 else 0
     kept = HALVES * channels * parts + 3 * len(estimators)
-    sampled = kept + channels * len(estimators) * (1 + groups)
-    made = kept + SEEN_FLOATS + channels * (1 + parts + groups)
+    in_squares = len(estimators) - (DIRECT in estimators) if settings.denoise else 0
+    lit = channels * groups * (len(estimators) - in_squares + in_squares / SHARE_PX**2)
+    sampled = kept + channels * len(estimators) + lit
+    made = kept + SEEN_FLOATS + channels * (1 + parts + groups) + lit
     if settings.denoise:
         made += CLEANING_FLOATS + 4 * HALVES * channels
-        made += channels * groups * (len(estimators) - 1) / denoising.SHARE_PX**2
-    else:
-        made += channels * groups * len(estimators)
     width, height = settings.size or (scene.camera.width_px, scene.camera.height_px)
     return round(4 * width * height * max(sampled, made))
 
@@ -308,10 +309,12 @@ def sample(
     names = names if len(names) > 1 else ()
     shares = list[tuple[str, dict[str, np.ndarray]]]()
     if cleaning and accumulated.component_halves(*shape[:2]):
+        cut = Squares(camera.width_px, camera.height_px)
         for name in names:
-            lights = {of: light.reshape(shape) for of, light in accumulated.take_group().items()}
-            shares.append((name, denoising.coarse(lights)))
-            del lights
+            lights = accumulated.take_group(cut)
+            for of, light in lights.items():
+                lights[of] = light.reshape(*(shape[:2] if of == DIRECT else cut.shape), -1)
+            shares.append((name, lights))
     backend.let_go()
     if cleaning:
         cleaning.see(accumulated)

@@ -320,6 +320,35 @@ def test_samples_that_are_added_in_parts_are_those_of_all_at_once():
         assert (estimator.counts == 32).all() and (estimator.lanes == 2 * 4).all()  # a half: 4, 10, 2, then 16
 
 
+def test_light_groups_of_what_will_be_denoised_are_kept_in_squares_of_two_pixels():
+    """They are the means of the pixels' own light by the same samples, at a border of one odd row and column too; what
+    the eye sees of lamps stays pixel by pixel.
+    """
+    world = lamps_in_fog(0.87, BOX)
+    width, height = 15, 9
+    shining = [key for key, part in world.world.items() if key.startswith("light_") or "emitter" in part]
+    world = replace(world, group_of=dict(zip(shining, "abc" * len(shining), strict=False)))
+    integrator = models.make("path", load(world, size=(width, height), boundaries=False))
+    whole, cut = (
+        accumulator.accumulate_by_estimator(integrator, samples=4, seed=5, denoised=denoised)
+        for denoised in (False, True)
+    )
+    counts = {name: estimator.counts.sum(axis=0)[0] for name, estimator in cut.estimators.items()}
+    assert counts[accumulator.SURFACE] == 4
+    for _ in range(integrator.groups):
+        fine, coarse = whole.take_group(), cut.take_group(accumulator.Squares(width, height))
+        np.testing.assert_allclose(coarse[accumulator.DIRECT], fine[accumulator.DIRECT], rtol=1e-6)
+        for name in (accumulator.SURFACE, accumulator.LAMPS):  # of the air fewer samples are taken
+            pixels = fine[name].reshape(height, width, 3)
+            wanted = [
+                pixels[row : row + 2, column : column + 2].mean(axis=(0, 1), dtype=np.float64)
+                for row in range(0, height, 2)
+                for column in range(0, width, 2)
+            ]
+            np.testing.assert_allclose(coarse[name], wanted, rtol=1e-5, atol=1e-7)
+    assert not whole.estimators[accumulator.SURFACE].groups and not cut.estimators[accumulator.SURFACE].groups
+
+
 @pytest.mark.parametrize("lit", [False, True])
 def test_what_memory_a_picture_is_said_to_take_is_more_than_what_is_kept_of_its_samples(lit):
     """Counted in the arrays themselves, with three light groups and without; denoising and writing take as much again,
@@ -330,7 +359,7 @@ def test_what_memory_a_picture_is_said_to_take_is_more_than_what_is_kept_of_its_
         shining = [key for key, part in world.world.items() if key.startswith("light_") or "emitter" in part]
         world = replace(world, group_of=dict(zip(shining, "abc" * len(shining), strict=False)))
     pixels = world.camera.width_px * world.camera.height_px
-    kept = accumulator.new_accumulator(models.make("path", load(world, boundaries=False)), pixels)
+    kept = accumulator.new_accumulator(models.make("path", load(world, boundaries=False)), pixels, denoised=True)
     held = sum(
         array.nbytes
         for part in kept.estimators.values()

@@ -79,6 +79,44 @@ and 13 %.
 """
 
 
+SHARE_PX = 2
+"""Side of the squares in which light groups are kept and denoised: crossing at dusk, MOR 150, 320x180, 4 samples: the
+same error to 3 % for a third of the time; raw groups err 2.3 times as much.
+"""
+
+
+@dataclass(frozen=True)
+class Squares:
+    """A picture cut into squares of `SHARE_PX`, those at its right and lower border smaller; numbered as pixels are.
+
+    Attributes:
+        width, height: of the picture [px].
+    """
+
+    width: int
+    height: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of squares."""
+        return -(-self.height // SHARE_PX), -(-self.width // SHARE_PX)
+
+    def add(self, target: Array, pixels: Indices, values: Array) -> None:
+        """Add (N, C) values of pixels (N,) to the sums (S, C) of their squares."""
+        squares = pixels // self.width // SHARE_PX * self.shape[1] + pixels % self.width // SHARE_PX
+        low = int(squares.min(initial=0))
+        squares -= low
+        for channel in range(values.shape[1]):
+            sums = np.bincount(squares, weights=values[:, channel])
+            target[low : low + len(sums), channel] += sums.astype(target.dtype)
+
+    def sums(self, values: Array) -> Array:
+        """(S, C) of values (P, C) of all pixels."""
+        found = np.zeros((math.prod(self.shape), values.shape[1]), dtype=values.dtype)
+        self.add(found, np.arange(len(values)), values)
+        return found
+
+
 @dataclass(frozen=True)
 class Moments:
     """Sums over the paths of each lane.
@@ -137,9 +175,10 @@ class Estimator:
         aovs: name -> (H, P, C) sum of the samples in each half; H is 1 where they are not kept apart.
         squares: (P, C) sum over lanes of the square of their sum, over their samples; a lane is one sample where
             samples are independent one by one.
-        groups: G sums (P, C) by light group.
+        groups: G sums (P, C) by light group; (S, C) in squares.
         counts: (H, P) samples of each half of each pixel.
         lanes: (P,) of each pixel; None where they are as many as the samples.
+        cut: the squares in which groups are kept, or None.
     """
 
     aovs: dict[str, Array]
@@ -147,6 +186,7 @@ class Estimator:
     groups: list[Array]
     counts: Indices
     lanes: Indices | None = None
+    cut: Squares | None = None
 
     def number(self) -> Array:
         """(P, 1) samples, 1 at least, as the type of `squares`."""
@@ -159,6 +199,15 @@ class Estimator:
     def mean(self) -> Array:
         """(P, C)."""
         return sum(self.total(name) for name in self.aovs) / self.number()
+
+    def take_group(self, cut: Squares | None) -> Array:
+        """Mean of the first light group that is left, (P, C), or (S, C) where it is kept or asked for in squares; its
+        sums are let go.
+        """
+        sums, number = self.groups.pop(0), self.number()
+        if cut and not self.cut:
+            sums = cut.sums(sums)
+        return np.asarray(sums / (cut.sums(number) if cut else number))
 
     def variance(self) -> Array:
         """(P, C) variance of the mean; infinite with fewer than two samples.
@@ -253,9 +302,16 @@ class Accumulator:
             estimator.aovs.pop(name, None)
         return mean
 
-    def take_group(self) -> dict[str, Array]:
-        """(P, C) mean of the first light group that is left, by estimator; its sums are let go."""
-        return {name: estimator.groups.pop(0) / estimator.number() for name, estimator in self.estimators.items()}
+    def take_group(self, cut: Squares | None = None) -> dict[str, Array]:
+        """Mean of the first light group that is left, by estimator; its sums are let go.
+
+        Args:
+            cut: squares in which it is wanted, (S, C), as it must be where it is kept in them; what needs no denoising,
+                DIRECT, is (P, C) all the same.
+        """
+        return {
+            name: estimator.take_group(None if name == DIRECT else cut) for name, estimator in self.estimators.items()
+        }
 
     @property
     def samples(self) -> int:
@@ -313,11 +369,12 @@ def accumulate_by_estimator(
         samples: paths per pixel, >= 2 (one has no variance), on the average of the estimators, weighted by what they
             cost: more of the one that is noisier.
         seed: of this image; the same gives the same numbers in the same variant.
-        denoised: whether it will be, see `SMOOTH`; then few samples are the most that an estimator gets.
+        denoised: whether it will be, see `SMOOTH`; then few samples are the most that an estimator gets, and light
+            groups are kept in squares.
         progress: told after each pass.
     """
     pixels = integrator.loaded.source.camera.width_px * integrator.loaded.source.camera.height_px
-    accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
+    accumulated, everywhere = new_accumulator(integrator, pixels, denoised=denoised), np.arange(pixels)
     if samples < 3 * CHUNK or len(integrator.estimators) == 1:
         add_samples(accumulated, integrator, everywhere, accumulated.even(samples, denoised=denoised), seed, progress)
         return accumulated
@@ -382,22 +439,28 @@ def neyman_allocation(accumulated: Accumulator, samples: int, *, denoised: bool 
     return {name: max(CHUNK, round(unit * value / CHUNK) * CHUNK) for name, value in weight.items()}
 
 
-def new_accumulator(integrator: Traces, pixels: int) -> Accumulator:
+def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) -> Accumulator:
     """An image of no samples yet.
 
     Sums are in float32, which holds 10^4 chunks to 1e-5 in half the memory; so a standard error below 3e-4 of the light
     is not resolved.
+
+    Args:
+        denoised: whether it will be: then light groups are kept in squares, but for those of DIRECT.
     """
     groups, bands = integrator.groups if integrator.groups > 1 else 0, integrator.bands
-    shape = (pixels, bands.count)
+    shape, camera = (pixels, bands.count), integrator.loaded.source.camera
 
     def empty(estimator: str) -> Estimator:
+        cut = Squares(camera.width_px, camera.height_px) if denoised and groups and estimator != DIRECT else None
+        lit = (math.prod(cut.shape), bands.count) if cut else shape
         return Estimator(
             {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]},
             np.zeros(shape, dtype=np.float32),
-            [np.zeros(shape, dtype=np.float32) for _ in range(groups)],
+            [np.zeros(lit, dtype=np.float32) for _ in range(groups)],
             np.zeros((HALVES, pixels), dtype=np.int32),
             np.zeros(pixels, dtype=np.int32),
+            cut,
         )
 
     return Accumulator(
@@ -497,7 +560,7 @@ def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progr
         np.broadcast_to((aov * (number / HALVES)).astype(np.float32), (HALVES, *aov.shape)) for aov in aovs
     ]  # what is smooth counts as known
     estimator.aovs = dict(zip(estimator.aovs, halved, strict=True))
-    estimator.groups = [group * number for group in groups]
+    estimator.groups = [number * (estimator.cut.sums(group) if estimator.cut else group) for group in groups]
     estimator.counts = np.full_like(estimator.counts, number // HALVES)
 
 
@@ -549,7 +612,10 @@ def _add(accumulated: Accumulator, launch: _Launch) -> None:
             target[half, pixels] += lane
     for target, colour in zip(estimator.groups, moments.groups, strict=True):
         for lane in lanes(colour, target.dtype):
-            target[pixels] += lane
+            if estimator.cut:
+                estimator.cut.add(target, pixels, lane)
+            else:
+                target[pixels] += lane
     for lane in sum(lanes(aov, estimator.squares.dtype) for aov in moments.aovs):
         estimator.squares[pixels] += lane**2 / count
     if estimator.lanes is not None:

@@ -187,7 +187,7 @@ def accumulate_denoised(
     if target.open:
         return accumulate_by_estimator(integrator, samples=target.samples, seed=seed, denoised=True, progress=progress)
     pixels = integrator.loaded.source.camera.width_px * integrator.loaded.source.camera.height_px
-    accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
+    accumulated, everywhere = new_accumulator(integrator, pixels, denoised=True), np.arange(pixels)
     spent = min(FIRST, target.samples)
     add_samples(
         accumulated,
