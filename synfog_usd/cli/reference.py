@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from enum import Enum
 from typing import Any
 
 import typer
@@ -79,7 +80,7 @@ def _default(option: Any) -> str:
         if not option.secondary_opts:
             return "off"
         return f"`{(option.opts if option.default else option.secondary_opts)[0]}`"
-    return f"`{option.default}`"
+    return f"`{option.default.value if isinstance(option.default, Enum) else option.default}`"
 
 
 def _cell(text: str | None) -> str:

@@ -126,7 +126,7 @@ def sources(
     steps: Annotated[int, typer.Option(min=1, help="Of each training.")] = 400,
     quiet: options.Quiet = False,
 ) -> None:
-    """Train on four kinds of fog and test each on all: what noise and multiple scattering in training are worth."""
+    """Train on four kinds of fog and on RAW, and test each: what noise, multiple scattering and RAW are worth."""
     _can_hold(out)
     from synfog_usd.cli.progress import shown
     from synfog_usd.study import sources as work

@@ -5,8 +5,9 @@ the other folds' scenes (`training`) and asked about this fold's, by every kind.
 that never saw it.  All are to see one and the same clear picture, that of `target`.
 
 What differs between two kinds is one thing: noise; light scattered more than once, and a true airlight; light mixed
-instead of codes.  Its effect is the difference in PSNR, pair by pair.  Intervals are by bootstrap over scenes and seeds
-together.
+instead of codes.  Its effect is the difference in PSNR, pair by pair.  A network that takes RAW is tested on RAW alone,
+and compared, on the same views, with one that takes the developed pictures.  Intervals are by bootstrap over scenes and
+seeds together.
 """
 
 from __future__ import annotations
@@ -27,15 +28,19 @@ from synfog_usd.benchmark import page, statistics
 from synfog_usd.benchmark.bench import RESULTS, digest, kept
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
-from synfog_usd.study import training
+from synfog_usd.study import networks, training
 from synfog_usd.study.training import TrainingPair
 
-KINDS = ("synfog", "noise_free", "asm_estimated.noise_free", "asm_srgb.synfog")
+RAW = "raw."
+"""Before a pipeline: its RAW."""
+
+KINDS = ("synfog", "noise_free", "asm_estimated.noise_free", "asm_srgb.synfog", "raw.synfog")
 TARGET = "noise_free"
 EFFECTS = (
     ("the sensor's noise", "synfog", "noise_free"),
     ("transport instead of the scattering model", "noise_free", "asm_estimated.noise_free"),
     ("the scattering model in light instead of codes", "asm_estimated.noise_free", "asm_srgb.synfog"),
+    ("RAW instead of developed pictures", "raw.synfog", "synfog"),
 )
 """What training has more, by kinds whose difference it is."""
 
@@ -49,7 +54,8 @@ class SourceStudy:
     Attributes:
         kinds: of fog.
         pairs: names of the views that were tested, in order; `scenes`: theirs.
-        psnr: (train kind, test kind) -> (seeds, pairs) [dB]; of 'none', the fog left on, one row.
+        psnr: (train kind, test kind) -> (seeds, pairs) [dB], where one can be asked about the other; of 'none', the fog
+            left on, one row.
         steps, folds: how they were trained.
     """
 
@@ -88,8 +94,11 @@ def study(
         ParameterError: pictures are missing, or scenes are fewer than folds.
         OutputError: the folder cannot be written.
     """
-    training.torch_library()
-    by_kind = {kind: _in_order(training.pairs(source, kind, target=target)) for kind in kinds}
+    networks.torch_library()
+    by_kind = {
+        kind: _in_order(training.pairs(source, kind.removeprefix(RAW), target=target, raw=kind.startswith(RAW)))
+        for kind in kinds
+    }
     views = [_view(pair) for pair in by_kind[kinds[0]]]
     if any([_view(pair) for pair in found] != views for found in by_kind.values()):
         raise ParameterError(f"{source}: its kinds of fog are not of the same views: {', '.join(kinds)}")
@@ -99,7 +108,7 @@ def study(
         raise ParameterError(f"--folds {folds}: {source} has {len(names)} scenes; it takes 2 to as many")
     fold = np.array([names.index(scene) % folds for scene in scenes])
     known = kept(out / RESULTS)
-    psnr = {(kind, test): np.full((seeds_count, len(views)), np.nan) for kind in kinds for test in kinds}
+    psnr = {(kind, test): np.full((seeds_count, len(views)), np.nan) for kind in kinds for test in _asked(kind, kinds)}
     done, total = 0, len(kinds) * folds * seeds_count
     for number in range(folds):
         inside = np.flatnonzero(fold == number)
@@ -108,20 +117,26 @@ def study(
             for seed in range(seeds_count):
                 progress(f"{kind}, fold {number}, seed {seed}", done / total)
                 done += 1
-                key = _key(learned, [by_kind[test][n] for test in kinds for n in inside], seed, steps)
+                tests = _asked(kind, kinds)
+                key = _key(learned, [by_kind[test][n] for test in tests for n in inside], seed, steps)
                 if key not in known:
                     trained = training.train(learned, seed=seed, steps=steps)
                     files.write_bytes(out / "weights" / f"{key}.pt", training.as_bytes(trained))
-                    known[key] = {test: [_psnr(by_kind[test][n], trained) for n in inside] for test in kinds}
+                    known[key] = {test: [_psnr(by_kind[test][n], trained) for n in inside] for test in tests}
                     files.write_json(out / RESULTS, known)
-                for test in kinds:
+                for test in tests:
                     psnr[kind, test][seed, inside] = known[key][test]
-    for test in kinds:
+    for test in _asked(kinds[0], kinds):
         psnr[NONE, test] = np.array([[_psnr(pair, None) for pair in by_kind[test]]])
     found = SourceStudy(tuple(kinds), tuple(views), tuple(scenes), psnr, steps, folds)
     _write(found, out)
     _pictures(found, by_kind, fold, out)
     return found
+
+
+def _asked(kind: str, kinds: Sequence[str]) -> list[str]:
+    """The kinds that a network which was trained on one can be asked about."""
+    return [test for test in kinds if test.startswith(RAW) == kind.startswith(RAW)]
 
 
 def _in_order(found: Sequence[TrainingPair]) -> list[TrainingPair]:
@@ -137,7 +152,8 @@ def _view(pair: TrainingPair) -> str:
 def _key(learned: Sequence[TrainingPair], asked: Sequence[TrainingPair], seed: int, steps: int) -> str:
     """Hash of all that decides a training and its test."""
     rows = [
-        [pair.kind, digest(pair.foggy.screen), digest(pair.clear), digest(pair.target)]
+        [pair.kind, digest(pair.foggy.files["raw.dng"] if pair.raw else pair.foggy.screen)]
+        + [digest(pair.clear), digest(pair.target)]
         + [digest(pair.foggy.files["layers.exr"])] * pair.kind.startswith(training.ASM_SRGB)
         for pair in (*learned, *asked)
     ]
@@ -176,11 +192,17 @@ def interval(values: Array, scenes: Sequence[str]) -> tuple[float, float | None,
 def effects(found: SourceStudy) -> list[tuple[str, str, float, float | None, float | None]]:
     """What is in training, tested on which kind, and how much PSNR it brings [dB] with its interval."""
     return [
-        (what, test, *interval(found.psnr[more, test] - found.psnr[less, test], found.scenes))
+        (what, test, *interval(found.psnr[more, test] - found.psnr[less, _like(test, less)], found.scenes))
         for what, more, less in EFFECTS
         if more in found.kinds and less in found.kinds
-        for test in found.kinds
+        for test in _asked(more, found.kinds)
+        if (less, _like(test, less)) in found.psnr
     ]
+
+
+def _like(test: str, kind: str) -> str:
+    """The test of the same pictures that a network of a kind can be asked about."""
+    return test if kind.startswith(RAW) else test.removeprefix(RAW)
 
 
 # -- page
@@ -199,7 +221,10 @@ def markdown(found: SourceStudy) -> str:
         f"|---|{'---|' * len(found.kinds)}",
     ]
     for kind in (NONE, *found.kinds):
-        cells = [_cell(*interval(found.psnr[kind, test], found.scenes)) for test in found.kinds]
+        cells = [
+            _cell(*interval(found.psnr[kind, test], found.scenes)) if (kind, test) in found.psnr else ""
+            for test in found.kinds
+        ]
         lines.append(f"| {kind} | {' | '.join(cells)} |")
     rows = effects(found)
     lines += [
@@ -211,7 +236,8 @@ def markdown(found: SourceStudy) -> str:
         f"|---|{'---|' * len(found.kinds)}",
     ]
     for what in dict.fromkeys(row[0] for row in rows):
-        cells = [_effect(*row[2:]) for row in rows if row[0] == what]
+        told = {row[1]: _effect(*row[2:]) for row in rows if row[0] == what}
+        cells = [told.get(test, "") for test in found.kinds]
         lines.append(f"| {what} | {' | '.join(cells)} |")
     return "\n".join([*lines, ""])
 
@@ -245,10 +271,10 @@ def _drawn(found: SourceStudy) -> bytes:
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     rows = effects(found)
-    colours = ("#0b5fa5", "#c1440e", "#12805c")
+    colours = ("#0b5fa5", "#c1440e", "#12805c", "#6b3fa0")
     for number, (what, colour) in enumerate(zip(dict.fromkeys(row[0] for row in rows), colours, strict=False)):
         own = [row for row in rows if row[0] == what]
-        places = np.arange(len(own)) + 0.2 * (number - 1)
+        places = np.array([found.kinds.index(row[1]) for row in own]) + 0.16 * (number - 1)
         axes.plot(places, [row[2] for row in own], "o", ms=5, color=colour, label=what)
         for place, (_, _, _, low, high) in zip(places, own, strict=True):
             if low is not None:
@@ -268,14 +294,16 @@ def _pictures(found: SourceStudy, by_kind: dict[str, list[TrainingPair]], fold: 
     strips = []
     for place in page.spread(list(range(len(first)))):
         number, pair = fold[place], first[place]
-        asked = [by_kind[test][n] for test in found.kinds for n in np.flatnonzero(fold == number)]
         foggy = training.foggy_of(pair)
         strip = [_tile(foggy, found.pairs[place])]
         for kind in found.kinds:
             learned = [one for one, its in zip(by_kind[kind], fold, strict=True) if its != number]
+            tests = _asked(kind, found.kinds)
+            asked = [by_kind[test][n] for test in tests for n in np.flatnonzero(fold == number)]
             trained = training.load(out / "weights" / f"{_key(learned, asked, 0, found.steps)}.pt")
-            value = found.psnr[kind, found.kinds[0]][0, place]
-            strip.append(_tile(trained.restore(foggy), f"{kind}  {value:.1f} dB"))
+            value = found.psnr[kind, tests[0]][0, place]
+            restored = trained.restore(training.foggy_of(by_kind[tests[0]][place]))
+            strip.append(_tile(restored, f"{kind}  {value:.1f} dB"))
         strips.append([*strip, _tile(training.shown(pair.target), "clear")])
     page.sheet(strips, out / "pictures.png")
 

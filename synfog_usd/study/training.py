@@ -18,12 +18,9 @@ and Koltun, Learning to See in the Dark (2018).
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import io
-import logging
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +34,7 @@ from synfog_usd.errors import OutputError, ParameterError
 from synfog_usd.exports import frames
 from synfog_usd.exports.frames import LabelledPicture
 from synfog_usd.progress import Progress, silent
+from synfog_usd.study import networks
 
 ASM_SRGB = "asm_srgb"
 WIDTH = 16
@@ -63,6 +61,7 @@ class TrainingPair:
         foggy: the shot.
         clear: the picture in clear air by the same pipeline.
         target: the picture in clear air that is to be seen.
+        raw: whether its RAW is learned from, and not the developed picture.
     """
 
     scene: str
@@ -70,6 +69,7 @@ class TrainingPair:
     foggy: LabelledPicture
     clear: Path
     target: Path
+    raw: bool = False
 
 
 def pairs(source: Path, kind: str, *, target: str = "", split: str = "", raw: bool = False) -> list[TrainingPair]:
@@ -101,7 +101,7 @@ def pairs(source: Path, kind: str, *, target: str = "", split: str = "", raw: bo
         view = one.scene, one.lighting, one.camera
         clear, wanted = (views.get((*view, name)) for name in (own, target or own))
         if clear is not None and wanted is not None and (not raw or "raw.dng" in one.files):
-            found.append(TrainingPair(f"{one.scene:06d}", kind, one, clear.screen, wanted.screen))
+            found.append(TrainingPair(f"{one.scene:06d}", kind, one, clear.screen, wanted.screen, raw))
     if not found:
         words = f"no {'RAW ' * raw}pictures in fog by {kind!r} with clear ones by {target or own!r}"
         there = ", ".join(sorted({view[3] for view in views})) or "none"
@@ -112,9 +112,9 @@ def pairs(source: Path, kind: str, *, target: str = "", split: str = "", raw: bo
 
 
 @functools.lru_cache(maxsize=512)
-def foggy_of(pair: TrainingPair, raw: bool = False) -> FloatArray:
+def foggy_of(pair: TrainingPair) -> FloatArray:
     """(3, H, W) of 0 to 1, or (4, H / 2, W / 2) planes of RAW."""
-    if raw:
+    if pair.raw:
         return filter_planes(pair.foggy.files["raw.dng"])
     if not pair.kind.startswith(f"{ASM_SRGB}."):
         return shown(pair.foggy.screen)
@@ -138,22 +138,9 @@ def shown(path: Path) -> FloatArray:
     return np.ascontiguousarray(pixels.transpose(2, 0, 1)) / np.float32(255.0)
 
 
-def torch_library() -> Any:
-    """The module.
-
-    Raises:
-        ParameterError: it is not installed.
-    """
-    try:
-        import torch
-    except ImportError as error:
-        raise ParameterError("training needs PyTorch: pip install 'synfog-usd[train]'") from error
-    return torch
-
-
 def network(*, raw: bool = False) -> Any:
     """The network, untrained; see the head of this module."""
-    nn = torch_library().nn
+    nn = networks.torch_library().nn
 
     def twice(planes: int, width: int) -> Any:
         return nn.Sequential(
@@ -206,7 +193,7 @@ class TrainedDefogger:
 
     def restore(self, foggy: FloatArray) -> FloatArray:
         """(3, H, W) of 0 to 1 from `foggy_of`."""
-        torch = torch_library()
+        torch = networks.torch_library()
         multiple = MULTIPLE // 2 if self.raw else MULTIPLE
         height, width = foggy.shape[1:]
         padded = np.pad(foggy, ((0, 0), (0, -height % multiple), (0, -width % multiple)), mode="symmetric")
@@ -219,7 +206,6 @@ class TrainedDefogger:
 def train(
     found: Sequence[TrainingPair],
     *,
-    raw: bool = False,
     seed: int = 0,
     steps: int = 2000,
     progress: Progress = silent,
@@ -230,7 +216,6 @@ def train(
 
     Args:
         found: from `pairs`.
-        raw: what is taken.
         seed: of the first weights and of what is drawn.
         steps: batches of four squares.
         progress: whom to tell.
@@ -238,8 +223,8 @@ def train(
     Raises:
         ParameterError: torch is not installed, or a pair's pictures differ in size.
     """
-    torch = torch_library()
-    with _repeating(torch, seed):
+    torch, raw = networks.torch_library(), found[0].raw
+    with networks.repeating(torch, seed):
         model = network(raw=raw)
         optimiser = torch.optim.Adam(model.parameters(), lr=RATE)
         falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
@@ -248,7 +233,7 @@ def train(
         for step in range(steps):
             if step % 10 == 0:
                 progress(f"step {step} of {steps}", step / steps)
-            foggy, clear = (torch.from_numpy(np.stack(part)) for part in zip(*_squares(found, raw, rng), strict=True))
+            foggy, clear = (torch.from_numpy(np.stack(part)) for part in zip(*_squares(found, rng), strict=True))
             loss = torch.nn.functional.l1_loss(model(foggy), clear)
             optimiser.zero_grad()
             loss.backward()
@@ -258,33 +243,20 @@ def train(
     return TrainedDefogger(model.eval(), raw, tuple(losses))
 
 
-@contextlib.contextmanager
-def _repeating(torch: Any, seed: int) -> Iterator[None]:
-    """Draw from a seed, and by algorithms that repeat; leave torch as it was."""
-    before = torch.are_deterministic_algorithms_enabled()
-    with torch.random.fork_rng():
-        torch.manual_seed(seeds.seed32(seed, "weights"))
-        torch.use_deterministic_algorithms(True)
-        try:
-            yield
-        finally:
-            torch.use_deterministic_algorithms(before)
-
-
-def _squares(found: Sequence[TrainingPair], raw: bool, rng: np.random.Generator) -> list[tuple[FloatArray, FloatArray]]:
-    scale = 2 if raw else 1
+def _squares(found: Sequence[TrainingPair], rng: np.random.Generator) -> list[tuple[FloatArray, FloatArray]]:
+    scale = 2 if found[0].raw else 1
     side = SIDE_PX // scale
     made = []
     for _ in range(BATCH):
         pair = found[int(rng.integers(len(found)))]
-        foggy, clear = foggy_of(pair, raw), shown(pair.target)
+        foggy, clear = foggy_of(pair), shown(pair.target)
         if tuple(scale * part for part in foggy.shape[1:]) != clear.shape[1:]:
             raise ParameterError(
                 f"{pair.foggy.name}: {foggy.shape[2]} x {foggy.shape[1]} in fog and {clear.shape[2]} x "
                 f"{clear.shape[1]} in clear air; a pair needs one size"
             )
         top, left = (int(rng.integers(max(1, part - side + 1))) for part in foggy.shape[1:])
-        turned = -1 if rng.random() < 0.5 and not raw else 1  # turned RAW would have another mosaic
+        turned = -1 if rng.random() < 0.5 and not pair.raw else 1  # turned RAW would have another mosaic
         first = foggy[:, top : top + side, left : left + side][:, :, ::turned]
         top, left, wide = scale * top, scale * left, scale * side
         made.append((_whole(first, side), _whole(clear[:, top : top + wide, left : left + wide][:, :, ::turned], wide)))
@@ -308,20 +280,19 @@ def write(found: TrainedDefogger, out: Path, *, name: str = "trained") -> None:
     Raises:
         OutputError: the folder cannot be written.
     """
-    files.write_whole(out / "trained.onnx", lambda temporary: _export(found, temporary))
+    planes, multiple = (4, MULTIPLE // 2) if found.raw else (3, MULTIPLE)
+    networks.write_onnx(out / "trained.onnx", found.model, planes, multiple, ("foggy", "clear"))
     files.write_bytes(out / "weights.pt", as_bytes(found))
     more = f"takes: raw.dng, multiple: {MULTIPLE // 2}" if found.raw else f"multiple: {MULTIPLE}"
     text = f"synfog: benchmark/1\nmethods:\n  - {{name: {name}, onnx: trained.onnx, {more}}}\n"
     files.write_bytes(out / "methods.yaml", text.encode())
-    rows = "".join(f"{step},{loss:.6g}\n" for step, loss in enumerate(found.losses))
-    files.write_bytes(out / "losses.csv", f"step,mean_absolute_error\n{rows}".encode())
-    files.write_bytes(out / "losses.png", _drawn(found.losses))
+    networks.write_losses(out, found.losses, "mean_absolute_error")
 
 
 def as_bytes(found: TrainedDefogger) -> bytes:
     """Its weights, as `load` reads them."""
     weights = io.BytesIO()
-    torch_library().save({"raw": found.raw, "state": found.model.state_dict()}, weights)
+    networks.torch_library().save({"raw": found.raw, "state": found.model.state_dict()}, weights)
     return weights.getvalue()
 
 
@@ -331,7 +302,7 @@ def load(path: Path) -> TrainedDefogger:
     Raises:
         OutputError: it is none of ours.
     """
-    torch = torch_library()
+    torch = networks.torch_library()
     try:
         told = torch.load(path, weights_only=True)
         model = network(raw=told["raw"])
@@ -339,55 +310,6 @@ def load(path: Path) -> TrainedDefogger:
     except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise OutputError(f"{path}: cannot be read as weights ({' '.join(str(error).split())[:200]})") from error
     return TrainedDefogger(model.eval(), told["raw"], ())
-
-
-def _export(found: TrainedDefogger, path: Path) -> None:
-    """As ONNX of free height and width."""
-    torch = torch_library()
-    planes, multiple = (4, MULTIPLE // 2) if found.raw else (3, MULTIPLE)
-    high, wide = (multiple * torch.export.Dim(name, min=2, max=2048) for name in ("high", "wide"))
-    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()), _quiet():
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            found.model,
-            (torch.zeros(1, planes, 4 * multiple, 5 * multiple),),
-            str(path),
-            input_names=["foggy"],
-            output_names=["clear"],
-            dynamic_shapes={"foggy": {2: high, 3: wide}},
-            verbose=False,
-            external_data=False,
-        )
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Without the exporter's lines on what is not installed."""
-    logger = logging.getLogger("torch.onnx")
-    before = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
-
-
-def _drawn(losses: Sequence[float]) -> bytes:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 3.6), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    window = max(1, len(losses) // 50)
-    smooth = np.convolve(losses, np.full(window, 1.0 / window), mode="valid")
-    axes.plot(losses, lw=0.5, color="#9fb8cc", label="batch")
-    axes.plot(np.arange(smooth.size) + window // 2, smooth, lw=1.6, color="#0b5fa5", label=f"mean of {window}")
-    axes.set(xlabel="step", ylabel="mean absolute error (0 to 1)", yscale="log")
-    axes.legend()
-    drawn = io.BytesIO()
-    figure.savefig(drawn, format="png", metadata={"Software": None})
-    return drawn.getvalue()
 
 
 def psnr(restored: FloatArray, truth: FloatArray) -> float:

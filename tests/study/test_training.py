@@ -86,9 +86,9 @@ def state(trained):
 def test_the_same_seed_gives_the_same_weights(whole, small, raw):
     """Bit for bit, whatever torch drew before; another seed gives others.  The network has less than a million."""
     found = training.pairs(whole, "synfog", raw=raw)
-    first = training.train(found, raw=raw, steps=3)
+    first = training.train(found, steps=3)
     small.rand(7)
-    again, other = training.train(found, raw=raw, steps=3), training.train(found, raw=raw, steps=3, seed=1)
+    again, other = training.train(found, steps=3), training.train(found, steps=3, seed=1)
     assert all(np.array_equal(a, b) for a, b in zip(state(first), state(again), strict=True))
     assert not np.array_equal(state(first)[0], state(other)[0]) and first.losses == again.losses
     assert 100_000 < sum(value.size for value in state(first)) < 1_000_000
@@ -156,7 +156,7 @@ def test_what_is_written_is_a_method_of_the_defogging_bench(whole, tmp_path, sma
         "losses.png",
     }
     pair, loaded = training.pairs(whole, "synfog", raw=taken == "raw")[0], training.load(out / "weights.pt")
-    expected = loaded.restore(training.foggy_of(pair, taken == "raw"))
+    expected = loaded.restore(training.foggy_of(pair))
     worker = MethodWorker(chosen([str(out / "methods.yaml")])[0], tmp_path)
     try:
         name = "raw.dng" if taken == "raw" else "srgb.png"
@@ -197,6 +197,18 @@ def test_a_study_keeps_scenes_apart_and_goes_on(whole, tmp_path, small, monkeypa
     assert len(learned) == 8 and {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == kept
     with pytest.raises(ParameterError, match="it takes 2 to as many"):
         sources.study(whole, tmp_path, **{**options, "folds": 5})
+
+
+def test_raw_is_tested_on_raw_and_compared_view_by_view(whole, tmp_path, small):
+    """A network that takes RAW is asked about RAW alone; its effect is beside pictures of the same views."""
+    found = sources.study(whole, tmp_path, kinds=("synfog", "raw.synfog"), seeds_count=1, folds=2, steps=2)
+    assert set(found.psnr) == {("synfog", "synfog"), ("raw.synfog", "raw.synfog"), ("none", "synfog")}
+    (effect,) = sources.effects(found)
+    rows = [line.split(",") for line in (tmp_path / "psnr.csv").read_text().splitlines()[1:]]
+    means = {kind: np.mean([float(row[4]) for row in rows if row[0] == kind]) for kind in found.kinds}
+    assert effect[:2] == ("RAW instead of developed pictures", "raw.synfog")
+    assert effect[2] == pytest.approx(means["raw.synfog"] - means["synfog"], abs=1e-3)
+    assert len({row[3] for row in rows}) == 4 and abs(effect[2]) > 0.01
 
 
 def test_an_interval_over_seeds_that_agree_is_that_over_scenes():
