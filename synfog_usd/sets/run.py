@@ -250,7 +250,7 @@ class _Maker:
             self.plan.limit_s or self.cost.limit_s(unit.lighting),
             self.variant,
             self.plan.repair,
-            workers.cores,
+            shared_cores(workers.cores, workers.count, self.total - self.done - len(self.under_way)),
             self.gpus,
         )
         try:
@@ -343,6 +343,20 @@ class _Maker:
         if self.outcome.aside:
             parts.append(f"{len(self.outcome.aside)} set aside")
         self.progress(", ".join(parts), self.done / max(1, self.total))
+
+
+def shared_cores(cores: int, workers: int, left: int) -> int:
+    """On how many cores a unit may run: the last ones take those of the workers that have nothing more to do.
+
+    Args:
+        cores: of each worker; 0 is all of its machine's.
+        workers: how many.
+        left: units that are not begun, with this one.
+
+    >>> [shared_cores(2, 4, left) for left in (5, 4, 3, 2, 1)]
+    [2, 2, 2, 4, 8]
+    """
+    return cores * workers // left if 0 < left < workers else cores
 
 
 def _chain(first: Unit, rest: Iterable[Unit]) -> Iterator[Unit]:
