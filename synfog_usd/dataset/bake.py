@@ -142,7 +142,7 @@ def bake(
 
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
-        ledger, renderer = _Ledger(plan.out, metadata, scenes.notes(todo)), _Renderer()
+        ledger, renderer = _Ledger(plan.out, metadata, scenes.notes(todo)), _Renderer(plan)
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
         if kept:
@@ -369,18 +369,21 @@ def _pinhole(view: Camera) -> Pinhole:
 class _Renderer:
     """The renderer's side of one scene at a time; another that differs in its fog alone takes its place at once."""
 
-    def __init__(self) -> None:
+    def __init__(self, plan: BakePlan) -> None:
+        self.plan = plan
         self.world: Any = None
         self.loaded: Any = None
 
     def within(self, scene: SceneDict) -> MitsubaScene:
         """The scene in the renderer, without boundaries of fog."""
         from synfog_usd.render.load import in_fog
-        from synfog_usd.render.shot import load
+        from synfog_usd.render.shot import load, may_carry_bands
 
         if self.world is not scene.world:
             self.free()
-            self.loaded, self.world = load(scene, boundaries=False), scene.world
+            paths = scene.camera.width_px * scene.camera.height_px * self.plan.samples
+            spectra = may_carry_bands(self.plan.bands, paths)
+            self.loaded, self.world = load(scene, boundaries=False, spectra=spectra), scene.world
         return in_fog(self.loaded, scene.fog)
 
     def free(self) -> None:

@@ -1,4 +1,4 @@
-"""Meshes of one material as one mesh, instances written out.
+"""Meshes of one material, or of materials alike, as one mesh; instances written out.
 
 Mitsuba's just-in-time variants trace every shape and every instance on their own:
 an instance costs 20 ms and 0.6 MB of every kernel, which no street of a thousand
@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.arrays import Array, Indices
-from synfog_usd.render import detail
+from synfog_usd.render import detail, surface
 from synfog_usd.scene import SceneDict
 
 MAX_TRIANGLES = 28_000_000
@@ -36,12 +36,14 @@ def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
         of every face.  Shapes that are not joined keep their place in `instance_of`.
     """
     world, taken = source.world, set[str]()
+    kinds = _kinds(source)
     parts: dict[tuple[Any, ...], list[_Member]] = {}
 
     def take(mesh: Mapping[str, Any], matrix: Array | None, instance: int, key: str) -> None:
         smooth, motion = tuple(name in mesh for name in ARRAYS), source.motion_of.get(key)
+        material = mesh["bsdf"]["id"]
         parts.setdefault(
-            (mesh["bsdf"]["id"], *smooth, bool(mesh.get("face_normals", False)), motion is not None), []
+            (kinds.get(material, material), *smooth, bool(mesh.get("face_normals", False)), motion is not None), []
         ).append(_Member(mesh, matrix, instance, motion))
 
     finer = _Detail(source)
@@ -65,15 +67,17 @@ def flatten(source: SceneDict) -> tuple[SceneDict, FaceInstances]:
 
     joined, instances = {}, {}
     motions = {key: ways for key, ways in source.motion_of.items() if key not in taken}
-    for index, ((material, *_, moving), members) in enumerate(parts.items()):
+    for index, ((*_, moving), members) in enumerate(parts.items()):
         key = f"shape_joined_{index}"
-        joined[key] = _joined(material, members)
+        joined[key] = {**_joined(members), "bsdf": _bsdf(world, members)}
         instances[key] = np.concatenate(
             [np.full(len(one.mesh["faces"]), one.instance, dtype=np.int32) for one in members]
         )
         if moving:
             joined[key]["motion"], motions[key] = _ways(members)
     rest = {key: value for key, value in world.items() if key not in taken}
+    asked = _asked([*rest.values(), *joined.values()])
+    rest = {key: value for key, value in rest.items() if key not in kinds or key in asked}
     return replace(
         source,
         world={**rest, **joined},
@@ -89,6 +93,35 @@ class _Member(NamedTuple):
     matrix: Array | None
     instance: int
     motion: Array | None
+
+
+def _kinds(source: SceneDict) -> dict[str, tuple[Any, ...]]:
+    """Materials that can be drawn together with others -> what those have in common."""
+    found = {
+        key: surface.alike(value)
+        for key, value in source.world.items()
+        if key.startswith("mat_") and key not in source.reflectance_of
+    }
+    return {key: kind for key, kind in found.items() if kind is not None}
+
+
+def _bsdf(world: Mapping[str, Any], members: list[_Member]) -> dict[str, Any]:
+    """The material of joined meshes, or all of theirs as one."""
+    materials = [one.mesh["bsdf"]["id"] for one in members]
+    each = list(dict.fromkeys(materials))
+    if len(each) == 1:
+        return {"type": "ref", "id": each[0]}
+    counts = [len(one.mesh["faces"]) for one in members]
+    return surface.together([world[name] for name in each], np.repeat([each.index(name) for name in materials], counts))
+
+
+def _asked(parts: list[Any]) -> set[str]:
+    """What parts of a scene refer to."""
+    found = set[str]()
+    for part in parts:
+        if isinstance(part, Mapping):
+            found |= {part["id"]} if part.get("type") == "ref" else _asked(list(part.values()))
+    return found
 
 
 def _ways(members: list[_Member]) -> tuple[Indices, Array]:
@@ -202,7 +235,7 @@ def _expanded(world: Mapping[str, Any], finer: _Detail) -> set[str]:
     return found
 
 
-def _joined(material: str, members: list[_Member]) -> dict[str, Any]:
+def _joined(members: list[_Member]) -> dict[str, Any]:
     positions, faces, more, start = [], [], {name: [] for name in ARRAYS if name in members[0].mesh}, 0
     for mesh, matrix, *_ in members:
         points, corners = np.asarray(mesh["positions"]), np.asarray(mesh["faces"], dtype=np.uint32)
@@ -227,5 +260,4 @@ def _joined(material: str, members: list[_Member]) -> dict[str, Any]:
         "type": "mesh",
         **{name: np.concatenate(parts) for name, parts in arrays.items()},
         **kept,
-        "bsdf": {"type": "ref", "id": material},
     }

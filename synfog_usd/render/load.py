@@ -272,6 +272,10 @@ def _leaf(mi: Any, name: str, value: Any) -> Any:
         return mi.ScalarTransform3f(flip @ np.asarray(value, dtype=np.float64) @ flip)
     if name == "bitmap" and isinstance(value, np.ndarray):
         return mi.Bitmap(np.ascontiguousarray(value))
+    if name == "rows":
+        return backend.floats(value.ravel())
+    if name == "row_of_face":
+        return backend.numbers(value)
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 

@@ -257,7 +257,7 @@ def sample(
         and pixels * samples >= WORTH_A_PILOT
         and planner.candidates(scene)
     ):
-        loaded = loaded or load(scene, size=size, boundaries=False)
+        loaded = loaded or load(scene, size=size, boundaries=False, spectra=may_carry_bands(bands, pixels * samples))
         choice = planner.choose(
             loaded, target=target, seed=seed, denoised=denoise, progress=within(progress, 0.0, CHOOSING[0])
         )
@@ -265,10 +265,11 @@ def sample(
         model, why, figures = choice.model, choice.why, dict(choice.figures)
     else:
         model, why = models.choose(model, scene)
-    loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries)
+    spectra = may_carry_bands(bands, pixels * samples)
+    loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries, spectra=spectra)
     if bands is None:
         bands = numbers.RGB
-        if models.MODELS[model].bands and pixels * samples >= WORTH_A_BANDS_PILOT:
+        if models.MODELS[model].bands and spectra:
             bands, because, figures["bands"] = planner.choose_bands(
                 loaded, model, target=target, seed=seed, progress=within(progress, 0.0, CHOOSING[1])
             )
@@ -481,13 +482,22 @@ class _Cleaning:
         return self._guides
 
 
-def load(scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:
-    """The scene in Mitsuba, with the near plane moved to the lens where it hides nothing.
+def may_carry_bands(bands: int | None, paths: int) -> bool:
+    """Whether the paths of a picture may carry bands, or only R, G and B: as it is asked for, else as is chosen."""
+    return paths >= WORTH_A_BANDS_PILOT if bands is None else bands != numbers.RGB
+
+
+def load(
+    scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True, spectra: bool = True
+) -> MitsubaScene:
+    """The scene in Mitsuba, with the near plane moved to the lens where it hides nothing; without `spectra` of
+    materials, which R, G and B never ask for, more of these are drawn together.
 
     Mitsuba starts a camera ray at the near plane and forgets the fog before it;
     0.1 m of MOR 150 are 0.2 %.  An authored near plane is kept only where something
     stands before it (a camera inside a car body).
     """
+    scene = scene if spectra else replace(scene, reflectance_of={})
     close = replace(scene.camera, near_m=min(scene.camera.near_m, LENS_M))
     loaded = to_mitsuba(replace(scene, camera=close), size=size, boundaries=boundaries)
     if scene.camera.near_m <= close.near_m:

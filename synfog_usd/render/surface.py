@@ -19,18 +19,21 @@ rho at any angle.  So are the parts put together in MaterialX's definition of Us
 (bxdf/usd_preview_surface.mtlx), and in Cycles, which has Fresnel's curve too where MaterialX has Schlick's.  Storm's
 previewSurface.glslfx has 1 - F(v . h) for 1 - E(v), by which white surfaces give back more than they get.
 Both sides of a face look alike.
+
+Surfaces that have the same inputs, none of them a picture, can be drawn as one, which reads its numbers by the face
+(`together`): Dr.Jit records a BSDF's code once for each object, and a street has a hundred surfaces of a few kinds.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from synfog_usd.arrays import Array
+from synfog_usd.arrays import Array, Indices
 from synfog_usd.render import backend
 from synfog_usd.scene import mean_colour, texels
 
@@ -59,6 +62,10 @@ STEPS, MOST = 20, 0.995
 """Tables of `lobe_albedo` by the amplitude that a dielectric reflects, from 0 to 1, and the largest amplitude."""
 
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+
+_INPUTS = ("roughness", "metallic", "clearcoat", "clearcoat_roughness")
+_ROW = 8
+"""Numbers of a surface that is drawn with others: its colour, its `_INPUTS`, and none."""
 
 _known: set[str] = set()
 
@@ -129,6 +136,32 @@ def drawn(part: Mapping[str, Any]) -> Mapping[str, Any]:
     return inside if part.get("type") == "twosided" and isinstance(inside, Mapping) and inside["type"] == TYPE else part
 
 
+def alike(part: Mapping[str, Any]) -> tuple[Any, ...] | None:
+    """What surfaces that can be drawn together have in common; None of one that must be drawn by itself."""
+    part = drawn(part)
+    plain = part.get("type") == TYPE and "specular" not in part and part["base_color"]["type"] == "rgb"
+    if not plain or any(isinstance(part.get(name), Mapping) for name in _INPUTS):
+        return None
+    return TYPE, part.get("eta", 1.5), *(name for name in _INPUTS if name in part)
+
+
+def together(parts: Sequence[Mapping[str, Any]], number: Indices) -> dict[str, Any]:
+    """Surfaces that are `alike` as one, for a mesh of its own.
+
+    Args:
+        parts: the surfaces.
+        number: (F,) which of them each face of the mesh has.
+    """
+    first, rows = drawn(parts[0]), np.zeros((len(parts), _ROW), dtype=np.float32)
+    for row, part in zip(rows, map(drawn, parts), strict=True):
+        row[:3] = part["base_color"]["value"]
+        row[3 : 3 + len(_INPUTS)] = [part.get(name, 0.0) for name in _INPUTS]
+    one = {name: value for name, value in first.items() if name in ("type", "eta") or name in _INPUTS}
+    row_of_face = np.zeros(max(len(number), 4), dtype=np.uint32)  # of three numbers Mitsuba would make a colour
+    row_of_face[: len(number)] = number
+    return {**one, "base_color": first["base_color"], "rows": rows, "row_of_face": row_of_face}
+
+
 def lit_from(si: Any, lamp: Any, is_point: Any, spread: Any) -> Any:
     """A point of a surface as it answers a lamp: where that is a point, its lobes are as wide at least as glass of
     LENS_M looks from there, and as the path is spread that comes to the surface.
@@ -186,6 +219,7 @@ def _plugin(mi: Any) -> Any:
             self.base_color, self.roughness = properties.get_texture("base_color"), properties.get_texture("roughness")
             self.metallic, self.specular = texture("metallic"), texture("specular")
             self.coat, self.coat_roughness = texture("clearcoat"), texture("clearcoat_roughness")
+            self.rows, self.row_of_face = properties.get("rows", None), properties.get("row_of_face", None)
             eta = float(properties.get("eta", 1.5))
             self.eta, self.table = dr.opaque(mi.Float, eta), table(eta)
             self.m_components = [
@@ -211,7 +245,16 @@ def _plugin(mi: Any) -> Any:
             return *parts.reflected(wo, active), *self._sampled(parts, si, sample1, sample2, active)
 
         def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
-            return self.base_color.eval(si, active)
+            return self.inputs(si, active)[0]
+
+        def inputs(self, si: Any, active: Any) -> tuple[Any, ...]:
+            """Colour, roughness, metal, coat and its roughness at a point; those that are not there mean nothing."""
+            if self.rows is not None:
+                row = dr.gather(mi.UInt32, self.row_of_face, si.prim_index, active) * (_ROW // 4)
+                one, two = (dr.gather(mi.Vector4f, self.rows, row + half, active) for half in (0, 1))
+                return mi.Color3f(one.x, one.y, one.z), one.w, two.x, two.y, two.z
+            textures = self.roughness, self.metallic, self.coat, self.coat_roughness
+            return self.base_color.eval(si, active), *(one and one.eval_1(si, active) for one in textures)
 
         def _sampled(self, parts: Any, si: Any, sample1: Any, sample2: Any, active: Any) -> Any:
             wo = parts.drawn(sample1, sample2)
@@ -240,10 +283,10 @@ def _plugin(mi: Any) -> Any:
             normal = si.to_local(si.n)
             self.below = dr.dot(si.wi, normal) * normal.z < 0.0
             self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
-            self.base = bsdf.base_color.eval(si, active)
+            self.base, roughness, metal, coat, coat_roughness = bsdf.inputs(si, active)
             self.eta, self.table = bsdf.eta, bsdf.table
             self.blur = si.duv_dx.x if widened else None
-            self.alpha, albedo, self.kept = self.lobe(bsdf.roughness.eval_1(si, active))
+            self.alpha, albedo, self.kept = self.lobe(roughness)
             self.specular, reflects = None, mi.Color3f(albedo.z)
             if bsdf.specular is not None:
                 self.specular = mi.Color3f(bsdf.specular.eval(si, active))
@@ -252,15 +295,15 @@ def _plugin(mi: Any) -> Any:
             lobes = reflects.x if bsdf.specular is None else backend.channel_mean(reflects)
             under = (1.0 - lobes) * MATTE
             if bsdf.metallic is not None:
-                self.metal = bsdf.metallic.eval_1(si, active)
+                self.metal = metal
                 self.gloss = 1.0 - self.metal
                 self.matte *= self.gloss
                 lobes = lobes * self.gloss + self.metal * (albedo.x + albedo.y)
                 under *= self.gloss
             self.chance_matte = under / dr.maximum(under + lobes, 1e-8)
             if bsdf.coat is not None:
-                self.coat = bsdf.coat.eval_1(si, active)
-                self.coat_alpha, coated, self.coat_kept = self.lobe(bsdf.coat_roughness.eval_1(si, active))
+                self.coat = coat
+                self.coat_alpha, coated, self.coat_kept = self.lobe(coat_roughness)
                 reflected = self.coat * coated.z
                 self.left = 1.0 - reflected
                 self.chance_coat = reflected / dr.maximum(reflected + self.left * (under + lobes), 1e-8)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from synfog_usd.render import flatten
+from synfog_usd.render import flatten, surface
 from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
 from synfog_usd.testing import scene
@@ -120,3 +120,33 @@ def test_what_cannot_be_joined_stays():
     }
     flat, instances = flatten.flatten(scene(world))
     assert flat.world == {"type": "scene", **world} and not instances
+
+
+def painted():
+    """Four boxes: three of plain colours, the last of which has a spectrum of its own, and one with a picture."""
+
+    def paint(colour):
+        return {"type": "twosided", "bsdf": {"type": surface.TYPE, "base_color": colour, "roughness": 0.5}}
+
+    colours = {name: {"type": "rgb", "value": [0.2 * n, 0.5, 0.5]} for n, name in enumerate(("red", "grey", "car"))}
+    picture = {"type": "bitmap", "bitmap": np.zeros((2, 2, 3), dtype=np.float32)}
+    world = {f"mat_{name}": paint(colour) for name, colour in (colours | {"wall": picture}).items()}
+    for n, name in enumerate(("grey", "wall", "red", "car")):
+        world[f"shape_{n}"] = part(trimesh.creation.box(), f"mat_{name}")
+    return replace(scene(world), reflectance_of={"mat_car": np.full(401, 0.5)})
+
+
+def test_plain_surfaces_are_joined_and_each_face_knows_its_own():
+    """Red and grey are one mesh whose faces tell their colours; the car's spectrum and the wall's picture keep theirs
+    apart, and without spectra the car's is joined too.
+    """
+    source = painted()
+    for bare, wanted in ((source, ["grey", "red"]), (replace(source, reflectance_of={}), ["grey", "red", "car"])):
+        flat, _ = flatten.flatten(bare)
+        (one,) = (value for value in flat.world.values() if isinstance(value, dict) and "rows" in value.get("bsdf", ()))
+        colours = one["bsdf"]["rows"][one["bsdf"]["row_of_face"], :3]
+        own = [source.world[f"mat_{name}"]["bsdf"]["base_color"]["value"] for name in wanted]
+        np.testing.assert_array_equal(colours, np.repeat(np.array(own, dtype=np.float32), 12, axis=0))
+        left = {key for key in flat.world if key.startswith("mat_")}
+        assert left == {"mat_wall", "mat_car"} - {f"mat_{name}" for name in wanted}
+    assert "mat_car" in load(source).source.world and "mat_car" not in load(source, spectra=False).source.world

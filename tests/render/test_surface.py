@@ -111,6 +111,50 @@ def formula(part, v, light, base=BASE):
     return value
 
 
+@pytest.mark.parametrize("name", ["plain", "half metal", "coated"])
+def test_surfaces_that_are_drawn_together_answer_as_each_does_by_itself(mi, name):
+    """Value, density, draws and colour of three in turn, by the face, are those of their own objects."""
+    part = {"type": surface.TYPE, **PARTS[name]}
+    others = [
+        part | {"roughness": 0.3 + 0.2 * n, "base_color": {"type": "rgb", "value": [0.2 * n, 0.5, 0.1]}}
+        for n in range(3)
+    ]
+    assert len({surface.alike(one) for one in others}) == 1
+    number = np.array([2, 0, 1])
+    both = make_bsdf(surface.together(others, number))
+    si = seen_from(0.6, len(number))
+    si.prim_index = backend.numbers(np.arange(len(number)))
+    wo = along(*(np.full(len(number), c) for c in (0.48, 0.36, 0.8)))
+    u, uv = backend.floats(np.linspace(0.05, 0.9, 3)), mi.Point2f(0.3, 0.6)
+
+    def told(bsdf):
+        value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, wo)
+        drawn, weight = bsdf.sample(mi.BSDFContext(), si, u, uv)
+        colour = bsdf.eval_diffuse_reflectance(si)
+        return np.concatenate(
+            [np.broadcast_to(np.array(one), (3, 3)) for one in (value, pdf, drawn.wo, drawn.pdf, weight, colour)]
+        )
+
+    own = [told(make_bsdf(one)) for one in others]
+    np.testing.assert_allclose(
+        told(both), np.stack([own[n][:, face] for face, n in enumerate(number)], axis=1), rtol=1e-6
+    )
+
+
+def test_surfaces_with_pictures_and_of_other_inputs_are_drawn_apart():
+    """A picture, a colour of vertices, a tint, another index or another input: each keeps a surface to itself."""
+    plain = {"type": surface.TYPE, "base_color": {"type": "rgb", "value": [0.5] * 3}, "roughness": 0.5}
+    picture = {"type": "bitmap", "bitmap": np.zeros((2, 2, 3), dtype=np.float32)}
+    assert surface.alike({"type": "twosided", "bsdf": plain}) == surface.alike(plain | {"roughness": 0.1})
+    assert (
+        len({surface.alike(plain | more) for more in ({}, {"eta": 1.33}, {"metallic": 1.0}, {"clearcoat": 1.0})}) == 4
+    )
+    tint = {"specular": {"type": "rgb", "value": [0.5] * 3}}
+    for more in ({"base_color": picture}, {"base_color": {"type": "mesh_attribute"}}, {"roughness": picture}, tint):
+        assert surface.alike(plain | more) is None
+    assert surface.alike({"type": "diffuse"}) is None
+
+
 @pytest.mark.parametrize("name", PARTS)
 @pytest.mark.parametrize("cosine", [0.95, 0.5, 0.15])
 def test_the_value_is_the_formulas(mi, name, cosine):

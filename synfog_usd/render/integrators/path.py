@@ -483,6 +483,8 @@ class FogPath:
                     )
                 flight = dr.select(some, place, flight)
                 medium_scattered |= some
+            carries = dr.max(throughput) > 0.0  # what lost the play for the camera's segment ends here
+            surface_hit, medium_scattered = surface_hit & carries, medium_scattered & carries
 
             # ==== 5. Next-event estimation along the segment: lamps, scattered once; the camera segment's are the
             # estimator LAMPS
@@ -557,11 +559,11 @@ class FogPath:
                 value = dr.select(medium_scattered, bands.even(mi.Color3f(phase_value)), value)
                 pdf = dr.select(medium_scattered, phase_value, pdf)
             if dr.hint(self.use_nee or self.importance is not None, mode="scalar"):
-                free, reach_light = self.shadow_transmittance(vertex.p, vertex.n, chosen.place, chosen.asked)
                 weight = dr.select(chosen.alone, 1.0, mis_weight(chosen.pdf, pdf))
-                light = dr.select(
-                    free, throughput * value * self.light(chosen.power, chosen.group) * (weight * reach_light), black
-                )
+                light = throughput * value * self.light(chosen.power, chosen.group)
+                asked = chosen.asked & dr.any(light != 0.0)  # a light behind the surface is worth no ray
+                free, reach_light = self.shadow_transmittance(vertex.p, vertex.n, chosen.place, asked)
+                light = dr.select(free, light * (weight * reach_light), black)
                 path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, chosen.group)
 
             # ==== 10. Next-event estimation at a surface: one lamp of few, or of very many
