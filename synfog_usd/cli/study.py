@@ -124,6 +124,9 @@ def sources(
         int, typer.Option(min=2, help="Parts of the scenes; each is tested by networks of the others.")
     ] = 3,
     steps: Annotated[int, typer.Option(min=1, help="Of each training.")] = 400,
+    also: Annotated[
+        Path | None, typer.Option(help="Another set, on which all are tested: other sensors, fogs and recipes.")
+    ] = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Train on four kinds of fog and on RAW, and test each: what noise, multiple scattering and RAW are worth."""
@@ -132,6 +135,6 @@ def sources(
     from synfog_usd.study import sources as work
 
     with shown(quiet) as (progress, _):
-        found = work.study(source, out, seeds_count=seeds, folds=folds, steps=steps, progress=progress)
+        found = work.study(source, out, seeds_count=seeds, folds=folds, steps=steps, also=also, progress=progress)
     if not quiet:
         print(work.markdown(found))

@@ -8,6 +8,9 @@ What differs between two kinds is one thing: noise; light scattered more than on
 instead of codes.  Its effect is the difference in PSNR, pair by pair.  A network that takes RAW is tested on RAW alone,
 and compared, on the same views, with one that takes the developed pictures.  Intervals are by bootstrap over scenes and
 seeds together.
+
+Another set shows how far that holds: its pictures are told apart by pipeline, which is another sensor's, by fog, and by
+whether training saw their recipe.  All networks are asked about all of them; each is to see its own clear picture.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ import hashlib
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +30,7 @@ from synfog_usd.arrays import Array, Indices
 from synfog_usd.benchmark import page, statistics
 from synfog_usd.benchmark.bench import RESULTS, digest, kept
 from synfog_usd.errors import ParameterError
+from synfog_usd.exports import frames
 from synfog_usd.progress import Progress, silent
 from synfog_usd.study import networks, training
 from synfog_usd.study.training import TrainingPair
@@ -57,6 +61,8 @@ class SourceStudy:
         psnr: (train kind, test kind) -> (seeds, pairs) [dB], where one can be asked about the other; of 'none', the fog
             left on, one row.
         steps, folds: how they were trained.
+        others: (train kind, group of the other set) -> (networks, pairs) [dB].
+        other_scenes: group -> scenes of its pairs.
     """
 
     kinds: tuple[str, ...]
@@ -65,6 +71,8 @@ class SourceStudy:
     psnr: dict[tuple[str, str], Array]
     steps: int
     folds: int
+    others: dict[tuple[str, str], Array] = field(default_factory=dict)
+    other_scenes: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def study(
@@ -76,6 +84,7 @@ def study(
     seeds_count: int = 3,
     folds: int = 3,
     steps: int = 400,
+    also: Path | None = None,
     progress: Progress = silent,
 ) -> SourceStudy:
     """Train and test; what `out` has already of the same pictures and options is kept.
@@ -88,6 +97,7 @@ def study(
         seeds_count: networks for each kind and fold.
         folds: parts of the scenes.
         steps: of each training.
+        also: another set, on which all networks are tested too.
         progress: whom to tell.
 
     Raises:
@@ -107,6 +117,9 @@ def study(
     if not 2 <= folds <= len(names):
         raise ParameterError(f"--folds {folds}: {source} has {len(names)} scenes; it takes 2 to as many")
     fold = np.array([names.index(scene) % folds for scene in scenes])
+    recipes = {pair.foggy.source for pair in by_kind[kinds[0]]}
+    groups = {raw: _groups(also, recipes, raw) for raw in {kind.startswith(RAW) for kind in kinds}} if also else {}
+    told: dict[tuple[str, str], list[list[float]]] = {}
     known = kept(out / RESULTS)
     psnr = {(kind, test): np.full((seeds_count, len(views)), np.nan) for kind in kinds for test in _asked(kind, kinds)}
     done, total = 0, len(kinds) * folds * seeds_count
@@ -126,9 +139,27 @@ def study(
                     files.write_json(out / RESULTS, known)
                 for test in tests:
                     psnr[kind, test][seed, inside] = known[key][test]
+                for name, pairs in groups.get(kind.startswith(RAW), {}).items():
+                    place = hashlib.sha256(json.dumps([key, [_row(pair) for pair in pairs]]).encode()).hexdigest()[:16]
+                    if place not in known:
+                        trained = training.load(out / "weights" / f"{key}.pt")
+                        known[place] = {name: [_psnr(pair, trained) for pair in pairs]}
+                        files.write_json(out / RESULTS, known)
+                    told.setdefault((kind, name), []).append(known[place][name])
     for test in _asked(kinds[0], kinds):
         psnr[NONE, test] = np.array([[_psnr(pair, None) for pair in by_kind[test]]])
-    found = SourceStudy(tuple(kinds), tuple(views), tuple(scenes), psnr, steps, folds)
+    for name, pairs in groups.get(False, {}).items():
+        told[NONE, name] = [[_psnr(pair, None) for pair in pairs]]
+    found = SourceStudy(
+        tuple(kinds),
+        tuple(views),
+        tuple(scenes),
+        psnr,
+        steps,
+        folds,
+        {key: np.array(rows) for key, rows in told.items()},
+        {name: tuple(pair.scene for pair in pairs) for part in groups.values() for name, pairs in part.items()},
+    )
     _write(found, out)
     _pictures(found, by_kind, fold, out)
     return found
@@ -137,6 +168,16 @@ def study(
 def _asked(kind: str, kinds: Sequence[str]) -> list[str]:
     """The kinds that a network which was trained on one can be asked about."""
     return [test for test in kinds if test.startswith(RAW) == kind.startswith(RAW)]
+
+
+def _groups(source: Path, recipes: set[str], raw: bool) -> dict[str, list[TrainingPair]]:
+    """Pairs of another set, by pipeline, fog and whether their recipe was seen in training."""
+    found: dict[str, list[TrainingPair]] = {}
+    for pipeline in sorted({one.pipeline for one in frames.pictures(source)}):
+        for pair in _in_order(training.pairs(source, pipeline, raw=raw)):
+            seen = "" if pair.foggy.source in recipes else ", other recipes"
+            found.setdefault(f"{RAW * raw}{pipeline}, {pair.foggy.fog}{seen}", []).append(pair)
+    return dict(sorted(found.items()))
 
 
 def _in_order(found: Sequence[TrainingPair]) -> list[TrainingPair]:
@@ -151,16 +192,18 @@ def _view(pair: TrainingPair) -> str:
 
 def _key(learned: Sequence[TrainingPair], asked: Sequence[TrainingPair], seed: int, steps: int) -> str:
     """Hash of all that decides a training and its test."""
-    rows = [
-        [pair.kind, digest(pair.foggy.files["raw.dng"] if pair.raw else pair.foggy.screen)]
-        + [digest(pair.clear), digest(pair.target)]
-        + [digest(pair.foggy.files["layers.exr"])] * pair.kind.startswith(training.ASM_SRGB)
-        for pair in (*learned, *asked)
-    ]
+    rows = [_row(pair) for pair in (*learned, *asked)]
     text = json.dumps(
         [rows, len(learned), seed, steps, training.WIDTH, training.SIDE_PX, training.BATCH, training.RATE]
     )
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _row(pair: TrainingPair) -> list[str]:
+    """What decides a pair."""
+    pictures = [pair.foggy.files["raw.dng"] if pair.raw else pair.foggy.screen, pair.clear, pair.target]
+    pictures += [pair.foggy.files["layers.exr"]] * pair.kind.startswith(training.ASM_SRGB)
+    return [pair.kind, *(digest(path) for path in pictures)]
 
 
 def _psnr(pair: TrainingPair, trained: training.TrainedDefogger | None) -> float:
@@ -205,6 +248,16 @@ def _like(test: str, kind: str) -> str:
     return test if kind.startswith(RAW) else test.removeprefix(RAW)
 
 
+def other_effects(found: SourceStudy) -> list[tuple[str, str, float, float | None, float | None]]:
+    """The same as `effects` on the groups of the other set."""
+    return [
+        (what, name, *interval(found.others[more, name] - found.others[less, _like(name, less)], scenes))
+        for what, more, less in EFFECTS
+        for name, scenes in found.other_scenes.items()
+        if (more, name) in found.others and (less, _like(name, less)) in found.others
+    ]
+
+
 # -- page
 
 
@@ -239,7 +292,30 @@ def markdown(found: SourceStudy) -> str:
         told = {row[1]: _effect(*row[2:]) for row in rows if row[0] == what}
         cells = [told.get(test, "") for test in found.kinds]
         lines.append(f"| {what} | {' | '.join(cells)} |")
+    if found.others:
+        lines += _other_tables(found)
     return "\n".join([*lines, ""])
+
+
+def _other_tables(found: SourceStudy) -> list[str]:
+    """The same two tables of the other set, a row a group."""
+    columns = [kind for kind in (NONE, *found.kinds) if any(key[0] == kind for key in found.others)]
+    lines = ["", "On the other set, by what was tested; each is to see its own clear picture. PSNR [dB]."]
+    lines += ["", f"| tested on | scenes | {' | '.join(columns)} |", f"|---|---|{'---|' * len(columns)}"]
+    for name, scenes in found.other_scenes.items():
+        cells = [
+            _cell(*interval(found.others[kind, name], scenes)) if (kind, name) in found.others else ""
+            for kind in columns
+        ]
+        lines.append(f"| {name} | {len(set(scenes))} | {' | '.join(cells)} |")
+    rows = other_effects(found)
+    effects_there = list(dict.fromkeys(row[0] for row in rows))
+    lines += ["", "What it brings there [dB].", "", f"| tested on | {' | '.join(effects_there)} |"]
+    lines.append(f"|---|{'---|' * len(effects_there)}")
+    for name in found.other_scenes:
+        told = {row[0]: _effect(*row[2:]) for row in rows if row[1] == name}
+        lines.append(f"| {name} | {' | '.join(told.get(what, '') for what in effects_there)} |")
+    return lines
 
 
 def _cell(mean: float, low: float | None, high: float | None) -> str:

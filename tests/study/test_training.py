@@ -211,6 +211,26 @@ def test_raw_is_tested_on_raw_and_compared_view_by_view(whole, tmp_path, small):
     assert len({row[3] for row in rows}) == 4 and abs(effect[2]) > 0.01
 
 
+def test_all_networks_are_asked_about_another_set(whole, tmp_path, small, monkeypatch):
+    """By pipeline and fog, and by recipes that training never saw; where the other set is the same one, the numbers are
+    those of the folds.  A second run trains nothing."""
+    options = {"kinds": ("synfog", "noise_free"), "seeds_count": 2, "folds": 2, "steps": 2, "also": whole}
+    found = sources.study(whole, tmp_path, **options)
+    names = {"synfog, mor150", "noise_free, mor150", "asm_estimated.noise_free, mor150"}
+    assert set(found.other_scenes) == names == {name for kind, name in found.others if kind == "none"}
+    own = "noise_free", "noise_free, mor150"
+    assert found.others[own].shape == (4, 4)
+    for fold in range(2):
+        np.testing.assert_allclose(
+            found.others[own][2 * fold : 2 * fold + 2, fold::2], found.psnr["noise_free", "noise_free"][:, fold::2]
+        )
+    assert {row[1] for row in sources.other_effects(found)} == names
+    assert set(sources._groups(whole, {"motorway"}, True)) >= {"raw.synfog, mor150, other recipes"}
+    monkeypatch.setattr(training, "train", lambda *args, **more: pytest.fail("trained again"))
+    again = sources.study(whole, tmp_path, **options)
+    assert np.array_equal(again.others[own], found.others[own])
+
+
 def test_an_interval_over_seeds_that_agree_is_that_over_scenes():
     """Equal rows: the bench's own interval of their mean.  Seeds that differ widen it."""
     rng = seeds.stream(1, "interval")
