@@ -1,7 +1,8 @@
-"""Names of the array types that pass between functions."""
+"""Names of the array types that pass between functions, and how a picture is gone through."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,3 +13,12 @@ FloatArray = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 Pixels = npt.NDArray[Any]
+
+
+STRIP_ROWS = 16
+"""As many rows as a chain of steps is done for at a time."""
+
+
+def strips(height: int) -> Iterator[slice]:
+    """Few rows of a picture at a time, which the processor's cache holds through a chain of steps."""
+    return (slice(top, top + STRIP_ROWS) for top in range(0, height, STRIP_ROWS))

@@ -213,7 +213,7 @@ class _Measured:
         crop = image.pixels[top : top + CROP_PX, left : left + CROP_PX]
         found = [_power(np.minimum(crop[..., channel], limit)) for channel, limit in zip(channels, limits, strict=True)]
         frequency = found[0][0]
-        truth = weights[channels] @ spread.read_transfer(np.outer(photometry.WAVELENGTHS_NM * per_nm, frequency))
+        truth = weights[channels] @ spread.aperture_transfer(np.outer(photometry.WAVELENGTHS_NM * per_nm, frequency))
         q = weights @ photometry.WAVELENGTHS_NM * per_nm
         return cls(frequency, np.array([power for _, power in found]), truth, q[channels], float(q.mean()))
 
@@ -223,7 +223,7 @@ class _Measured:
             found = np.ones_like(self.truth)
         else:
             q = self.mean_q if mode == "band" else np.full_like(self.mean_q, self.all_q)
-            found = spread.read_transfer(np.outer(q, self.frequency))
+            found = spread.aperture_transfer(np.outer(q, self.frequency))
         return float(np.sqrt((self.power * (found - self.truth) ** 2).sum(axis=1)).max())
 
     @property

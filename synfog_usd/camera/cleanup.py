@@ -153,19 +153,20 @@ def false_colour(image: Image) -> Image:
     """
     if image.channels != ("R", "G", "B"):
         return image
-    pixels = image.pixels.copy()
+    pixels = np.empty_like(image.pixels)
     rim = sum(REACH_PX)
     for top in range(0, image.height_px, STRIP_PX):
         first = max(top - rim, 0)
         rows = image.pixels[first : top + STRIP_PX + rim]
         own = slice(top - first, top - first + STRIP_PX)
         green = np.ascontiguousarray(rows[..., 1])
+        pixels[top : top + STRIP_PX, :, 1] = green[own]
         for channel in (0, 2):
             difference = rows[..., channel] - green
             for reach in REACH_PX:
                 for plane in (difference, difference.T):
                     _median_of_three(plane, reach)
-            pixels[top : top + STRIP_PX, :, channel] = green[own] + difference[own]
+            np.add(green[own], difference[own], out=pixels[top : top + STRIP_PX, :, channel])
     return image.with_pixels(pixels)
 
 
@@ -224,9 +225,9 @@ def _median_of_three(plane: FloatArray, reach: int) -> None:
     if len(plane) <= 2 * reach:
         return
     before, here, behind = plane[: -2 * reach], plane[reach:-reach], plane[2 * reach :]
-    high = np.maximum(before, here)
+    high, low = np.maximum(before, here), np.minimum(before, here)
     np.minimum(high, behind, out=high)
-    plane[reach:-reach] = np.maximum(high, np.minimum(before, here))
+    np.maximum(high, low, out=here)
 
 
 def _dilated(level: int) -> np.ndarray:

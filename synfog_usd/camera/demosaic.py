@@ -23,10 +23,13 @@ from synfog_usd.graph.buffers import checked, pixels_of, to_buf
 from synfog_usd.image import Image
 from synfog_usd.science import colour_science
 
-STRIP_ROWS, HALO_ROWS = 64, 8
-"""Rows that are worked on at a time, so that they stay in the processor's cache, and those beside them that count: six
-of the filters and one between sites.  Even, so that each strip begins with the pattern's first row.
+STRIP_ROWS = 32
+"""Rows that are worked on at a time, so that they stay in the processor's cache; even, so that each strip begins with
+the pattern's first row.
 """
+
+HALO_PX = 6
+"""How far beside a pixel others count; even, so that the pattern's phase stays."""
 
 
 @OPS.op("isp.demosaic", takes=MOSAIC, gives=PICTURE)
@@ -101,82 +104,81 @@ def _directional(mosaic: FloatArray, pattern: str) -> FloatArray:
     Wu, "Color demosaicking via directional linear minimum mean square-error estimation" (2005);
     weights: Pekkucuksen and Altunbasak, "Gradient based threshold free color filter array interpolation" (2010).
     """
-    height = len(mosaic)
-    picture = np.empty((*mosaic.shape, 3), dtype=np.float32)
+    height, width = mosaic.shape
+    padded = np.pad(mosaic, HALO_PX, mode="reflect")
+    sign = np.full((STRIP_ROWS + 2 * HALO_PX, width + 2 * HALO_PX), -1.0, dtype=np.float32)
+    for where, number in cfa.sites(pattern):
+        if "RGB"[number] != "G":
+            sign[where] = 1.0
+    picture = np.empty((height, width, 3), dtype=np.float32)
     for top in range(0, height, STRIP_ROWS):
-        begin, end = max(0, top - HALO_ROWS), min(height, top + STRIP_ROWS + HALO_ROWS)
-        part = _directional_strip(mosaic[begin:end], pattern)
-        picture[top : top + STRIP_ROWS] = part[top - begin : top - begin + STRIP_ROWS]
+        part = padded[top : top + STRIP_ROWS + 2 * HALO_PX]
+        signed = part * sign[: len(part)]
+        _directional_strip(mosaic[top : top + STRIP_ROWS], signed, pattern, picture[top : top + STRIP_ROWS])
     return picture
 
 
-def _directional_strip(mosaic: FloatArray, pattern: str) -> FloatArray:
-    sites = {letter: [where for where, number in cfa.sites(pattern) if "RGB"[number] == letter] for letter in "RGB"}
-    differences, changes = [], []
-    for axis in (1, 0):
-        difference = _filtered(mosaic, (0.5, -0.5, 0.25), axis)
-        for where in sites["G"]:
-            np.negative(difference[where], out=difference[where])
-        differences.append(_filtered(difference, (0.5, 0.25), axis))
-        change = np.abs(_filtered(difference, (0.0, 1.0), axis, odd=True))
-        change = _filtered(_filtered(change, (0.2, 0.2, 0.2), 0), (0.2, 0.2, 0.2), 1)
-        changes.append(np.multiply(change, change, out=change))
-    across, down = differences
-    weight = changes[1] / (changes[0] + changes[1] + np.float32(1e-20))
+def _directional_strip(mosaic: FloatArray, signed: FloatArray, pattern: str, out: FloatArray) -> None:
+    """Rows (H, W) of a mosaic to planes (H, W, 3); `signed` has `HALO_PX` more on each side, green negative."""
+    across, weight = _along_rows(signed)
+    down, change = (found.T for found in _along_rows(signed.T))
+    change += np.float32(1e-16)
+    weight += change
+    np.divide(change, weight, out=weight)
     across -= down
     across *= weight
     down += across  # w h + (1 - w) v
+    down *= np.float32(1.0 / 16.0)
     green = mosaic.copy()
-    planes = [green, green, green]
-    for letter, index in (("R", 0), ("B", 2)):
-        (where,) = sites[letter]
-        own = down[where]
-        green[where] -= own
-        for axis, length in enumerate(mosaic.shape):
-            own = np.moveaxis(_between(np.moveaxis(own, axis, 0), where[axis].start or 0, length), 0, axis)
-        planes[index] = own
-    picture = np.empty((*mosaic.shape, 3), dtype=np.float32)
-    np.copyto(picture[..., 1], green)
-    for letter, index in (("R", 0), ("B", 2)):
-        (where,) = sites[letter]
-        np.add(green, planes[index], out=picture[..., index])
-        picture[(*where, index)] = mosaic[where]  # but for its rounding it is that already
-    return picture
+    rows, columns = mosaic.shape
+    sites = [("RGB"[number], where[0].start, where[1].start) for where, number in cfa.sites(pattern)]
+    for letter, row, column in sites:
+        if letter != "G":
+            own = green[row::2, column::2]
+            own -= down[1:-1, 1:-1][row::2, column::2]
+    np.copyto(out[..., 1], green)
+    for letter, row, column in sites:
+        if letter != "G":
+            lines, plane = np.empty((rows // 2 + 2, columns), np.float32), np.empty((rows, columns), np.float32)
+            known = down[(row + 1) % 2 :: 2, (column + 1) % 2 :: 2]  # from one row and column outside on, where odd
+            _between(known.T, column, lines[: len(known)].T)
+            _between(lines, row, plane)
+            plane += green
+            plane[row::2, column::2] = mosaic[row::2, column::2]  # but for its rounding it is that already
+            np.copyto(out[..., "RGB".index(letter)], plane)
 
 
-def _filtered(values: FloatArray, taps: tuple[float, ...], axis: int, *, odd: bool = False) -> FloatArray:
-    """Through an even filter, told from its middle outwards, or an odd one; mirrored at the edges.
+def _along_rows(signed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """16 times the smoothed colour differences along rows, and 10,000 times the square of how much they change; one
+    pixel more than the picture on each side.
 
-    In single precision and by whole slices, which is three times as fast as scipy.ndimage.
+    By sums of two neighbours, of which (1 2 2 2 1) and (1 2 1) are made.
     """
-    reach, length = len(taps) - 1, values.shape[axis]
-    pads = [(reach, reach) if line == axis else (0, 0) for line in range(2)]
-    padded = np.pad(values, pads, mode="reflect")
+    pairs = signed[3:-3, :-1] + signed[3:-3, 1:]
+    fours = pairs[:, :-2] + pairs[:, 2:]
+    difference = fours[:, :-1] + fours[:, 1:]
+    near = difference[2:-2, 2:-2]
+    pairs = near[:, :-1] + near[:, 1:]
+    smooth = pairs[:, :-1] + pairs[:, 1:]
+    change = difference[:, 2:] - difference[:, :-2]
+    np.abs(change, out=change)
+    change = _sums_of_five(_sums_of_five(change.T).T)
+    return smooth, np.multiply(change, change, out=change)
 
-    def shifted(by: int) -> FloatArray:
-        return padded[reach + by : reach + by + length] if axis == 0 else padded[:, reach + by : reach + by + length]
 
-    found = values * np.float32(taps[0])
-    for by, tap in enumerate(taps[1:], 1):
-        if tap:
-            pair = (np.subtract if odd else np.add)(shifted(by), shifted(-by))
-            pair *= np.float32(tap)
-            found += pair
+def _sums_of_five(rows: FloatArray) -> FloatArray:
+    pairs = rows[:-1] + rows[1:]
+    found = pairs[:-3] + pairs[2:-1]
+    found += rows[4:]
     return found
 
 
-def _between(values: FloatArray, first: int, length: int) -> FloatArray:
-    """Rows known at `first`, `first` + 2 ..., and those between: means of two neighbours, at an end the only one."""
-    found = np.empty((length, *values.shape[1:]), dtype=values.dtype)
-    found[first::2] = values
-    gaps = found[first + 1 : first + 2 * len(values) - 1 : 2]
-    np.add(values[:-1], values[1:], out=gaps)
+def _between(values: FloatArray, first: int, out: FloatArray) -> None:
+    """Rows known at 0, 2 ... or, where `first` is 1, at -1, 1 ..., and between them the means of two neighbours."""
+    known, gaps = out[first::2], out[1 - first :: 2]
+    known[...] = values[first:][: len(known)]
+    np.add(values[: len(gaps)], values[1 : len(gaps) + 1], out=gaps)
     gaps *= np.float32(0.5)
-    if first:
-        found[0] = values[0]
-    if (length - first) % 2 == 0:
-        found[-1] = values[-1]
-    return found
 
 
 def _plane(mosaic: FloatArray, pattern: str, letter: str) -> FloatArray:

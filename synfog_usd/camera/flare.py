@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import photometry
-from synfog_usd.arrays import Array, FloatArray
+from synfog_usd.arrays import Array, FloatArray, strips
 from synfog_usd.camera import blur, spread
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -29,9 +30,6 @@ STAR_PX = 256
 
 PUPIL = 1024
 """Most samples across the aperture; they limit a spike to PUPIL / 2 * lambda N / pitch pixels."""
-
-FEW = 4
-"""Channels up to which each is worked on by itself: numpy is slow where the innermost axis is short."""
 
 COLOURS = 5
 """Wavelengths of a channel, of equal weight."""
@@ -63,18 +61,26 @@ def glare(
         return image
     block = max(1, round(image.width_px / 480))
     coarse = block_means(image.pixels, block)
-    height, width = coarse.shape[:2]
+    waves = fft.dctn(coarse.astype(np.float64), axes=(0, 1), workers=THREADS)  # cosines: the mirror image is in them
+    scattered = fft.idctn(waves * _veil(*coarse.shape[:2]), axes=(0, 1), workers=THREADS, overwrite_x=True)
+    scattered = np.maximum(scattered, 0.0).astype(np.float32)
+    pixels = np.empty_like(image.pixels)
+    for rows, veil in enlarged(np.float32(fraction) * scattered, block, image.height_px, image.width_px):
+        np.multiply(image.pixels[rows], np.float32(1.0 - fraction), out=pixels[rows])
+        pixels[rows] += veil
+    return image.with_pixels(pixels).with_metadata(glare_fraction=fraction)
+
+
+@functools.lru_cache(maxsize=4)
+def _veil(height: int, width: int) -> Array:
+    """(H, W, 1) transfer of the veil at the frequencies of the cosine transform of so many blocks."""
+    from scipy import fft
+
     y, x = (np.rint(np.fft.fftfreq(2 * length) * 2 * length) for length in (height, width))
     kernel = 1.0 / (y[:, None] ** 2 + x[None, :] ** 2 + 1.0)
     kernel[np.abs(y) > height // 2, :] = 0.0
     kernel[:, np.abs(x) > width // 2] = 0.0
-    transfer = fft.rfft2(kernel / kernel.sum()).real[:height, :width, None]
-    waves = fft.dctn(coarse.astype(np.float64), axes=(0, 1), workers=THREADS)  # cosines: the mirror image is in them
-    scattered = fft.idctn(waves * transfer, axes=(0, 1), workers=THREADS, overwrite_x=True)
-    scattered = np.maximum(scattered, 0.0).astype(np.float32)
-    pixels = image.pixels * np.float32(1.0 - fraction)
-    add_enlarged(pixels, np.float32(fraction) * scattered, block)
-    return image.with_pixels(pixels).with_metadata(glare_fraction=fraction)
+    return np.ascontiguousarray(fft.rfft2(kernel / kernel.sum()).real[:height, :width, None])
 
 
 @OPS.op("optics.flare", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
@@ -131,7 +137,10 @@ def flare(
             star = _star(blades, rotation_deg, tuple(wavelengths_nm[channel] * per_nm))
             part = float(star.sum()) if fraction is None else fraction
             given.append(float(f"{part:.4g}"))
-            pixels[..., channel] += _starry(lamps, star * np.float32(part / star.sum()))
+            rows, columns = np.nonzero(lamps)
+            stars = np.zeros_like(lamps)
+            spread.add_spots(stars, rows, columns, lamps[rows, columns], star * np.float32(part / star.sum()))
+            pixels[..., channel] += stars
             pixels[..., channel] -= np.float32(part) * lamps
     return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).with_metadata(flare_fractions=given)
 
@@ -140,18 +149,6 @@ def _wavelengths_nm(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]
     """(C, COLOURS) middles of equal parts of each channel's electrons."""
     middles = (np.arange(COLOURS) + 0.5) / COLOURS
     return np.array([np.interp(middles, np.cumsum(row), photometry.WAVELENGTHS_NM) for row in weights])
-
-
-def _starry(lamps: FloatArray, star: FloatArray) -> FloatArray:
-    """The light of the stars; what lies outside the picture has none."""
-    from scipy import fft
-
-    reach = star.shape[0] // 2
-    sizes = [fft.next_fast_len(length + 2 * reach, real=True) for length in lamps.shape]
-    padded = np.pad(lamps, [(reach, size - length - reach) for length, size in zip(lamps.shape, sizes, strict=True)])
-    stars = np.zeros_like(padded)
-    spread.add_spots(stars, padded, star)
-    return stars[reach : reach + lamps.shape[0], reach : reach + lamps.shape[1]]
 
 
 @functools.lru_cache(maxsize=32)
@@ -233,26 +230,25 @@ def _added(pixels: Array, block: int, axis: int) -> Array:
     return total
 
 
-def add_enlarged(picture: FloatArray, coarse: FloatArray, block: int) -> None:
-    """Add to (H, W) or (H, W, C), in place, what blocks hold, by straight lines between their centres."""
-    height = picture.shape[0]
+def enlarged(coarse: FloatArray, block: int, height: int, width: int) -> Iterator[tuple[slice, FloatArray]]:
+    """What blocks (h, w, C) hold, by straight lines between their centres: rows of a picture, and (rows, W, C)."""
+    count = coarse.shape[2]
     low, part = _between_blocks(height, coarse.shape[0], block)
     high = np.minimum(low + 1, coarse.shape[0] - 1)
-    part = part.reshape(-1, *(1,) * (coarse.ndim - 1))
-    beside = np.pad(coarse, [(0, 0), (1, 1), *[(0, 0)] * (coarse.ndim - 2)], mode="edge")
-    for strip in spread.strips(height):
-        rows = beside[low[strip]] + part[strip] * (beside[high[strip]] - beside[low[strip]])
-        pairs = [(picture[strip], rows)]
-        if picture.ndim == 3 and picture.shape[2] <= FEW:
-            pairs = [(picture[strip, :, channel], rows[..., channel].copy()) for channel in range(picture.shape[2])]
-        for pixels, known in pairs:
-            slope = np.diff(known, axis=1)
-            for first in range(block):  # columns that lie alike between two blocks
-                columns = pixels[:, first::block]
-                place = (first + 0.5) / block + 0.5
-                begin, count = int(place), columns.shape[1]
-                columns += known[:, begin : begin + count]
-                columns += np.float32(place - begin) * slope[:, begin : begin + count]
+    beside = np.ascontiguousarray(np.pad(coarse, [(0, 0), (1, 1), (0, 0)], mode="edge").transpose(0, 2, 1))
+    for strip in strips(height):
+        rows = beside[low[strip]] + part[strip, None, None] * (beside[high[strip]] - beside[low[strip]])
+        slope = np.diff(rows, axis=2)
+        found = np.empty((len(rows), width, count), dtype=np.float32)
+        for first in range(block):  # columns that lie alike between two blocks
+            columns = found[:, first::block]
+            place = (first + 0.5) / block + 0.5
+            begin, across = int(place), columns.shape[1]
+            values = slope[..., begin : begin + across] * np.float32(place - begin)
+            values += rows[..., begin : begin + across]
+            for channel in range(count):  # numpy is slow where the innermost axis is short
+                columns[..., channel] = values[:, channel]
+        yield strip, found
 
 
 def _between_blocks(fine: int, coarse: int, block: int) -> tuple[npt.NDArray[np.intp], FloatArray]:

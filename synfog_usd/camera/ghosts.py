@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from synfog_usd.arrays import FloatArray
 from synfog_usd.camera import spread
-from synfog_usd.camera.flare import add_enlarged, aperture
+from synfog_usd.camera.flare import aperture, enlarged
 from synfog_usd.camera.paraxial import Drawing, Ghost
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
@@ -132,7 +132,8 @@ def _draw(
         total += ghost.fraction * _discs(
             light.shape, at, amounts, abs(ghost.diameter_mm) * pixels_per_mm / block, blades, turned
         )
-    add_enlarged(plane, total.astype(np.float32), block)
+    for strip, drawn in enlarged(total.astype(np.float32)[..., None], block, height, width):
+        plane[strip] += drawn[..., 0]
 
 
 def _discs(

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import FloatArray
+from synfog_usd.arrays import FloatArray, strips
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.distortion import Pinhole, source_of, warped_like
 from synfog_usd.camera.fisheye import of_picture
@@ -212,9 +212,10 @@ def lens_shading(
         lens=lens,
     )
     fade = warped_like(fade, metadata, taken)
-    return image.with_pixels(image.pixels / fade[..., None] ** np.float32(strength)).with_metadata(
-        lens_shading=strength
-    )
+    pixels = np.empty_like(image.pixels)
+    for rows in strips(image.height_px):
+        np.divide(image.pixels[rows], (fade[rows] ** np.float32(strength))[..., None], out=pixels[rows])
+    return image.with_pixels(pixels).with_metadata(lens_shading=strength)
 
 
 @OPS.op("isp.white_balance", takes=UNBALANCED, gives=BALANCED)
@@ -349,16 +350,18 @@ def tone(
     _picture(image)
     gain = 2.0**brighten_ev
     power = (gain - shoulder) / (1.0 - shoulder)
-    straight = image.pixels * np.float32(gain)
-    rest = straight * np.float32(-1.0 / (gain - shoulder))  # 1 - u: 1 below the shoulder, 0 from saturation on
-    rest += np.float32(gain / (gain - shoulder))
-    np.clip(rest, 0.0, 1.0, out=rest)
-    np.power(rest, np.float32(power), out=rest)
-    rest *= np.float32(shoulder - 1.0)
-    rest += np.float32(1.0 - shoulder)
-    np.minimum(straight, np.float32(shoulder), out=straight)
-    straight += rest
-    return image.with_pixels(straight)
+    pixels = np.empty_like(image.pixels)
+    for rows in strips(image.height_px):
+        straight = np.multiply(image.pixels[rows], np.float32(gain), out=pixels[rows])
+        rest = straight * np.float32(-1.0 / (gain - shoulder))  # 1 - u: 1 below the shoulder, 0 from saturation on
+        rest += np.float32(gain / (gain - shoulder))
+        np.clip(rest, np.float32(1e-30 ** (1.0 / power)), 1.0, out=rest)  # 0 would take a power six times as long
+        np.power(rest, np.float32(power), out=rest)
+        rest *= np.float32(shoulder - 1.0)
+        rest += np.float32(1.0 - shoulder)
+        np.minimum(straight, np.float32(shoulder), out=straight)
+        straight += rest
+    return image.with_pixels(pixels)
 
 
 @OPS.op("isp.tone_hdr", takes=PICTURE, gives=PICTURE)
@@ -459,7 +462,10 @@ def gamma(image: Image) -> Image:
     Source: IEC 61966-2-1.
     """
     _picture(image)
-    return image.with_pixels(srgb_encode(image.pixels), quantity=Quantity.DISPLAY_RGB)
+    pixels = np.empty_like(image.pixels)
+    for rows in strips(image.height_px):
+        pixels[rows] = srgb_encode(image.pixels[rows])
+    return image.with_pixels(pixels, quantity=Quantity.DISPLAY_RGB)
 
 
 def luminance_of(pixels: FloatArray) -> FloatArray:

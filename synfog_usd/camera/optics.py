@@ -7,13 +7,14 @@ in `distortion`, `blur` and `flare`.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import FloatArray
+from synfog_usd.arrays import FloatArray, strips
 from synfog_usd.camera.fisheye import angles_rad, of_picture
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
@@ -113,7 +114,7 @@ def irradiance(
     cone = _cone(f_number, magnification)
     if aperture == "sine":
         cone = min(1.0, cone / (1.0 - cone))  # sin^2 of the angle whose tangent the disc has, as its sine
-    pixels = image.pixels * np.float32(transmission * math.pi * cone)
+    factor, fade = np.float32(transmission * math.pi * cone), None
     table = (tuple(field_deg or ()), tuple(relative_illumination or ()))
     metadata: dict[str, Any] = {"f_number": f_number, "falloff": falloff}
     lens = of_picture(image.provenance)
@@ -133,9 +134,11 @@ def irradiance(
             table=table,
             lens=lens,
         )
-        pixels *= fade[..., None]
         if falloff == "table":
             metadata["relative_illumination"] = [list(column) for column in table]
+    pixels = np.empty_like(image.pixels)
+    for rows in strips(image.height_px):
+        np.multiply(image.pixels[rows], factor if fade is None else factor * fade[rows, :, None], out=pixels[rows])
     if fov_x_deg is not None:
         metadata["fov_x_deg"] = fov_x_deg
     if focal_length_mm is not None:
@@ -168,11 +171,9 @@ def falloff_map(
         angles = angles_rad(lens, height, width, shift)
         return _tabled(angles, table) if kind == "table" else lens.solid_angle(angles).astype(np.float32)
     assert fov_x_deg is not None
-    tan2 = _tan2_of_field(height, width, fov_x_deg, *shift)
     if kind == "cos4":
-        tan2 += 1.0
-        tan2 *= tan2
-        return np.divide(1.0, tan2, out=tan2).astype(np.float32)
+        return _cos4(height, width, fov_x_deg, shift)
+    tan2 = _tan2_of_field(height, width, fov_x_deg, *shift)
     if kind == "projection":
         return np.asarray((1.0 + tan2) ** -1.5, dtype=np.float32)
     if kind == "table":
@@ -204,6 +205,18 @@ def _cone(f_number: float, magnification: float) -> float:
     return 1.0 / (1.0 + 4.0 * (f_number * (1.0 + abs(magnification))) ** 2)
 
 
+@functools.lru_cache(maxsize=2)
+def _cos4(height: int, width: int, fov_x_deg: float, shift: tuple[float, float]) -> FloatArray:
+    """Read-only: what the lens takes away and lens shading gives back is made once."""
+    x2, y2 = _tan2_of_axes(height, width, fov_x_deg, *shift)
+    fade = np.empty((height, width), dtype=np.float32)
+    for rows in strips(height):
+        cos2 = 1.0 / (1.0 + x2 + y2[rows, None])
+        fade[rows] = cos2 * cos2
+    fade.flags.writeable = False
+    return fade
+
+
 def _tabled(field_rad: npt.NDArray[np.float64], table: Table) -> FloatArray:
     field_deg, values = table
     if not field_deg:
@@ -229,10 +242,18 @@ def _tan2_of_field(
     height: int, width: int, fov_x_deg: float, shift_x: float, shift_y: float
 ) -> npt.NDArray[np.float64]:
     """(H, W) squared tangent of the angle between each pixel's centre and the optical axis."""
+    x2, y2 = _tan2_of_axes(height, width, fov_x_deg, shift_x, shift_y)
+    return np.asarray(x2 + y2[:, None])
+
+
+def _tan2_of_axes(
+    height: int, width: int, fov_x_deg: float, shift_x: float, shift_y: float
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """(W,) and (H,) parts of it by columns and by rows."""
     focal_px = width / 2 / math.tan(math.radians(fov_x_deg) / 2)
     x = (np.arange(width) + 0.5 - width / 2 - shift_x * width) / focal_px
     y = (np.arange(height) + 0.5 - height / 2 + shift_y * height) / focal_px
-    return np.asarray(x[None, :] ** 2 + y[:, None] ** 2)
+    return x**2, y**2
 
 
 def _foote(tan2_field: npt.NDArray[np.float64], cone: float) -> npt.NDArray[np.float64]:

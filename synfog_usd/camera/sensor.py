@@ -17,7 +17,7 @@ import numpy as np
 
 from synfog_usd import photometry, seeds
 from synfog_usd.arrays import FloatArray
-from synfog_usd.camera import cfa, response
+from synfog_usd.camera import cfa, noise, response
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
@@ -145,7 +145,9 @@ def dark_current(
 
 @OPS.op("sensor.shot_noise", takes=MEAN_ELECTRONS, gives=COUNTED_ELECTRONS)
 def shot_noise(image: Image, *, rng: np.random.Generator) -> Image:
-    """The count of electrons that really came: exactly Poisson, at every level.
+    """The count of electrons that really came: a Poisson number.
+
+    Exact below 64 electrons; from there on by a series that is off by one electron in 3e-5 of the pixels at most.
 
     Args:
         image: mean electrons, >= 0.
@@ -153,13 +155,15 @@ def shot_noise(image: Image, *, rng: np.random.Generator) -> Image:
 
     Raises:
         ImageError: a negative mean.
+
+    Source: Giles, "Algorithm 955: approximation of the inverse Poisson cumulative distribution function" (2016).
     """
     if (lowest := float(image.pixels.min())) < 0.0:
         raise ImageError(f"a mean of {lowest:g} electrons is below 0; shot noise comes before offsets and read noise")
     counts = np.empty_like(image.pixels)
 
     def draw(mean_e: FloatArray, out: FloatArray, stream: np.random.Generator) -> None:
-        out[...] = stream.poisson(np.minimum(mean_e, MAX_MEAN_E).astype(np.float64))
+        out[...] = noise.poisson(stream, np.minimum(mean_e, np.float32(MAX_MEAN_E)))
 
     with ThreadPoolExecutor(THREADS) as pool:
         list(pool.map(draw, np.array_split(image.pixels, STRIPS), np.array_split(counts, STRIPS), rng.spawn(STRIPS)))
@@ -480,10 +484,10 @@ def _fact(image: Image, key: str, op: str) -> float:
 
 
 def _with_noise(pixels: FloatArray, sigma: float, rng: np.random.Generator) -> FloatArray:
-    noise = rng.standard_normal(pixels.shape, dtype=np.float32)
-    noise *= np.float32(sigma)
-    noise += pixels
-    return noise
+    drawn = noise.normal(rng, pixels.shape)
+    drawn *= np.float32(sigma)
+    drawn += pixels
+    return drawn
 
 
 @functools.lru_cache(maxsize=6)

@@ -9,40 +9,36 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, FloatArray
+from synfog_usd.arrays import Array, FloatArray, strips
 
 THREADS = 2
-
-STRIP_ROWS = 16
-"""Rows that are worked on at a time, so that they stay in the processor's cache."""
-
-EDGE_PX = 64
-"""How far a picture is mirrored beyond its edges before it is blurred; 0.3 % of a point's light goes further at q =
-1.
-"""
 
 HIGHLIGHT = 8.0
 """Times the 95th percentile of a channel: from there on a pixel holds a point of light."""
 
-SPOT_PX = 24
+SPOT_PX = 32
 """Half the side of the square in which the diffraction disc is integrated over pixels; beyond it has its mean tail.
 Times q where q > 1.
 """
 
-TAIL_PX = 8
-"""From here on the tail is taken out of the spot: so smooth that a float32 transform keeps it free of noise."""
+SOFT_PX = 8.0
+"""Up to here the tail is rounded off, and the spot holds what that takes away.  Times q where q > 1."""
+
+TAIL_CYCLES = 2.5
+"""Frequency, times `SOFT_PX`, up to which the tail is made: what is left there is 1.5e-7 of it."""
 
 COPIES = 1 << 27
 """Pixels of spots that are added one by one (4,000 more for each spot); more are added by a transform."""
 
-_V: Array = np.linspace(0.0, 1.0, 4097)
+
+Places = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -53,8 +49,8 @@ class Blur:
         transfer: radial frequency [cycles/pixel], any shape, to the part of the
             contrast that is left.
         spot: (2 R + 1, 2 R + 1) weights of a point's light around its pixel.
-        tail: weight of the mean tail q / (pi^3 r^3) outside the spot; 0 for none.
-        tail_scale: times `TAIL_PX` and `SPOT_PX`.
+        tail: weight of the mean tail 1 / (pi^3 r^3) outside the spot; 0 for none.
+        tail_scale: times `SOFT_PX` and `SPOT_PX`.
     """
 
     transfer: Callable[[FloatArray], Array]
@@ -68,102 +64,127 @@ def highlight_limit(plane: FloatArray) -> np.float32:
     return np.float32(HIGHLIGHT * np.percentile(plane[::4, ::4], 95.0))
 
 
-def aperture_transfer(v: npt.ArrayLike) -> Array:
-    """2/pi (acos v - v sqrt(1 - v^2)), 0 from v = 1 on."""
-    v = np.minimum(np.asarray(v, dtype=np.float64), 1.0)
+def aperture_transfer(v: npt.NDArray[np.floating]) -> Array:
+    """2/pi (acos v - v sqrt(1 - v^2)), 0 from v = 1 on; of the type of `v`."""
+    v = np.minimum(v, 1.0)
     return np.asarray((2.0 / math.pi) * (np.arccos(v) - v * np.sqrt(1.0 - v * v)))
 
 
-_TRANSFER: Array = aperture_transfer(_V)
-
-
-def read_transfer(v: npt.NDArray[np.floating]) -> Array:
-    """`aperture_transfer` from a table, to 3e-7."""
-    return np.interp(v, _V, _TRANSFER)
-
-
 def blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
-    """(H, W, C) through one blur per channel, >= 0."""
-    from scipy import fft
+    """(H, W, C) through one blur per channel, >= 0; light from outside the picture is taken as its mirror image.
 
+    The cosine transform has the mirror image in it, and multiplies as Fourier's does, since spots are symmetric.
+    """
     height, width, count = pixels.shape
-    edge = max(EDGE_PX, *(blur.spot.shape[0] // 2 for blur in blurs))
-    sizes = tuple(fft.next_fast_len(length + 2 * edge, real=True) for length in (height, width))
-    pads = tuple((edge, size - length - edge) for length, size in zip((height, width), sizes, strict=True))
-    frequency = np.hypot(np.fft.rfftfreq(sizes[0])[:, None], np.fft.rfftfreq(sizes[1])[None, :]).astype(np.float32)
-    same = blurs[0].transfer(frequency).astype(np.float32) if all(blur is blurs[0] for blur in blurs) else None
     result = np.empty_like(pixels)
     together = 2 if count <= 4 else 4  # channels that are taken out of the frame, and put back, in one go over it
+    same = np.ones((height, width), np.float32) if count > 1 and all(blur is blurs[0] for blur in blurs) else None
+    if same is not None:
+        _multiply(same, blurs[0].transfer)
 
     def run(first: int) -> None:
         channels = range(first, min(first + together, count))
-        planes = np.empty((len(channels), height, width), np.float32)
+        planes = [np.empty((height, width), np.float32) for _ in channels]
         for rows in strips(height):
-            planes[:, rows] = pixels[rows, :, channels.start : channels.stop].transpose(2, 0, 1)
-        for plane, channel in zip(planes, channels, strict=True):
-            blur_plane(plane, blurs[channel])
+            for plane, channel in zip(planes, channels, strict=True):
+                plane[rows] = pixels[rows, :, channel]
+        planes = [_blurred_plane(plane, blurs[channel], same) for plane, channel in zip(planes, channels, strict=True)]
         for rows in strips(height):
-            result[rows, :, channels.start : channels.stop] = planes[:, rows].transpose(1, 2, 0)
+            for plane, channel in zip(planes, channels, strict=True):
+                np.maximum(plane[rows], 0.0, out=result[rows, :, channel])
 
-    def blur_plane(plane: FloatArray, blur: Blur) -> None:
-        transfer = blur.transfer(frequency).astype(np.float32) if same is None else same
-        padded = np.pad(plane, pads, mode="symmetric")
-        limit = highlight_limit(plane)
-        points = None
-        if float(plane.max()) > limit:
-            points = padded - limit
-            np.maximum(points, 0.0, out=points)
-            np.minimum(padded, limit, out=padded)
-        spectrum = fft.rfft2(padded, overwrite_x=True)
-        _multiply(spectrum, transfer)
-        if points is not None and blur.tail:
-            tail = fft.rfft2(points)
-            _multiply(tail, _tail(*sizes, blur.tail_scale) * np.float32(blur.tail))
-            spectrum += tail
-        blurred = fft.irfft2(spectrum, s=sizes, overwrite_x=True)
-        if points is not None:
-            add_spots(blurred, points, blur.spot)
-        np.maximum(blurred[edge : edge + height, edge : edge + width], 0.0, out=plane)
-
-    if any(blur.tail for blur in blurs):
-        _tail(*sizes, blurs[0].tail_scale)  # before the threads, so that it is made once
     with ThreadPoolExecutor(THREADS) as pool:
         list(pool.map(run, range(0, count, together)))
     return result
 
 
-def strips(height: int) -> Iterator[slice]:
-    """Few rows at a time, which the processor's cache holds."""
-    return (slice(top, top + STRIP_ROWS) for top in range(0, height, STRIP_ROWS))
-
-
-def _multiply(spectrum: npt.NDArray[np.complex64], transfer: FloatArray) -> None:
-    """In place, by a function that is the same at f and -f: `transfer` holds the rows of the frequencies >= 0."""
-    rows, height = transfer.shape[0], spectrum.shape[0]
-    spectrum[:rows] *= transfer
-    spectrum[rows:] *= transfer[1 : height - rows + 1][::-1]
-
-
-def add_spots(picture: FloatArray, points: FloatArray, spot: FloatArray) -> None:
-    """Add, in place, a copy of `spot` around every point, times its light; what leaves the picture is lost."""
+def _blurred_plane(plane: FloatArray, blur: Blur, known: FloatArray | None) -> FloatArray:
+    """One channel, which is overwritten; `known` is the transfer at the cosines' frequencies, where there is one."""
     from scipy import fft
 
-    rows, columns = np.nonzero(points > 0.0)
-    if rows.size * (spot.size + 4000) > COPIES:
-        kernel = np.zeros(points.shape)
-        reach = spot.shape[0] // 2
-        kernel[: spot.shape[0], : spot.shape[1]] = spot
-        spectrum = fft.rfft2(np.roll(kernel, (-reach, -reach), axis=(0, 1)))
-        spectrum *= fft.rfft2(points.astype(np.float64))  # float32 would spread 1e-8 of a lamp along its row
-        picture += fft.irfft2(spectrum, s=points.shape, overwrite_x=True)
-        return
-    height, width = points.shape
+    limit = highlight_limit(plane)
+    rows = np.flatnonzero(plane.max(axis=1) > limit)
+    line, columns = np.nonzero(plane[rows] > limit)
+    rows = rows[line]
+    lights = plane[rows, columns] - limit
+    plane[rows, columns] = limit
+    waves = fft.dctn(plane, overwrite_x=True)
+    if known is None:
+        _multiply(waves, blur.transfer)
+    else:
+        waves *= known
+    if rows.size and blur.tail:
+        tail = _low_waves(plane.shape, rows, columns, lights, TAIL_CYCLES / (SOFT_PX * blur.tail_scale))
+        _multiply(tail, lambda f: np.float32(blur.tail) * tail_transfer(f, blur.tail_scale), plane.shape)
+        waves[: tail.shape[0], : tail.shape[1]] += tail
+    found = fft.idctn(waves, overwrite_x=True)
+    if rows.size:
+        add_spots(found, *_mirrored(found.shape, rows, columns, lights, blur.spot.shape[0] // 2), blur.spot)
+    return np.asarray(found)
+
+
+def _multiply(waves: FloatArray, transfer: Callable[[FloatArray], Array], shape: tuple[int, ...] | None = None) -> None:
+    """In place, the cosine transform, or the low frequencies of it, of a picture of `shape` by a transfer function."""
+    fine = waves.shape if shape is None else shape
+    down, across = (
+        (0.5 * np.arange(kept) / length).astype(np.float32) for kept, length in zip(waves.shape, fine, strict=True)
+    )
+    down, across = down * down, across * across
+    for rows in strips(len(waves)):
+        waves[rows] *= transfer(np.sqrt(down[rows, None] + across))
+
+
+def _low_waves(shape: tuple[int, ...], rows: Places, columns: Places, lights: FloatArray, highest: float) -> FloatArray:
+    """Cosine transform of a picture of `shape` that is black but for a few pixels, up to a frequency [cycles/pixel]."""
+    from scipy import fft
+
+    high, wide = (min(length, math.ceil(2.0 * highest * length)) for length in shape)
+    lines, line = np.unique(rows, return_inverse=True)
+    lit = np.zeros((lines.size, shape[1]), np.float32)
+    lit[line, columns] = lights
+    waves = np.zeros((shape[0], wide), np.float32)
+    waves[lines] = fft.dct(lit, axis=1)[:, :wide]
+    return np.asarray(fft.dct(waves, axis=0, overwrite_x=True)[:high])
+
+
+def _mirrored(
+    shape: tuple[int, ...], rows: Places, columns: Places, lights: FloatArray, reach: int
+) -> tuple[Places, Places, FloatArray]:
+    """Points and their mirror images beyond the edges, as far as a spot of so many pixels reaches into the picture."""
+    for axis, length in enumerate(shape):
+        along = (rows, columns)[axis]
+        fold = 2 * length * np.arange(-(reach // (2 * length)) - 1, reach // (2 * length) + 2)
+        places = np.concatenate([fold[:, None] + along, fold[:, None] - 1 - along])
+        seen, point = np.nonzero((places > -1 - reach) & (places < length + reach))
+        found = places[seen, point]
+        rows, columns = (found, columns[point]) if axis == 0 else (rows[point], found)
+        lights = lights[point]
+    return rows, columns, lights
+
+
+def add_spots(picture: FloatArray, rows: Places, columns: Places, lights: FloatArray, spot: FloatArray) -> None:
+    """Add, in place, a copy of `spot` around every point, times its light; what leaves the picture is lost.
+
+    A point may lie outside of the picture, as far as its spot reaches into it.
+    """
+    from scipy import fft
+
+    height, width = picture.shape
     reach = spot.shape[0] // 2
-    for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+    if rows.size * (spot.size + 4000) > COPIES:
+        sizes = tuple(fft.next_fast_len(length + 2 * reach, real=True) for length in picture.shape)
+        kernel, points = np.zeros(sizes), np.zeros(sizes)  # float32 would spread 1e-8 of a lamp along its row
+        kernel[: spot.shape[0], : spot.shape[1]] = spot
+        points[rows + reach, columns + reach] = lights
+        spectrum = fft.rfft2(kernel)
+        spectrum *= fft.rfft2(points)
+        picture += fft.irfft2(spectrum, s=sizes, overwrite_x=True)[2 * reach :, 2 * reach :][:height, :width]
+        return
+    for row, column, light in zip(rows.tolist(), columns.tolist(), lights, strict=True):
         top, left = max(row - reach, 0), max(column - reach, 0)
         bottom, right = min(row + reach + 1, height), min(column + reach + 1, width)
         part = spot[top - row + reach : bottom - row + reach, left - column + reach : right - column + reach]
-        picture[top:bottom, left:right] += points[row, column] * part
+        picture[top:bottom, left:right] += light * part
 
 
 @functools.lru_cache(maxsize=64)
@@ -183,16 +204,16 @@ def aperture(q: float, scale: int) -> Blur:
     for row in aliases:
         for column in aliases:
             y, x = f[:, None] + row, f[None, :] + column
-            folded += read_transfer(q * np.hypot(y, x)) * np.sinc(y) * np.sinc(x)
+            folded += aperture_transfer(q * np.hypot(y, x)) * np.sinc(y) * np.sinc(x)
     weights = fft.dctn(folded, type=1) / size**2
     reach = SPOT_PX * scale
     quarter = np.maximum(weights[: reach + 1, : reach + 1], 0.0)
     radius = np.hypot(np.arange(reach + 1)[:, None], np.arange(reach + 1)[None, :])
-    quarter = np.where(radius < reach, quarter - q * _tail_weights(radius, scale), 0.0)
+    quarter = np.where(radius < reach, quarter - q * tail_weights(radius, scale), 0.0)
     half = np.concatenate([quarter[:0:-1], quarter])
     spot = np.concatenate([half[:, :0:-1], half], axis=1)
-    total = spot.sum() + q * _tail_sum(scale)
-    return Blur(lambda frequency: read_transfer(q * frequency), (spot / total).astype(np.float32), q / total, scale)
+    total = spot.sum() + q * float(tail_transfer(np.zeros(1), scale)[0])
+    return Blur(lambda frequency: aperture_transfer(q * frequency), (spot / total).astype(np.float32), q / total, scale)
 
 
 def disc_weights(q: float, radius: Array) -> Array:
@@ -203,7 +224,7 @@ def disc_weights(q: float, radius: Array) -> Array:
         radius: (2 R + 1, 2 R + 1) distances from the middle pixel.
     """
     given = aperture(q, max(1, math.ceil(q)))
-    weights = given.tail * _tail_weights(radius, given.tail_scale)
+    weights = given.tail * tail_weights(radius, given.tail_scale)
     reach, inner = radius.shape[0] // 2, given.spot.shape[0] // 2
     near = min(reach, inner)
     weights[reach - near : reach + near + 1, reach - near : reach + near + 1] += given.spot[
@@ -212,28 +233,19 @@ def disc_weights(q: float, radius: Array) -> Array:
     return np.asarray(weights)
 
 
-def _tail_weights(radius: Array, scale: int) -> Array:
-    """1 / (pi^3 r^3) beyond `SPOT_PX`, fading in from `TAIL_PX` on."""
-    rise = np.clip((radius / scale - TAIL_PX) / (SPOT_PX - TAIL_PX), 0.0, 1.0)
-    return np.asarray(rise * rise * (3.0 - 2.0 * rise) / (math.pi * np.maximum(radius, 1.0)) ** 3)
+def tail_weights(radius: Array, scale: int) -> Array:
+    """1 / (pi^3 r^3), rounded off towards the middle: 2 s(b) - s(2 b) with s(b) = (r^2 + b)^-1.5 / pi^3, which is
+    1 - 3.75 (b / r^2)^2 of it: 1.5 % less at `SPOT_PX`.
+    """
+    soft, r2 = (SOFT_PX * scale) ** 2, np.square(radius)
+    return np.asarray((2.0 * (r2 + soft) ** -1.5 - (r2 + 2.0 * soft) ** -1.5) / math.pi**3)
 
 
-def _tail_sum(scale: int) -> float:
-    """Sum of `_tail_weights` over the whole plane: as an integral up to 1,000 pixels, and in closed form beyond."""
-    radius = np.arange(0.05, 1000.0 * scale, 0.1)
-    return float(
-        2.0 * math.pi * (_tail_weights(radius, scale) * radius).sum() * 0.1 + 2.0 / (math.pi**2 * 1000.0 * scale)
-    )
-
-
-@functools.lru_cache(maxsize=2)
-def _tail(height: int, width: int, scale: int) -> FloatArray:
-    """(H // 2 + 1, W // 2 + 1) transfer of the tail at q = 1 on the frequencies >= 0."""
-    from scipy import fft
-
-    row_px, column_px = np.fft.fftfreq(height) * height, np.fft.fftfreq(width) * width
-    weights = _tail_weights(np.hypot(row_px[:, None], column_px[None, :]), scale)
-    return np.ascontiguousarray(fft.rfft2(weights).real[: height // 2 + 1], dtype=np.float32)
+def tail_transfer(frequency: npt.NDArray[np.floating], scale: int) -> Array:
+    """Fourier transform of `tail_weights`: that of s(b) is 2 exp(-2 pi sqrt(b) f) / (pi^2 sqrt(b))."""
+    soft = SOFT_PX * scale
+    first, second = (np.exp(-2.0 * math.pi * width * frequency) for width in (soft, math.sqrt(2.0) * soft))
+    return np.asarray((2.0 * first - second / math.sqrt(2.0)) * (2.0 / (math.pi**2 * soft)))
 
 
 def disc(diameter_px: float) -> FloatArray:

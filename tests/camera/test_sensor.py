@@ -99,7 +99,7 @@ def test_few_electrons_are_not_shifted(mean_e, resolves):
     """
     chip = load_sensor("imx363")
     means = []
-    for seed in range(16):
+    for seed in range(20):
         image = sensor.prnu(electrons(mean_e, (600, 600)), prnu_percent=chip.prnu_percent, serial=f"means {seed}")
         image = sensor.shot_noise(image, rng=seeds.stream(seed, "shot", str(mean_e)))
         image = sensor.dsnu(
