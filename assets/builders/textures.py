@@ -8,6 +8,7 @@ stored as sRGB.  `write_textures` leaves them in one folder.  Row 0 is the top
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -378,7 +379,7 @@ def plate_words() -> list[list[str]]:
 
 def _plate(word: str) -> Array:
     h, w = 56, 256
-    mask = _lettering(word, (h, w), height=0.62, weight=0.10, left=0.12)[..., None]
+    mask = _lettering(word, (h, w), height=0.62, weight=0.07, left=0.12)[..., None]
     plate = np.full((h, w, 3), 0.70) * (1 - mask) + 0.015 * mask
     plate[:, : int(0.09 * w)] = (0.015, 0.04, 0.25)
     plate[:3] = plate[-3:] = 0.02
@@ -406,9 +407,9 @@ def banners() -> Array:
 
 def signs() -> Array:
     """Nine traffic signs in a 3 by 3 atlas: no entry, 30, give way, priority, crossing, no stopping, ahead only,
-    parking, street name.
+    parking, street name.  Drawn three times as wide and tall, so that edges are soft.
     """
-    n = 192
+    n = 3 * 192
     v, u = np.meshgrid(np.linspace(1, -1, n), np.linspace(-1, 1, n), indexing="ij")
     r = np.hypot(u, v)
     white, red, blue, black, yellow = (
@@ -424,9 +425,7 @@ def signs() -> Array:
         return (v < size - 0.1) & (v > 1.72 * np.abs(u) - size - 0.02)
 
     no_entry = paint(paint(paint(grey, r < 1, white), r < 0.96, red), (np.abs(u) < 0.72) & (np.abs(v) < 0.16), white)
-    limit = paint(
-        paint(paint(grey, r < 1, red), r < 0.76, white), _lettering("30", (n, n), height=0.42, weight=0.13) > 0.5, black
-    )
+    limit = paint(paint(paint(paint(grey, r < 1, white), r < 0.97, red), r < 0.78, white), _thirty(u, v), black)
     give_way = paint(paint(grey, triangle(0.95), red), triangle(0.62), white)
     diamond = np.abs(u) + np.abs(v)
     priority = paint(paint(paint(grey, diamond < 1, white), diamond < 0.93, black), diamond < 0.9, white)
@@ -447,23 +446,67 @@ def signs() -> Array:
     ahead = paint(paint(paint(grey, r < 1, white), r < 0.95, blue), arrow, white)
     parking = paint(
         paint(paint(grey, square < 1, white), square < 0.94, blue),
-        _lettering("P", (n, n), height=0.6, weight=0.12) > 0.5,
+        _capital_p(u, v),
         white,
     )
     name = paint(paint(np.tile(blue, (n, n, 1)), square > 0.96, white), np.zeros((n, n), dtype=bool), white)
     strip = n // 4
     name[:strip] = paint(
-        np.tile(blue, (strip, n, 1)), _lettering("NEBELGASSE", (strip, n), height=0.5, weight=0.09) > 0.5, white
+        np.tile(blue, (strip, n, 1)), _lettering("NEBELGASSE", (strip, n), height=0.5, weight=0.06) > 0.5, white
     )
     name[strip : 2 * strip] = paint(
-        np.tile(blue, (strip, n, 1)), _lettering("AM MARKT", (strip, n), height=0.5, weight=0.09) > 0.5, white
+        np.tile(blue, (strip, n, 1)), _lettering("AM MARKT", (strip, n), height=0.5, weight=0.06) > 0.5, white
     )
     cells = [no_entry, limit, give_way, priority, crossing, no_stopping, ahead, parking, name]
-    return np.concatenate([np.concatenate(cells[i : i + 3], axis=1) for i in (0, 3, 6)])
+    drawn = np.concatenate([np.concatenate(cells[i : i + 3], axis=1) for i in (0, 3, 6)])
+    return drawn.reshape(n, 3, n, 3, 3).mean(axis=(1, 3))
+
+
+def _thirty(u: Array, v: Array) -> Array:
+    """Where the digits of a speed limit are on a sign that goes from -1 to 1: as those of DIN 1451, of strokes a
+    seventh of their height and four sevenths as wide as tall.
+    """
+    tall = 0.80
+    a, top = 3 / 14 * tall, 3 / 7 * tall  # half width and half height of the strokes' middles
+    three_at, nought_at, waist = -0.355 * tall, 0.355 * tall, 0.03 * tall
+    upper, lower = (top - waist) / 2, (top + waist) / 2
+    three = [
+        *_arc(three_at, top - upper, a * 0.95, upper, 160, -90),
+        *_arc(three_at, lower - top, a, lower, 90, -160),
+    ]
+    nought = [*_arc(nought_at, top - a, a, a, 180, 0), *_arc(nought_at, a - top, a, a, 0, -180)]
+    return _near([three, [*nought, nought[0]]], u, v) < tall / 14
+
+
+def _capital_p(u: Array, v: Array) -> Array:
+    """Where the letter of a car park is on a sign that goes from -1 to 1."""
+    tall = 1.16
+    x, top, bowl = -0.24 * tall, 3 / 7 * tall, 0.235 * tall
+    line = [(x, -top), (x, top), *_arc(0.06 * tall, top - bowl, bowl, bowl, 90, -90), (x, top - 2 * bowl)]
+    return (_near([line], u, np.maximum(v, -top)) < tall / 13) & (v > -top - tall / 14)  # its foot is cut straight
+
+
+def _arc(x: float, y: float, a: float, b: float, first: float, last: float) -> list[tuple[float, float]]:
+    """Points of an ellipse about (x, y) between two angles [degrees]."""
+    angle = np.deg2rad(np.linspace(first, last, 24))
+    return list(zip((x + a * np.cos(angle)).tolist(), (y + b * np.sin(angle)).tolist(), strict=True))
+
+
+def _near(lines: Sequence[Sequence[tuple[float, float]]], x: Array, y: Array) -> Array:
+    """Distance to the nearest of some polylines."""
+    found = np.full(np.shape(x), 1e9)
+    for line in lines:
+        for a, b in itertools.pairwise(np.asarray(line, dtype=np.float64)):
+            e = b - a
+            t = np.clip(((x - a[0]) * e[0] + (y - a[1]) * e[1]) / max(float(e @ e), 1e-9), 0, 1)
+            found = np.minimum(found, np.hypot(x - a[0] - t * e[0], y - a[1] - t * e[1]))
+    return found
 
 
 def _lettering(word: str, shape: tuple[int, int], *, height: float, weight: float, left: float = 0.0) -> Array:
-    """Coverage of a word drawn in round strokes, centred; `height` and `weight` are shares of the row."""
+    """Coverage of a word drawn in round strokes, centred; `height` is a share of the row, `weight` two thirds of the
+    strokes' width in such shares.
+    """
     accents = {"Ä": "A", "É": "E", "Ö": "O", "Ü": "U"}
     h, w = shape
     unit = height * h / 6
@@ -472,7 +515,7 @@ def _lettering(word: str, shape: tuple[int, int], *, height: float, weight: floa
     squeeze = min(1.0, (0.92 - left) * w / total)
     x0, y0 = left * w + ((1 - left) * w - total * squeeze) / 2, (h + height * h) / 2
     y, x = np.meshgrid(np.arange(h) + 0.5, np.arange(w) + 0.5, indexing="ij")
-    distance = np.full(shape, 1e9)
+    drawn = []
     for i, letter in enumerate(word):
         strokes = GLYPHS[accents.get(letter, letter)].split()
         lines = [[(int(s[k]), int(s[k + 1])) for k in range(0, len(s) - 1, 2)] for s in strokes]
@@ -480,13 +523,8 @@ def _lettering(word: str, shape: tuple[int, int], *, height: float, weight: floa
             lines += [[(1, 7), (1, 7)], [(3, 7), (3, 7)]]
         if letter == "É":
             lines += [[(2, 7), (3, 8)]]
-        for line in lines:
-            p = np.array([(x0 + squeeze * (i * advance + a * unit), y0 - b * unit) for a, b in line])
-            for a, b in itertools.pairwise(p):
-                e = b - a
-                t = np.clip(((x - a[0]) * e[0] + (y - a[1]) * e[1]) / max(float(e @ e), 1e-9), 0, 1)
-                distance = np.minimum(distance, np.hypot(x - a[0] - t * e[0], y - a[1] - t * e[1]))
-    return np.clip(weight * h * 0.75 - distance + 0.5, 0, 1)
+        drawn += [[(x0 + squeeze * (i * advance + a * unit), y0 - b * unit) for a, b in line] for line in lines]
+    return np.clip(weight * h * 0.75 - _near(drawn, x, y) + 0.5, 0, 1)
 
 
 def _edges(shade: Array, width: int, factor: float) -> Array:

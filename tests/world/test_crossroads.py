@@ -322,6 +322,22 @@ def test_albedos_are_those_of_real_surfaces():
     assert 0.08 < textures.brick().mean() < 0.25
 
 
+def test_digits_of_a_speed_limit_are_those_of_a_road_sign():
+    """Strokes are a seventh of the digits' height (DIN 1451), digits are narrower than two thirds of it, and there is a
+    stroke of white between them at least; measured along rows and columns of the picture.
+    """
+    dark = textures.signs()[:192, 192:384].max(axis=-1) < 0.2
+    rows, columns = np.flatnonzero(dark.any(axis=1)), np.flatnonzero(dark.any(axis=0))
+    tall = rows[-1] - rows[0] + 1
+    steps = np.flatnonzero(np.diff(columns) > 1)
+    assert len(steps) == 1, "two digits"
+    gap = columns[steps[0] + 1] - columns[steps[0]] - 1
+    assert gap > 0.12 * tall
+    assert columns[-1] - columns[steps[0] + 1] + 1 < 0.66 * tall
+    nought = dark[rows[0] + tall // 2, columns[steps[0] + 1] :]
+    assert nought.sum() / 2 == pytest.approx(tall / 7, rel=0.12)
+
+
 def test_a_cut_keeps_the_area_of_a_surface():
     """What is carved out and what is left add up, to rounding."""
 
