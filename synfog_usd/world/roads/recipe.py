@@ -30,6 +30,8 @@ NEAREST_LIT, NEAREST_LAMPS = 6, 8
 """Vehicles and street lamps that are lights at dusk; those beyond glow.  Each light costs noise in every pixel."""
 LIT_M = 110.0
 LOW_M = 60.0
+TOGETHER_M = 4.0
+"""People so near each other are seen together."""
 SURROUND = (
     ("Front_Left", -0.48, -0.18, 55.0, 70.0),
     ("Front_Right", 0.50, -0.15, -55.0, 70.0),
@@ -127,21 +129,35 @@ def plated(placed: Sequence[Placement], seed: int) -> list[Placement]:
 
 
 def posed(placed: Sequence[Placement], seed: int) -> list[Placement]:
-    """With one of several individuals for each person: no two of a kind who stand next to each other in the list, which
-    is who walk together or work at one place, are the same.
+    """With one of several individuals for each person: no two of a kind who come one after the other are the same.  Of
+    those who stand within `TOGETHER_M` no two are at one moment of the step while there are others, and no two of a
+    kind wear the same.
     """
     rng = stream(seed, "recipe", "individuals")
     result: list[Placement] = []
+    people: list[Placement] = []
     last: dict[str, str] = {}
     for p in placed:
         found = rules.model(p.asset)
         choices = found.variants.get("individual", ()) if found.group == "person" else ()
         if choices:
-            others = [one for one in choices if one != last.get(p.asset)]
+            near = [q for q in people if math.hypot(p.x - q.x, p.y - q.y) < TOGETHER_M]
+            others = _but([one for one in choices if one != last.get(p.asset)], near, "individual")
             last[p.asset] = others[int(rng.integers(len(others)))]
-            p = replace(p, variants={**p.variants, "individual": last[p.asset]})
+            worn = {**p.variants, "individual": last[p.asset]}
+            twins = [q for q in near if q.asset == p.asset]
+            if "outfit" in worn and any(q.variants["outfit"] == worn["outfit"] for q in twins):
+                clothes = _but(found.variants["outfit"], twins, "outfit")
+                worn["outfit"] = clothes[int(rng.integers(len(clothes)))]
+            p = replace(p, variants=worn)
+            people.append(p)
         result.append(p)
     return result
+
+
+def _but(choices: Sequence[str], taken: Sequence[Placement], variant_set: str) -> Sequence[str]:
+    """Choices that none of some placements has; all of them where nothing would be left."""
+    return [one for one in choices if all(q.variants[variant_set] != one for q in taken)] or choices
 
 
 def _rig(kind: str, baseline_m: float, view: View) -> tuple[RigCamera, ...]:
