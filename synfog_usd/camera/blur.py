@@ -41,12 +41,13 @@ def diffraction(
     f_number: Annotated[float, Range(0.5, 64.0), FromProfile("lens.f_number")],
     pixel_pitch_um: Annotated[float, Range(0.3, 50.0), FromProfile("sensor.pixel_pitch_um")],
     sensor: Annotated[SensorProfile, FromProfile("sensor")],
+    spot_um: Annotated[float, Range(0.0, 50.0), FromProfile("lens.spot_um")] = 0.0,
 ) -> Image:
-    """Blur of a perfect round aperture.
+    """Blur of a round aperture, and of the errors of the glass behind it.
 
-    OTF = 2/pi (acos v - v sqrt(1 - v^2)), v = frequency * lambda N / pitch.  Pixels
-    are radiance averaged over their own area already, so nothing else is multiplied
-    in.
+    OTF = 2/pi (acos v - v sqrt(1 - v^2)), v = frequency * lambda N / pitch, times
+    exp(-2 (pi spot frequency / pitch)^2).  Pixels are radiance averaged over their own
+    area already, so nothing else is multiplied in.
 
     That OTF ends at the pixels' Nyquist frequency with a step, which would draw a
     cross around a lamp.  What exceeds `HIGHLIGHT` times the frame's 95th
@@ -62,12 +63,15 @@ def diffraction(
         image: irradiance (H, W, C).
         mode: band takes one mean wavelength for each channel, broadband one for all,
             none leaves the picture as it is.  auto leaves out what does not show
-            (RMS contrast * 0.134 * lambda N / pitch < 0.001, no point of light, and
-            measured error < 0.001); else it takes broadband for more than three
+            (RMS contrast * (0.134 * lambda N / pitch + 1.1 * (spot / pitch)^2) < 0.001, no
+            point of light, and measured error < 0.001); else it takes broadband for more than three
             channels if its measured error is below 0.0005 of the contrast, else band.
         f_number: N [1].
         pixel_pitch_um: distance of the picture's pixels on the sensor [um].
         sensor: weighs the wavelengths.
+        spot_um: standard deviation of the Gaussian spot that a lens without diffraction would
+            make, the same all over the picture [um]; 0 for a perfect one.  `optics.aberrations`
+            has spots that change over the field.
 
     Returns:
         Irradiance, >= 0.
@@ -79,15 +83,16 @@ def diffraction(
     weights = spectral_weights(sensor, image.channels)
     wavelengths_nm = weights @ photometry.WAVELENGTHS_NM
     per_nm = 1e-3 * f_number / pixel_pitch_um
-    measured = _Measured.of(image, weights, per_nm)
-    chosen = _chosen(image, mode, float(wavelengths_nm.max() * per_nm), measured)
+    spot_px = spot_um / pixel_pitch_um
+    measured = _Measured.of(image, weights, per_nm, spot_px)
+    chosen = _chosen(image, mode, float(wavelengths_nm.max() * per_nm), spot_px, measured)
     if chosen == "broadband":
         wavelengths_nm = np.full_like(wavelengths_nm, wavelengths_nm.mean())
     metadata = {"diffraction_mode": chosen, "diffraction_error": float(f"{measured.error(chosen):.3g}")}
     if chosen == "none":
         return image.with_metadata(**metadata)
     scale = max(1, math.ceil(float(wavelengths_nm.max()) * per_nm))
-    blurs = [spread.aperture(float(wavelength_nm * per_nm), scale) for wavelength_nm in wavelengths_nm]
+    blurs = [spread.aperture(float(wavelength_nm * per_nm), scale, spot_px) for wavelength_nm in wavelengths_nm]
     return image.with_pixels(spread.blurred(image.pixels, blurs)).with_metadata(
         mean_wavelengths_nm=[round(float(nm), 3) for nm in wavelengths_nm], **metadata
     )
@@ -191,18 +196,19 @@ class _Measured:
     Attributes:
         frequency: (B,) cycles per pixel.
         power: (K, B) for K channels: variance of the crop in each bin, relative to its mean squared.
-        truth: (K, B) transfer of the channel's whole spectrum.
+        truth: (K, B) transfer of the channel's whole spectrum; spot: (B,) that of the lens's own spot, a part of it.
         mean_q, all_q: (K,) lambda N / pitch of the channel's mean wavelength, and the mean over all channels.
     """
 
     frequency: Array
     power: Array
     truth: Array
+    spot: Array
     mean_q: Array
     all_q: float
 
     @classmethod
-    def of(cls, image: Image, weights: Array, per_nm: float) -> _Measured:
+    def of(cls, image: Image, weights: Array, per_nm: float, spot_px: float) -> _Measured:
         """Measure the first, middle and last channel."""
         channels = sorted({0, image.pixels.shape[2] // 2, image.pixels.shape[2] - 1})
         limits = [spread.highlight_limit(image.pixels[..., channel]) for channel in channels]
@@ -214,8 +220,10 @@ class _Measured:
         found = [_power(np.minimum(crop[..., channel], limit)) for channel, limit in zip(channels, limits, strict=True)]
         frequency = found[0][0]
         truth = weights[channels] @ spread.aperture_transfer(np.outer(photometry.WAVELENGTHS_NM * per_nm, frequency))
+        spot = spread.spot_transfer(spot_px, frequency)
         q = weights @ photometry.WAVELENGTHS_NM * per_nm
-        return cls(frequency, np.array([power for _, power in found]), truth, q[channels], float(q.mean()))
+        power = np.array([power for _, power in found])
+        return cls(frequency, power, truth * spot, spot, q[channels], float(q.mean()))
 
     def error(self, mode: str) -> float:
         """RMS difference to the truth, as a part of the mean level; the worst channel."""
@@ -223,7 +231,7 @@ class _Measured:
             found = np.ones_like(self.truth)
         else:
             q = self.mean_q if mode == "band" else np.full_like(self.mean_q, self.all_q)
-            found = spread.aperture_transfer(np.outer(q, self.frequency))
+            found = spread.aperture_transfer(np.outer(q, self.frequency)) * self.spot
         return float(np.sqrt((self.power * (found - self.truth) ** 2).sum(axis=1)).max())
 
     @property
@@ -232,13 +240,13 @@ class _Measured:
         return float(np.sqrt(self.power.sum(axis=1)).max())
 
 
-def _chosen(image: Image, mode: str, q: float, measured: _Measured) -> str:
+def _chosen(image: Image, mode: str, q: float, spot_px: float, measured: _Measured) -> str:
     if mode != "auto":
         return mode
     if (
         q <= 1.0
         and measured.error("none") < UNSEEN
-        and _contrast(image) * 0.134 * q < UNSEEN
+        and _contrast(image) * (0.134 * q + 1.1 * spot_px**2) < UNSEEN
         and not _has_points(image)
     ):
         return "none"

@@ -192,6 +192,7 @@ class LensProfile:
         transmission: part of the light that the glass lets through [1].
         glare_fraction: part of the light that surfaces, dust and edges scatter over the picture [1].
         blades: straight edges of the aperture; 0 for a round one.
+        spot_um: standard deviation of the spot that the glass would make without diffraction [um]; 0 for a perfect one.
         distortion: OpenCV's k1, k2, p1, p2, then k3, then k4, k5, k6; () for none.
         fisheye: c1, c2 ... of the angle to the axis, as in `optics.fisheye`; () for a lens that is none.
         fisheye_fov_x_deg: horizontal angle of view that a fisheye has on its sensor [degrees]; 0 for none.
@@ -211,6 +212,7 @@ class LensProfile:
     transmission: float = _value(0.01, 1.0)
     glare_fraction: float = _value(0.0, 0.5)
     blades: int = _value(0, 32, whole=True, default=0)
+    spot_um: float = _value(0.0, 50.0, default=0.0)
     fisheye_fov_x_deg: float = _value(0.0, 360.0, default=0.0)
     distortion: tuple[float, ...] = ()
     fisheye: tuple[float, ...] = ()
@@ -260,7 +262,7 @@ def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
 
 
 def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
-    """A lens; see `load_sensor`.  `blades`, `distortion`, `fisheye`, `relative_illumination`, `aberrations`
+    """A lens; see `load_sensor`.  `blades`, `spot_um`, `distortion`, `fisheye`, `relative_illumination`, `aberrations`
     and `drawing` may be left out.
     """
     reader = _Reader(

@@ -70,6 +70,11 @@ def aperture_transfer(v: npt.NDArray[np.floating]) -> Array:
     return np.asarray((2.0 / math.pi) * (np.arccos(v) - v * np.sqrt(1.0 - v * v)))
 
 
+def spot_transfer(spot_px: float, frequency: npt.NDArray[np.floating]) -> Array:
+    """Contrast that a Gaussian spot leaves at frequencies [cycles/pixel]: exp(-2 (pi s f)^2)."""
+    return np.exp(-2.0 * np.square(math.pi * spot_px * frequency))
+
+
 def blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
     """(H, W, C) through one blur per channel, >= 0; light from outside the picture is taken as its mirror image.
 
@@ -188,8 +193,8 @@ def add_spots(picture: FloatArray, rows: Places, columns: Places, lights: FloatA
 
 
 @functools.lru_cache(maxsize=64)
-def aperture(q: float, scale: int) -> Blur:
-    """A round aperture with q = lambda N / pitch.
+def aperture(q: float, scale: int, spot_px: float = 0.0) -> Blur:
+    """A round aperture with q = lambda N / pitch, and the lens's own spot, a Gaussian of standard deviation `spot_px`.
 
     Near its centre the disc is integrated over square pixels: the inverse transform
     of sum_k OTF(f + k) sinc(f + k) on a small grid.  From there on it follows its mean
@@ -204,7 +209,8 @@ def aperture(q: float, scale: int) -> Blur:
     for row in aliases:
         for column in aliases:
             y, x = f[:, None] + row, f[None, :] + column
-            folded += aperture_transfer(q * np.hypot(y, x)) * np.sinc(y) * np.sinc(x)
+            radial = np.hypot(y, x)
+            folded += aperture_transfer(q * radial) * spot_transfer(spot_px, radial) * np.sinc(y) * np.sinc(x)
     weights = fft.dctn(folded, type=1) / size**2
     reach = SPOT_PX * scale
     quarter = np.maximum(weights[: reach + 1, : reach + 1], 0.0)
@@ -213,7 +219,12 @@ def aperture(q: float, scale: int) -> Blur:
     half = np.concatenate([quarter[:0:-1], quarter])
     spot = np.concatenate([half[:, :0:-1], half], axis=1)
     total = spot.sum() + q * float(tail_transfer(np.zeros(1), scale)[0])
-    return Blur(lambda frequency: aperture_transfer(q * frequency), (spot / total).astype(np.float32), q / total, scale)
+
+    def transfer(frequency: FloatArray) -> Array:
+        whole = aperture_transfer(q * frequency)
+        return whole * spot_transfer(spot_px, frequency) if spot_px else whole
+
+    return Blur(transfer, (spot / total).astype(np.float32), q / total, scale)
 
 
 def disc_weights(q: float, radius: Array) -> Array:

@@ -63,6 +63,37 @@ def test_contrast_of_a_grating_follows_the_diffraction_limit(f_number, pitch_um,
     assert contrast == pytest.approx(expected, abs=0.002)
 
 
+@pytest.mark.parametrize("spot_um", [0.3, 0.65, 1.4])
+def test_a_lens_with_errors_takes_contrast_as_a_gaussian_spot_does(spot_um):
+    """Times exp(-2 (pi s f)^2) of what diffraction leaves, for a grating within 0.002; and a lamp's spot, seen as a
+    line, has that contrast too times that of the pixels' area, within 0.005 of its light.
+    """
+    pitch_um, f_number = 1.4, 1.8
+    q = 0.550 * f_number / pitch_um
+    whole = spread.aperture(q, 1, spot_um / pitch_um)
+    assert whole.spot.min() >= 0.0
+    for cycles in (16, 64, 110):
+        frequency = cycles / 256
+        wave = np.cos(2 * math.pi * frequency * (np.arange(256) + 0.5))
+        image = light(np.tile(1 + 0.5 * wave, (256, 1)))
+        out = blur.diffraction(
+            image, mode="band", f_number=f_number, pixel_pitch_um=pitch_um, sensor=SENSOR, spot_um=spot_um
+        ).pixels[128, :, 1]
+        v = q * frequency
+        expected = 2 / math.pi * (math.acos(v) - v * math.sqrt(1 - v * v))
+        expected *= math.exp(-2 * (math.pi * spot_um / pitch_um * frequency) ** 2)
+        assert 2 * np.mean((out * wave)[64:192]) / np.mean(out[64:192]) / 0.5 == pytest.approx(expected, abs=0.002)
+        folded = 0.0
+        for f in frequency + np.arange(-3, 4):  # what lies beyond the Nyquist frequency folds back
+            v = min(q * abs(f), 1.0)
+            left = 2 / math.pi * (math.acos(v) - v * math.sqrt(1 - v * v))
+            folded += left * math.exp(-2 * (math.pi * spot_um / pitch_um * f) ** 2) * np.sinc(f)
+        line = whole.spot.sum(axis=0)
+        seen = line @ np.cos(2 * math.pi * frequency * (np.arange(line.size) - line.size // 2))
+        seen += whole.tail * spread.tail_transfer(np.array([frequency]), whole.tail_scale)[0]
+        assert seen == pytest.approx(folded, abs=0.005)
+
+
 @pytest.mark.parametrize("shape", [(37, 61), (3, 5), (1, 1), (2, 300)])
 def test_an_even_picture_stays_even_up_to_its_edges(shape):
     np.testing.assert_allclose(through(np.full(shape, 3.0), f_number=8.0, pitch_um=1.4), 3.0, rtol=1e-5)

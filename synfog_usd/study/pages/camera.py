@@ -109,7 +109,7 @@ def slanted_edge(pipeline: str) -> tuple[Array, Array, Array]:
 
     Returns:
         frequency [cycles/pixel] up to 0.5, contrast found, and by theory: a disc's
-        diffraction times the pixel's square.
+        diffraction times the lens's own spot and the pixel's square.
     """
     graph = camera.load_graph(resources.folder("pipeline") / f"{pipeline}.yaml")
     height, width, reach, bins = 200, 150, 30, 4
@@ -142,6 +142,7 @@ def slanted_edge(pipeline: str) -> tuple[Array, Array, Array]:
         2
         / math.pi
         * (np.arccos(v) - v * np.sqrt(1 - v * v))
+        * np.exp(-2 * (math.pi * lens.spot_um / chip.pixel_pitch_um * f) ** 2)
         * np.sinc(f * math.cos(TILT))
         * np.sinc(f * math.sin(TILT))
     )
