@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 from support.cli import run
 
 from synfog_usd.exports import stats
@@ -25,6 +26,26 @@ def test_counts_are_those_of_the_labels(baked):
     assert figures.fogs["mor50"]["invisible"] == sum(left[row["id"]] == "invisible" for row in seen) > 0
     assert figures.fog_m == {"clear": None, "mor150": 150.0, "mor50": 50.0}
     assert figures.a_picture(stats.HUMANS) == 3.0
+
+
+def test_pixels_are_counted_by_class_once_for_all_fogs(baked):
+    """As the rows of labels.json count; what is no instance is sky.  Shares are of the 19 classes that Cityscapes
+    evaluates, and sum to 100.
+    """
+    figures = stats.gather(baked.folder)
+    counted = {"sky": baked.seen.instance_id.size}
+    for row in baked.listed["instances"]:
+        counted[row["label"]] = counted.get(row["label"], 0) + row["pixels"]
+        counted["sky"] -= row["pixels"]
+    assert figures.pixels == {name: count for name, count in counted.items() if count}
+    evaluated = [7, 8, 11, 12, 13, 17, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 31, 32, 33]
+    told = sum(row["pixels"] for row in baked.listed["instances"] if row["semantic_id"] in evaluated) + counted["sky"]
+    assert figures.share("car") == pytest.approx(100.0 * counted["car"] / told)
+    assert sum(figures.metadata()["pixels_percent"].values()) == pytest.approx(100.0, abs=0.02)
+    weights = {"road": 3.063728571, "building": 4.949110508, "vegetation": 7.091544151, "sky": 28.106302261,
+               "car": 16.149547577, "pole": 91.361610413, "traffic sign": 204.906326294}  # fmt: skip
+    for name, weight in weights.items():  # inverse class frequencies that others train with
+        assert stats.CITYSCAPES_PIXELS[name] == pytest.approx(100.0 / weight, rel=0.06), name
 
 
 def test_bytes_are_counted_once(baked):
