@@ -60,6 +60,7 @@ class MitsubaScene:
         spectral_bsdfs: key of a material -> the object that takes its place where paths carry bands, see
             `spectra.bsdfs`; made when it is first asked for.
         open_to_sky: (width, height) [px] -> `planner.open_to_sky`, once it was asked for: it is the same in every fog.
+        light_samplers: (the phase function's mean cosine, kinds of light) -> `LightSampler`, once it was asked for.
     """
 
     scene: Any
@@ -73,6 +74,7 @@ class MitsubaScene:
     parts: Mapping[str, Any] = field(default_factory=dict)
     spectral_bsdfs: dict[str, Any] = field(default_factory=dict)
     open_to_sky: dict[tuple[int, int], float] = field(default_factory=dict)
+    light_samplers: dict[tuple[float, int], Any] = field(default_factory=dict)
 
 
 def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:

@@ -61,13 +61,14 @@ def make_tracer(
             raise ParameterError(f"the slab cannot be used here: {problem}")
     names, numbers, of_emitter = _groups(loaded, carried.kinds, kind_of)
     g = loaded.source.fog[0].medium.phase_function.mean_cosine if loaded.source.fog else 0.0
-    lights = LightSampler(world, numbers, g)
+    if (g, carried.kinds) not in loaded.light_samplers:
+        loaded.light_samplers[g, carried.kinds] = LightSampler(world, numbers, g)
     kind = FroxelPath if in_froxels else FogPath
     cut = Truncation(**limits)
     return kind(
         loaded,
         medium,
-        lights=lights,
+        lights=loaded.light_samplers[g, carried.kinds],
         others=others,
         control=control,
         truncation=cut,

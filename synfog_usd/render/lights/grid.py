@@ -11,6 +11,7 @@ unbiased, and rare.  Shadows are not known to it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -45,6 +46,9 @@ RAYS = 4
 """Rays of a tile; along each, every lamp is asked at `NODES` places."""
 
 NODES = 24
+
+LANES = 1 << 20
+"""Places and lamps that are looked at together at most."""
 
 
 class LightDistribution:
@@ -130,11 +134,21 @@ class LightGrid:
         within = 0.25 + 0.5 * bits  # of the cell's eighths, the middle
         points = self.low + (corner[:, None] + within[None]) * self.size
         place = backend.points(points.reshape(-1, 3))
-        found = np.zeros((count, self.lights.count))
-        for number in range(self.lights.count):
-            light = self._sent(dr.opaque(mi.UInt32, number), place)
-            found[:, number] = np.array(light, dtype=np.float64).reshape(count, POINTS).mean(axis=1)
-        return found
+        light = self._of_all(count * POINTS, lambda number, at: self._sent(number, dr.gather(mi.Point3f, place, at)))
+        return np.ascontiguousarray(light.reshape(self.lights.count, count, POINTS).mean(axis=2).T)
+
+    def _of_all(self, count: int, light: Callable[[Any, Any], Any]) -> Array:
+        """(lamps, count) `light(number of a lamp, number of a place)`, some lamps at once: a kernel for each would take
+        longer to be made ready than to run.
+        """
+        mi = backend.mitsuba()
+        each, of_all = dr.opaque(mi.UInt32, count), max(1, LANES // count)
+        found = []
+        for low in range(0, self.lights.count, of_all):
+            lane = backend.numbers(np.arange(min(of_all, self.lights.count - low) * count))
+            begin = dr.opaque(mi.UInt32, low)
+            found.append(np.array(light(begin + lane // each, lane % each), dtype=np.float64))
+        return np.concatenate(found).reshape(self.lights.count, count)
 
     def _sent(self, number: Any, place: Any) -> Any:
         """Luminance-weighted irradiance of one lamp at points, without shadows."""
@@ -168,11 +182,13 @@ class LightGrid:
         near, far = medium.intersect(ray.o, ray.d)
         stop = dr.maximum(dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far), near)
         dr.eval(ray, near, stop)
-        found = np.zeros((columns * rows, self.lights.count))
-        for number in range(self.lights.count):
-            light = self._along(dr.opaque(mi.UInt32, number), ray, near, stop, medium)
-            found[:, number] = np.array(light, dtype=np.float64).reshape(-1, RAYS).mean(axis=1)
-        return LightDistribution(found, self.lights.even)
+
+        def along(number: Any, at: Any) -> Any:
+            one = mi.Ray3f(dr.gather(mi.Point3f, ray.o, at), dr.gather(mi.Vector3f, ray.d, at))
+            return self._along(number, one, dr.gather(mi.Float, near, at), dr.gather(mi.Float, stop, at), medium)
+
+        light = self._of_all(count, along).reshape(self.lights.count, columns * rows, RAYS)
+        return LightDistribution(np.ascontiguousarray(light.mean(axis=2).T), self.lights.even)
 
     @dr.syntax
     def _along(self, number: Any, ray: Any, begin: Any, end: Any, medium: Any) -> Any:
