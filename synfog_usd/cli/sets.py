@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import signal
 import sys
 import time
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -35,9 +33,12 @@ def plan(file: Path, *, workers: int | None, probe: bool, variant: str, quiet: b
 
     found = load_set(file)
     counted, expected = cost.count(found), None
-    with shown(quiet) as (progress, _):
-        if probe:
-            expected = cost.estimate(found, counted, CHILD, workers=workers, variant=variant, progress=progress)
+    try:
+        with shown(quiet) as (progress, _), worker.stopped_by_sigterm():
+            if probe:
+                expected = cost.estimate(found, counted, CHILD, workers=workers, variant=variant, progress=progress)
+    except KeyboardInterrupt:
+        raise typer.Exit(worker.INTERRUPTED) from None
     if as_json:
         plain = dataclasses.asdict(counted) | ({"estimate": dataclasses.asdict(expected)} if expected else {})
         print(json.dumps(plain, indent=2))
@@ -67,12 +68,8 @@ def run(file: Path | None, out: Path, *, only: str | None, quiet: bool, as_json:
     numbers = numbers_of(only, found.scenes) if only is not None else None
     plan = RunPlan(out=out, child=CHILD, only=numbers, **more)
 
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    signal.signal(signal.SIGTERM, stop)
     try:
-        with shown(quiet) as (progress, log):
+        with shown(quiet) as (progress, log), worker.stopped_by_sigterm():
             outcome = make(found, plan, progress=progress, log=log)
     except KeyboardInterrupt:
         again = f"synfog-usd dataset run {file} -o {out}" if file else f"synfog-usd dataset retry {out}"

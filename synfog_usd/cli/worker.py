@@ -76,18 +76,28 @@ def run(arguments: Sequence[str]) -> int:
         **system.apart(),
     )
 
+    try:
+        with stopped_by_sigterm():
+            while True:  # on Windows Ctrl-C is not heard during a wait without an end
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    return system.died(child.wait(timeout=None if sys.platform != "win32" else 0.2))
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    finally:
+        if child.poll() is None:
+            child.kill()
+            child.wait()
+
+
+@contextlib.contextmanager
+def stopped_by_sigterm() -> Iterator[None]:
+    """Meanwhile SIGTERM is heard as Ctrl-C is, so that what is temporary is cleared away."""
+
     def stop(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGTERM, stop)
     try:
-        while True:  # on Windows Ctrl-C is not heard during a wait without an end
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                return system.died(child.wait(timeout=None if sys.platform != "win32" else 0.2))
-    except KeyboardInterrupt:
-        return INTERRUPTED
+        yield
     finally:
         signal.signal(signal.SIGTERM, before)
-        if child.poll() is None:
-            child.kill()
-            child.wait()

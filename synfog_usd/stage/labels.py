@@ -29,6 +29,8 @@ def direct_label(prim: Usd.Prim, time: Usd.TimeCode) -> str | None:
     `SemanticsLabelsAPI:cityscapes` comes first, then the older `SemanticsAPI:class`,
     then Blender's custom properties `cityscapes` and `semantic`.
     """
+    if LABEL_SOURCES.isdisjoint(prim.GetAuthoredPropertyNames()):
+        return None
     for name in _SOURCES_IN_ORDER:
         attribute = prim.GetAttribute(name)
         if not attribute or not attribute.HasAuthoredValue():

@@ -84,6 +84,14 @@ class _Context:
         self.solid = UsdGeom.BBoxCache(self.time, seen, False, True)
         self.whole = UsdGeom.BBoxCache(self.time, [*seen, UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy], False, True)
         self.fog = [prim for prim in self.prims if has_fog_attributes(prim)]
+        self.labels: dict[Sdf.Path, str | None] = {}
+
+    def label(self, prim: Usd.Prim) -> str | None:
+        """`direct_label`, looked up once."""
+        path = prim.GetPath()
+        if path not in self.labels:
+            self.labels[path] = direct_label(prim, self.time)
+        return self.labels[path]
 
     def longest_m(self, prim: Usd.Prim) -> float:
         """Longest edge [m] of what is drawn of a prim, in its own axes; 0 where that is nothing."""
@@ -275,7 +283,7 @@ def _measured(context: _Context) -> Iterator[RoadUser]:
         path = prim.GetPath()
         if not skipped.isEmpty and path.HasPrefix(skipped):
             continue
-        label = direct_label(prim, context.time)
+        label = context.label(prim)
         known = official_name(label) if label is not None else None
         kind = known if label is not None else _class_by_name(prim)
         if (label is None and kind is None) or _is_many(prim):
@@ -358,7 +366,7 @@ def _unlabelled(context: _Context) -> Iterator[tuple[Usd.Prim, str | None]]:
     while waiting:
         iterator = iter(Usd.PrimRange(waiting.pop()))
         for prim in iterator:
-            label = None if prim.IsPseudoRoot() else direct_label(prim, context.time)
+            label = None if prim.IsPseudoRoot() else context.label(prim)
             yield prim, label
             if label is not None:
                 iterator.PruneChildren()

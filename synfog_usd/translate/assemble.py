@@ -39,6 +39,7 @@ from synfog_usd.translate.shapes import Shapes
 from synfog_usd.translate.skel import has_skeletons, posed
 from synfog_usd.translate.space import Space, stage_space
 from synfog_usd.translate.texture import ImageReader
+from synfog_usd.translate.twins import Twins
 from synfog_usd.translate.walk import GroupInstance, Leaf, Owner, Walk, walk
 
 _DOMES = ("DomeLight", "DomeLight_1")
@@ -297,6 +298,7 @@ class _Assembler:
         self.fog_boxes: dict[str, bool | None] = {}
         self.roots: list[str] = []
         self.spread: list[Array | np.ndarray] = []
+        self.twins = Twins(notes)
         self.sky_paths: list[str] = []
         self.sky_names: list[str] = []
 
@@ -315,6 +317,7 @@ class _Assembler:
             placements.setdefault(placement.group, []).append(placement)
         for number, places in placements.items():
             self.put_group(found.groups[number].leaves, places)
+        self.twins.tell()
         sky = light.merged_dome(self.domes, self.notes)
         if sky is not None:
             self.lights["light_sky"] = sky
@@ -491,6 +494,8 @@ class _Assembler:
         leaf: Leaf,
         placement: GroupInstance | None,
     ) -> None:
+        if emission is None and not self.mover.open and self.twins.hides(shape, leaf.path):
+            return
         instance = self.instance(leaf, placement)
         self.note_motion(f"shape_{len(self.shapes)}", leaf, placement)
         if emission is not None:
@@ -517,6 +522,7 @@ class _Assembler:
         """A group's leaves once and its placements as instances; what shines is placed one by one."""
         to_scene = self.space.matrix
         shared: list[tuple[Leaf, dict[str, Any]]] = []
+        twins = Twins(self.notes)
         single = len(places) == 1
         for leaf in leaves:
             kind = leaf.kind
@@ -531,7 +537,9 @@ class _Assembler:
                     self.put(leaf, to_scene @ place.matrix @ leaf.matrix, place)
                 continue
             made = self.drawer.parts(leaf, leaf.matrix)
-            shared += [(leaf, shape) for shape, emission, _ in made if emission is None]
+            shared += [
+                (leaf, shape) for shape, emission, _ in made if emission is None and not twins.hides(shape, leaf.path)
+            ]
             if any(emission is not None for _, emission, _ in made):
                 for place in places:
                     matrix = to_scene @ place.matrix @ leaf.matrix
@@ -548,6 +556,8 @@ class _Assembler:
         }
         corners = self.corners(shared)
         for place in places:
+            if not self.mover.open and twins.hides_instance(place.matrix, place.path):
+                continue
             instance = f"instance_{len(self.placed)}"
             matrix = to_scene @ place.matrix
             self.placed[instance] = {"type": "instance", "to_world": matrix, "shapegroup": {"type": "ref", "id": key}}
@@ -557,6 +567,7 @@ class _Assembler:
                 self.instance_of[(instance, name)] = self.instance(leaf, place)
             if corners is not None:
                 self.spread.append(corners @ matrix[:3, :3].T + matrix[:3, 3])
+        twins.tell()
 
     def corners(self, shared: list[tuple[Leaf, dict[str, Any]]]) -> Array | None:
         """(8, 3) corners of the box around a group's meshes."""

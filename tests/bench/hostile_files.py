@@ -229,6 +229,11 @@ def spheres_98000(folder):
 
 
 @stage
+def cubes_8192_in_one_place(folder):
+    text(folder, "".join(f'def Cube "C{n}"\n{{\n}}\n' for n in range(8192)))
+
+
+@stage
 def lamps_20000(folder):
     text(
         folder,

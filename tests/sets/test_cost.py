@@ -1,6 +1,8 @@
 """What a set is told to cost, before it is made."""
 
 import json
+import signal
+import tempfile
 import tracemalloc
 from pathlib import Path
 
@@ -116,6 +118,22 @@ def test_the_verb_counts_without_probes():
     assert (printed["scenes"], printed["shots"]) == (6, 48) and "estimate" not in printed
     told = run("dataset", "plan", "mini", "--no-probe").stdout
     assert "48, as 48 pictures in 300 files" in told
+
+
+def test_a_plan_that_is_ended_leaves_no_probe_behind(monkeypatch, tmp_path):
+    """SIGTERM while the first probe is made, in a folder of the temporary folder."""
+    seen = []
+
+    def ended(job, child):
+        seen.extend(path.name for path in tmp_path.iterdir())
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(cost, "do", ended)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    before = signal.getsignal(signal.SIGTERM)
+    done = run("dataset", "plan", "mini")
+    assert done.returncode == 130 and any(name.startswith("synfog-probe-") for name in seen)
+    assert not list(tmp_path.iterdir()) and signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_set_that_does_not_ship_is_told():
