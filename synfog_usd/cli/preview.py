@@ -42,7 +42,7 @@ def run(plan: dict[str, Any], *, watch: bool, how: terminal.Kind | None, quiet: 
     worker.follow_parent()
     how = how or terminal.kind()
     while True:
-        before = _state(_made_of(asked))
+        before = _state(_made_of(asked)) if watch else {}
         try:
             _once(asked, how, quiet)
         except SynfogError as error:

@@ -28,6 +28,10 @@ them.
 """
 
 
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+"""NumPy multiplies small matrices: more threads of it wait busily for the next product, beside the renderer's."""
+
+
 def is_worker() -> bool:
     """Whether this process is the child."""
     return MARK in os.environ
@@ -72,7 +76,11 @@ def run(arguments: Sequence[str]) -> int:
     """
     child = subprocess.Popen(
         [sys.executable, "-m", "synfog_usd.cli.main", *arguments],
-        env={**{name: value for name, value in os.environ.items() if name not in FOREIGN}, MARK: str(os.getpid())},
+        env={
+            **ONE_THREAD,
+            **{name: value for name, value in os.environ.items() if name not in FOREIGN},
+            MARK: str(os.getpid()),
+        },
         **system.apart(),
     )
 
