@@ -88,6 +88,9 @@ times the time; 400 MB would take twice as long.
 LANES = 1 << 19
 """Pixels that are looked at at once."""
 
+KEPT_RAYS = 1 << 22
+"""Rays of a picture up to which what they meet is kept for the next fog, in 28 B each."""
+
 CROSSINGS = 64
 """Leaves and fog boundaries that a guide ray goes through at most."""
 
@@ -347,10 +350,12 @@ def begun_guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS, clear: bool = 
     mi = backend.mitsuba()
     height, width = camera.height_px, camera.width_px
     eye = _Eye(loaded, Medium(fog))
+    if height * width * rays <= KEPT_RAYS and not (camera.moves or loaded.source.motion_of):
+        eye.keep(height * width, rays)
 
     def begin(low: int) -> list[Any]:
         pixel = dr.arange(mi.UInt32, min(LANES, height * width - low)) + dr.opaque(mi.UInt32, low)
-        albedo, normal, weight, through = _look(eye, eye.raster.corner(pixel), dr.opaque(mi.UInt32, rays))
+        albedo, normal, weight, through = _look(eye, pixel, dr.opaque(mi.UInt32, rays))
         seen = [*albedo, *normal, weight, through]
         dr.eval(*seen)
         return seen
@@ -383,28 +388,51 @@ class _Eye:
 
     def __init__(self, loaded: MitsubaScene, medium: Medium) -> None:
         self.loaded, self.medium, self.raster = loaded, medium, Raster(loaded.source.camera)
+        self.met: tuple[Any, ...] | None = None
+        self.pixels = dr.opaque(backend.mitsuba().UInt32, 1)
 
-    def look(self, corner: Any, number: Any) -> tuple[Any, Any, Any]:
-        """Albedo, normal and transmittance of what ray `number` of each pixel meets."""
+    def keep(self, pixels: int, rays: int) -> None:
+        """Look at what all rays meet, or take it from when the same scene was looked at in another fog."""
         mi, camera = backend.mitsuba(), self.loaded.source.camera
-        film = (corner + mi.Point2f(_place(number, 0), _place(number, 1))) / self.raster.size
-        ray, _ = self.loaded.sensor.sample_ray(
-            0.0, 0.5, film + mi.Point2f(*self.loaded.offset), mi.Point2f(_place(number, 2), _place(number, 3))
-        )
-        ray = moved(ray, camera, film.y, _place(number, 4)) if camera.moves else ray
-        albedo, normal, distance = _meet(self.loaded.scene, ray)
+        known, key = self.loaded.met_by_guides, (camera.width_px, camera.height_px, rays)
+        self.pixels = dr.opaque(mi.UInt32, pixels)
+        if key not in known:
+            lane = dr.arange(mi.UInt32, pixels * rays)
+            dr.make_opaque(lane)
+            known.clear()
+            known[key] = _meet(self.loaded.scene, self.ray(lane % self.pixels, lane // self.pixels))
+            dr.eval(known[key])
+        self.met = known[key]
+
+    def look(self, pixel: Any, number: Any) -> tuple[Any, Any, Any]:
+        """Albedo, normal and transmittance of what ray `number` of each pixel meets."""
+        mi, ray = backend.mitsuba(), self.ray(pixel, number)
+        if self.met is None:
+            albedo, normal, distance = _meet(self.loaded.scene, ray)
+        else:
+            at, kinds = number * self.pixels + pixel, (mi.Color3f, mi.Normal3f, mi.Float)
+            albedo, normal, distance = (dr.gather(kind, one, at) for kind, one in zip(kinds, self.met, strict=True))
         tau = self.medium.optical_depth(ray.o, ray.d, 0.0, distance) if self.medium.foggy else mi.Float(0.0)
         return albedo, normal, dr.exp(-tau)
 
+    def ray(self, pixel: Any, number: Any) -> Any:
+        """Ray `number` of each pixel."""
+        mi, camera = backend.mitsuba(), self.loaded.source.camera
+        film = (self.raster.corner(pixel) + mi.Point2f(_place(number, 0), _place(number, 1))) / self.raster.size
+        ray, _ = self.loaded.sensor.sample_ray(
+            0.0, 0.5, film + mi.Point2f(*self.loaded.offset), mi.Point2f(_place(number, 2), _place(number, 3))
+        )
+        return moved(ray, camera, film.y, _place(number, 4)) if camera.moves else ray
+
 
 @dr.syntax
-def _look(eye: _Eye, corner: Any, rays: Any) -> tuple[Any, Any, Any, Any]:
+def _look(eye: _Eye, pixel: Any, rays: Any) -> tuple[Any, Any, Any, Any]:
     """Sums over the rays of pixels: albedo and normal by weight, weight, transmittance."""
     mi = backend.mitsuba()
     albedo, normal, weights, through = mi.Color3f(0.0), mi.Normal3f(0.0), mi.Float(0.0), mi.Float(0.0)
     number = mi.UInt32(0)
     while number < rays:
-        colour, facing, share = eye.look(corner, number)
+        colour, facing, share = eye.look(pixel, number)
         weight = share + 1e-9  # where nothing is seen at all, a plain mean
         albedo += weight * colour
         normal += weight * facing

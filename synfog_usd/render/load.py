@@ -61,6 +61,7 @@ class MitsubaScene:
             `spectra.bsdfs`; made when it is first asked for.
         open_to_sky: (width, height) [px] -> `planner.open_to_sky`, once it was asked for: it is the same in every fog.
         light_samplers: (the phase function's mean cosine, kinds of light) -> `LightSampler`, once it was asked for.
+        met_by_guides: (width, height [px], rays of a pixel) -> what those of `denoise.guides` met, the last time.
     """
 
     scene: Any
@@ -75,6 +76,7 @@ class MitsubaScene:
     spectral_bsdfs: dict[str, Any] = field(default_factory=dict)
     open_to_sky: dict[tuple[int, int], float] = field(default_factory=dict)
     light_samplers: dict[tuple[float, int], Any] = field(default_factory=dict)
+    met_by_guides: dict[tuple[int, int, int], Any] = field(default_factory=dict)
 
 
 def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:

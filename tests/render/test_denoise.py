@@ -16,6 +16,7 @@ import pytest
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogVolume
 from synfog_usd.render import backend, denoise, shot
+from synfog_usd.render.load import in_fog
 from synfog_usd.render.sampling.adaptive import FIRST, sensor_target
 from synfog_usd.testing import box, scene, uniform_fog
 
@@ -337,6 +338,23 @@ def test_guides_see_through_fog_boundaries_and_lamps_are_white():
         np.testing.assert_allclose(
             getattr(one, name), getattr(other, name), atol=1.0 / 64
         )  # float32: one of 64 may miss an edge
+
+
+def test_what_guide_rays_met_is_kept_for_the_next_fog(seen, monkeypatch):
+    """Of a scene that was looked at in clear air no ray is traced again in fog, and the guides are those, bit for bit,
+    of rays that look for themselves: of another load, and where there are too many to keep.
+    """
+    source, found = seen
+    loaded = shot.load(source, boundaries=False)
+    denoise.guides(in_fog(loaded, ()))
+    monkeypatch.setattr(denoise, "_meet", None)
+    kept = denoise.guides(loaded)
+    monkeypatch.undo()
+    monkeypatch.setattr(denoise, "KEPT_RAYS", 0)
+    looked = denoise.guides(loaded)
+    for name in ("albedo", "normal", "transmittance"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(found, name))
+        np.testing.assert_array_equal(getattr(looked, name), getattr(found, name))
 
 
 def uniform_fog_around(centre):
