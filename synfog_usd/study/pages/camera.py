@@ -173,8 +173,11 @@ def draw(folder: Path) -> list[Path]:
 def draw_transfer() -> bytes:
     """Variance against mean of every reading, measured and by theory: PNG."""
     found = readings()
-    with _figure(4, 2, (11.0, 5.6)) as (figure, grid):
-        for axes, (name, reading) in zip(grid.flat, found.items(), strict=True):
+    rows = math.ceil(len(found) / 3)
+    with _figure(3, rows, (11.0, 2.6 * rows)) as (figure, grid):
+        for axes in grid.flat[len(found) :]:
+            axes.set_visible(False)
+        for axes, (name, reading) in zip(grid.flat, found.items(), strict=False):
             part = np.concatenate([np.geomspace(1e-3, 0.85, 14), np.linspace(0.9, 1.1, 11)])
             mean, variance = photon_transfer(reading, (part * reading.saturation_e).tolist())
             smooth = np.concatenate([np.geomspace(5e-4, 0.85, 60), np.linspace(0.86, 1.12, 60)]) * reading.saturation_e
@@ -257,7 +260,7 @@ def draw_sharpness() -> bytes:
                 mfc="none",
                 label=f"{name}: {chip.pixel_pitch_um:g} um, f/{lens.f_number:g}",
             )
-        axes.plot([], [], color=drawing.INK, lw=1.3, label="theory: disc x pixel")
+        axes.plot([], [], color=drawing.INK, lw=1.3, label="theory: disc x spot of the lens x pixel")
         axes.set(xlabel="spatial frequency [cycles/pixel]", ylabel="contrast [1]", xlim=(0.0, 0.5), ylim=(0.0, 1.02))
         axes.set_title("Slanted edge through lens and pixels, 550 nm", loc="left", fontsize=11, fontweight="bold")
         axes.legend(frameon=False, fontsize=9, loc="lower left")
