@@ -35,6 +35,7 @@ class Body:
         roof_half: half width of the roof; belt: height where the cabin begins [m].
         outer: half its width with mirrors, rear, front and height [m], to which the model is stretched at last: seeds
             place cars by them.
+        pillar: how far ahead of the rear window's foot and head [m] its dark border goes round the corners, if it does.
         seams: (y, z0, z1) of the gaps between doors.
         spokes: number of spokes of the rims; plate: row of the picture of plates.
         tail: lowest and highest z of the tail lamps; tail_inner: their inner edge as a share of the half width.
@@ -69,6 +70,7 @@ class Body:
     plan_corner: float = 0.5
     tail_inner: float = 0.72
     rear_plate_z: float | None = None
+    pillar: tuple[float, float] | None = None
     upright: bool = False
     rails: bool = False
     triangles: int = 2500

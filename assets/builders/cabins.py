@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from assets.builders.coachwork import cut_out
-from assets.builders.solids import Field, split, surface
+from assets.builders.solids import Field, carve, prism, split, surface
 from synfog_usd.world.components import Look
 from synfog_usd.world.shapes import Array, Part, ball, box, join, quad, shift, soft_box, tube, turn
 
@@ -49,15 +49,21 @@ def lined(
     sides: Sequence[tuple[Outline, int]],
     front: Outline,
     back: Outline | None = None,
+    axles: Sequence[float] = (),
     step: float = 0.09,
     triangles: int = 500,
 ) -> list[Part]:
-    """A `lining` with openings: (y, z) outlines at a side (1 right, -1 left), (x, z) ones in front and behind."""
+    """A `lining` with openings: (y, z) outlines at a side (1 right, -1 left), (x, z) ones in front and behind, and
+    where the wheels of `axles` are.
+    """
     panels: list[Part] = []
     holes: list[Part] = []  # what is cut out is thrown away
     for panel in lining(field, low, high, step=step, triangles=triangles, roof_z=roof_z):
         for outline, sign in sides:
             panel = cut_out(panel, holes, "hole", (1, 2), outline, 0, sign, 0.4)
+        for y in axles:
+            house = prism([(y - 0.62, 0.0), (y + 0.62, 0.0), (y + 0.62, 1.14), (y - 0.62, 1.14)], (1, 2))
+            panel = carve(panel, [*house, lambda q: 0.72 - np.abs(q[:, 0])])[1]
         panel = cut_out(panel, holes, "hole", (0, 2), front, 1, 1, 0.2)
         panels.append(panel if back is None else cut_out(panel, holes, "hole", (0, 2), back, 1, -1, 0.4))
     return panels

@@ -149,12 +149,14 @@ def cut_out(
     sign: int,
     facing: float,
     beyond: float | None = None,
+    also: Sequence[Callable[[Array], Array]] = (),
 ) -> Part:
     """Repaint a convex outline of the skin, seen along an axis, where it faces that way; gives the rest.
 
-    facing: least cosine between the normals and the axis; beyond: least distance along the axis [m].
+    facing: least cosine between the normals and the axis; beyond: least distance along the axis [m]; also: further
+    planes, as those of `prism`.
     """
-    planes = prism(outline, axes)
+    planes = [*prism(outline, axes), *also]
     if beyond is not None:
         planes.append(lambda q: beyond - sign * q[:, along])
     if sign:
@@ -204,8 +206,12 @@ def screen(
     sign: int,
     upright: bool,
     glass: str = "glass_clear",
+    round_to: tuple[float, float] | None = None,
 ) -> Part:
-    """Cut windscreen (`sign` 1) or rear window (-1) with its dark border out of the skin; gives the rest."""
+    """Cut windscreen (`sign` 1) or rear window (-1) with its dark border out of the skin; gives the rest.
+
+    round_to: y [m] at the foot and head of a rear window up to which its border goes round the corners of the car.
+    """
     outline = [(-low_half, z0), (low_half, z0), (high_half, z1), (-high_half, z1)]
     planes = prism(grown(outline, -0.01), (0, 2))
     border = prism(grown(outline, 0.02), (0, 2))
@@ -221,6 +227,12 @@ def screen(
             parts.append(Part(inside.points, inside.faces[keep], material, inside.uv, inside.normals))
             back = Part(inside.points, inside.faces[~keep], skin.material, inside.uv, inside.normals)
             skin = (join([rest, back]) if (~keep).any() else rest).painted(skin.material)
+    if round_to is not None:
+        (y0, y1), low, high = round_to, z0 - 0.02, z1 + 0.02
+        behind = min(y0, y1) - 2.0
+        corner = convex([(behind, low), (y0, low), (y1, high), (behind, high)])
+        for side in (-1, 1):
+            skin = cut_out(skin, parts, "gloss_black", (1, 2), corner, 0, side, -0.1, 0.25)
     return skin
 
 
@@ -426,6 +438,40 @@ def on_side(field_, sign: int, y: float, z: float) -> Array:
     f = field_(sign * x, np.full(400, y), np.full(400, z))
     at = x[np.argmax(f > 0)] if (f > 0).any() else 1.0
     return shift(sign * at, y - 0.1, z) @ turn(90)
+
+
+def side_at(field_, sign: int, y: float, z: float) -> float:
+    """The outermost x [m] of a flank at y and z, negative on the left."""
+    x = np.linspace(0, 1.4, 300)
+    f = field_(sign * x, np.full(300, y), np.full(300, z))
+    last = np.nonzero(f < 0)[0][-1]
+    return float(sign * (x[last] + (x[last + 1] - x[last]) * f[last] / (f[last] - f[last + 1])))
+
+
+def seam_line(
+    field_: Field, path: Sequence[tuple[float, float]], *, flank: int = 0, end: int = 1, width: float = 0.011
+) -> list[Part]:
+    """A dark line 4 mm before the skin of a bus or lorry, where a `gap` would cut it into many triangles.
+
+    Args:
+        path: corners (x, z) [m] on the front (`end` 1) or back (-1), or (y, z) on the right (`flank` 1) or left one.
+    """
+    parts = []
+    for (a0, b0), (a1, b1) in itertools.pairwise(path):
+        long = float(np.hypot(a1 - a0, b1 - b0))
+        na, nb = 0.5 * width * (b0 - b1) / long, 0.5 * width * (a1 - a0) / long
+        edges = []
+        for side in (1, -1):
+            edge = []
+            for t in np.linspace(0, 1, max(2, int(long / 0.15) + 2)):
+                a, b = a0 + t * (a1 - a0) + side * na, b0 + t * (b1 - b0) + side * nb
+                if flank:
+                    edge.append((side_at(field_, flank, a, b) + 0.004 * flank, a, b))
+                else:
+                    edge.append((a, front_at(field_, a, b, end) + 0.004 * end, b))
+            edges.append(np.array(edge))
+        parts.append(strip(edges, "seam"))
+    return parts
 
 
 def front_at(field_, x: float, z: float, sign: int) -> float:

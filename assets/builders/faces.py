@@ -14,7 +14,7 @@ import numpy as np
 from assets.builders.bodywork import Body
 from assets.builders.coachwork import bowl, convex, covered, cut_out, front_at, lens_disc, plate
 from assets.builders.solids import Field, filleted
-from synfog_usd.world.shapes import Array, Part, quad, smooth_normals, strip
+from synfog_usd.world.shapes import Array, Part, quad, smooth_normals, strip, tube
 
 Corner = tuple[float, float]
 
@@ -242,7 +242,7 @@ def front(skin: Part, parts: list[Part], body: Body, field: Field) -> tuple[Part
     for opening in face.openings:
         for sign in (-1, 1) if opening.both else (1,):
             outline = convex([(sign * half * x, height(t)) for x, t in opening.outline])
-            skin = _opened(skin, parts, field, opening, outline)
+            skin = opened(skin, parts, field, opening, outline)
     at = height(face.plate)
     ahead = max(front_at(field, 0.0, at + dz, 1) for dz in (-0.056, 0.056))
     parts.append(plate((0, ahead + 0.014, at), body.plate, front=True))
@@ -257,6 +257,9 @@ def tail_lamps(skin: Part, parts: list[Part], body: Body, field: Field) -> Part:
     """
     face, half, y0, (low, high) = FACES[body.name], body.width / 2, -body.length / 2, body.tail
     tall = high - low
+    ahead, leaning = -y0 - 0.27, []
+    if body.pillar is not None:  # a lamp that goes up the pillar does not go on along the shoulder
+        leaning = [lambda q: q[:, 1] + 0.5 * (q[:, 2] - low) + ahead]
     for sign in (-1, 1):
         inner = body.tail_inner
         whole = [(inner, low + 0.03), (0.99, low), (0.99, high - 0.03), (0.76, high), (0.62, high - 0.05)]
@@ -273,9 +276,9 @@ def tail_lamps(skin: Part, parts: list[Part], body: Body, field: Field) -> Part:
         for material, ((x0, z0), (x1, z1)) in bands:
             x0 = max(x0, inner + 0.03)
             area = convex([(sign * half * x, z) for x in (x0, x1) for z in (z0, z1)])
-            skin = cut_out(skin, parts, material, (0, 2), area, 1, -1, 0.2, -y0 - 0.27)
+            skin = cut_out(skin, parts, material, (0, 2), area, 1, -1, 0.2, ahead, leaning)
         area = convex([(sign * half * x, z) for x, z in whole])
-        skin = cut_out(skin, parts, "tail_lamp", (0, 2), area, 1, -1, -9, -y0 - 0.27)
+        skin = cut_out(skin, parts, "tail_lamp", (0, 2), area, 1, -1, -9, ahead, leaning)
         x, share = face.tail.at
         parts.append(lens_patch(field, (sign * half * x, low + share * tall), face.tail, "tail_lens", -1))
     return skin
@@ -291,17 +294,7 @@ def centre_lamp(field: Field, z: float) -> list[Part]:
     return [lamp, roof]
 
 
-def lens_patch(field: Field, at: Corner, lens: Lens, material: str, sign: int) -> Part:
-    """A lens that follows the skin of the front (`sign` 1) or back, 14 mm before it."""
-    columns = []
-    for u in np.array([-0.985, -0.8, -0.5, -0.17, 0.17, 0.5, 0.8, 0.985]) * sign:
-        tall = lens.half[1] * (1 - abs(u) ** (2 / lens.square)) ** (lens.square / 2)
-        x, zs = at[0] + lens.half[0] * u, at[1] + tall * np.array([-1.0, 0.0, 1.0])
-        columns.append(np.array([(x, front_at(field, x, z, sign) + sign * 0.014, z) for z in zs]))
-    return strip(columns, material)
-
-
-def _opened(skin: Part, parts: list[Part], field: Field, opening: Opening, outline: Sequence[Corner]) -> Part:
+def opened(skin: Part, parts: list[Part], field: Field, opening: Opening, outline: Sequence[Corner]) -> Part:
     """Cut one opening out of a skin; gives the rest."""
     edge = np.array(convex([(float(x), float(z)) for x, z in filleted(outline, opening.corner, points=3)]))
     found: list[Part] = []
@@ -328,6 +321,50 @@ def _opened(skin: Part, parts: list[Part], field: Field, opening: Opening, outli
         x, z = np.mean(outline, axis=0)
         parts.append(bowl(field, float(x), float(z), opening.fog))
     return skin
+
+
+def lamp_units(
+    skin: Part,
+    parts: list[Part],
+    field: Field,
+    outline: Sequence[Corner],
+    bowls: Sequence[tuple[float, float, float]],
+    beyond: float,
+) -> tuple[Part, list[tuple[float, float, float]]]:
+    """Headlamps of a bus or lorry behind clear covers: gives the rest of the skin, and where they shine from.
+
+    Args:
+        outline: corners of the right one's cover (x, z) [m].
+        bowls: reflectors of the right one (x, z, radius) [m]; the first has the lens.
+        beyond: least y [m] of what is cut.
+    """
+    shines = []
+    for sign in (-1, 1):
+        skin = covered(skin, parts, convex([(sign * x, z) for x, z in outline]), beyond, 0.045)
+        parts += [bowl(field, sign * x, z, radius) for x, z, radius in bowls]
+        x, z, _ = bowls[0]
+        parts.append(lens_patch(field, (sign * x, z), Lens((0.0, 0.0), ROUND), "headlamp_lens", 1))
+        shines.append((sign * x, front_at(field, sign * x, z, 1) + 0.05, z))
+    return skin, shines
+
+
+def wipers(field: Field, lines: Sequence[tuple[Corner, Corner]]) -> list[Part]:
+    """Wipers at rest from one place of the windscreen (x, z) [m] to another."""
+    parts = []
+    for (x0, z0), (x1, z1) in lines:
+        path = [(x0 + u * (x1 - x0), z0 + u * (z1 - z0)) for u in (0.0, 0.5, 1.0)]
+        parts.append(tube([(x, front_at(field, x, z, 1) + 0.016, z) for x, z in path], 0.011, "black_plastic", sides=4))
+    return parts
+
+
+def lens_patch(field: Field, at: Corner, lens: Lens, material: str, sign: int) -> Part:
+    """A lens that follows the skin of the front (`sign` 1) or back, 14 mm before it."""
+    columns = []
+    for u in np.array([-0.985, -0.8, -0.5, -0.17, 0.17, 0.5, 0.8, 0.985]) * sign:
+        tall = lens.half[1] * (1 - abs(u) ** (2 / lens.square)) ** (lens.square / 2)
+        x, zs = at[0] + lens.half[0] * u, at[1] + tall * np.array([-1.0, 0.0, 1.0])
+        columns.append(np.array([(x, front_at(field, x, z, sign) + sign * 0.014, z) for z in zs]))
+    return strip(columns, material)
 
 
 def _bars(field: Field, opening: Opening, edge: Array) -> list[Part]:

@@ -14,21 +14,26 @@ from assets.builders.bodywork import Body
 from assets.builders.cabins import DRIVERS, Point, dashboard, driver, lined, rows, seat, steering_wheel
 from assets.builders.coachwork import (
     arches,
+    convex,
     cut_out,
     dusted,
+    front_at,
+    grown,
     headlights,
     lamp_states,
     lens_disc,
     painted,
     plate,
     rect,
+    seam_line,
     wheels,
 )
+from assets.builders.faces import Lens, Opening, lamp_units, lens_patch, opened, wipers
 from assets.builders.solids import Field, outline_distance, rounded, soft_max, surface
 from assets.builders.vehicles import build_car
 from synfog_usd.world.components import Component, Look
 from synfog_usd.world.lod import cleaned
-from synfog_usd.world.shapes import Array, Part, box, soft_box, strip, tube
+from synfog_usd.world.shapes import Array, Part, box, smooth_normals, soft_box, strip, tube
 
 Outline = Sequence[tuple[float, float]]
 Box = tuple[Point, Point]
@@ -85,7 +90,7 @@ def _box_truck() -> Component:
         [(-1.08, 1.60), (1.08, 1.60), (1.0, 2.52), (-1.0, 2.52)],
     )
     hip = (-0.62, 3.36, 1.56)
-    parts += lined(field, *around, roof_z=2.5, sides=[(side, -1), (side, 1)], front=screen)
+    parts += lined(field, *around, roof_z=2.5, sides=[(side, -1), (side, 1)], front=screen, axles=(3.62,))
     parts += [
         *seat(*hip),
         *seat(-hip[0], *hip[1:]),
@@ -95,26 +100,51 @@ def _box_truck() -> Component:
     ]
     for sign in (-1, 1):
         skin = cut_out(skin, parts, "glass_clear", (1, 2), side, 0, sign, 0.5)
-        for y in (2.93, 4.30):
-            skin = cut_out(skin, parts, "seam", (1, 2), rect(y, y + 0.012, 0.95, 2.55), 0, sign, 0.5)
-        skin = cut_out(
-            skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.70, sign * 1.13)), 0.78, 1.02), 1, 1, 0.2
-        )
-        parts.append(lens_disc((sign * 0.90, 4.635, 0.90), 0.056, "headlamp_lens"))
+        skin = cut_out(skin, parts, "gloss_black", (1, 2), grown(convex(side), 0.035), 0, sign, 0.5)
+        door = [(2.93, 2.70), (2.93, 1.06), (4.30, 1.06), (4.30, 1.48), (4.10, 2.70)]
+        parts += seam_line(field, door, flank=sign)
+        for z in (0.66, 0.92):  # steps before the wheel
+            skin = cut_out(skin, parts, "seam", (1, 2), rect(4.21, 4.47, z, z + 0.17), 0, sign, 0.3)
+            parts.append(
+                box((sign * 1.16 - 0.045, 4.21, z - 0.012), (sign * 1.16 + 0.045, 4.46, z + 0.012), "galvanised")
+            )
         parts += [
             soft_box((sign * 1.40 - 0.11, 4.32, 1.75), (sign * 1.40 + 0.11, 4.44, 2.35), "black_plastic", radius=0.04),
+            soft_box((sign * 1.38 - 0.10, 4.32, 1.44), (sign * 1.38 + 0.10, 4.42, 1.70), "black_plastic", radius=0.04),
             tube([(sign * 1.18, 4.25, 2.38), (sign * 1.40, 4.38, 2.38)], 0.022, "black_plastic", sides=6),
-            tube([(sign * 1.20, 4.25, 1.80), (sign * 1.40, 4.38, 1.80)], 0.022, "black_plastic", sides=6),
+            tube([(sign * 1.20, 4.25, 1.725), (sign * 1.40, 4.38, 1.725)], 0.022, "black_plastic", sides=6),
             box((sign * 1.24 - 0.03, 3.0, 1.28), (sign * 1.24 + 0.03, 3.22, 1.33), "black_plastic"),
             box((sign * 1.05 - 0.12, 2.95, 0.42), (sign * 1.05 + 0.12, 3.95, 0.52), "black_plastic"),
         ]
     skin = cut_out(skin, parts, "glass_clear", (0, 2), screen, 1, 1, 0.3)
-    skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-1.0, 1.0, 2.62, 2.78), 1, 1, 0.2)
-    for k in range(3):
-        skin = cut_out(
-            skin, parts, "black_plastic", (0, 2), rect(-0.72, 0.72, 1.10 + 0.12 * k, 1.18 + 0.12 * k), 1, 1, 0.35
-        )
-    skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-2, 2, 0.4, 0.70), 1, 1, -2)
+    mask = [(-1.13, 1.50), (1.13, 1.50), (1.02, 2.62), (-1.02, 2.62)]
+    skin = cut_out(skin, parts, "gloss_black", (0, 2), mask, 1, 1, 0.3)
+    skin, shine = lamp_units(
+        skin,
+        parts,
+        field,
+        [(0.62, 0.74), (0.70, 0.67), (1.15, 0.70), (1.18, 1.00), (1.02, 1.01)],
+        [(0.88, 0.82, 0.066), (1.04, 0.89, 0.046), (0.73, 0.76, 0.032)],
+        4.2,
+    )
+    for opening, outline in (
+        (Opening((), 5, "black_plastic", rim="galvanised", deep=0.05), rect(-0.80, 0.80, 1.06, 1.44)),
+        (Opening((), 2, "black_plastic"), rect(-0.56, 0.56, 0.72, 0.92)),
+        (Opening((), fog=0.05), rect(0.66, 0.90, 0.55, 0.65)),
+        (Opening((), fog=0.05), rect(-0.90, -0.66, 0.55, 0.65)),
+    ):
+        skin = opened(skin, parts, field, opening, outline)
+    parts += seam_line(field, [(-0.93, 1.02), (0.93, 1.02)])
+    for sign in (-1, 1):
+        parts += seam_line(field, [(sign * 1.0, 1.49), (sign * 0.93, 1.03)])
+    skin = cut_out(skin, parts, "plastic_dusty", (0, 2), rect(-2, 2, 0.4, 0.66), 1, 1, -2)
+    parts.append(lens_disc((0, front_at(field, 0.0, 1.475, 1) + 0.012, 1.475), 0.05, "chrome"))
+    parts += wipers(field, [((-0.92, 1.58), (-0.16, 1.66)), ((-0.04, 1.58), (0.78, 1.66))])
+    visor = [
+        np.array([(x, front_at(field, 0.9 * x, 2.80, 1) + ahead, z) for x in (-1.02, -0.4, 0.4, 1.02)])
+        for ahead, z in ((0.0, 2.80), (0.13, 2.72), (0.22, 2.56))
+    ]
+    parts.append(smooth_normals(strip(visor, "gloss_black"), 60))
     skin = arches(skin, parts, (3.62,), 0.55, 0.78)
     axles = (-2.75, -1.45, 3.62)
     skin = dusted(skin, parts, 0.70, (3.62,))
@@ -140,6 +170,11 @@ def _box_truck() -> Component:
         parts.append(Part(np.array(side), np.array([(0, 1, 2), (0, 2, 3)])[:, :: int(sign)], "livery"))
         parts += [
             box((sign * 1.05 - 0.17, -4.64, 0.86), (sign * 1.05 + 0.17, -4.56, 1.04), "tail_lamp"),
+            box((sign * 0.80 - 0.07, -4.638, 0.87), (sign * 0.80 + 0.07, -4.56, 1.03), "amber"),
+            *(
+                box((sign * 1.256 - 0.008, y, 1.23), (sign * 1.256 + 0.008, y + 0.09, 1.28), "amber")
+                for y in (-3.9, -1.2, 1.6)
+            ),
             box((sign * 1.22 - 0.02, -4.63, 3.4), (sign * 1.22 + 0.02, -4.6, 3.6), "tail_lamp"),
         ]
         parts.append(lens_disc((sign * 1.05, -4.645, 0.95), 0.075, "tail_lens", back=True))
@@ -155,7 +190,7 @@ def _box_truck() -> Component:
         "truck",
         cleaned(parts),
         "A three-axled box truck, 9.3 m long.",
-        _looks(("white", "orange", "green"), [(-0.90, 4.70, 0.90), (0.90, 4.70, 0.90)]),
+        _looks(("white", "orange", "green"), shine),
     )
 
 
@@ -206,14 +241,24 @@ def _coach() -> Component:
     screen, rear = [(-1.16, 1.24), (1.16, 1.24), (1.06, 3.02), (-1.06, 3.02)], rect(-0.95, 0.95, 2.10, 3.05)
     hip = (-0.70, 4.86, 1.32)
     openings = [(one, sign) for one in sides for sign in (-1, 1)]
-    parts += lined(field, *around, roof_z=3.02, sides=openings, front=screen, back=rear, step=0.12, triangles=600)
+    parts += lined(
+        field,
+        *around,
+        roof_z=3.02,
+        sides=openings,
+        front=screen,
+        back=rear,
+        axles=(-3.35, 3.55),
+        step=0.12,
+        triangles=600,
+    )
     parts += [
         *seat(*hip),
         dashboard(1.0, 5.42, 5.80, 1.24),
         *steering_wheel(hip, radius=0.23, tilt_deg=30),
         *driver(hip),
     ]
-    parts += rows(np.arange(-5.1, 4.0, 0.86), (-0.68, 0.68), 1.50)
+    parts += rows(np.arange(-4.24, 4.0, 0.86), (-0.68, 0.68), 1.50)
     for sign in (-1, 1):
         for window in sides:
             skin = cut_out(skin, parts, "glass_clear", (1, 2), window, 0, sign, 0.6)
@@ -221,19 +266,21 @@ def _coach() -> Component:
         for y in (-1.6, -0.2, 1.2, 2.6):
             skin = cut_out(skin, parts, "seam", (1, 2), rect(y, y + 0.012, 0.5, 1.45), 0, sign, 0.6)
         skin = cut_out(skin, parts, "seam", (1, 2), rect(-1.6, 2.6, 1.45, 1.462), 0, sign, 0.6)
-        skin = cut_out(skin, parts, "livery", (1, 2), rect(-5.6, 2.7, 1.10, 1.22), 0, sign, 0.6)
+        skin = cut_out(skin, parts, "livery", (1, 2), rect(-5.3, 2.7, 1.10, 1.22), 0, sign, 0.6)
         if sign > 0:
-            skin = cut_out(skin, parts, "glass_car", (1, 2), rect(4.70, 5.55, 0.45, 1.36), 0, sign, 0.6)
+            skin = cut_out(skin, parts, "glass_car", (1, 2), rect(4.70, 5.55, 0.45, 1.50), 0, sign, 0.6)
+            parts += seam_line(field, [(4.64, 1.5), (4.64, 0.40), (5.60, 0.40), (5.60, 1.5)], flank=sign)
+            parts += seam_line(field, [(-0.9, 1.60), (-0.9, 0.40), (-0.1, 0.40), (-0.1, 1.60)], flank=sign)
+        else:
+            parts += seam_line(field, [(4.60, 1.60), (4.60, 0.60), (5.62, 0.60), (5.62, 1.28)], flank=sign)
+        parts += seam_line(field, [(-5.9, 0.62), (-4.0, 0.62)], flank=sign)
+        for material, z in (("lamp_lens_white", 0.88), ("amber", 1.38)):
+            area = rect(*sorted((sign * 0.84, sign * 1.00)), z, z + 0.14)
+            skin = cut_out(skin, parts, material, (0, 2), area, 1, -1, 0.15)
         skin = cut_out(
-            skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.74, sign * 1.20)), 0.66, 0.90), 1, 1, 0.15
+            skin, parts, "tail_lamp", (0, 2), rect(*sorted((sign * 0.82, sign * 1.02)), 0.85, 1.55), 1, -1, 0.15
         )
-        skin = cut_out(
-            skin, parts, "tail_lamp", (0, 2), rect(*sorted((sign * 0.98, sign * 1.20)), 0.85, 1.55), 1, -1, 0.15
-        )
-        parts += [
-            lens_disc((sign * 0.90, 6.125, 0.78), 0.056, "headlamp_lens"),
-            lens_disc((sign * 1.08, -6.125, 1.10), 0.075, "tail_lens", back=True),
-        ]
+        parts.append(lens_patch(field, (sign * 0.92, 1.20), Lens((0.0, 0.0), (0.060, 0.085), 0.5), "tail_lens", -1))
         parts += [
             soft_box((sign * 1.38 - 0.10, 6.02, 2.10), (sign * 1.38 + 0.10, 6.14, 2.62), "black_plastic", radius=0.04),
             tube(
@@ -247,13 +294,37 @@ def _coach() -> Component:
     skin = cut_out(
         skin, parts, "gloss_black", (0, 2), [(-1.2, 1.14), (1.2, 1.14), (1.05, 3.32), (-1.05, 3.32)], 1, 1, 0.3
     )
+    skin, shine = lamp_units(
+        skin,
+        parts,
+        field,
+        [(0.60, 0.80), (0.72, 0.66), (1.20, 0.68), (1.24, 1.02), (1.10, 1.00)],
+        [(0.90, 0.79, 0.066), (1.08, 0.87, 0.046), (0.74, 0.75, 0.034)],
+        5.6,
+    )
+    for opening, outline in (
+        (Opening((), 3, "chrome"), [(-0.44, 0.86), (0.44, 0.86), (0.52, 1.02), (-0.52, 1.02)]),
+        (Opening((), 2, "black_plastic"), [(-0.62, 0.36), (0.62, 0.36), (0.56, 0.46), (-0.56, 0.46)]),
+        (Opening((), fog=0.045, corner=0.02), rect(0.74, 0.98, 0.40, 0.50)),
+        (Opening((), fog=0.045, corner=0.02), rect(-0.98, -0.74, 0.40, 0.50)),
+    ):
+        skin = opened(skin, parts, field, opening, outline)
+    parts += seam_line(field, [(-0.93, 1.09), (0.93, 1.09)])
+    parts += seam_line(field, [(-0.93, 0.59), (0.93, 0.59)])
+    parts.append(lens_disc((0, front_at(field, 0.0, 0.94, 1) + 0.014, 0.94), 0.075, "chrome"))
+    parts += wipers(field, [((-0.10, 1.26), (-1.00, 1.36)), ((0.96, 1.26), (0.06, 1.36))])
     skin = cut_out(skin, parts, "glass_clear", (0, 2), rear, 1, -1, 0.5)
-    skin = cut_out(skin, parts, "black_plastic", (0, 2), rect(-0.7, 0.7, 0.75, 1.25), 1, -1, 0.5)
+    for z in (0.80, 0.90, 1.00, 1.10, 1.20):  # the engine's air
+        skin = cut_out(skin, parts, "seam", (0, 2), rect(-0.66, 0.66, z, z + 0.06), 1, -1, 0.5)
+    hatch = [(-0.76, 1.95), (-0.76, 0.70), (0.76, 0.70), (0.76, 1.95)]
+    parts += seam_line(field, hatch, end=-1)
     skin = arches(skin, parts, (-3.35, 3.55), 0.55, 0.92)
     skin = dusted(skin, parts, 0.32, (-3.35, 3.55))
     parts += [skin, *wheels((-3.35, 3.55), 0.51, 1.14, 0.30, 10)]
     parts += [
-        soft_box((-0.85, -2.6, 3.56), (0.85, 0.2, 3.76), "frame_white", radius=0.12),
+        soft_box((-0.85, -2.6, 3.50), (0.85, 0.2, 3.76), "frame_white", radius=0.12),
+        *(box((-0.5, y, 3.60), (0.5, y + 0.5, 3.764), "black_plastic") for y in (-2.2, -0.9)),
+        soft_box((-0.40, 2.4, 3.50), (0.40, 3.2, 3.68), "frame_white", radius=0.08),
         plate((0, 6.15, 0.50), 6, front=True),
         plate((0, -6.14, 0.66), 6, front=False),
     ]
@@ -262,7 +333,7 @@ def _coach() -> Component:
         "bus",
         cleaned(parts),
         "A touring coach, 12.3 m long.",
-        _looks(("white", "silver", "blue"), [(-0.90, 6.18, 0.78), (0.90, 6.18, 0.78)]),
+        _looks(("white", "silver", "blue"), shine),
     )
 
 

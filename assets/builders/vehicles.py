@@ -37,11 +37,12 @@ from assets.builders.coachwork import (
     plate,
     rect,
     screen,
+    seam_line,
     side_picture,
     top_at,
     wheels,
 )
-from assets.builders.faces import centre_lamp, front, tail_lamps
+from assets.builders.faces import Lens, Opening, centre_lamp, front, lamp_units, lens_patch, opened, tail_lamps, wipers
 from assets.builders.solids import Field, carve, outline_distance, prism, rounded, soft_max, surface
 from synfog_usd.world.components import Component
 from synfog_usd.world.lod import cleaned
@@ -80,7 +81,7 @@ CARS = (
         windows=[
             [(0.02, 0.985), (0.74, 0.985), (0.30, 1.285), (0.10, 1.375), (0.02, 1.39)],
             [(-0.86, 1.01), (-0.06, 0.985), (-0.06, 1.39), (-0.80, 1.375)],
-            [(-1.42, 1.06), (-0.93, 1.015), (-0.87, 1.365), (-1.22, 1.335)],
+            [(-1.58, 1.07), (-0.93, 1.015), (-0.87, 1.365), (-1.38, 1.325)],
         ],
         screen=((1.02, 0.98), (0.30, 1.40)),
         rear=((-1.93, 1.03), (-1.66, 1.36)),
@@ -93,6 +94,7 @@ CARS = (
         tail=(0.74, 1.06),
         plate=1,
         rear_plate_z=0.62,
+        pillar=(0.16, 0.12),
     ),
     Body(
         "saloon",
@@ -174,7 +176,7 @@ CARS = (
         windows=[
             [(0.02, 0.985), (0.80, 0.985), (0.33, 1.275), (0.12, 1.365), (0.02, 1.38)],
             [(-0.88, 1.005), (-0.06, 0.985), (-0.06, 1.385), (-0.88, 1.385)],
-            [(-1.86, 1.07), (-0.96, 1.01), (-0.96, 1.385), (-1.62, 1.36)],
+            [(-1.99, 1.08), (-0.96, 1.01), (-0.96, 1.385), (-1.77, 1.35)],
         ],
         screen=((1.10, 0.975), (0.30, 1.385)),
         rear=((-2.25, 1.05), (-2.0, 1.385)),
@@ -189,6 +191,7 @@ CARS = (
         spokes=5,
         plate=3,
         rails=True,
+        pillar=(0.16, 0.13),
     ),
     Body(
         "offroader",
@@ -343,25 +346,25 @@ def build_bus() -> Component:
     skin = surface(field_, (-1.5, -6.2, 0.1), (1.5, 6.2, 3.3), step=0.09, triangles=3600, material="paint")
     parts: list[Part] = []
     openings = []
-    for y0, y1, z0, z1 in [
-        (-5.6, -3.9, 1.35, 2.62),
-        (-3.8, -2.1, 1.35, 2.62),
-        (-2.0, -0.3, 1.35, 2.62),
-        (-0.2, 1.5, 1.35, 2.62),
-        (1.6, 3.3, 1.35, 2.62),
-        (3.4, 5.45, 1.25, 2.62),
-    ]:
-        for sign in (-1, 1):
-            door = sign > 0 and y0 in (-3.8, -0.2, 3.4)
-            openings.append((rect(y0, y1, 0.42 if door else z0, z1), sign))
-            skin = cut_out(skin, parts, "glass_clear", (1, 2), openings[-1][0], 0, sign, 0.75)
-            if door:
-                for y in (y0, (y0 + y1) / 2, y1):
-                    parts.append(box((1.255, y - 0.025, 0.42), (1.29, y + 0.025, 2.64), "gloss_black"))
+    doors = [(-5.05, -3.75), (-0.1, 1.3), (4.05, 5.42)]
+    left = [(-5.6, -3.9), (-3.8, -2.1), (-2.0, -0.3), (-0.2, 1.5), (1.6, 3.3), (3.4, 5.45)]
+    right = [(-5.65, -5.15), (-3.65, -1.98), (-1.88, -0.2), (1.4, 2.62), (2.72, 3.95)]
+    for sign, panes in ((-1, left), (1, right)):
+        for y0, y1 in panes:
+            openings.append((rect(y0, y1, 1.25 if y1 > 5 else 1.35, 2.62), sign))
+    openings += [(rect(y0, y1, 0.42, 2.58), 1) for y0, y1 in doors]
+    for outline, sign in openings:
+        skin = cut_out(skin, parts, "glass_clear", (1, 2), outline, 0, sign, 0.75)
+    for y0, y1 in doors:  # the frames of their leaves
+        for y in (y0, (y0 + y1) / 2 - 0.03, (y0 + y1) / 2 + 0.03, y1):
+            parts.append(box((1.25, y - 0.022, 0.42), (1.284, y + 0.022, 2.60), "gloss_black"))
+        for z in (0.44, 2.58):
+            parts.append(box((1.25, y0 + 0.03, z - 0.022), (1.281, y1 - 0.03, z + 0.03), "gloss_black"))
     for sign in (-1, 1):
-        skin = cut_out(
-            skin, parts, "gloss_black", (1, 2), rect(-5.75, 5.6, 1.22 if sign < 0 else 2.62, 2.72), 0, sign, 0.75
-        )
+        skin = cut_out(skin, parts, "gloss_black", (1, 2), rect(-5.75, 5.6, 1.28, 2.72), 0, sign, 0.75)
+        for y in (-4.6, -2.05, 0.35, 1.35, 2.45) if sign < 0 else (-3.7, -2.05, -0.15, 1.36, 2.45):
+            parts += seam_line(field_, [(y, 1.24), (y, 0.34)], flank=sign)
+        parts += seam_line(field_, [(-5.7, 0.56), (3.8, 0.56)], flank=sign)
     screen, rear = rect(-1.12, 1.12, 1.12, 2.45), rect(-1.0, 1.0, 1.75, 2.6)
     hip = (-0.72, 4.62, 1.10)
     parts += lined(
@@ -372,6 +375,7 @@ def build_bus() -> Component:
         sides=openings,
         front=screen,
         back=rear,
+        axles=(-3.0, 3.2),
         step=0.12,
         triangles=600,
     )
@@ -390,22 +394,52 @@ def build_bus() -> Component:
     skin = cut_out(skin, parts, "glass_clear", (0, 2), screen, 1, 1, 0.6)
     skin = cut_out(skin, parts, "gloss_black", (0, 2), rect(-1.16, 1.16, 1.05, 2.95), 1, 1, 0.6)
     skin = cut_out(skin, parts, "glass_clear", (0, 2), rear, 1, -1, 0.6)
+    skin, shine = lamp_units(
+        skin,
+        parts,
+        field_,
+        [(0.60, 0.68), (0.68, 0.60), (1.21, 0.63), (1.23, 0.90), (1.02, 0.89)],
+        [(0.86, 0.74, 0.062), (1.05, 0.78, 0.045), (0.71, 0.67, 0.030)],
+        5.6,
+    )
+    for opening, outline in (
+        (Opening((), 2, "black_plastic"), rect(-0.42, 0.42, 0.70, 0.80)),
+        (Opening((), 2, "black_plastic"), rect(-0.70, 0.70, 0.33, 0.44)),
+    ):
+        skin = opened(skin, parts, field_, opening, outline)
+    parts += seam_line(field_, [(-0.93, 0.98), (0.93, 0.98)])
+    parts += seam_line(field_, [(-0.93, 0.555), (0.93, 0.555)])
+    parts.append(lens_disc((0, front_at(field_, 0.0, 0.90, 1) + 0.012, 0.90), 0.065, "chrome"))
+    parts += wipers(field_, [((-0.10, 1.15), (-0.98, 1.24)), ((0.92, 1.15), (0.06, 1.24))])
+    for x0, x1 in ((-0.7, -0.02), (0.02, 0.7)):  # the engine's air behind
+        for z in (1.06, 1.14, 1.22, 1.30):
+            skin = cut_out(skin, parts, "seam", (0, 2), rect(x0, x1, z, z + 0.045), 1, -1, 0.6)
+    parts += seam_line(field_, [(-0.80, 1.62), (-0.80, 0.58), (0.80, 0.58), (0.80, 1.62)], end=-1)
     for sign in (-1, 1):
+        for material, z in (("lamp_lens_white", 0.80), ("amber", 1.34)):
+            area = rect(*sorted((sign * 0.89, sign * 1.04)), z, z + 0.14)
+            skin = cut_out(skin, parts, material, (0, 2), area, 1, -1, 0.3)
         skin = cut_out(
-            skin, parts, "headlamp", (0, 2), rect(*sorted((sign * 0.72, sign * 1.16)), 0.62, 0.86), 1, 1, 0.3
-        )
-        skin = cut_out(
-            skin, parts, "tail_lamp", (0, 2), rect(*sorted((sign * 1.02, sign * 1.18)), 0.8, 1.5), 1, -1, 0.3
+            skin, parts, "tail_lamp", (0, 2), rect(*sorted((sign * 0.87, sign * 1.06)), 0.78, 1.5), 1, -1, 0.3
         )
         parts += [
-            lens_disc((sign * 0.86, 6.02, 0.74), 0.056, "headlamp_lens"),
-            lens_disc((sign * 1.10, -6.02, 1.0), 0.07, "tail_lens", back=True),
+            lens_patch(field_, (sign * 0.965, 1.14), Lens((0.0, 0.0), (0.060, 0.085), 0.5), "tail_lens", -1),
+            soft_box(
+                (sign * 1.385 - 0.095, 5.94, 1.96), (sign * 1.385 + 0.095, 6.07, 2.46), "black_plastic", radius=0.05
+            ),
+            tube(
+                [(sign * 1.12, 5.80, 2.78), (sign * 1.30, 5.96, 2.74), (sign * 1.385, 6.00, 2.44)],
+                0.03,
+                "black_plastic",
+                sides=6,
+            ),
         ]
+    for y0, y1, z in ((-4.4, -1.5, 3.24), (0.6, 2.6, 3.20)):  # cooling and batteries on the roof
+        parts.append(soft_box((-0.86, y0, 2.95), (0.86, y1, z), "frame_white", radius=0.12))
         parts += [
-            box((sign * 1.36 - 0.12, 5.95, 2.0), (sign * 1.36 + 0.12, 6.07, 2.45), "black_plastic"),
-            box((sign * 1.2 - 0.12, 5.85, 2.46), (sign * 1.2 + 0.16, 5.97, 2.54), "black_plastic"),
+            box((-0.5, y, 3.0), (0.5, y + 0.28, z + 0.012), "black_plastic") for y in np.arange(y0 + 0.4, y1 - 0.5, 0.7)
         ]
-    skin = arches(skin, parts, (-3.0, 3.2), 0.49, 0.95)
+    skin = arches(skin, parts, (-3.0, 3.2), 0.54, 0.95)
     skin = dusted(skin, parts, 0.30, (-3.0, 3.2))
     parts += [skin, *wheels((-3.0, 3.2), 0.48, 1.12, 0.28, 8)]
     parts.append(
@@ -419,10 +453,10 @@ def build_bus() -> Component:
         )
     )
     for sign in (-1, 1):
-        parts.append(side_picture(sign, 1.30, -3.5, -0.4 if sign > 0 else 1.0, 0.72, 1.08, 0))
-    parts.append(plate((0, 6.03, 0.5), 6, front=True))
+        parts.append(side_picture(sign, 1.30, -2.35, -0.2 if sign > 0 else 0.95, 0.76, 1.02 if sign > 0 else 1.14, 0))
+    parts.append(plate((0, 6.03, 0.50), 6, front=True))
     parts.append(plate((0, -6.04, 0.7), 6, front=False))
-    lamps = headlights([(-0.86, 6.06, 0.74), (0.86, 6.06, 0.74)], "low_beam_halogen")
+    lamps = headlights(shine, "low_beam_halogen")
     variants = {
         "paint": {"red": painted("bus_red"), "yellow": painted("yellow")},
         "lamps": lamp_states(lamps),
@@ -468,7 +502,9 @@ def build_lorry() -> Component:
         [(-0.98, 1.38), (0.98, 1.38), (0.88, 2.2), (-0.88, 2.2)],
     )
     hip = (-0.52, 2.46, 1.34)
-    parts += lined(cab, (-1.3, 1.6, 0.3), (1.3, 3.8, 2.65), roof_z=2.2, sides=[(side, -1), (side, 1)], front=screen)
+    parts += lined(
+        cab, (-1.3, 1.6, 0.3), (1.3, 3.8, 2.65), roof_z=2.2, sides=[(side, -1), (side, 1)], front=screen, axles=(2.65,)
+    )
     parts += [
         *seat(*hip),
         *seat(-hip[0], *hip[1:]),
@@ -570,9 +606,10 @@ def build_car(body: Body) -> Component:
         skin = _flank(skin, parts, body, field_, sign)
     (_fy, fz), (_hy, hz) = body.screen
     skin = screen(skin, parts, fz + 0.005, hz - 0.03, half * 0.80, body.roof_half * 0.93, 1, body.upright)
-    (_ry, rz), (_sy, sz) = body.rear
+    (ry, rz), (sy, sz) = body.rear
     if not body.upright:
-        skin = screen(skin, parts, rz + 0.02, sz - 0.03, half * 0.66, body.roof_half * 0.82, -1, False)
+        to = None if body.pillar is None else (ry + body.pillar[0], sy + body.pillar[1])
+        skin = screen(skin, parts, rz + 0.02, sz - 0.03, half * 0.66, body.roof_half * 0.82, -1, False, round_to=to)
     else:
         for x0, x1 in ((-0.72, -0.06), (0.06, 0.72)):
             skin = cut_out(skin, parts, "glass_car", (0, 2), rect(x0, x1, rz, sz), 1, -1, 0.5)
@@ -693,7 +730,9 @@ def _shut_lines(skin: Part, parts: list[Part], body: Body) -> Part:
     skin = gap(skin, parts, (0, 1), bonnet, 2, 1, 0.3, beyond=body.lamps_z)
     if body.upright:
         return skin
-    top = body.tail[1] - 0.02
+    top, deep = body.tail[1] - 0.02, 0.45
+    if body.pillar is not None:
+        top, deep = min(top, body.rear[0][1] - 0.06), 0.22
     if ry > y0 + 0.35:  # a boot lid
         lid = [(-half * 0.68, ry), (-half * 0.74, y0 + 0.02)]
         for sign in (-1, 1):
@@ -701,7 +740,7 @@ def _shut_lines(skin: Part, parts: list[Part], body: Body) -> Part:
         top = body.tail[1] + 0.06
     low = body.tail[0] - 0.03
     hatch = [(-half * 0.74, top), (-half * 0.70, low), (half * 0.70, low), (half * 0.74, top)]
-    return gap(skin, parts, (0, 2), hatch, 1, -1, 0.25, beyond=-y0 - 0.45)
+    return gap(skin, parts, (0, 2), hatch, 1, -1, 0.25, beyond=-y0 - deep)
 
 
 def _cabin(body: Body, field_: Field) -> list[Part]:

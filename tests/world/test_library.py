@@ -424,6 +424,23 @@ def test_nothing_of_a_vehicle_stands_before_its_lenses(name):
                 assert first_hit(at, np.array([0.0, ahead, 0.0]), triangles) == np.inf, (lens, at)
 
 
+@pytest.mark.parametrize("name", POWERED)
+def test_nothing_hides_a_wheel_from_the_side(name):
+    """A ray across the car at a wheel's middle, and at half its radius above it, meets the wheel first."""
+    parts = meshes(shown(name))
+    triangles = np.concatenate([p.points[p.faces] for p in parts.values()])
+    wheels = np.concatenate([parts[kind].points[parts[kind].faces] for kind in ("tyre", "rim", "brake")])
+    tyres = parts["tyre"].points[parts["tyre"].points[:, 0] > 0]
+    radius = tyres[:, 2].max() / 2
+    found = np.unique(np.round(tyres[tyres[:, 2] < 0.03, 1], 1))
+    middles = [float(group.mean()) for group in np.split(found, np.flatnonzero(np.diff(found) > 0.4) + 1)]
+    assert len(middles) >= 2
+    for y in middles:
+        for up in (-0.5, 0.5):
+            origin, across = np.array([3.0, y + 0.07 * radius, (1 + up) * radius]), np.array([-1.0, 0.0, 0.0])
+            assert first_hit(origin, across, triangles) == pytest.approx(first_hit(origin, across, wheels)), (y, up)
+
+
 def test_no_two_cars_have_one_face():
     """Areas of grilles and of lamps in 24 columns of the front: any two cars differ by 15 % of what either shows."""
     cars = [m.name for m in of_group("vehicle") if m.label == "car"]
