@@ -169,8 +169,9 @@ def bake(
                 return
             progress("labels", done)
             loaded = renderer.within(replace(first, fog=()))
-            pierced = aovs.pierced(loaded)
-            ledger.add_labels(_write_labels(aovs.measure(loaded), first, plan, graph, scenes.taken, pierced))
+            pierced, view = aovs.pierced(loaded), views.get(todo[0].lighting)
+            seen = view.seen if view and view.world is first.world else aovs.measure(loaded)
+            ledger.add_labels(_write_labels(seen, first, plan, graph, scenes.taken, pierced))
 
         def finish(shot: Shot, picture: _Picture, began: float) -> None:
             sampled = time.perf_counter()
