@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdShade
+from pxr import Gf, Usd, UsdShade
 
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
@@ -277,8 +277,12 @@ class Materials:
                     f"refraction",
                 )
         emission, nits = inputs.emission()
-        if inputs.producer("displacement"):
+        if inputs.has("displacement") and (inputs.producer("displacement") or inputs.constant("displacement", 0.0)):
             self.notes.warn(path, "displacement is not drawn")
+        if inputs.has("normal") and not inputs.producer("normal"):
+            normal = inputs.constant("normal", None)
+            if isinstance(normal, (Gf.Vec3f, Gf.Vec3d)) and tuple(normal) != (0.0, 0.0, 1.0):
+                self.notes.warn(path, "a normal without a picture is not drawn")
         for name in names.left_out:
             if value_of(shader, name, self.time, 0.0) or producer(shader, name) is not None:
                 self.notes.warn(path, f"{name} is not drawn")

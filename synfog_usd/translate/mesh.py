@@ -141,7 +141,12 @@ def read_mesh(
     if holes is not None and len(holes):
         keep = np.ones(len(counts), dtype=bool)
         numbers = np.asarray(holes, dtype=np.int64)
-        keep[numbers[(numbers >= 0) & (numbers < len(counts))]] = False
+        there = (numbers >= 0) & (numbers < len(counts))
+        keep[numbers[there]] = False
+        if not there.all():
+            notes.warn(
+                prim.GetPath(), f"{int((~there).sum())} of its {len(there)} holes name no face of its {len(counts)}"
+            )
     attributes: dict[str, Attribute] = {}
     if (
         not authored.isdisjoint(_CARRIED)
@@ -287,6 +292,8 @@ def _subdivided(
     whole = counts >= 3
     corners = np.flatnonzero(np.repeat(whole, counts))
     cage = Cage(counts[whole], indices[corners], **_sharp(mesh, time, len(points), notes))
+    if stray := _strays(cage, len(points)):
+        notes.warn(mesh.GetPath(), f"{stray} edges of its creases are no edges of its faces; they are left out")
     rule = mesh.GetInterpolateBoundaryAttr().Get()
     smooth_triangles = mesh.GetTriangleSubdivisionRuleAttr().Get() == UsdGeom.Tokens.smooth
     cage = replace(cage, sharp_ends=rule == UsdGeom.Tokens.edgeAndCorner, smooth_triangles=smooth_triangles)
@@ -333,17 +340,30 @@ _DIVIDED = {"catmullClark": (subdivided, 4), "loop": (loop.subdivided, 3), "bili
 
 def _unbent(cage: Cage) -> Cage:
     """A cage on which everything is sharp for ever, so that values run evenly within its faces."""
-    following = np.arange(len(cage.indices)) + 1
-    last = np.cumsum(cage.counts) - 1
-    following[last] = last + 1 - cage.counts
     points = np.unique(cage.indices)
     return replace(
         cage,
-        creases=np.stack([cage.indices, cage.indices[following]], axis=1),
+        creases=_edges(cage),
         crease_sharpness=np.full(len(cage.indices), INFINITE),
         corners=points,
         corner_sharpness=np.full(len(points), INFINITE),
     )
+
+
+def _edges(cage: Cage) -> Indices:
+    """(K, 2) points of the edge from each corner of a cage to the next."""
+    following = np.arange(len(cage.indices)) + 1
+    last = np.cumsum(cage.counts) - 1
+    following[last] = last + 1 - cage.counts
+    return np.stack([cage.indices, cage.indices[following]], axis=1)
+
+
+def _strays(cage: Cage, point_count: int) -> int:
+    """How many creases of a cage are no edges of it."""
+    if not len(cage.creases):
+        return 0
+    edges, creases = (np.sort(pairs, axis=1) @ np.array([point_count, 1]) for pairs in (_edges(cage), cage.creases))
+    return int((~np.isin(creases, edges)).sum())
 
 
 def _sharp(mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int, notes: Diagnostics) -> dict[str, Any]:

@@ -308,6 +308,21 @@ def test_an_unknown_shader_is_grey_and_noted(quad):
     assert any(note.path == "/Material" and "arnold:standard_surface" in note.text for note in scene.notes)
 
 
+@pytest.mark.parametrize(
+    ("name", "kind", "value", "told"),
+    [
+        ("displacement", TYPES.Float, 0.2, ["displacement is not drawn"]),
+        ("displacement", TYPES.Float, 0.0, []),
+        ("normal", TYPES.Normal3f, (0.0, 0.5, 1.0), ["a normal without a picture is not drawn"]),
+        ("normal", TYPES.Normal3f, (0.0, 0.0, 1.0), []),
+    ],
+)
+def test_constants_that_are_not_drawn_are_told(quad, name, kind, value, told):
+    stage, surface = quad
+    surface.CreateInput(name, kind).Set(value)
+    assert [note.text for note in translate(stage).notes if note.path == "/Material"] == told
+
+
 def test_a_shining_picture_is_radiance_times_its_scale(quad, tmp_path):
     """emissiveColor = decoded texel x scale, in nits; the lamp's share of samples follows its mean."""
     stage, surface = quad

@@ -72,6 +72,19 @@ PLATE = """def Mesh "Plate"
             "/Plate",
             "1 of its 2 sharp corners name no point",
         ),
+        (
+            "",
+            PLATE
+            + "    int[] creaseIndices = [1, 0, 2]\n    int[] creaseLengths = [3]\n    float[] creaseSharpnesses = [2]\n}\n",  # noqa: E501
+            "/Plate",
+            "1 edges of its creases are no edges of its faces; they are left out",
+        ),
+        (
+            "",
+            PLATE + "    int[] holeIndices = [-1, 7]\n}\n",
+            "/Plate",
+            "2 of its 2 holes name no face of its 1",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_told_with_what_is_taken(tmp_path, camera, prims, path, told):
