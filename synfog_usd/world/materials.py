@@ -72,6 +72,7 @@ PALETTE: dict[str, Material] = {
     "kerb": Material(WHITE, texture="granite.jpg", roughness=0.6),
     "iron": Material(WHITE, texture="manhole.jpg", roughness=0.38, metallic=0.6),
     "grass": Material(WHITE, texture="grass.jpg", roughness=0.9),
+    "meadow": Material((0.92, 1.12, 0.86), texture="grass.jpg", roughness=0.9),  # not mown
     "soil": Material((0.06, 0.045, 0.03), 0.95),
     # vehicles
     "tyre": Material((0.018, 0.018, 0.019), 0.75),
@@ -249,7 +250,7 @@ SPECTRA: dict[str, tuple[str, ...]] = {
     "concrete": ("concrete", "paving", "plaster_grey"),
     "soil": ("soil",),
     "brick": ("brick_red", "brick_brown", "roof_tile", "pot"),
-    "grass": ("grass",),
+    "grass": ("grass", "meadow"),
     "leaf": ("leaf_green", "hedge"),
     "leaf_olive": ("leaf_olive",),
     "leaf_gold": ("leaf_gold",),

@@ -20,6 +20,8 @@ NEAR_M = 60.0
 OUT_M = (0.0, 0.4, 0.7, 1.6, 2.2, 4.2, 7.0, 12.0, 20.0, 32.0, 45.0, 60.0)
 SUNK_M = 0.6
 RIVER_M, WATER_M = 420.0, 0.3
+MOWN_M = 1.6
+"""Of the land beside a road, which is mown; beyond it is meadow.  One of `OUT_M`."""
 GROWTH = 1.12
 """Of the open land's cells, one to the next."""
 
@@ -53,13 +55,19 @@ def _beside(road: Road) -> list[Part]:
     s, far = _along(road), reach(road)
     out = np.array([o for o in OUT_M if o < far] + [far])
     parts = []
-    for t in (road.lane_section.low - out[::-1], road.lane_section.high + out):
+    mown, meadow = out[out <= MOWN_M], out[out >= MOWN_M]
+    for t, material in (
+        (road.lane_section.low - meadow[::-1], "meadow"),
+        (road.lane_section.low - mown[::-1], "grass"),
+        (road.lane_section.high + mown, "grass"),
+        (road.lane_section.high + meadow, "meadow"),
+    ):
         grid_s, grid_t = np.meshgrid(s, t, indexing="ij")
         x, y = road.reference_line.place(grid_s, grid_t)
         z = road.ground(grid_s, grid_t)
         points = np.stack([x, y, z], axis=-1)
         uv = points[..., :2] / GRASS_TILE_M
-        parts.append(strip(list(points), "grass", uv=list(uv)))
+        parts.append(strip(list(points), material, uv=list(uv)))
     if road.land.hill:
         inside = s[s > road.land.hill[0] + BEHIND_WALL_M]
         t = np.array([road.lane_section.low, 0.0, road.lane_section.high])
@@ -67,7 +75,7 @@ def _beside(road: Road) -> list[Part]:
         x, y = road.reference_line.place(grid_s, grid_t)
         z = np.repeat(road.ground(inside, road.lane_section.high + 1e-6)[:, None], 3, axis=1)
         points = np.stack([x, y, z], axis=-1)
-        parts.append(strip(list(points), "grass", uv=list(points[..., :2] / GRASS_TILE_M)))
+        parts.append(strip(list(points), "meadow", uv=list(points[..., :2] / GRASS_TILE_M)))
     return parts
 
 
@@ -90,7 +98,7 @@ def _open(road: Road, horizon: Horizon) -> list[Part]:
     z = z - SUNK_M * np.clip((reach(road) + 30.0 - out) / 30.0, 0.0, 1.0)
     covered = beside & (out < reach(road) - 1.0)
     points = np.stack([gx, gy, z], axis=-1)
-    part = strip(list(points), "grass", uv=list(points[..., :2] / GRASS_TILE_M))
+    part = strip(list(points), "meadow", uv=list(points[..., :2] / GRASS_TILE_M))
     along, across = np.gradient(z, axes[1], axes[0])
     normals = np.stack([-across, -along, np.ones_like(z)], axis=-1).reshape(-1, 3)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
