@@ -13,8 +13,9 @@ Figures, all of luminance (the mean of R, G and B) and of several seeds:
   is what the denoised picture has more than the mean of the very samples that it was made of, which has none; what
   several seeds differ by is taken off.  The mean of the whole picture is beside that of the references.
 - **told**: the error that the picture tells, over the one that is there: RMS over the pixels, and in the median pixel.
-- **sensor**: standard deviation of a RAW pixel over eight seeds of renderer and sensor, over that of the sensor alone
+- **sensor**: standard deviation of a RAW pixel over seeds of renderer and sensor, over that of the sensor alone
   with the mean of these pictures, in the median of the pixels that are not full; `bake`'s own target and 64 samples.
+  `--of 640x360` takes the middle of so large a picture, where the farthest and smallest things are.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import contextlib
 import functools
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +42,6 @@ from synfog_usd.scene import SceneDict
 from synfog_usd.testing import scene, sky, uniform_fog, wall
 
 BLOCK_PX = 32
-SENSOR_SEEDS = 8
 TABLES = ("raw", "denoised", "sensor")
 
 
@@ -152,7 +153,14 @@ def denoised_row(one: Shot, samples: int, seeds: int) -> str:
     )
 
 
-def sensor_row(name: str, source: SceneDict, clear: SceneDict, model: str) -> str:
+def middle(whole: SceneDict, width_px: int) -> SceneDict:
+    """The middle of a view, in pixels as small as those of a picture so wide."""
+    camera = whole.camera
+    half = np.tan(np.radians(camera.fov_x_deg) / 2.0) * camera.width_px / width_px
+    return replace(whole, camera=replace(camera, fov_x_deg=float(np.degrees(2.0 * np.arctan(half)))))
+
+
+def sensor_row(name: str, source: SceneDict, clear: SceneDict, model: str, seeds: int) -> str:
     """Deviation of a RAW pixel from seed to seed, over that of the sensor alone."""
     graph = camera.load_graph(Path("phone"))
     metered = metering(clear)
@@ -162,7 +170,7 @@ def sensor_row(name: str, source: SceneDict, clear: SceneDict, model: str) -> st
     noise = functools.partial(camera.noise_floor, electrons_per_cd_m2=found[0], dark_noise_e=found[1])
     loaded = shot.load(source, boundaries=False)
     done: list[shot.Rendered] = []
-    for seed in range(SENSOR_SEEDS):  # the planner chooses once, as for a shot
+    for seed in range(seeds):  # the planner chooses once, as for a shot
         chosen = done[0].model if done else model
         done.append(
             shot.render(source, model=chosen, seed=seed, loaded=loaded, denoise=True, sensor_sigma=sensor_target(noise))
@@ -174,7 +182,7 @@ def sensor_row(name: str, source: SceneDict, clear: SceneDict, model: str) -> st
         return run["adc"].pixels[..., 0].astype(np.float64)
 
     both = np.array([read(one.radiance, 100 + seed) for seed, one in enumerate(done)])
-    alone = np.array([read(done[0].radiance.with_pixels(mean), 200 + seed) for seed in range(SENSOR_SEEDS)])
+    alone = np.array([read(done[0].radiance.with_pixels(mean), 200 + seed) for seed in range(seeds)])
     open_ = alone.max(axis=0) < alone.max()
     ratio = np.sqrt(np.median(both.var(axis=0, ddof=1)[open_]) / np.median(alone.var(axis=0, ddof=1)[open_]))
     return f"| {name} | {done[0].model} | {np.mean([one.samples for one in done]):.0f} | {ratio:.3f} |"
@@ -208,6 +216,7 @@ def main() -> None:
     parser.add_argument("--reference", type=int, default=2048, help="samples of both references together")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--model", default="auto", help="of the sensor's table")
+    parser.add_argument("--of", help="WxH of which the sensor's table shows the middle, of `--size`; metered on all")
     arguments = parser.parse_args()
     from synfog_usd.render import backend
 
@@ -227,15 +236,16 @@ def main() -> None:
         for table in tables:
             print(heads[table], flush=True)
             if table == "sensor":
-                if arguments.only in "grey wall crossroads":
+                if arguments.only in "grey wall crossroads" and not arguments.of:
                     wall_row = sensor_row(
-                        "grey wall", grey_wall(size, foggy=True), grey_wall(size, foggy=False), "path"
+                        "grey wall", grey_wall(size, foggy=True), grey_wall(size, foggy=False), "path", arguments.seeds
                     )
                     print(wall_row, flush=True)
                 for street in streets:
                     air = Street(street.source, street.lighting, None)
                     source, clear = scene_of(street, size, folder), scene_of(air, size, folder)
-                    print(sensor_row(street.name, source, clear, arguments.model), flush=True)
+                    source = middle(source, int(arguments.of.split("x")[0])) if arguments.of else source
+                    print(sensor_row(street.name, source, clear, arguments.model, arguments.seeds), flush=True)
                 continue
             for street in streets:
                 one = Shot(street, size, folder, arguments.reference)
