@@ -31,6 +31,9 @@ STAR_PX = 256
 PUPIL = 1024
 """Most samples across the aperture; they limit a spike to PUPIL / 2 * lambda N / pitch pixels."""
 
+FEW = 4
+"""Channels up to which each is written by itself: numpy is slow where the innermost axis is short."""
+
 COLOURS = 5
 """Wavelengths of a channel, of equal weight."""
 
@@ -246,8 +249,11 @@ def enlarged(coarse: FloatArray, block: int, height: int, width: int) -> Iterato
             begin, across = int(place), columns.shape[1]
             values = slope[..., begin : begin + across] * np.float32(place - begin)
             values += rows[..., begin : begin + across]
-            for channel in range(count):  # numpy is slow where the innermost axis is short
-                columns[..., channel] = values[:, channel]
+            if count > FEW:
+                columns[...] = values.transpose(0, 2, 1)
+            else:
+                for channel in range(count):
+                    columns[..., channel] = values[:, channel]
         yield strip, found
 
 

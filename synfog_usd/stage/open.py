@@ -604,7 +604,9 @@ def _all_files(stage: Usd.Stage) -> tuple[list[Sdf.Layer], list[str]]:
 def variant_prim(stage: Usd.Stage, name: str) -> Usd.Prim | None:
     """The root prim that has a variant set, or None."""
     roots = [stage.GetDefaultPrim(), *stage.GetPseudoRoot().GetChildren()]
-    return next((prim for prim in roots if prim and prim.GetVariantSets().HasVariantSet(name)), None)
+    return next(
+        (prim for prim in roots if prim and prim.HasVariantSets() and prim.GetVariantSets().HasVariantSet(name)), None
+    )
 
 
 def _package(path: str) -> Path:

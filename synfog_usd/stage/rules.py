@@ -83,8 +83,16 @@ class _Context:
         seen = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render]
         self.solid = UsdGeom.BBoxCache(self.time, seen, False, True)
         self.whole = UsdGeom.BBoxCache(self.time, [*seen, UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy], False, True)
-        self.fog = [prim for prim in self.prims if has_fog_attributes(prim)]
+        self.foggy: dict[Sdf.Path, bool] = {}
+        self.fog = [prim for prim in self.prims if self.has_fog(prim)]
         self.labels: dict[Sdf.Path, str | None] = {}
+
+    def has_fog(self, prim: Usd.Prim) -> bool:
+        """`has_fog_attributes`, looked up once."""
+        path = prim.GetPath()
+        if path not in self.foggy:
+            self.foggy[path] = has_fog_attributes(prim)
+        return self.foggy[path]
 
     def label(self, prim: Usd.Prim) -> str | None:
         """`direct_label`, looked up once."""
@@ -347,8 +355,8 @@ def _labels(context: _Context) -> Iterator[Finding]:
                 )
         elif (
             prim.IsA(UsdGeom.Gprim)
-            and not has_fog_attributes(prim)
-            and not has_fog_attributes(prim.GetParent())
+            and not context.has_fog(prim)
+            and not context.has_fog(prim.GetParent())
             and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide  # as a lane's curve: never drawn
         ):
             unlabelled.append(str(prim.GetPath()))
