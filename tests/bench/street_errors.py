@@ -214,7 +214,7 @@ def main() -> None:
     parser.add_argument("--samples", default="16,64,256", help="of the plain mean")
     parser.add_argument("--denoised", default="4,16,64", help="samples of what is denoised")
     parser.add_argument("--reference", type=int, default=2048, help="samples of both references together")
-    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--seeds", type=int, default=5, help="RAW is in whole numbers: two are too few")
     parser.add_argument("--model", default="auto", help="of the sensor's table")
     parser.add_argument("--of", help="WxH of which the sensor's table shows the middle, of `--size`; metered on all")
     arguments = parser.parse_args()
