@@ -60,7 +60,8 @@ class MitsubaScene:
         spectral_bsdfs: key of a material -> the object that takes its place where paths carry bands, see
             `spectra.bsdfs`; made when it is first asked for.
         open_to_sky: (width, height) [px] -> `planner.open_to_sky`, once it was asked for: it is the same in every fog.
-        light_samplers: (the phase function's mean cosine, kinds of light) -> `LightSampler`, once it was asked for.
+        light_samplers: (the phase function's mean cosine, kinds of light) -> `LightSampler`, once it was asked for;
+            none where things move.
         met_by_guides: (width, height [px], rays of a pixel) -> what those of `denoise.guides` met, the last time.
     """
 

@@ -61,14 +61,17 @@ def make_tracer(
             raise ParameterError(f"the slab cannot be used here: {problem}")
     names, numbers, of_emitter = _groups(loaded, carried.kinds, kind_of)
     g = loaded.source.fog[0].medium.phase_function.mean_cosine if loaded.source.fog else 0.0
-    if (g, carried.kinds) not in loaded.light_samplers:
-        loaded.light_samplers[g, carried.kinds] = LightSampler(world, numbers, g)
+    lights = loaded.light_samplers.get((g, carried.kinds))
+    if lights is None:
+        lights = LightSampler(world, numbers, g)
+        if not loaded.source.motion_of:  # else it knows where the lamps are at one moment
+            loaded.light_samplers[g, carried.kinds] = lights
     kind = FroxelPath if in_froxels else FogPath
     cut = Truncation(**limits)
     return kind(
         loaded,
         medium,
-        lights=loaded.light_samplers[g, carried.kinds],
+        lights=lights,
         others=others,
         control=control,
         truncation=cut,
