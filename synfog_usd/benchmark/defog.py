@@ -83,7 +83,7 @@ def _measured(row: Row) -> Row:
 
 def _of_files(pair: Pair, method: Defogger) -> str:
     taken = pair.foggy if method.takes == PNG else pair.files.get(method.takes, pair.foggy)
-    return f"{bench.digest(taken)} {bench.digest(pair.clear)}"
+    return f"{bench.digest(taken)} {bench.digest(pair.clear)} {' '.join(metrics.usable())}"
 
 
 def fogs(pairs: Sequence[Pair]) -> list[str]:

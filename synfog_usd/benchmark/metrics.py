@@ -22,6 +22,9 @@ Picture = npt.NDArray[np.uint8]
 
 LPIPS_WANTING = "lpips: not measured; its network's weights are in no installable package"
 
+PACKAGES = {"pyfade": "fade-python"}
+"""What brings a metric's library where the extra 'benchmark' does not: its licence is for research."""
+
 
 @dataclass(frozen=True)
 class Metric:
@@ -91,11 +94,24 @@ def _lab(picture: Picture) -> npt.NDArray[np.float64]:
     return np.asarray(colour.XYZ_to_Lab(xyz, white))[place.ravel()].reshape(picture.shape)
 
 
+def fade(picture: Picture, truth: Picture) -> float:
+    """How much fog an observer would see in the picture alone, by statistics of real foggy and clear photographs; nan
+    for one without structure, or smaller than some patches of 8 pixels.
+    """
+    import pyfade
+
+    try:
+        return float(pyfade.fade(picture))
+    except (ValueError, IndexError):
+        return math.nan
+
+
 METRICS = {
     "psnr": Metric("PSNR [dB]", psnr, True, 2, "10 log10(255^2 / MSE)"),
     "ssim": Metric("SSIM", ssim, True, 3, "Wang, Bovik, Sheikh and Simoncelli 2004", "skimage"),
     "flip": Metric("FLIP", flip, False, 3, "Andersson et al. 2020", "flip_evaluator"),
     "de2000": Metric("CIEDE2000", delta_e, False, 2, "CIE 142-2001"),
+    "fade": Metric("FADE", fade, False, 2, "Choi, You and Bovik 2015", "pyfade"),
 }
 """Name -> metric, in the order of tables; the first decides ranks."""
 
@@ -109,7 +125,7 @@ def usable() -> tuple[str, ...]:
 
 
 def measure(picture: Picture, truth: Picture) -> dict[str, float]:
-    """All usable metrics of one picture.
+    """All usable metrics of one picture; one that is no number for it is left out.
 
     Args:
         picture, truth: (H, W, 3) uint8.
@@ -122,7 +138,8 @@ def measure(picture: Picture, truth: Picture) -> dict[str, float]:
             f"a picture of {_size(picture)} cannot be compared with one of {_size(truth)}; a method gives "
             f"the size it got"
         )
-    return {name: METRICS[name].measure(picture, truth) for name in usable()}
+    found = {name: METRICS[name].measure(picture, truth) for name in usable()}
+    return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
 def _size(picture: Any) -> str:

@@ -58,16 +58,22 @@ def rows(bench: Bench) -> list[Row]:
         if method.name in answered:
             found = {}
             for name in metrics.usable():
-                values = defog.values(bench, method, name)
+                if not (values := defog.values(bench, method, name)):
+                    continue
                 found[name] = mean(list(values.values()), [scenes[pair] for pair in values])
             found_rows.append((method, order[method.name], found))
     sign = -1.0 if metrics.METRICS[first].higher else 1.0
     return sorted(found_rows, key=lambda row: (row[1], sign * row[2][first].value))
 
 
+def _told(rows: Sequence[Row]) -> list[str]:
+    """Names of the metrics that every method has."""
+    return [name for name in metrics.usable() if all(name in found for _, _, found in rows)]
+
+
 def markdown(bench: Bench, rows: Sequence[Row]) -> str:
     """The tables, and under them what they rest on."""
-    names = metrics.usable()
+    names = _told(rows)
     titles = [_title(name) for name in names]
     scenes = len({pair.scene for pair in bench.items})
     lines = [
@@ -93,9 +99,11 @@ def markdown(bench: Bench, rows: Sequence[Row]) -> str:
                 cells.append(f"{sum(values) / len(values):.{decimals}f}" if values else "-")
             lines.append(f"| {method.name} | {' | '.join(cells)} |")
     lines += unanswered(bench)
-    missing = [name for name in metrics.METRICS if name not in names]
+    missing = [name for name in metrics.METRICS if name not in metrics.usable()]
     lines += ["", "Metrics: " + "; ".join(f"{_title(n)} ({metrics.METRICS[n].source})" for n in names) + "."]
-    lines += [f"{', '.join(missing)}: not measured; pip install 'synfog-usd[benchmark]' brings them."] * bool(missing)
+    for name in missing:
+        package = metrics.PACKAGES.get(metrics.METRICS[name].module, "'synfog-usd[benchmark]'")
+        lines.append(f"{name}: not measured; pip install {package} brings it.")
     lines += [f"{metrics.LPIPS_WANTING}.", ""]
     return "\n".join(lines)
 
@@ -136,7 +144,7 @@ def _csv(rows: Sequence[Row]) -> str:
 
 
 def _latex(rows: Sequence[Row]) -> str:
-    names = metrics.usable()
+    names = _told(rows)
     best = {
         name: (max if metrics.METRICS[name].higher else min)(found[name].value for _, _, found in rows)
         for name in names

@@ -2,11 +2,15 @@
 
     python tests/bench/agreement.py closed                    # two-stream, diffusion, the glow of Narasimhan and Nayar
     python tests/bench/agreement.py cycles --bpy BLENDER_ENV/bin/python -o out/agreement [--only crossroads]
+    python tests/bench/agreement.py fade --set out/set        # needs fade-python
 
 `cycles`: both draw the same triangles, matt colours, lamps, sky and fog (`cycles_scene.py`).  Regions are a twelfth
 of the picture.  Prints for each street the ratio of the whole means and the region that is farthest off, each with its
 standard error from seeds, and chi-square over the regions: 1 where noise alone parts the two.  Writes
 `agreement.csv`, a row a region, and `agreement.png`: ours, Cycles', and how far they are apart in blocks.
+
+`fade`: what FADE, which learned from real photographs how much fog people see, says of a set's pictures in each fog.
+Prints its mean, with the interval at 95 % over scenes, and of how many scenes each denser fog has more of it.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import csv
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -174,9 +179,36 @@ def closed() -> None:
         print(f"| {distance:g} | {' | '.join(f'{value:.2g}' for value in ratio)} |")
 
 
+def seen_by_fade(folder: Path, pipeline: str) -> None:
+    """A row a lighting of a set."""
+    from PIL import Image
+
+    from synfog_usd.benchmark.metrics import fade
+    from synfog_usd.benchmark.statistics import mean
+    from synfog_usd.sets.index import pictures
+
+    seen: dict[str, dict[float, dict[int, float]]] = {}  # lighting -> visibility, the best first -> scene
+    for one in pictures(folder):
+        if one.pipeline == pipeline:
+            picture = np.asarray(Image.open(one.files["srgb.png"]).convert("RGB"))
+            fogs = seen.setdefault(one.lighting, {})
+            fogs.setdefault(-(one.mor_m or np.inf), {})[one.scene] = fade(picture, picture)
+    for lighting, fogs in seen.items():
+        row = [fogs[mor] for mor in sorted(fogs)]
+        cells = [mean(list(each.values()), [str(scene) for scene in each]) for each in row]
+        fogs_text = ", ".join("clear" if np.isinf(mor) else f"MOR {-mor:g}" for mor in sorted(fogs))
+        print(f"{lighting}: {fogs_text}: " + ", ".join(f"{c.value:.2f} ({c.low:.2f} to {c.high:.2f})" for c in cells))
+        for (thin, dense), mor in zip(pairwise(row), sorted(fogs)[1:], strict=True):
+            both = thin.keys() & dense.keys()
+            more = sum(dense[scene] > thin[scene] for scene in both)
+            print(f"  MOR {-mor:g}: more than in the next thinner in {more} of {len(both)}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("verb", choices=("closed", "cycles"))
+    parser.add_argument("verb", choices=("closed", "cycles", "fade"))
+    parser.add_argument("--set", type=Path, help="folder of a set")
+    parser.add_argument("--pipeline", default="synfog", help="whose pictures of the set")
     parser.add_argument("--bpy", type=Path, help="a Python that has bpy 5.0.1")
     parser.add_argument("--only", default="", help="part of the streets' names")
     parser.add_argument("--size", default="64x36")
@@ -186,6 +218,9 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.verb == "closed":
         closed()
+        return
+    if arguments.verb == "fade":
+        seen_by_fade(arguments.set, arguments.pipeline)
         return
     from synfog_usd.render import backend
 
