@@ -7,6 +7,7 @@ picture.
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Annotated
@@ -15,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import photometry
-from synfog_usd.arrays import Array, FloatArray, strips
+from synfog_usd.arrays import Array, FloatArray, Pixels
 from synfog_usd.camera import blur, spread
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -30,9 +31,6 @@ STAR_PX = 256
 
 PUPIL = 1024
 """Most samples across the aperture; they limit a spike to PUPIL / 2 * lambda N / pitch pixels."""
-
-FEW = 4
-"""Channels up to which each is written by itself: numpy is slow where the innermost axis is short."""
 
 COLOURS = 5
 """Wavelengths of a channel, of equal weight."""
@@ -219,14 +217,14 @@ def aperture(blades: int, rotation_deg: float, diameter: float, size: int) -> Fl
 def block_means(pixels: FloatArray, block: int) -> FloatArray:
     """(ceil(H / block), ceil(W / block), C) means of square blocks; the last ones are smaller."""
     rows, columns = np.arange(0, pixels.shape[0], block), np.arange(0, pixels.shape[1], block)
-    sums = _added(_added(pixels.astype(np.float32, copy=False), block, axis=0), block, axis=1)
+    sums = _added(_added(pixels, block, axis=0, kind=np.float32), block, axis=1, kind=np.float64)
     heights, widths = np.diff(np.append(rows, pixels.shape[0])), np.diff(np.append(columns, pixels.shape[1]))
     return np.asarray(sums / (heights[:, None, None] * widths[None, :, None]), dtype=np.float32)
 
 
-def _added(pixels: Array, block: int, axis: int) -> Array:
-    """Sums of so many neighbours along rows or columns, in double precision; a pass over memory for each of them."""
-    total = pixels[(slice(None),) * axis + (slice(None, None, block),)].astype(np.float64)
+def _added(pixels: Pixels, block: int, axis: int, kind: npt.DTypeLike) -> Pixels:
+    """Sums of so many neighbours along columns (axis 0) or rows, in numbers of `kind`; a pass over memory for each."""
+    total = pixels[(slice(None),) * axis + (slice(None, None, block),)].astype(kind)
     for step in range(1, block):
         more = pixels[(slice(None),) * axis + (slice(step, None, block),)]
         total[(slice(None),) * axis + (slice(more.shape[axis]),)] += more
@@ -234,27 +232,29 @@ def _added(pixels: Array, block: int, axis: int) -> Array:
 
 
 def enlarged(coarse: FloatArray, block: int, height: int, width: int) -> Iterator[tuple[slice, FloatArray]]:
-    """What blocks (h, w, C) hold, by straight lines between their centres: rows of a picture, and (rows, W, C)."""
+    """What blocks (h, w, C) hold, by straight lines between their centres: rows of a picture, and (rows, W, C), which
+    is overwritten by the next.
+    """
     count = coarse.shape[2]
-    low, part = _between_blocks(height, coarse.shape[0], block)
-    high = np.minimum(low + 1, coarse.shape[0] - 1)
     beside = np.ascontiguousarray(np.pad(coarse, [(0, 0), (1, 1), (0, 0)], mode="edge").transpose(0, 2, 1))
-    for strip in strips(height):
-        rows = beside[low[strip]] + part[strip, None, None] * (beside[high[strip]] - beside[low[strip]])
-        slope = np.diff(rows, axis=2)
-        found = np.empty((len(rows), width, count), dtype=np.float32)
-        for first in range(block):  # columns that lie alike between two blocks
-            columns = found[:, first::block]
-            place = (first + 0.5) / block + 0.5
-            begin, across = int(place), columns.shape[1]
-            values = slope[..., begin : begin + across] * np.float32(place - begin)
-            values += rows[..., begin : begin + across]
-            if count > FEW:
-                columns[...] = values.transpose(0, 2, 1)
-            else:
-                for channel in range(count):
-                    columns[..., channel] = values[:, channel]
-        yield strip, found
+    slope = np.diff(beside, axis=2)
+    wide = np.empty((len(coarse), width, count), dtype=np.float32)
+    for first in range(block):  # columns that lie alike between two blocks
+        columns = wide[:, first::block]
+        place = (first + 0.5) / block + 0.5
+        begin, across = int(place), columns.shape[1]
+        values = slope[..., begin : begin + across] * np.float32(place - begin)
+        values += beside[..., begin : begin + across]
+        for channel in range(count):  # one by one: numpy is slow where the innermost axis is short
+            columns[..., channel] = values[:, channel]
+    low, part = _between_blocks(height, len(coarse), block)
+    begins = np.flatnonzero(np.diff(low, prepend=-1))
+    found = np.empty((int(np.diff(begins, append=height).max()), width, count), dtype=np.float32)
+    for begin, end in itertools.pairwise([*begins.tolist(), height]):  # rows between the same two blocks
+        before, after = wide[low[begin]], wide[min(low[begin] + 1, len(wide) - 1)]
+        rows = np.multiply(part[begin:end, None, None], after - before, out=found[: end - begin])
+        rows += before
+        yield slice(begin, end), rows
 
 
 def _between_blocks(fine: int, coarse: int, block: int) -> tuple[npt.NDArray[np.intp], FloatArray]:

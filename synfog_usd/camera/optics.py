@@ -138,7 +138,9 @@ def irradiance(
             metadata["relative_illumination"] = [list(column) for column in table]
     pixels = np.empty_like(image.pixels)
     for rows in strips(image.height_px):
-        np.multiply(image.pixels[rows], factor if fade is None else factor * fade[rows, :, None], out=pixels[rows])
+        here = factor if fade is None else factor * fade[rows]
+        for channel in range(pixels.shape[2]):  # one by one: numpy is slow where the innermost axis is short
+            np.multiply(image.pixels[rows, :, channel], here, out=pixels[rows, :, channel])
     if fov_x_deg is not None:
         metadata["fov_x_deg"] = fov_x_deg
     if focal_length_mm is not None:

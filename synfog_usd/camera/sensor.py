@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from synfog_usd import photometry, seeds
-from synfog_usd.arrays import FloatArray
+from synfog_usd.arrays import FloatArray, strips
 from synfog_usd.camera import cfa, noise, response
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -113,8 +113,13 @@ def prnu(
 
     Source: EMVA 1288 release 4.0, section 4.
     """
-    gain = np.float32(1.0) + np.float32(prnu_percent / 100.0) * pattern(serial, "prnu", image.height_px, image.width_px)
-    return image.with_pixels(np.maximum(image.pixels * gain, 0.0))
+    own, pixels = pattern(serial, "prnu", image.height_px, image.width_px), np.empty_like(image.pixels)
+    for rows in strips(image.height_px):
+        gain = own[rows] * np.float32(prnu_percent / 100.0)
+        gain += np.float32(1.0)
+        gain *= image.pixels[rows]
+        np.maximum(gain, 0.0, out=pixels[rows])
+    return image.with_pixels(pixels)
 
 
 @OPS.op("sensor.dark_current", takes=MEAN_ELECTRONS, gives=MEAN_ELECTRONS)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -34,11 +34,18 @@ SOFT_PX = 8.0
 TAIL_CYCLES = 2.5
 """Frequency, times `SOFT_PX`, up to which the tail is made: what is left there is 1.5e-7 of it."""
 
+FINE = 1 << 16
+"""Frequencies at which a transfer is known where each channel has its own; the nearest counts, which moves the contrast
+of an aperture by less than 7e-6 lambda N / pitch.
+"""
+
 COPIES = 1 << 27
 """Pixels of spots that are added one by one (4,000 more for each spot); more are added by a transform."""
 
 
 Places = npt.NDArray[np.intp]
+Points = tuple[Places, Places, FloatArray]
+"""Rows, columns and light of points of light."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +56,8 @@ class Blur:
         transfer: radial frequency [cycles/pixel], any shape, to the part of the
             contrast that is left.
         spot: (2 R + 1, 2 R + 1) weights of a point's light around its pixel.
-        tail: weight of the mean tail 1 / (pi^3 r^3) outside the spot; 0 for none.
-        tail_scale: times `SOFT_PX` and `SPOT_PX`.
+        tail: weight of the mean tail 1 / (pi^3 r^3) outside the spot; 0 for none, in all channels of a picture.
+        tail_scale: times `SOFT_PX` and `SPOT_PX`; one for all channels of a picture.
     """
 
     transfer: Callable[[FloatArray], Array]
@@ -83,7 +90,7 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
     height, width, count = pixels.shape
     result = np.empty_like(pixels)
     together = 2 if count <= 4 else 4  # channels that are taken out of the frame, and put back, in one go over it
-    same = np.ones((height, width), np.float32) if count > 1 and all(blur is blurs[0] for blur in blurs) else None
+    same = np.ones((height, width), np.float32) if all(blur is blurs[0] for blur in blurs) else None
     if same is not None:
         _multiply(same, blurs[0].transfer)
 
@@ -93,7 +100,7 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
         for rows in strips(height):
             for plane, channel in zip(planes, channels, strict=True):
                 plane[rows] = pixels[rows, :, channel]
-        planes = [_blurred_plane(plane, blurs[channel], same) for plane, channel in zip(planes, channels, strict=True)]
+        planes = _blurred_planes(planes, [blurs[channel] for channel in channels], same)
         for rows in strips(height):
             for plane, channel in zip(planes, channels, strict=True):
                 np.maximum(plane[rows], 0.0, out=result[rows, :, channel])
@@ -103,40 +110,79 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
     return result
 
 
-def _blurred_plane(plane: FloatArray, blur: Blur, known: FloatArray | None) -> FloatArray:
-    """One channel, which is overwritten; `known` is the transfer at the cosines' frequencies, where there is one."""
+def _blurred_planes(planes: list[FloatArray], blurs: Sequence[Blur], known: FloatArray | None) -> list[FloatArray]:
+    """Channels, which are overwritten; `known` is the transfer of all at the cosines' frequencies, where it is one."""
     from scipy import fft
 
+    points = [_taken_out(plane) for plane in planes]
+    waves = [fft.dctn(plane, overwrite_x=True) for plane in planes]
+    if known is None:
+        _multiply_each(waves, [blur.transfer for blur in blurs])
+    else:
+        for plane in waves:
+            plane *= known
+    _add_tails(waves, blurs, points)
+    found = [fft.idctn(plane, overwrite_x=True) for plane in waves]
+    for plane, blur, (rows, columns, lights) in zip(found, blurs, points, strict=True):
+        if rows.size:
+            add_spots(plane, *_mirrored(plane.shape, rows, columns, lights, blur.spot.shape[0] // 2), blur.spot)
+    return found
+
+
+def _taken_out(plane: FloatArray) -> Points:
+    """Rows, columns and light of the points of light of a channel (H, W), which is cut, in place, where they begin."""
     limit = highlight_limit(plane)
     rows = np.flatnonzero(plane.max(axis=1) > limit)
     line, columns = np.nonzero(plane[rows] > limit)
     rows = rows[line]
     lights = plane[rows, columns] - limit
     plane[rows, columns] = limit
-    waves = fft.dctn(plane, overwrite_x=True)
-    if known is None:
-        _multiply(waves, blur.transfer)
-    else:
-        waves *= known
-    if rows.size and blur.tail:
-        tail = _low_waves(plane.shape, rows, columns, lights, TAIL_CYCLES / (SOFT_PX * blur.tail_scale))
-        _multiply(tail, lambda f: np.float32(blur.tail) * tail_transfer(f, blur.tail_scale), plane.shape)
-        waves[: tail.shape[0], : tail.shape[1]] += tail
-    found = fft.idctn(waves, overwrite_x=True)
-    if rows.size:
-        add_spots(found, *_mirrored(found.shape, rows, columns, lights, blur.spot.shape[0] // 2), blur.spot)
-    return np.asarray(found)
+    return rows, columns, lights
 
 
-def _multiply(waves: FloatArray, transfer: Callable[[FloatArray], Array], shape: tuple[int, ...] | None = None) -> None:
-    """In place, the cosine transform, or the low frequencies of it, of a picture of `shape` by a transfer function."""
-    fine = waves.shape if shape is None else shape
+def _add_tails(waves: Sequence[FloatArray], blurs: Sequence[Blur], points: Sequence[Points]) -> None:
+    """Add, in place, to cosine transforms of one size what lamps show outside their spots."""
+    far = [(plane, blur, lamps) for plane, blur, lamps in zip(waves, blurs, points, strict=True) if lamps[0].size]
+    if not far or not far[0][1].tail:
+        return
+    shape, scale = far[0][0].shape, far[0][1].tail_scale
+    tails = [_low_waves(shape, *lamps, TAIL_CYCLES / (SOFT_PX * scale)) for _, _, lamps in far]
+    for rows, frequency in _frequencies(tails[0].shape, shape):
+        tail = tail_transfer(frequency, scale)
+        for low, (plane, blur, _) in zip(tails, far, strict=True):
+            low[rows] *= np.float32(blur.tail)
+            low[rows] *= tail
+            plane[: len(low), : low.shape[1]][rows] += low[rows]
+
+
+def _multiply(waves: FloatArray, transfer: Callable[[FloatArray], Array]) -> None:
+    """In place, the cosine transform of a picture by a transfer function."""
+    for rows, frequency in _frequencies(waves.shape, waves.shape):
+        waves[rows] *= transfer(frequency)
+
+
+def _multiply_each(waves: Sequence[FloatArray], transfers: Sequence[Callable[[FloatArray], Array]]) -> None:
+    """In place, cosine transforms of one size, each by its own transfer at the nearest of `FINE` frequencies."""
+    step = math.sqrt(0.5) / FINE
+    tables = [
+        transfer(np.arange(FINE + 1, dtype=np.float32) * np.float32(step)).astype(np.float32) for transfer in transfers
+    ]
+    for rows, frequency in _frequencies(waves[0].shape, waves[0].shape):
+        frequency *= np.float32(1.0 / step)
+        frequency += np.float32(0.5)
+        nearest = frequency.astype(np.intp)
+        for plane, table in zip(waves, tables, strict=True):
+            plane[rows] *= table.take(nearest, mode="clip", out=frequency)
+
+
+def _frequencies(kept: tuple[int, ...], fine: tuple[int, ...]) -> Iterator[tuple[slice, FloatArray]]:
+    """Rows of the lowest `kept` frequencies [cycles/pixel] of the cosine transform of a picture of the size `fine`."""
     down, across = (
-        (0.5 * np.arange(kept) / length).astype(np.float32) for kept, length in zip(waves.shape, fine, strict=True)
+        (0.5 * np.arange(most) / length).astype(np.float32) for most, length in zip(kept, fine, strict=True)
     )
     down, across = down * down, across * across
-    for rows in strips(len(waves)):
-        waves[rows] *= transfer(np.sqrt(down[rows, None] + across))
+    for rows in strips(kept[0]):
+        yield rows, np.sqrt(down[rows, None] + across)
 
 
 def _low_waves(shape: tuple[int, ...], rows: Places, columns: Places, lights: FloatArray, highest: float) -> FloatArray:
