@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import re
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from synfog_usd import stage as usd
 from synfog_usd.errors import StageError
-from synfog_usd.stage import rulebook, rules
+from synfog_usd.stage import mend, rulebook, rules
 from synfog_usd.translate import outdoors, translate, why_black
 from synfog_usd.translate.coincident import Overlap, coincident
 
@@ -41,7 +42,6 @@ def look(
     choices: Sequence[str] = (),
     metres_per_unit: float | None = None,
     up: str | None = None,
-    translated: bool = True,
 ) -> tuple[list[Finding], list[Note], dict[str, str]]:
     """Findings on a stage, gravest first, the notes of its translation over all lightings and fogs, and how light it is
     by lighting.
@@ -50,7 +50,6 @@ def look(
         stage: file.
         allow: folders outside its own in which its files may lie.
         choices, metres_per_unit, up: how it is read otherwise than it says of itself, see `stage.override`.
-        translated: whether to look at its translation, too; without it there are findings alone.
 
     Raises:
         StageError: the stage cannot be opened at all, or has no such choice.
@@ -64,12 +63,12 @@ def look(
     overlaps: list[Overlap] | None = None
     in_fog: list[set[Finding]] = []  # what is found where there is fog, by variant
     try:
-        for lighting in _variants(opened):
-            more = _placed(opened, rules.findings(opened)) if usd.variants(opened) else first
+        for lighting, chosen in _variants(opened):
+            more = _placed(opened, rules.findings(opened)) if chosen else first
             found |= dict.fromkeys(more)
             if not any(one.rule == "no-fog" for one in more):
                 in_fog.append(set(more))
-            if translated and usd.cameras(opened):
+            if usd.cameras(opened):
                 scene = translate(opened)
                 notes |= dict.fromkeys(scene.notes)
                 light.setdefault(lighting, str(outdoors(scene)))
@@ -90,11 +89,30 @@ def look(
     return sorted(found, key=lambda one: GRAVEST_FIRST.index(one.severity)), kept, light
 
 
-def mended(stage: Path, out: Path, found: Sequence[Finding], *, allow: Sequence[Path] = ()) -> list[str]:
-    """Write a layer over the stage with what can be mended without a choice; a line for each fix, see `stage.mend`."""
-    from synfog_usd.stage import mend
+def mended(
+    stage: Path,
+    out: Path,
+    *,
+    allow: Sequence[Path] = (),
+    choices: Sequence[str] = (),
+    metres_per_unit: float | None = None,
+    up: str | None = None,
+) -> list[str]:
+    """Write a layer over the stage with what can be mended without a choice; a line for each fix, see `stage.mend`.
 
-    return mend.write(usd.open_stage(stage, allow=allow), found, out, allow=allow)
+    Raises:
+        StageError: the stage cannot be opened, or has no such choice.
+        OutputError: as `stage.mend.write` has it.
+    """
+    opened = usd.open_stage(stage, allow=allow)
+    usd.override(opened, choices=choices, metres_per_unit=metres_per_unit, up=up)
+    found: dict[Finding, None] = {}
+    changed = bool(choices) or metres_per_unit is not None or up is not None
+    with contextlib.suppress(StageError):  # of a variant beyond a budget: the look that follows tells it
+        for _, chosen in _variants(opened):
+            changed |= chosen
+            found |= dict.fromkeys(_placed(opened, rules.findings(opened)))
+    return mend.write(usd.open_stage(stage, allow=allow) if changed else opened, found, out, allow=allow)
 
 
 _OF_ALL_FOGS = frozenset({"no-fog", "camera-outside-fog"})
@@ -110,14 +128,14 @@ def _placed(opened: Any, told: Iterable[Told]) -> list[Told]:
     return [replace(one, path=usd.authored_path(opened, one.path)) for one in told]
 
 
-def _variants(opened: Any) -> Iterator[str]:
+def _variants(opened: Any) -> Iterator[tuple[str, bool]]:
     """The stage with every lighting once and every fog once, as a bake would choose them; gives the lighting's name, ''
-    for none.
+    for none, and whether anything was chosen.
     """
     names = usd.variants(opened)
     for lighting, fog in list(itertools.zip_longest(names.get("lighting", []), names.get("fog", []))) or [(None, None)]:
         usd.select(opened, lighting=lighting, fog=fog)
-        yield lighting or ""
+        yield lighting or "", bool(names)
 
 
 def exit_code(found: Sequence[Finding], notes: Sequence[Note], *, strict: bool) -> int:

@@ -287,8 +287,7 @@ def check(
     with worker.reading_limits():
         fixes = None
         if fix is not None:
-            found, _, _ = verb.look(stage, translated=False, **read)
-            fixes = verb.mended(stage, fix, found, allow=allow or [])
+            fixes = verb.mended(stage, fix, **read)
             stage = fix
         found, notes, light = verb.look(stage, **read)
     code = verb.exit_code(found, notes, strict=strict)

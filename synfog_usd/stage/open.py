@@ -419,21 +419,12 @@ def authored_path(stage: Usd.Stage, path: str) -> str:
 
 def variants(stage: Usd.Stage) -> dict[str, list[str]]:
     """Names within the variant sets 'fog' and 'lighting', from the default prim or any root prim."""
-    found: dict[str, list[str]] = {}
-    for name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET):
-        prim = variant_prim(stage, name)
-        if prim is not None:
-            found[name] = list(prim.GetVariantSet(name).GetVariantNames())
-    return found
+    return {name: list(prim.GetVariantSet(name).GetVariantNames()) for name, prim in _variant_prims(stage).items()}
 
 
 def selected(stage: Usd.Stage) -> dict[str, str]:
     """The variants that are chosen now in the sets 'fog' and 'lighting'; a set without a choice is left out."""
-    chosen = {
-        name: prim.GetVariantSet(name).GetVariantSelection()
-        for name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET)
-        if (prim := variant_prim(stage, name))
-    }
+    chosen = {name: prim.GetVariantSet(name).GetVariantSelection() for name, prim in _variant_prims(stage).items()}
     return {name: choice for name, choice in chosen.items() if choice}
 
 
@@ -602,11 +593,20 @@ def _all_files(stage: Usd.Stage) -> tuple[list[Sdf.Layer], list[str]]:
 
 
 def variant_prim(stage: Usd.Stage, name: str) -> Usd.Prim | None:
-    """The root prim that has a variant set, or None."""
-    roots = [stage.GetDefaultPrim(), *stage.GetPseudoRoot().GetChildren()]
-    return next(
-        (prim for prim in roots if prim and prim.HasVariantSets() and prim.GetVariantSets().HasVariantSet(name)), None
-    )
+    """The root prim that has the variant set 'fog' or 'lighting', or None."""
+    return _variant_prims(stage).get(name)
+
+
+def _variant_prims(stage: Usd.Stage) -> dict[str, Usd.Prim]:
+    """Variant set -> the first root prim that has it, the default prim before others."""
+    found: dict[str, Usd.Prim] = {}
+    for prim in (stage.GetDefaultPrim(), *stage.GetPseudoRoot().GetChildren()):
+        if prim and prim.HasVariantSets():
+            sets = prim.GetVariantSets()
+            for name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET):
+                if name not in found and sets.HasVariantSet(name):
+                    found[name] = prim
+    return {name: found[name] for name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET) if name in found}
 
 
 def _package(path: str) -> Path:

@@ -49,6 +49,8 @@ _NAMES = {
     "bicycle": "bicycle", "bike": "bicycle", "motorcycle": "motorcycle", "motorbike": "motorcycle",
 }  # fmt: skip
 
+_ANY_NAME = re.compile("|".join(_NAMES), re.IGNORECASE)
+
 MAX_LUMEN = 1e8
 """Of one lamp: a thousand times a stadium's floodlight; a street lamp has 5 000 to 15 000."""
 
@@ -83,23 +85,21 @@ class _Context:
         seen = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render]
         self.solid = UsdGeom.BBoxCache(self.time, seen, False, True)
         self.whole = UsdGeom.BBoxCache(self.time, [*seen, UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy], False, True)
-        self.foggy: dict[Sdf.Path, bool] = {}
+        self.foggy: dict[Usd.Prim, bool] = {}
         self.fog = [prim for prim in self.prims if self.has_fog(prim)]
-        self.labels: dict[Sdf.Path, str | None] = {}
+        self.labels: dict[Usd.Prim, str | None] = {}
 
     def has_fog(self, prim: Usd.Prim) -> bool:
         """`has_fog_attributes`, looked up once."""
-        path = prim.GetPath()
-        if path not in self.foggy:
-            self.foggy[path] = has_fog_attributes(prim)
-        return self.foggy[path]
+        if prim not in self.foggy:
+            self.foggy[prim] = has_fog_attributes(prim)
+        return self.foggy[prim]
 
     def label(self, prim: Usd.Prim) -> str | None:
         """`direct_label`, looked up once."""
-        path = prim.GetPath()
-        if path not in self.labels:
-            self.labels[path] = direct_label(prim, self.time)
-        return self.labels[path]
+        if prim not in self.labels:
+            self.labels[prim] = direct_label(prim, self.time)
+        return self.labels[prim]
 
     def longest_m(self, prim: Usd.Prim) -> float:
         """Longest edge [m] of what is drawn of a prim, in its own axes; 0 where that is nothing."""
@@ -327,9 +327,11 @@ def _road_users(context: _Context) -> Iterator[Finding]:
 
 def _class_by_name(prim: Usd.Prim) -> str | None:
     """Class of a road user that a prim's name begins or ends with, numbers aside."""
+    if not _ANY_NAME.search(name := prim.GetName()):  # most by far
+        return None
     if not prim.IsA(UsdGeom.Xformable) or prim.IsA(UsdGeom.Camera) or prim.HasAPI(UsdLux.LightAPI):
         return None
-    words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", prim.GetName())]
+    words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
     return (_NAMES.get(words[-1]) or _NAMES.get(words[0])) if words else None
 
 

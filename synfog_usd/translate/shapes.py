@@ -90,9 +90,8 @@ class Shapes:
             else finish.emission
         )
         if kind == "Sphere" and is_similarity(matrix) and not finish.colored:
-            radius = float(leaf.prim.GetAttribute("radius").Get(self.time)) * abs(np.linalg.det(matrix[:3, :3])) ** (
-                1.0 / 3.0
-            )
+            scale = abs(geometry.determinant(matrix)) ** (1.0 / 3.0)
+            radius = float(leaf.prim.GetAttribute("radius").Get(self.time)) * scale
             if not 0.0 < radius <= FAR_POINT:
                 self.notes.warn(leaf.path, "a Sphere without radius, or with one of more than 12 digits, is left out")
                 return []

@@ -17,6 +17,7 @@ from synfog_usd.errors import StageError
 from synfog_usd.numbers import UNITS_M
 from synfog_usd.stage.open import up_axis
 from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.geometry import determinant
 
 Y_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """(x, y, z) -> (x, -z, y)."""
@@ -109,6 +110,8 @@ def rotation_of(matrix: Array) -> Array:
 
 
 def is_similarity(matrix: Array, *, tolerance: float = 1e-4) -> bool:
-    """Whether a matrix stretches all directions alike."""
-    lengths = np.linalg.svd(matrix[:3, :3], compute_uv=False)
-    return bool(lengths[0] - lengths[2] <= tolerance * lengths[0])
+    """Whether a matrix stretches all directions alike: the geometric mean of the squares of its three factors is their
+    arithmetic mean, up to what factors that differ by the tolerance make of it.
+    """
+    squares = float(np.vdot(matrix[:3, :3], matrix[:3, :3])) / 3.0
+    return squares - abs(determinant(matrix)) ** (2.0 / 3.0) <= 4.0 / 9.0 * tolerance**2 * squares

@@ -30,6 +30,8 @@ class Twins:
     def hides(self, shape: Mapping[str, Any], path: str) -> bool:
         """Whether `MOST` shapes, whatever their looks, lie where `shape` does, so that it is not drawn."""
         sketch = _sketch(shape)
+        if not any(isinstance(value, np.ndarray) for value in shape.values()):  # the sketch says all of it
+            return self._full(repr(sketch).encode(), path)
         if sketch not in self.first:  # most lie alone, and are not read through
             self.first[sketch] = shape
             return False

@@ -55,7 +55,7 @@ def mended(path, out=None):
     """(lines, findings by rule before, and after; the stage that was written)."""
     out = out or path.with_name("mended.usda")
     found, *_ = verb.look(path)
-    lines = verb.mended(path, out, found)
+    lines = verb.mended(path, out)
     after, notes, _ = verb.look(out)
     return lines, found, [*after, *notes], Usd.Stage.Open(str(out))
 
@@ -158,7 +158,7 @@ def test_the_stage_itself_and_places_that_cannot_serve_are_refused(written, tmp_
     (tmp_path / "link.usda").symlink_to(path)
     before = path.read_bytes()
     with pytest.raises(OutputError):
-        verb.mended(path, tmp_path / out, verb.look(path)[0])
+        verb.mended(path, tmp_path / out)
     assert path.read_bytes() == before and not list((tmp_path / "below").iterdir())
 
 
