@@ -33,7 +33,7 @@ def plan(
     file: Set,
     workers: Workers = None,
     probe: Annotated[
-        bool, typer.Option(help="Make four small units, to tell hours and gigabytes; --no-probe only counts.")
+        bool, typer.Option(help="Make small units, to tell hours and gigabytes; --no-probe only counts.")
     ] = True,
     variant: Variant = "auto",
     quiet: Quiet = False,

@@ -1,17 +1,18 @@
-"""What a set costs, before it is made: scenes, shots and files by counting, hours and bytes from four small probes.
+"""What a set costs, before it is made: scenes, shots and files by counting, hours and bytes from small probes.
 
-A probe is one unit of the set with fewer pixels.  The same scene at two sizes tells what a unit takes whatever its
-size (drawing, loading, metering) and what its pixels take; another scene, in another lighting where there is one,
-tells how much that differs.  The first is made twice: what it took longer at first went into kernels, which are
-compiled once.
+A probe is one unit of the set with fewer pixels.  In the first lighting and in the last, a scene at two sizes tells
+what a unit takes whatever its size (drawing, loading, metering) and what its pixels take, and further scenes at the
+smaller size tell how much scenes differ, which may be by a factor of three.  Each lighting's first is made twice: what
+it took longer at first went into kernels, which are compiled once.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from statistics import mean
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd.errors import SetError
@@ -35,6 +36,10 @@ LEAST_LIMIT_S = 600.0
 
 SMALL_PX = 120 * 68
 """Of a picture that is not made smaller for a probe."""
+OTHERS = 2
+"""Scenes for a lighting that are probed at the smaller size alone."""
+LOOKED = 200
+"""Scenes in a row that may be without a lighting, for one that has it."""
 OF_VIEW, OF_SHOT = ("bake.json", "labels.exr", "labels.json", "unit.json"), 3
 PICTURES = (".png", ".jpg", ".jpeg")
 
@@ -138,7 +143,7 @@ def estimate(
     variant: str = "auto",
     progress: Progress = silent,
 ) -> Estimate:
-    """What a set takes, from four probes.
+    """What a set takes, from probes.
 
     Args:
         found: the set.
@@ -155,27 +160,33 @@ def estimate(
 
     chosen = backend.choose(variant)  # type: ignore[arg-type]
     share = max(1, cluster.cores() // (workers or cluster.fitting(None)))
-    made = []
-    todo = _chosen(found)
-    for index, (planned, unit, size) in enumerate([todo[0], *todo]):
-        progress(f"probe {index + 1} of 4: scene {planned.number}, {unit.lighting}", index / 4)
-        made.append(
-            {"scene": planned.number, "lighting": unit.lighting, "size_px": size}
-            | _probe(found, planned, unit, size, child, chosen, share)
-        )
+    probes: list[dict[str, Any]] = []
+    cold: dict[str, dict[str, Any]] = {}  # lighting -> its first probe with kernels to compile
+    todo = _chosen(found, list(counted.units))
+    number = len(todo) + len({unit.lighting for _, unit, _ in todo})
+    for planned, unit, size in todo:
+        for _ in range(1 if unit.lighting in cold else 2):
+            done = len(probes) + len(cold)
+            progress(f"probe {done + 1} of {number}: scene {planned.number}, {unit.lighting}", done / number)
+            about = {"scene": planned.number, "lighting": unit.lighting, "size_px": size}
+            made = about | _probe(found, planned, unit, size, child, chosen, share)
+            if unit.lighting in cold:
+                probes.append(made)
+            else:
+                cold[unit.lighting] = made
     progress("done", 1.0)
-    cold, *probes = made
     total = sum(counted.units.values())
-    peak_mb = _at(probes, found, "peak_mb", max)
+    peak_mb = max(peak for lighting in counted.units for peak in _full(probes, found, "peak_mb", lighting))
     many = workers or cluster.fitting(peak_mb)
 
     def whole(what: str) -> float:
         """Of all units: each lighting as its own probes have it, others as the mean."""
-        return sum(number * _of(probes, found, what, lighting) for lighting, number in counted.units.items())
+        return sum(number * mean(_full(probes, found, what, lighting)) for lighting, number in counted.units.items())
 
     def once(what: str) -> float:
         """Of the kernels of all lightings."""
-        return len(counted.units) * max(0.0, cold[what] - probes[0][what])
+        first = {lighting: next(probe for probe in probes if probe["lighting"] == lighting) for lighting in cold}
+        return len(counted.units) * mean(max(0.0, cold[name][what] - warm[what]) for name, warm in first.items())
 
     return Estimate(
         cpu_h=(whole("cpu_s") + once("cpu_s")) / 3600.0,
@@ -187,21 +198,23 @@ def estimate(
     )
 
 
-def _chosen(found: SetDefinition) -> list[tuple[PlannedScene, Unit, tuple[int, int] | None]]:
-    """The first scene at a quarter and half of the width, and one from the middle of the set at half, in its last
-    lighting.
-    """
-    first, other = scene(found, 0), scene(found, found.scenes // 2)
-    if found.size is None or found.size[0] * found.size[1] <= SMALL_PX:
-        third = scene(found, found.scenes - 1)
-        return [
-            (first, first.units[0], found.size),
-            (other, other.units[-1], found.size),
-            (third, third.units[0], found.size),
-        ]
-    width, height = found.size
-    quarter, half = ((max(16, width // part), max(16, height // part)) for part in (4, 2))
-    return [(first, first.units[0], quarter), (first, first.units[0], half), (other, other.units[-1], half)]
+def _chosen(found: SetDefinition, lightings: Sequence[str]) -> list[tuple[PlannedScene, Unit, tuple[int, int] | None]]:
+    """For the first lighting and the last a scene at a quarter and half of the width, and some more at a quarter."""
+    sizes: list[tuple[int, int] | None] = [found.size]
+    if found.size is not None and found.size[0] * found.size[1] > SMALL_PX:
+        width, height = found.size
+        sizes = [(max(16, width // part), max(16, height // part)) for part in (4, 2)]
+    chosen: dict[tuple[int, str], list[tuple[PlannedScene, Unit, tuple[int, int] | None]]] = {}
+    for lighting in dict.fromkeys((lightings[0], lightings[-1])):
+        for part in range(OTHERS + 1):
+            start = found.scenes * part // (OTHERS + 1)
+            for number in range(start, min(found.scenes, start + LOOKED)):
+                planned = scene(found, number)
+                if lighting in planned.lightings:
+                    unit = next(unit for unit in planned.units if unit.lighting == lighting)
+                    chosen.setdefault((number, lighting), [(planned, unit, size) for size in sizes[: 1 + (part == 0)]])
+                    break
+    return [probe for probes in chosen.values() for probe in probes]
 
 
 def _probe(
@@ -225,28 +238,20 @@ def _probe(
     return {name: made[name] for name in ("seconds", "cpu_s", "bytes", "peak_mb")}
 
 
-def _of(probes: Sequence[Mapping[str, Any]], found: SetDefinition, what: str, lighting: str) -> float:
-    alike = [probe for probe in probes if probe["lighting"] == lighting] or list(probes)
-    return _at(alike, found, what, lambda values: sum(values) / len(values), probes)
-
-
-def _at(
-    probes: Sequence[Mapping[str, Any]],
-    found: SetDefinition,
-    what: str,
-    join: Callable[[list[float]], float],
-    every: Sequence[Mapping[str, Any]] | None = None,
-) -> float:
-    """What probes would have taken at full size: the largest of each scene, times what the first scene's two sizes say
-    of growing.
+def _full(probes: Sequence[Mapping[str, Any]], found: SetDefinition, what: str, lighting: str) -> list[float]:
+    """What a lighting's probes would have taken at full size: those at its smaller size, times what its first scene's
+    two sizes say of growing.  Of a lighting without probes the means of the others.
     """
-    every = every or probes
-    if found.size is None or every[0]["size_px"] == every[1]["size_px"] or every[0]["size_px"] == found.size:
-        return join([float(probe[what]) for probe in probes])
-    small, large, full = (_pixels(size) for size in (every[0]["size_px"], every[1]["size_px"], found.size))
-    slope = max(0.0, (every[1][what] - every[0][what]) / (large - small))
-    growth = (every[1][what] + slope * (full - large)) / every[1][what]
-    return join([float(probe[what]) * growth for probe in probes if probe["size_px"] == every[1]["size_px"]])
+    own = [probe for probe in probes if probe["lighting"] == lighting]
+    if not own:
+        return [mean(_full(probes, found, what, other)) for other in {probe["lighting"] for probe in probes}]
+    small, large = own[0], own[min(1, len(own) - 1)]
+    growth = 1.0
+    if found.size is not None and small["size_px"] != large["size_px"]:
+        pixels, more, full = (_pixels(size) for size in (small["size_px"], large["size_px"], found.size))
+        slope = max(0.0, (large[what] - small[what]) / (more - pixels))
+        growth = (large[what] + slope * (full - more)) / small[what]
+    return [float(probe[what]) * growth for probe in own if probe["size_px"] == small["size_px"]]
 
 
 def _pixels(size: tuple[int, int]) -> int:

@@ -67,19 +67,32 @@ def probe(size, seconds, lighting="sky"):
 
 
 def test_pixels_and_all_else_are_told_apart_by_two_sizes():
-    """20 s and 3 s a thousand pixels: at full size what the line through both says; another lighting that takes twice
-    as long at half size takes twice as long at full.
+    """20 s and 3 s a thousand pixels in one lighting, 40 and 2 in the other: at full size what the lines say.  A scene
+    that takes twice as long at the smaller size takes twice as long at full.
     """
-    found = make_set(scenes=2, recipes=["tunnel"], size=[400, 200])
-    seen = [probe((100, 50), 35.0), probe((200, 100), 80.0), probe((200, 100), 160.0, "active")]
-    assert cost._of(seen, found, "seconds", "sky") == pytest.approx(20 + 3 * 80)
-    assert cost._of(seen, found, "seconds", "active") == pytest.approx(2 * (20 + 3 * 80))
-    assert cost._of(seen, found, "seconds", "dusk") == pytest.approx(1.5 * (20 + 3 * 80))
+    found = make_set(scenes=9, recipes=["tunnel"], size=[400, 200])
+    seen = [probe((100, 50), 35.0), probe((200, 100), 80.0), probe((100, 50), 70.0)]
+    seen += [probe((100, 50), 50.0, "active"), probe((200, 100), 80.0, "active")]
+    assert cost._full(seen, found, "seconds", "sky") == pytest.approx([20 + 3 * 80, 2 * (20 + 3 * 80)])
+    assert cost._full(seen, found, "seconds", "active") == pytest.approx([40 + 2 * 80])
+    assert sorted(cost._full(seen, found, "seconds", "dusk")) == pytest.approx([200, 1.5 * (20 + 3 * 80)])
+
+
+def test_scenes_all_over_the_set_are_probed():
+    """In each of two lightings that scenes draw: one scene at two sizes, two more thirds of the set further on."""
+    words = {"recipes": ["tunnel"], "lightings": [{"choice": {"sky": 1, "active": 1}}], "size": [640, 360]}
+    chosen = cost._chosen(make_set(scenes=60, **words), ["sky", "active"])
+    for lighting in ("sky", "active"):
+        own = [(planned.number, size) for planned, unit, size in chosen if unit.lighting == lighting]
+        assert [size for _, size in own] == [(160, 90), (320, 180), (160, 90), (160, 90)]
+        assert own[0][0] == own[1][0] < 20 <= own[2][0] < 40 <= own[3][0]
+    assert all(unit.lighting in planned.lightings for planned, unit, _ in chosen)
+    assert len(cost._chosen(make_set(scenes=1, **(words | {"lightings": ["sky"]})), ["sky"])) == 2
 
 
 def test_kernels_that_are_compiled_first_are_not_taken_for_pixels(monkeypatch):
     """A machine that takes 20 s and 0.5 ms a pixel, twice that by lamps, and 15 s of a lighting's kernels the first
-    time: the same hours, to a fifth for what the lamps' kernels add to their only probe.
+    time: the same hours.
     """
     known = set()
 
@@ -94,7 +107,7 @@ def test_kernels_that_are_compiled_first_are_not_taken_for_pixels(monkeypatch):
     found = make_set(scenes=50, size=[640, 360], **words)
     told = cost.estimate(found, count(found), None, workers=1)
     real = 50 * 3 * (20.0 + 5e-4 * 640 * 360) + 2 * 15.0
-    assert told.hours * 3600.0 == pytest.approx(real, rel=0.2) and told.cpu_h == pytest.approx(1.5 * told.hours)
+    assert told.hours * 3600.0 == pytest.approx(real, rel=1e-6) and told.cpu_h == pytest.approx(1.5 * told.hours)
     assert told.gigabytes == pytest.approx(100 * 100 * 640 * 360 / 1e9, rel=1e-6)
 
 
