@@ -103,8 +103,10 @@ def electrons_per_second(
     spectra = photometry.channel_spectra(channels)
     if unseen := [name for name, spectrum in zip(channels, spectra, strict=True) if not spectrum.any()]:
         low, high = photometry.WAVELENGTHS_NM[[0, -1]]
+        named = ", ".join(unseen) if len(unseen) < 4 else f"{unseen[0]} to {unseen[-1]}, {len(unseen)} bands,"
         raise ImageError(
-            f"{', '.join(unseen)} outside {low:g} to {high:g} nm, where no sensor is simulated; leave such bands out"
+            f"{named} outside {low:g} to {high:g} nm, where no sensor is simulated, near infra-red included; "
+            f"leave such bands out"
         )
     return np.asarray((quantum_efficiency(sensor) * photons_per_joule) @ spectra.T * area_m2)
 

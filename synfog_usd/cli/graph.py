@@ -176,8 +176,8 @@ def _viewed(image: Image, graph: NodeGraph, fov_x_deg: float | None) -> Image:
         )
     elif abs(seen - own) > 0.02 * own:
         print(
-            f"field of view: {seen:.4g} degrees, as the picture says; {image.width_px} pixels behind {lens.name} "
-            f"would see {own:.4g}",
+            f"field of view: {seen:.4g} degrees, as {'the picture' if fov_x_deg is None else '--fov'} says; "
+            f"{image.width_px} pixels behind {lens.name} would see {own:.4g}",
             file=sys.stderr,
         )
     return image

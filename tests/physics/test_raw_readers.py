@@ -259,13 +259,18 @@ GRAPHS = [
 def test_the_raw_file_of_every_shipped_graph_is_exact_and_clean(tmp_path, path, compression):
     """A street-like picture of 320 x 240 from the graph; rawpy has the numbers, exiftool no complaint, and a grey is
     grey.
+
+    Without lateral colour: a red image that is half a pixel smaller is 0.7 % brighter where there are so few pixels.
     """
     graph = camera.load_graph(path)
+    for node in graph.nodes_with("optics.aberrations"):
+        flat = [0.0] * len(graph.profiles["lens"].aberration_field_deg)
+        graph = graph.with_overrides({f"{node.name}.lateral_{nm}_um": flat for nm in (450, 650)})
     pixels = np.full((240, 320, 3), 400.0, np.float32)
     pixels[:60, :80] = 1500.0
     pixels[:, 300:] *= seeds.stream(0, "street").random((240, 20, 3), dtype=np.float32)
-    flat = {} if graph.nodes_with("optics.fisheye") else {"fov_x_deg": 5.0}
-    radiance = Image(pixels, ("R", "G", "B"), Quantity.RADIANCE, provenance=flat)
+    view = {} if graph.nodes_with("optics.fisheye") else {"fov_x_deg": 5.0}
+    radiance = Image(pixels, ("R", "G", "B"), Quantity.RADIANCE, provenance=view)
     (name,) = (name for name in graph.outputs if name.endswith(".dng"))
     image = camera.develop(graph, dict.fromkeys(graph.inputs, radiance), seed=3, until=name)[graph.outputs[name]]
     write_output(name, image, tmp_path, options={"compression": compression})
