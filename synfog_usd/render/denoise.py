@@ -28,7 +28,7 @@ from synfog_usd.arrays import FloatArray
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend, dualbuffer
-from synfog_usd.render.film.accumulator import DIRECT, HALVES, SHARE_PX
+from synfog_usd.render.film.accumulator import DIRECT, HALVES, LIT, SHARE_PX
 from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Medium, unsupported_fog
@@ -267,7 +267,7 @@ def divide(
     def by_part(lights: Mapping[str, npt.NDArray[Any]]) -> dict[str, FloatArray]:
         found: dict[str, FloatArray] = {}
         for name, light in lights.items():
-            part = name if name == SURFACE or name in NOISELESS else AIRLIGHT
+            part = SURFACE if name == LIT else name if name == SURFACE or name in NOISELESS else AIRLIGHT
             found[part] = np.asarray(found[part] + light if part in found else light, dtype=np.float32)
         return found
 

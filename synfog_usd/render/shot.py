@@ -25,6 +25,7 @@ from synfog_usd.render.film.accumulator import (
     HALVES,
     INSCATTERED,
     LAMPS,
+    LIT,
     SHARE_PX,
     SURFACE,
     Accumulator,
@@ -154,7 +155,8 @@ def picture_bytes(scene: SceneDict, settings: Settings) -> int:
     """
     channels, foggy = settings.bands or numbers.RGB, bool(scene.fog)
     lamps = any(is_sampled_light(part) for part in scene.world.values())
-    estimators = [SURFACE, *([INSCATTERED] if foggy else []), *([LAMPS, DIRECT] if foggy else [DIRECT]) * lamps]
+    estimators = [SURFACE, *([INSCATTERED] if foggy else [])]
+    estimators += ([LAMPS, DIRECT, LIT] if foggy else [DIRECT, LIT]) * lamps
     parts, groups = sum(len(AOVS[name]) for name in estimators), len(set(scene.group_of.values()))
     groups = groups if groups > 1 else 0
     kept = HALVES * channels * parts + 3 * len(estimators)

@@ -50,22 +50,34 @@ ALL = "all"
 """The one estimator and AOV of an integrator that tells none apart."""
 
 SURFACE, LAMPS, INSCATTERED = "surface", "lamps", "air"
-"""The three estimators of what the eye sees: surfaces through the fog; lamps, scattered once into the line of sight;
-all other in-scattered
-radiance.  Their words seed streams of random numbers: another word would be another picture."""
+"""Three estimators of what the eye sees: surfaces through the fog; lamps, scattered once into the line of sight; all
+other in-scattered radiance.  Their words seed streams of random numbers: another word would be another picture."""
 
 SINGLE, MULTIPLE = "airlight_single", "airlight_multiple"
 
 DIRECT = "lamps_direct"
 """Faces of lamps as the eye sees them, an estimator and an AOV of its own; it is not part of `SURFACE`."""
 
+LIT = "surface_lit"
+"""Lamps' light on the first surface, where many lamps are drawn by importance: then not in the estimator `SURFACE`, to
+whose AOV it adds.  Images of lamps in paint and glass are smaller than a pixel: it takes many eye rays, and a short
+path each.  Crossing at dusk, 96x54, relative variance x time of the surfaces' light, before over after: of all pixels
+8.6 in clear air and 6.2 at MOR 150, without the worst hundredth 0.8 and 1.2, in the median pixel 0.9 and 0.9.
+"""
+
 COMPONENTS = (SURFACE, SINGLE, MULTIPLE, DIRECT)
 """AOVs that add up to the picture; the last is there only where lamps' faces are seen."""
 
-AOVS = {SURFACE: (SURFACE,), LAMPS: (SINGLE,), INSCATTERED: (SINGLE, MULTIPLE), DIRECT: (DIRECT,)}
+AOVS = {
+    SURFACE: (SURFACE,),
+    LIT: (SURFACE,),
+    LAMPS: (SINGLE,),
+    INSCATTERED: (SINGLE, MULTIPLE),
+    DIRECT: (DIRECT,),
+}
 """Which AOVs each estimator adds to."""
 
-ESTIMATOR_COST = {SURFACE: 1.0, LAMPS: 0.2, INSCATTERED: 1.3, DIRECT: 0.02}
+ESTIMATOR_COST = {SURFACE: 1.0, LIT: 0.3, LAMPS: 0.2, INSCATTERED: 1.3, DIRECT: 0.02}
 """Seconds of a path of each estimator, relative; measured on bench stages and the crossing within a factor of 1.7, and
 fixed, so that the same seed gives the same bytes."""
 

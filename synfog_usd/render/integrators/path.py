@@ -36,6 +36,7 @@ from synfog_usd.render.film.accumulator import (
     DIRECT,
     INSCATTERED,
     LAMPS,
+    LIT,
     SURFACE,
     Accumulator,
     Moments,
@@ -54,7 +55,7 @@ from synfog_usd.render.media.medium import Medium, transmittance
 from synfog_usd.render.motion import moved
 from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.render.spectra.bands import Bands
-from synfog_usd.render.surface import lit_from
+from synfog_usd.render.surface import for_lamps, lit_from
 
 RR_DEPTH = 8
 """Events before Russian roulette, Mitsuba's too.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8
@@ -84,6 +85,11 @@ MOST_WEIGHED = 160
 LEAST_CHANCE = 0.15
 """Of a lamp and of the scene's own choice to be asked, where both shine: what a surface makes of them is known in short
 only."""
+
+LEAST_SHARP = 2.0
+"""Density [1/sr] of a first surface's direction below which no lamp is looked for along it: shadow rays find those as
+well.
+"""
 
 LENS_M = 1e-3
 """Near plane [m] up to which a ray is begun at the lens itself."""
@@ -214,6 +220,7 @@ class FogPath:
         self.limited = self.truncation.scatterings < UNLIMITED
         self.estimators = (
             SURFACE,
+            *((LIT,) if self.importance is not None else ()),
             *((LAMPS,) if medium.foggy and lights.count and self.truncation.scatterings > 0 else ()),
             *((INSCATTERED,) if self._has_inscattering() else ()),
             *((DIRECT,) if self.visible is not None and self.visible.count else ()),
@@ -244,6 +251,8 @@ class FogPath:
             return self.trace_lamps(pixel, first, count, seed)
         if estimator == DIRECT:
             return self.trace_direct(pixel, first, count, seed)
+        if estimator == LIT:
+            return self.trace_lit(pixel, first, count, seed)
         return self.trace_paths(estimator == INSCATTERED, pixel, first, count, seed)
 
     def trace_froxels(self, cells: FroxelGrid, cell: Any, first: Any, count: int, seed: int) -> Moments:
@@ -322,6 +331,90 @@ class FogPath:
             sampler = sampler.restarted(over, Sobol(image_seed, pixel, first + begun))
         return Moments((total,), tuple(sums), lost)
 
+    @dr.syntax
+    def trace_lit(self, pixel: Any, first: Any, count: int, seed: int) -> Moments:
+        """Lamps' light on the first surface that the eye sees, and no further; arguments as in `trace`.
+
+        A lamp is drawn as at any surface, and a direction by the surface's lobes alone; they share what both find by
+        the power heuristic.
+        """
+        mi, bands, scene, context = backend.mitsuba(), self.bands, self.loaded.scene, backend.mitsuba().BSDFContext()
+        wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
+        corner, black, once = self.raster.corner(pixel), bands.black(), mi.UInt32(0)
+        aovs, lost, begun = [bands.black()], mi.UInt32(0), mi.UInt32(0)
+        sums = [bands.black() for _ in range(self.groups)] if self.groups > 1 else []
+        while begun < wanted:
+            sampler, path = Sobol(image_seed, pixel, first + begun), bands.black()
+            ray, view_weight = self.camera_ray(sampler, corner, mi.Bool(True))
+            si = scene.ray_intersect(ray, mi.RayFlags.All, True, mi.Bool(True))
+            hit, throughput = si.is_valid(), bands.even(view_weight)
+            if dr.hint(self.foggy, mode="scalar"):
+                tau = self.medium.optical_depth(ray.o, ray.d, 0.0, dr.select(hit, si.t, 0.0))
+                throughput, _ = self.split_camera_segment(False, tau, throughput, mi.Float(1.0), sampler, hit)
+                if dr.hint(bands.coloured, mode="scalar"):
+                    throughput *= bands.fade(tau)
+            hit &= dr.max(throughput) > 0.0
+            bsdf, reading = bands.surface(si.bsdf(), hit)
+            smooth = hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+
+            # ---- A lamp that matters
+            si = for_lamps(si)
+            mirror = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)
+            reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(
+                context, si, mirror, sampler.next_1d(hit), sampler.next_2d(hit), hit
+            )
+            gloss = Gloss.of(si, reflected, pdf, smooth)
+            picks = self.known_at(si.p, gloss, sampler, smooth)
+            lamp, colour, group, lamp_pdf = self.lights.at(si.p, gloss, sampler, smooth, picks)
+            towards, asked = dr.normalize(lamp - si.p), smooth & (dr.max(colour) > 0.0)
+            alone = (lamp_pdf <= 0.0) | mi.Bool(self.lit_faces is None)
+            reflected, pdf = bsdf.eval_pdf(
+                context, lit_from(si, lamp, alone, mi.Float(0.0)), si.to_local(towards), asked
+            )
+            weight = dr.select(alone | (pdf < LEAST_SHARP), 1.0, mis_weight(lamp_pdf, pdf))
+            light = throughput * bands.reflectance(reflected, reading) * self.light(colour, group)
+            free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, asked & dr.any(light != 0.0))
+            light = dr.select(free, light * (weight * reach_lamp), black)
+            path, aovs, sums = self.add_light(path, aovs, sums, light, once, group)
+
+            # ---- A lit face that a lobe's direction meets
+            if dr.hint(self.lit_faces is not None, mode="scalar"):
+                onward = throughput * bands.reflectance(kept, reading)
+                no_choice = ~smooth | mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
+                way = si.spawn_ray(si.to_world(bounce.wo))
+                going = hit & (dr.max(onward) > 0.0) & (no_choice | (bounce.pdf >= LEAST_SHARP))
+                met = scene.ray_intersect_preliminary(way, False, going)
+                emitter = met.shape.emitter()
+                area_pdf, number = self.lit_faces.of_emitter(emitter, going & met.is_valid())
+                found = area_pdf > 0.0
+                end = met.compute_surface_interaction(way, mi.RayFlags.All, found)
+                lamp_pdf = self.face_pdf(number, area_pdf, end, si.p, gloss, picks.total)
+                weight = dr.select(no_choice, 1.0, mis_weight(bounce.pdf, lamp_pdf))
+                group = self.group(emitter, found)
+                light = onward * weight * self.light(emitter.eval(end, found), group)
+                if dr.hint(self.foggy, mode="scalar"):
+                    tau = self.medium.optical_depth(way.o, way.d, 0.0, dr.select(found, met.t, 0.0))
+                    light *= transmittance(tau)[0]
+                    if dr.hint(bands.coloured, mode="scalar"):
+                        light *= bands.fade(tau)
+                light = dr.select(found, light, black)
+                path, aovs, sums = self.add_light(path, aovs, sums, light, once, group)
+            lost += dr.select(dr.all(dr.isfinite(path)), mi.UInt32(0), mi.UInt32(1))
+            begun += 1
+        return Moments(tuple(aovs), tuple(sums), lost)
+
+    def face_pdf(self, lamp: Any, area_pdf: Any, end: Any, place: Any, gloss: Gloss, weighed: Any) -> Any:
+        """Density [1/sr] with which a surface at `place` draws a point of a lamp's face as one of `PICKS`.
+
+        Args:
+            lamp, area_pdf: number of the lamp, and one over the area of its faces [1/m2].
+            end: the point.
+            gloss, weighed: how the surface answers lamps, and the sum of all their weights there.
+        """
+        chance = PICKS * self.importance.at(lamp, place, gloss) / dr.maximum(weighed, 1e-30)
+        cosine = dr.abs(dr.dot(end.n, end.to_world(end.wi)))
+        return chance * area_pdf * dr.squared_norm(end.p - place) / dr.maximum(cosine, 1e-6)
+
     def known_along(self, ray: Any, near: Any, stop: Any, sampler: Any, active: Any) -> Any:
         """Which lamps to ask about a segment, where there are too many to ask them all."""
         if self.importance is not None:
@@ -388,7 +481,7 @@ class FogPath:
             self.bands.black(),
         )
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
-        in_froxels = cells is not None
+        in_froxels, lit_apart = cells is not None, LIT in self.estimators and not inscattered
         slices = float(cells.slices if in_froxels else 1)
 
         # ---- Tasks: each is some paths of one pixel, and a lane does one after the other
@@ -521,6 +614,7 @@ class FogPath:
                 prev_gloss,
                 prev_weighed,
                 at_eye,
+                (depth == 1) & (bounces == 1) & mi.Bool(lit_apart),
             )
             path, aovs, sums = self.add_light(path, aovs, sums, light, scattered, group)
 
@@ -548,9 +642,10 @@ class FogPath:
             )
             gloss, picks = Gloss(), None
             if dr.hint(self.importance is not None, mode="scalar"):
-                gloss = Gloss.of(si, reflected, pdf, smooth)
-                picks = self.known_at(si.p, gloss, sampler, smooth)
-                chosen = self.choose_light(vertex, chosen, gloss, picks, smooth, sampler)
+                lit = smooth & ~at_eye if lit_apart else smooth
+                gloss = Gloss.of(si, reflected, pdf, lit)
+                picks = self.known_at(si.p, gloss, sampler, lit)
+                chosen = self.choose_light(vertex, chosen, gloss, picks, lit, sampler)
                 answering = lit_from(si, chosen.place, chosen.alone, dr.sqrt(spread2))
                 reflected, pdf = bsdf.eval_pdf(context, answering, si.to_local(chosen.direction), chosen.asked & smooth)
             value, gain = bands.reflectance(reflected, reading), bands.reflectance(kept, reading)
@@ -582,7 +677,7 @@ class FogPath:
                 path, aovs, sums = self.add_light(path, aovs, sums, light, mi.UInt32(2), mi.UInt32(0))
             throughput = onward
             if dr.hint(self.lit_faces is not None, mode="scalar"):
-                prev_gloss, prev_weighed = gloss, dr.select(smooth, picks.total, 0.0)
+                prev_gloss, prev_weighed = gloss, dr.select(lit, picks.total, 0.0)
             prev_p, prev_pdf, prev_delta, prev_without_nee = (
                 mi.Point3f(vertex.p),
                 mi.Float(next_pdf),
@@ -752,8 +847,11 @@ class FogPath:
         prev_gloss: Any,
         prev_weighed: Any,
         at_eye: Any,
+        lit_apart: Any,
     ) -> tuple[Any, Any]:
-        """(7) What the end of a segment sends out itself, by the power heuristic, and its group."""
+        """(7) What the end of a segment sends out itself, by the power heuristic, and its group; not what other
+        estimators have, DIRECT of what the eye sees, and LIT where `lit_apart`.
+        """
         mi, scene = backend.mitsuba(), self.loaded.scene
         previous = dr.zeros(mi.Interaction3f)
         previous.p = prev_p
@@ -769,18 +867,12 @@ class FogPath:
             weight = dr.select(surface_hit, weight, 1.0)
         emitter = si.emitter(scene, ended)
         if self.lit_faces is not None:
-            area_pdf, lamp = self.lit_faces.of_emitter(
-                emitter, ended & surface_hit & ~prev_delta & (prev_weighed > 0.0)
-            )
-            chance = PICKS * self.importance.at(lamp, prev_p, prev_gloss) / dr.maximum(prev_weighed, 1e-30)
-            lamp_pdf = (
-                chance
-                * area_pdf
-                * dr.squared_norm(si.p - prev_p)
-                / dr.maximum(dr.abs(dr.dot(si.n, si.to_world(si.wi))), 1e-6)
-            )
-            weight = dr.select(area_pdf > 0.0, mis_weight(prev_pdf, lamp_pdf), weight)
+            area_pdf, lamp = self.lit_faces.of_emitter(emitter, ended & surface_hit)
+            lamp_pdf = self.face_pdf(lamp, area_pdf, si, prev_p, prev_gloss, prev_weighed)
+            weight = dr.select((area_pdf > 0.0) & (prev_weighed > 0.0), mis_weight(prev_pdf, lamp_pdf), weight)
         weight = dr.select(prev_delta, 1.0, weight)  # else a lamp's face counts here only for the eye and for mirrors
+        if self.lit_faces is not None:
+            weight = dr.select(lit_apart & (area_pdf > 0.0), 0.0, weight)
         if self.visible is not None:  # the estimator DIRECT has them
             weight = dr.select(self.visible.holds(emitter, ended & surface_hit & at_eye), 0.0, weight)
         group = self.group(emitter, ended)
