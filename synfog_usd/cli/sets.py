@@ -53,7 +53,7 @@ def plan(file: Path, *, workers: int | None, probe: bool, variant: str, quiet: b
         print(f"  disk      {expected.gigabytes:.3g} GB")
         print(
             f"  time      {_hours(expected.hours)} with {expected.workers} units at a time; "
-            f"{_hours(expected.cpu_h)} of processor time"
+            f"{_hours(expected.cpu_h)} of processor time, give or take {100 * expected.unsure:.0f} %"
         )
         print(f"  memory    {expected.peak_mb / 1000:.2g} GB a unit")
 

@@ -8,11 +8,12 @@ it took longer at first went into kernels, which are compiled once.
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from statistics import mean
+from statistics import mean, stdev
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd.errors import SetError
@@ -99,6 +100,7 @@ class Estimate:
         cpu_h: processor time [h]; hours: wall time with `workers` units at a time.
         gigabytes: on disk; peak_mb: memory of one unit.
         workers: units at a time.
+        unsure: standard error of the processor time, over it: by how much scenes differ, of which few are probed.
         probes: what they were of and took.
     """
 
@@ -107,6 +109,7 @@ class Estimate:
     gigabytes: float
     peak_mb: float
     workers: int
+    unsure: float
     probes: tuple[Mapping[str, Any], ...]
 
 
@@ -194,6 +197,7 @@ def estimate(
         gigabytes=whole("bytes") / 1e9,
         peak_mb=peak_mb,
         workers=many,
+        unsure=_error(probes, found, counted.units) / whole("cpu_s"),
         probes=tuple(probes),
     )
 
@@ -252,6 +256,14 @@ def _full(probes: Sequence[Mapping[str, Any]], found: SetDefinition, what: str, 
         slope = max(0.0, (large[what] - small[what]) / (more - pixels))
         growth = (large[what] + slope * (full - more)) / small[what]
     return [float(probe[what]) * growth for probe in own if probe["size_px"] == small["size_px"]]
+
+
+def _error(probes: Sequence[Mapping[str, Any]], found: SetDefinition, units: Mapping[str, int]) -> float:
+    """Standard error [s] of all units' processor time, from how much the probes of each lighting differ."""
+    seen = {lighting: _full(probes, found, "cpu_s", lighting) for lighting in units}
+    return math.hypot(
+        *(units[name] * stdev(each) / math.sqrt(len(each)) for name, each in seen.items() if len(each) > 1)
+    )
 
 
 def _pixels(size: tuple[int, int]) -> int:

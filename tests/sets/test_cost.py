@@ -78,6 +78,15 @@ def test_pixels_and_all_else_are_told_apart_by_two_sizes():
     assert sorted(cost._full(seen, found, "seconds", "dusk")) == pytest.approx([200, 1.5 * (20 + 3 * 80)])
 
 
+def test_few_scenes_that_differ_leave_the_time_unsure():
+    """Three scenes of 10, 20 and 30 s: the standard error of their mean is 10 s / sqrt(3)."""
+    found = make_set(scenes=90, recipes=["tunnel"], size=[100, 50])
+    seen = [{"lighting": "sky", "size_px": (100, 50), "cpu_s": cpu_s} for cpu_s in (10.0, 20.0, 30.0)]
+    assert cost._error(seen, found, {"sky": 90}) == pytest.approx(90 * 10 / 3**0.5)
+    seen += [{"lighting": "active", "size_px": (100, 50), "cpu_s": cpu_s} for cpu_s in (5.0, 5.0)]
+    assert cost._error(seen, found, {"sky": 90, "active": 90}) == pytest.approx(90 * 10 / 3**0.5)
+
+
 def test_scenes_all_over_the_set_are_probed():
     """In each of two lightings that scenes draw: one scene at two sizes, two more thirds of the set further on."""
     words = {"recipes": ["tunnel"], "lightings": [{"choice": {"sky": 1, "active": 1}}], "size": [640, 360]}
