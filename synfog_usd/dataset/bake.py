@@ -11,20 +11,19 @@ import concurrent.futures
 import contextlib
 import functools
 import gc
-import importlib.metadata
-import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd import __version__, files, resources, system
+from synfog_usd import files, resources, system
 from synfog_usd.dataset import contact, labels, lanes, objects, visibility
 from synfog_usd.dataset.forecast import SET_UP, Forecast, Kind, kinds
+from synfog_usd.dataset.ledger import Ledger, metadata_of
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
-from synfog_usd.errors import ImageError, StageError
+from synfog_usd.dataset.scenes import Scenes, cleared, pinhole_of, size_of
+from synfog_usd.errors import StageError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent, within
 from synfog_usd.seeds import seed32
@@ -34,13 +33,11 @@ if TYPE_CHECKING:
 
     from synfog_usd.camera.distortion import Pinhole
     from synfog_usd.cull import Hidden, Parts
-    from synfog_usd.fisheye import Fisheye
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.render.shot import Rendered
-    from synfog_usd.scene import Camera, Note, SceneDict
+    from synfog_usd.scene import Note, SceneDict
 
-MANIFEST = "bake.json"
 METER_WIDTH_PX = 160
 METER_SAMPLES, METER_SAMPLES_RAW, DRAFT_METER_SAMPLES = 16, 64, 8
 """Of a pixel of the frame that is metered: where it can be denoised, else, and of a draft, whose frame is not."""
@@ -122,7 +119,7 @@ def bake(
         if plan.max_distance_m is not None:
             usd.keep_near(stage, plan.max_distance_m, camera=plan.camera, frame=plan.frame)
         todo = shots(plan, usd.variants(stage))
-        scenes = _Scenes(stage, plan, graph)
+        scenes = Scenes(stage, plan, graph)
         scenes.survey(todo if plan.strict else [shot for shot in todo if shot.lighting == todo[0].lighting])
 
     if plan.strict and any(note.severity == "warning" for note in scenes.notes(todo)):
@@ -138,11 +135,11 @@ def bake(
         )
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
     metered = bool(camera.exposure_left_open(graph))
-    metadata = _metadata(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
+    metadata = metadata_of(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
 
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
-        ledger, renderer = _Ledger(plan.out, metadata, scenes.notes(todo)), _Renderer(plan)
+        ledger, renderer = Ledger(plan.out, metadata, scenes.notes(todo)), _Renderer(plan)
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
         if kept:
@@ -197,7 +194,7 @@ def bake(
                 with reading():
                     scene, clear = (
                         scenes.of(shot),
-                        scenes.of(_cleared(stage, shot)) if metered and shot.lighting not in views else None,
+                        scenes.of(cleared(stage, shot)) if metered and shot.lighting not in views else None,
                     )
                 if clear is not None:
                     step("metering", 0.01)
@@ -236,137 +233,6 @@ def bake(
     return Baked(ledger.manifest(todo), seconds, kept, notes)
 
 
-class _Scenes:
-    """The scenes of a stage: one translation for each lighting, and one more for what differs from it in more than its
-    fog.
-    """
-
-    def __init__(self, stage: Any, plan: BakePlan, graph: Any = None) -> None:
-        from synfog_usd import stage as usd
-
-        self.stage, self.plan, self.graph, self.authored = stage, plan, graph, usd.selected(stage)
-        self.lightings: dict[str, Any] = {}
-        self.taken: Pinhole | None = None  # what the sensor takes, where a wider picture is rendered
-        self.told: dict[Shot, tuple[Note, ...]] = {}  # what the shots that were surveyed had to report
-        self.foggy = False  # whether one of them has fog
-        self.known: dict[Shot, SceneDict] = {}
-
-    def of(self, shot: Shot) -> SceneDict:
-        """The scene of a shot; what it was translated from is held, unless it serves no other shot."""
-        from synfog_usd import stage as usd
-        from synfog_usd.translate import Exchange, translate
-
-        if shot in self.known:
-            return self.known[shot]
-        plan = self.plan
-        usd.select(
-            self.stage,
-            fog=shot.fog_variant or self.authored.get("fog"),
-            lighting=shot.lighting_variant or self.authored.get("lighting"),
-        )
-        choices: dict[str, Any] = {"camera": plan.camera, "frame": plan.frame, "resolution": plan.size}
-        choices |= {"lights": plan.lights, "light_scale": plan.light_scale, "sun_lux": plan.sun_lux}
-        if shot.lighting not in self.lightings:
-            self.lightings[shot.lighting] = Exchange(self.stage, **choices, fog_mor_m=shot.mor_m)
-            self.known[shot] = self.seen(self.lightings[shot.lighting].scene)
-            return self.known[shot]
-        scene = self.lightings[shot.lighting].within(self.stage, fog_mor_m=shot.mor_m)
-        if scene is None:
-            return self.seen(translate(self.stage, **choices, fog_mor_m=shot.mor_m))
-        self.known[shot] = self.seen(scene)
-        return self.known[shot]
-
-    def have_lamps(self, lighting: str) -> bool:
-        """Whether a lighting has lamps; one that was not surveyed yet may have."""
-        if lighting not in self.lightings:
-            return True
-        world = self.lightings[lighting].scene.world
-        return any("intensity" in part for name, part in world.items() if name.startswith("light_"))
-
-    def seen(self, scene: SceneDict) -> SceneDict:
-        """The scene through the graph's fisheye; or through a wider and denser camera, where its lens distorts and
-        every pixel has to be found in the picture.
-
-        Raises:
-            StageError: a fisheye before an orthographic camera, or one whose picture ends before its corners.
-        """
-        from synfog_usd.camera import distortion, fisheye
-
-        if self.graph is not None and (lens := fisheye.of_graph(self.graph)) is not None:
-            return _through(scene, lens)
-
-        wider = (
-            None
-            if self.graph is None or scene.camera.width_m > 0.0
-            else distortion.to_render(self.graph, _pinhole(scene.camera))
-        )
-        if wider is None:
-            return scene
-        self.taken = _pinhole(scene.camera)
-        return replace(
-            scene,
-            camera=replace(scene.camera, **_size_of(wider)),
-        )
-
-    def survey(self, todo: Sequence[Shot]) -> None:
-        """Read every lighting once and every fog once, that were not read yet."""
-        for shot in _each_once(todo):
-            if shot not in self.told:
-                scene = self.of(shot)
-                self.told[shot] = tuple(scene.notes)
-                self.foggy |= bool(scene.fog)
-
-    def notes(self, todo: Sequence[Shot]) -> tuple[Note, ...]:
-        """What the lightings and fogs of some shots had to report, as far as they were surveyed."""
-        return tuple(dict.fromkeys(note for shot in _each_once(todo) for note in self.told.get(shot, ())))
-
-
-def _each_once(todo: Sequence[Shot]) -> list[Shot]:
-    """The first shots of every lighting and of every fog."""
-    found, lightings, fogs = list[Shot](), set[str](), set[str]()
-    for shot in todo:
-        if shot.lighting not in lightings or shot.fog not in fogs:
-            found.append(shot)
-            lightings.add(shot.lighting)
-            fogs.add(shot.fog)
-    return found
-
-
-def _through(scene: SceneDict, lens: Fisheye) -> SceneDict:
-    from synfog_usd.camera import fisheye
-    from synfog_usd.scene import Note
-    from synfog_usd.translate.volume import refuse_cut
-
-    view = replace(scene.camera, fisheye=lens, fov_x_deg=lens.fov_x_deg)
-    if scene.camera.width_m > 0.0:
-        raise StageError(f"{view.path}: an orthographic camera has no fisheye before it; name another with --camera")
-    try:
-        fisheye.angles_rad(lens, view.height_px, view.width_px, view.axis_shift)
-    except ImageError as problem:
-        raise StageError(f"{view.path}: a picture of {view.width_px} x {view.height_px}: {problem}") from problem
-    refuse_cut(scene.fog, view)
-    if not scene.camera.f_number > 0.0:
-        return replace(scene, camera=view)
-    sharp = Note("info", view.path, "its fStop blurs nothing: behind a fisheye all is drawn sharp")
-    return replace(scene, camera=view, notes=(*scene.notes, sharp))
-
-
-def _size_of(taken: Pinhole) -> dict[str, Any]:
-    """What of a camera a pinhole says."""
-    return {
-        "height_px": taken.height_px,
-        "width_px": taken.width_px,
-        "fov_x_deg": taken.fov_x_deg,
-        "shift": (0.0 - taken.shift[0], 0.0 - taken.shift[1]),
-    }
-
-
-def _pinhole(view: Camera) -> Pinhole:
-    from synfog_usd.camera.distortion import Pinhole
-
-    return Pinhole(view.height_px, view.width_px, view.fov_x_deg, view.axis_shift)
-
-
 class _Renderer:
     """The renderer's side of one scene at a time; another that differs in its fog alone takes its place at once."""
 
@@ -396,14 +262,6 @@ class _Renderer:
         self.world = self.loaded = None
         gc.collect()
         backend.let_go()
-
-
-def _cleared(stage: Any, shot: Shot) -> Shot:
-    """The shot with the stage's own clear air, where it has any."""
-    from synfog_usd import stage as usd
-
-    clear = CLEAR if CLEAR in usd.variants(stage).get("fog", ()) else None
-    return replace(shot, fog_variant=clear or shot.fog_variant, mor_m=None)
 
 
 @dataclass(frozen=True)
@@ -576,7 +434,7 @@ def _render(
     from synfog_usd.render.sampling.adaptive import sensor_target
     from synfog_usd.render.shot import Settings, sample
 
-    density = _pinhole(scene.camera).focal_px / taken.focal_px if taken else 1.0
+    density = pinhole_of(scene.camera).focal_px / taken.focal_px if taken else 1.0
     floor = _shared(view.noise, density) if view and view.noise else None
     bulk = view.parts if view and view.world is scene.world else cull.parts_of(scene.world)
     if plan.cull and view and floor:
@@ -733,7 +591,7 @@ def _left(made: _Shot, graph: Any) -> dict[int, dict[str, Any]]:
         exposure = camera.Exposure(1.0, 1.0, float(luminance.mean()))
         pixel = camera.sensitivity(radiance, graph, exposure)
         if pixel:
-            density = _pinhole(made.scene.camera).focal_px / made.taken.focal_px if made.taken else 1.0
+            density = pinhole_of(made.scene.camera).focal_px / made.taken.focal_px if made.taken else 1.0
             noise = _shared(_noise(pixel), density)
     surface = made.rendered.components.get("surface")
     unscattered = None if surface is None else photometry.luminance(radiance.with_pixels(surface))
@@ -806,11 +664,11 @@ def _write_labels(
 
     metadata: dict[str, Any] = {}
     nearest = None
-    bent = graph and distortion.of_graph(graph, _pinhole(scene.camera), taken)
+    bent = graph and distortion.of_graph(graph, pinhole_of(scene.camera), taken)
     area, bend = (lanes.ids(seen, scene) if scene.lanes else None), None
     if bent:
         node, warp = bent
-        nearest, bend = warp.nearest(), functools.partial(warp.bent, _pinhole(scene.camera))
+        nearest, bend = warp.nearest(), functools.partial(warp.bent, pinhole_of(scene.camera))
         area = None if area is None else area[nearest]
         seen = labels.warped(seen, nearest)
         metadata = {
@@ -825,7 +683,7 @@ def _write_labels(
     writers.write_exr(plan.out / "labels.exr", image.with_metadata(**metadata), attributes=header)
     more = {}
     if pierced is not None:
-        view = objects.Projection.of(scene.camera if taken is None else replace(scene.camera, **_size_of(taken)))
+        view = objects.Projection.of(scene.camera if taken is None else replace(scene.camera, **size_of(taken)))
         more = objects.rows(scene, pierced, view, nearest)
         eye = view.metadata(scene.origin_m)
         if bent:
@@ -839,113 +697,3 @@ def _write_labels(
         metadata |= {"lanes": lanes.rows(area, scene, bend)}
     files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.instances, more) | metadata)
     return {name: files.sha256_of(plan.out / name) for name in ("labels.exr", "labels.json")}
-
-
-def library_versions(*, denoise: bool) -> dict[str, str]:
-    """This program's version, and those of all libraries that the bytes of a bake depend on."""
-    libraries = (
-        "mitsuba",
-        "drjit",
-        "usd-core",
-        "OpenImageIO",
-        "numpy",
-        "scipy",
-        "colour-science",
-        "colour-demosaicing",
-        "tifffile",
-        "imagecodecs",
-    )
-    versions = {name: importlib.metadata.version(name) for name in libraries}
-    if denoise:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            versions["pyoidn"] = importlib.metadata.version("pyoidn")
-    return {"synfog-usd": __version__, **versions}
-
-
-def _metadata(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> dict[str, Any]:
-    """Everything that the pixels depend on; its hash tells whether a finished shot is still the right one."""
-    return {
-        "stage": {"name": plan.stage.name, "sha256": stage_hash},
-        "pipeline": {"name": plan.pipeline.name if plan.pipeline else "phone.yaml", "sha256": graph_hash},
-        "plan": {
-            "camera": plan.camera,
-            "frame": plan.frame,
-            "size_px": list(plan.size) if plan.size else None,
-            "model": plan.model,
-            "samples": plan.samples,
-            "target_error": plan.target_error,
-            "time_limit_s": plan.time_limit_s,
-            "bands": plan.bands,
-            "denoise": plan.denoise,
-            "cull": plan.cull,
-            "seed": plan.seed,
-            "lights": plan.lights,
-            "light_scale": plan.light_scale,
-            "sun_lux": plan.sun_lux,
-            "choices": list(plan.choices),
-            "metres_per_unit": plan.metres_per_unit,
-            "up": plan.up,
-            "max_distance_m": plan.max_distance_m,
-            "mask": list(plan.mask),
-            "variant": variant,
-            **({"clip": asdict(plan.clip)} if plan.clip else {}),
-            **({"shutter_s": plan.shutter_s} if plan.shutter_s is not None else {}),
-        },
-        "versions": library_versions(denoise=plan.denoise),
-    }
-
-
-class _Ledger:
-    """What is finished in an output folder, kept in `bake.json` after every shot."""
-
-    def __init__(self, out: Path, metadata: Mapping[str, Any], notes: Sequence[Note]) -> None:
-        self.out, self.metadata, self.notes = out, dict(metadata), notes
-        self.rows: dict[str, dict[str, Any]] = {}
-        self.labels: dict[str, str] = {}
-        self.contact: dict[str, str] = {}
-        try:
-            before = json.loads((out / MANIFEST).read_bytes())
-            same = {key: before[key] for key in metadata} == json.loads(json.dumps(self.metadata))
-            rows = {row["folder"]: row for row in before["shots"]} if same else {}
-            self.labels = before["labels"] if same else {}
-        except (OSError, ValueError, KeyError, TypeError):
-            return  # no manifest, or none that we wrote: everything is made anew
-        self.rows = {folder: row for folder, row in rows.items() if self._whole(out / folder, row["files"])}
-
-    @staticmethod
-    def _whole(folder: Path, hashes: Mapping[str, str]) -> bool:
-        return all(
-            (folder / name).is_file() and files.sha256_of(folder / name) == digest for name, digest in hashes.items()
-        )
-
-    def done(self, shot: Shot) -> bool:
-        return shot.folder in self.rows
-
-    def labels_done(self) -> bool:
-        return bool(self.labels) and self._whole(self.out, self.labels)
-
-    def add_labels(self, hashes: dict[str, str]) -> None:
-        self.labels = hashes
-
-    def add(self, shot: Shot, row: dict[str, Any]) -> None:
-        self.rows[shot.folder] = row
-        files.write_json(self.out / MANIFEST, self.manifest(()))
-
-    def finish(self, order: tuple[Shot, ...], contact_hashes: dict[str, str]) -> None:
-        self.contact = contact_hashes
-        files.write_json(self.out / MANIFEST, self.manifest(order))
-
-    def manifest(self, order: tuple[Shot, ...]) -> dict[str, Any]:
-        folders = [shot.folder for shot in order]
-        ordered = [self.rows[folder] for folder in folders] + [
-            self.rows[folder] for folder in sorted(self.rows) if folder not in folders
-        ]
-        return {
-            "schema": "synfog-usd/bake",
-            "version": 1,
-            **self.metadata,
-            "notes": [{"severity": note.severity, "path": note.path, "text": note.text} for note in self.notes],
-            "labels": self.labels,
-            "contact": self.contact,
-            "shots": ordered,
-        }

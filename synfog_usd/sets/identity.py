@@ -33,7 +33,7 @@ def identity(found: SetDefinition, variant: str) -> dict[str, Any]:
         variant: Mitsuba's, see `render.backend`.
     """
     from synfog_usd import camera
-    from synfog_usd.dataset.bake import library_versions
+    from synfog_usd.dataset.ledger import library_versions
 
     recipes = {source.name: files.sha256_of(source.recipe) for source in found.sources if source.recipe}
     return {

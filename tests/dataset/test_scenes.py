@@ -9,8 +9,8 @@ from support.stages import street
 
 from synfog_usd import camera
 from synfog_usd import stage as usd
-from synfog_usd.dataset.bake import _Scenes
 from synfog_usd.dataset.plan import BakePlan, shots
+from synfog_usd.dataset.scenes import Scenes
 from synfog_usd.translate import assemble
 
 EXPOSED_TOO = ('        "mor150" {', '        "mor150" {\nover "Sky"\n{\nfloat inputs:exposure = 1\n}\n')
@@ -29,7 +29,7 @@ def scenes(tmp_path, text, graph=None, **plan):
     (tmp_path / "street.usda").write_text(text)
     wanted = BakePlan(tmp_path / "street.usda", tmp_path / "out", size=(32, 18), **plan)
     stage = usd.open_stage(wanted.stage)
-    return _Scenes(stage, wanted, graph), shots(wanted, usd.variants(stage))
+    return Scenes(stage, wanted, graph), shots(wanted, usd.variants(stage))
 
 
 def test_a_lighting_is_translated_once(tmp_path, translations):

@@ -1,0 +1,138 @@
+"""What is finished in the folder of a bake: `bake.json`, and everything that its pixels depend on.
+
+Takes a plan and the hashes of stage and graph; gives the shots that are there whole, and takes those that are made.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from synfog_usd import __version__, files
+from synfog_usd.dataset.plan import BakePlan, Shot
+
+if TYPE_CHECKING:
+    from synfog_usd.scene import Note
+
+MANIFEST = "bake.json"
+
+
+def library_versions(*, denoise: bool) -> dict[str, str]:
+    """This program's version, and those of all libraries that the bytes of a bake depend on."""
+    libraries = (
+        "mitsuba",
+        "drjit",
+        "usd-core",
+        "OpenImageIO",
+        "numpy",
+        "scipy",
+        "colour-science",
+        "colour-demosaicing",
+        "tifffile",
+        "imagecodecs",
+    )
+    versions = {name: importlib.metadata.version(name) for name in libraries}
+    if denoise:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions["pyoidn"] = importlib.metadata.version("pyoidn")
+    return {"synfog-usd": __version__, **versions}
+
+
+def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) -> dict[str, Any]:
+    """Everything that the pixels depend on; its hash tells whether a finished shot is still the right one."""
+    return {
+        "stage": {"name": plan.stage.name, "sha256": stage_hash},
+        "pipeline": {"name": plan.pipeline.name if plan.pipeline else "phone.yaml", "sha256": graph_hash},
+        "plan": {
+            "camera": plan.camera,
+            "frame": plan.frame,
+            "size_px": list(plan.size) if plan.size else None,
+            "model": plan.model,
+            "samples": plan.samples,
+            "target_error": plan.target_error,
+            "time_limit_s": plan.time_limit_s,
+            "bands": plan.bands,
+            "denoise": plan.denoise,
+            "cull": plan.cull,
+            "seed": plan.seed,
+            "lights": plan.lights,
+            "light_scale": plan.light_scale,
+            "sun_lux": plan.sun_lux,
+            "choices": list(plan.choices),
+            "metres_per_unit": plan.metres_per_unit,
+            "up": plan.up,
+            "max_distance_m": plan.max_distance_m,
+            "mask": list(plan.mask),
+            "variant": variant,
+            **({"clip": asdict(plan.clip)} if plan.clip else {}),
+            **({"shutter_s": plan.shutter_s} if plan.shutter_s is not None else {}),
+        },
+        "versions": library_versions(denoise=plan.denoise),
+    }
+
+
+class Ledger:
+    """What is finished in an output folder, kept in `bake.json` after every shot."""
+
+    def __init__(self, out: Path, metadata: Mapping[str, Any], notes: Sequence[Note]) -> None:
+        self.out, self.metadata, self.notes = out, dict(metadata), notes
+        self.rows: dict[str, dict[str, Any]] = {}
+        self.labels: dict[str, str] = {}
+        self.contact: dict[str, str] = {}
+        try:
+            before = json.loads((out / MANIFEST).read_bytes())
+            same = {key: before[key] for key in metadata} == json.loads(json.dumps(self.metadata))
+            rows = {row["folder"]: row for row in before["shots"]} if same else {}
+            self.labels = before["labels"] if same else {}
+        except (OSError, ValueError, KeyError, TypeError):
+            return  # no manifest, or none that we wrote: everything is made anew
+        self.rows = {folder: row for folder, row in rows.items() if self._whole(out / folder, row["files"])}
+
+    @staticmethod
+    def _whole(folder: Path, hashes: Mapping[str, str]) -> bool:
+        return all(
+            (folder / name).is_file() and files.sha256_of(folder / name) == digest for name, digest in hashes.items()
+        )
+
+    def done(self, shot: Shot) -> bool:
+        """Whether all files of a shot are there, as they were written."""
+        return shot.folder in self.rows
+
+    def labels_done(self) -> bool:
+        """Likewise of the labels."""
+        return bool(self.labels) and self._whole(self.out, self.labels)
+
+    def add_labels(self, hashes: dict[str, str]) -> None:
+        """Note the labels, which are written."""
+        self.labels = hashes
+
+    def add(self, shot: Shot, row: dict[str, Any]) -> None:
+        """Note a shot, whose files are written; from here on it is finished."""
+        self.rows[shot.folder] = row
+        files.write_json(self.out / MANIFEST, self.manifest(()))
+
+    def finish(self, order: tuple[Shot, ...], contact_hashes: dict[str, str]) -> None:
+        """Write all shots in their order, and the contact sheet."""
+        self.contact = contact_hashes
+        files.write_json(self.out / MANIFEST, self.manifest(order))
+
+    def manifest(self, order: tuple[Shot, ...]) -> dict[str, Any]:
+        """What `bake.json` says, shots of `order` first."""
+        folders = [shot.folder for shot in order]
+        ordered = [self.rows[folder] for folder in folders] + [
+            self.rows[folder] for folder in sorted(self.rows) if folder not in folders
+        ]
+        return {
+            "schema": "synfog-usd/bake",
+            "version": 1,
+            **self.metadata,
+            "notes": [{"severity": note.severity, "path": note.path, "text": note.text} for note in self.notes],
+            "labels": self.labels,
+            "contact": self.contact,
+            "shots": ordered,
+        }

@@ -1,0 +1,158 @@
+"""The scenes of a bake: a stage translated once for each lighting, with the fog of each shot in it.
+
+Takes an opened stage, a plan and a graph; gives a scene for a shot, as wide and dense as the graph's lens asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot
+from synfog_usd.errors import ImageError, StageError
+
+if TYPE_CHECKING:
+    from synfog_usd.camera.distortion import Pinhole
+    from synfog_usd.fisheye import Fisheye
+    from synfog_usd.scene import Camera, Note, SceneDict
+
+
+class Scenes:
+    """The scenes of a stage: one translation for each lighting, and one more for what differs from it in more than its
+    fog.
+    """
+
+    def __init__(self, stage: Any, plan: BakePlan, graph: Any = None) -> None:
+        from synfog_usd import stage as usd
+
+        self.stage, self.plan, self.graph, self.authored = stage, plan, graph, usd.selected(stage)
+        self.lightings: dict[str, Any] = {}
+        self.taken: Pinhole | None = None  # what the sensor takes, where a wider picture is rendered
+        self.told: dict[Shot, tuple[Note, ...]] = {}  # what the shots that were surveyed had to report
+        self.foggy = False  # whether one of them has fog
+        self.known: dict[Shot, SceneDict] = {}
+
+    def of(self, shot: Shot) -> SceneDict:
+        """The scene of a shot; what it was translated from is held, unless it serves no other shot."""
+        from synfog_usd import stage as usd
+        from synfog_usd.translate import Exchange, translate
+
+        if shot in self.known:
+            return self.known[shot]
+        plan = self.plan
+        usd.select(
+            self.stage,
+            fog=shot.fog_variant or self.authored.get("fog"),
+            lighting=shot.lighting_variant or self.authored.get("lighting"),
+        )
+        choices: dict[str, Any] = {"camera": plan.camera, "frame": plan.frame, "resolution": plan.size}
+        choices |= {"lights": plan.lights, "light_scale": plan.light_scale, "sun_lux": plan.sun_lux}
+        if shot.lighting not in self.lightings:
+            self.lightings[shot.lighting] = Exchange(self.stage, **choices, fog_mor_m=shot.mor_m)
+            self.known[shot] = self.seen(self.lightings[shot.lighting].scene)
+            return self.known[shot]
+        scene = self.lightings[shot.lighting].within(self.stage, fog_mor_m=shot.mor_m)
+        if scene is None:
+            return self.seen(translate(self.stage, **choices, fog_mor_m=shot.mor_m))
+        self.known[shot] = self.seen(scene)
+        return self.known[shot]
+
+    def have_lamps(self, lighting: str) -> bool:
+        """Whether a lighting has lamps; one that was not surveyed yet may have."""
+        if lighting not in self.lightings:
+            return True
+        world = self.lightings[lighting].scene.world
+        return any("intensity" in part for name, part in world.items() if name.startswith("light_"))
+
+    def seen(self, scene: SceneDict) -> SceneDict:
+        """The scene through the graph's fisheye; or through a wider and denser camera, where its lens distorts and
+        every pixel has to be found in the picture.
+
+        Raises:
+            StageError: a fisheye before an orthographic camera, or one whose picture ends before its corners.
+        """
+        from synfog_usd.camera import distortion, fisheye
+
+        if self.graph is not None and (lens := fisheye.of_graph(self.graph)) is not None:
+            return _through(scene, lens)
+
+        wider = (
+            None
+            if self.graph is None or scene.camera.width_m > 0.0
+            else distortion.to_render(self.graph, pinhole_of(scene.camera))
+        )
+        if wider is None:
+            return scene
+        self.taken = pinhole_of(scene.camera)
+        return replace(
+            scene,
+            camera=replace(scene.camera, **size_of(wider)),
+        )
+
+    def survey(self, todo: Sequence[Shot]) -> None:
+        """Read every lighting once and every fog once, that were not read yet."""
+        for shot in _each_once(todo):
+            if shot not in self.told:
+                scene = self.of(shot)
+                self.told[shot] = tuple(scene.notes)
+                self.foggy |= bool(scene.fog)
+
+    def notes(self, todo: Sequence[Shot]) -> tuple[Note, ...]:
+        """What the lightings and fogs of some shots had to report, as far as they were surveyed."""
+        return tuple(dict.fromkeys(note for shot in _each_once(todo) for note in self.told.get(shot, ())))
+
+
+def _each_once(todo: Sequence[Shot]) -> list[Shot]:
+    """The first shots of every lighting and of every fog."""
+    found, lightings, fogs = list[Shot](), set[str](), set[str]()
+    for shot in todo:
+        if shot.lighting not in lightings or shot.fog not in fogs:
+            found.append(shot)
+            lightings.add(shot.lighting)
+            fogs.add(shot.fog)
+    return found
+
+
+def _through(scene: SceneDict, lens: Fisheye) -> SceneDict:
+    from synfog_usd.camera import fisheye
+    from synfog_usd.scene import Note
+    from synfog_usd.translate.volume import refuse_cut
+
+    view = replace(scene.camera, fisheye=lens, fov_x_deg=lens.fov_x_deg)
+    if scene.camera.width_m > 0.0:
+        raise StageError(f"{view.path}: an orthographic camera has no fisheye before it; name another with --camera")
+    try:
+        fisheye.angles_rad(lens, view.height_px, view.width_px, view.axis_shift)
+    except ImageError as problem:
+        raise StageError(f"{view.path}: a picture of {view.width_px} x {view.height_px}: {problem}") from problem
+    refuse_cut(scene.fog, view)
+    if not scene.camera.f_number > 0.0:
+        return replace(scene, camera=view)
+    sharp = Note("info", view.path, "its fStop blurs nothing: behind a fisheye all is drawn sharp")
+    return replace(scene, camera=view, notes=(*scene.notes, sharp))
+
+
+def size_of(taken: Pinhole) -> dict[str, Any]:
+    """What of a camera a pinhole says."""
+    return {
+        "height_px": taken.height_px,
+        "width_px": taken.width_px,
+        "fov_x_deg": taken.fov_x_deg,
+        "shift": (0.0 - taken.shift[0], 0.0 - taken.shift[1]),
+    }
+
+
+def pinhole_of(view: Camera) -> Pinhole:
+    """A camera without its lens: size, angle and where its axis is."""
+    from synfog_usd.camera.distortion import Pinhole
+
+    return Pinhole(view.height_px, view.width_px, view.fov_x_deg, view.axis_shift)
+
+
+def cleared(stage: Any, shot: Shot) -> Shot:
+    """The shot with the stage's own clear air, where it has any."""
+    from synfog_usd import stage as usd
+
+    clear = CLEAR if CLEAR in usd.variants(stage).get("fog", ()) else None
+    return replace(shot, fog_variant=clear or shot.fog_variant, mor_m=None)
