@@ -20,7 +20,7 @@ from synfog_usd.camera.distortion import Pinhole
 from synfog_usd.camera.optics import FOV, field_angles_rad
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
-from synfog_usd.camera.spread import THREADS
+from synfog_usd.camera.spread import THREADS, highlight_limit
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import Auto, FromProfile, Range
 from synfog_usd.image import Image, Quantity
@@ -59,10 +59,12 @@ def aberrations(
     angle to the axis.  At 450 and 650 nm it is wider, by the root of the sum of squares (axial colour), and further
     from the axis than at 550 nm (lateral colour); a channel takes what lies between them at its mean wavelength.
 
-    On the pixels it is Lindeberg's discrete Gaussian, of exactly these variances and never below 0, shifted by weights
-    of two pixels whose variance is taken off.  Spots are computed at sixteen places along the longer side, and every
-    128 pixels at least; what lies between is a mixture of the four nearest.  A lens without a table leaves the picture
-    as it is.
+    Contrast falls as the Gaussian's, exp(-2 (pi s f)^2), shifted by weights of two pixels whose variance is taken off.
+    What exceeds 8 times the channel's 95th percentile gets Lindeberg's discrete Gaussian, of the same variances and
+    never below 0, so that no lamp has dark rings.
+
+    Spots are computed at sixteen places along the longer side, and every 128 pixels at least; what lies between is a
+    mixture of the four nearest.  A lens without a table leaves the picture as it is.
 
     Args:
         image: irradiance (H, W, C), as it lies on the sensor.
@@ -167,19 +169,23 @@ def _spread(plane: FloatArray, spots: _Spots) -> FloatArray:
     step = min(max(math.ceil(max(height, width) / TILES), LEAST_TILE_PX), MOST_TILE_PX)
     step = max(step, reach // 2)  # spots as wide as the tiles would make them many
     edge = step + reach  # beyond the picture, where the first and the last weights are not whole
-    padded = np.pad(plane.astype(np.float64), edge, mode="symmetric")
+    even = np.minimum(plane, highlight_limit(plane))
+    padded, lamps = (np.pad(part.astype(np.float64), edge, mode="symmetric") for part in (even, plane - even))
     size = fft.next_fast_len(2 * step + 2 * reach, real=True)
     weight = 1.0 - np.abs((np.arange(2 * step) + 0.5) / step - 1.0)
-    waves = _Waves.of(size)
+    waves, steps = _Waves.of(size), _Waves.of(size, discrete=True)
     tops, lefts = (range(0, length + 2 * reach + step, step) for length in (height, width))
     total = np.zeros((tops[-1] + size, lefts[-1] + size))  # begins `reach` before the padded picture
     for top in tops:
         for left in lefts:
-            tile = padded[top : top + 2 * step, left : left + 2 * step]
-            lit = tile * weight[: tile.shape[0], None] * weight[None, : tile.shape[1]]
-            middle = top - edge + step - 0.5, left - edge + step - 0.5
-            spectrum = fft.rfft2(lit, s=(size, size))
-            spectrum *= waves.transfer(*spots.at(*middle))
+            here = slice(top, top + 2 * step), slice(left, left + 2 * step)
+            tile = padded[here]
+            share = weight[: tile.shape[0], None] * weight[None, : tile.shape[1]]
+            spot = spots.at(top - edge + step - 0.5, left - edge + step - 0.5)
+            spectrum = fft.rfft2(tile * share, s=(size, size))
+            spectrum *= waves.transfer(*spot)
+            if lamps[here].any():
+                spectrum += fft.rfft2(lamps[here] * share, s=(size, size)) * steps.transfer(*spot)
             found = fft.irfft2(spectrum, s=(size, size))
             total[top : top + size, left : left + size] += np.roll(found, (reach, reach), axis=(0, 1))
     inner = total[edge + reach :, edge + reach :][:height, :width]
@@ -188,7 +194,9 @@ def _spread(plane: FloatArray, spots: _Spots) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Waves:
-    """cos - 1 of the frequencies across columns, down rows and along both diagonals, and the frequencies [rad/px]."""
+    """What a variance of 1 makes of the logarithm of contrast, by frequency across columns, down rows and along both
+    diagonals, and the frequencies [rad/px].
+    """
 
     x: Array
     y: Array
@@ -198,14 +206,16 @@ class _Waves:
     fy: Array
 
     @classmethod
-    def of(cls, size: int) -> _Waves:
-        """Of a real transform of size x size."""
+    def of(cls, size: int, *, discrete: bool = False) -> _Waves:
+        """Of a real transform of size x size: a Gaussian's, or Lindeberg's discrete one's."""
         fx, fy = 2.0 * np.pi * np.fft.rfftfreq(size)[None, :], 2.0 * np.pi * np.fft.fftfreq(size)[:, None]
-        x, y, falling, rising = (np.cos(wave) - 1.0 for wave in (fx, fy, fx + fy, fx - fy))
+        x, y, falling, rising = (
+            np.cos(wave) - 1.0 if discrete else -0.5 * wave * wave for wave in (fx, fy, fx + fy, fx - fy)
+        )
         return cls(x, y, falling, rising, fx, fy)
 
     def transfer(self, xx: float, yy: float, xy: float, right: float, down: float) -> Array:
-        """Of a discrete Gaussian with these variances [px^2], shifted [px].
+        """Of a Gaussian with these variances [px^2], shifted [px].
 
         What both axes share goes along a diagonal, and a shift between two pixels takes its own variance off.
         """
