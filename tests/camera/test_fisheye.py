@@ -16,7 +16,7 @@ from support import cli
 from synfog_usd import camera, resources
 from synfog_usd.camera import optics
 from synfog_usd.camera.fisheye import of_graph
-from synfog_usd.dataset import bake
+from synfog_usd.dataset import scenes
 from synfog_usd.dataset.lanes import _drawn, _places
 from synfog_usd.dataset.objects import Projection, solids
 from synfog_usd.errors import GraphError, ImageError, ParameterError, StageError
@@ -259,13 +259,13 @@ def test_what_is_no_fisheye_s_is_refused(tmp_path):
         of_graph(both)
     lens = of_graph(graph)
     wide = scene({}, width_px=8, height_px=6)
-    assert bake._through(wide, lens).camera.fisheye == lens
-    blurred = bake._through(replace(wide, camera=replace(wide.camera, f_number=2.8)), lens)
+    assert scenes._through(wide, lens).camera.fisheye == lens
+    blurred = scenes._through(replace(wide, camera=replace(wide.camera, f_number=2.8)), lens)
     assert [note.text for note in blurred.notes] == ["its fStop blurs nothing: behind a fisheye all is drawn sharp"]
     with pytest.raises(StageError, match="orthographic"):
-        bake._through(replace(wide, camera=replace(wide.camera, width_m=3.0)), lens)
+        scenes._through(replace(wide, camera=replace(wide.camera, width_m=3.0)), lens)
     with pytest.raises(StageError, match="lie beyond the picture"):
-        bake._through(wide, Fisheye((1.0, 0.0, -0.1), 200.0))
+        scenes._through(wide, Fisheye((1.0, 0.0, -0.1), 200.0))
     labels = Labels(*4 * [np.zeros((1, 1))], {"model": "fisheye", "path": "/Eye"}, [], {})
     with pytest.raises(ParameterError, match="KITTI knows pinholes alone"):
         labels.refuse_fisheye("KITTI")
