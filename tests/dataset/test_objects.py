@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from synfog_usd.dataset import bake, labels, masks, objects
+from synfog_usd.dataset import labels, masks, objects, scenes
 from synfog_usd.render import backend
 from synfog_usd.render.film import aovs
 from synfog_usd.render.load import to_mitsuba
@@ -181,9 +181,9 @@ def test_the_axis_is_where_all_parts_of_the_camera_say_it_is(shift):
     y, x = np.nonzero(aovs.measure(to_mitsuba(source)).instance_id)
     middle = x.mean(), y.mean()
     np.testing.assert_allclose(objects.Projection.of(source.camera).axis_px, np.add(middle, 0.5), atol=0.51)
-    pinhole = bake._pinhole(source.camera)
+    pinhole = scenes.pinhole_of(source.camera)
     np.testing.assert_allclose(pinhole.axis_px, middle, atol=0.51)
-    again = replace(source.camera, **bake._size_of(pinhole))
+    again = replace(source.camera, **scenes.size_of(pinhole))
     assert again == source.camera
 
 
