@@ -25,6 +25,9 @@ from synfog_usd.image import Image, Quantity
 FOV = Auto(hint="say the picture's field of view: --fov DEGREES, or the camera's attributes in the EXR")
 """A field of view that the image says, or the run."""
 
+FEW = 4
+"""Channels up to which each is gone through by itself: numpy is slow where the innermost axis is short."""
+
 Falloff = Literal["cos4", "foote", "table", "projection", "none"]
 
 Aperture = Literal["disc", "sine"]
@@ -138,9 +141,12 @@ def irradiance(
             metadata["relative_illumination"] = [list(column) for column in table]
     pixels = np.empty_like(image.pixels)
     for rows in strips(image.height_px):
-        here = factor if fade is None else factor * fade[rows]
-        for channel in range(pixels.shape[2]):  # one by one: numpy is slow where the innermost axis is short
-            np.multiply(image.pixels[rows, :, channel], here, out=pixels[rows, :, channel])
+        here = factor if fade is None else factor * fade[rows, :, None]
+        if fade is None or pixels.shape[2] > FEW:
+            np.multiply(image.pixels[rows], here, out=pixels[rows])
+            continue
+        for channel in range(pixels.shape[2]):
+            np.multiply(image.pixels[rows, :, channel], here[..., 0], out=pixels[rows, :, channel])
     if fov_x_deg is not None:
         metadata["fov_x_deg"] = fov_x_deg
     if focal_length_mm is not None:
