@@ -400,7 +400,7 @@ class _Eye:
             lane = dr.arange(mi.UInt32, pixels * rays)
             dr.make_opaque(lane)
             known.clear()
-            known[key] = _meet(self.loaded.scene, self.ray(lane % self.pixels, lane // self.pixels))
+            known[key] = _meet(self.loaded.tree, self.ray(lane % self.pixels, lane // self.pixels))
             dr.eval(known[key])
         self.met = known[key]
 
@@ -408,7 +408,7 @@ class _Eye:
         """Albedo, normal and transmittance of what ray `number` of each pixel meets."""
         mi, ray = backend.mitsuba(), self.ray(pixel, number)
         if self.met is None:
-            albedo, normal, distance = _meet(self.loaded.scene, ray)
+            albedo, normal, distance = _meet(self.loaded.tree, ray)
         else:
             at, kinds = number * self.pixels + pixel, (mi.Color3f, mi.Normal3f, mi.Float)
             albedo, normal, distance = (dr.gather(kind, one, at) for kind, one in zip(kinds, self.met, strict=True))
@@ -452,7 +452,7 @@ def _meet(scene: Any, first: Any) -> tuple[Any, Any, Any]:
     albedo, normal = mi.Color3f(0.0), mi.Normal3f(0.0)
     left, distance, crossed, active = mi.Float(1.0), mi.Float(dr.inf), mi.UInt32(0), mi.Bool(True)
     while active:
-        si = scene.ray_intersect(ray, active)
+        si = scene.ray_intersect(ray, active=active)
         surface_hit = active & si.is_valid()
         bsdf = si.bsdf()
         passing = dr.select(

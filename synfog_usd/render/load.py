@@ -23,6 +23,7 @@ from synfog_usd.render.flatten import FaceInstances, flatten
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.media.phases import plugin
+from synfog_usd.render.placed import PlacedScene
 from synfog_usd.scene import Camera, SceneDict
 
 LIGHTS = (
@@ -48,7 +49,8 @@ class MitsubaScene:
     """Mitsuba's side of a scene.
 
     Attributes:
-        scene: `mi.Scene` with surfaces, lights and fog boundaries.
+        scene: `mi.Scene` with surfaces, lights and fog boundaries; with the lights alone where `tree` is another.
+        tree: what rays are to be asked of: the scene, or a `placed.PlacedScene`.
         sensor: `mi.Sensor`; its film is not used.
         camera_medium: `mi.Medium` around the camera, or None in clear air.
         shapes: key -> shape object; shapes of a group under (group key, inner key).
@@ -66,6 +68,7 @@ class MitsubaScene:
     """
 
     scene: Any
+    tree: Any
     sensor: Any
     camera_medium: Any
     shapes: Mapping[tuple[str, ...], Any]
@@ -99,9 +102,10 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     if size is not None:
         source = replace(source, camera=replace(source.camera, width_px=size[0], height_px=size[1]))
     if not backend.is_scalar():  # which has no kernels to keep small
-        source, face_instances = flatten(source)
+        placing = not boundaries and not backend.is_cuda() and not source.motion_of
+        source, face_instances, prototypes = flatten(source, placing=placing)
     else:
-        face_instances = {}
+        face_instances, prototypes = {}, None
     source = replace(source, world=_weighted(source))
     if not boundaries and any(
         _is_light(part) and not is_sampled_light(part) for part in source.world.values()
@@ -154,6 +158,11 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
             if key.startswith(("shape_", "instance_")):
                 shapes[(key,)] = made[key]
     top.update({key: item for key, item in made.items() if not key.startswith("mat_")})
+    backend.let_go()  # what boxes of meshes took, before the search tree takes most memory of all
+    placed = None if prototypes is None else PlacedScene(shapes, world, prototypes)
+    if placed is not None:
+        top = {key: item for key, item in top.items() if (key,) not in shapes or "emitter" in world[key]}
+        top["extent"] = _extent(mi, placed)
 
     drawn = source.fog if boundaries else ()
     media = [_medium(mi, volume.medium, volume.boundary) for volume in drawn]
@@ -169,9 +178,18 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     medium = None if surrounding is None else media[surrounding]
     camera = source.camera
     offset = (camera.shift[0], -camera.shift[1]) if is_thin_lens(camera) else (0.0, 0.0)
-    backend.let_go()  # what boxes of meshes took, before the search tree takes most memory of all
+    scene = mi.load_dict(top)
     return MitsubaScene(
-        mi.load_dict(top), make_sensor(camera, medium), medium, shapes, fog_shapes, offset, source, face_instances, made
+        scene,
+        placed or scene,
+        make_sensor(camera, medium),
+        medium,
+        shapes,
+        fog_shapes,
+        offset,
+        source,
+        face_instances,
+        made,
     )
 
 
@@ -369,6 +387,16 @@ def _boundary_mesh(mi: Any, vertices: Any, faces: Any, parts: Mapping[str, Any])
         properties[name] = part
     return _filled(
         mi.Mesh("fog", len(vertices), len(faces), props=properties), {"vertex_positions": vertices, "faces": faces}, mi
+    )
+
+
+def _extent(mi: Any, placed: PlacedScene) -> Any:
+    """A mesh that nothing meets and that reaches as far as all shapes: skies ask the scene how large it is."""
+    box = placed.scene.bbox()
+    return _filled(
+        mi.Mesh("extent", 2, 2),
+        {"vertex_positions": [list(box.min), list(box.max)], "faces": [[0, 0, 0], [1, 1, 1]]},
+        mi,
     )
 
 

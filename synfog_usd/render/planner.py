@@ -165,7 +165,7 @@ def _open_to_sky(small: MitsubaScene) -> float:
     flat = np.sqrt(1.0 - up * up)
     way = np.stack([flat * np.cos(turn), flat * np.sin(turn), up], axis=1)
     ray = mi.Ray3f(backend.points(place), mi.Vector3f(backend.points(way)))
-    free = ~np.array(small.scene.ray_test(ray), dtype=bool)
+    free = ~np.array(small.tree.ray_test(ray), dtype=bool)
     return float(
         np.average(free.reshape(-1, SKY_RAYS).mean(axis=1), weights=np.exp(-distance[surface_hit] / NEAR_M) + 1e-9)
     )

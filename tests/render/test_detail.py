@@ -71,12 +71,12 @@ def test_a_level_is_half_a_pixel_at_its_distance():
 def test_what_has_room_stays_as_it_is(monkeypatch):
     """Byte by byte; where there is none, near balls keep all faces, and far ones some, and no instance is left."""
     source = cloud(30)
-    whole, _ = flatten.flatten(source)
+    whole, _, _ = flatten.flatten(source)
     (mesh,) = [part for key, part in whole.world.items() if key.startswith("shape_joined")]
     full = len(source.world["group_0"]["shape_0"]["faces"])
     assert len(mesh["faces"]) == 30 * full
     monkeypatch.setattr(flatten, "MAX_TRIANGLES", 15 * full)
-    less, faces = flatten.flatten(source)
+    less, faces, _ = flatten.flatten(source)
     assert not any(key.startswith("instance_") for key in less.world)
     (key,) = [key for key in less.world if key.startswith("shape_joined")]
     triangles = less.world[key]["positions"][less.world[key]["faces"]]

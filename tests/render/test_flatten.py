@@ -1,14 +1,16 @@
-"""Joined meshes are the meshes that they were joined from."""
+"""Joined meshes are the meshes that they were joined from, and so are prototypes that are traced where they stand."""
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import trimesh
 
 from synfog_usd.render import flatten, surface
 from synfog_usd.render.film import aovs
-from synfog_usd.render.shot import load
-from synfog_usd.testing import scene
+from synfog_usd.render.placed import PlacedScene
+from synfog_usd.render.shot import load, render
+from synfog_usd.testing import scene, sky
 
 
 def part(mesh, material, **more):
@@ -78,7 +80,7 @@ def test_what_does_not_fit_stays_instances_of_the_largest_prototypes(monkeypatch
     }
     source = replace(source, world={**source.world, "group_post": post, **more})
     monkeypatch.setattr(flatten, "MAX_TRIANGLES", 12 + 5 * 12 + 332 + 100)
-    flat, instances = flatten.flatten(source)
+    flat, instances, _ = flatten.flatten(source)
     assert [key for key in flat.world if key.startswith("instance_")] == ["instance_1", "instance_2"]
     assert "group_house" in flat.world and "group_post" not in flat.world
     assert sum(len(ids) for ids in instances.values()) == 12 + 5 * 12 + 332
@@ -86,7 +88,7 @@ def test_what_does_not_fit_stays_instances_of_the_largest_prototypes(monkeypatch
 
 def test_joining_leaves_one_mesh_a_material_and_keeps_every_face():
     """Two materials, one of them smooth: two meshes; faces and their instances are all there."""
-    flat, instances = flatten.flatten(village())
+    flat, instances, _ = flatten.flatten(village())
     meshes = {key: value for key, value in flat.world.items() if key.startswith("shape_")}
     assert len(meshes) == 2 and not [key for key in flat.world if key.startswith(("instance_", "group_"))]
     assert {key: len(value["faces"]) for key, value in meshes.items()} == {
@@ -118,7 +120,7 @@ def test_what_cannot_be_joined_stays():
         "shape_lamp": lamp,
         "shape_own": own,
     }
-    flat, instances = flatten.flatten(scene(world))
+    flat, instances, _ = flatten.flatten(scene(world))
     assert flat.world == {"type": "scene", **world} and not instances
 
 
@@ -142,7 +144,7 @@ def test_plain_surfaces_are_joined_and_each_face_knows_its_own():
     """
     source = painted()
     for bare, wanted in ((source, ["grey", "red"]), (replace(source, reflectance_of={}), ["grey", "red", "car"])):
-        flat, _ = flatten.flatten(bare)
+        flat, _, _ = flatten.flatten(bare)
         (one,) = (value for value in flat.world.values() if isinstance(value, dict) and "rows" in value.get("bsdf", ()))
         colours = one["bsdf"]["rows"][one["bsdf"]["row_of_face"], :3]
         own = [source.world[f"mat_{name}"]["bsdf"]["base_color"]["value"] for name in wanted]
@@ -150,3 +152,66 @@ def test_plain_surfaces_are_joined_and_each_face_knows_its_own():
         left = {key for key in flat.world if key.startswith("mat_")}
         assert left == {"mat_wall", "mat_car"} - {f"mat_{name}" for name in wanted}
     assert "mat_car" in load(source).source.world and "mat_car" not in load(source, spectra=False).source.world
+
+
+def lit_village():
+    """Houses turned, mirrored and stretched, a loose mesh, a ball of the renderer's own, a lamp with a face, a sky."""
+    source = village()
+    lamp = {
+        **part(trimesh.creation.box(extents=(1, 1, 0.2)).apply_translation((0, 24, 3)), "mat_a"),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [40.0, 20.0, 10.0]}},
+    }
+    ball = {"type": "sphere", "center": [2.0, 25.0, -1.0], "radius": 0.7, "bsdf": {"type": "ref", "id": "mat_a"}}
+    return replace(source, world={**source.world, "shape_lamp": lamp, "shape_ball": ball, **sky(1.0)})
+
+
+@pytest.fixture
+def placing(monkeypatch):
+    """Of the houses at 30.6, 30 and 30.6 m, the one in the middle is near."""
+    monkeypatch.setattr(flatten, "WORTH_A_PROTOTYPE", 1)
+    monkeypatch.setattr(flatten, "FAR_M", 30.3)
+
+
+def test_labels_are_those_of_mitsuba_s_instances(placing, monkeypatch):
+    """Depth, normals and label ids, but for rounding at edges; two of three houses are in the meshes once."""
+    loaded = load(lit_village(), boundaries=False)
+    assert isinstance(loaded.tree, PlacedScene)
+    assert sum(map(len, loaded.face_instances.values())) == 12 + 2 * (12 + 320)  # the loose box, walls and domes
+    placed = aovs.measure(loaded)
+    monkeypatch.setattr(flatten, "MAX_TRIANGLES", 0)
+    own = aovs.measure(load(lit_village()))
+    assert set(np.unique(own.instance_id)) == {0, 7, 10, 11, 12, 20, 21, 22}
+    same = placed.instance_id == own.instance_id
+    assert np.count_nonzero(~same) <= 3  # of 14 400 pixels
+    seen = same & np.isfinite(own.depth_m)
+    np.testing.assert_allclose(placed.depth_m[seen], own.depth_m[seen], rtol=2e-5)
+    np.testing.assert_allclose(placed.normal[seen], own.normal[seen], atol=2e-4)
+
+
+def test_light_is_that_of_meshes_that_are_written_out(placing, monkeypatch):
+    """With the same seed the same paths, but where rounding takes one past an edge."""
+    source = lit_village()
+    loaded = load(source, boundaries=False)
+    placed = render(source, loaded=loaded, model="path", samples=4, seed=3).radiance.pixels
+    again = render(source, loaded=load(source, boundaries=False), model="path", samples=4, seed=3).radiance.pixels
+    np.testing.assert_array_equal(placed, again)
+    monkeypatch.setattr(flatten, "WORTH_A_PROTOTYPE", 1 << 40)
+    whole = load(source, boundaries=False)
+    assert whole.tree is whole.scene and isinstance(loaded.tree, PlacedScene)
+    written = render(source, loaded=whole, model="path", samples=4, seed=3).radiance.pixels
+    assert np.mean(np.abs(placed - written).max(axis=2) > 1e-3 * written.max(axis=2)) < 0.01
+    np.testing.assert_allclose(placed.mean(), written.mean(), rtol=2e-3)
+
+
+def test_what_moves_and_what_cannot_be_joined_is_not_placed(placing):
+    """Moving things have their vertices moved, and instances with a ball in them stay Mitsuba's own."""
+    source = village()
+    way = np.broadcast_to(np.eye(4), (1, 2, 4, 4))
+    moving = load(replace(source, motion_of={"shape_loose": way}), boundaries=False)
+    ball = {"type": "sphere", "bsdf": {"type": "ref", "id": "mat_a"}}
+    at = {"type": "instance", "group": {"type": "ref", "id": "group_ball"}, "to_world": np.eye(4)}
+    world = {**source.world, "group_ball": {"type": "shapegroup", "ball": ball}, "instance_ball": at}
+    mixed = load(replace(source, world=world), boundaries=False)
+    for loaded in (moving, mixed):
+        assert loaded.tree is loaded.scene
+    assert "instance_ball" in mixed.source.world

@@ -18,6 +18,7 @@ from synfog_usd.fog.volume import optical_depth
 from synfog_usd.image import Image, Quantity
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene, camera_fog
+from synfog_usd.render.placed import PlacedScene
 
 MAX_CROSSINGS = 256
 
@@ -264,6 +265,7 @@ class _Tracer:
             lists.append(faces)
             start += len(faces)
         self.face_instances = np.concatenate(lists)
+        self.label_of = loaded.tree.label_of if isinstance(loaded.tree, PlacedScene) else np.array([-1])
 
     def _group_of(self, instance: str) -> str:
         for value in self.loaded.source.world[instance].values():
@@ -298,25 +300,27 @@ class _Tracer:
 
     def trace(self, origin: Array, direction: Array) -> Hits:
         rows = self._trace_scalar(origin, direction) if self.scalar else self._trace_jit(origin, direction)
-        valid, position, onward, normal, front, rank, placed, face, see_through = rows
+        valid, position, onward, normal, front, rank, placed, face, see_through, row = rows
         code = np.where(placed > 0, placed * self.size + rank, rank)
         at = np.minimum(np.searchsorted(self.instance_keys, code), max(len(self.instance_keys) - 1, 0))
         known = (self.instance_keys[at] == code) if len(self.instance_keys) else np.zeros(len(code), dtype=bool)
         instance = np.where(known, self.instance_values[at] if len(self.instance_keys) else 0, 0)
         joined = self.first_face[rank] >= 0
         instance[joined] = self.face_instances[self.first_face[rank[joined]] + face[joined]]
+        instance = np.where(self.label_of[row] >= 0, self.label_of[row], instance)
         return Hits(valid, position, onward, normal, front, instance, self.fog_of[rank], see_through)
 
     def _trace_jit(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
         mi, dr = self.mi, self.dr
         ray = mi.Ray3f(backend.points(origin), mi.Vector3f(backend.points(direction)))
-        si = self.loaded.scene.ray_intersect(ray)
+        tree = self.loaded.tree
+        si, row = tree.met(ray) if isinstance(tree, PlacedScene) else (tree.ray_intersect(ray), mi.UInt32(0))
         valid = si.is_valid()
         passing = backend.channel_mean(mi.Color3f(si.bsdf().eval_null_transmission(si, valid)))
         shape, instance = dr.reinterpret_array(mi.UInt32, si.shape), dr.reinterpret_array(mi.UInt32, si.instance)
         front, vectors = dr.dot(si.n, ray.d) < 0.0, (si.p, si.spawn_ray(ray.d).o, si.sh_frame.n)
         dr.eval(
-            valid, passing, shape, instance, front, vectors, si.prim_index
+            valid, passing, shape, instance, front, vectors, si.prim_index, row
         )  # all at once: else each would trace the rays again
         rank, placed = self.lookup[np.array(shape)], self.lookup[np.array(instance)]
         face = np.array(si.prim_index, dtype=np.int64)
@@ -328,14 +332,15 @@ class _Tracer:
             placed,
             face,
             np.array(passing, dtype=np.float64),
+            np.array(row),
         )
 
     def _trace_scalar(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
         mi, rows = self.mi, []
         for o, d in zip(origin, direction, strict=True):
-            si = self.loaded.scene.ray_intersect(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)))
+            si = self.loaded.tree.ray_intersect(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)))
             if not si.is_valid():
-                rows.append((False, o, o, d, False, 0, 0, 0, 0.0))
+                rows.append((False, o, o, d, False, 0, 0, 0, 0.0, 0))
                 continue
             passing = float(np.mean(np.array(si.bsdf().eval_null_transmission(si, True))))
             rank, placed = (
@@ -355,6 +360,7 @@ class _Tracer:
                     placed,
                     int(si.prim_index),
                     passing,
+                    0,
                 )
             )
-        return tuple(np.array([row[index] for row in rows]) for index in range(9))
+        return tuple(np.array([row[index] for row in rows]) for index in range(10))

@@ -201,7 +201,7 @@ class RadianceCache:
             square = mi.Point2f(mi.Float(begun % along), mi.Float(begun // along))
             place = (corner + (square + mi.Point2f(sampler.next_2d())) / mi.Float(along)) / field.raster.size
             ray, _weight = field.ray_through(place, sampler, mi.Bool(True))
-            si = field.loaded.scene.ray_intersect_preliminary(ray, False)
+            si = field.loaded.tree.ray_intersect_preliminary(ray, False)
             end = dr.select(si.is_valid(), si.t, dr.inf)
             near, far = field.medium.intersect(ray.o, ray.d)
             opaque = transmittance(

@@ -198,7 +198,7 @@ class Glow:
         while begun < wanted:
             sampler = Sobol(image_seed, pixel, begun)
             ray, weight = path.camera_ray(sampler, corner, mi.Bool(True))
-            si = self.loaded.scene.ray_intersect(ray)
+            si = self.loaded.tree.ray_intersect(ray)
             near, far = path.medium.intersect(ray.o, ray.d)
             lit = si.is_valid() & (si.t <= far)
             stop = dr.maximum(dr.select(lit, si.t, far), near)

@@ -283,7 +283,7 @@ class FogPath:
         while begun < wanted:
             sampler = Sobol(image_seed, pixel, first + begun)
             ray, weight = self.camera_ray(sampler, corner, mi.Bool(True))
-            si = self.loaded.scene.ray_intersect_preliminary(ray, False)
+            si = self.loaded.tree.ray_intersect_preliminary(ray, False)
             near, far = self.medium.intersect(ray.o, ray.d)
             stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)
             light, group = self.nee_along(ray, near, stop, bands.even(weight), sampler, stop > near, known)
@@ -308,7 +308,7 @@ class FogPath:
         while begun < wanted:
             place, area, owner, face = self.visible.point(piece, sampler.next_2d())
             ray, weight = self.ray_through(place / self.raster.size, sampler, mi.Bool(True))
-            si = scene.ray_intersect(ray)
+            si = self.loaded.tree.ray_intersect(ray)
             emitter = si.emitter(scene)
             met = si.is_valid() & (dr.reinterpret_array(mi.UInt32, emitter) == owner) & (si.prim_index == face)
             group = self.group(emitter, met)
@@ -338,7 +338,7 @@ class FogPath:
         A lamp is drawn as at any surface, and a direction by the surface's lobes alone; they share what both find by
         the power heuristic.
         """
-        mi, bands, scene, context = backend.mitsuba(), self.bands, self.loaded.scene, backend.mitsuba().BSDFContext()
+        mi, bands, tree, context = backend.mitsuba(), self.bands, self.loaded.tree, backend.mitsuba().BSDFContext()
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
         corner, black, once = self.raster.corner(pixel), bands.black(), mi.UInt32(0)
         aovs, lost, begun = [bands.black()], mi.UInt32(0), mi.UInt32(0)
@@ -346,7 +346,7 @@ class FogPath:
         while begun < wanted:
             sampler, path = Sobol(image_seed, pixel, first + begun), bands.black()
             ray, view_weight = self.camera_ray(sampler, corner, mi.Bool(True))
-            si = scene.ray_intersect(ray, mi.RayFlags.All, True, mi.Bool(True))
+            si = tree.ray_intersect(ray, mi.RayFlags.All, True, mi.Bool(True))
             hit, throughput = si.is_valid(), bands.even(view_weight)
             if dr.hint(self.foggy, mode="scalar"):
                 tau = self.medium.optical_depth(ray.o, ray.d, 0.0, dr.select(hit, si.t, 0.0))
@@ -383,7 +383,7 @@ class FogPath:
                 no_choice = ~smooth | mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
                 way = si.spawn_ray(si.to_world(bounce.wo))
                 going = hit & (dr.max(onward) > 0.0) & (no_choice | (bounce.pdf >= LEAST_SHARP))
-                met = scene.ray_intersect_preliminary(way, False, going)
+                met = tree.ray_intersect_preliminary(way, False, going)
                 emitter = met.shape.emitter()
                 area_pdf, number = self.lit_faces.of_emitter(emitter, going & met.is_valid())
                 found = area_pdf > 0.0
@@ -473,13 +473,7 @@ class FogPath:
         paths: vector units work on 16 lanes in step, and would otherwise wait for the longest path of the 16.
         """
         mi = backend.mitsuba()
-        scene, context, medium, bands, black = (
-            self.loaded.scene,
-            mi.BSDFContext(),
-            self.medium,
-            self.bands,
-            self.bands.black(),
-        )
+        context, medium, bands, black = mi.BSDFContext(), self.medium, self.bands, self.bands.black()
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
         in_froxels, lit_apart = cells is not None, LIT in self.estimators and not inscattered
         slices = float(cells.slices if in_froxels else 1)
@@ -539,9 +533,7 @@ class FogPath:
             segment = mi.Ray3f(ray)
             if dr.hint(self.lights.count == 0, mode="scalar"):  # lamps are asked all along the ray
                 segment.maxt = dr.minimum(flight, segment.maxt)
-            si = scene.ray_intersect(
-                segment, mi.RayFlags.All, False, active
-            )  # not coherent: a lane's neighbours are at other depths
+            si = self.loaded.tree.ray_intersect(segment, active=active)
             stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)  # where the fog before the surface ends
             medium_scattered = active & dr.isfinite(flight) & (flight < dr.select(si.is_valid(), si.t, dr.inf))
             surface_hit = active & si.is_valid() & ~medium_scattered
@@ -1029,7 +1021,7 @@ class FogPath:
         start = dr.zeros(mi.Interaction3f)
         start.p, start.n = place, normal
         shadow = start.spawn_ray_to(light)
-        free = active & ~self.loaded.scene.ray_test(shadow, active)
+        free = active & ~self.loaded.tree.ray_test(shadow, active)
         through = mi.Float(1.0)
         if self.foggy:
             towards = light - place

@@ -178,7 +178,7 @@ class LightGrid:
         u, v = (tile % columns + jitter[:, 0]) / columns, (tile // columns + jitter[:, 1]) / rows
         place = mi.Point2f(backend.floats(u), backend.floats(v))
         ray, _ = tracer.ray_through(place, _Middle(), mi.Bool(True))
-        si = tracer.loaded.scene.ray_intersect_preliminary(ray, False)
+        si = tracer.loaded.tree.ray_intersect_preliminary(ray, False)
         near, far = medium.intersect(ray.o, ray.d)
         stop = dr.maximum(dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far), near)
         dr.eval(ray, near, stop)

@@ -67,7 +67,7 @@ def find_ground(loaded: MitsubaScene, top_m: float) -> Ground | None:
     x, y = (axis.ravel() for axis in np.meshgrid(eye[0] + step, eye[1] + step))
     start = np.full(x.shape, top_m)
     ray = mi.Ray3f(mi.Point3f(backend.floats(x), backend.floats(y), backend.floats(start)), mi.Vector3f(0.0, 0.0, -1.0))
-    si = loaded.scene.ray_intersect(ray)
+    si = loaded.tree.ray_intersect(ray)
     albedo = si.bsdf().eval_diffuse_reflectance(si, si.is_valid())
     surface_hit = np.array(si.is_valid())
     if not surface_hit.any():
