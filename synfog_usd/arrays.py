@@ -22,3 +22,7 @@ STRIP_ROWS = 16
 def strips(height: int) -> Iterator[slice]:
     """Few rows of a picture at a time, which the processor's cache holds through a chain of steps."""
     return (slice(top, top + STRIP_ROWS) for top in range(0, height, STRIP_ROWS))
+
+
+FEW = 4
+"""Channels up to which each is gone through by itself: numpy is slow where the innermost axis is short."""

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import photometry
-from synfog_usd.arrays import Array, FloatArray, Pixels
+from synfog_usd.arrays import FEW, Array, FloatArray, Pixels
 from synfog_usd.camera import blur, spread
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -245,7 +245,10 @@ def enlarged(coarse: FloatArray, block: int, height: int, width: int) -> Iterato
         begin, across = int(place), columns.shape[1]
         values = slope[..., begin : begin + across] * np.float32(place - begin)
         values += beside[..., begin : begin + across]
-        for channel in range(count):  # one by one: numpy is slow where the innermost axis is short
+        if count > FEW:
+            columns[...] = values.transpose(0, 2, 1)
+            continue
+        for channel in range(count):
             columns[..., channel] = values[:, channel]
     low, part = _between_blocks(height, len(coarse), block)
     begins = np.flatnonzero(np.diff(low, prepend=-1))

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import FloatArray, strips
+from synfog_usd.arrays import FEW, FloatArray, strips
 from synfog_usd.camera.fisheye import angles_rad, of_picture
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
@@ -24,9 +24,6 @@ from synfog_usd.image import Image, Quantity
 
 FOV = Auto(hint="say the picture's field of view: --fov DEGREES, or the camera's attributes in the EXR")
 """A field of view that the image says, or the run."""
-
-FEW = 4
-"""Channels up to which each is gone through by itself: numpy is slow where the innermost axis is short."""
 
 Falloff = Literal["cos4", "foote", "table", "projection", "none"]
 
