@@ -48,6 +48,7 @@ class Camera:
         turn_rad: (x, y, z) rotation vector [rad] by which it turns meanwhile about its own place, in the scene's axes.
         rolling: part of that time which lies between the beginnings of the top row and of the bottom row, 0 to 1; 0
             for a global shutter, under which all rows expose together.
+        global_reset: all rows begin together, and `rolling` lies between the ends of the top row and of the bottom row.
         during: begin and end of the part of that time in which it looks, 0 to 1; all of it but where a picture is drawn
             moment by moment.
         exposes: begin and end of the part of a row's own exposure that counts, 0 to 1: of a sensor that exposes a row
@@ -70,9 +71,20 @@ class Camera:
     drift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rolling: float = 0.0
+    global_reset: bool = False
     during: tuple[float, float] = (0.0, 1.0)
     exposes: tuple[float, float] = (0.0, 1.0)
     fisheye: Fisheye | None = None
+
+    def exposed(self, down: Any) -> tuple[Any, Any]:
+        """Begin and end of what counts of the exposure of a row at `down`, 0 at the top of the picture to 1 at its
+        bottom, as parts of the time from the first row's beginning to the last one's end.
+        """
+        lasts = max(1.0 - self.rolling, 1e-9)
+        if self.global_reset:
+            lasts = lasts + down * self.rolling
+        begins = 0.0 if self.global_reset else down * self.rolling
+        return begins + self.exposes[0] * lasts, begins + self.exposes[1] * lasts
 
     @property
     def plane(self) -> bool:

@@ -113,7 +113,7 @@ def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) ->
     frame = radiance.with_pixels(small)
     lit = _steady(graph, frame)
     sharp = graph.without([node.name for op in BLURS for node in graph.nodes_with(op)])
-    a_second = {f"{node.name}.exposure_s": 1.0 for node in nodes}
+    a_second = {f"{node.name}.exposure_s": 1.0 for node in nodes} | {f"{node.name}.readout_s": 0.0 for node in nodes}
     seen = {
         node.name: sharp.run(
             lit, seed=0, settings={"exposure_s": 1.0}, overrides=a_second, until=node.name, keep=[node.name]

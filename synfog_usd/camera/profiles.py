@@ -138,6 +138,7 @@ class SensorProfile:
         optical_black_rows: rows that no light reaches, by which black is held.
         width_px, height_px: pixels of a picture, for cameras of other programs; no op reads them, and 0 stands where
             the file leaves them out.
+        readout_s: from the reading of the top row to that of the bottom row [s]; 0 where the file leaves it out.
         shortest_exposure_s, longest_exposure_s: what automatic exposure may use [s].
         qe: quantum efficiency of each filter.
         sources: name of a value -> where it is from.
@@ -168,6 +169,7 @@ class SensorProfile:
     optical_black_rows: int = _value(1, 1024, whole=True, default=16.0)
     shortest_exposure_s: float = _value(1e-7, 1.0)
     longest_exposure_s: float = _value(1e-6, 60.0)
+    readout_s: float = _value(0.0, 10.0, default=0.0)
     width_px: int = _value(1, 65535, whole=True, default=0)
     height_px: int = _value(1, 65535, whole=True, default=0)
     qe: QuantumEfficiency = dataclasses.field(default_factory=QuantumEfficiency)

@@ -58,12 +58,19 @@ def expose(
     pixel_pitch_um: Annotated[float, Range(0.3, 50.0), FromProfile("sensor.pixel_pitch_um")],
     fill_factor: Annotated[float, Range(0.01, 1.0), FromProfile("sensor.fill_factor")],
     exposure_ratio: Annotated[float, Range(0.0, 1.0, above=True)] = 1.0,
+    shutter: Literal["rolling", "global_reset"] = "rolling",
+    readout_s: Annotated[float, Range(0.0, 10.0), FromProfile("sensor.readout_s")] = 0.0,
     sensor: Annotated[SensorProfile, FromProfile("sensor")],
 ) -> Image:
     """Mean number of electrons that light frees in each pixel behind its colour filter.
 
     mu = r t * A * integral of E QE lambda / (h c) d lambda.  One pixel of the image
     is one pixel of the sensor: a smaller picture is a crop, not a binned frame.
+
+    Under global reset all rows begin together and end as they are read: a row at the height v of the picture, 0 to 1
+    from the top, lasts r t + v * readout_s.  Lower rows are brighter, but where a flash in the time of the top row is
+    all the light.  What moves is blurred so by a stage whose camera has `synfog:shutter:mode = "global_reset"`, and
+    lamps flicker so by `light.flicker`.  Automatic exposure meters the top row's time.
 
     Args:
         image: irradiance (H, W, C), R, G, B [lux] or bands [W m-2 nm-1].
@@ -73,9 +80,12 @@ def expose(
             its sensitivity relative to one that fills the pixel.
         exposure_ratio: r, the part of t that this exposure lasts [1]; for the short
             exposures of a high dynamic range.
+        shutter: rolling, where rows last alike, or global_reset.
+        readout_s: under global reset, from the top row's end to the bottom row's [s].
         sensor: its pattern and quantum efficiency count.
 
-    Source: EMVA 1288 release 4.0, section 2.1.
+    Source: EMVA 1288 release 4.0, section 2.1; global reset release, as data sheets of onsemi's and Teledyne's
+    rolling-shutter sensors define it.
     """
     rate = response.electrons_per_second(sensor, image.channels, pixel_pitch_um=pixel_pitch_um, fill_factor=fill_factor)
     time_s = exposure_s * exposure_ratio
@@ -84,7 +94,11 @@ def expose(
     for where, number in cfa.sites(sensor.cfa):
         np.matmul(image.pixels[where], weights[number], out=mosaic[(*where, 0)])
     np.maximum(mosaic, 0.0, out=mosaic)
+    reset = {"global_reset_s": readout_s} if shutter == "global_reset" else {}
+    if reset:
+        mosaic *= row_times(reset | {"exposure_s": time_s}, image.height_px)
     return image.with_pixels(mosaic, channels=("CFA",), quantity=Quantity.ELECTRONS).with_metadata(
+        **reset,
         exposure_s=time_s,
         gathered_um2_s=time_s * fill_factor * pixel_pitch_um**2,
         pixel_pitch_um=pixel_pitch_um,
@@ -132,7 +146,7 @@ def dark_current(
 ) -> Image:
     """Electrons that heat frees during the exposure, before shot noise.
 
-    mu_dark = t * I * 2^((T - 25) / T_d).
+    mu_dark = t * I * 2^((T - 25) / T_d), t that of each row.
 
     Args:
         image: mean electrons; its provenance holds the exposure time.
@@ -145,7 +159,8 @@ def dark_current(
     dark_e = (
         dark_current_e_s * 2.0 ** ((temperature_c - 25.0) / doubling_k) * _fact(image, "exposure_s", "sensor.expose")
     )
-    return image.with_pixels(image.pixels + np.float32(dark_e)).with_metadata(dark_e=dark_e)
+    by_row = np.float32(dark_e) * row_times(image.provenance, image.height_px)
+    return image.with_pixels(image.pixels + by_row).with_metadata(dark_e=dark_e)
 
 
 @OPS.op("sensor.shot_noise", takes=MEAN_ELECTRONS, gives=COUNTED_ELECTRONS)
@@ -478,6 +493,14 @@ def _focal_length(image: Image, pixel_pitch_um: float) -> dict[str, float]:
         return {}
     half = math.tan(math.radians(float(image.provenance["fov_x_deg"])) / 2.0)
     return {"focal_length_mm": image.width_px * pixel_pitch_um * 1e-3 / 2.0 / half}
+
+
+def row_times(provenance: Mapping[str, Any], height_px: int) -> FloatArray:
+    """(H, 1, 1), or (1, 1, 1) where rows last alike: how long a row is exposed over `exposure_s`."""
+    if not (readout_s := provenance.get("global_reset_s", 0.0)):
+        return np.ones((1, 1, 1), dtype=np.float32)
+    down = (np.arange(height_px) + 0.5) / height_px
+    return (1.0 + down * (readout_s / provenance["exposure_s"])).astype(np.float32)[:, None, None]
 
 
 def _fact(image: Image, key: str, op: str) -> float:

@@ -13,7 +13,15 @@ import numpy as np
 
 from synfog_usd.arrays import FloatArray
 from synfog_usd.camera.registry import OPS
-from synfog_usd.camera.sensor import AMPLIFIED, ELECTRONS, HELD_ELECTRONS, MEAN_ELECTRONS, READ_ELECTRONS, pattern
+from synfog_usd.camera.sensor import (
+    AMPLIFIED,
+    ELECTRONS,
+    HELD_ELECTRONS,
+    MEAN_ELECTRONS,
+    READ_ELECTRONS,
+    pattern,
+    row_times,
+)
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import FromProfile, Range
 from synfog_usd.image import Image
@@ -76,7 +84,7 @@ def dark_nonuniformity(
     """
     if "dark_e" not in image.provenance:
         raise ImageError("the image says of no dark current; put sensor.dark_current before this node")
-    dark_e = np.float32(image.provenance["dark_e"])
+    dark_e = np.float32(image.provenance["dark_e"]) * row_times(image.provenance, image.height_px)
     height, width = image.height_px, image.width_px
     sigma = np.float32(np.sqrt(np.log1p((spread_percent / 100.0) ** 2)))
     times = np.exp(sigma * pattern(serial, "dark spread", height, width) - sigma * sigma / np.float32(2.0))

@@ -100,17 +100,17 @@ def cut(source: SceneDict, samples: int) -> Intervals | None:
     if way < STILL_PX:
         return None
     camera = source.camera
-    first, last = (part * max(1.0 - camera.rolling, 1e-9) for part in camera.exposes)
-    open_for, whole = last - first, camera.rolling + last - first  # of a row, and of all of them
+    first, last = camera.exposed(0.0)[0], camera.exposed(1.0)[1]
+    longest, whole = last - camera.exposed(1.0)[0], last - first  # of the bottom row, and of all of them
     way *= whole
-    most = samples // LEAST if not camera.rolling else math.floor((samples // LEAST - 2) * whole / open_for)
+    most = samples // LEAST if longest == whole else math.floor((samples // LEAST - 2) * whole / longest)
     count = max(2, min(math.ceil(way / STEP_PX), most, MOST))
-    begins = (np.arange(camera.height_px) + 0.5) / camera.height_px * camera.rolling + first
+    begins, ends = camera.exposed((np.arange(camera.height_px) + 0.5) / camera.height_px)
     found = []
     for number in range(count):
         begin, end = (first + whole * edge / count for edge in (number, number + 1))
-        share = np.minimum(begins + open_for, end) - np.maximum(begins, begin)
-        found.append(Interval(begin, end, np.maximum(share, 0.0) / open_for))
+        share = np.minimum(ends, end) - np.maximum(begins, begin)
+        found.append(Interval(begin, end, np.maximum(share, 0.0) / (ends - begins)))
     busiest = int(sum((part.share > 0.0).astype(int) for part in found).max())
     return Intervals(tuple(found), max(LEAST, samples // busiest // LEAST * LEAST), way)
 

@@ -20,10 +20,15 @@ def moved(ray: Any, camera: Camera, down: Any, u: Any) -> Any:
     Carpenter 1984).
 
     Under a rolling shutter rows begin one after the other, from the top: `down` is the ray's place in the picture, 0
-    at the top and 1 at the bottom.
+    at the top and 1 at the bottom.  Under global reset all begin together, and end one after the other.
     """
     mi = backend.mitsuba()
-    if camera.during == camera.exposes == (0.0, 1.0):
+    if camera.global_reset:
+        begin, end = (dr.opaque(mi.Float, moment) for moment in camera.during)
+        opens, closes = camera.exposed(down)
+        begin, end = dr.maximum(begin, opens), dr.minimum(end, closes)
+        since = begin + u * dr.maximum(end - begin, 0.0) - 0.5
+    elif camera.during == camera.exposes == (0.0, 1.0):
         since = down * camera.rolling + u * (1.0 - camera.rolling) - 0.5 if camera.rolling else u - 0.5
     else:
         begin, end = (dr.opaque(mi.Float, moment) for moment in camera.during)

@@ -20,6 +20,7 @@ from synfog_usd.translate.space import Space, columns
 
 DEFAULT_WIDTH_PX = 1280
 READOUT = "synfog:shutter:readout"
+MODE, ROLLING, GLOBAL_RESET = "synfog:shutter:mode", "rolling", "global_reset"
 """Attribute of a camera: seconds between the beginnings of the top and the bottom row's exposure."""
 
 OMNIVERSE = "cameraProjectionType"
@@ -131,6 +132,7 @@ def read_camera(
         drift_m=drift,
         turn_rad=turn,
         rolling=_rolling(prim, time, notes),
+        global_reset=_global_reset(prim, time, notes),
     )
 
 
@@ -147,6 +149,14 @@ def _rolling(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> float:
     return readout / (closes - opens) if closes > opens else 0.0
 
 
+def _global_reset(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> bool:
+    """Whether all rows begin together, and end one after the other as they are read."""
+    mode = prim.GetAttribute(MODE).Get(time) if prim.HasAttribute(MODE) else ROLLING
+    if mode not in (ROLLING, GLOBAL_RESET):
+        notes.warn(prim.GetPath(), f"{MODE} is {mode!r}; it takes {ROLLING} or {GLOBAL_RESET}, and {ROLLING} is taken")
+    return bool(mode == GLOBAL_RESET)
+
+
 def _near(camera: UsdGeom.Camera, lens: Gf.Camera, space: Space, notes: Diagnostics) -> float:
     """Near plane [m]: as authored, where that is a distance."""
     if not camera.GetClippingRangeAttr().HasAuthoredValue():
@@ -161,8 +171,8 @@ def _near(camera: UsdGeom.Camera, lens: Gf.Camera, space: Space, notes: Diagnost
 def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics, *, path: str | None) -> Usd.TimeCode:
     """The moment at which a frame's middle row is half exposed: what a scene says without its motion is of then.
 
-    USD's shutter times count in frames from the frame's own time; under a rolling shutter they are those of the top
-    row.  Without an authored shutter, or one that is open for no time, it is the frame's time itself.
+    USD's shutter times count in frames from the frame's own time; under a rolling shutter and global reset they are
+    those of the top row.  Without an authored shutter, or one that is open for no time, it is the frame's time itself.
 
     Args:
         path: of the camera, as in `read_camera`.
@@ -205,7 +215,9 @@ def _shutter(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[float, float]:
 
 
 def _readout(prim: Usd.Prim, time: Usd.TimeCode) -> float:
-    """Time between the beginnings of the top and the bottom row, in frames; 0 for a global shutter."""
+    """Time between the top and the bottom row, in frames: of their beginnings, or under global reset of their ends; 0
+    for a global shutter.
+    """
     value = prim.GetAttribute(READOUT).Get(time) if prim.HasAttribute(READOUT) else None
     seconds = float(value) if isinstance(value, (int, float)) else 0.0
     rate = prim.GetStage().GetTimeCodesPerSecond()

@@ -100,6 +100,27 @@ def test_exposures_one_after_the_other_lean_alike_under_a_rolling_shutter():
     assert middle == pytest.approx(-0.3, abs=0.03)
 
 
+@pytest.mark.parametrize("what", ["bar", "camera"])
+def test_under_global_reset_rows_begin_together_and_the_lower_ones_are_blurred_longer(what):
+    """An edge that goes 3 m to the left, or a camera that goes as far to the right; the top row exposes for a quarter
+    of the time and the bottom row for all of it.  A row at v sees the first 1/4 + 3/4 v of the way, in the middle of
+    which the edge stands, and light rises over the whole of it: slant -3/2 * 3/4 m, at v = 1/2 3/2 - 3/2 * 5/8 m.
+    """
+    drift = {"drift_m": (3.0, 0.0, 0.0)} if what == "camera" else {}
+    world = parallel({"shape_sheet": half_plane(0.0)}, width_px=32, rolling=0.75, global_reset=True, **drift)
+    if what == "bar":
+        world = replace(world, motion_of={"shape_sheet": going((-3.0, 0.0, 0.0))})
+    runs = renders.by_seed(world, range(4), samples=64, model="path")
+    seen = np.mean([run.radiance.pixels[:, :, 1] for run in runs], axis=0, dtype=np.float64)
+    down = (np.arange(8) + 0.5) / 8
+    slant, middle = np.polyfit(down - 0.5, edges_m(seen), 1)
+    assert slant == pytest.approx(-1.125, rel=0.02)
+    assert middle == pytest.approx(1.5 - 1.5 * 0.625, abs=0.015)
+    x, way = (np.arange(32)[:, None] - 16 + (np.arange(64) + 0.5) / 64) / 4.0, 3.0 * (0.25 + 0.75 * down)
+    wanted = [np.clip(1.0 - (1.5 - x) / long, 0.0, 1.0).mean(axis=1) for long in way]
+    np.testing.assert_allclose(seen, wanted, atol=0.08)
+
+
 @pytest.mark.parametrize("model", ["path", pytest.param("volpath", marks=pytest.mark.slow)])
 def test_a_moving_bar_leans_under_a_rolling_shutter_as_far_as_it_went(model):
     """An edge that goes 3 m to the left, three quarters of it between the rows' beginnings, leans by 2.25 m."""

@@ -391,3 +391,21 @@ def test_a_rolling_shutter_is_open_until_the_last_row_ends(empty):
     broken = translate(stage, frame=6)
     assert broken.camera.rolling == 0.0
     assert any("synfog:shutter:readout is nan, which is no time" in note.text for note in broken.notes)
+
+
+def test_the_mode_of_the_shutter_is_read_and_one_that_is_none_is_told(empty):
+    """Rows end 3/4 of the time apart instead of beginning so; the window is that of a shutter that rolls."""
+    stage = empty()
+    authored = UsdGeom.Camera.Get(stage, "/Camera")
+    authored.CreateShutterCloseAttr(0.25)
+    authored.GetPrim().CreateAttribute("synfog:shutter:readout", Sdf.ValueTypeNames.Float).Set(1 / 32)
+    stage.SetTimeCodesPerSecond(24)
+    assert not translate(stage, frame=6).camera.global_reset
+    mode = authored.GetPrim().CreateAttribute("synfog:shutter:mode", Sdf.ValueTypeNames.Token)
+    mode.Set("global_reset")
+    seen = translate(stage, frame=6).camera
+    assert seen.global_reset and seen.rolling == pytest.approx(0.75)
+    mode.Set("strobe")
+    broken = translate(stage, frame=6)
+    assert not broken.camera.global_reset
+    assert any("'strobe'; it takes rolling or global_reset" in note.text for note in broken.notes)
