@@ -331,7 +331,9 @@ def _mesh(mi: Any, value: Mapping[str, Any], key: str, convert: Any) -> Any:
 def _filled(mesh: Any, arrays: Mapping[str, Any], mi: Any) -> Any:
     parameters = mi.traverse(mesh)
     for name, array in arrays.items():
-        parameters[name] = np.asarray(array, dtype=np.uint32 if name == "faces" else np.float32).ravel()
+        numbers = np.asarray(array, dtype=np.uint32 if name == "faces" else np.float32).ravel()
+        in_pairs = name == "vertex_texcoords"  # Dr.Jit reads them so where they are aligned; all else it shares with us
+        parameters[name] = backend.aligned(numbers) if in_pairs else numbers
     parameters.update()
     return mesh
 

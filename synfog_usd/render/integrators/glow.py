@@ -159,13 +159,11 @@ class Glow:
             np.r_[lamp.position, lamp.axis, lamp.colour, float(not self.traced), lamp.blurred(chi)] for lamp in found
         ]
         self.count = len(rows)
-        self.lamps = mi.Float(np.concatenate(rows).astype(np.float32))
-        self.once = mi.Float(
-            np.log(np.maximum(table.single * max(medium.albedo, 1e-30), 1e-30)).astype(np.float32).ravel()
-        )
-        self.more = mi.Float(np.log(np.maximum(table.multiple, 1e-30)).astype(np.float32).ravel())
+        self.lamps = backend.floats(np.concatenate(rows))
+        self.once = backend.floats(np.log(np.maximum(table.single * max(medium.albedo, 1e-30), 1e-30)).ravel())
+        self.more = backend.floats(np.log(np.maximum(table.multiple, 1e-30)).ravel())
         lit = table.more if self.traced else table.once + table.more
-        self.lit = mi.Float(np.maximum(lit, 0.0).astype(np.float32).ravel())
+        self.lit = backend.floats(np.maximum(lit, 0.0).ravel())
         self.sigma = dr.opaque(mi.Float, self.sigma_t)
         self.number = dr.opaque(mi.UInt32, self.count)
         dr.make_opaque(self.lamps, self.once, self.more, self.lit)

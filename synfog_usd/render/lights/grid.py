@@ -60,14 +60,13 @@ class LightDistribution:
     """
 
     def __init__(self, weights: Array, even: Array) -> None:
-        mi = backend.mitsuba()
         total = weights.sum(axis=1, keepdims=True)
         known = np.where(total > 0.0, weights / np.where(total > 0.0, total, 1.0), even)
         chances = (1.0 - FLOOR) * known + FLOOR * even
         below = np.cumsum(chances, axis=1)
         below[:, -1] = 2.0  # rounding leaves no gap at the end
         self.count = weights.shape[1]
-        self.below, self.chance = (mi.Float(values.astype(np.float32).ravel()) for values in (below, chances))
+        self.below, self.chance = (backend.floats(values.ravel()) for values in (below, chances))
         dr.make_opaque(self.below, self.chance)
 
     def sample(self, row: Any, u: Any, active: Any) -> tuple[Any, Any]:

@@ -52,7 +52,7 @@ class LightGuide:
         beyond = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
         beyond = np.maximum(beyond, 1e-3 * beyond[0])
         density = beyond / np.sum(0.5 * (beyond[1:] + beyond[:-1]) * np.diff(nodes))
-        self.around = mi.IrregularContinuousDistribution(mi.Float(nodes), backend.floats(density))
+        self.around = mi.IrregularContinuousDistribution(backend.floats(nodes), backend.floats(density))
         self.lines = backend.floats(  # by interval: density = first + second x angle
             np.stack([density[:-1] - nodes[:-1] * (rise := np.diff(density) / np.diff(nodes)), rise], axis=1).ravel()
         )

@@ -62,10 +62,9 @@ class Tables:
     """
 
     def __init__(self, tables: list[Array]) -> None:
-        mi = backend.mitsuba()
         closed = [np.concatenate([table, table[:, :1]], axis=1) for table in tables]
         begin = np.cumsum([0, *(table.size for table in closed)])[:-1]
-        self.values = mi.Float(np.concatenate([table.ravel() for table in closed]).astype(np.float32))
+        self.values = backend.floats(np.concatenate([table.ravel() for table in closed]))
         self.begin = backend.numbers(begin)
         self.rows = backend.numbers([table.shape[0] for table in tables])
         self.columns = backend.numbers([table.shape[1] for table in tables])

@@ -131,9 +131,9 @@ class ControlVariate:
         self.bottom, self.top = dr.opaque(mi.Float, slab.bottom_m), dr.opaque(mi.Float, slab.top_m)
         table, lit = _tables(slab)
         self.rows, self.columns = table.shape[1:3]
-        self.table = mi.Float(np.ascontiguousarray(table, dtype=np.float32).ravel())
+        self.table = backend.floats(np.ravel(table))
         self.lit_rows, self.lit_columns = lit.shape[:2]
-        self.lit = mi.Float(np.ascontiguousarray(lit, dtype=np.float32).ravel())
+        self.lit = backend.floats(np.ravel(lit))
         self.exponential = medium.media[0].exponential
         if self.exponential:
             self.through = dr.opaque(mi.Float, 1.0 / max(slab.optical_depth, 1e-30))

@@ -106,7 +106,7 @@ class Bands:
         if emissions:
             self.kinds = 1 + len(emissions)
             self.lit = np.array([box_means(curve / photometry.luminance_of(curve), boxes) for curve in emissions])
-            self._lit = mi.Float(np.concatenate([np.zeros((1, count)), self.lit]).astype(np.float32).ravel())
+            self._lit = backend.floats(np.concatenate([np.zeros((1, count)), self.lit]).ravel())
             dr.make_opaque(self._lit)
         exponents = {volume.medium.angstrom for volume in fog if volume.medium.sigma_t_per_m > 0.0}
         if len(exponents) > 1:

@@ -130,7 +130,7 @@ class SpectralBsdfs:
         for number, (index, other) in enumerate(pairs):
             row[index], spectral[index] = number + 1, other
         self.row, self.spectral = mi.UInt32(row), mi.UInt32(spectral)
-        self.table = mi.Float(np.concatenate(table).astype(np.float32).ravel())
+        self.table = backend.floats(np.concatenate(table).ravel())
         dr.make_opaque(self.row, self.spectral, self.table)
 
     def of(self, bsdf: Any, active: Any) -> tuple[Any, list[Any]]:
