@@ -7,6 +7,7 @@ a blur of its own for each part of the picture.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Annotated
@@ -85,6 +86,28 @@ def aberrations(
     columns = (tangential_um, sagittal_um, axial_450_um, axial_650_um, lateral_450_um, lateral_650_um)
     if not field_deg:
         return image
+    table = checked_table("aberrations", field_deg, columns) / pixel_pitch_um
+    if np.abs(table).max() > WIDEST_PX:
+        raise ImageError(f"an aberration of {np.abs(table).max():.0f} pixels; {WIDEST_PX:.0f} are the most")
+    field = Field.of(image, fov_x_deg, (shift_x, shift_y))
+    nm = np.clip(spectral_weights(sensor, image.channels) @ photometry.WAVELENGTHS_NM, *COLOURS_NM[::2])
+    result = np.empty_like(image.pixels)
+
+    def run(channel: int) -> None:
+        spots = _Spots(np.asarray(field_deg), _at(table, float(nm[channel])), field)
+        result[..., channel] = spread_by_place(image.pixels[..., channel], spots.reach_px, spots.transfers)
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(run, range(len(image.channels))))
+    return image.with_pixels(result).with_metadata(aberrations_px=[float(f"{part:.4g}") for part in table.max(axis=1)])
+
+
+def checked_table(name: str, field_deg: tuple[float, ...], columns: Sequence[Numbers]) -> Array:
+    """(K, F) columns of a lens's table, zeros for those that are left out.
+
+    Raises:
+        ImageError: lists of unlike length, angles that do not rise from 0.
+    """
     given = [column or (0.0,) * len(field_deg) for column in columns]
     if (
         {len(column) for column in given} != {len(field_deg)}
@@ -92,23 +115,39 @@ def aberrations(
         or (np.diff(field_deg) <= 0.0).any()
     ):
         raise ImageError(
-            f"a table of aberrations of {len(field_deg)} field_deg: they rise from 0, and every other list is as long"
+            f"a table of {name} of {len(field_deg)} field_deg: they rise from 0, and every other list is as long"
         )
-    table = np.array(given) / pixel_pitch_um
-    if np.abs(table).max() > WIDEST_PX:
-        raise ImageError(f"an aberration of {np.abs(table).max():.0f} pixels; {WIDEST_PX:.0f} are the most")
-    angles = np.degrees(field_angles_rad(image, fov_x_deg, (shift_x, shift_y)))
-    axis = Pinhole(image.height_px, image.width_px, 0.0, (shift_x, shift_y)).axis_px
-    nm = np.clip(spectral_weights(sensor, image.channels) @ photometry.WAVELENGTHS_NM, *COLOURS_NM[::2])
-    result = np.empty_like(image.pixels)
+    return np.array(given)
 
-    def run(channel: int) -> None:
-        spots = _Spots(np.asarray(field_deg), _at(table, float(nm[channel])), angles, axis)
-        result[..., channel] = _spread(image.pixels[..., channel], spots)
 
-    with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(run, range(len(image.channels))))
-    return image.with_pixels(result).with_metadata(aberrations_px=[float(f"{part:.4g}") for part in table.max(axis=1)])
+@dataclass(frozen=True)
+class Field:
+    """Where the places of a picture lie to the lens's axis.
+
+    Attributes:
+        angles: (H, W) of the picture's pixels [degrees].
+        axis: column and row of the axis [px].
+    """
+
+    angles: Array
+    axis: tuple[float, float]
+
+    @classmethod
+    def of(cls, image: Image, fov_x_deg: float | None, shift: tuple[float, float]) -> Field:
+        """Of an image; see `field_angles_rad`."""
+        angles = np.degrees(field_angles_rad(image, fov_x_deg, shift))
+        return cls(angles, Pinhole(image.height_px, image.width_px, 0.0, shift).axis_px)
+
+    def at(self, row: float, column: float) -> tuple[float, float, float]:
+        """Angle to the axis at a place [degrees], that of the nearest pixel; and columns and rows, as a unit vector,
+        of the way that leads away from the axis.
+        """
+        x, y = column - self.axis[0], row - self.axis[1]
+        if (radius := math.hypot(x, y)) < 0.5:
+            return 0.0, 1.0, 0.0
+        height, width = self.angles.shape
+        place = min(max(round(row), 0), height - 1), min(max(round(column), 0), width - 1)
+        return float(self.angles[place]), x / radius, y / radius
 
 
 def _at(table: Array, nm: float) -> Array:
@@ -130,28 +169,27 @@ class _Spots:
     Attributes:
         field_deg: (F,) of the columns of `table`.
         table: (3, F), see `_at`.
-        angles: (H, W) of the picture's pixels [degrees].
-        axis: column and row of the axis [px].
+        field: of the picture.
     """
 
     field_deg: Array
     table: Array
-    angles: Array
-    axis: tuple[float, float]
+    field: Field
 
     @property
     def reach_px(self) -> int:
         """Pixels from which on a spot has less than 1e-6 of its light."""
         return math.ceil(6.0 * math.sqrt(float(self.table[:2].max())) + float(np.abs(self.table[2]).max())) + 4
 
+    def transfers(self, size: int) -> Callable[[float, float, bool], Array]:
+        """See `spread_by_place`."""
+        waves, steps = _Waves.of(size), _Waves.of(size, discrete=True)
+        return lambda row, column, lamps: (steps if lamps else waves).transfer(*self.at(row, column))
+
     def at(self, row: float, column: float) -> tuple[float, float, float, float, float]:
         """Variances across columns and rows and their covariance [px^2], and shift to the right and down [px]."""
-        height, width = self.angles.shape
-        angle = self.angles[min(max(round(row), 0), height - 1), min(max(round(column), 0), width - 1)]
+        angle, c, s = self.field.at(row, column)
         along, across, out = (float(np.interp(angle, self.field_deg, values)) for values in self.table)
-        x, y = column - self.axis[0], row - self.axis[1]
-        radius = math.hypot(x, y)
-        c, s = (x / radius, y / radius) if radius > 0.0 else (1.0, 0.0)
         return (
             along * c * c + across * s * s,
             along * s * s + across * c * c,
@@ -161,11 +199,20 @@ class _Spots:
         )
 
 
-def _spread(plane: FloatArray, spots: _Spots) -> FloatArray:
-    """A channel (H, W) through the spots of its places, tile by tile, with weights that fall to 0 at the next."""
+def spread_by_place(
+    plane: FloatArray, reach: int, transfers: Callable[[int], Callable[[float, float, bool], Array]]
+) -> FloatArray:
+    """A channel (H, W) through the spots of its places, tile by tile, with weights that fall to 0 at the next.
+
+    Args:
+        plane: light, >= 0.
+        reach: pixels from which on a spot has no light.
+        transfers: by the side of a square, what gives the real transform of a spot at a row and a column of the
+            picture, and of a lamp's spot where the third is true.
+    """
     from scipy import fft
 
-    (height, width), reach = plane.shape, spots.reach_px
+    height, width = plane.shape
     step = min(max(math.ceil(max(height, width) / TILES), LEAST_TILE_PX), MOST_TILE_PX)
     step = max(step, reach // 2)  # spots as wide as the tiles would make them many
     edge = step + reach  # beyond the picture, where the first and the last weights are not whole
@@ -173,7 +220,7 @@ def _spread(plane: FloatArray, spots: _Spots) -> FloatArray:
     padded, lamps = (np.pad(part.astype(np.float64), edge, mode="symmetric") for part in (even, plane - even))
     size = fft.next_fast_len(2 * step + 2 * reach, real=True)
     weight = 1.0 - np.abs((np.arange(2 * step) + 0.5) / step - 1.0)
-    waves, steps = _Waves.of(size), _Waves.of(size, discrete=True)
+    transfer = transfers(size)
     tops, lefts = (range(0, length + 2 * reach + step, step) for length in (height, width))
     total = np.zeros((tops[-1] + size, lefts[-1] + size))  # begins `reach` before the padded picture
     for top in tops:
@@ -181,11 +228,11 @@ def _spread(plane: FloatArray, spots: _Spots) -> FloatArray:
             here = slice(top, top + 2 * step), slice(left, left + 2 * step)
             tile = padded[here]
             share = weight[: tile.shape[0], None] * weight[None, : tile.shape[1]]
-            spot = spots.at(top - edge + step - 0.5, left - edge + step - 0.5)
+            place = top - edge + step - 0.5, left - edge + step - 0.5
             spectrum = fft.rfft2(tile * share, s=(size, size))
-            spectrum *= waves.transfer(*spot)
+            spectrum *= transfer(*place, False)
             if lamps[here].any():
-                spectrum += fft.rfft2(lamps[here] * share, s=(size, size)) * steps.transfer(*spot)
+                spectrum += fft.rfft2(lamps[here] * share, s=(size, size)) * transfer(*place, True)
             found = fft.irfft2(spectrum, s=(size, size))
             total[top : top + size, left : left + size] += np.roll(found, (reach, reach), axis=(0, 1))
     inner = total[edge + reach :, edge + reach :][:height, :width]

@@ -40,7 +40,7 @@ HIGHLIGHT_PERCENTILE = 95.0
 DAY_HIGHLIGHT, NIGHT_HIGHLIGHT = 0.55, 0.07
 """Part of saturation that the percentile may reach: a day's sky, and a road under street lamps."""
 
-BLURS = ("optics.diffraction", "optics.defocus", "optics.glare", "optics.flare", "optics.ghosts")
+BLURS = ("optics.diffraction", "optics.wavefront", "optics.defocus", "optics.glare", "optics.flare", "optics.ghosts")
 """Left out when metering: in a small copy they would spread a lamp over streets."""
 
 METER_WIDTH_PX = 320

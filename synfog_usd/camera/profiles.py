@@ -200,6 +200,8 @@ class LensProfile:
         fisheye_fov_x_deg: horizontal angle of view that a fisheye has on its sensor [degrees]; 0 for none.
         aberration_field_deg, tangential_um, sagittal_um, axial_450_um, axial_650_um, lateral_450_um, lateral_650_um:
             spots by the angle to the axis, as in `optics.aberrations`; () for none.
+        wavefront_field_deg, z4_nm, z6_nm, z8_nm, z10_nm, z11_nm: Zernike coefficients by the angle to the axis, as in
+            `optics.wavefront`; () for none.
         field_deg, relative_illumination: angles to the axis [degrees], rising from 0, and
             the light there [1]; () for none.
         radius_mm, thickness_mm, index, clear_mm: its drawing, face by face, as in `optics.ghosts`; () for none.
@@ -225,6 +227,12 @@ class LensProfile:
     axial_650_um: tuple[float, ...] = ()
     lateral_450_um: tuple[float, ...] = ()
     lateral_650_um: tuple[float, ...] = ()
+    wavefront_field_deg: tuple[float, ...] = ()
+    z4_nm: tuple[float, ...] = ()
+    z6_nm: tuple[float, ...] = ()
+    z8_nm: tuple[float, ...] = ()
+    z10_nm: tuple[float, ...] = ()
+    z11_nm: tuple[float, ...] = ()
     field_deg: tuple[float, ...] = ()
     relative_illumination: tuple[float, ...] = ()
     radius_mm: tuple[float, ...] = ()
@@ -264,13 +272,13 @@ def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
 
 
 def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
-    """A lens; see `load_sensor`.  `blades`, `spot_um`, `distortion`, `fisheye`, `relative_illumination`, `aberrations`
-    and `drawing` may be left out.
+    """A lens; see `load_sensor`.  `blades`, `spot_um`, `distortion`, `fisheye`, `relative_illumination`, `aberrations`,
+    `wavefront` and `drawing` may be left out.
     """
     reader = _Reader(
         _find(reference, folder, "lenses"),
         "lens/1",
-        ("distortion", "fisheye", "relative_illumination", "aberrations", "drawing"),
+        ("distortion", "fisheye", "relative_illumination", "aberrations", "wavefront", "drawing"),
         LensProfile,
     )
     more: dict[str, Any] = {}
@@ -289,9 +297,11 @@ def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
         sources.append(("drawing", source))
     widths = dict.fromkeys(("tangential_um", "sagittal_um", "axial_450_um", "axial_650_um"), Limits(0.0, 1000.0))
     shifts = dict.fromkeys(("lateral_450_um", "lateral_650_um"), Limits(-1000.0, 1000.0))
+    paths = dict.fromkeys(("z4_nm", "z6_nm", "z8_nm", "z10_nm", "z11_nm"), Limits(-1e5, 1e5))
     for key, others, angle in (
         ("relative_illumination", {"value": Limits(0.0, 2.0)}, "field_deg"),
         ("aberrations", widths | shifts, "aberration_field_deg"),
+        ("wavefront", paths, "wavefront_field_deg"),
     ):
         if key in reader.fields:
             (angles, *columns), source = reader.numbers(key, {"field_deg": Limits(0.0, 180.0), **others})
