@@ -31,6 +31,7 @@ NEAR_M = 0.01
 
 MAX_SIZE_PX = 1 << 16
 MIN_VIEW_DEG, MAX_VIEW_DEG, MAX_SHIFT = PARALLEL_DEG, 179.0, 10.0
+_PROJECTIONS = ("perspective", "orthographic")
 _ABSURD_FOCAL_M = 0.5
 _STILL_M, _STILL_RAD = 1e-6, 1e-7
 _EXPOSURE = ("exposure", "exposure:iso", "exposure:time", "exposure:fStop", "exposure:responsivity")
@@ -60,6 +61,7 @@ def read_camera(
     prim = _chosen(stage, settings, path, notes)
     camera = UsdGeom.Camera(prim)
     lens = camera.GetCamera(time)
+    notes.token(prim.GetPath(), "projection", camera.GetProjectionAttr().Get(), _PROJECTIONS, "perspective")
     parallel = lens.projection == Gf.Camera.Orthographic
     width_mm, height_mm, focal = lens.horizontalAperture, lens.verticalAperture, lens.focalLength
     if parallel:
@@ -310,8 +312,9 @@ def _conformed(
         "cropAperture": not wide,
         "adjustApertureWidth": True,
         "adjustApertureHeight": False,
-    }.get(policy, wide)
-    return (height * aspect, height) if keep_height else (width, width / aspect)
+    }
+    policy = notes.token(prim.GetPath(), "aspectRatioConformPolicy", policy, keep_height, "expandAperture")
+    return (height * aspect, height) if keep_height[policy] else (width, width / aspect)
 
 
 def _upright(matrix: np.ndarray, prim: Usd.Prim) -> np.ndarray:

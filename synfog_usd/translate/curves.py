@@ -134,8 +134,9 @@ def _shape(
             return None
         return Hermite(points, sizes, np.maximum(sizes - 1, 0), tangent)
     curves = UsdGeom.BasisCurves(prim)
-    wrap = str(curves.GetWrapAttr().Get())
-    basis = "linear" if str(curves.GetTypeAttr().Get()) == "linear" else str(curves.GetBasisAttr().Get())
+    wrap = notes.token(path, "wrap", curves.GetWrapAttr().Get(), ("nonperiodic", "periodic", "pinned"), "nonperiodic")
+    degree = notes.token(path, "type", curves.GetTypeAttr().Get(), ("linear", "cubic"), "cubic")
+    basis = "linear" if degree == "linear" else str(curves.GetBasisAttr().Get())
     if basis not in (*_BASES, "linear"):
         notes.warn(
             path, f"curves of basis {basis!r} are not known; they are drawn as straight lines between their points"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Literal
 
 from synfog_usd.scene import Note
@@ -24,6 +24,14 @@ class Diagnostics:
     def warn(self, path: object, text: str) -> None:
         """The picture differs from what the author meant."""
         self._by_text.setdefault(("warning", text), {})[str(path)] = None
+
+    def token(self, path: object, name: str, value: object, known: Collection[str], taken: str) -> str:
+        """A token if it is one of those that are known; else `taken`, with a warning. None is no token: `taken`."""
+        if value is None or str(value) in known:
+            return taken if value is None else str(value)
+        words = ", ".join(known)
+        self.warn(path, f"{name} is {str(value)[:40]!r}, which is none of {words}; {taken!r} is taken")
+        return taken
 
     def extend(self, notes: list[Note]) -> None:
         """Take over notes of another room."""

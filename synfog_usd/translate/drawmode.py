@@ -75,7 +75,8 @@ def stand_ins(prim: Usd.Prim, mode: str, time: Usd.TimeCode, notes: Diagnostics)
     if mode == "bounds":
         return [StandIn(_edges(low, high), color)]
     geometry = prim.GetAttribute("model:cardGeometry")
-    kind = str(geometry.Get() or "cross") if geometry else "cross"
+    given = geometry.Get() if geometry else None
+    kind = notes.token(prim.GetPath(), "model:cardGeometry", given, ("cross", "box", "fromTexture"), "cross")
     if kind == "fromTexture":
         notes.warn(prim.GetPath(), "cardGeometry 'fromTexture' is drawn as 'cross'")
     return _cards(prim, low, high, color, is_box=kind == "box")

@@ -9,13 +9,14 @@ import numpy as np
 from pxr import Usd
 
 from synfog_usd.arrays import Array
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 
 ROUND = 48
 """Segments around a cylinder, cone or capsule; its radius errs by 0.2 %."""
 
 
-def read_implicit(prim: Usd.Prim, kind: str, time: Usd.TimeCode) -> Triangles:
+def read_implicit(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> Triangles:
     """A Cube, Sphere, Cylinder, Cone, Capsule or Plane as triangles in its own coordinates."""
 
     def number(name: str, default: float) -> float:
@@ -27,7 +28,7 @@ def read_implicit(prim: Usd.Prim, kind: str, time: Usd.TimeCode) -> Triangles:
         return cube(number("size", 2.0) / 2.0)
     if kind == "Sphere":
         return sphere_mesh(number("radius", 1.0))
-    axis = prim.GetAttribute("axis").Get() if prim.HasAttribute("axis") else "Z"
+    axis = notes.token(prim.GetPath(), "axis", prim.GetAttribute("axis").Get(), "XYZ", "Z")
     if kind == "Plane":
         width, length = number("width", 2.0), number("length", 2.0)
         corners = np.array(
@@ -49,7 +50,7 @@ def read_implicit(prim: Usd.Prim, kind: str, time: Usd.TimeCode) -> Triangles:
         else:
             bottom = top = radius
         made = capsule(height, bottom, top) if kind.startswith("Capsule") else frustum(height, bottom, top)
-    turn = (_PLANE_TURN if kind == "Plane" else _AXIS_TURN).get(str(axis), np.eye(3))
+    turn = (_PLANE_TURN if kind == "Plane" else _AXIS_TURN).get(axis, np.eye(3))
     return Triangles(made.positions @ turn.T, made.faces, None if made.normals is None else made.normals @ turn.T)
 
 

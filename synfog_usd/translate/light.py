@@ -198,7 +198,7 @@ def dome(
     refuse_blinding(path, tint)
     turn = rotation_of(matrix)
     if kind == "DomeLight_1":
-        pole = str(inputs.get("poleAxis", "scene"))
+        pole = notes.token(path, "poleAxis", inputs.get("poleAxis", "scene"), ("scene", "Y", "Z"), "scene")
         if pole == "Z" or (pole == "scene" and z_up):
             turn = turn @ POLE_TO_Z
     asset = inputs.get("texture:file", None)

@@ -6,7 +6,7 @@ materials or Mitsuba.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from synfog_usd.translate import loop
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Attribute, Polygons, cross
 from synfog_usd.translate.polygons import SMALL, Topology, are_easy, topology, triangulate, triangulate_small
-from synfog_usd.translate.primvars import PrimvarReader, value_at
+from synfog_usd.translate.primvars import ORIENTATIONS, PrimvarReader, value_at
 from synfog_usd.translate.space import FAR_POINT
 from synfog_usd.translate.subdivide import INFINITE, Cage, bilinear, boundary_faces, cut_apart, levels, subdivided
 from synfog_usd.translate.texture import UvSource
@@ -164,15 +164,14 @@ def read_mesh(
         if colors is not None and len(colors.values) > 1:
             attributes["color"] = colors
     is_mesh = prim.GetTypeName() == "Mesh"
-    scheme = (
-        UsdGeom.Tokens.none
-        if not is_mesh
-        else prim.GetAttribute("subdivisionScheme").Get()
-        if "subdivisionScheme" in authored
-        else UsdGeom.Tokens.catmullClark
-    )
+
+    def token(name: str, known: Collection[str], fallback: str, taken: str = "") -> str:
+        given = prim.GetAttribute(name).Get() if name in authored else fallback
+        return notes.token(prim.GetPath(), name, given, known, taken or fallback)
+
+    scheme = token("subdivisionScheme", ("none", *_DIVIDED), "catmullClark", "none") if is_mesh else "none"
     smooth = False
-    left_handed = "orientation" in authored and prim.GetAttribute("orientation").Get() == UsdGeom.Tokens.leftHanded
+    left_handed = token("orientation", ORIENTATIONS, "rightHanded") == "leftHanded"
     whole = counts >= 3 if keep is None else keep & (counts >= 3)
     told = "subdivisionScheme" in authored
     bent = ("normals" not in attributes or told) and scheme != UsdGeom.Tokens.none and bool(whole.any())
@@ -198,7 +197,7 @@ def read_mesh(
             )
         fine = _subdivided(
             UsdGeom.Mesh(prim),
-            str(scheme),
+            scheme,
             time,
             points,
             counts,
@@ -294,9 +293,13 @@ def _subdivided(
     cage = Cage(counts[whole], indices[corners], **_sharp(mesh, time, len(points), notes))
     if stray := _strays(cage, len(points)):
         notes.warn(mesh.GetPath(), f"{stray} edges of its creases are no edges of its faces; they are left out")
-    rule = mesh.GetInterpolateBoundaryAttr().Get()
-    smooth_triangles = mesh.GetTriangleSubdivisionRuleAttr().Get() == UsdGeom.Tokens.smooth
-    cage = replace(cage, sharp_ends=rule == UsdGeom.Tokens.edgeAndCorner, smooth_triangles=smooth_triangles)
+
+    def token(attribute: Usd.Attribute, known: Collection[str], taken: str) -> str:
+        return notes.token(mesh.GetPath(), attribute.GetName(), attribute.Get(), known, taken)
+
+    rule = token(mesh.GetInterpolateBoundaryAttr(), ("none", "edgeOnly", "edgeAndCorner"), "edgeAndCorner")
+    smooth_triangles = token(mesh.GetTriangleSubdivisionRuleAttr(), ("catmullClark", "smooth"), "catmullClark")
+    cage = replace(cage, sharp_ends=rule == "edgeAndCorner", smooth_triangles=smooth_triangles == "smooth")
     drawn = np.ones(int(whole.sum()), dtype=bool) if keep is None else keep[whole]
     if rule == UsdGeom.Tokens.none and scheme != UsdGeom.Tokens.bilinear:
         drawn = drawn & ~boundary_faces(cage, len(points))
@@ -308,7 +311,7 @@ def _subdivided(
     )
     if left_handed:
         triangles = triangles[:, ::-1]
-    seams = str(mesh.GetFaceVaryingLinearInterpolationAttr().Get())
+    seams = token(mesh.GetFaceVaryingLinearInterpolationAttr(), _SEAMS, "cornersPlus1")
     islands = seams == UsdGeom.Tokens.all
     spread: dict[str, Attribute] = {}
     for name, attribute in attributes.items():
@@ -333,6 +336,8 @@ def _subdivided(
     spread["normals"] = Attribute(total, None if fine.smooth_of is fine.indices else fine.smooth_of)
     return Polygons(fine.points, fine.indices, triangles, np.repeat(face_of[chosen], size - 2), spread, smooth=False)
 
+
+_SEAMS = ("all", "none", "boundaries", "cornersOnly", "cornersPlus1", "cornersPlus2")
 
 _DIVIDED = {"catmullClark": (subdivided, 4), "loop": (loop.subdivided, 3), "bilinear": (bilinear, 4)}
 """How a scheme divides, and corners of its faces."""
@@ -383,7 +388,10 @@ def _sharp(mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int, notes: Diag
             mesh.GetPath(),
             f"{len(corners) - int(fits.sum())} of its {len(corners)} sharp corners name no point or have no sharpness",
         )
-    found: dict[str, Any] = {"corners": corners[:count][fits], "corner_sharpness": at_corner[:count][fits]}
+    found: dict[str, Any] = {
+        "corners": corners[:count][fits],
+        "corner_sharpness": _at_least_smooth(at_corner[:count][fits], "cornerSharpnesses", mesh, notes),
+    }
     chain, lengths, given = (
         array(mesh.GetCreaseIndicesAttr(), np.int64),
         array(mesh.GetCreaseLengthsAttr(), np.int64),
@@ -407,4 +415,18 @@ def _sharp(mesh: UsdGeom.Mesh, time: Usd.TimeCode, point_count: int, notes: Diag
             mesh.GetPath(),
             f"{int((~fits).sum())} edges of its creases name points outside of its {point_count}; they are left out",
         )
-    return found | {"creases": pairs[fits], "crease_sharpness": np.maximum(sharpness[fits], 0.0)}
+    return found | {
+        "creases": pairs[fits],
+        "crease_sharpness": _at_least_smooth(sharpness, "creaseSharpnesses", mesh, notes)[fits],
+    }
+
+
+def _at_least_smooth(sharpness: Array, name: str, mesh: UsdGeom.Mesh, notes: Diagnostics) -> Array:
+    """Sharpnesses with 0 where one is negative or no number, and a note."""
+    fits = sharpness >= 0.0
+    if not fits.all():
+        notes.warn(
+            mesh.GetPath(),
+            f"{int((~fits).sum())} of its {name} are no sharpness, {sharpness[~fits][0]:g} first; 0 is taken",
+        )
+    return np.where(fits, sharpness, 0.0)

@@ -17,6 +17,7 @@ from synfog_usd.colour import LUMINANCE
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.nodes import MOST_PIXELS, Graph, UnknownNodeError
 from synfog_usd.translate.texture import (
+    RAW,
     ImageReader,
     TextureNode,
     UvSource,
@@ -167,6 +168,12 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnost
     tiles, file, uv = tiled(shader, authored, file, uv)
     if not file:
         notes.warn(path, f"texture {authored or '(no file)'} is not found; its default is used")
+    if "_color" in kind and _space(space) == "raw" and space not in RAW:
+        notes.warn(path, f"a picture in colour space {space[:40]!r} is read as linear Rec.709")
+
+    def address(name: str) -> str:
+        return _ADDRESS[notes.token(path, name, value_of(shader, name, time, "periodic"), _ADDRESS, "periodic")]
+
     return TextureNode(
         path=path,
         file=file,
@@ -175,8 +182,8 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnost
         color_space="raw"
         if kind.endswith(("_float", "_vector2", "_vector3", "_vector4")) and space in ("", "auto")
         else _space(space),
-        wrap="clamp" if tiles else _ADDRESS.get(str(value_of(shader, "uaddressmode", time, "periodic")), "repeat"),
-        wrap_v="clamp" if tiles else _ADDRESS.get(str(value_of(shader, "vaddressmode", time, "periodic")), "repeat"),
+        wrap="clamp" if tiles else address("uaddressmode"),
+        wrap_v="clamp" if tiles else address("vaddressmode"),
         outside=(*(values + [0.0] * 3)[:3], 1.0),
         scale=(1.0,) * 4,
         bias=(0.0,) * 4,

@@ -15,7 +15,7 @@ from scipy.interpolate import BSpline
 from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles, cross
-from synfog_usd.translate.primvars import array_at, value_at
+from synfog_usd.translate.primvars import ORIENTATIONS, array_at, value_at
 
 _STEPS = 8
 """Steps of a patch within each span of its knots, where it is bent."""
@@ -182,7 +182,8 @@ def read_patch(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Triang
     faces = np.concatenate(
         [np.stack([a, a + 1, a + columns + 1], axis=1), np.stack([a, a + columns + 1, a + columns], axis=1)]
     )
-    if (value_at(prim.GetAttribute("orientation"), time) or "") == "leftHanded":
+    side = value_at(prim.GetAttribute("orientation"), time)
+    if notes.token(path, "orientation", side, ORIENTATIONS, "rightHanded") == "leftHanded":
         normals, faces = -normals, faces[:, ::-1]
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     flat = not (length > 1e-12 * length.max(initial=0.0)).all()  # at a pole one derivative is nothing

@@ -14,6 +14,11 @@ from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Attribute
 
+ORIENTATIONS = ("rightHanded", "leftHanded")
+"""UsdGeom's tokens for the side of a face that is its front."""
+
+_INTERPOLATIONS = ("constant", "uniform", "varying", "vertex", "faceVarying", "instance")
+
 
 class PrimvarReader:
     """Primvars of one mesh.
@@ -81,6 +86,9 @@ class PrimvarReader:
         if array is None:
             self.notes.warn(self.prim.GetPath(), f"primvar {name} does not hold {width} numbers each; it is not used")
             return None
+        interpolation = self.notes.token(
+            self.prim.GetPath(), f"interpolation of primvar {name}", interpolation, _INTERPOLATIONS, "constant"
+        )
         corner: Indices | None
         if (
             interpolation in (UsdGeom.Tokens.uniform, UsdGeom.Tokens.faceVarying)

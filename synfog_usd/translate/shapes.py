@@ -29,6 +29,8 @@ from synfog_usd.translate.walk import CURVES, MESHES, Leaf
 Part: TypeAlias = tuple[dict[str, Any], dict[str, Any] | None, float]
 """A shape, its emission or None, and the luminance of that."""
 
+_SYNC = ("materialGlowTintsLight", "independent", "noMaterialResponse")
+
 
 class Shapes:
     """Makes the shapes of leaves."""
@@ -110,7 +112,7 @@ class Shapes:
                 finish = self.materials.vertex_colored()
                 key = finish.key
         else:
-            own = read_implicit(leaf.prim, kind, self.time)
+            own = read_implicit(leaf.prim, kind, self.time, self.notes)
             if not np.abs(own.positions).max() <= FAR_POINT:
                 self.notes.warn(
                     leaf.path, f"a {kind} whose size is no finite number, or one of more than 12 digits, is left out"
@@ -214,7 +216,8 @@ class Shapes:
             leaf.prim, self.time, geometry.area(triangles), self.notes, metres_per_unit=metres, convention=convention
         )
         sync = leaf.prim.GetAttribute("light:materialSyncMode")
-        if sync and sync.Get() == "noMaterialResponse":
+        given = sync.Get() if sync else None
+        if self.notes.token(leaf.path, "light:materialSyncMode", given, _SYNC, _SYNC[0]) == "noMaterialResponse":
             shape = {**shape, "bsdf": {"type": "ref", "id": self.materials.black().key}}
         if not radiance.max() > 0.0:
             return shape, None, 0.0

@@ -58,6 +58,16 @@ videos and raw photographs too.
 """
 
 _CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}
+_WRAPS = {"periodic": "repeat", "constant": "black"}
+"""MaterialX's words for wrap modes."""
+
+_MODES = ("useMetadata", *MODES)
+_OUTPUTS = ("rgb", *_CHANNEL, "rgba", "out")
+_SPACES = ("auto", "raw", "sRGB")
+_SRGB = ("sRGB", "srgb_texture", "sRGB - Texture", "srgb_rec709_scene")
+RAW = dict.fromkeys(("", "Raw", "none", "linear", "lin_rec709", "lin_rec709_scene", "Utility - Raw"), "raw")
+"""Words of other tools for what is read as it stands."""
+
 _IN_FILES = {"periodic": "repeat", "mirror": "mirror", "clamp": "clamp", "black": "black"}
 """OpenImageIO's words for wrap modes in a file."""
 
@@ -273,7 +283,7 @@ def is_srgb(node: TextureNode, pixels: Pixels) -> bool:
 
     Source: UsdPreviewSurface specification, UsdUVTexture, sourceColorSpace.
     """
-    if node.color_space in ("sRGB", "srgb_texture", "sRGB - Texture", "srgb_rec709_scene"):
+    if node.color_space in _SRGB:
         return True
     return node.color_space == "auto" and pixels.dtype == np.uint8 and pixels.shape[2] >= 3
 
@@ -301,8 +311,15 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Diagnostics) 
     path = str(shader.GetPath())
     asset = value_of(shader, "file", time)
     scale, bias, fallback = (tuple(value_of(shader, name, time, default)) for name, default in _TUPLES)
-    wraps = [str(value_of(shader, name, time, "useMetadata")) for name in ("wrapS", "wrapT")]
-    wraps = [{"periodic": "repeat", "constant": "black"}.get(wrap, wrap) for wrap in wraps]  # MaterialX's words
+    wraps = [
+        notes.token(
+            path, name, _WRAPS.get(given := str(value_of(shader, name, time, "useMetadata")), given), _MODES, _MODES[0]
+        )
+        for name in ("wrapS", "wrapT")
+    ]
+    space = str(value_of(shader, "sourceColorSpace", time, "auto"))
+    if space not in _SRGB:
+        space = notes.token(path, "sourceColorSpace", RAW.get(space, space), _SPACES, "raw")
     authored = getattr(asset, "path", "") or ""
     file = getattr(asset, "resolvedPath", "") or ""
     uv = _uv_source(shader, time, notes)
@@ -315,8 +332,8 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Diagnostics) 
         path=path,
         file=file,
         authored=authored,
-        channel=output.GetBaseName(),
-        color_space=str(value_of(shader, "sourceColorSpace", time, "auto")),
+        channel=notes.token(path, "its output", output.GetBaseName(), _OUTPUTS, "rgb"),
+        color_space=space,
         wrap=wraps[0],
         scale=scale,
         bias=bias,

@@ -284,7 +284,7 @@ def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Diagnost
             polygons = read_mesh(prim, time, notes)
             made = part(polygons, None) if polygons is not None else None
         elif kind in ("Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1"):
-            made = read_implicit(prim, kind, time)
+            made = read_implicit(prim, kind, time, notes)
         else:
             raise StageError(
                 f"{path}: a {kind or 'prim without a type'} cannot hold fog; use a Cube, Sphere, Cylinder or closed "

@@ -62,6 +62,7 @@ else.
 _PASSED = frozenset({"", "Xform", "Scope", "SkelRoot", "Camera", "OpenVDBAsset", "Field3DAsset"})
 
 
+_PURPOSES = ("default", "render", "proxy", "guide")
 _SAID = LABEL_SOURCES | {"visibility", "purpose", "primvars:displayColor", "primvars:displayOpacity", "model:drawMode"}
 _SAID_BEGINNINGS = (PREFIX, "userProperties:synfog")
 """Properties that mean something to the walk, by their names and by how these begin."""
@@ -261,14 +262,13 @@ class _Walker:
         authored, says = self.names(prim)
         schemas = tuple(prim.GetPrimTypeInfo().GetAppliedAPISchemas())
         schemas = self.known_schemas.setdefault(schemas, schemas)
-        if (
-            says
-            and "visibility" in authored
-            and prim.GetAttribute("visibility").Get(self.time) == UsdGeom.Tokens.invisible
-        ):
-            return None
+        if says and "visibility" in authored:
+            visibility = prim.GetAttribute("visibility").Get(self.time)
+            if self.notes.token(at, "visibility", visibility, ("inherited", "invisible"), "inherited") == "invisible":
+                return None
         if says and "purpose" in authored:
-            drawn = prim.GetAttribute("purpose").Get() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+            purpose = prim.GetAttribute("purpose").Get()
+            drawn = self.notes.token(at, "purpose", purpose, _PURPOSES, "guide") in ("default", "render")
         prim_kind = prim.GetMetadata("kind") if prim.HasAuthoredMetadata("kind") else ""
         if prim_kind and not is_frame and Kind.Registry.IsA(prim_kind, Kind.Tokens.component):
             model = str(at)
@@ -285,7 +285,13 @@ class _Walker:
             self.result.sheer = True
         mode = above.mode
         if says and "model:drawMode" in authored:
-            own_mode = str(prim.GetAttribute("model:drawMode").Get(self.time) or "inherited")
+            own_mode = self.notes.token(
+                at,
+                "model:drawMode",
+                prim.GetAttribute("model:drawMode").Get(self.time) or "inherited",
+                ("inherited", "default", *MODES),
+                "default",
+            )
             mode = mode if own_mode == "inherited" else own_mode
         if (says or schemas) and has_fog_attributes(prim, tuple(authored)):
             fog = prim

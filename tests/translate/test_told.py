@@ -1,5 +1,9 @@
 """Numbers that make no sense: each is told with its prim and what is taken instead."""
 
+import re
+
+import numpy as np
+import OpenImageIO
 import pytest
 
 from synfog_usd.stage import open_stage
@@ -95,3 +99,186 @@ def test_what_makes_no_sense_is_told_with_what_is_taken(tmp_path, camera, prims,
         note.text.startswith(told) for note in scene.notes if note.path == path and note.severity == "warning"
     ].count(True) == 1
     assert scene.camera.near_m > 0.0 and scene.camera.f_number == 0.0
+
+
+CUBE = 'def Cube "Box"\n{\n    double size = 2\n}\n'
+HOUSE = """def Xform "House" (
+    kind = "component"
+    prepend apiSchemas = ["GeomModelAPI"]
+)
+{
+    uniform token model:drawMode = "cards"
+    uniform token model:cardGeometry = "box"
+    def Cube "Body" {}
+}
+"""
+CURVE = """def BasisCurves "Line"
+{
+    int[] curveVertexCounts = [4]
+    point3f[] points = [(0, 0, -5), (1, 1, -5), (2, 0, -5), (3, 1, -5)]
+    float[] widths = [0.1] (interpolation = "constant")
+    uniform token type = "cubic"
+    uniform token basis = "catmullRom"
+    uniform token wrap = "pinned"
+}
+"""
+PATCH = """def NurbsPatch "Patch"
+{
+    int uVertexCount = 2
+    int vVertexCount = 2
+    int uOrder = 2
+    int vOrder = 2
+    double[] uKnots = [0, 0, 1, 1]
+    double[] vKnots = [0, 0, 1, 1]
+    point3f[] points = [(0, 0, -5), (1, 0, -5), (0, 1, -5), (1, 1, -5)]
+    uniform token orientation = "leftHanded"
+}
+"""
+DOME = """def DomeLight_1 "Sky"
+{
+    asset inputs:texture:file = @sky.png@
+    token poleAxis = "Z"
+}
+"""
+PICTURE = """def Mesh "Plate" (prepend apiSchemas = ["MaterialBindingAPI"])
+{
+    int[] faceVertexCounts = [4]
+    int[] faceVertexIndices = [0, 1, 2, 3]
+    point3f[] points = [(0, 0, -5), (1, 0, -5), (1, 1, -5), (0, 1, -5)]
+    texCoord2f[] primvars:st = [(0, 0), (2, 0), (2, 2), (0, 2)] (interpolation = "vertex")
+    uniform token subdivisionScheme = "none"
+    rel material:binding = </Look>
+}
+def Material "Look"
+{
+    token outputs:surface.connect = </Look/Surface.outputs:surface>
+    def Shader "Surface"
+    {
+        uniform token info:id = "UsdPreviewSurface"
+        color3f inputs:diffuseColor.connect = </Look/Picture.outputs:rgb>
+        token outputs:surface
+    }
+    def Shader "Picture"
+    {
+        uniform token info:id = "UsdUVTexture"
+        asset inputs:file = @sky.png@
+        float2 inputs:st.connect = </Look/Reader.outputs:result>
+        token inputs:wrapS = "repeat"
+        token inputs:wrapT = "repeat"
+        token inputs:sourceColorSpace = "sRGB"
+        float3 outputs:rgb
+    }
+    def Shader "Reader"
+    {
+        uniform token info:id = "UsdPrimvarReader_float2"
+        string inputs:varname = "st"
+        float2 outputs:result
+    }
+}
+"""
+MATERIALX = (
+    PICTURE.replace('"UsdUVTexture"', '"ND_image_color3"')
+    .replace("outputs:rgb", "outputs:out")
+    .replace("inputs:st.connect", "inputs:texcoord.connect")
+    .replace('wrapS = "repeat"', 'uaddressmode = "clamp"')
+    .replace("UsdPrimvarReader_float2", "ND_geompropvalue_vector2")
+    .replace("@sky.png@", '@sky.png@ (colorSpace = "srgb_texture")')
+)
+
+
+@pytest.mark.parametrize(
+    "prims, path, line, name, taken",
+    [
+        (PLATE + '    token visibility = "invisible"\n}\n', "/Plate", "visibility", "visibility", "inherited"),
+        (PLATE + '    uniform token purpose = "render"\n}\n', "/Plate", "purpose", "purpose", "guide"),
+        (PLATE + "}\n", "/Plate", "subdivisionScheme", "subdivisionScheme", "none"),
+        (PLATE + '    uniform token orientation = "leftHanded"\n}\n', "/Plate", "orientation", "", "rightHanded"),
+        (
+            PLATE + '    token interpolateBoundary = "edgeOnly"\n}\n',
+            "/Plate",
+            "interpolateBoundary",
+            "",
+            "edgeAndCorner",
+        ),
+        (
+            PLATE + '    token triangleSubdivisionRule = "smooth"\n}\n',
+            "/Plate",
+            "triangleSubdivisionRule",
+            "",
+            "catmullClark",
+        ),
+        (
+            PLATE + '    token faceVaryingLinearInterpolation = "all"\n}\n',
+            "/Plate",
+            "faceVaryingLinearInterpolation",
+            "",
+            "cornersPlus1",
+        ),
+        (CUBE.replace("Cube", "Cone").replace("double size = 2", 'uniform token axis = "X"'), "/Box", "axis", "", "Z"),
+        (HOUSE, "/House", "model:drawMode", "", "default"),
+        (HOUSE, "/House", "model:cardGeometry", "", "cross"),
+        (CURVE, "/Line", "type", "", "cubic"),
+        (CURVE, "/Line", "wrap", "", "nonperiodic"),
+        (PATCH, "/Patch", "orientation", "", "rightHanded"),
+        (DOME, "/Sky", "poleAxis", "", "scene"),
+        (PICTURE, "/Look/Picture", "inputs:wrapS", "wrapS", "useMetadata"),
+        (PICTURE, "/Look/Picture", "inputs:sourceColorSpace", "sourceColorSpace", "raw"),
+        (MATERIALX, "/Look/Picture", "inputs:uaddressmode", "uaddressmode", "periodic"),
+    ],
+)
+def test_a_token_that_usd_does_not_know_is_told_and_another_one_drawn(tmp_path, prims, path, line, name, taken):
+    """The note names prim, attribute, what stands there and what is taken; the scene is that of what is taken."""
+    picture = np.arange(2 * 4 * 3, dtype=np.uint8).reshape(2, 4, 3) * 10
+    out = OpenImageIO.ImageOutput.create(str(tmp_path / "sky.png"))
+    out.open(str(tmp_path / "sky.png"), OpenImageIO.ImageSpec(4, 2, 3, "uint8"))
+    out.write_image(picture)
+    out.close()
+
+    def scene(value):
+        text, found = re.subn(rf'(token {line} = )"\w+"', rf'\1"{value}"', prims)
+        assert found == 1
+        (tmp_path / "a.usda").write_text(HEAD + 'def Camera "Ego" {}\n' + text + CUBE.replace("Box", "Else"))
+        return translate(open_stage(tmp_path / "a.usda"))
+
+    odd, plain = scene("smooothed"), scene(taken)
+    np.testing.assert_equal(dict(odd.world), dict(plain.world))
+    (note,) = [one for one in odd.notes if "smooothed" in one.text]
+    assert (note.severity, note.path) == ("warning", path)
+    assert note.text.startswith(f"{name or line} is 'smooothed', which is none of ")
+    assert note.text.endswith(f"; {taken!r} is taken")
+    assert not [one for one in plain.notes if "none of" in one.text]
+
+
+@pytest.mark.parametrize(
+    "sharp, name",
+    [
+        ("int[] cornerIndices = [0, 1]\n    float[] cornerSharpnesses = [2, {}]", "cornerSharpnesses"),
+        (
+            "int[] creaseIndices = [0, 1, 2]\n    int[] creaseLengths = [3]\n    float[] creaseSharpnesses = [2, {}]",
+            "creaseSharpnesses",
+        ),
+    ],
+)
+@pytest.mark.parametrize("value", ["-3", "nan"])
+def test_a_sharpness_below_zero_is_told_and_smooth(tmp_path, sharp, name, value):
+    def scene(number):
+        plate = f'{PLATE}    token interpolateBoundary = "edgeOnly"\n    {sharp.format(number)}\n}}\n'
+        (tmp_path / "a.usda").write_text(HEAD + 'def Camera "Ego" {}\n' + plate)
+        return translate(open_stage(tmp_path / "a.usda"))
+
+    odd, smooth = scene(value), scene("0")
+    np.testing.assert_equal(dict(odd.world), dict(smooth.world))
+    assert [(one.path, one.text) for one in odd.notes if one.severity == "warning"] == [
+        ("/Plate", f"1 of its {name} are no sharpness, {value} first; 0 is taken")
+    ]
+    assert not [one for one in smooth.notes if one.severity == "warning"]
+
+
+def test_a_colour_space_that_is_not_known_is_told(tmp_path):
+    (tmp_path / "a.usda").write_text(
+        HEAD + 'def Camera "Ego" {}\n' + MATERIALX.replace("srgb_texture", "acescg"), encoding="utf-8"
+    )
+    scene = translate(open_stage(tmp_path / "a.usda"))
+    assert ("/Look/Picture", "a picture in colour space 'acescg' is read as linear Rec.709") in [
+        (one.path, one.text) for one in scene.notes
+    ]
