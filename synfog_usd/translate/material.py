@@ -203,13 +203,14 @@ class Materials:
         kind = shader_id(shader.GetPrim())
         if kind == "UsdPreviewSurface" or kind.startswith("ND_UsdPreviewSurface"):
             return self._surface(shader, _PREVIEW, path)
-        if kind.startswith(("ND_standard_surface", "ND_open_pbr")):
-            self.notes.info(
-                path,
-                f"{kind} is drawn by its base, roughness, metalness, specular, transmission, subsurface, coat, "
-                f"emission, opacity and normal map",
-            )
-            return self._surface(shader, _OPEN_PBR if kind.startswith("ND_open_pbr") else _STANDARD_SURFACE, path)
+        for beginning, names in _MATERIALX.items():
+            if kind.startswith(beginning):
+                self.notes.info(
+                    path,
+                    f"{kind} is drawn by its base, roughness, metalness, specular, transmission, subsurface, coat, "
+                    f"emission, opacity and normal map",
+                )
+                return self._surface(shader, names, path)
         mdl = shader.GetPrim().GetAttribute("info:mdl:sourceAsset:subIdentifier")
         if mdl and str(mdl.Get()).startswith("OmniPBR"):
             self.notes.info(
@@ -220,10 +221,27 @@ class Materials:
             return self._surface(shader, _OMNI_PBR, path)
         if mdl and str(mdl.Get()).startswith("OmniGlass"):
             return self._glass(shader, path)
+        if mdl and str(mdl.Get()) in _OMNI_SURFACES:
+            return self._omni_surface(shader, path)
         self.notes.warn(
             path, f"shader {kind or (mdl and mdl.Get()) or 'of an unknown type'} is not known; the material is grey"
         )
         return self.colored(GREY)
+
+    def _omni_surface(self, shader: UsdShade.Shader, path: object) -> Finish:
+        """An OmniSurface shader by its constants."""
+        self.notes.info(
+            path,
+            "OmniSurface is drawn by constants of its base, roughness, metalness, specular, transmission, subsurface, "
+            "coat, emission and opacity",
+        )
+        for name in sorted(one.GetBaseName() for one in shader.GetInputs()):
+            if getattr(value_of(shader, name, self.time), "path", ""):
+                self.notes.warn(path, f"{name} of OmniSurface is not drawn; its constant is")
+        preset = "specular_reflection_ior_preset"
+        if str(value_of(shader, preset, self.time, "ior_custom")) not in ("ior_custom", "99"):
+            self.notes.warn(path, f"{preset} is not drawn; its specular_reflection_ior is")
+        return self._surface(shader, _OMNI_SURFACE, path)
 
     def _glass(self, shader: UsdShade.Shader, path: object) -> Finish:
         """The glass of an OmniGlass shader: its index, colour, frosting and cutout."""
@@ -245,7 +263,7 @@ class Materials:
     def _surface(self, shader: UsdShade.Shader, names: _Names, path: object) -> Finish:
         inputs = _ShaderInputs(self, shader, names)
         color = inputs.color("diffuseColor", names.color)
-        roughness, metallic = inputs.number("roughness", names.roughness), inputs.number("metallic", 0.0)
+        roughness, metallic = inputs.number("roughness", names.roughness), inputs.number("metallic", names.metallic)
         ior = inputs.constant("ior", 1.5)
         bsdf: dict[str, Any] = {"type": "preview_surface", "base_color": color, "roughness": roughness}
         if inputs.constant("useSpecularWorkflow", 0.0):
@@ -259,7 +277,7 @@ class Materials:
         if clearcoat != 0.0:
             coat_roughness = inputs.number("clearcoatRoughness", names.coat_roughness)
             bsdf |= {"clearcoat": clearcoat, "clearcoat_roughness": coat_roughness}
-        clear = self._transmitting(bsdf, inputs, solid, path)
+        clear = self._transmitting(bsdf, inputs, float(inputs.constant("clearIor", solid)), path)
         if clear is None and bsdf["eta"] <= _MIN_IOR and not bsdf.keys() - _OF_EVERY_SURFACE:
             bsdf = {"type": "diffuse", "reflectance": bsdf["base_color"]}
         bsdf = {"type": "twosided", "bsdf": self._bumped(bsdf, inputs, path)}
@@ -281,10 +299,10 @@ class Materials:
             self.notes.warn(path, "displacement is not drawn")
         if inputs.has("normal") and not inputs.producer("normal"):
             normal = inputs.constant("normal", None)
-            if isinstance(normal, (Gf.Vec3f, Gf.Vec3d)) and tuple(normal) != (0.0, 0.0, 1.0):
+            if isinstance(normal, (Gf.Vec3f, Gf.Vec3d)) and tuple(normal) not in ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)):
                 self.notes.warn(path, "a normal without a picture is not drawn")
         for name in names.left_out:
-            if value_of(shader, name, self.time, 0.0) or producer(shader, name) is not None:
+            if np.any(value_of(shader, name, self.time, 0.0)) or producer(shader, name) is not None:
                 self.notes.warn(path, f"{name} is not drawn")
         for name in names.white:
             value = value_of(shader, name, self.time, (1.0, 1.0, 1.0))
@@ -333,7 +351,7 @@ class Materials:
             share *= 1.0 - metal
             if share == 0.0:
                 return None
-        roughness = bsdf["roughness"]
+        roughness = bsdf["roughness"] if inputs.names.clear_roughness is None else inputs.names.clear_roughness
         if isinstance(roughness, dict):
             self.notes.warn(path, "a picture of roughness is drawn as its mean where the surface is transparent")
             roughness = float(roughness["bitmap"].mean())
@@ -342,6 +360,8 @@ class Materials:
             self.notes.info(path, "transmission_depth is not drawn: what passes two faces has the transmission colour")
             tint = tuple(max(float(c), 0.0) ** 0.5 for c in tint)
         thin = bool(inputs.constant("thin", False))
+        if "thickness" in inputs.names.of:
+            thin = not float(inputs.constant("thickness", 0.0)) > 0.0
         self.notes.info(path, f"transmission is drawn as {'a thin pane' if thin else 'a solid that refracts'}")
         return share, _clear(ior, roughness, tint, thin=thin)
 
@@ -383,10 +403,15 @@ class _Names:
 
     Attributes:
         of: name of each input; '' where there is no such input.  Empty for a preview surface itself.
-        weights: input by which another one is multiplied, and its default.
-        color, roughness, coat_roughness: defaults.
+        weights: inputs by which another one is multiplied, and their defaults.
+        switches: input without which another one does not count.
+        inverted: inputs that are 1 less what is meant.
+        color, roughness, metallic, coat_roughness, cutoff: defaults.
         tints: input by whose colour another constant is multiplied.
         glow: default of the emitted colour.
+        in_lux: input that is 0 where light is told as luminous exitance, not in nits; '' for always nits.
+        masks: input that is 1 where opacity counts by its threshold alone; '' where the threshold says so itself.
+        clear_roughness: of its glass, where that is not the surface's.
         specular: weight of the reflection at which the index of refraction alone says.
         below: default of the subsurface colour.
         left_out: inputs that are noted where they are not 0.
@@ -395,12 +420,19 @@ class _Names:
     """
 
     of: Mapping[str, str]
-    weights: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    weights: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    switches: Mapping[str, str] = field(default_factory=dict)
+    inverted: frozenset[str] = frozenset()
     color: tuple[float, float, float] = GREY
     roughness: float = 0.5
+    metallic: float = 0.0
+    cutoff: float = 0.0
     coat_roughness: float = 0.01
     tints: Mapping[str, str] = field(default_factory=dict)
     glow: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    in_lux: str = ""
+    masks: str = ""
+    clear_roughness: float | None = None
     specular: float = 1.0
     below: tuple[float, float, float] = (1.0, 1.0, 1.0)
     left_out: tuple[str, ...] = ()
@@ -432,7 +464,7 @@ _STANDARD_SURFACE = _Names(  # Autodesk Standard Surface 1.0.1 in MaterialX 1.38
         "subsurface": "subsurface",
         "subsurfaceColor": "subsurface_color",
     },
-    weights={"diffuseColor": ("base", 1.0), "emissiveColor": ("emission", 0.0)},
+    weights={"diffuseColor": {"base": 1.0}, "emissiveColor": {"emission": 0.0}},
     color=(0.8, 0.8, 0.8),
     roughness=0.2,
     coat_roughness=0.1,
@@ -466,7 +498,7 @@ _OPEN_PBR = _Names(  # OpenPBR Surface 1.1; emission_luminance is in nits
         "subsurface": "subsurface_weight",
         "subsurfaceColor": "subsurface_color",
     },
-    weights={"diffuseColor": ("base_weight", 1.0), "emissiveColor": ("emission_luminance", 0.0)},
+    weights={"diffuseColor": {"base_weight": 1.0}, "emissiveColor": {"emission_luminance": 0.0}},
     color=(0.8, 0.8, 0.8),
     roughness=0.3,
     coat_roughness=0.0,
@@ -492,15 +524,121 @@ _OMNI_PBR = _Names(  # OmniPBR.mdl
         "normal": "normalmap_texture",
         "specularWeight": "specular_level",
     },
-    weights={"emissiveColor": ("emissive_intensity", 40.0)},
+    weights={"emissiveColor": {"emissive_intensity": 40.0}},
+    switches={"opacity": "enable_opacity", "emissiveColor": "enable_emission"},
     color=(0.2, 0.2, 0.2),
     tints={"diffuseColor": "diffuse_tint"},
     glow=(1.0, 0.1, 0.1),
     specular=0.5,  # of a reflectivity of 8 percent
     omni=True,
 )
-_SWITCHES = {"opacity": "enable_opacity", "emissiveColor": "enable_emission"}
-"""OmniPBR's inputs that count only where a switch is on."""
+_GLTF_PBR = _Names(  # glTF 2.0 and its KHR_materials extensions, as MaterialX 1.39's gltf_pbr has them
+    {
+        "diffuseColor": "base_color",
+        "roughness": "roughness",
+        "metallic": "metallic",
+        "ior": "ior",
+        "emissiveColor": "emissive",
+        "opacity": "alpha",
+        "opacityThreshold": "alpha_cutoff",
+        "clearcoat": "clearcoat",
+        "clearcoatRoughness": "clearcoat_roughness",
+        "normal": "normal",
+        "specularWeight": "specular",
+        "specularTint": "specular_color",
+        "transmission": "transmission",
+        "transmissionColor": "base_color",
+        "thickness": "thickness",
+    },
+    weights={"emissiveColor": {"emissive_strength": 1.0}},
+    switches={"opacity": "alpha_mode"},
+    color=(1.0, 1.0, 1.0),
+    roughness=1.0,
+    metallic=1.0,
+    cutoff=0.5,
+    coat_roughness=0.0,
+    glow=(0.0, 0.0, 0.0),
+    masks="alpha_mode",
+    left_out=("iridescence", "sheen_color", "clearcoat_normal", "anisotropy_strength", "dispersion"),
+    white=("attenuation_color",),
+)
+_DISNEY = _Names(  # Disney's BSDF as MaterialX 1.39's disney_principled has it; its index is that of its glass alone
+    {
+        "diffuseColor": "baseColor",
+        "roughness": "roughness",
+        "metallic": "metallic",
+        "clearIor": "ior",
+        "clearcoat": "clearcoat",
+        "clearcoatRoughness": "clearcoatGloss",
+        "specularWeight": "specular",
+        "transmission": "specTrans",
+        "transmissionColor": "baseColor",
+        "subsurface": "subsurface",
+        "subsurfaceColor": "baseColor",
+    },
+    inverted=frozenset({"clearcoatRoughness"}),
+    color=(0.16, 0.16, 0.16),
+    coat_roughness=0.0,
+    specular=0.5,  # of a reflectivity of 8 percent
+    below=(0.16, 0.16, 0.16),
+    clear_roughness=0.0,
+    left_out=("anisotropic", "specularTint", "sheen"),
+)
+_MATERIALX = {
+    "ND_standard_surface": _STANDARD_SURFACE,
+    "ND_open_pbr": _OPEN_PBR,
+    "ND_gltf_pbr": _GLTF_PBR,
+    "ND_disney": _DISNEY,
+}
+"""How a shader's id begins."""
+
+_OMNI_SURFACES = ("OmniSurface", "OmniSurfaceBase", "OmniSurfaceLite", "OmniSurfaceLiteBase")
+_OMNI_SURFACE = _Names(  # OmniSurface.mdl and its kin
+    {
+        "diffuseColor": "diffuse_reflection_color",
+        "roughness": "specular_reflection_roughness",
+        "metallic": "metalness",
+        "ior": "specular_reflection_ior",
+        "emissiveColor": "emission_color",
+        "opacity": "geometry_opacity",
+        "opacityThreshold": "geometry_opacity_threshold",
+        "clearcoat": "coat_weight",
+        "clearcoatRoughness": "coat_roughness",
+        "normal": "geometry_normal",
+        "specularWeight": "specular_reflection_weight",
+        "specularTint": "specular_reflection_color",
+        "transmission": "specular_transmission_weight",
+        "transmissionColor": "specular_transmission_color",
+        "transmissionDepth": "specular_transmission_scattering_depth",
+        "thin": "thin_walled",
+        "subsurface": "subsurface_weight",
+        "subsurfaceColor": "subsurface_transmission_color",
+    },
+    weights={
+        "diffuseColor": {"diffuse_reflection_weight": 0.8},
+        "emissiveColor": {"emission_weight": 0.0, "emission_intensity": 1.0},
+    },
+    switches={
+        "opacity": "enable_opacity",
+        "transmission": "enable_specular_transmission",
+        "subsurface": "enable_diffuse_transmission",
+    },
+    color=(1.0, 1.0, 1.0),
+    roughness=0.2,
+    coat_roughness=0.1,
+    in_lux="emission_mode",
+    left_out=(
+        "diffuse_reflection_roughness",
+        "specular_reflection_anisotropy",
+        "specular_retro_reflection_weight",
+        "specular_transmission_dispersion_abbe",
+        "enable_thin_film",
+        "coat_affect_color",
+        "emission_use_temperature",
+        "geometry_displacement",
+    ),
+    white=("coat_color",),
+)
 
 READERS = ("UsdPrimvarReader", "ND_UsdPrimvarReader", "ND_geompropvalue")
 """How the shaders begin that give a primvar of the shape."""
@@ -522,22 +660,27 @@ class _ShaderInputs:
 
     def has(self, name: str) -> bool:
         """Whether the shader has such an input, and it is not switched off."""
-        if self.names.omni and name in _SWITCHES and not value_of(self.shader, _SWITCHES[name], self.time, False):
-            return False
-        return bool(self.names[name])
+        switch = self.names.switches.get(name)
+        return bool(self.names[name]) and (switch is None or bool(value_of(self.shader, switch, self.time, False)))
 
     def producer(self, name: str) -> Usd.Attribute | None:
         return producer(self.shader, self.names[name]) if self.has(name) else None
 
     def weight(self, name: str) -> float:
         """What an input is multiplied by."""
-        if name not in self.names.weights:
-            return 1.0
-        other, default = self.names.weights[name]
-        if producer(self.shader, other) is not None:
-            self.notes.warn(self.shader.GetPath(), f"a texture on {other} is not drawn; 1 is used")
-            return 1.0
-        return float(value_of(self.shader, other, self.time, default))
+        times = 1.0
+        for other, default in self.names.weights.get(name, {}).items():
+            if producer(self.shader, other) is not None:
+                self.notes.warn(self.shader.GetPath(), f"a texture on {other} is not drawn; 1 is used")
+            else:
+                times *= float(value_of(self.shader, other, self.time, default))
+        if name == "emissiveColor" and self.names.in_lux and self.mode(self.names.in_lux, ("emission_lx", 0)):
+            times /= np.pi  # of a surface that is equally bright from everywhere
+        return times
+
+    def mode(self, name: str, wanted: tuple[str, int]) -> bool:
+        """Whether a choice by word or number, 0 where nothing is authored, is this one."""
+        return str(value_of(self.shader, name, self.time, 0)) in (wanted[0], str(wanted[1]))
 
     def constant(self, name: str, default: Any) -> Any:
         if not self.has(name):
@@ -572,6 +715,13 @@ class _ShaderInputs:
         if node is not None and weight != 1.0:
             scale, bias = (tuple(c * weight for c in values[:3]) for values in (node.scale, node.bias))
             node = replace(node, scale=(*scale, node.scale[3]), bias=(*bias, node.bias[3]))
+        if node is not None and name in self.names.inverted:
+            node = replace(
+                node,
+                scale=tuple(-c for c in node.scale),
+                bias=tuple(1.0 - c for c in node.bias),
+                fallback=tuple(1.0 - c for c in node.fallback),
+            )
         return node
 
     def bitmap(self, pixels: Any, node: TextureNode, *, raw: bool) -> dict[str, Any]:
@@ -644,12 +794,13 @@ class _ShaderInputs:
             return min(max(fallback[0] if fallback is not None else 0.0, 0.0), 1.0)
         node = self.texture(name)
         if node is None:
-            value = (
-                default
-                if self.producer(name) is not None or not self.has(name)
-                else value_of(self.shader, self.names[name], self.time, default)
-            )
-            return min(max(float(np.mean(value)), 0.0), 1.0)
+            value = None
+            if self.producer(name) is None and self.has(name):
+                value = value_of(self.shader, self.names[name], self.time)
+            if value is None:
+                return default
+            given = float(np.mean(value))
+            return min(max(1.0 - given if name in self.names.inverted else given, 0.0), 1.0)
         value = sampled(node, self.images, channels=1)
         if isinstance(value, tuple):
             return min(max(value[0], 0.0), 1.0)
@@ -658,7 +809,11 @@ class _ShaderInputs:
     def opacity(self) -> Any:
         """Opacity as a number or bitmap, or None where the surface is opaque."""
         value = self.number("opacity", 1.0)
-        threshold = float(self.constant("opacityThreshold", 0.0))
+        threshold = float(self.constant("opacityThreshold", self.names.cutoff))
+        if self.names.masks and not self.mode(self.names.masks, ("MASK", 1)):
+            threshold = 0.0
+        elif self.names.masks and threshold <= 0.0:
+            return None
         if isinstance(value, dict):
             if threshold > 0.0:
                 value["bitmap"] = self.images.once(_cut, value["bitmap"], threshold)

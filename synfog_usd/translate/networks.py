@@ -15,7 +15,7 @@ from pxr import Gf, Sdf, Usd, UsdShade
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.nodes import MOST_PIXELS, Graph, UnknownNodeError
+from synfog_usd.translate.nodes import IMAGES, MOST_PIXELS, Graph, UnknownNodeError
 from synfog_usd.translate.texture import (
     RAW,
     ImageReader,
@@ -29,7 +29,6 @@ from synfog_usd.translate.texture import (
     value_of,
 )
 
-_IMAGES = ("ND_image_", "ND_tiledimage_")
 _ADDRESS = {"periodic": "repeat", "clamp": "clamp", "mirror": "mirror", "constant": "black"}
 _CHANNELS = {"outr": "r", "outx": "r", "outg": "g", "outy": "g", "outb": "b", "outz": "b", "outa": "a", "outw": "a"}
 _STEPS = 12
@@ -79,7 +78,7 @@ def fed_by(
 def _picture(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> TextureNode | None:
     if kind == "UsdUVTexture" or kind.startswith("ND_UsdUVTexture"):
         return texture_node(output, time, notes)
-    return _image(output, kind, time, notes) if kind.startswith(_IMAGES) else None
+    return _image(output, kind.removesuffix("_1_0"), time, notes) if kind.startswith(IMAGES) else None
 
 
 def _decoded(node: TextureNode, strength: Any) -> TextureNode:
@@ -154,7 +153,7 @@ def _passed_through(
 
 
 def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> TextureNode:
-    """A MaterialX image node."""
+    """A MaterialX image node; one of glTF's is multiplied by its factor, or holds normals."""
     shader = UsdShade.Shader(output.GetPrim())
     path, asset = str(shader.GetPath()), value_of(shader, "file", time)
     authored, file = getattr(asset, "path", "") or "", getattr(asset, "resolvedPath", "") or ""
@@ -164,7 +163,7 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnost
     fallback = value_of(shader, "default", time, 0.0)
     values = [float(c) for c in (fallback if hasattr(fallback, "__len__") else (fallback,) * 3)]
     single = kind.endswith("_float")
-    uv: UvSource | None = _coordinates(shader, time, notes, is_tiled=kind.startswith("ND_tiledimage"))
+    uv: UvSource | None = _coordinates(shader, kind, time, notes)
     tiles, file, uv = tiled(shader, authored, file, uv)
     if not file:
         notes.warn(path, f"texture {authored or '(no file)'} is not found; its default is used")
@@ -174,11 +173,11 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnost
     def address(name: str) -> str:
         return _ADDRESS[notes.token(path, name, value_of(shader, name, time, "periodic"), _ADDRESS, "periodic")]
 
-    return TextureNode(
+    made = TextureNode(
         path=path,
         file=file,
         authored=authored,
-        channel="r" if single else "rgb",
+        channel="r" if single else "a" if output.GetBaseName() == "outa" else "rgb",
         color_space="raw"
         if kind.endswith(("_float", "_vector2", "_vector3", "_vector4")) and space in ("", "auto")
         else _space(space),
@@ -191,6 +190,20 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnost
         uv=uv,
         tiles=tiles,
     )
+    if kind == "ND_gltf_normalmap_vector3":
+        return _decoded(made, 1.0)
+    return replace(made, scale=_factor(shader, time)) if kind.startswith("ND_gltf") else made
+
+
+def _factor(shader: UsdShade.Shader, time: Usd.TimeCode) -> tuple[float, ...]:
+    """(4,) by which one of glTF's images is multiplied."""
+    times = np.ones(4)
+    for name in ("factor", "color", "geomcolor"):
+        given = np.asarray(value_of(shader, name, time, 1.0), dtype=np.float64).reshape(-1)[:4]
+        times[: len(given)] *= given
+        if len(given) == 1:
+            times[1:3] *= given
+    return tuple(times.tolist())
 
 
 def _space(name: str) -> str:
@@ -199,10 +212,19 @@ def _space(name: str) -> str:
     return "sRGB" if "srgb" in name.lower() and not name.lower().startswith("lin") else "raw"
 
 
-def _coordinates(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Diagnostics, *, is_tiled: bool) -> UvSource:
+def _coordinates(shader: UsdShade.Shader, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> UvSource:
     """The primvar behind an image's texcoord, and the transforms by constants between."""
     matrix = np.eye(3)
-    if is_tiled:
+    if kind.startswith("ND_gltf"):  # KHR_texture_transform, from the upper left corner
+        stretch, shift = _pair(shader, "scale", time, 1.0), _pair(shader, "offset", time, 0.0)
+        matrix = _placed(
+            _pair(shader, "pivot", time, (0.0, 1.0)),
+            stretch,
+            -float(value_of(shader, "rotate", time, 0.0)),
+            (-shift[0], shift[1]),
+            offset_first=bool(value_of(shader, "operationorder", time, 0)),
+        )
+    if kind.startswith("ND_tiledimage"):
         tiling, offset = value_of(shader, "uvtiling", time, (1.0, 1.0)), value_of(shader, "uvoffset", time, (0.0, 0.0))
         matrix = _affine((float(tiling[0]), float(tiling[1])), shift=(-float(offset[0]), -float(offset[1])))
     output, primvar = producer(shader, "texcoord"), "st"
@@ -239,21 +261,42 @@ def _affine(scale: tuple[float, float], *, shift: tuple[float, float] = (0.0, 0.
     return made
 
 
+def _placed(
+    pivot: tuple[float, float],
+    times: tuple[float, float],
+    degrees: float,
+    offset: tuple[float, float],
+    *,
+    offset_first: bool,
+) -> Array:
+    """(3, 3) that, about a pivot, multiplies, turns clockwise and takes an offset away, or does so the other way
+    round.
+    """
+    turn, scale = _affine((1.0, 1.0), degrees=degrees), _affine(times)
+    back, away = _affine((1.0, 1.0), shift=pivot), _affine((1.0, 1.0), shift=(-pivot[0], -pivot[1]))
+    less = _affine((1.0, 1.0), shift=(-offset[0], -offset[1]))
+    return back @ (scale @ turn @ less if offset_first else less @ turn @ scale) @ away
+
+
+def _pair(
+    node: UsdShade.Shader, name: str, time: Usd.TimeCode, default: float | tuple[float, float]
+) -> tuple[float, float]:
+    """Two numbers of an input; one stands for both."""
+    value = value_of(node, name, time, default)
+    return (float(value[0]), float(value[1])) if hasattr(value, "__len__") else (float(value), float(value))
+
+
 def _step(node: UsdShade.Shader, kind: str, time: Usd.TimeCode) -> tuple[Array | None, str]:
     """What a node does to texture coordinates, and the input that they come by; None where it is not known."""
-
-    def pair(name: str, default: float) -> tuple[float, float]:
-        value = value_of(node, name, time, default)
-        return (float(value[0]), float(value[1])) if hasattr(value, "__len__") else (float(value), float(value))
-
-    if kind.startswith("ND_place2d"):  # MaterialX: about the pivot, divided by the scale, turned, less the offset
-        (px, py), (sx, sy), (ox, oy) = pair("pivot", 0.0), pair("scale", 1.0), pair("offset", 0.0)
-        turn = _affine((1.0, 1.0), degrees=float(value_of(node, "rotate", time, 0.0)))
-        scale = _affine((1.0 / sx if sx else 0.0, 1.0 / sy if sy else 0.0))
-        back, away = _affine((1.0, 1.0), shift=(px, py)), _affine((1.0, 1.0), shift=(-px, -py))
-        less = _affine((1.0, 1.0), shift=(-ox, -oy))
-        inner = scale @ turn @ less if int(value_of(node, "operationorder", time, 0)) else less @ turn @ scale
-        return back @ inner @ away, "texcoord"
+    if kind.startswith("ND_place2d"):  # MaterialX divides by the scale
+        sx, sy = _pair(node, "scale", time, 1.0)
+        return _placed(
+            _pair(node, "pivot", time, 0.0),
+            (1.0 / sx if sx else 0.0, 1.0 / sy if sy else 0.0),
+            float(value_of(node, "rotate", time, 0.0)),
+            _pair(node, "offset", time, 0.0),
+            offset_first=bool(value_of(node, "operationorder", time, 0)),
+        ), "texcoord"
     if kind.startswith("ND_rotate2d"):
         return _affine((1.0, 1.0), degrees=float(value_of(node, "amount", time, 0.0))), "in"
     category = kind.removeprefix("ND_").split("_")[0]
@@ -264,7 +307,7 @@ def _step(node: UsdShade.Shader, kind: str, time: Usd.TimeCode) -> tuple[Array |
         other = "in2" if first == "in1" else "in1"
         if producer(node, other) is not None:
             return None, ""
-        x, y = pair(other, 1.0 if category in ("multiply", "divide") else 0.0)
+        x, y = _pair(node, other, time, 1.0 if category in ("multiply", "divide") else 0.0)
         if category == "multiply":
             return _affine((x, y)), first
         if category == "divide":

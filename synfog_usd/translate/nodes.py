@@ -22,6 +22,9 @@ MOST_NODES = 2000
 MOST_PIXELS = 1 << 24
 """Pixels of a picture that nodes change; larger ones are halved."""
 
+IMAGES = ("ND_image_", "ND_tiledimage_", "ND_gltf_image_", "ND_gltf_colorimage", "ND_gltf_normalmap")
+"""How MaterialX's nodes begin that are pictures."""
+
 ImageOf = Callable[[Usd.Attribute, str], TextureNode | None]
 
 
@@ -93,7 +96,7 @@ class Graph:
     @staticmethod
     def is_image(kind: str) -> bool:
         """Whether a node is a picture, whose own inputs are no colours."""
-        return kind.startswith(("ND_image_", "ND_tiledimage_", "UsdUVTexture", "ND_UsdUVTexture"))
+        return kind.startswith((*IMAGES, "UsdUVTexture", "ND_UsdUVTexture"))
 
     def reads(self, shader: UsdShade.Shader, kind: str) -> list[str]:
         """Names of the inputs whose values a node needs."""

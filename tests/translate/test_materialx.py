@@ -175,6 +175,34 @@ def test_a_file_draws_as_the_same_preview_surface(tmp_path):
     np.testing.assert_equal(shape, same_shape)
 
 
+def test_a_gltf_surface_in_a_file_takes_both_outputs_of_its_picture(tmp_path):
+    """As converters from glTF write it: colour by outcolor, alpha by outa."""
+    write(tmp_path / "look/a.png", CODES)
+    scene, _, bsdf = drawn(
+        open_stage(
+            placed(
+                tmp_path,
+                """<materialx version="1.39" colorspace="lin_rec709">
+                <gltf_colorimage name="i" type="multioutput">
+                  <input name="file" type="filename" value="a.png" colorspace="srgb_texture"/>
+                  <input name="color" type="color4" value="1, 1, 1, 0.25"/>
+                </gltf_colorimage>
+                <gltf_pbr name="shine" type="surfaceshader">
+                  <input name="base_color" type="color3" nodename="i" output="outcolor"/>
+                  <input name="alpha" type="float" nodename="i" output="outa"/>
+                  <input name="alpha_mode" type="integer" value="2"/>
+                </gltf_pbr>
+                <surfacematerial name="Car" type="material">
+                  <input name="surfaceshader" type="surfaceshader" nodename="shine"/>
+                </surfacematerial></materialx>""",
+            )
+        )
+    )
+    assert (told(scene), bsdf["type"]) == ([], "mask")
+    np.testing.assert_allclose(bsdf["opacity"]["bitmap"], np.full((4, 4, 1), 0.25))
+    np.testing.assert_allclose(bsdf["bsdf"]["bsdf"]["base_color"]["bitmap"], linear(CODES), rtol=1e-5)
+
+
 def test_colours_of_other_spaces_are_made_linear_rec709(tmp_path):
     """ACEScg white is white, and its red by colour-science's matrix; sRGB constants are decoded."""
     colour = pytest.importorskip("colour")

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import OpenImageIO
 import pytest
-from pxr import Sdf, UsdGeom, UsdShade
+from pxr import Sdf, UsdGeom, UsdLux, UsdShade
 
+from synfog_usd.render.shot import render
 from synfog_usd.translate import translate
 
 TYPES = Sdf.ValueTypeNames
@@ -16,7 +17,9 @@ CODES = np.random.default_rng(6).integers(20, 236, (4, 4, 3), dtype=np.uint8)
 
 def write(path, pixels):
     out = OpenImageIO.ImageOutput.create(str(path))
-    out.open(str(path), OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(pixels.dtype)))
+    spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(pixels.dtype))
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    out.open(str(path), spec)
     out.write_image(pixels)
     out.close()
 
@@ -182,6 +185,299 @@ def test_tiled_images_repeat(quad, tmp_path):
     shader("Surface", "ND_standard_surface_surfaceshader", "mtlx", base_color=(TYPES.Color3f, picture))
     _, shape, _ = drawn(stage)
     np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]] * [3, 2] - [0.5, 0.25], atol=1e-6)
+
+
+def reflectivity(eta):
+    """Fresnel's, straight on."""
+    return ((eta - 1) / (eta + 1)) ** 2
+
+
+def gltf(shader, **inputs):
+    """A glTF surface with numbers, colours and shader outputs."""
+    kind = {float: TYPES.Float, int: TYPES.Int, tuple: TYPES.Color3f, UsdShade.Output: TYPES.Color3f}
+    given = {name: (kind[type(value)], value) for name, value in inputs.items()}
+    return shader("Surface", "ND_gltf_pbr_surfaceshader", "mtlx", **given)
+
+
+def test_a_gltf_surface_is_drawn_by_its_inputs(quad):
+    """glTF 2.0, appendix B, and KHR_materials_ior, _specular, _clearcoat and _emissive_strength: the reflectivity is
+    specular ((ior - 1) / (ior + 1))^2, and light is in nits.
+    """
+    stage, shader = quad
+    gltf(
+        shader,
+        base_color=(0.8, 0.4, 0.2),
+        metallic=0.25,
+        roughness=0.3,
+        ior=1.33,
+        specular=0.5,
+        clearcoat=0.6,
+        clearcoat_roughness=0.2,
+        emissive=(1.0, 0.5, 0.25),
+        emissive_strength=4.0,
+        occlusion=0.1,
+        sheen_color=(0.0, 0.0, 0.0),
+    )
+    scene, shape, bsdf = drawn(stage)
+    inner = bsdf["bsdf"]
+    np.testing.assert_allclose(inner["base_color"]["value"], [0.8, 0.4, 0.2], rtol=1e-6)
+    np.testing.assert_allclose(
+        [inner[name] for name in ("metallic", "roughness", "clearcoat", "clearcoat_roughness")], [0.25, 0.3, 0.6, 0.2]
+    )
+    assert reflectivity(inner["eta"]) == pytest.approx(0.5 * reflectivity(1.33))
+    assert shape["emitter"]["radiance"]["value"] == [4.0, 2.0, 1.0]
+    assert [note.text for note in scene.notes if note.severity == "warning"] == []
+
+
+def test_an_unauthored_gltf_surface_is_rough_white_metal(quad):
+    """glTF 2.0: baseColorFactor 1, metallicFactor 1, roughnessFactor 1, OPAQUE, no light."""
+    stage, shader = quad
+    gltf(shader)
+    _, shape, bsdf = drawn(stage)
+    inner = bsdf["bsdf"]
+    assert (bsdf["type"], inner["base_color"]["value"]) == ("twosided", [1.0, 1.0, 1.0])
+    assert (inner["metallic"], inner["roughness"], "emitter" in shape) == (1.0, 1.0, False)
+
+
+@pytest.mark.parametrize(
+    "mode, alpha, more, seen",
+    [
+        (0, 0.3, {}, 1.0),
+        (1, 0.3, {}, 0.0),
+        (1, 0.5, {}, 1.0),
+        (1, 0.3, {"alpha_cutoff": 0.2}, 1.0),
+        (1, 0.0, {"alpha_cutoff": 0.0}, 1.0),
+        (2, 0.3, {"alpha_cutoff": 0.9}, 0.3),
+    ],
+)
+def test_alpha_counts_as_gltfs_mode_says(quad, mode, alpha, more, seen):
+    """OPAQUE leaves it, MASK draws where it is at least the cutoff, 0.5 by default, BLEND takes it."""
+    stage, shader = quad
+    gltf(shader, alpha=alpha, alpha_mode=mode, **more)
+    bsdf = drawn(stage)[2]
+    assert bsdf.get("opacity", 1.0) == pytest.approx(seen)
+
+
+def test_a_gltf_picture_is_placed_multiplied_and_cut_out(quad, tmp_path):
+    """gltf_colorimage: its colour times colour, its alpha times alpha against the cutoff; coordinates by
+    KHR_texture_transform, whose v runs down: scaled, turned against the clock about the upper left corner, and moved.
+    """
+    stage, shader = quad
+    pixels = np.concatenate([CODES, np.linspace(0, 255, 16).reshape(4, 4, 1).astype(np.uint8)], axis=2)
+    write(tmp_path / "a.png", pixels)
+    made = shader(
+        "Picture",
+        "ND_gltf_colorimage",
+        file=(TYPES.Asset, str(tmp_path / "a.png")),
+        color=(TYPES.Color4f, (0.5, 1.0, 1.0, 0.5)),
+        scale=(TYPES.Float2, (2.0, 3.0)),
+        rotate=(TYPES.Float, 30.0),
+        offset=(TYPES.Float2, (0.25, 0.125)),
+    )
+    made.GetInput("file").GetAttr().SetColorSpace("srgb_texture")
+    gltf(
+        shader,
+        base_color=made.CreateOutput("outcolor", TYPES.Color3f),
+        alpha=made.CreateOutput("outa", TYPES.Float),
+        alpha_mode=1,
+        alpha_cutoff=0.2,
+    )
+    _, shape, bsdf = drawn(stage)
+    np.testing.assert_array_equal(bsdf["opacity"]["bitmap"][..., 0], 0.5 * pixels[..., 3] / 255 >= 0.2)
+    np.testing.assert_allclose(bsdf["bsdf"]["bsdf"]["base_color"]["bitmap"], linear(CODES) * [0.5, 1.0, 1.0], rtol=1e-5)
+    c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
+    u, v = shape["positions"][:, 0], 1 - shape["positions"][:, 2]
+    moved = np.stack([c * 2 * u + s * 3 * v + 0.25, -s * 2 * u + c * 3 * v + 0.125], axis=1)
+    np.testing.assert_allclose(shape["texcoords"], moved * [1, -1] + [0, 1], atol=1e-5)
+
+
+def test_a_gltf_normal_map_is_decoded(quad, tmp_path):
+    """Codes of [0, 255] stay as they are: the renderer decodes 2 c - 1."""
+    stage, shader = quad
+    write(tmp_path / "n.png", CODES)
+    made = shader("Picture", "ND_gltf_normalmap_vector3_1_0", file=(TYPES.Asset, str(tmp_path / "n.png")))
+    gltf(shader, normal=made.CreateOutput("out", TYPES.Float3))
+    scene, _, bsdf = drawn(stage)
+    np.testing.assert_allclose(bsdf["bsdf"]["normalmap"]["bitmap"], CODES / 255, rtol=1e-6)
+    assert [note.text for note in scene.notes if note.severity == "warning"] == []
+
+
+@pytest.mark.parametrize("thickness, kind", [(0.0, "thindielectric"), (0.5, "dielectric")])
+def test_gltf_glass_is_thin_unless_it_has_a_volume(quad, thickness, kind):
+    """KHR_materials_transmission and _volume; what passes has the base colour."""
+    stage, shader = quad
+    gltf(
+        shader, base_color=(0.5, 1.0, 1.0), metallic=0.0, roughness=0.0, transmission=0.75, ior=1.4, thickness=thickness
+    )
+    bsdf = drawn(stage)[2]
+    assert (bsdf["type"], bsdf["weight"], bsdf["bsdf_1"]["type"]) == ("blendbsdf", 0.75, kind)
+    assert bsdf["bsdf_1"]["int_ior"] == pytest.approx(1.4)
+    assert bsdf["bsdf_1"]["specular_transmittance"]["value"] == [0.5, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    "inputs, text",
+    [
+        ({"sheen_color": (0.0, 0.1, 0.0)}, "sheen_color is not drawn"),
+        ({"iridescence": 0.5}, "iridescence is not drawn"),
+        ({"attenuation_color": (1.0, 0.5, 1.0)}, "attenuation_color is drawn as white"),
+    ],
+)
+def test_what_is_left_out_of_gltf_is_told(quad, inputs, text):
+    stage, shader = quad
+    gltf(shader, **inputs)
+    assert [note.text for note in drawn(stage)[0].notes if note.severity == "warning"] == [text]
+
+
+@pytest.mark.parametrize("kind", ["ND_disney_principled", "ND_disney_bsdf_2012_surface"])
+def test_a_disney_surface_is_drawn_by_its_inputs(quad, tmp_path, kind):
+    """MaterialX's disney_principled: a reflectivity of 8 percent times specular, whatever the index, which is that of
+    smooth glass alone; the coat's roughness is 1 less its gloss.
+    """
+    stage, shader = quad
+    write(tmp_path / "a.png", CODES)
+    shader(
+        "Surface",
+        kind,
+        "mtlx",
+        baseColor=(TYPES.Color3f, (0.8, 0.4, 0.2)),
+        metallic=(TYPES.Float, 0.25),
+        roughness=(TYPES.Float, 0.3),
+        specular=(TYPES.Float, 0.75),
+        ior=(TYPES.Float, 1.2),
+        clearcoat=(TYPES.Float, 0.5),
+        clearcoatGloss=(TYPES.Float, image(shader, "Picture", tmp_path / "a.png", kind="ND_image_float", space="")),
+        specTrans=(TYPES.Float, 0.5),
+        sheen=(TYPES.Float, 0.1),
+    )
+    scene, _, bsdf = drawn(stage)
+    inner = bsdf["bsdf_0"]["bsdf"]
+    np.testing.assert_allclose(inner["base_color"]["value"], [0.8, 0.4, 0.2], rtol=1e-6)
+    np.testing.assert_allclose([inner[name] for name in ("metallic", "roughness", "clearcoat")], [0.25, 0.3, 0.5])
+    np.testing.assert_allclose(
+        inner["clearcoat_roughness"]["bitmap"][..., 0], 1 - CODES[..., 0] / 255, rtol=1e-5, atol=1e-6
+    )
+    assert reflectivity(inner["eta"]) == pytest.approx(0.06)
+    assert (bsdf["bsdf_1"]["type"], bsdf["weight"]) == ("dielectric", pytest.approx(0.5 * 0.75))
+    assert bsdf["bsdf_1"]["int_ior"] == pytest.approx(1.2)
+    assert [note.text for note in scene.notes if note.severity == "warning"] == ["sheen is not drawn"]
+
+
+def test_an_unauthored_disney_surface_takes_its_own_defaults(quad):
+    stage, shader = quad
+    shader("Surface", "ND_disney_principled", "mtlx", clearcoat=(TYPES.Float, 1.0))
+    inner = drawn(stage)[2]["bsdf"]
+    np.testing.assert_allclose(inner["base_color"]["value"], 0.16)
+    assert (inner["roughness"], inner["clearcoat_roughness"]) == (0.5, 0.0)
+    assert reflectivity(inner["eta"]) == pytest.approx(0.04)
+
+
+def test_a_preview_surface_in_materialx_is_a_preview_surface(quad):
+    """ND_UsdPreviewSurface_surfaceshader has the inputs and defaults of UsdPreviewSurface."""
+    stage, shader = quad
+    inputs = {
+        "diffuseColor": (TYPES.Color3f, (0.1, 0.2, 0.3)),
+        "metallic": (TYPES.Float, 0.25),
+        "ior": (TYPES.Float, 1.4),
+        "clearcoat": (TYPES.Float, 0.5),
+        "opacity": (TYPES.Float, 0.5),
+        "opacityThreshold": (TYPES.Float, 0.25),
+        "emissiveColor": (TYPES.Color3f, (1, 2, 3)),
+    }
+    shader("Surface", "ND_UsdPreviewSurface_surfaceshader", "mtlx", **inputs)
+    _, shape, bsdf = drawn(stage)
+    shader("Plain", "UsdPreviewSurface", "universal", **inputs)
+    _, same_shape, same = drawn(stage)
+    np.testing.assert_equal((shape, bsdf), (same_shape, same))
+    assert bsdf["type"] == "twosided" and bsdf["bsdf"]["metallic"] == 0.25
+
+
+def omni_surface(shader, kind="OmniSurface", **inputs):
+    made = shader("Surface", "", "mdl", **inputs)
+    made.GetPrim().CreateAttribute("info:mdl:sourceAsset", TYPES.Asset).Set("OmniSurface.mdl")
+    made.GetPrim().CreateAttribute("info:mdl:sourceAsset:subIdentifier", TYPES.Token).Set(kind)
+
+
+@pytest.mark.parametrize("kind", ["OmniSurface", "OmniSurfaceBase", "OmniSurfaceLite", "OmniSurfaceLiteBase"])
+@pytest.mark.parametrize("mode, nits", [(None, 20 / math.pi), (0, 20 / math.pi), ("emission_nt", 20.0), (1, 20.0)])
+def test_omnisurface_is_drawn_by_its_constants(quad, kind, mode, nits):
+    """Weights times colours; light in lux is pi times its nits; switches without which transmission and opacity do not
+    count; a preset of the index and pictures are told.
+    """
+    stage, shader = quad
+    chosen = {} if mode is None else {"emission_mode": (TYPES.Token if isinstance(mode, str) else TYPES.Int, mode)}
+    omni_surface(
+        shader,
+        kind,
+        diffuse_reflection_weight=(TYPES.Float, 0.5),
+        diffuse_reflection_color=(TYPES.Color3f, (0.8, 0.4, 0.2)),
+        metalness=(TYPES.Float, 0.25),
+        specular_reflection_roughness=(TYPES.Float, 0.3),
+        specular_reflection_ior=(TYPES.Float, 1.4),
+        specular_reflection_ior_preset=(TYPES.Int, 99),
+        coat_weight=(TYPES.Float, 0.6),
+        emission_weight=(TYPES.Float, 0.5),
+        emission_intensity=(TYPES.Float, 40.0),
+        emission_color=(TYPES.Color3f, (1.0, 0.5, 0.25)),
+        specular_transmission_weight=(TYPES.Float, 1.0),
+        geometry_opacity=(TYPES.Float, 0.3),
+        geometry_normal=(TYPES.Float3, (0, 0, 0)),
+        **chosen,
+    )
+    scene, shape, bsdf = drawn(stage)
+    inner = bsdf["bsdf"]
+    assert bsdf["type"] == "twosided"
+    np.testing.assert_allclose(inner["base_color"]["value"], [0.4, 0.2, 0.1], rtol=1e-6)
+    names = ("metallic", "roughness", "eta", "clearcoat", "clearcoat_roughness")
+    np.testing.assert_allclose([inner[name] for name in names], [0.25, 0.3, 1.4, 0.6, 0.1])
+    np.testing.assert_allclose(shape["emitter"]["radiance"]["value"], np.array([1, 0.5, 0.25]) * nits, rtol=1e-6)
+    assert [note.text for note in scene.notes if note.severity == "warning"] == []
+
+
+def test_omnisurface_is_glass_and_cut_out_where_it_is_switched_on(quad, tmp_path):
+    stage, shader = quad
+    write(tmp_path / "a.png", CODES)
+    omni_surface(
+        shader,
+        enable_specular_transmission=(TYPES.Bool, True),
+        specular_transmission_weight=(TYPES.Float, 1.0),
+        specular_reflection_roughness=(TYPES.Float, 0.4),
+        specular_reflection_ior_preset=(TYPES.Int, 3),
+        enable_opacity=(TYPES.Bool, True),
+        geometry_opacity=(TYPES.Float, 0.3),
+        diffuse_reflection_color_image=(TYPES.Asset, str(tmp_path / "a.png")),
+    )
+    scene, _, bsdf = drawn(stage)
+    assert (bsdf["type"], bsdf["opacity"], bsdf["bsdf"]["type"]) == ("mask", pytest.approx(0.3), "roughdielectric")
+    assert bsdf["bsdf"]["alpha"] == pytest.approx(0.16)
+    assert {note.text for note in scene.notes if note.severity == "warning"} == {
+        "diffuse_reflection_color_image of OmniSurface is not drawn; its constant is",
+        "specular_reflection_ior_preset is not drawn; its specular_reflection_ior is",
+    }
+
+
+@pytest.mark.parametrize(
+    "kind, color", [("ND_gltf_pbr_surfaceshader", "base_color"), ("ND_disney_principled", "baseColor")]
+)
+def test_a_matte_surface_reflects_its_colour_in_the_picture(quad, kind, color):
+    """Under a sky of 100 nits everywhere, a surface that only scatters is as bright as its colour times that."""
+    stage, shader = quad
+    shader(
+        "Surface",
+        kind,
+        "mtlx",
+        metallic=(TYPES.Float, 0.0),
+        specular=(TYPES.Float, 0.0),
+        **{color: (TYPES.Color3f, (0.8, 0.4, 0.2))},
+    )
+    UsdLux.DomeLight.Define(stage, "/Sky").CreateIntensityAttr(100.0)
+    camera = UsdGeom.Camera(stage.GetPrimAtPath("/Camera"))
+    camera.CreateFocalLengthAttr(1000.0)  # a degree about the middle of the quad's lower edge ...
+    camera.CreateVerticalApertureOffsetAttr(100.0)  # ... and half a metre above it
+    camera.CreateHorizontalApertureOffsetAttr(100.0)
+    scene = translate(stage, resolution=(4, 4))
+    seen = render(scene, samples=256).radiance.pixels  # a standard error of 0.1 percent
+    np.testing.assert_allclose(seen.mean(axis=(0, 1)), [80.0, 40.0, 20.0], rtol=0.005)
 
 
 def omni(shader, **inputs):
