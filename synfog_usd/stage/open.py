@@ -72,11 +72,9 @@ def open_stage(
     if path.suffix.lower() not in LAYERS:
         raise StageError(f"{path}: not a USD file by its name; it ends in one of {', '.join(LAYERS)}")
     fence = Fence.around(path, allow)
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # what cannot be read is told as errors and notes, not by USD
     try:
         held = read_layers(path, fence)
-        quiet = (
-            UsdUtils.CoalescingDiagnosticDelegate()
-        )  # what cannot be put together is told as notes, not on the terminal
         stage = _masked(path, list(mask)) if mask else Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
         del held, quiet
     except (Tf.ErrorException, UnicodeDecodeError) as problem:

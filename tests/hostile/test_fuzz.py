@@ -187,6 +187,20 @@ def test_a_name_that_is_not_utf_8_is_one_line(tmp_path):
         open_stage(path)
 
 
+def test_a_prim_whose_name_is_not_utf_8_is_told_by_us_alone(tmp_path, capfd):
+    """In a binary file: the USD library would warn of it on the terminal, byte by byte, which the test below found."""
+    path = tmp_path / "broken.usdc"
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString('#usda 1.0\ndef Xform "QuickFox"\n{\n    def Cube "Box"\n    {\n    }\n}\n')
+    layer.Export(str(path))
+    whole = path.read_bytes()
+    assert whole.count(b"QuickFox") == 1
+    path.write_bytes(whole.replace(b"QuickFox", b"Quick\xdcox"))
+    with pytest.raises(SynfogError, match="cannot be read as USD"):
+        open_stage(path)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_long_list_of_faults_is_a_short_line():
     """USD tells every damaged spec of a layer in one sentence."""
 
