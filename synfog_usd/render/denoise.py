@@ -45,6 +45,20 @@ AIRLIGHT = "airlight"
 NOISELESS = (DIRECT,)
 """Components that are added as they are."""
 
+LIT_NEARBY_PX = 2
+"""For `LIT` what `dualbuffer.NEARBY_PX` is for the others: it is light of images of lamps in paint and glass, each a
+pixel or two wide, which a denoiser takes for outliers, and has little noise elsewhere.
+"""
+
+LIT_MOST_GIVEN = 4.0
+"""The same for `dualbuffer.MOST_GIVEN`.
+
+Crossing at dusk, clear, 192x108, five seeds, `LIT` denoised with the surfaces' other light, and apart with these:
+bias of blocks of 32 x 32 px 2.4 and 1.1 % (of 32 samples), 2.0 and 1.8 % (4); error of the median pixel 7.5 and 6.5,
+15.8 and 14.0 %; RMS error 23.8 and 25.6, 60.7 and 62.7 %, without the worst hundredth 16.0 and 15.7, 32.4 and 31.3 %.
+With 10 instead 32 samples have a bias of 0.55 % and an RMS error of 28.7 %, with 2 they have 2.1 and 22.9 %.
+"""
+
 FAINT_SURFACE = 0.02
 """Transmittance below which the surface AOV is divided by this instead.
 
@@ -147,7 +161,8 @@ def denoise_halves(
     """Clean a picture from two independent halves of its samples, and tell what is left.
 
     Args:
-        halves: component -> what makes its (2, H, W, C), see `denoise`; they are made one after the other.
+        halves: component -> what makes its (2, H, W, C), see `denoise`; they are made one after the other.  `LIT` is
+            part of `SURFACE` in the result.
         weights: (C,) of the channels in luminance.
         quick: with Open Image Denoise's smaller networks, see `FEW`.
         progress: told after each component.
@@ -156,7 +171,7 @@ def denoise_halves(
         DenoiserError: Open Image Denoise fails.
     """
     weights = np.asarray(weights, dtype=np.float32)
-    components = {}
+    components = dict[str, FloatArray]()
     noisy = done = np.zeros((HALVES, *guides.transmittance.shape), dtype=np.float32)
     for index, (name, make) in enumerate(halves.items()):
         progress("denoising", index / len(halves))
@@ -165,9 +180,11 @@ def denoise_halves(
             cleaned = np.empty_like(pair)
             for half, noisy_half in enumerate(pair):
                 cleaned[half] = denoise({name: noisy_half}, guides, quick=quick)[name]
-            finished = dualbuffer.towards_truth(pair, cleaned, weights)
+            nearby = (LIT_NEARBY_PX, LIT_MOST_GIVEN) if name == LIT else (dualbuffer.NEARBY_PX, dualbuffer.MOST_GIVEN)
+            finished = dualbuffer.towards_truth(pair, cleaned, weights, *nearby)
         noisy, done = noisy + pair @ weights, done + finished @ weights
-        components[name] = finished.mean(axis=0)
+        part = SURFACE if name == LIT else name
+        components[part] = components.get(part, np.float32(0.0)) + finished.mean(axis=0)
     return Denoised(components, dualbuffer.error_of(noisy, done))
 
 
@@ -175,7 +192,7 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: b
     """Clean the components of a foggy image.
 
     Args:
-        components: name -> (H, W, C) linear light as it arrives, any unit.  `SURFACE` is that of the surfaces, T *
+        components: name -> (H, W, C) linear light as it arrives, any unit.  `SURFACE` and `LIT` are the surfaces', T *
             L_surface, those of `NOISELESS` stay as they are, and each other is light scattered in the fog.  What is
             below 0 (noise of a control variate) counts as 0.
         guides: see `guides`.  The transmittance of the pixel's centre is no substitute for theirs: at an edge
@@ -217,7 +234,10 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: b
         """A large frame fills memory: what the denoiser does not need is made anew after it."""
         if name in NOISELESS:
             return np.maximum(image, 0.0)
-        if name != SURFACE:  # guides that say that there is no edge: measured 2 to 15 % below no guides at all
+        if name not in (
+            SURFACE,
+            LIT,
+        ):  # guides that say that there is no edge: measured 2 to 15 % below no guides at all
             hiding = np.maximum(1.0 - through, FAINT_AIR)
             evenly = _known(np.ones_like(albedo), np.zeros_like(normal))
             return hiding * _clean(image / hiding, evenly, network="fast" if quick else "high")

@@ -100,13 +100,20 @@ class Error:
     scatter: Array
 
 
-def towards_truth(noisy: Array, denoised: Array, weights: npt.ArrayLike) -> Array:
+def towards_truth(
+    noisy: Array,
+    denoised: Array,
+    weights: npt.ArrayLike,
+    nearby_px: int = NEARBY_PX,
+    most_given: float = MOST_GIVEN,
+) -> Array:
     """Give a denoised picture back what the samples know better.
 
     Args:
         noisy: (2, H, W, C) means of two independent halves of the samples.
         denoised: (2, H, W, C) each half denoised alone.
         weights: (C,) of the channels in luminance, by which all are judged together.
+        nearby_px, most_given: see the constants.
 
     Returns:
         (2, H, W, C) two halves whose mean is the picture; 0 at least.
@@ -119,17 +126,17 @@ def towards_truth(noisy: Array, denoised: Array, weights: npt.ArrayLike) -> Arra
     for scale in SCALES_PX:
         _correct(noisy, done, weights, floor, scale)
     for half in range(2):
-        done[half] *= _given(noisy[half] @ weights, done[half] @ weights, float(floor @ weights))
+        done[half] *= _given(noisy[half] @ weights, done[half] @ weights, float(floor @ weights), nearby_px, most_given)
     before, after = (picture.mean(axis=(0, 1, 2), dtype=np.float64) for picture in (noisy, done))
     done *= np.where(after > 0.0, np.clip(before / np.maximum(after, 1e-30), 0.5, 2.0), 1.0).astype(np.float32)
     return np.maximum(done, 0.0)
 
 
-def _given(noisy: Array, done: Array, floor: float) -> Array:
+def _given(noisy: Array, done: Array, floor: float, nearby_px: int, most: float) -> Array:
     """(H, W, 1) by what each pixel's light (H, W) is multiplied to have that of the samples nearby."""
-    step = NEARBY_PX // 2
-    there, kept = (_blurred(binned(light[..., None], step), NEARBY_PX / step) + floor for light in (noisy, done))
-    gain = np.clip(there / np.maximum(kept, 1e-30), 1.0 / MOST_GIVEN, MOST_GIVEN)
+    step = nearby_px // 2
+    there, kept = (_blurred(binned(light[..., None], step), nearby_px / step) + floor for light in (noisy, done))
+    gain = np.clip(there / np.maximum(kept, 1e-30), 1.0 / most, most)
     return spread(gain, step, done.shape)
 
 

@@ -283,23 +283,24 @@ class Accumulator:
             return sum(found)
         return None if ALL in self.estimators or name == DIRECT else np.zeros((self.pixels, len(self.weights)))
 
-    def halves(self, name: str) -> FloatArray:
-        """(2, P, C) mean of an AOV in each half, where they are kept apart."""
+    def halves(self, component: str) -> FloatArray:
+        """(2, P, C) mean of one of `component_halves` in each half, where they are kept apart."""
         halves = np.zeros((HALVES, self.pixels, len(self.weights)), dtype=np.float32)
-        for estimator in self.estimators.values():
-            if name in estimator.aovs:
-                halves += estimator.aovs[name] / np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
+        for name, estimator in self.estimators.items():
+            for aov, sums in estimator.aovs.items():
+                if component == (LIT if name == LIT else aov):
+                    halves += sums / np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
         return halves
 
     def component_halves(self, height: int, width: int) -> dict[str, Callable[[], FloatArray]]:
-        """What makes (2, H, W, C) of each of `COMPONENTS`, one by one, since a large frame's fill memory; empty where
-        halves are not kept apart.
+        """What makes (2, H, W, C) of each of `COMPONENTS`, and of `LIT` apart from the surfaces' other light; one by
+        one, since a large frame's fill memory; empty where halves are not kept apart.
         """
 
         def made(name: str) -> Callable[[], FloatArray]:
             return lambda: self.halves(name).reshape(HALVES, height, width, -1)
 
-        there = [name for name in COMPONENTS if name != DIRECT or name in self.estimators]
+        there = [name for name in (LIT, *COMPONENTS) if name not in (LIT, DIRECT) or name in self.estimators]
         return {} if ALL in self.estimators else {name: made(name) for name in there}
 
     @property
