@@ -12,6 +12,7 @@ from synfog_usd import resources
 from synfog_usd.camera import aberrations as aberration  # noqa: F401
 from synfog_usd.camera import blur, cleanup, demosaic, distortion, flare, flicker, hdr, isp, optics, sensor, specimen  # noqa: F401  (their ops register themselves)
 from synfog_usd.camera import fisheye as fisheyes
+from synfog_usd.camera import focus as focused  # noqa: F401
 from synfog_usd.camera import ghosts as ghost  # noqa: F401
 from synfog_usd.camera import wavefront as wavefronts  # noqa: F401
 from synfog_usd.camera import windscreen as windscreens  # noqa: F401

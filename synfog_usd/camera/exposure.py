@@ -40,7 +40,9 @@ HIGHLIGHT_PERCENTILE = 95.0
 DAY_HIGHLIGHT, NIGHT_HIGHLIGHT = 0.55, 0.07
 """Part of saturation that the percentile may reach: a day's sky, and a road under street lamps."""
 
-BLURS = ("optics.diffraction", "optics.wavefront", "optics.defocus", "optics.glare", "optics.flare", "optics.ghosts")
+BLURS = tuple(
+    f"optics.{name}" for name in ("diffraction", "wavefront", "defocus", "depth_of_field", "glare", "flare", "ghosts")
+)
 """Left out when metering: in a small copy they would spread a lamp over streets."""
 
 METER_WIDTH_PX = 320
@@ -277,7 +279,8 @@ def _steady(graph: NodeGraph, frame: Image) -> dict[str, Image]:
     the whole view.
     """
     dark = frame.with_pixels(np.zeros_like(frame.pixels))
-    return {name: dark if name.startswith(LIGHTGROUP) else frame for name in graph.inputs}
+    lit = [name for name, port in graph.inputs.items() if port.quantity is not Quantity.DATA]
+    return {name: dark if name.startswith(LIGHTGROUP) else frame for name in lit}
 
 
 def _sites(mosaic: Image) -> dict[str, npt.NDArray[np.float64]]:

@@ -114,7 +114,7 @@ def _blurred_planes(planes: list[FloatArray], blurs: Sequence[Blur], known: Floa
     """Channels, which are overwritten; `known` is the transfer of all at the cosines' frequencies, where it is one."""
     from scipy import fft
 
-    points = [_taken_out(plane) for plane in planes]
+    points = [taken_out(plane) for plane in planes]
     waves = [fft.dctn(plane, overwrite_x=True) for plane in planes]
     if known is None:
         _multiply_each(waves, [blur.transfer for blur in blurs])
@@ -125,11 +125,11 @@ def _blurred_planes(planes: list[FloatArray], blurs: Sequence[Blur], known: Floa
     found = [fft.idctn(plane, overwrite_x=True) for plane in waves]
     for plane, blur, (rows, columns, lights) in zip(found, blurs, points, strict=True):
         if rows.size:
-            add_spots(plane, *_mirrored(plane.shape, rows, columns, lights, blur.spot.shape[0] // 2), blur.spot)
+            add_spots(plane, *mirrored(plane.shape, rows, columns, lights, blur.spot.shape[0] // 2), blur.spot)
     return found
 
 
-def _taken_out(plane: FloatArray) -> Points:
+def taken_out(plane: FloatArray) -> Points:
     """Rows, columns and light of the points of light of a channel (H, W), which is cut, in place, where they begin."""
     limit = highlight_limit(plane)
     rows = np.flatnonzero(plane.max(axis=1) > limit)
@@ -198,7 +198,7 @@ def _low_waves(shape: tuple[int, ...], rows: Places, columns: Places, lights: Fl
     return np.asarray(fft.dct(waves, axis=0, overwrite_x=True)[:high])
 
 
-def _mirrored(
+def mirrored(
     shape: tuple[int, ...], rows: Places, columns: Places, lights: FloatArray, reach: int
 ) -> tuple[Places, Places, FloatArray]:
     """Points and their mirror images beyond the edges, as far as a spot of so many pixels reaches into the picture."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,12 @@ from synfog_usd.camera.profiles import LensProfile, SensorProfile, shipped
 from synfog_usd.errors import GraphError, OutputError
 from synfog_usd.graph import Cache, NodeGraph, drawing, reference
 from synfog_usd.graph.cache import default_folder
+from synfog_usd.graph.op import Port
 from synfog_usd.graph.schema import schema
 from synfog_usd.image import Image, Quantity
+
+DEPTH = "depth"
+"""Input, of data, that a bake's labels or the picture's own file can fill."""
 
 GREY_CD_M2 = 500.0
 """Radiance of the even picture on which `show --resolution` measures."""
@@ -38,7 +43,7 @@ def run(
     """Read the inputs, run, write the outputs, and print where they are and what each node took."""
     graph = _changed(camera.load_graph(pipeline), changes)
     wanted = _files(graph, until)
-    images = dict(_input(source, graph, repair, fov_x_deg) for source in sources)
+    images = _inputs(sources, graph, repair, fov_x_deg)
     exposure = (
         camera.meter(_viewed(_read(meter_on, repair), graph, fov_x_deg), graph)
         if meter_on
@@ -67,7 +72,7 @@ def show(
     on.
     """
     graph = _changed(camera.load_graph(pipeline), changes)
-    images = dict(_input(source, graph) for source in sources) or (_even(graph, size) if size else {})
+    images = _inputs(sources, graph) or (_even(graph, size) if size else {})
     results = None
     if images:
         exposure = camera.metered(graph, images)
@@ -152,14 +157,40 @@ def _even(graph: NodeGraph, size: tuple[int, int]) -> dict[str, Image]:
     return dict.fromkeys(graph.inputs, grey)
 
 
-def _input(text: str, graph: NodeGraph, repair: bool = False, fov_x_deg: float | None = None) -> tuple[str, Image]:
-    if "=" not in text and len(graph.inputs) == 1:
-        name, path = next(iter(graph.inputs)), text
-    else:
-        name, path = _pair(text, "--in", "NAME=FILE.exr")
-    if name not in graph.inputs:
-        raise GraphError(f"--in {text}: the graph has no input {name!r}; it has {', '.join(graph.inputs)}")
-    return name, _viewed(_read(Path(path), repair, graph.inputs[name].quantity), graph, fov_x_deg)
+def _inputs(
+    sources: Sequence[str], graph: NodeGraph, repair: bool = False, fov_x_deg: float | None = None
+) -> dict[str, Image]:
+    """Images by input; depth that is not named is looked for beside the picture."""
+    pictures = [name for name, port in graph.inputs.items() if port.quantity is not Quantity.DATA]
+    images: dict[str, Image] = {}
+    paths: dict[str, Path] = {}
+    for text in sources:
+        if "=" not in text and len(pictures) == 1:
+            name, path = pictures[0], text
+        else:
+            name, path = _pair(text, "--in", "NAME=FILE.exr")
+        if name not in graph.inputs:
+            raise GraphError(f"--in {text}: the graph has no input {name!r}; it has {', '.join(graph.inputs)}")
+        paths[name], data = Path(path), name not in pictures
+        image = _read(paths[name], repair, graph.inputs[name].quantity)
+        images[name] = replace(image, quantity=Quantity.DATA) if data else _viewed(image, graph, fov_x_deg)
+    if graph.inputs.get(DEPTH) == Port(Quantity.DATA) and DEPTH not in images and paths:
+        images[DEPTH] = _depth_beside(next(iter(paths.values())))
+    return images
+
+
+def _depth_beside(path: Path) -> Image:
+    """Depth in the picture's own file, or in the labels of the bake that made it."""
+    files = [path, path.absolute().parent.parent.parent / "labels.exr"]
+    for file in files:
+        for channel in camera.DEPTHS:
+            if file.suffix.lower() == ".exr" and file.is_file() and channel in writers.channels_of(file):
+                print(f"depth: {channel} of {file}", file=sys.stderr)
+                return writers.read_exr(file, quantity=Quantity.DATA, channels=[channel])
+    raise GraphError(
+        f"the graph reads depth, and neither {files[0]} nor {files[1]} has a channel {' or '.join(camera.DEPTHS)}; "
+        f"give --in {DEPTH}=FILE.exr"
+    )
 
 
 def _viewed(image: Image, graph: NodeGraph, fov_x_deg: float | None) -> Image:

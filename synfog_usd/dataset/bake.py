@@ -23,7 +23,7 @@ from synfog_usd.dataset.forecast import SET_UP, Forecast, Kind, kinds
 from synfog_usd.dataset.ledger import Ledger, metadata_of
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
 from synfog_usd.dataset.scenes import Scenes, cleared, pinhole_of, size_of
-from synfog_usd.errors import StageError
+from synfog_usd.errors import GraphError, StageError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent, within
 from synfog_usd.seeds import seed32
@@ -106,6 +106,13 @@ def bake(
     bake_began = time.monotonic()
     models.check_name(plan.model)
     graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
+    for name, port in graph.inputs.items():
+        if port.quantity is not Quantity.RADIANCE:
+            raise GraphError(
+                f"graph {graph.name!r}: its input {name!r} is {port}, and a bake has radiance alone for it. Run it "
+                f"with 'synfog-usd graph run' on radiance.exr; depth of field is drawn where the stage's camera has "
+                f"fStop and focusDistance"
+            )
     with reading():
         stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
         if plan.choices or any(one is not None for one in (plan.metres_per_unit, plan.up, plan.shutter_s)):

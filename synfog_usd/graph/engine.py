@@ -21,7 +21,7 @@ from synfog_usd.errors import GraphError, ImageError, SynfogError, did_you_mean
 from synfog_usd.graph.cache import Cache, image_key, node_key
 from synfog_usd.graph.compose import SCHEMA
 from synfog_usd.graph.op import MISSING, Op, Parameter, Port, Profile
-from synfog_usd.image import Image
+from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent
 from synfog_usd.yamlio import Place
 
@@ -209,19 +209,22 @@ class NodeGraph:
 
         Raises:
             GraphError: no such node, one that changes what its image is, reads
-                several images, or is an output.
+                several images that are not data, or is an output.
         """
         graph = self
         for name in names:
             graph._check_node(name)
             node = graph.nodes[name]
             source = node.inputs[0]
-            before = graph.inputs[source] if source in graph.inputs else graph.nodes[source].gives
+            before, *others = (
+                graph.inputs[item] if item in graph.inputs else graph.nodes[item].gives for item in node.inputs
+            )
             kept = (before.quantity, before.layout) == (node.gives.quantity, node.gives.layout)
-            if len(node.inputs) > 1 or not kept or name in graph.outputs.values():
+            lit = any(other.quantity is not Quantity.DATA for other in others)
+            if lit or not kept or name in graph.outputs.values():
                 raise GraphError(
                     f"{node.place}: {node} cannot be left out: it makes {node.gives} of {before}, reads several "
-                    f"images, or is an output"
+                    f"pictures, or is an output"
                 )
             nodes = {
                 other.name: replace(other, inputs=tuple(source if item == name else item for item in other.inputs))
@@ -405,7 +408,7 @@ class NodeGraph:
                     f"input {name!r} of graph {self.name!r} takes {self.inputs[name]}; the image holds "
                     f"{image.quantity.value}"
                 )
-            if not np.isfinite(image.pixels).all():
+            if image.quantity is not Quantity.DATA and not np.isfinite(image.pixels).all():
                 row, column, channel = (int(index[0]) for index in np.nonzero(~np.isfinite(image.pixels)))
                 raise ImageError(
                     f"input {name!r}: pixel x={column}, y={row} of channel {image.channels[channel]!r} is not a finite "

@@ -13,7 +13,7 @@ from typing import Any
 from synfog_usd.errors import OutputError, did_you_mean
 from synfog_usd.image import Image
 from synfog_usd.writers.dng import write_dng
-from synfog_usd.writers.exr import check_radiance, read_exr, write_exr
+from synfog_usd.writers.exr import channels_of, check_radiance, read_exr, write_exr
 from synfog_usd.writers.mipi import write_mipi
 from synfog_usd.writers.raw import read_raw
 from synfog_usd.writers.screen import write_jpeg, write_jxl, write_png, write_tiff
@@ -72,6 +72,7 @@ def write_output(name: str, image: Image, folder: Path, *, options: Mapping[str,
 
 __all__ = [
     "WRITERS",
+    "channels_of",
     "check_radiance",
     "read_exr",
     "read_raw",

@@ -289,7 +289,22 @@ def _to_xyz(chromaticities: Sequence[float]) -> np.ndarray:
     return np.asarray(columns[:, :3] * np.linalg.solve(columns[:, :3], columns[:, 3]))
 
 
-def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:
+def channels_of(path: Path) -> list[str]:
+    """Names of the channels from which `read_exr` takes a file's picture.
+
+    Raises:
+        ImageError: missing, no EXR, several parts with colour.
+    """
+    source = _opened(path)
+    try:
+        _part(path, source)
+        return list(source.spec().channelnames)
+    finally:
+        source.close()
+
+
+def _opened(path: Path) -> Any:
+    """An EXR file, to be closed."""
     import OpenImageIO
 
     if not path.is_file():
@@ -297,9 +312,17 @@ def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:
     source = OpenImageIO.ImageInput.open(str(path))
     if source is None:
         raise ImageError(f"{path}: cannot be read ({OpenImageIO.geterror()})")
+    if source.format_name() != "openexr":
+        source.close()
+        raise ImageError(f"{path}: is a {source.format_name()} file; an EXR is needed")
+    return source
+
+
+def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:
+    import OpenImageIO
+
+    source = _opened(path)
     try:
-        if source.format_name() != "openexr":
-            raise ImageError(f"{path}: is a {source.format_name()} file; an EXR is needed")
         part = _part(path, source)
         spec = source.spec()
         if spec.width * spec.height * spec.nchannels > MAX_VALUES:

@@ -283,6 +283,17 @@ def test_a_bad_graph_is_refused_with_its_place(stage, tmp_path, old, new, words)
     assert not (tmp_path / "out").exists()
 
 
+def test_a_graph_that_reads_more_than_radiance_is_refused_before_anything_is_rendered(stage, tmp_path):
+    (tmp_path / "deep.yaml").write_text(
+        "synfog: graph/1\nextends: phone\ninputs: {radiance: radiance, depth: data}\nnodes:\n"
+        "  - {name: irradiance, op: optics.irradiance, in: radiance}\n"
+        "  - {name: focus, op: optics.depth_of_field, in: [irradiance, depth], focus_m: 3, after: irradiance}\n"
+    )
+    done = run("bake", stage, "-o", tmp_path / "out", "--pipeline", tmp_path / "deep.yaml")
+    refused(done, "'depth' is data", "graph run", "fStop")
+    assert not (tmp_path / "out" / "bake.json").exists()
+
+
 def test_an_output_that_cannot_be_written_is_refused(stage, tmp_path):
     (tmp_path / "file").write_text("in the way")
     refused(run("bake", stage, "-o", tmp_path / "file" / "out", "--resolution", "32x18"), str(tmp_path / "file"))

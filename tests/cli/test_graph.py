@@ -47,10 +47,10 @@ def test_a_graph_runs_on_a_picture_of_one_s_own(radiance, tmp_path):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-def foreign(path, pixels) -> Path:
-    """An EXR of another program, without any attribute of ours."""
-    buffer = OpenImageIO.ImageBuf(np.ascontiguousarray(pixels, dtype=np.float32))
-    buffer.specmod().channelnames = ("R", "G", "B")
+def foreign(path, pixels, *planes) -> Path:
+    """An EXR of another program, without any attribute of ours; a further plane is called Z."""
+    buffer = OpenImageIO.ImageBuf(np.ascontiguousarray(np.dstack([pixels, *planes]), dtype=np.float32))
+    buffer.specmod().channelnames = ("R", "G", "B", "Z")[: 3 + len(planes)]
     assert buffer.write(str(path))
     return path
 
@@ -108,6 +108,42 @@ def test_a_declared_input_is_read_as_that(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out.png").is_file()
+
+
+def test_depth_is_found_in_a_bake_and_in_the_picture_itself(radiance, tmp_path):
+    """A near post and sky, focused on the post by the phone's lens: what lies behind it loses contrast, it does not.
+    Metering leaves the blur out.  Depth of another size, and none, are refused in a line.
+    """
+    graph = tmp_path / "deep.yaml"
+    graph.write_text(
+        "synfog: graph/1\nextends: phone\ninputs: {radiance: radiance, depth: data}\nnodes:\n"
+        "  - {name: irradiance, op: optics.irradiance, in: radiance}\n"
+        "  - {name: focus, op: optics.depth_of_field, in: [irradiance, depth], focus_m: 0.3, after: irradiance}\n"
+    )
+    pixels = np.full((36, 64), 500.0, np.float32)
+    pixels[:, ::2] = 1000.0
+    depth = np.full((36, 64), np.inf, np.float32)
+    depth[:, :20] = 0.3
+    folder = tmp_path / "bake" / "sky" / "clear"
+    folder.mkdir(parents=True)
+    rgb = Image(pixels[..., None].repeat(3, axis=2), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 50.0})
+    writers.write_exr(folder / "radiance.exr", rgb)
+    plane = Image(depth[..., None], ("depth.Z",), Quantity.DATA)
+    arguments = "run", graph, "--in", folder / "radiance.exr", "--until", "focus", "--no-cache", "-o"
+    none = run(*arguments, tmp_path / "none")
+    assert none.returncode == 2 and "give --in depth=FILE.exr" in none.stderr and "labels.exr" in none.stderr
+    writers.write_exr(tmp_path / "bake" / "labels.exr", plane)
+    found = run(*arguments, tmp_path / "a")
+    assert found.returncode == 0 and "depth: depth.Z of" in found.stderr and "labels.exr" in found.stderr, found.stderr
+    assert run(*arguments, tmp_path / "b", "--in", f"depth={tmp_path / 'bake' / 'labels.exr'}").returncode == 0
+    assert (tmp_path / "a" / "focus.exr").read_bytes() == (tmp_path / "b" / "focus.exr").read_bytes()
+    light = writers.read_exr(tmp_path / "a" / "focus.exr").pixels[18, :, 1]
+    assert abs(light[5] / light[4] - 2.0) < 0.05 or abs(light[4] / light[5] - 2.0) < 0.05
+    assert abs(light[45] / light[44] - 1.0) < 0.2
+    own = foreign(tmp_path / "own.exr", rgb.pixels, depth)
+    assert "depth: Z of" in run("run", graph, "--in", own, "--fov", "50", "-o", tmp_path / "c", "--no-cache").stderr
+    other = run(*arguments, tmp_path / "d", "--in", f"depth={radiance}")
+    assert other.returncode == 2 and "no channel depth.Z or Z tells the depth" in other.stderr
 
 
 def test_light_that_cannot_be_is_refused_or_mended(radiance, tmp_path):

@@ -122,9 +122,9 @@ def test_a_graph_from_python_may_extend_a_shipped_one(scene):
 
 
 def test_the_how_to_runs_as_it_stands(tmp_path, scene):
-    """`docs/camera.md`: its YAML with the two files that it names, and its Python."""
+    """`docs/camera.md`: its first YAML with the two files that it names, the other one, and its Python."""
     text = (Path(__file__).resolve().parents[2] / "docs" / "camera.md").read_text()
-    (yaml,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    yaml, deep = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
     (python,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     (tmp_path / "g.yaml").write_text(yaml)
     (tmp_path / "mine.yaml").write_bytes((resources.folder("assets") / "sensors" / "imx363.yaml").read_bytes())
@@ -132,6 +132,8 @@ def test_the_how_to_runs_as_it_stands(tmp_path, scene):
     graph = camera.load_graph(tmp_path / "g.yaml")
     assert list(graph.outputs) == ["raw.dng", "linear.exr"] and "lens_shading" not in graph.nodes
     assert graph.nodes["second_noise"].inputs == ("read_noise",) and graph.nodes["gain"].inputs == ("second_noise",)
+    (tmp_path / "deep.yaml").write_text(deep)
+    assert camera.load_graph(tmp_path / "deep.yaml").nodes["diffraction"].inputs == ("focus",)
     names = {"radiance": scene}
     exec(python, names)
     assert names["results"]["colour"].pixels.shape == scene.pixels.shape

@@ -204,6 +204,27 @@ def test_a_node_that_changes_no_quantity_can_be_left_out(tmp_path, registry, rad
             graph.without([name])
 
 
+def test_a_node_that_reads_data_beside_its_picture_can_be_left_out(tmp_path, registry, radiance):
+    """Data need not be finite, as the depth of the sky is not."""
+
+    @registry.op("a.masked", takes=(Quantity.RADIANCE, Quantity.DATA), gives=Quantity.RADIANCE)
+    def masked(image: Image, data: Image) -> Image:
+        return image.with_pixels(np.where(np.isinf(data.pixels), 0.0, image.pixels))
+
+    text = (
+        "synfog: graph/1\ninputs: {radiance: radiance, depth: data}\nnodes:\n"
+        "  - {name: masked, op: a.masked, in: [radiance, depth]}\n"
+        "  - {name: twice, op: light.sum, in: [masked, masked]}\n"
+        "outputs: {a.exr: twice}\n"
+    )
+    graph = load(tmp_path, registry, text)
+    depth = Image(np.full_like(radiance.pixels, np.inf), radiance.channels, Quantity.DATA)
+    assert not graph.run({"radiance": radiance, "depth": depth}, seed=0)["twice"].pixels.any()
+    np.testing.assert_array_equal(
+        graph.without(["masked"]).run({"radiance": radiance}, seed=0)["twice"].pixels, 2 * radiance.pixels
+    )
+
+
 def test_an_error_inside_an_op_gets_the_place_of_its_node(tmp_path, radiance):
     ops = Registry()
 
