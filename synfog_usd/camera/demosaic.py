@@ -52,7 +52,7 @@ def demosaic(
             colours that are not there, and averages where there are none; linear is a linear
             filter, for measurements; mhc (Malvar, He and Cutler 2004) is one too, and sharper;
             menon (Menon, Andriani and Calvagno 2007) follows edges, is a little sharper than
-            directional, noisier, and eight times slower.
+            directional, noisier, and over ten times slower.
         sensor: names the pattern where the image does not.
 
     Raises:
