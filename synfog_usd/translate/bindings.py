@@ -12,7 +12,8 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdShade
 
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.material import DISPLAY, GREY, Finish, Materials
+from synfog_usd.translate.material import DISPLAY, Finish, Materials
+from synfog_usd.translate.shading import GREY
 from synfog_usd.translate.walk import ALSO_OVERS, MESHES, Leaf
 
 _SEEN = Usd.TraverseInstanceProxies(ALSO_OVERS)
