@@ -140,6 +140,8 @@ def _author_placement(layer: Sdf.Layer, p: Placement, assets: str) -> None:
         ops.append(("xformOp:rotateZ", kinds.Float, float(p.heading)))
     if p.pitch:
         ops.append(("xformOp:rotateX", kinds.Float, float(p.pitch)))
+    if p.roll:
+        ops.append(("xformOp:rotateY", kinds.Float, float(p.roll)))
     if p.size != 1.0:
         ops.append(("xformOp:scale", kinds.Float3, Gf.Vec3f(p.size)))
     for name, kind, value in ops:

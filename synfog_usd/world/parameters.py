@@ -131,6 +131,7 @@ ROAD: dict[str, Parameter] = {
     "road.turn_deg": Continuous(-90.0, 90.0, 0.0, "angle of a bend, positive to the left [degrees]"),
     "road.slope": Continuous(-0.12, 0.12, 0.0, "rise per length at each knot"),
     "road.slope_every_m": Continuous(60.0, 1000.0, 110.0, "distance between knots of the slope [m]"),
+    "road.crossfall": Continuous(0.0, 0.07, 0.025, "fall of the carriageway per width, from its crown to the gutters"),
     "road.centre": Categorical(("dashed", "solid", "double", "none"), "dashed", "marking between the directions"),
     "road.dash_m": Continuous(1.0, 12.0, 3.0, "mark of a dashed line [m]"),
     "road.dash_gap_m": Continuous(1.0, 18.0, 6.0, "gap of a dashed line [m]"),

@@ -21,7 +21,7 @@ class Placement:
         variants: selections that always hold; lit: selections while lamps are on.
         z: height of its origin [m].
         size: uniform scale.
-        pitch: degrees, nose up.
+        pitch, roll: degrees, nose up, and right side down.
         speed_m_s: with which it goes where it looks, or None where nothing says.
     """
 
@@ -36,6 +36,7 @@ class Placement:
     z: float = 0.0
     size: float = 1.0
     pitch: float = 0.0
+    roll: float = 0.0
     speed_m_s: float | None = None
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdUtils, UsdValidation
+from pxr import Usd, UsdGeom, UsdUtils, UsdValidation
 from scipy import special, stats
 from support import sight
 from support.outlines import apart, outline
@@ -181,7 +181,8 @@ def test_nearest_finds_what_place_placed():
     np.testing.assert_allclose(found[1], t, atol=2e-3)
 
 
-def test_the_meshes_are_where_the_ground_is_said_to_be():
+@pytest.mark.parametrize("crossfall", [0.0, 0.025])
+def test_the_meshes_are_where_the_ground_is_said_to_be(crossfall):
     """On a road with bends, crests, kerbs and hills: the highest triangle at 300 places is the ground within 5 mm, on
     the land within 8 cm.
     """
@@ -191,7 +192,7 @@ def test_the_meshes_are_where_the_ground_is_said_to_be():
         bends([(20.0, 160.0, 50.0), (10.0, 200.0, -40.0)], length=300.0),
         ((0.0, 0.0), (60.0, 0.05), (180.0, -0.05), (300.0, 0.02)),
     )
-    road = Road(line, LaneSection.from_widths(bands), land=Land(6.0, 3))
+    road = Road(line, LaneSection.from_widths(bands), land=Land(6.0, 3), crossfall=crossfall)
     triangles = mesh_triangles(road, beside=True)
     rng = np.random.Generator(np.random.PCG64(1))
     for s, t in zip(
@@ -204,7 +205,63 @@ def test_the_meshes_are_where_the_ground_is_said_to_be():
         assert height_below(triangles, x, y) == pytest.approx(
             float(road.ground(s, t)), abs=0.005 if on_road else 0.08
         ), (s, t)
-    assert float(road.ground(100.0, road.lane_section.high - 1.0) - line.height(100.0)) == pytest.approx(KERB_M)
+    pavement = float(road.ground(100.0, road.lane_section.high - 1.0) - line.height(100.0))
+    assert pavement == pytest.approx(KERB_M - crossfall * (3.2 + 2.0))
+
+
+def test_a_carriageway_falls_from_its_crown_to_its_gutters():
+    """2.5 %: from the line between the directions over all that is paved, and from both sides of an island; beyond a
+    gutter everything lies lower by as much as the gutter does.
+    """
+    street = [("pavement", 2.0, 0), ("parking", 2.0, 0), ("lane", 3.0, -1), ("lane", 3.0, 1), ("cycle", 1.5, 1)]
+    road = Road(ReferenceLine(90.0), LaneSection.from_widths([*street, ("verge", 2.0, 0)]), crossfall=0.025)
+    t = np.array([-6.0, -5.0 + 1e-9, -3.0, 0.0, 2.0, 4.5, 4.5 + 2.0])
+    falls = 0.025 * np.array([5.0, 5.0, 3.0, 0.0, 2.0, 4.5, 4.5])
+    over = np.array([KERB_M, 0.0, 0.0, 0.0, 0.0, -0.03, -0.15])
+    np.testing.assert_allclose(road.ground(40.0, t), over - falls, atol=1e-7)
+    dual = [("lane", 3.5, -1), ("lane", 3.5, -1), ("island", 2.0, 0), ("lane", 3.5, 1), ("lane", 3.5, 1)]
+    road = Road(ReferenceLine(90.0), LaneSection.from_widths(dual), crossfall=0.025)
+    t = np.array([-8.0, -4.5, -0.5, 0.5, 4.5, 8.0])
+    np.testing.assert_allclose(road.ground(40.0, t), np.where(abs(t) < 1, KERB_M, -0.025 * (abs(t) - 1)), atol=1e-9)
+    one_way = [("shoulder", 1.0, 0), ("lane", 3.5, 1), ("lane", 3.5, 1), ("shoulder", 2.5, 0)]
+    road = Road(ReferenceLine(90.0), LaneSection.from_widths(one_way), crossfall=0.025)
+    t = np.array([-1.0, 0.0, 3.5, 9.5])
+    np.testing.assert_allclose(road.ground(40.0, t), -0.025 * np.array([1.0, 0.0, 3.5, 9.5]), atol=1e-9)
+
+
+def test_a_stripe_over_the_crown_bends_with_it():
+    """Triangles of zebra stripes are 1 to 4 mm above the asphalt in their middles too."""
+    bands = [("lane", 3.5, -1), ("lane", 3.0, 1)]
+    road = Road(ReferenceLine(90.0), LaneSection.from_widths(bands), zebras=(40.0,), crossfall=0.025)
+    triangles = mesh_triangles(road)
+    stripes = [part for part in markings.markings(road) if abs(part.points[:, 1] - 40.0).max() < 2.0]
+    middles = np.concatenate([part.points[part.faces].mean(axis=1) for part in stripes])
+    assert len(middles) >= 12
+    for x, y, z in middles:
+        assert 0.001 < z - height_below(triangles, x, y) < 0.004
+
+
+def test_wheels_touch_a_road_with_crossfall_as_the_stage_has_them(stage_of):
+    """The corners of axles by the stage's own matrices, within 8 mm of the asphalt; cars lean by the crossfall to
+    their gutter.
+    """
+    world = spec("rural", 4)
+    assert world.road.crossfall == 0.025
+    triangles = mesh_triangles(world.road, seed=world.scatter)
+    stage = Usd.Stage.Open(str(stage_of("rural")))
+    leaning = 0
+    for p in world.placed:
+        s, _ = world.road.reference_line.nearest(p.x, p.y)
+        if p.group != "Vehicles" or shape(p.asset)[2] in ("bicycle", "rider"):
+            continue
+        if not 6 < s < world.road.reference_line.length - 6:
+            continue
+        matrix = UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath(f"/World/Vehicles/{p.name}"))
+        for corner in itertools.product((-0.75, 0.75), (-1.3, 1.3)):
+            x, y, z = matrix.Transform((*corner, 0.0))
+            assert z == pytest.approx(height_below(triangles, x, y), abs=0.008), p
+        leaning += math.isclose(matrix.TransformDir((1, 0, 0))[2], -0.025, abs_tol=0.002)
+    assert leaning >= 2
 
 
 def test_markings_lie_above_the_asphalt_and_within_the_carriageway():

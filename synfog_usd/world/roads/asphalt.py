@@ -145,6 +145,8 @@ def puddles(road: Road, asphalt: Asphalt, *, seed: int) -> list[Part]:
         beside = road.lane_section.at(kerb - 0.05 * side)
         if beside is None or beside.kind not in PAVED:
             continue
+        if road.crossfall and not road.lane_section.from_crown(kerb):  # water runs away from it
+            continue
         for _ in range(rng.poisson(share * end / KERB_STEP_M)):
             parts.append(
                 _puddle(

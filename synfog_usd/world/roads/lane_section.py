@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ RAISED = ("pavement", "garden", "island")
 SOFT = ("verge", "reserve")
 KINDS = (*PAVED, *RAISED, *SOFT)
 DRIVEN = ("lane", "bus")
+EDGE_M = 1e-6
 VERGE_DROP = 0.03
 VERGE_FALL = 0.06
 
@@ -106,6 +108,34 @@ class LaneSection:
             low, high = self.ends(lane)
             result = np.where(inside, low + (high - low) * (t - lane.low) / lane.width, result)
         return result
+
+    @cached_property
+    def _falling(self) -> tuple[float, float, float, float]:
+        """Offsets of the left gutter, of the crown from and to, and of the right gutter [m].
+
+        The crown lies between the two directions; gutters end what is paved beside it.
+        """
+        against = [lane.high for lane in self.of(*DRIVEN) if lane.way < 0]
+        along = [lane.low for lane in self.of(*DRIVEN) if lane.way > 0]
+        from_, to = max(against or along[:1]), min(along or against[-1:])
+        left, right = from_, to
+        for lane in reversed(self.lanes):
+            if lane.high <= left + EDGE_M and lane.kind in PAVED:
+                left = lane.low
+            elif lane.high <= left + EDGE_M:
+                break
+        for lane in self.lanes:
+            if lane.low >= right - EDGE_M and lane.kind in PAVED:
+                right = lane.high
+            elif lane.low >= right - EDGE_M:
+                break
+        return left, from_, to, right
+
+    def from_crown(self, t: npt.ArrayLike) -> Array:
+        """How far offsets are from the crown [m]; beyond a gutter as at the gutter."""
+        left, from_, to, right = self._falling
+        t = np.clip(np.asarray(t, dtype=np.float64), left, right)
+        return np.maximum(np.maximum(from_ - t, t - to), 0.0)
 
     def at(self, t: float) -> Lane | None:
         """The lane at an offset, or None beyond the edges."""

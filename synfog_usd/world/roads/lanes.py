@@ -42,4 +42,4 @@ def of_road(road: Road) -> list[EdgedLane]:
 def edge(road: Road, s: Array, t: Array) -> Array:
     """(N, 3) points of a road [m] at stations and offsets, on its surface."""
     x, y = road.reference_line.place(s, t)
-    return np.c_[x, y, road.reference_line.height(s) + road.lane_section.height(t)]
+    return np.c_[x, y, road.reference_line.height(s) + road.over_line(t, road.lane_section.height(t))]

@@ -181,13 +181,10 @@ def _zebra(road: Road, s: float) -> list[Part]:
         if any(lane.low - 0.1 < t + 0.25 < lane.high + 0.1 for lane in islands):
             continue
         a, b = s - ZEBRA_DEPTH_M / 2, s + ZEBRA_DEPTH_M / 2
-        parts.append(
-            fan(
-                [(t, a, THICK_M), (t + 0.5, a, THICK_M), (t + 0.5, b, THICK_M), (t, b, THICK_M)],
-                "marking",
-                tile_m=TILE_M,
-            )
-        )
+        edges = [t, *(lane.low for lane in road.lane_section.lanes if t < lane.low < t + 0.5), t + 0.5]
+        for left, right in itertools.pairwise(edges):  # a stripe over the crown bends with it
+            corners = [(left, a, THICK_M), (right, a, THICK_M), (right, b, THICK_M), (left, b, THICK_M)]
+            parts.append(fan(corners, "marking", tile_m=TILE_M))
     for lane in road.driving_lanes:
         at = s - lane.way * (ZEBRA_DEPTH_M / 2 + 1.2)
         t0, t1 = lane.middle - lane.width / 2 + 0.1, lane.middle + lane.width / 2 - 0.1

@@ -62,6 +62,7 @@ class Road:
         zebras: stations of the zebra crossings' middles [m].
         centre: marking between the directions: 'dashed', 'solid', 'double' or 'none'.
         dash: (mark, gap) of a dashed line [m].
+        crossfall: fall per width [1] of what is paved, from the crown to the gutters.
     """
 
     reference_line: ReferenceLine
@@ -70,6 +71,7 @@ class Road:
     zebras: tuple[float, ...] = ()
     centre: str = "dashed"
     dash: tuple[float, float] = (3.0, 6.0)
+    crossfall: float = 0.0
 
     @cached_property
     def driving_lanes(self) -> tuple[Lane, ...]:
@@ -89,11 +91,15 @@ class Road:
             round(pitch, 3),
         )
 
+    def over_line(self, t: npt.ArrayLike, h: npt.ArrayLike = 0.0) -> Array:
+        """Height over the reference line [m] of what lies h [m] over a carriageway level across."""
+        return np.asarray(h - self.crossfall * self.lane_section.from_crown(t))
+
     def ground(self, s: npt.ArrayLike, t: npt.ArrayLike) -> Array:
         """Height of the ground [m] at stations and offsets, broadcast."""
         s, t = np.broadcast_arrays(np.asarray(s, dtype=np.float64), np.asarray(t, dtype=np.float64))
         out = np.maximum(t - self.lane_section.high, self.lane_section.low - t)
-        on = self.reference_line.height(s) + self.lane_section.height(t)
+        on = self.reference_line.height(s) + self.over_line(t, self.lane_section.height(t))
         if np.all(out <= 0):
             return on
         x, y = self.reference_line.place(s, t)
@@ -107,7 +113,7 @@ class Road:
     def _beside(self, s: Array, t: Array, x: Array, y: Array) -> Array:
         """Height of the land: the road's at its edge, hills far away."""
         out = np.maximum(np.maximum(t - self.lane_section.high, self.lane_section.low - t), 0.0)
-        edge = self.reference_line.height(s) + self.lane_section.height(t)
+        edge = self.reference_line.height(s) + self.over_line(t, self.lane_section.height(t))
         share = np.clip(out / BLEND_M, 0.0, 1.0)
         share = share * share * (3 - 2 * share)
         result = edge + share * (self.hills(x, y) - edge)

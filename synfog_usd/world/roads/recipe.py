@@ -14,6 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
 from synfog_usd.world.authoring import focal_length
@@ -74,9 +76,29 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
         return road_actors.drawn(recipe, road, seed, attempt, own, station, value, room)
 
     moving = actors.in_sight(recipe, drawn, road, value, view, fov, fixed, taken)
-    return assembled(
-        recipe, seed, value, road, view, [*fixed, *moving], {**built, "station": station, "works": digging}
-    )
+    laid = _laid(road, round(value("road.crossfall"), 4), view, [*fixed, *moving])
+    return assembled(recipe, seed, value, *laid, {**built, "station": station, "works": digging})
+
+
+def _laid(level: Road, crossfall: float, view: View, placed: Sequence[Placement]) -> tuple[Road, View, list[Placement]]:
+    """What was drawn for a road level across, with a crossfall: lower beside the crown, and vehicles of four wheels
+    and more as they stand on the slopes below them.
+    """
+    road = replace(level, crossfall=crossfall)
+    x, y, heading = np.array([(p.x, p.y, math.radians(p.heading)) for p in (view, *placed)]).T
+    drop = road.height(x, y) - level.height(x, y)
+    slopes = []
+    for right, ahead in ((0.5, 0.0), (0.0, 0.5)):  # over a metre
+        dx, dy = right * np.cos(heading) - ahead * np.sin(heading), right * np.sin(heading) + ahead * np.cos(heading)
+        slopes.append(road.height(x + dx, y + dy) - road.height(x - dx, y - dy))
+    roll, pitch = np.round(np.degrees(np.arctan(slopes)), 3) * [[-1.0], [1.0]] + 0.0
+    result = []
+    for i, p in enumerate(placed, 1):
+        p = replace(p, z=round(p.z + float(drop[i]), 4))
+        if p.group == "Vehicles" and rules.model(p.asset).group != "rider":
+            p = replace(p, pitch=float(pitch[i]), roll=float(roll[i]))
+        result.append(p)
+    return road, replace(view, z=round(view.z + float(drop[0]), 3)), result
 
 
 def assembled(

@@ -26,10 +26,10 @@ PAVING_TILE_M, GRASS_TILE_M, ASPHALT_TILE_M = 4.0, 4.0, 6.0
 
 
 def bend(part: Part, road: Road) -> Part:
-    """A part of the level plane on the road: x is the offset, y the station, z the height over the line."""
+    """A part of the level plane on the road: x is the offset, y the station, z the height over a road level across."""
     t, s, h = part.points.T
     x, y = road.reference_line.place(s, t)
-    return replace(part, points=np.c_[x, y, road.reference_line.height(s) + h], normals=None)
+    return replace(part, points=np.c_[x, y, road.reference_line.height(s) + road.over_line(t, h)], normals=None)
 
 
 def stations(road: Road, low: float = 0.0, high: float | None = None) -> Array:
