@@ -6,6 +6,8 @@ is the traversal's business.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from pxr import Usd, Vt
 
 from synfog_usd.cityscapes import LABELS
@@ -23,13 +25,17 @@ LABEL_SOURCES = frozenset(_SOURCES_IN_ORDER)
 """Attributes that may hold a label."""
 
 
-def direct_label(prim: Usd.Prim, time: Usd.TimeCode) -> str | None:
+def direct_label(prim: Usd.Prim, time: Usd.TimeCode, authored: Iterable[str] | None = None) -> str | None:
     """The label authored on this very prim, as written, or None.
 
     `SemanticsLabelsAPI:cityscapes` comes first, then the older `SemanticsAPI:class`,
     then Blender's custom properties `cityscapes` and `semantic`.
+
+    Args:
+        prim: any prim; time: of the frame.
+        authored: its `GetAuthoredPropertyNames()`, where they are at hand.
     """
-    if LABEL_SOURCES.isdisjoint(prim.GetAuthoredPropertyNames()):
+    if LABEL_SOURCES.isdisjoint(prim.GetAuthoredPropertyNames() if authored is None else authored):
         return None
     for name in _SOURCES_IN_ORDER:
         attribute = prim.GetAttribute(name)

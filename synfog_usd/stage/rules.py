@@ -7,6 +7,7 @@ that cuts one) is found there and told with the rules that stand here.
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -85,21 +86,30 @@ class _Context:
         seen = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render]
         self.solid = UsdGeom.BBoxCache(self.time, seen, False, True)
         self.whole = UsdGeom.BBoxCache(self.time, [*seen, UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy], False, True)
-        self.foggy: dict[Usd.Prim, bool] = {}
-        self.fog = [prim for prim in self.prims if self.has_fog(prim)]
-        self.labels: dict[Usd.Prim, str | None] = {}
+        self.said: dict[Usd.Prim, tuple[bool, str | None]] = {}
+        self.purposes = False
+        """Whether any prim that was looked up has a purpose of its own."""
+
+    @functools.cached_property
+    def fog(self) -> list[Usd.Prim]:
+        """Prims with fog attributes."""
+        return [prim for prim in self.prims if self.has_fog(prim)]
 
     def has_fog(self, prim: Usd.Prim) -> bool:
         """`has_fog_attributes`, looked up once."""
-        if prim not in self.foggy:
-            self.foggy[prim] = has_fog_attributes(prim)
-        return self.foggy[prim]
+        return self._said(prim)[0]
 
     def label(self, prim: Usd.Prim) -> str | None:
         """`direct_label`, looked up once."""
-        if prim not in self.labels:
-            self.labels[prim] = direct_label(prim, self.time)
-        return self.labels[prim]
+        return self._said(prim)[1]
+
+    def _said(self, prim: Usd.Prim) -> tuple[bool, str | None]:
+        known = self.said.get(prim)
+        if known is None:
+            names = prim.GetAuthoredPropertyNames()
+            known = self.said[prim] = has_fog_attributes(prim, names), direct_label(prim, self.time, names)
+            self.purposes |= "purpose" in names
+        return known
 
     def longest_m(self, prim: Usd.Prim) -> float:
         """Longest edge [m] of what is drawn of a prim, in its own axes; 0 where that is nothing."""
@@ -359,7 +369,7 @@ def _labels(context: _Context) -> Iterator[Finding]:
             prim.IsA(UsdGeom.Gprim)
             and not context.has_fog(prim)
             and not context.has_fog(prim.GetParent())
-            and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide  # as a lane's curve: never drawn
+            and not (context.purposes and _is_guide(prim))
         ):
             unlabelled.append(str(prim.GetPath()))
     if unlabelled:
@@ -368,6 +378,11 @@ def _labels(context: _Context) -> Iterator[Finding]:
             unlabelled[0],
             f"{len(unlabelled)} prims have no label (semantics:labels:cityscapes), this is the first",
         )
+
+
+def _is_guide(prim: Usd.Prim) -> bool:
+    """Whether a prim is never drawn, as a lane's curve."""
+    return bool(UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide)
 
 
 def _unlabelled(context: _Context) -> Iterator[tuple[Usd.Prim, str | None]]:
@@ -396,6 +411,8 @@ def _shadowed_variants(context: _Context) -> Iterator[Finding]:
     """Values of variants that a value on the prim itself, in the same layer, always beats."""
     for layer in context.stage.GetLayerStack(includeSessionLayers=False):
         for root in layer.rootPrims:
+            if not root.HasInfo("variantSetNames"):  # most by far
+                continue
             for set_name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET):
                 variant_set = root.variantSets.get(set_name)
                 if variant_set is None:
