@@ -1,11 +1,14 @@
 """RAW files of cameras: the sensor's numbers and what the file says of them, read by LibRaw.
 
+A DNG of JPEG XL, which LibRaw does not decode, is handed to it with its numbers laid bare.
+
 Gives what `sensor.adc` gives, so that the second half of a graph serves real pictures
 too.  rawpy is imported on first use.
 """
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,25 @@ BAYER = ("RGGB", "GRBG", "GBRG", "BGGR")
 
 NOISE_PROFILE_TAG = 51041
 """DNG's NoiseProfile: slope and offset of the variance, black 0 and white 1."""
+
+JPEG_XL = 52546
+"""DNG's number of it as a compression (1.7)."""
+
+EXIF = {
+    "exposure_s": "ExposureTime",
+    "iso": "ISOSpeedRatings",
+    "f_number": "FNumber",
+    "focal_length_mm": "FocalLength",
+}
+
+MOST_PIXELS = 1 << 28
+"""Of a mosaic that is decoded here."""
+
+KEPT_TAGS = (
+    *(271, 272, 274, 33421, 33422, 50708, *range(50710, 50718)),  # camera, filters, their levels
+    *(*range(50721, 50733), 50778, 50779, 50829, 50964, 50965, 51041),  # colours, active area, noise
+)
+"""Tags of a DNG that say what its numbers mean, but for how they are packed."""
 
 
 def read_raw(path: Path) -> Image:
@@ -34,13 +56,16 @@ def read_raw(path: Path) -> Image:
 
     Raises:
         ImageError: missing, no RAW file, or no Bayer mosaic of one number a pixel.
+
+    Source: Adobe, "Digital Negative (DNG) Specification" 1.7.1.0.
     """
     import rawpy
 
     if not path.is_file():
         raise ImageError(f"{path}: no such file")
+    source, more = _bare(path) or (str(path), {})
     try:
-        with rawpy.imread(str(path)) as raw:
+        with rawpy.imread(source) as raw:
             if raw.raw_type is not rawpy.RawType.Flat or raw.raw_image_visible is None:
                 raise ImageError(f"{path}: holds no mosaic of one number a pixel")
             metadata, offsets = _metadata(path, raw)
@@ -50,7 +75,54 @@ def read_raw(path: Path) -> Image:
         raise ImageError(
             f"{path}: cannot be read as RAW ({reason}); an EXR, a DNG or another camera's RAW file is needed"
         ) from error
-    return Image(pixels[..., None], ("CFA",), Quantity.DN, provenance=metadata | _noise(path))
+    return Image(pixels[..., None], ("CFA",), Quantity.DN, provenance=metadata | more | _noise(path))
+
+
+def _bare(path: Path) -> tuple[io.BytesIO, dict[str, Any]] | None:
+    """A DNG whose mosaic is of JPEG XL as one without compression, and how it was taken; None for any other file.
+
+    Fields of rows and columns that stand side by side in it are put to their places.
+    """
+    import tifffile
+
+    mosaics = []
+    try:
+        with tifffile.TiffFile(path) as file:
+            first: Any = file.pages[0]
+            mosaics = [
+                page
+                for page in (first, *(first.pages or ()))
+                if (page.compression, page.photometric) == (JPEG_XL, 32803) and page.size <= MOST_PIXELS
+            ]
+            if not mosaics:
+                return None
+            stored = mosaics[0].asarray()
+            tags = {tag.code: tag for page in (first, mosaics[0]) for tag in page.tags.values()}
+            places = [
+                np.concatenate([np.arange(field, length, fields) for field in range(fields)])
+                for length, fields in zip(
+                    stored.shape, (int(tags[code].value) if code in tags else 1 for code in (50975, 52547)), strict=True
+                )
+            ]
+            pixels = np.empty_like(stored)
+            pixels[np.ix_(*places)] = stored
+            kept = [
+                (tag.code, int(tag.dtype), tag.count, tag.value, True)
+                for code, tag in sorted(tags.items())
+                if code in KEPT_TAGS
+            ]
+            taken = {**dict.fromkeys(EXIF.values(), 0), **(tags[34665].value if 34665 in tags else {})}
+        bare = io.BytesIO()
+        with tifffile.TiffWriter(bare) as writer:
+            version = (50706, 1, 4, bytes((1, 4, 0, 0)), True)
+            writer.write(pixels, photometric=32803, metadata=None, extratags=[version, *kept])
+        bare.seek(0)
+        said = {name: np.atleast_1d(taken[key]).astype(float) for name, key in EXIF.items()}
+        return bare, {name: float(part[0] / part[1:].prod()) for name, part in said.items() if (part > 0.0).all()}
+    except Exception as error:  # a damaged file can fail anywhere in its decoders
+        if not mosaics:
+            return None  # LibRaw says what is wrong with it
+        raise ImageError(f"{path}: its JPEG XL cannot be decoded ({error or type(error).__name__})") from error
 
 
 def _metadata(path: Path, raw: Any) -> tuple[dict[str, Any], np.ndarray]:

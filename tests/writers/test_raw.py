@@ -57,6 +57,43 @@ def test_the_second_half_alone_makes_the_same_picture(shot, tmp_path):
     np.testing.assert_allclose(linear.pixels, shot["colour"].pixels, atol=1 / 255)
 
 
+def test_a_dng_of_jpeg_xl_is_the_one_it_was_made_of(shot, tmp_path):
+    """Packed as Adobe's converter packs a mosaic: lossless here, in tiles, rows and columns of a colour together.  One
+    that is cut off is one line.
+    """
+    import tifffile
+
+    writers.write_output("a.dng", shot["adc"], tmp_path)
+    with tifffile.TiffFile(tmp_path / "a.dng") as file:
+        page = next(page for first in file.pages for page in (first, *(first.pages or ())) if page.photometric == 32803)
+        stored = page.asarray()
+        tags = {tag.code: tag for page in (file.pages[0], page) for tag in page.tags.values()}
+        kept = [(tag.code, int(tag.dtype), tag.count, tag.value, True) for tag in tags.values() if tag.code > 33000]
+        kept = [tag for tag in kept if tag[0] not in (34665, 50706, 50707)]
+    fields = np.vstack([np.hstack([stored[down::2, right::2] for right in (0, 1)]) for down in (0, 1)])
+    packed = tmp_path / "packed.dng"
+    with tifffile.TiffWriter(packed) as file:
+        more = [(50706, 1, 4, bytes((1, 7, 0, 0)), True), (50975, 3, 1, 2, True), (52547, 3, 1, 2, True)]
+        file.write(
+            fields,
+            photometric=32803,
+            compression=52546,
+            tile=(64, 64),
+            metadata=None,
+            extratags=sorted([*kept, *more]),
+        )
+    with rawpy.imread(str(packed)) as raw, pytest.raises(rawpy.LibRawError):
+        raw.unpack()
+    found, plain = writers.read_raw(packed), writers.read_raw(tmp_path / "a.dng")
+    np.testing.assert_array_equal(found.pixels, plain.pixels)
+    for key in ("cfa_pattern", "black_level_dn", "white_level_dn", "as_shot_neutral", "camera_to_rec709"):
+        assert found.provenance[key] == plain.provenance[key]
+    whole = packed.read_bytes()
+    packed.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ImageError, match=r"packed\.dng: "):
+        writers.read_raw(packed)
+
+
 @pytest.mark.parametrize("pattern", cfa.BAYER)
 def test_patterns_and_blacks_of_each_filter_are_read(pattern, tmp_path):
     path = tmp_path / "a.dng"
