@@ -37,7 +37,32 @@ COLOURS_NM = (450.0, 550.0, 650.0)
 Numbers = tuple[float, ...] | None
 
 
-@OPS.op("optics.aberrations", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
+def table_fault(field_deg: Numbers, *columns: Numbers) -> str:
+    """What is wrong with a table by the angle to the axis, or ''; columns may be left out."""
+    if not field_deg:
+        return ""
+    long = {len(column) for column in columns if column} <= {len(field_deg)}
+    if long and field_deg[0] == 0.0 and (np.diff(field_deg) > 0.0).all():
+        return ""
+    return f"a table of {len(field_deg)} field_deg: they rise from 0, and every other list is as long"
+
+
+def aberrations_fault(
+    field_deg: Numbers,
+    tangential_um: Numbers,
+    sagittal_um: Numbers,
+    axial_450_um: Numbers,
+    axial_650_um: Numbers,
+    lateral_450_um: Numbers,
+    lateral_650_um: Numbers,
+) -> str:
+    """What is wrong with a lens's table, or ''."""
+    return table_fault(
+        field_deg, tangential_um, sagittal_um, axial_450_um, axial_650_um, lateral_450_um, lateral_650_um
+    )
+
+
+@OPS.op("optics.aberrations", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE, fault=aberrations_fault)
 def aberrations(
     image: Image,
     *,
@@ -86,7 +111,9 @@ def aberrations(
     columns = (tangential_um, sagittal_um, axial_450_um, axial_650_um, lateral_450_um, lateral_650_um)
     if not field_deg:
         return image
-    table = checked_table("aberrations", field_deg, columns) / pixel_pitch_um
+    if fault := aberrations_fault(field_deg, *columns):
+        raise ImageError(fault)
+    table = filled(field_deg, columns) / pixel_pitch_um
     if np.abs(table).max() > WIDEST_PX:
         raise ImageError(f"an aberration of {np.abs(table).max():.0f} pixels; {WIDEST_PX:.0f} are the most")
     field = Field.of(image, fov_x_deg, (shift_x, shift_y))
@@ -102,22 +129,9 @@ def aberrations(
     return image.with_pixels(result).with_metadata(aberrations_px=[float(f"{part:.4g}") for part in table.max(axis=1)])
 
 
-def checked_table(name: str, field_deg: tuple[float, ...], columns: Sequence[Numbers]) -> Array:
-    """(K, F) columns of a lens's table, zeros for those that are left out.
-
-    Raises:
-        ImageError: lists of unlike length, angles that do not rise from 0.
-    """
-    given = [column or (0.0,) * len(field_deg) for column in columns]
-    if (
-        {len(column) for column in given} != {len(field_deg)}
-        or field_deg[0] != 0.0
-        or (np.diff(field_deg) <= 0.0).any()
-    ):
-        raise ImageError(
-            f"a table of {name} of {len(field_deg)} field_deg: they rise from 0, and every other list is as long"
-        )
-    return np.array(given)
+def filled(field_deg: tuple[float, ...], columns: Sequence[Numbers]) -> Array:
+    """(K, F) columns of a lens's table, zeros for those that are left out."""
+    return np.array([column or (0.0,) * len(field_deg) for column in columns])
 
 
 @dataclass(frozen=True)

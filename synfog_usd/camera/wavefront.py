@@ -15,7 +15,7 @@ import numpy as np
 
 from synfog_usd import photometry
 from synfog_usd.arrays import Array
-from synfog_usd.camera.aberrations import Field, Numbers, checked_table, spread_by_place
+from synfog_usd.camera.aberrations import Field, Numbers, filled, spread_by_place, table_fault
 from synfog_usd.camera.blur import spectral_weights
 from synfog_usd.camera.optics import FOV
 from synfog_usd.camera.profiles import SensorProfile
@@ -34,7 +34,17 @@ MOST_SAMPLES = 2048
 Nanometres = Range(-1e5, 1e5)
 
 
-@OPS.op("optics.wavefront", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
+def wavefront_fault(
+    field_deg: Numbers, z4_nm: Numbers, z6_nm: Numbers, z8_nm: Numbers, z10_nm: Numbers, z11_nm: Numbers
+) -> str:
+    """What is wrong with a lens's table, or ''."""
+    fault = table_fault(field_deg, z4_nm, z6_nm, z8_nm, z10_nm, z11_nm)
+    if fault or not field_deg or not any(column and column[0] for column in (z6_nm, z8_nm, z10_nm)):
+        return fault
+    return "z6_nm, z8_nm and z10_nm begin with 0: on the axis no direction is the one away from it"
+
+
+@OPS.op("optics.wavefront", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE, fault=wavefront_fault)
 def wavefront(
     image: Image,
     *,
@@ -82,9 +92,10 @@ def wavefront(
     """
     if not field_deg:
         return image
-    table = checked_table("a wavefront", field_deg, (z4_nm, z6_nm, z8_nm, z10_nm, z11_nm))
-    if table[1:4, 0].any():
-        raise ImageError("z6_nm, z8_nm and z10_nm begin with 0: on the axis no direction is the one away from it")
+    columns = (z4_nm, z6_nm, z8_nm, z10_nm, z11_nm)
+    if fault := wavefront_fault(field_deg, *columns):
+        raise ImageError(fault)
+    table = filled(field_deg, columns)
     slopes = np.abs(table).T @ np.abs(_derivatives()).max(axis=1)
     radius_px = 2e-3 * f_number * float(slopes.max()) / pixel_pitch_um
     window = max(LEAST_PX, 16 * math.ceil(radius_px / 4.0))

@@ -4,12 +4,14 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 from scipy import integrate
 
-from synfog_usd import photometry
+from synfog_usd import camera, photometry
 from synfog_usd.camera.profiles import load_lens, load_sensor
 from synfog_usd.camera.wavefront import Pupil, wavefront
-from synfog_usd.errors import ImageError
+from synfog_usd.errors import GraphError, ImageError
+from synfog_usd.graph import make_graph
 from synfog_usd.image import Image, Quantity
 
 PUPIL = Pupil(550.0, 4.0, 2.0, 64)
@@ -137,6 +139,18 @@ def test_what_is_no_table_is_refused_and_none_changes_nothing():
         run(image, field_deg=(0.0, 10.0), z8_nm=(1.0, 1.0))
     with pytest.raises(ImageError, match="too large for waves"):
         run(image, field_deg=(0.0,), z4_nm=(1.0,), f_number=0.5, pixel_pitch_um=50.0)
+
+
+def test_a_table_that_is_none_is_told_when_the_graph_is_read():
+    """With its line, by both ops."""
+    for op, words in (
+        ("optics.wavefront, field_deg: [0, 9], z4_nm: [1]", "they rise from 0"),
+        ("optics.wavefront, field_deg: [0, 9], z8_nm: [1, 2]", "begin with 0"),
+        ("optics.aberrations, field_deg: [1, 9], tangential_um: [1, 2]", "they rise from 0"),
+    ):
+        node = yaml.safe_load(f"{{op: {op}, after: diffraction}}")
+        with pytest.raises(GraphError, match=words):
+            make_graph(camera.OPS, extends="phone", nodes=[node])
 
 
 def test_a_lens_file_has_the_table(tmp_path):
