@@ -94,6 +94,16 @@ def test_road_users_without_a_label_are_found_by_name_and_size(sound, name, size
     assert told == ({(rule, f"/World/{name}")} if rule else set())
 
 
+def test_what_is_never_drawn_needs_no_label(sound):
+    """A helper's shape, whose purpose is that of the prim above; the same shape counts where it is drawn."""
+    stage = sound()
+    helpers = UsdGeom.Xform.Define(stage, "/World/Helpers")
+    UsdGeom.Cube.Define(stage, "/World/Helpers/Box")
+    assert found(stage) == {("unlabelled", "/World/Helpers/Box")}
+    helpers.CreatePurposeAttr("guide")
+    assert found(stage) == set()
+
+
 def test_road_users_in_instances_are_measured_where_they_stand(sound):
     """A prototype is of no size by itself; its instance is scaled."""
     stage = sound()
