@@ -263,6 +263,93 @@ def Xform "More" (
             float2 outputs:result
         }
     }
+    def Cube "Glazed" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
+    {
+        double size = 0.3
+        rel material:binding = </More/Glaze>
+    }
+    def Material "Glaze"
+    {
+        token outputs:mtlx:surface.connect = </More/Glaze/Surface.outputs:out>
+        def Shader "Surface"
+        {
+            uniform token info:id = "ND_gltf_pbr_surfaceshader"
+            color3f inputs:base_color.connect = </More/Glaze/Picture.outputs:outcolor>
+            float inputs:alpha.connect = </More/Glaze/Picture.outputs:outa>
+            int inputs:alpha_mode = 1
+            float inputs:alpha_cutoff = 0.3
+            float inputs:specular = 0.7
+            color3f inputs:specular_color = (1, 0.9, 0.8)
+            float inputs:transmission = 0.5
+            float inputs:thickness = 0.1
+            color3f inputs:emissive = (0.1, 0, 0)
+            float inputs:emissive_strength = 2
+            color3f inputs:sheen_color = (0, 0, 0)
+            token outputs:out
+        }
+        def Shader "Picture"
+        {
+            uniform token info:id = "ND_gltf_colorimage"
+            asset inputs:file = @./picture.png@
+            color4f inputs:color = (1, 1, 1, 0.5)
+            float2 inputs:scale = (2, 2)
+            float2 inputs:offset = (0.5, 0)
+            float2 inputs:pivot = (0, 1)
+            float inputs:rotate = 10
+            string inputs:uaddressmode = "mirror"
+            color3f outputs:outcolor
+            float outputs:outa
+        }
+    }
+    def Cube "Painted" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
+    {
+        double size = 0.3
+        rel material:binding = </More/Paint>
+    }
+    def Material "Paint"
+    {
+        token outputs:mtlx:surface.connect = </More/Paint/Surface.outputs:out>
+        def Shader "Surface"
+        {
+            uniform token info:id = "ND_disney_principled"
+            color3f inputs:baseColor = (0.5, 0.2, 0.1)
+            float inputs:clearcoat = 0.5
+            float inputs:clearcoatGloss = 0.9
+            float inputs:specTrans = 0.1
+            float inputs:subsurface = 0.2
+            token outputs:out
+        }
+    }
+    def Cube "Cast" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
+    {
+        double size = 0.3
+        rel material:binding = </More/Metal>
+    }
+    def Material "Metal"
+    {
+        token outputs:mdl:surface.connect = </More/Metal/Surface.outputs:out>
+        def Shader "Surface"
+        {
+            uniform token info:implementationSource = "sourceAsset"
+            uniform token info:mdl:sourceAsset:subIdentifier = "OmniSurface"
+            color3f inputs:diffuse_reflection_color = (0.5, 0.2, 0.1)
+            float inputs:diffuse_reflection_weight = 0.7
+            float inputs:metalness = 0.5
+            int inputs:specular_reflection_ior_preset = 3
+            int inputs:emission_mode = 0
+            float inputs:emission_weight = 0.1
+            bool inputs:enable_opacity = 1
+            float inputs:geometry_opacity = 0.5
+            float3 inputs:geometry_normal = (0, 0, 0)
+            token outputs:out
+        }
+    }
     def SkelRoot "Man"
     {
         def Skeleton "Bones" (
