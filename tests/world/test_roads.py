@@ -21,7 +21,7 @@ from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import RecipeError
 from synfog_usd.world import language
 from synfog_usd.world.compose import compose, draw, load
-from synfog_usd.world.roads import horizon, land, markings, rules, surface, traffic
+from synfog_usd.world.roads import asphalt, horizon, land, markings, rules, surface, traffic
 from synfog_usd.world.roads.lane_section import KERB_M, LaneSection
 from synfog_usd.world.roads.network import Land, Road
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
@@ -227,6 +227,20 @@ def test_a_carriageway_falls_from_its_crown_to_its_gutters():
     road = Road(ReferenceLine(90.0), LaneSection.from_widths(one_way), crossfall=0.025)
     t = np.array([-1.0, 0.0, 3.5, 9.5])
     np.testing.assert_allclose(road.ground(40.0, t), -0.025 * np.array([1.0, 0.0, 3.5, 9.5]), atol=1e-9)
+
+
+def test_water_stands_at_gutters_and_not_at_the_high_side():
+    """Beside an island, from which the road falls, there are puddles only where it is level across."""
+    dual = [("lane", 3.5, -1), ("island", 2.0, 0), ("lane", 3.5, 1), ("pavement", 2.0, 0)]
+    section = LaneSection.from_widths(dual)
+    touching = {}
+    for crossfall in (0.0, 0.025):
+        road = Road(ReferenceLine(300.0), section, crossfall=crossfall)
+        found = asphalt.puddles(road, asphalt.Asphalt(wet="wet"), seed=1)
+        edges = [np.abs(part.points[:, 0]) for part in found]
+        touching[crossfall] = [sum(np.isclose(t, kerb).any() for t in edges) for kerb in (1.0, 4.5)]
+    assert min(touching[0.0]) >= 8
+    assert touching[0.025][0] == 0 and touching[0.025][1] >= 8
 
 
 def test_a_stripe_over_the_crown_bends_with_it():
