@@ -56,7 +56,7 @@ def depth_of_field(
     Depth is of the middle of a pixel, so that edges keep the pinhole's pixels at one side.
 
     Args:
-        image: irradiance (H, W, C) of a pinhole's picture.  One that was rendered with an fStop is blurred already.
+        image: irradiance (H, W, C) of a pinhole's picture.  One that was baked with an fStop is refused.
         depth: (H, W, ...) with a channel `depth.Z` or `Z`, or one alone [m]: along the axis, not along the ray;
             infinite where there is nothing.
         focus_m: depth s of the plane that is sharp [m], beyond the focal length.
@@ -71,6 +71,11 @@ def depth_of_field(
     Source: Goodman, "Introduction to Fourier Optics", section 6.4; layers: Kraus and Strengert, "Depth-of-field
     rendering by pyramidal image processing", Computer Graphics Forum 26 (2007), with other rules for what is hidden.
     """
+    if (sharp_m := image.provenance.get("sharp_at_m")) is not None:
+        raise ImageError(
+            f"the picture was rendered through a thin lens, focused at {sharp_m:g} m, and is blurred already; set the "
+            f"stage's fStop to 0"
+        )
     far_px = blur_disc_um(focus_m, None, f_number=f_number, focal_length_mm=focal_length_mm) / pixel_pitch_um
     with np.errstate(over="ignore"):
         discs_px = (far_px * (1.0 - focus_m / _plane_of(depth, image).astype(np.float64))).astype(np.float32)

@@ -85,13 +85,17 @@ def wavefront(
 
     Raises:
         ImageError: lists of unlike length, angles that do not rise from 0, z6, z8 or z10 on the axis, spots wider than
-            128 pixels, pixels so large that the waves in them are too many, no angle of view.
+            128 pixels, pixels so large that the waves in them are too many, no angle of view, diffraction before it.
 
     Source: Noll, "Zernike polynomials and atmospheric turbulence", J. Opt. Soc. Am. 66 (1976); Goodman, "Introduction
     to Fourier Optics", section 6.4.
     """
     if not field_deg:
         return image
+    if image.provenance.get("diffraction_mode", "none") != "none":
+        raise ImageError(
+            "optics.diffraction has blurred the picture, and spots of a wavefront have it in them; leave it out"
+        )
     columns = (z4_nm, z6_nm, z8_nm, z10_nm, z11_nm)
     if fault := wavefront_fault(field_deg, *columns):
         raise ImageError(fault)

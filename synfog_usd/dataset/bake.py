@@ -506,6 +506,7 @@ def _render(
 def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
     """Develop a shot, write its files, and give its row of the manifest."""
     from synfog_usd import camera, writers
+    from synfog_usd.render.load import is_thin_lens
 
     shot, scene, view, taken, rendered = made.shot, made.scene, made.view, made.taken, made.rendered
     folder = plan.out / shot.folder
@@ -520,6 +521,8 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
     more: dict[str, Any] = {}
     if taken is not None:
         more["view"] = [*taken[:3], *taken.shift]
+    if is_thin_lens(scene.camera):
+        more["sharp_at_m"] = scene.camera.focus_m
     if plan.clip is not None:
         more |= {"frame_number": plan.clip.number, "frames_per_s": plan.clip.per_s}
     radiance = rendered.radiance.with_metadata(**more)

@@ -169,5 +169,8 @@ def test_what_tells_no_depth_is_refused():
     ):
         with pytest.raises(ImageError, match=words):
             depth_of_field(light, wrong, focus_m=5.0, **LENS)
+    baked = light.with_metadata(sharp_at_m=7.0)
+    with pytest.raises(ImageError, match="rendered through a thin lens, focused at 7 m"):
+        depth_of_field(baked, depth(1.0, "Z"), focus_m=5.0, **LENS)
     with pytest.raises(ImageError, match="cannot focus at focus_m"):
         depth_of_field(light, depth(1.0, "Z"), focus_m=0.01, **LENS)

@@ -8,6 +8,7 @@ import yaml
 from scipy import integrate
 
 from synfog_usd import camera, photometry
+from synfog_usd.camera.blur import diffraction
 from synfog_usd.camera.profiles import load_lens, load_sensor
 from synfog_usd.camera.wavefront import Pupil, wavefront
 from synfog_usd.errors import GraphError, ImageError
@@ -139,6 +140,17 @@ def test_what_is_no_table_is_refused_and_none_changes_nothing():
         run(image, field_deg=(0.0, 10.0), z8_nm=(1.0, 1.0))
     with pytest.raises(ImageError, match="too large for waves"):
         run(image, field_deg=(0.0,), z4_nm=(1.0,), f_number=0.5, pixel_pitch_um=50.0)
+
+
+def test_diffraction_counts_once():
+    """With both ops the second stops, whichever it is."""
+    image = irradiance(1.0 + 0.5 * np.eye(32))
+    options = {"f_number": 4.0, "pixel_pitch_um": 2.0, "sensor": load_sensor("imx363")}
+    table = {"field_deg": (0.0,), "z4_nm": (20.0,)}
+    with pytest.raises(ImageError, match="leave it out"):
+        run(diffraction(image, mode="band", **options), **table)
+    with pytest.raises(ImageError, match="leave one of the two out"):
+        diffraction(run(image, **table), mode="band", **options)
 
 
 def test_a_table_that_is_none_is_told_when_the_graph_is_read():

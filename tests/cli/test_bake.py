@@ -294,6 +294,27 @@ def test_a_graph_that_reads_more_than_radiance_is_refused_before_anything_is_ren
     assert not (tmp_path / "out" / "bake.json").exists()
 
 
+def test_what_a_thin_lens_rendered_is_not_blurred_by_depth_again(tmp_path):
+    (tmp_path / "street.usda").write_text(
+        street().replace(
+            "float focalLength", "float fStop = 2\n        float focusDistance = 8\n        float focalLength"
+        )
+    )
+    (tmp_path / "deep.yaml").write_text(
+        "synfog: graph/1\nextends: synfog\ninputs: {radiance: radiance, depth: data}\nnodes:\n"
+        "  - {name: irradiance, op: optics.irradiance, in: radiance}\n"
+        "  - {name: focus, op: optics.depth_of_field, in: [irradiance, depth], focus_m: 3, after: irradiance}\n"
+    )
+    short = "--resolution", "32x18", "--samples", "4", "--no-denoise", "--fog", "clear"
+    done = run("bake", tmp_path / "street.usda", "-o", tmp_path / "out", *short, "--lighting", "sky")
+    assert done.returncode == 0, done.stderr
+    picture = tmp_path / "out" / "sky" / "clear" / "radiance.exr"
+    refused(
+        run("graph", "run", tmp_path / "deep.yaml", "--in", picture, "-o", tmp_path / "a", "--no-cache"),
+        "thin lens, focused at 8 m",
+    )
+
+
 def test_an_output_that_cannot_be_written_is_refused(stage, tmp_path):
     (tmp_path / "file").write_text("in the way")
     refused(run("bake", stage, "-o", tmp_path / "file" / "out", "--resolution", "32x18"), str(tmp_path / "file"))
