@@ -219,7 +219,8 @@ class _Loader:
     def read_nodes(self, inputs: Mapping[str, Port], profiles: Mapping[str, Profile]) -> list[_Draft]:
         item = self.section("nodes", list, "a list, each entry with an 'op'")
         drafts: dict[str, _Draft] = {}
-        previous = next(iter(inputs)) if len(inputs) == 1 else None
+        pictures = [name for name, port in inputs.items() if port.quantity is not Quantity.DATA] or list(inputs)
+        previous = pictures[0] if len(pictures) == 1 else None
         for number, entry in enumerate(item.value if item else (), start=1):
             draft = self.read_node(number, entry, previous, profiles)
             previous = draft.name
@@ -291,7 +292,8 @@ class _Loader:
             count = len(entries)
         op = draft.op
         if op is not None and (not count or (not op.variadic and count != len(op.takes))):
-            wants = "at least 1 image" if op.variadic else f"{len(op.takes)} image{'s' if len(op.takes) > 1 else ''}"
+            kinds = f"{len(op.takes)} images ({', '.join(map(str, op.takes))})" if len(op.takes) > 1 else "1 image"
+            wants = "at least 1 image" if op.variadic else kinds
             self.faults.add(item.place if item else draft.place, f"{draft} reads {wants}; 'in' names {count}")
             draft.wrong = True
             return []
@@ -400,6 +402,8 @@ class _Loader:
             for op in self.registry
             if op.gives.quantity is wanted.quantity and op.gives.quantity is not None and wanted.accepts(op.gives)
         )
+        if wanted.quantity is Quantity.DATA:
+            return "The graph's header declares an input of data: 'inputs: {radiance: radiance, depth: data}'"
         return f"What gives {wanted}: {', '.join(makers)}" if makers else f"Name a node that gives {wanted} in 'in'"
 
     def read_outputs(

@@ -286,7 +286,6 @@ def test_a_bad_graph_is_refused_with_its_place(stage, tmp_path, old, new, words)
 def test_a_graph_that_reads_more_than_radiance_is_refused_before_anything_is_rendered(stage, tmp_path):
     (tmp_path / "deep.yaml").write_text(
         "synfog: graph/1\nextends: phone\ninputs: {radiance: radiance, depth: data}\nnodes:\n"
-        "  - {name: irradiance, op: optics.irradiance, in: radiance}\n"
         "  - {name: focus, op: optics.depth_of_field, in: [irradiance, depth], focus_m: 3, after: irradiance}\n"
     )
     done = run("bake", stage, "-o", tmp_path / "out", "--pipeline", tmp_path / "deep.yaml")
@@ -302,7 +301,6 @@ def test_what_a_thin_lens_rendered_is_not_blurred_by_depth_again(tmp_path):
     )
     (tmp_path / "deep.yaml").write_text(
         "synfog: graph/1\nextends: synfog\ninputs: {radiance: radiance, depth: data}\nnodes:\n"
-        "  - {name: irradiance, op: optics.irradiance, in: radiance}\n"
         "  - {name: focus, op: optics.depth_of_field, in: [irradiance, depth], focus_m: 3, after: irradiance}\n"
     )
     short = "--resolution", "32x18", "--samples", "4", "--no-denoise", "--fog", "clear"

@@ -117,7 +117,6 @@ def test_depth_is_found_in_a_bake_and_in_the_picture_itself(radiance, tmp_path):
     graph = tmp_path / "deep.yaml"
     graph.write_text(
         "synfog: graph/1\nextends: phone\ninputs: {radiance: radiance, depth: data}\nnodes:\n"
-        "  - {name: irradiance, op: optics.irradiance, in: radiance}\n"
         "  - {name: focus, op: optics.depth_of_field, in: [irradiance, depth], focus_m: 0.3, after: irradiance}\n"
     )
     pixels = np.full((36, 64), 500.0, np.float32)

@@ -154,7 +154,7 @@ FAULTS = [
     (
         "op: lens.pass",
         "op: light.difference",
-        "g.yaml:5:5: node 'lens' (light.difference) reads 2 images; 'in' names 1",
+        "g.yaml:5:5: node 'lens' (light.difference) reads 2 images (radiance, radiance); 'in' names 1",
     ),
     (
         "op: lens.pass, scale: 2",

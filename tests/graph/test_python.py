@@ -133,7 +133,8 @@ def test_the_how_to_runs_as_it_stands(tmp_path, scene):
     assert list(graph.outputs) == ["raw.dng", "linear.exr"] and "lens_shading" not in graph.nodes
     assert graph.nodes["second_noise"].inputs == ("read_noise",) and graph.nodes["gain"].inputs == ("second_noise",)
     (tmp_path / "deep.yaml").write_text(deep)
-    assert camera.load_graph(tmp_path / "deep.yaml").nodes["diffraction"].inputs == ("focus",)
+    nodes = camera.load_graph(tmp_path / "deep.yaml").nodes
+    assert nodes["irradiance"].inputs == ("radiance",) and nodes["diffraction"].inputs == ("focus",)
     names = {"radiance": scene}
     exec(python, names)
     assert names["results"]["colour"].pixels.shape == scene.pixels.shape
