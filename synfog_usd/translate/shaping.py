@@ -57,17 +57,21 @@ def read_shaping(inputs: Any, path: object, notes: Diagnostics) -> Shaping | Non
     ):
         return None
 
-    def number(name: str, default: float) -> float:
+    def number(name: str, default: float, low: float = -math.inf, high: float = math.inf) -> float:
         value = float(inputs.get(f"shaping:{name}", default))
         if not math.isfinite(value):
             notes.warn(path, f"shaping:{name} is {value:g}, which is no number; {default:g} is taken")
             return default
+        if not low <= value <= high:
+            taken = min(max(value, low), high)
+            notes.warn(path, f"shaping:{name} is {value:g}, which is out of range; {taken:g} is taken")
+            return taken
         return value
 
-    cutoff = number("cone:angle", 90.0)
-    softness = min(max(number("cone:softness", 0.0), 0.0), 0.999)
+    cutoff = number("cone:angle", 90.0, low=0.0)
+    softness = min(number("cone:softness", 0.0, low=0.0, high=1.0), 0.999)
     cone = None if not cutoff < 180.0 else (max(cutoff, 0.1), max(cutoff, 0.1) * (1.0 - softness))
-    focus = number("focus", 0.0)
+    focus = number("focus", 0.0, low=0.0)
     tint = inputs.get("shaping:focusTint", (0.0, 0.0, 0.0))
     profile, asset = None, inputs.get("shaping:ies:file", None)
     if authored := getattr(asset, "path", ""):
@@ -84,7 +88,7 @@ def read_shaping(inputs: Any, path: object, notes: Diagnostics) -> Shaping | Non
     return Shaping(
         cone=cone,
         softness=softness,
-        focus=max(focus, 0.0),
+        focus=focus,
         tint=(float(tint[0]), float(tint[1]), float(tint[2])),
         profile=profile,
         scale=scale,

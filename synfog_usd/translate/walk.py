@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdVol
+from pxr import Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdVol
 
 from synfog_usd.arrays import Array
 from synfog_usd.errors import StageError
@@ -194,7 +194,7 @@ class _Walker:
         self.stage, self.time, self.notes = stage, time, notes
         self.transforms = UsdGeom.XformCache(time)
         self.result = Walk()
-        self.known_names: dict[tuple[str, ...], tuple[frozenset[str], bool]] = {}
+        self.known_names: dict[tuple[str, ...], tuple[frozenset[str], bool, bool]] = {}
         self.known_schemas: dict[tuple[str, ...], tuple[str, ...]] = {}
         self.group_index: dict[tuple[object, ...], int] = {}
         self.open_groups: list[str] = []
@@ -245,13 +245,16 @@ class _Walker:
             elif kind not in _PASSED:
                 self.leaf(prim, path, kind, state, stack[-2], group, frame)
 
-    def names(self, prim: Usd.Prim) -> tuple[frozenset[str], bool]:
-        """The names of a prim's authored properties, and whether any of them means something to the walk."""
+    def names(self, prim: Usd.Prim) -> tuple[frozenset[str], bool, bool]:
+        """The names of a prim's authored properties, whether any of them means something to the walk, and whether any
+        moves it.
+        """
         authored = tuple(prim.GetAuthoredPropertyNames())
         known = self.known_names.get(authored)
         if known is None:
             said = any(name in _SAID or name.startswith(_SAID_BEGINNINGS) for name in authored)
-            known = self.known_names[authored] = (frozenset(authored), said)
+            moved = any(name.startswith("xformOp") for name in authored)
+            known = self.known_names[authored] = (frozenset(authored), said, moved)
         return known
 
     def entered(
@@ -259,7 +262,9 @@ class _Walker:
     ) -> _State | None:
         """The state below a prim, or None where nothing below can be seen."""
         drawn, owner, model, color, fog = above.drawn, above.owner, above.model, above.color, None
-        authored, says = self.names(prim)
+        authored, says, moved = self.names(prim)
+        if moved:
+            self.check_order(prim, at, authored)
         schemas = tuple(prim.GetPrimTypeInfo().GetAppliedAPISchemas())
         schemas = self.known_schemas.setdefault(schemas, schemas)
         if says and "visibility" in authored:
@@ -308,9 +313,25 @@ class _Walker:
             values = primvar.Get(Usd.TimeCode.EarliestTime())
         return inherited if not values else (float(values[0][0]), float(values[0][1]), float(values[0][2]))
 
+    def check_order(self, prim: Usd.Prim, at: Sdf.Path, authored: frozenset[str]) -> None:
+        """Tell of transforms that do not move a prim, and of those that are named and not there."""
+        order = prim.GetAttribute("xformOpOrder").Get() if "xformOpOrder" in authored else None
+        if order is None:
+            self.notes.warn(at, "has xformOps and no xformOpOrder, without which USD moves nothing; author that too")
+            return
+        lost = [name for name in order if name != "!resetXformStack!" and name.removeprefix("!invert!") not in authored]
+        if lost:
+            self.notes.warn(at, f"xformOpOrder names {lost[0][:60]!r}, which is not there; the prim stands without it")
+
     def matrix(self, prim: Usd.Prim, frame: Usd.Prim | None) -> Array:
         if frame is None:
-            return columns(self.transforms.GetLocalToWorldTransform(prim))
+            try:
+                return columns(self.transforms.GetLocalToWorldTransform(prim))
+            except Tf.ErrorException as problem:
+                raise StageError(
+                    f"{prim.GetPath()}: an xformOp of this prim, or of one above it, has a name or type that USD does "
+                    f"not know; correct it"
+                ) from problem
         if prim == frame:
             return np.eye(4)
         matrix, resets = self.transforms.ComputeRelativeTransform(prim, frame)

@@ -6,6 +6,7 @@ import numpy as np
 import OpenImageIO
 import pytest
 
+from synfog_usd.errors import StageError
 from synfog_usd.stage import open_stage
 from synfog_usd.translate import translate
 
@@ -42,6 +43,31 @@ PLATE = """def Mesh "Plate"
             "inputs:shaping:cone:angle = nan\n}\n",
             "/L",
             "shaping:cone:angle is nan, which is no number; 90 is taken",
+        ),
+        (
+            "",
+            'def SphereLight "L"\n{\n    float inputs:shaping:cone:angle = 30\n    float inputs:shaping:cone:softness = 7\n}\n',  # noqa: E501
+            "/L",
+            "shaping:cone:softness is 7, which is out of range; 1 is taken",
+        ),
+        (
+            "",
+            'def SphereLight "L"\n{\n    float inputs:shaping:focus = -3\n}\n',
+            "/L",
+            "shaping:focus is -3, which is out of range; 0 is taken",
+        ),
+        (
+            "",
+            'def Cube "C"\n{\n    double3 xformOp:translate = (0, 0, -5)\n}\n',
+            "/C",
+            "has xformOps and no xformOpOrder, without which USD moves nothing",
+        ),
+        (
+            "",
+            'def Cube "C"\n{\n    double3 xformOp:translate = (0, 0, -5)\n    uniform token[] xformOpOrder = '
+            '["!resetXformStack!", "xformOp:translate", "!invert!xformOp:translate:pivot"]\n}\n',
+            "/C",
+            "xformOpOrder names '!invert!xformOp:translate:pivot', which is not there; the prim stands without it",
         ),
         ("", 'def SphereLight "L"\n{\n    float inputs:intensity = -5\n}\n', "/L", "negative light is not drawn"),
         (
@@ -282,3 +308,16 @@ def test_a_colour_space_that_is_not_known_is_told(tmp_path):
     assert ("/Look/Picture", "a picture in colour space 'acescg' is read as linear Rec.709") in [
         (one.path, one.text) for one in scene.notes
     ]
+
+
+@pytest.mark.parametrize("op", ["float xformOp:translate", "double3 xformOp:moveIt"])
+def test_a_transform_that_is_none_is_refused_with_its_prim(tmp_path, op):
+    """Of a prim above what is drawn, whose place nobody knows."""
+    moved = (
+        f'{{\n    {op} = {5 if "float" in op else (5, 0, 0)}\n    uniform token[] xformOpOrder = ["{op.split()[1]}"]\n'
+    )
+    (tmp_path / "a.usda").write_text(
+        HEAD + f'def Camera "Ego" {{}}\ndef Xform "Up"\n{moved}    def Cube "C" {{}}\n}}\n'
+    )
+    with pytest.raises(StageError, match=r"^/Up/C: an xformOp of this prim, or of one above it"):
+        translate(open_stage(tmp_path / "a.usda"))
