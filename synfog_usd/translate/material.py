@@ -224,8 +224,13 @@ class Materials:
             self.notes.info(
                 path,
                 "OmniPBR is drawn by constants and textures of its base, roughness, metalness, specular level, "
-                "opacity, emission and normals",
+                "opacity, emission and normals, and by constants of its clear coat",
             )
+            if value_of(shader, "enable_clearcoat", self.time, False):
+                if getattr(value_of(shader, "clearcoat_normalmap_texture", self.time), "path", ""):
+                    self.notes.warn(path, "clearcoat_normalmap_texture is not drawn")
+                if value_of(shader, "clearcoat_transparency", self.time, 1.0) != 1.0:
+                    self.notes.warn(path, "clearcoat_transparency is drawn as 1")
             return self._surface(shader, OMNI_PBR, path)
         if mdl and str(mdl.Get()).startswith("OmniGlass"):
             return self._glass(shader, path)
@@ -281,7 +286,7 @@ class Materials:
         solid = max(float(ior), _MIN_IOR)
         bsdf["eta"] = max(_reflecting(solid, self._specular(inputs, path)), _MIN_IOR)
         self._subsurface(bsdf, inputs, path)
-        clearcoat = inputs.number("clearcoat", 0.0)
+        clearcoat = inputs.number("clearcoat", names.coat if inputs.has("clearcoat") else 0.0)
         if clearcoat != 0.0:
             coat_roughness = inputs.number("clearcoatRoughness", names.coat_roughness)
             bsdf |= {"clearcoat": clearcoat, "clearcoat_roughness": coat_roughness}
@@ -314,6 +319,8 @@ class Materials:
                 self.notes.warn(path, f"{name} is not drawn")
         for name in names.white:
             value = value_of(shader, name, self.time, (1.0, 1.0, 1.0))
+            if name == "clearcoat_tint" and clearcoat == 0.0:
+                continue
             if any(float(c) != 1.0 for c in value) or producer(shader, name) is not None:
                 self.notes.warn(path, f"{name} is drawn as white")
         key = self._add(bsdf)

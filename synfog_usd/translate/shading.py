@@ -20,7 +20,7 @@ class InputNames:
         weights: inputs by which another one is multiplied, and their defaults.
         switches: input without which another one does not count.
         inverted: inputs that are 1 less what is meant.
-        color, roughness, metallic, coat_roughness, cutoff: defaults.
+        color, roughness, metallic, coat, coat_roughness, cutoff: defaults.
         tints: input by whose colour another constant is multiplied.
         glow: default of the emitted colour.
         in_lux: input that is 0 where light is told as luminous exitance, not in nits; '' for always nits.
@@ -41,6 +41,7 @@ class InputNames:
     roughness: float = 0.5
     metallic: float = 0.0
     cutoff: float = 0.0
+    coat: float = 0.0
     coat_roughness: float = 0.01
     tints: Mapping[str, str] = field(default_factory=dict)
     glow: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -137,13 +138,18 @@ OMNI_PBR = InputNames(  # OmniPBR.mdl
         "emissiveColor": "emissive_color",
         "normal": "normalmap_texture",
         "specularWeight": "specular_level",
+        "clearcoat": "clearcoat_weight",
+        "clearcoatRoughness": "clearcoat_reflection_roughness",
     },
     weights={"emissiveColor": {"emissive_intensity": 40.0}},
-    switches={"opacity": "enable_opacity", "emissiveColor": "enable_emission"},
+    switches={"opacity": "enable_opacity", "emissiveColor": "enable_emission", "clearcoat": "enable_clearcoat"},
+    coat=1.0,
+    coat_roughness=0.0,
     color=(0.2, 0.2, 0.2),
     tints={"diffuseColor": "diffuse_tint"},
     glow=(1.0, 0.1, 0.1),
     specular=0.5,  # of a reflectivity of 8 percent
+    white=("clearcoat_tint",),
     omni=True,
 )
 GLTF_PBR = InputNames(  # glTF 2.0 and its KHR_materials extensions, as MaterialX 1.39's gltf_pbr has them

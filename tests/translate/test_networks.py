@@ -566,6 +566,27 @@ def test_omnipbr_changes_its_pictures_as_its_formulas_say(quad, tmp_path):
     np.testing.assert_allclose(2 * normals - 1, slopes / np.linalg.norm(slopes, axis=2, keepdims=True), atol=1e-5)
 
 
+@pytest.mark.parametrize("on", [False, True])
+def test_omnipbr_has_its_clear_coat_where_it_is_switched_on(quad, on):
+    """A whole and smooth one where nothing else is authored; its tint is told."""
+    stage, shader = quad
+    omni(
+        shader,
+        enable_clearcoat=(TYPES.Bool, on),
+        clearcoat_tint=(TYPES.Color3f, (1, 0.5, 1)),
+        clearcoat_transparency=(TYPES.Float, 0.5),
+    )
+    scene, _, bsdf = drawn(stage)
+    coat = {name: value for name, value in bsdf["bsdf"].items() if name.startswith("clearcoat")}
+    assert coat == ({"clearcoat": 1.0, "clearcoat_roughness": 0.0} if on else {})
+    told = [note.text for note in scene.notes if note.severity == "warning"]
+    assert told == (["clearcoat_transparency is drawn as 1", "clearcoat_tint is drawn as white"] if on else [])
+    shader("Surface", "", clearcoat_weight=(TYPES.Float, 0.5), clearcoat_reflection_roughness=(TYPES.Float, 0.25))
+    if on:
+        inner = drawn(stage)[2]["bsdf"]
+        assert (inner["clearcoat"], inner["clearcoat_roughness"]) == (0.5, 0.25)
+
+
 def test_omnipbr_tints_a_constant_too(quad):
     stage, shader = quad
     omni(shader, diffuse_color_constant=(TYPES.Color3f, (0.4, 0.4, 0.4)), diffuse_tint=(TYPES.Color3f, (1, 0.5, 0)))
