@@ -79,10 +79,13 @@ class Bindings:
         values = primvar.Get(self.time) if primvar and primvar.HasAuthoredValue() else None
         if values is None or not len(values):
             return 1.0
-        if min(values) != max(values):
-            self.notes.warn(prim.GetPath(), "displayOpacity that varies is drawn as its mean")
         mean = float(np.mean(values))
-        return min(max(mean, 0.0), 1.0) if math.isfinite(mean) else 1.0
+        if min(values) != max(values) and math.isfinite(mean):
+            self.notes.warn(prim.GetPath(), "displayOpacity that varies is drawn as its mean")
+        taken = min(max(mean, 0.0), 1.0) if math.isfinite(mean) else 1.0
+        if mean != taken:
+            self.notes.warn(prim.GetPath(), f"displayOpacity is {mean:g}, which is no opacity; {taken:g} is taken")
+        return taken
 
     def is_bare(self, leaf: Leaf) -> bool:
         """Whether a shape has no material, so that its own colours count."""

@@ -68,13 +68,33 @@ class Dome:
     to_world: Array = field(default_factory=lambda: np.eye(4))
 
 
+_SIZES = {
+    "SphereLight": ("radius",),
+    "DiskLight": ("radius",),
+    "RectLight": ("width", "height"),
+    "CylinderLight": ("length", "radius"),
+    "DistantLight": ("angle",),
+}
+"""What says how large a light is."""
+
+
 class _LightInputs:
     """Inputs of a light, also without the 'inputs:' of files before 21.02."""
 
     def __init__(self, prim: Usd.Prim, time: Usd.TimeCode) -> None:
         self.prim, self.time = prim, time
+        self.instead: dict[str, float] = {}
+
+    def sizes_below_0(self, names: tuple[str, ...], notes: Diagnostics) -> None:
+        """Take the amounts of sizes that are negative, with a note each."""
+        for name in names:
+            if (value := float(self.get(name, 0.0))) < 0.0:
+                self.instead[name] = -value
+                notes.warn(self.prim.GetPath(), f"inputs:{name} is {value:g}, which is no size; {-value:g} is taken")
 
     def get(self, name: str, default: Any) -> Any:
+        if name in self.instead:
+            return self.instead[name]
         for full_name in (f"inputs:{name}", name):
             attribute = self.prim.GetAttribute(full_name)
             if attribute and attribute.HasAuthoredValue():
@@ -125,6 +145,7 @@ def lamp(
     if not _shines(radiance, path, notes):
         return None
     radiance = np.maximum(radiance, 0.0)
+    inputs.sizes_below_0(_SIZES.get(kind, ()), notes)
     normalize = bool(inputs.get("normalize", False))
     if kind == "DistantLight":
         angle = float(inputs.get("angle", 0.53)) * convention.sun_angle

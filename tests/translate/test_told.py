@@ -321,3 +321,37 @@ def test_a_transform_that_is_none_is_refused_with_its_prim(tmp_path, op):
     )
     with pytest.raises(StageError, match=r"^/Up/C: an xformOp of this prim, or of one above it"):
         translate(open_stage(tmp_path / "a.usda"))
+
+
+@pytest.mark.parametrize(
+    "kind, name",
+    [
+        ("SphereLight", "radius"),
+        ("DiskLight", "radius"),
+        ("RectLight", "width"),
+        ("RectLight", "height"),
+        ("CylinderLight", "length"),
+        ("DistantLight", "angle"),
+    ],
+)
+def test_a_light_of_a_size_below_zero_is_told_and_of_that_amount(tmp_path, kind, name):
+    """A rectangle of negative width would shine the other way."""
+
+    def scene(value):
+        light = f'def {kind} "L"\n{{\n    float inputs:{name} = {value}\n}}\n'
+        (tmp_path / "a.usda").write_text(HEAD + 'def Camera "Ego" {}\n' + light + CUBE)
+        return translate(open_stage(tmp_path / "a.usda"))
+
+    odd, plain = scene(-0.25), scene(0.25)
+    np.testing.assert_equal(dict(odd.world), dict(plain.world))
+    added = [(one.path, one.text) for one in odd.notes if one not in plain.notes]
+    assert added == [("/L", f"inputs:{name} is -0.25, which is no size; 0.25 is taken")]
+
+
+@pytest.mark.parametrize("value, taken", [(7, 1), (-1, 0), ("nan", 1)])
+def test_an_opacity_that_is_none_is_told(tmp_path, value, taken):
+    box = CUBE.replace("double size = 2", f"float[] primvars:displayOpacity = [{value}]")
+    (tmp_path / "a.usda").write_text(HEAD + 'def Camera "Ego" {}\n' + box)
+    scene = translate(open_stage(tmp_path / "a.usda"))
+    told = [(one.path, one.text) for one in scene.notes if one.severity == "warning"]
+    assert told == [("/Box", f"displayOpacity is {value}, which is no opacity; {taken} is taken")]
