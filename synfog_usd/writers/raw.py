@@ -9,6 +9,7 @@ too.  rawpy is imported on first use.
 from __future__ import annotations
 
 import io
+import math
 from pathlib import Path
 from typing import Any
 
@@ -92,11 +93,12 @@ def _bare(path: Path) -> tuple[io.BytesIO, dict[str, Any]] | None:
             mosaics = [
                 page
                 for page in (first, *(first.pages or ()))
-                if (page.compression, page.photometric) == (JPEG_XL, 32803) and page.size <= MOST_PIXELS
+                if (page.compression, page.photometric) == (JPEG_XL, 32803)
+                and max(page.size, math.prod(page.chunks)) <= MOST_PIXELS
             ]
             if not mosaics:
                 return None
-            stored = mosaics[0].asarray()
+            stored = _decoded(mosaics[0])
             tags = {tag.code: tag for page in (first, mosaics[0]) for tag in page.tags.values()}
             places = [
                 np.concatenate([np.arange(field, length, fields) for field in range(fields)])
@@ -123,6 +125,24 @@ def _bare(path: Path) -> tuple[io.BytesIO, dict[str, Any]] | None:
         if not mosaics:
             return None  # LibRaw says what is wrong with it
         raise ImageError(f"{path}: its JPEG XL cannot be decoded ({error or type(error).__name__})") from error
+
+
+def _decoded(page: Any) -> np.ndarray:
+    """(H, W) numbers of a page of JPEG XL.
+
+    A tile of another size than the page says is refused before it is decoded: a few bytes may declare any.
+    """
+    import imagecodecs
+
+    found = np.empty(page.shape, page.dtype)
+    (rows, columns), file = page.chunks, page.parent.filehandle
+    corners = [(row, column) for row in range(0, found.shape[0], rows) for column in range(0, found.shape[1], columns)]
+    for (row, column), offset, length in zip(corners, page.dataoffsets, page.databytecounts, strict=True):
+        file.seek(offset)
+        place = found[row : row + rows, column : column + columns]
+        tile = np.empty((rows if page.is_tiled else place.shape[0], columns), page.dtype)
+        place[:] = imagecodecs.jpegxl_decode(file.read(length), out=tile)[: place.shape[0], : place.shape[1]]
+    return found
 
 
 def _metadata(path: Path, raw: Any) -> tuple[dict[str, Any], np.ndarray]:

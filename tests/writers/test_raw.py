@@ -59,8 +59,9 @@ def test_the_second_half_alone_makes_the_same_picture(shot, tmp_path):
 
 def test_a_dng_of_jpeg_xl_is_the_one_it_was_made_of(shot, tmp_path):
     """Packed as Adobe's converter packs a mosaic: lossless here, in tiles, rows and columns of a colour together.  One
-    that is cut off is one line.
+    that is cut off, or whose last tile declares another size, is one line.
     """
+    import imagecodecs
     import tifffile
 
     writers.write_output("a.dng", shot["adc"], tmp_path)
@@ -89,6 +90,13 @@ def test_a_dng_of_jpeg_xl_is_the_one_it_was_made_of(shot, tmp_path):
     for key in ("cfa_pattern", "black_level_dn", "white_level_dn", "as_shot_neutral", "camera_to_rec709"):
         assert found.provenance[key] == plain.provenance[key]
     whole = packed.read_bytes()
+    with tifffile.TiffFile(packed) as file:
+        offset, length = file.pages[0].dataoffsets[-1], file.pages[0].databytecounts[-1]
+    bomb = imagecodecs.jpegxl_encode(np.zeros((4000, 4000), np.uint16), lossless=True, effort=1)
+    assert len(bomb) < length + len(whole) - offset
+    packed.write_bytes(whole[:offset] + bomb.ljust(len(whole) - offset, b"\0"))
+    with pytest.raises(ImageError, match=r"packed\.dng: its JPEG XL .* shape=\(4000, 4000\)"):
+        writers.read_raw(packed)
     packed.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ImageError, match=r"packed\.dng: "):
         writers.read_raw(packed)
