@@ -664,7 +664,7 @@ class FogPath:
             onward = dr.select(surface_hit, throughput * gain, throughput)
             if dr.hint(self.control is not None, mode="scalar"):
                 light = self.control_reflected(
-                    si, bsdf, reading, bounce, vertex.p, direction, throughput, onward, surface_hit, smooth, next_delta
+                    si, bsdf, reading, bounce, vertex, direction, throughput, onward, surface_hit, smooth, next_delta
                 )
                 path, aovs, sums = self.add_light(path, aovs, sums, light, mi.UInt32(2), mi.UInt32(0))
             throughput = onward
@@ -919,7 +919,7 @@ class FogPath:
         bsdf: Any,
         reading: Any,
         bounce: Any,
-        place: Any,
+        vertex: Any,
         direction: Any,
         throughput: Any,
         onward: Any,
@@ -929,16 +929,21 @@ class FogPath:
     ) -> Any:
         """(11) The control variate's light that a surface reflects: a matte part of it in closed form, the rest along
         the direction that is taken.
+
+        It is counted where the next ray begins in the control's domain, a little above the surface: what a surface
+        lacks here that lies under the domain's floor by less than that, no jump of the ray would make up for.
         """
         control, black = self.control, self.bands.black()
-        known = surface_hit & control.holds(place)
-        matte, normal = self.matte(si, bsdf, reading, known & smooth)
-        irradiance = throughput * matte * control.irradiance(place, normal, known) * dr.inv_pi
+        seen = surface_hit & control.holds(vertex.spawn_ray(si.to_world(si.wi)).o)
+        along = surface_hit & control.holds(vertex.spawn_ray(direction).o) & (bounce.pdf > 0.0)
+        matte, normal = self.matte(si, bsdf, reading, seen & smooth)
+        irradiance = throughput * matte * control.irradiance(vertex.p, normal, seen) * dr.inv_pi
         cosine = dr.dot(direction, normal)
         expected = dr.select(next_delta | (cosine <= 0.0), 0.0, cosine * dr.inv_pi / dr.maximum(bounce.pdf, 1e-20))
         rest = onward - throughput * matte * expected
-        light = irradiance + rest * control.radiance(place, direction, known)
-        return dr.select(known & (bounce.pdf > 0.0), light, dr.select(known, irradiance, black))
+        return dr.select(seen, irradiance, black) + dr.select(
+            along, rest * control.radiance(vertex.p, direction, along), black
+        )
 
     def sample_phase(
         self, forward: Any, place: Any, throughput: Any, scale: Any, sampler: Any, medium_scattered: Any
