@@ -105,6 +105,7 @@ def bake(
 
     bake_began = time.monotonic()
     models.check_name(plan.model)
+    backend.begin(plan.variant)  # type: ignore[arg-type]
     graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
     for name, port in graph.inputs.items():
         if port.quantity is not Quantity.RADIANCE:

@@ -8,6 +8,7 @@ this process may be the first to try.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes.util
 import functools
 import importlib.metadata
@@ -15,6 +16,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -151,13 +153,31 @@ def _prove(variant: str, llvm_library: str = "") -> str:
     return (telling or lines or [f"the trial process ended with code {child.returncode}"])[-1][:200]
 
 
-@functools.lru_cache(maxsize=4)
+def begin(choice: VariantName = "auto") -> None:
+    """Begin to `choose`, in a child that another processor runs; what is wrong is told when it is asked for."""
+
+    def ask() -> None:
+        with contextlib.suppress(BackendError, OSError):
+            choose(choice)
+
+    threading.Thread(target=ask, daemon=True).start()
+
+
 def choose(choice: VariantName = "auto") -> Backend:
     """Find the best variant, or prove the one that is asked for.
 
     Raises:
         BackendError: the forced variant does not run here.
     """
+    with _choosing:
+        return _chosen(choice)
+
+
+_choosing = threading.Lock()
+
+
+@functools.lru_cache(maxsize=4)
+def _chosen(choice: VariantName) -> Backend:
     if choice not in ("auto", *VARIANTS):
         raise BackendError(f"--variant {choice}: not known; it takes auto, cuda, llvm or scalar")
     why: list[str] = []

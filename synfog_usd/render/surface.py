@@ -95,6 +95,21 @@ def lobe_albedo(step: int, points: int = 610) -> Array:
     incidence, (n - 1) / (n + 1), is `step` / STEPS.  Mean of `points` visible normals (Heitz 2018) each, evenly spread:
     the weight of one is G2 / G1.
     """
+    between, shadowed, schlick = _lobe(points)
+    amplitude = min(step / STEPS, MOST)
+    index = (1.0 + amplitude) / (1.0 - amplitude)
+    refracted = np.sqrt(index**2 - 1.0 + between**2)
+    across = (refracted - between) / np.maximum(refracted + between, 1e-9)
+    along = (between * (refracted + between) - 1.0) / (between * (refracted - between) + 1.0)
+    dielectric = 0.5 * across**2 * (1.0 + along**2)
+    return np.stack([*schlick, (shadowed * dielectric).mean(axis=-1)])
+
+
+@functools.lru_cache(maxsize=1)
+def _lobe(points: int) -> tuple[Array, Array, Array]:
+    """Of `points` visible normals of each lobe, (NODES, NODES, points): the cosine between them and the direction, and
+    their weights; and what `lobe_albedo` has of Schlick's weights.
+    """
     root, roughness = (axis[..., None] for axis in np.meshgrid(*2 * [np.linspace(0.0, 1.0, NODES)], indexing="ij"))
     cosine, alpha = np.maximum(root**2, 1e-4), np.maximum(roughness**2, MIN_ALPHA)
     v = (np.arange(points) + 0.5) / points
@@ -114,13 +129,8 @@ def lobe_albedo(step: int, points: int = 610) -> Array:
         return 0.5 * (np.sqrt(1.0 + alpha**2 * (1.0 / np.maximum(c, 1e-6) ** 2 - 1.0)) - 1.0)
 
     shadowed = np.where(out > 0.0, (1.0 + stretch(cosine)) / (1.0 + stretch(cosine) + stretch(out)), 0.0)
-    grazing, amplitude = (1.0 - between) ** 5, min(step / STEPS, MOST)
-    index = (1.0 + amplitude) / (1.0 - amplitude)
-    refracted = np.sqrt(index**2 - 1.0 + between**2)
-    across = (refracted - between) / np.maximum(refracted + between, 1e-9)
-    along = (between * (refracted + between) - 1.0) / (between * (refracted - between) + 1.0)
-    dielectric = 0.5 * across**2 * (1.0 + along**2)
-    return np.stack([(shadowed * part).mean(axis=-1) for part in (1.0 - grazing, grazing, dielectric)])
+    grazing = (1.0 - between) ** 5
+    return between, shadowed, np.stack([(shadowed * part).mean(axis=-1) for part in (1.0 - grazing, grazing)])
 
 
 def albedo_of(eta: float) -> Array:

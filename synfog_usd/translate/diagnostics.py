@@ -17,6 +17,11 @@ class Diagnostics:
     def __init__(self) -> None:
         self._by_text: dict[tuple[Literal["info", "warning"], str], dict[str, None]] = {}
 
+    @property
+    def told(self) -> int:
+        """How many there are."""
+        return sum(map(len, self._by_text.values()))
+
     def info(self, path: object, text: str) -> None:
         """A choice that was made."""
         self._by_text.setdefault(("info", text), {})[str(path)] = None

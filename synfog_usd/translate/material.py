@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Usd, UsdShade
+from pxr import Gf, Sdf, Usd, UsdShade
 
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
@@ -47,6 +47,11 @@ DISPLAY = "displayColor"
 _MIN_IOR = 1.001
 _CUT_OUT = 0.1
 """Alpha of a card's picture below which nothing is drawn.  Source: OpenUSD's imaging of draw modes."""
+
+_EARLIEST = Usd.TimeCode.EarliestTime()
+
+_PLAIN = (type(None), bool, int, float, str, Gf.Vec2f, Gf.Vec3f, Gf.Vec4f, Gf.Vec3d)
+"""Values that are equal where they mean the same."""
 
 _OF_EVERY_SURFACE = frozenset({"type", "base_color", "roughness", "eta"})
 """What a surface has that is neither metal nor coated; where it reflects nothing, it is Lambert's."""
@@ -94,6 +99,7 @@ class Materials:
         self.bsdfs: dict[str, dict[str, Any]] = {}
         self.reflectance_of: dict[str, Array] = {}
         self._by_path: dict[str, Finish] = {}
+        self._by_said: dict[tuple[Any, ...], Finish] = {}
         self._by_word: dict[str, str] = {}
         self._by_color: dict[tuple[Any, ...], str] = {}
 
@@ -101,8 +107,40 @@ class Materials:
         """The finish of a USD material."""
         path = str(material.GetPath())
         if path not in self._by_path:
-            self._by_path[path] = self._measured(material, self._made(material))
+            said, told = self._said(material.GetPrim()), self.notes.told
+            made = self._by_said.get(said) if said is not None else None
+            if made is None:
+                made = self._measured(material, self._made(material))
+                if said is not None and self.notes.told == told:  # notes name the material
+                    self._by_said[said] = made
+            self._by_path[path] = made
         return self._by_path[path]
+
+    def _said(self, material: Usd.Prim) -> tuple[Any, ...] | None:
+        """All that stands on a material and below it, by which instances of a model are known to wear the same; None
+        where something stands elsewhere, or is more than a few numbers, a word or a file.
+        """
+        path, found = str(material.GetPath()), list[Any]()
+        for prim in Usd.PrimRange(material):
+            found.append((str(prim.GetPath())[len(path) :], prim.GetTypeName()))
+            for attribute in prim.GetAuthoredAttributes():
+                value = attribute.Get(self.time)
+                if value is None:  # as `value_of` has it
+                    value = attribute.Get(_EARLIEST)
+                said: tuple[Any, ...] = (attribute.GetName(), type(value), value)
+                if isinstance(value, Sdf.AssetPath):
+                    if "<UDIM>" in value.path:
+                        return None
+                    said = (*said[:2], value.path, value.resolvedPath, attribute.GetColorSpace())
+                elif not isinstance(value, _PLAIN):
+                    return None
+                if attribute.HasAuthoredConnections():
+                    sources = [str(source) for source in attribute.GetConnections()]
+                    if not all(source.startswith(f"{path}/") for source in sources):
+                        return None
+                    said += tuple(source[len(path) :] for source in sources)
+                found.append(said)
+        return tuple(found)
 
     def _measured(self, material: UsdShade.Material, made: Finish) -> Finish:
         """The finish with the reflectance spectrum that stands on its material, or as it is."""

@@ -481,9 +481,25 @@ def _sampled(node: TextureNode, images: ImageReader, channels: int) -> Pixels | 
         and pixels.shape[:2] != (1, 1)
     ):
         return np.ascontiguousarray(pixels[..., :3])
-    scale, bias = np.array(node.scale, dtype=np.float32), np.array(node.bias, dtype=np.float32)
-    picked = _picked(_four(linear(pixels, srgb=srgb)) * scale + bias, node, channels)
+    picked = _measured(pixels, node, channels, srgb=srgb)
     return tuple(float(x) for x in picked.reshape(-1)) if picked.shape[:2] == (1, 1) else picked
+
+
+def _measured(pixels: Pixels, node: TextureNode, channels: int, *, srgb: bool) -> npt.NDArray[np.float32]:
+    """`_picked` of linear values with scale and bias, of which those alone are worked out that are picked."""
+    count, channel = pixels.shape[2], _CHANNEL.get(node.channel)
+
+    def column(c: int) -> npt.NDArray[np.float32]:
+        place = c if count > 2 else c // 3  # as `_four` has it
+        if place < count:
+            one = linear(pixels[..., place : place + 1], srgb=srgb and not place == count - 1 == 3)
+        else:
+            one = np.ones((*pixels.shape[:2], 1), dtype=np.float32)
+        return np.asarray(one * np.float32(node.scale[c]) + np.float32(node.bias[c]))
+
+    if channels == 1 or channel is not None:
+        return np.ascontiguousarray(np.repeat(column(channel or 0), channels, axis=2))
+    return np.concatenate([column(c) for c in range(3)], axis=2)
 
 
 def as_measured(node: TextureNode, images: ImageReader, most: int) -> npt.NDArray[np.float32]:

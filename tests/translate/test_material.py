@@ -398,3 +398,57 @@ def test_the_specular_workflow_is_its_colour_and_its_picture(quad, tmp_path):
     textured(stage, surface, "specularColor", tmp_path / "a.png")
     made = drawn(stage)[2]["bsdf"]["specular"]
     np.testing.assert_array_equal(made["bitmap"], CODES[..., :3])
+
+
+def test_materials_that_say_the_same_are_drawn_alike_and_told_one_by_one(empty, polygon_mesh):
+    """Four quads: two materials of one colour are one BSDF, and each is told of its displacement; of two that read
+    their colour from a prim elsewhere each has the colour that stands there.
+    """
+    stage = empty()
+    red, blue = (0.8, 0.1, 0.1), (0.1, 0.1, 0.8)
+    for number, (colour, elsewhere) in enumerate([(red, False), (red, False), (red, True), (blue, True)]):
+        corners = [(number, 5, 0), (number + 1, 5, 0), (number + 1, 5, 1), (number, 5, 1)]
+        mesh = polygon_mesh(stage, f"/Quad{number}", corners, [4], [0, 1, 2, 3])
+        material = UsdShade.Material.Define(stage, f"/Material{number}")
+        surface = UsdShade.Shader.Define(stage, f"/Material{number}/Surface")
+        surface.CreateIdAttr("UsdPreviewSurface")
+        given = surface.CreateInput("diffuseColor", TYPES.Color3f)
+        if elsewhere:
+            source = UsdShade.NodeGraph.Define(stage, f"/Colours{number}").CreateInput("colour", TYPES.Color3f)
+            source.Set(Gf.Vec3f(*colour))
+            given.ConnectToSource(source)
+        else:
+            given.Set(Gf.Vec3f(*colour))
+            surface.CreateInput("displacement", TYPES.Float).Set(0.5)
+        material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", TYPES.Token))
+        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    scene = translate(stage)
+    worn = [scene.world[f"shape_{number}"]["bsdf"]["id"] for number in range(4)]
+    colours = [scene.world[key]["bsdf"]["base_color"]["value"] for key in worn]
+    np.testing.assert_allclose(colours, [red, red, red, blue], rtol=1e-6)
+    assert worn[0] == worn[1] != worn[3]
+    told = {note.path for note in scene.notes if "displacement" in note.text}
+    assert told == {"/Material0", "/Material1"}
+
+
+@pytest.mark.parametrize("channel", ["r", "g", "b", "a"])
+def test_one_channel_of_a_picture_is_decoded_as_all_of_them_are(quad, tmp_path, channel):
+    """Roughness from a picture of 1 to 4 channels, in sRGB and raw: the channel that is named, a grey one for red,
+    green and blue, and 1 for an alpha that is not there; colour by the sRGB table, alpha as it stands.
+    """
+    for count in (1, 2, 3, 4):
+        for space in ("raw", "sRGB"):
+            stage, surface = quad
+            file = tmp_path / f"{count}.png"
+            write(file, CODES[..., :count])
+            textured(stage, surface, "roughness", file, channel, sourceColorSpace=space)
+            got = drawn(stage)[2]["bsdf"]["roughness"]
+            grey = count <= 2
+            place = "rgba".index(channel) if not grey else (1 if channel == "a" else 0)
+            if place >= count:
+                assert (got["bitmap"] == 1.0).all()
+                continue
+            codes = CODES[..., place]
+            plain = space == "raw" or (channel == "a" and count == 4)
+            wanted = codes / 255.0 if plain else SRGB_TO_LINEAR[codes]
+            np.testing.assert_allclose(got["bitmap"][..., 0], wanted, atol=1e-6)
