@@ -19,10 +19,14 @@ STRIP_ROWS = 16
 """As many rows as a chain of steps is done for at a time."""
 
 
-def strips(height: int) -> Iterator[slice]:
+def strips(height: int, rows: int = STRIP_ROWS) -> Iterator[slice]:
     """Few rows of a picture at a time, which the processor's cache holds through a chain of steps."""
-    return (slice(top, top + STRIP_ROWS) for top in range(0, height, STRIP_ROWS))
+    return (slice(top, top + rows) for top in range(0, height, rows))
 
 
-FEW = 4
-"""Channels up to which each is gone through by itself: numpy is slow where the innermost axis is short."""
+def planar(shape: tuple[int, ...]) -> FloatArray:
+    """A new picture (H, W, C), not yet filled, whose channels lie one behind the other in memory: numpy is slow where
+    the innermost axis is short.
+    """
+    height, width, count = shape
+    return np.moveaxis(np.empty((count, height, width), dtype=np.float32), 0, 2)

@@ -39,7 +39,7 @@ class Image:
     """Pixels with their meaning.
 
     Attributes:
-        pixels: (H, W, C) float32, row 0 at the top.
+        pixels: (H, W, C) float32, row 0 at the top; the order in memory is free (`arrays.planar`).
         channels: C names, for example ('R', 'G', 'B') or ('transmittance.Y',).
         quantity: what the numbers measure.
         variance: (H, W, C) float32, variance of the mean of each pixel, or None.
@@ -75,7 +75,7 @@ class Image:
     def with_pixels(self, pixels: FloatArray, **changes: Any) -> Image:
         """A copy with other pixels; the variance is dropped unless it is given."""
         changes.setdefault("variance", None)
-        return replace(self, pixels=np.ascontiguousarray(pixels, dtype=np.float32), **changes)
+        return replace(self, pixels=np.asarray(pixels, dtype=np.float32), **changes)
 
     def with_metadata(self, **metadata: Any) -> Image:
         """A copy whose provenance also holds `metadata`."""

@@ -7,6 +7,7 @@ left out here.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -86,8 +87,9 @@ def diffraction(
     wavelengths_nm = weights @ photometry.WAVELENGTHS_NM
     per_nm = 1e-3 * f_number / pixel_pitch_um
     spot_px = spot_um / pixel_pitch_um
-    measured = _Measured.of(image, weights, per_nm, spot_px)
-    chosen = _chosen(image, mode, float(wavelengths_nm.max() * per_nm), spot_px, measured)
+    limits = spread.highlight_limits(image.pixels)
+    measured = _Measured.of(image, limits, weights, per_nm, spot_px)
+    chosen = _chosen(image, limits, mode, float(wavelengths_nm.max() * per_nm), spot_px, measured)
     if chosen == "broadband":
         wavelengths_nm = np.full_like(wavelengths_nm, wavelengths_nm.mean())
     metadata = {"diffraction_mode": chosen, "diffraction_error": float(f"{measured.error(chosen):.3g}")}
@@ -95,7 +97,7 @@ def diffraction(
         return image.with_metadata(**metadata)
     scale = max(1, math.ceil(float(wavelengths_nm.max()) * per_nm))
     blurs = [spread.aperture(float(wavelength_nm * per_nm), scale, spot_px) for wavelength_nm in wavelengths_nm]
-    return image.with_pixels(spread.blurred(image.pixels, blurs)).with_metadata(
+    return image.with_pixels(spread.blurred(image.pixels, blurs, limits)).with_metadata(
         mean_wavelengths_nm=[round(float(nm), 3) for nm in wavelengths_nm], **metadata
     )
 
@@ -158,9 +160,9 @@ def defocus(
             f"the blur disc is {disc_px:.0f} pixels wide; the widest is {DISC_MAX_PX:.0f}: bring focus_m nearer to "
             f"distance_m, or raise f_number"
         )
-    return image.with_pixels(
-        spread.blurred(image.pixels, [spread.Blur(transfer, spread.disc(disc_px))] * len(image.channels))
-    ).with_metadata(**metadata)
+    blurs = [spread.Blur(transfer, spread.disc(disc_px))] * len(image.channels)
+    pixels = spread.blurred(image.pixels, blurs, spread.highlight_limits(image.pixels))
+    return image.with_pixels(pixels).with_metadata(**metadata)
 
 
 def blur_disc_um(focus_m: float, distance_m: float | None, *, f_number: float, focal_length_mm: float) -> float:
@@ -210,21 +212,16 @@ class _Measured:
     all_q: float
 
     @classmethod
-    def of(cls, image: Image, weights: Array, per_nm: float, spot_px: float) -> _Measured:
+    def of(cls, image: Image, limits: Sequence[np.float32], weights: Array, per_nm: float, spot_px: float) -> _Measured:
         """Measure the first, middle and last channel."""
         channels = sorted({0, image.pixels.shape[2] // 2, image.pixels.shape[2] - 1})
-        limits = [spread.highlight_limit(image.pixels[..., channel]) for channel in channels]
-        middle = len(channels) // 2
-        top, left = _busiest(
-            np.minimum(image.pixels[::4, ::4, channels[middle]], limits[middle]), image.pixels.shape[:2]
-        )
+        middle = channels[len(channels) // 2]
+        top, left = _busiest(np.minimum(image.pixels[::4, ::4, middle], limits[middle]), image.pixels.shape[:2])
         crop = image.pixels[top : top + CROP_PX, left : left + CROP_PX]
-        found = [_power(np.minimum(crop[..., channel], limit)) for channel, limit in zip(channels, limits, strict=True)]
-        frequency = found[0][0]
+        frequency, power = _power([np.minimum(crop[..., channel], limits[channel]) for channel in channels])
         truth = weights[channels] @ spread.aperture_transfer(np.outer(photometry.WAVELENGTHS_NM * per_nm, frequency))
         spot = spread.spot_transfer(spot_px, frequency)
         q = weights @ photometry.WAVELENGTHS_NM * per_nm
-        power = np.array([power for _, power in found])
         return cls(frequency, power, truth * spot, spot, q[channels], float(q.mean()))
 
     def error(self, mode: str) -> float:
@@ -242,14 +239,16 @@ class _Measured:
         return float(np.sqrt(self.power.sum(axis=1)).max())
 
 
-def _chosen(image: Image, mode: str, q: float, spot_px: float, measured: _Measured) -> str:
+def _chosen(
+    image: Image, limits: Sequence[np.float32], mode: str, q: float, spot_px: float, measured: _Measured
+) -> str:
     if mode != "auto":
         return mode
     if (
         q <= 1.0
         and measured.error("none") < UNSEEN
         and _contrast(image) * (0.134 * q + 1.1 * spot_px**2) < UNSEEN
-        and not _has_points(image)
+        and not (image.pixels.max(axis=(0, 1)) > limits).any()
     ):
         return "none"
     if len(image.channels) > 3 and measured.error("broadband") <= BROADBAND_ERROR * measured.contrast:
@@ -261,11 +260,6 @@ def _contrast(image: Image) -> float:
     """RMS contrast [1] of the channel that has most, from every fourth row and column."""
     some = image.pixels[::4, ::4].reshape(-1, image.pixels.shape[2]).astype(np.float64)
     return float((some.std(axis=0) / np.maximum(some.mean(axis=0), 1e-300)).max())
-
-
-def _has_points(image: Image) -> bool:
-    planes = (image.pixels[..., channel] for channel in range(image.pixels.shape[2]))
-    return any(float(plane.max()) > float(spread.highlight_limit(plane)) for plane in planes)
 
 
 def _busiest(some: FloatArray, shape: tuple[int, ...]) -> tuple[int, int]:
@@ -282,18 +276,19 @@ def _busiest(some: FloatArray, shape: tuple[int, ...]) -> tuple[int, int]:
     return top, left
 
 
-def _power(crop: FloatArray) -> tuple[Array, Array]:
-    """Radial frequency [cycles/pixel] and the crop's variance there over its mean squared.
+def _power(crops: Sequence[FloatArray]) -> tuple[Array, Array]:
+    """(B,) radial frequencies [cycles/pixel] and (K, B) variances of K crops of one size there over their mean squared.
 
     The cosine transform is the Fourier transform of the crop mirrored at its edges,
     so the variances sum to that of the crop.
     """
     from scipy import fft
 
-    terms = np.square(fft.dctn(crop.astype(np.float64), norm="ortho"))
-    mean2 = terms[0, 0] / crop.size
-    terms[0, 0] = 0.0
-    row, column = (0.5 * np.arange(length) / length for length in crop.shape)
-    bins = np.rint(np.hypot(row[:, None], column[None, :]) * 512.0).astype(int)
-    power = np.bincount(bins.ravel(), weights=terms.ravel(), minlength=364)
-    return np.arange(power.size) / 512.0, power / (crop.size * max(mean2, 1e-300))
+    row, column = (0.5 * np.arange(length) / length for length in crops[0].shape)
+    bins = np.rint(np.hypot(row[:, None], column[None, :]) * 512.0).astype(int).ravel()
+    found = []
+    for crop in crops:
+        terms = np.square(fft.dctn(crop.astype(np.float64), norm="ortho")).ravel()
+        mean2, terms[0] = terms[0] / crop.size, 0.0
+        found.append(np.bincount(bins, weights=terms, minlength=364) / (crop.size * max(mean2, 1e-300)))
+    return np.arange(found[0].size) / 512.0, np.array(found)

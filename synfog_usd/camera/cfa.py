@@ -6,12 +6,12 @@ letters: R, G, B; C lets all visible light through; I all but visible light.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal, get_args
 
 import numpy as np
 
-from synfog_usd.arrays import FloatArray
+from synfog_usd.arrays import Array, FloatArray
 
 Pattern = Literal["RGGB", "GRBG", "GBRG", "BGGR", "RCCB", "RCCC", "RGIB", "MONO"]
 
@@ -49,6 +49,16 @@ def sites(pattern: str) -> Iterator[tuple[tuple[slice, slice], int]]:
     for row, line in enumerate(rows):
         for column, letter in enumerate(line):
             yield (slice(row, None, len(rows)), slice(column, None, len(line))), letters.index(letter)
+
+
+def lines(pattern: str, values: Sequence[float] | Array, width: int) -> list[FloatArray]:
+    """For each row of a pattern (W,): the value of each pixel's filter.
+
+    >>> [line.tolist() for line in lines("RGGB", (1.0, 2.0, 3.0), 3)]
+    [[1.0, 2.0, 1.0], [2.0, 3.0, 2.0]]
+    """
+    by_filter = dict(zip(filters(pattern), values, strict=True))
+    return [np.resize([by_filter[letter] for letter in row], width).astype(np.float32) for row in PATTERNS[pattern]]
 
 
 def mosaic_of(planes: FloatArray, pattern: str) -> FloatArray:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from synfog_usd.arrays import FloatArray
+from synfog_usd.arrays import FloatArray, planar
 from synfog_usd.camera import cfa
 from synfog_usd.camera.isp import DISPLAY, PICTURE, SENSED, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
@@ -32,7 +32,7 @@ LAMP_SIGMA = 4.0
 REACH_PX = (1, 2)
 """How far off the neighbours are among which `isp.false_colour` takes medians, one after the other."""
 
-STRIP_PX = 64
+STRIP_PX = 32
 """Rows that `isp.false_colour` treats at a time, so that they stay in a cache."""
 
 SPLINE = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
@@ -153,19 +153,23 @@ def false_colour(image: Image) -> Image:
     """
     if image.channels != ("R", "G", "B"):
         return image
-    pixels = np.empty_like(image.pixels)
+    pixels = planar(image.pixels.shape)
     rim = sum(REACH_PX)
     for top in range(0, image.height_px, STRIP_PX):
         first = max(top - rim, 0)
         rows = image.pixels[first : top + STRIP_PX + rim]
         own = slice(top - first, top - first + STRIP_PX)
-        green = np.ascontiguousarray(rows[..., 1])
+        green = rows[..., 1]
         pixels[top : top + STRIP_PX, :, 1] = green[own]
         for channel in (0, 2):
             difference = rows[..., channel] - green
             for reach in REACH_PX:
-                for plane in (difference, difference.T):
-                    _median_of_three(plane, reach)
+                _median_of_three(difference, reach)
+                if (width := image.width_px) > 2 * reach:
+                    rims = [*range(reach), *range(width - reach, width)]
+                    kept = difference[:, rims]
+                    _median_of_three(difference.reshape(-1), reach)  # one long line is faster than many
+                    difference[:, rims] = kept
             np.add(green[own], difference[own], out=pixels[top : top + STRIP_PX, :, channel])
     return image.with_pixels(pixels)
 

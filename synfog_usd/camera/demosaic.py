@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from synfog_usd.arrays import FloatArray
+from synfog_usd.arrays import FloatArray, planar
 from synfog_usd.camera import cfa
 from synfog_usd.camera.isp import MOSAIC, PICTURE, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
@@ -105,71 +105,82 @@ def _directional(mosaic: FloatArray, pattern: str) -> FloatArray:
     weights: Pekkucuksen and Altunbasak, "Gradient based threshold free color filter array interpolation" (2010).
     """
     height, width = mosaic.shape
-    padded = np.pad(mosaic, HALO_PX, mode="reflect")
-    sign = np.full((STRIP_ROWS + 2 * HALO_PX, width + 2 * HALO_PX), -1.0, dtype=np.float32)
+    signed = np.pad(mosaic, HALO_PX, mode="reflect")
     for where, number in cfa.sites(pattern):
-        if "RGB"[number] != "G":
-            sign[where] = 1.0
-    picture = np.empty((height, width, 3), dtype=np.float32)
+        if "RGB"[number] == "G":
+            np.negative(signed[where], out=signed[where])
+    picture = planar((height, width, 3))
     for top in range(0, height, STRIP_ROWS):
-        part = padded[top : top + STRIP_ROWS + 2 * HALO_PX]
-        signed = part * sign[: len(part)]
-        _directional_strip(mosaic[top : top + STRIP_ROWS], signed, pattern, picture[top : top + STRIP_ROWS])
+        rows = slice(top, top + STRIP_ROWS)
+        _directional_strip(mosaic[rows], signed[top : top + STRIP_ROWS + 2 * HALO_PX], pattern, picture[rows])
     return picture
 
 
 def _directional_strip(mosaic: FloatArray, signed: FloatArray, pattern: str, out: FloatArray) -> None:
     """Rows (H, W) of a mosaic to planes (H, W, 3); `signed` has `HALO_PX` more on each side, green negative."""
-    across, weight = _along_rows(signed)
-    down, change = (found.T for found in _along_rows(signed.T))
-    change += np.float32(1e-16)
-    weight += change
-    np.divide(change, weight, out=weight)
-    across -= down
-    across *= weight
-    down += across  # w h + (1 - w) v
-    down *= np.float32(1.0 / 16.0)
-    green = mosaic.copy()
+    down = _differences(signed)
+    green = out[..., 1]
+    green[...] = mosaic
     rows, columns = mosaic.shape
     sites = [("RGB"[number], where[0].start, where[1].start) for where, number in cfa.sites(pattern)]
     for letter, row, column in sites:
         if letter != "G":
             own = green[row::2, column::2]
             own -= down[1:-1, 1:-1][row::2, column::2]
-    np.copyto(out[..., 1], green)
     for letter, row, column in sites:
         if letter != "G":
-            lines, plane = np.empty((rows // 2 + 2, columns), np.float32), np.empty((rows, columns), np.float32)
+            lines, plane = np.empty((rows // 2 + 2, columns), np.float32), out[..., "RGB".index(letter)]
             known = down[(row + 1) % 2 :: 2, (column + 1) % 2 :: 2]  # from one row and column outside on, where odd
             _between(known.T, column, lines[: len(known)].T)
             _between(lines, row, plane)
             plane += green
             plane[row::2, column::2] = mosaic[row::2, column::2]  # but for its rounding it is that already
-            np.copyto(out[..., "RGB".index(letter)], plane)
 
 
-def _along_rows(signed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """16 times the smoothed colour differences along rows, and 10,000 times the square of how much they change; one
-    pixel more than the picture on each side.
+def _differences(signed: FloatArray) -> FloatArray:
+    """(H + 2, W + 2) colour differences of rows (H, W) and one pixel around, of (H + 12, W + 12) signed numbers.
+
+    All rows are taken as one line, in which the pixel below is a row's length further on: one long line is faster than
+    many.
+    """
+    height, length = signed.shape
+    found = np.empty((height - 10, length), np.float32)
+    line = found.reshape(-1)[:-10]  # to one pixel behind the last
+    across, weight = _along(signed[3:-3].reshape(-1), 1, length, slice(2 * length + 5, 2 * length + 5 + line.size))
+    down, change = _along(signed.reshape(-1), length, 1, slice(5 * length + 5, 5 * length + 5 + line.size))
+    change += np.float32(1e-16)
+    weight += change
+    np.divide(change, weight, out=weight)
+    across -= down
+    across *= weight
+    down += across  # w h + (1 - w) v
+    np.multiply(down, np.float32(1.0 / 16.0), out=line)
+    return found[:, :-10]
+
+
+def _along(line: FloatArray, step: int, other: int, places: slice) -> tuple[FloatArray, FloatArray]:
+    """16 times the smoothed colour differences between pixels `step` apart, and 10,000 times the square of how much
+    they change, at some places of a line; `other` is the way across.
 
     By sums of two neighbours, of which (1 2 2 2 1) and (1 2 1) are made.
     """
-    pairs = signed[3:-3, :-1] + signed[3:-3, 1:]
-    fours = pairs[:, :-2] + pairs[:, 2:]
-    difference = fours[:, :-1] + fours[:, 1:]
-    near = difference[2:-2, 2:-2]
-    pairs = near[:, :-1] + near[:, 1:]
-    smooth = pairs[:, :-1] + pairs[:, 1:]
-    change = difference[:, 2:] - difference[:, :-2]
+    pairs = line[:-step] + line[step:]
+    fours = pairs[: -2 * step] + pairs[2 * step :]
+    difference = fours[:-step] + fours[step:]  # from 2 steps on
+    pairs = difference[:-step] + difference[step:]
+    smooth = pairs[:-step] + pairs[step:]  # from 3 steps on
+    change = difference[2 * step :] - difference[: -2 * step]
     np.abs(change, out=change)
-    change = _sums_of_five(_sums_of_five(change.T).T)
+    change = _sums_of_five(_sums_of_five(change, step), other)  # from 5 steps, and 2 across, on
+    first, count = places.start, places.stop - places.start
+    smooth, change = smooth[first - 3 * step :][:count], change[first - 5 * step - 2 * other :][:count]
     return smooth, np.multiply(change, change, out=change)
 
 
-def _sums_of_five(rows: FloatArray) -> FloatArray:
-    pairs = rows[:-1] + rows[1:]
-    found = pairs[:-3] + pairs[2:-1]
-    found += rows[4:]
+def _sums_of_five(line: FloatArray, step: int) -> FloatArray:
+    pairs = line[:-step] + line[step:]
+    found = pairs[: -3 * step] + pairs[2 * step : -step]
+    found += line[4 * step :]
     return found
 
 

@@ -7,7 +7,6 @@ picture.
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Iterator
 from typing import Annotated
@@ -16,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import photometry
-from synfog_usd.arrays import FEW, Array, FloatArray, Pixels
+from synfog_usd.arrays import STRIP_ROWS, FloatArray, planar, strips
 from synfog_usd.camera import blur, spread
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -62,26 +61,28 @@ def glare(
         return image
     block = max(1, round(image.width_px / 480))
     coarse = block_means(image.pixels, block)
-    waves = fft.dctn(coarse.astype(np.float64), axes=(0, 1), workers=THREADS)  # cosines: the mirror image is in them
-    scattered = fft.idctn(waves * _veil(*coarse.shape[:2]), axes=(0, 1), workers=THREADS, overwrite_x=True)
-    scattered = np.maximum(scattered, 0.0).astype(np.float32)
-    pixels = np.empty_like(image.pixels)
-    for rows, veil in enlarged(np.float32(fraction) * scattered, block, image.height_px, image.width_px):
-        np.multiply(image.pixels[rows], np.float32(1.0 - fraction), out=pixels[rows])
-        pixels[rows] += veil
+    pixels = planar(image.pixels.shape)
+    for channel in range(pixels.shape[2]):
+        waves = fft.dctn(coarse[..., channel])  # cosines: the mirror image is in them
+        waves *= _veil(*waves.shape)
+        veil = np.float32(fraction) * np.maximum(fft.idctn(waves, overwrite_x=True), 0.0)
+        plane = pixels[..., channel]
+        for rows, more in enlarged(veil, block, *plane.shape):
+            np.multiply(image.pixels[rows, :, channel], np.float32(1.0 - fraction), out=plane[rows])
+            plane[rows] += more
     return image.with_pixels(pixels).with_metadata(glare_fraction=fraction)
 
 
 @functools.lru_cache(maxsize=4)
-def _veil(height: int, width: int) -> Array:
-    """(H, W, 1) transfer of the veil at the frequencies of the cosine transform of so many blocks."""
+def _veil(height: int, width: int) -> FloatArray:
+    """(H, W) transfer of the veil at the frequencies of the cosine transform of so many blocks."""
     from scipy import fft
 
     y, x = (np.rint(np.fft.fftfreq(2 * length) * 2 * length) for length in (height, width))
     kernel = 1.0 / (y[:, None] ** 2 + x[None, :] ** 2 + 1.0)
     kernel[np.abs(y) > height // 2, :] = 0.0
     kernel[:, np.abs(x) > width // 2] = 0.0
-    return np.ascontiguousarray(fft.rfft2(kernel / kernel.sum()).real[:height, :width, None])
+    return fft.rfft2(kernel / kernel.sum()).real[:height, :width].astype(np.float32)
 
 
 @OPS.op("optics.flare", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
@@ -216,52 +217,46 @@ def aperture(blades: int, rotation_deg: float, diameter: float, size: int) -> Fl
 
 def block_means(pixels: FloatArray, block: int) -> FloatArray:
     """(ceil(H / block), ceil(W / block), C) means of square blocks; the last ones are smaller."""
-    rows, columns = np.arange(0, pixels.shape[0], block), np.arange(0, pixels.shape[1], block)
-    sums = _added(_added(pixels, block, axis=0, kind=np.float32), block, axis=1, kind=np.float64)
-    heights, widths = np.diff(np.append(rows, pixels.shape[0])), np.diff(np.append(columns, pixels.shape[1]))
-    return np.asarray(sums / (heights[:, None, None] * widths[None, :, None]), dtype=np.float32)
-
-
-def _added(pixels: Pixels, block: int, axis: int, kind: npt.DTypeLike) -> Pixels:
-    """Sums of so many neighbours along columns (axis 0) or rows, in numbers of `kind`; a pass over memory for each."""
-    total = pixels[(slice(None),) * axis + (slice(None, None, block),)].astype(kind)
-    for step in range(1, block):
-        more = pixels[(slice(None),) * axis + (slice(step, None, block),)]
-        total[(slice(None),) * axis + (slice(more.shape[axis]),)] += more
-    return total
+    height, width, count = pixels.shape
+    heights, widths = (np.diff(np.append(np.arange(0, size, block), size)) for size in (height, width))
+    whole = height // block
+    means = planar((heights.size, widths.size, count))
+    lines = np.empty((heights.size, width), np.float32)
+    for channel in range(count):
+        plane = pixels[..., channel]
+        np.sum(plane[: whole * block].reshape(whole, block, width), axis=1, out=lines[:whole])
+        if whole < heights.size:
+            np.sum(plane[whole * block :], axis=0, out=lines[-1])
+        sums = lines[:, ::block].astype(np.float64)
+        for step in range(1, block):
+            more = lines[:, step::block]
+            sums[:, : more.shape[1]] += more
+        means[..., channel] = sums / np.outer(heights, widths)
+    return means
 
 
 def enlarged(coarse: FloatArray, block: int, height: int, width: int) -> Iterator[tuple[slice, FloatArray]]:
-    """What blocks (h, w, C) hold, by straight lines between their centres: rows of a picture, and (rows, W, C), which
-    is overwritten by the next.
-    """
-    count = coarse.shape[2]
-    beside = np.ascontiguousarray(np.pad(coarse, [(0, 0), (1, 1), (0, 0)], mode="edge").transpose(0, 2, 1))
-    slope = np.diff(beside, axis=2)
-    wide = np.empty((len(coarse), width, count), dtype=np.float32)
+    """What blocks (h, w) hold, by straight lines between their centres: some rows of a picture, and these (R, W)."""
+    beside = np.pad(coarse, 1, mode="edge")
+    slope = np.diff(beside, axis=1)
+    wide = np.empty((len(beside), width), dtype=np.float32)
     for first in range(block):  # columns that lie alike between two blocks
         columns = wide[:, first::block]
-        place = (first + 0.5) / block + 0.5
-        begin, across = int(place), columns.shape[1]
-        values = slope[..., begin : begin + across] * np.float32(place - begin)
-        values += beside[..., begin : begin + across]
-        if count > FEW:
-            columns[...] = values.transpose(0, 2, 1)
-            continue
-        for channel in range(count):
-            columns[..., channel] = values[:, channel]
-    low, part = _between_blocks(height, len(coarse), block)
-    begins = np.flatnonzero(np.diff(low, prepend=-1))
-    found = np.empty((int(np.diff(begins, append=height).max()), width, count), dtype=np.float32)
-    for begin, end in itertools.pairwise([*begins.tolist(), height]):  # rows between the same two blocks
-        before, after = wide[low[begin]], wide[min(low[begin] + 1, len(wide) - 1)]
-        rows = np.multiply(part[begin:end, None, None], after - before, out=found[: end - begin])
-        rows += before
-        yield slice(begin, end), rows
+        between, part = _blocks_before(first, block, columns.shape[1])
+        columns[...] = slope[:, between] * part + beside[:, between]
+    slope = np.diff(wide, axis=0)
+    for strip in strips(height, STRIP_ROWS * block):
+        for first in range(strip.start, min(strip.start + block, height)):  # rows that do
+            rows = slice(first, min(strip.stop, height), block)
+            between, part = _blocks_before(first, block, len(range(height)[rows]))
+            found = slope[between] * part
+            found += wide[between]
+            yield rows, found
 
 
-def _between_blocks(fine: int, coarse: int, block: int) -> tuple[npt.NDArray[np.intp], FloatArray]:
-    """The block before each pixel's centre, and how far it is towards the next, 0 to 1."""
-    place = np.clip((np.arange(fine) + 0.5) / block - 0.5, 0.0, coarse - 1.0)
-    low = place.astype(np.intp)
-    return low, (place - low).astype(np.float32)
+def _blocks_before(first: int, block: int, count: int) -> tuple[slice, np.float32]:
+    """Of `count` pixels, every `block`-th from `first` on: the blocks before their centres, counted from one beyond the
+    edge, and how far these are towards the next, 0 to 1.
+    """
+    place = (first + 0.5) / block + 0.5
+    return slice(int(place), int(place) + count), np.float32(place % 1.0)

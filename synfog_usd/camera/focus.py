@@ -129,8 +129,11 @@ def _focused(pixels: FloatArray, discs_px: FloatArray) -> FloatArray:
     place = np.interp(discs_px * np.abs(discs_px), [part * abs(part) for part in widths], np.arange(len(widths)))
     down, across = (0.5 * np.arange(length) / length for length in (height, width))
     frequency = np.hypot(down[:, None], across).astype(np.float32)
-    planes = [np.ascontiguousarray(pixels[..., channel]) for channel in range(count)]
-    points = [spread.taken_out(plane) for plane in planes]
+    planes = [np.empty((height, width), np.float32) for _ in range(count)]
+    points = [
+        spread.taken_out(pixels[..., channel], spread.highlight_limit(pixels[..., channel]), plane)
+        for channel, plane in enumerate(planes)
+    ]
     total = np.zeros((count, height, width), np.float32)
     nearer = np.zeros((height, width), np.float32)  # share of each pixel in the layers so far
     left = np.ones((height, width), np.float32)  # what they let through

@@ -132,8 +132,8 @@ def _draw(
         total += ghost.fraction * _discs(
             light.shape, at, amounts, abs(ghost.diameter_mm) * pixels_per_mm / block, blades, turned
         )
-    for strip, drawn in enlarged(total.astype(np.float32)[..., None], block, height, width):
-        plane[strip] += drawn[..., 0]
+    for strip, drawn in enlarged(total.astype(np.float32), block, height, width):
+        plane[strip] += drawn
 
 
 def _discs(

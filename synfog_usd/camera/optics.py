@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import FEW, FloatArray, strips
+from synfog_usd.arrays import FloatArray, planar, strips
 from synfog_usd.camera.fisheye import angles_rad, of_picture
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
@@ -136,14 +136,11 @@ def irradiance(
         )
         if falloff == "table":
             metadata["relative_illumination"] = [list(column) for column in table]
-    pixels = np.empty_like(image.pixels)
+    pixels = planar(image.pixels.shape)
     for rows in strips(image.height_px):
-        here = factor if fade is None else factor * fade[rows, :, None]
-        if fade is None or pixels.shape[2] > FEW:
-            np.multiply(image.pixels[rows], here, out=pixels[rows])
-            continue
+        here = factor if fade is None else factor * fade[rows]
         for channel in range(pixels.shape[2]):
-            np.multiply(image.pixels[rows, :, channel], here[..., 0], out=pixels[rows, :, channel])
+            np.multiply(image.pixels[rows, :, channel], here, out=pixels[rows, :, channel])
     if fov_x_deg is not None:
         metadata["fov_x_deg"] = fov_x_deg
     if focal_length_mm is not None:

@@ -91,9 +91,14 @@ def expose(
     time_s = exposure_s * exposure_ratio
     weights = (rate * time_s).astype(np.float32)
     mosaic = np.empty((image.height_px, image.width_px, 1), dtype=np.float32)
-    for where, number in cfa.sites(sensor.cfa):
-        np.matmul(image.pixels[where], weights[number], out=mosaic[(*where, 0)])
-    np.maximum(mosaic, 0.0, out=mosaic)
+    by_channel = [cfa.lines(sensor.cfa, column, image.width_px) for column in weights.T]
+    for strip in strips(image.height_px):  # of whole patterns
+        for row, by_row in enumerate(zip(*by_channel, strict=True)):
+            rows = slice(strip.start + row, strip.stop, len(by_channel[0]))
+            total = np.multiply(image.pixels[rows, :, 0], by_row[0], out=mosaic[rows, :, 0])
+            for channel, factors in enumerate(by_row[1:], start=1):
+                total += image.pixels[rows, :, channel] * factors
+        np.maximum(mosaic[strip], 0.0, out=mosaic[strip])
     reset = {"global_reset_s": readout_s} if shutter == "global_reset" else {}
     if reset:
         mosaic *= row_times(reset | {"exposure_s": time_s}, image.height_px)

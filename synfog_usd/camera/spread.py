@@ -8,6 +8,7 @@ ripples, are added as copies of the exact spot.  Knows no op.
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, FloatArray, strips
+from synfog_usd.arrays import Array, FloatArray, planar, strips
 
 THREADS = 2
 
@@ -47,6 +48,9 @@ Places = npt.NDArray[np.intp]
 Points = tuple[Places, Places, FloatArray]
 """Rows, columns and light of points of light."""
 
+Tail = tuple[Places, FloatArray]
+"""(M,) columns, and (K, M) numbers along them."""
+
 
 @dataclass(frozen=True)
 class Blur:
@@ -68,7 +72,17 @@ class Blur:
 
 def highlight_limit(plane: FloatArray) -> np.float32:
     """From where on a channel (H, W) holds points of light; every fourth row and column is looked at."""
-    return np.float32(HIGHLIGHT * np.percentile(plane[::4, ::4], 95.0))
+    some = plane[::4, ::4].ravel()
+    place = 0.95 * (some.size - 1)
+    low = int(place)
+    some = np.partition(some, low)  # np.percentile asks it for two places, which takes ten times as long
+    step = float(some[low + 1 :].min(initial=np.inf) - some[low]) if low < place else 0.0
+    return np.float32(HIGHLIGHT * (float(some[low]) + (place - low) * step))
+
+
+def highlight_limits(pixels: FloatArray) -> list[np.float32]:
+    """That of each channel of (H, W, C)."""
+    return [highlight_limit(pixels[..., channel]) for channel in range(pixels.shape[2])]
 
 
 def aperture_transfer(v: npt.NDArray[np.floating]) -> Array:
@@ -82,120 +96,99 @@ def spot_transfer(spot_px: float, frequency: npt.NDArray[np.floating]) -> Array:
     return np.exp(-2.0 * np.square(math.pi * spot_px * frequency))
 
 
-def blurred(pixels: FloatArray, blurs: Sequence[Blur]) -> FloatArray:
+def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float32]) -> FloatArray:
     """(H, W, C) through one blur per channel, >= 0; light from outside the picture is taken as its mirror image.
 
-    The cosine transform has the mirror image in it, and multiplies as Fourier's does, since spots are symmetric.
+    What exceeds a channel's limit is spread as a point of light.  The cosine transform has the mirror image in it, and
+    multiplies as Fourier's does, since spots are symmetric.  Columns are transformed, then rows there and back, then
+    columns back.
     """
-    height, width, count = pixels.shape
-    result = np.empty_like(pixels)
-    together = 2 if count <= 4 else 4  # channels that are taken out of the frame, and put back, in one go over it
-    same = np.ones((height, width), np.float32) if all(blur is blurs[0] for blur in blurs) else None
-    if same is not None:
-        _multiply(same, blurs[0].transfer)
+    from scipy import fft
 
-    def run(first: int) -> None:
-        channels = range(first, min(first + together, count))
-        planes = [np.empty((height, width), np.float32) for _ in channels]
-        for rows in strips(height):
-            for plane, channel in zip(planes, channels, strict=True):
-                plane[rows] = pixels[rows, :, channel]
-        planes = _blurred_planes(planes, [blurs[channel] for channel in channels], same)
-        for rows in strips(height):
-            for plane, channel in zip(planes, channels, strict=True):
-                np.maximum(plane[rows], 0.0, out=result[rows, :, channel])
+    height, width, count = pixels.shape
+    result = planar(pixels.shape)
+    planes = [result[..., channel] for channel in range(count)]
+    factors = _factors(blurs)
+    down_2, across_2 = (np.square(0.5 * np.arange(size) / size).astype(np.float32) for size in (height, width))
+    scale = blurs[0].tail_scale
+    wide = math.ceil(2.0 * TAIL_CYCLES / (SOFT_PX * scale) * width)
+
+    def down(channel: int) -> tuple[Points, Tail]:
+        plane = planes[channel]
+        points = taken_out(pixels[..., channel], limits[channel], plane)
+        plane[...] = fft.dct(plane, axis=0, overwrite_x=True)
+        return points, _tail(points, blurs[channel], height)
+
+    def across(rows: slice) -> None:
+        frequency = np.sqrt(down_2[rows, None] + across_2)
+        tail = None
+        for plane, factor, (_, (columns, low)) in zip(planes, factors(frequency), found, strict=True):
+            waves = fft.dct(plane[rows], axis=1)
+            waves *= factor
+            if low[rows].size:
+                tail = tail_transfer(frequency[:, :wide], scale) if tail is None else tail
+                far = np.zeros((len(low[rows]), width), np.float32)
+                far[:, columns] = low[rows]
+                waves[: len(far), :wide] += tail[: len(far)] * fft.dct(far, axis=1, overwrite_x=True)[:, :wide]
+            plane[rows] = fft.idct(waves, axis=1, overwrite_x=True)
+
+    def up(channel: int) -> None:
+        plane, spot, (points, _) = planes[channel], blurs[channel].spot, found[channel]
+        plane[...] = fft.idct(plane, axis=0, overwrite_x=True)
+        if points[0].size:
+            add_spots(plane, *mirrored(plane.shape, *points, spot.shape[0] // 2), spot)
+        np.maximum(plane, 0.0, out=plane)
 
     with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(run, range(0, count, together)))
+        found = list(pool.map(down, range(count)))
+        list(pool.map(across, strips(height)))
+        list(pool.map(up, range(count)))
     return result
 
 
-def _blurred_planes(planes: list[FloatArray], blurs: Sequence[Blur], known: FloatArray | None) -> list[FloatArray]:
-    """Channels, which are overwritten; `known` is the transfer of all at the cosines' frequencies, where it is one."""
-    from scipy import fft
+def _factors(blurs: Sequence[Blur]) -> Callable[[FloatArray], Iterator[Array]]:
+    """From frequencies [cycles/pixel] to what is left there in each channel; where channels differ, at the nearest of
+    `FINE` frequencies.
+    """
+    if all(blur is blurs[0] for blur in blurs):
+        return lambda frequency: itertools.repeat(blurs[0].transfer(frequency), len(blurs))
+    step = np.float32(math.sqrt(0.5) / FINE)
+    known = np.arange(FINE + 1, dtype=np.float32) * step
+    tables = [blur.transfer(known).astype(np.float32) for blur in blurs]
 
-    points = [taken_out(plane) for plane in planes]
-    waves = [fft.dctn(plane, overwrite_x=True) for plane in planes]
-    if known is None:
-        _multiply_each(waves, [blur.transfer for blur in blurs])
-    else:
-        for plane in waves:
-            plane *= known
-    _add_tails(waves, blurs, points)
-    found = [fft.idctn(plane, overwrite_x=True) for plane in waves]
-    for plane, blur, (rows, columns, lights) in zip(found, blurs, points, strict=True):
-        if rows.size:
-            add_spots(plane, *mirrored(plane.shape, rows, columns, lights, blur.spot.shape[0] // 2), blur.spot)
-    return found
+    def factors(frequency: FloatArray) -> Iterator[Array]:
+        nearest = (frequency * (1 / step) + np.float32(0.5)).astype(np.intp)
+        return (table.take(nearest, mode="clip") for table in tables)
+
+    return factors
 
 
-def taken_out(plane: FloatArray) -> Points:
-    """Rows, columns and light of the points of light of a channel (H, W), which is cut, in place, where they begin."""
-    limit = highlight_limit(plane)
+def taken_out(plane: FloatArray, limit: np.float32, out: FloatArray) -> Points:
+    """Rows, columns and light over the limit of the points of light of a channel (H, W); `out` gets the channel, cut
+    there.
+    """
     rows = np.flatnonzero(plane.max(axis=1) > limit)
     line, columns = np.nonzero(plane[rows] > limit)
     rows = rows[line]
     lights = plane[rows, columns] - limit
-    plane[rows, columns] = limit
+    np.minimum(plane, limit, out=out)
     return rows, columns, lights
 
 
-def _add_tails(waves: Sequence[FloatArray], blurs: Sequence[Blur], points: Sequence[Points]) -> None:
-    """Add, in place, to cosine transforms of one size what lamps show outside their spots."""
-    far = [(plane, blur, lamps) for plane, blur, lamps in zip(waves, blurs, points, strict=True) if lamps[0].size]
-    if not far or not far[0][1].tail:
-        return
-    shape, scale = far[0][0].shape, far[0][1].tail_scale
-    tails = [_low_waves(shape, *lamps, TAIL_CYCLES / (SOFT_PX * scale)) for _, _, lamps in far]
-    for rows, frequency in _frequencies(tails[0].shape, shape):
-        tail = tail_transfer(frequency, scale)
-        for low, (plane, blur, _) in zip(tails, far, strict=True):
-            low[rows] *= np.float32(blur.tail)
-            low[rows] *= tail
-            plane[: len(low), : low.shape[1]][rows] += low[rows]
-
-
-def _multiply(waves: FloatArray, transfer: Callable[[FloatArray], Array]) -> None:
-    """In place, the cosine transform of a picture by a transfer function."""
-    for rows, frequency in _frequencies(waves.shape, waves.shape):
-        waves[rows] *= transfer(frequency)
-
-
-def _multiply_each(waves: Sequence[FloatArray], transfers: Sequence[Callable[[FloatArray], Array]]) -> None:
-    """In place, cosine transforms of one size, each by its own transfer at the nearest of `FINE` frequencies."""
-    step = math.sqrt(0.5) / FINE
-    tables = [
-        transfer(np.arange(FINE + 1, dtype=np.float32) * np.float32(step)).astype(np.float32) for transfer in transfers
-    ]
-    for rows, frequency in _frequencies(waves[0].shape, waves[0].shape):
-        frequency *= np.float32(1.0 / step)
-        frequency += np.float32(0.5)
-        nearest = frequency.astype(np.intp)
-        for plane, table in zip(waves, tables, strict=True):
-            plane[rows] *= table.take(nearest, mode="clip", out=frequency)
-
-
-def _frequencies(kept: tuple[int, ...], fine: tuple[int, ...]) -> Iterator[tuple[slice, FloatArray]]:
-    """Rows of the lowest `kept` frequencies [cycles/pixel] of the cosine transform of a picture of the size `fine`."""
-    down, across = (
-        (0.5 * np.arange(most) / length).astype(np.float32) for most, length in zip(kept, fine, strict=True)
-    )
-    down, across = down * down, across * across
-    for rows in strips(kept[0]):
-        yield rows, np.sqrt(down[rows, None] + across)
-
-
-def _low_waves(shape: tuple[int, ...], rows: Places, columns: Places, lights: FloatArray, highest: float) -> FloatArray:
-    """Cosine transform of a picture of `shape` that is black but for a few pixels, up to a frequency [cycles/pixel]."""
+def _tail(points: Points, blur: Blur, height: int) -> Tail:
+    """What points of light show outside their spots, before `tail_transfer`: columns with light, and cosine transforms
+    along them, as far as that goes.
+    """
     from scipy import fft
 
-    high, wide = (min(length, math.ceil(2.0 * highest * length)) for length in shape)
-    lines, line = np.unique(rows, return_inverse=True)
-    lit = np.zeros((lines.size, shape[1]), np.float32)
-    lit[line, columns] = lights
-    waves = np.zeros((shape[0], wide), np.float32)
-    waves[lines] = fft.dct(lit, axis=1)[:, :wide]
-    return np.asarray(fft.dct(waves, axis=0, overwrite_x=True)[:high])
+    rows, columns, lights = points
+    columns, column = np.unique(columns, return_inverse=True)
+    lit = np.zeros((height, columns.size), np.float32)
+    lit[rows, column] = lights * np.float32(blur.tail)
+    if not lit.any():
+        return columns, lit[:0]
+    high = math.ceil(2.0 * TAIL_CYCLES / (SOFT_PX * blur.tail_scale) * height)
+    return columns, np.asarray(fft.dct(lit, axis=0)[:high])
 
 
 def mirrored(

@@ -238,6 +238,14 @@ def test_many_bands_share_a_wavelength_only_where_it_does_not_show():
             assert image.provenance["diffraction_error"] < 0.0005 * 0.3
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (5, 9), (40, 84), (67, 123)])
+def test_points_of_light_begin_at_eight_times_the_percentile(shape):
+    """NumPy's, between its two places."""
+    plane = seeds.stream(5, "limit").random(shape, dtype=np.float32)
+    expected = 8.0 * np.percentile(plane[::4, ::4].astype(np.float64), 95.0)
+    assert spread.highlight_limit(plane) == pytest.approx(expected, rel=1e-6)
+
+
 # ---- defocus -----------------------------------------------------------------------
 
 LENS = {"f_number": 2.0, "focal_length_mm": 6.0, "pixel_pitch_um": 3.0}

@@ -11,7 +11,7 @@ import pytest
 from synfog_usd import camera, photometry, resources, seeds
 from synfog_usd.camera import cfa
 from synfog_usd.errors import GraphError
-from synfog_usd.graph import make_graph, outputs
+from synfog_usd.graph import Cache, make_graph, outputs
 from synfog_usd.image import Image, Quantity
 from synfog_usd.writers import WRITERS, write_output
 
@@ -48,6 +48,24 @@ def test_a_shipped_graph_runs_and_repeats_itself(path, tmp_path):
                 and (mosaic == np.rint(mosaic)).all()
             )
     assert files and all(one == two for one, two in files.values())
+
+
+@pytest.mark.parametrize(
+    "channels", [("R", "G", "B"), tuple(map(photometry.band_name, (430.0, 500.0, 570.0, 640.0)))], ids=["RGB", "bands"]
+)
+def test_the_order_in_memory_changes_no_number(channels, tmp_path):
+    """Ops keep channels one behind the other, and a kept result has them side by side: each node of the phone gives
+    the same bytes for both.
+    """
+    graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+    radiance = scene(channels)
+    settings = camera.meter(radiance, graph).settings
+    whole = graph.run({"radiance": radiance}, seed=3, settings=settings)
+    store = Cache(tmp_path / "cache")
+    for number, name in enumerate(graph.nodes):
+        run = graph.run({"radiance": radiance}, seed=3, settings=settings, until=name, keep=[name], cache=store)
+        assert len(run.cached) == number  # the node before it was read
+        np.testing.assert_array_equal(run[name].pixels, whole[name].pixels, err_msg=name)
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (3, 5), (2, 301)])
