@@ -49,7 +49,8 @@ class Scenes:
         choices: dict[str, Any] = {"camera": plan.camera, "frame": plan.frame, "resolution": plan.size}
         choices |= {"lights": plan.lights, "light_scale": plan.light_scale, "sun_lux": plan.sun_lux}
         if shot.lighting not in self.lightings:
-            self.lightings[shot.lighting] = Exchange(self.stage, **choices, fog_mor_m=shot.mor_m)
+            before = next(iter(self.lightings.values()), None)
+            self.lightings[shot.lighting] = Exchange(self.stage, **choices, fog_mor_m=shot.mor_m, before=before)
             self.known[shot] = self.seen(self.lightings[shot.lighting].scene)
             return self.known[shot]
         scene = self.lightings[shot.lighting].within(self.stage, fog_mor_m=shot.mor_m)

@@ -10,9 +10,9 @@ import contextlib
 import gc
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pxr import Usd
@@ -35,7 +35,7 @@ from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group
 from synfog_usd.translate.material import Materials
 from synfog_usd.translate.motion import Mover
 from synfog_usd.translate.pose import Poser
-from synfog_usd.translate.shapes import Shapes
+from synfog_usd.translate.shapes import Meshes, Shapes
 from synfog_usd.translate.skel import has_skeletons, posed
 from synfog_usd.translate.space import Space, stage_space
 from synfog_usd.translate.texture import ImageReader
@@ -93,6 +93,24 @@ def translate(
     return with_boundaries(stage, fog_mor_m=fog_mor_m, **choices)[0]
 
 
+class Outlook(NamedTuple):
+    """Where a stage was looked at from, as `looked_from` gives it, and what was found on it."""
+
+    stage: Usd.Stage
+    time: Usd.TimeCode
+    space: Space
+    eye: Camera
+    found: Walk
+
+
+@dataclass
+class TakenOver:
+    """Meshes and pictures of a stage, for its next translation with other variants."""
+
+    meshes: Meshes = field(default_factory=dict)
+    images: ImageReader | None = None
+
+
 @plain_errors
 def with_boundaries(
     stage: Usd.Stage,
@@ -104,18 +122,25 @@ def with_boundaries(
     lights: str,
     light_scale: float,
     sun_lux: float | None,
-) -> tuple[SceneDict, tuple[str, ...]]:
-    """What `translate` gives, and the paths of all fog boundaries of the stage, whatever visibility is asked for."""
+    made: TakenOver | None = None,
+) -> tuple[SceneDict, tuple[str, ...], Outlook]:
+    """What `translate` gives, the paths of all fog boundaries of the stage, whatever visibility is asked for, and what
+    was looked at; of `made` what stands on the stage as before is taken, and what is new is added.
+    """
     check_visibility(fog_mor_m)
     check_depth(stage)
-    notes = Diagnostics()
+    notes, given = Diagnostics(), stage
     notes.extend([*composition_notes(stage), *unit_notes(stage)])
     stage, time, space, eye = looked_from(stage, camera, frame, resolution, notes)
     mover = Mover(stage, space, time, half_exposure(stage, time, eye.path))
-    scene = _Assembler(stage, space, time, notes, Chooser(stage, lights), mover)
+    made = made if made is not None and stage is given else TakenOver()  # a pose is on layers of its own
+    images = ImageReader(notes, made.images)
+    scene = _Assembler(stage, space, time, notes, Chooser(stage, lights), mover, images, made.meshes)
     with _uncollected():
         found = walk(stage, time, notes)
         scene.build(found)
+    images.let_go()
+    made.images = images
     scene.tell_motion()
     scene.chooser.report(notes)
     volume.rtx_fog(stage, notes)
@@ -127,7 +152,7 @@ def with_boundaries(
             f"the same {ATTRIBUTE}"
         )
     world, times = _lit(scene, eye, light_scale, sun_lux, notes)
-    made = SceneDict(
+    complete = SceneDict(
         world=world,
         camera=eye,
         fog=fog,
@@ -143,7 +168,7 @@ def with_boundaries(
         origin_m=(float(space.origin_m[0]), float(space.origin_m[1]), float(space.origin_m[2])),
         notes=notes.closed(lambda path: authored_path(stage, path)),  # USD numbers its prototypes anew each time
     )
-    return made, tuple(boundary.path for boundary in scene.fog)
+    return complete, tuple(boundary.path for boundary in scene.fog), Outlook(stage, time, space, eye, found)
 
 
 def _lit(
@@ -272,13 +297,21 @@ class _Assembler:
     """Shapes, materials, lights, fog and labels of one scene, as they come."""
 
     def __init__(
-        self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagnostics, chooser: Chooser, mover: Mover
+        self,
+        stage: Usd.Stage,
+        space: Space,
+        time: Usd.TimeCode,
+        notes: Diagnostics,
+        chooser: Chooser,
+        mover: Mover,
+        images: ImageReader,
+        meshes: Meshes,
     ) -> None:
         self.stage, self.space, self.time, self.notes, self.chooser = stage, space, time, notes, chooser
-        self.images = ImageReader(notes)
+        self.images = images
         self.materials = Materials(time, notes, self.images)
         self.bindings = Bindings(stage, time, notes, self.materials)
-        self.drawer = Shapes(time, notes, self.materials, self.bindings, chooser, space.metres_per_unit)
+        self.drawer = Shapes(time, notes, self.materials, self.bindings, chooser, space.metres_per_unit, meshes)
         self.is_blender = str(stage.GetMetadata("documentation") or "").startswith("Blender")
         self.shapes: dict[str, dict[str, Any]] = {}
         self.groups: dict[str, dict[str, Any]] = {}
@@ -305,6 +338,8 @@ class _Assembler:
     def build(self, found: Walk) -> None:
         self.roots = [group.root for group in found.groups]
         self.bindings.sheer = found.sheer
+        if found.clipped:
+            self.drawer.meshes = None
         self.bindings.look_up([*found.leaves, *[leaf for group in found.groups for leaf in group.leaves]])
         to_scene = self.space.matrix
         for start in range(0, len(found.leaves), _AHEAD):

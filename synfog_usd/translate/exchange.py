@@ -17,7 +17,14 @@ from synfog_usd.stage.open import authored_path, selected
 from synfog_usd.stage.opinions import said_of
 from synfog_usd.stage.schema import FOG_VARIANT_SET
 from synfog_usd.translate import volume
-from synfog_usd.translate.assemble import check_visibility, fog_around, looked_from, with_boundaries
+from synfog_usd.translate.assemble import (
+    Outlook,
+    TakenOver,
+    check_visibility,
+    fog_around,
+    looked_from,
+    with_boundaries,
+)
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.walk import walk
 
@@ -31,6 +38,7 @@ class Exchange:
     Args:
         stage: with its variants chosen.
         camera, frame, resolution, fog_mor_m, lights, light_scale, sun_lux: see `translate`.
+        before: of the same stage with other variants: meshes and pictures that stand as they did are taken from it.
 
     Attributes:
         scene: the stage as it was chosen.
@@ -50,13 +58,15 @@ class Exchange:
         lights: str = "auto",
         light_scale: float = 1.0,
         sun_lux: float | None = None,
+        before: Exchange | None = None,
     ) -> None:
         self._camera, self._frame, self._resolution = camera, frame, resolution
         light = {"lights": lights, "light_scale": light_scale, "sun_lux": sun_lux}
-        self.scene, boundaries = with_boundaries(
-            stage, camera=camera, frame=frame, resolution=resolution, fog_mor_m=fog_mor_m, **light
+        self._made = TakenOver() if before is None else before._made
+        self.scene, boundaries, seen = with_boundaries(
+            stage, camera=camera, frame=frame, resolution=resolution, fog_mor_m=fog_mor_m, **light, made=self._made
         )
-        begun = self._read(stage, fog_mor_m)
+        begun = self._read(stage, fog_mor_m, seen)
         self._begun = begun if begun is not None and boundaries == begun.boundaries else None
 
     def within(self, stage: Usd.Stage, *, fog_mor_m: float | None = None) -> SceneDict | None:
@@ -77,14 +87,16 @@ class Exchange:
             return None
         return replace(self.scene, fog=now.fog, notes=now.notes)
 
-    def _read(self, stage: Usd.Stage, fog_mor_m: float | None) -> _Fogs | None:
+    def _read(self, stage: Usd.Stage, fog_mor_m: float | None, seen: Outlook | None = None) -> _Fogs | None:
         check_visibility(fog_mor_m)
         said = said_of(stage, FOG_VARIANT_SET)
         if said is None:
             return None
         chosen, notes, others = selected(stage).get(FOG_VARIANT_SET), Diagnostics(), _others(stage)
-        stage, time, space, eye = looked_from(stage, self._camera, self._frame, self._resolution, Diagnostics())
-        found = walk(stage, time, Diagnostics())
+        if seen is None:
+            looked = looked_from(stage, self._camera, self._frame, self._resolution, Diagnostics())
+            seen = Outlook(*looked, walk(looked[0], looked[1], Diagnostics()))
+        stage, time, space, eye, found = seen
         if any(leaf.fog is not None for group in found.groups for leaf in group.leaves):
             return None
         leaves = [leaf for leaf in found.leaves if leaf.fog is not None]

@@ -29,11 +29,19 @@ from synfog_usd.translate.walk import CURVES, MESHES, Leaf
 Part: TypeAlias = tuple[dict[str, Any], dict[str, Any] | None, float]
 """A shape, its emission or None, and the luminance of that."""
 
+Meshes: TypeAlias = dict[tuple[Any, ...], dict[str, Any]]
+"""What stands on meshes, and how they are placed and painted -> their shapes."""
+
 _SYNC = ("materialGlowTintsLight", "independent", "noMaterialResponse")
 
 
 class Shapes:
-    """Makes the shapes of leaves."""
+    """Makes the shapes of leaves.
+
+    Attributes:
+        meshes: those that were made, also by an earlier translation of the same stage; None where what stands on a prim
+            does not tell what it is.
+    """
 
     def __init__(
         self,
@@ -43,9 +51,10 @@ class Shapes:
         bindings: Bindings,
         chooser: Chooser,
         metres_per_unit: float,
+        meshes: Meshes | None = None,
     ) -> None:
         self.time, self.notes, self.materials, self.bindings, self.chooser = time, notes, materials, bindings, chooser
-        self.metres_per_unit = metres_per_unit
+        self.metres_per_unit, self.meshes = metres_per_unit, meshes
         self.ahead: dict[str, Arrays] = {}
 
     def look_ahead(self, leaves: Iterable[Leaf]) -> None:
@@ -157,6 +166,10 @@ class Shapes:
                 f"materials on this mesh read the colours {', '.join(reads)}; the first one's are used for all",
             )
         color = next(iter(reads))
+        said, told = self._said(leaf, matrix, own, color) if not subsets else None, self.notes.told
+        if self.meshes is not None and said in self.meshes:
+            shape = {**self.meshes[said], "bsdf": {"type": "ref", "id": own.key}}
+            return [(shape, own.emission, own.emission_nits)]
         polygons = read_mesh(prim, self.time, self.notes, uv, color=color, arrays=self.ahead.get(leaf.path))
         if polygons is None:
             return []
@@ -208,7 +221,21 @@ class Shapes:
             if "MeshLightAPI" in leaf.schemas:
                 shape, emission, nits = self._mesh_light(leaf, shape, triangles)
             result.append((shape, emission, nits))
+        if self.meshes is not None and said is not None and len(result) == 1 and self.notes.told == told:
+            self.meshes[said] = result[0][0]
         return result
+
+    def _said(self, leaf: Leaf, matrix: Array, finish: Finish, color: str) -> tuple[Any, ...] | None:
+        """All that a mesh is made of: the specs of its prim, as a model's instances share them, its place and its
+        finish; None where that is not all.
+        """
+        if self.meshes is None or finish.colored or "MeshLightAPI" in leaf.schemas:
+            return None
+        specs = [
+            (spec.layer.identifier, spec.path, offset.offset, offset.scale)
+            for spec, offset in leaf.prim.GetPrimStackWithLayerOffsets()
+        ]
+        return (*specs, self.time, matrix.tobytes(), finish.uv, finish.unsaid, color)
 
     def _mesh_light(self, leaf: Leaf, shape: dict[str, Any], triangles: Triangles) -> Part:
         metres, convention = self.metres_per_unit, self.chooser.of(leaf.prim)

@@ -112,9 +112,14 @@ class TextureNode:
 
 
 class ImageReader:
-    """Image files by resolved path, also inside .usdz; each read once."""
+    """Image files by resolved path, also inside .usdz; each read once.
 
-    def __init__(self, notes: Diagnostics) -> None:
+    Args:
+        notes: where what cannot be read is told.
+        before: of an earlier translation of the same stage, whose pictures are used again.
+    """
+
+    def __init__(self, notes: Diagnostics, before: ImageReader | None = None) -> None:
         self.notes = notes
         self._images: dict[str, Pixels | None] = {}
         self._bytes = 0
@@ -122,20 +127,33 @@ class ImageReader:
         self._modes: dict[str, tuple[str, str]] = {}
         self._wrapped: dict[tuple[Any, ...], tuple[Pixels, Wrapped]] = {}
         self._asked: dict[tuple[Any, ...], tuple[weakref.ref[Pixels], Any]] = {}
+        self._for_once: set[str] = set()  # what something was told of, and what no file holds
+        if before is not None:
+            lasting = (key for key, value in before.sampled.items() if isinstance(value, np.ndarray))
+            self.sampled = {key: before.sampled[key] for key in lasting if key[0] not in before._for_once}
+            self._modes, self._wrapped, self._asked = dict(before._modes), dict(before._wrapped), dict(before._asked)
 
     def read(self, file: str, path: str) -> Pixels | None:
         """(H, W, C) uint8 or float32, row 0 at the top, alpha not multiplied in; None where it cannot be read."""
-        if file not in self._images:
-            self._images[file] = self._read(file, path)
-        return self._images[file]
+        return self._known(file, lambda: self._read(file, path))
 
     def of(self, node: TextureNode) -> Pixels | None:
         """The picture of a texture node, its tiles side by side; None where there is none."""
         if not node.tiles:
             return self.read(node.file, node.path) if node.file else None
-        if node.file not in self._images:
-            self._images[node.file] = self._joined(node)
-        return self._images[node.file]
+        return self._known(node.file, lambda: self._joined(node))
+
+    def _known(self, name: str, make: Callable[[], Pixels | None]) -> Pixels | None:
+        if name not in self._images:
+            told = self.notes.told
+            self._images[name] = make()
+            if self.notes.told != told:
+                self._for_once.add(name)
+        return self._images[name]
+
+    def let_go(self) -> None:
+        """Let the files' own pixels go, of which `sampled` has what is drawn."""
+        self._images.clear()
 
     def once(self, ask: Callable[..., Any], pixels: Pixels, *more: Any) -> Any:
         """ask(pixels, *more), worked out once for an array as long as it lives: every instance of a model asks anew."""
@@ -147,6 +165,7 @@ class ImageReader:
     def keep(self, name: str, pixels: Pixels) -> None:
         """Let a picture that no file holds be read by a name of its own."""
         self._images[name] = pixels
+        self._for_once.add(name)
 
     def wraps(self, node: TextureNode) -> tuple[str, str]:
         """Modes along u and v, with those of the file where the node leaves it to it; black where nobody says."""

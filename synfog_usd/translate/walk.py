@@ -158,6 +158,8 @@ class Walk:
     """Curves that are lanes, with their matrices to stage coordinates; outside of instances alone."""
     sheer: bool = False
     """Whether any prim has a displayOpacity."""
+    clipped: bool = False
+    """Whether any prim has value clips, by which others hold what no spec of theirs says."""
 
 
 @dataclass(slots=True)
@@ -274,6 +276,8 @@ class _Walker:
         if says and "purpose" in authored:
             purpose = prim.GetAttribute("purpose").Get()
             drawn = self.notes.token(at, "purpose", purpose, _PURPOSES, "guide") in ("default", "render")
+        if prim.HasAuthoredMetadata("clips"):
+            self.result.clipped = True
         prim_kind = prim.GetMetadata("kind") if prim.HasAuthoredMetadata("kind") else ""
         if prim_kind and not is_frame and Kind.Registry.IsA(prim_kind, Kind.Tokens.component):
             model = str(at)

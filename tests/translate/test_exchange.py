@@ -113,3 +113,149 @@ def test_a_variant_of_a_file_that_is_referred_to_counts(tmp_path):
         if found is not None:
             same(found, translate(stage, resolution=(32, 18)))
         del stage, exchange, found
+
+
+TWO = """#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+def Xform "World" (
+    variants = {
+        string lighting = "day"
+    }
+    prepend variantSets = "lighting"
+)
+{
+    def Camera "Ego"
+    {
+        float3 xformOp:rotateXYZ = (90, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]
+    }
+    def Xform "One" (
+        instanceable = true
+        references = </Model>
+    )
+    {
+    }
+    def Xform "Two" (
+        instanceable = true
+        references = </Model>
+    )
+    {
+        double3 xformOp:translate = (2, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def Xform "Own" (
+        references = </Model>
+    )
+    {
+    }
+    variantSet "lighting" = {
+        "day" {
+            def DistantLight "Sun"
+            {
+            }
+        }
+        "night" {
+            over "Own"
+            {
+                SAID
+            }
+        }
+    }
+}
+def Xform "Model"
+{
+    def Mesh "Plate" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
+    {
+        point3f[] points = [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        uniform token subdivisionScheme = "none"
+        rel material:binding = </Model/Paint>
+        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (
+            interpolation = "vertex"
+        )
+    }
+    def Material "Paint"
+    {
+        token outputs:surface.connect = </Model/Paint/Surface.outputs:surface>
+        def Shader "Surface"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor = (0.8, 0.1, 0.1)
+            token outputs:surface
+        }
+    }
+}
+"""
+
+SAID = {
+    "nothing": "",
+    "points": 'over "Plate"\n{\npoint3f[] points = [(0, 5, 0), (3, 5, 0), (3, 5, 1), (0, 5, 1)]\n}',
+    "an orientation": 'over "Plate"\n{\nuniform token orientation = "leftHanded"\n}',
+    "a place": 'double3 xformOp:translate = (0, 4, 0)\nuniform token[] xformOpOrder = ["xformOp:translate"]',
+    "a colour": 'over "Paint"\n{\nover "Surface"\n{\ncolor3f inputs:diffuseColor = (0.1, 0.1, 0.8)\n}\n}',
+    "a subset": 'over "Plate"\n{\ndef GeomSubset "Part"\n{\nint[] indices = [0]\n'
+    "rel material:binding = </Model/Paint>\n}\n}",
+}
+
+
+@pytest.mark.parametrize("what", SAID)
+def test_what_another_variant_leaves_alone_is_taken_over(what):
+    """A second lighting that says something of one of three plates: the scene is as if it were translated by itself,
+    and plates of which it says nothing are the same arrays in both.
+    """
+    text = TWO.replace("SAID", SAID[what])
+    stage, alone = stage_of(text), stage_of(text)
+    day = Exchange(stage, resolution=(32, 18))
+    usd.select(stage, lighting="night")
+    usd.select(alone, lighting="night")
+    night = Exchange(stage, resolution=(32, 18), before=day)
+    same(night.scene, translate(alone, resolution=(32, 18)))
+
+    def arrays(exchange):
+        world = exchange.scene.world
+        return {
+            id(part["positions"])
+            for group in world.values()
+            if isinstance(group, dict)
+            for part in group.values()
+            if isinstance(part, dict) and "positions" in part
+        }
+
+    assert arrays(day) == arrays(night) != set()
+
+
+def test_meshes_are_read_each_by_itself_where_value_clips_may_fill_them(tmp_path):
+    """Two plates of the same specs, of which clips give one other points at the frame that is drawn."""
+    points = "[(0, 5, 0), ({0}, 5, 0), ({0}, 5, 1), (0, 5, 1)]"
+    for name, width in (("a", 1), ("b", 3)):
+        (tmp_path / f"{name}.usda").write_text(
+            f'#usda 1.0\ndef Xform "Model"\n{{\ndef Mesh "Plate"\n{{\npoint3f[] points.timeSamples = '
+            f"{{ 1: {points.format(width)} }}\n}}\n}}\n"
+        )
+    clips = (
+        'clips = {{ dictionary default = {{ asset[] assetPaths = [@./{0}.usda@]\nstring primPath = "/Model"\n'
+        "double2[] active = [(1, 0)]\ndouble2[] times = [(1, 1)]\nasset manifestAssetPath = @./manifest.usda@ }} }}"
+    )
+    (tmp_path / "manifest.usda").write_text(
+        '#usda 1.0\ndef Xform "Model"\n{\ndef Mesh "Plate"\n{\npoint3f[] points\n}\n}\n'
+    )
+    model = TWO[TWO.index('def Xform "Model"') :].replace(
+        "point3f[] points = [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)]", ""
+    )
+    prims = "".join(
+        f'def Xform "{name}" (\nreferences = </Model>\n{clips.format(name)}\n)\n{{\n}}\n' for name in ("a", "b")
+    )
+    camera = TWO[TWO.index("def Camera") : TWO.index('def Xform "One"')]
+    (tmp_path / "stage.usda").write_text(f'#usda 1.0\n(\nmetersPerUnit = 1\nupAxis = "Z"\n)\n{camera}{prims}{model}')
+    scene = translate(usd.open_stage(tmp_path / "stage.usda"), frame=1.0, resolution=(32, 18))
+    widths = sorted(
+        float(np.ptp(part["positions"][:, 0])) for key, part in scene.world.items() if key.startswith("shape_")
+    )
+    assert widths[-2:] == [1.0, 3.0]
