@@ -99,7 +99,7 @@ def bake(
     from synfog_usd.camera.exposure import moments_of
     from synfog_usd.render import backend, models
     from synfog_usd.render.film import aovs
-    from synfog_usd.render.film.accumulator import SMOOTH
+    from synfog_usd.render.film.accumulator import SMOOTH, idle
     from synfog_usd.render.shot import Settings, check_memory, sampling_share
     from synfog_usd.translate import outdoors
 
@@ -189,6 +189,11 @@ def bake(
             for line in (*([told] if told else []), *row["warnings"]):
                 log(f"{shot.folder}: {line}")
 
+        def survey() -> None:
+            with reading():
+                scenes.survey(todo)
+            forecast.expect(expected())
+
         if alone or not unfinished or unfinished[0] != todo[0] or todo[0].fog != CLEAR:
             label(0.0)  # else the scene is there, whole, once the first shot was sampled
         with _Behind() as behind:  # a shot is denoised, developed and written while the next is sampled
@@ -220,7 +225,8 @@ def bake(
                 view = views.get(shot.lighting)
                 if alone:
                     behind.wait()
-                picture = _render(shot, scene, renderer, view, plan, scenes.taken, moments_of(graph), told)
+                beside = survey if index == 1 and not alone else idle
+                picture = _render(shot, scene, renderer, view, plan, scenes.taken, moments_of(graph), told, beside)
                 if alone:
                     renderer.free()
                     picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
@@ -229,11 +235,7 @@ def bake(
                     done = forecast.at(0, 1.0)
                     forecast.ended()
                     label(done)
-                    with reading():
-                        scenes.survey(todo)
-                    forecast.expect(expected())
-        with reading():
-            scenes.survey(todo)
+        survey()
         notes = ledger.notes = scenes.notes(todo)
         missing = [f"{note.path}: {note.text}" for note in notes if usd.MISSING in note.text]
         ledger.finish(todo, contact.write(plan.out, todo, ledger.rows, told=missing))
@@ -434,9 +436,10 @@ def _render(
     taken: Pinhole | None,
     exposures: Mapping[str, tuple[float, float]],
     progress: Progress,
+    meanwhile: Callable[[], None],
 ) -> _Picture:
     """Sample one shot, and once more for each part of its exposure that is asked for by itself where things move; what
-    is returned makes its pictures.
+    is returned makes its pictures, and `meanwhile` is done beside the first paths.
     """
     from synfog_usd import cull
     from synfog_usd.render.sampling.adaptive import sensor_target
@@ -479,7 +482,8 @@ def _render(
     )
     clear = view.seen if view and (hidden.triangles or same) else None
     share = 1.0 / (1 + len(moving))
-    rendered = sample(drawn, settings, loaded=loaded, clear=clear, progress=within(progress, 0.0, share))
+    told = within(progress, 0.0, share)
+    rendered = sample(drawn, settings, loaded=loaded, clear=clear, progress=told, meanwhile=meanwhile)
     parts = {}
     for number, (name, part) in enumerate(moving.items(), 1):
         eye = replace(drawn.camera, exposes=part)

@@ -30,6 +30,7 @@ from synfog_usd.render.film.accumulator import (
     SURFACE,
     Accumulator,
     Squares,
+    idle,
 )
 from synfog_usd.render.integrators.path import LENS_M, FogPath
 from synfog_usd.render.lights.rows import is_sampled_light
@@ -227,9 +228,11 @@ def sample(
     loaded: MitsubaScene | None = None,
     clear: aovs.Aovs | None = None,
     progress: Progress = silent,
+    meanwhile: Callable[[], None] = idle,
     **changes: Any,
 ) -> Callable[[Progress], Rendered]:
-    """The part of `render` that asks the renderer; arguments as there.
+    """The part of `render` that asks the renderer; arguments as there, and what may be done once while the first paths
+    of our own models are under way.
 
     Returns:
         what makes the picture of the samples, once, and is told about on the way; it holds nothing of the renderer, so
@@ -281,6 +284,8 @@ def sample(
         models.make, model, scatterings=settings.scatterings, bounces=settings.bounces, bands=bands
     )
     integrator = make(loaded)
+    if isinstance(integrator, FogPath):
+        integrator.meanwhile = meanwhile
     camera = loaded.source.camera
     shape = (camera.height_px, camera.width_px, -1)
 

@@ -148,6 +148,10 @@ class Moments:
     squares: Any = None
 
 
+def idle() -> None:
+    """Nothing to do."""
+
+
 class Integrator(Protocol):
     """A model, ready to render one scene."""
 
@@ -163,12 +167,14 @@ class Traces(Integrator, Protocol):
         estimators: their names.
         groups: number of light groups.
         bands: what a path carries.
+        meanwhile: what is done once, while its first paths are under way.
     """
 
     loaded: MitsubaScene
     estimators: tuple[str, ...]
     groups: int
     bands: Any
+    meanwhile: Callable[[], None]
 
     def trace(self, estimator: str, pixel: Any, first: Any, count: int, seed: int) -> Moments:
         """`count` paths of an estimator in each lane; (N,) `pixel`, and (N,) `first` the number of a lane's first
@@ -513,6 +519,9 @@ def add_samples(
 
     def collect() -> None:
         nonlocal done
+        if under_way:
+            task, integrator.meanwhile = integrator.meanwhile, idle
+            task()
         for launch in under_way:
             _add(accumulated, launch)
             done += launch.paths * accumulated.cost(launch.name)

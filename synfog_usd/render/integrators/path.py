@@ -41,6 +41,7 @@ from synfog_usd.render.film.accumulator import (
     Accumulator,
     Moments,
     accumulate_by_estimator,
+    idle,
 )
 from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.integrators.tasks import Tasks
@@ -216,6 +217,7 @@ class FogPath:
             sigma_t = medium.volumes[0].medium.sigma_t_per_m if medium.foggy else 0.0
             self.light_grid = LightGrid(lights, sigma_t, eye, near=self.importance is None)
             self.view_lights = self.light_grid.seen(self, medium) if medium.foggy else None
+        self.meanwhile = idle
         self.rr_prob = dr.opaque(backend.mitsuba().Float, _rr_prob(medium))
         self.limited = self.truncation.scatterings < UNLIMITED
         self.estimators = (
