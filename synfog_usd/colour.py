@@ -22,8 +22,9 @@ LUMINANCE: Array = np.array([0.2126729, 0.7151522, 0.0721750])
 """
 
 
-def srgb_encode(linear: Floats) -> Floats:
-    """sRGB codes, 0 to 1, of linear values of any shape, cut to 0 to 1; float32 or float64, as it is given.
+def srgb_encode(linear: Floats, out: Floats | None = None) -> Floats:
+    """sRGB codes, 0 to 1, of linear values of any shape, cut to 0 to 1; float32 or float64, as it is given; in `out`,
+    where that is given.
 
     Source: IEC 61966-2-1.
 
@@ -31,13 +32,13 @@ def srgb_encode(linear: Floats) -> Floats:
     [0.0, 0.4614, 1.0, 1.0]
     """
     kind = linear.dtype.type
-    clipped = np.clip(linear, kind(0.0), kind(1.0))
+    clipped = np.clip(linear, kind(0.0), kind(1.0), out=out)
     encoded = np.maximum(clipped, kind(0.0031308))  # a power of 0 would take six times as long
     np.power(encoded, kind(1.0 / 2.4), out=encoded)
     encoded *= kind(1.055)
     encoded -= kind(0.055)
     clipped *= kind(12.92)
-    return np.minimum(encoded, clipped, out=encoded)  # the straight line is the lower one up to 0.0031308
+    return np.minimum(encoded, clipped, out=out)  # the straight line is the lower one up to 0.0031308
 
 
 def srgb_decode(code: Floats) -> Floats:

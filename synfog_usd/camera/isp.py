@@ -267,10 +267,12 @@ def white_balance(
     gains = signal.max() / signal
     lines = cfa.lines(pattern, gains, image.width_px)
     pixels = np.empty_like(image.pixels)
-    for row, factors in enumerate(lines):
-        np.multiply(image.pixels[row :: len(lines), :, 0], factors, out=pixels[row :: len(lines), :, 0])
-    if clip:
-        np.minimum(pixels, 1.0, out=pixels)
+    for strip in strips(image.height_px):  # of whole patterns
+        for row, factors in enumerate(lines):
+            rows = slice(strip.start + row, strip.stop, len(lines))
+            np.multiply(image.pixels[rows, :, 0], factors, out=pixels[rows, :, 0])
+        if clip:
+            np.minimum(pixels[strip], 1.0, out=pixels[strip])
     return image.with_pixels(pixels).with_metadata(white_balance=illuminant, wb_gains=[float(value) for value in gains])
 
 
@@ -468,7 +470,7 @@ def gamma(image: Image) -> Image:
     _picture(image)
     pixels = np.empty_like(image.pixels)
     for rows in strips(image.height_px):
-        pixels[rows] = srgb_encode(image.pixels[rows])
+        srgb_encode(image.pixels[rows], out=pixels[rows])
     return image.with_pixels(pixels, quantity=Quantity.DISPLAY_RGB)
 
 

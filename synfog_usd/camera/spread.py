@@ -48,9 +48,6 @@ Places = npt.NDArray[np.intp]
 Points = tuple[Places, Places, FloatArray]
 """Rows, columns and light of points of light."""
 
-Tail = tuple[Places, FloatArray]
-"""(M,) columns, and (K, M) numbers along them."""
-
 
 @dataclass(frozen=True)
 class Blur:
@@ -100,8 +97,7 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
     """(H, W, C) through one blur per channel, >= 0; light from outside the picture is taken as its mirror image.
 
     What exceeds a channel's limit is spread as a point of light.  The cosine transform has the mirror image in it, and
-    multiplies as Fourier's does, since spots are symmetric.  Columns are transformed, then rows there and back, then
-    columns back.
+    multiplies as Fourier's does, since spots are symmetric.
     """
     from scipy import fft
 
@@ -111,38 +107,34 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
     factors = _factors(blurs)
     down_2, across_2 = (np.square(0.5 * np.arange(size) / size).astype(np.float32) for size in (height, width))
     scale = blurs[0].tail_scale
-    wide = math.ceil(2.0 * TAIL_CYCLES / (SOFT_PX * scale) * width)
 
-    def down(channel: int) -> tuple[Points, Tail]:
+    def forth(channel: int) -> tuple[Points, FloatArray]:
         plane = planes[channel]
         points = taken_out(pixels[..., channel], limits[channel], plane)
-        plane[...] = fft.dct(plane, axis=0, overwrite_x=True)
-        return points, _tail(points, blurs[channel], height)
+        plane[...] = fft.dctn(plane, overwrite_x=True)
+        return points, _tail(points, blurs[channel], plane.shape)
 
-    def across(rows: slice) -> None:
+    def multiply(rows: slice) -> None:
         frequency = np.sqrt(down_2[rows, None] + across_2)
         tail = None
-        for plane, factor, (_, (columns, low)) in zip(planes, factors(frequency), found, strict=True):
-            waves = fft.dct(plane[rows], axis=1)
-            waves *= factor
-            if low[rows].size:
-                tail = tail_transfer(frequency[:, :wide], scale) if tail is None else tail
-                far = np.zeros((len(low[rows]), width), np.float32)
-                far[:, columns] = low[rows]
-                waves[: len(far), :wide] += tail[: len(far)] * fft.dct(far, axis=1, overwrite_x=True)[:, :wide]
-            plane[rows] = fft.idct(waves, axis=1, overwrite_x=True)
+        for plane, factor, (_, far) in zip(planes, factors(frequency), found, strict=True):
+            plane[rows] *= factor
+            if (low := far[rows]).size:
+                high, wide = low.shape
+                tail = tail_transfer(frequency[:high, :wide], scale) if tail is None else tail
+                plane[rows][:high, :wide] += tail * low
 
-    def up(channel: int) -> None:
+    def back(channel: int) -> None:
         plane, spot, (points, _) = planes[channel], blurs[channel].spot, found[channel]
-        plane[...] = fft.idct(plane, axis=0, overwrite_x=True)
+        plane[...] = fft.idctn(plane, overwrite_x=True)
         if points[0].size:
             add_spots(plane, *mirrored(plane.shape, *points, spot.shape[0] // 2), spot)
         np.maximum(plane, 0.0, out=plane)
 
     with ThreadPoolExecutor(THREADS) as pool:
-        found = list(pool.map(down, range(count)))
-        list(pool.map(across, strips(height)))
-        list(pool.map(up, range(count)))
+        found = list(pool.map(forth, range(count)))
+        list(pool.map(multiply, strips(height)))
+        list(pool.map(back, range(count)))
     return result
 
 
@@ -175,20 +167,21 @@ def taken_out(plane: FloatArray, limit: np.float32, out: FloatArray) -> Points:
     return rows, columns, lights
 
 
-def _tail(points: Points, blur: Blur, height: int) -> Tail:
-    """What points of light show outside their spots, before `tail_transfer`: columns with light, and cosine transforms
-    along them, as far as that goes.
-    """
+def _tail(points: Points, blur: Blur, shape: tuple[int, ...]) -> FloatArray:
+    """Cosine transform of what points of light show outside their spots, before `tail_transfer`, as far as it goes."""
     from scipy import fft
 
     rows, columns, lights = points
     columns, column = np.unique(columns, return_inverse=True)
-    lit = np.zeros((height, columns.size), np.float32)
+    lit = np.zeros((shape[0], columns.size), np.float32)
     lit[rows, column] = lights * np.float32(blur.tail)
     if not lit.any():
-        return columns, lit[:0]
-    high = math.ceil(2.0 * TAIL_CYCLES / (SOFT_PX * blur.tail_scale) * height)
-    return columns, np.asarray(fft.dct(lit, axis=0)[:high])
+        return lit[:0]
+    highest = TAIL_CYCLES / (SOFT_PX * blur.tail_scale)
+    high, wide = (min(length, math.ceil(2.0 * highest * length)) for length in shape)
+    waves = np.zeros((high, shape[1]), np.float32)
+    waves[:, columns] = fft.dct(lit, axis=0)[:high]
+    return np.asarray(fft.dct(waves, axis=1, overwrite_x=True)[:, :wide])
 
 
 def mirrored(

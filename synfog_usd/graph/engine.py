@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from synfog_usd import __version__, seeds
+from synfog_usd.arrays import strips
 from synfog_usd.errors import GraphError, ImageError, SynfogError, did_you_mean
 from synfog_usd.graph.cache import Cache, image_key, node_key
 from synfog_usd.graph.compose import SCHEMA
@@ -408,7 +409,8 @@ class NodeGraph:
                     f"input {name!r} of graph {self.name!r} takes {self.inputs[name]}; the image holds "
                     f"{image.quantity.value}"
                 )
-            if image.quantity is not Quantity.DATA and not np.isfinite(image.pixels).all():
+            finite = (np.isfinite(image.pixels[rows]).all() for rows in strips(image.height_px))
+            if image.quantity is not Quantity.DATA and not all(finite):
                 row, column, channel = (int(index[0]) for index in np.nonzero(~np.isfinite(image.pixels)))
                 raise ImageError(
                     f"input {name!r}: pixel x={column}, y={row} of channel {image.channels[channel]!r} is not a finite "
