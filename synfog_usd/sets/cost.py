@@ -2,8 +2,9 @@
 
 A probe is one unit of the set with fewer pixels.  In the first lighting and in the last, a scene at two sizes tells
 what a unit takes whatever its size (drawing, loading, metering) and what its pixels take, and further scenes at the
-smaller size tell how much scenes differ, which may be by a factor of three.  Each lighting's first is made twice: what
-it took longer at first went into kernels, which are compiled once.
+smaller size tell how much scenes differ, which may be by a factor of four.  They come from recipes in turn, and from
+others for the other lighting.  Each lighting's first is made twice: what it took longer at first went into kernels,
+which are compiled once.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
 from statistics import mean, stdev
 from typing import TYPE_CHECKING, Any
@@ -22,7 +24,7 @@ from synfog_usd.sets import cluster, identity, journal
 from synfog_usd.sets.definition import CLEAR, SetDefinition, make_set
 from synfog_usd.sets.journal import Tally
 from synfog_usd.sets.layout import Unit
-from synfog_usd.sets.scenes import PlannedScene, scene, scenes
+from synfog_usd.sets.scenes import PlannedScene, scenes
 from synfog_usd.sets.work import Child, Job, do
 
 if TYPE_CHECKING:
@@ -203,22 +205,44 @@ def estimate(
 
 
 def _chosen(found: SetDefinition, lightings: Sequence[str]) -> list[tuple[PlannedScene, Unit, tuple[int, int] | None]]:
-    """For the first lighting and the last a scene at a quarter and half of the width, and some more at a quarter."""
+    """For the first lighting and the last a scene at a quarter and half of the width, and some more at a quarter; all
+    of them others, from sources in turn, so that few stand for many.
+    """
     sizes: list[tuple[int, int] | None] = [found.size]
     if found.size is not None and found.size[0] * found.size[1] > SMALL_PX:
         width, height = found.size
         sizes = [(max(16, width // part), max(16, height // part)) for part in (4, 2)]
-    chosen: dict[tuple[int, str], list[tuple[PlannedScene, Unit, tuple[int, int] | None]]] = {}
-    for lighting in dict.fromkeys((lightings[0], lightings[-1])):
+    probed = list(dict.fromkeys((lightings[0], lightings[-1])))
+    many = len(probed) * (OTHERS + 1)
+    chosen: list[tuple[PlannedScene, Unit, tuple[int, int] | None]] = []
+    for index, lighting in enumerate(probed):
         for part in range(OTHERS + 1):
-            start = found.scenes * part // (OTHERS + 1)
-            for number in range(start, min(found.scenes, start + LOOKED)):
-                planned = scene(found, number)
-                if lighting in planned.lightings:
-                    unit = next(unit for unit in planned.units if unit.lighting == lighting)
-                    chosen.setdefault((number, lighting), [(planned, unit, size) for size in sizes[: 1 + (part == 0)]])
-                    break
-    return [probe for probes in chosen.values() for probe in probes]
+            place = Fraction(2 * (part * len(probed) + index) + 1, 2 * many)
+            if planned := _typical(found, lighting, place, [unit for _, unit, _ in chosen]):
+                unit = next(unit for unit in planned.units if unit.lighting == lighting)
+                chosen += [(planned, unit, size) for size in (sizes[:1] if part else sizes)]
+    return chosen
+
+
+def _typical(found: SetDefinition, lighting: str, place: Fraction, taken: Sequence[Unit]) -> PlannedScene | None:
+    """From a place of the set on, 0 to 1, the first scene that has a lighting, is not taken in it, is best not taken at
+    all and comes best from the source at that place of all shares laid end to end.
+    """
+    share = place * sum(source.share for source in found.sources)
+    for source in found.sources:
+        if share < source.share:
+            break
+        share -= source.share
+    here, known = {unit.number for unit in taken if unit.lighting == lighting}, {unit.number for unit in taken}
+    best, best_missed = None, (True, True)
+    start, most = int(found.scenes * place), min(found.scenes, LOOKED)
+    for planned in scenes(found, ((start + step) % found.scenes for step in range(most))):
+        missed = (planned.number in known, planned.source != source)
+        if lighting in planned.lightings and planned.number not in here and (best is None or missed < best_missed):
+            best, best_missed = planned, missed
+            if not any(missed):
+                break
+    return best
 
 
 def _probe(

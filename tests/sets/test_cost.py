@@ -88,15 +88,32 @@ def test_few_scenes_that_differ_leave_the_time_unsure():
 
 
 def test_scenes_all_over_the_set_are_probed():
-    """In each of two lightings that scenes draw: one scene at two sizes, two more thirds of the set further on."""
+    """In each of two lightings that scenes draw: one scene at two sizes, two more thirds of the set further on, and no
+    scene in both.
+    """
     words = {"recipes": ["tunnel"], "lightings": [{"choice": {"sky": 1, "active": 1}}], "size": [640, 360]}
     chosen = cost._chosen(make_set(scenes=60, **words), ["sky", "active"])
-    for lighting in ("sky", "active"):
+    for lighting, begins in (("sky", 5), ("active", 15)):
         own = [(planned.number, size) for planned, unit, size in chosen if unit.lighting == lighting]
         assert [size for _, size in own] == [(160, 90), (320, 180), (160, 90), (160, 90)]
-        assert own[0][0] == own[1][0] < 20 <= own[2][0] < 40 <= own[3][0]
+        assert begins <= own[0][0] == own[1][0] < begins + 20 <= own[2][0] < begins + 40 <= own[3][0]
     assert all(unit.lighting in planned.lightings for planned, unit, _ in chosen)
+    assert len({planned.number for planned, _, _ in chosen}) == 6
     assert len(cost._chosen(make_set(scenes=1, **(words | {"lightings": ["sky"]})), ["sky"])) == 2
+
+
+@pytest.mark.parametrize("scenes", [500, 6])
+def test_what_is_probed_comes_from_many_recipes(scenes):
+    """Recipes of unequal shares: six probes are of the six in whose shares the middles of sixths fall, 1.4 to 15.6 of
+    17; of a set that has fewer, all its scenes are probed, each once.
+    """
+    shares = dict(residential=3, arterial=3, crossroads=2, roundabout=2, rural=2, motorway=2, car_park=1, bridge=1)
+    words = {"recipes": shares | {"tunnel": 1}, "lightings": ["sky", "active"], "size": [640, 360]}
+    seen = [planned for planned, _, size in cost._chosen(make_set(scenes=scenes, **words), ["sky", "active"])]
+    assert len({planned.number for planned in seen}) == 6
+    if scenes > 6:
+        found = {planned.source.name for planned in seen}
+        assert found == {"residential", "arterial", "crossroads", "roundabout", "motorway", "bridge"}
 
 
 def test_kernels_that_are_compiled_first_are_not_taken_for_pixels(monkeypatch):
