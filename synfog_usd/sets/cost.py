@@ -1,10 +1,9 @@
 """What a set costs, before it is made: scenes, shots and files by counting, hours and bytes from small probes.
 
-A probe is one unit of the set with fewer pixels.  In the first lighting and in the last, a scene at two sizes tells
-what a unit takes whatever its size (drawing, loading, metering) and what its pixels take, and further scenes at the
-smaller size tell how much scenes differ, which may be by a factor of four.  They come from recipes in turn, and from
-others for the other lighting.  Each lighting's first is made twice: what it took longer at first went into kernels,
-which are compiled once.
+A probe is one unit of the set, with fewer pixels where it has many.  In the first lighting and in the last, a scene with hardly any pixels
+tells what a unit takes whatever its size (drawing, loading, metering), and some scenes with more tell what pixels take,
+by which scenes may differ by a factor of ten.  They come from recipes in turn, and from others for the other lighting.
+What the first of a lighting took longer when it was made the first time went into kernels, which are compiled once.
 """
 
 from __future__ import annotations
@@ -37,10 +36,14 @@ PATIENCE = 10.0
 """A unit may take this many times what was expected of it."""
 LEAST_LIMIT_S = 600.0
 
-SMALL_PX = 120 * 68
-"""Of a picture that is not made smaller for a probe."""
-OTHERS = 2
-"""Scenes for a lighting that are probed at the smaller size alone."""
+FEW_PX = (32, 18)
+"""Size of the picture that tells what a unit takes without pixels."""
+WIDTH_PX = 320
+"""Of the other probes, or a quarter of the picture's where that is more; smaller pictures stop later, since a denoiser
+has fewer pixels to go by.
+"""
+SCENES = 10
+"""That are probed for all lightings, at most; of a small set two thirds."""
 LOOKED = 200
 """Scenes in a row that may be without a lighting, for one that has it."""
 OF_VIEW, OF_SHOT = ("bake.json", "labels.exr", "labels.json", "unit.json"), 3
@@ -205,22 +208,23 @@ def estimate(
 
 
 def _chosen(found: SetDefinition, lightings: Sequence[str]) -> list[tuple[PlannedScene, Unit, tuple[int, int] | None]]:
-    """For the first lighting and the last a scene at a quarter and half of the width, and some more at a quarter; all
-    of them others, from sources in turn, so that few stand for many.
+    """For the first lighting and the last a scene with few pixels, then this and others with more; from sources in
+    turn, so that few stand for many.
     """
-    sizes: list[tuple[int, int] | None] = [found.size]
-    if found.size is not None and found.size[0] * found.size[1] > SMALL_PX:
-        width, height = found.size
-        sizes = [(max(16, width // part), max(16, height // part)) for part in (4, 2)]
+    size = found.size
+    if size is not None:
+        width = max(size[0] // 4, min(size[0], WIDTH_PX))
+        size = (width, max(1, size[1] * width // size[0]))
     probed = list(dict.fromkeys((lightings[0], lightings[-1])))
-    many = len(probed) * (OTHERS + 1)
+    each = max(1, min(SCENES, math.ceil(found.scenes * 2 / 3)) // len(probed))
     chosen: list[tuple[PlannedScene, Unit, tuple[int, int] | None]] = []
     for index, lighting in enumerate(probed):
-        for part in range(OTHERS + 1):
-            place = Fraction(2 * (part * len(probed) + index) + 1, 2 * many)
+        for turn in range(each):
+            place = Fraction(2 * (turn * len(probed) + index) + 1, 2 * each * len(probed))
             if planned := _typical(found, lighting, place, [unit for _, unit, _ in chosen]):
                 unit = next(unit for unit in planned.units if unit.lighting == lighting)
-                chosen += [(planned, unit, size) for size in (sizes[:1] if part else sizes)]
+                first = [(planned, unit, FEW_PX)] if size is not None and not turn else []
+                chosen += [*first, (planned, unit, size)]
     return chosen
 
 
@@ -267,19 +271,18 @@ def _probe(
 
 
 def _full(probes: Sequence[Mapping[str, Any]], found: SetDefinition, what: str, lighting: str) -> list[float]:
-    """What a lighting's probes would have taken at full size: those at its smaller size, times what its first scene's
-    two sizes say of growing.  Of a lighting without probes the means of the others.
+    """What a lighting's probes would have taken at full size: what its picture of few pixels took stays, and all else
+    grows with the pixels.  Of a lighting without probes the means of the others.
     """
     own = [probe for probe in probes if probe["lighting"] == lighting]
     if not own:
         return [mean(_full(probes, found, what, other)) for other in {probe["lighting"] for probe in probes}]
-    small, large = own[0], own[min(1, len(own) - 1)]
-    growth = 1.0
-    if found.size is not None and small["size_px"] != large["size_px"]:
-        pixels, more, full = (_pixels(size) for size in (small["size_px"], large["size_px"], found.size))
-        slope = max(0.0, (large[what] - small[what]) / (more - pixels))
-        growth = (large[what] + slope * (full - more)) / small[what]
-    return [float(probe[what]) * growth for probe in own if probe["size_px"] == small["size_px"]]
+    if found.size is None:
+        return [float(probe[what]) for probe in own]
+    few, scenes = own[0], own[1:]
+    pixels, more, full = (_pixels(size) for size in (few["size_px"], scenes[0]["size_px"], found.size))
+    growth = (full - more) / (more - pixels) if more > pixels else 0.0
+    return [probe[what] + growth * max(0.0, probe[what] - few[what]) for probe in scenes]
 
 
 def _error(probes: Sequence[Mapping[str, Any]], found: SetDefinition, units: Mapping[str, int]) -> float:

@@ -4,7 +4,9 @@ import json
 import signal
 import tempfile
 import tracemalloc
+from collections import Counter
 from pathlib import Path
+from statistics import mean
 
 import pytest
 from support.cli import process, run
@@ -67,53 +69,59 @@ def probe(size, seconds, lighting="sky"):
 
 
 def test_pixels_and_all_else_are_told_apart_by_two_sizes():
-    """20 s and 3 s a thousand pixels in one lighting, 40 and 2 in the other: at full size what the lines say.  A scene
-    that takes twice as long at the smaller size takes twice as long at full.
+    """20 s a unit and 3 s a thousand pixels in one lighting, 40 and 2 in the other: at full size what the lines say.  A
+    scene whose pixels take twice as long takes as long without them.  What is less than without pixels does not grow.
     """
     found = make_set(scenes=9, recipes=["tunnel"], size=[400, 200])
-    seen = [probe((100, 50), 35.0), probe((200, 100), 80.0), probe((100, 50), 70.0)]
-    seen += [probe((100, 50), 50.0, "active"), probe((200, 100), 80.0, "active")]
-    assert cost._full(seen, found, "seconds", "sky") == pytest.approx([20 + 3 * 80, 2 * (20 + 3 * 80)])
+    seen = [probe((20, 10), 20.6), probe((200, 100), 80.0), probe((200, 100), 140.0), probe((200, 100), 15.0)]
+    seen += [probe((20, 10), 40.4, "active"), probe((200, 100), 80.0, "active")]
+    growth = (80_000 - 20_000) / (20_000 - 200)
+    assert cost._full(seen, found, "seconds", "sky") == pytest.approx([260.0, 140 + growth * (140 - 20.6), 15.0])
     assert cost._full(seen, found, "seconds", "active") == pytest.approx([40 + 2 * 80])
-    assert sorted(cost._full(seen, found, "seconds", "dusk")) == pytest.approx([200, 1.5 * (20 + 3 * 80)])
+    both = [mean(cost._full(seen, found, "seconds", lighting)) for lighting in ("active", "sky")]
+    assert sorted(cost._full(seen, found, "seconds", "dusk")) == pytest.approx(sorted(both))
 
 
 def test_few_scenes_that_differ_leave_the_time_unsure():
     """Three scenes of 10, 20 and 30 s: the standard error of their mean is 10 s / sqrt(3)."""
     found = make_set(scenes=90, recipes=["tunnel"], size=[100, 50])
-    seen = [{"lighting": "sky", "size_px": (100, 50), "cpu_s": cpu_s} for cpu_s in (10.0, 20.0, 30.0)]
+    seen = [{"lighting": "sky", "size_px": (32, 18), "cpu_s": 8.0}]
+    seen += [{"lighting": "sky", "size_px": (100, 50), "cpu_s": cpu_s} for cpu_s in (10.0, 20.0, 30.0)]
     assert cost._error(seen, found, {"sky": 90}) == pytest.approx(90 * 10 / 3**0.5)
+    seen += [{"lighting": "active", "size_px": (32, 18), "cpu_s": 3.0}]
     seen += [{"lighting": "active", "size_px": (100, 50), "cpu_s": cpu_s} for cpu_s in (5.0, 5.0)]
     assert cost._error(seen, found, {"sky": 90, "active": 90}) == pytest.approx(90 * 10 / 3**0.5)
 
 
 def test_scenes_all_over_the_set_are_probed():
-    """In each of two lightings that scenes draw: one scene at two sizes, two more thirds of the set further on, and no
-    scene in both.
+    """In each of two lightings that scenes draw: five scenes in fifths of the set, the first also with few pixels, and
+    no scene in both lightings.
     """
-    words = {"recipes": ["tunnel"], "lightings": [{"choice": {"sky": 1, "active": 1}}], "size": [640, 360]}
-    chosen = cost._chosen(make_set(scenes=60, **words), ["sky", "active"])
-    for lighting, begins in (("sky", 5), ("active", 15)):
+    words = {"recipes": ["tunnel"], "lightings": [{"choice": {"sky": 1, "active": 1}}]}
+    chosen = cost._chosen(make_set(scenes=100, size=[1280, 720], **words), ["sky", "active"])
+    for lighting in ("sky", "active"):
         own = [(planned.number, size) for planned, unit, size in chosen if unit.lighting == lighting]
-        assert [size for _, size in own] == [(160, 90), (320, 180), (160, 90), (160, 90)]
-        assert begins <= own[0][0] == own[1][0] < begins + 20 <= own[2][0] < begins + 40 <= own[3][0]
+        assert [size for _, size in own] == [(32, 18), *[(320, 180)] * 5] and own[0][0] == own[1][0]
+        assert [number // 20 for number, _ in own[1:]] == list(range(5))
     assert all(unit.lighting in planned.lightings for planned, unit, _ in chosen)
-    assert len({planned.number for planned, _, _ in chosen}) == 6
-    assert len(cost._chosen(make_set(scenes=1, **(words | {"lightings": ["sky"]})), ["sky"])) == 2
+    assert len({planned.number for planned, _, _ in chosen}) == 10
+    one = make_set(scenes=1, size=[200, 100], **(words | {"lightings": ["sky"]}))
+    assert [size for _, _, size in cost._chosen(one, ["sky"])] == [(32, 18), (200, 100)]
 
 
-@pytest.mark.parametrize("scenes", [500, 6])
-def test_what_is_probed_comes_from_many_recipes(scenes):
-    """Recipes of unequal shares: six probes are of the six in whose shares the middles of sixths fall, 1.4 to 15.6 of
-    17; of a set that has fewer, all its scenes are probed, each once.
+def test_what_is_probed_comes_from_many_recipes():
+    """Recipes of unequal shares: ten probes come from eight of nine, and from none more often than from those with most
+    shares.  Of a set of six scenes four are probed.
     """
     shares = dict(residential=3, arterial=3, crossroads=2, roundabout=2, rural=2, motorway=2, car_park=1, bridge=1)
-    words = {"recipes": shares | {"tunnel": 1}, "lightings": ["sky", "active"], "size": [640, 360]}
-    seen = [planned for planned, _, size in cost._chosen(make_set(scenes=scenes, **words), ["sky", "active"])]
-    assert len({planned.number for planned in seen}) == 6
-    if scenes > 6:
-        found = {planned.source.name for planned in seen}
-        assert found == {"residential", "arterial", "crossroads", "roundabout", "motorway", "bridge"}
+    words = {"recipes": shares | {"tunnel": 1}, "lightings": ["sky", "active"], "size": [1280, 720]}
+    for scenes, most in ((500, 10), (6, 4)):
+        chosen = cost._chosen(make_set(scenes=scenes, **words), ["sky", "active"])
+        seen = {planned.number: planned.source.name for planned, _, _ in chosen}
+        assert len(seen) == most
+        if scenes > 6:
+            found = Counter(seen.values())
+            assert len(found) == 8 and all(abs(found[name] - 10 / 17 * share) < 1.0 for name, share in shares.items())
 
 
 def test_kernels_that_are_compiled_first_are_not_taken_for_pixels(monkeypatch):
