@@ -82,6 +82,14 @@ def test_pixels_and_all_else_are_told_apart_by_two_sizes():
     assert sorted(cost._full(seen, found, "seconds", "dusk")) == pytest.approx(sorted(both))
 
 
+def test_memory_grows_slower_than_pixels():
+    """What a street with lamps took at 320 x 180 and at 32 x 18, and what came at 1280 x 720 [MB], within a tenth."""
+    found = make_set(scenes=9, recipes=["motorway"], size=[1280, 720])
+    seen = [{"lighting": "active", "size_px": (32, 18), "peak_mb": 1035}]
+    seen += [{"lighting": "active", "size_px": (320, 180), "peak_mb": 1308}]
+    assert cost._full(seen, found, "peak_mb", "active") == pytest.approx([2618], rel=0.1)
+
+
 def test_few_scenes_that_differ_leave_the_time_unsure():
     """Three scenes of 10, 20 and 30 s: the standard error of their mean is 10 s / sqrt(3)."""
     found = make_set(scenes=90, recipes=["tunnel"], size=[100, 50])
