@@ -189,6 +189,23 @@ def limits(*, cpu_s: float, wall_s: float) -> Iterator[None]:
             resource.setrlimit(kind, numbers)
 
 
+@contextlib.contextmanager
+def as_urgent_as_before() -> Iterator[None]:
+    """What a library changes within it of how this thread is scheduled is undone: SVT-AV1 tries whether it may have
+    Linux's real-time class, as root it may, and keeps it.  Threads that wait for each other, as those of BLAS do, then
+    hardly go on.
+    """
+    if not hasattr(os, "sched_getscheduler"):
+        yield
+        return
+    kind, urgency = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, kind, urgency)
+
+
 def give_back() -> None:
     """Return freed memory to the system where the C library keeps it: glibc keeps pieces of up to 32 MB."""
     with contextlib.suppress(AttributeError, OSError, TypeError):

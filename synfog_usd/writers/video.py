@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd import system
 from synfog_usd.errors import OutputError
 from synfog_usd.files import write_whole
 
@@ -62,7 +63,7 @@ def _encode(temporary: Path, path: Path, pictures: Iterable[npt.NDArray[np.uint8
     import av
 
     size: tuple[int, int] | None = None
-    with av.open(str(temporary), "w", format="mp4") as container:
+    with system.as_urgent_as_before(), av.open(str(temporary), "w", format="mp4") as container:
         stream = container.add_stream("libsvtav1", rate=Fraction(per_s).limit_denominator(1001))
         stream.options = {"crf": str(QUALITY), "preset": str(PRESET), "svtav1-params": "lp=1"}
         stream.pix_fmt = "yuv420p"

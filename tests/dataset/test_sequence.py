@@ -3,6 +3,7 @@ read.
 """
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -154,6 +155,15 @@ def test_a_clip_is_read_by_another_decoder(clip, tmp_path):
     assert rate == pytest.approx(30000 / 1001)
     for middle in (16, 48, 80):
         np.testing.assert_allclose(pictures[1][32, middle].astype(int), flat[32, middle].astype(int), atol=6)
+
+
+@pytest.mark.skipif(bool(video.available()), reason=video.available())
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="the system has no such classes")
+def test_a_clip_leaves_the_process_no_more_urgent_than_it_was(tmp_path):
+    """The encoder takes the real-time class where it may, as root."""
+    before = os.sched_getscheduler(0)
+    video.write_clip(tmp_path / "grey.mp4", [np.full((32, 48, 3), 90, dtype=np.uint8)] * 2, per_s=10)
+    assert os.sched_getscheduler(0) == before
 
 
 @pytest.mark.skipif(bool(video.available()), reason=video.available())
