@@ -228,8 +228,9 @@ def _chosen(found: SetDefinition, lightings: Sequence[str]) -> list[tuple[Planne
             place = Fraction(2 * (turn * len(probed) + index) + 1, 2 * each * len(probed))
             if planned := _typical(found, lighting, place, [unit for _, unit, _ in chosen]):
                 unit = next(unit for unit in planned.units if unit.lighting == lighting)
-                first = [(planned, unit, FEW_PX)] if size is not None and not turn else []
-                chosen += [*first, (planned, unit, size)]
+                first = size is not None and all(other.lighting != lighting for _, other, _ in chosen)
+                chosen += [(planned, unit, FEW_PX)] if first else []
+                chosen.append((planned, unit, size))
     return chosen
 
 

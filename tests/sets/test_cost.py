@@ -117,6 +117,19 @@ def test_scenes_all_over_the_set_are_probed():
     assert [size for _, _, size in cost._chosen(one, ["sky"])] == [(32, 18), (200, 100)]
 
 
+def test_a_lighting_that_few_scenes_have_is_probed_with_few_pixels_first(monkeypatch):
+    """Where scenes near the first places have it not, those of a later place begin with the small picture."""
+    words = {"recipes": ["tunnel"], "lightings": [{"choice": {"sky": 30, "active": 1}}], "size": [640, 360]}
+    monkeypatch.setattr(cost, "LOOKED", 4)
+    late = 0
+    for seed in range(20):
+        found = make_set(scenes=400, **words, seed=seed)
+        own = [(one.number, size) for one, unit, size in cost._chosen(found, ["active"]) if unit.lighting == "active"]
+        assert [size for _, size in own] == [(32, 18), *[(320, 180)] * (len(own) - 1)] or not own
+        late += bool(own) and own[0][0] >= 60  # the first place is scene 20, the second scene 60
+    assert late > 0
+
+
 def test_what_is_probed_comes_from_many_recipes():
     """Recipes of unequal shares: ten probes come from eight of nine, and from none more often than from those with most
     shares.  Of a set of six scenes four are probed.
