@@ -33,8 +33,10 @@ def srgb_encode(linear: Floats, out: Floats | None = None) -> Floats:
     """
     kind = linear.dtype.type
     clipped = np.clip(linear, kind(0.0), kind(1.0), out=out)
-    encoded = np.maximum(clipped, kind(0.0031308))  # a power of 0 would take six times as long
-    np.power(encoded, kind(1.0 / 2.4), out=encoded)
+    encoded = np.maximum(clipped, kind(0.0031308))
+    np.log2(encoded, out=encoded)  # a power in two steps, each vector code, takes half the time of `np.power`
+    encoded *= kind(1.0 / 2.4)
+    np.exp2(encoded, out=encoded)
     encoded *= kind(1.055)
     encoded -= kind(0.055)
     clipped *= kind(12.92)

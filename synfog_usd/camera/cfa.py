@@ -51,14 +51,16 @@ def sites(pattern: str) -> Iterator[tuple[tuple[slice, slice], int]]:
             yield (slice(row, None, len(rows)), slice(column, None, len(line))), letters.index(letter)
 
 
-def lines(pattern: str, values: Sequence[float] | Array, width: int) -> list[FloatArray]:
-    """For each row of a pattern (W,): the value of each pixel's filter.
+def factors(pattern: str, values: Sequence[float] | Array, height: int, width: int) -> FloatArray:
+    """(H, W) the value of each pixel's filter, from a row on with which the pattern begins.
 
-    >>> [line.tolist() for line in lines("RGGB", (1.0, 2.0, 3.0), 3)]
+    >>> factors("RGGB", (1.0, 2.0, 3.0), 2, 3).tolist()
     [[1.0, 2.0, 1.0], [2.0, 3.0, 2.0]]
     """
     by_filter = dict(zip(filters(pattern), values, strict=True))
-    return [np.resize([by_filter[letter] for letter in row], width).astype(np.float32) for row in PATTERNS[pattern]]
+    cell = np.array([[by_filter[letter] for letter in row] for row in PATTERNS[pattern]], dtype=np.float32)
+    down, across = (np.arange(size) % period for size, period in zip((height, width), cell.shape, strict=True))
+    return cell[down[:, None], across]
 
 
 def mosaic_of(planes: FloatArray, pattern: str) -> FloatArray:

@@ -244,14 +244,16 @@ def enlarged(coarse: FloatArray, block: int, height: int, width: int) -> Iterato
         columns = wide[:, first::block]
         between, part = _blocks_before(first, block, columns.shape[1])
         columns[...] = slope[:, between] * part + beside[:, between]
-    slope = np.diff(wide, axis=0)
     for strip in strips(height, STRIP_ROWS * block):
-        for first in range(strip.start, min(strip.start + block, height)):  # rows that do
-            rows = slice(first, min(strip.stop, height), block)
-            between, part = _blocks_before(first, block, len(range(height)[rows]))
-            found = slope[between] * part
-            found += wide[between]
-            yield rows, found
+        found = np.empty((min(strip.stop, height) - strip.start, width), dtype=np.float32)
+        known = wide[strip.start // block :][: STRIP_ROWS + 2]
+        slope = np.diff(known, axis=0)
+        for first in range(min(block, len(found))):  # rows that do
+            rows = found[first::block]
+            between, part = _blocks_before(first, block, len(rows))
+            np.multiply(slope[between], part, out=rows)
+            rows += known[between]
+        yield strip, found
 
 
 def _blocks_before(first: int, block: int, count: int) -> tuple[slice, np.float32]:

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, FloatArray, planar, strips
+from synfog_usd.arrays import STRIP_ROWS, Array, FloatArray, planar, strips
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.distortion import Pinhole, source_of, warped_like
 from synfog_usd.camera.fisheye import of_picture
@@ -214,7 +214,9 @@ def lens_shading(
     fade = warped_like(fade, metadata, taken)
     pixels = np.empty_like(image.pixels)
     for rows in strips(image.height_px):
-        np.divide(image.pixels[rows], (fade[rows] ** np.float32(strength))[..., None], out=pixels[rows])
+        gain = np.log2(np.maximum(fade[rows], np.float32(1e-30)))  # a power, as in `colour.srgb_encode`
+        gain *= np.float32(-strength)
+        np.multiply(image.pixels[rows, :, 0], np.exp2(gain, out=gain), out=pixels[rows, :, 0])
     return image.with_pixels(pixels).with_metadata(lens_shading=strength)
 
 
@@ -265,14 +267,13 @@ def white_balance(
             f"{illuminant} cannot balance signals of {signal.tolist()} behind {', '.join(letters)}; set illuminant: d65"
         )
     gains = signal.max() / signal
-    lines = cfa.lines(pattern, gains, image.width_px)
+    factors = cfa.factors(pattern, gains, STRIP_ROWS, image.width_px)
     pixels = np.empty_like(image.pixels)
     for strip in strips(image.height_px):  # of whole patterns
-        for row, factors in enumerate(lines):
-            rows = slice(strip.start + row, strip.stop, len(lines))
-            np.multiply(image.pixels[rows, :, 0], factors, out=pixels[rows, :, 0])
+        rows = pixels[strip, :, 0]
+        np.multiply(image.pixels[strip, :, 0], factors[: len(rows)], out=rows)
         if clip:
-            np.minimum(pixels[strip], 1.0, out=pixels[strip])
+            np.minimum(rows, np.float32(1.0), out=rows)
     return image.with_pixels(pixels).with_metadata(white_balance=illuminant, wb_gains=[float(value) for value in gains])
 
 
@@ -361,8 +362,10 @@ def tone(
         straight = np.multiply(image.pixels[rows], np.float32(gain), out=pixels[rows])
         rest = straight * np.float32(-1.0 / (gain - shoulder))  # 1 - u: 1 below the shoulder, 0 from saturation on
         rest += np.float32(gain / (gain - shoulder))
-        np.clip(rest, np.float32(1e-30 ** (1.0 / power)), 1.0, out=rest)  # 0 would take a power six times as long
-        np.power(rest, np.float32(power), out=rest)
+        np.clip(rest, np.float32(1e-30 ** (1.0 / power)), np.float32(1.0), out=rest)
+        np.log2(rest, out=rest)  # a power, as in `colour.srgb_encode`
+        rest *= np.float32(power)
+        np.exp2(rest, out=rest)
         rest *= np.float32(shoulder - 1.0)
         rest += np.float32(1.0 - shoulder)
         np.minimum(straight, np.float32(shoulder), out=straight)

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from synfog_usd import photometry, seeds
-from synfog_usd.arrays import FloatArray, strips
+from synfog_usd.arrays import STRIP_ROWS, FloatArray, strips
 from synfog_usd.camera import cfa, noise, response
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -91,14 +91,13 @@ def expose(
     time_s = exposure_s * exposure_ratio
     weights = (rate * time_s).astype(np.float32)
     mosaic = np.empty((image.height_px, image.width_px, 1), dtype=np.float32)
-    by_channel = [cfa.lines(sensor.cfa, column, image.width_px) for column in weights.T]
+    first, *others = (cfa.factors(sensor.cfa, column, STRIP_ROWS, image.width_px) for column in weights.T)
     for strip in strips(image.height_px):  # of whole patterns
-        for row, by_row in enumerate(zip(*by_channel, strict=True)):
-            rows = slice(strip.start + row, strip.stop, len(by_channel[0]))
-            total = np.multiply(image.pixels[rows, :, 0], by_row[0], out=mosaic[rows, :, 0])
-            for channel, factors in enumerate(by_row[1:], start=1):
-                total += image.pixels[rows, :, channel] * factors
-        np.maximum(mosaic[strip], 0.0, out=mosaic[strip])
+        rows = image.pixels[strip]
+        total = rows[..., 0] * first[: len(rows)]
+        for channel, here in enumerate(others, start=1):
+            total += rows[..., channel] * here[: len(rows)]
+        np.maximum(total, 0.0, out=mosaic[strip, :, 0])
     reset = {"global_reset_s": readout_s} if shutter == "global_reset" else {}
     if reset:
         mosaic *= row_times(reset | {"exposure_s": time_s}, image.height_px)
