@@ -112,6 +112,7 @@ def run(
     """
     bench = Bench(items, methods)
     known = kept(out / RESULTS)
+    _keep(out / RESULTS, known)  # a folder that cannot be written is told before the first answer
     total, done, kept_at = len(items) * len(methods), 0, time.monotonic()
     with ThreadPoolExecutor(1) as pool, tempfile.TemporaryDirectory(prefix="synfog-usd-") as folder:
         try:

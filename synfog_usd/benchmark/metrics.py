@@ -26,6 +26,10 @@ PACKAGES = {"pyfade": "fade-python"}
 """What brings a metric's library where the extra 'benchmark' does not: its licence is for research."""
 
 
+SSIM_WINDOW_PX = 11
+"""Side of the window of SSIM, 3.5 standard deviations to each side."""
+
+
 @dataclass(frozen=True)
 class Metric:
     """A distance or a likeness.
@@ -54,9 +58,13 @@ def psnr(picture: Picture, truth: Picture) -> float:
 
 
 def ssim(picture: Picture, truth: Picture) -> float:
-    """Structural similarity, mean over R, G and B, with the paper's Gaussian window of 1.5 pixels."""
+    """Structural similarity, mean over R, G and B, with the paper's Gaussian window of 1.5 pixels; nan for a picture
+    that is smaller than the window.
+    """
     from skimage.metrics import structural_similarity
 
+    if min(picture.shape[:2]) < SSIM_WINDOW_PX:
+        return math.nan
     return float(
         structural_similarity(
             picture,

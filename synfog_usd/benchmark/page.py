@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from synfog_usd import files
+from synfog_usd.benchmark import bench as runs
 from synfog_usd.benchmark import defog, metrics
 from synfog_usd.benchmark.bench import Bench
 from synfog_usd.benchmark.methods import PNG, Defogger
 from synfog_usd.benchmark.pairs import Pair
 from synfog_usd.benchmark.statistics import Mean, mean, ranks
 from synfog_usd.benchmark.worker import MethodError, MethodWorker
+from synfog_usd.errors import ParameterError
 
 SHOWN = 6
 """Pairs in the sheet of pictures."""
@@ -209,11 +211,13 @@ def spread(items: Sequence[Any]) -> list[Any]:
 
 
 def tile(path: Path, caption: str) -> Tile:
-    """A picture in the sheet's width, with its caption."""
+    """A picture in the sheet's width, with its caption; a dark tile where it cannot be read."""
     from PIL import Image
 
-    with Image.open(path) as image:
-        return fitted(image.convert("RGB")), caption
+    try:
+        return fitted(Image.fromarray(runs.picture(path))), caption
+    except ParameterError:
+        return no_answer(caption, "cannot be read")
 
 
 def fitted(picture: Any) -> Any:
@@ -221,11 +225,11 @@ def fitted(picture: Any) -> Any:
     return picture.resize((TILE_PX, max(1, round(TILE_PX * picture.height / picture.width))))
 
 
-def no_answer(name: str) -> Tile:
+def no_answer(name: str, why: str = "no answer") -> Tile:
     """In the place of a picture."""
     from PIL import Image
 
-    return Image.new("RGB", (TILE_PX, TILE_PX // 2), (60, 24, 24)), f"{name}: no answer"
+    return Image.new("RGB", (TILE_PX, TILE_PX // 2), (60, 24, 24)), f"{name}: {why}"
 
 
 def sheet(strips: Sequence[Sequence[Tile]], path: Path) -> None:

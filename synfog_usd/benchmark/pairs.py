@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from synfog_usd.errors import ParameterError
+from synfog_usd.sets import index
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
@@ -50,7 +51,7 @@ def find(source: Path, *, picture: str = "srgb.png", clear: str = "clear", split
     """
     if not source.is_dir():
         raise ParameterError(f"{source}: no such folder")
-    if (source / "index").is_dir():
+    if index.is_set(source):
         found = list(_of_set(source, picture, clear, split))
     elif (source / "bake.json").is_file():
         found = list(_of_bake(source, picture, clear))
@@ -66,8 +67,6 @@ def find(source: Path, *, picture: str = "srgb.png", clear: str = "clear", split
 
 
 def _of_set(source: Path, picture: str, clear: str, split: str) -> Iterator[Pair]:
-    from synfog_usd.sets import index
-
     views: dict[tuple[int, str, str, str], Path] = {}
     foggy = []
     for one in index.pictures(source):

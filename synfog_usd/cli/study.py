@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from synfog_usd.cli import options, worker
-from synfog_usd.errors import OutputError
+from synfog_usd.errors import OutputError, ParameterError, did_you_mean
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="What sets and bakes show of fog and its models.")
 
@@ -20,10 +21,15 @@ def studies() -> None:
 
 
 def _can_hold(out: Path) -> None:
-    """Refuse what can be no folder before minutes of work."""
-    there = next((place for place in (out, *out.parents) if place.exists()), None)
-    if there is not None and not there.is_dir():
+    """Refuse what can be no folder, or none that can be written, before minutes of work."""
+    there = next((place for place in (out, *out.absolute().parents) if place.exists()), out)
+    if not there.is_dir():
         raise OutputError(f"--out {out}: {there} is a file; give a folder")
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as error:
+        raise OutputError(f"--out {out}: {there} cannot be written ({error.strerror}); choose another folder") from None
 
 
 @app.command()
@@ -46,6 +52,11 @@ def asm(
 
         sets.run(source, out / "set", only=None, quiet=quiet, as_json=False)
         source = out / "set"
+    elif not source.exists():
+        raise ParameterError(
+            f"{source}: no such folder, and no set of this name ships; there are {', '.join(shipped())}."
+            f"{did_you_mean(str(source), shipped())}"
+        )
     with shown(quiet) as (progress, _):
         found = scattering_model.study(source, limit=limit, progress=progress)
     scattering_model.write(found, out)

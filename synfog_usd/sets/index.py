@@ -127,6 +127,11 @@ def count(out: Path) -> int:
     return sum(parquet.read_metadata(path).num_rows for path in parts(out))
 
 
+def is_set(folder: Path) -> bool:
+    """Whether a set lies in a folder, finished or not."""
+    return (folder / layout.INDEX).is_dir() or (folder / layout.SET).is_file()
+
+
 def parts(out: Path) -> list[Path]:
     """The files of the index.
 
@@ -134,6 +139,10 @@ def parts(out: Path) -> list[Path]:
         ParameterError: no set lies there.
     """
     found = sorted((out / layout.INDEX).glob("part-*.parquet"))
+    if not found and (out / layout.SET).is_file():
+        raise ParameterError(
+            f"{out}: this set is not finished and has no index of a set yet; synfog-usd dataset retry {out} goes on"
+        )
     if not found:
         raise ParameterError(
             f"{out}: no index of a set ({layout.INDEX}/part-*.parquet); make one with synfog-usd dataset run SET.yaml "

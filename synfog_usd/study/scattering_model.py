@@ -26,6 +26,7 @@ from synfog_usd.colour import srgb_decode, srgb_encode
 from synfog_usd.errors import ImageError, ParameterError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.seeds import stream
+from synfog_usd.sets import index
 from synfog_usd.writers import read_exr
 
 DEPTHS = (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, math.inf)
@@ -153,11 +154,11 @@ def pairs(source: Path) -> Iterator[FogPair | str]:
     """Foggy shots of a set or bake with their clear frames, and lines on those that cannot be used.
 
     Raises:
-        ParameterError: neither a set nor a bake.
+        ParameterError: neither a set that is finished nor a bake.
     """
-    if (source / "index").is_dir():
-        from synfog_usd.sets import index
-
+    if not source.is_dir():
+        raise ParameterError(f"{source}: no such folder")
+    if index.is_set(source):
         bakes = dict(sorted({picture.bake: str(picture.scene) for picture in index.pictures(source)}.items()))
     elif (source / "bake.json").is_file():
         bakes = {source: source.name}

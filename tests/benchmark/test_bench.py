@@ -20,7 +20,7 @@ from synfog_usd.benchmark.bench import GIVE_UP
 from synfog_usd.benchmark.methods import chosen
 from synfog_usd.benchmark.pairs import find
 from synfog_usd.benchmark.statistics import mean, ranks
-from synfog_usd.errors import ParameterError
+from synfog_usd.errors import OutputError, ParameterError
 
 
 @pytest.fixture
@@ -163,6 +163,34 @@ def test_methods_that_fail_cost_their_own_row_only(tmp_path, folder):
     ):
         assert words in table, words
     assert "Traceback" not in done.stderr + table
+
+
+def test_a_picture_that_cannot_be_read_costs_its_own_pair_only(tmp_path, folder):
+    """One foggy picture is no picture and one clear picture is empty: two rows of a reason, and the sheet is drawn."""
+    (folder / "hazy" / "0001_0.5.png").write_bytes(b"no picture")
+    (folder / "gt" / "0003.png").write_bytes(b"")
+    bench = defog.run(find(folder), chosen(["none"]), tmp_path / "out")
+    page.write(bench, page.rows(bench), tmp_path / "out")
+    assert sorted(bench.failures(bench.methods[0])) == ["0001_0.5", "0003_0.5", "0003_0.8"]
+    assert all("cannot be read as a picture" in why for why in bench.failures(bench.methods[0]).values())
+    assert "3 of 6" in (tmp_path / "out" / "table.md").read_text(encoding="utf-8")
+    with Image.open(tmp_path / "out" / "pictures.png") as sheet:
+        assert sheet.width > 2 * 300
+
+
+def test_pictures_too_small_for_ssim_are_measured_by_the_rest():
+    small, large = (np.full((side, 40, 3), 100, dtype=np.uint8) for side in (10, 11))
+    assert set(metrics.measure(large, large)) - set(metrics.measure(small, small)) == {"ssim"}
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_the_first_answer(tmp_path, folder):
+    (tmp_path / "file").write_text("")
+    count = tmp_path / "count"
+    words = [sys.executable, "-c", f"open({str(count)!r}, 'a').write('x')", "{in}", "{out}"]
+    own = methods(tmp_path, f"- {{name: slow, command: {json.dumps(words)}}}\n")
+    with pytest.raises(OutputError, match="cannot be written"):
+        defog.run(find(folder), chosen([str(own)]), tmp_path / "file" / "out")
+    assert not count.exists()
 
 
 def test_a_method_that_fails_on_the_first_pictures_is_asked_no_more(tmp_path, folder):

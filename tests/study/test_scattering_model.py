@@ -142,6 +142,11 @@ def test_a_set_is_made_first(tmp_path):
 ONE_FOGGY = '{"shots": [{"lighting": "a", "fog": "x", "folder": "a/x", "mor_m": 100.0}]}'
 
 
+def test_a_set_that_does_not_ship_is_told_those_that_do(tmp_path):
+    done = cli.run("study", "asm", "studdy", "-o", tmp_path)
+    assert done.returncode == 2 and "Did you mean 'study'?" in done.stderr and done.stderr.count("\n") == 1
+
+
 @pytest.mark.parametrize("text", [None, "{", ONE_FOGGY])
 def test_what_cannot_be_compared_is_one_line(tmp_path, text):
     if text is not None:
