@@ -12,17 +12,19 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import ndimage, stats
+from scipy import ndimage
 
 from synfog_usd import camera, files
 from synfog_usd.arrays import Array
+from synfog_usd.benchmark import statistics
 from synfog_usd.benchmark.classics import dark_channel_fog
+from synfog_usd.benchmark.statistics import Mean
 from synfog_usd.errors import ParameterError, SynfogError
 from synfog_usd.graph import NodeGraph
 from synfog_usd.image import Image
@@ -81,6 +83,7 @@ class ShotNoise:
 
     Attributes:
         camera, name, lighting, fog: which.
+        scene, view: shots of one scene are not independent; all fogs of a view show the same.
         raw_dn: temporal noise of RAW [DN], RMS over pixels.
         raw_ratio: its variance over that of photons, read-out and rounding.
         neighbours_raw, neighbours: correlation of the noise of a pixel with that of the next one of its colour in RAW,
@@ -96,6 +99,8 @@ class ShotNoise:
     name: str
     lighting: str
     fog: str
+    scene: str
+    view: str
     raw_dn: float
     raw_ratio: float
     neighbours_raw: float
@@ -110,7 +115,7 @@ class ShotNoise:
     shown_defogged_quiet: float
 
 
-NUMBERS = tuple(ShotNoise.__dataclass_fields__)[4:]
+NUMBERS = tuple(ShotNoise.__dataclass_fields__)[6:]
 
 
 @dataclass(frozen=True)
@@ -243,6 +248,8 @@ def _shot(
         pair.name,
         pair.lighting,
         fog,
+        pair.scene,
+        pair.clear.as_posix(),
         float(np.sqrt(variance[good].mean())),
         float(variance[good].mean() / closed[good].mean()),
         _beside(raw, 2),
@@ -286,27 +293,47 @@ def immerkaer(picture: Array) -> float:
 # -- page
 
 
-def interval(numbers: Sequence[float]) -> tuple[float, float]:
-    """Mean over shots and half of its 95 % interval; nan for one shot."""
-    values = np.array([number for number in numbers if math.isfinite(number)])
-    if len(values) < 2:
-        return (float(values.mean()) if len(values) else math.nan), math.nan
-    half = float(stats.t.ppf(0.975, len(values) - 1)) * float(values.std(ddof=1)) / math.sqrt(len(values))
-    return float(values.mean()), half
+def over_scenes(rows: Sequence[ShotNoise], number: Callable[[ShotNoise], float]) -> Mean:
+    """Mean of a number over shots, with its interval over scenes; nan where no shot has it."""
+    known = [(value, row.scene) for row in rows if math.isfinite(value := number(row))]
+    if not known:
+        return Mean(math.nan, None, None, 0, 0)
+    return statistics.mean([value for value, _ in known], [scene for _, scene in known])
 
 
-def _of(found: NoiseStudy, name: str, fog: str, what: str) -> tuple[float, float]:
-    return interval([getattr(row, what) for row in found.rows if row.camera == name and row.fog == fog])
+def change(found: NoiseStudy, name: str, fog: str, what: str) -> Mean:
+    """How many times a view has in clear air what it has in a fog: geometric mean over views, interval over scenes."""
+    rows = [row for row in found.rows if row.camera == name]
+    clear = {row.view: float(getattr(row, what)) for row in rows if row.fog == CLEAR}
+
+    def log_ratio(row: ShotNoise) -> float:
+        before, after = clear.get(row.view, 0.0), float(getattr(row, what))
+        return math.log(after / before) if before > 0.0 and after > 0.0 else math.nan
+
+    of_logs = over_scenes([row for row in rows if row.fog == fog], log_ratio)
+    low, high = (None if end is None else math.exp(end) for end in (of_logs.low, of_logs.high))
+    return replace(of_logs, value=math.exp(of_logs.value), low=low, high=high)
+
+
+def _of(found: NoiseStudy, name: str, fog: str, what: str) -> Mean:
+    rows = [row for row in found.rows if row.camera == name and row.fog == fog]
+    return over_scenes(rows, lambda row: float(getattr(row, what)))
+
+
+def _told(mean: Mean) -> str:
+    ends = "" if mean.low is None else f" ({mean.low:.2f} to {mean.high:.2f})"
+    return f"{mean.value:.2f}{ends}"
 
 
 def markdown(found: NoiseStudy) -> str:
     """Findings and tables."""
     shots = len(found.rows) // max(len(found.transfer), 1)
+    scenes = len({row.scene for row in found.rows})
     lines = [
         "# Noise and fog",
         "",
-        f"{shots} shots, {FRAMES} frames each. Means over shots; ± is half of the interval at 95 %. Pictures in 8-bit "
-        "numbers.",
+        f"{shots} shots of {scenes} scenes, {FRAMES} frames each. Means over shots; in brackets the interval at 95 % "
+        "over scenes. Pictures in 8-bit numbers.",
         "",
     ]
     for name, (_, measured, closed) in found.transfer.items():
@@ -314,15 +341,17 @@ def markdown(found: NoiseStudy) -> str:
             continue
         off = np.abs(measured / closed - 1.0).max()
         some = [row for row in found.rows if row.camera == name and math.isfinite(row.growth)]
-        growth, half = interval([row.growth / row.expected for row in some])
-        beside = [
-            interval([getattr(row, what) for row in found.rows if row.camera == name])[0]
-            for what in ("neighbours_raw", "neighbours")
-        ]
+        growth = over_scenes(some, lambda row: row.growth / row.expected)
+        rows = [row for row in found.rows if row.camera == name]
+        in_raw, beside = (
+            over_scenes(rows, number).value for number in (lambda row: row.neighbours_raw, lambda row: row.neighbours)
+        )
         lines.append(
             f"- **{name}.** RAW: variance within {off:.1%} of photons, read-out and rounding at every signal. "
-            f"Neighbours in RAW correlate by {beside[0]:+.3f}, after demosaicing by {beside[1]:+.2f}. "
-            f"The dark channel prior lets noise grow by {growth:.2f} ± {half:.2f} times its own 1/t."
+            f"Neighbours in RAW correlate by {in_raw:+.3f}, after demosaicing by {beside:+.2f}. "
+            f"The dark channel prior lets noise grow by {_told(growth)} times its own 1/t. Where fog comes up to "
+            f"{found.fogs[-1]}, the noise of a view is {_told(change(found, name, found.fogs[-1], 'picture'))} times "
+            f"that in clear air, after the prior {_told(change(found, name, found.fogs[-1], 'defogged'))} times."
         )
     for name in found.transfer:
         lines += [
@@ -335,7 +364,7 @@ def markdown(found: NoiseStudy) -> str:
         ]
         for fog in found.fogs:
             cells = [
-                "{:.2f} ± {:.2f}".format(*_of(found, name, fog, what)).replace(" ± nan", "")
+                _told(_of(found, name, fog, what))
                 for what in (
                     "raw_dn",
                     "picture",
@@ -386,9 +415,11 @@ def _drawn(found: NoiseStudy) -> bytes:
         transfer.plot(signal, closed, "-", lw=1.0, color=colour)
         places = np.arange(len(found.fogs))
         for what, style in (("picture", "o-"), ("defogged", "s--")):
-            middle, half = np.array([_of(found, name, fog, what) for fog in found.fogs]).T
+            means = [_of(found, name, fog, what) for fog in found.fogs]
+            middle = np.array([mean.value for mean in means])
+            ends = np.array([(mean.low or mean.value, mean.high or mean.value) for mean in means]).T
             text = f"{name}, {'developed' if what == 'picture' else 'defogged'}"
-            fogs.errorbar(places, middle, half, fmt=style, ms=4, color=colour, capsize=2, label=text)
+            fogs.errorbar(places, middle, abs(ends - middle), fmt=style, ms=4, color=colour, capsize=2, label=text)
         growth.plot(*found.growth[name], "o", ms=5, color=colour, label=name)
     transfer.plot([], [], "-", lw=1.0, color="#22262a", label="photons, read-out, rounding")
     transfer.set(xscale="log", yscale="log", title="RAW, each shot at its own ISO speed")

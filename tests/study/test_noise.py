@@ -1,6 +1,7 @@
 """Noise against fog: known noise comes out, and a small bake gives tables, curves and a drawing."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from support import cli
 from synfog_usd.errors import ParameterError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.seeds import stream
-from synfog_usd.study.noise import NUMBERS, BinnedMeans, immerkaer, interval, study
+from synfog_usd.study.noise import NUMBERS, BinnedMeans, NoiseStudy, ShotNoise, change, immerkaer, over_scenes, study
 from synfog_usd.writers import write_exr
 
 SIZE = (96, 128)
@@ -58,10 +59,22 @@ def test_a_curve_holds_means_of_its_bins():
     assert len(curve.means(fewest=2)[0]) == 1
 
 
-def test_an_interval_is_students():
-    """Numbers 1, 2, 3: t(0.975, 2) = 4.3027 times 1 / sqrt(3)."""
-    assert interval([1.0, 2.0, 3.0]) == pytest.approx((2.0, 4.30265 / np.sqrt(3.0)), rel=1e-5)
-    assert interval([2.0, float("nan")])[0] == 2.0 and np.isnan(interval([2.0])[1])
+def shot(scene, fog, picture):
+    """A row of which only the picture's noise is of interest."""
+    numbers = dict.fromkeys(NUMBERS, float("nan")) | {"picture": picture}
+    return ShotNoise("synfog", f"{scene}/{fog}", "sky", fog, scene, f"{scene}/clear", **numbers)
+
+
+def test_what_fog_changes_is_told_view_by_view():
+    """Twice the noise in every scene, though scenes differ tenfold: known exactly, where means over shots overlap."""
+    fogs = {"clear": 1.0, "thick": 2.0}
+    rows = [shot(str(scene), fog, 10.0**scene * times) for scene in range(4) for fog, times in fogs.items()]
+    study_of = NoiseStudy(tuple(rows), {"synfog": ()}, {}, tuple(fogs), ())
+    found = change(study_of, "synfog", "thick", "picture")
+    assert (found.value, found.low, found.high) == pytest.approx((2.0, 2.0, 2.0)) and found.scenes == 4
+    means = [over_scenes([row for row in rows if row.fog == fog], lambda row: row.picture) for fog in study_of.fogs]
+    assert means[0].high > means[1].low
+    assert np.isnan(change(study_of, "synfog", "thick", "defogged").value)
 
 
 def test_raw_noise_is_that_of_photons_and_read_out(found):
@@ -107,6 +120,18 @@ def test_a_camera_without_raw_is_refused(tmp_path, cameras, told):
     assert "\n" not in str(found.value)
 
 
-def test_an_empty_folder_is_one_line(tmp_path):
+def test_what_is_no_source_is_one_line(tmp_path):
     with pytest.raises(ParameterError, match="neither a set"):
         study(tmp_path)
+    with pytest.raises(ParameterError, match="no such folder"):
+        study(tmp_path / "none")
+    (tmp_path / "set.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(ParameterError, match=r"this set is not finished .*; synfog-usd dataset retry .* goes on"):
+        study(tmp_path)
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder in which nobody can write")
+def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path):
+    bake(tmp_path)
+    done = cli.run("study", "noise", tmp_path, "-o", "/proc/out")
+    assert done.returncode == 2 and "/proc cannot be written" in done.stderr and done.stderr.count("\n") == 1
