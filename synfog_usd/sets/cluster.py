@@ -9,7 +9,6 @@ import contextlib
 import inspect
 import logging
 import os
-import signal
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +16,13 @@ from typing import Any
 
 from synfog_usd import system
 from synfog_usd.errors import SetError, did_you_mean
+from synfog_usd.sets.work import ending_children
 from synfog_usd.yamlio import load_file
 
 SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,  # a worker that dies is a try of its unit; `run` counts them
     "distributed.scheduler.worker-ttl": "2 minutes",
     "distributed.admin.large-graph-warning-threshold": "100MB",
-    "distributed.worker.daemon": False,
     # a unit takes minutes: what Dask looks at 100 and 50 times a second takes more of a core than all else that it does
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
@@ -54,12 +53,14 @@ class Workers:
         count: of units at a time.
         cores: of each worker's child, 0 where it has all.
         dashboard: its address, or ''.
+        here: whether they are threads of this process.
     """
 
     client: Any
     count: int
     cores: int
     dashboard: str
+    here: bool = False
 
 
 def fitting(peak_mb: float | None) -> int:
@@ -87,20 +88,24 @@ def cores() -> int:
 
 @contextlib.contextmanager
 def local(count: int) -> Iterator[Workers]:
-    """Workers of this machine, each with its share of the cores."""
+    """Workers of this machine, each with its share of the cores.
+
+    They are threads: all that one does is wait for its child, and a process would take half a second of processor time
+    to begin and 100 MB.
+    """
     dask, distributed = _dask()
-    with dask.config.set(SETTINGS), _deaf_to_ctrl_c():
+    with dask.config.set(SETTINGS):
         cluster = distributed.LocalCluster(
             n_workers=count,
             threads_per_worker=1,
             memory_limit=0,
-            processes=True,
+            processes=False,
             dashboard_address=":0",  # another run may have the usual port
             silence_logs=logging.CRITICAL,
             local_directory=None,
         )
-    with cluster, distributed.Client(cluster) as client:
-        yield Workers(client, count, max(1, cores() // count), _dashboard(client))
+    with ending_children(cluster), distributed.Client(cluster) as client:
+        yield Workers(client, count, max(1, cores() // count), _dashboard(client), here=True)
 
 
 @contextlib.contextmanager
@@ -202,20 +207,6 @@ def _options(kind: Any) -> list[str]:
     return sorted(
         names - {"self", "n_workers", "job_cls", "loop", "asynchronous", "scheduler", "name", "workers", "worker"}
     )
-
-
-@contextlib.contextmanager
-def _deaf_to_ctrl_c() -> Iterator[None]:
-    """What is started within does not hear Ctrl-C: the client does, and ends it."""
-    try:
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not the main thread
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _dask() -> tuple[Any, Any]:

@@ -234,7 +234,7 @@ class _Maker:
                         raise self.gone() from None
                     continue
                 self.under_way.pop(unit.name)
-                if again := self.take(unit, future):
+                if again := self.take(unit, future, workers.here):
                     waiting.append(again)
                 else:
                     self.tell()
@@ -262,10 +262,11 @@ class _Maker:
         self.under_way[unit.name] = future
         future.add_done_callback(lambda ended: self.ended.put((unit, ended)))
 
-    def take(self, unit: Unit, future: Any) -> Unit | None:
+    def take(self, unit: Unit, future: Any, here: bool) -> Unit | None:
         """Write down how a unit ended; the unit itself where it is to be tried again."""
         result = self.result(future)
-        self.outcome.own_cpu_s += result.get("own_cpu_s", 0.0)
+        if not here:  # else its worker's time is this process's
+            self.outcome.own_cpu_s += result.get("own_cpu_s", 0.0)
         number = self.tries[unit.name] = self.tries.pop(unit.name, 0) + 1
         line = {"unit": unit.name, "try": number, **result}
         if result["ok"]:

@@ -1,7 +1,8 @@
 """What a worker does: one unit in a child process with a time limit.
 
 The child is the command line itself, so that what kills it (memory, a damaged stage, a kernel) kills nothing else.  It
-dies with the worker, and the worker tells how it ended.
+dies with the worker, and the worker tells how it ended.  A worker of this machine is a thread of the client, which only
+waits; one of a cluster is a process of its own.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,9 @@ TOLD = 2000
 """Characters of a child's last words that are kept."""
 
 _told_cpu_s = 0.0
+_children: set[subprocess.Popen[bytes]] = set()
+_closing = False
+_beginning = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -89,14 +94,18 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
     if job.gpus:
         environment["CUDA_VISIBLE_DEVICES"] = job.gpus[place % len(job.gpus)]
     with tempfile.TemporaryFile() as told, tempfile.TemporaryFile() as wrong:
-        process = subprocess.Popen(
-            [sys.executable, *words],
-            env={**environment, child.mark: str(os.getpid())},
-            stdin=subprocess.DEVNULL,
-            stdout=told,
-            stderr=wrong,
-            **system.apart(),
-        )
+        with _beginning:
+            if _closing:
+                return _failed("killed", "the run ends")
+            process = subprocess.Popen(
+                [sys.executable, *words],
+                env={**environment, child.mark: str(os.getpid())},
+                stdin=subprocess.DEVNULL,
+                stdout=told,
+                stderr=wrong,
+                **system.apart(),
+            )
+            _children.add(process)
         try:
             _pin(process.pid, job.cores, place)
             code = system.died(process.wait(timeout=job.limit_s))
@@ -106,6 +115,8 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
             if process.poll() is None:
                 process.kill()
                 process.wait()
+            with _beginning:
+                _children.discard(process)
         told.seek(0)
         wrong.seek(max(0, wrong.seek(0, os.SEEK_END) - TOLD))
         last_words = wrong.read().decode(errors="replace").strip()
@@ -116,6 +127,23 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
     if last_words.startswith("Traceback") or "\n  File " in last_words:
         last_words = last_words.splitlines()[-1]
     return _failed("crash", last_words or f"its process ended with exit code {code}")
+
+
+@contextlib.contextmanager
+def ending_children(workers: contextlib.AbstractContextManager[Any]) -> Iterator[None]:
+    """Threads of this process as workers; when the block ends, however it does, their children do, and none begins."""
+    global _closing
+    try:
+        with workers:
+            try:
+                yield
+            finally:
+                with _beginning:
+                    _closing = True
+                    for process in _children:
+                        process.kill()
+    finally:
+        _closing = False
 
 
 def told(made: Callable[[], tuple[dict[str, Any], bool]]) -> tuple[dict[str, Any], int]:
