@@ -19,20 +19,24 @@ SERIES_FROM = 64.0
 """Mean from which counts come from a series.  It is off by one in 3e-5 of them there, and in 4e-7 at a mean of 1000."""
 
 
-def normal(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
-    """Standard normal numbers, float32, up to 6.8 either way.
+def normal(rng: np.random.Generator, mean: FloatArray, sigma: float = 1.0) -> FloatArray:
+    """Normal numbers around each mean, float32, shape of `mean`, up to 6.8 standard deviations `sigma` either way.
 
     Source: Box and Muller, "A note on the generation of random normal deviates" (1958).
     """
-    found = np.empty(math.prod(shape), dtype=np.float32)
+    means = np.ascontiguousarray(mean, dtype=np.float32).reshape(-1)
+    found = np.empty_like(means)
     for begin in range(0, found.size, CHUNK):
-        part = found[begin : begin + CHUNK]
-        part[...] = _normal(rng, part.size)
-    return found.reshape(shape)
+        middle = means[begin : begin + CHUNK]
+        drawn = _normal(rng, middle.size)
+        drawn *= np.float32(sigma)
+        np.add(drawn, middle, out=found[begin : begin + CHUNK])
+    return found.reshape(mean.shape)
 
 
-def poisson(rng: np.random.Generator, mean: FloatArray) -> FloatArray:
-    """Poisson numbers of each mean, float32, shape of `mean`, which is 0 to 1e15.
+def poisson(rng: np.random.Generator, mean: FloatArray, out: FloatArray | None = None) -> FloatArray:
+    """Poisson numbers of each mean, float32, shape of `mean`, which is 0 to 1e15; in `out`, whose rows lie one behind the
+    other in memory, where that is given.
 
     Below `SERIES_FROM` numpy's, which are exact; above, the whole part of a series for the inverse of the distribution
     at a normal number.
@@ -41,7 +45,7 @@ def poisson(rng: np.random.Generator, mean: FloatArray) -> FloatArray:
     Transactions on Mathematical Software 42 (2016), eq. 6.
     """
     means = np.ascontiguousarray(mean, dtype=np.float32).reshape(-1)
-    counts = np.empty_like(means)
+    counts = np.empty_like(means) if out is None else out.reshape(-1)
     for begin in range(0, means.size, CHUNK):
         level, count = means[begin : begin + CHUNK], counts[begin : begin + CHUNK]
         few = np.flatnonzero(level < SERIES_FROM)

@@ -184,13 +184,11 @@ def shot_noise(image: Image, *, rng: np.random.Generator) -> Image:
     """
     if (lowest := float(image.pixels.min())) < 0.0:
         raise ImageError(f"a mean of {lowest:g} electrons is below 0; shot noise comes before offsets and read noise")
-    counts = np.empty_like(image.pixels)
-
-    def draw(mean_e: FloatArray, out: FloatArray, stream: np.random.Generator) -> None:
-        out[...] = noise.poisson(stream, np.minimum(mean_e, np.float32(MAX_MEAN_E)))
-
+    means = image.pixels if image.pixels.max() <= MAX_MEAN_E else np.minimum(image.pixels, np.float32(MAX_MEAN_E))
+    counts = np.empty(means.shape, dtype=np.float32)
     with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(draw, np.array_split(image.pixels, STRIPS), np.array_split(counts, STRIPS), rng.spawn(STRIPS)))
+        parts = (np.array_split(pixels, STRIPS) for pixels in (means, counts))
+        list(pool.map(noise.poisson, rng.spawn(STRIPS), *parts))
     return image.with_pixels(counts).with_metadata(shot_noise=True)
 
 
@@ -294,7 +292,7 @@ def read_noise(
         rng: the node's stream.
         sigma_e: standard deviation [e-].
     """
-    return image.with_pixels(_with_noise(image.pixels, sigma_e, rng)).with_metadata(read_noise_e=sigma_e)
+    return image.with_pixels(noise.normal(rng, image.pixels, sigma_e)).with_metadata(read_noise_e=sigma_e)
 
 
 @OPS.op("sensor.gain", takes=ELECTRONS, gives=AMPLIFIED)
@@ -341,7 +339,7 @@ def adc_noise(
         rng: the node's stream.
         sigma_dn: standard deviation [DN].
     """
-    return image.with_pixels(_with_noise(image.pixels, sigma_dn, rng)).with_metadata(adc_noise_dn=sigma_dn)
+    return image.with_pixels(noise.normal(rng, image.pixels, sigma_dn)).with_metadata(adc_noise_dn=sigma_dn)
 
 
 @OPS.op("sensor.row_column", takes=AMPLIFIED, gives=AMPLIFIED)
@@ -513,13 +511,6 @@ def _fact(image: Image, key: str, op: str) -> float:
             f"the image does not say its {key}; put {op} before this node, or add it to the image's provenance"
         )
     return float(image.provenance[key])
-
-
-def _with_noise(pixels: FloatArray, sigma: float, rng: np.random.Generator) -> FloatArray:
-    drawn = noise.normal(rng, pixels.shape)
-    drawn *= np.float32(sigma)
-    drawn += pixels
-    return drawn
 
 
 @functools.lru_cache(maxsize=6)

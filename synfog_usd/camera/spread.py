@@ -111,7 +111,7 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
     def forth(channel: int) -> tuple[Points, FloatArray]:
         plane = planes[channel]
         points = taken_out(pixels[..., channel], limits[channel], plane)
-        plane[...] = fft.dctn(plane, overwrite_x=True)
+        _in_place(fft.dctn, plane)
         return points, _tail(points, blurs[channel], plane.shape)
 
     def multiply(rows: slice) -> None:
@@ -126,7 +126,7 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
 
     def back(channel: int) -> None:
         plane, spot, (points, _) = planes[channel], blurs[channel].spot, found[channel]
-        plane[...] = fft.idctn(plane, overwrite_x=True)
+        _in_place(fft.idctn, plane)
         if points[0].size:
             add_spots(plane, *mirrored(plane.shape, *points, spot.shape[0] // 2), spot)
         np.maximum(plane, 0.0, out=plane)
@@ -136,6 +136,13 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
         list(pool.map(multiply, strips(height)))
         list(pool.map(back, range(count)))
     return result
+
+
+def _in_place(transform: Callable[..., FloatArray], plane: FloatArray) -> None:
+    """Transform a plane in its own memory."""
+    found = transform(plane, overwrite_x=True)
+    if not np.may_share_memory(found, plane):  # that it may be overwritten does not promise that it is
+        plane[...] = found
 
 
 def _factors(blurs: Sequence[Blur]) -> Callable[[FloatArray], Iterator[Array]]:
