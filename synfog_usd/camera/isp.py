@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import STRIP_ROWS, Array, FloatArray, planar, strips
+from synfog_usd.arrays import STRIP_ROWS, Array, FloatArray, at_least, at_most, planar, strips
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.distortion import Pinhole, source_of, warped_like
 from synfog_usd.camera.fisheye import of_picture
@@ -214,7 +214,7 @@ def lens_shading(
     fade = warped_like(fade, metadata, taken)
     pixels = np.empty_like(image.pixels)
     for rows in strips(image.height_px):
-        gain = np.log2(np.maximum(fade[rows], np.float32(1e-30)))  # a power, as in `colour.srgb_encode`
+        gain = np.log2(at_least(fade[rows], 1e-30))  # a power, as in `colour.srgb_encode`
         gain *= np.float32(-strength)
         np.multiply(image.pixels[rows, :, 0], np.exp2(gain, out=gain), out=pixels[rows, :, 0])
     return image.with_pixels(pixels).with_metadata(lens_shading=strength)
@@ -273,7 +273,7 @@ def white_balance(
         rows = pixels[strip, :, 0]
         np.multiply(image.pixels[strip, :, 0], factors[: len(rows)], out=rows)
         if clip:
-            np.minimum(rows, np.float32(1.0), out=rows)
+            at_most(rows, 1.0, out=rows)
     return image.with_pixels(pixels).with_metadata(white_balance=illuminant, wb_gains=[float(value) for value in gains])
 
 
@@ -368,7 +368,7 @@ def tone(
         np.exp2(rest, out=rest)
         rest *= np.float32(shoulder - 1.0)
         rest += np.float32(1.0 - shoulder)
-        np.minimum(straight, np.float32(shoulder), out=straight)
+        at_most(straight, shoulder, out=straight)
         straight += rest
     return image.with_pixels(pixels)
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from synfog_usd.arrays import FloatArray
+from synfog_usd.arrays import FloatArray, at_least
 
 CHUNK = 1 << 14
 """Numbers that are drawn at a time; the numbers depend on it."""
@@ -35,8 +35,8 @@ def normal(rng: np.random.Generator, mean: FloatArray, sigma: float = 1.0) -> Fl
 
 
 def poisson(rng: np.random.Generator, mean: FloatArray, out: FloatArray | None = None) -> FloatArray:
-    """Poisson numbers of each mean, float32, shape of `mean`, which is 0 to 1e15; in `out`, whose rows lie one behind the
-    other in memory, where that is given.
+    """Poisson numbers of each mean, float32, shape of `mean`, which is 0 to 1e15; in `out`, where that is given, whose
+    rows lie one behind the other in memory.
 
     Below `SERIES_FROM` numpy's, which are exact; above, the whole part of a series for the inverse of the distribution
     at a normal number.
@@ -50,7 +50,7 @@ def poisson(rng: np.random.Generator, mean: FloatArray, out: FloatArray | None =
         level, count = means[begin : begin + CHUNK], counts[begin : begin + CHUNK]
         few = np.flatnonzero(level < SERIES_FROM)
         if few.size < level.size:
-            _by_series(_normal(rng, level.size), np.maximum(level, np.float32(SERIES_FROM)), count)
+            _by_series(_normal(rng, level.size), at_least(level, SERIES_FROM), count)
         if few.size:
             count[few] = rng.poisson(level[few].astype(np.float64))
     return counts.reshape(mean.shape)

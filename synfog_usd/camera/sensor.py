@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from synfog_usd import photometry, seeds
-from synfog_usd.arrays import STRIP_ROWS, FloatArray, strips
+from synfog_usd.arrays import STRIP_ROWS, FloatArray, at_least, at_most, strips
 from synfog_usd.camera import cfa, noise, response
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -97,7 +97,7 @@ def expose(
         total = rows[..., 0] * first[: len(rows)]
         for channel, here in enumerate(others, start=1):
             total += rows[..., channel] * here[: len(rows)]
-        np.maximum(total, 0.0, out=mosaic[strip, :, 0])
+        at_least(total, 0.0, out=mosaic[strip, :, 0])
     reset = {"global_reset_s": readout_s} if shutter == "global_reset" else {}
     if reset:
         mosaic *= row_times(reset | {"exposure_s": time_s}, image.height_px)
@@ -136,7 +136,7 @@ def prnu(
         gain = own[rows] * np.float32(prnu_percent / 100.0)
         gain += np.float32(1.0)
         gain *= image.pixels[rows]
-        np.maximum(gain, 0.0, out=pixels[rows])
+        at_least(gain, 0.0, out=pixels[rows])
     return image.with_pixels(pixels)
 
 
@@ -210,7 +210,7 @@ def full_well(
         blooming: part of the charge over the well that spills [1]; 0 for a sensor
             whose drains take all of it, 1 for one without drains.
     """
-    held = np.minimum(image.pixels, np.float32(full_well_e))
+    held = at_most(image.pixels, full_well_e)
     if blooming > 0.0 and image.pixels.max() > full_well_e:
         spilt = (0.5 * blooming) * (image.pixels.astype(np.float64) - full_well_e).clip(min=0.0)
         filled = held.astype(np.float64)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, FloatArray, planar, strips
+from synfog_usd.arrays import Array, FloatArray, at_least, at_most, planar, strips
 
 THREADS = 2
 
@@ -129,7 +129,9 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
         _in_place(fft.idctn, plane)
         if points[0].size:
             add_spots(plane, *mirrored(plane.shape, *points, spot.shape[0] // 2), spot)
-        np.maximum(plane, 0.0, out=plane)
+        for rows in strips(height):
+            if plane[rows].min() < 0.0:
+                at_least(plane[rows], 0.0, out=plane[rows])
 
     with ThreadPoolExecutor(THREADS) as pool:
         found = list(pool.map(forth, range(count)))
@@ -166,11 +168,14 @@ def taken_out(plane: FloatArray, limit: np.float32, out: FloatArray) -> Points:
     """Rows, columns and light over the limit of the points of light of a channel (H, W); `out` gets the channel, cut
     there.
     """
-    rows = np.flatnonzero(plane.max(axis=1) > limit)
-    line, columns = np.nonzero(plane[rows] > limit)
-    rows = rows[line]
-    lights = plane[rows, columns] - limit
-    np.minimum(plane, limit, out=out)
+    found = [(np.empty(0, np.intp), np.empty(0, np.intp), np.empty(0, np.float32))]
+    for strip in strips(len(plane)):
+        here = plane[strip]
+        if here.max() > limit:
+            row, column = np.nonzero(here > limit)
+            found.append((row + strip.start, column, here[row, column] - limit))
+        at_most(here, limit, out=out[strip])
+    rows, columns, lights = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return rows, columns, lights
 
 
