@@ -9,9 +9,13 @@ kernels, which are compiled once.
 
 from __future__ import annotations
 
+import itertools
 import math
+import queue
 import tempfile
+import threading
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -25,7 +29,7 @@ from synfog_usd.sets.definition import CLEAR, SetDefinition, make_set
 from synfog_usd.sets.journal import Tally
 from synfog_usd.sets.layout import Unit
 from synfog_usd.sets.scenes import PlannedScene, scenes
-from synfog_usd.sets.work import Child, Job, do
+from synfog_usd.sets.work import Child, Job, do, ending_children
 
 if TYPE_CHECKING:
     from synfog_usd.render.backend import Backend
@@ -164,7 +168,7 @@ def estimate(
         child: how a unit's process is begun.
         workers: units at a time; as many as memory allows where None.
         variant: of the renderer.
-        progress: told the fraction of the probes that is made.
+        progress: told the fraction of the probes that is begun.
 
     Raises:
         SetError: a probe fails.
@@ -172,21 +176,33 @@ def estimate(
     from synfog_usd.render import backend
 
     chosen = backend.choose(variant)  # type: ignore[arg-type]
-    share = max(1, cluster.cores() // (workers or cluster.fitting(None)))
-    probes: list[dict[str, Any]] = []
-    cold: dict[str, dict[str, Any]] = {}  # lighting -> its first probe with kernels to compile
+    many = workers or cluster.fitting(None)
+    share = max(1, cluster.cores() // many)
     todo = _chosen(found, list(counted.units))
-    number = len(todo) + len({unit.lighting for _, unit, _ in todo})
-    for planned, unit, size in todo:
-        for _ in range(1 if unit.lighting in cold else 2):
-            done = len(probes) + len(cold)
-            progress(f"probe {done + 1} of {number}: scene {planned.number}, {unit.lighting}", done / number)
-            about = {"scene": planned.number, "lighting": unit.lighting, "size_px": size}
-            made = about | _probe(found, planned, unit, size, child, chosen, share)
-            if unit.lighting in cold:
-                probes.append(made)
-            else:
-                cold[unit.lighting] = made
+    first = {unit.lighting: index for index, (_, unit, _) in reversed(list(enumerate(todo)))}
+    number, begun, telling = len(todo) + len(first), itertools.count(1), threading.Lock()
+    free = queue.SimpleQueue[int]()
+    for place in range(many):
+        free.put(place)
+
+    def probe(index: int) -> dict[str, Any]:
+        planned, unit, size = todo[index]
+        about = {"scene": planned.number, "lighting": unit.lighting, "size_px": size}
+        here = free.get()
+        with telling:
+            now = next(begun)
+            progress(f"probe {now} of {number}: scene {planned.number}, {unit.lighting}", (now - 1) / number)
+        try:
+            return about | _probe(found, planned, unit, size, child, chosen, share, here)
+        finally:
+            free.put(here)
+
+    # kernels are compiled by one unit of a lighting alone; all others are made as many at a time as they will be
+    cold = {lighting: probe(index) for lighting, index in first.items()}
+    warm = {index: probe(index) for index in first.values()}
+    rest = [index for index in range(len(todo)) if index not in warm]
+    with ending_children(executor := ThreadPoolExecutor(many)):
+        probes = [warm[index] for index in sorted(warm)] + list(executor.map(probe, rest))
     progress("done", 1.0)
     total = sum(counted.units.values())
     peak_mb = max(peak for lighting in counted.units for peak in _full(probes, found, "peak_mb", lighting))
@@ -198,8 +214,7 @@ def estimate(
 
     def once(what: str) -> float:
         """Of the kernels of all lightings."""
-        first = {lighting: next(probe for probe in probes if probe["lighting"] == lighting) for lighting in cold}
-        return len(counted.units) * mean(max(0.0, cold[name][what] - warm[what]) for name, warm in first.items())
+        return len(counted.units) * mean(max(0.0, cold[name][what] - warm[first[name]][what]) for name in first)
 
     return Estimate(
         cpu_h=(whole("cpu_s") + once("cpu_s")) / 3600.0,
@@ -263,6 +278,7 @@ def _probe(
     child: Child,
     chosen: Backend,
     cores: int,
+    place: int,
 ) -> dict[str, Any]:
     words = {**found.words, **({"size": list(size)} if size else {})}
     small = make_set(found.name, folder=found.folder, **words)
@@ -270,7 +286,7 @@ def _probe(
         out = Path(folder)
         identity.write(out, small, identity.identity(small, chosen.variant))
         journal.keep_definition(out, small)
-        made = do(Job(out, unit, UNKNOWN_S, chosen.name, cores=cores), child)
+        made = do(Job(out, unit, UNKNOWN_S, chosen.name, cores=cores, place=place), child)
     if not made["ok"]:
         raise SetError(f"{found.name}: the probe of scene {planned.number}, {unit.lighting} fails: {made['error']}")
     return {name: made[name] for name in ("seconds", "cpu_s", "bytes", "peak_mb")}

@@ -59,6 +59,7 @@ class Job:
         repair: whether the files of a finished unit are looked at.
         cores: on which its worker's child may run at a time; 0 is all.
         gpus: of the machine, which its workers share out; () is all.
+        place: number of its worker among those of the machine; Dask's worker knows where None.
     """
 
     out: Path
@@ -68,6 +69,7 @@ class Job:
     repair: bool = False
     cores: int = 0
     gpus: tuple[str, ...] = ()
+    place: int | None = None
 
 
 def do(job: Job, child: Child) -> dict[str, Any]:
@@ -90,7 +92,7 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
     words += ["--camera", job.unit.camera] if job.unit.camera else []
     words += ["--repair"] if job.repair else []
     environment = {name: value for name, value in os.environ.items() if name not in child.without}
-    place = _place()
+    place = _place() if job.place is None else job.place
     if job.gpus:
         environment["CUDA_VISIBLE_DEVICES"] = job.gpus[place % len(job.gpus)]
     with tempfile.TemporaryFile() as told, tempfile.TemporaryFile() as wrong:

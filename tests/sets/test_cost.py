@@ -3,6 +3,7 @@
 import json
 import signal
 import tempfile
+import time
 import tracemalloc
 from collections import Counter
 from pathlib import Path
@@ -151,7 +152,7 @@ def test_kernels_that_are_compiled_first_are_not_taken_for_pixels(monkeypatch):
     """
     known = set()
 
-    def probe(found, planned, unit, size, child, chosen, cores):
+    def probe(found, planned, unit, size, *_):
         first = 0.0 if unit.lighting in known else 15.0
         known.add(unit.lighting)
         seconds = (1 + (unit.lighting == "active")) * (20.0 + 5e-4 * size[0] * size[1]) + first
@@ -164,6 +165,25 @@ def test_kernels_that_are_compiled_first_are_not_taken_for_pixels(monkeypatch):
     real = 50 * 3 * (20.0 + 5e-4 * 640 * 360) + 2 * 15.0
     assert told.hours * 3600.0 == pytest.approx(real, rel=1e-6) and told.cpu_h == pytest.approx(1.5 * told.hours)
     assert told.gigabytes == pytest.approx(100 * 100 * 640 * 360 / 1e9, rel=1e-6)
+
+
+def test_probes_share_the_machine_as_units_will(monkeypatch):
+    """Two at a time, each in a place of its own; but those that compile kernels, and their like without, alone."""
+    there, seen, told = [], [], []
+
+    def probe(found, planned, unit, size, child, chosen, cores, place):
+        there.append(place)
+        time.sleep(0.05)
+        seen.append((tuple(size), tuple(sorted(there))))
+        there.remove(place)
+        return {"seconds": 1.0, "cpu_s": 1.0, "bytes": 1, "peak_mb": 1}
+
+    monkeypatch.setattr(cost, "_probe", probe)
+    found = make_set(scenes=50, size=[640, 360], recipes=["tunnel"], lightings=["sky", "active"])
+    cost.estimate(found, count(found), None, workers=2, progress=lambda text, done: told.append(done))
+    assert [len(places) for size, places in seen if size == (32, 18)] == [1] * 4
+    assert Counter(places for size, places in seen if size != (32, 18))[0, 1] >= 8
+    assert told == sorted(told) and len(told) == 4 + 10 + 1
 
 
 def test_a_units_limit_follows_what_others_took():
