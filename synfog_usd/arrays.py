@@ -15,7 +15,7 @@ Flags = npt.NDArray[np.bool_]
 Pixels = npt.NDArray[Any]
 
 
-STRIP_ROWS = 16
+STRIP_ROWS = 32
 """As many rows as a chain of steps is done for at a time."""
 
 

@@ -6,6 +6,7 @@ left out here.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,6 +33,9 @@ BROADBAND_ERROR = 0.0005
 """Part of the contrast up to which one wavelength may stand for all channels."""
 
 CROP_PX = 256
+
+BINS = 512.0
+"""Frequencies in a cycle per pixel at which a crop is measured."""
 
 
 @OPS.op("optics.diffraction", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
@@ -219,7 +223,7 @@ class _Measured:
         top, left = _busiest(np.minimum(image.pixels[::4, ::4, middle], limits[middle]), image.pixels.shape[:2])
         crop = image.pixels[top : top + CROP_PX, left : left + CROP_PX]
         frequency, power = _power([np.minimum(crop[..., channel], limits[channel]) for channel in channels])
-        truth = weights[channels] @ spread.aperture_transfer(np.outer(photometry.WAVELENGTHS_NM * per_nm, frequency))
+        truth = weights[channels] @ _aperture_transfers(per_nm, frequency.size)
         spot = spread.spot_transfer(spot_px, frequency)
         q = weights @ photometry.WAVELENGTHS_NM * per_nm
         return cls(frequency, power, truth * spot, spot, q[channels], float(q.mean()))
@@ -237,6 +241,14 @@ class _Measured:
     def contrast(self) -> float:
         """RMS contrast of the crop [1], of the channel that has most."""
         return float(np.sqrt(self.power.sum(axis=1)).max())
+
+
+@functools.lru_cache(maxsize=4)
+def _aperture_transfers(per_nm: float, count: int) -> Array:
+    """(401, count) transfer of each wavelength at the first frequencies of `_power`; read-only."""
+    found = spread.aperture_transfer(np.outer(photometry.WAVELENGTHS_NM * per_nm, np.arange(count) / BINS))
+    found.flags.writeable = False
+    return found
 
 
 def _chosen(
@@ -285,10 +297,10 @@ def _power(crops: Sequence[FloatArray]) -> tuple[Array, Array]:
     from scipy import fft
 
     row, column = (0.5 * np.arange(length) / length for length in crops[0].shape)
-    bins = np.rint(np.hypot(row[:, None], column[None, :]) * 512.0).astype(int).ravel()
+    bins = np.rint(np.hypot(row[:, None], column[None, :]) * BINS).astype(int).ravel()
     found = []
     for crop in crops:
         terms = np.square(fft.dctn(crop.astype(np.float64), norm="ortho")).ravel()
         mean2, terms[0] = terms[0] / crop.size, 0.0
         found.append(np.bincount(bins, weights=terms, minlength=364) / (crop.size * max(mean2, 1e-300)))
-    return np.arange(found[0].size) / 512.0, np.array(found)
+    return np.arange(found[0].size) / BINS, np.array(found)

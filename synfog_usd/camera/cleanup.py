@@ -32,7 +32,7 @@ LAMP_SIGMA = 4.0
 REACH_PX = (1, 2)
 """How far off the neighbours are among which `isp.false_colour` takes medians, one after the other."""
 
-STRIP_PX = 32
+STRIP_PX = 96
 """Rows that `isp.false_colour` treats at a time, so that they stay in a cache."""
 
 SPLINE = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)

@@ -23,7 +23,7 @@ from synfog_usd.graph.buffers import checked, pixels_of, to_buf
 from synfog_usd.image import Image
 from synfog_usd.science import colour_science
 
-STRIP_ROWS = 32
+STRIP_ROWS = 48
 """Rows that are worked on at a time, so that they stay in the processor's cache; even, so that each strip begins with
 the pattern's first row.
 """
