@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import io
 import math
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from synfog_usd.benchmark.classics import dark_channel_fog
 from synfog_usd.benchmark.statistics import Mean
 from synfog_usd.errors import ParameterError, SynfogError
 from synfog_usd.graph import NodeGraph
+from synfog_usd.graph.cache import Cache
 from synfog_usd.image import Image
 from synfog_usd.progress import Progress, silent
 from synfog_usd.study.bench import readings
@@ -216,13 +218,15 @@ def _shot(
 
     def developed(graph: NodeGraph, seed: int) -> tuple[Array, Array]:
         run = camera.develop(
-            graph, {"radiance": radiance}, seed=seed, exposure=exposure, until="srgb", keep=[adc, "srgb"]
+            graph, {"radiance": radiance}, seed=seed, exposure=exposure, until="srgb", keep=[adc, "srgb"], cache=cache
         )
         return run[adc].pixels[..., 0].astype(np.float64), np.rint(255.0 * run["srgb"].pixels.astype(np.float64)) / 255
 
-    frames = [developed(graph, seed) for seed in range(FRAMES)]
     quiet = graph.without([node.name for node in graph.nodes.values() if node.op.name in TEMPORAL])
-    still = developed(quiet, 0)[1]
+    with tempfile.TemporaryDirectory(prefix="synfog-usd-") as folder:  # optics are the same in all frames
+        cache = Cache(Path(folder))
+        frames = [developed(graph, seed) for seed in range(FRAMES)]
+        still = developed(quiet, 0)[1]
     raw, pictures = np.array([one[0] for one in frames]), np.array([one[1] for one in frames])
 
     chip: Any = graph.profiles["sensor"]
