@@ -127,6 +127,12 @@ class ScatteringStudy:
         key = (model, axis, place)
         return _geometric([(one.over_noise[key], one.scene) for one in self._of(lighting) if key in one.over_noise])
 
+    def ratio(self, model: str, beside: str, lighting: str, axis: str, place: int) -> Mean | None:
+        """Geometric mean of one model's medians over another's, shot by shot; None where no shot has both."""
+        one, other = (model, axis, place), (beside, axis, place)
+        both = [shot for shot in self._of(lighting) if one in shot.over_noise and shot.over_noise.get(other, 0.0) > 0.0]
+        return _geometric([(shot.over_noise[one] / shot.over_noise[other], shot.scene) for shot in both])
+
     def left(self, lighting: str, axis: str, place: int) -> Mean | None:
         """The same of what rendering left."""
         return _geometric(
@@ -383,6 +389,8 @@ def markdown(found: ScatteringStudy) -> str:
                 cells = [_cell(found.over_noise(model, lighting, axis, p)) for p in places]
                 if any(cell != "-" for cell in cells):
                     lines.append(f"| {model} | {' | '.join(cells)} | {crossing(found, model, lighting, axis)} |")
+            cells = [_cell(found.ratio("srgb", "fitted", lighting, axis, p)) for p in places]
+            lines.append(f"| srgb over fitted, shot by shot | {' | '.join(cells)} | |")
             cells = [_cell(found.left(lighting, axis, p)) for p in places]
             lines.append(f"| error of the renders | {' | '.join(cells)} | |")
         fogs = list(dict.fromkeys(one.fog for one in found.shots if one.lighting == lighting and one.flip))

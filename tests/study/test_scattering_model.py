@@ -13,7 +13,7 @@ from synfog_usd import seeds
 from synfog_usd.benchmark import metrics
 from synfog_usd.errors import ParameterError
 from synfog_usd.image import Image, Quantity
-from synfog_usd.study.scattering_model import DEPTHS, crossing, models, study
+from synfog_usd.study.scattering_model import DEPTHS, ScatteringStudy, ShotErrors, crossing, models, study
 from synfog_usd.writers import write_exr
 
 AIRLIGHT = np.array([90.0, 100.0, 110.0])
@@ -108,6 +108,20 @@ def test_the_noise_is_the_sensors_and_the_place_of_the_error_is_found(tmp_path):
         assert found.over_noise("fitted", "active", "depth", place).value == pytest.approx(units, rel=1e-3), place
         assert found.over_noise("single", "active", "depth", place).value == pytest.approx(single, rel=1e-3), place
     assert found.left("active", "depth", 6).value == pytest.approx(0.01 / 1.5, rel=0.3)
+
+
+def test_models_are_compared_shot_by_shot():
+    """Half the other's error in every scene, though scenes differ tenfold: the ratio is known exactly."""
+    key = {model: (model, "depth", 4) for model in ("srgb", "fitted")}
+    shots = [
+        ShotErrors(str(n), f"{n}", "sky", "thick", {key["srgb"]: 0.5 * 10.0**n, key["fitted"]: 10.0**n}, {}, {})
+        for n in range(4)
+    ]
+    shots.append(ShotErrors("4", "4", "sky", "thick", {key["srgb"]: 1.0}, {}, {}))
+    found = ScatteringStudy(tuple(shots), (), ("sky",))
+    ratio = found.ratio("srgb", "fitted", "sky", "depth", 4)
+    assert (ratio.value, ratio.low, ratio.high, ratio.scenes) == pytest.approx((0.5, 0.5, 0.5, 4))
+    assert found.ratio("srgb", "fitted", "sky", "depth", 5) is None
 
 
 @pytest.mark.slow
