@@ -11,6 +11,8 @@ from assets.builders import chambers
 from synfog_usd import resources
 from synfog_usd.errors import StageError
 from synfog_usd.fog.phase import Droplets, HenyeyGreenstein
+from synfog_usd.render.film import aovs
+from synfog_usd.render.shot import load
 from synfog_usd.stage import check, open_stage
 from synfog_usd.study import chamber as study
 from synfog_usd.study.chamber import ChamberStudy, LaserRow, MeterReading, PatchRow, departures, single_into_disc
@@ -97,6 +99,36 @@ def test_the_chart_is_dimmed_and_lit_and_models_miss_it():
     assert foggy[dark].truth.mean() > clear[dark].truth.mean()
     _, single, _ = departures(rows, "black", "single")
     assert 0.02 < single[0] < 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("fog", "error", "all_short"), [("fog01", 0.04, False), ("fog08", 0.08, True)])
+def test_each_patch_is_sampled_until_it_is_known(fog, error, all_short, monkeypatch):
+    """64 paths leave some patches in thin fog above 4 %, and all in dense fog above 8 %: those get more, the others
+    none, and pixels outside of patches are not looked at.  What may have no more stays where it is.
+    """
+    monkeypatch.setattr(study, "FIRST_SAMPLES", 64)
+    loaded = load(study.chamber(STAGES / "chamber.usda").scene(fog, "black"), boundaries=False)
+    places = study.patch_pixels(loaded.source, aovs.measure(loaded).instance_id, "chamber")
+    first, made = (
+        study.sample_patches(loaded, "path", places, error=error, most_samples=most) for most in (64, 1 << 16)
+    )
+    errors = [
+        np.array([np.max(np.divide(*study.patch_mean(run, where)[::-1])) for where in places.values()])
+        for run in (first, made)
+    ]
+    paths = np.array(
+        [
+            sum(part.counts.sum(axis=0)[where.ravel()].mean() for part in made.estimators.values())
+            for where in places.values()
+        ]
+    )
+    short = errors[0] > error
+    assert short.any() and short.all() == all_short
+    assert errors[1].max() <= error
+    assert np.all((paths > 2 * 64) == short)
+    outside = ~np.any(list(places.values()), axis=0).ravel()
+    assert all(part.counts[:, outside].sum() == 0 for part in made.estimators.values())
 
 
 # ---- what is told

@@ -428,22 +428,26 @@ def undivided(total: Array, squares: Array, samples: int, lost: int = 0) -> Accu
     )
 
 
-def neyman_allocation(accumulated: Accumulator, samples: int, *, denoised: bool = False) -> dict[str, int]:
+def neyman_allocation(
+    accumulated: Accumulator, samples: int, *, denoised: bool = False, pixels: Indices | None = None
+) -> dict[str, int]:
     """How many samples each estimator should have, in multiples of CHUNK, at the cost of `samples` of each.
 
     Variance per sample over cost is evened out: n ~ sqrt(variance / cost), as in
     Neyman's allocation.  Pixels count by their relative variance, the noisiest
-    hundredth left out, so that one firefly decides nothing.  What will be denoised counts by `SMOOTH`.
+    hundredth left out, so that one firefly decides nothing.  What will be denoised counts by `SMOOTH`.  Of the
+    `pixels` (N,) alone where they are given.
     """
-    level = accumulated.luminance()
+    some = slice(None) if pixels is None else pixels
+    level = accumulated.luminance()[some]
     scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
     noise = {}
     for name, estimator in accumulated.estimators.items():
         relative = (
-            estimator.variance()
+            estimator.variance()[some]
             @ accumulated.weights
             * accumulated.weights.sum()
-            * estimator.counts.sum(axis=0)
+            * estimator.counts.sum(axis=0)[some]
             / scale**2
         )
         noise[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
