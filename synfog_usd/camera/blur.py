@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from synfog_usd import photometry
-from synfog_usd.arrays import Array, FloatArray
+from synfog_usd.arrays import Array, FloatArray, Indices
 from synfog_usd.camera import response, spread
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -296,11 +296,19 @@ def _power(crops: Sequence[FloatArray]) -> tuple[Array, Array]:
     """
     from scipy import fft
 
-    row, column = (0.5 * np.arange(length) / length for length in crops[0].shape)
-    bins = np.rint(np.hypot(row[:, None], column[None, :]) * BINS).astype(int).ravel()
+    bins = _bins(*crops[0].shape)
     found = []
     for crop in crops:
-        terms = np.square(fft.dctn(crop.astype(np.float64), norm="ortho")).ravel()
+        terms = np.square(fft.dctn(crop, norm="ortho"), dtype=np.float64).ravel()
         mean2, terms[0] = terms[0] / crop.size, 0.0
         found.append(np.bincount(bins, weights=terms, minlength=364) / (crop.size * max(mean2, 1e-300)))
     return np.arange(found[0].size) / BINS, np.array(found)
+
+
+@functools.lru_cache(maxsize=2)
+def _bins(height: int, width: int) -> Indices:
+    """(H W,) which of the frequencies of `_power` each term of a crop's cosine transform has; read-only."""
+    row, column = (0.5 * np.arange(length) / length for length in (height, width))
+    bins = np.rint(np.hypot(row[:, None], column[None, :]) * BINS).astype(np.int64).ravel()
+    bins.flags.writeable = False
+    return bins

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from synfog_usd.arrays import FloatArray, planar
+from synfog_usd.arrays import FloatArray, planar, strips
 from synfog_usd.camera import cfa
 from synfog_usd.camera.isp import MOSAIC, PICTURE, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
@@ -106,13 +106,12 @@ def _directional(mosaic: FloatArray, pattern: str) -> FloatArray:
     """
     height, width = mosaic.shape
     signed = np.pad(mosaic, HALO_PX, mode="reflect")
-    for where, number in cfa.sites(pattern):
-        if "RGB"[number] == "G":
-            np.negative(signed[where], out=signed[where])
+    signs = cfa.factors(pattern, (1.0, -1.0, 1.0), STRIP_ROWS, signed.shape[1])
+    for rows in strips(len(signed), STRIP_ROWS):
+        signed[rows] *= signs[: len(signed[rows])]
     picture = planar((height, width, 3))
-    for top in range(0, height, STRIP_ROWS):
-        rows = slice(top, top + STRIP_ROWS)
-        _directional_strip(mosaic[rows], signed[top : top + STRIP_ROWS + 2 * HALO_PX], pattern, picture[rows])
+    for rows in strips(height, STRIP_ROWS):
+        _directional_strip(mosaic[rows], signed[rows.start : rows.stop + 2 * HALO_PX], pattern, picture[rows])
     return picture
 
 

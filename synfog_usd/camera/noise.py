@@ -50,7 +50,7 @@ def poisson(rng: np.random.Generator, mean: FloatArray, out: FloatArray | None =
         level, count = means[begin : begin + CHUNK], counts[begin : begin + CHUNK]
         few = np.flatnonzero(level < SERIES_FROM)
         if few.size < level.size:
-            _by_series(_normal(rng, level.size), at_least(level, SERIES_FROM), count)
+            _by_series(_normal(rng, level.size), at_least(level, SERIES_FROM) if few.size else level, count)
         if few.size:
             count[few] = rng.poisson(level[few].astype(np.float64))
     return counts.reshape(mean.shape)
