@@ -32,13 +32,16 @@ Times q where q > 1.
 SOFT_PX = 8.0
 """Up to here the tail is rounded off, and the spot holds what that takes away.  Times q where q > 1."""
 
-TAIL_CYCLES = 2.5
-"""Frequency, times `SOFT_PX`, up to which the tail is made: what is left there is 1.5e-7 of it."""
+TAIL_CYCLES = 2.0
+"""Frequency, times `SOFT_PX`, up to which the tail is made: what is left there is 3.5e-6 of it."""
 
 FINE = 1 << 16
 """Frequencies at which a transfer is known where each channel has its own; the nearest counts, which moves the contrast
 of an aperture by less than 7e-6 lambda N / pitch.
 """
+
+KEPT = 1 << 23
+"""Numbers of the transfers that are kept from one picture to the next: enough for R, G and B of 1920 x 1080."""
 
 COPIES = 1 << 27
 """Pixels of spots that are added one by one (4,000 more for each spot); more are added by a transform."""
@@ -49,9 +52,9 @@ Points = tuple[Places, Places, FloatArray]
 """Rows, columns and light of points of light."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Blur:
-    """What a lens makes of one channel.
+    """What a lens makes of one channel; equal to itself alone.
 
     Attributes:
         transfer: radial frequency [cycles/pixel], any shape, to the part of the
@@ -104,9 +107,7 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
     height, width, count = pixels.shape
     result = planar(pixels.shape)
     planes = [result[..., channel] for channel in range(count)]
-    factors = _factors(blurs)
-    down_2, across_2 = (np.square(0.5 * np.arange(size) / size).astype(np.float32) for size in (height, width))
-    scale = blurs[0].tail_scale
+    transfers = _transfers(tuple(blurs), height, width)
 
     def forth(channel: int) -> tuple[Points, FloatArray]:
         plane = planes[channel]
@@ -115,14 +116,11 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
         return points, _tail(points, blurs[channel], plane.shape)
 
     def multiply(rows: slice) -> None:
-        frequency = np.sqrt(down_2[rows, None] + across_2)
-        tail = None
-        for plane, factor, (_, far) in zip(planes, factors(frequency), found, strict=True):
+        factors, tail = transfers(rows)
+        for plane, factor, (_, far) in zip(planes, factors, found, strict=True):
             plane[rows] *= factor
             if (low := far[rows]).size:
-                high, wide = low.shape
-                tail = tail_transfer(frequency[:high, :wide], scale) if tail is None else tail
-                plane[rows][:high, :wide] += tail * low
+                plane[rows][: len(low), : low.shape[1]] += tail * low
 
     def back(channel: int) -> None:
         plane, spot, (points, _) = planes[channel], blurs[channel].spot, found[channel]
@@ -145,6 +143,32 @@ def _in_place(transform: Callable[..., FloatArray], plane: FloatArray) -> None:
     found = transform(plane, overwrite_x=True)
     if not np.may_share_memory(found, plane):  # that it may be overwritten does not promise that it is
         plane[...] = found
+
+
+@functools.lru_cache(maxsize=1)
+def _transfers(blurs: tuple[Blur, ...], height: int, width: int) -> Callable[[slice], tuple[Sequence[Array], Array]]:
+    """From rows of a cosine transform, a strip of the picture, to what is left there in each channel, and to the tail's
+    transfer as far as it goes.  They are kept for the next picture where they are not too many.
+    """
+    factors = _factors(blurs)
+    down_2, across_2 = (np.square(0.5 * np.arange(size) / size).astype(np.float32) for size in (height, width))
+    scale = blurs[0].tail_scale
+    high, wide = _tail_size((height, width), scale) if blurs[0].tail > 0.0 else (0, 0)
+
+    def made(rows: slice) -> tuple[Sequence[Array], Array]:
+        frequency = np.sqrt(down_2[rows, None] + across_2)
+        return tuple(factors(frequency)), tail_transfer(frequency[: max(0, high - rows.start), :wide], scale)
+
+    if len(set(blurs)) * height * width > KEPT:
+        return made
+    known: dict[int, tuple[Sequence[Array], Array]] = {}
+
+    def kept(rows: slice) -> tuple[Sequence[Array], Array]:
+        if rows.start not in known:
+            known[rows.start] = made(rows)
+        return known[rows.start]
+
+    return kept
 
 
 def _factors(blurs: Sequence[Blur]) -> Callable[[FloatArray], Iterator[Array]]:
@@ -189,11 +213,16 @@ def _tail(points: Points, blur: Blur, shape: tuple[int, ...]) -> FloatArray:
     lit[rows, column] = lights * np.float32(blur.tail)
     if not lit.any():
         return lit[:0]
-    highest = TAIL_CYCLES / (SOFT_PX * blur.tail_scale)
-    high, wide = (min(length, math.ceil(2.0 * highest * length)) for length in shape)
+    high, wide = _tail_size(shape, blur.tail_scale)
     waves = np.zeros((high, shape[1]), np.float32)
     waves[:, columns] = fft.dct(lit, axis=0)[:high]
     return np.asarray(fft.dct(waves, axis=1, overwrite_x=True)[:, :wide])
+
+
+def _tail_size(shape: tuple[int, ...], scale: int) -> tuple[int, int]:
+    """How many rows and columns of a cosine transform the tail has."""
+    high, wide = (min(length, math.ceil(2.0 * TAIL_CYCLES / (SOFT_PX * scale) * length)) for length in shape)
+    return high, wide
 
 
 def mirrored(

@@ -64,7 +64,7 @@ def pass_s(frame, runs=9):
 def test_the_phone_takes_few_passes(channels, most):
     """Processor time of the graph, over that of one pass through the frame's memory: a measure that other work on the
     machine and its speed change little.  Node by node by their share of the time.  A frame of R, G and B fits a large
-    cache, which makes its passes cheap: seen were 126 to 219 of 3 to 2 ms, and 61 to 84 of 19 ms in 16 bands.
+    cache, which makes its passes cheap: seen were 118 to 219 of 3 to 1.4 ms, and 61 to 110 of 19 to 6 ms in 16 bands.
     """
     graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
     radiance = street(channels)
