@@ -363,6 +363,8 @@ def tone(
     pixels = np.empty_like(image.pixels)
     for rows in strips(image.height_px):
         straight = np.multiply(image.pixels[rows], np.float32(gain), out=pixels[rows])
+        if straight.max() <= shoulder:
+            continue
         rest = straight * np.float32(-1.0 / (gain - shoulder))  # 1 - u: 1 below the shoulder, 0 from saturation on
         rest += np.float32(gain / (gain - shoulder))
         np.clip(rest, np.float32(1e-30 ** (1.0 / power)), np.float32(1.0), out=rest)
