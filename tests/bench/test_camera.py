@@ -60,25 +60,25 @@ def pass_s(frame, runs=9):
     return min(spent)
 
 
-@pytest.mark.parametrize("channels, most", [(("R", "G", "B"), 300), (bands(16), 130)], ids=["RGB", "16 bands"])
+@pytest.mark.parametrize("channels, most", [(("R", "G", "B"), 150), (bands(16), 100)], ids=["RGB", "16 bands"])
 def test_the_phone_takes_few_passes(channels, most):
     """Processor time of the graph, over that of one pass through the frame's memory: a measure that other work on the
-    machine and its speed change little.  Node by node by their share of the time.  A frame of R, G and B fits a large
-    cache, which makes its passes cheap: seen were 118 to 219 of 3 to 1.4 ms, and 61 to 110 of 19 to 6 ms in 16 bands.
+    machine and its speed change little.  Node by node by their share of the time.  The first run, which also makes
+    what is kept from one picture to the next, is not counted; of the others the middle one is.
     """
     graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
     radiance = street(channels)
     settings = camera.meter(radiance, graph).settings
     outputs = tuple(graph.outputs.values())
     found = []
-    for seed in range(RUNS):
+    for seed in range(1 + 3 * RUNS):
         one, began = pass_s(radiance.pixels), time.process_time()
         table = graph.run({"radiance": radiance}, seed=seed, settings=settings, keep=outputs).milliseconds
         found.append(((time.process_time() - began) / one, table))
-    passes, table = min(found, key=lambda row: row[0])
+    passes, table = sorted(found[1:], key=lambda row: row[0])[3 * RUNS // 2]
     print(
         f"\n{SIZE[0]} x {SIZE[1]}, {len(channels)} channels, {os.cpu_count()} cores, {platform.machine()}: passes over "
-        f"{radiance.pixels.nbytes / 2**20:.0f} MiB by node, least of {RUNS} runs"
+        f"{radiance.pixels.nbytes / 2**20:.0f} MiB by node, the middle one of {3 * RUNS} warm runs"
     )
     whole = sum(table.values())
     print("\n".join(f"  {name:<16} {passes * spent / whole:7.1f}" for name, spent in table.items()))
