@@ -74,8 +74,10 @@ def triangulate(
     return triangles[order], face_of[order], crossed
 
 
-LONG = 4096
-"""Corners of an outline up to which its ears are cut: their time may go with the square of the corners."""
+LONG = 2048
+"""Corners of an outline up to which its ears are cut: their time may go with the square of the corners, and beyond this
+is more than that of `_constrained`.
+"""
 
 SMALL = 512
 """Corners of a mesh up to which its topology is remembered: props come in many copies."""

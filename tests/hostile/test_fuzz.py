@@ -1,13 +1,17 @@
 """Stages that nobody would write: whatever is in them, reading ends in a scene or in a SynfogError of one line.
 
-Hypothesis draws the damage; the same draws every time, so that a failure can be looked at.  Run with
-SYNFOG_FUZZ=5000 for a long search.
+Hypothesis draws the damage; the same draws every time, so that a failure can be looked at.  For a long search of
+new draws, in which no case may take more than 20 s or the process more than 3 GB,
+
+    SYNFOG_FUZZ=2000 python -m pytest -m "" --hypothesis-show-statistics tests/hostile/test_fuzz.py
 """
 
 import os
 import re
+import resource
 import subprocess
 import sys
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -24,7 +28,18 @@ from synfog_usd.stage.open import plain_errors
 
 TESTS = Path(__file__).resolve().parents[1]
 EXAMPLES = int(os.environ.get("SYNFOG_FUZZ", "0"))
+MOST_S, MOST_KIB = 20, 3_000_000
 pytestmark = [pytest.mark.timeout(0)] if EXAMPLES else []
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _within_memory():
+    """The most that this process and any child held, told and bounded after a long search."""
+    yield
+    if EXAMPLES:
+        most = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+        print(f"\nat most {most / 1024:.0f} MiB")
+        assert most < MOST_KIB
 
 
 def fuzzed(examples):
@@ -33,7 +48,7 @@ def fuzzed(examples):
         max_examples=EXAMPLES or examples,
         derandomize=not EXAMPLES,
         database=None,
-        deadline=None,
+        deadline=timedelta(seconds=MOST_S) if EXAMPLES else None,
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
     )
 
