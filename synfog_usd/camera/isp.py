@@ -210,16 +210,12 @@ def lens_shading(
         shift=source_shift,
         table=table,
         lens=lens,
+        power=strength,
     )
     fade = warped_like(fade, metadata, taken)
     pixels = np.empty_like(image.pixels)
     for rows in strips(image.height_px):
-        part = at_least(fade[rows], 1e-30)
-        if strength != 1.0:  # a power, as in `colour.srgb_encode`
-            np.log2(part, out=part)
-            part *= np.float32(strength)
-            np.exp2(part, out=part)
-        np.divide(image.pixels[rows, :, 0], part, out=pixels[rows, :, 0])
+        np.divide(image.pixels[rows, :, 0], at_least(fade[rows], 1e-30), out=pixels[rows, :, 0])
     return image.with_pixels(pixels).with_metadata(lens_shading=strength)
 
 

@@ -159,10 +159,29 @@ def falloff_map(
     magnification: float = 0.0,
     table: Table = ((), ()),
     lens: Fisheye | None = None,
+    power: float = 1.0,
 ) -> FloatArray:
-    """(H, W) light of a pixel relative to one on the axis; arguments and errors as in `optics.irradiance`, `lens` of a
-    fisheye's picture.
+    """(H, W) light of a pixel relative to one on the axis, to a `power`; arguments and errors as in
+    `optics.irradiance`, `lens` of a fisheye's picture.
     """
+    if kind == "cos4" and lens is None:
+        assert fov_x_deg is not None
+        return _cos4(height, width, fov_x_deg, shift, power)
+    fade = _falloff(height, width, kind, f_number, fov_x_deg, shift, magnification, table, lens)
+    return fade if power == 1.0 else fade**power
+
+
+def _falloff(
+    height: int,
+    width: int,
+    kind: Falloff,
+    f_number: float,
+    fov_x_deg: float | None,
+    shift: tuple[float, float],
+    magnification: float,
+    table: Table,
+    lens: Fisheye | None,
+) -> FloatArray:
     if kind == "none":
         return np.ones((height, width), dtype=np.float32)
     if lens is not None:
@@ -173,8 +192,6 @@ def falloff_map(
         angles = angles_rad(lens, height, width, shift)
         return _tabled(angles, table) if kind == "table" else lens.solid_angle(angles).astype(np.float32)
     assert fov_x_deg is not None
-    if kind == "cos4":
-        return _cos4(height, width, fov_x_deg, shift)
     tan2 = _tan2_of_field(height, width, fov_x_deg, *shift)
     if kind == "projection":
         return np.asarray((1.0 + tan2) ** -1.5, dtype=np.float32)
@@ -208,13 +225,12 @@ def _cone(f_number: float, magnification: float) -> float:
 
 
 @functools.lru_cache(maxsize=2)
-def _cos4(height: int, width: int, fov_x_deg: float, shift: tuple[float, float]) -> FloatArray:
-    """Read-only: what the lens takes away and lens shading gives back is made once."""
+def _cos4(height: int, width: int, fov_x_deg: float, shift: tuple[float, float], power: float) -> FloatArray:
+    """Read-only: what the lens takes away and lens shading gives back are made once for pictures of one size."""
     x2, y2 = _tan2_of_axes(height, width, fov_x_deg, *shift)
     fade = np.empty((height, width), dtype=np.float32)
     for rows in strips(height):
-        cos2 = 1.0 / (1.0 + x2 + y2[rows, None])
-        fade[rows] = cos2 * cos2
+        fade[rows] = (1.0 + x2 + y2[rows, None]) ** (-2.0 * power)
     fade.flags.writeable = False
     return fade
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd import __version__, seeds
+from synfog_usd import __version__, seeds, system
 from synfog_usd.arrays import strips
 from synfog_usd.errors import GraphError, ImageError, SynfogError, did_you_mean
 from synfog_usd.graph.cache import Cache, image_key, node_key
@@ -270,6 +270,7 @@ class NodeGraph:
             GraphError: an image, node or setting is missing or does not fit.
             ImageError: an image holds what the ops cannot take.
         """
+        system.keep_memory()
         graph = self.with_overrides(overrides) if overrides else self
         wanted = graph._needed(until)
         for name in keep or ():
