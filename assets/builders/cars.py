@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from assets.builders.bodywork import Body
-from assets.builders.lettering import letters
 from assets.builders.vehicles import CARS, build_car
 from synfog_usd.world.components import Component, Look
+from synfog_usd.world.lettering import letters
 from synfog_usd.world.shapes import Part, box, shift, soft_box, turn
 
 TAXI_SIGN_NITS = (900.0, 620.0, 90.0)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from assets.builders.hands import hands
 from assets.builders.solids import blob_distance, limb_distance, soft_min, split, surface
 from synfog_usd.world.components import Component, Look
 from synfog_usd.world.materials import PALETTE, Material
@@ -32,13 +33,15 @@ class Person:
         arms, elbows: angle of each upper arm and bend of each elbow.
         splay: how far the arms stand off the body.
         lean: of the trunk; turn_head: to the left.
-        coat: length of the coat below the hip [m]; hair: 'short', 'long', 'bun', 'cap'.
+        coat: length of the coat below the hip [m]; hair: 'short', 'long', 'bun', 'cap', 'helmet', 'hard hat'.
         carries: 'backpack', 'handbag', 'phone', 'umbrella', 'shovel' or ''.
         wears: material by role; outfits: names of cloths for coat and trousers, one pair per variant.
         build: breadth of the trunk relative to average.
         stride: length of the steps of who walks relative to average, 0 for who does not; others of the kind are at
             other moments of the step (`GAIT`).
         holds: whether the arms keep still while walking.
+        grips: how far each hand is closed, from 0 to 1 (a fist).
+        palms: where both palms look; None for towards the body.
         others: what differs in each other of the kind that does not walk.
     """
 
@@ -58,6 +61,8 @@ class Person:
     build: float = 1.0
     stride: float = 0.0
     holds: bool = False
+    grips: tuple[float, float] = (0.05, 0.2)
+    palms: Point | None = None
     others: tuple[Mapping[str, object], ...] = ()
     wears: Mapping[str, str] = field(default_factory=dict)
     outfits: tuple[tuple[str, ...], ...] = (("cloth_black", "denim"),)
@@ -72,6 +77,8 @@ rounded from Perry, Gait Analysis (1992).
 """
 OTHERS = ((0.12, 1.03, 0.92, 9.0), (0.31, 0.97, 1.09, -16.0), (0.72, 1.0, 1.0, 24.0))
 """Who else walks of a kind: where in the stride, height and breadth over the first's, turn of the head."""
+BAR = (0.0, -0.3, -1.0)
+"""Where palms look that hold a bar across."""
 SWING, HANG = 0.75, -3.0
 """Of an arm over the thigh of the other side, and its middle [degrees]."""
 
@@ -110,6 +117,7 @@ PEOPLE = (
         coat=0.42,
         hair="long",
         carries="handbag",
+        grips=(0.1, 1.0),
         build=0.88,
         wears={"hair": "hair_blond", "shoes": "leather_black", "bag": "leather_brown"},
         stride=0.95,
@@ -124,7 +132,7 @@ PEOPLE = (
     ),
     Person(
         "man_waiting",
-        "A man who waits, hands in his pockets.",
+        "A man who waits.",
         1.77,
         thighs=(2, -3),
         knees=(2, 6),
@@ -133,6 +141,7 @@ PEOPLE = (
         splay=15,
         turn_head=25,
         coat=0.10,
+        grips=(0.35, 0.5),
         wears={"hair": "hair_dark", "shoes": "shoe_white"},
         others=(
             {"height": 1.84, "build": 0.94, "thighs": (-4, 7), "knees": (2, 15), "turn_head": -35, "elbows": (38, 22)},
@@ -167,6 +176,7 @@ PEOPLE = (
         coat=0.14,
         hair="bun",
         carries="phone",
+        grips=(0.6, 0.1),
         build=0.88,
         wears={"hair": "hair_dark", "shoes": "shoe_white"},
         others=(
@@ -243,6 +253,7 @@ PEOPLE = (
         coat=0.40,
         hair="cap",
         carries="umbrella",
+        grips=(0.15, 1.0),
         build=1.1,
         wears={"hair": "cloth_grey", "shoes": "leather_black", "bag": "cloth_black"},
         stride=0.6,
@@ -324,6 +335,7 @@ def build_rider() -> Component:
     }
     fields = fields_of(joints, Person("rider", "", 1.78, coat=0.06, hair="helmet"))
     parts = [*cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 5500), *face(fields, joints)]
+    parts += hands(joints, (1.0, 1.0), BAR)
     wears = {"hair": "helmet", "shoes": "shoe_white"}
     return dressed(
         "rider",
@@ -471,6 +483,7 @@ def person_parts(person: Person) -> list[Part]:
     joints = _pose(person)
     fields = fields_of(joints, person)
     parts = [*cut_by_role(fields, (-0.62, -0.75, -0.15), (0.62, 0.95, 1.95), 6400), *face(fields, joints)]
+    parts += hands(joints, person.grips, person.palms)
     if person.carries == "phone":
         parts.append(
             box((-0.04, -0.004, -0.075), (0.04, 0.006, 0.075), "bag").moved(
@@ -608,13 +621,18 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
             d = soft_min(d, limb_distance(x, y, z, jaw, head + 0.07 * facing + [0, 0, -0.098], 0.016, 0.018), 0.035)
             d = soft_min(d, blob_distance(x, y, z, head - 0.004 * facing + 0.081 * aside, (0.012, 0.017, 0.029)), 0.008)
         d = soft_min(d, limb_distance(x, y, z, neck - 0.06 * up, head - [0, 0.01, 0.05], 0.054, 0.05), 0.04)
-        for hand, elbow in zip(joints["hands"], joints["elbows"], strict=True):
+        for hand, elbow in zip(joints["hands"], joints["elbows"], strict=True):  # as far as `hands` begin
             along = (np.asarray(hand) - elbow) / np.linalg.norm(np.asarray(hand) - elbow)
-            d = np.minimum(d, limb_distance(x, y, z, hand, np.asarray(hand) + 0.085 * along, 0.032, 0.028))
+            d = np.minimum(d, limb_distance(x, y, z, hand, np.asarray(hand) + 0.035 * along, 0.027, 0.025))
         return d
 
     def hair(x: Array, y: Array, z: Array) -> Array:
         back = -facing
+        if person.hair == "hard hat":
+            d = blob_distance(x, y, z, head + 0.012 * back + [0, 0, 0.03], (0.099, 0.118, 0.108))
+            d = np.maximum(d, -(z - head[2] - 0.03))
+            brim = blob_distance(x, y, z, head + 0.012 * facing + [0, 0, 0.036], (0.114, 0.146, 0.011))
+            return soft_min(d, brim, 0.012)
         if person.hair == "helmet":
             d = blob_distance(x, y, z, head + 0.02 * back + [0, 0, 0.06], (0.102, 0.135, 0.088))
             return np.maximum(d, -(z - head[2] - 0.02))
@@ -657,11 +675,15 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
                 0.135,
                 0.165 + 0.10 * max(abs(np.sin(np.deg2rad(a))) for a in person.thighs),
             )
-            d = soft_min(d, np.maximum(skirt, hem[2] - z), 0.06)
-            for t, k in zip(joints["thighs"], joints["knees"], strict=True):  # no leg comes through it
-                d = soft_min(d, np.maximum(limb_distance(x, y, z, t, k, 0.100, 0.074), hem[2] - z), 0.04)
+            beyond = hem[2] - z
         else:
-            d = soft_min(d, blob_distance(x, y, z, hips + [0, 0, 0.02], (0.162 * b, 0.122, 0.09)), 0.06)
+            hem = hips - person.coat * up
+            squeezed = [0.75 / b, 1, 1]  # wider than deep
+            skirt = limb_distance(x * squeezed[0], y, z, (hips + 0.14 * up) * squeezed, hem * squeezed, 0.112, 0.122)
+            beyond = (hem[0] - x) * up[0] + (hem[1] - y) * up[1] + (hem[2] - z) * up[2]
+        d = soft_min(d, np.maximum(skirt, beyond), 0.06)
+        for t, k in zip(joints["thighs"], joints["knees"], strict=True):  # no leg comes through it
+            d = soft_min(d, np.maximum(limb_distance(x, y, z, t, k, 0.100, 0.074), beyond), 0.04)
         front = np.exp(-((x - joints["chest"][0]) ** 2) / 0.00012) * (y > joints["chest"][1])  # where it closes
         return d + creases(x, y, z, [np.asarray(e) for e in joints["elbows"]], 0.007) + 0.005 * front
 

@@ -119,14 +119,17 @@ def build_hedge() -> Component:
     rng = stream(0, "hedge")
     n = 3600
     u, v, face = rng.uniform(-4, 4, n), rng.uniform(0, 1, n), rng.integers(0, 5, n)
-    x = np.where(face < 2, u, np.where(face < 4, u, u))
     y = np.where(face < 2, -0.38, np.where(face < 4, 0.38, rng.uniform(-0.38, 0.38, n))) + rng.normal(0, 0.035, n)
     z = np.where(face < 4, v * 1.25, 1.28) + rng.normal(0, 0.035, n)
-    places = np.c_[x, y, np.maximum(z, 0.05)]
+    places = np.c_[u, y, np.maximum(z, 0.05)]
+    own, m = stream(0, "hedge", "ends"), 300
+    x = own.choice([-3.9, 3.9], m) + own.normal(0, 0.02, m)
+    ends = np.c_[x, own.uniform(-0.36, 0.36, m), own.uniform(0.05, 1.24, m)]
     parts = [
-        box((-4, -0.34, 0), (4, 0.34, 1.24), "hedge", bottom=False),
+        box((-3.86, -0.34, 0), (3.86, 0.34, 1.24), "hedge", bottom=False),
         _leaves(places, 0.10, "leaf_green", rng),
         _leaves(places[::5] + 0.02, 0.10, "leaf_olive", rng),
+        _leaves(ends, 0.10, "leaf_green", own),
     ]
     return Component("hedge", "vegetation", tuple(parts), "Eight metres of clipped hedge.")
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from assets.builders.lettering import letters
 from synfog_usd.world.components import Component, Look, MountedLamp
+from synfog_usd.world.lettering import letters
 from synfog_usd.world.shapes import Part, box, disc, lathe, quad, shift, smooth_normals, soft_box, strip, tube, turn
 
 MAST_CD = 3200.0  # 13 000 lm a head into a cone of 70 degrees

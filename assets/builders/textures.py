@@ -21,6 +21,7 @@ from synfog_usd.colour import srgb_encode
 from synfog_usd.errors import OutputError
 from synfog_usd.files import write_whole
 from synfog_usd.seeds import stream
+from synfog_usd.world.lettering import GLYPHS
 
 ORIGIN = "made by synfog_usd.world, licence CC0-1.0"
 ATLAS = 4  # windows: cells per side
@@ -29,47 +30,6 @@ FASCIAS = ("BÄCKEREI", "CAFÉ LUMEN", "APOTHEKE", "BOOKS", "BISTRO 23", "OPTIK"
 PLATES = ("SF 260 N", "KA 418 E", "LU 73 RT", "MO 550 R", "HG 87 AC", "FOG 15 V", "EX 121 Q", "TR 94 PH")
 
 PLATE_COLUMNS = 8
-
-GLYPHS = {  # strokes on a grid of 4 by 6, points as digit pairs
-    "A": "002640 1232",
-    "B": "00062635443303 3342413000",
-    "C": "4536160501103041",
-    "D": "00062645412000",
-    "E": "46060040 0333",
-    "F": "460600 0333",
-    "G": "45361605011030414323",
-    "H": "0006 4046 0343",
-    "I": "2026",
-    "J": "011030414646",
-    "K": "0006 4603 1440",
-    "L": "060040",
-    "M": "0006234640",
-    "N": "0006 0640 4046",
-    "O": "1030414536160501 0110",
-    "P": "00063645443303",
-    "Q": "1030414536160501 0110 2240",
-    "R": "00063645443303 2340",
-    "S": "453616050413334241301001",
-    "T": "0646 2620",
-    "U": "060110304146",
-    "V": "062046",
-    "W": "0610233046",
-    "X": "0046 0640",
-    "Y": "062346 2320",
-    "Z": "06460040",
-    "0": "1030414536160501 0110",
-    "1": "152620",
-    "2": "05163645440040",
-    "3": "051636454433 13334241301001",
-    "4": "30360242",
-    "5": "460603334241301001",
-    "6": "4536160501103041423303",
-    "7": "064610",
-    "8": "133342413010010213 130405163645443313",
-    "9": "0110304145361605041343",
-    "-": "1333",
-    " ": "",
-}
 
 
 def write_textures(folder: Path) -> list[Path]:

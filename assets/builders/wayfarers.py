@@ -13,7 +13,18 @@ from dataclasses import replace
 import numpy as np
 
 from assets.builders.coachwork import lamp_states
-from assets.builders.people import Person, build_bicycle, cut_by_role, dressed, face, fields_of, peopled, person_parts
+from assets.builders.hands import hands
+from assets.builders.people import (
+    BAR,
+    Person,
+    build_bicycle,
+    cut_by_role,
+    dressed,
+    face,
+    fields_of,
+    peopled,
+    person_parts,
+)
 from assets.builders.solids import split
 from synfog_usd.world.components import Component, Look, MountedLamp
 from synfog_usd.world.materials import PAINTS, PALETTE, Material
@@ -51,6 +62,8 @@ WALKERS = (
         wears={"hair": "hair_brown", "shoes": "leather_brown"},
         stride=0.9,
         holds=True,
+        grips=(1.0, 1.0),
+        palms=BAR,
         outfits=(
             ("cloth_teal", "denim"),
             ("cloth_beige", "cloth_black"),
@@ -69,10 +82,11 @@ WALKERS = (
         splay=8,
         lean=5,
         coat=0.16,
-        hair="helmet",
+        hair="hard hat",
         build=1.10,
         wears={"hair": "helmet_yellow", "shoes": "leather_brown"},
         carries="shovel",
+        grips=(1.0, 1.0),
         others=(
             {
                 "height": 1.74,
@@ -117,6 +131,7 @@ WALKERS = (
         "jogger",
         "A man who runs.",
         1.79,
+        grips=(0.8, 0.8),
         thighs=(48, -26),
         knees=(62, 58),
         arms=(-38, 34),
@@ -294,6 +309,7 @@ def _wheelchair_user() -> Component:
     person = Person("wheelchair_user", "", 1.76, coat=0.06, hair="short", build=1.02)
     fields = fields_of(joints, person)
     parts = [*cut_by_role(fields, (-0.50, -0.55, 0.05), (0.50, 0.85, 1.60), 4600), *face(fields, joints)]
+    parts += hands(joints, (0.7, 0.7))
     for s in (-1, 1):
         x = s * 0.295
         parts += [
@@ -361,6 +377,7 @@ def _cyclist() -> Component:
     parts = [
         *cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.75, 1.85), 4600),
         *face(fields, joints),
+        *hands(joints, (1.0, 1.0), BAR),
         *(p.moved(mirror) for p in machine.parts),
     ]
     wears = {"hair": "helmet", "shoes": "shoe_white"}
@@ -395,6 +412,7 @@ def _motorcyclist() -> Component:
     }
     fields = fields_of(joints, Person("motorcyclist", "", 1.80, coat=0.06, hair="helmet", build=1.12))
     parts = cut_by_role(fields, (-0.50, -0.65, 0.20), (0.50, 0.65, 1.85), 4600)
+    parts += [glove.painted("shoes") for glove in hands(joints, (1.0, 1.0), BAR)]
     head = np.asarray(joints["head"], dtype=np.float64)
     parts.append(ball(head + [0, 0.0, 0.02], (0.128, 0.155, 0.150), "hair", sides=18))
     visor = [

@@ -6,10 +6,11 @@ Parts by name, each with its Cityscapes label, laid on the road.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from synfog_usd.world.lettering import letters
 from synfog_usd.world.roads.network import AT_PORTAL, Road
 from synfog_usd.world.roads.surface import bend, sweep
 from synfog_usd.world.shapes import Array, Part, box, fan, quad, soft_box, strip, tube
@@ -257,10 +258,10 @@ def gantry(road: Road, s: float, number: int) -> Built:
             parts.append(
                 tube(ends if k % 2 else [(ends[0][0], y, 7.5), (ends[1][0], y, 6.3)], 0.035, "galvanised", sides=5)
             )
-    for lane in lanes:
+    for k, lane in enumerate(lanes):
         t = lane.middle
         back = soft_box((t - 1.55, s - 0.52, 5.75), (t + 1.55, s - 0.42, 7.95), "sign_back", radius=0.06)
-        parts += [back, _face(t, s - 0.525, 1.5, 5.8, 7.9, "board_blue"), *_board(t, s - 0.53)]
+        parts += [back, _face(t, s - 0.525, 1.5, 5.8, 7.9, "board_blue"), *_board(t, s - 0.53, number + k)]
     return Built(f"Gantry_{number}", "traffic sign", tuple(_plain(bend(part, road)) for part in parts))
 
 
@@ -268,14 +269,20 @@ def _face(t: float, s: float, half: float, low: float, high: float, material: st
     return quad([(t - half, s, low), (t + half, s, low), (t + half, s, high), (t - half, s, high)], material)
 
 
-def _board(t: float, s: float) -> list[Part]:
-    """White frame, an arrow down to the lane and bars where a name would stand."""
+PLACES = (("NORDTAL", "MESSE"), ("LUMENAU", "ZENTRUM"), ("HAFEN", "STADION"))
+"""Names on the boards of a gantry, board by board."""
+
+
+def _board(t: float, s: float, number: int) -> list[Part]:
+    """White frame, an arrow down to the lane and two names."""
     parts = [
         _face(t, s, 0.09, 6.25, 6.75, "board_white"),
         Part(np.array([(t - 0.26, s, 6.28), (t, s, 5.92), (t + 0.26, s, 6.28)]), np.array([[0, 1, 2]]), "board_white"),
     ]
-    for h, half in ((7.45, 1.05), (7.1, 0.75)):
-        parts.append(_face(t - 0.15, s, half, h, h + 0.17, "board_white"))
+    for word, h in zip(PLACES[number % len(PLACES)], (7.38, 6.93), strict=True):
+        for part in letters(word, 0.30, "board_white"):  # which are read from +s, and here from -s
+            x, _, z = part.points.T
+            parts.append(replace(part, points=np.c_[t - x, np.full(len(x), s), h + z], normals=None))
     for low, high in ((5.84, 5.88), (7.82, 7.86)):
         parts.append(_face(t, s, 1.46, low, high, "board_white"))
     for side in (-1, 1):

@@ -1,4 +1,4 @@
-"""Letters as flat triangles, from the strokes that the textures are drawn with.
+"""Letters as flat triangles, and the strokes that signs and textures are drawn with.
 
 Gives parts that lie in the plane y = 0 and are read from +Y; lengths in metres.
 """
@@ -9,8 +9,48 @@ import itertools
 
 import numpy as np
 
-from assets.builders.textures import GLYPHS
 from synfog_usd.world.shapes import Part, quads
+
+GLYPHS = {  # strokes on a grid of 4 by 6, points as digit pairs
+    "A": "002640 1232",
+    "B": "00062635443303 3342413000",
+    "C": "4536160501103041",
+    "D": "00062645412000",
+    "E": "46060040 0333",
+    "F": "460600 0333",
+    "G": "45361605011030414323",
+    "H": "0006 4046 0343",
+    "I": "2026",
+    "J": "011030414646",
+    "K": "0006 4603 1440",
+    "L": "060040",
+    "M": "0006234640",
+    "N": "0006 0640 4046",
+    "O": "1030414536160501 0110",
+    "P": "00063645443303",
+    "Q": "1030414536160501 0110 2240",
+    "R": "00063645443303 2340",
+    "S": "453616050413334241301001",
+    "T": "0646 2620",
+    "U": "060110304146",
+    "V": "062046",
+    "W": "0610233046",
+    "X": "0046 0640",
+    "Y": "062346 2320",
+    "Z": "06460040",
+    "0": "1030414536160501 0110",
+    "1": "152620",
+    "2": "05163645440040",
+    "3": "051636454433 13334241301001",
+    "4": "30360242",
+    "5": "460603334241301001",
+    "6": "4536160501103041423303",
+    "7": "064610",
+    "8": "133342413010010213 130405163645443313",
+    "9": "0110304145361605041343",
+    "-": "1333",
+    " ": "",
+}
 
 
 def letters(word: str, height: float, material: str, *, align: str = "middle") -> list[Part]:
