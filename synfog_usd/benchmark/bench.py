@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
+import queue
 import tempfile
+import threading
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -18,6 +21,7 @@ from synfog_usd import files
 from synfog_usd.benchmark.child import read
 from synfog_usd.errors import OutputError, ParameterError
 from synfog_usd.progress import Progress, silent
+from synfog_usd.sets.cluster import cores
 
 RESULTS = "results.json"
 KEEP_EVERY_S = 5.0
@@ -43,6 +47,8 @@ class Versioned(Protocol):
     def name(self) -> str: ...  # noqa: D102
     @property
     def version(self) -> str: ...  # noqa: D102
+    @property
+    def at_once(self) -> int: ...  # noqa: D102
 
 
 class Closing(Protocol):
@@ -54,6 +60,9 @@ class Closing(Protocol):
 T = TypeVar("T", bound=Named)
 M = TypeVar("M", bound=Versioned)
 W = TypeVar("W", bound=Closing)
+
+Borrowed = Callable[[], contextlib.AbstractContextManager[W]]
+"""Lends one of a method's children."""
 
 
 @dataclass
@@ -97,13 +106,16 @@ def run(
 ) -> Bench:
     """Ask methods about items; what `out` has already of the same pictures and methods is kept.
 
+    Methods follow each other.  The items of one go side by side, as many as there are cores; of its children there are
+    as many as it may work on at once.
+
     Args:
         items, methods: in order.
-        out: folder; `results.json` is written as it goes, whole each time.
+        out: folder; `results.json` is written as it goes, whole each time, in the order of methods and items.
         key: what the answer depends on besides the method's version.
-        opened: a method's child, which puts files into the folder that it is given.
-        ask: the answer, or {'error': line}.
-        measure: what is kept of an answer; done while the next one is awaited.
+        opened: a child of a method, which puts files into the folder that it is given.
+        ask: the answer, or {'error': line}; called from several threads, with a child for each.
+        measure: what is kept of an answer; called from several threads while the child goes on.
         retry: take up what failed, too.
         progress, log: whom to tell.
 
@@ -113,54 +125,103 @@ def run(
     bench = Bench(items, methods)
     known = kept(out / RESULTS)
     _keep(out / RESULTS, known)  # a folder that cannot be written is told before the first answer
-    total, done, kept_at = len(items) * len(methods), 0, time.monotonic()
-    with ThreadPoolExecutor(1) as pool, tempfile.TemporaryDirectory(prefix="synfog-usd-") as folder:
+    places = [[f"{method.version} {key(item, method)}" for item in items] for method in methods]
+    order = [place for row in places for place in row]
+    total, done, kept_at, lanes = len(order), 0, time.monotonic(), cores()
+    with ThreadPoolExecutor(lanes) as pool, tempfile.TemporaryDirectory(prefix="synfog-usd-") as folder:
         try:
-            for method in methods:
-                worker, failed = opened(method, Path(folder)), 0
-                waiting: dict[str, Future[Row]] = {}
-                try:
-                    for number, item in enumerate(items):
-                        progress(f"{method.name}: {item.name}", done / total)
-                        done += 1
-                        place = f"{method.version} {key(item, method)}"
-                        if place in known and not (retry and "error" in known[place]):
-                            continue
-                        if failed == number == GIVE_UP:
+            for method, row in zip(methods, places, strict=True):
+                wanted: dict[str, T] = {}
+                for place, item in zip(row, items, strict=True):
+                    if place not in known or (retry and "error" in known[place]):
+                        wanted.setdefault(place, item)
+                done += len(items) - len(wanted)
+                first = {place: item for place, item in wanted.items() if place in row[:GIVE_UP]}
+                rest = {place: item for place, item in wanted.items() if place not in first}
+                count = min(method.at_once or lanes, lanes)
+                with _children([opened(method, Path(tempfile.mkdtemp(dir=folder))) for _ in range(count)]) as borrowed:
+
+                    def answer(item: T, method: M = method, borrowed: Borrowed[W] = borrowed) -> Row:
+                        with borrowed() as child:
+                            found = ask(item, method, child)
+                        return found if "error" in found else measure(found)
+
+                    for batch in (first, rest):
+                        if batch is rest and rest and _hopeless(row, known):
                             log(f"{method.name}: failed on the first {GIVE_UP} pictures; it is asked no more")
-                        if failed >= GIVE_UP and failed == number:
-                            row: Row = {"error": f"not asked: it failed on the first {GIVE_UP} pictures"}
+                            why = {"error": f"not asked: it failed on the first {GIVE_UP} pictures"}
+                            answers: Iterator[tuple[str, Row]] = ((place, why) for place in rest)
                         else:
-                            row = ask(item, method, worker)
-                        if "error" in row:
-                            failed += failed == number
-                            known[place] = row
-                            log(f"{method.name}: {item.name}: {row['error']}")
-                        else:
-                            waiting[place] = pool.submit(measure, row)
-                        bench.made += 1
-                        if time.monotonic() - kept_at > KEEP_EVERY_S:
-                            _take(waiting, known)
-                            _keep(out / RESULTS, known)
-                            kept_at = time.monotonic()
-                finally:
-                    worker.close()
-                    _take(waiting, known)
-                for item in items:
-                    bench.rows[method.version, item.name] = known[f"{method.version} {key(item, method)}"]
+                            answers = _side_by_side(pool, answer, batch)
+                        for place, found in answers:
+                            known[place] = found
+                            bench.made, done = bench.made + 1, done + 1
+                            progress(f"{method.name}: {batch[place].name}", done / total)
+                            if "error" in found:
+                                log(f"{method.name}: {batch[place].name}: {found['error']}")
+                            if time.monotonic() - kept_at > KEEP_EVERY_S:
+                                _keep(out / RESULTS, known, order)
+                                kept_at = time.monotonic()
+                for place, item in zip(row, items, strict=True):
+                    bench.rows[method.version, item.name] = known[place]
         finally:
-            _keep(out / RESULTS, known)
+            _keep(out / RESULTS, known, order)
     return bench
 
 
-def _take(waiting: dict[str, Future[Row]], known: dict[str, Row]) -> None:
-    for key in list(waiting):
-        known[key] = waiting.pop(key).result()
+def _hopeless(row: Sequence[str], known: dict[str, Row]) -> bool:
+    """Whether a method failed on the first pictures, and answered none."""
+    return all(place in known for place in row[:GIVE_UP]) and all(
+        "error" in known[place] for place in row if place in known
+    )
 
 
-def _keep(path: Path, known: dict[str, Row]) -> None:
-    """A line for each answer."""
-    lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(row, allow_nan=False)}" for key, row in known.items())
+@contextlib.contextmanager
+def _children(children: Sequence[W]) -> Iterator[Borrowed[W]]:
+    """A way to borrow one of a method's children, for which a thread waits its turn; they end with the context."""
+    free: queue.LifoQueue[W] = queue.LifoQueue()
+    for child in children:
+        free.put(child)
+    over = threading.Event()
+
+    @contextlib.contextmanager
+    def borrowed() -> Iterator[W]:
+        child = free.get()
+        try:
+            if over.is_set():  # after Ctrl-C nobody begins anything
+                raise RuntimeError("the bench has ended")
+            yield child
+        finally:
+            free.put(child)
+
+    try:
+        yield borrowed
+    finally:
+        over.set()
+        for child in children:
+            child.close()
+
+
+def _side_by_side(
+    pool: ThreadPoolExecutor, work: Callable[[T], Row], items: Mapping[str, T]
+) -> Iterator[tuple[str, Row]]:
+    """What came of each item, as it comes; what was not begun when nobody asks any more is not begun."""
+    going = {pool.submit(work, item): place for place, item in items.items()}
+    try:
+        for future in as_completed(going):
+            yield going[future], future.result()
+    finally:
+        for future in going:
+            future.cancel()
+
+
+def _keep(path: Path, known: dict[str, Row], order: Sequence[str] = ()) -> None:
+    """A line for each answer: those of other runs, then those of this one in order."""
+    mine = set(order)
+    places = [place for place in known if place not in mine] + [
+        place for place in dict.fromkeys(order) if place in known
+    ]
+    lines = ",\n".join(f"{json.dumps(place)}: {json.dumps(known[place], allow_nan=False)}" for place in places)
     files.write_bytes(path, f"{{\n{lines}\n}}\n".encode())
 
 
@@ -176,6 +237,12 @@ def picture(path: Path) -> np.ndarray:
         return read(path)
     except (OSError, ValueError, Image.DecompressionBombError) as error:
         raise ParameterError(f"{path}: cannot be read as a picture ({error})") from error
+
+
+@functools.lru_cache(maxsize=100_000)
+def shape(path: Path) -> tuple[int, ...]:
+    """Of `picture`, which raises what this does."""
+    return picture(path).shape
 
 
 @functools.lru_cache(maxsize=100_000)

@@ -1,7 +1,8 @@
 """The child in which a method works: `python -m synfog_usd.benchmark.child`.
 
 The first line on standard input is the method as JSON; each further line names a picture and where the answer goes.
-Each is answered by a line of JSON: {"seconds": processor seconds} or {"error": one line}.
+Each is answered by a line of JSON: {"seconds": processor seconds} or {"error": one line}.  What measures answers is
+such a child too, and is told the truth as well.
 """
 
 from __future__ import annotations
@@ -22,13 +23,15 @@ import numpy as np
 from synfog_usd.benchmark import decode
 from synfog_usd.benchmark.classics import CLASSICS
 from synfog_usd.benchmark.detectors import Detector
-from synfog_usd.benchmark.methods import PNG, Defogger, Method
+from synfog_usd.benchmark.methods import PNG, Defogger, Measurer, Method
 from synfog_usd.benchmark.raw import filter_planes
+from synfog_usd.errors import SynfogError
+from synfog_usd.sets.cluster import cores
 
-Work = Callable[[Path, Path], None]
-"""From the file of a picture to that of the answer."""
+Work = Callable[..., None]
+"""From the file of a picture to that of the answer; what measures gets that of the truth, too."""
 
-KINDS: dict[str, type[Method]] = {kind.__name__: kind for kind in (Defogger, Detector)}
+KINDS: dict[str, type[Method]] = {kind.__name__: kind for kind in (Defogger, Detector, Measurer)}
 
 
 def main() -> None:
@@ -51,10 +54,11 @@ def main() -> None:
             else:
                 if work is None:
                     work = _loaded(method)
-                work(Path(task["in"]), Path(task["out"]))
+                work(*(Path(task[word]) for word in ("in", "out", "truth") if word in task))
             answer: dict[str, Any] = {"seconds": time.process_time() - began}
         except Exception as error:
-            answer = {"error": " ".join(f"{type(error).__name__}: {error}".split())[:300]}
+            told = str(error) if isinstance(error, SynfogError) else f"{type(error).__name__}: {error}"
+            answer = {"error": " ".join(told.split())[:300]}
         print(json.dumps(answer), file=answers, flush=True)
 
 
@@ -74,14 +78,23 @@ def _write(path: Path, picture: np.ndarray) -> None:
     Image.fromarray(np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)).save(path)
 
 
+def _tell(path: Path, answer: Any) -> None:
+    path.write_text(json.dumps(answer, allow_nan=False), encoding="utf-8")
+
+
 def _loaded(method: Method) -> Work:
     if isinstance(method, Detector):
         find = decode.detector(method, _session(method))
 
         def boxes(taken: Path, out: Path) -> None:
-            out.write_text(json.dumps(find(read(taken)), allow_nan=False), encoding="utf-8")
+            _tell(out, find(read(taken)))
 
         return boxes
+    if isinstance(method, Measurer):
+        from synfog_usd.benchmark import metrics
+        from synfog_usd.benchmark.bench import picture
+
+        return lambda answer, out, truth: _tell(out, metrics.measure(picture(answer), picture(truth)))
     if method.kind == "onnx":
         restore = _network(method)
         return lambda taken, out: _write(out, restore(taken))
@@ -94,7 +107,7 @@ def _session(method: Method) -> Any:
 
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
-    options.intra_op_num_threads = max(1, os.cpu_count() or 1)
+    options.intra_op_num_threads = threads(method)
     return onnxruntime.InferenceSession(method.target, options, providers=["CPUExecutionProvider"])
 
 
@@ -141,6 +154,11 @@ def _run(method: Method, task: dict[str, str]) -> None:
         raise RuntimeError(f"ended with {done.returncode}: {told[-1] if told else 'it said nothing'}")
     if not Path(task["out"]).is_file():
         raise RuntimeError(f"it wrote no {method.suffix[1:].upper()}")
+
+
+def threads(method: Method) -> int:
+    """Its share of the cores: all of them where it works on one picture at a time."""
+    return max(1, cores() // (method.at_once or cores()))
 
 
 def as_line(method: Method) -> str:

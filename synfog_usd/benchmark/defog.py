@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-import time
+import contextlib
+import json
+import queue
+import tempfile
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from synfog_usd.benchmark import bench, metrics
 from synfog_usd.benchmark.bench import Bench, Row
-from synfog_usd.benchmark.methods import PNG, Defogger
+from synfog_usd.benchmark.methods import PNG, Defogger, Measurer
 from synfog_usd.benchmark.pairs import Pair
 from synfog_usd.benchmark.worker import MethodError, MethodWorker
 from synfog_usd.errors import ParameterError
 from synfog_usd.progress import Progress, silent
+
+MEASURER = Measurer("metrics", "metrics", timeout_s=3600.0, memory_gb=4096.0, at_once=0)
+"""Ours, so it has all the memory that there is, and time for large pictures."""
 
 
 def run(
@@ -33,23 +39,24 @@ def run(
         out, retry, progress, log: as `bench.run` has them.
 
     Returns:
-        rows of numbers by metric, and 'seconds'.
+        rows of numbers by metric.
 
     Raises:
         OutputError: the folder cannot be written, or `results.json` there is none of ours.
     """
-    return bench.run(
-        pairs,
-        methods,
-        out,
-        key=_of_files,
-        opened=MethodWorker,
-        ask=_asked,
-        measure=_measured,
-        retry=retry,
-        progress=progress,
-        log=log,
-    )
+    with _measuring() as measure:
+        return bench.run(
+            pairs,
+            methods,
+            out,
+            key=_of_files,
+            opened=MethodWorker,
+            ask=_asked,
+            measure=measure,
+            retry=retry,
+            progress=progress,
+            log=log,
+        )
 
 
 def values(found: Bench, method: Defogger, metric: str, fog: str | None = None) -> dict[str, float]:
@@ -59,26 +66,47 @@ def values(found: Bench, method: Defogger, metric: str, fog: str | None = None) 
 
 
 def _asked(pair: Pair, method: Defogger, worker: MethodWorker) -> Row:
-    """{'answer', 'truth', 'seconds'}, or {'error'}."""
+    """{'answer', 'truth'}, files, or {'error'}."""
     taken = pair.foggy if method.takes == PNG else pair.files.get(method.takes)
     if taken is None:
         return {"error": f"the pair has no {method.takes}"}
     try:
-        truth = bench.picture(pair.clear)
-        if bench.picture(pair.foggy).shape != truth.shape:
+        if bench.shape(pair.clear) != bench.shape(pair.foggy):
             return {"error": "the foggy and the clear picture differ in size"}
-        began = time.monotonic()
-        answer = bench.picture(worker.ask(taken))
-        return {"answer": answer, "truth": truth, "seconds": round(time.monotonic() - began, 3)}
+        return {"answer": worker.ask(taken), "truth": pair.clear}
     except (MethodError, ParameterError) as error:
         return {"error": str(error)}
 
 
-def _measured(row: Row) -> Row:
-    try:
-        return {**metrics.measure(row["answer"], row["truth"]), "seconds": row["seconds"]}
-    except ParameterError as error:
-        return {"error": str(error)}
+@contextlib.contextmanager
+def _measuring() -> Iterator[Callable[[Row], Row]]:
+    """What makes numbers of an answer, in as many children as threads call it."""
+    with tempfile.TemporaryDirectory(prefix="synfog-usd-") as folder:
+        workers: list[MethodWorker] = []
+        free: queue.SimpleQueue[MethodWorker] = queue.SimpleQueue()
+
+        def measure(row: Row) -> Row:
+            try:
+                worker = free.get_nowait()
+            except queue.Empty:
+                worker = MethodWorker(MEASURER, Path(tempfile.mkdtemp(dir=folder)))
+                workers.append(worker)
+            try:
+                told = worker.ask(row["answer"], truth=row["truth"])
+                found: Row = json.loads(told.read_text(encoding="utf-8"))
+                told.unlink()
+                return found
+            except MethodError as error:
+                return {"error": str(error)}
+            finally:
+                row["answer"].unlink()
+                free.put(worker)
+
+        try:
+            yield measure
+        finally:
+            for worker in workers:
+                worker.close()
 
 
 def _of_files(pair: Pair, method: Defogger) -> str:

@@ -132,6 +132,12 @@ class DetectorRun:
         return hashlib.sha256(both.encode()).hexdigest()[:16]
 
     @property
+    def at_once(self) -> int:
+        """Pictures that both may work on at once; 0 for as many as there are cores."""
+        steps = (self.detector,) if self.before is None else (self.detector, self.before)
+        return min((step.at_once for step in steps if step.at_once), default=0)
+
+    @property
     def takes(self) -> str:
         """The file that it begins with."""
         return (self.before or self.detector).takes
@@ -150,8 +156,12 @@ class DetectorRunWorker:
         Raises:
             MethodError: one of the two gave no answer.
         """
+        given = picture
         for worker in self.workers:
-            picture = worker.ask(picture)
+            answer = worker.ask(picture)
+            if picture is not given:
+                picture.unlink()
+            picture = answer
         return picture
 
     def close(self) -> None:
@@ -247,7 +257,9 @@ def _asked(view: FoggedView, one: DetectorRun, worker: DetectorRunWorker) -> Row
         if shape[:2] != labels.distance_m.shape:
             told = f"{labels.size_px[0]} x {labels.size_px[1]}"
             return {"error": f"the picture has {shape[1]} x {shape[0]} pixels, and its labels {told}"}
-        answer = as_boxes(json.loads(worker.ask(taken).read_text(encoding="utf-8")), one.detector)
+        found = worker.ask(taken)
+        answer = as_boxes(json.loads(found.read_text(encoding="utf-8")), one.detector)
+        found.unlink()
     except (MethodError, ParameterError, ValueError, OSError) as error:
         return {"error": " ".join(str(error).split())[:300]}
     return {"boxes": [[*box, _distance(box, labels.distance_m)] for box in answer]}

@@ -9,7 +9,8 @@
 
 An ONNX network takes and gives R, G and B of (1, 3, H, W), `range: [0, 1]` unless it says [-1, 1]; with
 `takes: raw.dng` it takes the planes of the mosaic, see `raw`.  A command reads the file {in} and writes a PNG of the
-same size to {out}; `takes: raw.dng` hands it the RAW file.
+same size to {out}; `takes: raw.dng` hands it the RAW file.  A network or command works on one picture at a
+time, and has all cores, unless `at_once` says how many it may.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from synfog_usd.yamlio import Located, load_file
 SCHEMA = "benchmark/1"
 TIMEOUT_S = 60.0
 PNG = "srgb.png"
-OF_ALL = ("name", "onnx", "command", "takes", "timeout_s", "memory_gb")
+OF_ALL = ("name", "onnx", "command", "takes", "timeout_s", "memory_gb", "at_once")
 """What methods of every kind are declared by."""
 
 FIELDS = (*OF_ALL, "range", "multiple")
@@ -46,7 +47,8 @@ class Method:
         command: words, with {in} and {out}.
         takes: name of the file that it is given.
         timeout_s: for one picture [s].
-        memory_gb: address space that it may have [GB].
+        memory_gb: address space that each of its children may have [GB].
+        at_once: pictures that it may work on at once, each in a child of its own; 0 for as many as there are cores.
         version: hash of all that decides its answers, so that old results are not taken for new ones.
     """
 
@@ -60,6 +62,7 @@ class Method:
     takes: str = PNG
     timeout_s: float = TIMEOUT_S
     memory_gb: float = 8.0
+    at_once: int = 1
     version: str = ""
 
 
@@ -76,6 +79,13 @@ class Defogger(Method):
 
     range: tuple[float, float] = (0.0, 1.0)
     multiple: int = 1
+
+
+@dataclass(frozen=True)
+class Measurer(Method):
+    """What measures answers, in children as well: its answer is a number by metric."""
+
+    suffix: ClassVar[str] = ".json"
 
 
 def chosen(words: Sequence[str]) -> tuple[Defogger, ...]:
@@ -117,7 +127,7 @@ def _classic(name: str, place: str) -> Defogger:
             f"{place}method {name!r} is not known; it can be {', '.join(CLASSICS)}, or a YAML file."
             f"{did_you_mean(name, list(CLASSICS))}"
         )
-    return Defogger(name, "classic", target=name, version=_hash("classic", name, "1"))
+    return Defogger(name, "classic", target=name, at_once=0, version=_hash("classic", name, "1"))
 
 
 def listed(path: Path, kind: str) -> list[Located]:
@@ -185,6 +195,8 @@ def declared(
             )
         own["takes"] = value
     decides = {**own, **more}
+    if "at_once" in fields:
+        own["at_once"] = int(number(fields["at_once"], "at_once", 1, 1024))
     if ways == ["onnx"]:
         value = fields["onnx"].plain()
         path = folder / str(value)

@@ -95,11 +95,12 @@ def delta_e(picture: Picture, truth: Picture) -> float:
 
 def _lab(picture: Picture) -> npt.NDArray[np.float64]:
     colour = colour_science()
-    levels, place = np.unique(picture.reshape(-1, 3), axis=0, return_inverse=True)
+    codes, place = np.unique(picture @ np.array([65536, 256, 1]), return_inverse=True)  # each colour once
+    levels = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=1)
     linear = colour.cctf_decoding(levels / 255.0, function="sRGB")
     xyz = linear @ np.asarray(colour.RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ).T
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
-    return np.asarray(colour.XYZ_to_Lab(xyz, white))[place.ravel()].reshape(picture.shape)
+    return np.asarray(colour.XYZ_to_Lab(xyz, white))[place].reshape(picture.shape)
 
 
 def fade(picture: Picture, truth: Picture) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import queue
@@ -14,7 +15,7 @@ import threading
 from pathlib import Path
 from typing import IO, Any
 
-from synfog_usd.benchmark.child import as_line
+from synfog_usd.benchmark.child import as_line, threads
 from synfog_usd.benchmark.methods import Method
 from synfog_usd.errors import SynfogError
 
@@ -28,7 +29,7 @@ class MethodWorker:
 
     Args:
         method: what it does.
-        folder: for answers; a temporary one.
+        folder: for answers, and no other worker's; a temporary one.
     """
 
     def __init__(self, method: Method, folder: Path) -> None:
@@ -36,19 +37,24 @@ class MethodWorker:
         self._child: subprocess.Popen[str] | None = None
         self._told: Any = None
         self._answers: queue.Queue[str] = queue.Queue()
+        self._numbers = itertools.count()
 
-    def ask(self, picture: Path) -> Path:
-        """The file with the method's answer to a picture.
+    def ask(self, picture: Path, **others: Path) -> Path:
+        """The file with the method's answer to a picture; whoever asked takes it away.
+
+        Args:
+            picture: its file.
+            others: what else the child is told.
 
         Raises:
             MethodError: it died, took too long, or answered nothing that can be used.
         """
-        answer = self.folder / f"{self.method.version}{self.method.suffix}"
-        answer.unlink(missing_ok=True)
+        answer = self.folder / f"{self.method.version}-{next(self._numbers)}{self.method.suffix}"
+        task = {"in": str(picture.resolve()), "out": str(answer), **{word: str(path) for word, path in others.items()}}
         child = self._started()
         assert child.stdin is not None
         try:
-            child.stdin.write(json.dumps({"in": str(picture.resolve()), "out": str(answer)}) + "\n")
+            child.stdin.write(json.dumps(task) + "\n")
             child.stdin.flush()
         except OSError:
             raise MethodError(self._death(child)) from None
@@ -88,6 +94,7 @@ class MethodWorker:
                 stderr=self._told,
                 text=True,
                 start_new_session=True,
+                env={"OMP_NUM_THREADS": str(threads(self.method)), **os.environ},
             )
             assert self._child.stdin is not None and self._child.stdout is not None
             self._answers = queue.Queue()

@@ -15,6 +15,7 @@ from PIL import Image
 from support import cli
 
 from synfog_usd import seeds
+from synfog_usd.benchmark import bench as runs
 from synfog_usd.benchmark import defog, metrics, page
 from synfog_usd.benchmark.bench import GIVE_UP
 from synfog_usd.benchmark.methods import chosen
@@ -202,6 +203,48 @@ def test_a_method_that_fails_on_the_first_pictures_is_asked_no_more(tmp_path, fo
     assert sum("not asked" in why for why in bench.failures(bench.methods[0]).values()) == 3
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("more", "beside"), [("", False), (", at_once: 3", True)])
+def test_a_command_is_asked_side_by_side_only_where_it_says_so(tmp_path, folder, monkeypatch, more, beside):
+    """Each call writes when it began and ended; three lanes, whatever this machine has.  Rows stand as pairs do."""
+    monkeypatch.setattr(runs, "cores", lambda: 3)
+    code = (
+        "import sys, shutil, time; a = time.time(); shutil.copy(sys.argv[1], sys.argv[2]); time.sleep(1.0);"
+        f" open({str(tmp_path / 'log')!r}, 'a').write(f'{{a}} {{time.time()}}\\n')"
+    )
+    own = methods(
+        tmp_path, f"- {{name: slow, command: {json.dumps([sys.executable, '-c', code, '{in}', '{out}'])}{more}}}\n"
+    )
+    pairs, chose = find(folder), chosen([str(own)])
+    bench = defog.run(pairs, chose, tmp_path / "out")
+    spans = [tuple(map(float, line.split())) for line in (tmp_path / "log").read_text(encoding="utf-8").splitlines()]
+    assert len(spans) == len(pairs)
+    assert (max(sum(begin <= other < end for begin, end in spans) for other, _ in spans) > 1) == beside
+    told = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
+    assert list(told.values()) == [bench.row(chose[0], pair) for pair in pairs]
+    assert chosen([str(own)])[0].version == chose[0].version
+
+
+@pytest.mark.slow
+def test_rows_of_an_interrupted_run_are_kept_and_end_as_those_of_one_that_was_not(tmp_path, folder, monkeypatch):
+    """Ctrl-C after the second answer: what came is kept, and the run that goes on ends with the same bytes."""
+    monkeypatch.setattr(runs, "cores", lambda: 2)
+    pairs, chose = find(folder), chosen(["none", "dcp"])
+    whole, parts, came = tmp_path / "whole", tmp_path / "parts", []
+
+    def stop(text: str, share: float) -> None:
+        came.append(text)
+        if len(came) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        defog.run(pairs, chose, parts, progress=stop)
+    assert len(json.loads((parts / "results.json").read_text(encoding="utf-8"))) == 2
+    assert defog.run(pairs, chose, parts).made == 10
+    assert defog.run(pairs, chose, whole).made == 12
+    assert (parts / "results.json").read_bytes() == (whole / "results.json").read_bytes()
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -215,6 +258,7 @@ def test_a_method_that_fails_on_the_first_pictures_is_asked_no_more(tmp_path, fo
             "- {name: a, command: ['true', '{in}', '{out}'], timeout_s: soon}\n",
             "timeout_s is 'soon'; it takes a number",
         ),
+        ("- {name: a, command: ['true', '{in}', '{out}'], at_once: 0}\n", "at_once is 0; it takes a number, 1 to 1024"),
         ("- {name: a, comand: [x]}\n", "has no 'comand'; it takes"),
         ("- dcp\n- dcp\n", "two methods are called 'dcp'"),
     ],

@@ -70,6 +70,15 @@ def test_the_colour_attenuation_depth_is_the_papers_line():
     assert found[30, 30, 0] == pytest.approx((0.6 - 1.0) / t + 1.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("levels", [5, 300, 200_000])
+def test_the_median_is_scipys(levels):
+    """Few values and more than 16 bits of them, a window wider than a side: every number equal."""
+    values = seeds.stream(3, "median").integers(0, levels, (18, 310)) / levels
+    values = values if levels < 10_000 else np.tile(values, (13, 1)) + np.arange(234)[:, None] * 1e-9
+    expected = ndimage.median_filter(values, 21, mode="nearest")
+    np.testing.assert_array_equal(classics._median(values, 21), expected)
+
+
 def test_the_guided_filter_keeps_lines_of_its_guide():
     """What is a line of the guide comes back; what has nothing to do with it is smoothed."""
     rng = seeds.stream(2, "guide")

@@ -7,6 +7,7 @@ import flip_evaluator
 import numpy as np
 import pytest
 from scipy import ndimage
+from skimage.color import deltaE_ciede2000, rgb2lab
 
 from synfog_usd import seeds
 from synfog_usd.benchmark import metrics
@@ -76,6 +77,13 @@ def test_the_colour_difference_of_greys_is_that_of_their_lightness():
     wanted = (lightness[0] - lightness[1]) / (1 + 0.015 * (middle - 50) ** 2 / np.sqrt(20 + (middle - 50) ** 2))
     grey = np.full((3, 3, 3), 119, np.uint8)
     assert metrics.delta_e(grey, np.full_like(grey, 118)) == pytest.approx(wanted, abs=1e-3)
+
+
+def test_every_pixel_gets_its_own_colours_difference():
+    """Each colour is converted once; against skimage, which converts every pixel with its own matrices (1e-3)."""
+    picture, truth = pictures(60)
+    theirs = deltaE_ciede2000(rgb2lab(truth), rgb2lab(picture)).mean()
+    assert metrics.delta_e(picture, truth) == pytest.approx(theirs, abs=1e-3)
 
 
 def test_flip_is_the_reference_implementations_mean_and_knows_which_is_the_truth():
