@@ -172,10 +172,14 @@ def bake(
         def label(done: float) -> None:
             if plan.draft or ledger.labels_done():
                 return
+
+            def told(what: str, part: float) -> None:
+                progress(f"labels: {what} {part:.0%}", done)
+
             progress("labels", done)
             loaded = renderer.within(replace(first, fog=()))
-            pierced, view = aovs.pierced(loaded), views.get(todo[0].lighting)
-            seen = view.seen if view and view.world is first.world else aovs.measure(loaded)
+            pierced, view = aovs.pierced(loaded, progress=told), views.get(todo[0].lighting)
+            seen = view.seen if view and view.world is first.world else aovs.measure(loaded, progress=told)
             ledger.add_labels(_write_labels(seen, first, plan, graph, scenes.taken, pierced))
 
         def finish(shot: Shot, picture: _Picture, began: float) -> None:

@@ -138,9 +138,12 @@ def test_surfaces_behind_each_other_are_traced_by_one_kernel(crowd):
 
 @pytest.mark.slow
 def test_batches_change_nothing(crowd):
-    loaded = to_mitsuba(crowd, boundaries=False)
-    for one, other in zip(aovs.pierced(loaded), aovs.pierced(loaded, batch=1000), strict=True):
+    loaded, told = to_mitsuba(crowd, boundaries=False), []
+    again = aovs.pierced(loaded, batch=1000, progress=lambda what, part: told.append(part))
+    for one, other in zip(aovs.pierced(loaded), again, strict=True):
         np.testing.assert_array_equal(one, other)
+    count = crowd.camera.width_px * crowd.camera.height_px
+    np.testing.assert_allclose(told, np.arange(0, count, 1000) / count)
 
 
 def test_fog_boundaries_are_no_objects(crowd):

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from synfog_usd.arrays import Array, Flags, Indices
 from synfog_usd.fog.volume import optical_depth
 from synfog_usd.image import Image, Quantity
+from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene, camera_fog
 from synfog_usd.render.placed import PlacedScene
@@ -83,17 +84,21 @@ class Aovs:
         return Image(self.transmittance[:, :, None].astype(np.float32), ("transmittance.Y",), Quantity.DATA)
 
 
-def measure(loaded: MitsubaScene, *, batch: int = RAYS) -> Aovs:
+def measure(loaded: MitsubaScene, *, batch: int = RAYS, progress: Progress = silent) -> Aovs:
     """Trace one ray through the centre of every pixel.
 
     Args:
         loaded: the scene.
         batch: rays that are followed at once; memory goes with it, the result does not.
+        progress: told before each batch.
     """
     camera, tracer = loaded.source.camera, _Tracer(loaded)
     shape = (camera.height_px, camera.width_px)
     count = camera.width_px * camera.height_px
-    parts = [_measured(tracer, np.arange(low, min(low + batch, count))) for low in range(0, count, batch)]
+    parts = []
+    for low in range(0, count, batch):
+        progress("what is seen", low / count)
+        parts.append(_measured(tracer, np.arange(low, min(low + batch, count))))
     distance, depth, normal, instance, through = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return Aovs(
         distance.reshape(shape),
@@ -155,7 +160,7 @@ def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, In
     return distance, depth, normal, instance, np.exp(-tau)
 
 
-def pierced(loaded: MitsubaScene, *, batch: int = RAYS) -> tuple[Indices, Indices]:
+def pierced(loaded: MitsubaScene, *, batch: int = RAYS, progress: Progress = silent) -> tuple[Indices, Indices]:
     """Every instance that the ray through each pixel's centre meets, whatever stands in front of it.
 
     The rays of `measure` go on behind each surface until they leave the scene, or after `MAX_PIERCED` surfaces.  So one
@@ -165,6 +170,7 @@ def pierced(loaded: MitsubaScene, *, batch: int = RAYS) -> tuple[Indices, Indice
     Args:
         loaded: the scene.
         batch: rays that are followed at once; memory goes with it, the result does not.
+        progress: told before each batch.
 
     Returns:
         instance ids and pixels (row by row from the top left), both (M,), sorted by id, then by pixel; each pair once.
@@ -174,6 +180,7 @@ def pierced(loaded: MitsubaScene, *, batch: int = RAYS) -> tuple[Indices, Indice
     tracer = _Tracer(loaded)
     found = []
     for first in range(0, count, batch):
+        progress("what stands behind", first / count)
         pixels = np.arange(first, min(first + batch, count))
         all_origins, directions = tracer.centre_rays(pixels)
         origin, began, growth = all_origins, np.zeros(len(pixels)), np.ones(len(pixels))
