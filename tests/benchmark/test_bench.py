@@ -138,6 +138,7 @@ def test_methods_that_fail_cost_their_own_row_only(tmp_path, folder):
         "{in}",
         "{out}",
     ]
+    junk = [sys.executable, "-c", "import sys; open(sys.argv[2], 'wb').write(b'GIF')", "{in}", "{out}"]
     network(tmp_path / "nan.onnx", value=float("nan"))
     network(tmp_path / "fixed.onnx", size=(64, 64))
     own = methods(
@@ -147,18 +148,20 @@ def test_methods_that_fail_cost_their_own_row_only(tmp_path, folder):
         - {{name: dies, command: {json.dumps(dies)}}}
         - {{name: hangs, command: {json.dumps(hangs)}, timeout_s: 1}}
         - {{name: small, command: {json.dumps(small)}}}
+        - {{name: junk, command: {json.dumps(junk)}}}
         - {{name: nan, onnx: nan.onnx}}
         - {{name: fixed, onnx: fixed.onnx}}
         """,
     )
     done = cli.run("benchmark", "defog", folder, "-o", tmp_path / "out", "--methods", own, "--limit", "2", "--quiet")
-    assert done.returncode == 1 and "dies, hangs, small, nan, fixed gave no answer at all" in done.stderr
+    assert done.returncode == 1 and "dies, hangs, small, junk, nan, fixed gave no answer at all" in done.stderr
     table = (tmp_path / "out" / "table.md").read_text(encoding="utf-8")
     assert "| 1 | none |" in table and "2 of 2" in table
     for words in (
         "ended with -9",
         "gave no answer within 1 s",
         "a picture of 3 x 2 cannot be compared with one of 40 x 30",
+        "the answer: cannot be read as a picture (cannot identify image file 'the answer')",
         "the answer holds NaN",
         "wants pictures of 64 x 64, and this one has 40 x 30",
     ):

@@ -79,6 +79,19 @@ def test_the_median_is_scipys(levels):
     np.testing.assert_array_equal(classics._median(values, 21), expected)
 
 
+def test_the_dark_channel_of_a_wall_is_worked_by_hand():
+    """A wall of (0.4, 0.6, 0.5) under an airlight of 1, equations 12 and 22 of the paper: dark channel 0.4,
+    t = 1 - 0.95 * 0.4 = 0.62, J = (I - 1) / 0.62 + 1.
+    """
+    picture = np.tile([0.4, 0.6, 0.5], (40, 40, 1))
+    picture[:3, :3] = 1.0
+    airlight, t = classics.dark_channel_fog(picture, patch_px=3, radius_px=5)
+    np.testing.assert_array_equal(airlight, 1.0)
+    assert t[30, 30] == pytest.approx(0.62, abs=1e-9)
+    found = classics.dark_channel(picture, patch_px=3, radius_px=5)[30, 30]
+    np.testing.assert_allclose(found, [0.02 / 0.62, 0.22 / 0.62, 0.12 / 0.62], atol=1e-9)
+
+
 def test_the_guided_filter_keeps_lines_of_its_guide():
     """What is a line of the guide comes back; what has nothing to do with it is smoothed."""
     rng = seeds.stream(2, "guide")
