@@ -56,7 +56,7 @@ HEAVY = {
     "drjit": {"render"},
     "OpenImageIO": {"graph", "camera", "writers", "study", "translate/texture.py", "world"},
     "matplotlib": {"study"},
-    "torch": {"study"},
+    "torch": {"study", "benchmark"},
     "pyoidn": {"render"},
     "tifffile": {"writers"},
     "imagecodecs": {"writers", "stage/crate.py"},

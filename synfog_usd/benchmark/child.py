@@ -95,7 +95,7 @@ def _loaded(method: Method) -> Work:
         from synfog_usd.benchmark.bench import picture
 
         return lambda answer, out, truth: _tell(out, metrics.measure(picture(answer), picture(truth)))
-    if method.kind == "onnx":
+    if method.kind in ("onnx", "torch"):
         restore = _network(method)
         return lambda taken, out: _write(out, restore(taken))
     classic = CLASSICS[method.target]
@@ -112,15 +112,11 @@ def _session(method: Method) -> Any:
 
 
 def _network(method: Defogger) -> Callable[[Path], np.ndarray]:
-    session = _session(method)
-    inputs, outputs = session.get_inputs(), session.get_outputs()
     raw = method.takes != PNG
     planes, scale, wanted = (
         (4, 2, "the planes of a mosaic (1, 4, H / 2, W / 2)") if raw else (3, 1, "one picture (1, 3, H, W)")
     )
-    shape = inputs[0].shape
-    if len(inputs) != 1 or len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != planes):
-        raise ValueError(f"the network takes {', '.join(f'{i.name} {i.shape}' for i in inputs)}; it must take {wanted}")
+    ask, sides = _torch_module(method) if method.kind == "torch" else _onnx_network(method, planes, wanted)
     low, high = method.range
 
     def restore(taken: Path) -> np.ndarray:
@@ -131,19 +127,58 @@ def _network(method: Defogger) -> Callable[[Path], np.ndarray]:
         height, width = given.shape[1:]
         down, right = (-height) % method.multiple, (-width) % method.multiple
         padded = np.pad(given, ((0, 0), (0, down), (0, right)), mode="symmetric")
-        for side, found in zip(shape[2:], padded.shape[1:], strict=True):
+        for side, found in zip(sides, padded.shape[1:], strict=True):
             if isinstance(side, int) and side != found:
                 raise ValueError(
-                    f"the network wants pictures of {shape[3]} x {shape[2]}, and this one has {width} x {height}; "
+                    f"the network wants pictures of {sides[1]} x {sides[0]}, and this one has {width} x {height}; "
                     f"export it with free height and width"
                 )
-        answer = np.asarray(session.run([outputs[0].name], {inputs[0].name: padded[None]})[0], dtype=np.float64)
+        answer = np.asarray(ask(padded[None]), dtype=np.float64)
         expected = (1, 3, scale * padded.shape[1], scale * padded.shape[2])
         if answer.shape != expected:
             raise ValueError(f"the network gave {answer.shape} for {padded[None].shape}, and not {expected}")
         return (answer[0].transpose(1, 2, 0)[: scale * height, : scale * width] - low) / (high - low)
 
     return restore
+
+
+def _onnx_network(method: Defogger, planes: int, wanted: str) -> tuple[Callable[[np.ndarray], Any], tuple[Any, Any]]:
+    """What asks it, and its height and width: numbers where it has fixed ones."""
+    session = _session(method)
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    shape = inputs[0].shape
+    if len(inputs) != 1 or len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != planes):
+        raise ValueError(f"the network takes {', '.join(f'{i.name} {i.shape}' for i in inputs)}; it must take {wanted}")
+    return lambda given: session.run([outputs[0].name], {inputs[0].name: given})[0], (shape[2], shape[3])
+
+
+def _torch_module(method: Defogger) -> tuple[Callable[[np.ndarray], Any], tuple[Any, Any]]:
+    """What asks a module as torch.export (.pt2) or TorchScript saves it."""
+    try:
+        import torch
+    except ImportError:
+        raise ValueError("a torch module needs PyTorch: pip install 'synfog-usd[train]'") from None
+    torch.set_num_threads(threads(method))
+    path = Path(method.target)
+    if path.suffix == ".pt2":
+        module = torch.export.load(path).module()
+    else:
+        try:
+            module = torch.jit.load(path, map_location="cpu").eval()
+        except RuntimeError as error:
+            raise ValueError(
+                f"{path.name} is no module of torch.jit.save, nor one of torch.export.save, whose names end in .pt2; "
+                f"weights alone (state_dict) do not say what the network computes"
+            ) from error
+
+    def ask(given: np.ndarray) -> Any:
+        with torch.inference_mode():
+            answer = module(torch.from_numpy(np.ascontiguousarray(given)))
+        if not isinstance(answer, torch.Tensor):
+            raise ValueError(f"the module gave a {type(answer).__name__}, and not a tensor")
+        return answer.numpy()
+
+    return ask, ("H", "W")
 
 
 def _run(method: Method, task: dict[str, str]) -> None:

@@ -5,10 +5,12 @@
       - none
       - dcp
       - {name: mine, onnx: mine.onnx, multiple: 8}
+      - {name: ours, torch: ours.pt2}
       - {name: theirs, command: [python, run.py, --in, "{in}", --out, "{out}"], takes: srgb.png, timeout_s: 60}
 
-An ONNX network takes and gives R, G and B of (1, 3, H, W), `range: [0, 1]` unless it says [-1, 1]; with
-`takes: raw.dng` it takes the planes of the mosaic, see `raw`.  A command reads the file {in} and writes a PNG of the
+A network, of ONNX or a torch module that torch.export or TorchScript saved, takes and gives R, G and B of
+(1, 3, H, W), `range: [0, 1]` unless it says [-1, 1]; with `takes: raw.dng` it takes the planes of the mosaic, see
+`raw`.  A command reads the file {in} and writes a PNG of the
 same size to {out}; `takes: raw.dng` hands it the RAW file.  A network or command works on one picture at a
 time, and has all cores, unless `at_once` says how many it may.
 """
@@ -33,7 +35,7 @@ PNG = "srgb.png"
 OF_ALL = ("name", "onnx", "command", "takes", "timeout_s", "memory_gb", "at_once")
 """What methods of every kind are declared by."""
 
-FIELDS = (*OF_ALL, "range", "multiple")
+FIELDS = (*OF_ALL, "torch", "range", "multiple")
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Method:
 
     Attributes:
         name: for tables.
-        kind: 'classic', 'onnx' or 'command'.
+        kind: 'classic', 'onnx', 'torch' or 'command'.
         target: the classic's name, the network's path or the command's folder.
         command: words, with {in} and {out}.
         takes: name of the file that it is given.
@@ -170,7 +172,7 @@ def declared(
         entry, fields: the entry, and what stands in it.
         folder: to which its paths are relative.
         more: what else decides its answers.
-        raw: whether a network may take RAW.
+        raw: whether a network may be a torch module, and take RAW.
 
     Raises:
         ParameterError: a fault, with its place.
@@ -178,9 +180,10 @@ def declared(
     name = fields["name"].plain() if "name" in fields else None
     if not isinstance(name, str) or not name:
         raise ParameterError(f"{entry.place}: a method needs a name")
-    ways = [way for way in ("onnx", "command") if way in fields]
+    ways = [way for way in ("onnx", "torch", "command") if way in fields]
     if len(ways) != 1:
-        raise ParameterError(f"{entry.place}: method {name!r} needs one of onnx: FILE and command: [WORDS]")
+        torch = ", torch: FILE" if raw else ""
+        raise ParameterError(f"{entry.place}: method {name!r} needs one of onnx: FILE{torch} and command: [WORDS]")
     own: dict[str, Any] = {}
     for key, low, high in (("timeout_s", 0.1, 86400.0), ("memory_gb", 0.1, 4096.0)):
         if key in fields:
@@ -188,7 +191,7 @@ def declared(
     if "takes" in fields:
         value = fields["takes"].plain()
         plain = isinstance(value, str) and Path(value).name == value
-        if not plain or (ways == ["onnx"] and not (raw and value.endswith(".dng"))):
+        if not plain or (ways != ["command"] and not (raw and value.endswith(".dng"))):
             raise ParameterError(
                 f"{fields['takes'].place}: takes is {value!r}; it is the plain name of an output, for a command"
                 f"{', or of a RAW file, for a network' if raw else ''}"
@@ -197,14 +200,15 @@ def declared(
     decides = {**own, **more}
     if "at_once" in fields:
         own["at_once"] = int(number(fields["at_once"], "at_once", 1, 1024))
-    if ways == ["onnx"]:
-        value = fields["onnx"].plain()
+    if ways != ["command"]:
+        kind = ways[0]
+        value = fields[kind].plain()
         path = folder / str(value)
         if not isinstance(value, str) or not path.is_file():
-            raise ParameterError(f"{fields['onnx'].place}: {path}: no such file")
+            raise ParameterError(f"{fields[kind].place}: {path}: no such file")
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        version = _hash("onnx", digest, decides)
-        return {"name": name, "kind": "onnx", "target": str(path.resolve()), "version": version, **own}
+        version = _hash(kind, digest, decides)
+        return {"name": name, "kind": kind, "target": str(path.resolve()), "version": version, **own}
     words = fields["command"].plain()
     place = fields["command"].place
     if not isinstance(words, list) or not words or not all(isinstance(word, str) for word in words):

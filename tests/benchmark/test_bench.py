@@ -127,6 +127,47 @@ def test_the_bench_measures_and_goes_on_and_gives_the_same_numbers(tmp_path, fol
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.torch.jit")
+def test_torch_modules_are_methods(tmp_path, folder):
+    """Halves, as torch.export and TorchScript save them; a pair of tensors and weights alone lose their own row."""
+    torch = pytest.importorskip("torch")
+
+    class Half(torch.nn.Module):
+        def forward(self, x: torch.Tensor) -> torch.Tensor:
+            return 0.5 * x
+
+    class Two(torch.nn.Module):
+        def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            return x, x
+
+    free = {2: torch.export.Dim("h", min=2), 3: torch.export.Dim("w", min=2)}
+    exported = torch.export.export(Half(), (torch.zeros(1, 3, 8, 12),), dynamic_shapes={"x": free})
+    torch.export.save(exported, tmp_path / "half.pt2")
+    torch.jit.save(torch.jit.trace(Half(), torch.zeros(1, 3, 8, 12)), tmp_path / "half.pt")
+    torch.jit.save(torch.jit.trace(Two(), torch.zeros(1, 3, 8, 12)), tmp_path / "two.pt")
+    torch.save(torch.nn.Conv2d(3, 3, 1).state_dict(), tmp_path / "weights.pt")
+    network(tmp_path / "half.onnx", gain=0.5)
+    own = methods(
+        tmp_path,
+        """
+        - {name: onnx, onnx: half.onnx}
+        - {name: export, torch: half.pt2}
+        - {name: script, torch: half.pt}
+        - {name: two, torch: two.pt}
+        - {name: weights, torch: weights.pt}
+        """,
+    )
+    done = defog.run(find(folder)[:2], chosen([str(own)]), tmp_path / "out")
+    found = {method.name: means["psnr"].value for method, _, means in page.rows(done)}
+    assert found["export"] == found["script"] == found["onnx"]
+    assert "two" not in found and "weights" not in found
+    page.write(done, page.rows(done), tmp_path / "out")
+    table = (tmp_path / "out" / "table.md").read_text(encoding="utf-8")
+    assert "the module gave a tuple, and not a tensor" in table
+    assert "weights.pt is no module of torch.jit.save" in table
+
+
+@pytest.mark.slow
 def test_methods_that_fail_cost_their_own_row_only(tmp_path, folder):
     """One dies, one hangs, one answers NaN, one another size, one wants another size; the rest is measured."""
     dies = [sys.executable, "-c", "import os, sys; os.kill(os.getpid(), 9)", "{in}", "{out}"]
@@ -253,7 +294,7 @@ def test_rows_of_an_interrupted_run_are_kept_and_end_as_those_of_one_that_was_no
     [
         ("- dpc\n", "method 'dpc' is not known; it can be none, dcp, cap, fvr"),
         ("- {name: a, onnx: none.onnx}\n", "none.onnx: no such file"),
-        ("- {name: a}\n", "needs one of onnx: FILE and command: [WORDS]"),
+        ("- {name: a}\n", "needs one of onnx: FILE, torch: FILE and command: [WORDS]"),
         ("- {name: a, command: [true]}\n", "command is a list of words"),
         ("- {name: a, command: ['true', '{in}']}\n", "a command names {in}"),
         ("- {name: a, command: [no-such-program-here, '{in}', '{out}']}\n", "no such program"),
