@@ -93,12 +93,13 @@ def markdown(bench: Bench, rows: Sequence[Row]) -> str:
     if fogs := defog.fogs(bench.items):
         title = _title(names[0])
         lines += ["", f"{title} by fog:", "", f"| method | {' | '.join(fogs)} |", f"|---|{'---|' * len(fogs)}"]
-        decimals = metrics.METRICS[names[0]].decimals
+        scene_of = {pair.name: pair.scene for pair in bench.items}
         for method, _, _ in rows:
             cells = []
             for fog in fogs:
-                values = list(defog.values(bench, method, names[0], fog).values())
-                cells.append(f"{sum(values) / len(values):.{decimals}f}" if values else "-")
+                values = defog.values(bench, method, names[0], fog)
+                found = mean(list(values.values()), [scene_of[pair] for pair in values]) if values else None
+                cells.append(_cell(names[0], found) if found else "-")
             lines.append(f"| {method.name} | {' | '.join(cells)} |")
     lines += unanswered(bench)
     missing = [name for name in metrics.METRICS if name not in metrics.usable()]
