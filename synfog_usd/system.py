@@ -218,7 +218,7 @@ def keep_memory() -> None:
     glibc comes to half of that by itself (mallopt(3), M_MMAP_THRESHOLD), slowly, and until then gives each picture
     back and has the next one's pages zeroed: a tenth of a camera's time.
     """
-    with contextlib.suppress(OSError, AttributeError):
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # Windows has no library without a name
         for option, size in (M_TRIM_THRESHOLD, 128 << 20), (M_MMAP_THRESHOLD, 32 << 20):
             ctypes.CDLL(None).mallopt(option, size)
 

@@ -221,6 +221,18 @@ def test_this_machine_has_some_memory_free():
     assert 1e7 < system.free_memory() < 1e15
 
 
+@pytest.mark.parametrize("error", [TypeError, AttributeError, OSError])
+def test_memory_is_left_alone_where_the_library_is_another(monkeypatch, error):
+    """Windows' loader wants a name (TypeError), macOS' library has no mallopt (AttributeError)."""
+
+    def none(name):
+        raise error("no such library")
+
+    monkeypatch.setattr(system.ctypes, "CDLL", none)
+    system.keep_memory.__wrapped__()
+    system.give_back()
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's allocator")
 def test_memory_of_a_picture_is_taken_again_by_the_next():
     """Pages that the system hands out anew for eight pairs of pictures of 24 MiB, told by the system itself."""

@@ -33,7 +33,7 @@ SOFT_PX = 8.0
 """Up to here the tail is rounded off, and the spot holds what that takes away.  Times q where q > 1."""
 
 TAIL_CYCLES = 2.0
-"""Frequency, times `SOFT_PX`, up to which the tail is made: what is left there is 3.5e-6 of it."""
+"""Frequency, times `SOFT_PX`, up to which the tail is made: what is left there is 5.4e-6 of it."""
 
 FINE = 1 << 16
 """Frequencies at which a transfer is known where each channel has its own; the nearest counts, which moves the contrast
