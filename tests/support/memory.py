@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from synfog_usd import system
+
 T = TypeVar("T")
 
 
@@ -14,8 +16,10 @@ def at_peak(work: Callable[[], T]) -> tuple[T, int]:
     """(what `work` gives, KiB above the memory before it).
 
     `ru_maxrss` cannot say it: a test that ran before may have used more.  Linux takes the high-water mark back to
-    the present where 5 is written to clear_refs (proc_pid_clear_refs(5)).
+    the present where 5 is written to clear_refs (proc_pid_clear_refs(5)).  What the C library keeps of freed memory
+    goes back first: `work` would take its own from there, and nothing would be seen.
     """
+    system.give_back()
     Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     before = _high_water_kib()
     done = work()
