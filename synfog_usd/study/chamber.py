@@ -24,7 +24,9 @@ from typing import Any
 import numpy as np
 from scipy import ndimage, stats
 
+from synfog_usd import seeds
 from synfog_usd.arrays import Array, Flags, Indices
+from synfog_usd.benchmark import statistics
 from synfog_usd.errors import StageError
 from synfog_usd.fog.medium import FogMedium
 from synfog_usd.fog.phase import Phase
@@ -564,15 +566,31 @@ def patch_mean(light: Accumulator, where: Flags | Indices) -> tuple[Array, Array
     return light.mean()[pixels].mean(axis=0, dtype=np.float64), 1.96 * error
 
 
-def departures(rows: Sequence[PatchRow], walls: str, model: str) -> tuple[Array, Array, Array]:
-    """Optical depths (F,), and the median and the largest relative error (F,) of a model over patches and channels."""
+@dataclass(frozen=True)
+class Departure:
+    """How far a model leaves the truth in one fog.
+
+    Attributes:
+        tau: optical depth between camera and chart.
+        median, worst: relative error over patches and channels.
+        low, high: interval of the median at 95 %, by bootstrap over patches, whose channels belong together.
+    """
+
+    tau: float
+    median: float
+    low: float
+    high: float
+    worst: float
+
+
+def departures(rows: Sequence[PatchRow], walls: str, model: str) -> list[Departure]:
+    """A model's departure from the truth in each fog, in the order of the rows."""
     kept = [row for row in rows if row.walls == walls and row.fog != "clear"]
-    fogs = list(dict.fromkeys(row.fog for row in kept))
-    taus, medians, worst = [], [], []
-    for fog in fogs:
+    found = []
+    for fog in dict.fromkeys(row.fog for row in kept):
         some = [row for row in kept if row.fog == fog]
         off = np.abs(np.array([row.models[model] / row.truth - 1.0 for row in some]))
-        taus.append(np.mean([row.tau for row in some]))
-        medians.append(np.median(off))
-        worst.append(off.max())
-    return np.array(taus), np.array(medians), np.array(worst)
+        drawn = seeds.stream(0, "patches", len(off)).integers(len(off), size=(statistics.RESAMPLES, len(off)))
+        low, high = statistics.interval(np.median(off[drawn].reshape(len(drawn), -1), axis=1))
+        found.append(Departure(float(np.mean([row.tau for row in some])), float(np.median(off)), low, high, off.max()))
+    return found

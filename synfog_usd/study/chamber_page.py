@@ -90,13 +90,14 @@ def markdown(found: ChamberStudy) -> str:
         converged = max(float(np.max(row.error / np.maximum(row.truth, 1e-30))) for row in rows)
         parts = []
         for model in MODELS:
-            taus, medians, _ = departures(found.patches, wall, model)
-            over = np.flatnonzero(medians > SEEN)
-            where = f"from optical depth {taus[over[0]]:.2g} on" if over.size else "nowhere"
-            parts.append(f"{NAMES[model]} {where} (at most {medians.max():.0%})")
+            fogs = departures(found.patches, wall, model)
+            over = [fog.tau for fog in fogs if fog.low > SEEN]
+            where = f"from optical depth {over[0]:.2g} on" if over else "nowhere"
+            most = max(fogs, key=lambda fog: fog.median)
+            parts.append(f"{NAMES[model]} {where} (at most {most.median:.1%}, {most.low:.1%} to {most.high:.1%})")
         lines.append(
-            f"- **The chart, walls {wall}.** The median patch is off by more than {SEEN:.0%}: {'; '.join(parts)}. The "
-            f"truth's worst patch is known to {converged:.2%}."
+            f"- **The chart, walls {wall}.** The median patch is off by more than {SEEN:.0%}, and so is its "
+            f"interval: {'; '.join(parts)}. The truth's worst patch is known to {converged:.2%}."
         )
     lines += ["", "## Laser", "", _laser_table(found), "", "## Chart", ""]
     for wall in walls:
@@ -132,14 +133,15 @@ def _laser_table(found: ChamberStudy) -> str:
 def _chart_table(found: ChamberStudy, wall: str) -> str:
     columns = [departures(found.patches, wall, model) for model in MODELS]
     lines = [
-        f"Walls {wall}: relative error over 24 patches and three channels, median (largest).",
+        f"Walls {wall}: relative error over patches and three channels: median, in brackets its interval over patches, "
+        "and the largest.",
         "",
         f"| optical depth | {' | '.join(NAMES[model] for model in MODELS)} |",
         f"|---|{'---|' * len(MODELS)}",
     ]
-    for index, tau in enumerate(columns[0][0]):
-        cells = [f"{medians[index]:.1%} ({worst[index]:.0%})" for _, medians, worst in columns]
-        lines.append(f"| {tau:.3g} | {' | '.join(cells)} |")
+    for fogs in zip(*columns, strict=True):
+        cells = [f"{fog.median:.1%} ({fog.low:.1%} to {fog.high:.1%}), {fog.worst:.0%}" for fog in fogs]
+        lines.append(f"| {fogs[0].tau:.3g} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -249,9 +251,11 @@ def _drawn_patches(found: ChamberStudy) -> bytes:
         trend.title.set_fontsize(9)
         trend.legend(frameon=False, fontsize=7)
         for model, colour in zip(MODELS, COLOURS, strict=False):
-            taus_of, medians, worst = departures(found.patches, wall, model)
-            error.plot(taus_of, 100 * medians, "o-", color=colour, label=NAMES[model])
-            error.fill_between(taus_of, 100 * medians, 100 * worst, color=colour, alpha=0.12, lw=0)
+            fogs = departures(found.patches, wall, model)
+            taus_of, medians, worst = np.array([(fog.tau, 100 * fog.median, 100 * fog.worst) for fog in fogs]).T
+            ends = np.array([(fog.median - fog.low, fog.high - fog.median) for fog in fogs]).T
+            error.errorbar(taus_of, medians, 100 * ends, fmt="o-", ms=4, capsize=2, color=colour, label=NAMES[model])
+            error.fill_between(taus_of, medians, worst, color=colour, alpha=0.12, lw=0)
         known = max(float(np.max(row.error / np.maximum(row.truth, 1e-30))) for row in rows)
         error.axhspan(0.1, 100 * known, color="#8a9096", alpha=0.2, lw=0, label="truth's own error, worst patch")
         error.set_xscale("log")

@@ -80,6 +80,57 @@ class BinnedMeans:
 
 
 @dataclass(frozen=True)
+class TransferCurve:
+    """RAW variance by signal, in bins.
+
+    Attributes:
+        signal: means above black [DN].
+        measured, closed: variances [DN^2], in frames and by photons, read-out and rounding.
+        low, high: interval of their ratio at 95 %, by bootstrap over scenes; nan where fewer than three scenes have
+            such a signal.
+    """
+
+    signal: Array
+    measured: Array
+    closed: Array
+    low: Array
+    high: Array
+
+    @property
+    def ratio(self) -> Array:
+        """Measured over closed."""
+        return self.measured / self.closed
+
+    def farthest(self) -> int:
+        """The bin whose ratio is farthest from 1."""
+        return int(np.abs(self.ratio - 1.0).argmax())
+
+
+def transfer_curve(of_scenes: Sequence[tuple[BinnedMeans, BinnedMeans]], fewest: int = 500) -> TransferCurve:
+    """The curve of all scenes together.
+
+    Args:
+        of_scenes: sums of the measured and the closed variance of each scene, over the same pixels.
+        fewest: pixels of a bin that is told.
+    """
+    x, number, measured, closed = (
+        np.array([getattr(one[which], name) for one in of_scenes])
+        for which, name in ((0, "x"), (0, "number"), (0, "y"), (1, "y"))
+    )
+    kept = number.sum(axis=0) >= fewest
+    count = number.sum(axis=0)[kept]
+    low, high = np.full((2, int(kept.sum())), np.nan)
+    for place, column in enumerate(np.flatnonzero(kept)):
+        some = number[:, column] > 0
+        if some.sum() >= statistics.FEWEST_SCENES:
+            drawn = statistics.draws(int(some.sum()))
+            ratios = (drawn @ measured[some, column]) / (drawn @ closed[some, column])
+            low[place], high[place] = statistics.interval(ratios)
+    sums = (one.sum(axis=0)[kept] / count for one in (x, measured, closed))
+    return TransferCurve(*sums, low, high)
+
+
+@dataclass(frozen=True)
 class ShotNoise:
     """One shot by one camera.
 
@@ -126,14 +177,14 @@ class NoiseStudy:
 
     Attributes:
         rows: by shot and camera.
-        transfer: camera -> RAW variance [DN^2] by signal [DN], and the closed form at the same places.
+        transfer: camera -> RAW variance by signal.
         growth: camera -> growth by 1 / t.
         fogs: names, clear first, as the shots have them.
         left_out: lines on shots that could not be used.
     """
 
     rows: tuple[ShotNoise, ...]
-    transfer: dict[str, tuple[Array, Array, Array]]
+    transfer: dict[str, TransferCurve]
     growth: dict[str, tuple[Array, Array]]
     fogs: tuple[str, ...]
     left_out: tuple[str, ...]
@@ -162,8 +213,7 @@ def study(
     for pair in usable:
         shots.setdefault(pair.clear, (pair, CLEAR))
         shots[pair.foggy] = (pair, pair.fog)
-    transfer = {name: BinnedMeans(len(SIGNAL_DN) - 1) for name in graphs}
-    expected = {name: BinnedMeans(len(SIGNAL_DN) - 1) for name in graphs}
+    signals: dict[str, dict[str, tuple[BinnedMeans, BinnedMeans]]] = {name: {} for name in graphs}
     grown = {name: BinnedMeans(len(GROWTH) - 1) for name in graphs}
     before = {name: BinnedMeans(len(GROWTH) - 1) for name in graphs}
     rows = []
@@ -172,7 +222,8 @@ def study(
         try:
             clear, radiance = read_exr(pair.clear / "radiance.exr"), read_exr(folder / "radiance.exr")
             for name, graph in graphs.items():
-                sums = transfer[name], expected[name], grown[name], before[name]
+                both = BinnedMeans(len(SIGNAL_DN) - 1), BinnedMeans(len(SIGNAL_DN) - 1)
+                sums = *signals[name].setdefault(pair.scene, both), grown[name], before[name]
                 rows.append(_shot(name, graph, clear, radiance, pair, fog, sums))
         except SynfogError as error:
             left_out.append(f"{pair.name}: {error}")
@@ -181,7 +232,7 @@ def study(
             f"{source}: no foggy shot with a clear frame that can be developed; "
             f"{left_out[0] if left_out else 'it is empty'}"
         )
-    curves = {name: (*transfer[name].means(), expected[name].means()[1]) for name in graphs}
+    curves = {name: transfer_curve(list(signals[name].values())) for name in graphs}
     growth = {
         name: (grown[name].means()[0], np.sqrt(grown[name].means()[1] / before[name].means()[1])) for name in graphs
     }
@@ -324,9 +375,21 @@ def _of(found: NoiseStudy, name: str, fog: str, what: str) -> Mean:
     return over_scenes(rows, lambda row: float(getattr(row, what)))
 
 
-def _told(mean: Mean) -> str:
-    ends = "" if mean.low is None else f" ({mean.low:.2f} to {mean.high:.2f})"
-    return f"{mean.value:.2f}{ends}"
+def _told(mean: Mean, form: str = ".2f") -> str:
+    ends = "" if mean.low is None else f" ({mean.low:{form}} to {mean.high:{form}})"
+    return f"{mean.value:{form}}{ends}"
+
+
+def _told_ratios(curve: TransferCurve) -> str:
+    """The bin that is farthest off, and how many of the intervals have 1 in them."""
+    place = curve.farthest()
+    some = np.isfinite(curve.low)
+    ends = f" ({curve.low[place]:.3f} to {curve.high[place]:.3f})" if some[place] else ""
+    told = f"farthest {curve.ratio[place]:.3f} times{ends} at {curve.signal[place]:.2g} DN."
+    if some.any():
+        holds = (curve.low <= 1.0) & (curve.high >= 1.0)
+        told += f" {holds[some].sum()} of {some.sum()} signals have 1 in the ratio's interval."
+    return told
 
 
 def markdown(found: NoiseStudy) -> str:
@@ -340,19 +403,20 @@ def markdown(found: NoiseStudy) -> str:
         "over scenes. Pictures in 8-bit numbers.",
         "",
     ]
-    for name, (_, measured, closed) in found.transfer.items():
-        if not measured.size:
+    for name, curve in found.transfer.items():
+        if not curve.signal.size:
             continue
-        off = np.abs(measured / closed - 1.0).max()
         some = [row for row in found.rows if row.camera == name and math.isfinite(row.growth)]
         growth = over_scenes(some, lambda row: row.growth / row.expected)
         rows = [row for row in found.rows if row.camera == name]
         in_raw, beside = (
-            over_scenes(rows, number).value for number in (lambda row: row.neighbours_raw, lambda row: row.neighbours)
+            over_scenes(rows, lambda row: row.neighbours_raw),
+            over_scenes(rows, lambda row: row.neighbours),
         )
         lines.append(
-            f"- **{name}.** RAW: variance within {off:.1%} of photons, read-out and rounding at every signal. "
-            f"Neighbours in RAW correlate by {in_raw:+.3f}, after demosaicing by {beside:+.2f}. "
+            f"- **{name}.** RAW: variance within {np.abs(curve.ratio - 1.0).max():.1%} of photons, read-out and "
+            f"rounding at every signal; {_told_ratios(curve)} "
+            f"Neighbours in RAW correlate by {_told(in_raw, '+.4f')}, after demosaicing by {_told(beside, '+.3f')}. "
             f"The dark channel prior lets noise grow by {_told(growth)} times its own 1/t. Where fog comes up to "
             f"{found.fogs[-1]}, the noise of a view is {_told(change(found, name, found.fogs[-1], 'picture'))} times "
             f"that in clear air, after the prior {_told(change(found, name, found.fogs[-1], 'defogged'))} times."
@@ -399,8 +463,9 @@ def write(found: NoiseStudy, out: Path) -> None:
         numbers = ",".join(f"{getattr(row, name):.5g}" for name in NUMBERS)
         rows.append(f"{row.camera},{row.name},{row.lighting},{row.fog},{numbers}")
     files.write_bytes(out / "noise.csv", "\n".join([*rows, ""]).encode())
-    rows = ["camera,signal_dn,variance_dn2,closed_form_dn2"]
-    for name, columns in found.transfer.items():
+    rows = ["camera,signal_dn,variance_dn2,closed_form_dn2,ratio,ratio_low,ratio_high"]
+    for name, curve in found.transfer.items():
+        columns = curve.signal, curve.measured, curve.closed, curve.ratio, curve.low, curve.high
         rows += [f"{name}," + ",".join(f"{value:.6g}" for value in row) for row in zip(*columns, strict=True)]
     files.write_bytes(out / "transfer.csv", "\n".join([*rows, ""]).encode())
     files.write_bytes(out / "noise.png", _drawn(found))
@@ -414,9 +479,9 @@ def _drawn(found: NoiseStudy) -> bytes:
     FigureCanvasAgg(figure)
     transfer, fogs, growth = figure.subplots(1, 3)
     for name, colour in zip(found.transfer, ("#0b5fa5", "#c1440e", "#12805c", "#7a4fa3", "#8a6d00"), strict=False):
-        signal, measured, closed = found.transfer[name]
-        transfer.plot(signal, measured, "o", ms=4, color=colour, label=name)
-        transfer.plot(signal, closed, "-", lw=1.0, color=colour)
+        curve = found.transfer[name]
+        transfer.plot(curve.signal, curve.measured, "o", ms=4, color=colour, label=name)
+        transfer.plot(curve.signal, curve.closed, "-", lw=1.0, color=colour)
         places = np.arange(len(found.fogs))
         for what, style in (("picture", "o-"), ("defogged", "s--")):
             means = [_of(found, name, fog, what) for fog in found.fogs]

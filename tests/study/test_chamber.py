@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Usd
+from scipy import stats
 from support import cli
 
 from assets.builders import chambers
@@ -97,8 +98,8 @@ def test_the_chart_is_dimmed_and_lit_and_models_miss_it():
     assert clear[bright].truth.mean() > 10 * clear[dark].truth.mean()
     assert foggy[bright].truth.mean() < clear[bright].truth.mean()
     assert foggy[dark].truth.mean() > clear[dark].truth.mean()
-    _, single, _ = departures(rows, "black", "single")
-    assert 0.02 < single[0] < 1.0
+    (single,) = departures(rows, "black", "single")
+    assert 0.02 < single.low <= single.median <= single.high < 1.0
 
 
 @pytest.mark.slow
@@ -152,14 +153,14 @@ def test_errors_are_told_where_they_are(tmp_path):
     found = made_up()
     assert law_error(found, found.laser[0])[0] == pytest.approx(0.0, abs=1e-12)
     assert law_error(found, found.laser[1])[0] == pytest.approx(0.01)
-    taus, medians, worst = departures(found.patches, "black", "single")
-    np.testing.assert_allclose(taus, [0.1, 3.0])
-    np.testing.assert_allclose(medians, [0.01, 0.10])
-    np.testing.assert_allclose(worst, medians)
+    thin, dense = departures(found.patches, "black", "single")
+    assert (thin.tau, dense.tau) == (0.1, 3.0)
+    assert (thin.median, thin.low, thin.high, thin.worst) == pytest.approx(4 * (0.01,))
+    assert (dense.median, dense.worst) == pytest.approx((0.10, 0.10))
     write(found, tmp_path)
     text = (tmp_path / "findings.md").read_text()
     assert "within 1.000% of the authored extinction" in text
-    assert "scattered once from optical depth 3 on (at most 10%)" in text
+    assert "scattered once from optical depth 3 on (at most 10.0%, 10.0% to 10.0%)" in text
     assert "known to 0.50%" in text
     assert {path.name for path in tmp_path.iterdir()} == {
         "findings.md",
@@ -170,6 +171,23 @@ def test_errors_are_told_where_they_are(tmp_path):
         "patches.png",
     }
     assert len((tmp_path / "patches.csv").read_text().splitlines()) == 4
+
+
+def test_the_interval_of_a_median_is_over_patches():
+    """Of 25 patches whose channels are 1, 2, ... 25 % off, draws of 25 have a median of at most k % as often as a
+    binomial number of 25 and k / 25 reaches 13 (Efron 1979).  2000 draws may miss an end by one patch; draws of single
+    channels would give an interval narrower by sqrt(3), two patches at each end.
+    """
+    rows = [
+        PatchRow("black", "thin", 1.0, f"Patch_{k:02}", np.ones(3), np.zeros(3), {"single": np.full(3, 1.0 + k / 100)})
+        for k in range(1, 26)
+    ]
+    (found,) = departures(rows, "black", "single")
+    share = stats.binom.sf(12, 25, np.arange(1, 26) / 25.0)
+    low, high = (1 + int(np.argmax(share >= part)) for part in (0.025, 0.975))
+    assert (low, high) == (8, 18)
+    np.testing.assert_allclose([found.low, found.high], [low / 100, high / 100], atol=0.0101)
+    assert (found.median, found.worst) == pytest.approx((0.13, 0.25))
 
 
 # ---- the stages that ship, and stages that lack something
