@@ -10,7 +10,8 @@ standard error from seeds, and chi-square over the regions: 1 where noise alone 
 `agreement.csv`, a row a region, and `agreement.png`: ours, Cycles', and how far they are apart in blocks.
 
 `fade`: what FADE, which learned from real photographs how much fog people see, says of a set's pictures in each fog.
-Prints its mean, with the interval at 95 % over scenes, and of how many scenes each denser fog has more of it.
+Prints its mean, with the interval at 95 % over scenes, and in how many scenes each denser fog has more of it, with the
+lower end of Clopper and Pearson's interval of their share.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy as np
 import numpy.typing as npt
 from cycles_scene import export, from_stage
 from numpy.polynomial import legendre
+from scipy import stats
 from streets import ROOT, STREETS, matt, scene_of
 
 from synfog_usd.fog import FogMedium
@@ -201,7 +203,10 @@ def seen_by_fade(folder: Path, pipeline: str) -> None:
         for (thin, dense), mor in zip(pairwise(row), sorted(fogs)[1:], strict=True):
             both = thin.keys() & dense.keys()
             more = sum(dense[scene] > thin[scene] for scene in both)
-            print(f"  MOR {-mor:g}: more than in the next thinner in {more} of {len(both)}")
+            least = stats.binomtest(more, len(both)).proportion_ci().low
+            print(
+                f"  MOR {-mor:g}: more than in the next thinner in {more} of {len(both)}, at least {least:.0%} of scenes"
+            )
 
 
 def main() -> None:
