@@ -204,9 +204,8 @@ def seen_by_fade(folder: Path, pipeline: str) -> None:
             both = thin.keys() & dense.keys()
             more = sum(dense[scene] > thin[scene] for scene in both)
             least = stats.binomtest(more, len(both)).proportion_ci().low
-            print(
-                f"  MOR {-mor:g}: more than in the next thinner in {more} of {len(both)}, at least {least:.0%} of scenes"
-            )
+            told = f"more than in the next thinner in {more} of {len(both)}, in at least {least:.0%} of scenes"
+            print(f"  MOR {-mor:g}: {told}")
 
 
 def main() -> None:
