@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from assets.builders.textures import ATLAS, FASCIAS, SHOPS
+from assets.builders.textures import ATLAS, FASCIA_COLUMNS, FASCIA_ROWS, SHOPS
 from synfog_usd.seeds import stream
-from synfog_usd.world.components import Component
+from synfog_usd.world.components import Component, Look
 from synfog_usd.world.shapes import Array, Part, box, join, lathe, quad, quads, shift, strip, tube, turn
 
 Rect = tuple[float, float, float, float]
@@ -30,7 +30,7 @@ class House:
         wall, base, trim, frame: materials of walls, ground floor, cornices and window frames.
         bay: distance between windows; window: (width, height, sill above the floor) [m].
         roof: 'gable' (eaves to the street), 'mansard' or 'flat'; roofing: its material.
-        shops: rows of the fascia atlas, one shop each; none makes a ground floor of windows.
+        shops: rows of the upper half of the fascia atlas, one shop each; none makes a ground floor of windows.
         balconies: floors (1 = first above the ground floor) that have balconies.
         surround: width of the frame of stone round each window [m], 0 for none.
         corner: a second front along +X, as long as `depth`.
@@ -256,9 +256,19 @@ class Glazing:
     shop_uv: Array
 
 
+NAMES = {
+    f"s{k:02d}": Look(shifts={"fascia": (k % FASCIA_COLUMNS / FASCIA_COLUMNS, -0.5 * (k // FASCIA_COLUMNS))})
+    for k in range(2 * FASCIA_COLUMNS)
+}
+"""Each column of the atlas, then each with its lower half: two of these share no name."""
+
+
 def build_houses() -> list[Component]:
-    """All of `HOUSES`."""
-    return [Component(h.name, "building", tuple(house_parts(h)[0]), h.about) for h in HOUSES]
+    """All of `HOUSES`; those with shops have a variant set `shops` of other names over them."""
+    return [
+        Component(h.name, "building", tuple(house_parts(h)[0]), h.about, variants={"shops": NAMES} if h.shops else {})
+        for h in HOUSES
+    ]
 
 
 def glazing(house: House) -> Glazing:
@@ -502,7 +512,7 @@ def _shop(front: _Front, opening: Rect, row: int, frame: str, rng: np.random.Gen
     _reveal(front, opening, deep, frame)
     board = (u0 - 0.05, u1 + 0.05, z1 + 0.02, z1 + 0.58)
     front.parts.append(bar(board, 0.0, 0.10, frame))
-    low, high = 1 - (row + 1) / len(FASCIAS), 1 - row / len(FASCIAS)
+    low, high = 1 - (row + 1) / FASCIA_ROWS, 1 - row / FASCIA_ROWS
     middle, reach = (u0 + u1) / 2, min(2.4, (u1 - u0) / 2)
     front.parts.append(
         flat(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -203,12 +204,14 @@ def write_stage(path: Path, spec: WorldSpec | None = None, *, assets: str = "../
     return path
 
 
-def nominal() -> dict[str, dict[str, float]]:
-    """What `assets/models/nominal.json` says: sizes that meshes do not show, as their makers mean them [m], and panes
-    of the facades.
+def nominal() -> dict[str, dict[str, Any]]:
+    """What `assets/models/nominal.json` says: sizes that meshes do not show, as their makers mean them [m], panes
+    of the facades, and rows of the picture of shops' names.
     """
-    sizes: dict[str, dict[str, float]] = {body.name: {"length_m": body.length} for body in CARS}
+    sizes: dict[str, dict[str, Any]] = {body.name: {"length_m": body.length} for body in CARS}
     sizes |= {"bus": {"length_m": 12.0}, "lorry": {"length_m": 7.2}}
     return sizes | {
-        h.name: {"width_m": h.width, "depth_m": h.depth, "facade_windows": len(glazing(h).windows)} for h in HOUSES
+        h.name: {"width_m": h.width, "depth_m": h.depth, "facade_windows": len(glazing(h).windows)}
+        | ({"shops": h.shops} if h.shops else {})
+        for h in HOUSES
     }

@@ -269,7 +269,6 @@ def _column() -> Component:
         for n, (z0, z1) in enumerate(((0.55, 1.5), (1.6, 2.6))):
             loops = [np.c_[0.668 * np.cos(a), 0.668 * np.sin(a), np.full(9, z)] for z in (z0, z1)]
             material = ("shop_glass", "fascia")[(k + n) % 2]
-            parts.append(
-                strip(loops, material, uv=[np.c_[np.linspace(0.1, 0.5, 9), np.full(9, v)] for v in (low, high)])
-            )
+            shown = (low, high) if material == "shop_glass" else (0.5 + low / 2, 0.5 + high / 2)
+            parts.append(strip(loops, material, uv=[np.c_[np.linspace(0.1, 0.5, 9), np.full(9, v)] for v in shown]))
     return Component("advertising_column", "static", tuple(parts), "A column with posters.")

@@ -27,6 +27,15 @@ ORIGIN = "made by synfog_usd.world, licence CC0-1.0"
 ATLAS = 4  # windows: cells per side
 SHOPS = 4  # shop windows: cells, one above the other
 FASCIAS = ("BÄCKEREI", "CAFÉ LUMEN", "APOTHEKE", "BOOKS", "BISTRO 23", "OPTIK", "BLUMEN", "RADHAUS")
+FASCIA_ROWS, FASCIA_COLUMNS = 16, 8
+TRADES = (
+    "BÄCKEREI CAFÉ APOTHEKE BUCH BISTRO OPTIK BLUMEN RAD UHREN SCHUHE MODEN TEE FEINKOST WEIN FRISEUR KIOSK METZGEREI "
+    "ELEKTRO MÖBEL FOTO SPIELE PAPIER OBST REISEN KERAMIK HÜTE TAPETEN MUSIK SPORT STOFFE"
+)
+OWNERS = (
+    "HUBER WEBER LINDE KRAUS ADLER NORDEN SEIDEL PAULSEN MAIER BRANDT ORTH JANSEN KELLER VOGEL RIEDEL SOMMER LOTTE "
+    "ALBERS STERN KIRSCH BAUER LANGE OTTO FINK HAASE MERZ ROTH THIEL UHLIG ZELLER"
+)
 PLATES = ("SF 260 N", "KA 418 E", "LU 73 RT", "MO 550 R", "HG 87 AC", "FOG 15 V", "EX 121 Q", "TR 94 PH")
 
 PLATE_COLUMNS = 8
@@ -286,8 +295,8 @@ def shop_atlas() -> tuple[Array, Array]:
 
 
 def fascias() -> Array:
-    """Shop signs, eight of 4 m by 0.5 m, one above the other."""
-    h, w = 96, 768
+    """Shop signs of 4 m by 0.5 m, FASCIA_COLUMNS side by side of FASCIA_ROWS one above the other."""
+    h, w = 48, 384
     grounds = [
         (0.10, 0.03, 0.02),
         (0.02, 0.03, 0.04),
@@ -308,11 +317,28 @@ def fascias() -> Array:
         (0.80, 0.78, 0.70),
         (0.80, 0.78, 0.72),
     ]
-    rows = []
-    for word, ground, ink in zip(FASCIAS, grounds, inks, strict=True):
-        mask = _lettering(word, (h, w), height=0.52, weight=0.085)[..., None]
-        rows.append(np.array(ground) * (1 - mask) + mask * np.array(ink))
-    return np.clip(np.concatenate(rows), 0.005, 0.9)
+    columns = []
+    for j, words in enumerate(fascia_words()):
+        rows = []
+        for i, word in enumerate(words):
+            mask = _lettering(word, (h, w), height=0.52, weight=0.085)[..., None]
+            k = (i + 3 * j) % len(inks)
+            rows.append(np.array(grounds[k]) * (1 - mask) + mask * np.array(inks[k]))
+        columns.append(np.concatenate(rows))
+    return np.clip(np.concatenate(columns, axis=1), 0.005, 0.9)
+
+
+def fascia_words() -> list[list[str]]:
+    """What stands on them, column by column; the first begins with FASCIAS, and no two are the same."""
+    rng = stream(0, "texture", "fascias")
+    words: list[str] = list(FASCIAS)
+    while len(words) < FASCIA_ROWS * FASCIA_COLUMNS:
+        owners = rng.permutation(OWNERS.split())
+        for trade, owner in zip(TRADES.split(), owners, strict=True):
+            word = f"{trade} {owner}"
+            if word not in words:
+                words.append(word)
+    return [words[k * FASCIA_ROWS : (k + 1) * FASCIA_ROWS] for k in range(FASCIA_COLUMNS)]
 
 
 def plates() -> Array:
@@ -502,6 +528,8 @@ def _write(path: Path, encoded: Array) -> Path:
         spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")
         spec.attribute("compression", "jpeg:82" if path.suffix == ".jpg" else "zip")
         spec.attribute("jpeg:subsampling", "4:2:0")
+        spec.attribute("png:compressionLevel", 9)
+        spec.attribute("png:filter", 8)  # none: flat colours take two thirds of what differences of rows take
         spec.attribute("ImageDescription", ORIGIN)
         output = OpenImageIO.ImageOutput.create(str(target))
         if output is None or not output.open(str(target), spec) or not output.write_image(pixels) or not output.close():

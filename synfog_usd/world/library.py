@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom
 
@@ -130,13 +131,14 @@ def model(name: str, folder: Path | None = None) -> LibraryModel:
 
 
 @functools.cache
-def nominal(folder: Path | None = None) -> Mapping[str, Mapping[str, float]]:
+def nominal(folder: Path | None = None) -> Mapping[str, Mapping[str, Any]]:
     """Sizes that meshes do not show, from `nominal.json` of the folder: model -> quantity -> value.
 
     `length_m` of a vehicle as its maker states it; `width_m` and `depth_m` of a house between its walls, without
-    eaves and oriels; `facade_windows`, how many of its window panes, the last ones, are not in its roof.
+    eaves and oriels; `facade_windows`, how many of its window panes, the last ones, are not in its roof; `shops`, the
+    rows of the names over its shops, in that column of their picture which a variant of its set `shops` shows.
     """
-    found: dict[str, dict[str, float]] = json.loads(
+    found: dict[str, dict[str, Any]] = json.loads(
         ((folder or resources.folder("assets") / "models") / "nominal.json").read_text(encoding="utf-8")
     )
     return MappingProxyType(found)

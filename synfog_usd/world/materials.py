@@ -165,7 +165,7 @@ PALETTE: dict[str, Material] = {
     "door_blue": Material((0.03, 0.06, 0.13), 0.3),
     "railing": Material((0.02, 0.02, 0.022), 0.5),
     "downpipe": Material((0.20, 0.21, 0.21), 0.45, 0.4),
-    "fascia": Material(WHITE, texture="fascias.png", roughness=0.4),
+    "fascia": Material(WHITE, texture="fascias.png", roughness=0.4, columns=8),
     "awning_red": Material((0.42, 0.05, 0.045), 0.8),
     "awning_green": Material((0.04, 0.14, 0.08), 0.8),
     "awning_cream": Material((0.60, 0.54, 0.42), 0.8),

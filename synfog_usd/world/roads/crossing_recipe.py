@@ -15,7 +15,7 @@ from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Recipe
 from synfog_usd.world.roads import crossing_actors, crossing_props, rules, traffic
 from synfog_usd.world.roads.crossing import Crossing
-from synfog_usd.world.roads.recipe import plated, posed
+from synfog_usd.world.roads.recipe import plated, posed, signed
 from synfog_usd.world.spec import Placement, SkyDome, WorldSpec
 
 
@@ -48,7 +48,7 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     lens = focal_length(value("camera.fov_x_deg"))
     return WorldSpec(
         about=f"{recipe.about.removesuffix('.')}, drawn from {recipe.name} with seed {seed}.",
-        placed=(*fixed, *plated(cars, seed), *posed(people, seed), *riders),
+        placed=(*signed(fixed, crossing_props.VIEW, seed), *plated(cars, seed), *posed(people, seed), *riders),
         view=replace(crossing_props.VIEW, z=round(value("camera.height_m"), 3), focal_length=lens),
         fog=fog,
         fog_selected=list(fog)[len(fog) // 2],

@@ -12,9 +12,9 @@ import numpy as np
 
 from synfog_usd.seeds import stream
 from synfog_usd.world.roads.horizon import LAND_M, Horizon, Scatter, mixture
-from synfog_usd.world.roads.network import BEHIND_WALL_M, RIVER, Road
+from synfog_usd.world.roads.network import BEHIND_WALL_M, CUTTING_M, RIVER, Road
 from synfog_usd.world.roads.surface import GRASS_TILE_M, stations
-from synfog_usd.world.shapes import Array, Part, strip
+from synfog_usd.world.shapes import Array, Part, quads, strip
 
 NEAR_M = 60.0
 OUT_M = (0.0, 0.4, 0.7, 1.6, 2.2, 4.2, 7.0, 12.0, 20.0, 32.0, 45.0, 60.0)
@@ -22,6 +22,8 @@ SUNK_M = 0.6
 RIVER_M, WATER_M = 420.0, 0.3
 MOWN_M = 1.6
 """Of the land beside a road, which is mown; beyond it is meadow.  One of `OUT_M`."""
+MEADOW_M, MEADOW_PER_M2 = 36.0, 1.5
+"""Clumps of tall grass grow so far beside a road, and so many of them there."""
 GROWTH = 1.12
 """Of the open land's cells, one to the next."""
 
@@ -53,7 +55,8 @@ def _along(road: Road) -> Array:
 
 def _beside(road: Road) -> list[Part]:
     s, far = _along(road), reach(road)
-    out = np.array([o for o in OUT_M if o < far] + [far])
+    bends = {*OUT_M, CUTTING_M} if road.land.hill else OUT_M
+    out = np.array([o for o in sorted(bends) if o < far] + [far])
     parts = []
     mown, meadow = out[out <= MOWN_M], out[out >= MOWN_M]
     for t, material in (
@@ -164,18 +167,33 @@ def wood(road: Road, *, seed: int, count: int, nearest_m: float) -> Scatter:
     )
 
 
-def lump(rng: np.random.Generator, material: str) -> Part:
-    """A ball of 96 triangles with a rough skin."""
-    rows, columns = 7, 8
-    loops = []
+def shrub() -> tuple[Part, ...]:
+    """A shrub 0.9 m high and 1.2 m wide: a dark core, and leaves in two tones on boughs that stand out of it."""
+    rng = stream(0, "land", "shrub")
+    rows, columns, boughs, leaves = 6, 9, 26, 26
+    core = []
     for i in range(rows):
-        a = -np.pi / 2 + np.pi * i / (rows - 1)
-        r = np.cos(a) * (1 + 0.28 * rng.standard_normal(columns)).clip(0.55, 1.5)
-        b = np.linspace(0, 2 * np.pi, columns, endpoint=False) + rng.normal(0, 0.15, columns)
-        loops.append(
-            np.c_[r * np.cos(b), r * np.sin(b), np.sin(a) + 0.12 * rng.standard_normal(columns) * (0 < i < rows - 1)]
-        )
-    return strip(loops, material, closed=True)
+        a = np.pi * i / (rows - 1) - np.pi / 2
+        b = np.linspace(0, 2 * np.pi, columns, endpoint=False)
+        r = 0.40 * np.cos(a) * (1 + 0.15 * rng.standard_normal(columns))
+        core.append(np.c_[r * np.cos(b), r * np.sin(b), np.full(columns, 0.36 + 0.34 * np.sin(a))])
+    parts = [strip(core, "hedge", closed=True)]
+    turn, lift = rng.uniform(0, 2 * np.pi, boughs), np.arcsin(rng.uniform(-0.15, 1.0, boughs))
+    ways = np.c_[np.cos(turn) * np.cos(lift), np.sin(turn) * np.cos(lift), np.sin(lift)]
+    tips = ways * rng.uniform(0.42, 0.62, (boughs, 1)) * (1, 1, 0.85) + (0, 0, 0.36)
+    places = (tips[:, None] + rng.normal(0, 0.085, (boughs, leaves, 3))).reshape(-1, 3)
+    places[:, 2] = np.maximum(places[:, 2], 0.03)
+    along = np.repeat(ways, leaves, axis=0) + 0.8 * rng.standard_normal((len(places), 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(along, rng.standard_normal(along.shape))
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    half = 0.5 * rng.uniform(0.06, 0.11, (len(places), 1))
+    corners = np.stack(
+        [places - half * along, places + 0.55 * half * across, places + half * along, places - 0.55 * half * across],
+        axis=1,
+    )
+    tone = np.repeat(rng.random(boughs) < 0.6, leaves) ^ (rng.random(len(places)) < 0.2)
+    return (*parts, quads(corners[tone], "leaf_green"), quads(corners[~tone], "leaf_olive"))
 
 
 def tufts(road: Road, *, seed: int, low: float, high: float, per_m2: float = 1.2) -> Scatter | None:
@@ -207,15 +225,53 @@ def tufts(road: Road, *, seed: int, low: float, high: float, per_m2: float = 1.2
     )
 
 
-def tuft() -> tuple[Part, ...]:
-    """Blades of grass in three colours, 10 to 30 cm high."""
+def meadow(road: Road, *, seed: int, low: float, high: float, houses: Array) -> Scatter | None:
+    """Clumps of tall grass on the land beside the road, thick in some places and thin in others.
+
+    Args:
+        road: beside which they grow, beyond what is mown.
+        seed: of the draw.
+        low, high: stations between which they grow [m].
+        houses: (N, 3) x, y and radius [m] of where they do not.
+    """
+    rng = stream(seed, "land", "meadow")
+    far = min(MEADOW_M, reach(road))
+    n = int(MEADOW_PER_M2 * 2 * (far - MOWN_M) * (high - low))
+    s = low + (high - low) * rng.random(n) ** 1.5
+    out = MOWN_M + (far - MOWN_M) * rng.random(n) ** 1.4
+    left = rng.random(n) < 0.5
+    t = np.where(left, road.lane_section.low - out, road.lane_section.high + out)
+    phase = rng.uniform(0, 2 * np.pi, 4)
+    thick = np.sin(0.41 * s + 0.23 * t + phase[0]) + np.sin(0.13 * s - 0.37 * t + phase[1])
+    thick += np.sin(0.9 * t + phase[2]) * np.sin(0.7 * s + phase[3])
+    keep = (rng.random(n) < np.clip(0.55 + 0.35 * thick, 0.08, 1.0)) & (s > 0) & (s < road.reference_line.length)
+    if road.land.hill:
+        keep &= s < road.land.hill[0] - 0.5
+    s, t = s[keep], t[keep]
+    x, y = road.reference_line.place(s, t)
+    dry = ~road.flooded(x, y)
+    for hx, hy, radius in houses:
+        dry &= np.hypot(x - hx, y - hy) > radius
+    points = np.c_[x, y, road.ground(s, t) - 0.02][dry]
+    if not len(points):
+        return None
+    turns, sizes = rng.uniform(0, 360, len(points)), rng.uniform(0.6, 1.5, len(points))
+    return Scatter("Meadow", "terrain", tuft(46, 0.26, (0.08, 0.40)), points, turns, sizes)
+
+
+def tuft(blades: int = 23, spread: float = 0.11, high: tuple[float, float] = (0.10, 0.30)) -> tuple[Part, ...]:
+    """Blades of grass in three colours, so many, so far from the middle and so high [m]."""
     rng = stream(0, "land", "tuft")
     parts = []
-    for material, n in (("leaf_olive", 9), ("leaf_green", 9), ("straw", 5)):
+    for material, n in (
+        ("leaf_olive", 9 * blades // 23),
+        ("leaf_green", 9 * blades // 23),
+        ("straw", 5 * blades // 23),
+    ):
         points, faces = [], []
         for k in range(n):
-            x, y, angle = rng.normal(0, 0.11), rng.normal(0, 0.11), rng.uniform(0, np.pi)
-            dx, dy, w, h = rng.normal(0, 0.07), rng.normal(0, 0.07), rng.uniform(0.004, 0.009), rng.uniform(0.10, 0.30)
+            x, y, angle = rng.normal(0, spread), rng.normal(0, spread), rng.uniform(0, np.pi)
+            dx, dy, w, h = rng.normal(0, 0.07), rng.normal(0, 0.07), rng.uniform(0.004, 0.009), rng.uniform(*high)
             points += [
                 (x - w * np.cos(angle), y - w * np.sin(angle), 0.0),
                 (x + w * np.cos(angle), y + w * np.sin(angle), 0.0),

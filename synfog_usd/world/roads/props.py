@@ -20,7 +20,7 @@ NUDGES, NUDGE_M = 16, 0.3
 """Things that stand end to end need more room inside a bend: so often, and by so much, they are moved on."""
 WALL_M, APART_M = 0.02, 0.1
 """Room round a building, and round anything else."""
-UNDRAWN = ("lamps", "signal", "lod", "driver", "plate")
+UNDRAWN = ("lamps", "signal", "lod", "driver", "plate", "shops")
 
 
 def look(rng: np.random.Generator, found: LibraryModel) -> dict[str, str]:

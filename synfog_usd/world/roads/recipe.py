@@ -20,6 +20,7 @@ from synfog_usd.errors import RecipeError
 from synfog_usd.seeds import seed32, stream
 from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Recipe
+from synfog_usd.world.library import nominal
 from synfog_usd.world.roads import actors, road_actors, road_props, rules, works
 from synfog_usd.world.roads.asphalt import Asphalt
 from synfog_usd.world.roads.lane_section import Lane, LaneSection
@@ -69,7 +70,8 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     view = _view(road, own, station, value("camera.height_m"), fov)
     taken = rules.CollisionSet()
     digging, workers = works.site(road, seed, station, value, taken)
-    fixed = [*workers, *road_props.rows(recipe, road, seed, station, taken)]
+    beside = road_props.rows(recipe, road, seed, station, taken)
+    fixed = [*workers, *road_props.unhidden(road, beside, built["gantries"])]
     fixed += road_actors.parked(recipe, road, seed, station, value("parked.share"), taken)
 
     def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
@@ -113,6 +115,7 @@ def assembled(
     """The world of a road and what stands at it, with sky, fog and the lamps that are lights."""
     heading = round(value("sky.heading_deg"), 1)
     placed = posed(plated(numbered([_coarser(p, view) for p in _lit(placements, view)]), seed), seed)
+    placed = signed(placed, view, seed)
     fogs = recipe.fog_variants(seed)
     return WorldSpec(
         about=f"{recipe.about} Drawn from {recipe.name} with seed {seed}.",
@@ -147,6 +150,25 @@ def plated(placed: Sequence[Placement], seed: int) -> list[Placement]:
         if choices:
             p = replace(p, variants={**p.variants, "plate": choices[int(rng.integers(len(choices)))]})
         result.append(p)
+    return result
+
+
+def signed(placed: Sequence[Placement], view: View, seed: int) -> list[Placement]:
+    """With names over the shops of each house that has some: no name twice while there are others, beginning with the
+    house nearest the camera.
+    """
+    rng = stream(seed, "recipe", "shops")
+    taken: set[tuple[str, int]] = set()
+    result = list(placed)
+    for p in sorted(placed, key=lambda p: math.hypot(p.x - view.x, p.y - view.y)):
+        choices = rules.model(p.asset).variants.get("shops", ())
+        if choices:
+            rows = nominal().get(p.asset, {}).get("shops", ())
+            order = [choices[i] for i in rng.permutation(len(choices))]
+            unused = [one for one in order if taken.isdisjoint((one, row) for row in rows)]
+            chosen = (unused or order)[0]
+            taken.update((chosen, row) for row in rows)
+            result[placed.index(p)] = replace(p, variants={**p.variants, "shops": chosen})
     return result
 
 

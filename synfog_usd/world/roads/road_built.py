@@ -6,14 +6,18 @@ import functools
 import math
 from collections.abc import Sequence
 
-from synfog_usd.world.roads import horizon, land, lanes, markings, structures, surface, works
+import numpy as np
+
+from synfog_usd.arrays import Array
+from synfog_usd.world.roads import horizon, land, lanes, markings, rules, structures, surface, works
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.structures import Built, Instanced, LitPanes
 from synfog_usd.world.spec import Placement, View, WorldSpec
 
 LIT_M = 170.0
 """How far windows are lit, from the camera."""
-TUFTS_M = 45.0
+TUFTS_M, MEADOW_M = 45.0, 110.0
+"""How far tall grass grows, from the camera: on verges, and on the land beside."""
 
 
 def _lit(p: Placement, view: View) -> bool:
@@ -80,7 +84,21 @@ def scatters(spec: WorldSpec, road: Road) -> Sequence[horizon.Scatter | None]:
     station = spec.built["station"]
     if spec.built["grass"] == "tufts":
         found.append(land.tufts(road, seed=spec.scatter, low=station, high=station + TUFTS_M))
+        if spec.built["horizon"] == "country":
+            end = station + MEADOW_M
+            found.append(land.meadow(road, seed=spec.scatter, low=station, high=end, houses=_houses(spec)))
     return found
+
+
+def _houses(spec: WorldSpec) -> Array:
+    """(N, 3) x, y and radius [m] of the ground that buildings stand on."""
+    found = []
+    for p in spec.placed:
+        if p.group == "Buildings":
+            corners = rules.footprint(p)
+            middle = corners.mean(axis=0)
+            found.append((*middle, np.hypot(*(corners - middle).T).max()))
+    return np.array(found).reshape(-1, 3)
 
 
 def edged_lanes(road: Road) -> list[lanes.EdgedLane]:

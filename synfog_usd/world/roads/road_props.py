@@ -20,6 +20,8 @@ FRONT_GARDEN_M = 3.0
 """Buildings farther off than this stand on the land, not at the height of the road's edge."""
 DUG_IN_M = 1.5
 """Nobody builds where a house would stand deeper in the slope."""
+BOARD_M, BOARD_READ_M = 4.0, 110.0
+"""A sign higher than this is a board that is read from so far, and no tree stands between."""
 DRAWN = ("out", "any_way", "looks")
 
 
@@ -43,6 +45,35 @@ def rows(recipe: Recipe, road: Road, seed: int, station: float, taken: rules.Col
             front = props.Front(_places(road, row, rng, sign), end, start, JOINT_M, DRAWN)
             placed += props.row(row.distributions, front, rng, taken)
     return placed
+
+
+def unhidden(road: Road, placed: Sequence[Placement], gantries: Sequence[float]) -> list[Placement]:
+    """Without the trees through which a driver looks at a board high beside the road, or over it at one of some
+    stations.
+    """
+    boards = [(s, lane.middle, lane.width / 2, 1) for s in gantries for lane in road.driving_lanes if lane.way > 0]
+    for p in placed:
+        found = rules.model(p.asset)
+        if found.group == "sign" and found.height * p.size > BOARD_M:
+            s, t = (float(v) for v in road.reference_line.nearest(p.x, p.y))
+            boards.append((s, t, found.width * p.size / 2, 1 if t > 0 else -1))
+    hidden = np.zeros(len(placed), dtype=bool)
+    trees = [rules.model(p.asset) if rules.model(p.asset).group == "plant" else None for p in placed]
+    middles = np.array([(p.x, p.y) for p in placed]).reshape(-1, 2)
+    reach = np.array(
+        [0.0 if m is None else max(m.length, m.width) * p.size / 2 for m, p in zip(trees, placed, strict=True)]
+    )
+    for s, t, half, way in boards:
+        board = np.array(road.reference_line.place(s, t))
+        lanes = [lane.middle for lane in road.driving_lanes if lane.way == way]
+        for eye_s in s - way * np.arange(10.0, BOARD_READ_M, 5.0):
+            for eye_t in lanes:
+                eye = np.array(road.reference_line.place(eye_s, eye_t))
+                sight = board - eye
+                share = (middles - eye) @ sight / (sight @ sight)
+                aside = np.hypot(*(middles - eye - share[:, None] * sight).T)
+                hidden |= (reach > 0) & (share > 0) & (share < 1) & (aside < reach + half)
+    return [p for p, gone in zip(placed, hidden, strict=True) if not gone]
 
 
 def _places(road: Road, row: Row, rng: np.random.Generator, sign: int) -> props.Places:

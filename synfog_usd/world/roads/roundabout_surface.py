@@ -368,19 +368,8 @@ def _shrubs(junction: Roundabout, seed: int, count: int) -> Scatter | None:
         return None
     r, a = room * np.sqrt(rng.uniform(0.12, 1.0, count)), rng.uniform(0, 2 * np.pi, count)
     points = np.c_[r * np.cos(a), r * np.sin(a), junction.middle(r)]
-    shapes = stream(0, "roundabout", "shrub")
-    parts = []
-    for k, material in enumerate(("hedge", "leaf_green", "leaf_olive")):
-        lump = land.lump(shapes, material)
-        parts.append(
-            Part(
-                lump.points * (0.42, 0.42, 0.4) + (0.26 * np.cos(2.1 * k), 0.26 * np.sin(2.1 * k), 0.24),
-                lump.faces,
-                material,
-            )
-        )
     return Scatter(
-        "Shrubs", "vegetation", tuple(parts), points, rng.uniform(0, 360, count), rng.uniform(0.8, 1.5, count)
+        "Shrubs", "vegetation", land.shrub(), points, rng.uniform(0, 360, count), rng.uniform(0.8, 1.5, count)
     )
 
 
