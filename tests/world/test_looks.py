@@ -13,7 +13,7 @@ from pxr import Usd, UsdGeom, UsdShade
 from assets.builders.textures import FASCIA_COLUMNS, FASCIA_ROWS, fascia_words
 from synfog_usd.world.compose import draw, load
 from synfog_usd.world.library import library, nominal
-from synfog_usd.world.roads import land, road_built, road_props, rules, structures
+from synfog_usd.world.roads import horizon, land, road_built, road_props, rules, structures
 from synfog_usd.world.roads.lane_section import LaneSection
 from synfog_usd.world.roads.network import Land, Road
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
@@ -146,6 +146,20 @@ def test_a_shrub_is_leaves_round_its_core():
     assert (np.hypot(*middle[:, :2].T) > np.hypot(*core.points[:, :2].T).max() * 0.8).mean() > 0.4
     drawn = shapely.union_all([shapely.Polygon(face[:, [0, 2]]) for face in corners if np.ptp(face[:, 0]) > 1e-6])
     assert drawn.area < 0.93 * drawn.convex_hull.area
+
+
+def test_far_windows_differ():
+    """Of the windows of each far house some have a blind, at several heights, and most have none; one door is
+    in the front.
+    """
+    for wall, roof, width, depth, floors in horizon.HOUSES:
+        parts = {part.material: part for part in horizon._house(wall, roof, width, depth, floors, town=True)}
+        panes, blinds = (len(parts[name].faces) // 2 for name in ("far_window", "far_blind"))
+        assert panes >= 10
+        assert 0.15 * panes < blinds < 0.65 * panes
+        lowest = parts["far_blind"].points[:, 2].reshape(-1, 4).min(axis=1) % 2.9
+        assert np.ptp(lowest) > 0.4
+        assert len(parts["far_door"].faces) == 2
 
 
 def test_tall_grass_grows_on_the_land_and_not_in_houses():

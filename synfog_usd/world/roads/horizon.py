@@ -38,6 +38,8 @@ LOOKS: dict[str, Material] = {
     "far_tile": Material((0.235, 0.092, 0.055), 0.8),
     "far_slate": Material((0.105, 0.110, 0.120), 0.6),
     "far_window": Material((0.035, 0.038, 0.042), 0.06, ior=1.9),
+    "far_blind": Material((0.36, 0.35, 0.32), 0.6),
+    "far_door": Material((0.075, 0.045, 0.03), 0.5),
     "far_frame": Material((0.60, 0.60, 0.58), 0.5),
     "far_steel": Material((0.30, 0.31, 0.32), 0.6),
     "water": Material((0.014, 0.022, 0.018), 0.07, ior=1.33),
@@ -324,24 +326,37 @@ MADE: dict[str, Callable[[], tuple[Part, ...]]] = {}
 
 
 def _panes(width: float, depth: float, floors: int, floor_m: float, foot_m: float) -> list[Part]:
-    """Windows on all four sides, a hand's breadth before the wall, each on a pale frame."""
-    frames, panes = [], []
+    """Windows on all four sides, a hand's breadth before the wall: each on a pale frame, with a bar down its middle,
+    two of five with a blind let down behind it; and a door in the front.
+    """
+    rng = stream(0, "horizon", "panes", round(100 * width), floors)
+    found: dict[str, list[Array]] = {"far_frame": [], "far_window": [], "far_blind": [], "far_door": []}
+
+    def put(material: str, side: int, u: tuple[float, float], v: tuple[float, float], out: float) -> None:
+        off = -(depth if side % 2 == 0 else width) / 2 - out
+        corners = np.array([(u[0], off, v[0]), (u[1], off, v[0]), (u[1], off, v[1]), (u[0], off, v[1])])
+        found[material].append(corners @ turn(90.0 * side)[:3, :3].T)
+
     for side in range(4):
-        long, off = (width, depth / 2) if side % 2 == 0 else (depth, width / 2)
+        long = width if side % 2 == 0 else depth
         n = max(2, round(long / 2.9))
         for k in range(n):
+            u = (k + 0.5) / n * long - long / 2
             for floor in range(floors):
-                u, v = (k + 0.5) / n * long - long / 2, foot_m + floor * floor_m + 0.95
-                for found, out, grown in ((frames, 0.02, 0.13), (panes, 0.05, 0.0)):
-                    w, h = 0.55 + grown, 1.35 + grown
-                    corners = np.array([(u - w, -off - out, v - grown), (u + w, -off - out, v - grown)])
-                    upper = corners[::-1] + np.array([0, 0, h + grown])
-                    found.append(np.vstack([corners, upper]) @ turn(90.0 * side)[:3, :3].T)
-    return [quads(np.array(frames), "far_frame"), quads(np.array(panes), "far_window")]
+                v = foot_m + floor * floor_m + 0.95
+                if (side, k, floor) == (2, n // 2, 0):
+                    put("far_door", side, (u - 0.55, u + 0.55), (foot_m - 0.3, foot_m + 2.0), 0.05)
+                    continue
+                put("far_frame", side, (u - 0.68, u + 0.68), (v - 0.13, v + 1.48), 0.02)
+                put("far_window", side, (u - 0.55, u + 0.55), (v, v + 1.35), 0.05)
+                if rng.random() < 0.4:
+                    put("far_blind", side, (u - 0.55, u + 0.55), (v + rng.uniform(0.2, 1.0), v + 1.35), 0.06)
+                put("far_frame", side, (u - 0.05, u + 0.05), (v, v + 1.35), 0.07)
+    return [quads(np.array(corners), material) for material, corners in found.items()]
 
 
 def _house(wall: str, roof: str, width: float, depth: float, floors: int, *, town: bool) -> tuple[Part, ...]:
-    """A gabled house seen from beyond NEAR_M, about 150 triangles."""
+    """A gabled house seen from beyond NEAR_M, about 300 triangles."""
     floors = floors + town
     top, eaves, half = 0.6 + 2.9 * floors, 0.5, depth / 2
     ridge = top + 0.42 * depth
