@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from synfog_usd import __version__
+from synfog_usd import __version__, numbers
 from synfog_usd.cli import benchmark, dataset, options, study, train, worker
 from synfog_usd.errors import ParameterError, SynfogError
 
@@ -111,7 +111,7 @@ def bake(
             )
         ),
     ] = "auto",
-    samples: options.Samples = 64,
+    samples: options.Samples = numbers.MOST_SAMPLES,
     target_error: Annotated[
         float | None,
         typer.Option(help="Relative error of a pixel to stop at, as 0.01; the sensor's noise if left out."),

@@ -14,6 +14,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from synfog_usd import numbers
+
 SET_UP = 0.03
 """Fraction of a shot up to which it is set up; rendering reports from there on."""
 
@@ -56,7 +58,7 @@ class Kind:
     foggy: bool
     first_foggy: bool
     lamps: bool = False
-    samples: int = 64
+    samples: int = numbers.MOST_SAMPLES
     air: float = 1.0
     beside: float = field(default=0.0, compare=False)
 
@@ -69,7 +71,7 @@ class Kind:
         return setting_up, self.samples * (surfaces + self.air * air) + GUIDING + self.beside
 
 
-def kinds(shots: Sequence[tuple[str, bool, bool]], samples: int = 64, air: float = 1.0) -> list[Kind]:
+def kinds(shots: Sequence[tuple[str, bool, bool]], samples: int = numbers.MOST_SAMPLES, air: float = 1.0) -> list[Kind]:
     """The kind of each shot of a bake, in order, from its lighting and whether there are fog and lamps; samples and air
     as in `Kind`.
     """

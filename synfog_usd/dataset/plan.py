@@ -99,7 +99,7 @@ class BakePlan:
     frame: float | None = None
     size: tuple[int, int] | None = None
     model: str = "auto"
-    samples: int = 64
+    samples: int = numbers.MOST_SAMPLES
     target_error: float | None = None
     time_limit_s: float | None = None
     bands: int | None = None

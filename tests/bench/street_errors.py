@@ -14,7 +14,7 @@ Figures, all of luminance (the mean of R, G and B) and of several seeds:
   several seeds differ by is taken off.  The mean of the whole picture is beside that of the references.
 - **told**: the error that the picture tells, over the one that is there: RMS over the pixels, and in the median pixel.
 - **sensor**: standard deviation of a RAW pixel over seeds of renderer and sensor, over that of the sensor alone
-  with the mean of these pictures, in the median of the pixels that are not full; `bake`'s own target and 64 samples.
+  with the mean of these pictures, in the median of the pixels that are not full; `bake`'s own target and samples.
   `--of 640x360` takes the middle of so large a picture, where the farthest and smallest things are.
 """
 
@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 from streets import STREETS, Street, scene_of
 
-from synfog_usd import camera
+from synfog_usd import camera, numbers
 from synfog_usd.arrays import Array
 from synfog_usd.image import Image
 from synfog_usd.render import denoise as denoising
@@ -173,7 +173,15 @@ def sensor_row(name: str, source: SceneDict, clear: SceneDict, model: str, seeds
     for seed in range(seeds):  # the planner chooses once, as for a shot
         chosen = done[0].model if done else model
         done.append(
-            shot.render(source, model=chosen, seed=seed, loaded=loaded, denoise=True, sensor_sigma=sensor_target(noise))
+            shot.render(
+                source,
+                model=chosen,
+                samples=numbers.MOST_SAMPLES,
+                seed=seed,
+                loaded=loaded,
+                denoise=True,
+                sensor_sigma=sensor_target(noise),
+            )
         )
     mean = np.mean([one.radiance.pixels for one in done], axis=0, dtype=np.float64).astype(np.float32)
 
