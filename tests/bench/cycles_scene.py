@@ -46,7 +46,7 @@ def simplified(scene: SceneDict) -> SceneDict:
     Raises:
         ValueError: a light or shape that Cycles is not given here.
     """
-    flat, _ = flatten(scene)
+    flat, *_ = flatten(scene)
     world: dict[str, Any] = {"type": "scene"}
     parts: dict[tuple[float, ...], list[tuple[Array, npt.NDArray[np.int64]]]] = {}
     for key, part in flat.world.items():

@@ -1,10 +1,12 @@
 """Joined meshes are the meshes that they were joined from, and so are prototypes that are traced where they stand."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
+from cycles_scene import export, simplified
 
 from synfog_usd.render import flatten, surface
 from synfog_usd.render.film import aovs
@@ -84,6 +86,19 @@ def test_what_does_not_fit_stays_instances_of_the_largest_prototypes(monkeypatch
     assert [key for key in flat.world if key.startswith("instance_")] == ["instance_1", "instance_2"]
     assert "group_house" in flat.world and "group_post" not in flat.world
     assert sum(len(ids) for ids in instances.values()) == 12 + 5 * 12 + 332
+
+
+def test_what_goes_to_cycles_has_every_face_where_it_stands(tmp_path):
+    """Files for Blender hold the village's 4 boxes and 3 balls, as large as it is, of one grey without a lamp."""
+    flat, *_ = flatten.flatten(village())
+    export(simplified(village()), tmp_path / "village")
+    sent = np.load(tmp_path / "village.npz")
+    assert len(sent["faces"]) == len(sent["material"]) == 4 * 12 + 3 * 320
+    points = np.concatenate([mesh["positions"] for key, mesh in flat.world.items() if key.startswith("shape_")])
+    met = sent["positions"][sent["faces"]].reshape(-1, 3)
+    np.testing.assert_allclose([met.min(axis=0), met.max(axis=0)], [points.min(axis=0), points.max(axis=0)], atol=1e-5)
+    told = json.loads((tmp_path / "village.json").read_text(encoding="utf-8"))
+    assert told["lamps"] == [] and told["fog"] is None and len(told["materials"]) == 1
 
 
 def test_joining_leaves_one_mesh_a_material_and_keeps_every_face():
