@@ -7,7 +7,8 @@
 Figures, all of luminance (the mean of R, G and B) and of several seeds:
 
 - **raw**: relative RMS error of all pixels of the plain mean, and without the worst hundredth.  Squared errors are
-  products of the differences to two references that know nothing of each other, so their noise cancels.
+  products of the differences to two references that know nothing of each other, so their noise cancels.  With
+  `--model volpath` of Mitsuba's, against the same references; beside it processor seconds of a picture.
 - **brightest**: the share of a million pixels' light that the worst single pixel has too much.
 - **denoised**: relative RMS error of a pixel; bias of blocks of 32 x 32 pixels (RMS).  That bias
   is what the denoised picture has more than the mean of the very samples that it was made of, which has none; what
@@ -24,6 +25,7 @@ import argparse
 import contextlib
 import functools
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +37,7 @@ from synfog_usd import camera, numbers
 from synfog_usd.arrays import Array
 from synfog_usd.image import Image
 from synfog_usd.render import denoise as denoising
-from synfog_usd.render import dualbuffer, shot
+from synfog_usd.render import dualbuffer, models, shot
 from synfog_usd.render.load import MitsubaScene, resized
 from synfog_usd.render.sampling.adaptive import sensor_target
 from synfog_usd.scene import SceneDict
@@ -70,9 +72,12 @@ class Shot:
         mean = self.truths.mean(axis=0)
         self.level = np.maximum(mean, 0.05 * mean.mean())
 
-    def picture(self, samples: int, seed: int, denoise: bool) -> tuple[Array, Array | None]:
+    def picture(
+        self, samples: int, seed: int, denoise: bool, loaded: MitsubaScene | None = None, model: str = "path"
+    ) -> tuple[Array, Array | None]:
         """(H, W) luminance, and what error it tells."""
-        done = shot.render(self.scene, model="path", samples=samples, seed=seed, loaded=self.loaded, denoise=denoise)
+        loaded = loaded or self.loaded
+        done = shot.render(self.scene, model=model, samples=samples, seed=seed, loaded=loaded, denoise=denoise)
         return grey(done.radiance), done.error
 
     def squared(self, picture: Array) -> Array:
@@ -85,15 +90,19 @@ def root(mean: float) -> float:
     return float(np.sqrt(max(mean, 0.0)))
 
 
-def raw_row(one: Shot, samples: int, seeds: int) -> str:
-    """RMS of all pixels, without the worst hundredth, and the brightest."""
-    pictures = [one.picture(samples, seed, False)[0] for seed in range(seeds)]
+def raw_row(one: Shot, samples: int, seeds: int, model: str = "path") -> str:
+    """RMS of all pixels, without the worst hundredth, the brightest, and what a picture takes."""
+    loaded = shot.load(one.scene, boundaries=models.MODELS[model].boundaries)
+    one.picture(2, seeds, False, loaded, model)  # kernels are made
+    begun = time.process_time()
+    pictures = [one.picture(samples, seed, False, loaded, model)[0] for seed in range(seeds)]
+    spent = (time.process_time() - begun) / seeds
     squares = [one.squared(picture) for picture in pictures]
     every = np.mean([root(square.mean()) for square in squares])
     trimmed = np.mean([root(np.sort(square.ravel())[: int(0.99 * square.size)].mean()) for square in squares])
     truth = one.truths.mean(axis=0)
     brightest = max(float((picture - truth).max()) for picture in pictures) / truth.mean() / 1e6
-    return f"| {one.name} | {samples} | {every:.1%} | {trimmed:.1%} | {brightest:.5%} |"
+    return f"| {one.name} | {model} | {samples} | {every:.1%} | {trimmed:.1%} | {brightest:.5%} | {spent:.2f} |"
 
 
 def blocks_of(picture: Array) -> Array:
@@ -223,7 +232,7 @@ def main() -> None:
     parser.add_argument("--denoised", default="4,16,64", help="samples of what is denoised")
     parser.add_argument("--reference", type=int, default=2048, help="samples of both references together")
     parser.add_argument("--seeds", type=int, default=5, help="RAW is in whole numbers: two are too few")
-    parser.add_argument("--model", default="auto", help="of the sensor's table")
+    parser.add_argument("--model", default="auto", help="of the sensor's table, and of the plain mean's for path")
     parser.add_argument("--of", help="WxH of which the sensor's table shows the middle, of `--size`; metered on all")
     arguments = parser.parse_args()
     from synfog_usd.render import backend
@@ -235,11 +244,13 @@ def main() -> None:
         folder = arguments.out or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         heads = {
-            "raw": "| street | samples | RMS of all pixels | without the worst hundredth | brightest pixel of 1e6 |",
+            "raw": "| street | model | samples | RMS of all pixels | without the worst hundredth | brightest of 1e6 "
+            "| processor s |",
             "denoised": "| street | samples | RMS | bias of blocks | of the mean | told over there, RMS | median |",
             "sensor": "| street | model | samples | deviation over the sensor's |",
         }
-        rows = {"raw": raw_row, "denoised": denoised_row}
+        plain = "path" if arguments.model == "auto" else arguments.model
+        rows = {"raw": functools.partial(raw_row, model=plain), "denoised": denoised_row}
         counts = {"raw": arguments.samples, "denoised": arguments.denoised}
         for table in tables:
             print(heads[table], flush=True)
