@@ -180,7 +180,7 @@ def left_over(picture: Array, truth: Array) -> float:
 
 
 def denoised(
-    street: Street, scene: SceneDict, python: Path, folder: Path, *, samples: int, seeds: int, truth: int
+    street: Street, scene: SceneDict, python: Path, folder: Path, *, samples: int, seeds: int, truth: int, most: int
 ) -> dict[str, float]:
     """Processor seconds and error of ours at `samples`, of Cycles at the count that leaves as much, and their ratio.
 
@@ -192,6 +192,7 @@ def denoised(
         samples: a pixel of ours.
         seeds: renders of each count.
         truth: samples a pixel of each renderer's own reference.
+        most: samples of Cycles are 4, 8 and so on up to these.
     """
     stem = folder / street.name.replace(" ", "_")
     integrator = models.make("path", shot.load(scene))
@@ -216,7 +217,7 @@ def denoised(
         return np.load(result)
 
     other = drawn("truth", str(truth), "--seeds", "1")["images"][0].astype(np.float64).mean(axis=2)
-    counts = [4 * 2**power for power in range(6)]
+    counts = [4 * 2**power for power in range(most.bit_length() - 2)]
     found = drawn("denoised", ",".join(map(str, counts)), "--seeds", str(seeds), "--denoise")
     theirs, cost_s = [], []
     for count in counts:
@@ -247,6 +248,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=64)
     parser.add_argument("--seeds", type=int, default=6)
     parser.add_argument("--truth", type=int, default=1024, help="samples of the references of `denoised`")
+    parser.add_argument("--most", type=int, default=128, help="samples of Cycles in `denoised`")
     parser.add_argument("-o", "--out", type=Path)
     arguments = parser.parse_args()
     from synfog_usd.render import backend
@@ -268,6 +270,7 @@ def main() -> None:
                         samples=arguments.samples,
                         seeds=arguments.seeds,
                         truth=arguments.truth,
+                        most=arguments.most,
                     )
                     more = "" if row["cycles_reached"] else "over "
                     print(

@@ -627,6 +627,26 @@ def test_a_loose_target_stops_early_and_a_tight_one_uses_all_samples():
 
 
 @needs_oidn
+def test_how_far_a_picture_is_follows_from_its_own_error():
+    """4096 samples are allowed and less than a tenth of them needed: the last round before the end is more than a third
+    of the way, not a few hundredths; and what is told never falls.
+    """
+    told = []
+    done = shot.render(
+        street(),
+        model="path",
+        samples=4096,
+        size=(48, 27),
+        seed=1,
+        denoise=True,
+        target_error=0.03,
+        progress=lambda what, fraction: told.append(fraction),
+    )
+    assert 4 * FIRST < done.samples < 400
+    assert told == sorted(told) and max(fraction for fraction in told if fraction < 0.99) > 1.0 / 3.0
+
+
+@needs_oidn
 def test_what_a_sensor_would_not_see_is_sampled_no_longer():
     """The sensor's noise is as large as the light: the first round is enough, whatever else is allowed, and the picture
     is that of so many samples.

@@ -47,6 +47,9 @@ FALL = 0.4
 LONGEST_STRIDE = 4.0
 """Times the samples that it has which a picture is given at most once its own error has been looked at."""
 
+LAST = 0.9
+"""Part of what is left to do that a round is taken for at most, unless it is the last allowed: another may follow."""
+
 SENSOR_SHARE = 1.0 / 3.0
 """Part of the sensor's own noise that may be left of a render: together they are 5 % noisier than the sensor alone."""
 
@@ -189,21 +192,19 @@ def accumulate_denoised(
     pixels = integrator.loaded.source.camera.width_px * integrator.loaded.source.camera.height_px
     accumulated, everywhere = new_accumulator(integrator, pixels, denoised=True), np.arange(pixels)
     spent = min(FIRST, target.samples)
+    share = spent / target.samples  # of the work, as far as is known
     add_samples(
-        accumulated,
-        integrator,
-        everywhere,
-        accumulated.even(spent, denoised=True),
-        seed,
-        within(progress, 0.0, spent / target.samples),
+        accumulated, integrator, everywhere, accumulated.even(spent, denoised=True), seed, within(progress, 0.0, share)
     )
     while spent < target.samples and (target.time_s is None or now() < target.time_s):
         noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
         needed = float(noise / DENOISER_GAIN) ** 2  # times the samples that there are, until denoising is worth a try
+        enough = float(target.samples)
         if needed < 1.0 and (picture := denoised(accumulated)) is not None:
             excess = target.excess(*picture)
             if excess <= 1.0:
                 break
+            enough = min(excess ** (1.0 / FALL) * spent, enough)
             needed = min(excess ** (1.0 / FALL), LONGEST_STRIDE)
         after = min(max(2, math.ceil(min(needed, target.samples))) * spent, target.samples)
         had = {name: int(estimator.counts[:, 0].sum()) for name, estimator in accumulated.estimators.items()}
@@ -213,15 +214,10 @@ def accumulate_denoised(
             else accumulated.even(after, denoised=True)
         )  # which gives whole runs
         more = {name: max(count - had[name], 0) for name, count in wanted.items()}
-        add_samples(
-            accumulated,
-            integrator,
-            everywhere,
-            more,
-            seed,
-            within(progress, spent / target.samples, after / target.samples),
-        )
-        spent = after
+        part = min((after - spent) / max(enough - spent, 1.0), LAST) if after < target.samples else 1.0
+        reach = share + (1.0 - share) * part
+        add_samples(accumulated, integrator, everywhere, more, seed, within(progress, share, reach))
+        spent, share = after, reach
     progress("rendering", 1.0)
     return accumulated
 
