@@ -107,12 +107,17 @@ def mended(
     opened = usd.open_stage(stage, allow=allow)
     usd.override(opened, choices=choices, metres_per_unit=metres_per_unit, up=up)
     found: dict[Finding, None] = {}
+    users: list[rules.RoadUser] = []
     changed = bool(choices) or metres_per_unit is not None or up is not None
     with contextlib.suppress(StageError):  # of a variant beyond a budget: the look that follows tells it
         for _, chosen in _variants(opened):
             changed |= chosen
-            found |= dict.fromkeys(_placed(opened, rules.findings(opened)))
-    return mend.write(usd.open_stage(stage, allow=allow) if changed else opened, found, out, allow=allow)
+            more, users = rules.with_users(opened)
+            found |= dict.fromkeys(_placed(opened, more))
+    if changed:
+        opened = usd.open_stage(stage, allow=allow)
+        users = rules.with_users(opened)[1]
+    return mend.write(opened, found, out, users=users, allow=allow)
 
 
 _OF_ALL_FOGS = frozenset({"no-fog", "camera-outside-fog"})

@@ -38,8 +38,30 @@ def is_worker() -> bool:
 
 
 def follow_parent() -> None:
-    """In the child: end when the parent ends, however it ends."""
+    """In the child: end when the parent ends, however it ends; and speak by a descriptor of its own, so that libraries
+    can be silenced.
+    """
     system.follow(int(os.environ[MARK]), INTERRUPTED)
+    old = sys.stderr
+    sys.stderr = os.fdopen(os.dup(2), "w", buffering=1, encoding=old.encoding, errors=old.errors)
+
+
+@contextlib.contextmanager
+def _libraries_unheard() -> Iterator[None]:
+    """In the child: what libraries write to the standard error is lost meanwhile.  What kills USD is told in five lines
+    there, and by the parent in one.
+    """
+    if not is_worker():
+        yield
+        return
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 @contextlib.contextmanager
@@ -49,7 +71,8 @@ def reading_limits() -> Iterator[None]:
 
     Beyond them the process dies or raises MemoryError, and the parent says so.
     """
-    with system.limits(cpu_s=system.READ_CPU_S, wall_s=system.READ_WALL_S), warnings.catch_warnings():
+    limits = system.limits(cpu_s=system.READ_CPU_S, wall_s=system.READ_WALL_S)
+    with limits, _libraries_unheard(), warnings.catch_warnings():
         warnings.simplefilter(
             "ignore", RuntimeWarning
         )  # numbers that overflow in numpy: what comes of them is told as notes

@@ -6,7 +6,7 @@ Takes an opened stage and findings; writes one file whose sublayer is the stage'
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from pxr import Gf, Sdf, Usd, UsdGeom
@@ -26,7 +26,14 @@ SCALE_OP = "xformOp:scale:unitsResolve"
 """As Omniverse names the scale that makes up for a reference's units."""
 
 
-def write(stage: Usd.Stage, found: Iterable[Finding], out: Path, *, allow: Iterable[Path] = ()) -> list[str]:
+def write(
+    stage: Usd.Stage,
+    found: Iterable[Finding],
+    out: Path,
+    *,
+    users: Sequence[rules.RoadUser],
+    allow: Iterable[Path] = (),
+) -> list[str]:
     """Write the layer.
 
     Mended are labels that names and sizes tell, the purpose of fog boundaries, lamps of which a number is none (they
@@ -37,6 +44,7 @@ def write(stage: Usd.Stage, found: Iterable[Finding], out: Path, *, allow: Itera
         stage: as its variants stand.
         found: of all its variants.
         out: to write, beside the stage or above it.
+        users: road users of the stage, as `rules.with_users` measures them.
         allow: folders of other files of the stage.
 
     Returns:
@@ -52,7 +60,7 @@ def write(stage: Usd.Stage, found: Iterable[Finding], out: Path, *, allow: Itera
         if key not in _OF_SUBLAYERS:
             layer.pseudoRoot.SetInfo(key, root.pseudoRoot.GetInfo(key))
     layer.subLayerPaths.append("./" + Path(os.path.relpath(root.realPath, out.resolve().parent)).as_posix())
-    done = [*_metadata(stage, layer), *_units(stage, layer)]
+    done = [*_metadata(stage, layer), *_units(stage, layer, list(users))]
     for one in found:
         prim = stage.GetPrimAtPath(one.path) if one.fix and one.path else None
         if one.fix and (prim is None or not prim.IsInstanceProxy()):  # an instance's inside is not to be reached
@@ -87,9 +95,9 @@ def _metadata(stage: Usd.Stage, layer: Sdf.Layer) -> list[str]:
     return done
 
 
-def _units(stage: Usd.Stage, layer: Sdf.Layer) -> list[str]:
+def _units(stage: Usd.Stage, layer: Sdf.Layer, users: list[rules.RoadUser]) -> list[str]:
     """The unit that alone fits all road users, and references to layers that say another one than the stage's."""
-    own, users, done = UsdGeom.GetStageMetersPerUnit(stage), list(rules.road_users(stage)), []
+    own, done = UsdGeom.GetStageMetersPerUnit(stage), []
     for prim, asset in unscaled_references(stage):
         ratio = asset.pseudoRoot.GetInfo("metersPerUnit") / own
         below = [user for user in users if user.prim.GetPath().HasPrefix(prim.GetPath())]

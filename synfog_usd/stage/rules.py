@@ -71,8 +71,13 @@ _PLAIN = "color_"
 
 def findings(stage: Usd.Stage) -> list[Finding]:
     """All that our own rules find on a stage, as its variants stand."""
+    return with_users(stage)[0]
+
+
+def with_users(stage: Usd.Stage) -> tuple[list[Finding], list[RoadUser]]:
+    """`findings`, and the road users that can be measured, outermost prims only."""
     context = _Context(stage)
-    return [one for look in _LOOKS for one in look(context)]
+    return [one for look in _LOOKS for one in look(context)], context.users
 
 
 class _Context:
@@ -87,13 +92,18 @@ class _Context:
         self.solid = UsdGeom.BBoxCache(self.time, seen, False, True)
         self.whole = UsdGeom.BBoxCache(self.time, [*seen, UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy], False, True)
         self.said: dict[Usd.Prim, tuple[bool, str | None]] = {}
-        self.purposes = False
-        """Whether any prim that was looked up has a purpose of its own."""
+        self.purposes = self.fogs = False
+        """Whether any prim that was looked up has a purpose of its own, or fog."""
 
     @functools.cached_property
     def fog(self) -> list[Usd.Prim]:
         """Prims with fog attributes."""
         return [prim for prim in self.prims if self.has_fog(prim)]
+
+    @functools.cached_property
+    def users(self) -> list[RoadUser]:
+        """Road users that can be measured."""
+        return list(_measured(self))
 
     def has_fog(self, prim: Usd.Prim) -> bool:
         """`has_fog_attributes`, looked up once."""
@@ -107,7 +117,9 @@ class _Context:
         known = self.said.get(prim)
         if known is None:
             names = prim.GetAuthoredPropertyNames()
-            known = self.said[prim] = has_fog_attributes(prim, names), direct_label(prim, self.time, names)
+            fog = has_fog_attributes(prim, names)
+            known = self.said[prim] = fog, direct_label(prim, self.time, names) if names else None
+            self.fogs |= fog
             self.purposes |= "purpose" in names
         return known
 
@@ -290,30 +302,24 @@ class RoadUser:
         return low <= self.longest * factor <= high
 
 
-def road_users(stage: Usd.Stage) -> Iterator[RoadUser]:
-    """All that can be measured, outermost prims only."""
-    return _measured(_Context(stage))
-
-
 def _measured(context: _Context) -> Iterator[RoadUser]:
-    skipped = Sdf.Path()
+    skipped: Sdf.Path | None = None
     for prim in context.prims:
-        path = prim.GetPath()
-        if not skipped.isEmpty and path.HasPrefix(skipped):
+        if skipped is not None and prim.GetPath().HasPrefix(skipped):
             continue
         label = context.label(prim)
         known = official_name(label) if label is not None else None
         kind = known if label is not None else _class_by_name(prim)
         if (label is None and kind is None) or _is_many(prim):
             continue
-        skipped = path
+        skipped = prim.GetPath()
         if kind is not None and kind in SIZES_M and (longest := context.longest_m(prim)) > 0.0:
             yield RoadUser(prim, label, kind, longest)
 
 
 def _road_users(context: _Context) -> Iterator[Finding]:
     """Sizes of labelled things, and names that speak of things without a label."""
-    for user in _measured(context):
+    for user in context.users:
         path, kind = str(user.prim.GetPath()), user.kind
         low, high = SIZES_M[kind]
         factor = next((factor for factor in UNIT_FACTORS if user.fits(factor)), None)
@@ -354,7 +360,7 @@ def _is_many(prim: Usd.Prim) -> bool:
 
 
 def _labels(context: _Context) -> Iterator[Finding]:
-    unlabelled: list[str] = []
+    unlabelled: list[Usd.Prim] = []
     for prim, label in _unlabelled(context):
         if label is not None:
             if official_name(label) is None:
@@ -367,15 +373,14 @@ def _labels(context: _Context) -> Iterator[Finding]:
                 )
         elif (
             prim.IsA(UsdGeom.Gprim)
-            and not context.has_fog(prim)
-            and not context.has_fog(prim.GetParent())
+            and not (context.fogs and (context.has_fog(prim) or context.has_fog(prim.GetParent())))
             and not (context.purposes and _is_guide(prim))
         ):
-            unlabelled.append(str(prim.GetPath()))
+            unlabelled.append(prim)
     if unlabelled:
         yield finding(
             "unlabelled",
-            unlabelled[0],
+            str(unlabelled[0].GetPath()),
             f"{len(unlabelled)} prims have no label (semantics:labels:cityscapes), this is the first",
         )
 
@@ -409,10 +414,9 @@ def _once(context: _Context) -> Iterator[Usd.Prim]:
 
 def _shadowed_variants(context: _Context) -> Iterator[Finding]:
     """Values of variants that a value on the prim itself, in the same layer, always beats."""
+    switched = [prim.GetPath() for prim in context.stage.GetPseudoRoot().GetAllChildren() if prim.HasVariantSets()]
     for layer in context.stage.GetLayerStack(includeSessionLayers=False):
-        for root in layer.rootPrims:
-            if not root.HasInfo("variantSetNames"):  # most by far
-                continue
+        for root in filter(None, map(layer.GetPrimAtPath, switched)):
             for set_name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET):
                 variant_set = root.variantSets.get(set_name)
                 if variant_set is None:

@@ -226,6 +226,8 @@ class _Survey:
             if not (path.IsPrimPath() or path.IsPrimVariantSelectionPath()):
                 return
             spec = layer.GetPrimAtPath(path)
+            if spec is None and layer.GetObjectAtPath(path) is None:  # listing the stage's files would end the process
+                raise StageError(f"{name}: {path} is named and not there; the file is damaged: export it again")
             if path.IsPrimPath():
                 if path.pathElementCount > budget.MAX_DEPTH:
                     raise StageError(

@@ -108,7 +108,7 @@ class Shapes:
                 return []
             shape = {
                 "type": "sphere",
-                "center": [float(x) for x in matrix[:3, 3]],
+                "center": matrix[:3, 3].tolist(),
                 "radius": float(radius),
                 "bsdf": {"type": "ref", "id": key},
             }

@@ -29,9 +29,9 @@ class Twins:
 
     def hides(self, shape: Mapping[str, Any], path: str) -> bool:
         """Whether `MOST` shapes, whatever their looks, lie where `shape` does, so that it is not drawn."""
+        if not any(isinstance(value, np.ndarray) for value in shape.values()):
+            return self._full(repr(_place(shape)).encode(), path)
         sketch = _sketch(shape)
-        if not any(isinstance(value, np.ndarray) for value in shape.values()):  # the sketch says all of it
-            return self._full(repr(sketch).encode(), path)
         if sketch not in self.first:  # most lie alone, and are not read through
             self.first[sketch] = shape
             return False
