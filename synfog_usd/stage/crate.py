@@ -1,7 +1,7 @@
-"""Binary layers (.usdc), as far as their arrays' sizes go: what a file unpacks to, before it is unpacked.
+"""Binary layers (.usdc), as far as sizes go: what a file unpacks to, before it is unpacked.
 
-Takes a file; gives the number of elements of its arrays.  A list of equal numbers packs four thousand to one, so that
-0.6 MB ask for gigabytes.  Damage is left for the USD library to tell.
+Takes a file; gives the number of elements of its arrays, and of rows of its own tables.  A list of equal numbers packs
+four thousand to one, so that 0.6 MB ask for gigabytes.  Damage is left for the USD library to tell.
 Source: layout of crate files as in OpenUSD's crateFile.h, versions 0.4 to 0.13.
 """
 
@@ -11,7 +11,7 @@ import contextlib
 import mmap
 import struct
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,11 @@ import numpy as np
 _MAGIC = b"PXR-USDC"
 _TIME_SAMPLES = 46
 """Number of the type that holds the values of an attribute over time."""
+
+_TABLES = {b"TOKENS": 2, b"FIELDS": 1, b"FIELDSETS": 1, b"PATHS": 2, b"SPECS": 1}
+"""Sections, and how many numbers at their begin say what USD makes room for before it reads on: rows, and of tokens
+letters too; of paths the rows twice.
+"""
 
 _MOST_SAMPLES = 1_000_000
 _MOST_FIELDS = 1 << 28
@@ -32,6 +37,19 @@ def array_sizes(path: Path) -> Iterator[int]:
     Of a package those of all its layers.  Arrays that are not packed cannot be larger
     than their file.  Of a damaged file as many as can be found.
     """
+    yield from _of_layers(path, _array_sizes)
+
+
+def table_sizes(path: Path) -> Iterator[int]:
+    """Rows that the tables of a binary layer say that they have, and letters of its words; nothing for any other file.
+
+    One wrong byte makes some hundred rows billions, for which USD takes memory at once.  Packages and damage as for
+    `array_sizes`.
+    """
+    yield from _of_layers(path, _table_sizes)
+
+
+def _of_layers(path: Path, sizes: Callable[[Any], Iterator[int]]) -> Iterator[int]:
     with path.open("rb") as file:
         try:
             data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -41,7 +59,7 @@ def array_sizes(path: Path) -> Iterator[int]:
             for begin, end in _layers(path, whole):
                 with whole[begin:end] as layer, contextlib.suppress(*_DAMAGE):
                     if layer[:8] == _MAGIC:
-                        yield from _sizes(layer)
+                        yield from sizes(layer)
 
 
 _DAMAGE = (struct.error, ValueError, IndexError, OverflowError, zipfile.BadZipFile, imagecodecs.Lz4Error)
@@ -59,17 +77,27 @@ def _layers(path: Path, whole: Any) -> Iterator[tuple[int, int]]:
             yield begin, begin + found.file_size
 
 
-def _sizes(data: Any) -> Iterator[int]:
-    version = (data[8], data[9])
+def _sections(data: Any) -> dict[bytes, int]:
+    """Where each begins."""
     (contents,) = struct.unpack_from("<q", data, 16)
     (count,) = struct.unpack_from("<Q", data, contents)
     sections = {}
     for number in range(min(count, 64)):
-        name, start, size = struct.unpack_from("<16sqq", data, contents + 8 + 32 * number)
-        sections[name.rstrip(b"\0")] = (start, size)
-    if b"FIELDS" not in sections:
-        return
-    for rep in _reps(data, sections[b"FIELDS"][0], version):
+        name, start, _ = struct.unpack_from("<16sqq", data, contents + 8 + 32 * number)
+        sections[name.rstrip(b"\0")] = start
+    return sections
+
+
+def _table_sizes(data: Any) -> Iterator[int]:
+    sections = _sections(data)
+    for name, numbers in _TABLES.items():
+        if name in sections:
+            yield from struct.unpack_from(f"<{numbers}Q", data, sections[name])
+
+
+def _array_sizes(data: Any) -> Iterator[int]:
+    version, sections = (data[8], data[9]), _sections(data)
+    for rep in _reps(data, sections[b"FIELDS"], version) if b"FIELDS" in sections else ():
         yield from _of_rep(data, rep, version)
 
 

@@ -26,7 +26,7 @@ from synfog_usd.cli.check import look
 from synfog_usd.errors import StageError
 from synfog_usd.fence import Fence
 from synfog_usd.stage import budget, check, open_stage, survey
-from synfog_usd.stage.crate import array_sizes
+from synfog_usd.stage.crate import array_sizes, table_sizes
 from synfog_usd.translate import translate
 
 HEAD = '#usda 1.0\n(\n    upAxis = "Z"\n    metersPerUnit = 1\n)\n'
@@ -833,12 +833,33 @@ def test_array_sizes_are_those_of_usd(tmp_path):
     assert sorted(array_sizes(tmp_path / "a.usdc")) == [40, 100, 101, 102]
 
 
+@pytest.mark.parametrize("section", [b"TOKENS", b"FIELDS", b"FIELDSETS", b"PATHS", b"SPECS"])
+def test_a_table_of_billions_of_rows_in_a_small_file_is_damage(tmp_path, section):
+    """One byte makes a table's count of rows billions, for which USD took 21 GB and five minutes."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usdc"))
+    UsdGeom.Camera.Define(stage, "/Ego")
+    stage.Save()
+    data = bytearray((tmp_path / "a.usdc").read_bytes())
+    (contents,) = struct.unpack_from("<q", data, 16)
+    begins = {}
+    for number in range(struct.unpack_from("<Q", data, contents)[0]):
+        name, begin, _ = struct.unpack_from("<16sqq", data, contents + 8 + 32 * number)
+        begins[name.rstrip(b"\0")] = begin
+    sound = sum(table_sizes(tmp_path / "a.usdc"))
+    assert 20 < sound < len(data)
+    data[begins[section] + 4] ^= 1
+    (tmp_path / "b.usdc").write_bytes(data)
+    assert sum(table_sizes(tmp_path / "b.usdc")) == sound + (1 << 32)
+    with pytest.raises(StageError, match=r"b\.usdc: \d+ bytes that say they hold 4 \d+ \d+ \d+ rows"):
+        open_stage(tmp_path / "b.usdc")
+
+
 @pytest.mark.parametrize(
     "text", [b"", b"PXR-USDC", b"PXR-USDC" + bytes(100), b"#usda 1.0", b"PXR-USDC" + b"\xff" * 300]
 )
 def test_sizes_of_what_is_no_binary_layer_are_none(tmp_path, text):
     (tmp_path / "a.usdc").write_bytes(text)
-    assert list(array_sizes(tmp_path / "a.usdc")) == []
+    assert list(array_sizes(tmp_path / "a.usdc")) == [] == list(table_sizes(tmp_path / "a.usdc"))
 
 
 def test_sizes_of_a_damaged_file_end(tmp_path):
