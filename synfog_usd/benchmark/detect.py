@@ -451,20 +451,54 @@ def ranks(found: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> di
     better = dict.fromkeys((one.name for one in runs), 0)
     for n, one in enumerate(runs):
         for other in runs[n + 1 :]:
-            shared = {v.name for v in found.items if all("boxes" in found.row(both, v) for both in (one, other))}
-            drawn = []
-            for both in (one, other):
-                answers = _answers(found, both, shared)
-                if answers.views:
-                    whole = answers.matched(
-                        [EVERYTHING], lambda thing: 0.0, lambda row: 0.0, lambda thing: thing.pixels < least_px
-                    )
-                    drawn.append(coco.precision(whole.groups[0], _weights(answers.views)).mean(axis=1))
-            if len(drawn) == 2:
+            views, groups = _both(found, one, other, lambda thing: thing.pixels < least_px)
+            if views:
+                drawn = [coco.precision(group, _weights(views)).mean(axis=1) for group in groups]
                 _, low, high = _told(drawn[1] - drawn[0])
                 better[one.name] += low is not None and low > 0.0
                 better[other.name] += high is not None and high < 0.0
     return {name: 1 + count for name, count in better.items()}
+
+
+def gains(found: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> dict[str, list[DetectionScore]]:
+    """By how much each detector's average precision is above that of the first, by fog.
+
+    Both are told on the pictures that both answered, and their scenes are drawn together: so a difference can be known
+    better than either number.
+
+    Args:
+        found: from `run`.
+        runs: detectors, the first of which the others are compared with.
+        least_px: things of fewer visible pixels are ignored.
+
+    Returns:
+        name of each but the first -> its rows, by 'over' and the first one's name; the group '' is all fogs.
+    """
+    told: dict[str, list[DetectionScore]] = {}
+    for one in runs[1:]:
+        for counts, hidden in ((ALL, ()), (LEFT, ("invisible",))):
+            views, groups = _both(
+                found, runs[0], one, lambda thing, hidden=hidden: thing.pixels < least_px or thing.visibility in hidden
+            )
+            for fog in ("", *fogs(views)) if views else ():
+                inside = np.array([fog in ("", view.fog) for view in views])
+                drawn = [coco.precision(group, _weights(views) * inside).mean(axis=1) for group in groups]
+                things = _count(groups[1]) * inside
+                enough = len({view.scene for view, n in zip(views, things, strict=True) if n}) >= FEWEST_SCENES
+                numbers = _told(drawn[1] - drawn[0], enough)
+                row = DetectionScore(counts, f"over {runs[0].name}", fog, "AP gained", *numbers, int(things.sum()))
+                told.setdefault(one.name, []).append(row)
+    return told
+
+
+def _both(
+    found: Bench, one: DetectorRun, other: DetectorRun, ignored: Callable[[LabelledThing], bool]
+) -> tuple[list[FoggedView], list[list[MatchedKind]]]:
+    """The views that both answered, and what each found there."""
+    shared = {v.name for v in found.items if all("boxes" in found.row(both, v) for both in (one, other))}
+    answers = [_answers(found, both, shared) for both in (one, other)] if shared else []
+    groups = [each.matched([EVERYTHING], lambda thing: 0.0, lambda row: 0.0, ignored).groups[0] for each in answers]
+    return answers[0].views if answers else [], groups
 
 
 def fogs(views: Sequence[FoggedView]) -> list[str]:

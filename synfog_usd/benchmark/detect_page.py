@@ -83,6 +83,7 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
             for counts in (ALL, LEFT)
         ]
         lines += ["", f"## {title}", "", *_table(["detector", "counts", *groups], rows)]
+    lines += _gained(scored, names, fogs(views))
     lines += ["", "## AR by what fog leaves of a thing", ""]
     rows = [[name, *(_counted(scored[name].one(ALL, "AR", "visibility", one)) for one in STATES)] for name in names]
     lines += _table(["detector", *STATES], rows)
@@ -99,6 +100,22 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
         lines += _table(head, lost)
     lines += page.unanswered(bench)
     return "\n".join([*lines, ""])
+
+
+def _gained(scored: Scored, names: Sequence[str], seen: Sequence[str]) -> list[str]:
+    """A table beside the first detector, where there are two."""
+    by = {name: next((row.by for row in scored[name].rows if row.metric == "AP gained"), "") for name in names}
+    rows = [
+        [name, counts, *(_cell(scored[name].one(counts, "AP gained", by[name], fog), "+") for fog in ("", *seen))]
+        for name in names
+        for counts in (ALL, LEFT)
+        if by[name]
+    ]
+    if not rows:
+        return []
+    first = next(filter(None, by.values())).removeprefix("over ")
+    head = ["detector", "counts", "all pictures", *seen]
+    return ["", f"## AP above that of {first}", "", "Scenes are drawn for both together.", "", *_table(head, rows)]
 
 
 def _lost(scores: DetectionScores, by: str) -> list[str]:
@@ -123,11 +140,11 @@ def _value(found: DetectionScore | None) -> float:
     return math.nan if found is None else found.value
 
 
-def _cell(found: DetectionScore | None) -> str:
+def _cell(found: DetectionScore | None, sign: str = "") -> str:
     if found is None or not math.isfinite(found.value):
         return "-"
-    text = f"{found.value:.3f}"
-    return text if found.low is None else f"{text} ({found.low:.3f} to {found.high:.3f})"
+    text = f"{found.value:{sign}.3f}"
+    return text if found.low is None else f"{text} ({found.low:{sign}.3f} to {found.high:{sign}.3f})"
 
 
 def _counted(found: DetectionScore | None) -> str:

@@ -80,7 +80,10 @@ def detect(
     with _kept_in(out), shown(quiet) as (progress, log):
         bench = detection.run(views, runs, out, retry=retry, progress=progress, log=log)
     scored = {one.name: detection.scores(bench, one, least_px=least_px) for one in runs}
-    ranks = detection.ranks(bench, [one for one in runs if scored[one.name].pictures], least_px=least_px)
+    answered = [one for one in runs if scored[one.name].pictures]
+    ranks = detection.ranks(bench, answered, least_px=least_px)
+    for name, rows in detection.gains(bench, answered, least_px=least_px).items():
+        scored[name].rows += rows
     scored = {name: scored[name] for name in ranks}
     detect_page.write(bench, scored, ranks, out)
     if as_json:

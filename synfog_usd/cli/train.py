@@ -78,7 +78,7 @@ def detect(
     steps: Annotated[int, typer.Option(min=1, help="Batches of four squares of 160 pixels.")] = 3000,
     quiet: options.Quiet = False,
 ) -> None:
-    """Train a network of 0.7 million weights to find things, for `benchmark detect --model OUT/detectors.yaml`."""
+    """Train a network of 0.9 million weights to find things, for `benchmark detect --model OUT/detectors.yaml`."""
     from synfog_usd.cli.progress import shown
     from synfog_usd.study import finder, networks
 

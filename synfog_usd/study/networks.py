@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import logging
 import warnings
 from collections.abc import Iterator, Sequence
@@ -85,6 +86,11 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         logger.setLevel(before)
+
+
+def name_of(out: Path) -> str:
+    """A folder's name as YAML's flow style takes it: two networks that are compared have names of their own."""
+    return json.dumps(out.resolve().name or "trained", ensure_ascii=False)
 
 
 def write_losses(out: Path, losses: Sequence[float], name: str) -> None:

@@ -269,13 +269,12 @@ def _whole(square: FloatArray, side: int) -> FloatArray:
     return np.ascontiguousarray(np.pad(square, ((0, 0), (0, down), (0, right)), mode="symmetric"))
 
 
-def write(found: TrainedDefogger, out: Path, *, name: str = "trained") -> None:
+def write(found: TrainedDefogger, out: Path) -> None:
     """Write trained.onnx, methods.yaml that `benchmark defog` takes, weights.pt, losses.csv and losses.png.
 
     Args:
         found: from `train`.
-        out: folder.
-        name: of the method.
+        out: folder; its name is the method's.
 
     Raises:
         OutputError: the folder cannot be written.
@@ -284,7 +283,7 @@ def write(found: TrainedDefogger, out: Path, *, name: str = "trained") -> None:
     networks.write_onnx(out / "trained.onnx", found.model, planes, multiple, ("foggy", "clear"))
     files.write_bytes(out / "weights.pt", as_bytes(found))
     more = f"takes: raw.dng, multiple: {MULTIPLE // 2}" if found.raw else f"multiple: {MULTIPLE}"
-    text = f"synfog: benchmark/1\nmethods:\n  - {{name: {name}, onnx: trained.onnx, {more}}}\n"
+    text = f"synfog: benchmark/1\nmethods:\n  - {{name: {networks.name_of(out)}, onnx: trained.onnx, {more}}}\n"
     files.write_bytes(out / "methods.yaml", text.encode())
     networks.write_losses(out, found.losses, "mean_absolute_error")
 

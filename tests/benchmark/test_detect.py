@@ -432,6 +432,11 @@ def test_the_command_scores_and_goes_on_and_gives_the_same_numbers(baked, tmp_pa
     # one of two in clear air, and each of the two that fog leaves in two pictures: 3 of 4 of each class
     assert told["near", detect.LEFT, "", "AR"]["value"] == pytest.approx(3 / 4)
     names = ("table.md", "table.csv", "table.tex", "results.json")
+    # near's car and person of two are found: 51 of 101 recalls in clear air; in fog what is left is found by both
+    over = {(row["counts"], row["group"]): row for row in json.loads(done.stdout) if row["metric"] == "AP gained"}
+    assert {row["by"] for row in over.values()} == {"over everything"}
+    assert over[detect.ALL, ""]["value"] == over[detect.ALL, "clear"]["value"] == pytest.approx(51 / 101 - 1.0)
+    assert over[detect.LEFT, "clear"]["value"] == pytest.approx(51 / 101 - 1.0)
     tables = {name: (out / name).read_bytes() for name in names}
     again = cli.run("benchmark", "detect", baked, "-o", out, "--model", own, "--quiet")
     assert again.returncode == 0 and {name: (out / name).read_bytes() for name in names} == tables
@@ -585,3 +590,30 @@ def test_detectors_share_a_rank_where_chance_may_have_made_the_difference():
     bench.items = views[:2]
     assert detect.scores(bench, runs[1]).one(detect.ALL, "AP").low is None
     assert set(detect.ranks(bench, runs).values()) == {1}
+
+
+def test_what_a_detector_finds_more_has_the_interval_of_a_share():
+    """Of 60 scenes with a car each, one detector finds 40 and the other those and 12 more: sure boxes, none wrong, so
+    AP is the share that is found, by steps of 1 / 101.  The share of 12 in 60 has a standard error of sqrt(pq / n),
+    0.052; that of two shares drawn apart, 0.078.  An end over 400 draws is known to a tenth of the interval.
+    """
+    pytest.importorskip("pycocotools")
+    views = [street(scene, 1) for scene in range(60)]
+    runs = [
+        detect.DetectorRun(detectors.Detector(name, "onnx", classes=((0, ("car",)),), version=name))
+        for name in ("some", "more")
+    ]
+    bench = detect.Bench(views, runs)
+    for scene, view in enumerate(views):
+        rows = [[*thing.box, 0.9, 0, 30.0] for thing in view.things]
+        bench.rows["some", view.name] = {"boxes": rows if scene < 40 else []}
+        bench.rows["more", view.name] = {"boxes": rows if scene < 52 else []}
+    told = detect.gains(bench, runs)["more"]
+    assert [(row.counts, row.group, row.things) for row in told[:2]] == [
+        (detect.ALL, "", 60),
+        (detect.ALL, "clear", 60),
+    ]
+    ends = 12 / 60 + 1.96 * np.sqrt(0.2 * 0.8 / 60) * np.array([-1, 1])
+    for row in told:
+        assert row.value == pytest.approx(0.2, abs=1 / 101)
+        np.testing.assert_allclose([row.low, row.high], ends, atol=0.02)

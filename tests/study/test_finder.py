@@ -6,12 +6,13 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 from PIL import Image as Picture
 
 from synfog_usd import seeds
 from synfog_usd.benchmark.detect import FoggedView, LabelledThing
 from synfog_usd.errors import ParameterError
-from synfog_usd.study import finder
+from synfog_usd.study import finder, networks
 
 CLASSES = ("car", "person")
 
@@ -39,7 +40,7 @@ def painted(folder, number, count=1):
 @pytest.fixture
 def small(monkeypatch):
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    monkeypatch.setattr(finder, "SIDE_PX", 48)
+    monkeypatch.setattr(finder, "SIDE_PX", 64)
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield torch
@@ -47,18 +48,18 @@ def small(monkeypatch):
 
 
 def test_a_thing_is_taught_in_the_cells_about_its_middle():
-    """A box of 40 x 24 px at (8, 16): its middle (28, 28) lies in cell (7, 7).  By hand: spread 0.9 and 0.54 cells."""
-    heat, sides, weight = finder.targets([(1, True, 8, 16, 40, 24)], 2, 12)
+    """A box of 20 x 12 px at (4, 8): its middle (14, 14) lies in cell (7, 7).  By hand: spread 0.9 and 0.54 cells."""
+    heat, sides, weight = finder.targets([(1, True, 4, 8, 20, 12)], 2, 12)
     assert heat[1, 7, 7] == 1.0 and not heat[0].any()
     assert heat[1, 7, 8] == pytest.approx(np.exp(-0.5 / 0.9**2), rel=1e-6)
     assert heat[1, 8, 7] == pytest.approx(np.exp(-0.5 / 0.54**2), rel=1e-6)
     near = np.argwhere(weight > 0).tolist()
     assert near == [[7, 6], [7, 7], [7, 8]] and weight.sum() == pytest.approx(1.0)
-    assert all(sides[:, y, x].tolist() == [8, 16, 48, 40] for y, x in near)
+    assert all(sides[:, y, x].tolist() == [4, 8, 24, 20] for y, x in near)
 
 
 def test_what_no_camera_sees_is_neither_thing_nor_background():
-    heat, _, weight = finder.targets([(0, False, 8, 16, 40, 24), (1, True, 0, 0, 8, 8)], 2, 12)
+    heat, _, weight = finder.targets([(0, False, 4, 8, 20, 12), (1, True, 0, 0, 4, 4)], 2, 12)
     region = np.zeros((12, 12), dtype=bool)
     region[4:10, 2:12] = True
     assert np.array_equal(heat[0] == -1.0, region) and heat[1].min() == 0.0 and heat[1, 1, 1] == 1.0
@@ -70,6 +71,25 @@ def test_what_no_camera_sees_is_neither_thing_nor_background():
 def test_a_middle_in_another_square_is_not_taught():
     heat, _, weight = finder.targets([(0, True, 40, 0, 40, 8)], 1, 12)
     assert not heat.any() and not weight.any()
+
+
+def test_a_square_is_the_picture_enlarged_and_its_boxes_go_with_it(small, tmp_path, monkeypatch):
+    """Boxes stay on their colour, whatever the square: inside a red box's middle half red is far above blue."""
+    monkeypatch.setattr(finder, "ZOOM", (0.7, 2.0))
+    seen, rng = [], seeds.stream(0, "squares")
+    for number in range(40):
+        square, heat, sides, weight = finder._square(painted(tmp_path, number), CLASSES, rng)
+        assert square.shape == (3, 64, 64) and square.min() >= 0.0 and square.max() <= 1.0
+        for kind, y, x in np.argwhere(heat == 1.0):
+            left, top, right, bottom = sides[:, y, x]
+            assert weight[y, x] > 0.0
+            low, high = ((3 * a + b) / 4 for a, b in ((left, right), (top, bottom)))
+            wide, tall = (right - left) / 2, (bottom - top) / 2
+            part = square[:, max(0, int(high)) : int(high + tall) + 1, max(0, int(low)) : int(low + wide) + 1]
+            redder = part[0].mean() - part[2].mean()
+            assert redder > 0.2 if kind == 0 else redder < -0.2
+            seen.append((right - left) / (20 if kind == 0 else 7))
+    assert len(seen) > 30 and min(seen) < 0.8 and max(seen) > 1.6
 
 
 def test_overlap_of_boxes_by_hand(small):
@@ -100,6 +120,7 @@ def test_painted_boxes_are_found_through_the_bench(small, tmp_path):
     finder.write(trained, tmp_path / "out")
     assert len((tmp_path / "out" / "losses.csv").read_text().splitlines()) == 251
     detector = chosen([str(tmp_path / "out" / "detectors.yaml")])[0]
+    assert detector.name == "out"
     worker = MethodWorker(detector, tmp_path)
     try:
         for number in range(100, 104):
@@ -119,6 +140,12 @@ def overlap(one, other):
     high = np.minimum(np.add(one[:2], one[2:]), np.add(other[:2], other[2:]))
     both = np.prod(np.clip(high - low, 0, None))
     return both / (one[2] * one[3] + other[2] * other[3] - both)
+
+
+@pytest.mark.parametrize("name", ["clear", "fog: {all}", "Nebel-größer"])
+def test_a_network_is_called_as_its_folder(tmp_path, name):
+    """So that two of them stand in one bench; a name stays one word of YAML, whatever is in it."""
+    assert yaml.safe_load(f"{{name: {networks.name_of(tmp_path / name)}, onnx: a.onnx}}")["name"] == name
 
 
 def test_classes_without_boxes_are_refused(tmp_path):
