@@ -636,7 +636,8 @@ def commands(folder, file, kind):
     if kind == "stage":
         yield "check", [*me, "check", file]
         yield "check --fix", [*me, "check", file, "--fix", str(folder / "mended.usda")]
-        yield "bake", [*me, "bake", file, *small, "--lighting", "authored,lighting0,lighting1", "--no-denoise"]
+        few = ["--lighting", "lighting0,lighting1"] if b"lighting0" in Path(file).read_bytes() else []
+        yield "bake", [*me, "bake", file, *small, *few, "--no-denoise"]
         yield "bake --max-distance", [*me, "bake", file, *small, "--max-distance", "20", "--no-denoise"]
         yield "preview", [*me, "preview", file, *small, "--terminal", "none"]
     if kind == "graph":
