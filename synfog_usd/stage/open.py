@@ -245,6 +245,7 @@ def _check_files(stage: Usd.Stage, fence: Fence) -> None:
             raise StageError(f"{_named_in(file, layers) or _name(stage)}: {fault}")
 
 
+@plain_errors
 def _check_expressions(stage: Usd.Stage, fence: Fence) -> None:
     """Refuse a composed file outside the fence that an expression leads to: a layer above may set its variables
     otherwise than its own does.
@@ -579,6 +580,7 @@ def stage_hash(stage: Usd.Stage) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
+@plain_errors
 def _all_files(stage: Usd.Stage) -> tuple[list[Sdf.Layer], list[str]]:
     """Layers and other files over all variants; what is missing is told by `composition_notes` and the translation."""
     quiet = UsdUtils.CoalescingDiagnosticDelegate()

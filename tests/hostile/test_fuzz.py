@@ -11,6 +11,7 @@ import functools
 import os
 import re
 import resource
+import struct
 import subprocess
 import sys
 import tempfile
@@ -304,6 +305,25 @@ def test_a_variant_set_that_is_named_and_not_there_is_told(tmp_path):
     assert whole.count(b"\0Fox\0") == 1
     path.write_bytes(whole.replace(b"\0Fox\0", b"\0Box\0"))
     with pytest.raises(SynfogError, match="named and not there; the file is damaged"):
+        open_stage(path)
+
+
+def test_a_value_of_no_type_is_told(tmp_path):
+    """In a binary file: a number's type in custom data, which USD reads first to list the stage's files; the test below
+    found it.
+    """
+    path = tmp_path / "broken.usdc"
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString('#usda 1.0\ndef Xform "W" (\n    customData = {\n        double a = 0.1\n    }\n)\n{\n}\n')
+    layer.Export(str(path))
+    whole = bytearray(path.read_bytes())
+    number = struct.pack("<d", 0.1)
+    assert whole.count(number) == 1
+    kind = whole.index(number) + 8 + 6  # of the eight bytes that say what lies where
+    assert whole[kind] == 9  # crateDataTypes.h: double
+    whole[kind] = 0
+    path.write_bytes(whole)
+    with pytest.raises(SynfogError, match="cannot be read as USD .*unsupported type enum value 0"):
         open_stage(path)
 
 
