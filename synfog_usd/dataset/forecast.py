@@ -28,7 +28,7 @@ GUIDING = 5.0
 """Such samples that take as long as what every picture asks of the renderer: guides, AOVs, kernels made ready."""
 
 USUAL = {(False, False): 128, (True, False): 120, (False, True): 64, (True, True): 64}
-"""Samples by fog and lamps with which a shot is as good as its sensor wants it, about.  At dusk nobody knows beforehand:
+"""Samples by fog and lamps with which a shot is as good as its sensor wants it, about.  At dusk nobody knows:
 at 320x180 the crossing stops at 51 and 28 to 44, a lit arterial road at 125 and 131 to 134; by day both at 108 to 131.
 """
 
