@@ -112,13 +112,11 @@ def _day(dome: SkyDome) -> str:
     return "Day" if dome.sky in skies.skies() else "Overcast"
 
 
-def author_placements(stage: Usd.Stage, placed: Iterable[Placement], assets: str) -> None:
+def author_placements(layer: Sdf.Layer, placed: Iterable[Placement], assets: str) -> None:
     """Components in their places, instanceable.
 
-    Call it last: each later change of a variant above them composes all of them again.  For the same
-    reason they are written to the layer at one go.
+    They are written to the layer at one go.  A stage that has it open composes all of them then: call it when none has.
     """
-    layer = stage.GetEditTarget().GetLayer()
     with Sdf.ChangeBlock():
         for p in placed:
             _author_placement(layer, p, assets)

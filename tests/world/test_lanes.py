@@ -121,7 +121,9 @@ def test_velocities_are_along_the_cars_own_axis():
     """Its +Y, uphill too, where other code puts the prim."""
     stage = Usd.Stage.CreateInMemory()
     p = Placement("Vehicles", "Car", "saloon", 3.0, 4.0, heading=130.0, pitch=7.0, speed_m_s=9.0)
-    authoring.author_placements(stage, [p, replace(p, name="Who", speed_m_s=None)], str(resources.folder("assets")))
+    authoring.author_placements(
+        stage.GetRootLayer(), [p, replace(p, name="Who", speed_m_s=None)], str(resources.folder("assets"))
+    )
     car, who = (stage.GetPrimAtPath(f"/World/Vehicles/{name}") for name in ("Car", "Who"))
     axis = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(car))[1, :3]
     np.testing.assert_allclose(car.GetAttribute("physics:velocity").Get(), 9.0 * axis, atol=1e-3)

@@ -165,15 +165,20 @@ class Road:
         low, high = self.along_bridge(*self.reference_line.place(np.array(self.land.valley[:2]), 0.0))
         return float(low), float(high)
 
+    @cached_property
+    def _waves(self) -> Array:
+        """(5, WAVES): height of each wave, cosine and sine of its direction, length [m] and phase [rad]."""
+        rng = stream(self.land.seed, "land", "hills")
+        drawn = [(rng.uniform(110, 600), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)) for _ in range(WAVES)]
+        length, angle, phase = np.array(drawn).T
+        return np.stack([length / 600, np.cos(angle), np.sin(angle), length, phase])
+
     def hills(self, x: Array, y: Array) -> Array:
         """Height of the open land [m]: a few long waves."""
         if not self.land.hills_m:
             return np.zeros(np.shape(x))
-        rng = stream(self.land.seed, "land", "hills")
+        broadness, cosine, sine, length, phase = self._waves[(..., *(None,) * np.ndim(x))]
         total = np.zeros(np.shape(x))
-        for _ in range(WAVES):
-            length, angle, phase = rng.uniform(110, 600), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
-            total = total + (length / 600) * np.sin(
-                (x * np.cos(angle) + y * np.sin(angle)) * 2 * np.pi / length + phase
-            )
+        for wave in broadness * np.sin((x * cosine + y * sine) * 2 * np.pi / length + phase):
+            total = total + wave
         return self.land.hills_m * (total / 2.2 + 0.35)

@@ -72,6 +72,30 @@ class Outline:
         return slice(self.ends[corner], self.ends[corner + 1])
 
 
+@dataclass(frozen=True)
+class Pieces:
+    """The straight pieces of all kerb lines, (M,) each; piece i begins at sample i.
+
+    Attributes:
+        around: (2, N) pieces before and after each of N samples.
+        x, y, dx, dy: where they begin, and from there to their ends [m].
+        square: of their lengths [m2].
+        kerb, rise: height of the kerb where they begin, and what it gains to their ends [m].
+        first, last: whether a kerb line begins with it, or ends.
+    """
+
+    around: npt.NDArray[np.int64]
+    x: Array
+    y: Array
+    dx: Array
+    dy: Array
+    square: Array
+    kerb: Array
+    rise: Array
+    first: npt.NDArray[np.bool_]
+    last: npt.NDArray[np.bool_]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Roundabout(Road):
     """A roundabout; as a `Road` it is the arm that the camera is on.
@@ -259,10 +283,22 @@ class Roundabout(Road):
         return spatial.cKDTree(self.outline.points)
 
     @cached_property
-    def _ends(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Which samples are the first and the last of a kerb line."""
-        number = np.arange(len(self.outline.points))
-        return np.isin(number, self.outline.ends[:-1]), np.isin(number + 1, self.outline.ends[1:])
+    def _pieces(self) -> Pieces:
+        line = self.outline
+        number = np.arange(len(line.points))
+        first, last = np.isin(number, line.ends[:-1]), np.isin(number + 1, line.ends[1:])
+        d = np.diff(line.points, axis=0)
+        around = np.stack([np.where(first, number, number - 1), np.where(last, number - 1, number)])
+        return Pieces(
+            np.clip(around, 0, len(d) - 1),
+            *line.points[:-1].T,
+            *d.T,
+            (d * d).sum(axis=-1),
+            line.kerb[:-1],
+            np.diff(line.kerb),
+            first[:-1],
+            last[1:],
+        )
 
     @cached_property
     def _islands(self) -> tuple[tuple[tuple[float, float], ...], ...]:
@@ -278,31 +314,19 @@ class Roundabout(Road):
             Distance to the nearest kerb line [m], below 0 on the carriageway, and the height of the kerb there.  Beyond
             the arms' ends the distance is to the end, with the pavement's width added: land.
         """
-        points = np.stack(
-            np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)), axis=-1
-        )
-        line = self.outline
-        index = np.asarray(self._tree.query(points)[1])
-        best, kerb, over = np.full(index.shape, np.inf), np.zeros(index.shape), np.zeros(index.shape, dtype=bool)
-        first, last = self._ends
-        for step in (-1, 0):  # the pieces before and after the nearest sample
-            a = np.clip(
-                np.where(
-                    first[index] & (step < 0), index, np.where(last[index] & (step == 0), index - 1, index + step)
-                ),
-                0,
-                len(line.points) - 2,
-            )
-            p, d = line.points[a], line.points[a + 1] - line.points[a]
-            free = ((points - p) * d).sum(axis=-1) / (d * d).sum(axis=-1)
-            share = np.clip(free, 0.0, 1.0)
-            away = points - p - share[..., None] * d
-            side = np.where(d[..., 1] * away[..., 0] - d[..., 0] * away[..., 1] >= 0, 1.0, -1.0)
-            distance = np.hypot(away[..., 0], away[..., 1])
-            nearer = distance < np.abs(best) - 1e-9
-            best = np.where(nearer, side * distance, best)
-            kerb = np.where(nearer, line.kerb[a] + share * (line.kerb[a + 1] - line.kerb[a]), kerb)
-            over = np.where(nearer, ((free < -1e-9) & first[a]) | ((free > 1 + 1e-9) & last[a + 1]), over)
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        of = self._pieces
+        a = of.around[:, self._tree.query(np.stack([x, y], axis=-1))[1]]  # before and after the nearest sample
+        px, py, dx, dy = of.x[a], of.y[a], of.dx[a], of.dy[a]
+        free = ((x - px) * dx + (y - py) * dy) / of.square[a]
+        share = np.minimum(np.maximum(free, 0.0), 1.0)
+        ax, ay = x - px - share * dx, y - py - share * dy
+        distance = np.hypot(ax, ay)
+        signed = np.where(dy * ax - dx * ay >= 0, distance, -distance)
+        heights = of.kerb[a] + share * of.rise[a]
+        ends = ((free < -1e-9) & of.first[a]) | ((free > 1 + 1e-9) & of.last[a])
+        after = distance[1] < distance[0] - 1e-9
+        best, kerb, over = (np.where(after, two[1], two[0]) for two in (signed, heights, ends))
         return np.where(over, np.abs(best) + self.pavement + 0.01, best), kerb
 
     # -- ground
@@ -313,8 +337,11 @@ class Roundabout(Road):
         u, kerb = self.across(x, y)
         r = np.hypot(x, y)
         raised = kerb + (KERB_M - kerb) * np.clip((u - BEHIND_KERB_M) / RAMP_M, 0.0, 1.0)
-        result = np.where(u > self.pavement, self.open_land(x, y, u), np.where(u > 0.0, raised, 0.0))
-        result = np.where(r < self.inner, self.middle(r), result)
+        result = np.where(u > 0.0, raised, 0.0)
+        if (beyond := u > self.pavement).any():
+            result = np.where(beyond, self.open_land(x, y, u), result)
+        if (inside := r < self.inner).any():
+            result = np.where(inside, self.middle(r), result)
         near = (r > self.radius) & (r < self.radius + NEAR_M) & (u < 0.0)
         if near.any():
             for arm in range(len(self.arms)):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -181,7 +182,7 @@ def _row(
             if k >= len(at) or not beyond <= math.hypot(*base[k]) <= until:
                 return
             nx, ny = normals[k]
-            x, y, z = junction.stand(*(base[k] + (behind + prop.out) * normals[k]))
+            x, y = (round(float(v), 3) + 0.0 for v in base[k] + (behind + prop.out) * normals[k])  # no -0.0
             angle = {
                 "road": math.atan2(nx, -ny),
                 "back": math.atan2(-nx, ny),
@@ -189,9 +190,9 @@ def _row(
                 "along": math.atan2(ny, nx),
             }
             heading = math.degrees(angle[prop.turned]) if prop.turned in angle else prop.any_way
-            p = props.stood(prop.asset, (x, y, z), round(heading, 2), prop.looks, prop.size)
+            p = props.stood(prop.asset, (x, y, 0.0), round(heading, 2), prop.looks, prop.size)
             if _beside(junction, p, behind + prop.out):
-                yield s, p
+                yield s, replace(p, z=junction.stand(x, y)[2])
 
     return props.row(distributions, props.Front(places, float(at[-1])), rng, taken)
 

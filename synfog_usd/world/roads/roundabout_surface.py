@@ -77,8 +77,9 @@ def swept(
     h = np.broadcast_to(np.asarray(heights, dtype=np.float64), (len(points), len(u)))
     along = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))] / tile_m
     wide = np.r_[0.0, np.cumsum(np.hypot(np.diff(u), np.diff(h[0])))] / tile_m
-    loops = [np.c_[p + u[:, None] * n, z] for p, n, z in zip(points, normals, h, strict=True)]
-    return strip(loops, material, uv=[np.c_[wide, np.full(len(u), at)] for at in along])
+    loops = np.concatenate([points[:, None] + u[:, None] * normals[:, None], h[..., None]], axis=-1)
+    uv = np.stack(np.broadcast_arrays(wide, along[:, None]), axis=-1)
+    return strip([*loops], material, uv=[*uv])
 
 
 def _kerb(points: Array, normals: Array, height: npt.ArrayLike, base: float = 0.0) -> Part:

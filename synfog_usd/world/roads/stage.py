@@ -56,6 +56,13 @@ def author(path: Path, spec: WorldSpec, *, assets: str) -> Sdf.Layer:
         spec: what stands where.
         assets: where the shipped assets lie, from the stage's folder or from the root.
     """
+    layer = _without_placements(path, spec, assets)
+    authoring.author_placements(layer, spec.placed, assets)
+    return layer
+
+
+def _without_placements(path: Path, spec: WorldSpec, assets: str) -> Sdf.Layer:
+    """All but the components in their places, which no open stage need compose."""
     stage = new_stage(spec.about, path)
     stage.GetRootLayer().customLayerData = {**stage.GetRootLayer().customLayerData, **spec.origin}
     stage.SetMetadata("renderSettingsPrimPath", "/Render/Settings")
@@ -80,8 +87,7 @@ def author(path: Path, spec: WorldSpec, *, assets: str) -> Sdf.Layer:
     authoring.author_render(stage)
     if spec.products:
         authoring.author_products(stage, [authoring.EGO, *(f"{authoring.RIG}/{one.name}" for one in spec.rig)])
-    authoring.author_placements(stage, spec.placed, assets)
-    return Sdf.Layer.FindOrOpen(stage.GetRootLayer().identifier)
+    return Sdf.Layer.FindOrOpen(stage.GetRootLayer().identifier)  # a stage's own hold on it ends with the stage
 
 
 def built(spec: WorldSpec) -> list[Built]:
