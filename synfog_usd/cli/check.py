@@ -112,11 +112,11 @@ def mended(
     with contextlib.suppress(StageError):  # of a variant beyond a budget: the look that follows tells it
         for _, chosen in _variants(opened):
             changed |= chosen
-            more, users = rules.with_users(opened)
+            more, users = rules.fixable(opened)
             found |= dict.fromkeys(_placed(opened, more))
     if changed:
         opened = usd.open_stage(stage, allow=allow)
-        users = rules.with_users(opened)[1]
+        users = rules.fixable(opened)[1]
     return mend.write(opened, found, out, users=users, allow=allow)
 
 

@@ -44,7 +44,7 @@ def write(
         stage: as its variants stand.
         found: of all its variants.
         out: to write, beside the stage or above it.
-        users: road users of the stage, as `rules.with_users` measures them.
+        users: road users of the stage, as `rules.fixable` measures them.
         allow: folders of other files of the stage.
 
     Returns:

@@ -31,6 +31,9 @@ R = TypeVar("R")
 _FOLDERS = "synfogFolders"
 """Where the session layer keeps the fence."""
 
+_FILES = "synfogFiles"
+"""Where it keeps the files over all variants, which USD takes long to list."""
+
 _LEFT_OUT = "synfogLeftOut"
 """Where it keeps which attributes of a wrong type are blocked: lines of prim and text."""
 
@@ -81,13 +84,13 @@ def open_stage(
         raise StageError(
             f"{path}: cannot be read as USD ({_reason(problem)}); export it again, or test it with a USD viewer"
         ) from problem
+    check_size(stage)
     session = stage.GetSessionLayer()
     session.customLayerData = {
         **session.customLayerData,
         _FOLDERS: Vt.StringArray([str(folder) for folder in fence.folders]),
+        _FILES: Vt.StringArray(_checked_files(stage, fence)),
     }
-    check_size(stage)
-    _check_files(stage, fence)
     _check_expressions(stage, fence)
     if whole and (broken := composition_notes(stage)):
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
@@ -232,8 +235,8 @@ def check_depth(stage: Usd.Stage) -> None:
                 )
 
 
-def _check_files(stage: Usd.Stage, fence: Fence) -> None:
-    """Refuse a stage of which any file lies outside the fence, those of variants that are not chosen included.
+def _checked_files(stage: Usd.Stage, fence: Fence) -> list[str]:
+    """Files of a stage, those of variants that are not chosen included, none of which lies outside the fence.
 
     Raises:
         StageError: with the prim that names the file, where it can be found.
@@ -243,6 +246,7 @@ def _check_files(stage: Usd.Stage, fence: Fence) -> None:
     for file in dict.fromkeys(str(_package(path)) for path in [*used, *assets]):
         if file != stage.GetRootLayer().realPath and (fault := fence.fault(file)):
             raise StageError(f"{_named_in(file, layers) or _name(stage)}: {fault}")
+    return [*(layer.realPath for layer in layers if layer.realPath), *assets]
 
 
 @plain_errors
@@ -557,11 +561,14 @@ def dependencies(stage: Usd.Stage) -> list[Path]:
         if layer.realPath:
             files.add(_package(materialx.file_of(layer.realPath)))
     if root.realPath:
-        layers, assets = _all_files(stage)
-        files.update(_package(layer.realPath) for layer in layers if layer.realPath)
-        files.update(_package(asset) for asset in assets)
+        session = stage.GetSessionLayer()
+        known = session.customLayerData.get(_FILES) if session else None
+        if known is None:
+            layers, assets = _all_files(stage)
+            known = [*(layer.realPath for layer in layers if layer.realPath), *assets]
+        files.update(_package(file) for file in known)
         files.update(
-            _package(asset).with_suffix(".npz") for asset in assets if asset.lower().endswith(".vdb")
+            _package(file).with_suffix(".npz") for file in known if file.lower().endswith(".vdb")
         )  # what is read in its place
     return sorted(path for path in files if path.is_file())
 

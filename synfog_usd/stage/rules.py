@@ -64,6 +64,8 @@ MAX_SUN_LUX = 1e6
 MIN_LUX = 0.3
 """Of everything: a full moon."""
 
+_DOMES = ("DomeLight", "DomeLight_1")
+
 POLE_DEG = 5.0
 _PLAIN = "color_"
 """How Blender names the map of one colour that it writes for a plain world; such a map has no top."""
@@ -71,13 +73,14 @@ _PLAIN = "color_"
 
 def findings(stage: Usd.Stage) -> list[Finding]:
     """All that our own rules find on a stage, as its variants stand."""
-    return with_users(stage)[0]
-
-
-def with_users(stage: Usd.Stage) -> tuple[list[Finding], list[RoadUser]]:
-    """`findings`, and the road users that can be measured, outermost prims only."""
     context = _Context(stage)
-    return [one for look in _LOOKS for one in look(context)], context.users
+    return [one for look in (*_FIXABLE, *_TOLD_ONLY) for one in look(context)]
+
+
+def fixable(stage: Usd.Stage) -> tuple[list[Finding], list[RoadUser]]:
+    """Those of `findings` that `stage.mend` can fix, and the road users that can be measured, outermost prims only."""
+    context = _Context(stage)
+    return [one for look in _FIXABLE for one in look(context) if one.fix], context.users
 
 
 class _Context:
@@ -91,14 +94,27 @@ class _Context:
         seen = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render]
         self.solid = UsdGeom.BBoxCache(self.time, seen, False, True)
         self.whole = UsdGeom.BBoxCache(self.time, [*seen, UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy], False, True)
-        self.said: dict[Usd.Prim, tuple[bool, str | None]] = {}
-        self.purposes = self.fogs = False
-        """Whether any prim that was looked up has a purpose of its own, or fog."""
+        self.kinds: set[str] = set()
+        """Names of all types that prims have, those of prototypes too."""
+        self.purposes = False
+        """Whether any prim has a purpose of its own."""
+        self._foggy: set[Usd.Prim] = set()
+        self._labels: dict[Usd.Prim, str] = {}
+        for prim in _once(self):
+            self.kinds.add(prim.GetTypeName())
+            names = prim.GetAuthoredPropertyNames()
+            if has_fog_attributes(prim, names):
+                self._foggy.add(prim)
+            if not names:  # most of many
+                continue
+            self.purposes |= "purpose" in names
+            if (label := direct_label(prim, self.time, names)) is not None:
+                self._labels[prim] = label
 
     @functools.cached_property
     def fog(self) -> list[Usd.Prim]:
         """Prims with fog attributes."""
-        return [prim for prim in self.prims if self.has_fog(prim)]
+        return [prim for prim in self.prims if self.has_fog(prim)] if self._foggy else []
 
     @functools.cached_property
     def users(self) -> list[RoadUser]:
@@ -107,21 +123,11 @@ class _Context:
 
     def has_fog(self, prim: Usd.Prim) -> bool:
         """`has_fog_attributes`, looked up once."""
-        return self._said(prim)[0]
+        return bool(self._foggy) and prim in self._foggy
 
     def label(self, prim: Usd.Prim) -> str | None:
         """`direct_label`, looked up once."""
-        return self._said(prim)[1]
-
-    def _said(self, prim: Usd.Prim) -> tuple[bool, str | None]:
-        known = self.said.get(prim)
-        if known is None:
-            names = prim.GetAuthoredPropertyNames()
-            fog = has_fog_attributes(prim, names)
-            known = self.said[prim] = fog, direct_label(prim, self.time, names) if names else None
-            self.fogs |= fog
-            self.purposes |= "purpose" in names
-        return known
+        return self._labels.get(prim) if self._labels else None
 
     def longest_m(self, prim: Usd.Prim) -> float:
         """Longest edge [m] of what is drawn of a prim, in its own axes; 0 where that is nothing."""
@@ -243,7 +249,7 @@ def _area_m2(prim: Usd.Prim, context: _Context) -> float:
 
 
 def _anything_glows(context: _Context) -> bool:
-    for prim in _once(context):
+    for prim in _once(context) if "Shader" in context.kinds else ():
         if prim.GetTypeName() == "Shader":
             glow = UsdShade.Shader(prim).GetInput("emissiveColor") or UsdShade.Shader(prim).GetInput("emission")
             if glow and (
@@ -254,15 +260,13 @@ def _anything_glows(context: _Context) -> bool:
 
 
 def _dome_pole(context: _Context) -> Iterator[Finding]:
+    if context.kinds.isdisjoint(_DOMES):
+        return
     up = up_axis(context.stage)
     axes = {"X": Gf.Vec3d(1, 0, 0), "Y": Gf.Vec3d(0, 1, 0), "Z": Gf.Vec3d(0, 0, 1)}
     for prim in context.prims:
         kind = str(prim.GetTypeName())
-        file = (
-            getattr(_input(prim, "texture:file", context.time, None), "path", "")
-            if kind in ("DomeLight", "DomeLight_1")
-            else ""
-        )
+        file = getattr(_input(prim, "texture:file", context.time, None), "path", "") if kind in _DOMES else ""
         if not file or PurePosixPath(file).name.startswith(_PLAIN):
             continue
         axis = "Y"
@@ -343,12 +347,18 @@ def _road_users(context: _Context) -> Iterator[Finding]:
 
 def _class_by_name(prim: Usd.Prim) -> str | None:
     """Class of a road user that a prim's name begins or ends with, numbers aside."""
-    if not _ANY_NAME.search(name := prim.GetName()):  # most by far
+    if not _speaks((name := prim.GetName()).rstrip("0123456789")):  # most by far
         return None
     if not prim.IsA(UsdGeom.Xformable) or prim.IsA(UsdGeom.Camera) or prim.HasAPI(UsdLux.LightAPI):
         return None
     words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
     return (_NAMES.get(words[-1]) or _NAMES.get(words[0])) if words else None
+
+
+@functools.lru_cache(maxsize=4096)
+def _speaks(name: str) -> bool:
+    """Whether there is any road user's name in a name; those of many prims differ by their numbers alone."""
+    return bool(_ANY_NAME.search(name))
 
 
 def _is_many(prim: Usd.Prim) -> bool:
@@ -373,7 +383,7 @@ def _labels(context: _Context) -> Iterator[Finding]:
                 )
         elif (
             prim.IsA(UsdGeom.Gprim)
-            and not (context.fogs and (context.has_fog(prim) or context.has_fog(prim.GetParent())))
+            and not (context.has_fog(prim) or context.has_fog(prim.GetParent()))
             and not (context.purposes and _is_guide(prim))
         ):
             unlabelled.append(prim)
@@ -452,11 +462,9 @@ def _authored(layer: Sdf.Layer, root: Sdf.Path) -> list[Sdf.Path]:
     return found
 
 
-_LOOKS: tuple[Callable[[_Context], Iterator[Finding]], ...] = (
-    _camera_and_fog,
-    _lights,
-    _dome_pole,
-    _road_users,
-    _shadowed_variants,
-    _labels,
-)
+_Looks = tuple[Callable[["_Context"], Iterator[Finding]], ...]
+
+_FIXABLE: _Looks = (_camera_and_fog, _lights, _road_users, _labels)
+"""Rules of which some findings have a fix."""
+
+_TOLD_ONLY: _Looks = (_dome_pole, _shadowed_variants)

@@ -12,10 +12,12 @@ from pathlib import Path
 from pxr import Usd, UsdUtils, UsdValidation
 
 from synfog_usd.stage import rules
-from synfog_usd.stage.open import check_size, composition_notes, plain_errors, who_names
+from synfog_usd.stage.open import composition_notes, plain_errors, who_names
 from synfog_usd.stage.rulebook import Finding, finding
 
 _PREFIX = "usd: "
+
+_OF_PACKAGES = "usdUtilsValidators:UsdzPackageValidator"
 
 _MISSING = "put the file in its place, or clear the attribute"
 
@@ -35,10 +37,12 @@ type is told by the translation.
 def check(stage: Usd.Stage) -> list[Finding]:
     """All findings on a stage, USD's own and ours.
 
+    Args:
+        stage: as `open_stage`, `select` and `override` leave it: within the budgets of `synfog_usd.stage.budget`.
+
     Raises:
-        StageError: beyond a budget of `synfog_usd.stage.budget`, or damaged.
+        StageError: it is damaged.
     """
-    check_size(stage)
     return [*_composition(stage), *_usd_findings(stage), *rules.findings(stage)]
 
 
@@ -48,7 +52,10 @@ def _composition(stage: Usd.Stage) -> list[Finding]:
 
 
 def _usd_findings(stage: Usd.Stage) -> list[Finding]:
-    context = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    if not stage.GetRootLayer().GetFileFormat().IsPackage():  # it lists all files of the stage before it looks
+        validators = [one for one in validators if one.GetMetadata().name != _OF_PACKAGES]
+    context = UsdValidation.ValidationContext(validators)
     quiet = UsdUtils.CoalescingDiagnosticDelegate()  # validators print what they also return
     errors = context.Validate(stage)
     del quiet

@@ -100,7 +100,7 @@ class Shapes:
             if finish.uv is not None and not textured and finish.emission and finish.emission["type"] == "bitmap"
             else finish.emission
         )
-        if kind == "Sphere" and is_similarity(matrix) and not finish.colored:
+        if kind == "Sphere" and not finish.colored and is_similarity(matrix):
             scale = abs(geometry.determinant(matrix)) ** (1.0 / 3.0)
             radius = float(leaf.prim.GetAttribute("radius").Get(self.time)) * scale
             if not 0.0 < radius <= FAR_POINT:

@@ -30,7 +30,8 @@ class Twins:
     def hides(self, shape: Mapping[str, Any], path: str) -> bool:
         """Whether `MOST` shapes, whatever their looks, lie where `shape` does, so that it is not drawn."""
         if not any(isinstance(value, np.ndarray) for value in shape.values()):
-            return self._full(repr(_place(shape)).encode(), path)
+            place = repr([part for part in shape.items() if part[0] != "bsdf"])  # those of one kind in one order
+            return self._full(place.encode(), path)
         sketch = _sketch(shape)
         if sketch not in self.first:  # most lie alone, and are not read through
             self.first[sketch] = shape

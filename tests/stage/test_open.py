@@ -109,6 +109,12 @@ def test_cameras_are_listed_in_order(street):
     assert cameras(stage) == ["/World/Ego", "/Second"]
 
 
+def test_the_files_of_a_stage_are_those_that_usd_lists(street):
+    """As it is opened they are kept: of a stage that others opened USD is asked."""
+    assert dependencies(open_stage(street)) == dependencies(Usd.Stage.Open(str(street)))
+    assert {path.name for path in dependencies(open_stage(street))} == {"street.usda", "car.usda"}
+
+
 def test_the_hash_is_of_the_content_and_not_of_the_place(street, tmp_path_factory):
     """Moved files hash the same, a chosen variant does not count, an edited reference does."""
     first = stage_hash(open_stage(street))
