@@ -538,6 +538,27 @@ def at_start(tmp_path, code):
     }
 
 
+@pytest.mark.parametrize("dies", [False, True])
+def test_what_usd_writes_while_a_stage_is_read_is_not_heard(tmp_path, dies):
+    """By its own descriptor, as its library does in C++: where it ends the process, five lines.  Ours is heard."""
+    noisy = at_start(
+        tmp_path,
+        "from pxr import Sdf, Tf\n"
+        "before = Sdf.Layer.FindOrOpen\n"
+        "def heard(*words):\n"
+        "    os.write(2, b'a library speaks\\n')\n"
+        f"    {'Tf.Fatal(str(words))' if dies else ''}\n"
+        "    return before(*words)\n"
+        "Sdf.Layer.FindOrOpen = staticmethod(heard)",
+    )
+    written(tmp_path / "a.txt", "")
+    stage = written(tmp_path / "street.usda", HEAD + 'def "A" (references = @./a.txt@) {}\n')
+    done = cli.process("check", stage, env={**noisy, "TMPDIR": str(tmp_path)})  # where it writes its report
+    told = done.stderr.splitlines()
+    assert done.returncode == 2 and len(told) == 1, done.stderr
+    assert ("died of" if dies else "a.txt, which is not USD by its name") in told[0]
+
+
 @pytest.mark.parametrize("small", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_memory_beyond_the_limit_is_one_line(tmp_path, small):
     """2^23 equal numbers pack into a small file and unfold to 32 MiB, and more where they are counted; on a machine of
