@@ -20,7 +20,7 @@ from assets.builders.wayfarers import build_wayfarers
 from synfog_usd.errors import SynfogError
 from synfog_usd.files import write_bytes
 from synfog_usd.world.components import Component, write_component
-from synfog_usd.world.lod import with_low
+from synfog_usd.world.lod import bare, with_low
 
 BUILDERS: tuple[Callable[[], list[Component]], ...] = (
     build_more_cars,
@@ -37,7 +37,7 @@ WHAT = ("textures", "lamps", "models", "stages", "skies")
 def components() -> Iterator[Component]:
     """Every model; those with many triangles in two levels of detail."""
     for component in (*crossing.components(), *(with_low(one) for build in BUILDERS for one in build())):
-        yield plated(component)
+        yield bare(plated(component))
 
 
 def write(what: str, folder: Path, only: Sequence[str] = ()) -> Iterator[Path]:

@@ -8,14 +8,15 @@ others.  They face +Y and stand on z = 0; lengths in metres.
 # ruff: noqa: RUF005 -- offsets are added to arrays, which only look like lists
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
+from assets.builders import clothes
 from assets.builders.hands import hands
-from assets.builders.solids import blob_distance, limb_distance, soft_min, split, surface
+from assets.builders.solids import blob_distance, limb_distance, soft_max, soft_min, split, surface
 from synfog_usd.world.components import Component, Look
 from synfog_usd.world.materials import PALETTE, Material
 from synfog_usd.world.shapes import Array, Part, box, lathe, scale, shift, smooth_normals, soft_box, strip, tube, turn
@@ -33,7 +34,8 @@ class Person:
         arms, elbows: angle of each upper arm and bend of each elbow.
         splay: how far the arms stand off the body.
         lean: of the trunk; turn_head: to the left.
-        coat: length of the coat below the hip [m]; hair: 'short', 'long', 'bun', 'cap', 'helmet', 'hard hat'.
+        coat: length of the coat below the hip [m]; open: whether it shows the shirt at the neck;
+        hair: 'short', 'long', 'bun', 'cap', 'helmet', 'hard hat'.
         carries: 'backpack', 'handbag', 'phone', 'umbrella', 'shovel' or ''.
         wears: material by role; outfits: names of cloths for coat and trousers, one pair per variant.
         build: breadth of the trunk relative to average.
@@ -56,6 +58,7 @@ class Person:
     lean: float = 0
     turn_head: float = 0
     coat: float = 0.08
+    open: bool = False
     hair: str = "short"
     carries: str = ""
     build: float = 1.0
@@ -93,6 +96,7 @@ PEOPLE = (
         arms=(-20, 22),
         elbows=(14, 24),
         lean=3,
+        open=True,
         coat=0.26,
         wears={"hair": "hair_brown", "shoes": "leather_brown"},
         stride=1.0,
@@ -114,6 +118,7 @@ PEOPLE = (
         arms=(16, -14),
         elbows=(20, 10),
         lean=2,
+        open=True,
         coat=0.42,
         hair="long",
         carries="handbag",
@@ -250,6 +255,7 @@ PEOPLE = (
         arms=(-8, 12),
         elbows=(14, 26),
         lean=8,
+        open=True,
         coat=0.40,
         hair="cap",
         carries="umbrella",
@@ -273,9 +279,15 @@ ROLES = {
     "trousers": "denim",
     "shoes": "leather_black",
     "bag": "leather_black",
+    "strap": "cloth_black",
+    "shirt": "cloth_white",
+    "line": "seam",
+    "sole": "shoe_sole",
 }
 
 
+SHADE = 0.3
+"""How bright a seam is beside its coat: what lies between two edges of cloth sees little of the sky."""
 WORN = ("coat", "trousers", "skin", "hair", "shoes")
 """What an outfit names, in this order."""
 
@@ -334,7 +346,8 @@ def build_rider() -> Component:
         "toes": [(-0.11, 0.04, 0.145), (0.11, 0.06, 0.45)],
     }
     fields = fields_of(joints, Person("rider", "", 1.78, coat=0.06, hair="helmet"))
-    parts = [*cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 5500), *face(fields, joints)]
+    parts = cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 8000)
+    parts = [*soled(parts, joints), *face(fields, joints)]
     parts += hands(joints, (1.0, 1.0), BAR)
     wears = {"hair": "helmet", "shoes": "shoe_white"}
     return dressed(
@@ -471,6 +484,7 @@ def dressed(
                 role: {"diffuseColor": PALETTE[cloth].colour}
                 for role, cloth in zip(WORN, (*outfit, *(roles[role] for role in WORN[len(outfit) :])), strict=True)
             }
+            | {"line": {"diffuseColor": tuple(round(SHADE * c, 4) for c in PALETTE[outfit[0]].colour)}}
         )
         for i, outfit in enumerate(outfits)
     }
@@ -482,8 +496,15 @@ def person_parts(person: Person) -> list[Part]:
     """The triangles of somebody, feet on the ground, one part for each role."""
     joints = _pose(person)
     fields = fields_of(joints, person)
-    parts = [*cut_by_role(fields, (-0.62, -0.75, -0.15), (0.62, 0.95, 1.95), 6400), *face(fields, joints)]
+    parts = cut_by_role(fields, (-0.62, -0.75, -0.15), (0.62, 0.95, 1.95), 11000)
+    parts = [
+        *soled(clothes.opened(parts, joints, person), joints),
+        *clothes.sewn(joints, person),
+        *face(fields, joints),
+    ]
     parts += hands(joints, person.grips, person.palms)
+    if person.carries == "backpack":
+        parts += clothes.backpack(joints, person)
     if person.carries == "phone":
         parts.append(
             box((-0.04, -0.004, -0.075), (0.04, 0.006, 0.075), "bag").moved(
@@ -577,7 +598,7 @@ def _pose(person: Person) -> dict:
         t = a + 0.15 * np.array([0.08 * s, np.cos(foot), np.sin(foot)]) - [0, 0, 0.045]
         joints["thighs"].append(hip), joints["knees"].append(k), joints["ankles"].append(a), joints["toes"].append(t)
         arm, bend, off = np.deg2rad(person.arms[i]), np.deg2rad(person.elbows[i]), np.deg2rad(person.splay)
-        shoulder = trunk(s * 0.175 * person.build, 0, 0.47)
+        shoulder = trunk(s * 0.172 * person.build, 0, 0.458)
         e = shoulder + 0.29 * np.array([s * np.sin(off), np.sin(arm) * np.cos(off), -np.cos(arm) * np.cos(off)])
         fore = arm + bend
         inward = -0.25 * np.sin(bend)
@@ -588,19 +609,10 @@ def _pose(person: Person) -> dict:
 
 def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Array, Array], Array]]:
     """Signed distances of somebody in a pose, by role."""
-    b = person.build
     hips, chest, neck, head = (np.asarray(joints[k]) for k in ("hips", "chest", "neck", "head"))
     up = (chest - hips) / np.linalg.norm(chest - hips)
     facing = turn(joints.get("turn", 0.0))[:3, :3] @ np.array([0.0, 1.0, 0.0])
     across = np.array([facing[1], -facing[0], 0.0])
-
-    def creases(x: Array, y: Array, z: Array, bent: Sequence[Array], deep: float) -> Array:
-        """Cloth that hangs, and is gathered where a limb bends."""
-        d = 0.0035 * np.sin(38 * z + 14 * x + 4 * np.sin(23 * y + 9 * z)) + 0.0025 * np.sin(61 * z - 33 * y + 21 * x)
-        for k in bent:
-            near = np.exp(-((x - k[0]) ** 2 + (y - k[1]) ** 2 + (z - k[2]) ** 2) / 0.0075)
-            d = d + deep * near * np.sin(105 * (z - k[2]) + 40 * (y - k[1]) + 2 * np.sin(50 * (x - k[0])))
-        return d
 
     def skin(x: Array, y: Array, z: Array) -> Array:
         d = blob_distance(x, y, z, head + [0, 0, 0.005], (0.073, 0.092, 0.108))
@@ -649,86 +661,53 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
             d = soft_min(d, blob_distance(x, y, z, head + 0.1 * facing + [0, 0, 0.035], (0.06, 0.05, 0.012)), 0.015)
         return d
 
-    def coat(x: Array, y: Array, z: Array) -> Array:
-        d = blob_distance(x, y, z, chest - 0.02 * up, (0.172 * b, 0.118, 0.20))
-        d = soft_min(d, blob_distance(x, y, z, hips + 0.16 * up, (0.150 * b, 0.112, 0.20)), 0.10)
-        d = soft_min(
-            d,
-            limb_distance(
-                x, y, z, np.asarray(joints["shoulders"][0]), np.asarray(joints["shoulders"][1]), 0.062, 0.062
-            ),
-            0.08,
-        )
-        d = soft_min(d, limb_distance(x, y, z, chest + 0.10 * up, neck - 0.005 * up, 0.09, 0.066), 0.06)
-        for s, e, h in zip(joints["shoulders"], joints["elbows"], joints["hands"], strict=True):
-            d = soft_min(d, limb_distance(x, y, z, s, e, 0.062, 0.05), 0.05)
-            d = soft_min(d, limb_distance(x, y, z, e, h, 0.05, 0.04), 0.03)
-        if person.coat > 0.15:  # a skirt that follows the legs half-way
-            knee = 0.5 * (np.asarray(joints["knees"][0]) + np.asarray(joints["knees"][1]))
-            hem = hips + (knee - hips) * person.coat / 0.43
-            skirt = limb_distance(
-                x / (1.0 * b),
-                y,
-                z,
-                hips * [1 / b, 1, 1] + [0, 0, 0.1],
-                hem * [1 / b, 1, 1],
-                0.135,
-                0.165 + 0.10 * max(abs(np.sin(np.deg2rad(a))) for a in person.thighs),
-            )
-            beyond = hem[2] - z
-        else:
-            hem = hips - person.coat * up
-            squeezed = [0.75 / b, 1, 1]  # wider than deep
-            skirt = limb_distance(x * squeezed[0], y, z, (hips + 0.14 * up) * squeezed, hem * squeezed, 0.112, 0.122)
-            beyond = (hem[0] - x) * up[0] + (hem[1] - y) * up[1] + (hem[2] - z) * up[2]
-        d = soft_min(d, np.maximum(skirt, beyond), 0.06)
-        for t, k in zip(joints["thighs"], joints["knees"], strict=True):  # no leg comes through it
-            d = soft_min(d, np.maximum(limb_distance(x, y, z, t, k, 0.100, 0.074), beyond), 0.04)
-        front = np.exp(-((x - joints["chest"][0]) ** 2) / 0.00012) * (y > joints["chest"][1])  # where it closes
-        return d + creases(x, y, z, [np.asarray(e) for e in joints["elbows"]], 0.007) + 0.005 * front
-
-    def trousers(x: Array, y: Array, z: Array) -> Array:
-        d = blob_distance(x, y, z, hips - [0, 0, 0.02], (0.142 * b, 0.098, 0.11))
-        for t, k, a in zip(joints["thighs"], joints["knees"], joints["ankles"], strict=True):
-            leg = soft_min(
-                limb_distance(x, y, z, t, k, 0.088, 0.062),
-                limb_distance(x, y, z, k, np.asarray(a) + [0, 0, 0.0], 0.060, 0.056),
-                0.04,
-            )
-            d = soft_min(d, leg, 0.03)
-        bent = [np.asarray(j) for j in (*joints["knees"], *joints["ankles"])]
-        return d + creases(x, y, z, bent, 0.006)
-
     def shoes(x: Array, y: Array, z: Array) -> Array:
         d = np.full(np.shape(x), 1e3)
         for a, t in zip(joints["ankles"], joints["toes"], strict=True):
-            heel = np.asarray(a) + 0.25 * (np.asarray(a) - np.asarray(t)) * [1, 1, 0] - [0, 0, 0.035]
+            heel, sole = _sole(a, t)
             foot = soft_min(
-                limb_distance(x, y, z, heel, t, 0.042, 0.036),
-                limb_distance(x, y, z, a, np.asarray(a) - [0, 0, 0.04], 0.046, 0.044),
+                limb_distance(x, y, z, heel, t, 0.042, 0.038),
+                limb_distance(x, y, z, a, np.asarray(a) - [0, 0, 0.04], 0.042, 0.042),
                 0.03,
             )
-            d = np.minimum(d, foot)
+            below = (heel[0] - x) * sole[0] + (heel[1] - y) * sole[1] + (heel[2] - z) * sole[2] - 0.032
+            d = np.minimum(d, soft_max(foot, below, 0.012))
         return d
 
-    fields = {"skin": skin, "hair": hair, "coat": coat, "trousers": trousers, "shoes": shoes}
-    if person.carries == "backpack":
+    return {
+        "skin": skin,
+        "hair": hair,
+        "coat": clothes.coat(joints, person),
+        "trousers": clothes.trousers(joints, person),
+        "shoes": shoes,
+    }
 
-        def bag(x: Array, y: Array, z: Array) -> Array:
-            d = blob_distance(x, y, z, chest + [0, -0.185, -0.05], (0.145, 0.10, 0.22))
-            for s in (-1, 1):
-                path = [
-                    chest + [s * 0.10, -0.13, 0.10],
-                    chest + [s * 0.105, 0.02, 0.155],
-                    chest + [s * 0.11, 0.125, 0.02],
-                    chest + [s * 0.125, 0.06, -0.13],
-                ]
-                for p, q in itertools.pairwise(path):
-                    d = np.minimum(d, limb_distance(x, y, z, p, q, 0.022, 0.022))
-            return d
 
-        fields["bag"] = bag
-    return fields
+def _sole(ankle: npt.ArrayLike, toe: npt.ArrayLike) -> tuple[Array, Array]:
+    """The middle of a heel, and which way is up from its sole."""
+    a, t = np.asarray(ankle, dtype=np.float64), np.asarray(toe, dtype=np.float64)
+    heel = a + 0.25 * (a - t) * [1, 1, 0] - [0, 0, 0.035]
+    up = np.cross([1.0, 0.0, 0.0], t - heel)
+    return heel, up / np.linalg.norm(up)
+
+
+def soled(parts: list[Part], joints: Mapping) -> list[Part]:
+    """The parts, with soles of 2 cm below the shoes."""
+    made = []
+    for part in parts:
+        if part.material != "shoes":
+            made.append(part)
+            continue
+        height = np.full(len(part.points), np.inf)
+        nearest = height.copy()
+        for a, t in zip(joints["ankles"], joints["toes"], strict=True):
+            heel, up = _sole(a, t)
+            away = np.linalg.norm(part.points - 0.5 * (heel + t), axis=1)
+            height = np.where(away < nearest, (part.points - heel) @ up + 0.014, height)
+            nearest = np.minimum(away, nearest)
+        below, above = split(part, height)
+        made += [below.painted("sole"), above]
+    return made
 
 
 def cut_by_role(
@@ -743,7 +722,7 @@ def cut_by_role(
         assert d is not None
         return d
 
-    rest = surface(whole, low, high, step=0.016, triangles=triangles, material="coat")
+    rest = surface(whole, low, high, step=0.010, triangles=triangles, material="coat", coarse=4)
     parts = []
     roles = list(fields)
     for i, role in enumerate(roles[:-1]):

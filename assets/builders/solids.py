@@ -106,11 +106,11 @@ def surface(
     if len(faces) > triangles:
         points, faces = _simplified(points, faces, triangles)
     for _ in range(4):
-        g = _gradient(field, points)
+        g = gradient(field, points)
         f = field(*points.T)
         move = -f[:, None] * g / np.maximum((g * g).sum(axis=1, keepdims=True), 0.05)
         points = points + np.clip(move, -step / 2, step / 2)
-    g = _gradient(field, points)
+    g = gradient(field, points)
     return Part(points, faces, material, normals=g / np.maximum(np.linalg.norm(g, axis=1, keepdims=True), 1e-12))
 
 
@@ -196,7 +196,8 @@ def _sampled(field: Field, axes: Sequence[Array], step: float, coarse: int) -> A
     return values
 
 
-def _gradient(field: Field, points: Array, e: float = 2e-3) -> Array:
+def gradient(field: Field, points: Array, e: float = 2e-3) -> Array:
+    """(N, 3) gradient of a field at points, from differences over 2 `e` [m]."""
     x, y, z = points.T
     return np.stack(
         [

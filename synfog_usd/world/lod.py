@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from synfog_usd.world.components import Component
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.shapes import COLLAPSE, Array, Index, Part, by_material, face_normals, join, smooth_normals
+from synfog_usd.world.shapes import COLLAPSE, Array, Index, Part, by_material, face_normals, join
 
 LIMIT_M = 0.0195  # 2 cm, less half a millimetre that samples of a surface and five decimals can miss
 WORTH = 3000
@@ -39,7 +39,9 @@ KEPT = {"leaf_": (4, 12, 40), "needle": (3, 6, 14)}
 """One leaf in so many is kept at the levels `low`, `far` and `distant`, and larger, so that as much is covered."""
 LEAVES = tuple(KEPT)
 FINE = ("twig",)
-"""What is thinner than a tenth of a pixel beyond 60 m, among leaves: the levels `far` and `distant` have none of it."""
+"""What is thinner than a tenth of a pixel beyond 60 m, among leaves: at the level `low` it is not smooth, and `far` and
+`distant` have none of it.
+"""
 
 
 def with_low(component: Component, limit_m: float = LIMIT_M) -> Component:
@@ -60,6 +62,37 @@ def with_low(component: Component, limit_m: float = LIMIT_M) -> Component:
         if sum(len(p.faces) for p in low) < 0.75 * component.triangles()
         else component
     )
+
+
+def bare(component: Component) -> Component:
+    """The component without texture coordinates where none of its materials shows a picture."""
+    worn: dict[str, set[str]] = {}
+    for mesh, material in (
+        *component.low_bindings.items(),
+        *(pair for looks in component.variants.values() for look in looks.values() for pair in look.bindings.items()),
+    ):
+        worn.setdefault(mesh, set()).add(material)
+    known = {**PALETTE, **component.materials}
+
+    def without(parts: Sequence[Part]) -> tuple[Part, ...]:
+        return tuple(
+            part
+            if any(_pictured(known[name]) for name in {part.material, *worn.get(part.material, ())} & known.keys())
+            else replace(part, uv=None)
+            for part in parts
+        )
+
+    return replace(
+        component,
+        parts=without(component.parts),
+        low=without(component.low),
+        afar={level: without(parts) for level, parts in component.afar.items()},
+        individuals={name: bare(one) for name, one in component.individuals.items()},
+    )
+
+
+def _pictured(look: Material) -> bool:
+    return bool(look.texture or look.gloss or look.emission_texture)
 
 
 def simplified(
@@ -175,8 +208,9 @@ def _simplified(part: Part, limit_m: float, look: Material) -> Part:
     for share in SHARES:
         fewer = Part(*collapsed(points, faces, int(share * len(faces))), part.material)
         if len(fewer.faces) and distance(part, fewer) <= limit_m:
-            return fewer if part.normals is None else smooth_normals(fewer, 45)
-    return part
+            smooth = part.normals is not None and part.material not in FINE
+            return _with_normals_of(part, fewer) if smooth else fewer
+    return replace(part, normals=None) if part.material in FINE else part
 
 
 def _afar(component: Component, low: Sequence[Part]) -> dict[str, tuple[Part, ...]]:

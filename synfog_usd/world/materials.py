@@ -214,6 +214,7 @@ PALETTE: dict[str, Material] = {
     "leather_brown": Material((0.10, 0.045, 0.02), 0.45),
     "leather_black": Material((0.015, 0.015, 0.015), 0.4),
     "shoe_white": Material((0.60, 0.60, 0.58), 0.6),
+    "shoe_sole": Material((0.07, 0.065, 0.06), 0.8),
     "helmet": Material((0.65, 0.66, 0.66), 0.3),
     "helmet_yellow": Material((0.62, 0.42, 0.02), 0.3),
     "hi_vis_orange": Material((0.78, 0.17, 0.02), 0.7),
