@@ -147,7 +147,7 @@ def run(
                         return found if "error" in found else measure(found)
 
                     for batch in (first, rest):
-                        if batch is rest and rest and _hopeless(row, known):
+                        if hopeless := batch is rest and bool(rest) and _hopeless(row, known):
                             log(f"{method.name}: failed on the first {GIVE_UP} pictures; it is asked no more")
                             why = {"error": f"not asked: it failed on the first {GIVE_UP} pictures"}
                             answers: Iterator[tuple[str, Row]] = ((place, why) for place in rest)
@@ -157,7 +157,7 @@ def run(
                             known[place] = found
                             bench.made, done = bench.made + 1, done + 1
                             progress(f"{method.name}: {batch[place].name}", done / total)
-                            if "error" in found:
+                            if "error" in found and not hopeless:
                                 log(f"{method.name}: {batch[place].name}: {found['error']}")
                             if time.monotonic() - kept_at > KEEP_EVERY_S:
                                 _keep(out / RESULTS, known, order)

@@ -9,10 +9,11 @@ import pytest
 import yaml
 from PIL import Image as Picture
 
-from synfog_usd import seeds
+from synfog_usd import files, seeds
+from synfog_usd.benchmark import detectors, methods
 from synfog_usd.benchmark.detect import FoggedView, LabelledThing
 from synfog_usd.errors import ParameterError
-from synfog_usd.study import finder, networks
+from synfog_usd.study import finder, networks, training
 
 CLASSES = ("car", "person")
 
@@ -146,6 +147,23 @@ def overlap(one, other):
 def test_a_network_is_called_as_its_folder(tmp_path, name):
     """So that two of them stand in one bench; a name stays one word of YAML, whatever is in it."""
     assert yaml.safe_load(f"{{name: {networks.name_of(tmp_path / name)}, onnx: a.onnx}}")["name"] == name
+
+
+def test_two_trainings_stand_in_one_bench(tmp_path, monkeypatch):
+    """As the page has it, `--model finder/detectors.yaml --model clear/detectors.yaml`, and defoggers likewise; two
+    folders of one name are told."""
+    monkeypatch.setattr(networks, "write_onnx", lambda path, *more: files.write_bytes(path, path.parent.name.encode()))
+    monkeypatch.setattr(training, "as_bytes", lambda found: b"")
+    folders = [tmp_path / name for name in ("finder", "clear", "again/clear")]
+    for out in folders:
+        finder.write(finder.TrainedFinder(None, CLASSES, (1.0, 0.5)), out)
+        training.write(training.TrainedDefogger(None, False, (1.0, 0.5)), out)
+    for chosen, name in ((detectors.chosen, "detectors.yaml"), (methods.chosen, "methods.yaml")):
+        paths = [str(out / name) for out in folders]
+        first, second = chosen(paths[:2])
+        assert (first.name, second.name) == ("finder", "clear") and first.version != second.version
+        with pytest.raises(ParameterError, match="'clear'; give one another name"):
+            chosen(paths)
 
 
 def test_classes_without_boxes_are_refused(tmp_path):
