@@ -239,11 +239,8 @@ class _Survey:
                 return
             if "clips" in keys:
                 self.check_clips(layer, str(path), spec.GetInfo("clips"))
-            if "apiSchemas" in keys and (many := len(list(_items(spec.GetInfo("apiSchemas"))))) > budget.MAX_SCHEMAS:
-                raise StageError(
-                    f"{path}: {many} applied schemas; at most {budget.MAX_SCHEMAS} are composed: remove those that "
-                    f"nothing uses"
-                )
+            if "apiSchemas" in keys:
+                _check_schemas(name, str(path), spec.GetInfo("apiSchemas"))
             shared = "instanceable" in keys and bool(spec.instanceable)
             if shared:
                 instanceable.append(str(path))
@@ -438,6 +435,20 @@ def _led(item: Any, made: Any) -> Any:
         return item
     more = (item.customData,) if made is Sdf.Reference else ()
     return made(materialx.name_of(item.assetPath), item.primPath, item.layerOffset, *more)
+
+
+def _check_schemas(name: str, path: str, schemas: Any) -> None:
+    """Refuse a prim of a layer with more applied schemas than are composed, or with something else in their place.
+
+    Raises:
+        StageError: with the prim.
+    """
+    if not isinstance(schemas, Sdf.TokenListOp):
+        raise StageError(f"{name}: the apiSchemas of {path} are no list; the file is damaged: export it again")
+    if (many := len(list(_items(schemas)))) > budget.MAX_SCHEMAS:
+        raise StageError(
+            f"{path}: {many} applied schemas; at most {budget.MAX_SCHEMAS} are composed: remove those that nothing uses"
+        )
 
 
 def _items(edits: Any) -> Iterable[Any]:

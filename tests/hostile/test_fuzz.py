@@ -308,6 +308,19 @@ def test_a_variant_set_that_is_named_and_not_there_is_told(tmp_path):
         open_stage(path)
 
 
+def test_applied_schemas_that_are_no_list_are_told(tmp_path):
+    """In a binary file, where a truth value stands under their name, which the test below found."""
+    path = tmp_path / "broken.usdc"
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString('#usda 1.0\ndef Xform "W" (\n    noLoadHint = true\n)\n{\n}\n')
+    layer.Export(str(path))
+    whole = path.read_bytes()
+    assert whole.count(b"noLoadHint") == 1
+    path.write_bytes(whole.replace(b"noLoadHint", b"apiSchemas"))
+    with pytest.raises(SynfogError, match="the apiSchemas of /W are no list; the file is damaged"):
+        open_stage(path)
+
+
 def test_a_value_of_no_type_is_told(tmp_path):
     """In a binary file: a number's type in custom data, which USD reads first to list the stage's files; the test below
     found it.
