@@ -70,7 +70,9 @@ class Seen(str, Enum):
 def detect(
     source: options.Source,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the network, its YAML and its losses.")],
-    classes: Annotated[str, typer.Option(help="Cityscapes' classes of things, comma-separated.")] = "car,person",
+    classes: Annotated[
+        str, typer.Option(help="Cityscapes' classes of things, comma-separated; + makes one class of several.")
+    ] = "car,person",
     pipeline: Annotated[str, typer.Option(help="Whose pictures; all if left out.")] = "",
     fogs: Annotated[Seen, typer.Option(help="Pictures in clear air, in fog, or both.")] = Seen.all,
     split: Annotated[str, typer.Option(help="Split of a set; all if left out.")] = "",

@@ -77,7 +77,7 @@ class TrainedFinder:
 
     Attributes:
         model: torch's module; (1, 3, H, W) of 0 to 1 to (1, 4 + C, N), as YOLOv8 has it.
-        classes: Cityscapes' labels, in its order.
+        classes: Cityscapes' labels, in its order; several of one class are joined by +.
         losses: by step.
     """
 
@@ -93,7 +93,7 @@ def views(
 
     Args:
         source: folder of a set or of a bake.
-        classes: Cityscapes' labels.
+        classes: Cityscapes' labels; several that are one class are joined by +.
         pipeline: whose pictures; all if left out.
         fogs: one of `FOGS`.
         split: of a set; all if left out.
@@ -101,10 +101,13 @@ def views(
     Raises:
         ParameterError: no such picture, or no such thing in them; a class that gets no boxes.
     """
-    for name in classes:
+    labels = [name for joined in classes for name in joined.split("+")]
+    for name in labels:
         if name not in taxonomy.NAMES:
             near = did_you_mean(name, sorted(taxonomy.NAMES))
             raise ParameterError(f"--classes: {name!r} is no class of things.{near}")
+        if labels.count(name) > 1:
+            raise ParameterError(f"--classes: {name!r} stands in two classes; give it to one")
     found = [
         view
         for view in detect.find(source, split=split)
@@ -114,7 +117,7 @@ def views(
         words = f"no{'' if fogs == 'all' else ' ' + fogs} pictures by {pipeline!r}"
         raise ParameterError(f"{source}: {words}{f' in the split {split!r}' * bool(split)}")
     for name in classes:
-        if not any(thing.label == name and taught(thing) for view in found for thing in view.things):
+        if not any(thing.label in name.split("+") and taught(thing) for view in found for thing in view.things):
             raise ParameterError(f"{source}: no {name} of {LEAST_PX} visible pixels in {len(found)} pictures")
     return found
 
@@ -159,16 +162,22 @@ def network(classes: int) -> Any:
             return self.middles(found), self.sides(found).clamp(-4.0, 6.0).exp()
 
         def forward(self, picture: Any) -> Any:
-            logits, sides = self.cells(picture)
-            scores = logits.sigmoid()
-            peak = nn.functional.max_pool2d(scores, 3, stride=1, padding=1)
-            scores = torch.where(scores >= peak, scores, torch.zeros_like(scores))
-            x, y = middles_px(torch, logits)
-            left, top, right, bottom = (CELL_PX * sides).unbind(1)
-            boxes = [x + (right - left) / 2.0, y + (bottom - top) / 2.0, left + right, top + bottom]
-            return torch.cat([torch.stack(boxes, 1), scores], 1).flatten(2)
+            return told(torch, *self.cells(picture))
 
     return FinderUNet()
+
+
+def told(torch: Any, logits: Any, sides: Any) -> Any:
+    """What `FinderUNet.cells` says of a picture as YOLOv8 has it, (B, 4 + C, N): boxes of all cells, and scores of
+    those that are surer than their eight neighbours.
+    """
+    scores = logits.sigmoid()
+    peak = torch.nn.functional.max_pool2d(scores, 3, stride=1, padding=1)
+    scores = torch.where(scores >= peak, scores, torch.zeros_like(scores))
+    x, y = middles_px(torch, logits)
+    left, top, right, bottom = (CELL_PX * sides).unbind(1)
+    boxes = [x + (right - left) / 2.0, y + (bottom - top) / 2.0, left + right, top + bottom]
+    return torch.cat([torch.stack(boxes, 1), scores], 1).flatten(2)
 
 
 def middles_px(torch: Any, cells: Any) -> tuple[Any, Any]:
@@ -192,7 +201,7 @@ def train(
 
     Args:
         found: from `views`.
-        classes: Cityscapes' labels, in the network's order.
+        classes: as `views` has them, in the network's order.
         seed: of the first weights and of what is drawn.
         steps: batches of four squares.
         progress: whom to tell.
@@ -237,7 +246,8 @@ def _square(
     from PIL import Image
 
     picture = _pixels(view.picture)
-    own = [thing for thing in view.things if thing.label in classes]
+    places = {label: place for place, joined in enumerate(classes) for label in joined.split("+")}
+    own = [thing for thing in view.things if thing.label in places]
     zoom = float(np.exp(rng.uniform(*np.log(ZOOM))))
     window = SIDE_PX / zoom  # in the picture's pixels
     corner = [rng.uniform(min(0.0, side - window), max(0.0, side - window)) for side in picture.size]
@@ -262,7 +272,7 @@ def _square(
     for thing in own:
         left, top, width, height = (zoom * part for part in thing.box)
         left, top = left - zoom * corner[0], top - zoom * corner[1]
-        rows.append((classes.index(thing.label), taught(thing, zoom), left, top, width, height))
+        rows.append((places[thing.label], taught(thing, zoom), left, top, width, height))
     if rng.random() < 0.5:
         square = square[:, :, ::-1]
         rows = [
@@ -352,8 +362,8 @@ def write(found: TrainedFinder, out: Path) -> None:
         OutputError: the folder cannot be written.
     """
     networks.write_onnx(out / "trained.onnx", found.model, 3, MULTIPLE, ("picture", "found"))
-    classes = ", ".join(found.classes)
-    more = f"onnx: trained.onnx, layout: yolov8, nms: 0.6, classes: [{classes}]"
+    labels = [f"{label}: {place}" for place, joined in enumerate(found.classes) for label in joined.split("+")]
+    more = f"onnx: trained.onnx, layout: yolov8, nms: 0.6, classes: {{{', '.join(labels)}}}"
     text = f"synfog: benchmark/1\ndetectors:\n  - {{name: {networks.name_of(out)}, {more}}}\n"
     files.write_bytes(out / "detectors.yaml", text.encode())
     networks.write_losses(out, found.losses, "loss")

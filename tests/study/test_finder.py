@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import yaml
 from PIL import Image as Picture
 
 from synfog_usd import files, seeds
-from synfog_usd.benchmark import detectors, methods
+from synfog_usd.benchmark import coco, decode, detectors, methods
 from synfog_usd.benchmark.detect import FoggedView, LabelledThing
 from synfog_usd.errors import ParameterError
 from synfog_usd.study import finder, networks, training
@@ -93,6 +94,62 @@ def test_a_square_is_the_picture_enlarged_and_its_boxes_go_with_it(small, tmp_pa
     assert len(seen) > 30 and min(seen) < 0.8 and max(seen) > 1.6
 
 
+def test_what_is_taught_reads_back_as_the_boxes(small, tmp_path):
+    """A network that says just what it was taught gets every box of a street, rows of small ones among them: AP 1.0
+    through the bench's decoding, and 1 box a thing."""
+    pytest.importorskip("pycocotools")
+    rng, true, found = seeds.stream(0, "street"), [], []
+    classes = (0, ("car",)), (1, ("person",))
+    detector = detectors.Detector(name="taught", kind="onnx", version="", layout="yolov8", classes=classes)
+    for picture in range(12):
+        rows, taken = [], np.zeros((96, 160), dtype=bool)
+        for _ in range(60):
+            kind, wide = int(rng.integers(2)), float(np.exp(rng.uniform(np.log(4), np.log(70))))
+            high = wide * (0.6 if kind == 0 else 1.4)
+            left, top = rng.uniform(0, max(1.0, 160 - wide)), rng.uniform(0, max(1.0, 96 - high))
+            area = taken[int(top) : int(top + high) + 4, int(left) : int(left + wide) + 4]
+            if not area.any() and top + high < 96 and left + wide < 160:
+                area[:] = True
+                rows.append((kind, True, left, top, wide, high))
+        heat, sides, _ = (small.from_numpy(part) for part in finder.targets(rows, 2, 80))
+        x, y = finder.middles_px(small, heat[None])
+        edges = small.stack([x - sides[0], y - sides[1], sides[2] - x, sides[3] - y])[None] / finder.CELL_PX
+        answer = finder.told(small, small.logit(heat[None], 1e-6), edges).numpy()
+
+        class Session:
+            def get_inputs(self):
+                return [SimpleNamespace(name="picture", shape=[1, 3, None, None], type="tensor(float)")]
+
+            def get_outputs(self):
+                return [SimpleNamespace(name="found")]
+
+            def run(self, outputs, feed, answer=answer):
+                return [answer]
+
+        boxes = decode.detector(detector, Session())(np.zeros((160, 160, 3), dtype=np.uint8))
+        assert len([row for row in boxes if row[4] > 0.999]) == len(rows) > 8
+        true += [coco.TrueBox(picture, row[0], row[2:], 0.0) for row in rows]
+        found += [coco.FoundBox(picture, row[5], row[:4], row[4], 0.0) for row in boxes]
+    (whole,) = coco.match(12, true, found, [coco.EVERYTHING]).groups
+    assert coco.precision(whole, np.ones((1, 12))).mean() == pytest.approx(1.0, abs=1e-3)
+
+
+def test_several_labels_are_one_class(small, tmp_path, monkeypatch):
+    """car+person is taught as one class, and the bench scores both labels by it."""
+    monkeypatch.setattr(networks, "write_onnx", lambda path, *more: files.write_bytes(path, b""))
+    rng, seen = seeds.stream(0, "squares"), 0
+    for number in range(6):
+        heat = finder._square(painted(tmp_path, number), ("car+person", "rider"), rng)[1]
+        seen += (heat[0] == 1.0).sum()
+        assert not heat[1].any()
+    assert seen > 6
+    finder.write(finder.TrainedFinder(None, ("car+person", "rider"), (1.0,)), tmp_path / "merged")
+    assert detectors.chosen([str(tmp_path / "merged" / "detectors.yaml")])[0].classes == (
+        (0, ("car", "person")),
+        (1, ("rider",)),
+    )
+
+
 def test_overlap_of_boxes_by_hand(small):
     """Squares of 2 with a corner in common: 1 of 7, in a hull of 9; apart by 1: 0 of 8, in a hull of 10."""
     one = small.tensor([[0.0, 0, 2, 2]])
@@ -171,3 +228,5 @@ def test_classes_without_boxes_are_refused(tmp_path):
         finder.views(tmp_path, ("car", "road"))
     with pytest.raises(ParameterError, match=r"'persn' is no class of things.*person"):
         finder.views(tmp_path, ("persn",))
+    with pytest.raises(ParameterError, match="'bus' stands in two classes"):
+        finder.views(tmp_path, ("car+bus", "truck+bus"))
