@@ -228,6 +228,30 @@ class SceneDict:
     notes: tuple[Note, ...] = ()
 
 
+MANY_LIT = 256
+"""Lit surfaces up to which each is drawn by itself; of more those far away are drawn together."""
+
+
+def lit_kind(scene: SceneDict, key: str) -> tuple[Any, ...] | None:
+    """What shapes share that shine evenly and could be one; None for what is no such shape."""
+    part = scene.world[key]
+    if not (key.startswith("shape_") and isinstance(part, Mapping) and "emitter" in part):
+        return None
+    radiance = part["emitter"].get("radiance", {})
+    if part["emitter"].get("type") != "area" or radiance.get("type") != "rgb":
+        return None
+    emission = scene.emission_of.get(key)
+    return (
+        tuple(np.ravel(radiance["value"]).tolist()),
+        scene.group_of.get(key),
+        None if emission is None else emission.tobytes(),
+        part.get("bsdf", {}).get("id"),
+        "normals" in part,
+        "texcoords" in part,
+        "vertex_color" in part,
+    )
+
+
 def base_colour(bsdf: Mapping[str, Any]) -> Mapping[str, Any] | None:
     """The colour of a surface's matte part, an 'rgb' or a 'bitmap'; None where it has none, or takes it from
     vertices.

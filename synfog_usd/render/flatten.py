@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from synfog_usd.arrays import Array, Indices
 from synfog_usd.render import detail, surface
+from synfog_usd.render.lights.crowd import crowded
 from synfog_usd.render.placed import Piece, Prototypes, Standing
 from synfog_usd.scene import SceneDict
 
@@ -58,20 +59,31 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
     parts: dict[tuple[Any, ...], list[_Member]] = {}
 
     def take(
-        mesh: Mapping[str, Any], matrix: Array | None, instance: int, key: str, piece: tuple[str, str] | None = None
+        mesh: Mapping[str, Any],
+        matrix: Array | None,
+        instance: int,
+        key: str,
+        piece: tuple[str, str] | None = None,
+        block: int | None = None,
     ) -> None:
         smooth, motion = tuple(name in mesh for name in ARRAYS), source.motion_of.get(key)
         material = mesh["bsdf"]["id"]
         parts.setdefault(
-            (kinds.get(material, material), *smooth, bool(mesh.get("face_normals", False)), motion is not None), []
-        ).append(_Member(mesh, matrix, instance, motion, piece))
+            (kinds.get(material, material), *smooth, bool(mesh.get("face_normals", False)), block, motion is not None),
+            [],
+        ).append(_Member(key, mesh, matrix, instance, motion, piece))
 
     placed = _placed(source) if placing else {}
     written = {key: value for key, value in world.items() if key not in placed}
     finer = _Detail(replace(source, world=written))
     expanded = _expanded(written, finer)
+    crowd = crowded(source)
     for key, value in world.items():
-        if key.startswith("shape_") and _plain(value):
+        if key in crowd:
+            mesh, block = crowd[key]
+            take(mesh, None, source.instance_of.get((key,), 0), key, block=block)
+            taken.add(key)
+        elif key.startswith("shape_") and _plain(value):
             take(value, None, source.instance_of.get((key,), 0), key)
             taken.add(key)
         elif key in expanded:
@@ -96,9 +108,16 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
     joined, instances = {}, {}
     where: dict[tuple[str, str], Piece] = {}
     motions = {key: ways for key, ways in source.motion_of.items() if key not in taken}
-    for index, ((*_, moving), members) in enumerate(parts.items()):
+    groups, fluxes, emissions = dict(source.group_of), dict(source.flux_of), dict(source.emission_of)
+    for index, ((*_, block, moving), members) in enumerate(parts.items()):
         key = f"shape_joined_{index}"
         joined[key] = {**_joined(members), "bsdf": _bsdf(world, members)}
+        if block is not None:
+            joined[key]["emitter"] = members[0].mesh["emitter"]
+            fluxes[key] = sum(fluxes.get(one.key, 0.0) for one in members)
+            for values in (groups, emissions):
+                if members[0].key in values:
+                    values[key] = values[members[0].key]
         instances[key] = np.concatenate(
             [np.full(len(one.mesh["faces"]), one.instance, dtype=np.int32) for one in members]
         )
@@ -114,6 +133,9 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
             world={**rest, **joined},
             instance_of={key: instance for key, instance in source.instance_of.items() if key[0] not in taken},
             motion_of=motions,
+            group_of=groups,
+            flux_of=fluxes,
+            emission_of=emissions,
         ),
         instances,
         _prototypes(source, placed, where) if placed else None,
@@ -121,10 +143,11 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
 
 
 class _Member(NamedTuple):
-    """A mesh that is joined with others, where it stands, whose it is, how it moves, as `SceneDict.motion_of`, and of
-    what prototype it is which piece, where it stands in many places.
+    """A mesh that is joined with others: its key, where it stands, whose it is, how it moves, as `SceneDict.motion_of`,
+    and of what prototype it is which piece, where it stands in many places.
     """
 
+    key: str
     mesh: Mapping[str, Any]
     matrix: Array | None
     instance: int
@@ -318,7 +341,7 @@ def _expanded(world: Mapping[str, Any], finer: _Detail) -> set[str]:
 
 def _joined(members: list[_Member]) -> dict[str, Any]:
     positions, faces, more, start = [], [], {name: [] for name in ARRAYS if name in members[0].mesh}, 0
-    for mesh, matrix, *_ in members:
+    for _, mesh, matrix, *_ in members:
         points, corners = np.asarray(mesh["positions"]), np.asarray(mesh["faces"], dtype=np.uint32)
         if matrix is not None:
             points = points @ matrix[:3, :3].T + matrix[:3, 3]

@@ -22,7 +22,7 @@ MAX_CHAIN = 200
 """References that follow one another; composing them takes the square of their number, 0.5 s for 300."""
 
 TRUSTED = "SYNFOG_USD_LARGE"
-"""Environment variable that lifts `MAX_PRIMS` and `MAX_FOGS` where it is set: the user trusts the stage and waits."""
+"""Environment variable that lifts `MAX_PRIMS`, `MAX_FOGS`, `MAX_LAMPS`: the user trusts the stage and waits."""
 
 MAX_PRIMS = 100_000
 """Prims and references to compose, all variants counted.  Each takes 0.15 to 0.4 ms to compose, check and translate,
@@ -35,6 +35,19 @@ MAX_FOGS = 200
 """Fog volumes of one picture: a kernel looks at each of them for each stretch of a path."""
 
 MAX_FOGS_TRUSTED = 1000
+
+MAX_LAMPS = 5000
+"""Lamps and lit surfaces, instances counted; each takes 1 to 3 ms of a bake."""
+
+MAX_LAMPS_TRUSTED = 100_000
+
+MAX_LIT_TRIANGLES = 4_000_000
+"""Triangles of all lit surfaces; each can be asked for light, and takes 0.4 kB."""
+
+MAX_LIT_KINDS = 1000
+"""Kinds of lit surfaces: of different radiance, light group, spectrum or material; each that moves or shines by a
+picture is one.  Those of one kind are drawn together where they are many; each kind takes 3 to 11 ms.
+"""
 
 MAX_LAYERS = 20_000
 """Files of scene description; also in one stack of sublayers, where one may stand many times."""
@@ -97,6 +110,11 @@ def most_prims() -> int:
 def most_fogs() -> int:
     """Fog volumes that may be drawn, as the user trusts the stage."""
     return MAX_FOGS_TRUSTED if _trusted() else MAX_FOGS
+
+
+def most_lamps() -> int:
+    """Lamps and lit surfaces that may be drawn, as the user trusts the stage."""
+    return MAX_LAMPS_TRUSTED if _trusted() else MAX_LAMPS
 
 
 def trusting(limit: int) -> str:

@@ -168,6 +168,7 @@ def with_boundaries(
         origin_m=(float(space.origin_m[0]), float(space.origin_m[1]), float(space.origin_m[2])),
         notes=notes.closed(lambda path: authored_path(stage, path)),  # USD numbers its prototypes anew each time
     )
+    complete = light.told_of_crowd(complete)
     return complete, tuple(boundary.path for boundary in scene.fog), Outlook(stage, time, space, eye, found)
 
 
@@ -434,6 +435,7 @@ class _Assembler:
             self.fog.append(made)
 
     def put_lamp(self, leaf: Leaf, kind: str, matrix: Array, placement: GroupInstance | None) -> None:
+        light.refuse_many(leaf.path, len(self.flux_of))
         convention = self.chooser.of(leaf.prim)
         lamp = light.lamp(
             leaf.prim,
@@ -534,6 +536,7 @@ class _Assembler:
         instance = self.instance(leaf, placement)
         self.note_motion(f"shape_{len(self.shapes)}", leaf, placement)
         if emission is not None:
+            light.refuse_many(leaf.path, len(self.flux_of))
             material = self.bindings.bound.get(str(leaf.prim.GetPath()))
             self.note_emission(
                 f"shape_{len(self.shapes)}",

@@ -8,8 +8,8 @@ that have a surface.  Follows the UsdLux specification since 25.05, but for what
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from pxr import Usd, UsdLux
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
 from synfog_usd.errors import StageError
+from synfog_usd.scene import MANY_LIT, Note, SceneDict, lit_kind
+from synfog_usd.stage import budget
 from synfog_usd.translate.convention import USD, Convention
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles, area, placed
@@ -309,6 +311,53 @@ def refuse_blinding(path: object, light: Array | npt.NDArray[np.float32]) -> Non
             f"{path}: gives {most:.3g} (in nits, lux or candela); at most {MAX_NIT:g} can be counted: lower its "
             f"intensity or exposure"
         )
+
+
+def refuse_many(path: object, number: int) -> None:
+    """Refuse one lamp or lit surface more than are drawn, before it is made.
+
+    Args:
+        path: of the one that would be too many.
+        number: of those before it.
+
+    Raises:
+        StageError: with the limit.
+    """
+    if number >= (most := budget.most_lamps()):
+        raise StageError(
+            f"{path}: one more than the {budget.amount(most)} lamps and lit surfaces that are drawn, instances "
+            f"counted: leave out those that the camera does not "
+            f"see{budget.trusting(budget.MAX_LAMPS_TRUSTED)}"
+        )
+
+
+def told_of_crowd(scene: SceneDict) -> SceneDict:
+    """The scene, with a note where its lit surfaces are so many that those alike are drawn as one.
+
+    Raises:
+        StageError: too many for the renderer even so, with their number and the limit.
+    """
+    shining = {key: part for key, part in scene.world.items() if isinstance(part, Mapping) and "emitter" in part}
+    triangles = sum(len(part.get("faces", ())) for part in shining.values())
+    if triangles > budget.MAX_LIT_TRIANGLES:
+        raise StageError(
+            f"{budget.amount(len(shining))} lit surfaces of {budget.amount(triangles)} triangles; at most "
+            f"{budget.amount(budget.MAX_LIT_TRIANGLES)} can shine: make these surfaces coarser"
+        )
+    kinds = {key if key in scene.motion_of else lit_kind(scene, key) or key for key in shining}
+    if len(kinds) > budget.MAX_LIT_KINDS:
+        raise StageError(
+            f"{budget.amount(len(shining))} lit surfaces of {budget.amount(len(kinds))} kinds; at most "
+            f"{budget.amount(budget.MAX_LIT_KINDS)} are drawn: give those that may shine alike the same colour, "
+            f"intensity and material, or lamps 'treatAsPoint'"
+        )
+    if len(shining) <= MANY_LIT:
+        return scene
+    said = (
+        f"{budget.amount(len(shining))} lit surfaces are more than {MANY_LIT}: far ones that shine alike are drawn "
+        f"together, balls and disks in a few dozen faces of the same area"
+    )
+    return replace(scene, notes=(*scene.notes, Note("info", "", said)))
 
 
 def area_emitter(radiance: Array) -> dict[str, Any]:

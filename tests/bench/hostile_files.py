@@ -233,15 +233,45 @@ def cubes_8192_in_one_place(folder):
     text(folder, "".join(f'def Cube "C{n}"\n{{\n}}\n' for n in range(8192)))
 
 
-@stage
-def lamps_20000(folder):
+def _lamps(folder, many, kind="SphereLight", more="", inputs=""):
     text(
         folder,
         "".join(
-            f'def SphereLight "L{n}"\n{{\n    double3 xformOp:translate = ({n % 100}, {n // 100}, 3)\n'
+            f'def {kind} "L{n}"{more}\n{{\n{inputs.format(n=n % 100)}'
+            f"    double3 xformOp:translate = ({n % 100}, {n // 100}, 3)\n"
             '    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
-            for n in range(20_000)
+            for n in range(many)
         ),
+    )
+
+
+@stage
+def lamps_20000(folder):
+    _lamps(folder, 20_000)
+
+
+@stage
+def lamps_under_the_limit(folder):
+    _lamps(folder, 5000)
+
+
+@stage
+def lamps_of_a_hundred_kinds(folder):
+    _lamps(folder, 5000, inputs="    float inputs:intensity = 1{n}\n")
+
+
+@stage
+def panels_under_the_limit(folder):
+    _lamps(folder, 5000, "RectLight")
+
+
+@stage
+def beams_under_the_limit(folder):
+    _lamps(
+        folder,
+        5000,
+        more=' (\n    prepend apiSchemas = ["ShapingAPI"]\n)',
+        inputs="    float inputs:shaping:cone:angle = 40\n    float inputs:shaping:focus = 2\n",
     )
 
 

@@ -25,6 +25,7 @@ from synfog_usd import system
 from synfog_usd.cli.check import look
 from synfog_usd.errors import StageError
 from synfog_usd.fence import Fence
+from synfog_usd.scene import MANY_LIT
 from synfog_usd.stage import budget, check, open_stage, survey
 from synfog_usd.stage.crate import array_sizes, table_sizes
 from synfog_usd.translate import translate
@@ -1072,3 +1073,65 @@ def test_a_pipeline_that_is_a_pipe_is_refused(tmp_path):
     os.mkfifo(tmp_path / "graph.yaml")
     done = cli.run("graph", "check", tmp_path / "graph.yaml")
     assert done.returncode == 2 and "graph.yaml: cannot be read (it is no regular file)" in done.stderr
+
+
+def lamps(folder, many, kind="SphereLight", inputs="", prototype=False):
+    """A stage of lamps in a row; of one lamp in as many places where it is a prototype."""
+    body = "".join(
+        f'def {kind} "L{n}"\n{{\n{inputs.format(n=n)}    double3 xformOp:translate = ({n}, 9, 0)\n'
+        '    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+        for n in range(1 if prototype else many)
+    )
+    if prototype:
+        body = (
+            f'def PointInstancer "Many"\n{{\n    rel prototypes = </Many/P>\n    int[] protoIndices = {[0] * many}\n'
+            f"    point3f[] positions = {[(n, 0, 0) for n in range(many)]}\n"
+            f'    def Xform "P"\n    {{\n{body}    }}\n}}\n'
+        )
+    head = '#usda 1.0\n(\n    upAxis = "Z"\n    metersPerUnit = 1\n)\ndef Camera "Ego"\n{\n}\n'
+    return written(folder / "lamps.usda", head + body)
+
+
+@pytest.mark.parametrize("prototype", [False, True])
+@pytest.mark.parametrize("kind", ["SphereLight", "RectLight", "DistantLight"])
+def test_lamps_beyond_the_limit_are_refused_by_their_number(tmp_path, kind, prototype, monkeypatch):
+    stage = open_stage(lamps(tmp_path, budget.MAX_LAMPS + 1, kind, prototype=prototype))
+    with pytest.raises(StageError, match=r"^/.*: one more than the 5 000 lamps .*SYNFOG_USD_LARGE=1"):
+        translate(stage)
+    monkeypatch.setenv(budget.TRUSTED, "1")
+    monkeypatch.setattr(budget, "MAX_LAMPS_TRUSTED", 10)
+    with pytest.raises(StageError, match=r"one more than the 10 lamps and lit surfaces .* does not see$"):
+        translate(stage)
+
+
+@pytest.mark.parametrize("number", (MANY_LIT, MANY_LIT + 1))
+def test_lit_surfaces_that_are_drawn_together_are_told_of(tmp_path, number):
+    told = [note.text for note in translate(open_stage(lamps(tmp_path, number, "RectLight"))).notes]
+    assert any(text.startswith(f"{number} lit surfaces are more than") for text in told) == (number > MANY_LIT)
+
+
+def test_kinds_of_lit_surfaces_and_their_triangles_are_refused_by_their_number(tmp_path, monkeypatch):
+    """A thousand intensities are drawn, one more is not, nor are stretched balls of more triangles than can shine; as
+    many of one kind are.
+    """
+    each = "    float inputs:intensity = 1{n}\n"
+    translate(open_stage(lamps(tmp_path, budget.MAX_LIT_KINDS, inputs=each)))
+    many = budget.MAX_LIT_KINDS + 1
+    with pytest.raises(StageError, match=r"^1 001 lit surfaces of 1 001 kinds; at most 1 000 are drawn: give"):
+        translate(open_stage(lamps(tmp_path, many, inputs=each)))
+    translate(open_stage(lamps(tmp_path, many)))
+    monkeypatch.setattr(budget, "MAX_LIT_TRIANGLES", 10)
+    with pytest.raises(StageError, match=r"^1 lit surfaces of \d+ triangles; at most 10 can shine"):
+        translate(open_stage(lamps(tmp_path, 1, "CylinderLight")))
+
+
+@pytest.mark.slow
+def test_lamps_within_the_limit_are_baked_in_seconds(tmp_path):
+    """Three thousand cards: 39 s of the processor as long as each was a shape of its own."""
+    stage = lamps(tmp_path, 3000, "RectLight")
+    words = ["bake", str(stage), "--resolution", "64x36", "--samples", "2", "--no-denoise", "--quiet"]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = cli.process(*words, "-o", str(tmp_path / "out"))
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert done.returncode == 0, done.stderr
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 25.0

@@ -27,6 +27,9 @@ FLOOR = 0.15
 CELLS = 40_000
 """Most cells; with 100 lamps 32 MB."""
 
+WEIGHTS = 4_000_000
+"""Most cells times lamps; above 100 lamps cells grow with their number."""
+
 CELL_M = 4.0
 """Least side of a cell, and its height."""
 
@@ -43,7 +46,9 @@ TILES = (32, 18)
 """Columns and rows of the view."""
 
 RAYS = 4
-"""Rays of a tile; along each, every lamp is asked at `NODES` places."""
+"""Rays of a tile, one where lamps are more than `CROWD`; along each, every lamp is asked at `NODES` places."""
+
+CROWD = 1000
 
 NODES = 24
 
@@ -104,7 +109,8 @@ class LightGrid:
         low[2], high[2] = places[:, 2].min() - CELL_M, places[:, 2].max() + CELL_M
         high = np.maximum(high, low + CELL_M)
         height = max(CELL_M, (high[2] - low[2]) / 8.0)
-        side = max(CELL_M, np.sqrt(np.prod((high - low)[:2]) * np.ceil((high[2] - low[2]) / height) / CELLS))
+        cells = min(CELLS, max(WEIGHTS // lights.count, 1))
+        side = max(CELL_M, np.sqrt(np.prod((high - low)[:2]) * np.ceil((high[2] - low[2]) / height) / cells))
         self.size = np.array([side, side, height])
         self.shape = np.maximum(np.ceil((high - low) / self.size), 1.0).astype(int)
         self.low = low
@@ -170,9 +176,10 @@ class LightGrid:
         """
         mi = backend.mitsuba()
         columns, rows = TILES
-        count = columns * rows * RAYS
+        rays = RAYS if self.lights.count <= CROWD else 1
+        count = columns * rows * rays
         index = np.arange(count)
-        tile, ray_number = index // RAYS, index % RAYS
+        tile, ray_number = index // rays, index % rays
         jitter = np.stack([ray_number % 2, ray_number // 2], axis=1) * 0.5 + 0.25
         u, v = (tile % columns + jitter[:, 0]) / columns, (tile // columns + jitter[:, 1]) / rows
         place = mi.Point2f(backend.floats(u), backend.floats(v))
@@ -186,7 +193,7 @@ class LightGrid:
             one = mi.Ray3f(dr.gather(mi.Point3f, ray.o, at), dr.gather(mi.Vector3f, ray.d, at))
             return self._along(number, one, dr.gather(mi.Float, near, at), dr.gather(mi.Float, stop, at), medium)
 
-        light = self._of_all(count, along).reshape(self.lights.count, columns * rows, RAYS)
+        light = self._of_all(count, along).reshape(self.lights.count, columns * rows, rays)
         return LightDistribution(np.ascontiguousarray(light.mean(axis=2).T), self.lights.even)
 
     @dr.syntax
