@@ -483,6 +483,7 @@ def _render(
         time_limit_s=plan.time_limit_s,
         bands=plan.bands,
         denoise=plan.denoise,
+        draft=plan.draft,
     )
     clear = view.seen if view and (hidden.triangles or same) else None
     share = 1.0 / (1 + len(moving))
@@ -584,7 +585,7 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
             "pilot": _rounded(rendered.figures),
         },
         "samples": float(f"{rendered.samples:.5g}"),
-        "denoised": rendered.error is not None,
+        "denoised": bool(rendered.radiance.provenance.get("denoised", False)),
         "target": _target(plan, view.pixel if view else None, rendered),
         "relative_error": float(f"{rendered.relative_error:.4g}"),
         "exposure": {
@@ -651,7 +652,7 @@ def _target(plan: BakePlan, pixel: tuple[float, float] | None, rendered: Rendere
     if plan.target_error is not None:
         kind: dict[str, Any] = {"relative_error": plan.target_error}
     elif pixel is not None:
-        share, whole = 1 / 3, 1 / 3 if rendered.error is None else 1.0
+        share, whole = 1 / 3, 1.0 if rendered.radiance.provenance.get("denoised") else 1 / 3
         kind = {
             "sensor": {
                 "electrons_per_cd_m2": float(f"{pixel[0]:.4g}"),

@@ -86,7 +86,8 @@ class BakePlan:
         choices, metres_per_unit, up: how the stage is read otherwise than it says of itself, see `stage.override`.
         allow: folders outside the stage's own in which its files may lie.
         clip: what frame of a sequence it is, or None.
-        draft: for a look alone: without labels, and metered on half of the paths, as they are.
+        draft: for a look alone: without labels or what is left of errors, metered on half of the paths, as they are,
+            and denoised in a part of the time, see `render.denoise.denoise_draft`.
         by_lighting: whether each lighting has a folder for its fogs; without, fogs lie in `out` itself.
     """
 

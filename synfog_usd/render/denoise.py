@@ -139,11 +139,11 @@ class Denoised:
 
     Attributes:
         components: name -> (H, W, C), not negative, which add up to the picture.
-        error: of the picture's luminance.
+        error: of the picture's luminance; None where it was not estimated.
     """
 
     components: dict[str, FloatArray]
-    error: dualbuffer.Error
+    error: dualbuffer.Error | None
 
     def luminance(self, weights: npt.ArrayLike) -> FloatArray:
         """(H, W) of the picture, for (C,) weights of the channels in it."""
@@ -186,6 +186,38 @@ def denoise_halves(
         part = SURFACE if name == LIT else name
         components[part] = components.get(part, np.float32(0.0)) + finished.mean(axis=0)
     return Denoised(components, dualbuffer.error_of(noisy, done))
+
+
+def denoise_draft(
+    halves: Mapping[str, Callable[[], FloatArray]],
+    guides: Guides,
+    weights: npt.ArrayLike,
+    *,
+    progress: Progress = silent,
+) -> Denoised:
+    """Clean a picture for a look alone: surfaces once and airlight once, by Open Image Denoise's smaller networks.
+
+    A third of the time of `denoise_halves`, whose arguments it takes; what is left is not told.  On the crossing at 2
+    samples, 320x180, against 32: error of the median pixel by day 8.4, 5.9 and 5.1 % (clear, MOR 300, 150), of halves
+    8.7, 5.8 and 5.2 %; at dusk, where lamps' light is not apart, 11.7, 6.1 and 6.0 %, of halves 10.2, 5.5 and 5.1 %.
+
+    Returns:
+        with `SURFACE`, those of `NOISELESS`, and `AIRLIGHT` for all that fog scatters.
+
+    Raises:
+        DenoiserError: Open Image Denoise fails.
+    """
+    means = dict[str, FloatArray]()
+    for name, make in halves.items():
+        part = SURFACE if name == LIT else name if name == SURFACE or name in NOISELESS else AIRLIGHT
+        means[part] = means.get(part, np.float32(0.0)) + make().mean(axis=0)
+    components = dict[str, FloatArray]()
+    for index, (name, mean) in enumerate(means.items()):
+        progress("denoising", index / len(means))
+        components[name] = denoise({name: mean}, guides, quick=True)[name]
+        if name not in NOISELESS:
+            components[name] = dualbuffer.given_back(mean[None], components[name][None], weights)[0]
+    return Denoised(components, None)
 
 
 def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: bool = False) -> dict[str, FloatArray]:
@@ -266,6 +298,7 @@ def divide(
     guides: Guides,
     *,
     quick: bool = False,
+    draft: bool = False,
 ) -> dict[str, FloatArray]:
     """Share a denoised picture out to light groups: of its surfaces, its airlight and its lamps' faces each group gets
     the share that it has of the light of all groups, each cleaned by itself in pixels of `SHARE_PX`.
@@ -276,6 +309,7 @@ def divide(
             `SHARE_PX`, but (H, W, C) for `NOISELESS`: at full size the groups of a large frame fill memory.
         guides: see `guides`.
         quick: with Open Image Denoise's smaller networks, see `FEW`.
+        draft: by shares as they are, not cleaned.
 
     Returns:
         name -> (H, W, C), not negative; they add up to the picture.
@@ -299,7 +333,7 @@ def divide(
 
     def clean(part: str, light: FloatArray) -> FloatArray:
         if part not in NOISELESS:
-            light = denoise({part: light}, seen, quick=quick)[part]
+            light = np.maximum(light, 0.0) if draft else denoise({part: light}, seen, quick=quick)[part]
         trace = np.float32(1e-6) * light.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
         return light + trace  # where no sample of any group was lit, groups share as in the whole picture
 

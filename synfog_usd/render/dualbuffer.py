@@ -120,16 +120,40 @@ def towards_truth(
     """
     weights = np.asarray(weights, dtype=np.float32)
     done = np.array(denoised, dtype=np.float32)
-    floor = 1e-3 * np.maximum(np.abs(noisy.mean(axis=(0, 1, 2), dtype=np.float64)), 1e-30).astype(
-        np.float32
-    )  # where nothing is left to scale
+    floor = _floor(noisy)
     for scale in SCALES_PX:
         _correct(noisy, done, weights, floor, scale)
-    for half in range(2):
-        done[half] *= _given(noisy[half] @ weights, done[half] @ weights, float(floor @ weights), nearby_px, most_given)
-    before, after = (picture.mean(axis=(0, 1, 2), dtype=np.float64) for picture in (noisy, done))
-    done *= np.where(after > 0.0, np.clip(before / np.maximum(after, 1e-30), 0.5, 2.0), 1.0).astype(np.float32)
-    return np.maximum(done, 0.0)
+    return given_back(noisy, done, weights, nearby_px, most_given)
+
+
+def given_back(
+    noisy: Array,
+    denoised: Array,
+    weights: npt.ArrayLike,
+    nearby_px: int = NEARBY_PX,
+    most_given: float = MOST_GIVEN,
+) -> Array:
+    """Give denoised pictures the light back that their samples have nearby and on the whole.
+
+    Args:
+        noisy, denoised: (N, H, W, C) pictures and what became of each; the second is written over.
+        weights: as in `towards_truth`.
+
+    Returns:
+        (N, H, W, C), 0 at least.
+    """
+    weights = np.asarray(weights, dtype=np.float32)
+    floor = float(_floor(noisy) @ weights)
+    for light, done in zip(noisy, denoised, strict=True):
+        done *= _given(light @ weights, done @ weights, floor, nearby_px, most_given)
+    before, after = (picture.mean(axis=(0, 1, 2), dtype=np.float64) for picture in (noisy, denoised))
+    denoised *= np.where(after > 0.0, np.clip(before / np.maximum(after, 1e-30), 0.5, 2.0), 1.0).astype(np.float32)
+    return np.maximum(denoised, 0.0)
+
+
+def _floor(noisy: Array) -> Array:
+    """(C,) light below which nothing is left to scale."""
+    return 1e-3 * np.maximum(np.abs(noisy.mean(axis=(0, 1, 2), dtype=np.float64)), 1e-30).astype(np.float32)
 
 
 def _given(noisy: Array, done: Array, floor: float, nearby_px: int, most: float) -> Array:

@@ -337,6 +337,7 @@ def _denoised_error(small: MitsubaScene, pilot: Accumulator) -> float:
         picture = denoise.denoise_halves(halves, denoise.guides(small), pilot.weights)
     except (denoise.DenoiserError, MemoryError):
         return np.inf
+    assert picture.error is not None
     luminance = picture.luminance(pilot.weights)
     return float(np.median(picture.error.rms / np.maximum(luminance, 0.05 * luminance.mean() + 1e-30)))
 

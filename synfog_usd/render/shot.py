@@ -72,11 +72,11 @@ class Rendered:
             C) float32 radiance, which add up to all of it and may be below 0 by noise, but where they were denoised;
             empty where the model tells none apart.
         error: (H, W) expected RMS error of each pixel's luminance [cd m-2] after denoising; None where nothing was
-            denoised.
+            denoised, and of a draft.
         groups: light group -> (H, W, C) float32 radiance; empty where there is only one. They add up to the radiance
             where that was denoised.
         model, why: which model it was, and why that one.
-        relative_error: median over the pixels of `error`, or else standard error, over luminance.
+        relative_error: median over the pixels of `error`, or else of the standard error of the samples, over luminance.
         warnings: what went wrong on the way, in words.
         figures: what the pilots measured, see `planner.Choice` and `choose_bands`; empty where there were none.
         samples: paths per pixel on average, as `Settings` means them.
@@ -118,6 +118,7 @@ class Settings:
             choose.
         denoise: clean the components apart (see `denoise`), where the model tells them apart; the variance stays that
             of the samples. What cannot be denoised is given as it is, and a warning says so.
+        draft: denoise for a look alone, see `denoise.denoise_draft`.
 
     Raises:
         ParameterError: a model that is unknown, a number out of range, or settings that do not go together.
@@ -134,6 +135,7 @@ class Settings:
     bounces: int | None = None
     bands: int | None = numbers.RGB
     denoise: bool = False
+    draft: bool = False
 
     def __post_init__(self) -> None:
         models.check_name(self.model)
@@ -300,14 +302,14 @@ def sample(
         rays = _guide_rays(samples) if denoise else 0
         accumulated, known = moments.accumulate(movables, parts, make, seed=seed, rays=rays, progress=progress)
         if denoise:
-            cleaning = _Cleaning(lambda: known, shape[:2], few=samples < denoising.FEW)
+            cleaning = _Cleaning(lambda: known, shape[:2], few=samples < denoising.FEW, draft=settings.draft)
     elif denoise:
         rays = _guide_rays(samples)
         if isinstance(integrator, FogPath):  # the processor looks while the first kernel of the samples is made ready
             look = denoising.begun_guides(loaded, rays=rays)
         else:
             look = functools.partial(denoising.guides, loaded, rays=rays)
-        cleaning = _Cleaning(look, shape[:2], few=samples < denoising.FEW)
+        cleaning = _Cleaning(look, shape[:2], few=samples < denoising.FEW, draft=settings.draft)
         accumulated = accumulate_denoised(
             integrator, target=target, seed=seed, now=now, denoised=cleaning.judged, progress=progress
         )
@@ -344,15 +346,16 @@ def sample(
             denoised, problem = cleaning.picture(accumulated, number, progress), cleaning.problem
             warnings.extend([problem] if problem else [])
             why += "" if denoised or problem else "; not denoised, since it tells no components apart"
-        if denoised:
-            luminance, error = denoised.luminance(accumulated.weights).ravel(), denoised.error.rms.ravel()
+        rms = denoised.error.rms if denoised and denoised.error else None
+        if denoised and rms is not None:
+            luminance, error = denoised.luminance(accumulated.weights).ravel(), rms.ravel()
             met = None if target.open else float((error <= target.allowed_in_all(luminance)).mean())
         else:
             luminance, error = accumulated.luminance(), np.sqrt(noise)
-            met = None if target.open else reached(luminance, noise, target, shape[:2])
+            met = None if target.open or denoised else reached(luminance, noise, target, shape[:2])
         lit = luminance > 0.0
         relative_error = float(np.median(error[lit] / luminance[lit])) if lit.any() else 0.0
-        if denoised and relative_error > LARGE_ERROR:
+        if rms is not None and relative_error > LARGE_ERROR:
             much = f"{relative_error:.0%}" if relative_error < 1.0 else "more than its own light"
             warnings.append(f"after denoising the median pixel still errs by {much}; more samples mend it")
         del luminance, error, noise
@@ -404,7 +407,6 @@ def sample(
         else:
             for name in names:
                 groups[name] = sum(accumulated.take_group().values()).reshape(shape).astype(np.float32)
-        rms = denoised.error.rms if denoised else None
         return Rendered(
             radiance, seen, relative_error, components, rms, groups, model, why, tuple(warnings), figures, spent, met
         )
@@ -428,15 +430,18 @@ class _Cleaning:
         look: gives the guides.
         shape: (H, W).
         few: whether there are but few samples of a pixel.
+        draft: whether it is for a look alone.
 
     Attributes:
         problem: what went wrong with the last one, or ''.
     """
 
-    def __init__(self, look: Callable[[], denoising.Guides | None], shape: tuple[int, int], *, few: bool) -> None:
+    def __init__(
+        self, look: Callable[[], denoising.Guides | None], shape: tuple[int, int], *, few: bool, draft: bool
+    ) -> None:
         self.problem = ""
         self._look: Callable[[], denoising.Guides | None] | None = look
-        self._shape, self._few = shape, few
+        self._shape, self._few, self._draft = shape, few, draft
         self._guides: denoising.Guides | None = None
         self._done: dict[int, denoising.Denoised | None] = {}  # by the number of samples, the last one only
 
@@ -447,12 +452,9 @@ class _Cleaning:
             self.problem = ""
             try:
                 progress("denoising", 0.0)
-                self._done[number] = denoising.denoise_halves(
-                    halves,
-                    self._seen(),
-                    accumulated.weights,
-                    quick=self._few,
-                    progress=within(progress, 0.3, 1.0),
+                clean = functools.partial(denoising.denoise_halves, quick=self._few)
+                self._done[number] = (denoising.denoise_draft if self._draft else clean)(
+                    halves, self._seen(), accumulated.weights, progress=within(progress, 0.3, 1.0)
                 )
             except (denoising.DenoiserError, MemoryError) as error:
                 self._done[number] = None
@@ -464,7 +466,7 @@ class _Cleaning:
     ) -> dict[str, np.ndarray] | None:
         """The picture by light group, see `denoise.divide`; None where something goes wrong."""
         try:
-            return denoising.divide(denoised.components, groups, self._seen(), quick=self._few)
+            return denoising.divide(denoised.components, groups, self._seen(), quick=self._few, draft=self._draft)
         except (denoising.DenoiserError, MemoryError) as error:
             self.problem = _not_denoised(error)
             return None
@@ -472,7 +474,9 @@ class _Cleaning:
     def judged(self, accumulated: Accumulator) -> tuple[np.ndarray, dualbuffer.Error] | None:
         """What the samples so far give."""
         found = self.picture(accumulated, accumulated.samples)
-        return None if found is None else (found.luminance(accumulated.weights), found.error)
+        if found is None or found.error is None:
+            return None
+        return found.luminance(accumulated.weights), found.error
 
     def see(self, accumulated: Accumulator) -> None:
         """Look at the scene, where pictures will be made of these samples, and let it go."""
