@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+
+if __name__ == "__main__":  # before numpy is loaded, which rounds otherwise with AVX-512; decimation turns on that
+    os.environ.setdefault("NPY_DISABLE_CPU_FEATURES", "X86_V4 AVX512_ICL AVX512_SPR AVX512F AVX512_SKX")
 
 from assets.builders import bench_stages, chambers, crossing, lamps, skies
 from assets.builders.cars import build_more_cars
