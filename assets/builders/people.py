@@ -19,7 +19,20 @@ from assets.builders.hands import hands
 from assets.builders.solids import blob_distance, limb_distance, soft_max, soft_min, split, surface
 from synfog_usd.world.components import Component, Look
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.shapes import Array, Part, box, lathe, scale, shift, smooth_normals, soft_box, strip, tube, turn
+from synfog_usd.world.shapes import (
+    Array,
+    Part,
+    box,
+    join,
+    lathe,
+    scale,
+    shift,
+    smooth_normals,
+    soft_box,
+    strip,
+    tube,
+    turn,
+)
 
 Point = tuple[float, float, float]
 
@@ -286,6 +299,8 @@ ROLES = {
 }
 
 
+HEAD_TRIANGLES = 2200
+"""Of a person's head and neck, without the eyes."""
 SHADE = 0.3
 """How bright a seam is beside its coat: what lies between two edges of cloth sees little of the sky."""
 WORN = ("coat", "trousers", "skin", "hair", "shoes")
@@ -346,7 +361,7 @@ def build_rider() -> Component:
         "toes": [(-0.11, 0.04, 0.145), (0.11, 0.06, 0.45)],
     }
     fields = fields_of(joints, Person("rider", "", 1.78, coat=0.06, hair="helmet"))
-    parts = cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 8000)
+    parts = cut_by_role(fields, joints, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 8000)
     parts = [*soled(parts, joints), *face(fields, joints)]
     parts += hands(joints, (1.0, 1.0), BAR)
     wears = {"hair": "helmet", "shoes": "shoe_white"}
@@ -496,7 +511,7 @@ def person_parts(person: Person) -> list[Part]:
     """The triangles of somebody, feet on the ground, one part for each role."""
     joints = _pose(person)
     fields = fields_of(joints, person)
-    parts = cut_by_role(fields, (-0.62, -0.75, -0.15), (0.62, 0.95, 1.95), 11000)
+    parts = cut_by_role(fields, joints, (-0.62, -0.75, -0.15), (0.62, 0.95, 1.95), 11000)
     parts = [
         *soled(clothes.opened(parts, joints, person), joints),
         *clothes.sewn(joints, person),
@@ -613,26 +628,36 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
     up = (chest - hips) / np.linalg.norm(chest - hips)
     facing = turn(joints.get("turn", 0.0))[:3, :3] @ np.array([0.0, 1.0, 0.0])
     across = np.array([facing[1], -facing[0], 0.0])
+    slim = 0.9 if person.build < 0.95 else 1.0  # jaw and neck
 
     def skin(x: Array, y: Array, z: Array) -> Array:
-        d = blob_distance(x, y, z, head + [0, 0, 0.005], (0.073, 0.092, 0.108))
-        d = soft_min(d, blob_distance(x, y, z, head + 0.055 * facing + [0, 0, -0.06], (0.048, 0.05, 0.052)), 0.05)
-        d = soft_min(
-            d,
-            limb_distance(
-                x, y, z, head + 0.092 * facing + [0, 0, 0.012], head + 0.108 * facing + [0, 0, -0.022], 0.009, 0.014
-            ),
-            0.015,
-        )
-        for side in (-1, 1):  # cheekbones, jaw and ears
-            aside = side * across
-            d = soft_min(
-                d, blob_distance(x, y, z, head + 0.05 * facing + 0.038 * aside + [0, 0, -0.02], (0.03,) * 3), 0.03
+        def at(ahead: float, aside: float, high: float) -> Array:
+            return head + ahead * facing + aside * across + [0, 0, high]
+
+        d = blob_distance(x, y, z, at(0, 0, 0.005), (0.073, 0.092, 0.108))
+        d = soft_min(d, blob_distance(x, y, z, at(0.055, 0, -0.06), (0.042 * slim, 0.046, 0.050)), 0.05)
+        for side in (-1, 1):  # brows, cheekbones, jaw and ears
+            brow = limb_distance(x, y, z, at(0.084, 0.012 * side, 0.031), at(0.066, 0.050 * side, 0.028), 0.010, 0.009)
+            d = soft_min(d, brow, 0.016)
+            d = soft_min(d, blob_distance(x, y, z, at(0.048, 0.041 * side, -0.022), (0.028,) * 3), 0.03)
+            jaw = at(0.008, 0.050 * slim * side, -0.050)
+            d = soft_min(d, limb_distance(x, y, z, jaw, at(0.074, 0.010 * side, -0.102), 0.014, 0.014), 0.028)
+            socket = blob_distance(x, y, z, at(0.098, 0.032 * side, 0.012), (0.019, 0.019, 0.013))
+            d = soft_max(d, -socket, 0.012)
+        d = soft_min(d, limb_distance(x, y, z, at(0.084, 0, 0.018), at(0.106, 0, -0.022), 0.008, 0.0105), 0.012)
+        for side in (-1, 1):
+            d = soft_min(d, blob_distance(x, y, z, at(0.094, 0.012 * side, -0.026), (0.009, 0.010, 0.008)), 0.008)
+            ear = limb_distance(
+                x, y, z, at(-0.018, 0.078 * side, 0.016), at(-0.010, 0.073 * side, -0.022), 0.0125, 0.008
             )
-            jaw = head + 0.01 * facing + 0.052 * aside + [0, 0, -0.052]
-            d = soft_min(d, limb_distance(x, y, z, jaw, head + 0.07 * facing + [0, 0, -0.098], 0.016, 0.018), 0.035)
-            d = soft_min(d, blob_distance(x, y, z, head - 0.004 * facing + 0.081 * aside, (0.012, 0.017, 0.029)), 0.008)
-        d = soft_min(d, limb_distance(x, y, z, neck - 0.06 * up, head - [0, 0.01, 0.05], 0.054, 0.05), 0.04)
+            d = soft_min(d, ear, 0.008)
+        for high, deep in ((-0.053, 0.0075), (-0.066, 0.0085)):  # lips
+            lip = limb_distance(x, y, z, at(0.090, -0.014, high), at(0.090, 0.014, high), deep, deep)
+            d = soft_min(d, lip, 0.010)
+        d = soft_min(d, blob_distance(x, y, z, at(0.082, 0, -0.100), (0.019, 0.015, 0.015)), 0.020)
+        d = soft_min(
+            d, limb_distance(x, y, z, neck - 0.06 * up, head - [0, 0.01, 0.05], 0.054 * slim, 0.050 * slim), 0.03
+        )
         for hand, elbow in zip(joints["hands"], joints["elbows"], strict=True):  # as far as `hands` begin
             along = (np.asarray(hand) - elbow) / np.linalg.norm(np.asarray(hand) - elbow)
             d = np.minimum(d, limb_distance(x, y, z, hand, np.asarray(hand) + 0.035 * along, 0.027, 0.025))
@@ -648,8 +673,13 @@ def fields_of(joints: Mapping, person: Person) -> dict[str, Callable[[Array, Arr
         if person.hair == "helmet":
             d = blob_distance(x, y, z, head + 0.02 * back + [0, 0, 0.06], (0.102, 0.135, 0.088))
             return np.maximum(d, -(z - head[2] - 0.02))
-        d = blob_distance(x, y, z, head + 0.024 * back + [0, 0, 0.034], (0.087, 0.099, 0.101))
-        d = d + 0.004 * np.sin(95 * x + 30 * z) * np.sin(80 * y) + 0.003 * np.sin(120 * z + 60 * y)  # strands
+        d = blob_distance(x, y, z, head + 0.024 * back + [0, 0, 0.034], (0.085, 0.098, 0.099))
+        aside = (x - head[0]) * across[0] + (y - head[1]) * across[
+            1
+        ]  # locks, from the crown to the front and the sides
+        ahead = (x - head[0]) * facing[0] + (y - head[1]) * facing[1]
+        d = d + 0.0030 * np.sin(210 * aside + 70 * ahead + 2 * np.sin(60 * (z - head[2])))
+        d = d + 0.0022 * np.sin(330 * aside - 120 * ahead + 90 * (z - head[2]))
         if person.hair == "long":
             d = soft_min(
                 d, limb_distance(x, y, z, head + 0.05 * back, head + 0.075 * back - [0, 0, 0.20], 0.075, 0.06), 0.05
@@ -711,9 +741,15 @@ def soled(parts: list[Part], joints: Mapping) -> list[Part]:
 
 
 def cut_by_role(
-    fields: Mapping[str, Callable[[Array, Array, Array], Array]], low: Point, high: Point, triangles: int
+    fields: Mapping[str, Callable[[Array, Array, Array], Array]],
+    joints: Mapping,
+    low: Point,
+    high: Point,
+    triangles: int,
 ) -> list[Part]:
-    """The surface round all roles within a box, cut where one lies nearer than the others."""
+    """The surface round all roles within a box, cut where one lies nearer than the others; HEAD_TRIANGLES of it are the
+    head, which has a finer grid.
+    """
 
     def whole(x: Array, y: Array, z: Array) -> Array:
         d = None
@@ -722,7 +758,27 @@ def cut_by_role(
         assert d is not None
         return d
 
-    rest = surface(whole, low, high, step=0.010, triangles=triangles, material="coat", coarse=4)
+    head = np.asarray(joints["head"], dtype=np.float64)
+    neck_z = float(head[2]) - 0.125
+    body = surface(
+        whole,
+        low,
+        (high[0], high[1], neck_z + 0.04),
+        step=0.010,
+        triangles=triangles - HEAD_TRIANGLES,
+        material="coat",
+        coarse=4,
+    )
+    top = surface(
+        whole,
+        (head[0] - 0.17, head[1] - 0.21, neck_z - 0.02),
+        (head[0] + 0.17, head[1] + 0.21, high[2]),
+        step=0.006,
+        triangles=HEAD_TRIANGLES,
+        material="coat",
+        coarse=4,
+    )
+    rest = join([split(body, body.points[:, 2] - neck_z)[0], split(top, top.points[:, 2] - neck_z)[1]])
     parts = []
     roles = list(fields)
     for i, role in enumerate(roles[:-1]):
@@ -753,16 +809,23 @@ def face(fields: Mapping[str, Callable[[Array, Array, Array], Array]], joints: M
             np.vstack([rim, on_skin(across, up, lift)]), np.array([((i + 1) % 8, i, 8) for i in range(8)]), material
         )
 
-    def band(points: list[tuple[float, float]], thick: float, material: str) -> Part:
-        loops = [np.array([on_skin(x, z + dz, 0.0015) for x, z in points]) for dz in (0.0, thick)]
+    def band(points: list[tuple[float, float]], thick: float, material: str, lift: float = 0.0015) -> Part:
+        taper = [0.35, *[1.0] * (len(points) - 2), 0.35]
+        loops = [
+            np.array([on_skin(x, z + side * k * thick, lift) for (x, z), k in zip(points, taper, strict=True)])
+            for side in (-0.5, 0.5)
+        ]
         return strip(loops, material)
 
-    parts = [band([(-0.024, -0.058), (-0.009, -0.056), (0.009, -0.056), (0.024, -0.058)], 0.011, "lips")]
+    parts = [band([(-0.024, -0.0585), (-0.009, -0.0590), (0.009, -0.0590), (0.024, -0.0585)], 0.013, "lips")]
+    parts.append(band([(-0.024, -0.0590), (0.0, -0.0585), (0.024, -0.0590)], 0.0022, "eye_dark", 0.0025))
     for s in (-1, 1):
-        parts.append(oval(s * 0.031, 0.014, (0.0125, 0.0052), 0.0015, "eye_white"))
-        parts.append(oval(s * 0.031, 0.014, (0.0056, 0.0058), 0.0030, "eye_dark"))
-        brow = [(s * 0.015, 0.031), (s * 0.030, 0.036), (s * 0.047, 0.030)]
-        parts.append(band(brow, 0.0065, "eye_dark"))
+        parts.append(oval(s * 0.0315, 0.011, (0.0125, 0.0044), 0.0015, "eye_white"))
+        parts.append(oval(s * 0.0315, 0.0115, (0.0052, 0.0048), 0.0030, "eye_dark"))
+        lid = [(s * 0.0450, 0.0120), (s * 0.0315, 0.0160), (s * 0.0185, 0.0130)][::s]
+        parts.append(band(lid, 0.0022, "eye_dark", 0.0025))
+        brow = [(s * 0.050, 0.0305), (s * 0.034, 0.0375), (s * 0.014, 0.0335)][::s]
+        parts.append(band(brow, 0.0070, "eye_dark", 0.0025))
     return parts
 
 

@@ -46,8 +46,23 @@ from assets.builders.faces import Lens, Opening, centre_lamp, front, lamp_units,
 from assets.builders.solids import Field, carve, outline_distance, prism, rounded, soft_max, surface
 from synfog_usd.world.components import Component
 from synfog_usd.world.lod import cleaned
-from synfog_usd.world.shapes import Array, Part, box, quad, scale, shift, smooth_normals, soft_box, strip, tube
+from synfog_usd.world.shapes import (
+    Array,
+    Part,
+    box,
+    disc,
+    quad,
+    scale,
+    shift,
+    smooth_normals,
+    soft_box,
+    strip,
+    tube,
+    turn,
+)
 
+HANDLE = ((-0.019, 0.002), (-0.016, 0.022), (0.010, 0.026), (0.018, 0.002))
+"""Section of the handle of a boot or hatch: height and depth [m]."""
 CARS = (
     Body(
         "hatchback",
@@ -240,6 +255,7 @@ CARS = (
         spokes=5,
         plate=4,
         cladding=True,
+        triangles=2400,
     ),
     Body(
         "van",
@@ -617,7 +633,14 @@ def build_car(body: Body) -> Component:
     skin = _shut_lines(skin, parts, body)
     skin, lens = front(skin, parts, body, field_)
     skin = tail_lamps(skin, parts, body, field_)
-    skin = cut_out(skin, parts, "plastic_dusty", (0, 2), rect(-half * 0.78, half * 0.78, sill, sill + 0.17), 1, -1, 0.3)
+    if not body.upright:
+        for sign in (-1, 1):
+            area = convex([(sign * half * x, sill + z) for x in (0.60, 0.80) for z in (0.245, 0.275)])
+            skin = cut_out(skin, parts, "tail_lamp", (0, 2), area, 1, -1, 0.25)
+    valance = [
+        (x, sill + z) for x, z in ((-half * 0.90, 0), (half * 0.90, 0), (half * 0.60, 0.19), (-half * 0.60, 0.19))
+    ]
+    skin = cut_out(skin, parts, "plastic_dusty", (0, 2), valance, 1, -1, 0.3)
     skin = cut_out(
         skin,
         parts,
@@ -652,6 +675,8 @@ def build_car(body: Body) -> Component:
                 )
             )
     parts += centre_lamp(field_, sz)
+    if not body.upright:
+        parts += _stern(body, field_)
     skin = dusted(skin, parts, sill, body.axles)
     parts += _cabin(body, field_)
     parts += [skin, *wheels(body.axles, body.wheel, half - 0.065, 0.205, body.spokes)]
@@ -720,6 +745,33 @@ def _flank(skin: Part, parts: list[Part], body: Body, field_: Field, sign: int) 
     return skin
 
 
+def _stern(body: Body, field: Field) -> list[Part]:
+    """What stands on the back of a car: a handle over the plate or the lid's edge, exhaust, and a wiper on a hatch."""
+    half = body.width / 2
+    sill = min(z for _, z in body.side)
+
+    def behind(x: float, z: float, out: float) -> tuple[float, float, float]:
+        return (x, front_at(field, x, z, -1) - out, z)
+
+    over = body.tail[0] + (0.055 if body.rear_plate_z is None else 0.012)
+    edge = [np.array([behind(x, over + dz, out) for x in np.linspace(-0.30, 0.30, 7)]) for dz, out in HANDLE]
+    parts = [smooth_normals(strip(edge, "chrome" if body.cladding else "gloss_black"), 40)]
+    x = half * 0.52
+    y = front_at(field, x, sill + 0.10, -1)
+    parts.append(
+        tube([(x, y + 0.25, sill + 0.035), (x, y + 0.012, sill + 0.035)], 0.031, "brake", sides=9, capped=False)
+    )
+    parts.append(disc((0, 0, 0), 0.030, "seam", sides=9).moved(shift(x, y + 0.05, sill + 0.035) @ turn(90, "x")))
+    (ry, rz), (_, sz) = body.rear
+    if ry < -body.length / 2 + 0.35:  # not on a boot's lid
+        arm = [behind(u * 0.34 - 0.02, rz + 0.035 + v * (sz - rz), 0.014) for u, v in ((0, 0), (0.45, 0.06), (1, 0.14))]
+        parts += [
+            tube(arm, 0.009, "black_plastic", sides=4),
+            lens_disc(behind(-0.02, rz + 0.03, 0.012), 0.024, "black_plastic", back=True),
+        ]
+    return parts
+
+
 def _shut_lines(skin: Part, parts: list[Part], body: Body) -> Part:
     """The gaps round bonnet and boot, as they are seen from above, ahead and behind; gives the rest of the skin."""
     half, y0, y1 = body.width / 2, -body.length / 2, body.length / 2
@@ -739,6 +791,9 @@ def _shut_lines(skin: Part, parts: list[Part], body: Body) -> Part:
             skin = gap(skin, parts, (0, 1), [(sign * x, y) for x, y in lid], 2, 1, 0.5, beyond=body.lamps_z)
         top = body.tail[1] + 0.06
     low = body.tail[0] - 0.03
+    for sign in (-1, 1):  # between wing and bumper, under the lamps
+        under = [(sign * half * 0.70, low), (sign * half * 0.97, low)]
+        skin = gap(skin, parts, (0, 2), under, 1, -1, 0.35, beyond=-y0 - 0.5)
     hatch = [(-half * 0.74, top), (-half * 0.70, low), (half * 0.70, low), (half * 0.74, top)]
     return gap(skin, parts, (0, 2), hatch, 1, -1, 0.25, beyond=-y0 - deep)
 

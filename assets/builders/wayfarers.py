@@ -309,7 +309,7 @@ def _wheelchair_user() -> Component:
     }  # fmt: skip
     person = Person("wheelchair_user", "", 1.76, coat=0.06, hair="short", build=1.02)
     fields = fields_of(joints, person)
-    parts = cut_by_role(fields, (-0.50, -0.55, 0.05), (0.50, 0.85, 1.60), 7500)
+    parts = cut_by_role(fields, joints, (-0.50, -0.55, 0.05), (0.50, 0.85, 1.60), 7500)
     parts = [*soled(parts, joints), *face(fields, joints)]
     parts += hands(joints, (0.7, 0.7))
     for s in (-1, 1):
@@ -377,7 +377,7 @@ def _cyclist() -> Component:
     mirror = scale(-1, 1, 1)  # so that the left pedal is up
     fields = fields_of(joints, Person("cyclist", "", 1.70, coat=0.02, hair="helmet", build=0.88))
     parts = [
-        *soled(cut_by_role(fields, (-0.45, -0.6, 0.0), (0.45, 0.75, 1.85), 7500), joints),
+        *soled(cut_by_role(fields, joints, (-0.45, -0.6, 0.0), (0.45, 0.75, 1.85), 7500), joints),
         *face(fields, joints),
         *hands(joints, (1.0, 1.0), BAR),
         *(p.moved(mirror) for p in machine.parts),
@@ -413,7 +413,7 @@ def _motorcyclist() -> Component:
         "toes": [(s * 0.19, 0.02, 0.36) for s in (-1, 1)],
     }
     fields = fields_of(joints, Person("motorcyclist", "", 1.80, coat=0.06, hair="helmet", build=1.12))
-    parts = cut_by_role(fields, (-0.50, -0.65, 0.20), (0.50, 0.65, 1.85), 7500)
+    parts = cut_by_role(fields, joints, (-0.50, -0.65, 0.20), (0.50, 0.65, 1.85), 7500)
     parts += [glove.painted("shoes") for glove in hands(joints, (1.0, 1.0), BAR)]
     head = np.asarray(joints["head"], dtype=np.float64)
     parts.append(ball(head + [0, 0.0, 0.02], (0.128, 0.155, 0.150), "hair", sides=18))

@@ -168,19 +168,18 @@ def wood(road: Road, *, seed: int, count: int, nearest_m: float) -> Scatter:
 
 
 def shrub() -> tuple[Part, ...]:
-    """A shrub 0.9 m high and 1.2 m wide: a dark core, and leaves in two tones on boughs that stand out of it."""
+    """A shrub 0.9 m high and 1.2 m wide: a dark core, and leaves in two tones on boughs that hide it to the ground."""
     rng = stream(0, "land", "shrub")
-    rows, columns, boughs, leaves = 6, 9, 26, 26
+    columns, boughs, leaves = 9, 54, 24
     core = []
-    for i in range(rows):
-        a = np.pi * i / (rows - 1) - np.pi / 2
+    for radius, height in ((0.26, 0.0), (0.32, 0.18), (0.30, 0.38), (0.19, 0.54), (0.0, 0.60)):
         b = np.linspace(0, 2 * np.pi, columns, endpoint=False)
-        r = 0.40 * np.cos(a) * (1 + 0.15 * rng.standard_normal(columns))
-        core.append(np.c_[r * np.cos(b), r * np.sin(b), np.full(columns, 0.36 + 0.34 * np.sin(a))])
+        r = radius * (1 + 0.15 * rng.standard_normal(columns))
+        core.append(np.c_[r * np.cos(b), r * np.sin(b), np.full(columns, height)])
     parts = [strip(core, "hedge", closed=True)]
-    turn, lift = rng.uniform(0, 2 * np.pi, boughs), np.arcsin(rng.uniform(-0.15, 1.0, boughs))
+    turn, lift = rng.uniform(0, 2 * np.pi, boughs), np.arcsin(rng.uniform(-0.62, 1.0, boughs))
     ways = np.c_[np.cos(turn) * np.cos(lift), np.sin(turn) * np.cos(lift), np.sin(lift)]
-    tips = ways * rng.uniform(0.42, 0.62, (boughs, 1)) * (1, 1, 0.85) + (0, 0, 0.36)
+    tips = ways * rng.uniform(0.36, 0.60, (boughs, 1)) * (1, 1, 0.85) + (0, 0, 0.36)
     places = (tips[:, None] + rng.normal(0, 0.085, (boughs, leaves, 3))).reshape(-1, 3)
     places[:, 2] = np.maximum(places[:, 2], 0.03)
     along = np.repeat(ways, leaves, axis=0) + 0.8 * rng.standard_normal((len(places), 3))
