@@ -32,7 +32,8 @@ from synfog_usd.render.film.accumulator import (
     Squares,
     idle,
 )
-from synfog_usd.render.integrators.path import LENS_M, FogPath
+from synfog_usd.render.integrators.eye import LENS_M
+from synfog_usd.render.integrators.path import FogPath
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.load import MitsubaScene, to_mitsuba
 from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached

@@ -12,7 +12,7 @@ from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.render import backend, models
 from synfog_usd.render.film import accumulator
-from synfog_usd.render.integrators import path, tasks
+from synfog_usd.render.integrators import next_event, tasks
 from synfog_usd.render.shot import Settings, load, picture_bytes, render
 from synfog_usd.testing import black, box, scene, tilted, uniform_fog, wall
 
@@ -317,7 +317,7 @@ def test_bytes_do_not_depend_on_how_many_pixels_a_lane_takes(monkeypatch):
 def test_the_power_heuristic_is_a_number_for_every_density(pdf, other, weight):
     """p^2 / (p^2 + q^2), of densities whose squares float32 does not hold too."""
     mi = backend.mitsuba()
-    assert path.mis_weight(mi.Float(pdf), mi.Float(other))[0] == pytest.approx(weight, rel=1e-6)
+    assert next_event.mis_weight(mi.Float(pdf), mi.Float(other))[0] == pytest.approx(weight, rel=1e-6)
 
 
 def test_samples_that_are_added_in_parts_are_those_of_all_at_once():

@@ -9,7 +9,7 @@ import pytest
 
 from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import DIRECT
-from synfog_usd.render.integrators import path as path_module
+from synfog_usd.render.integrators import next_event
 from synfog_usd.render.shot import render
 from synfog_usd.testing import black, scene, uniform_fog, wall
 
@@ -96,7 +96,7 @@ def test_the_split_leaves_the_mean(monkeypatch):
         )
 
     ours = means()
-    monkeypatch.setattr(path_module.VisibleFaces, "of", classmethod(lambda cls, loaded: None))
+    monkeypatch.setattr(next_event.VisibleFaces, "of", classmethod(lambda cls, loaded: None))
     chance = means()
     error = np.hypot(ours.std(ddof=1), chance.std(ddof=1)) / np.sqrt(6)
     assert 5 * error < 0.05 * ours.mean(), f"cannot see 5 %: error is {error / ours.mean():.2%}"

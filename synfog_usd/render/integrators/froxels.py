@@ -27,7 +27,8 @@ from synfog_usd.arrays import Array
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import AOVS, INSCATTERED
-from synfog_usd.render.integrators.path import FogPath, FroxelGrid
+from synfog_usd.render.integrators.eye import FroxelGrid
+from synfog_usd.render.integrators.path import FogPath
 from synfog_usd.render.media.medium import transmittance
 from synfog_usd.render.sampling.sobol import Sobol
 
@@ -192,15 +193,15 @@ class RadianceCache:
         """Sums over a pixel's rays of the table's channels, and of the squares of all light."""
         mi, field, count = backend.mitsuba(), self.field, self.field.bands.count
         along, image_seed, slices = dr.opaque(mi.UInt32, side), dr.opaque(mi.UInt32, seed), float(self.cells.slices)
-        corner, aovs, sky = field.raster.corner(pixel), len(self.aovs), len(self.aovs) + field.sky_group
+        corner, aovs, sky = field.eye.raster.corner(pixel), len(self.aovs), len(self.aovs) + field.sky_group
         grouped = bool(self.groups)
         sums = [mi.Float(0.0) for _ in range((names + 1) * count)]
         begun = mi.UInt32(0)
         while begun < along * along:
             sampler = Sobol(image_seed, pixel, begun)
             square = mi.Point2f(mi.Float(begun % along), mi.Float(begun // along))
-            place = (corner + (square + mi.Point2f(sampler.next_2d())) / mi.Float(along)) / field.raster.size
-            ray, _weight = field.ray_through(place, sampler, mi.Bool(True))
+            place = (corner + (square + mi.Point2f(sampler.next_2d())) / mi.Float(along)) / field.eye.raster.size
+            ray, _weight = field.eye.ray_through(place, sampler, mi.Bool(True))
             si = field.loaded.tree.ray_intersect_preliminary(ray, False)
             end = dr.select(si.is_valid(), si.t, dr.inf)
             near, far = field.medium.intersect(ray.o, ray.d)

@@ -190,12 +190,12 @@ class Glow:
         """
         mi, path = backend.mitsuba(), self.path
         wanted, image_seed = dr.opaque(mi.UInt32, rays), dr.opaque(mi.UInt32, seed)
-        corner = path.raster.corner(pixel)
+        corner = path.eye.raster.corner(pixel)
         surface, single, multiple, squares = mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0)
         begun = mi.UInt32(0)
         while begun < wanted:
             sampler = Sobol(image_seed, pixel, begun)
-            ray, weight = path.camera_ray(sampler, corner, mi.Bool(True))
+            ray, weight = path.eye.ray(sampler, corner, mi.Bool(True))
             si = self.loaded.tree.ray_intersect(ray)
             near, far = path.medium.intersect(ray.o, ray.d)
             lit = si.is_valid() & (si.t <= far)

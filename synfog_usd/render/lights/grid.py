@@ -167,11 +167,11 @@ class LightGrid:
             light * self.lights.sent(row, between / away) * dr.exp(-dr.opaque(mi.Float, self.sigma_t) * away) / square
         )
 
-    def seen(self, tracer: Any, medium: Any) -> LightDistribution:
+    def seen(self, eye: Any, medium: Any) -> LightDistribution:
         """Chances by tile of the view: what each lamp sends along rays through it, scattered once.
 
         Args:
-            tracer: the `FogPath` whose camera looks.
+            eye: the camera, an `integrators.eye.Eye`.
             medium: the fog.
         """
         mi = backend.mitsuba()
@@ -183,8 +183,8 @@ class LightGrid:
         jitter = np.stack([ray_number % 2, ray_number // 2], axis=1) * 0.5 + 0.25
         u, v = (tile % columns + jitter[:, 0]) / columns, (tile // columns + jitter[:, 1]) / rows
         place = mi.Point2f(backend.floats(u), backend.floats(v))
-        ray, _ = tracer.ray_through(place, _Middle(), mi.Bool(True))
-        si = tracer.loaded.tree.ray_intersect_preliminary(ray, False)
+        ray, _ = eye.ray_through(place, _Middle(), mi.Bool(True))
+        si = eye.loaded.tree.ray_intersect_preliminary(ray, False)
         near, far = medium.intersect(ray.o, ray.d)
         stop = dr.maximum(dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far), near)
         dr.eval(ray, near, stop)
