@@ -2,8 +2,8 @@
 
 Takes a file; gives the number of elements of its arrays, and of rows of its own tables.  A list of equal numbers packs
 four thousand to one, so that 0.6 MB ask for gigabytes.  Damage is left for the USD library to tell, but for that of
-the table of paths, in which the library walks without end.
-Source: layout of crate files as in OpenUSD's crateFile.h and integerCoding.h, versions 0.4 to 0.13.
+the table of paths, in which the library walks without end, and of lengths of lists, for which it takes memory at once.
+Source: layout of crate files as in OpenUSD's crateFile.h, crateDataTypes.h and integerCoding.h, versions 0.4 to 0.13.
 """
 
 from __future__ import annotations
@@ -24,6 +24,30 @@ _Told = TypeVar("_Told")
 _MAGIC = b"PXR-USDC"
 _TIME_SAMPLES = 46
 """Number of the type that holds the values of an attribute over time."""
+
+_OF_ARRAYS = {
+    **dict.fromkeys((1, 2), 1),
+    **dict.fromkeys((3, 4, 8, 10, 11, 12, 21, 57), 4),
+    **dict.fromkeys((5, 6, 9, 18, 20, 22, 29, 56), 8),
+    **{7: 2, 13: 32, 14: 72, 15: 128, 16: 32, 17: 16, 19: 16, 23: 24, 24: 12, 25: 6, 26: 12, 27: 32, 28: 16, 30: 16},
+}
+"""Bytes of an element of an array that is not packed, by the number of its type."""
+
+_OF_LISTS = {40: 4, 41: 4, 45: 8, 48: 8, 49: 16, 50: 4}
+"""Bytes of an element of lists of paths, words, chosen variants, numbers, offsets of layers, and strings."""
+
+_OF_LIST_OPS = {32: 4, 33: 4, 34: 4, 36: 4, 37: 8, 38: 4, 39: 8, 35: None, 54: None, 55: None}
+"""The same of lists that are edited; None where elements are not of one size, and have four bytes at least."""
+
+_DICTIONARY = 31
+_LONG = frozenset((*_OF_LISTS, *_OF_LIST_OPS, _DICTIONARY, _TIME_SAMPLES))
+"""Types of values that say how long they are, beside arrays."""
+
+_ENTRY = 12
+"""Bytes of a dictionary's entry, at least: its name, and how far on its value is."""
+
+_DEEPEST = 64
+"""Dictionaries within dictionaries that are looked into."""
 
 _TABLES = {b"TOKENS": 2, b"FIELDS": 1, b"FIELDSETS": 1, b"PATHS": 2, b"SPECS": 1}
 """Sections, and how many numbers at their begin say what USD makes room for before it reads on: rows, and of tokens
@@ -70,6 +94,15 @@ def faults_of_paths(path: Path) -> Iterator[str]:
     0.1 s for a million paths.  Packages as for `array_sizes`.
     """
     yield from _of_layers(path, _faults_of_paths)
+
+
+def impossible_lengths(path: Path) -> Iterator[int]:
+    """Elements of each list and array of a binary layer that says it is longer than the file, but of arrays that are
+    packed; nothing for any other file.
+
+    One wrong byte in the length of a list of seven words lets the library take 16 GB.  Packages as for `array_sizes`.
+    """
+    yield from _of_layers(path, _impossible_lengths)
 
 
 def _of_layers(path: Path, told: Callable[[Any], Iterator[_Told]]) -> Iterator[_Told]:
@@ -245,3 +278,57 @@ def _of_rep(data: Any, rep: int, version: tuple[int, int], *, nested: bool = Fal
         for number in range(min(count, _MOST_SAMPLES)):
             (inner,) = struct.unpack_from("<Q", data, values + 8 + 8 * number)
             yield from _of_rep(data, inner, version, nested=True)
+
+
+def _impossible_lengths(data: Any) -> Iterator[int]:
+    version, sections = (data[8], data[9]), _sections(data)
+    reps = _reps(data, sections[b"FIELDS"], version) if b"FIELDS" in sections else ()
+    for rep in reps:
+        if rep >> 62 & 1 or not (rep >> 63 or rep >> 48 & 0xFF in _LONG):
+            continue
+        with contextlib.suppress(struct.error):  # it lies beyond the file, as the library will tell
+            for length, least in _lengths(data, rep, version):
+                if length * least > len(data):
+                    yield length
+
+
+def _lengths(data: Any, rep: int, version: tuple[int, int], depth: int = 0) -> Iterator[tuple[int, int]]:
+    """Length of each list or array of a value that is not packed, and the least bytes of an element."""
+    is_array, is_inlined, is_packed = rep >> 63 & 1, rep >> 62 & 1, rep >> 61 & 1
+    kind, place = rep >> 48 & 0xFF, rep & ((1 << 48) - 1)
+    if is_inlined or not place or depth > _DEEPEST:
+        return
+    if is_array:
+        if not is_packed:
+            at = place + 4 if version < (0, 5) else place  # after the number of dimensions
+            yield struct.unpack_from("<Q" if version >= (0, 7) else "<I", data, at)[0], _OF_ARRAYS.get(kind, 1)
+    elif kind in _OF_LISTS:
+        yield struct.unpack_from("<Q", data, place)[0], _OF_LISTS[kind]
+    elif kind in _OF_LIST_OPS:
+        size, at = _OF_LIST_OPS[kind], place + 1
+        for _ in range((data[place] >> 1).bit_count() if place < len(data) else 0):
+            (length,) = struct.unpack_from("<Q", data, at)
+            yield length, size or 4
+            if size is None:
+                return
+            at += 8 + size * length
+    elif kind == _DICTIONARY:
+        (length,) = struct.unpack_from("<Q", data, place)
+        yield length, _ENTRY
+        at = place + 8
+        for _ in range(min(length, len(data) // _ENTRY)):
+            inner = at + 4 + struct.unpack_from("<q", data, at + 4)[0]
+            if inner <= at:
+                return
+            yield from _lengths(data, struct.unpack_from("<Q", data, inner)[0], version, depth + 1)
+            at = inner + 8
+    elif kind == _TIME_SAMPLES:
+        times = place + struct.unpack_from("<q", data, place)[0]
+        yield from _lengths(data, struct.unpack_from("<Q", data, times)[0], version, depth + 1)
+        values = times + 8 + struct.unpack_from("<q", data, times + 8)[0]
+        (count,) = struct.unpack_from("<Q", data, values)
+        yield count, 8
+        for number in range(min(count, _MOST_SAMPLES)):
+            (inner,) = struct.unpack_from("<Q", data, values + 8 + 8 * number)
+            if inner >> 48 & 0xFF != _TIME_SAMPLES:
+                yield from _lengths(data, inner, version, depth + 1)

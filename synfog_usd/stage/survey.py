@@ -22,7 +22,7 @@ from pxr import Ar, Sdf
 from synfog_usd.errors import StageError
 from synfog_usd.fence import LAYERS, Fence
 from synfog_usd.stage import budget, materialx
-from synfog_usd.stage.crate import array_sizes, faults_of_paths, table_sizes
+from synfog_usd.stage.crate import array_sizes, faults_of_paths, impossible_lengths, table_sizes
 
 _MATTER = frozenset({"references", "payload", "inheritPaths", "specializes", "instanceable", "clips", "apiSchemas"})
 """Fields of a prim that decide how much it unfolds to."""
@@ -382,8 +382,8 @@ def _check_braces(path: Path) -> None:
 
 
 def _check_arrays(path: Path) -> None:
-    """Refuse a binary layer whose arrays unpack to far more than its size has reason for, or whose tables say so, or
-    whose paths are no tree.
+    """Refuse a binary layer whose arrays unpack to far more than its size has reason for, whose tables or lists say so,
+    or whose paths are no tree.
 
     Raises:
         StageError: with the file, its size and the limit.
@@ -396,6 +396,11 @@ def _check_arrays(path: Path) -> None:
         )
     for fault in faults_of_paths(path):
         raise StageError(f"{path}: its table of paths {fault}; the file is damaged: export it again")
+    for length in impossible_lengths(path):
+        raise StageError(
+            f"{path}: {path.stat().st_size} bytes with a list that says it has {budget.amount(length)} elements; the "
+            f"file is damaged: export it again"
+        )
     if (many := sum(array_sizes(path))) > most:
         raise StageError(
             f"{path}: {path.stat().st_size} bytes whose arrays unpack to {budget.amount(many)} numbers; at most "

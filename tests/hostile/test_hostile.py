@@ -26,8 +26,8 @@ from synfog_usd.cli.check import look
 from synfog_usd.errors import StageError
 from synfog_usd.fence import Fence
 from synfog_usd.scene import MANY_LIT
-from synfog_usd.stage import budget, check, open_stage, survey
-from synfog_usd.stage.crate import array_sizes, table_sizes
+from synfog_usd.stage import budget, check, crate, open_stage, survey
+from synfog_usd.stage.crate import array_sizes, impossible_lengths, table_sizes
 from synfog_usd.translate import translate
 
 HEAD = '#usda 1.0\n(\n    upAxis = "Z"\n    metersPerUnit = 1\n)\n'
@@ -876,12 +876,91 @@ def test_a_table_of_billions_of_rows_in_a_small_file_is_damage(tmp_path, section
         open_stage(tmp_path / "b.usdc")
 
 
+LISTS = {
+    31: "dictionary",
+    32: "words that are edited",
+    34: "paths that are edited",
+    35: "references that are edited",
+    40: "paths",
+    41: "words",
+    45: "variants that are chosen",
+    46: "time samples",
+    49: "offsets of layers",
+    50: "strings",
+    55: "payloads that are edited",
+}
+"""Types of values by their numbers in OpenUSD's crateDataTypes.h, but arrays."""
+
+
+def of_all_kinds(path):
+    """Write a binary layer that has each kind of list, and arrays too short to be packed."""
+    layer = Sdf.Layer.CreateNew(str(path))
+    layer.subLayerPaths = ["one.usda", "two.usda"]
+    layer.subLayerOffsets[1] = Sdf.LayerOffset(2.0)
+    prim = Sdf.CreatePrimInLayer(layer, "/A")
+    prim.referenceList.prependedItems = [Sdf.Reference("one.usda", "/A"), Sdf.Reference("two.usda", "/A")]
+    prim.payloadList.appendedItems = [Sdf.Payload("one.usda", "/A")]
+    prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(["CollectionAPI:a"], ["CollectionAPI:b", "CollectionAPI:c"]))
+    prim.nameChildrenOrder = ["B", "C"]
+    prim.variantSelections["colour"] = "red"
+    prim.customData = {"inner": {"numbers": Vt.DoubleArray([1.0, 2.0]), "word": "one"}}
+    relationship = Sdf.RelationshipSpec(prim, "r")
+    relationship.targetPathList.explicitItems = ["/B", "/C"]
+    for name, kind, value in (
+        ("points", Sdf.ValueTypeNames.Point3fArray, Vt.Vec3fArray([(0, 0, 1)] * 5)),
+        ("names", Sdf.ValueTypeNames.TokenArray, Vt.TokenArray(["a", "b"])),
+    ):
+        Sdf.AttributeSpec(prim, name, kind).default = value
+    moving = Sdf.AttributeSpec(prim, "moving", Sdf.ValueTypeNames.DoubleArray)
+    for time in (1.0, 2.5):
+        layer.SetTimeSample(moving.path, time, Vt.DoubleArray([time, 2.0]))
+    layer.Save()
+
+
+def test_lists_of_every_kind_that_say_they_are_longer_than_their_file_are_damage(tmp_path):
+    """The length of each in turn becomes two billion, for which USD takes memory at once: seven words took 16 GB.
+    Lengths within dictionaries and time samples too; the file as it was has none.
+    """
+    of_all_kinds(tmp_path / "a.usdc")
+    data = (tmp_path / "a.usdc").read_bytes()
+    assert list(impossible_lengths(tmp_path / "a.usdc")) == []
+    version, seen, places = (data[8], data[9]), set(), []
+    for rep in crate._reps(data, crate._sections(data)[b"FIELDS"], version):
+        is_array, is_inlined, kind, place = rep >> 63 & 1, rep >> 62 & 1, rep >> 48 & 0xFF, rep & ((1 << 48) - 1)
+        if is_inlined or not (is_array or kind in LISTS):
+            continue
+        seen.add("array" if is_array else LISTS[kind])
+        if kind == 46:
+            times = place + struct.unpack_from("<q", data, place)[0]
+            places.append(times + 8 + struct.unpack_from("<q", data, times + 8)[0])
+            places.append(struct.unpack_from("<Q", data, times)[0] & ((1 << 48) - 1))
+        else:
+            places.append(place + (kind in (32, 34, 35, 55)))
+    assert seen >= {
+        "array",
+        "dictionary",
+        "words",
+        "time samples",
+        *(name for name in LISTS.values() if "edited" in name),
+    }
+    assert len(places) > 10
+    for place in places:
+        changed = bytearray(data)
+        assert 0 < struct.unpack_from("<Q", data, place)[0] < 10
+        struct.pack_into("<Q", changed, place, (1 << 31) + 7)
+        (tmp_path / "b.usdc").write_bytes(changed)
+        assert (1 << 31) + 7 in list(impossible_lengths(tmp_path / "b.usdc"))
+        with pytest.raises(StageError, match=r"b\.usdc: \d+ bytes with a list that says it has 2 147 483 655 elements"):
+            open_stage(tmp_path / "b.usdc")
+
+
 @pytest.mark.parametrize(
     "text", [b"", b"PXR-USDC", b"PXR-USDC" + bytes(100), b"#usda 1.0", b"PXR-USDC" + b"\xff" * 300]
 )
 def test_sizes_of_what_is_no_binary_layer_are_none(tmp_path, text):
     (tmp_path / "a.usdc").write_bytes(text)
     assert list(array_sizes(tmp_path / "a.usdc")) == [] == list(table_sizes(tmp_path / "a.usdc"))
+    assert list(impossible_lengths(tmp_path / "a.usdc")) == []
 
 
 def test_sizes_of_a_damaged_file_end(tmp_path):
@@ -896,6 +975,7 @@ def test_sizes_of_a_damaged_file_end(tmp_path):
             changed[place] = draws.integers(0, 256)
         (tmp_path / "b.usdc").write_bytes(changed)
         list(array_sizes(tmp_path / "b.usdc"))
+        list(impossible_lengths(tmp_path / "b.usdc"))
 
 
 MESH = """def Mesh "Quad"
