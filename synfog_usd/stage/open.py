@@ -431,6 +431,7 @@ def selected(stage: Usd.Stage) -> dict[str, str]:
     return {name: choice for name, choice in chosen.items() if choice}
 
 
+@plain_errors
 def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = None) -> None:
     """Choose variants, on the session layer only.
 
@@ -465,6 +466,7 @@ def up_axis(stage: Usd.Stage) -> str:
     return axis if axis in ("X", "Y", "Z") else "Y"
 
 
+@plain_errors
 def override(
     stage: Usd.Stage,
     *,

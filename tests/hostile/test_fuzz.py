@@ -28,7 +28,7 @@ from support.hostile import TEXT, TYPES, VALUES, WORDS, furnish, parts_of, read,
 from synfog_usd.camera import load_graph
 from synfog_usd.errors import SynfogError
 from synfog_usd.stage import open_stage
-from synfog_usd.stage.open import plain_errors
+from synfog_usd.stage.open import override, plain_errors, select
 
 TESTS = Path(__file__).resolve().parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join((str(TESTS), str(TESTS.parent)))}
@@ -306,6 +306,24 @@ def test_a_variant_set_that_is_named_and_not_there_is_told(tmp_path):
     path.write_bytes(whole.replace(b"\0Fox\0", b"\0Box\0"))
     with pytest.raises(SynfogError, match="named and not there; the file is damaged"):
         open_stage(path)
+
+
+@pytest.mark.parametrize("how", ["lighting", "set"])
+def test_a_variant_whose_name_can_not_be_chosen_is_told(tmp_path, how):
+    """In a binary file, whose names USD takes as they come, but not in a choice, which the test below found."""
+    path = tmp_path / "broken.usdc"
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString(
+        '#usda 1.0\ndef "W" (\n    variantSets = "lighting"\n)\n{\n    variantSet "lighting" = {\n'
+        '        "Quick" {}\n    }\n}\n'
+    )
+    layer.Export(str(path))
+    whole = path.read_bytes()
+    assert whole.count(b"Quick") == 2  # the name, and the path
+    path.write_bytes(whole.replace(b"Quick", b"Qu~ck"))
+    stage = open_stage(path)
+    with pytest.raises(SynfogError, match="is not a valid variant name"):
+        select(stage, lighting="Qu~ck") if how == "lighting" else override(stage, choices=["/W:lighting=Qu~ck"])
 
 
 def test_applied_schemas_that_are_no_list_are_told(tmp_path):
