@@ -49,7 +49,7 @@ _ENTRY = 12
 _DEEPEST = 64
 """Dictionaries within dictionaries that are looked into."""
 
-_TABLES = {b"TOKENS": 2, b"FIELDS": 1, b"FIELDSETS": 1, b"PATHS": 2, b"SPECS": 1}
+_TABLES = {b"TOKENS": 2, b"STRINGS": 1, b"FIELDS": 1, b"FIELDSETS": 1, b"PATHS": 2, b"SPECS": 1}
 """Sections, and how many numbers at their begin say what USD makes room for before it reads on: rows, and of tokens
 letters too; of paths the rows twice.
 """

@@ -855,7 +855,7 @@ def test_array_sizes_are_those_of_usd(tmp_path):
     assert sorted(array_sizes(tmp_path / "a.usdc")) == [40, 100, 101, 102]
 
 
-@pytest.mark.parametrize("section", [b"TOKENS", b"FIELDS", b"FIELDSETS", b"PATHS", b"SPECS"])
+@pytest.mark.parametrize("section", [b"TOKENS", b"STRINGS", b"FIELDS", b"FIELDSETS", b"PATHS", b"SPECS"])
 def test_a_table_of_billions_of_rows_in_a_small_file_is_damage(tmp_path, section):
     """One byte makes a table's count of rows billions, for which USD took 21 GB and five minutes."""
     stage = Usd.Stage.CreateNew(str(tmp_path / "a.usdc"))
