@@ -246,7 +246,8 @@ def _reps(data: Any, start: int, version: tuple[int, int]) -> Any:
     (packed,) = struct.unpack_from("<Q", data, start + 8)
     at = start + 16 + packed
     (packed,) = struct.unpack_from("<Q", data, at)
-    return np.frombuffer(_unpacked(bytes(data[at + 8 : at + 8 + packed]), 8 * fields), dtype="<u8").tolist()
+    made = _unpacked(bytes(data[at + 8 : at + 8 + packed]), 8 * fields)
+    return np.frombuffer(made[: len(made) // 8 * 8], dtype="<u8").tolist()
 
 
 def _unpacked(packed: bytes, size: int) -> bytes:
@@ -265,7 +266,7 @@ def _unpacked(packed: bytes, size: int) -> bytes:
 def _of_rep(data: Any, rep: int, version: tuple[int, int], *, nested: bool = False) -> Iterator[int]:
     is_array, is_inlined, is_packed = rep >> 63 & 1, rep >> 62 & 1, rep >> 61 & 1
     kind, place = rep >> 48 & 0xFF, rep & ((1 << 48) - 1)
-    if is_inlined or not place:
+    if not place or (is_inlined and not is_array):  # of arrays USD does not ask whether they are inlined
         return
     if is_array and is_packed:
         if version < (0, 5):
@@ -284,7 +285,7 @@ def _impossible_lengths(data: Any) -> Iterator[int]:
     version, sections = (data[8], data[9]), _sections(data)
     reps = _reps(data, sections[b"FIELDS"], version) if b"FIELDS" in sections else ()
     for rep in reps:
-        if rep >> 62 & 1 or not (rep >> 63 or rep >> 48 & 0xFF in _LONG):
+        if not (rep >> 63 or (rep >> 48 & 0xFF in _LONG and not rep >> 62 & 1)):
             continue
         with contextlib.suppress(struct.error):  # it lies beyond the file, as the library will tell
             for length, least in _lengths(data, rep, version):
@@ -296,7 +297,7 @@ def _lengths(data: Any, rep: int, version: tuple[int, int], depth: int = 0) -> I
     """Length of each list or array of a value that is not packed, and the least bytes of an element."""
     is_array, is_inlined, is_packed = rep >> 63 & 1, rep >> 62 & 1, rep >> 61 & 1
     kind, place = rep >> 48 & 0xFF, rep & ((1 << 48) - 1)
-    if is_inlined or not place or depth > _DEEPEST:
+    if not place or (is_inlined and not is_array) or depth > _DEEPEST:
         return
     if is_array:
         if not is_packed:

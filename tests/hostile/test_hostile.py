@@ -954,6 +954,23 @@ def test_lists_of_every_kind_that_say_they_are_longer_than_their_file_are_damage
             open_stage(tmp_path / "b.usdc")
 
 
+@pytest.mark.parametrize("packed", [False, True])
+def test_an_array_that_says_it_is_inlined_is_counted_all_the_same(tmp_path, monkeypatch, packed):
+    """USD reads it from where it says it lies, whatever that bit says: one byte of a file took 3 GB."""
+    many = 40 if packed else 5
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usdc"))
+    UsdGeom.Mesh.Define(stage, "/M").CreateFaceVertexCountsAttr(list(range(1, 1 + many)))
+    stage.Save()
+    reps = crate._reps
+    monkeypatch.setattr(crate, "_reps", lambda *how: [rep | rep >> 63 << 62 for rep in reps(*how)])
+    assert list(array_sizes(tmp_path / "a.usdc")) == [many] * packed
+    data = bytearray((tmp_path / "a.usdc").read_bytes())
+    place = data.index(struct.pack("<Q5I", 5, *range(1, 6))) if not packed else 0
+    struct.pack_into("<Q", data, place, 1 << 40)
+    (tmp_path / "b.usdc").write_bytes(data)
+    assert list(impossible_lengths(tmp_path / "b.usdc")) == [1 << 40] * (not packed)
+
+
 @pytest.mark.parametrize(
     "text", [b"", b"PXR-USDC", b"PXR-USDC" + bytes(100), b"#usda 1.0", b"PXR-USDC" + b"\xff" * 300]
 )
