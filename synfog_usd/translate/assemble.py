@@ -592,7 +592,7 @@ class _Assembler:
             "type": "shapegroup",
             **{name: shape for name, (_, shape) in zip(names, shared, strict=True)},
         }
-        corners = self.corners(shared)
+        corners, put = self.corners(shared), list[Array]()
         for place in places:
             if not self.mover.open and twins.hides_instance(place.matrix, place.path):
                 continue
@@ -603,8 +603,10 @@ class _Assembler:
                 self.motion_of[instance] = motion
             for name, (leaf, _) in zip(names, shared, strict=True):
                 self.instance_of[(instance, name)] = self.instance(leaf, place)
-            if corners is not None:
-                self.spread.append(corners @ matrix[:3, :3].T + matrix[:3, 3])
+            put.append(matrix)
+        if corners is not None and put:
+            whole = np.array(put)
+            self.spread.append((corners @ whole[:, :3, :3].swapaxes(1, 2) + whole[:, None, :3, 3]).reshape(-1, 3))
         twins.tell()
 
     def corners(self, shared: list[tuple[Leaf, dict[str, Any]]]) -> Array | None:

@@ -35,23 +35,21 @@ def why_black(scene: SceneDict) -> str | None:
     if not lights:
         return "the picture is black: the stage has no light that shines; add a DomeLight, or a lamp"
     eye = scene.camera.to_world[:3, 3]
-    for shape, matrix, name in _shapes(scene.world):
-        if (
-            _opaque(scene.world, shape)
-            and _surrounds(shape, matrix, eye)
-            and not any(_surrounds(shape, matrix, place) for place in _places(lights))
-        ):
-            who = scene.instances[scene.instance_of[name] - 1].path if name in scene.instance_of else name[-1]
-            return (
-                f"the picture is black: the camera stands inside of {who}, a closed solid without a light in it; move "
-                f"the camera"
-            )
+    for shape, names, matrices, corners in _boxes(scene.world):
+        inside = ((corners.min(axis=1) < eye) & (eye < corners.max(axis=1))).all(axis=1)
+        for number in np.flatnonzero(inside) if _opaque(scene.world, shape) else ():
+            matrix, name = matrices[number], names[number]
+            if _surrounds(shape, matrix, eye) and not any(
+                _surrounds(shape, matrix, place) for place in _places(lights)
+            ):
+                who = scene.instances[scene.instance_of[name] - 1].path if name in scene.instance_of else name[-1]
+                return (
+                    f"the picture is black: the camera stands inside of {who}, a closed solid without a light in it; "
+                    f"move the camera"
+                )
     if any(part["type"] in _ALL_AROUND for part in lights):
         return None  # the sky itself is seen
-    ahead = [
-        float(((corners - eye) @ -scene.camera.to_world[:3, 2]).max())
-        for corners in (_corners(shape, matrix) for shape, matrix, _ in _shapes(scene.world))
-    ]
+    ahead = [float(((corners - eye) @ -scene.camera.to_world[:3, 2]).max()) for *_, corners in _boxes(scene.world)]
     if not ahead or max(ahead) <= 0.0:
         return (
             "the picture is black: everything lies behind the camera, and there is no sky; turn the camera, which "
@@ -70,17 +68,24 @@ def _is_lamp(part: Mapping[str, Any]) -> bool:
     return part["type"] in ("point", "spot", "photometric")
 
 
-def _shapes(world: Mapping[str, Any]) -> Iterator[tuple[Mapping[str, Any], Array, tuple[str, ...]]]:
-    """Every shape with the matrix that places it and its name, those of groups once for each instance."""
+def _boxes(world: Mapping[str, Any]) -> Iterator[tuple[Mapping[str, Any], list[tuple[str, ...]], Array, Array]]:
+    """Every shape, its names in all places where it stands, the matrices (n, 4, 4) that put it there, and the corners
+    (n, 8, 3) of the box around it in each.
+    """
+    placed: dict[str, list[str]] = {}
     for key, part in world.items():
         if not isinstance(part, dict):
             continue
         if part["type"] == "instance":
-            for name, shape in world[part["shapegroup"]["id"]].items():
-                if name != "type":
-                    yield shape, part["to_world"], (key, name)
+            placed.setdefault(part["shapegroup"]["id"], []).append(key)
         elif key.startswith("shape_"):
-            yield part, np.eye(4), (key,)
+            yield part, [(key,)], np.eye(4)[None], _corners(part)[None]
+    for group, keys in placed.items():
+        matrices = np.array([world[key]["to_world"] for key in keys], dtype=np.float64)
+        for name, shape in world[group].items():
+            if name != "type":
+                turned = np.einsum("nij,kj->nki", matrices[:, :3, :3], _corners(shape))
+                yield shape, [(key, name) for key in keys], matrices, turned + matrices[:, None, :3, 3]
 
 
 def _opaque(world: Mapping[str, Any], shape: Mapping[str, Any]) -> bool:
@@ -94,13 +99,13 @@ def _places(lights: list[Any]) -> Iterator[Array]:
         if "position" in part:
             yield np.asarray(part["position"], dtype=np.float64)
         elif "emitter" in part:
-            yield _corners(part, np.eye(4)).mean(axis=0)
+            yield _corners(part).mean(axis=0)
         elif _is_lamp(part):
             yield np.asarray(part["to_world"])[:3, 3]
 
 
-def _corners(shape: Mapping[str, Any], matrix: Array) -> Array:
-    """(8, 3) corners of a box around a shape, in the scene."""
+def _corners(shape: Mapping[str, Any]) -> Array:
+    """(8, 3) corners of a box around a shape, before it is put in a place."""
     kind = shape["type"]
     if "positions" in shape:
         low, high = shape["positions"].min(axis=0).astype(np.float64), shape["positions"].max(axis=0).astype(np.float64)
@@ -115,8 +120,7 @@ def _corners(shape: Mapping[str, Any], matrix: Array) -> Array:
     else:
         low, high = np.full(3, -1.0), np.full(3, 1.0)
     corners = np.where(_CUBE < 0.0, low, high)
-    if "to_world" in shape:
-        matrix = matrix @ shape["to_world"]
+    matrix = np.asarray(shape.get("to_world", np.eye(4)))
     return np.asarray(corners @ matrix[:3, :3].T + matrix[:3, 3])
 
 
@@ -128,7 +132,7 @@ def _surrounds(shape: Mapping[str, Any], matrix: Array, point: Array) -> bool:
     kind = shape["type"]
     if kind not in ("mesh", "sphere", "cube"):
         return False
-    corners = _corners(shape, matrix)
+    corners = _corners(shape) @ matrix[:3, :3].T + matrix[:3, 3]
     if not ((corners.min(axis=0) < point).all() and (point < corners.max(axis=0)).all()):
         return False
     whole = matrix @ shape["to_world"] if "to_world" in shape else matrix

@@ -31,7 +31,7 @@ class Poser:
     """
 
     def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode) -> None:
-        self._stage, self._space, self._now = stage, space, UsdGeom.XformCache(time)
+        self._stage, self._to_scene, self._now = stage, space.matrix, UsdGeom.XformCache(time)
         self._around: tuple[UsdGeom.XformCache, UsdGeom.XformCache] | None = None
         self._seconds = 0.0
         begin, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
@@ -54,18 +54,18 @@ class Poser:
         """
         prim = self._stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
         if not prim:
-            return self._space.matrix @ (np.eye(4) if placed is None else placed), None
-        frame = self._space.matrix @ columns(self._now.GetLocalToWorldTransform(prim))
+            return self._to_scene @ (np.eye(4) if placed is None else placed), None
+        frame = self._to_scene @ columns(self._now.GetLocalToWorldTransform(prim))
         return frame, self._velocity(prim)
 
     def _velocity(self, prim: Usd.Prim) -> tuple[float, float, float] | None:
         told = told_velocity(prim, self._now)
         if told is not None:
-            return self._finite(self._space.matrix[:3, :3] @ told)
+            return self._finite(self._to_scene[:3, :3] @ told)
         if self._around is None:
             return None
         before, after = (columns(cache.GetLocalToWorldTransform(prim))[:3, 3] for cache in self._around)
-        return self._finite(self._space.matrix[:3, :3] @ (after - before) / self._seconds)
+        return self._finite(self._to_scene[:3, :3] @ (after - before) / self._seconds)
 
     @staticmethod
     def _finite(velocity: Array) -> tuple[float, float, float] | None:

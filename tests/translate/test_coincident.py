@@ -7,6 +7,7 @@ import pytest
 
 from synfog_usd import stage as usd
 from synfog_usd.scene import Camera, Instance, SceneDict
+from synfog_usd.translate import coincident as faces
 from synfog_usd.translate import translate
 from synfog_usd.translate.coincident import coincident
 
@@ -72,9 +73,9 @@ def test_neither_slant_nor_distance_hides_them(tilt, away):
     assert len(coincident(scene(one, other))) == 1
 
 
-def test_instances_are_looked_at_in_their_places():
+def test_instances_are_looked_at_in_their_places(monkeypatch):
     """Two squares of a group, mirrored onto each other by their instances: back to back as they are modelled,
-    coincident as they stand.
+    coincident as they stand; not looked at where a scene has too many instances.
     """
     mirror = np.diag([1.0, 1.0, -1.0, 1.0])
     groups = {f"group_{name}": {"type": "shapegroup", "shape": square(name)} for name in "ab"}
@@ -86,6 +87,8 @@ def test_instances_are_looked_at_in_their_places():
     assert coincident(stood) == []
     places["instance_1"]["to_world"] = mirror @ np.diag([-1.0, 1.0, 1.0, 1.0]) @ np.diag([-1.0, 1.0, -1.0, 1.0])
     assert len(coincident(SceneDict({"type": "scene", **groups, **places}, Camera("/Eye", np.eye(4), 4, 4, 60.0)))) == 1
+    monkeypatch.setattr(faces, "MOST_PLACED", 1)
+    assert coincident(SceneDict({"type": "scene", **groups, **places}, Camera("/Eye", np.eye(4), 4, 4, 60.0))) == []
 
 
 @pytest.mark.parametrize(
