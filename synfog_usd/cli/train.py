@@ -77,7 +77,7 @@ def detect(
     fogs: Annotated[Seen, typer.Option(help="Pictures in clear air, in fog, or both.")] = Seen.all,
     split: Annotated[str, typer.Option(help="Split of a set; all if left out.")] = "",
     seed: Annotated[int, typer.Option(min=0, help="Of the first weights, and of what is drawn.")] = 0,
-    steps: Annotated[int, typer.Option(min=1, help="Batches of four squares of 160 pixels.")] = 3000,
+    steps: Annotated[int, typer.Option(min=1, help="Batches of four squares of 160 pixels.")] = 8000,
     quiet: options.Quiet = False,
 ) -> None:
     """Train a network of 0.9 million weights to find things, for `benchmark detect --model OUT/detectors.yaml`."""

@@ -192,7 +192,7 @@ def train(
     classes: Sequence[str],
     *,
     seed: int = 0,
-    steps: int = 3000,
+    steps: int = 8000,
     progress: Progress = silent,
 ) -> TrainedFinder:
     """Train on squares of pictures, enlarged, turned left to right and made brighter or darker at random.
