@@ -336,26 +336,32 @@ class _Bulk:
 
 def parts_of(world: Mapping[str, Any]) -> Parts:
     """What `hide` and `through` must know of a world's meshes and instances; it looks at every point of them."""
-    found: dict[str, _Bulk] = {}
-    groups: dict[str, _Bulk] = {}
+    keys, rows = list[str](), list[_Bulk]()
+    standing: dict[str, list[int]] = {}
     for key, part in world.items():
         if key.startswith("shape_") and part.get("type") == "mesh":
-            found[key] = _bulk([part])
+            keys.append(key)
+            rows.append(_bulk([part]))
         elif key.startswith("instance_"):
             (group,) = _referred(part)
-            if group not in groups:
-                groups[group] = _bulk([shape for name, shape in world[group].items() if name != "type"])
-            own, matrix = groups[group], np.asarray(part["to_world"], dtype=np.float64)
-            corners = (
-                np.stack(np.meshgrid(*zip(own.low, own.high, strict=True)), axis=-1).reshape(-1, 3) @ matrix[:3, :3].T
-                + matrix[:3, 3]
-            )
-            found[key] = replace(own, low=corners.min(axis=0), high=corners.max(axis=0))
-    rows = found.values()
+            known = standing.setdefault(group, [])
+            shapes = world[group]
+            rows.append(rows[known[0]] if known else _bulk([shapes[name] for name in shapes if name != "type"]))
+            known.append(len(keys))
+            keys.append(key)
+    low, high = (np.reshape([getattr(row, end) for row in rows], (-1, 3)) for end in ("low", "high"))
+    for places in standing.values():
+        matrices = np.array([world[keys[row]]["to_world"] for row in places], dtype=np.float64)
+        ends = zip(low[places[0]], high[places[0]], strict=True)
+        corners = (
+            np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 3) @ matrices[:, :3, :3].transpose(0, 2, 1)
+            + matrices[:, None, :3, 3]
+        )
+        low[places], high[places] = corners.min(axis=1), corners.max(axis=1)
     return Parts(
-        list(found),
-        np.reshape([row.low for row in rows], (-1, 3)),
-        np.reshape([row.high for row in rows], (-1, 3)),
+        keys,
+        low,
+        high,
         np.array([row.triangles for row in rows], dtype=np.int64),
         np.array([row.left for row in rows], dtype=np.int64),
         np.array([row.passive for row in rows], dtype=bool),

@@ -37,6 +37,23 @@ CHANNELS = (
 )
 
 
+MOST_TOLD = 20_000
+"""Instances of which files tell each, seen or not; 100 000 that no pixel meets would be minutes and 80 MB of JSON."""
+
+
+def told(instances: tuple[Instance, ...], *met: npt.ArrayLike) -> tuple[Instance, ...]:
+    """Those that files tell of: all, or those that the picture's rays meet where there are more than `MOST_TOLD`.
+
+    Args:
+        instances: of the scene.
+        met: label ids that the rays meet.
+    """
+    if len(instances) <= MOST_TOLD:
+        return instances
+    some = set(np.unique(np.concatenate([np.ravel(ids) for ids in met])).tolist())
+    return tuple(one for one in instances if one.id in some)
+
+
 def warped(aovs: Aovs, nearest: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]) -> Aovs:
     """The AOVs of a distorted picture.
 
@@ -78,7 +95,8 @@ def label_image(aovs: Aovs, instances: tuple[Instance, ...], lane: npt.NDArray[n
         np.zeros(ids.shape),
     ]
     manifest = json.dumps(
-        {instance.path: f"{_crypto_bits(instance.path):08x}" for instance in instances}, separators=(",", ":")
+        {instance.path: f"{_crypto_bits(instance.path):08x}" for instance in told(instances, ids)},
+        separators=(",", ":"),
     )
     key = f"cryptomatte/{_murmur('crypto_object'):08x}"[: len("cryptomatte/") + 7]
     metadata = {
@@ -98,7 +116,7 @@ def label_image(aovs: Aovs, instances: tuple[Instance, ...], lane: npt.NDArray[n
 def label_list(
     aovs: Aovs, instances: tuple[Instance, ...], whole: Mapping[int, Mapping[str, Any]] | None = None
 ) -> dict[str, Any]:
-    """What labels.json holds: every instance, and where it is seen.
+    """What labels.json holds: every instance (see `told`), and where it is seen.
 
     `box_px` is [x, y, width, height] of its visible pixels; `distance_m` is that of
     its nearest visible one.  `visible_share` is that of the pixels that it would have alone.
@@ -110,7 +128,7 @@ def label_list(
     """
     boxes = find_objects(aovs.instance_id)
     rows = []
-    for instance in instances:
+    for instance in told(instances, aovs.instance_id, list(whole or {})):
         kind = cityscapes.label(instance.label)
         row: dict[str, Any] = {
             "id": instance.id,
@@ -140,7 +158,8 @@ def instance_list(
     whole.
 
     `transmittance` is the largest over the boxes of its parts, null where the fog has no closed form; `drawn` is
-    'whole', 'simplified' or 'left out'.  Labels have every instance either way.
+    'whole', 'simplified' or 'left out'.  Labels have every instance either way.  Where there are more than `MOST_TOLD`
+    it has those that are seen.
 
     Args:
         hidden: what lies behind the fog.
@@ -149,7 +168,7 @@ def instance_list(
     """
     found = hidden.instances(scene)
     rows = []
-    for instance in scene.instances:
+    for instance in told(scene.instances, list(seen or {})):
         clear, drawn = found.get(instance.id, (None, "whole"))
         rows.append(
             {

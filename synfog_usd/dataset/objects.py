@@ -7,7 +7,7 @@ OpenCV's here: x right, y down, z forward.  Pictures have their corner at (0, 0)
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from synfog_usd.arrays import Array, Indices
 from synfog_usd.dataset import masks
+from synfog_usd.dataset.labels import told
 from synfog_usd.scene import Camera, SceneDict
 
 TO_OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -38,13 +39,18 @@ class Solid:
     edges: Indices
 
 
-def solids(scene: SceneDict) -> dict[int, Solid]:
-    """The geometry of each instance, by label id; of meshes and spheres."""
+def solids(scene: SceneDict, told: Collection[int] | None = None) -> dict[int, Solid]:
+    """The geometry of each instance, by label id; of meshes and spheres.
+
+    Args:
+        scene: that they stand in.
+        told: label ids that are asked for; all without.
+    """
     prototypes: dict[tuple[str, str], Solid] = {}
     found: dict[int, list[Solid]] = {}
     for (key, *inner), instance in scene.instance_of.items():
         part = scene.world.get(key)
-        if part is None:
+        if part is None or (told is not None and instance not in told):
             continue
         if not inner:
             solid = _solid(part)
@@ -231,7 +237,7 @@ def rows(
     view: Projection,
     nearest: tuple[Indices, Indices] | None = None,
 ) -> dict[int, dict[str, Any]]:
-    """What is known of each instance besides what can be seen of it, by label id.
+    """What is known of each instance (see `labels.told`) besides what can be seen of it, by label id.
 
     Args:
         scene: what was looked at.
@@ -241,8 +247,9 @@ def rows(
     """
     ids, pixels = pierced
     shape = (scene.camera.height_px, scene.camera.width_px)
-    place, found = solids(scene), {}
-    for instance in scene.instances:
+    instances, found = told(scene.instances, ids), {}
+    place = solids(scene, {one.id for one in instances})
+    for instance in instances:
         first, last = np.searchsorted(ids, [instance.id, instance.id + 1])
         row = _outline(pixels[first:last], shape, nearest)
         solid = place.get(instance.id)

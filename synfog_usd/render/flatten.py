@@ -13,7 +13,8 @@ prototype of which `WORTH_A_PROTOTYPE` triangles would be written out again is j
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -32,12 +33,19 @@ MAX_TRIANGLES = 28_000_000
 WORTH_A_PROTOTYPE = 50_000
 """Triangles in the instances of a prototype after the first, from which on it is joined once; they take 0.06 s."""
 
+LEAST_TRIANGLES = 64
+"""Of a prototype that is left to places.  Each place takes some 3 kB and 80 us, each triangle written out 0.1 kB."""
+
 FAR_M = 50.0
 """Distance from the camera [m] up to which instances are written out all the same: many rays go by what is near, and
 each that goes by an instance pays for it.  On the crossing all trees placed cost rays 10 %, those beyond 70 m 5 %.
 """
 
 ARRAYS = ("normals", "texcoords", "vertex_color")
+
+UNMOVED = np.eye(4)[None]
+AT_ONCE = 1_000_000
+"""Points that are put to their places at once: 24 MB."""
 
 FaceInstances = Mapping[str, npt.NDArray[np.int32]]
 
@@ -176,7 +184,8 @@ def _placed(source: SceneDict) -> dict[str, str]:
     for group, instances in keys.items():
         shapes = _shapes(source.world, group)
         plain = all(_plain(shape) and len(shape["faces"]) for shape in shapes.values())
-        if plain and (len(instances) - 1) * _faces(shapes) >= WORTH_A_PROTOTYPE:
+        faces = _faces(shapes) if plain else 0
+        if faces >= LEAST_TRIANGLES and (len(instances) - 1) * faces >= WORTH_A_PROTOTYPE:
             found |= dict.fromkeys(instances, group)
     return found
 
@@ -339,24 +348,41 @@ def _expanded(world: Mapping[str, Any], finer: _Detail) -> set[str]:
     return found
 
 
+def _alike(members: list[_Member]) -> Iterator[tuple[Mapping[str, Any], Array]]:
+    """Meshes in their order, and the (N, 4, 4) places at which each stands one after the other; `UNMOVED` where it
+    stands as it is.
+    """
+    for (_, moved), run in itertools.groupby(members, key=lambda one: (id(one.mesh), one.matrix is not None)):
+        some = list(run)
+        if not moved:
+            yield from ((one.mesh, UNMOVED) for one in some)
+            continue
+        step = max(AT_ONCE // max(len(some[0].mesh["positions"]), 1), 1)
+        for first in range(0, len(some), step):
+            yield some[0].mesh, np.array([one.matrix for one in some[first : first + step]])
+
+
 def _joined(members: list[_Member]) -> dict[str, Any]:
     positions, faces, more, start = [], [], {name: [] for name in ARRAYS if name in members[0].mesh}, 0
-    for _, mesh, matrix, *_ in members:
+    for mesh, matrices in _alike(members):
         points, corners = np.asarray(mesh["positions"]), np.asarray(mesh["faces"], dtype=np.uint32)
-        if matrix is not None:
-            points = points @ matrix[:3, :3].T + matrix[:3, 3]
-            if np.linalg.det(matrix[:3, :3]) < 0.0:
-                corners = corners[:, ::-1]
-        positions.append(points.astype(np.float32))
-        faces.append(corners + np.uint32(start))
+        turns = matrices[:, :3, :3]
+        count, each = len(matrices), len(points)
+        if matrices is not UNMOVED:
+            points = points @ turns.transpose(0, 2, 1) + matrices[:, None, :3, 3]
+            mirrored = np.linalg.det(turns) < 0.0
+            corners = np.where(mirrored[:, None, None], corners[:, ::-1], corners)
+        positions.append(points.astype(np.float32).reshape(-1, 3))
+        starts = (start + each * np.arange(count)).astype(np.uint32)
+        faces.append((corners + starts[:, None, None]).reshape(-1, 3))
         for name, arrays in more.items():
             array = np.asarray(mesh[name])
-            if name == "normals" and matrix is not None:
-                array = array @ np.linalg.inv(
-                    matrix[:3, :3]
-                )  # not to unit length: their ratio is what interpolation needs
-            arrays.append(array.astype(np.float32))
-        start += len(points)
+            if name == "normals" and matrices is not UNMOVED:
+                array = array @ np.linalg.inv(turns)  # not to unit length: their ratio is what interpolation needs
+            elif count > 1:
+                array = np.broadcast_to(array, (count, *array.shape))
+            arrays.append(array.astype(np.float32).reshape(-1, array.shape[-1]))
+        start += count * each
     arrays = {"positions": positions, "faces": faces, **more}
     first = members[0].mesh
     kept = {"face_normals": first["face_normals"]} if "face_normals" in first else {}

@@ -174,6 +174,22 @@ def test_another_program_finds_the_mattes_in_the_file(aovs, tmp_path):
         np.testing.assert_array_equal(matte, instance.id == IDS)
 
 
+def test_of_very_many_instances_files_tell_those_that_the_picture_meets(aovs, monkeypatch):
+    """Ids stay what they are, and the picture's planes too."""
+    known = labels.label_list(aovs, INSTANCES)["instances"]
+    planes = labels.label_image(aovs, INSTANCES)
+    monkeypatch.setattr(labels, "MOST_TOLD", len(INSTANCES) - 1)
+    seen = [row for row in known if row["pixels"]]
+    assert 0 < len(seen) < len(known)
+    assert labels.label_list(aovs, INSTANCES)["instances"] == seen
+    behind = next(row["id"] for row in known if not row["pixels"])
+    told = labels.label_list(aovs, INSTANCES, {behind: {"amodal_pixels": 3}})["instances"]
+    assert [row["id"] for row in told] == [row["id"] for row in known]
+    fewer = labels.label_image(aovs, INSTANCES)
+    np.testing.assert_array_equal(fewer.pixels, planes.pixels)
+    assert set(json.loads(fewer.provenance["cryptomatte/f834d0a/manifest"])) == {row["path"] for row in seen}
+
+
 def test_the_list_has_a_box_around_what_is_seen(aovs):
     """x, y, width and height of the visible pixels, the nearest distance, and both numbers of the class."""
     listed = labels.label_list(aovs, INSTANCES)

@@ -98,6 +98,17 @@ def test_amodal_masks_are_those_of_each_object_alone(crowd, every):
     assert hidden >= 8 // every
 
 
+def test_of_very_many_those_that_rays_meet_have_the_same_rows(crowd, monkeypatch):
+    """The hole that no ray meets has none."""
+    loaded = to_mitsuba(crowd, boundaries=False)
+    pierced, view = aovs.pierced(loaded), objects.Projection.of(crowd.camera)
+    known = objects.rows(crowd, pierced, view)
+    monkeypatch.setattr(labels, "MOST_TOLD", 3)
+    some = objects.rows(crowd, pierced, view)
+    assert some == {number: row for number, row in known.items() if row["amodal_pixels"]}
+    assert 0 < len(some) < len(known)
+
+
 @pytest.mark.slow
 def test_behind_a_hundred_leaves_a_ray_is_still_the_same():
     """Cards that the rays graze, then a fence of thin bars at 60 m: its mask is that of the fence alone, pixel by

@@ -218,6 +218,16 @@ def test_light_is_that_of_meshes_that_are_written_out(placing, monkeypatch):
     np.testing.assert_allclose(placed.mean(), written.mean(), rtol=2e-3)
 
 
+def test_small_prototypes_are_written_out(placing, monkeypatch):
+    """A place costs more than few triangles do: a house has 12 and 320."""
+    monkeypatch.setattr(flatten, "LEAST_TRIANGLES", 332)
+    assert isinstance(load(lit_village(), boundaries=False).tree, PlacedScene)
+    monkeypatch.setattr(flatten, "LEAST_TRIANGLES", 333)
+    loaded = load(lit_village(), boundaries=False)
+    assert loaded.tree is loaded.scene
+    assert sum(map(len, loaded.face_instances.values())) == 12 + 3 * (12 + 320)
+
+
 def test_what_moves_and_what_cannot_be_joined_is_not_placed(placing):
     """Moving things have their vertices moved, and instances with a ball in them stay Mitsuba's own."""
     source = village()
