@@ -65,6 +65,7 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
     world, taken = source.world, set[str]()
     kinds = _kinds(source)
     parts: dict[tuple[Any, ...], list[_Member]] = {}
+    sorts: dict[int, tuple[Any, ...]] = {}  # by mesh: those of instances are asked for again and again
 
     def take(
         mesh: Mapping[str, Any],
@@ -74,12 +75,14 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
         piece: tuple[str, str] | None = None,
         block: int | None = None,
     ) -> None:
-        smooth, motion = tuple(name in mesh for name in ARRAYS), source.motion_of.get(key)
-        material = mesh["bsdf"]["id"]
-        parts.setdefault(
-            (kinds.get(material, material), *smooth, bool(mesh.get("face_normals", False)), block, motion is not None),
-            [],
-        ).append(_Member(key, mesh, matrix, instance, motion, piece))
+        if (sort := sorts.get(id(mesh))) is None:
+            material = mesh["bsdf"]["id"]
+            smooth = *(name in mesh for name in ARRAYS), bool(mesh.get("face_normals", False))
+            sort = sorts[id(mesh)] = kinds.get(material, material), *smooth
+        motion = source.motion_of.get(key)
+        parts.setdefault((*sort, block, motion is not None), []).append(
+            _Member(key, mesh, matrix, instance, motion, piece)
+        )
 
     placed = _placed(source) if placing else {}
     written = {key: value for key, value in world.items() if key not in placed}
@@ -176,17 +179,20 @@ def _pieces(key: str, members: list[_Member]) -> dict[tuple[str, str], Piece]:
 
 def _placed(source: SceneDict) -> dict[str, str]:
     """Instances of the prototypes that are worth it -> which they are of."""
-    eye, keys = source.camera.to_world[:3, 3], dict[str, list[str]]()
+    keys, found = dict[str, list[str]](), dict[str, str]()
     for key, value in source.world.items():
-        if key.startswith("instance_") and np.linalg.norm(np.asarray(value["to_world"])[:3, 3] - eye) > FAR_M:
+        if key.startswith("instance_"):
             keys.setdefault(_group_id(value), []).append(key)
-    found: dict[str, str] = {}
     for group, instances in keys.items():
         shapes = _shapes(source.world, group)
         plain = all(_plain(shape) and len(shape["faces"]) for shape in shapes.values())
         faces = _faces(shapes) if plain else 0
-        if faces >= LEAST_TRIANGLES and (len(instances) - 1) * faces >= WORTH_A_PROTOTYPE:
-            found |= dict.fromkeys(instances, group)
+        if faces < LEAST_TRIANGLES:
+            continue
+        places = np.array([source.world[key]["to_world"] for key in instances])[:, :3, 3]
+        far = np.linalg.norm(places - source.camera.to_world[:3, 3], axis=1) > FAR_M
+        if (np.count_nonzero(far) - 1) * faces >= WORTH_A_PROTOTYPE:
+            found |= {key: group for key, yes in zip(instances, far, strict=True) if yes}
     return found
 
 
@@ -258,9 +264,10 @@ def _plain(shape: Mapping[str, Any]) -> bool:
 
 
 def _group_id(instance: Mapping[str, Any]) -> str:
-    return next(
-        str(value["id"]) for value in instance.values() if isinstance(value, Mapping) and value.get("type") == "ref"
-    )
+    for value in instance.values():  # asked some millions of times
+        if isinstance(value, dict) and value.get("type") == "ref":
+            return str(value["id"])
+    raise KeyError("an instance of no group")
 
 
 def _shapes(world: Mapping[str, Any], group: str) -> dict[str, Mapping[str, Any]]:
