@@ -33,7 +33,7 @@ def subdivided(points: Array, cage: Cage, level: int) -> Fine:
     Args:
         points: (N, C) positions, or any other values of the points.
         cage: triangles and sharpness.
-        level: >= 1.
+        level: >= 0.
     """
     values, face_of = np.asarray(points, dtype=np.float64), np.arange(len(cage.counts))
     corner_sharpness = np.zeros(len(values))

@@ -185,16 +185,15 @@ def read_mesh(
     if bent and scheme == UsdGeom.Tokens.bilinear:
         bent = _has_bent_quads(points, counts, indices)
     if bent and scheme in (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop, UsdGeom.Tokens.bilinear):
-        level = levels(len(counts))
+        level = levels(len(counts), even=bool((counts[counts >= 3] == _DIVIDED[scheme][1]).all()))
         if scheme != UsdGeom.Tokens.bilinear:
             unused = (
                 "; normals of its own are not used, as UsdGeom says of what is divided"
                 if attributes.pop("normals", None) is not None
                 else ""
             )
-            notes.info(
-                prim.GetPath(), f"subdivision surface ({scheme}) is divided {level} times and lies on its limit{unused}"
-            )
+            how = f"is divided {level} times" if level else f"has {len(counts)} faces, is not divided further"
+            notes.info(prim.GetPath(), f"subdivision surface ({scheme}) {how} and lies on its limit{unused}")
         fine = _subdivided(
             UsdGeom.Mesh(prim),
             scheme,

@@ -26,6 +26,11 @@ MOST_FACES = 20_000
 
 MOST_LEVELS = 3
 
+FINE_ENOUGH = 250_000
+"""Faces of a mesh beyond which it is not divided, where it has none but triangles or quads: a level more would be four
+times the memory for what no pixel shows.
+"""
+
 
 @dataclass(frozen=True)
 class Cage:
@@ -75,8 +80,15 @@ _TRIANGLE = 0.47
 """Weight of a triangle's centre in its edges' points by the rule 'smooth'; OpenSubdiv's own."""
 
 
-def levels(face_count: int) -> int:
-    """How often a cage is divided: 1 to `MOST_LEVELS`, by its number of faces."""
+def levels(face_count: int, *, even: bool = False) -> int:
+    """How often a cage is divided: 1 to `MOST_LEVELS`, by its number of faces; 0 where it is fine enough as it is.
+
+    Args:
+        face_count: its faces.
+        even: whether all of them have as many corners as those that come of dividing.
+    """
+    if even and face_count > FINE_ENOUGH:
+        return 0
     level = 1
     while level < MOST_LEVELS and face_count * 4 ** (level + 1) <= MOST_FACES:
         level += 1
@@ -97,7 +109,7 @@ def subdivided(points: Array, cage: Cage, level: int) -> Fine:
     Args:
         points: (N, C) positions, or any other values of the points.
         cage: faces and sharpness.
-        level: >= 1.
+        level: >= 1, or 0 of a cage of quads.
 
     A point beside a crease that is still half sharp after the last level stays where
     that level puts it.

@@ -33,7 +33,7 @@ def spline(values):
     return BSpline(np.arange(-2.0, len(values) + 2.0), values, 3)
 
 
-@pytest.mark.parametrize("level", [1, 2, 3])
+@pytest.mark.parametrize("level", [0, 1, 2, 3])
 def test_a_regular_sheet_is_a_bicubic_spline(level):
     """Away from the boundary every point lies on the tensor product of cubic B-splines."""
     heights = np.random.default_rng(2).normal(size=(8, 8))
@@ -46,7 +46,7 @@ def test_a_regular_sheet_is_a_bicubic_spline(level):
     np.testing.assert_allclose(z, wanted, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("level", [1, 3])
+@pytest.mark.parametrize("level", [0, 1, 3])
 @pytest.mark.parametrize("where", ["boundary", "crease"])
 def test_boundaries_and_creases_are_cubic_splines(level, where):
     """They forget what lies beside them: the row's own points are the control points of a curve."""
@@ -74,6 +74,17 @@ def test_corners_of_a_cube_by_sharpness(level, sharpness, corner):
     """
     fine = subdivided(BOX, cube(creases=EDGES, crease_sharpness=np.full(12, sharpness)), level)
     np.testing.assert_allclose(fine.points[:8], BOX * corner, rtol=1e-12)
+
+
+@pytest.mark.parametrize("scheme", [subdivide, loop])
+def test_points_of_a_cage_that_is_not_divided_lie_where_dividing_puts_them(scheme):
+    """The first points of any level are those of the cage, and the limit surface is one."""
+    faces = QUADS if scheme is subdivide else np.concatenate([QUADS[:, :3], QUADS[:, [0, 2, 3]]])
+    cage = Cage(np.full(len(faces), faces.shape[1]), faces.reshape(-1))
+    points = BOX + 0.2 * np.random.default_rng(4).normal(size=BOX.shape)
+    at_once, divided = (scheme.subdivided(points, cage, level).points for level in (0, 3))
+    np.testing.assert_allclose(at_once, divided[:8], rtol=0, atol=1e-12)
+    assert np.abs(at_once - points).max() > 0.2
 
 
 def test_a_sharp_corner_stays(level=3):
@@ -105,7 +116,8 @@ def test_patches_part_at_creases_alone():
 
 def test_levels_shrink_with_faces():
     """At most 20 000 faces are made beyond the first level."""
-    assert [levels(n) for n in (6, 300, 1000, 2000, 50_000)] == [3, 3, 2, 1, 1]
+    assert [levels(n) for n in (6, 300, 1000, 2000, 50_000, 10**6)] == [3, 3, 2, 1, 1, 1]
+    assert [levels(n, even=True) for n in (6, 250_000, 250_001)] == [3, 1, 0]
 
 
 def triangles(size, heights):
