@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import bisect
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from synfog_usd import numbers
 
@@ -108,6 +110,22 @@ class _Taken:
         return (low[1] + part * (high[1] - low[1])) / self.rendering if self.rendering > 0.0 else fraction
 
 
+@dataclass
+class _Sums:
+    """Of shots that are alike: seconds and weights of setting up and of rendering; and the last of them."""
+
+    setting_up: tuple[float, float] = (0.0, 0.0)
+    rendering: tuple[float, float] = (0.0, 0.0)
+    last: _Taken | None = None
+
+    def add(self, taken: _Taken) -> None:
+        (seconds, weight), (own, of_rendering) = self.setting_up, taken.kind.weights
+        self.setting_up = seconds + taken.setting_up, weight + own
+        seconds, weight = self.rendering
+        self.rendering = seconds + taken.rendering, weight + of_rendering
+        self.last = taken
+
+
 class Forecast:
     """Shares of a bake's time; they never become smaller.
 
@@ -124,14 +142,16 @@ class Forecast:
         self._shot_began: float | None = now()
         self._began = self._shot_began if began is None else began
         self._rendering: float | None = None
-        self._seen: list[_Taken] = []
+        self._seen = 0  # shots
+        self._sums: dict[Any, _Sums] = {}  # by kind, by (foggy, lamps), and of all as None
+        self._after: tuple[int, list[tuple[Kind, int]]] = -1, []  # a shot; the kinds that come after it, and how many
         self._said: list[tuple[float, float]] = []
         self._shown = 0.0
         self._made: list[float] = []
 
     def expect(self, shots: Sequence[Kind]) -> None:
         """What the shots are after all."""
-        self._shots = list(shots)
+        self._shots, self._after = list(shots), (-1, [])
 
     def made(self, seconds: float) -> None:
         """The picture of a shot took so long beside the sampling of the next."""
@@ -145,24 +165,34 @@ class Forecast:
     def _end(self, now: float) -> None:
         begun = now if self._rendering is None else self._rendering
         set_up = begun - (begun if self._shot_began is None else self._shot_began)
-        self._seen.append(_Taken(self._shots[len(self._seen)], set_up, now - begun, self._said))
+        taken = _Taken(self._shots[self._seen], set_up, now - begun, self._said)
+        for key in (taken.kind, (taken.kind.foggy, taken.kind.lamps), None):
+            self._sums.setdefault(key, _Sums()).add(taken)
+        self._seen += 1
         self._shot_began, self._rendering, self._said = now, None, []
 
     def at(self, index: int, fraction: float) -> float:
         """Share that is done where shot `index` is done by a fraction, 0 to 1."""
         now = self._now()
-        while len(self._seen) < index:
+        while self._seen < index:
             self._end(now)
         self._shot_began = now if self._shot_began is None else self._shot_began
         if fraction >= SET_UP:
             self._rendering = now if self._rendering is None else self._rendering
             self._said.append((_rendered(fraction), now - self._rendering))
-        after = self._shots[index + 1 :]
-        rest = self._own(index, fraction, now) + sum(sum(self._expected(kind, now)) for kind in after)
+        rest = self._own(index, fraction, now)
+        rest += sum(count * sum(self._expected(kind, now)) for kind, count in self._coming(index))
         rest += sum(self._made) / len(self._made) if self._made else LAST * self._expected(self._shots[-1], now)[1]
         elapsed = now - self._began
         self._shown = max(self._shown, elapsed / (elapsed + rest) if elapsed + rest > 0.0 else 0.0)
         return self._shown
+
+    def _coming(self, index: int) -> list[tuple[Kind, int]]:
+        """Kinds of the shots after one, and how many there are of each; counted once for all that a shot says."""
+        if self._after[0] != index:
+            counts = Counter((kind, kind.beside) for kind in self._shots[index + 1 :])
+            self._after = index, [(kind, count) for (kind, _), count in counts.items()]
+        return self._after[1]
 
     def _own(self, index: int, fraction: float, now: float) -> float:
         """Seconds that the shot under way still takes: by what is expected of it at first, and the more it has done the
@@ -172,28 +202,25 @@ class Forecast:
         if self._rendering is None:
             return max(setting_up - (now - (self._shot_began or 0.0)), 0.0) + rendering
         alike = self._alike(self._shots[index])
-        done = alike[-1].share(_rendered(fraction)) if alike else _rendered(fraction)
+        done = alike.last.share(_rendered(fraction)) if alike and alike.last else _rendered(fraction)
         spent = now - self._rendering
         paced = spent * (1.0 - done) / done if done > 0.0 else rendering
         return done * paced + (1.0 - done) * max(rendering - spent, (1.0 - done) * rendering)
 
-    def _alike(self, kind: Kind) -> list[_Taken]:
-        return [taken for taken in self._seen if taken.kind == kind] or [
-            taken for taken in self._seen if (taken.kind.foggy, taken.kind.lamps) == (kind.foggy, kind.lamps)
-        ]
+    def _alike(self, kind: Kind) -> _Sums | None:
+        return self._sums.get(kind) or self._sums.get((kind.foggy, kind.lamps))
 
     def _expected(self, kind: Kind, now: float) -> tuple[float, float]:
         """Seconds of setting up and of rendering a shot: the means of its kind, else by the weights of all that were
         seen; before any was, the first one's parts are taken to be half of what has passed.
         """
-        own = now - self._began
-        seen = self._seen or [_Taken(self._shots[0], 0.5 * own, 0.5 * own)]
-        same = [taken for taken in self._seen if taken.kind == kind]
-        setting = same or seen
-        rendered = self._alike(kind) or seen
-        set_up = sum(taken.setting_up for taken in setting) / sum(taken.kind.weights[0] for taken in setting)
-        render = sum(taken.rendering for taken in rendered) / sum(taken.kind.weights[1] for taken in rendered)
-        return kind.weights[0] * set_up, kind.weights[1] * render
+        seen = self._sums.get(None)
+        if seen is None:
+            own, seen = 0.5 * (now - self._began), _Sums()
+            seen.add(_Taken(self._shots[0], own, own))
+        set_up, of = (self._sums.get(kind) or seen).setting_up
+        render, of_rendering = (self._alike(kind) or seen).rendering
+        return kind.weights[0] * set_up / of, kind.weights[1] * render / of_rendering
 
 
 def _rendered(fraction: float) -> float:

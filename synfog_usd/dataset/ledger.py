@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import importlib.metadata
 import json
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -76,14 +77,21 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
     }
 
 
+MANY, SELDOM = 100, 10.0
+"""Beyond so many shots at least so many times as long as a manifest took to be written pass before the next: that of
+thousands of quick shots takes longer than a shot.  A bake that is killed makes those again that it had not noted.
+"""
+
+
 class Ledger:
-    """What is finished in an output folder, kept in `bake.json` after every shot."""
+    """What is finished in an output folder, kept in `bake.json` after every shot, or some where many are quick."""
 
     def __init__(self, out: Path, metadata: Mapping[str, Any], notes: Sequence[Note]) -> None:
         self.out, self.metadata, self.notes = out, dict(metadata), notes
         self.rows: dict[str, dict[str, Any]] = {}
         self.labels: dict[str, str] = {}
         self.contact: dict[str, str] = {}
+        self._next_s = 0.0
         try:
             before = json.loads((out / MANIFEST).read_bytes())
             same = {key: before[key] for key in metadata} == json.loads(json.dumps(self.metadata))
@@ -112,9 +120,13 @@ class Ledger:
         self.labels = hashes
 
     def add(self, shot: Shot, row: dict[str, Any]) -> None:
-        """Note a shot, whose files are written; from here on it is finished."""
+        """Note a shot, whose files are written; from the next manifest on it is finished."""
         self.rows[shot.folder] = row
-        files.write_json(self.out / MANIFEST, self.manifest(()))
+        began = time.monotonic()
+        if began >= self._next_s:
+            files.write_json(self.out / MANIFEST, self.manifest(()))
+            ended = time.monotonic()
+            self._next_s = ended + SELDOM * (ended - began) if len(self.rows) > MANY else 0.0
 
     def finish(self, order: tuple[Shot, ...], contact_hashes: dict[str, str]) -> None:
         """Write all shots in their order, and the contact sheet."""

@@ -86,6 +86,8 @@ def draw(rows, path):
         axis.set_xlabel("instances (x: refused by its number)")
         axis.set_title(what, fontsize=10)
         axis.grid(alpha=0.3)
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("")
     axes[0].legend(title="a mesh of", frameon=False)
     axes[1].axhline(5.0, color="#666b70", linestyle=":")
     figure.savefig(path, dpi=90)
