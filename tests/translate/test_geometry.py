@@ -7,7 +7,7 @@ import pytest
 from pxr import Gf, Sdf, UsdGeom, UsdShade
 
 from synfog_usd.stage import open_stage
-from synfog_usd.translate import summary, translate
+from synfog_usd.translate import subdivide, summary, translate
 from synfog_usd.translate.polygons import triangulate
 
 ONE = np.array([0])
@@ -493,11 +493,15 @@ def test_corners_of_a_crease_have_a_normal_for_each_side(empty, polygon_mesh, on
         np.testing.assert_allclose(shape["normals"][shape["faces"][:, k]], flat, atol=1e-6)
 
 
+@pytest.mark.parametrize("fine_enough, triangles", [(subdivide.FINE_ENOUGH, 2 * 8 * 4**3), (8, 2 * 8)])
 @pytest.mark.parametrize("interpolation", ["faceVarying", "vertex"])
-def test_coordinates_and_holes_follow_a_subdivided_mesh(empty, polygon_mesh, only_shape, tmp_path, interpolation):
+def test_coordinates_and_holes_follow_a_subdivided_mesh(
+    empty, polygon_mesh, only_shape, tmp_path, monkeypatch, interpolation, fine_enough, triangles
+):
     """On a flat square the surface is the square but for its boundary rule; u runs with x and v with z, by corners or
-    points; a hole stays one.
+    points; a hole stays one.  So too where the cage is fine enough not to be divided.
     """
+    monkeypatch.setattr(subdivide, "FINE_ENOUGH", fine_enough)
     stage = empty()
     points = [(x, 5, z) for z in range(4) for x in range(4)]
     faces = [[4 * z + x, 4 * z + x + 1, 4 * z + x + 5, 4 * z + x + 4] for z in range(3) for x in range(3)]
@@ -509,6 +513,7 @@ def test_coordinates_and_holes_follow_a_subdivided_mesh(empty, polygon_mesh, onl
     primvar.Set([(points[k][0], points[k][2]) for k in (indices if interpolation == "faceVarying" else range(16))])
     bind_texture(stage, mesh, tmp_path, "uv")
     shape = only_shape(translate(stage))
+    assert len(shape["faces"]) == triangles
     np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]], atol=1e-5)
     np.testing.assert_allclose(
         np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1).sum(), 8.0, rtol=1e-5
