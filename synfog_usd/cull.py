@@ -29,7 +29,7 @@ import numpy as np
 from synfog_usd.arrays import Array, Flags, Indices
 from synfog_usd.colour import LUMINANCE
 from synfog_usd.fog.volume import FogVolume, optical_depth
-from synfog_usd.scene import Camera, SceneDict
+from synfog_usd.scene import Camera, SceneDict, boxes, placements, prototype_of, shapes_of
 from synfog_usd.seeds import stream
 
 SHARE = 0.1
@@ -82,7 +82,8 @@ class Hidden:
         An instance of several parts is what the least changed of them is.
         """
         found: dict[int, tuple[float, int]] = {}
-        for (key, *_), instance in scene.instance_of.items():
+        for names, instance in scene.instance_of.items():
+            key = names[0]
             clear, state = found.get(instance, (0.0, 2))
             own = 2 if key in self.left_out else int(key in self.simplified)
             found[instance] = max(clear, self.transmittance.get(key, 1.0)), min(state, own)
@@ -129,6 +130,11 @@ class Parts:
     triangles: Indices
     left: Indices
     passive: Flags
+
+    def put(self, rows: Any, bulk: _Bulk) -> None:
+        """Fill in what these rows have in common."""
+        for name, value in vars(bulk).items():
+            getattr(self, name)[rows] = value
 
 
 def hide(
@@ -245,7 +251,7 @@ def reduced(scene: SceneDict, hidden: Hidden) -> SceneDict:
         elif part["type"] == "mesh":
             world[key] = simplified(part, key)
         else:
-            (group,) = _referred(part)
+            group = prototype_of(part)
             groups[f"{group}_simplified"] = groups.get(f"{group}_simplified") or {
                 name: shape if name == "type" else simplified(shape, f"{group}.{name}")
                 for name, shape in scene.world[group].items()
@@ -336,36 +342,29 @@ class _Bulk:
 
 def parts_of(world: Mapping[str, Any]) -> Parts:
     """What `hide` and `through` must know of a world's meshes and instances; it looks at every point of them."""
-    keys, rows = list[str](), list[_Bulk]()
-    standing: dict[str, list[int]] = {}
+    standing = placements(world)
+    keys, meshes = list[str](), list[_Bulk]()
     for key, part in world.items():
-        if key.startswith("shape_") and part.get("type") == "mesh":
+        if key.startswith("instance_"):
             keys.append(key)
-            rows.append(_bulk([part]))
-        elif key.startswith("instance_"):
-            (group,) = _referred(part)
-            known = standing.setdefault(group, [])
-            shapes = world[group]
-            rows.append(rows[known[0]] if known else _bulk([shapes[name] for name in shapes if name != "type"]))
-            known.append(len(keys))
+        elif key.startswith("shape_") and part.get("type") == "mesh":
             keys.append(key)
-    low, high = (np.reshape([getattr(row, end) for row in rows], (-1, 3)) for end in ("low", "high"))
-    for places in standing.values():
-        matrices = np.array([world[keys[row]]["to_world"] for row in places], dtype=np.float64)
-        ends = zip(low[places[0]], high[places[0]], strict=True)
-        corners = (
-            np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 3) @ matrices[:, :3, :3].transpose(0, 2, 1)
-            + matrices[:, None, :3, 3]
-        )
-        low[places], high[places] = corners.min(axis=1), corners.max(axis=1)
-    return Parts(
+            meshes.append(_bulk([part]))
+    placed = np.array([key.startswith("instance_") for key in keys], dtype=bool)
+    found = Parts(
         keys,
-        low,
-        high,
-        np.array([row.triangles for row in rows], dtype=np.int64),
-        np.array([row.left for row in rows], dtype=np.int64),
-        np.array([row.passive for row in rows], dtype=bool),
+        *np.zeros((2, len(keys), 3)),
+        *np.zeros((2, len(keys)), dtype=np.int64),
+        np.zeros(len(keys), dtype=bool),
     )
+    for row, bulk in zip(np.flatnonzero(~placed), meshes, strict=True):
+        found.put(row, bulk)
+    of_instances = np.flatnonzero(placed)
+    for group, rows in standing.rows.items():
+        own, bulk = of_instances[rows], _bulk(list(shapes_of(world, group).values()))
+        found.put(own, bulk)
+        found.low[own], found.high[own] = boxes(bulk.low, bulk.high, standing.to_world[rows])
+    return found
 
 
 def _bulk(shapes: list[Mapping[str, Any]]) -> _Bulk:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array
+from synfog_usd.arrays import Array, Indices
 from synfog_usd.colour import LUMINANCE, SRGB_TO_LINEAR
 from synfog_usd.fisheye import Fisheye
 from synfog_usd.fog.volume import FogVolume
@@ -226,6 +226,61 @@ class SceneDict:
     lanes: tuple[Lanelet, ...] = ()
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[Note, ...] = ()
+
+
+@dataclass(frozen=True)
+class Placements:
+    """All instances of a world, in its order, N of them.
+
+    Attributes:
+        keys: of the instances.
+        rows: key of a prototype -> which of them are of it, ascending; in the order in which they first stand.
+        to_world: (N, 4, 4) float64.
+    """
+
+    keys: list[str]
+    rows: Mapping[str, Indices]
+    to_world: Array
+
+
+def placements(world: Mapping[str, Any]) -> Placements:
+    """Where the prototypes of a world stand: as arrays, since they may be hundreds of thousands."""
+    keys, rows, matrices = list[str](), dict[str, list[int]](), list[Any]()
+    for key, part in world.items():
+        if key.startswith("instance_"):
+            rows.setdefault(prototype_of(part), []).append(len(keys))
+            keys.append(key)
+            matrices.append(part["to_world"])
+    found = np.array(matrices, dtype=np.float64).reshape(-1, 4, 4)
+    return Placements(keys, {group: np.array(some, dtype=np.int64) for group, some in rows.items()}, found)
+
+
+def boxes(low: Array, high: Array, to_world: Array) -> tuple[Array, Array]:
+    """(N, 3) lower and upper corners of the boxes around a box, given by its corners (3,), at (N, 4, 4) places."""
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3).astype(np.float64)
+    found = np.empty((2, len(to_world), 3))
+    for first in range(0, len(to_world), _BOXES_AT_ONCE):
+        some = slice(first, first + _BOXES_AT_ONCE)
+        turned = corners @ to_world[some, :3, :3].transpose(0, 2, 1) + to_world[some, None, :3, 3]
+        found[0, some], found[1, some] = turned.min(axis=1), turned.max(axis=1)
+    return found[0], found[1]
+
+
+_BOXES_AT_ONCE = 10_000
+"""Boxes whose corners lie in memory together: 2 MB."""
+
+
+def prototype_of(instance: Mapping[str, Any]) -> str:
+    """Key of the prototype that an instance of a world is of."""
+    for value in instance.values():
+        if isinstance(value, dict) and value.get("type") == "ref":
+            return str(value["id"])
+    raise KeyError("an instance of no prototype")
+
+
+def shapes_of(world: Mapping[str, Any], prototype: str) -> dict[str, Mapping[str, Any]]:
+    """The shapes of a prototype, by their keys in it."""
+    return {name: shape for name, shape in world[prototype].items() if name != "type"}
 
 
 MANY_LIT = 256

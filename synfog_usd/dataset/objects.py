@@ -16,7 +16,7 @@ import numpy as np
 from synfog_usd.arrays import Array, Indices
 from synfog_usd.dataset import masks
 from synfog_usd.dataset.labels import told
-from synfog_usd.scene import Camera, SceneDict
+from synfog_usd.scene import Camera, SceneDict, prototype_of
 
 TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 """USD's camera looks down its -Z with +Y up."""
@@ -55,7 +55,7 @@ def solids(scene: SceneDict, told: Collection[int] | None = None) -> dict[int, S
         if not inner:
             solid = _solid(part)
         else:
-            (group,) = (value["id"] for value in part.values() if isinstance(value, Mapping))
+            group = prototype_of(part)
             known = prototypes.get((group, inner[0]))
             if known is None:
                 known = prototypes[group, inner[0]] = _hull(_solid(scene.world[group][inner[0]]))

@@ -13,19 +13,18 @@ prototype of which `WORTH_A_PROTOTYPE` triangles would be written out again is j
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.arrays import Array, Flags, Indices
 from synfog_usd.render import detail, surface
 from synfog_usd.render.lights.crowd import crowded
 from synfog_usd.render.placed import Piece, Prototypes, Standing
-from synfog_usd.scene import SceneDict
+from synfog_usd.scene import Placements, SceneDict, placements, shapes_of
 
 MAX_TRIANGLES = 28_000_000
 """3.8 GB at most, while Mitsuba builds its search tree, where meshes have positions alone."""
@@ -45,9 +44,11 @@ each that goes by an instance pays for it.  On the crossing all trees placed cos
 
 ARRAYS = ("normals", "texcoords", "vertex_color")
 
-UNMOVED = np.eye(4)[None]
 AT_ONCE = 1_000_000
 """Points that are put to their places at once: 24 MB."""
+
+FULL = 1000
+"""Level of an instance that is drawn as it is; see `detail.levels` for others."""
 
 FaceInstances = Mapping[str, npt.NDArray[np.int32]]
 
@@ -67,50 +68,43 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
     world, taken = source.world, set[str]()
     kinds = _kinds(source)
     parts: dict[tuple[Any, ...], list[_Member]] = {}
-    sorts: dict[int, tuple[Any, ...]] = {}  # by mesh: those of instances are asked for again and again
 
-    def take(
-        mesh: Mapping[str, Any],
-        matrix: Array | None,
-        instance: int,
-        key: str,
-        piece: tuple[str, str] | None = None,
-        block: int | None = None,
-    ) -> None:
-        if (sort := sorts.get(id(mesh))) is None:
+    def take(member: _Member, block: int | None = None) -> None:
+        sorts: dict[tuple[Any, ...], list[int]] = {}
+        for place, mesh in enumerate(member.meshes):
             material = mesh["bsdf"]["id"]
             smooth = *(name in mesh for name in ARRAYS), bool(mesh.get("face_normals", False))
-            sort = sorts[id(mesh)] = kinds.get(material, material), *smooth
-        motion = source.motion_of.get(key)
-        parts.setdefault((*sort, block, motion is not None), []).append(
-            _Member(key, mesh, matrix, instance, motion, piece)
-        )
+            sorts.setdefault((kinds.get(material, material), *smooth), []).append(place)
+        for sort, places in sorts.items():
+            meshes = tuple(member.meshes[place] for place in places)
+            names = tuple(member.names[place] for place in places)
+            some = member._replace(meshes=meshes, labels=member.labels[:, places], names=names)
+            parts.setdefault((*sort, block, member.motion is not None), []).append(some)
 
-    placed = _placed(source) if placing else {}
-    written = {key: value for key, value in world.items() if key not in placed}
-    finer = _Detail(replace(source, world=written))
-    expanded = _expanded(written, finer)
+    standing = placements(world)
+    placed = _placed(source, standing) if placing else np.zeros(len(standing.keys), dtype=bool)
+    finer = _Detail(source, standing, ~placed)
+    expanded = _expanded(world, standing, finer, ~placed)
     crowd = crowded(source)
     for key, value in world.items():
-        if key in crowd:
-            mesh, block = crowd[key]
-            take(mesh, None, source.instance_of.get((key,), 0), key, block=block)
+        if key in crowd or (key.startswith("shape_") and _plain(value)):
+            mesh, block = crowd.get(key, (value, None))
+            label = np.array([[source.instance_of.get((key,), 0)]])
+            take(_Member(key, ("",), (mesh,), None, label, source.motion_of.get(key)), block)
             taken.add(key)
-        elif key.startswith("shape_") and _plain(value):
-            take(value, None, source.instance_of.get((key,), 0), key)
-            taken.add(key)
-        elif key in expanded:
-            for name, shape in finer.prototype(key, value).items():
-                take(
-                    shape, np.asarray(value["to_world"], dtype=np.float64), source.instance_of.get((key, name), 0), key
-                )
-            taken.add(key)
-    for group in dict.fromkeys(placed.values()):  # after all others: the last of the joined meshes
-        for name, shape in _shapes(world, group).items():
-            take(shape, None, 0, "", (group, name))
-    taken |= set(placed)
-    left = {_group_id(value) for key, value in world.items() if key.startswith("instance_") and key not in taken}
-    if left and placed:  # which stay Mitsuba's own, that know nothing of our places
+    for group, rows in _runs(source, standing, finer, expanded):
+        shapes, keys = finer.prototype(group, finer.level[rows[0]]), [standing.keys[row] for row in rows]
+        labels, motion = _labels(source, keys, shapes), source.motion_of.get(keys[0])
+        take(_Member(keys[0], tuple(shapes), tuple(shapes.values()), standing.to_world[rows], labels, motion))
+        taken.update(keys)
+    of_places = {group: rows[placed[rows]] for group, rows in standing.rows.items() if placed[rows].any()}
+    for group in of_places:  # after all others: the last of the joined meshes
+        shapes = shapes_of(world, group)
+        labels = np.zeros((1, len(shapes)), dtype=np.int64)
+        take(_Member(group, tuple(shapes), tuple(shapes.values()), None, labels, None, placed=True))
+    taken.update(standing.keys[row] for row in np.flatnonzero(placed))
+    left = {group for group, rows in standing.rows.items() if not (expanded | placed)[rows].all()}
+    if left and of_places:  # which stay Mitsuba's own, that know nothing of our places
         return flatten(source)
     taken |= {
         key
@@ -126,13 +120,13 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
         key = f"shape_joined_{index}"
         joined[key] = {**_joined(members), "bsdf": _bsdf(world, members)}
         if block is not None:
-            joined[key]["emitter"] = members[0].mesh["emitter"]
+            joined[key]["emitter"] = members[0].meshes[0]["emitter"]
             fluxes[key] = sum(fluxes.get(one.key, 0.0) for one in members)
             for values in (groups, emissions):
                 if members[0].key in values:
                     values[key] = values[members[0].key]
         instances[key] = np.concatenate(
-            [np.full(len(one.mesh["faces"]), one.instance, dtype=np.int32) for one in members]
+            [np.repeat(one.labels.ravel(), one.faces * len(one.labels)).astype(np.int32) for one in members]
         )
         where |= _pieces(key, members)
         if moving:
@@ -151,65 +145,109 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
             emission_of=emissions,
         ),
         instances,
-        _prototypes(source, placed, where) if placed else None,
+        _prototypes(source, standing, of_places, where) if of_places else None,
     )
 
 
 class _Member(NamedTuple):
-    """A mesh that is joined with others: its key, where it stands, whose it is, how it moves, as `SceneDict.motion_of`,
-    and of what prototype it is which piece, where it stands in many places.
+    """A mesh that is joined with others, or those of a prototype with all places at which they are written out.
+
+    Attributes:
+        key: of the mesh, of the first of the instances, or of a prototype that is not written out.
+        names: keys of the meshes in their prototype.
+        meshes: M of them.
+        to_world: (N, 4, 4) of the places, one after the other; None for what stands as it is, once.
+        labels: (N, M) label ids.
+        motion: as `SceneDict.motion_of`, of all of it.
+        placed: whether it is of a prototype that is not written out.
     """
 
     key: str
-    mesh: Mapping[str, Any]
-    matrix: Array | None
-    instance: int
+    names: tuple[str, ...]
+    meshes: tuple[Mapping[str, Any], ...]
+    to_world: Array | None
+    labels: Indices
     motion: Array | None
-    piece: tuple[str, str] | None
+    placed: bool = False
+
+    @property
+    def faces(self) -> list[int]:
+        """Number of each mesh's faces."""
+        return [len(mesh["faces"]) for mesh in self.meshes]
+
+    @property
+    def vertices(self) -> list[int]:
+        """Number of each mesh's vertices."""
+        return [len(mesh["positions"]) for mesh in self.meshes]
+
+
+def _labels(source: SceneDict, keys: list[str], names: Iterable[str]) -> Indices:
+    """(N, M) label ids of N instances of a prototype with M shapes."""
+    names = list(names)
+    found = [source.instance_of.get((key, name), 0) for key in keys for name in names]
+    return np.array(found, dtype=np.int64).reshape(len(keys), len(names))
+
+
+def _runs(source: SceneDict, standing: Placements, finer: _Detail, some: Flags) -> Iterator[tuple[str, Indices]]:
+    """The instances that are asked for, by prototype as they follow one another; those of one run have one level of
+    detail, and what moves is a run of its own.
+    """
+    groups, rows = list(standing.rows), np.flatnonzero(some)
+    number = np.zeros(len(standing.keys), dtype=np.int64)
+    for place, own in enumerate(standing.rows.values()):
+        number[own] = place
+    moves = np.array([standing.keys[row] in source.motion_of for row in rows], dtype=bool)
+    sort = np.stack([number[rows], finer.level[rows], np.where(moves, 1 + np.arange(len(rows)), 0)])
+    for run in np.split(rows, 1 + np.flatnonzero((sort[:, 1:] != sort[:, :-1]).any(axis=0))):
+        if len(run):
+            yield groups[number[run[0]]], run
 
 
 def _pieces(key: str, members: list[_Member]) -> dict[tuple[str, str], Piece]:
     """Where the pieces of prototypes lie in a joined mesh."""
     found, face, vertex = {}, 0, 0
     for one in members:
-        faces, vertices = len(one.mesh["faces"]), len(one.mesh["positions"])
-        if one.piece is not None:
-            found[one.piece] = Piece(key, face, vertex, faces, vertices)
-        face, vertex = face + faces, vertex + vertices
+        for name, faces, vertices in zip(one.names, one.faces, one.vertices, strict=True):
+            if one.placed:
+                found[one.key, name] = Piece(key, face, vertex, faces, vertices)
+            face, vertex = face + faces * len(one.labels), vertex + vertices * len(one.labels)
     return found
 
 
-def _placed(source: SceneDict) -> dict[str, str]:
-    """Instances of the prototypes that are worth it -> which they are of."""
-    keys, found = dict[str, list[str]](), dict[str, str]()
-    for key, value in source.world.items():
-        if key.startswith("instance_"):
-            keys.setdefault(_group_id(value), []).append(key)
-    for group, instances in keys.items():
-        shapes = _shapes(source.world, group)
+def _placed(source: SceneDict, standing: Placements) -> Flags:
+    """(N,) which instances are left to places: those far away of the prototypes that are worth it."""
+    found = np.zeros(len(standing.keys), dtype=bool)
+    for group, rows in standing.rows.items():
+        shapes = shapes_of(source.world, group)
         plain = all(_plain(shape) and len(shape["faces"]) for shape in shapes.values())
         faces = _faces(shapes) if plain else 0
         if faces < LEAST_TRIANGLES:
             continue
-        places = np.array([source.world[key]["to_world"] for key in instances])[:, :3, 3]
-        far = np.linalg.norm(places - source.camera.to_world[:3, 3], axis=1) > FAR_M
+        away = standing.to_world[rows, :3, 3] - source.camera.to_world[:3, 3]
+        far = np.linalg.norm(away, axis=1) > FAR_M
         if (np.count_nonzero(far) - 1) * faces >= WORTH_A_PROTOTYPE:
-            found |= {key: group for key, yes in zip(instances, far, strict=True) if yes}
+            found[rows] = far
     return found
 
 
-def _prototypes(source: SceneDict, placed: Mapping[str, str], where: Mapping[tuple[str, str], Piece]) -> Prototypes:
-    """Where the instances `placed` stand, of the pieces that are found `where` (prototype, key in it) says."""
-    names = {group: tuple(_shapes(source.world, group)) for group in placed.values()}
-    places = [
-        Standing(
-            group,
-            np.asarray(source.world[key]["to_world"], dtype=np.float64),
-            tuple(source.instance_of.get((key, name), 0) for name in names[group]),
-        )
-        for key, group in placed.items()
-    ]
-    return Prototypes({group: tuple(where[group, name] for name in own) for group, own in names.items()}, tuple(places))
+def _prototypes(
+    source: SceneDict,
+    standing: Placements,
+    of_places: Mapping[str, Indices],
+    where: Mapping[tuple[str, str], Piece],
+) -> Prototypes:
+    """Where the instances `of_places` stand, by prototype, of the pieces that are found `where` (prototype, key in it)
+    says.
+    """
+    pieces, places = dict[str, tuple[Piece, ...]](), list[Standing]()
+    for group, rows in of_places.items():
+        shapes = shapes_of(source.world, group)
+        pieces[group] = tuple(where[group, name] for name in shapes)
+        labels = _labels(source, [standing.keys[row] for row in rows], shapes)
+        places += [
+            Standing(group, standing.to_world[row], tuple(own)) for row, own in zip(rows, labels.tolist(), strict=True)
+        ]
+    return Prototypes(pieces, tuple(places))
 
 
 def _kinds(source: SceneDict) -> dict[str, tuple[Any, ...]]:
@@ -224,12 +262,17 @@ def _kinds(source: SceneDict) -> dict[str, tuple[Any, ...]]:
 
 def _bsdf(world: Mapping[str, Any], members: list[_Member]) -> dict[str, Any]:
     """The material of joined meshes, or all of theirs as one."""
-    materials = [one.mesh["bsdf"]["id"] for one in members]
-    each = list(dict.fromkeys(materials))
-    if len(each) == 1:
-        return {"type": "ref", "id": each[0]}
-    counts = [len(one.mesh["faces"]) for one in members]
-    return surface.together([world[name] for name in each], np.repeat([each.index(name) for name in materials], counts))
+    number = {key: place for place, key in enumerate(dict.fromkeys(_materials(members)))}
+    if len(number) == 1:
+        return {"type": "ref", "id": next(iter(number))}
+    of_faces = [
+        np.tile(np.repeat([number[key] for key in _materials([one])], one.faces), len(one.labels)) for one in members
+    ]
+    return surface.together([world[key] for key in number], np.concatenate(of_faces))
+
+
+def _materials(members: list[_Member]) -> list[str]:
+    return [mesh["bsdf"]["id"] for one in members for mesh in one.meshes]
 
 
 def _asked(parts: list[Any]) -> set[str]:
@@ -251,7 +294,7 @@ def _ways(members: list[_Member]) -> tuple[Indices, Array]:
         number = known.setdefault(one.motion.tobytes(), len(ways))
         if number == len(ways):
             ways.append(one.motion[0])
-        numbers.append(np.full(len(one.mesh["positions"]), number, dtype=np.int64))
+        numbers.append(np.full(sum(one.vertices) * len(one.labels), number, dtype=np.int64))
     return np.concatenate(numbers), np.stack(ways)
 
 
@@ -265,58 +308,39 @@ def _plain(shape: Mapping[str, Any]) -> bool:
     )
 
 
-def _group_id(instance: Mapping[str, Any]) -> str:
-    for value in instance.values():  # asked some millions of times
-        if isinstance(value, dict) and value.get("type") == "ref":
-            return str(value["id"])
-    raise KeyError("an instance of no group")
-
-
-def _shapes(world: Mapping[str, Any], group: str) -> dict[str, Mapping[str, Any]]:
-    return {name: shape for name, shape in world[group].items() if name != "type"}
-
-
-def _prototype(world: Mapping[str, Any], instance: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    return _shapes(world, _group_id(instance))
-
-
 class _Detail:
     """The prototypes of instances as their distance wants them, where there is no room for all in full."""
 
-    def __init__(self, source: SceneDict) -> None:
+    def __init__(self, source: SceneDict, standing: Placements, written: Flags) -> None:
         self.world = source.world
-        self.level: dict[str, int] = {}
+        self.level = np.full(len(standing.keys), FULL, dtype=np.int64)
         self.made: dict[tuple[str, int], dict[str, Mapping[str, Any]]] = {}
-        placed: dict[str, list[str]] = {}
-        for key, value in source.world.items():
-            if key.startswith("instance_"):
-                placed.setdefault(_group_id(value), []).append(key)
-        prototypes = {group: _prototype(self.world, self.world[keys[0]]) for group, keys in placed.items()}
         plain = {
-            group: shapes for group, shapes in prototypes.items() if all(_plain(shape) for shape in shapes.values())
+            group: rows[written[rows]]
+            for group, rows in standing.rows.items()
+            if all(_plain(shape) for shape in self.prototype(group).values())
         }
-        total = _direct(self.world) + sum(len(placed[group]) * _faces(shapes) for group, shapes in plain.items())
+        total = _direct(self.world) + sum(len(rows) * _faces(self.prototype(group)) for group, rows in plain.items())
         if total <= MAX_TRIANGLES:
             return
-        for group, shapes in plain.items():
+        for group, rows in plain.items():
+            shapes = self.prototype(group)
             points = [np.asarray(shape["positions"]) for shape in shapes.values() if len(shape["positions"])]
-            if not points or _faces(shapes) <= detail.FEWEST:
+            if not points or not len(rows) or _faces(shapes) <= detail.FEWEST:
                 continue
             low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
-            matrices = np.array([self.world[key]["to_world"] for key in placed[group]], dtype=np.float64)
-            found = detail.levels(source.camera, matrices, low.astype(np.float64), high.astype(np.float64))
-            self.level |= dict(zip(placed[group], found.tolist(), strict=True))
+            self.level[rows] = detail.levels(
+                source.camera, standing.to_world[rows], low.astype(np.float64), high.astype(np.float64)
+            )
 
-    def prototype(self, key: str, instance: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-        """The shapes of an instance's prototype, as it is drawn."""
-        if key not in self.level:
-            return _prototype(self.world, instance)
-        place = _group_id(instance), self.level[key]
-        if place not in self.made:
-            self.made[place] = {
-                name: detail.merged(shape, place[1]) for name, shape in _prototype(self.world, instance).items()
+    def prototype(self, group: str, level: int = FULL) -> dict[str, Mapping[str, Any]]:
+        """The shapes of a prototype, as an instance of that level is drawn."""
+        if (group, level) not in self.made:
+            shapes = shapes_of(self.world, group)
+            self.made[group, level] = {
+                name: shape if level == FULL else detail.merged(shape, level) for name, shape in shapes.items()
             }
-        return self.made[place]
+        return self.made[group, level]
 
 
 def _faces(shapes: Mapping[str, Mapping[str, Any]]) -> int:
@@ -330,54 +354,59 @@ def _direct(world: Mapping[str, Any]) -> int:
     )
 
 
-def _expanded(world: Mapping[str, Any], finer: _Detail) -> set[str]:
-    """Keys of the instances that are written out: those of the smallest prototypes first, as many as go into
-    `MAX_TRIANGLES`.
+def _expanded(world: Mapping[str, Any], standing: Placements, finer: _Detail, written: Flags) -> Flags:
+    """(N,) which of the instances that may be `written` out are: those of the smallest prototypes first, as many as go
+    into `MAX_TRIANGLES`.
 
     Each instance that is left costs the same, whatever it holds: so as few as can be are left.
     """
-    room = MAX_TRIANGLES - _direct(world)
-    sizes: dict[tuple[str, int | None], int | None] = {}
-    placed: list[tuple[int, str]] = []
-    for key, value in world.items():
-        if key.startswith("instance_"):
-            which = _group_id(value), finer.level.get(key)
-            if which not in sizes:
-                inner = finer.prototype(key, value)
-                sizes[which] = _faces(inner) if all(_plain(shape) for shape in inner.values()) else None
-            size = sizes[which]
-            if size is not None:
-                placed.append((size, key))
-    found: set[str] = set()
-    for size, key in sorted(placed, key=lambda one: one[0]):  # stable: of one size in the order of the scene
-        if size > room:
-            break
-        room -= size
-        found.add(key)
+    sizes, found = np.zeros(len(standing.keys), dtype=np.int64), written.copy()
+    for group, rows in standing.rows.items():
+        for level in np.unique(finer.level[rows]).tolist():
+            shapes, own = finer.prototype(group, level), rows[finer.level[rows] == level]
+            if all(_plain(shape) for shape in shapes.values()):
+                sizes[own] = _faces(shapes)
+            else:
+                found[own] = False
+    candidates = np.flatnonzero(found)
+    candidates = candidates[np.argsort(sizes[candidates], kind="stable")]  # of one size in the order of the scene
+    found[candidates[np.cumsum(sizes[candidates]) > MAX_TRIANGLES - _direct(world)]] = False
     return found
 
 
-def _alike(members: list[_Member]) -> Iterator[tuple[Mapping[str, Any], Array]]:
-    """Meshes in their order, and the (N, 4, 4) places at which each stands one after the other; `UNMOVED` where it
-    stands as it is.
+def _whole(meshes: tuple[Mapping[str, Any], ...]) -> Mapping[str, Any]:
+    """Meshes that have the same arrays as one."""
+    if len(meshes) == 1:
+        return meshes[0]
+    starts = np.cumsum([0, *(len(mesh["positions"]) for mesh in meshes[:-1])])
+    faces = [np.asarray(mesh["faces"], dtype=np.int64) + start for mesh, start in zip(meshes, starts, strict=True)]
+    arrays = {
+        name: np.concatenate([mesh[name] for mesh in meshes]) for name in ("positions", *ARRAYS) if name in meshes[0]
+    }
+    return {**meshes[0], **arrays, "faces": np.concatenate(faces)}
+
+
+def _at_places(members: list[_Member]) -> Iterator[tuple[Mapping[str, Any], Array | None]]:
+    """Meshes in their order, and the (N, 4, 4) places at which each stands, not too many at once; None where it stands
+    as it is.
     """
-    for (_, moved), run in itertools.groupby(members, key=lambda one: (id(one.mesh), one.matrix is not None)):
-        some = list(run)
-        if not moved:
-            yield from ((one.mesh, UNMOVED) for one in some)
+    for one in members:
+        mesh = _whole(one.meshes)
+        if one.to_world is None:
+            yield mesh, None
             continue
-        step = max(AT_ONCE // max(len(some[0].mesh["positions"]), 1), 1)
-        for first in range(0, len(some), step):
-            yield some[0].mesh, np.array([one.matrix for one in some[first : first + step]])
+        step = max(AT_ONCE // max(len(mesh["positions"]), 1), 1)
+        yield from ((mesh, one.to_world[first : first + step]) for first in range(0, len(one.to_world), step))
 
 
 def _joined(members: list[_Member]) -> dict[str, Any]:
-    positions, faces, more, start = [], [], {name: [] for name in ARRAYS if name in members[0].mesh}, 0
-    for mesh, matrices in _alike(members):
+    positions, faces, start = [], [], 0
+    more = {name: [] for name in ARRAYS if name in members[0].meshes[0]}
+    for mesh, matrices in _at_places(members):
         points, corners = np.asarray(mesh["positions"]), np.asarray(mesh["faces"], dtype=np.uint32)
-        turns = matrices[:, :3, :3]
-        count, each = len(matrices), len(points)
-        if matrices is not UNMOVED:
+        count, each = 1 if matrices is None else len(matrices), len(points)
+        if matrices is not None:
+            turns = matrices[:, :3, :3]
             points = points @ turns.transpose(0, 2, 1) + matrices[:, None, :3, 3]
             mirrored = np.linalg.det(turns) < 0.0
             corners = np.where(mirrored[:, None, None], corners[:, ::-1], corners)
@@ -386,14 +415,14 @@ def _joined(members: list[_Member]) -> dict[str, Any]:
         faces.append((corners + starts[:, None, None]).reshape(-1, 3))
         for name, arrays in more.items():
             array = np.asarray(mesh[name])
-            if name == "normals" and matrices is not UNMOVED:
+            if name == "normals" and matrices is not None:
                 array = array @ np.linalg.inv(turns)  # not to unit length: their ratio is what interpolation needs
             elif count > 1:
                 array = np.broadcast_to(array, (count, *array.shape))
             arrays.append(array.astype(np.float32).reshape(-1, array.shape[-1]))
         start += count * each
     arrays = {"positions": positions, "faces": faces, **more}
-    first = members[0].mesh
+    first = members[0].meshes[0]
     kept = {"face_normals": first["face_normals"]} if "face_normals" in first else {}
     return {
         "type": "mesh",

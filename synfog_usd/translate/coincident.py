@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.arrays import Array
-from synfog_usd.scene import SceneDict
+from synfog_usd.scene import SceneDict, prototype_of, shapes_of
 
 APART_M = 5e-5
 """Faces nearer than this are one for a ray in single precision 100 m away."""
@@ -104,12 +104,9 @@ def _triangles(scene: SceneDict) -> tuple[Array, npt.NDArray[np.int64], npt.NDAr
         if key.startswith("shape_"):
             take(value, None, scene.instance_of.get((key,), 0))
         elif key.startswith("instance_") and not many:
-            group = next(
-                str(part["id"]) for part in value.values() if isinstance(part, Mapping) and part.get("type") == "ref"
-            )
-            for name, shape in scene.world[group].items():
-                if isinstance(shape, Mapping):
-                    take(shape, np.asarray(value["to_world"], dtype=np.float64), scene.instance_of.get((key, name), 0))
+            matrix = np.asarray(value["to_world"], dtype=np.float64)
+            for name, shape in shapes_of(scene.world, prototype_of(value)).items():
+                take(shape, matrix, scene.instance_of.get((key, name), 0))
     none = [np.zeros(0, dtype=np.int64)]
     return np.concatenate(corners), np.concatenate(material or none), np.concatenate(thing or none)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from synfog_usd.arrays import Array
-from synfog_usd.scene import SceneDict
+from synfog_usd.scene import SceneDict, placements, shapes_of
 from synfog_usd.translate.geometry import cross
 
 _ALL_AROUND = ("constant", "envmap")
@@ -72,20 +72,15 @@ def _boxes(world: Mapping[str, Any]) -> Iterator[tuple[Mapping[str, Any], list[t
     """Every shape, its names in all places where it stands, the matrices (n, 4, 4) that put it there, and the corners
     (n, 8, 3) of the box around it in each.
     """
-    placed: dict[str, list[str]] = {}
     for key, part in world.items():
-        if not isinstance(part, dict):
-            continue
-        if part["type"] == "instance":
-            placed.setdefault(part["shapegroup"]["id"], []).append(key)
-        elif key.startswith("shape_"):
+        if key.startswith("shape_"):
             yield part, [(key,)], np.eye(4)[None], _corners(part)[None]
-    for group, keys in placed.items():
-        matrices = np.array([world[key]["to_world"] for key in keys], dtype=np.float64)
-        for name, shape in world[group].items():
-            if name != "type":
-                turned = np.einsum("nij,kj->nki", matrices[:, :3, :3], _corners(shape))
-                yield shape, [(key, name) for key in keys], matrices, turned + matrices[:, None, :3, 3]
+    standing = placements(world)
+    for group, rows in standing.rows.items():
+        keys, matrices = [standing.keys[row] for row in rows], standing.to_world[rows]
+        for name, shape in shapes_of(world, group).items():
+            turned = np.einsum("nij,kj->nki", matrices[:, :3, :3], _corners(shape))
+            yield shape, [(key, name) for key in keys], matrices, turned + matrices[:, None, :3, 3]
 
 
 def _opaque(world: Mapping[str, Any], shape: Mapping[str, Any]) -> bool:

@@ -20,6 +20,7 @@ from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene, camera_fog
 from synfog_usd.render.placed import PlacedScene
+from synfog_usd.scene import prototype_of
 
 MAX_CROSSINGS = 256
 
@@ -253,7 +254,7 @@ class _Tracer:
             if len(key) == 1:
                 instances[self.rank[self.identity(loaded.shapes[key])]] = instance
             else:
-                placed, inner = loaded.shapes[key[:1]], loaded.shapes[self._group_of(key[0]), key[1]]
+                placed, inner = loaded.shapes[key[:1]], loaded.shapes[prototype_of(loaded.source.world[key[0]]), key[1]]
                 instances[self.rank[self.identity(placed)] * size + self.rank[self.identity(inner)]] = instance
         self.size = size
         self.instance_keys = np.array(sorted(instances), dtype=np.int64)
@@ -273,12 +274,6 @@ class _Tracer:
             start += len(faces)
         self.face_instances = np.concatenate(lists)
         self.label_of = loaded.tree.label_of if isinstance(loaded.tree, PlacedScene) else np.array([-1])
-
-    def _group_of(self, instance: str) -> str:
-        for value in self.loaded.source.world[instance].values():
-            if isinstance(value, dict) and value.get("type") == "ref":
-                return str(value["id"])
-        raise KeyError(instance)
 
     def identity(self, shape: Any) -> int:
         if self.scalar:
