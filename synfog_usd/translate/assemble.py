@@ -20,7 +20,7 @@ from pxr import Usd
 from synfog_usd.arrays import Array
 from synfog_usd.errors import StageError
 from synfog_usd.fog import FogVolume
-from synfog_usd.scene import Camera, Instance, SceneDict
+from synfog_usd.scene import Camera, Instance, SceneDict, boxes
 from synfog_usd.stage.labels import UNLABELED
 from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors, unit_notes
 from synfog_usd.stage.schema import LIGHTING_VARIANT_SET, PREFIX
@@ -347,7 +347,7 @@ class _Assembler:
             some = found.leaves[start : start + _AHEAD]
             self.drawer.look_ahead(some)
             for leaf in some:
-                self.put(leaf, to_scene @ leaf.matrix, None)
+                self.put(leaf, None, to_scene)
         placements: dict[int, list[GroupInstance]] = {}
         for placement in found.placements:
             placements.setdefault(placement.group, []).append(placement)
@@ -388,9 +388,11 @@ class _Assembler:
 
     # -- placing
 
-    def put(self, leaf: Leaf, matrix: Array, placement: GroupInstance | None) -> None:
-        """A leaf in the scene itself."""
-        kind = leaf.kind
+    def put(self, leaf: Leaf, placement: GroupInstance | None, around: Array) -> None:
+        """A leaf in the scene itself; `around` is (4, 4) to the scene of the instance that it is part of, or of the
+        stage.
+        """
+        kind, matrix = leaf.kind, around @ leaf.matrix
         if kind in _DOMES or kind == "DistantLight":
             self.sky_paths.append(leaf.path)
             picture = leaf.prim.GetAttribute("inputs:texture:file").Get(self.time)
@@ -412,7 +414,7 @@ class _Assembler:
             self.put_fog(leaf, leaf.fog, matrix)
             return
         if kind.endswith("Light"):
-            self.put_lamp(leaf, kind, matrix, placement)
+            self.put_lamp(leaf, matrix, placement, around)
             return
         fog_box = self.is_fog_box(leaf)
         if fog_box is None:
@@ -427,15 +429,16 @@ class _Assembler:
             self.put_fog(leaf, None, matrix)
             return
         for shape, emission, nits in self.drawer.parts(leaf, matrix):
-            self.add_shape(shape, emission, nits, leaf, placement)
+            self.add_shape(shape, emission, nits, leaf, placement, around)
 
     def put_fog(self, leaf: Leaf, source: Usd.Prim | None, matrix: Array) -> None:
         made = volume.fog_volume(leaf.prim, source, matrix, self.time, self.notes)
         if made is not None:
             self.fog.append(made)
 
-    def put_lamp(self, leaf: Leaf, kind: str, matrix: Array, placement: GroupInstance | None) -> None:
+    def put_lamp(self, leaf: Leaf, matrix: Array, placement: GroupInstance | None, around: Array) -> None:
         light.refuse_many(leaf.path, len(self.flux_of))
+        kind = leaf.kind
         convention = self.chooser.of(leaf.prim)
         lamp = light.lamp(
             leaf.prim,
@@ -470,7 +473,7 @@ class _Assembler:
         else:
             shape = {**lamp.shape, "bsdf": black}
         instance = (
-            self.instance(leaf, placement)
+            self.instance(leaf, placement, around)
             if leaf.owner is not None or (placement is not None and placement.owner is not None)
             else None
         )
@@ -530,10 +533,11 @@ class _Assembler:
         nits: float,
         leaf: Leaf,
         placement: GroupInstance | None,
+        around: Array,
     ) -> None:
         if emission is None and not self.mover.open and self.twins.hides(shape, leaf.path):
             return
-        instance = self.instance(leaf, placement)
+        instance = self.instance(leaf, placement, around)
         self.note_motion(f"shape_{len(self.shapes)}", leaf, placement)
         if emission is not None:
             light.refuse_many(leaf.path, len(self.flux_of))
@@ -558,7 +562,8 @@ class _Assembler:
 
     def put_group(self, leaves: list[Leaf], places: list[GroupInstance]) -> None:
         """A group's leaves once and its placements as instances; what shines is placed one by one."""
-        to_scene = self.space.matrix
+        there = np.array([place.matrix for place in places])
+        matrices = list(self.space.matrix @ there)
         shared: list[tuple[Leaf, dict[str, Any]]] = []
         twins = Twins(self.notes)
         single = len(places) == 1
@@ -571,19 +576,18 @@ class _Assembler:
                 or leaf.fog is not None
                 or self.is_fog_box(leaf) is not False
             ):
-                for place in places:
-                    self.put(leaf, to_scene @ place.matrix @ leaf.matrix, place)
+                for place, around in zip(places, matrices, strict=True):
+                    self.put(leaf, place, around)
                 continue
             made = self.drawer.parts(leaf, leaf.matrix)
             shared += [
                 (leaf, shape) for shape, emission, _ in made if emission is None and not twins.hides(shape, leaf.path)
             ]
             if any(emission is not None for _, emission, _ in made):
-                for place in places:
-                    matrix = to_scene @ place.matrix @ leaf.matrix
-                    for shape, emission, nits in self.drawer.parts(leaf, matrix):
+                for place, around in zip(places, matrices, strict=True):
+                    for shape, emission, nits in self.drawer.parts(leaf, around @ leaf.matrix):
                         if emission is not None:
-                            self.add_shape(shape, emission, nits, leaf, place)
+                            self.add_shape(shape, emission, nits, leaf, place, around)
         if not shared:
             return
         key = f"group_{len(self.groups)}"
@@ -592,30 +596,23 @@ class _Assembler:
             "type": "shapegroup",
             **{name: shape for name, (_, shape) in zip(names, shared, strict=True)},
         }
-        corners, put = self.corners(shared), list[Array]()
-        for place in places:
-            if not self.mover.open and twins.hides_instance(place.matrix, place.path):
+        group = {"type": "ref", "id": key}
+        hidden = np.zeros(len(places), dtype=bool) if self.mover.open else twins.hide_instances(there, places)
+        for place, matrix, hides in zip(places, matrices, hidden.tolist(), strict=True):
+            if hides:
                 continue
             instance = f"instance_{len(self.placed)}"
-            matrix = to_scene @ place.matrix
-            self.placed[instance] = {"type": "instance", "to_world": matrix, "shapegroup": {"type": "ref", "id": key}}
+            self.placed[instance] = {"type": "instance", "to_world": matrix, "shapegroup": group}
             if (motion := self.mover.of(place.path)) is not None:
                 self.motion_of[instance] = motion
             for name, (leaf, _) in zip(names, shared, strict=True):
-                self.instance_of[(instance, name)] = self.instance(leaf, place)
-            put.append(matrix)
-        if corners is not None and put:
-            whole = np.array(put)
-            self.spread.append((corners @ whole[:, :3, :3].swapaxes(1, 2) + whole[:, None, :3, 3]).reshape(-1, 3))
-        twins.tell()
-
-    def corners(self, shared: list[tuple[Leaf, dict[str, Any]]]) -> Array | None:
-        """(8, 3) corners of the box around a group's meshes."""
+                self.instance_of[(instance, name)] = self.instance(leaf, place, matrix)
         meshes = [shape["positions"] for _, shape in shared if "positions" in shape]
-        if not meshes:
-            return None
-        low, high = np.min([m.min(axis=0) for m in meshes], axis=0), np.max([m.max(axis=0) for m in meshes], axis=0)
-        return np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3).astype(np.float64)
+        if meshes and not hidden.all():
+            low, high = np.min([m.min(axis=0) for m in meshes], axis=0), np.max([m.max(axis=0) for m in meshes], axis=0)
+            lowest, highest = boxes(low, high, np.array(matrices)[~hidden])
+            self.spread.append(np.stack([lowest.min(axis=0), highest.max(axis=0)]))
+        twins.tell()
 
     def bounds(self, eye: Array) -> Array:
         """(2, 3) corners of the box around the camera and all that is drawn."""
@@ -628,22 +625,22 @@ class _Assembler:
 
     # -- labels
 
-    def instance(self, leaf: Leaf, placement: GroupInstance | None) -> int:
+    def instance(self, leaf: Leaf, placement: GroupInstance | None, around: Array) -> int:
         """Label id of a leaf; a new one where its owner was not met before."""
         if placement is None:
             owner = leaf.owner or Owner(leaf.model or leaf.path, UNLABELED)
-            return self.instance_id(owner.path, owner.label, placement)
+            return self.instance_id(owner.path, owner.label, around)
         root = self.roots[placement.group]
         if leaf.owner is not None:
-            return self.instance_id(placement.path + leaf.owner.path.removeprefix(root), leaf.owner.label, placement)
+            return self.instance_id(placement.path + leaf.owner.path.removeprefix(root), leaf.owner.label, around)
         if placement.owner is not None:
-            return self.instance_id(placement.owner.path, placement.owner.label, placement)
+            return self.instance_id(placement.owner.path, placement.owner.label, around)
         path = placement.model if leaf.model is None else placement.path + leaf.model.removeprefix(root)
-        return self.instance_id(path, UNLABELED, placement)
+        return self.instance_id(path, UNLABELED, around)
 
-    def instance_id(self, path: str, label: str, placement: GroupInstance | None) -> int:
+    def instance_id(self, path: str, label: str, around: Array) -> int:
         if path not in self.instance_ids:
-            frame, velocity = self.poser.pose(path, None if placement is None else placement.matrix)
+            frame, velocity = self.poser.pose(path, around)
             self.instances.append(Instance(len(self.instances) + 1, path, label, frame, velocity))
             self.instance_ids[path] = len(self.instances)
         return self.instance_ids[path]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Usd, UsdGeom
 
 from synfog_usd.arrays import Array
 from synfog_usd.translate.space import Space, columns
@@ -41,20 +41,21 @@ class Poser:
                 self._around = UsdGeom.XformCache(first), UsdGeom.XformCache(last)
                 self._seconds = (last - first) / stage.GetTimeCodesPerSecond()
 
-    def pose(self, path: str, placed: Array | None) -> tuple[Array, tuple[float, float, float] | None]:
+    def pose(self, path: str, around: Array) -> tuple[Array, tuple[float, float, float] | None]:
         """Frame and velocity of an instance.
 
         Args:
             path: of the prim, with [n] behind a point instancer's.
-            placed: (4, 4) to stage coordinates, of the instance that it is part of, where `path` is of no prim.
+            around: (4, 4) to the scene, of the instance that it is part of, or of the stage; the frame where `path` is
+                of no prim.
 
         Returns:
             (4, 4) from the prim's own axes to the scene's; and its velocity [m/s] in the scene's axes, from
             `physics:velocity`, else from how it moves about this moment, None on a stage where nothing moves.
         """
-        prim = self._stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
+        prim = None if "[" in path else self._stage.GetPrimAtPath(path)
         if not prim:
-            return self._to_scene @ (np.eye(4) if placed is None else placed), None
+            return around, None
         frame = self._to_scene @ columns(self._now.GetLocalToWorldTransform(prim))
         return frame, self._velocity(prim)
 

@@ -6,16 +6,20 @@ A search tree cannot tell faces in one place apart, so that a ray meets all of t
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array
+from synfog_usd.arrays import Array, Flags
 from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.walk import GroupInstance
 
 MOST = 16
 """Shapes that are drawn in one place."""
+
+_ODD = np.uint64(0x9E3779B97F4A7C15) ** np.arange(1, 17, dtype=np.uint64)
+"""By which the 16 numbers of a place make one, modulo 2^64: places that differ seldom make the same."""
 
 
 class Twins:
@@ -40,9 +44,16 @@ class Twins:
             self.count[_digest(first)], self.first[sketch] = 1, None
         return self._full(_digest(shape), path)
 
-    def hides_instance(self, matrix: Array, path: str) -> bool:
-        """The same of the instances of one group."""
-        return self._full(matrix.tobytes(), path)
+    def hide_instances(self, matrices: Array, places: Sequence[GroupInstance]) -> Flags:
+        """(N,) the same of the instances of one group, which stand at (N, 4, 4)."""
+        found = np.zeros(len(matrices), dtype=bool)
+        if len(matrices) <= MOST:
+            return found
+        numbers = np.ascontiguousarray(matrices).reshape(len(matrices), 16).view(np.uint64)
+        _, kind, count = np.unique(numbers @ _ODD, return_inverse=True, return_counts=True)
+        for row in np.flatnonzero(count[kind] > MOST):  # most lie alone
+            found[row] = self._full(matrices[row].tobytes(), places[row].path)
+        return found
 
     def tell(self) -> None:
         """What is not drawn, by its first prim."""

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdVol
 
-from synfog_usd.arrays import Array
+from synfog_usd.arrays import Array, Flags
 from synfog_usd.errors import StageError
 from synfog_usd.stage.budget import MAX_DEPTH
 from synfog_usd.stage.labels import LABEL_SOURCES, UNLABELED, direct_label, official_name
@@ -431,9 +431,9 @@ class _Walker:
         path = str(prim.GetPath())
         index = self.group_of(prototype, state, self.bound(prim, state), state.color)
         self.place(
-            index,
-            self.matrix(prim, frame),
-            path,
+            [index],
+            self.matrix(prim, frame)[None],
+            [path],
             state,
             group,
             own_instance=state.owner is not None and (state.owner.splits or state.owner.path == path),
@@ -470,15 +470,15 @@ class _Walker:
                 self.notes.warn(path, f"prototype {targets[number]} is missing or abstract; its points are left out")
                 continue
             groups[number, kind] = self.group_of(prototype, state, self.bound(prim, state), colors[kind])
+        own = state.owner is None or state.owner.splits or state.owner.path == path or state.model is None
         place = self.matrix(prim, frame)
         all_matrices = np.array(matrices, dtype=np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
         with np.errstate(invalid="ignore"):
             products = place @ all_matrices
-        for number in np.flatnonzero(shown):
-            index = groups.get((int(which[number]), int(kind_of[number])))
-            if index is not None:
-                own = state.owner is None or state.owner.splits or state.owner.path == path or state.model is None
-                self.place(index, products[number], f"{path}[{number}]", state, group, own_instance=own)
+        numbers = np.flatnonzero(shown)
+        indices = [groups.get(kind) for kind in zip(which[numbers].tolist(), kind_of[numbers].tolist(), strict=True)]
+        paths = [f"{path}[{number}]" for number in numbers.tolist()]
+        self.place(indices, products[numbers], paths, state, group, own_instance=own)
 
     def instance_colors(
         self, prim: Usd.Prim, state: _State, which: npt.NDArray[np.int64], shown: npt.NDArray[np.bool_]
@@ -548,30 +548,53 @@ class _Walker:
         return self.group_index[key]
 
     def place(
-        self, index: int, matrix: Array, path: str, state: _State, group: Group | None, *, own_instance: bool
+        self,
+        indices: list[int | None],
+        matrices: Array,
+        paths: list[str],
+        state: _State,
+        group: Group | None,
+        *,
+        own_instance: bool,
     ) -> None:
-        if not np.abs(matrix).max() <= FAR or abs(np.linalg.det(matrix[:3, :3])) < 1e-300:
-            self.notes.warn(
-                path,
-                "an instance scaled to nothing, or placed at no finite point or at one of more than 10 digits, is "
-                "left out",
-            )
-            return
-        owner = state.owner
-        if owner is not None and own_instance:
-            owner = Owner(path, owner.label)
-        if group is not None:
-            group.inner.append(GroupInstance(index, matrix, path, owner, state.model or path))
-            return
-        waiting = [GroupInstance(index, matrix, path, owner, state.model or path)]
-        self.count += self.result.groups[index].total
-        self.limit()
-        while waiting:  # Mitsuba knows one level of instances: those within this one are placed themselves
-            placed = waiting.pop()
-            found = self.result.groups[placed.group]
+        """Instances of groups, None for none, at (N, 4, 4) places."""
+        owner, model = state.owner, state.model
+        for index, matrix, path, stands in zip(indices, matrices, paths, _stand(matrices).tolist(), strict=True):
+            if index is None:
+                continue
+            if not stands:
+                self.notes.warn(
+                    path,
+                    "an instance scaled to nothing, or placed at no finite point or at one of more than 10 digits, is "
+                    "left out",
+                )
+                continue
+            whose = Owner(path, owner.label) if owner is not None and own_instance else owner
+            placed = GroupInstance(index, matrix, path, whose, model or path)
+            if group is not None:
+                group.inner.append(placed)
+                continue
+            self.count += self.result.groups[index].total
+            self.limit()
+            self.put(placed)
+
+    def put(self, placed: GroupInstance) -> None:
+        """An instance, and those within it, on the stage: Mitsuba knows one level of instances."""
+        waiting = [placed]
+        while waiting:
+            one = waiting.pop()
+            found = self.result.groups[one.group]
             if found.leaves:
-                self.result.placements.append(placed)
-            waiting += [_within(placed, inner, found.root) for inner in reversed(found.inner)]
+                self.result.placements.append(one)
+            waiting += [_within(one, inner, found.root) for inner in reversed(found.inner)]
+
+
+def _stand(matrices: Array) -> Flags:
+    """(N,) whether places (N, 4, 4) are finite, within `FAR`, and not flat."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return (np.abs(matrices).max(axis=(1, 2), initial=0.0) <= FAR) & (
+            np.abs(np.linalg.det(matrices[:, :3, :3])) >= 1e-300
+        )
 
 
 def _within(outer: GroupInstance, inner: GroupInstance, root: str) -> GroupInstance:
