@@ -18,6 +18,7 @@ PARTS = {
     "half metal": {"roughness": 0.5, "metallic": 0.4},
     "coated": {"roughness": 0.6, "clearcoat": 0.8, "clearcoat_roughness": 0.3},
     "tinted": {"roughness": 0.5, "specular": {"type": "rgb", "value": [0.5, 0.2, 0.1]}},
+    "matt": {},
 }
 BASE = np.array([0.6, 0.3, 0.1])
 
@@ -97,6 +98,8 @@ def schlick(colour):
 
 def formula(part, v, light, base=BASE):
     """(3, N) the BSDF [1/sr]; what the lobes reflect in all is summed over a grid of directions."""
+    if "roughness" not in part:
+        return np.broadcast_to((base / np.pi)[:, None], light.shape)
     everywhere, share = grid(600, 400)
     glass = fresnel(part.get("eta", 1.5))
     gloss = schlick(np.array(part["specular"]["value"])) if "specular" in part else glass
@@ -111,14 +114,13 @@ def formula(part, v, light, base=BASE):
     return value
 
 
-@pytest.mark.parametrize("name", ["plain", "half metal", "coated"])
+@pytest.mark.parametrize("name", ["plain", "half metal", "coated", "matt"])
 def test_surfaces_that_are_drawn_together_answer_as_each_does_by_itself(mi, name):
     """Value, density, draws and colour of three in turn, by the face, are those of their own objects."""
     part = {"type": surface.TYPE, **PARTS[name]}
-    others = [
-        part | {"roughness": 0.3 + 0.2 * n, "base_color": {"type": "rgb", "value": [0.2 * n, 0.5, 0.1]}}
-        for n in range(3)
-    ]
+    others = [part | {"base_color": {"type": "rgb", "value": [0.2 * n, 0.5, 0.1]}} for n in range(3)]
+    if "roughness" in part:
+        others = [one | {"roughness": 0.3 + 0.2 * n} for n, one in enumerate(others)]
     assert len({surface.alike(one) for one in others}) == 1
     number = np.array([2, 0, 1])
     both = make_bsdf(surface.together(others, number))
@@ -153,6 +155,29 @@ def test_surfaces_with_pictures_and_of_other_inputs_are_drawn_apart():
     for more in ({"base_color": picture}, {"base_color": {"type": "mesh_attribute"}}, {"roughness": picture}, tint):
         assert surface.alike(plain | more) is None
     assert surface.alike({"type": "diffuse"}) is None
+    matt = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": plain["base_color"]}}
+    assert surface.alike(matt) not in (None, surface.alike(plain))
+    assert surface.alike({"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": picture}}) is None
+
+
+@pytest.mark.parametrize("cosine", [0.9, -0.3])
+def test_a_matt_surface_is_mitsuba_s_own(mi, cosine):
+    """Value, density, draws and their weights of `twosided` and `diffuse`, from both sides; the same numbers give the
+    same directions.
+    """
+    colour = {"type": "rgb", "value": BASE.tolist()}
+    theirs = mi.load_dict({"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": colour}})
+    light, _ = grid(12, 9)
+    si = seen_from(abs(cosine), light.shape[1], side=np.sign(cosine))
+    u, uv = mi.Float(0.5), mi.Point2f(*(mi.Float(x.astype(np.float32)) for x in 0.5 + 0.45 * light[:2]))
+    for way in (light, -light):
+        ours, other = (bsdf.eval_pdf_sample(mi.BSDFContext(), si, along(*way), u, uv) for bsdf in (made(), theirs))
+        for one, two in zip(
+            (*ours[:2], ours[2].wo, ours[2].pdf, ours[3]),
+            (*other[:2], other[2].wo, other[2].pdf, other[3]),
+            strict=True,
+        ):
+            np.testing.assert_allclose(np.array(one), np.array(two), rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -272,7 +297,7 @@ def test_channels_are_straight_lines_of_their_colour_and_draws_do_not_see_it(mi,
     assert (np.array(found[0][1]) == np.array(found[2][1])).all()
 
 
-@pytest.mark.parametrize("name", [name for name in PARTS if name != "tinted"])
+@pytest.mark.parametrize("name", [name for name in PARTS if name not in ("tinted", "matt")])
 def test_the_scalar_variants_stand_in_gives_back_about_as_much(mi, name):
     """Mitsuba's `principled`, for the variant that has no kernels, in light from everywhere: to 0.1."""
     count = 1 << 14
@@ -319,11 +344,15 @@ def test_a_lamp_that_is_a_point_is_mirrored_as_bright_as_its_glass_and_gives_all
     assert 0.7 < seen.max() / (fresnel * 160.0 / (np.pi * surface.LENS_M**2) / cosine) < 1.05
 
 
-def test_what_a_rough_surface_shows_of_a_mirrored_point_has_its_light_and_no_spikes():
+@pytest.mark.parametrize("others", [0, 15])
+@pytest.mark.parametrize("lamp", ["point", "face"])
+def test_what_a_rough_surface_shows_of_a_mirrored_lamp_has_its_light_and_no_spikes(lamp, others):
     """A wall that a lamp lights by way of a mirror alone, 5.7 m away, 45 degrees off; a plate keeps its own light off.
+    A point, or a face of 0.1 m that shines down; alone, or with others that hardly shine, as one of many.
 
-    Each path meets the mirror by chance.  Were its lobe no wider than the lamp's glass looks from there, 18 mrad,
-    a sample would vary by 44 times the mean, and with 0.1 rad by 7.
+    Each path meets the mirror by chance.  With lobes of 0.1 rad a sample varies by 7 times the mean; were they no wider
+    than the mirror's own, or than the glass of a lamp that is a point looks from there, these samples would find 1 to
+    90 % of the light.
     """
     turn = np.eye(4)
     forward = np.array([0.0, 3.0, -1.0]) / np.sqrt(10.0)
@@ -337,8 +366,14 @@ def test_what_a_rough_surface_shows_of_a_mirrored_point_has_its_light_and_no_spi
         return {"type": "rgb", "value": [value] * 3}
 
     mirror = {"type": surface.TYPE, "base_color": grey(0.9), "roughness": 0.03, "metallic": 1.0}
+    bulb = {"type": "point", "position": [0.0, 0.0, 2.0], "intensity": grey(1000.0)}
+    corners = [[-0.05, -0.05, 2.0], [-0.05, 0.05, 2.0], [0.05, 0.05, 2.0], [0.05, -0.05, 2.0]]
+    face = plane(corners, {"type": "diffuse", "reflectance": grey(0.0)})
+    face |= {"emitter": {"type": "area", "radiance": grey(1000.0 / (0.1**2 * np.sqrt(0.5)))}}
+    dim = {"type": "point", "position": [0.0, 0.0, 40.0], "intensity": grey(1e-9)}
     world = {
-        "light_bulb": {"type": "point", "position": [0.0, 0.0, 2.0], "intensity": grey(1000.0)},
+        **({"light_bulb": bulb} if lamp == "point" else {"shape_face": face}),
+        **{f"light_{number}": dim for number in range(others)},
         "shape_mirror": plane([[-30.0, -30.0, 0.0], [30.0, -30.0, 0.0], [30.0, 30.0, 0.0], [-30.0, 30.0, 0.0]], mirror),
         "shape_wall": plane(
             [[-3.0, 4.0, 0.5], [3.0, 4.0, 0.5], [3.0, 4.0, 4.0], [-3.0, 4.0, 4.0]],
@@ -368,10 +403,21 @@ def test_a_lobe_that_is_widened_reflects_as_much_in_all(mi, name, cosine):
     }[name]
     bsdf, (ways, share) = made((0.9 if name == "metal" else 0.0,) * 3, **part), grid(400, 800)
     si = seen_from(cosine, ways.shape[1])
-    plain, wide = (
-        np.array(bsdf.eval(mi.BSDFContext(), surface.lit_from(si, mi.Point3f(0.0, 0.0, 1e6), point, 0.1), along(*ways)))
-        for point in (False, True)
-    )
+    lamp = mi.Point3f(0.0, 0.0, 1e6)
+    seen = [
+        surface.seen_from(si, mi.Float(0.0)),
+        surface.seen_from(si, mi.Float(0.1)),
+        *(surface.lit_from(si, lamp, point, mi.Float(0.1)) for point in (True, False)),
+    ]
+    plain, wide, *lit = (np.array(bsdf.eval(mi.BSDFContext(), one, along(*ways))) for one in seen)
     total = [(value[0] / ways[2]).sum() * share for value in (plain, wide)]
     assert total[1] == pytest.approx(total[0], rel=0.01)
     assert wide.max() < 0.5 * plain.max()
+    assert all((one == wide).all() for one in lit)
+    count, draw = 1 << 16, np.random.default_rng(9)
+    u = [mi.Float(draw.random(count).astype(np.float32)) for _ in range(3)]
+    for spread, value in ((0.0, plain), (0.1, wide)):  # and is drawn as wide as it is
+        own = surface.seen_from(seen_from(cosine, count), mi.Float(spread))
+        drawn, weight = bsdf.sample(mi.BSDFContext(), own, u[0], mi.Point2f(u[1], u[2]))
+        assert np.array(weight)[0].mean() == pytest.approx((value[0] / ways[2]).sum() * share, rel=0.02)
+        np.testing.assert_allclose(np.array(drawn.pdf), np.array(bsdf.pdf(mi.BSDFContext(), own, drawn.wo)), rtol=1e-5)

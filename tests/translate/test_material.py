@@ -148,12 +148,15 @@ def test_without_a_reflection_a_surface_is_lambertian_at_every_angle(quad, rough
     surface.CreateInput("diffuseColor", TYPES.Color3f).Set(Gf.Vec3f(0.2, 0.4, 0.6))
     surface.CreateInput("ior", TYPES.Float).Set(1.0)
     surface.CreateInput("roughness", TYPES.Float).Set(roughness)
+    import drjit as dr
     import mitsuba as mi
 
     bsdf = to_mitsuba(translate(stage)).scene.shapes()[0].bsdf()
     for degrees in (0.0, 45.0, 85.0):
         cosine = float(np.cos(np.radians(degrees)))
-        met = mi.SurfaceInteraction3f()
+        met = dr.zeros(mi.SurfaceInteraction3f)
+        met.n = mi.Normal3f(0.0, 0.0, 1.0)
+        met.sh_frame = mi.Frame3f(met.n)
         met.wi = mi.Vector3f(float(np.sin(np.radians(85.0))), 0.0, float(np.cos(np.radians(85.0))))
         value = bsdf.eval(mi.BSDFContext(), met, mi.Vector3f(float(np.sin(np.radians(degrees))), 0.0, cosine))
         np.testing.assert_allclose(np.array(value).ravel(), np.array([0.2, 0.4, 0.6]) / np.pi * cosine, rtol=1e-5)

@@ -59,7 +59,7 @@ from synfog_usd.render.media.control_variate import ControlVariate
 from synfog_usd.render.media.medium import Medium, transmittance
 from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.render.spectra.bands import Bands
-from synfog_usd.render.surface import lit_from
+from synfog_usd.render.surface import lit_from, seen_from
 
 RR_DEPTH = 8
 """Events before Russian roulette, Mitsuba's too.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8
@@ -371,8 +371,11 @@ class FogPath:
             asked_about = si.to_local(chosen.direction)
             if dr.hint(self.asks.importance is not None, mode="scalar"):
                 asked_about = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)  # the mirror's, for its gloss
+            blurred = si
+            if dr.hint(self.lights.count > 0, mode="scalar"):
+                blurred = seen_from(si, dr.sqrt(spread2))
             reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(
-                context, si, asked_about, sampler.next_1d(surface_hit), sampler.next_2d(surface_hit), surface_hit
+                context, blurred, asked_about, sampler.next_1d(surface_hit), sampler.next_2d(surface_hit), surface_hit
             )
             gloss, picks = Gloss(), None
             if dr.hint(self.asks.importance is not None, mode="scalar"):

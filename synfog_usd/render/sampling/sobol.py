@@ -4,8 +4,8 @@ Takes the number of a sample and of what it is drawn for; gives points in [0, 1)
 Sobol's first two, shuffled and scrambled apart (Owen 1995, by the hash of Laine and Karras 2011 as Burley 2020 does
 it): any 2^k samples from a multiple of 2^k on fall one into each of 2^k equal boxes, of every shape that bits allow.
 Means over them are unbiased, and for what changes little between neighbouring points nearer than those of independent
-points.  Their scatter is no measure of the error, though: that takes scramblings that are independent of each other, so
-samples are scrambled in runs of `RUN`.
+points.  Their scatter is no measure of the error, though: that takes scramblings that are independent of each other, as
+those of a picture's halves, and of each half's runs of `RUN` samples, are.
 """
 
 from __future__ import annotations
@@ -16,8 +16,12 @@ import drjit as dr
 
 from synfog_usd.render import backend
 
-RUN = 16
-"""Samples that share a scrambling, a power of 2: one run is one independent draw."""
+RUN = 64
+"""Samples that share a scrambling, a power of 2: one run is one independent draw.
+
+As many as half of a bake's most.  Variance of 128 samples of the crossing in clear air at noon, of runs of 16, 32, 64
+and 1024: 1, 0.92, 0.86, 0.84 in the median pixel (96x54, six seeds).
+"""
 
 
 class Sobol:
