@@ -48,12 +48,16 @@ def bake(file, out, tool):
         bpy.ops.wm.usd_export(filepath=told["lights"][name])
         told["exposures"][name] = bpy.context.scene.view_settings.exposure
 
-    bpy.ops.synfog.light(preset="overcast")
+    bpy.ops.synfog.light(preset="dusk")
     bpy.ops.synfog.camera(sensor="mt9v024")
+    bpy.ops.synfog.bake(percentage=5, samples=2)
+    told["dusk"] = said(bpy)
+    bpy.ops.synfog.light(preset="overcast")
     bpy.ops.wm.save_as_mainfile(filepath=str(Path(out) / "scene.blend"))
     told["label"] = label(bpy)
     told["check"] = [list(bpy.ops.synfog.check()), said(bpy)]
-    told["panel"] = drawn(bpy, panel)
+    told["panel"], bpy.context.scene.synfog_samples = drawn(bpy, panel), 1
+    told["fewest"] = bpy.context.scene.synfog_samples
     bpy.context.scene.synfog_percentage = 10
     told["panel of 10 %"] = drawn(bpy, panel)
     baking.SYNFOG_OT_bake.process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])

@@ -68,7 +68,7 @@ def street(file):
             for layer in thing.data.uv_layers[1:]:
                 thing.data.uv_layers.remove(layer)
             for layer in thing.data.uv_layers:
-                layer.name = "UVMap"
+                layer.name = "st"
         bpy.context.view_layer.objects.active = meshes[0]
         bpy.ops.object.parent_clear(type="CLEAR_KEEP_TRANSFORM")
         if len(meshes) > 1:

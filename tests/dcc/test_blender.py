@@ -321,6 +321,11 @@ def test_faults_are_shown_on_their_objects(baked):
     assert boxes == ["Bank", "Fog"] and "cut through each other" in refused
 
 
+def test_a_dusk_by_preset_is_not_doubted(baked):
+    """A dim world from Blender is taken for one whose strength is no nits, but not where the preset set it."""
+    assert [severity for severity, _, _ in baked["dusk"]] == ["done"]
+
+
 def test_the_panel_reads_as_a_person_reads(baked):
     """In the order of the work; the visibility by its name, the presets that are set, and the pixels of a bake."""
     shown = [text for _, text in baked["panel"]]
@@ -336,7 +341,7 @@ def test_the_panel_reads_as_a_person_reads(baked):
     assert ["operator_menu_enum", "Light: Overcast"] in baked["panel"]
     assert ["operator_menu_enum", "Camera: onsemi MT9V024"] in baked["panel"]
     assert "Bake 188x120" in shown and "Bake 75x48" in [text for _, text in baked["panel of 10 %"]]
-    assert shown[-1] == "Nothing is wrong"
+    assert shown[-1] == "Nothing is wrong" and baked["fewest"] == 2  # samples, as the command wants
 
 
 def test_a_bake_shows_how_far_it_is_and_can_be_stopped(baked):

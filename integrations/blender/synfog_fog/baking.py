@@ -19,6 +19,8 @@ from pathlib import Path
 
 import bpy
 
+from . import presets
+
 PROGRESS = re.compile(r"^\s*(\d+)%\s+(.*?)\s+\d+ s\b(?:, about (\d+) s left)?")
 """A line of progress as the command prints it where it has no terminal."""
 
@@ -45,7 +47,7 @@ PROPERTIES = {
             subtype="PERCENTAGE",
         ),
         "synfog_samples": bpy.props.IntProperty(
-            name="Samples", description="For each pixel; more of them take longer", default=16, min=1, soft_max=1024
+            name="Samples", description="For each pixel; more of them take longer", default=16, min=2, soft_max=1024
         ),
     },
     bpy.types.WindowManager: {
@@ -85,7 +87,8 @@ def exported(context):
     place = Path(bpy.path.abspath("//")) if bpy.data.filepath else Path(bpy.app.tempdir)
     folder = place / "synfog"
     folder.mkdir(parents=True, exist_ok=True)
-    stage = folder / "scene.usdc"
+    light = presets.light_now(bpy.context.scene)
+    stage = folder / (f"scene_{light}.usdc" if light else "scene.usdc")  # a bake doubts a dim sky that no name explains
     bpy.ops.wm.usd_export(filepath=str(stage))
     return stage
 
@@ -259,7 +262,7 @@ class SYNFOG_OT_bake(bpy.types.Operator):
     bl_label = "Bake"
 
     percentage: bpy.props.IntProperty(name="Size (%)", default=25, min=1, max=100, subtype="PERCENTAGE")
-    samples: bpy.props.IntProperty(name="Samples", default=16, min=1, soft_max=1024)
+    samples: bpy.props.IntProperty(name="Samples", default=16, min=2, soft_max=1024)
 
     process = None
     """The last bake's, of all that were begun."""
@@ -396,10 +399,15 @@ def show(context, out):
         files = [*files[1:], files[0]]
     images = []
     for file in files:
-        image = bpy.data.images.load(str(file), check_existing=True)
         parts = file.relative_to(out).with_suffix("").parts
-        image.name = " ".join(["Synfog", *(part for part in parts if part != "authored")])
-        image.reload()
+        name = " ".join(["Synfog", *(part for part in parts if part != "authored")])
+        image = bpy.data.images.get(name)  # the last bake's, which may have been beside another file
+        if image is None:
+            image = bpy.data.images.load(str(file))
+            image.name = name
+        else:
+            image.filepath = str(file)
+            image.reload()
         images.append(image)
     windows = context.window_manager.windows
     areas = [area for window in windows for area in window.screen.areas]
