@@ -240,6 +240,12 @@ def running():
     return process is not None and process.poll() is None
 
 
+def listen(stream, said):
+    """In a thread: what the command says.  It may outlive the operator, which is gone when another file is opened."""
+    for line in stream:
+        said.put(line.rstrip())
+
+
 class SYNFOG_OT_stop(bpy.types.Operator):
     """End the bake that runs."""
 
@@ -297,16 +303,11 @@ class SYNFOG_OT_bake(bpy.types.Operator):
             env=environment(),
         )
         self.said, self.lines, self.doing = queue.Queue(), [], "starting"
-        self.listener = threading.Thread(target=self.listen, daemon=True)
+        self.listener = threading.Thread(target=listen, args=(self.process.stderr, self.said), daemon=True)
         self.listener.start()
         context.window_manager.synfog_done = 0.0
         tell(context, [])
         return True
-
-    def listen(self):
-        """In a thread: what the command says."""
-        for line in self.process.stderr:
-            self.said.put(line.rstrip())
 
     def hear(self, context):
         """Show progress, and keep what is no progress."""
