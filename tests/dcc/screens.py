@@ -6,9 +6,10 @@
 
 It needs ImageMagick's `import`: by software GL Blender's own screenshots are black.  A Blender without USD, as
 Debian's, leaves import and export to the Python that SYNFOG_BPY names, with a bpy of the same version.  Takes three
-minutes.
+minutes.  Bakes that are stopped are tried too; Blender must not print a traceback.
 """
 
+import importlib
 import math
 import os
 import subprocess
@@ -226,6 +227,20 @@ def story(out, folder):
     shown = manager.windows[-1]
     first = manager.windows[0]
     snap(out / "blender-result.jpg", shown.x - first.x, shown.y - first.y, shown.width, shown.height)
+
+    # What a Blender without windows cannot do, as it has no bakes beside the work.
+    bake = importlib.import_module(f"{ADD_ON}.baking").SYNFOG_OT_bake
+    for end in (bpy.ops.synfog.stop, lambda: bpy.ops.wm.open_mainfile(filepath=str(folder / "street.blend"))):
+        bpy.context.scene.synfog_samples = 100000
+        with over():
+            bpy.ops.synfog.bake("INVOKE_DEFAULT")
+        yield 3.0
+        if bake.process.poll() is not None:
+            raise RuntimeError("the bake did not begin")
+        end()
+        yield 5.0
+        if bake.process.poll() is None:
+            raise RuntimeError("the bake went on")
 
 
 def tell(out):
