@@ -31,12 +31,10 @@ def street(add_on, file, fogs):
     bpy.context.active_object.data.energy = 1000.0
     world = bpy.data.worlds.new("World")
     bpy.context.scene.world = world
-    background = world.node_tree.nodes["Background"] if world.node_tree else None
-    if background is not None:
-        background.inputs["Color"].default_value, background.inputs["Strength"].default_value = (
-            (1.0, 1.0, 1.0, 1.0),
-            1000.0,
-        )
+    if world.node_tree is None:  # before 5.0
+        world.use_nodes = True
+    background = world.node_tree.nodes["Background"]
+    background.inputs["Color"].default_value, background.inputs["Strength"].default_value = (1.0, 1.0, 1.0, 1.0), 1000.0
     bpy.ops.synfog.add_fog(mor=150.0)
     if fogs:
         bpy.ops.synfog.variants(names=fogs)

@@ -20,7 +20,8 @@ from pathlib import Path
 import bpy
 from mathutils import Vector
 
-from . import baking, presets
+from . import baking, panel, presets
+from .panel import VARIANTS, is_fog
 
 API = "SynFogMediumAPI"
 FOG = {
@@ -66,9 +67,6 @@ LABELS = (
     "bicycle",
     "license plate",
 )
-VARIANTS = "synfog_variants"
-"""Custom property of the scene: names of fogs, as 'clear,mor600,mor300,mor150'; empty for none."""
-
 MARGIN_M = 20.0
 SOLID = frozenset({"MESH", "CURVE", "CURVES", "SURFACE", "META", "FONT", "POINTCLOUD", "VOLUME"})
 """Objects whose bounds count; of cameras, lights and empties their place does."""
@@ -83,7 +81,7 @@ FORWARDNESS = 0.87
 # -- what is written
 
 
-class SynfogHook(bpy.types.USDHook):
+class SynfogHook(getattr(bpy.types, "USDHook", object)):
     """Turns custom properties into schemas while Blender writes a USD file."""
 
     bl_idname = "synfog_hook"
@@ -231,7 +229,7 @@ def author_variants(stage, fogs, names):
 def bounds(context):
     """Corners and places of all that is shown, what stands in instances included; fog boxes do not count."""
     for one in context.evaluated_depsgraph_get().object_instances:
-        if any(name.startswith("synfog_") for name in one.object.keys()):
+        if is_fog(one.object):
             continue
         if one.object.type in SOLID:
             yield from (one.matrix_world @ Vector(corner) for corner in one.object.bound_box)
@@ -239,9 +237,10 @@ def bounds(context):
             yield one.matrix_world.translation.copy()
 
 
-def cube():
-    """A mesh of edge 1 around the origin."""
-    corners = [(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
+def cuboid(size):
+    """A mesh around the origin; its object needs no scale, of which Blender warns where it differs by axis."""
+    half = size / 2.0
+    corners = [(x, y, z) for x in (-half.x, half.x) for y in (-half.y, half.y) for z in (-half.z, half.z)]
     mesh = bpy.data.meshes.new("Fog")
     mesh.from_pydata(corners, [], [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
     return mesh
@@ -292,8 +291,8 @@ class SYNFOG_OT_add_fog(bpy.types.Operator):
             [min(corner[axis] for corner in corners) - (margin if axis < 2 else 1.0 / unit) for axis in range(3)]
         )
         high = Vector([max(corner[axis] for corner in corners) + margin for axis in range(3)])
-        box = bpy.data.objects.new("Fog", cube())
-        box.location, box.scale, box.display_type = (low + high) / 2.0, high - low, "BOUNDS"
+        box = bpy.data.objects.new("Fog", cuboid(high - low))
+        box.location, box.display_type = (low + high) / 2.0, "BOUNDS"
         box["synfog_mor"] = self.mor
         box.id_properties_ui("synfog_mor").update(
             min=1.0, soft_max=10000.0, description="Visibility (meteorological optical range) in metres"
@@ -308,7 +307,7 @@ class SYNFOG_OT_add_fog(bpy.types.Operator):
 
 
 class SYNFOG_OT_label(bpy.types.Operator):
-    """Give the selected objects a Cityscapes label."""
+    """Give the selected objects a Cityscapes label; boxes of fog stay as they are."""
 
     bl_idname = "synfog.label"
     bl_label = "Label Selected"
@@ -318,13 +317,15 @@ class SYNFOG_OT_label(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        """Where something is selected."""
-        return bool(context.selected_objects)
+        """Where something other than fog is selected."""
+        cls.poll_message_set("Select objects first; a box of fog has no label")
+        return any(not is_fog(thing) for thing in context.selected_objects)
 
     def execute(self, context):
         """Set the custom property 'cityscapes'."""
         for thing in context.selected_objects:
-            thing["cityscapes"] = self.label
+            if not is_fog(thing):
+                thing["cityscapes"] = self.label
         return {"FINISHED"}
 
 
@@ -348,38 +349,12 @@ class SYNFOG_OT_variants(bpy.types.Operator):
     def invoke(self, context, event):
         """Ask for the names, those that are set first."""
         self.names = str(context.scene.get(VARIANTS, self.names))
-        return context.window_manager.invoke_props_dialog(self)
-
-
-class SYNFOG_PT_panel(bpy.types.Panel):
-    """The tab in the sidebar."""
-
-    bl_label = "Synfog"
-    bl_idname = "SYNFOG_PT_panel"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "Synfog"
+        return context.window_manager.invoke_props_dialog(self, width=360)
 
     def draw(self, context):
-        """Buttons, and the properties of the active object."""
-        layout, thing = self.layout, context.active_object
-        layout.operator("synfog.add_fog", icon="OUTLINER_OB_VOLUME")
-        layout.operator("synfog.label", icon="BOOKMARKS")
-        layout.operator("synfog.variants", icon="RENDERLAYERS")
-        layout.operator_menu_enum("synfog.light", "preset", icon="LIGHT_SUN")
-        if presets.sensors():
-            layout.operator_menu_enum("synfog.camera", "sensor", icon="CAMERA_DATA")
-        row = layout.row(align=True)
-        row.operator("synfog.check", icon="CHECKMARK")
-        row.operator("synfog.bake", icon="RENDER_STILL")
-        for line in context.window_manager.synfog_told.splitlines():
-            layout.label(text=line, icon="ERROR")
-        if thing is not None:
-            for name in thing.keys():
-                if name.startswith("synfog_") or name == "cityscapes":
-                    layout.prop(thing, f'["{name}"]', text=name)
-        if VARIANTS in context.scene:
-            layout.prop(context.scene, f'["{VARIANTS}"]', text="fogs")
+        """The names, and how they are written."""
+        self.layout.prop(self, "names")
+        self.layout.label(text="clear, or mor and metres, with commas between; empty for none", icon="INFO")
 
 
 CLASSES = (
@@ -389,7 +364,7 @@ CLASSES = (
     SYNFOG_OT_variants,
     *presets.CLASSES,
     *baking.CLASSES,
-    SYNFOG_PT_panel,
+    *panel.CLASSES,
 )
 _registered = []
 
@@ -405,15 +380,20 @@ def find_pxr():
 
 def register():
     """Called by Blender when the add-on is switched on."""
-    hooked = find_pxr()  # `import bpy` 4.2 brings none; files then keep custom properties, which a bake reads too
+    found = find_pxr()  # `import bpy` 4.2 brings none; files then keep custom properties, which a bake reads too
+    hooked = found and hasattr(bpy.types, "USDHook")  # Blenders of Linux distributions may be built without USD
     for one in CLASSES if hooked else CLASSES[1:]:
         bpy.utils.register_class(one)
         _registered.append(one)
-    bpy.types.WindowManager.synfog_told = bpy.props.StringProperty(name="What the last check or bake told")
+    for owner, properties in baking.PROPERTIES.items():
+        for name, one in properties.items():
+            setattr(owner, name, one)
 
 
 def unregister():
     """Called by Blender when the add-on is switched off."""
-    del bpy.types.WindowManager.synfog_told
+    for owner, properties in baking.PROPERTIES.items():
+        for name in properties:
+            delattr(owner, name)
     while _registered:
         bpy.utils.unregister_class(_registered.pop())

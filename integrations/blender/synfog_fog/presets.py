@@ -6,6 +6,7 @@ same light by the scene's exposure, which changes no file.
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from pathlib import Path
@@ -30,6 +31,7 @@ SUN_DEG = 0.53
 """Across the sun's disk, and the moon's."""
 
 
+@functools.cache
 def sensors():
     """Name -> what is shipped of a sensor and its lens; none where the extension was not packed."""
     try:
@@ -55,6 +57,31 @@ def background(world):
         out = next((node for node in nodes if node.type == "OUTPUT_WORLD"), None) or nodes.new("ShaderNodeOutputWorld")
         world.node_tree.links.new(found.outputs["Background"], out.inputs["Surface"])
     return found
+
+
+def light_now(scene):
+    """Name of the preset whose sun and sky the scene has, or None."""
+    suns = [thing.data.energy for thing in scene.objects if thing.type == "LIGHT" and thing.data.type == "SUN"]
+    tree = scene.world.node_tree if scene.world else None
+    sky = next((node.inputs["Strength"] for node in tree.nodes if node.type == "BACKGROUND"), None) if tree else None
+    for name, (sun_lux, _, sky_nits, _) in LIGHTS.items():
+        wanted, found = [sun_lux, sky_nits], [suns[0] if suns else 0.0, sky.default_value if sky else 0.0]
+        if all(math.isclose(one, other, rel_tol=1e-4) for one, other in zip(wanted, found, strict=True)):
+            return name
+    return None
+
+
+def camera_now(scene):
+    """Name of the sensor that the scene's camera has, behind its lens and with its pixels, or None."""
+    if scene.camera is None:
+        return None
+    lens, render = scene.camera.data, scene.render
+    found = [lens.sensor_width, lens.lens, render.resolution_x, render.resolution_y]
+    for name, one in sensors().items():
+        wanted = [one["sensor_width_mm"], one["focal_length_mm"], one["width_px"], one["height_px"]]
+        if all(math.isclose(one, other, rel_tol=1e-4) for one, other in zip(wanted, found, strict=True)):
+            return name
+    return None
 
 
 class SYNFOG_OT_light(bpy.types.Operator):
@@ -88,7 +115,7 @@ class SYNFOG_OT_light(bpy.types.Operator):
             scene.world.node_tree.links.remove(link)
         sky.inputs["Color"].default_value, sky.inputs["Strength"].default_value = (1.0, 1.0, 1.0, 1.0), sky_nits
         ground = sun_lux * math.sin(math.radians(height_deg)) + math.pi * sky_nits
-        scene.view_settings.exposure = max(-10.0, min(10.0, -math.log2(ground / math.pi)))
+        scene.view_settings.exposure = -math.log2(ground / math.pi)  # to 32 stops, though its slider ends at 10
         self.report({"INFO"}, about)
         return {"FINISHED"}
 
