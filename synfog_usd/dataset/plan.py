@@ -19,6 +19,9 @@ CLEAR = "clear"
 MOST_FRAMES = 100_000
 """Of a sequence."""
 
+MOST_UNASKED = 1000
+"""Shots of a stage whose lightings or fogs nobody has named: an hour and more, if each took but four seconds."""
+
 
 @dataclass(frozen=True)
 class ClipFrame:
@@ -170,12 +173,19 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
         variants: names that the stage offers, by set ('fog', 'lighting').
 
     Raises:
-        ParameterError: a name that neither the stage nor the tool knows, or several lightings in one folder.
+        ParameterError: a name that neither the stage nor the tool knows, several lightings in one folder, or more than
+            `MOST_UNASKED` shots.
     """
     lights: list[str | None] = [*_chosen("lighting", plan.lighting, variants.get("lighting", ()))]
     if len(lights) > 1 and not plan.by_lighting:
         raise ParameterError(f"{plan.out}: {len(lights)} lightings need folders of their own")
     fogs = _chosen("fog", plan.fog, variants.get("fog", ()))
+    if None in (plan.lighting, plan.fog) and len(lights) * len(fogs) > MOST_UNASKED:
+        named = f"--lighting {lights[0]} --fog {fogs[0]}".replace("--lighting None ", "").replace(" --fog None", "")
+        raise ParameterError(
+            f"{plan.stage}: {len(lights)} lightings in {len(fogs)} fogs are {len(lights) * len(fogs)} shots, and more "
+            f"than {MOST_UNASKED} are made only where all are named: say which, as in {named}"
+        )
     found = []
     for lighting in lights:
         for fog in fogs:

@@ -31,6 +31,18 @@ def test_all_lightings_in_all_fogs_unless_asked():
     )
 
 
+def test_a_million_shots_are_made_only_where_they_are_named():
+    """A thousand lightings in a thousand fogs, or in one that is named; the refusal says how many and what to type."""
+    names = tuple(f"n{index}" for index in range(1001))
+    for asked in ({}, {"fog": ("clear",)}, {"lighting": ("n7",)}):
+        with pytest.raises(ParameterError, match=r"(1002001|1001) shots, .* as in --lighting n[07] --fog (n0|clear)"):
+            planned({"fog": names, "lighting": names}, **asked)
+    with pytest.raises(ParameterError, match=r"as in --fog n0$"):
+        planned({"fog": names})
+    assert len(planned({"fog": names, "lighting": ("sky",)}, fog=names, lighting=("sky",))) == 1001
+    assert len(planned({"fog": names[:1000]})) == 1000
+
+
 def test_a_stage_without_variants_is_one_shot_as_authored():
     assert planned({}) == (Shot(AS_AUTHORED, AS_AUTHORED, None, None, None),)
     assert planned({})[0].folder == "authored/authored"
