@@ -17,7 +17,8 @@ as far as S fulfils the equation of transfer.
 The estimator below is the usual one (Kajiya and Von Herzen 1984; Pauly et al. 2000):
 flights in proportion to transmittance, phase function and BSDF sampling combined with
 emitter sampling by the power heuristic (Veach and Guibas 1995), lamps by resampling
-(`lights.sampler`), Russian roulette.
+(`lights.sampler`), Russian roulette.  Its one bias: where there are lamps, lobes are as wide as the path is spread
+before them (`surface.seen_from`), and a lamp that is a point is mirrored as its glass (`surface.lit_from`).
 
 `eye` has the camera's rays, `next_event` the lights that are asked, `lamps` the
 estimators that end at the first vertex, `light_groups` the sums.
