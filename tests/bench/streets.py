@@ -145,7 +145,7 @@ def cost(images: Array, seconds_per_sample: float, samples: int) -> tuple[float,
 
 def ours(scene: SceneDict, model: str, samples: int, seeds: int) -> tuple[Array, float]:
     """(S, H, W) luminance and processor seconds of one sample of every pixel; kernels are made before."""
-    integrator = models.make(model, shot.load(scene, boundaries=models.MODELS[model].boundaries))
+    integrator = models.make(model, shot.load(scene, boundaries=models.MODELS[model].boundaries, spectra=False))
     integrator.accumulate(samples=16, seed=99)
     shape = scene.camera.height_px, scene.camera.width_px
     images, spent = [], []

@@ -19,6 +19,7 @@ from synfog_usd.render.integrators.light_groups import LightGroups
 from synfog_usd.render.lights.grid import LightGrid
 from synfog_usd.render.lights.importance import PICKS, Gloss, Importance, LitFaces, Picks
 from synfog_usd.render.lights.sampler import LightSampler
+from synfog_usd.render.lights.sky import SkyTable
 from synfog_usd.render.lights.visible import VisibleFaces
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Medium
@@ -30,6 +31,9 @@ MOST_WEIGHED = 160
 LEAST_CHANCE = 0.15
 """Of a lamp and of the scene's own choice to be asked, where both shine: what a surface makes of them is known in short
 only."""
+
+SKY_M = 1e6
+"""How far away the sky is where a shadow ray asks for it: beyond all that a scene holds."""
 
 
 @dataclass
@@ -75,6 +79,7 @@ class NextEvent:
         at_surfaces, in_fog: whether vertices there ask the scene's own choice of lights.
         importance: of all lamps to a place; None where they are too few, or more than `MOST_WEIGHED`.
         lit_faces: of lamps that are asked so, which a ray can meet; None without.
+        sky: how surfaces choose directions to it; None where the scene's own choice does.
         visible: faces of lamps that the eye sees; None without.
         view: chances of the lamps by tile of the view; None without.
     """
@@ -95,6 +100,7 @@ class NextEvent:
         sky = loaded.scene.environment() is not None
         self.in_fog = others > 0
         self.at_surfaces = others > 0 or (sky and not sky_known)
+        self.sky = SkyTable.of(loaded) if self.at_surfaces and others == 0 else None
         weighed = lights.count and lights.many and lights.count <= MOST_WEIGHED
         self.importance = Importance(lights, medium) if weighed else None
         self.lit_faces = LitFaces.of(loaded, lights) if self.importance is not None else None
@@ -152,10 +158,22 @@ class NextEvent:
             )
         return light, group
 
-    def own(self, vertex: Any, smooth: Any, medium_scattered: Any, sampler: Any) -> Chosen:
-        """A light by the scene's own choice."""
+    def sky_row(self, si: Any) -> Any:
+        """Row of the sky's table for the side of a surface that is seen; 0 without a table."""
+        mi = backend.mitsuba()
+        if self.sky is None:
+            return mi.UInt32(0)
+        return self.sky.row(si.sh_frame.n * dr.select(si.wi.z < 0.0, -1.0, 1.0))
+
+    def own(self, vertex: Any, row: Any, smooth: Any, medium_scattered: Any, sampler: Any) -> Chosen:
+        """The sky where it has a table, of which this is the `row`; else a light by the scene's own choice."""
         mi = backend.mitsuba()
         lit = smooth | medium_scattered if self.in_fog else mi.Bool(smooth)
+        if self.sky is not None:
+            direction, pdf = self.sky.draw(row, sampler.next_2d(lit))
+            power = self.sky.radiance(direction, lit) / dr.maximum(pdf, 1e-30)
+            group = self.groups.of(mi.EmitterPtr(self.sky.environment), lit)
+            return Chosen(lit & (pdf > 0.0), vertex.p + direction * SKY_M, direction, power, group, pdf, mi.Bool(False))
         sent, power, group = dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0), mi.UInt32(0)
         if self.at_surfaces:
             sent, power = self.loaded.scene.sample_emitter_direction(vertex, sampler.next_2d(lit), False, lit)
@@ -203,6 +221,7 @@ class NextEvent:
         prev_pdf: Any,
         prev_delta: Any,
         prev_without_nee: Any,
+        prev_row: Any,
         prev_gloss: Any,
         prev_weighed: Any,
         at_eye: Any,
@@ -215,7 +234,9 @@ class NextEvent:
         previous = dr.zeros(mi.Interaction3f)
         previous.p = prev_p
         light_pdf = mi.Float(0.0)
-        if self.at_surfaces:
+        if self.sky is not None:
+            light_pdf = dr.select(ended & ~surface_hit, self.sky.density(prev_row, -si.wi), 0.0)
+        elif self.at_surfaces:
             light_pdf = scene.pdf_emitter_direction(
                 previous, mi.DirectionSample3f(scene, si, previous), ended & ~prev_delta
             )

@@ -254,6 +254,7 @@ class FogPath:
         )  # the last vertex, and the density [1/sr] with which it chose its direction
         prev_delta = mi.Bool(True)  # it could choose no other: the eye, a mirror
         prev_without_nee = mi.Bool(False)  # it sent no shadow ray
+        prev_row = mi.UInt32(0)  # of the sky's table
         spread2 = mi.Float(0.0)  # square of the roughness of a lobe that would spread directions as all vertices did
         prev_gloss, prev_weighed = (
             Gloss(),
@@ -346,6 +347,7 @@ class FogPath:
                 prev_pdf,
                 prev_delta,
                 prev_without_nee,
+                prev_row,
                 prev_gloss,
                 prev_weighed,
                 at_eye,
@@ -368,7 +370,8 @@ class FogPath:
 
             # ==== 9. Next-event estimation at the vertex: the scene's own choice of lights, or a lamp of many (one call
             # gives the BSDF's value and its next direction)
-            chosen = self.asks.own(vertex, smooth, medium_scattered, sampler)
+            prev_row = self.asks.sky_row(si)
+            chosen = self.asks.own(vertex, prev_row, smooth, medium_scattered, sampler)
             asked_about = si.to_local(chosen.direction)
             if dr.hint(self.asks.importance is not None, mode="scalar"):
                 asked_about = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)  # the mirror's, for its gloss

@@ -1,0 +1,164 @@
+"""The sky as surfaces ask it: densities are of what is drawn, a picture's mean is that of another way to find the sky,
+and it takes fewer samples.
+"""
+
+import drjit as dr
+import numpy as np
+import pytest
+from support.renders import pictures
+from support.stats import assert_agree, assert_draws
+
+from synfog_usd.render import backend
+from synfog_usd.render.integrators import next_event
+from synfog_usd.render.lights.sky import STEPS, SkyTable
+from synfog_usd.render.sampling.sobol import Sobol
+from synfog_usd.testing import scene, sky
+
+DRAWN = 400_000
+UPRIGHT = np.eye(4)[[0, 2, 1, 3]] * np.array([[1.0], [-1.0], [1.0], [1.0]])
+"""From Y up to Z up."""
+
+
+@pytest.fixture
+def mi():
+    module = backend.mitsuba()
+    if backend.is_scalar():
+        pytest.skip("vectorised tests")
+    return module
+
+
+def one_sided(rows=64):
+    """A sky that is bright in the west up to 60 degrees, and dim elsewhere; Y up, as pictures of skies are."""
+    polar = np.pi * (np.arange(rows) + 0.5)[:, None] / rows
+    around = 2.0 * np.pi * (np.arange(2 * rows) + 0.5)[None] / (2 * rows)
+    light = 0.3 + 4.0 * np.exp(-0.5 * ((polar - 1.2) / 0.4) ** 2) * np.maximum(np.cos(around - 1.0), 0.0)
+    light = np.where(polar < 0.5 * np.pi, light, 0.05)
+    return np.repeat(light[..., None], 3, axis=2).astype(np.float32)
+
+
+def overcast(rows=64):
+    """Three times as bright overhead as at the horizon (CIE 1955), and dark below."""
+    height = np.cos(np.pi * (np.arange(rows) + 0.5) / rows)[:, None, None]
+    light = np.where(height > 0.0, (1.0 + 2.0 * height) / 3.0, 0.02)
+    return np.broadcast_to(light, (rows, 2 * rows, 3)).astype(np.float32)
+
+
+def with_sun(rows=64):
+    picture = one_sided(rows)
+    picture[rows // 4, 10] = 4e4
+    return picture
+
+
+def environment(mi, part):
+    return mi.load_dict({"type": "scene", "sky": part}).environment()
+
+
+SKIES = {
+    "picture": lambda: {"type": "envmap", "bitmap": one_sided()},
+    "even": lambda: {"type": "constant", "radiance": {"type": "rgb", "value": [0.5, 1.0, 2.0]}},
+}
+
+
+def made(mi, part):
+    if part["type"] == "envmap":
+        part = {**part, "bitmap": mi.Bitmap(part["bitmap"])}
+    return environment(mi, part)
+
+
+@pytest.mark.parametrize("name", SKIES)
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.8, 0.0, 0.6), (0.0, -0.6, -0.8)])
+def test_draws_have_their_density(mi, name, normal):
+    found = SkyTable(made(mi, SKIES[name]()))
+    row = found.row(mi.Vector3f(*normal))
+    direction, density = found.draw(row, Sobol(7, dr.arange(mi.UInt32, DRAWN), 0).next_2d())
+    same = np.isclose(np.asarray(found.density(row, direction)), np.asarray(density), rtol=1e-5)
+    assert np.mean(same) > 1.0 - 1e-4  # but on the border of two cells
+    np.testing.assert_allclose(np.asarray(dr.norm(direction)), 1.0, rtol=1e-5)
+    cell = np.asarray(_cells(mi, direction))
+    z, turned = (axis.ravel() for axis in np.meshgrid(*2 * [(np.arange(STEPS) + 0.5) / STEPS], indexing="ij"))
+    ring, turned = np.sqrt(1.0 - (2.0 * z - 1.0) ** 2), 2.0 * np.pi * turned
+    middle = mi.Vector3f(*(np.float32(x) for x in (ring * np.cos(turned), ring * np.sin(turned), 2.0 * z - 1.0)))
+    expected = np.asarray(found.density(row, middle), dtype=np.float64) * 4.0 * np.pi / STEPS**2
+    assert expected.sum() == pytest.approx(1.0, abs=1e-5)
+    assert_draws(np.bincount(cell, minlength=STEPS**2), expected * DRAWN)
+
+
+def _cells(mi, direction):
+    """By arithmetic of the test's own."""
+    x, y, z = (np.asarray(part, dtype=np.float64) for part in (direction.x, direction.y, direction.z))
+    azimuth = np.floor(np.mod(np.arctan2(y, x) / (2.0 * np.pi), 1.0) * STEPS).clip(0, STEPS - 1)
+    return (np.floor((z + 1.0) / 2.0 * STEPS).clip(0, STEPS - 1) * STEPS + azimuth).astype(int)
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.8, 0.0, 0.6), (0.0, -0.6, -0.8)])
+def test_irradiance_is_the_skys(mi, normal):
+    """Mean of light x cosine over density, against the sum over the sky's picture."""
+    picture = one_sided(256)
+    found = SkyTable(made(mi, {"type": "envmap", "bitmap": picture}))
+    row = found.row(mi.Vector3f(*normal))
+    direction, density = found.draw(row, Sobol(7, dr.arange(mi.UInt32, DRAWN), 0).next_2d())
+    cosine = dr.maximum(dr.dot(direction, mi.Vector3f(*normal)), 0.0)
+    drawn = np.asarray(found.radiance(direction).x * cosine / density, dtype=np.float64)
+    rows = len(picture)
+    polar = np.pi * (np.arange(rows) + 0.5)[:, None] / rows
+    around = 2.0 * np.pi * (np.arange(2 * rows) + 0.5)[None] / (2 * rows)
+    # Mitsuba's pictures of skies have Y up, begin at -Z and turn to +X
+    ways = np.stack(
+        [np.sin(polar) * np.sin(around), np.cos(polar) + 0.0 * around, -np.sin(polar) * np.cos(around)], axis=-1
+    )
+    facing = np.maximum(ways @ np.array(normal), 0.0)
+    truth = (picture[..., 0] * facing * np.sin(polar)).sum() * (np.pi / rows) ** 2
+    error = drawn.std() / np.sqrt(DRAWN)
+    assert error < 2e-3 * truth
+    assert abs(drawn.mean() - truth) < 4.0 * error + 2e-3 * truth
+
+
+def test_a_sun_is_left_to_the_scenes_own_choice(mi):
+    assert next_event.SkyTable.of(_loaded(with_sun())) is None
+    assert next_event.SkyTable.of(_loaded(one_sided())) is not None
+    assert next_event.SkyTable.of(_loaded(None)) is None
+
+
+def _loaded(picture):
+    from synfog_usd.render.shot import load
+
+    return load(scene(yard(picture), width_px=4, height_px=4))
+
+
+def yard(picture) -> dict:
+    """Ground between two walls, one of them leaning over it, under a sky."""
+    parts = {}
+    for name, corners, value in (
+        ("ground", [(-4, -2, -1.5), (4, -2, -1.5), (4, 30, -1.5), (-4, 30, -1.5)], 0.5),
+        ("left", [(-4, -2, -1.5), (-4, 30, -1.5), (-3, 30, 6), (-3, -2, 6)], 0.3),
+        ("right", [(4, 30, -1.5), (4, -2, -1.5), (4, -2, 4), (4, 30, 4)], 0.7),
+    ):
+        colour = {"type": "rgb", "value": [value] * 3}
+        parts[f"shape_{name}"] = {
+            "type": "mesh",
+            "positions": np.array(corners, dtype=np.float32),
+            "faces": np.array([(0, 1, 2), (0, 2, 3)]),
+            "bsdf": {"type": "preview_surface", "base_color": colour, "roughness": 0.5},
+        }
+    if picture is not None:
+        parts["light_sky"] = {"type": "envmap", "bitmap": picture, "to_world": UPRIGHT}
+    return parts
+
+
+def test_a_picture_is_that_of_the_scenes_own_choice_with_less_noise(mi, monkeypatch):
+    """Means agree, and variance is less; both rule out that the table is not asked."""
+    how = {"samples": 64, "model": "path", "denoise": False}
+    seen = scene(yard(overcast()), width_px=24, height_px=16, fov_x_deg=80.0)
+    ours = pictures(seen, 16, **how)
+    monkeypatch.setattr(next_event.SkyTable, "of", staticmethod(lambda loaded: None))
+    theirs = pictures(seen, 16, **how)
+    assert_agree(ours, theirs, resolves=0.01)
+    gain = theirs.var(axis=0, ddof=1).mean() / ours.var(axis=0, ddof=1).mean()
+    assert gain > 1.15, gain
+
+
+def test_skies_that_send_nothing_or_the_same_everywhere(mi):
+    black = environment(mi, {"type": "constant", "radiance": 0.0})
+    assert np.all(np.isfinite(np.asarray(SkyTable(black).draw(mi.UInt32(0), mi.Point2f(0.3, 0.6))[0])))
+    found = pictures(scene(sky(2.0) | yard(None), width_px=8, height_px=8), 2, samples=4, model="path")
+    assert np.all(np.isfinite(found))
