@@ -297,7 +297,7 @@ def _leaf(mi: Any, name: str, value: Any) -> Any:
         return mi.Bitmap(np.ascontiguousarray(value))
     if name == "rows":
         return backend.floats(value.ravel())
-    if name == "row_of_face":
+    if name in ("row_of_face", "begin_of_row", "texels"):
         return backend.numbers(value)
     return value.tolist() if isinstance(value, np.ndarray) else value
 

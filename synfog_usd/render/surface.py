@@ -20,8 +20,9 @@ rho at any angle.  So are the parts put together in MaterialX's definition of Us
 previewSurface.glslfx has 1 - F(v . h) for 1 - E(v), by which white surfaces give back more than they get.
 Both sides of a face look alike.
 
-Surfaces that have the same inputs, none of them a picture, can be drawn as one, which reads its numbers by the face
-(`together`): Dr.Jit records a BSDF's code once for each object, and a street has a hundred surfaces of a few kinds.
+Surfaces that have the same inputs, none of them a picture but the base colour, can be drawn as one, which reads its
+numbers and finds its picture by the face (`together`): Dr.Jit records a BSDF's code once for each object, runs it for
+each that 16 paths meet, and a street has a hundred surfaces of a few kinds.
 """
 
 from __future__ import annotations
@@ -72,7 +73,14 @@ GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 _INPUTS = ("roughness", "metallic", "clearcoat", "clearcoat_roughness")
 _ROW = 8
-"""Numbers of a surface that is drawn with others: its colour, its `_INPUTS`, and none."""
+"""Numbers of a surface that is drawn with others: its colour, or the width and height of its picture [texels] and none;
+its `_INPUTS`; and none.
+"""
+
+_FULL = 65535.0
+"""Of a texel of such a picture, which holds the roots of its R, G and B in 16 bits each, and none: as fine where it is
+dark as where it is bright.
+"""
 
 _known: set[str] = set()
 
@@ -160,10 +168,13 @@ def drawn(part: Mapping[str, Any]) -> Mapping[str, Any]:
 def alike(part: Mapping[str, Any]) -> tuple[Any, ...] | None:
     """What surfaces that can be drawn together have in common; None of one that must be drawn by itself."""
     part = drawn(part)
-    plain = part.get("type") == TYPE and "specular" not in part and part["base_color"]["type"] == "rgb"
-    if not plain or any(isinstance(part.get(name), Mapping) for name in _INPUTS):
+    if part.get("type") != TYPE or "specular" in part or any(isinstance(part.get(name), Mapping) for name in _INPUTS):
         return None
-    return TYPE, part.get("eta", 1.5), *(name for name in _INPUTS if name in part)
+    colour = part["base_color"]
+    repeats = colour["type"] == "bitmap" and colour.get("wrap_mode", "repeat") == "repeat" and "to_uv" not in colour
+    if colour["type"] != "rgb" and not repeats:
+        return None
+    return TYPE, colour["type"], part.get("eta", 1.5), *(name for name in _INPUTS if name in part)
 
 
 def together(parts: Sequence[Mapping[str, Any]], number: Indices) -> dict[str, Any]:
@@ -173,14 +184,37 @@ def together(parts: Sequence[Mapping[str, Any]], number: Indices) -> dict[str, A
         parts: the surfaces.
         number: (F,) which of them each face of the mesh has.
     """
-    first, rows = drawn(parts[0]), np.zeros((len(parts), _ROW), dtype=np.float32)
-    for row, part in zip(rows, map(drawn, parts), strict=True):
-        row[:3] = part["base_color"]["value"]
-        row[3 : 3 + len(_INPUTS)] = [part.get(name, 0.0) for name in _INPUTS]
+    surfaces, rows = list(map(drawn, parts)), np.zeros((len(parts), _ROW), dtype=np.float32)
+    pictures = [surface["base_color"] for surface in surfaces if surface["base_color"]["type"] == "bitmap"]
+    for row, surface in zip(rows, surfaces, strict=True):
+        colour = surface["base_color"]
+        row[: 2 if pictures else 3] = colour["bitmap"].shape[1::-1] if pictures else colour["value"]
+        row[3 : 3 + len(_INPUTS)] = [surface.get(name, 0.0) for name in _INPUTS]
+    first = surfaces[0]
     one = {name: value for name, value in first.items() if name in ("type", "eta") or name in _INPUTS}
     row_of_face = np.zeros(max(len(number), 4), dtype=np.uint32)  # of three numbers Mitsuba would make a colour
     row_of_face[: len(number)] = number
-    return {**one, "base_color": first["base_color"], "rows": rows, "row_of_face": row_of_face}
+    made = {**one, "base_color": first["base_color"], "rows": rows, "row_of_face": row_of_face}
+    if not pictures:
+        return made
+    begin = np.zeros(max(len(pictures), 4), dtype=np.uint32)
+    begin[1 : len(pictures)] = np.cumsum([np.prod(colour["bitmap"].shape[:2]) for colour in pictures[:-1]])
+    grey = {"type": "rgb", "value": [0.5] * 3}  # Mitsuba wants a colour, that nobody asks
+    return {**made, "base_color": grey, "begin_of_row": begin, "texels": np.concatenate(list(map(_packed, pictures)))}
+
+
+def _packed(colour: Mapping[str, Any]) -> Indices:
+    """(2 N,) texels of a picture, row by row from the top, as `_FULL` has them: two in 32 bits, the first below."""
+    pixels = np.asarray(colour["bitmap"])
+    pixels = pixels if pixels.ndim == 3 else pixels[:, :, None]
+    if pixels.dtype == np.uint8:  # in few values, which are looked up
+        roots = np.sqrt(texels({**colour, "bitmap": np.arange(256, dtype=np.uint8).reshape(1, 256, 1)}))[0, :, 0]
+        codes = np.rint(roots * _FULL).astype(np.uint16)[pixels]
+    else:
+        codes = np.rint(np.sqrt(np.clip(pixels, 0.0, 1.0)) * np.float32(_FULL)).astype(np.uint16)
+    packed = np.zeros((*codes.shape[:2], 4), dtype="<u2")
+    packed[..., :3] = codes[..., :3] if codes.shape[2] >= 3 else codes[..., :1]
+    return packed.reshape(-1, 4).view("<u4").ravel()
 
 
 def seen_from(si: Any, spread: Any) -> Any:
@@ -267,6 +301,7 @@ def _plugin(mi: Any) -> Any:
             self.metallic, self.specular = texture("metallic"), texture("specular")
             self.coat, self.coat_roughness = texture("clearcoat"), texture("clearcoat_roughness")
             self.rows, self.row_of_face = properties.get("rows", None), properties.get("row_of_face", None)
+            self.begin_of_row, self.texels = properties.get("begin_of_row", None), properties.get("texels", None)
             eta = float(properties.get("eta", 1.5))
             self.eta, self.table = dr.opaque(mi.Float, eta), table(eta)
             sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
@@ -297,11 +332,32 @@ def _plugin(mi: Any) -> Any:
         def inputs(self, si: Any, active: Any) -> tuple[Any, ...]:
             """Colour, roughness, metal, coat and its roughness at a point; those that are not there mean nothing."""
             if self.rows is not None:
-                row = dr.gather(mi.UInt32, self.row_of_face, si.prim_index, active) * (_ROW // 4)
-                one, two = (dr.gather(mi.Vector4f, self.rows, row + half, active) for half in (0, 1))
-                return mi.Color3f(one.x, one.y, one.z), one.w, two.x, two.y, two.z
+                row = dr.gather(mi.UInt32, self.row_of_face, si.prim_index, active)
+                one, two = (dr.gather(mi.Vector4f, self.rows, row * (_ROW // 4) + half, active) for half in (0, 1))
+                colour = mi.Color3f(one.x, one.y, one.z)
+                if self.texels is not None:
+                    begin = dr.gather(mi.UInt32, self.begin_of_row, row, active)
+                    colour = self.pictured(si.uv, begin, mi.Vector2f(one.x, one.y), active)
+                return colour, one.w, two.x, two.y, two.z
             textures = self.roughness, self.metallic, self.coat, self.coat_roughness
             return self.base_color.eval(si, active), *(one and one.eval_1(si, active) for one in textures)
+
+        def pictured(self, uv: Any, begin: Any, size: Any, active: Any) -> Any:
+            """Colour of a picture that begins at a texel, repeats, and is linear between the middles of its texels."""
+            place = (uv - dr.floor(uv)) * size - 0.5
+            low = dr.floor(place)
+            share, high = place - low, low + 1.0
+            last, width = mi.Vector2u(size - 1.0), mi.UInt32(size.x)
+            low, high = dr.select(low < 0.0, size - 1.0, low), dr.select(high < size, high, 0.0)
+            low, high = (dr.minimum(mi.Vector2u(side), last) for side in (low, high))  # where uv are no numbers, too
+
+            def texel(x: Any, y: Any) -> Any:
+                pair = dr.gather(mi.Vector2u, self.texels, begin + y * width + x, active)
+                roots = mi.Color3f(mi.Float(pair.x & 0xFFFF), mi.Float(pair.x >> 16), mi.Float(pair.y)) / _FULL
+                return roots * roots
+
+            upper, lower = (dr.lerp(texel(low.x, y), texel(high.x, y), share.x) for y in (low.y, high.y))
+            return dr.lerp(upper, lower, share.y)
 
         def _sampled(self, parts: Any, si: Any, sample1: Any, sample2: Any, active: Any) -> Any:
             wo = parts.drawn(sample1, sample2)
