@@ -64,7 +64,7 @@ class Shot:
 
     def __init__(self, street: Street, size: tuple[int, int], folder: Path, samples: int) -> None:
         self.name, self.scene = street.name, scene_of(street, size, folder)
-        self.loaded = shot.load(self.scene, boundaries=False)
+        self.loaded = shot.load(self.scene, boundaries=False, spectra=False)
         kept = folder / f"{street.name.replace(' ', '_')}_{size[0]}x{size[1]}_{samples}.npy"
         if not kept.exists():
             np.save(kept, [self.picture(samples // 2, seed, False)[0] for seed in (1000, 1001)])
@@ -92,7 +92,7 @@ def root(mean: float) -> float:
 
 def raw_row(one: Shot, samples: int, seeds: int, model: str = "path") -> str:
     """RMS of all pixels, without the worst hundredth, the brightest, and what a picture takes."""
-    loaded = shot.load(one.scene, boundaries=models.MODELS[model].boundaries)
+    loaded = shot.load(one.scene, boundaries=models.MODELS[model].boundaries, spectra=False)
     one.picture(2, seeds, False, loaded, model)  # kernels are made
     begun = time.process_time()
     pictures = [one.picture(samples, seed, False, loaded, model)[0] for seed in range(seeds)]
@@ -177,7 +177,7 @@ def sensor_row(name: str, source: SceneDict, clear: SceneDict, model: str, seeds
     found = camera.sensitivity(metered, graph, exposure)
     assert found is not None
     noise = functools.partial(camera.noise_floor, electrons_per_cd_m2=found[0], dark_noise_e=found[1])
-    loaded = shot.load(source, boundaries=False)
+    loaded = shot.load(source, boundaries=False, spectra=False)
     done: list[shot.Rendered] = []
     for seed in range(seeds):  # the planner chooses once, as for a shot
         chosen = done[0].model if done else model
@@ -208,7 +208,7 @@ def sensor_row(name: str, source: SceneDict, clear: SceneDict, model: str, seeds
 def metering(clear: SceneDict) -> Image:
     """The small frame on which a bake meters."""
     width, height = 160, max(1, round(160 * clear.camera.height_px / clear.camera.width_px))
-    loaded: MitsubaScene = shot.load(clear, boundaries=False)
+    loaded: MitsubaScene = shot.load(clear, boundaries=False, spectra=False)
     return shot.render(
         clear, samples=16, seed=77, size=(width, height), denoise=True, loaded=resized(loaded, (width, height))
     ).radiance
