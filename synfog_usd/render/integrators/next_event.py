@@ -101,6 +101,9 @@ class NextEvent:
         self.in_fog = others > 0
         self.at_surfaces = others > 0 or (sky and not sky_known)
         self.sky = SkyTable.of(loaded) if self.at_surfaces and others == 0 else None
+        if self.sky is not None:
+            self.sky_group = groups.of(backend.mitsuba().EmitterPtr(self.sky.environment), True)
+            dr.make_opaque(self.sky_group)
         weighed = lights.count and lights.many and lights.count <= MOST_WEIGHED
         self.importance = Importance(lights, medium) if weighed else None
         self.lit_faces = LitFaces.of(loaded, lights) if self.importance is not None else None
@@ -172,8 +175,8 @@ class NextEvent:
         if self.sky is not None:
             direction, pdf = self.sky.draw(row, sampler.next_2d(lit))
             power = self.sky.radiance(direction, lit) / dr.maximum(pdf, 1e-30)
-            group = self.groups.of(mi.EmitterPtr(self.sky.environment), lit)
-            return Chosen(lit & (pdf > 0.0), vertex.p + direction * SKY_M, direction, power, group, pdf, mi.Bool(False))
+            place = vertex.p + direction * SKY_M
+            return Chosen(lit & (pdf > 0.0), place, direction, power, self.sky_group, pdf, mi.Bool(False))
         sent, power, group = dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0), mi.UInt32(0)
         if self.at_surfaces:
             sent, power = self.loaded.scene.sample_emitter_direction(vertex, sampler.next_2d(lit), False, lit)
