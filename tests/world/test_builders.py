@@ -73,6 +73,40 @@ def made(what, folder, only=()):
     }
 
 
+ROUNDED = 3
+"""Layers of models whose decimation may turn on how a processor rounds: of man_walking it does between two makes of
+processor with AVX-512, in three of its meshes.
+"""
+
+
+def assert_decimated_alike(one, other):
+    """The same prims with the same attributes; meshes of as many triangles to 3 %, as large to 2 mm."""
+    ours, theirs = meshes(one), meshes(other)
+    assert ours.keys() == theirs.keys(), one
+    for path, mesh in ours.items():
+        assert mesh.keys() == theirs[path].keys(), path
+        if "points" in mesh:
+            counts = [len(found["faceVertexCounts"]) for found in (mesh, theirs[path])]
+            assert abs(counts[0] - counts[1]) <= 2 + 0.03 * counts[1], path
+            low, high = (
+                [edge(np.array(found["points"]), axis=0) for found in (mesh, theirs[path])] for edge in (np.min, np.max)
+            )
+            np.testing.assert_allclose(*low, atol=2e-3)
+            np.testing.assert_allclose(*high, atol=2e-3)
+
+
+def meshes(path):
+    """Prim's path -> its attributes' names and values."""
+    layer, found = Sdf.Layer.FindOrOpen(str(path)), {}
+
+    def visit(place):
+        if place.IsPrimPath():
+            found[str(place)] = {one.name: one.default for one in layer.GetPrimAtPath(place).attributes}
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return found
+
+
 def numbers(path):
     """What a layer says, with every number as it stands but for the sign of zeros.
 
@@ -128,8 +162,11 @@ def test_every_asset_is_what_the_code_writes(what, tmp_path):
     assert set(found) == set(shipped)
     other = [name for name, data in found.items() if data != shipped[name].read_bytes()]
     assert [name for name in other if not name.endswith(".geo.usdc")] == []
-    for name in other:
-        assert numbers(tmp_path / name) == numbers(shipped[name]), name
+    off = [name for name in other if numbers(tmp_path / name) != numbers(shipped[name])]
+    print(off)
+    assert len(off) <= ROUNDED, off
+    for name in off:
+        assert_decimated_alike(tmp_path / name, shipped[name])
 
 
 @pytest.mark.timeout(2400)  # each of sixteen takes 40 to 60 processor seconds
