@@ -74,7 +74,7 @@ def test_draws_have_their_density(mi, name, normal):
     same = np.isclose(np.asarray(found.density(row, direction)), np.asarray(density), rtol=1e-5)
     assert np.mean(same) > 1.0 - 1e-4  # but on the border of two cells
     np.testing.assert_allclose(np.asarray(dr.norm(direction)), 1.0, rtol=1e-5)
-    cell = np.asarray(_cells(mi, direction))
+    cell = _cells(direction)
     z, turned = (axis.ravel() for axis in np.meshgrid(*2 * [(np.arange(STEPS) + 0.5) / STEPS], indexing="ij"))
     ring, turned = np.sqrt(1.0 - (2.0 * z - 1.0) ** 2), 2.0 * np.pi * turned
     middle = mi.Vector3f(*(np.float32(x) for x in (ring * np.cos(turned), ring * np.sin(turned), 2.0 * z - 1.0)))
@@ -83,7 +83,7 @@ def test_draws_have_their_density(mi, name, normal):
     assert_draws(np.bincount(cell, minlength=STEPS**2), expected * DRAWN)
 
 
-def _cells(mi, direction):
+def _cells(direction):
     """By arithmetic of the test's own."""
     x, y, z = (np.asarray(part, dtype=np.float64) for part in (direction.x, direction.y, direction.z))
     azimuth = np.floor(np.mod(np.arctan2(y, x) / (2.0 * np.pi), 1.0) * STEPS).clip(0, STEPS - 1)

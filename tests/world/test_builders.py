@@ -74,8 +74,8 @@ def made(what, folder, only=()):
 
 
 ROUNDED = 25
-"""Layers of models, of 212, whose decimation may turn on how a processor rounds: 22 of six people do between two makes
-of processor with AVX-512.
+"""Layers of models, of 212, whose decimation may turn on how a processor rounds: 22 of people do between two
+processors.
 """
 
 
@@ -157,7 +157,7 @@ SOME_SKIES = ("broken_noon", "rain", "night_glow")
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("what", ["textures", "lamps", "models"])
 def test_every_asset_is_what_the_code_writes(what, tmp_path):
-    """All of them byte for byte, meshes but for the sign of zeros; nothing else of their kind lies there. Thumbnails
+    """All of them byte for byte, meshes but for the sign of zeros and what `ROUNDED` bears; nothing else of their kind lies there. Thumbnails
     are renders and not meant.
     """
     shipped = shipped_of(what)
