@@ -157,8 +157,8 @@ SOME_SKIES = ("broken_noon", "rain", "night_glow")
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("what", ["textures", "lamps", "models"])
 def test_every_asset_is_what_the_code_writes(what, tmp_path):
-    """All of them byte for byte, meshes but for the sign of zeros and what `ROUNDED` bears; nothing else of their kind lies there. Thumbnails
-    are renders and not meant.
+    """All of them byte for byte, meshes but for the sign of zeros and what `ROUNDED` bears; nothing else of their kind
+    lies there. Thumbnails are renders and not meant.
     """
     shipped = shipped_of(what)
     found = made(what, tmp_path)
