@@ -35,8 +35,11 @@ if TYPE_CHECKING:
     from synfog_usd.cull import Hidden, Parts
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
-    from synfog_usd.render.shot import Rendered
+    from synfog_usd.render.shot import Rendered, Settings
     from synfog_usd.scene import Note, SceneDict
+
+METERED = 0.01
+"""Part of a shot that is done when its lighting is metered."""
 
 METER_WIDTH_PX = 160
 METER_SAMPLES, METER_SAMPLES_RAW, DRAFT_METER_SAMPLES = 16, 64, 8
@@ -214,9 +217,16 @@ def bake(
                         scenes.of(cleared(stage, shot)) if metered and shot.lighting not in views else None,
                     )
                 if clear is not None:
-                    step("metering", 0.01)
+                    step("metering", METERED)
                     view = views[shot.lighting] = _meter(
-                        shot.lighting, replace(clear, fog=()), renderer, plan, graph, behind.wait
+                        shot.lighting,
+                        replace(clear, fog=()),
+                        renderer,
+                        plan,
+                        graph,
+                        scenes.taken,
+                        behind.wait,
+                        within(step, METERED, SET_UP),
                     )
                     log(
                         f"{shot.lighting}: {outdoors(scene)}; this view has {float(view.luminance.mean()):.3g} cd/m2 "
@@ -286,6 +296,8 @@ class _View:
         exposure: see `camera.meter`.
         pixel: what a pixel makes of light, see `camera.sensitivity`, or None.
         luminance: of the small frame that was metered [cd m-2].
+        bands: see `planner.choose_bands`: chosen here for all fogs but coloured ones, since grey fog mixes light and
+            changes its colours little; None where they are given or too few paths would carry them.
         seen: what the ray through each pixel's centre meets.
         world: of the scene that was looked at.
         parts: of that world, see `cull.parts_of`.
@@ -294,6 +306,7 @@ class _View:
     exposure: Any
     pixel: tuple[float, float] | None
     luminance: np.ndarray
+    bands: tuple[int, str, dict[str, float]] | None
     seen: Aovs
     world: Mapping[str, Any]
     parts: Parts
@@ -337,7 +350,9 @@ def _meter(
     renderer: _Renderer,
     plan: BakePlan,
     graph: Any,
-    ready: Callable[[], None] = lambda: None,
+    taken: Pinhole | None,
+    ready: Callable[[], None],
+    progress: Progress,
 ) -> _View:
     """A scene without fog, metered on a small frame; the graph runs after `ready`."""
     from synfog_usd import camera, cull, photometry
@@ -363,14 +378,37 @@ def _meter(
         exposure = camera.adapted(
             exposure, before, graph, elapsed_s=1.0 / plan.clip.per_s, constant_s=plan.clip.adaptation_s
         )
+    pixel = camera.sensitivity(frame, graph, exposure)
     return _View(
         exposure,
-        camera.sensitivity(frame, graph, exposure),
+        pixel,
         photometry.luminance(frame),
+        _bands(lighting, loaded, plan, pixel, _density(scene, taken), progress),
         aovs.measure(loaded),
         scene.world,
         cull.parts_of(scene.world),
     )
+
+
+def _bands(
+    lighting: str,
+    loaded: MitsubaScene,
+    plan: BakePlan,
+    pixel: tuple[float, float] | None,
+    density: float,
+    progress: Progress,
+) -> tuple[int, str, dict[str, float]] | None:
+    """See `_View`."""
+    from synfog_usd.render import backend, models, planner
+    from synfog_usd.render.shot import may_carry_bands
+
+    camera, able = loaded.source.camera, plan.model == models.AUTO or models.MODELS[plan.model].bands
+    paths = camera.width_px * camera.height_px * plan.samples
+    if plan.bands is not None or backend.is_scalar() or not able or not may_carry_bands(None, paths):
+        return None
+    model, _ = models.choose(models.AUTO, loaded.source)
+    target = _settings(plan, _shared(_noise(pixel), density) if pixel else None, density).target
+    return planner.choose_bands(loaded, model, target=target, seed=seed32(plan.seed, lighting), progress=progress)
 
 
 @dataclass(frozen=True)
@@ -381,6 +419,7 @@ class _Shot:
         shot, scene, view, taken, rendered: what it is of, how it was exposed, what the sensor takes of it, and what
             came of it.
         noise: luminance -> standard deviation of what a pixel of it reads [cd m-2], or None.
+        bands: those of the view, where they were taken.
         hidden: what the fog hides.
         exposures: inputs of the graph that see a part of the exposure -> their radiance.
     """
@@ -391,6 +430,7 @@ class _Shot:
     taken: Pinhole | None
     rendered: Rendered
     noise: Callable[[np.ndarray], np.ndarray] | None
+    bands: tuple[int, str, dict[str, float]] | None
     hidden: Hidden
     exposures: Mapping[str, Image]
 
@@ -446,10 +486,9 @@ def _render(
     is returned makes its pictures, and `meanwhile` is done beside the first paths.
     """
     from synfog_usd import cull
-    from synfog_usd.render.sampling.adaptive import sensor_target
-    from synfog_usd.render.shot import Settings, sample
+    from synfog_usd.render.shot import sample
 
-    density = pinhole_of(scene.camera).focal_px / taken.focal_px if taken else 1.0
+    density = _density(scene, taken)
     floor = _shared(view.noise, density) if view and view.noise else None
     bulk = view.parts if view and view.world is scene.world else cull.parts_of(scene.world)
     if plan.cull and view and floor:
@@ -474,17 +513,11 @@ def _render(
         and not scene.camera.width_m
     )
     moving = exposures if scene.camera.moves or scene.motion_of else {}
-    settings = Settings(
-        model=plan.model,
-        samples=max(2, round(plan.samples / density**2)),
-        seed=seed32(plan.seed, shot.lighting, shot.fog),
-        target_error=min(1.0, plan.target_error * density) if plan.target_error is not None else None,
-        sensor_sigma=sensor_target(floor) if floor and plan.target_error is None else None,
-        time_limit_s=plan.time_limit_s,
-        bands=plan.bands,
-        denoise=plan.denoise,
-        draft=plan.draft,
-    )
+    settings = _settings(plan, floor, density, seed32(plan.seed, shot.lighting, shot.fog))
+    grey = all(volume.medium.angstrom == 0.0 and volume.medium.profile != "grid" for volume in scene.fog)
+    bands = view.bands if view and grey else None
+    if bands:
+        settings = replace(settings, bands=bands[0])
     clear = view.seen if view and (hidden.triangles or same) else None
     share = 1.0 / (1 + len(moving))
     told = within(progress, 0.0, share)
@@ -508,9 +541,34 @@ def _render(
             for number, (name, part) in enumerate(parts.items(), 1)
         }
         seen = seen or dict.fromkeys(exposures, whole.radiance)
-        return _Shot(shot, scene, view, taken, whole, floor, hidden, seen)
+        return _Shot(shot, scene, view, taken, whole, floor, bands, hidden, seen)
 
     return picture
+
+
+def _density(scene: SceneDict, taken: Pinhole | None) -> float:
+    """Rendered pixels side by side for one of the sensor."""
+    return pinhole_of(scene.camera).focal_px / taken.focal_px if taken else 1.0
+
+
+def _settings(
+    plan: BakePlan, floor: Callable[[np.ndarray], np.ndarray] | None, density: float, seed: int = 0
+) -> Settings:
+    """How a shot is rendered, whose pixels may have the noise `floor`."""
+    from synfog_usd.render.sampling.adaptive import sensor_target
+    from synfog_usd.render.shot import Settings
+
+    return Settings(
+        model=plan.model,
+        samples=max(2, round(plan.samples / density**2)),
+        seed=seed,
+        target_error=min(1.0, plan.target_error * density) if plan.target_error is not None else None,
+        sensor_sigma=sensor_target(floor) if floor and plan.target_error is None else None,
+        time_limit_s=plan.time_limit_s,
+        bands=plan.bands,
+        denoise=plan.denoise,
+        draft=plan.draft,
+    )
 
 
 def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
@@ -581,8 +639,8 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
         "model": {
             "name": rendered.model,
             "bands": len(radiance.channels),
-            "why": rendered.why,
-            "pilot": _rounded(rendered.figures),
+            "why": rendered.why + (f"; {made.bands[0]} bands: in clear air {made.bands[1]}" if made.bands else ""),
+            "pilot": _rounded({**rendered.figures, **({"bands": made.bands[2]} if made.bands else {})}),
         },
         "samples": float(f"{rendered.samples:.5g}"),
         "denoised": bool(rendered.radiance.provenance.get("denoised", False)),
@@ -611,8 +669,7 @@ def _left(made: _Shot, graph: Any) -> dict[int, dict[str, Any]]:
         exposure = camera.Exposure(1.0, 1.0, float(luminance.mean()))
         pixel = camera.sensitivity(radiance, graph, exposure)
         if pixel:
-            density = pinhole_of(made.scene.camera).focal_px / made.taken.focal_px if made.taken else 1.0
-            noise = _shared(_noise(pixel), density)
+            noise = _shared(_noise(pixel), _density(made.scene, made.taken))
     surface = made.rendered.components.get("surface")
     unscattered = None if surface is None else photometry.luminance(radiance.with_pixels(surface))
     return visibility.rows(seen.instance_id, seen.transmittance, luminance, unscattered, noise)

@@ -16,6 +16,7 @@ to another.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -591,22 +592,35 @@ def _clean(
 
 
 def _filtered(oidn: Any, images: Mapping[str, FloatArray], network: str = "high") -> FloatArray:
-    """Open Image Denoise's own result for images (H, W, 3); guides are taken as free of noise."""
+    """Open Image Denoise's own result for images (H, W, 3); guides are taken as free of noise.
+
+    On the graphics processor where that renders, else on the processor, which reads and writes the images where they
+    lie.
+    """
     result = np.empty_like(images["color"])
-    with oidn.Device() as device:
+    given, on_cuda = {**images, "output": result}, backend.is_cuda() and oidn.Device.is_cuda_available()
+    with (
+        oidn.Device(oidn.OIDN_DEVICE_TYPE_CUDA if on_cuda else oidn.OIDN_DEVICE_TYPE_CPU) as device,
+        contextlib.ExitStack() as released,
+    ):
         device.commit()
         work = oidn.Filter(device, oidn.OIDN_FILTER_TYPE_RT)  # in a `with` it would swallow whatever is raised
-        try:
-            for name, image in {**images, "output": result}.items():
-                work.set_image(name, image, oidn.OIDN_FORMAT_FLOAT3)
-            work.set_bool("hdr", True)
-            work.set_bool("cleanAux", len(images) > 1)
-            work.set_quality(getattr(oidn, f"OIDN_QUALITY_{network.upper()}"))
-            work.set_int("maxMemoryMB", MEMORY_MB)
-            work.commit()
-            work.execute()
-        finally:
-            work.release()
+        released.callback(work.release)
+        if on_cuda:
+            there = {name: released.enter_context(oidn.Buffer(device, image.nbytes)) for name, image in given.items()}
+            for name, image in images.items():
+                there[name].write(0, image.nbytes, image)
+        height, width = result.shape[:2]
+        for name, image in given.items():
+            work.set_image(name, there[name] if on_cuda else image, oidn.OIDN_FORMAT_FLOAT3, width, height)
+        work.set_bool("hdr", True)
+        work.set_bool("cleanAux", len(images) > 1)
+        work.set_quality(getattr(oidn, f"OIDN_QUALITY_{network.upper()}"))
+        work.set_int("maxMemoryMB", MEMORY_MB)
+        work.commit()
+        work.execute()
+        if on_cuda:
+            there["output"].read(0, result.nbytes, result)
         if problem := device.get_error():
             raise DenoiserError(f"Open Image Denoise failed: {problem}")
     if not np.isfinite(result).all():

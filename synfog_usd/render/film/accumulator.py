@@ -19,6 +19,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from synfog_usd import numbers
 from synfog_usd.arrays import Array, FloatArray, Indices
 from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
@@ -39,6 +40,11 @@ AHEAD = 1 << 22
 
 AHEAD_LANES = 1 << 20
 """The same in lanes, each of which takes some 80 B with four light groups."""
+
+CUDA_TIMES = 16
+"""How many times more of all of these a graphics processor gets: it is done with `CHUNKED_LANES` in less time than
+Python takes to describe the next ones, 0.2 to 0.5 s.
+"""
 
 HALVES = 2
 
@@ -531,7 +537,7 @@ def add_samples(
         return
     all_of_it = max(len(pixels) * sum(count * accumulated.cost(name) for name, count in samples.items()), 1.0)
     under_way: list[_Launch] = []
-    done = 0.0
+    done, times = 0.0, _times(integrator)
 
     def collect() -> None:
         nonlocal done
@@ -548,22 +554,27 @@ def add_samples(
     for name, count in samples.items():
         started, estimator_seed = accumulated.estimators[name].counts[:, pixels].copy(), seed32(seed, name)
         begun = [int(half[0]) % CHUNK for half in started] if started.size else [0] * HALVES
-        for length, chunks in _chunks(count, len(pixels), begun):
-            for low in range(0, len(pixels), CHUNKED_LANES):
-                some = slice(low, low + CHUNKED_LANES)
+        for length, chunks in _chunks(count, len(pixels), begun, times):
+            for low in range(0, len(pixels), times * CHUNKED_LANES):
+                some = slice(low, low + times * CHUNKED_LANES)
                 first = np.concatenate([started[half, some] + (half * HALF_STRIDE + offset) for half, offset in chunks])
                 halves = [half for half, _ in chunks]
                 under_way.append(_launched(integrator, name, pixels[some], first, length, halves, estimator_seed))
                 lanes = sum(launch.lanes for launch in under_way)
-                if lanes >= AHEAD_LANES or sum(launch.paths for launch in under_way) >= AHEAD:
+                if lanes >= times * AHEAD_LANES or sum(launch.paths for launch in under_way) >= times * AHEAD:
                     collect()
     collect()
 
 
-def _chunks(count: int, pixels: int, begun: Sequence[int]) -> list[tuple[int, list[tuple[int, int]]]]:
+def _times(integrator: Traces) -> int:
+    """How many times `CHUNKED_LANES` are traced at once: of more bands fewer, in the same memory."""
+    return max(1, CUDA_TIMES * numbers.RGB // integrator.bands.count) if backend.is_cuda() else 1
+
+
+def _chunks(count: int, pixels: int, begun: Sequence[int], times: int) -> list[tuple[int, list[tuple[int, int]]]]:
     """How `count` paths of each of some pixels are traced: (paths a lane, [(half, paths of this call before), ...] of a
-    pixel's lanes at once).  A run of which each half has `begun` so many paths is ended first, so that no lane lies in
-    two.
+    pixel's lanes at once, `times` the usual number).  A run of which each half has `begun` so many paths is ended
+    first, so that no lane lies in two.
     """
     by_length: dict[int, list[tuple[int, int]]] = {}
     for half in range(HALVES):
@@ -574,7 +585,7 @@ def _chunks(count: int, pixels: int, begun: Sequence[int]) -> list[tuple[int, li
             offset += length
     found = []
     for length, chunks in by_length.items():
-        rows = max(1, (SHORT_LANES if 2 * length <= CHUNK else CHUNKED_LANES) // max(pixels, 1))
+        rows = max(1, times * (SHORT_LANES if 2 * length <= CHUNK else CHUNKED_LANES) // max(pixels, 1))
         found += [(length, chunks[low : low + rows]) for low in range(0, len(chunks), rows)]
     return found
 
@@ -639,6 +650,8 @@ def _add(accumulated: Accumulator, launch: _Launch) -> None:
     """Wait for paths, and add them up."""
     name, pixels, count, halves, moments = launch.name, launch.pixels, launch.count, launch.halves, launch.moments
     estimator = accumulated.estimators[name]
+    low, high = (int(pixels[0]), int(pixels[-1]) + 1) if len(pixels) else (0, 0)
+    at: Any = slice(low, high) if high - low == len(pixels) else pixels  # neighbours are added up faster
 
     def lanes(colour: Any, kind: Any) -> Array:
         return backend.rows(colour, kind).reshape(len(halves), len(pixels), -1)
@@ -647,17 +660,17 @@ def _add(accumulated: Accumulator, launch: _Launch) -> None:
         for half, lane in zip(
             halves, lanes(aov, target.dtype), strict=True
         ):  # chunk by chunk: the order of the sum is fixed
-            target[half, pixels] += lane
+            target[half, at] += lane
     for target, colour in zip(estimator.groups, moments.groups, strict=True):
         for lane in lanes(colour, target.dtype):
             if estimator.cut:
                 estimator.cut.add(target, pixels, lane)
             else:
-                target[pixels] += lane
+                target[at] += lane
     for lane in sum(lanes(aov, estimator.squares.dtype) for aov in moments.aovs):
-        estimator.squares[pixels] += lane**2 / count
+        estimator.squares[at] += lane**2 / count
     if estimator.lanes is not None:
-        estimator.lanes[pixels] += len(halves)
+        estimator.lanes[at] += len(halves)
     for half in halves:
-        estimator.counts[half, pixels] += count
+        estimator.counts[half, at] += count
     accumulated.lost += int(np.array(moments.lost).sum())
