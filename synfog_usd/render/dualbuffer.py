@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.arrays import FloatArray as Array
+from synfog_usd.arrays import Indices
 
 SCALES_PX = (64, 16, 4, 0)
 """Standard deviations [px] of the blurs, wide to none; then `NEARBY_PX`, and the whole picture.
@@ -146,14 +147,14 @@ def given_back(
     floor = float(_floor(noisy) @ weights)
     for light, done in zip(noisy, denoised, strict=True):
         done *= _given(light @ weights, done @ weights, floor, nearby_px, most_given)
-    before, after = (picture.mean(axis=(0, 1, 2), dtype=np.float64) for picture in (noisy, denoised))
+    before, after = _mean(noisy), _mean(denoised)
     denoised *= np.where(after > 0.0, np.clip(before / np.maximum(after, 1e-30), 0.5, 2.0), 1.0).astype(np.float32)
     return np.maximum(denoised, 0.0)
 
 
 def _floor(noisy: Array) -> Array:
     """(C,) light below which nothing is left to scale."""
-    return 1e-3 * np.maximum(np.abs(noisy.mean(axis=(0, 1, 2), dtype=np.float64)), 1e-30).astype(np.float32)
+    return 1e-3 * np.maximum(np.abs(_mean(noisy)), 1e-30).astype(np.float32)
 
 
 def _given(noisy: Array, done: Array, floor: float, nearby_px: int, most: float) -> Array:
@@ -189,7 +190,9 @@ def _correct(noisy: Array, done: Array, weights: Array, floor: Array, scale: int
         share = share * _agreed((wide[0] - fine[0]) @ weights, (wide[1] - fine[1]) @ weights)[..., None]
     for half in range(2):
         gain = share * (wide[half] - fine[half]) / np.maximum(fine[half] + floor, 1e-30)
-        done[half] += (done[half] + floor) * spread(gain, step, done.shape[1:3])
+        change = spread(gain, step, done.shape[1:3])
+        change *= done[half] + floor
+        done[half] += change
     np.maximum(done, 0.0, out=done)  # noise may be below 0, light is not
 
 
@@ -252,13 +255,35 @@ def binned(image: Array, step: int) -> Array:
 
 def spread(coarse: Array, step: int, shape: tuple[int, ...]) -> Array:
     """(H, W, C) of what was binned, linear between the squares' centres, and even beyond the last of them."""
-    for axis, length in enumerate(shape[:2] if step > 1 else ()):
-        place = np.clip((np.arange(length) + 0.5) / step - 0.5, 0.0, coarse.shape[axis] - 1.0)
-        before = place.astype(np.intp)
-        after = np.minimum(before + 1, coarse.shape[axis] - 1)
-        share = (place - before).astype(np.float32).reshape(-1, *(1,) * (coarse.ndim - 1 - axis))
-        coarse = (1.0 - share) * coarse.take(before, axis) + share * coarse.take(after, axis)
-    return coarse
+    if step == 1:
+        return coarse
+    height, width, channels = *shape[:2], coarse.shape[2]
+    before, after, share = _between(coarse.shape[1], step, width)
+    left, right = ((at[:, None] * channels + np.arange(channels)).ravel() for at in (before, after))
+    narrow = coarse.reshape(len(coarse), -1)  # all of a row at once: numpy is slow over axes as short as the channels
+    rows = narrow[:, left]
+    rows += (narrow[:, right] - rows) * np.repeat(share, channels)
+    before, after, share = _between(len(coarse), step, height)
+    fine = np.empty((height, width * channels), dtype=coarse.dtype)
+    for row, low, high, part in zip(fine, before, after, share, strict=True):
+        np.subtract(rows[high], rows[low], out=row)
+        row *= part
+        row += rows[low]
+    return fine.reshape(height, width, channels)
+
+
+def _between(count: int, step: int, length: int) -> tuple[Indices, Indices, Array]:
+    """For each of `length` pixels the squares before and after it, and how far it is between their centres, 0 to 1."""
+    place = np.clip((np.arange(length) + 0.5) / step - 0.5, 0.0, count - 1.0)
+    before = place.astype(np.intp)
+    return before, np.minimum(before + 1, count - 1), (place - before).astype(np.float32)
+
+
+def _mean(pictures: Array) -> npt.NDArray[np.float64]:
+    """(C,) of (N, H, W, C)."""
+    rows = pictures.reshape(-1, pictures.shape[2] * pictures.shape[3])  # see `spread`
+    sums = rows.sum(axis=0, dtype=np.float64).reshape(pictures.shape[2:]).sum(axis=0)
+    return np.asarray(sums * (pictures.shape[3] / pictures.size))
 
 
 def _blurred(image: Array, sigma: float) -> Array:
