@@ -42,3 +42,11 @@ def at_least(values: FloatArray, least: float, out: FloatArray | None = None) ->
 def at_most(values: FloatArray, most: float, out: FloatArray | None = None) -> FloatArray:
     """`np.minimum` of values and one number, as `at_least`."""
     return np.clip(values, np.float32(-np.inf), np.float32(most), out=out)
+
+
+def distinct(numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """(M,) the distinct ones, ascending, as `np.unique` gives them; since numpy 2.3 that has a hash table, and takes 90
+    times as long for millions.
+    """
+    ordered = np.sort(numbers, axis=None)
+    return ordered[np.concatenate([np.ones(min(ordered.size, 1), dtype=bool), ordered[1:] != ordered[:-1]])]

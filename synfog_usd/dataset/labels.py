@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.ndimage import find_objects
 
 from synfog_usd import cityscapes
+from synfog_usd.arrays import distinct
 from synfog_usd.cull import Hidden
 from synfog_usd.dataset import visibility
 from synfog_usd.image import Image, Quantity
@@ -50,7 +51,7 @@ def told(instances: tuple[Instance, ...], *met: npt.ArrayLike) -> tuple[Instance
     """
     if len(instances) <= MOST_TOLD:
         return instances
-    some = set(np.unique(np.concatenate([np.ravel(ids) for ids in met])).tolist())
+    some = set(distinct(np.concatenate([np.ravel(ids) for ids in met])).tolist())
     return tuple(one for one in instances if one.id in some)
 
 

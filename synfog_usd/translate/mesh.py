@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.arrays import Array, Indices, distinct
 from synfog_usd.translate import loop
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Attribute, Polygons, cross
@@ -344,7 +344,7 @@ _DIVIDED = {"catmullClark": (subdivided, 4), "loop": (loop.subdivided, 3), "bili
 
 def _unbent(cage: Cage) -> Cage:
     """A cage on which everything is sharp for ever, so that values run evenly within its faces."""
-    points = np.unique(cage.indices)
+    points = distinct(cage.indices)
     return replace(
         cage,
         creases=_edges(cage),

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade
 
-from synfog_usd.arrays import Array
+from synfog_usd.arrays import Array, distinct
 from synfog_usd.errors import ParameterError, StageError, did_you_mean
 from synfog_usd.fog import Boundary, FogMedium, FogVolume, extinction_from_visibility
 from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
@@ -370,7 +370,9 @@ def _open_edges(mesh: tuple[Array, npt.NDArray[np.int64]]) -> int:
     points, triangles = mesh
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     forward, backward = edges[:, 0] * len(points) + edges[:, 1], edges[:, 1] * len(points) + edges[:, 0]
-    return int(len(np.setxor1d(forward, backward)) // 2 + len(forward) - len(np.unique(forward)))
+    forward_only, backward_only = distinct(forward), distinct(backward)
+    alone = 2 * len(distinct(np.concatenate([forward_only, backward_only]))) - len(forward_only) - len(backward_only)
+    return alone // 2 + len(forward) - len(forward_only)
 
 
 def _medium(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, Flags, Indices
+from synfog_usd.arrays import Array, Flags, Indices, distinct
 from synfog_usd.fog.volume import optical_depth
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent
@@ -200,7 +200,7 @@ def pierced(loaded: MitsubaScene, *, batch: int = RAYS, progress: Progress = sil
             growth = np.where(at - began < 4.0 * growth * least, 2.0 * growth, 1.0)  # a ray within a surface leaves it
             began = np.maximum(np.sum((hits.onward - eye) * direction, axis=1), at + growth * least)
             origin = eye + began[:, None] * direction  # on the ray itself
-        found.append(np.unique(np.concatenate(codes)))
+        found.append(distinct(np.concatenate(codes)))
     ids, pixels = np.divmod(np.sort(np.concatenate(found)), count)
     return ids, pixels
 
