@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 from pathlib import Path
@@ -486,7 +487,10 @@ def info(
         "tifffile",
         "matplotlib",
     )
-    versions = {name: importlib.metadata.version(name) for name in names}
+    versions = dict.fromkeys(names, "not installed")
+    for name in names:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions[name] = importlib.metadata.version(name)
     if as_json:
         print(
             json.dumps(

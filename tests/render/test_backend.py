@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 
 import pytest
+from support.cli import run
 
 from synfog_usd.render import backend
 
@@ -64,3 +66,19 @@ def test_the_package_renders_where_the_system_has_no_compiler():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     assert done.stdout.split() == ["llvm", str(backend._of_package()[0])], done.stderr
+
+
+def test_info_tells_what_is_not_installed(monkeypatch):
+    """A library without a record, as one that was unpacked by hand: its name, and the others' versions."""
+    import importlib.metadata
+
+    version = importlib.metadata.version
+
+    def without_scipy(name):
+        if name == "scipy":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", without_scipy)
+    versions = json.loads(run("info", "--json").stdout)["versions"]
+    assert versions.pop("scipy") == "not installed" and versions["numpy"] == version("numpy")
