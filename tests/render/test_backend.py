@@ -82,3 +82,16 @@ def test_info_tells_what_is_not_installed(monkeypatch):
     monkeypatch.setattr(importlib.metadata, "version", without_scipy)
     versions = json.loads(run("info", "--json").stdout)["versions"]
     assert versions.pop("scipy") == "not installed" and versions["numpy"] == version("numpy")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux bounds a process's memory so")
+def test_a_variant_is_proved_without_the_limits_under_which_a_stage_is_read():
+    """400 MB, which the renderer's libraries alone exceed: CUDA maps more than a machine has, and was taken for
+    missing where its proof began while a stage was read.
+    """
+    code = (
+        "import resource as r; from synfog_usd.render import backend as b; "
+        "r.setrlimit(r.RLIMIT_AS, (400 << 20, r.getrlimit(r.RLIMIT_AS)[1])); print([b._prove('scalar_rgb')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stdout.strip() == "['']", done.stdout + done.stderr

@@ -43,7 +43,7 @@ def test_a_bake_there_has_the_light_of_the_processor(cuda, tmp_path, fog):
             words = ["--variant", variant, "--seed", seed, "--resolution", SIZE, "--samples", 256, "--no-denoise"]
             done = process("bake", tmp_path / "street.usda", "-o", out, "--lighting", "sky", "--fog", fog, *words)
             assert done.returncode == 0, done.stderr
-            assert json.loads((out / "bake.json").read_text())["variant"].startswith(variant)
+            assert json.loads((out / "bake.json").read_text())["plan"]["variant"].startswith(variant)
             radiance = writers.read_exr(out / "sky" / fog / "radiance.exr", quantity=Quantity.RADIANCE)
             means[-1].append(radiance.pixels.mean())
     assert_agree(*means, resolves=0.02)
