@@ -138,17 +138,22 @@ def trace_lit(of: FogPath, pixel: Any, first: Any, count: int, seed: int) -> Mom
             no_choice = ~smooth | mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
             way = si.spawn_ray(si.to_world(bounce.wo))
             going = hit & (dr.max(onward) > 0.0) & (no_choice | (bounce.pdf >= LEAST_SHARP))
-            met = tree.ray_intersect_preliminary(way, False, going)
+            last, through = way, mi.Float(1.0)
+            if dr.hint(of.asks.panes is not None, mode="scalar"):
+                found, met, last, through = of.asks.panes.beyond(tree, way, going)
+            else:
+                met = tree.ray_intersect_preliminary(way, False, going)
+                found = going & met.is_valid()
             emitter = met.shape.emitter()
-            area_pdf, number = of.asks.lit_faces.of_emitter(emitter, going & met.is_valid())
+            area_pdf, number = of.asks.lit_faces.of_emitter(emitter, found)
             found = area_pdf > 0.0
-            end = met.compute_surface_interaction(way, mi.RayFlags.All, found)
+            end = met.compute_surface_interaction(last, mi.RayFlags.All, found)
             lamp_pdf = of.asks.face_pdf(number, area_pdf, end, si.p, gloss, picks.total)
             weight = dr.select(no_choice, 1.0, mis_weight(bounce.pdf, lamp_pdf))
             group = of.light_groups.of(emitter, found)
-            light = onward * weight * of.light_groups.light(emitter.eval(end, found), group)
+            light = onward * (weight * through) * of.light_groups.light(emitter.eval(end, found), group)
             if dr.hint(of.foggy, mode="scalar"):
-                tau = of.medium.optical_depth(way.o, way.d, 0.0, dr.select(found, met.t, 0.0))
+                tau = of.medium.optical_depth(way.o, way.d, 0.0, dr.select(found, dr.norm(end.p - way.o), 0.0))
                 light *= transmittance(tau)[0]
                 if dr.hint(bands.coloured, mode="scalar"):
                     light *= bands.fade(tau)

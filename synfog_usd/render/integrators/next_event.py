@@ -18,6 +18,7 @@ from synfog_usd.render.integrators.eye import Eye
 from synfog_usd.render.integrators.light_groups import LightGroups
 from synfog_usd.render.lights.grid import LightGrid
 from synfog_usd.render.lights.importance import PICKS, Gloss, Importance, LitFaces, Picks
+from synfog_usd.render.lights.panes import Panes
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.lights.sky import SkyTable
 from synfog_usd.render.lights.visible import VisibleFaces
@@ -81,6 +82,7 @@ class NextEvent:
         lit_faces: of lamps that are asked so, which a ray can meet; None without.
         sky: how surfaces choose directions to it; None where the scene's own choice does.
         visible: faces of lamps that the eye sees; None without.
+        panes: what shadow rays pass; None without.
         view: chances of the lamps by tile of the view; None without.
     """
 
@@ -108,6 +110,7 @@ class NextEvent:
         self.importance = Importance(lights, medium) if weighed else None
         self.lit_faces = LitFaces.of(loaded, lights) if self.importance is not None else None
         self.visible = VisibleFaces.of(loaded) if lights.count else None
+        self.panes = Panes.of(loaded)
         self.grid, self.view = None, None
         if lights.count and lights.many and lights.photometric:
             sigma_t = medium.volumes[0].medium.sigma_t_per_m if medium.foggy else 0.0
@@ -264,20 +267,22 @@ class NextEvent:
         ), group
 
     def shadow_transmittance(self, place: Any, normal: Any, light: Any, active: Any) -> tuple[Any, Any]:
-        """(whether nothing stands between a point and a light, transmittance of the fog between: one for all bands, or
-        one each).
+        """(whether nothing but panes stands between a point and a light, transmittance of these and of the fog between:
+        one for all bands, or one each).
         """
         mi = backend.mitsuba()
         start = dr.zeros(mi.Interaction3f)
         start.p, start.n = place, normal
         shadow = start.spawn_ray_to(light)
-        free = active & ~self.loaded.tree.ray_test(shadow, active)
-        through = mi.Float(1.0)
+        free, through = active & ~self.loaded.tree.ray_test(shadow, active), mi.Float(1.0)
+        if self.panes is not None:
+            blocked, _, _, through = self.panes.beyond(self.loaded.tree, shadow, active & ~free)
+            free, through = free | (~blocked & (through > 0.0)), dr.select(free, 1.0, through)
         if self.foggy:
             towards = light - place
             length = dr.norm(towards)
             tau = self.medium.optical_depth(place, towards / dr.maximum(length, 1e-12), 0.0, length)
-            through = dr.exp(-tau)
+            through *= dr.exp(-tau)
             if self.bands.coloured:
                 through = through * self.bands.fade(tau)
         return free, through

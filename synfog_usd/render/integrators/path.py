@@ -254,6 +254,7 @@ class FogPath:
         )  # the last vertex, and the density [1/sr] with which it chose its direction
         prev_delta = mi.Bool(True)  # it could choose no other: the eye, a mirror
         prev_without_nee = mi.Bool(False)  # it sent no shadow ray
+        prev_first = mi.Bool(False)  # it is the first that the eye sees, or the eye that looks through panes
         prev_row = mi.UInt32(0)  # of the sky's table
         spread2 = mi.Float(0.0)  # square of the roughness of a lobe that would spread directions as all vertices did
         prev_gloss, prev_weighed = (
@@ -351,7 +352,7 @@ class FogPath:
                 prev_gloss,
                 prev_weighed,
                 at_eye,
-                (depth == 1) & (bounces == 1) & mi.Bool(lit_apart),
+                prev_first & mi.Bool(lit_apart),
             )
             path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered, group)
 
@@ -370,8 +371,8 @@ class FogPath:
 
             # ==== 9. Next-event estimation at the vertex: the scene's own choice of lights, or a lamp of many (one call
             # gives the BSDF's value and its next direction)
-            prev_row = self.asks.sky_row(si)
-            chosen = self.asks.own(vertex, prev_row, smooth, medium_scattered, sampler)
+            row = self.asks.sky_row(si)
+            chosen = self.asks.own(vertex, row, smooth, medium_scattered, sampler)
             asked_about = si.to_local(chosen.direction)
             if dr.hint(self.asks.importance is not None, mode="scalar"):
                 asked_about = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)  # the mirror's, for its gloss
@@ -417,24 +418,29 @@ class FogPath:
                 )
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, mi.UInt32(2), mi.UInt32(0))
             throughput = onward
+            passed = mi.Bool(False)  # a pane, as shadow rays do: the vertex before it chose the direction
+            if dr.hint(self.asks.panes is not None, mode="scalar"):
+                straight = surface_hit & mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Null)
+                passed = self.asks.panes.share(si.shape, straight) > 0.0
             if dr.hint(self.asks.lit_faces is not None, mode="scalar"):
-                prev_gloss, prev_weighed = gloss, dr.select(lit, picks.total, 0.0)
-            prev_p, prev_pdf, prev_delta, prev_without_nee = (
-                mi.Point3f(vertex.p),
-                mi.Float(next_pdf),
-                mi.Bool(next_delta),
-                mi.Bool(False),
-            )
+                prev_gloss = prev_gloss.where(passed, gloss)
+                prev_weighed = dr.select(passed, prev_weighed, dr.select(lit, picks.total, 0.0))
+            next_without_nee = mi.Bool(False)
             if dr.hint(self.foggy, mode="scalar"):
                 wo, phase_pdf, throughput = self.sample_phase(
                     ray.d, vertex.p, throughput, scale, sampler, medium_scattered
                 )
-                direction, prev_pdf = (
+                direction, next_pdf = (
                     dr.select(medium_scattered, wo, direction),
-                    dr.select(medium_scattered, phase_pdf, prev_pdf),
+                    dr.select(medium_scattered, phase_pdf, next_pdf),
                 )
-                prev_without_nee = medium_scattered & mi.Bool(not self.asks.in_fog)
-            spread2 += dr.select(prev_delta, 0.0, dr.rcp(dr.maximum(4.0 * dr.pi * prev_pdf, 1e-3)))
+                next_without_nee = medium_scattered & mi.Bool(not self.asks.in_fog)
+            prev_p, prev_pdf = dr.select(passed, prev_p, vertex.p), dr.select(passed, prev_pdf, next_pdf)
+            prev_row, prev_delta = dr.select(passed, prev_row, row), dr.select(passed, prev_delta, next_delta)
+            prev_without_nee = dr.select(passed, prev_without_nee, next_without_nee)
+            prev_first = dr.select(passed, prev_first, False) | (at_eye & surface_hit)
+            bounces -= dr.select(passed, mi.UInt32(1), mi.UInt32(0))
+            spread2 += dr.select(next_delta, 0.0, dr.rcp(dr.maximum(4.0 * dr.pi * next_pdf, 1e-3)))
             ray = vertex.spawn_ray(direction)
             depth += 1
 
@@ -470,11 +476,8 @@ class FogPath:
             path = dr.select(over, black, path)
             depth, spread2 = dr.select(again, mi.UInt32(0), depth), dr.select(again, 0.0, spread2)
             scattered, bounces = dr.select(again, mi.UInt32(0), scattered), dr.select(again, mi.UInt32(0), bounces)
-            prev_p, prev_delta, prev_without_nee = (
-                dr.select(again, view.o, prev_p),
-                prev_delta | again,
-                prev_without_nee & ~again,
-            )
+            prev_p, prev_first = dr.select(again, view.o, prev_p), prev_first & ~again
+            prev_delta, prev_without_nee = prev_delta | again, prev_without_nee & ~again
             active = alive | again
         colours = [bands.of(tasks.floats[low : low + bands.count]) for low in range(0, len(tasks.floats), bands.count)]
         aovs, squares, sums = colours[:parts], colours[parts : parts + squared], colours[parts + squared :]
