@@ -82,7 +82,7 @@ class NextEvent:
         lit_faces: of lamps that are asked so, which a ray can meet; None without.
         sky: how surfaces choose directions to it; None where the scene's own choice does.
         visible: faces of lamps that the eye sees; None without.
-        panes: what shadow rays pass; None without.
+        panes: what shadow rays pass; None without, or without lamps: paths find a sky behind them as well.
         view: chances of the lamps by tile of the view; None without.
     """
 
@@ -110,7 +110,7 @@ class NextEvent:
         self.importance = Importance(lights, medium) if weighed else None
         self.lit_faces = LitFaces.of(loaded, lights) if self.importance is not None else None
         self.visible = VisibleFaces.of(loaded) if lights.count else None
-        self.panes = Panes.of(loaded)
+        self.panes = Panes.of(loaded) if lights.count else None
         self.grid, self.view = None, None
         if lights.count and lights.many and lights.photometric:
             sigma_t = medium.volumes[0].medium.sigma_t_per_m if medium.foggy else 0.0
@@ -274,10 +274,11 @@ class NextEvent:
         start = dr.zeros(mi.Interaction3f)
         start.p, start.n = place, normal
         shadow = start.spawn_ray_to(light)
-        free, through = active & ~self.loaded.tree.ray_test(shadow, active), mi.Float(1.0)
-        if self.panes is not None:
-            blocked, _, _, through = self.panes.beyond(self.loaded.tree, shadow, active & ~free)
-            free, through = free | (~blocked & (through > 0.0)), dr.select(free, 1.0, through)
+        if self.panes is None:
+            free, through = active & ~self.loaded.tree.ray_test(shadow, active), mi.Float(1.0)
+        else:
+            blocked, _, _, through = self.panes.beyond(self.loaded.tree, shadow, active)
+            free = active & ~blocked & (through > 0.0)
         if self.foggy:
             towards = light - place
             length = dr.norm(towards)
