@@ -76,10 +76,11 @@ def test_glass_has_the_light_of_volpath(foggy, lamps, under_sky):
 
 
 def test_what_is_no_pane_stops_shadow_rays():
-    """Opaque surfaces, and pictures of opacity; behind more panes than are passed it is dark."""
+    """Opaque surfaces, pictures of opacity, and what shines; behind more panes than are passed it is dark."""
     leaf = {"type": "mask", "opacity": {"type": "bitmap", "bitmap": np.full((2, 2, 1), 0.5, np.float32), "raw": True}}
     card = wall(2.0, bsdf={**leaf, "bsdf": DARK})
-    assert Panes.of(load(behind(0, light={"shape_card": card}), boundaries=False)) is None
+    shining = wall(2.0, bsdf=pane(DARK), emitter=black(9.0)["emitter"])
+    assert Panes.of(load(behind(0, light={"shape_card": card, "shape_neon": shining}), boundaries=False)) is None
     mi, tree = backend.mitsuba(), {}
     for count in (1, MOST_PASSED, MOST_PASSED + 1):
         world = {f"shape_{n}": wall(1.0 + 0.1 * n, bsdf=pane(DARK)) for n in range(count)}

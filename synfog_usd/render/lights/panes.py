@@ -42,7 +42,8 @@ class Panes:
         world, through = loaded.source.world, {}
         for key, shape in loaded.shapes.items():
             part = world[key[0]] if len(key) == 1 else world[key[0]][key[1]]
-            if share := _share(world, part.get("bsdf")):
+            share = _share(world, part.get("bsdf"))
+            if share and "emitter" not in part:  # what shines is met for its light
                 through[_number(shape)] = share
         if not through:
             return None
