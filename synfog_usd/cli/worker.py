@@ -49,7 +49,7 @@ def follow_parent() -> None:
 
 def end_with(work: Callable[[], Any]) -> None:
     """Do it and end this process by its exit code; the child at once, with nothing of what libraries have to tell or
-    undo at the end: a third of a second, and, where PyTorch is installed too, twenty lines about OpenImageIO's types.
+    undo at the end: a third of a second, and, as was seen beside PyTorch, twenty lines about OpenImageIO's types.
     """
     code: Any = 0
     try:
@@ -58,9 +58,14 @@ def end_with(work: Callable[[], Any]) -> None:
         code = end.code
     if not is_worker() or isinstance(code, str):
         sys.exit(code)
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
-            stream.flush()
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError) as error:
+        code = code or 2
+        if not isinstance(error, BrokenPipeError):  # else nobody reads any more
+            print(f"synfog-usd: what was to be printed could not be written: {error}", file=sys.stderr)
+    with contextlib.suppress(OSError, ValueError):
+        sys.stderr.flush()
     os._exit(code or 0)
 
 

@@ -53,9 +53,10 @@ SCALAR_COST = f"scalar takes about twice as long for the same noise, and 10 s fo
 _PROOF = """
 import sys
 if sys.platform != 'win32':
-    import resource  # what bounds the reading of a stage, during which this may begin, is not for CUDA: it maps twice the memory of a machine
+    import contextlib, resource  # what bounds the reading of a stage, during which this may begin, is not for CUDA: it maps more memory than a machine has
     for kind in (resource.RLIMIT_AS, resource.RLIMIT_CPU):
-        resource.setrlimit(kind, (resource.getrlimit(kind)[1],) * 2)
+        with contextlib.suppress(ValueError, OSError):
+            resource.setrlimit(kind, (resource.getrlimit(kind)[1],) * 2)
 import mitsuba as mi
 mi.set_variant(sys.argv[1])
 scene = mi.load_dict({'type': 'scene', 'ball': {'type': 'sphere', 'bsdf': {'type': 'principled'}}, 'sky': {'type': 'constant'},

@@ -81,7 +81,7 @@ class PlacedScene:
 
     def __init__(self, shapes: Mapping[tuple[str, ...], Any], world: Mapping[str, Any], prototypes: Prototypes) -> None:
         mi = backend.mitsuba()
-        numbers = {key: _number(shape, mi) for (key,), shape in shapes.items()}
+        numbers = {key: number_of(shape, mi) for (key,), shape in shapes.items()}
         vertices = {
             key: mi.traverse(shape)["vertex_positions"]
             for (key,), shape in shapes.items()
@@ -90,7 +90,9 @@ class PlacedScene:
         own_mi = importlib.import_module(f"mitsuba.{TRACED}")
         self._ray, traced = own_mi.Ray3f, _traced(own_mi, vertices, world, prototypes)
         self.scene = _made({"type": "scene", **traced})
-        traced_numbers = {key: _number(shape, own_mi) for key, shape in traced.items() if not key.startswith("group_")}
+        traced_numbers = {
+            key: number_of(shape, own_mi) for key, shape in traced.items() if not key.startswith("group_")
+        }
         own, first, labels, matrices = [0], [0], [-1], [np.eye(4)]  # row 0 is of nothing
         row_of = np.zeros(max(traced_numbers.values()) + 1, dtype=np.uint32)
         for key in (key for key in numbers if key in traced_numbers):
@@ -226,7 +228,8 @@ def _mesh(mi: Any, vertices: Any, faces: Any) -> Any:
     return made
 
 
-def _number(shape: Any, mi: Any) -> int:
+def number_of(shape: Any, mi: Any) -> int:
+    """Number of a shape in the renderer, of the variant `mi`."""
     return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 

@@ -9,7 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from support.cli import process, run
+from support.cli import command, process, run
 from support.stages import street
 
 from synfog_usd.camera.profiles import shipped
@@ -244,3 +244,15 @@ def test_names_of_a_million_letters_do_not_fill_the_screen():
         [Note("info", "/" + "c" * 10**6, "d" * 10**6)],
     )
     assert len(text) < 10_000
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
+def test_what_cannot_be_printed_is_one_line_and_no_success(tmp_path):
+    """The child ends by itself, so Python's own complaint at the end is not heard."""
+    (tmp_path / "street.usda").write_text(street())
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            command("check", tmp_path / "street.usda"), stdout=full, stderr=subprocess.PIPE, text=True, env=environment
+        )
+    assert done.returncode == 2 and "could not be written" in done.stderr.splitlines()[-1]

@@ -43,7 +43,7 @@ AHEAD_LANES = 1 << 20
 
 CUDA_TIMES = 16
 """How many times more of all of these a graphics processor gets: it is done with `CHUNKED_LANES` in less time than
-Python takes to describe the next ones, 0.2 to 0.5 s.
+Python takes to describe the next ones, some 0.2 s.
 """
 
 HALVES = 2

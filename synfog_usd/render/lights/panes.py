@@ -2,7 +2,7 @@
 
 A path meets a window's glass, a `mask` in Mitsuba's words, and goes on as if nothing was there, or is reflected.  A
 shadow ray that ended there would leave the light behind it to chance: a street lamp that shines into a car, found by
-one path in 10^5, was the brightest stray pixel of the crossing at dusk.  Leaves and other pictures of opacity stop
+one path of 8 million, was the brightest stray pixel of the crossing at dusk.  Leaves and other pictures of opacity stop
 shadow rays: paths find what is behind them.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
+from synfog_usd.render.placed import number_of
 
 MOST_PASSED = 8
 """Panes that a shadow ray passes, both sides of a car's windows and more; behind so many it is dark."""
@@ -44,7 +45,7 @@ class Panes:
             part = world[key[0]] if len(key) == 1 else world[key[0]][key[1]]
             share = _share(world, part.get("bsdf"))
             if share and "emitter" not in part:  # what shines is met for its light
-                through[_number(shape)] = share
+                through[number_of(shape, backend.mitsuba())] = share
         if not through:
             return None
         table = np.zeros(max(through) + 1, dtype=np.float32)
@@ -95,8 +96,3 @@ def _share(world: Mapping[str, Any], bsdf: Any) -> float:
         return 0.0
     opacity = bsdf["opacity"]
     return 0.0 if isinstance(opacity, Mapping) else max(1.0 - float(opacity), 0.0)
-
-
-def _number(shape: Any) -> int:
-    mi = backend.mitsuba()
-    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
