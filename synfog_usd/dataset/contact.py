@@ -66,7 +66,7 @@ def write(
             sheet.paste(picture.convert("RGB").resize(tile, Image.Resampling.LANCZOS), corner)
         draw.text((corner[0] + 2, corner[1] + tile[1] + 3), _caption(shot, rows[shot.folder]), fill=INK, font=font)
     data = io.BytesIO()
-    sheet.save(data, format="PNG")
+    sheet.save(data, format="PNG", compress_level=3)  # a third of the time, for 5 % more bytes
     files.write_bytes(out / NAME, data.getvalue())
     return {NAME: files.sha256_of(out / NAME)}
 

@@ -4,16 +4,18 @@ A shot is set up and then sampled, and its picture is made while the next is sam
 translated, loaded and metered, and the first in fog may compile kernels; a sample costs more in fog than in clear air,
 and more before lamps than under a sky, and making the picture costs what it costs.  What earlier shots took tells what
 the next will take: those of the same kind, else all, by rough weights.  How far a shot's own fraction runs ahead of its
-time, or behind, is learned from them too.
+time, or behind, is learned from them too where samples are given, and else how many samples a shot needs.  Before lamps
+nobody knows that, so those shots are made first.
 """
 
 from __future__ import annotations
 
 import bisect
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from synfog_usd import numbers
@@ -21,18 +23,21 @@ from synfog_usd import numbers
 SET_UP = 0.03
 """Fraction of a shot up to which it is set up; rendering reports from there on."""
 
-FOGGY, LAMPS, LAMPS_IN_FOG = (1.6, 2.0), (2.5, 0.0), (5.5, 7.0)
-"""Seconds of a sample of the surfaces and of the air over those of one in clear air under a sky alone, about, by paths
-of the crossing with its 67 lamps, MOR 600 and 150: 1.7 us; 2.7 and 3.4; 4; 8 to 10 and 6 to 10.
+FOGGY, LAMPS, LAMPS_IN_FOG = (1.4, 1.4), (2.9, 0.0), (5.0, 6.2)
+"""Seconds of a sample of the surfaces and of the air over those of one in clear air under a sky alone, about, with all
+that is done meanwhile: on the crossing with its 67 lamps, at 320x180, until shots stopped by themselves.
 """
 
 GUIDING = 5.0
 """Such samples that take as long as what every picture asks of the renderer: guides, AOVs, kernels made ready."""
 
-USUAL = {(False, False): 128, (True, False): 120, (False, True): 64, (True, True): 64}
+USUAL = {(False, False): 128, (True, False): 120, (False, True): 70, (True, True): 60}
 """Samples by fog and lamps with which a shot is as good as its sensor wants it, about.  At dusk nobody knows:
 at 320x180 the crossing stops at 51 and 28 to 44, a lit arterial road at 125 and 131 to 134; by day both at 108 to 131.
 """
+
+SURE = 32
+"""Samples that nearly every shot spends that may have no more."""
 
 MAKING, MAKING_AIR = 8.0, 4.0
 """Such samples that take as long as to denoise, develop and write a picture, and as to denoise what fog scatters.
@@ -56,7 +61,7 @@ class Kind:
         foggy: whether there is fog.
         first_foggy: of its lighting.
         lamps: whether there are lamps.
-        samples: paths of a pixel, as many as are expected.
+        samples: paths of a pixel, as many as are expected or were spent.
         air: paths in the air for each that meets surfaces.
         beside: what the picture before takes that is made while this one is sampled, in samples.
     """
@@ -65,7 +70,7 @@ class Kind:
     foggy: bool
     first_foggy: bool
     lamps: bool = False
-    samples: int = numbers.MOST_SAMPLES
+    samples: float = field(default=numbers.MOST_SAMPLES, compare=False)
     air: float = 1.0
     beside: float = field(default=0.0, compare=False)
 
@@ -125,6 +130,11 @@ class _Sums:
         self.rendering = seconds + taken.rendering, weight + of_rendering
         self.last = taken
 
+    def weigh_anew(self, before: Kind, after: Kind) -> None:
+        """One of them spent other samples than were expected."""
+        seconds, weight = self.rendering
+        self.rendering = seconds, weight + after.weights[1] - before.weights[1]
+
 
 class Forecast:
     """Shares of a bake's time; they never become smaller.
@@ -133,12 +143,17 @@ class Forecast:
         shots: kinds, in order.
         now: seconds on any clock.
         began: when on it the bake began; what was done before the first shot counts as done.
+        most: samples of a pixel that a shot may spend.
     """
 
     def __init__(
-        self, shots: Sequence[Kind], now: Callable[[], float] = time.monotonic, began: float | None = None
+        self,
+        shots: Sequence[Kind],
+        now: Callable[[], float] = time.monotonic,
+        began: float | None = None,
+        most: int = numbers.MOST_SAMPLES,
     ) -> None:
-        self._shots, self._now = list(shots), now
+        self._shots, self._now, self._most = list(shots), now, most
         self._shot_began: float | None = now()
         self._began = self._shot_began if began is None else began
         self._rendering: float | None = None
@@ -148,6 +163,9 @@ class Forecast:
         self._said: list[tuple[float, float]] = []
         self._shown = 0.0
         self._made: list[float] = []
+        self._ended: list[Kind] = []  # shots, with the samples that they were taken to spend
+        self._spent: dict[int, float] = {}  # samples of the shots that told
+        self._needs: dict[tuple[bool, bool], list[float]] = {}  # by (foggy, lamps): samples spent over those expected
 
     def expect(self, shots: Sequence[Kind]) -> None:
         """What the shots are after all."""
@@ -157,6 +175,15 @@ class Forecast:
         """The picture of a shot took so long beside the sampling of the next."""
         self._made.append(seconds)
 
+    def spent(self, index: int, samples: float) -> None:
+        """Shot `index` spent so many samples of a pixel."""
+        kind = self._shots[index]
+        self._spent[index] = samples
+        self._needs.setdefault((kind.foggy, kind.lamps), []).append(samples / max(kind.samples, 1))
+        if index < self._seen:
+            for key in _keys(kind):
+                self._sums[key].weigh_anew(self._ended[index], replace(kind, samples=samples))
+
     def ended(self) -> None:
         """The shot under way has ended; what is done until the next begins is part of neither."""
         self._end(self._now())
@@ -165,9 +192,12 @@ class Forecast:
     def _end(self, now: float) -> None:
         begun = now if self._rendering is None else self._rendering
         set_up = begun - (begun if self._shot_began is None else self._shot_began)
-        taken = _Taken(self._shots[self._seen], set_up, now - begun, self._said)
-        for key in (taken.kind, (taken.kind.foggy, taken.kind.lamps), None):
+        kind = self._shots[self._seen]
+        kind = replace(kind, samples=self._spent.get(self._seen, self._likely(kind).samples))
+        taken = _Taken(kind, set_up, now - begun, self._said)
+        for key in _keys(kind):
             self._sums.setdefault(key, _Sums()).add(taken)
+        self._ended.append(kind)
         self._seen += 1
         self._shot_began, self._rendering, self._said = now, None, []
 
@@ -201,7 +231,7 @@ class Forecast:
         setting_up, rendering = self._expected(self._shots[index], now)
         if self._rendering is None:
             return max(setting_up - (now - (self._shot_began or 0.0)), 0.0) + rendering
-        alike = self._alike(self._shots[index])
+        alike = self._alike(self._shots[index]) if self._most <= SURE else None
         done = alike.last.share(_rendered(fraction)) if alike and alike.last else _rendered(fraction)
         spent = now - self._rendering
         paced = spent * (1.0 - done) / done if done > 0.0 else rendering
@@ -209,6 +239,15 @@ class Forecast:
 
     def _alike(self, kind: Kind) -> _Sums | None:
         return self._sums.get(kind) or self._sums.get((kind.foggy, kind.lamps))
+
+    def _likely(self, kind: Kind) -> Kind:
+        """With as many samples as are likely: as shots in fog and before lamps, or not, were found to need, or else
+        those before lamps, or not.
+        """
+        found = self._needs.get((kind.foggy, kind.lamps)) or self._needs.get((not kind.foggy, kind.lamps))
+        if not found:
+            return kind
+        return replace(kind, samples=min(kind.samples * math.exp(sum(map(math.log, found)) / len(found)), self._most))
 
     def _expected(self, kind: Kind, now: float) -> tuple[float, float]:
         """Seconds of setting up and of rendering a shot: the means of its kind, else by the weights of all that were
@@ -220,7 +259,12 @@ class Forecast:
             seen.add(_Taken(self._shots[0], own, own))
         set_up, of = (self._sums.get(kind) or seen).setting_up
         render, of_rendering = (self._alike(kind) or seen).rendering
-        return kind.weights[0] * set_up / of, kind.weights[1] * render / of_rendering
+        return kind.weights[0] * set_up / of, self._likely(kind).weights[1] * render / of_rendering
+
+
+def _keys(kind: Kind) -> tuple[Any, ...]:
+    """By which the sums of a shot are kept."""
+    return kind, (kind.foggy, kind.lamps), None
 
 
 def _rendered(fraction: float) -> float:

@@ -90,7 +90,8 @@ FEW = 16
 
 Measured on the crossing at MOR 300 by day, 4 samples: with the balanced network for surfaces 4 % more error for half of
 the time, with 16 rays 1 % more.  The fast one, at half the time again, is for airlight alone: three shots, 192x108, RMS
-error of the whole picture 0 to 1 % less than with the balanced one; for surfaces it is 2 to 6 % more.
+error of the whole picture 0 to 1 % less than with the balanced one; for surfaces it is 2 to 6 % more.  For `LIT` it
+makes no difference: at dusk, clear and at MOR 150, 256x144, four seeds, all errors are the same to 0.2 %.
 """
 
 FEW_RAYS = 16
@@ -277,7 +278,8 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: b
         seen, trusted = np.maximum(through, FAINT_SURFACE), through / (through + HALF_GUIDED)
         most = np.float32(BRIGHT * _typical(image / seen))
         guiding = _known(1.0 - trusted * (1.0 - albedo), trusted * normal)
-        light = _clean(np.minimum(image / seen, most), guiding, network="balanced" if quick else "high")
+        network: Literal["high", "balanced", "fast"] = ("fast" if name == LIT else "balanced") if quick else "high"
+        light = _clean(np.minimum(image / seen, most), guiding, network=network)
         light += np.maximum(image / seen - most, 0.0)
         return seen * light
 
@@ -545,7 +547,8 @@ def _image(name: str, values: npt.ArrayLike) -> FloatArray:
     image = np.asarray(values, dtype=np.float32)
     if image.ndim != 3 or 0 in image.shape:
         raise ParameterError(f"denoise: {name} is {image.shape}; it must be height, width and channels")
-    if lost := int((~np.isfinite(image)).any(axis=2).sum()):
+    if not np.isfinite(image).all():
+        lost = int((~np.isfinite(image)).any(axis=2).sum())
         raise ParameterError(f"denoise: {lost} pixels of {name} are not finite")
     return image
 

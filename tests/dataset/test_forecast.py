@@ -10,10 +10,9 @@ import pytest
 from synfog_usd.dataset.forecast import LAST, Forecast, Kind, kinds
 
 RECORDS = sorted((Path(__file__).parent / "data").glob("forecast_*.json"))
-"""Each: the shots, their samples, and paths in the air for each of the surfaces; processor seconds until the last file,
-rows of seconds since the start, number of the shot, fraction of it, as `bake` reported them, and of seconds and how
-long the picture took that was made then; when the first shot ended, where labels were made after it; within which part
-of it the time left is to be right.
+"""Each: the shots in the order in which they were made, their most samples, and paths in the air for each of the
+surfaces; seconds until the last file; rows of seconds since the start and what the bake then told its forecast: 'at',
+number of the shot, fraction of it; 'ended'; 'made', how long a picture took; 'spent', number of the shot, its samples.
 """
 
 
@@ -23,27 +22,21 @@ def test_the_time_left_is_right_from_a_quarter_on(path):
     never falls.
 
     The demo's own bake, 640x360: with as many paths in the air as from surfaces, no kernel compiled before, wrong by
-    21 % at most; with half as many, 23 %.  The rough weights follow from what paths, networks and files cost.  Within
-    0.55 where shots stop by themselves, which nobody knows beforehand: 48 % on the crossing, where the most samples
-    expected of each shot were wrong by 161 %, and 51 % on an arterial road, which spends them.
+    21 % at most; with half as many, 23 %.  The rough weights follow from what paths, networks and files cost.
     """
     record = json.loads(path.read_text())
-    clock, total, shown = [record["events"][0][0]], record["seconds"], 0.0
+    clock, total, shown = [0.0], record["seconds"], 0.0
     shots = kinds([tuple(shot) for shot in record["shots"]], record["samples"], record["air"])
-    forecast = Forecast(shots, now=lambda: clock[0], began=0.0)
-    wrong, made, ended = [], list(record["made"]), list(record["ended"])
-    for seconds, index, fraction in record["events"]:
-        if ended and index > 0:
-            clock[0] = ended.pop()
-            forecast.ended()
-        while made and made[0][0] <= seconds:
-            forecast.made(made.pop(0)[1])
-        clock[0] = seconds
-        now = forecast.at(index, fraction)
+    forecast, wrong = Forecast(shots, now=lambda: clock[0], began=0.0, most=record["samples"]), []
+    for clock[0], name, *arguments in record["calls"]:
+        now = getattr(forecast, name)(*arguments)
+        if name != "at":
+            continue
         assert shown <= now <= 1.0
-        shown, left, right = now, seconds / now - seconds if now else 0.0, total - seconds
-        if seconds >= 0.25 * total and abs(left - right) > max(right, 0.1 * total) * record.get("within", 1 / 3):
-            wrong.append((index, fraction, seconds, round(left, 1), round(right, 1)))
+        seconds, shown = clock[0], now
+        left, right = seconds / now - seconds if now else 0.0, total - seconds
+        if seconds >= 0.25 * total and abs(left - right) > max(right, 0.1 * total) / 3:
+            wrong.append((*arguments, seconds, round(left, 1), round(right, 1)))
     assert not wrong
     assert shown > 0.9
 
@@ -72,8 +65,8 @@ def test_what_is_done_between_shots_counts_for_neither():
 
 
 def test_fewer_paths_in_the_air_are_less_to_wait_for():
-    """Half of them take half of what the air takes: 7 of 12.5 samples before lamps, 2 of 3.6 under a sky."""
-    for lamps, whole, half in ((False, 3.6, 2.6), (True, 12.5, 9.0)):
+    """Half of them take half of what the air takes: 6.2 of 11.2 samples before lamps, 1.4 of 2.8 under a sky."""
+    for lamps, whole, half in ((False, 2.8, 2.1), (True, 11.2, 8.1)):
         rest = Kind(False, True, False, lamps, 0).weights[1]
         shots = [Kind(False, True, False, lamps, 8, air) for air in (1.0, 0.5)]
         assert [shot.weights[1] - rest for shot in shots] == pytest.approx([8 * whole, 8 * half])
@@ -84,7 +77,7 @@ def test_a_shot_that_runs_ahead_of_its_time_is_known_the_second_time():
     nine tenths of what the others took, within a tenth.
     """
     clock = [0.0]
-    forecast = Forecast([Kind(False, False, False)] * 3, now=lambda: clock[0])
+    forecast = Forecast([Kind(False, False, False)] * 3, now=lambda: clock[0], most=4)
     for index in range(3):
         for second, fraction in ((0.0, 0.04), (5.0, 0.28), (10.0, 0.515), (100.0, 1.0)):
             clock[0] = 100.0 * index + second
