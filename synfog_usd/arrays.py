@@ -44,6 +44,14 @@ def at_most(values: FloatArray, most: float, out: FloatArray | None = None) -> F
     return np.clip(values, np.float32(-np.inf), np.float32(most), out=out)
 
 
+def extent(*clouds: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """(C,) least and largest of points (N, C) of one or more clouds, by each coordinate; a twentieth of the time of
+    `min(axis=0)`, since numpy is slow where the innermost axis is short.
+    """
+    columns = [np.ascontiguousarray(points.T) for points in clouds]
+    return np.min([one.min(axis=1) for one in columns], axis=0), np.max([one.max(axis=1) for one in columns], axis=0)
+
+
 def distinct(numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """(M,) the distinct ones, ascending, as `np.unique` gives them; since numpy 2.3 that has a hash table, and takes 90
     times as long for millions.

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array, Flags, Indices
+from synfog_usd.arrays import Array, Flags, Indices, extent
 from synfog_usd.colour import LUMINANCE
 from synfog_usd.fog.volume import FogVolume, optical_depth
 from synfog_usd.scene import Camera, SceneDict, boxes, placements, prototype_of, shapes_of
@@ -378,11 +378,7 @@ def _bulk(shapes: list[Mapping[str, Any]]) -> _Bulk:
         and len(meshes) == len(shapes)
         and not any("emitter" in mesh or "to_world" in mesh for mesh in meshes)
     )
-    low, high = (
-        np.min([cloud.min(axis=0) for cloud in points], axis=0),
-        np.max([cloud.max(axis=0) for cloud in points], axis=0),
-    )
-    return _Bulk(low, high, sum(faces), sum(map(_left, faces)), passive)
+    return _Bulk(*extent(*points), sum(faces), sum(map(_left, faces)), passive)
 
 
 def _transmittance(fog: tuple[FogVolume, ...], eye: Array, low: Array, high: Array) -> Array:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.arrays import Array, Indices, extent
 from synfog_usd.dataset import masks
 from synfog_usd.dataset.labels import told
 from synfog_usd.scene import Camera, SceneDict, prototype_of
@@ -292,7 +292,7 @@ def _in_space(solid: Solid, frame: Array, view: Projection, origin_m: tuple[floa
     if np.linalg.det(turn) < 0.0:
         turn[:, 0] *= -1.0  # a mirrored prim: what was left is right
     local = (solid.points - frame[:3, 3]) @ turn
-    low, high = local.min(axis=0), local.max(axis=0)
+    low, high = extent(local)
     places = np.stack([frame[:3, 3], frame[:3, 3] + turn @ ((low + high) / 2.0)])
     seen, world = view.local(places), places + np.asarray(origin_m)
     to_world, to_camera = (

@@ -7,6 +7,7 @@ meaning and are told apart by `crosses`.  Knows nothing of USD or Mitsuba.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -77,7 +78,8 @@ class Boundary:
         if self.kind == "box":
             d = np.where(np.abs(d) < 1e-15, 1e-15, d)
             one, other = (-1.0 - o) / d, (1.0 - o) / d
-            near, far = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+            near = functools.reduce(np.maximum, np.minimum(one, other).T)
+            far = functools.reduce(np.minimum, np.maximum(one, other).T)
         else:
             a, b, c = (d * d).sum(axis=1), (o * d).sum(axis=1), (o * o).sum(axis=1) - 1.0
             root = np.sqrt(np.maximum(b * b - a * c, 0.0))

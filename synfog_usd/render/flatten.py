@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, Flags, Indices
+from synfog_usd.arrays import Array, Flags, Indices, extent
 from synfog_usd.render import detail, surface
 from synfog_usd.render.lights.crowd import crowded
 from synfog_usd.render.placed import Piece, Prototypes, Standing
@@ -328,7 +328,7 @@ class _Detail:
             points = [np.asarray(shape["positions"]) for shape in shapes.values() if len(shape["positions"])]
             if not points or not len(rows) or _faces(shapes) <= detail.FEWEST:
                 continue
-            low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
+            low, high = extent(*points)
             self.level[rows] = detail.levels(
                 source.camera, standing.to_world[rows], low.astype(np.float64), high.astype(np.float64)
             )

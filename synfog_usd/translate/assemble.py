@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pxr import Usd
 
-from synfog_usd.arrays import Array
+from synfog_usd.arrays import Array, extent
 from synfog_usd.errors import StageError
 from synfog_usd.fog import FogVolume
 from synfog_usd.scene import Camera, Instance, SceneDict, boxes
@@ -609,19 +609,14 @@ class _Assembler:
                 self.instance_of[(instance, name)] = self.instance(leaf, place, matrix)
         meshes = [shape["positions"] for _, shape in shared if "positions" in shape]
         if meshes and not hidden.all():
-            low, high = np.min([m.min(axis=0) for m in meshes], axis=0), np.max([m.max(axis=0) for m in meshes], axis=0)
+            low, high = extent(*meshes)
             lowest, highest = boxes(low, high, np.array(matrices)[~hidden])
             self.spread.append(np.stack([lowest.min(axis=0), highest.max(axis=0)]))
         twins.tell()
 
     def bounds(self, eye: Array) -> Array:
         """(2, 3) corners of the box around the camera and all that is drawn."""
-        return np.array(
-            [
-                np.min([eye, *[p.min(axis=0) for p in self.spread]], axis=0),
-                np.max([eye, *[p.max(axis=0) for p in self.spread]], axis=0),
-            ]
-        )
+        return np.array(extent(eye[None], *self.spread))
 
     # -- labels
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array
+from synfog_usd.arrays import Array, extent
 from synfog_usd.scene import SceneDict, placements, shapes_of
 from synfog_usd.translate.geometry import cross
 
@@ -103,7 +103,7 @@ def _corners(shape: Mapping[str, Any]) -> Array:
     """(8, 3) corners of a box around a shape, before it is put in a place."""
     kind = shape["type"]
     if "positions" in shape:
-        low, high = shape["positions"].min(axis=0).astype(np.float64), shape["positions"].max(axis=0).astype(np.float64)
+        low, high = (corner.astype(np.float64) for corner in extent(shape["positions"]))
     elif kind == "sphere":
         low, high = np.asarray(shape["center"]) - shape["radius"], np.asarray(shape["center"]) + shape["radius"]
     elif kind == "cylinder":
@@ -111,7 +111,7 @@ def _corners(shape: Mapping[str, Any]) -> Array:
         low, high = ends.min(axis=0) - shape["radius"], ends.max(axis=0) + shape["radius"]
     elif "control_points" in shape:
         points = np.asarray(shape["control_points"], dtype=np.float64)[:, :3]
-        low, high = points.min(axis=0), points.max(axis=0)
+        low, high = extent(points)
     else:
         low, high = np.full(3, -1.0), np.full(3, 1.0)
     corners = np.where(_CUBE < 0.0, low, high)
