@@ -49,8 +49,12 @@ LENS_M = 0.1
 lamp's 0.1 to 0.2.
 """
 
-MOST_SPREAD = 0.1
-"""Roughness [rad] up to which a path's own spread widens what it shows in a mirror."""
+MOST_SPREAD = 0.15
+"""Roughness [rad] up to which a path's own spread widens what the first path of a pixel shows in a mirror, see `blur`.
+
+Crossing at dusk, MOR 150, 192x108, five seeds, RMS error at 16, 64 and 256 samples: 47, 26 and 13 %; with 0.1 50, 31
+and 14 %; with 0.1 for all paths, whose mean ends beside the truth, 48, 26 and 13 %; without blur 73, 59 and 25 %.
+"""
 
 COAT = 40.0
 """Times more often that a coat is drawn than it reflects, where images of lamps alone are looked for: all else is as
@@ -217,21 +221,32 @@ def _packed(colour: Mapping[str, Any]) -> Indices:
     return packed.reshape(-1, 4).view("<u4").ravel()
 
 
+def blur(spread: Any, number: Any) -> Any:
+    """How much of what a path is spread already widens what it shows in a mirror: less of it the more paths a pixel
+    has, so that its mean ends at the truth; slowly, so that spikes stay rare.  Kaplanyan and Dachsbacher 2013, "Path
+    space regularization", section 5.1.
+
+    Args:
+        spread: roughness of a lobe that would spread directions as much as the path's vertices before have done; 0
+            where the eye or a mirror sees it.
+        number: of the path among those of its pixel, from 0 on.
+    """
+    return dr.minimum(spread, MOST_SPREAD * dr.rsqrt(dr.cbrt(backend.mitsuba().Float(number) + 1.0)))
+
+
 def seen_from(si: Any, spread: Any) -> Any:
     """A point of a surface as a path sees it whose vertices before have spread its directions; it stays as it is.
 
     Its lobes are as wide at least as the path is spread: what an eye sees in a mirror by way of fog or a rough surface
     is blurred already, so as much again changes little.  Without it faces of lamps, mirrored by sharp coats that paths
     met by way of fog, had 62 % of the brightest paths' second moment at dusk in fog, and points of lamps 94 % of that
-    of all surfaces.  The widened lobe reflects as much in all.  Kaplanyan and Dachsbacher 2013, "Path space
-    regularization".
+    of all surfaces.  The widened lobe reflects as much in all.
 
     Args:
         si: the point.
-        spread: roughness of a lobe that would spread directions as much as the path's vertices before have done; 0
-            where the eye or a mirror sees it.
+        spread: of `blur`.
     """
-    return _widened(si, dr.minimum(spread, MOST_SPREAD))
+    return _widened(si, spread)
 
 
 def lit_from(si: Any, lamp: Any, is_point: Any, spread: Any) -> Any:
@@ -246,9 +261,8 @@ def lit_from(si: Any, lamp: Any, is_point: Any, spread: Any) -> Any:
         lamp: where the lamp is.
         is_point: whether it is one; faces are drawn as they are.
     """
-    width = dr.minimum(spread, MOST_SPREAD)
     lens = 0.5 * LENS_M / dr.maximum(dr.norm(lamp - si.p), LENS_M)
-    return _widened(si, dr.select(is_point, dr.maximum(lens, width), width))
+    return _widened(si, dr.select(is_point, dr.maximum(lens, spread), spread))
 
 
 def _widened(si: Any, width: Any) -> Any:

@@ -380,6 +380,17 @@ def test_a_lamp_that_is_a_point_is_mirrored_as_bright_as_its_glass_and_gives_all
     assert 0.7 < seen.max() / (fresnel * 160.0 / (np.pi * surface.LENS_M**2) / cosine) < 1.05
 
 
+def test_mirrors_are_blurred_less_the_more_paths_a_pixel_has():
+    """By the number of a path to the -1/6, counted within its half (Kaplanyan and Dachsbacher 2013, section 5.1); never
+    more than the path is spread.
+    """
+    mi = backend.mitsuba()
+    number = np.array([0, 63, 4095, 10**6])
+    most = np.array(surface.blur(mi.Float(1.0), mi.UInt32(number)))
+    assert most == pytest.approx(surface.MOST_SPREAD * (number + 1.0) ** (-1.0 / 6.0), rel=1e-4)
+    assert np.array(surface.blur(mi.Float(0.01), mi.UInt32(number))) == pytest.approx([0.01] * 4)
+
+
 @pytest.mark.parametrize("others", [0, 15])
 @pytest.mark.parametrize("lamp", ["point", "face"])
 def test_what_a_rough_surface_shows_of_a_mirrored_lamp_has_its_light_and_no_spikes(lamp, others):

@@ -18,7 +18,8 @@ The estimator below is the usual one (Kajiya and Von Herzen 1984; Pauly et al. 2
 flights in proportion to transmittance, phase function and BSDF sampling combined with
 emitter sampling by the power heuristic (Veach and Guibas 1995), lamps by resampling
 (`lights.sampler`), Russian roulette.  Its one bias: where there are lamps, lobes are as wide as the path is spread
-before them (`surface.seen_from`), and a lamp that is a point is mirrored as its glass (`surface.lit_from`).
+before them, less the more paths a pixel has, so that it vanishes with them (`surface.blur`); and a lamp that is a point
+is mirrored as its glass (`surface.lit_from`).
 
 `eye` has the camera's rays, `next_event` the lights that are asked, `lamps` the
 estimators that end at the first vertex, `light_groups` the sums.
@@ -38,6 +39,7 @@ from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import (
     AOVS,
     DIRECT,
+    HALF_STRIDE,
     INSCATTERED,
     LAMPS,
     LIT,
@@ -60,7 +62,7 @@ from synfog_usd.render.media.control_variate import ControlVariate
 from synfog_usd.render.media.medium import Medium, transmittance
 from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.render.spectra.bands import Bands
-from synfog_usd.render.surface import lit_from, seen_from
+from synfog_usd.render.surface import blur, lit_from, seen_from
 
 RR_DEPTH = 8
 """Events before Russian roulette, Mitsuba's too.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8
@@ -376,9 +378,10 @@ class FogPath:
             asked_about = si.to_local(chosen.direction)
             if dr.hint(self.asks.importance is not None, mode="scalar"):
                 asked_about = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)  # the mirror's, for its gloss
-            blurred = si
+            blurred, spread = si, mi.Float(0.0)
             if dr.hint(self.lights.count > 0, mode="scalar"):
-                blurred = seen_from(si, dr.sqrt(spread2))
+                spread = blur(dr.sqrt(spread2), (first + begun) & (HALF_STRIDE - 1))
+                blurred = seen_from(si, spread)
             reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(
                 context, blurred, asked_about, sampler.next_1d(surface_hit), sampler.next_2d(surface_hit), surface_hit
             )
@@ -388,7 +391,7 @@ class FogPath:
                 gloss = Gloss.of(si, reflected, pdf, lit)
                 picks = self.asks.known_at(si.p, gloss, sampler, lit)
                 chosen = self.asks.choose(vertex, chosen, gloss, picks, lit, sampler)
-                answering = lit_from(si, chosen.place, chosen.alone, dr.sqrt(spread2))
+                answering = lit_from(si, chosen.place, chosen.alone, spread)
                 reflected, pdf = bsdf.eval_pdf(context, answering, si.to_local(chosen.direction), chosen.asked & smooth)
             value, gain = bands.reflectance(reflected, reading), bands.reflectance(kept, reading)
             if dr.hint(self.foggy, mode="scalar"):
@@ -405,7 +408,7 @@ class FogPath:
 
             # ==== 10. Next-event estimation at a surface: one lamp of few, or of very many
             if dr.hint(self.lights.count > 0 and self.asks.importance is None, mode="scalar"):
-                light, group = self.asks.at_surface(si, bsdf, reading, throughput, sampler, smooth, dr.sqrt(spread2))
+                light, group = self.asks.at_surface(si, bsdf, reading, throughput, sampler, smooth, spread)
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered, group)
 
             # ==== 11. The next direction: from the BSDF, or from the phase function and light guiding
