@@ -91,7 +91,7 @@ FEW = 16
 Measured on the crossing at MOR 300 by day, 4 samples: with the balanced network for surfaces 4 % more error for half of
 the time, with 16 rays 1 % more.  The fast one, at half the time again, is for airlight alone: three shots, 192x108, RMS
 error of the whole picture 0 to 1 % less than with the balanced one; for surfaces it is 2 to 6 % more.  For `LIT` it
-makes no difference: at dusk, clear and at MOR 150, 256x144, four seeds, all errors are the same to 0.2 %.
+makes no difference: at dusk, clear and at MOR 150, 256x144, four seeds, errors are the same to 0.3 %.
 """
 
 FEW_RAYS = 16

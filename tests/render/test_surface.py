@@ -381,9 +381,7 @@ def test_a_lamp_that_is_a_point_is_mirrored_as_bright_as_its_glass_and_gives_all
 
 
 def test_mirrors_are_blurred_less_the_more_paths_a_pixel_has():
-    """By the number of a path to the -1/6, counted within its half (Kaplanyan and Dachsbacher 2013, section 5.1); never
-    more than the path is spread.
-    """
+    """By the number of a path to the -1/6; never more than the path is spread."""
     mi = backend.mitsuba()
     number = np.array([0, 63, 4095, 10**6])
     most = np.array(surface.blur(mi.Float(1.0), mi.UInt32(number)))
