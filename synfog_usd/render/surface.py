@@ -224,7 +224,7 @@ def _packed(colour: Mapping[str, Any]) -> Indices:
 def blur(spread: Any, number: Any) -> Any:
     """How much of what a path is spread already widens what it shows in a mirror: less of it the more paths a pixel
     has, so that its mean ends at the truth; slowly, so that spikes stay rare.  Kaplanyan and Dachsbacher 2013, "Path
-    space regularization"; the power, -1/6, was chosen by the figures of `MOST_SPREAD`.
+    space regularization"; the power, -1/6, is a choice.
 
     Args:
         spread: roughness of a lobe that would spread directions as much as the path's vertices before have done; 0
