@@ -13,13 +13,13 @@ import functools
 import gc
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd import files, resources, system
 from synfog_usd.dataset import contact, labels, lanes, objects, visibility
-from synfog_usd.dataset.forecast import SET_UP, SURE, Forecast, Kind, kinds
+from synfog_usd.dataset.forecast import SET_UP, SURE, Forecast, Kind, Lights, kinds
 from synfog_usd.dataset.ledger import Ledger, metadata_of
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
 from synfog_usd.dataset.scenes import Scenes, cleared, pinhole_of, size_of
@@ -149,23 +149,27 @@ def bake(
     metered = bool(camera.exposure_left_open(graph))
     metadata = metadata_of(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
 
-    with system.only_writer(plan.out):
+    with system.only_writer(plan.out), backend.compiling_timed() as compiled_s:
         files.remove_leftovers(plan.out)
         ledger, renderer = Ledger(plan.out, metadata, scenes.notes(todo)), _Renderer(plan)
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
-        if unsure:  # what nobody knows comes first, so that the time left is told truly soon
-            unfinished.sort(key=lambda shot: not scenes.have_lamps(shot.lighting))
+        if unsure:
+            unfinished = least_known_first(unfinished, scenes.lights)
         if kept:
             log(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
         seconds: dict[str, float] = {}
         views: dict[str, _View] = {}  # by lighting
 
         def expected() -> list[Kind]:
-            facts = [(shot.lighting, shot.fog != CLEAR, scenes.have_lamps(shot.lighting)) for shot in unfinished]
+            facts = [(shot.lighting, scenes.mor_m(shot), scenes.lights(shot.lighting)) for shot in unfinished]
             return kinds(facts, plan.samples, math.sqrt(SMOOTH) if plan.denoise else 1.0)
 
         forecast = Forecast(expected(), began=bake_began, most=plan.samples)
+
+        def share_done(index: int, fraction: float) -> float:
+            forecast.compiled(compiled_s())
+            return forecast.at(index, fraction)
 
         with reading():
             first = scenes.of(todo[0])
@@ -179,7 +183,7 @@ def bake(
             """After the shot of this number, and before the next; -1 before all."""
             done = 0.0
             if index >= 0:
-                done = forecast.at(index, 1.0)
+                done = share_done(index, 1.0)
                 forecast.ended()
             if plan.draft or ledger.labels_done():
                 return
@@ -196,7 +200,8 @@ def bake(
         def finish(index: int, shot: Shot, picture: _Picture, began: float) -> None:
             sampled = time.perf_counter()
             made = picture(silent)
-            forecast.spent(index, made.rendered.samples)
+            spent = made.rendered.samples
+            forecast.spent(index, spent, made.rendered.wanted or spent)
             row = _finish(made, graph, plan)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
@@ -219,7 +224,7 @@ def bake(
                 began = time.perf_counter()
 
                 def step(what: str, fraction: float, index: int = index, shot: Shot = shot) -> None:
-                    progress(f"{shot.folder}: {what}", forecast.at(index, fraction))
+                    progress(f"{shot.folder}: {what}", share_done(index, fraction))
 
                 step("translating", 0.0)
                 with reading():
@@ -264,6 +269,16 @@ def bake(
         ledger.finish(todo, contact.write(plan.out, todo, ledger.rows, told=missing))
     progress("done", 1.0)
     return Baked(ledger.manifest(todo), seconds, kept, notes)
+
+
+def least_known_first(todo: Sequence[Shot], lights: Callable[[str], Lights]) -> list[Shot]:
+    """Shots in the order in which the time left is told truly soonest, where they stop by themselves.  Before lamps
+    nobody knows after how many samples, so those are made first; and before them, since it tells much of the others,
+    the first of each lighting without lamps, whose scene is loaded twice then.
+    """
+    lit = {shot.lighting for shot in todo if lights(shot.lighting) == "lamps"}
+    firsts = {shot.lighting: shot for shot in reversed(todo) if lit and shot.lighting not in lit}.values()
+    return sorted(todo, key=lambda shot: 0 if shot in firsts else 1 if shot.lighting in lit else 2)
 
 
 class _Renderer:

@@ -3,9 +3,10 @@
 A shot is set up and then sampled, and its picture is made while the next is sampled.  The first of a lighting is
 translated, loaded and metered, and the first in fog may compile kernels; a sample costs more in fog than in clear air,
 and more before lamps than under a sky, and making the picture costs what it costs.  What earlier shots took tells what
-the next will take: those of the same kind, else all, by rough weights.  How far a shot's own fraction runs ahead of its
-time, or behind, is learned from them too where samples are given, and else how many samples a shot needs.  Before lamps
-nobody knows that, so those shots are made first.
+the next will take: those of the same kind, else all, by rough weights.  Seconds in which kernels were compiled say
+nothing of a shot's pace and are kept apart: they tell what the kernels to come will take.  How far a shot's own
+fraction runs ahead of its time, or behind, is learned from earlier ones too where samples are given, and else how many
+samples a shot needs.  Nobody knows that before, so shots that tell much of others are made first.
 """
 
 from __future__ import annotations
@@ -16,37 +17,67 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 from synfog_usd import numbers
 
 SET_UP = 0.03
 """Fraction of a shot up to which it is set up; rendering reports from there on."""
 
-FOGGY, LAMPS, LAMPS_IN_FOG = (1.2, 1.2), (2.4, 0.0), (5.8, 5.8)
-"""Seconds of a sample of the surfaces and of the air over those of one in clear air under a sky alone, about, with all
-that is done meanwhile.  Like what follows fitted to five bakes, see `tests/dataset/test_forecast.py`; fitted to the
-crossing alone, weights told an arterial and a residential road to 32 and 19 %.
-"""
+Lights = Literal["sky", "surfaces", "lamps"]
+"""What shines: the sky alone, surfaces too, or lamps."""
 
-GUIDING = 23.0
+
+@dataclass(frozen=True)
+class _Cost:
+    """What lights cost.
+
+    Attributes:
+        clear: seconds of a sample in clear air over those under a sky alone, with all that is done meanwhile.
+        in_fog: those of its surfaces, and of its air.
+        thicker: power of the inverse of the visibility with which a sample takes longer, from `REFERENCE_MOR_M` on.
+        kernels: seconds of compiling kernels for the first shot, and for the first in fog.
+    """
+
+    clear: float
+    in_fog: tuple[float, float]
+    thicker: float
+    kernels: tuple[float, float]
+
+
+COSTS: dict[Lights, _Cost] = {
+    "sky": _Cost(1.0, (1.3, 1.3), 0.0, (1.0, 1.6)),
+    "surfaces": _Cost(1.45, (1.9, 1.9), 0.0, (1.4, 2.8)),
+    "lamps": _Cost(2.4, (7.1, 7.1), 0.28, (3.1, 5.7)),
+}
+"""About: like what follows fitted to recorded bakes of several streets, see `tests/dataset/test_forecast.py`."""
+
+REFERENCE_MOR_M = 150.0
+
+GUIDING = 6.0
 """Such samples that take as long as what every picture asks of the renderer: guides, AOVs, kernels made ready."""
 
-USUAL = {(False, False): 128, (True, False): 120, (False, True): 70, (True, True): 60}
-"""Samples by fog and lamps with which a shot is as good as its sensor wants it, about.  At dusk nobody knows:
-at 320x180 the crossing stops at 51 and 28 to 44, a lit arterial road at 125 and 131 to 134; by day both at 108 to 131.
+USUAL = {(False, False): 130, (True, False): 66, (False, True): 14, (True, True): 13}
+"""Samples by fog and lamps with which a shot is as good as its sensor wants it, until shots have told: on seven streets
+at 320x180 by day 8 to 300 and at dusk 6 to 260; in fog about half as many by day, and two thirds at dusk.
 """
+
+OTHERS, DOUBT = 0.3, 0.5
+"""How much lightings tell of those with other lights, as a power; and shots as usual that count beside those seen."""
 
 SURE = 32
 """Samples that nearly every shot spends that may have no more."""
 
-MAKING = 1.5
+MAKING = 5.8
 """Such samples by which the renderer waits longer for what denoises, develops and writes the picture before meanwhile;
 that of a bake's first is made beside its labels, and of a lighting's last beside the metering of the next.
 """
 
-FIRST_OF_LIGHTING, FIRST_FOGGY, ANY = 30.0, 5.0, 0.1
-"""Seconds of setting up, relative."""
+FIRST_OF_ALL, FIRST_OF_LIGHTING, ANY = 3.0, 3.0, 0.1
+"""Seconds of setting up: those of the first shot come to those of a lighting's, and any to both."""
+
+ALONE = 0.7
+"""Share of the seconds of compiling by which a shot takes longer: pictures are made and paths traced beside it."""
 
 LAST = 0.3
 """Of a shot's rendering, for making the last picture, when nothing is sampled any more; until others were made."""
@@ -60,46 +91,64 @@ class Kind:
         first: of its lighting.
         foggy: whether there is fog.
         first_foggy: of its lighting.
-        lamps: whether there are lamps.
+        lights: what shines.
         samples: paths of a pixel, as many as are expected or were spent.
         air: paths in the air for each that meets surfaces.
+        mor_m: visibility in the fog [m].
         beside: what the picture before takes that is made while this one is sampled, in samples.
+        first_of_all: shots.
     """
 
     first: bool
     foggy: bool
     first_foggy: bool
-    lamps: bool = False
+    lights: Lights = "sky"
     samples: float = field(default=numbers.MOST_SAMPLES, compare=False)
     air: float = 1.0
+    mor_m: float = field(default=REFERENCE_MOR_M, compare=False)
     beside: float = field(default=0.0, compare=False)
+    first_of_all: bool = field(default=False, compare=False)
 
     @property
     def weights(self) -> tuple[float, float]:
         """Of setting it up and of rendering it."""
-        setting_up = ANY + FIRST_OF_LIGHTING * self.first + FIRST_FOGGY * self.first_foggy
-        each = {(False, False): (1.0, 0.0), (True, False): FOGGY, (False, True): LAMPS, (True, True): LAMPS_IN_FOG}
-        surfaces, air = each[self.foggy, self.lamps]
-        return setting_up, self.samples * (surfaces + self.air * air) + GUIDING + self.beside
+        setting_up = ANY + FIRST_OF_LIGHTING * self.first + FIRST_OF_ALL * self.first_of_all
+        cost = COSTS[self.lights]
+        each = cost.in_fog[0] + self.air * cost.in_fog[1] if self.foggy else cost.clear
+        turns = (REFERENCE_MOR_M / self.mor_m) ** cost.thicker if self.foggy else 1.0
+        return setting_up, self.samples * turns * each + GUIDING + self.beside
+
+    @property
+    def kernels(self) -> tuple[float, float]:
+        """Weights of compiling while it is set up and while it is rendered."""
+        clear, in_fog = COSTS[self.lights].kernels
+        return clear * self.first, in_fog * self.first_foggy
 
 
-def kinds(shots: Sequence[tuple[str, bool, bool]], samples: int = numbers.MOST_SAMPLES, air: float = 1.0) -> list[Kind]:
-    """The kind of each shot of a bake, in order, from its lighting and whether there are fog and lamps; at most so many
-    samples of a pixel, and air as in `Kind`.
+def kinds(
+    shots: Sequence[tuple[str, float | None, Lights]], samples: int = numbers.MOST_SAMPLES, air: float = 1.0
+) -> list[Kind]:
+    """The kind of each shot of a bake, in order, from its lighting, the visibility in its fog [m] or None in clear air,
+    and what shines; at most so many samples of a pixel, and air as in `Kind`.
     """
     found, seen = [], set[tuple[str, bool]]()
-    for lighting, foggy, lamps in shots:
+    for lighting, mor_m, lights in shots:
+        foggy = mor_m is not None
         first = not {(lighting, True), (lighting, False)} & seen
         beside = 0.0 if first or len(found) < 2 else MAKING
-        spent = min(samples, USUAL[foggy, lamps])
-        found.append(Kind(first, foggy, foggy and (lighting, True) not in seen, lamps, spent, air, beside))
+        spent = min(samples, USUAL[foggy, lights == "lamps"]) if samples > SURE else samples
+        first_foggy = foggy and (lighting, True) not in seen
+        thick = mor_m or REFERENCE_MOR_M
+        found.append(Kind(first, foggy, first_foggy, lights, spent, air, thick, beside, not found))
         seen.add((lighting, foggy))
     return found
 
 
 @dataclass
 class _Taken:
-    """What a shot took: seconds of setting up and of rendering, and when its rendering said which fraction."""
+    """What a shot took, compiling apart: seconds of setting up and of rendering, and when its rendering said which
+    fraction.
+    """
 
     kind: Kind
     setting_up: float = 0.0
@@ -158,30 +207,39 @@ class Forecast:
         self._began = self._shot_began if began is None else began
         self._rendering: float | None = None
         self._seen = 0  # shots
-        self._sums: dict[Any, _Sums] = {}  # by kind, by (foggy, lamps), and of all as None
+        self._sums: dict[Any, _Sums] = {}  # by kind, by (foggy, lights), and of all as None
         self._after: tuple[int, list[tuple[Kind, int]]] = -1, []  # a shot; the kinds that come after it, and how many
         self._said: list[tuple[float, float]] = []
         self._shown = 0.0
+        self._compiled = [0.0, 0.0]  # seconds within setting up and rendering of the shot under way
+        self._kernels = 0.0, 0.0  # of shots that have ended: seconds of compiling, and weights
         self._made: list[float] = []
         self._ended: list[Kind] = []  # shots, with the samples that they were taken to spend
         self._spent: dict[int, float] = {}  # samples of the shots that told
-        self._needs: dict[tuple[bool, bool], list[float]] = {}  # by (foggy, lamps): samples spent over those expected
+        self._needs: dict[Lights, list[float]] = {}  # samples spent over those expected
 
     def expect(self, shots: Sequence[Kind]) -> None:
         """What the shots are after all."""
         self._shots, self._after = list(shots), (-1, [])
 
+    def compiled(self, seconds: float) -> None:
+        """Kernels were compiled for so long since this was last told."""
+        if self._shot_began is not None:
+            self._compiled[self._rendering is not None] += ALONE * seconds
+
     def made(self, seconds: float) -> None:
         """The picture of a shot took so long beside the sampling of the next."""
         self._made.append(seconds)
 
-    def spent(self, index: int, samples: float) -> None:
-        """Shot `index` spent so many samples of a pixel; nothing new where they are given."""
+    def spent(self, index: int, samples: float, wanted: float) -> None:
+        """Shot `index` spent so many samples of a pixel and needed so many, which may be more than it may have; nothing
+        new where they are given.
+        """
         if self._most <= SURE:
             return
         kind = self._shots[index]
         self._spent[index] = samples
-        self._needs.setdefault((kind.foggy, kind.lamps), []).append(samples / max(kind.samples, 1))
+        self._needs.setdefault(kind.lights, []).append(wanted / max(kind.samples, 1))
         if index < self._seen:
             for key in _keys(kind):
                 self._sums[key].weigh_anew(self._ended[index], replace(kind, samples=samples))
@@ -196,12 +254,14 @@ class Forecast:
         set_up = begun - (begun if self._shot_began is None else self._shot_began)
         kind = self._shots[self._seen]
         kind = replace(kind, samples=self._spent.get(self._seen, self._likely(kind).samples))
-        taken = _Taken(kind, set_up, now - begun, self._said)
+        compiled, weights = self._kernels
+        self._kernels = compiled + sum(self._compiled), weights + sum(kind.kernels)
+        taken = _Taken(kind, set_up - self._compiled[0], now - begun - self._compiled[1], self._said)
         for key in _keys(kind):
             self._sums.setdefault(key, _Sums()).add(taken)
         self._ended.append(kind)
         self._seen += 1
-        self._shot_began, self._rendering, self._said = now, None, []
+        self._shot_began, self._rendering, self._said, self._compiled = now, None, [], [0.0, 0.0]
 
     def at(self, index: int, fraction: float) -> float:
         """Share that is done where shot `index` is done by a fraction, 0 to 1."""
@@ -211,9 +271,11 @@ class Forecast:
         self._shot_began = now if self._shot_began is None else self._shot_began
         if fraction >= SET_UP:
             self._rendering = now if self._rendering is None else self._rendering
-            self._said.append((_rendered(fraction), now - self._rendering))
+            self._said.append((_rendered(fraction), now - self._rendering - self._compiled[1]))
         rest = self._own(index, fraction, now)
-        rest += sum(count * sum(self._expected(kind, now)) for kind, count in self._coming(index))
+        rest += sum(
+            count * (sum(self._expected(kind, now)) + self._compiling(kind)) for kind, count in self._coming(index)
+        )
         rest += sum(self._made) / len(self._made) if self._made else LAST * self._expected(self._shots[-1], now)[1]
         elapsed = now - self._began
         self._shown = max(self._shown, elapsed / (elapsed + rest) if elapsed + rest > 0.0 else 0.0)
@@ -222,8 +284,8 @@ class Forecast:
     def _coming(self, index: int) -> list[tuple[Kind, int]]:
         """Kinds of the shots after one, and how many there are of each; counted once for all that a shot says."""
         if self._after[0] != index:
-            counts = Counter((kind, kind.beside) for kind in self._shots[index + 1 :])
-            self._after = index, [(kind, count) for (kind, _), count in counts.items()]
+            counts = Counter((kind, kind.beside, kind.mor_m) for kind in self._shots[index + 1 :])
+            self._after = index, [(kind, count) for (kind, *_), count in counts.items()]
         return self._after[1]
 
     def _own(self, index: int, fraction: float, now: float) -> float:
@@ -231,25 +293,34 @@ class Forecast:
         more by its own pace.
         """
         setting_up, rendering = self._expected(self._shots[index], now)
+        compiling = max(self._compiling(self._shots[index]) - sum(self._compiled), 0.0)
         if self._rendering is None:
-            return max(setting_up - (now - (self._shot_began or 0.0)), 0.0) + rendering
+            spent = now - (self._shot_began or 0.0) - self._compiled[0]
+            return max(setting_up - spent, 0.0) + rendering + compiling
         alike = self._alike(self._shots[index]) if self._most <= SURE else None
         done = alike.last.share(_rendered(fraction)) if alike and alike.last else _rendered(fraction)
-        spent = now - self._rendering
+        spent = now - self._rendering - self._compiled[1]
         paced = spent * (1.0 - done) / done if done > 0.0 else rendering
-        return done * paced + (1.0 - done) * max(rendering - spent, (1.0 - done) * rendering)
+        return done * paced + (1.0 - done) * (max(rendering - spent, (1.0 - done) * rendering) + compiling)
+
+    def _compiling(self, kind: Kind) -> float:
+        """Seconds for which kernels of a shot are compiled: by those before, none where they needed none."""
+        seconds, weights = self._kernels
+        if not weights and self._rendering is not None:
+            seconds, weights = self._compiled[0], self._shots[self._seen].kernels[0]
+        return sum(kind.kernels) * seconds / weights if weights else 0.0
 
     def _alike(self, kind: Kind) -> _Sums | None:
-        return self._sums.get(kind) or self._sums.get((kind.foggy, kind.lamps))
+        return self._sums.get(kind) or self._sums.get((kind.foggy, kind.lights))
 
     def _likely(self, kind: Kind) -> Kind:
-        """With as many samples as are likely: as shots in fog and before lamps, or not, were found to need, or else
-        those before lamps, or not.
-        """
-        found = self._needs.get((kind.foggy, kind.lamps)) or self._needs.get((not kind.foggy, kind.lamps))
+        """With as many samples as are likely: by what others of its lights were found to need, else by the rest."""
+        own = self._needs.get(kind.lights)
+        found = own or [need for needs in self._needs.values() for need in needs]
         if not found:
             return kind
-        return replace(kind, samples=min(kind.samples * math.exp(sum(map(math.log, found)) / len(found)), self._most))
+        more = sum(map(math.log, found)) / (len(found) + DOUBT if own else len(found) / OTHERS)
+        return replace(kind, samples=min(kind.samples * math.exp(more), self._most))
 
     def _expected(self, kind: Kind, now: float) -> tuple[float, float]:
         """Seconds of setting up and of rendering a shot: the means of its kind, else by the weights of all that were
@@ -257,7 +328,7 @@ class Forecast:
         """
         seen = self._sums.get(None)
         if seen is None:
-            own, seen = 0.5 * (now - self._began), _Sums()
+            own, seen = 0.5 * max(now - self._began - sum(self._compiled), 0.0), _Sums()
             seen.add(_Taken(self._shots[0], own, own))
         set_up, of = (self._sums.get(kind) or seen).setting_up
         render, of_rendering = (self._alike(kind) or seen).rendering
@@ -266,7 +337,7 @@ class Forecast:
 
 def _keys(kind: Kind) -> tuple[Any, ...]:
     """By which the sums of a shot are kept."""
-    return kind, (kind.foggy, kind.lamps), None
+    return kind, (kind.foggy, kind.lights), None
 
 
 def _rendered(fraction: float) -> float:

@@ -36,7 +36,7 @@ from synfog_usd.render.integrators.eye import LENS_M
 from synfog_usd.render.integrators.path import FogPath
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.load import MitsubaScene, to_mitsuba
-from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached
+from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached, times_needed
 from synfog_usd.render.spectra import bands as banding
 from synfog_usd.scene import SceneDict
 
@@ -83,6 +83,8 @@ class Rendered:
         samples: paths per pixel on average, as `Settings` means them.
         met: share of the pixels whose `error`, or else standard error, is under the target; None where there was no
             target.
+        wanted: samples with which the median pixel would have met the target, about, at least those it has where it did
+            not; None where nothing was denoised or there was no target.
     """
 
     radiance: Image
@@ -97,6 +99,7 @@ class Rendered:
     figures: Mapping[str, Mapping[str, float]]
     samples: float
     met: float | None
+    wanted: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -347,9 +350,11 @@ def sample(
             denoised, problem = cleaning.picture(accumulated, number, progress), cleaning.problem
             warnings.extend([problem] if problem else [])
             why += "" if denoised or problem else "; not denoised, since it tells no components apart"
-        rms = denoised.error.rms if denoised and denoised.error else None
+        rms, wanted = denoised.error.rms if denoised and denoised.error else None, None
         if denoised and rms is not None:
             luminance, error = denoised.luminance(accumulated.weights).ravel(), rms.ravel()
+            if not target.open:
+                wanted = spent * times_needed(target.excess(luminance.reshape(shape[:2]), denoised.error))
             met = None if target.open else float((error <= target.allowed_in_all(luminance)).mean())
         else:
             luminance, error = accumulated.luminance(), np.sqrt(noise)
@@ -409,7 +414,19 @@ def sample(
             for name in names:
                 groups[name] = sum(accumulated.take_group().values()).reshape(shape).astype(np.float32)
         return Rendered(
-            radiance, seen, relative_error, components, rms, groups, model, why, tuple(warnings), figures, spent, met
+            radiance,
+            seen,
+            relative_error,
+            components,
+            rms,
+            groups,
+            model,
+            why,
+            tuple(warnings),
+            figures,
+            spent,
+            met,
+            wanted,
         )
 
     return picture

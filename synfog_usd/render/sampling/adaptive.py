@@ -34,6 +34,9 @@ DENOISER_GAIN = 10.0
 to seed 3 to 7 times.
 """
 
+TRIED = 2.0
+"""Times the samples from which on it is tried that are enough, about; 1.2 to 2.4 on streets in fog, by day."""
+
 FIRST = 8
 """Samples of the first round of a picture that is to be denoised: four in each half.
 
@@ -199,13 +202,14 @@ def accumulate_denoised(
     while spent < target.samples and (target.time_s is None or now() < target.time_s):
         noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
         needed = float(noise / DENOISER_GAIN) ** 2  # times the samples that there are, until denoising is worth a try
-        enough = float(target.samples)
+        enough = min(TRIED * needed * spent, float(target.samples))
         if needed < 1.0 and (picture := denoised(accumulated)) is not None:
             excess = target.excess(*picture)
             if excess <= 1.0:
                 break
-            enough = min(excess ** (1.0 / FALL) * spent, enough)
-            needed = min(excess ** (1.0 / FALL), LONGEST_STRIDE)
+            needed = times_needed(excess)
+            enough = min(needed * spent, enough)
+            needed = min(needed, LONGEST_STRIDE)
         after = min(max(2, math.ceil(min(needed, target.samples))) * spent, target.samples)
         had = {name: int(estimator.counts[:, 0].sum()) for name, estimator in accumulated.estimators.items()}
         wanted = (
@@ -220,6 +224,11 @@ def accumulate_denoised(
         spent, share = after, reach
     progress("rendering", 1.0)
     return accumulated
+
+
+def times_needed(excess: float) -> float:
+    """How many times its samples a denoised picture needs, about, 1 or more; see `Target.excess`."""
+    return max(excess, 1.0) ** (1.0 / FALL)
 
 
 def reached(luminance: Array, variance: Array, target: Target, shape: tuple[int, int]) -> float:
