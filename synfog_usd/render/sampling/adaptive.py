@@ -228,7 +228,7 @@ def accumulate_denoised(
 
 def times_needed(excess: float) -> float:
     """How many times its samples a denoised picture needs, about, 1 or more; see `Target.excess`."""
-    return max(excess, 1.0) ** (1.0 / FALL)
+    return excess ** (1.0 / FALL) if excess > 1.0 else 1.0
 
 
 def reached(luminance: Array, variance: Array, target: Target, shape: tuple[int, int]) -> float:
