@@ -65,9 +65,9 @@ def test_every_lighting_and_fog_has_its_files(unbroken):
     assert set(printed["seconds"]) == set(SHOTS) and all(value > 0 for value in printed["seconds"].values())
 
 
-def test_shots_before_lamps_come_first_where_nobody_knows_how_long_they_take(tmp_path):
-    """With 40 samples, of which they may need fewer; with 4 all come as the stage has them.  Labels are the same, and
-    so is the order in the manifest.
+def test_shots_that_tell_of_others_come_first_where_nobody_knows_how_long_they_take(tmp_path):
+    """With 40 samples, of which they may need fewer: one by day, then those before lamps; with 4 all come as the stage
+    has them.  Labels are the same, and so is the order in the manifest.
     """
     spot = 'SphereLight "Lamp" (\n        prepend apiSchemas = ["ShapingAPI"]'
     text = street(lamp=True).replace('SphereLight "Lamp" (', spot).replace("active = true", "")
@@ -81,7 +81,7 @@ def test_shots_before_lamps_come_first_where_nobody_knows_how_long_they_take(tmp
         few = ["--resolution", "32x18", "--samples", samples, "--fog", "clear,mor150", "--json"]
         printed[samples] = json.loads(run("bake", night, "-o", tmp_path / samples, *few).stdout)
     made, dusk = {key: list(found["seconds"]) for key, found in printed.items()}, ["active/clear", "active/mor150"]
-    assert made["4"] == ["sky/clear", "sky/mor150", *dusk] and made["40"] == [*dusk, "sky/clear", "sky/mor150"]
+    assert made["4"] == ["sky/clear", "sky/mor150", *dusk] and made["40"] == ["sky/clear", *dusk, "sky/mor150"]
     rows, others = ([row["folder"] for row in found["shots"]] for found in printed.values())
     assert rows == others and printed["4"]["labels"] == printed["40"]["labels"]
 
