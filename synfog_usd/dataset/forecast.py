@@ -3,10 +3,10 @@
 A shot is set up and then sampled, and its picture is made while the next is sampled.  The first of a lighting is
 translated, loaded and metered, and the first in fog may compile kernels; a sample costs more in fog than in clear air,
 and more before lamps than under a sky, and making the picture costs what it costs.  What earlier shots took tells what
-the next will take: those of the same kind, else all, by rough weights.  Seconds in which kernels were compiled say
-nothing of a shot's pace and are kept apart: they tell what the kernels to come will take.  How far a shot's own
-fraction runs ahead of its time, or behind, is learned from earlier ones too where samples are given, and else how many
-samples a shot needs.  Nobody knows that before, so shots that tell much of others are made first.
+the next will take: those most alike, by rough weights.  Seconds in which kernels were compiled say nothing of a shot's
+pace and are kept apart: they tell what the kernels to come will take.  How far a shot's own fraction runs ahead of its
+time, or behind, is learned from earlier ones too where samples are given, and else how many samples a shot needs.
+Nobody knows that before, so shots that tell much of others are made first.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ REFERENCE_MOR_M = 150.0
 GUIDING = 6.0
 """Such samples that take as long as what every picture asks of the renderer: guides, AOVs, kernels made ready."""
 
-USUAL = {(False, False): 130, (True, False): 66, (False, True): 14, (True, True): 13}
+USUAL = {(False, False): 130, (True, False): 70, (False, True): 20, (True, True): 15}
 """Samples by fog and lamps with which a shot is as good as its sensor wants it, until shots have told: on seven streets
 at 320x180 by day 8 to 300 and at dusk 6 to 260; in fog about half as many by day, and two thirds at dusk.
 """
@@ -207,7 +207,7 @@ class Forecast:
         self._began = self._shot_began if began is None else began
         self._rendering: float | None = None
         self._seen = 0  # shots
-        self._sums: dict[Any, _Sums] = {}  # by kind, by (foggy, lights), and of all as None
+        self._sums: dict[Any, _Sums] = {}  # by kind, by (foggy, lights), by lights, and of all as None
         self._after: tuple[int, list[tuple[Kind, int]]] = -1, []  # a shot; the kinds that come after it, and how many
         self._said: list[tuple[float, float]] = []
         self._shown = 0.0
@@ -311,7 +311,7 @@ class Forecast:
         return sum(kind.kernels) * seconds / weights if weights else 0.0
 
     def _alike(self, kind: Kind) -> _Sums | None:
-        return self._sums.get(kind) or self._sums.get((kind.foggy, kind.lights))
+        return next((self._sums[key] for key in _keys(kind)[:-1] if key in self._sums), None)
 
     def _likely(self, kind: Kind) -> Kind:
         """With as many samples as are likely: by what others of its lights were found to need, else by the rest."""
@@ -323,8 +323,8 @@ class Forecast:
         return replace(kind, samples=min(kind.samples * math.exp(more), self._most))
 
     def _expected(self, kind: Kind, now: float) -> tuple[float, float]:
-        """Seconds of setting up and of rendering a shot: the means of its kind, else by the weights of all that were
-        seen; before any was, the first one's parts are taken to be half of what has passed.
+        """Seconds of setting up and of rendering a shot: the means of those most alike, by weights; before any
+        was seen, the first one's parts are taken to be half of what has passed.
         """
         seen = self._sums.get(None)
         if seen is None:
@@ -337,7 +337,7 @@ class Forecast:
 
 def _keys(kind: Kind) -> tuple[Any, ...]:
     """By which the sums of a shot are kept."""
-    return kind, (kind.foggy, kind.lights), None
+    return kind, (kind.foggy, kind.lights), kind.lights, None
 
 
 def _rendered(fraction: float) -> float:

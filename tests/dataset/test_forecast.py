@@ -22,8 +22,8 @@ long a picture took; 'spent', number of the shot, its samples, and those that it
 def test_the_time_left_is_right_from_a_quarter_on(path):
     """Within a third of the time left as the command tells it, or where that is less, of a tenth of the whole; progress
     never falls.  So bakes whose samples are given, with no kernel compiled before and with all, and those whose shots
-    stop by themselves and that take minutes; four of under 90 s, of streets that need a tenth of the samples at dusk,
-    are told within their own bound.  Weights were fitted to all of these.
+    stop by themselves; but for three of under 90 s, of streets that need a tenth of the samples at dusk, which are told
+    within bounds of their own.  Weights were fitted to all of these.
     """
     record = json.loads(path.read_text())
     clock, total, shown = [0.0], record["seconds"], 0.0
