@@ -13,13 +13,13 @@ import functools
 import gc
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd import files, resources, system
 from synfog_usd.dataset import contact, labels, lanes, objects, visibility
-from synfog_usd.dataset.forecast import SET_UP, SURE, Forecast, Kind, Lights, kinds
+from synfog_usd.dataset.forecast import SET_UP, SURE, Forecast, Kind, kinds, least_known_first
 from synfog_usd.dataset.ledger import Ledger, metadata_of
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
 from synfog_usd.dataset.scenes import Scenes, cleared, pinhole_of, size_of
@@ -269,16 +269,6 @@ def bake(
         ledger.finish(todo, contact.write(plan.out, todo, ledger.rows, told=missing))
     progress("done", 1.0)
     return Baked(ledger.manifest(todo), seconds, kept, notes)
-
-
-def least_known_first(todo: Sequence[Shot], lights: Callable[[str], Lights]) -> list[Shot]:
-    """Shots in the order in which the time left is told truly soonest, where they stop by themselves.  Before lamps
-    nobody knows after how many samples, so those are made first; and before them, since it tells much of the others,
-    the first of each lighting without lamps, whose scene is loaded twice then.
-    """
-    lit = {shot.lighting for shot in todo if lights(shot.lighting) == "lamps"}
-    firsts = {shot.lighting: shot for shot in reversed(todo) if lit and shot.lighting not in lit}.values()
-    return sorted(todo, key=lambda shot: 0 if shot in firsts else 1 if shot.lighting in lit else 2)
 
 
 class _Renderer:

@@ -17,9 +17,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from synfog_usd import numbers
+
+if TYPE_CHECKING:
+    from synfog_usd.dataset.plan import Shot
 
 SET_UP = 0.03
 """Fraction of a shot up to which it is set up; rendering reports from there on."""
@@ -142,6 +145,16 @@ def kinds(
         found.append(Kind(first, foggy, first_foggy, lights, spent, air, thick, beside, not found))
         seen.add((lighting, foggy))
     return found
+
+
+def least_known_first(todo: Sequence[Shot], lights: Callable[[str], Lights]) -> list[Shot]:
+    """Shots in the order in which the time left is told truly soonest, where they stop by themselves.  Before lamps
+    nobody knows after how many samples, so those are made first; and before them, since it tells much of the others,
+    the first of each lighting without lamps, whose scene is loaded twice then.
+    """
+    lit = {shot.lighting for shot in todo if lights(shot.lighting) == "lamps"}
+    firsts = {shot.lighting: shot for shot in reversed(todo) if lit and shot.lighting not in lit}.values()
+    return sorted(todo, key=lambda shot: 0 if shot in firsts else 1 if shot.lighting in lit else 2)
 
 
 @dataclass

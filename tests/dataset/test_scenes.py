@@ -10,7 +10,7 @@ from support.stages import street
 
 from synfog_usd import camera
 from synfog_usd import stage as usd
-from synfog_usd.dataset.bake import least_known_first
+from synfog_usd.dataset.forecast import least_known_first
 from synfog_usd.dataset.plan import BakePlan, shots
 from synfog_usd.dataset.scenes import UNREAD_MOR_M, Scenes
 from synfog_usd.translate import assemble
