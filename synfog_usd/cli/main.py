@@ -135,6 +135,15 @@ def bake(
             )
         ),
     ] = True,
+    regularize: Annotated[
+        bool,
+        typer.Option(
+            help=(
+                "Blur what mirrors show of lamps by way of fog or rough surfaces, less the more samples there are; "
+                "--no-regularize has no bias at all, and more rare bright pixels."
+            )
+        ),
+    ] = True,
     cull: Annotated[
         bool, typer.Option(help="Simplify or leave out what fog hides from the sensor; --no-cull draws it whole.")
     ] = True,
@@ -175,6 +184,7 @@ def bake(
             time_limit_s=time_limit,
             bands=None if bands == "auto" else _count(bands, "--bands"),
             denoise=denoise,
+            regularize=regularize,
             cull=cull,
             seed=seed,
             variant=variant,
@@ -753,7 +763,8 @@ def _size(text: str | None) -> tuple[int, int] | None:
 def main(arguments: list[str] | None = None) -> Any:
     """Run one command line; the way out is always an exit code."""
     try:
-        app(args=arguments)
+        with worker.printed():
+            app(args=arguments)
     except SynfogError as error:
         print(f"synfog-usd: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

@@ -60,15 +60,44 @@ def end_with(work: Callable[[], Any]) -> None:
         code = end.code
     if not is_worker() or isinstance(code, str):
         sys.exit(code)
-    try:
-        sys.stdout.flush()
-    except (OSError, ValueError) as error:
-        code = code or 2
-        if not isinstance(error, BrokenPipeError):  # else nobody reads any more
-            print(f"synfog-usd: what was to be printed could not be written: {error}", file=sys.stderr)
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.flush()
     os._exit(code or 0)
+
+
+@contextlib.contextmanager
+def printed() -> Iterator[None]:
+    """What is printed within it is written when it ends.  Where that fails, a line says so, and the exit code is 2 if
+    it was to be 0.
+    """
+    end: SystemExit | None = None
+    try:
+        try:
+            yield
+        except SystemExit as ended:
+            end = ended
+        except BaseException:  # which says more
+            with contextlib.suppress(OSError, ValueError):
+                _flush()
+            raise
+        _flush()
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        with contextlib.suppress(OSError, ValueError):  # else Python tries again at its end, and complains itself
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, sys.stdout.fileno())
+            os.close(nowhere)
+        if not isinstance(error, BrokenPipeError):  # else nobody reads any more
+            print(f"synfog-usd: what was to be printed could not be written: {error}", file=sys.stderr)
+        sys.exit((end and end.code) or 2)
+    if end is not None:
+        raise end
+
+
+def _flush() -> None:
+    if sys.stdout is not None and not sys.stdout.closed:
+        sys.stdout.flush()
 
 
 @contextlib.contextmanager

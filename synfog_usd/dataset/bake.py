@@ -200,8 +200,8 @@ def bake(
         def finish(index: int, shot: Shot, picture: _Picture, began: float) -> None:
             sampled = time.perf_counter()
             made = picture(silent)
-            spent = made.rendered.samples
-            forecast.spent(index, spent, made.rendered.wanted or spent)
+            if made.rendered.wanted is not None:
+                forecast.needed(index, made.rendered.wanted)
             row = _finish(made, graph, plan)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
@@ -256,7 +256,10 @@ def bake(
                 if alone:
                     behind.wait()
                 beside = survey if index == 1 and not alone else idle
-                picture = _render(shot, scene, renderer, view, plan, scenes.taken, moments_of(graph), told, beside)
+                spent, picture = _render(
+                    shot, scene, renderer, view, plan, scenes.taken, moments_of(graph), told, beside
+                )
+                forecast.spent(index, spent)
                 if alone:
                     renderer.free()
                     picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
@@ -495,9 +498,12 @@ def _render(
     exposures: Mapping[str, tuple[float, float]],
     progress: Progress,
     meanwhile: Callable[[], None],
-) -> _Picture:
-    """Sample one shot, and once more for each part of its exposure that is asked for by itself where things move; what
-    is returned makes its pictures, and `meanwhile` is done beside the first paths.
+) -> tuple[float, _Picture]:
+    """Sample one shot, and once more for each part of its exposure that is asked for by itself where things move;
+    `meanwhile` is done beside the first paths.
+
+    Returns:
+        samples of a pixel that were spent, and what makes its pictures.
     """
     from synfog_usd import cull
     from synfog_usd.render.shot import sample
@@ -549,15 +555,15 @@ def _render(
         )
 
     def picture(progress: Progress) -> _Shot:
-        whole = rendered(within(progress, 0.0, share))
+        whole = rendered.picture(within(progress, 0.0, share))
         seen = {
-            name: part(within(progress, number * share, (number + 1) * share)).radiance
+            name: part.picture(within(progress, number * share, (number + 1) * share)).radiance
             for number, (name, part) in enumerate(parts.items(), 1)
         }
         seen = seen or dict.fromkeys(exposures, whole.radiance)
         return _Shot(shot, scene, view, taken, whole, floor, bands, hidden, seen)
 
-    return picture
+    return rendered.samples, picture
 
 
 def _density(scene: SceneDict, taken: Pinhole | None) -> float:
@@ -582,6 +588,7 @@ def _settings(
         bands=plan.bands,
         denoise=plan.denoise,
         draft=plan.draft,
+        regularize=plan.regularize,
     )
 
 

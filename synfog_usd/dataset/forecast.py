@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from synfog_usd import numbers
+from synfog_usd.dataset.plan import CLEAR
 
 if TYPE_CHECKING:
     from synfog_usd.dataset.plan import Shot
@@ -65,8 +66,19 @@ USUAL = {(False, False): 130, (True, False): 70, (False, True): 20, (True, True)
 at 320x180 by day 8 to 300 and at dusk 6 to 260; in fog about half as many by day, and two thirds at dusk.
 """
 
-OTHERS, DOUBT = 0.3, 0.5
-"""How much lightings tell of those with other lights, as a power; and shots as usual that count beside those seen."""
+OTHERS, NEARBY = 0.5, 0.2
+"""How much shots tell of those with other lights, as a power; and what is added to the difference of two visibilities'
+logarithms, over whose square shots are weighed that are alike: in fog of half the visibility some streets need twice
+the samples, and others as many.
+"""
+
+LOOKED_AT = 0.09
+"""Of the rendering of a shot that stops by itself: before that it was not looked at, and says how much it has done of
+the most that it may.
+"""
+
+OVERDUE = 0.5
+"""Of what is expected of such a shot's rendering, for all that it says is left, where that time is nearly over."""
 
 SURE = 32
 """Samples that nearly every shot spends that may have no more."""
@@ -150,10 +162,15 @@ def kinds(
 def least_known_first(todo: Sequence[Shot], lights: Callable[[str], Lights]) -> list[Shot]:
     """Shots in the order in which the time left is told truly soonest, where they stop by themselves.  Before lamps
     nobody knows after how many samples, so those are made first; and before them, since it tells much of the others,
-    the first of each lighting without lamps, whose scene is loaded twice then.
+    one of each lighting without lamps, whose scene is loaded twice then: the middle one in fog, of which most are.
     """
     lit = {shot.lighting for shot in todo if lights(shot.lighting) == "lamps"}
-    firsts = {shot.lighting: shot for shot in reversed(todo) if lit and shot.lighting not in lit}.values()
+    by_lighting: dict[str, list[Shot]] = {}
+    for shot in todo:
+        if lit and shot.lighting not in lit:
+            by_lighting.setdefault(shot.lighting, []).append(shot)
+    foggy = [[shot for shot in alike if shot.fog != CLEAR] or alike for alike in by_lighting.values()]
+    firsts = [alike[len(alike) // 2] for alike in foggy]
     return sorted(todo, key=lambda shot: 0 if shot in firsts else 1 if shot.lighting in lit else 2)
 
 
@@ -192,11 +209,6 @@ class _Sums:
         self.rendering = seconds + taken.rendering, weight + of_rendering
         self.last = taken
 
-    def weigh_anew(self, before: Kind, after: Kind) -> None:
-        """One of them spent other samples than were expected."""
-        seconds, weight = self.rendering
-        self.rendering = seconds, weight + after.weights[1] - before.weights[1]
-
 
 class Forecast:
     """Shares of a bake's time; they never become smaller.
@@ -227,9 +239,8 @@ class Forecast:
         self._compiled = [0.0, 0.0]  # seconds within setting up and rendering of the shot under way
         self._kernels = 0.0, 0.0  # of shots that have ended: seconds of compiling, and weights
         self._made: list[float] = []
-        self._ended: list[Kind] = []  # shots, with the samples that they were taken to spend
         self._spent: dict[int, float] = {}  # samples of the shots that told
-        self._needs: dict[Lights, list[float]] = {}  # samples spent over those expected
+        self._needs: dict[tuple[Lights, bool], dict[int, float]] = {}  # by lights and fog: samples over those usual
 
     def expect(self, shots: Sequence[Kind]) -> None:
         """What the shots are after all."""
@@ -244,18 +255,19 @@ class Forecast:
         """The picture of a shot took so long beside the sampling of the next."""
         self._made.append(seconds)
 
-    def spent(self, index: int, samples: float, wanted: float) -> None:
-        """Shot `index` spent so many samples of a pixel and needed so many, which may be more than it may have; nothing
-        new where they are given.
+    def spent(self, index: int, samples: float) -> None:
+        """Shot `index`, which is under way, has spent all its samples, so many of a pixel; nothing new where they are
+        given.
         """
-        if self._most <= SURE:
-            return
-        kind = self._shots[index]
-        self._spent[index] = samples
-        self._needs.setdefault(kind.lights, []).append(wanted / max(kind.samples, 1))
-        if index < self._seen:
-            for key in _keys(kind):
-                self._sums[key].weigh_anew(self._ended[index], replace(kind, samples=samples))
+        if self._most > SURE:
+            self._spent[index] = samples
+            self.needed(index, samples)
+
+    def needed(self, index: int, samples: float) -> None:
+        """It needed so many after all, which may be more than it may have."""
+        if self._most > SURE:
+            kind = self._shots[index]
+            self._needs.setdefault((kind.lights, kind.foggy), {})[index] = samples / max(kind.samples, 1)
 
     def ended(self) -> None:
         """The shot under way has ended; what is done until the next begins is part of neither."""
@@ -272,7 +284,6 @@ class Forecast:
         taken = _Taken(kind, set_up - self._compiled[0], now - begun - self._compiled[1], self._said)
         for key in _keys(kind):
             self._sums.setdefault(key, _Sums()).add(taken)
-        self._ended.append(kind)
         self._seen += 1
         self._shot_began, self._rendering, self._said, self._compiled = now, None, [], [0.0, 0.0]
 
@@ -286,9 +297,11 @@ class Forecast:
             self._rendering = now if self._rendering is None else self._rendering
             self._said.append((_rendered(fraction), now - self._rendering - self._compiled[1]))
         rest = self._own(index, fraction, now)
-        rest += sum(
-            count * (sum(self._expected(kind, now)) + self._compiling(kind)) for kind, count in self._coming(index)
-        )
+        longer = self._longer(index, rest, now)
+        for kind, count in self._coming(index):
+            setting_up, rendering = self._expected(kind, now)
+            rendering *= longer.get((kind.foggy, kind.lights), 1.0)
+            rest += count * (setting_up + rendering + self._compiling(kind))
         rest += sum(self._made) / len(self._made) if self._made else LAST * self._expected(self._shots[-1], now)[1]
         elapsed = now - self._began
         self._shown = max(self._shown, elapsed / (elapsed + rest) if elapsed + rest > 0.0 else 0.0)
@@ -314,7 +327,23 @@ class Forecast:
         done = alike.last.share(_rendered(fraction)) if alike and alike.last else _rendered(fraction)
         spent = now - self._rendering - self._compiled[1]
         paced = spent * (1.0 - done) / done if done > 0.0 else rendering
-        return done * paced + (1.0 - done) * (max(rendering - spent, (1.0 - done) * rendering) + compiling)
+        known, overdue = done, 1.0
+        if self._most > SURE:
+            known, overdue = max(done - LOOKED_AT, 0.0) / (1.0 - LOOKED_AT), OVERDUE
+        left = max(rendering - spent, overdue * (1.0 - done) * rendering)
+        return known * paced + (1.0 - known) * (left + compiling)
+
+    def _longer(self, index: int, left: float, now: float) -> dict[Any, float]:
+        """How many times longer the rendering of the shot under way takes than was expected, for those by fog and
+        lights of which it tells first, where shots stop by themselves.
+        """
+        kind = self._shots[index]
+        if self._most <= SURE or self._rendering is None or (kind.foggy, kind.lights) in self._sums:
+            return {}
+        foggy = {kind.foggy} if kind.lights in self._sums else {True, False}
+        spent = now - self._rendering - self._compiled[1]
+        longer = (spent + left) / max(self._expected(kind, now)[1], 1e-9)
+        return {(one, kind.lights): longer for one in foggy}
 
     def _compiling(self, kind: Kind) -> float:
         """Seconds for which kernels of a shot are compiled: by those before, none where they needed none."""
@@ -327,13 +356,16 @@ class Forecast:
         return next((self._sums[key] for key in _keys(kind)[:-1] if key in self._sums), None)
 
     def _likely(self, kind: Kind) -> Kind:
-        """With as many samples as are likely: by what others of its lights were found to need, else by the rest."""
-        own = self._needs.get(kind.lights)
-        found = own or [need for needs in self._needs.values() for need in needs]
+        """With as many samples as are likely: by what others of its lights were found to need, in fog where it is, else
+        by the rest; most by those in fog like its own.
+        """
+        alike = self._needs.get((kind.lights, kind.foggy)) or self._needs.get((kind.lights, not kind.foggy))
+        found = alike or {index: need for needs in self._needs.values() for index, need in needs.items()}
         if not found:
             return kind
-        more = sum(map(math.log, found)) / (len(found) + DOUBT if own else len(found) / OTHERS)
-        return replace(kind, samples=min(kind.samples * math.exp(more), self._most))
+        weights = [(abs(math.log(self._shots[index].mor_m / kind.mor_m)) + NEARBY) ** -2 for index in found]
+        more = sum(weight * math.log(need) for weight, need in zip(weights, found.values(), strict=True)) / sum(weights)
+        return replace(kind, samples=min(kind.samples * math.exp(more if alike else OTHERS * more), self._most))
 
     def _expected(self, kind: Kind, now: float) -> tuple[float, float]:
         """Seconds of setting up and of rendering a shot: the means of those most alike, by weights; before any

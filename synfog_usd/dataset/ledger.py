@@ -71,6 +71,7 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
             "mask": list(plan.mask),
             "variant": variant,
             **({"clip": asdict(plan.clip)} if plan.clip else {}),
+            **({} if plan.regularize else {"regularize": False}),
             **({"shutter_s": plan.shutter_s} if plan.shutter_s is not None else {}),
         },
         "versions": library_versions(denoise=plan.denoise),

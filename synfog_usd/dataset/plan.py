@@ -76,7 +76,7 @@ class BakePlan:
         camera: prim path; None is the stage's own choice.
         frame: time code; None is the stage's start.
         size: (width, height) in pixels; None is the stage's own.
-        model, samples, seed, target_error, time_limit_s, bands, denoise: see `render.shot.render`.
+        model, samples, seed, target_error, time_limit_s, bands, denoise, regularize: see `render.shot.Settings`.
             Without a target error the sensor's own noise is the target.
         cull: whether what fog hides from the sensor is simplified or left out, see `cull`.
         variant: Mitsuba backend, see `render.backend.choose`.
@@ -108,6 +108,7 @@ class BakePlan:
     time_limit_s: float | None = None
     bands: int | None = None
     denoise: bool = True
+    regularize: bool = True
     cull: bool = True
     seed: int = 0
     variant: str = "auto"

@@ -31,11 +31,12 @@ class Model:
         refuses: why a scene is outside its domain, or ''.
         valid: where it holds, in words.
         cost: seconds of a sample, relative to `path`: rough, from the bench stages, and fixed so that choices repeat.
-        unbiased: whether it has no error but noise, where it holds.
+        unbiased: whether it has no error but noise, where it holds, and without or in the end with regularization.
         peer: whether it is Mitsuba's own: the fog then stands in the scene as null-material shapes, surface and
             airlight are not told apart, and pixels are sampled evenly to the end.
         needs_slab: whether it rests on the plane-parallel solution: one box of fog with a level top, under a sky.
         bands: whether its paths can carry wavelength bands.
+        regularizes: whether it widens mirrors before lamps, see `surface.blur`, unless told not to.
         limits: whether its paths can be cut short.
         worth_a_pilot: whether the planner tries it although its error is one that samples do not cure.
         froxels: its sibling that takes the airlight from a radiance cache, or ''.
@@ -49,6 +50,7 @@ class Model:
     peer: bool = False
     needs_slab: bool = False
     bands: bool = False
+    regularizes: bool = False
     limits: bool = False
     worth_a_pilot: bool = False
     froxels: str = ""
@@ -90,6 +92,7 @@ MODELS: dict[str, Model] = {
         cost=0.4,
         needs_slab=True,
         bands=True,
+        regularizes=True,
         worth_a_pilot=True,
     ),
     "glow": Model(
@@ -105,6 +108,7 @@ MODELS: dict[str, Model] = {
         valid="up to optical depths of about 0.3; beyond, it loses most of the airlight",
         cost=0.7,
         bands=True,
+        regularizes=True,
         worth_a_pilot=True,
     ),
     "field": Model(
@@ -115,6 +119,7 @@ MODELS: dict[str, Model] = {
             "little over 1.5 degrees"
         ),
         bands=True,
+        regularizes=True,
     ),
     "field+slab": Model(
         make=_of("tracer", "make_tracer", with_slab=True, in_froxels=True),
@@ -123,6 +128,7 @@ MODELS: dict[str, Model] = {
         cost=1.2,
         needs_slab=True,
         bands=True,
+        regularizes=True,
     ),
     "path": Model(
         make=_of("tracer", "make_tracer"),
@@ -130,6 +136,7 @@ MODELS: dict[str, Model] = {
         valid="for any lamp and surface, and for fog in boxes and balls, uniform or exponential, nested or not",
         unbiased=True,
         bands=True,
+        regularizes=True,
         limits=True,
         froxels="field",
     ),
@@ -142,6 +149,7 @@ MODELS: dict[str, Model] = {
         unbiased=True,
         needs_slab=True,
         bands=True,
+        regularizes=True,
         limits=True,
         froxels="field+slab",
     ),
@@ -174,9 +182,16 @@ def ours_unbiased() -> tuple[str, ...]:
 
 
 def make(
-    name: str, loaded: MitsubaScene, *, scatterings: int | None = None, bounces: int | None = None, bands: int = RGB
+    name: str,
+    loaded: MitsubaScene,
+    *,
+    scatterings: int | None = None,
+    bounces: int | None = None,
+    bands: int = RGB,
+    regularize: bool = True,
 ) -> Integrator:
-    """A model's integrator, with paths cut short or in wavelength bands where that is asked for.
+    """A model's integrator, with paths cut short, in wavelength bands or without regularization where that is asked
+    for.
 
     Raises:
         ParameterError: a limit or bands for a model that takes none, or values that do not exist.
@@ -199,6 +214,8 @@ def make(
                 f"--model {name} knows R, G and B alone; --bands {bands} takes {', '.join(having('bands'))}"
             )
         how["bands"] = bands
+    if not regularize and MODELS[name].regularizes:
+        how["regularize"] = False
     return MODELS[name].make(loaded, **how)
 
 

@@ -123,6 +123,8 @@ class Settings:
         denoise: clean the components apart (see `denoise`), where the model tells them apart; the variance stays that
             of the samples. What cannot be denoised is given as it is, and a warning says so.
         draft: denoise for a look alone, see `denoise.denoise_draft`.
+        regularize: blur mirrors before lamps where paths are spread, less the more samples there are, see
+            `surface.blur`; without it `path` has no bias at any number of samples, and more rare bright ones.
 
     Raises:
         ParameterError: a model that is unknown, a number out of range, or settings that do not go together.
@@ -140,6 +142,7 @@ class Settings:
     bands: int | None = numbers.RGB
     denoise: bool = False
     draft: bool = False
+    regularize: bool = True
 
     def __post_init__(self) -> None:
         models.check_name(self.model)
@@ -218,8 +221,22 @@ def render(
     """
     settings = replace(settings or Settings(), **changes)
     share = sampling_share(settings)
-    picture = sample(scene, settings, loaded=loaded, clear=clear, progress=within(progress, 0.0, share))
-    return picture(within(progress, share, 1.0))
+    sampled = sample(scene, settings, loaded=loaded, clear=clear, progress=within(progress, 0.0, share))
+    return sampled.picture(within(progress, share, 1.0))
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A picture that was sampled and is not made yet.
+
+    Attributes:
+        samples: paths of a pixel, see `Rendered`.
+        picture: makes it, once, and is told about on the way; it holds nothing of the renderer, so that another thread
+            may do it while the next scene is sampled.
+    """
+
+    samples: float
+    picture: Callable[[Progress], Rendered]
 
 
 def sampling_share(settings: Settings) -> float:
@@ -236,13 +253,9 @@ def sample(
     progress: Progress = silent,
     meanwhile: Callable[[], None] = idle,
     **changes: Any,
-) -> Callable[[Progress], Rendered]:
+) -> Sampled:
     """The part of `render` that asks the renderer; arguments as there, and what may be done once while the first paths
     of our own models are under way.
-
-    Returns:
-        what makes the picture of the samples, once, and is told about on the way; it holds nothing of the renderer, so
-        that another thread may do it while the next scene is sampled.
     """
     settings = replace(settings or Settings(), **changes)
     model, samples, seed, size, bands, denoise = (
@@ -287,7 +300,12 @@ def sample(
             progress = within(progress, CHOOSING[1], 1.0)
             why += f"; {bands} bands: {because}"
     make = functools.partial(
-        models.make, model, scatterings=settings.scatterings, bounces=settings.bounces, bands=bands
+        models.make,
+        model,
+        scatterings=settings.scatterings,
+        bounces=settings.bounces,
+        bands=bands,
+        regularize=settings.regularize,
     )
     integrator = make(loaded)
     if isinstance(integrator, FogPath):
@@ -429,7 +447,7 @@ def sample(
             wanted,
         )
 
-    return picture
+    return Sampled(spent, picture)
 
 
 def _not_denoised(error: Exception) -> str:

@@ -221,7 +221,7 @@ def _packed(colour: Mapping[str, Any]) -> Indices:
     return packed.reshape(-1, 4).view("<u4").ravel()
 
 
-def blur(spread: Any, number: Any) -> Any:
+def blur(spread: Any, number: Any, most: Any) -> Any:
     """How much of what a path is spread already widens what it shows in a mirror: less of it the more paths a pixel
     has, so that its mean ends at the truth; slowly, so that spikes stay rare.  Kaplanyan and Dachsbacher 2013, "Path
     space regularization"; the power, -1/6, is a choice.
@@ -230,8 +230,9 @@ def blur(spread: Any, number: Any) -> Any:
         spread: roughness of a lobe that would spread directions as much as the path's vertices before have done; 0
             where the eye or a mirror sees it.
         number: of the path among those of its pixel, from 0 on.
+        most: what the first of them is blurred at most [rad]; 0 for no blur.
     """
-    return dr.minimum(spread, MOST_SPREAD * dr.rsqrt(dr.cbrt(backend.mitsuba().Float(number) + 1.0)))
+    return dr.minimum(spread, most * dr.rsqrt(dr.cbrt(backend.mitsuba().Float(number) + 1.0)))
 
 
 def seen_from(si: Any, spread: Any) -> Any:

@@ -46,7 +46,7 @@ SECTIONS = (
     "quality",
     "splits",
 )
-QUALITY = ("model", "samples", "target_error", "bands", "denoise", "cull")
+QUALITY = ("model", "samples", "target_error", "bands", "denoise", "regularize", "cull")
 HELD_OUT = ("models", "recipes", "skies")
 MOST_SCENES = 1_000_000
 MOST_EXTENDS = 8
@@ -353,6 +353,7 @@ class _SetReader:
             "target_error": (float, "a number"),
             "bands": (int, "a whole number"),
             "denoise": (bool, "true or false"),
+            "regularize": (bool, "true or false"),
             "cull": (bool, "true or false"),
         }
         for key, value in found.items():

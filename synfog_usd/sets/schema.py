@@ -99,6 +99,7 @@ def _sections() -> dict[str, Any]:
                 "target_error": {"type": "number", "exclusiveMinimum": 0, "maximum": 1},
                 "bands": {"enum": [RGB, *BANDS]},
                 "denoise": {"type": "boolean"},
+                "regularize": {"type": "boolean"},
                 "cull": {"type": "boolean"},
             },
         },

@@ -59,16 +59,19 @@ class Shot:
         street: which.
         size: (width, height).
         folder: where references are kept.
-        samples: of both references together.
+        samples: of both references together, which are made without regularization.
+        regularize: whether pictures are made with it.
     """
 
-    def __init__(self, street: Street, size: tuple[int, int], folder: Path, samples: int) -> None:
-        self.name, self.scene = street.name, scene_of(street, size, folder)
+    def __init__(
+        self, street: Street, size: tuple[int, int], folder: Path, samples: int, *, regularize: bool = True
+    ) -> None:
+        self.name, self.scene, self.regularize = street.name, scene_of(street, size, folder), False
         self.loaded = shot.load(self.scene, boundaries=False, spectra=False)
-        kept = folder / f"{street.name.replace(' ', '_')}_{size[0]}x{size[1]}_{samples}.npy"
+        kept = folder / f"{street.name.replace(' ', '_')}_{size[0]}x{size[1]}_{samples}_sharp.npy"
         if not kept.exists():
             np.save(kept, [self.picture(samples // 2, seed, False)[0] for seed in (1000, 1001)])
-        self.truths = np.load(kept)
+        self.truths, self.regularize = np.load(kept), regularize
         mean = self.truths.mean(axis=0)
         self.level = np.maximum(mean, 0.05 * mean.mean())
 
@@ -77,7 +80,15 @@ class Shot:
     ) -> tuple[Array, Array | None]:
         """(H, W) luminance, and what error it tells."""
         loaded = loaded or self.loaded
-        done = shot.render(self.scene, model=model, samples=samples, seed=seed, loaded=loaded, denoise=denoise)
+        done = shot.render(
+            self.scene,
+            model=model,
+            samples=samples,
+            seed=seed,
+            loaded=loaded,
+            denoise=denoise,
+            regularize=self.regularize,
+        )
         return grey(done.radiance), done.error
 
     def squared(self, picture: Array) -> Array:
@@ -233,6 +244,7 @@ def main() -> None:
     parser.add_argument("--reference", type=int, default=2048, help="samples of both references together")
     parser.add_argument("--seeds", type=int, default=5, help="RAW is in whole numbers: two are too few")
     parser.add_argument("--model", default="auto", help="of the sensor's table, and of the plain mean's for path")
+    parser.add_argument("--no-regularize", action="store_true", help="mirrors before lamps as sharp as they are")
     parser.add_argument("--of", help="WxH of which the sensor's table shows the middle, of `--size`; metered on all")
     arguments = parser.parse_args()
     from synfog_usd.render import backend
@@ -267,7 +279,7 @@ def main() -> None:
                     print(sensor_row(street.name, source, clear, arguments.model, arguments.seeds), flush=True)
                 continue
             for street in streets:
-                one = Shot(street, size, folder, arguments.reference)
+                one = Shot(street, size, folder, arguments.reference, regularize=not arguments.no_regularize)
                 for samples in counts[table].split(","):
                     print(rows[table](one, int(samples), arguments.seeds), flush=True)
 

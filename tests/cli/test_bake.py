@@ -334,6 +334,15 @@ def test_what_a_thin_lens_rendered_is_not_blurred_by_depth_again(tmp_path):
     )
 
 
+def test_a_bake_without_regularization_is_another_one(stage, tmp_path):
+    """It says so, and what was made with it is made anew."""
+    short = "-o", tmp_path, "--resolution", "32x18", "--samples", "4", "--fog", "mor150", "--lighting", "active"
+    for more in ((), ("--no-regularize",)):
+        done = run("bake", stage, *short, *more)
+        assert done.returncode == 0 and "finished already" not in done.stderr, done.stderr
+    assert json.loads((tmp_path / "bake.json").read_text())["plan"]["regularize"] is False
+
+
 def test_an_output_that_cannot_be_written_is_refused(stage, tmp_path):
     (tmp_path / "file").write_text("in the way")
     refused(run("bake", stage, "-o", tmp_path / "file" / "out", "--resolution", "32x18"), str(tmp_path / "file"))

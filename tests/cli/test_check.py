@@ -247,12 +247,17 @@ def test_names_of_a_million_letters_do_not_fill_the_screen():
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
-def test_what_cannot_be_printed_is_one_line_and_no_success(tmp_path):
-    """The child ends by itself, so Python's own complaint at the end is not heard."""
+@pytest.mark.parametrize("unbuffered", [False, True])
+@pytest.mark.parametrize("verb", ["check", "info", "--help"])
+def test_what_cannot_be_printed_is_one_line_and_no_success(verb, unbuffered, tmp_path):
+    """Of a child, which ends by itself, and without one; where each line is written at once, as containers ask Python
+    to, and where all are at the end.
+    """
     (tmp_path / "street.usda").write_text(street())
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    environment |= {"PYTHONUNBUFFERED": "1"} if unbuffered else {}
+    words = (verb, tmp_path / "street.usda") if verb == "check" else (verb,)
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            command("check", tmp_path / "street.usda"), stdout=full, stderr=subprocess.PIPE, text=True, env=environment
-        )
+        done = subprocess.run(command(*words), stdout=full, stderr=subprocess.PIPE, text=True, env=environment)
     assert done.returncode == 2 and "could not be written" in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr

@@ -105,10 +105,17 @@ def test_how_thick_a_fog_is(tmp_path):
 
 
 def test_what_tells_much_of_others_is_made_first(tmp_path):
-    """Where shots stop by themselves: the first without lamps, those before lamps, the rest; as they come where nothing
-    is lit, or everything.
+    """Where shots stop by themselves: the middle one in fog without lamps, those before lamps, the rest; as they come
+    where nothing is lit, or everything.
     """
-    _, todo = scenes(tmp_path, street(lamp=True), fog=("clear", "mor600"))
-    day, fog, night, night_fog = todo
-    for lit, order in (("active", [day, night, night_fog, fog]), ("", list(todo)), ("sky active", list(todo))):
-        assert least_known_first(todo, lambda lighting, lit=lit: "lamps" if lighting in lit else "sky") == order
+
+    def order(fog, lit):
+        _, todo = scenes(tmp_path, street(lamp=True), fog=fog)
+        ordered = least_known_first(todo, lambda lighting: "lamps" if lighting in lit else "sky")
+        return [todo.index(shot) for shot in ordered]
+
+    fogs = "clear", "mor600", "mor300", "mor150"
+    assert order(fogs, "active") == [2, 4, 5, 6, 7, 0, 1, 3]
+    assert order(fogs[:2], "active") == [1, 2, 3, 0]
+    assert order(fogs[:1], "active") == [0, 1]
+    assert order(fogs, "") == order(fogs, "sky active") == list(range(8))

@@ -62,7 +62,7 @@ from synfog_usd.render.media.control_variate import ControlVariate
 from synfog_usd.render.media.medium import Medium, transmittance
 from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.render.spectra.bands import Bands
-from synfog_usd.render.surface import blur, lit_from, seen_from
+from synfog_usd.render.surface import MOST_SPREAD, blur, lit_from, seen_from
 
 RR_DEPTH = 8
 """Events before Russian roulette, Mitsuba's too.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8
@@ -116,6 +116,7 @@ class FogPath:
             index, `lamps` of the
             others: that of the group times `bands.kinds`, plus the kind of light.
         bands: what a path carries; R, G and B unless told otherwise.
+        regularize: see `surface.blur`; without it there is no bias at all.
     """
 
     def __init__(
@@ -130,6 +131,7 @@ class FogPath:
         groups: tuple[str, ...] = ("other",),
         group_of_emitter: Any = None,
         bands: Bands | None = None,
+        regularize: bool = True,
     ) -> None:
         self.bands = bands or Bands()
         self.loaded, self.medium, self.lights, self.control = loaded, medium, lights, control
@@ -155,6 +157,7 @@ class FogPath:
         )
         self.meanwhile = idle
         self.rr_prob = dr.opaque(backend.mitsuba().Float, _rr_prob(medium))
+        self.most_spread = dr.opaque(backend.mitsuba().Float, MOST_SPREAD if regularize else 0.0)
         self.limited = self.truncation.scatterings < UNLIMITED
         self.estimators = (
             SURFACE,
@@ -380,7 +383,7 @@ class FogPath:
                 asked_about = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)  # the mirror's, for its gloss
             blurred, spread = si, mi.Float(0.0)
             if dr.hint(self.lights.count > 0, mode="scalar"):
-                spread = blur(dr.sqrt(spread2), (first + begun) & (HALF_STRIDE - 1))
+                spread = blur(dr.sqrt(spread2), (first + begun) & (HALF_STRIDE - 1), self.most_spread)
                 blurred = seen_from(si, spread)
             reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(
                 context, blurred, asked_about, sampler.next_1d(surface_hit), sampler.next_2d(surface_hit), surface_hit

@@ -33,6 +33,7 @@ def make_tracer(
     scatterings: int | None = None,
     bounces: int | None = None,
     bands: int = RGB,
+    regularize: bool = True,
 ) -> FogPath:
     """Path tracing with the fog's edge in closed form.
 
@@ -41,6 +42,7 @@ def make_tracer(
         in_froxels: take the airlight from a radiance cache, see `integrators.froxels`.
         scatterings, bounces: see `Truncation`; None is no limit.
         bands: what a path carries, see `spectra.bands`.
+        regularize: see `FogPath`.
 
     Raises:
         ParameterError: a slab for a scene that is none.
@@ -78,17 +80,18 @@ def make_tracer(
         groups=names,
         group_of_emitter=of_emitter,
         bands=carried,
+        regularize=regularize,
     )
 
 
-def make_slab(loaded: MitsubaScene, *, bands: int = RGB) -> FogPath:
+def make_slab(loaded: MitsubaScene, *, bands: int = RGB, regularize: bool = True) -> FogPath:
     """The slab's airlight, and surfaces in the slab's light with visibility rays."""
-    return make_tracer(loaded, with_slab=True, scatterings=0, bounces=2, bands=bands)
+    return make_tracer(loaded, with_slab=True, scatterings=0, bounces=2, bands=bands, regularize=regularize)
 
 
-def make_single(loaded: MitsubaScene, *, bands: int = RGB) -> FogPath:
+def make_single(loaded: MitsubaScene, *, bands: int = RGB, regularize: bool = True) -> FogPath:
     """Light that the fog scattered once at most."""
-    return make_tracer(loaded, scatterings=1, bands=bands)
+    return make_tracer(loaded, scatterings=1, bands=bands, regularize=regularize)
 
 
 def path_refuses(scene: SceneDict) -> str:
