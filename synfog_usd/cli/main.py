@@ -140,7 +140,7 @@ def bake(
         typer.Option(
             help=(
                 "Blur what mirrors show of lamps by way of fog or rough surfaces, less the more samples there are; "
-                "--no-regularize has no bias at all, and more rare bright pixels."
+                "--no-regularize leaves --no-denoise without any bias, and more rare bright pixels."
             )
         ),
     ] = True,

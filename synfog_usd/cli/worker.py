@@ -8,6 +8,7 @@ ends the child at once, and it turns a child's death by signal into a message.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import signal
 import subprocess
@@ -65,39 +66,66 @@ def end_with(work: Callable[[], Any]) -> None:
     os._exit(code or 0)
 
 
+class _UnprintedError(OSError):
+    """What was to be printed could not be written."""
+
+
+class _Printer:
+    """A stream whose failures can be told from those of other files."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: Any) -> Any:
+        return self._tried(self._stream.write, text)
+
+    def flush(self) -> None:
+        if not self._stream.closed:
+            self._tried(self._stream.flush)
+
+    @staticmethod
+    def _tried(do: Callable[..., Any], *given: Any) -> Any:
+        try:
+            return do(*given)
+        except OSError as error:
+            raise _UnprintedError(error.errno, error.strerror) from error
+
+
 @contextlib.contextmanager
 def printed() -> Iterator[None]:
     """What is printed within it is written when it ends.  Where that fails, a line says so, and the exit code is 2 if
     it was to be 0.
     """
-    end: SystemExit | None = None
+    out, end = sys.stdout, None
+    if out is None:  # it was closed before we began
+        yield
+        return
+    printer = sys.stdout = _Printer(out)
     try:
         try:
             yield
         except SystemExit as ended:
             end = ended
         except BaseException:  # which says more
-            with contextlib.suppress(OSError, ValueError):
-                _flush()
+            with contextlib.suppress(OSError):
+                printer.flush()
             raise
-        _flush()
-    except OSError as error:
-        if error.filename is not None:
-            raise
+        printer.flush()
+    except _UnprintedError as error:
         with contextlib.suppress(OSError, ValueError):  # else Python tries again at its end, and complains itself
             nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, sys.stdout.fileno())
+            os.dup2(nowhere, out.fileno())
             os.close(nowhere)
-        if not isinstance(error, BrokenPipeError):  # else nobody reads any more
+        if error.errno != errno.EPIPE:  # else nobody reads any more
             print(f"synfog-usd: what was to be printed could not be written: {error}", file=sys.stderr)
         sys.exit((end and end.code) or 2)
+    finally:
+        sys.stdout = out
     if end is not None:
         raise end
-
-
-def _flush() -> None:
-    if sys.stdout is not None and not sys.stdout.closed:
-        sys.stdout.flush()
 
 
 @contextlib.contextmanager

@@ -8,7 +8,8 @@ Figures, all of luminance (the mean of R, G and B) and of several seeds:
 
 - **raw**: relative RMS error of all pixels of the plain mean, and without the worst hundredth.  Squared errors are
   products of the differences to two references that know nothing of each other, so their noise cancels.  With
-  `--model volpath` of Mitsuba's, against the same references; beside it processor seconds of a picture.
+  `--model volpath` of Mitsuba's, and with `--no-regularize` of paths without bias, as those of the references are;
+  beside it processor seconds of a picture.
 - **brightest**: the share of a million pixels' light that the worst single pixel has too much.
 - **denoised**: relative RMS error of a pixel; bias of blocks of 32 x 32 pixels (RMS).  That bias
   is what the denoised picture has more than the mean of the very samples that it was made of, which has none; what

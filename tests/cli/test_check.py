@@ -14,6 +14,7 @@ from support.stages import street
 
 from synfog_usd.camera.profiles import shipped
 from synfog_usd.cli import check as verb
+from synfog_usd.cli.worker import printed
 from synfog_usd.scene import Note
 from synfog_usd.stage.rulebook import finding
 
@@ -261,3 +262,12 @@ def test_what_cannot_be_printed_is_one_line_and_no_success(verb, unbuffered, tmp
         done = subprocess.run(command(*words), stdout=full, stderr=subprocess.PIPE, text=True, env=environment)
     assert done.returncode == 2 and "could not be written" in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
+
+
+def test_what_fails_elsewhere_is_not_taken_for_printing(capsys):
+    """A scheduler that is not there, whose error has no file's name either."""
+    with pytest.raises(ConnectionRefusedError), printed():
+        print("before")
+        raise ConnectionRefusedError(111, "Connection refused")
+    said = capsys.readouterr()
+    assert said.out == "before\n" and not said.err
