@@ -35,7 +35,7 @@ _FILES = "synfogFiles"
 """Where it keeps the files over all variants, which USD takes long to list."""
 
 _LEFT_OUT = "synfogLeftOut"
-"""Where it keeps which attributes of a wrong type are blocked: lines of prim and text."""
+"""Where it keeps which attributes and metadata of a wrong type are left out: lines of prim and text."""
 
 MENDED_UNITS = "synfogMendedUnits"
 """Where a layer that mends another's units keeps what that one says [m]."""
@@ -77,7 +77,7 @@ def open_stage(
     fence = Fence.around(path, allow)
     quiet = UsdUtils.CoalescingDiagnosticDelegate()  # what cannot be read is told as errors and notes, not by USD
     try:
-        held = read_layers(path, fence)
+        held, left_out = read_layers(path, fence)
         stage = _masked(path, list(mask)) if mask else Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
         del held, quiet
     except (Tf.ErrorException, UnicodeDecodeError) as problem:
@@ -90,6 +90,7 @@ def open_stage(
         **session.customLayerData,
         _FOLDERS: Vt.StringArray([str(folder) for folder in fence.folders]),
         _FILES: Vt.StringArray(_checked_files(stage, fence)),
+        _LEFT_OUT: Vt.StringArray([f"\n{line}" for line in left_out]),
     }
     _check_expressions(stage, fence)
     if whole and (broken := composition_notes(stage)):

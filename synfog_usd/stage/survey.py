@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Ar, Sdf
+from pxr import Ar, Sdf, Tf
 
 from synfog_usd.errors import StageError
 from synfog_usd.fence import LAYERS, Fence
@@ -57,11 +57,12 @@ class _Layer:
     instanceable: frozenset[str]
 
 
-def read_layers(root: Path, fence: Fence) -> list[Any]:
+def read_layers(root: Path, fence: Fence) -> tuple[list[Any], list[str]]:
     """Read all layers of a stage and compose none; refuse what would be too much, or lies outside the fence.
 
     Returns:
-        the layers; while they are held, USD does not read their files again.
+        the layers; while they are held, USD does not read their files again.  And what of their own metadata has a type
+        of no use and is left out, a line each.
 
     Raises:
         StageError: with the prim or file, what was found and the limit.
@@ -69,7 +70,7 @@ def read_layers(root: Path, fence: Fence) -> list[Any]:
     found = _Survey(fence)
     start = found.add(str(root), "")
     if start is None:
-        return []  # what is wrong with it, opening will say
+        return [], []  # what is wrong with it, opening will say
     found.read_all()
     found.check_variables()
     for name in found.layers:
@@ -87,7 +88,7 @@ def read_layers(root: Path, fence: Fence) -> list[Any]:
             f"{root}: unfolds to {budget.amount(total)} prims and references; at most {most} are composed: refer to "
             f"fewer things, make what repeats instanceable{budget.trusting(budget.MAX_PRIMS_TRUSTED)}"
         )
-    return list(found.open.values())
+    return list(found.open.values()), found.left_out
 
 
 class _Survey:
@@ -104,6 +105,7 @@ class _Survey:
         self.relied: dict[str, Any] = {}  # of other layers, where a path depended on them
         self.counted_files: set[str] = set()
         self.lead: dict[str, list[str]] = {}  # layer -> its prims that refer to .mtlx files by name
+        self.left_out: list[str] = []
 
     def add(self, file: str, who: str) -> str | None:
         """Note a layer for reading; its identifier, or None where it is not there or is no layer of ours.
@@ -146,6 +148,7 @@ class _Survey:
             layer = Sdf.Layer.FindOrOpen(resolved)
             if layer is None:
                 return None
+            self.left_out += _retyped(layer)
             if not self.open:
                 self.variables = dict(layer.expressionVariables)
             self.open[resolved] = layer
@@ -406,6 +409,29 @@ def _check_arrays(path: Path) -> None:
             f"{path}: {path.stat().st_size} bytes whose arrays unpack to {budget.amount(many)} numbers; at most "
             f"{budget.amount(most)} are read of a file of this size"
         )
+
+
+def _retyped(layer: Any) -> list[str]:
+    """Give a layer's own metadata the types of their schema, in memory only: USD reads units that an exporter stored as
+    float where double is wanted, and whatever asks for them falls over it.
+
+    Returns:
+        what cannot be such a type and is taken out, a line each.
+    """
+    root, fault = layer.pseudoRoot, []
+    editable, savable = layer.permissionToEdit, layer.permissionToSave
+    layer.SetPermissionToEdit(True)
+    for key in sorted(set(root.ListInfoKeys()) & set(root.GetMetaDataInfoKeys())):
+        try:
+            root.SetInfo(key, root.GetInfo(key))  # changes nothing where the type is right
+        except UnicodeDecodeError:  # of a word that nothing asks for
+            continue
+        except (TypeError, Tf.ErrorException):
+            fault.append(f"{key} of {Path(layer.realPath).name} is {str(root.GetInfo(key))[:40]!r}, which is of no use")
+            root.ClearInfo(key)
+    layer.SetPermissionToEdit(editable)
+    layer.SetPermissionToSave(savable and not layer.dirty)
+    return fault
 
 
 def _lead_to_memory(layer: Any, paths: list[str]) -> None:

@@ -256,7 +256,8 @@ def _of_stage(file: Path) -> Found:
         stage = Usd.Stage.Open(layer) if layer else None
         if not stage:
             raise StageError(f"{file}: not a USD file, or damaged")
-        found = Found(metres_per_unit=UsdGeom.GetStageMetersPerUnit(stage), up=f"+{UsdGeom.GetStageUpAxis(stage)}")
+        said = layer.pseudoRoot.GetInfo  # of the stage itself, USD gives no number that an exporter stored as float
+        found = Found(metres_per_unit=float(said("metersPerUnit")), up=f"+{said('upAxis')}")
         meshes = list(_visible(stage))
         _refuse_many(
             file, sum(int(np.maximum(np.array(m.GetFaceVertexCountsAttr().Get() or []) - 2, 0).sum()) for m in meshes)
