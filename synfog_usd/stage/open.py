@@ -499,6 +499,9 @@ def override(
                 camera = UsdGeom.Camera(stage.GetPrimAtPath(path))
                 camera.CreateShutterOpenAttr(-half)
                 camera.CreateShutterCloseAttr(half)
+            if settings := UsdRender.Settings.GetStageRenderSettings(stage):
+                settings.CreateDisableMotionBlurAttr(False)
+                settings.CreateInstantaneousShutterAttr(False)
             if not any(layer.ListAllTimeSamples() for layer in stage.GetUsedLayers()):
                 stage.SetStartTimeCode(stage.GetStartTimeCode())  # without a time nothing has one to move in
         for choice in (choices := list(choices)):

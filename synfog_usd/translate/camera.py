@@ -34,6 +34,9 @@ MIN_VIEW_DEG, MAX_VIEW_DEG, MAX_SHIFT = PARALLEL_DEG, 179.0, 10.0
 _PROJECTIONS = ("perspective", "orthographic")
 _ABSURD_FOCAL_M = 0.5
 _STILL_M, _STILL_RAD = 1e-6, 1e-7
+_OF_FRAMES = tuple(UsdRender.SettingsBase.GetSchemaAttributeNames(includeInherited=False)) + ("camera",)
+"""What render settings and each of their products may say of a frame."""
+
 _EXPOSURE = ("exposure", "exposure:iso", "exposure:time", "exposure:fStop", "exposure:responsivity")
 
 
@@ -61,6 +64,9 @@ def read_camera(
     prim = _chosen(stage, settings, path, notes)
     camera = UsdGeom.Camera(prim)
     lens = camera.GetCamera(time)
+    _tell_what_is_left_out(settings, notes)
+    if planes := len(lens.clippingPlanes):
+        notes.warn(prim.GetPath(), f"its {planes} clippingPlanes cut nothing off here; hide what they should take away")
     notes.token(prim.GetPath(), "projection", camera.GetProjectionAttr().Get(), _PROJECTIONS, "perspective")
     parallel = lens.projection == Gf.Camera.Orthographic
     width_mm, height_mm, focal = lens.horizontalAperture, lens.verticalAperture, lens.focalLength
@@ -77,6 +83,9 @@ def read_camera(
     f_number, focus_m = 0.0 if parallel else float(lens.fStop), float(lens.focusDistance) * space.metres_per_unit
     if not 0.0 <= f_number < math.inf:
         notes.warn(prim.GetPath(), f"fStop is {f_number:g}, which is no f-number; the lens is drawn as a pinhole")
+        f_number = 0.0
+    if f_number > 0.0 and settings and settings.GetDisableDepthOfFieldAttr().Get():
+        notes.info(settings.GetPath(), "disableDepthOfField: the lens is drawn as a pinhole")
         f_number = 0.0
     if f_number > 0.0 and focal_m > _ABSURD_FOCAL_M:
         notes.warn(
@@ -136,6 +145,26 @@ def read_camera(
         rolling=_rolling(prim, time, notes),
         global_reset=_global_reset(prim, time, notes),
     )
+
+
+def _tell_what_is_left_out(settings: UsdRender.Settings, notes: Diagnostics) -> None:
+    """What render settings ask for and a picture here does not have."""
+    if not settings:
+        return
+    path = settings.GetPath()
+    window = settings.GetDataWindowNDCAttr().Get()
+    if window is not None and tuple(window) != (0.0, 0.0, 1.0, 1.0):
+        part = ", ".join(f"{edge:g}" for edge in window)
+        notes.warn(path, f"dataWindowNDC ({part}) is not followed: the whole frame is drawn")
+    if (aspect := settings.GetPixelAspectRatioAttr().Get()) not in (None, 1.0):
+        notes.warn(path, f"pixelAspectRatio {aspect:g} is not followed: pixels are square here")
+    bindings = settings.GetMaterialBindingPurposesAttr()
+    if bindings.HasAuthoredValue() and list(bindings.Get() or ["full"])[0] != "full":
+        notes.warn(path, "materialBindingPurposes is not followed: materials for 'full' come before all others here")
+    for product in map(settings.GetPrim().GetStage().GetPrimAtPath, settings.GetProductsRel().GetForwardedTargets()):
+        own = [name for name in _OF_FRAMES if product and product.GetProperty(name).IsAuthored()]
+        if own:
+            notes.warn(product.GetPath(), f"{', '.join(own)} of a product is not read; the RenderSettings' own counts")
 
 
 def _rolling(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> float:
@@ -206,9 +235,11 @@ def half_exposure(stage: Usd.Stage, time: Usd.TimeCode, path: str) -> float:
 
 def _shutter(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[float, float]:
     """When the top row begins to expose and the bottom row ends, in frames from the frame's time; (0, 0) where nothing
-    sensible is authored.
+    sensible is authored, or the render settings want no motion blur.
     """
-    camera = UsdGeom.Camera(prim)
+    camera, settings = UsdGeom.Camera(prim), UsdRender.Settings.GetStageRenderSettings(prim.GetStage())
+    if settings and (settings.GetDisableMotionBlurAttr().Get() or settings.GetInstantaneousShutterAttr().Get()):
+        return 0.0, 0.0
     opens, closes = (
         float(attribute.Get(time) or 0.0) for attribute in (camera.GetShutterOpenAttr(), camera.GetShutterCloseAttr())
     )

@@ -5,6 +5,7 @@ Takes a leaf and its place; gives its shapes and what they emit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, TypeAlias
@@ -112,6 +113,8 @@ class Shapes:
                 "radius": float(radius),
                 "bsdf": {"type": "ref", "id": key},
             }
+            if "MeshLightAPI" in leaf.schemas:
+                return [self._mesh_light(leaf, shape, 4.0 * math.pi * radius**2)]
             return [(shape, emission, finish.emission_nits)]
         if kind in CURVES or kind in ("Points", "NurbsPatch"):
             own = self._swept(leaf, kind)
@@ -136,9 +139,10 @@ class Shapes:
             return []
         if finish.colored and made.colors is None:
             made = replace(made, colors=np.tile(self.bindings.plain_color(leaf, finish), (len(made.positions), 1)))
-        return [
-            (geometry.mesh_shape(made, key, textured=textured, colored=finish.colored), emission, finish.emission_nits)
-        ]
+        shape = geometry.mesh_shape(made, key, textured=textured, colored=finish.colored)
+        if "MeshLightAPI" in leaf.schemas:
+            return [self._mesh_light(leaf, shape, geometry.area(made))]
+        return [(shape, emission, finish.emission_nits)]
 
     def _swept(self, leaf: Leaf, kind: str) -> Triangles | None:
         if kind == "Points":
@@ -219,7 +223,7 @@ class Shapes:
                 )
             shape = geometry.mesh_shape(triangles, key, textured=textured, colored=finish.colored)
             if "MeshLightAPI" in leaf.schemas:
-                shape, emission, nits = self._mesh_light(leaf, shape, triangles)
+                shape, emission, nits = self._mesh_light(leaf, shape, geometry.area(triangles))
             result.append((shape, emission, nits))
         if self.meshes is not None and said is not None and len(result) == 1 and self.notes.told == told:
             self.meshes[said] = result[0][0]
@@ -237,10 +241,10 @@ class Shapes:
         ]
         return (*specs, self.time, matrix.tobytes(), finish.uv, finish.unsaid, color)
 
-    def _mesh_light(self, leaf: Leaf, shape: dict[str, Any], triangles: Triangles) -> Part:
+    def _mesh_light(self, leaf: Leaf, shape: dict[str, Any], area_m2: float) -> Part:
         metres, convention = self.metres_per_unit, self.chooser.of(leaf.prim)
         radiance = light.mesh_light(
-            leaf.prim, self.time, geometry.area(triangles), self.notes, metres_per_unit=metres, convention=convention
+            leaf.prim, self.time, area_m2, self.notes, metres_per_unit=metres, convention=convention
         )
         sync = leaf.prim.GetAttribute("light:materialSyncMode")
         given = sync.Get() if sync else None

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, UsdVol
+from pxr import Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdVol
 
 from synfog_usd.arrays import Array, Flags
 from synfog_usd.errors import StageError
@@ -63,6 +63,8 @@ _PASSED = frozenset({"", "Xform", "Scope", "SkelRoot", "Camera", "OpenVDBAsset",
 
 
 _PURPOSES = ("default", "render", "proxy", "guide")
+_USUAL = frozenset({"default", "render"})
+_SHOWN = ("inherited", "visible", "invisible")
 _SAID = LABEL_SOURCES | {"visibility", "purpose", "primvars:displayColor", "primvars:displayOpacity", "model:drawMode"}
 _SAID_BEGINNINGS = (PREFIX, "userProperties:synfog")
 """Properties that mean something to the walk, by their names and by how these begin."""
@@ -168,6 +170,8 @@ class _State:
 
     depth: int
     drawn: bool
+    purpose: str = "default"
+    hidden: frozenset[str] = frozenset()
     authored: frozenset[str] = frozenset()
     schemas: tuple[str, ...] = ()
     owner: Owner | None = None
@@ -182,8 +186,8 @@ class _State:
 def walk(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics) -> Walk:
     """Everything that can be seen, shines or is fog, once.
 
-    Invisible and inactive prims and those of purpose guide and proxy are left out,
-    except for fog boundaries, whose purpose does not count.
+    Invisible and inactive prims and those of purpose guide and proxy, or of what the render settings do not include,
+    are left out, except for fog boundaries, whose purpose does not count.
 
     Raises:
         StageError: nested deeper than `MAX_DEPTH` or more than `MAX_LEAVES` prims.
@@ -201,9 +205,10 @@ class _Walker:
         self.group_index: dict[tuple[object, ...], int] = {}
         self.open_groups: list[str] = []
         self.count = 0
+        self.included = _included(stage, notes)
 
     def run(self) -> Walk:
-        self.into(self.stage.GetPseudoRoot(), _State(-1, drawn=True), None, None)
+        self.into(self.stage.GetPseudoRoot(), _State(-1, drawn="default" in self.included), None, None)
         return self.result
 
     def into(self, root: Usd.Prim, start: _State, group: Group | None, frame: Usd.Prim | None) -> None:
@@ -263,7 +268,14 @@ class _Walker:
         self, prim: Usd.Prim, at: Sdf.Path, kind: str, depth: int, above: _State, *, is_frame: bool
     ) -> _State | None:
         """The state below a prim, or None where nothing below can be seen."""
-        drawn, owner, model, color, fog = above.drawn, above.owner, above.model, above.color, None
+        purpose, hidden, owner, model, color, fog = (
+            above.purpose,
+            above.hidden,
+            above.owner,
+            above.model,
+            above.color,
+            None,
+        )
         authored, says, moved = self.names(prim)
         if moved:
             self.check_order(prim, at, authored)
@@ -274,8 +286,10 @@ class _Walker:
             if self.notes.token(at, "visibility", visibility, ("inherited", "invisible"), "inherited") == "invisible":
                 return None
         if says and "purpose" in authored:
-            purpose = prim.GetAttribute("purpose").Get()
-            drawn = self.notes.token(at, "purpose", purpose, _PURPOSES, "guide") in ("default", "render")
+            purpose = self.notes.token(at, "purpose", prim.GetAttribute("purpose").Get(), _PURPOSES, "guide")
+        if schemas:
+            hidden = self.by_schemas(prim, at, kind, schemas, hidden)
+        drawn = purpose in self.included and purpose not in hidden
         if prim.HasAuthoredMetadata("clips"):
             self.result.clipped = True
         prim_kind = prim.GetMetadata("kind") if prim.HasAuthoredMetadata("kind") else ""
@@ -304,7 +318,46 @@ class _Walker:
             mode = mode if own_mode == "inherited" else own_mode
         if (says or schemas) and has_fog_attributes(prim, tuple(authored)):
             fog = prim
-        return _State(depth, drawn, authored, schemas, owner, model, color, fog, above.material, above.stronger, mode)
+        return _State(
+            depth,
+            drawn,
+            purpose,
+            hidden,
+            authored,
+            schemas,
+            owner,
+            model,
+            color,
+            fog,
+            above.material,
+            above.stronger,
+            mode,
+        )
+
+    def by_schemas(
+        self, prim: Usd.Prim, at: Sdf.Path, kind: str, schemas: tuple[str, ...], hidden: frozenset[str]
+    ) -> frozenset[str]:
+        """The purposes that are hidden at a prim, by its schemas and what is hidden above; lights of no kind are
+        told.
+        """
+        for name in schemas:
+            if name == "VisibilityAPI":
+                hidden = self.hidden_purposes(prim, at)
+            elif (name == "MeshLightAPI" and kind not in DRAWN) or name == "VolumeLightAPI":
+                self.notes.warn(at, f"{name} on a {kind or 'prim without type'} is not drawn: it is dark")
+            elif name == "LightAPI" and "Light" not in kind:
+                self.notes.warn(at, f"LightAPI alone makes no light of a {kind or 'prim without type'}: it is dark")
+        return hidden
+
+    def hidden_purposes(self, prim: Usd.Prim, at: Sdf.Path) -> frozenset[str]:
+        """Purposes that a prim's VisibilityAPI hides; the nearest one alone counts, also where it says 'inherited'."""
+        hidden = set()
+        for purpose in ("render", "proxy", "guide"):
+            attribute = prim.GetAttribute(f"{purpose}Visibility")
+            value = attribute.Get(self.time) if attribute.HasAuthoredValue() else None
+            if self.notes.token(at, attribute.GetName(), value, _SHOWN, "inherited") == "invisible":
+                hidden.add(purpose)
+        return frozenset(hidden)
 
     def constant_color(
         self, prim: Usd.Prim, inherited: tuple[float, float, float] | None
@@ -524,7 +577,7 @@ class _Walker:
     ) -> int:
         """Index of the group of a prototype, walked at its first use."""
         root = str(prototype.GetPath())
-        key = (root, color, bound, state.drawn, state.mode)
+        key = (root, color, bound, state.purpose, state.hidden, state.mode)
         known = self.group_index.get(key)
         if known is not None:
             return known
@@ -537,7 +590,16 @@ class _Walker:
         depth = prototype.GetPath().pathElementCount
         self.into(
             prototype,
-            _State(depth - 1, state.drawn, color=color, material=bound[0], stronger=bound[1], mode=state.mode),
+            _State(
+                depth - 1,
+                state.drawn,
+                state.purpose,
+                state.hidden,
+                color=color,
+                material=bound[0],
+                stronger=bound[1],
+                mode=state.mode,
+            ),
             group,
             prototype,
         )
@@ -587,6 +649,22 @@ class _Walker:
             if found.leaves:
                 self.result.placements.append(one)
             waiting += [_within(one, inner, found.root) for inner in reversed(found.inner)]
+
+
+def _included(stage: Usd.Stage, notes: Diagnostics) -> frozenset[str]:
+    """The purposes that are drawn: default and render, or what the render settings include."""
+    settings = UsdRender.Settings.GetStageRenderSettings(stage)
+    asked = list(settings.GetIncludedPurposesAttr().Get() or ()) if settings else []
+    known = frozenset(asked) & frozenset(_PURPOSES)
+    if settings and known != frozenset(asked):
+        notes.warn(
+            settings.GetPath(),
+            f"includedPurposes has {', '.join(sorted(set(asked) - known))[:60]!r}; it takes {', '.join(_PURPOSES)}",
+        )
+    if not known or known == _USUAL:
+        return _USUAL
+    notes.info(settings.GetPath(), f"prims of the purposes {', '.join(sorted(known))} are drawn (includedPurposes)")
+    return known
 
 
 def _stand(matrices: Array) -> Flags:

@@ -121,6 +121,64 @@ def test_which_camera_looks(empty):
         translate(stage, camera="/Camra")
 
 
+def rendered(stage):
+    stage.SetMetadata("renderSettingsPrimPath", "/Render")
+    return UsdRender.Settings.Define(stage, "/Render")
+
+
+def test_planes_that_would_cut_are_told(empty):
+    stage = empty()
+    camera(stage).CreateClippingPlanesAttr([Gf.Vec4f(1, 0, 0, 0), Gf.Vec4f(0, 1, 0, 0)])
+    assert any(note.path == "/Camera" and "2 clippingPlanes" in note.text for note in translate(stage).notes)
+
+
+@pytest.mark.parametrize(
+    "name, value, told",
+    [
+        ("dataWindowNDC", Gf.Vec4f(0.5, 0, 1, 1), "dataWindowNDC (0.5, 0, 1, 1) is not followed"),
+        ("pixelAspectRatio", 2.0, "pixelAspectRatio 2 is not followed"),
+        ("materialBindingPurposes", ["preview"], "materialBindingPurposes is not followed"),
+    ],
+)
+def test_what_render_settings_ask_for_in_vain_is_told(empty, name, value, told):
+    stage = empty()
+    prim = rendered(stage).GetPrim()
+    assert not any(note.path == "/Render" for note in translate(stage).notes)
+    prim.GetAttribute(name).Set(value)
+    (note,) = [note for note in translate(stage).notes if note.path == "/Render"]
+    assert told in note.text
+
+
+def test_what_a_product_says_for_itself_is_told(empty):
+    stage = empty()
+    product = UsdRender.Product.Define(stage, "/Render/Product")
+    product.CreateResolutionAttr(Gf.Vec2i(64, 32))
+    rendered(stage).CreateProductsRel().AddTarget("/Render/Product")
+    (note,) = [note for note in translate(stage).notes if note.path == "/Render/Product"]
+    assert note.text.startswith("resolution of a product is not read")
+
+
+def test_render_settings_without_blur_have_none(empty):
+    """disableDepthOfField is a pinhole; disableMotionBlur a shutter that is open for no time, unless one is asked for."""
+    stage = empty(metres_per_unit=0.01)
+    authored = camera(stage)
+    authored.CreateFStopAttr(2.8)
+    authored.CreateFocusDistanceAttr(1200.0)
+    authored.CreateShutterCloseAttr(0.5)
+    cube = UsdGeom.Cube.Define(stage, "/Cube").AddTranslateOp()
+    for frame in (0, 2):
+        cube.Set((float(frame), 500.0, 0.0), frame)
+    settings = rendered(stage)
+    scene = translate(stage, frame=1)
+    assert scene.camera.f_number == pytest.approx(2.8) and scene.motion_of
+    settings.CreateDisableDepthOfFieldAttr(True)
+    settings.CreateDisableMotionBlurAttr(True)
+    scene = translate(stage, frame=1)
+    assert scene.camera.f_number == 0.0 and not scene.motion_of
+    override(stage, shutter_s=0.02)
+    assert translate(stage, frame=1).motion_of
+
+
 def test_a_stage_without_a_camera_is_refused(empty):
     stage = empty()
     stage.RemovePrim("/Camera")

@@ -260,6 +260,71 @@ def test_a_mesh_with_light_api_shines(empty, polygon_mesh):
     np.testing.assert_allclose(strength(emitter), 100.0, rtol=1e-6)
 
 
+SPHERE_M2, CUBE_M2, CYLINDER_M2 = 4.0 * np.pi, 24.0, 6.0 * np.pi + 2.0 * np.pi
+CONE_M2, CAPSULE_M2 = np.pi * (1.0 + np.sqrt(5.0)), 2.0 * np.pi * 0.5 * 1.0 + 4.0 * np.pi * 0.25
+
+
+@pytest.mark.parametrize("normalize", [False, True])
+@pytest.mark.parametrize(
+    "kind, numbers, surface_m2",
+    [
+        ("Sphere", {"radius": 1.0}, SPHERE_M2),
+        ("Cube", {"size": 2.0}, CUBE_M2),
+        ("Cylinder", {"radius": 1.0, "height": 3.0}, CYLINDER_M2),
+        ("Cone", {"radius": 1.0, "height": 2.0}, CONE_M2),
+        ("Capsule", {"radius": 0.5, "height": 1.0}, CAPSULE_M2),
+        ("Plane", {"width": 2.0, "length": 3.0}, 6.0),
+    ],
+)
+def test_any_shape_with_mesh_light_api_shines_as_a_mesh_does(empty, kind, numbers, surface_m2, normalize):
+    """Its flux is pi L A of the surface in closed form; tessellated round ones are a little smaller."""
+    stage = empty()
+    prim = stage.DefinePrim("/Lamp", kind)
+    for name, number in numbers.items():
+        prim.GetAttribute(name).Set(number)
+    UsdGeom.Xformable(prim).AddTranslateOp().Set((0.0, 10.0, 0.0))
+    UsdLux.MeshLightAPI.Apply(prim)
+    UsdLux.LightAPI(prim).CreateIntensityAttr(100.0)
+    UsdLux.LightAPI(prim).CreateNormalizeAttr(normalize)
+    scene = translate(stage)
+    assert not scene.notes
+    emitter, _ = lamp_of(scene)
+    (flux,) = scene.flux_of.values()
+    wanted = 100.0 * np.pi * (1.0 if normalize else surface_m2)
+    np.testing.assert_allclose(flux, wanted, rtol=1e-6 if normalize or kind in ("Sphere", "Cube", "Plane") else 0.03)
+    if not normalize:
+        np.testing.assert_allclose(strength(emitter), 100.0, rtol=1e-6)
+
+
+def test_a_point_with_mesh_light_api_shines_in_each_instance(empty):
+    stage = empty()
+    stage.CreateClassPrim("/Proto")
+    prim = UsdGeom.Sphere.Define(stage, "/Proto/Bulb").GetPrim()
+    UsdLux.MeshLightAPI.Apply(prim)
+    UsdLux.LightAPI(prim).CreateIntensityAttr(100.0)
+    for number in range(3):
+        copy = UsdGeom.Xform.Define(stage, f"/Copy{number}")
+        copy.AddTranslateOp().Set((float(3 * number), 10.0, 0.0))
+        copy.GetPrim().GetReferences().AddInternalReference("/Proto")
+        copy.GetPrim().SetInstanceable(True)
+    np.testing.assert_allclose(list(translate(stage).flux_of.values()), [400.0 * np.pi**2] * 3, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "schema, kind, told",
+    [
+        ("MeshLightAPI", "Xform", "MeshLightAPI on a Xform is not drawn"),
+        ("MeshLightAPI", "PointInstancer", "MeshLightAPI on a PointInstancer is not drawn"),
+        ("VolumeLightAPI", "Volume", "VolumeLightAPI on a Volume is not drawn"),
+        ("LightAPI", "Cube", "makes no light of a Cube"),
+    ],
+)
+def test_what_cannot_shine_by_a_schema_is_told(empty, schema, kind, told):
+    stage = empty()
+    stage.DefinePrim("/Lamp", kind).AddAppliedSchema(schema)
+    assert any(note.path == "/Lamp" and told in note.text for note in translate(stage).notes)
+
+
 @pytest.mark.parametrize("kind", ["native", "points"])
 def test_lights_in_prototypes_shine_once_per_instance(empty, kind):
     """A renderer forbids emitters in shared geometry, so each instance gets lamps of its own."""

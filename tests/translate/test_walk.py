@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdSemantics, UsdShade
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade
 from support.calls import calls
 
 from synfog_usd.errors import StageError
@@ -33,6 +33,75 @@ def test_only_what_can_be_seen_is_drawn(empty):
     stage.CreateClassPrim("/Class")
     UsdGeom.Cube.Define(stage, "/Class/Cube")
     assert {instance.path for instance in translate(stage).instances} == {"/Seen/Cube", "/Render/Cube", "/Guide/Back"}
+
+
+def drawn(stage):
+    return {instance.path for instance in translate(stage).instances}
+
+
+def test_visibility_by_purpose_is_usds_own(empty):
+    """UsdGeomVisibilityAPI hides a purpose below a prim, and shows it again further down, as
+    UsdGeom.Imageable.ComputeEffectiveVisibility says of each prim; instances are no exception.
+    """
+    stage = empty()
+    paths = []
+    for outer in ("inherited", "invisible", "visible", None):
+        for inner in ("inherited", "invisible", "visible", None):
+            for purpose in ("default", "render"):
+                path = f"/{outer}_{inner}_{purpose}"
+                for prim, said in ((path, outer), (f"{path}/In", inner)):
+                    made = UsdGeom.Xform.Define(stage, prim).GetPrim()
+                    if said is not None:
+                        UsdGeom.VisibilityAPI.Apply(made).CreateRenderVisibilityAttr(said)
+                cube = UsdGeom.Cube.Define(stage, f"{path}/In/Cube")
+                cube.CreatePurposeAttr(purpose)
+                cube.AddTranslateOp().Set((0.0, 5.0 * len(paths), 0.0))
+                paths.append(f"{path}/In/Cube")
+
+    def seen(path):
+        shape = UsdGeom.Imageable.Get(stage, path)
+        return shape.ComputeEffectiveVisibility(shape.ComputePurpose()) != UsdGeom.Tokens.invisible
+
+    wanted = {path for path in paths if seen(path)}
+    assert 16 < len(wanted) < 32
+    assert drawn(stage) == wanted
+
+    hidden = UsdGeom.VisibilityAPI.Apply(UsdGeom.Xform.Define(stage, "/Hidden").GetPrim())
+    hidden.CreateRenderVisibilityAttr("invisible")
+    for where in ("/Hidden/Copy", "/Copy"):
+        copy = stage.DefinePrim(where, "Xform")
+        copy.GetReferences().AddInternalReference("/None_None_render")
+        copy.SetInstanceable(True)
+    assert drawn(stage) == wanted | {"/Copy"}
+
+
+@pytest.mark.parametrize(
+    "purposes, wanted",
+    [
+        (None, {"/default", "/render"}),
+        (["default", "render"], {"/default", "/render"}),
+        (["default", "proxy"], {"/default", "/proxy"}),
+        (["default", "render", "proxy", "guide"], {"/default", "/render", "/proxy", "/guide"}),
+        (["render"], {"/render"}),
+    ],
+)
+def test_the_render_settings_say_which_purposes_are_drawn(empty, purposes, wanted):
+    stage = empty()
+    for purpose in ("default", "render", "proxy", "guide"):
+        UsdGeom.Cube.Define(stage, f"/{purpose}").CreatePurposeAttr(purpose)
+    settings = UsdRender.Settings.Define(stage, "/Render")
+    stage.SetMetadata("renderSettingsPrimPath", "/Render")
+    if purposes is not None:
+        settings.CreateIncludedPurposesAttr(purposes)
+    assert drawn(stage) == wanted
+
+
+def test_a_purpose_that_usd_does_not_know_is_told_of_the_render_settings(empty):
+    stage = empty()
+    UsdGeom.Cube.Define(stage, "/Cube")
+    UsdRender.Settings.Define(stage, "/Render").CreateIncludedPurposesAttr(["default", "renders"])
+    stage.SetMetadata("renderSettingsPrimPath", "/Render")
+    assert any(note.path == "/Render" and "'renders'" in note.text for note in translate(stage).notes)
 
 
 def test_the_nearest_label_names_a_thing(empty):
