@@ -34,7 +34,7 @@ MIN_VIEW_DEG, MAX_VIEW_DEG, MAX_SHIFT = PARALLEL_DEG, 179.0, 10.0
 _PROJECTIONS = ("perspective", "orthographic")
 _ABSURD_FOCAL_M = 0.5
 _STILL_M, _STILL_RAD = 1e-6, 1e-7
-_OF_FRAMES = tuple(UsdRender.SettingsBase.GetSchemaAttributeNames(includeInherited=False)) + ("camera",)
+_OF_FRAMES = (*UsdRender.SettingsBase.GetSchemaAttributeNames(includeInherited=False), "camera")
 """What render settings and each of their products may say of a frame."""
 
 _EXPOSURE = ("exposure", "exposure:iso", "exposure:time", "exposure:fStop", "exposure:responsivity")
@@ -159,7 +159,7 @@ def _tell_what_is_left_out(settings: UsdRender.Settings, notes: Diagnostics) -> 
     if (aspect := settings.GetPixelAspectRatioAttr().Get()) not in (None, 1.0):
         notes.warn(path, f"pixelAspectRatio {aspect:g} is not followed: pixels are square here")
     bindings = settings.GetMaterialBindingPurposesAttr()
-    if bindings.HasAuthoredValue() and list(bindings.Get() or ["full"])[0] != "full":
+    if bindings.HasAuthoredValue() and next(iter(bindings.Get() or ["full"])) != "full":
         notes.warn(path, "materialBindingPurposes is not followed: materials for 'full' come before all others here")
     for product in map(settings.GetPrim().GetStage().GetPrimAtPath, settings.GetProductsRel().GetForwardedTargets()):
         own = [name for name in _OF_FRAMES if product and product.GetProperty(name).IsAuthored()]

@@ -159,7 +159,9 @@ def test_what_a_product_says_for_itself_is_told(empty):
 
 
 def test_render_settings_without_blur_have_none(empty):
-    """disableDepthOfField is a pinhole; disableMotionBlur a shutter that is open for no time, unless one is asked for."""
+    """disableDepthOfField is a pinhole; disableMotionBlur a shutter that is open for no time, but for one that is asked
+    for.
+    """
     stage = empty(metres_per_unit=0.01)
     authored = camera(stage)
     authored.CreateFStopAttr(2.8)
