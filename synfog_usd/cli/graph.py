@@ -12,6 +12,7 @@ import numpy as np
 
 from synfog_usd import camera, files, resources, writers
 from synfog_usd.camera.profiles import LensProfile, SensorProfile, shipped
+from synfog_usd.cli.worker import unheard
 from synfog_usd.errors import GraphError, OutputError
 from synfog_usd.graph import Cache, NodeGraph, drawing, reference
 from synfog_usd.graph.cache import default_folder
@@ -215,11 +216,11 @@ def _viewed(image: Image, graph: NodeGraph, fov_x_deg: float | None) -> Image:
 
 
 def _read(path: Path, repair: bool = False, quantity: Quantity | None = None) -> Image:
-    image = (
-        writers.read_exr(path, declared=quantity, repair=repair)
-        if path.suffix.lower() == ".exr"
-        else writers.read_raw(path)
-    )
+    if path.suffix.lower() == ".exr":
+        image = writers.read_exr(path, declared=quantity, repair=repair)
+    else:
+        with unheard():  # LibRaw writes a line of its own of each damage
+            image = writers.read_raw(path)
     if count := image.provenance.get("repaired_values", 0):
         print(f"{path}: {count} values that light cannot have were mended", file=sys.stderr)
     return image

@@ -128,15 +128,20 @@ def printed() -> Iterator[None]:
         raise end
 
 
+def _libraries_unheard() -> contextlib.AbstractContextManager[None]:
+    """`unheard` in the child.  What kills USD is told in five lines there, and by the parent in one."""
+    return unheard() if is_worker() else contextlib.nullcontext()
+
+
 @contextlib.contextmanager
-def _libraries_unheard() -> Iterator[None]:
-    """In the child: what libraries write to the standard error is lost meanwhile.  What kills USD is told in five lines
-    there, and by the parent in one.
-    """
-    if not is_worker():
+def unheard() -> Iterator[None]:
+    """What libraries write to the standard error is lost meanwhile."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # it is closed: nobody hears anyway
         yield
         return
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
     try:
         yield

@@ -1,6 +1,7 @@
-"""RAW files of cameras: the sensor's numbers and what the file says of them, read by LibRaw.
+"""RAW files of cameras: the sensor's numbers and what the file says of them, decoded by LibRaw.
 
-A DNG of JPEG XL, which LibRaw does not decode, is handed to it with its numbers laid bare.
+A DNG's black, white and active area are read from its tags.  A DNG of JPEG XL, which LibRaw does not decode, is handed
+to it with its numbers laid bare.
 
 Gives what `sensor.adc` gives, so that the second half of a graph serves real pictures
 too.  rawpy is imported on first use.
@@ -9,19 +10,20 @@ too.  rawpy is imported on first use.
 from __future__ import annotations
 
 import io
+import logging
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from synfog_usd.arrays import FloatArray
 from synfog_usd.errors import ImageError
 from synfog_usd.image import Image, Quantity
+from synfog_usd.writers import dng_levels
+from synfog_usd.writers.tiff_tags import Directory
 
 BAYER = ("RGGB", "GRBG", "GBRG", "BGGR")
-
-NOISE_PROFILE_TAG = 51041
-"""DNG's NoiseProfile: slope and offset of the variance, black 0 and white 1."""
 
 JPEG_XL = 52546
 """DNG's number of it as a compression (1.7)."""
@@ -53,10 +55,10 @@ def read_raw(path: Path) -> Image:
         DN, one channel, not turned.  The provenance has `cfa_pattern`, `black_level_dn`, `white_level_dn`,
         `as_shot_neutral` (R, G, B), `camera_to_rec709` where the file or LibRaw's table of cameras has a matrix; and as
         far as the file says them `noise_profile`, `exposure_s`, `iso`, `f_number` and `focal_length_mm`.  Blacks that
-        differ by filter are made one.
+        differ by place are made one: a DNG's the greatest, from which its white is counted; others' their mean.
 
     Raises:
-        ImageError: missing, no RAW file, or no Bayer mosaic of one number a pixel.
+        ImageError: missing, no RAW file, damaged, or no Bayer mosaic of one number a pixel.
 
     Source: Adobe, "Digital Negative (DNG) Specification" 1.7.1.0.
     """
@@ -64,28 +66,60 @@ def read_raw(path: Path) -> Image:
 
     if not path.is_file():
         raise ImageError(f"{path}: no such file")
-    source, more = _bare(path) or (str(path), {})
     try:
+        told = dng_levels.directories_of_dng(path)
+        source, more = _bare(path, told) or (str(path), {})
         with rawpy.imread(source) as raw:
-            if raw.raw_type is not rawpy.RawType.Flat or raw.raw_image_visible is None:
-                raise ImageError(f"{path}: holds no mosaic of one number a pixel")
-            metadata, offsets = _metadata(path, raw)
-            pixels = raw.raw_image_visible.astype(np.float32) - offsets[raw.raw_colors_visible]
-    except rawpy.LibRawError as error:
+            pixels, metadata = _mosaic(path, raw, told)
+    except ImageError:
+        raise
+    except Exception as error:  # a damaged file can fail anywhere
         reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else error
         raise ImageError(
-            f"{path}: cannot be read as RAW ({reason}); an EXR, a DNG or another camera's RAW file is needed"
+            f"{path}: cannot be read as RAW ({str(reason) or type(error).__name__}); an EXR, a DNG or another camera's "
+            f"RAW file is needed"
         ) from error
-    return Image(pixels[..., None], ("CFA",), Quantity.DN, provenance=metadata | more | _noise(path))
+    metadata |= more | dng_levels.noise_profile(told)
+    return Image(pixels[..., None], ("CFA",), Quantity.DN, provenance=metadata)
 
 
-def _bare(path: Path) -> tuple[io.BytesIO, dict[str, Any]] | None:
+def _mosaic(path: Path, raw: Any, told: list[Directory]) -> tuple[FloatArray, dict[str, Any]]:
+    """(H, W) numbers above one black, and the provenance."""
+    import rawpy
+
+    if raw.sizes.raw_height * raw.sizes.raw_width > MOST_PIXELS:
+        raise ImageError(f"{path}: {raw.sizes.raw_width} x {raw.sizes.raw_height} pixels; at most {MOST_PIXELS}")
+    if raw.raw_type is not rawpy.RawType.Flat or raw.raw_image_visible is None:
+        raise ImageError(f"{path}: holds no mosaic of one number a pixel")
+    if not told:
+        filters = raw.raw_colors_visible
+        metadata = _metadata(path, raw, filters)
+        blacks = np.array(raw.black_level_per_channel, dtype=np.float32)
+        black = float(blacks[filters[:2, :2].ravel()].mean())
+        pixels = raw.raw_image_visible.astype(np.float32) - (blacks - np.float32(black))[filters]
+        return pixels, metadata | {"black_level_dn": black, "white_level_dn": float(raw.white_level)}
+    shape = (raw.sizes.raw_height, raw.sizes.raw_width)
+    mosaic = next((found for found in dng_levels.mosaics(told) if dng_levels.shape_of(found) == shape), None)
+    if mosaic is None:
+        raise ImageError(f"{path}: LibRaw finds a mosaic of {shape[1]} x {shape[0]} pixels; the DNG's tags have none")
+    levels = dng_levels.levels(mosaic)
+    top, left, bottom, right = levels.active
+    metadata = _metadata(path, raw, raw.raw_colors[top:bottom, left:right])
+    black = float(levels.black.max())
+    pixels = raw.raw_image[top:bottom, left:right].astype(np.float32) + (np.float32(black) - levels.black)
+    return pixels, metadata | {"black_level_dn": black, "white_level_dn": levels.white}
+
+
+def _bare(path: Path, told: list[Directory]) -> tuple[io.BytesIO, dict[str, Any]] | None:
     """A DNG whose mosaic is of JPEG XL as one without compression, and how it was taken; None for any other file.
 
     Fields of rows and columns that stand side by side in it are put to their places.
     """
+    if not any(dng_levels.compression_of(mosaic) == JPEG_XL for mosaic in dng_levels.mosaics(told)):
+        return None
     import tifffile
 
+    logging.getLogger("tifffile").addHandler(logging.NullHandler())  # what it finds wrong is one line of ours
     mosaics = []
     try:
         with tifffile.TiffFile(path) as file:
@@ -145,32 +179,35 @@ def _decoded(page: Any) -> np.ndarray:
     return found
 
 
-def _metadata(path: Path, raw: Any) -> tuple[dict[str, Any], np.ndarray]:
-    """Provenance, and by how much each filter's black lies above their mean [DN]."""
+def _metadata(path: Path, raw: Any, filters: np.ndarray) -> dict[str, Any]:
+    """Provenance of a mosaic with these filters, (H, W) in LibRaw's numbers, but for its levels."""
     letters = raw.color_desc.decode()
-    corner = raw.raw_colors_visible[:2, :2]
+    corner = filters[:2, :2]
+    if corner.shape != (2, 2):
+        raise ImageError(f"{path}: {filters.shape[1]} x {filters.shape[0]} pixels; a mosaic needs 2 x 2 at least")
     if raw.num_colors < 3 or corner.max() >= len(letters):
         raise ImageError(f"{path}: has {raw.num_colors} kind of filter; only Bayer patterns of R, G and B are read")
     pattern = "".join(letters[number] for number in corner.ravel())
     repeats = all(
-        np.array_equal(raw.raw_colors_visible[down : down + 2, right : right + 2], corner)
+        np.array_equal(there := filters[down : down + 2, right : right + 2], corner[: there.shape[0], : there.shape[1]])
         for down in (0, 2, 4)
         for right in (0, 2, 4)
     )
     if pattern not in BAYER or not repeats:
         raise ImageError(f"{path}: its filters are no Bayer pattern of 2 x 2 but {pattern}...; only those are read")
-    blacks = np.array(raw.black_level_per_channel, dtype=np.float32)
-    black = float(blacks[corner.ravel()].mean())
     gains = next(
-        (found for found in (raw.camera_whitebalance, raw.daylight_whitebalance) if min(found[:3]) > 0.0), None
+        (
+            found
+            for found in (raw.camera_whitebalance, raw.daylight_whitebalance)
+            if min(found[:3]) > 0.0 and max(found[:3]) < math.inf
+        ),
+        None,
     )
     if gains is None:
         raise ImageError(f"{path}: neither the file nor LibRaw says its white balance")
     neutral = 1.0 / np.array(gains[:3], dtype=np.float64)
     metadata: dict[str, Any] = {
         "cfa_pattern": pattern,
-        "black_level_dn": black,
-        "white_level_dn": float(raw.white_level),
         "as_shot_neutral": [float(value) for value in neutral / neutral.max()],
         "raw_orientation": int(raw.sizes.flip),
     }
@@ -186,18 +223,6 @@ def _metadata(path: Path, raw: Any) -> tuple[dict[str, Any], np.ndarray]:
     metadata |= {
         name: float(value)
         for name, key in taken.items()
-        if (value := getattr(getattr(raw, "other", None), key, 0.0)) and value > 0.0
+        if (value := getattr(getattr(raw, "other", None), key, 0.0)) and 0.0 < value < math.inf
     }
-    return metadata, blacks - black
-
-
-def _noise(path: Path) -> dict[str, Any]:
-    """The noise profile of a DNG's green, or nothing."""
-    if path.suffix.lower() != ".dng":
-        return {}
-    import tifffile
-
-    with tifffile.TiffFile(path) as file:
-        pages = [page for first in file.pages for page in (first, *(first.pages or ()))]  # type: ignore[union-attr]
-        profile = next((page.tags[NOISE_PROFILE_TAG].value for page in pages if NOISE_PROFILE_TAG in page.tags), ())
-    return {"noise_profile": [float(value) for value in profile[2:4] or profile[:2]]} if len(profile) >= 2 else {}
+    return metadata
