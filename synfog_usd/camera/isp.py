@@ -150,7 +150,7 @@ def _core(mosaic: FloatArray, limit: float) -> None:
     """Makes 0, in place, what is within `limit` of black, and whose neighbourhood is within what is left of that in its
     mean.
     """
-    if limit <= 0.0:
+    if limit < float(np.finfo(np.float32).eps):  # beneath what a number near white can tell
         return
     from scipy.ndimage import uniform_filter
 

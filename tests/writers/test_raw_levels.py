@@ -16,6 +16,7 @@ import tifffile
 from support import cli
 
 from synfog_usd import writers
+from synfog_usd.camera import isp
 from synfog_usd.errors import ImageError
 
 NEUTRAL = np.array([0.5, 1.0, 0.625])
@@ -249,3 +250,10 @@ def test_the_command_line_says_one_line_of_a_file_that_is_cut(tmp_path):
     (tmp_path / "a.dng").write_bytes(whole[: len(whole) - 1000])
     done = cli.run("graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path, "--no-cache")
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "a.dng: cannot be read as RAW" in done.stderr
+
+
+def test_noise_that_no_number_can_hold_is_not_taken_off(tmp_path):
+    """A NoiseProfile with an offset of 1e-90: pixels at black are 0, and no division by it goes wrong."""
+    tags = [(50714, SHORT, 1, 1024), (51041, 12, 2, (1e-30, 1e-90))]
+    raw = writers.read_raw(write(tmp_path / "a.dng", np.full((HEIGHT, WIDTH), 1024, np.uint16), tags))
+    assert not isp.black_level(raw).pixels.any()
