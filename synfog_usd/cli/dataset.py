@@ -147,6 +147,14 @@ def unit(
     verb.unit(out, number, lighting, camera, repair=repair, variant=variant)
 
 
+@app.command(hidden=True)
+def offers() -> None:
+    """Print what the stages on standard input offer, a line of JSON each: for plan and run, as a child of theirs."""
+    from synfog_usd.cli import sets as verb
+
+    verb.print_offers()
+
+
 @app.command()
 def export(
     out: options.SetOrBake,

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ import typer
 
 from synfog_usd.cli import worker
 from synfog_usd.cli.progress import shown
-from synfog_usd.sets import journal
+from synfog_usd.sets import journal, offers
 from synfog_usd.sets.definition import load_set
 from synfog_usd.sets.layout import Unit
 from synfog_usd.sets.run import Outcome, RunPlan, numbers_of
@@ -31,7 +32,7 @@ def plan(file: Path, *, workers: int | None, probe: bool, variant: str, quiet: b
     """Print what a set holds and takes."""
     from synfog_usd.sets import cost
 
-    found = load_set(file)
+    found = offers.known(load_set(file), _offers)
     counted, expected = cost.count(found), None
     try:
         with shown(quiet) as (progress, _), worker.stopped_by_sigterm():
@@ -58,13 +59,33 @@ def plan(file: Path, *, workers: int | None, probe: bool, variant: str, quiet: b
         print(f"  memory    {expected.peak_mb / 1000:.2g} GB a unit")
 
 
+def _offers(stages: Sequence[Path]) -> dict[Path, offers.Offer]:
+    """`offers.of_stages` in a child, since a stage may take its reader down: that one offers nothing, and its bake will
+    tell.
+    """
+    found: dict[Path, offers.Offer] = {}
+    while left := [path for path in stages if path not in found]:
+        lines = worker.answer(("dataset", "offers"), "\n".join(map(str, left)))
+        read = [json.loads(line) for line in lines if line.endswith("}")]
+        found |= dict(zip(left, [*read, {}], strict=False))
+    return found
+
+
+def print_offers() -> None:
+    """In that child: a line of JSON for each path that it is given."""
+    worker.follow_parent()
+    for path in sys.stdin.read().splitlines():
+        with worker.reading_limits():
+            print(json.dumps(offers.of_stage(Path(path))), flush=True)
+
+
 def _hours(hours: float) -> str:
     return f"{hours:.3g} h" if hours >= 1.0 else f"{hours * 60:.2g} min"
 
 
 def run(file: Path | None, out: Path, *, only: str | None, quiet: bool, as_json: bool, **more: Any) -> None:
     """Make a set; the exit code is 1 where units were set aside or a budget stopped it, 130 after Ctrl-C."""
-    found = load_set(file) if file is not None else journal.kept_definition(out)
+    found = offers.known(load_set(file) if file is not None else journal.kept_definition(out), _offers)
     numbers = numbers_of(only, found.scenes) if only is not None else None
     plan = RunPlan(out=out, child=CHILD, only=numbers, **more)
 

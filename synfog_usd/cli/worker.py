@@ -207,6 +207,21 @@ def run(arguments: Sequence[str]) -> int:
             child.wait()
 
 
+def answer(arguments: Sequence[str], given: str) -> list[str]:
+    """The lines that another command line prints in a child process, which reads `given`; however it ends."""
+    environment = {name: value for name, value in os.environ.items() if name not in FOREIGN}
+    done = subprocess.run(
+        [sys.executable, "-m", "synfog_usd.cli.main", *arguments],
+        input=given,
+        env={**environment, MARK: str(os.getpid())},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        encoding="utf-8",
+        check=False,
+    )
+    return done.stdout.splitlines()
+
+
 @contextlib.contextmanager
 def stopped_by_sigterm() -> Iterator[None]:
     """Meanwhile SIGTERM is heard as Ctrl-C is, so that what is temporary is cleared away."""

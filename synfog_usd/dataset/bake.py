@@ -141,9 +141,10 @@ def bake(
             )
         )
     if all(shot.mor_m is None for shot in todo) and not scenes.foggy and plan.fog != (CLEAR,):
+        free = next(name for name in ("mor150", "mor200", "mor250") if name not in usd.variants(stage).get("fog", ()))
         log(
-            f"{plan.stage}: no fog prim found; baking clear air. Apply SynFogMediumAPI to a closed prim to add fog "
-            f"(see docs/artists.md)."
+            f"{plan.stage}: no fog in it, and none was asked for: baking clear air. --fog {free} adds fog; a closed "
+            f"prim with SynFogMediumAPI says where it is (see docs/artists.md)."
         )
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
     metered = bool(camera.exposure_left_open(graph))

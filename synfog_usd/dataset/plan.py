@@ -11,7 +11,7 @@ from synfog_usd import numbers
 from synfog_usd.errors import ParameterError, did_you_mean
 
 AS_AUTHORED = "authored"
-"""Folder name where a stage has no variant set of that kind."""
+"""Name of the lighting or fog that a stage has where none of its variants is chosen, as where it has none."""
 
 CLEAR = "clear"
 
@@ -72,7 +72,7 @@ class BakePlan:
         stage: the USD file.
         out: folder that receives everything.
         pipeline: YAML node graph; None is the shipped phone.
-        lighting, fog: names to bake; None is all that the stage offers.
+        lighting, fog: names to bake; None is all that the stage offers, and AS_AUTHORED what it has without a choice.
         camera: prim path; None is the stage's own choice.
         frame: time code; None is the stage's start.
         size: (width, height) in pixels; None is the stage's own.
@@ -138,7 +138,7 @@ class BakePlan:
         if self.bands is not None:
             numbers.check_bands(self.bands)
         for name in self.fog or ():
-            if (metres := _visibility(name)) is not None:
+            if (metres := visibility_of(name)) is not None:
                 numbers.check_visibility(name, metres)
 
 
@@ -177,12 +177,12 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
         ParameterError: a name that neither the stage nor the tool knows, several lightings in one folder, or more than
             `MOST_UNASKED` shots.
     """
-    lights: list[str | None] = [*_chosen("lighting", plan.lighting, variants.get("lighting", ()))]
+    lights = _chosen("lighting", plan.lighting, variants.get("lighting", ()))
     if len(lights) > 1 and not plan.by_lighting:
         raise ParameterError(f"{plan.out}: {len(lights)} lightings need folders of their own")
     fogs = _chosen("fog", plan.fog, variants.get("fog", ()))
     if None in (plan.lighting, plan.fog) and len(lights) * len(fogs) > MOST_UNASKED:
-        named = f"--lighting {lights[0]} --fog {fogs[0]}".replace("--lighting None ", "").replace(" --fog None", "")
+        named = f"--lighting {lights[0]} --fog {fogs[0]}"
         raise ParameterError(
             f"{plan.stage}: {len(lights)} lightings in {len(fogs)} fogs are {len(lights) * len(fogs)} shots, and more "
             f"than {MOST_UNASKED} are made only where all are named: say which, as in {named}"
@@ -190,10 +190,11 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
     found = []
     for lighting in lights:
         for fog in fogs:
-            offered = fog in variants.get("fog", ())
-            mor = None if fog is None or offered else _visibility(fog)
-            names = lighting or AS_AUTHORED, fog or AS_AUTHORED, lighting, fog if offered else None
-            found.append(Shot(*names, mor, plan.by_lighting))
+            lit, offered = lighting in variants.get("lighting", ()), fog in variants.get("fog", ())
+            mor = None if offered else visibility_of(fog)
+            found.append(
+                Shot(lighting, fog, lighting if lit else None, fog if offered else None, mor, plan.by_lighting)
+            )
     folders: dict[str, str] = {}
     for shot in found:
         if folders.setdefault(shot.folder.casefold(), shot.folder) != shot.folder:
@@ -204,25 +205,42 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
     return tuple(found)
 
 
-def _chosen(kind: str, asked: Sequence[str] | None, offered: Sequence[str]) -> list[str | None]:
+def _chosen(kind: str, asked: Sequence[str] | None, offered: Sequence[str]) -> list[str]:
     if asked is None:
-        return sorted(offered, key=_thinnest_first) or [None]
+        return offered_names(offered)
     for name in asked:
-        if name in offered or (kind == "fog" and _visibility(name) is not None):
+        if name in (*offered, AS_AUTHORED) or (kind == "fog" and visibility_of(name) is not None):
             continue
-        allowed = ", ".join(offered) or "nothing, because it has no such variant set"
-        extra = "; any stage with a fog prim also takes clear and mor<metres>, as in mor200" if kind == "fog" else ""
-        raise ParameterError(f"--{kind} {name}: the stage offers {allowed}{extra}.{did_you_mean(name, offered)}")
+        allowed = ", ".join(offered) or f"no variant set {kind!r}"
+        extra = ", clear or mor<metres>, as mor200" if kind == "fog" else ""
+        raise ParameterError(
+            f"--{kind} {name}: the stage has {allowed}; it also takes {AS_AUTHORED}, for what it has without a "
+            f"choice{extra}.{did_you_mean(name, (*offered, AS_AUTHORED))}"
+        )
     return list(dict.fromkeys(asked))
+
+
+def offered_names(variants: Sequence[str]) -> list[str]:
+    """The lightings or fogs of a stage in a bake's order: its variants, or AS_AUTHORED where it has none.
+
+    >>> offered_names(["active", "sky"]), offered_names([])
+    (['sky', 'active'], ['authored'])
+    """
+    return sorted(variants, key=_thinnest_first) or [AS_AUTHORED]
 
 
 def _thinnest_first(name: str) -> tuple[float, bool, str]:
     """Clear air, then fog from thin to dense, then what has no visibility in its name; sky light before other light."""
-    visibility = _visibility(name)
+    visibility = visibility_of(name)
     return (-visibility if visibility else 0.0, name != "sky", name)
 
 
-def _visibility(name: str) -> float | None:
+def visibility_of(name: str) -> float | None:
+    """Visibility [m] that the name of a fog says to any stage, inf for clear air; None of a variant's name.
+
+    >>> visibility_of("mor150"), visibility_of("clear"), visibility_of("dense")
+    (150.0, inf, None)
+    """
     if name == CLEAR:
         return float("inf")
     match = re.fullmatch(r"mor(\d+(?:\.\d+)?)", name)

@@ -47,7 +47,7 @@ class Scenes:
         plan = self.plan
         usd.select(
             self.stage,
-            fog=shot.fog_variant or self.authored.get("fog"),
+            fog=shot.fog_variant or self.authored.get("fog"),  # '' where the stage itself chooses none
             lighting=shot.lighting_variant or self.authored.get("lighting"),
         )
         choices: dict[str, Any] = {"camera": plan.camera, "frame": plan.frame, "resolution": plan.size}

@@ -22,10 +22,11 @@ from pathlib import Path
 from statistics import mean, stdev
 from typing import TYPE_CHECKING, Any
 
+from synfog_usd.dataset.plan import CLEAR
 from synfog_usd.errors import SetError
 from synfog_usd.progress import Progress, silent
-from synfog_usd.sets import cluster, identity, journal
-from synfog_usd.sets.definition import CLEAR, SetDefinition, make_set
+from synfog_usd.sets import cluster, identity, journal, offers
+from synfog_usd.sets.definition import SetDefinition, make_set
 from synfog_usd.sets.journal import Tally
 from synfog_usd.sets.layout import Unit
 from synfog_usd.sets.scenes import PlannedScene, scenes
@@ -131,6 +132,7 @@ def count(found: SetDefinition) -> Count:
     """Count a set, scene by scene; memory does not grow with it."""
     from synfog_usd import camera
 
+    found = offers.known(found)
     outputs = [camera.load_graph(path).outputs for path in found.pipelines]
     a_view = len(OF_VIEW) + any(name.endswith(PICTURES) for name in outputs[0])
     a_shot = OF_SHOT + sum(map(len, outputs))
@@ -281,7 +283,7 @@ def _probe(
     place: int,
 ) -> dict[str, Any]:
     words = {**found.words, **({"size": list(size)} if size else {})}
-    small = make_set(found.name, folder=found.folder, **words)
+    small = replace(make_set(found.name, folder=found.folder, **words), offers=found.offers)
     with tempfile.TemporaryDirectory(prefix="synfog-probe-") as folder:
         out = Path(folder)
         identity.write(out, small, identity.identity(small, chosen.variant))

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from synfog_usd import numbers, resources
+from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR
 from synfog_usd.errors import ParameterError, RecipeError, SetError, SynfogError, did_you_mean
 from synfog_usd.world.language import (
     FOG,
@@ -51,9 +52,11 @@ HELD_OUT = ("models", "recipes", "skies")
 MOST_SCENES = 1_000_000
 MOST_EXTENDS = 8
 OWN_CAMERA = "own"
-CLEAR = "clear"
 RECIPE_LIGHTINGS = ("sky", "active")
 """What every recipe's stage offers."""
+
+Offer = Mapping[str, Sequence[str]]
+"""'lighting', 'fog' -> the variants that a stage has in the set of that name."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,7 @@ class SetDefinition:
         scenes: how many.
         sources, splits: in the order of the file.
         changes: 'section.key=value' each, over what recipes say.
-        lightings: one for each; a scene has those that are drawn.
+        lightings: one for each; a scene has those that are drawn.  None is all that its recipe or stage offers.
         fogs: one for each; drawn as a visibility [m], or a name.
         cameras: prim paths, '' for the stage's own.
         pipelines: files of node graphs; radiance is rendered for the first.
@@ -109,6 +112,7 @@ class SetDefinition:
         quality: options of `BakePlan`.
         folder: where relative paths in `words` start from.
         words: what makes the same set again, as `make_set` takes it.
+        offers: what stages offer, by file, of those that were read; others are read when their scene is planned.
     """
 
     name: str
@@ -127,6 +131,7 @@ class SetDefinition:
     quality: Mapping[str, Any]
     folder: Path
     words: Mapping[str, Any] = field(repr=False)
+    offers: Mapping[Path, Offer] = field(default_factory=dict, repr=False, compare=False)
 
 
 def load_set(path: Path) -> SetDefinition:
@@ -205,7 +210,7 @@ class _SetReader:
             lightings=of(
                 "lightings",
                 lambda item: self.lightings(item, any(source.stages for source in sources)),
-                tuple(fixed(name) for name in RECIPE_LIGHTINGS),
+                (),
             ),
             fogs=of("fogs", self.fogs, tuple(fixed(name) for name in (CLEAR, 600, 300, 150))),
             cameras=of("cameras", self.cameras, ("",)),
@@ -297,9 +302,11 @@ class _SetReader:
         return tuple(f"{key}={json.dumps(entry.plain())}" for key, entry in item.value.items())
 
     def lightings(self, item: Located, foreign: bool) -> tuple[Distribution, ...]:
+        if item.value == []:
+            return ()
         names = dict.fromkeys(RECIPE_LIGHTINGS)
         if foreign:
-            names |= dict.fromkeys(re.findall(r"[\w.-]+", str(item.plain())))
+            names |= dict.fromkeys([AS_AUTHORED, *re.findall(r"[\w.|-]+", str(item.plain()))])
         parameter = Categorical(tuple(names), "sky")
         return tuple(read_distribution(entry, "lightings", parameter) for entry in entries(item, "lightings"))
 

@@ -10,7 +10,7 @@ import json
 import os
 import socket
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -149,7 +149,8 @@ def under_way(out: Path) -> bool:
 
 def keep_definition(out: Path, found: SetDefinition) -> None:
     """Write down what is made, for workers and for `retry`."""
-    words = {"name": found.name, "folder": str(found.folder), "words": dict(found.words)}
+    offers = {str(path): {kind: list(names) for kind, names in offer.items()} for path, offer in found.offers.items()}
+    words = {"name": found.name, "folder": str(found.folder), "words": dict(found.words), "offers": offers}
     files.write_json(out / layout.RUN / DEFINITION, words)
 
 
@@ -163,8 +164,9 @@ def kept_definition(out: Path) -> SetDefinition:
     try:
         said = json.loads(path.read_bytes())
         words, name, folder = dict(said["words"]), str(said["name"]), Path(said["folder"])
+        offers = {Path(path): dict(offer) for path, offer in said.get("offers", {}).items()}
     except FileNotFoundError as error:
         raise SetError(f"{out}: no set was begun here; synfog-usd dataset run SET.yaml -o {out} begins one") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SetError(f"{path}: damaged ({error}); dataset run SET.yaml -o {out} writes it again") from error
-    return make_set(name, folder=folder, **words)
+    return replace(make_set(name, folder=folder, **words), offers=offers)

@@ -18,7 +18,7 @@ from typing import Any
 from synfog_usd import files
 from synfog_usd.errors import OutputError, ParameterError, SetError
 from synfog_usd.progress import Progress, silent
-from synfog_usd.sets import cluster, identity, index, journal, layout
+from synfog_usd.sets import cluster, identity, index, journal, layout, offers
 from synfog_usd.sets.cost import Cost
 from synfog_usd.sets.definition import SetDefinition
 from synfog_usd.sets.layout import Unit
@@ -131,7 +131,7 @@ def run(
     """
     from synfog_usd.render import backend
 
-    out, began = plan.out, time.monotonic()
+    out, began, found = plan.out, time.monotonic(), offers.known(found)
     with journal.held(out):
         _sweep(out)
         variant = backend.choose(plan.variant).variant  # type: ignore[arg-type]

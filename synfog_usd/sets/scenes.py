@@ -13,7 +13,8 @@ from pathlib import Path
 
 from synfog_usd.errors import SetError
 from synfog_usd.seeds import seed32, stream
-from synfog_usd.sets.definition import SetDefinition, Source, Split
+from synfog_usd.sets import offers
+from synfog_usd.sets.definition import RECIPE_LIGHTINGS, SetDefinition, Source, Split
 from synfog_usd.sets.layout import Unit
 from synfog_usd.world.language import Distribution, Recipe
 
@@ -77,16 +78,13 @@ def _scene(found: SetDefinition, number: int, deal: Assignment) -> PlannedScene:
     seed = seed32(found.seed, "scene", number)
     split, source, rank = deal(number)
     drawn = [_drawn(one, seed, "fog", index) for index, one in enumerate(found.fogs)]
-    return PlannedScene(
-        number,
-        seed,
-        split,
-        source,
-        deal.stage(split, source, rank) if source.stages else None,
-        tuple(dict.fromkeys(str(_drawn(one, seed, "lighting", index)) for index, one in enumerate(found.lightings))),
-        tuple(dict.fromkeys(fog if isinstance(fog, str) else f"mor{fog:g}" for fog in drawn)),
-        found.cameras,
-    )
+    fogs = tuple(dict.fromkeys(fog if isinstance(fog, str) else f"mor{fog:g}" for fog in drawn))
+    lights = (str(_drawn(one, seed, "lighting", index)) for index, one in enumerate(found.lightings))
+    lightings, stage = tuple(dict.fromkeys(lights)), None
+    if source.stages:
+        stage = deal.stage(split, source, rank)
+        lightings, fogs = offers.chosen(found, stage, "lighting", lightings), offers.chosen(found, stage, "fog", fogs)
+    return PlannedScene(number, seed, split, source, stage, lightings or RECIPE_LIGHTINGS, fogs, found.cameras)
 
 
 def _drawn(one: Distribution, seed: int, *names: str | int) -> object:

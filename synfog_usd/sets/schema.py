@@ -12,10 +12,10 @@ import json
 from typing import Any
 
 from synfog_usd import resources
+from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR
 from synfog_usd.numbers import BANDS, RGB, SAMPLES
 from synfog_usd.render.models import AUTO, MODELS
 from synfog_usd.sets.definition import (
-    CLEAR,
     HELD_OUT,
     MOST_SCENES,
     OWN_CAMERA,
@@ -48,6 +48,7 @@ def _sections() -> dict[str, Any]:
     split = {"type": "object", "properties": {"share": share, **held}, "required": ["share"]}
     recipes, pipelines = _stems("stages", "recipes"), _stems("pipeline", "")
     weights = {"type": "object", "minProperties": 1, "additionalProperties": {"type": "number", "exclusiveMinimum": 0}}
+    lighting: dict[str, Any] = {"type": "string", "examples": [*RECIPE_LIGHTINGS, AS_AUTHORED]}
     return {
         "synfog": {"const": SCHEMA, "description": "The format of this file."},
         "about": {"type": "string", "description": "One sentence."},
@@ -59,15 +60,13 @@ def _sections() -> dict[str, Any]:
         "changes": {"type": "object", "description": "section.key: value, over what recipes say."},
         "lightings": {
             "type": "array",
-            "minItems": 1,
-            "items": {"anyOf": [{"type": "string"}, _one("choice", weights)]},
-            "default": list(RECIPE_LIGHTINGS),
-            "description": "Every scene has each; of a choice, one by chance.",
+            "items": {"anyOf": [lighting, _one("choice", weights)]},
+            "description": "Every scene has each; of a choice, one by chance. All that it has if left out.",
         },
         "fogs": {
             "type": "array",
             "minItems": 1,
-            "items": {"anyOf": [{"type": "string", "examples": [CLEAR]}, *_visibility()]},
+            "items": {"anyOf": [{"type": "string", "examples": [CLEAR, AS_AUTHORED]}, *_visibility()]},
             "description": "Visibilities (MOR) in metres, fixed or drawn, or names of fogs that the stages have.",
         },
         "cameras": {**names, "default": [OWN_CAMERA], "description": "Prim paths, or the stage's own."},

@@ -426,15 +426,32 @@ def variants(stage: Usd.Stage) -> dict[str, list[str]]:
     return {name: list(prim.GetVariantSet(name).GetVariantNames()) for name, prim in _variant_prims(stage).items()}
 
 
+def offered(path: Path) -> dict[str, list[str]]:
+    """`variants` of a file, without payloads below its root prims: what a set asks of many stages before any is baked.
+
+    Raises:
+        StageError: as `open_stage` has it.
+    """
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()
+    try:
+        held = read_layers(path, Fence.around(path))
+        stage = Usd.Stage.Open(str(path), Usd.Stage.LoadNone)
+        for prim in stage.GetPseudoRoot().GetAllChildren():
+            prim.Load(Usd.LoadWithoutDescendants)
+        del held, quiet
+    except (Tf.ErrorException, UnicodeDecodeError) as problem:
+        raise StageError(f"{path}: cannot be read as USD ({_reason(problem)})") from problem
+    return variants(stage)
+
+
 def selected(stage: Usd.Stage) -> dict[str, str]:
-    """The variants that are chosen now in the sets 'fog' and 'lighting'; a set without a choice is left out."""
-    chosen = {name: prim.GetVariantSet(name).GetVariantSelection() for name, prim in _variant_prims(stage).items()}
-    return {name: choice for name, choice in chosen.items() if choice}
+    """The variants that are chosen now in the sets 'fog' and 'lighting'; '' where a set has no choice."""
+    return {name: prim.GetVariantSet(name).GetVariantSelection() for name, prim in _variant_prims(stage).items()}
 
 
 @plain_errors
 def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = None) -> None:
-    """Choose variants, on the session layer only.
+    """Choose variants, on the session layer only; '' takes a choice back.
 
     Raises:
         StageError: the stage has no such set or no such variant in it, or the
@@ -449,13 +466,14 @@ def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = N
                 f"{_name(stage)}: no root prim has a variant set {name!r}; add one, or leave the choice out"
             )
         names = prim.GetVariantSet(name).GetVariantNames()
-        if choice not in names:
+        if choice and choice not in names:
             raise StageError(
                 f"{prim.GetPath()}: variant set {name!r} has no {choice!r}; it has "
                 f"{', '.join(names)}.{did_you_mean(choice, names)}"
             )
         with Usd.EditContext(stage, Usd.EditTarget(stage.GetSessionLayer())):
-            prim.GetVariantSet(name).SetVariantSelection(choice)
+            chosen = prim.GetVariantSet(name)
+            _ = chosen.SetVariantSelection(choice) if choice else chosen.ClearVariantSelection()
     if fog is not None or lighting is not None:
         check_size(stage)
         _check_expressions(stage, fence_of(stage))

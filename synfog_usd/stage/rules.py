@@ -144,7 +144,11 @@ def _camera_and_fog(context: _Context) -> Iterator[Finding]:
     if not eyes:
         yield finding("no-camera", "", "the stage has no camera; add one, or nothing can be rendered")
     if not context.fog:
-        yield finding("no-fog", "", f"the stage has no fog; apply {API_NAME} to a Cube, Sphere or closed Mesh")
+        yield finding(
+            "no-fog",
+            "",
+            f"the stage has no fog; bake --fog mor150 adds some, and a closed prim with {API_NAME} says where",
+        )
         return
     boxes = [context.whole.ComputeWorldBound(prim) for prim in context.fog]
     for path in eyes:

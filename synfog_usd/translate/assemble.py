@@ -286,7 +286,7 @@ def _overridden(
         return volume.with_visibility(fog, mor_m)
     made = volume.slab_around(mor_m, bounds_m[0], bounds_m[1], eye)
     size = 2.0 * np.diag(made.boundary.to_world)[:3]
-    notes.warn(
+    notes.info(
         "",
         f"the stage has no fog; a layer of {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} m around the camera is made "
         f"for it",

@@ -37,7 +37,7 @@ def test_a_million_shots_are_made_only_where_they_are_named():
     for asked in ({}, {"fog": ("clear",)}, {"lighting": ("n7",)}):
         with pytest.raises(ParameterError, match=r"(1002001|1001) shots, .* as in --lighting n[07] --fog (n0|clear)"):
             planned({"fog": names, "lighting": names}, **asked)
-    with pytest.raises(ParameterError, match=r"as in --fog n0$"):
+    with pytest.raises(ParameterError, match=r"as in --lighting authored --fog n0$"):
         planned({"fog": names})
     assert len(planned({"fog": names, "lighting": ("sky",)}, fog=names, lighting=("sky",))) == 1001
     assert len(planned({"fog": names[:1000]})) == 1000
@@ -88,11 +88,25 @@ def test_the_likely_name_is_told():
         planned(lighting=("aktive",))
 
 
-def test_a_lighting_must_be_a_variant():
-    """There is no lighting that any stage takes, and a stage without the set says so."""
+def test_a_lighting_must_be_a_variant_or_the_stage_as_it_is():
+    """A stage without the set says so, and what it takes instead."""
     with pytest.raises(ParameterError) as refusal:
         planned({"fog": ("clear",)}, lighting=("clear",))
-    assert "no such variant set" in str(refusal.value) and "mor<metres>" not in str(refusal.value)
+    assert "no variant set 'lighting'; it also takes authored" in str(refusal.value)
+    assert "mor<metres>" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("offered", [{}, {"lighting": ("day", "night"), "fog": ("dense",)}, OFFERED])
+def test_what_a_stage_has_without_a_choice_is_called_authored(offered):
+    """Any stage takes the name, for light and fog alike, and no variant is chosen; beside it variants can be named."""
+    (shot,) = planned(offered, lighting=(AS_AUTHORED,), fog=(AS_AUTHORED,))
+    assert shot == Shot("authored", "authored", None, None, None)
+    if offered:
+        last = offered["lighting"][-1]
+        assert [shot.lighting_variant for shot in planned(offered, lighting=(AS_AUTHORED, last), fog=("mor77",))] == [
+            None,
+            last,
+        ]
 
 
 def test_one_wrong_name_stops_all():
