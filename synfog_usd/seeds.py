@@ -16,6 +16,11 @@ def seed32(seed: int, *names: str | int) -> int:
     return int.from_bytes(_digest(seed, names)[:4], "little")
 
 
+def frame_seed(seed: int, code: float) -> int:
+    """Seed of one frame of a sequence, by its time code."""
+    return seed32(seed, "frame", f"{code:.12g}")
+
+
 def stream(seed: int, *names: str | int) -> np.random.Generator:
     """An independent generator for one named stream (PCG64, 128 bits of SHA-256)."""
     return np.random.Generator(np.random.PCG64(int.from_bytes(_digest(seed, names)[:16], "little")))

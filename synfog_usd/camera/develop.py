@@ -23,6 +23,7 @@ from synfog_usd.errors import ImageError
 from synfog_usd.graph import Cache, GraphRun, NodeGraph, Registry
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent
+from synfog_usd.seeds import seed32
 
 
 def load_graph(path: Path, *, registry: Registry = OPS) -> NodeGraph:
@@ -101,7 +102,8 @@ def develop(
     Args:
         graph: from `load_graph`.
         images: one per input; see `field_of_view` for those that do not say theirs.
-        seed: of all random streams.
+        seed: of all random streams; each specimen of a rig has its own, by the `specimen` that an image's provenance
+            tells.
         exposure: from `meter`; metered on the radiance given here unless said.
         overrides, until, keep, progress, cache: see `NodeGraph.run`.
 
@@ -113,9 +115,10 @@ def develop(
     images = {name: field_of_view(image, graph) for name, image in images.items()}
     if exposure is None:
         exposure = metered(graph, images)
+    taken_by = next((told for image in images.values() if (told := image.provenance.get("specimen"))), None)
     return graph.run(
         images,
-        seed=seed,
+        seed=seed if taken_by is None else seed32(seed, "specimen", str(taken_by)),
         settings=exposure.settings if exposure else None,
         until=until,
         keep=keep,

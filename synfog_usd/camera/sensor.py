@@ -2,7 +2,7 @@
 
 Electrons and DN are mosaics of one channel, 'CFA', behind the filters of the
 profile's pattern.  Temporal noise comes from the node's own stream; PRNU, DSNU and
-the patterns of rows and columns from the sensor's serial, the same in every frame.
+the patterns of rows and columns from the specimen's serial number, the same in every frame.
 """
 
 from __future__ import annotations
@@ -48,6 +48,9 @@ TILE_PX = 256
 
 THREADS = 2
 """Strips that are drawn at a time."""
+
+SPECIMEN_MARK = ":"
+"""Between a profile's serial number and the specimen of a rig."""
 
 
 @OPS.op("sensor.expose", takes=Quantity.IRRADIANCE, gives=MEAN_ELECTRONS)
@@ -108,7 +111,7 @@ def expose(
         pixel_pitch_um=pixel_pitch_um,
         sensor=sensor.name,
         sensor_title=sensor.title,
-        sensor_serial=sensor.serial,
+        sensor_serial=serial_of(image, sensor.serial),
         cfa_pattern=sensor.cfa,
         spectra=photometry.spectra_of(image.channels),
         **_focal_length(image, pixel_pitch_um),
@@ -131,7 +134,7 @@ def prnu(
 
     Source: EMVA 1288 release 4.0, section 4.
     """
-    own, pixels = pattern(serial, "prnu", image.height_px, image.width_px), np.empty_like(image.pixels)
+    own, pixels = pattern_of(image, serial, "prnu"), np.empty_like(image.pixels)
     for rows in strips(image.height_px):
         gain = own[rows] * np.float32(prnu_percent / 100.0)
         gain += np.float32(1.0)
@@ -273,9 +276,7 @@ def dsnu(
         dsnu_e: standard deviation of the offset [e-].
         serial: which specimen.
     """
-    return image.with_pixels(
-        image.pixels + np.float32(dsnu_e) * pattern(serial, "dsnu", image.height_px, image.width_px)
-    )
+    return image.with_pixels(image.pixels + np.float32(dsnu_e) * pattern_of(image, serial, "dsnu"))
 
 
 @OPS.op("sensor.read_noise", takes=ELECTRONS, gives=READ_ELECTRONS)
@@ -365,6 +366,7 @@ def row_column(
     Source: EMVA 1288 release 4.0, section 4 (row and column spatial nonuniformity).
     """
     height, width = image.height_px, image.width_px
+    serial = serial_of(image, serial)
     rows = np.float32(row_noise_dn) * pattern(serial, "row", height, 1)
     rows = rows + np.float32(temporal_row_noise_dn) * rng.standard_normal((height, 1, 1), dtype=np.float32)
     pixels = image.pixels + rows
@@ -454,7 +456,7 @@ def adc(
         total_dark_noise_dn=math.sqrt(dark_variance),
         cfa_pattern=sensor.cfa,
         sensor_title=sensor.title,
-        sensor_serial=sensor.serial,
+        sensor_serial=serial_of(image, sensor.serial),
         **_colour_metadata(sensor, illuminant.upper()),
     )
 
@@ -511,6 +513,20 @@ def _fact(image: Image, key: str, op: str) -> float:
             f"the image does not say its {key}; put {op} before this node, or add it to the image's provenance"
         )
     return float(image.provenance[key])
+
+
+def serial_of(image: Image, serial: str) -> str:
+    """Serial number of the sensor that took an image.
+
+    A rig has several cameras of one make.  An image's provenance tells its `specimen` where it is not the first of
+    them: that stands behind the serial number of the profile.
+    """
+    return f"{serial}{SPECIMEN_MARK}{image.provenance['specimen']}" if image.provenance.get("specimen") else serial
+
+
+def pattern_of(image: Image, serial: str, kind: str) -> FloatArray:
+    """(H, W, 1) what `pattern` gives for the sensor that took an image."""
+    return pattern(serial_of(image, serial), kind, image.height_px, image.width_px)
 
 
 @functools.lru_cache(maxsize=6)

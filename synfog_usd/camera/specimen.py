@@ -19,7 +19,7 @@ from synfog_usd.camera.sensor import (
     HELD_ELECTRONS,
     MEAN_ELECTRONS,
     READ_ELECTRONS,
-    pattern,
+    pattern_of,
     row_times,
 )
 from synfog_usd.errors import ImageError
@@ -85,10 +85,9 @@ def dark_nonuniformity(
     if "dark_e" not in image.provenance:
         raise ImageError("the image says of no dark current; put sensor.dark_current before this node")
     dark_e = np.float32(image.provenance["dark_e"]) * row_times(image.provenance, image.height_px)
-    height, width = image.height_px, image.width_px
     sigma = np.float32(np.sqrt(np.log1p((spread_percent / 100.0) ** 2)))
-    times = np.exp(sigma * pattern(serial, "dark spread", height, width) - sigma * sigma / np.float32(2.0))
-    hot, excess = _chosen(pattern(serial, "hot", height, width), hot_ppm)
+    times = np.exp(sigma * pattern_of(image, serial, "dark spread") - sigma * sigma / np.float32(2.0))
+    hot, excess = _chosen(pattern_of(image, serial, "hot"), hot_ppm)
     times[hot] += np.float32(hot_times) * excess
     return image.with_pixels(image.pixels + dark_e * (times - np.float32(1.0)))
 
@@ -112,7 +111,7 @@ def dead_pixels(
     """
     pixels = image.pixels.copy()
     for kind, ppm, held_e in (("dead", dead_ppm, 0.0), ("stuck", stuck_ppm, full_well_e)):
-        concerned, _ = _chosen(pattern(serial, kind, image.height_px, image.width_px), ppm)
+        concerned, _ = _chosen(pattern_of(image, serial, kind), ppm)
         pixels[concerned] = held_e
     return image.with_pixels(pixels)
 
@@ -141,7 +140,7 @@ def telegraph_noise(
 
     Source: Wang, Rao, Mierop and Theuwissen, "Random telegraph signal in CMOS image sensor pixels", IEDM 2006.
     """
-    blinking, excess = _chosen(pattern(serial, "telegraph", image.height_px, image.width_px), telegraph_ppm)
+    blinking, excess = _chosen(pattern_of(image, serial, "telegraph"), telegraph_ppm)
     state = rng.integers(0, 4, excess.shape, dtype=np.int8)
     step = (state == 0).astype(np.float32) - (state == 1).astype(np.float32)
     pixels = image.pixels.copy()

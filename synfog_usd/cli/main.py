@@ -148,6 +148,10 @@ def bake(
         bool, typer.Option(help="Simplify or leave out what fog hides from the sensor; --no-cull draws it whole.")
     ] = True,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
+    same_noise: Annotated[
+        bool,
+        typer.Option("--same-noise", help="Give all fogs of a lighting the temporal noise of its clear frame."),
+    ] = False,
     variant: options.Variant = "auto",
     allow: options.Allow = None,
     strict: Annotated[
@@ -187,6 +191,7 @@ def bake(
             regularize=regularize,
             cull=cull,
             seed=seed,
+            same_noise=same_noise,
             variant=variant,
             allow=tuple(allow or ()),
             strict=strict,

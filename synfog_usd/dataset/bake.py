@@ -21,12 +21,12 @@ from synfog_usd import files, resources, system
 from synfog_usd.dataset import contact, labels, lanes, objects, visibility
 from synfog_usd.dataset.forecast import SET_UP, SURE, Forecast, Kind, kinds, least_known_first
 from synfog_usd.dataset.ledger import Ledger, metadata_of
-from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, shots
+from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, noise_seed, shots
 from synfog_usd.dataset.scenes import Scenes, cleared, pinhole_of, size_of
 from synfog_usd.errors import GraphError, StageError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent, within
-from synfog_usd.seeds import seed32
+from synfog_usd.seeds import frame_seed, seed32
 
 if TYPE_CHECKING:
     import numpy as np
@@ -117,6 +117,7 @@ def bake(
                 f"with 'synfog-usd graph run' on radiance.exr; depth of field is drawn where the stage's camera has "
                 f"fStop and focusDistance"
             )
+    asked = plan
     with reading():
         stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
         if plan.choices or any(one is not None for one in (plan.metres_per_unit, plan.up, plan.shutter_s)):
@@ -130,6 +131,8 @@ def bake(
         if plan.max_distance_m is not None:
             usd.keep_near(stage, plan.max_distance_m, camera=plan.camera, frame=plan.frame)
         todo = shots(plan, usd.variants(stage))
+        specimen = _specimen(plan, stage)
+        plan = replace(plan, seed=_own_seed(plan, stage, specimen))
         scenes = Scenes(stage, plan, graph)
         unsure = plan.samples > SURE
         scenes.survey(todo if plan.strict or unsure else [shot for shot in todo if shot.lighting == todo[0].lighting])
@@ -148,7 +151,7 @@ def bake(
         )
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
     metered = bool(camera.exposure_left_open(graph))
-    metadata = metadata_of(plan, usd.stage_hash(stage), graph.hash, chosen.variant)
+    metadata = metadata_of(asked, usd.stage_hash(stage), graph.hash, chosen.variant)
 
     with system.only_writer(plan.out), backend.compiling_timed() as compiled_s:
         files.remove_leftovers(plan.out)
@@ -203,7 +206,7 @@ def bake(
             made = picture(silent)
             if made.rendered.wanted is not None:
                 forecast.needed(index, made.rendered.wanted)
-            row = _finish(made, graph, plan)
+            row = _finish(made, graph, plan, specimen)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
             forecast.made(time.perf_counter() - sampled)
@@ -273,6 +276,23 @@ def bake(
         ledger.finish(todo, contact.write(plan.out, todo, ledger.rows, told=missing))
     progress("done", 1.0)
     return Baked(ledger.manifest(todo), seconds, kept, notes)
+
+
+def _specimen(plan: BakePlan, stage: Any) -> str | None:
+    """Which of a rig's cameras looks: its prim path, or None for the one that the stage itself would choose."""
+    from synfog_usd.translate import own_camera
+
+    return plan.camera if plan.camera is not None and plan.camera != own_camera(stage) else None
+
+
+def _own_seed(plan: BakePlan, stage: Any, specimen: str | None) -> int:
+    """Seed of one view: its own for every frame but the stage's first, and every camera but the stage's own."""
+    from synfog_usd.translate import own_frame
+
+    seed = plan.seed
+    if plan.clip is None and plan.frame is not None and plan.frame != own_frame(stage):
+        seed = frame_seed(seed, plan.frame)
+    return seed if specimen is None else seed32(seed, "camera", specimen)
 
 
 class _Renderer:
@@ -593,7 +613,7 @@ def _settings(
     )
 
 
-def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
+def _finish(made: _Shot, graph: Any, plan: BakePlan, specimen: str | None) -> dict[str, Any]:
     """Develop a shot, write its files, and give its row of the manifest."""
     from synfog_usd import camera, writers
     from synfog_usd.render.load import is_thin_lens
@@ -613,6 +633,8 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
         more["view"] = [*taken[:3], *taken.shift]
     if is_thin_lens(scene.camera):
         more["sharp_at_m"] = scene.camera.focus_m
+    if specimen is not None:
+        more["specimen"] = specimen
     if plan.clip is not None:
         more |= {"frame_number": plan.clip.number, "frames_per_s": plan.clip.per_s}
     radiance = rendered.radiance.with_metadata(**more)
@@ -638,7 +660,7 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan) -> dict[str, Any]:
         names.append(f"{name}.exr")
         writers.write_exr(folder / names[-1], part, attributes=marks)
     exposure = view.exposure if view else None
-    seed = seed32(plan.seed, shot.lighting, shot.fog)
+    seed = noise_seed(plan.seed, shot.lighting, shot.fog, same_noise=plan.same_noise)
     whole = {} if exposures and "radiance" not in graph.inputs else {"radiance": radiance}
     results = camera.develop(
         graph,

@@ -71,6 +71,7 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
             "max_distance_m": plan.max_distance_m,
             "mask": list(plan.mask),
             "variant": variant,
+            **({"same_noise": True} if plan.same_noise else {}),
             **({"clip": asdict(plan.clip)} if plan.clip else {}),
             **({"shutter_s": plan.shutter_s} if plan.shutter_s is not None else {}),
         },

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from synfog_usd import numbers
 from synfog_usd.errors import ParameterError, did_you_mean
+from synfog_usd.seeds import seed32
 
 AS_AUTHORED = "authored"
 """Name of the lighting or fog that a stage has where none of its variants is chosen, as where it has none."""
@@ -92,6 +93,7 @@ class BakePlan:
         draft: for a look alone: without labels or what is left of errors, metered on half of the paths, as they are,
             and denoised in a part of the time, see `render.denoise.denoise_draft`.
         by_lighting: whether each lighting has a folder for its fogs; without, fogs lie in `out` itself.
+        same_noise: whether all fogs of a lighting have the temporal noise of its clear frame, instead of their own.
     """
 
     stage: Path
@@ -126,6 +128,7 @@ class BakePlan:
     clip: ClipFrame | None = None
     draft: bool = False
     by_lighting: bool = True
+    same_noise: bool = False
 
     def __post_init__(self) -> None:
         numbers.check_samples(self.samples)
@@ -140,6 +143,11 @@ class BakePlan:
         for name in self.fog or ():
             if (metres := visibility_of(name)) is not None:
                 numbers.check_visibility(name, metres)
+
+
+def noise_seed(seed: int, lighting: str, fog: str, *, same_noise: bool = False) -> int:
+    """Seed of a shot's temporal noise; one for all fogs of a lighting where they are to have the same."""
+    return seed32(seed, lighting, CLEAR if same_noise else fog)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from synfog_usd import files, system
 from synfog_usd.dataset.bake import Baked, bake
 from synfog_usd.dataset.plan import BakePlan, ClipFrame
 from synfog_usd.progress import Progress, silent, within
-from synfog_usd.seeds import seed32
+from synfog_usd.seeds import frame_seed
 
 SEQUENCE = "sequence.json"
 
@@ -59,7 +59,7 @@ def bake_sequence(
     bakes: list[Baked] = []
     with system.only_writer(plan.out):
         for number, code in enumerate(codes):
-            folder, seed = f"{number:06d}", seed32(plan.seed, "frame", number)
+            folder, seed = f"{number:06d}", frame_seed(plan.seed, code)
             one = replace(
                 plan,
                 frame=code,

@@ -148,7 +148,7 @@ def card(
         "- Labels are of clear air, from the ray through each pixel's centre. A thing is `visible` from a contrast of "
         "5 % (WMO-No. 8) and a contrast-to-noise ratio of 5 (Rose 1948) on, `invisible` below a ratio of 1.",
         "- RAW pairs of one scene and lighting share geometry, exposure, white balance and the sensor's fixed "
-        "patterns; temporal noise is drawn anew.",
+        "patterns; temporal noise is drawn anew, unless the set says same_noise.",
         "- Everything is rendered: no person, number plate or place is real.",
         f"- {folder.linked} files are links to the set's own and {folder.copied} copies.",
         "",

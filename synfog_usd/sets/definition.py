@@ -43,6 +43,7 @@ SECTIONS = (
     "cameras",
     "pipelines",
     "asm_estimated",
+    "same_noise",
     "size",
     "quality",
     "splits",
@@ -108,6 +109,7 @@ class SetDefinition:
         cameras: prim paths, '' for the stage's own.
         pipelines: files of node graphs; radiance is rendered for the first.
         asm_estimated: names of those that also develop the clear frame in a guessed fog, see `unit`.
+        same_noise: see `BakePlan`.
         size: (width, height) [px], or None for the stage's own.
         quality: options of `BakePlan`.
         folder: where relative paths in `words` start from.
@@ -127,6 +129,7 @@ class SetDefinition:
     cameras: tuple[str, ...]
     pipelines: tuple[Path, ...]
     asm_estimated: tuple[str, ...]
+    same_noise: bool
     size: tuple[int, int] | None
     quality: Mapping[str, Any]
     folder: Path
@@ -216,6 +219,7 @@ class _SetReader:
             cameras=of("cameras", self.cameras, ("",)),
             pipelines=of("pipelines", self.pipelines, (resources.folder("pipeline") / "synfog.yaml",)),
             asm_estimated=of("asm_estimated", self.asm_estimated, ()),
+            same_noise=of("same_noise", lambda item: switch(item, "same_noise"), False),
             size=of("size", self.size, None),
             quality=of("quality", self.quality, {}),
             folder=self.folder,
@@ -531,6 +535,13 @@ def whole(item: Located, what: str, low: int, high: int) -> int:
     if found.kind != "fixed":
         raise SetError(f"{item.place}: {what} is {item.plain()!r}; it takes one whole number")
     return int(found.values[0])
+
+
+def switch(item: Located, what: str) -> bool:
+    """True or false."""
+    if not isinstance(item.value, bool):
+        raise SetError(f"{item.place}: {what} is {item.plain()!r}; it takes true or false")
+    return item.value
 
 
 def share(item: Located, what: str) -> Fraction:

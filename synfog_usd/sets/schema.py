@@ -81,6 +81,11 @@ def _sections() -> dict[str, Any]:
             "items": {"type": "string"},
             "description": "Pipelines that also develop the clear frame in fog by the atmospheric scattering model.",
         },
+        "same_noise": {
+            "type": "boolean",
+            "default": False,
+            "description": "Whether the fogs of a lighting have the temporal noise of its clear frame.",
+        },
         "size": {
             "type": "array",
             "items": {"type": "integer", "minimum": 1, "maximum": 16384},

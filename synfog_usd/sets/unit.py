@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd import files, resources, system
-from synfog_usd.dataset.plan import CLEAR, BakePlan
+from synfog_usd.dataset.plan import CLEAR, BakePlan, noise_seed
 from synfog_usd.errors import OutputError, SetError
 from synfog_usd.progress import Progress, silent
-from synfog_usd.seeds import seed32
 from synfog_usd.sets import layout
 from synfog_usd.sets.definition import SetDefinition
 from synfog_usd.sets.layout import Unit
@@ -87,6 +86,7 @@ def make(
                 variant=variant,
                 allow=(resources.folder("assets"),),
                 by_lighting=False,
+                same_noise=found.same_noise,
                 **found.quality,
             )
             baked = bake(plan, progress=progress, log=log, reading=reading)
@@ -222,11 +222,11 @@ def _developments(
     made = {}
     for path in found.pipelines:
         if path is not found.pipelines[0]:
-            made[path.stem] = _developed(path, path.stem, folder, shots, planned, _radiance)
+            made[path.stem] = _developed(found, path, path.stem, folder, shots, planned, _radiance)
         if path.stem in found.asm_estimated:
             name = f"asm_estimated.{path.stem}"
             foggy = [row for row in shots if row["fog"] != CLEAR]
-            made[name] = _developed(path, name, folder, foggy, planned, _guessed)
+            made[name] = _developed(found, path, name, folder, foggy, planned, _guessed)
     return made
 
 
@@ -250,6 +250,7 @@ def _guessed(folder: Path, shot: str) -> Image:
 
 
 def _developed(
+    found: SetDefinition,
     pipeline: Path,
     name: str,
     folder: Path,
@@ -263,19 +264,20 @@ def _developed(
     graph = camera.load_graph(pipeline)
     (wanted,) = graph.inputs
     exposure = camera.metered(graph, {wanted: _radiance(folder, CLEAR)}) if shots else None
-    found = {}
+    made = {}
     for row in shots:
         shot = row["folder"]
         picture = {wanted: radiance(folder, shot)}
-        seed, kept = seed32(planned.seed, row["lighting"], row["fog"]), list(graph.outputs.values())
+        seed = noise_seed(planned.seed, row["lighting"], row["fog"], same_noise=found.same_noise)
+        kept = list(graph.outputs.values())
         results = camera.develop(graph, picture, seed=seed, exposure=exposure, keep=kept)
         for output, node in graph.outputs.items():
             writers.write_output(output, results[node], folder / shot / name, options=graph.options_of(output))
-        found[shot] = {
+        made[shot] = {
             "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso} if exposure else None,
             "outputs": sorted(graph.outputs),
         }
-    return found
+    return made
 
 
 def _record(

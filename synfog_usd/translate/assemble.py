@@ -215,6 +215,12 @@ def _uncollected() -> Iterator[None]:
             gc.enable()
 
 
+def own_frame(stage: Usd.Stage) -> float | None:
+    """Time code that is drawn where none is named; None where nothing on the stage changes with time."""
+    moment = _moment(stage, None, Diagnostics())
+    return None if moment.IsDefault() else float(moment.GetValue())
+
+
 def _moment(stage: Usd.Stage, frame: float | None, notes: Diagnostics) -> Usd.TimeCode:
     if frame is not None:
         if not math.isfinite(frame):

@@ -287,6 +287,16 @@ def _motion(
     return (float(way[0]), float(way[1]), float(way[2])), (float(vector[0]), float(vector[1]), float(vector[2]))
 
 
+def own_camera(stage: Usd.Stage) -> str | None:
+    """Prim path of the camera that looks where none is named: the render settings', else the first; None where the
+    stage has none.
+    """
+    if not cameras(stage):
+        return None
+    settings = UsdRender.Settings.GetStageRenderSettings(stage)
+    return str(_chosen(stage, settings, None, Diagnostics()).GetPath())
+
+
 def _chosen(stage: Usd.Stage, settings: UsdRender.Settings, path: str | None, notes: Diagnostics) -> Usd.Prim:
     known = cameras(stage)
     if path is not None:

@@ -14,6 +14,7 @@ from support.stages import street
 from synfog_usd import camera, resources
 from synfog_usd.dataset.plan import frame_codes
 from synfog_usd.errors import OutputError, ParameterError
+from synfog_usd.seeds import frame_seed, seed32
 from synfog_usd.writers import video
 
 STEP = "float inputs:intensity.timeSamples = { 1: 4000, 2: 32000 }"
@@ -114,6 +115,13 @@ def test_adaptation_is_an_exponential_of_the_logarithm():
     kept = camera.adapted(camera.Exposure(0.001, 200.0, 50.0), (0.004, 200.0), fixed, elapsed_s=tau, constant_s=tau)
     assert kept.iso == 200.0
     assert np.log2(kept.exposure_s / 0.001) == pytest.approx(2.0 / np.e)
+
+
+def test_a_frames_noise_goes_by_its_time_code():
+    """Two runs over other frames of one stage share no noise; of frames counted from 0 it is that of their numbers."""
+    first, second = ([frame_seed(7, code) for code in frame_codes(text)] for text in ("0:4", "10:14x0.5"))
+    assert first == [seed32(7, "frame", number) for number in range(5)]
+    assert len({*first, *second}) == len(first) + len(second)
 
 
 @pytest.mark.parametrize("text", ["", "3", "0:", "0:5x0", "5:0x1", "0:1e9", "0:99999999", "a:b"])
