@@ -6,6 +6,7 @@ the library of MaterialX reads the file.  Files that this one includes are not r
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -53,6 +54,13 @@ _kept: dict[str, Any] = {}
 """Layers by identifier: a variant that is chosen later finds its own."""
 
 _faults: dict[str, str] = {}
+_left_out: dict[str, list[str]] = {}
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_WHOLE = re.compile(r"[+-]?\d+")
+"""How a number begins; MaterialX's own reader asks for no more of it, as C++ does of a stream."""
+
+MAX_NUMBER = 3.4e38
+"""Of a float in USD."""
 
 
 class _NoMaterialXError(Exception):
@@ -83,6 +91,11 @@ def fault_of(file: str) -> str:
     return _faults.get(file, "")
 
 
+def left_out_of(file: str) -> list[str]:
+    """Values and materials of a .mtlx file that could not be read, a line each."""
+    return _left_out.get(file, [])
+
+
 def layer_of(file: str, fence: Fence) -> Any | None:
     """The materials of a .mtlx file as a layer in memory that is never saved, or None; `fault_of` then says why.
 
@@ -97,8 +110,9 @@ def layer_of(file: str, fence: Fence) -> Any | None:
         StageError: a picture outside of the fence.
     """
     _faults.pop(file, None)
+    _left_out[file] = []
     try:
-        made = _layer(_text(file), file, fence)
+        made = _layer(_text(file), file, fence, _left_out[file])
     except _NoMaterialXError as problem:
         _faults[file] = str(problem)
         return None
@@ -137,21 +151,29 @@ def _text(file: str) -> str:
     if asset.GetSize() > MAX_BYTES:
         raise _NoMaterialXError(f"{asset.GetSize()} bytes; at most {MAX_BYTES} are read")
     data = bytes(asset.GetBuffer() or b"")
-    _check(data)
+    encoding = _check(data)
     try:
-        return data.decode()
-    except UnicodeDecodeError:
-        raise _NoMaterialXError("not UTF-8") from None
+        return data.decode("utf-8-sig" if encoding.lower() in ("", "utf-8") else encoding)
+    except (UnicodeDecodeError, LookupError):
+        raise _NoMaterialXError(f"not {encoding or 'UTF-8'}, in which it says to be") from None
 
 
-def _check(data: bytes) -> None:
+def _check(data: bytes) -> str:
     """Refuse XML with a document type, with too many elements, or nested too deeply.
+
+    Returns:
+        the encoding that it declares, or ''.
 
     Raises:
         _NoMaterialXError: it is, or no XML at all.
     """
     parser = expat.ParserCreate()
     depth = count = 0
+    declared = ""
+
+    def declaration(_version: str, encoding: str | None, _standalone: int) -> None:
+        nonlocal declared
+        declared = encoding or ""
 
     def begin(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth, count
@@ -169,14 +191,15 @@ def _check(data: bytes) -> None:
         raise _NoMaterialXError("it declares a document type, which no MaterialX file needs")
 
     parser.StartElementHandler, parser.EndElementHandler = begin, end
-    parser.StartDoctypeDeclHandler = document_type
+    parser.StartDoctypeDeclHandler, parser.XmlDeclHandler = document_type, declaration
     try:
         parser.Parse(data, True)
     except expat.ExpatError as problem:
         raise _NoMaterialXError(f"no XML: {problem}") from None
+    return declared
 
 
-def _layer(text: str, file: str, fence: Fence) -> str:
+def _layer(text: str, file: str, fence: Fence, left_out: list[str]) -> str:
     try:
         import MaterialX as mx  # noqa: N813 - as its own pages do
     except ImportError:
@@ -193,16 +216,22 @@ def _layer(text: str, file: str, fence: Fence) -> str:
         stage.DefinePrim("/MaterialX/Materials", "Scope")
         for node in document.getMaterialNodes():
             material = UsdShade.Material.Define(stage, f"/MaterialX/Materials/{Tf.MakeValidIdentifier(node.getName())}")
-            for shader in mx.getShaderNodes(node):
-                made = _Writer(material, file, fence).shader(shader)
-                output = made.CreateOutput("out", _TYPES.Token)
-                if shader.getType() == "surfaceshader":
-                    material.CreateSurfaceOutput("mtlx").ConnectToSource(output)
-                elif shader.getType() == "displacementshader":
-                    material.CreateDisplacementOutput("mtlx").ConnectToSource(output)
-    except (mx.Exception, OSError, RuntimeError, LookupError, TypeError, ValueError, Tf.ErrorException) as problem:
-        raise _NoMaterialXError(" ".join(str(problem).split())[:200] or type(problem).__name__) from None
+            writer = _Writer(material, file, fence, left_out)
+            try:
+                writer.surfaces(mx.getShaderNodes(node))
+            except _failures(mx) as problem:  # the others of the file are as good as ever
+                left_out.append(f"material {node.getName()!r} of {Path(file).name} is not read ({_short(problem)})")
+    except _failures(mx) as problem:
+        raise _NoMaterialXError(_short(problem)) from None
     return str(stage.GetRootLayer().ExportToString())
+
+
+def _failures(mx: Any) -> tuple[type[BaseException], ...]:
+    return (mx.Exception, OSError, RuntimeError, LookupError, TypeError, ValueError, Tf.ErrorException)
+
+
+def _short(problem: BaseException) -> str:
+    return " ".join(str(problem).split())[:200] or type(problem).__name__
 
 
 _library: list[Any] = []
@@ -220,10 +249,19 @@ def _definitions(mx: Any) -> Any:
 class _Writer:
     """The shaders of one material, each once."""
 
-    def __init__(self, material: UsdShade.Material, file: str, fence: Fence) -> None:
-        self.material, self.fence = material, fence
-        self.folder = Path(file).parent
+    def __init__(self, material: UsdShade.Material, file: str, fence: Fence, left_out: list[str]) -> None:
+        self.material, self.fence, self.left_out = material, fence, left_out
+        self.file = Path(file)
         self.made: dict[str, UsdShade.Shader] = {}
+
+    def surfaces(self, shaders: Any) -> None:
+        """The material's own outputs, and all that leads to them."""
+        for shader in shaders:
+            output = self.shader(shader).CreateOutput("out", _TYPES.Token)
+            if shader.getType() == "surfaceshader":
+                self.material.CreateSurfaceOutput("mtlx").ConnectToSource(output)
+            elif shader.getType() == "displacementshader":
+                self.material.CreateDisplacementOutput("mtlx").ConnectToSource(output)
 
     def shader(self, node: Any) -> UsdShade.Shader:
         """The node and all that it is fed by; without recursion, because a chain may be long."""
@@ -256,7 +294,7 @@ class _Writer:
                         fed.CreateOutput(Tf.MakeValidIdentifier(channel), _VALUES.get(feeding.getType(), kind))
                     )
                 elif given.getValueString():
-                    self.value(made.CreateInput(name, kind), given)
+                    self.value(made, name, kind, given)
         return first
 
     def named(self, node: Any) -> UsdShade.Shader:
@@ -269,27 +307,48 @@ class _Writer:
             self.made[path] = UsdShade.Shader.Define(stage, place)
         return self.made[path]
 
-    def value(self, made: UsdShade.Input, given: Any) -> None:
+    def value(self, shader: UsdShade.Shader, name: str, wanted: Sdf.ValueTypeName, given: Any) -> None:
+        """An input's value, as MaterialX's own reader takes it; what that does not take is left out and told."""
         kind, text, space = given.getType(), given.getValueString(), given.getActiveColorSpace()
+        value: Any = text
         if kind == "filename":
             path = f"{given.getActiveFilePrefix()}{text}"
-            real = Path(self.folder, path)
+            real = Path(self.file.parent, path)
             if (real.exists() or "<" in path) and (fault := self.fence.fault(real)):
-                raise StageError(f"{made.GetAttr().GetPath()}: {fault}")
-            made.Set(Sdf.AssetPath(path))
-            if space:
-                made.GetAttr().SetColorSpace(space)
-        elif kind == "boolean":
-            made.Set(text.strip() == "true")
-        elif kind == "integer":
-            made.Set(int(text))
+                raise StageError(f"{shader.GetPath()}.inputs:{name}: {fault}")
+            value = Sdf.AssetPath(path)
         elif kind in _VALUES and kind != "string":
-            numbers = [float(part) for part in text.split(",")]
+            value = _read(kind, text)
+            if value is None:
+                where = f"{name} of {given.getParent().getNamePath()!r} in {self.file.name}"
+                self.left_out.append(f"{where} is {text[:40]!r}, which is no {kind}")
+                return
             if kind.startswith("color"):
-                numbers[:3] = _linear(np.array(numbers[:3]), space)
-            made.Set(numbers[0] if kind == "float" else tuple(numbers))
-        else:
-            made.Set(text)
+                value = (*_linear(np.array(value[:3]), space), *value[3:])
+        made = shader.CreateInput(name, wanted)
+        made.Set(value)
+        if kind == "filename" and space:
+            made.GetAttr().SetColorSpace(space)
+
+
+def _read(kind: str, text: str) -> Any | None:
+    """A value as MaterialX writes it: numbers parted by commas or blanks, or both; None where it is none.
+
+    >>> _read("color3", "0.96 .37,  25e-2"), _read("integer", "2.0"), _read("boolean", "True"), _read("vector2", "1")
+    ((0.96, 0.37, 0.25), 2, True, None)
+    """
+    if kind == "boolean":
+        return {"true": True, "false": False}.get(text.strip().lower())
+    parts = [part for part in re.split(r"[,\s]+", text) if part]
+    found = [(_WHOLE if kind == "integer" else _NUMBER).match(part) for part in parts]
+    if kind in ("integer", "float"):
+        parts, found = parts[:1], found[:1]
+    numbers = [float(one[0]) for one in found if one]
+    if len(numbers) != int(kind[-1] if kind[-1].isdigit() else 1) or not all(abs(x) <= MAX_NUMBER for x in numbers):
+        return None
+    if kind == "integer":
+        return int(numbers[0]) if abs(numbers[0]) < 2**31 else None
+    return numbers[0] if kind == "float" else tuple(numbers)
 
 
 def _linear(color: Any, space: str) -> list[float]:

@@ -90,7 +90,7 @@ def open_stage(
         **session.customLayerData,
         _FOLDERS: Vt.StringArray([str(folder) for folder in fence.folders]),
         _FILES: Vt.StringArray(_checked_files(stage, fence)),
-        _LEFT_OUT: Vt.StringArray([f"\n{line}" for line in left_out]),
+        _LEFT_OUT: Vt.StringArray(left_out),
     }
     _check_expressions(stage, fence)
     if whole and (broken := composition_notes(stage)):

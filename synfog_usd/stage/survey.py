@@ -7,6 +7,7 @@ number used again, so that counting takes the time of reading the files.
 
 from __future__ import annotations
 
+import contextlib
 import glob
 import math
 import re
@@ -61,8 +62,8 @@ def read_layers(root: Path, fence: Fence) -> tuple[list[Any], list[str]]:
     """Read all layers of a stage and compose none; refuse what would be too much, or lies outside the fence.
 
     Returns:
-        the layers; while they are held, USD does not read their files again.  And what of their own metadata has a type
-        of no use and is left out, a line each.
+        the layers; while they are held, USD does not read their files again.  And what of their own metadata and of
+        MaterialX files is of no use and left out: the path of a prim, or '', and behind a line break a sentence.
 
     Raises:
         StageError: with the prim or file, what was found and the limit.
@@ -104,7 +105,7 @@ class _Survey:
         self.variables: dict[str, Any] = {}  # of the root layer, which win everywhere
         self.relied: dict[str, Any] = {}  # of other layers, where a path depended on them
         self.counted_files: set[str] = set()
-        self.lead: dict[str, list[str]] = {}  # layer -> its prims that refer to .mtlx files by name
+        self.lead: dict[str, dict[tuple[str, str], str]] = {}  # layer -> its (prim, .mtlx file), and what stands for it
         self.left_out: list[str] = []
 
     def add(self, file: str, who: str) -> str | None:
@@ -126,6 +127,7 @@ class _Survey:
         ).suffix.lower()
         if suffix == ".mtlx" and who:
             made = materialx.layer_of(resolved, self.fence)
+            self.left_out += [f"{who}\n{line}" for line in materialx.left_out_of(resolved)]
             if made is None:
                 return None
             if made.identifier not in self.open:
@@ -148,7 +150,7 @@ class _Survey:
             layer = Sdf.Layer.FindOrOpen(resolved)
             if layer is None:
                 return None
-            self.left_out += _retyped(layer)
+            self.left_out += [f"\n{line}" for line in _retyped(layer)]
             if not self.open:
                 self.variables = dict(layer.expressionVariables)
             self.open[resolved] = layer
@@ -250,10 +252,17 @@ class _Survey:
             arcs.extend(self.arcs_of(name, layer, str(path), spec, shared=shared))
 
         _traverse(layer, visit)
-        _lead_to_memory(layer, self.lead.pop(name, []))
+        _lead_to_memory(layer, self.lead.pop(name, {}))
         prims.sort()
         arcs.sort(key=lambda arc: arc.path)
-        below = [self.add(file, str(name)) for path in layer.subLayerPaths if (file := self.file(layer, str(path)))]
+        below = []
+        for number, asset in enumerate(list(layer.subLayerPaths)):
+            file = self.file(layer, str(asset))
+            found = self.add(file, str(name)) if file else None
+            below.append(found)
+            if found and materialx.is_materialx(found):
+                with _in_memory(layer):
+                    layer.subLayerPaths[number] = found
         return _Layer(
             layer.defaultPrim and f"/{layer.defaultPrim.lstrip('/')}",
             prims,
@@ -273,8 +282,8 @@ class _Survey:
                     if found is None:
                         continue
                     target = found
-                    if item.assetPath.lower().endswith(".mtlx"):
-                        self.lead.setdefault(name, []).append(path)
+                    if materialx.is_materialx(found):
+                        self.lead.setdefault(name, {})[path, item.assetPath] = found
                 yield _Arc(path, target, str(item.primPath), shared)
         if spec.HasInfo("inheritPaths") or spec.HasInfo("specializes"):
             for item in [*_items(spec.inheritPathList), *_items(spec.specializesList)]:
@@ -411,40 +420,49 @@ def _check_arrays(path: Path) -> None:
         )
 
 
+@contextlib.contextmanager
+def _in_memory(layer: Any) -> Iterator[None]:
+    """A layer may be changed meanwhile; one that was can be saved no more."""
+    editable, savable = layer.permissionToEdit, layer.permissionToSave
+    layer.SetPermissionToEdit(True)
+    try:
+        yield
+    finally:
+        layer.SetPermissionToEdit(editable)
+        layer.SetPermissionToSave(savable and not layer.dirty)
+
+
 def _retyped(layer: Any) -> list[str]:
-    """Give a layer's own metadata the types of their schema, in memory only: USD reads units that an exporter stored as
-    float where double is wanted, and whatever asks for them falls over it.
+    """Give a layer's own metadata the types of their schema: USD reads units that an exporter stored as float where
+    double is wanted, and whatever asks for them falls over it.
 
     Returns:
         what cannot be such a type and is taken out, a line each.
     """
     root, fault = layer.pseudoRoot, []
-    editable, savable = layer.permissionToEdit, layer.permissionToSave
-    layer.SetPermissionToEdit(True)
-    for key in sorted(set(root.ListInfoKeys()) & set(root.GetMetaDataInfoKeys())):
-        try:
-            root.SetInfo(key, root.GetInfo(key))  # changes nothing where the type is right
-        except UnicodeDecodeError:  # of a word that nothing asks for
-            continue
-        except (TypeError, Tf.ErrorException):
-            fault.append(f"{key} of {Path(layer.realPath).name} is {str(root.GetInfo(key))[:40]!r}, which is of no use")
-            root.ClearInfo(key)
-    layer.SetPermissionToEdit(editable)
-    layer.SetPermissionToSave(savable and not layer.dirty)
+    with _in_memory(layer):
+        for key in sorted(set(root.ListInfoKeys()) & set(root.GetMetaDataInfoKeys())):
+            try:
+                root.SetInfo(key, root.GetInfo(key))  # changes nothing where the type is right
+            except UnicodeDecodeError:  # of a word that nothing asks for
+                continue
+            except (TypeError, Tf.ErrorException):
+                what = f"{str(root.GetInfo(key))[:40]!r}, which is of no use"
+                fault.append(f"{key} of {Path(layer.realPath).name} is {what}")
+                root.ClearInfo(key)
     return fault
 
 
-def _lead_to_memory(layer: Any, paths: list[str]) -> None:
-    """Let references to .mtlx files lead to the layers that were made of them; in memory only, so that the layer can be
-    saved no more.
+def _lead_to_memory(layer: Any, known: dict[tuple[str, str], str]) -> None:
+    """Let references to .mtlx files lead to the layers that were made of them.
+
+    Args:
+        known: (prim, file as it stands there) -> identifier of the layer, so that it is found from any folder.
     """
-    if not paths:
+    if not known:
         return
-    editable = layer.permissionToEdit
-    layer.SetPermissionToEdit(True)
-    layer.SetPermissionToSave(False)
-    with Sdf.ChangeBlock():
-        for path in dict.fromkeys(paths):
+    with _in_memory(layer), Sdf.ChangeBlock():
+        for path in dict.fromkeys(path for path, _ in known):
             spec = layer.GetPrimAtPath(path)
             for field, kind, made in (
                 ("references", Sdf.ReferenceListOp, Sdf.Reference),
@@ -454,18 +472,17 @@ def _lead_to_memory(layer: Any, paths: list[str]) -> None:
                     continue
                 old, new = spec.GetInfo(field), kind()
                 for items in ("explicitItems", "prependedItems", "appendedItems", "addedItems", "deletedItems"):
-                    listed = [_led(item, made) for item in getattr(old, items)]
+                    listed = [_led(item, made, known.get((path, item.assetPath))) for item in getattr(old, items)]
                     if listed or (items == "explicitItems" and old.isExplicit):
                         setattr(new, items, listed)
                 spec.SetInfo(field, new)
-    layer.SetPermissionToEdit(editable)
 
 
-def _led(item: Any, made: Any) -> Any:
-    if not item.assetPath.lower().endswith(".mtlx"):
+def _led(item: Any, made: Any, to: str | None) -> Any:
+    if to is None:
         return item
     more = (item.customData,) if made is Sdf.Reference else ()
-    return made(materialx.name_of(item.assetPath), item.primPath, item.layerOffset, *more)
+    return made(to, item.primPath, item.layerOffset, *more)
 
 
 def _check_schemas(name: str, path: str, schemas: Any) -> None:

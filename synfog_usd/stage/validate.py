@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pxr import Usd, UsdUtils, UsdValidation
 
-from synfog_usd.stage import rules
+from synfog_usd.stage import materialx, rules
 from synfog_usd.stage.open import composition_notes, plain_errors, who_names
 from synfog_usd.stage.rulebook import Finding, finding
 
@@ -63,7 +63,9 @@ def _usd_findings(stage: Usd.Stage) -> list[Finding]:
     broken = " ".join(note.text for note in composition_notes(stage))
     for error in errors:
         if error.GetName() == "UnresolvableDependency" and (missing := re.search(r"'(.*)'", error.GetMessage())):
-            if Path(missing[1]).name not in broken:  # else it is told there
+            if (
+                Path(missing[1]).name not in broken and not Path(materialx.file_of(missing[1])).is_file()
+            ):  # else it is told there
                 findings.append(
                     Finding(
                         "warning",

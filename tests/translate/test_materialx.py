@@ -8,13 +8,14 @@ import colorsys
 import os
 import shutil
 
+import MaterialX as mx  # noqa: N813 - as its own pages do
 import numpy as np
 import OpenImageIO
 import pytest
 from pxr import Sdf, Usd, UsdShade
 
 from synfog_usd.errors import StageError
-from synfog_usd.stage import open_stage, select, stage_hash
+from synfog_usd.stage import check, open_stage, select, stage_hash
 from synfog_usd.stage.open import composition_notes, dependencies
 from synfog_usd.translate import translate
 
@@ -94,7 +95,7 @@ def placed(
     folder, text, *, arc="references = @./look/car.mtlx@</MaterialX/Materials/Car>", other="", at="look/car.mtlx"
 ):
     """A stage whose material refers to a .mtlx file of this text."""
-    (folder / at).parent.mkdir(exist_ok=True)
+    (folder / at).parent.mkdir(exist_ok=True, parents=True)
     (folder / at).write_text(text, encoding="utf-8")
     path = folder / "a.usda"
     path.write_text(STAGE.replace("ARC2", other).replace("ARC", arc), encoding="utf-8")
@@ -295,7 +296,6 @@ DEEP = "<a>" * 40 + "</a>" * 40
         (f"<materialx>{DEEP}</materialx>", "deeper than"),
         ("<materialx>" + "<a/>" * 60_000 + "</materialx>", "elements"),
         ("<materialx>" + " " * (17 << 20) + "</materialx>", "bytes"),
-        (document(constant("base_color", "color3", "1, red")), "could not convert"),
     ],
 )
 def test_what_is_no_materialx_is_told_and_refused_where_all_counts(tmp_path, text, why):
@@ -305,6 +305,107 @@ def test_what_is_no_materialx_is_told_and_refused_where_all_counts(tmp_path, tex
     assert "car.mtlx, which is not read" in note.text and why in note.text and "\n" not in note.text
     with pytest.raises(StageError, match="is not read"):
         open_stage(path, whole=True)
+
+
+ODD = [
+    ("base_color", "color3", "0.96 0.37 0.25"),
+    ("base_color", "color3", " 0.96,0.37 ,  0.25, "),
+    ("base_color", "color3", "0.96\n0.37\t0.25"),
+    ("base_color", "color3", "9.6e-1, 37E-2, .25"),
+    ("base_color", "color3", "1, 0, 1."),
+    ("base_color", "color3", "+0.5, 0.5f, 0.50"),
+    ("base", "float", " 5.e-1 "),
+    ("base", "float", "1"),
+    ("base", "float", "0.25, 0.75"),
+    ("thin_walled", "boolean", "true"),
+]
+
+
+def stored(path, name):
+    stage = open_stage(path)
+    shader = next(prim for prim in stage.Traverse() if prim.GetTypeName() == "Shader")
+    value = shader.GetAttribute(f"inputs:{name}").Get()
+    return value if value is None else np.atleast_1d(np.array(value, dtype=float))
+
+
+@pytest.mark.parametrize("name, kind, text", ODD)
+def test_values_are_read_as_materialx_reads_them(tmp_path, name, kind, text):
+    """However their numbers are parted and written: what MaterialX's own library makes of the same file."""
+    path = placed(tmp_path, document(constant(name, kind, text)))
+    read = mx.createDocument()
+    mx.readFromXmlFile(read, str(tmp_path / "look" / "car.mtlx"))
+    own = read.getNode("shine").getInput(name).getValue()
+    wanted = np.atleast_1d(np.array(own if kind != "color3" else own.asTuple(), dtype=float))
+    np.testing.assert_allclose(stored(path, name), wanted, rtol=1e-6)
+    assert not composition_notes(open_stage(path))
+
+
+def test_a_boolean_may_be_written_in_any_case(tmp_path):
+    for number, (text, wanted) in enumerate([("True", 1.0), ("FALSE", 0.0), (" true", 1.0)]):
+        path = placed(tmp_path / str(number), document(constant("thin_walled", "boolean", text)))
+        assert stored(path, "thin_walled") == wanted
+
+
+@pytest.mark.parametrize(
+    "name, kind, text",
+    [
+        ("base_color", "color3", "1, red"),
+        ("base_color", "color3", "0.5"),
+        ("base_color", "color3", "1, 1, 1, 1"),
+        ("base_color", "color3", "nan, 1, 1"),
+        ("base", "float", "inf"),
+        ("base", "float", "1e99"),
+        ("thin_walled", "boolean", "perhaps"),
+    ],
+)
+def test_a_value_that_is_none_is_left_out_alone(tmp_path, name, kind, text):
+    """The rest of the file is read: the metal of the same surface."""
+    path = placed(tmp_path, document(constant(name, kind, text) + constant("metalness", "float", "0.75")))
+    assert stored(path, name) is None and stored(path, "metalness") == 0.75
+    (note,) = composition_notes(open_stage(path))
+    assert (note.severity, note.path) == ("warning", "/World/Paint")
+    assert note.text == f"{name} of 'shine' in car.mtlx is {text!r}, which is no {kind}; it is left out"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "iso-8859-1"])
+def test_a_file_is_read_in_the_encoding_that_it_declares(tmp_path, encoding):
+    declared = {"utf-8-sig": "UTF-8"}.get(encoding, encoding)
+    text = document(constant("metalness", "float", "0.75") + "<!-- grün -->")
+    path = placed(tmp_path, "")
+    text = text.replace('version="1.0"', f'version="1.0" encoding="{declared}"', 1)
+    (tmp_path / "look" / "car.mtlx").write_bytes(text.encode(encoding))
+    assert stored(path, "metalness") == 0.75
+
+
+@pytest.mark.parametrize("name", ["car.mtlx", "./car.mtlx", "my look/grüne car.mtlx", "../car.mtlx"])
+def test_a_file_lies_where_the_layer_that_names_it_lies(tmp_path, monkeypatch, name):
+    """With './' or without, whichever folder the command is started in, and with what the folder is called."""
+    top, started = tmp_path / "stage", tmp_path / "elsewhere"
+    started.mkdir()
+    monkeypatch.chdir(started)
+    file = (top / "sub" / name).resolve()
+    for folder in (top / "sub", file.parent):
+        folder.mkdir(parents=True, exist_ok=True)
+    file.write_text(document(constant("metalness", "float", "0.75")), encoding="utf-8")
+    (top / "sub" / "look.usda").write_text(
+        f'#usda 1.0\ndef "Paint" (\n    references = @{name}@</MaterialX/Materials/Car>\n)\n{{\n}}\n', encoding="utf-8"
+    )
+    path = top / "a.usda"
+    path.write_text(STAGE.replace("ARC2", "").replace("ARC", "payload = @sub/look.usda@</Paint>"), encoding="utf-8")
+    stage = open_stage(path)
+    assert not composition_notes(stage)
+    assert file in dependencies(stage)
+    assert not [one for one in check(stage) if "is not there" in one.text]
+    (shader,) = [prim for prim in stage.Traverse() if prim.GetTypeName() == "Shader"]
+    assert shader.GetAttribute("inputs:metalness").Get() == 0.75
+
+
+def test_a_file_may_be_a_sublayer(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path.parent)
+    (tmp_path / "car.mtlx").write_text(document(constant("metalness", "float", "0.75")), encoding="utf-8")
+    (tmp_path / "a.usda").write_text("#usda 1.0\n(\n    subLayers = [@car.mtlx@]\n)\n")
+    stage = open_stage(tmp_path / "a.usda")
+    assert stage.GetPrimAtPath("/MaterialX/Materials/Car") and not composition_notes(stage)
 
 
 def test_files_that_a_file_includes_are_not_read(tmp_path):
