@@ -16,6 +16,11 @@ import numpy as np
 from synfog_usd.arrays import FloatArray
 from synfog_usd.errors import ImageError
 
+PARALLEL_DEG = 1e-3
+"""Angle of view that an orthographic camera is said to have: its rays are parallel, and a lens has nothing to bend or
+to dim.
+"""
+
 
 class Quantity(enum.Enum):
     """What a pixel's number measures.

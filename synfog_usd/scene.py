@@ -19,11 +19,7 @@ from synfog_usd.arrays import Array, Indices
 from synfog_usd.colour import LUMINANCE, SRGB_TO_LINEAR
 from synfog_usd.fisheye import Fisheye
 from synfog_usd.fog.volume import FogVolume
-
-PARALLEL_DEG = 1e-3
-"""Angle of view that an orthographic camera is said to have: its rays are parallel, and a lens has nothing to bend or
-to dim.
-"""
+from synfog_usd.image import PARALLEL_DEG as PARALLEL_DEG
 
 
 @dataclass(frozen=True)

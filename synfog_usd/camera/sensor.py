@@ -22,7 +22,7 @@ from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.errors import ImageError
 from synfog_usd.graph import Auto, FromProfile, Port, Range
-from synfog_usd.image import Image, Quantity
+from synfog_usd.image import PARALLEL_DEG, Image, Quantity
 
 MEAN, COUNTED, READ_OUT = "mean", "with shot noise", "with read noise"
 """Stages of electrons: what light and heat free on average, what came in one exposure, and what the pixel's amplifier
@@ -489,12 +489,14 @@ def _colour_metadata(sensor: SensorProfile, illuminant: str) -> dict[str, list[f
     }
 
 
-def _focal_length(image: Image, pixel_pitch_um: float) -> dict[str, float]:
+def _focal_length(image: Image, pixel_pitch_um: float) -> dict[str, float | None]:
     """Focal length [mm] that puts the image's field of view on so many pixels; what is noted already where no field of
-    view is known.
+    view is known, and None of a parallel projection.
     """
     if "fov_x_deg" not in image.provenance:
         return {}
+    if float(image.provenance["fov_x_deg"]) <= PARALLEL_DEG:
+        return {"focal_length_mm": None}
     half = math.tan(math.radians(float(image.provenance["fov_x_deg"])) / 2.0)
     return {"focal_length_mm": image.width_px * pixel_pitch_um * 1e-3 / 2.0 / half}
 

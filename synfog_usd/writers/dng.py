@@ -2,8 +2,8 @@
 
 Takes a mosaic of DN behind any filter pattern; writes it as it is, 16 bits a pixel
 or lossless JPEG.  All that is not a pixel comes from the image's provenance, where
-`sensor.adc` (and, for HDR, `sensor.compand`) put it.  What programs do with the
-files stands in docs/raw.md.
+`sensor.adc` (and, for HDR, `sensor.compand`) put it.  A number that its tag cannot hold (NaN, infinite, negative, too
+large) is left out with its tag.  What programs do with the files stands in docs/raw.md.
 """
 
 from __future__ import annotations
@@ -52,6 +52,9 @@ CROP_INSET_PX = 8
 
 MAX_DN = 65535
 
+MOST_FRAMES_PER_S = 2**31 / 1001
+"""What a signed fraction of a denominator up to 1001 can hold."""
+
 _CODES = {"R": 0, "G": 1, "B": 2, "C": 1, "I": 6}
 """Filter -> colour code of CFAPattern (TIFF/EP).
 
@@ -95,7 +98,7 @@ def write_dng(
             as the provenance knows them.
 
     Raises:
-        ImageError: another quantity, numbers that are not DN, or a fact missing.
+        ImageError: another quantity, numbers that are not DN, a fact missing, or levels that are none.
         OutputError: it cannot be written.
 
     Source: Adobe, Digital Negative Specification 1.7.1; TIFF 6.0; CIPA DC-008 (Exif).
@@ -141,6 +144,17 @@ def _check_metadata(path: Path, metadata: Mapping[str, Any]) -> None:
         raise ImageError(
             f"{path}: a DNG needs {', '.join(missing)} in the image's provenance; sensor.adc puts it there"
         )
+    levels = ("black_level_dn", "white_level_dn", *(NEEDED_OF_HDR if "companding" in metadata else ()))
+    for key, value in (
+        *((key, metadata[key]) for key in levels),
+        ("dark_signal_dn", metadata.get("dark_signal_dn", 0)),
+    ):
+        if not math.isfinite(_number(value)):
+            raise ImageError(f"{path}: {key} is {value}; a DNG takes a finite number of DN")
+    black = _number(metadata["black_level_dn"]) + _number(metadata.get("dark_signal_dn", 0.0))
+    white = _number(metadata["white_level_dn"])
+    if not 0.0 <= round(black) < white:
+        raise ImageError(f"{path}: black is {black:g} and white_level_dn {white:g}; a DNG takes 0 <= black < white")
     if pattern not in PATTERNS:
         raise ImageError(f"{path}: colour filter pattern {pattern!r} cannot be written; it takes {', '.join(PATTERNS)}")
 
@@ -217,31 +231,28 @@ def _common_tags(shape: tuple[int, int], metadata: Mapping[str, Any]) -> list[Ta
         (50718, _RATIONAL, 2, (1, 1, 1, 1)),
         (50719, _LONG, 2, (inset, inset)),
         (50720, _LONG, 2, (width - 2 * inset, height - 2 * inset)),
-        (
-            50730,
-            _SRATIONAL,
-            1,
-            _rationals([math.log2(metadata.get("digital_gain", 1.0))], 10_000),
-        ),  # BaselineExposure [EV]
+        *_fractions(50730, _SRATIONAL, [_log2(metadata.get("digital_gain", 1.0))], 10_000),  # BaselineExposure [EV]
         (50731, _RATIONAL, 1, (1, 1)),
         (50732, _RATIONAL, 1, (1, 1)),
         (50734, _RATIONAL, 1, (1, 1)),
         (50829, _LONG, 4, (0, 0, height, width)),
     ]
     if "frame_number" in metadata:
-        tags += _clip_tags(int(metadata["frame_number"]), float(metadata["frames_per_s"]))
+        tags += _clip_tags(_number(metadata["frame_number"]), _number(metadata.get("frames_per_s")))
     if "sensor_serial" in metadata:
         tags.append((50735, _ASCII, 0, _ascii(metadata["sensor_serial"])))
     return tags
 
 
-def _clip_tags(number: int, per_s: float) -> list[Tag]:
+def _clip_tags(number: float, per_s: float) -> list[Tag]:
     """CinemaDNG's FrameRate, and TimeCodes (SMPTE 12M, no frames dropped) up to its 40 frames a second."""
+    if not 0.0 < per_s < MOST_FRAMES_PER_S:
+        return []
     rate = Fraction(per_s).limit_denominator(1001)
     tags: list[Tag] = [(51044, _SRATIONAL, 1, (rate.numerator, rate.denominator))]
     whole = max(1, round(per_s))
-    if whole < 40:
-        seconds, frames = divmod(number, whole)
+    if whole < 40 and math.isfinite(number):
+        seconds, frames = divmod(int(number), whole)
         address = (frames, seconds % 60, seconds // 60 % 60, seconds // 3600 % 24)
         tags.append((51043, _BYTE, 8, bytes([part // 10 << 4 | part % 10 for part in address]) + bytes(4)))
     return tags
@@ -306,40 +317,34 @@ def _colour_tags(metadata: Mapping[str, Any]) -> list[Tag]:
     """Noise of every plane; matrices and neutral where there are planes enough for colour."""
     planes = _planes(metadata["cfa_pattern"])
     count = len(planes)
-    noise = tuple(float(value) for value in metadata["noise_profile"])
+    noise = tuple(_number(value) for value in metadata["noise_profile"])
     tags: list[Tag] = (
-        [(51041, _DOUBLE, 2 * count, noise * count)] if noise[0] > 0.0 else []
+        [(51041, _DOUBLE, 2 * count, noise * count)] if noise[0] > 0.0 and all(map(math.isfinite, noise)) else []
     )  # a slope of 0 is no legal profile
     if count < 3:
         return tags
     told = [letter for letter in _FILTERS if letter in planes]
     order = [told.index(letter) for letter in planes]
 
-    def matrix(key: str) -> tuple[int, ...]:
-        return _rationals([value for index in order for value in metadata[key][index]], 10_000)
-
-    d65, a = ("xyz_to_camera", 21), ("xyz_to_camera_a", 17)
-    for slot, (key, illuminant) in enumerate(
-        (a, d65) if a[0] in metadata else (d65,)
-    ):  # dcraw takes the last, the others that for D65
-        tags += [(50721 + slot, _SRATIONAL, 3 * count, matrix(key)), (50778 + slot, _SHORT, 1, illuminant)]
-    return [
-        *tags,
-        (50727, _RATIONAL, count, (1, 1) * count),
-        (50728, _RATIONAL, count, _rationals([metadata["as_shot_neutral"][index] for index in order], 1_000_000)),
-    ]
+    matrices = []
+    for key, illuminant in (("xyz_to_camera_a", 17), ("xyz_to_camera", 21)):
+        values = [value for index in order for value in metadata[key][index]] if key in metadata else []
+        matrices += [(matrix[1:], illuminant) for matrix in _fractions(50721, _SRATIONAL, values, 10_000) if values]
+    for slot, (matrix, illuminant) in enumerate(matrices):  # dcraw takes the last, the others that for D65
+        tags += [(50721 + slot, *matrix), (50778 + slot, _SHORT, 1, illuminant)]
+    neutral = [metadata["as_shot_neutral"][index] for index in order]
+    return [*tags, (50727, _RATIONAL, count, (1, 1) * count), *_fractions(50728, _RATIONAL, neutral, 1_000_000)]
 
 
 def _exif(metadata: Mapping[str, Any]) -> list[tuple[int, int, int, bytes]]:
     entries = [
-        (33434, _RATIONAL, 1, _rational(metadata["exposure_s"])),
-        (33437, _RATIONAL, 1, _rational(metadata["f_number"])),
-        (34855, _SHORT, 1, struct.pack("<H", min(MAX_DN, round(metadata["iso"])))),
+        *_fraction(33434, metadata["exposure_s"]),
+        *_fraction(33437, metadata["f_number"]),
+        *_short(34855, metadata["iso"]),
         (36864, _UNDEFINED, 4, b"0231"),
         (36867, *_text(FIXED_DATE)),
+        *_fraction(37386, metadata.get("focal_length_mm")),
     ]
-    if "focal_length_mm" in metadata:
-        entries.append((37386, _RATIONAL, 1, _rational(metadata["focal_length_mm"])))
     if "sensor_serial" in metadata:
         entries.append((42033, *_text(_ascii(metadata["sensor_serial"]))))
     if "lens_title" in metadata:
@@ -379,14 +384,45 @@ def _finish(path: Path, exif: Sequence[tuple[int, int, int, bytes]], *, photomet
         assert not changes, "a tag that is to be changed is not in the file"
 
 
-def _rationals(values: Any, denominator: int) -> tuple[int, ...]:
-    return tuple(number for value in values for number in (round(float(value) * denominator), denominator))
+def _number(value: Any) -> float:
+    """A number as float; NaN where it is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
 
 
-def _rational(value: float) -> bytes:
-    """Numerator and denominator that fit 32 bits; short times come as 1/n where they are that."""
-    fraction = Fraction(float(value)).limit_denominator(1_000_000)
-    return struct.pack("<II", fraction.numerator, fraction.denominator)
+def _log2(value: Any) -> float:
+    return math.log2(number) if (number := _number(value)) > 0.0 else math.nan
+
+
+def _fractions(code: int, kind: int, values: Sequence[Any], denominator: int) -> list[Tag]:
+    """A tag of fractions of one denominator; none where 32 bits cannot hold them all."""
+    least, most = (-(2**31), 2**31 - 1) if kind == _SRATIONAL else (0, 2**32 - 1)
+    scaled = [_number(value) * denominator for value in values]
+    if not all(least - 0.5 < value < most + 0.5 for value in scaled):
+        return []
+    return [(code, kind, len(values), tuple(number for value in scaled for number in (round(value), denominator)))]
+
+
+def _fraction(code: int, value: Any) -> list[tuple[int, int, int, bytes]]:
+    """An Exif entry of the fraction of 32 bits that is nearest; none where they cannot hold it.
+
+    Short times come as 1/n where they are that.
+    """
+    number, most = _number(value), 2**32 - 1
+    if not 0.0 <= number <= most or 0.0 < number < 1.0 / most:
+        return []
+    fraction = Fraction(number).limit_denominator(min(1_000_000, most // max(1, math.ceil(number))))
+    if abs(fraction - number) > 1e-3 * number:  # a time below a millionth
+        fraction = Fraction(1, round(1.0 / number))
+    return [(code, _RATIONAL, 1, struct.pack("<II", fraction.numerator, fraction.denominator))]
+
+
+def _short(code: int, value: Any) -> list[tuple[int, int, int, bytes]]:
+    """An Exif entry of a whole number of 16 bits; none where they cannot hold it."""
+    number = _number(value)
+    return [(code, _SHORT, 1, struct.pack("<H", round(number)))] if -0.5 < number < MAX_DN + 0.5 else []
 
 
 def _text(text: str) -> tuple[int, int, bytes]:

@@ -124,16 +124,12 @@ def embedded(registers: dict[str, int], line_bytes: int, bits: int) -> bytes:
 
 
 def _registers(image: Image, bits: int) -> dict[str, int]:
-    said = image.provenance
-
-    def number(key: str, scale: float = 1.0) -> int:
-        value: Any = said.get(key, 0.0)
-        return min(0xFFFF, max(0, round(float(value) * scale)))
-
-    return {
-        "data_pedestal": number("black_level_dn"),
+    """What the registers hold; what they cannot hold is left out."""
+    told: dict[str, Any] = {
+        "data_pedestal": image.provenance.get("black_level_dn", 0.0),
         "csi_data_format": bits << 8 | bits,
-        "coarse_integration_time": number("exposure_s", 1.0 / ROW_S),
-        "x_output_size": min(0xFFFF, image.width_px),
-        "y_output_size": min(0xFFFF, image.height_px),
+        "coarse_integration_time": image.provenance.get("exposure_s", 0.0) / ROW_S,
+        "x_output_size": image.width_px,
+        "y_output_size": image.height_px,
     }
+    return {name: round(value) for name, value in told.items() if -0.5 < value < 0xFFFF + 0.5}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,8 @@ FIT_POINTS = 400
 
 
 def opcode_list(height_px: int, width_px: int, metadata: Mapping[str, Any]) -> bytes:
-    """OpcodeList3, big-endian as in every DNG; b'' where the provenance says of no lens.
+    """OpcodeList3, big-endian as in every DNG; b'' where the provenance says of no lens, or of one of numbers that are
+    not finite.
 
     Args:
         height_px, width_px: of the picture.
@@ -34,7 +35,14 @@ def opcode_list(height_px: int, width_px: int, metadata: Mapping[str, Any]) -> b
 
     Source: Adobe, Digital Negative Specification 1.7.1, chapter 7.
     """
-    found = [one for one in (_warp(height_px, width_px, metadata), _vignette(height_px, width_px, metadata)) if one]
+    found = []
+    for opcode in (_warp, _vignette):
+        try:
+            with np.errstate(all="ignore"):
+                found.append(opcode(height_px, width_px, metadata))
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError):  # what is not finite cannot be fitted
+            continue
+    found = [one for one in found if one]
     return struct.pack(">I", len(found)) + b"".join(found) if found else b""
 
 
@@ -59,7 +67,7 @@ def _warp(height_px: int, width_px: int, metadata: Mapping[str, Any]) -> bytes:
     radial_terms = np.linalg.lstsq(terms, radial * r, rcond=None)[0]
     scale = corner_px / focal_px
     numbers = [*radial_terms, p1 * scale, p2 * scale, *_relative(height_px, width_px, centre)]
-    return _opcode(WARP_RECTILINEAR, struct.pack(">I", 1) + struct.pack(">8d", *numbers))
+    return _opcode(WARP_RECTILINEAR, struct.pack(">I", 1), numbers)
 
 
 def _unfold(height_px: int, width_px: int, metadata: Mapping[str, Any]) -> bytes:
@@ -74,7 +82,7 @@ def _unfold(height_px: int, width_px: int, metadata: Mapping[str, Any]) -> bytes
     terms = np.stack([angles**power for power in (1, 3, 5, 7)], axis=1)
     numbers = np.linalg.lstsq(terms, lens.radius(angles) * (width_px / corner_px), rcond=None)[0]
     relative = _relative(height_px, width_px, centre)
-    return _opcode(WARP_FISHEYE, struct.pack(">I", 1) + struct.pack(">6d", *numbers, *relative))
+    return _opcode(WARP_FISHEYE, struct.pack(">I", 1), [*numbers, *relative])
 
 
 def _fisheye(metadata: Mapping[str, Any]) -> Fisheye:
@@ -116,10 +124,13 @@ def _vignette(height_px: int, width_px: int, metadata: Mapping[str, Any]) -> byt
     terms = np.stack([r ** (2 * power) for power in range(1, 6)], axis=1)
     weights = light[:, None]  # a relative error counts alike in the middle and in the corner
     numbers = np.linalg.lstsq(terms * weights, (1.0 / light - 1.0) * light, rcond=None)[0]
-    return _opcode(FIX_VIGNETTE_RADIAL, struct.pack(">7d", *numbers, *_relative(height_px, width_px, centre)))
+    return _opcode(FIX_VIGNETTE_RADIAL, b"", [*numbers, *_relative(height_px, width_px, centre)])
 
 
-def _opcode(number: int, parameters: bytes) -> bytes:
+def _opcode(number: int, head: bytes, numbers: Sequence[float]) -> bytes:
+    if not np.isfinite(numbers).all():
+        return b""
+    parameters = head + struct.pack(f">{len(numbers)}d", *numbers)
     return struct.pack(">IIII", number, SINCE, OPTIONAL, len(parameters)) + parameters
 
 

@@ -414,3 +414,68 @@ def test_black_of_24_bits_is_whole():
     assert (int(table[round(code)]) - black) / (white - black) == pytest.approx(
         (middle - 168) / (16_000_000 - 168), rel=1e-3
     )
+
+
+HUGE = 1e30
+NO_NUMBERS = [np.nan, np.inf, -np.inf, -1.0, HUGE]
+"""What no tag of an exposure, a speed or a length can hold."""
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS)
+def test_what_a_tag_cannot_hold_is_left_out(value, mosaic, tmp_path):
+    """The file is whole but for that tag: TIFF's fractions have 32 bits without sign, its SHORT 16."""
+    path = tmp_path / "a.dng"
+    write_dng(path, mosaic)
+    whole, exif = set(tags_of(path)), set(exif_of(path))
+    for key, code in (("exposure_s", 33434), ("f_number", 33437), ("iso", 34855), ("focal_length_mm", 37386)):
+        write_dng(path, mosaic.with_metadata(**{key: value}))
+        assert exif - set(exif_of(path)) == {code} and set(tags_of(path)) == whole
+        np.testing.assert_array_equal(tifffile.imread(path), mosaic.pixels[..., 0])
+    matrix = [[1.0, 0.0, 0.0], [0.0, value if value != -1.0 else -HUGE, 0.0], [0.0, 0.0, 1.0]]
+    for changes, gone in (
+        ({"as_shot_neutral": [0.5, 1.0, value]}, {50728}),
+        ({"xyz_to_camera_a": matrix}, {50722, 50779}),  # that of daylight alone is left, as the first
+        ({"digital_gain": 0.0 if value == HUGE else value}, {50730}),
+        ({"noise_profile": [1e-4, value if value != -1.0 else np.nan]} if value != HUGE else {}, {51041}),
+    ):
+        write_dng(path, mosaic.with_metadata(**changes))
+        assert whole - set(tags_of(path)) == (gone if changes else set()), changes
+    write_dng(path, mosaic.with_metadata(distortion_coefficients=[value] * 5, camera_matrix_px=[[value, 0, 60]] * 2))
+    with rawpy.imread(str(path)) as raw:
+        np.testing.assert_array_equal(raw.raw_image, mosaic.pixels[..., 0])
+
+
+@pytest.mark.parametrize("per_s", [*NO_NUMBERS, 0.0, "fast"])
+def test_a_rate_that_no_fraction_holds_is_left_out(per_s, mosaic, tmp_path):
+    write_dng(tmp_path / "a.dng", mosaic.with_metadata(frame_number=3, frames_per_s=per_s))
+    assert not {51043, 51044} & set(tags_of(tmp_path / "a.dng"))
+
+
+@pytest.mark.parametrize("value", [1e-9, 2.5e-7, 3e-6, 1 / 8000, 0.3, 13.37, 5000.123456, 4.2e6, 4294967294.6])
+def test_fractions_hold_what_32_bits_can(value, mosaic, tmp_path):
+    """To a thousandth, and to a millionth between a thousandth and a thousand."""
+    write_dng(tmp_path / "a.dng", mosaic.with_metadata(exposure_s=value))
+    above, below = exif_of(tmp_path / "a.dng")[33434]
+    assert above / below == pytest.approx(value, rel=1e-6 if 1e-3 < value < 1e3 else 1e-3)
+
+
+@pytest.mark.parametrize("key", ["black_level_dn", "white_level_dn", "dark_signal_dn"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, "bright"])
+def test_levels_that_are_no_numbers_are_one_line(key, value, mosaic, tmp_path):
+    """Without its levels a file would tell another brightness, so it is not written."""
+    with pytest.raises(ImageError, match=rf"a\.dng: {key} is {value}; a DNG takes a finite number"):
+        write_dng(tmp_path / "a.dng", mosaic.with_metadata(**{key: value}))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_parallel_projection_has_no_focal_length(tmp_path):
+    """Rays that do not meet, through the shipped phone: a file without the tag, whose picture is whole."""
+    from synfog_usd.scene import PARALLEL_DEG
+
+    radiance = Image(np.full((96, 128, 3), 100.0, np.float32), ("R", "G", "B"), Quantity.RADIANCE)
+    radiance = radiance.with_metadata(fov_x_deg=PARALLEL_DEG)
+    graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+    run = graph.run({"radiance": radiance}, seed=1, settings={"exposure_s": 1 / 500, "iso": 55}, until="adc")
+    write_dng(tmp_path / "a.dng", run["adc"])
+    assert 37386 not in exif_of(tmp_path / "a.dng")
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.dng"), run["adc"].pixels[..., 0])
