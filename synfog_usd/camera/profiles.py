@@ -31,6 +31,9 @@ OBSERVERS = ("cie1931",)
 
 MAX_CURVE_BYTES = 1 << 20
 
+NOT_TOLD = "not in the file"
+"""Source of a value that the file leaves out."""
+
 DRAWN = 0.02
 """How far the focal length of a lens's drawing may be from the one that is told."""
 
@@ -243,6 +246,15 @@ class LensProfile:
     content_hash: str = ""
 
 
+def guessed(profile: SensorProfile | LensProfile) -> str:
+    """What to tell of a profile most of whose values are estimates, as the first word of their source says; else ''."""
+    told = [(name, source) for name, source in profile.sources if source != NOT_TOLD]
+    names = [name for name, source in told if source.lower().startswith("estimate")]
+    if 2 * len(names) <= len(told):
+        return ""
+    return f"{profile.name}: {len(names)} of its {len(told)} values are estimates: {', '.join(names)}"
+
+
 def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
     """A sensor by its shipped name, or by a path that ends in .yaml and starts from `folder`.
 
@@ -407,7 +419,7 @@ class _Reader:
     def number(self, key: str) -> tuple[float, str]:
         limits = self.limits[key]
         if key not in self.fields and limits.default is not None:
-            return limits.default, "not in the file"
+            return limits.default, NOT_TOLD
         item = self.item(key)
         if not isinstance(item.value, dict) or set(item.value) - {"value", "source"} or "value" not in item.value:
             raise ParameterError(f"{item.place}: {key} is {item.plain()!r}; it takes {{value: ..., source: ...}}")

@@ -115,8 +115,19 @@ class Scenes:
                 self.foggy |= bool(scene.fog)
 
     def notes(self, todo: Sequence[Shot]) -> tuple[Note, ...]:
-        """What the lightings and fogs of some shots had to report, as far as they were surveyed."""
-        return tuple(dict.fromkeys(note for shot in _each_once(todo) for note in self.told.get(shot, ())))
+        """What the lightings and fogs of some shots had to report, as far as they were surveyed, and what of the
+        camera is guessed.
+        """
+        told = (note for shot in _each_once(todo) for note in self.told.get(shot, ()))
+        return tuple(dict.fromkeys([*told, *_guessed(self.graph)]))
+
+
+def _guessed(graph: Any) -> list[Note]:
+    from synfog_usd.camera.profiles import guessed
+    from synfog_usd.scene import Note
+
+    told = {kind: guessed(profile) for kind, profile in (graph.profiles.items() if graph is not None else ())}
+    return [Note("info", "", f"{kind} {text}") for kind, text in told.items() if text]
 
 
 def _each_once(todo: Sequence[Shot]) -> list[Shot]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import re
 
 import numpy as np
@@ -149,16 +150,57 @@ def test_the_fixed_pattern_is_in_every_frame_and_the_rest_is_not():
     assert np.corrcoef(*averages)[0, 1] > 0.97
 
 
-def test_the_noise_free_camera_is_the_papers_without_its_noise():
-    """Any seed gives the same bytes, and 64 frames of the paper's camera average to its numbers.
+NOISES = ("prnu", "dark_current", "shot_noise", "dsnu", "read_noise", "adc_noise", "black_clamp")
 
-    RAW, even grey: shot, read and ADC noise are 5 DN a pixel, so the mean over 64 x 48 x 64 pixels is known to
-    0.012 DN; rounding whole numbers of one level may put the noise-free one 0.5 DN off.
+
+def papers_cameras():
+    return (camera.load_graph(resources.folder("pipeline") / f"{name}.yaml") for name in ("synfog", "noise_free"))
+
+
+def test_the_noise_free_camera_differs_from_the_papers_in_noise_alone():
+    """Node by node: what is left has the same op and parameters and reads the nearest node that is left; profiles and
+    outputs are the same.
     """
-    noisy, free = (
-        camera.load_graph(resources.folder("pipeline") / f"{name}.yaml") for name in ("synfog", "noise_free")
-    )
-    assert [name for name in noisy.nodes if name not in free.nodes] == ["shot_noise", "read_noise", "adc_noise"]
+    noisy, free = papers_cameras()
+    assert [name for name in noisy.nodes if name not in free.nodes] == list(NOISES)
+    assert [noisy.nodes[name].op.name for name in NOISES] == [f"sensor.{name}" for name in NOISES]
+    kept = [name for name in noisy.nodes if name not in NOISES]
+    assert list(free.nodes) == kept and free.profiles == noisy.profiles and free.outputs == noisy.outputs
+    before = "radiance"
+    for name in kept:
+        mine, theirs = free.nodes[name], noisy.nodes[name]
+        assert (mine.op, mine.params, mine.inputs) == (theirs.op, theirs.params, (before,)), name
+        before = name
+
+
+def test_the_papers_lens_follows_its_formula():
+    """E = tau pi L / (1 + 4 (N (1 - m))^2) cos^4 behind the Mi 10 Pro's f/1.69, far away and at m = -0.1; the angle is
+    that of each pixel's centre under 60 degrees.
+    """
+    graph, _ = papers_cameras()
+    even = scene().with_pixels(np.full((48, 64, 3), 300.0, np.float32)).with_metadata(fov_x_deg=60.0)
+    x, y = (np.arange(64) - 31.5)[None, :], (np.arange(48) - 23.5)[:, None]
+    cos = 1 / np.sqrt(1 + (x * x + y * y) * (math.tan(math.radians(30.0)) / 32) ** 2)
+    for m in (0.0, -0.1):
+        seen = graph.run(
+            {"radiance": even},
+            seed=0,
+            until="irradiance",
+            keep=["irradiance"],
+            overrides={"irradiance.magnification": m},
+        )["irradiance"]
+        wanted = 0.9 * math.pi * 300.0 / (1 + 4 * (1.69 * (1 - m)) ** 2) * cos**4
+        np.testing.assert_allclose(seen.pixels[..., 1], wanted, rtol=1e-5)  # float32
+
+
+def test_the_papers_camera_averages_to_the_noise_free_one():
+    """Any seed gives the same bytes without noise, and 64 frames of the paper's camera average to its numbers.
+
+    RAW, even grey: temporal noise is 5 DN a pixel, and 0.7 % of the signal differs from pixel to pixel, at most 6 DN
+    in 768 pixels of a colour, so the mean is known to 0.25 DN; rounding whole numbers of one level may put the
+    noise-free one 0.5 DN off.
+    """
+    noisy, free = papers_cameras()
     even = scene().with_pixels(np.full((48, 64, 3), 300.0, np.float32))
     settings = camera.meter(even, noisy).settings
     one, two = (free.run({"radiance": even}, seed=seed, settings=settings) for seed in (0, 1))
@@ -173,7 +215,7 @@ def test_the_noise_free_camera_is_the_papers_without_its_noise():
     ):
         mean = np.mean([frame[where].mean(dtype=np.float64) for frame in frames])
         assert 100 < mean < 900
-        assert abs(mean - one["adc"].pixels[where].mean()) < 0.5 + 4 * 0.024
+        assert abs(mean - one["adc"].pixels[where].mean()) < 0.5 + 4 * 0.25
 
 
 def test_a_phone_with_everything_that_may_be_put_in():
@@ -205,7 +247,7 @@ def test_a_phone_of_each_phase_takes_the_same_picture(pattern, tmp_path):
     """The four Bayer phases of one sensor on a smooth scene: the pictures agree to a few 255ths (their noise is their
     own).
     """
-    source = resources.folder("assets") / "sensors" / "imx363.yaml"
+    source = resources.folder("assets") / "sensors" / "mi10pro.yaml"
     (tmp_path / "mine.yaml").write_text(
         re.sub(r"^cfa:.*\n", "", source.read_text(), flags=re.M).replace("serial:", f"cfa: {pattern}\nserial:", 1)
     )
@@ -215,10 +257,10 @@ def test_a_phone_of_each_phase_takes_the_same_picture(pattern, tmp_path):
         * np.array([1.0, 0.7, 0.4], np.float32)
         * np.ones((48, 1, 1), np.float32)
     )
-    run = graph.run({"radiance": scene().with_pixels(ramp)}, seed=0, settings={"exposure_s": 1 / 700, "iso": 55})
+    run = graph.run({"radiance": scene().with_pixels(ramp)}, seed=0, settings={"exposure_s": 1 / 250, "iso": 50})
     assert run["adc"].provenance["cfa_pattern"] == pattern
     expected = make_graph(camera.OPS, extends="noise_free", nodes=[], outputs={}).run(
-        {"radiance": scene().with_pixels(ramp)}, seed=0, settings={"exposure_s": 1 / 700, "iso": 55}
+        {"radiance": scene().with_pixels(ramp)}, seed=0, settings={"exposure_s": 1 / 250, "iso": 50}
     )
     np.testing.assert_allclose(run["srgb"].pixels[2:-2, 2:-2], expected["srgb"].pixels[2:-2, 2:-2], atol=3 / 255)
 

@@ -10,7 +10,7 @@ import pytest
 
 from synfog_usd import photometry, resources
 from synfog_usd.camera import cfa, response
-from synfog_usd.camera.profiles import Curve, QuantumEfficiency, load_lens, load_sensor, shipped
+from synfog_usd.camera.profiles import Curve, QuantumEfficiency, guessed, load_lens, load_sensor, shipped
 from synfog_usd.errors import ParameterError
 
 IMX363 = (resources.folder("assets") / "sensors" / "imx363.yaml").read_text()
@@ -339,3 +339,17 @@ def test_the_content_hash_follows_the_values_only(tmp_path):
     ]:
         (tmp_path / "own.yaml").write_text(text)
         assert (load_sensor("own.yaml", tmp_path).content_hash == first) is same
+
+
+def test_a_profile_that_is_mostly_estimates_says_so():
+    """By the first word of each value's source: the Mi 10 Pro's sensor and lens, and not the Pixel's, whose figures
+    were published but for a few; the ideal ones guess nothing.
+    """
+    chip = guessed(load_sensor("mi10pro"))
+    assert chip.startswith("mi10pro: 15 of its 21 values are estimates: ") and "full_well_e" in chip and "qe" in chip
+    assert "pixel_pitch_um" not in chip
+    assert guessed(load_lens("mi10pro")) == (
+        "mi10pro: 3 of its 4 values are estimates: focal_length_mm, transmission, glare_fraction"
+    )
+    for name, load in (("imx363", load_sensor), ("pixel4a", load_lens), ("ideal", load_sensor), ("ideal", load_lens)):
+        assert guessed(load(name)) == "", name

@@ -9,23 +9,29 @@ import numpy as np
 import pytest
 
 from synfog_usd import camera, resources, seeds, writers
-from synfog_usd.camera import demosaic, isp, optics, sensor
+from synfog_usd.camera import blur, cleanup, demosaic, isp, optics, sensor
 from synfog_usd.errors import GraphError
 from synfog_usd.graph import load_graph, make_graph
 from synfog_usd.image import Image, Quantity
 
 NODES = [
-    {"name": "irradiance", "op": "optics.irradiance", "falloff": "none"},
+    {"name": "irradiance", "op": "optics.irradiance", "falloff": "cos4"},
+    {"name": "diffraction", "op": "optics.diffraction"},
     {"name": "expose", "op": "sensor.expose", "exposure_s": "auto"},
+    {"name": "prnu", "op": "sensor.prnu"},
+    {"name": "dark_current", "op": "sensor.dark_current"},
     {"name": "shot_noise", "op": "sensor.shot_noise"},
     {"name": "full_well", "op": "sensor.full_well"},
+    {"name": "dsnu", "op": "sensor.dsnu"},
     {"name": "read_noise", "op": "sensor.read_noise"},
     {"name": "gain", "op": "sensor.gain", "iso": "auto"},
     {"name": "adc_noise", "op": "sensor.adc_noise"},
+    {"name": "black_clamp", "op": "sensor.black_clamp"},
     {"name": "adc", "op": "sensor.adc"},
     {"name": "black_level", "op": "isp.black_level"},
     {"name": "white_balance", "op": "isp.white_balance", "illuminant": "d65"},
     {"name": "demosaic", "op": "isp.demosaic"},
+    {"name": "false_colour", "op": "isp.false_colour"},
     {"name": "colour", "op": "isp.colour_correct"},
     {"name": "srgb", "op": "isp.gamma"},
 ]
@@ -51,7 +57,7 @@ def written(graph, scene, folder):
 
 def test_a_graph_from_python_writes_the_bytes_of_the_yaml(tmp_path, scene):
     yaml = camera.load_graph(resources.folder("pipeline") / "synfog.yaml")
-    python = make_graph(camera.OPS, name="synfog", sensor="imx363", lens="pixel4a", nodes=NODES, outputs=OUTPUTS)
+    python = make_graph(camera.OPS, name="synfog", sensor="mi10pro", lens="mi10pro", nodes=NODES, outputs=OUTPUTS)
     assert python.hash == yaml.hash
     files = written(python, scene, tmp_path / "python")
     assert files == written(yaml, scene, tmp_path / "yaml") and set(files) == set(OUTPUTS)
@@ -84,27 +90,30 @@ def test_python_says_in_the_same_words_how_a_file_is_written(tmp_path, scene):
 
 def test_the_ops_called_one_by_one_give_the_bytes_of_the_graph(scene):
     """No engine in between: plain functions, the profile's numbers, and the streams that the nodes' names name."""
-    chip, lens = camera.load_sensor("imx363"), camera.load_lens("pixel4a")
+    chip, lens = camera.load_sensor("mi10pro"), camera.load_lens("mi10pro")
     image = optics.irradiance(
-        scene,
-        f_number=lens.f_number,
-        transmission=lens.transmission,
-        falloff="none",
-        focal_length_mm=lens.focal_length_mm,
+        scene, f_number=lens.f_number, transmission=lens.transmission, falloff="cos4", fov_x_deg=60.0
     )
+    image = blur.diffraction(image, f_number=lens.f_number, pixel_pitch_um=chip.pixel_pitch_um, sensor=chip)
     image = sensor.expose(
         image, exposure_s=1 / 250, pixel_pitch_um=chip.pixel_pitch_um, fill_factor=chip.fill_factor, sensor=chip
     )
+    image = sensor.prnu(image, prnu_percent=chip.prnu_percent, serial=chip.serial)
+    image = sensor.dark_current(image, dark_current_e_s=chip.dark_current_e_s)
     image = sensor.shot_noise(image, rng=seeds.stream(SEED, "node", "shot_noise"))
     image = sensor.full_well(image, full_well_e=chip.full_well_e)
+    image = sensor.dsnu(image, dsnu_e=chip.dsnu_e, serial=chip.serial)
     image = sensor.read_noise(image, rng=seeds.stream(SEED, "node", "read_noise"), sigma_e=chip.read_noise_e)
     image = sensor.gain(image, iso=200.0, iso_base=chip.iso_base, gain_dn_e=chip.gain_dn_e)
     image = sensor.adc_noise(image, rng=seeds.stream(SEED, "node", "adc_noise"), sigma_dn=chip.adc_noise_dn)
+    image = sensor.black_clamp(
+        image, rng=seeds.stream(SEED, "node", "black_clamp"), optical_black_rows=chip.optical_black_rows
+    )
     raw = sensor.adc(
         image, bits=chip.bits, black_level_dn=chip.black_level_dn, white_level_dn=chip.white_level_dn, sensor=chip
     )
     image = isp.black_level(raw, black_level_dn=chip.black_level_dn, white_level_dn=chip.white_level_dn)
-    image = demosaic.demosaic(isp.white_balance(image, sensor=chip))
+    image = cleanup.false_colour(demosaic.demosaic(isp.white_balance(image, sensor=chip)))
     picture = isp.gamma(isp.colour_correct(image, sensor=chip))
     run = camera.load_graph(resources.folder("pipeline") / "synfog.yaml").run(
         {"radiance": scene}, seed=SEED, settings=SETTINGS

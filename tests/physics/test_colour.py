@@ -58,6 +58,8 @@ def developed(sensor: str, light: str, reflectances: np.ndarray, folder: Path = 
         folder=folder,
         sensor=sensor,
         nodes=[
+            {"name": "irradiance", "falloff": "none"},  # the colours of patches, without a lens
+            {"name": "diffraction", "remove": True},
             {"name": "adc", "bits": 16, "white_level_dn": 65535},
             {"name": "gain", "gain_dn_e": span / chip.full_well_e, "iso": chip.iso_base},
             {"name": "white_balance", "illuminant": light},

@@ -48,6 +48,8 @@ def graph(light: str) -> NodeGraph:
         extends="noise_free",
         sensor="imx363",
         nodes=[
+            {"name": "irradiance", "falloff": "none"},  # the colours of patches, without a lens
+            {"name": "diffraction", "remove": True},
             {"name": "adc", "bits": 16, "white_level_dn": 65535, "illuminant": light},
             {"name": "gain", "gain_dn_e": gain, "iso": chip.iso_base},
             {"name": "white_balance", "illuminant": light},

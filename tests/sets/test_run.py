@@ -77,6 +77,8 @@ def test_every_picture_is_in_the_index_and_every_file_in_a_unit(whole):
     pictures = list(index.pictures(out))
     assert len(pictures) == index.count(out) == 20
     assert Counter(one.pipeline for one in pictures) == {"synfog": 8, "noise_free": 8, "asm_estimated.noise_free": 4}
+    notes = [note["text"] for note in json.loads((pictures[0].bake / "bake.json").read_text())["notes"]]
+    assert [note.split(":")[0] for note in notes if "estimates" in note] == ["sensor mi10pro", "lens mi10pro"]
     assert {one.fog for one in pictures} > {"clear"} and len({one.seed for one in pictures}) == 2
     for one in pictures:
         assert set(one.files) >= OUTPUTS and all(path.is_file() for path in one.files.values())
