@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from synfog_usd import stage as usd
+from synfog_usd.dataset.plan import AS_AUTHORED
 from synfog_usd.errors import StageError
 from synfog_usd.stage import mend, rulebook, rules
 from synfog_usd.translate import outdoors, translate, why_black
@@ -71,7 +72,7 @@ def look(
             if usd.cameras(opened):
                 scene = translate(opened)
                 notes |= dict.fromkeys(scene.notes)
-                light.setdefault(lighting, str(outdoors(scene)))
+                light.setdefault(lighting or AS_AUTHORED, str(outdoors(scene)))
                 if not any(one.rule == "no-light" for one in found) and (why := why_black(scene)) is not None:
                     found[rulebook.finding("black", scene.camera.path, why)] = None
                 overlaps = coincident(scene) if overlaps is None else overlaps  # lighting and fog move no faces
@@ -201,7 +202,7 @@ def as_text(stage: Path, found: Sequence[Finding], notes: Sequence[Note], light:
             for (severity, text), (paths, count) in rows
         ]
         lines.append("")
-    lines += [f"light{f' ({lighting})' if lighting else ''}: {text}" for lighting, text in light.items()]
+    lines += [f"light ({lighting}): {text}" for lighting, text in light.items()]
     counts = {severity: sum(one.severity == severity for one in found) for severity in GRAVEST_FIRST}
     lines.append(
         f"{stage}: {counts['error']} errors, {counts['warning']} warnings, {counts['info']} remarks; {len(rows)} "

@@ -104,7 +104,6 @@ def bake(
     from synfog_usd.render.film import aovs
     from synfog_usd.render.film.accumulator import SMOOTH, idle
     from synfog_usd.render.shot import Settings, check_memory, sampling_share
-    from synfog_usd.translate import outdoors
 
     bake_began = time.monotonic()
     models.check_name(plan.model)
@@ -156,6 +155,7 @@ def bake(
     with system.only_writer(plan.out), backend.compiling_timed() as compiled_s:
         files.remove_leftovers(plan.out)
         ledger, renderer = Ledger(plan.out, metadata, scenes.notes(todo)), _Renderer(plan)
+        ledger.light = scenes.light
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
         if unsure:
@@ -164,6 +164,7 @@ def bake(
             log(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
         seconds: dict[str, float] = {}
         views: dict[str, _View] = {}  # by lighting
+        lit = set[str]()  # lightings of which it was told how light they are
 
         def expected() -> list[Kind]:
             facts = [(shot.lighting, scenes.mor_m(shot), scenes.lights(shot.lighting)) for shot in unfinished]
@@ -236,6 +237,9 @@ def bake(
                         scenes.of(shot),
                         scenes.of(cleared(stage, shot)) if metered and shot.lighting not in views else None,
                     )
+                if shot.lighting not in lit:
+                    lit.add(shot.lighting)
+                    log(f"{shot.lighting}: {scenes.light[shot.lighting]}")
                 if clear is not None:
                     step("metering", METERED)
                     view = views[shot.lighting] = _meter(
@@ -248,10 +252,7 @@ def bake(
                         behind.wait,
                         within(step, METERED, SET_UP),
                     )
-                    log(
-                        f"{shot.lighting}: {outdoors(scene)}; this view has {float(view.luminance.mean()):.3g} cd/m2 "
-                        f"in clear air"
-                    )
+                    log(f"{shot.lighting}: this view has {float(view.luminance.mean()):.3g} cd/m2 in clear air")
                 share = sampling_share(Settings(samples=plan.samples, denoise=plan.denoise)) if alone else 1.0
                 sampled = SET_UP + (1.0 - SET_UP) * share
                 told = within(step, SET_UP, sampled)

@@ -93,6 +93,7 @@ class Ledger:
         self.rows: dict[str, dict[str, Any]] = {}
         self.labels: dict[str, str] = {}
         self.contact: dict[str, str] = {}
+        self.light: Mapping[str, str] = {}  # by lighting: how light it is outdoors
         self._next_s = 0.0
         try:
             before = json.loads((out / MANIFEST).read_bytes())
@@ -146,6 +147,7 @@ class Ledger:
             "version": 1,
             **self.metadata,
             "notes": [{"severity": note.severity, "path": note.path, "text": note.text} for note in self.notes],
+            "light": dict(sorted(self.light.items())),
             "labels": self.labels,
             "contact": self.contact,
             "shots": ordered,

@@ -36,11 +36,12 @@ class Scenes:
         self.told: dict[Shot, tuple[Note, ...]] = {}  # what the shots that were surveyed had to report
         self.foggy = False  # whether one of them has fog
         self.known: dict[Shot, SceneDict] = {}
+        self.light: dict[str, str] = {}  # by lighting: how light it is outdoors, in words and numbers
 
     def of(self, shot: Shot) -> SceneDict:
         """The scene of a shot; what it was translated from is held, unless it serves no other shot."""
         from synfog_usd import stage as usd
-        from synfog_usd.translate import Exchange, translate
+        from synfog_usd.translate import Exchange, outdoors, translate
 
         if shot in self.known:
             return self.known[shot]
@@ -55,7 +56,9 @@ class Scenes:
         if shot.lighting not in self.lightings:
             before = next(iter(self.lightings.values()), None)
             self.lightings[shot.lighting] = Exchange(self.stage, **choices, fog_mor_m=shot.mor_m, before=before)
-            self.known[shot] = self.seen(self.lightings[shot.lighting].scene)
+            scene = self.lightings[shot.lighting].scene
+            self.light[shot.lighting] = outdoors(scene).sentence(plan.light_scale)
+            self.known[shot] = self.seen(scene)
             return self.known[shot]
         scene = self.lightings[shot.lighting].within(self.stage, fog_mor_m=shot.mor_m)
         if scene is None:

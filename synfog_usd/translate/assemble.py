@@ -192,11 +192,10 @@ def _lit(
         ]
         why = daylight.why_day([*names, *scene.sky_names], sun=outside.sun_lux > 0.0, blender=scene.is_blender)
         if why is not None:
-            mend = "--sun-lux 80000" if outside.sun_lux > 0.0 else f"--light-scale {20000.0 / outside.ground_lux:.1g}"
             notes.warn(
                 next(iter(scene.sky_paths), ""),
                 f"sun and sky give {outside.ground_lux:.2g} lux on open ground, which is night, but {why} day; "
-                f"if so, mend it with {mend} (all lights by one factor)",
+                f"if so, mend it with {outside.noon()} (all lights by one factor)",
             )
     return world, 1.0
 

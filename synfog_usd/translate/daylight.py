@@ -25,6 +25,26 @@ GROUND_ALBEDO = 0.2
 NIGHT_LUX = 100.0
 """Below it no day is meant: sunset under clear sky gives 400 lux, an overcast noon 10 000, civil twilight ends at 3."""
 
+NOON_SUN_LUX, NOON_GROUND_LUX = 80_000.0, 20_000.0
+"""What a clear noon's sun gives across its rays, and open ground has under a bright sky without sun."""
+
+_NATURAL = (
+    (1e5, "a day in full sun"),
+    (1e4, "full daylight without the sun"),
+    (1e3, "an overcast day"),
+    (1e2, "a very dark day"),
+    (1e1, "twilight"),
+    (1e0, "deep twilight, brighter than any moonlit night"),
+    (1e-1, "a night of full moon"),
+    (1e-2, "a night of quarter moon"),
+    (1e-3, "a clear night without a moon"),
+    (1e-4, "an overcast night without a moon"),
+)
+"""Illuminance of open ground [lx], by decades.  Source: RCA Electro-Optics Handbook, EOH-11 (1974), levels of natural
+illuminance at the earth's surface: direct sunlight, full daylight, overcast day, very dark day, twilight, deep
+twilight, full moon, quarter moon, starlight, overcast starlight.
+"""
+
 _DAY = frozenset({"sun", "sunny", "sunlight", "day", "daylight", "daytime", "noon", "midday", "morning", "afternoon"})
 _NIGHT = frozenset(
     {"night", "nighttime", "moon", "moonlight", "dusk", "dawn", "twilight", "evening", "midnight", "stars", "active"}
@@ -40,16 +60,54 @@ class Outdoors:
         sun_lux: illuminance across the rays of all distant lights [lx].
         ground_lux: illuminance of level ground by sun and sky [lx].
         view_cd_m2: mean luminance of an open view from the camera: sky, and ground of albedo `GROUND_ALBEDO` [cd m-2].
+        lamps: whether anything else shines.
     """
 
     sun_lux: float
     ground_lux: float
     view_cd_m2: float
+    lamps: bool = False
 
     def __str__(self) -> str:
-        return (
-            f"sun and sky give {self.ground_lux:.3g} lux on open ground, and an open view {self.view_cd_m2:.3g} cd/m2"
+        return self.sentence()
+
+    def sentence(self, times: float = 1.0) -> str:
+        """How light it is, in words and numbers; where no day is that dark, with the option that makes it noon.
+
+        Args:
+            times: what all lights were multiplied by.
+        """
+        if not self.ground_lux > 0.0:
+            return "lamps alone shine, without sun and sky" if self.lamps else "nothing shines"
+        light = (
+            f"as bright as {in_words(self.ground_lux)}: sun and sky give {rounded(self.ground_lux, 3)} lux on open "
+            f"ground, and an open view {rounded(self.view_cd_m2, 3)} cd/m2"
         )
+        return light if self.ground_lux >= NIGHT_LUX else f"{light}; {self.noon(times)} makes it noon"
+
+    def noon(self, times: float = 1.0) -> str:
+        """The option that makes it noon; `times` as above."""
+        if self.sun_lux > 0.0:
+            return f"--sun-lux {NOON_SUN_LUX:g}"
+        return f"--light-scale {rounded(times * NOON_GROUND_LUX / self.ground_lux, 1)}"
+
+
+def in_words(ground_lux: float) -> str:
+    """What natural light gives open ground an illuminance [lx], to the nearest decade.
+
+    >>> in_words(0.25), in_words(80_000.0)
+    ('a night of full moon', 'a day in full sun')
+    """
+    return min(_NATURAL, key=lambda row: abs(math.log(ground_lux / row[0])))[1]
+
+
+def rounded(value: float, digits: int) -> str:
+    """A number of so many digits, without an exponent where it has less than ten places.
+
+    >>> rounded(6366.2, 1), rounded(0.031416, 3)
+    ('6000', '0.0314')
+    """
+    return f"{float(f'{value:.{digits}g}'):.10g}"
 
 
 def outdoors(scene: SceneDict) -> Outdoors:
@@ -60,7 +118,7 @@ def outdoors(scene: SceneDict) -> Outdoors:
 def measured(world: Mapping[str, Any], camera: Camera) -> Outdoors:
     """See `Outdoors`; `world` as in `SceneDict`."""
     sun = ground = 0.0
-    sky = None
+    sky, lamps = None, False
     for light in (part for part in world.values() if isinstance(part, dict)):
         if light["type"] == "directional":
             lux = float(LUMINANCE @ np.broadcast_to(np.asarray(light["irradiance"]["value"], dtype=np.float64), 3))
@@ -68,6 +126,8 @@ def measured(world: Mapping[str, Any], camera: Camera) -> Outdoors:
             ground += lux * max(0.0, -float(light["to_world"][2, 2]))
         elif light["type"] in ("constant", "envmap"):
             sky = light
+        else:
+            lamps = lamps or _shines(light)
     across = np.linspace(0.0, 1.0, 33)[:-1] + 1 / 64
     rays = camera.directions(np.stack(np.meshgrid(across, across), axis=-1)).reshape(-1, 3)
     seen = np.zeros(len(rays))
@@ -80,7 +140,14 @@ def measured(world: Mapping[str, Any], camera: Camera) -> Outdoors:
         ground += float((nits_of * np.maximum(way[..., 2], 0.0) * steradians).sum())
         seen = nits_of.reshape(-1)[_nearest(rays @ sky["to_world"][:3, :3], nits_of.shape)]
     seen = np.where(rays[:, 2] > 0.0, seen, GROUND_ALBEDO * ground / math.pi)
-    return Outdoors(sun, ground, float(seen.mean()))
+    return Outdoors(sun, ground, float(seen.mean()), lamps)
+
+
+def _shines(part: Mapping[str, Any]) -> bool:
+    """Whether a part of a scene is a lamp, a surface that shines, or has one in it."""
+    if part.get("type") == "shapegroup":
+        return any(_shines(one) for one in part.values() if isinstance(one, dict))
+    return "emitter" in part or part.get("type") in ("point", "spot", "photometric")
 
 
 def _texels(sky: Mapping[str, Any]) -> tuple[Array, Array, Array]:

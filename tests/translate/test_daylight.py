@@ -41,7 +41,60 @@ def test_illuminance_of_open_ground_is_that_of_sky_and_slanting_sun(empty):
     assert light.sun_lux == pytest.approx(50_000.0)
     assert light.ground_lux == pytest.approx(math.pi * 4000.0 + 25_000.0, rel=1e-6)
     assert light.view_cd_m2 == pytest.approx((4000.0 + 0.2 * light.ground_lux / math.pi) / 2, rel=1e-6)
-    assert str(light).startswith("sun and sky give 3.76e+04 lux on open ground")
+    assert str(light).startswith("as bright as a day in full sun: sun and sky give 37600 lux on open ground, and an")
+    assert "noon" not in str(light)
+
+
+@pytest.mark.parametrize(
+    "nits, words, option",
+    [
+        (1.0, "deep twilight", "--light-scale 6000"),
+        (10.0, "twilight", "--light-scale 600"),
+        (0.08, "a night of full moon", "--light-scale 80000"),
+        (0.0008, "a clear night without a moon", "--light-scale 8000000"),
+        (300.0, "an overcast day", None),
+        (5000.0, "full daylight without the sun", None),
+    ],
+)
+def test_a_dome_is_told_in_words_and_the_night_with_the_factor_that_makes_it_noon(empty, nits, words, option):
+    """USD's default dome of 1 nit gives pi lux.  Full moon is 0.25 lux, a moonless sky 0.002, an overcast noon 1000 to
+    2000 by the tables of illuminances; the factor brings the ground to 20 000 lux, of one figure.
+    """
+    stage = empty()
+    sky(stage, nits)
+    text = str(outdoors(translate(stage)))
+    assert text.startswith(f"as bright as {words}")
+    assert (f"; {option} makes it noon" in text) if option else ("noon" not in text)
+    if option:
+        factor = float(option.split()[1])
+        assert 1.8e4 < outdoors(translate(stage, light_scale=factor)).ground_lux < 2.6e4
+
+
+def test_a_dim_sun_is_made_noon_by_its_lux(empty):
+    """Also beside a sky; what was multiplied already counts."""
+    stage = empty()
+    sun(stage, 2.0)
+    sky(stage, 0.1)
+    assert "; --sun-lux 80000 makes it noon" in str(outdoors(translate(stage)))
+    stage = empty()
+    sky(stage, 1.0)
+    assert "--light-scale 6000 makes" in outdoors(translate(stage, light_scale=10.0)).sentence(10.0)
+
+
+def test_lamps_alone_are_told(empty, polygon_mesh):
+    """A lamp, or a surface that shines, also in an instance; and nothing at all."""
+    assert str(outdoors(translate(empty()))) == "nothing shines"
+    stage = empty()
+    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
+    assert str(outdoors(translate(stage))) == "lamps alone shine, without sun and sky"
+    stage.RemovePrim(lamp.GetPath())
+    stage.CreateClassPrim("/Kit")
+    quad = polygon_mesh(stage, "/Kit/Glow", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
+    UsdLux.MeshLightAPI.Apply(quad.GetPrim())
+    shape = UsdGeom.Xform.Define(stage, "/One")
+    shape.GetPrim().GetReferences().AddInternalReference("/Kit")
+    shape.GetPrim().SetInstanceable(True)
+    assert "lamps alone" in str(outdoors(translate(stage)))
 
 
 def test_a_sky_map_counts_by_the_cosine_of_its_upper_half(empty, tmp_path):
@@ -90,7 +143,7 @@ def test_a_world_from_blender_without_sun_is_told_with_a_factor(empty):
     assert told(translate(stage), "night") == []
     stage.SetMetadata("documentation", "Blender v5.0.1")
     (line,) = told(translate(stage), "night")
-    assert "--light-scale 6e+03" in line
+    assert "--light-scale 6000 " in line
 
 
 def test_all_lights_are_multiplied_alike(empty, polygon_mesh):
