@@ -18,7 +18,16 @@ from synfog_usd.image import Image, Quantity
 
 pytestmark = pytest.mark.physics
 
-GRAPHS = ("phone", "dashcam", "automotive_hdr", "staggered_hdr", "machine_vision_mono", "linear_exr", "surround", "synfog")
+GRAPHS = (
+    "phone",
+    "dashcam",
+    "automotive_hdr",
+    "staggered_hdr",
+    "machine_vision_mono",
+    "linear_exr",
+    "surround",
+    "synfog",
+)
 CHANNELS = tuple(photometry.band_name(centre) for centre in (549.0, 550.0, 551.0))
 WAVE_UM = 0.550
 TAKEN = distortion.Pinhole(120, 160, 50.0, (0.0, 0.0))
