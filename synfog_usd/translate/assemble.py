@@ -225,7 +225,9 @@ def _moment(stage: Usd.Stage, frame: float | None, notes: Diagnostics) -> Usd.Ti
         if not math.isfinite(frame):
             raise StageError(f"frame {frame} is no finite number")
         return Usd.TimeCode(frame)
-    if stage.HasAuthoredMetadata("startTimeCode"):
+    if stage.HasAuthoredMetadata("startTimeCode") and not math.isfinite(stage.GetStartTimeCode()):
+        notes.warn("", f"startTimeCode is {stage.GetStartTimeCode():g}, which is no time; it does not count")
+    elif stage.HasAuthoredMetadata("startTimeCode"):
         notes.info("", f"frame {stage.GetStartTimeCode():g}, the stage's first, is drawn; choose another with --frame")
         return Usd.TimeCode(stage.GetStartTimeCode())
     if has_skeletons(stage):

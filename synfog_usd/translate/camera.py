@@ -113,6 +113,9 @@ def read_camera(
         notes.info(
             prim.GetPath(), f"the camera's own exposure (a factor of {scale:.4g}) is not used; a bake meters its own"
         )
+    for attribute in (camera.GetShutterOpenAttr(), camera.GetShutterCloseAttr()):
+        if not math.isfinite(float(attribute.Get(time) or 0.0)):
+            notes.warn(prim.GetPath(), f"{attribute.GetName()} is {attribute.Get(time):g}, no time; nothing is blurred")
     to_world = _place(prim, space, time)
     drift, turn = _motion(prim, space, time, notes)
     fov = PARALLEL_DEG if parallel else math.degrees(2.0 * math.atan(conformed_width / (2.0 * focal)))
@@ -258,7 +261,9 @@ def _readout(prim: Usd.Prim, time: Usd.TimeCode) -> float:
 
 
 def _place(prim: Usd.Prim, space: Space, time: Usd.TimeCode) -> np.ndarray:
-    return _upright(space.matrix @ columns(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim)), prim)
+    with np.errstate(invalid="ignore"):  # which `_upright` refuses
+        place = space.matrix @ columns(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim))
+    return _upright(place, prim)
 
 
 def _motion(
@@ -361,7 +366,9 @@ def _conformed(
 def _upright(matrix: np.ndarray, prim: Usd.Prim) -> np.ndarray:
     """A rigid right-handed frame with the same place and view direction."""
     back, up = matrix[:3, 2], matrix[:3, 1]
-    if not np.isfinite(matrix).all() or not np.linalg.norm(np.cross(up, back)) > 0.0:
+    if not np.isfinite(matrix).all():
+        raise StageError(f"{prim.GetPath()}: the camera's transform holds numbers that are not finite; correct it")
+    if not np.linalg.norm(np.cross(up, back)) > 0.0:
         raise StageError(f"{prim.GetPath()}: the camera's transform has no direction of view; remove its scale")
     z = back / np.linalg.norm(back)
     x = np.cross(up, z)

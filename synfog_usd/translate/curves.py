@@ -71,6 +71,7 @@ def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostic
     else:
         spread = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals").GetInterpolation()
     if facing is not None and not np.isfinite(facing).all():
+        notes.warn(path, "normals that are no finite numbers are not used; the curves are tubes")
         facing = None
     total = int(shape.segments.sum())
     fits = [
@@ -231,6 +232,10 @@ def read_points(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Trian
         return None
     radius = 0.5 * np.broadcast_to(widths[:, 0], (len(points),))
     shown = np.isfinite(points).all(axis=1) & np.isfinite(radius) & (radius > 0.0)
+    if shown.any() and not (np.isfinite(points).all() and np.isfinite(radius).all()):
+        notes.warn(
+            path, f"{int((~shown).sum())} of its points are no finite numbers or have no width; they are left out"
+        )
     normals, faces, fit = _ball(1 if 80 * len(points) <= _FEW_TRIANGLES else 0)
     if len(faces) * int(shown.sum()) > MOST_TRIANGLES:
         notes.warn(

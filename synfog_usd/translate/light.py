@@ -36,6 +36,9 @@ POLE_TO_Z = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.
 """A quarter turn about X, as DomeLight_1 asks for a pole along Z."""
 
 
+_SUN_DEG = 0.53
+"""Width of the sun, which is UsdLux's own fallback."""
+
 MAX_NIT = 1e16
 """Of what shines: ten million times the sun's disc.  Far above, sums of squares leave the range of single precision."""
 
@@ -115,12 +118,14 @@ def emitted(
     color = np.array([float(c) for c in inputs.get("color", (1.0, 1.0, 1.0))])
     if inputs.get("enableColorTemperature", False):
         kelvin = float(inputs.get("colorTemperature", 6500.0))
-        if math.isnan(kelvin):  # the library's table ends the process at it
+        if not math.isfinite(kelvin):  # the library's table ends the process at NaN
             return np.full(3, np.nan)
         if not (convention.plain_6500 and kelvin == 6500.0):
             color = color * np.array(UsdLux.BlackbodyTemperatureAsRgb(kelvin))
+    exposure = float(inputs.get("exposure", 0.0))
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite then, the caller tells
-        return color * (float(inputs.get("intensity", default_intensity)) * np.exp2(float(inputs.get("exposure", 0.0))))
+        stops = np.exp2(exposure) if exposure != -math.inf else math.nan
+        return color * (float(inputs.get("intensity", default_intensity)) * stops)
 
 
 def lamp(
@@ -150,7 +155,7 @@ def lamp(
     inputs.sizes_below_0(_SIZES.get(kind, ()), notes)
     normalize = bool(inputs.get("normalize", False))
     if kind == "DistantLight":
-        angle = float(inputs.get("angle", 0.53)) * convention.sun_angle
+        angle = float(inputs.get("angle", _SUN_DEG)) * convention.sun_angle
         return _distant(radiance * convention.sun, angle, normalize or convention.sun_normalized, matrix, path, notes)
     if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
         notes.warn(path, "light scaled to nothing is left out")
@@ -369,6 +374,9 @@ def _distant(
     radiance: Array, angle_deg: float, normalize: bool, matrix: Array, path: object, notes: Diagnostics
 ) -> Lamp:
     """Irradiance E = L pi sin^2(angle / 2), or the intensity itself where normalized."""
+    if not math.isfinite(angle_deg):
+        notes.warn(path, f"inputs:angle is {angle_deg:g}, which is no angle; {_SUN_DEG} is taken")
+        angle_deg = _SUN_DEG
     half = math.radians(min(max(angle_deg, 0.0), 180.0)) / 2.0
     factor = math.pi * math.sin(half) ** 2 if half > 0.0 else 1.0
     irradiance = radiance if normalize else radiance * factor

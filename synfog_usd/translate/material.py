@@ -19,6 +19,7 @@ from synfog_usd.colour import LUMINANCE
 from synfog_usd.scene import mean_colour
 from synfog_usd.translate import spectrum
 from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.finite import tell_inputs
 from synfog_usd.translate.networks import RefusedError, fed_by, is_textured, native, omni_texture
 from synfog_usd.translate.shading import (
     GREY,
@@ -110,6 +111,7 @@ class Materials:
             said, told = self._said(material.GetPrim()), self.notes.told
             made = self._by_said.get(said) if said is not None else None
             if made is None:
+                tell_inputs(material.GetPrim(), self.time, self.notes)
                 made = self._measured(material, self._made(material))
                 if said is not None and self.notes.told == told:  # notes name the material
                     self._by_said[said] = made

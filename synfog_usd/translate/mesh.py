@@ -15,7 +15,7 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
 from synfog_usd.arrays import Array, Indices, distinct
-from synfog_usd.translate import loop
+from synfog_usd.translate import finite, loop
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Attribute, Polygons, cross
 from synfog_usd.translate.polygons import SMALL, Topology, are_easy, topology, triangulate, triangulate_small
@@ -160,9 +160,11 @@ def read_mesh(
             attributes["normals"] = normals
         if uv is not None and st is not None:
             matrix = np.array(uv.matrix)
-            attributes["st"] = replace(st, values=st.values @ matrix[:, :2].T + matrix[:, 2])
+            own = finite.of_array(st.values, "texcoords", prim.GetPath(), notes)
+            attributes["st"] = replace(st, values=own @ matrix[:, :2].T + matrix[:, 2])
         if colors is not None and len(colors.values) > 1:
-            attributes["color"] = colors
+            own = finite.of_array(colors.values, "vertex_color", prim.GetPath(), notes)
+            attributes["color"] = replace(colors, values=own)
     is_mesh = prim.GetTypeName() == "Mesh"
 
     def token(name: str, known: Collection[str], fallback: str, taken: str = "") -> str:

@@ -5,17 +5,18 @@ Takes a leaf and its place; gives its shapes and what they emit.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any, Concatenate, ParamSpec, TypeAlias
 
 import numpy as np
 from pxr import Usd
 
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
-from synfog_usd.translate import curves, drawmode, geometry, light
+from synfog_usd.translate import curves, drawmode, finite, geometry, light
 from synfog_usd.translate.bindings import Bindings, varies
 from synfog_usd.translate.convention import Chooser
 from synfog_usd.translate.diagnostics import Diagnostics
@@ -27,6 +28,7 @@ from synfog_usd.translate.nurbs import read_patch
 from synfog_usd.translate.space import FAR_POINT, is_similarity
 from synfog_usd.translate.walk import CURVES, MESHES, Leaf
 
+P = ParamSpec("P")
 Part: TypeAlias = tuple[dict[str, Any], dict[str, Any] | None, float]
 """A shape, its emission or None, and the luminance of that."""
 
@@ -34,6 +36,26 @@ Meshes: TypeAlias = dict[tuple[Any, ...], dict[str, Any]]
 """What stands on meshes, and how they are placed and painted -> their shapes."""
 
 _SYNC = ("materialGlowTintsLight", "independent", "noMaterialResponse")
+
+
+def _finite(parts: Callable[Concatenate[Shapes, Leaf, P], list[Part]]) -> Callable[..., list[Part]]:
+    """Keep numbers that are none from the renderer, of vertices, materials and emission, with a note each."""
+
+    @functools.wraps(parts)
+    def told(self: Shapes, leaf: Leaf, *more: P.args, **named: P.kwargs) -> list[Part]:
+        made: list[Part] = []
+        for shape, emission, nits in parts(self, leaf, *more, **named):
+            self.mend_worn(str(shape["bsdf"]["id"]), leaf.path)
+            lit = finite.of_words(emission, 0.0)
+            if lit is not emission or not math.isfinite(nits):
+                self.notes.warn(leaf.path, "shines by a number that is not finite; 0 is taken")
+            kept = lit is emission and math.isfinite(nits)
+            made.append(
+                (finite.of_shape(shape, leaf.path, self.notes), emission if kept else None, nits if kept else 0.0)
+            )
+        return made
+
+    return told
 
 
 class Shapes:
@@ -57,6 +79,7 @@ class Shapes:
         self.time, self.notes, self.materials, self.bindings, self.chooser = time, notes, materials, bindings, chooser
         self.metres_per_unit, self.meshes = metres_per_unit, meshes
         self.ahead: dict[str, Arrays] = {}
+        self.sound: dict[str, bool] = {}
 
     def look_ahead(self, leaves: Iterable[Leaf]) -> None:
         """Read the meshes that are wanted next; those of one topology are looked at together."""
@@ -65,6 +88,16 @@ class Shapes:
         }
         look_at_quads(self.ahead.values())
 
+    def mend_worn(self, key: str, path: str) -> None:
+        """Give a material that a shape wears finite numbers, 0.5 for others, with a note on each such shape."""
+        if key not in self.sound:
+            mended = finite.of_words(self.materials.bsdfs[key], 0.5)
+            self.sound[key] = mended is self.materials.bsdfs[key]
+            self.materials.bsdfs[key] = mended
+        if not self.sound[key]:
+            self.notes.warn(path, "its colour or material has a number that is not finite; 0.5 is taken")
+
+    @_finite
     def parts(self, leaf: Leaf, matrix: Array) -> list[Part]:
         """Shapes of a leaf with their emission and its luminance; empty where it cannot be drawn."""
         if geometry.determinant(matrix) == 0.0:
@@ -124,7 +157,8 @@ class Shapes:
                 finish = self.materials.vertex_colored()
                 key = finish.key
         else:
-            own = read_implicit(leaf.prim, kind, self.time, self.notes)
+            with np.errstate(invalid="ignore", over="ignore"):  # of sizes that are none, which is told below
+                own = read_implicit(leaf.prim, kind, self.time, self.notes)
             if not np.abs(own.positions).max() <= FAR_POINT:
                 self.notes.warn(
                     leaf.path, f"a {kind} whose size is no finite number, or one of more than 12 digits, is left out"

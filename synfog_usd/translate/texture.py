@@ -23,6 +23,7 @@ from synfog_usd.arrays import Pixels
 from synfog_usd.colour import SRGB_TO_LINEAR, srgb_decode, srgb_encode
 from synfog_usd.errors import StageError
 from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.finite import is_finite
 from synfog_usd.translate.wrap import MODES, Wrapped, wrapped
 
 MAX_PIXELS = 1 << 26
@@ -410,7 +411,7 @@ _TUPLES = (("scale", Gf.Vec4f(1, 1, 1, 1)), ("bias", Gf.Vec4f(0, 0, 0, 0)), ("fa
 
 
 def value_of(shader: UsdShade.Shader, name: str, time: Usd.TimeCode, default: Any = None) -> Any:
-    """Constant value of an input through its connections, or `default`."""
+    """Constant value of an input through its connections, or `default`, also for NaN and infinity."""
     source = shader.GetInput(name)
     if not source:
         return default
@@ -420,7 +421,7 @@ def value_of(shader: UsdShade.Shader, name: str, time: Usd.TimeCode, default: An
             if value is None:
                 value = attribute.Get(Usd.TimeCode.EarliestTime())
             if value is not None:
-                return value
+                return value if is_finite(value) else default
     return default
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdVol
+from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdVol
 
 from synfog_usd.arrays import Array, Flags
 from synfog_usd.errors import StageError
@@ -19,6 +19,7 @@ from synfog_usd.stage.labels import LABEL_SOURCES, UNLABELED, direct_label, offi
 from synfog_usd.stage.schema import PREFIX, has_fog_attributes
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.drawmode import MODES, replaces
+from synfog_usd.translate.finite import is_finite
 from synfog_usd.translate.lanes import TYPE as LANE_TYPE
 from synfog_usd.translate.space import FAR, columns
 from synfog_usd.translate.volume import vdb_fault
@@ -379,6 +380,9 @@ class _Walker:
         lost = [name for name in order if name != "!resetXformStack!" and name.removeprefix("!invert!") not in authored]
         if lost:
             self.notes.warn(at, f"xformOpOrder names {lost[0][:60]!r}, which is not there; the prim stands without it")
+        for name in (one.removeprefix("!invert!") for one in order if "orient" in one):
+            if not is_finite(_turn(prim.GetAttribute(name).Get(self.time))):
+                self.notes.warn(at, f"{name} holds numbers that are not finite; the prim stands unturned")
 
     def matrix(self, prim: Usd.Prim, frame: Usd.Prim | None) -> Array:
         if frame is None:
@@ -665,6 +669,11 @@ def _included(stage: Usd.Stage, notes: Diagnostics) -> frozenset[str]:
         return _USUAL
     notes.info(settings.GetPath(), f"prims of the purposes {', '.join(sorted(known))} are drawn (includedPurposes)")
     return known
+
+
+def _turn(value: object) -> list[float] | None:
+    """The four numbers of a quaternion; None for anything else."""
+    return [value.real, *value.imaginary] if isinstance(value, (Gf.Quatd, Gf.Quatf, Gf.Quath)) else None
 
 
 def _stand(matrices: Array) -> Flags:

@@ -1,0 +1,84 @@
+"""Numbers that are none: NaN and infinity on a stage, told with the prim and kept from the renderer.
+
+Takes what was made of a shape, and shaders; gives the same with numbers that can be drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from pxr import Usd
+
+from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.shading import GREY
+
+_TAKEN: Mapping[str, tuple[str, tuple[float, ...]]] = MappingProxyType(
+    {
+        "normals": ("normals", (0.0, 0.0, 1.0)),
+        "texcoords": ("texture coordinates", (0.0, 0.0)),
+        "vertex_color": ("colours", GREY),
+    }
+)
+"""What a shape's vertices have, in words, and what is taken for such a number."""
+
+
+def is_finite(value: Any) -> bool:
+    """Whether a value of USD holds no NaN and no infinity: a number, or several.
+
+    >>> is_finite(1.0), is_finite((0.5, float("nan"))), is_finite("nan"), is_finite(None)
+    (True, False, True, True)
+    """
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, (bool, int, str)) or not hasattr(value, "__len__"):
+        return True
+    try:
+        return bool(np.isfinite(np.asarray(value, dtype=np.float64)).all())
+    except (TypeError, ValueError):  # of words
+        return True
+
+
+def tell_inputs(material: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> None:
+    """Tell of each input of a material and of its shaders that is no number; `texture.value_of` takes its default."""
+    for prim in Usd.PrimRange(material):
+        for attribute in prim.GetAuthoredAttributes():
+            value = attribute.Get(time)
+            value = attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
+            if not is_finite(value):
+                notes.warn(prim.GetPath(), f"{attribute.GetName()} is {value}, no finite number; its default is taken")
+
+
+def of_shape(shape: dict[str, Any], path: str, notes: Diagnostics) -> dict[str, Any]:
+    """A shape with finite numbers on its vertices."""
+    return shape | {name: of_array(shape[name], name, path, notes) for name in _TAKEN if shape.get(name) is not None}
+
+
+def of_array(values: Any, name: str, path: object, notes: Diagnostics) -> Any:
+    """(N, C) of a shape's normals, texture coordinates or colours with finite numbers; the same array where all are."""
+    if math.isfinite(float(np.sum(values, dtype=np.float64))):
+        return values
+    words, taken = _TAKEN[name]
+    bad = ~np.isfinite(values).all(axis=1)
+    notes.warn(path, f"{int(bad.sum())} of its {words} are no finite numbers; {taken} is taken")
+    return np.where(bad[:, None], np.array(taken, dtype=values.dtype), values)
+
+
+def of_words(part: Any, taken: float) -> Any:
+    """A BSDF or an emission in the scene's words, with `taken` for each number that is none; the same object where
+    there is none.
+    """
+    if isinstance(part, dict):
+        made = {name: of_words(value, taken) for name, value in part.items()}
+        return part if all(made[name] is part[name] for name in part) else made
+    if isinstance(part, list):
+        listed = [of_words(value, taken) for value in part]
+        return part if all(one is other for one, other in zip(listed, part, strict=True)) else listed
+    if isinstance(part, float) and not math.isfinite(part):
+        return taken
+    if isinstance(part, np.ndarray) and part.dtype.kind == "f" and not math.isfinite(float(part.sum(dtype=np.float64))):
+        return np.where(np.isfinite(part), part, np.array(taken, dtype=part.dtype))
+    return part

@@ -1,0 +1,282 @@
+"""NaN and infinity anywhere on a stage: told by prim path, never in the scene; what a bake refuses, `check` refuses."""
+
+import math
+
+import numpy as np
+import OpenImageIO
+import pytest
+from support.cli import run
+
+from synfog_usd.cli.check import look
+from synfog_usd.errors import StageError
+from synfog_usd.stage import open_stage
+from synfog_usd.translate import translate
+
+HEAD = """#usda 1.0
+(
+    metersPerUnit = 0.01
+    upAxis = "Z"
+)
+def Camera "Cam"
+{
+    float2 clippingRange = (CLIP)
+    float focalLength = FOCAL
+    float horizontalAperture = 40
+    float verticalAperture = 20
+    LENS
+    float3 xformOp:rotateXYZ = (90, 0, 0)
+    double3 xformOp:translate = (PLACE, -1000, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
+}
+def DomeLight "Sky"
+{
+    float inputs:intensity = 1000
+}
+"""
+PLAIN = {"CLIP": "1, 100000", "FOCAL": "50", "LENS": "", "PLACE": "0"}
+MESH = """def Mesh "C" (
+    prepend apiSchemas = ["MaterialBindingAPI"]
+)
+{
+    int[] faceVertexCounts = [4]
+    int[] faceVertexIndices = [0, 1, 2, 3]
+    point3f[] points = [(-150, 0, -150), (150, 0, -150), (150, 0, 150), (-150, 0, 150)]
+    uniform token subdivisionScheme = "SCHEME"
+    %s
+}
+"""
+PAINT = """def Material "M"
+{
+    token outputs:surface.connect = </M/S.outputs:surface>
+    def Shader "S"
+    {
+        uniform token info:id = "UsdPreviewSurface"
+        %s
+        token outputs:surface
+    }
+    def Shader "T"
+    {
+        uniform token info:id = "UsdUVTexture"
+        asset inputs:file = @t.png@
+        float2 inputs:st.connect = </M/X.outputs:result>
+        %s
+        float3 outputs:rgb
+    }
+    def Shader "X"
+    {
+        uniform token info:id = "UsdTransform2d"
+        float2 inputs:in.connect = </M/R.outputs:result>
+        %s
+        float2 outputs:result
+    }
+    def Shader "R"
+    {
+        uniform token info:id = "UsdPrimvarReader_float2"
+        string inputs:varname = "st"
+        float2 outputs:result
+    }
+}
+"""
+BOUND = "rel material:binding = </M>\n"
+PICTURE = "color3f inputs:diffuseColor.connect = </M/T.outputs:rgb>"
+ST = 'texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (interpolation = "vertex")\n'
+MOVED = 'uniform token[] xformOpOrder = ["xformOp:{op}"]'
+
+
+def mesh(line, *, scheme="none", more=""):
+    return MESH.replace("SCHEME", scheme) % line + more
+
+
+def painted(surface="", picture="", turn="", *, line=ST):
+    return mesh(BOUND + line, more=PAINT % (surface, picture, turn))
+
+
+def varying(name, kind, first, interpolation, rest="(0.5, 0.5, 0.5)"):
+    count = {"vertex": 4, "varying": 4, "faceVarying": 4, "uniform": 1, "constant": 1}[interpolation]
+    return f'{kind}[] {name} = [{", ".join([first, *[rest] * (count - 1)])}] (interpolation = "{interpolation}")'
+
+
+def shapes(bad):
+    """What stands on shapes: name -> (text, path of the prim that is told)."""
+    colour = f"({bad}, 0.5, 0.5)"
+    yield "points", mesh("").replace("(-150, 0, -150)", f"({bad}, 0, -150)"), "/C"
+    yield "normals", mesh(varying("normals", "normal3f", f"({bad}, -1, 0)", "vertex", "(0, -1, 0)")), "/C"
+    for interpolation in ("vertex", "faceVarying", "varying"):
+        for scheme in ("none", "catmullClark"):
+            text = mesh(varying("primvars:displayColor", "color3f", colour, interpolation), scheme=scheme)
+            yield f"color-{interpolation}-{scheme}", text, "/C"
+    yield "opacity", mesh(varying("primvars:displayOpacity", "float", bad, "vertex", "1")), "/C"
+    for scheme in ("none", "catmullClark"):
+        line = BOUND + varying("primvars:st", "texCoord2f", f"({bad}, 0)", "faceVarying", "(1, 1)")
+        yield f"uv-{scheme}", mesh(line, scheme=scheme, more=PAINT % (PICTURE, "", "")), "/C"
+    for op, kind, value in (
+        ("translate", "double3", f"(0, {bad}, 0)"),
+        ("scale", "float3", f"(1, {bad}, 1)"),
+        ("rotateXYZ", "float3", f"(0, {bad}, 0)"),
+        ("orient", "quatf", f"({bad}, 0, 0, 0)"),
+        ("transform", "matrix4d", f"(({bad},0,0,0),(0,1,0,0),(0,0,1,0),(0,0,0,1))"),
+    ):
+        yield op, mesh(f"{kind} xformOp:{op} = {value}\n{MOVED.format(op=op)}"), "/C"
+    for kind, size in (
+        ("Sphere", "radius"),
+        ("Cube", "size"),
+        ("Cylinder", "height"),
+        ("Cone", "radius"),
+        ("Capsule", "radius"),
+        ("Plane", "width"),
+    ):
+        yield kind, f'def {kind} "G"\n{{\n    double {size} = {bad}\n}}\n', "/G"
+    curve = (
+        'def BasisCurves "G"\n{{\n    uniform token type = "linear"\n    int[] curveVertexCounts = [2]\n'
+        '    point3f[] points = [({0}, 0, 0), (100, 0, 0)]\n    float[] widths = [{1}, 9] (interpolation = "vertex")\n'
+        "    {2}\n}}\n"
+    )
+    tint = f'color3f[] primvars:displayColor = [({bad}, 1, 1), (1, 1, 1)] (interpolation = "vertex")'
+    facing = f'normal3f[] normals = [({bad}, 1, 0), (0, 1, 0)] (interpolation = "vertex")'
+    for name, given in (
+        ("points", (bad, 9, "")),
+        ("widths", (0, bad, "")),
+        ("color", (0, 9, tint)),
+        ("normals", (0, 9, facing)),
+    ):
+        yield f"curve-{name}", curve.format(*given), "/G"
+    dots = (
+        'def Points "G"\n{{\n    point3f[] points = [({0}, 0, 0), (100, 0, 0)]\n'
+        "    float[] widths = [{1}, 9]\n    {2}\n}}\n"
+    )
+    for name, given in (("points", (bad, 9, "")), ("widths", (0, bad, "")), ("color", (0, 9, tint))):
+        yield f"points-{name}", dots.format(*given), "/G"
+    scattered = (
+        'def PointInstancer "G"\n{{\n    point3f[] positions = [({0}, 0, 0), (100, 0, 0)]\n'
+        '    int[] protoIndices = [0, 0]\n    {1}\n    rel prototypes = </G/P>\n    def Cube "P"\n    {{\n    }}\n}}\n'
+    )
+    yield "instancer-positions", scattered.format(bad, ""), "/G[0]"
+    yield "instancer-scales", scattered.format(0, f"float3[] scales = [({bad}, 1, 1), (1, 1, 1)]"), "/G[0]"
+
+
+def materials(bad):
+    for name in ("diffuseColor", "emissiveColor", "specularColor"):
+        workflow = "int inputs:useSpecularWorkflow = 1\n" if name == "specularColor" else ""
+        yield name, painted(f"{workflow}color3f inputs:{name} = ({bad}, 0.5, 0.5)"), "/M/S"
+    for name in ("roughness", "metallic", "ior", "opacity", "opacityThreshold", "clearcoat", "clearcoatRoughness"):
+        yield name, painted(f"float inputs:{name} = {bad}"), "/M/S"
+    for name in ("scale", "bias", "fallback"):
+        yield f"picture-{name}", painted(PICTURE, f"float4 inputs:{name} = ({bad}, 1, 1, 1)"), "/M/T"
+    yield "turn-rotation", painted(PICTURE, "", f"float inputs:rotation = {bad}"), "/M/X"
+    yield "turn-scale", painted(PICTURE, "", f"float2 inputs:scale = ({bad}, 1)"), "/M/X"
+
+
+def lights(bad):
+    for kind, names in (
+        ("SphereLight", ("radius", "exposure")),
+        ("RectLight", ("width", "height")),
+        ("DiskLight", ("radius",)),
+        ("CylinderLight", ("length", "radius")),
+        ("DistantLight", ("angle",)),
+        ("DomeLight", ("exposure",)),
+    ):
+        lines = [f"float inputs:{name} = {bad}" for name in ("intensity", *names)]
+        lines += [
+            f"color3f inputs:color = ({bad}, 1, 1)",
+            f"bool inputs:enableColorTemperature = 1\n    float inputs:colorTemperature = {bad}",
+            f"double3 xformOp:translate = ({bad}, 0, 0)\n    {MOVED.format(op='translate')}",
+        ]
+        for line in lines:
+            yield f"{kind} {line}", f'def {kind} "L"\n{{\n    {line}\n}}\n', "/L"
+    glowing = mesh(f"float inputs:intensity = {bad}").replace('API"]', 'API", "MeshLightAPI"]', 1)
+    yield "mesh light", glowing, "/C"
+
+
+KEPT = [
+    pytest.param(text, path, id=f"{bad} {name}")
+    for bad in ("nan", "inf", "-inf")
+    for cases in (shapes, materials, lights)
+    for name, text, path in cases(bad)
+]
+CAMERAS = [
+    ({"CLIP": "{bad}, 1000"}, False),
+    ({"LENS": "float fStop = {bad}"}, False),
+    ({"LENS": "float fStop = 2\n    float focusDistance = {bad}"}, False),
+    ({"LENS": "double shutter:close = {bad}"}, False),
+    ({"FOCAL": "{bad}"}, True),
+    ({"LENS": "float horizontalApertureOffset = {bad}"}, True),
+    ({"PLACE": "{bad}"}, True),
+]
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write a stage, with a picture beside it."""
+
+    def write(body, **changes):
+        text = HEAD
+        for word, given in {**PLAIN, **changes}.items():
+            text = text.replace(word, given)
+        pixels = np.arange(48, dtype=np.uint8).reshape(4, 4, 3) * 5
+        out = OpenImageIO.ImageOutput.create(str(tmp_path / "t.png"))
+        out.open(str(tmp_path / "t.png"), OpenImageIO.ImageSpec(4, 4, 3, "uint8"))
+        out.write_image(pixels)
+        out.close()
+        (tmp_path / "a.usda").write_text(text + body, encoding="utf-8")
+        return tmp_path / "a.usda"
+
+    return write
+
+
+def unsound(part, at=""):
+    """Where numbers of a scene are not finite."""
+    if isinstance(part, dict):
+        return [place for name, value in part.items() for place in unsound(value, f"{at}/{name}")]
+    if isinstance(part, (list, tuple)):
+        return [place for number, value in enumerate(part) for place in unsound(value, f"{at}/{number}")]
+    if isinstance(part, np.ndarray):
+        return [at] if part.dtype.kind == "f" and not np.isfinite(part).all() else []
+    return [at] if isinstance(part, float) and not math.isfinite(part) else []
+
+
+@pytest.mark.parametrize("text, path", KEPT)
+def test_a_number_that_is_none_is_told_of_its_prim_and_reaches_no_renderer(written, text, path):
+    file = written(text)
+    stage = open_stage(file)
+    scene = translate(stage, resolution=(16, 8))
+    assert not unsound(scene.world)
+    assert np.isfinite(scene.bounds_m).all()
+    assert any(note.path == path for note in scene.notes), scene.notes
+    found, notes, _ = look(file)
+    assert not any(one.severity == "error" for one in found)
+    assert any(one.path == path for one in (*found, *notes))
+
+
+@pytest.mark.parametrize("bad", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize("change, refused", CAMERAS, ids=[str(change) for change, _ in CAMERAS])
+def test_a_camera_that_cannot_be_drawn_is_refused_by_check_too(written, change, refused, bad):
+    file = written(mesh(""), **{word: given.format(bad=bad) for word, given in change.items()})
+    found, notes, _ = look(file)
+    errors = [one for one in found if one.severity == "error"]
+    if not refused:
+        assert not errors
+        assert any(note.path == "/Cam" for note in notes)
+        return
+    with pytest.raises(StageError, match=r"^/Cam: ") as problem:
+        translate(open_stage(file))
+    assert [one.text for one in errors] == [str(problem.value)]
+    baked = run("bake", file, "-o", file.parent / "out")
+    assert baked.returncode == 2 and str(problem.value) in baked.stderr
+    assert run("check", file).returncode == 2
+
+
+def test_a_bake_of_all_that_check_lets_through_ends_well(written, tmp_path):
+    """Shapes side by side with a number each that is none: no shot has a pixel that is not finite."""
+    bodies = [
+        text.replace('"C"', f'"C{n}"').replace('"G"', f'"G{n}"').replace("/G/", f"/G{n}/").replace('"M"', f'"M{n}"')
+        for bad in ("nan", "inf")
+        for n, (_, text, _) in enumerate((*shapes(bad), *materials(bad)), start=1000 if bad == "inf" else 0)
+    ]
+    bodies = [text.replace("</M", f"</M{text.split(chr(34))[1][1:]}") for text in bodies]
+    file = written("".join(bodies))
+    assert len(open_stage(file).GetPseudoRoot().GetChildren()) > 60
+    assert run("check", file).returncode == 0
+    baked = run("bake", file, "-o", tmp_path / "out", "--resolution", "32x16", "--samples", "4")
+    assert baked.returncode == 0, baked.stderr
+    pixels = OpenImageIO.ImageBuf(str(tmp_path / "out" / "authored" / "authored" / "radiance.exr")).get_pixels()
+    assert np.isfinite(pixels).all() and pixels[..., :3].max() > 0.0
