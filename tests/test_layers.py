@@ -37,6 +37,7 @@ BASE = {
     "files",
     "fisheye",
     "image",
+    "isolated",
     "numbers",
     "photometry",
     "progress",
@@ -156,5 +157,5 @@ def test_help_imports_nothing_heavy():
     line = {
         f"synfog_usd.cli.{name}" for name in ("main", "options", "worker", "dataset", "benchmark", "study", "train")
     }
-    assert ours == line | {f"synfog_usd{part}" for part in ("", ".errors", ".numbers", ".system", ".cli")}
+    assert ours == line | {f"synfog_usd{part}" for part in ("", ".errors", ".isolated", ".numbers", ".system", ".cli")}
     assert not loaded[-1] & {*HEAVY, "numpy", "scipy", "colour", "trimesh", "pymeshlab", "PIL", "yaml", "rich"}

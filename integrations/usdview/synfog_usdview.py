@@ -69,10 +69,25 @@ def chosen_here(stage):
     return found
 
 
+def on_path(name):
+    """As shutil.which, but never in the current folder, where Windows looks first and an empty entry of PATH points."""
+    if Path(name).name != name:
+        return shutil.which(name)
+    endings = ["", *os.environ.get("PATHEXT", "").split(os.pathsep)] if os.name == "nt" else [""]
+    folders = filter(os.path.isabs, os.environ.get("PATH", "").split(os.pathsep))
+    tools = (shutil.which(str(Path(folder) / (name + ending))) for folder in folders for ending in endings)
+    return next(filter(None, tools), None)
+
+
+def environment():
+    """Without what is set for usdview's own Python: the command's has its own packages."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+
+
 def draw(verb, usdview):
     """Start the command for the camera that usdview looks through; its process, or None with the reason as status."""
     stage, camera = usdview.stage, usdview.cameraPrim
-    tool = shutil.which(os.environ.get("SYNFOG_USD", "") or "synfog-usd")
+    tool = on_path(os.environ.get("SYNFOG_USD", "") or "synfog-usd")
     if tool is None:
         usdview.PrintStatus("Synfog: synfog-usd is not on the path; name it by the variable SYNFOG_USD")
     elif not stage.GetRootLayer().realPath:
@@ -84,7 +99,7 @@ def draw(verb, usdview):
         line = words(verb, stage, camera.GetPath(), usdview.frame)
         told = f" (as saved, without the changes of {', '.join(unsaved)})" if unsaved else ""
         usdview.PrintStatus(f"Synfog: pictures of {camera.GetPath()}{told} come to {line[line.index('--out') + 1]}")
-        return subprocess.Popen([tool, *line])
+        return subprocess.Popen([tool, *line], env=environment())
     return None
 
 

@@ -9,12 +9,12 @@ import os
 import queue
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 from pathlib import Path
 from typing import IO, Any
 
+from synfog_usd import isolated
 from synfog_usd.benchmark.child import as_line, threads
 from synfog_usd.benchmark.methods import Method
 from synfog_usd.errors import SynfogError
@@ -88,13 +88,13 @@ class MethodWorker:
             self.close()
             self._told = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115  (closed with the child)
             self._child = subprocess.Popen(
-                [sys.executable, "-m", "synfog_usd.benchmark.child"],
+                isolated.command("synfog_usd.benchmark.child"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._told,
                 text=True,
                 start_new_session=True,
-                env={"OMP_NUM_THREADS": str(threads(self.method)), **os.environ},
+                env={"OMP_NUM_THREADS": str(threads(self.method)), **isolated.environment()},
             )
             assert self._child.stdin is not None and self._child.stdout is not None
             self._answers = queue.Queue()

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from synfog_usd import __version__, numbers
+from synfog_usd import __version__, isolated, numbers
 from synfog_usd.cli import benchmark, dataset, options, study, train, worker
 from synfog_usd.errors import ParameterError, SynfogError
 
@@ -767,6 +767,7 @@ def _size(text: str | None) -> tuple[int, int] | None:
 
 def main(arguments: list[str] | None = None) -> Any:
     """Run one command line; the way out is always an exit code."""
+    isolated.forget_foreign()
     try:
         with worker.printed():
             app(args=arguments)

@@ -46,9 +46,13 @@ OpenVDB volumes of any of them become fog by way of
 
 
 def _setting(name: str, *folders: Path) -> str:
-    """The line by which this system's shell puts folders before those that a variable names."""
+    """The line by which this system's shell puts folders before those that a variable names; without an empty entry
+    where it names none, since that is the current folder.
+    """
     joined = os.pathsep.join(map(str, folders))
-    return f"set {name}={joined};%{name}%" if sys.platform == "win32" else f"export {name}={joined}:${name}"
+    if sys.platform == "win32":
+        return f'if defined {name} (set "{name}={joined};%{name}%") else (set "{name}={joined}")'
+    return f'export {name}="{joined}${{{name}:+:${name}}}"'
 
 
 def pack_extension(path: Path) -> None:

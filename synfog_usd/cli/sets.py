@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from synfog_usd.sets.status import Status
 
 WATCH_S = 2.0
-CHILD = Child(("-m", "synfog_usd.cli.main", "dataset", "unit"), worker.MARK, worker.FOREIGN)
+CHILD = Child(("synfog_usd.cli.main", "dataset", "unit"), worker.MARK)
 
 
 def plan(file: Path, *, workers: int | None, probe: bool, variant: str, quiet: bool, as_json: bool) -> None:

@@ -19,16 +19,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from synfog_usd import system
+from synfog_usd import isolated, system
 
 MARK = "SYNFOG_USD_WORKER"
 INTERRUPTED = 130
-
-FOREIGN = ("PXR_PLUGINPATH_NAME", "PXR_AR_DEFAULT_SEARCH_PATH")
-"""Variables by which USD would load other people's plugins and look for files elsewhere; the child does not see
-them.
-"""
-
 
 TUNED = {"OPENBLAS_NUM_THREADS": "1", "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 """NumPy multiplies small matrices: more threads of it wait busily for the next product, beside the renderer's.  And
@@ -185,12 +179,8 @@ def run(arguments: Sequence[str]) -> int:
         its exit code, INTERRUPTED after Ctrl-C or SIGTERM, or what is negative where it died, see `system.died`.
     """
     child = subprocess.Popen(
-        [sys.executable, "-m", "synfog_usd.cli.main", *arguments],
-        env={
-            **TUNED,
-            **{name: value for name, value in os.environ.items() if name not in FOREIGN},
-            MARK: str(os.getpid()),
-        },
+        isolated.command("synfog_usd.cli.main", *arguments),
+        env={**TUNED, **isolated.environment(), MARK: str(os.getpid())},
         **system.apart(),
     )
 

@@ -9,7 +9,7 @@ this process may be the first to try.
 from __future__ import annotations
 
 import contextlib
-import ctypes.util
+import ctypes
 import functools
 import importlib.metadata
 import os
@@ -23,10 +23,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
-from synfog_usd import system
+from synfog_usd import isolated, system
 from synfog_usd.errors import BackendError
 
 VariantName = Literal["auto", "cuda", "llvm", "scalar"]
+"""Or cuda:1, and so on, for one of several GPUs, as nvidia-smi counts them."""
 
 VARIANTS: dict[str, str] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
 MIN_LLVM = 16
@@ -51,21 +52,7 @@ INSTALL_LLVM = (
 SCALAR_COST = f"scalar takes about twice as long for the same noise, and 10 s for the labels of 640x360; {INSTALL_LLVM}"
 """Measured in the shipped crossing, MOR 150, two cores: `volpath` in scalar against `path` in LLVM."""
 
-_PROOF = """
-import sys
-if sys.platform != 'win32':
-    import contextlib, resource  # what bounds the reading of a stage, during which this may begin, is not for CUDA: it maps more memory than a machine has
-    for kind in (resource.RLIMIT_AS, resource.RLIMIT_CPU):
-        with contextlib.suppress(ValueError, OSError):
-            resource.setrlimit(kind, (resource.getrlimit(kind)[1],) * 2)
-import mitsuba as mi
-mi.set_variant(sys.argv[1])
-scene = mi.load_dict({'type': 'scene', 'ball': {'type': 'sphere', 'bsdf': {'type': 'principled'}}, 'sky': {'type': 'constant'},
-    'camera': {'type': 'perspective', 'film': {'type': 'hdrfilm', 'width': 4, 'height': 4}}, 'integrator': {'type': 'volpath', 'max_depth': 4}})
-import numpy as np
-print('proved', bool(np.isfinite(np.array(mi.render(scene, spp=1))).all()))
-"""  # noqa: E501
-
+CUDA_DRIVER = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 
 ALIGNMENT = 64
 """Bytes that Dr.Jit's widest vectors want memory to be aligned to."""
@@ -76,16 +63,18 @@ class Backend:
     """A variant that was proved on this machine.
 
     Attributes:
-        name: 'cuda', 'llvm' or 'scalar'.
+        name: 'cuda', 'cuda:<number>', 'llvm' or 'scalar'.
         variant: Mitsuba's name of it.
         why: what was found and what was ruled out, one line each.
         llvm_library: path of libLLVM, or '' where none is used.
+        gpu: number of the GPU that was asked for, or ''.
     """
 
     name: str
     variant: str
     why: tuple[str, ...]
     llvm_library: str = ""
+    gpu: str = ""
 
 
 def find_llvm() -> tuple[list[tuple[int, Path]], list[tuple[int, Path]]]:
@@ -135,28 +124,57 @@ def _llvm_major(path: Path) -> int | None:
 
 def has_cuda_driver() -> bool:
     """Whether an NVIDIA driver is installed; a device is proved later."""
-    name = "nvcuda" if sys.platform == "win32" else "cuda"
-    return ctypes.util.find_library(name) is not None or Path("/usr/lib/x86_64-linux-gnu/libcuda.so.1").exists()
-
-
-def _prove(variant: str, llvm_library: str = "") -> str:
-    """'' if a child process renders with `variant`, else what went wrong in a few words."""
-    environment = dict(os.environ)
-    if llvm_library:
-        environment["DRJIT_LIBLLVM_PATH"] = llvm_library
     try:
-        child = subprocess.run(
-            [sys.executable, "-c", _PROOF, variant], env=environment, capture_output=True, text=True, timeout=120
-        )
+        ctypes.CDLL(CUDA_DRIVER)
+    except OSError:
+        return False
+    return True
+
+
+def _prove(variant: str, **set_before: str) -> str:
+    """'' if a child process renders with `variant`, else what went wrong in a few words.
+
+    Args:
+        variant: Mitsuba's name.
+        set_before: variables that its libraries read when they begin.
+    """
+    try:
+        child = _ask_proof(variant, isolated.environment(**set_before))
     except subprocess.TimeoutExpired:
         return "gave no picture within 120 s"
-    if "proved True" in child.stdout:
+    if "proved" in child.stdout:
         return ""
+    if missing := re.search(r"^missing: (.+)$", child.stdout, re.MULTILINE):
+        return missing.group(1)
     if missing := re.search(r"(lib[\w.+-]+): cannot open shared object file", child.stderr):
         return f"the system library {missing.group(1)} is missing; `make setup libs` names its package"
     lines = [line.strip() for line in child.stderr.splitlines() if line.strip()]
     telling = [line for line in lines if re.search(r"LLVM ERROR|Error|not found|could not|unable", line)]
     return (telling or lines or [f"the trial process ended with code {child.returncode}"])[-1][:200]
+
+
+def _ask_proof(asked: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    words = isolated.command("synfog_usd.render.proof", asked)
+    return subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120)
+
+
+def _prove_cuda(gpu: str) -> str:
+    """'' if CUDA renders, on the GPU of this number where one is named, else what went wrong."""
+    problem = _prove(VARIANTS["cuda"], **_only(gpu))
+    if not problem or not gpu:
+        return problem
+    everything = isolated.environment()
+    everything.pop("CUDA_VISIBLE_DEVICES", None)
+    count = int(_ask_proof("gpus", everything).stdout or 0)
+    if int(gpu) < count or not count:
+        return problem
+    those = "one GPU, number 0" if count == 1 else f"{count} GPUs, 0 to {count - 1}"
+    return f"there is no GPU {gpu}: this machine has {those} (nvidia-smi -L lists them)"
+
+
+def _only(gpu: str) -> dict[str, str]:
+    """Variables by which the driver shows this GPU alone, counted as nvidia-smi does; none for ''."""
+    return {"CUDA_DEVICE_ORDER": "PCI_BUS_ID", "CUDA_VISIBLE_DEVICES": gpu} if gpu else {}
 
 
 def begin(choice: VariantName = "auto") -> None:
@@ -184,32 +202,33 @@ _choosing = threading.Lock()
 
 @functools.lru_cache(maxsize=4)
 def _chosen(choice: VariantName) -> Backend:
-    if choice not in ("auto", *VARIANTS):
-        raise BackendError(f"--variant {choice}: not known; it takes auto, cuda, llvm or scalar")
+    name, numbered, gpu = choice.partition(":")
+    if name not in ("auto", *VARIANTS) or (numbered and (name != "cuda" or not gpu.isdecimal())):
+        raise BackendError(f"--variant {choice}: not known; it takes auto, cuda, llvm or scalar, and cuda:1 for GPU 1")
     why: list[str] = []
-    if choice in ("auto", "cuda"):
-        problem = (
-            _prove(VARIANTS["cuda"])
-            if has_cuda_driver() or choice == "cuda"
-            else "no NVIDIA driver (libcuda) on this machine"
-        )
-        why.append(f"cuda: {problem or 'a device renders'}")
+    if name in ("auto", "cuda"):
+        asked = name == "cuda"
+        problem = _prove_cuda(gpu) if asked or has_cuda_driver() else "no NVIDIA driver (libcuda) on this machine"
+        why.append(f"cuda: {problem or (f'GPU {gpu} renders' if gpu else 'a device renders')}")
         if not problem:
-            return Backend("cuda", VARIANTS["cuda"], tuple(why))
-    if choice in ("auto", "llvm"):
+            return Backend(choice if asked else "cuda", VARIANTS["cuda"], tuple(why), gpu=gpu)
+        if asked:
+            shown = f"--gpu {gpu}" if gpu else "--variant cuda"
+            raise BackendError(f"{shown}: {problem}. Leave it out to render with what is here")
+    if name in ("auto", "llvm"):
         usable, old = find_llvm()
         why += [
             f"llvm: {path} is LLVM {major}, which aborts with Mitsuba 3.9 (needs {MIN_LLVM} or newer)"
             for major, path in old[:1]
         ]
         for major, path in usable:
-            problem = _prove(VARIANTS["llvm"], str(path))
+            problem = _prove(VARIANTS["llvm"], DRJIT_LIBLLVM_PATH=str(path))
             why.append(f"llvm: {path} (LLVM {major}) {'renders' if not problem else 'failed: ' + problem}")
             if not problem:
                 return Backend("llvm", VARIANTS["llvm"], tuple(why), str(path))
         if not usable:
             why.append(f"llvm: no libLLVM {MIN_LLVM} or newer found")
-    if choice in ("auto", "scalar"):
+    if name in ("auto", "scalar"):
         problem = _prove(VARIANTS["scalar"])
         why.append(f"scalar: {problem or SCALAR_COST}")
         if not problem:
@@ -222,11 +241,32 @@ def start(choice: VariantName = "auto") -> Backend:
     backend = choose(choice)
     if backend.llvm_library:
         os.environ["DRJIT_LIBLLVM_PATH"] = backend.llvm_library
+    os.environ.update(_only(backend.gpu))  # before the driver is loaded
     import mitsuba as mi
 
-    if mi.variant() != backend.variant:
-        mi.set_variant(backend.variant)
+    set_variant(mi, backend.variant)
     return backend
+
+
+def set_variant(mi: ModuleType, variant: str) -> None:
+    """Set Mitsuba's variant, and have it take plugins from its own folder alone.
+
+    Mitsuba loads plugins/sphere.so of the current folder where there is one.
+    """
+    places = mi.file_resolver()
+    *_, own = places
+    places.clear()
+    places.append(own)
+    if mi.variant() != variant:
+        mi.set_variant(variant)
+
+
+def plugin_name(name: str) -> str:
+    """A name under which a plugin of ours can be registered with Mitsuba: longer than any file's.
+
+    Mitsuba loads plugins/<name>.so of the current folder, where there is one, before it asks what is registered.
+    """
+    return f"{name}_{'_' * 255}"
 
 
 @contextlib.contextmanager

@@ -38,6 +38,9 @@ LIGHTS = (
     photometric.TYPE,
 )
 
+OURS = (surface.TYPE, photometric.TYPE)
+"""Types that we register."""
+
 GRID_SLICES = 512
 """Height steps of an exponential fog; linear between them, a step of a tenth of the scale height errs by (1/10)^2 / 8 =
 0.13 %.
@@ -297,6 +300,8 @@ def _leaf(mi: Any, name: str, value: Any) -> Any:
         return mi.Bitmap(np.ascontiguousarray(value))
     if name == "rows":
         return backend.floats(value.ravel())
+    if name == "type" and value in OURS:
+        return backend.plugin_name(value)
     if name in ("row_of_face", "begin_of_row", "texels"):
         return backend.numbers(value)
     return value.tolist() if isinstance(value, np.ndarray) else value

@@ -95,7 +95,7 @@ def register() -> None:
     if mi.variant() not in _known and not backend.is_scalar():
         _known.add(mi.variant())
         bsdf = _plugin(mi)
-        mi.register_bsdf(TYPE, lambda properties: bsdf(properties))
+        mi.register_bsdf(backend.plugin_name(TYPE), lambda properties: bsdf(properties))
 
 
 @functools.lru_cache(maxsize=STEPS + 1)

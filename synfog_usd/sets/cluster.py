@@ -9,12 +9,13 @@ import contextlib
 import inspect
 import logging
 import os
+import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from synfog_usd import system
+from synfog_usd import isolated, system
 from synfog_usd.errors import SetError, did_you_mean
 from synfog_usd.sets.work import ending_children
 from synfog_usd.yamlio import load_file
@@ -178,6 +179,9 @@ def batch_cluster(path: Path) -> Iterator[tuple[Any, int]]:
         raise SetError(f"{items['jobs'].place}: jobs is {jobs!r}; it takes a whole number from 1 to 100000")
     options = {"processes": 1, **{key: value for key, value in said.items() if key not in ("system", "jobs")}}
     options["worker_extra_args"] = [*options.get("worker_extra_args", []), "--nthreads", "1"]  # of units, not of a unit
+    own = shlex.join(isolated.python())  # a job begins by python -m, in whatever folder it was asked for
+    named = options.get("python") or dask.config.get(f"jobqueue.{said['system']}.python", None)
+    options["python"] = f"{named} -I" if named else own
     kind = getattr(dask_jobqueue, SYSTEMS[said["system"]])
     known = _options(kind)
     for key in options:

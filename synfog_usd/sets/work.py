@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from synfog_usd import system
+from synfog_usd import isolated, system
 from synfog_usd.sets.layout import Unit
 
 TOLD = 2000
@@ -37,14 +37,12 @@ class Child:
     """How a child is begun.
 
     Attributes:
-        words: of its command line after Python's own, before what to make.
+        words: the module that it runs, and words of its command line before what to make.
         mark: environment variable that tells it its parent.
-        without: environment variables that it does not see.
     """
 
     words: tuple[str, ...]
     mark: str
-    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,7 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
     words = [*child.words, str(job.out), str(job.unit.number), job.unit.lighting, "--variant", job.variant]
     words += ["--camera", job.unit.camera] if job.unit.camera else []
     words += ["--repair"] if job.repair else []
-    environment = {name: value for name, value in os.environ.items() if name not in child.without}
+    environment = isolated.environment()
     place = _place() if job.place is None else job.place
     if job.gpus:
         environment["CUDA_VISIBLE_DEVICES"] = job.gpus[place % len(job.gpus)]
@@ -100,7 +98,7 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
             if _closing:
                 return _failed("killed", "the run ends")
             process = subprocess.Popen(
-                [sys.executable, *words],
+                isolated.command(*words),
                 env={**environment, child.mark: str(os.getpid())},
                 stdin=subprocess.DEVNULL,
                 stdout=told,

@@ -529,32 +529,44 @@ def test_damaged_binary_files_end_in_one_line(tmp_path):
     assert all(line.startswith("refused") for name, line in became.items() if name.startswith("cut"))
 
 
-def at_start(tmp_path, code):
-    """An environment in which every Python runs `code` first, in the child that reads the stage only."""
-    body = "".join(f"    {line}\n" for line in code.splitlines())
-    written(tmp_path / "sitecustomize.py", f"import os\nif 'SYNFOG_USD_WORKER' in os.environ:\n{body}")
-    return {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(tmp_path), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]),
-    }
+PARENT = """
+import sys
+from synfog_usd import isolated
+from synfog_usd.cli.main import main
+first = sys.argv.pop(1)
+isolated.command = lambda *words: [sys.executable, "-c", first, *words]
+main()
+"""
+CHILD = """
+import os, runpy, sys
+sys.argv = sys.argv[1:]
+{}
+runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+"""
+
+
+def process_after(code, *arguments, **more):
+    """The command line in a process of its own, whose child runs `code` before all else."""
+    words = [sys.executable, "-c", PARENT, CHILD.format(code), *map(str, arguments)]
+    return subprocess.run(words, capture_output=True, text=True, timeout=300, **more)
 
 
 @pytest.mark.parametrize("dies", [False, True])
 def test_what_usd_writes_while_a_stage_is_read_is_not_heard(tmp_path, dies):
     """By its own descriptor, as its library does in C++: where it ends the process, five lines.  Ours is heard."""
-    noisy = at_start(
-        tmp_path,
+    noisy = (
         "from pxr import Sdf, Tf\n"
         "before = Sdf.Layer.FindOrOpen\n"
         "def heard(*words):\n"
         "    os.write(2, b'a library speaks\\n')\n"
         f"    {'Tf.Fatal(str(words))' if dies else ''}\n"
         "    return before(*words)\n"
-        "Sdf.Layer.FindOrOpen = staticmethod(heard)",
+        "Sdf.Layer.FindOrOpen = staticmethod(heard)"
     )
     written(tmp_path / "a.txt", "")
     stage = written(tmp_path / "street.usda", HEAD + 'def "A" (references = @./a.txt@) {}\n')
-    done = cli.process("check", stage, env={**noisy, "TMPDIR": str(tmp_path)})  # where it writes its report
+    where = {**os.environ, "TMPDIR": str(tmp_path)}  # where it writes its report
+    done = process_after(noisy, "check", stage, env=where)
     told = done.stderr.splitlines()
     assert done.returncode == 2 and len(told) == 1, done.stderr
     assert ("died of" if dies else "a.txt, which is not USD by its name") in told[0]
@@ -575,10 +587,8 @@ def test_memory_beyond_the_limit_is_one_line(tmp_path, small):
     del layer
     assert (tmp_path / "big.usdc").stat().st_size < 1 << 20
     pages = (24 << 20) // resource.getpagesize()
-    shrunk = at_start(
-        tmp_path, f"before = os.sysconf\nos.sysconf = lambda name: {pages} if name == 'SC_PHYS_PAGES' else before(name)"
-    )
-    done = cli.process("check", tmp_path / "big.usdc", env=shrunk if small else os.environ)
+    shrunk = f"before = os.sysconf\nos.sysconf = lambda name: {pages} if name == 'SC_PHYS_PAGES' else before(name)"
+    done = process_after(shrunk if small else "", "check", tmp_path / "big.usdc")
     told = done.stderr
     assert "Traceback" not in told
     assert done.returncode == 2 and "memory" in told if small else "memory" not in told
@@ -587,8 +597,8 @@ def test_memory_beyond_the_limit_is_one_line(tmp_path, small):
 def test_a_crash_of_the_library_is_one_line(tmp_path):
     """The guard against nested braces taken away, USD's parser runs out of stack; the parent says it in a line."""
     path = written(tmp_path / "deep.usda", "#usda 1.0\n" + 'def Xform "d" {\n' * 200_000 + "}\n" * 200_000)
-    unguarded = at_start(tmp_path, "from synfog_usd.stage import budget\nbudget.MAX_BRACES = 10**9")
-    done = cli.process("check", path, env=unguarded)
+    unguarded = "from synfog_usd.stage import budget\nbudget.MAX_BRACES = 10**9"
+    done = process_after(unguarded, "check", path)
     told = done.stderr
     assert (
         done.returncode == 2 and told.count("\n") == 1 and "died of signal 11: the USD library could not cope" in told
@@ -613,8 +623,8 @@ def test_the_limits_of_reading_end_with_it():
 def test_a_stage_that_takes_too_long_to_read_ends_in_one_line(tmp_path):
     """With a second of processor time instead of ten minutes."""
     path = written(tmp_path / "slow.usda", bomb(15, instanceable=False))
-    limit = at_start(tmp_path, "from synfog_usd import system\nsystem.READ_CPU_S = 1")
-    done = cli.process("check", path, env={**limit, budget.TRUSTED: "1"})
+    limit = "from synfog_usd import system\nsystem.READ_CPU_S = 1"
+    done = process_after(limit, "check", path, env={**os.environ, budget.TRUSTED: "1"})
     told = done.stderr
     assert done.returncode == 2 and told.count("\n") == 1 and "reading took more than 600 s of processor time" in told
 

@@ -1,11 +1,12 @@
 """What a worker does with its child."""
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
 
-from synfog_usd import system
+from synfog_usd import isolated, system
 from synfog_usd.sets import cluster, work
 from synfog_usd.sets.layout import Unit
 from synfog_usd.sets.work import Child, Job, do
@@ -13,8 +14,14 @@ from synfog_usd.sets.work import Child, Job, do
 TELL = "import json, os; print(json.dumps({}))"
 
 
-def child(expression, *without):
-    return Child(("-c", TELL.format(expression)), "MARK_OF_TEST", without)
+@pytest.fixture(autouse=True)
+def programs(monkeypatch):
+    """Children run what a test writes in the place of a module's name."""
+    monkeypatch.setattr(isolated, "command", lambda program, *words: [sys.executable, "-c", program, *words])
+
+
+def child(expression):
+    return Child((TELL.format(expression),), "MARK_OF_TEST")
 
 
 def job(**more):
@@ -23,12 +30,12 @@ def job(**more):
 
 def test_a_child_is_told_its_unit_and_its_parent(monkeypatch):
     """Folder, scene, lighting, camera; the parent's number under the mark; nothing of what it is not to see."""
-    monkeypatch.setenv("HIDDEN", "1")
+    monkeypatch.setenv("PXR_PLUGINPATH_NAME", "there")
     seen = "{'ok': True, 'words': __import__('sys').argv[1:], 'env': dict(os.environ)}"
-    result = do(job(repair=True), child(seen, "HIDDEN"))
+    result = do(job(repair=True), child(seen))
     words = "out 3 sky --variant llvm --camera /World/Rig/Left --repair"
     assert result["ok"] and result["words"] == words.split()
-    assert result["env"]["MARK_OF_TEST"] == str(os.getpid()) and "HIDDEN" not in result["env"]
+    assert result["env"]["MARK_OF_TEST"] == str(os.getpid()) and "PXR_PLUGINPATH_NAME" not in result["env"]
     assert result["seconds"] > 0.0 and result["own_cpu_s"] >= 0.0
 
 
@@ -59,7 +66,7 @@ def test_workers_share_out_cores_and_gpus(monkeypatch, place):
 def test_how_a_child_ends_is_told(words, kind, told):
     """Its signal, its last words, its exit code, or that it took too long; never more than a few lines."""
     limited = Job(Path("out"), Unit(3, "sky"), 1.0 if kind == "limit" else 60.0, "llvm")
-    result = do(limited, Child(("-c", words), "MARK_OF_TEST"))
+    result = do(limited, Child((words,), "MARK_OF_TEST"))
     assert not result["ok"] and result["kind"] == kind and told in result["error"]
     assert len(result["error"]) <= work.TOLD
 

@@ -75,11 +75,21 @@ class SynfogPreferences(bpy.types.AddonPreferences):
         self.layout.prop(self, "command")
 
 
+def on_path(name):
+    """As shutil.which, but never in the current folder, where Windows looks first and an empty entry of PATH points."""
+    if Path(name).name != name:
+        return shutil.which(name)
+    endings = ["", *os.environ.get("PATHEXT", "").split(os.pathsep)] if os.name == "nt" else [""]
+    folders = filter(os.path.isabs, os.environ.get("PATH", "").split(os.pathsep))
+    tools = (shutil.which(str(Path(folder) / (name + ending))) for folder in folders for ending in endings)
+    return next(filter(None, tools), None)
+
+
 def command(context):
     """Path of the command, or None."""
     mine = context.preferences.addons.get(SynfogPreferences.bl_idname)
     told = bpy.path.abspath(mine.preferences.command) if mine is not None and mine.preferences else ""
-    return shutil.which(told or os.environ.get("SYNFOG_USD", "") or "synfog-usd")
+    return on_path(told or os.environ.get("SYNFOG_USD", "") or "synfog-usd")
 
 
 def exported(context):
@@ -177,8 +187,8 @@ def name_of(path):
 
 
 def environment():
-    """Without what Blender sets for its own Python."""
-    return {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "PYTHONSTARTUP")}
+    """Without what is set for Blender's own Python: the command's has its own packages."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
 
 
 class SYNFOG_OT_check(bpy.types.Operator):

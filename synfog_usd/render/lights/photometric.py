@@ -34,7 +34,7 @@ def register() -> None:
     if mi.variant() not in _known:
         _known.add(mi.variant())
         emitter = _plugin(mi)
-        mi.register_emitter(TYPE, lambda properties: emitter(properties))
+        mi.register_emitter(backend.plugin_name(TYPE), lambda properties: emitter(properties))
 
 
 def table_of(part: Mapping[str, Any]) -> Array:
