@@ -36,13 +36,14 @@ def plan(
         bool, typer.Option(help="Make small units, to tell hours and gigabytes; --no-probe only counts.")
     ] = True,
     variant: Variant = "auto",
+    gpu: options.Gpu = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Tell what the SET holds, and what it takes on this machine, before anything is made."""
     from synfog_usd.cli import sets as verb
 
-    verb.plan(file, workers=workers, probe=probe, variant=variant, quiet=quiet, as_json=as_json)
+    verb.plan(file, workers=workers, probe=probe, variant=options.device(variant, gpu), quiet=quiet, as_json=as_json)
 
 
 @app.command()
@@ -59,6 +60,7 @@ def run(
     ] = False,
     limit: Limit = None,
     variant: Variant = "auto",
+    gpu: options.Gpu = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
@@ -77,7 +79,7 @@ def run(
         budget_gb=budget_gb,
         repair=repair,
         limit_s=limit,
-        variant=variant,
+        variant=options.device(variant, gpu),
     )
 
 
@@ -111,6 +113,7 @@ def retry(
     cluster: Cluster = None,
     limit: Limit = None,
     variant: Variant = "auto",
+    gpu: options.Gpu = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
@@ -128,7 +131,7 @@ def retry(
         batch=cluster,
         limit_s=limit,
         retry=True,
-        variant=variant,
+        variant=options.device(variant, gpu),
     )
 
 
@@ -140,11 +143,12 @@ def unit(
     camera: Annotated[str, typer.Option(help="Prim path; the stage's own if left out.")] = "",
     repair: Annotated[bool, typer.Option("--repair", help="Look at every file first.")] = False,
     variant: Variant = "auto",
+    gpu: options.Gpu = None,
 ) -> None:
     """Make one scene in one lighting of a set that was begun, as the workers of run do, and print what it took."""
     from synfog_usd.cli import sets as verb
 
-    verb.unit(out, number, lighting, camera, repair=repair, variant=variant)
+    verb.unit(out, number, lighting, camera, repair=repair, variant=options.device(variant, gpu))
 
 
 @app.command(hidden=True)

@@ -153,6 +153,7 @@ def bake(
         typer.Option("--same-noise", help="Give all fogs of a lighting the temporal noise of its clear frame."),
     ] = False,
     variant: options.Variant = "auto",
+    gpu: options.Gpu = None,
     allow: options.Allow = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop, with exit code 1, at whatever is not understood.")
@@ -192,7 +193,7 @@ def bake(
             cull=cull,
             seed=seed,
             same_noise=same_noise,
-            variant=variant,
+            variant=options.device(variant, gpu),
             allow=tuple(allow or ()),
             strict=strict,
         ),
@@ -235,6 +236,7 @@ def preview(
     resolution: options.Resolution = "320x180",
     samples: options.Samples = 2,
     variant: options.Variant = "auto",
+    gpu: options.Gpu = None,
     allow: options.Allow = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -262,7 +264,7 @@ def preview(
             samples=samples,
             bands=3,
             draft=True,
-            variant=variant,
+            variant=options.device(variant, gpu),
             allow=tuple(allow or ()),
         ),
         watch=watch,
@@ -366,6 +368,7 @@ def chart(
     ] = 0.03,
     seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0,
     variant: options.Variant = "auto",
+    gpu: options.Gpu = None,
     allow: options.Allow = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -396,7 +399,7 @@ def chart(
         time_limit=time_limit,
         target=target,
         seed=seed,
-        variant=variant,
+        variant=options.device(variant, gpu),
         allow=tuple(allow or ()),
     )
     if not worker.is_worker():
@@ -445,6 +448,7 @@ def contact(
     samples: options.Samples = 16,
     model: Annotated[str, typer.Option(help="How light is transported; see bake.")] = "auto",
     variant: options.Variant = "auto",
+    gpu: options.Gpu = None,
     change: Annotated[
         list[str] | None, typer.Option("--set", help="SECTION.KEY=VALUE over what the recipes say.")
     ] = None,
@@ -469,7 +473,7 @@ def contact(
         columns=max(0, columns),
         samples=samples,
         model=model,
-        variant=variant,
+        variant=options.device(variant, gpu),
         changes=tuple(change or ()),
     )
     with shown(quiet) as (progress, log):
@@ -480,6 +484,7 @@ def contact(
 @app.command()
 def info(
     variant: options.Variant = "auto",
+    gpu: options.Gpu = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """Tell which backend renders here and why, and the versions of what it stands on."""
@@ -488,7 +493,7 @@ def info(
 
     from synfog_usd.render import backend
 
-    chosen = backend.choose(variant)  # type: ignore[arg-type]
+    chosen = backend.choose(options.device(variant, gpu))  # type: ignore[arg-type]
     names = (
         "usd-core",
         "mitsuba",
@@ -547,6 +552,7 @@ def plugin_path(
 @app.command()
 def selftest(
     variant: options.Variant = "auto",
+    gpu: options.Gpu = None,
     quick: Annotated[bool, typer.Option("--quick", help="A few of the cases; under 40 s.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON on standard output.")] = False,
 ) -> None:
@@ -556,7 +562,7 @@ def selftest(
     from synfog_usd.render import backend
     from synfog_usd.study import selftest as study
 
-    chosen = backend.start(variant).variant  # type: ignore[arg-type]
+    chosen = backend.start(options.device(variant, gpu)).variant  # type: ignore[arg-type]
     print(f"backend: {chosen}", file=sys.stderr if as_json else sys.stdout, flush=True)
     cases, rows, start = study.select(quick), [], time.monotonic()
     for index, row in enumerate(study.run(cases), 1):

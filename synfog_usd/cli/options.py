@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from synfog_usd.errors import SynfogError
+from synfog_usd.errors import ParameterError, SynfogError
 
 
 def _variants_of_stage(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -48,6 +48,10 @@ SunLux = Annotated[
 ]
 Samples = Annotated[int, typer.Option(help="Most paths per pixel, on average.")]
 Variant = Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")]
+Gpu = Annotated[
+    int | None,
+    typer.Option("--gpu", min=0, help="Which of several NVIDIA GPUs renders, by its number in nvidia-smi -L."),
+]
 Allow = Annotated[
     list[Path] | None,
     typer.Option(help="Folder outside the stage's own in which its files may lie; may be given again."),
@@ -58,3 +62,16 @@ Graph = Annotated[Path, typer.Argument(help="YAML node graph.")]
 SetOrBake = Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")]
 Source = Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")]
 Findings = Annotated[Path, typer.Option("--out", "-o", help="Folder for the findings.")]
+
+
+def device(variant: str, gpu: int | None) -> str:
+    """What --variant and --gpu ask for together, as `render.backend.choose` takes it.
+
+    Raises:
+        ParameterError: a GPU is named for a variant that uses none.
+    """
+    if gpu is None:
+        return variant
+    if variant not in ("auto", "cuda"):
+        raise ParameterError(f"--gpu {gpu}: --variant {variant} renders on no GPU; leave one of them out")
+    return f"cuda:{gpu}"

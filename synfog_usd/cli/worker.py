@@ -199,11 +199,10 @@ def run(arguments: Sequence[str]) -> int:
 
 def answer(arguments: Sequence[str], given: str) -> list[str]:
     """The lines that another command line prints in a child process, which reads `given`; however it ends."""
-    environment = {name: value for name, value in os.environ.items() if name not in FOREIGN}
     done = subprocess.run(
-        [sys.executable, "-m", "synfog_usd.cli.main", *arguments],
+        isolated.command("synfog_usd.cli.main", *arguments),
         input=given,
-        env={**environment, MARK: str(os.getpid())},
+        env=isolated.environment(**{MARK: str(os.getpid())}),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         encoding="utf-8",
