@@ -71,6 +71,7 @@ VERBS = {
     "asset import": ["box.obj", "--class", "car", "--length", "4", "-o", "models"],
     "dataset plan": ["tiny.yaml", "--quiet"],
     "dataset run": ["tiny.yaml", "-o", "set", "--quiet"],
+    "dataset offers": [],
     "dataset status": ["set"],
     "dataset verify": ["set"],
     "dataset retry": ["set", "--quiet"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -57,7 +58,8 @@ def run(
         print(writers.write_output(name, results[node], out, options=options))
     if exposure is not None:
         print(_exposed(exposure), file=sys.stderr)
-    print(drawing.table(graph, results, exposure.settings if exposure else None), file=sys.stderr)
+    settings = exposure.settings if exposure else None
+    print(drawing.table(graph, results, settings, width=_columns(), whole=False), file=sys.stderr)
 
 
 def show(
@@ -83,7 +85,12 @@ def show(
         files.write_bytes(svg, drawing.svg(graph, results).encode())
         print(svg)
     else:
-        print(drawing.mermaid(graph, results) if mermaid else drawing.table(graph, results))
+        print(drawing.mermaid(graph, results) if mermaid else drawing.table(graph, results, width=_columns()))
+
+
+def _columns() -> int:
+    """Characters of a line: of the terminal, 80 where there is none."""
+    return max(40, shutil.get_terminal_size((80, 24)).columns)
 
 
 def explain(op: str | None, *, everything: bool) -> None:

@@ -73,7 +73,8 @@ def _offers(stages: Sequence[Path]) -> dict[Path, offers.Offer]:
 
 def print_offers() -> None:
     """In that child: a line of JSON for each path that it is given."""
-    worker.follow_parent()
+    if worker.is_worker():
+        worker.follow_parent()
     for path in sys.stdin.read().splitlines():
         with worker.reading_limits():
             print(json.dumps(offers.of_stage(Path(path))), flush=True)

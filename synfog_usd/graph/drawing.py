@@ -7,6 +7,7 @@ own.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
@@ -46,34 +47,71 @@ CHAR_W = 0.62
 box.
 """
 
+TIED = "\N{NO-BREAK SPACE}"
+"""Between what must stand in one line."""
+
 COLOURS = ("#3b6ea5", "#b5651d", "#4f8a5b", "#7a5195", "#8a8a3a", "#a8434b")
 
 
-def table(graph: NodeGraph, run: GraphRun | None = None, settings: Mapping[str, Any] | None = None) -> str:
-    """The graph as a plain text table, with milliseconds if it ran.
+def table(
+    graph: NodeGraph,
+    run: GraphRun | None = None,
+    settings: Mapping[str, Any] | None = None,
+    *,
+    width: int = 80,
+    whole: bool = True,
+) -> str:
+    """The graph as plain text, node by node, with milliseconds if it ran.
 
     Behind a value stands where it is from: (sensor) and (lens), their profiles;
     (default), the op; (set), an override; (run), what `settings` say for an `auto`.
     What the file says stands alone.
+
+    Args:
+        graph: what is shown.
+        run: its last run.
+        settings: of that run, by name.
+        width: of a line [characters].
+        whole: with what each node reads and gives, and all parameters; else a line for each, with those that the file,
+            an override or the run says.
     """
-    from_run = settings or {}
-    rows = [("node", "op", "reads", "gives", "parameters", "ms")]
-    for node in graph.nodes.values():
-        parameters = ", ".join(
-            f"{key}={_sourced(bound, from_run.get(node.op.parameters[key].auto_key))}"
-            for key, bound in node.params.items()
-            if node.op.parameters[key].can_be_set
-        )
-        rows.append((node.name, node.op.name, ", ".join(node.inputs), str(node.gives), parameters, _time(node, run)))
-    shown = [row if run is not None else row[:-1] for row in rows]
-    widths = [max(len(row[column]) for row in shown) for column in range(len(shown[0]))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in shown]
-    lines.insert(1, "  ".join("-" * width for width in widths))
-    lines += [f"{kind}: {profile.name}" for kind, profile in graph.profiles.items()]
+    heads = [("node", "op", "ms"), *((n.name, n.op.name, _time(n, run)) for n in graph.nodes.values())]
+    columns = [max(map(len, column)) for column in zip(*heads, strict=True)][: 2 if run is None else 3]
+    lines = []
+    for head, node in zip(heads, [None, *graph.nodes.values()], strict=True):
+        name, op, time = (cell.ljust(size) for cell, size in zip(head, (*columns, 0)[:3], strict=True))
+        line = f"{name}  {op}" + (f"  {time.strip():>{columns[2]}}" if run is not None else "")
+        told = _parameters(node, settings or {}, whole=whole) if node is not None else ""
+        if whole or node is None:
+            lines.append(line.rstrip()[:width])
+        else:
+            lines += _wrapped(told, width, first=f"{line}  ", indent=min(len(line) + 2, width // 2)) or [line.rstrip()]
+        if whole and node is not None:
+            lines += _wrapped(f"{', '.join(node.inputs) or 'nothing'} -> {node.gives}", width)
+            lines += _wrapped(told, width)
+    lines.insert(1, "  ".join("-" * size for size in columns)[:width])
+    for kind, profile in graph.profiles.items():
+        lines += _wrapped(f"{kind}: {profile.name}", width, first="")
     for file_name, node_name in graph.outputs.items():
         options = ", ".join(f"{word}={value}" for word, value in graph.options_of(file_name).items())
-        lines.append(f"writes {file_name} from {node_name}{f' ({options})' if options else ''}")
+        lines += _wrapped(f"writes {file_name} from {node_name}{f' ({options})' if options else ''}", width, first="")
     return "\n".join(lines)
+
+
+def _parameters(node: Node, settings: Mapping[str, Any], *, whole: bool) -> str:
+    return ", ".join(
+        f"{key}={_sourced(bound, settings.get(node.op.parameters[key].auto_key)).replace(' (', f'{TIED}(')}"
+        for key, bound in node.params.items()
+        if node.op.parameters[key].can_be_set and (whole or bound.source in CHANGED or bound.is_auto)
+    )
+
+
+def _wrapped(text: str, width: int, *, first: str | None = None, indent: int = 4) -> list[str]:
+    """Lines of at most `width` characters; all but the first, which begins with `first`, are indented."""
+    before = " " * indent
+    start = before if first is None else first
+    lines = textwrap.wrap(text, width, initial_indent=start, subsequent_indent=before, break_on_hyphens=False)
+    return [line.replace(TIED, " ") for line in lines]
 
 
 def mermaid(graph: NodeGraph, run: GraphRun | None = None) -> str:
